@@ -1,0 +1,120 @@
+//! The seam to a robot: what an arm reports, what it is told, and the trait that every backend implements.
+
+use core::fmt;
+
+use crate::{JointVector, TimeNs};
+
+/// What an arm measured in one control period.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ArmState {
+    /// When it was measured.
+    pub stamp: TimeNs,
+    /// Joint positions, rad (insertion m).
+    pub position: JointVector,
+    /// Joint velocities, rad/s (m/s).
+    pub velocity: JointVector,
+    /// Joint efforts, N m (N).
+    pub effort: JointVector,
+    /// Angle between the two jaw fingers, rad; 0 is closed.
+    pub jaw_position: f64,
+    /// Rate of the jaw angle, rad/s.
+    pub jaw_velocity: f64,
+    /// Jaw effort, N m; negative closes.
+    pub jaw_effort: f64,
+}
+
+impl ArmState {
+    /// An arm at rest at `position` with the jaw at `jaw_position`.
+    #[must_use]
+    pub fn at_rest(stamp: TimeNs, position: JointVector, jaw_position: f64) -> Self {
+        Self {
+            stamp,
+            position,
+            velocity: JointVector::zeros(),
+            effort: JointVector::zeros(),
+            jaw_position,
+            jaw_velocity: 0.0,
+            jaw_effort: 0.0,
+        }
+    }
+
+    /// Whether every number is finite.
+    #[must_use]
+    pub fn is_finite(&self) -> bool {
+        let vectors = [&self.position, &self.velocity, &self.effort];
+        vectors.iter().all(|v| v.iter().all(|x| x.is_finite()))
+            && self.jaw_position.is_finite()
+            && self.jaw_velocity.is_finite()
+            && self.jaw_effort.is_finite()
+    }
+}
+
+/// One setpoint for an arm: position with the velocity and acceleration that go with it.
+///
+/// The jaw angle may be commanded below contact; the position error is then the grip force.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ArmCommand {
+    /// The control period it is meant for.
+    pub stamp: TimeNs,
+    /// Joint positions, rad (insertion m).
+    pub position: JointVector,
+    /// Joint velocities, rad/s (m/s).
+    pub velocity: JointVector,
+    /// Joint accelerations, rad/s² (m/s²); information, drives need not use it.
+    pub acceleration: JointVector,
+    /// Angle between the jaw fingers, rad.
+    pub jaw_position: f64,
+    /// Rate of the jaw angle, rad/s.
+    pub jaw_velocity: f64,
+    /// Whether the drives should hold torque at all.
+    pub enabled: bool,
+}
+
+/// An arm: simulated, on a bus, or replayed.
+///
+/// A backend is read once and written once a control period, in that order. Before the first write it holds the
+/// position at which it was found.
+pub trait Arm {
+    /// The newest measurement at `now`.
+    ///
+    /// # Errors
+    /// [`ArmError`] when the measurement is lost or the drives have failed; the controller then faults.
+    fn read(&mut self, now: TimeNs) -> Result<ArmState, ArmError>;
+
+    /// Hands over one setpoint.
+    ///
+    /// # Errors
+    /// [`ArmError`] when it could not be sent.
+    fn write(&mut self, command: &ArmCommand) -> Result<(), ArmError>;
+}
+
+/// Why an arm could not be read or written.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ArmError {
+    /// No measurement arrived for this period.
+    MeasurementLost {
+        /// Age of the newest one, ns.
+        age_ns: u64,
+    },
+    /// A drive reported a fault.
+    DriveFault {
+        /// Joint index, 6 for the jaw.
+        axis: u8,
+        /// The drive's own code.
+        code: u16,
+    },
+    /// The recording has no more samples.
+    EndOfRecording,
+}
+
+impl fmt::Display for ArmError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::MeasurementLost { age_ns } => write!(f, "no measurement for {age_ns} ns"),
+            Self::DriveFault { axis, code } => write!(f, "drive of axis {axis} reports fault {code:#06x}"),
+            Self::EndOfRecording => write!(f, "the recording has ended"),
+        }
+    }
+}
+
+impl std::error::Error for ArmError {}

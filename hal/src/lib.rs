@@ -1,0 +1,21 @@
+//! The shared vocabulary of Trocar.
+//!
+//! Read in this order: [`time`] and [`joints`] name what is counted and measured, [`psm`] is the arm as data,
+//! [`arm`] is the seam to a robot, [`camera`] and [`chunk`] are what a policy sees and says, and [`policy`] is the
+//! seam to whatever does the saying. This crate knows no physics, no networks and no control.
+
+pub mod arm;
+pub mod camera;
+pub mod chunk;
+pub mod config;
+pub mod joints;
+pub mod policy;
+pub mod psm;
+pub mod time;
+
+pub use arm::{Arm, ArmCommand, ArmError, ArmState};
+pub use camera::{CameraFrame, Intrinsics};
+pub use chunk::{Chunk, TipTarget};
+pub use joints::{JOINT_COUNT, JointVector, Pose};
+pub use policy::{Observation, Policy, PolicyError};
+pub use time::{TICK_NS, TimeNs};

@@ -1,0 +1,56 @@
+//! The seam to a policy: what it sees, and that it answers with a chunk.
+
+use crate::{ArmState, CameraFrame, Chunk, Pose};
+
+/// What a policy sees of one arm at one instant.
+#[derive(Clone, Copy, Debug)]
+pub struct Observation<'a> {
+    /// The measured arm; its stamp is the observation's.
+    pub arm: &'a ArmState,
+    /// Measured tip pose in the RCM frame, from forward kinematics.
+    pub tip_in_rcm: Pose,
+    /// Frames taken at the observation, in the order of the policy's camera list.
+    pub frames: &'a [CameraFrame],
+}
+
+/// A policy. Answers are a function of the seed and of the observations since the last reset.
+pub trait Policy {
+    /// Forgets the past; everything random afterwards hangs on `seed`.
+    fn reset(&mut self, seed: u64);
+
+    /// The chunk that answers `observation`.
+    ///
+    /// # Errors
+    /// [`PolicyError`] when the observation does not fit the policy or the computation failed.
+    fn infer(&mut self, observation: &Observation<'_>) -> Result<Chunk, PolicyError>;
+}
+
+/// Why a policy gave no chunk.
+#[derive(Debug, thiserror::Error)]
+pub enum PolicyError {
+    /// The observation has another number of cameras than the policy was trained with.
+    #[error("policy expects {expected} camera frames, observation has {actual}")]
+    CameraCount {
+        /// Cameras the policy was trained with.
+        expected: usize,
+        /// Frames in the observation.
+        actual: usize,
+    },
+    /// A frame has another size than the policy was trained with.
+    #[error("policy expects {expected_width}x{expected_height} images, camera {camera} has {width}x{height}")]
+    ImageSize {
+        /// Index of the camera.
+        camera: usize,
+        /// Width the policy was trained with, pixels.
+        expected_width: u32,
+        /// Height the policy was trained with, pixels.
+        expected_height: u32,
+        /// Width of the frame, pixels.
+        width: u32,
+        /// Height of the frame, pixels.
+        height: u32,
+    },
+    /// The network library failed.
+    #[error("inference failed: {0}")]
+    Inference(String),
+}

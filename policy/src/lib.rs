@@ -1,0 +1,1 @@
+//! Learned policies: perception, networks, checkpoints, datasets, training.

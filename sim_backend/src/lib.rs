@@ -1,0 +1,3 @@
+//! The simulated arm and the tasks: plant, contact physics, renderer, scripted experts.
+
+pub mod visual;

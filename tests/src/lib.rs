@@ -1,0 +1,1 @@
+//! Closed-loop, conformance, golden and fault tests, and the benches.
