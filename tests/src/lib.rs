@@ -1,1 +1,68 @@
-//! Closed-loop, conformance, golden and fault tests, and the benches.
+//! What the closed-loop tests share: the built binaries, scratch folders, and JSON results.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output};
+
+/// Which build of `trocar` to run.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Profile {
+    /// `cargo build`.
+    Debug,
+    /// `cargo build --release`.
+    Release,
+}
+
+/// The repository's root.
+#[must_use]
+pub fn repository() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).parent().map_or_else(PathBuf::new, Path::to_path_buf)
+}
+
+/// The `trocar` binary of `profile`, to be run in the repository's root.
+///
+/// # Panics
+/// If it was not built: `make test` builds both.
+#[must_use]
+pub fn trocar(profile: Profile) -> Command {
+    let folder = match profile {
+        Profile::Debug => "debug",
+        Profile::Release => "release",
+    };
+    let target = std::env::var_os("CARGO_TARGET_DIR").map_or_else(|| repository().join("target"), PathBuf::from);
+    let binary = target.join(folder).join("trocar");
+    assert!(binary.exists(), "{} is missing: run `make test`, which builds it", binary.display());
+    let mut command = Command::new(binary);
+    command.current_dir(repository());
+    command
+}
+
+/// An empty folder for one test.
+///
+/// # Panics
+/// If it can't be made.
+#[must_use]
+#[expect(clippy::expect_used, reason = "a test can't go on without it")]
+pub fn scratch(test: &str) -> PathBuf {
+    let folder = repository().join("target/scratch").join(test);
+    let _absent = fs::remove_dir_all(&folder);
+    fs::create_dir_all(&folder).expect("a scratch folder can be made");
+    folder
+}
+
+/// What a finished command wrote to standard error.
+#[must_use]
+pub fn stderr(output: &Output) -> String {
+    String::from_utf8_lossy(&output.stderr).into_owned()
+}
+
+/// Reads a JSON result.
+///
+/// # Panics
+/// If there is none.
+#[must_use]
+#[expect(clippy::expect_used, reason = "a test can't go on without it")]
+pub fn json(path: &Path) -> serde_json::Value {
+    let text = fs::read_to_string(path).expect("the result was written");
+    serde_json::from_str(&text).expect("the result is JSON")
+}
