@@ -1,0 +1,210 @@
+//! One episode of the simulated task: arm, needle, cameras and the verdict.
+//!
+//! The driver reads and writes it as a [`hal::Arm`] and calls [`Simulation::step`] once a control tick. Same task, seed
+//! and commands give the same bits.
+
+use hal::{Arm, ArmCommand, ArmError, ArmState, CameraFrame, Pose, TimeNs};
+use nalgebra::{Point3, Vector3};
+
+use crate::render::{Camera, Light, RenderError, Renderer, look_at};
+use crate::task::{CameraConfig, Outcome, SuccessMonitor, TaskConfig, visual_poses, visuals};
+use crate::world::{Grasp, World};
+
+/// Whether an episode can be looked at.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Rendering {
+    /// Physics alone.
+    Off,
+    /// Physics and cameras.
+    On,
+}
+
+/// Why there is no episode or no image of it.
+#[derive(Debug, thiserror::Error)]
+pub enum SimulationError {
+    /// The renderer can't be had or failed.
+    #[error(transparent)]
+    Render(#[from] RenderError),
+    /// An image was asked of an episode that runs without cameras.
+    #[error("this simulation was made without rendering")]
+    RenderingOff,
+    /// There is no such camera.
+    #[error("camera {index} of {count}")]
+    NoSuchCamera {
+        /// The one asked for.
+        index: usize,
+        /// How many there are.
+        count: usize,
+    },
+}
+
+/// The true state of the scene, which experts may see and policies may not.
+#[derive(Clone, Copy, Debug)]
+pub struct SceneState {
+    /// Tip (control point) in the RCM frame.
+    pub tip_in_rcm: Pose,
+    /// Needle in the RCM frame.
+    pub needle_in_rcm: Pose,
+    /// Angle between the jaw fingers, rad.
+    pub jaw: f64,
+    /// How the fingers hold the needle.
+    pub grasp: Grasp,
+}
+
+/// Time that the needle gets to come to rest before the episode begins, ms.
+const SETTLE_STEPS: u32 = 250;
+
+/// Image depth range, m.
+const NEAR_M: f64 = 0.005;
+const FAR_M: f64 = 1.0;
+
+/// An episode.
+pub struct Simulation {
+    world: World,
+    monitor: SuccessMonitor,
+    scene_from_rcm: Pose,
+    cameras: Vec<View>,
+    light: Light,
+    renderer: Option<Renderer>,
+    stamp: TimeNs,
+}
+
+struct View {
+    name: String,
+    camera: Camera,
+    frames: u64,
+}
+
+impl Simulation {
+    /// The episode `seed` of `task`, the needle at rest.
+    ///
+    /// # Errors
+    /// [`SimulationError::Render`] if there is no device to render with.
+    pub fn new(task: &TaskConfig, seed: u64, rendering: Rendering) -> Result<Self, SimulationError> {
+        let renderer = match rendering {
+            Rendering::Off => None,
+            Rendering::On => Some(Renderer::new(&visuals(task))?),
+        };
+        Ok(Self::build(task, seed, renderer))
+    }
+
+    /// The episode `seed` of `task`, seen with the renderer of an earlier episode of the same task: opening a device
+    /// takes far longer than an image.
+    #[must_use]
+    pub fn with_renderer(task: &TaskConfig, seed: u64, renderer: Renderer) -> Self {
+        Self::build(task, seed, Some(renderer))
+    }
+
+    /// Gives the renderer back for the next episode.
+    #[must_use]
+    pub fn into_renderer(self) -> Option<Renderer> {
+        self.renderer
+    }
+
+    fn build(task: &TaskConfig, seed: u64, renderer: Option<Renderer>) -> Self {
+        let needle_in_scene = task.needle_start.draw(seed, &task.needle, &task.organ);
+        let mut world = World::new(
+            &task.world,
+            &task.needle,
+            &task.organ,
+            task.scene_from_rcm,
+            task.joints0,
+            task.jaw0,
+            needle_in_scene,
+        );
+        for _ in 0..SETTLE_STEPS {
+            world.step();
+        }
+        Self {
+            world,
+            monitor: SuccessMonitor::new(&task.success, &task.needle, &task.organ),
+            scene_from_rcm: task.scene_from_rcm,
+            cameras: task.cameras.iter().map(View::new).collect(),
+            light: Light::default(),
+            renderer,
+            stamp: TimeNs(0),
+        }
+    }
+
+    /// Advances by one control tick, 1 ms.
+    pub fn step(&mut self) {
+        self.world.step();
+        self.monitor.observe(&self.world.needle_in_scene(), &self.world.grasp());
+    }
+
+    /// How the episode stands.
+    #[must_use]
+    pub const fn outcome(&self) -> Outcome {
+        self.monitor.outcome()
+    }
+
+    /// The true state of the scene.
+    #[must_use]
+    pub fn scene_state(&self) -> SceneState {
+        SceneState {
+            tip_in_rcm: self.scene_from_rcm.inv_mul(&self.world.tip_in_scene()),
+            needle_in_rcm: self.scene_from_rcm.inv_mul(&self.world.needle_in_scene()),
+            jaw: self.world.measured(self.stamp).jaw_position,
+            grasp: self.world.grasp(),
+        }
+    }
+
+    /// Names of the cameras, in order.
+    pub fn camera_names(&self) -> impl Iterator<Item = &str> {
+        self.cameras.iter().map(|view| view.name.as_str())
+    }
+
+    /// A black frame of the right size for `camera`.
+    ///
+    /// # Errors
+    /// [`SimulationError::NoSuchCamera`].
+    pub fn blank_frame(&self, camera: usize) -> Result<CameraFrame, SimulationError> {
+        let count = self.cameras.len();
+        let view = self.cameras.get(camera).ok_or(SimulationError::NoSuchCamera { index: camera, count })?;
+        Ok(CameraFrame::blank(view.camera.intrinsics))
+    }
+
+    /// Takes one image, stamped with the newest time at which the arm was read.
+    ///
+    /// # Errors
+    /// [`SimulationError`]; the frame's content is then unspecified.
+    pub fn render(&mut self, camera: usize, frame: &mut CameraFrame) -> Result<(), SimulationError> {
+        let poses = visual_poses(self.world.needle_in_scene(), &self.world.body_poses());
+        let count = self.cameras.len();
+        let view = self.cameras.get_mut(camera).ok_or(SimulationError::NoSuchCamera { index: camera, count })?;
+        let renderer = self.renderer.as_mut().ok_or(SimulationError::RenderingOff)?;
+        renderer.render(&poses, &view.camera, &self.light, frame)?;
+        view.frames += 1;
+        frame.sequence = view.frames;
+        frame.stamp = self.stamp;
+        Ok(())
+    }
+
+    /// Digest of the whole physical state: equal after equal commands.
+    #[must_use]
+    pub fn state_hash(&self) -> u64 {
+        self.world.state_hash()
+    }
+}
+
+impl View {
+    fn new(config: &CameraConfig) -> Self {
+        let camera_in_scene =
+            look_at(Point3::from(config.eye_m), Point3::from(config.target_m), Vector3::from(config.up));
+        let camera =
+            Camera { intrinsics: config.intrinsics(), camera_in_scene, near_m: NEAR_M, far_m: FAR_M };
+        Self { name: config.name.clone(), camera, frames: 0 }
+    }
+}
+
+impl Arm for Simulation {
+    fn read(&mut self, now: TimeNs) -> Result<ArmState, ArmError> {
+        self.stamp = now;
+        Ok(self.world.measured(now))
+    }
+
+    fn write(&mut self, command: &ArmCommand) -> Result<(), ArmError> {
+        self.world.command(command);
+        Ok(())
+    }
+}
