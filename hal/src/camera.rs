@@ -1,10 +1,13 @@
 //! Camera frames: colour, metric depth and instance ids, with the camera that took them.
 
+use iceoryx2::prelude::ZeroCopySend;
+
 use crate::{Pose, TimeNs};
 
 /// Pinhole intrinsics in pixels; pixel centres lie at half-integers, x to the right, y down.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, ZeroCopySend)]
 #[repr(C)]
+#[type_name("trocar/intrinsics/1")]
 pub struct Intrinsics {
     /// Image width, pixels.
     pub width: u32,
@@ -67,6 +70,41 @@ impl CameraFrame {
             colour: vec![0; 3 * pixels],
             depth_m: vec![0.0; pixels],
             instance: vec![0; pixels],
+        }
+    }
+}
+
+/// A frame that lies elsewhere, in shared memory for example.
+#[derive(Clone, Copy, Debug)]
+pub struct FrameRef<'a> {
+    /// When it was taken.
+    pub stamp: TimeNs,
+    /// Count of frames from this camera.
+    pub sequence: u64,
+    /// The lens.
+    pub intrinsics: Intrinsics,
+    /// Camera pose in the scene frame: x right, y down, z along the view.
+    pub camera_in_scene: Pose,
+    /// sRGB bytes, 3 a pixel.
+    pub colour: &'a [u8],
+    /// Distance along the camera's z axis, metres; 0 where nothing was hit.
+    pub depth_m: &'a [f32],
+    /// Instance id of what was hit; 0 is background.
+    pub instance: &'a [u8],
+}
+
+impl CameraFrame {
+    /// This frame, borrowed.
+    #[must_use]
+    pub fn as_frame(&self) -> FrameRef<'_> {
+        FrameRef {
+            stamp: self.stamp,
+            sequence: self.sequence,
+            intrinsics: self.intrinsics,
+            camera_in_scene: self.camera_in_scene,
+            colour: &self.colour,
+            depth_m: &self.depth_m,
+            instance: &self.instance,
         }
     }
 }

@@ -1,5 +1,6 @@
 //! A chunk: what a policy wants the tip to do over the next steps.
 
+use iceoryx2::prelude::ZeroCopySend;
 use nalgebra::{Quaternion, Translation3, UnitQuaternion};
 
 use crate::{Pose, TimeNs};
@@ -10,8 +11,9 @@ pub const CHUNK_STEPS_MAX: usize = 128;
 /// Where the tip should be at one step.
 ///
 /// Plain numbers, so that it can travel through shared memory and hold nonsense until the input gate has looked at it.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, ZeroCopySend)]
 #[repr(C)]
+#[type_name("trocar/tip_target/1")]
 pub struct TipTarget {
     /// Tip position in the RCM frame, metres.
     pub position_m: [f64; 3],
@@ -44,8 +46,9 @@ impl TipTarget {
 ///
 /// `targets[k]` is due at `observed_at + k * step_ns`; between two of them the tip moves evenly. Targets are absolute, so
 /// chunks of different observations can be blended.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, ZeroCopySend)]
 #[repr(C)]
+#[type_name("trocar/chunk/1")]
 pub struct Chunk {
     /// When the observation was taken that this answers.
     pub observed_at: TimeNs,

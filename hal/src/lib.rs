@@ -12,6 +12,7 @@ pub mod joints;
 pub mod policy;
 pub mod psm;
 pub mod time;
+pub mod topic;
 
 pub use arm::{Arm, ArmCommand, ArmError, ArmState};
 pub use camera::{CameraFrame, Intrinsics};

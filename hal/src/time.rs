@@ -1,5 +1,6 @@
 //! Time as an argument: whole nanoseconds since the start of a run.
 
+use iceoryx2::prelude::ZeroCopySend;
 use serde::{Deserialize, Serialize};
 
 /// One control period at 1 kHz, in nanoseconds.
@@ -9,8 +10,9 @@ pub const TICK_NS: u64 = 1_000_000;
 ///
 /// In lockstep it is the tick counter times [`TICK_NS`]; in a real-time run the driver supplies it. Nothing else reads
 /// a clock.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
-#[repr(transparent)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize, ZeroCopySend)]
+#[repr(C)]
+#[type_name("trocar/time_ns/1")]
 #[serde(transparent)]
 pub struct TimeNs(pub u64);
 

@@ -1,0 +1,258 @@
+//! A process's membership in a run: names, clean-up after the dead, and how services are opened.
+
+use core::fmt::Debug;
+use core::time::Duration;
+
+use iceoryx2::port::publisher::PublisherCreateError;
+use iceoryx2::port::subscriber::SubscriberCreateError;
+use iceoryx2::prelude::{
+    Config, FileName, IceoryxSend, LogLevel, Node, NodeBuilder, SemanticString, ServiceName, SignalHandlingMode,
+    ZeroCopySend, set_log_level,
+};
+use iceoryx2::service::builder::publish_subscribe::{
+    PublishSubscribeCreateError as CreateError, PublishSubscribeOpenError as OpenError,
+    PublishSubscribeOpenOrCreateError as ServiceError,
+};
+use iceoryx2::service::port_factory::publish_subscribe::PortFactory;
+
+use super::{SHARED_MEMORY_DIR, SharedMemorySpace, TopicError, shm};
+
+/// Ports may move between threads; each call takes an uncontended lock.
+pub(super) type Service = iceoryx2::service::ipc_threadsafe::Service;
+
+/// Readers a topic can have: the other process, a log, and one more.
+pub(super) const SUBSCRIBERS_MAX: usize = 3;
+/// Unread values a reader keeps; 1 makes the newest win.
+pub(super) const UNREAD_MAX: usize = 1;
+/// Values a reader can look at while another arrives.
+pub(super) const HELD_MAX: usize = 2;
+/// Values kept for a reader that comes late.
+pub(super) const HISTORY: usize = 1;
+/// Values a writer can be filling at once.
+pub(super) const LOANED_MAX: usize = 1;
+/// Buffers a writer reserves for all of the above.
+pub(super) const BUFFERS: usize = SUBSCRIBERS_MAX * (UNREAD_MAX + HELD_MAX) + HISTORY + LOANED_MAX;
+
+const NODES_MAX: usize = 16;
+const NAME_MAX: usize = 100;
+const CLEANUP_TIMEOUT: Duration = Duration::from_secs(1);
+/// While a peer creates or removes the same service, opening is tried again this often, a retry pause apart.
+const OPEN_TRIES: usize = 200;
+const RETRY_PAUSE: Duration = Duration::from_millis(5);
+
+/// One process's (or thread's) membership in a run. Topics are opened through it and outlive it if need be.
+#[derive(Debug)]
+pub struct TopicNode {
+    node: Node<Service>,
+    run_id: String,
+}
+
+impl TopicNode {
+    /// Joins the run `run_id`; all processes of a run use the same one.
+    ///
+    /// Removes what processes that died left in shared memory. Installs no signal handlers, and quietens the
+    /// transport's own log to errors.
+    ///
+    /// # Errors
+    /// [`TopicError::BadName`], [`TopicError::Transport`].
+    pub fn join(run_id: &str) -> Result<Self, TopicError> {
+        check_name(run_id, false)?;
+        set_log_level(LogLevel::Error);
+        let node = NodeBuilder::new()
+            .config(&transport_config(run_id)?)
+            .signal_handling_mode(SignalHandlingMode::Disabled)
+            .create::<Service>()
+            .map_err(|error| TopicError::transport(run_id, "joining the run", &error))?;
+        let joined = Self { node, run_id: run_id.to_owned() };
+        joined.remove_dead();
+        Ok(joined)
+    }
+
+    /// The run's id.
+    #[must_use]
+    pub fn run_id(&self) -> &str {
+        &self.run_id
+    }
+
+    /// Frees what processes that died without cleaning up still hold; the number of them.
+    ///
+    /// Death is noticed only by looking: a supervisor calls this now and then. Takes milliseconds.
+    pub fn remove_dead(&self) -> u64 {
+        self.node.blocking_cleanup_dead_nodes(CLEANUP_TIMEOUT).cleanups
+    }
+
+    /// The full service name of `topic`.
+    pub(super) fn service_name(&self, topic: &str) -> Result<String, TopicError> {
+        check_name(topic, true)?;
+        Ok(format!("trocar/{}/{topic}", self.run_id))
+    }
+
+    /// Opens or creates the service `name` with the latest-wins quality of service that all topics share.
+    pub(super) fn open<P, H>(&self, name: &str) -> Result<PortFactory<Service, P, H>, TopicError>
+    where
+        P: IceoryxSend + Debug + ?Sized,
+        H: Debug + ZeroCopySend,
+        Builder<P, H>: OpenOrCreate<P, H>,
+    {
+        let service_name =
+            ServiceName::new(name).map_err(|error| TopicError::transport(name, "naming the service", &error))?;
+        for _ in 0..OPEN_TRIES {
+            let builder = self.node.service_builder(&service_name).publish_subscribe::<P>().user_header::<H>();
+            let error = match latest_wins(builder).open_or_create_service() {
+                Ok(service) => return Ok(service),
+                Err(error) => error,
+            };
+            if !is_transient(error) {
+                return Err(service_error(name, error));
+            }
+            if let Err(error) = self.node.wait(RETRY_PAUSE) {
+                return Err(TopicError::transport(name, "waiting for a peer", &error));
+            }
+        }
+        Err(TopicError::transport(name, "opening the service", &"a peer never finished creating or removing it"))
+    }
+
+    /// Makes the single publisher; a dead predecessor is cleared away first if it is in the way.
+    pub(super) fn create_publisher<T>(
+        &self,
+        topic: &str,
+        value_bytes: usize,
+        create: impl Fn() -> Result<T, PublisherCreateError>,
+    ) -> Result<T, TopicError> {
+        let needed_bytes = u64::try_from(BUFFERS * value_bytes).unwrap_or(u64::MAX);
+        let missing = SharedMemorySpace { total_bytes: 0, free_bytes: 0 };
+        shm::check_room(topic, needed_bytes, shm::shared_memory_space().unwrap_or(missing))?;
+        let mut result = create();
+        if matches!(result, Err(PublisherCreateError::ExceedsMaxSupportedPublishers)) {
+            self.remove_dead();
+            result = create();
+        }
+        result.map_err(|error| publisher_error(topic, needed_bytes, error))
+    }
+
+    /// Makes a subscriber, clearing away dead ones first if they are in the way.
+    pub(super) fn create_subscriber<T>(
+        &self,
+        topic: &str,
+        create: impl Fn() -> Result<T, SubscriberCreateError>,
+    ) -> Result<T, TopicError> {
+        let mut result = create();
+        if matches!(result, Err(SubscriberCreateError::ExceedsMaxSupportedSubscribers)) {
+            self.remove_dead();
+            result = create();
+        }
+        result.map_err(|error| {
+            if error == SubscriberCreateError::ExceedsMaxSupportedSubscribers {
+                return TopicError::TooManySubscribers { topic: topic.to_owned(), max: SUBSCRIBERS_MAX };
+            }
+            TopicError::transport(topic, "subscribing", &error)
+        })
+    }
+}
+
+/// The transport's builder for payload `P` and header `H`.
+pub(super) type Builder<P, H> = iceoryx2::service::builder::publish_subscribe::Builder<P, H, Service>;
+
+/// Bridges the transport's two `open_or_create`, for single values and for slices.
+pub(super) trait OpenOrCreate<P: IceoryxSend + Debug + ?Sized, H: Debug + ZeroCopySend> {
+    fn open_or_create_service(self) -> Result<PortFactory<Service, P, H>, ServiceError>;
+}
+
+impl<P: Debug + ZeroCopySend, H: Debug + ZeroCopySend> OpenOrCreate<P, H> for Builder<P, H> {
+    fn open_or_create_service(self) -> Result<PortFactory<Service, P, H>, ServiceError> {
+        self.open_or_create()
+    }
+}
+
+impl<P: Debug + ZeroCopySend, H: Debug + ZeroCopySend> OpenOrCreate<[P], H> for Builder<[P], H> {
+    fn open_or_create_service(self) -> Result<PortFactory<Service, [P], H>, ServiceError> {
+        self.open_or_create()
+    }
+}
+
+fn latest_wins<P, H>(builder: Builder<P, H>) -> Builder<P, H>
+where
+    P: IceoryxSend + Debug + ?Sized,
+    H: Debug + ZeroCopySend,
+{
+    builder
+        .enable_safe_overflow(true)
+        .subscriber_max_buffer_size(UNREAD_MAX)
+        .subscriber_max_borrowed_samples(HELD_MAX)
+        .history_size(HISTORY)
+        .max_publishers(1)
+        .max_subscribers(SUBSCRIBERS_MAX)
+        .max_nodes(NODES_MAX)
+}
+
+/// The transport's built-in settings, whatever files lie around, under a prefix of our own.
+fn transport_config(run_id: &str) -> Result<Config, TopicError> {
+    let mut config = Config::default();
+    config.global.prefix =
+        FileName::new(b"trocar_").map_err(|error| TopicError::transport(run_id, "naming files", &format!("{error:?}")))?;
+    Ok(config)
+}
+
+fn check_name(name: &str, with_parts: bool) -> Result<(), TopicError> {
+    let plain = |part: &str| {
+        !part.is_empty() && part.bytes().all(|byte| byte.is_ascii_alphanumeric() || byte == b'-' || byte == b'_')
+    };
+    let good = if with_parts { name.split('/').all(plain) } else { plain(name) };
+    if good && name.len() <= NAME_MAX {
+        return Ok(());
+    }
+    Err(TopicError::BadName { name: name.to_owned(), max: NAME_MAX })
+}
+
+/// Whether a peer is creating or removing the service at this moment.
+fn is_transient(error: ServiceError) -> bool {
+    matches!(
+        error,
+        ServiceError::SystemInFlux
+            | ServiceError::PublishSubscribeOpenError(
+                OpenError::IsMarkedForDestruction | OpenError::HangsInCreation | OpenError::DoesNotExist
+            )
+            | ServiceError::PublishSubscribeCreateError(
+                CreateError::IsBeingCreatedByAnotherInstance | CreateError::HangsInCreation | CreateError::AlreadyExists
+            )
+    )
+}
+
+fn service_error(topic: &str, error: ServiceError) -> TopicError {
+    if matches!(error, ServiceError::PublishSubscribeOpenError(OpenError::IncompatibleTypes)) {
+        return TopicError::OtherType { topic: topic.to_owned() };
+    }
+    TopicError::transport(topic, "opening the service", &error)
+}
+
+fn publisher_error(topic: &str, needed_bytes: u64, error: PublisherCreateError) -> TopicError {
+    let topic = topic.to_owned();
+    if error == PublisherCreateError::ExceedsMaxSupportedPublishers {
+        return TopicError::AlreadyPublished { topic };
+    }
+    let space = shm::shared_memory_space();
+    if let (PublisherCreateError::UnableToCreateDataSegment, Some(space)) = (error, space) {
+        return TopicError::SharedMemoryTooSmall {
+            topic,
+            dir: SHARED_MEMORY_DIR,
+            needed_bytes,
+            free_bytes: space.free_bytes,
+            total_bytes: space.total_bytes,
+        };
+    }
+    TopicError::transport(&topic, "publishing", &error)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names_that_would_leave_the_run_are_refused() {
+        for bad in ["", "a b", "a/../b", "a//b", "/a", "ä", &"x".repeat(NAME_MAX + 1)] {
+            assert!(check_name(bad, true).is_err(), "{bad}");
+        }
+        assert!(check_name("psm1/endoscope_left", true).is_ok());
+        assert!(check_name("a/b", false).is_err());
+    }
+}
