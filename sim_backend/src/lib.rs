@@ -1,3 +1,13 @@
 //! The simulated arm and the tasks: plant, contact physics, renderer, scripted experts.
 
+pub mod expert;
+pub mod needle;
+pub mod organ;
+pub mod plant;
+pub mod render;
+pub mod rng;
+pub mod shapes;
+pub mod simulation;
+pub mod task;
 pub mod visual;
+pub mod world;

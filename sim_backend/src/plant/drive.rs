@@ -1,0 +1,171 @@
+//! The drives in time: joint controllers on encoder counts, limits, friction, and motion.
+
+use core::f64::consts::TAU;
+
+use hal::psm::{ACTUATORS, EFFORT_MAX, POSITION_MAX, POSITION_MIN};
+use hal::{ArmCommand, ArmState, JOINT_COUNT, JointVector, TimeNs};
+
+use super::config::PlantConfig;
+use super::coupling::{actuator_efforts, actuator_positions, joint_efforts, joint_positions};
+
+/// Joints and jaw, or three joint motors and four discs.
+pub const AXIS_COUNT: usize = JOINT_COUNT + 1;
+
+/// One value an axis: in joint space with the jaw last, or in actuator space with the discs last.
+pub type AxisVector = [f64; AXIS_COUNT];
+
+/// Mechanical end stops in joint space, N m/rad (N/m).
+const STOP_STIFFNESS: AxisVector = [2000.0, 2000.0, 2e4, 20.0, 20.0, 20.0, 20.0];
+/// Their damping while they are pressed, N m s/rad (N s/m).
+const STOP_DAMPING: AxisVector = [20.0, 20.0, 200.0, 0.05, 0.05, 0.05, 0.05];
+/// The jaw's lower stop is the other finger.
+const JAW_CLOSED: f64 = 0.0;
+
+/// The arm's drives, each a motor with gear, encoder and controller.
+///
+/// Before the first command it holds the position it was made with.
+#[derive(Clone, Debug)]
+pub struct Plant {
+    config: PlantConfig,
+    effort_max: AxisVector,
+    position: AxisVector,
+    velocity: AxisVector,
+    effort: AxisVector,
+    target_position: AxisVector,
+    target_velocity: AxisVector,
+    enabled: bool,
+}
+
+impl Plant {
+    /// Drives at rest at `joints` (rad, insertion m) with the jaw at `jaw` (rad).
+    #[must_use]
+    pub fn new(config: &PlantConfig, joints: &JointVector, jaw: f64) -> Self {
+        let position = actuator_positions(&with_jaw(joints, jaw));
+        let mut effort_max = EFFORT_MAX;
+        effort_max[JOINT_COUNT] = effort_max[JOINT_COUNT].min(config.jaw_effort_max_n_m);
+        Self {
+            config: *config,
+            effort_max,
+            position,
+            velocity: [0.0; AXIS_COUNT],
+            effort: [0.0; AXIS_COUNT],
+            target_position: position,
+            target_velocity: [0.0; AXIS_COUNT],
+            enabled: true,
+        }
+    }
+
+    /// Takes a setpoint, which holds until the next one.
+    pub fn command(&mut self, command: &ArmCommand) {
+        self.target_position = actuator_positions(&with_jaw(&command.position, command.jaw_position));
+        self.target_velocity = actuator_positions(&with_jaw(&command.velocity, command.jaw_velocity));
+        self.enabled = command.enabled;
+    }
+
+    /// Advances one millisecond under `load`, the joint efforts (jaw last) that the world puts on the arm.
+    pub fn step(&mut self, load: &AxisVector) {
+        let step_s = 1e-3 / f64::from(self.config.substeps);
+        for _ in 0..self.config.substeps {
+            self.substep(load, step_s);
+        }
+    }
+
+    /// True joint positions, jaw last, rad (insertion m).
+    #[must_use]
+    pub fn joints(&self) -> AxisVector {
+        joint_positions(&self.position)
+    }
+
+    /// True joint velocities, jaw last, rad/s (insertion m/s).
+    #[must_use]
+    pub fn joint_velocities(&self) -> AxisVector {
+        joint_positions(&self.velocity)
+    }
+
+    /// What the encoders and current sensors say: positions in whole counts, velocities as the drive firmware
+    /// estimates them, efforts of the motors in joint space.
+    #[must_use]
+    pub fn measured(&self, stamp: TimeNs) -> ArmState {
+        let position = joint_positions(&counted(&self.position));
+        let velocity = self.joint_velocities();
+        let effort = joint_efforts(&self.effort);
+        ArmState {
+            stamp,
+            position: JointVector::from_column_slice(&position[..JOINT_COUNT]),
+            velocity: JointVector::from_column_slice(&velocity[..JOINT_COUNT]),
+            effort: JointVector::from_column_slice(&effort[..JOINT_COUNT]),
+            jaw_position: position[JOINT_COUNT],
+            jaw_velocity: velocity[JOINT_COUNT],
+            jaw_effort: effort[JOINT_COUNT],
+        }
+    }
+
+    /// Every number that decides the future, for hashing.
+    pub(crate) fn state(&self) -> impl Iterator<Item = f64> + '_ {
+        let parts = [&self.position, &self.velocity, &self.effort, &self.target_position, &self.target_velocity];
+        parts.into_iter().flatten().copied().chain([if self.enabled { 1.0 } else { 0.0 }])
+    }
+
+    fn substep(&mut self, load: &AxisVector, step_s: f64) {
+        self.effort = if self.enabled { self.controller() } else { [0.0; AXIS_COUNT] };
+        let stops = stop_efforts(&self.joints(), &self.joint_velocities());
+        let outside = actuator_efforts(&core::array::from_fn(|axis| load[axis] + stops[axis]));
+        for axis in 0..AXIS_COUNT {
+            let per_inertia = step_s / self.config.inertia[axis];
+            let pushed = self.velocity[axis] + per_inertia * (self.effort[axis] + outside[axis]);
+            // Both frictions implicitly: they stop the axis, never reverse it.
+            let dragged = pushed / (1.0 + per_inertia * self.config.viscous[axis]);
+            let stuck = per_inertia * self.config.coulomb[axis];
+            let moving = (dragged.abs() - stuck).max(0.0).copysign(dragged);
+            self.velocity[axis] = moving;
+            self.position[axis] += step_s * moving;
+        }
+    }
+
+    /// Actuator efforts of the shipped PD law, first within the joints' limits, then within the motors' currents.
+    fn controller(&self) -> AxisVector {
+        let measured = counted(&self.position);
+        let wanted: AxisVector = core::array::from_fn(|axis| {
+            let position_error = self.target_position[axis] - measured[axis];
+            let velocity_error = self.target_velocity[axis] - self.velocity[axis];
+            ACTUATORS[axis].p * position_error + ACTUATORS[axis].d * velocity_error
+        });
+        let joint = joint_efforts(&wanted);
+        let joint = core::array::from_fn(|axis| joint[axis].clamp(-self.effort_max[axis], self.effort_max[axis]));
+        let actuator = actuator_efforts(&joint);
+        core::array::from_fn(|axis| {
+            let drive = &ACTUATORS[axis];
+            let limit = drive.current_max_a * drive.torque_constant_n_m_a * drive.gear_ratio;
+            actuator[axis].clamp(-limit, limit)
+        })
+    }
+}
+
+fn with_jaw(joints: &JointVector, jaw: f64) -> AxisVector {
+    [joints[0], joints[1], joints[2], joints[3], joints[4], joints[5], jaw]
+}
+
+/// Actuator positions as whole encoder counts.
+fn counted(actuator: &AxisVector) -> AxisVector {
+    core::array::from_fn(|axis| {
+        let drive = &ACTUATORS[axis];
+        let quantum = TAU / drive.encoder_counts_per_turn / drive.gear_ratio;
+        (actuator[axis] / quantum).round() * quantum
+    })
+}
+
+fn stop_efforts(joint: &AxisVector, rate: &AxisVector) -> AxisVector {
+    core::array::from_fn(|axis| {
+        let (least, most) = if axis < JOINT_COUNT {
+            (POSITION_MIN[axis], POSITION_MAX[axis])
+        } else {
+            (JAW_CLOSED, hal::psm::JAW_MAX)
+        };
+        let excess = joint[axis] - joint[axis].clamp(least, most);
+        if excess.abs() > 0.0 {
+            -STOP_STIFFNESS[axis] * excess - STOP_DAMPING[axis] * rate[axis]
+        } else {
+            0.0
+        }
+    })
+}

@@ -1,0 +1,9 @@
+//! The seven drives of the arm at actuator level: motors, gears, encoders, joint controllers and friction.
+
+mod config;
+mod coupling;
+mod drive;
+
+pub use config::PlantConfig;
+pub use coupling::{actuator_efforts, actuator_positions, joint_efforts, joint_positions};
+pub use drive::{AXIS_COUNT, AxisVector, Plant};
