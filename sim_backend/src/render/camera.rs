@@ -1,0 +1,182 @@
+//! The pinhole camera and the light beside it, and the projections they imply.
+
+use hal::{Intrinsics, Pose};
+use nalgebra::{Matrix4, Point3, Rotation3, Translation3, UnitQuaternion, Vector3};
+
+use super::RenderError;
+
+/// A pinhole camera somewhere in the scene.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Camera {
+    /// The lens.
+    pub intrinsics: Intrinsics,
+    /// Pose in the scene frame: x right, y down, z along the view.
+    pub camera_in_scene: Pose,
+    /// Nothing nearer than this along z is drawn, m.
+    pub near_m: f64,
+    /// Nothing further than this along z is drawn, m.
+    pub far_m: f64,
+}
+
+/// The light guide of an endoscope: a spot that travels with the camera and shines along its z axis.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Light {
+    /// Where the guide ends in the camera frame, m. At the lens itself no shadow would be seen.
+    pub position_in_camera_m: [f64; 3],
+    /// Angle from the axis at which the spot has faded to nothing, rad, below a quarter turn.
+    pub cone_half_angle_rad: f64,
+    /// Brightness of the spot at [`Self::reference_distance_m`]; it falls with the square of the distance.
+    pub intensity: f64,
+    /// Distance at which [`Self::intensity`] is meant, m.
+    pub reference_distance_m: f64,
+    /// Brightness of the light that tissue all around throws back.
+    pub ambient: f64,
+}
+
+impl Default for Light {
+    fn default() -> Self {
+        Self {
+            position_in_camera_m: [0.010, -0.012, 0.0],
+            cone_half_angle_rad: 0.8,
+            intensity: 2.6,
+            reference_distance_m: 0.12,
+            ambient: 0.35,
+        }
+    }
+}
+
+/// The pose of a camera at `eye_m` that looks at `target_m` with `up` upwards in its image, all in the scene frame.
+///
+/// Where `up` is parallel to the view another upward direction is chosen, always the same; where eye and target
+/// coincide the view is along the scene's z.
+#[must_use]
+pub fn look_at(eye_m: Point3<f64>, target_m: Point3<f64>, up: Vector3<f64>) -> Pose {
+    let forward = (target_m - eye_m)
+        .try_normalize(1e-12)
+        .unwrap_or_else(Vector3::z);
+    let right = [up, Vector3::x(), Vector3::y()]
+        .into_iter()
+        .find_map(|candidate| forward.cross(&candidate).try_normalize(1e-9))
+        .unwrap_or_else(Vector3::x);
+    let down = forward.cross(&right);
+    let rotation = Rotation3::from_basis_unchecked(&[right, down, forward]);
+    Pose::from_parts(
+        Translation3::from(eye_m.coords),
+        UnitQuaternion::from_rotation_matrix(&rotation),
+    )
+}
+
+impl Camera {
+    /// Whether the camera can take an image of at most `size_px_max` pixels a side.
+    pub(super) fn check(&self, size_px_max: u32) -> Result<(), RenderError> {
+        let lens = &self.intrinsics;
+        let sizes = 1..=size_px_max;
+        if !sizes.contains(&lens.width) || !sizes.contains(&lens.height) {
+            return Err(RenderError::ImageSize {
+                width: lens.width,
+                height: lens.height,
+                max: size_px_max,
+            });
+        }
+        let finite = [lens.fx, lens.fy, lens.cx, lens.cy, self.near_m, self.far_m]
+            .iter()
+            .all(|v| v.is_finite());
+        if !(finite && lens.fx > 0.0 && lens.fy > 0.0) {
+            return Err(RenderError::Camera(
+                "the focal lengths must be positive, all intrinsics finite",
+            ));
+        }
+        if !(self.near_m > 0.0 && self.far_m > self.near_m) {
+            return Err(RenderError::Camera(
+                "the planes must satisfy 0 < near_m < far_m",
+            ));
+        }
+        Ok(())
+    }
+
+    /// Clip coordinates (y up, depth 0 at the near plane, 1 at the far one) from camera coordinates.
+    pub(super) fn clip_from_camera(&self) -> Matrix4<f64> {
+        let lens = &self.intrinsics;
+        let (width, height) = (f64::from(lens.width), f64::from(lens.height));
+        let mut clip = depth_rows(self.near_m, self.far_m);
+        clip[(0, 0)] = 2.0 * lens.fx / width;
+        clip[(0, 2)] = 2.0 * lens.cx / width - 1.0;
+        clip[(1, 1)] = -2.0 * lens.fy / height;
+        clip[(1, 2)] = 1.0 - 2.0 * lens.cy / height;
+        clip
+    }
+}
+
+impl Light {
+    pub(super) fn check(&self) -> Result<(), RenderError> {
+        let numbers = [self.intensity, self.reference_distance_m, self.ambient];
+        let finite = numbers
+            .iter()
+            .chain(&self.position_in_camera_m)
+            .all(|v| v.is_finite());
+        let cone = self.cone_half_angle_rad > 0.0
+            && self.cone_half_angle_rad < core::f64::consts::FRAC_PI_2;
+        if finite && cone && numbers.iter().all(|v| *v >= 0.0) {
+            Ok(())
+        } else {
+            Err(RenderError::Light(
+                "brightness and distance must be finite and not negative, the cone in (0, pi/2)",
+            ))
+        }
+    }
+
+    /// Clip coordinates of the shadow map from camera coordinates: the cone fills the map.
+    pub(super) fn clip_from_camera(&self, near_m: f64, far_m: f64) -> Matrix4<f64> {
+        let scale = 1.0 / self.cone_half_angle_rad.tan();
+        let mut clip = depth_rows(near_m, far_m);
+        clip[(0, 0)] = scale;
+        clip[(1, 1)] = -scale;
+        clip * Matrix4::new_translation(&-Vector3::from(self.position_in_camera_m))
+    }
+}
+
+/// The depth and w rows that every projection along +z shares.
+fn depth_rows(near_m: f64, far_m: f64) -> Matrix4<f64> {
+    let mut clip = Matrix4::zeros();
+    clip[(2, 2)] = far_m / (far_m - near_m);
+    clip[(2, 3)] = -near_m * far_m / (far_m - near_m);
+    clip[(3, 2)] = 1.0;
+    clip
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn look_at_puts_the_target_ahead_and_up_upwards() {
+        let eye = Point3::new(0.1, -0.2, 0.3);
+        let target = Point3::new(0.02, 0.01, 0.0);
+        let camera_from_scene = look_at(eye, target, Vector3::z()).inverse();
+        let ahead = camera_from_scene * target;
+        assert!(ahead.x.abs() < 1e-12 && ahead.y.abs() < 1e-12);
+        assert!((ahead.z - (target - eye).norm()).abs() < 1e-12);
+        let above = camera_from_scene * (target + Vector3::z() * 0.01);
+        assert!(above.y < -1e-3 && above.x.abs() < 1e-12);
+    }
+
+    #[test]
+    fn look_at_survives_a_view_along_up() {
+        let pose = look_at(Point3::new(0.0, 0.0, 1.0), Point3::origin(), Vector3::z());
+        assert!((pose * Point3::new(0.0, 0.0, 1.0)).coords.norm() < 1e-12);
+    }
+
+    #[test]
+    fn the_clip_planes_lie_at_zero_and_one() {
+        let camera = Camera {
+            intrinsics: Intrinsics::from_vertical_fov(640, 480, 0.9),
+            camera_in_scene: Pose::identity(),
+            near_m: 0.01,
+            far_m: 0.5,
+        };
+        for (z, depth) in [(0.01, 0.0), (0.5, 1.0)] {
+            let clip = camera.clip_from_camera() * nalgebra::Vector4::new(0.0, 0.0, z, 1.0);
+            assert!((clip.z / clip.w - depth).abs() < 1e-12);
+        }
+    }
+}

@@ -1,0 +1,101 @@
+//! The Vulkan device that draws: found without a window, silent, and never panicking on its own errors.
+
+use core::future::Future;
+use core::pin::pin;
+use core::task::{Context, Poll, Waker};
+use std::sync::{Arc, Mutex, PoisonError};
+
+use super::RenderError;
+
+/// An opened device and the first error it reported by itself.
+pub(super) struct Gpu {
+    pub(super) device: wgpu::Device,
+    pub(super) queue: wgpu::Queue,
+    pub(super) name: String,
+    pub(super) size_px_max: u32,
+    error: Arc<Mutex<Option<String>>>,
+}
+
+impl Gpu {
+    /// Opens the best Vulkan adapter: a discrete GPU before an integrated one before a software rasteriser.
+    pub(super) fn open() -> Result<Self, RenderError> {
+        let mut description = wgpu::InstanceDescriptor::new_without_display_handle();
+        description.backends = wgpu::Backends::VULKAN;
+        // No validation layers: they may be absent, and they print.
+        description.flags = wgpu::InstanceFlags::empty();
+        let instance = wgpu::Instance::new(description);
+        let adapters = ready(instance.enumerate_adapters(wgpu::Backends::VULKAN))?;
+        let adapter = adapters
+            .into_iter()
+            .min_by_key(|adapter| preference(adapter.get_info().device_type))
+            .ok_or(RenderError::NoAdapter)?;
+        let info = adapter.get_info();
+        let limits = wgpu::Limits::downlevel_defaults().using_resolution(adapter.limits());
+        let size_px_max = limits.max_texture_dimension_2d;
+        let (device, queue) = ready(adapter.request_device(&wgpu::DeviceDescriptor {
+            label: Some("renderer"),
+            required_limits: limits,
+            ..Default::default()
+        }))?
+        .map_err(|error| RenderError::Device {
+            adapter: info.name.clone(),
+            reason: error.to_string(),
+        })?;
+        let error = Arc::new(Mutex::new(None));
+        let first = Arc::clone(&error);
+        device.on_uncaptured_error(Arc::new(move |report: wgpu::Error| {
+            first
+                .lock()
+                .unwrap_or_else(PoisonError::into_inner)
+                .get_or_insert_with(|| report.to_string());
+        }));
+        Ok(Self {
+            device,
+            queue,
+            name: format!("{} ({})", info.name, info.driver),
+            size_px_max,
+            error,
+        })
+    }
+
+    /// Fails with what the device has complained about since the last call, if it has.
+    pub(super) fn check(&self) -> Result<(), RenderError> {
+        match self
+            .error
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner)
+            .take()
+        {
+            Some(reason) => Err(RenderError::Gpu(reason)),
+            None => Ok(()),
+        }
+    }
+
+    /// Waits until all submitted work is done.
+    pub(super) fn wait(&self) -> Result<(), RenderError> {
+        self.device
+            .poll(wgpu::PollType::wait_indefinitely())
+            .map_err(|error| RenderError::Gpu(error.to_string()))?;
+        self.check()
+    }
+}
+
+const fn preference(kind: wgpu::DeviceType) -> u8 {
+    match kind {
+        wgpu::DeviceType::DiscreteGpu => 0,
+        wgpu::DeviceType::IntegratedGpu => 1,
+        wgpu::DeviceType::VirtualGpu => 2,
+        wgpu::DeviceType::Cpu => 3,
+        wgpu::DeviceType::Other => 4,
+    }
+}
+
+/// The value of a future that is ready at once, as all of wgpu's are on Vulkan.
+fn ready<T>(future: impl Future<Output = T>) -> Result<T, RenderError> {
+    match pin!(future).poll(&mut Context::from_waker(Waker::noop())) {
+        Poll::Ready(value) => Ok(value),
+        Poll::Pending => Err(RenderError::Gpu(
+            "the device did not answer at once".to_owned(),
+        )),
+    }
+}

@@ -1,0 +1,168 @@
+//! Meshes of the needle driver, from the shaft to the finger tips.
+//!
+//! All parts use one convention: z towards the tip, the wrist-pitch axis along y, the wrist-yaw axis (and the jaw's
+//! hinge) along x. With the wrist straight all frames are parallel and the yaw axis lies [`psm::WRIST_M`] beyond the
+//! pitch axis.
+
+use hal::psm;
+use nalgebra::{Isometry3, Point3, Translation3, UnitQuaternion, Vector3};
+
+use super::{cylinder, hexahedron, merged, placed, revolved};
+use crate::visual::Mesh;
+
+/// Which finger of the jaw: the half space of the tip frame that it fills when the jaw is closed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Finger {
+    /// y above zero; opens by turning about -x.
+    PlusY,
+    /// y below zero; opens by turning about +x.
+    MinusY,
+}
+
+/// Half the thickness of the sheet that the wrist's ears are cut from, m.
+const EAR_HALF_M: f64 = 0.0007;
+
+/// The shaft, `length_m` of it, up to the two ears that hold the pitch axle. The origin is on the wrist-pitch axis.
+#[must_use]
+pub fn shaft(length_m: f64) -> Mesh {
+    let radius = psm::SHAFT_RADIUS_M;
+    let end = -0.0065;
+    let tube = revolved(
+        &[
+            [0.0, -length_m],
+            [radius, -length_m],
+            [radius, end - 0.0080],
+            [radius - 0.0003, end - 0.0078],
+            [radius - 0.0003, end - 0.0010],
+            [radius - 0.0010, end],
+            [0.0, end],
+        ],
+        28,
+    );
+    let ears = [-1.0, 1.0].map(|side| ear(side * 0.0027, end - 0.0005, 0.0021));
+    merged([tube].into_iter().chain(ears))
+}
+
+/// The wrist: from the pitch axis, where the origin is, to the ears that hold the yaw axle.
+#[must_use]
+pub fn wrist() -> Mesh {
+    let quarter_about_z =
+        UnitQuaternion::from_axis_angle(&Vector3::z_axis(), core::f64::consts::FRAC_PI_2);
+    let pulley = lying(&cylinder(0.0022, -0.0019, 0.0019, 18), 0.0);
+    let body = tapered([0.0016, 0.0017], [0.0026, 0.0025], 0.0005, 0.0046);
+    let ears = [-1.0, 1.0].map(|side| ear(side * 0.0025, 0.0040, psm::WRIST_M + 0.0021));
+    let turned = merged(ears);
+    merged([
+        pulley,
+        body,
+        placed(
+            turned,
+            &Isometry3::from_parts(Translation3::identity(), quarter_about_z),
+        ),
+    ])
+}
+
+/// One finger: a hub on the yaw axis, where the origin is, and a tapered, toothed blade that ends
+/// [`psm::FINGER_M`] further along z. The gripping face lies in the plane y = 0.
+#[must_use]
+pub fn finger(which: Finger) -> Mesh {
+    let turn = match which {
+        Finger::PlusY => 0.0,
+        Finger::MinusY => core::f64::consts::PI,
+    };
+    let rotation = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), turn);
+    let hub = placed(
+        cylinder(0.0020, 0.00005, 0.0016, 16),
+        &Isometry3::from_parts(
+            Translation3::identity(),
+            UnitQuaternion::from_axis_angle(&Vector3::y_axis(), core::f64::consts::FRAC_PI_2),
+        ),
+    );
+    let tip = psm::FINGER_M;
+    let blade = hexahedron([
+        blade_section(0.0008, 0.0016, 0.0022),
+        blade_section(tip - 0.0014, 0.0011, 0.0012),
+    ]);
+    let nose = hexahedron([
+        blade_section(tip - 0.0014, 0.0011, 0.0012),
+        blade_section(tip, 0.0006, 0.0005),
+    ]);
+    let teeth = (0..9).map(|tooth| {
+        let z = 0.0034 + 0.0007 * f64::from(tooth);
+        let ridge = |z: f64, depth: f64, half: f64| {
+            [(-half, -depth), (half, -depth), (half, 0.0), (-half, 0.0)]
+                .map(|(x, y)| Point3::new(x, y + GAP_M, z))
+        };
+        merged([
+            hexahedron([ridge(z, 0.0, 0.0010), ridge(z + 0.00025, GAP_M, 0.0010)]),
+            hexahedron([
+                ridge(z + 0.00025, GAP_M, 0.0010),
+                ridge(z + 0.0005, 0.0, 0.0010),
+            ]),
+        ])
+    });
+    placed(
+        merged([hub, blade, nose].into_iter().chain(teeth)),
+        &Isometry3::from_parts(Translation3::identity(), rotation),
+    )
+}
+
+/// How far the floor between the teeth lies behind the gripping face, m.
+const GAP_M: f64 = 0.00012;
+
+/// A quad across a finger at `z`, from the floor of the gripping face outwards.
+fn blade_section(z: f64, half_width: f64, thickness: f64) -> [Point3<f64>; 4] {
+    let bevel = 0.6 * half_width;
+    [
+        Point3::new(-half_width, GAP_M, z),
+        Point3::new(half_width, GAP_M, z),
+        Point3::new(bevel, thickness, z),
+        Point3::new(-bevel, thickness, z),
+    ]
+}
+
+/// A frustum with rectangular ends of the given half widths.
+fn tapered(low: [f64; 2], high: [f64; 2], z_low: f64, z_high: f64) -> Mesh {
+    let quad = |[x, y]: [f64; 2], z: f64| {
+        [
+            Point3::new(-x, -y, z),
+            Point3::new(x, -y, z),
+            Point3::new(x, y, z),
+            Point3::new(-x, y, z),
+        ]
+    };
+    hexahedron([quad(low, z_low), quad(high, z_high)])
+}
+
+/// A rounded plate at `y`, from `z_from` to `z_to`, with the head of an axle on it.
+fn ear(y: f64, z_from: f64, z_to: f64) -> Mesh {
+    let half_width = 0.0021;
+    let plate = placed(
+        tapered(
+            [half_width, EAR_HALF_M],
+            [half_width, EAR_HALF_M],
+            z_from,
+            z_to - half_width,
+        ),
+        &Translation3::new(0.0, y, 0.0).into(),
+    );
+    let round = lying(
+        &cylinder(half_width, y - EAR_HALF_M, y + EAR_HALF_M, 18),
+        z_to - half_width,
+    );
+    let head = lying(
+        &cylinder(0.0009, y - EAR_HALF_M - 0.0002, y + EAR_HALF_M + 0.0002, 12),
+        z_to - half_width,
+    );
+    merged([plate, round, head])
+}
+
+/// A solid about z laid along y, its z turned to y, at height `z`.
+fn lying(mesh: &Mesh, z: f64) -> Mesh {
+    let rotation =
+        UnitQuaternion::from_axis_angle(&Vector3::x_axis(), -core::f64::consts::FRAC_PI_2);
+    placed(
+        mesh.clone(),
+        &Isometry3::from_parts(Translation3::new(0.0, 0.0, z), rotation),
+    )
+}
