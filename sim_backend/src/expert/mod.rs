@@ -30,8 +30,12 @@ pub const STEP_NS: u64 = 40 * hal::TICK_NS;
 /// Targets in one chunk of the expert: 0.4 s.
 pub const CHUNK_LEN: usize = 10;
 
-/// Distance between the finger tips and the organ at the grasp, m.
-const TIP_CLEARANCE_M: f64 = 0.0004;
+/// Distance between the closed finger tips and the organ at the grasp, m. The less, the further the tips reach beyond
+/// the wire.
+const TIP_CLEARANCE_M: f64 = 0.000_1;
+
+/// Thickness of a finger around the wire, m.
+const FINGER_REACH_M: f64 = 0.0015;
 
 /// A step's share of following a moving needle, m and rad.
 const FOLLOW_STEP_M: f64 = 0.0008;
@@ -226,16 +230,15 @@ impl Expert {
         let middle = needle_in_scene * Point3::new(self.needle.arc_radius_m, 0.0, 0.0);
         let grasp = middle + tangent * self.style.along_m;
         let floor = self.floor_m(&grasp, &(rotation * Vector3::y()));
-        let tip_z = (floor + TIP_CLEARANCE_M).max(grasp.z - self.needle.wire_radius_m);
+        let tip_z = floor.max(grasp.z - self.needle.wire_radius_m) + TIP_CLEARANCE_M;
         Pose::from_parts(Translation3::new(grasp.x, grasp.y, tip_z + hal::psm::FINGER_M), rotation)
     }
 
-    /// The highest point of the organ under the open jaw, m.
+    /// The highest point of the organ under the closed fingers, m; open, their tips are higher than closed.
     fn floor_m(&self, grasp: &Point3<f64>, opening: &Vector3<f64>) -> f64 {
-        let reach_m = hal::psm::FINGER_M * (0.5 * self.style.open_rad).sin();
-        [-1.0, -0.5, 0.0, 0.5, 1.0]
+        [-FINGER_REACH_M, 0.0, FINGER_REACH_M]
             .into_iter()
-            .map(|share| grasp + opening * (share * reach_m))
+            .map(|reach_m| grasp + opening * reach_m)
             .map(|point| self.organ.height_m(point.x, point.y))
             .fold(f64::NEG_INFINITY, f64::max)
     }
