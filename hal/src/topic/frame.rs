@@ -16,7 +16,8 @@ use iceoryx2::sample_mut::SampleMut;
 use super::message::{pose, xyzw};
 use super::node::{LOANED_MAX, Service};
 use super::{TopicError, TopicNode};
-use crate::{CameraFrame, Intrinsics, Pose, TimeNs};
+use crate::camera::{CameraFrame, FrameRef, Intrinsics};
+use crate::{Pose, TimeNs};
 
 /// Words of data a pixel: 4 bytes of depth, 3 of colour, 1 of instance id.
 const WORDS_PER_PIXEL: usize = 2;
@@ -265,6 +266,21 @@ impl FrameView {
 
     fn bytes(&self) -> &[u8] {
         bytemuck::cast_slice(self.sample.payload().split_at(self.pixels).1)
+    }
+
+    /// The frame, borrowed: what a policy sees.
+    #[must_use]
+    pub fn as_frame(&self) -> FrameRef<'_> {
+        let header = self.header();
+        FrameRef {
+            stamp: header.stamp,
+            sequence: header.sequence,
+            intrinsics: header.intrinsics,
+            camera_in_scene: header.camera_in_scene(),
+            colour: self.colour(),
+            depth_m: self.depth_m(),
+            instance: self.instance(),
+        }
     }
 
     /// Copies the frame into `frame`, whose buffers are reused if they are large enough.

@@ -80,6 +80,7 @@ fn frame_arrives_bit_for_bit_with_its_header() {
     view.to_frame(&mut copy);
     assert_eq!((copy.stamp, copy.sequence, copy.intrinsics), (sent.stamp, 3, intrinsics));
     assert_eq!(copy.camera_in_scene, sent.camera_in_scene);
+    assert_eq!(view.as_frame().colour.as_ptr(), view.colour().as_ptr());
     assert!(copy.colour == sent.colour && copy.instance == sent.instance);
     assert!(depth_bits(&copy.depth_m) == depth_bits(&sent.depth_m));
     assert!(subscriber.newest().unwrap().is_none(), "a frame is delivered once");

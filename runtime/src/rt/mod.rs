@@ -1,0 +1,47 @@
+//! The clock, sleeping and what the operating system grants a real-time thread; nothing else in the runtime has these.
+
+mod periodic;
+mod sys;
+mod thread;
+
+use hal::TimeNs;
+
+pub use periodic::{Periodic, Wake};
+pub use sys::{MemoryLockLimit, can_lock_bytes, memory_lock_limit};
+pub use thread::{Grant, RtOptions, RtRefused, RtReport, ThreadFaults, configure_thread, thread_faults};
+
+/// The system's monotonic clock, counted from where it was made.
+#[derive(Clone, Copy, Debug)]
+pub struct MonotonicClock {
+    origin_ns: u64,
+}
+
+impl MonotonicClock {
+    /// A clock that reads zero now.
+    #[must_use]
+    pub fn new() -> Self {
+        Self { origin_ns: sys::monotonic_ns() }
+    }
+
+    /// Time since the clock was made.
+    #[must_use]
+    pub fn now(&self) -> TimeNs {
+        TimeNs(sys::monotonic_ns().saturating_sub(self.origin_ns))
+    }
+
+    /// Sleeps until `deadline`; returns at once if it has passed.
+    pub fn wait_until(&self, deadline: TimeNs) {
+        sys::sleep_until_ns(self.origin_ns.saturating_add(deadline.0));
+    }
+}
+
+impl Default for MonotonicClock {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+/// Sleeps for `duration_ns` at least; for threads that poll, never for the control thread.
+pub fn sleep_ns(duration_ns: u64) {
+    sys::sleep_until_ns(sys::monotonic_ns().saturating_add(duration_ns));
+}

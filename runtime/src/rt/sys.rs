@@ -1,0 +1,112 @@
+//! The system calls, one thin function each. All unsafe code of the runtime is here.
+#![expect(unsafe_code, reason = "libc calls; each takes only memory that this module owns or borrows")]
+
+use std::io;
+
+const NS_PER_S: u64 = 1_000_000_000;
+
+/// The monotonic clock, ns since an arbitrary point.
+pub(super) fn monotonic_ns() -> u64 {
+    let mut now = libc::timespec { tv_sec: 0, tv_nsec: 0 };
+    // SAFETY: `now` is a live timespec. The call cannot fail for this clock on Linux.
+    unsafe { libc::clock_gettime(libc::CLOCK_MONOTONIC, &raw mut now) };
+    let seconds = u64::try_from(now.tv_sec).unwrap_or(0);
+    let nanoseconds = u64::try_from(now.tv_nsec).unwrap_or(0);
+    seconds * NS_PER_S + nanoseconds
+}
+
+/// Sleeps until [`monotonic_ns`] reaches `deadline_ns`; signals do not cut it short.
+pub(super) fn sleep_until_ns(deadline_ns: u64) {
+    let deadline = libc::timespec {
+        tv_sec: i64::try_from(deadline_ns / NS_PER_S).unwrap_or(i64::MAX),
+        tv_nsec: i64::try_from(deadline_ns % NS_PER_S).unwrap_or(0),
+    };
+    loop {
+        let remaining = core::ptr::null_mut();
+        // SAFETY: `deadline` is a live, normalised timespec; with an absolute deadline the last pointer may be null.
+        let code = unsafe {
+            libc::clock_nanosleep(libc::CLOCK_MONOTONIC, libc::TIMER_ABSTIME, &raw const deadline, remaining)
+        };
+        if code != libc::EINTR {
+            return;
+        }
+    }
+}
+
+/// Puts the calling thread under `SCHED_FIFO`.
+pub(super) fn set_fifo(priority: u8) -> io::Result<()> {
+    let parameters = libc::sched_param { sched_priority: i32::from(priority) };
+    // SAFETY: pid 0 is the calling thread and `parameters` is live.
+    checked(unsafe { libc::sched_setscheduler(0, libc::SCHED_FIFO, &raw const parameters) })
+}
+
+/// Keeps the calling thread on one core.
+pub(super) fn pin_to(cpu: usize) -> io::Result<()> {
+    let capacity = usize::try_from(libc::CPU_SETSIZE).unwrap_or(0);
+    if cpu >= capacity {
+        return Err(io::Error::from_raw_os_error(libc::EINVAL));
+    }
+    // SAFETY: a cpu set is an array of integers, for which zero is a value.
+    let mut set: libc::cpu_set_t = unsafe { core::mem::zeroed() };
+    // SAFETY: `cpu` is below the set's capacity.
+    unsafe { libc::CPU_SET(cpu, &mut set) };
+    // SAFETY: pid 0 is the calling thread and `set` is live and of the size given.
+    checked(unsafe { libc::sched_setaffinity(0, size_of::<libc::cpu_set_t>(), &raw const set) })
+}
+
+/// Keeps every page in memory that the process touches from now on, or has touched.
+///
+/// Pages are locked as they are touched: locking all of the network library's code would take hundreds of megabytes.
+pub(super) fn lock_memory() -> io::Result<()> {
+    // SAFETY: the call takes no pointers.
+    checked(unsafe { libc::mlockall(libc::MCL_CURRENT | libc::MCL_FUTURE | libc::MCL_ONFAULT) })
+}
+
+/// Page faults (minor, major) and context switches (voluntary, involuntary) of the calling thread.
+pub(super) fn thread_usage() -> io::Result<[u64; 4]> {
+    // SAFETY: rusage is plain integers, for which zero is a value.
+    let mut usage: libc::rusage = unsafe { core::mem::zeroed() };
+    // SAFETY: `usage` is a live rusage.
+    checked(unsafe { libc::getrusage(libc::RUSAGE_THREAD, &raw mut usage) })?;
+    let counts = [usage.ru_minflt, usage.ru_majflt, usage.ru_nvcsw, usage.ru_nivcsw];
+    Ok(counts.map(|count| u64::try_from(count).unwrap_or(0)))
+}
+
+/// How much memory the process may lock without a privilege.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum MemoryLockLimit {
+    /// Any amount.
+    Unlimited,
+    /// So many bytes.
+    Bytes(u64),
+}
+
+/// The soft limit on locked memory.
+///
+/// # Errors
+/// The system's.
+pub fn memory_lock_limit() -> io::Result<MemoryLockLimit> {
+    let mut limit = libc::rlimit { rlim_cur: 0, rlim_max: 0 };
+    // SAFETY: `limit` is a live rlimit.
+    checked(unsafe { libc::getrlimit(libc::RLIMIT_MEMLOCK, &raw mut limit) })?;
+    if limit.rlim_cur == libc::RLIM_INFINITY {
+        return Ok(MemoryLockLimit::Unlimited);
+    }
+    Ok(MemoryLockLimit::Bytes(limit.rlim_cur))
+}
+
+/// Tries to lock `bytes` of fresh memory, and gives them back.
+///
+/// # Errors
+/// The system's refusal.
+pub fn can_lock_bytes(bytes: usize) -> io::Result<()> {
+    let memory = vec![0_u8; bytes];
+    // SAFETY: the range is a live allocation.
+    checked(unsafe { libc::mlock(memory.as_ptr().cast(), memory.len()) })?;
+    // SAFETY: as above.
+    checked(unsafe { libc::munlock(memory.as_ptr().cast(), memory.len()) })
+}
+
+fn checked(code: libc::c_int) -> io::Result<()> {
+    if code == 0 { Ok(()) } else { Err(io::Error::last_os_error()) }
+}
