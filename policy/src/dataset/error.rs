@@ -1,0 +1,86 @@
+//! What can be wrong with a dataset, named by file.
+
+use std::{io, path::PathBuf};
+
+/// Why a dataset can't be written or read.
+#[derive(Debug, thiserror::Error)]
+pub enum DatasetError {
+    /// A file is missing, or the system refused.
+    #[error("{path}: {source}")]
+    Io {
+        /// The file or folder.
+        path: PathBuf,
+        /// The system's reason.
+        source: io::Error,
+    },
+    /// A recording would overwrite something.
+    #[error("{path}: exists and is not an empty folder; a recording starts in a new one")]
+    Exists {
+        /// The folder.
+        path: PathBuf,
+    },
+    /// A JSON file that is damaged, or lacks a key.
+    #[error("{path}: {source}")]
+    Json {
+        /// The file.
+        path: PathBuf,
+        /// The parser's reason, with line and column.
+        source: serde_json::Error,
+    },
+    /// A parquet file that is damaged or cut off.
+    #[error("{path}: not a whole parquet file: {source}")]
+    Parquet {
+        /// The file.
+        path: PathBuf,
+        /// The reader's reason.
+        source: parquet::errors::ParquetError,
+    },
+    /// Another generation of the format.
+    #[error("{path}: codebase_version is \"{found}\", this program reads \"{expected}\"")]
+    Version {
+        /// The file.
+        path: PathBuf,
+        /// The version found.
+        found: String,
+        /// The version that is read and written.
+        expected: &'static str,
+    },
+    /// A column or feature that has to be there is not.
+    #[error("{path}: {name} is missing")]
+    Missing {
+        /// The file.
+        path: PathBuf,
+        /// Name of the column or feature.
+        name: String,
+    },
+    /// Something is there, but not as it has to be.
+    #[error("{path}: {what} is {found}, expected {expected}")]
+    Mismatch {
+        /// The file.
+        path: PathBuf,
+        /// The column, feature or count.
+        what: String,
+        /// What was found.
+        found: String,
+        /// What would be right.
+        expected: String,
+    },
+    /// An image can't be encoded or decoded.
+    #[error("image {what}: {source}")]
+    Image {
+        /// Which image.
+        what: String,
+        /// The codec's reason.
+        source: image::ImageError,
+    },
+    /// A frame or specification given to the writer doesn't fit.
+    #[error("{what} is {found}, expected {expected}")]
+    Input {
+        /// Which part.
+        what: String,
+        /// What was given.
+        found: String,
+        /// What would fit.
+        expected: String,
+    },
+}

@@ -1,0 +1,102 @@
+//! Demonstrations on disk, in the LeRobot v3.0 layout: rows and PNG images in parquet, one file an episode.
+//!
+//! ```text
+//! meta/info.json                              format, rate, totals, features; written last, so it is the commit record
+//! meta/stats.json                             per feature min, max, mean, std, count and quantiles
+//! meta/tasks.parquet                          the task text, as the pandas index
+//! meta/episodes/chunk-000/file-000.parquet    where each episode's rows are
+//! data/chunk-000/file-000.parquet             one row a frame, images as PNG bytes
+//! ```
+//!
+//! [`DatasetWriter`] records, [`Dataset`] reads. A recording that is cut off loses the episode in progress and nothing
+//! else. Every file is replaced by renaming, never written in place.
+
+mod episode;
+mod error;
+mod meta;
+mod png;
+mod reader;
+mod schema;
+mod stats;
+mod store;
+mod table;
+#[cfg(test)]
+mod tests;
+mod writer;
+
+pub use error::DatasetError;
+pub use png::{decode_rgb, encode_rgb};
+pub use reader::Dataset;
+pub use writer::{DatasetWriter, Totals};
+
+/// Numbers in `observation.state`: six joint positions (rad, insertion m) and the jaw angle (rad).
+pub const STATE_WIDTH: usize = 7;
+/// Numbers in `observation.tip_pose`: x, y, z (m) and a unit quaternion x, y, z, w, in the RCM frame.
+pub const TIP_POSE_WIDTH: usize = 7;
+/// Numbers in `action`: the commanded tip pose as in [`TIP_POSE_WIDTH`], then the jaw angle (rad).
+pub const ACTION_WIDTH: usize = 8;
+
+/// What a dataset is of.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct DatasetSpec {
+    /// Frames a second; the spacing of rows is exactly `1 / fps`.
+    pub fps: u32,
+    /// The robot's name.
+    pub robot_type: String,
+    /// What every episode shows, in words.
+    pub task: String,
+    /// The cameras, in the order in which frames bring their images.
+    pub cameras: Vec<CameraSpec>,
+}
+
+/// One camera of a dataset.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct CameraSpec {
+    /// Name, without `/`; the feature is `observation.images.<name>`.
+    pub name: String,
+    /// Image width, pixels.
+    pub width: u32,
+    /// Image height, pixels.
+    pub height: u32,
+}
+
+impl CameraSpec {
+    /// Bytes of one RGB image.
+    #[must_use]
+    pub const fn image_size_bytes(&self) -> usize {
+        3 * self.width as usize * self.height as usize
+    }
+}
+
+/// What happened in one frame: an observation and the command given for it.
+#[derive(Clone, Copy, Debug)]
+pub struct FrameRecord<'a> {
+    /// Measured joint positions (rad, insertion m) and jaw angle (rad); stored as `f32`.
+    pub state: [f32; STATE_WIDTH],
+    /// Measured tip pose in the RCM frame, see [`TIP_POSE_WIDTH`]; stored as `f64`.
+    pub tip_pose: [f64; TIP_POSE_WIDTH],
+    /// Commanded tip pose in the RCM frame and jaw, see [`ACTION_WIDTH`]; stored as `f32`, so positions within 0.25 m
+    /// are rounded by at most 8 nm.
+    pub action: [f64; ACTION_WIDTH],
+    /// One RGB image a camera, 8 bit, row-major, in the order of [`DatasetSpec::cameras`].
+    pub images: &'a [&'a [u8]],
+}
+
+/// Where one episode lies among all frames.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Episode {
+    /// Number of the episode, from 0.
+    pub index: usize,
+    /// Its first frame.
+    pub start: usize,
+    /// Its number of frames, at least 1.
+    pub len: usize,
+}
+
+impl Episode {
+    /// Its frames.
+    #[must_use]
+    pub const fn frames(&self) -> std::ops::Range<usize> {
+        self.start..self.start + self.len
+    }
+}

@@ -1,0 +1,352 @@
+//! Reading: numbers are loaded at once, images one by one when asked for.
+
+use std::path::{Path, PathBuf};
+
+use image::RgbImage;
+
+use super::{
+    ACTION_WIDTH, CameraSpec, DatasetError, DatasetSpec, Episode, STATE_WIDTH, TIP_POSE_WIDTH,
+    meta::{self, EpisodeRow},
+    png::decode_rgb,
+    schema::{ACTION, EPISODE_INDEX, Feature, IMAGE_PREFIX, Info, STATE, TIP_POSE, image_feature},
+    table::Table,
+};
+
+/// A dataset that is open for reading; several threads may share it.
+#[derive(Debug)]
+pub struct Dataset {
+    spec: DatasetSpec,
+    camera_names: Vec<String>,
+    episodes: Vec<Episode>,
+    rows: Rows,
+    tables: Vec<Table>,
+}
+
+/// The numbers of some frames.
+#[derive(Debug, Default)]
+struct Rows {
+    state: Vec<[f64; STATE_WIDTH]>,
+    tip_pose: Vec<[f64; TIP_POSE_WIDTH]>,
+    action: Vec<[f64; ACTION_WIDTH]>,
+    place: Vec<Place>,
+}
+
+/// Where a frame is stored.
+#[derive(Clone, Copy, Debug)]
+struct Place {
+    table: usize,
+    row: usize,
+}
+
+impl Dataset {
+    /// Opens the dataset in the folder `dir` and loads its numbers.
+    ///
+    /// # Errors
+    /// A [`DatasetError`] that names the file: one that is missing, damaged, cut off, of another version of the format,
+    /// or without a column of the right width.
+    pub fn open(dir: &Path) -> Result<Self, DatasetError> {
+        Self::open_first(dir, None)
+    }
+
+    /// Opens the first `episodes` episodes only, or all.
+    ///
+    /// # Errors
+    /// Those of [`Dataset::open`]; and [`DatasetError::Mismatch`] if there are fewer.
+    pub fn open_first(dir: &Path, episodes: Option<usize>) -> Result<Self, DatasetError> {
+        let info = meta::read_info(dir)?;
+        let spec = read_spec(dir, &info)?;
+        let mut listed = meta::read_episodes(dir)?;
+        let wanted = episodes.unwrap_or(info.total_episodes);
+        let available = info.total_episodes.min(listed.len());
+        if wanted > available || info.total_episodes > listed.len() {
+            let what = "the number of episodes";
+            return Err(mismatch(
+                meta::info_path(dir),
+                what,
+                available,
+                wanted.max(info.total_episodes),
+            ));
+        }
+        // What is listed beyond the total was being written when the recording was cut off.
+        listed.truncate(wanted);
+        let mut dataset = Self {
+            camera_names: spec
+                .cameras
+                .iter()
+                .map(|camera| camera.name.clone())
+                .collect(),
+            spec,
+            episodes: Vec::new(),
+            rows: Rows::default(),
+            tables: Vec::new(),
+        };
+        dataset.load(dir, &listed)?;
+        Ok(dataset)
+    }
+
+    /// What the dataset is of.
+    #[must_use]
+    pub const fn spec(&self) -> &DatasetSpec {
+        &self.spec
+    }
+
+    /// Frames a second.
+    #[must_use]
+    pub const fn fps(&self) -> u32 {
+        self.spec.fps
+    }
+
+    /// The episodes in order.
+    #[must_use]
+    pub fn episodes(&self) -> &[Episode] {
+        &self.episodes
+    }
+
+    /// Frames in all episodes.
+    #[must_use]
+    pub const fn len(&self) -> usize {
+        self.rows.place.len()
+    }
+
+    /// Is there no frame?
+    #[must_use]
+    pub const fn is_empty(&self) -> bool {
+        self.rows.place.is_empty()
+    }
+
+    /// Names of the cameras; elsewhere a camera is an index into these.
+    #[must_use]
+    pub fn camera_names(&self) -> &[String] {
+        &self.camera_names
+    }
+
+    /// Measured joint positions (rad, insertion m) and jaw (rad) of a frame below [`len`](Self::len).
+    #[must_use]
+    #[expect(clippy::cast_possible_truncation, reason = "the column is f32")]
+    pub fn state(&self, frame: usize) -> [f32; STATE_WIDTH] {
+        self.rows.state[frame].map(|value| value as f32)
+    }
+
+    /// Measured tip pose of a frame in the RCM frame: x, y, z (m), quaternion x, y, z, w.
+    #[must_use]
+    pub fn tip_pose(&self, frame: usize) -> [f64; TIP_POSE_WIDTH] {
+        self.rows.tip_pose[frame]
+    }
+
+    /// Commanded tip pose of a frame in the RCM frame and jaw (rad), with the precision of `f32`.
+    #[must_use]
+    pub fn action(&self, frame: usize) -> [f64; ACTION_WIDTH] {
+        self.rows.action[frame]
+    }
+
+    /// The encoded image of a frame; read from disk now.
+    ///
+    /// # Errors
+    /// [`DatasetError::Io`], [`DatasetError::Parquet`] or [`DatasetError::Mismatch`] if the file is damaged.
+    pub fn image_png(&self, frame: usize, camera: usize) -> Result<Vec<u8>, DatasetError> {
+        let Place { table, row } = self.rows.place[frame];
+        self.tables[table].image(&image_feature(&self.camera_names[camera]), row)
+    }
+
+    /// The image of a frame; read from disk and decoded now.
+    ///
+    /// # Errors
+    /// Those of [`Dataset::image_png`]; [`DatasetError::Image`] for what is no PNG, and [`DatasetError::Mismatch`] for
+    /// one of another size.
+    pub fn image_rgb(&self, frame: usize, camera: usize) -> Result<RgbImage, DatasetError> {
+        let png = self.image_png(frame, camera)?;
+        let CameraSpec {
+            name,
+            width,
+            height,
+        } = &self.spec.cameras[camera];
+        let path = self.tables[self.rows.place[frame].table].path();
+        let what = format!("{name} of frame {frame}");
+        let image = decode_rgb(&png).map_err(|source| DatasetError::Image {
+            what: format!("{what} in {}", path.display()),
+            source,
+        })?;
+        if image.dimensions() != (*width, *height) {
+            let found = format!("{} x {}", image.width(), image.height());
+            return Err(mismatch(
+                path.to_owned(),
+                &what,
+                found,
+                format!("{width} x {height}"),
+            ));
+        }
+        Ok(image)
+    }
+
+    /// Loads the rows of `listed`, which are in order and begin with the first row of each file.
+    fn load(&mut self, dir: &Path, listed: &[EpisodeRow]) -> Result<(), DatasetError> {
+        let mut next = 0;
+        for episodes in listed.chunk_by(|a, b| (a.chunk, a.file) == (b.chunk, b.file)) {
+            let Some(first) = episodes.first() else {
+                continue;
+            };
+            let table = Table::open(&meta::data_path(dir, first.chunk, first.file))?;
+            for name in &self.camera_names {
+                table.require(&image_feature(name))?;
+            }
+            let file = FileRows::read(&table)?;
+            let mut row = 0_usize;
+            for listed in episodes {
+                let rows = row..row.saturating_add(listed.len);
+                check_episode(&table, listed, next, file.episode_index.get(rows.clone()))?;
+                row = rows.end;
+                file.append(&mut self.rows, self.tables.len(), rows);
+                self.episodes.push(Episode {
+                    index: listed.index,
+                    start: next,
+                    len: listed.len,
+                });
+                next += listed.len;
+            }
+            self.tables.push(table);
+        }
+        Ok(())
+    }
+}
+
+/// The numbers of one data file.
+struct FileRows {
+    state: Vec<[f64; STATE_WIDTH]>,
+    tip_pose: Vec<[f64; TIP_POSE_WIDTH]>,
+    action: Vec<[f64; ACTION_WIDTH]>,
+    episode_index: Vec<i64>,
+}
+
+impl FileRows {
+    fn read(table: &Table) -> Result<Self, DatasetError> {
+        Ok(Self {
+            state: table.vectors(STATE)?,
+            tip_pose: table.vectors(TIP_POSE)?,
+            action: table.vectors(ACTION)?,
+            episode_index: table.integers(EPISODE_INDEX)?,
+        })
+    }
+
+    fn append(&self, rows: &mut Rows, table: usize, range: std::ops::Range<usize>) {
+        rows.state.extend_from_slice(&self.state[range.clone()]);
+        rows.tip_pose
+            .extend_from_slice(&self.tip_pose[range.clone()]);
+        rows.action.extend_from_slice(&self.action[range.clone()]);
+        rows.place.extend(range.map(|row| Place { table, row }));
+    }
+}
+
+/// An episode has to lie where the table of episodes says, and nowhere else.
+fn check_episode(
+    table: &Table,
+    listed: &EpisodeRow,
+    next: usize,
+    rows: Option<&[i64]>,
+) -> Result<(), DatasetError> {
+    let what = format!("episode {}", listed.index);
+    let Some(rows) = rows else {
+        return Err(table.mismatch(
+            &what,
+            "cut off by the end of the file".to_owned(),
+            format!("{} rows", listed.len),
+        ));
+    };
+    if let Some(other) = rows
+        .iter()
+        .find(|&&index| usize::try_from(index) != Ok(listed.index))
+    {
+        return Err(table.mismatch(
+            &what,
+            format!("mixed with rows of episode {other}"),
+            "whole".to_owned(),
+        ));
+    }
+    if listed.len == 0 || listed.start != next {
+        let found = format!("{} frames from frame {}", listed.len, listed.start);
+        return Err(table.mismatch(&what, found, format!("at least one, from frame {next}")));
+    }
+    Ok(())
+}
+
+fn read_spec(dir: &Path, info: &Info) -> Result<DatasetSpec, DatasetError> {
+    let path = meta::info_path(dir);
+    for (name, width) in [
+        (STATE, STATE_WIDTH),
+        (TIP_POSE, TIP_POSE_WIDTH),
+        (ACTION, ACTION_WIDTH),
+    ] {
+        let feature = info.features.iter().find(|(other, _)| other == name);
+        let Some((_, feature)) = feature else {
+            return Err(DatasetError::Missing {
+                path,
+                name: format!("feature {name}"),
+            });
+        };
+        if feature.shape != [width] {
+            return Err(mismatch(
+                path,
+                &format!("the shape of {name}"),
+                format!("{:?}", feature.shape),
+                width,
+            ));
+        }
+    }
+    if info.fps == 0 {
+        return Err(mismatch(path, "fps", 0, "at least 1"));
+    }
+    let mut cameras = Vec::new();
+    for (name, feature) in &info.features {
+        if let Some(camera) = name.strip_prefix(IMAGE_PREFIX) {
+            cameras.push(camera_spec(&path, camera, feature)?);
+        }
+    }
+    Ok(DatasetSpec {
+        fps: info.fps,
+        robot_type: info.robot_type.clone().unwrap_or_default(),
+        task: meta::read_task(dir)?,
+        cameras,
+    })
+}
+
+fn camera_spec(path: &Path, name: &str, feature: &Feature) -> Result<CameraSpec, DatasetError> {
+    if feature.dtype != "image" {
+        let what = format!("the type of {IMAGE_PREFIX}{name}");
+        return Err(mismatch(
+            path.to_owned(),
+            &what,
+            &feature.dtype,
+            "image: PNG in the data files",
+        ));
+    }
+    let pixels = |value: usize| u32::try_from(value).ok().filter(|&value| value > 0);
+    if let [height, width, 3] = feature.shape[..]
+        && let (Some(height), Some(width)) = (pixels(height), pixels(width))
+    {
+        return Ok(CameraSpec {
+            name: name.to_owned(),
+            width,
+            height,
+        });
+    }
+    let what = format!("the shape of {IMAGE_PREFIX}{name}");
+    Err(mismatch(
+        path.to_owned(),
+        &what,
+        format!("{:?}", feature.shape),
+        "[height, width, 3]",
+    ))
+}
+
+fn mismatch(
+    path: PathBuf,
+    what: &str,
+    found: impl ToString,
+    expected: impl ToString,
+) -> DatasetError {
+    DatasetError::Mismatch {
+        path,
+        what: what.to_owned(),
+        found: found.to_string(),
+        expected: expected.to_string(),
+    }
+}

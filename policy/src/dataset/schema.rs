@@ -1,0 +1,233 @@
+//! Names, types and order of the columns, as LeRobot's `info.json` and as Arrow schemas.
+
+use std::{collections::BTreeMap, sync::Arc};
+
+use arrow_schema::{DataType, Field, Schema};
+use hal::joints::JOINT_NAMES;
+use serde::{
+    Deserialize, Deserializer, Serialize, Serializer,
+    de::{MapAccess, Visitor},
+    ser::SerializeMap,
+};
+use serde_json::{Value, json};
+
+use super::{ACTION_WIDTH, CameraSpec, DatasetSpec, STATE_WIDTH, TIP_POSE_WIDTH};
+
+pub(super) const VERSION: &str = "v3.0";
+pub(super) const STATE: &str = "observation.state";
+pub(super) const TIP_POSE: &str = "observation.tip_pose";
+pub(super) const ACTION: &str = "action";
+pub(super) const IMAGE_PREFIX: &str = "observation.images.";
+pub(super) const TIMESTAMP: &str = "timestamp";
+pub(super) const EPISODE_INDEX: &str = "episode_index";
+/// Integer columns that every LeRobot dataset ends with.
+pub(super) const INDICES: [&str; 4] = ["frame_index", EPISODE_INDEX, "index", "task_index"];
+
+const POSE_NAMES: [&str; TIP_POSE_WIDTH] = ["x", "y", "z", "qx", "qy", "qz", "qw"];
+
+/// `meta/info.json`.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub(super) struct Info {
+    pub(super) codebase_version: String,
+    pub(super) robot_type: Option<String>,
+    pub(super) total_episodes: usize,
+    pub(super) total_frames: usize,
+    pub(super) total_tasks: usize,
+    pub(super) chunks_size: usize,
+    pub(super) data_files_size_in_mb: usize,
+    pub(super) video_files_size_in_mb: usize,
+    pub(super) fps: u32,
+    pub(super) splits: BTreeMap<String, String>,
+    pub(super) data_path: String,
+    pub(super) video_path: Option<String>,
+    #[serde(
+        serialize_with = "serialize_in_order",
+        deserialize_with = "deserialize_in_order"
+    )]
+    pub(super) features: Vec<(String, Feature)>,
+}
+
+/// One entry of `features`.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub(super) struct Feature {
+    pub(super) dtype: String,
+    pub(super) shape: Vec<usize>,
+    pub(super) names: Value,
+}
+
+impl Feature {
+    fn new(dtype: &str, shape: &[usize], names: Value) -> Self {
+        Self {
+            dtype: dtype.to_owned(),
+            shape: shape.to_vec(),
+            names,
+        }
+    }
+}
+
+pub(super) fn image_feature(camera: &str) -> String {
+    format!("{IMAGE_PREFIX}{camera}")
+}
+
+/// Every feature of a dataset, in column order.
+pub(super) fn features(spec: &DatasetSpec) -> Vec<(String, Feature)> {
+    let with_jaw = |names: &[&str]| json!([names, &["jaw"]].concat());
+    let mut features = vec![
+        (
+            STATE.to_owned(),
+            Feature::new("float32", &[STATE_WIDTH], with_jaw(&JOINT_NAMES)),
+        ),
+        (
+            TIP_POSE.to_owned(),
+            Feature::new("float64", &[TIP_POSE_WIDTH], json!(POSE_NAMES)),
+        ),
+        (
+            ACTION.to_owned(),
+            Feature::new("float32", &[ACTION_WIDTH], with_jaw(&POSE_NAMES)),
+        ),
+    ];
+    for CameraSpec {
+        name,
+        width,
+        height,
+    } in &spec.cameras
+    {
+        let shape = [*height as usize, *width as usize, 3];
+        features.push((
+            image_feature(name),
+            Feature::new("image", &shape, json!(["height", "width", "channels"])),
+        ));
+    }
+    features.push((
+        TIMESTAMP.to_owned(),
+        Feature::new("float32", &[1], Value::Null),
+    ));
+    for name in INDICES {
+        features.push((name.to_owned(), Feature::new("int64", &[1], Value::Null)));
+    }
+    features
+}
+
+/// Schema of the data files.
+pub(super) fn data_schema(spec: &DatasetSpec) -> Schema {
+    let mut fields = vec![
+        vector_field(STATE, DataType::Float32, STATE_WIDTH),
+        vector_field(TIP_POSE, DataType::Float64, TIP_POSE_WIDTH),
+        vector_field(ACTION, DataType::Float32, ACTION_WIDTH),
+    ];
+    for camera in &spec.cameras {
+        fields.push(Field::new(
+            image_feature(&camera.name),
+            DataType::Struct(image_fields()),
+            true,
+        ));
+    }
+    fields.push(Field::new(TIMESTAMP, DataType::Float32, true));
+    fields.extend(INDICES.map(|name| Field::new(name, DataType::Int64, true)));
+    Schema::new(fields)
+}
+
+/// Parts of an image column, as Hugging Face `datasets` stores them.
+pub(super) fn image_fields() -> arrow_schema::Fields {
+    vec![
+        Field::new("bytes", DataType::Binary, true),
+        Field::new("path", DataType::Utf8, true),
+    ]
+    .into()
+}
+
+/// Schema of `tasks.parquet`: the text is the pandas index.
+///
+/// pandas looks for its metadata in the Arrow schema; in the parquet footer alone they would be ignored without a word
+/// and every frame would report a number instead of its task.
+pub(super) fn tasks_schema() -> Schema {
+    let column = |name: &str, pandas: &str, numpy: &str| json!({"name": name, "field_name": name, "pandas_type": pandas, "numpy_type": numpy, "metadata": null});
+    let pandas = json!({
+        "index_columns": ["task"],
+        "column_indexes": [{"name": null, "field_name": null, "pandas_type": "unicode", "numpy_type": "object",
+            "metadata": {"encoding": "UTF-8"}}],
+        "columns": [column("task_index", "int64", "int64"), column("task", "unicode", "object")],
+        "creator": {"library": "trocar", "version": env!("CARGO_PKG_VERSION")},
+        "pandas_version": "2.2.3",
+    });
+    let fields = vec![
+        Field::new("task_index", DataType::Int64, true),
+        Field::new("task", DataType::Utf8, true),
+    ];
+    Schema::new(fields).with_metadata([("pandas".to_owned(), pandas.to_string())])
+}
+
+/// Integer columns of the episodes table, in order, after which comes the list of tasks.
+pub(super) const EPISODE_COLUMNS: [&str; 8] = [
+    EPISODE_INDEX,
+    "length",
+    "data/chunk_index",
+    "data/file_index",
+    "dataset_from_index",
+    "dataset_to_index",
+    "meta/episodes/chunk_index",
+    "meta/episodes/file_index",
+];
+
+/// Schema of the episodes table.
+pub(super) fn episodes_schema() -> Schema {
+    let mut fields: Vec<Field> = EPISODE_COLUMNS
+        .iter()
+        .map(|name| Field::new(*name, DataType::Int64, true))
+        .collect();
+    fields.push(Field::new(
+        "tasks",
+        DataType::List(item(DataType::Utf8)),
+        true,
+    ));
+    Schema::new(fields)
+}
+
+/// The element of a list column.
+pub(super) fn item(data_type: DataType) -> Arc<Field> {
+    Arc::new(Field::new_list_field(data_type, true))
+}
+
+fn vector_field(name: &str, data_type: DataType, width: usize) -> Field {
+    #[expect(
+        clippy::cast_possible_truncation,
+        clippy::cast_possible_wrap,
+        reason = "widths are single digits"
+    )]
+    let width = width as i32;
+    Field::new(name, DataType::FixedSizeList(item(data_type), width), true)
+}
+
+// A JSON object whose order counts: cameras are numbered by it.
+fn serialize_in_order<S: Serializer>(
+    features: &[(String, Feature)],
+    serializer: S,
+) -> Result<S::Ok, S::Error> {
+    let mut map = serializer.serialize_map(Some(features.len()))?;
+    for (name, feature) in features {
+        map.serialize_entry(name, feature)?;
+    }
+    map.end()
+}
+
+fn deserialize_in_order<'de, D: Deserializer<'de>>(
+    deserializer: D,
+) -> Result<Vec<(String, Feature)>, D::Error> {
+    struct InOrder;
+    impl<'de> Visitor<'de> for InOrder {
+        type Value = Vec<(String, Feature)>;
+
+        fn expecting(&self, formatter: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+            formatter.write_str("an object of features")
+        }
+
+        fn visit_map<A: MapAccess<'de>>(self, mut map: A) -> Result<Self::Value, A::Error> {
+            let mut features = Vec::new();
+            while let Some(entry) = map.next_entry()? {
+                features.push(entry);
+            }
+            Ok(features)
+        }
+    }
+    deserializer.deserialize_map(InOrder)
+}

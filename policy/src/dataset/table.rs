@@ -1,0 +1,204 @@
+//! One parquet file that is being read: its footer, and columns taken out of it by name.
+
+use std::{
+    fs::File,
+    path::{Path, PathBuf},
+};
+
+use arrow_array::{
+    Array, ArrayRef, BinaryArray, FixedSizeListArray, Float32Array, Float64Array, Int64Array,
+    RecordBatch, StringArray, StructArray,
+};
+use parquet::{
+    arrow::{
+        ProjectionMask,
+        arrow_reader::{
+            ArrowReaderMetadata, ArrowReaderOptions, ParquetRecordBatchReader,
+            ParquetRecordBatchReaderBuilder, RowSelection, RowSelector,
+        },
+    },
+    errors::ParquetError,
+    file::metadata::PageIndexPolicy,
+};
+
+use super::{
+    DatasetError,
+    store::{io_error, parquet_error},
+};
+
+/// A parquet file; holds the footer, not the rows.
+#[derive(Debug)]
+pub(super) struct Table {
+    path: PathBuf,
+    metadata: ArrowReaderMetadata,
+}
+
+impl Table {
+    pub(super) fn open(path: &Path) -> Result<Self, DatasetError> {
+        let file = File::open(path).map_err(io_error(path))?;
+        let options = ArrowReaderOptions::new().with_page_index_policy(PageIndexPolicy::Optional);
+        let metadata = ArrowReaderMetadata::load(&file, options).map_err(parquet_error(path))?;
+        Ok(Self {
+            path: path.to_owned(),
+            metadata,
+        })
+    }
+
+    pub(super) fn path(&self) -> &Path {
+        &self.path
+    }
+
+    pub(super) fn require(&self, name: &str) -> Result<(), DatasetError> {
+        self.root(name).map(|_| ())
+    }
+
+    pub(super) fn integers(&self, name: &str) -> Result<Vec<i64>, DatasetError> {
+        let mut values = Vec::new();
+        for column in self.column(name)? {
+            values.extend_from_slice(self.cast::<Int64Array>(&column, name, "int64")?.values());
+        }
+        Ok(values)
+    }
+
+    pub(super) fn counts(&self, name: &str) -> Result<Vec<usize>, DatasetError> {
+        let count = |value: i64| {
+            usize::try_from(value)
+                .map_err(|_| self.mismatch(name, value.to_string(), "a number from 0".to_owned()))
+        };
+        self.integers(name)?.into_iter().map(count).collect()
+    }
+
+    pub(super) fn strings(&self, name: &str) -> Result<Vec<String>, DatasetError> {
+        let mut values = Vec::new();
+        for column in self.column(name)? {
+            let texts = self.cast::<StringArray>(&column, name, "a string")?;
+            values.extend(texts.iter().map(|text| text.unwrap_or_default().to_owned()));
+        }
+        Ok(values)
+    }
+
+    /// Rows of a vector column of `f32` or `f64`.
+    pub(super) fn vectors<const N: usize>(
+        &self,
+        name: &str,
+    ) -> Result<Vec<[f64; N]>, DatasetError> {
+        let mut rows = Vec::new();
+        for column in self.column(name)? {
+            let lists = self.cast::<FixedSizeListArray>(&column, name, "a list of fixed size")?;
+            if usize::try_from(lists.value_length()) != Ok(N) {
+                let found = format!("{} numbers wide", lists.value_length());
+                return Err(self.mismatch(name, found, format!("{N}")));
+            }
+            let values = lists.values();
+            let values: Vec<f64> =
+                if let Some(values) = values.as_any().downcast_ref::<Float32Array>() {
+                    values.values().iter().copied().map(f64::from).collect()
+                } else {
+                    self.cast::<Float64Array>(values, name, "a list of float32 or float64")?
+                        .values()
+                        .to_vec()
+                };
+            rows.extend(values.as_chunks::<N>().0);
+        }
+        Ok(rows)
+    }
+
+    /// The encoded image in one row of an image column; reads no more of the file than it has to.
+    pub(super) fn image(&self, name: &str, row: usize) -> Result<Vec<u8>, DatasetError> {
+        let selection = RowSelection::from(vec![RowSelector::skip(row), RowSelector::select(1)]);
+        let batch = self
+            .builder(name)?
+            .with_row_selection(selection)
+            .build()
+            .map_err(parquet_error(&self.path))?;
+        let columns = self.collect(batch)?;
+        let column = columns.iter().find(|column| column.len() == 1);
+        let column = column
+            .ok_or_else(|| self.mismatch(name, format!("without row {row}"), "one".to_owned()))?;
+        let images = self.cast::<StructArray>(column, name, "a struct of bytes and path")?;
+        let bytes = images.column_by_name("bytes");
+        let bytes = bytes.ok_or_else(|| DatasetError::Missing {
+            path: self.path.clone(),
+            name: format!("{name}.bytes"),
+        })?;
+        let bytes = self.cast::<BinaryArray>(bytes, name, "binary")?;
+        if bytes.is_null(0) {
+            return Err(self.mismatch(
+                name,
+                format!("null in row {row}"),
+                "an embedded image".to_owned(),
+            ));
+        }
+        Ok(bytes.value(0).to_vec())
+    }
+
+    pub(super) fn mismatch(&self, what: &str, found: String, expected: String) -> DatasetError {
+        DatasetError::Mismatch {
+            path: self.path.clone(),
+            what: what.to_owned(),
+            found,
+            expected,
+        }
+    }
+
+    fn root(&self, name: &str) -> Result<usize, DatasetError> {
+        let missing = |_| DatasetError::Missing {
+            path: self.path.clone(),
+            name: format!("column {name}"),
+        };
+        self.metadata.schema().index_of(name).map_err(missing)
+    }
+
+    // A file opened anew has a position of its own, so several threads may read one table.
+    fn builder(&self, name: &str) -> Result<ParquetRecordBatchReaderBuilder<File>, DatasetError> {
+        let roots = ProjectionMask::roots(self.metadata.parquet_schema(), [self.root(name)?]);
+        let file = File::open(&self.path).map_err(io_error(&self.path))?;
+        Ok(
+            ParquetRecordBatchReaderBuilder::new_with_metadata(file, self.metadata.clone())
+                .with_projection(roots),
+        )
+    }
+
+    fn column(&self, name: &str) -> Result<Vec<ArrayRef>, DatasetError> {
+        let columns = self.collect(
+            self.builder(name)?
+                .build()
+                .map_err(parquet_error(&self.path))?,
+        )?;
+        match columns.iter().find(|column| column.null_count() > 0) {
+            Some(_) => Err(self.mismatch(
+                name,
+                "null in some rows".to_owned(),
+                "a value in each".to_owned(),
+            )),
+            None => Ok(columns),
+        }
+    }
+
+    fn collect(&self, reader: ParquetRecordBatchReader) -> Result<Vec<ArrayRef>, DatasetError> {
+        reader
+            .map(|batch| {
+                let batch: RecordBatch = batch
+                    .map_err(ParquetError::from)
+                    .map_err(parquet_error(&self.path))?;
+                Ok(batch.column(0).clone())
+            })
+            .collect()
+    }
+
+    fn cast<'a, T: Array + 'static>(
+        &self,
+        column: &'a ArrayRef,
+        name: &str,
+        expected: &str,
+    ) -> Result<&'a T, DatasetError> {
+        let cast = column.as_any().downcast_ref::<T>();
+        cast.ok_or_else(|| {
+            self.mismatch(
+                name,
+                format!("of type {}", column.data_type()),
+                expected.to_owned(),
+            )
+        })
+    }
+}

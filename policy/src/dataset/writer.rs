@@ -1,0 +1,322 @@
+//! Recording: frames are kept in memory until their episode ends, then the episode is made durable at once.
+
+use std::{
+    fs,
+    path::{Path, PathBuf},
+    sync::Arc,
+};
+
+use arrow_array::RecordBatch;
+use arrow_schema::Schema;
+use parquet::{
+    basic::Compression,
+    errors::ParquetError,
+    file::properties::{EnabledStatistics, WriterProperties},
+    schema::types::ColumnPath,
+};
+use serde_json::{Map, Value};
+
+use super::{
+    CameraSpec, DatasetError, DatasetSpec, FrameRecord,
+    episode::{Pending, columns, index_value, timestamp_s},
+    meta::{self, CHUNK_SIZE, EpisodeRow},
+    png::encode_rgb,
+    schema::{self, ACTION, STATE, TIMESTAMP, TIP_POSE, image_feature},
+    stats::{ColumnStats, ImageStats},
+    store::{io_error, parquet_error, write_json, write_parquet},
+};
+
+/// Every how many frames of an episode an image counts for the statistics.
+const IMAGE_STATS_STRIDE: usize = 10;
+
+/// Rows that are handed to the parquet writer together; keeps image offsets far below 2 GiB.
+const BATCH_ROWS: usize = 64;
+
+/// How much a recording holds.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Totals {
+    /// Finished episodes.
+    pub episodes: usize,
+    /// Frames in them.
+    pub frames: usize,
+}
+
+/// Records a dataset, an episode at a time.
+///
+/// After each [`end_episode`](Self::end_episode) the folder is a whole dataset; dropping the writer loses no more than
+/// the frames pushed since.
+#[derive(Debug)]
+pub struct DatasetWriter {
+    dir: PathBuf,
+    spec: DatasetSpec,
+    schema: Arc<Schema>,
+    episodes: Vec<EpisodeRow>,
+    frame_count: usize,
+    column_stats: Vec<(String, ColumnStats)>,
+    image_stats: Vec<ImageStats>,
+    pending: Pending,
+}
+
+impl DatasetWriter {
+    /// Starts a recording in `dir`, which must not exist or be an empty folder.
+    ///
+    /// # Errors
+    /// [`DatasetError::Exists`], [`DatasetError::Input`] for a specification that can't be stored, or
+    /// [`DatasetError::Io`].
+    pub fn create(dir: &Path, spec: &DatasetSpec) -> Result<Self, DatasetError> {
+        check_spec(spec)?;
+        fs::create_dir_all(dir).map_err(io_error(dir))?;
+        if fs::read_dir(dir).map_err(io_error(dir))?.next().is_some() {
+            return Err(DatasetError::Exists {
+                path: dir.to_owned(),
+            });
+        }
+        let widths = schema::features(spec)
+            .into_iter()
+            .filter(|(_, feature)| feature.dtype != "image");
+        let writer = Self {
+            dir: dir.to_owned(),
+            spec: spec.clone(),
+            schema: Arc::new(schema::data_schema(spec)),
+            episodes: Vec::new(),
+            frame_count: 0,
+            column_stats: widths
+                .map(|(name, feature)| (name, ColumnStats::new(feature.shape[0])))
+                .collect(),
+            image_stats: vec![ImageStats::new(); spec.cameras.len()],
+            pending: Pending::new(spec.cameras.len()),
+        };
+        meta::write_task(dir, &spec.task)?;
+        writer.commit()?;
+        Ok(writer)
+    }
+
+    /// Adds a frame to the episode in progress; encodes its images.
+    ///
+    /// # Errors
+    /// [`DatasetError::Input`] for a number that is not finite, or images that don't fit the cameras. The frame is then
+    /// not added.
+    pub fn push_frame(&mut self, frame: &FrameRecord<'_>) -> Result<(), DatasetError> {
+        check_finite("state", frame.state.map(f64::from))?;
+        check_finite("tip_pose", frame.tip_pose)?;
+        check_finite("action", frame.action)?;
+        let pngs = self.encode(frame.images)?;
+        if self.pending.state.len().is_multiple_of(IMAGE_STATS_STRIDE) {
+            for (stats, rgb) in self.pending.image_stats.iter_mut().zip(frame.images) {
+                stats.add(rgb);
+            }
+        }
+        #[expect(
+            clippy::cast_possible_truncation,
+            reason = "documented: actions are stored as f32"
+        )]
+        let action = frame.action.map(|value| value as f32);
+        self.pending.state.push(frame.state);
+        self.pending.tip_pose.push(frame.tip_pose);
+        self.pending.action.push(action);
+        for (images, png) in self.pending.images.iter_mut().zip(pngs) {
+            images.push(png);
+        }
+        Ok(())
+    }
+
+    /// Frames pushed since the last episode ended.
+    #[must_use]
+    pub const fn pending_frames(&self) -> usize {
+        self.pending.state.len()
+    }
+
+    /// Finishes the episode in progress: once this returns, it survives a power cut.
+    ///
+    /// # Errors
+    /// [`DatasetError::Input`] without a frame; otherwise what the file system says, and the episode is lost.
+    pub fn end_episode(&mut self) -> Result<(), DatasetError> {
+        let len = self.pending_frames();
+        if len == 0 {
+            return Err(input("the episode", "without frames", "at least one"));
+        }
+        let pending = std::mem::replace(&mut self.pending, Pending::new(self.spec.cameras.len()));
+        let index = self.episodes.len();
+        let row = EpisodeRow {
+            index,
+            start: self.frame_count,
+            len,
+            chunk: index / CHUNK_SIZE,
+            file: index % CHUNK_SIZE,
+        };
+        self.write_data(&row, &pending)?;
+        self.episodes.push(row);
+        self.frame_count += len;
+        self.add_stats(&row, &pending);
+        self.commit()
+    }
+
+    /// Forgets the episode in progress.
+    pub fn discard_episode(&mut self) {
+        self.pending = Pending::new(self.spec.cameras.len());
+    }
+
+    /// Ends the recording.
+    ///
+    /// # Errors
+    /// [`DatasetError::Input`] while an episode is in progress: end or discard it first.
+    pub fn finish(self) -> Result<Totals, DatasetError> {
+        match self.pending_frames() {
+            0 => Ok(Totals {
+                episodes: self.episodes.len(),
+                frames: self.frame_count,
+            }),
+            count => Err(input(
+                "the episode in progress",
+                &format!("{count} frames long"),
+                "ended or discarded",
+            )),
+        }
+    }
+
+    fn encode(&self, images: &[&[u8]]) -> Result<Vec<Vec<u8>>, DatasetError> {
+        let cameras = &self.spec.cameras;
+        if images.len() != cameras.len() {
+            let found = format!("{} images", images.len());
+            return Err(input(
+                "the frame",
+                &found,
+                &format!("{}, one a camera", cameras.len()),
+            ));
+        }
+        let encode = |(camera, rgb): (&CameraSpec, &&[u8])| {
+            let what = format!("the image of {}", camera.name);
+            if rgb.len() != camera.image_size_bytes() {
+                let expected = format!(
+                    "{} for {} x {} RGB",
+                    camera.image_size_bytes(),
+                    camera.width,
+                    camera.height
+                );
+                return Err(input(&what, &format!("{} bytes", rgb.len()), &expected));
+            }
+            encode_rgb(rgb, camera.width, camera.height)
+                .map_err(|source| DatasetError::Image { what, source })
+        };
+        cameras.iter().zip(images).map(encode).collect()
+    }
+
+    fn write_data(&self, row: &EpisodeRow, pending: &Pending) -> Result<(), DatasetError> {
+        let path = meta::data_path(&self.dir, row.chunk, row.file);
+        let batch = |first: usize| {
+            let frames = first..(first + BATCH_ROWS).min(row.len);
+            RecordBatch::try_new(
+                Arc::clone(&self.schema),
+                columns(row, pending, frames, self.spec.fps),
+            )
+            .map_err(ParquetError::from)
+            .map_err(parquet_error(&path))
+        };
+        let batches = (0..row.len).step_by(BATCH_ROWS).map(batch);
+        write_parquet(&path, &self.schema, data_properties(&self.spec), batches)
+    }
+
+    fn add_stats(&mut self, row: &EpisodeRow, pending: &Pending) {
+        for (name, stats) in &mut self.column_stats {
+            match name.as_str() {
+                STATE => stats.extend(pending.state.iter().map(|values| values.map(f64::from))),
+                TIP_POSE => stats.extend(pending.tip_pose.iter().copied()),
+                ACTION => stats.extend(pending.action.iter().map(|values| values.map(f64::from))),
+                TIMESTAMP => stats.extend(
+                    (0..row.len).map(|frame| [f64::from(timestamp_s(frame, self.spec.fps))]),
+                ),
+                #[expect(clippy::cast_precision_loss, reason = "counts stay far below 2^53")]
+                name => {
+                    stats.extend((0..row.len).map(|frame| [index_value(name, row, frame) as f64]))
+                }
+            }
+        }
+        for (total, episode) in self.image_stats.iter_mut().zip(&pending.image_stats) {
+            total.merge(episode);
+        }
+    }
+
+    /// Writes what describes the finished episodes; `info.json` last, since its total says how many count.
+    fn commit(&self) -> Result<(), DatasetError> {
+        let mut stats = Map::new();
+        let columns = self
+            .column_stats
+            .iter()
+            .map(|(name, stats)| (name.clone(), stats.to_json()));
+        let images = self.spec.cameras.iter().zip(&self.image_stats);
+        let images = images.map(|(camera, stats)| (image_feature(&camera.name), stats.to_json()));
+        stats.extend(
+            columns
+                .chain(images)
+                .filter_map(|(name, value)| Some((name, value?))),
+        );
+        write_json(&meta::stats_path(&self.dir), &Value::Object(stats))?;
+        meta::write_episodes(&self.dir, &self.spec.task, &self.episodes)?;
+        meta::write_info(
+            &self.dir,
+            &meta::info(&self.spec, self.episodes.len(), self.frame_count),
+        )
+    }
+}
+
+/// One page an image, so that a reader fetches an image without its neighbours; PNG is not compressed again.
+fn data_properties(spec: &DatasetSpec) -> WriterProperties {
+    let mut properties = WriterProperties::builder()
+        .set_compression(Compression::SNAPPY)
+        .set_dictionary_enabled(false)
+        // The limit on rows in a page is looked at after each such batch.
+        .set_write_batch_size(1);
+    for camera in &spec.cameras {
+        let bytes = ColumnPath::new(vec![image_feature(&camera.name), "bytes".to_owned()]);
+        properties = properties
+            .set_column_compression(bytes.clone(), Compression::UNCOMPRESSED)
+            .set_column_statistics_enabled(bytes.clone(), EnabledStatistics::None)
+            .set_column_data_page_row_count_limit(bytes, 1);
+    }
+    properties.build()
+}
+
+fn check_spec(spec: &DatasetSpec) -> Result<(), DatasetError> {
+    if spec.fps == 0 {
+        return Err(input("fps", "0", "at least 1"));
+    }
+    for (index, camera) in spec.cameras.iter().enumerate() {
+        let what = format!("camera \"{}\"", camera.name);
+        if camera.name.is_empty() || camera.name.contains('/') {
+            return Err(input(&what, "no name for a feature", "a name without '/'"));
+        }
+        if camera.width == 0 || camera.height == 0 {
+            return Err(input(
+                &what,
+                &format!("{} x {}", camera.width, camera.height),
+                "at least 1 x 1",
+            ));
+        }
+        if spec.cameras[..index]
+            .iter()
+            .any(|other| other.name == camera.name)
+        {
+            return Err(input(&what, "there twice", "there once"));
+        }
+    }
+    Ok(())
+}
+
+fn check_finite<const N: usize>(what: &str, values: [f64; N]) -> Result<(), DatasetError> {
+    match values.iter().position(|value| !value.is_finite()) {
+        Some(index) => Err(input(
+            &format!("{what}[{index}]"),
+            &values[index].to_string(),
+            "a finite number",
+        )),
+        None => Ok(()),
+    }
+}
+
+fn input(what: &str, found: &str, expected: &str) -> DatasetError {
+    DatasetError::Input {
+        what: what.to_owned(),
+        found: found.to_owned(),
+        expected: expected.to_owned(),
+    }
+}
