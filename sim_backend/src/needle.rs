@@ -78,8 +78,8 @@ impl NeedleShape {
             for side in 0..MESH_SIDES {
                 let next = (side + 1) % MESH_SIDES;
                 let (here, there) = (segment * MESH_SIDES, (segment + 1) * MESH_SIDES);
-                mesh.indices.extend([here + side, here + next, there + next]);
-                mesh.indices.extend([here + side, there + next, there + side]);
+                mesh.indices.extend([here + side, there + next, here + next]);
+                mesh.indices.extend([here + side, there + side, there + next]);
             }
         }
         self.push_blunt_end(&mut mesh);
@@ -128,7 +128,7 @@ impl NeedleShape {
         mesh.normals.extend((0..=MESH_SIDES).map(|_| single(normal)));
         for side in 0..MESH_SIDES {
             let next = (side + 1) % MESH_SIDES;
-            mesh.indices.extend([centre, centre + 1 + next, centre + 1 + side]);
+            mesh.indices.extend([centre, centre + 1 + side, centre + 1 + next]);
         }
     }
 }
@@ -177,7 +177,8 @@ pub(crate) mod tests {
             inertia += (Vector3::repeat(arm.norm_squared()) - arm.component_mul(&arm)) * bead_kg;
         }
         assert!((exact.centre.coords - centre).norm() < 1e-6);
-        assert!((exact.inertia - inertia).norm() < 2e-3 * inertia.norm(), "{} against {inertia}", exact.inertia);
+        // The beads have no thickness; the wire does.
+        assert!((exact.inertia - inertia).norm() < 5e-3 * inertia.norm(), "{} against {inertia}", exact.inertia);
     }
 
     #[test]
@@ -194,7 +195,7 @@ pub(crate) mod tests {
                 .iter()
                 .map(|&index| Vector3::from(mesh.normals[index as usize].map(f64::from)))
                 .sum();
-            assert!(face.norm() < 1e-12 || face.dot(&normal) > 0.0);
+            assert!(face.norm() < 1e-12 || face.dot(&normal) > 0.0, "{a} {b} {c} {normal}");
         }
         let wire = mesh.positions.iter().map(|p| {
             let flat = f64::from(p[0]).hypot(f64::from(p[1])) - 0.012;

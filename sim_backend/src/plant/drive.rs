@@ -21,6 +21,15 @@ const STOP_DAMPING: AxisVector = [20.0, 20.0, 200.0, 0.05, 0.05, 0.05, 0.05];
 /// The jaw's lower stop is the other finger.
 const JAW_CLOSED: f64 = 0.0;
 
+/// What the world puts on the arm for one millisecond.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Load {
+    /// Joint efforts, jaw last, N m (N).
+    pub efforts: AxisVector,
+    /// Damping of what the fingers squeeze, N m s/rad: takes from a positive jaw effort, never pulls.
+    pub squeeze_damping: f64,
+}
+
 /// The arm's drives, each a motor with gear, encoder and controller.
 ///
 /// Before the first command it holds the position it was made with.
@@ -62,8 +71,8 @@ impl Plant {
         self.enabled = command.enabled;
     }
 
-    /// Advances one millisecond under `load`, the joint efforts (jaw last) that the world puts on the arm.
-    pub fn step(&mut self, load: &AxisVector) {
+    /// Advances one millisecond under `load`.
+    pub fn step(&mut self, load: &Load) {
         let step_s = 1e-3 / f64::from(self.config.substeps);
         for _ in 0..self.config.substeps {
             self.substep(load, step_s);
@@ -106,10 +115,16 @@ impl Plant {
         parts.into_iter().flatten().copied().chain([if self.enabled { 1.0 } else { 0.0 }])
     }
 
-    fn substep(&mut self, load: &AxisVector, step_s: f64) {
+    fn substep(&mut self, load: &Load, step_s: f64) {
         self.effort = if self.enabled { self.controller() } else { [0.0; AXIS_COUNT] };
-        let stops = stop_efforts(&self.joints(), &self.joint_velocities());
-        let outside = actuator_efforts(&core::array::from_fn(|axis| load[axis] + stops[axis]));
+        let rate = self.joint_velocities();
+        let mut outside = stop_efforts(&self.joints(), &rate);
+        for (sum, effort) in outside.iter_mut().zip(&load.efforts) {
+            *sum += effort;
+        }
+        let squeezed = load.efforts[JOINT_COUNT].max(0.0);
+        outside[JOINT_COUNT] -= (load.squeeze_damping * rate[JOINT_COUNT]).clamp(-squeezed, squeezed);
+        let outside = actuator_efforts(&outside);
         for axis in 0..AXIS_COUNT {
             let per_inertia = step_s / self.config.inertia[axis];
             let pushed = self.velocity[axis] + per_inertia * (self.effort[axis] + outside[axis]);

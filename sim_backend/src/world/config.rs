@@ -17,6 +17,9 @@ pub struct WorldConfig {
     pub tissue: Surface,
     /// How the tissue pushes back at the instrument.
     pub press: Press,
+    /// Damping of the jaw while it squeezes something, N m s/rad: what finger pads, hinge and cables lose. Without it
+    /// a jaw at its effort limit, whose controller then damps nothing, bounces on the wire.
+    pub squeeze_damping_n_m_s: f64,
     /// Solver sub-steps in one millisecond. More are not better by themselves: stiffness is resolved a sub-step at a
     /// time, so tune it together with `grip.frequency_hz`.
     pub solver_substeps: u32,
@@ -58,6 +61,7 @@ impl Default for WorldConfig {
             grip: Surface { frequency_hz: 1000.0, damping_ratio: 1.0, friction: 0.6 },
             tissue: Surface { frequency_hz: 150.0, damping_ratio: 1.0, friction: 0.5 },
             press: Press { stiffness_n_m: 800.0, damping_n_s_m: 4.0, friction: 0.3 },
+            squeeze_damping_n_m_s: 0.03,
             solver_substeps: 4,
             length_unit_m: 0.01,
             gravity_m_s2: 9.81,
@@ -80,6 +84,7 @@ impl WorldConfig {
         source.check_range(&format!("{key}.press.stiffness_n_m"), self.press.stiffness_n_m, 10.0, 2000.0)?;
         source.check_range(&format!("{key}.press.damping_n_s_m"), self.press.damping_n_s_m, 0.0, 20.0)?;
         source.check_range(&format!("{key}.press.friction"), self.press.friction, 0.0, 2.0)?;
+        source.check_range(&format!("{key}.squeeze_damping_n_m_s"), self.squeeze_damping_n_m_s, 0.0, 0.1)?;
         source.check_range(&format!("{key}.solver_substeps"), f64::from(self.solver_substeps), 1.0, 32.0)?;
         source.check_range(&format!("{key}.length_unit_m"), self.length_unit_m, 0.001, 0.1)?;
         source.check_range(&format!("{key}.gravity_m_s2"), self.gravity_m_s2, 0.0, 20.0)

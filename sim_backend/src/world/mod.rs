@@ -11,7 +11,7 @@ use nalgebra::{Point3, Vector3};
 
 use crate::needle::NeedleShape;
 use crate::organ::OrganShape;
-use crate::plant::{AXIS_COUNT, AxisVector, Plant};
+use crate::plant::{AXIS_COUNT, AxisVector, Load, Plant};
 use chain::Chain;
 use stage::{PartPoses, Stage, Touch};
 
@@ -32,7 +32,7 @@ pub struct World {
     stage: Stage,
     touches: [Touch; 3],
     pressing: Pressing,
-    load: AxisVector,
+    load: Load,
 }
 
 /// Poses of the instrument's parts in the scene frame, for drawing.
@@ -94,7 +94,7 @@ impl World {
             plant: Plant::new(&config.plant, &joints0, jaw0),
             touches: stage.touches(&chain.tip.translation.vector),
             pressing: Pressing::new(&chain, jaw0),
-            load: [0.0; AXIS_COUNT],
+            load: Load { efforts: [0.0; AXIS_COUNT], squeeze_damping: config.squeeze_damping_n_m_s },
             chain,
             stage,
         }
@@ -119,7 +119,7 @@ impl World {
         self.chain = Chain::new(&self.scene_from_rcm, &JointVector::from_column_slice(&joints[..JOINT_COUNT]));
         self.stage.step(&part_poses(&self.chain, jaw));
         self.touches = self.stage.touches(&self.chain.tip.translation.vector);
-        self.load = self.joint_load(jaw);
+        self.load.efforts = self.joint_load(jaw);
     }
 
     /// True pose of the needle frame in the scene.
@@ -170,8 +170,9 @@ impl World {
         let needle = self.needle_in_scene();
         let q = needle.rotation.quaternion().coords;
         let [linear, angular] = self.needle_velocity();
-        let numbers = self.plant.state().chain(self.load).chain(needle.translation.vector.iter().copied().collect::<Vec<_>>());
-        let numbers = numbers.chain(q.iter().copied()).chain(linear.iter().copied()).chain(angular.iter().copied());
+        let vectors = [needle.translation.vector, linear, angular];
+        let numbers = self.plant.state().chain(self.load.efforts);
+        let numbers = numbers.chain(q.iter().copied()).chain(vectors.iter().flat_map(|v| v.iter().copied()));
         // FNV-1a over 64-bit words.
         numbers.fold(0xcbf2_9ce4_8422_2325, |hash, number| {
             (hash ^ number.to_bits()).wrapping_mul(0x0000_0100_0000_01b3)
@@ -215,3 +216,6 @@ impl Pressing {
 fn part_poses(chain: &Chain, jaw: f64) -> PartPoses {
     [chain.finger(jaw, 1.0), chain.finger(jaw, -1.0), chain.frames[4]]
 }
+
+#[cfg(test)]
+mod tests;
