@@ -1,0 +1,148 @@
+//! The layers of the transformer: linear, layer normalisation, attention, feed-forward. Batch first throughout.
+
+use tch::{TchError, Tensor};
+
+use crate::parameters::{Init, ParameterError, ParameterSource};
+
+/// A linear layer with bias.
+#[derive(Debug)]
+pub(super) struct Linear {
+    weight: Tensor,
+    bias: Tensor,
+}
+
+impl Linear {
+    /// Starts as PyTorch's linear layers do.
+    pub(super) fn new(
+        source: &mut ParameterSource,
+        key: &str,
+        inputs: i64,
+        outputs: i64,
+    ) -> Result<Self, ParameterError> {
+        Self::with_init(source, key, inputs, outputs, &Init::fan_in(inputs))
+    }
+
+    /// Starts with weights from `init`.
+    pub(super) fn with_init(
+        source: &mut ParameterSource,
+        key: &str,
+        inputs: i64,
+        outputs: i64,
+        init: &Init,
+    ) -> Result<Self, ParameterError> {
+        Ok(Self {
+            weight: source.trainable(&format!("{key}.weight"), &[outputs, inputs], init)?,
+            bias: source.trainable(&format!("{key}.bias"), &[outputs], &Init::fan_in(inputs))?,
+        })
+    }
+
+    pub(super) fn forward(&self, x: &Tensor) -> Result<Tensor, TchError> {
+        x.f_linear(&self.weight, Some(&self.bias))
+    }
+}
+
+/// Normalisation over the last dimension.
+#[derive(Debug)]
+pub(super) struct LayerNorm {
+    weight: Tensor,
+    bias: Tensor,
+    width: i64,
+}
+
+impl LayerNorm {
+    pub(super) fn new(source: &mut ParameterSource, key: &str, width: i64) -> Result<Self, ParameterError> {
+        Ok(Self {
+            weight: source.trainable(&format!("{key}.weight"), &[width], &Init::Constant(1.0))?,
+            bias: source.trainable(&format!("{key}.bias"), &[width], &Init::Constant(0.0))?,
+            width,
+        })
+    }
+
+    pub(super) fn forward(&self, x: &Tensor) -> Result<Tensor, TchError> {
+        x.f_layer_norm([self.width], Some(&self.weight), Some(&self.bias), 1e-5, true)
+    }
+}
+
+/// Attention with several heads and one packed projection of queries, keys and values.
+#[derive(Debug)]
+pub(super) struct Attention {
+    in_weight: Tensor,
+    in_bias: Tensor,
+    out_weight: Tensor,
+    out_bias: Tensor,
+    width: i64,
+    heads: i64,
+}
+
+impl Attention {
+    pub(super) fn new(source: &mut ParameterSource, key: &str, width: i64, heads: i64) -> Result<Self, ParameterError> {
+        let zero = Init::Constant(0.0);
+        let in_init = Init::xavier(3 * width, width);
+        let out_init = Init::xavier(width, width);
+        Ok(Self {
+            in_weight: source.trainable(&format!("{key}.in_proj_weight"), &[3 * width, width], &in_init)?,
+            in_bias: source.trainable(&format!("{key}.in_proj_bias"), &[3 * width], &zero)?,
+            out_weight: source.trainable(&format!("{key}.out_proj.weight"), &[width, width], &out_init)?,
+            out_bias: source.trainable(&format!("{key}.out_proj.bias"), &[width], &zero)?,
+            width,
+            heads,
+        })
+    }
+
+    /// `(batch, queries, width)`; `allowed` is `(batch, 1, 1, keys)`, true where a key may be looked at.
+    pub(super) fn forward(
+        &self,
+        query: &Tensor,
+        key: &Tensor,
+        value: &Tensor,
+        allowed: Option<&Tensor>,
+        dropout: f64,
+    ) -> Result<Tensor, TchError> {
+        let q = self.project(query, 0)?;
+        let k = self.project(key, 1)?;
+        let v = self.project(value, 2)?;
+        let mixed = Tensor::f_scaled_dot_product_attention(&q, &k, &v, allowed, dropout, false, None, false)?;
+        let joined = mixed.f_transpose(1, 2)?.f_reshape([query.size()[0], -1, self.width])?;
+        joined.f_linear(&self.out_weight, Some(&self.out_bias))
+    }
+
+    /// Part 0 (queries), 1 (keys) or 2 (values) of the packed projection, split into heads.
+    fn project(&self, x: &Tensor, part: i64) -> Result<Tensor, TchError> {
+        let weight = self.in_weight.f_narrow(0, part * self.width, self.width)?;
+        let bias = self.in_bias.f_narrow(0, part * self.width, self.width)?;
+        let projected = x.f_linear(&weight, Some(&bias))?;
+        projected.f_view([x.size()[0], -1, self.heads, self.width / self.heads])?.f_transpose(1, 2)
+    }
+}
+
+/// Two linear layers with a rectifier between them.
+#[derive(Debug)]
+pub(super) struct FeedForward {
+    widen: Linear,
+    narrow: Linear,
+}
+
+impl FeedForward {
+    /// `key` is the layer's; the two are its `linear1` and `linear2`.
+    pub(super) fn new(
+        source: &mut ParameterSource,
+        key: &str,
+        width: i64,
+        hidden: i64,
+    ) -> Result<Self, ParameterError> {
+        let init = Init::xavier(width, hidden);
+        Ok(Self {
+            widen: Linear::with_init(source, &format!("{key}.linear1"), width, hidden, &init)?,
+            narrow: Linear::with_init(source, &format!("{key}.linear2"), hidden, width, &init)?,
+        })
+    }
+
+    pub(super) fn forward(&self, x: &Tensor, dropout: f64) -> Result<Tensor, TchError> {
+        self.narrow.forward(&drop(self.widen.forward(x)?.f_relu()?, dropout)?)
+    }
+}
+
+/// Dropout with probability `p`; nothing at all if it is zero.
+pub(super) fn drop(x: Tensor, p: f64) -> Result<Tensor, TchError> {
+    if p > 0.0 { x.f_dropout(p, true) } else { Ok(x) }
+}

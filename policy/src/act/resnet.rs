@@ -1,0 +1,194 @@
+//! ResNet-18 without its head: images to feature maps at a 32nd of their size, 512 channels.
+
+use tch::{TchError, Tensor};
+
+use super::config::BackboneNorm;
+use crate::parameters::{Init, ParameterError, ParameterSource};
+
+/// Channels of the feature map.
+pub(super) const FEATURE_CHANNELS: i64 = 512;
+
+/// Output channels of the four stages.
+const STAGE_CHANNELS: [i64; 4] = [64, 128, 256, 512];
+
+/// Channels that one group of a group normalisation holds.
+const CHANNELS_PER_GROUP: i64 = 16;
+
+const NORM_EPS: f64 = 1e-5;
+
+/// The backbone. Key names are torchvision's.
+#[derive(Debug)]
+pub(super) struct ResNet18 {
+    stem: Conv,
+    blocks: Vec<Block>,
+}
+
+impl ResNet18 {
+    pub(super) fn new(source: &mut ParameterSource, prefix: &str, norm: BackboneNorm) -> Result<Self, ParameterError> {
+        let stem_keys = [format!("{prefix}.conv1"), format!("{prefix}.bn1")];
+        let stem = Conv::new(source, &stem_keys, ConvShape { inputs: 3, outputs: 64, size: 7, stride: 2 }, norm)?;
+        let mut blocks = Vec::new();
+        let mut inputs = 64;
+        for (stage, outputs) in STAGE_CHANNELS.into_iter().enumerate() {
+            for index in 0..2 {
+                let key = format!("{prefix}.layer{}.{index}", stage + 1);
+                let stride = if stage > 0 && index == 0 { 2 } else { 1 };
+                blocks.push(Block::new(source, &key, inputs, outputs, stride, norm)?);
+                inputs = outputs;
+            }
+        }
+        Ok(Self { stem, blocks })
+    }
+
+    /// `(n, 3, h, w)` to `(n, 512, h / 32, w / 32)`, sizes rounded up.
+    pub(super) fn forward(&self, images: &Tensor) -> Result<Tensor, TchError> {
+        let x = self.stem.forward(images)?.f_relu()?;
+        let mut x = x.f_max_pool2d([3, 3], [2, 2], [1, 1], [1, 1], false)?;
+        for block in &self.blocks {
+            x = block.forward(&x)?;
+        }
+        Ok(x)
+    }
+
+    /// Side of the feature map for an image side of `pixels`: five halvings, each rounded up.
+    pub(super) const fn feature_side(pixels: i64) -> i64 {
+        let mut side = pixels;
+        let mut halvings = 0;
+        while halvings < 5 {
+            side = (side + 1) / 2;
+            halvings += 1;
+        }
+        side
+    }
+}
+
+/// Two 3x3 convolutions beside an identity.
+#[derive(Debug)]
+struct Block {
+    first: Conv,
+    second: Conv,
+    downsample: Option<Conv>,
+}
+
+impl Block {
+    fn new(
+        source: &mut ParameterSource,
+        key: &str,
+        inputs: i64,
+        outputs: i64,
+        stride: i64,
+        norm: BackboneNorm,
+    ) -> Result<Self, ParameterError> {
+        let first_shape = ConvShape { inputs, outputs, size: 3, stride };
+        let second_shape = ConvShape { inputs: outputs, outputs, size: 3, stride: 1 };
+        let first = Conv::new(source, &[format!("{key}.conv1"), format!("{key}.bn1")], first_shape, norm)?;
+        let second = Conv::new(source, &[format!("{key}.conv2"), format!("{key}.bn2")], second_shape, norm)?;
+        let downsample = if stride == 1 {
+            None
+        } else {
+            let keys = [format!("{key}.downsample.0"), format!("{key}.downsample.1")];
+            Some(Conv::new(source, &keys, ConvShape { inputs, outputs, size: 1, stride }, norm)?)
+        };
+        Ok(Self { first, second, downsample })
+    }
+
+    fn forward(&self, x: &Tensor) -> Result<Tensor, TchError> {
+        let inner = self.second.forward(&self.first.forward(x)?.f_relu()?)?;
+        let identity = match &self.downsample {
+            Some(downsample) => downsample.forward(x)?,
+            None => x.shallow_clone(),
+        };
+        inner.f_add(&identity)?.f_relu()
+    }
+}
+
+#[derive(Clone, Copy)]
+struct ConvShape {
+    inputs: i64,
+    outputs: i64,
+    size: i64,
+    stride: i64,
+}
+
+/// A convolution without bias, and the normalisation after it.
+#[derive(Debug)]
+struct Conv {
+    weight: Tensor,
+    stride: i64,
+    padding: i64,
+    norm: Norm,
+}
+
+impl Conv {
+    /// `keys` are those of the convolution and of the normalisation.
+    fn new(
+        source: &mut ParameterSource,
+        keys: &[String; 2],
+        shape: ConvShape,
+        norm: BackboneNorm,
+    ) -> Result<Self, ParameterError> {
+        let ConvShape { inputs, outputs, size, stride } = shape;
+        let init = Init::he(outputs * size * size);
+        let weight = source.trainable(&format!("{}.weight", keys[0]), &[outputs, inputs, size, size], &init)?;
+        Ok(Self { weight, stride, padding: size / 2, norm: Norm::new(source, &keys[1], outputs, norm)? })
+    }
+
+    fn forward(&self, x: &Tensor) -> Result<Tensor, TchError> {
+        let (stride, padding) = ([self.stride; 2], [self.padding; 2]);
+        self.norm.forward(&x.f_conv2d::<&Tensor>(&self.weight, None, stride, padding, [1, 1], 1)?)
+    }
+}
+
+#[derive(Debug)]
+enum Norm {
+    Frozen { scale: Tensor, shift: Tensor },
+    Group { groups: i64, weight: Tensor, bias: Tensor },
+}
+
+impl Norm {
+    fn new(source: &mut ParameterSource, key: &str, channels: i64, kind: BackboneNorm) -> Result<Self, ParameterError> {
+        let (weight_key, bias_key) = (format!("{key}.weight"), format!("{key}.bias"));
+        let (one, zero) = (Init::Constant(1.0), Init::Constant(0.0));
+        match kind {
+            BackboneNorm::GroupNorm => Ok(Self::Group {
+                groups: channels / CHANNELS_PER_GROUP,
+                weight: source.trainable(&weight_key, &[channels], &one)?,
+                bias: source.trainable(&bias_key, &[channels], &zero)?,
+            }),
+            BackboneNorm::FrozenBatchNorm => {
+                let weight = source.fixed(&weight_key, &[channels], &one)?;
+                let bias = source.fixed(&bias_key, &[channels], &zero)?;
+                let mean = source.fixed(&format!("{key}.running_mean"), &[channels], &zero)?;
+                let variance = source.fixed(&format!("{key}.running_var"), &[channels], &one)?;
+                let scale = weight.f_mul(&variance.f_add_scalar(NORM_EPS)?.f_rsqrt()?)?;
+                let shift = bias.f_sub(&mean.f_mul(&scale)?)?;
+                Ok(Self::Frozen { scale: scale.f_view([1, -1, 1, 1])?, shift: shift.f_view([1, -1, 1, 1])? })
+            }
+        }
+    }
+
+    fn forward(&self, x: &Tensor) -> Result<Tensor, TchError> {
+        match self {
+            Self::Frozen { scale, shift } => x.f_mul(scale)?.f_add(shift),
+            Self::Group { groups, weight, bias } => x.f_group_norm(*groups, Some(weight), Some(bias), NORM_EPS, true),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{BackboneNorm, FEATURE_CHANNELS, ResNet18};
+    use crate::parameters::ParameterSource;
+    use tch::{Device, Kind, Tensor};
+
+    #[test]
+    fn feature_map_has_the_foretold_size() {
+        for norm in [BackboneNorm::GroupNorm, BackboneNorm::FrozenBatchNorm] {
+            let mut source = ParameterSource::seeded(1, Device::Cpu);
+            let backbone = ResNet18::new(&mut source, "model.backbone", norm).unwrap();
+            let images = Tensor::zeros([1, 3, 70, 96], (Kind::Float, Device::Cpu));
+            let (high, wide) = (ResNet18::feature_side(70), ResNet18::feature_side(96));
+            assert_eq!(backbone.forward(&images).unwrap().size(), [1, FEATURE_CHANNELS, high, wide]);
+        }
+    }
+}

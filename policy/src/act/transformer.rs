@@ -1,0 +1,173 @@
+//! The encoder and decoder layers of ACT, normalising after (as published) or before their work.
+
+use tch::{TchError, Tensor};
+
+use super::config::ActConfig;
+use super::layers::{Attention, FeedForward, LayerNorm, drop};
+use crate::parameters::{ParameterError, ParameterSource};
+
+/// A stack of encoder layers; with pre-normalisation a last normalisation follows.
+#[derive(Debug)]
+pub(super) struct Encoder {
+    layers: Vec<EncoderLayer>,
+    norm: Option<LayerNorm>,
+}
+
+impl Encoder {
+    pub(super) fn new(
+        source: &mut ParameterSource,
+        key: &str,
+        layers: i64,
+        config: &ActConfig,
+    ) -> Result<Self, ParameterError> {
+        let layers = (0..layers)
+            .map(|index| EncoderLayer::new(source, &format!("{key}.layers.{index}"), config))
+            .collect::<Result<_, _>>()?;
+        let norm = if config.pre_norm {
+            Some(LayerNorm::new(source, &format!("{key}.norm"), config.dim_model)?)
+        } else {
+            None
+        };
+        Ok(Self { layers, norm })
+    }
+
+    /// `(batch, tokens, width)`; `position` is added to queries and keys of every layer.
+    pub(super) fn forward(
+        &self,
+        tokens: &Tensor,
+        position: &Tensor,
+        allowed: Option<&Tensor>,
+        dropout: f64,
+    ) -> Result<Tensor, TchError> {
+        let mut x = tokens.shallow_clone();
+        for layer in &self.layers {
+            x = layer.forward(&x, position, allowed, dropout)?;
+        }
+        match &self.norm {
+            Some(norm) => norm.forward(&x),
+            None => Ok(x),
+        }
+    }
+}
+
+#[derive(Debug)]
+struct EncoderLayer {
+    attention: Attention,
+    feed_forward: FeedForward,
+    norms: [LayerNorm; 2],
+    pre_norm: bool,
+}
+
+impl EncoderLayer {
+    fn new(source: &mut ParameterSource, key: &str, config: &ActConfig) -> Result<Self, ParameterError> {
+        let width = config.dim_model;
+        Ok(Self {
+            attention: Attention::new(source, &format!("{key}.self_attn"), width, config.n_heads)?,
+            feed_forward: FeedForward::new(source, key, width, config.dim_feedforward)?,
+            norms: [
+                LayerNorm::new(source, &format!("{key}.norm1"), width)?,
+                LayerNorm::new(source, &format!("{key}.norm2"), width)?,
+            ],
+            pre_norm: config.pre_norm,
+        })
+    }
+
+    fn forward(
+        &self,
+        x: &Tensor,
+        position: &Tensor,
+        allowed: Option<&Tensor>,
+        dropout: f64,
+    ) -> Result<Tensor, TchError> {
+        let x = residual(x, &self.norms[0], self.pre_norm, dropout, |x| {
+            let located = x.f_add(position)?;
+            self.attention.forward(&located, &located, x, allowed, dropout)
+        })?;
+        residual(&x, &self.norms[1], self.pre_norm, dropout, |x| self.feed_forward.forward(x, dropout))
+    }
+}
+
+/// A stack of decoder layers, followed by a normalisation.
+#[derive(Debug)]
+pub(super) struct Decoder {
+    layers: Vec<DecoderLayer>,
+    norm: LayerNorm,
+}
+
+/// What the decoder looks at: the encoder's tokens and where they are.
+pub(super) struct Memory<'a> {
+    pub(super) tokens: &'a Tensor,
+    pub(super) position: &'a Tensor,
+}
+
+impl Decoder {
+    pub(super) fn new(source: &mut ParameterSource, key: &str, config: &ActConfig) -> Result<Self, ParameterError> {
+        let layers = (0..config.built_decoder_layers())
+            .map(|index| DecoderLayer::new(source, &format!("{key}.layers.{index}"), config))
+            .collect::<Result<_, _>>()?;
+        Ok(Self { layers, norm: LayerNorm::new(source, &format!("{key}.norm"), config.dim_model)? })
+    }
+
+    /// Starts from zeros; `queries` `(1, steps, width)` tells the steps apart.
+    pub(super) fn forward(&self, queries: &Tensor, memory: &Memory<'_>, dropout: f64) -> Result<Tensor, TchError> {
+        let batch = memory.tokens.size()[0];
+        let mut x = queries.f_zeros_like()?.f_expand([batch, -1, -1], false)?;
+        for layer in &self.layers {
+            x = layer.forward(&x, queries, memory, dropout)?;
+        }
+        self.norm.forward(&x)
+    }
+}
+
+#[derive(Debug)]
+struct DecoderLayer {
+    self_attention: Attention,
+    cross_attention: Attention,
+    feed_forward: FeedForward,
+    norms: [LayerNorm; 3],
+    pre_norm: bool,
+}
+
+impl DecoderLayer {
+    fn new(source: &mut ParameterSource, key: &str, config: &ActConfig) -> Result<Self, ParameterError> {
+        let width = config.dim_model;
+        Ok(Self {
+            self_attention: Attention::new(source, &format!("{key}.self_attn"), width, config.n_heads)?,
+            cross_attention: Attention::new(source, &format!("{key}.multihead_attn"), width, config.n_heads)?,
+            feed_forward: FeedForward::new(source, key, width, config.dim_feedforward)?,
+            norms: [
+                LayerNorm::new(source, &format!("{key}.norm1"), width)?,
+                LayerNorm::new(source, &format!("{key}.norm2"), width)?,
+                LayerNorm::new(source, &format!("{key}.norm3"), width)?,
+            ],
+            pre_norm: config.pre_norm,
+        })
+    }
+
+    fn forward(&self, x: &Tensor, queries: &Tensor, memory: &Memory<'_>, dropout: f64) -> Result<Tensor, TchError> {
+        let x = residual(x, &self.norms[0], self.pre_norm, dropout, |x| {
+            let located = x.f_add(queries)?;
+            self.self_attention.forward(&located, &located, x, None, dropout)
+        })?;
+        let x = residual(&x, &self.norms[1], self.pre_norm, dropout, |x| {
+            let keys = memory.tokens.f_add(memory.position)?;
+            self.cross_attention.forward(&x.f_add(queries)?, &keys, memory.tokens, None, dropout)
+        })?;
+        residual(&x, &self.norms[2], self.pre_norm, dropout, |x| self.feed_forward.forward(x, dropout))
+    }
+}
+
+/// `x` plus what `work` makes of it, normalised before the work or after the sum.
+fn residual(
+    x: &Tensor,
+    norm: &LayerNorm,
+    pre_norm: bool,
+    dropout: f64,
+    work: impl FnOnce(&Tensor) -> Result<Tensor, TchError>,
+) -> Result<Tensor, TchError> {
+    if pre_norm {
+        x.f_add(&drop(work(&norm.forward(x)?)?, dropout)?)
+    } else {
+        norm.forward(&x.f_add(&drop(work(x)?, dropout)?)?)
+    }
+}
