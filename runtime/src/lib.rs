@@ -1,6 +1,8 @@
 //! The control runtime: kinematics, aggregation, safety, real-time loop, log, replay, and the `trocar` binary.
 
+pub mod control;
 pub mod doctor;
 pub mod histogram;
+pub mod kinematics;
 pub mod mailbox;
 pub mod rt;

@@ -1,0 +1,313 @@
+//! Overlapping chunks to one target: temporal aggregation, indexed by time. Hot path: bounded, no allocation, no I/O, no
+//! lock.
+//!
+//! Source: ACT's temporal ensembling (weights `exp(-m i)`, `i = 0` the oldest prediction), by due time instead of by query
+//! count, so that late and missing chunks do no harm.
+
+use hal::chunk::CHUNK_STEPS_MAX;
+use hal::{Chunk, TimeNs, TipTarget};
+
+/// Chunks that are kept: as many as can cover one instant when a policy answers every step.
+const RING: usize = CHUNK_STEPS_MAX;
+
+/// Above this cosine of half the angle, normalised linear interpolation is as even as the spherical one to 1e-6.
+const NEARLY_PARALLEL: f64 = 0.9995;
+
+/// How overlapping chunks become one target.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Aggregation {
+    /// Every chunk that covers the instant, weighted `exp(-decay * i)` with `i = 0` the oldest.
+    Ensemble {
+        /// ACT's `m`.
+        decay: f64,
+    },
+    /// Each chunk to its end, then the newest one.
+    WholeChunk,
+    /// The newest chunk alone.
+    Newest,
+}
+
+/// The chunks that have passed the gate, and the target they agree on.
+#[derive(Debug)]
+pub struct Aggregator {
+    mode: Aggregation,
+    weights: [f64; RING],
+    ring: Vec<Chunk>,
+    /// Slot that the next chunk goes into.
+    next: usize,
+    /// Valid slots.
+    count: usize,
+}
+
+impl Aggregator {
+    /// An aggregator without chunks; this allocates all it will ever need.
+    #[must_use]
+    pub fn new(mode: Aggregation) -> Self {
+        let decay = match mode {
+            Aggregation::Ensemble { decay } => decay,
+            Aggregation::WholeChunk | Aggregation::Newest => 0.0,
+        };
+        let blank = Chunk::new(TimeNs(0), 0, hal::TICK_NS, &[]);
+        let mut age = 0.0;
+        let weights = core::array::from_fn(|_| {
+            let weight = f64::exp(-decay * age);
+            age += 1.0;
+            weight
+        });
+        Self { mode, weights, ring: vec![blank; RING], next: 0, count: 0 }
+    }
+
+    /// Forgets every chunk.
+    pub fn clear(&mut self) {
+        self.next = 0;
+        self.count = 0;
+    }
+
+    /// Takes in a chunk that the gate has accepted at `now`.
+    pub fn push(&mut self, chunk: &Chunk, now: TimeNs) {
+        match self.mode {
+            Aggregation::Ensemble { .. } | Aggregation::Newest => {
+                self.ring[self.next] = *chunk;
+                self.next = (self.next + 1) % RING;
+                self.count = (self.count + 1).min(RING);
+            }
+            // Slot 0 is being played, slot 1 waits.
+            Aggregation::WholeChunk => {
+                let playing = self.count > 0 && place(&self.ring[0], now).is_some();
+                self.ring[usize::from(playing)] = *chunk;
+                self.count = if playing { 2 } else { 1 };
+            }
+        }
+    }
+
+    /// Goes on to the waiting chunk if the one that is played has ended.
+    pub fn advance(&mut self, now: TimeNs) {
+        if self.mode == Aggregation::WholeChunk && self.count == 2 && place(&self.ring[0], now).is_none() {
+            self.ring.swap(0, 1);
+            self.count = 1;
+        }
+    }
+
+    /// When the newest chunk's observation was taken.
+    #[must_use]
+    pub fn newest_observed_at(&self) -> Option<TimeNs> {
+        let newest = self.count.checked_sub(1)?;
+        Some(match self.mode {
+            Aggregation::WholeChunk => self.ring[newest].observed_at,
+            Aggregation::Ensemble { .. } | Aggregation::Newest => self.from_oldest(newest).observed_at,
+        })
+    }
+
+    /// Where the tip should be at `at`, and where the same chunks want it at `ahead`, which is not before `at`.
+    ///
+    /// A chunk that ends between the two stays at its last target. `None` past the horizon of every chunk.
+    #[must_use]
+    pub fn targets(&self, at: TimeNs, ahead: TimeNs) -> Option<(TipTarget, TipTarget)> {
+        let both = |chunk: &Chunk| Some((in_chunk(chunk, at)?, in_chunk_or_last(chunk, ahead)?));
+        match self.mode {
+            Aggregation::Ensemble { .. } => self.ensemble(both),
+            Aggregation::WholeChunk => self.ring[..self.count].first().and_then(both),
+            Aggregation::Newest => (0..self.count).rev().find_map(|rank| both(self.from_oldest(rank))),
+        }
+    }
+
+    fn from_oldest(&self, rank: usize) -> &Chunk {
+        &self.ring[(self.next + RING - self.count + rank) % RING]
+    }
+
+    fn ensemble(&self, both: impl Fn(&Chunk) -> Option<(TipTarget, TipTarget)>) -> Option<(TipTarget, TipTarget)> {
+        let mut weights = self.weights.iter();
+        let (mut here, mut later) = (Blend::default(), Blend::default());
+        for rank in 0..self.count {
+            let Some((target, next)) = both(self.from_oldest(rank)) else { continue };
+            let Some(&weight) = weights.next() else { break };
+            here.add(&target, weight);
+            later.add(&next, weight);
+        }
+        Some((here.target()?, later.target()?))
+    }
+}
+
+/// A weighted mean of targets: positions by weight, rotations on the sphere, the jaw from the newest.
+#[derive(Clone, Copy, Debug, Default)]
+struct Blend {
+    weight: f64,
+    position: [f64; 3],
+    rotation: [f64; 4],
+    newest: Option<TipTarget>,
+}
+
+impl Blend {
+    fn add(&mut self, target: &TipTarget, weight: f64) {
+        self.weight += weight;
+        for (sum, &value) in self.position.iter_mut().zip(&target.position_m) {
+            *sum += weight * value;
+        }
+        // A quaternion and its negative are one rotation: take the one on the side of the sum.
+        let side = if dot(&self.rotation, &target.rotation_xyzw) < 0.0 { -weight } else { weight };
+        for (sum, &value) in self.rotation.iter_mut().zip(&target.rotation_xyzw) {
+            *sum += side * value;
+        }
+        self.newest = Some(*target);
+    }
+
+    fn target(&self) -> Option<TipTarget> {
+        let newest = self.newest?;
+        let norm = dot(&self.rotation, &self.rotation).sqrt();
+        // Opposed rotations have no mean; then the newest decides.
+        let rotation_xyzw =
+            if norm > 1e-3 * self.weight { self.rotation.map(|x| x / norm) } else { newest.rotation_xyzw };
+        Some(TipTarget { position_m: self.position.map(|x| x / self.weight), rotation_xyzw, jaw: newest.jaw })
+    }
+}
+
+/// Index and fraction of the step that `at` falls into, if the chunk covers it.
+fn place(chunk: &Chunk, at: TimeNs) -> Option<(usize, f64)> {
+    let last = chunk.valid_targets().len().checked_sub(1)?;
+    if at < chunk.observed_at || chunk.step_ns == 0 {
+        return None;
+    }
+    let age_ns = at.since(chunk.observed_at);
+    let index = usize::try_from(age_ns / chunk.step_ns).ok()?;
+    let rest_ns = age_ns % chunk.step_ns;
+    if index > last || (index == last && rest_ns > 0) {
+        return None;
+    }
+    #[expect(clippy::cast_precision_loss, reason = "the gate admits steps of a second at most")]
+    let fraction = rest_ns as f64 / chunk.step_ns as f64;
+    Some((index, fraction))
+}
+
+fn in_chunk(chunk: &Chunk, at: TimeNs) -> Option<TipTarget> {
+    let (index, fraction) = place(chunk, at)?;
+    let targets = chunk.valid_targets();
+    let from = targets.get(index)?;
+    Some(targets.get(index + 1).map_or(*from, |to| between(from, to, fraction)))
+}
+
+/// Like [`in_chunk`], but past its end a chunk stays at its last target.
+fn in_chunk_or_last(chunk: &Chunk, at: TimeNs) -> Option<TipTarget> {
+    in_chunk(chunk, at).or_else(|| if at < chunk.observed_at { None } else { chunk.valid_targets().last().copied() })
+}
+
+/// The target at `fraction` of the way, the tip moving evenly.
+fn between(from: &TipTarget, to: &TipTarget, fraction: f64) -> TipTarget {
+    let mix = |a: f64, b: f64| a + (b - a) * fraction;
+    let position_m = core::array::from_fn(|i| mix(from.position_m[i], to.position_m[i]));
+    let cosine = dot(&from.rotation_xyzw, &to.rotation_xyzw);
+    let (near, cosine) = if cosine < 0.0 { (-1.0, -cosine) } else { (1.0, cosine) };
+    let (keep, take) = if cosine > NEARLY_PARALLEL {
+        (1.0 - fraction, fraction)
+    } else {
+        let angle = cosine.acos();
+        ((angle * (1.0 - fraction)).sin() / angle.sin(), (angle * fraction).sin() / angle.sin())
+    };
+    let mixed: [f64; 4] =
+        core::array::from_fn(|i| keep * from.rotation_xyzw[i] + near * take * to.rotation_xyzw[i]);
+    let norm = dot(&mixed, &mixed).sqrt();
+    TipTarget { position_m, rotation_xyzw: mixed.map(|x| x / norm), jaw: mix(from.jaw, to.jaw) }
+}
+
+fn dot(a: &[f64; 4], b: &[f64; 4]) -> f64 {
+    a.iter().zip(b).map(|(x, y)| x * y).sum()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{Aggregation, Aggregator, between};
+    use hal::{Chunk, Pose, TimeNs, TipTarget};
+    use nalgebra::{Translation3, UnitQuaternion, Vector3};
+
+    const STEP_NS: u64 = 40_000_000;
+
+    fn target(aggregator: &Aggregator, at: u64) -> Option<TipTarget> {
+        aggregator.targets(TimeNs(at), TimeNs(at)).map(|(target, _)| target)
+    }
+
+    fn at(x: f64, jaw: f64) -> TipTarget {
+        TipTarget::new(&Pose::translation(x, 0.0, -0.1), jaw)
+    }
+
+    fn constant(observed_at: u64, sequence: u64, x: f64, len: usize) -> Chunk {
+        Chunk::new(TimeNs(observed_at), sequence, STEP_NS, &vec![at(x, x); len])
+    }
+
+    #[test]
+    fn oldest_chunk_weighs_most_and_newest_moves_the_jaw() {
+        let mut aggregator = Aggregator::new(Aggregation::Ensemble { decay: 0.5 });
+        aggregator.push(&constant(0, 1, 0.0, 10), TimeNs(0));
+        aggregator.push(&constant(STEP_NS, 2, 1.0, 10), TimeNs(STEP_NS));
+        let blended = target(&aggregator, STEP_NS).unwrap();
+        let weight = (-0.5_f64).exp();
+        assert!((blended.position_m[0] - weight / (1.0 + weight)).abs() < 1e-15);
+        assert!((blended.jaw - 1.0).abs() < 1e-15);
+        // Once the first has ended the second is the oldest.
+        let blended = target(&aggregator, 10 * STEP_NS).unwrap();
+        assert!((blended.position_m[0] - 1.0).abs() < 1e-15);
+    }
+
+    #[test]
+    fn hundred_chunks_cover_one_instant_and_older_ones_are_forgotten() {
+        let mut aggregator = Aggregator::new(Aggregation::Ensemble { decay: 0.01 });
+        for index in 0..300_u32 {
+            let observed_at = u64::from(index) * STEP_NS;
+            aggregator.push(&constant(observed_at, u64::from(index) + 1, f64::from(index), 100), TimeNs(observed_at));
+        }
+        let blended = target(&aggregator, 299 * STEP_NS).unwrap();
+        let (mut sum, mut weight) = (0.0, 0.0);
+        for i in 0..100_u32 {
+            let w = (-0.01 * f64::from(i)).exp();
+            sum += w * f64::from(200 + i);
+            weight += w;
+        }
+        assert!((blended.position_m[0] - sum / weight).abs() < 1e-9, "{}", blended.position_m[0]);
+    }
+
+    #[test]
+    fn whole_chunk_is_played_to_its_end() {
+        let mut aggregator = Aggregator::new(Aggregation::WholeChunk);
+        aggregator.push(&constant(0, 1, 0.0, 5), TimeNs(0));
+        aggregator.push(&constant(STEP_NS, 2, 1.0, 5), TimeNs(STEP_NS));
+        aggregator.push(&constant(2 * STEP_NS, 3, 2.0, 5), TimeNs(2 * STEP_NS));
+        aggregator.advance(TimeNs(4 * STEP_NS));
+        assert!(target(&aggregator, 4 * STEP_NS).unwrap().position_m[0].abs() < 1e-15);
+        aggregator.advance(TimeNs(4 * STEP_NS + 1));
+        assert!((target(&aggregator, 4 * STEP_NS + 1).unwrap().position_m[0] - 2.0).abs() < 1e-15);
+    }
+
+    #[test]
+    fn looking_ahead_asks_the_same_chunks() {
+        let mut aggregator = Aggregator::new(Aggregation::Ensemble { decay: 0.0 });
+        aggregator.push(&constant(0, 1, 0.0, 3), TimeNs(0));
+        aggregator.push(&constant(STEP_NS, 2, 1.0, 5), TimeNs(STEP_NS));
+        let (here, ahead) = aggregator.targets(TimeNs(2 * STEP_NS), TimeNs(3 * STEP_NS)).unwrap();
+        assert!((here.position_m[0] - 0.5).abs() < 1e-15 && (ahead.position_m[0] - 0.5).abs() < 1e-15);
+        assert!((target(&aggregator, 3 * STEP_NS).unwrap().position_m[0] - 1.0).abs() < 1e-15);
+    }
+
+    #[test]
+    fn past_every_horizon_there_is_no_target() {
+        for mode in [Aggregation::Ensemble { decay: 0.01 }, Aggregation::WholeChunk, Aggregation::Newest] {
+            let mut aggregator = Aggregator::new(mode);
+            assert_eq!(target(&aggregator, 0), None);
+            aggregator.push(&constant(0, 1, 0.0, 5), TimeNs(0));
+            assert!(target(&aggregator, 4 * STEP_NS).is_some());
+            assert_eq!(target(&aggregator, 4 * STEP_NS + 1), None);
+        }
+    }
+
+    #[test]
+    fn between_two_targets_the_tip_turns_evenly() {
+        for angle in [0.01, 0.1, 1.0, 3.0] {
+            let axis = Vector3::new(1.0, 2.0, -0.5).normalize();
+            let turned = UnitQuaternion::new(axis * angle);
+            let from = at(0.0, 0.0);
+            let mut to = TipTarget::new(&Pose::from_parts(Translation3::new(1.0, 0.0, -0.1), turned), 1.0);
+            to.rotation_xyzw = to.rotation_xyzw.map(|x| -x);
+            let middle = between(&from, &to, 0.25).tip_in_rcm();
+            let expected = UnitQuaternion::new(axis * angle * 0.25);
+            assert!(middle.rotation.angle_to(&expected) < 1e-6, "{angle}: {}", middle.rotation.angle());
+            assert!((middle.translation.x - 0.25).abs() < 1e-15);
+        }
+    }
+}

@@ -1,0 +1,335 @@
+//! The controller's configuration: `config/control.toml` and a task's `safety.toml`, parsed once and checked once.
+
+use hal::JOINT_COUNT;
+use hal::config::{ConfigError, Source};
+use hal::joints::INSERTION;
+use hal::psm::{JAW_MAX, JAW_MIN, POSITION_MAX, POSITION_MIN, VELOCITY_MAX};
+use nalgebra::Vector3;
+
+use super::aggregate::Aggregation;
+use super::gate::GateLimits;
+use super::motion::{AXES, AxisLimits, JAW};
+use super::schema::{AggregationMode, ControlFile, LinearAxis, RotaryAxis, SafetyFile};
+
+/// Most forbidden regions of a task.
+pub const FORBIDDEN_MAX: usize = 4;
+
+/// Everything that the controller hangs on, in SI units and the RCM frame.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ControlConfig {
+    /// Limits of the joints and the jaw.
+    pub axes: [AxisLimits; AXES],
+    /// Highest speed of the control point, m/s.
+    pub tip_speed_m_s: f64,
+    /// How chunks are blended.
+    pub aggregation: Aggregation,
+    /// Age of the newest chunk's observation at which the arm stops following it, ns.
+    pub stale_ns: u64,
+    /// What the input gate lets through.
+    pub gate: GateLimits,
+    /// Velocity per position error, 1/s.
+    pub tracking_gain_1_s: f64,
+    /// Time over which the target's velocity is taken, ns.
+    pub lookahead_ns: u64,
+    /// The safety filter.
+    pub filter: FilterConfig,
+    /// The guard.
+    pub guard: GuardConfig,
+    /// Position error of each joint at which the controller faults, rad (m).
+    pub tracking_error_max: [f64; JOINT_COUNT],
+    /// Where the instrument may be.
+    pub geometry: Geometry,
+}
+
+/// The safety filter's numbers.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct FilterConfig {
+    /// Approach speed per distance to a boundary, 1/s.
+    pub alpha_1_s: f64,
+    /// Distance that the filter keeps from every boundary, m.
+    pub margin_m: f64,
+    /// The filter's tip speed limit over the limit itself.
+    pub tip_speed_fraction: f64,
+    /// How far ahead the filter looks with the acceleration limit, s.
+    pub acceleration_window_s: f64,
+    /// Weight of joint changes against tip changes.
+    pub joint_weight: f64,
+    /// Turning speed that weighs as much as the tip speed limit, rad/s.
+    pub angular_speed_rad_s: f64,
+    /// Iterations after which the QP has failed.
+    pub iterations_max: u32,
+}
+
+/// The guard's numbers.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct GuardConfig {
+    /// Distance that every verified stop keeps from every boundary, m.
+    pub margin_m: f64,
+    /// How much worse an arm that was enabled beyond a boundary may get, m.
+    pub recovery_m: f64,
+}
+
+/// Where the instrument may be, in the RCM frame.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Geometry {
+    /// Lower corner of the box for the control point and the finger tips, m.
+    pub workspace_min_m: Vector3<f64>,
+    /// Upper corner of that box, m.
+    pub workspace_max_m: Vector3<f64>,
+    /// Spheres that the instrument may not touch, at most [`FORBIDDEN_MAX`].
+    pub forbidden: Vec<Sphere>,
+    /// Where the RCM is in the scene, m; the frames are parallel.
+    pub scene_from_rcm_m: Vector3<f64>,
+}
+
+/// A sphere in the RCM frame.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Sphere {
+    /// What it stands for.
+    pub name: String,
+    /// Centre, m.
+    pub center_m: Vector3<f64>,
+    /// Radius, m.
+    pub radius_m: f64,
+}
+
+impl ControlConfig {
+    /// The defaults of the controller that are built into the program.
+    #[must_use]
+    pub fn default_control() -> Source {
+        Source::embedded("config/control.toml", include_str!("../../../config/control.toml"))
+    }
+
+    /// The boundaries of needle lift that are built into the program.
+    #[must_use]
+    pub fn needle_lift_safety() -> Source {
+        Source::embedded(
+            "config/tasks/needle-lift/safety.toml",
+            include_str!("../../../config/tasks/needle-lift/safety.toml"),
+        )
+    }
+
+    /// Parses and checks both files.
+    ///
+    /// # Errors
+    /// [`ConfigError`] naming file, line, key and allowed range.
+    pub fn load(control: &Source, safety: &Source) -> Result<Self, ConfigError> {
+        let file: ControlFile = control.parse()?;
+        let geometry = geometry(safety)?;
+        let axes = axes(control, &file)?;
+        let speed = file.limits.tip_speed_m_s;
+        control.check_range("limits.tip_speed_m_s", speed, 0.001, 0.5)?;
+        control.check_range("tracking.gain_1_s", file.tracking.gain_1_s, 0.1, 100.0)?;
+        control.check_range("tracking.lookahead_s", file.tracking.lookahead_s, 0.001, 0.2)?;
+        check_fault(control, &file)?;
+        let fault = &file.fault;
+        let tracking_error_max = core::array::from_fn(|joint| match joint {
+            0 | 1 => fault.tracking_yaw_pitch_rad,
+            INSERTION => fault.tracking_insertion_m,
+            _ => fault.tracking_wrist_rad,
+        });
+        Ok(Self {
+            axes,
+            tip_speed_m_s: speed,
+            aggregation: aggregation(control, &file)?,
+            stale_ns: nanoseconds(file.aggregation.stale_s),
+            gate: gate(control, &file)?,
+            tracking_gain_1_s: file.tracking.gain_1_s,
+            lookahead_ns: nanoseconds(file.tracking.lookahead_s),
+            filter: filter(control, &file)?,
+            guard: guard(control, &file)?,
+            tracking_error_max,
+            geometry,
+        })
+    }
+}
+
+fn axes(source: &Source, file: &ControlFile) -> Result<[AxisLimits; AXES], ConfigError> {
+    let limits = &file.limits;
+    Ok([
+        rotary(source, "yaw", &limits.yaw, 0)?,
+        rotary(source, "pitch", &limits.pitch, 1)?,
+        linear(source, "insertion", &limits.insertion)?,
+        rotary(source, "roll", &limits.roll, 3)?,
+        rotary(source, "wrist_pitch", &limits.wrist_pitch, 4)?,
+        rotary(source, "wrist_yaw", &limits.wrist_yaw, 5)?,
+        rotary(source, "jaw", &limits.jaw, JAW)?,
+    ])
+}
+
+fn rotary(source: &Source, name: &str, axis: &RotaryAxis, index: usize) -> Result<AxisLimits, ConfigError> {
+    let (low, high) = if index == JAW { (JAW_MIN, JAW_MAX) } else { (POSITION_MIN[index], POSITION_MAX[index]) };
+    let check = |key: &str, value: f64, low: f64, high: f64| {
+        source.check_range(&format!("limits.{name}.{key}"), value, low, high)
+    };
+    check("low_rad", axis.low_rad, low, high)?;
+    check("high_rad", axis.high_rad, axis.low_rad, high)?;
+    check("velocity_rad_s", axis.velocity_rad_s, 0.01, VELOCITY_MAX[index])?;
+    check("acceleration_rad_s2", axis.acceleration_rad_s2, 0.1, 200.0)?;
+    check("jerk_rad_s3", axis.jerk_rad_s3, 1.0, 20_000.0)?;
+    Ok(AxisLimits {
+        low: axis.low_rad,
+        high: axis.high_rad,
+        velocity: axis.velocity_rad_s,
+        acceleration: axis.acceleration_rad_s2,
+        jerk: axis.jerk_rad_s3,
+    })
+}
+
+fn linear(source: &Source, name: &str, axis: &LinearAxis) -> Result<AxisLimits, ConfigError> {
+    let check = |key: &str, value: f64, low: f64, high: f64| {
+        source.check_range(&format!("limits.{name}.{key}"), value, low, high)
+    };
+    // Shallower than 20 mm the wrist comes too near to the remote centre for the inverse kinematics.
+    check("low_m", axis.low_m, 0.02, POSITION_MAX[INSERTION])?;
+    check("high_m", axis.high_m, axis.low_m, POSITION_MAX[INSERTION])?;
+    check("velocity_m_s", axis.velocity_m_s, 0.001, VELOCITY_MAX[INSERTION])?;
+    check("acceleration_m_s2", axis.acceleration_m_s2, 0.01, 20.0)?;
+    check("jerk_m_s3", axis.jerk_m_s3, 0.1, 2_000.0)?;
+    Ok(AxisLimits {
+        low: axis.low_m,
+        high: axis.high_m,
+        velocity: axis.velocity_m_s,
+        acceleration: axis.acceleration_m_s2,
+        jerk: axis.jerk_m_s3,
+    })
+}
+
+fn aggregation(source: &Source, file: &ControlFile) -> Result<Aggregation, ConfigError> {
+    let decay = file.aggregation.decay;
+    source.check_range("aggregation.decay", decay, -1.0, 1.0)?;
+    source.check_range("aggregation.stale_s", file.aggregation.stale_s, 0.05, 30.0)?;
+    Ok(match file.aggregation.mode {
+        AggregationMode::Ensemble => Aggregation::Ensemble { decay },
+        AggregationMode::WholeChunk => Aggregation::WholeChunk,
+        AggregationMode::Newest => Aggregation::Newest,
+    })
+}
+
+fn gate(source: &Source, file: &ControlFile) -> Result<GateLimits, ConfigError> {
+    let gate = &file.gate;
+    source.check_range("gate.age_s_max", gate.age_s_max, 0.01, 10.0)?;
+    source.check_range("gate.step_m_max", gate.step_m_max, 1e-4, 0.1)?;
+    source.check_range("gate.step_rad_max", gate.step_rad_max, 1e-3, 3.2)?;
+    source.check_range("gate.jump_m_max", gate.jump_m_max, 1e-3, 0.5)?;
+    source.check_range("gate.jump_rad_max", gate.jump_rad_max, 1e-2, 3.2)?;
+    Ok(GateLimits {
+        age_ns_max: nanoseconds(gate.age_s_max),
+        step_m_max: gate.step_m_max,
+        step_rad_max: gate.step_rad_max,
+        jump_m_max: gate.jump_m_max,
+        jump_rad_max: gate.jump_rad_max,
+    })
+}
+
+#[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "checked: positive and below a minute")]
+fn nanoseconds(seconds: f64) -> u64 {
+    (seconds * 1e9).round() as u64
+}
+
+fn filter(source: &Source, file: &ControlFile) -> Result<FilterConfig, ConfigError> {
+    let filter = &file.filter;
+    source.check_range("filter.alpha_1_s", filter.alpha_1_s, 0.5, 50.0)?;
+    source.check_range("filter.margin_m", filter.margin_m, file.guard.margin_m, 0.02)?;
+    source.check_range("filter.tip_speed_fraction", filter.tip_speed_fraction, 0.1, 1.0)?;
+    source.check_range("filter.acceleration_window_s", filter.acceleration_window_s, 0.005, 1.0)?;
+    source.check_range("filter.joint_weight", filter.joint_weight, 1e-6, 1.0)?;
+    source.check_range("filter.angular_speed_rad_s", filter.angular_speed_rad_s, 0.1, 20.0)?;
+    source.check_range("filter.iterations_max", f64::from(filter.iterations_max), 5.0, 100.0)?;
+    Ok(FilterConfig {
+        alpha_1_s: filter.alpha_1_s,
+        margin_m: filter.margin_m,
+        tip_speed_fraction: filter.tip_speed_fraction,
+        acceleration_window_s: filter.acceleration_window_s,
+        joint_weight: filter.joint_weight,
+        angular_speed_rad_s: filter.angular_speed_rad_s,
+        iterations_max: filter.iterations_max,
+    })
+}
+
+fn guard(source: &Source, file: &ControlFile) -> Result<GuardConfig, ConfigError> {
+    source.check_range("guard.margin_m", file.guard.margin_m, 1e-4, 0.02)?;
+    source.check_range("guard.recovery_m", file.guard.recovery_m, 1e-4, 0.02)?;
+    Ok(GuardConfig { margin_m: file.guard.margin_m, recovery_m: file.guard.recovery_m })
+}
+
+fn check_fault(source: &Source, file: &ControlFile) -> Result<(), ConfigError> {
+    source.check_range("fault.tracking_yaw_pitch_rad", file.fault.tracking_yaw_pitch_rad, 0.005, 0.5)?;
+    source.check_range("fault.tracking_insertion_m", file.fault.tracking_insertion_m, 0.001, 0.05)?;
+    source.check_range("fault.tracking_wrist_rad", file.fault.tracking_wrist_rad, 0.02, 1.5)
+}
+
+fn geometry(source: &Source) -> Result<Geometry, ConfigError> {
+    let file: SafetyFile = source.parse()?;
+    let origin = file.scene_from_rcm.translation_m;
+    let (low, high) = (file.workspace.min_m, file.workspace.max_m);
+    for axis in 0..3 {
+        source.check_range("scene_from_rcm.translation_m", origin[axis], -1.0, 1.0)?;
+        source.check_range("workspace.min_m", low[axis], -1.0, 1.0)?;
+        source.check_range("workspace.max_m", high[axis], low[axis] + 0.01, 1.0)?;
+    }
+    if file.forbidden.len() > FORBIDDEN_MAX {
+        let count = file.forbidden.len().to_string();
+        return Err(source.out_of_range("forbidden", &count, &format!("at most {FORBIDDEN_MAX} regions")));
+    }
+    let rcm_in_scene_m = Vector3::from(origin);
+    let mut forbidden = Vec::with_capacity(file.forbidden.len());
+    for (index, sphere) in file.forbidden.into_iter().enumerate() {
+        source.check_range(&format!("forbidden.{index}.radius_m"), sphere.radius_m, 0.001, 0.2)?;
+        for value in sphere.center_m {
+            source.check_range(&format!("forbidden.{index}.center_m"), value, -1.0, 1.0)?;
+        }
+        let center_m = Vector3::from(sphere.center_m) - rcm_in_scene_m;
+        forbidden.push(Sphere { name: sphere.name, center_m, radius_m: sphere.radius_m });
+    }
+    Ok(Geometry {
+        workspace_min_m: Vector3::from(low) - rcm_in_scene_m,
+        workspace_max_m: Vector3::from(high) - rcm_in_scene_m,
+        forbidden,
+        scene_from_rcm_m: rcm_in_scene_m,
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::ControlConfig;
+    use hal::config::Source;
+
+    fn message(from: &str, to: &str) -> String {
+        let control = ControlConfig::default_control();
+        let changed = control.text().replacen(from, to, 1);
+        assert_ne!(changed, control.text());
+        let source = Source::embedded("control.toml", &changed);
+        ControlConfig::load(&source, &ControlConfig::needle_lift_safety()).unwrap_err().to_string()
+    }
+
+    #[test]
+    fn the_committed_files_load() {
+        let config = ControlConfig::load(&ControlConfig::default_control(), &ControlConfig::needle_lift_safety()).unwrap();
+        assert!((config.geometry.workspace_min_m.z + 0.153).abs() < 1e-12);
+        assert_eq!(config.geometry.forbidden.len(), 1);
+    }
+
+    #[test]
+    fn unknown_keys_and_wild_values_are_named_with_line_and_range() {
+        assert!(message("gain_1_s", "gian_1_s").contains("gian_1_s"));
+        let wild = message("tip_speed_m_s = 0.08", "tip_speed_m_s = 8.0");
+        assert_eq!(wild, "control.toml:6: limits.tip_speed_m_s = 8 is outside [0.001, 0.5]");
+        assert!(message("alpha_1_s = 5.0", "alpha_1_s = nan").contains("filter.alpha_1_s = NaN"));
+        assert!(message("high_rad = 1.5", "high_rad = -2.0").contains("limits.yaw.high_rad = -2 is outside [-1.5, 1.588]"));
+        assert!(message("mode = \"ensemble\"", "mode = \"mean\"").contains("mean"));
+    }
+
+    #[test]
+    fn a_small_or_crowded_scene_is_refused() {
+        let control = ControlConfig::default_control();
+        let safety = ControlConfig::needle_lift_safety();
+        let flat = safety.text().replace("max_m = [0.06, 0.05, 0.09]", "max_m = [0.06, 0.05, -0.01]");
+        let error = ControlConfig::load(&control, &Source::embedded("s.toml", &flat)).unwrap_err().to_string();
+        assert!(error.contains("workspace.max_m = -0.01"), "{error}");
+        let sphere = "\n[[forbidden]]\nname = \"x\"\ncenter_m = [0.0, 0.0, 0.0]\nradius_m = 0.01\n";
+        let crowded = format!("{}{}", safety.text(), sphere.repeat(4));
+        let error = ControlConfig::load(&control, &Source::embedded("s.toml", &crowded)).unwrap_err().to_string();
+        assert!(error.contains("forbidden = 5 is outside at most 4 regions"), "{error}");
+    }
+}

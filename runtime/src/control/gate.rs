@@ -1,0 +1,265 @@
+//! The input gate: no chunk gets further unless every number in it makes sense. Hot path: bounded, no allocation, no I/O,
+//! no lock.
+
+use hal::{Chunk, Pose, TICK_NS, TimeNs, TipTarget};
+use nalgebra::Vector3;
+
+/// The longest step that a chunk may have, ns.
+const STEP_NS_MAX: u64 = 1_000_000_000;
+
+/// How far a rotation's norm may be from 1.
+const UNIT_TOLERANCE: f64 = 1e-3;
+
+/// What the gate lets through.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct GateLimits {
+    /// Oldest observation that a chunk may answer, ns.
+    pub age_ns_max: u64,
+    /// Longest way between two targets of a chunk, m.
+    pub step_m_max: f64,
+    /// Largest turn between two targets of a chunk, rad.
+    pub step_rad_max: f64,
+    /// Longest way from the commanded tip to the target that is due, m.
+    pub jump_m_max: f64,
+    /// Largest turn from the commanded tip to the target that is due, rad.
+    pub jump_rad_max: f64,
+}
+
+/// What the gate thinks of a chunk.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Verdict {
+    /// It is used.
+    Accepted,
+    /// It carries no target, or more than fit.
+    WrongLength {
+        /// The length it claims.
+        len: u32,
+    },
+    /// Its step is shorter than a tick or longer than a second.
+    WrongStep {
+        /// The step it claims.
+        step_ns: u64,
+    },
+    /// It answers an observation that lies ahead.
+    FromTheFuture,
+    /// It answers an observation that is too old, or its last target was due already.
+    Stale {
+        /// Age of the observation, ns.
+        age_ns: u64,
+    },
+    /// A chunk with a higher sequence or a newer observation was accepted before.
+    OutOfOrder,
+    /// A target holds NaN or infinity.
+    NotFinite {
+        /// Index of the target.
+        index: u32,
+    },
+    /// A target's rotation is no unit quaternion.
+    NotUnit {
+        /// Index of the target.
+        index: u32,
+    },
+    /// Two neighbouring targets are too far apart.
+    StepTooLong {
+        /// Index of the second one.
+        index: u32,
+    },
+    /// The target that is due is too far from the commanded tip.
+    Jump,
+}
+
+impl Verdict {
+    /// Whether the chunk is used.
+    #[must_use]
+    pub fn is_accepted(self) -> bool {
+        self == Self::Accepted
+    }
+}
+
+/// The gate, with its memory of what it has judged.
+#[derive(Clone, Debug)]
+pub struct Gate {
+    limits: GateLimits,
+    accepted: Option<(u64, TimeNs)>,
+    judged: Option<(u64, TimeNs)>,
+    accepted_count: u64,
+    refused_count: u64,
+}
+
+impl Gate {
+    /// A gate that has seen nothing.
+    #[must_use]
+    pub fn new(limits: GateLimits) -> Self {
+        Self { limits, accepted: None, judged: None, accepted_count: 0, refused_count: 0 }
+    }
+
+    /// Forgets the order of the chunks so far, but not how many there were.
+    pub fn forget(&mut self) {
+        self.accepted = None;
+        self.judged = None;
+    }
+
+    /// Chunks let through since the start.
+    #[must_use]
+    pub fn accepted_count(&self) -> u64 {
+        self.accepted_count
+    }
+
+    /// Chunks refused since the start.
+    #[must_use]
+    pub fn refused_count(&self) -> u64 {
+        self.refused_count
+    }
+
+    /// Judges `chunk`; `None` if it is the chunk that was judged last.
+    pub fn judge(&mut self, chunk: &Chunk, now: TimeNs, commanded_tip_in_rcm: &Pose) -> Option<Verdict> {
+        let identity = (chunk.sequence, chunk.observed_at);
+        if self.judged == Some(identity) {
+            return None;
+        }
+        self.judged = Some(identity);
+        let verdict = self.verdict(chunk, now, commanded_tip_in_rcm);
+        if verdict.is_accepted() {
+            self.accepted = Some(identity);
+            self.accepted_count += 1;
+        } else {
+            self.refused_count += 1;
+        }
+        Some(verdict)
+    }
+
+    fn verdict(&self, chunk: &Chunk, now: TimeNs, commanded: &Pose) -> Verdict {
+        let targets = chunk.valid_targets();
+        if targets.is_empty() {
+            return Verdict::WrongLength { len: chunk.len };
+        }
+        if !(TICK_NS..=STEP_NS_MAX).contains(&chunk.step_ns) {
+            return Verdict::WrongStep { step_ns: chunk.step_ns };
+        }
+        if chunk.observed_at > now {
+            return Verdict::FromTheFuture;
+        }
+        if let Some((sequence, observed_at)) = self.accepted
+            && (chunk.sequence <= sequence || chunk.observed_at < observed_at)
+        {
+            return Verdict::OutOfOrder;
+        }
+        let age_ns = now.since(chunk.observed_at);
+        if age_ns > self.limits.age_ns_max || chunk.due(targets.len() - 1) < now {
+            return Verdict::Stale { age_ns };
+        }
+        if let Some(verdict) = self.first_bad_target(targets) {
+            return verdict;
+        }
+        let due = usize::try_from(age_ns / chunk.step_ns).map_or(0, |index| index.min(targets.len() - 1));
+        let target = targets[due].tip_in_rcm();
+        let away_m = (target.translation.vector - commanded.translation.vector).norm();
+        let away_rad = target.rotation.angle_to(&commanded.rotation);
+        if away_m > self.limits.jump_m_max || away_rad > self.limits.jump_rad_max {
+            return Verdict::Jump;
+        }
+        Verdict::Accepted
+    }
+
+    fn first_bad_target(&self, targets: &[TipTarget]) -> Option<Verdict> {
+        let mut previous: Option<&TipTarget> = None;
+        for (index, target) in (0_u32..).zip(targets) {
+            if !is_finite(target) {
+                return Some(Verdict::NotFinite { index });
+            }
+            let norm = dot(&target.rotation_xyzw, &target.rotation_xyzw).sqrt();
+            if (norm - 1.0).abs() > UNIT_TOLERANCE {
+                return Some(Verdict::NotUnit { index });
+            }
+            if previous.is_some_and(|previous| self.too_far(previous, target)) {
+                return Some(Verdict::StepTooLong { index });
+            }
+            previous = Some(target);
+        }
+        None
+    }
+
+    fn too_far(&self, from: &TipTarget, to: &TipTarget) -> bool {
+        let way_m = (Vector3::from(to.position_m) - Vector3::from(from.position_m)).norm();
+        let (a, b) = (&from.rotation_xyzw, &to.rotation_xyzw);
+        let half_turn_cosine = (dot(a, b).abs() / (dot(a, a) * dot(b, b)).sqrt()).min(1.0);
+        way_m > self.limits.step_m_max || 2.0 * half_turn_cosine.acos() > self.limits.step_rad_max
+    }
+}
+
+fn is_finite(target: &TipTarget) -> bool {
+    target.position_m.iter().chain(&target.rotation_xyzw).all(|x| x.is_finite()) && target.jaw.is_finite()
+}
+
+fn dot(a: &[f64; 4], b: &[f64; 4]) -> f64 {
+    a.iter().zip(b).map(|(x, y)| x * y).sum()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{Gate, GateLimits, Verdict};
+    use hal::{Chunk, Pose, TimeNs, TipTarget};
+
+    const LIMITS: GateLimits =
+        GateLimits { age_ns_max: 2_000_000_000, step_m_max: 0.01, step_rad_max: 0.5, jump_m_max: 0.05, jump_rad_max: 1.0 };
+    const STEP_NS: u64 = 40_000_000;
+    const NOW: TimeNs = TimeNs(1_000_000_000);
+
+    fn good(sequence: u64) -> Chunk {
+        let targets = [TipTarget::new(&Pose::translation(0.0, 0.0, -0.11), 0.2); 50];
+        Chunk::new(TimeNs(900_000_000), sequence, STEP_NS, &targets)
+    }
+
+    fn verdict_after(spoil: impl Fn(&mut Chunk)) -> Verdict {
+        let mut gate = Gate::new(LIMITS);
+        let mut chunk = good(5);
+        spoil(&mut chunk);
+        gate.judge(&chunk, NOW, &Pose::translation(0.0, 0.0, -0.11)).unwrap()
+    }
+
+    #[test]
+    fn a_good_chunk_is_accepted_once() {
+        let mut gate = Gate::new(LIMITS);
+        let tip = Pose::translation(0.0, 0.0, -0.11);
+        assert_eq!(gate.judge(&good(5), NOW, &tip), Some(Verdict::Accepted));
+        assert_eq!(gate.judge(&good(5), NOW, &tip), None);
+        assert_eq!(gate.judge(&good(4), NOW, &tip), Some(Verdict::OutOfOrder));
+        assert_eq!((gate.accepted_count(), gate.refused_count()), (1, 1));
+        gate.forget();
+        assert_eq!(gate.judge(&good(1), NOW, &tip), Some(Verdict::Accepted));
+    }
+
+    #[test]
+    fn a_refused_sequence_does_not_block_the_next_one() {
+        let mut gate = Gate::new(LIMITS);
+        let tip = Pose::translation(0.0, 0.0, -0.11);
+        let mut bad = good(u64::MAX);
+        bad.targets[3].jaw = f64::NAN;
+        assert_eq!(gate.judge(&bad, NOW, &tip), Some(Verdict::NotFinite { index: 3 }));
+        assert_eq!(gate.judge(&good(6), NOW, &tip), Some(Verdict::Accepted));
+    }
+
+    #[test]
+    fn every_kind_of_nonsense_has_its_verdict() {
+        assert_eq!(verdict_after(|c| c.len = 0), Verdict::WrongLength { len: 0 });
+        assert_eq!(verdict_after(|c| c.len = 129), Verdict::WrongLength { len: 129 });
+        assert_eq!(verdict_after(|c| c.step_ns = 0), Verdict::WrongStep { step_ns: 0 });
+        assert_eq!(verdict_after(|c| c.step_ns = u64::MAX), Verdict::WrongStep { step_ns: u64::MAX });
+        assert_eq!(verdict_after(|c| c.observed_at = TimeNs(u64::MAX)), Verdict::FromTheFuture);
+        assert_eq!(verdict_after(|c| c.len = 2), Verdict::Stale { age_ns: 100_000_000 });
+        assert_eq!(verdict_after(|c| c.targets[7].position_m[1] = f64::INFINITY), Verdict::NotFinite { index: 7 });
+        assert_eq!(verdict_after(|c| c.targets[7].rotation_xyzw = [0.0; 4]), Verdict::NotUnit { index: 7 });
+        assert_eq!(verdict_after(|c| c.targets[7].position_m[1] = 0.02), Verdict::StepTooLong { index: 7 });
+        let turned = [1.0, 0.0, 0.0, 0.0];
+        assert_eq!(verdict_after(|c| c.targets[9].rotation_xyzw = turned), Verdict::StepTooLong { index: 9 });
+        assert_eq!(verdict_after(|c| c.targets.iter_mut().for_each(|t| t.position_m[0] = 0.06)), Verdict::Jump);
+        assert_eq!(verdict_after(|c| c.targets[100].jaw = f64::NAN), Verdict::Accepted);
+    }
+
+    #[test]
+    fn an_old_observation_is_stale() {
+        let mut gate = Gate::new(LIMITS);
+        let verdict = gate.judge(&good(1), TimeNs(2_900_000_001), &Pose::translation(0.0, 0.0, -0.11));
+        assert_eq!(verdict, Some(Verdict::Stale { age_ns: 2_000_000_001 }));
+    }
+}

@@ -1,0 +1,270 @@
+//! The guard: a command leaves only if the stop after it is verified. Hot path: bounded, no allocation, no I/O, no lock.
+//!
+//! At every tick it holds a jerk-limited stop from the commanded state along which every limit has been checked. A candidate
+//! replaces it only if the stop from the candidate passes too; otherwise the held stop is played. Safety is inductive and
+//! depends neither on the filter, whose rows it does not share, nor on the smoother.
+
+use hal::psm::{FINGER_M, SHAFT_RADIUS_M, WRIST_M};
+use nalgebra::Vector3;
+
+use super::config::{ControlConfig, FORBIDDEN_MAX};
+use super::motion::{AXES, AxisLimits, MotionState};
+use super::stop::Stop;
+use crate::kinematics::Frames;
+
+/// Intervals into which a stop is cut.
+const INTERVALS: u32 = 20;
+
+/// Box sides for two points, three links for each sphere.
+const CLEARANCES: usize = 12 + 3 * FORBIDDEN_MAX;
+
+/// A clearance that cannot matter, m.
+const FAR_M: f64 = 10.0;
+
+/// Rounding allowed on limits, relative.
+const ROUNDING: f64 = 1e-9;
+
+type Clearances = [f64; CLEARANCES];
+
+/// The guard with the stop that it holds.
+#[derive(Clone, Debug)]
+pub struct Guard {
+    axes: [AxisLimits; AXES],
+    tip_speed_m_s: f64,
+    margin_m: f64,
+    recovery_m: f64,
+    workspace_min_m: Vector3<f64>,
+    workspace_max_m: Vector3<f64>,
+    spheres: [Option<(Vector3<f64>, f64)>; FORBIDDEN_MAX],
+    tick_s: f64,
+    /// Clearances that a stop must keep: the margin, or less where the arm was enabled beyond it.
+    floors: Clearances,
+    /// Position ranges that a stop must keep: the limits, or wider where the arm was enabled beyond them.
+    ranges: [(f64, f64); AXES],
+    held: Stop,
+    played_s: f64,
+}
+
+/// One sample of a stop.
+#[derive(Clone, Copy)]
+struct Sample {
+    clearances: Clearances,
+    speeds: [f64; AXES],
+    tip_speed_m_s: f64,
+    wrist_distance_m: f64,
+}
+
+impl Guard {
+    /// A guard that holds the arm at `state`, at rest.
+    #[must_use]
+    pub fn new(config: &ControlConfig, state: &MotionState, tick_s: f64) -> Self {
+        let mut spheres = [None; FORBIDDEN_MAX];
+        for (slot, sphere) in spheres.iter_mut().zip(&config.geometry.forbidden) {
+            *slot = Some((sphere.center_m, sphere.radius_m));
+        }
+        let mut guard = Self {
+            axes: config.axes,
+            tip_speed_m_s: config.tip_speed_m_s,
+            margin_m: config.guard.margin_m,
+            recovery_m: config.guard.recovery_m,
+            workspace_min_m: config.geometry.workspace_min_m,
+            workspace_max_m: config.geometry.workspace_max_m,
+            spheres,
+            tick_s,
+            floors: [config.guard.margin_m; CLEARANCES],
+            ranges: config.axes.map(|axis| (axis.low, axis.high)),
+            held: Stop::new(state, &config.axes),
+            played_s: 0.0,
+        };
+        guard.seed(state);
+        guard
+    }
+
+    /// Starts anew from `state`, at rest.
+    ///
+    /// Where the arm is beyond a boundary already, that boundary moves to where the arm is and a little further, and comes
+    /// back with the arm.
+    pub fn seed(&mut self, state: &MotionState) {
+        self.held = Stop::new(state, &self.axes);
+        self.played_s = 0.0;
+        self.floors = self.clearances(&Frames::at(&state.joints())).map(|h| (h - self.recovery_m).min(self.margin_m));
+        for (range, (limits, &position)) in self.ranges.iter_mut().zip(self.axes.iter().zip(&state.position)) {
+            *range = (limits.low.min(position), limits.high.max(position));
+        }
+    }
+
+    /// The next state: `candidate` if it follows from `current` within the limits and its stop is verified, otherwise the
+    /// next one of the stop that is held. The flag tells whether the guard intervened.
+    pub fn next(&mut self, current: &MotionState, candidate: Option<&MotionState>) -> (MotionState, bool) {
+        if let Some(candidate) = candidate {
+            let stop = Stop::new(candidate, &self.axes);
+            if self.follows(current, candidate) && self.verify(&stop) {
+                self.held = stop;
+                self.played_s = 0.0;
+                self.tighten(candidate);
+                return (*candidate, false);
+            }
+        }
+        (self.play(), true)
+    }
+
+    /// The next state of the stop that is held.
+    pub fn play(&mut self) -> MotionState {
+        self.played_s += self.tick_s;
+        self.held.at(self.played_s)
+    }
+
+    /// Whether one tick of motion within the limits leads from `current` to `candidate`.
+    fn follows(&self, current: &MotionState, candidate: &MotionState) -> bool {
+        let t = self.tick_s;
+        candidate.is_finite()
+            && self.axes.iter().enumerate().all(|(axis, limits)| {
+                let (p, v, a) = (current.position[axis], current.velocity[axis], current.acceleration[axis]);
+                let jerk = limits.jerk * (1.0 + 1e-7);
+                (candidate.acceleration[axis] - a).abs() <= jerk * t + 1e-12
+                    && (candidate.velocity[axis] - v - a * t).abs() <= jerk * t * t / 2.0 + 1e-12
+                    && (candidate.position[axis] - p - v * t - a * t * t / 2.0).abs() <= jerk * t * t * t / 6.0 + 1e-12
+                    && candidate.acceleration[axis].abs() <= limits.acceleration * (1.0 + ROUNDING)
+            })
+    }
+
+    /// Whether `stop` keeps every limit from its first moment to rest.
+    fn verify(&self, stop: &Stop) -> bool {
+        let axes_keep = stop.axes().iter().zip(&self.axes).zip(&self.ranges).all(|((axis, limits), &(low, high))| {
+            let (least, most) = axis.position_range();
+            least >= low
+                && most <= high
+                && axis.peak_velocity() <= limits.velocity * (1.0 + ROUNDING)
+                && axis.peak_acceleration() <= limits.acceleration * (1.0 + ROUNDING)
+        });
+        axes_keep && self.verify_in_space(stop)
+    }
+
+    /// Samples the stop and bounds what can happen between the samples.
+    fn verify_in_space(&self, stop: &Stop) -> bool {
+        let gap_s = stop.joints_duration_s() / f64::from(INTERVALS);
+        let peak_velocity = stop.axes().map(|axis| axis.peak_velocity());
+        let peak_acceleration = stop.axes().map(|axis| axis.peak_acceleration());
+        let mut before = self.sample(&stop.at(0.0));
+        for index in 1..=INTERVALS {
+            let after = self.sample(&stop.at(gap_s * f64::from(index)));
+            let speeds = core::array::from_fn(|axis| {
+                // Between two samples a speed leaves the line through them by an eighth of the jerk times the gap squared.
+                let bulge = self.axes[axis].jerk * gap_s * gap_s / 8.0;
+                (before.speeds[axis].max(after.speeds[axis]) + bulge).min(peak_velocity[axis])
+            });
+            let distance_m = before.wrist_distance_m.max(after.wrist_distance_m) + speeds[2] * gap_s;
+            let reach = Reach { distance_m, speeds, accelerations: peak_acceleration };
+            if !self.interval_keeps(&before, &after, &reach, gap_s) {
+                return false;
+            }
+            before = after;
+        }
+        true
+    }
+
+    fn interval_keeps(&self, before: &Sample, after: &Sample, reach: &Reach, gap_s: f64) -> bool {
+        // A clearance changes no faster than its point moves, so half the way bounds the dip below the mean of the ends.
+        let dip_m = reach.point_speed_m_s() * gap_s / 2.0;
+        let clear = (0..CLEARANCES)
+            .all(|i| f64::midpoint(before.clearances[i], after.clearances[i]) - dip_m >= self.floors[i]);
+        let rise_m_s = reach.tip_acceleration_m_s2() * gap_s / 2.0;
+        let fastest = f64::midpoint(before.tip_speed_m_s, after.tip_speed_m_s) + rise_m_s;
+        // NaN fails both comparisons.
+        clear && before.tip_speed_m_s.max(after.tip_speed_m_s).max(fastest) <= self.tip_speed_m_s
+    }
+
+    fn sample(&self, state: &MotionState) -> Sample {
+        let joints = state.joints();
+        let frames = Frames::at(&joints);
+        let velocity = frames.tip_jacobian() * state.joint_velocity();
+        Sample {
+            clearances: self.clearances(&frames),
+            speeds: state.velocity.map(f64::abs),
+            tip_speed_m_s: velocity.fixed_rows::<3>(0).norm(),
+            wrist_distance_m: frames.wrist_m.norm(),
+        }
+    }
+
+    /// How far the instrument is from every boundary, m; negative beyond it.
+    fn clearances(&self, frames: &Frames) -> Clearances {
+        let mut clearances = [FAR_M; CLEARANCES];
+        let (planes, links) = clearances.split_at_mut(12);
+        let points = [frames.tip_m, frames.finger_m];
+        for (slot, index) in planes.iter_mut().zip(0..) {
+            let point_m = points[index / 6];
+            let axis = index % 3;
+            let above = index % 6 < 3;
+            *slot = if above {
+                point_m[axis] - self.workspace_min_m[axis]
+            } else {
+                self.workspace_max_m[axis] - point_m[axis]
+            };
+        }
+        let corners = [Vector3::zeros(), frames.wrist_m, frames.tip_m, frames.finger_m];
+        for (slots, sphere) in links.chunks_exact_mut(3).zip(&self.spheres) {
+            let Some((center_m, radius_m)) = sphere else { continue };
+            for (slot, ends) in slots.iter_mut().zip(corners.windows(2)) {
+                *slot = distance_to_segment(center_m, &ends[0], &ends[1]) - radius_m - SHAFT_RADIUS_M;
+            }
+        }
+        clearances
+    }
+
+    /// Boundaries that were passed when the arm was enabled come back with the arm.
+    fn tighten(&mut self, state: &MotionState) {
+        if self.floors.iter().any(|&floor| floor < self.margin_m) {
+            let clearances = self.clearances(&Frames::at(&state.joints()));
+            for (floor, h) in self.floors.iter_mut().zip(clearances) {
+                *floor = floor.max((h - self.recovery_m).min(self.margin_m));
+            }
+        }
+        for (range, (limits, &position)) in self.ranges.iter_mut().zip(self.axes.iter().zip(&state.position)) {
+            *range = (range.0.max(limits.low.min(position)), range.1.min(limits.high.max(position)));
+        }
+    }
+}
+
+/// Upper bounds of the joint motion in an interval, and what they mean for points of the instrument.
+struct Reach {
+    distance_m: f64,
+    speeds: [f64; AXES],
+    accelerations: [f64; AXES],
+}
+
+impl Reach {
+    /// No point of the instrument beyond the RCM is faster.
+    ///
+    /// The wrist point moves in spherical coordinates (yaw, pitch, insertion), whose directions are orthogonal; whatever is
+    /// further turns about it.
+    fn point_speed_m_s(&self) -> f64 {
+        let [yaw, pitch, insertion, roll, wrist_pitch, wrist_yaw, _] = self.speeds;
+        let swing = yaw.hypot(pitch);
+        let wrist = (self.distance_m * swing).hypot(insertion);
+        let turn = swing + roll + wrist_pitch;
+        wrist + WRIST_M * turn + FINGER_M * (turn + wrist_yaw)
+    }
+
+    /// The control point's acceleration is no higher.
+    fn tip_acceleration_m_s2(&self) -> f64 {
+        let [yaw, pitch, insertion, roll, wrist_pitch, ..] = self.speeds;
+        let [a_yaw, a_pitch, a_insertion, a_roll, a_wrist_pitch, ..] = self.accelerations;
+        let (swing, turn) = (yaw + pitch, yaw + pitch + roll + wrist_pitch);
+        let wrist = (self.distance_m * a_yaw.hypot(a_pitch)).hypot(a_insertion)
+            + 2.0 * insertion * swing
+            + self.distance_m * swing * swing;
+        wrist + WRIST_M * (a_yaw + a_pitch + a_roll + a_wrist_pitch + 2.0 * turn * turn)
+    }
+}
+
+fn distance_to_segment(point_m: &Vector3<f64>, from_m: &Vector3<f64>, to_m: &Vector3<f64>) -> f64 {
+    let along = to_m - from_m;
+    let offset = point_m - from_m;
+    let length_squared = along.norm_squared();
+    if length_squared < 1e-18 {
+        return offset.norm();
+    }
+    let fraction = (offset.dot(&along) / length_squared).clamp(0.0, 1.0);
+    (offset - along * fraction).norm()
+}
+

@@ -1,0 +1,147 @@
+//! What the arm is allowed to do: the CRTK operating states and the one function that changes them.
+//!
+//! | state    | enable  | disable  | pause    | resume   | clear    | fail  |
+//! |----------|---------|----------|----------|----------|----------|-------|
+//! | DISABLED | ENABLED | DISABLED | DISABLED | DISABLED | DISABLED | FAULT |
+//! | ENABLED  | ENABLED | DISABLED | PAUSED   | ENABLED  | ENABLED  | FAULT |
+//! | PAUSED   | PAUSED  | DISABLED | PAUSED   | ENABLED  | PAUSED   | FAULT |
+//! | FAULT    | FAULT   | FAULT    | FAULT    | FAULT    | DISABLED | FAULT |
+
+use core::fmt;
+
+/// The CRTK operating state.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum OperatingState {
+    /// Drives without torque; the command follows the measured arm.
+    Disabled,
+    /// The arm follows the policy.
+    Enabled,
+    /// The arm comes to rest and holds; chunks are ignored.
+    Paused,
+    /// Something failed; the arm came to rest and only the operator gets it out of here.
+    Fault,
+}
+
+impl OperatingState {
+    /// The name that CRTK gives it.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Disabled => "DISABLED",
+            Self::Enabled => "ENABLED",
+            Self::Paused => "PAUSED",
+            Self::Fault => "FAULT",
+        }
+    }
+}
+
+impl fmt::Display for OperatingState {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(self.name())
+    }
+}
+
+/// The operating state with CRTK's two flags.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Mode {
+    /// The operating state.
+    pub state: OperatingState,
+    /// Whether the joint positions are known: a valid measurement has arrived.
+    pub homed: bool,
+    /// Whether the commanded arm moves.
+    pub busy: bool,
+}
+
+/// What the operator asks for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum OperatorEvent {
+    /// Power the drives and follow the policy.
+    Enable,
+    /// Stop, then release the drives.
+    Disable,
+    /// Stop and hold.
+    Pause,
+    /// Follow the policy again.
+    Resume,
+    /// Acknowledge a fault; the arm stays disabled.
+    Clear,
+}
+
+/// What can change the operating state.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Event {
+    /// The operator's wish.
+    Operator(OperatorEvent),
+    /// The controller found a fault.
+    Fail,
+}
+
+/// The state after `event`; a request that does not apply leaves the state as it is.
+#[must_use]
+pub const fn next(state: OperatingState, event: Event) -> OperatingState {
+    use Event::{Fail, Operator};
+    use OperatingState::{Disabled, Enabled, Fault, Paused};
+    use OperatorEvent::{Clear, Disable, Enable, Pause, Resume};
+    match (state, event) {
+        (Disabled | Enabled | Paused | Fault, Fail) => Fault,
+
+        (Disabled, Operator(Enable)) => Enabled,
+        (Disabled, Operator(Disable | Pause | Resume | Clear)) => Disabled,
+
+        (Enabled, Operator(Enable | Resume | Clear)) => Enabled,
+        (Enabled, Operator(Disable)) => Disabled,
+        (Enabled, Operator(Pause)) => Paused,
+
+        (Paused, Operator(Enable | Pause | Clear)) => Paused,
+        (Paused, Operator(Disable)) => Disabled,
+        (Paused, Operator(Resume)) => Enabled,
+
+        (Fault, Operator(Enable | Disable | Pause | Resume)) => Fault,
+        (Fault, Operator(Clear)) => Disabled,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{Event, OperatingState, OperatorEvent, next};
+
+    fn state_named(name: &str) -> OperatingState {
+        let all = [OperatingState::Disabled, OperatingState::Enabled, OperatingState::Paused, OperatingState::Fault];
+        all.into_iter().find(|state| state.name() == name).unwrap()
+    }
+
+    #[test]
+    fn the_table_in_the_documentation_is_the_function() {
+        let events = [
+            Event::Operator(OperatorEvent::Enable),
+            Event::Operator(OperatorEvent::Disable),
+            Event::Operator(OperatorEvent::Pause),
+            Event::Operator(OperatorEvent::Resume),
+            Event::Operator(OperatorEvent::Clear),
+            Event::Fail,
+        ];
+        let rows: Vec<Vec<&str>> = include_str!("mode.rs")
+            .lines()
+            .take_while(|line| line.starts_with("//!"))
+            .filter_map(|line| line.strip_prefix("//! | "))
+            .skip(1)
+            .map(|line| line.split('|').map(str::trim).filter(|cell| !cell.is_empty()).collect())
+            .filter(|cells: &Vec<&str>| !cells[0].starts_with('-'))
+            .collect();
+        assert_eq!(rows.len(), 4);
+        for row in rows {
+            assert_eq!(row.len(), 1 + events.len(), "{row:?}");
+            for (event, expected) in events.iter().zip(&row[1..]) {
+                assert_eq!(next(state_named(row[0]), *event), state_named(expected), "{} on {event:?}", row[0]);
+            }
+        }
+    }
+
+    #[test]
+    fn a_fault_is_left_only_by_clearing_it() {
+        for event in [OperatorEvent::Enable, OperatorEvent::Disable, OperatorEvent::Pause, OperatorEvent::Resume] {
+            assert_eq!(next(OperatingState::Fault, Event::Operator(event)), OperatingState::Fault);
+        }
+        assert_eq!(next(OperatingState::Fault, Event::Operator(OperatorEvent::Clear)), OperatingState::Disabled);
+    }
+}

@@ -1,0 +1,94 @@
+//! What goes into a tick and what comes out of it, as plain values that a log can keep.
+
+use core::fmt;
+
+use hal::{ArmCommand, ArmError, ArmState, Chunk, TimeNs, TipTarget};
+
+use super::gate::Verdict;
+use super::mode::{Mode, OperatorEvent};
+
+/// Everything that a tick may look at.
+#[derive(Clone, Copy, Debug)]
+pub struct TickInput<'a> {
+    /// The control period.
+    pub now: TimeNs,
+    /// The arm's answer for this period.
+    pub measured: Result<ArmState, ArmError>,
+    /// The newest chunk; handing over the same one again does no harm.
+    pub chunk: Option<&'a Chunk>,
+    /// What the operator asked for since the last tick.
+    pub operator: Option<OperatorEvent>,
+}
+
+/// What a tick decided.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct TickOutput {
+    /// The setpoint for the end of this control period.
+    pub command: ArmCommand,
+    /// How it came about.
+    pub report: TickReport,
+}
+
+/// How a command came about.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct TickReport {
+    /// Operating state after the tick.
+    pub mode: Mode,
+    /// The input gate's verdict if a chunk was handed over that it had not seen.
+    pub gate: Option<Verdict>,
+    /// What the safety filter did.
+    pub qp: QpOutcome,
+    /// Rows of the filter that the filtered velocity touches.
+    pub rows_active: u32,
+    /// Length of the filter's change, joint velocities measured in their limits.
+    pub correction: f64,
+    /// Whether the guard refused the candidate and played its verified stop.
+    pub guard_intervened: bool,
+    /// The aggregated target, if there was one.
+    pub target: Option<TipTarget>,
+    /// The fault that holds, if any.
+    pub fault: Option<Fault>,
+}
+
+/// What the safety filter did.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum QpOutcome {
+    /// The nominal velocity satisfied every row and passed unchanged.
+    NotNeeded,
+    /// The QP was solved and its answer satisfies every row.
+    Solved {
+        /// Interior-point iterations.
+        iterations: u32,
+    },
+    /// No trustworthy answer; the arm is told to stop.
+    Failed,
+}
+
+/// Why the controller faulted.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Fault {
+    /// The measurement held NaN or infinity.
+    MeasurementNotFinite,
+    /// The backend gave no measurement.
+    Arm(ArmError),
+    /// The arm did not follow.
+    TrackingError {
+        /// Joint index.
+        joint: u8,
+        /// Commanded less measured, rad (m).
+        error: f64,
+    },
+}
+
+impl fmt::Display for Fault {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::MeasurementNotFinite => write!(f, "the measurement is not finite"),
+            Self::Arm(error) => error.fmt(f),
+            Self::TrackingError { joint, error } => {
+                let name = hal::joints::JOINT_NAMES.get(usize::from(*joint)).unwrap_or(&"?");
+                write!(f, "{name} is {error:.4} away from its command")
+            }
+        }
+    }
+}

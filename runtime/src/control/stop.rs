@@ -1,0 +1,233 @@
+//! The fastest jerk-limited way to rest, in closed form. Hot path: bounded, no allocation, no I/O, no lock.
+//!
+//! From velocity `v` and acceleration `a` an axis ramps its acceleration against the motion, may hold it at the limit, and
+//! ramps it back to zero. The profile is the same as a time-optimal generator's for a target velocity of zero, but shares no
+//! code with it.
+
+use super::motion::{AXES, Axes, AxisLimits, MotionState};
+
+/// A moment of a profile, after which the jerk is constant.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Knot {
+    time_s: f64,
+    position: f64,
+    velocity: f64,
+    acceleration: f64,
+    jerk: f64,
+}
+
+impl Knot {
+    fn after(&self, time_s: f64) -> (f64, f64, f64) {
+        let t = time_s - self.time_s;
+        let acceleration = self.acceleration + self.jerk * t;
+        let velocity = self.velocity + t * (self.acceleration + self.jerk * t / 2.0);
+        let position = self.position + t * (self.velocity + t * (self.acceleration / 2.0 + self.jerk * t / 6.0));
+        (position, velocity, acceleration)
+    }
+}
+
+/// One axis on its way to rest: three phases of constant jerk, then rest.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct AxisStop {
+    knots: [Knot; 4],
+}
+
+impl AxisStop {
+    /// The stop from position, velocity and acceleration under `limits`.
+    #[must_use]
+    pub fn new(position: f64, velocity: f64, acceleration: f64, limits: &AxisLimits) -> Self {
+        let (a_max, jerk) = (limits.acceleration, limits.jerk);
+        // The velocity that remains once the acceleration has been brought to zero tells which way to brake.
+        let remaining = velocity + acceleration * acceleration.abs() / (2.0 * jerk);
+        let side = if remaining < 0.0 { -1.0 } else { 1.0 };
+        let (v, a) = (side * velocity, side * acceleration);
+        let peak = (jerk * v + a * a / 2.0).max(0.0).sqrt().min(a_max);
+        let hold_s =
+            if peak < a_max { 0.0 } else { ((v + (a * a - 2.0 * a_max * a_max) / (2.0 * jerk)) / a_max).max(0.0) };
+        let phases = [((a + peak) / jerk, -jerk), (hold_s, 0.0), (peak / jerk, jerk)];
+
+        let mut knot = Knot { time_s: 0.0, position, velocity, acceleration, jerk: 0.0 };
+        let mut knots = [knot; 4];
+        for (slot, (duration_s, phase_jerk)) in knots.iter_mut().zip(phases) {
+            knot.jerk = side * phase_jerk;
+            *slot = knot;
+            let time_s = knot.time_s + duration_s.max(0.0);
+            (knot.position, knot.velocity, knot.acceleration) = knot.after(time_s);
+            knot.time_s = time_s;
+        }
+        knots[3] = Knot { velocity: 0.0, acceleration: 0.0, jerk: 0.0, ..knot };
+        Self { knots }
+    }
+
+    /// Seconds until rest.
+    #[must_use]
+    pub fn duration_s(&self) -> f64 {
+        self.knots[3].time_s
+    }
+
+    /// Position, velocity and acceleration `time_s` into the stop.
+    #[must_use]
+    pub fn at(&self, time_s: f64) -> (f64, f64, f64) {
+        let knot = self.knots.iter().rev().find(|knot| knot.time_s <= time_s).unwrap_or(&self.knots[0]);
+        knot.after(time_s)
+    }
+
+    /// Lowest and highest position from here to rest, exactly.
+    #[must_use]
+    pub fn position_range(&self) -> (f64, f64) {
+        let mut low = self.knots[0].position;
+        let mut high = low;
+        let mut take = |position: f64| {
+            low = low.min(position);
+            high = high.max(position);
+        };
+        for pair in self.knots.windows(2) {
+            let [from, to] = pair else { continue };
+            take(to.position);
+            for time_s in turning_times(from) {
+                if time_s > from.time_s && time_s < to.time_s {
+                    take(from.after(time_s).0);
+                }
+            }
+        }
+        (low, high)
+    }
+
+    /// Highest speed from here to rest, exactly.
+    #[must_use]
+    pub fn peak_velocity(&self) -> f64 {
+        let mut peak = self.knots.iter().fold(0.0_f64, |peak, knot| peak.max(knot.velocity.abs()));
+        let first = &self.knots[0];
+        if first.jerk.abs() > 0.0 {
+            let time_s = -first.acceleration / first.jerk;
+            if time_s > 0.0 && time_s < self.knots[1].time_s {
+                peak = peak.max(first.after(time_s).1.abs());
+            }
+        }
+        peak
+    }
+
+    /// Highest acceleration from here to rest, exactly.
+    #[must_use]
+    pub fn peak_acceleration(&self) -> f64 {
+        self.knots.iter().fold(0.0_f64, |peak, knot| peak.max(knot.acceleration.abs()))
+    }
+}
+
+/// When the velocity of a phase passes zero; NaN where it does not.
+fn turning_times(knot: &Knot) -> [f64; 2] {
+    let (a, b, c) = (knot.jerk / 2.0, knot.acceleration, knot.velocity);
+    if a.abs() < 1e-300 {
+        return [knot.time_s - c / b, f64::NAN];
+    }
+    let root = (b * b - 4.0 * a * c).sqrt();
+    [knot.time_s + (-b - root) / (2.0 * a), knot.time_s + (-b + root) / (2.0 * a)]
+}
+
+/// All axes on their way to rest, each as fast as it can.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Stop {
+    axes: [AxisStop; AXES],
+}
+
+impl Stop {
+    /// The stop from `state` under `limits`.
+    #[must_use]
+    pub fn new(state: &MotionState, limits: &[AxisLimits; AXES]) -> Self {
+        let axes = core::array::from_fn(|axis| {
+            AxisStop::new(state.position[axis], state.velocity[axis], state.acceleration[axis], &limits[axis])
+        });
+        Self { axes }
+    }
+
+    /// The profiles of the axes.
+    #[must_use]
+    pub fn axes(&self) -> &[AxisStop; AXES] {
+        &self.axes
+    }
+
+    /// The state `time_s` into the stop.
+    #[must_use]
+    pub fn at(&self, time_s: f64) -> MotionState {
+        let zero: Axes = [0.0; AXES];
+        let mut state = MotionState { position: zero, velocity: zero, acceleration: zero };
+        for (index, axis) in self.axes.iter().enumerate() {
+            (state.position[index], state.velocity[index], state.acceleration[index]) = axis.at(time_s);
+        }
+        state
+    }
+
+    /// Seconds until every joint, the jaw apart, is at rest.
+    #[must_use]
+    pub fn joints_duration_s(&self) -> f64 {
+        self.axes[..super::motion::JAW].iter().fold(0.0_f64, |longest, axis| longest.max(axis.duration_s()))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::AxisStop;
+    use crate::control::motion::AxisLimits;
+    use crate::control::random::SplitMix64;
+    use crate::control::viability::stop_distance;
+
+    fn random_case(random: &mut SplitMix64) -> (AxisLimits, f64, f64) {
+        let limits = AxisLimits {
+            low: -1.0,
+            high: 1.0,
+            velocity: random.between(0.05, 4.0),
+            acceleration: random.between(0.5, 40.0),
+            jerk: random.between(10.0, 800.0),
+        };
+        let a = random.between(-limits.acceleration, limits.acceleration);
+        let v = random.between(-limits.velocity, limits.velocity);
+        (limits, v, a)
+    }
+
+    #[test]
+    fn every_stop_ends_at_rest_within_the_limits() {
+        let mut random = SplitMix64::new(11);
+        for case in 0..20_000 {
+            let (limits, v, a) = random_case(&mut random);
+            let stop = AxisStop::new(0.1, v, a, &limits);
+            let end_s = stop.duration_s();
+            let (_, v_end, a_end) = stop.knots[2].after(end_s);
+            assert!(v_end.abs() < 1e-12 && a_end.abs() < 1e-11, "case {case}: v {v} a {a} ends at {v_end} {a_end}");
+            let (low, high) = stop.position_range();
+            for i in 0..=50 {
+                let (p, v, a) = stop.at(end_s * f64::from(i) / 50.0);
+                assert!(p >= low - 1e-12 && p <= high + 1e-12, "case {case}");
+                assert!(v.abs() <= stop.peak_velocity() + 1e-12, "case {case}");
+                assert!(a.abs() <= stop.peak_acceleration() + 1e-12, "case {case}");
+            }
+            assert!(stop.peak_acceleration() <= limits.acceleration + 1e-12, "case {case}");
+        }
+    }
+
+    #[test]
+    fn stop_from_zero_acceleration_is_as_long_as_the_formula() {
+        let mut random = SplitMix64::new(12);
+        for _ in 0..5_000 {
+            let (limits, v, _) = random_case(&mut random);
+            let (low, high) = AxisStop::new(0.0, v, 0.0, &limits).position_range();
+            let expected = stop_distance(v.abs(), limits.acceleration, limits.jerk);
+            assert!((high - low - expected).abs() < 1e-12, "{v} {limits:?}");
+        }
+    }
+
+    #[test]
+    fn range_is_the_one_found_by_dense_sampling() {
+        let mut random = SplitMix64::new(13);
+        for _ in 0..500 {
+            let (limits, v, a) = random_case(&mut random);
+            let stop = AxisStop::new(0.0, v, a, &limits);
+            let (low, high) = stop.position_range();
+            let (mut least, mut most) = (0.0_f64, 0.0_f64);
+            for i in 0..=5_000 {
+                let p = stop.at(stop.duration_s() * f64::from(i) / 5_000.0).0;
+                (least, most) = (least.min(p), most.max(p));
+            }
+            assert!((low - least).abs() < 1e-6 && (high - most).abs() < 1e-6, "{v} {a} {limits:?}");
+        }
+    }
+}
