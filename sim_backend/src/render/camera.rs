@@ -125,10 +125,25 @@ impl Light {
         }
     }
 
-    /// Clip coordinates of the shadow map from camera coordinates: the cone fills the map.
-    pub(super) fn clip_from_camera(&self, near_m: f64, far_m: f64) -> Matrix4<f64> {
-        let scale = 1.0 / self.cone_half_angle_rad.tan();
-        let mut clip = depth_rows(near_m, far_m);
+    /// Half width of the shadow map over distance: the part of the cone that `camera` sees.
+    ///
+    /// What comes so near that the guide's offset carries it out of the map gets no shadow.
+    pub(super) fn window_tan(&self, camera: &Camera) -> f64 {
+        let lens = &camera.intrinsics;
+        let reach =
+            |centre: f64, size: u32, focal: f64| centre.max(f64::from(size) - centre) / focal;
+        let seen = reach(lens.cx, lens.width, lens.fx).max(reach(lens.cy, lens.height, lens.fy));
+        let [x, y, _] = self.position_in_camera_m.map(f64::abs);
+        let offset = 2.0 * x.max(y) / self.reference_distance_m.max(camera.near_m);
+        (seen + offset)
+            .min(self.cone_half_angle_rad.tan())
+            .max(1e-3)
+    }
+
+    /// Clip coordinates of the shadow map from camera coordinates.
+    pub(super) fn clip_from_camera(&self, camera: &Camera) -> Matrix4<f64> {
+        let scale = 1.0 / self.window_tan(camera);
+        let mut clip = depth_rows(camera.near_m, camera.far_m);
         clip[(0, 0)] = scale;
         clip[(1, 1)] = -scale;
         clip * Matrix4::new_translation(&-Vector3::from(self.position_in_camera_m))

@@ -6,7 +6,7 @@ use super::targets::{
 };
 
 /// Side of the square shadow map, texels.
-const SHADOW_MAP_PX: u32 = 1024;
+const SHADOW_MAP_PX: u32 = 768;
 
 /// Pipelines and what they bind.
 pub(super) struct Pipelines {

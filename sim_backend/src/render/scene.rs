@@ -214,7 +214,7 @@ fn check(visual: &Visual) -> Result<(u32, u32), RenderError> {
 
 fn write_frame(camera: &Camera, light: &Light, bytes: &mut Vec<u8>) {
     put_matrix(bytes, &camera.clip_from_camera());
-    put_matrix(bytes, &light.clip_from_camera(camera.near_m, camera.far_m));
+    put_matrix(bytes, &light.clip_from_camera(camera));
     let [x, y, z] = light.position_in_camera_m;
     put_f64(
         bytes,
@@ -232,7 +232,7 @@ fn write_frame(camera: &Camera, light: &Light, bytes: &mut Vec<u8>) {
             outer.cos(),
             (0.55 * outer).cos(),
             light.ambient,
-            outer.tan(),
+            light.window_tan(camera),
         ],
     );
     let up = camera.camera_in_scene.rotation.inverse() * nalgebra::Vector3::z();

@@ -3,7 +3,7 @@
 
 // Whether the shadow map is read.
 override SHADOWS: bool = true;
-override SHADOW_MAP_PX: f32 = 1024.0;
+override SHADOW_MAP_PX: f32 = 768.0;
 
 struct Frame {
     clip_from_camera: mat4x4f,
@@ -14,7 +14,8 @@ struct Frame {
     cone_cos_outer: f32,
     cone_cos_inner: f32,
     ambient: f32,
-    cone_tan_outer: f32,
+    // Half width of the shadow map over distance.
+    shadow_window_tan: f32,
     // The scene's z axis.
     up: vec3f,
     unused: f32,

@@ -114,23 +114,24 @@ fn surface_of(object: Object, p: vec3f, n: vec3f) -> Surface {
     return surface;
 }
 
-// Share of the light that arrives: the mean of five taps, each of which blends four texels.
+// Share of the light that arrives: the mean of four taps, each of which blends four texels.
 fn lit(position: vec3f, normal: vec3f) -> f32 {
     if !SHADOWS {
         return 1.0;
     }
     let distance = position.z - frame.light_position.z;
-    let texel_m = 2.0 * max(distance, 0.0) * frame.cone_tan_outer / SHADOW_MAP_PX;
+    let texel_m = 2.0 * max(distance, 0.0) * frame.shadow_window_tan / SHADOW_MAP_PX;
     let clip = frame.light_clip_from_camera * vec4f(position + 2.0 * texel_m * normal, 1.0);
     let ndc = clip.xyz / clip.w;
     let at = vec2f(0.5 + 0.5 * ndc.x, 0.5 - 0.5 * ndc.y);
-    let step = 1.4 / SHADOW_MAP_PX;
-    var sum = textureSampleCompareLevel(shadow_map, shadow_sampler, at, ndc.z);
-    sum += textureSampleCompareLevel(shadow_map, shadow_sampler, at + vec2f(step, 0.4 * step), ndc.z);
-    sum += textureSampleCompareLevel(shadow_map, shadow_sampler, at + vec2f(-0.4 * step, step), ndc.z);
-    sum += textureSampleCompareLevel(shadow_map, shadow_sampler, at + vec2f(-step, -0.4 * step), ndc.z);
-    sum += textureSampleCompareLevel(shadow_map, shadow_sampler, at + vec2f(0.4 * step, -step), ndc.z);
-    return sum / 5.0;
+    let near = 0.6 / SHADOW_MAP_PX;
+    let far = 1.6 / SHADOW_MAP_PX;
+    var sum = textureSampleCompareLevel(shadow_map, shadow_sampler, at + vec2f(far, near), ndc.z);
+    sum += textureSampleCompareLevel(shadow_map, shadow_sampler, at + vec2f(-near, far), ndc.z);
+    sum += textureSampleCompareLevel(shadow_map, shadow_sampler, at + vec2f(-far, -near), ndc.z);
+    sum += textureSampleCompareLevel(shadow_map, shadow_sampler, at + vec2f(near, -far), ndc.z);
+    let outside = max(abs(ndc.x), abs(ndc.y)) > 0.995;
+    return select(0.25 * sum, 1.0, outside);
 }
 
 // GGX with Smith's joint masking in the approximation of Hammon (2017) and Schlick's Fresnel.
