@@ -4,10 +4,10 @@
 //! and commands give the same bits.
 
 use hal::{Arm, ArmCommand, ArmError, ArmState, CameraFrame, Pose, TimeNs};
-use nalgebra::{Point3, Vector3};
 
-use crate::render::{Camera, Light, RenderError, Renderer, look_at};
-use crate::task::{CameraConfig, Outcome, SuccessMonitor, TaskConfig, visual_poses, visuals};
+use crate::cameras::{SceneCameras, SceneSnapshot};
+use crate::render::RenderError;
+use crate::task::{Outcome, SuccessMonitor, TaskConfig};
 use crate::world::{Grasp, World};
 
 /// Whether an episode can be looked at.
@@ -54,25 +54,14 @@ pub struct SceneState {
 /// Time that the needle gets to come to rest before the episode begins, ms.
 const SETTLE_STEPS: u32 = 250;
 
-/// Image depth range, m.
-const NEAR_M: f64 = 0.005;
-const FAR_M: f64 = 1.0;
-
 /// An episode.
 pub struct Simulation {
     world: World,
     monitor: SuccessMonitor,
     scene_from_rcm: Pose,
-    cameras: Vec<View>,
-    light: Light,
-    renderer: Option<Renderer>,
-    stamp: TimeNs,
-}
-
-struct View {
-    name: String,
-    camera: Camera,
+    cameras: Option<SceneCameras>,
     frames: u64,
+    stamp: TimeNs,
 }
 
 impl Simulation {
@@ -81,27 +70,27 @@ impl Simulation {
     /// # Errors
     /// [`SimulationError::Render`] if there is no device to render with.
     pub fn new(task: &TaskConfig, seed: u64, rendering: Rendering) -> Result<Self, SimulationError> {
-        let renderer = match rendering {
+        let cameras = match rendering {
             Rendering::Off => None,
-            Rendering::On => Some(Renderer::new(&visuals(task))?),
+            Rendering::On => Some(SceneCameras::new(task)?),
         };
-        Ok(Self::build(task, seed, renderer))
+        Ok(Self::build(task, seed, cameras))
     }
 
-    /// The episode `seed` of `task`, seen with the renderer of an earlier episode of the same task: opening a device
-    /// takes far longer than an image.
+    /// The episode `seed` of `task`, seen with the cameras of an earlier episode of the same task: opening a device takes
+    /// far longer than an image.
     #[must_use]
-    pub fn with_renderer(task: &TaskConfig, seed: u64, renderer: Renderer) -> Self {
-        Self::build(task, seed, Some(renderer))
+    pub fn with_cameras(task: &TaskConfig, seed: u64, cameras: SceneCameras) -> Self {
+        Self::build(task, seed, Some(cameras))
     }
 
-    /// Gives the renderer back for the next episode.
+    /// Gives the cameras back for the next episode.
     #[must_use]
-    pub fn into_renderer(self) -> Option<Renderer> {
-        self.renderer
+    pub fn into_cameras(self) -> Option<SceneCameras> {
+        self.cameras
     }
 
-    fn build(task: &TaskConfig, seed: u64, renderer: Option<Renderer>) -> Self {
+    fn build(task: &TaskConfig, seed: u64, cameras: Option<SceneCameras>) -> Self {
         let needle_in_scene = task.needle_start.draw(seed, &task.needle, &task.organ);
         let mut world = World::new(
             &task.world,
@@ -119,9 +108,8 @@ impl Simulation {
             world,
             monitor: SuccessMonitor::new(&task.success, &task.needle, &task.organ),
             scene_from_rcm: task.scene_from_rcm,
-            cameras: task.cameras.iter().map(View::new).collect(),
-            light: Light::default(),
-            renderer,
+            cameras,
+            frames: 0,
             stamp: TimeNs(0),
         }
     }
@@ -149,19 +137,18 @@ impl Simulation {
         }
     }
 
-    /// Names of the cameras, in order.
-    pub fn camera_names(&self) -> impl Iterator<Item = &str> {
-        self.cameras.iter().map(|view| view.name.as_str())
+    /// Where everything that moves is, for cameras in another thread.
+    #[must_use]
+    pub fn snapshot(&self) -> SceneSnapshot {
+        SceneSnapshot { needle: self.world.needle_in_scene(), arm: self.world.body_poses() }
     }
 
-    /// A black frame of the right size for `camera`.
+    /// The cameras, if the episode has any.
     ///
     /// # Errors
-    /// [`SimulationError::NoSuchCamera`].
-    pub fn blank_frame(&self, camera: usize) -> Result<CameraFrame, SimulationError> {
-        let count = self.cameras.len();
-        let view = self.cameras.get(camera).ok_or(SimulationError::NoSuchCamera { index: camera, count })?;
-        Ok(CameraFrame::blank(view.camera.intrinsics))
+    /// [`SimulationError::RenderingOff`].
+    pub fn cameras(&self) -> Result<&SceneCameras, SimulationError> {
+        self.cameras.as_ref().ok_or(SimulationError::RenderingOff)
     }
 
     /// Takes one image, stamped with the newest time at which the arm was read.
@@ -169,13 +156,11 @@ impl Simulation {
     /// # Errors
     /// [`SimulationError`]; the frame's content is then unspecified.
     pub fn render(&mut self, camera: usize, frame: &mut CameraFrame) -> Result<(), SimulationError> {
-        let poses = visual_poses(self.world.needle_in_scene(), &self.world.body_poses());
-        let count = self.cameras.len();
-        let view = self.cameras.get_mut(camera).ok_or(SimulationError::NoSuchCamera { index: camera, count })?;
-        let renderer = self.renderer.as_mut().ok_or(SimulationError::RenderingOff)?;
-        renderer.render(&poses, &view.camera, &self.light, frame)?;
-        view.frames += 1;
-        frame.sequence = view.frames;
+        let snapshot = self.snapshot();
+        let cameras = self.cameras.as_mut().ok_or(SimulationError::RenderingOff)?;
+        cameras.render(camera, &snapshot, frame)?;
+        self.frames += 1;
+        frame.sequence = self.frames;
         frame.stamp = self.stamp;
         Ok(())
     }
@@ -184,16 +169,6 @@ impl Simulation {
     #[must_use]
     pub fn state_hash(&self) -> u64 {
         self.world.state_hash()
-    }
-}
-
-impl View {
-    fn new(config: &CameraConfig) -> Self {
-        let camera_in_scene =
-            look_at(Point3::from(config.eye_m), Point3::from(config.target_m), Vector3::from(config.up));
-        let camera =
-            Camera { intrinsics: config.intrinsics(), camera_in_scene, near_m: NEAR_M, far_m: FAR_M };
-        Self { name: config.name.clone(), camera, frames: 0 }
     }
 }
 

@@ -13,7 +13,7 @@ mod targets;
 #[cfg(test)]
 mod tests;
 
-use hal::{CameraFrame, Pose};
+use hal::{CameraFrame, Intrinsics, Pose};
 
 pub use camera::{Camera, Light, look_at};
 
@@ -57,6 +57,12 @@ pub enum RenderError {
         /// Largest side.
         max: u32,
     },
+    /// The caller's buffers do not fit the image.
+    #[error("the buffers given are not for an image of {pixels} pixels")]
+    Buffers {
+        /// Pixels of the image.
+        pixels: usize,
+    },
     /// The camera can't be.
     #[error("camera: {0}")]
     Camera(&'static str),
@@ -74,6 +80,29 @@ pub enum RenderError {
     /// The device failed at work.
     #[error("Vulkan: {0}")]
     Gpu(String),
+}
+
+/// The buffers of one image.
+#[derive(Debug)]
+pub struct Planes<'a> {
+    /// sRGB bytes, 3 a pixel.
+    pub colour: &'a mut [u8],
+    /// Distance along the camera's z axis, metres; 0 where nothing was hit.
+    pub depth_m: &'a mut [f32],
+    /// Instance id of what was hit; 0 is background.
+    pub instance: &'a mut [u8],
+}
+
+impl Planes<'_> {
+    fn check(&self, intrinsics: &Intrinsics) -> Result<(), RenderError> {
+        let pixels = intrinsics.pixel_count();
+        if (self.colour.len(), self.depth_m.len(), self.instance.len())
+            == (3 * pixels, pixels, pixels)
+        {
+            return Ok(());
+        }
+        Err(RenderError::Buffers { pixels })
+    }
 }
 
 /// How much work goes into an image; depth and ids do not depend on it.
@@ -142,6 +171,34 @@ impl Renderer {
         frame: &mut CameraFrame,
     ) -> Result<(), RenderError> {
         camera.check(self.gpu.size_px_max)?;
+        let pixels = camera.intrinsics.pixel_count();
+        frame.colour.resize(3 * pixels, 0);
+        frame.instance.resize(pixels, 0);
+        frame.depth_m.resize(pixels, 0.0);
+        let planes = Planes {
+            colour: &mut frame.colour,
+            depth_m: &mut frame.depth_m,
+            instance: &mut frame.instance,
+        };
+        self.render_into(poses, camera, light, planes)?;
+        frame.intrinsics = camera.intrinsics;
+        frame.camera_in_scene = camera.camera_in_scene;
+        Ok(())
+    }
+
+    /// Takes one image straight into the caller's buffers: `width * height` pixels, row-major from the top left.
+    ///
+    /// # Errors
+    /// As [`Self::render`], and buffers of another size.
+    pub fn render_into(
+        &mut self,
+        poses: &[Pose],
+        camera: &Camera,
+        light: &Light,
+        mut planes: Planes<'_>,
+    ) -> Result<(), RenderError> {
+        camera.check(self.gpu.size_px_max)?;
+        planes.check(&camera.intrinsics)?;
         light.check()?;
         self.scene.place(&self.gpu.queue, poses, camera, light)?;
         let targets = match self.targets.take() {
@@ -160,10 +217,8 @@ impl Renderer {
             .draw_scene(&mut targets.begin(&mut encoder), &self.scene, shadows);
         targets.copy(&mut encoder);
         self.gpu.queue.submit([encoder.finish()]);
-        targets.read(&self.gpu, frame)?;
+        targets.read(&self.gpu, &mut planes)?;
         self.targets = Some(targets);
-        frame.intrinsics = camera.intrinsics;
-        frame.camera_in_scene = camera.camera_in_scene;
         Ok(())
     }
 }

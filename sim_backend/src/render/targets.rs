@@ -1,7 +1,8 @@
 //! The images on the device and the way they come back: one staging buffer, mapped once a frame.
 
-use hal::{CameraFrame, Intrinsics};
+use hal::Intrinsics;
 
+use super::Planes;
 use super::RenderError;
 use super::gpu::Gpu;
 
@@ -128,8 +129,8 @@ impl Targets {
         }
     }
 
-    /// Waits for the device and unpacks its images into `frame`.
-    pub(super) fn read(&self, gpu: &Gpu, frame: &mut CameraFrame) -> Result<(), RenderError> {
+    /// Waits for the device and unpacks its images into `planes`, which fit.
+    pub(super) fn read(&self, gpu: &Gpu, planes: &mut Planes<'_>) -> Result<(), RenderError> {
         // A failure shows as an error of `get_mapped_range`.
         self.staging.map_async(wgpu::MapMode::Read, .., |_| ());
         gpu.wait()?;
@@ -137,15 +138,11 @@ impl Targets {
             .staging
             .get_mapped_range(..)
             .map_err(|error| RenderError::Gpu(error.to_string()))?;
-        let pixels = self.width as usize * self.height as usize;
-        frame.colour.resize(3 * pixels, 0);
-        frame.instance.resize(pixels, 0);
-        frame.depth_m.resize(pixels, 0.0);
         let width = self.width as usize;
         for (row, out) in self
             .colour
             .rows(&mapped)
-            .zip(frame.colour.chunks_exact_mut(3 * width))
+            .zip(planes.colour.chunks_exact_mut(3 * width))
         {
             for (texel, rgb) in row.chunks_exact(4).zip(out.chunks_exact_mut(3)) {
                 rgb.copy_from_slice(&texel[..3]);
@@ -154,14 +151,14 @@ impl Targets {
         for (row, out) in self
             .instance
             .rows(&mapped)
-            .zip(frame.instance.chunks_exact_mut(width))
+            .zip(planes.instance.chunks_exact_mut(width))
         {
             out.copy_from_slice(row);
         }
         for (row, out) in self
             .range
             .rows(&mapped)
-            .zip(frame.depth_m.chunks_exact_mut(width))
+            .zip(planes.depth_m.chunks_exact_mut(width))
         {
             for (texel, depth) in row.as_chunks::<4>().0.iter().zip(out) {
                 *depth = f32::from_ne_bytes(*texel);
