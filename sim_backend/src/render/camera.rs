@@ -38,9 +38,9 @@ impl Default for Light {
         Self {
             position_in_camera_m: [0.010, -0.012, 0.0],
             cone_half_angle_rad: 0.8,
-            intensity: 2.6,
+            intensity: 2.7,
             reference_distance_m: 0.12,
-            ambient: 0.35,
+            ambient: 0.22,
         }
     }
 }

@@ -67,9 +67,11 @@ fn shadow_vertex(@location(0) position: vec3f, @builtin(instance_index) object: 
 
 @fragment
 fn scene_fragment(in: Varying) -> Pixel {
+    let footprint_m = length(fwidth(in.object_position));
     let object = objects[in.object];
-    let surface = surface_of(object, in.object_position, normalize(in.object_normal));
-    let linear = shade(surface, in.position);
+    let normal = normalize(in.object_normal);
+    let surface = surface_of(object, in.object_position, normal, footprint_m);
+    let linear = shade(surface, in.position, (object.camera_from_object * vec4f(normal, 0.0)).xyz);
     // Soft shoulder: highlights saturate slowly, as an endoscope's exposure control makes them.
     let exposed = vec3f(1.0) - exp(-linear);
     return Pixel(vec4f(exposed, 1.0), u32(object.instance), in.position.z);

@@ -3,7 +3,7 @@
 
 struct Surface {
     normal: vec3f,
-    // Normal without the fine relief: the film of fluid smooths it out.
+    // Normal of the film of fluid, whose menisci are steeper than the flesh.
     film_normal: vec3f,
     base_colour: vec3f,
     metallic: f32,
@@ -52,7 +52,7 @@ fn noise(p: vec3f) -> vec4f {
 }
 
 // Muscle: lobes, fibre bundles along the object's x axis, pale fascia between them, thin dark vessels.
-fn tissue(object: Object, p: vec3f, n: vec3f) -> Surface {
+fn tissue(object: Object, p: vec3f, n: vec3f, footprint_m: f32) -> Surface {
     let lobes = noise(p * 75.0);
     let lumps = noise(p * 210.0 + 17.0);
     let broad = 0.65 * lobes.w + 0.35 * lumps.w;
@@ -61,21 +61,26 @@ fn tissue(object: Object, p: vec3f, n: vec3f) -> Surface {
     let bundle_scale = vec3f(95.0, 780.0, 420.0);
     let bundles = noise(bent * bundle_scale + 5.0);
     let fibre_scale = vec3f(260.0, 2300.0, 1500.0);
-    let fibres = noise(bent * fibre_scale + 31.0);
+    // What is finer than the pixels fades to its mean instead of flickering.
+    let blur = smoothstep(0.6, 1.4, footprint_m * 2300.0);
+    let fibres = mix(noise(bent * fibre_scale + 31.0), vec4f(0.0, 0.0, 0.0, 0.5), blur);
     let strands = 0.6 * bundles.w + 0.4 * fibres.w;
 
     let amount = object.detail;
     let fascia = smoothstep(0.60, 0.85, strands) * smoothstep(0.35, 0.65, lumps.w);
-    let vessel_line = abs(lobes.w + 0.22 * (lumps.w - 0.5) - 0.53) / max(length(lobes.xyz) * 75.0, 20.0);
-    let vessel = (1.0 - smoothstep(0.00022, 0.00055, vessel_line)) * smoothstep(0.30, 0.50, lumps.w);
-    var colour = object.base_colour * (1.0 + amount * (1.1 * (strands - 0.5) + 0.9 * (broad - 0.5)));
-    colour = mix(colour, object.base_colour * vec3f(1.25, 2.6, 2.5), 0.55 * amount * fascia);
+    let steepness = length(lobes.xyz) * 75.0;
+    let off_line = abs(lobes.w + 0.22 * (lumps.w - 0.5) - 0.53) / max(steepness, 20.0);
+    // Thin, and gone where the noise is flat: there the line would spread into a blot.
+    let vessel = (1.0 - smoothstep(0.00012, 0.00042, off_line)) * smoothstep(0.34, 0.52, lumps.w)
+        * smoothstep(25.0, 60.0, steepness);
+    var colour = object.base_colour * (1.0 + amount * (1.5 * (strands - 0.5) + 1.0 * (broad - 0.5)));
+    colour = mix(colour, object.base_colour * vec3f(1.2, 2.8, 2.6), 0.5 * amount * fascia);
     colour = mix(colour, object.base_colour * vec3f(0.42, 0.30, 0.55), 0.75 * amount * vessel);
 
     let swell = lobes.xyz * 75.0 * 0.00110 + lumps.xyz * 210.0 * 0.00050;
     let relief = bundles.xyz * bundle_scale * 0.00034 + fibres.xyz * fibre_scale * 0.00007;
     let bumped = n - amount * tangential(swell + relief - 0.0003 * vessel * lobes.xyz, n);
-    let film = n - amount * tangential(swell + 0.45 * relief, n);
+    let film = n - amount * tangential(1.6 * swell + 2.4 * relief, n);
     return Surface(
         normalize(bumped),
         normalize(film),
@@ -102,10 +107,10 @@ fn tangential(v: vec3f, n: vec3f) -> vec3f {
     return v - dot(v, n) * n;
 }
 
-fn surface_of(object: Object, p: vec3f, n: vec3f) -> Surface {
+fn surface_of(object: Object, p: vec3f, n: vec3f, footprint_m: f32) -> Surface {
     var surface: Surface;
     if object.metallic < 0.5 {
-        surface = tissue(object, p, n);
+        surface = tissue(object, p, n, footprint_m);
     } else {
         surface = metal(object, p, n);
     }
@@ -114,7 +119,7 @@ fn surface_of(object: Object, p: vec3f, n: vec3f) -> Surface {
     return surface;
 }
 
-// Share of the light that arrives: the mean of four taps, each of which blends four texels.
+// Share of the light that arrives: the mean of two taps, each of which blends four texels.
 fn lit(position: vec3f, normal: vec3f) -> f32 {
     if !SHADOWS {
         return 1.0;
@@ -124,14 +129,11 @@ fn lit(position: vec3f, normal: vec3f) -> f32 {
     let clip = frame.light_clip_from_camera * vec4f(position + 2.0 * texel_m * normal, 1.0);
     let ndc = clip.xyz / clip.w;
     let at = vec2f(0.5 + 0.5 * ndc.x, 0.5 - 0.5 * ndc.y);
-    let near = 0.6 / SHADOW_MAP_PX;
-    let far = 1.6 / SHADOW_MAP_PX;
-    var sum = textureSampleCompareLevel(shadow_map, shadow_sampler, at + vec2f(far, near), ndc.z);
-    sum += textureSampleCompareLevel(shadow_map, shadow_sampler, at + vec2f(-near, far), ndc.z);
-    sum += textureSampleCompareLevel(shadow_map, shadow_sampler, at + vec2f(-far, -near), ndc.z);
-    sum += textureSampleCompareLevel(shadow_map, shadow_sampler, at + vec2f(near, -far), ndc.z);
+    let step = vec2f(0.9, 0.35) / SHADOW_MAP_PX;
+    let sum = textureSampleCompareLevel(shadow_map, shadow_sampler, at + step, ndc.z)
+        + textureSampleCompareLevel(shadow_map, shadow_sampler, at - step, ndc.z);
     let outside = max(abs(ndc.x), abs(ndc.y)) > 0.995;
-    return select(0.25 * sum, 1.0, outside);
+    return select(0.5 * sum, 1.0, outside);
 }
 
 // GGX with Smith's joint masking in the approximation of Hammon (2017) and Schlick's Fresnel.
@@ -162,13 +164,13 @@ fn surroundings(direction: vec3f) -> vec3f {
     return walls + vec3f(1.25, 1.15, 1.10) * glow * glow * glow;
 }
 
-fn shade(s: Surface, position: vec3f) -> vec3f {
+fn shade(s: Surface, position: vec3f, mesh_normal: vec3f) -> vec3f {
     let to_light = frame.light_position - position;
     let distance2 = dot(to_light, to_light);
     let l = to_light * inverseSqrt(distance2);
     let v = -normalize(position);
     let spot = smoothstep(frame.cone_cos_outer, frame.cone_cos_inner, -l.z);
-    let arriving = frame.light_power / distance2 * spot * lit(position, s.film_normal);
+    let arriving = frame.light_power / distance2 * spot * lit(position, mesh_normal);
     let roughness = clamp(s.roughness, 0.08, 1.0);
     let f0 = mix(vec3f(0.04), s.base_colour, s.metallic);
     let albedo = s.base_colour * (1.0 - s.metallic);
@@ -178,13 +180,13 @@ fn shade(s: Surface, position: vec3f) -> vec3f {
     let wrap = (1.0 - s.metallic) * vec3f(0.30, 0.08, 0.06);
     let diffuse = albedo * max((vec3f(n_l) + wrap) / (vec3f(1.0) + wrap), vec3f(0.0)) / (vec3f(1.0) + wrap);
     var direct = diffuse + specular(s.normal, v, l, roughness, f0);
-    direct += s.wetness * specular(s.film_normal, v, l, 0.22, vec3f(0.035));
+    direct += s.wetness * specular(s.film_normal, v, l, 0.30, vec3f(0.09));
 
     let facing = 0.5 + 0.5 * dot(s.normal, frame.up);
     var around = albedo * mix(vec3f(0.55, 0.36, 0.34), vec3f(1.0, 0.92, 0.9), facing);
     let n_v = max(dot(s.normal, v), 0.0);
     let mirror = surroundings(reflect(-v, s.normal));
-    around += mirror * fresnel(n_v, f0) * (1.0 - 0.45 * roughness) * mix(0.35, 1.0, s.metallic);
+    around += mirror * fresnel(n_v, f0) * (1.0 - 0.45 * roughness) * mix(0.35, 2.8, s.metallic);
     around += s.wetness * 0.5 * surroundings(reflect(-v, s.film_normal)) * fresnel(max(dot(s.film_normal, v), 0.0), vec3f(0.02));
     return arriving * direct + frame.ambient * around;
 }

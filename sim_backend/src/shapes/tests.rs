@@ -29,7 +29,7 @@ fn named() -> Vec<(&'static str, Mesh)> {
         ("cylinder", cylinder(0.004, -0.01, 0.02, 24)),
         ("capsule", capsule(0.002, 0.0, 0.01, 16)),
         ("sphere", sphere(0.01, 24)),
-        ("needle", tube(&arc(0.01, 0.0, 3.14, 40), &[0.0005], 8)),
+        ("needle", tube(&arc(0.01, 0.0, 3.0, 40), &[0.0005], 8)),
         (
             "field",
             height_field(0.02, 0.03, 12, |x, y| {
