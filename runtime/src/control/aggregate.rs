@@ -94,7 +94,7 @@ impl Aggregator {
         let newest = self.count.checked_sub(1)?;
         Some(match self.mode {
             Aggregation::WholeChunk => self.ring[newest].observed_at,
-            Aggregation::Ensemble { .. } | Aggregation::Newest => self.from_oldest(newest).observed_at,
+            Aggregation::Ensemble { .. } | Aggregation::Newest => self.by_age(newest).observed_at,
         })
     }
 
@@ -107,11 +107,11 @@ impl Aggregator {
         match self.mode {
             Aggregation::Ensemble { .. } => self.ensemble(both),
             Aggregation::WholeChunk => self.ring[..self.count].first().and_then(both),
-            Aggregation::Newest => (0..self.count).rev().find_map(|rank| both(self.from_oldest(rank))),
+            Aggregation::Newest => (0..self.count).rev().find_map(|rank| both(self.by_age(rank))),
         }
     }
 
-    fn from_oldest(&self, rank: usize) -> &Chunk {
+    fn by_age(&self, rank: usize) -> &Chunk {
         &self.ring[(self.next + RING - self.count + rank) % RING]
     }
 
@@ -119,7 +119,7 @@ impl Aggregator {
         let mut weights = self.weights.iter();
         let (mut here, mut later) = (Blend::default(), Blend::default());
         for rank in 0..self.count {
-            let Some((target, next)) = both(self.from_oldest(rank)) else { continue };
+            let Some((target, next)) = both(self.by_age(rank)) else { continue };
             let Some(&weight) = weights.next() else { break };
             here.add(&target, weight);
             later.add(&next, weight);

@@ -306,7 +306,7 @@ mod tests {
     #[test]
     fn the_committed_files_load() {
         let config = ControlConfig::load(&ControlConfig::default_control(), &ControlConfig::needle_lift_safety()).unwrap();
-        assert!((config.geometry.workspace_min_m.z + 0.153).abs() < 1e-12);
+        assert!((config.geometry.workspace_min_m.z + 0.155).abs() < 1e-12);
         assert_eq!(config.geometry.forbidden.len(), 1);
     }
 

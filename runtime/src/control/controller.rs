@@ -33,7 +33,7 @@ pub struct Controller {
     fault: Option<Fault>,
     /// What was commanded last.
     commanded: MotionState,
-    gate: Gate,
+    pub(super) gate: Gate,
     aggregator: Aggregator,
     tracking: Tracking,
     filter: Filter,

@@ -46,12 +46,11 @@ impl Smoother {
         if !(state.is_finite() && target_velocity.iter().all(|v| v.is_finite())) {
             return None;
         }
-        for axis in 0..AXES {
-            let limit = self.velocity_max[axis];
+        for (axis, (&velocity, &limit)) in target_velocity.iter().zip(&self.velocity_max).enumerate() {
             self.input.current_position[axis] = state.position[axis];
             self.input.current_velocity[axis] = state.velocity[axis];
             self.input.current_acceleration[axis] = state.acceleration[axis];
-            self.input.target_velocity[axis] = target_velocity[axis].clamp(-limit, limit);
+            self.input.target_velocity[axis] = velocity.clamp(-limit, limit);
         }
         let result = self.ruckig.calculate(&self.input, &mut self.trajectory);
         if !matches!(result, Ok(RuckigResult::Working | RuckigResult::Finished)) {

@@ -1,0 +1,119 @@
+//! Operator, faults and drives, seen from outside.
+
+use hal::{ArmError, ArmState, TipTarget};
+use nalgebra::Vector3;
+
+use super::{Bench, config, pose};
+use crate::control::{Fault, OperatingState, OperatorEvent};
+
+fn moving() -> Bench {
+    let mut bench = Bench::enabled(&config());
+    let chunk =
+        bench.chunk_along(|time_s| TipTarget::new(&pose(0.04 * time_s, 0.0, -0.1135, Vector3::zeros()), 0.2));
+    for _ in 0..300 {
+        bench.step(Some(&chunk), None);
+    }
+    assert!(bench.controller.mode().busy);
+    bench
+}
+
+fn run_to_rest(bench: &mut Bench) {
+    for _ in 0..300 {
+        bench.step(None, None);
+    }
+    assert!(!bench.controller.mode().busy);
+}
+
+#[test]
+fn the_first_commands_are_where_the_arm_is() {
+    let mut bench = Bench::disabled(&config());
+    bench.arm.position[0] = 0.123;
+    let output = bench.step(None, None);
+    assert_eq!((output.command.position, output.command.enabled), (bench.arm.position, false));
+    let output = bench.step(None, Some(OperatorEvent::Enable));
+    assert!(output.command.enabled && output.report.mode.homed);
+    assert!((output.command.position[0] - 0.123).abs() < 1e-15);
+}
+
+#[test]
+fn a_lost_measurement_stops_the_arm_and_holds_it_until_the_operator_clears() {
+    let mut bench = moving();
+    let error = ArmError::MeasurementLost { age_ns: 5_000_000 };
+    let output = bench.step_measuring(Err(error), None, None);
+    assert_eq!(output.report.fault, Some(Fault::Arm(error)));
+    run_to_rest(&mut bench);
+    let output = bench.step(None, Some(OperatorEvent::Enable));
+    assert_eq!(output.report.mode.state, OperatingState::Fault);
+    assert!(output.command.enabled);
+    let output = bench.step(None, Some(OperatorEvent::Clear));
+    assert_eq!((output.report.mode.state, output.report.fault), (OperatingState::Disabled, None));
+    assert!(!output.command.enabled);
+    assert_eq!(bench.step(None, Some(OperatorEvent::Enable)).report.mode.state, OperatingState::Enabled);
+}
+
+#[test]
+fn nan_in_the_measurement_is_a_fault() {
+    let mut bench = moving();
+    let measured = ArmState { jaw_effort: f64::NAN, ..bench.arm };
+    let output = bench.step_measuring(Ok(measured), None, None);
+    assert_eq!(output.report.fault, Some(Fault::MeasurementNotFinite));
+    assert!(output.command.position.iter().all(|x| x.is_finite()));
+}
+
+#[test]
+fn an_arm_that_does_not_follow_is_stopped_and_released() {
+    let mut bench = moving();
+    let mut measured = bench.arm;
+    measured.position[1] += 0.2;
+    let output = bench.step_measuring(Ok(measured), None, None);
+    assert!(matches!(output.report.fault, Some(Fault::TrackingError { joint: 1, .. })), "{:?}", output.report.fault);
+    assert!(output.command.enabled, "torque stays until rest");
+    run_to_rest(&mut bench);
+    assert!(!bench.step(None, None).command.enabled);
+}
+
+#[test]
+fn disabling_while_moving_stops_first_and_releases_then() {
+    let mut bench = moving();
+    let output = bench.step(None, Some(OperatorEvent::Disable));
+    assert!(output.command.enabled && output.report.mode.busy);
+    run_to_rest(&mut bench);
+    assert!(!bench.step(None, None).command.enabled);
+}
+
+#[test]
+fn a_paused_arm_holds_and_goes_on_with_fresh_chunks() {
+    let mut bench = moving();
+    bench.step(None, Some(OperatorEvent::Pause));
+    run_to_rest(&mut bench);
+    let held = bench.arm.position;
+    let goal = TipTarget::new(&bench.tip(), 0.2);
+    let chunk = bench.chunk_along(|_| goal);
+    let output = bench.step(Some(&chunk), None);
+    assert_eq!((output.report.gate, output.command.position), (None, held));
+    assert!(output.command.enabled);
+    let output = bench.step(Some(&chunk), Some(OperatorEvent::Resume));
+    assert_eq!(output.report.mode.state, OperatingState::Enabled);
+    assert!(output.report.target.is_some());
+}
+
+#[test]
+fn an_arm_enabled_outside_its_workspace_comes_back_and_never_gets_further() {
+    let config = config();
+    let mut bench = Bench::disabled(&config);
+    // The tip 5 mm beyond the ceiling and the insertion short of its range.
+    bench.arm.position[2] = 0.0565 - 0.005 + 0.0065 + 0.005;
+    let start = bench.tip();
+    let ceiling_m = config.geometry.workspace_max_m.z;
+    assert!(start.translation.z > ceiling_m, "{}", start.translation.z - ceiling_m);
+    bench.step(None, Some(OperatorEvent::Enable));
+    let goal = TipTarget::new(&pose(0.0, 0.0, -0.10, Vector3::zeros()), 0.2);
+    let mut highest_m = f64::NEG_INFINITY;
+    for tick in 0..4000 {
+        let chunk = bench.chunk_along(|_| goal);
+        bench.step((tick % 40 == 0).then_some(&chunk), None);
+        highest_m = highest_m.max(bench.tip().translation.z);
+    }
+    assert!(highest_m <= start.translation.z + 1e-4);
+    assert!((bench.tip().translation.z + 0.10).abs() < 1e-5, "{}", bench.tip().translation.z);
+}
