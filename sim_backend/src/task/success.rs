@@ -293,15 +293,17 @@ mod tests {
 
     #[test]
     fn needle_that_still_hangs_onto_the_organ_is_no_success() {
-        let mut bench = Bench::new();
         // Turned about the grip until its ends hang down: the middle is high, the ends are in the organ.
-        let hanging = UnitQuaternion::from_axis_angle(&Vector3::y_axis(), -1.5);
-        let middle = Point3::new(bench.task.needle.arc_radius_m, 0.0, 0.0);
-        let turned = Translation3::from(middle.coords) * hanging * Translation3::from(-middle.coords);
-        bench.lying *= turned;
-        let ends_m = bench.task.needle.arc_radius_m;
-        assert_eq!(bench.lift(0.021, 3.0, &FIRM), Outcome::Running);
-        assert_eq!(bench.lift(0.021 + ends_m, 0.6, &FIRM), Outcome::Success);
+        let hanging = || {
+            let mut bench = Bench::new();
+            let middle = Vector3::new(bench.task.needle.arc_radius_m, 0.0, 0.0);
+            let turn = UnitQuaternion::from_axis_angle(&Vector3::y_axis(), -1.5);
+            bench.lying *= Translation3::from(middle) * turn * Translation3::from(-middle);
+            bench
+        };
+        let ends_m = hanging().task.needle.arc_radius_m;
+        assert_eq!(hanging().lift(0.021, 3.0, &FIRM), Outcome::Running);
+        assert_eq!(hanging().lift(0.021 + ends_m, 0.6, &FIRM), Outcome::Success);
     }
 
     #[test]
