@@ -1,0 +1,84 @@
+//! Camera frames as the log keeps them: the colour image as PNG, and the lens.
+
+use hal::{CameraFrame, Intrinsics, TimeNs};
+use image::{ExtendedColorType, ImageEncoder, codecs::png};
+
+use super::error::LogError;
+use super::messages::{CameraCalibration, CompressedImage, Timestamp};
+
+/// A frame on its way to the writer thread.
+pub(super) struct FrameItem {
+    name: String,
+    stamp: TimeNs,
+    intrinsics: Intrinsics,
+    colour: Vec<u8>,
+}
+
+/// A frame ready to be written.
+pub(super) struct Encoded {
+    pub(super) image: CompressedImage,
+    pub(super) lens: CameraCalibration,
+}
+
+/// The two channels of one camera.
+#[derive(Clone, Copy)]
+pub(super) struct Channels {
+    pub(super) image: u16,
+    pub(super) lens: u16,
+}
+
+impl FrameItem {
+    /// Copies what the log keeps of `frame`.
+    pub(super) fn new(name: &str, frame: &CameraFrame) -> Self {
+        Self {
+            name: name.to_owned(),
+            stamp: frame.stamp,
+            intrinsics: frame.intrinsics,
+            colour: frame.colour.clone(),
+        }
+    }
+
+    pub(super) fn name(&self) -> &str {
+        &self.name
+    }
+
+    pub(super) const fn stamp(&self) -> TimeNs {
+        self.stamp
+    }
+
+    /// Compresses the image.
+    ///
+    /// # Errors
+    /// [`LogError::Image`] when the pixels do not fill the image.
+    pub(super) fn encode(&self) -> Result<Encoded, LogError> {
+        let failed = |reason: String| LogError::Image { camera: self.name.clone(), reason };
+        let Intrinsics { width, height, fx, fy, cx, cy } = self.intrinsics;
+        let expected = 3 * self.intrinsics.pixel_count();
+        if self.colour.len() != expected {
+            return Err(failed(format!("{} bytes of colour, expected {expected}", self.colour.len())));
+        }
+        let mut data = Vec::new();
+        png::PngEncoder::new_with_quality(&mut data, png::CompressionType::Fast, png::FilterType::Sub)
+            .write_image(&self.colour, width, height, ExtendedColorType::Rgb8)
+            .map_err(|error| failed(error.to_string()))?;
+        let timestamp = Some(Timestamp::new(self.stamp));
+        let image = CompressedImage {
+            timestamp,
+            data,
+            format: "png".to_owned(),
+            frame_id: self.name.clone(),
+        };
+        let lens = CameraCalibration {
+            timestamp,
+            width,
+            height,
+            distortion_model: String::new(),
+            d: Vec::new(),
+            k: vec![fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0],
+            r: vec![1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0],
+            p: vec![fx, 0.0, cx, 0.0, 0.0, fy, cy, 0.0, 0.0, 0.0, 1.0, 0.0],
+            frame_id: self.name.clone(),
+        };
+        Ok(Encoded { image, lens })
+    }
+}

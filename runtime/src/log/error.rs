@@ -1,0 +1,62 @@
+//! What can go wrong with a log.
+
+use std::path::PathBuf;
+
+/// Why a log could not be written or read.
+#[derive(Debug, thiserror::Error)]
+pub enum LogError {
+    /// The file could not be created, written or read.
+    #[error("{path}: {source}")]
+    Io {
+        /// The file.
+        path: PathBuf,
+        /// The system's reason.
+        source: std::io::Error,
+    },
+    /// The container could not be written.
+    #[error("{path}: the log could not be written: {source}")]
+    Write {
+        /// The file.
+        path: PathBuf,
+        /// The container's reason.
+        source: mcap::McapError,
+    },
+    /// A camera image could not be encoded.
+    #[error("camera {camera}: the image could not be encoded: {reason}")]
+    Image {
+        /// Camera name.
+        camera: String,
+        /// Why not.
+        reason: String,
+    },
+    /// The writer thread died.
+    #[error("{path}: the log's writer thread has died")]
+    WriterDied {
+        /// The file.
+        path: PathBuf,
+    },
+    /// The file is something else.
+    #[error("{path}: not an MCAP file: it starts with other bytes than MCAP's magic")]
+    NotMcap {
+        /// The file.
+        path: PathBuf,
+    },
+    /// The file is an MCAP file, but not one of ours.
+    #[error("{path}: an MCAP file, but no Trocar log: {missing} is missing")]
+    NotOurs {
+        /// The file.
+        path: PathBuf,
+        /// What a log of ours would have.
+        missing: String,
+    },
+    /// Bytes inside the file are not what was written.
+    #[error("{path}: damaged at byte {offset}: {reason}")]
+    Damaged {
+        /// The file.
+        path: PathBuf,
+        /// Where the damaged record begins.
+        offset: usize,
+        /// What is wrong.
+        reason: String,
+    },
+}

@@ -1,0 +1,97 @@
+//! Floating-point numbers in JSON that come back bit for bit, also those that JSON has no number for.
+
+use core::fmt;
+
+use serde::de::{Error, Visitor};
+use serde::{Deserialize, Deserializer, Serialize, Serializer};
+
+/// A double in JSON: finite ones as their shortest exact decimal, the others as `"inf"`, `"-inf"` or
+/// `"nan:<16 hex digits>"`, the digits being the bits.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Exact(pub(super) f64);
+
+const NAN: &str = "nan:";
+
+impl Serialize for Exact {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        let Self(value) = *self;
+        if value.is_finite() {
+            return serializer.serialize_f64(value);
+        }
+        if value.is_nan() {
+            return serializer.collect_str(&format_args!("{NAN}{:016x}", value.to_bits()));
+        }
+        serializer.serialize_str(if value > 0.0 { "inf" } else { "-inf" })
+    }
+}
+
+impl<'de> Deserialize<'de> for Exact {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        deserializer.deserialize_any(ExactVisitor)
+    }
+}
+
+struct ExactVisitor;
+
+impl Visitor<'_> for ExactVisitor {
+    type Value = Exact;
+
+    fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("a number, \"inf\", \"-inf\" or \"nan:<bits>\"")
+    }
+
+    fn visit_f64<E: Error>(self, value: f64) -> Result<Exact, E> {
+        Ok(Exact(value))
+    }
+
+    fn visit_str<E: Error>(self, text: &str) -> Result<Exact, E> {
+        let value = match text {
+            "inf" => Some(f64::INFINITY),
+            "-inf" => Some(f64::NEG_INFINITY),
+            _ => text
+                .strip_prefix(NAN)
+                .and_then(|digits| u64::from_str_radix(digits, 16).ok())
+                .map(f64::from_bits)
+                .filter(|value| value.is_nan()),
+        };
+        value.map(Exact).ok_or_else(|| E::invalid_value(serde::de::Unexpected::Str(text), &self))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn returned(value: f64) -> f64 {
+        let text = serde_json::to_string(&Exact(value)).unwrap();
+        let Exact(back) = serde_json::from_str(&text).unwrap();
+        back
+    }
+
+    #[test]
+    fn awkward_numbers_return_with_the_same_bits() {
+        let quiet = f64::from_bits(0x7ff8_0000_dead_beef);
+        let awkward =
+            [0.0, -0.0, 5e-324, -5e-324, f64::MIN_POSITIVE, f64::MAX, 1e308, 0.1, f64::INFINITY, f64::NEG_INFINITY];
+        for value in awkward.into_iter().chain([f64::NAN, -f64::NAN, quiet]) {
+            assert_eq!(returned(value).to_bits(), value.to_bits(), "{value:?}");
+        }
+    }
+
+    #[test]
+    fn a_hundred_thousand_random_bit_patterns_return() {
+        let mut state = 1_u64;
+        for _ in 0..100_000 {
+            state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+            let value = f64::from_bits(state);
+            assert_eq!(returned(value).to_bits(), value.to_bits(), "{state:016x}");
+        }
+    }
+
+    #[test]
+    fn other_texts_are_refused() {
+        for text in ["\"\"", "\"NaN\"", "\"nan:3ff0000000000000\"", "\"nan:zz\"", "null"] {
+            assert!(serde_json::from_str::<Exact>(text).is_err(), "{text}");
+        }
+    }
+}

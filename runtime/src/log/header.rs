@@ -1,0 +1,149 @@
+//! What a log says about its run as a whole: how it was set up, and how it ended.
+
+use std::collections::BTreeMap;
+
+/// How a run was set up; written before the first tick.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct RunHeader {
+    /// Task name.
+    pub task: String,
+    /// `expert`, `noop`, `random` or the checkpoint's directory.
+    pub policy: String,
+    /// What everything random hangs on.
+    pub seed: u64,
+    /// Whether time was the tick counter.
+    pub lockstep: bool,
+    /// What was running: program, libraries, commit; name to version.
+    pub versions: BTreeMap<String, String>,
+    /// The effective configuration; file name (`control.toml`) to text.
+    pub texts: BTreeMap<String, String>,
+}
+
+/// How a run ended; written after the last tick.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct RunOutcome {
+    /// Whether the task was done.
+    pub success: bool,
+    /// Why the run ended.
+    pub reason: String,
+    /// Hash over the bits of every command, as the run reported it.
+    pub command_hash: String,
+}
+
+/// What the logger wrote and what it had to leave out.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct LogCounts {
+    /// Ticks written.
+    pub ticks: u64,
+    /// Chunks written.
+    pub chunks: u64,
+    /// Camera frames written.
+    pub frames: u64,
+    /// Ticks that found the queue full.
+    pub ticks_dropped: u64,
+    /// Chunks that found the queue full.
+    pub chunks_dropped: u64,
+    /// Frames that found the queue full.
+    pub frames_dropped: u64,
+    /// Events that found the queue full.
+    pub events_dropped: u64,
+}
+
+pub(super) const RUN: &str = "run";
+pub(super) const VERSIONS: &str = "versions";
+pub(super) const CONFIGURATION: &str = "configuration";
+pub(super) const OUTCOME: &str = "outcome";
+
+type Map = BTreeMap<String, String>;
+
+fn number(map: &Map, key: &str) -> Option<u64> {
+    map.get(key)?.parse().ok()
+}
+
+impl RunHeader {
+    /// The metadata records that hold this header: name and entries.
+    pub(super) fn to_metadata(&self) -> [(&'static str, Map); 3] {
+        let run = [
+            ("task", self.task.clone()),
+            ("policy", self.policy.clone()),
+            ("seed", self.seed.to_string()),
+            ("lockstep", self.lockstep.to_string()),
+        ];
+        let run = run.into_iter().map(|(key, value)| (key.to_owned(), value)).collect();
+        [(RUN, run), (VERSIONS, self.versions.clone()), (CONFIGURATION, self.texts.clone())]
+    }
+
+    /// Takes over one metadata record; `false` if it lacks something.
+    pub(super) fn absorb(&mut self, name: &str, map: Map) -> bool {
+        match name {
+            RUN => {
+                let (Some(task), Some(policy)) = (map.get("task"), map.get("policy")) else {
+                    return false;
+                };
+                let Some(seed) = number(&map, "seed") else {
+                    return false;
+                };
+                self.task.clone_from(task);
+                self.policy.clone_from(policy);
+                self.seed = seed;
+                self.lockstep = map.get("lockstep").is_some_and(|text| text == "true");
+            }
+            VERSIONS => self.versions = map,
+            CONFIGURATION => self.texts = map,
+            _ => {}
+        }
+        true
+    }
+}
+
+const COUNT_KEYS: [&str; 7] =
+    ["ticks", "chunks", "frames", "ticks_dropped", "chunks_dropped", "frames_dropped", "events_dropped"];
+
+impl LogCounts {
+    fn values(&self) -> [u64; 7] {
+        [
+            self.ticks,
+            self.chunks,
+            self.frames,
+            self.ticks_dropped,
+            self.chunks_dropped,
+            self.frames_dropped,
+            self.events_dropped,
+        ]
+    }
+
+    /// Whether ticks or chunks are missing, without which a replay cannot be exact.
+    #[must_use]
+    pub const fn lost_inputs(&self) -> bool {
+        self.ticks_dropped > 0 || self.chunks_dropped > 0
+    }
+}
+
+/// The closing metadata record: the outcome, if the run had one, and what was written.
+pub(super) fn closing_metadata(outcome: Option<&RunOutcome>, counts: &LogCounts) -> Map {
+    let mut map: Map =
+        COUNT_KEYS.iter().zip(counts.values()).map(|(key, value)| ((*key).to_owned(), value.to_string())).collect();
+    if let Some(outcome) = outcome {
+        map.insert("success".to_owned(), outcome.success.to_string());
+        map.insert("reason".to_owned(), outcome.reason.clone());
+        map.insert("command_hash".to_owned(), outcome.command_hash.clone());
+    }
+    map
+}
+
+/// Reads what [`closing_metadata`] wrote; `None` if a count is missing.
+pub(super) fn parse_closing(map: &Map) -> Option<(Option<RunOutcome>, LogCounts)> {
+    let mut values = [0; COUNT_KEYS.len()];
+    for (value, key) in values.iter_mut().zip(COUNT_KEYS) {
+        *value = number(map, key)?;
+    }
+    let [ticks, chunks, frames, ticks_dropped, chunks_dropped, frames_dropped, events_dropped] = values;
+    let counts =
+        LogCounts { ticks, chunks, frames, ticks_dropped, chunks_dropped, frames_dropped, events_dropped };
+    let outcome = map.get("success").map(|success| RunOutcome {
+        success: success == "true",
+        reason: map.get("reason").cloned().unwrap_or_default(),
+        command_hash: map.get("command_hash").cloned().unwrap_or_default(),
+    });
+    Some((outcome, counts))
+}

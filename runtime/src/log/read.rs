@@ -1,0 +1,213 @@
+//! Reads a run's log back: every tick with the chunk that it was given, bit for bit.
+
+use std::collections::BTreeMap;
+use std::fs;
+use std::path::Path;
+
+use hal::{Chunk, TimeNs};
+use mcap::records::MessageHeader;
+use prost::Message;
+use serde::de::DeserializeOwned;
+
+use super::container::{self, Visitor};
+use super::error::LogError;
+use super::header::{self, LogCounts, RunHeader, RunOutcome};
+use super::joints;
+use super::json::{ChunkMessage, TickMessage, TimingMessage};
+use super::messages::JointStates;
+use super::record::{LoggedTick, TickTiming};
+use super::topic::Topic;
+use crate::control::OperatorEvent;
+
+/// A log in memory.
+#[derive(Clone, Debug, Default)]
+pub struct RunLog {
+    /// How the run was set up.
+    pub header: RunHeader,
+    /// How it ended; `None` if it was not closed properly.
+    pub outcome: Option<RunOutcome>,
+    /// What was written; `None` if the file was cut.
+    pub counts: Option<LogCounts>,
+    /// Where the logger had to leave something out; empty if nothing is missing.
+    pub losses: Vec<Loss>,
+    cut: Option<String>,
+    ticks: Vec<LoggedTick>,
+    chunks: BTreeMap<usize, Chunk>,
+}
+
+/// Something that the controller saw and the log lacks.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Loss {
+    /// Ticks were dropped.
+    Ticks {
+        /// How many ticks of the log come before them.
+        position: usize,
+        /// How many were dropped.
+        count: u64,
+    },
+    /// The chunk of a tick was dropped.
+    Chunk {
+        /// The tick that was given it.
+        tick: u64,
+    },
+}
+
+impl RunLog {
+    /// Reads the log at `path`, up to the cut if it was cut.
+    ///
+    /// # Errors
+    /// [`LogError`] when there is no such file, it is no log of ours, or bytes in it have changed.
+    pub fn open(path: &Path) -> Result<Self, LogError> {
+        let bytes = fs::read(path).map_err(|source| LogError::Io { path: path.to_owned(), source })?;
+        Self::from_bytes(path, &bytes)
+    }
+
+    /// Reads a log from memory; `path` is for messages.
+    ///
+    /// # Errors
+    /// As [`Self::open`].
+    pub fn from_bytes(path: &Path, bytes: &[u8]) -> Result<Self, LogError> {
+        let mut assembly = Assembly::default();
+        let cut = container::walk(path, bytes, &mut assembly)?;
+        if !assembly.has_header {
+            return Err(LogError::NotOurs { path: path.to_owned(), missing: "the metadata record `run`".to_owned() });
+        }
+        let mut log = assembly.log;
+        log.cut = cut;
+        if let Some(counts) = log.counts {
+            let handed_over = counts.ticks.saturating_add(counts.ticks_dropped);
+            let count = handed_over.saturating_sub(assembly.next_record);
+            if count > 0 {
+                log.losses.push(Loss::Ticks { position: log.ticks.len(), count });
+            }
+        }
+        Ok(log)
+    }
+
+    /// The ticks in order, each with the chunk that it was given.
+    pub fn ticks(&self) -> impl ExactSizeIterator<Item = (&LoggedTick, Option<&Chunk>)> {
+        self.ticks.iter().enumerate().map(|(index, tick)| (tick, self.chunks.get(&index)))
+    }
+
+    /// Why the file ends before its end, if it does.
+    #[must_use]
+    pub fn cut(&self) -> Option<&str> {
+        self.cut.as_deref()
+    }
+
+    /// How many ticks there are.
+    #[must_use]
+    pub fn tick_count(&self) -> usize {
+        self.ticks.len()
+    }
+
+    /// Text of the configuration file `name`, as the run used it.
+    #[must_use]
+    pub fn text(&self, name: &str) -> Option<&str> {
+        self.header.texts.get(name).map(String::as_str)
+    }
+}
+
+/// The log as it grows, and the messages of the tick that is not complete yet.
+#[derive(Default)]
+struct Assembly {
+    log: RunLog,
+    has_header: bool,
+    next_record: u64,
+    measured: Option<JointStates>,
+    setpoint: Option<JointStates>,
+    jaw: Option<JointStates>,
+    timing: Option<TimingMessage>,
+    chunk: Option<ChunkMessage>,
+}
+
+impl Visitor for Assembly {
+    fn message(&mut self, topic: &str, _: &MessageHeader, data: &[u8]) -> Result<(), String> {
+        let Some(topic) = Topic::ALL.into_iter().find(|known| known.name() == topic) else {
+            return Ok(());
+        };
+        match topic {
+            Topic::MeasuredJs => self.measured = Some(protobuf(data)?),
+            Topic::SetpointJs => self.setpoint = Some(protobuf(data)?),
+            Topic::Jaw => self.jaw = Some(protobuf(data)?),
+            Topic::Timing => self.timing = Some(json(data)?),
+            Topic::Chunk => self.chunk = Some(json(data)?),
+            Topic::Tick => self.complete(&json(data)?)?,
+            // For people; not part of what the controller was given or answered.
+            Topic::MeasuredCp | Topic::Safety | Topic::Events => {}
+        }
+        Ok(())
+    }
+
+    fn metadata(&mut self, name: &str, map: BTreeMap<String, String>) -> Result<(), String> {
+        if name == header::OUTCOME {
+            let (outcome, counts) = header::parse_closing(&map).ok_or("the outcome lacks a count")?;
+            self.log.outcome = outcome;
+            self.log.counts = Some(counts);
+            return Ok(());
+        }
+        self.has_header |= name == header::RUN;
+        if self.log.header.absorb(name, map) { Ok(()) } else { Err(format!("metadata `{name}` lacks an entry")) }
+    }
+}
+
+impl Assembly {
+    /// Puts a tick together from the messages since the one before.
+    fn complete(&mut self, message: &TickMessage) -> Result<(), String> {
+        let lacks = |what: &str| format!("tick {} lacks its {what}", message.tick);
+        let jaw = self.jaw.take().ok_or_else(|| lacks("jaw"))?;
+        let measured = self.measured.take();
+        let measured = match (message.error, measured) {
+            (Some(error), _) => Err(error.into()),
+            (None, Some(states)) => Ok(joints::state(&states, &jaw).ok_or_else(|| lacks("measurement"))?),
+            (None, None) => return Err(lacks("measurement")),
+        };
+        let setpoint = self.setpoint.take().ok_or_else(|| lacks("setpoint"))?;
+        let command = joints::command(&setpoint, &jaw, message.enabled).ok_or_else(|| lacks("setpoint"))?;
+        let timing = self.timing.take().filter(|timing| timing.tick == message.tick).ok_or_else(|| lacks("timing"))?;
+        self.note_gap(message)?;
+        self.take_chunk(message)?;
+        self.log.ticks.push(LoggedTick {
+            tick: message.tick,
+            now: TimeNs(message.now_ns),
+            measured,
+            operator: message.operator.map(OperatorEvent::from),
+            chunk_sequence: message.chunk.map(|chunk| chunk.sequence),
+            command,
+            timing: TickTiming { wake_ns: timing.wake_ns, compute_ns: timing.compute_ns },
+        });
+        Ok(())
+    }
+
+    fn note_gap(&mut self, message: &TickMessage) -> Result<(), String> {
+        let count = message.record.checked_sub(self.next_record).ok_or("the record numbers go backwards")?;
+        if count > 0 {
+            self.log.losses.push(Loss::Ticks { position: self.log.ticks.len(), count });
+        }
+        self.next_record = message.record.checked_add(1).ok_or("the record number is out of range")?;
+        Ok(())
+    }
+
+    fn take_chunk(&mut self, message: &TickMessage) -> Result<(), String> {
+        let chunk = self.chunk.take();
+        let Some(wanted) = message.chunk else {
+            return Ok(());
+        };
+        match chunk.filter(|chunk| Some(chunk.record) == wanted.record) {
+            Some(found) => {
+                let chunk = found.chunk().ok_or("a chunk has more targets than a chunk can hold")?;
+                self.log.chunks.insert(self.log.ticks.len(), chunk);
+            }
+            None => self.log.losses.push(Loss::Chunk { tick: message.tick }),
+        }
+        Ok(())
+    }
+}
+
+fn protobuf(data: &[u8]) -> Result<JointStates, String> {
+    JointStates::decode(data).map_err(|error| error.to_string())
+}
+
+fn json<T: DeserializeOwned>(data: &[u8]) -> Result<T, String> {
+    serde_json::from_slice(data).map_err(|error| error.to_string())
+}

@@ -1,0 +1,146 @@
+//! The topics of the log and the schema of each.
+
+use std::collections::BTreeMap;
+use std::io::{Seek, Write};
+
+use mcap::{McapResult, Writer};
+
+/// A topic that every log has. Cameras come on top, one pair of topics each.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Topic {
+    /// What the arm measured.
+    MeasuredJs,
+    /// What it was told.
+    SetpointJs,
+    /// Where its tip was.
+    MeasuredCp,
+    /// The jaw, measured and told.
+    Jaw,
+    /// Chunks, in the tick in which the controller was given them.
+    Chunk,
+    /// What the controller says about its answer.
+    Safety,
+    /// Host timing.
+    Timing,
+    /// The rest of what the controller was given; the last message of a tick.
+    Tick,
+    /// What happened, in words.
+    Events,
+}
+
+/// How many topics [`Topic`] has.
+pub(super) const TOPIC_COUNT: usize = 9;
+
+impl Topic {
+    /// All of them, in the order of their numbers.
+    pub(super) const ALL: [Self; TOPIC_COUNT] = [
+        Self::MeasuredJs,
+        Self::SetpointJs,
+        Self::MeasuredCp,
+        Self::Jaw,
+        Self::Chunk,
+        Self::Safety,
+        Self::Timing,
+        Self::Tick,
+        Self::Events,
+    ];
+
+    /// The name in the file.
+    pub(super) const fn name(self) -> &'static str {
+        match self {
+            Self::MeasuredJs => "/psm1/measured_js",
+            Self::SetpointJs => "/psm1/setpoint_js",
+            Self::MeasuredCp => "/psm1/measured_cp",
+            Self::Jaw => "/psm1/jaw",
+            Self::Chunk => "/policy/chunk",
+            Self::Safety => "/safety",
+            Self::Timing => "/timing",
+            Self::Tick => "/psm1/tick",
+            Self::Events => "/events",
+        }
+    }
+
+    const fn schema(self) -> Schema {
+        match self {
+            Self::MeasuredJs | Self::SetpointJs | Self::Jaw => Schema::Protobuf("foxglove.JointStates"),
+            Self::MeasuredCp => Schema::Protobuf("foxglove.PoseInFrame"),
+            Self::Events => Schema::Protobuf("foxglove.Log"),
+            Self::Chunk => Schema::Json("trocar.Chunk", CHUNK_SCHEMA),
+            Self::Safety => Schema::Json("trocar.Safety", SAFETY_SCHEMA),
+            Self::Timing => Schema::Json("trocar.Timing", TIMING_SCHEMA),
+            Self::Tick => Schema::Json("trocar.Tick", TICK_SCHEMA),
+        }
+    }
+}
+
+/// How the messages of a topic are encoded.
+#[derive(Clone, Copy)]
+pub(super) enum Schema {
+    /// Protobuf message of this name.
+    Protobuf(&'static str),
+    /// JSON of this name and JSON schema.
+    Json(&'static str, &'static str),
+}
+
+/// Registers a topic with its schema and gives its channel.
+pub(super) fn add_channel<W: Write + Seek>(writer: &mut Writer<W>, name: &str, schema: Schema) -> McapResult<u16> {
+    let none = BTreeMap::new();
+    match schema {
+        Schema::Protobuf(message) => {
+            let descriptors = super::descriptor::file_descriptor_set();
+            let id = writer.add_schema(message, "protobuf", &descriptors)?;
+            writer.add_channel(id, name, "protobuf", &none)
+        }
+        Schema::Json(title, text) => {
+            let id = writer.add_schema(title, "jsonschema", text.as_bytes())?;
+            writer.add_channel(id, name, "json", &none)
+        }
+    }
+}
+
+/// Registers every topic of [`Topic`].
+pub(super) fn add_channels<W: Write + Seek>(writer: &mut Writer<W>) -> McapResult<[u16; TOPIC_COUNT]> {
+    let mut channels = [0; TOPIC_COUNT];
+    for (channel, topic) in channels.iter_mut().zip(Topic::ALL) {
+        *channel = add_channel(writer, topic.name(), topic.schema())?;
+    }
+    Ok(channels)
+}
+
+const CHUNK_SCHEMA: &str = r#"{"title": "trocar.Chunk", "type": "object",
+"description": "A policy's answer. Target k is due at observed_at_ns + k * step_ns. Non-finite numbers are the strings inf, -inf, nan:<bits>.",
+"properties": {
+  "record": {"type": "integer", "description": "counts the chunks that the controller was given, from 0"},
+  "sequence": {"type": "integer"}, "observed_at_ns": {"type": "integer"}, "step_ns": {"type": "integer"},
+  "len": {"type": "integer"}, "reserved": {"type": "integer"},
+  "targets": {"type": "array", "items": {"type": "array", "minItems": 8, "maxItems": 8,
+    "items": {"type": ["number", "string"]},
+    "description": "tip position x, y, z in the RCM frame, m; rotation quaternion x, y, z, w; jaw angle, rad"}}}}"#;
+
+const SAFETY_SCHEMA: &str = r#"{"title": "trocar.Safety", "type": "object",
+"properties": {"tick": {"type": "integer"},
+  "mode": {"enum": ["DISABLED", "ENABLED", "PAUSED", "FAULT"]}, "homed": {"type": "boolean"}, "busy": {"type": "boolean"},
+  "gate": {"type": ["string", "null"], "description": "the input gate's verdict on a new chunk"},
+  "qp": {"enum": ["passed", "solved", "failed"]}, "qp_iterations": {"type": "integer"},
+  "rows_active": {"type": "integer"},
+  "correction": {"type": ["number", "string"], "description": "length of the filter's change, in units of the velocity limits"},
+  "guard_intervened": {"type": "boolean"},
+  "target": {"type": ["array", "null"], "description": "aggregated target, as in trocar.Chunk"},
+  "fault": {"type": ["object", "string", "null"]}}}"#;
+
+const TIMING_SCHEMA: &str = r#"{"title": "trocar.Timing", "type": "object",
+"properties": {"tick": {"type": "integer"},
+  "period_ns": {"type": "integer", "description": "since the previous tick in the log"},
+  "wake_ns": {"type": "integer", "description": "wake-up later than planned"},
+  "compute_ns": {"type": "integer", "description": "time spent in the controller"}}}"#;
+
+const TICK_SCHEMA: &str = r#"{"title": "trocar.Tick", "type": "object",
+"description": "What the controller was given, apart from joint values and chunks; the last message of a tick.",
+"properties": {
+  "record": {"type": "integer", "description": "counts the ticks handed to the log, from 0; a gap is a loss"},
+  "tick": {"type": "integer"}, "now_ns": {"type": "integer"},
+  "error": {"type": ["object", "string", "null"], "description": "why nothing was measured"},
+  "operator": {"description": "what the operator asked for"},
+  "chunk": {"type": ["object", "null"], "properties": {"sequence": {"type": "integer"},
+    "record": {"type": ["integer", "null"], "description": "record of the chunk message; null if it was lost"}}},
+  "enabled": {"type": "boolean", "description": "whether the drives were told to hold torque"}}}"#;

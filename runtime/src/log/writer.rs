@@ -1,0 +1,199 @@
+//! Writes records into an MCAP file; runs on the writer thread.
+
+use std::collections::BTreeMap;
+use std::io::{Seek, Write};
+
+use hal::{Chunk, TimeNs};
+use mcap::records::{MessageHeader, Metadata};
+use mcap::{McapResult, WriteOptions, Writer};
+use prost::{EncodeError, Message};
+use serde::Serialize;
+
+use super::header::{self, LogCounts, RunHeader, RunOutcome};
+use super::joints::JointMessages;
+use super::json::{ChunkMessage, ChunkRef, ErrorMessage, OperatorMessage, TickMessage, TimingMessage};
+use super::messages::{Log, Pose, PoseInFrame, Quaternion, Timestamp, Vector3};
+use super::record::TickRecord;
+use super::safety::SafetyMessage;
+use super::topic::{self, Schema, TOPIC_COUNT, Topic};
+use super::{Level, camera};
+
+/// Frame of the measured tip pose.
+const RCM_FRAME: &str = "psm1_rcm";
+
+/// A crash loses at most this much log time.
+const FLUSH_NS: u64 = 250_000_000;
+
+/// Bytes after which a chunk of the file is closed before its time; only cameras reach it.
+const FILE_CHUNK_BYTES: u64 = 1 << 20;
+
+/// The open file.
+pub(super) struct LogWriter<W: Write + Seek> {
+    writer: Writer<W>,
+    channels: [u16; TOPIC_COUNT],
+    cameras: BTreeMap<String, camera::Channels>,
+    sequences: BTreeMap<u16, u32>,
+    joints: JointMessages,
+    buffer: Vec<u8>,
+    previous_now: TimeNs,
+    flushed_at: TimeNs,
+}
+
+impl<W: Write + Seek> LogWriter<W> {
+    /// Starts a file and writes the run's header into it.
+    pub(super) fn new(sink: W, run: &RunHeader) -> McapResult<Self> {
+        let mut writer = WriteOptions::new()
+            .profile("")
+            .library(concat!("trocar ", env!("CARGO_PKG_VERSION")))
+            .chunk_size(Some(FILE_CHUNK_BYTES))
+            // A chunk reaches the file whole or not at all, so that a cut file ends between two of them.
+            .disable_seeking(true)
+            .compression_level(1)
+            .compression_threads(0)
+            .create(sink)?;
+        for (name, metadata) in run.to_metadata() {
+            writer.write_metadata(&Metadata { name: name.to_owned(), metadata })?;
+        }
+        let channels = topic::add_channels(&mut writer)?;
+        writer.flush()?;
+        Ok(Self {
+            writer,
+            channels,
+            cameras: BTreeMap::new(),
+            sequences: BTreeMap::new(),
+            joints: JointMessages::new(),
+            buffer: Vec::new(),
+            previous_now: TimeNs(0),
+            flushed_at: TimeNs(0),
+        })
+    }
+
+    /// Writes all messages of one tick; `record` counts the ticks, `chunk_record` names the chunk's message.
+    pub(super) fn tick(&mut self, record: u64, chunk_record: Option<u64>, tick: &TickRecord) -> McapResult<()> {
+        let measured = tick.measured.as_ref().ok();
+        self.joints.set_measured(measured);
+        self.joints.set_command(&tick.command);
+        if let Some(state) = measured {
+            self.protobuf(Topic::MeasuredJs, tick.now, |joints, buffer| joints.measured.encode(buffer))?;
+            if state.is_finite() {
+                let tip = measured_tip(state);
+                self.protobuf(Topic::MeasuredCp, tick.now, |_, buffer| tip.encode(buffer))?;
+            }
+        }
+        self.protobuf(Topic::Jaw, tick.now, |joints, buffer| joints.jaw.encode(buffer))?;
+        self.protobuf(Topic::SetpointJs, tick.now, |joints, buffer| joints.setpoint.encode(buffer))?;
+        self.json(Topic::Safety, tick.now, &SafetyMessage::new(tick.tick, &tick.report))?;
+        let timing = TimingMessage {
+            tick: tick.tick,
+            period_ns: tick.now.since(self.previous_now),
+            wake_ns: tick.timing.wake_ns,
+            compute_ns: tick.timing.compute_ns,
+        };
+        self.json(Topic::Timing, tick.now, &timing)?;
+        let rest = TickMessage {
+            record,
+            tick: tick.tick,
+            now_ns: tick.now.0,
+            error: tick.measured.err().map(ErrorMessage::from),
+            operator: tick.operator.map(OperatorMessage::from),
+            chunk: tick.chunk_sequence.map(|sequence| ChunkRef { sequence, record: chunk_record }),
+            enabled: tick.command.enabled,
+        };
+        self.json(Topic::Tick, tick.now, &rest)?;
+        self.previous_now = tick.now;
+        if tick.now.since(self.flushed_at) >= FLUSH_NS {
+            self.flushed_at = tick.now;
+            self.writer.flush()?;
+        }
+        Ok(())
+    }
+
+    /// Writes a chunk that the controller was given at `now`, before the tick that names it.
+    pub(super) fn chunk(&mut self, record: u64, now: TimeNs, chunk: &Chunk) -> McapResult<()> {
+        self.json(Topic::Chunk, now, &ChunkMessage::new(record, chunk))
+    }
+
+    /// Writes a line of text.
+    pub(super) fn event(&mut self, at: TimeNs, level: Level, text: String) -> McapResult<()> {
+        let log = Log {
+            timestamp: Some(Timestamp::new(at)),
+            level: level.number(),
+            message: text,
+            name: "trocar".to_owned(),
+            ..Log::default()
+        };
+        self.protobuf(Topic::Events, at, |_, buffer| log.encode(buffer))
+    }
+
+    /// Writes a camera's image and lens.
+    pub(super) fn frame(&mut self, name: &str, at: TimeNs, frame: &camera::Encoded) -> McapResult<()> {
+        let channels = if let Some(&known) = self.cameras.get(name) {
+            known
+        } else {
+            let image = format!("/camera/{name}");
+            let lens = format!("/camera/{name}/calibration");
+            let new = camera::Channels {
+                image: topic::add_channel(&mut self.writer, &image, Schema::Protobuf("foxglove.CompressedImage"))?,
+                lens: topic::add_channel(&mut self.writer, &lens, Schema::Protobuf("foxglove.CameraCalibration"))?,
+            };
+            self.cameras.insert(name.to_owned(), new);
+            new
+        };
+        self.buffer.clear();
+        frame.lens.encode(&mut self.buffer).map_err(std::io::Error::from)?;
+        self.put(channels.lens, at)?;
+        self.buffer.clear();
+        frame.image.encode(&mut self.buffer).map_err(std::io::Error::from)?;
+        self.put(channels.image, at)
+    }
+
+    /// Writes the outcome and closes the file.
+    pub(super) fn finish(mut self, outcome: Option<&RunOutcome>, counts: &LogCounts) -> McapResult<()> {
+        let metadata = header::closing_metadata(outcome, counts);
+        self.writer.write_metadata(&Metadata { name: header::OUTCOME.to_owned(), metadata })?;
+        self.writer.finish()?;
+        self.writer.into_inner().flush()?;
+        Ok(())
+    }
+
+    fn protobuf(
+        &mut self,
+        topic: Topic,
+        now: TimeNs,
+        encode: impl FnOnce(&JointMessages, &mut Vec<u8>) -> Result<(), EncodeError>,
+    ) -> McapResult<()> {
+        self.buffer.clear();
+        encode(&self.joints, &mut self.buffer).map_err(std::io::Error::from)?;
+        self.put(self.channel(topic), now)
+    }
+
+    fn json(&mut self, topic: Topic, now: TimeNs, message: &impl Serialize) -> McapResult<()> {
+        self.buffer.clear();
+        serde_json::to_writer(&mut self.buffer, message).map_err(std::io::Error::from)?;
+        self.put(self.channel(topic), now)
+    }
+
+    fn channel(&self, topic: Topic) -> u16 {
+        self.channels[topic as usize]
+    }
+
+    fn put(&mut self, channel_id: u16, now: TimeNs) -> McapResult<()> {
+        let sequence = self.sequences.entry(channel_id).or_insert(0);
+        let header = MessageHeader { channel_id, sequence: *sequence, log_time: now.0, publish_time: now.0 };
+        *sequence = sequence.wrapping_add(1);
+        self.writer.write_to_known_channel(&header, &self.buffer)
+    }
+}
+
+fn measured_tip(state: &hal::ArmState) -> PoseInFrame {
+    let tip = crate::verify::tip_in_rcm(&state.position);
+    let (p, q) = (tip.translation.vector, tip.rotation.coords);
+    PoseInFrame {
+        timestamp: Some(Timestamp::new(state.stamp)),
+        frame_id: RCM_FRAME.to_owned(),
+        pose: Some(Pose {
+            position: Some(Vector3 { x: p.x, y: p.y, z: p.z }),
+            orientation: Some(Quaternion { x: q.x, y: q.y, z: q.z, w: q.w }),
+        }),
+    }
+}

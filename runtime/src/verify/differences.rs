@@ -1,0 +1,97 @@
+//! Velocity, acceleration and jerk of a setpoint sequence, by backward differences.
+//!
+//! A difference quotient of order k over k + 1 equidistant samples is a mean of the k-th derivative between them. So
+//! if the derivative keeps a bound, the quotient does too, whatever happens between the samples, and no tolerance
+//! beyond rounding is needed.
+
+/// Joints and the jaw.
+pub(super) const AXES: usize = hal::JOINT_COUNT + 1;
+
+/// The newest setpoints of an arm without a break.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct History {
+    /// Newest first.
+    samples: [[f64; AXES]; 4],
+    count: usize,
+}
+
+/// One difference quotient and how far rounding can have moved it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Quotient {
+    pub(super) value: f64,
+    pub(super) rounding: f64,
+}
+
+/// Binomial coefficients with alternating signs, by order.
+const WEIGHTS: [[f64; 4]; 3] = [[1.0, -1.0, 0.0, 0.0], [1.0, -2.0, 1.0, 0.0], [1.0, -3.0, 3.0, -1.0]];
+
+impl History {
+    pub(super) const fn new() -> Self {
+        Self { samples: [[0.0; AXES]; 4], count: 0 }
+    }
+
+    /// Takes in the next setpoint.
+    pub(super) fn push(&mut self, sample: [f64; AXES]) {
+        self.samples.rotate_right(1);
+        self.samples[0] = sample;
+        self.count += 1;
+    }
+
+    /// Forgets everything, where the arm was without torque or a record is missing.
+    pub(super) fn clear(&mut self) {
+        self.count = 0;
+    }
+
+    /// Difference quotient of `order` 1 (velocity), 2 (acceleration) or 3 (jerk) of one axis; `None` while there are
+    /// too few samples.
+    pub(super) fn quotient(&self, axis: usize, order: usize, period_s: f64) -> Option<Quotient> {
+        let weights = WEIGHTS.get(order.checked_sub(1)?)?;
+        if self.count <= order {
+            return None;
+        }
+        let mut sum = 0.0;
+        let mut rounding = 0.0;
+        for (sample, weight) in self.samples.iter().zip(weights) {
+            sum += weight * sample[axis];
+            // Each sample carries half a unit in the last place, and so does each sum.
+            rounding += 2.0 * weight.abs() * sample[axis].abs() * f64::EPSILON;
+        }
+        let mut scale = 1.0;
+        for _ in 0..order {
+            scale /= period_s;
+        }
+        Some(Quotient { value: sum * scale, rounding: rounding * scale })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_cubic_has_its_own_derivatives() {
+        let mut history = History::new();
+        for k in 0..6 {
+            let t = 0.001 * f64::from(k);
+            history.push([0.3 + 0.2 * t + 3.0 * t * t + 50.0 * t * t * t; AXES]);
+        }
+        let jerk = history.quotient(2, 3, 0.001).unwrap();
+        assert!((jerk.value - 300.0).abs() <= jerk.rounding && jerk.rounding < 1e-4, "{jerk:?}");
+        let acceleration = history.quotient(2, 2, 0.001).unwrap();
+        // The second difference is the acceleration one period before the newest sample.
+        assert!((acceleration.value - (6.0 + 300.0 * 0.004)).abs() < 1e-6, "{acceleration:?}");
+    }
+
+    #[test]
+    fn nothing_is_said_before_there_are_enough_samples() {
+        let mut history = History::new();
+        history.push([0.0; AXES]);
+        assert_eq!(history.quotient(0, 1, 0.001), None);
+        history.push([0.0; AXES]);
+        assert!(history.quotient(0, 1, 0.001).is_some());
+        assert_eq!(history.quotient(0, 2, 0.001), None);
+        history.clear();
+        history.push([0.0; AXES]);
+        assert_eq!(history.quotient(0, 1, 0.001), None);
+    }
+}

@@ -1,0 +1,107 @@
+//! Checks a log's commands against its limits, independently of the controller.
+//!
+//! Nothing here is shared with the controller: limits are looked up in the logged texts, forward kinematics is the
+//! product of the arm's table, derivatives are differences of the setpoints as they were sent.
+
+mod chain;
+mod checker;
+mod differences;
+mod limits;
+
+#[cfg(test)]
+mod tests;
+
+use core::fmt;
+
+use serde::Serialize;
+
+pub use chain::tip_in_rcm;
+
+use crate::log::{Loss, RunLog};
+use checker::Checker;
+use limits::Limits;
+
+/// What the check found.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct VerifyResult {
+    /// Whether no limit was broken.
+    pub ok: bool,
+    /// Ticks that were checked.
+    pub ticks: u64,
+    /// Control periods that the driver skipped; no violation.
+    pub skipped_periods: u64,
+    /// Every limit that was broken, in every tick in which it was.
+    pub violations: Vec<Violation>,
+}
+
+/// A limit that was broken in one tick.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Violation {
+    /// The tick.
+    pub tick: u64,
+    /// The arm.
+    pub arm: String,
+    /// The limit: `yaw.velocity`, `tip_speed`, `workspace.finger_tips.z_min`, `forbidden.vessel.shaft`.
+    pub limit: String,
+    /// What was commanded.
+    pub value: f64,
+    /// What is allowed.
+    pub bound: f64,
+}
+
+impl fmt::Display for Violation {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { tick, arm, limit, value, bound } = self;
+        write!(f, "tick {tick}: {arm}: {limit} is {value}, the bound {bound}")
+    }
+}
+
+/// Why a log cannot be checked.
+#[derive(Debug, thiserror::Error)]
+pub enum VerifyError {
+    /// A configuration text is missing.
+    #[error("the log does not hold {file}, so its limits are unknown")]
+    NoConfiguration {
+        /// Its name.
+        file: &'static str,
+    },
+    /// A configuration text lacks a limit.
+    #[error("{file} in the log: {reason}")]
+    Malformed {
+        /// Its name.
+        file: &'static str,
+        /// What is wrong.
+        reason: String,
+    },
+}
+
+/// Checks every command of `log`.
+///
+/// Joint ranges, velocity, acceleration and jerk of each axis; the workspace box, the forbidden regions and the speed of
+/// the tip; stamps that rise by whole periods; ticks that the log lacks. While the arm is disabled only stamps count.
+///
+/// # Errors
+/// [`VerifyError`] when the log does not say what the limits are.
+pub fn verify(log: &RunLog) -> Result<VerifyResult, VerifyError> {
+    let limits = Limits::of(log)?;
+    let mut checker = Checker::new(&limits);
+    let mut ticks = 0;
+    let gap_before = |position: usize| {
+        log.losses.iter().find_map(|loss| match *loss {
+            Loss::Ticks { position: at, count } if at == position => Some(count),
+            Loss::Ticks { .. } | Loss::Chunk { .. } => None,
+        })
+    };
+    for (position, (tick, _)) in log.ticks().enumerate() {
+        if let Some(count) = gap_before(position) {
+            checker.missing(tick.tick, count);
+        }
+        checker.tick(tick);
+        ticks += 1;
+    }
+    if let Some(count) = gap_before(log.tick_count()) {
+        checker.missing(log.ticks().last().map_or(0, |(tick, _)| tick.tick + 1), count);
+    }
+    let Checker { violations, skipped_periods, .. } = checker;
+    Ok(VerifyResult { ok: violations.is_empty(), ticks, skipped_periods, violations })
+}

@@ -1,0 +1,136 @@
+//! The checker on runs of the real controller, honest and doctored.
+
+use hal::{ArmError, TICK_NS, TimeNs};
+
+use super::{VerifyError, VerifyResult, verify};
+use crate::log::tests::{Scratch, run_controller, write_records};
+use crate::log::{RunHeader, RunLog, TickRecord};
+
+fn verify_records(name: &str, records: &[TickRecord], header: &RunHeader) -> VerifyResult {
+    let file = Scratch::new(name);
+    write_records(&file, records, header);
+    verify(&RunLog::open(&file.0).unwrap()).unwrap()
+}
+
+/// An honest run with one change made to its records.
+fn doctored(name: &str, change: impl Fn(&mut Vec<TickRecord>)) -> VerifyResult {
+    let (mut records, header) = run_controller(900);
+    change(&mut records);
+    verify_records(name, &records, &header)
+}
+
+fn limits(result: &VerifyResult) -> Vec<&str> {
+    result.violations.iter().map(|violation| violation.limit.as_str()).collect()
+}
+
+#[test]
+fn an_honest_run_breaks_no_limit() {
+    let result = doctored("honest", |_| {});
+    assert!(result.ok, "{:?}", result.violations.first());
+    assert_eq!((result.ticks, result.skipped_periods), (900, 0));
+}
+
+#[test]
+fn a_position_jump_is_caught() {
+    let result = doctored("jump", |records| records[600].command.position[0] += 0.002);
+    let found = limits(&result);
+    assert!(!result.ok && found.contains(&"yaw.velocity") && found.contains(&"yaw.jerk"), "{found:?}");
+    assert_eq!(result.violations[0].tick, 600);
+}
+
+#[test]
+fn a_jump_too_small_for_speed_is_caught_by_jerk() {
+    let result = doctored("small-jump", |records| records[600].command.position[4] += 1e-5);
+    let found = limits(&result);
+    assert!(found.contains(&"wrist_pitch.jerk") && !found.contains(&"wrist_pitch.velocity"), "{found:?}");
+}
+
+#[test]
+fn a_run_shifted_out_of_its_box_is_caught() {
+    let result = doctored("shift", |records| {
+        // Even and slow, so that only the place is wrong: 40 mm deeper over 600 ticks.
+        for (record, k) in records[200..].iter_mut().zip(0_u32..) {
+            record.command.position[2] += 0.04 * (f64::from(k) / 600.0).min(1.0).powi(3);
+        }
+    });
+    let found = limits(&result);
+    assert!(found.contains(&"workspace.finger_tips.z_min"), "{found:?}");
+}
+
+#[test]
+fn nan_is_caught() {
+    let result = doctored("nan", |records| records[500].command.position[3] = f64::NAN);
+    let found = limits(&result);
+    assert!(found.contains(&"roll.low") && found.contains(&"roll.velocity"), "{found:?}");
+}
+
+#[test]
+fn a_velocity_beyond_the_drives_is_caught() {
+    let result = doctored("said", |records| records[500].command.velocity[0] = 7.0);
+    assert_eq!(limits(&result), ["yaw.commanded_velocity"]);
+}
+
+#[test]
+fn stamps_must_rise_by_whole_periods() {
+    let early = doctored("stamp", |records| records[500].command.stamp = TimeNs(499 * TICK_NS));
+    assert_eq!(limits(&early), ["stamp"]);
+    let crooked = doctored("crooked", |records| records[500].command.stamp = TimeNs(500 * TICK_NS + 7));
+    assert_eq!(limits(&crooked), ["stamp", "stamp"]);
+    let skipped = doctored("skipped", |records| {
+        for record in &mut records[500..] {
+            record.command.stamp = record.command.stamp.plus_ns(2 * TICK_NS);
+        }
+    });
+    assert!(skipped.ok && skipped.skipped_periods == 2, "{skipped:?}");
+}
+
+#[test]
+fn a_removed_tick_shows() {
+    let result = doctored("removed", |records| {
+        records.remove(600);
+    });
+    assert!(!result.ok || result.skipped_periods == 1, "{result:?}");
+}
+
+#[test]
+fn an_arm_without_torque_may_be_anywhere() {
+    let result = doctored("limp", |records| {
+        for record in &mut *records {
+            record.command.enabled = false;
+            record.measured = Err(ArmError::EndOfRecording);
+        }
+        records[500].command.position[0] += 1.0;
+    });
+    assert!(result.ok, "{:?}", result.violations.first());
+}
+
+#[test]
+fn a_log_without_limits_is_refused() {
+    let (records, mut header) = run_controller(10);
+    let file = Scratch::new("no-limits");
+    let control = header.texts.insert("control.toml".to_owned(), "[limits]\n".to_owned());
+    write_records(&file, &records, &header);
+    let error = verify(&RunLog::open(&file.0).unwrap()).unwrap_err();
+    assert!(error.to_string().contains("control.toml in the log: `limits.yaw.low_rad`"), "{error}");
+    header.texts.insert("control.toml".to_owned(), control.unwrap());
+    header.texts.remove("safety.toml");
+    write_records(&file, &records, &header);
+    let error = verify(&RunLog::open(&file.0).unwrap()).unwrap_err();
+    assert!(matches!(error, VerifyError::NoConfiguration { file: "safety.toml" }), "{error}");
+}
+
+#[test]
+fn the_checkers_kinematics_agree_with_the_controllers() {
+    let mut state = 3_u64;
+    for _ in 0..1000 {
+        let joints = hal::JointVector::from_fn(|axis, _| {
+            state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+            let share = f64::from(u32::try_from(state >> 32).unwrap()) / f64::from(u32::MAX);
+            let (low, high) = (hal::psm::POSITION_MIN[axis], hal::psm::POSITION_MAX[axis]);
+            low + share * (high - low)
+        });
+        let (ours, theirs) = (super::tip_in_rcm(&joints), crate::kinematics::forward(&joints));
+        assert!((ours.translation.vector - theirs.translation.vector).norm() < 1e-12, "{joints:?}");
+        assert!(ours.rotation.angle_to(&theirs.rotation) < 1e-7, "{joints:?}");
+    }
+}
