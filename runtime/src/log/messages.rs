@@ -1,7 +1,7 @@
 //! The Foxglove messages that the log uses, as protobuf structs.
 //!
 //! Field numbers as in the schema files of `foxglove-sdk` (`schemas/proto/foxglove/*.proto`, Foxglove SDK 0.30);
-//! [`super::descriptor`] states the same numbers for readers, and a test compares the two.
+//! [`super::descriptor`] states the same numbers for readers; change both together.
 
 use hal::TimeNs;
 use prost::Message;
