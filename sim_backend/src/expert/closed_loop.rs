@@ -100,20 +100,17 @@ fn run(task: &TaskConfig, seed: u64, mut disturb: impl FnMut(f64, &mut ArmComman
 #[test]
 fn expert_lifts_the_needle() {
     let task = TaskConfig::needle_lift().unwrap();
-    let mut successes = 0;
+    let mut lost = Vec::new();
     for seed in 0..10 {
         let episode = run(&task, seed, |_, _| {});
-        println!(
-            "seed {seed}: {} after {:.2} s, {} attempts, {:.1} mm/s",
-            episode.outcome, episode.seconds, episode.attempts, episode.speed_m_s_max * 1e3
-        );
         assert!(episode.speed_m_s_max < 0.06, "seed {seed}: {} m/s", episode.speed_m_s_max);
         if episode.outcome == Outcome::Success {
             assert!((3.5..9.0).contains(&episode.seconds), "seed {seed}: {} s", episode.seconds);
-            successes += 1;
+        } else {
+            lost.push(format!("seed {seed}: {} after {} attempts", episode.outcome, episode.attempts));
         }
     }
-    assert!(successes >= 9, "{successes} of 10");
+    assert!(lost.len() <= 1, "{lost:#?}");
 }
 
 #[test]
