@@ -15,7 +15,7 @@ pub mod time;
 pub mod topic;
 
 pub use arm::{Arm, ArmCommand, ArmError, ArmState};
-pub use camera::{CameraFrame, Intrinsics};
+pub use camera::{CameraFrame, FrameRef, Intrinsics};
 pub use chunk::{Chunk, TipTarget};
 pub use joints::{JOINT_COUNT, JointVector, Pose};
 pub use policy::{Observation, Policy, PolicyError};

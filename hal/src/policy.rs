@@ -1,6 +1,6 @@
 //! The seam to a policy: what it sees, and that it answers with a chunk.
 
-use crate::{ArmState, CameraFrame, Chunk, Pose};
+use crate::{ArmState, Chunk, FrameRef, Pose};
 
 /// What a policy sees of one arm at one instant.
 #[derive(Clone, Copy, Debug)]
@@ -10,7 +10,7 @@ pub struct Observation<'a> {
     /// Measured tip pose in the RCM frame, from forward kinematics.
     pub tip_in_rcm: Pose,
     /// Frames taken at the observation, in the order of the policy's camera list.
-    pub frames: &'a [CameraFrame],
+    pub frames: &'a [FrameRef<'a>],
 }
 
 /// A policy. Answers are a function of the seed and of the observations since the last reset.

@@ -50,6 +50,17 @@ impl SceneCameras {
         self.views.len()
     }
 
+    /// Names of the cameras, in order.
+    pub fn names(&self) -> impl Iterator<Item = &str> {
+        self.views.iter().map(|view| view.name.as_str())
+    }
+
+    /// The index of the camera called `name`.
+    #[must_use]
+    pub fn find(&self, name: &str) -> Option<usize> {
+        self.names().position(|camera| camera == name)
+    }
+
     /// Name of the device that draws.
     #[must_use]
     pub fn adapter_name(&self) -> &str {

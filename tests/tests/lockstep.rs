@@ -63,6 +63,7 @@ fn a_log_replays_verifies_and_catches_tampering() {
     fs::write(&cut, &fs::read(&log).unwrap()[..middle * 2]).unwrap();
     let cut_json = folder.join("cut.json");
     let output = trocar(Profile::Release).arg("replay").arg(&cut).arg("--json").arg(&cut_json).output().unwrap();
+    assert_eq!(output.status.code(), Some(2), "{}", stderr(&output));
     assert!(stderr(&output).contains("cut off"), "{}", stderr(&output));
     let ticks = json(&cut_json)["ticks"].as_u64().unwrap();
     assert!(ticks > 500 && ticks < result["ticks"].as_u64().unwrap(), "{ticks}");

@@ -1,2 +1,36 @@
-//! The `trocar` command.
-fn main() {}
+//! The `trocar` command: reads the command line, calls the library, and turns the result into an exit code.
+//!
+//! Exit codes: 0 done, 1 failed at its job, 2 bad usage or bad input.
+
+mod args;
+mod commands;
+mod console;
+
+use std::process::ExitCode;
+
+use clap::Parser;
+
+use args::{Cli, Verb};
+
+fn main() -> ExitCode {
+    let cli = Cli::parse();
+    let result = match &cli.verb {
+        Verb::Run(args) => commands::run(args),
+        Verb::Eval(args) => commands::eval(args),
+        Verb::Record(args) => commands::record(args),
+        Verb::Train(args) => commands::train(args),
+        Verb::Replay(args) => commands::replay(args),
+        Verb::Verify(args) => commands::verify(args),
+        Verb::Doctor(args) => commands::doctor(args),
+        Verb::Demo(args) => commands::demo(args),
+        Verb::PolicyProcess(args) => commands::policy_process(args),
+    };
+    match result {
+        Ok(true) => ExitCode::SUCCESS,
+        Ok(false) => ExitCode::from(1),
+        Err(error) => {
+            console::error(&error);
+            ExitCode::from(if error.is_bad_input() { 2 } else { 1 })
+        }
+    }
+}

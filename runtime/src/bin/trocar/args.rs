@@ -1,0 +1,283 @@
+//! The command line as it is typed; nothing is read or checked beyond its form.
+
+use std::path::PathBuf;
+
+use clap::{Args, Parser, Subcommand, ValueEnum};
+
+/// Runs learned policies on a surgical robot arm, safely and in real time.
+#[derive(Debug, Parser)]
+#[command(
+    name = "trocar",
+    version,
+    after_help = "Examples:\n  trocar run --task needle-lift --policy expert --lockstep\n  trocar eval --task needle-lift --policy config/policies/needle-lift/act-small --trials 50"
+)]
+pub(crate) struct Cli {
+    /// What to do.
+    #[command(subcommand)]
+    pub(crate) verb: Verb,
+}
+
+/// The verbs.
+#[derive(Debug, Subcommand)]
+pub(crate) enum Verb {
+    /// Run one episode of a task, in real time or in lockstep.
+    #[command(after_help = "Example: trocar run --task needle-lift --policy expert --lockstep --seed 7 --log runs/a.mcap")]
+    Run(RunArgs),
+    /// Run many seeded trials in lockstep and report the success rate.
+    #[command(after_help = "Example: trocar eval --task needle-lift --policy expert --trials 50 --jobs 2")]
+    Eval(EvalArgs),
+    /// Record demonstrations as a LeRobot v3 dataset.
+    #[command(after_help = "Example: trocar record --task needle-lift --episodes 50 --source expert --out runs/demos")]
+    Record(RecordArgs),
+    /// Train a policy on a dataset.
+    #[command(after_help = "Example: trocar train --policy act --data runs/demos --out runs/act --steps 10000 --device cuda")]
+    Train(TrainArgs),
+    /// Recompute every command of a log from its inputs; exit 0 only if all are bit-identical.
+    #[command(after_help = "Example: trocar replay runs/a.mcap")]
+    Replay(LogArgs),
+    /// Check a log's commands against its limits, independently of the controller.
+    #[command(after_help = "Example: trocar verify runs/a.mcap")]
+    Verify(LogArgs),
+    /// Show what this machine offers: scheduling, memory locking, CAN, GPU, shared memory.
+    #[command(after_help = "Example: trocar doctor")]
+    Doctor(DoctorArgs),
+    /// Run the committed needle-lift policy and write its log and pictures.
+    #[command(after_help = "Example: trocar demo --out runs/demo")]
+    Demo(DemoArgs),
+    /// The policy's own process in a real-time run; started by `run`.
+    #[command(hide = true)]
+    PolicyProcess(PolicyProcessArgs),
+}
+
+/// Tasks that can be run.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub(crate) enum Task {
+    /// Grasp a needle on an organ and lift it.
+    NeedleLift,
+}
+
+impl Task {
+    /// The name used in files and results.
+    pub(crate) const fn name(self) -> &'static str {
+        match self {
+            Self::NeedleLift => "needle-lift",
+        }
+    }
+}
+
+/// Which arm is driven.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub(crate) enum Backend {
+    /// The simulated arm.
+    Sim,
+}
+
+/// Where a network computes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub(crate) enum ComputeDevice {
+    /// The processor.
+    Cpu,
+    /// The first CUDA device.
+    Cuda,
+}
+
+/// Options of `run`.
+#[derive(Args, Debug)]
+pub(crate) struct RunArgs {
+    /// The task.
+    #[arg(long, value_enum)]
+    pub(crate) task: Task,
+    /// `expert`, `noop`, `random`, or a checkpoint's directory.
+    #[arg(long)]
+    pub(crate) policy: String,
+    /// The arm.
+    #[arg(long, value_enum, default_value = "sim")]
+    pub(crate) backend: Backend,
+    /// Run as fast as it goes, on virtual time, bit for bit the same each time.
+    #[arg(long)]
+    pub(crate) lockstep: bool,
+    /// Everything random hangs on this.
+    #[arg(long, default_value_t = 0)]
+    pub(crate) seed: u64,
+    /// Controller configuration instead of the built-in config/control.toml.
+    #[arg(long, value_name = "FILE")]
+    pub(crate) config: Option<PathBuf>,
+    /// Write the run's log.
+    #[arg(long, value_name = "FILE.mcap")]
+    pub(crate) log: Option<PathBuf>,
+    /// Write the result as JSON.
+    #[arg(long, value_name = "FILE")]
+    pub(crate) json: Option<PathBuf>,
+    /// Delay from observation to chunk in lockstep, ms.
+    #[arg(long, value_name = "MS")]
+    pub(crate) latency_ms: Option<u64>,
+    /// Where the network computes.
+    #[arg(long, value_enum, default_value = "cpu")]
+    pub(crate) device: ComputeDevice,
+}
+
+/// Options of `eval`.
+#[derive(Args, Debug)]
+pub(crate) struct EvalArgs {
+    /// The task.
+    #[arg(long, value_enum)]
+    pub(crate) task: Task,
+    /// `expert`, `noop`, `random`, or a checkpoint's directory.
+    #[arg(long)]
+    pub(crate) policy: String,
+    /// How many trials.
+    #[arg(long, default_value_t = 50)]
+    pub(crate) trials: usize,
+    /// Seed of the first trial; trial i has seed + i.
+    #[arg(long, default_value_t = 1_000_000)]
+    pub(crate) seed: u64,
+    /// Trials at a time.
+    #[arg(long, default_value_t = 1)]
+    pub(crate) jobs: usize,
+    /// Controller configuration instead of the built-in config/control.toml.
+    #[arg(long, value_name = "FILE")]
+    pub(crate) config: Option<PathBuf>,
+    /// Write the result as JSON.
+    #[arg(long, value_name = "FILE")]
+    pub(crate) json: Option<PathBuf>,
+    /// Delay from observation to chunk, ms.
+    #[arg(long, value_name = "MS")]
+    pub(crate) latency_ms: Option<u64>,
+    /// Where the network computes.
+    #[arg(long, value_enum, default_value = "cpu")]
+    pub(crate) device: ComputeDevice,
+}
+
+/// Who demonstrates.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub(crate) enum Demonstrator {
+    /// The task's scripted expert.
+    Expert,
+}
+
+/// Options of `record`.
+#[derive(Args, Debug)]
+pub(crate) struct RecordArgs {
+    /// The task.
+    #[arg(long, value_enum)]
+    pub(crate) task: Task,
+    /// How many successful episodes to record.
+    #[arg(long)]
+    pub(crate) episodes: usize,
+    /// Who demonstrates.
+    #[arg(long, value_enum, default_value = "expert")]
+    pub(crate) source: Demonstrator,
+    /// The dataset's directory; must not exist.
+    #[arg(long)]
+    pub(crate) out: PathBuf,
+    /// Seed of the first attempt; attempt i has seed + i.
+    #[arg(long, default_value_t = 0)]
+    pub(crate) seed: u64,
+    /// Episodes at a time.
+    #[arg(long, default_value_t = 1)]
+    pub(crate) jobs: usize,
+    /// Controller configuration instead of the built-in config/control.toml.
+    #[arg(long, value_name = "FILE")]
+    pub(crate) config: Option<PathBuf>,
+}
+
+/// Networks that can be trained.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub(crate) enum Network {
+    /// Action chunking with transformers, from images.
+    Act,
+}
+
+/// Options of `train`.
+#[derive(Args, Debug)]
+pub(crate) struct TrainArgs {
+    /// The network.
+    #[arg(long, value_enum)]
+    pub(crate) policy: Network,
+    /// The dataset's directory.
+    #[arg(long)]
+    pub(crate) data: PathBuf,
+    /// The checkpoint's directory.
+    #[arg(long)]
+    pub(crate) out: PathBuf,
+    /// Sizes and recipe: `paper` or `small`.
+    #[arg(long, default_value = "small")]
+    pub(crate) preset: String,
+    /// Optimiser steps; the preset's number if not given.
+    #[arg(long)]
+    pub(crate) steps: Option<u64>,
+    /// Samples a step; the preset's number if not given.
+    #[arg(long)]
+    pub(crate) batch: Option<usize>,
+    /// Where the network computes.
+    #[arg(long, value_enum, default_value = "cpu")]
+    pub(crate) device: ComputeDevice,
+    /// Use only the first episodes.
+    #[arg(long)]
+    pub(crate) episodes: Option<usize>,
+    /// Share of the episodes, the last ones, that is held out for validation.
+    #[arg(long, default_value_t = 0.0)]
+    pub(crate) validation_share: f64,
+    /// Compute in 16 bits (bfloat16); for accelerators.
+    #[arg(long)]
+    pub(crate) bf16: bool,
+    /// Threads that decode images, and compute on the CPU.
+    #[arg(long, default_value_t = 2)]
+    pub(crate) threads: usize,
+    /// Random shifts and brightness of the images while training.
+    #[arg(long)]
+    pub(crate) augment: bool,
+    /// Everything random hangs on this.
+    #[arg(long, default_value_t = 0)]
+    pub(crate) seed: u64,
+    /// Write the result as JSON.
+    #[arg(long, value_name = "FILE")]
+    pub(crate) json: Option<PathBuf>,
+}
+
+/// Options of the verbs that read a log.
+#[derive(Args, Debug)]
+pub(crate) struct LogArgs {
+    /// The log.
+    #[arg(value_name = "FILE.mcap")]
+    pub(crate) file: PathBuf,
+    /// Write the result as JSON.
+    #[arg(long, value_name = "FILE")]
+    pub(crate) json: Option<PathBuf>,
+}
+
+/// Options of `doctor`.
+#[derive(Args, Debug)]
+pub(crate) struct DoctorArgs {
+    /// Write the findings as JSON.
+    #[arg(long, value_name = "FILE")]
+    pub(crate) json: Option<PathBuf>,
+}
+
+/// Options of `demo`.
+#[derive(Args, Debug)]
+pub(crate) struct DemoArgs {
+    /// Where the log and the pictures go.
+    #[arg(long, default_value = "runs/demo")]
+    pub(crate) out: PathBuf,
+    /// The policy; by default the committed one.
+    #[arg(long)]
+    pub(crate) policy: Option<String>,
+    /// Everything random hangs on this.
+    #[arg(long, default_value_t = 1_000_000)]
+    pub(crate) seed: u64,
+}
+
+/// Options of the hidden policy process.
+#[derive(Args, Debug)]
+pub(crate) struct PolicyProcessArgs {
+    /// Names the run's topics.
+    #[arg(long)]
+    pub(crate) run_id: String,
+    /// The checkpoint's directory.
+    #[arg(long)]
+    pub(crate) policy: PathBuf,
+    /// Where the network computes.
+    #[arg(long, value_enum, default_value = "cpu")]
+    pub(crate) device: ComputeDevice,
+}

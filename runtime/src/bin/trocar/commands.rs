@@ -1,0 +1,223 @@
+//! The verbs: arguments in, library calls, results out. `Ok(false)` means that the job failed.
+
+use tch::Device;
+use runtime::doctor;
+use runtime::log::RunLog;
+use runtime::session::demo::{self, DemoOptions};
+use runtime::session::eval::{self, EvalOptions};
+use runtime::session::realtime::{self, PolicyProcessOptions};
+use runtime::session::record::{self, RecordOptions};
+use runtime::session::run::{self, RunOptions, write_json};
+use runtime::session::summary::RunSummary;
+use runtime::session::training::{self, TrainingOptions};
+use runtime::session::{PolicyChoice, SessionError, Setup};
+use runtime::{replay as replaying, verify as verifying};
+
+use crate::args::{
+    ComputeDevice, DemoArgs, DoctorArgs, EvalArgs, LogArgs, PolicyProcessArgs, RecordArgs, RunArgs, TrainArgs,
+};
+use crate::console;
+
+type Done = Result<bool, SessionError>;
+
+fn device(choice: ComputeDevice) -> Result<Device, SessionError> {
+    match choice {
+        ComputeDevice::Cpu => Ok(Device::Cpu),
+        ComputeDevice::Cuda if tch::Cuda::is_available() => Ok(Device::Cuda(0)),
+        ComputeDevice::Cuda => {
+            Err(SessionError::BadArgument("--device cuda: this libtorch sees no CUDA device".to_owned()))
+        }
+    }
+}
+
+pub(crate) fn run(args: &RunArgs) -> Done {
+    let setup = Setup::load(args.task.name(), args.config.as_deref())?;
+    let options = RunOptions {
+        policy: PolicyChoice::parse(&args.policy),
+        seed: args.seed,
+        log: args.log.clone(),
+        pictures: args.log.is_some(),
+        latency_ms: args.latency_ms,
+        device: device(args.device)?,
+    };
+    let result =
+        if args.lockstep { run::run_lockstep(&setup, &options)? } else { realtime::run_realtime(&setup, &options)? };
+    report_run(&result.summary);
+    if let Some(path) = &args.json {
+        write_json(path, &result.summary)?;
+    }
+    Ok(result.summary.success)
+}
+
+fn report_run(summary: &RunSummary) {
+    let verdict = if summary.success { "success" } else { "failure" };
+    console::result(&format!("{}: {verdict} ({}) after {:.2} s", summary.task, summary.reason, summary.seconds));
+    console::result(&format!(
+        "  controller tick: p50 {:.1} us, p99 {:.1} us, max {:.1} us over {} ticks",
+        summary.tick_us.p50, summary.tick_us.p99, summary.tick_us.max, summary.ticks
+    ));
+    console::result(&format!(
+        "  safety QP: passed {}, solved {}, failed {}; guard interventions: {}",
+        summary.qp.passed, summary.qp.solved, summary.qp.failed, summary.guard_interventions
+    ));
+    console::result(&format!(
+        "  policy: {} queries, {} refused chunks, observation to chunk p50 {:.1} ms, p99 {:.1} ms, inference p50 {:.1} ms",
+        summary.policy.queries,
+        summary.policy.refused,
+        summary.policy.latency_ms.p50,
+        summary.policy.latency_ms.p99,
+        summary.policy.inference_ms.p50,
+    ));
+    if let Some(real_time) = &summary.real_time {
+        console::result(&format!(
+            "  real time: {} skipped periods, wake-up p99 {:.0} us, {} log records dropped",
+            real_time.overruns, real_time.wake_p99_us, real_time.log_dropped
+        ));
+    }
+    console::result(&format!("  command hash: {}", summary.command_hash));
+}
+
+pub(crate) fn eval(args: &EvalArgs) -> Done {
+    let setup = Setup::load(args.task.name(), args.config.as_deref())?;
+    let options = EvalOptions {
+        policy: PolicyChoice::parse(&args.policy),
+        trials: args.trials,
+        seed: args.seed,
+        jobs: args.jobs,
+        latency_ms: args.latency_ms,
+        device: device(args.device)?,
+    };
+    let bar = console::progress(args.trials as u64, "trials");
+    let summary = eval::evaluate(&setup, &options, &mut |trial| {
+        if !trial.success {
+            bar.suspend(|| console::note(&format!("seed {}: {} after {:.2} s", trial.seed, trial.reason, trial.seconds)));
+        }
+        bar.inc(1);
+    })?;
+    bar.finish_and_clear();
+    console::result(&format!(
+        "{}, {}: {} of {} succeeded, rate {:.2} [{:.2}, {:.2}]",
+        summary.task,
+        summary.policy,
+        summary.successes,
+        summary.trials,
+        summary.rate,
+        summary.wilson95[0],
+        summary.wilson95[1]
+    ));
+    if let Some(path) = &args.json {
+        write_json(path, &summary)?;
+    }
+    Ok(true)
+}
+
+pub(crate) fn record(args: &RecordArgs) -> Done {
+    let setup = Setup::load(args.task.name(), args.config.as_deref())?;
+    let options =
+        RecordOptions { episodes: args.episodes, out: args.out.clone(), seed: args.seed, jobs: args.jobs };
+    let bar = console::progress(args.episodes as u64, "episodes");
+    let mut steps = 0;
+    record::record(&setup, &options, &mut |attempt| {
+        if attempt.kept {
+            steps += attempt.steps;
+            bar.inc(1);
+        } else {
+            bar.suspend(|| console::note(&format!("seed {}: not kept: {}", attempt.seed, attempt.reason)));
+        }
+    })?;
+    bar.finish_and_clear();
+    console::result(&format!("{} episodes, {steps} steps in {}", args.episodes, args.out.display()));
+    Ok(true)
+}
+
+pub(crate) fn train(args: &TrainArgs) -> Done {
+    let options = TrainingOptions {
+        data: args.data.clone(),
+        out: args.out.clone(),
+        preset: args.preset.clone(),
+        steps: args.steps,
+        batch: args.batch,
+        device: device(args.device)?,
+        episodes: args.episodes,
+        bf16: args.bf16,
+        validation_share: args.validation_share,
+        threads: args.threads,
+        augment: args.augment,
+        seed: args.seed,
+        command: std::env::args().skip(1).collect::<Vec<_>>().join(" "),
+    };
+    let result = training::train(&options, &mut |line| console::note(line))?;
+    console::result(&format!("trained {} steps, final loss {:.5}, {}", result.steps, result.loss, args.out.display()));
+    if let Some(path) = &args.json {
+        write_json(path, &result)?;
+    }
+    Ok(true)
+}
+
+pub(crate) fn replay(args: &LogArgs) -> Done {
+    let log = RunLog::open(&args.file)?;
+    let result = replaying::replay(&log)?;
+    match &result.first_difference {
+        None if result.identical => console::result(&format!("identical: {} ticks", result.ticks)),
+        None => console::result(&format!("not identical after {} ticks", result.ticks)),
+        Some(difference) => console::result(&format!("differs: {difference}")),
+    }
+    if let Some(path) = &args.json {
+        write_json(path, &result)?;
+    }
+    refuse_cut(&log, args)?;
+    Ok(result.identical)
+}
+
+pub(crate) fn verify(args: &LogArgs) -> Done {
+    let log = RunLog::open(&args.file)?;
+    let result = verifying::verify(&log)?;
+    console::result(&format!(
+        "{}: {} ticks, {} violations",
+        if result.ok { "ok" } else { "not ok" },
+        result.ticks,
+        result.violations.len()
+    ));
+    for violation in result.violations.iter().take(10) {
+        console::result(&format!("  {violation}"));
+    }
+    if let Some(path) = &args.json {
+        write_json(path, &result)?;
+    }
+    refuse_cut(&log, args)?;
+    Ok(result.ok)
+}
+
+/// An incomplete log is bad input, even though what is there was used.
+fn refuse_cut(log: &RunLog, args: &LogArgs) -> Result<(), SessionError> {
+    let Some(reason) = log.cut() else { return Ok(()) };
+    Err(SessionError::CutLog { path: args.file.display().to_string(), reason: reason.to_owned() })
+}
+
+pub(crate) fn doctor(args: &DoctorArgs) -> Done {
+    let findings = doctor::examine();
+    console::result(doctor::table(&findings).trim_end());
+    if let Some(path) = &args.json {
+        write_json(path, &findings)?;
+    }
+    Ok(true)
+}
+
+pub(crate) fn demo(args: &DemoArgs) -> Done {
+    let options = DemoOptions { out: args.out.clone(), policy: args.policy.clone(), seed: args.seed };
+    let result = demo::run(&options)?;
+    report_run(&result.summary);
+    for file in &result.files {
+        console::result(&format!("  wrote {}", file.display()));
+    }
+    Ok(result.summary.success)
+}
+
+pub(crate) fn policy_process(args: &PolicyProcessArgs) -> Done {
+    realtime::serve_policy(&PolicyProcessOptions {
+        run_id: args.run_id.clone(),
+        policy: args.policy.clone(),
+        device: device(args.device)?,
+    })?;
+    Ok(true)
+}

@@ -1,0 +1,22 @@
+//! Sessions: what the command line's verbs do with an arm, a controller and a policy.
+//!
+//! This is the one place where the simulator, the policies and the controller meet.
+
+pub mod demo;
+pub mod episode;
+pub mod error;
+pub mod eval;
+pub mod parallel;
+pub mod pictures;
+pub mod realtime;
+pub mod record;
+pub mod run;
+pub mod setup;
+pub mod source;
+pub mod summary;
+pub mod tally;
+pub mod training;
+
+pub use error::SessionError;
+pub use setup::Setup;
+pub use source::PolicyChoice;

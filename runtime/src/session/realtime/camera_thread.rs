@@ -1,0 +1,122 @@
+//! The cameras in a real-time run: snapshots in, frames rendered straight into shared memory, pictures and log.
+
+use hal::topic::{ArmReport, ArmStateTopic, CameraTopic, FrameHeader, FramePublisher, Publisher, TopicNode};
+use hal::{ArmState, CameraFrame, Pose};
+use rtrb::Consumer;
+use sim_backend::cameras::{SceneCameras, SceneSnapshot};
+use sim_backend::render::Planes;
+
+use super::Signals;
+use super::policy_process::ARM;
+use crate::log::SideLog;
+use crate::rt;
+use crate::session::pictures::Pictures;
+use crate::session::{SessionError, Setup};
+
+/// Time between two looks for a snapshot, ns.
+const POLL_NS: u64 = 300_000;
+
+/// What the cameras need to know of one instant.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Snapshot {
+    pub(super) step: u64,
+    pub(super) arm: ArmState,
+    pub(super) tip_in_rcm: Pose,
+    pub(super) scene: SceneSnapshot,
+}
+
+/// The camera thread before it runs.
+pub(super) struct CameraThread {
+    cameras: SceneCameras,
+    publishers: Vec<FramePublisher>,
+    arm: Option<Publisher<ArmReport>>,
+    log: Option<SideLog>,
+    snapshots: Consumer<Snapshot>,
+    pictures: Pictures,
+    frames: Vec<CameraFrame>,
+}
+
+/// What it leaves behind.
+pub(super) struct CameraEnd {
+    pub(super) pictures: Pictures,
+}
+
+impl CameraThread {
+    /// Opens the renderer, and the topics if there is a policy process to see them.
+    pub(super) fn new(
+        setup: &Setup,
+        node: Option<&TopicNode>,
+        log: Option<SideLog>,
+        snapshots: Consumer<Snapshot>,
+    ) -> Result<Self, SessionError> {
+        let cameras = SceneCameras::new(&setup.task)?;
+        let mut publishers = Vec::new();
+        if let Some(node) = node {
+            for camera in 0..cameras.count() {
+                let pixels = cameras.intrinsics(camera)?.pixel_count();
+                publishers.push(CameraTopic::publisher(node, cameras.name(camera)?, pixels)?);
+            }
+        }
+        let arm = node.map(|node| ArmStateTopic::publisher(node, ARM)).transpose()?;
+        let frames =
+            (0..cameras.count()).map(|camera| cameras.blank_frame(camera)).collect::<Result<Vec<_>, _>>()?;
+        Ok(Self { cameras, publishers, arm, log, snapshots, pictures: Pictures::default(), frames })
+    }
+
+    /// Renders snapshots until the control thread has stopped.
+    pub(super) fn run(mut self, signals: &Signals) -> Result<CameraEnd, SessionError> {
+        while !signals.stopped() {
+            match self.snapshots.pop() {
+                Ok(snapshot) => self.take(&snapshot)?,
+                Err(rtrb::PopError::Empty) => {
+                    self.keep_alive()?;
+                    rt::sleep_ns(POLL_NS);
+                }
+            }
+        }
+        Ok(CameraEnd { pictures: self.pictures })
+    }
+
+    fn take(&mut self, snapshot: &Snapshot) -> Result<(), SessionError> {
+        for camera in 0..self.cameras.count() {
+            let stamp = snapshot.arm.stamp;
+            let frame = &mut self.frames[camera];
+            if let Some(publisher) = self.publishers.get_mut(camera) {
+                let pose = self.cameras.pose(camera)?;
+                let header = FrameHeader::new(stamp, snapshot.step, self.cameras.intrinsics(camera)?, &pose);
+                let mut loan = publisher.loan(&header)?;
+                let (colour, depth_m, instance) = loan.planes();
+                let planes = Planes { colour, depth_m, instance };
+                self.cameras.render_into(camera, &snapshot.scene, planes)?;
+                frame.colour.copy_from_slice(loan.planes().0);
+                // The report goes first, so that it is there when the frame arrives.
+                if let (Some(arm), 0) = (&self.arm, camera) {
+                    arm.publish(&ArmReport::new(snapshot.step, &snapshot.arm, &snapshot.tip_in_rcm))?;
+                }
+                loan.send()?;
+            } else {
+                self.cameras.render(camera, &snapshot.scene, frame)?;
+            }
+            frame.stamp = stamp;
+            frame.sequence = snapshot.step;
+            if let Some(log) = &mut self.log {
+                log.frame(self.cameras.name(camera)?, frame);
+            }
+            if camera == 0 {
+                self.pictures.push(frame);
+            }
+        }
+        Ok(())
+    }
+
+    /// Lets a policy process that has just come connect.
+    fn keep_alive(&self) -> Result<(), SessionError> {
+        for publisher in &self.publishers {
+            publisher.keep_alive()?;
+        }
+        if let Some(arm) = &self.arm {
+            arm.keep_alive()?;
+        }
+        Ok(())
+    }
+}

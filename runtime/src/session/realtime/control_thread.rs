@@ -1,0 +1,119 @@
+//! The control thread of a real-time run: read, tick, write, once a period.
+
+use std::sync::Arc;
+use std::sync::atomic::Ordering;
+
+use hal::{ArmCommand, ArmError, ArmState, Chunk, TICK_NS, TimeNs};
+use rtrb::Consumer;
+
+use super::Signals;
+use crate::control::{Controller, OperatorEvent, TickInput};
+use crate::histogram::Histogram;
+use crate::log::{TickLog, TickRecord, TickTiming};
+use crate::mailbox::{MailboxReader, MailboxWriter};
+use crate::rt::{MonotonicClock, Periodic, RtOptions, configure_thread};
+use crate::session::tally::Tally;
+
+/// Age of the newest measurement beyond which it counts as lost, ns.
+///
+/// A drive's watchdog on a bus is of the same size (the dVRK's is 30 ms); a shared machine without a real-time kernel can
+/// take the simulation thread off its core for longer than a few periods.
+const MEASUREMENT_AGE_NS_MAX: u64 = 50_000_000;
+
+/// Periods that the arm gets to come to rest after the verdict.
+const REST_TICKS: u64 = 500;
+
+/// Priority of the control thread under `SCHED_FIFO`.
+const PRIORITY: u8 = 80;
+
+/// The control thread before it runs.
+pub(super) struct ControlThread {
+    pub(super) controller: Box<Controller>,
+    pub(super) measured: MailboxReader<ArmState>,
+    pub(super) chunks: Consumer<Chunk>,
+    pub(super) commands: MailboxWriter<ArmCommand>,
+    pub(super) log: Option<TickLog>,
+    pub(super) signals: Arc<Signals>,
+}
+
+/// What it leaves behind.
+pub(super) struct ControlEnd {
+    pub(super) tally: Tally,
+    pub(super) skipped: u64,
+    pub(super) wake_p99_us: f64,
+    pub(super) log_dropped: u64,
+}
+
+impl ControlThread {
+    /// Runs until the arm rests after the verdict.
+    pub(super) fn run(mut self, clock: MonotonicClock, first: TimeNs) -> ControlEnd {
+        let options = RtOptions { priority: Some(PRIORITY), cpu: None, lock_memory: false, strict: false };
+        // Not strict, so a refusal is only reported; `trocar doctor` tells what to change.
+        let _granted = configure_thread(&options);
+        let mut periodic = Periodic::new(clock, first, TICK_NS);
+        let mut wakes = Histogram::new();
+        let mut tally = Tally::default();
+        let (mut skipped, mut rest_ticks) = (0, 0);
+        let mut newest: Option<ArmState> = None;
+        while rest_ticks < REST_TICKS {
+            let wake = periodic.wait();
+            skipped += wake.skipped;
+            wakes.record(wake.woke.since(wake.due));
+            newest = self.measured.take().or(newest);
+            let Some(state) = newest else { continue };
+            let done = self.signals.done();
+            let operator = if tally.ticks() == 0 {
+                Some(OperatorEvent::Enable)
+            } else {
+                (done && rest_ticks == 0).then_some(OperatorEvent::Pause)
+            };
+            rest_ticks += u64::from(done);
+            let timing = TickTiming { wake_ns: wake.woke.since(wake.due), compute_ns: 0 };
+            let mut record = self.tick(wake.due, &state, operator, &mut tally, clock);
+            record.timing.wake_ns = timing.wake_ns;
+            tally.tick(&record);
+            if let Some(log) = &mut self.log {
+                log.tick(&record);
+            }
+        }
+        self.signals.stopped.store(true, Ordering::Release);
+        let log_dropped = self.log.as_ref().map_or(0, TickLog::dropped);
+        #[expect(clippy::cast_precision_loss, reason = "a delay is exact in f64")]
+        let wake_p99_us = wakes.percentile(0.99) as f64 * 1e-3;
+        ControlEnd { tally, skipped, wake_p99_us, log_dropped }
+    }
+
+    fn tick(
+        &mut self,
+        now: TimeNs,
+        state: &ArmState,
+        operator: Option<OperatorEvent>,
+        tally: &mut Tally,
+        clock: MonotonicClock,
+    ) -> TickRecord {
+        let age_ns = now.since(state.stamp);
+        let measured =
+            if age_ns > MEASUREMENT_AGE_NS_MAX { Err(ArmError::MeasurementLost { age_ns }) } else { Ok(*state) };
+        let chunk = self.chunks.pop().ok();
+        if let (Some(log), Some(chunk)) = (&mut self.log, &chunk) {
+            log.chunk(chunk);
+        }
+        if let Some(chunk) = &chunk {
+            tally.delivery(now.since(chunk.observed_at));
+        }
+        let before = clock.now();
+        let output = self.controller.tick(&TickInput { now, measured, chunk: chunk.as_ref(), operator });
+        let compute_ns = clock.now().since(before);
+        self.commands.put(output.command);
+        TickRecord {
+            tick: now.tick(),
+            now,
+            measured,
+            operator,
+            chunk_sequence: chunk.map(|chunk| chunk.sequence),
+            command: output.command,
+            report: output.report,
+            timing: TickTiming { wake_ns: 0, compute_ns },
+        }
+    }
+}

@@ -1,0 +1,179 @@
+//! Demonstrations: episodes of the expert, written as a LeRobot v3 dataset.
+
+use std::path::PathBuf;
+
+use hal::{Chunk, Pose};
+use tch::Device;
+use policy::act_policy::state_numbers;
+use policy::dataset::{CameraSpec, DatasetSpec, DatasetWriter, FrameRecord};
+use sim_backend::cameras::SceneCameras;
+use sim_backend::simulation::{Rendering, Simulation};
+use sim_backend::task::Outcome;
+
+use super::episode::{Episode, Plan, StepView, Watcher};
+use super::source::{PolicyChoice, STEP_NS};
+use super::{SessionError, Setup, parallel};
+
+/// What to record.
+#[derive(Clone, Debug)]
+pub struct RecordOptions {
+    /// How many successful episodes.
+    pub episodes: usize,
+    /// The dataset's directory; must not exist.
+    pub out: PathBuf,
+    /// Seed of the first attempt.
+    pub seed: u64,
+    /// Episodes at a time.
+    pub jobs: usize,
+}
+
+/// What became of one attempt.
+#[derive(Clone, Debug)]
+pub struct Attempt {
+    /// Its seed.
+    pub seed: u64,
+    /// Whether it was kept.
+    pub kept: bool,
+    /// How it ended.
+    pub reason: String,
+    /// Policy steps.
+    pub steps: usize,
+}
+
+/// Records until enough attempts have succeeded; failed ones are reported and not kept.
+///
+/// # Errors
+/// From the simulation or the dataset; [`SessionError::BadArgument`] if the expert fails far too often.
+pub fn record(
+    setup: &Setup,
+    options: &RecordOptions,
+    on_attempt: &mut dyn FnMut(&Attempt),
+) -> Result<(), SessionError> {
+    if options.out.exists() {
+        return Err(SessionError::BadArgument(format!("{}: exists already", options.out.display())));
+    }
+    let mut writer = DatasetWriter::create(&options.out, &dataset_spec(setup))?;
+    let (mut kept, mut seed) = (0, options.seed);
+    let seed_limit = options.seed + 4 * options.episodes as u64 + 20;
+    while kept < options.episodes {
+        if seed >= seed_limit {
+            return Err(SessionError::BadArgument(format!("only {kept} of {} attempts succeeded", seed - options.seed)));
+        }
+        let wanted = options.episodes - kept;
+        let first = seed;
+        parallel::in_order(wanted, options.jobs, || Ok(demonstrator(setup, first)), &mut |index, demo: Demonstration| {
+            let success = matches!(demo.outcome, Outcome::Success);
+            if success {
+                store(&mut writer, &demo)?;
+                kept += 1;
+            }
+            on_attempt(&Attempt {
+                seed: first + index as u64,
+                kept: success,
+                reason: demo.reason,
+                steps: demo.frames.len(),
+            });
+            Ok(())
+        })?;
+        seed += wanted as u64;
+    }
+    writer.finish()?;
+    Ok(())
+}
+
+fn dataset_spec(setup: &Setup) -> DatasetSpec {
+    let cameras = setup
+        .task
+        .cameras
+        .iter()
+        .map(|camera| CameraSpec {
+            name: camera.name.clone(),
+            width: camera.intrinsics().width,
+            height: camera.intrinsics().height,
+        })
+        .collect();
+    #[expect(clippy::cast_possible_truncation, reason = "25 steps a second")]
+    let fps = (1_000_000_000 / STEP_NS) as u32;
+    DatasetSpec { fps, robot_type: "dvrk_psm_sim".to_owned(), task: setup.task_name.clone(), cameras }
+}
+
+/// One episode in memory.
+struct Demonstration {
+    outcome: Outcome,
+    reason: String,
+    frames: Vec<StoredFrame>,
+}
+
+struct StoredFrame {
+    state: [f32; 7],
+    tip_pose: [f64; 7],
+    action: [f64; 8],
+    images: Vec<Vec<u8>>,
+}
+
+fn store(writer: &mut DatasetWriter, demo: &Demonstration) -> Result<(), SessionError> {
+    for frame in &demo.frames {
+        let images: Vec<&[u8]> = frame.images.iter().map(Vec::as_slice).collect();
+        writer.push_frame(&FrameRecord {
+            state: frame.state,
+            tip_pose: frame.tip_pose,
+            action: frame.action,
+            images: &images,
+        })?;
+    }
+    Ok(writer.end_episode()?)
+}
+
+/// The job of one thread: the demonstration of `first + index`.
+fn demonstrator(setup: &Setup, first: u64) -> impl FnMut(usize) -> Result<Demonstration, SessionError> {
+    let mut cameras: Option<SceneCameras> = None;
+    move |index| {
+        let seed = first + index as u64;
+        let mut simulation = match cameras.take() {
+            Some(cameras) => Simulation::with_cameras(&setup.task, seed, cameras),
+            None => Simulation::new(&setup.task, seed, Rendering::On)?,
+        };
+        let mut source = setup.source(&PolicyChoice::Expert, seed, Device::Cpu)?;
+        let mut controller = setup.controller()?;
+        let mut diary = Diary { cameras: setup.camera_names(), frames: Vec::new() };
+        let plan = Plan { latency_ticks: source.latency_ticks(), tick_limit: setup.tick_limit() };
+        let episode =
+            Episode { simulation: &mut simulation, controller: &mut controller, source: &mut source };
+        let end = episode.run(&plan, &mut diary)?;
+        cameras = simulation.into_cameras();
+        Ok(Demonstration { reason: end.reason(), outcome: end.outcome, frames: diary.frames })
+    }
+}
+
+/// Writes down every policy step of the expert.
+struct Diary {
+    cameras: Vec<String>,
+    frames: Vec<StoredFrame>,
+}
+
+impl Watcher for Diary {
+    fn cameras(&self) -> Vec<String> {
+        self.cameras.clone()
+    }
+
+    fn step(&mut self, view: &StepView<'_>) -> Result<(), SessionError> {
+        let Some(target) = view.answer.and_then(|chunk: &Chunk| chunk.valid_targets().first()) else {
+            return Ok(());
+        };
+        let [x, y, z] = target.position_m;
+        let [i, j, k, w] = target.rotation_xyzw;
+        self.frames.push(StoredFrame {
+            state: state_numbers(view.arm),
+            tip_pose: pose_numbers(&view.tip_in_rcm),
+            action: [x, y, z, i, j, k, w, target.jaw],
+            images: view.frames.iter().map(|frame| frame.colour.clone()).collect(),
+        });
+        Ok(())
+    }
+}
+
+/// A pose as datasets store it: x y z qx qy qz qw.
+fn pose_numbers(pose: &Pose) -> [f64; 7] {
+    let (p, q) = (pose.translation, pose.rotation.coords);
+    [p.x, p.y, p.z, q.x, q.y, q.z, q.w]
+}

@@ -1,0 +1,154 @@
+//! One run in lockstep, with its log, its pictures and its summary.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+use hal::Chunk;
+use tch::Device;
+use sim_backend::simulation::{Rendering, Simulation};
+use sim_backend::task::Outcome;
+
+use super::episode::{Episode, Plan, StepView, Watcher};
+use super::pictures::Pictures;
+use super::source::PolicyChoice;
+use super::summary::RunSummary;
+use super::tally::RunLabels;
+use super::{SessionError, Setup, pictures};
+use crate::log::{Pressure, Recorder, RunHeader, RunOutcome, TickRecord};
+
+/// How to run.
+#[derive(Clone, Debug)]
+pub struct RunOptions {
+    /// The policy.
+    pub policy: PolicyChoice,
+    /// Everything random hangs on this.
+    pub seed: u64,
+    /// Where the log goes, if anywhere.
+    pub log: Option<PathBuf>,
+    /// Whether to take frames at every policy step even if the policy needs none.
+    pub pictures: bool,
+    /// Delay from observation to chunk, ms; the policy's own if not given.
+    pub latency_ms: Option<u64>,
+    /// Where the network computes.
+    pub device: Device,
+}
+
+/// What a run leaves behind.
+#[derive(Debug)]
+pub struct RunResult {
+    /// The summary.
+    pub summary: RunSummary,
+    /// Frames of the first camera, empty unless asked for.
+    pub pictures: Pictures,
+}
+
+/// Runs one episode in lockstep.
+///
+/// # Errors
+/// From the configuration, the policy, the simulation or the log.
+pub fn run_lockstep(setup: &Setup, options: &RunOptions) -> Result<RunResult, SessionError> {
+    let mut source = setup.source(&options.policy, options.seed, options.device)?;
+    if let super::source::ChunkSource::Network(network) = &mut source {
+        hal::Policy::reset(network.as_mut(), options.seed);
+    }
+    let needs_frames = options.pictures || !source.cameras().is_empty();
+    let rendering = if needs_frames { Rendering::On } else { Rendering::Off };
+    let mut simulation = Simulation::new(&setup.task, options.seed, rendering)?;
+    let mut controller = setup.controller()?;
+    let cameras = if options.pictures { setup.camera_names() } else { Vec::new() };
+    let recorder = open_log(setup, options, true)?;
+    let mut watcher = RunWatcher { recorder, cameras, pictures: Pictures::default() };
+    let latency_ticks = options.latency_ms.unwrap_or_else(|| source.latency_ticks());
+    let plan = Plan { latency_ticks, tick_limit: setup.tick_limit() };
+    let episode = Episode { simulation: &mut simulation, controller: &mut controller, source: &mut source };
+    let end = episode.run(&plan, &mut watcher)?;
+    let reason = end.reason();
+    let success = matches!(end.outcome, Outcome::Success);
+    if let Some(recorder) = watcher.recorder {
+        let outcome = RunOutcome { success, reason: reason.clone(), command_hash: end.tally.command_hash() };
+        recorder.finish(Some(&outcome))?;
+    }
+    let labels = RunLabels {
+        task: &setup.task_name,
+        policy: &options.policy.name(),
+        seed: options.seed,
+        success,
+        reason: &reason,
+    };
+    Ok(RunResult { summary: end.tally.summary(&labels, None), pictures: watcher.pictures })
+}
+
+/// Opens the log that `options` ask for; a lockstep log loses nothing, a real-time log never waits.
+///
+/// # Errors
+/// [`SessionError::Log`] or [`SessionError::Output`].
+pub fn open_log(setup: &Setup, options: &RunOptions, lockstep: bool) -> Result<Option<Recorder>, SessionError> {
+    let Some(path) = &options.log else { return Ok(None) };
+    pictures::create_parent(path)?;
+    let pressure = if lockstep { Pressure::Block } else { Pressure::Drop };
+    Ok(Some(Recorder::create(path, &header(setup, options, lockstep), pressure)?))
+}
+
+fn header(setup: &Setup, options: &RunOptions, lockstep: bool) -> RunHeader {
+    let versions = [("trocar", env!("CARGO_PKG_VERSION")), ("torch", "2.11.0")];
+    let texts = [
+        ("control.toml", &setup.texts.control),
+        ("safety.toml", &setup.texts.safety),
+        ("scene.toml", &setup.texts.scene),
+    ];
+    RunHeader {
+        task: setup.task_name.clone(),
+        policy: options.policy.name(),
+        seed: options.seed,
+        lockstep,
+        versions: versions.map(|(name, version)| (name.to_owned(), version.to_owned())).into(),
+        texts: texts.map(|(name, text)| (name.to_owned(), text.clone())).into_iter().collect::<BTreeMap<_, _>>(),
+    }
+}
+
+/// Writes the log and keeps pictures.
+struct RunWatcher {
+    recorder: Option<Recorder>,
+    cameras: Vec<String>,
+    pictures: Pictures,
+}
+
+impl Watcher for RunWatcher {
+    fn cameras(&self) -> Vec<String> {
+        self.cameras.clone()
+    }
+
+    fn step(&mut self, view: &StepView<'_>) -> Result<(), SessionError> {
+        for (index, frame) in view.frames.iter().enumerate() {
+            if let (Some(recorder), Some(name)) = (&mut self.recorder, self.cameras.get(index)) {
+                recorder.frame(name, frame);
+            }
+            if index == 0 && !self.cameras.is_empty() {
+                self.pictures.push(frame);
+            }
+        }
+        Ok(())
+    }
+
+    fn chunk(&mut self, chunk: &Chunk) {
+        if let Some(recorder) = &mut self.recorder {
+            recorder.chunk(chunk);
+        }
+    }
+
+    fn tick(&mut self, record: &TickRecord) {
+        if let Some(recorder) = &mut self.recorder {
+            recorder.tick(record);
+        }
+    }
+}
+
+/// Writes `value` as pretty JSON.
+///
+/// # Errors
+/// [`SessionError::Output`].
+pub fn write_json(path: &Path, value: &impl serde::Serialize) -> Result<(), SessionError> {
+    pictures::create_parent(path)?;
+    let text = serde_json::to_string_pretty(value).map_err(|error| SessionError::output(path, error))?;
+    std::fs::write(path, text + "\n").map_err(|error| SessionError::output(path, error))
+}

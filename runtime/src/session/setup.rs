@@ -1,0 +1,113 @@
+//! A task with its scene, its limits and the controller's settings, read once and checked once.
+
+use std::path::Path;
+
+use hal::config::Source;
+use policy::act_policy::ActPolicy;
+use sim_backend::expert::Expert;
+use sim_backend::rng::Rng;
+use sim_backend::task::TaskConfig;
+use tch::Device;
+
+use super::SessionError;
+use super::source::{ChunkSource, PolicyChoice};
+use crate::control::{ControlConfig, Controller};
+
+/// Everything that a session is configured by.
+#[derive(Clone, Debug)]
+pub struct Setup {
+    /// Task name.
+    pub task_name: String,
+    /// The scene.
+    pub task: TaskConfig,
+    /// The controller.
+    pub control: ControlConfig,
+    /// The texts they came from, for the log.
+    pub texts: Texts,
+}
+
+/// Effective configuration texts.
+#[derive(Clone, Debug)]
+pub struct Texts {
+    /// The controller's settings.
+    pub control: String,
+    /// The task's limits.
+    pub safety: String,
+    /// The task's scene.
+    pub scene: String,
+}
+
+impl Setup {
+    /// The built-in configuration of `task`, with the controller's settings from `control` if given.
+    ///
+    /// # Errors
+    /// [`SessionError::Config`], or [`SessionError::BadArgument`] for an unknown task.
+    pub fn load(task: &str, control: Option<&Path>) -> Result<Self, SessionError> {
+        let (scene, safety) = match task {
+            "needle-lift" => (
+                Source::embedded(
+                    "config/tasks/needle-lift/scene.toml",
+                    include_str!("../../../config/tasks/needle-lift/scene.toml"),
+                ),
+                Source::embedded(
+                    "config/tasks/needle-lift/safety.toml",
+                    include_str!("../../../config/tasks/needle-lift/safety.toml"),
+                ),
+            ),
+            unknown => return Err(SessionError::BadArgument(format!("there is no task {unknown:?}"))),
+        };
+        let control = match control {
+            Some(path) => Source::read(&path.display().to_string())?,
+            None => Source::embedded("config/control.toml", include_str!("../../../config/control.toml")),
+        };
+        Ok(Self {
+            task_name: task.to_owned(),
+            task: TaskConfig::parse(&scene)?,
+            control: ControlConfig::load(&control, &safety)?,
+            texts: Texts {
+                control: control.text().to_owned(),
+                safety: safety.text().to_owned(),
+                scene: scene.text().to_owned(),
+            },
+        })
+    }
+
+    /// Names of the task's cameras.
+    #[must_use]
+    pub fn camera_names(&self) -> Vec<String> {
+        self.task.cameras.iter().map(|camera| camera.name.clone()).collect()
+    }
+
+    /// A fresh controller.
+    ///
+    /// # Errors
+    /// [`SessionError::BadArgument`] if the configuration can't be turned into one.
+    pub fn controller(&self) -> Result<Controller, SessionError> {
+        Controller::new(&self.control).map_err(|error| SessionError::BadArgument(error.to_string()))
+    }
+
+    /// The source of chunks that the user asked for.
+    ///
+    /// # Errors
+    /// [`SessionError::Checkpoint`].
+    pub fn source(&self, choice: &PolicyChoice, seed: u64, device: Device) -> Result<ChunkSource, SessionError> {
+        Ok(match choice {
+            PolicyChoice::Expert => {
+                ChunkSource::Expert { expert: Box::new(Expert::new(&self.task, seed)), sequence: 0 }
+            }
+            PolicyChoice::Noop => ChunkSource::Noop { held: None, sequence: 0 },
+            PolicyChoice::Random => {
+                ChunkSource::Random { home: None, rng: Rng::stream(seed, "random policy"), sequence: 0 }
+            }
+            PolicyChoice::Checkpoint(path) => ChunkSource::Network(Box::new(ActPolicy::load(path, device)?)),
+        })
+    }
+
+    /// Control periods after which an episode is given up; the task's own time limit comes first.
+    #[must_use]
+    pub fn tick_limit(&self) -> u64 {
+        #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "the limit is checked to lie in 1 to 600 s")]
+        let limit = (self.task.success.time_limit_s * 1e3) as u64;
+        limit + 2000
+    }
+}

@@ -1,0 +1,181 @@
+//! Where chunks come from: the scripted expert, a network, or one of the two policies that must never succeed.
+
+use std::path::PathBuf;
+
+use hal::{ArmState, Chunk, FrameRef, Observation, Policy, Pose, TimeNs, TipTarget};
+use nalgebra::{Translation3, Vector3};
+use policy::act_policy::ActPolicy;
+use sim_backend::expert::Expert;
+use sim_backend::rng::Rng;
+use sim_backend::simulation::SceneState;
+
+use super::SessionError;
+
+/// Control periods in one policy step.
+pub const STEP_TICKS: u64 = 40;
+
+/// One policy step, ns.
+pub const STEP_NS: u64 = STEP_TICKS * hal::TICK_NS;
+
+/// Which policy the user asked for.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum PolicyChoice {
+    /// The task's scripted expert, which sees the scene's state.
+    Expert,
+    /// Holds still.
+    Noop,
+    /// Moves at random.
+    Random,
+    /// A trained checkpoint.
+    Checkpoint(PathBuf),
+}
+
+impl PolicyChoice {
+    /// Reads `expert`, `noop`, `random`, or else a directory.
+    #[must_use]
+    pub fn parse(text: &str) -> Self {
+        match text {
+            "expert" => Self::Expert,
+            "noop" => Self::Noop,
+            "random" => Self::Random,
+            directory => Self::Checkpoint(PathBuf::from(directory)),
+        }
+    }
+
+    /// The name used in results.
+    #[must_use]
+    pub fn name(&self) -> String {
+        match self {
+            Self::Expert => "expert".to_owned(),
+            Self::Noop => "noop".to_owned(),
+            Self::Random => "random".to_owned(),
+            Self::Checkpoint(path) => path.display().to_string(),
+        }
+    }
+}
+
+/// What a source may look at. Only the expert looks at `scene`.
+#[derive(Clone, Copy, Debug)]
+pub struct Query<'a> {
+    /// The measured arm.
+    pub arm: &'a ArmState,
+    /// Measured tip pose in the RCM frame.
+    pub tip_in_rcm: Pose,
+    /// Frames of the cameras in [`ChunkSource::cameras`].
+    pub frames: &'a [FrameRef<'a>],
+    /// The true state of the scene.
+    pub scene: &'a SceneState,
+}
+
+/// A source of chunks.
+pub enum ChunkSource {
+    /// The scripted expert.
+    Expert {
+        /// The expert itself.
+        expert: Box<Expert>,
+        /// Chunks so far.
+        sequence: u64,
+    },
+    /// Holds the pose it saw first.
+    Noop {
+        /// That pose and jaw angle.
+        held: Option<TipTarget>,
+        /// Chunks so far.
+        sequence: u64,
+    },
+    /// Wanders around the pose it saw first.
+    Random {
+        /// That pose and jaw angle.
+        home: Option<TipTarget>,
+        /// The dice.
+        rng: Rng,
+        /// Chunks so far.
+        sequence: u64,
+    },
+    /// A trained network.
+    Network(Box<ActPolicy>),
+}
+
+impl ChunkSource {
+    /// Names of the cameras whose frames a query needs.
+    #[must_use]
+    pub fn cameras(&self) -> Vec<String> {
+        match self {
+            Self::Expert { .. } | Self::Noop { .. } | Self::Random { .. } => Vec::new(),
+            Self::Network(network) => camera_names(network),
+        }
+    }
+
+    /// Policy steps from one query to the next.
+    #[must_use]
+    pub fn query_every_steps(&self) -> u64 {
+        match self {
+            Self::Expert { .. } | Self::Noop { .. } => 1,
+            Self::Random { .. } => 5,
+            Self::Network(network) => u64::from(network.recipe().query_every_steps),
+        }
+    }
+
+    /// Ticks from observation to delivery in lockstep, unless the user says otherwise.
+    #[must_use]
+    pub fn latency_ticks(&self) -> u64 {
+        match self {
+            Self::Expert { .. } | Self::Noop { .. } | Self::Random { .. } => 0,
+            Self::Network(_) => STEP_TICKS,
+        }
+    }
+
+    /// The chunk that answers `query`.
+    ///
+    /// # Errors
+    /// Whatever the network reports.
+    pub fn answer(&mut self, query: &Query<'_>) -> Result<Chunk, SessionError> {
+        let now = query.arm.stamp;
+        let here = TipTarget::new(&query.tip_in_rcm, query.arm.jaw_position);
+        match self {
+            Self::Expert { expert, sequence } => {
+                *sequence += 1;
+                Ok(expert.chunk(now, query.scene, *sequence))
+            }
+            Self::Noop { held, sequence } => {
+                *sequence += 1;
+                let target = *held.get_or_insert(here);
+                Ok(Chunk::new(now, *sequence, STEP_NS, &[target; 2]))
+            }
+            Self::Random { home, rng, sequence } => {
+                *sequence += 1;
+                let home = *home.get_or_insert(here);
+                Ok(wander(now, *sequence, &home, rng))
+            }
+            Self::Network(network) => {
+                let observation = Observation { arm: query.arm, tip_in_rcm: query.tip_in_rcm, frames: query.frames };
+                Ok(network.infer(&observation)?)
+            }
+        }
+    }
+}
+
+/// Names of the cameras that `network` looks through: LeRobot's feature names without their common beginning.
+#[must_use]
+pub fn camera_names(network: &ActPolicy) -> Vec<String> {
+    let name = |feature: &str| feature.strip_prefix("observation.images.").unwrap_or(feature).to_owned();
+    network.recipe().cameras.iter().map(|camera| name(&camera.feature)).collect()
+}
+
+/// A straight stretch to a random place within 4 cm of `home`, the jaw anywhere.
+fn wander(now: TimeNs, sequence: u64, home: &TipTarget, rng: &mut Rng) -> Chunk {
+    const STEPS: u32 = 15;
+    const REACH_M: f64 = 0.04;
+    let mut draw = || rng.range(-REACH_M, REACH_M);
+    let offset = Vector3::new(draw(), draw(), draw());
+    let jaw = rng.range(-0.2, 1.0);
+    let home_in_rcm = home.tip_in_rcm();
+    let targets: Vec<TipTarget> = (0..STEPS)
+        .map(|step| {
+            let share = f64::from(step) / f64::from(STEPS);
+            let moved = Translation3::from(offset * share) * home_in_rcm;
+            TipTarget::new(&moved, jaw)
+        })
+        .collect();
+    Chunk::new(now, sequence, STEP_NS, &targets)
+}

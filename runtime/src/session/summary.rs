@@ -1,0 +1,165 @@
+//! What a run and an evaluation report, in the form that scripts rely on.
+
+use serde::Serialize;
+
+/// Percentiles of a duration.
+#[derive(Clone, Copy, Debug, Default, Serialize)]
+pub struct TickUs {
+    /// Median, µs.
+    pub p50: f64,
+    /// 99th percentile, µs.
+    pub p99: f64,
+    /// Largest, µs.
+    pub max: f64,
+}
+
+/// Median and 99th percentile, ms.
+#[derive(Clone, Copy, Debug, Default, Serialize)]
+pub struct LatencyMs {
+    /// Median.
+    pub p50: f64,
+    /// 99th percentile.
+    pub p99: f64,
+}
+
+/// How often the safety QP had something to do.
+#[derive(Clone, Copy, Debug, Default, Serialize)]
+pub struct QpCounts {
+    /// Ticks in which a row was violated and the QP gave the answer.
+    pub solved: u64,
+    /// Ticks in which the nominal motion passed unchanged.
+    pub passed: u64,
+    /// Ticks in which the QP gave no usable answer and the arm braked.
+    pub failed: u64,
+}
+
+/// The policy's part of a run.
+#[derive(Clone, Debug, Default, Serialize)]
+pub struct PolicyCounts {
+    /// `expert`, `noop`, `random` or the checkpoint's directory.
+    pub name: String,
+    /// Observations that were answered.
+    pub queries: u64,
+    /// Chunks that the input gate refused.
+    pub refused: u64,
+    /// Time from an observation to the delivery of its chunk.
+    pub latency_ms: LatencyMs,
+    /// Time that the policy itself took to answer.
+    pub inference_ms: LatencyMs,
+}
+
+/// The loop's timing in a real-time run.
+#[derive(Clone, Copy, Debug, Default, Serialize)]
+pub struct RealTimeCounts {
+    /// Whole periods skipped.
+    pub overruns: u64,
+    /// 99th percentile of the wake-up delay, µs.
+    pub wake_p99_us: f64,
+    /// Log records dropped.
+    pub log_dropped: u64,
+}
+
+/// One run.
+#[derive(Clone, Debug, Serialize)]
+pub struct RunSummary {
+    /// Task name.
+    pub task: String,
+    /// The policy and what it did.
+    pub policy: PolicyCounts,
+    /// The seed that everything random hangs on.
+    pub seed: u64,
+    /// Whether the task was done.
+    pub success: bool,
+    /// Why the run ended.
+    pub reason: String,
+    /// Simulated or real time that passed, s.
+    pub seconds: f64,
+    /// Control periods.
+    pub ticks: u64,
+    /// FNV-1a over the bits of every command, hexadecimal.
+    pub command_hash: String,
+    /// Compute time of the controller a tick.
+    pub tick_us: TickUs,
+    /// The filter's work.
+    pub qp: QpCounts,
+    /// Ticks in which the guard replaced the candidate by its last verified stop.
+    pub guard_interventions: u64,
+    /// Present in real-time runs.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub real_time: Option<RealTimeCounts>,
+}
+
+/// One trial of an evaluation.
+#[derive(Clone, Debug, Serialize)]
+pub struct TrialSummary {
+    /// Its seed.
+    pub seed: u64,
+    /// Whether the task was done.
+    pub success: bool,
+    /// Why it ended.
+    pub reason: String,
+    /// Simulated time, s.
+    pub seconds: f64,
+    /// Hash of its commands.
+    pub command_hash: String,
+}
+
+/// An evaluation over many trials.
+#[derive(Clone, Debug, Serialize)]
+pub struct EvalSummary {
+    /// Task name.
+    pub task: String,
+    /// The policy.
+    pub policy: String,
+    /// How many trials.
+    pub trials: usize,
+    /// How many of them succeeded.
+    pub successes: usize,
+    /// `successes / trials`.
+    pub rate: f64,
+    /// Wilson's 95 % interval of the rate.
+    pub wilson95: [f64; 2],
+    /// The trials in order of their seeds.
+    pub episodes: Vec<TrialSummary>,
+}
+
+impl EvalSummary {
+    /// Sums up `episodes`.
+    #[must_use]
+    pub fn new(task: &str, policy: &str, episodes: Vec<TrialSummary>) -> Self {
+        let trials = episodes.len();
+        let successes = episodes.iter().filter(|episode| episode.success).count();
+        let (rate, wilson95) = wilson_interval(successes, trials);
+        Self { task: task.to_owned(), policy: policy.to_owned(), trials, successes, rate, wilson95, episodes }
+    }
+}
+
+/// The success rate and Wilson's 95 % score interval around it.
+#[expect(clippy::cast_precision_loss, reason = "trial counts are small")]
+#[must_use]
+pub fn wilson_interval(successes: usize, trials: usize) -> (f64, [f64; 2]) {
+    const Z: f64 = 1.959_963_984_540_054;
+    if trials == 0 {
+        return (0.0, [0.0, 1.0]);
+    }
+    let n = trials as f64;
+    let rate = successes as f64 / n;
+    let centre = rate + Z * Z / (2.0 * n);
+    let spread = Z * (rate * (1.0 - rate) / n + Z * Z / (4.0 * n * n)).sqrt();
+    let scale = 1.0 + Z * Z / n;
+    (rate, [((centre - spread) / scale).max(0.0), ((centre + spread) / scale).min(1.0)])
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn wilson_interval_matches_published_values() {
+        // 34 of 50, the paper's ACT with one camera.
+        let (rate, [low, high]) = wilson_interval(34, 50);
+        assert!((rate - 0.68).abs() < 1e-12);
+        assert!((low - 0.5419).abs() < 1e-3 && (high - 0.7924).abs() < 1e-3, "{low} {high}");
+        assert_eq!(wilson_interval(0, 0).1, [0.0, 1.0]);
+    }
+}

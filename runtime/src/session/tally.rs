@@ -1,0 +1,122 @@
+//! Counts and percentiles of one run, from its tick records.
+
+use super::summary::{LatencyMs, PolicyCounts, QpCounts, RealTimeCounts, RunSummary, TickUs};
+use crate::control::{CommandHash, Fault, QpOutcome};
+use crate::histogram::Histogram;
+use crate::log::TickRecord;
+
+/// What a run adds up to.
+#[derive(Debug, Default)]
+pub struct Tally {
+    ticks: u64,
+    hash: CommandHash,
+    compute: Histogram,
+    latency: Histogram,
+    inference: Histogram,
+    qp: QpCounts,
+    guard_interventions: u64,
+    queries: u64,
+    refused: u64,
+    fault: Option<Fault>,
+}
+
+/// What the tally can't know.
+#[derive(Clone, Copy, Debug)]
+pub struct RunLabels<'a> {
+    /// Task name.
+    pub task: &'a str,
+    /// Policy name.
+    pub policy: &'a str,
+    /// The seed.
+    pub seed: u64,
+    /// Whether the task was done.
+    pub success: bool,
+    /// Why the run ended.
+    pub reason: &'a str,
+}
+
+impl Tally {
+    /// Counts one control period.
+    pub fn tick(&mut self, record: &TickRecord) {
+        self.ticks += 1;
+        self.hash.add(&record.command);
+        self.compute.record(record.timing.compute_ns);
+        match record.report.qp {
+            QpOutcome::NotNeeded => self.qp.passed += 1,
+            QpOutcome::Solved { .. } => self.qp.solved += 1,
+            QpOutcome::Failed => self.qp.failed += 1,
+        }
+        self.guard_interventions += u64::from(record.report.guard_intervened);
+        self.refused += u64::from(record.report.gate.is_some_and(|verdict| !verdict.is_accepted()));
+        self.fault = self.fault.or(record.report.fault);
+    }
+
+    /// Counts one answered observation: how long the policy took, and how long until its chunk was there.
+    pub fn query(&mut self, inference_ns: u64, latency_ns: u64) {
+        self.queries += 1;
+        self.inference.record(inference_ns);
+        self.latency.record(latency_ns);
+    }
+
+    /// Counts one chunk that came from another process, so long after its observation.
+    pub fn delivery(&mut self, latency_ns: u64) {
+        self.queries += 1;
+        self.latency.record(latency_ns);
+    }
+
+    /// Control periods so far.
+    #[must_use]
+    pub const fn ticks(&self) -> u64 {
+        self.ticks
+    }
+
+    /// The first fault, if there was one.
+    #[must_use]
+    pub const fn fault(&self) -> Option<Fault> {
+        self.fault
+    }
+
+    /// The hash of all commands so far, hexadecimal.
+    #[must_use]
+    pub fn command_hash(&self) -> String {
+        format!("{:016x}", self.hash.value())
+    }
+
+    /// The summary.
+    #[must_use]
+    pub fn summary(&self, labels: &RunLabels<'_>, real_time: Option<RealTimeCounts>) -> RunSummary {
+        RunSummary {
+            task: labels.task.to_owned(),
+            policy: PolicyCounts {
+                name: labels.policy.to_owned(),
+                queries: self.queries,
+                refused: self.refused,
+                latency_ms: milliseconds(&self.latency),
+                inference_ms: milliseconds(&self.inference),
+            },
+            seed: labels.seed,
+            success: labels.success,
+            reason: labels.reason.to_owned(),
+            seconds: scaled(self.ticks * hal::TICK_NS, 1e-9),
+            ticks: self.ticks,
+            command_hash: self.command_hash(),
+            tick_us: TickUs {
+                p50: scaled(self.compute.percentile(0.50), 1e-3),
+                p99: scaled(self.compute.percentile(0.99), 1e-3),
+                max: scaled(self.compute.max(), 1e-3),
+            },
+            qp: self.qp,
+            guard_interventions: self.guard_interventions,
+            real_time,
+        }
+    }
+}
+
+fn milliseconds(histogram: &Histogram) -> LatencyMs {
+    LatencyMs { p50: scaled(histogram.percentile(0.50), 1e-6), p99: scaled(histogram.percentile(0.99), 1e-6) }
+}
+
+#[expect(clippy::cast_precision_loss, reason = "durations of a run are exact in f64")]
+fn scaled(ns: u64, unit: f64) -> f64 {
+    ns as f64 * unit
+}
