@@ -1,0 +1,100 @@
+//! Why a checkpoint is refused: always the file, and what is wrong with it.
+
+use std::path::{Path, PathBuf};
+
+use crate::parameters::ParameterError;
+
+/// A checkpoint that cannot be read or written.
+#[derive(Debug, thiserror::Error)]
+#[error("{}: {cause}", .file.display())]
+pub struct CheckpointError {
+    /// The file.
+    pub file: PathBuf,
+    /// What is wrong with it.
+    pub cause: Cause,
+}
+
+/// What is wrong with a file of a checkpoint.
+#[derive(Debug, thiserror::Error)]
+pub enum Cause {
+    /// It is not there.
+    #[error("file is missing")]
+    Missing,
+    /// It cannot be read or written.
+    #[error("{0}")]
+    Io(std::io::Error),
+    /// It is no JSON, or a field is missing or of the wrong type.
+    #[error("malformed: {0}")]
+    Json(serde_json::Error),
+    /// It is no safetensors file, or is cut off.
+    #[error("no intact safetensors file: {0}")]
+    Safetensors(safetensors::SafeTensorError),
+    /// A tensor has an element type that weights do not have.
+    #[error("tensor {key} has element type {kind}, not F16, BF16 or F32")]
+    ElementType {
+        /// The tensor.
+        key: String,
+        /// Its type.
+        kind: String,
+    },
+    /// A tensor is missing, left over or of another shape than the configuration says.
+    #[error("{0}")]
+    Parameter(ParameterError),
+    /// A weight is NaN or infinite.
+    #[error("a weight is not finite")]
+    NotFinite,
+    /// The policy is of another kind.
+    #[error("policy type is {actual:?}, expected \"act\"")]
+    PolicyType {
+        /// What the file says.
+        actual: String,
+    },
+    /// A field has a value that this program cannot do.
+    #[error("{field} = {value} is not supported, expected {expected}")]
+    Unsupported {
+        /// The field.
+        field: String,
+        /// What the file says.
+        value: String,
+        /// What would do.
+        expected: String,
+    },
+    /// The policy is for another number of joints.
+    #[error("{feature} has {actual} numbers, the arm needs {expected} (six joints and the jaw)")]
+    JointCount {
+        /// The feature.
+        feature: String,
+        /// Numbers in the checkpoint.
+        actual: i64,
+        /// Numbers of the arm.
+        expected: i64,
+    },
+    /// The configuration cannot be built.
+    #[error("{0}")]
+    Config(String),
+    /// Statistics are missing, zero or not finite.
+    #[error("statistics of {feature}: {defect}")]
+    Statistics {
+        /// The feature.
+        feature: String,
+        /// What is wrong with them.
+        defect: String,
+    },
+    /// Two files do not fit together.
+    #[error("{0}")]
+    Inconsistent(String),
+}
+
+impl Cause {
+    /// The error that this is in `file`.
+    #[must_use]
+    pub fn in_file(self, file: &Path) -> CheckpointError {
+        CheckpointError { file: file.to_path_buf(), cause: self }
+    }
+
+    /// The cause behind a failed access.
+    #[must_use]
+    pub fn io(error: std::io::Error) -> Self {
+        if error.kind() == std::io::ErrorKind::NotFound { Self::Missing } else { Self::Io(error) }
+    }
+}

@@ -1,0 +1,140 @@
+//! Checkpoints: a folder as LeRobot 0.4 and later writes it, and our `trocar.json` beside it.
+//!
+//! `config.json` is the architecture, `model.safetensors` the weights, `policy_preprocessor.json` and
+//! `policy_postprocessor.json` name the statistics. Nothing in the folder can run code.
+
+mod config_file;
+mod error;
+mod processors;
+mod recipe;
+mod tensors;
+#[cfg(test)]
+mod tests;
+
+use std::collections::BTreeMap;
+use std::path::Path;
+
+use tch::Device;
+
+pub use error::{Cause, CheckpointError};
+pub use processors::FeatureStatistics;
+pub use recipe::{DatasetSummary, RECIPE_FORMAT, Recipe, RecordedCamera, Variants};
+pub use tensors::Precision;
+
+use crate::act::{Act, STATE_DIM, VAE_PREFIX};
+use crate::parameters::ParameterSource;
+use crate::relative_action::REPRESENTATION;
+use tensors::Plain;
+
+const CONFIG: &str = "config.json";
+const WEIGHTS: &str = "model.safetensors";
+const RECIPE: &str = "trocar.json";
+
+/// How weights are stored.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct SaveOptions {
+    /// Element type.
+    pub precision: Precision,
+    /// Whether to leave out the variational encoder, which only training needs.
+    pub inference_only: bool,
+}
+
+/// Saves a policy into `folder`, which is made if it is not there.
+///
+/// # Errors
+/// [`CheckpointError`] if a file cannot be written.
+pub fn save(
+    folder: &Path,
+    act: &Act,
+    statistics: &FeatureStatistics,
+    recipe: &Recipe,
+    options: SaveOptions,
+) -> Result<(), CheckpointError> {
+    std::fs::create_dir_all(folder).map_err(|error| Cause::io(error).in_file(folder))?;
+    let weights_file = folder.join(WEIGHTS);
+    let mut weights = BTreeMap::new();
+    for (key, tensor) in act.parameters().iter() {
+        if options.inference_only && key.starts_with(VAE_PREFIX) {
+            continue;
+        }
+        let plain = Plain::from_tensor(tensor).map_err(|error| Cause::Parameter(error.into()).in_file(&weights_file))?;
+        weights.insert(key.to_owned(), plain);
+    }
+    tensors::write(&weights_file, &weights, options.precision)?;
+    processors::write(folder, act.config(), statistics)?;
+    processors::write_json(&folder.join(CONFIG), &config_file::write(act.config()))?;
+    let file = folder.join(RECIPE);
+    let recipe = serde_json::to_value(recipe).map_err(|error| Cause::Json(error).in_file(&file))?;
+    processors::write_json(&file, &recipe)
+}
+
+/// A policy read from a folder.
+#[derive(Debug)]
+pub struct Checkpoint {
+    /// The network, on the device that was asked for.
+    pub act: Act,
+    /// Statistics of its inputs and outputs.
+    pub statistics: FeatureStatistics,
+    /// `trocar.json`; not there in folders of LeRobot's own.
+    pub recipe: Option<Recipe>,
+}
+
+/// Reads and checks the policy in `folder`.
+///
+/// # Errors
+/// [`CheckpointError`] naming the file and what is wrong with it.
+pub fn load(folder: &Path, device: Device) -> Result<Checkpoint, CheckpointError> {
+    let recipe = load_recipe(folder)?;
+    let config_path = folder.join(CONFIG);
+    let text = std::fs::read_to_string(&config_path).map_err(|error| Cause::io(error).in_file(&config_path))?;
+    let cameras: Option<Vec<String>> =
+        recipe.as_ref().map(|recipe| recipe.cameras.iter().map(|camera| camera.feature.clone()).collect());
+    let variants = recipe.as_ref().map(|recipe| recipe.variants).unwrap_or_default();
+    let config = config_file::read(&text, variants, cameras.as_deref()).map_err(|cause| cause.in_file(&config_path))?;
+    for (feature, actual) in [("observation.state", config.state_dim), ("action", config.action_dim)] {
+        if actual != STATE_DIM {
+            let cause = Cause::JointCount { feature: feature.to_owned(), actual, expected: STATE_DIM };
+            return Err(cause.in_file(&config_path));
+        }
+    }
+    let statistics = processors::read(folder, &config)?;
+    let weights_path = folder.join(WEIGHTS);
+    let in_weights = |cause: Cause| cause.in_file(&weights_path);
+    let mut weights = BTreeMap::new();
+    for (key, plain) in tensors::read(&weights_path)? {
+        if !plain.values.iter().all(|value| value.is_finite()) {
+            return Err(in_weights(Cause::NotFinite));
+        }
+        let tensor = plain.to_tensor(device).map_err(|error| in_weights(Cause::Parameter(error.into())))?;
+        weights.insert(key, tensor);
+    }
+    let act =
+        Act::new(config, ParameterSource::given(weights)).map_err(|error| in_weights(Cause::Parameter(error)))?;
+    Ok(Checkpoint { act, statistics, recipe })
+}
+
+fn load_recipe(folder: &Path) -> Result<Option<Recipe>, CheckpointError> {
+    let file = folder.join(RECIPE);
+    let text = match std::fs::read_to_string(&file) {
+        Ok(text) => text,
+        Err(error) if error.kind() == std::io::ErrorKind::NotFound => return Ok(None),
+        Err(error) => return Err(Cause::io(error).in_file(&file)),
+    };
+    let recipe: Recipe = serde_json::from_str(&text).map_err(|error| Cause::Json(error).in_file(&file))?;
+    let unsupported = |field: &str, value: String, expected: String| {
+        Err(Cause::Unsupported { field: field.to_owned(), value, expected }.in_file(&file))
+    };
+    if recipe.format != RECIPE_FORMAT {
+        return unsupported("format", recipe.format.to_string(), RECIPE_FORMAT.to_string());
+    }
+    if recipe.action_representation != REPRESENTATION {
+        return unsupported("action_representation", recipe.action_representation, REPRESENTATION.to_owned());
+    }
+    if recipe.step_ns == 0 {
+        return unsupported("step_ns", "0".to_owned(), "a positive time".to_owned());
+    }
+    if recipe.query_every_steps == 0 {
+        return unsupported("query_every_steps", "0".to_owned(), "1 or more".to_owned());
+    }
+    Ok(Some(recipe))
+}

@@ -1,0 +1,147 @@
+//! LeRobot's processor files: the normaliser before the network, the un-normaliser after it, and their statistics.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+
+use serde_json::{Value, json};
+
+use super::config_file::{features, normalisation};
+use super::error::{Cause, CheckpointError};
+use super::tensors::{self, Plain, Precision, replace};
+use crate::act::ActConfig;
+use crate::normalise::{IMAGENET_MEAN, IMAGENET_STD, Statistics};
+
+const PREPROCESSOR: &str = "policy_preprocessor.json";
+const POSTPROCESSOR: &str = "policy_postprocessor.json";
+const BEFORE: &str = "policy_preprocessor_step_3_normalizer_processor.safetensors";
+const AFTER: &str = "policy_postprocessor_step_0_unnormalizer_processor.safetensors";
+
+/// Statistics of what goes in and what comes out.
+#[derive(Clone, Debug, PartialEq)]
+pub struct FeatureStatistics {
+    /// Of `observation.state`.
+    pub state: Statistics,
+    /// Of the relative actions.
+    pub action: Statistics,
+}
+
+/// Writes both processors and their statistics into `folder`.
+pub(super) fn write(
+    folder: &Path,
+    config: &ActConfig,
+    statistics: &FeatureStatistics,
+) -> Result<(), CheckpointError> {
+    let [inputs, outputs] = features(config);
+    let mut all = inputs.clone();
+    all.extend(outputs.clone());
+    let norm = |features: Value| json!({"eps": 1e-8, "features": features, "norm_map": normalisation()});
+    let device = json!({"registry_name": "device_processor", "config": {"device": "cpu", "float_dtype": null}});
+    let before = json!({"name": "policy_preprocessor", "steps": [
+        {"registry_name": "rename_observations_processor", "config": {"rename_map": {}}},
+        {"registry_name": "to_batch_processor", "config": {}},
+        device,
+        {"registry_name": "normalizer_processor", "config": norm(json!(all)), "state_file": BEFORE},
+    ]});
+    let after = json!({"name": "policy_postprocessor", "steps": [
+        {"registry_name": "unnormalizer_processor", "config": norm(json!(outputs)), "state_file": AFTER},
+        device,
+    ]});
+    write_json(&folder.join(PREPROCESSOR), &before)?;
+    write_json(&folder.join(POSTPROCESSOR), &after)?;
+    let mut values = BTreeMap::new();
+    insert(&mut values, "action", &statistics.action);
+    tensors::write(&folder.join(AFTER), &values, Precision::F32)?;
+    insert(&mut values, "observation.state", &statistics.state);
+    for camera in &config.cameras {
+        for (name, numbers) in [("mean", IMAGENET_MEAN), ("std", IMAGENET_STD)] {
+            let plain = Plain { shape: vec![3, 1, 1], values: numbers.to_vec() };
+            values.insert(format!("{camera}.{name}"), plain);
+        }
+    }
+    tensors::write(&folder.join(BEFORE), &values, Precision::F32)
+}
+
+/// Writes `value` to `file` for people to read.
+pub(super) fn write_json(file: &Path, value: &Value) -> Result<(), CheckpointError> {
+    let mut text = serde_json::to_string_pretty(value).map_err(|error| Cause::Json(error).in_file(file))?;
+    text.push('\n');
+    replace(file, text.as_bytes())
+}
+
+fn insert(values: &mut BTreeMap<String, Plain>, feature: &str, statistics: &Statistics) {
+    let parts = [
+        ("mean", &statistics.mean),
+        ("std", &statistics.std),
+        ("min", &statistics.min),
+        ("max", &statistics.max),
+    ];
+    for (name, numbers) in parts {
+        if !numbers.is_empty() {
+            let plain = Plain { shape: vec![numbers.len()], values: numbers.clone() };
+            values.insert(format!("{feature}.{name}"), plain);
+        }
+    }
+}
+
+/// Reads and checks the statistics that the processors in `folder` name.
+pub(super) fn read(folder: &Path, config: &ActConfig) -> Result<FeatureStatistics, CheckpointError> {
+    let (before_file, before) = state_of(folder, PREPROCESSOR, "normalizer_processor")?;
+    let (after_file, after) = state_of(folder, POSTPROCESSOR, "unnormalizer_processor")?;
+    for camera in &config.cameras {
+        check_image(&before, camera).map_err(|cause| cause.in_file(&before_file))?;
+    }
+    let state = statistics(&before, "observation.state", config.state_dim);
+    let action = statistics(&after, "action", config.action_dim);
+    Ok(FeatureStatistics {
+        state: state.map_err(|cause| cause.in_file(&before_file))?,
+        action: action.map_err(|cause| cause.in_file(&after_file))?,
+    })
+}
+
+type StateFile = (std::path::PathBuf, BTreeMap<String, Plain>);
+
+/// The statistics file of the step `registry_name` in the processor file `name`.
+fn state_of(folder: &Path, name: &str, registry_name: &str) -> Result<StateFile, CheckpointError> {
+    let file = folder.join(name);
+    let text = std::fs::read_to_string(&file).map_err(|error| Cause::io(error).in_file(&file))?;
+    let document: Value = serde_json::from_str(&text).map_err(|error| Cause::Json(error).in_file(&file))?;
+    let steps = document["steps"].as_array();
+    let step = steps.and_then(|steps| steps.iter().find(|step| step["registry_name"] == registry_name));
+    let Some(state_name) = step.and_then(|step| step["state_file"].as_str()) else {
+        return Err(Cause::Config(format!("there is no {registry_name} with a state file")).in_file(&file));
+    };
+    // The name comes from the file: it must not lead out of the folder.
+    if Path::new(state_name).file_name() != Some(state_name.as_ref()) {
+        return Err(Cause::Config(format!("state file {state_name:?} is no plain name")).in_file(&file));
+    }
+    let state_file = folder.join(state_name);
+    let values = tensors::read(&state_file)?;
+    Ok((state_file, values))
+}
+
+fn statistics(values: &BTreeMap<String, Plain>, feature: &str, dims: i64) -> Result<Statistics, Cause> {
+    let part = |name: &str| values.get(&format!("{feature}.{name}")).map(|plain| plain.values.clone());
+    let defect = |defect: String| Cause::Statistics { feature: feature.to_owned(), defect };
+    let missing = |name: &str| defect(format!("{name} is missing"));
+    let found = Statistics {
+        mean: part("mean").ok_or_else(|| missing("mean"))?,
+        std: part("std").ok_or_else(|| missing("std"))?,
+        min: part("min").unwrap_or_default(),
+        max: part("max").unwrap_or_default(),
+    };
+    let dims = usize::try_from(dims).unwrap_or(0);
+    found.defect(dims).map_or(Ok(found), |text| Err(defect(text)))
+}
+
+/// Images are normalised with ImageNet's statistics; a checkpoint with others would silently see other colours.
+fn check_image(values: &BTreeMap<String, Plain>, camera: &str) -> Result<(), Cause> {
+    for (name, expected) in [("mean", IMAGENET_MEAN), ("std", IMAGENET_STD)] {
+        let found = values.get(&format!("{camera}.{name}")).map_or(&[][..], |plain| plain.values.as_slice());
+        let same = found.len() == 3 && found.iter().zip(expected).all(|(a, b)| (a - b).abs() < 1e-4);
+        if !same {
+            let defect = format!("{name} is {found:?}, not ImageNet's {expected:?}");
+            return Err(Cause::Statistics { feature: camera.to_owned(), defect });
+        }
+    }
+    Ok(())
+}

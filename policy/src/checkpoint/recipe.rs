@@ -1,0 +1,74 @@
+//! `trocar.json`: what a policy needs beside LeRobot's files, and how it came about.
+
+use serde::{Deserialize, Serialize};
+use serde_json::Value;
+
+use crate::act::{ActPreset, BackboneNorm, LossDenominator};
+
+/// Version of this file's form.
+pub const RECIPE_FORMAT: u32 = 1;
+
+/// Choices of the network that LeRobot's file cannot say.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Variants {
+    /// Normalisation layers of the backbone.
+    pub backbone_norm: BackboneNorm,
+    /// What the loss was divided by.
+    pub loss_denominator: LossDenominator,
+}
+
+/// A camera as it was recorded.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct RecordedCamera {
+    /// Feature name, `observation.images.NAME`.
+    pub feature: String,
+    /// Width of its frames, pixels.
+    pub width: u32,
+    /// Height of its frames, pixels.
+    pub height: u32,
+}
+
+/// What a policy was trained on.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct DatasetSummary {
+    /// The task in words.
+    pub task: String,
+    /// Episodes trained on.
+    pub episodes: usize,
+    /// Frames trained on.
+    pub frames: usize,
+    /// Frames a second.
+    pub fps: u32,
+}
+
+/// The whole file.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Recipe {
+    /// [`RECIPE_FORMAT`].
+    pub format: u32,
+    /// What the network's actions mean: [`crate::relative_action::REPRESENTATION`].
+    pub action_representation: String,
+    /// Time between two steps of a chunk, ns.
+    pub step_ns: u64,
+    /// Steps after which the policy should be asked again.
+    pub query_every_steps: u32,
+    /// The cameras, in the order in which observations bring their frames.
+    pub cameras: Vec<RecordedCamera>,
+    /// The preset that the network is.
+    pub preset: ActPreset,
+    /// Choices that LeRobot's file cannot say.
+    pub variants: Variants,
+    /// How it was made, in words: the command, or what a person should do to make it again.
+    pub recipe: String,
+    /// What it was trained on.
+    pub dataset: DatasetSummary,
+    /// The seed of everything random.
+    pub seed: u64,
+    /// The options of the training and its outcome, for people.
+    #[serde(default)]
+    pub training: Value,
+}

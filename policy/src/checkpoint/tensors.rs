@@ -1,0 +1,116 @@
+//! Safetensors files: tensors by key, stored in half or single precision, always single precision in memory.
+
+use std::collections::BTreeMap;
+use std::fs;
+use std::path::Path;
+
+use half::{bf16, f16};
+use safetensors::tensor::{Dtype, SafeTensors, TensorView};
+use serde::{Deserialize, Serialize};
+use tch::{Device, Kind, TchError, Tensor};
+
+use super::error::{Cause, CheckpointError};
+
+/// Element type of stored weights.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Precision {
+    /// 16 bits, 11 of them significant.
+    F16,
+    /// 32 bits.
+    #[default]
+    F32,
+}
+
+/// A tensor outside the network library: shape and values, row-major.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct Plain {
+    pub(super) shape: Vec<usize>,
+    pub(super) values: Vec<f32>,
+}
+
+/// All tensors of `file`.
+pub(super) fn read(file: &Path) -> Result<BTreeMap<String, Plain>, CheckpointError> {
+    let bytes = fs::read(file).map_err(|error| Cause::io(error).in_file(file))?;
+    let container = SafeTensors::deserialize(&bytes).map_err(|error| Cause::Safetensors(error).in_file(file))?;
+    let mut tensors = BTreeMap::new();
+    for (key, view) in container.iter() {
+        let values = values_of(&view).ok_or_else(|| {
+            Cause::ElementType { key: key.to_owned(), kind: format!("{:?}", view.dtype()) }.in_file(file)
+        })?;
+        tensors.insert(key.to_owned(), Plain { shape: view.shape().to_vec(), values });
+    }
+    Ok(tensors)
+}
+
+fn values_of(view: &TensorView<'_>) -> Option<Vec<f32>> {
+    let (pairs, _) = view.data().as_chunks::<2>();
+    let (quads, _) = view.data().as_chunks::<4>();
+    if view.dtype() == Dtype::F32 {
+        Some(quads.iter().map(|quad| f32::from_le_bytes(*quad)).collect())
+    } else if view.dtype() == Dtype::F16 {
+        Some(pairs.iter().map(|pair| f16::from_le_bytes(*pair).to_f32()).collect())
+    } else if view.dtype() == Dtype::BF16 {
+        Some(pairs.iter().map(|pair| bf16::from_le_bytes(*pair).to_f32()).collect())
+    } else {
+        None
+    }
+}
+
+/// Writes `tensors` to `file`, by way of a file beside it, so that a cut-off leaves no half file behind.
+pub(super) fn write(
+    file: &Path,
+    tensors: &BTreeMap<String, Plain>,
+    precision: Precision,
+) -> Result<(), CheckpointError> {
+    let dtype = match precision {
+        Precision::F16 => Dtype::F16,
+        Precision::F32 => Dtype::F32,
+    };
+    let encoded: Vec<(&str, &[usize], Vec<u8>)> = tensors
+        .iter()
+        .map(|(key, plain)| (key.as_str(), plain.shape.as_slice(), encode(&plain.values, precision)))
+        .collect();
+    let mut views = Vec::with_capacity(encoded.len());
+    for (key, shape, bytes) in &encoded {
+        let view = TensorView::new(dtype, shape.to_vec(), bytes);
+        views.push((*key, view.map_err(|error| Cause::Safetensors(error).in_file(file))?));
+    }
+    let bytes = safetensors::serialize(views, None).map_err(|error| Cause::Safetensors(error).in_file(file))?;
+    replace(file, &bytes)
+}
+
+fn encode(values: &[f32], precision: Precision) -> Vec<u8> {
+    match precision {
+        Precision::F32 => values.iter().flat_map(|value| value.to_le_bytes()).collect(),
+        Precision::F16 => values.iter().flat_map(|value| f16::from_f32(*value).to_le_bytes()).collect(),
+    }
+}
+
+/// Puts `bytes` in the place of `file` at once.
+pub(super) fn replace(file: &Path, bytes: &[u8]) -> Result<(), CheckpointError> {
+    let part = file.with_extension("part");
+    fs::write(&part, bytes).map_err(|error| Cause::io(error).in_file(&part))?;
+    fs::rename(&part, file).map_err(|error| Cause::io(error).in_file(file))
+}
+
+impl Plain {
+    /// A copy of `tensor`, from wherever it is.
+    pub(super) fn from_tensor(tensor: &Tensor) -> Result<Self, TchError> {
+        let shape = tensor.size().iter().map(|&side| usize::try_from(side).unwrap_or(0)).collect();
+        let flat = tensor.f_detach()?.f_to_kind(Kind::Float)?.f_to_device(Device::Cpu)?.f_reshape([-1])?;
+        Ok(Self { shape, values: Vec::<f32>::try_from(&flat)? })
+    }
+
+    /// The tensor on `device`. Filters have their channels last in memory, as the images that meet them.
+    pub(super) fn to_tensor(&self, device: Device) -> Result<Tensor, TchError> {
+        let shape: Vec<i64> = self.shape.iter().map(|&side| i64::try_from(side).unwrap_or(i64::MAX)).collect();
+        let tensor = Tensor::f_from_slice(&self.values)?.f_reshape(&shape)?;
+        let tensor = if shape.len() == 4 {
+            tensor.f_permute([0, 2, 3, 1])?.f_contiguous()?.f_permute([0, 3, 1, 2])?
+        } else {
+            tensor
+        };
+        tensor.f_to_device(device)
+    }
+}

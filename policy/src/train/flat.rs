@@ -1,0 +1,207 @@
+//! All trained parameters in one long tensor, with AdamW, clipping and the moving average over it.
+//!
+//! The network holds views of the long tensor, so one step is a dozen operations whatever the number of layers.
+
+use std::collections::BTreeMap;
+
+use tch::{Device, Kind, TchError, Tensor};
+
+use super::options::{TrainOptions, TrainPrecision};
+use crate::parameters::Parameters;
+
+const BETA_1: f64 = 0.9;
+const BETA_2: f64 = 0.999;
+const EPS: f64 = 1e-8;
+
+/// The trained parameters and the state of their optimiser.
+#[derive(Debug)]
+pub(super) struct FlatParameters {
+    /// Single precision, the truth.
+    master: Tensor,
+    /// What the network computes with: the master itself, or its copy in half precision.
+    working: Tensor,
+    leaves: Vec<Tensor>,
+    keys: Vec<String>,
+    /// Elements of the backbone; they come first.
+    backbone_length: i64,
+    first_moment: Tensor,
+    second_moment: Tensor,
+    average: Option<Tensor>,
+    steps: u32,
+}
+
+impl FlatParameters {
+    /// Copies the trained ones of `parameters` to `device`.
+    pub(super) fn new(parameters: &Parameters, device: Device, options: &TrainOptions) -> Result<Self, TchError> {
+        let (backbone, rest): (Vec<_>, Vec<_>) = parameters
+            .iter()
+            .filter(|(key, _)| parameters.is_trainable(key))
+            .partition(|(key, _)| key.starts_with("model.backbone."));
+        let mut flats = Vec::new();
+        for (_, tensor) in backbone.iter().chain(&rest) {
+            flats.push(flatten(tensor)?.f_to_device(device)?);
+        }
+        let master = Tensor::f_cat(&flats, 0)?;
+        let working = match options.precision {
+            TrainPrecision::F32 => master.shallow_clone(),
+            TrainPrecision::Bf16 => master.f_to_kind(Kind::BFloat16)?,
+        };
+        let mut flat = Self {
+            first_moment: master.f_zeros_like()?,
+            second_moment: master.f_zeros_like()?,
+            average: if options.ema_decay > 0.0 { Some(master.f_add_scalar(0.0)?) } else { None },
+            backbone_length: length(&flats[..backbone.len()]),
+            keys: backbone.iter().chain(&rest).map(|(key, _)| (*key).to_owned()).collect(),
+            leaves: Vec::new(),
+            master,
+            working,
+            steps: 0,
+        };
+        let shapes: Vec<Vec<i64>> = backbone.iter().chain(&rest).map(|(_, tensor)| tensor.size()).collect();
+        let mut start = 0;
+        for shape in &shapes {
+            let view = unflatten(&flat.working, start, shape)?;
+            flat.leaves.push(view.f_detach()?.f_set_requires_grad(true)?);
+            start += shape.iter().product::<i64>();
+        }
+        Ok(flat)
+    }
+
+    /// The tensors that the network should be built from; fixed ones of `parameters` come along.
+    pub(super) fn working_tensors(&self, parameters: &Parameters) -> Result<BTreeMap<String, Tensor>, TchError> {
+        let mut tensors = BTreeMap::new();
+        for (key, tensor) in parameters.iter().filter(|(key, _)| !parameters.is_trainable(key)) {
+            let kind = self.working.kind();
+            tensors.insert(key.to_owned(), tensor.f_to_device(self.working.device())?.f_to_kind(kind)?);
+        }
+        for (key, leaf) in self.keys.iter().zip(&self.leaves) {
+            tensors.insert(key.clone(), leaf.shallow_clone());
+        }
+        Ok(tensors)
+    }
+
+    /// Copies of the averaged (or last) parameters in single precision; fixed ones of `parameters` come along.
+    pub(super) fn averaged_tensors(&self, parameters: &Parameters) -> Result<BTreeMap<String, Tensor>, TchError> {
+        let source = self.average.as_ref().unwrap_or(&self.master);
+        let mut tensors = BTreeMap::new();
+        for (key, tensor) in parameters.iter().filter(|(key, _)| !parameters.is_trainable(key)) {
+            tensors.insert(key.to_owned(), tensor.f_to_device(source.device())?);
+        }
+        let mut start = 0;
+        for (key, leaf) in self.keys.iter().zip(&self.leaves) {
+            let shape = leaf.size();
+            tensors.insert(key.clone(), unflatten(source, start, &shape)?);
+            start += shape.iter().product::<i64>();
+        }
+        Ok(tensors)
+    }
+
+    /// One step of AdamW down the gradient of `loss`; `lr` is that of the backbone and of the rest. Returns the norm of
+    /// the gradient before clipping, still on the device.
+    pub(super) fn step(&mut self, loss: &Tensor, lr: [f64; 2], options: &TrainOptions) -> Result<Tensor, TchError> {
+        let gradients = Tensor::f_run_backward(&[loss], &self.leaves, false, false)?;
+        tch::no_grad(|| {
+            let mut flats = Vec::with_capacity(gradients.len());
+            for (gradient, leaf) in gradients.iter().zip(&self.leaves) {
+                flats.push(if gradient.defined() { flatten(gradient)? } else { flatten(&leaf.f_zeros_like()?)? });
+            }
+            let gradient = Tensor::f_cat(&flats, 0)?.f_to_kind(Kind::Float)?;
+            let norm = gradient.f_norm()?;
+            let gradient = if options.clip_norm.is_finite() {
+                let shrink = norm.f_add_scalar(1e-6)?.f_reciprocal()?.f_mul_scalar(options.clip_norm)?;
+                gradient.f_mul(&shrink.f_clamp_max(1.0)?)?
+            } else {
+                gradient
+            };
+            self.adam_w(&gradient, lr, options)?;
+            Ok(norm)
+        })
+    }
+
+    /// Loshchilov and Hutter 2019, algorithm 2.
+    fn adam_w(&mut self, gradient: &Tensor, lr: [f64; 2], options: &TrainOptions) -> Result<(), TchError> {
+        self.steps = self.steps.saturating_add(1);
+        let exponent = f64::from(self.steps);
+        let (bias_1, bias_2) = (1.0 - BETA_1.powf(exponent), 1.0 - BETA_2.powf(exponent));
+        let _ = self.first_moment.f_lerp_(gradient, 1.0 - BETA_1)?;
+        let _ = self.second_moment.f_lerp_(&gradient.f_square()?, 1.0 - BETA_2)?;
+        let root = self.second_moment.f_div_scalar(bias_2)?.f_sqrt()?.f_add_scalar(EPS)?;
+        let update = self.first_moment.f_div(&root)?.f_div_scalar(bias_1)?;
+        let total = self.master.size()[0];
+        let groups = [(0, self.backbone_length), (self.backbone_length, total - self.backbone_length)];
+        for ((start, length), lr) in groups.into_iter().zip(lr) {
+            let mut part = self.master.f_narrow(0, start, length)?;
+            let _ = part.f_mul_scalar_(1.0 - lr * options.weight_decay)?;
+            let _ = part.f_sub_(&update.f_narrow(0, start, length)?.f_mul_scalar(lr)?)?;
+        }
+        if options.precision == TrainPrecision::Bf16 {
+            self.working.f_copy_(&self.master)?;
+        }
+        if let Some(average) = &mut self.average {
+            // Young averages must not remember the initial weights.
+            let decay = options.ema_decay.min((1.0 + exponent) / (10.0 + exponent));
+            let _ = average.f_lerp_(&self.master, 1.0 - decay)?;
+        }
+        Ok(())
+    }
+}
+
+/// Filters are stored with their channels last, which is what convolutions like best.
+fn flatten(tensor: &Tensor) -> Result<Tensor, TchError> {
+    if tensor.dim() == 4 { tensor.f_permute([0, 2, 3, 1])?.f_reshape([-1]) } else { tensor.f_reshape([-1]) }
+}
+
+fn unflatten(flat: &Tensor, start: i64, shape: &[i64]) -> Result<Tensor, TchError> {
+    let part = flat.f_narrow(0, start, shape.iter().product())?;
+    if let &[outputs, inputs, high, wide] = shape {
+        part.f_view([outputs, high, wide, inputs])?.f_permute([0, 3, 1, 2])
+    } else {
+        part.f_view(shape)
+    }
+}
+
+fn length(flats: &[Tensor]) -> i64 {
+    flats.iter().map(|flat| flat.size()[0]).sum()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::FlatParameters;
+    use crate::act::ActPreset;
+    use crate::parameters::{Init, ParameterSource};
+    use crate::train::TrainOptions;
+    use tch::nn::{self, OptimizerConfig};
+    use tch::{Device, Kind, Tensor};
+
+    #[test]
+    fn steps_are_those_of_the_library_s_adam_w() {
+        let mut source = ParameterSource::seeded(2, Device::Cpu);
+        let filter = source.trainable("model.backbone.conv1.weight", &[2, 3, 2, 2], &Init::Normal(1.0)).unwrap();
+        let matrix = source.trainable("model.head.weight", &[4, 2], &Init::Normal(1.0)).unwrap();
+        let parameters = source.finish().unwrap();
+        let options = TrainOptions {
+            weight_decay: 0.01,
+            clip_norm: f64::INFINITY,
+            ema_decay: 0.0,
+            ..TrainOptions::preset(ActPreset::Small)
+        };
+        let mut flat = FlatParameters::new(&parameters, Device::Cpu, &options).unwrap();
+        let ours = flat.working_tensors(&parameters).unwrap();
+
+        let store = nn::VarStore::new(Device::Cpu);
+        let filter = store.root().var_copy("filter", &filter);
+        let matrix = store.root().var_copy("matrix", &matrix);
+        let mut optimiser = nn::AdamW { wd: 0.01, ..nn::AdamW::default() }.build(&store, 0.01).unwrap();
+
+        let loss = |filter: &Tensor, matrix: &Tensor| filter.sin().sum(Kind::Float) * matrix.square().sum(Kind::Float);
+        for _ in 0..5 {
+            let own = loss(&ours["model.backbone.conv1.weight"], &ours["model.head.weight"]);
+            let _ = flat.step(&own, [0.01, 0.01], &options).unwrap();
+            optimiser.backward_step(&loss(&filter, &matrix));
+        }
+        let worst = (&ours["model.backbone.conv1.weight"] - &filter).abs().max().double_value(&[]);
+        assert!(worst < 1e-6, "{worst}");
+        let worst = (&ours["model.head.weight"] - &matrix).abs().max().double_value(&[]);
+        assert!(worst < 1e-6, "{worst}");
+    }
+}

@@ -1,0 +1,165 @@
+//! Options of a training run, and a preset for each network.
+
+use serde::{Deserialize, Serialize};
+
+use crate::act::ActPreset;
+
+/// Number format of the forward and backward pass; the master copy of the weights is always single precision.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum TrainPrecision {
+    /// 32 bits (cuDNN takes TF32 for convolutions; `TORCH_ALLOW_TF32_CUBLAS_OVERRIDE=1` does so for matrix products).
+    #[default]
+    F32,
+    /// 16 bits with the range of 32; for accelerators.
+    Bf16,
+}
+
+/// How the learning rate runs after the warm-up.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Schedule {
+    /// It stays.
+    Constant,
+    /// It falls to a hundredth along half a cosine.
+    #[default]
+    Cosine,
+}
+
+/// Random changes of the training images, each frame its own.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Augmentation {
+    /// Greatest shift in either direction, pixels of the network's image; edges repeat. 0 is off.
+    pub shift_px: u32,
+    /// Greatest relative change of brightness. 0 is off.
+    pub brightness: f64,
+    /// Greatest relative change of contrast about the image's mean. 0 is off.
+    pub contrast: f64,
+    /// Standard deviation of noise on the normalised state. 0 is off.
+    pub state_noise: f64,
+}
+
+/// All options of a training run.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct TrainOptions {
+    /// Optimiser steps.
+    pub steps: u64,
+    /// Frames in a batch.
+    pub batch: usize,
+    /// Learning rate of everything but the backbone.
+    pub lr: f64,
+    /// Learning rate of the backbone.
+    pub lr_backbone: f64,
+    /// Weight decay (decoupled).
+    pub weight_decay: f64,
+    /// Steps over which the learning rate rises from 0.
+    pub warm_up_steps: u64,
+    /// How it runs from there.
+    pub schedule: Schedule,
+    /// Greatest norm of the gradient; longer ones are shortened to it. Infinite is off.
+    pub clip_norm: f64,
+    /// Decay of the moving average of the weights, which is what is kept at the end. 0 keeps the last weights.
+    pub ema_decay: f64,
+    /// Share of the episodes, the last ones, that is held out for validation. 0 is none.
+    pub validation_share: f64,
+    /// Steps between two rows of the loss curve.
+    pub log_every: u64,
+    /// Number format of the passes.
+    pub precision: TrainPrecision,
+    /// Random changes of the images.
+    pub augmentation: Augmentation,
+    /// Threads that decode images, and that compute if training is on the CPU.
+    pub threads: usize,
+    /// The seed of everything random.
+    pub seed: u64,
+}
+
+impl TrainOptions {
+    /// What suits `preset`. The original's learning rate of 1e-5 is for a pretrained backbone; from scratch it is tenfold.
+    #[must_use]
+    pub const fn preset(preset: ActPreset) -> Self {
+        let small = Self {
+            steps: 10_000,
+            batch: 64,
+            lr: 1e-4,
+            lr_backbone: 1e-4,
+            weight_decay: 1e-4,
+            warm_up_steps: 500,
+            schedule: Schedule::Cosine,
+            clip_norm: 10.0,
+            ema_decay: 0.999,
+            validation_share: 0.0,
+            log_every: 50,
+            precision: TrainPrecision::F32,
+            augmentation: Augmentation { shift_px: 0, brightness: 0.0, contrast: 0.0, state_noise: 0.0 },
+            threads: 2,
+            seed: 1000,
+        };
+        match preset {
+            ActPreset::Small => small,
+            ActPreset::Paper | ActPreset::Lerobot => Self { steps: 40_000, batch: 32, ..small },
+        }
+    }
+
+    /// What makes these options impossible, if anything does.
+    #[must_use]
+    pub fn defect(&self) -> Option<String> {
+        let ranges = [
+            ("lr", self.lr, 0.0, 1.0),
+            ("lr_backbone", self.lr_backbone, 0.0, 1.0),
+            ("weight_decay", self.weight_decay, 0.0, 1.0),
+            ("clip_norm", self.clip_norm, 1e-6, f64::INFINITY),
+            ("ema_decay", self.ema_decay, 0.0, 0.999_999),
+            ("validation_share", self.validation_share, 0.0, 0.9),
+            ("augmentation.brightness", self.augmentation.brightness, 0.0, 1.0),
+            ("augmentation.contrast", self.augmentation.contrast, 0.0, 1.0),
+            ("augmentation.state_noise", self.augmentation.state_noise, 0.0, 1.0),
+        ];
+        for (name, value, low, high) in ranges {
+            if !(low..=high).contains(&value) {
+                return Some(format!("{name} = {value} is outside [{low}, {high}]"));
+            }
+        }
+        let positive = [("batch", self.batch == 0), ("steps", self.steps == 0), ("log_every", self.log_every == 0)];
+        positive.iter().find(|(_, zero)| *zero).map(|(name, _)| format!("{name} = 0 is no positive number"))
+    }
+
+    /// The factor on both learning rates at `step`, from 0.
+    #[must_use]
+    #[expect(clippy::cast_precision_loss, reason = "steps stay far below 2^52")]
+    pub fn lr_factor(&self, step: u64) -> f64 {
+        if step < self.warm_up_steps {
+            return (step + 1) as f64 / self.warm_up_steps as f64;
+        }
+        match self.schedule {
+            Schedule::Constant => 1.0,
+            Schedule::Cosine => {
+                let span = self.steps.saturating_sub(self.warm_up_steps).max(1) as f64;
+                let share = ((step - self.warm_up_steps) as f64 / span).min(1.0);
+                0.01 + 0.99 * 0.5 * (1.0 + (core::f64::consts::PI * share).cos())
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::TrainOptions;
+    use crate::act::ActPreset;
+
+    #[test]
+    fn learning_rate_rises_then_falls_to_a_hundredth() {
+        let options = TrainOptions::preset(ActPreset::Small);
+        assert!((options.lr_factor(0) - 1.0 / 500.0).abs() < 1e-12);
+        assert!((options.lr_factor(500) - 1.0).abs() < 1e-12);
+        assert!((options.lr_factor(options.steps) - 0.01).abs() < 1e-12);
+    }
+
+    #[test]
+    fn impossible_options_are_named() {
+        let good = TrainOptions::preset(ActPreset::Paper);
+        assert_eq!(good.defect(), None);
+        assert!(TrainOptions { lr: f64::NAN, ..good }.defect().unwrap().starts_with("lr ="));
+        assert!(TrainOptions { batch: 0, ..good }.defect().unwrap().starts_with("batch"));
+    }
+}

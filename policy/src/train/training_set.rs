@@ -1,0 +1,175 @@
+//! A dataset as tensors: images once decoded at the network's size, states, and chunks of relative actions.
+
+use std::ops::Range;
+
+use tch::{Device, Kind, TchError, Tensor};
+
+use super::TrainError;
+use crate::act::ActConfig;
+use crate::checkpoint::FeatureStatistics;
+use crate::dataset::{Dataset, Episode};
+use crate::images::{area_average, shrink_factor};
+use crate::normalise::{ACTION_STD_MIN, STATE_STD_MIN, Statistics};
+use crate::relative_action::{RELATIVE_ACTION_DIM, pose_from_numbers, relative_action};
+
+/// All frames, ready to be drawn from.
+#[derive(Debug)]
+pub(super) struct TrainingSet {
+    /// `(frames, cameras, height, width, 3)`, bytes.
+    images: Tensor,
+    /// `(frames, 7)`, normalised.
+    states: Tensor,
+    /// `(frames, steps, 7)`, normalised.
+    chunks: Tensor,
+    /// `(frames, steps)`, true past the end of the episode.
+    is_pad: Tensor,
+    pub(super) statistics: FeatureStatistics,
+    pub(super) trained: Vec<usize>,
+    pub(super) held_out: Vec<usize>,
+}
+
+/// A batch on the training device.
+#[derive(Debug)]
+pub(super) struct Batch {
+    pub(super) images: Tensor,
+    pub(super) state: Tensor,
+    pub(super) actions: Tensor,
+    pub(super) is_pad: Tensor,
+}
+
+impl TrainingSet {
+    /// Reads `dataset` for the network `config`; the last `validation_share` of the episodes is held out, and takes no
+    /// part in the statistics.
+    pub(super) fn new(
+        dataset: &Dataset,
+        config: &ActConfig,
+        validation_share: f64,
+        threads: usize,
+        device: Device,
+    ) -> Result<Self, TrainError> {
+        let episodes = dataset.episodes();
+        let (trained_episodes, held_out_episodes) = episodes.split_at(split_at(episodes.len(), validation_share));
+        let trained: Vec<usize> = trained_episodes.iter().flat_map(Episode::frames).collect();
+        let held_out = held_out_episodes.iter().flat_map(Episode::frames).collect();
+        let steps = usize::try_from(config.chunk_size).unwrap_or(0);
+        let rows: Vec<ChunkRow> = episodes
+            .iter()
+            .flat_map(|episode| episode.frames().map(|frame| chunk_of(dataset, &episode.frames(), frame, steps)))
+            .collect();
+        let state_of = |&frame: &usize| dataset.state(frame).map(f64::from);
+        let state = Statistics::of(trained.iter().map(state_of), STATE_STD_MIN).ok_or(TrainError::Empty)?;
+        let real = trained.iter().flat_map(|&frame| rows[frame].actions[..rows[frame].valid].iter().copied());
+        let action = Statistics::of(real, ACTION_STD_MIN).ok_or(TrainError::Empty)?;
+        if let Some(defect) = state.defect(7).or_else(|| action.defect(7)) {
+            return Err(TrainError::Dataset(defect));
+        }
+        let tensors = numbers(dataset, &rows, steps, [&state, &action], device)?;
+        let [states, chunks, is_pad] = tensors;
+        let images = images(dataset, config, threads)?.f_to_device(device)?;
+        let statistics = FeatureStatistics { state, action };
+        Ok(Self { images, states, chunks, is_pad, statistics, trained, held_out })
+    }
+
+    /// The given frames.
+    pub(super) fn batch(&self, frames: &[usize]) -> Result<Batch, TchError> {
+        let indices: Vec<i64> = frames.iter().map(|&frame| i64::try_from(frame).unwrap_or(i64::MAX)).collect();
+        let indices = Tensor::f_from_slice(&indices)?.f_to_device(self.images.device())?;
+        Ok(Batch {
+            images: self.images.f_index_select(0, &indices)?,
+            state: self.states.f_index_select(0, &indices)?,
+            actions: self.chunks.f_index_select(0, &indices)?,
+            is_pad: self.is_pad.f_index_select(0, &indices)?,
+        })
+    }
+}
+
+/// How many of `episodes` are trained on: at least one.
+#[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "a share of a count is a count")]
+#[expect(clippy::cast_precision_loss, reason = "episodes are few")]
+fn split_at(episodes: usize, validation_share: f64) -> usize {
+    let held_out = (episodes as f64 * validation_share).round() as usize;
+    episodes.saturating_sub(held_out).max(1).min(episodes)
+}
+
+struct ChunkRow {
+    actions: Vec<[f64; RELATIVE_ACTION_DIM]>,
+    valid: usize,
+}
+
+/// The commands of `steps` frames from `frame` on, relative to the tip there; past the end the last one repeats.
+fn chunk_of(dataset: &Dataset, episode: &Range<usize>, frame: usize, steps: usize) -> ChunkRow {
+    let tip = pose_from_numbers(&dataset.tip_pose(frame));
+    let actions = (frame..frame + steps)
+        .map(|later| {
+            let [x, y, z, qx, qy, qz, qw, jaw] = dataset.action(later.min(episode.end - 1));
+            relative_action(&tip, &pose_from_numbers(&[x, y, z, qx, qy, qz, qw]), jaw)
+        })
+        .collect();
+    ChunkRow { actions, valid: steps.min(episode.end - frame) }
+}
+
+#[expect(clippy::cast_possible_truncation, reason = "networks compute in single precision")]
+fn numbers(
+    dataset: &Dataset,
+    rows: &[ChunkRow],
+    steps: usize,
+    [state, action]: [&Statistics; 2],
+    device: Device,
+) -> Result<[Tensor; 3], TchError> {
+    let states: Vec<f32> = (0..rows.len()).flat_map(|frame| dataset.state(frame)).collect();
+    let chunks: Vec<f32> =
+        rows.iter().flat_map(|row| row.actions.as_flattened()).map(|value| *value as f32).collect();
+    let is_pad: Vec<bool> = rows.iter().flat_map(|row| (0..steps).map(|step| step >= row.valid)).collect();
+    let frames = i64::try_from(rows.len()).unwrap_or(i64::MAX);
+    let states = state.normaliser().apply(&Tensor::f_from_slice(&states)?.f_view([frames, -1])?)?;
+    let steps = i64::try_from(steps).unwrap_or(i64::MAX);
+    let chunks = action.normaliser().apply(&Tensor::f_from_slice(&chunks)?.f_view([frames, steps, -1])?)?;
+    let is_pad = Tensor::f_from_slice(&is_pad)?.f_view([frames, steps])?;
+    Ok([states.f_to_device(device)?, chunks.f_to_device(device)?, is_pad.f_to_device(device)?])
+}
+
+/// Decodes and shrinks every image, `threads` at a time; the order is that of the frames whatever the threads do.
+fn images(dataset: &Dataset, config: &ActConfig, threads: usize) -> Result<Tensor, TrainError> {
+    let (high, wide) = (config.image_height, config.image_width);
+    let cameras = dataset.camera_names().len();
+    let image_bytes = usize::try_from(3 * high * wide).unwrap_or(0);
+    let frame_bytes = image_bytes * cameras;
+    let mut bytes = vec![0_u8; frame_bytes * dataset.len()];
+    let share = dataset.len().div_ceil(threads.max(1)).max(1);
+    std::thread::scope(|scope| {
+        let workers: Vec<_> = bytes
+            .chunks_mut(share * frame_bytes)
+            .enumerate()
+            .map(|(worker, part)| {
+                scope.spawn(move || {
+                    for (index, image) in part.chunks_mut(image_bytes).enumerate() {
+                        let frame = worker * share + index / cameras;
+                        read_image(dataset, frame, index % cameras, [wide, high], image)?;
+                    }
+                    Ok::<(), TrainError>(())
+                })
+            })
+            .collect();
+        for worker in workers {
+            worker.join().map_err(|_| TrainError::Dataset("a decoding thread failed".to_owned()))??;
+        }
+        Ok::<(), TrainError>(())
+    })?;
+    let count = |value: usize| i64::try_from(value).unwrap_or(i64::MAX);
+    let shape = [count(dataset.len()), count(cameras), high, wide, 3];
+    Ok(Tensor::f_from_data_size(&bytes, &shape, Kind::Uint8)?)
+}
+
+fn read_image(
+    dataset: &Dataset,
+    frame: usize,
+    camera: usize,
+    [wide, high]: [i64; 2],
+    into: &mut [u8],
+) -> Result<(), TrainError> {
+    let image = dataset.image_rgb(frame, camera)?;
+    let side = |pixels: i64| u32::try_from(pixels).unwrap_or(0);
+    let factor = shrink_factor(image.width(), image.height(), side(wide), side(high))?;
+    into.copy_from_slice(&area_average(image.as_raw(), image.width(), factor));
+    Ok(())
+}
