@@ -23,8 +23,11 @@ pub struct OrganShape {
     pub wavelength_m: f64,
 }
 
-/// Cells of the grid along x and y: 2400 triangles.
+/// Cells of the drawn grid along x and y: 2400 triangles.
 const CELLS: [usize; 2] = [40, 30];
+
+/// Cells of the grid that contact physics uses: 216 triangles, less than 0.1 mm from the drawn surface.
+const CONTACT_CELLS: [usize; 2] = [12, 9];
 
 /// One wave: share of the amplitude, waves per longest wavelength along x and y, phase.
 const WAVES: [(f64, f64, f64, f64); 3] = [(0.55, 0.75, 0.65, 0.4), (0.30, -0.45, 1.15, 2.1), (0.15, 1.5, 0.9, 4.0)];
@@ -65,13 +68,13 @@ impl OrganShape {
         x.abs() <= 0.5 * self.length_m && y.abs() <= 0.5 * self.width_m
     }
 
-    /// The patch as 2400 triangles in the scene frame; contact physics uses the same grid.
+    /// The patch as 2400 triangles in the scene frame.
     #[must_use]
     pub fn mesh(&self) -> Mesh {
         let mut mesh = Mesh::default();
         for row in 0..=CELLS[1] {
             for column in 0..=CELLS[0] {
-                let (x, y) = self.grid_point(column, row);
+                let (x, y) = self.grid_point(CELLS, column, row);
                 mesh.positions.push(single(Vector3::new(x, y, self.height_m(x, y))));
                 mesh.normals.push(single(self.normal(x, y).into_inner()));
             }
@@ -87,20 +90,20 @@ impl OrganShape {
         mesh
     }
 
-    /// Heights of the grid, rows along y from its lower end, columns along x.
-    pub(crate) fn grid_heights(&self) -> Vec<Vec<f64>> {
+    /// Heights on the grid that contact physics uses, rows along y from its lower end, columns along x.
+    pub(crate) fn contact_heights(&self) -> Vec<Vec<f64>> {
         let row_of = |row| {
             let height = |column| {
-                let (x, y) = self.grid_point(column, row);
+                let (x, y) = self.grid_point(CONTACT_CELLS, column, row);
                 self.height_m(x, y)
             };
-            (0..=CELLS[0]).map(height).collect()
+            (0..=CONTACT_CELLS[0]).map(height).collect()
         };
-        (0..=CELLS[1]).map(row_of).collect()
+        (0..=CONTACT_CELLS[1]).map(row_of).collect()
     }
 
-    fn grid_point(&self, column: usize, row: usize) -> (f64, f64) {
-        ((ratio(column, CELLS[0]) - 0.5) * self.length_m, (ratio(row, CELLS[1]) - 0.5) * self.width_m)
+    fn grid_point(&self, cells: [usize; 2], column: usize, row: usize) -> (f64, f64) {
+        ((ratio(column, cells[0]) - 0.5) * self.length_m, (ratio(row, cells[1]) - 0.5) * self.width_m)
     }
 
     /// Share, wave numbers along x and y (rad/m) and phase (rad) of every wave at (`x`, `y`).

@@ -125,9 +125,9 @@ impl Plant {
         let squeezed = load.efforts[JOINT_COUNT].max(0.0);
         outside[JOINT_COUNT] -= (load.squeeze_damping * rate[JOINT_COUNT]).clamp(-squeezed, squeezed);
         let outside = actuator_efforts(&outside);
-        for axis in 0..AXIS_COUNT {
+        for (axis, outside) in outside.iter().enumerate() {
             let per_inertia = step_s / self.config.inertia[axis];
-            let pushed = self.velocity[axis] + per_inertia * (self.effort[axis] + outside[axis]);
+            let pushed = self.velocity[axis] + per_inertia * (self.effort[axis] + outside);
             // Both frictions implicitly: they stop the axis, never reverse it.
             let dragged = pushed / (1.0 + per_inertia * self.config.viscous[axis]);
             let stuck = per_inertia * self.config.coulomb[axis];

@@ -31,10 +31,9 @@ fn setpoint(position: JointVector, velocity: JointVector) -> ArmCommand {
 
 /// Lag behind a ramp of `rate` on `joint`, as a time, s.
 fn ramp_lag_s(joint: usize, rate: f64, velocity_is_sent: bool) -> f64 {
-    let mut config = PlantConfig::default();
     // The lag of the gains alone: friction adds its own share.
-    config.coulomb = [0.0; AXIS_COUNT];
-    config.viscous = [0.0; AXIS_COUNT];
+    let none = [0.0; AXIS_COUNT];
+    let config = PlantConfig { coulomb: none, viscous: none, ..PlantConfig::default() };
     let mut plant = Plant::new(&config, &home(), 0.3);
     let mut wanted = home();
     for _ in 0..600 {
@@ -81,8 +80,7 @@ fn steps_settle_within_the_friction_band_on_every_joint() {
 
 #[test]
 fn load_deflects_yaw_by_load_over_gain() {
-    let mut config = PlantConfig::default();
-    config.coulomb = [0.0; AXIS_COUNT];
+    let config = PlantConfig { coulomb: [0.0; AXIS_COUNT], ..PlantConfig::default() };
     let mut plant = Plant::new(&config, &home(), 0.3);
     let mut load = FREE;
     load.efforts[0] = 1.0;

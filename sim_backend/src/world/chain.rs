@@ -99,12 +99,13 @@ pub(crate) fn z_from_y() -> UnitQuaternion<f64> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use core::f64::consts::FRAC_1_SQRT_2;
     use nalgebra::Quaternion;
 
     #[test]
     fn tip_matches_the_published_vectors() {
         let cases = [
-            ([0.0, 0.0, 0.12, 0.0, 0.0, 0.0], [0.0, 0.0, -0.1135], [0.707_106_781, 0.707_106_781, 0.0, 0.0]),
+            ([0.0, 0.0, 0.12, 0.0, 0.0, 0.0], [0.0, 0.0, -0.1135], [FRAC_1_SQRT_2, FRAC_1_SQRT_2, 0.0, 0.0]),
             (
                 [0.1, 0.2, 0.15, 0.3, -0.4, 0.5],
                 [0.015_079_393, -0.025_048_387, -0.139_801_106],

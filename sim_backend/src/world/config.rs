@@ -23,6 +23,8 @@ pub struct WorldConfig {
     /// Solver sub-steps in one millisecond. More are not better by themselves: stiffness is resolved a sub-step at a
     /// time, so tune it together with `grip.frequency_hz`.
     pub solver_substeps: u32,
+    /// Sweeps over all contacts in one sub-step.
+    pub solver_sweeps: u32,
     /// Size of what is typical here, m. The engine's tolerances (20 mm prediction, 5 mm slop at 1) scale with it.
     pub length_unit_m: f64,
     /// Gravity, m/s², along -z.
@@ -63,6 +65,7 @@ impl Default for WorldConfig {
             press: Press { stiffness_n_m: 800.0, damping_n_s_m: 4.0, friction: 0.3 },
             squeeze_damping_n_m_s: 0.03,
             solver_substeps: 4,
+            solver_sweeps: 2,
             length_unit_m: 0.01,
             gravity_m_s2: 9.81,
         }
@@ -86,6 +89,7 @@ impl WorldConfig {
         source.check_range(&format!("{key}.press.friction"), self.press.friction, 0.0, 2.0)?;
         source.check_range(&format!("{key}.squeeze_damping_n_m_s"), self.squeeze_damping_n_m_s, 0.0, 0.1)?;
         source.check_range(&format!("{key}.solver_substeps"), f64::from(self.solver_substeps), 1.0, 32.0)?;
+        source.check_range(&format!("{key}.solver_sweeps"), f64::from(self.solver_sweeps), 1.0, 16.0)?;
         source.check_range(&format!("{key}.length_unit_m"), self.length_unit_m, 0.001, 0.1)?;
         source.check_range(&format!("{key}.gravity_m_s2"), self.gravity_m_s2, 0.0, 20.0)
     }

@@ -5,6 +5,7 @@ mod config;
 mod convert;
 mod press;
 mod stage;
+mod stick;
 
 use hal::{ArmCommand, ArmState, JOINT_COUNT, JointVector, Pose, TimeNs};
 use nalgebra::{Point3, Vector3};
@@ -13,7 +14,7 @@ use crate::needle::NeedleShape;
 use crate::organ::OrganShape;
 use crate::plant::{AXIS_COUNT, AxisVector, Load, Plant};
 use chain::Chain;
-use stage::{PartPoses, Stage, Touch};
+use stage::{PartPoses, Stage, TOUCH_N};
 
 pub use config::{Press, Surface, WorldConfig};
 
@@ -30,7 +31,6 @@ pub struct World {
     plant: Plant,
     chain: Chain,
     stage: Stage,
-    touches: [Touch; 3],
     pressing: Pressing,
     load: Load,
 }
@@ -68,14 +68,10 @@ struct Pressing {
     wrist: [Point3<f64>; 2],
 }
 
-/// Least force that counts as touching, N.
-const TOUCH_N: f64 = 1e-3;
-
 impl World {
     /// An arm at rest at `joints0` with its jaw at `jaw0`, and a needle at `needle_in_scene0`, which must not overlap
     /// the fingers.
     #[must_use]
-    #[expect(clippy::too_many_arguments, reason = "the parts of a world; a struct would only rename them")]
     pub fn new(
         config: &WorldConfig,
         needle: &NeedleShape,
@@ -92,7 +88,6 @@ impl World {
             organ: *organ,
             scene_from_rcm,
             plant: Plant::new(&config.plant, &joints0, jaw0),
-            touches: stage.touches(&chain.tip.translation.vector),
             pressing: Pressing::new(&chain, jaw0),
             load: Load { efforts: [0.0; AXIS_COUNT], squeeze_damping: config.squeeze_damping_n_m_s },
             chain,
@@ -117,8 +112,7 @@ impl World {
         let joints = self.plant.joints();
         let jaw = joints[JOINT_COUNT];
         self.chain = Chain::new(&self.scene_from_rcm, &JointVector::from_column_slice(&joints[..JOINT_COUNT]));
-        self.stage.step(&part_poses(&self.chain, jaw));
-        self.touches = self.stage.touches(&self.chain.tip.translation.vector);
+        self.stage.step(&part_poses(&self.chain, jaw), &self.chain.tip.translation.vector);
         self.load.efforts = self.joint_load(jaw);
     }
 
@@ -155,7 +149,7 @@ impl World {
     /// What the fingers felt of the needle in the newest step.
     #[must_use]
     pub fn grasp(&self) -> Grasp {
-        let [left, right, _] = &self.touches;
+        let [left, right, _] = self.stage.touches();
         Grasp {
             left_force_n: left.force_n,
             right_force_n: right.force_n,
@@ -171,7 +165,7 @@ impl World {
         let q = needle.rotation.quaternion().coords;
         let [linear, angular] = self.needle_velocity();
         let vectors = [needle.translation.vector, linear, angular];
-        let numbers = self.plant.state().chain(self.load.efforts);
+        let numbers = self.plant.state().chain(self.load.efforts).chain(self.stage.memory_numbers());
         let numbers = numbers.chain(q.iter().copied()).chain(vectors.iter().flat_map(|v| v.iter().copied()));
         // FNV-1a over 64-bit words.
         numbers.fold(0xcbf2_9ce4_8422_2325, |hash, number| {
@@ -190,9 +184,10 @@ impl World {
         let mut left = press(&self.pressing.left, &before.left);
         let mut right = press(&self.pressing.right, &before.right);
         let mut all = press(&self.pressing.wrist, &before.wrist);
-        left.add(&self.touches[0].wrench);
-        right.add(&self.touches[1].wrench);
-        all.add(&self.touches[2].wrench);
+        let touches = self.stage.touches();
+        left.add(&touches[0].wrench);
+        right.add(&touches[1].wrench);
+        all.add(&touches[2].wrench);
         let hinge = self.chain.tip.rotation * Vector3::x();
         // Opening turns the left finger by -1/2 about the hinge and the right one by +1/2.
         let jaw_effort = 0.5 * hinge.dot(&(right.moment - left.moment));

@@ -4,6 +4,7 @@ use core::f64::consts::TAU;
 
 use super::{World, WorldConfig};
 use crate::needle::tests::HALF_CIRCLE;
+use crate::needle::NeedleShape;
 use crate::organ::tests::BACK_MUSCLE;
 use hal::psm::FINGER_M;
 use hal::{ArmCommand, JointVector, Pose, TimeNs};
@@ -23,14 +24,21 @@ impl Bench {
     /// Fingers pointing down with their ends `above_m` over the organ's middle; the needle's middle at `needle_x_m`,
     /// `needle_above_m` over the organ.
     fn new(above_m: f64, needle_x_m: f64, needle_above_m: f64) -> Self {
+        Self::with_needle(&HALF_CIRCLE, above_m, needle_x_m, needle_above_m, 0.0)
+    }
+
+    /// The same with another needle, whose arc is under the fingers at the angle `along` from its middle.
+    fn with_needle(shape: &NeedleShape, above_m: f64, needle_x_m: f64, needle_above_m: f64, along: f64) -> Self {
         let ground = BACK_MUSCLE.height_m(0.0, 0.0);
         let position = JointVector::from([0.0, 0.0, insertion(ground + above_m), 0.0, 0.0, 0.0]);
         let lying = UnitQuaternion::rotation_between(&Vector3::z(), &BACK_MUSCLE.normal(0.0, 0.0)).unwrap();
+        let lying = lying * UnitQuaternion::from_axis_angle(&Vector3::z_axis(), -along);
         let middle = Point3::new(needle_x_m, 0.0, BACK_MUSCLE.height_m(needle_x_m, 0.0) + needle_above_m);
-        let centre = middle - lying * Vector3::new(HALF_CIRCLE.arc_radius_m, 0.0, 0.0);
+        let grasped = Vector3::new(along.cos(), along.sin(), 0.0) * shape.arc_radius_m;
+        let centre = middle - lying * grasped;
         let needle = Pose::from_parts(centre.into(), lying);
         let base = Pose::translation(0.0, 0.0, 0.15);
-        let world = World::new(&WorldConfig::default(), &HALF_CIRCLE, &BACK_MUSCLE, base, position, OPEN, needle);
+        let world = World::new(&WorldConfig::default(), shape, &BACK_MUSCLE, base, position, OPEN, needle);
         let command = ArmCommand {
             stamp: TimeNs(0),
             position,
@@ -134,10 +142,9 @@ fn friction_holds_the_needle_through_five_seconds_of_shaking() {
         let grasp = bench.world.grasp();
         assert!(bench.middle_in_scene().z > 0.028, "not lifted: {}", bench.middle_in_scene());
         let (slip_m, turn) = shake(&mut bench);
-        println!("jaw {jaw}: slip {:.3} mm, turn {:.2} deg, {grasp:?}", slip_m * 1e3, turn.to_degrees());
         assert!(bench.world.grasp().both_touch && grasp.left_force_n > 1.0 && grasp.right_force_n > 1.0);
         assert!(grasp.penetration_m < 1.5e-4);
-        assert!(slip_m < 5e-4, "jaw {jaw} slips {slip_m} m, turns {turn} rad");
+        assert!(slip_m < 2e-4 && turn < 0.1, "jaw {jaw} slips {slip_m} m, turns {turn} rad");
     }
 }
 
@@ -177,8 +184,7 @@ fn a_falling_needle_comes_to_rest_on_the_organ() {
     let rest = bench.world.needle_in_scene();
     bench.wait(2.0);
     let drift = rest.inverse() * bench.world.needle_in_scene();
-    println!("drift {:.2e} m, {:.2e} rad in 2 s", drift.translation.vector.norm(), drift.rotation.angle());
-    assert!(drift.translation.vector.norm() < 1e-5 && drift.rotation.angle() < 1e-3);
+    assert!(drift.translation.vector.norm() < 1e-6 && drift.rotation.angle() < 1e-5);
     for point in HALF_CIRCLE.centre_line(16) {
         let point = bench.world.needle_in_scene() * point;
         let gap = point.z - BACK_MUSCLE.height_m(point.x, point.y);
@@ -219,7 +225,6 @@ fn a_needle_pressed_into_the_organ_is_not_launched() {
     let mut fastest = 0.0_f64;
     bench.insert(0.012, 0.5);
     bench.run(0.5, |_, _, world| fastest = fastest.max(world.needle_velocity()[0].norm()));
-    println!("fastest {fastest} m/s");
     bench.insert(-0.012, 0.5);
     bench.wait(0.5);
     assert!(fastest < 0.3 && bench.middle_in_scene().coords.norm() < 0.05, "{}", bench.middle_in_scene());
@@ -230,40 +235,4 @@ fn the_same_commands_give_the_same_bits() {
     let hash = |jaw| Bench::lifted(jaw).world.state_hash();
     assert_eq!(hash(-0.15), hash(-0.15));
     assert_ne!(hash(-0.15), hash(-0.150_000_1));
-}
-
-#[test]
-#[ignore = "trace"]
-fn trace() {
-    let mut bench = Bench::new(0.01, 0.0, HALF_CIRCLE.wire_radius_m + 1e-4);
-    bench.wait(0.5);
-    bench.insert(0.01 + REACH_M - HALF_CIRCLE.wire_radius_m, 0.5);
-    let mut tick = 0;
-    let show = |world: &World, tick: i32| {
-        let tip = world.tip_in_scene();
-        let middle = tip.inverse() * world.needle_in_scene() * Point3::new(0.012, 0.0, 0.0);
-        let end = tip * Point3::new(0.0, 0.0, FINGER_M);
-        let g = world.grasp();
-        println!("{tick}: end z {:.3} ground {:.3} middle in tip {:.3} {:.3} {:.3} mm turn {:.3?} jaw {:.4} force {:.2} {:.2} pen {:.3}", end.z*1e3, BACK_MUSCLE.height_m(0.0,0.0)*1e3, middle.x*1e3, middle.y*1e3, middle.z*1e3, world.needle_in_scene().rotation.scaled_axis().as_slice(), world.measured(TimeNs(0)).jaw_position, g.left_force_n, g.right_force_n, g.penetration_m*1e3);
-    };
-    for k in 0..40 {
-        bench.command.jaw_position = OPEN - 0.02 * f64::from(k + 1) * (OPEN + 0.15) / 0.8;
-        bench.command.jaw_velocity = -2.0;
-        bench.wait(0.02);
-        if k > 20 { show(&bench.world, k); }
-    }
-    bench.command.jaw_position = -0.15;
-    bench.command.jaw_velocity = 0.0;
-    bench.wait(0.3);
-    show(&bench.world, -1);
-    let from = bench.command.position[2];
-    bench.run(1.0, |time_s, command, world| {
-        let phase = core::f64::consts::PI * time_s;
-        command.position[2] = from - 0.5 * 0.03 * (1.0 - phase.cos());
-        command.velocity[2] = -0.5 * 0.03 * phase.sin() * core::f64::consts::PI;
-        if tick % 100 == 0 {
-            show(world, tick);
-        }
-        tick += 1;
-    });
 }
