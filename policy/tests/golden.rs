@@ -3,6 +3,9 @@
 //! The file is `tests/golden/policies.json` of the repository, or the one that `TROCAR_GOLDEN` names. A case says by its
 //! own fields what it is; cases of networks that are not built yet are counted and named.
 
+#![expect(clippy::unwrap_used, clippy::panic, reason = "a test fails by panicking, its helpers too")]
+#![expect(clippy::print_stdout, reason = "the margins are worth reading")]
+
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 

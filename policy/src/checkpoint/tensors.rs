@@ -106,8 +106,9 @@ impl Plain {
     pub(super) fn to_tensor(&self, device: Device) -> Result<Tensor, TchError> {
         let shape: Vec<i64> = self.shape.iter().map(|&side| i64::try_from(side).unwrap_or(i64::MAX)).collect();
         let tensor = Tensor::f_from_slice(&self.values)?.f_reshape(&shape)?;
-        let tensor = if shape.len() == 4 {
-            tensor.f_permute([0, 2, 3, 1])?.f_contiguous()?.f_permute([0, 3, 1, 2])?
+        let tensor = if let &[outputs, inputs, high, wide] = shape.as_slice() {
+            let flat = tensor.f_permute([0, 2, 3, 1])?.f_reshape([-1])?;
+            flat.f_view([outputs, high, wide, inputs])?.f_permute([0, 3, 1, 2])?
         } else {
             tensor
         };

@@ -90,8 +90,11 @@ impl FlatParameters {
         let mut start = 0;
         for (key, leaf) in self.keys.iter().zip(&self.leaves) {
             let shape = leaf.size();
-            tensors.insert(key.clone(), unflatten(source, start, &shape)?);
-            start += shape.iter().product::<i64>();
+            let length = shape.iter().product::<i64>();
+            // A copy of its own lies in memory as a loaded one does, so that kernels round the same way.
+            let own = source.f_narrow(0, start, length)?.f_add_scalar(0.0)?;
+            tensors.insert(key.clone(), unflatten(&own, 0, &shape)?);
+            start += length;
         }
         Ok(tensors)
     }
