@@ -8,8 +8,14 @@ fn main() {
         return;
     };
     let Ok(folder) = fs::canonicalize(&libtorch) else {
-        println!("cargo:warning=LIBTORCH={} does not exist", libtorch.display());
+        println!(
+            "cargo:warning=LIBTORCH={} does not exist",
+            libtorch.display()
+        );
         return;
     };
-    println!("cargo:rustc-link-arg=-Wl,-rpath,{}", folder.join("lib").display());
+    println!(
+        "cargo:rustc-link-arg=-Wl,-rpath,{}",
+        folder.join("lib").display()
+    );
 }

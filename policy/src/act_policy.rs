@@ -45,7 +45,10 @@ impl ActPolicy {
         };
         let config = loaded.act.config();
         if usize::try_from(config.chunk_size).unwrap_or(usize::MAX) > CHUNK_STEPS_MAX {
-            let defect = format!("chunk_size = {} is outside [1, {CHUNK_STEPS_MAX}]", config.chunk_size);
+            let defect = format!(
+                "chunk_size = {} is outside [1, {CHUNK_STEPS_MAX}]",
+                config.chunk_size
+            );
             return Err(Cause::Config(defect).in_file(&folder.join("config.json")));
         }
         let (high, wide) = (side(config.image_height), side(config.image_width));
@@ -106,7 +109,10 @@ impl ActPolicy {
     fn image_bytes(&self, frames: &[FrameRef<'_>]) -> Result<Tensor, PolicyError> {
         let cameras = &self.recipe.cameras;
         if frames.len() != cameras.len() {
-            return Err(PolicyError::CameraCount { expected: cameras.len(), actual: frames.len() });
+            return Err(PolicyError::CameraCount {
+                expected: cameras.len(),
+                actual: frames.len(),
+            });
         }
         let mut bytes = Vec::new();
         for (camera, (frame, expected)) in frames.iter().zip(cameras).enumerate() {
@@ -114,14 +120,25 @@ impl ActPolicy {
             let whole = frame.colour.len() == 3 * frame.intrinsics.pixel_count();
             if (width, height) != (expected.width, expected.height) || !whole {
                 let (expected_width, expected_height) = (expected.width, expected.height);
-                return Err(PolicyError::ImageSize { camera, expected_width, expected_height, width, height });
+                return Err(PolicyError::ImageSize {
+                    camera,
+                    expected_width,
+                    expected_height,
+                    width,
+                    height,
+                });
             }
-            bytes.extend(area_average(frame.colour, width, self.image_factors[camera]));
+            bytes.extend(area_average(
+                frame.colour,
+                width,
+                self.image_factors[camera],
+            ));
         }
         let config = self.act.config();
         let count = i64::try_from(frames.len()).unwrap_or(i64::MAX);
         let shape = [1, count, config.image_height, config.image_width, 3];
-        let tensor = Tensor::f_from_data_size(&bytes, &shape, Kind::Uint8).and_then(|t| t.f_to_device(self.device));
+        let tensor = Tensor::f_from_data_size(&bytes, &shape, Kind::Uint8)
+            .and_then(|t| t.f_to_device(self.device));
         tensor.map_err(|error| PolicyError::Inference(error.to_string()))
     }
 }
@@ -134,24 +151,37 @@ impl Policy for ActPolicy {
 
     fn infer(&mut self, observation: &Observation<'_>) -> Result<Chunk, PolicyError> {
         let images = self.image_bytes(observation.frames)?;
-        let state = Tensor::f_from_slice(&state_numbers(observation.arm)).and_then(|state| state.f_unsqueeze(0));
+        let state = Tensor::f_from_slice(&state_numbers(observation.arm))
+            .and_then(|state| state.f_unsqueeze(0));
         let actions = state
             .and_then(|state| self.network(&images, &state))
             .map_err(|error| PolicyError::Inference(error.to_string()))?;
         if !actions.iter().all(|value| value.is_finite()) {
-            return Err(PolicyError::Inference("the network answered with a number that is not finite".to_owned()));
+            return Err(PolicyError::Inference(
+                "the network answered with a number that is not finite".to_owned(),
+            ));
         }
         let (rows, _) = actions.as_chunks::<RELATIVE_ACTION_DIM>();
-        let targets: Vec<TipTarget> =
-            rows.iter().map(|row| absolute_target(&observation.tip_in_rcm, &row.map(f64::from))).collect();
+        let targets: Vec<TipTarget> = rows
+            .iter()
+            .map(|row| absolute_target(&observation.tip_in_rcm, &row.map(f64::from)))
+            .collect();
         self.sequence += 1;
-        Ok(Chunk::new(observation.arm.stamp, self.sequence, self.recipe.step_ns, &targets))
+        Ok(Chunk::new(
+            observation.arm.stamp,
+            self.sequence,
+            self.recipe.step_ns,
+            &targets,
+        ))
     }
 }
 
 /// `observation.state`: six joint positions (rad, insertion m) and the jaw (rad).
 #[must_use]
-#[expect(clippy::cast_possible_truncation, reason = "networks compute in single precision")]
+#[expect(
+    clippy::cast_possible_truncation,
+    reason = "networks compute in single precision"
+)]
 pub fn state_numbers(arm: &ArmState) -> [f32; 7] {
     let q = arm.position;
     [q[0], q[1], q[2], q[3], q[4], q[5], arm.jaw_position].map(|value| value as f32)

@@ -21,7 +21,12 @@ pub enum ImageError {
 ///
 /// # Errors
 /// [`ImageError::NoMultiple`] if there is none.
-pub const fn shrink_factor(width: u32, height: u32, wanted_width: u32, wanted_height: u32) -> Result<u32, ImageError> {
+pub const fn shrink_factor(
+    width: u32,
+    height: u32,
+    wanted_width: u32,
+    wanted_height: u32,
+) -> Result<u32, ImageError> {
     let fits = wanted_width > 0 && wanted_height > 0 && width >= wanted_width;
     if fits && width.is_multiple_of(wanted_width) {
         let factor = width / wanted_width;
@@ -29,7 +34,12 @@ pub const fn shrink_factor(width: u32, height: u32, wanted_width: u32, wanted_he
             return Ok(factor);
         }
     }
-    Err(ImageError::NoMultiple { width, height, wanted_width, wanted_height })
+    Err(ImageError::NoMultiple {
+        width,
+        height,
+        wanted_width,
+        wanted_height,
+    })
 }
 
 /// `bytes` (3 a pixel, rows of `width` pixels) shrunk by `factor`: every block averaged and rounded to nearest.
@@ -55,7 +65,10 @@ pub fn area_average(bytes: &[u8], width: u32, factor: u32) -> Vec<u8> {
                 }
             }
         }
-        #[expect(clippy::cast_possible_truncation, reason = "an average of bytes is a byte")]
+        #[expect(
+            clippy::cast_possible_truncation,
+            reason = "an average of bytes is a byte"
+        )]
         shrunk.extend(sums.iter().map(|sum| ((sum + area / 2) / area) as u8));
     }
     shrunk

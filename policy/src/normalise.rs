@@ -43,9 +43,18 @@ pub struct Statistics {
 impl Statistics {
     /// Statistics of `samples`, the deviations not below `std_min`. `None` without samples.
     #[must_use]
-    #[expect(clippy::cast_possible_truncation, reason = "networks compute in single precision")]
-    #[expect(clippy::cast_precision_loss, reason = "counts of samples stay far below 2^52")]
-    pub fn of<const N: usize>(samples: impl Iterator<Item = [f64; N]> + Clone, std_min: [f64; N]) -> Option<Self> {
+    #[expect(
+        clippy::cast_possible_truncation,
+        reason = "networks compute in single precision"
+    )]
+    #[expect(
+        clippy::cast_precision_loss,
+        reason = "counts of samples stay far below 2^52"
+    )]
+    pub fn of<const N: usize>(
+        samples: impl Iterator<Item = [f64; N]> + Clone,
+        std_min: [f64; N],
+    ) -> Option<Self> {
         let count = samples.clone().count();
         if count == 0 {
             return None;
@@ -66,16 +75,27 @@ impl Statistics {
             }
         }
         let freedom = count.saturating_sub(1).max(1) as f64;
-        let std = (0..N).map(|axis| (squares[axis] / freedom).sqrt().max(std_min[axis]) as f32).collect();
+        let std = (0..N)
+            .map(|axis| (squares[axis] / freedom).sqrt().max(std_min[axis]) as f32)
+            .collect();
         let narrow = |values: [f64; N]| values.iter().map(|value| *value as f32).collect();
-        Some(Self { mean: narrow(mean), std, min: narrow(min), max: narrow(max) })
+        Some(Self {
+            mean: narrow(mean),
+            std,
+            min: narrow(min),
+            max: narrow(max),
+        })
     }
 
     /// What makes these statistics useless for `dims` dimensions, if anything does.
     #[must_use]
     pub fn defect(&self, dims: usize) -> Option<String> {
         if self.mean.len() != dims || self.std.len() != dims {
-            return Some(format!("has {} means and {} deviations, not {dims}", self.mean.len(), self.std.len()));
+            return Some(format!(
+                "has {} means and {} deviations, not {dims}",
+                self.mean.len(),
+                self.std.len()
+            ));
         }
         for (axis, (mean, std)) in self.mean.iter().zip(&self.std).enumerate() {
             if !mean.is_finite() {
@@ -92,7 +112,10 @@ impl Statistics {
     /// A normaliser on the CPU.
     #[must_use]
     pub fn normaliser(&self) -> Normaliser {
-        Normaliser { mean: Tensor::from_slice(&self.mean), std: Tensor::from_slice(&self.std) }
+        Normaliser {
+            mean: Tensor::from_slice(&self.mean),
+            std: Tensor::from_slice(&self.std),
+        }
     }
 }
 
@@ -138,7 +161,10 @@ impl ImageNormaliser {
         let mean = Tensor::f_from_slice(&IMAGENET_MEAN)?.f_view([3, 1, 1])?;
         let scale = std.f_mul_scalar(255.0)?.f_reciprocal()?;
         let shift = mean.f_div(&std)?.f_neg()?;
-        Ok(Self { scale: scale.f_to_device(device)?, shift: shift.f_to_device(device)? })
+        Ok(Self {
+            scale: scale.f_to_device(device)?,
+            shift: shift.f_to_device(device)?,
+        })
     }
 
     /// Bytes `(.., height, width, 3)` to floats `(.., 3, height, width)`; the channels stay last in memory.
@@ -167,28 +193,67 @@ mod tests {
 
     #[test]
     fn zero_and_nan_are_defects() {
-        let good = Statistics { mean: vec![0.0], std: vec![1.0], min: vec![], max: vec![] };
+        let good = Statistics {
+            mean: vec![0.0],
+            std: vec![1.0],
+            min: vec![],
+            max: vec![],
+        };
         assert_eq!(good.defect(1), None);
-        assert!(Statistics { std: vec![0.0], ..good.clone() }.defect(1).unwrap().contains("deviation"));
-        assert!(Statistics { std: vec![f32::NAN], ..good.clone() }.defect(1).is_some());
-        assert!(Statistics { mean: vec![f32::NAN], ..good.clone() }.defect(1).unwrap().contains("mean"));
+        assert!(
+            Statistics {
+                std: vec![0.0],
+                ..good.clone()
+            }
+            .defect(1)
+            .unwrap()
+            .contains("deviation")
+        );
+        assert!(
+            Statistics {
+                std: vec![f32::NAN],
+                ..good.clone()
+            }
+            .defect(1)
+            .is_some()
+        );
+        assert!(
+            Statistics {
+                mean: vec![f32::NAN],
+                ..good.clone()
+            }
+            .defect(1)
+            .unwrap()
+            .contains("mean")
+        );
         assert!(good.defect(2).is_some());
     }
 
     #[test]
     fn normalising_and_back_is_the_identity() {
-        let statistics = Statistics { mean: vec![1.0, -2.0], std: vec![0.5, 4.0], min: vec![], max: vec![] };
+        let statistics = Statistics {
+            mean: vec![1.0, -2.0],
+            std: vec![0.5, 4.0],
+            min: vec![],
+            max: vec![],
+        };
         let normaliser = statistics.normaliser();
         let x = Tensor::from_slice(&[3.0_f32, 6.0]).view([1, 2]);
         let normalised = normaliser.apply(&x).unwrap();
-        assert_eq!(Vec::<f32>::try_from(normalised.flatten(0, -1)).unwrap(), [4.0, 2.0]);
+        assert_eq!(
+            Vec::<f32>::try_from(normalised.flatten(0, -1)).unwrap(),
+            [4.0, 2.0]
+        );
         assert_eq!(normaliser.invert(&normalised).unwrap(), x);
     }
 
     #[test]
     fn white_is_normalised_as_imagenet_has_it() {
         let white = Tensor::full([1, 2, 2, 3], 255, (Kind::Uint8, Device::Cpu));
-        let image = ImageNormaliser::imagenet(Device::Cpu).unwrap().apply(&white).unwrap();
+        let image = ImageNormaliser::imagenet(Device::Cpu)
+            .unwrap()
+            .apply(&white)
+            .unwrap();
         assert_eq!(image.size(), [1, 3, 2, 2]);
         let red = image.double_value(&[0, 0, 1, 1]);
         assert!((red - (1.0 - 0.485) / 0.229).abs() < 1e-5, "{red}");

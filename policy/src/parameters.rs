@@ -38,13 +38,20 @@ impl Init {
         Self::Normal((2.0 / count(fan_out)).sqrt())
     }
 
-    #[expect(clippy::cast_possible_truncation, reason = "networks compute in single precision")]
+    #[expect(
+        clippy::cast_possible_truncation,
+        reason = "networks compute in single precision"
+    )]
     fn draw(&self, key: &str, seed: u64, length: usize) -> Vec<f32> {
         let mut random = SplitMix64::named(key, seed);
         match self {
             Self::Constant(value) => vec![*value; length],
-            Self::Uniform(bound) => (0..length).map(|_| (bound * random.signed_unit()) as f32).collect(),
-            Self::Normal(deviation) => (0..length).map(|_| (deviation * random.normal()) as f32).collect(),
+            Self::Uniform(bound) => (0..length)
+                .map(|_| (bound * random.signed_unit()) as f32)
+                .collect(),
+            Self::Normal(deviation) => (0..length)
+                .map(|_| (deviation * random.normal()) as f32)
+                .collect(),
             Self::Table(values) => values.clone(),
         }
     }
@@ -113,7 +120,11 @@ impl ParameterSource {
     }
 
     const fn from_origin(origin: Origin) -> Self {
-        Self { origin, handed_out: BTreeMap::new(), trainable: BTreeSet::new() }
+        Self {
+            origin,
+            handed_out: BTreeMap::new(),
+            trainable: BTreeSet::new(),
+        }
     }
 
     /// Whether tensors whose key starts with `prefix` can be had.
@@ -121,9 +132,10 @@ impl ParameterSource {
     pub fn offers(&self, prefix: &str) -> bool {
         match &self.origin {
             Origin::Seed { .. } => true,
-            Origin::Given(tensors) => {
-                tensors.range(prefix.to_owned()..).next().is_some_and(|(key, _)| key.starts_with(prefix))
-            }
+            Origin::Given(tensors) => tensors
+                .range(prefix.to_owned()..)
+                .next()
+                .is_some_and(|(key, _)| key.starts_with(prefix)),
         }
     }
 
@@ -131,7 +143,12 @@ impl ParameterSource {
     ///
     /// # Errors
     /// [`ParameterError::Missing`] or [`ParameterError::Shape`] if what is given does not fit.
-    pub fn trainable(&mut self, key: &str, shape: &[i64], init: &Init) -> Result<Tensor, ParameterError> {
+    pub fn trainable(
+        &mut self,
+        key: &str,
+        shape: &[i64],
+        init: &Init,
+    ) -> Result<Tensor, ParameterError> {
         self.trainable.insert(key.to_owned());
         self.fixed(key, shape, init)
     }
@@ -140,23 +157,37 @@ impl ParameterSource {
     ///
     /// # Errors
     /// As [`Self::trainable`].
-    pub fn fixed(&mut self, key: &str, shape: &[i64], init: &Init) -> Result<Tensor, ParameterError> {
+    pub fn fixed(
+        &mut self,
+        key: &str,
+        shape: &[i64],
+        init: &Init,
+    ) -> Result<Tensor, ParameterError> {
         let tensor = match &self.origin {
             Origin::Seed { seed, device } => {
                 let length = shape.iter().product::<i64>();
                 let values = init.draw(key, *seed, usize::try_from(length).unwrap_or(0));
-                Tensor::f_from_slice(&values)?.f_reshape(shape)?.f_to_device(*device)?
+                Tensor::f_from_slice(&values)?
+                    .f_reshape(shape)?
+                    .f_to_device(*device)?
             }
             Origin::Given(tensors) => {
-                let tensor = tensors.get(key).ok_or_else(|| ParameterError::Missing { key: key.to_owned() })?;
+                let tensor = tensors.get(key).ok_or_else(|| ParameterError::Missing {
+                    key: key.to_owned(),
+                })?;
                 let actual = tensor.size();
                 if actual != shape {
-                    return Err(ParameterError::Shape { key: key.to_owned(), expected: shape.to_vec(), actual });
+                    return Err(ParameterError::Shape {
+                        key: key.to_owned(),
+                        expected: shape.to_vec(),
+                        actual,
+                    });
                 }
                 tensor.shallow_clone()
             }
         };
-        self.handed_out.insert(key.to_owned(), tensor.shallow_clone());
+        self.handed_out
+            .insert(key.to_owned(), tensor.shallow_clone());
         Ok(tensor)
     }
 
@@ -166,12 +197,17 @@ impl ParameterSource {
     /// [`ParameterError::Unexpected`] if a given tensor was not asked for.
     pub fn finish(self) -> Result<Parameters, ParameterError> {
         if let Origin::Given(tensors) = &self.origin {
-            let left = tensors.keys().find(|key| !self.handed_out.contains_key(*key));
+            let left = tensors
+                .keys()
+                .find(|key| !self.handed_out.contains_key(*key));
             if let Some(key) = left {
                 return Err(ParameterError::Unexpected { key: key.clone() });
             }
         }
-        Ok(Parameters { tensors: self.handed_out, trainable: self.trainable })
+        Ok(Parameters {
+            tensors: self.handed_out,
+            trainable: self.trainable,
+        })
     }
 }
 
@@ -185,7 +221,9 @@ pub struct Parameters {
 impl Parameters {
     /// Every tensor with its key, in order of the keys.
     pub fn iter(&self) -> impl Iterator<Item = (&str, &Tensor)> {
-        self.tensors.iter().map(|(key, tensor)| (key.as_str(), tensor))
+        self.tensors
+            .iter()
+            .map(|(key, tensor)| (key.as_str(), tensor))
     }
 
     /// Whether training changes the tensor `key`.
@@ -206,7 +244,12 @@ impl Parameters {
     /// The network library's.
     pub fn are_finite(&self) -> Result<bool, TchError> {
         for tensor in self.tensors.values() {
-            if tensor.f_sum(Kind::Double)?.f_isfinite()?.f_int64_value(&[])? == 0 {
+            if tensor
+                .f_sum(Kind::Double)?
+                .f_isfinite()?
+                .f_int64_value(&[])?
+                == 0
+            {
                 return Ok(false);
             }
         }
@@ -224,7 +267,9 @@ mod tests {
     fn same_seed_and_key_give_same_bits() {
         let draw = |seed| {
             let mut source = ParameterSource::seeded(seed, Device::Cpu);
-            let tensor = source.trainable("a.weight", &[3, 4], &Init::Normal(1.0)).unwrap();
+            let tensor = source
+                .trainable("a.weight", &[3, 4], &Init::Normal(1.0))
+                .unwrap();
             Vec::<f32>::try_from(tensor.flatten(0, -1)).unwrap()
         };
         assert_eq!(draw(5), draw(5));
@@ -233,12 +278,17 @@ mod tests {
 
     #[test]
     fn misfits_are_named() {
-        let given = BTreeMap::from([("a".to_owned(), Tensor::zeros([2], (Kind::Float, Device::Cpu)))]);
+        let given = BTreeMap::from([(
+            "a".to_owned(),
+            Tensor::zeros([2], (Kind::Float, Device::Cpu)),
+        )]);
         let mut source = ParameterSource::given(given);
         let missing = source.fixed("b", &[2], &Init::Constant(0.0)).unwrap_err();
         assert!(matches!(missing, ParameterError::Missing { key } if key == "b"));
         let shape = source.fixed("a", &[3], &Init::Constant(0.0)).unwrap_err();
         assert!(matches!(shape, ParameterError::Shape { actual, .. } if actual == [2]));
-        assert!(matches!(source.finish().unwrap_err(), ParameterError::Unexpected { key } if key == "a"));
+        assert!(
+            matches!(source.finish().unwrap_err(), ParameterError::Unexpected { key } if key == "a")
+        );
     }
 }

@@ -22,10 +22,22 @@ pub fn pose_from_numbers(numbers: &[f64; 7]) -> Pose {
 
 /// The action that takes the tip from `tip_in_rcm` to `target_in_rcm` with the jaw at `jaw`.
 #[must_use]
-pub fn relative_action(tip_in_rcm: &Pose, target_in_rcm: &Pose, jaw: f64) -> [f64; RELATIVE_ACTION_DIM] {
+pub fn relative_action(
+    tip_in_rcm: &Pose,
+    target_in_rcm: &Pose,
+    jaw: f64,
+) -> [f64; RELATIVE_ACTION_DIM] {
     let translation = target_in_rcm.translation.vector - tip_in_rcm.translation.vector;
     let rotation = (tip_in_rcm.rotation.inverse() * target_in_rcm.rotation).scaled_axis();
-    [translation.x, translation.y, translation.z, rotation.x, rotation.y, rotation.z, jaw]
+    [
+        translation.x,
+        translation.y,
+        translation.z,
+        rotation.x,
+        rotation.y,
+        rotation.z,
+        jaw,
+    ]
 }
 
 /// The target that `action` means for a tip at `tip_in_rcm`.
@@ -34,7 +46,10 @@ pub fn absolute_target(tip_in_rcm: &Pose, action: &[f64; RELATIVE_ACTION_DIM]) -
     let [dx, dy, dz, rx, ry, rz, jaw] = *action;
     let translation = tip_in_rcm.translation.vector + Vector3::new(dx, dy, dz);
     let rotation = tip_in_rcm.rotation * UnitQuaternion::from_scaled_axis(Vector3::new(rx, ry, rz));
-    TipTarget::new(&Pose::from_parts(Translation3::from(translation), rotation), jaw)
+    TipTarget::new(
+        &Pose::from_parts(Translation3::from(translation), rotation),
+        jaw,
+    )
 }
 
 #[cfg(test)]
@@ -51,7 +66,11 @@ mod tests {
             let back = absolute_target(&tip, &relative_action(&tip, &target, 0.3));
             let pose = back.tip_in_rcm();
             assert!((pose.translation.vector - target.translation.vector).norm() < 1e-12);
-            assert!(pose.rotation.angle_to(&target.rotation) < 1e-7, "{}", pose.rotation.angle_to(&target.rotation));
+            assert!(
+                pose.rotation.angle_to(&target.rotation) < 1e-7,
+                "{}",
+                pose.rotation.angle_to(&target.rotation)
+            );
             assert!((back.jaw - 0.3).abs() < 1e-15);
         }
     }

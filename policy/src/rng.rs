@@ -16,9 +16,9 @@ impl SplitMix64 {
     /// A stream of its own for `name` under `seed` (FNV-1a of the name, exclusive-or the seed).
     #[must_use]
     pub fn named(name: &str, seed: u64) -> Self {
-        let hash = name
-            .bytes()
-            .fold(0xcbf2_9ce4_8422_2325_u64, |hash, byte| (hash ^ u64::from(byte)).wrapping_mul(0x0100_0000_01b3));
+        let hash = name.bytes().fold(0xcbf2_9ce4_8422_2325_u64, |hash, byte| {
+            (hash ^ u64::from(byte)).wrapping_mul(0x0100_0000_01b3)
+        });
         Self::new(hash ^ seed)
     }
 
@@ -38,7 +38,10 @@ impl SplitMix64 {
     }
 
     /// Evenly distributed in `0..bound`; 0 for an empty range.
-    #[expect(clippy::cast_possible_truncation, reason = "the high word of a product with `bound` is below `bound`")]
+    #[expect(
+        clippy::cast_possible_truncation,
+        reason = "the high word of a product with `bound` is below `bound`"
+    )]
     pub fn below(&mut self, bound: usize) -> usize {
         ((u128::from(self.next_u64()) * bound as u128) >> 64) as usize
     }
@@ -75,7 +78,10 @@ mod tests {
         let draws: Vec<f64> = (0..20_000).map(|_| random.normal()).collect();
         let mean = draws.iter().sum::<f64>() / 20_000.0;
         let variance = draws.iter().map(|x| (x - mean) * (x - mean)).sum::<f64>() / 20_000.0;
-        assert!(mean.abs() < 0.03 && (variance - 1.0).abs() < 0.05, "{mean} {variance}");
+        assert!(
+            mean.abs() < 0.03 && (variance - 1.0).abs() < 0.05,
+            "{mean} {variance}"
+        );
     }
 
     #[test]

@@ -102,7 +102,10 @@ impl ActConfig {
     #[must_use]
     pub fn preset(preset: ActPreset, cameras: &[String]) -> Self {
         let base = Self::lerobot_defaults(STATE_DIM, STATE_DIM, cameras, 512, 512);
-        let scratch = Self { backbone_norm: BackboneNorm::GroupNorm, ..base };
+        let scratch = Self {
+            backbone_norm: BackboneNorm::GroupNorm,
+            ..base
+        };
         match preset {
             ActPreset::Lerobot => scratch,
             ActPreset::Paper => Self {
@@ -211,14 +214,21 @@ mod tests {
     fn every_preset_can_be_built() {
         let cameras = ["observation.images.endoscope".to_owned()];
         for preset in [ActPreset::Paper, ActPreset::Lerobot, ActPreset::Small] {
-            assert_eq!(ActConfig::preset(preset, &cameras).defect(), None, "{preset:?}");
+            assert_eq!(
+                ActConfig::preset(preset, &cameras).defect(),
+                None,
+                "{preset:?}"
+            );
         }
     }
 
     #[test]
     fn heads_that_do_not_divide_the_width_are_refused() {
         let cameras = ["observation.images.endoscope".to_owned()];
-        let config = ActConfig { n_heads: 7, ..ActConfig::preset(ActPreset::Small, &cameras) };
+        let config = ActConfig {
+            n_heads: 7,
+            ..ActConfig::preset(ActPreset::Small, &cameras)
+        };
         assert!(config.defect().unwrap().contains("n_heads = 7"));
     }
 }

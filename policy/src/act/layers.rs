@@ -50,7 +50,11 @@ pub(super) struct LayerNorm {
 }
 
 impl LayerNorm {
-    pub(super) fn new(source: &mut ParameterSource, key: &str, width: i64) -> Result<Self, ParameterError> {
+    pub(super) fn new(
+        source: &mut ParameterSource,
+        key: &str,
+        width: i64,
+    ) -> Result<Self, ParameterError> {
         Ok(Self {
             weight: source.trainable(&format!("{key}.weight"), &[width], &Init::Constant(1.0))?,
             bias: source.trainable(&format!("{key}.bias"), &[width], &Init::Constant(0.0))?,
@@ -59,7 +63,13 @@ impl LayerNorm {
     }
 
     pub(super) fn forward(&self, x: &Tensor) -> Result<Tensor, TchError> {
-        x.f_layer_norm([self.width], Some(&self.weight), Some(&self.bias), 1e-5, true)
+        x.f_layer_norm(
+            [self.width],
+            Some(&self.weight),
+            Some(&self.bias),
+            1e-5,
+            true,
+        )
     }
 }
 
@@ -75,14 +85,27 @@ pub(super) struct Attention {
 }
 
 impl Attention {
-    pub(super) fn new(source: &mut ParameterSource, key: &str, width: i64, heads: i64) -> Result<Self, ParameterError> {
+    pub(super) fn new(
+        source: &mut ParameterSource,
+        key: &str,
+        width: i64,
+        heads: i64,
+    ) -> Result<Self, ParameterError> {
         let zero = Init::Constant(0.0);
         let in_init = Init::xavier(3 * width, width);
         let out_init = Init::xavier(width, width);
         Ok(Self {
-            in_weight: source.trainable(&format!("{key}.in_proj_weight"), &[3 * width, width], &in_init)?,
+            in_weight: source.trainable(
+                &format!("{key}.in_proj_weight"),
+                &[3 * width, width],
+                &in_init,
+            )?,
             in_bias: source.trainable(&format!("{key}.in_proj_bias"), &[3 * width], &zero)?,
-            out_weight: source.trainable(&format!("{key}.out_proj.weight"), &[width, width], &out_init)?,
+            out_weight: source.trainable(
+                &format!("{key}.out_proj.weight"),
+                &[width, width],
+                &out_init,
+            )?,
             out_bias: source.trainable(&format!("{key}.out_proj.bias"), &[width], &zero)?,
             width,
             heads,
@@ -101,8 +124,12 @@ impl Attention {
         let q = self.project(query, 0)?;
         let k = self.project(key, 1)?;
         let v = self.project(value, 2)?;
-        let mixed = Tensor::f_scaled_dot_product_attention(&q, &k, &v, allowed, dropout, false, None, false)?;
-        let joined = mixed.f_transpose(1, 2)?.f_reshape([query.size()[0], -1, self.width])?;
+        let mixed = Tensor::f_scaled_dot_product_attention(
+            &q, &k, &v, allowed, dropout, false, None, false,
+        )?;
+        let joined = mixed
+            .f_transpose(1, 2)?
+            .f_reshape([query.size()[0], -1, self.width])?;
         joined.f_linear(&self.out_weight, Some(&self.out_bias))
     }
 
@@ -111,7 +138,9 @@ impl Attention {
         let weight = self.in_weight.f_narrow(0, part * self.width, self.width)?;
         let bias = self.in_bias.f_narrow(0, part * self.width, self.width)?;
         let projected = x.f_linear(&weight, Some(&bias))?;
-        projected.f_view([x.size()[0], -1, self.heads, self.width / self.heads])?.f_transpose(1, 2)
+        projected
+            .f_view([x.size()[0], -1, self.heads, self.width / self.heads])?
+            .f_transpose(1, 2)
     }
 }
 
@@ -138,7 +167,8 @@ impl FeedForward {
     }
 
     pub(super) fn forward(&self, x: &Tensor, dropout: f64) -> Result<Tensor, TchError> {
-        self.narrow.forward(&drop(self.widen.forward(x)?.f_relu()?, dropout)?)
+        self.narrow
+            .forward(&drop(self.widen.forward(x)?.f_relu()?, dropout)?)
     }
 }
 

@@ -53,7 +53,10 @@ pub fn l1_loss(
         LossDenominator::All => errors.f_mean(Kind::Float),
         LossDenominator::Valid => {
             let width = actions.size().last().copied().unwrap_or(1);
-            let elements = kept.f_sum(Kind::Float)?.f_mul_scalar(width)?.f_clamp_min(1.0)?;
+            let elements = kept
+                .f_sum(Kind::Float)?
+                .f_mul_scalar(width)?
+                .f_clamp_min(1.0)?;
             errors.f_sum(Kind::Float)?.f_div(&elements)
         }
     }
@@ -62,8 +65,14 @@ pub fn l1_loss(
 fn kl_divergence(latent: &LatentDistribution) -> Result<Tensor, TchError> {
     let log_variance = latent.log_variance.f_to_kind(Kind::Float)?;
     let mean = latent.mean.f_to_kind(Kind::Float)?;
-    let inner = log_variance.f_add_scalar(1.0)?.f_sub(&mean.f_square()?)?.f_sub(&log_variance.f_exp()?)?;
-    inner.f_mul_scalar(-0.5)?.f_sum_dim_intlist([-1].as_slice(), false, Kind::Float)?.f_mean(Kind::Float)
+    let inner = log_variance
+        .f_add_scalar(1.0)?
+        .f_sub(&mean.f_square()?)?
+        .f_sub(&log_variance.f_exp()?)?;
+    inner
+        .f_mul_scalar(-0.5)?
+        .f_sum_dim_intlist([-1].as_slice(), false, Kind::Float)?
+        .f_mean(Kind::Float)
 }
 
 #[cfg(test)]
@@ -76,7 +85,11 @@ mod tests {
         let predicted = Tensor::from_slice(&[1.0_f32, 1.0, 9.0, 9.0]).view([1, 4, 1]);
         let actions = Tensor::from_slice(&[0.0_f32, 3.0, 0.0, 0.0]).view([1, 4, 1]);
         let is_pad = Tensor::from_slice(&[false, false, true, true]).view([1, 4]);
-        let loss = |kind| l1_loss(kind, &predicted, &actions, &is_pad).unwrap().double_value(&[]);
+        let loss = |kind| {
+            l1_loss(kind, &predicted, &actions, &is_pad)
+                .unwrap()
+                .double_value(&[])
+        };
         assert!((loss(LossDenominator::All) - 0.75).abs() < 1e-7);
         assert!((loss(LossDenominator::Valid) - 1.5).abs() < 1e-7);
     }

@@ -71,17 +71,44 @@ impl Act {
         let decoder = Decoder::new(s, "model.decoder", &config)?;
         let image_key = "model.encoder_img_feat_input_proj";
         let image_init = Init::fan_in(FEATURE_CHANNELS);
-        let image_weight =
-            s.trainable(&format!("{image_key}.weight"), &[width, FEATURE_CHANNELS, 1, 1], &image_init)?;
+        let image_weight = s.trainable(
+            &format!("{image_key}.weight"),
+            &[width, FEATURE_CHANNELS, 1, 1],
+            &image_init,
+        )?;
         let image_bias = s.trainable(&format!("{image_key}.bias"), &[width], &image_init)?;
         let normal = Init::Normal(1.0);
-        let token_position = s.trainable("model.encoder_1d_feature_pos_embed.weight", &[2, width], &normal)?;
-        let step_queries = s.trainable("model.decoder_pos_embed.weight", &[config.chunk_size, width], &normal)?;
-        let state_input = Linear::new(s, "model.encoder_robot_state_input_proj", config.state_dim, width)?;
-        let latent_input = Linear::new(s, "model.encoder_latent_input_proj", config.latent_dim, width)?;
+        let token_position = s.trainable(
+            "model.encoder_1d_feature_pos_embed.weight",
+            &[2, width],
+            &normal,
+        )?;
+        let step_queries = s.trainable(
+            "model.decoder_pos_embed.weight",
+            &[config.chunk_size, width],
+            &normal,
+        )?;
+        let state_input = Linear::new(
+            s,
+            "model.encoder_robot_state_input_proj",
+            config.state_dim,
+            width,
+        )?;
+        let latent_input = Linear::new(
+            s,
+            "model.encoder_latent_input_proj",
+            config.latent_dim,
+            width,
+        )?;
         let action_head = Linear::new(s, "model.action_head", width, config.action_dim)?;
-        let vae = if config.use_vae && s.offers(VAE_PREFIX) { Some(VaeEncoder::new(s, &config)?) } else { None };
-        let image_position = image_position(&config)?.f_to_device(image_weight.device())?.f_to_kind(image_weight.kind())?;
+        let vae = if config.use_vae && s.offers(VAE_PREFIX) {
+            Some(VaeEncoder::new(s, &config)?)
+        } else {
+            None
+        };
+        let image_position = image_position(&config)?
+            .f_to_device(image_weight.device())?
+            .f_to_kind(image_weight.kind())?;
         Ok(Self {
             backbone,
             encoder,
@@ -120,7 +147,10 @@ impl Act {
     /// The network library's, if shapes do not fit.
     pub fn infer(&self, images: &Tensor, state: &Tensor) -> Result<Tensor, TchError> {
         let kind = self.image_weight.kind();
-        let latent = Tensor::f_zeros([state.size()[0], self.config.latent_dim], (kind, state.device()))?;
+        let latent = Tensor::f_zeros(
+            [state.size()[0], self.config.latent_dim],
+            (kind, state.device()),
+        )?;
         self.decode(images, state, &latent, 0.0)
     }
 
@@ -142,21 +172,48 @@ impl Act {
             let latent = demonstration.noise.f_zeros_like()?.f_to_kind(kind)?;
             return Ok((self.decode(images, state, &latent, dropout)?, None));
         };
-        let Demonstration { actions, is_pad, noise } = demonstration;
-        let latent = vae.forward(&state.f_to_kind(kind)?, &actions.f_to_kind(kind)?, is_pad, dropout)?;
+        let Demonstration {
+            actions,
+            is_pad,
+            noise,
+        } = demonstration;
+        let latent = vae.forward(
+            &state.f_to_kind(kind)?,
+            &actions.f_to_kind(kind)?,
+            is_pad,
+            dropout,
+        )?;
         let sample = latent.sample(&noise.f_to_kind(kind)?)?;
         Ok((self.decode(images, state, &sample, dropout)?, Some(latent)))
     }
 
-    fn decode(&self, images: &Tensor, state: &Tensor, latent: &Tensor, dropout: f64) -> Result<Tensor, TchError> {
+    fn decode(
+        &self,
+        images: &Tensor,
+        state: &Tensor,
+        latent: &Tensor,
+        dropout: f64,
+    ) -> Result<Tensor, TchError> {
         let kind = self.image_weight.kind();
         let latent = self.latent_input.forward(latent)?.f_unsqueeze(1)?;
-        let state = self.state_input.forward(&state.f_to_kind(kind)?)?.f_unsqueeze(1)?;
-        let tokens = Tensor::f_cat(&[latent, state, self.image_tokens(&images.f_to_kind(kind)?)?], 1)?;
-        let position = Tensor::f_cat(&[&self.token_position, &self.image_position], 0)?.f_unsqueeze(0)?;
+        let state = self
+            .state_input
+            .forward(&state.f_to_kind(kind)?)?
+            .f_unsqueeze(1)?;
+        let tokens = Tensor::f_cat(
+            &[latent, state, self.image_tokens(&images.f_to_kind(kind)?)?],
+            1,
+        )?;
+        let position =
+            Tensor::f_cat(&[&self.token_position, &self.image_position], 0)?.f_unsqueeze(0)?;
         let encoded = self.encoder.forward(&tokens, &position, None, dropout)?;
-        let memory = Memory { tokens: &encoded, position: &position };
-        let decoded = self.decoder.forward(&self.step_queries.f_unsqueeze(0)?, &memory, dropout)?;
+        let memory = Memory {
+            tokens: &encoded,
+            position: &position,
+        };
+        let decoded = self
+            .decoder
+            .forward(&self.step_queries.f_unsqueeze(0)?, &memory, dropout)?;
         self.action_head.forward(&decoded)?.f_to_kind(Kind::Float)
     }
 
@@ -164,7 +221,14 @@ impl Act {
     fn image_tokens(&self, images: &Tensor) -> Result<Tensor, TchError> {
         let batch = images.size()[0];
         let features = self.backbone.forward(&images.f_flatten(0, 1)?)?;
-        let tokens = features.f_conv2d(&self.image_weight, Some(&self.image_bias), [1, 1], [0, 0], [1, 1], 1)?;
+        let tokens = features.f_conv2d(
+            &self.image_weight,
+            Some(&self.image_bias),
+            [1, 1],
+            [0, 0],
+            [1, 1],
+            1,
+        )?;
         let rows = tokens.f_flatten(2, 3)?.f_transpose(1, 2)?;
         rows.f_reshape([batch, -1, self.config.dim_model])
     }
@@ -176,5 +240,7 @@ fn image_position(config: &ActConfig) -> Result<Tensor, TchError> {
     let wide = ResNet18::feature_side(config.image_width);
     let table = position::plane_table(high, wide, config.dim_model);
     let cameras = i64::try_from(config.cameras.len()).unwrap_or(i64::MAX);
-    Tensor::f_from_slice(&table)?.f_view([high * wide, config.dim_model])?.f_repeat([cameras, 1])
+    Tensor::f_from_slice(&table)?
+        .f_view([high * wide, config.dim_model])?
+        .f_repeat([cameras, 1])
 }

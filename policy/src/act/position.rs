@@ -10,14 +10,20 @@ fn interleaved(angle: f64, width: i64) -> impl Iterator<Item = f32> {
     (0..width).map(move |index| {
         let frequency = TEMPERATURE.powf(to_f64(2 * (index / 2)) / to_f64(width));
         let phase = angle / frequency;
-        to_f32(if index % 2 == 0 { phase.sin() } else { phase.cos() })
+        to_f32(if index % 2 == 0 {
+            phase.sin()
+        } else {
+            phase.cos()
+        })
     })
 }
 
 /// Rows of a table for `length` places in a row, row-major `length` x `width`.
 #[must_use]
 pub(super) fn sequence_table(length: i64, width: i64) -> Vec<f32> {
-    (0..length).flat_map(|place| interleaved(to_f64(place), width)).collect()
+    (0..length)
+        .flat_map(|place| interleaved(to_f64(place), width))
+        .collect()
 }
 
 /// Rows of a table for an image of `height` x `width` tokens, row-major `(height * width)` x `channels`.
@@ -40,7 +46,10 @@ const fn to_f64(value: i64) -> f64 {
     value as f64
 }
 
-#[expect(clippy::cast_possible_truncation, reason = "the network computes in single precision")]
+#[expect(
+    clippy::cast_possible_truncation,
+    reason = "the network computes in single precision"
+)]
 const fn to_f32(value: f64) -> f32 {
     value as f32
 }
@@ -53,7 +62,9 @@ mod tests {
     fn first_place_of_a_sequence_is_sine_and_cosine_of_zero() {
         let table = sequence_table(2, 4);
         assert_eq!(table[..4], [0.0, 1.0, 0.0, 1.0]);
-        assert!((table[4] - 1.0_f32.sin()).abs() < 1e-7 && (table[7] - 0.01_f32.cos()).abs() < 1e-7);
+        assert!(
+            (table[4] - 1.0_f32.sin()).abs() < 1e-7 && (table[7] - 0.01_f32.cos()).abs() < 1e-7
+        );
     }
 
     #[test]

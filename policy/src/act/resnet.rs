@@ -24,9 +24,23 @@ pub(super) struct ResNet18 {
 }
 
 impl ResNet18 {
-    pub(super) fn new(source: &mut ParameterSource, prefix: &str, norm: BackboneNorm) -> Result<Self, ParameterError> {
+    pub(super) fn new(
+        source: &mut ParameterSource,
+        prefix: &str,
+        norm: BackboneNorm,
+    ) -> Result<Self, ParameterError> {
         let stem_keys = [format!("{prefix}.conv1"), format!("{prefix}.bn1")];
-        let stem = Conv::new(source, &stem_keys, ConvShape { inputs: 3, outputs: 64, size: 7, stride: 2 }, norm)?;
+        let stem = Conv::new(
+            source,
+            &stem_keys,
+            ConvShape {
+                inputs: 3,
+                outputs: 64,
+                size: 7,
+                stride: 2,
+            },
+            norm,
+        )?;
         let mut blocks = Vec::new();
         let mut inputs = 64;
         for (stage, outputs) in STAGE_CHANNELS.into_iter().enumerate() {
@@ -79,17 +93,51 @@ impl Block {
         stride: i64,
         norm: BackboneNorm,
     ) -> Result<Self, ParameterError> {
-        let first_shape = ConvShape { inputs, outputs, size: 3, stride };
-        let second_shape = ConvShape { inputs: outputs, outputs, size: 3, stride: 1 };
-        let first = Conv::new(source, &[format!("{key}.conv1"), format!("{key}.bn1")], first_shape, norm)?;
-        let second = Conv::new(source, &[format!("{key}.conv2"), format!("{key}.bn2")], second_shape, norm)?;
+        let first_shape = ConvShape {
+            inputs,
+            outputs,
+            size: 3,
+            stride,
+        };
+        let second_shape = ConvShape {
+            inputs: outputs,
+            outputs,
+            size: 3,
+            stride: 1,
+        };
+        let first = Conv::new(
+            source,
+            &[format!("{key}.conv1"), format!("{key}.bn1")],
+            first_shape,
+            norm,
+        )?;
+        let second = Conv::new(
+            source,
+            &[format!("{key}.conv2"), format!("{key}.bn2")],
+            second_shape,
+            norm,
+        )?;
         let downsample = if stride == 1 {
             None
         } else {
             let keys = [format!("{key}.downsample.0"), format!("{key}.downsample.1")];
-            Some(Conv::new(source, &keys, ConvShape { inputs, outputs, size: 1, stride }, norm)?)
+            Some(Conv::new(
+                source,
+                &keys,
+                ConvShape {
+                    inputs,
+                    outputs,
+                    size: 1,
+                    stride,
+                },
+                norm,
+            )?)
         };
-        Ok(Self { first, second, downsample })
+        Ok(Self {
+            first,
+            second,
+            downsample,
+        })
     }
 
     fn forward(&self, x: &Tensor) -> Result<Tensor, TchError> {
@@ -127,26 +175,53 @@ impl Conv {
         shape: ConvShape,
         norm: BackboneNorm,
     ) -> Result<Self, ParameterError> {
-        let ConvShape { inputs, outputs, size, stride } = shape;
+        let ConvShape {
+            inputs,
+            outputs,
+            size,
+            stride,
+        } = shape;
         let init = Init::he(outputs * size * size);
-        let weight = source.trainable(&format!("{}.weight", keys[0]), &[outputs, inputs, size, size], &init)?;
-        Ok(Self { weight, stride, padding: size / 2, norm: Norm::new(source, &keys[1], outputs, norm)? })
+        let weight = source.trainable(
+            &format!("{}.weight", keys[0]),
+            &[outputs, inputs, size, size],
+            &init,
+        )?;
+        Ok(Self {
+            weight,
+            stride,
+            padding: size / 2,
+            norm: Norm::new(source, &keys[1], outputs, norm)?,
+        })
     }
 
     fn forward(&self, x: &Tensor) -> Result<Tensor, TchError> {
         let (stride, padding) = ([self.stride; 2], [self.padding; 2]);
-        self.norm.forward(&x.f_conv2d::<&Tensor>(&self.weight, None, stride, padding, [1, 1], 1)?)
+        self.norm
+            .forward(&x.f_conv2d::<&Tensor>(&self.weight, None, stride, padding, [1, 1], 1)?)
     }
 }
 
 #[derive(Debug)]
 enum Norm {
-    Frozen { scale: Tensor, shift: Tensor },
-    Group { groups: i64, weight: Tensor, bias: Tensor },
+    Frozen {
+        scale: Tensor,
+        shift: Tensor,
+    },
+    Group {
+        groups: i64,
+        weight: Tensor,
+        bias: Tensor,
+    },
 }
 
 impl Norm {
-    fn new(source: &mut ParameterSource, key: &str, channels: i64, kind: BackboneNorm) -> Result<Self, ParameterError> {
+    fn new(
+        source: &mut ParameterSource,
+        key: &str,
+        channels: i64,
+        kind: BackboneNorm,
+    ) -> Result<Self, ParameterError> {
         let (weight_key, bias_key) = (format!("{key}.weight"), format!("{key}.bias"));
         let (one, zero) = (Init::Constant(1.0), Init::Constant(0.0));
         match kind {
@@ -162,7 +237,10 @@ impl Norm {
                 let variance = source.fixed(&format!("{key}.running_var"), &[channels], &one)?;
                 let scale = weight.f_mul(&variance.f_add_scalar(NORM_EPS)?.f_rsqrt()?)?;
                 let shift = bias.f_sub(&mean.f_mul(&scale)?)?;
-                Ok(Self::Frozen { scale: scale.f_view([1, -1, 1, 1])?, shift: shift.f_view([1, -1, 1, 1])? })
+                Ok(Self::Frozen {
+                    scale: scale.f_view([1, -1, 1, 1])?,
+                    shift: shift.f_view([1, -1, 1, 1])?,
+                })
             }
         }
     }
@@ -170,7 +248,11 @@ impl Norm {
     fn forward(&self, x: &Tensor) -> Result<Tensor, TchError> {
         match self {
             Self::Frozen { scale, shift } => x.f_mul(scale)?.f_add(shift),
-            Self::Group { groups, weight, bias } => x.f_group_norm(*groups, Some(weight), Some(bias), NORM_EPS, true),
+            Self::Group {
+                groups,
+                weight,
+                bias,
+            } => x.f_group_norm(*groups, Some(weight), Some(bias), NORM_EPS, true),
         }
     }
 }
@@ -188,7 +270,10 @@ mod tests {
             let backbone = ResNet18::new(&mut source, "model.backbone", norm).unwrap();
             let images = Tensor::zeros([1, 3, 70, 96], (Kind::Float, Device::Cpu));
             let (high, wide) = (ResNet18::feature_side(70), ResNet18::feature_side(96));
-            assert_eq!(backbone.forward(&images).unwrap().size(), [1, FEATURE_CHANNELS, high, wide]);
+            assert_eq!(
+                backbone.forward(&images).unwrap().size(),
+                [1, FEATURE_CHANNELS, high, wide]
+            );
         }
     }
 }

@@ -24,7 +24,11 @@ impl Encoder {
             .map(|index| EncoderLayer::new(source, &format!("{key}.layers.{index}"), config))
             .collect::<Result<_, _>>()?;
         let norm = if config.pre_norm {
-            Some(LayerNorm::new(source, &format!("{key}.norm"), config.dim_model)?)
+            Some(LayerNorm::new(
+                source,
+                &format!("{key}.norm"),
+                config.dim_model,
+            )?)
         } else {
             None
         };
@@ -59,7 +63,11 @@ struct EncoderLayer {
 }
 
 impl EncoderLayer {
-    fn new(source: &mut ParameterSource, key: &str, config: &ActConfig) -> Result<Self, ParameterError> {
+    fn new(
+        source: &mut ParameterSource,
+        key: &str,
+        config: &ActConfig,
+    ) -> Result<Self, ParameterError> {
         let width = config.dim_model;
         Ok(Self {
             attention: Attention::new(source, &format!("{key}.self_attn"), width, config.n_heads)?,
@@ -81,9 +89,12 @@ impl EncoderLayer {
     ) -> Result<Tensor, TchError> {
         let x = residual(x, &self.norms[0], self.pre_norm, dropout, |x| {
             let located = x.f_add(position)?;
-            self.attention.forward(&located, &located, x, allowed, dropout)
+            self.attention
+                .forward(&located, &located, x, allowed, dropout)
         })?;
-        residual(&x, &self.norms[1], self.pre_norm, dropout, |x| self.feed_forward.forward(x, dropout))
+        residual(&x, &self.norms[1], self.pre_norm, dropout, |x| {
+            self.feed_forward.forward(x, dropout)
+        })
     }
 }
 
@@ -101,15 +112,27 @@ pub(super) struct Memory<'a> {
 }
 
 impl Decoder {
-    pub(super) fn new(source: &mut ParameterSource, key: &str, config: &ActConfig) -> Result<Self, ParameterError> {
+    pub(super) fn new(
+        source: &mut ParameterSource,
+        key: &str,
+        config: &ActConfig,
+    ) -> Result<Self, ParameterError> {
         let layers = (0..config.built_decoder_layers())
             .map(|index| DecoderLayer::new(source, &format!("{key}.layers.{index}"), config))
             .collect::<Result<_, _>>()?;
-        Ok(Self { layers, norm: LayerNorm::new(source, &format!("{key}.norm"), config.dim_model)? })
+        Ok(Self {
+            layers,
+            norm: LayerNorm::new(source, &format!("{key}.norm"), config.dim_model)?,
+        })
     }
 
     /// Starts from zeros; `queries` `(1, steps, width)` tells the steps apart.
-    pub(super) fn forward(&self, queries: &Tensor, memory: &Memory<'_>, dropout: f64) -> Result<Tensor, TchError> {
+    pub(super) fn forward(
+        &self,
+        queries: &Tensor,
+        memory: &Memory<'_>,
+        dropout: f64,
+    ) -> Result<Tensor, TchError> {
         let batch = memory.tokens.size()[0];
         let mut x = queries.f_zeros_like()?.f_expand([batch, -1, -1], false)?;
         for layer in &self.layers {
@@ -129,11 +152,25 @@ struct DecoderLayer {
 }
 
 impl DecoderLayer {
-    fn new(source: &mut ParameterSource, key: &str, config: &ActConfig) -> Result<Self, ParameterError> {
+    fn new(
+        source: &mut ParameterSource,
+        key: &str,
+        config: &ActConfig,
+    ) -> Result<Self, ParameterError> {
         let width = config.dim_model;
         Ok(Self {
-            self_attention: Attention::new(source, &format!("{key}.self_attn"), width, config.n_heads)?,
-            cross_attention: Attention::new(source, &format!("{key}.multihead_attn"), width, config.n_heads)?,
+            self_attention: Attention::new(
+                source,
+                &format!("{key}.self_attn"),
+                width,
+                config.n_heads,
+            )?,
+            cross_attention: Attention::new(
+                source,
+                &format!("{key}.multihead_attn"),
+                width,
+                config.n_heads,
+            )?,
             feed_forward: FeedForward::new(source, key, width, config.dim_feedforward)?,
             norms: [
                 LayerNorm::new(source, &format!("{key}.norm1"), width)?,
@@ -144,16 +181,26 @@ impl DecoderLayer {
         })
     }
 
-    fn forward(&self, x: &Tensor, queries: &Tensor, memory: &Memory<'_>, dropout: f64) -> Result<Tensor, TchError> {
+    fn forward(
+        &self,
+        x: &Tensor,
+        queries: &Tensor,
+        memory: &Memory<'_>,
+        dropout: f64,
+    ) -> Result<Tensor, TchError> {
         let x = residual(x, &self.norms[0], self.pre_norm, dropout, |x| {
             let located = x.f_add(queries)?;
-            self.self_attention.forward(&located, &located, x, None, dropout)
+            self.self_attention
+                .forward(&located, &located, x, None, dropout)
         })?;
         let x = residual(&x, &self.norms[1], self.pre_norm, dropout, |x| {
             let keys = memory.tokens.f_add(memory.position)?;
-            self.cross_attention.forward(&x.f_add(queries)?, &keys, memory.tokens, None, dropout)
+            self.cross_attention
+                .forward(&x.f_add(queries)?, &keys, memory.tokens, None, dropout)
         })?;
-        residual(&x, &self.norms[2], self.pre_norm, dropout, |x| self.feed_forward.forward(x, dropout))
+        residual(&x, &self.norms[2], self.pre_norm, dropout, |x| {
+            self.feed_forward.forward(x, dropout)
+        })
     }
 }
 

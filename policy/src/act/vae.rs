@@ -31,7 +31,10 @@ pub(super) struct VaeEncoder {
 }
 
 impl VaeEncoder {
-    pub(super) fn new(source: &mut ParameterSource, config: &ActConfig) -> Result<Self, ParameterError> {
+    pub(super) fn new(
+        source: &mut ParameterSource,
+        config: &ActConfig,
+    ) -> Result<Self, ParameterError> {
         let width = config.dim_model;
         let tokens = config.chunk_size + 2;
         let table = Init::Table(sequence_table(tokens, width));
@@ -39,10 +42,24 @@ impl VaeEncoder {
         Ok(Self {
             encoder: Encoder::new(source, VAE_PREFIX, config.n_vae_encoder_layers, config)?,
             position: source.fixed(&key("pos_enc"), &[1, tokens, width], &table)?,
-            class_token: source.trainable(&key("cls_embed.weight"), &[1, width], &Init::Normal(1.0))?,
-            state: Linear::new(source, &key("robot_state_input_proj"), config.state_dim, width)?,
+            class_token: source.trainable(
+                &key("cls_embed.weight"),
+                &[1, width],
+                &Init::Normal(1.0),
+            )?,
+            state: Linear::new(
+                source,
+                &key("robot_state_input_proj"),
+                config.state_dim,
+                width,
+            )?,
             action: Linear::new(source, &key("action_input_proj"), config.action_dim, width)?,
-            output: Linear::new(source, &key("latent_output_proj"), width, 2 * config.latent_dim)?,
+            output: Linear::new(
+                source,
+                &key("latent_output_proj"),
+                width,
+                2 * config.latent_dim,
+            )?,
         })
     }
 
@@ -59,10 +76,19 @@ impl VaeEncoder {
         let state = self.state.forward(&state.f_unsqueeze(1)?)?;
         let tokens = Tensor::f_cat(&[class_token, state, self.action.forward(actions)?], 1)?;
         let always = Tensor::f_ones([batch, 2], (Kind::Bool, is_pad.device()))?;
-        let allowed = Tensor::f_cat(&[always, is_pad.f_logical_not()?], 1)?.f_view([batch, 1, 1, -1])?;
-        let encoded = self.encoder.forward(&tokens, &self.position, Some(&allowed), dropout)?;
-        let parts = self.output.forward(&encoded.f_select(1, 0)?)?.f_chunk(2, -1)?;
-        Ok(LatentDistribution { mean: parts[0].shallow_clone(), log_variance: parts[1].shallow_clone() })
+        let allowed =
+            Tensor::f_cat(&[always, is_pad.f_logical_not()?], 1)?.f_view([batch, 1, 1, -1])?;
+        let encoded = self
+            .encoder
+            .forward(&tokens, &self.position, Some(&allowed), dropout)?;
+        let parts = self
+            .output
+            .forward(&encoded.f_select(1, 0)?)?
+            .f_chunk(2, -1)?;
+        Ok(LatentDistribution {
+            mean: parts[0].shallow_clone(),
+            log_variance: parts[1].shallow_clone(),
+        })
     }
 }
 

@@ -22,7 +22,10 @@ pub(super) struct Feature {
 
 impl Feature {
     fn new(kind: &str, shape: &[i64]) -> Self {
-        Self { kind: kind.to_owned(), shape: shape.to_vec() }
+        Self {
+            kind: kind.to_owned(),
+            shape: shape.to_vec(),
+        }
     }
 }
 
@@ -55,10 +58,16 @@ struct ConfigFile {
 /// The features of `config` as LeRobot lists them: inputs, outputs.
 pub(super) fn features(config: &ActConfig) -> [BTreeMap<String, Feature>; 2] {
     let image = [3, config.image_height, config.image_width];
-    let mut inputs: BTreeMap<String, Feature> =
-        config.cameras.iter().map(|camera| (camera.clone(), Feature::new("VISUAL", &image))).collect();
+    let mut inputs: BTreeMap<String, Feature> = config
+        .cameras
+        .iter()
+        .map(|camera| (camera.clone(), Feature::new("VISUAL", &image)))
+        .collect();
     inputs.insert(STATE.to_owned(), Feature::new("STATE", &[config.state_dim]));
-    let outputs = BTreeMap::from([(ACTION.to_owned(), Feature::new("ACTION", &[config.action_dim]))]);
+    let outputs = BTreeMap::from([(
+        ACTION.to_owned(),
+        Feature::new("ACTION", &[config.action_dim]),
+    )]);
     [inputs, outputs]
 }
 
@@ -110,7 +119,11 @@ pub(super) fn write(config: &ActConfig) -> Value {
 /// The network that `text` and, where there is one, our own recipe describe.
 ///
 /// `camera_order` is the recipe's, since JSON objects have none; without it cameras are taken in the order of their names.
-pub(super) fn read(text: &str, variants: Variants, camera_order: Option<&[String]>) -> Result<ActConfig, Cause> {
+pub(super) fn read(
+    text: &str,
+    variants: Variants,
+    camera_order: Option<&[String]>,
+) -> Result<ActConfig, Cause> {
     // The kind first: another policy's file lacks our fields, and that is not what is wrong with it.
     let document: Value = serde_json::from_str(text).map_err(Cause::Json)?;
     let kind = document["type"].as_str().unwrap_or("").to_owned();
@@ -125,7 +138,9 @@ pub(super) fn read(text: &str, variants: Variants, camera_order: Option<&[String
             let mut sorted = order.to_vec();
             sorted.sort();
             if sorted != named {
-                return Err(Cause::Inconsistent(format!("cameras are {named:?}, but the recipe names {order:?}")));
+                return Err(Cause::Inconsistent(format!(
+                    "cameras are {named:?}, but the recipe names {order:?}"
+                )));
             }
             order.to_vec()
         }
@@ -153,7 +168,9 @@ pub(super) fn read(text: &str, variants: Variants, camera_order: Option<&[String
         image_height: height,
         image_width: width,
     };
-    config.defect().map_or(Ok(config), |defect| Err(Cause::Config(defect)))
+    config
+        .defect()
+        .map_or(Ok(config), |defect| Err(Cause::Config(defect)))
 }
 
 fn check_supported(file: &ConfigFile) -> Result<(), Cause> {
@@ -162,25 +179,46 @@ fn check_supported(file: &ConfigFile) -> Result<(), Cause> {
     let checks = [
         ("n_obs_steps", file.n_obs_steps.to_string(), "1"),
         ("vision_backbone", file.vision_backbone.clone(), "resnet18"),
-        ("feedforward_activation", file.feedforward_activation.clone(), "relu"),
-        ("replace_final_stride_with_dilation", dilated.to_string(), "false"),
+        (
+            "feedforward_activation",
+            file.feedforward_activation.clone(),
+            "relu",
+        ),
+        (
+            "replace_final_stride_with_dilation",
+            dilated.to_string(),
+            "false",
+        ),
     ];
-    let mapping = file.normalization_mapping.iter().map(|(kind, mode)| (kind.as_str(), mode.clone(), "MEAN_STD"));
+    let mapping = file
+        .normalization_mapping
+        .iter()
+        .map(|(kind, mode)| (kind.as_str(), mode.clone(), "MEAN_STD"));
     for (field, value, expected) in checks.into_iter().chain(mapping) {
         if value != expected {
             let (field, expected) = (field.to_owned(), expected.to_owned());
-            return Err(Cause::Unsupported { field, value, expected });
+            return Err(Cause::Unsupported {
+                field,
+                value,
+                expected,
+            });
         }
     }
     if file.kind != "act" {
-        return Err(Cause::PolicyType { actual: file.kind.clone() });
+        return Err(Cause::PolicyType {
+            actual: file.kind.clone(),
+        });
     }
     Ok(())
 }
 
 /// Height, width and names of the cameras; all must have the same size.
 fn image_features(file: &ConfigFile) -> Result<(i64, i64, Vec<String>), Cause> {
-    let images: Vec<_> = file.input_features.iter().filter(|(_, feature)| feature.kind == "VISUAL").collect();
+    let images: Vec<_> = file
+        .input_features
+        .iter()
+        .filter(|(_, feature)| feature.kind == "VISUAL")
+        .collect();
     let Some((_, first)) = images.first() else {
         return Err(Cause::Config("there is no camera".to_owned()));
     };
@@ -193,13 +231,19 @@ fn image_features(file: &ConfigFile) -> Result<(i64, i64, Vec<String>), Cause> {
             });
         }
     }
-    Ok((first.shape[1], first.shape[2], images.iter().map(|(name, _)| (*name).clone()).collect()))
+    Ok((
+        first.shape[1],
+        first.shape[2],
+        images.iter().map(|(name, _)| (*name).clone()).collect(),
+    ))
 }
 
 fn width_of(features: &BTreeMap<String, Feature>, name: &str) -> Result<i64, Cause> {
     match features.get(name).map(|feature| feature.shape.as_slice()) {
         Some(&[width]) => Ok(width),
-        Some(shape) => Err(Cause::Config(format!("{name} has shape {shape:?}, not one dimension"))),
+        Some(shape) => Err(Cause::Config(format!(
+            "{name} has shape {shape:?}, not one dimension"
+        ))),
         None => Err(Cause::Config(format!("feature {name} is missing"))),
     }
 }

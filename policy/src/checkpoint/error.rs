@@ -89,12 +89,19 @@ impl Cause {
     /// The error that this is in `file`.
     #[must_use]
     pub fn in_file(self, file: &Path) -> CheckpointError {
-        CheckpointError { file: file.to_path_buf(), cause: self }
+        CheckpointError {
+            file: file.to_path_buf(),
+            cause: self,
+        }
     }
 
     /// The cause behind a failed access.
     #[must_use]
     pub fn io(error: std::io::Error) -> Self {
-        if error.kind() == std::io::ErrorKind::NotFound { Self::Missing } else { Self::Io(error) }
+        if error.kind() == std::io::ErrorKind::NotFound {
+            Self::Missing
+        } else {
+            Self::Io(error)
+        }
     }
 }

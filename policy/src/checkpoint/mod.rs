@@ -57,7 +57,8 @@ pub fn save(
         if options.inference_only && key.starts_with(VAE_PREFIX) {
             continue;
         }
-        let plain = Plain::from_tensor(tensor).map_err(|error| Cause::Parameter(error.into()).in_file(&weights_file))?;
+        let plain = Plain::from_tensor(tensor)
+            .map_err(|error| Cause::Parameter(error.into()).in_file(&weights_file))?;
         weights.insert(key.to_owned(), plain);
     }
     tensors::write(&weights_file, &weights, options.precision)?;
@@ -86,14 +87,31 @@ pub struct Checkpoint {
 pub fn load(folder: &Path, device: Device) -> Result<Checkpoint, CheckpointError> {
     let recipe = load_recipe(folder)?;
     let config_path = folder.join(CONFIG);
-    let text = std::fs::read_to_string(&config_path).map_err(|error| Cause::io(error).in_file(&config_path))?;
-    let cameras: Option<Vec<String>> =
-        recipe.as_ref().map(|recipe| recipe.cameras.iter().map(|camera| camera.feature.clone()).collect());
-    let variants = recipe.as_ref().map(|recipe| recipe.variants).unwrap_or_default();
-    let config = config_file::read(&text, variants, cameras.as_deref()).map_err(|cause| cause.in_file(&config_path))?;
-    for (feature, actual) in [("observation.state", config.state_dim), ("action", config.action_dim)] {
+    let text = std::fs::read_to_string(&config_path)
+        .map_err(|error| Cause::io(error).in_file(&config_path))?;
+    let cameras: Option<Vec<String>> = recipe.as_ref().map(|recipe| {
+        recipe
+            .cameras
+            .iter()
+            .map(|camera| camera.feature.clone())
+            .collect()
+    });
+    let variants = recipe
+        .as_ref()
+        .map(|recipe| recipe.variants)
+        .unwrap_or_default();
+    let config = config_file::read(&text, variants, cameras.as_deref())
+        .map_err(|cause| cause.in_file(&config_path))?;
+    for (feature, actual) in [
+        ("observation.state", config.state_dim),
+        ("action", config.action_dim),
+    ] {
         if actual != STATE_DIM {
-            let cause = Cause::JointCount { feature: feature.to_owned(), actual, expected: STATE_DIM };
+            let cause = Cause::JointCount {
+                feature: feature.to_owned(),
+                actual,
+                expected: STATE_DIM,
+            };
             return Err(cause.in_file(&config_path));
         }
     }
@@ -105,12 +123,18 @@ pub fn load(folder: &Path, device: Device) -> Result<Checkpoint, CheckpointError
         if !plain.values.iter().all(|value| value.is_finite()) {
             return Err(in_weights(Cause::NotFinite));
         }
-        let tensor = plain.to_tensor(device).map_err(|error| in_weights(Cause::Parameter(error.into())))?;
+        let tensor = plain
+            .to_tensor(device)
+            .map_err(|error| in_weights(Cause::Parameter(error.into())))?;
         weights.insert(key, tensor);
     }
-    let act =
-        Act::new(config, ParameterSource::given(weights)).map_err(|error| in_weights(Cause::Parameter(error)))?;
-    Ok(Checkpoint { act, statistics, recipe })
+    let act = Act::new(config, ParameterSource::given(weights))
+        .map_err(|error| in_weights(Cause::Parameter(error)))?;
+    Ok(Checkpoint {
+        act,
+        statistics,
+        recipe,
+    })
 }
 
 fn load_recipe(folder: &Path) -> Result<Option<Recipe>, CheckpointError> {
@@ -120,15 +144,29 @@ fn load_recipe(folder: &Path) -> Result<Option<Recipe>, CheckpointError> {
         Err(error) if error.kind() == std::io::ErrorKind::NotFound => return Ok(None),
         Err(error) => return Err(Cause::io(error).in_file(&file)),
     };
-    let recipe: Recipe = serde_json::from_str(&text).map_err(|error| Cause::Json(error).in_file(&file))?;
+    let recipe: Recipe =
+        serde_json::from_str(&text).map_err(|error| Cause::Json(error).in_file(&file))?;
     let unsupported = |field: &str, value: String, expected: String| {
-        Err(Cause::Unsupported { field: field.to_owned(), value, expected }.in_file(&file))
+        Err(Cause::Unsupported {
+            field: field.to_owned(),
+            value,
+            expected,
+        }
+        .in_file(&file))
     };
     if recipe.format != RECIPE_FORMAT {
-        return unsupported("format", recipe.format.to_string(), RECIPE_FORMAT.to_string());
+        return unsupported(
+            "format",
+            recipe.format.to_string(),
+            RECIPE_FORMAT.to_string(),
+        );
     }
     if recipe.action_representation != REPRESENTATION {
-        return unsupported("action_representation", recipe.action_representation, REPRESENTATION.to_owned());
+        return unsupported(
+            "action_representation",
+            recipe.action_representation,
+            REPRESENTATION.to_owned(),
+        );
     }
     if recipe.step_ns == 0 {
         return unsupported("step_ns", "0".to_owned(), "a positive time".to_owned());

@@ -34,7 +34,8 @@ pub(super) fn write(
     let [inputs, outputs] = features(config);
     let mut all = inputs.clone();
     all.extend(outputs.clone());
-    let norm = |features: Value| json!({"eps": 1e-8, "features": features, "norm_map": normalisation()});
+    let norm =
+        |features: Value| json!({"eps": 1e-8, "features": features, "norm_map": normalisation()});
     let device = json!({"registry_name": "device_processor", "config": {"device": "cpu", "float_dtype": null}});
     let before = json!({"name": "policy_preprocessor", "steps": [
         {"registry_name": "rename_observations_processor", "config": {"rename_map": {}}},
@@ -54,7 +55,10 @@ pub(super) fn write(
     insert(&mut values, "observation.state", &statistics.state);
     for camera in &config.cameras {
         for (name, numbers) in [("mean", IMAGENET_MEAN), ("std", IMAGENET_STD)] {
-            let plain = Plain { shape: vec![3, 1, 1], values: numbers.to_vec() };
+            let plain = Plain {
+                shape: vec![3, 1, 1],
+                values: numbers.to_vec(),
+            };
             values.insert(format!("{camera}.{name}"), plain);
         }
     }
@@ -63,7 +67,8 @@ pub(super) fn write(
 
 /// Writes `value` to `file` for people to read.
 pub(super) fn write_json(file: &Path, value: &Value) -> Result<(), CheckpointError> {
-    let mut text = serde_json::to_string_pretty(value).map_err(|error| Cause::Json(error).in_file(file))?;
+    let mut text =
+        serde_json::to_string_pretty(value).map_err(|error| Cause::Json(error).in_file(file))?;
     text.push('\n');
     replace(file, text.as_bytes())
 }
@@ -77,14 +82,20 @@ fn insert(values: &mut BTreeMap<String, Plain>, feature: &str, statistics: &Stat
     ];
     for (name, numbers) in parts {
         if !numbers.is_empty() {
-            let plain = Plain { shape: vec![numbers.len()], values: numbers.clone() };
+            let plain = Plain {
+                shape: vec![numbers.len()],
+                values: numbers.clone(),
+            };
             values.insert(format!("{feature}.{name}"), plain);
         }
     }
 }
 
 /// Reads and checks the statistics that the processors in `folder` name.
-pub(super) fn read(folder: &Path, config: &ActConfig) -> Result<FeatureStatistics, CheckpointError> {
+pub(super) fn read(
+    folder: &Path,
+    config: &ActConfig,
+) -> Result<FeatureStatistics, CheckpointError> {
     let (before_file, before) = state_of(folder, PREPROCESSOR, "normalizer_processor")?;
     let (after_file, after) = state_of(folder, POSTPROCESSOR, "unnormalizer_processor")?;
     for camera in &config.cameras {
@@ -104,24 +115,44 @@ type StateFile = (std::path::PathBuf, BTreeMap<String, Plain>);
 fn state_of(folder: &Path, name: &str, registry_name: &str) -> Result<StateFile, CheckpointError> {
     let file = folder.join(name);
     let text = std::fs::read_to_string(&file).map_err(|error| Cause::io(error).in_file(&file))?;
-    let document: Value = serde_json::from_str(&text).map_err(|error| Cause::Json(error).in_file(&file))?;
+    let document: Value =
+        serde_json::from_str(&text).map_err(|error| Cause::Json(error).in_file(&file))?;
     let steps = document["steps"].as_array();
-    let step = steps.and_then(|steps| steps.iter().find(|step| step["registry_name"] == registry_name));
+    let step = steps.and_then(|steps| {
+        steps
+            .iter()
+            .find(|step| step["registry_name"] == registry_name)
+    });
     let Some(state_name) = step.and_then(|step| step["state_file"].as_str()) else {
-        return Err(Cause::Config(format!("there is no {registry_name} with a state file")).in_file(&file));
+        return Err(
+            Cause::Config(format!("there is no {registry_name} with a state file")).in_file(&file),
+        );
     };
     // The name comes from the file: it must not lead out of the folder.
     if Path::new(state_name).file_name() != Some(state_name.as_ref()) {
-        return Err(Cause::Config(format!("state file {state_name:?} is no plain name")).in_file(&file));
+        return Err(
+            Cause::Config(format!("state file {state_name:?} is no plain name")).in_file(&file),
+        );
     }
     let state_file = folder.join(state_name);
     let values = tensors::read(&state_file)?;
     Ok((state_file, values))
 }
 
-fn statistics(values: &BTreeMap<String, Plain>, feature: &str, dims: i64) -> Result<Statistics, Cause> {
-    let part = |name: &str| values.get(&format!("{feature}.{name}")).map(|plain| plain.values.clone());
-    let defect = |defect: String| Cause::Statistics { feature: feature.to_owned(), defect };
+fn statistics(
+    values: &BTreeMap<String, Plain>,
+    feature: &str,
+    dims: i64,
+) -> Result<Statistics, Cause> {
+    let part = |name: &str| {
+        values
+            .get(&format!("{feature}.{name}"))
+            .map(|plain| plain.values.clone())
+    };
+    let defect = |defect: String| Cause::Statistics {
+        feature: feature.to_owned(),
+        defect,
+    };
     let missing = |name: &str| defect(format!("{name} is missing"));
     let found = Statistics {
         mean: part("mean").ok_or_else(|| missing("mean"))?,
@@ -130,17 +161,28 @@ fn statistics(values: &BTreeMap<String, Plain>, feature: &str, dims: i64) -> Res
         max: part("max").unwrap_or_default(),
     };
     let dims = usize::try_from(dims).unwrap_or(0);
-    found.defect(dims).map_or(Ok(found), |text| Err(defect(text)))
+    found
+        .defect(dims)
+        .map_or(Ok(found), |text| Err(defect(text)))
 }
 
 /// Images are normalised with ImageNet's statistics; a checkpoint with others would silently see other colours.
 fn check_image(values: &BTreeMap<String, Plain>, camera: &str) -> Result<(), Cause> {
     for (name, expected) in [("mean", IMAGENET_MEAN), ("std", IMAGENET_STD)] {
-        let found = values.get(&format!("{camera}.{name}")).map_or(&[][..], |plain| plain.values.as_slice());
-        let same = found.len() == 3 && found.iter().zip(expected).all(|(a, b)| (a - b).abs() < 1e-4);
+        let found = values
+            .get(&format!("{camera}.{name}"))
+            .map_or(&[][..], |plain| plain.values.as_slice());
+        let same = found.len() == 3
+            && found
+                .iter()
+                .zip(expected)
+                .all(|(a, b)| (a - b).abs() < 1e-4);
         if !same {
             let defect = format!("{name} is {found:?}, not ImageNet's {expected:?}");
-            return Err(Cause::Statistics { feature: camera.to_owned(), defect });
+            return Err(Cause::Statistics {
+                feature: camera.to_owned(),
+                defect,
+            });
         }
     }
     Ok(())

@@ -32,13 +32,24 @@ pub(super) struct Plain {
 /// All tensors of `file`.
 pub(super) fn read(file: &Path) -> Result<BTreeMap<String, Plain>, CheckpointError> {
     let bytes = fs::read(file).map_err(|error| Cause::io(error).in_file(file))?;
-    let container = SafeTensors::deserialize(&bytes).map_err(|error| Cause::Safetensors(error).in_file(file))?;
+    let container = SafeTensors::deserialize(&bytes)
+        .map_err(|error| Cause::Safetensors(error).in_file(file))?;
     let mut tensors = BTreeMap::new();
     for (key, view) in container.iter() {
         let values = values_of(&view).ok_or_else(|| {
-            Cause::ElementType { key: key.to_owned(), kind: format!("{:?}", view.dtype()) }.in_file(file)
+            Cause::ElementType {
+                key: key.to_owned(),
+                kind: format!("{:?}", view.dtype()),
+            }
+            .in_file(file)
         })?;
-        tensors.insert(key.to_owned(), Plain { shape: view.shape().to_vec(), values });
+        tensors.insert(
+            key.to_owned(),
+            Plain {
+                shape: view.shape().to_vec(),
+                values,
+            },
+        );
     }
     Ok(tensors)
 }
@@ -49,9 +60,19 @@ fn values_of(view: &TensorView<'_>) -> Option<Vec<f32>> {
     if view.dtype() == Dtype::F32 {
         Some(quads.iter().map(|quad| f32::from_le_bytes(*quad)).collect())
     } else if view.dtype() == Dtype::F16 {
-        Some(pairs.iter().map(|pair| f16::from_le_bytes(*pair).to_f32()).collect())
+        Some(
+            pairs
+                .iter()
+                .map(|pair| f16::from_le_bytes(*pair).to_f32())
+                .collect(),
+        )
     } else if view.dtype() == Dtype::BF16 {
-        Some(pairs.iter().map(|pair| bf16::from_le_bytes(*pair).to_f32()).collect())
+        Some(
+            pairs
+                .iter()
+                .map(|pair| bf16::from_le_bytes(*pair).to_f32())
+                .collect(),
+        )
     } else {
         None
     }
@@ -69,21 +90,37 @@ pub(super) fn write(
     };
     let encoded: Vec<(&str, &[usize], Vec<u8>)> = tensors
         .iter()
-        .map(|(key, plain)| (key.as_str(), plain.shape.as_slice(), encode(&plain.values, precision)))
+        .map(|(key, plain)| {
+            (
+                key.as_str(),
+                plain.shape.as_slice(),
+                encode(&plain.values, precision),
+            )
+        })
         .collect();
     let mut views = Vec::with_capacity(encoded.len());
     for (key, shape, bytes) in &encoded {
         let view = TensorView::new(dtype, shape.to_vec(), bytes);
-        views.push((*key, view.map_err(|error| Cause::Safetensors(error).in_file(file))?));
+        views.push((
+            *key,
+            view.map_err(|error| Cause::Safetensors(error).in_file(file))?,
+        ));
     }
-    let bytes = safetensors::serialize(views, None).map_err(|error| Cause::Safetensors(error).in_file(file))?;
+    let bytes = safetensors::serialize(views, None)
+        .map_err(|error| Cause::Safetensors(error).in_file(file))?;
     replace(file, &bytes)
 }
 
 fn encode(values: &[f32], precision: Precision) -> Vec<u8> {
     match precision {
-        Precision::F32 => values.iter().flat_map(|value| value.to_le_bytes()).collect(),
-        Precision::F16 => values.iter().flat_map(|value| f16::from_f32(*value).to_le_bytes()).collect(),
+        Precision::F32 => values
+            .iter()
+            .flat_map(|value| value.to_le_bytes())
+            .collect(),
+        Precision::F16 => values
+            .iter()
+            .flat_map(|value| f16::from_f32(*value).to_le_bytes())
+            .collect(),
     }
 }
 
@@ -97,18 +134,34 @@ pub(super) fn replace(file: &Path, bytes: &[u8]) -> Result<(), CheckpointError> 
 impl Plain {
     /// A copy of `tensor`, from wherever it is.
     pub(super) fn from_tensor(tensor: &Tensor) -> Result<Self, TchError> {
-        let shape = tensor.size().iter().map(|&side| usize::try_from(side).unwrap_or(0)).collect();
-        let flat = tensor.f_detach()?.f_to_kind(Kind::Float)?.f_to_device(Device::Cpu)?.f_reshape([-1])?;
-        Ok(Self { shape, values: Vec::<f32>::try_from(&flat)? })
+        let shape = tensor
+            .size()
+            .iter()
+            .map(|&side| usize::try_from(side).unwrap_or(0))
+            .collect();
+        let flat = tensor
+            .f_detach()?
+            .f_to_kind(Kind::Float)?
+            .f_to_device(Device::Cpu)?
+            .f_reshape([-1])?;
+        Ok(Self {
+            shape,
+            values: Vec::<f32>::try_from(&flat)?,
+        })
     }
 
     /// The tensor on `device`. Filters have their channels last in memory, as the images that meet them.
     pub(super) fn to_tensor(&self, device: Device) -> Result<Tensor, TchError> {
-        let shape: Vec<i64> = self.shape.iter().map(|&side| i64::try_from(side).unwrap_or(i64::MAX)).collect();
+        let shape: Vec<i64> = self
+            .shape
+            .iter()
+            .map(|&side| i64::try_from(side).unwrap_or(i64::MAX))
+            .collect();
         let tensor = Tensor::f_from_slice(&self.values)?.f_reshape(&shape)?;
         let tensor = if let &[outputs, inputs, high, wide] = shape.as_slice() {
             let flat = tensor.f_permute([0, 2, 3, 1])?.f_reshape([-1])?;
-            flat.f_view([outputs, high, wide, inputs])?.f_permute([0, 3, 1, 2])?
+            flat.f_view([outputs, high, wide, inputs])?
+                .f_permute([0, 3, 1, 2])?
         } else {
             tensor
         };

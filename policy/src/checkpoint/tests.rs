@@ -7,8 +7,8 @@ use hal::{ArmState, CameraFrame, Intrinsics, JointVector, Observation, Policy, P
 use tch::Device;
 
 use super::{
-    Cause, CheckpointError, DatasetSummary, FeatureStatistics, Precision, Recipe, RecordedCamera, SaveOptions,
-    Variants, load, save,
+    Cause, CheckpointError, DatasetSummary, FeatureStatistics, Precision, Recipe, RecordedCamera,
+    SaveOptions, Variants, load, save,
 };
 use crate::act::{Act, ActConfig, ActPreset};
 use crate::act_policy::ActPolicy;
@@ -18,7 +18,8 @@ use crate::parameters::ParameterSource;
 const CAMERA: &str = "observation.images.endoscope";
 
 fn folder(name: &str) -> PathBuf {
-    let folder = std::env::temp_dir().join(format!("trocar-checkpoint-{name}-{}", std::process::id()));
+    let folder =
+        std::env::temp_dir().join(format!("trocar-checkpoint-{name}-{}", std::process::id()));
     let _ = fs::remove_dir_all(&folder);
     folder
 }
@@ -39,8 +40,16 @@ fn config() -> ActConfig {
 }
 
 fn statistics() -> FeatureStatistics {
-    let of = |scale: f32| Statistics { mean: vec![0.1 * scale; 7], std: vec![scale; 7], min: vec![], max: vec![] };
-    FeatureStatistics { state: of(0.5), action: of(0.002) }
+    let of = |scale: f32| Statistics {
+        mean: vec![0.1 * scale; 7],
+        std: vec![scale; 7],
+        min: vec![],
+        max: vec![],
+    };
+    FeatureStatistics {
+        state: of(0.5),
+        action: of(0.002),
+    }
 }
 
 fn recipe(config: &ActConfig) -> Recipe {
@@ -49,9 +58,16 @@ fn recipe(config: &ActConfig) -> Recipe {
         action_representation: crate::relative_action::REPRESENTATION.to_owned(),
         step_ns: 40_000_000,
         query_every_steps: 5,
-        cameras: vec![RecordedCamera { feature: CAMERA.to_owned(), width: 128, height: 128 }],
+        cameras: vec![RecordedCamera {
+            feature: CAMERA.to_owned(),
+            width: 128,
+            height: 128,
+        }],
         preset: ActPreset::Small,
-        variants: Variants { backbone_norm: config.backbone_norm, loss_denominator: config.loss_denominator },
+        variants: Variants {
+            backbone_norm: config.backbone_norm,
+            loss_denominator: config.loss_denominator,
+        },
         recipe: "test".to_owned(),
         dataset: DatasetSummary::default(),
         seed: 1,
@@ -92,26 +108,52 @@ fn a_policy_answers_the_same_after_a_second_loading() {
     let arm = ArmState::at_rest(TimeNs(7), JointVector::zeros(), 0.2);
     let frame = frame();
     let frames = [frame.as_frame()];
-    let observation = Observation { arm: &arm, tip_in_rcm: Pose::translation(0.0, 0.0, -0.1), frames: &frames };
-    let answer = || ActPolicy::load(&folder, Device::Cpu).unwrap().infer(&observation).unwrap();
+    let observation = Observation {
+        arm: &arm,
+        tip_in_rcm: Pose::translation(0.0, 0.0, -0.1),
+        frames: &frames,
+    };
+    let answer = || {
+        ActPolicy::load(&folder, Device::Cpu)
+            .unwrap()
+            .infer(&observation)
+            .unwrap()
+    };
     let (first, second) = (answer(), answer());
     assert_eq!(first, second);
-    assert_eq!((first.len, first.step_ns, first.observed_at), (5, 40_000_000, TimeNs(7)));
+    assert_eq!(
+        (first.len, first.step_ns, first.observed_at),
+        (5, 40_000_000, TimeNs(7))
+    );
     // The mean action is 0.2 mm and the deviation 2 mm, so targets stay near the tip.
-    assert!(first.valid_targets().iter().all(|target| (target.position_m[2] + 0.1).abs() < 0.05));
+    assert!(
+        first
+            .valid_targets()
+            .iter()
+            .all(|target| (target.position_m[2] + 0.1).abs() < 0.05)
+    );
     fs::remove_dir_all(&folder).unwrap();
 }
 
 #[test]
 fn half_precision_without_the_variational_encoder_is_close() {
     let full = load(&saved("full", SaveOptions::default()), Device::Cpu).unwrap();
-    let options = SaveOptions { precision: Precision::F16, inference_only: true };
+    let options = SaveOptions {
+        precision: Precision::F16,
+        inference_only: true,
+    };
     let half_folder = saved("half", options);
     let half = load(&half_folder, Device::Cpu).unwrap();
-    assert!(half.act.parameters().iter().all(|(key, _)| !key.contains("vae")));
+    assert!(
+        half.act
+            .parameters()
+            .iter()
+            .all(|(key, _)| !key.contains("vae"))
+    );
     let images = tch::Tensor::ones([1, 1, 3, 64, 64], (tch::Kind::Float, Device::Cpu));
     let state = tch::Tensor::ones([1, 7], (tch::Kind::Float, Device::Cpu));
-    let difference = full.act.infer(&images, &state).unwrap() - half.act.infer(&images, &state).unwrap();
+    let difference =
+        full.act.infer(&images, &state).unwrap() - half.act.infer(&images, &state).unwrap();
     let worst = difference.abs().max().double_value(&[]);
     assert!(worst > 0.0 && worst < 0.01, "{worst}");
 }
@@ -124,19 +166,39 @@ fn frames_of_another_size_or_number_are_refused() {
     let small = CameraFrame::blank(Intrinsics::from_vertical_fov(64, 64, 1.0));
     let frames = [small.as_frame()];
     let tip_in_rcm = Pose::identity();
-    let size = policy.infer(&Observation { arm: &arm, tip_in_rcm, frames: &frames }).unwrap_err();
+    let size = policy
+        .infer(&Observation {
+            arm: &arm,
+            tip_in_rcm,
+            frames: &frames,
+        })
+        .unwrap_err();
     assert!(size.to_string().contains("expects 128x128"), "{size}");
-    let count = policy.infer(&Observation { arm: &arm, tip_in_rcm, frames: &[] }).unwrap_err();
+    let count = policy
+        .infer(&Observation {
+            arm: &arm,
+            tip_in_rcm,
+            frames: &[],
+        })
+        .unwrap_err();
     assert!(count.to_string().contains("expects 1 camera"), "{count}");
 }
 
 #[test]
 fn missing_files_are_named() {
-    for file in ["config.json", "model.safetensors", "policy_preprocessor.json", "policy_postprocessor.json"] {
+    for file in [
+        "config.json",
+        "model.safetensors",
+        "policy_preprocessor.json",
+        "policy_postprocessor.json",
+    ] {
         let folder = saved("missing", SaveOptions::default());
         fs::remove_file(folder.join(file)).unwrap();
         let error = refused(&folder);
-        assert!(matches!(error.cause, Cause::Missing) && error.file.ends_with(file), "{error}");
+        assert!(
+            matches!(error.cause, Cause::Missing) && error.file.ends_with(file),
+            "{error}"
+        );
     }
     let folder = saved("missing-recipe", SaveOptions::default());
     fs::remove_file(folder.join("trocar.json")).unwrap();
@@ -146,36 +208,86 @@ fn missing_files_are_named() {
 
 #[test]
 fn truncated_weights_are_refused_at_every_length() {
-    let folder = saved("truncated", SaveOptions { precision: Precision::F16, inference_only: true });
+    let folder = saved(
+        "truncated",
+        SaveOptions {
+            precision: Precision::F16,
+            inference_only: true,
+        },
+    );
     let file = folder.join("model.safetensors");
     let bytes = fs::read(&file).unwrap();
     for length in [0, 4, 8, 100, bytes.len() / 2, bytes.len() - 1] {
         fs::write(&file, &bytes[..length]).unwrap();
         let error = refused(&folder);
-        assert!(matches!(error.cause, Cause::Safetensors(_)) && error.file == file, "{length}: {error}");
+        assert!(
+            matches!(error.cause, Cause::Safetensors(_)) && error.file == file,
+            "{length}: {error}"
+        );
     }
 }
 
 #[test]
 fn weights_that_do_not_fit_the_architecture_are_named() {
     let folder = saved("misfit", SaveOptions::default());
-    edit(&folder, "config.json", "\"dim_feedforward\": 64", "\"dim_feedforward\": 128");
+    edit(
+        &folder,
+        "config.json",
+        "\"dim_feedforward\": 64",
+        "\"dim_feedforward\": 128",
+    );
     let error = refused(&folder).to_string();
-    assert!(error.contains("model.safetensors") && error.contains("linear1"), "{error}");
-    edit(&folder, "config.json", "\"dim_feedforward\": 128", "\"dim_feedforward\": 64");
-    edit(&folder, "config.json", "\"n_encoder_layers\": 1", "\"n_encoder_layers\": 2");
+    assert!(
+        error.contains("model.safetensors") && error.contains("linear1"),
+        "{error}"
+    );
+    edit(
+        &folder,
+        "config.json",
+        "\"dim_feedforward\": 128",
+        "\"dim_feedforward\": 64",
+    );
+    edit(
+        &folder,
+        "config.json",
+        "\"n_encoder_layers\": 1",
+        "\"n_encoder_layers\": 2",
+    );
     let error = refused(&folder).to_string();
-    assert!(error.contains("model.encoder.layers.1") && error.contains("missing"), "{error}");
+    assert!(
+        error.contains("model.encoder.layers.1") && error.contains("missing"),
+        "{error}"
+    );
 }
 
 #[test]
 fn another_number_of_joints_is_refused() {
     let folder = folder("joints");
-    let config = ActConfig { state_dim: 9, ..config() };
+    let config = ActConfig {
+        state_dim: 9,
+        ..config()
+    };
     let act = Act::new(config.clone(), ParameterSource::seeded(3, Device::Cpu)).unwrap();
-    save(&folder, &act, &statistics(), &recipe(&config), SaveOptions::default()).unwrap();
+    save(
+        &folder,
+        &act,
+        &statistics(),
+        &recipe(&config),
+        SaveOptions::default(),
+    )
+    .unwrap();
     let error = refused(&folder);
-    assert!(matches!(error.cause, Cause::JointCount { actual: 9, expected: 7, .. }), "{error}");
+    assert!(
+        matches!(
+            error.cause,
+            Cause::JointCount {
+                actual: 9,
+                expected: 7,
+                ..
+            }
+        ),
+        "{error}"
+    );
 }
 
 #[test]
@@ -186,31 +298,65 @@ fn useless_statistics_are_refused() {
         let folder = folder("statistics");
         let mut statistics = statistics();
         statistics.action.std[3] = bad;
-        save(&folder, &act, &statistics, &recipe(&config), SaveOptions::default()).unwrap();
+        save(
+            &folder,
+            &act,
+            &statistics,
+            &recipe(&config),
+            SaveOptions::default(),
+        )
+        .unwrap();
         let error = refused(&folder);
-        assert!(matches!(&error.cause, Cause::Statistics { feature, .. } if feature == "action"), "{error}");
+        assert!(
+            matches!(&error.cause, Cause::Statistics { feature, .. } if feature == "action"),
+            "{error}"
+        );
     }
     let folder = folder("no-statistics");
     let mut statistics = statistics();
     statistics.state.mean.clear();
-    save(&folder, &act, &statistics, &recipe(&config), SaveOptions::default()).unwrap();
-    assert!(refused(&folder).to_string().contains("observation.state: mean is missing"));
+    save(
+        &folder,
+        &act,
+        &statistics,
+        &recipe(&config),
+        SaveOptions::default(),
+    )
+    .unwrap();
+    assert!(
+        refused(&folder)
+            .to_string()
+            .contains("observation.state: mean is missing")
+    );
 }
 
 #[test]
 fn unknown_types_and_variants_are_refused() {
     let folder = saved("variants", SaveOptions::default());
-    edit(&folder, "config.json", "\"type\": \"act\"", "\"type\": \"diffusion\"");
-    assert!(matches!(refused(&folder).cause, Cause::PolicyType { actual } if actual == "diffusion"));
+    edit(
+        &folder,
+        "config.json",
+        "\"type\": \"act\"",
+        "\"type\": \"diffusion\"",
+    );
+    assert!(
+        matches!(refused(&folder).cause, Cause::PolicyType { actual } if actual == "diffusion")
+    );
     let folder = saved("variants", SaveOptions::default());
     edit(&folder, "config.json", "resnet18", "resnet50");
-    assert!(matches!(refused(&folder).cause, Cause::Unsupported { field, .. } if field == "vision_backbone"));
+    assert!(
+        matches!(refused(&folder).cause, Cause::Unsupported { field, .. } if field == "vision_backbone")
+    );
     let folder = saved("variants", SaveOptions::default());
     edit(&folder, "trocar.json", "group_norm", "weight_norm");
     assert!(refused(&folder).to_string().contains("weight_norm"));
     let folder = saved("variants", SaveOptions::default());
     edit(&folder, "trocar.json", "observation_relative", "absolute");
-    assert!(refused(&folder).to_string().contains("action_representation"));
+    assert!(
+        refused(&folder)
+            .to_string()
+            .contains("action_representation")
+    );
     let folder = saved("variants", SaveOptions::default());
     edit(&folder, "trocar.json", "\"width\": 128", "\"width\": 100");
     let error = ActPolicy::load(&folder, Device::Cpu).expect_err("100 is no multiple of 64");

@@ -6,27 +6,42 @@ use super::options::Augmentation;
 use crate::rng::SplitMix64;
 
 /// `images` `(batch, cameras, 3, height, width)`, normalised, each frame changed by its own draw.
-pub(super) fn images(images: Tensor, options: &Augmentation, random: &mut SplitMix64) -> Result<Tensor, TchError> {
+pub(super) fn images(
+    images: Tensor,
+    options: &Augmentation,
+    random: &mut SplitMix64,
+) -> Result<Tensor, TchError> {
     let batch = images.size()[0];
     let mut images = images;
     if options.shift_px > 0 {
         let mut shifted = Vec::new();
         for index in 0..batch {
-            let [down, right] = [0, 1].map(|_| i64::from(options.shift_px) - span(random, options.shift_px));
-            shifted.push(shift(&images.f_select(0, index)?, i64::from(options.shift_px), down, right)?);
+            let [down, right] =
+                [0, 1].map(|_| i64::from(options.shift_px) - span(random, options.shift_px));
+            shifted.push(shift(
+                &images.f_select(0, index)?,
+                i64::from(options.shift_px),
+                down,
+                right,
+            )?);
         }
         images = Tensor::f_stack(&shifted, 0)?;
     }
     if options.brightness > 0.0 || options.contrast > 0.0 {
         let mut draw = |range: f64| -> Result<Tensor, TchError> {
             let draws: Vec<f64> = (0..batch).map(|_| range * random.signed_unit()).collect();
-            let column = Tensor::f_from_slice(&draws)?.f_to_kind(Kind::Float)?.f_to_device(images.device())?;
+            let column = Tensor::f_from_slice(&draws)?
+                .f_to_kind(Kind::Float)?
+                .f_to_device(images.device())?;
             column.f_view([batch, 1, 1, 1, 1])
         };
         let (brightness, contrast) = (draw(options.brightness)?, draw(options.contrast)?);
         let mean = images.f_mean_dim([1, 2, 3, 4].as_slice(), true, Kind::Float)?;
         // A normalised image spans about four units, so a share of one unit times four is a share of the range.
-        let stretched = images.f_sub(&mean)?.f_mul(&contrast.f_add_scalar(1.0)?)?.f_add(&mean)?;
+        let stretched = images
+            .f_sub(&mean)?
+            .f_mul(&contrast.f_add_scalar(1.0)?)?
+            .f_add(&mean)?;
         images = stretched.f_add(&brightness.f_mul_scalar(4.0)?)?;
     }
     Ok(images)
@@ -49,7 +64,9 @@ fn span(random: &mut SplitMix64, reach: u32) -> i64 {
 fn shift(frame: &Tensor, reach: i64, down: i64, right: i64) -> Result<Tensor, TchError> {
     let size = frame.size();
     let padded = frame.f_replication_pad2d([reach; 4])?;
-    padded.f_narrow(2, reach - down, size[2])?.f_narrow(3, reach - right, size[3])
+    padded
+        .f_narrow(2, reach - down, size[2])?
+        .f_narrow(3, reach - right, size[3])
 }
 
 #[cfg(test)]
@@ -63,13 +80,21 @@ mod tests {
         let frame = Tensor::arange(9, (Kind::Float, tch::Device::Cpu)).view([1, 1, 3, 3]);
         let moved = shift(&frame, 1, 1, 0).unwrap();
         let expected = [0.0, 1.0, 2.0, 0.0, 1.0, 2.0, 3.0, 4.0, 5.0];
-        assert_eq!(Vec::<f32>::try_from(moved.flatten(0, -1)).unwrap(), expected);
+        assert_eq!(
+            Vec::<f32>::try_from(moved.flatten(0, -1)).unwrap(),
+            expected
+        );
     }
 
     #[test]
     fn without_options_nothing_changes() {
         let frame = Tensor::ones([2, 1, 3, 4, 4], (Kind::Float, tch::Device::Cpu));
-        let same = images(frame.shallow_clone(), &Augmentation::default(), &mut SplitMix64::new(1)).unwrap();
+        let same = images(
+            frame.shallow_clone(),
+            &Augmentation::default(),
+            &mut SplitMix64::new(1),
+        )
+        .unwrap();
         assert_eq!(same, frame);
     }
 }

@@ -36,10 +36,21 @@ impl LossCurve {
     pub fn to_csv(&self) -> String {
         let mut text = "step,loss,l1,kl,gradient_norm,lr,validation_l1\n".to_owned();
         for row in &self.rows {
-            let CurveRow { step, loss, l1, kl, gradient_norm, lr, validation_l1 } = row;
+            let CurveRow {
+                step,
+                loss,
+                l1,
+                kl,
+                gradient_norm,
+                lr,
+                validation_l1,
+            } = row;
             let validation = validation_l1.map(|l1| l1.to_string()).unwrap_or_default();
             // Writing to a string cannot fail.
-            let _ = writeln!(text, "{step},{loss},{l1},{kl},{gradient_norm},{lr},{validation}");
+            let _ = writeln!(
+                text,
+                "{step},{loss},{l1},{kl},{gradient_norm},{lr},{validation}"
+            );
         }
         text
     }
@@ -57,8 +68,19 @@ mod tests {
 
     #[test]
     fn table_has_a_head_and_one_line_a_row() {
-        let row = CurveRow { step: 5, loss: 1.5, l1: 0.5, kl: 0.1, gradient_norm: 2.0, lr: 1e-4, validation_l1: None };
+        let row = CurveRow {
+            step: 5,
+            loss: 1.5,
+            l1: 0.5,
+            kl: 0.1,
+            gradient_norm: 2.0,
+            lr: 1e-4,
+            validation_l1: None,
+        };
         let text = LossCurve { rows: vec![row] }.to_csv();
-        assert_eq!(text, "step,loss,l1,kl,gradient_norm,lr,validation_l1\n5,1.5,0.5,0.1,2,0.0001,\n");
+        assert_eq!(
+            text,
+            "step,loss,l1,kl,gradient_norm,lr,validation_l1\n5,1.5,0.5,0.1,2,0.0001,\n"
+        );
     }
 }

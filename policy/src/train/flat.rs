@@ -32,7 +32,11 @@ pub(super) struct FlatParameters {
 
 impl FlatParameters {
     /// Copies the trained ones of `parameters` to `device`.
-    pub(super) fn new(parameters: &Parameters, device: Device, options: &TrainOptions) -> Result<Self, TchError> {
+    pub(super) fn new(
+        parameters: &Parameters,
+        device: Device,
+        options: &TrainOptions,
+    ) -> Result<Self, TchError> {
         let (backbone, rest): (Vec<_>, Vec<_>) = parameters
             .iter()
             .filter(|(key, _)| parameters.is_trainable(key))
@@ -49,30 +53,52 @@ impl FlatParameters {
         let mut flat = Self {
             first_moment: master.f_zeros_like()?,
             second_moment: master.f_zeros_like()?,
-            average: if options.ema_decay > 0.0 { Some(master.f_add_scalar(0.0)?) } else { None },
+            average: if options.ema_decay > 0.0 {
+                Some(master.f_add_scalar(0.0)?)
+            } else {
+                None
+            },
             backbone_length: length(&flats[..backbone.len()]),
-            keys: backbone.iter().chain(&rest).map(|(key, _)| (*key).to_owned()).collect(),
+            keys: backbone
+                .iter()
+                .chain(&rest)
+                .map(|(key, _)| (*key).to_owned())
+                .collect(),
             leaves: Vec::new(),
             master,
             working,
             steps: 0,
         };
-        let shapes: Vec<Vec<i64>> = backbone.iter().chain(&rest).map(|(_, tensor)| tensor.size()).collect();
+        let shapes: Vec<Vec<i64>> = backbone
+            .iter()
+            .chain(&rest)
+            .map(|(_, tensor)| tensor.size())
+            .collect();
         let mut start = 0;
         for shape in &shapes {
             let view = unflatten(&flat.working, start, shape)?;
-            flat.leaves.push(view.f_detach()?.f_set_requires_grad(true)?);
+            flat.leaves
+                .push(view.f_detach()?.f_set_requires_grad(true)?);
             start += shape.iter().product::<i64>();
         }
         Ok(flat)
     }
 
     /// The tensors that the network should be built from; fixed ones of `parameters` come along.
-    pub(super) fn working_tensors(&self, parameters: &Parameters) -> Result<BTreeMap<String, Tensor>, TchError> {
+    pub(super) fn working_tensors(
+        &self,
+        parameters: &Parameters,
+    ) -> Result<BTreeMap<String, Tensor>, TchError> {
         let mut tensors = BTreeMap::new();
-        for (key, tensor) in parameters.iter().filter(|(key, _)| !parameters.is_trainable(key)) {
+        for (key, tensor) in parameters
+            .iter()
+            .filter(|(key, _)| !parameters.is_trainable(key))
+        {
             let kind = self.working.kind();
-            tensors.insert(key.to_owned(), tensor.f_to_device(self.working.device())?.f_to_kind(kind)?);
+            tensors.insert(
+                key.to_owned(),
+                tensor.f_to_device(self.working.device())?.f_to_kind(kind)?,
+            );
         }
         for (key, leaf) in self.keys.iter().zip(&self.leaves) {
             tensors.insert(key.clone(), leaf.shallow_clone());
@@ -81,10 +107,16 @@ impl FlatParameters {
     }
 
     /// Copies of the averaged (or last) parameters in single precision; fixed ones of `parameters` come along.
-    pub(super) fn averaged_tensors(&self, parameters: &Parameters) -> Result<BTreeMap<String, Tensor>, TchError> {
+    pub(super) fn averaged_tensors(
+        &self,
+        parameters: &Parameters,
+    ) -> Result<BTreeMap<String, Tensor>, TchError> {
         let source = self.average.as_ref().unwrap_or(&self.master);
         let mut tensors = BTreeMap::new();
-        for (key, tensor) in parameters.iter().filter(|(key, _)| !parameters.is_trainable(key)) {
+        for (key, tensor) in parameters
+            .iter()
+            .filter(|(key, _)| !parameters.is_trainable(key))
+        {
             tensors.insert(key.to_owned(), tensor.f_to_device(source.device())?);
         }
         let mut start = 0;
@@ -101,17 +133,29 @@ impl FlatParameters {
 
     /// One step of AdamW down the gradient of `loss`; `lr` is that of the backbone and of the rest. Returns the norm of
     /// the gradient before clipping, still on the device.
-    pub(super) fn step(&mut self, loss: &Tensor, lr: [f64; 2], options: &TrainOptions) -> Result<Tensor, TchError> {
+    pub(super) fn step(
+        &mut self,
+        loss: &Tensor,
+        lr: [f64; 2],
+        options: &TrainOptions,
+    ) -> Result<Tensor, TchError> {
         let gradients = Tensor::f_run_backward(&[loss], &self.leaves, false, false)?;
         tch::no_grad(|| {
             let mut flats = Vec::with_capacity(gradients.len());
             for (gradient, leaf) in gradients.iter().zip(&self.leaves) {
-                flats.push(if gradient.defined() { flatten(gradient)? } else { flatten(&leaf.f_zeros_like()?)? });
+                flats.push(if gradient.defined() {
+                    flatten(gradient)?
+                } else {
+                    flatten(&leaf.f_zeros_like()?)?
+                });
             }
             let gradient = Tensor::f_cat(&flats, 0)?.f_to_kind(Kind::Float)?;
             let norm = gradient.f_norm()?;
             let gradient = if options.clip_norm.is_finite() {
-                let shrink = norm.f_add_scalar(1e-6)?.f_reciprocal()?.f_mul_scalar(options.clip_norm)?;
+                let shrink = norm
+                    .f_add_scalar(1e-6)?
+                    .f_reciprocal()?
+                    .f_mul_scalar(options.clip_norm)?;
                 gradient.f_mul(&shrink.f_clamp_max(1.0)?)?
             } else {
                 gradient
@@ -122,16 +166,30 @@ impl FlatParameters {
     }
 
     /// Loshchilov and Hutter 2019, algorithm 2.
-    fn adam_w(&mut self, gradient: &Tensor, lr: [f64; 2], options: &TrainOptions) -> Result<(), TchError> {
+    fn adam_w(
+        &mut self,
+        gradient: &Tensor,
+        lr: [f64; 2],
+        options: &TrainOptions,
+    ) -> Result<(), TchError> {
         self.steps = self.steps.saturating_add(1);
         let exponent = f64::from(self.steps);
         let (bias_1, bias_2) = (1.0 - BETA_1.powf(exponent), 1.0 - BETA_2.powf(exponent));
         let _ = self.first_moment.f_lerp_(gradient, 1.0 - BETA_1)?;
-        let _ = self.second_moment.f_lerp_(&gradient.f_square()?, 1.0 - BETA_2)?;
-        let root = self.second_moment.f_div_scalar(bias_2)?.f_sqrt()?.f_add_scalar(EPS)?;
+        let _ = self
+            .second_moment
+            .f_lerp_(&gradient.f_square()?, 1.0 - BETA_2)?;
+        let root = self
+            .second_moment
+            .f_div_scalar(bias_2)?
+            .f_sqrt()?
+            .f_add_scalar(EPS)?;
         let update = self.first_moment.f_div(&root)?.f_div_scalar(bias_1)?;
         let total = self.master.size()[0];
-        let groups = [(0, self.backbone_length), (self.backbone_length, total - self.backbone_length)];
+        let groups = [
+            (0, self.backbone_length),
+            (self.backbone_length, total - self.backbone_length),
+        ];
         for ((start, length), lr) in groups.into_iter().zip(lr) {
             let mut part = self.master.f_narrow(0, start, length)?;
             let _ = part.f_mul_scalar_(1.0 - lr * options.weight_decay)?;
@@ -151,13 +209,18 @@ impl FlatParameters {
 
 /// Filters are stored with their channels last, which is what convolutions like best.
 fn flatten(tensor: &Tensor) -> Result<Tensor, TchError> {
-    if tensor.dim() == 4 { tensor.f_permute([0, 2, 3, 1])?.f_reshape([-1]) } else { tensor.f_reshape([-1]) }
+    if tensor.dim() == 4 {
+        tensor.f_permute([0, 2, 3, 1])?.f_reshape([-1])
+    } else {
+        tensor.f_reshape([-1])
+    }
 }
 
 fn unflatten(flat: &Tensor, start: i64, shape: &[i64]) -> Result<Tensor, TchError> {
     let part = flat.f_narrow(0, start, shape.iter().product())?;
     if let &[outputs, inputs, high, wide] = shape {
-        part.f_view([outputs, high, wide, inputs])?.f_permute([0, 3, 1, 2])
+        part.f_view([outputs, high, wide, inputs])?
+            .f_permute([0, 3, 1, 2])
     } else {
         part.f_view(shape)
     }
@@ -179,8 +242,16 @@ mod tests {
     #[test]
     fn steps_are_those_of_the_library_s_adam_w() {
         let mut source = ParameterSource::seeded(2, Device::Cpu);
-        let filter = source.trainable("model.backbone.conv1.weight", &[2, 3, 2, 2], &Init::Normal(1.0)).unwrap();
-        let matrix = source.trainable("model.head.weight", &[4, 2], &Init::Normal(1.0)).unwrap();
+        let filter = source
+            .trainable(
+                "model.backbone.conv1.weight",
+                &[2, 3, 2, 2],
+                &Init::Normal(1.0),
+            )
+            .unwrap();
+        let matrix = source
+            .trainable("model.head.weight", &[4, 2], &Init::Normal(1.0))
+            .unwrap();
         let parameters = source.finish().unwrap();
         let options = TrainOptions {
             weight_decay: 0.01,
@@ -194,17 +265,33 @@ mod tests {
         let store = nn::VarStore::new(Device::Cpu);
         let filter = store.root().var_copy("filter", &filter);
         let matrix = store.root().var_copy("matrix", &matrix);
-        let mut optimiser = nn::AdamW { wd: 0.01, ..nn::AdamW::default() }.build(&store, 0.01).unwrap();
+        let mut optimiser = nn::AdamW {
+            wd: 0.01,
+            ..nn::AdamW::default()
+        }
+        .build(&store, 0.01)
+        .unwrap();
 
-        let loss = |filter: &Tensor, matrix: &Tensor| filter.sin().sum(Kind::Float) * matrix.square().sum(Kind::Float);
+        let loss = |filter: &Tensor, matrix: &Tensor| {
+            filter.sin().sum(Kind::Float) * matrix.square().sum(Kind::Float)
+        };
         for _ in 0..5 {
-            let own = loss(&ours["model.backbone.conv1.weight"], &ours["model.head.weight"]);
+            let own = loss(
+                &ours["model.backbone.conv1.weight"],
+                &ours["model.head.weight"],
+            );
             let _ = flat.step(&own, [0.01, 0.01], &options).unwrap();
             optimiser.backward_step(&loss(&filter, &matrix));
         }
-        let worst = (&ours["model.backbone.conv1.weight"] - &filter).abs().max().double_value(&[]);
+        let worst = (&ours["model.backbone.conv1.weight"] - &filter)
+            .abs()
+            .max()
+            .double_value(&[]);
         assert!(worst < 1e-6, "{worst}");
-        let worst = (&ours["model.head.weight"] - &matrix).abs().max().double_value(&[]);
+        let worst = (&ours["model.head.weight"] - &matrix)
+            .abs()
+            .max()
+            .double_value(&[]);
         assert!(worst < 1e-6, "{worst}");
     }
 }

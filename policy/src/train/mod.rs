@@ -46,7 +46,9 @@ pub enum TrainError {
     #[error(transparent)]
     Image(#[from] ImageError),
     /// The loss is NaN or infinite.
-    #[error("the loss is {loss} by step {step}: lower the learning rate or the gradient's greatest norm")]
+    #[error(
+        "the loss is {loss} by step {step}: lower the learning rate or the gradient's greatest norm"
+    )]
     Diverged {
         /// Step at which it was noticed; it happened at most one row of the loss curve earlier.
         step: u64,
@@ -126,8 +128,17 @@ impl Trainer {
         check_cameras(config, dataset)?;
         tch::set_num_threads(i32::try_from(options.threads.max(1)).unwrap_or(1));
         tch::manual_seed(options.seed.cast_signed());
-        let set = TrainingSet::new(dataset, config, options.validation_share, options.threads, self.device)?;
-        let fresh = Act::new(config.clone(), ParameterSource::seeded(options.seed, Device::Cpu))?;
+        let set = TrainingSet::new(
+            dataset,
+            config,
+            options.validation_share,
+            options.threads,
+            self.device,
+        )?;
+        let fresh = Act::new(
+            config.clone(),
+            ParameterSource::seeded(options.seed, Device::Cpu),
+        )?;
         let mut flat = FlatParameters::new(fresh.parameters(), self.device, options)?;
         let working = ParameterSource::given(flat.working_tensors(fresh.parameters())?);
         let run = Run {
@@ -139,17 +150,28 @@ impl Trainer {
         let curve = run.all_steps(&mut flat, on_progress)?;
         let averaged = ParameterSource::given(flat.averaged_tensors(fresh.parameters())?);
         let act = Act::new(config.clone(), averaged)?;
-        Ok(Trained { act, frames: set.trained.len(), statistics: set.statistics, curve })
+        Ok(Trained {
+            act,
+            frames: set.trained.len(),
+            statistics: set.statistics,
+            curve,
+        })
     }
 }
 
 fn check_cameras(config: &ActConfig, dataset: &Dataset) -> Result<(), TrainError> {
-    let recorded: Vec<String> =
-        dataset.camera_names().iter().map(|name| format!("observation.images.{name}")).collect();
+    let recorded: Vec<String> = dataset
+        .camera_names()
+        .iter()
+        .map(|name| format!("observation.images.{name}"))
+        .collect();
     if recorded == config.cameras {
         return Ok(());
     }
-    Err(TrainError::Dataset(format!("it has the cameras {recorded:?}, the network {:?}", config.cameras)))
+    Err(TrainError::Dataset(format!(
+        "it has the cameras {recorded:?}, the network {:?}",
+        config.cameras
+    )))
 }
 
 /// A run in progress.
@@ -177,7 +199,11 @@ impl Run<'_> {
             since_row.push(self.step(&batch, factor, flat, &mut random)?);
             let done = step + 1;
             if done.is_multiple_of(options.log_every) || done == options.steps {
-                let means = Tensor::f_stack(&since_row, 0)?.f_mean_dim([0].as_slice(), false, Kind::Double)?;
+                let means = Tensor::f_stack(&since_row, 0)?.f_mean_dim(
+                    [0].as_slice(),
+                    false,
+                    Kind::Double,
+                )?;
                 let means = Vec::<f64>::try_from(&means)?;
                 since_row.clear();
                 let [loss, l1, kl, gradient_norm] = [means[0], means[1], means[2], means[3]];
@@ -185,9 +211,20 @@ impl Run<'_> {
                     return Err(TrainError::Diverged { step: done, loss });
                 }
                 let validation_l1 = self.validate()?;
-                let row = CurveRow { step: done, loss, l1, kl, gradient_norm, lr: options.lr * factor, validation_l1 };
+                let row = CurveRow {
+                    step: done,
+                    loss,
+                    l1,
+                    kl,
+                    gradient_norm,
+                    lr: options.lr * factor,
+                    validation_l1,
+                };
                 curve.rows.push(row);
-                on_progress(&Progress { steps: options.steps, row });
+                on_progress(&Progress {
+                    steps: options.steps,
+                    row,
+                });
             }
         }
         Ok(curve)
@@ -205,13 +242,37 @@ impl Run<'_> {
         let images = self.images.apply(&batch.images)?;
         let images = augment::images(images, &self.options.augmentation, random)?;
         let state = augment::state(batch.state.shallow_clone(), &self.options.augmentation)?;
-        let noise = Tensor::f_randn([state.size()[0], config.latent_dim], (Kind::Float, state.device()))?;
-        let demonstration = Demonstration { actions: &batch.actions, is_pad: &batch.is_pad, noise: &noise };
+        let noise = Tensor::f_randn(
+            [state.size()[0], config.latent_dim],
+            (Kind::Float, state.device()),
+        )?;
+        let demonstration = Demonstration {
+            actions: &batch.actions,
+            is_pad: &batch.is_pad,
+            noise: &noise,
+        };
         let (predicted, latent) = self.act.train(&images, &state, &demonstration)?;
-        let parts = losses(config, &predicted, latent.as_ref(), &batch.actions, &batch.is_pad)?;
-        let lr = [self.options.lr_backbone * lr_factor, self.options.lr * lr_factor];
+        let parts = losses(
+            config,
+            &predicted,
+            latent.as_ref(),
+            &batch.actions,
+            &batch.is_pad,
+        )?;
+        let lr = [
+            self.options.lr_backbone * lr_factor,
+            self.options.lr * lr_factor,
+        ];
         let norm = flat.step(&parts.total, lr, self.options)?;
-        Tensor::f_stack(&[parts.total.f_detach()?, parts.l1.f_detach()?, parts.kl.f_detach()?, norm], 0)
+        Tensor::f_stack(
+            &[
+                parts.total.f_detach()?,
+                parts.l1.f_detach()?,
+                parts.kl.f_detach()?,
+                norm,
+            ],
+            0,
+        )
     }
 
     /// Mean absolute error of held-out frames as inference sees them, normalised; none without such frames. At most 256
@@ -227,8 +288,15 @@ impl Run<'_> {
             let (mut sum, mut parts) = (0.0, 0.0);
             for frames in frames.chunks(self.options.batch) {
                 let batch = self.set.batch(frames)?;
-                let predicted = self.act.infer(&self.images.apply(&batch.images)?, &batch.state)?;
-                let l1 = l1_loss(LossDenominator::Valid, &predicted, &batch.actions, &batch.is_pad)?;
+                let predicted = self
+                    .act
+                    .infer(&self.images.apply(&batch.images)?, &batch.state)?;
+                let l1 = l1_loss(
+                    LossDenominator::Valid,
+                    &predicted,
+                    &batch.actions,
+                    &batch.is_pad,
+                )?;
                 sum += l1.f_double_value(&[])?;
                 parts += 1.0;
             }
@@ -245,7 +313,10 @@ struct FrameOrder {
 
 impl FrameOrder {
     fn new(frames: &[usize]) -> Self {
-        Self { frames: frames.to_vec(), next: frames.len() }
+        Self {
+            frames: frames.to_vec(),
+            next: frames.len(),
+        }
     }
 
     fn next(&mut self, count: usize, random: &mut SplitMix64) -> Vec<usize> {

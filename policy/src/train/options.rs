@@ -91,13 +91,22 @@ impl TrainOptions {
             validation_share: 0.0,
             log_every: 50,
             precision: TrainPrecision::F32,
-            augmentation: Augmentation { shift_px: 0, brightness: 0.0, contrast: 0.0, state_noise: 0.0 },
+            augmentation: Augmentation {
+                shift_px: 0,
+                brightness: 0.0,
+                contrast: 0.0,
+                state_noise: 0.0,
+            },
             threads: 2,
             seed: 1000,
         };
         match preset {
             ActPreset::Small => small,
-            ActPreset::Paper | ActPreset::Lerobot => Self { steps: 40_000, batch: 32, ..small },
+            ActPreset::Paper | ActPreset::Lerobot => Self {
+                steps: 40_000,
+                batch: 32,
+                ..small
+            },
         }
     }
 
@@ -111,17 +120,39 @@ impl TrainOptions {
             ("clip_norm", self.clip_norm, 1e-6, f64::INFINITY),
             ("ema_decay", self.ema_decay, 0.0, 0.999_999),
             ("validation_share", self.validation_share, 0.0, 0.9),
-            ("augmentation.brightness", self.augmentation.brightness, 0.0, 1.0),
-            ("augmentation.contrast", self.augmentation.contrast, 0.0, 1.0),
-            ("augmentation.state_noise", self.augmentation.state_noise, 0.0, 1.0),
+            (
+                "augmentation.brightness",
+                self.augmentation.brightness,
+                0.0,
+                1.0,
+            ),
+            (
+                "augmentation.contrast",
+                self.augmentation.contrast,
+                0.0,
+                1.0,
+            ),
+            (
+                "augmentation.state_noise",
+                self.augmentation.state_noise,
+                0.0,
+                1.0,
+            ),
         ];
         for (name, value, low, high) in ranges {
             if !(low..=high).contains(&value) {
                 return Some(format!("{name} = {value} is outside [{low}, {high}]"));
             }
         }
-        let positive = [("batch", self.batch == 0), ("steps", self.steps == 0), ("log_every", self.log_every == 0)];
-        positive.iter().find(|(_, zero)| *zero).map(|(name, _)| format!("{name} = 0 is no positive number"))
+        let positive = [
+            ("batch", self.batch == 0),
+            ("steps", self.steps == 0),
+            ("log_every", self.log_every == 0),
+        ];
+        positive
+            .iter()
+            .find(|(_, zero)| *zero)
+            .map(|(name, _)| format!("{name} = 0 is no positive number"))
     }
 
     /// The factor on both learning rates at `step`, from 0.
@@ -159,7 +190,20 @@ mod tests {
     fn impossible_options_are_named() {
         let good = TrainOptions::preset(ActPreset::Paper);
         assert_eq!(good.defect(), None);
-        assert!(TrainOptions { lr: f64::NAN, ..good }.defect().unwrap().starts_with("lr ="));
-        assert!(TrainOptions { batch: 0, ..good }.defect().unwrap().starts_with("batch"));
+        assert!(
+            TrainOptions {
+                lr: f64::NAN,
+                ..good
+            }
+            .defect()
+            .unwrap()
+            .starts_with("lr =")
+        );
+        assert!(
+            TrainOptions { batch: 0, ..good }
+                .defect()
+                .unwrap()
+                .starts_with("batch")
+        );
     }
 }

@@ -34,7 +34,11 @@ impl Drop for Scratch {
 /// Two episodes in which the tip follows a bright square across the image.
 fn dataset(name: &str) -> Scratch {
     let folder = folder(name);
-    let camera = CameraSpec { name: "endoscope".to_owned(), width: SIDE, height: SIDE };
+    let camera = CameraSpec {
+        name: "endoscope".to_owned(),
+        width: SIDE,
+        height: SIDE,
+    };
     let spec = DatasetSpec {
         fps: 25,
         robot_type: "psm".to_owned(),
@@ -55,7 +59,16 @@ fn dataset(name: &str) -> Scratch {
             let record = FrameRecord {
                 state: [0.01 * f32::from(step); 7],
                 tip_pose: [along, 0.0, -0.1, 0.0, 0.0, 0.0, 1.0],
-                action: [along + 0.001, 0.0005 * f64::from(episode), -0.1, 0.0, 0.0, 0.0, 1.0, 0.5],
+                action: [
+                    along + 0.001,
+                    0.0005 * f64::from(episode),
+                    -0.1,
+                    0.0,
+                    0.0,
+                    0.0,
+                    1.0,
+                    0.5,
+                ],
                 images: &[&image],
             };
             writer.push_frame(&record).unwrap();
@@ -68,7 +81,10 @@ fn dataset(name: &str) -> Scratch {
 }
 
 fn config() -> ActConfig {
-    let base = ActConfig::preset(ActPreset::Small, &["observation.images.endoscope".to_owned()]);
+    let base = ActConfig::preset(
+        ActPreset::Small,
+        &["observation.images.endoscope".to_owned()],
+    );
     ActConfig {
         chunk_size: 4,
         dim_model: 32,
@@ -100,7 +116,11 @@ fn options() -> TrainOptions {
 /// The library's random numbers belong to the process: one run at a time, or none repeats itself.
 static ONE_AT_A_TIME: Mutex<()> = Mutex::new(());
 
-fn run(config: &ActConfig, scratch: &Scratch, options: &TrainOptions) -> Result<Trained, TrainError> {
+fn run(
+    config: &ActConfig,
+    scratch: &Scratch,
+    options: &TrainOptions,
+) -> Result<Trained, TrainError> {
     let _alone = ONE_AT_A_TIME.lock().unwrap_or_else(PoisonError::into_inner);
     Trainer::new(Device::Cpu).run(config, options, &scratch.dataset, &mut |_| ())
 }
@@ -121,12 +141,33 @@ fn training_lowers_the_loss_repeats_itself_and_survives_the_disk() {
     let dataset = dataset("learns");
     let first = train(&dataset, &options()).unwrap();
     let (start, end) = (first.curve.rows[0], *first.curve.last().unwrap());
-    assert!(end.loss < 0.5 * start.loss && end.l1 < 0.9 * start.l1, "{start:?} {end:?}");
-    assert_eq!((end.step, first.curve.rows.len(), first.frames), (16, 4, 12));
+    assert!(
+        end.loss < 0.5 * start.loss && end.l1 < 0.9 * start.l1,
+        "{start:?} {end:?}"
+    );
+    assert_eq!(
+        (end.step, first.curve.rows.len(), first.frames),
+        (16, 4, 12)
+    );
 
-    let again = train(&dataset, &TrainOptions { steps: 4, ..options() }).unwrap();
+    let again = train(
+        &dataset,
+        &TrainOptions {
+            steps: 4,
+            ..options()
+        },
+    )
+    .unwrap();
     assert_eq!(first.curve.rows[0], again.curve.rows[0]);
-    let other = train(&dataset, &TrainOptions { seed: 7, steps: 4, ..options() }).unwrap();
+    let other = train(
+        &dataset,
+        &TrainOptions {
+            seed: 7,
+            steps: 4,
+            ..options()
+        },
+    )
+    .unwrap();
     assert_ne!(first.curve.rows[0], other.curve.rows[0]);
 
     let folder = folder("disk");
@@ -135,7 +176,11 @@ fn training_lowers_the_loss_repeats_itself_and_survives_the_disk() {
         action_representation: crate::relative_action::REPRESENTATION.to_owned(),
         step_ns: 40_000_000,
         query_every_steps: 4,
-        cameras: vec![RecordedCamera { feature: config().cameras[0].clone(), width: SIDE, height: SIDE }],
+        cameras: vec![RecordedCamera {
+            feature: config().cameras[0].clone(),
+            width: SIDE,
+            height: SIDE,
+        }],
         preset: ActPreset::Small,
         variants: Variants {
             backbone_norm: config().backbone_norm,
@@ -146,7 +191,14 @@ fn training_lowers_the_loss_repeats_itself_and_survives_the_disk() {
         seed: 1,
         training: serde_json::Value::Null,
     };
-    checkpoint::save(&folder, &first.act, &first.statistics, &recipe, SaveOptions::default()).unwrap();
+    checkpoint::save(
+        &folder,
+        &first.act,
+        &first.statistics,
+        &recipe,
+        SaveOptions::default(),
+    )
+    .unwrap();
     let loaded = checkpoint::load(&folder, Device::Cpu).unwrap();
     assert_eq!(answer(&first.act), answer(&loaded.act));
     assert_eq!(first.statistics, loaded.statistics);
@@ -156,30 +208,69 @@ fn training_lowers_the_loss_repeats_itself_and_survives_the_disk() {
 #[test]
 fn a_held_out_episode_is_validated_and_not_trained_on() {
     let dataset = dataset("held-out");
-    let trained = train(&dataset, &TrainOptions { validation_share: 0.5, steps: 2, ..options() }).unwrap();
+    let trained = train(
+        &dataset,
+        &TrainOptions {
+            validation_share: 0.5,
+            steps: 2,
+            ..options()
+        },
+    )
+    .unwrap();
     assert_eq!(trained.frames, 6);
     assert!(trained.curve.last().unwrap().validation_l1.unwrap() > 0.0);
 }
 
 #[test]
 fn relative_actions_are_those_of_the_recording() {
-    let trained = train(&dataset("statistics"), &TrainOptions { steps: 1, ..options() }).unwrap();
+    let trained = train(
+        &dataset("statistics"),
+        &TrainOptions {
+            steps: 1,
+            ..options()
+        },
+    )
+    .unwrap();
     let action = &trained.statistics.action;
     // From one to four steps ahead of the tip, padding not counted, half a millimetre aside in the second episode.
-    assert!((action.min[0] - 0.001).abs() < 1e-6 && (action.max[0] - 0.004).abs() < 1e-6, "{action:?}");
+    assert!(
+        (action.min[0] - 0.001).abs() < 1e-6 && (action.max[0] - 0.004).abs() < 1e-6,
+        "{action:?}"
+    );
     assert!((action.mean[1] - 0.000_25).abs() < 1e-6, "{action:?}");
-    assert!((action.mean[6] - 0.5).abs() < 1e-6 && action.std[6] > 1e-3, "{action:?}");
+    assert!(
+        (action.mean[6] - 0.5).abs() < 1e-6 && action.std[6] > 1e-3,
+        "{action:?}"
+    );
 }
 
 #[test]
 fn divergence_and_foreign_cameras_are_errors() {
     let dataset = dataset("diverges");
-    let overflowing = ActConfig { kl_weight: 1e38, ..config() };
+    let overflowing = ActConfig {
+        kl_weight: 1e38,
+        ..config()
+    };
     let error = run(&overflowing, &dataset, &options()).unwrap_err();
-    assert!(matches!(error, TrainError::Diverged { step: 4, .. }), "{error}");
-    let impossible = TrainOptions { lr: f64::NAN, ..options() };
-    assert!(matches!(train(&dataset, &impossible).unwrap_err(), TrainError::Options(_)));
-    let foreign = ActConfig { cameras: vec!["observation.images.wrist".to_owned()], ..config() };
+    assert!(
+        matches!(error, TrainError::Diverged { step: 4, .. }),
+        "{error}"
+    );
+    let impossible = TrainOptions {
+        lr: f64::NAN,
+        ..options()
+    };
+    assert!(matches!(
+        train(&dataset, &impossible).unwrap_err(),
+        TrainError::Options(_)
+    ));
+    let foreign = ActConfig {
+        cameras: vec!["observation.images.wrist".to_owned()],
+        ..config()
+    };
     let error = run(&foreign, &dataset, &options()).unwrap_err();
-    assert!(error.to_string().contains("endoscope") && error.to_string().contains("wrist"), "{error}");
+    assert!(
+        error.to_string().contains("endoscope") && error.to_string().contains("wrist"),
+        "{error}"
+    );
 }

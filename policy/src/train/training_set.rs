@@ -48,17 +48,25 @@ impl TrainingSet {
         device: Device,
     ) -> Result<Self, TrainError> {
         let episodes = dataset.episodes();
-        let (trained_episodes, held_out_episodes) = episodes.split_at(split_at(episodes.len(), validation_share));
+        let (trained_episodes, held_out_episodes) =
+            episodes.split_at(split_at(episodes.len(), validation_share));
         let trained: Vec<usize> = trained_episodes.iter().flat_map(Episode::frames).collect();
         let held_out = held_out_episodes.iter().flat_map(Episode::frames).collect();
         let steps = usize::try_from(config.chunk_size).unwrap_or(0);
         let rows: Vec<ChunkRow> = episodes
             .iter()
-            .flat_map(|episode| episode.frames().map(|frame| chunk_of(dataset, &episode.frames(), frame, steps)))
+            .flat_map(|episode| {
+                episode
+                    .frames()
+                    .map(|frame| chunk_of(dataset, &episode.frames(), frame, steps))
+            })
             .collect();
         let state_of = |&frame: &usize| dataset.state(frame).map(f64::from);
-        let state = Statistics::of(trained.iter().map(state_of), STATE_STD_MIN).ok_or(TrainError::Empty)?;
-        let real = trained.iter().flat_map(|&frame| rows[frame].actions[..rows[frame].valid].iter().copied());
+        let state =
+            Statistics::of(trained.iter().map(state_of), STATE_STD_MIN).ok_or(TrainError::Empty)?;
+        let real = trained
+            .iter()
+            .flat_map(|&frame| rows[frame].actions[..rows[frame].valid].iter().copied());
         let action = Statistics::of(real, ACTION_STD_MIN).ok_or(TrainError::Empty)?;
         if let Some(defect) = state.defect(7).or_else(|| action.defect(7)) {
             return Err(TrainError::Dataset(defect));
@@ -67,12 +75,23 @@ impl TrainingSet {
         let [states, chunks, is_pad] = tensors;
         let images = images(dataset, config, threads)?.f_to_device(device)?;
         let statistics = FeatureStatistics { state, action };
-        Ok(Self { images, states, chunks, is_pad, statistics, trained, held_out })
+        Ok(Self {
+            images,
+            states,
+            chunks,
+            is_pad,
+            statistics,
+            trained,
+            held_out,
+        })
     }
 
     /// The given frames.
     pub(super) fn batch(&self, frames: &[usize]) -> Result<Batch, TchError> {
-        let indices: Vec<i64> = frames.iter().map(|&frame| i64::try_from(frame).unwrap_or(i64::MAX)).collect();
+        let indices: Vec<i64> = frames
+            .iter()
+            .map(|&frame| i64::try_from(frame).unwrap_or(i64::MAX))
+            .collect();
         let indices = Tensor::f_from_slice(&indices)?.f_to_device(self.images.device())?;
         Ok(Batch {
             images: self.images.f_index_select(0, &indices)?,
@@ -84,7 +103,11 @@ impl TrainingSet {
 }
 
 /// How many of `episodes` are trained on: at least one.
-#[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "a share of a count is a count")]
+#[expect(
+    clippy::cast_possible_truncation,
+    clippy::cast_sign_loss,
+    reason = "a share of a count is a count"
+)]
 #[expect(clippy::cast_precision_loss, reason = "episodes are few")]
 fn split_at(episodes: usize, validation_share: f64) -> usize {
     let held_out = (episodes as f64 * validation_share).round() as usize;
@@ -105,10 +128,16 @@ fn chunk_of(dataset: &Dataset, episode: &Range<usize>, frame: usize, steps: usiz
             relative_action(&tip, &pose_from_numbers(&[x, y, z, qx, qy, qz, qw]), jaw)
         })
         .collect();
-    ChunkRow { actions, valid: steps.min(episode.end - frame) }
+    ChunkRow {
+        actions,
+        valid: steps.min(episode.end - frame),
+    }
 }
 
-#[expect(clippy::cast_possible_truncation, reason = "networks compute in single precision")]
+#[expect(
+    clippy::cast_possible_truncation,
+    reason = "networks compute in single precision"
+)]
 fn numbers(
     dataset: &Dataset,
     rows: &[ChunkRow],
@@ -116,16 +145,32 @@ fn numbers(
     [state, action]: [&Statistics; 2],
     device: Device,
 ) -> Result<[Tensor; 3], TchError> {
-    let states: Vec<f32> = (0..rows.len()).flat_map(|frame| dataset.state(frame)).collect();
-    let chunks: Vec<f32> =
-        rows.iter().flat_map(|row| row.actions.as_flattened()).map(|value| *value as f32).collect();
-    let is_pad: Vec<bool> = rows.iter().flat_map(|row| (0..steps).map(|step| step >= row.valid)).collect();
+    let states: Vec<f32> = (0..rows.len())
+        .flat_map(|frame| dataset.state(frame))
+        .collect();
+    let chunks: Vec<f32> = rows
+        .iter()
+        .flat_map(|row| row.actions.as_flattened())
+        .map(|value| *value as f32)
+        .collect();
+    let is_pad: Vec<bool> = rows
+        .iter()
+        .flat_map(|row| (0..steps).map(|step| step >= row.valid))
+        .collect();
     let frames = i64::try_from(rows.len()).unwrap_or(i64::MAX);
-    let states = state.normaliser().apply(&Tensor::f_from_slice(&states)?.f_view([frames, -1])?)?;
+    let states = state
+        .normaliser()
+        .apply(&Tensor::f_from_slice(&states)?.f_view([frames, -1])?)?;
     let steps = i64::try_from(steps).unwrap_or(i64::MAX);
-    let chunks = action.normaliser().apply(&Tensor::f_from_slice(&chunks)?.f_view([frames, steps, -1])?)?;
+    let chunks = action
+        .normaliser()
+        .apply(&Tensor::f_from_slice(&chunks)?.f_view([frames, steps, -1])?)?;
     let is_pad = Tensor::f_from_slice(&is_pad)?.f_view([frames, steps])?;
-    Ok([states.f_to_device(device)?, chunks.f_to_device(device)?, is_pad.f_to_device(device)?])
+    Ok([
+        states.f_to_device(device)?,
+        chunks.f_to_device(device)?,
+        is_pad.f_to_device(device)?,
+    ])
 }
 
 /// Decodes and shrinks every image, `threads` at a time; the order is that of the frames whatever the threads do.
@@ -151,7 +196,9 @@ fn images(dataset: &Dataset, config: &ActConfig, threads: usize) -> Result<Tenso
             })
             .collect();
         for worker in workers {
-            worker.join().map_err(|_| TrainError::Dataset("a decoding thread failed".to_owned()))??;
+            worker
+                .join()
+                .map_err(|_| TrainError::Dataset("a decoding thread failed".to_owned()))??;
         }
         Ok::<(), TrainError>(())
     })?;
