@@ -51,9 +51,24 @@ impl NeedleShape {
     /// # Errors
     /// [`ConfigError::OutOfRange`].
     pub fn check(&self, source: &Source, key: &str) -> Result<(), ConfigError> {
-        source.check_range(&format!("{key}.arc_radius_m"), self.arc_radius_m, 0.004, 0.03)?;
-        source.check_range(&format!("{key}.arc_angle_rad"), self.arc_angle_rad, 0.5, 5.0)?;
-        source.check_range(&format!("{key}.wire_radius_m"), self.wire_radius_m, 0.000_2, 0.001_5)?;
+        source.check_range(
+            &format!("{key}.arc_radius_m"),
+            self.arc_radius_m,
+            0.004,
+            0.03,
+        )?;
+        source.check_range(
+            &format!("{key}.arc_angle_rad"),
+            self.arc_angle_rad,
+            0.5,
+            5.0,
+        )?;
+        source.check_range(
+            &format!("{key}.wire_radius_m"),
+            self.wire_radius_m,
+            0.000_2,
+            0.001_5,
+        )?;
         source.check_range(&format!("{key}.mass_kg"), self.mass_kg, 0.000_5, 0.01)
     }
 
@@ -64,7 +79,9 @@ impl NeedleShape {
         if count < 2 {
             return vec![self.arc_point(0.0); count];
         }
-        (0..count).map(|index| self.arc_point(self.arc_angle_rad * (ratio(index, count - 1) - 0.5))).collect()
+        (0..count)
+            .map(|index| self.arc_point(self.arc_angle_rad * (ratio(index, count - 1) - 0.5)))
+            .collect()
     }
 
     /// The tube with its tapered point, in the needle frame: 600 triangles.
@@ -78,8 +95,10 @@ impl NeedleShape {
             for side in 0..MESH_SIDES {
                 let next = (side + 1) % MESH_SIDES;
                 let (here, there) = (segment * MESH_SIDES, (segment + 1) * MESH_SIDES);
-                mesh.indices.extend([here + side, there + next, here + next]);
-                mesh.indices.extend([here + side, there + side, there + next]);
+                mesh.indices
+                    .extend([here + side, there + next, here + next]);
+                mesh.indices
+                    .extend([here + side, there + side, there + next]);
             }
         }
         self.push_blunt_end(&mut mesh);
@@ -97,11 +116,18 @@ impl NeedleShape {
             0.5 * square * (1.0 + doubled) - centre_x * centre_x + wire,
             square - centre_x * centre_x + wire,
         );
-        MassProperties { centre: Point3::new(centre_x, 0.0, 0.0), inertia: inertia * self.mass_kg }
+        MassProperties {
+            centre: Point3::new(centre_x, 0.0, 0.0),
+            inertia: inertia * self.mass_kg,
+        }
     }
 
     fn arc_point(&self, angle: f64) -> Point3<f64> {
-        Point3::new(self.arc_radius_m * angle.cos(), self.arc_radius_m * angle.sin(), 0.0)
+        Point3::new(
+            self.arc_radius_m * angle.cos(),
+            self.arc_radius_m * angle.sin(),
+            0.0,
+        )
     }
 
     fn push_ring(&self, mesh: &mut Mesh, along: f64) {
@@ -113,7 +139,8 @@ impl NeedleShape {
         for side in 0..MESH_SIDES {
             let turn = TAU * f64::from(side) / f64::from(MESH_SIDES);
             let normal = radial * turn.cos() + Vector3::z() * turn.sin();
-            mesh.positions.push(single((centre + normal * radius).coords));
+            mesh.positions
+                .push(single((centre + normal * radius).coords));
             mesh.normals.push(single(normal));
         }
     }
@@ -121,26 +148,39 @@ impl NeedleShape {
     fn push_blunt_end(&self, mesh: &mut Mesh) {
         let angle = -0.5 * self.arc_angle_rad;
         let normal = Vector3::new(angle.sin(), -angle.cos(), 0.0);
-        let ring: Vec<[f32; 3]> = mesh.positions.iter().copied().take(MESH_SIDES as usize).collect();
+        let ring: Vec<[f32; 3]> = mesh
+            .positions
+            .iter()
+            .copied()
+            .take(MESH_SIDES as usize)
+            .collect();
         let centre = MESH_SIDES * (MESH_SEGMENTS + 1);
         mesh.positions.push(single(self.arc_point(angle).coords));
         mesh.positions.extend(ring);
-        mesh.normals.extend((0..=MESH_SIDES).map(|_| single(normal)));
+        mesh.normals
+            .extend((0..=MESH_SIDES).map(|_| single(normal)));
         for side in 0..MESH_SIDES {
             let next = (side + 1) % MESH_SIDES;
-            mesh.indices.extend([centre, centre + 1 + side, centre + 1 + next]);
+            mesh.indices
+                .extend([centre, centre + 1 + side, centre + 1 + next]);
         }
     }
 }
 
 /// A vector in the single precision that meshes use.
-#[expect(clippy::cast_possible_truncation, reason = "meshes are single precision")]
+#[expect(
+    clippy::cast_possible_truncation,
+    reason = "meshes are single precision"
+)]
 pub(crate) fn single(v: Vector3<f64>) -> [f32; 3] {
     [v.x as f32, v.y as f32, v.z as f32]
 }
 
 /// `part / whole` of two counts.
-#[expect(clippy::cast_precision_loss, reason = "counts of points, far below 2^52")]
+#[expect(
+    clippy::cast_precision_loss,
+    reason = "counts of points, far below 2^52"
+)]
 pub(crate) fn ratio(part: usize, whole: usize) -> f64 {
     part as f64 / whole as f64
 }
@@ -160,7 +200,11 @@ pub(crate) mod tests {
     fn centre_line_is_an_arc_with_its_middle_on_x() {
         let points = HALF_CIRCLE.centre_line(11);
         assert_eq!(points.len(), 11);
-        assert!(points.iter().all(|p| (p.coords.norm() - 0.012).abs() < 1e-15 && p.z.abs() < 1e-15));
+        assert!(
+            points
+                .iter()
+                .all(|p| (p.coords.norm() - 0.012).abs() < 1e-15 && p.z.abs() < 1e-15)
+        );
         assert!((points[5] - Point3::new(0.012, 0.0, 0.0)).norm() < 1e-15);
         assert!((points[10] - Point3::new(0.0, 0.012, 0.0)).norm() < 1e-12);
     }
@@ -178,7 +222,11 @@ pub(crate) mod tests {
         }
         assert!((exact.centre.coords - centre).norm() < 1e-6);
         // The beads have no thickness; the wire does.
-        assert!((exact.inertia - inertia).norm() < 5e-3 * inertia.norm(), "{} against {inertia}", exact.inertia);
+        assert!(
+            (exact.inertia - inertia).norm() < 5e-3 * inertia.norm(),
+            "{} against {inertia}",
+            exact.inertia
+        );
     }
 
     #[test]
@@ -195,7 +243,10 @@ pub(crate) mod tests {
                 .iter()
                 .map(|&index| Vector3::from(mesh.normals[index as usize].map(f64::from)))
                 .sum();
-            assert!(face.norm() < 1e-12 || face.dot(&normal) > 0.0, "{a} {b} {c} {normal}");
+            assert!(
+                face.norm() < 1e-12 || face.dot(&normal) > 0.0,
+                "{a} {b} {c} {normal}"
+            );
         }
         let wire = mesh.positions.iter().map(|p| {
             let flat = f64::from(p[0]).hypot(f64::from(p[1])) - 0.012;

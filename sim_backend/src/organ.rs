@@ -30,7 +30,11 @@ const CELLS: [usize; 2] = [40, 30];
 const CONTACT_CELLS: [usize; 2] = [12, 9];
 
 /// One wave: share of the amplitude, waves per longest wavelength along x and y, phase.
-const WAVES: [(f64, f64, f64, f64); 3] = [(0.55, 0.75, 0.65, 0.4), (0.30, -0.45, 1.15, 2.1), (0.15, 1.5, 0.9, 4.0)];
+const WAVES: [(f64, f64, f64, f64); 3] = [
+    (0.55, 0.75, 0.65, 0.4),
+    (0.30, -0.45, 1.15, 2.1),
+    (0.15, 1.5, 0.9, 4.0),
+];
 
 impl OrganShape {
     /// Checks the ranges of an organ read from `source` at the dotted `key`.
@@ -47,7 +51,10 @@ impl OrganShape {
     /// Height of the surface above the scene's xy-plane at (`x`, `y`), m; defined beyond the patch too.
     #[must_use]
     pub fn height_m(&self, x: f64, y: f64) -> f64 {
-        self.waves(x, y).map(|(share, _, _, phase)| share * phase.sin()).sum::<f64>() * self.amplitude_m
+        self.waves(x, y)
+            .map(|(share, _, _, phase)| share * phase.sin())
+            .sum::<f64>()
+            * self.amplitude_m
     }
 
     /// Unit normal of the surface at (`x`, `y`), pointing up, scene frame.
@@ -58,7 +65,11 @@ impl OrganShape {
             slope_x += share * wave_x * phase.cos();
             slope_y += share * wave_y * phase.cos();
         }
-        let slope = Vector3::new(-slope_x * self.amplitude_m, -slope_y * self.amplitude_m, 1.0);
+        let slope = Vector3::new(
+            -slope_x * self.amplitude_m,
+            -slope_y * self.amplitude_m,
+            1.0,
+        );
         Unit::new_normalize(slope)
     }
 
@@ -75,7 +86,8 @@ impl OrganShape {
         for row in 0..=CELLS[1] {
             for column in 0..=CELLS[0] {
                 let (x, y) = self.grid_point(CELLS, column, row);
-                mesh.positions.push(single(Vector3::new(x, y, self.height_m(x, y))));
+                mesh.positions
+                    .push(single(Vector3::new(x, y, self.height_m(x, y))));
                 mesh.normals.push(single(self.normal(x, y).into_inner()));
             }
         }
@@ -84,7 +96,8 @@ impl OrganShape {
             for column in 0..columns {
                 let here = row * (columns + 1) + column;
                 let above = here + columns + 1;
-                mesh.indices.extend([here, here + 1, above + 1, here, above + 1, above]);
+                mesh.indices
+                    .extend([here, here + 1, above + 1, here, above + 1, above]);
             }
         }
         mesh
@@ -103,7 +116,10 @@ impl OrganShape {
     }
 
     fn grid_point(&self, cells: [usize; 2], column: usize, row: usize) -> (f64, f64) {
-        ((ratio(column, cells[0]) - 0.5) * self.length_m, (ratio(row, cells[1]) - 0.5) * self.width_m)
+        (
+            (ratio(column, cells[0]) - 0.5) * self.length_m,
+            (ratio(row, cells[1]) - 0.5) * self.width_m,
+        )
     }
 
     /// Share, wave numbers along x and y (rad/m) and phase (rad) of every wave at (`x`, `y`).
@@ -120,16 +136,25 @@ impl OrganShape {
 pub(crate) mod tests {
     use super::*;
 
-    pub(crate) const BACK_MUSCLE: OrganShape =
-        OrganShape { length_m: 0.12, width_m: 0.09, amplitude_m: 0.001_5, wavelength_m: 0.09 };
+    pub(crate) const BACK_MUSCLE: OrganShape = OrganShape {
+        length_m: 0.12,
+        width_m: 0.09,
+        amplitude_m: 0.001_5,
+        wavelength_m: 0.09,
+    };
 
     #[test]
     fn normal_is_the_gradient_of_the_height() {
         let step = 1e-6;
         for index in 0..100 {
-            let (x, y) = (-0.06 + 0.001_2 * f64::from(index), 0.04 - 0.000_8 * f64::from(index));
-            let slope_x = (BACK_MUSCLE.height_m(x + step, y) - BACK_MUSCLE.height_m(x - step, y)) / (2.0 * step);
-            let slope_y = (BACK_MUSCLE.height_m(x, y + step) - BACK_MUSCLE.height_m(x, y - step)) / (2.0 * step);
+            let (x, y) = (
+                -0.06 + 0.001_2 * f64::from(index),
+                0.04 - 0.000_8 * f64::from(index),
+            );
+            let slope_x = (BACK_MUSCLE.height_m(x + step, y) - BACK_MUSCLE.height_m(x - step, y))
+                / (2.0 * step);
+            let slope_y = (BACK_MUSCLE.height_m(x, y + step) - BACK_MUSCLE.height_m(x, y - step))
+                / (2.0 * step);
             let expected = Vector3::new(-slope_x, -slope_y, 1.0).normalize();
             assert!((BACK_MUSCLE.normal(x, y).into_inner() - expected).norm() < 1e-6);
             assert!(BACK_MUSCLE.height_m(x, y).abs() <= 0.001_5);
@@ -141,8 +166,8 @@ pub(crate) mod tests {
         let mesh = BACK_MUSCLE.mesh();
         assert!(mesh.indices.len() / 3 <= 2500);
         for triangle in mesh.indices.chunks_exact(3) {
-            let [a, b, c] =
-                [0, 1, 2].map(|k| Vector3::from(mesh.positions[triangle[k] as usize].map(f64::from)));
+            let [a, b, c] = [0, 1, 2]
+                .map(|k| Vector3::from(mesh.positions[triangle[k] as usize].map(f64::from)));
             assert!((b - a).cross(&(c - a)).z > 0.0);
             let middle = (a + b + c) / 3.0;
             assert!((BACK_MUSCLE.height_m(middle.x, middle.y) - middle.z).abs() < 2e-5);

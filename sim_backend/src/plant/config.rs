@@ -53,7 +53,12 @@ impl PlantConfig {
     /// # Errors
     /// [`ConfigError::OutOfRange`].
     pub fn check(&self, source: &Source, key: &str) -> Result<(), ConfigError> {
-        source.check_range(&format!("{key}.substeps"), f64::from(self.substeps), 2.0, 32.0)?;
+        source.check_range(
+            &format!("{key}.substeps"),
+            f64::from(self.substeps),
+            2.0,
+            32.0,
+        )?;
         for (index, &inertia) in self.inertia.iter().enumerate() {
             let least = if index < 3 { 0.02 } else { 8e-5 };
             source.check_range(&format!("{key}.inertia.{index}"), inertia, least, 10.0)?;
@@ -64,6 +69,11 @@ impl PlantConfig {
         for (index, &friction) in self.viscous.iter().enumerate() {
             source.check_range(&format!("{key}.viscous.{index}"), friction, 0.0, 50.0)?;
         }
-        source.check_range(&format!("{key}.jaw_effort_max_n_m"), self.jaw_effort_max_n_m, 0.005, 0.16)
+        source.check_range(
+            &format!("{key}.jaw_effort_max_n_m"),
+            self.jaw_effort_max_n_m,
+            0.005,
+            0.16,
+        )
     }
 }

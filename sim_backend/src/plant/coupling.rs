@@ -8,7 +8,8 @@ use super::drive::AxisVector;
 #[must_use]
 pub fn joint_positions(actuator: &AxisVector) -> AxisVector {
     let disc = [actuator[3], actuator[4], actuator[5], actuator[6]];
-    let row = |row: [f64; 4]| row[0] * disc[0] + row[1] * disc[1] + row[2] * disc[2] + row[3] * disc[3];
+    let row =
+        |row: [f64; 4]| row[0] * disc[0] + row[1] * disc[1] + row[2] * disc[2] + row[3] * disc[3];
     with_tool(actuator, COUPLING.map(row))
 }
 
@@ -18,7 +19,14 @@ pub fn actuator_positions(joint: &AxisVector) -> AxisVector {
     let [roll, pitch, yaw, jaw] = COUPLING;
     let first = joint[3] / roll[0];
     let second = joint[4] / pitch[1];
-    let (third, fourth) = solve(yaw[2], yaw[3], jaw[2], jaw[3], joint[5] - yaw[1] * second, joint[6]);
+    let (third, fourth) = solve(
+        yaw[2],
+        yaw[3],
+        jaw[2],
+        jaw[3],
+        joint[5] - yaw[1] * second,
+        joint[6],
+    );
     with_tool(joint, [first, second, third, fourth])
 }
 
@@ -40,11 +48,16 @@ pub fn joint_efforts(actuator: &AxisVector) -> AxisVector {
     let [roll, pitch, yaw, jaw] = COUPLING;
     let (yaw_effort, jaw_effort) = solve(yaw[2], jaw[2], yaw[3], jaw[3], actuator[5], actuator[6]);
     let pitch_effort = (actuator[4] - yaw[1] * yaw_effort) / pitch[1];
-    with_tool(actuator, [actuator[3] / roll[0], pitch_effort, yaw_effort, jaw_effort])
+    with_tool(
+        actuator,
+        [actuator[3] / roll[0], pitch_effort, yaw_effort, jaw_effort],
+    )
 }
 
 fn with_tool(axes: &AxisVector, tool: [f64; 4]) -> AxisVector {
-    [axes[0], axes[1], axes[2], tool[0], tool[1], tool[2], tool[3]]
+    [
+        axes[0], axes[1], axes[2], tool[0], tool[1], tool[2], tool[3],
+    ]
 }
 
 /// Solves `[a b; c d] x = [e; f]`.
@@ -65,7 +78,10 @@ mod tests {
 
     #[test]
     fn positions_and_efforts_return_from_a_round_trip() {
-        assert!(close(&joint_positions(&actuator_positions(&SAMPLE)), &SAMPLE));
+        assert!(close(
+            &joint_positions(&actuator_positions(&SAMPLE)),
+            &SAMPLE
+        ));
         assert!(close(&joint_efforts(&actuator_efforts(&SAMPLE)), &SAMPLE));
     }
 
@@ -81,7 +97,8 @@ mod tests {
     #[test]
     fn coupling_keeps_power() {
         let rates = [0.1, 0.4, -0.02, 2.0, -1.0, 0.5, 3.0];
-        let power = |a: &AxisVector, b: &AxisVector| a.iter().zip(b).map(|(x, y)| x * y).sum::<f64>();
+        let power =
+            |a: &AxisVector, b: &AxisVector| a.iter().zip(b).map(|(x, y)| x * y).sum::<f64>();
         let joint_power = power(&SAMPLE, &joint_positions(&rates));
         assert!((joint_power - power(&actuator_efforts(&SAMPLE), &rates)).abs() < 1e-12);
     }

@@ -66,8 +66,10 @@ impl Plant {
 
     /// Takes a setpoint, which holds until the next one.
     pub fn command(&mut self, command: &ArmCommand) {
-        self.target_position = actuator_positions(&with_jaw(&command.position, command.jaw_position));
-        self.target_velocity = actuator_positions(&with_jaw(&command.velocity, command.jaw_velocity));
+        self.target_position =
+            actuator_positions(&with_jaw(&command.position, command.jaw_position));
+        self.target_velocity =
+            actuator_positions(&with_jaw(&command.velocity, command.jaw_velocity));
         self.enabled = command.enabled;
     }
 
@@ -111,19 +113,34 @@ impl Plant {
 
     /// Every number that decides the future, for hashing.
     pub(crate) fn state(&self) -> impl Iterator<Item = f64> + '_ {
-        let parts = [&self.position, &self.velocity, &self.effort, &self.target_position, &self.target_velocity];
-        parts.into_iter().flatten().copied().chain([if self.enabled { 1.0 } else { 0.0 }])
+        let parts = [
+            &self.position,
+            &self.velocity,
+            &self.effort,
+            &self.target_position,
+            &self.target_velocity,
+        ];
+        parts
+            .into_iter()
+            .flatten()
+            .copied()
+            .chain([if self.enabled { 1.0 } else { 0.0 }])
     }
 
     fn substep(&mut self, load: &Load, step_s: f64) {
-        self.effort = if self.enabled { self.controller() } else { [0.0; AXIS_COUNT] };
+        self.effort = if self.enabled {
+            self.controller()
+        } else {
+            [0.0; AXIS_COUNT]
+        };
         let rate = self.joint_velocities();
         let mut outside = stop_efforts(&self.joints(), &rate);
         for (sum, effort) in outside.iter_mut().zip(&load.efforts) {
             *sum += effort;
         }
         let squeezed = load.efforts[JOINT_COUNT].max(0.0);
-        outside[JOINT_COUNT] -= (load.squeeze_damping * rate[JOINT_COUNT]).clamp(-squeezed, squeezed);
+        outside[JOINT_COUNT] -=
+            (load.squeeze_damping * rate[JOINT_COUNT]).clamp(-squeezed, squeezed);
         let outside = actuator_efforts(&outside);
         for (axis, outside) in outside.iter().enumerate() {
             let per_inertia = step_s / self.config.inertia[axis];
@@ -146,7 +163,9 @@ impl Plant {
             ACTUATORS[axis].p * position_error + ACTUATORS[axis].d * velocity_error
         });
         let joint = joint_efforts(&wanted);
-        let joint = core::array::from_fn(|axis| joint[axis].clamp(-self.effort_max[axis], self.effort_max[axis]));
+        let joint = core::array::from_fn(|axis| {
+            joint[axis].clamp(-self.effort_max[axis], self.effort_max[axis])
+        });
         let actuator = actuator_efforts(&joint);
         core::array::from_fn(|axis| {
             let drive = &ACTUATORS[axis];
@@ -157,7 +176,9 @@ impl Plant {
 }
 
 fn with_jaw(joints: &JointVector, jaw: f64) -> AxisVector {
-    [joints[0], joints[1], joints[2], joints[3], joints[4], joints[5], jaw]
+    [
+        joints[0], joints[1], joints[2], joints[3], joints[4], joints[5], jaw,
+    ]
 }
 
 /// Actuator positions as whole encoder counts.

@@ -5,9 +5,14 @@ use core::f64::consts::TAU;
 use hal::psm::{ACTUATORS, EFFORT_MAX};
 use hal::{ArmCommand, JOINT_COUNT, JointVector, TimeNs};
 
-use super::{AXIS_COUNT, AxisVector, Load, Plant, PlantConfig, actuator_efforts, actuator_positions};
+use super::{
+    AXIS_COUNT, AxisVector, Load, Plant, PlantConfig, actuator_efforts, actuator_positions,
+};
 
-const FREE: Load = Load { efforts: [0.0; AXIS_COUNT], squeeze_damping: 0.0 };
+const FREE: Load = Load {
+    efforts: [0.0; AXIS_COUNT],
+    squeeze_damping: 0.0,
+};
 
 fn home() -> JointVector {
     JointVector::from([0.0, 0.0, 0.12, 0.0, 0.0, 0.0])
@@ -33,7 +38,11 @@ fn setpoint(position: JointVector, velocity: JointVector) -> ArmCommand {
 fn ramp_lag_s(joint: usize, rate: f64, velocity_is_sent: bool) -> f64 {
     // The lag of the gains alone: friction adds its own share.
     let none = [0.0; AXIS_COUNT];
-    let config = PlantConfig { coulomb: none, viscous: none, ..PlantConfig::default() };
+    let config = PlantConfig {
+        coulomb: none,
+        viscous: none,
+        ..PlantConfig::default()
+    };
     let mut plant = Plant::new(&config, &home(), 0.3);
     let mut wanted = home();
     for _ in 0..600 {
@@ -48,9 +57,17 @@ fn ramp_lag_s(joint: usize, rate: f64, velocity_is_sent: bool) -> f64 {
 
 #[test]
 fn a_ramp_without_velocity_lags_by_the_ratio_of_the_gains() {
-    for (joint, rate, expected_s) in [(0, 0.3, 0.050), (1, 0.3, 0.041_7), (2, 0.05, 0.033_3), (3, 1.0, 0.015)] {
+    for (joint, rate, expected_s) in [
+        (0, 0.3, 0.050),
+        (1, 0.3, 0.041_7),
+        (2, 0.05, 0.033_3),
+        (3, 1.0, 0.015),
+    ] {
         let lag = ramp_lag_s(joint, rate, false);
-        assert!((lag - expected_s).abs() < 0.002, "joint {joint} lags {lag} s");
+        assert!(
+            (lag - expected_s).abs() < 0.002,
+            "joint {joint} lags {lag} s"
+        );
     }
 }
 
@@ -80,14 +97,21 @@ fn steps_settle_within_the_friction_band_on_every_joint() {
 
 #[test]
 fn load_deflects_yaw_by_load_over_gain() {
-    let config = PlantConfig { coulomb: [0.0; AXIS_COUNT], ..PlantConfig::default() };
+    let config = PlantConfig {
+        coulomb: [0.0; AXIS_COUNT],
+        ..PlantConfig::default()
+    };
     let mut plant = Plant::new(&config, &home(), 0.3);
     let mut load = FREE;
     load.efforts[0] = 1.0;
     for _ in 0..2000 {
         plant.step(&load);
     }
-    assert!((plant.joints()[0] - 1.0 / 120.0).abs() < 2e-5, "{}", plant.joints()[0]);
+    assert!(
+        (plant.joints()[0] - 1.0 / 120.0).abs() < 2e-5,
+        "{}",
+        plant.joints()[0]
+    );
 }
 
 #[test]
@@ -101,12 +125,20 @@ fn no_command_drives_a_motor_beyond_its_current_or_a_joint_beyond_its_effort() {
     for _ in 0..300 {
         plant.step(&FREE);
         let state = plant.measured(TimeNs(0));
-        let joint: AxisVector =
-            core::array::from_fn(|axis| if axis < JOINT_COUNT { state.effort[axis] } else { state.jaw_effort });
+        let joint: AxisVector = core::array::from_fn(|axis| {
+            if axis < JOINT_COUNT {
+                state.effort[axis]
+            } else {
+                state.jaw_effort
+            }
+        });
         for (axis, effort) in actuator_efforts(&joint).iter().enumerate() {
             let drive = &ACTUATORS[axis];
             let limit = drive.current_max_a * drive.torque_constant_n_m_a * drive.gear_ratio;
-            assert!(effort.abs() <= limit * (1.0 + 1e-12), "actuator {axis}: {effort}");
+            assert!(
+                effort.abs() <= limit * (1.0 + 1e-12),
+                "actuator {axis}: {effort}"
+            );
             strongest = strongest.max(effort.abs() / limit);
         }
         assert!(joint[0].abs() <= EFFORT_MAX[0] * (1.0 + 1e-6));
@@ -124,13 +156,22 @@ fn encoders_report_whole_counts() {
         plant.command(&setpoint(wanted, JointVector::zeros()));
         plant.step(&FREE);
         let state = plant.measured(TimeNs(0));
-        let joints: AxisVector =
-            core::array::from_fn(|axis| if axis < JOINT_COUNT { state.position[axis] } else { state.jaw_position });
+        let joints: AxisVector = core::array::from_fn(|axis| {
+            if axis < JOINT_COUNT {
+                state.position[axis]
+            } else {
+                state.jaw_position
+            }
+        });
         for (axis, actuator) in actuator_positions(&joints).iter().enumerate() {
-            let quantum = TAU / ACTUATORS[axis].encoder_counts_per_turn / ACTUATORS[axis].gear_ratio;
+            let quantum =
+                TAU / ACTUATORS[axis].encoder_counts_per_turn / ACTUATORS[axis].gear_ratio;
             assert!((quantum / quanta[axis.min(3)] - 1.0).abs() < 2e-3);
             let counts = actuator / quantum;
-            assert!((counts - counts.round()).abs() < 1e-6, "actuator {axis}: {counts} counts");
+            assert!(
+                (counts - counts.round()).abs() < 1e-6,
+                "actuator {axis}: {counts} counts"
+            );
         }
     }
 }

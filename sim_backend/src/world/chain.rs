@@ -27,7 +27,10 @@ pub(crate) struct Wrench {
 impl Wrench {
     pub(crate) const fn zero() -> Self {
         let none = Vector3::new(0.0, 0.0, 0.0);
-        Self { force: none, moment: none }
+        Self {
+            force: none,
+            moment: none,
+        }
     }
 
     /// Adds `force` acting at `arm` from the point that moments are taken about.
@@ -50,7 +53,10 @@ impl Chain {
             frame *= link(&DH[joint], joints[joint]);
             frame
         });
-        Self { frames, tip: frame * tip_from_last() }
+        Self {
+            frames,
+            tip: frame * tip_from_last(),
+        }
     }
 
     /// Frame of a finger: the tip frame turned about its x by half the opening, `side` +1 for the left finger, which
@@ -77,7 +83,11 @@ impl Chain {
 }
 
 fn link(row: &DhRow, joint: f64) -> Pose {
-    let (theta, d) = if row.prismatic { (row.theta, row.d + joint) } else { (row.theta + joint, row.d) };
+    let (theta, d) = if row.prismatic {
+        (row.theta, row.d + joint)
+    } else {
+        (row.theta + joint, row.d)
+    };
     let twist = UnitQuaternion::from_axis_angle(&Vector3::x_axis(), row.alpha);
     let turn = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), theta);
     let offset = Vector3::new(row.a, 0.0, 0.0) + twist * Vector3::new(0.0, 0.0, d);
@@ -95,7 +105,6 @@ pub(crate) fn z_from_y() -> UnitQuaternion<f64> {
     UnitQuaternion::from_axis_angle(&Vector3::x_axis(), FRAC_PI_2)
 }
 
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -105,7 +114,11 @@ mod tests {
     #[test]
     fn tip_matches_the_published_vectors() {
         let cases = [
-            ([0.0, 0.0, 0.12, 0.0, 0.0, 0.0], [0.0, 0.0, -0.1135], [FRAC_1_SQRT_2, FRAC_1_SQRT_2, 0.0, 0.0]),
+            (
+                [0.0, 0.0, 0.12, 0.0, 0.0, 0.0],
+                [0.0, 0.0, -0.1135],
+                [FRAC_1_SQRT_2, FRAC_1_SQRT_2, 0.0, 0.0],
+            ),
             (
                 [0.1, 0.2, 0.15, 0.3, -0.4, 0.5],
                 [0.015_079_393, -0.025_048_387, -0.139_801_106],
@@ -130,7 +143,10 @@ mod tests {
         let joints = JointVector::from([0.3, -0.4, 0.14, 0.7, 0.5, -0.6]);
         let base = Pose::translation(0.1, 0.2, 0.3);
         let chain = Chain::new(&base, &joints);
-        let wrench = Wrench { force: Vector3::new(1.0, -2.0, 0.5), moment: Vector3::new(0.01, 0.03, -0.02) };
+        let wrench = Wrench {
+            force: Vector3::new(1.0, -2.0, 0.5),
+            moment: Vector3::new(0.01, 0.03, -0.02),
+        };
         let efforts = chain.joint_efforts(&wrench);
         for joint in 0..JOINT_COUNT {
             let mut moved = joints;
@@ -139,7 +155,11 @@ mod tests {
             let shift = there.translation.vector - chain.tip.translation.vector;
             let turn = (there.rotation * chain.tip.rotation.inverse()).scaled_axis();
             let work = (shift.dot(&wrench.force) + turn.dot(&wrench.moment)) / 1e-7;
-            assert!((work - efforts[joint]).abs() < 1e-6, "joint {joint}: {work} against {}", efforts[joint]);
+            assert!(
+                (work - efforts[joint]).abs() < 1e-6,
+                "joint {joint}: {work} against {}",
+                efforts[joint]
+            );
         }
     }
 }

@@ -60,12 +60,24 @@ impl Default for WorldConfig {
     fn default() -> Self {
         Self {
             plant: PlantConfig::default(),
-            grip: Surface { frequency_hz: 1000.0, damping_ratio: 1.0, friction: 0.6 },
-            tissue: Surface { frequency_hz: 150.0, damping_ratio: 1.0, friction: 0.5 },
-            press: Press { stiffness_n_m: 800.0, damping_n_s_m: 4.0, friction: 0.3 },
+            grip: Surface {
+                frequency_hz: 1000.0,
+                damping_ratio: 1.0,
+                friction: 0.6,
+            },
+            tissue: Surface {
+                frequency_hz: 150.0,
+                damping_ratio: 1.0,
+                friction: 0.5,
+            },
+            press: Press {
+                stiffness_n_m: 800.0,
+                damping_n_s_m: 4.0,
+                friction: 0.3,
+            },
             squeeze_damping_n_m_s: 0.03,
             solver_substeps: 4,
-            solver_sweeps: 2,
+            solver_sweeps: 3,
             length_unit_m: 0.01,
             gravity_m_s2: 9.81,
         }
@@ -80,17 +92,67 @@ impl WorldConfig {
     pub fn check(&self, source: &Source, key: &str) -> Result<(), ConfigError> {
         self.plant.check(source, &format!("{key}.plant"))?;
         for (name, surface) in [("grip", &self.grip), ("tissue", &self.tissue)] {
-            source.check_range(&format!("{key}.{name}.frequency_hz"), surface.frequency_hz, 20.0, 2000.0)?;
-            source.check_range(&format!("{key}.{name}.damping_ratio"), surface.damping_ratio, 0.2, 20.0)?;
-            source.check_range(&format!("{key}.{name}.friction"), surface.friction, 0.0, 2.0)?;
+            source.check_range(
+                &format!("{key}.{name}.frequency_hz"),
+                surface.frequency_hz,
+                20.0,
+                2000.0,
+            )?;
+            source.check_range(
+                &format!("{key}.{name}.damping_ratio"),
+                surface.damping_ratio,
+                0.2,
+                20.0,
+            )?;
+            source.check_range(
+                &format!("{key}.{name}.friction"),
+                surface.friction,
+                0.0,
+                2.0,
+            )?;
         }
-        source.check_range(&format!("{key}.press.stiffness_n_m"), self.press.stiffness_n_m, 10.0, 2000.0)?;
-        source.check_range(&format!("{key}.press.damping_n_s_m"), self.press.damping_n_s_m, 0.0, 20.0)?;
-        source.check_range(&format!("{key}.press.friction"), self.press.friction, 0.0, 2.0)?;
-        source.check_range(&format!("{key}.squeeze_damping_n_m_s"), self.squeeze_damping_n_m_s, 0.0, 0.1)?;
-        source.check_range(&format!("{key}.solver_substeps"), f64::from(self.solver_substeps), 1.0, 32.0)?;
-        source.check_range(&format!("{key}.solver_sweeps"), f64::from(self.solver_sweeps), 1.0, 16.0)?;
-        source.check_range(&format!("{key}.length_unit_m"), self.length_unit_m, 0.001, 0.1)?;
+        source.check_range(
+            &format!("{key}.press.stiffness_n_m"),
+            self.press.stiffness_n_m,
+            10.0,
+            2000.0,
+        )?;
+        source.check_range(
+            &format!("{key}.press.damping_n_s_m"),
+            self.press.damping_n_s_m,
+            0.0,
+            20.0,
+        )?;
+        source.check_range(
+            &format!("{key}.press.friction"),
+            self.press.friction,
+            0.0,
+            2.0,
+        )?;
+        source.check_range(
+            &format!("{key}.squeeze_damping_n_m_s"),
+            self.squeeze_damping_n_m_s,
+            0.0,
+            0.1,
+        )?;
+        source.check_range(
+            &format!("{key}.solver_substeps"),
+            f64::from(self.solver_substeps),
+            1.0,
+            32.0,
+        )?;
+        source.check_range(
+            &format!("{key}.solver_sweeps"),
+            f64::from(self.solver_sweeps),
+            1.0,
+            16.0,
+        )?;
+        source.check_range(
+            &format!("{key}.length_unit_m"),
+            self.length_unit_m,
+            0.001,
+            0.1,
+        )?;
         source.check_range(&format!("{key}.gravity_m_s2"), self.gravity_m_s2, 0.0, 20.0)
     }
 }

@@ -10,7 +10,10 @@ pub(super) fn engine_vector(v: &Vector3<f64>) -> EngineVector {
 
 pub(super) fn engine_pose(pose: &Pose) -> EnginePose {
     let q = pose.rotation.quaternion();
-    EnginePose::from_parts(engine_vector(&pose.translation.vector), EngineRotation::from_xyzw(q.i, q.j, q.k, q.w))
+    EnginePose::from_parts(
+        engine_vector(&pose.translation.vector),
+        EngineRotation::from_xyzw(q.i, q.j, q.k, q.w),
+    )
 }
 
 pub(super) fn our_vector(v: EngineVector) -> Vector3<f64> {

@@ -82,14 +82,23 @@ impl World {
         needle_in_scene0: Pose,
     ) -> Self {
         let chain = Chain::new(&scene_from_rcm, &joints0);
-        let stage = Stage::new(config, needle, organ, &needle_in_scene0, &part_poses(&chain, jaw0));
+        let stage = Stage::new(
+            config,
+            needle,
+            organ,
+            &needle_in_scene0,
+            &part_poses(&chain, jaw0),
+        );
         Self {
             config: *config,
             organ: *organ,
             scene_from_rcm,
             plant: Plant::new(&config.plant, &joints0, jaw0),
             pressing: Pressing::new(&chain, jaw0),
-            load: Load { efforts: [0.0; AXIS_COUNT], squeeze_damping: config.squeeze_damping_n_m_s },
+            load: Load {
+                efforts: [0.0; AXIS_COUNT],
+                squeeze_damping: config.squeeze_damping_n_m_s,
+            },
             chain,
             stage,
         }
@@ -111,8 +120,14 @@ impl World {
         self.plant.step(&self.load);
         let joints = self.plant.joints();
         let jaw = joints[JOINT_COUNT];
-        self.chain = Chain::new(&self.scene_from_rcm, &JointVector::from_column_slice(&joints[..JOINT_COUNT]));
-        self.stage.step(&part_poses(&self.chain, jaw), &self.chain.tip.translation.vector);
+        self.chain = Chain::new(
+            &self.scene_from_rcm,
+            &JointVector::from_column_slice(&joints[..JOINT_COUNT]),
+        );
+        self.stage.step(
+            &part_poses(&self.chain, jaw),
+            &self.chain.tip.translation.vector,
+        );
         self.load.efforts = self.joint_load(jaw);
     }
 
@@ -165,8 +180,14 @@ impl World {
         let q = needle.rotation.quaternion().coords;
         let [linear, angular] = self.needle_velocity();
         let vectors = [needle.translation.vector, linear, angular];
-        let numbers = self.plant.state().chain(self.load.efforts).chain(self.stage.memory_numbers());
-        let numbers = numbers.chain(q.iter().copied()).chain(vectors.iter().flat_map(|v| v.iter().copied()));
+        let numbers = self
+            .plant
+            .state()
+            .chain(self.load.efforts)
+            .chain(self.stage.memory_numbers());
+        let numbers = numbers
+            .chain(q.iter().copied())
+            .chain(vectors.iter().flat_map(|v| v.iter().copied()));
         // FNV-1a over 64-bit words.
         numbers.fold(0xcbf2_9ce4_8422_2325, |hash, number| {
             (hash ^ number.to_bits()).wrapping_mul(0x0000_0100_0000_01b3)
@@ -194,7 +215,13 @@ impl World {
         all.add(&left);
         all.add(&right);
         let joints = self.chain.joint_efforts(&all);
-        core::array::from_fn(|axis| if axis < JOINT_COUNT { joints[axis] } else { jaw_effort })
+        core::array::from_fn(|axis| {
+            if axis < JOINT_COUNT {
+                joints[axis]
+            } else {
+                jaw_effort
+            }
+        })
     }
 }
 
@@ -209,7 +236,11 @@ impl Pressing {
 }
 
 fn part_poses(chain: &Chain, jaw: f64) -> PartPoses {
-    [chain.finger(jaw, 1.0), chain.finger(jaw, -1.0), chain.frames[4]]
+    [
+        chain.finger(jaw, 1.0),
+        chain.finger(jaw, -1.0),
+        chain.frames[4],
+    ]
 }
 
 #[cfg(test)]

@@ -50,10 +50,14 @@ pub(super) fn pressed(
         let normal = organ.normal(point.x, point.y);
         let velocity = (point - earlier) * 1e3;
         let rising = velocity.dot(&normal);
-        let load = (config.stiffness_n_m * sunk_m * normal.z - config.damping_n_s_m * rising).max(0.0);
+        let load =
+            (config.stiffness_n_m * sunk_m * normal.z - config.damping_n_s_m * rising).max(0.0);
         let sliding = velocity - normal.into_inner() * rising;
         let drag = sliding * (config.friction * load / sliding.norm().max(SLIDING_M_S));
-        wrench.push(&(point.coords - centre), &(normal.into_inner() * load - drag));
+        wrench.push(
+            &(point.coords - centre),
+            &(normal.into_inner() * load - drag),
+        );
     }
     wrench
 }

@@ -4,10 +4,12 @@ use hal::Pose;
 use hal::psm::{FINGER_M, WRIST_M};
 use nalgebra::{Point3, Vector3};
 use rapier3d_f64::dynamics::{
-    FrictionModel, IntegrationParameters, MassProperties, RigidBodyBuilder, RigidBodyHandle, SpringCoefficients,
+    FrictionModel, IntegrationParameters, MassProperties, RigidBodyBuilder, RigidBodyHandle,
+    SpringCoefficients,
 };
 use rapier3d_f64::geometry::{
-    ColliderBuilder, ColliderHandle, ContactPair, Group, InteractionGroups, InteractionTestMode, SharedShape,
+    ColliderBuilder, ColliderHandle, ContactPair, Group, InteractionGroups, InteractionTestMode,
+    SharedShape,
 };
 use rapier3d_f64::parry::utils::Array2;
 use rapier3d_f64::pipeline::{ActiveHooks, PhysicsWorld};
@@ -31,6 +33,10 @@ pub(super) const TOUCH_N: f64 = 1e-3;
 
 /// Length of the capsules that make up the needle, m, at most.
 const NEEDLE_CAPSULE_M: f64 = 0.002_6;
+/// The needle's inertia over that of its shape. A contact is as stiff as the mass it finds at its lever is large, so a
+/// slender wire held away from its middle would rock in the jaws; like the raised mass, this stays far below what the
+/// grip carries.
+const NEEDLE_INERTIA: f64 = 3.0;
 /// Balls along the needle that rest on the tissue: a ball meets a smooth surface in one point, and three carry it.
 const NEEDLE_BEADS: usize = 9;
 /// Top of the table that the tissue lies on, m; a needle pushed over the edge stops there.
@@ -55,8 +61,12 @@ pub(super) struct Touch {
 }
 
 impl Touch {
-    const NONE: Self =
-        Self { wrench: Wrench::zero(), force_n: 0.0, penetration_m: 0.0, weighed_points: Vector3::new(0.0, 0.0, 0.0) };
+    const NONE: Self = Self {
+        wrench: Wrench::zero(),
+        force_n: 0.0,
+        penetration_m: 0.0,
+        weighed_points: Vector3::new(0.0, 0.0, 0.0),
+    };
 
     /// The middle of the touch in the scene, if there is one.
     fn middle(&self) -> Option<Point3<f64>> {
@@ -120,7 +130,13 @@ impl Stage {
                 body.set_next_kinematic_position(engine_pose(pose));
             }
         }
-        let fingers = [0, 1].map(|side| (self.parts[side].collider, self.poses[side], &self.memories[side]));
+        let fingers = [0, 1].map(|side| {
+            (
+                self.parts[side].collider,
+                self.poses[side],
+                &self.memories[side],
+            )
+        });
         let recall = Recall::new(fingers, &self.needle_in_scene());
         self.engine.step_with_events(&recall, &());
         self.poses = *poses;
@@ -138,20 +154,30 @@ impl Stage {
 
     /// Where the fingers remember the needle, for hashing.
     pub(super) fn memory_numbers(&self) -> impl Iterator<Item = f64> + '_ {
-        self.memories.iter().filter_map(|memory| memory.finger_from_needle).flat_map(|pose| {
-            let q = pose.rotation.quaternion().coords;
-            let t = pose.translation.vector;
-            [t.x, t.y, t.z, q.x, q.y, q.z, q.w]
-        })
+        self.memories
+            .iter()
+            .filter_map(|memory| memory.finger_from_needle)
+            .flat_map(|pose| {
+                let q = pose.rotation.quaternion().coords;
+                let t = pose.translation.vector;
+                [t.x, t.y, t.z, q.x, q.y, q.z, q.w]
+            })
     }
 
     pub(super) fn needle_in_scene(&self) -> Pose {
-        self.engine.bodies.get(self.needle).map_or_else(Pose::identity, |body| our_pose(body.position()))
+        self.engine
+            .bodies
+            .get(self.needle)
+            .map_or_else(Pose::identity, |body| our_pose(body.position()))
     }
 
     /// Linear and angular velocity of the needle.
     pub(super) fn needle_velocity(&self) -> [Vector3<f64>; 2] {
-        let velocity = self.engine.bodies.get(self.needle).map(|body| [body.linvel(), body.angvel()]);
+        let velocity = self
+            .engine
+            .bodies
+            .get(self.needle)
+            .map(|body| [body.linvel(), body.angvel()]);
         velocity.map_or_else(|| [Vector3::zeros(); 2], |pair| pair.map(our_vector))
     }
 
@@ -163,13 +189,23 @@ impl Stage {
         touch
     }
 
-    fn add_pair(&self, touch: &mut Touch, pair: &ContactPair, part: ColliderHandle, centre: &Vector3<f64>) {
+    fn add_pair(
+        &self,
+        touch: &mut Touch,
+        pair: &ContactPair,
+        part: ColliderHandle,
+        centre: &Vector3<f64>,
+    ) {
         let Some(first) = self.engine.colliders.get(pair.collider1) else {
             return;
         };
         let inverse_dt = self.engine.integration_parameters.inv_dt();
         // Normals point from the first collider to the second; a contact pushes them apart.
-        let sign = if pair.collider1 == part { -inverse_dt } else { inverse_dt };
+        let sign = if pair.collider1 == part {
+            -inverse_dt
+        } else {
+            inverse_dt
+        };
         for manifold in pair.solver_manifolds() {
             let normal = our_vector(manifold.data.normal);
             for point in &manifold.points {
@@ -179,7 +215,9 @@ impl Stage {
                     let force_n = point.data.impulse * inverse_dt;
                     touch.force_n += force_n;
                     touch.weighed_points += at * force_n;
-                    touch.wrench.push(&(at - centre), &(normal * (sign * point.data.impulse)));
+                    touch
+                        .wrench
+                        .push(&(at - centre), &(normal * (sign * point.data.impulse)));
                 }
             }
         }
@@ -190,8 +228,14 @@ fn parameters(config: &WorldConfig) -> IntegrationParameters {
     IntegrationParameters {
         dt: 1e-3,
         min_ccd_dt: 1e-5,
-        contact_softness: SpringCoefficients::new(config.grip.frequency_hz, config.grip.damping_ratio),
-        static_contact_softness: SpringCoefficients::new(config.tissue.frequency_hz, config.tissue.damping_ratio),
+        contact_softness: SpringCoefficients::new(
+            config.grip.frequency_hz,
+            config.grip.damping_ratio,
+        ),
+        static_contact_softness: SpringCoefficients::new(
+            config.tissue.frequency_hz,
+            config.tissue.damping_ratio,
+        ),
         length_unit: config.length_unit_m,
         num_solver_iterations: config.solver_substeps as usize,
         num_internal_pgs_iterations: config.solver_sweeps as usize,
@@ -207,10 +251,19 @@ fn groups(of: Group, with: Group) -> InteractionGroups {
     InteractionGroups::new(of, with, InteractionTestMode::And)
 }
 
-fn insert_needle(engine: &mut PhysicsWorld, config: &WorldConfig, shape: &NeedleShape, pose: &Pose) -> RigidBodyHandle {
+fn insert_needle(
+    engine: &mut PhysicsWorld,
+    config: &WorldConfig,
+    shape: &NeedleShape,
+    pose: &Pose,
+) -> RigidBodyHandle {
     let mass = shape.mass_properties();
-    let properties =
-        MassProperties::new(engine_vector(&mass.centre.coords), shape.mass_kg, engine_vector(&mass.inertia));
+    let inertia = mass.inertia * NEEDLE_INERTIA;
+    let properties = MassProperties::new(
+        engine_vector(&mass.centre.coords),
+        shape.mass_kg,
+        engine_vector(&inertia),
+    );
     let body = RigidBodyBuilder::dynamic()
         .pose(engine_pose(pose))
         .additional_mass_properties(properties)
@@ -219,7 +272,10 @@ fn insert_needle(engine: &mut PhysicsWorld, config: &WorldConfig, shape: &Needle
     let handle = engine.insert_body(body);
     let points = shape.centre_line(capsule_count(shape) + 1);
     for pair in points.windows(2) {
-        let (from, to) = (engine_vector(&pair[0].coords), engine_vector(&pair[1].coords));
+        let (from, to) = (
+            engine_vector(&pair[0].coords),
+            engine_vector(&pair[1].coords),
+        );
         let capsule = ColliderBuilder::capsule_from_endpoints(from, to, shape.wire_radius_m)
             .density(0.0)
             .friction(config.grip.friction)
@@ -256,30 +312,54 @@ fn insert_ground(engine: &mut PhysicsWorld, config: &WorldConfig, organ: &OrganS
     }
     let scale = engine_vector(&Vector3::new(organ.length_m, 1.0, organ.width_m));
     let field = ColliderBuilder::heightfield(heights, scale);
-    let table = ColliderBuilder::cuboid(0.25, 0.005, 0.25)
-        .translation(engine_vector(&Vector3::new(0.0, TABLE_HEIGHT_M - 0.005, 0.0)));
-    let body = engine
-        .insert_body(RigidBodyBuilder::fixed().pose(engine_pose(&Pose::from_parts([0.0; 3].into(), z_from_y()))).build());
+    let table = ColliderBuilder::cuboid(0.25, 0.005, 0.25).translation(engine_vector(
+        &Vector3::new(0.0, TABLE_HEIGHT_M - 0.005, 0.0),
+    ));
+    let body = engine.insert_body(
+        RigidBodyBuilder::fixed()
+            .pose(engine_pose(&Pose::from_parts([0.0; 3].into(), z_from_y())))
+            .build(),
+    );
     for ground in [field, table] {
-        let ground = ground.friction(config.tissue.friction).collision_groups(groups(GROUND, BEADS));
+        let ground = ground
+            .friction(config.tissue.friction)
+            .collision_groups(groups(GROUND, BEADS));
         engine.insert_collider(ground, Some(body));
     }
 }
 
 /// A box from the hinge to the finger's end whose inner face passes through the hinge.
 fn finger(side: f64) -> (SharedShape, Pose) {
-    let shape = SharedShape::cuboid(0.5 * FINGER_WIDTH_M, 0.5 * FINGER_THICKNESS_M, 0.5 * FINGER_M);
-    (shape, Pose::translation(0.0, 0.5 * side * FINGER_THICKNESS_M, 0.5 * FINGER_M))
+    let shape = SharedShape::cuboid(
+        0.5 * FINGER_WIDTH_M,
+        0.5 * FINGER_THICKNESS_M,
+        0.5 * FINGER_M,
+    );
+    (
+        shape,
+        Pose::translation(0.0, 0.5 * side * FINGER_THICKNESS_M, 0.5 * FINGER_M),
+    )
 }
 
 /// A capsule from the wrist-pitch axis to the wrist-yaw axis, in the wrist-pitch frame.
 fn wrist() -> (SharedShape, Pose) {
     let (from, to) = (Vector3::zeros(), Vector3::new(WRIST_M, 0.0, 0.0));
-    (SharedShape::capsule(engine_vector(&from), engine_vector(&to), WRIST_RADIUS_M), Pose::identity())
+    (
+        SharedShape::capsule(engine_vector(&from), engine_vector(&to), WRIST_RADIUS_M),
+        Pose::identity(),
+    )
 }
 
-fn insert_part(engine: &mut PhysicsWorld, config: &WorldConfig, shape: (SharedShape, Pose), pose: &Pose) -> Part {
-    let body = RigidBodyBuilder::kinematic_position_based().pose(engine_pose(pose)).can_sleep(false).build();
+fn insert_part(
+    engine: &mut PhysicsWorld,
+    config: &WorldConfig,
+    shape: (SharedShape, Pose),
+    pose: &Pose,
+) -> Part {
+    let body = RigidBodyBuilder::kinematic_position_based()
+        .pose(engine_pose(pose))
+        .can_sleep(false)
+        .build();
     let body = engine.insert_body(body);
     let collider = ColliderBuilder::new(shape.0)
         .position(engine_pose(&shape.1))
@@ -287,5 +367,8 @@ fn insert_part(engine: &mut PhysicsWorld, config: &WorldConfig, shape: (SharedSh
         .friction(config.grip.friction)
         .active_hooks(ActiveHooks::MODIFY_SOLVER_CONTACTS)
         .collision_groups(groups(INSTRUMENT, NEEDLE));
-    Part { body, collider: engine.insert_collider(collider, Some(body)) }
+    Part {
+        body,
+        collider: engine.insert_collider(collider, Some(body)),
+    }
 }

@@ -27,7 +27,12 @@ pub(super) struct Memory {
 
 impl Memory {
     /// Takes the poses after a step in which the finger touched the needle around `point_in_scene`, or did not touch.
-    pub(super) fn update(&mut self, finger: &Pose, needle: &Pose, point_in_scene: Option<nalgebra::Point3<f64>>) {
+    pub(super) fn update(
+        &mut self,
+        finger: &Pose,
+        needle: &Pose,
+        point_in_scene: Option<nalgebra::Point3<f64>>,
+    ) {
         let Some(point) = point_in_scene else {
             self.finger_from_needle = None;
             return;
@@ -46,7 +51,8 @@ impl Memory {
 
     /// The motion in the scene that takes the needle from where it is to where it stuck.
     fn homing(&self, finger: &Pose, needle: &Pose) -> Option<EnginePose> {
-        self.finger_from_needle.map(|stuck| engine_pose(&(finger * stuck * needle.inverse())))
+        self.finger_from_needle
+            .map(|stuck| engine_pose(&(finger * stuck * needle.inverse())))
     }
 }
 
@@ -58,18 +64,27 @@ pub(super) struct Recall {
 impl Recall {
     /// For fingers given by collider, pose and memory at the beginning of the step.
     pub(super) fn new(fingers: [(ColliderHandle, Pose, &Memory); 2], needle: &Pose) -> Self {
-        Self { fingers: fingers.map(|(collider, pose, memory)| (collider, memory.homing(&pose, needle))) }
+        Self {
+            fingers: fingers
+                .map(|(collider, pose, memory)| (collider, memory.homing(&pose, needle))),
+        }
     }
 
     fn homing(&self, collider: ColliderHandle) -> Option<&EnginePose> {
-        self.fingers.iter().find(|(finger, _)| *finger == collider).and_then(|(_, homing)| homing.as_ref())
+        self.fingers
+            .iter()
+            .find(|(finger, _)| *finger == collider)
+            .and_then(|(_, homing)| homing.as_ref())
     }
 }
 
 impl PhysicsHooks for Recall {
     fn modify_solver_contacts(&self, context: &mut ContactModificationContext<'_>) {
         // The engine takes the velocity as one of the first body's surface.
-        let (homing, sign) = match (self.homing(context.collider1), self.homing(context.collider2)) {
+        let (homing, sign) = match (
+            self.homing(context.collider1),
+            self.homing(context.collider2),
+        ) {
             (Some(homing), _) => (homing, RETURN_RATE),
             (None, Some(homing)) => (homing, -RETURN_RATE),
             (None, None) => return,

@@ -3,8 +3,8 @@
 use core::f64::consts::TAU;
 
 use super::{World, WorldConfig};
-use crate::needle::tests::HALF_CIRCLE;
 use crate::needle::NeedleShape;
+use crate::needle::tests::HALF_CIRCLE;
 use crate::organ::tests::BACK_MUSCLE;
 use hal::psm::FINGER_M;
 use hal::{ArmCommand, JointVector, Pose, TimeNs};
@@ -28,17 +28,36 @@ impl Bench {
     }
 
     /// The same with another needle, whose arc is under the fingers at the angle `along` from its middle.
-    fn with_needle(shape: &NeedleShape, above_m: f64, needle_x_m: f64, needle_above_m: f64, along: f64) -> Self {
+    fn with_needle(
+        shape: &NeedleShape,
+        above_m: f64,
+        needle_x_m: f64,
+        needle_above_m: f64,
+        along: f64,
+    ) -> Self {
         let ground = BACK_MUSCLE.height_m(0.0, 0.0);
         let position = JointVector::from([0.0, 0.0, insertion(ground + above_m), 0.0, 0.0, 0.0]);
-        let lying = UnitQuaternion::rotation_between(&Vector3::z(), &BACK_MUSCLE.normal(0.0, 0.0)).unwrap();
+        let lying =
+            UnitQuaternion::rotation_between(&Vector3::z(), &BACK_MUSCLE.normal(0.0, 0.0)).unwrap();
         let lying = lying * UnitQuaternion::from_axis_angle(&Vector3::z_axis(), -along);
-        let middle = Point3::new(needle_x_m, 0.0, BACK_MUSCLE.height_m(needle_x_m, 0.0) + needle_above_m);
+        let middle = Point3::new(
+            needle_x_m,
+            0.0,
+            BACK_MUSCLE.height_m(needle_x_m, 0.0) + needle_above_m,
+        );
         let grasped = Vector3::new(along.cos(), along.sin(), 0.0) * shape.arc_radius_m;
         let centre = middle - lying * grasped;
         let needle = Pose::from_parts(centre.into(), lying);
         let base = Pose::translation(0.0, 0.0, 0.15);
-        let world = World::new(&WorldConfig::default(), shape, &BACK_MUSCLE, base, position, OPEN, needle);
+        let world = World::new(
+            &WorldConfig::default(),
+            shape,
+            &BACK_MUSCLE,
+            base,
+            position,
+            OPEN,
+            needle,
+        );
         let command = ArmCommand {
             stamp: TimeNs(0),
             position,
@@ -92,13 +111,18 @@ impl Bench {
     /// A grasp at mid-arc, lifted 30 mm.
     fn lifted(jaw: f64) -> Self {
         let mut bench = Self::new(0.01, 0.0, HALF_CIRCLE.wire_radius_m + 1e-4);
-        bench.wait(0.5);
-        bench.insert(0.01 + REACH_M - HALF_CIRCLE.wire_radius_m, 0.5);
-        bench.jaw(jaw);
-        bench.wait(0.3);
-        bench.insert(-0.03, 1.0);
-        bench.wait(0.3);
+        bench.pick_up(jaw);
         bench
+    }
+
+    /// Goes down around the wire, closes and lifts 30 mm.
+    fn pick_up(&mut self, jaw: f64) {
+        self.wait(0.5);
+        self.insert(0.01 + REACH_M - HALF_CIRCLE.wire_radius_m, 0.5);
+        self.jaw(jaw);
+        self.wait(0.3);
+        self.insert(-0.03, 1.0);
+        self.wait(0.3);
     }
 
     fn middle_in_scene(&self) -> Point3<f64> {
@@ -115,9 +139,8 @@ fn insertion(z_m: f64) -> f64 {
     0.15 + 0.006_5 - FINGER_M - z_m
 }
 
-/// Slip of the grasp point and turn of the needle in the jaws over 5 s of shaking at 1 Hz.
-fn shake(bench: &mut Bench) -> (f64, f64) {
-    let middle = Point3::new(HALF_CIRCLE.arc_radius_m, 0.0, 0.0);
+/// Slip of the needle's point `grasped` and turn of the needle in the jaws over 5 s of shaking at 1 Hz.
+fn shake(bench: &mut Bench, grasped: &Point3<f64>) -> (f64, f64) {
     let held = bench.needle_in_tip();
     let still = bench.command.position;
     let amplitude = JointVector::from([0.25, 0.2, 0.0, 0.8, 0.5, 0.5]);
@@ -129,7 +152,7 @@ fn shake(bench: &mut Bench) -> (f64, f64) {
         command.position = still + amplitude * (ramp * sine);
         command.velocity = amplitude * (ramp * TAU * cosine + ramp_rate * sine);
         let now = world.tip_in_scene().inverse() * world.needle_in_scene();
-        slip_m = slip_m.max((now * middle - held * middle).norm());
+        slip_m = slip_m.max((now * grasped - held * grasped).norm());
         turn = turn.max(now.rotation.angle_to(&held.rotation));
     });
     (slip_m, turn)
@@ -140,11 +163,50 @@ fn friction_holds_the_needle_through_five_seconds_of_shaking() {
     for jaw in [-0.1, -0.15, -0.2] {
         let mut bench = Bench::lifted(jaw);
         let grasp = bench.world.grasp();
-        assert!(bench.middle_in_scene().z > 0.028, "not lifted: {}", bench.middle_in_scene());
-        let (slip_m, turn) = shake(&mut bench);
-        assert!(bench.world.grasp().both_touch && grasp.left_force_n > 1.0 && grasp.right_force_n > 1.0);
+        assert!(
+            bench.middle_in_scene().z > 0.028,
+            "not lifted: {}",
+            bench.middle_in_scene()
+        );
+        let (slip_m, turn) = shake(&mut bench, &Point3::new(HALF_CIRCLE.arc_radius_m, 0.0, 0.0));
+        assert!(
+            bench.world.grasp().both_touch && grasp.left_force_n > 1.0 && grasp.right_force_n > 1.0
+        );
         assert!(grasp.penetration_m < 1.5e-4);
-        assert!(slip_m < 2e-4 && turn < 0.1, "jaw {jaw} slips {slip_m} m, turns {turn} rad");
+        assert!(
+            slip_m < 2e-4 && turn < 0.1,
+            "jaw {jaw} slips {slip_m} m, turns {turn} rad"
+        );
+    }
+}
+
+#[test]
+fn friction_holds_a_larger_needle_grasped_askew_and_off_its_middle() {
+    let large = NeedleShape {
+        arc_radius_m: 0.019_2,
+        arc_angle_rad: 3.316,
+        wire_radius_m: 0.000_825,
+        mass_kg: 0.001_5,
+    };
+    for (x_m, along, roll) in [
+        (0.000_5, 0.2, 0.15),
+        (-0.000_5, -0.2, 0.1),
+        (0.0, 0.1, -0.2),
+        (0.000_3, -0.3, 0.0),
+    ] {
+        let mut bench = Bench::with_needle(&large, 0.01, x_m, large.wire_radius_m + 1e-4, along);
+        let still = bench.command.position[3];
+        bench.run(0.3, |time_s, command, _| {
+            command.position[3] = still + roll * time_s / 0.3
+        });
+        bench.pick_up(-0.12);
+        let grasped = Point3::new(along.cos(), along.sin(), 0.0) * large.arc_radius_m;
+        let (slip_m, turn) = shake(&mut bench, &grasped);
+        assert!(bench.world.grasp().both_touch);
+        assert!(
+            slip_m < 5e-4,
+            "{x_m} {along} {roll}: slips {slip_m} m, turns {turn} rad"
+        );
     }
 }
 
@@ -154,7 +216,11 @@ fn measured_jaw_stays_at_contact_while_the_command_goes_below() {
     let state = bench.world.measured(TimeNs(0));
     // The wire's diameter at its distance from the hinge.
     let contact = 2.0 * (HALF_CIRCLE.wire_radius_m / (FINGER_M - REACH_M)).asin();
-    assert!((state.jaw_position - contact).abs() < 0.03, "{} against {contact}", state.jaw_position);
+    assert!(
+        (state.jaw_position - contact).abs() < 0.03,
+        "{} against {contact}",
+        state.jaw_position
+    );
     assert!(state.jaw_effort < -0.02);
     let grip_n = bench.world.grasp().left_force_n;
     bench.jaw(0.14);
@@ -167,7 +233,11 @@ fn opening_the_jaw_drops_the_needle() {
     let mut bench = Bench::lifted(-0.15);
     bench.jaw(OPEN);
     bench.wait(1.0);
-    assert!(bench.middle_in_scene().z < 0.012, "hangs at {}", bench.middle_in_scene());
+    assert!(
+        bench.middle_in_scene().z < 0.012,
+        "hangs at {}",
+        bench.middle_in_scene()
+    );
     assert!(!bench.world.grasp().both_touch);
 }
 
@@ -199,7 +269,11 @@ fn a_squeeze_beside_the_needle_lifts_nothing() {
     bench.insert(0.0102, 0.5);
     bench.jaw(-0.15);
     bench.insert(-0.03, 1.0);
-    assert!(bench.middle_in_scene().z < 0.004, "lifted to {}", bench.middle_in_scene());
+    assert!(
+        bench.middle_in_scene().z < 0.004,
+        "lifted to {}",
+        bench.middle_in_scene()
+    );
 }
 
 #[test]
@@ -208,8 +282,15 @@ fn a_tip_pushed_into_the_organ_gives_way_and_comes_back() {
     bench.insert(0.025, 0.5);
     bench.wait(0.3);
     let state = bench.world.measured(TimeNs(0));
-    assert!(state.position[2] < bench.command.position[2] - 5e-4, "the organ did not resist");
-    assert!(state.velocity.norm() < 1e-3, "still moving: {}", state.velocity);
+    assert!(
+        state.position[2] < bench.command.position[2] - 5e-4,
+        "the organ did not resist"
+    );
+    assert!(
+        state.velocity.norm() < 1e-3,
+        "still moving: {}",
+        state.velocity
+    );
     bench.insert(-0.025, 0.5);
     bench.wait(0.3);
     let error = (bench.world.measured(TimeNs(0)).position - bench.command.position).norm();
@@ -224,10 +305,16 @@ fn a_needle_pressed_into_the_organ_is_not_launched() {
     bench.wait(0.3);
     let mut fastest = 0.0_f64;
     bench.insert(0.012, 0.5);
-    bench.run(0.5, |_, _, world| fastest = fastest.max(world.needle_velocity()[0].norm()));
+    bench.run(0.5, |_, _, world| {
+        fastest = fastest.max(world.needle_velocity()[0].norm())
+    });
     bench.insert(-0.012, 0.5);
     bench.wait(0.5);
-    assert!(fastest < 0.3 && bench.middle_in_scene().coords.norm() < 0.05, "{}", bench.middle_in_scene());
+    assert!(
+        fastest < 0.3 && bench.middle_in_scene().coords.norm() < 0.05,
+        "{}",
+        bench.middle_in_scene()
+    );
 }
 
 #[test]
