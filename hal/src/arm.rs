@@ -111,7 +111,9 @@ impl fmt::Display for ArmError {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::MeasurementLost { age_ns } => write!(f, "no measurement for {age_ns} ns"),
-            Self::DriveFault { axis, code } => write!(f, "drive of axis {axis} reports fault {code:#06x}"),
+            Self::DriveFault { axis, code } => {
+                write!(f, "drive of axis {axis} reports fault {code:#06x}")
+            }
             Self::EndOfRecording => write!(f, "the recording has ended"),
         }
     }

@@ -28,7 +28,14 @@ impl Intrinsics {
     #[must_use]
     pub fn from_vertical_fov(width: u32, height: u32, fov_rad: f64) -> Self {
         let fy = 0.5 * f64::from(height) / (0.5 * fov_rad).tan();
-        Self { width, height, fx: fy, fy, cx: 0.5 * f64::from(width), cy: 0.5 * f64::from(height) }
+        Self {
+            width,
+            height,
+            fx: fy,
+            fy,
+            cx: 0.5 * f64::from(width),
+            cy: 0.5 * f64::from(height),
+        }
     }
 
     /// Pixels in one image.

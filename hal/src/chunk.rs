@@ -28,7 +28,11 @@ impl TipTarget {
     #[must_use]
     pub fn new(tip_in_rcm: &Pose, jaw: f64) -> Self {
         let q = tip_in_rcm.rotation.coords;
-        Self { position_m: tip_in_rcm.translation.vector.into(), rotation_xyzw: [q.x, q.y, q.z, q.w], jaw }
+        Self {
+            position_m: tip_in_rcm.translation.vector.into(),
+            rotation_xyzw: [q.x, q.y, q.z, q.w],
+            jaw,
+        }
     }
 
     /// The target as a pose, its rotation normalised.
@@ -68,13 +72,27 @@ impl Chunk {
     /// A chunk of `targets`, of which at most [`CHUNK_STEPS_MAX`] are kept.
     #[must_use]
     pub fn new(observed_at: TimeNs, sequence: u64, step_ns: u64, targets: &[TipTarget]) -> Self {
-        let blank = TipTarget { position_m: [0.0; 3], rotation_xyzw: [0.0, 0.0, 0.0, 1.0], jaw: 0.0 };
+        let blank = TipTarget {
+            position_m: [0.0; 3],
+            rotation_xyzw: [0.0, 0.0, 0.0, 1.0],
+            jaw: 0.0,
+        };
         let kept = targets.len().min(CHUNK_STEPS_MAX);
         let mut all = [blank; CHUNK_STEPS_MAX];
         all[..kept].copy_from_slice(&targets[..kept]);
-        #[expect(clippy::cast_possible_truncation, reason = "kept is at most CHUNK_STEPS_MAX")]
+        #[expect(
+            clippy::cast_possible_truncation,
+            reason = "kept is at most CHUNK_STEPS_MAX"
+        )]
         let len = kept as u32;
-        Self { observed_at, sequence, step_ns, len, reserved: 0, targets: all }
+        Self {
+            observed_at,
+            sequence,
+            step_ns,
+            len,
+            reserved: 0,
+            targets: all,
+        }
     }
 
     /// The valid targets; empty if `len` is out of range.

@@ -54,15 +54,23 @@ impl Source {
     /// # Errors
     /// [`ConfigError::Unreadable`].
     pub fn read(path: &str) -> Result<Self, ConfigError> {
-        let text = fs::read_to_string(path)
-            .map_err(|source| ConfigError::Unreadable { path: path.to_owned(), source })?;
-        Ok(Self { path: path.to_owned(), text })
+        let text = fs::read_to_string(path).map_err(|source| ConfigError::Unreadable {
+            path: path.to_owned(),
+            source,
+        })?;
+        Ok(Self {
+            path: path.to_owned(),
+            text,
+        })
     }
 
     /// A text that is built into the program, under the path it has in the repository.
     #[must_use]
     pub fn embedded(path: &str, text: &str) -> Self {
-        Self { path: path.to_owned(), text: text.to_owned() }
+        Self {
+            path: path.to_owned(),
+            text: text.to_owned(),
+        }
     }
 
     /// The text itself, for the log.
@@ -87,7 +95,13 @@ impl Source {
     ///
     /// # Errors
     /// [`ConfigError::OutOfRange`], also for NaN.
-    pub fn check_range(&self, key: &str, value: f64, low: f64, high: f64) -> Result<(), ConfigError> {
+    pub fn check_range(
+        &self,
+        key: &str,
+        value: f64,
+        low: f64,
+        high: f64,
+    ) -> Result<(), ConfigError> {
         if (low..=high).contains(&value) {
             return Ok(());
         }
@@ -107,7 +121,12 @@ impl Source {
     }
 
     fn line_at(&self, offset: usize) -> usize {
-        self.text.bytes().take(offset).filter(|&byte| byte == b'\n').count() + 1
+        self.text
+            .bytes()
+            .take(offset)
+            .filter(|&byte| byte == b'\n')
+            .count()
+            + 1
     }
 
     /// Line of the deepest part of `key` that is in the text; 1 if none is.
@@ -124,7 +143,9 @@ impl Source {
             offset = offset.max(here.span().start);
             let next = parts.next().and_then(|part| match here.get_ref() {
                 toml::de::DeValue::Table(table) => table.get(part),
-                toml::de::DeValue::Array(array) => part.parse().ok().and_then(|index: usize| array.get(index)),
+                toml::de::DeValue::Array(array) => {
+                    part.parse().ok().and_then(|index: usize| array.get(index))
+                }
                 toml::de::DeValue::String(_)
                 | toml::de::DeValue::Integer(_)
                 | toml::de::DeValue::Float(_)
@@ -154,14 +175,26 @@ mod tests {
     fn unknown_key_is_named_with_its_line() {
         let source = Source::embedded("a.toml", "speed_m_s = 0.1\nsped = 2\n");
         let message = source.parse::<Sample>().unwrap_err().to_string();
-        assert!(message.starts_with("a.toml:2: ") && message.contains("sped"), "{message}");
+        assert!(
+            message.starts_with("a.toml:2: ") && message.contains("sped"),
+            "{message}"
+        );
     }
 
     #[test]
     fn range_error_points_into_nested_tables_and_arrays() {
-        let source = Source::embedded("a.toml", "[[region]]\nradius_m = 1.0\n\n[[region]]\nradius_m = -2.0\n");
-        let message = source.check_range("region.1.radius_m", -2.0, 0.0, 1.0).unwrap_err().to_string();
-        assert_eq!(message, "a.toml:5: region.1.radius_m = -2 is outside [0, 1]");
+        let source = Source::embedded(
+            "a.toml",
+            "[[region]]\nradius_m = 1.0\n\n[[region]]\nradius_m = -2.0\n",
+        );
+        let message = source
+            .check_range("region.1.radius_m", -2.0, 0.0, 1.0)
+            .unwrap_err()
+            .to_string();
+        assert_eq!(
+            message,
+            "a.toml:5: region.1.radius_m = -2 is outside [0, 1]"
+        );
     }
 
     #[test]

@@ -18,4 +18,11 @@ pub type JointVector = nalgebra::Vector6<f64>;
 pub type Pose = nalgebra::Isometry3<f64>;
 
 /// Short names of the joints, in order, as logs and datasets use them.
-pub const JOINT_NAMES: [&str; JOINT_COUNT] = ["yaw", "pitch", "insertion", "roll", "wrist_pitch", "wrist_yaw"];
+pub const JOINT_NAMES: [&str; JOINT_COUNT] = [
+    "yaw",
+    "pitch",
+    "insertion",
+    "roll",
+    "wrist_pitch",
+    "wrist_yaw",
+];

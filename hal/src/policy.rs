@@ -37,7 +37,9 @@ pub enum PolicyError {
         actual: usize,
     },
     /// A frame has another size than the policy was trained with.
-    #[error("policy expects {expected_width}x{expected_height} images, camera {camera} has {width}x{height}")]
+    #[error(
+        "policy expects {expected_width}x{expected_height} images, camera {camera} has {width}x{height}"
+    )]
     ImageSize {
         /// Index of the camera.
         camera: usize,

@@ -26,7 +26,13 @@ pub struct DhRow {
 const QUARTER: f64 = core::f64::consts::FRAC_PI_2;
 
 const fn row(alpha: f64, a: f64, d: f64, theta: f64, prismatic: bool) -> DhRow {
-    DhRow { alpha, a, d, theta, prismatic }
+    DhRow {
+        alpha,
+        a,
+        d,
+        theta,
+        prismatic,
+    }
 }
 
 /// The chain from the RCM to the wrist-yaw frame; the tip frame is [`TIP_FROM_WRIST_YAW`] further.
@@ -58,10 +64,12 @@ pub const SHAFT_RADIUS_M: f64 = 0.004;
 pub const TIP_FROM_WRIST_YAW: [[f64; 3]; 3] = [[0.0, -1.0, 0.0], [0.0, 0.0, 1.0], [-1.0, 0.0, 0.0]];
 
 /// Lower joint limits, rad (m).
-pub const POSITION_MIN: [f64; JOINT_COUNT] = [-1.588, -0.925_025, 0.0, -4.537_86, -1.396_26, -1.396_26];
+pub const POSITION_MIN: [f64; JOINT_COUNT] =
+    [-1.588, -0.925_025, 0.0, -4.537_86, -1.396_26, -1.396_26];
 
 /// Upper joint limits, rad (m).
-pub const POSITION_MAX: [f64; JOINT_COUNT] = [1.588, 0.925_025, 0.240, 4.537_86, 1.396_26, 1.396_26];
+pub const POSITION_MAX: [f64; JOINT_COUNT] =
+    [1.588, 0.925_025, 0.240, 4.537_86, 1.396_26, 1.396_26];
 
 /// Jaw limits, rad. Negative angles press the closed fingers together.
 pub const JAW_MIN: f64 = -0.698_132;
@@ -69,7 +77,8 @@ pub const JAW_MIN: f64 = -0.698_132;
 pub const JAW_MAX: f64 = 1.396_26;
 
 /// Joint effort limits from the files, N m (N), jaw last.
-pub const EFFORT_MAX: [f64; JOINT_COUNT + 1] = [3.316_101, 3.316_101, 9.877_926, 0.33, 0.25, 0.20, 0.16];
+pub const EFFORT_MAX: [f64; JOINT_COUNT + 1] =
+    [3.316_101, 3.316_101, 9.877_926, 0.33, 0.25, 0.20, 0.16];
 
 /// Trajectory velocity limits of the dVRK, rad/s (m/s), jaw last.
 pub const VELOCITY_MAX: [f64; JOINT_COUNT + 1] = {
@@ -108,7 +117,14 @@ pub struct Actuator {
     pub trip_error: f64,
 }
 
-const fn actuator(counts: f64, gear: f64, current_max_a: f64, p: f64, d: f64, trip_error: f64) -> Actuator {
+const fn actuator(
+    counts: f64,
+    gear: f64,
+    current_max_a: f64,
+    p: f64,
+    d: f64,
+    trip_error: f64,
+) -> Actuator {
     Actuator {
         encoder_counts_per_turn: counts,
         gear_ratio: gear,

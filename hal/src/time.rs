@@ -10,7 +10,20 @@ pub const TICK_NS: u64 = 1_000_000;
 ///
 /// In lockstep it is the tick counter times [`TICK_NS`]; in a real-time run the driver supplies it. Nothing else reads
 /// a clock.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize, ZeroCopySend)]
+#[derive(
+    Clone,
+    Copy,
+    Debug,
+    Default,
+    PartialEq,
+    Eq,
+    PartialOrd,
+    Ord,
+    Hash,
+    Serialize,
+    Deserialize,
+    ZeroCopySend,
+)]
 #[repr(C)]
 #[type_name("trocar/time_ns/1")]
 #[serde(transparent)]

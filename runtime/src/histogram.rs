@@ -29,7 +29,13 @@ impl Histogram {
     /// An empty histogram; takes all the memory that it will need.
     #[must_use]
     pub fn new() -> Self {
-        Self { counts: vec![0; BUCKETS], count: 0, sum_ns: 0, min_ns: u64::MAX, max_ns: 0 }
+        Self {
+            counts: vec![0; BUCKETS],
+            count: 0,
+            sum_ns: 0,
+            min_ns: u64::MAX,
+            max_ns: 0,
+        }
     }
 
     /// Counts one duration.
@@ -75,7 +81,10 @@ impl Histogram {
     /// The mean, ns, rounded down; 0 if there is none.
     #[must_use]
     pub fn mean(&self) -> u64 {
-        self.sum_ns.checked_div(u128::from(self.count)).and_then(|mean| u64::try_from(mean).ok()).unwrap_or(0)
+        self.sum_ns
+            .checked_div(u128::from(self.count))
+            .and_then(|mean| u64::try_from(mean).ok())
+            .unwrap_or(0)
     }
 
     /// The least duration, ns, that a `fraction` (0 to 1) of all do not exceed; up to 3.2 % above it, never above the
@@ -112,7 +121,10 @@ const fn bucket_of(value: u64) -> usize {
         return value as usize;
     }
     let shift = u64::BITS - 1 - value.leading_zeros() - SUB_BITS;
-    #[expect(clippy::cast_possible_truncation, reason = "the leading six bits, 32 to 63")]
+    #[expect(
+        clippy::cast_possible_truncation,
+        reason = "the leading six bits, 32 to 63"
+    )]
     let leading = (value >> shift) as usize;
     shift as usize * SUB_COUNT + leading
 }
@@ -137,7 +149,11 @@ mod tests {
         assert_eq!(last_of(BUCKETS - 1), u64::MAX);
         for bucket in 0..BUCKETS - 1 {
             let last = last_of(bucket);
-            assert_eq!((bucket_of(last), bucket_of(last + 1)), (bucket, bucket + 1), "bucket {bucket}");
+            assert_eq!(
+                (bucket_of(last), bucket_of(last + 1)),
+                (bucket, bucket + 1),
+                "bucket {bucket}"
+            );
         }
     }
 
@@ -149,10 +165,19 @@ mod tests {
         }
         for (fraction, exact) in [(0.5, 50_000), (0.99, 99_000), (0.999, 99_900), (0.001, 100)] {
             let reported = histogram.percentile(fraction);
-            assert!((exact..=exact + exact / 31).contains(&reported), "p{fraction}: {reported} for {exact}");
+            assert!(
+                (exact..=exact + exact / 31).contains(&reported),
+                "p{fraction}: {reported} for {exact}"
+            );
         }
-        assert_eq!((histogram.percentile(0.0), histogram.percentile(1.0)), (1, 100_000));
-        assert_eq!((histogram.min(), histogram.mean(), histogram.max()), (1, 50_000, 100_000));
+        assert_eq!(
+            (histogram.percentile(0.0), histogram.percentile(1.0)),
+            (1, 100_000)
+        );
+        assert_eq!(
+            (histogram.min(), histogram.mean(), histogram.max()),
+            (1, 50_000, 100_000)
+        );
     }
 
     #[test]
@@ -160,13 +185,26 @@ mod tests {
         let mut histogram = Histogram::new();
         (0..999).for_each(|_| histogram.record(40));
         histogram.record(u64::MAX);
-        assert_eq!((histogram.percentile(0.5), histogram.percentile(0.999), histogram.max()), (40, 40, u64::MAX));
+        assert_eq!(
+            (
+                histogram.percentile(0.5),
+                histogram.percentile(0.999),
+                histogram.max()
+            ),
+            (40, 40, u64::MAX)
+        );
     }
 
     #[test]
     fn empty_histogram_reports_zeros() {
         let histogram = Histogram::default();
-        let all = [histogram.count(), histogram.min(), histogram.mean(), histogram.max(), histogram.percentile(0.99)];
+        let all = [
+            histogram.count(),
+            histogram.min(),
+            histogram.mean(),
+            histogram.max(),
+            histogram.percentile(0.99),
+        ];
         assert_eq!(all, [0; 5]);
     }
 

@@ -50,15 +50,27 @@ pub struct MailboxReader<T> {
 #[must_use]
 pub fn mailbox<T: Copy + Send>() -> (MailboxWriter<T>, MailboxReader<T>) {
     let slots = [Mutex::new(None), Mutex::new(None), Mutex::new(None)];
-    let shared = Arc::new(Shared { slots, between: AtomicUsize::new(1) });
-    (MailboxWriter { shared: Arc::clone(&shared), mine: 0 }, MailboxReader { shared, mine: 2 })
+    let shared = Arc::new(Shared {
+        slots,
+        between: AtomicUsize::new(1),
+    });
+    (
+        MailboxWriter {
+            shared: Arc::clone(&shared),
+            mine: 0,
+        },
+        MailboxReader { shared, mine: 2 },
+    )
 }
 
 impl<T: Copy + Send> MailboxWriter<T> {
     /// Replaces what the reader has not taken yet; `true` if it had not.
     pub fn put(&mut self, value: T) -> bool {
         self.shared.with(self.mine, |slot| *slot = Some(value));
-        let old = self.shared.between.swap(self.mine | FRESH, Ordering::AcqRel);
+        let old = self
+            .shared
+            .between
+            .swap(self.mine | FRESH, Ordering::AcqRel);
         self.mine = old & SLOT;
         old & FRESH != 0
     }

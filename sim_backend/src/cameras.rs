@@ -41,7 +41,11 @@ impl SceneCameras {
     pub fn new(task: &TaskConfig) -> Result<Self, SimulationError> {
         let renderer = Renderer::new(&visuals(task))?;
         let views = task.cameras.iter().map(View::new).collect();
-        Ok(Self { renderer, views, light: Light::default() })
+        Ok(Self {
+            renderer,
+            views,
+            light: Light::default(),
+        })
     }
 
     /// How many cameras there are.
@@ -127,22 +131,36 @@ impl SceneCameras {
     ) -> Result<(), SimulationError> {
         let camera = self.view(camera)?.camera;
         let poses = visual_poses(snapshot.needle, &snapshot.arm);
-        self.renderer.render_into(&poses, &camera, &self.light, planes)?;
+        self.renderer
+            .render_into(&poses, &camera, &self.light, planes)?;
         Ok(())
     }
 
     fn view(&self, camera: usize) -> Result<&View, SimulationError> {
         let count = self.views.len();
-        self.views.get(camera).ok_or(SimulationError::NoSuchCamera { index: camera, count })
+        self.views.get(camera).ok_or(SimulationError::NoSuchCamera {
+            index: camera,
+            count,
+        })
     }
 }
 
 impl View {
     fn new(config: &CameraConfig) -> Self {
-        let camera_in_scene =
-            look_at(Point3::from(config.eye_m), Point3::from(config.target_m), Vector3::from(config.up));
-        let camera =
-            Camera { intrinsics: config.intrinsics(), camera_in_scene, near_m: NEAR_M, far_m: FAR_M };
-        Self { name: config.name.clone(), camera }
+        let camera_in_scene = look_at(
+            Point3::from(config.eye_m),
+            Point3::from(config.target_m),
+            Vector3::from(config.up),
+        );
+        let camera = Camera {
+            intrinsics: config.intrinsics(),
+            camera_in_scene,
+            near_m: NEAR_M,
+            far_m: FAR_M,
+        };
+        Self {
+            name: config.name.clone(),
+            camera,
+        }
     }
 }

@@ -12,7 +12,9 @@ impl Rng {
     #[must_use]
     pub fn new(seed: u64) -> Self {
         let mut mixer = seed;
-        Self { state: std::array::from_fn(|_| split_mix(&mut mixer)) }
+        Self {
+            state: std::array::from_fn(|_| split_mix(&mut mixer)),
+        }
     }
 
     /// A generator of its own for one use of `seed`.
@@ -76,9 +78,20 @@ mod tests {
         let mut mixer = 1_234_567;
         assert_eq!(split_mix(&mut mixer), 6_457_827_717_110_365_317);
         assert_eq!(split_mix(&mut mixer), 3_203_168_211_198_807_973);
-        let mut rng = Rng { state: [1, 2, 3, 4] };
+        let mut rng = Rng {
+            state: [1, 2, 3, 4],
+        };
         let words: [u64; 5] = std::array::from_fn(|_| rng.next_u64());
-        assert_eq!(words, [41_943_041, 58_720_359, 3_588_806_011_781_223, 3_591_011_842_654_386, 9_228_616_714_210_784_205]);
+        assert_eq!(
+            words,
+            [
+                41_943_041,
+                58_720_359,
+                3_588_806_011_781_223,
+                3_591_011_842_654_386,
+                9_228_616_714_210_784_205
+            ]
+        );
     }
 
     #[test]

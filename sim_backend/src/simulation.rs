@@ -69,7 +69,11 @@ impl Simulation {
     ///
     /// # Errors
     /// [`SimulationError::Render`] if there is no device to render with.
-    pub fn new(task: &TaskConfig, seed: u64, rendering: Rendering) -> Result<Self, SimulationError> {
+    pub fn new(
+        task: &TaskConfig,
+        seed: u64,
+        rendering: Rendering,
+    ) -> Result<Self, SimulationError> {
         let cameras = match rendering {
             Rendering::Off => None,
             Rendering::On => Some(SceneCameras::new(task)?),
@@ -117,7 +121,8 @@ impl Simulation {
     /// Advances by one control tick, 1 ms.
     pub fn step(&mut self) {
         self.world.step();
-        self.monitor.observe(&self.world.needle_in_scene(), &self.world.grasp());
+        self.monitor
+            .observe(&self.world.needle_in_scene(), &self.world.grasp());
     }
 
     /// How the episode stands.
@@ -140,7 +145,10 @@ impl Simulation {
     /// Where everything that moves is, for cameras in another thread.
     #[must_use]
     pub fn snapshot(&self) -> SceneSnapshot {
-        SceneSnapshot { needle: self.world.needle_in_scene(), arm: self.world.body_poses() }
+        SceneSnapshot {
+            needle: self.world.needle_in_scene(),
+            arm: self.world.body_poses(),
+        }
     }
 
     /// The cameras, if the episode has any.
@@ -155,7 +163,11 @@ impl Simulation {
     ///
     /// # Errors
     /// [`SimulationError`]; the frame's content is then unspecified.
-    pub fn render(&mut self, camera: usize, frame: &mut CameraFrame) -> Result<(), SimulationError> {
+    pub fn render(
+        &mut self,
+        camera: usize,
+        frame: &mut CameraFrame,
+    ) -> Result<(), SimulationError> {
         let snapshot = self.snapshot();
         let cameras = self.cameras.as_mut().ok_or(SimulationError::RenderingOff)?;
         cameras.render(camera, &snapshot, frame)?;

@@ -16,7 +16,9 @@ pub enum Profile {
 /// The repository's root.
 #[must_use]
 pub fn repository() -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).parent().map_or_else(PathBuf::new, Path::to_path_buf)
+    Path::new(env!("CARGO_MANIFEST_DIR"))
+        .parent()
+        .map_or_else(PathBuf::new, Path::to_path_buf)
 }
 
 /// The `trocar` binary of `profile`, to be run in the repository's root.
@@ -29,9 +31,14 @@ pub fn trocar(profile: Profile) -> Command {
         Profile::Debug => "debug",
         Profile::Release => "release",
     };
-    let target = std::env::var_os("CARGO_TARGET_DIR").map_or_else(|| repository().join("target"), PathBuf::from);
+    let target = std::env::var_os("CARGO_TARGET_DIR")
+        .map_or_else(|| repository().join("target"), PathBuf::from);
     let binary = target.join(folder).join("trocar");
-    assert!(binary.exists(), "{} is missing: run `make test`, which builds it", binary.display());
+    assert!(
+        binary.exists(),
+        "{} is missing: run `make test`, which builds it",
+        binary.display()
+    );
     let mut command = Command::new(binary);
     command.current_dir(repository());
     command

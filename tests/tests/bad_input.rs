@@ -10,7 +10,12 @@ const COMMITTED: &str = "config/policies/needle-lift/act-small";
 /// Runs `trocar` with `arguments`, expects exit code 2, and gives the message.
 fn refused(arguments: &[&str]) -> String {
     let output = trocar(Profile::Release).args(arguments).output().unwrap();
-    assert_eq!(output.status.code(), Some(2), "{arguments:?}: {}", stderr(&output));
+    assert_eq!(
+        output.status.code(),
+        Some(2),
+        "{arguments:?}: {}",
+        stderr(&output)
+    );
     stderr(&output)
 }
 
@@ -18,7 +23,16 @@ fn run_with_config(text: &str, name: &str) -> String {
     let path = scratch(name).join("control.toml");
     fs::write(&path, text).unwrap();
     let path = path.display().to_string();
-    refused(&["run", "--task", "needle-lift", "--policy", "expert", "--lockstep", "--config", &path])
+    refused(&[
+        "run",
+        "--task",
+        "needle-lift",
+        "--policy",
+        "expert",
+        "--lockstep",
+        "--config",
+        &path,
+    ])
 }
 
 fn built_in_config() -> String {
@@ -35,7 +49,14 @@ fn run_with_checkpoint(name: &str, damage: impl Fn(&Path)) -> String {
     }
     damage(&folder);
     let folder = folder.display().to_string();
-    refused(&["run", "--task", "needle-lift", "--lockstep", "--policy", &folder])
+    refused(&[
+        "run",
+        "--task",
+        "needle-lift",
+        "--lockstep",
+        "--policy",
+        &folder,
+    ])
 }
 
 #[test]
@@ -43,24 +64,40 @@ fn unknown_key_names_file_line_and_key() {
     let text = format!("{}\n[nonsense]\nspeed = 1\n", built_in_config());
     let line = text.lines().count() - 1;
     let message = run_with_config(&text, "unknown-key");
-    assert!(message.contains("control.toml") && message.contains("nonsense"), "{message}");
+    assert!(
+        message.contains("control.toml") && message.contains("nonsense"),
+        "{message}"
+    );
     assert!(message.contains(&format!(":{line}:")), "{message}");
 }
 
 #[test]
 fn value_out_of_range_names_line_key_and_range() {
     let text = built_in_config();
-    let (index, line) =
-        text.lines().enumerate().find(|(_, line)| line.starts_with("tip_speed_m_s_max")).expect("the key exists");
+    let (index, line) = text
+        .lines()
+        .enumerate()
+        .find(|(_, line)| line.starts_with("tip_speed_m_s_max"))
+        .expect("the key exists");
     let text = text.replace(line, "tip_speed_m_s_max = 7.5");
     let message = run_with_config(&text, "out-of-range");
-    assert!(message.contains("tip_speed_m_s_max = 7.5 is outside"), "{message}");
+    assert!(
+        message.contains("tip_speed_m_s_max = 7.5 is outside"),
+        "{message}"
+    );
     assert!(message.contains(&format!(":{}:", index + 1)), "{message}");
 }
 
 #[test]
 fn missing_checkpoint_is_named() {
-    let message = refused(&["run", "--task", "needle-lift", "--lockstep", "--policy", "runs/nowhere"]);
+    let message = refused(&[
+        "run",
+        "--task",
+        "needle-lift",
+        "--lockstep",
+        "--policy",
+        "runs/nowhere",
+    ]);
     assert!(message.contains("runs/nowhere"), "{message}");
 }
 
@@ -86,7 +123,8 @@ fn missing_weights_are_refused() {
 fn checkpoint_for_another_number_of_joints_is_refused() {
     let message = run_with_checkpoint("other-joints", |folder| {
         let path = folder.join("config.json");
-        let mut config: serde_json::Value = serde_json::from_str(&fs::read_to_string(&path).unwrap()).unwrap();
+        let mut config: serde_json::Value =
+            serde_json::from_str(&fs::read_to_string(&path).unwrap()).unwrap();
         config["input_features"]["observation.state"]["shape"] = serde_json::json!([14]);
         fs::write(&path, config.to_string()).unwrap();
     });

@@ -9,8 +9,17 @@ use tests::{Profile, json, scratch, stderr, trocar};
 fn run(profile: Profile, folder: &Path, seed: u64, log: Option<&Path>) -> serde_json::Value {
     let result = folder.join(format!("{profile:?}-{seed}.json"));
     let mut command = trocar(profile);
-    command.args(["run", "--task", "needle-lift", "--policy", "expert", "--lockstep"]);
-    command.args(["--seed", &seed.to_string(), "--json"]).arg(&result);
+    command.args([
+        "run",
+        "--task",
+        "needle-lift",
+        "--policy",
+        "expert",
+        "--lockstep",
+    ]);
+    command
+        .args(["--seed", &seed.to_string(), "--json"])
+        .arg(&result);
     if let Some(log) = log {
         command.arg("--log").arg(log);
     }
@@ -24,10 +33,18 @@ fn one_seed_gives_one_hash_in_debug_and_release_and_another_seed_another() {
     let folder = scratch("hashes");
     let debug = run(Profile::Debug, &folder, 3, None);
     let release = run(Profile::Release, &folder, 3, None);
-    let logged = run(Profile::Release, &folder, 3, Some(&folder.join("logged.mcap")));
+    let logged = run(
+        Profile::Release,
+        &folder,
+        3,
+        Some(&folder.join("logged.mcap")),
+    );
     let other = run(Profile::Release, &folder, 4, None);
     assert_eq!(debug["command_hash"], release["command_hash"]);
-    assert_eq!(logged["command_hash"], release["command_hash"], "cameras and the log must not change the run");
+    assert_eq!(
+        logged["command_hash"], release["command_hash"],
+        "cameras and the log must not change the run"
+    );
     assert_ne!(other["command_hash"], release["command_hash"]);
 }
 
@@ -39,14 +56,30 @@ fn a_log_replays_verifies_and_catches_tampering() {
     assert_eq!(result["success"], true, "{result}");
 
     let replayed = folder.join("replay.json");
-    let output = trocar(Profile::Debug).arg("replay").arg(&log).arg("--json").arg(&replayed).output().unwrap();
+    let output = trocar(Profile::Debug)
+        .arg("replay")
+        .arg(&log)
+        .arg("--json")
+        .arg(&replayed)
+        .output()
+        .unwrap();
     assert!(output.status.success(), "{}", stderr(&output));
     assert_eq!(json(&replayed)["identical"], true);
     assert_eq!(json(&replayed)["ticks"], result["ticks"]);
 
     let verified = folder.join("verify.json");
-    let output = trocar(Profile::Release).arg("verify").arg(&log).arg("--json").arg(&verified).output().unwrap();
-    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stdout));
+    let output = trocar(Profile::Release)
+        .arg("verify")
+        .arg(&log)
+        .arg("--json")
+        .arg(&verified)
+        .output()
+        .unwrap();
+    assert!(
+        output.status.success(),
+        "{}",
+        String::from_utf8_lossy(&output.stdout)
+    );
     assert_eq!(json(&verified)["ok"], true);
 
     // One flipped bit anywhere in the data is found by the container's checksum or by the recomputation.
@@ -55,16 +88,29 @@ fn a_log_replays_verifies_and_catches_tampering() {
     bytes[middle] ^= 0x10;
     let flipped = folder.join("flipped.mcap");
     fs::write(&flipped, &bytes).unwrap();
-    let output = trocar(Profile::Release).arg("replay").arg(&flipped).output().unwrap();
+    let output = trocar(Profile::Release)
+        .arg("replay")
+        .arg(&flipped)
+        .output()
+        .unwrap();
     assert!(!output.status.success(), "a flipped bit went unnoticed");
 
     // A cut log is readable up to the cut.
     let cut = folder.join("cut.mcap");
     fs::write(&cut, &fs::read(&log).unwrap()[..middle * 2]).unwrap();
     let cut_json = folder.join("cut.json");
-    let output = trocar(Profile::Release).arg("replay").arg(&cut).arg("--json").arg(&cut_json).output().unwrap();
+    let output = trocar(Profile::Release)
+        .arg("replay")
+        .arg(&cut)
+        .arg("--json")
+        .arg(&cut_json)
+        .output()
+        .unwrap();
     assert_eq!(output.status.code(), Some(2), "{}", stderr(&output));
     assert!(stderr(&output).contains("cut off"), "{}", stderr(&output));
     let ticks = json(&cut_json)["ticks"].as_u64().unwrap();
-    assert!(ticks > 500 && ticks < result["ticks"].as_u64().unwrap(), "{ticks}");
+    assert!(
+        ticks > 500 && ticks < result["ticks"].as_u64().unwrap(),
+        "{ticks}"
+    );
 }

@@ -4,7 +4,9 @@
 #[derive(Debug, thiserror::Error)]
 pub enum TopicError {
     /// The run id or a topic name cannot be part of a service name.
-    #[error("'{name}' cannot name a topic: use 1 to {max} letters, digits, '-' and '_', in parts joined by '/'")]
+    #[error(
+        "'{name}' cannot name a topic: use 1 to {max} letters, digits, '-' and '_', in parts joined by '/'"
+    )]
     BadName {
         /// The name.
         name: String,
@@ -43,7 +45,9 @@ pub enum TopicError {
         max: usize,
     },
     /// The other side was built with another layout of the message.
-    #[error("topic '{topic}' carries another type or layout of messages; both processes must be of the same version")]
+    #[error(
+        "topic '{topic}' carries another type or layout of messages; both processes must be of the same version"
+    )]
     OtherType {
         /// The topic.
         topic: String,
@@ -89,7 +93,15 @@ pub enum TopicError {
 }
 
 impl TopicError {
-    pub(super) fn transport(topic: &str, action: &'static str, reason: &impl std::fmt::Display) -> Self {
-        Self::Transport { topic: topic.to_owned(), action, reason: reason.to_string() }
+    pub(super) fn transport(
+        topic: &str,
+        action: &'static str,
+        reason: &impl std::fmt::Display,
+    ) -> Self {
+        Self::Transport {
+            topic: topic.to_owned(),
+            action,
+            reason: reason.to_string(),
+        }
     }
 }

@@ -42,9 +42,20 @@ pub struct FrameHeader {
 impl FrameHeader {
     /// The header of a frame taken from `camera_in_scene`.
     #[must_use]
-    pub fn new(stamp: TimeNs, sequence: u64, intrinsics: Intrinsics, camera_in_scene: &Pose) -> Self {
+    pub fn new(
+        stamp: TimeNs,
+        sequence: u64,
+        intrinsics: Intrinsics,
+        camera_in_scene: &Pose,
+    ) -> Self {
         let position_m = camera_in_scene.translation.vector.into();
-        Self { stamp, sequence, intrinsics, position_m, rotation_xyzw: xyzw(camera_in_scene) }
+        Self {
+            stamp,
+            sequence,
+            intrinsics,
+            position_m,
+            rotation_xyzw: xyzw(camera_in_scene),
+        }
     }
 
     /// Camera pose in the scene frame: x right, y down, z along the view.
@@ -65,14 +76,27 @@ impl CameraTopic {
     ///
     /// # Errors
     /// [`TopicError`]; in particular [`TopicError::SharedMemoryTooSmall`].
-    pub fn publisher(node: &TopicNode, camera: &str, pixels_max: usize) -> Result<FramePublisher, TopicError> {
+    pub fn publisher(
+        node: &TopicNode,
+        camera: &str,
+        pixels_max: usize,
+    ) -> Result<FramePublisher, TopicError> {
         let topic = node.service_name(&format!("{camera}/frame"))?;
         let service = node.open::<[f32], FrameHeader>(&topic)?;
         let words_max = pixels_max * WORDS_PER_PIXEL;
-        let create =
-            || service.publisher_builder().max_loaned_samples(LOANED_MAX).initial_max_slice_len(words_max).create();
+        let create = || {
+            service
+                .publisher_builder()
+                .max_loaned_samples(LOANED_MAX)
+                .initial_max_slice_len(words_max)
+                .create()
+        };
         let raw = node.create_publisher(&topic, words_max * size_of::<f32>(), create)?;
-        Ok(FramePublisher { raw, topic, pixels_max })
+        Ok(FramePublisher {
+            raw,
+            topic,
+            pixels_max,
+        })
     }
 
     /// A reader of `camera`; it may come before the writer.
@@ -119,10 +143,24 @@ impl FramePublisher {
     /// [`TopicError::FrameShape`] if its planes do not fit its intrinsics, and as [`Self::publish_with`].
     pub fn publish(&mut self, frame: &CameraFrame) -> Result<usize, TopicError> {
         let pixels = frame.intrinsics.pixel_count();
-        if (frame.colour.len(), frame.depth_m.len(), frame.instance.len()) != (3 * pixels, pixels, pixels) {
-            return Err(frame_shape(&self.topic, &frame.intrinsics, frame.depth_m.len()));
+        if (
+            frame.colour.len(),
+            frame.depth_m.len(),
+            frame.instance.len(),
+        ) != (3 * pixels, pixels, pixels)
+        {
+            return Err(frame_shape(
+                &self.topic,
+                &frame.intrinsics,
+                frame.depth_m.len(),
+            ));
         }
-        let header = FrameHeader::new(frame.stamp, frame.sequence, frame.intrinsics, &frame.camera_in_scene);
+        let header = FrameHeader::new(
+            frame.stamp,
+            frame.sequence,
+            frame.intrinsics,
+            &frame.camera_in_scene,
+        );
         self.publish_with(&header, |colour, depth_m, instance| {
             colour.copy_from_slice(&frame.colour);
             depth_m.copy_from_slice(&frame.depth_m);
@@ -138,20 +176,38 @@ impl FramePublisher {
         let pixels = header.intrinsics.pixel_count();
         if pixels > self.pixels_max {
             let topic = self.topic.clone();
-            return Err(TopicError::FrameTooLarge { topic, capacity: self.pixels_max, pixels });
+            return Err(TopicError::FrameTooLarge {
+                topic,
+                capacity: self.pixels_max,
+                pixels,
+            });
         }
-        let mut sample = self.raw.loan_slice_uninit(pixels * WORDS_PER_PIXEL).map_err(|error| match error {
-            LoanError::ExceedsMaxLoans => TopicError::TooManyHeld { topic: self.topic.clone() },
-            LoanError::OutOfMemory | LoanError::ExceedsMaxLoanSize | LoanError::InternalFailure => {
-                TopicError::transport(&self.topic, "loaning a frame", &error)
-            }
-        })?;
+        let mut sample = self
+            .raw
+            .loan_slice_uninit(pixels * WORDS_PER_PIXEL)
+            .map_err(|error| match error {
+                LoanError::ExceedsMaxLoans => TopicError::TooManyHeld {
+                    topic: self.topic.clone(),
+                },
+                LoanError::OutOfMemory
+                | LoanError::ExceedsMaxLoanSize
+                | LoanError::InternalFailure => {
+                    TopicError::transport(&self.topic, "loaning a frame", &error)
+                }
+            })?;
         *sample.user_header_mut() = *header;
-        #[expect(unsafe_code, reason = "clearing 2 MiB that the renderer overwrites would cost more than the hand-over")]
+        #[expect(
+            unsafe_code,
+            reason = "clearing 2 MiB that the renderer overwrites would cost more than the hand-over"
+        )]
         // SAFETY: the words lie in a shared memory file that the kernel, and the transport once more, filled with zeros
         // when it was made; since then only frames were written. Every bit pattern is an f32.
         let sample = unsafe { sample.assume_init() };
-        Ok(FrameLoan { sample, topic: self.topic.clone(), pixels })
+        Ok(FrameLoan {
+            sample,
+            topic: self.topic.clone(),
+            pixels,
+        })
     }
 
     /// Hands the newest frame to readers that have come since.
@@ -159,7 +215,9 @@ impl FramePublisher {
     /// # Errors
     /// [`TopicError::Transport`].
     pub fn keep_alive(&self) -> Result<(), TopicError> {
-        self.raw.update_connections().map_err(|error| TopicError::transport(&self.topic, "connecting", &error))
+        self.raw
+            .update_connections()
+            .map_err(|error| TopicError::transport(&self.topic, "connecting", &error))
     }
 }
 
@@ -184,7 +242,9 @@ impl FrameLoan {
     /// # Errors
     /// [`TopicError::Transport`].
     pub fn send(self) -> Result<usize, TopicError> {
-        self.sample.send().map_err(|error| TopicError::transport(&self.topic, "publishing a frame", &error))
+        self.sample
+            .send()
+            .map_err(|error| TopicError::transport(&self.topic, "publishing a frame", &error))
     }
 }
 
@@ -205,14 +265,20 @@ impl FrameSubscriber {
         let mut newest = None;
         loop {
             let waiting = self.raw.has_samples();
-            if !waiting.map_err(|error| TopicError::transport(&self.topic, "receiving a frame", &error))? {
+            if !waiting
+                .map_err(|error| TopicError::transport(&self.topic, "receiving a frame", &error))?
+            {
                 break;
             }
             // Given back before the next is taken: a publisher that was replaced may have left one more.
             drop(newest.take());
             newest = self.raw.receive().map_err(|error| match error {
-                ReceiveError::ExceedsMaxBorrows => TopicError::TooManyHeld { topic: self.topic.clone() },
-                ReceiveError::ConnectionFailure(_) => TopicError::transport(&self.topic, "receiving a frame", &error),
+                ReceiveError::ExceedsMaxBorrows => TopicError::TooManyHeld {
+                    topic: self.topic.clone(),
+                },
+                ReceiveError::ConnectionFailure(_) => {
+                    TopicError::transport(&self.topic, "receiving a frame", &error)
+                }
             })?;
         }
         newest.map(|sample| self.view(sample)).transpose()
@@ -225,12 +291,20 @@ impl FrameSubscriber {
         if u64::try_from(words).ok() != pixels.checked_mul(WORDS_PER_PIXEL as u64) {
             return Err(frame_shape(&self.topic, &lens, words));
         }
-        Ok(FrameView { pixels: words / WORDS_PER_PIXEL, sample })
+        Ok(FrameView {
+            pixels: words / WORDS_PER_PIXEL,
+            sample,
+        })
     }
 }
 
 fn frame_shape(topic: &str, lens: &Intrinsics, words: usize) -> TopicError {
-    TopicError::FrameShape { topic: topic.to_owned(), width: lens.width, height: lens.height, words }
+    TopicError::FrameShape {
+        topic: topic.to_owned(),
+        width: lens.width,
+        height: lens.height,
+        words,
+    }
 }
 
 /// A received frame, read where the writer put it. Its buffer is not reused before the view is dropped.
@@ -298,7 +372,9 @@ impl FrameView {
 
 impl fmt::Debug for FrameView {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.debug_struct("FrameView").field("header", self.header()).finish_non_exhaustive()
+        f.debug_struct("FrameView")
+            .field("header", self.header())
+            .finish_non_exhaustive()
     }
 }
 

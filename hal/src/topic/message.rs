@@ -131,7 +131,12 @@ impl RunControl {
             RunCommand::Run { seed } => (1, seed),
             RunCommand::Stop => (2, 0),
         };
-        Self { stamp, episode, seed, code }
+        Self {
+            stamp,
+            episode,
+            seed,
+            code,
+        }
     }
 
     /// What is wanted; `None` for a code from another world, which is best treated as [`RunCommand::Stop`].
@@ -180,13 +185,25 @@ impl Message for PolicyStatus {
 impl PolicyStatus {
     /// A message of this stage.
     #[must_use]
-    pub const fn new(sequence: u64, episode: u64, stage: PolicyStage, queries: u64, infer_ns: u64) -> Self {
+    pub const fn new(
+        sequence: u64,
+        episode: u64,
+        stage: PolicyStage,
+        queries: u64,
+        infer_ns: u64,
+    ) -> Self {
         let code = match stage {
             PolicyStage::Loading => 0,
             PolicyStage::Ready => 1,
             PolicyStage::Failed => 2,
         };
-        Self { sequence, episode, queries, infer_ns, code }
+        Self {
+            sequence,
+            episode,
+            queries,
+            infer_ns,
+            code,
+        }
     }
 
     /// The stage; nonsense counts as failed.

@@ -6,8 +6,8 @@ use core::time::Duration;
 use iceoryx2::port::publisher::PublisherCreateError;
 use iceoryx2::port::subscriber::SubscriberCreateError;
 use iceoryx2::prelude::{
-    Config, FileName, IceoryxSend, LogLevel, Node, NodeBuilder, SemanticString, ServiceName, SignalHandlingMode,
-    ZeroCopySend, set_log_level,
+    Config, FileName, IceoryxSend, LogLevel, Node, NodeBuilder, SemanticString, ServiceName,
+    SignalHandlingMode, ZeroCopySend, set_log_level,
 };
 use iceoryx2::service::builder::publish_subscribe::{
     PublishSubscribeCreateError as CreateError, PublishSubscribeOpenError as OpenError,
@@ -63,7 +63,10 @@ impl TopicNode {
             .signal_handling_mode(SignalHandlingMode::Disabled)
             .create::<Service>()
             .map_err(|error| TopicError::transport(run_id, "joining the run", &error))?;
-        let joined = Self { node, run_id: run_id.to_owned() };
+        let joined = Self {
+            node,
+            run_id: run_id.to_owned(),
+        };
         joined.remove_dead();
         Ok(joined)
     }
@@ -78,7 +81,9 @@ impl TopicNode {
     ///
     /// Death is noticed only by looking: a supervisor calls this now and then. Takes milliseconds.
     pub fn remove_dead(&self) -> u64 {
-        self.node.blocking_cleanup_dead_nodes(CLEANUP_TIMEOUT).cleanups
+        self.node
+            .blocking_cleanup_dead_nodes(CLEANUP_TIMEOUT)
+            .cleanups
     }
 
     /// The full service name of `topic`.
@@ -94,10 +99,14 @@ impl TopicNode {
         H: Debug + ZeroCopySend,
         Builder<P, H>: OpenOrCreate<P, H>,
     {
-        let service_name =
-            ServiceName::new(name).map_err(|error| TopicError::transport(name, "naming the service", &error))?;
+        let service_name = ServiceName::new(name)
+            .map_err(|error| TopicError::transport(name, "naming the service", &error))?;
         for _ in 0..OPEN_TRIES {
-            let builder = self.node.service_builder(&service_name).publish_subscribe::<P>().user_header::<H>();
+            let builder = self
+                .node
+                .service_builder(&service_name)
+                .publish_subscribe::<P>()
+                .user_header::<H>();
             let error = match latest_wins(builder).open_or_create_service() {
                 Ok(service) => return Ok(service),
                 Err(error) => error,
@@ -109,7 +118,11 @@ impl TopicNode {
                 return Err(TopicError::transport(name, "waiting for a peer", &error));
             }
         }
-        Err(TopicError::transport(name, "opening the service", &"a peer never finished creating or removing it"))
+        Err(TopicError::transport(
+            name,
+            "opening the service",
+            &"a peer never finished creating or removing it",
+        ))
     }
 
     /// Makes the single publisher; a dead predecessor is cleared away first if it is in the way.
@@ -120,10 +133,20 @@ impl TopicNode {
         create: impl Fn() -> Result<T, PublisherCreateError>,
     ) -> Result<T, TopicError> {
         let needed_bytes = u64::try_from(BUFFERS * value_bytes).unwrap_or(u64::MAX);
-        let missing = SharedMemorySpace { total_bytes: 0, free_bytes: 0 };
-        shm::check_room(topic, needed_bytes, shm::shared_memory_space().unwrap_or(missing))?;
+        let missing = SharedMemorySpace {
+            total_bytes: 0,
+            free_bytes: 0,
+        };
+        shm::check_room(
+            topic,
+            needed_bytes,
+            shm::shared_memory_space().unwrap_or(missing),
+        )?;
         let mut result = create();
-        if matches!(result, Err(PublisherCreateError::ExceedsMaxSupportedPublishers)) {
+        if matches!(
+            result,
+            Err(PublisherCreateError::ExceedsMaxSupportedPublishers)
+        ) {
             self.remove_dead();
             result = create();
         }
@@ -137,13 +160,19 @@ impl TopicNode {
         create: impl Fn() -> Result<T, SubscriberCreateError>,
     ) -> Result<T, TopicError> {
         let mut result = create();
-        if matches!(result, Err(SubscriberCreateError::ExceedsMaxSupportedSubscribers)) {
+        if matches!(
+            result,
+            Err(SubscriberCreateError::ExceedsMaxSupportedSubscribers)
+        ) {
             self.remove_dead();
             result = create();
         }
         result.map_err(|error| {
             if error == SubscriberCreateError::ExceedsMaxSupportedSubscribers {
-                return TopicError::TooManySubscribers { topic: topic.to_owned(), max: SUBSCRIBERS_MAX };
+                return TopicError::TooManySubscribers {
+                    topic: topic.to_owned(),
+                    max: SUBSCRIBERS_MAX,
+                };
             }
             TopicError::transport(topic, "subscribing", &error)
         })
@@ -151,7 +180,8 @@ impl TopicNode {
 }
 
 /// The transport's builder for payload `P` and header `H`.
-pub(super) type Builder<P, H> = iceoryx2::service::builder::publish_subscribe::Builder<P, H, Service>;
+pub(super) type Builder<P, H> =
+    iceoryx2::service::builder::publish_subscribe::Builder<P, H, Service>;
 
 /// Bridges the transport's two `open_or_create`, for single values and for slices.
 pub(super) trait OpenOrCreate<P: IceoryxSend + Debug + ?Sized, H: Debug + ZeroCopySend> {
@@ -188,20 +218,30 @@ where
 /// The transport's built-in settings, whatever files lie around, under a prefix of our own.
 fn transport_config(run_id: &str) -> Result<Config, TopicError> {
     let mut config = Config::default();
-    config.global.prefix =
-        FileName::new(b"trocar_").map_err(|error| TopicError::transport(run_id, "naming files", &format!("{error:?}")))?;
+    config.global.prefix = FileName::new(b"trocar_")
+        .map_err(|error| TopicError::transport(run_id, "naming files", &format!("{error:?}")))?;
     Ok(config)
 }
 
 fn check_name(name: &str, with_parts: bool) -> Result<(), TopicError> {
     let plain = |part: &str| {
-        !part.is_empty() && part.bytes().all(|byte| byte.is_ascii_alphanumeric() || byte == b'-' || byte == b'_')
+        !part.is_empty()
+            && part
+                .bytes()
+                .all(|byte| byte.is_ascii_alphanumeric() || byte == b'-' || byte == b'_')
     };
-    let good = if with_parts { name.split('/').all(plain) } else { plain(name) };
+    let good = if with_parts {
+        name.split('/').all(plain)
+    } else {
+        plain(name)
+    };
     if good && name.len() <= NAME_MAX {
         return Ok(());
     }
-    Err(TopicError::BadName { name: name.to_owned(), max: NAME_MAX })
+    Err(TopicError::BadName {
+        name: name.to_owned(),
+        max: NAME_MAX,
+    })
 }
 
 /// Whether a peer is creating or removing the service at this moment.
@@ -210,17 +250,26 @@ fn is_transient(error: ServiceError) -> bool {
         error,
         ServiceError::SystemInFlux
             | ServiceError::PublishSubscribeOpenError(
-                OpenError::IsMarkedForDestruction | OpenError::HangsInCreation | OpenError::DoesNotExist
+                OpenError::IsMarkedForDestruction
+                    | OpenError::HangsInCreation
+                    | OpenError::DoesNotExist
             )
             | ServiceError::PublishSubscribeCreateError(
-                CreateError::IsBeingCreatedByAnotherInstance | CreateError::HangsInCreation | CreateError::AlreadyExists
+                CreateError::IsBeingCreatedByAnotherInstance
+                    | CreateError::HangsInCreation
+                    | CreateError::AlreadyExists
             )
     )
 }
 
 fn service_error(topic: &str, error: ServiceError) -> TopicError {
-    if matches!(error, ServiceError::PublishSubscribeOpenError(OpenError::IncompatibleTypes)) {
-        return TopicError::OtherType { topic: topic.to_owned() };
+    if matches!(
+        error,
+        ServiceError::PublishSubscribeOpenError(OpenError::IncompatibleTypes)
+    ) {
+        return TopicError::OtherType {
+            topic: topic.to_owned(),
+        };
     }
     TopicError::transport(topic, "opening the service", &error)
 }
@@ -249,7 +298,15 @@ mod tests {
 
     #[test]
     fn names_that_would_leave_the_run_are_refused() {
-        for bad in ["", "a b", "a/../b", "a//b", "/a", "ä", &"x".repeat(NAME_MAX + 1)] {
+        for bad in [
+            "",
+            "a b",
+            "a/../b",
+            "a//b",
+            "/a",
+            "ä",
+            &"x".repeat(NAME_MAX + 1),
+        ] {
             assert!(check_name(bad, true).is_err(), "{bad}");
         }
         assert!(check_name("psm1/endoscope_left", true).is_ok());

@@ -34,7 +34,12 @@ impl<M: Message> Topic<M> {
     pub fn publisher(node: &TopicNode, arm: &str) -> Result<Publisher<M>, TopicError> {
         let topic = node.service_name(&format!("{arm}/{}", M::TOPIC))?;
         let service = node.open::<M, ()>(&topic)?;
-        let create = || service.publisher_builder().max_loaned_samples(LOANED_MAX).create();
+        let create = || {
+            service
+                .publisher_builder()
+                .max_loaned_samples(LOANED_MAX)
+                .create()
+        };
         let raw = node.create_publisher(&topic, size_of::<M>(), create)?;
         Ok(Publisher { raw, topic })
     }
@@ -64,7 +69,9 @@ impl<M: Message> Publisher<M> {
     /// # Errors
     /// [`TopicError::Transport`].
     pub fn publish(&self, message: &M) -> Result<usize, TopicError> {
-        self.raw.send_copy(*message).map_err(|error| TopicError::transport(&self.topic, "publishing", &error))
+        self.raw
+            .send_copy(*message)
+            .map_err(|error| TopicError::transport(&self.topic, "publishing", &error))
     }
 
     /// Hands the newest message to readers that have come since; call it now and then when there is nothing to say.
@@ -72,7 +79,9 @@ impl<M: Message> Publisher<M> {
     /// # Errors
     /// [`TopicError::Transport`].
     pub fn keep_alive(&self) -> Result<(), TopicError> {
-        self.raw.update_connections().map_err(|error| TopicError::transport(&self.topic, "connecting", &error))
+        self.raw
+            .update_connections()
+            .map_err(|error| TopicError::transport(&self.topic, "connecting", &error))
     }
 }
 

@@ -27,7 +27,11 @@ pub fn shared_memory_space() -> Option<SharedMemorySpace> {
 /// Checks that `needed_bytes` fit into `space`.
 ///
 /// A segment that does not fit would otherwise kill the process on first touch.
-pub(super) fn check_room(topic: &str, needed_bytes: u64, space: SharedMemorySpace) -> Result<(), TopicError> {
+pub(super) fn check_room(
+    topic: &str,
+    needed_bytes: u64,
+    space: SharedMemorySpace,
+) -> Result<(), TopicError> {
     if needed_bytes <= space.free_bytes {
         return Ok(());
     }
@@ -46,10 +50,21 @@ mod tests {
 
     #[test]
     fn too_small_shared_memory_is_said_with_numbers_and_remedy() {
-        let docker = SharedMemorySpace { total_bytes: 64 << 20, free_bytes: 10 << 20 };
+        let docker = SharedMemorySpace {
+            total_bytes: 64 << 20,
+            free_bytes: 10 << 20,
+        };
         assert!(check_room("t", 10 << 20, docker).is_ok());
-        let message = check_room("trocar/r/psm1/endoscope", 20 << 20, docker).unwrap_err().to_string();
-        for part in ["trocar/r/psm1/endoscope", "20971520", "10485760", "67108864", "--shm-size"] {
+        let message = check_room("trocar/r/psm1/endoscope", 20 << 20, docker)
+            .unwrap_err()
+            .to_string();
+        for part in [
+            "trocar/r/psm1/endoscope",
+            "20971520",
+            "10485760",
+            "67108864",
+            "--shm-size",
+        ] {
             assert!(message.contains(part), "{message}");
         }
     }

@@ -5,8 +5,8 @@ use std::io::{BufRead, BufReader, Write};
 use std::process::{Child, Command, Stdio};
 
 use super::{
-    ArmReport, ArmStateTopic, CameraTopic, ChunkTopic, FrameHeader, PolicyStage, PolicyStatus, PolicyStatusTopic,
-    RunCommand, RunControl, RunControlTopic, TopicError, TopicNode,
+    ArmReport, ArmStateTopic, CameraTopic, ChunkTopic, FrameHeader, PolicyStage, PolicyStatus,
+    PolicyStatusTopic, RunCommand, RunControl, RunControlTopic, TopicError, TopicNode,
 };
 use crate::{ArmState, CameraFrame, Chunk, Intrinsics, JointVector, Pose, TimeNs, TipTarget};
 
@@ -39,10 +39,20 @@ fn busy_frame(sequence: u64, intrinsics: Intrinsics) -> CameraFrame {
     };
     let mut frame = CameraFrame::blank(intrinsics);
     let header = header(sequence, intrinsics);
-    (frame.stamp, frame.sequence, frame.camera_in_scene) = (header.stamp, sequence, header.camera_in_scene());
-    frame.colour.iter_mut().for_each(|byte| *byte = next().to_le_bytes()[0]);
-    frame.depth_m.iter_mut().for_each(|depth| *depth = f32::from_bits(next()));
-    frame.instance.iter_mut().for_each(|byte| *byte = next().to_le_bytes()[0]);
+    (frame.stamp, frame.sequence, frame.camera_in_scene) =
+        (header.stamp, sequence, header.camera_in_scene());
+    frame
+        .colour
+        .iter_mut()
+        .for_each(|byte| *byte = next().to_le_bytes()[0]);
+    frame
+        .depth_m
+        .iter_mut()
+        .for_each(|depth| *depth = f32::from_bits(next()));
+    frame
+        .instance
+        .iter_mut()
+        .for_each(|byte| *byte = next().to_le_bytes()[0]);
     frame.depth_m[0] = f32::from_bits(0x7fa0_1234);
     frame
 }
@@ -55,14 +65,37 @@ fn busy_chunk(sequence: u64) -> Chunk {
     let pose = Pose::new([0.01, 0.02, -0.1].into(), [0.1, 0.2, 0.3].into());
     let mut targets = [TipTarget::new(&pose, 0.3); 100];
     targets[7].position_m[1] = f64::from_bits(0x7ff4_dead_beef_0001);
-    targets[8].rotation_xyzw = [f64::NEG_INFINITY, -0.0, f64::from_bits(0xfff8_0000_0000_0042), f64::MIN_POSITIVE];
-    Chunk::new(TimeNs(sequence * 40_000_000), sequence, 40_000_000, &targets)
+    targets[8].rotation_xyzw = [
+        f64::NEG_INFINITY,
+        -0.0,
+        f64::from_bits(0xfff8_0000_0000_0042),
+        f64::MIN_POSITIVE,
+    ];
+    Chunk::new(
+        TimeNs(sequence * 40_000_000),
+        sequence,
+        40_000_000,
+        &targets,
+    )
 }
 
 fn chunk_bits(chunk: &Chunk) -> Vec<u64> {
-    let head = [chunk.observed_at.0, chunk.sequence, chunk.step_ns, u64::from(chunk.len)];
-    let numbers =
-        chunk.targets.iter().flat_map(|t| t.position_m.into_iter().chain(t.rotation_xyzw).chain([t.jaw])).map(f64::to_bits);
+    let head = [
+        chunk.observed_at.0,
+        chunk.sequence,
+        chunk.step_ns,
+        u64::from(chunk.len),
+    ];
+    let numbers = chunk
+        .targets
+        .iter()
+        .flat_map(|t| {
+            t.position_m
+                .into_iter()
+                .chain(t.rotation_xyzw)
+                .chain([t.jaw])
+        })
+        .map(f64::to_bits);
     head.into_iter().chain(numbers).collect()
 }
 
@@ -78,12 +111,18 @@ fn frame_arrives_bit_for_bit_with_its_header() {
     assert_eq!(*view.header(), header(3, intrinsics));
     let mut copy = CameraFrame::blank(lens(4, 4));
     view.to_frame(&mut copy);
-    assert_eq!((copy.stamp, copy.sequence, copy.intrinsics), (sent.stamp, 3, intrinsics));
+    assert_eq!(
+        (copy.stamp, copy.sequence, copy.intrinsics),
+        (sent.stamp, 3, intrinsics)
+    );
     assert_eq!(copy.camera_in_scene, sent.camera_in_scene);
     assert_eq!(view.as_frame().colour.as_ptr(), view.colour().as_ptr());
     assert!(copy.colour == sent.colour && copy.instance == sent.instance);
     assert!(depth_bits(&copy.depth_m) == depth_bits(&sent.depth_m));
-    assert!(subscriber.newest().unwrap().is_none(), "a frame is delivered once");
+    assert!(
+        subscriber.newest().unwrap().is_none(),
+        "a frame is delivered once"
+    );
 }
 
 /// The kernel's name of the mapping that `address` lies in.
@@ -102,7 +141,10 @@ fn place_in_file(address: usize) -> (String, usize) {
     let line = mapping_of(address);
     let fields: Vec<&str> = line.split_whitespace().collect();
     let low = usize::from_str_radix(fields[0].split_once('-').unwrap().0, 16).unwrap();
-    (fields[4].to_owned(), address - low + usize::from_str_radix(fields[2], 16).unwrap())
+    (
+        fields[4].to_owned(),
+        address - low + usize::from_str_radix(fields[2], 16).unwrap(),
+    )
 }
 
 #[test]
@@ -113,20 +155,36 @@ fn reader_sees_the_very_memory_that_the_renderer_wrote() {
     let mut written_at = Vec::new();
     publisher
         .publish_with(&header(1, lens(64, 64)), |colour, depth_m, instance| {
-            written_at = vec![colour.as_ptr().addr(), depth_m.as_ptr().addr(), instance.as_ptr().addr()];
+            written_at = vec![
+                colour.as_ptr().addr(),
+                depth_m.as_ptr().addr(),
+                instance.as_ptr().addr(),
+            ];
             colour.fill(7);
             depth_m.fill(0.25);
             instance.fill(3);
         })
         .unwrap();
     let view = subscriber.newest().unwrap().unwrap();
-    let read_at = [view.colour().as_ptr().addr(), view.depth_m().as_ptr().addr(), view.instance().as_ptr().addr()];
+    let read_at = [
+        view.colour().as_ptr().addr(),
+        view.depth_m().as_ptr().addr(),
+        view.instance().as_ptr().addr(),
+    ];
     for (written, read) in written_at.iter().zip(read_at) {
-        assert!(mapping_of(read).contains("/dev/shm/"), "{}", mapping_of(read));
+        assert!(
+            mapping_of(read).contains("/dev/shm/"),
+            "{}",
+            mapping_of(read)
+        );
         assert_eq!(place_in_file(*written), place_in_file(read));
     }
     assert!(view.colour().iter().all(|&c| c == 7) && view.instance().iter().all(|&i| i == 3));
-    assert!(view.depth_m().iter().all(|d| d.to_bits() == 0.25_f32.to_bits()));
+    assert!(
+        view.depth_m()
+            .iter()
+            .all(|d| d.to_bits() == 0.25_f32.to_bits())
+    );
 }
 
 #[test]
@@ -137,7 +195,11 @@ fn newest_frame_wins_and_a_held_view_stays_as_it_was() {
     let mut subscriber = CameraTopic::subscriber(&node, "psm1/endoscope").unwrap();
     let publish = |publisher: &mut super::FramePublisher, n: u64| {
         let colour_byte = n.to_le_bytes()[0];
-        publisher.publish_with(&header(n, intrinsics), |colour, _, _| colour.fill(colour_byte)).unwrap()
+        publisher
+            .publish_with(&header(n, intrinsics), |colour, _, _| {
+                colour.fill(colour_byte)
+            })
+            .unwrap()
     };
     publish(&mut publisher, 1);
     let held = subscriber.newest().unwrap().unwrap();
@@ -149,7 +211,10 @@ fn newest_frame_wins_and_a_held_view_stays_as_it_was() {
     assert!(newest.colour().iter().all(|&byte| byte == 50));
     assert!(held.header().sequence == 1 && held.colour().iter().all(|&byte| byte == 1));
     publish(&mut publisher, 51);
-    assert!(matches!(subscriber.newest(), Err(TopicError::TooManyHeld { .. })));
+    assert!(matches!(
+        subscriber.newest(),
+        Err(TopicError::TooManyHeld { .. })
+    ));
     drop(held);
     assert_eq!(subscriber.newest().unwrap().unwrap().header().sequence, 51);
 }
@@ -174,13 +239,18 @@ fn chunk_keeps_every_bit_even_of_nans() {
 fn late_reader_gets_the_newest_value_once() {
     let node = node("late");
     let publisher = RunControlTopic::publisher(&node, "psm1").unwrap();
-    publisher.publish(&RunControl::new(TimeNs(1), 1, RunCommand::Wait)).unwrap();
+    publisher
+        .publish(&RunControl::new(TimeNs(1), 1, RunCommand::Wait))
+        .unwrap();
     let wish = RunControl::new(TimeNs(2), 4, RunCommand::Run { seed: u64::MAX });
     publisher.publish(&wish).unwrap();
     let late = RunControlTopic::subscriber(&node, "psm1").unwrap();
     publisher.keep_alive().unwrap();
     let received = late.newest().unwrap().unwrap();
-    assert_eq!((received, received.command()), (wish, Some(RunCommand::Run { seed: u64::MAX })));
+    assert_eq!(
+        (received, received.command()),
+        (wish, Some(RunCommand::Run { seed: u64::MAX }))
+    );
     assert!(late.newest().unwrap().is_none());
 }
 
@@ -189,23 +259,41 @@ fn arm_report_gives_back_state_and_tip_bit_for_bit() {
     let node = node("arm");
     let publisher = ArmStateTopic::publisher(&node, "psm1").unwrap();
     let subscriber = ArmStateTopic::subscriber(&node, "psm1").unwrap();
-    let mut state = ArmState::at_rest(TimeNs(77), JointVector::new(0.1, -0.2, 0.12, 3.0, -1.0, 1.0 / 3.0), 0.4);
+    let mut state = ArmState::at_rest(
+        TimeNs(77),
+        JointVector::new(0.1, -0.2, 0.12, 3.0, -1.0, 1.0 / 3.0),
+        0.4,
+    );
     state.velocity[2] = -0.0;
     state.effort[5] = 1e-300;
     let tip = Pose::new([0.1, 0.2, 0.3].into(), [0.3, -0.7, 2.9].into());
     publisher.publish(&ArmReport::new(9, &state, &tip)).unwrap();
     let report = subscriber.newest().unwrap().unwrap();
-    assert_eq!((report.state(), report.tip_in_rcm(), report.sequence), (state, tip, 9));
+    assert_eq!(
+        (report.state(), report.tip_in_rcm(), report.sequence),
+        (state, tip, 9)
+    );
     assert!(report.state().velocity[2].is_sign_negative());
 }
 
 #[test]
 fn status_and_control_decode_what_was_said() {
-    for stage in [PolicyStage::Loading, PolicyStage::Ready, PolicyStage::Failed] {
+    for stage in [
+        PolicyStage::Loading,
+        PolicyStage::Ready,
+        PolicyStage::Failed,
+    ] {
         assert_eq!(PolicyStatus::new(1, 2, stage, 3, 4).stage(), stage);
     }
-    for command in [RunCommand::Wait, RunCommand::Run { seed: 5 }, RunCommand::Stop] {
-        assert_eq!(RunControl::new(TimeNs(0), 1, command).command(), Some(command));
+    for command in [
+        RunCommand::Wait,
+        RunCommand::Run { seed: 5 },
+        RunCommand::Stop,
+    ] {
+        assert_eq!(
+            RunControl::new(TimeNs(0), 1, command).command(),
+            Some(command)
+        );
     }
 }
 
@@ -214,12 +302,31 @@ fn second_publisher_and_oversized_frame_are_refused() {
     let node = node("refuse");
     let first = CameraTopic::publisher(&node, "psm1/endoscope", 16).unwrap();
     let second = CameraTopic::publisher(&node, "psm1/endoscope", 16).unwrap_err();
-    assert!(matches!(second, TopicError::AlreadyPublished { .. }), "{second}");
+    assert!(
+        matches!(second, TopicError::AlreadyPublished { .. }),
+        "{second}"
+    );
     let too_large = first.loan(&header(1, lens(5, 4))).unwrap_err();
-    assert!(matches!(too_large, TopicError::FrameTooLarge { capacity: 16, pixels: 20, .. }), "{too_large}");
+    assert!(
+        matches!(
+            too_large,
+            TopicError::FrameTooLarge {
+                capacity: 16,
+                pixels: 20,
+                ..
+            }
+        ),
+        "{too_large}"
+    );
     let huge = CameraTopic::publisher(&node, "psm1/huge", 1 << 36).unwrap_err();
-    assert!(matches!(huge, TopicError::SharedMemoryTooSmall { .. }), "{huge}");
-    assert!(matches!(TopicNode::join("a b"), Err(TopicError::BadName { .. })));
+    assert!(
+        matches!(huge, TopicError::SharedMemoryTooSmall { .. }),
+        "{huge}"
+    );
+    assert!(matches!(
+        TopicNode::join("a b"),
+        Err(TopicError::BadName { .. })
+    ));
 }
 
 #[test]
@@ -237,7 +344,12 @@ const PEER_RUN: &str = "TROCAR_TEST_PEER_RUN";
 /// Starts this test executable again, as the policy process of run `run`.
 fn start_peer(run: &str) -> (Child, BufReader<std::process::ChildStdout>) {
     let mut child = Command::new(env::current_exe().unwrap())
-        .args(["--exact", "topic::tests::plays_the_policy_process", "--nocapture", "--test-threads=1"])
+        .args([
+            "--exact",
+            "topic::tests::plays_the_policy_process",
+            "--nocapture",
+            "--test-threads=1",
+        ])
         .env(PEER_RUN, run)
         .stdin(Stdio::piped())
         .stdout(Stdio::piped())
@@ -252,7 +364,10 @@ fn wait_for(out: &mut BufReader<std::process::ChildStdout>, text: &str) -> Strin
     let mut line = String::new();
     while !line.contains(text) {
         line.clear();
-        assert!(out.read_line(&mut line).unwrap() > 0, "the peer ended before it said '{text}'");
+        assert!(
+            out.read_line(&mut line).unwrap() > 0,
+            "the peer ended before it said '{text}'"
+        );
     }
     line
 }
@@ -267,7 +382,9 @@ fn plays_the_policy_process() {
     let mut frames = CameraTopic::subscriber(&node, "psm1/endoscope").unwrap();
     let chunks = ChunkTopic::publisher(&node, "psm1").unwrap();
     let status = PolicyStatusTopic::publisher(&node, "psm1").unwrap();
-    status.publish(&PolicyStatus::new(1, 1, PolicyStage::Ready, 0, 0)).unwrap();
+    status
+        .publish(&PolicyStatus::new(1, 1, PolicyStage::Ready, 0, 0))
+        .unwrap();
     let mut out = std::io::stdout();
     writeln!(out, "\npeer ready").unwrap();
     for line in std::io::stdin().lock().lines() {
@@ -283,7 +400,9 @@ fn plays_the_policy_process() {
 fn digest(colour: &[u8], depth_m: &[f32], instance: &[u8]) -> u64 {
     let words = colour.iter().chain(instance).map(|&byte| u64::from(byte));
     let words = words.chain(depth_m.iter().map(|depth| u64::from(depth.to_bits())));
-    words.fold(0xcbf2_9ce4_8422_2325, |hash, word| (hash ^ word).wrapping_mul(0x0000_0100_0000_01b3))
+    words.fold(0xcbf2_9ce4_8422_2325, |hash, word| {
+        (hash ^ word).wrapping_mul(0x0000_0100_0000_01b3)
+    })
 }
 
 #[test]
@@ -294,29 +413,39 @@ fn two_processes_exchange_frames_and_chunks_and_a_killed_one_is_replaced() {
     let mut frames = CameraTopic::publisher(&node, "psm1/endoscope", 512 * 512).unwrap();
     let chunks = ChunkTopic::subscriber(&node, "psm1").unwrap();
     let (mut peer, mut out) = start_peer(&run);
-    let exchange = |frames: &mut super::FramePublisher, peer: &mut Child, out: &mut BufReader<_>, sequence| {
-        let frame = busy_frame(sequence, intrinsics);
-        assert_eq!(frames.publish(&frame).unwrap(), 1);
-        writeln!(peer.stdin.as_mut().unwrap()).unwrap();
-        wait_for(out, "answered");
-        let chunk = chunks.newest().unwrap().unwrap();
-        assert_eq!(chunk.sequence, sequence);
-        assert_eq!(chunk.step_ns, digest(&frame.colour, &frame.depth_m, &frame.instance));
-        let mut expected = busy_chunk(sequence);
-        expected.step_ns = chunk.step_ns;
-        assert_eq!(chunk_bits(&chunk), chunk_bits(&expected));
-    };
+    let exchange =
+        |frames: &mut super::FramePublisher, peer: &mut Child, out: &mut BufReader<_>, sequence| {
+            let frame = busy_frame(sequence, intrinsics);
+            assert_eq!(frames.publish(&frame).unwrap(), 1);
+            writeln!(peer.stdin.as_mut().unwrap()).unwrap();
+            wait_for(out, "answered");
+            let chunk = chunks.newest().unwrap().unwrap();
+            assert_eq!(chunk.sequence, sequence);
+            assert_eq!(
+                chunk.step_ns,
+                digest(&frame.colour, &frame.depth_m, &frame.instance)
+            );
+            let mut expected = busy_chunk(sequence);
+            expected.step_ns = chunk.step_ns;
+            assert_eq!(chunk_bits(&chunk), chunk_bits(&expected));
+        };
     exchange(&mut frames, &mut peer, &mut out, 1);
     exchange(&mut frames, &mut peer, &mut out, 2);
     let status = PolicyStatusTopic::subscriber(&node, "psm1").unwrap();
     let taken = ChunkTopic::publisher(&node, "psm1").unwrap_err();
-    assert!(matches!(taken, TopicError::AlreadyPublished { .. }), "{taken}");
+    assert!(
+        matches!(taken, TopicError::AlreadyPublished { .. }),
+        "{taken}"
+    );
 
     peer.kill().unwrap();
     peer.wait().unwrap();
     let (mut successor, mut out) = start_peer(&run);
     exchange(&mut frames, &mut successor, &mut out, 3);
-    assert_eq!(status.newest().unwrap().map(|message| message.stage()), Some(PolicyStage::Ready));
+    assert_eq!(
+        status.newest().unwrap().map(|message| message.stage()),
+        Some(PolicyStage::Ready)
+    );
     drop(successor.stdin.take());
     assert!(successor.wait().unwrap().success());
 }

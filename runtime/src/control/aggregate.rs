@@ -54,7 +54,13 @@ impl Aggregator {
             age += 1.0;
             weight
         });
-        Self { mode, weights, ring: vec![blank; RING], next: 0, count: 0 }
+        Self {
+            mode,
+            weights,
+            ring: vec![blank; RING],
+            next: 0,
+            count: 0,
+        }
     }
 
     /// Forgets every chunk.
@@ -82,7 +88,10 @@ impl Aggregator {
 
     /// Goes on to the waiting chunk if the one that is played has ended.
     pub fn advance(&mut self, now: TimeNs) {
-        if self.mode == Aggregation::WholeChunk && self.count == 2 && place(&self.ring[0], now).is_none() {
+        if self.mode == Aggregation::WholeChunk
+            && self.count == 2
+            && place(&self.ring[0], now).is_none()
+        {
             self.ring.swap(0, 1);
             self.count = 1;
         }
@@ -107,7 +116,9 @@ impl Aggregator {
         match self.mode {
             Aggregation::Ensemble { .. } => self.ensemble(both),
             Aggregation::WholeChunk => self.ring[..self.count].first().and_then(both),
-            Aggregation::Newest => (0..self.count).rev().find_map(|rank| both(self.by_age(rank))),
+            Aggregation::Newest => (0..self.count)
+                .rev()
+                .find_map(|rank| both(self.by_age(rank))),
         }
     }
 
@@ -115,11 +126,16 @@ impl Aggregator {
         &self.ring[(self.next + RING - self.count + rank) % RING]
     }
 
-    fn ensemble(&self, both: impl Fn(&Chunk) -> Option<(TipTarget, TipTarget)>) -> Option<(TipTarget, TipTarget)> {
+    fn ensemble(
+        &self,
+        both: impl Fn(&Chunk) -> Option<(TipTarget, TipTarget)>,
+    ) -> Option<(TipTarget, TipTarget)> {
         let mut weights = self.weights.iter();
         let (mut here, mut later) = (Blend::default(), Blend::default());
         for rank in 0..self.count {
-            let Some((target, next)) = both(self.by_age(rank)) else { continue };
+            let Some((target, next)) = both(self.by_age(rank)) else {
+                continue;
+            };
             let Some(&weight) = weights.next() else { break };
             here.add(&target, weight);
             later.add(&next, weight);
@@ -144,7 +160,11 @@ impl Blend {
             *sum += weight * value;
         }
         // A quaternion and its negative are one rotation: take the one on the side of the sum.
-        let side = if dot(&self.rotation, &target.rotation_xyzw) < 0.0 { -weight } else { weight };
+        let side = if dot(&self.rotation, &target.rotation_xyzw) < 0.0 {
+            -weight
+        } else {
+            weight
+        };
         for (sum, &value) in self.rotation.iter_mut().zip(&target.rotation_xyzw) {
             *sum += side * value;
         }
@@ -155,9 +175,16 @@ impl Blend {
         let newest = self.newest?;
         let norm = dot(&self.rotation, &self.rotation).sqrt();
         // Opposed rotations have no mean; then the newest decides.
-        let rotation_xyzw =
-            if norm > 1e-3 * self.weight { self.rotation.map(|x| x / norm) } else { newest.rotation_xyzw };
-        Some(TipTarget { position_m: self.position.map(|x| x / self.weight), rotation_xyzw, jaw: newest.jaw })
+        let rotation_xyzw = if norm > 1e-3 * self.weight {
+            self.rotation.map(|x| x / norm)
+        } else {
+            newest.rotation_xyzw
+        };
+        Some(TipTarget {
+            position_m: self.position.map(|x| x / self.weight),
+            rotation_xyzw,
+            jaw: newest.jaw,
+        })
     }
 }
 
@@ -173,7 +200,10 @@ fn place(chunk: &Chunk, at: TimeNs) -> Option<(usize, f64)> {
     if index > last || (index == last && rest_ns > 0) {
         return None;
     }
-    #[expect(clippy::cast_precision_loss, reason = "the gate admits steps of a second at most")]
+    #[expect(
+        clippy::cast_precision_loss,
+        reason = "the gate admits steps of a second at most"
+    )]
     let fraction = rest_ns as f64 / chunk.step_ns as f64;
     Some((index, fraction))
 }
@@ -182,12 +212,22 @@ fn in_chunk(chunk: &Chunk, at: TimeNs) -> Option<TipTarget> {
     let (index, fraction) = place(chunk, at)?;
     let targets = chunk.valid_targets();
     let from = targets.get(index)?;
-    Some(targets.get(index + 1).map_or(*from, |to| between(from, to, fraction)))
+    Some(
+        targets
+            .get(index + 1)
+            .map_or(*from, |to| between(from, to, fraction)),
+    )
 }
 
 /// Like [`in_chunk`], but past its end a chunk stays at its last target.
 fn in_chunk_or_last(chunk: &Chunk, at: TimeNs) -> Option<TipTarget> {
-    in_chunk(chunk, at).or_else(|| if at < chunk.observed_at { None } else { chunk.valid_targets().last().copied() })
+    in_chunk(chunk, at).or_else(|| {
+        if at < chunk.observed_at {
+            None
+        } else {
+            chunk.valid_targets().last().copied()
+        }
+    })
 }
 
 /// The target at `fraction` of the way, the tip moving evenly.
@@ -195,17 +235,28 @@ fn between(from: &TipTarget, to: &TipTarget, fraction: f64) -> TipTarget {
     let mix = |a: f64, b: f64| a + (b - a) * fraction;
     let position_m = core::array::from_fn(|i| mix(from.position_m[i], to.position_m[i]));
     let cosine = dot(&from.rotation_xyzw, &to.rotation_xyzw);
-    let (near, cosine) = if cosine < 0.0 { (-1.0, -cosine) } else { (1.0, cosine) };
+    let (near, cosine) = if cosine < 0.0 {
+        (-1.0, -cosine)
+    } else {
+        (1.0, cosine)
+    };
     let (keep, take) = if cosine > NEARLY_PARALLEL {
         (1.0 - fraction, fraction)
     } else {
         let angle = cosine.acos();
-        ((angle * (1.0 - fraction)).sin() / angle.sin(), (angle * fraction).sin() / angle.sin())
+        (
+            (angle * (1.0 - fraction)).sin() / angle.sin(),
+            (angle * fraction).sin() / angle.sin(),
+        )
     };
     let mixed: [f64; 4] =
         core::array::from_fn(|i| keep * from.rotation_xyzw[i] + near * take * to.rotation_xyzw[i]);
     let norm = dot(&mixed, &mixed).sqrt();
-    TipTarget { position_m, rotation_xyzw: mixed.map(|x| x / norm), jaw: mix(from.jaw, to.jaw) }
+    TipTarget {
+        position_m,
+        rotation_xyzw: mixed.map(|x| x / norm),
+        jaw: mix(from.jaw, to.jaw),
+    }
 }
 
 fn dot(a: &[f64; 4], b: &[f64; 4]) -> f64 {
@@ -221,7 +272,9 @@ mod tests {
     const STEP_NS: u64 = 40_000_000;
 
     fn target(aggregator: &Aggregator, at: u64) -> Option<TipTarget> {
-        aggregator.targets(TimeNs(at), TimeNs(at)).map(|(target, _)| target)
+        aggregator
+            .targets(TimeNs(at), TimeNs(at))
+            .map(|(target, _)| target)
     }
 
     fn at(x: f64, jaw: f64) -> TipTarget {
@@ -251,7 +304,10 @@ mod tests {
         let mut aggregator = Aggregator::new(Aggregation::Ensemble { decay: 0.01 });
         for index in 0..300_u32 {
             let observed_at = u64::from(index) * STEP_NS;
-            aggregator.push(&constant(observed_at, u64::from(index) + 1, f64::from(index), 100), TimeNs(observed_at));
+            aggregator.push(
+                &constant(observed_at, u64::from(index) + 1, f64::from(index), 100),
+                TimeNs(observed_at),
+            );
         }
         let blended = target(&aggregator, 299 * STEP_NS).unwrap();
         let (mut sum, mut weight) = (0.0, 0.0);
@@ -260,7 +316,11 @@ mod tests {
             sum += w * f64::from(200 + i);
             weight += w;
         }
-        assert!((blended.position_m[0] - sum / weight).abs() < 1e-9, "{}", blended.position_m[0]);
+        assert!(
+            (blended.position_m[0] - sum / weight).abs() < 1e-9,
+            "{}",
+            blended.position_m[0]
+        );
     }
 
     #[test]
@@ -280,14 +340,22 @@ mod tests {
         let mut aggregator = Aggregator::new(Aggregation::Ensemble { decay: 0.0 });
         aggregator.push(&constant(0, 1, 0.0, 3), TimeNs(0));
         aggregator.push(&constant(STEP_NS, 2, 1.0, 5), TimeNs(STEP_NS));
-        let (here, ahead) = aggregator.targets(TimeNs(2 * STEP_NS), TimeNs(3 * STEP_NS)).unwrap();
-        assert!((here.position_m[0] - 0.5).abs() < 1e-15 && (ahead.position_m[0] - 0.5).abs() < 1e-15);
+        let (here, ahead) = aggregator
+            .targets(TimeNs(2 * STEP_NS), TimeNs(3 * STEP_NS))
+            .unwrap();
+        assert!(
+            (here.position_m[0] - 0.5).abs() < 1e-15 && (ahead.position_m[0] - 0.5).abs() < 1e-15
+        );
         assert!((target(&aggregator, 3 * STEP_NS).unwrap().position_m[0] - 1.0).abs() < 1e-15);
     }
 
     #[test]
     fn past_every_horizon_there_is_no_target() {
-        for mode in [Aggregation::Ensemble { decay: 0.01 }, Aggregation::WholeChunk, Aggregation::Newest] {
+        for mode in [
+            Aggregation::Ensemble { decay: 0.01 },
+            Aggregation::WholeChunk,
+            Aggregation::Newest,
+        ] {
             let mut aggregator = Aggregator::new(mode);
             assert_eq!(target(&aggregator, 0), None);
             aggregator.push(&constant(0, 1, 0.0, 5), TimeNs(0));
@@ -302,11 +370,18 @@ mod tests {
             let axis = Vector3::new(1.0, 2.0, -0.5).normalize();
             let turned = UnitQuaternion::new(axis * angle);
             let from = at(0.0, 0.0);
-            let mut to = TipTarget::new(&Pose::from_parts(Translation3::new(1.0, 0.0, -0.1), turned), 1.0);
+            let mut to = TipTarget::new(
+                &Pose::from_parts(Translation3::new(1.0, 0.0, -0.1), turned),
+                1.0,
+            );
             to.rotation_xyzw = to.rotation_xyzw.map(|x| -x);
             let middle = between(&from, &to, 0.25).tip_in_rcm();
             let expected = UnitQuaternion::new(axis * angle * 0.25);
-            assert!(middle.rotation.angle_to(&expected) < 1e-6, "{angle}: {}", middle.rotation.angle());
+            assert!(
+                middle.rotation.angle_to(&expected) < 1e-6,
+                "{angle}: {}",
+                middle.rotation.angle()
+            );
             assert!((middle.translation.x - 0.25).abs() < 1e-15);
         }
     }

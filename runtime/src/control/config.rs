@@ -97,7 +97,10 @@ impl ControlConfig {
     /// The defaults of the controller that are built into the program.
     #[must_use]
     pub fn default_control() -> Source {
-        Source::embedded("config/control.toml", include_str!("../../../config/control.toml"))
+        Source::embedded(
+            "config/control.toml",
+            include_str!("../../../config/control.toml"),
+        )
     }
 
     /// The boundaries of needle lift that are built into the program.
@@ -120,7 +123,12 @@ impl ControlConfig {
         let speed = file.limits.tip_speed_m_s;
         control.check_range("limits.tip_speed_m_s", speed, 0.001, 0.5)?;
         control.check_range("tracking.gain_1_s", file.tracking.gain_1_s, 0.1, 100.0)?;
-        control.check_range("tracking.lookahead_s", file.tracking.lookahead_s, 0.001, 0.2)?;
+        control.check_range(
+            "tracking.lookahead_s",
+            file.tracking.lookahead_s,
+            0.001,
+            0.2,
+        )?;
         check_fault(control, &file)?;
         let fault = &file.fault;
         let tracking_error_max = core::array::from_fn(|joint| match joint {
@@ -157,14 +165,28 @@ fn axes(source: &Source, file: &ControlFile) -> Result<[AxisLimits; AXES], Confi
     ])
 }
 
-fn rotary(source: &Source, name: &str, axis: &RotaryAxis, index: usize) -> Result<AxisLimits, ConfigError> {
-    let (low, high) = if index == JAW { (JAW_MIN, JAW_MAX) } else { (POSITION_MIN[index], POSITION_MAX[index]) };
+fn rotary(
+    source: &Source,
+    name: &str,
+    axis: &RotaryAxis,
+    index: usize,
+) -> Result<AxisLimits, ConfigError> {
+    let (low, high) = if index == JAW {
+        (JAW_MIN, JAW_MAX)
+    } else {
+        (POSITION_MIN[index], POSITION_MAX[index])
+    };
     let check = |key: &str, value: f64, low: f64, high: f64| {
         source.check_range(&format!("limits.{name}.{key}"), value, low, high)
     };
     check("low_rad", axis.low_rad, low, high)?;
     check("high_rad", axis.high_rad, axis.low_rad, high)?;
-    check("velocity_rad_s", axis.velocity_rad_s, 0.01, VELOCITY_MAX[index])?;
+    check(
+        "velocity_rad_s",
+        axis.velocity_rad_s,
+        0.01,
+        VELOCITY_MAX[index],
+    )?;
     check("acceleration_rad_s2", axis.acceleration_rad_s2, 0.1, 200.0)?;
     check("jerk_rad_s3", axis.jerk_rad_s3, 1.0, 20_000.0)?;
     Ok(AxisLimits {
@@ -183,7 +205,12 @@ fn linear(source: &Source, name: &str, axis: &LinearAxis) -> Result<AxisLimits, 
     // Shallower than 20 mm the wrist comes too near to the remote centre for the inverse kinematics.
     check("low_m", axis.low_m, 0.02, POSITION_MAX[INSERTION])?;
     check("high_m", axis.high_m, axis.low_m, POSITION_MAX[INSERTION])?;
-    check("velocity_m_s", axis.velocity_m_s, 0.001, VELOCITY_MAX[INSERTION])?;
+    check(
+        "velocity_m_s",
+        axis.velocity_m_s,
+        0.001,
+        VELOCITY_MAX[INSERTION],
+    )?;
     check("acceleration_m_s2", axis.acceleration_m_s2, 0.01, 20.0)?;
     check("jerk_m_s3", axis.jerk_m_s3, 0.1, 2_000.0)?;
     Ok(AxisLimits {
@@ -222,7 +249,11 @@ fn gate(source: &Source, file: &ControlFile) -> Result<GateLimits, ConfigError> 
     })
 }
 
-#[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "checked: positive and below a minute")]
+#[expect(
+    clippy::cast_possible_truncation,
+    clippy::cast_sign_loss,
+    reason = "checked: positive and below a minute"
+)]
 fn nanoseconds(seconds: f64) -> u64 {
     (seconds * 1e9).round() as u64
 }
@@ -230,12 +261,37 @@ fn nanoseconds(seconds: f64) -> u64 {
 fn filter(source: &Source, file: &ControlFile) -> Result<FilterConfig, ConfigError> {
     let filter = &file.filter;
     source.check_range("filter.alpha_1_s", filter.alpha_1_s, 0.5, 50.0)?;
-    source.check_range("filter.margin_m", filter.margin_m, file.guard.margin_m, 0.02)?;
-    source.check_range("filter.tip_speed_fraction", filter.tip_speed_fraction, 0.1, 1.0)?;
-    source.check_range("filter.acceleration_window_s", filter.acceleration_window_s, 0.005, 1.0)?;
+    source.check_range(
+        "filter.margin_m",
+        filter.margin_m,
+        file.guard.margin_m,
+        0.02,
+    )?;
+    source.check_range(
+        "filter.tip_speed_fraction",
+        filter.tip_speed_fraction,
+        0.1,
+        1.0,
+    )?;
+    source.check_range(
+        "filter.acceleration_window_s",
+        filter.acceleration_window_s,
+        0.005,
+        1.0,
+    )?;
     source.check_range("filter.joint_weight", filter.joint_weight, 1e-6, 1.0)?;
-    source.check_range("filter.angular_speed_rad_s", filter.angular_speed_rad_s, 0.1, 20.0)?;
-    source.check_range("filter.iterations_max", f64::from(filter.iterations_max), 5.0, 100.0)?;
+    source.check_range(
+        "filter.angular_speed_rad_s",
+        filter.angular_speed_rad_s,
+        0.1,
+        20.0,
+    )?;
+    source.check_range(
+        "filter.iterations_max",
+        f64::from(filter.iterations_max),
+        5.0,
+        100.0,
+    )?;
     Ok(FilterConfig {
         alpha_1_s: filter.alpha_1_s,
         margin_m: filter.margin_m,
@@ -250,13 +306,31 @@ fn filter(source: &Source, file: &ControlFile) -> Result<FilterConfig, ConfigErr
 fn guard(source: &Source, file: &ControlFile) -> Result<GuardConfig, ConfigError> {
     source.check_range("guard.margin_m", file.guard.margin_m, 1e-4, 0.02)?;
     source.check_range("guard.recovery_m", file.guard.recovery_m, 1e-4, 0.02)?;
-    Ok(GuardConfig { margin_m: file.guard.margin_m, recovery_m: file.guard.recovery_m })
+    Ok(GuardConfig {
+        margin_m: file.guard.margin_m,
+        recovery_m: file.guard.recovery_m,
+    })
 }
 
 fn check_fault(source: &Source, file: &ControlFile) -> Result<(), ConfigError> {
-    source.check_range("fault.tracking_yaw_pitch_rad", file.fault.tracking_yaw_pitch_rad, 0.005, 0.5)?;
-    source.check_range("fault.tracking_insertion_m", file.fault.tracking_insertion_m, 0.001, 0.05)?;
-    source.check_range("fault.tracking_wrist_rad", file.fault.tracking_wrist_rad, 0.02, 1.5)
+    source.check_range(
+        "fault.tracking_yaw_pitch_rad",
+        file.fault.tracking_yaw_pitch_rad,
+        0.005,
+        0.5,
+    )?;
+    source.check_range(
+        "fault.tracking_insertion_m",
+        file.fault.tracking_insertion_m,
+        0.001,
+        0.05,
+    )?;
+    source.check_range(
+        "fault.tracking_wrist_rad",
+        file.fault.tracking_wrist_rad,
+        0.02,
+        1.5,
+    )
 }
 
 fn geometry(source: &Source) -> Result<Geometry, ConfigError> {
@@ -270,17 +344,30 @@ fn geometry(source: &Source) -> Result<Geometry, ConfigError> {
     }
     if file.forbidden.len() > FORBIDDEN_MAX {
         let count = file.forbidden.len().to_string();
-        return Err(source.out_of_range("forbidden", &count, &format!("at most {FORBIDDEN_MAX} regions")));
+        return Err(source.out_of_range(
+            "forbidden",
+            &count,
+            &format!("at most {FORBIDDEN_MAX} regions"),
+        ));
     }
     let rcm_in_scene_m = Vector3::from(origin);
     let mut forbidden = Vec::with_capacity(file.forbidden.len());
     for (index, sphere) in file.forbidden.into_iter().enumerate() {
-        source.check_range(&format!("forbidden.{index}.radius_m"), sphere.radius_m, 0.001, 0.2)?;
+        source.check_range(
+            &format!("forbidden.{index}.radius_m"),
+            sphere.radius_m,
+            0.001,
+            0.2,
+        )?;
         for value in sphere.center_m {
             source.check_range(&format!("forbidden.{index}.center_m"), value, -1.0, 1.0)?;
         }
         let center_m = Vector3::from(sphere.center_m) - rcm_in_scene_m;
-        forbidden.push(Sphere { name: sphere.name, center_m, radius_m: sphere.radius_m });
+        forbidden.push(Sphere {
+            name: sphere.name,
+            center_m,
+            radius_m: sphere.radius_m,
+        });
     }
     Ok(Geometry {
         workspace_min_m: Vector3::from(low) - rcm_in_scene_m,
@@ -300,12 +387,18 @@ mod tests {
         let changed = control.text().replacen(from, to, 1);
         assert_ne!(changed, control.text());
         let source = Source::embedded("control.toml", &changed);
-        ControlConfig::load(&source, &ControlConfig::needle_lift_safety()).unwrap_err().to_string()
+        ControlConfig::load(&source, &ControlConfig::needle_lift_safety())
+            .unwrap_err()
+            .to_string()
     }
 
     #[test]
     fn the_committed_files_load() {
-        let config = ControlConfig::load(&ControlConfig::default_control(), &ControlConfig::needle_lift_safety()).unwrap();
+        let config = ControlConfig::load(
+            &ControlConfig::default_control(),
+            &ControlConfig::needle_lift_safety(),
+        )
+        .unwrap();
         assert!((config.geometry.workspace_min_m.z + 0.155).abs() < 1e-12);
         assert_eq!(config.geometry.forbidden.len(), 1);
     }
@@ -314,9 +407,15 @@ mod tests {
     fn unknown_keys_and_wild_values_are_named_with_line_and_range() {
         assert!(message("gain_1_s", "gian_1_s").contains("gian_1_s"));
         let wild = message("tip_speed_m_s = 0.08", "tip_speed_m_s = 8.0");
-        assert_eq!(wild, "control.toml:6: limits.tip_speed_m_s = 8 is outside [0.001, 0.5]");
+        assert_eq!(
+            wild,
+            "control.toml:6: limits.tip_speed_m_s = 8 is outside [0.001, 0.5]"
+        );
         assert!(message("alpha_1_s = 5.0", "alpha_1_s = nan").contains("filter.alpha_1_s = NaN"));
-        assert!(message("high_rad = 1.5", "high_rad = -2.0").contains("limits.yaw.high_rad = -2 is outside [-1.5, 1.588]"));
+        assert!(
+            message("high_rad = 1.5", "high_rad = -2.0")
+                .contains("limits.yaw.high_rad = -2 is outside [-1.5, 1.588]")
+        );
         assert!(message("mode = \"ensemble\"", "mode = \"mean\"").contains("mean"));
     }
 
@@ -324,12 +423,21 @@ mod tests {
     fn a_small_or_crowded_scene_is_refused() {
         let control = ControlConfig::default_control();
         let safety = ControlConfig::needle_lift_safety();
-        let flat = safety.text().replace("max_m = [0.06, 0.05, 0.09]", "max_m = [0.06, 0.05, -0.01]");
-        let error = ControlConfig::load(&control, &Source::embedded("s.toml", &flat)).unwrap_err().to_string();
+        let flat = safety
+            .text()
+            .replace("max_m = [0.06, 0.05, 0.09]", "max_m = [0.06, 0.05, -0.01]");
+        let error = ControlConfig::load(&control, &Source::embedded("s.toml", &flat))
+            .unwrap_err()
+            .to_string();
         assert!(error.contains("workspace.max_m = -0.01"), "{error}");
         let sphere = "\n[[forbidden]]\nname = \"x\"\ncenter_m = [0.0, 0.0, 0.0]\nradius_m = 0.01\n";
         let crowded = format!("{}{}", safety.text(), sphere.repeat(4));
-        let error = ControlConfig::load(&control, &Source::embedded("s.toml", &crowded)).unwrap_err().to_string();
-        assert!(error.contains("forbidden = 5 is outside at most 4 regions"), "{error}");
+        let error = ControlConfig::load(&control, &Source::embedded("s.toml", &crowded))
+            .unwrap_err()
+            .to_string();
+        assert!(
+            error.contains("forbidden = 5 is outside at most 4 regions"),
+            "{error}"
+        );
     }
 }

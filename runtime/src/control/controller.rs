@@ -61,7 +61,11 @@ impl Controller {
     /// # Errors
     /// [`SolverError`] if the QP solver cannot be built.
     pub fn new(config: &ControlConfig) -> Result<Self, SolverError> {
-        let rest = MotionState { position: [0.0; AXES], velocity: [0.0; AXES], acceleration: [0.0; AXES] };
+        let rest = MotionState {
+            position: [0.0; AXES],
+            velocity: [0.0; AXES],
+            acceleration: [0.0; AXES],
+        };
         Ok(Self {
             state: OperatingState::Disabled,
             homed: false,
@@ -92,7 +96,11 @@ impl Controller {
     /// The operating state with CRTK's flags.
     #[must_use]
     pub fn mode(&self) -> Mode {
-        Mode { state: self.state, homed: self.homed, busy: !self.commanded.is_at_rest() }
+        Mode {
+            state: self.state,
+            homed: self.homed,
+            busy: !self.commanded.is_at_rest(),
+        }
     }
 
     /// Chunks that the gate let through, and chunks that it refused, since the start.
@@ -112,7 +120,9 @@ impl Controller {
                 let gate = input.chunk.and_then(|chunk| self.take(chunk, input.now));
                 (gate, self.follow(input.now))
             }
-            OperatingState::Disabled | OperatingState::Paused | OperatingState::Fault => (None, self.come_to_rest()),
+            OperatingState::Disabled | OperatingState::Paused | OperatingState::Fault => {
+                (None, self.come_to_rest())
+            }
         };
         TickOutput {
             command: self.commanded.command(input.now, self.powered),
@@ -155,8 +165,12 @@ impl Controller {
             return None;
         }
         let error = self.commanded.joints() - arm.position;
-        let joint = (0..JOINT_COUNT).find(|&joint| error[joint].abs() > self.tracking_error_max[joint])?;
-        Some(Fault::TrackingError { joint: u8::try_from(joint).unwrap_or(u8::MAX), error: error[joint] })
+        let joint =
+            (0..JOINT_COUNT).find(|&joint| error[joint].abs() > self.tracking_error_max[joint])?;
+        Some(Fault::TrackingError {
+            joint: u8::try_from(joint).unwrap_or(u8::MAX),
+            error: error[joint],
+        })
     }
 
     fn change(&mut self, event: Event) {
@@ -190,24 +204,46 @@ impl Controller {
     /// One tick towards the aggregated target; without one, towards rest.
     fn follow(&mut self, now: TimeNs) -> Motion {
         self.aggregator.advance(now);
-        let fresh = self.aggregator.newest_observed_at().is_some_and(|at| now.since(at) <= self.stale_ns);
+        let fresh = self
+            .aggregator
+            .newest_observed_at()
+            .is_some_and(|at| now.since(at) <= self.stale_ns);
         let ahead_ns = self.lookahead_ns.max(TICK_NS);
-        let targets = if fresh { self.aggregator.targets(now, now.plus_ns(ahead_ns)) } else { None };
+        let targets = if fresh {
+            self.aggregator.targets(now, now.plus_ns(ahead_ns))
+        } else {
+            None
+        };
 
         let frames = Frames::at(&self.commanded.joints());
         let nominal = targets.and_then(|(target, ahead)| {
-            self.tracking.velocity(&self.commanded, &frames, &target, &ahead, TimeNs(ahead_ns).seconds())
+            self.tracking.velocity(
+                &self.commanded,
+                &frames,
+                &target,
+                &ahead,
+                TimeNs(ahead_ns).seconds(),
+            )
         });
         let nominal = nominal.unwrap_or([0.0; AXES]);
         let rows = Rows::new(&self.config, &self.commanded, &frames);
         let wanted = JointVector::from_fn(|joint, _| nominal[joint]);
         let filtered = self.filter.filter(&wanted, &rows, &frames.tip_jacobian());
 
-        let velocity: Axes =
-            core::array::from_fn(|axis| if axis == JAW { nominal[JAW] } else { filtered.velocity[axis] });
+        let velocity: Axes = core::array::from_fn(|axis| {
+            if axis == JAW {
+                nominal[JAW]
+            } else {
+                filtered.velocity[axis]
+            }
+        });
         let candidate = self.smoother.step(&self.commanded, &velocity);
         let guard_intervened = self.commit(candidate.as_ref());
-        Motion { filtered, target: targets.map(|(target, _)| target), guard_intervened }
+        Motion {
+            filtered,
+            target: targets.map(|(target, _)| target),
+            guard_intervened,
+        }
     }
 
     fn commit(&mut self, candidate: Option<&MotionState>) -> bool {
@@ -235,7 +271,11 @@ impl Controller {
             rows_active: 0,
             correction: 0.0,
         };
-        Motion { filtered, target: None, guard_intervened: false }
+        Motion {
+            filtered,
+            target: None,
+            guard_intervened: false,
+        }
     }
 
     /// Whether the drives lose torque at rest. An arm that lost a measurement holds what it has in its jaws; one that does

@@ -6,7 +6,8 @@
 
 use clarabel::algebra::CscMatrix;
 use clarabel::solver::{
-    DefaultSettings, DefaultSolver, IPSolver, NonnegativeConeT, SecondOrderConeT, SolverError, SolverStatus,
+    DefaultSettings, DefaultSolver, IPSolver, NonnegativeConeT, SecondOrderConeT, SolverError,
+    SolverStatus,
 };
 use hal::{JOINT_COUNT, JointVector};
 use nalgebra::{Matrix6, Vector6};
@@ -62,7 +63,8 @@ impl Filter {
     /// [`SolverError`] if Clarabel refuses the pattern or its settings.
     pub fn new(config: &ControlConfig) -> Result<Self, SolverError> {
         let linear_weight = (config.tip_speed_m_s * config.tip_speed_m_s).recip();
-        let angular_weight = (config.filter.angular_speed_rad_s * config.filter.angular_speed_rad_s).recip();
+        let angular_weight =
+            (config.filter.angular_speed_rad_s * config.filter.angular_speed_rad_s).recip();
         Ok(Self {
             solver: solver(&config.filter)?,
             hessian: vec![0.0; UPPER_TRIANGLE],
@@ -83,13 +85,19 @@ impl Filter {
     }
 
     /// The velocity nearest to `nominal` that satisfies `rows`; `jacobian` is the tip's.
-    pub fn filter(&mut self, nominal: &JointVector, rows: &Rows, jacobian: &Matrix6<f64>) -> Filtered {
+    pub fn filter(
+        &mut self,
+        nominal: &JointVector,
+        rows: &Rows,
+        jacobian: &Matrix6<f64>,
+    ) -> Filtered {
         let (velocity, outcome) = if rows.hold(nominal, &self.scale, PASS_TOLERANCE) {
             (*nominal, QpOutcome::NotNeeded)
         } else {
-            self.solve(nominal, rows, jacobian).map_or((JointVector::zeros(), QpOutcome::Failed), |(velocity, iterations)| {
-                (velocity, QpOutcome::Solved { iterations })
-            })
+            self.solve(nominal, rows, jacobian).map_or(
+                (JointVector::zeros(), QpOutcome::Failed),
+                |(velocity, iterations)| (velocity, QpOutcome::Solved { iterations }),
+            )
         };
         Filtered {
             velocity,
@@ -99,7 +107,12 @@ impl Filter {
         }
     }
 
-    fn solve(&mut self, nominal: &JointVector, rows: &Rows, jacobian: &Matrix6<f64>) -> Option<(JointVector, u32)> {
+    fn solve(
+        &mut self,
+        nominal: &JointVector,
+        rows: &Rows,
+        jacobian: &Matrix6<f64>,
+    ) -> Option<(JointVector, u32)> {
         self.set_cost(nominal, jacobian);
         self.set_rows(rows);
         let solver = &mut self.solver;
@@ -114,13 +127,14 @@ impl Filter {
         let x = &solver.solution.x;
         let velocity = JointVector::from_fn(|joint, _| x[joint] * self.scale[joint]);
         // The solver's word is not enough: NaN and inaccurate answers fail here.
-        rows.hold(&velocity, &self.scale, TRUST_TOLERANCE).then_some((velocity, solver.solution.iterations))
+        rows.hold(&velocity, &self.scale, TRUST_TOLERANCE)
+            .then_some((velocity, solver.solution.iterations))
     }
 
     fn set_cost(&mut self, nominal: &JointVector, jacobian: &Matrix6<f64>) {
         let twist = jacobian * Matrix6::from_diagonal(&self.scale);
-        let cost =
-            twist.transpose() * Matrix6::from_diagonal(&self.twist_weight) * twist + Matrix6::identity() * self.joint_weight;
+        let cost = twist.transpose() * Matrix6::from_diagonal(&self.twist_weight) * twist
+            + Matrix6::identity() * self.joint_weight;
         let wanted = cost * nominal.component_div(&self.scale);
         let mut entries = self.hessian.iter_mut();
         for column in 0..JOINT_COUNT {
@@ -146,7 +160,10 @@ impl Filter {
             self.bound[joint] = rows.high[joint] / scale;
             self.bound[JOINT_COUNT + joint] = -rows.low[joint] / scale;
         }
-        for (bound, row) in self.bound[BOX_ROWS..LINEAR_ROWS].iter_mut().zip(&rows.geometry) {
+        for (bound, row) in self.bound[BOX_ROWS..LINEAR_ROWS]
+            .iter_mut()
+            .zip(&rows.geometry)
+        {
             *bound = row.bound / speed;
         }
         self.bound[LINEAR_ROWS] = 1.0;
@@ -161,7 +178,13 @@ fn solver(config: &FilterConfig) -> Result<DefaultSolver<f64>, SolverError> {
         row_indices.extend(0..=column);
         column_starts.push(row_indices.len());
     }
-    let cost = CscMatrix::new(JOINT_COUNT, JOINT_COUNT, column_starts, row_indices, vec![1.0; UPPER_TRIANGLE]);
+    let cost = CscMatrix::new(
+        JOINT_COUNT,
+        JOINT_COUNT,
+        column_starts,
+        row_indices,
+        vec![1.0; UPPER_TRIANGLE],
+    );
 
     let mut column_starts = vec![0];
     let mut row_indices = Vec::with_capacity(JOINT_COUNT * COLUMN);
@@ -171,7 +194,13 @@ fn solver(config: &FilterConfig) -> Result<DefaultSolver<f64>, SolverError> {
         row_indices.extend(LINEAR_ROWS + 1..ROWS);
         column_starts.push(row_indices.len());
     }
-    let constraint = CscMatrix::new(ROWS, JOINT_COUNT, column_starts, row_indices, vec![1.0; JOINT_COUNT * COLUMN]);
+    let constraint = CscMatrix::new(
+        ROWS,
+        JOINT_COUNT,
+        column_starts,
+        row_indices,
+        vec![1.0; JOINT_COUNT * COLUMN],
+    );
 
     // No presolve, no dropped zeros: both would forbid new numbers. No equilibration: it is computed once, from the first
     // numbers, and the problem is scaled already. No time limit: it would read the clock.
@@ -186,12 +215,21 @@ fn solver(config: &FilterConfig) -> Result<DefaultSolver<f64>, SolverError> {
         ..DefaultSettings::default()
     };
     let cones = [NonnegativeConeT(LINEAR_ROWS), SecondOrderConeT(CONE_ROWS)];
-    DefaultSolver::new(&cost, &[0.0; JOINT_COUNT], &constraint, &[1.0; ROWS], &cones, settings)
+    DefaultSolver::new(
+        &cost,
+        &[0.0; JOINT_COUNT],
+        &constraint,
+        &[1.0; ROWS],
+        &cones,
+        settings,
+    )
 }
 
 impl core::fmt::Debug for Filter {
     fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
-        f.debug_struct("Filter").field("scale", &self.scale).finish_non_exhaustive()
+        f.debug_struct("Filter")
+            .field("scale", &self.scale)
+            .finish_non_exhaustive()
     }
 }
 
@@ -208,7 +246,11 @@ mod tests {
     use nalgebra::Matrix6;
 
     fn config() -> ControlConfig {
-        ControlConfig::load(&ControlConfig::default_control(), &ControlConfig::needle_lift_safety()).unwrap()
+        ControlConfig::load(
+            &ControlConfig::default_control(),
+            &ControlConfig::needle_lift_safety(),
+        )
+        .unwrap()
     }
 
     fn random_velocity(random: &mut SplitMix64, filter: &Filter, share: f64) -> JointVector {
@@ -217,8 +259,11 @@ mod tests {
 
     /// A configuration in or near the needle-lift workspace, with the arm moving.
     fn random_rows(random: &mut SplitMix64, config: &ControlConfig) -> (Rows, Matrix6<f64>) {
-        let mut state =
-            MotionState { position: [0.0; AXES], velocity: [0.0; AXES], acceleration: [0.0; AXES] };
+        let mut state = MotionState {
+            position: [0.0; AXES],
+            velocity: [0.0; AXES],
+            acceleration: [0.0; AXES],
+        };
         let centre = [0.0, 0.0, 0.13, 0.0, 0.0, 0.0];
         let spread = [0.5, 0.4, 0.04, 4.0, 1.3, 1.3];
         for joint in 0..hal::JOINT_COUNT {
@@ -246,7 +291,10 @@ mod tests {
             let nominal = random_velocity(&mut random, &filter, 0.2);
             if rows.hold(&nominal, &filter.scale, 0.0) {
                 let filtered = filter.filter(&nominal, &rows, &jacobian);
-                assert_eq!((filtered.velocity, filtered.outcome), (nominal, QpOutcome::NotNeeded));
+                assert_eq!(
+                    (filtered.velocity, filtered.outcome),
+                    (nominal, QpOutcome::NotNeeded)
+                );
                 passed += 1;
             }
         }
@@ -264,7 +312,10 @@ mod tests {
             let nominal = random_velocity(&mut random, &filter, 1.5);
             let filtered = filter.filter(&nominal, &rows, &jacobian);
             assert_ne!(filtered.outcome, QpOutcome::Failed, "case {case}");
-            assert!(rows.hold(&filtered.velocity, &filter.scale, 1e-6), "case {case}");
+            assert!(
+                rows.hold(&filtered.velocity, &filter.scale, 1e-6),
+                "case {case}"
+            );
             if filtered.outcome == QpOutcome::NotNeeded {
                 continue;
             }
@@ -276,7 +327,10 @@ mod tests {
                 let rival = filtered.velocity + random_velocity(&mut random, &filter, size);
                 if rows.hold(&rival, &filter.scale, 0.0) {
                     rivals += 1;
-                    assert!(cost(&filter, &(rival - nominal), &jacobian) > best - 1e-5 * (1.0 + best), "case {case}");
+                    assert!(
+                        cost(&filter, &(rival - nominal), &jacobian) > best - 1e-5 * (1.0 + best),
+                        "case {case}"
+                    );
                 }
             }
         }
@@ -294,7 +348,10 @@ mod tests {
         let good = nominal;
         nominal[2] = f64::NAN;
         let broken = filter.filter(&nominal, &rows, &jacobian);
-        assert_eq!((broken.velocity, broken.outcome), (JointVector::zeros(), QpOutcome::Failed));
+        assert_eq!(
+            (broken.velocity, broken.outcome),
+            (JointVector::zeros(), QpOutcome::Failed)
+        );
         assert_eq!(filter.filter(&good, &rows, &jacobian), before);
     }
 }

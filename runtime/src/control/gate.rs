@@ -90,7 +90,13 @@ impl Gate {
     /// A gate that has seen nothing.
     #[must_use]
     pub fn new(limits: GateLimits) -> Self {
-        Self { limits, accepted: None, judged: None, accepted_count: 0, refused_count: 0 }
+        Self {
+            limits,
+            accepted: None,
+            judged: None,
+            accepted_count: 0,
+            refused_count: 0,
+        }
     }
 
     /// Forgets the order of the chunks so far, but not how many there were.
@@ -112,7 +118,12 @@ impl Gate {
     }
 
     /// Judges `chunk`; `None` if it is the chunk that was judged last.
-    pub fn judge(&mut self, chunk: &Chunk, now: TimeNs, commanded_tip_in_rcm: &Pose) -> Option<Verdict> {
+    pub fn judge(
+        &mut self,
+        chunk: &Chunk,
+        now: TimeNs,
+        commanded_tip_in_rcm: &Pose,
+    ) -> Option<Verdict> {
         let identity = (chunk.sequence, chunk.observed_at);
         if self.judged == Some(identity) {
             return None;
@@ -134,7 +145,9 @@ impl Gate {
             return Verdict::WrongLength { len: chunk.len };
         }
         if !(TICK_NS..=STEP_NS_MAX).contains(&chunk.step_ns) {
-            return Verdict::WrongStep { step_ns: chunk.step_ns };
+            return Verdict::WrongStep {
+                step_ns: chunk.step_ns,
+            };
         }
         if chunk.observed_at > now {
             return Verdict::FromTheFuture;
@@ -151,7 +164,8 @@ impl Gate {
         if let Some(verdict) = self.first_bad_target(targets) {
             return verdict;
         }
-        let due = usize::try_from(age_ns / chunk.step_ns).map_or(0, |index| index.min(targets.len() - 1));
+        let due =
+            usize::try_from(age_ns / chunk.step_ns).map_or(0, |index| index.min(targets.len() - 1));
         let target = targets[due].tip_in_rcm();
         let away_m = (target.translation.vector - commanded.translation.vector).norm();
         let away_rad = target.rotation.angle_to(&commanded.rotation);
@@ -188,7 +202,12 @@ impl Gate {
 }
 
 fn is_finite(target: &TipTarget) -> bool {
-    target.position_m.iter().chain(&target.rotation_xyzw).all(|x| x.is_finite()) && target.jaw.is_finite()
+    target
+        .position_m
+        .iter()
+        .chain(&target.rotation_xyzw)
+        .all(|x| x.is_finite())
+        && target.jaw.is_finite()
 }
 
 fn dot(a: &[f64; 4], b: &[f64; 4]) -> f64 {
@@ -200,8 +219,13 @@ mod tests {
     use super::{Gate, GateLimits, Verdict};
     use hal::{Chunk, Pose, TimeNs, TipTarget};
 
-    const LIMITS: GateLimits =
-        GateLimits { age_ns_max: 2_000_000_000, step_m_max: 0.01, step_rad_max: 0.5, jump_m_max: 0.05, jump_rad_max: 1.0 };
+    const LIMITS: GateLimits = GateLimits {
+        age_ns_max: 2_000_000_000,
+        step_m_max: 0.01,
+        step_rad_max: 0.5,
+        jump_m_max: 0.05,
+        jump_rad_max: 1.0,
+    };
     const STEP_NS: u64 = 40_000_000;
     const NOW: TimeNs = TimeNs(1_000_000_000);
 
@@ -214,7 +238,8 @@ mod tests {
         let mut gate = Gate::new(LIMITS);
         let mut chunk = good(5);
         spoil(&mut chunk);
-        gate.judge(&chunk, NOW, &Pose::translation(0.0, 0.0, -0.11)).unwrap()
+        gate.judge(&chunk, NOW, &Pose::translation(0.0, 0.0, -0.11))
+            .unwrap()
     }
 
     #[test]
@@ -235,31 +260,81 @@ mod tests {
         let tip = Pose::translation(0.0, 0.0, -0.11);
         let mut bad = good(u64::MAX);
         bad.targets[3].jaw = f64::NAN;
-        assert_eq!(gate.judge(&bad, NOW, &tip), Some(Verdict::NotFinite { index: 3 }));
+        assert_eq!(
+            gate.judge(&bad, NOW, &tip),
+            Some(Verdict::NotFinite { index: 3 })
+        );
         assert_eq!(gate.judge(&good(6), NOW, &tip), Some(Verdict::Accepted));
     }
 
     #[test]
     fn every_kind_of_nonsense_has_its_verdict() {
-        assert_eq!(verdict_after(|c| c.len = 0), Verdict::WrongLength { len: 0 });
-        assert_eq!(verdict_after(|c| c.len = 129), Verdict::WrongLength { len: 129 });
-        assert_eq!(verdict_after(|c| c.step_ns = 0), Verdict::WrongStep { step_ns: 0 });
-        assert_eq!(verdict_after(|c| c.step_ns = u64::MAX), Verdict::WrongStep { step_ns: u64::MAX });
-        assert_eq!(verdict_after(|c| c.observed_at = TimeNs(u64::MAX)), Verdict::FromTheFuture);
-        assert_eq!(verdict_after(|c| c.len = 2), Verdict::Stale { age_ns: 100_000_000 });
-        assert_eq!(verdict_after(|c| c.targets[7].position_m[1] = f64::INFINITY), Verdict::NotFinite { index: 7 });
-        assert_eq!(verdict_after(|c| c.targets[7].rotation_xyzw = [0.0; 4]), Verdict::NotUnit { index: 7 });
-        assert_eq!(verdict_after(|c| c.targets[7].position_m[1] = 0.02), Verdict::StepTooLong { index: 7 });
+        assert_eq!(
+            verdict_after(|c| c.len = 0),
+            Verdict::WrongLength { len: 0 }
+        );
+        assert_eq!(
+            verdict_after(|c| c.len = 129),
+            Verdict::WrongLength { len: 129 }
+        );
+        assert_eq!(
+            verdict_after(|c| c.step_ns = 0),
+            Verdict::WrongStep { step_ns: 0 }
+        );
+        assert_eq!(
+            verdict_after(|c| c.step_ns = u64::MAX),
+            Verdict::WrongStep { step_ns: u64::MAX }
+        );
+        assert_eq!(
+            verdict_after(|c| c.observed_at = TimeNs(u64::MAX)),
+            Verdict::FromTheFuture
+        );
+        assert_eq!(
+            verdict_after(|c| c.len = 2),
+            Verdict::Stale {
+                age_ns: 100_000_000
+            }
+        );
+        assert_eq!(
+            verdict_after(|c| c.targets[7].position_m[1] = f64::INFINITY),
+            Verdict::NotFinite { index: 7 }
+        );
+        assert_eq!(
+            verdict_after(|c| c.targets[7].rotation_xyzw = [0.0; 4]),
+            Verdict::NotUnit { index: 7 }
+        );
+        assert_eq!(
+            verdict_after(|c| c.targets[7].position_m[1] = 0.02),
+            Verdict::StepTooLong { index: 7 }
+        );
         let turned = [1.0, 0.0, 0.0, 0.0];
-        assert_eq!(verdict_after(|c| c.targets[9].rotation_xyzw = turned), Verdict::StepTooLong { index: 9 });
-        assert_eq!(verdict_after(|c| c.targets.iter_mut().for_each(|t| t.position_m[0] = 0.06)), Verdict::Jump);
-        assert_eq!(verdict_after(|c| c.targets[100].jaw = f64::NAN), Verdict::Accepted);
+        assert_eq!(
+            verdict_after(|c| c.targets[9].rotation_xyzw = turned),
+            Verdict::StepTooLong { index: 9 }
+        );
+        assert_eq!(
+            verdict_after(|c| c.targets.iter_mut().for_each(|t| t.position_m[0] = 0.06)),
+            Verdict::Jump
+        );
+        assert_eq!(
+            verdict_after(|c| c.targets[100].jaw = f64::NAN),
+            Verdict::Accepted
+        );
     }
 
     #[test]
     fn an_old_observation_is_stale() {
         let mut gate = Gate::new(LIMITS);
-        let verdict = gate.judge(&good(1), TimeNs(2_900_000_001), &Pose::translation(0.0, 0.0, -0.11));
-        assert_eq!(verdict, Some(Verdict::Stale { age_ns: 2_000_000_001 }));
+        let verdict = gate.judge(
+            &good(1),
+            TimeNs(2_900_000_001),
+            &Pose::translation(0.0, 0.0, -0.11),
+        );
+        assert_eq!(
+            verdict,
+            Some(Verdict::Stale {
+                age_ns: 2_000_000_001
+            })
+        );
     }
 }

@@ -88,15 +88,25 @@ impl Guard {
     pub fn seed(&mut self, state: &MotionState) {
         self.held = Stop::new(state, &self.axes);
         self.played_s = 0.0;
-        self.floors = self.clearances(&Frames::at(&state.joints())).map(|h| (h - self.recovery_m).min(self.margin_m));
-        for (range, (limits, &position)) in self.ranges.iter_mut().zip(self.axes.iter().zip(&state.position)) {
+        self.floors = self
+            .clearances(&Frames::at(&state.joints()))
+            .map(|h| (h - self.recovery_m).min(self.margin_m));
+        for (range, (limits, &position)) in self
+            .ranges
+            .iter_mut()
+            .zip(self.axes.iter().zip(&state.position))
+        {
             *range = (limits.low.min(position), limits.high.max(position));
         }
     }
 
     /// The next state: `candidate` if it follows from `current` within the limits and its stop is verified, otherwise the
     /// next one of the stop that is held. The flag tells whether the guard intervened.
-    pub fn next(&mut self, current: &MotionState, candidate: Option<&MotionState>) -> (MotionState, bool) {
+    pub fn next(
+        &mut self,
+        current: &MotionState,
+        candidate: Option<&MotionState>,
+    ) -> (MotionState, bool) {
         if let Some(candidate) = candidate {
             let stop = Stop::new(candidate, &self.axes);
             if self.follows(current, candidate) && self.verify(&stop) {
@@ -120,24 +130,31 @@ impl Guard {
         let t = self.tick_s;
         candidate.is_finite()
             && self.axes.iter().enumerate().all(|(axis, limits)| {
-                let (p, v, a) = (current.position[axis], current.velocity[axis], current.acceleration[axis]);
+                let (p, v, a) = (
+                    current.position[axis],
+                    current.velocity[axis],
+                    current.acceleration[axis],
+                );
                 let jerk = limits.jerk * (1.0 + 1e-7);
                 (candidate.acceleration[axis] - a).abs() <= jerk * t + 1e-12
                     && (candidate.velocity[axis] - v - a * t).abs() <= jerk * t * t / 2.0 + 1e-12
-                    && (candidate.position[axis] - p - v * t - a * t * t / 2.0).abs() <= jerk * t * t * t / 6.0 + 1e-12
+                    && (candidate.position[axis] - p - v * t - a * t * t / 2.0).abs()
+                        <= jerk * t * t * t / 6.0 + 1e-12
                     && candidate.acceleration[axis].abs() <= limits.acceleration * (1.0 + ROUNDING)
             })
     }
 
     /// Whether `stop` keeps every limit from its first moment to rest.
     fn verify(&self, stop: &Stop) -> bool {
-        let axes_keep = stop.axes().iter().zip(&self.axes).zip(&self.ranges).all(|((axis, limits), &(low, high))| {
-            let (least, most) = axis.position_range();
-            least >= low
-                && most <= high
-                && axis.peak_velocity() <= limits.velocity * (1.0 + ROUNDING)
-                && axis.peak_acceleration() <= limits.acceleration * (1.0 + ROUNDING)
-        });
+        let axes_keep = stop.axes().iter().zip(&self.axes).zip(&self.ranges).all(
+            |((axis, limits), &(low, high))| {
+                let (least, most) = axis.position_range();
+                least >= low
+                    && most <= high
+                    && axis.peak_velocity() <= limits.velocity * (1.0 + ROUNDING)
+                    && axis.peak_acceleration() <= limits.acceleration * (1.0 + ROUNDING)
+            },
+        );
         axes_keep && self.verify_in_space(stop)
     }
 
@@ -165,7 +182,8 @@ impl Guard {
             (before.speeds[axis].max(after.speeds[axis]) + bulge).min(axes[axis].peak_velocity())
         });
         Reach {
-            distance_m: before.wrist_distance_m.max(after.wrist_distance_m) + speeds[INSERTION] * gap_s,
+            distance_m: before.wrist_distance_m.max(after.wrist_distance_m)
+                + speeds[INSERTION] * gap_s,
             speeds,
             accelerations: axes.map(|axis| axis.peak_acceleration()),
         }
@@ -174,8 +192,9 @@ impl Guard {
     fn interval_keeps(&self, before: &Sample, after: &Sample, reach: &Reach, gap_s: f64) -> bool {
         // A clearance changes no faster than its point moves, so half the way bounds the dip below the mean of the ends.
         let dip_m = reach.point_speed_m_s() * gap_s / 2.0;
-        let clear = (0..CLEARANCES)
-            .all(|i| f64::midpoint(before.clearances[i], after.clearances[i]) - dip_m >= self.floors[i]);
+        let clear = (0..CLEARANCES).all(|i| {
+            f64::midpoint(before.clearances[i], after.clearances[i]) - dip_m >= self.floors[i]
+        });
         let rise_m_s = reach.tip_acceleration_m_s2() * gap_s / 2.0;
         let fastest = f64::midpoint(before.tip_speed_m_s, after.tip_speed_m_s) + rise_m_s;
         // NaN fails both comparisons.
@@ -209,11 +228,19 @@ impl Guard {
                 self.workspace_max_m[axis] - point_m[axis]
             };
         }
-        let corners = [Vector3::zeros(), frames.wrist_m, frames.tip_m, frames.finger_m];
+        let corners = [
+            Vector3::zeros(),
+            frames.wrist_m,
+            frames.tip_m,
+            frames.finger_m,
+        ];
         for (slots, sphere) in links.chunks_exact_mut(3).zip(&self.spheres) {
-            let Some((center_m, radius_m)) = sphere else { continue };
+            let Some((center_m, radius_m)) = sphere else {
+                continue;
+            };
             for (slot, ends) in slots.iter_mut().zip(corners.windows(2)) {
-                *slot = distance_to_segment(center_m, &ends[0], &ends[1]) - radius_m - SHAFT_RADIUS_M;
+                *slot =
+                    distance_to_segment(center_m, &ends[0], &ends[1]) - radius_m - SHAFT_RADIUS_M;
             }
         }
         clearances
@@ -227,8 +254,15 @@ impl Guard {
                 *floor = floor.max((h - self.recovery_m).min(self.margin_m));
             }
         }
-        for (range, (limits, &position)) in self.ranges.iter_mut().zip(self.axes.iter().zip(&state.position)) {
-            *range = (range.0.max(limits.low.min(position)), range.1.min(limits.high.max(position)));
+        for (range, (limits, &position)) in self
+            .ranges
+            .iter_mut()
+            .zip(self.axes.iter().zip(&state.position))
+        {
+            *range = (
+                range.0.max(limits.low.min(position)),
+                range.1.min(limits.high.max(position)),
+            );
         }
     }
 }
@@ -275,7 +309,6 @@ fn distance_to_segment(point_m: &Vector3<f64>, from_m: &Vector3<f64>, to_m: &Vec
     let fraction = (offset.dot(&along) / length_squared).clamp(0.0, 1.0);
     (offset - along * fraction).norm()
 }
-
 
 #[cfg(test)]
 mod tests;

@@ -106,7 +106,12 @@ mod tests {
     use super::{Event, OperatingState, OperatorEvent, next};
 
     fn state_named(name: &str) -> OperatingState {
-        let all = [OperatingState::Disabled, OperatingState::Enabled, OperatingState::Paused, OperatingState::Fault];
+        let all = [
+            OperatingState::Disabled,
+            OperatingState::Enabled,
+            OperatingState::Paused,
+            OperatingState::Fault,
+        ];
         all.into_iter().find(|state| state.name() == name).unwrap()
     }
 
@@ -125,23 +130,44 @@ mod tests {
             .take_while(|line| line.starts_with("//!"))
             .filter_map(|line| line.strip_prefix("//! | "))
             .skip(1)
-            .map(|line| line.split('|').map(str::trim).filter(|cell| !cell.is_empty()).collect())
+            .map(|line| {
+                line.split('|')
+                    .map(str::trim)
+                    .filter(|cell| !cell.is_empty())
+                    .collect()
+            })
             .filter(|cells: &Vec<&str>| !cells[0].starts_with('-'))
             .collect();
         assert_eq!(rows.len(), 4);
         for row in rows {
             assert_eq!(row.len(), 1 + events.len(), "{row:?}");
             for (event, expected) in events.iter().zip(&row[1..]) {
-                assert_eq!(next(state_named(row[0]), *event), state_named(expected), "{} on {event:?}", row[0]);
+                assert_eq!(
+                    next(state_named(row[0]), *event),
+                    state_named(expected),
+                    "{} on {event:?}",
+                    row[0]
+                );
             }
         }
     }
 
     #[test]
     fn a_fault_is_left_only_by_clearing_it() {
-        for event in [OperatorEvent::Enable, OperatorEvent::Disable, OperatorEvent::Pause, OperatorEvent::Resume] {
-            assert_eq!(next(OperatingState::Fault, Event::Operator(event)), OperatingState::Fault);
+        for event in [
+            OperatorEvent::Enable,
+            OperatorEvent::Disable,
+            OperatorEvent::Pause,
+            OperatorEvent::Resume,
+        ] {
+            assert_eq!(
+                next(OperatingState::Fault, Event::Operator(event)),
+                OperatingState::Fault
+            );
         }
-        assert_eq!(next(OperatingState::Fault, Event::Operator(OperatorEvent::Clear)), OperatingState::Disabled);
+        assert_eq!(
+            next(OperatingState::Fault, Event::Operator(OperatorEvent::Clear)),
+            OperatingState::Disabled
+        );
     }
 }

@@ -41,8 +41,18 @@ impl MotionState {
     /// At rest where `arm` was measured.
     #[must_use]
     pub fn at_rest(arm: &ArmState) -> Self {
-        let position = core::array::from_fn(|axis| if axis == JAW { arm.jaw_position } else { arm.position[axis] });
-        Self { position, velocity: [0.0; AXES], acceleration: [0.0; AXES] }
+        let position = core::array::from_fn(|axis| {
+            if axis == JAW {
+                arm.jaw_position
+            } else {
+                arm.position[axis]
+            }
+        });
+        Self {
+            position,
+            velocity: [0.0; AXES],
+            acceleration: [0.0; AXES],
+        }
     }
 
     /// The joint positions, without the jaw.
@@ -60,13 +70,20 @@ impl MotionState {
     /// Whether nothing moves.
     #[must_use]
     pub fn is_at_rest(&self) -> bool {
-        self.velocity.iter().chain(&self.acceleration).all(|x| x.abs() < 1e-9)
+        self.velocity
+            .iter()
+            .chain(&self.acceleration)
+            .all(|x| x.abs() < 1e-9)
     }
 
     /// Whether every number is finite.
     #[must_use]
     pub fn is_finite(&self) -> bool {
-        self.position.iter().chain(&self.velocity).chain(&self.acceleration).all(|x| x.is_finite())
+        self.position
+            .iter()
+            .chain(&self.velocity)
+            .chain(&self.acceleration)
+            .all(|x| x.is_finite())
     }
 
     /// The command that realises this state.

@@ -86,7 +86,9 @@ impl fmt::Display for Fault {
             Self::MeasurementNotFinite => write!(f, "the measurement is not finite"),
             Self::Arm(error) => error.fmt(f),
             Self::TrackingError { joint, error } => {
-                let name = hal::joints::JOINT_NAMES.get(usize::from(*joint)).unwrap_or(&"?");
+                let name = hal::joints::JOINT_NAMES
+                    .get(usize::from(*joint))
+                    .unwrap_or(&"?");
                 write!(f, "{name} is {error:.4} away from its command")
             }
         }

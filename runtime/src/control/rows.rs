@@ -56,12 +56,24 @@ impl Rows {
     #[must_use]
     pub fn new(config: &ControlConfig, state: &MotionState, frames: &Frames) -> Self {
         let filter = &config.filter;
-        let nothing = Row { coefficients: JointVector::zeros(), bound: config.tip_speed_m_s };
+        let nothing = Row {
+            coefficients: JointVector::zeros(),
+            bound: config.tip_speed_m_s,
+        };
         let mut geometry = [nothing; GEOMETRY_ROWS];
         let (planes, spheres) = geometry.split_at_mut(12);
-        let points = [(frames.tip_m, Link::Wrist), (frames.finger_m, Link::Fingers)];
+        let points = [
+            (frames.tip_m, Link::Wrist),
+            (frames.finger_m, Link::Fingers),
+        ];
         for (rows, (point_m, link)) in planes.chunks_exact_mut(6).zip(points) {
-            workspace_rows(rows, &config.geometry, filter, point_m, &point_jacobian(frames, point_m, link));
+            workspace_rows(
+                rows,
+                &config.geometry,
+                filter,
+                point_m,
+                &point_jacobian(frames, point_m, link),
+            );
         }
         for (rows, sphere) in spheres.chunks_exact_mut(3).zip(&config.geometry.forbidden) {
             let keep_m = sphere.radius_m + SHAFT_RADIUS_M + filter.margin_m;
@@ -69,7 +81,12 @@ impl Rows {
         }
         let bounds = |joint: usize| {
             let window_s = filter.acceleration_window_s;
-            joint_bounds(&config.axes[joint], state.position[joint], state.velocity[joint], window_s)
+            joint_bounds(
+                &config.axes[joint],
+                state.position[joint],
+                state.velocity[joint],
+                window_s,
+            )
         };
         Self {
             low: JointVector::from_fn(|joint, _| bounds(joint).0),
@@ -86,8 +103,12 @@ impl Rows {
         let tip_tolerance_m_s = tolerance * self.tip_speed_m_s;
         (0..JOINT_COUNT).all(|joint| {
             let slack = tolerance * scale[joint];
-            velocity[joint] >= self.low[joint] - slack && velocity[joint] <= self.high[joint] + slack
-        }) && self.geometry.iter().all(|row| row.coefficients.dot(velocity) <= row.bound + tip_tolerance_m_s)
+            velocity[joint] >= self.low[joint] - slack
+                && velocity[joint] <= self.high[joint] + slack
+        }) && self
+            .geometry
+            .iter()
+            .all(|row| row.coefficients.dot(velocity) <= row.bound + tip_tolerance_m_s)
             && (self.tip * velocity).norm() <= self.tip_speed_m_s + tip_tolerance_m_s
     }
 
@@ -111,10 +132,14 @@ impl Rows {
 /// Velocity, acceleration and viability of one joint merged into one interval around zero.
 fn joint_bounds(limits: &AxisLimits, position: f64, velocity: f64, window_s: f64) -> (f64, f64) {
     let reach = limits.acceleration * window_s;
-    let viable = |distance: f64| viable_speed(VIABLE_SHARE * distance, limits.acceleration, limits.jerk);
+    let viable =
+        |distance: f64| viable_speed(VIABLE_SHARE * distance, limits.acceleration, limits.jerk);
     let low = -viable(position - limits.low).min(limits.velocity);
     let high = viable(limits.high - position).min(limits.velocity);
-    (low.max((velocity - reach).min(0.0)), high.min((velocity + reach).max(0.0)))
+    (
+        low.max((velocity - reach).min(0.0)),
+        high.min((velocity + reach).max(0.0)),
+    )
 }
 
 /// Velocity of a point of `link` per joint velocity.
@@ -131,9 +156,21 @@ fn point_jacobian(frames: &Frames, point_m: Vector3<f64>, link: Link) -> Matrix3
         frames.yaw_axis.cross(&point_m),
         frames.pitch_axis.cross(&point_m),
         frames.shaft,
-        if wrist { frames.shaft.cross(&from_wrist) } else { zero },
-        if wrist { frames.wrist_pitch_axis.cross(&from_wrist) } else { zero },
-        if fingers { frames.wrist_yaw_axis.cross(&from_tip) } else { zero },
+        if wrist {
+            frames.shaft.cross(&from_wrist)
+        } else {
+            zero
+        },
+        if wrist {
+            frames.wrist_pitch_axis.cross(&from_wrist)
+        } else {
+            zero
+        },
+        if fingers {
+            frames.wrist_yaw_axis.cross(&from_tip)
+        } else {
+            zero
+        },
     ])
 }
 
@@ -152,12 +189,24 @@ fn workspace_rows(
         let along = jacobian.row(axis).transpose();
         let below_m = point_m[axis] - geometry.workspace_min_m[axis] - filter.margin_m;
         let above_m = geometry.workspace_max_m[axis] - point_m[axis] - filter.margin_m;
-        pair[0] = Row { coefficients: -along, bound: approach_bound(below_m, filter) };
-        pair[1] = Row { coefficients: along, bound: approach_bound(above_m, filter) };
+        pair[0] = Row {
+            coefficients: -along,
+            bound: approach_bound(below_m, filter),
+        };
+        pair[1] = Row {
+            coefficients: along,
+            bound: approach_bound(above_m, filter),
+        };
     }
 }
 
-fn sphere_rows(rows: &mut [Row], frames: &Frames, filter: &FilterConfig, center_m: Vector3<f64>, keep_m: f64) {
+fn sphere_rows(
+    rows: &mut [Row],
+    frames: &Frames,
+    filter: &FilterConfig,
+    center_m: Vector3<f64>,
+    keep_m: f64,
+) {
     let links = [
         (Vector3::zeros(), frames.wrist_m, Link::Shaft),
         (frames.wrist_m, frames.tip_m, Link::Wrist),
@@ -170,13 +219,20 @@ fn sphere_rows(rows: &mut [Row], frames: &Frames, filter: &FilterConfig, center_
         let away = nearest_m - center_m;
         let distance_m = away.norm();
         // At the very centre every direction leads out; take the one to the remote centre.
-        let normal = if distance_m > 1e-9 { away / distance_m } else { -frames.shaft };
+        let normal = if distance_m > 1e-9 {
+            away / distance_m
+        } else {
+            -frames.shaft
+        };
         let mut coefficients = -(point_jacobian(frames, nearest_m, link).transpose() * normal);
         // The shaft's end at the remote centre stays there whatever the insertion does.
         if matches!(link, Link::Shaft) {
             coefficients[INSERTION] *= fraction;
         }
-        *row = Row { coefficients, bound: approach_bound(distance_m - keep_m, filter) };
+        *row = Row {
+            coefficients,
+            bound: approach_bound(distance_m - keep_m, filter),
+        };
     }
 }
 
@@ -190,7 +246,11 @@ mod tests {
     use hal::JointVector;
 
     fn config() -> ControlConfig {
-        ControlConfig::load(&ControlConfig::default_control(), &ControlConfig::needle_lift_safety()).unwrap()
+        ControlConfig::load(
+            &ControlConfig::default_control(),
+            &ControlConfig::needle_lift_safety(),
+        )
+        .unwrap()
     }
 
     fn random_state(random: &mut SplitMix64, config: &ControlConfig) -> MotionState {
@@ -200,7 +260,11 @@ mod tests {
         let velocity = core::array::from_fn(|axis| {
             random.between(-config.axes[axis].velocity, config.axes[axis].velocity)
         });
-        MotionState { position, velocity, acceleration: [0.0; AXES] }
+        MotionState {
+            position,
+            velocity,
+            acceleration: [0.0; AXES],
+        }
     }
 
     #[test]
@@ -211,7 +275,10 @@ mod tests {
         for case in 0..20_000 {
             let state = random_state(&mut random, &config);
             let rows = Rows::new(&config, &state, &Frames::at(&state.joints()));
-            assert!(rows.hold(&JointVector::zeros(), &scale, 0.0), "case {case}: {state:?}");
+            assert!(
+                rows.hold(&JointVector::zeros(), &scale, 0.0),
+                "case {case}: {state:?}"
+            );
         }
     }
 
@@ -238,7 +305,10 @@ mod tests {
                 if before.bound > 1e-4 && before.coefficients.norm() > 0.0 {
                     let rate = (after.bound - before.bound) / step;
                     let predicted = -before.coefficients.dot(&velocity);
-                    assert!((rate - predicted).abs() < 2e-4, "row {index}: {rate} {predicted}");
+                    assert!(
+                        (rate - predicted).abs() < 2e-4,
+                        "row {index}: {rate} {predicted}"
+                    );
                     compared += 1;
                 }
             }

@@ -1,8 +1,8 @@
 //! Jerk-limited velocities with Ruckig. Hot path: bounded, no allocation, no I/O, no lock.
 
 use rsruckig::prelude::{
-    ControlInterface, DataArrayOrVec, IgnoreErrorHandler, InputParameter, Ruckig, RuckigResult, Synchronization,
-    Trajectory,
+    ControlInterface, DataArrayOrVec, IgnoreErrorHandler, InputParameter, Ruckig, RuckigResult,
+    Synchronization, Trajectory,
 };
 
 use super::motion::{AXES, Axes, AxisLimits, MotionState};
@@ -46,7 +46,9 @@ impl Smoother {
         if !(state.is_finite() && target_velocity.iter().all(|v| v.is_finite())) {
             return None;
         }
-        for (axis, (&velocity, &limit)) in target_velocity.iter().zip(&self.velocity_max).enumerate() {
+        for (axis, (&velocity, &limit)) in
+            target_velocity.iter().zip(&self.velocity_max).enumerate()
+        {
             self.input.current_position[axis] = state.position[axis];
             self.input.current_velocity[axis] = state.velocity[axis];
             self.input.current_acceleration[axis] = state.acceleration[axis];
@@ -78,7 +80,9 @@ impl Smoother {
 
 impl core::fmt::Debug for Smoother {
     fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
-        f.debug_struct("Smoother").field("tick_s", &self.tick_s).finish_non_exhaustive()
+        f.debug_struct("Smoother")
+            .field("tick_s", &self.tick_s)
+            .finish_non_exhaustive()
     }
 }
 
@@ -93,11 +97,19 @@ mod tests {
     const TICK_S: f64 = 1e-3;
 
     fn at_rest() -> MotionState {
-        MotionState { position: [0.1; AXES], velocity: [0.0; AXES], acceleration: [0.0; AXES] }
+        MotionState {
+            position: [0.1; AXES],
+            velocity: [0.0; AXES],
+            acceleration: [0.0; AXES],
+        }
     }
 
     fn config() -> ControlConfig {
-        ControlConfig::load(&ControlConfig::default_control(), &ControlConfig::needle_lift_safety()).unwrap()
+        ControlConfig::load(
+            &ControlConfig::default_control(),
+            &ControlConfig::needle_lift_safety(),
+        )
+        .unwrap()
     }
 
     #[test]
@@ -113,10 +125,19 @@ mod tests {
             }
             let next = smoother.step(&state, &target).unwrap();
             for (axis, limit) in axes.iter().enumerate() {
-                assert!(next.velocity[axis].abs() <= limit.velocity * (1.0 + 1e-9), "tick {tick} axis {axis}");
-                assert!(next.acceleration[axis].abs() <= limit.acceleration * (1.0 + 1e-9), "tick {tick} axis {axis}");
+                assert!(
+                    next.velocity[axis].abs() <= limit.velocity * (1.0 + 1e-9),
+                    "tick {tick} axis {axis}"
+                );
+                assert!(
+                    next.acceleration[axis].abs() <= limit.acceleration * (1.0 + 1e-9),
+                    "tick {tick} axis {axis}"
+                );
                 let jerk = (next.acceleration[axis] - state.acceleration[axis]) / TICK_S;
-                assert!(jerk.abs() <= limit.jerk * (1.0 + 1e-6), "tick {tick} axis {axis}: {jerk}");
+                assert!(
+                    jerk.abs() <= limit.jerk * (1.0 + 1e-6),
+                    "tick {tick} axis {axis}: {jerk}"
+                );
             }
             state = next;
         }

@@ -21,7 +21,8 @@ impl Knot {
         let t = time_s - self.time_s;
         let acceleration = self.acceleration + self.jerk * t;
         let velocity = self.velocity + t * (self.acceleration + self.jerk * t / 2.0);
-        let position = self.position + t * (self.velocity + t * (self.acceleration / 2.0 + self.jerk * t / 6.0));
+        let position = self.position
+            + t * (self.velocity + t * (self.acceleration / 2.0 + self.jerk * t / 6.0));
         (position, velocity, acceleration)
     }
 }
@@ -42,11 +43,24 @@ impl AxisStop {
         let side = if remaining < 0.0 { -1.0 } else { 1.0 };
         let (v, a) = (side * velocity, side * acceleration);
         let peak = (jerk * v + a * a / 2.0).max(0.0).sqrt().min(a_max);
-        let hold_s =
-            if peak < a_max { 0.0 } else { ((v + (a * a - 2.0 * a_max * a_max) / (2.0 * jerk)) / a_max).max(0.0) };
-        let phases = [((a + peak) / jerk, -jerk), (hold_s, 0.0), (peak / jerk, jerk)];
+        let hold_s = if peak < a_max {
+            0.0
+        } else {
+            ((v + (a * a - 2.0 * a_max * a_max) / (2.0 * jerk)) / a_max).max(0.0)
+        };
+        let phases = [
+            ((a + peak) / jerk, -jerk),
+            (hold_s, 0.0),
+            (peak / jerk, jerk),
+        ];
 
-        let mut knot = Knot { time_s: 0.0, position, velocity, acceleration, jerk: 0.0 };
+        let mut knot = Knot {
+            time_s: 0.0,
+            position,
+            velocity,
+            acceleration,
+            jerk: 0.0,
+        };
         let mut knots = [knot; 4];
         for (slot, (duration_s, phase_jerk)) in knots.iter_mut().zip(phases) {
             knot.jerk = side * phase_jerk;
@@ -55,7 +69,12 @@ impl AxisStop {
             (knot.position, knot.velocity, knot.acceleration) = knot.after(time_s);
             knot.time_s = time_s;
         }
-        knots[3] = Knot { velocity: 0.0, acceleration: 0.0, jerk: 0.0, ..knot };
+        knots[3] = Knot {
+            velocity: 0.0,
+            acceleration: 0.0,
+            jerk: 0.0,
+            ..knot
+        };
         Self { knots }
     }
 
@@ -68,7 +87,12 @@ impl AxisStop {
     /// Position, velocity and acceleration `time_s` into the stop.
     #[must_use]
     pub fn at(&self, time_s: f64) -> (f64, f64, f64) {
-        let knot = self.knots.iter().rev().find(|knot| knot.time_s <= time_s).unwrap_or(&self.knots[0]);
+        let knot = self
+            .knots
+            .iter()
+            .rev()
+            .find(|knot| knot.time_s <= time_s)
+            .unwrap_or(&self.knots[0]);
         knot.after(time_s)
     }
 
@@ -96,7 +120,10 @@ impl AxisStop {
     /// Highest speed from here to rest, exactly.
     #[must_use]
     pub fn peak_velocity(&self) -> f64 {
-        let mut peak = self.knots.iter().fold(0.0_f64, |peak, knot| peak.max(knot.velocity.abs()));
+        let mut peak = self
+            .knots
+            .iter()
+            .fold(0.0_f64, |peak, knot| peak.max(knot.velocity.abs()));
         let first = &self.knots[0];
         if first.jerk.abs() > 0.0 {
             let time_s = -first.acceleration / first.jerk;
@@ -110,7 +137,9 @@ impl AxisStop {
     /// Highest acceleration from here to rest, exactly.
     #[must_use]
     pub fn peak_acceleration(&self) -> f64 {
-        self.knots.iter().fold(0.0_f64, |peak, knot| peak.max(knot.acceleration.abs()))
+        self.knots
+            .iter()
+            .fold(0.0_f64, |peak, knot| peak.max(knot.acceleration.abs()))
     }
 }
 
@@ -121,7 +150,10 @@ fn turning_times(knot: &Knot) -> [f64; 2] {
         return [knot.time_s - c / b, f64::NAN];
     }
     let root = (b * b - 4.0 * a * c).sqrt();
-    [knot.time_s + (-b - root) / (2.0 * a), knot.time_s + (-b + root) / (2.0 * a)]
+    [
+        knot.time_s + (-b - root) / (2.0 * a),
+        knot.time_s + (-b + root) / (2.0 * a),
+    ]
 }
 
 /// All axes on their way to rest, each as fast as it can.
@@ -135,7 +167,12 @@ impl Stop {
     #[must_use]
     pub fn new(state: &MotionState, limits: &[AxisLimits; AXES]) -> Self {
         let axes = core::array::from_fn(|axis| {
-            AxisStop::new(state.position[axis], state.velocity[axis], state.acceleration[axis], &limits[axis])
+            AxisStop::new(
+                state.position[axis],
+                state.velocity[axis],
+                state.acceleration[axis],
+                &limits[axis],
+            )
         });
         Self { axes }
     }
@@ -150,9 +187,17 @@ impl Stop {
     #[must_use]
     pub fn at(&self, time_s: f64) -> MotionState {
         let zero: Axes = [0.0; AXES];
-        let mut state = MotionState { position: zero, velocity: zero, acceleration: zero };
+        let mut state = MotionState {
+            position: zero,
+            velocity: zero,
+            acceleration: zero,
+        };
         for (index, axis) in self.axes.iter().enumerate() {
-            (state.position[index], state.velocity[index], state.acceleration[index]) = axis.at(time_s);
+            (
+                state.position[index],
+                state.velocity[index],
+                state.acceleration[index],
+            ) = axis.at(time_s);
         }
         state
     }
@@ -160,7 +205,9 @@ impl Stop {
     /// Seconds until every joint, the jaw apart, is at rest.
     #[must_use]
     pub fn joints_duration_s(&self) -> f64 {
-        self.axes[..super::motion::JAW].iter().fold(0.0_f64, |longest, axis| longest.max(axis.duration_s()))
+        self.axes[..super::motion::JAW]
+            .iter()
+            .fold(0.0_f64, |longest, axis| longest.max(axis.duration_s()))
     }
 }
 
@@ -192,7 +239,10 @@ mod tests {
             let stop = AxisStop::new(0.1, v, a, &limits);
             let end_s = stop.duration_s();
             let (_, v_end, a_end) = stop.knots[2].after(end_s);
-            assert!(v_end.abs() < 1e-12 && a_end.abs() < 1e-11, "case {case}: v {v} a {a} ends at {v_end} {a_end}");
+            assert!(
+                v_end.abs() < 1e-12 && a_end.abs() < 1e-11,
+                "case {case}: v {v} a {a} ends at {v_end} {a_end}"
+            );
             let (low, high) = stop.position_range();
             for i in 0..=50 {
                 let (p, v, a) = stop.at(end_s * f64::from(i) / 50.0);
@@ -200,7 +250,10 @@ mod tests {
                 assert!(v.abs() <= stop.peak_velocity() + 1e-12, "case {case}");
                 assert!(a.abs() <= stop.peak_acceleration() + 1e-12, "case {case}");
             }
-            assert!(stop.peak_acceleration() <= limits.acceleration + 1e-12, "case {case}");
+            assert!(
+                stop.peak_acceleration() <= limits.acceleration + 1e-12,
+                "case {case}"
+            );
         }
     }
 
@@ -227,7 +280,10 @@ mod tests {
                 let p = stop.at(stop.duration_s() * f64::from(i) / 5_000.0).0;
                 (least, most) = (least.min(p), most.max(p));
             }
-            assert!((low - least).abs() < 1e-6 && (high - most).abs() < 1e-6, "{v} {a} {limits:?}");
+            assert!(
+                (low - least).abs() < 1e-6 && (high - most).abs() < 1e-6,
+                "{v} {a} {limits:?}"
+            );
         }
     }
 }

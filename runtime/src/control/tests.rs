@@ -1,8 +1,14 @@
 //! The controller as a whole, on an arm that does what it is told.
 
-#[expect(clippy::print_stdout, reason = "figures for whoever runs them with --nocapture")]
+#[expect(
+    clippy::print_stdout,
+    reason = "figures for whoever runs them with --nocapture"
+)]
 mod adversary;
-#[expect(clippy::print_stdout, reason = "figures for whoever runs them with --nocapture")]
+#[expect(
+    clippy::print_stdout,
+    reason = "figures for whoever runs them with --nocapture"
+)]
 mod following;
 mod modes;
 
@@ -17,7 +23,11 @@ use crate::kinematics::forward;
 const STEP_NS: u64 = 40 * TICK_NS;
 
 fn config() -> ControlConfig {
-    ControlConfig::load(&ControlConfig::default_control(), &ControlConfig::needle_lift_safety()).unwrap()
+    ControlConfig::load(
+        &ControlConfig::default_control(),
+        &ControlConfig::needle_lift_safety(),
+    )
+    .unwrap()
 }
 
 fn home() -> JointVector {
@@ -41,7 +51,12 @@ impl Bench {
 
     fn disabled(config: &ControlConfig) -> Self {
         let controller = Controller::new(config).unwrap();
-        Self { controller, arm: ArmState::at_rest(TimeNs(0), home(), 0.2), tick: 0, hash: CommandHash::new() }
+        Self {
+            controller,
+            arm: ArmState::at_rest(TimeNs(0), home(), 0.2),
+            tick: 0,
+            hash: CommandHash::new(),
+        }
     }
 
     fn now(&self) -> TimeNs {
@@ -58,7 +73,12 @@ impl Bench {
         chunk: Option<&Chunk>,
         operator: Option<OperatorEvent>,
     ) -> TickOutput {
-        let output = self.controller.tick(&TickInput { now: self.now(), measured, chunk, operator });
+        let output = self.controller.tick(&TickInput {
+            now: self.now(),
+            measured,
+            chunk,
+            operator,
+        });
         self.hash.add(&output.command);
         self.tick += 1;
         let command = &output.command;
@@ -89,5 +109,8 @@ impl Bench {
 }
 
 fn pose(x: f64, y: f64, z: f64, turn: Vector3<f64>) -> Pose {
-    Pose::from_parts(Translation3::new(x, y, z), UnitQuaternion::new(turn) * forward(&home()).rotation)
+    Pose::from_parts(
+        Translation3::new(x, y, z),
+        UnitQuaternion::new(turn) * forward(&home()).rotation,
+    )
 }

@@ -63,27 +63,42 @@ impl Tracking {
         let wanted = wanted * self.scale(&wanted, frames);
         let jaw = target.jaw.clamp(self.axes[JAW].low, self.axes[JAW].high);
         let jaw_velocity = self.approach(JAW, jaw - state.position[JAW]);
-        Some(core::array::from_fn(|axis| if axis == JAW { jaw_velocity } else { wanted[axis] }))
+        Some(core::array::from_fn(|axis| {
+            if axis == JAW {
+                jaw_velocity
+            } else {
+                wanted[axis]
+            }
+        }))
     }
 
     fn joints(&self, target: &TipTarget, near_roll: f64) -> Option<JointVector> {
-        inverse_clamped(&target.tip_in_rcm(), near_roll, &self.low, &self.high).ok().map(|(joints, _)| joints)
+        inverse_clamped(&target.tip_in_rcm(), near_roll, &self.low, &self.high)
+            .ok()
+            .map(|(joints, _)| joints)
     }
 
     /// Velocity that takes an axis over `error` to rest.
     fn approach(&self, axis: usize, error: f64) -> f64 {
         let limits = &self.axes[axis];
         let distance = error.abs();
-        let brakable =
-            viable_speed(distance, APPROACH_ACCELERATION * limits.acceleration, APPROACH_JERK * limits.jerk);
-        (self.gain_1_s * distance).min(brakable).min(BELOW_LIMITS * limits.velocity).copysign(error)
+        let brakable = viable_speed(
+            distance,
+            APPROACH_ACCELERATION * limits.acceleration,
+            APPROACH_JERK * limits.jerk,
+        );
+        (self.gain_1_s * distance)
+            .min(brakable)
+            .min(BELOW_LIMITS * limits.velocity)
+            .copysign(error)
     }
 
     fn scale(&self, wanted: &JointVector, frames: &Frames) -> f64 {
         let tip_m_s = (frames.tip_jacobian() * wanted).fixed_rows::<3>(0).norm();
         let mut scale = (BELOW_LIMITS * self.tip_speed_m_s / tip_m_s.max(1e-12)).min(1.0);
         for joint in 0..JOINT_COUNT {
-            scale = scale.min(BELOW_LIMITS * self.axes[joint].velocity / wanted[joint].abs().max(1e-12));
+            scale = scale
+                .min(BELOW_LIMITS * self.axes[joint].velocity / wanted[joint].abs().max(1e-12));
         }
         scale
     }

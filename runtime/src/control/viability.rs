@@ -37,9 +37,16 @@ mod tests {
     fn viable_speed_inverts_stop_distance() {
         let mut random = SplitMix64::new(7);
         for _ in 0..10_000 {
-            let (v, a, j) = (random.between(0.0, 3.0), random.between(0.1, 20.0), random.between(1.0, 500.0));
+            let (v, a, j) = (
+                random.between(0.0, 3.0),
+                random.between(0.1, 20.0),
+                random.between(1.0, 500.0),
+            );
             let back = viable_speed(stop_distance(v, a, j), a, j);
-            assert!((back - v).abs() < 1e-9 * (1.0 + v), "v {v} a {a} j {j}: {back}");
+            assert!(
+                (back - v).abs() < 1e-9 * (1.0 + v),
+                "v {v} a {a} j {j}: {back}"
+            );
         }
         assert!(viable_speed(-1.0, 4.0, 80.0).abs() < 1e-300);
     }

@@ -21,7 +21,12 @@ pub(super) fn shared_memory() -> Finding {
     let name = "shared memory";
     let remedy = "make /dev/shm larger (containers: --shm-size=512m) and remove stale files there";
     let Some(space) = shared_memory_space() else {
-        return Finding::new(name, Status::Missing, format!("{SHARED_MEMORY_DIR} is not there"), remedy);
+        return Finding::new(
+            name,
+            Status::Missing,
+            format!("{SHARED_MEMORY_DIR} is not there"),
+            remedy,
+        );
     };
     let status = match space.free_bytes {
         SHARED_MEMORY_GOOD_BYTES.. => Status::Ok,
@@ -29,7 +34,12 @@ pub(super) fn shared_memory() -> Finding {
         _ => Status::Missing,
     };
     let (free, total) = (space.free_bytes >> 20, space.total_bytes >> 20);
-    Finding::new(name, status, format!("{free} of {total} MiB free on {SHARED_MEMORY_DIR}"), remedy)
+    Finding::new(
+        name,
+        status,
+        format!("{free} of {total} MiB free on {SHARED_MEMORY_DIR}"),
+        remedy,
+    )
 }
 
 pub(super) fn can() -> Finding {
@@ -42,7 +52,12 @@ pub(super) fn can() -> Finding {
             "the kernel speaks CAN, no interface",
             "`ip link add dev vcan0 type vcan && ip link set vcan0 up`, or attach an adapter",
         ),
-        Ok(_) => Finding::new("can", Status::Ok, format!("interfaces: {}", interfaces.join(" ")), ""),
+        Ok(_) => Finding::new(
+            "can",
+            Status::Ok,
+            format!("interfaces: {}", interfaces.join(" ")),
+            "",
+        ),
         Err(error) => Finding::new(
             "can",
             Status::Missing,
@@ -54,8 +69,12 @@ pub(super) fn can() -> Finding {
 
 /// Names of the CAN interfaces, sorted.
 fn can_interfaces(net: &Path) -> Vec<String> {
-    let Ok(entries) = fs::read_dir(net) else { return Vec::new() };
-    let is_can = |path: &Path| fs::read_to_string(path.join("type")).is_ok_and(|kind| kind.trim() == ARPHRD_CAN);
+    let Ok(entries) = fs::read_dir(net) else {
+        return Vec::new();
+    };
+    let is_can = |path: &Path| {
+        fs::read_to_string(path.join("type")).is_ok_and(|kind| kind.trim() == ARPHRD_CAN)
+    };
     let mut names: Vec<String> = entries
         .flatten()
         .filter(|entry| is_can(&entry.path()))
@@ -71,7 +90,11 @@ pub(super) fn graphics(probe: Probe<'_>) -> Finding {
 }
 
 pub(super) fn networks(probe: Probe<'_>) -> Finding {
-    of_probe("networks", probe, "`make build` fetches libtorch; or set LIBTORCH to your own")
+    of_probe(
+        "networks",
+        probe,
+        "`make build` fetches libtorch; or set LIBTORCH to your own",
+    )
 }
 
 fn of_probe(name: &'static str, probe: Probe<'_>, remedy: &str) -> Finding {
@@ -87,7 +110,12 @@ pub(super) fn installed_vulkan() -> Result<String, String> {
         .iter()
         .filter_map(|dir| fs::read_dir(dir).ok())
         .flat_map(Iterator::flatten)
-        .filter_map(|entry| entry.path().file_stem().map(|stem| stem.to_string_lossy().into_owned()))
+        .filter_map(|entry| {
+            entry
+                .path()
+                .file_stem()
+                .map(|stem| stem.to_string_lossy().into_owned())
+        })
         .collect();
     drivers.sort();
     if drivers.is_empty() {
@@ -103,7 +131,9 @@ pub(super) fn loaded_libtorch() -> Result<String, String> {
         let path = line.split_whitespace().last()?;
         path.contains("/libtorch_cpu").then(|| path.to_owned())
     });
-    library.map(|path| format!("libtorch: {path}")).ok_or_else(|| "libtorch is not loaded".to_owned())
+    library
+        .map(|path| format!("libtorch: {path}"))
+        .ok_or_else(|| "libtorch is not loaded".to_owned())
 }
 
 #[cfg(test)]

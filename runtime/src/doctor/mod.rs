@@ -44,8 +44,17 @@ pub struct Finding {
 
 impl Finding {
     fn new(name: &'static str, status: Status, detail: impl Into<String>, remedy: &str) -> Self {
-        let remedy = if status == Status::Ok { String::new() } else { remedy.to_owned() };
-        Self { name, status, detail: detail.into(), remedy }
+        let remedy = if status == Status::Ok {
+            String::new()
+        } else {
+            remedy.to_owned()
+        };
+        Self {
+            name,
+            status,
+            detail: detail.into(),
+            remedy,
+        }
     }
 }
 
@@ -79,7 +88,10 @@ impl fmt::Debug for Probes<'_> {
 /// Looks at everything, at Vulkan and libtorch by what is installed and loaded. Takes about half a second.
 #[must_use]
 pub fn examine() -> Vec<Finding> {
-    examine_with(&Probes { graphics: &devices::installed_vulkan, networks: &devices::loaded_libtorch })
+    examine_with(&Probes {
+        graphics: &devices::installed_vulkan,
+        networks: &devices::loaded_libtorch,
+    })
 }
 
 /// As [`examine`], with the caller's own look at graphics and networks.
@@ -101,7 +113,10 @@ pub fn examine_with(probes: &Probes<'_>) -> Vec<Finding> {
 /// All findings as a table for people.
 #[must_use]
 pub fn table(findings: &[Finding]) -> String {
-    findings.iter().map(|finding| format!("{finding}\n")).collect()
+    findings
+        .iter()
+        .map(|finding| format!("{finding}\n"))
+        .collect()
 }
 
 #[cfg(test)]
@@ -113,28 +128,48 @@ mod tests {
         let findings = examine();
         assert_eq!(findings.len(), 9);
         for finding in &findings {
-            assert_eq!(finding.remedy.is_empty(), finding.status == Status::Ok, "{finding}");
+            assert_eq!(
+                finding.remedy.is_empty(),
+                finding.status == Status::Ok,
+                "{finding}"
+            );
             assert!(!finding.detail.is_empty(), "{finding}");
         }
     }
 
     #[test]
     fn probes_speak_in_the_report() {
-        let probes = Probes { graphics: &|| Ok("llvmpipe (software)".into()), networks: &|| Err("no library".into()) };
+        let probes = Probes {
+            graphics: &|| Ok("llvmpipe (software)".into()),
+            networks: &|| Err("no library".into()),
+        };
         let findings = examine_with(&probes);
-        let find = |name| findings.iter().find(|finding| finding.name == name).unwrap();
-        assert_eq!((find("graphics").status, find("graphics").detail.as_str()), (Status::Ok, "llvmpipe (software)"));
-        assert_eq!((find("networks").status, find("networks").detail.as_str()), (Status::Missing, "no library"));
+        let find = |name| {
+            findings
+                .iter()
+                .find(|finding| finding.name == name)
+                .unwrap()
+        };
+        assert_eq!(
+            (find("graphics").status, find("graphics").detail.as_str()),
+            (Status::Ok, "llvmpipe (software)")
+        );
+        assert_eq!(
+            (find("networks").status, find("networks").detail.as_str()),
+            (Status::Missing, "no library")
+        );
     }
 
     #[test]
     fn findings_read_as_json_and_as_a_table() {
         let finding = Finding::new("can", Status::Missing, "no PF_CAN", "load can_raw");
         let json = serde_json::to_value(&finding).unwrap();
-        let expected =
-            serde_json::json!({"name": "can", "status": "missing", "detail": "no PF_CAN", "remedy": "load can_raw"});
+        let expected = serde_json::json!({"name": "can", "status": "missing", "detail": "no PF_CAN", "remedy": "load can_raw"});
         assert_eq!(json, expected);
         let lines = table(&[finding]);
-        assert_eq!(lines, "missing  can             no PF_CAN\n                         -> load can_raw\n");
+        assert_eq!(
+            lines,
+            "missing  can             no PF_CAN\n                         -> load can_raw\n"
+        );
     }
 }

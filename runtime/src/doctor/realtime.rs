@@ -6,7 +6,8 @@ use std::thread;
 use super::{Finding, Status};
 use crate::histogram::Histogram;
 use crate::rt::{
-    Grant, MemoryLockLimit, MonotonicClock, Periodic, RtOptions, can_lock_bytes, configure_thread, memory_lock_limit,
+    Grant, MemoryLockLimit, MonotonicClock, Periodic, RtOptions, can_lock_bytes, configure_thread,
+    memory_lock_limit,
 };
 
 const PRIORITY: u8 = 80;
@@ -19,29 +20,56 @@ const LOCK_BYTES: usize = 64 << 20;
 
 pub(super) fn kernel() -> Finding {
     let version = fs::read_to_string("/proc/version").unwrap_or_default();
-    let release = version.split_whitespace().nth(2).unwrap_or("unknown").to_owned();
+    let release = version
+        .split_whitespace()
+        .nth(2)
+        .unwrap_or("unknown")
+        .to_owned();
     let flagged = fs::read_to_string("/sys/kernel/realtime").is_ok_and(|flag| flag.trim() == "1");
     let (status, kind) = if flagged || version.contains("PREEMPT_RT") {
         (Status::Ok, "PREEMPT_RT")
     } else {
         (Status::Limited, "not a real-time kernel")
     };
-    Finding::new("kernel", status, format!("{release}, {kind}"), "install a PREEMPT_RT kernel (Debian: linux-image-rt)")
+    Finding::new(
+        "kernel",
+        status,
+        format!("{release}, {kind}"),
+        "install a PREEMPT_RT kernel (Debian: linux-image-rt)",
+    )
 }
 
 pub(super) fn cores() -> Finding {
     let count = thread::available_parallelism().map_or(1, usize::from);
     let isolated = fs::read_to_string("/sys/devices/system/cpu/isolated").unwrap_or_default();
     let isolated = isolated.trim();
-    let status = if isolated.is_empty() || count < 2 { Status::Limited } else { Status::Ok };
-    let kept = if isolated.is_empty() { "none isolated".to_owned() } else { format!("isolated: {isolated}") };
-    Finding::new("cores", status, format!("{count} usable, {kept}"), "boot with isolcpus=N and pin the control thread to N")
+    let status = if isolated.is_empty() || count < 2 {
+        Status::Limited
+    } else {
+        Status::Ok
+    };
+    let kept = if isolated.is_empty() {
+        "none isolated".to_owned()
+    } else {
+        format!("isolated: {isolated}")
+    };
+    Finding::new(
+        "cores",
+        status,
+        format!("{count} usable, {kept}"),
+        "boot with isolcpus=N and pin the control thread to N",
+    )
 }
 
 pub(super) fn fifo() -> Finding {
     let name = "scheduling";
     match on_a_thread_under_fifo(|| ()) {
-        (Grant::Granted, _) => Finding::new(name, Status::Ok, format!("SCHED_FIFO {PRIORITY} granted"), ""),
+        (Grant::Granted, _) => Finding::new(
+            name,
+            Status::Ok,
+            format!("SCHED_FIFO {PRIORITY} granted"),
+            "",
+        ),
         (refused @ (Grant::Refused(_) | Grant::NotAsked), _) => Finding::new(
             name,
             Status::Limited,
@@ -53,13 +81,21 @@ pub(super) fn fifo() -> Finding {
 
 /// Runs `work` on a thread of its own that asks for SCHED_FIFO.
 fn on_a_thread_under_fifo<R: Send + Default>(work: impl FnOnce() -> R + Send) -> (Grant, R) {
-    let asking = RtOptions { priority: Some(PRIORITY), cpu: None, lock_memory: false, strict: false };
+    let asking = RtOptions {
+        priority: Some(PRIORITY),
+        cpu: None,
+        lock_memory: false,
+        strict: false,
+    };
     thread::scope(|scope| {
         let handle = scope.spawn(|| {
-            let grant = configure_thread(&asking).map_or_else(|refused| refused.0.fifo, |report| report.fifo);
+            let grant = configure_thread(&asking)
+                .map_or_else(|refused| refused.0.fifo, |report| report.fifo);
             (grant, work())
         });
-        handle.join().unwrap_or_else(|_| (Grant::Refused("the thread died".to_owned()), R::default()))
+        handle
+            .join()
+            .unwrap_or_else(|_| (Grant::Refused("the thread died".to_owned()), R::default()))
     })
 }
 
@@ -72,9 +108,17 @@ pub(super) fn memory_locking() -> Finding {
     let amount = LOCK_BYTES >> 20;
     let (status, detail) = match can_lock_bytes(LOCK_BYTES) {
         Ok(()) => (Status::Ok, format!("{amount} MiB locked; {limit}")),
-        Err(error) => (Status::Limited, format!("{amount} MiB refused ({error}); {limit}")),
+        Err(error) => (
+            Status::Limited,
+            format!("{amount} MiB refused ({error}); {limit}"),
+        ),
     };
-    Finding::new("memory locking", status, detail, "`ulimit -l unlimited`, LimitMEMLOCK=infinity in a unit, or CAP_IPC_LOCK")
+    Finding::new(
+        "memory locking",
+        status,
+        detail,
+        "`ulimit -l unlimited`, LimitMEMLOCK=infinity in a unit, or CAP_IPC_LOCK",
+    )
 }
 
 pub(super) fn timer() -> Finding {
@@ -85,10 +129,23 @@ pub(super) fn timer() -> Finding {
         microseconds(0.5),
         microseconds(0.99),
         late.max() / 1_000,
-        if grant == Grant::Granted { "SCHED_FIFO" } else { "ordinary scheduling" }
+        if grant == Grant::Granted {
+            "SCHED_FIFO"
+        } else {
+            "ordinary scheduling"
+        }
     );
-    let status = if late.max() <= TIMER_GOOD_NS { Status::Ok } else { Status::Limited };
-    Finding::new("timer", status, detail, "compare with `cyclictest`; real-time kernel, isolated core, no virtual machine")
+    let status = if late.max() <= TIMER_GOOD_NS {
+        Status::Ok
+    } else {
+        Status::Limited
+    };
+    Finding::new(
+        "timer",
+        status,
+        detail,
+        "compare with `cyclictest`; real-time kernel, isolated core, no virtual machine",
+    )
 }
 
 fn lateness() -> Histogram {

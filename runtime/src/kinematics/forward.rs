@@ -73,8 +73,12 @@ impl Frames {
     pub fn tip_in_rcm(&self) -> Pose {
         let x = -self.wrist_yaw_axis;
         let y = self.approach.cross(&x);
-        let rotation = Rotation3::from_matrix_unchecked(Matrix3::from_columns(&[x, y, self.approach]));
-        Pose::from_parts(Translation3::from(self.tip_m), UnitQuaternion::from_rotation_matrix(&rotation))
+        let rotation =
+            Rotation3::from_matrix_unchecked(Matrix3::from_columns(&[x, y, self.approach]));
+        Pose::from_parts(
+            Translation3::from(self.tip_m),
+            UnitQuaternion::from_rotation_matrix(&rotation),
+        )
     }
 
     /// Geometric Jacobian of the tip; see [`jacobian`].
@@ -83,14 +87,22 @@ impl Frames {
         let lever = self.tip_m - self.wrist_m;
         let mut jacobian = Matrix6::zeros();
         let mut set = |column: usize, linear: Vector3<f64>, angular: Vector3<f64>| {
-            jacobian.fixed_view_mut::<3, 1>(0, column).copy_from(&linear);
-            jacobian.fixed_view_mut::<3, 1>(3, column).copy_from(&angular);
+            jacobian
+                .fixed_view_mut::<3, 1>(0, column)
+                .copy_from(&linear);
+            jacobian
+                .fixed_view_mut::<3, 1>(3, column)
+                .copy_from(&angular);
         };
         set(0, self.yaw_axis.cross(&self.tip_m), self.yaw_axis);
         set(1, self.pitch_axis.cross(&self.tip_m), self.pitch_axis);
         set(2, self.shaft, Vector3::zeros());
         set(3, self.shaft.cross(&lever), self.shaft);
-        set(4, self.wrist_pitch_axis.cross(&lever), self.wrist_pitch_axis);
+        set(
+            4,
+            self.wrist_pitch_axis.cross(&lever),
+            self.wrist_pitch_axis,
+        );
         set(5, Vector3::zeros(), self.wrist_yaw_axis);
         jacobian
     }

@@ -38,8 +38,12 @@ impl fmt::Display for IkError {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::NotFinite => write!(f, "the pose is not finite"),
-            Self::AtRemoteCentre { distance_m } => write!(f, "the wrist is {distance_m} m from the remote centre"),
-            Self::OutOfRange { joint, value } => write!(f, "joint {joint} would have to be at {value}"),
+            Self::AtRemoteCentre { distance_m } => {
+                write!(f, "the wrist is {distance_m} m from the remote centre")
+            }
+            Self::OutOfRange { joint, value } => {
+                write!(f, "joint {joint} would have to be at {value}")
+            }
         }
     }
 }
@@ -58,7 +62,10 @@ pub fn inverse(tip_in_rcm: &Pose, near_roll: f64) -> Result<JointVector, IkError
         !(low..=high).contains(&joints[joint])
     };
     match (0..JOINT_COUNT).find(outside) {
-        Some(joint) => Err(IkError::OutOfRange { joint, value: joints[joint] }),
+        Some(joint) => Err(IkError::OutOfRange {
+            joint,
+            value: joints[joint],
+        }),
         None => Ok(joints),
     }
 }
@@ -105,7 +112,9 @@ fn solve(tip_in_rcm: &Pose, near_roll: f64) -> Result<JointVector, IkError> {
     let normal_part = tip_m - x * tip_m.dot(&x);
     let normal_m = normal_part.norm();
     if normal_m < WRIST_DISTANCE_MIN_M {
-        return Err(IkError::AtRemoteCentre { distance_m: normal_m });
+        return Err(IkError::AtRemoteCentre {
+            distance_m: normal_m,
+        });
     }
     let wrist_link = normal_part / normal_m;
     let wrist_m = tip_m - wrist_link * WRIST_M;
@@ -125,10 +134,19 @@ fn solve(tip_in_rcm: &Pose, near_roll: f64) -> Result<JointVector, IkError> {
     let wrist_pitch = shaft.dot(&x).atan2(shaft.dot(&wrist_link));
     let (s5, c5) = wrist_pitch.sin_cos();
     let rolled_side = wrist_link * s5 - x * c5;
-    let roll = rolled_side.dot(&pitch_axis).atan2(rolled_side.dot(&shaft_side));
+    let roll = rolled_side
+        .dot(&pitch_axis)
+        .atan2(rolled_side.dot(&shaft_side));
     let turns = ((near_roll - roll) / TAU).round();
 
     let wrist_pitch_axis = x.cross(&wrist_link);
     let wrist_yaw = (-approach.dot(&wrist_pitch_axis)).atan2(approach.dot(&wrist_link));
-    Ok(JointVector::new(yaw, pitch, distance_m + INSERTION_OFFSET_M, roll + turns * TAU, wrist_pitch, wrist_yaw))
+    Ok(JointVector::new(
+        yaw,
+        pitch,
+        distance_m + INSERTION_OFFSET_M,
+        roll + turns * TAU,
+        wrist_pitch,
+        wrist_yaw,
+    ))
 }

@@ -22,7 +22,11 @@ fn random_joints(random: &mut SplitMix64, insertion_min_m: f64) -> JointVector {
 fn chain(joints: &JointVector) -> Pose {
     let mut pose = Isometry3::identity();
     for (row, &value) in DH.iter().zip(joints.iter()) {
-        let (theta, d) = if row.prismatic { (row.theta, row.d + value) } else { (row.theta + value, row.d) };
+        let (theta, d) = if row.prismatic {
+            (row.theta, row.d + value)
+        } else {
+            (row.theta + value, row.d)
+        };
         pose = pose
             * Isometry3::rotation(Vector3::x() * row.alpha)
             * Isometry3::translation(row.a, 0.0, 0.0)
@@ -36,7 +40,11 @@ fn chain(joints: &JointVector) -> Pose {
 #[test]
 fn forward_gives_the_reference_poses() {
     let vectors = [
-        ([0.0, 0.0, 0.12, 0.0, 0.0, 0.0], [0.0, 0.0, -0.1135], [FRAC_1_SQRT_2, FRAC_1_SQRT_2, 0.0, 0.0]),
+        (
+            [0.0, 0.0, 0.12, 0.0, 0.0, 0.0],
+            [0.0, 0.0, -0.1135],
+            [FRAC_1_SQRT_2, FRAC_1_SQRT_2, 0.0, 0.0],
+        ),
         (
             [0.1, 0.2, 0.15, 0.3, -0.4, 0.5],
             [0.015_079_393, -0.025_048_387, -0.139_801_106],
@@ -55,7 +63,10 @@ fn forward_gives_the_reference_poses() {
     ];
     for (joints, position, [x, y, z, w]) in vectors {
         let tip = forward(&JointVector::from(joints));
-        assert!((tip.translation.vector - Vector3::from(position)).norm() < 2e-9, "{joints:?}: {tip}");
+        assert!(
+            (tip.translation.vector - Vector3::from(position)).norm() < 2e-9,
+            "{joints:?}: {tip}"
+        );
         let expected = UnitQuaternion::from_quaternion(Quaternion::new(w, x, y, z));
         assert!(tip.rotation.angle_to(&expected) < 3e-9, "{joints:?}: {tip}");
     }
@@ -67,8 +78,14 @@ fn forward_is_the_product_of_the_dh_rows() {
     for _ in 0..2_000 {
         let joints = random_joints(&mut random, 0.0);
         let (closed, product) = (forward(&joints), chain(&joints));
-        assert!((closed.translation.vector - product.translation.vector).norm() < 1e-14, "{joints}");
-        assert!(closed.rotation.angle_to(&product.rotation) < 1e-7, "{joints}");
+        assert!(
+            (closed.translation.vector - product.translation.vector).norm() < 1e-14,
+            "{joints}"
+        );
+        assert!(
+            closed.rotation.angle_to(&product.rotation) < 1e-7,
+            "{joints}"
+        );
     }
 }
 
@@ -85,7 +102,11 @@ fn jacobian_at_home_is_the_reference() {
     let home = jacobian(&JointVector::new(0.0, 0.0, 0.12, 0.0, 0.0, 0.0));
     for (index, column) in columns.iter().enumerate() {
         let difference = home.column(index) - JointVector::from(*column);
-        assert!(difference.norm() < 1e-15, "column {index}: {}", home.column(index));
+        assert!(
+            difference.norm() < 1e-15,
+            "column {index}: {}",
+            home.column(index)
+        );
     }
 }
 
@@ -103,8 +124,14 @@ fn jacobian_is_the_derivative_of_forward() {
             let linear = (after.translation.vector - before.translation.vector) / (2.0 * step);
             let angular = (after.rotation * before.rotation.inverse()).scaled_axis() / (2.0 * step);
             let column = analytic.column(joint);
-            assert!((column.fixed_rows::<3>(0) - linear).norm() < 1e-9, "{joints} joint {joint}");
-            assert!((column.fixed_rows::<3>(3) - angular).norm() < 1e-8, "{joints} joint {joint}");
+            assert!(
+                (column.fixed_rows::<3>(0) - linear).norm() < 1e-9,
+                "{joints} joint {joint}"
+            );
+            assert!(
+                (column.fixed_rows::<3>(3) - angular).norm() < 1e-8,
+                "{joints} joint {joint}"
+            );
         }
     }
 }
@@ -127,18 +154,39 @@ fn inverse_chooses_the_roll_turn_nearest_to_the_hint() {
     let tip = forward(&joints);
     let other = inverse(&tip, -3.0).unwrap();
     assert!((other[3] - (3.0 - core::f64::consts::TAU)).abs() < 1e-12);
-    assert_eq!(inverse(&tip, 9.0).unwrap_err(), IkError::OutOfRange { joint: 3, value: 3.0 + core::f64::consts::TAU });
+    assert_eq!(
+        inverse(&tip, 9.0).unwrap_err(),
+        IkError::OutOfRange {
+            joint: 3,
+            value: 3.0 + core::f64::consts::TAU
+        }
+    );
 }
 
 #[test]
 fn unreachable_poses_are_refused_and_clamped_poses_are_within_limits() {
-    let (low, high) = (JointVector::from(POSITION_MIN), JointVector::from(POSITION_MAX));
-    let deep = Pose::from_parts(Translation3::new(0.0, 0.0, -0.4), forward(&JointVector::zeros()).rotation);
-    assert!(matches!(inverse(&deep, 0.0), Err(IkError::OutOfRange { joint: 2, .. })));
+    let (low, high) = (
+        JointVector::from(POSITION_MIN),
+        JointVector::from(POSITION_MAX),
+    );
+    let deep = Pose::from_parts(
+        Translation3::new(0.0, 0.0, -0.4),
+        forward(&JointVector::zeros()).rotation,
+    );
+    assert!(matches!(
+        inverse(&deep, 0.0),
+        Err(IkError::OutOfRange { joint: 2, .. })
+    ));
     let (joints, clamped) = inverse_clamped(&deep, 0.0, &low, &high).unwrap();
     assert!(clamped && joints[2] == POSITION_MAX[2]);
-    assert!(matches!(inverse(&Pose::identity(), 0.0), Err(IkError::AtRemoteCentre { .. })));
-    let nan = Pose::from_parts(Translation3::new(f64::NAN, 0.0, -0.1), UnitQuaternion::identity());
+    assert!(matches!(
+        inverse(&Pose::identity(), 0.0),
+        Err(IkError::AtRemoteCentre { .. })
+    ));
+    let nan = Pose::from_parts(
+        Translation3::new(f64::NAN, 0.0, -0.1),
+        UnitQuaternion::identity(),
+    );
     assert_eq!(inverse(&nan, 0.0), Err(IkError::NotFinite));
 }
 

@@ -51,16 +51,33 @@ impl FrameItem {
     /// # Errors
     /// [`LogError::Image`] when the pixels do not fill the image.
     pub(super) fn encode(&self) -> Result<Encoded, LogError> {
-        let failed = |reason: String| LogError::Image { camera: self.name.clone(), reason };
-        let Intrinsics { width, height, fx, fy, cx, cy } = self.intrinsics;
+        let failed = |reason: String| LogError::Image {
+            camera: self.name.clone(),
+            reason,
+        };
+        let Intrinsics {
+            width,
+            height,
+            fx,
+            fy,
+            cx,
+            cy,
+        } = self.intrinsics;
         let expected = 3 * self.intrinsics.pixel_count();
         if self.colour.len() != expected {
-            return Err(failed(format!("{} bytes of colour, expected {expected}", self.colour.len())));
+            return Err(failed(format!(
+                "{} bytes of colour, expected {expected}",
+                self.colour.len()
+            )));
         }
         let mut data = Vec::new();
-        png::PngEncoder::new_with_quality(&mut data, png::CompressionType::Fast, png::FilterType::Sub)
-            .write_image(&self.colour, width, height, ExtendedColorType::Rgb8)
-            .map_err(|error| failed(error.to_string()))?;
+        png::PngEncoder::new_with_quality(
+            &mut data,
+            png::CompressionType::Fast,
+            png::FilterType::Sub,
+        )
+        .write_image(&self.colour, width, height, ExtendedColorType::Rgb8)
+        .map_err(|error| failed(error.to_string()))?;
         let timestamp = Some(Timestamp::new(self.stamp));
         let image = CompressedImage {
             timestamp,

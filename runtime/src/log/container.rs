@@ -29,28 +29,51 @@ const RECORD_BYTES_MAX: usize = 64 << 20;
 ///
 /// # Errors
 /// [`LogError::NotMcap`], or [`LogError::Damaged`] with the offset of the record in which bytes have changed.
-pub(super) fn walk(path: &Path, bytes: &[u8], visitor: &mut impl Visitor) -> Result<Option<String>, LogError> {
+pub(super) fn walk(
+    path: &Path,
+    bytes: &[u8],
+    visitor: &mut impl Visitor,
+) -> Result<Option<String>, LogError> {
     if !bytes.starts_with(mcap::MAGIC) {
         return Err(if mcap::MAGIC.starts_with(bytes) {
-            LogError::NotOurs { path: path.to_owned(), missing: format!("everything after byte {}", bytes.len()) }
+            LogError::NotOurs {
+                path: path.to_owned(),
+                missing: format!("everything after byte {}", bytes.len()),
+            }
         } else {
-            LogError::NotMcap { path: path.to_owned() }
+            LogError::NotMcap {
+                path: path.to_owned(),
+            }
         });
     }
     let mut topics = BTreeMap::new();
     let mut offset = mcap::MAGIC.len();
     loop {
-        let damaged = |reason: String| LogError::Damaged { path: path.to_owned(), offset, reason };
+        let damaged = |reason: String| LogError::Damaged {
+            path: path.to_owned(),
+            offset,
+            reason,
+        };
         let Some((opcode, body)) = record_at(bytes, offset) else {
-            return Ok(Some(format!("the file ends at byte {}, inside the record that begins at {offset}", bytes.len())));
+            return Ok(Some(format!(
+                "the file ends at byte {}, inside the record that begins at {offset}",
+                bytes.len()
+            )));
         };
         let record = parse_record(opcode, body).map_err(|error| damaged(error.to_string()))?;
         match record {
             Record::Chunk { .. } => {
-                let whole = bytes.get(offset..offset + RECORD_HEAD + body.len()).unwrap_or_default();
-                open_chunk(whole, |inner| message_or_channel(inner, &mut topics, visitor)).map_err(damaged)?;
+                let whole = bytes
+                    .get(offset..offset + RECORD_HEAD + body.len())
+                    .unwrap_or_default();
+                open_chunk(whole, |inner| {
+                    message_or_channel(inner, &mut topics, visitor)
+                })
+                .map_err(damaged)?;
             }
-            Record::Metadata(metadata) => visitor.metadata(&metadata.name, metadata.metadata).map_err(damaged)?,
+            Record::Metadata(metadata) => visitor
+                .metadata(&metadata.name, metadata.metadata)
+                .map_err(damaged)?,
             Record::DataEnd(end) => {
                 let actual = crc32fast::hash(bytes.get(..offset).unwrap_or_default());
                 if end.data_section_crc != 0 && end.data_section_crc != actual {
@@ -61,7 +84,9 @@ pub(super) fn walk(path: &Path, bytes: &[u8], visitor: &mut impl Visitor) -> Res
                 }
                 return tail(bytes, offset + RECORD_HEAD + body.len()).map_err(damaged);
             }
-            Record::Unknown { opcode: 0, .. } => return Err(damaged("a record of type 0".to_owned())),
+            Record::Unknown { opcode: 0, .. } => {
+                return Err(damaged("a record of type 0".to_owned()));
+            }
             Record::Header(_)
             | Record::Footer(_)
             | Record::Schema { .. }
@@ -74,7 +99,9 @@ pub(super) fn walk(path: &Path, bytes: &[u8], visitor: &mut impl Visitor) -> Res
             | Record::Statistics(_)
             | Record::MetadataIndex(_)
             | Record::SummaryOffset(_)
-            | Record::Unknown { .. } => message_or_channel(record, &mut topics, visitor).map_err(damaged)?,
+            | Record::Unknown { .. } => {
+                message_or_channel(record, &mut topics, visitor).map_err(damaged)?
+            }
         }
         offset += RECORD_HEAD + body.len();
     }
@@ -91,7 +118,10 @@ fn record_at(bytes: &[u8], offset: usize) -> Option<(u8, &[u8])> {
 
 /// Unpacks the chunk record in `bytes` and hands on what is in it, once its checksum is known to be right: only then can
 /// lengths inside be trusted.
-fn open_chunk(bytes: &[u8], mut visit: impl FnMut(Record<'_>) -> Result<(), String>) -> Result<(), String> {
+fn open_chunk(
+    bytes: &[u8],
+    mut visit: impl FnMut(Record<'_>) -> Result<(), String>,
+) -> Result<(), String> {
     let options = LinearReaderOptions::default()
         .with_skip_start_magic(true)
         .with_skip_end_magic(true)
@@ -126,11 +156,16 @@ fn message_or_channel(
             Ok(())
         }
         Record::Message { header, data } => {
-            let topic = topics
-                .get(&header.channel_id)
-                .ok_or_else(|| format!("a message on channel {}, which was not announced", header.channel_id))?;
+            let topic = topics.get(&header.channel_id).ok_or_else(|| {
+                format!(
+                    "a message on channel {}, which was not announced",
+                    header.channel_id
+                )
+            })?;
             let data: Cow<'_, [u8]> = data;
-            visitor.message(topic, &header, &data).map_err(|reason| format!("{topic}: {reason}"))
+            visitor
+                .message(topic, &header, &data)
+                .map_err(|reason| format!("{topic}: {reason}"))
         }
         Record::Header(_)
         | Record::Footer(_)
@@ -152,7 +187,12 @@ fn message_or_channel(
 /// Checks everything behind the data: summary, footer, closing magic. `Some(reason)` if it was cut.
 fn tail(bytes: &[u8], data_end: usize) -> Result<Option<String>, String> {
     let mut offset = data_end;
-    let cut = || Ok(Some(format!("the file ends at byte {}, after the data but inside the summary", bytes.len())));
+    let cut = || {
+        Ok(Some(format!(
+            "the file ends at byte {}, after the data but inside the summary",
+            bytes.len()
+        )))
+    };
     loop {
         let Some((opcode, body)) = record_at(bytes, offset) else {
             return cut();
@@ -166,7 +206,9 @@ fn tail(bytes: &[u8], data_end: usize) -> Result<Option<String>, String> {
             return Err("the footer is malformed".to_owned());
         };
         // The checksum covers the summary and the footer up to the checksum itself.
-        let covered = bytes.get(data_end..next - size_of::<u32>()).unwrap_or_default();
+        let covered = bytes
+            .get(data_end..next - size_of::<u32>())
+            .unwrap_or_default();
         if footer.summary_crc != 0 && footer.summary_crc != crc32fast::hash(covered) {
             return Err("the summary's checksum does not match".to_owned());
         }

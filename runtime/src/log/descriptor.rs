@@ -6,23 +6,32 @@
 use prost::Message;
 use prost_types::field_descriptor_proto::{Label, Type};
 use prost_types::{
-    DescriptorProto, EnumDescriptorProto, EnumValueDescriptorProto, FieldDescriptorProto, FileDescriptorProto,
-    FileDescriptorSet, OneofDescriptorProto,
+    DescriptorProto, EnumDescriptorProto, EnumValueDescriptorProto, FieldDescriptorProto,
+    FileDescriptorProto, FileDescriptorSet, OneofDescriptorProto,
 };
 
 const TIMESTAMP: &str = "seconds 1 int64; nanos 2 int32";
 
 const FOXGLOVE: [(&str, &str); 9] = [
     ("Vector3", "x 1 double; y 2 double; z 3 double"),
-    ("Quaternion", "x 1 double; y 2 double; z 3 double; w 4 double"),
+    (
+        "Quaternion",
+        "x 1 double; y 2 double; z 3 double; w 4 double",
+    ),
     ("Pose", "position 1 Vector3; orientation 2 Quaternion"),
-    ("PoseInFrame", "timestamp 1 Timestamp; frame_id 2 string; pose 3 Pose"),
+    (
+        "PoseInFrame",
+        "timestamp 1 Timestamp; frame_id 2 string; pose 3 Pose",
+    ),
     (
         "JointState",
         "name 1 string; position 2 double?; velocity 3 double?; acceleration 4 double?; effort 5 double?",
     ),
     ("JointStates", "timestamp 1 Timestamp; joints 2 JointState*"),
-    ("CompressedImage", "timestamp 1 Timestamp; data 2 bytes; format 3 string; frame_id 4 string"),
+    (
+        "CompressedImage",
+        "timestamp 1 Timestamp; data 2 bytes; format 3 string; frame_id 4 string",
+    ),
     (
         "CameraCalibration",
         "timestamp 1 Timestamp; width 2 fixed32; height 3 fixed32; distortion_model 4 string; \
@@ -45,8 +54,14 @@ pub(super) fn file_descriptor_set() -> Vec<u8> {
         syntax: Some("proto3".to_owned()),
         ..FileDescriptorProto::default()
     };
-    let mut messages: Vec<_> = FOXGLOVE.iter().map(|(name, fields)| message(name, fields)).collect();
-    for log in messages.iter_mut().filter(|message| message.name() == "Log") {
+    let mut messages: Vec<_> = FOXGLOVE
+        .iter()
+        .map(|(name, fields)| message(name, fields))
+        .collect();
+    for log in messages
+        .iter_mut()
+        .filter(|message| message.name() == "Log")
+    {
         log.enum_type.push(levels());
     }
     let foxglove = FileDescriptorProto {
@@ -57,7 +72,10 @@ pub(super) fn file_descriptor_set() -> Vec<u8> {
         syntax: Some("proto3".to_owned()),
         ..FileDescriptorProto::default()
     };
-    FileDescriptorSet { file: vec![timestamp, foxglove] }.encode_to_vec()
+    FileDescriptorSet {
+        file: vec![timestamp, foxglove],
+    }
+    .encode_to_vec()
 }
 
 fn levels() -> EnumDescriptorProto {
@@ -70,14 +88,22 @@ fn levels() -> EnumDescriptorProto {
             ..EnumValueDescriptorProto::default()
         })
         .collect();
-    EnumDescriptorProto { name: Some("Level".to_owned()), value, ..EnumDescriptorProto::default() }
+    EnumDescriptorProto {
+        name: Some("Level".to_owned()),
+        value,
+        ..EnumDescriptorProto::default()
+    }
 }
 
 fn message(name: &str, fields: &str) -> DescriptorProto {
-    let mut message = DescriptorProto { name: Some(name.to_owned()), ..DescriptorProto::default() };
+    let mut message = DescriptorProto {
+        name: Some(name.to_owned()),
+        ..DescriptorProto::default()
+    };
     for line in fields.split(';') {
         let mut words = line.split_whitespace();
-        let (Some(field), Some(number), Some(kind)) = (words.next(), words.next(), words.next()) else {
+        let (Some(field), Some(number), Some(kind)) = (words.next(), words.next(), words.next())
+        else {
             continue;
         };
         let mut described = self::field(field, number, kind.trim_end_matches(['?', '*']));
@@ -88,9 +114,10 @@ fn message(name: &str, fields: &str) -> DescriptorProto {
             // In proto3 an optional field is the only member of a oneof of its own.
             described.proto3_optional = Some(true);
             described.oneof_index = i32::try_from(message.oneof_decl.len()).ok();
-            message
-                .oneof_decl
-                .push(OneofDescriptorProto { name: Some(format!("_{field}")), ..OneofDescriptorProto::default() });
+            message.oneof_decl.push(OneofDescriptorProto {
+                name: Some(format!("_{field}")),
+                ..OneofDescriptorProto::default()
+            });
         }
         message.field.push(described);
     }

@@ -37,7 +37,11 @@ pub(super) struct ChunkItem {
 
 /// An event or a frame on its way.
 pub(super) enum SideItem {
-    Event { at: TimeNs, level: Level, text: String },
+    Event {
+        at: TimeNs,
+        level: Level,
+        text: String,
+    },
     Frame(Box<FrameItem>),
 }
 
@@ -128,7 +132,10 @@ impl Drain {
     /// Keeps the first failure; the queues are still emptied, so that nobody waits for ever.
     fn note(&mut self, result: mcap::McapResult<()>) {
         if let Err(source) = result {
-            self.failure.get_or_insert_with(|| LogError::Write { path: self.path.clone(), source });
+            self.failure.get_or_insert_with(|| LogError::Write {
+                path: self.path.clone(),
+                source,
+            });
         }
     }
 
@@ -144,7 +151,10 @@ impl Drain {
         }
         self.writer
             .finish(outcome.as_ref(), &self.counts)
-            .map_err(|source| LogError::Write { path: self.path, source })?;
+            .map_err(|source| LogError::Write {
+                path: self.path,
+                source,
+            })?;
         Ok(self.counts)
     }
 }

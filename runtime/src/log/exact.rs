@@ -54,7 +54,9 @@ impl Visitor<'_> for ExactVisitor {
                 .map(f64::from_bits)
                 .filter(|value| value.is_nan()),
         };
-        value.map(Exact).ok_or_else(|| E::invalid_value(serde::de::Unexpected::Str(text), &self))
+        value
+            .map(Exact)
+            .ok_or_else(|| E::invalid_value(serde::de::Unexpected::Str(text), &self))
     }
 }
 
@@ -71,8 +73,18 @@ mod tests {
     #[test]
     fn awkward_numbers_return_with_the_same_bits() {
         let quiet = f64::from_bits(0x7ff8_0000_dead_beef);
-        let awkward =
-            [0.0, -0.0, 5e-324, -5e-324, f64::MIN_POSITIVE, f64::MAX, 1e308, 0.1, f64::INFINITY, f64::NEG_INFINITY];
+        let awkward = [
+            0.0,
+            -0.0,
+            5e-324,
+            -5e-324,
+            f64::MIN_POSITIVE,
+            f64::MAX,
+            1e308,
+            0.1,
+            f64::INFINITY,
+            f64::NEG_INFINITY,
+        ];
         for value in awkward.into_iter().chain([f64::NAN, -f64::NAN, quiet]) {
             assert_eq!(returned(value).to_bits(), value.to_bits(), "{value:?}");
         }
@@ -82,7 +94,9 @@ mod tests {
     fn a_hundred_thousand_random_bit_patterns_return() {
         let mut state = 1_u64;
         for _ in 0..100_000 {
-            state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+            state = state
+                .wrapping_mul(6_364_136_223_846_793_005)
+                .wrapping_add(1_442_695_040_888_963_407);
             let value = f64::from_bits(state);
             assert_eq!(returned(value).to_bits(), value.to_bits(), "{state:016x}");
         }
@@ -90,7 +104,13 @@ mod tests {
 
     #[test]
     fn other_texts_are_refused() {
-        for text in ["\"\"", "\"NaN\"", "\"nan:3ff0000000000000\"", "\"nan:zz\"", "null"] {
+        for text in [
+            "\"\"",
+            "\"NaN\"",
+            "\"nan:3ff0000000000000\"",
+            "\"nan:zz\"",
+            "null",
+        ] {
             assert!(serde_json::from_str::<Exact>(text).is_err(), "{text}");
         }
     }

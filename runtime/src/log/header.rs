@@ -69,8 +69,15 @@ impl RunHeader {
             ("seed", self.seed.to_string()),
             ("lockstep", self.lockstep.to_string()),
         ];
-        let run = run.into_iter().map(|(key, value)| (key.to_owned(), value)).collect();
-        [(RUN, run), (VERSIONS, self.versions.clone()), (CONFIGURATION, self.texts.clone())]
+        let run = run
+            .into_iter()
+            .map(|(key, value)| (key.to_owned(), value))
+            .collect();
+        [
+            (RUN, run),
+            (VERSIONS, self.versions.clone()),
+            (CONFIGURATION, self.texts.clone()),
+        ]
     }
 
     /// Takes over one metadata record; `false` if it lacks something.
@@ -96,8 +103,15 @@ impl RunHeader {
     }
 }
 
-const COUNT_KEYS: [&str; 7] =
-    ["ticks", "chunks", "frames", "ticks_dropped", "chunks_dropped", "frames_dropped", "events_dropped"];
+const COUNT_KEYS: [&str; 7] = [
+    "ticks",
+    "chunks",
+    "frames",
+    "ticks_dropped",
+    "chunks_dropped",
+    "frames_dropped",
+    "events_dropped",
+];
 
 impl LogCounts {
     fn values(&self) -> [u64; 7] {
@@ -121,8 +135,11 @@ impl LogCounts {
 
 /// The closing metadata record: the outcome, if the run had one, and what was written.
 pub(super) fn closing_metadata(outcome: Option<&RunOutcome>, counts: &LogCounts) -> Map {
-    let mut map: Map =
-        COUNT_KEYS.iter().zip(counts.values()).map(|(key, value)| ((*key).to_owned(), value.to_string())).collect();
+    let mut map: Map = COUNT_KEYS
+        .iter()
+        .zip(counts.values())
+        .map(|(key, value)| ((*key).to_owned(), value.to_string()))
+        .collect();
     if let Some(outcome) = outcome {
         map.insert("success".to_owned(), outcome.success.to_string());
         map.insert("reason".to_owned(), outcome.reason.clone());
@@ -137,9 +154,24 @@ pub(super) fn parse_closing(map: &Map) -> Option<(Option<RunOutcome>, LogCounts)
     for (value, key) in values.iter_mut().zip(COUNT_KEYS) {
         *value = number(map, key)?;
     }
-    let [ticks, chunks, frames, ticks_dropped, chunks_dropped, frames_dropped, events_dropped] = values;
-    let counts =
-        LogCounts { ticks, chunks, frames, ticks_dropped, chunks_dropped, frames_dropped, events_dropped };
+    let [
+        ticks,
+        chunks,
+        frames,
+        ticks_dropped,
+        chunks_dropped,
+        frames_dropped,
+        events_dropped,
+    ] = values;
+    let counts = LogCounts {
+        ticks,
+        chunks,
+        frames,
+        ticks_dropped,
+        chunks_dropped,
+        frames_dropped,
+        events_dropped,
+    };
     let outcome = map.get("success").map(|success| RunOutcome {
         success: success == "true",
         reason: map.get("reason").cloned().unwrap_or_default(),

@@ -20,7 +20,11 @@ pub(super) struct JointMessages {
 
 impl JointMessages {
     pub(super) fn new() -> Self {
-        Self { measured: named(&JOINT_NAMES), setpoint: named(&JOINT_NAMES), jaw: named(&[JAW, JAW_SETPOINT]) }
+        Self {
+            measured: named(&JOINT_NAMES),
+            setpoint: named(&JOINT_NAMES),
+            jaw: named(&[JAW, JAW_SETPOINT]),
+        }
     }
 
     /// Fills in a measurement; without one the jaw's measured values are absent and `measured` is stale.
@@ -57,8 +61,14 @@ impl JointMessages {
 }
 
 fn named(names: &[&str]) -> JointStates {
-    let joints = names.iter().map(|name| JointState { name: (*name).to_owned(), ..JointState::default() });
-    JointStates { timestamp: None, joints: joints.collect() }
+    let joints = names.iter().map(|name| JointState {
+        name: (*name).to_owned(),
+        ..JointState::default()
+    });
+    JointStates {
+        timestamp: None,
+        joints: joints.collect(),
+    }
 }
 
 /// The measurement in a pair of messages; `None` if something is missing.
@@ -76,7 +86,11 @@ pub(super) fn state(measured: &JointStates, jaw: &JointStates) -> Option<ArmStat
 }
 
 /// The command in a pair of messages; `None` if something is missing.
-pub(super) fn command(setpoint: &JointStates, jaw: &JointStates, enabled: bool) -> Option<ArmCommand> {
+pub(super) fn command(
+    setpoint: &JointStates,
+    jaw: &JointStates,
+    enabled: bool,
+) -> Option<ArmCommand> {
     let finger = jaw.joints.iter().find(|joint| joint.name == JAW_SETPOINT)?;
     Some(ArmCommand {
         stamp: stamp(setpoint)?,
@@ -93,7 +107,10 @@ fn stamp(message: &JointStates) -> Option<TimeNs> {
     message.timestamp?.time()
 }
 
-fn vector(message: &JointStates, value: impl Fn(&JointState) -> Option<f64>) -> Option<JointVector> {
+fn vector(
+    message: &JointStates,
+    value: impl Fn(&JointState) -> Option<f64>,
+) -> Option<JointVector> {
     if message.joints.len() != JOINT_COUNT {
         return None;
     }

@@ -48,7 +48,12 @@ impl ChunkMessage {
                 jaw: jaw.0,
             })
             .collect();
-        let mut chunk = Chunk::new(TimeNs(self.observed_at_ns), self.sequence, self.step_ns, &targets);
+        let mut chunk = Chunk::new(
+            TimeNs(self.observed_at_ns),
+            self.sequence,
+            self.step_ns,
+            &targets,
+        );
         chunk.len = self.len;
         chunk.reserved = self.reserved;
         Some(chunk)

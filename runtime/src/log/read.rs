@@ -58,7 +58,10 @@ impl RunLog {
     /// # Errors
     /// [`LogError`] when there is no such file, it is no log of ours, or bytes in it have changed.
     pub fn open(path: &Path) -> Result<Self, LogError> {
-        let bytes = fs::read(path).map_err(|source| LogError::Io { path: path.to_owned(), source })?;
+        let bytes = fs::read(path).map_err(|source| LogError::Io {
+            path: path.to_owned(),
+            source,
+        })?;
         Self::from_bytes(path, &bytes)
     }
 
@@ -70,7 +73,10 @@ impl RunLog {
         let mut assembly = Assembly::default();
         let cut = container::walk(path, bytes, &mut assembly)?;
         if !assembly.has_header {
-            return Err(LogError::NotOurs { path: path.to_owned(), missing: "the metadata record `run`".to_owned() });
+            return Err(LogError::NotOurs {
+                path: path.to_owned(),
+                missing: "the metadata record `run`".to_owned(),
+            });
         }
         let mut log = assembly.log;
         log.cut = cut;
@@ -78,7 +84,10 @@ impl RunLog {
             let handed_over = counts.ticks.saturating_add(counts.ticks_dropped);
             let count = handed_over.saturating_sub(assembly.next_record);
             if count > 0 {
-                log.losses.push(Loss::Ticks { position: log.ticks.len(), count });
+                log.losses.push(Loss::Ticks {
+                    position: log.ticks.len(),
+                    count,
+                });
             }
         }
         Ok(log)
@@ -86,7 +95,10 @@ impl RunLog {
 
     /// The ticks in order, each with the chunk that it was given.
     pub fn ticks(&self) -> impl ExactSizeIterator<Item = (&LoggedTick, Option<&Chunk>)> {
-        self.ticks.iter().enumerate().map(|(index, tick)| (tick, self.chunks.get(&index)))
+        self.ticks
+            .iter()
+            .enumerate()
+            .map(|(index, tick)| (tick, self.chunks.get(&index)))
     }
 
     /// Why the file ends before its end, if it does.
@@ -141,13 +153,18 @@ impl Visitor for Assembly {
 
     fn metadata(&mut self, name: &str, map: BTreeMap<String, String>) -> Result<(), String> {
         if name == header::OUTCOME {
-            let (outcome, counts) = header::parse_closing(&map).ok_or("the outcome lacks a count")?;
+            let (outcome, counts) =
+                header::parse_closing(&map).ok_or("the outcome lacks a count")?;
             self.log.outcome = outcome;
             self.log.counts = Some(counts);
             return Ok(());
         }
         self.has_header |= name == header::RUN;
-        if self.log.header.absorb(name, map) { Ok(()) } else { Err(format!("metadata `{name}` lacks an entry")) }
+        if self.log.header.absorb(name, map) {
+            Ok(())
+        } else {
+            Err(format!("metadata `{name}` lacks an entry"))
+        }
     }
 }
 
@@ -159,12 +176,19 @@ impl Assembly {
         let measured = self.measured.take();
         let measured = match (message.error, measured) {
             (Some(error), _) => Err(error.into()),
-            (None, Some(states)) => Ok(joints::state(&states, &jaw).ok_or_else(|| lacks("measurement"))?),
+            (None, Some(states)) => {
+                Ok(joints::state(&states, &jaw).ok_or_else(|| lacks("measurement"))?)
+            }
             (None, None) => return Err(lacks("measurement")),
         };
         let setpoint = self.setpoint.take().ok_or_else(|| lacks("setpoint"))?;
-        let command = joints::command(&setpoint, &jaw, message.enabled).ok_or_else(|| lacks("setpoint"))?;
-        let timing = self.timing.take().filter(|timing| timing.tick == message.tick).ok_or_else(|| lacks("timing"))?;
+        let command =
+            joints::command(&setpoint, &jaw, message.enabled).ok_or_else(|| lacks("setpoint"))?;
+        let timing = self
+            .timing
+            .take()
+            .filter(|timing| timing.tick == message.tick)
+            .ok_or_else(|| lacks("timing"))?;
         self.note_gap(message)?;
         self.take_chunk(message)?;
         self.log.ticks.push(LoggedTick {
@@ -174,17 +198,29 @@ impl Assembly {
             operator: message.operator.map(OperatorEvent::from),
             chunk_sequence: message.chunk.map(|chunk| chunk.sequence),
             command,
-            timing: TickTiming { wake_ns: timing.wake_ns, compute_ns: timing.compute_ns },
+            timing: TickTiming {
+                wake_ns: timing.wake_ns,
+                compute_ns: timing.compute_ns,
+            },
         });
         Ok(())
     }
 
     fn note_gap(&mut self, message: &TickMessage) -> Result<(), String> {
-        let count = message.record.checked_sub(self.next_record).ok_or("the record numbers go backwards")?;
+        let count = message
+            .record
+            .checked_sub(self.next_record)
+            .ok_or("the record numbers go backwards")?;
         if count > 0 {
-            self.log.losses.push(Loss::Ticks { position: self.log.ticks.len(), count });
+            self.log.losses.push(Loss::Ticks {
+                position: self.log.ticks.len(),
+                count,
+            });
         }
-        self.next_record = message.record.checked_add(1).ok_or("the record number is out of range")?;
+        self.next_record = message
+            .record
+            .checked_add(1)
+            .ok_or("the record number is out of range")?;
         Ok(())
     }
 
@@ -195,7 +231,9 @@ impl Assembly {
         };
         match chunk.filter(|chunk| Some(chunk.record) == wanted.record) {
             Some(found) => {
-                let chunk = found.chunk().ok_or("a chunk has more targets than a chunk can hold")?;
+                let chunk = found
+                    .chunk()
+                    .ok_or("a chunk has more targets than a chunk can hold")?;
                 self.log.chunks.insert(self.log.ticks.len(), chunk);
             }
             None => self.log.losses.push(Loss::Chunk { tick: message.tick }),

@@ -97,7 +97,11 @@ pub struct TickLog {
 impl TickLog {
     /// Hands over one tick; to be called in every tick, after [`Self::chunk`].
     pub fn tick(&mut self, tick: &TickRecord) {
-        let item = TickItem { record: self.tick_count, chunk_record: self.pending_chunk.take(), tick: *tick };
+        let item = TickItem {
+            record: self.tick_count,
+            chunk_record: self.pending_chunk.take(),
+            tick: *tick,
+        };
         self.tick_count += 1;
         if !self.ticks.push(item) {
             self.shared.ticks_dropped.fetch_add(1, Ordering::Relaxed);
@@ -108,7 +112,10 @@ impl TickLog {
     pub fn chunk(&mut self, chunk: &Chunk) {
         let record = self.chunk_count;
         self.chunk_count += 1;
-        if self.chunks.push(ChunkItem { record, chunk: *chunk }) {
+        if self.chunks.push(ChunkItem {
+            record,
+            chunk: *chunk,
+        }) {
             self.pending_chunk = Some(record);
         } else {
             self.pending_chunk = None;
@@ -119,7 +126,8 @@ impl TickLog {
     /// Ticks and chunks dropped so far.
     #[must_use]
     pub fn dropped(&self) -> u64 {
-        self.shared.ticks_dropped.load(Ordering::Relaxed) + self.shared.chunks_dropped.load(Ordering::Relaxed)
+        self.shared.ticks_dropped.load(Ordering::Relaxed)
+            + self.shared.chunks_dropped.load(Ordering::Relaxed)
     }
 }
 
@@ -132,7 +140,11 @@ pub struct SideLog {
 impl SideLog {
     /// Writes a line of text.
     pub fn event(&mut self, at: TimeNs, level: Level, text: &str) {
-        if !self.queue.push(SideItem::Event { at, level, text: text.to_owned() }) {
+        if !self.queue.push(SideItem::Event {
+            at,
+            level,
+            text: text.to_owned(),
+        }) {
             self.shared.events_dropped.fetch_add(1, Ordering::Relaxed);
         }
     }
@@ -142,7 +154,10 @@ impl SideLog {
         if self.queue.pressure == Pressure::Drop && self.queue.queue.is_full() {
             // Saves the copy.
             self.shared.frames_dropped.fetch_add(1, Ordering::Relaxed);
-        } else if !self.queue.push(SideItem::Frame(Box::new(FrameItem::new(name, frame)))) {
+        } else if !self
+            .queue
+            .push(SideItem::Frame(Box::new(FrameItem::new(name, frame))))
+        {
             self.shared.frames_dropped.fetch_add(1, Ordering::Relaxed);
         }
     }
@@ -164,7 +179,12 @@ impl LogFile {
     /// # Errors
     /// [`LogError`] when anything could not be written.
     pub fn finish(self, outcome: Option<&RunOutcome>) -> Result<LogCounts, LogError> {
-        let Self { path, shared, thread, outcome: sender } = self;
+        let Self {
+            path,
+            shared,
+            thread,
+            outcome: sender,
+        } = self;
         if let Some(outcome) = outcome {
             // There is room for one; if the writer has died, `join` says so.
             let _delivered = sender.try_send(outcome.clone());
@@ -191,10 +211,15 @@ impl Recorder {
     /// # Errors
     /// [`LogError`] when the file cannot be created or the header not be written.
     pub fn create(path: &Path, run: &RunHeader, pressure: Pressure) -> Result<Self, LogError> {
-        let io = |source| LogError::Io { path: path.to_owned(), source };
+        let io = |source| LogError::Io {
+            path: path.to_owned(),
+            source,
+        };
         let sink = BufWriter::new(File::create(path).map_err(io)?);
-        let writer =
-            LogWriter::new(sink, run).map_err(|source| LogError::Write { path: path.to_owned(), source })?;
+        let writer = LogWriter::new(sink, run).map_err(|source| LogError::Write {
+            path: path.to_owned(),
+            source,
+        })?;
         let (tick_end, ticks) = RingBuffer::new(TICKS);
         let (chunk_end, chunks) = RingBuffer::new(CHUNKS);
         let (side_end, side) = RingBuffer::new(SIDE_ITEMS);
@@ -211,19 +236,42 @@ impl Recorder {
             counts: LogCounts::default(),
             failure: None,
         };
-        let thread = thread::Builder::new().name("log".to_owned()).spawn(|| drain.run()).map_err(io)?;
+        let thread = thread::Builder::new()
+            .name("log".to_owned())
+            .spawn(|| drain.run())
+            .map_err(io)?;
         let writer = thread.thread().clone();
         Ok(Self {
             ticks: TickLog {
-                ticks: Feed { queue: tick_end, pressure, writer: writer.clone() },
-                chunks: Feed { queue: chunk_end, pressure, writer: writer.clone() },
+                ticks: Feed {
+                    queue: tick_end,
+                    pressure,
+                    writer: writer.clone(),
+                },
+                chunks: Feed {
+                    queue: chunk_end,
+                    pressure,
+                    writer: writer.clone(),
+                },
                 shared: Arc::clone(&shared),
                 tick_count: 0,
                 chunk_count: 0,
                 pending_chunk: None,
             },
-            side: SideLog { queue: Feed { queue: side_end, pressure, writer }, shared: Arc::clone(&shared) },
-            file: LogFile { path: path.to_owned(), shared, thread, outcome: outcome_sender },
+            side: SideLog {
+                queue: Feed {
+                    queue: side_end,
+                    pressure,
+                    writer,
+                },
+                shared: Arc::clone(&shared),
+            },
+            file: LogFile {
+                path: path.to_owned(),
+                shared,
+                thread,
+                outcome: outcome_sender,
+            },
         })
     }
 

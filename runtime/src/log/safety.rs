@@ -54,7 +54,10 @@ impl SafetyMessage {
             fault: report.fault.map(|fault| match fault {
                 Fault::MeasurementNotFinite => FaultMessage::MeasurementNotFinite,
                 Fault::Arm(error) => FaultMessage::Arm(error.into()),
-                Fault::TrackingError { joint, error } => FaultMessage::TrackingError { joint, error: Exact(error) },
+                Fault::TrackingError { joint, error } => FaultMessage::TrackingError {
+                    joint,
+                    error: Exact(error),
+                },
             }),
         }
     }

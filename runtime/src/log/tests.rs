@@ -2,9 +2,13 @@
 
 use std::path::PathBuf;
 
-use hal::{ArmCommand, ArmError, ArmState, CameraFrame, Chunk, Intrinsics, JointVector, TimeNs, TipTarget};
+use hal::{
+    ArmCommand, ArmError, ArmState, CameraFrame, Chunk, Intrinsics, JointVector, TimeNs, TipTarget,
+};
 
-use super::{Level, LogCounts, LogError, Loss, LoggedTick, Pressure, Recorder, RunHeader, RunLog, RunOutcome};
+use super::{
+    Level, LogCounts, LogError, LoggedTick, Loss, Pressure, Recorder, RunHeader, RunLog, RunOutcome,
+};
 use super::{TickRecord, TickTiming};
 use crate::control::{Fault, Mode, OperatingState, OperatorEvent, QpOutcome, TickReport};
 
@@ -25,26 +29,49 @@ impl Drop for Scratch {
 
 fn report() -> TickReport {
     TickReport {
-        mode: Mode { state: OperatingState::Enabled, homed: true, busy: true },
+        mode: Mode {
+            state: OperatingState::Enabled,
+            homed: true,
+            busy: true,
+        },
         gate: None,
         qp: QpOutcome::Solved { iterations: 7 },
         rows_active: 2,
         correction: f64::NAN,
         guard_intervened: false,
-        target: Some(TipTarget { position_m: [0.1, -0.0, 5e-324], rotation_xyzw: [0.0, 0.0, 0.0, 1.0], jaw: 0.3 }),
-        fault: Some(Fault::TrackingError { joint: 3, error: 0.25 }),
+        target: Some(TipTarget {
+            position_m: [0.1, -0.0, 5e-324],
+            rotation_xyzw: [0.0, 0.0, 0.0, 1.0],
+            jaw: 0.3,
+        }),
+        fault: Some(Fault::TrackingError {
+            joint: 3,
+            error: 0.25,
+        }),
     }
 }
 
 /// Numbers that are easy to lose on the way.
 fn awkward(index: u64) -> f64 {
-    let values = [5e-324, -0.0, 0.1, 1e308, -f64::MAX, f64::MIN_POSITIVE, f64::NAN, f64::INFINITY, 1.0 / 3.0];
+    let values = [
+        5e-324,
+        -0.0,
+        0.1,
+        1e308,
+        -f64::MAX,
+        f64::MIN_POSITIVE,
+        f64::NAN,
+        f64::INFINITY,
+        1.0 / 3.0,
+    ];
     values[usize::try_from(index).unwrap() % values.len()]
 }
 
 fn record(tick: u64) -> TickRecord {
     let now = TimeNs::from_tick(tick);
-    let vector = |offset| JointVector::from_fn(|axis, _| awkward(tick + offset + u64::try_from(axis).unwrap()));
+    let vector = |offset| {
+        JointVector::from_fn(|axis, _| awkward(tick + offset + u64::try_from(axis).unwrap()))
+    };
     let state = ArmState {
         stamp: TimeNs(now.0.saturating_sub(3)),
         position: vector(0),
@@ -56,7 +83,10 @@ fn record(tick: u64) -> TickRecord {
     };
     let measured = match tick % 7 {
         3 => Err(ArmError::MeasurementLost { age_ns: u64::MAX }),
-        4 => Err(ArmError::DriveFault { axis: 6, code: 0xff02 }),
+        4 => Err(ArmError::DriveFault {
+            axis: 6,
+            code: 0xff02,
+        }),
         5 => Err(ArmError::EndOfRecording),
         _ => Ok(state),
     };
@@ -83,7 +113,10 @@ fn record(tick: u64) -> TickRecord {
             enabled: tick.is_multiple_of(2),
         },
         report: report(),
-        timing: TickTiming { wake_ns: tick, compute_ns: 2 * tick },
+        timing: TickTiming {
+            wake_ns: tick,
+            compute_ns: 2 * tick,
+        },
     }
 }
 
@@ -91,7 +124,12 @@ fn chunk(sequence: u64) -> Chunk {
     let targets: Vec<_> = (0..100)
         .map(|k| TipTarget {
             position_m: [awkward(k), awkward(k + 1), awkward(k + 2)],
-            rotation_xyzw: [awkward(k + 3), awkward(k + 4), f64::from_bits(0x7ff8_0000_0000_1234), -0.0],
+            rotation_xyzw: [
+                awkward(k + 3),
+                awkward(k + 4),
+                f64::from_bits(0x7ff8_0000_0000_1234),
+                -0.0,
+            ],
             jaw: awkward(k + 5),
         })
         .collect();
@@ -110,7 +148,11 @@ fn header() -> RunHeader {
 }
 
 fn outcome() -> RunOutcome {
-    RunOutcome { success: true, reason: "success".to_owned(), command_hash: "0123456789abcdef".to_owned() }
+    RunOutcome {
+        success: true,
+        reason: "success".to_owned(),
+        command_hash: "0123456789abcdef".to_owned(),
+    }
 }
 
 /// Writes `ticks` ticks, a chunk every 40, and gives the file's bytes.
@@ -138,11 +180,23 @@ fn bits(
     command: &ArmCommand,
 ) -> (Result<Vec<u64>, ArmError>, Vec<u64>, TimeNs, bool) {
     let measured = measured.map(|state| {
-        let vectors = state.position.iter().chain(state.velocity.iter()).chain(state.effort.iter());
+        let vectors = state
+            .position
+            .iter()
+            .chain(state.velocity.iter())
+            .chain(state.effort.iter());
         let jaw = [&state.jaw_position, &state.jaw_velocity, &state.jaw_effort];
-        vectors.chain(jaw).map(|value| value.to_bits()).chain([state.stamp.0]).collect()
+        vectors
+            .chain(jaw)
+            .map(|value| value.to_bits())
+            .chain([state.stamp.0])
+            .collect()
     });
-    let vectors = command.position.iter().chain(command.velocity.iter()).chain(command.acceleration.iter());
+    let vectors = command
+        .position
+        .iter()
+        .chain(command.velocity.iter())
+        .chain(command.acceleration.iter());
     let jaw = [&command.jaw_position, &command.jaw_velocity];
     let sent = vectors.chain(jaw).map(|value| value.to_bits()).collect();
     (measured, sent, command.stamp, command.enabled)
@@ -152,7 +206,10 @@ fn assert_same(logged: &LoggedTick, written: &TickRecord) {
     assert_eq!((logged.tick, logged.now), (written.tick, written.now));
     assert_eq!(logged.operator, written.operator);
     assert_eq!(logged.timing, written.timing);
-    assert_eq!(bits(&logged.measured, &logged.command), bits(&written.measured, &written.command));
+    assert_eq!(
+        bits(&logged.measured, &logged.command),
+        bits(&written.measured, &written.command)
+    );
 }
 
 fn chunk_bits(chunk: &Chunk) -> (TimeNs, u64, u64, u32, Vec<u64>) {
@@ -163,7 +220,13 @@ fn chunk_bits(chunk: &Chunk) -> (TimeNs, u64, u64, u32, Vec<u64>) {
         all.into_iter().map(f64::to_bits).collect::<Vec<_>>()
     };
     let targets = chunk.valid_targets().iter().flat_map(numbers).collect();
-    (chunk.observed_at, chunk.sequence, chunk.step_ns, chunk.len, targets)
+    (
+        chunk.observed_at,
+        chunk.sequence,
+        chunk.step_ns,
+        chunk.len,
+        targets,
+    )
 }
 
 #[test]
@@ -172,14 +235,24 @@ fn everything_that_goes_in_comes_out_bit_for_bit() {
     let log = RunLog::open(&file.0).unwrap();
     assert_eq!(log.header, header());
     assert_eq!(log.outcome, Some(outcome()));
-    assert_eq!(log.counts, Some(LogCounts { ticks: 500, chunks: 13, ..LogCounts::default() }));
+    assert_eq!(
+        log.counts,
+        Some(LogCounts {
+            ticks: 500,
+            chunks: 13,
+            ..LogCounts::default()
+        })
+    );
     assert_eq!((log.cut(), log.losses.as_slice()), (None, [].as_slice()));
     assert_eq!(log.tick_count(), 500);
     for ((logged, given), tick) in log.ticks().zip(0..) {
         assert_same(logged, &record(tick));
         let expected = (tick % 40 == 1).then_some(tick);
         assert_eq!(logged.chunk_sequence, expected);
-        assert_eq!(given.map(chunk_bits), expected.map(|tick| chunk_bits(&chunk(tick))));
+        assert_eq!(
+            given.map(chunk_bits),
+            expected.map(|tick| chunk_bits(&chunk(tick)))
+        );
     }
 }
 
@@ -191,12 +264,18 @@ fn a_chunk_of_impossible_length_keeps_it() {
     wrong.len = 4000;
     wrong.reserved = 9;
     recorder.chunk(&wrong);
-    recorder.tick(&TickRecord { chunk_sequence: Some(1), ..record(0) });
+    recorder.tick(&TickRecord {
+        chunk_sequence: Some(1),
+        ..record(0)
+    });
     recorder.finish(None).unwrap();
     let log = RunLog::open(&file.0).unwrap();
     let (_, given) = log.ticks().next().unwrap();
     let given = given.unwrap();
-    assert_eq!((given.len, given.reserved, given.valid_targets().len()), (4000, 9, 0));
+    assert_eq!(
+        (given.len, given.reserved, given.valid_targets().len()),
+        (4000, 9, 0)
+    );
 }
 
 #[test]
@@ -205,7 +284,10 @@ fn a_cut_file_is_readable_up_to_the_cut() {
     let full = RunLog::from_bytes(&file.0, &bytes).unwrap();
     let mut best = 0;
     let mut unreadable = 0;
-    for length in (0..bytes.len()).step_by(97).chain(bytes.len() - 40..bytes.len()) {
+    for length in (0..bytes.len())
+        .step_by(97)
+        .chain(bytes.len() - 40..bytes.len())
+    {
         match RunLog::from_bytes(&file.0, &bytes[..length]) {
             Ok(log) => {
                 assert!(log.cut().is_some(), "{length} of {} bytes", bytes.len());
@@ -267,8 +349,16 @@ fn damage_names_the_place() {
     let middle = bytes.len() / 3;
     bytes[middle] ^= 4;
     let error = RunLog::from_bytes(&file.0, &bytes).unwrap_err();
-    let LogError::Damaged { offset, .. } = error else { panic!("{error}") };
-    assert!(offset < middle && error.to_string().contains(&format!("damaged at byte {offset}")), "{error}");
+    let LogError::Damaged { offset, .. } = error else {
+        panic!("{error}")
+    };
+    assert!(
+        offset < middle
+            && error
+                .to_string()
+                .contains(&format!("damaged at byte {offset}")),
+        "{error}"
+    );
 }
 
 #[test]
@@ -281,7 +371,10 @@ fn other_files_are_refused_with_a_reason() {
     let mut foreign = std::io::Cursor::new(Vec::new());
     mcap::Writer::new(&mut foreign).unwrap().finish().unwrap();
     let foreign = RunLog::from_bytes(&path, foreign.get_ref()).unwrap_err();
-    assert!(foreign.to_string().contains("`run` is missing"), "{foreign}");
+    assert!(
+        foreign.to_string().contains("`run` is missing"),
+        "{foreign}"
+    );
     let absent = RunLog::open(&PathBuf::from("/nonexistent/a.mcap")).unwrap_err();
     assert!(matches!(absent, LogError::Io { .. }), "{absent}");
 }
@@ -301,12 +394,29 @@ fn what_was_dropped_is_counted_and_named() {
         recorder.tick(&record);
     }
     let counts = recorder.finish(None).unwrap();
-    assert!(counts.ticks_dropped > 0 && counts.chunks_dropped > 0, "{counts:?}");
+    assert!(
+        counts.ticks_dropped > 0 && counts.chunks_dropped > 0,
+        "{counts:?}"
+    );
     assert_eq!(counts.ticks + counts.ticks_dropped, ticks);
     let log = RunLog::open(&file.0).unwrap();
-    let lost: u64 = log.losses.iter().map(|loss| if let Loss::Ticks { count, .. } = loss { *count } else { 0 }).sum();
+    let lost: u64 = log
+        .losses
+        .iter()
+        .map(|loss| {
+            if let Loss::Ticks { count, .. } = loss {
+                *count
+            } else {
+                0
+            }
+        })
+        .sum();
     assert_eq!(lost, counts.ticks_dropped);
-    assert!(log.losses.iter().any(|loss| matches!(loss, Loss::Chunk { .. })));
+    assert!(
+        log.losses
+            .iter()
+            .any(|loss| matches!(loss, Loss::Chunk { .. }))
+    );
     for (logged, given) in log.ticks() {
         assert_same(logged, &record(logged.tick));
         assert!(given.is_none_or(|given| Some(given.sequence) == logged.chunk_sequence));
@@ -338,7 +448,10 @@ fn frames_become_png_images_with_their_lens() {
         }
         if message.channel.topic == "/camera/endoscope/calibration" {
             let lens = super::messages::CameraCalibration::decode(&message.data[..]).unwrap();
-            assert_eq!((lens.width, lens.height, lens.k.len(), lens.p.len()), (16, 8, 9, 12));
+            assert_eq!(
+                (lens.width, lens.height, lens.k.len(), lens.p.len()),
+                (16, 8, 9, 12)
+            );
             seen += 1;
         }
     }
@@ -364,22 +477,32 @@ pub(crate) fn chunk_of_run(sequence: u64) -> Chunk {
     let home = crate::verify::tip_in_rcm(&joints);
     let targets: Vec<_> = (0..50_u32)
         .map(|k| {
-            let reach = 0.0004 * f64::from(k) + 0.004 * f64::from(u32::try_from(sequence % 3).unwrap());
+            let reach =
+                0.0004 * f64::from(k) + 0.004 * f64::from(u32::try_from(sequence % 3).unwrap());
             let tip = nalgebra::Translation3::new(reach, -0.5 * reach, 0.2 * reach) * home;
             TipTarget::new(&tip, 0.3 + 0.005 * f64::from(k))
         })
         .collect();
-    Chunk::new(TimeNs(sequence * 250_000_000 - 230_000_000), sequence, 40_000_000, &targets)
+    Chunk::new(
+        TimeNs(sequence * 250_000_000 - 230_000_000),
+        sequence,
+        40_000_000,
+        &targets,
+    )
 }
 
 /// Runs the real controller on an arm that follows perfectly, for `ticks` ticks.
 pub(crate) fn run_controller(ticks: u64) -> (Vec<TickRecord>, RunHeader) {
     use crate::control::{ControlConfig, Controller, TickInput};
 
-    let (control, safety) = (ControlConfig::default_control(), ControlConfig::needle_lift_safety());
+    let (control, safety) = (
+        ControlConfig::default_control(),
+        ControlConfig::needle_lift_safety(),
+    );
     let config = ControlConfig::load(&control, &safety).unwrap();
     let mut controller = Controller::new(&config).unwrap();
-    let mut position = JointVector::new(0.013, -0.021, hal::psm::HOME_INSERTION_M, 0.1, 0.05, -0.07);
+    let mut position =
+        JointVector::new(0.013, -0.021, hal::psm::HOME_INSERTION_M, 0.1, 0.05, -0.07);
     let mut jaw = 0.4;
     let mut records = Vec::new();
     for tick in 0..ticks {
@@ -387,7 +510,12 @@ pub(crate) fn run_controller(ticks: u64) -> (Vec<TickRecord>, RunHeader) {
         let measured = Ok(ArmState::at_rest(now, position, jaw));
         let operator = (tick == 1).then_some(OperatorEvent::Enable);
         let chunk = (tick % 250 == 20).then(|| chunk_of_run(tick / 250 + 1));
-        let output = controller.tick(&TickInput { now, measured, chunk: chunk.as_ref(), operator });
+        let output = controller.tick(&TickInput {
+            now,
+            measured,
+            chunk: chunk.as_ref(),
+            operator,
+        });
         position = output.command.position;
         jaw = output.command.jaw_position;
         records.push(TickRecord {
@@ -403,8 +531,13 @@ pub(crate) fn run_controller(ticks: u64) -> (Vec<TickRecord>, RunHeader) {
     }
     let moved = (position - records[0].command.position).norm();
     assert!(ticks < 500 || moved > 0.01, "the arm hardly moved: {moved}");
-    let texts = [("control.toml", control.text()), ("safety.toml", safety.text())];
-    let texts = texts.map(|(name, text)| (name.to_owned(), text.to_owned())).into();
+    let texts = [
+        ("control.toml", control.text()),
+        ("safety.toml", safety.text()),
+    ];
+    let texts = texts
+        .map(|(name, text)| (name.to_owned(), text.to_owned()))
+        .into();
     (records, RunHeader { texts, ..header() })
 }
 

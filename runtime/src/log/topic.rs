@@ -62,7 +62,9 @@ impl Topic {
 
     const fn schema(self) -> Schema {
         match self {
-            Self::MeasuredJs | Self::SetpointJs | Self::Jaw => Schema::Protobuf("foxglove.JointStates"),
+            Self::MeasuredJs | Self::SetpointJs | Self::Jaw => {
+                Schema::Protobuf("foxglove.JointStates")
+            }
             Self::MeasuredCp => Schema::Protobuf("foxglove.PoseInFrame"),
             Self::Events => Schema::Protobuf("foxglove.Log"),
             Self::Chunk => Schema::Json("trocar.Chunk", CHUNK_SCHEMA),
@@ -83,7 +85,11 @@ pub(super) enum Schema {
 }
 
 /// Registers a topic with its schema and gives its channel.
-pub(super) fn add_channel<W: Write + Seek>(writer: &mut Writer<W>, name: &str, schema: Schema) -> McapResult<u16> {
+pub(super) fn add_channel<W: Write + Seek>(
+    writer: &mut Writer<W>,
+    name: &str,
+    schema: Schema,
+) -> McapResult<u16> {
     let none = BTreeMap::new();
     match schema {
         Schema::Protobuf(message) => {
@@ -99,7 +105,9 @@ pub(super) fn add_channel<W: Write + Seek>(writer: &mut Writer<W>, name: &str, s
 }
 
 /// Registers every topic of [`Topic`].
-pub(super) fn add_channels<W: Write + Seek>(writer: &mut Writer<W>) -> McapResult<[u16; TOPIC_COUNT]> {
+pub(super) fn add_channels<W: Write + Seek>(
+    writer: &mut Writer<W>,
+) -> McapResult<[u16; TOPIC_COUNT]> {
     let mut channels = [0; TOPIC_COUNT];
     for (channel, topic) in channels.iter_mut().zip(Topic::ALL) {
         *channel = add_channel(writer, topic.name(), topic.schema())?;

@@ -11,7 +11,9 @@ use serde::Serialize;
 
 use super::header::{self, LogCounts, RunHeader, RunOutcome};
 use super::joints::JointMessages;
-use super::json::{ChunkMessage, ChunkRef, ErrorMessage, OperatorMessage, TickMessage, TimingMessage};
+use super::json::{
+    ChunkMessage, ChunkRef, ErrorMessage, OperatorMessage, TickMessage, TimingMessage,
+};
 use super::messages::{Log, Pose, PoseInFrame, Quaternion, Timestamp, Vector3};
 use super::record::TickRecord;
 use super::safety::SafetyMessage;
@@ -52,7 +54,10 @@ impl<W: Write + Seek> LogWriter<W> {
             .compression_threads(0)
             .create(sink)?;
         for (name, metadata) in run.to_metadata() {
-            writer.write_metadata(&Metadata { name: name.to_owned(), metadata })?;
+            writer.write_metadata(&Metadata {
+                name: name.to_owned(),
+                metadata,
+            })?;
         }
         let channels = topic::add_channels(&mut writer)?;
         writer.flush()?;
@@ -69,20 +74,35 @@ impl<W: Write + Seek> LogWriter<W> {
     }
 
     /// Writes all messages of one tick; `record` counts the ticks, `chunk_record` names the chunk's message.
-    pub(super) fn tick(&mut self, record: u64, chunk_record: Option<u64>, tick: &TickRecord) -> McapResult<()> {
+    pub(super) fn tick(
+        &mut self,
+        record: u64,
+        chunk_record: Option<u64>,
+        tick: &TickRecord,
+    ) -> McapResult<()> {
         let measured = tick.measured.as_ref().ok();
         self.joints.set_measured(measured);
         self.joints.set_command(&tick.command);
         if let Some(state) = measured {
-            self.protobuf(Topic::MeasuredJs, tick.now, |joints, buffer| joints.measured.encode(buffer))?;
+            self.protobuf(Topic::MeasuredJs, tick.now, |joints, buffer| {
+                joints.measured.encode(buffer)
+            })?;
             if state.is_finite() {
                 let tip = measured_tip(state);
                 self.protobuf(Topic::MeasuredCp, tick.now, |_, buffer| tip.encode(buffer))?;
             }
         }
-        self.protobuf(Topic::Jaw, tick.now, |joints, buffer| joints.jaw.encode(buffer))?;
-        self.protobuf(Topic::SetpointJs, tick.now, |joints, buffer| joints.setpoint.encode(buffer))?;
-        self.json(Topic::Safety, tick.now, &SafetyMessage::new(tick.tick, &tick.report))?;
+        self.protobuf(Topic::Jaw, tick.now, |joints, buffer| {
+            joints.jaw.encode(buffer)
+        })?;
+        self.protobuf(Topic::SetpointJs, tick.now, |joints, buffer| {
+            joints.setpoint.encode(buffer)
+        })?;
+        self.json(
+            Topic::Safety,
+            tick.now,
+            &SafetyMessage::new(tick.tick, &tick.report),
+        )?;
         let timing = TimingMessage {
             tick: tick.tick,
             period_ns: tick.now.since(self.previous_now),
@@ -96,7 +116,10 @@ impl<W: Write + Seek> LogWriter<W> {
             now_ns: tick.now.0,
             error: tick.measured.err().map(ErrorMessage::from),
             operator: tick.operator.map(OperatorMessage::from),
-            chunk: tick.chunk_sequence.map(|sequence| ChunkRef { sequence, record: chunk_record }),
+            chunk: tick.chunk_sequence.map(|sequence| ChunkRef {
+                sequence,
+                record: chunk_record,
+            }),
             enabled: tick.command.enabled,
         };
         self.json(Topic::Tick, tick.now, &rest)?;
@@ -126,31 +149,57 @@ impl<W: Write + Seek> LogWriter<W> {
     }
 
     /// Writes a camera's image and lens.
-    pub(super) fn frame(&mut self, name: &str, at: TimeNs, frame: &camera::Encoded) -> McapResult<()> {
+    pub(super) fn frame(
+        &mut self,
+        name: &str,
+        at: TimeNs,
+        frame: &camera::Encoded,
+    ) -> McapResult<()> {
         let channels = if let Some(&known) = self.cameras.get(name) {
             known
         } else {
             let image = format!("/camera/{name}");
             let lens = format!("/camera/{name}/calibration");
             let new = camera::Channels {
-                image: topic::add_channel(&mut self.writer, &image, Schema::Protobuf("foxglove.CompressedImage"))?,
-                lens: topic::add_channel(&mut self.writer, &lens, Schema::Protobuf("foxglove.CameraCalibration"))?,
+                image: topic::add_channel(
+                    &mut self.writer,
+                    &image,
+                    Schema::Protobuf("foxglove.CompressedImage"),
+                )?,
+                lens: topic::add_channel(
+                    &mut self.writer,
+                    &lens,
+                    Schema::Protobuf("foxglove.CameraCalibration"),
+                )?,
             };
             self.cameras.insert(name.to_owned(), new);
             new
         };
         self.buffer.clear();
-        frame.lens.encode(&mut self.buffer).map_err(std::io::Error::from)?;
+        frame
+            .lens
+            .encode(&mut self.buffer)
+            .map_err(std::io::Error::from)?;
         self.put(channels.lens, at)?;
         self.buffer.clear();
-        frame.image.encode(&mut self.buffer).map_err(std::io::Error::from)?;
+        frame
+            .image
+            .encode(&mut self.buffer)
+            .map_err(std::io::Error::from)?;
         self.put(channels.image, at)
     }
 
     /// Writes the outcome and closes the file.
-    pub(super) fn finish(mut self, outcome: Option<&RunOutcome>, counts: &LogCounts) -> McapResult<()> {
+    pub(super) fn finish(
+        mut self,
+        outcome: Option<&RunOutcome>,
+        counts: &LogCounts,
+    ) -> McapResult<()> {
         let metadata = header::closing_metadata(outcome, counts);
-        self.writer.write_metadata(&Metadata { name: header::OUTCOME.to_owned(), metadata })?;
+        self.writer.write_metadata(&Metadata {
+            name: header::OUTCOME.to_owned(),
+            metadata,
+        })?;
         self.writer.finish()?;
         self.writer.into_inner().flush()?;
         Ok(())
@@ -179,7 +228,12 @@ impl<W: Write + Seek> LogWriter<W> {
 
     fn put(&mut self, channel_id: u16, now: TimeNs) -> McapResult<()> {
         let sequence = self.sequences.entry(channel_id).or_insert(0);
-        let header = MessageHeader { channel_id, sequence: *sequence, log_time: now.0, publish_time: now.0 };
+        let header = MessageHeader {
+            channel_id,
+            sequence: *sequence,
+            log_time: now.0,
+            publish_time: now.0,
+        };
         *sequence = sequence.wrapping_add(1);
         self.writer.write_to_known_channel(&header, &self.buffer)
     }
@@ -192,8 +246,17 @@ fn measured_tip(state: &hal::ArmState) -> PoseInFrame {
         timestamp: Some(Timestamp::new(state.stamp)),
         frame_id: RCM_FRAME.to_owned(),
         pose: Some(Pose {
-            position: Some(Vector3 { x: p.x, y: p.y, z: p.z }),
-            orientation: Some(Quaternion { x: q.x, y: q.y, z: q.z, w: q.w }),
+            position: Some(Vector3 {
+                x: p.x,
+                y: p.y,
+                z: p.z,
+            }),
+            orientation: Some(Quaternion {
+                x: q.x,
+                y: q.y,
+                z: q.z,
+                w: q.w,
+            }),
         }),
     }
 }

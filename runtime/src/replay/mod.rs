@@ -38,8 +38,16 @@ pub struct Difference {
 
 impl fmt::Display for Difference {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Self { tick, what, logged, computed } = self;
-        write!(f, "tick {tick}: {what}: logged {logged}, computed {computed}")
+        let Self {
+            tick,
+            what,
+            logged,
+            computed,
+        } = self;
+        write!(
+            f,
+            "tick {tick}: {what}: logged {logged}, computed {computed}"
+        )
     }
 }
 
@@ -69,7 +77,8 @@ pub enum ReplayError {
 /// [`ReplayError`] when the log does not say how the controller was configured or holds no tick.
 pub fn replay(log: &RunLog) -> Result<ReplayResult, ReplayError> {
     let config = ControlConfig::load(&text(log, "control.toml")?, &text(log, "safety.toml")?)?;
-    let mut controller = Controller::new(&config).map_err(|error| ReplayError::Controller(error.to_string()))?;
+    let mut controller =
+        Controller::new(&config).map_err(|error| ReplayError::Controller(error.to_string()))?;
     if log.tick_count() == 0 {
         return Err(ReplayError::Empty);
     }
@@ -79,37 +88,63 @@ pub fn replay(log: &RunLog) -> Result<ReplayResult, ReplayError> {
     let mut last = 0;
     for (position, (logged, chunk)) in log.ticks().enumerate() {
         let inputs_lost = lost_before(log, position, logged.tick);
-        let input = TickInput { now: logged.now, measured: logged.measured, chunk, operator: logged.operator };
+        let input = TickInput {
+            now: logged.now,
+            measured: logged.measured,
+            chunk,
+            operator: logged.operator,
+        };
         let difference = inputs_lost.or_else(|| {
             let computed = controller.tick(&input).command;
             hash.add(&computed);
             difference(logged.tick, &logged.command, &computed)
         });
         if difference.is_some() {
-            return Ok(ReplayResult { identical: false, ticks, first_difference: difference, cut });
+            return Ok(ReplayResult {
+                identical: false,
+                ticks,
+                first_difference: difference,
+                cut,
+            });
         }
         ticks += 1;
         last = logged.tick;
     }
-    let first_difference = lost_before(log, log.tick_count(), last).or_else(|| other_hash(log, last, &hash));
-    Ok(ReplayResult { identical: first_difference.is_none(), ticks, first_difference, cut })
+    let first_difference =
+        lost_before(log, log.tick_count(), last).or_else(|| other_hash(log, last, &hash));
+    Ok(ReplayResult {
+        identical: first_difference.is_none(),
+        ticks,
+        first_difference,
+        cut,
+    })
 }
 
 fn text(log: &RunLog, file: &'static str) -> Result<Source, ReplayError> {
-    let text = log.text(file).ok_or(ReplayError::NoConfiguration { file })?;
+    let text = log
+        .text(file)
+        .ok_or(ReplayError::NoConfiguration { file })?;
     Ok(Source::embedded(file, text))
 }
 
 /// What the logger lost just before the tick at `position`, or of it.
 fn lost_before(log: &RunLog, position: usize, tick: u64) -> Option<Difference> {
     let logged = log.losses.iter().find_map(|loss| match *loss {
-        Loss::Ticks { position: at, count } if at == position => Some(format!("{count} ticks dropped by the logger")),
+        Loss::Ticks {
+            position: at,
+            count,
+        } if at == position => Some(format!("{count} ticks dropped by the logger")),
         Loss::Chunk { tick: of } if of == tick && position < log.tick_count() => {
             Some("the chunk dropped by the logger".to_owned())
         }
         Loss::Ticks { .. } | Loss::Chunk { .. } => None,
     })?;
-    Some(Difference { tick, what: "log".to_owned(), logged, computed: "nothing, for want of it".to_owned() })
+    Some(Difference {
+        tick,
+        what: "log".to_owned(),
+        logged,
+        computed: "nothing, for want of it".to_owned(),
+    })
 }
 
 /// Compares the hash that the run reported, which the log's own ticks must add up to.
@@ -125,26 +160,49 @@ fn other_hash(log: &RunLog, tick: u64, hash: &CommandHash) -> Option<Difference>
 }
 
 fn difference(tick: u64, logged: &ArmCommand, computed: &ArmCommand) -> Option<Difference> {
-    let found = |what: String, logged: String, computed: String| Some(Difference { tick, what, logged, computed });
+    let found = |what: String, logged: String, computed: String| {
+        Some(Difference {
+            tick,
+            what,
+            logged,
+            computed,
+        })
+    };
     if logged.stamp != computed.stamp {
-        return found("stamp".to_owned(), logged.stamp.0.to_string(), computed.stamp.0.to_string());
+        return found(
+            "stamp".to_owned(),
+            logged.stamp.0.to_string(),
+            computed.stamp.0.to_string(),
+        );
     }
     if logged.enabled != computed.enabled {
-        return found("enabled".to_owned(), logged.enabled.to_string(), computed.enabled.to_string());
+        return found(
+            "enabled".to_owned(),
+            logged.enabled.to_string(),
+            computed.enabled.to_string(),
+        );
     }
     let (what, logged, computed) =
-        numbers(logged).zip(numbers(computed)).find_map(|((what, logged), (_, computed))| {
-            (logged.to_bits() != computed.to_bits()).then_some((what, logged, computed))
-        })?;
+        numbers(logged)
+            .zip(numbers(computed))
+            .find_map(|((what, logged), (_, computed))| {
+                (logged.to_bits() != computed.to_bits()).then_some((what, logged, computed))
+            })?;
     found(what, format!("{logged:?}"), format!("{computed:?}"))
 }
 
 /// Every number of a command and its name.
 fn numbers(command: &ArmCommand) -> impl Iterator<Item = (String, f64)> {
-    let vectors =
-        [("position", command.position), ("velocity", command.velocity), ("acceleration", command.acceleration)];
+    let vectors = [
+        ("position", command.position),
+        ("velocity", command.velocity),
+        ("acceleration", command.acceleration),
+    ];
     let joints = vectors.into_iter().flat_map(|(what, vector)| {
-        JOINT_NAMES.into_iter().enumerate().map(move |(index, joint)| (format!("{what}.{joint}"), vector[index]))
+        JOINT_NAMES
+            .into_iter()
+            .enumerate()
+            .map(move |(index, joint)| (format!("{what}.{joint}"), vector[index]))
     });
     joints.chain([
         ("position.jaw".to_owned(), command.jaw_position),

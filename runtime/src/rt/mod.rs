@@ -8,7 +8,9 @@ use hal::TimeNs;
 
 pub use periodic::{Periodic, Wake};
 pub use sys::{MemoryLockLimit, can_lock_bytes, memory_lock_limit};
-pub use thread::{Grant, RtOptions, RtRefused, RtReport, ThreadFaults, configure_thread, thread_faults};
+pub use thread::{
+    Grant, RtOptions, RtRefused, RtReport, ThreadFaults, configure_thread, thread_faults,
+};
 
 /// The system's monotonic clock, counted from where it was made.
 #[derive(Clone, Copy, Debug)]
@@ -20,7 +22,9 @@ impl MonotonicClock {
     /// A clock that reads zero now.
     #[must_use]
     pub fn new() -> Self {
-        Self { origin_ns: sys::monotonic_ns() }
+        Self {
+            origin_ns: sys::monotonic_ns(),
+        }
     }
 
     /// Time since the clock was made.

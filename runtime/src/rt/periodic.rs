@@ -42,7 +42,13 @@ impl Periodic {
     /// Period 0 is due at `first` on `clock`; a period of 0 ns counts as 1 ns.
     #[must_use]
     pub fn new(clock: MonotonicClock, first: TimeNs, period_ns: u64) -> Self {
-        Self { clock, first, period_ns: period_ns.max(1), next_index: 0, skipped: 0 }
+        Self {
+            clock,
+            first,
+            period_ns: period_ns.max(1),
+            next_index: 0,
+            skipped: 0,
+        }
     }
 
     /// Sleeps until the next period is due.
@@ -53,7 +59,12 @@ impl Periodic {
         self.clock.wait_until(due);
         self.next_index = index + 1;
         self.skipped += skipped;
-        Wake { index, due, woke: self.clock.now(), skipped }
+        Wake {
+            index,
+            due,
+            woke: self.clock.now(),
+            skipped,
+        }
     }
 
     /// Periods skipped so far.
@@ -87,7 +98,14 @@ mod tests {
     #[test]
     fn only_whole_periods_are_missed() {
         let due = TimeNs(10_000);
-        for (now, expected) in [(0, 0), (10_000, 0), (10_999, 0), (11_000, 1), (13_999, 3), (14_000, 4)] {
+        for (now, expected) in [
+            (0, 0),
+            (10_000, 0),
+            (10_999, 0),
+            (11_000, 1),
+            (13_999, 3),
+            (14_000, 4),
+        ] {
             assert_eq!(missed(due, TimeNs(now), 1_000), expected, "now = {now}");
         }
     }
@@ -101,12 +119,19 @@ mod tests {
         for turn in 0..12 {
             let wake = periodic.wait();
             assert!(wake.woke >= wake.due, "{wake:?}");
-            assert_eq!(wake.due.since(first), wake.index * PERIOD_NS, "{wake:?} is off the grid");
+            assert_eq!(
+                wake.due.since(first),
+                wake.index * PERIOD_NS,
+                "{wake:?} is off the grid"
+            );
             if let Some(last) = last {
                 assert_eq!(wake.index, last.index + 1 + wake.skipped);
             }
             if turn == 6 {
-                assert!(wake.skipped >= 2, "{wake:?} after computing for more than three periods");
+                assert!(
+                    wake.skipped >= 2,
+                    "{wake:?} after computing for more than three periods"
+                );
             }
             if turn == 5 {
                 let busy_until = TimeNs(wake.due.0 + 3 * PERIOD_NS + PERIOD_NS / 2);

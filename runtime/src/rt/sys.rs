@@ -1,5 +1,8 @@
 //! The system calls, one thin function each. All unsafe code of the runtime is here.
-#![expect(unsafe_code, reason = "libc calls; each takes only memory that this module owns or borrows")]
+#![expect(
+    unsafe_code,
+    reason = "libc calls; each takes only memory that this module owns or borrows"
+)]
 
 use std::io;
 
@@ -7,7 +10,10 @@ const NS_PER_S: u64 = 1_000_000_000;
 
 /// The monotonic clock, ns since an arbitrary point.
 pub(super) fn monotonic_ns() -> u64 {
-    let mut now = libc::timespec { tv_sec: 0, tv_nsec: 0 };
+    let mut now = libc::timespec {
+        tv_sec: 0,
+        tv_nsec: 0,
+    };
     // SAFETY: `now` is a live timespec. The call cannot fail for this clock on Linux.
     unsafe { libc::clock_gettime(libc::CLOCK_MONOTONIC, &raw mut now) };
     let seconds = u64::try_from(now.tv_sec).unwrap_or(0);
@@ -25,7 +31,12 @@ pub(super) fn sleep_until_ns(deadline_ns: u64) {
         let remaining = core::ptr::null_mut();
         // SAFETY: `deadline` is a live, normalised timespec; with an absolute deadline the last pointer may be null.
         let code = unsafe {
-            libc::clock_nanosleep(libc::CLOCK_MONOTONIC, libc::TIMER_ABSTIME, &raw const deadline, remaining)
+            libc::clock_nanosleep(
+                libc::CLOCK_MONOTONIC,
+                libc::TIMER_ABSTIME,
+                &raw const deadline,
+                remaining,
+            )
         };
         if code != libc::EINTR {
             return;
@@ -35,7 +46,9 @@ pub(super) fn sleep_until_ns(deadline_ns: u64) {
 
 /// Puts the calling thread under `SCHED_FIFO`.
 pub(super) fn set_fifo(priority: u8) -> io::Result<()> {
-    let parameters = libc::sched_param { sched_priority: i32::from(priority) };
+    let parameters = libc::sched_param {
+        sched_priority: i32::from(priority),
+    };
     // SAFETY: pid 0 is the calling thread and `parameters` is live.
     checked(unsafe { libc::sched_setscheduler(0, libc::SCHED_FIFO, &raw const parameters) })
 }
@@ -68,7 +81,12 @@ pub(super) fn thread_usage() -> io::Result<[u64; 4]> {
     let mut usage: libc::rusage = unsafe { core::mem::zeroed() };
     // SAFETY: `usage` is a live rusage.
     checked(unsafe { libc::getrusage(libc::RUSAGE_THREAD, &raw mut usage) })?;
-    let counts = [usage.ru_minflt, usage.ru_majflt, usage.ru_nvcsw, usage.ru_nivcsw];
+    let counts = [
+        usage.ru_minflt,
+        usage.ru_majflt,
+        usage.ru_nvcsw,
+        usage.ru_nivcsw,
+    ];
     Ok(counts.map(|count| u64::try_from(count).unwrap_or(0)))
 }
 
@@ -86,7 +104,10 @@ pub enum MemoryLockLimit {
 /// # Errors
 /// The system's.
 pub fn memory_lock_limit() -> io::Result<MemoryLockLimit> {
-    let mut limit = libc::rlimit { rlim_cur: 0, rlim_max: 0 };
+    let mut limit = libc::rlimit {
+        rlim_cur: 0,
+        rlim_max: 0,
+    };
     // SAFETY: `limit` is a live rlimit.
     checked(unsafe { libc::getrlimit(libc::RLIMIT_MEMLOCK, &raw mut limit) })?;
     if limit.rlim_cur == libc::RLIM_INFINITY {
@@ -108,5 +129,9 @@ pub fn can_lock_bytes(bytes: usize) -> io::Result<()> {
 }
 
 fn checked(code: libc::c_int) -> io::Result<()> {
-    if code == 0 { Ok(()) } else { Err(io::Error::last_os_error()) }
+    if code == 0 {
+        Ok(())
+    } else {
+        Err(io::Error::last_os_error())
+    }
 }

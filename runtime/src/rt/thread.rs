@@ -81,7 +81,11 @@ impl RtReport {
 
 impl fmt::Display for RtReport {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "SCHED_FIFO {}, core {}, locked memory {}", self.fifo, self.cpu, self.memory)
+        write!(
+            f,
+            "SCHED_FIFO {}, core {}, locked memory {}",
+            self.fifo, self.cpu, self.memory
+        )
     }
 }
 
@@ -113,7 +117,10 @@ pub fn configure_thread(options: &RtOptions) -> Result<RtReport, RtRefused> {
 
 /// Writes to the stack that ticks will use, so that they fault no page in.
 #[inline(never)]
-#[expect(clippy::large_stack_arrays, reason = "taking that much stack is the point")]
+#[expect(
+    clippy::large_stack_arrays,
+    reason = "taking that much stack is the point"
+)]
 fn touch_stack() {
     let mut pages = [0_u8; STACK_BYTES];
     pages.iter_mut().step_by(4096).for_each(|byte| *byte = 1);
@@ -140,8 +147,12 @@ impl ThreadFaults {
         Self {
             minor: self.minor.saturating_sub(earlier.minor),
             major: self.major.saturating_sub(earlier.major),
-            voluntary_switches: self.voluntary_switches.saturating_sub(earlier.voluntary_switches),
-            involuntary_switches: self.involuntary_switches.saturating_sub(earlier.involuntary_switches),
+            voluntary_switches: self
+                .voluntary_switches
+                .saturating_sub(earlier.voluntary_switches),
+            involuntary_switches: self
+                .involuntary_switches
+                .saturating_sub(earlier.involuntary_switches),
         }
     }
 }
@@ -149,30 +160,52 @@ impl ThreadFaults {
 /// What disturbed the calling thread since it began; zeros where the system does not say.
 #[must_use]
 pub fn thread_faults() -> ThreadFaults {
-    let [minor, major, voluntary_switches, involuntary_switches] = sys::thread_usage().unwrap_or_default();
-    ThreadFaults { minor, major, voluntary_switches, involuntary_switches }
+    let [minor, major, voluntary_switches, involuntary_switches] =
+        sys::thread_usage().unwrap_or_default();
+    ThreadFaults {
+        minor,
+        major,
+        voluntary_switches,
+        involuntary_switches,
+    }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
 
-    const NOTHING: RtOptions = RtOptions { priority: None, cpu: None, lock_memory: false, strict: true };
+    const NOTHING: RtOptions = RtOptions {
+        priority: None,
+        cpu: None,
+        lock_memory: false,
+        strict: true,
+    };
 
     #[test]
     fn nothing_asked_is_nothing_refused() {
         let report = configure_thread(&NOTHING).unwrap();
-        assert_eq!((&report.fifo, &report.cpu, &report.memory), (&Grant::NotAsked, &Grant::NotAsked, &Grant::NotAsked));
+        assert_eq!(
+            (&report.fifo, &report.cpu, &report.memory),
+            (&Grant::NotAsked, &Grant::NotAsked, &Grant::NotAsked)
+        );
     }
 
     #[test]
     fn refusal_is_reported_and_an_error_only_if_strict() {
         std::thread::spawn(|| {
             for cpu in [100_000, 1023] {
-                let lenient = RtOptions { cpu: Some(cpu), strict: false, ..NOTHING };
+                let lenient = RtOptions {
+                    cpu: Some(cpu),
+                    strict: false,
+                    ..NOTHING
+                };
                 let report = configure_thread(&lenient).unwrap();
                 assert!(report.cpu.is_refused() && report.any_refused(), "{report}");
-                let refused = configure_thread(&RtOptions { strict: true, ..lenient }).unwrap_err();
+                let refused = configure_thread(&RtOptions {
+                    strict: true,
+                    ..lenient
+                })
+                .unwrap_err();
                 assert!(refused.to_string().contains("core refused"), "{refused}");
             }
         })
@@ -183,7 +216,12 @@ mod tests {
     #[test]
     fn impossible_priority_is_refused() {
         std::thread::spawn(|| {
-            let report = configure_thread(&RtOptions { priority: Some(200), strict: false, ..NOTHING }).unwrap();
+            let report = configure_thread(&RtOptions {
+                priority: Some(200),
+                strict: false,
+                ..NOTHING
+            })
+            .unwrap();
             assert!(report.fifo.is_refused(), "{report}");
         })
         .join()

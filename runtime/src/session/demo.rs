@@ -48,9 +48,17 @@ pub fn run(options: &DemoOptions) -> Result<DemoResult, SessionError> {
         device: Device::Cpu,
     };
     let result = run_lockstep(&setup, &run_options)?;
-    let files = vec![file("run.mcap"), file("run.json"), file("strip.png"), file("run.gif")];
+    let files = vec![
+        file("run.mcap"),
+        file("run.json"),
+        file("strip.png"),
+        file("run.gif"),
+    ];
     write_json(&files[1], &result.summary)?;
     result.pictures.write_strip(&files[2], 4, 2)?;
     result.pictures.write_gif(&files[3], STEP_MS)?;
-    Ok(DemoResult { summary: result.summary, files })
+    Ok(DemoResult {
+        summary: result.summary,
+        files,
+    })
 }

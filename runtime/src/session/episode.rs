@@ -95,7 +95,11 @@ impl Episode<'_> {
     ///
     /// # Errors
     /// From the simulation, the policy or the watcher.
-    pub fn run(mut self, plan: &Plan, watcher: &mut dyn Watcher) -> Result<EpisodeEnd, SessionError> {
+    pub fn run(
+        mut self,
+        plan: &Plan,
+        watcher: &mut dyn Watcher,
+    ) -> Result<EpisodeEnd, SessionError> {
         let clock = MonotonicClock::new();
         let mut cameras = Cameras::choose(self.source, watcher, self.simulation)?;
         let mut pending: VecDeque<(u64, Chunk)> = VecDeque::new();
@@ -112,10 +116,19 @@ impl Episode<'_> {
                 }
             }
             let due = pending.front().is_some_and(|(at, _)| *at <= tick);
-            let chunk = if due { pending.pop_front().map(|(_, chunk)| chunk) } else { None };
+            let chunk = if due {
+                pending.pop_front().map(|(_, chunk)| chunk)
+            } else {
+                None
+            };
             let operator = (tick == 0).then_some(OperatorEvent::Enable);
             let before = clock.now();
-            let output = self.controller.tick(&TickInput { now, measured, chunk: chunk.as_ref(), operator });
+            let output = self.controller.tick(&TickInput {
+                now,
+                measured,
+                chunk: chunk.as_ref(),
+                operator,
+            });
             let compute_ns = clock.now().since(before);
             self.simulation.write(&output.command)?;
             self.simulation.step();
@@ -130,7 +143,10 @@ impl Episode<'_> {
                 chunk_sequence: chunk.map(|chunk| chunk.sequence),
                 command: output.command,
                 report: output.report,
-                timing: TickTiming { wake_ns: 0, compute_ns },
+                timing: TickTiming {
+                    wake_ns: 0,
+                    compute_ns,
+                },
             };
             tally.tick(&record);
             watcher.tick(&record);
@@ -139,7 +155,10 @@ impl Episode<'_> {
                 return Ok(EpisodeEnd { outcome, tally });
             }
         }
-        Ok(EpisodeEnd { outcome: Outcome::Running, tally })
+        Ok(EpisodeEnd {
+            outcome: Outcome::Running,
+            tally,
+        })
     }
 
     /// Takes frames if anyone wants them, asks the policy if it is its turn, and shows the watcher both.
@@ -155,14 +174,26 @@ impl Episode<'_> {
         let tip_in_rcm = kinematics::forward(&arm.position);
         let answer = if asked {
             let scene = self.simulation.scene_state();
-            let frames: Vec<FrameRef<'_>> = cameras.frames.iter().map(CameraFrame::as_frame).collect();
-            let query = Query { arm, tip_in_rcm, frames: &frames, scene: &scene };
+            let frames: Vec<FrameRef<'_>> =
+                cameras.frames.iter().map(CameraFrame::as_frame).collect();
+            let query = Query {
+                arm,
+                tip_in_rcm,
+                frames: &frames,
+                scene: &scene,
+            };
             Some(self.source.answer(&query)?)
         } else {
             None
         };
         let frames: &[CameraFrame] = if cameras.fresh { &cameras.frames } else { &[] };
-        watcher.step(&StepView { now: arm.stamp, arm, tip_in_rcm, frames, answer: answer.as_ref() })?;
+        watcher.step(&StepView {
+            now: arm.stamp,
+            arm,
+            tip_in_rcm,
+            frames,
+            answer: answer.as_ref(),
+        })?;
         Ok(answer)
     }
 }
@@ -177,29 +208,50 @@ struct Cameras {
 
 impl Cameras {
     /// The policy's cameras if it has any, otherwise the watcher's.
-    fn choose(source: &ChunkSource, watcher: &dyn Watcher, simulation: &Simulation) -> Result<Self, SessionError> {
+    fn choose(
+        source: &ChunkSource,
+        watcher: &dyn Watcher,
+        simulation: &Simulation,
+    ) -> Result<Self, SessionError> {
         let watched = watcher.cameras();
         let seen = source.cameras();
         let every_step = !watched.is_empty();
         let names = if seen.is_empty() { watched } else { seen };
         if names.is_empty() {
-            return Ok(Self { indices: Vec::new(), frames: Vec::new(), every_step: false, fresh: false });
+            return Ok(Self {
+                indices: Vec::new(),
+                frames: Vec::new(),
+                every_step: false,
+                fresh: false,
+            });
         }
         let cameras = simulation.cameras()?;
         let mut indices = Vec::with_capacity(names.len());
         let mut frames = Vec::with_capacity(names.len());
         for name in &names {
-            let index = cameras.find(name).ok_or_else(|| SessionError::UnknownCamera {
-                name: name.clone(),
-                available: cameras.names().collect::<Vec<_>>().join(", "),
-            })?;
+            let index = cameras
+                .find(name)
+                .ok_or_else(|| SessionError::UnknownCamera {
+                    name: name.clone(),
+                    available: cameras.names().collect::<Vec<_>>().join(", "),
+                })?;
             indices.push(index);
             frames.push(cameras.blank_frame(index)?);
         }
-        Ok(Self { indices, frames, every_step, fresh: false })
+        Ok(Self {
+            indices,
+            frames,
+            every_step,
+            fresh: false,
+        })
     }
 
-    fn take(&mut self, simulation: &mut Simulation, step: u64, asked: bool) -> Result<(), SessionError> {
+    fn take(
+        &mut self,
+        simulation: &mut Simulation,
+        step: u64,
+        asked: bool,
+    ) -> Result<(), SessionError> {
         self.fresh = self.every_step || asked;
         if !self.fresh {
             return Ok(());

@@ -78,7 +78,10 @@ impl SessionError {
     /// An output error for `path`.
     #[must_use]
     pub fn output(path: &Path, reason: impl Display) -> Self {
-        Self::Output { path: path.display().to_string(), reason: reason.to_string() }
+        Self::Output {
+            path: path.display().to_string(),
+            reason: reason.to_string(),
+        }
     }
 
     /// Whether the user's input is at fault, rather than the work itself.

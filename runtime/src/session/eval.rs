@@ -1,9 +1,9 @@
 //! Many seeded trials in lockstep.
 
-use tch::Device;
 use sim_backend::cameras::SceneCameras;
 use sim_backend::simulation::{Rendering, Simulation};
 use sim_backend::task::Outcome;
+use tch::Device;
 
 use super::episode::{Episode, Nobody, Plan};
 use super::source::{ChunkSource, PolicyChoice};
@@ -37,12 +37,21 @@ pub fn evaluate(
     on_trial: &mut dyn FnMut(&TrialSummary),
 ) -> Result<EvalSummary, SessionError> {
     let mut episodes = Vec::with_capacity(options.trials);
-    parallel::in_order(options.trials, options.jobs, || TrialWorker::new(setup, options).map(TrialWorker::into_job), &mut |_, trial| {
-        on_trial(&trial);
-        episodes.push(trial);
-        Ok(())
-    })?;
-    Ok(EvalSummary::new(&setup.task_name, &options.policy.name(), episodes))
+    parallel::in_order(
+        options.trials,
+        options.jobs,
+        || TrialWorker::new(setup, options).map(TrialWorker::into_job),
+        &mut |_, trial| {
+            on_trial(&trial);
+            episodes.push(trial);
+            Ok(())
+        },
+    )?;
+    Ok(EvalSummary::new(
+        &setup.task_name,
+        &options.policy.name(),
+        episodes,
+    ))
 }
 
 /// What one thread keeps from trial to trial: the network and the cameras, which are slow to make.
@@ -56,10 +65,17 @@ struct TrialWorker<'a> {
 impl<'a> TrialWorker<'a> {
     fn new(setup: &'a Setup, options: &'a EvalOptions) -> Result<Self, SessionError> {
         let network = match options.policy {
-            PolicyChoice::Checkpoint(_) => Some(setup.source(&options.policy, options.seed, options.device)?),
+            PolicyChoice::Checkpoint(_) => {
+                Some(setup.source(&options.policy, options.seed, options.device)?)
+            }
             PolicyChoice::Expert | PolicyChoice::Noop | PolicyChoice::Random => None,
         };
-        Ok(Self { setup, options, network, cameras: None })
+        Ok(Self {
+            setup,
+            options,
+            network,
+            cameras: None,
+        })
     }
 
     fn into_job(mut self) -> impl FnMut(usize) -> Result<TrialSummary, SessionError> {
@@ -72,18 +88,31 @@ impl<'a> TrialWorker<'a> {
                 hal::Policy::reset(network.as_mut(), seed);
                 ChunkSource::Network(network)
             }
-            _ => self.setup.source(&self.options.policy, seed, self.options.device)?,
+            _ => self
+                .setup
+                .source(&self.options.policy, seed, self.options.device)?,
         };
         let mut simulation = match self.cameras.take() {
             Some(cameras) => Simulation::with_cameras(&self.setup.task, seed, cameras),
-            None if source.cameras().is_empty() => Simulation::new(&self.setup.task, seed, Rendering::Off)?,
+            None if source.cameras().is_empty() => {
+                Simulation::new(&self.setup.task, seed, Rendering::Off)?
+            }
             None => Simulation::new(&self.setup.task, seed, Rendering::On)?,
         };
         let mut controller = self.setup.controller()?;
-        let latency_ticks = self.options.latency_ms.unwrap_or_else(|| source.latency_ticks());
-        let plan = Plan { latency_ticks, tick_limit: self.setup.tick_limit() };
-        let episode =
-            Episode { simulation: &mut simulation, controller: &mut controller, source: &mut source };
+        let latency_ticks = self
+            .options
+            .latency_ms
+            .unwrap_or_else(|| source.latency_ticks());
+        let plan = Plan {
+            latency_ticks,
+            tick_limit: self.setup.tick_limit(),
+        };
+        let episode = Episode {
+            simulation: &mut simulation,
+            controller: &mut controller,
+            source: &mut source,
+        };
         let end = episode.run(&plan, &mut Nobody)?;
         self.cameras = simulation.into_cameras();
         if matches!(source, ChunkSource::Network(_)) {

@@ -78,10 +78,15 @@ mod tests {
     fn results_come_in_order_from_any_number_of_threads() {
         for threads in [1, 3, 8] {
             let mut seen = Vec::new();
-            in_order(40, threads, || Ok::<_, ()>(|index: usize| Ok(index * index)), &mut |index, square| {
-                seen.push((index, square));
-                Ok(())
-            })
+            in_order(
+                40,
+                threads,
+                || Ok::<_, ()>(|index: usize| Ok(index * index)),
+                &mut |index, square| {
+                    seen.push((index, square));
+                    Ok(())
+                },
+            )
             .unwrap();
             assert_eq!(seen, (0..40).map(|i| (i, i * i)).collect::<Vec<_>>());
         }

@@ -25,7 +25,12 @@ impl Pictures {
     pub fn push(&mut self, frame: &CameraFrame) {
         let (width, height) = (frame.intrinsics.width, frame.intrinsics.height);
         if let Some(full) = RgbImage::from_raw(width, height, frame.colour.clone()) {
-            let scaled = imageops::resize(&full, WIDTH, WIDTH * height / width.max(1), FilterType::Triangle);
+            let scaled = imageops::resize(
+                &full,
+                WIDTH,
+                WIDTH * height / width.max(1),
+                FilterType::Triangle,
+            );
             self.frames.push(scaled);
         }
     }
@@ -56,11 +61,16 @@ impl Pictures {
         for index in 0..count {
             let frame = &self.frames[index * last / count.saturating_sub(1).max(1)];
             let cell = u32::try_from(index).unwrap_or(0);
-            let (x, y) = (i64::from(cell % columns * width), i64::from(cell / columns * height));
+            let (x, y) = (
+                i64::from(cell % columns * width),
+                i64::from(cell / columns * height),
+            );
             imageops::replace(&mut sheet, frame, x, y);
         }
         create_parent(path)?;
-        sheet.save(path).map_err(|error| SessionError::output(path, error))
+        sheet
+            .save(path)
+            .map_err(|error| SessionError::output(path, error))
     }
 
     /// Writes all frames as an endless GIF, `frame_ms` apart.
@@ -72,11 +82,15 @@ impl Pictures {
         let file = File::create(path).map_err(|error| SessionError::output(path, error))?;
         // 10 is a good trade of colours against time; the scene has few.
         let mut encoder = GifEncoder::new_with_speed(BufWriter::new(file), 10);
-        encoder.set_repeat(Repeat::Infinite).map_err(|error| SessionError::output(path, error))?;
+        encoder
+            .set_repeat(Repeat::Infinite)
+            .map_err(|error| SessionError::output(path, error))?;
         for frame in &self.frames {
             let delay = Delay::from_numer_denom_ms(frame_ms, 1);
             let frame = Frame::from_parts(frame.convert(), 0, 0, delay);
-            encoder.encode_frame(frame).map_err(|error| SessionError::output(path, error))?;
+            encoder
+                .encode_frame(frame)
+                .map_err(|error| SessionError::output(path, error))?;
         }
         Ok(())
     }
@@ -87,6 +101,8 @@ impl Pictures {
 /// # Errors
 /// [`SessionError::Output`].
 pub fn create_parent(path: &Path) -> Result<(), SessionError> {
-    let Some(parent) = path.parent() else { return Ok(()) };
+    let Some(parent) = path.parent() else {
+        return Ok(());
+    };
     fs::create_dir_all(parent).map_err(|error| SessionError::output(parent, error))
 }

@@ -3,12 +3,12 @@
 use std::path::PathBuf;
 
 use hal::{Chunk, Pose};
-use tch::Device;
 use policy::act_policy::state_numbers;
 use policy::dataset::{CameraSpec, DatasetSpec, DatasetWriter, FrameRecord};
 use sim_backend::cameras::SceneCameras;
 use sim_backend::simulation::{Rendering, Simulation};
 use sim_backend::task::Outcome;
+use tch::Device;
 
 use super::episode::{Episode, Plan, StepView, Watcher};
 use super::source::{PolicyChoice, STEP_NS};
@@ -50,31 +50,42 @@ pub fn record(
     on_attempt: &mut dyn FnMut(&Attempt),
 ) -> Result<(), SessionError> {
     if options.out.exists() {
-        return Err(SessionError::BadArgument(format!("{}: exists already", options.out.display())));
+        return Err(SessionError::BadArgument(format!(
+            "{}: exists already",
+            options.out.display()
+        )));
     }
     let mut writer = DatasetWriter::create(&options.out, &dataset_spec(setup))?;
     let (mut kept, mut seed) = (0, options.seed);
     let seed_limit = options.seed + 4 * options.episodes as u64 + 20;
     while kept < options.episodes {
         if seed >= seed_limit {
-            return Err(SessionError::BadArgument(format!("only {kept} of {} attempts succeeded", seed - options.seed)));
+            return Err(SessionError::BadArgument(format!(
+                "only {kept} of {} attempts succeeded",
+                seed - options.seed
+            )));
         }
         let wanted = options.episodes - kept;
         let first = seed;
-        parallel::in_order(wanted, options.jobs, || Ok(demonstrator(setup, first)), &mut |index, demo: Demonstration| {
-            let success = matches!(demo.outcome, Outcome::Success);
-            if success {
-                store(&mut writer, &demo)?;
-                kept += 1;
-            }
-            on_attempt(&Attempt {
-                seed: first + index as u64,
-                kept: success,
-                reason: demo.reason,
-                steps: demo.frames.len(),
-            });
-            Ok(())
-        })?;
+        parallel::in_order(
+            wanted,
+            options.jobs,
+            || Ok(demonstrator(setup, first)),
+            &mut |index, demo: Demonstration| {
+                let success = matches!(demo.outcome, Outcome::Success);
+                if success {
+                    store(&mut writer, &demo)?;
+                    kept += 1;
+                }
+                on_attempt(&Attempt {
+                    seed: first + index as u64,
+                    kept: success,
+                    reason: demo.reason,
+                    steps: demo.frames.len(),
+                });
+                Ok(())
+            },
+        )?;
         seed += wanted as u64;
     }
     writer.finish()?;
@@ -94,7 +105,12 @@ fn dataset_spec(setup: &Setup) -> DatasetSpec {
         .collect();
     #[expect(clippy::cast_possible_truncation, reason = "25 steps a second")]
     let fps = (1_000_000_000 / STEP_NS) as u32;
-    DatasetSpec { fps, robot_type: "dvrk_psm_sim".to_owned(), task: setup.task_name.clone(), cameras }
+    DatasetSpec {
+        fps,
+        robot_type: "dvrk_psm_sim".to_owned(),
+        task: setup.task_name.clone(),
+        cameras,
+    }
 }
 
 /// One episode in memory.
@@ -125,7 +141,10 @@ fn store(writer: &mut DatasetWriter, demo: &Demonstration) -> Result<(), Session
 }
 
 /// The job of one thread: the demonstration of `first + index`.
-fn demonstrator(setup: &Setup, first: u64) -> impl FnMut(usize) -> Result<Demonstration, SessionError> {
+fn demonstrator(
+    setup: &Setup,
+    first: u64,
+) -> impl FnMut(usize) -> Result<Demonstration, SessionError> {
     let mut cameras: Option<SceneCameras> = None;
     move |index| {
         let seed = first + index as u64;
@@ -135,13 +154,26 @@ fn demonstrator(setup: &Setup, first: u64) -> impl FnMut(usize) -> Result<Demons
         };
         let mut source = setup.source(&PolicyChoice::Expert, seed, Device::Cpu)?;
         let mut controller = setup.controller()?;
-        let mut diary = Diary { cameras: setup.camera_names(), frames: Vec::new() };
-        let plan = Plan { latency_ticks: source.latency_ticks(), tick_limit: setup.tick_limit() };
-        let episode =
-            Episode { simulation: &mut simulation, controller: &mut controller, source: &mut source };
+        let mut diary = Diary {
+            cameras: setup.camera_names(),
+            frames: Vec::new(),
+        };
+        let plan = Plan {
+            latency_ticks: source.latency_ticks(),
+            tick_limit: setup.tick_limit(),
+        };
+        let episode = Episode {
+            simulation: &mut simulation,
+            controller: &mut controller,
+            source: &mut source,
+        };
         let end = episode.run(&plan, &mut diary)?;
         cameras = simulation.into_cameras();
-        Ok(Demonstration { reason: end.reason(), outcome: end.outcome, frames: diary.frames })
+        Ok(Demonstration {
+            reason: end.reason(),
+            outcome: end.outcome,
+            frames: diary.frames,
+        })
     }
 }
 
@@ -157,7 +189,10 @@ impl Watcher for Diary {
     }
 
     fn step(&mut self, view: &StepView<'_>) -> Result<(), SessionError> {
-        let Some(target) = view.answer.and_then(|chunk: &Chunk| chunk.valid_targets().first()) else {
+        let Some(target) = view
+            .answer
+            .and_then(|chunk: &Chunk| chunk.valid_targets().first())
+        else {
             return Ok(());
         };
         let [x, y, z] = target.position_m;
@@ -166,7 +201,11 @@ impl Watcher for Diary {
             state: state_numbers(view.arm),
             tip_pose: pose_numbers(&view.tip_in_rcm),
             action: [x, y, z, i, j, k, w, target.jaw],
-            images: view.frames.iter().map(|frame| frame.colour.clone()).collect(),
+            images: view
+                .frames
+                .iter()
+                .map(|frame| frame.colour.clone())
+                .collect(),
         });
         Ok(())
     }

@@ -4,9 +4,9 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use hal::Chunk;
-use tch::Device;
 use sim_backend::simulation::{Rendering, Simulation};
 use sim_backend::task::Outcome;
+use tch::Device;
 
 use super::episode::{Episode, Plan, StepView, Watcher};
 use super::pictures::Pictures;
@@ -52,20 +52,43 @@ pub fn run_lockstep(setup: &Setup, options: &RunOptions) -> Result<RunResult, Se
         hal::Policy::reset(network.as_mut(), options.seed);
     }
     let needs_frames = options.pictures || !source.cameras().is_empty();
-    let rendering = if needs_frames { Rendering::On } else { Rendering::Off };
+    let rendering = if needs_frames {
+        Rendering::On
+    } else {
+        Rendering::Off
+    };
     let mut simulation = Simulation::new(&setup.task, options.seed, rendering)?;
     let mut controller = setup.controller()?;
-    let cameras = if options.pictures { setup.camera_names() } else { Vec::new() };
+    let cameras = if options.pictures {
+        setup.camera_names()
+    } else {
+        Vec::new()
+    };
     let recorder = open_log(setup, options, true)?;
-    let mut watcher = RunWatcher { recorder, cameras, pictures: Pictures::default() };
+    let mut watcher = RunWatcher {
+        recorder,
+        cameras,
+        pictures: Pictures::default(),
+    };
     let latency_ticks = options.latency_ms.unwrap_or_else(|| source.latency_ticks());
-    let plan = Plan { latency_ticks, tick_limit: setup.tick_limit() };
-    let episode = Episode { simulation: &mut simulation, controller: &mut controller, source: &mut source };
+    let plan = Plan {
+        latency_ticks,
+        tick_limit: setup.tick_limit(),
+    };
+    let episode = Episode {
+        simulation: &mut simulation,
+        controller: &mut controller,
+        source: &mut source,
+    };
     let end = episode.run(&plan, &mut watcher)?;
     let reason = end.reason();
     let success = matches!(end.outcome, Outcome::Success);
     if let Some(recorder) = watcher.recorder {
-        let outcome = RunOutcome { success, reason: reason.clone(), command_hash: end.tally.command_hash() };
+        let outcome = RunOutcome {
+            success,
+            reason: reason.clone(),
+            command_hash: end.tally.command_hash(),
+        };
         recorder.finish(Some(&outcome))?;
     }
     let labels = RunLabels {
@@ -75,18 +98,35 @@ pub fn run_lockstep(setup: &Setup, options: &RunOptions) -> Result<RunResult, Se
         success,
         reason: &reason,
     };
-    Ok(RunResult { summary: end.tally.summary(&labels, None), pictures: watcher.pictures })
+    Ok(RunResult {
+        summary: end.tally.summary(&labels, None),
+        pictures: watcher.pictures,
+    })
 }
 
 /// Opens the log that `options` ask for; a lockstep log loses nothing, a real-time log never waits.
 ///
 /// # Errors
 /// [`SessionError::Log`] or [`SessionError::Output`].
-pub fn open_log(setup: &Setup, options: &RunOptions, lockstep: bool) -> Result<Option<Recorder>, SessionError> {
-    let Some(path) = &options.log else { return Ok(None) };
+pub fn open_log(
+    setup: &Setup,
+    options: &RunOptions,
+    lockstep: bool,
+) -> Result<Option<Recorder>, SessionError> {
+    let Some(path) = &options.log else {
+        return Ok(None);
+    };
     pictures::create_parent(path)?;
-    let pressure = if lockstep { Pressure::Block } else { Pressure::Drop };
-    Ok(Some(Recorder::create(path, &header(setup, options, lockstep), pressure)?))
+    let pressure = if lockstep {
+        Pressure::Block
+    } else {
+        Pressure::Drop
+    };
+    Ok(Some(Recorder::create(
+        path,
+        &header(setup, options, lockstep),
+        pressure,
+    )?))
 }
 
 fn header(setup: &Setup, options: &RunOptions, lockstep: bool) -> RunHeader {
@@ -101,8 +141,13 @@ fn header(setup: &Setup, options: &RunOptions, lockstep: bool) -> RunHeader {
         policy: options.policy.name(),
         seed: options.seed,
         lockstep,
-        versions: versions.map(|(name, version)| (name.to_owned(), version.to_owned())).into(),
-        texts: texts.map(|(name, text)| (name.to_owned(), text.clone())).into_iter().collect::<BTreeMap<_, _>>(),
+        versions: versions
+            .map(|(name, version)| (name.to_owned(), version.to_owned()))
+            .into(),
+        texts: texts
+            .map(|(name, text)| (name.to_owned(), text.clone()))
+            .into_iter()
+            .collect::<BTreeMap<_, _>>(),
     }
 }
 
@@ -149,6 +194,7 @@ impl Watcher for RunWatcher {
 /// [`SessionError::Output`].
 pub fn write_json(path: &Path, value: &impl serde::Serialize) -> Result<(), SessionError> {
     pictures::create_parent(path)?;
-    let text = serde_json::to_string_pretty(value).map_err(|error| SessionError::output(path, error))?;
+    let text =
+        serde_json::to_string_pretty(value).map_err(|error| SessionError::output(path, error))?;
     std::fs::write(path, text + "\n").map_err(|error| SessionError::output(path, error))
 }

@@ -54,11 +54,18 @@ impl Setup {
                     include_str!("../../../config/tasks/needle-lift/safety.toml"),
                 ),
             ),
-            unknown => return Err(SessionError::BadArgument(format!("there is no task {unknown:?}"))),
+            unknown => {
+                return Err(SessionError::BadArgument(format!(
+                    "there is no task {unknown:?}"
+                )));
+            }
         };
         let control = match control {
             Some(path) => Source::read(&path.display().to_string())?,
-            None => Source::embedded("config/control.toml", include_str!("../../../config/control.toml")),
+            None => Source::embedded(
+                "config/control.toml",
+                include_str!("../../../config/control.toml"),
+            ),
         };
         Ok(Self {
             task_name: task.to_owned(),
@@ -75,7 +82,11 @@ impl Setup {
     /// Names of the task's cameras.
     #[must_use]
     pub fn camera_names(&self) -> Vec<String> {
-        self.task.cameras.iter().map(|camera| camera.name.clone()).collect()
+        self.task
+            .cameras
+            .iter()
+            .map(|camera| camera.name.clone())
+            .collect()
     }
 
     /// A fresh controller.
@@ -90,23 +101,40 @@ impl Setup {
     ///
     /// # Errors
     /// [`SessionError::Checkpoint`].
-    pub fn source(&self, choice: &PolicyChoice, seed: u64, device: Device) -> Result<ChunkSource, SessionError> {
+    pub fn source(
+        &self,
+        choice: &PolicyChoice,
+        seed: u64,
+        device: Device,
+    ) -> Result<ChunkSource, SessionError> {
         Ok(match choice {
-            PolicyChoice::Expert => {
-                ChunkSource::Expert { expert: Box::new(Expert::new(&self.task, seed)), sequence: 0 }
+            PolicyChoice::Expert => ChunkSource::Expert {
+                expert: Box::new(Expert::new(&self.task, seed)),
+                sequence: 0,
+            },
+            PolicyChoice::Noop => ChunkSource::Noop {
+                held: None,
+                sequence: 0,
+            },
+            PolicyChoice::Random => ChunkSource::Random {
+                home: None,
+                rng: Rng::stream(seed, "random policy"),
+                sequence: 0,
+            },
+            PolicyChoice::Checkpoint(path) => {
+                ChunkSource::Network(Box::new(ActPolicy::load(path, device)?))
             }
-            PolicyChoice::Noop => ChunkSource::Noop { held: None, sequence: 0 },
-            PolicyChoice::Random => {
-                ChunkSource::Random { home: None, rng: Rng::stream(seed, "random policy"), sequence: 0 }
-            }
-            PolicyChoice::Checkpoint(path) => ChunkSource::Network(Box::new(ActPolicy::load(path, device)?)),
         })
     }
 
     /// Control periods after which an episode is given up; the task's own time limit comes first.
     #[must_use]
     pub fn tick_limit(&self) -> u64 {
-        #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "the limit is checked to lie in 1 to 600 s")]
+        #[expect(
+            clippy::cast_possible_truncation,
+            clippy::cast_sign_loss,
+            reason = "the limit is checked to lie in 1 to 600 s"
+        )]
         let limit = (self.task.success.time_limit_s * 1e3) as u64;
         limit + 2000
     }

@@ -142,13 +142,21 @@ impl ChunkSource {
                 let target = *held.get_or_insert(here);
                 Ok(Chunk::new(now, *sequence, STEP_NS, &[target; 2]))
             }
-            Self::Random { home, rng, sequence } => {
+            Self::Random {
+                home,
+                rng,
+                sequence,
+            } => {
                 *sequence += 1;
                 let home = *home.get_or_insert(here);
                 Ok(wander(now, *sequence, &home, rng))
             }
             Self::Network(network) => {
-                let observation = Observation { arm: query.arm, tip_in_rcm: query.tip_in_rcm, frames: query.frames };
+                let observation = Observation {
+                    arm: query.arm,
+                    tip_in_rcm: query.tip_in_rcm,
+                    frames: query.frames,
+                };
                 Ok(network.infer(&observation)?)
             }
         }
@@ -158,8 +166,18 @@ impl ChunkSource {
 /// Names of the cameras that `network` looks through: LeRobot's feature names without their common beginning.
 #[must_use]
 pub fn camera_names(network: &ActPolicy) -> Vec<String> {
-    let name = |feature: &str| feature.strip_prefix("observation.images.").unwrap_or(feature).to_owned();
-    network.recipe().cameras.iter().map(|camera| name(&camera.feature)).collect()
+    let name = |feature: &str| {
+        feature
+            .strip_prefix("observation.images.")
+            .unwrap_or(feature)
+            .to_owned()
+    };
+    network
+        .recipe()
+        .cameras
+        .iter()
+        .map(|camera| name(&camera.feature))
+        .collect()
 }
 
 /// A straight stretch to a random place within 4 cm of `home`, the jaw anywhere.

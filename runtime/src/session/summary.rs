@@ -130,7 +130,15 @@ impl EvalSummary {
         let trials = episodes.len();
         let successes = episodes.iter().filter(|episode| episode.success).count();
         let (rate, wilson95) = wilson_interval(successes, trials);
-        Self { task: task.to_owned(), policy: policy.to_owned(), trials, successes, rate, wilson95, episodes }
+        Self {
+            task: task.to_owned(),
+            policy: policy.to_owned(),
+            trials,
+            successes,
+            rate,
+            wilson95,
+            episodes,
+        }
     }
 }
 
@@ -147,7 +155,13 @@ pub fn wilson_interval(successes: usize, trials: usize) -> (f64, [f64; 2]) {
     let centre = rate + Z * Z / (2.0 * n);
     let spread = Z * (rate * (1.0 - rate) / n + Z * Z / (4.0 * n * n)).sqrt();
     let scale = 1.0 + Z * Z / n;
-    (rate, [((centre - spread) / scale).max(0.0), ((centre + spread) / scale).min(1.0)])
+    (
+        rate,
+        [
+            ((centre - spread) / scale).max(0.0),
+            ((centre + spread) / scale).min(1.0),
+        ],
+    )
 }
 
 #[cfg(test)]
@@ -159,7 +173,10 @@ mod tests {
         // 34 of 50, the paper's ACT with one camera.
         let (rate, [low, high]) = wilson_interval(34, 50);
         assert!((rate - 0.68).abs() < 1e-12);
-        assert!((low - 0.5419).abs() < 1e-3 && (high - 0.7924).abs() < 1e-3, "{low} {high}");
+        assert!(
+            (low - 0.5419).abs() < 1e-3 && (high - 0.7924).abs() < 1e-3,
+            "{low} {high}"
+        );
         assert_eq!(wilson_interval(0, 0).1, [0.0, 1.0]);
     }
 }

@@ -47,7 +47,12 @@ impl Tally {
             QpOutcome::Failed => self.qp.failed += 1,
         }
         self.guard_interventions += u64::from(record.report.guard_intervened);
-        self.refused += u64::from(record.report.gate.is_some_and(|verdict| !verdict.is_accepted()));
+        self.refused += u64::from(
+            record
+                .report
+                .gate
+                .is_some_and(|verdict| !verdict.is_accepted()),
+        );
         self.fault = self.fault.or(record.report.fault);
     }
 
@@ -113,10 +118,16 @@ impl Tally {
 }
 
 fn milliseconds(histogram: &Histogram) -> LatencyMs {
-    LatencyMs { p50: scaled(histogram.percentile(0.50), 1e-6), p99: scaled(histogram.percentile(0.99), 1e-6) }
+    LatencyMs {
+        p50: scaled(histogram.percentile(0.50), 1e-6),
+        p99: scaled(histogram.percentile(0.99), 1e-6),
+    }
 }
 
-#[expect(clippy::cast_precision_loss, reason = "durations of a run are exact in f64")]
+#[expect(
+    clippy::cast_precision_loss,
+    reason = "durations of a run are exact in f64"
+)]
 fn scaled(ns: u64, unit: f64) -> f64 {
     ns as f64 * unit
 }

@@ -5,7 +5,9 @@ use std::path::{Path, PathBuf};
 
 use hal::TimeNs;
 use policy::act::{ActConfig, ActPreset};
-use policy::checkpoint::{self, DatasetSummary, Precision, RECIPE_FORMAT, Recipe, RecordedCamera, SaveOptions, Variants};
+use policy::checkpoint::{
+    self, DatasetSummary, Precision, RECIPE_FORMAT, Recipe, RecordedCamera, SaveOptions, Variants,
+};
 use policy::dataset::Dataset;
 use policy::relative_action::REPRESENTATION;
 use policy::train::{Augmentation, Progress, TrainOptions, TrainPrecision, Trained, Trainer};
@@ -73,20 +75,46 @@ pub fn train(
 ) -> Result<TrainingResult, SessionError> {
     let preset = parse_preset(&options.preset)?;
     let dataset = Dataset::open_first(&options.data, options.episodes)?;
-    let cameras: Vec<String> =
-        dataset.camera_names().iter().map(|name| format!("observation.images.{name}")).collect();
+    let cameras: Vec<String> = dataset
+        .camera_names()
+        .iter()
+        .map(|name| format!("observation.images.{name}"))
+        .collect();
     let config = ActConfig::preset(preset, &cameras);
     let recipe_options = train_options(options, preset);
     let clock = MonotonicClock::new();
     let begun = clock.now();
     let seconds = || TimeNs(clock.now().since(begun)).seconds();
-    on_progress(&format!("{} episodes, {} frames; {} steps", dataset.episodes().len(), dataset.len(), recipe_options.steps));
-    let trained = Trainer::new(options.device).run(&config, &recipe_options, &dataset, &mut |progress| {
-        on_progress(&progress_line(progress, seconds()));
-    })?;
-    let recipe = recipe(options, preset, &config, &recipe_options, &dataset, &trained, seconds());
-    let save = SaveOptions { precision: Precision::F16, inference_only: true };
-    checkpoint::save(&options.out, &trained.act, &trained.statistics, &recipe, save)?;
+    on_progress(&format!(
+        "{} episodes, {} frames; {} steps",
+        dataset.episodes().len(),
+        dataset.len(),
+        recipe_options.steps
+    ));
+    let trained =
+        Trainer::new(options.device).run(&config, &recipe_options, &dataset, &mut |progress| {
+            on_progress(&progress_line(progress, seconds()));
+        })?;
+    let recipe = recipe(
+        options,
+        preset,
+        &config,
+        &recipe_options,
+        &dataset,
+        &trained,
+        seconds(),
+    );
+    let save = SaveOptions {
+        precision: Precision::F16,
+        inference_only: true,
+    };
+    checkpoint::save(
+        &options.out,
+        &trained.act,
+        &trained.statistics,
+        &recipe,
+        save,
+    )?;
     write_curve(&options.out, &trained)?;
     let last = trained.curve.last();
     Ok(TrainingResult {
@@ -102,21 +130,32 @@ fn parse_preset(name: &str) -> Result<ActPreset, SessionError> {
         "small" => Ok(ActPreset::Small),
         "paper" => Ok(ActPreset::Paper),
         "lerobot" => Ok(ActPreset::Lerobot),
-        unknown => Err(SessionError::BadArgument(format!("--preset {unknown}: small, paper or lerobot"))),
+        unknown => Err(SessionError::BadArgument(format!(
+            "--preset {unknown}: small, paper or lerobot"
+        ))),
     }
 }
 
 fn train_options(options: &TrainingOptions, preset: ActPreset) -> TrainOptions {
     let base = TrainOptions::preset(preset);
     let augmentation = if options.augment {
-        Augmentation { shift_px: 4, brightness: 0.15, contrast: 0.15, state_noise: 0.02 }
+        Augmentation {
+            shift_px: 4,
+            brightness: 0.15,
+            contrast: 0.15,
+            state_noise: 0.02,
+        }
     } else {
         base.augmentation
     };
     TrainOptions {
         steps: options.steps.unwrap_or(base.steps),
         batch: options.batch.unwrap_or(base.batch),
-        precision: if options.bf16 { TrainPrecision::Bf16 } else { base.precision },
+        precision: if options.bf16 {
+            TrainPrecision::Bf16
+        } else {
+            base.precision
+        },
         validation_share: options.validation_share,
         augmentation,
         threads: options.threads,
@@ -127,7 +166,9 @@ fn train_options(options: &TrainingOptions, preset: ActPreset) -> TrainOptions {
 
 fn progress_line(progress: &Progress, seconds: f64) -> String {
     let row = &progress.row;
-    let validation = row.validation_l1.map_or_else(String::new, |l1| format!(", validation l1 {l1:.5}"));
+    let validation = row
+        .validation_l1
+        .map_or_else(String::new, |l1| format!(", validation l1 {l1:.5}"));
     format!(
         "step {}/{}: loss {:.5}, l1 {:.5}, kl {:.5}, gradient {:.3}{validation}; {seconds:.0} s, {:.0} s left",
         row.step,
@@ -166,7 +207,10 @@ fn recipe(
         query_every_steps: QUERY_EVERY_STEPS,
         cameras,
         preset,
-        variants: Variants { backbone_norm: config.backbone_norm, loss_denominator: config.loss_denominator },
+        variants: Variants {
+            backbone_norm: config.backbone_norm,
+            loss_denominator: config.loss_denominator,
+        },
         recipe: format!("trocar {}", options.command),
         dataset: DatasetSummary {
             task: spec.task.clone(),

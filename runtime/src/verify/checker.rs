@@ -124,13 +124,23 @@ impl<'a> Checker<'a> {
                 if let Some(quotient) = self.history.quotient(axis, order, PERIOD_S) {
                     let tolerance = TOLERANCE * bound + quotient.rounding;
                     let name = format_args!("{}.{derivative}", limit.name);
-                    self.judge(quotient.value.abs() - bound, tolerance, name, quotient.value, bound);
+                    self.judge(
+                        quotient.value.abs() - bound,
+                        tolerance,
+                        name,
+                        quotient.value,
+                        bound,
+                    );
                 }
             }
         }
         for (axis, limit) in limits.axes.iter().enumerate() {
             // The velocity that goes to the drives along with the position.
-            let said = command.velocity.get(axis).copied().unwrap_or(command.jaw_velocity);
+            let said = command
+                .velocity
+                .get(axis)
+                .copied()
+                .unwrap_or(command.jaw_velocity);
             let bound = limit.derivatives[0];
             let name = format_args!("{}.commanded_velocity", limit.name);
             self.judge(said.abs() - bound, TOLERANCE * bound, name, said, bound);
@@ -141,17 +151,44 @@ impl<'a> Checker<'a> {
     fn boundaries(&self, command: &ArmCommand, at: &Instrument) -> Vec<Boundary> {
         let mut all = Vec::new();
         for (axis, limit) in self.limits.axes.iter().enumerate() {
-            let value = command.position.get(axis).copied().unwrap_or(command.jaw_position);
-            all.push(Boundary::at_least(format!("{}.low", limit.name), value, limit.low, 0.0));
-            all.push(Boundary::at_most(format!("{}.high", limit.name), value, limit.high, 0.0));
+            let value = command
+                .position
+                .get(axis)
+                .copied()
+                .unwrap_or(command.jaw_position);
+            all.push(Boundary::at_least(
+                format!("{}.low", limit.name),
+                value,
+                limit.low,
+                0.0,
+            ));
+            all.push(Boundary::at_most(
+                format!("{}.high", limit.name),
+                value,
+                limit.high,
+                0.0,
+            ));
         }
         let recovery_m = self.limits.recovery_m;
-        for (name, point) in [("control_point", &at.control_point), ("finger_tips", &at.finger_tips)] {
+        for (name, point) in [
+            ("control_point", &at.control_point),
+            ("finger_tips", &at.finger_tips),
+        ] {
             for (axis, letter) in ["x", "y", "z"].into_iter().enumerate() {
                 let (low, high) = (self.limits.box_low_m[axis], self.limits.box_high_m[axis]);
                 let value = point[axis];
-                all.push(Boundary::at_least(format!("workspace.{name}.{letter}_min"), value, low, recovery_m));
-                all.push(Boundary::at_most(format!("workspace.{name}.{letter}_max"), value, high, recovery_m));
+                all.push(Boundary::at_least(
+                    format!("workspace.{name}.{letter}_min"),
+                    value,
+                    low,
+                    recovery_m,
+                ));
+                all.push(Boundary::at_most(
+                    format!("workspace.{name}.{letter}_max"),
+                    value,
+                    high,
+                    recovery_m,
+                ));
             }
         }
         for sphere in &self.limits.spheres {
@@ -181,7 +218,13 @@ impl<'a> Checker<'a> {
 
     fn report(&mut self, limit: impl Display, value: f64, bound: f64) {
         let limit = limit.to_string();
-        self.violations.push(Violation { tick: self.tick, arm: ARM.to_owned(), limit, value, bound });
+        self.violations.push(Violation {
+            tick: self.tick,
+            arm: ARM.to_owned(),
+            limit,
+            value,
+            bound,
+        });
     }
 }
 
@@ -198,16 +241,32 @@ struct Boundary {
 
 impl Boundary {
     const fn at_least(name: String, value: f64, bound: f64, recovery: f64) -> Self {
-        Self { name, value, bound, sign: 1.0, recovery }
+        Self {
+            name,
+            value,
+            bound,
+            sign: 1.0,
+            recovery,
+        }
     }
 
     const fn at_most(name: String, value: f64, bound: f64, recovery: f64) -> Self {
-        Self { name, value, bound, sign: -1.0, recovery }
+        Self {
+            name,
+            value,
+            bound,
+            sign: -1.0,
+            recovery,
+        }
     }
 
     /// How far outside the first command of an enabled arm is, and may get.
     fn allowance(&self) -> f64 {
         let outside = self.sign * (self.bound - self.value);
-        if outside > 0.0 { outside + self.recovery } else { 0.0 }
+        if outside > 0.0 {
+            outside + self.recovery
+        } else {
+            0.0
+        }
     }
 }

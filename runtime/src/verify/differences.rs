@@ -23,11 +23,18 @@ pub(super) struct Quotient {
 }
 
 /// Binomial coefficients with alternating signs, by order.
-const WEIGHTS: [[f64; 4]; 3] = [[1.0, -1.0, 0.0, 0.0], [1.0, -2.0, 1.0, 0.0], [1.0, -3.0, 3.0, -1.0]];
+const WEIGHTS: [[f64; 4]; 3] = [
+    [1.0, -1.0, 0.0, 0.0],
+    [1.0, -2.0, 1.0, 0.0],
+    [1.0, -3.0, 3.0, -1.0],
+];
 
 impl History {
     pub(super) const fn new() -> Self {
-        Self { samples: [[0.0; AXES]; 4], count: 0 }
+        Self {
+            samples: [[0.0; AXES]; 4],
+            count: 0,
+        }
     }
 
     /// Takes in the next setpoint.
@@ -60,7 +67,10 @@ impl History {
         for _ in 0..order {
             scale /= period_s;
         }
-        Some(Quotient { value: sum * scale, rounding: rounding * scale })
+        Some(Quotient {
+            value: sum * scale,
+            rounding: rounding * scale,
+        })
     }
 }
 
@@ -76,10 +86,16 @@ mod tests {
             history.push([0.3 + 0.2 * t + 3.0 * t * t + 50.0 * t * t * t; AXES]);
         }
         let jerk = history.quotient(2, 3, 0.001).unwrap();
-        assert!((jerk.value - 300.0).abs() <= jerk.rounding && jerk.rounding < 1e-4, "{jerk:?}");
+        assert!(
+            (jerk.value - 300.0).abs() <= jerk.rounding && jerk.rounding < 1e-4,
+            "{jerk:?}"
+        );
         let acceleration = history.quotient(2, 2, 0.001).unwrap();
         // The second difference is the acceleration one period before the newest sample.
-        assert!((acceleration.value - (6.0 + 300.0 * 0.004)).abs() < 1e-6, "{acceleration:?}");
+        assert!(
+            (acceleration.value - (6.0 + 300.0 * 0.004)).abs() < 1e-6,
+            "{acceleration:?}"
+        );
     }
 
     #[test]

@@ -86,15 +86,23 @@ struct Document {
 
 impl Document {
     fn parse(log: &RunLog, file: &'static str) -> Result<Self, VerifyError> {
-        let text = log.text(file).ok_or(VerifyError::NoConfiguration { file })?;
+        let text = log
+            .text(file)
+            .ok_or(VerifyError::NoConfiguration { file })?;
         let table = text
             .parse()
-            .map_err(|error: toml::de::Error| VerifyError::Malformed { file, reason: error.message().to_owned() })?;
+            .map_err(|error: toml::de::Error| VerifyError::Malformed {
+                file,
+                reason: error.message().to_owned(),
+            })?;
         Ok(Self { file, table })
     }
 
     fn missing(&self, key: &str) -> VerifyError {
-        VerifyError::Malformed { file: self.file, reason: format!("`{key}` is missing or of another type") }
+        VerifyError::Malformed {
+            file: self.file,
+            reason: format!("`{key}` is missing or of another type"),
+        }
     }
 
     fn value(&self, key: &str) -> Option<&Value> {
@@ -104,11 +112,15 @@ impl Document {
     }
 
     fn number(&self, key: &str) -> Result<f64, VerifyError> {
-        self.value(key).and_then(number).ok_or_else(|| self.missing(key))
+        self.value(key)
+            .and_then(number)
+            .ok_or_else(|| self.missing(key))
     }
 
     fn vector(&self, key: &str) -> Result<Vector3<f64>, VerifyError> {
-        self.value(key).and_then(vector).ok_or_else(|| self.missing(key))
+        self.value(key)
+            .and_then(vector)
+            .ok_or_else(|| self.missing(key))
     }
 
     fn spheres(&self, rcm_in_scene: &Vector3<f64>) -> Result<Vec<Sphere>, VerifyError> {
@@ -118,19 +130,28 @@ impl Document {
         let list = list.as_array().ok_or_else(|| self.missing("forbidden"))?;
         let sphere = |(index, entry): (usize, &Value)| {
             Some(Sphere {
-                name: entry.get("name").and_then(Value::as_str).map_or(index.to_string(), str::to_owned),
+                name: entry
+                    .get("name")
+                    .and_then(Value::as_str)
+                    .map_or(index.to_string(), str::to_owned),
                 center_m: vector(entry.get("center_m")?)? - rcm_in_scene,
                 radius_m: number(entry.get("radius_m")?)?,
             })
         };
-        list.iter().enumerate().map(|entry| sphere(entry).ok_or_else(|| self.missing("forbidden"))).collect()
+        list.iter()
+            .enumerate()
+            .map(|entry| sphere(entry).ok_or_else(|| self.missing("forbidden")))
+            .collect()
     }
 }
 
 /// A finite number; TOML's integers count.
 #[expect(clippy::cast_precision_loss, reason = "limits are small numbers")]
 fn number(value: &Value) -> Option<f64> {
-    value.as_float().or_else(|| value.as_integer().map(|whole| whole as f64)).filter(|number| number.is_finite())
+    value
+        .as_float()
+        .or_else(|| value.as_integer().map(|whole| whole as f64))
+        .filter(|number| number.is_finite())
 }
 
 fn vector(value: &Value) -> Option<Vector3<f64>> {

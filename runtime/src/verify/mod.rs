@@ -51,8 +51,17 @@ pub struct Violation {
 
 impl fmt::Display for Violation {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Self { tick, arm, limit, value, bound } = self;
-        write!(f, "tick {tick}: {arm}: {limit} is {value}, the bound {bound}")
+        let Self {
+            tick,
+            arm,
+            limit,
+            value,
+            bound,
+        } = self;
+        write!(
+            f,
+            "tick {tick}: {arm}: {limit} is {value}, the bound {bound}"
+        )
     }
 }
 
@@ -88,7 +97,10 @@ pub fn verify(log: &RunLog) -> Result<VerifyResult, VerifyError> {
     let mut ticks = 0;
     let gap_before = |position: usize| {
         log.losses.iter().find_map(|loss| match *loss {
-            Loss::Ticks { position: at, count } if at == position => Some(count),
+            Loss::Ticks {
+                position: at,
+                count,
+            } if at == position => Some(count),
             Loss::Ticks { .. } | Loss::Chunk { .. } => None,
         })
     };
@@ -100,8 +112,20 @@ pub fn verify(log: &RunLog) -> Result<VerifyResult, VerifyError> {
         ticks += 1;
     }
     if let Some(count) = gap_before(log.tick_count()) {
-        checker.missing(log.ticks().last().map_or(0, |(tick, _)| tick.tick + 1), count);
+        checker.missing(
+            log.ticks().last().map_or(0, |(tick, _)| tick.tick + 1),
+            count,
+        );
     }
-    let Checker { violations, skipped_periods, .. } = checker;
-    Ok(VerifyResult { ok: violations.is_empty(), ticks, skipped_periods, violations })
+    let Checker {
+        violations,
+        skipped_periods,
+        ..
+    } = checker;
+    Ok(VerifyResult {
+        ok: violations.is_empty(),
+        ticks,
+        skipped_periods,
+        violations,
+    })
 }

@@ -20,7 +20,11 @@ fn doctored(name: &str, change: impl Fn(&mut Vec<TickRecord>)) -> VerifyResult {
 }
 
 fn limits(result: &VerifyResult) -> Vec<&str> {
-    result.violations.iter().map(|violation| violation.limit.as_str()).collect()
+    result
+        .violations
+        .iter()
+        .map(|violation| violation.limit.as_str())
+        .collect()
 }
 
 #[test]
@@ -34,15 +38,23 @@ fn an_honest_run_breaks_no_limit() {
 fn a_position_jump_is_caught() {
     let result = doctored("jump", |records| records[600].command.position[0] += 0.002);
     let found = limits(&result);
-    assert!(!result.ok && found.contains(&"yaw.velocity") && found.contains(&"yaw.jerk"), "{found:?}");
+    assert!(
+        !result.ok && found.contains(&"yaw.velocity") && found.contains(&"yaw.jerk"),
+        "{found:?}"
+    );
     assert_eq!(result.violations[0].tick, 600);
 }
 
 #[test]
 fn a_jump_too_small_for_speed_is_caught_by_jerk() {
-    let result = doctored("small-jump", |records| records[600].command.position[4] += 1e-5);
+    let result = doctored("small-jump", |records| {
+        records[600].command.position[4] += 1e-5
+    });
     let found = limits(&result);
-    assert!(found.contains(&"wrist_pitch.jerk") && !found.contains(&"wrist_pitch.velocity"), "{found:?}");
+    assert!(
+        found.contains(&"wrist_pitch.jerk") && !found.contains(&"wrist_pitch.velocity"),
+        "{found:?}"
+    );
 }
 
 #[test]
@@ -61,7 +73,10 @@ fn a_run_shifted_out_of_its_box_is_caught() {
 fn nan_is_caught() {
     let result = doctored("nan", |records| records[500].command.position[3] = f64::NAN);
     let found = limits(&result);
-    assert!(found.contains(&"roll.low") && found.contains(&"roll.velocity"), "{found:?}");
+    assert!(
+        found.contains(&"roll.low") && found.contains(&"roll.velocity"),
+        "{found:?}"
+    );
 }
 
 #[test]
@@ -72,9 +87,13 @@ fn a_velocity_beyond_the_drives_is_caught() {
 
 #[test]
 fn stamps_must_rise_by_whole_periods() {
-    let early = doctored("stamp", |records| records[500].command.stamp = TimeNs(499 * TICK_NS));
+    let early = doctored("stamp", |records| {
+        records[500].command.stamp = TimeNs(499 * TICK_NS)
+    });
     assert_eq!(limits(&early), ["stamp"]);
-    let crooked = doctored("crooked", |records| records[500].command.stamp = TimeNs(500 * TICK_NS + 7));
+    let crooked = doctored("crooked", |records| {
+        records[500].command.stamp = TimeNs(500 * TICK_NS + 7)
+    });
     assert_eq!(limits(&crooked), ["stamp", "stamp"]);
     let skipped = doctored("skipped", |records| {
         for record in &mut records[500..] {
@@ -108,15 +127,32 @@ fn an_arm_without_torque_may_be_anywhere() {
 fn a_log_without_limits_is_refused() {
     let (records, mut header) = run_controller(10);
     let file = Scratch::new("no-limits");
-    let control = header.texts.insert("control.toml".to_owned(), "[limits]\n".to_owned());
+    let control = header
+        .texts
+        .insert("control.toml".to_owned(), "[limits]\n".to_owned());
     write_records(&file, &records, &header);
     let error = verify(&RunLog::open(&file.0).unwrap()).unwrap_err();
-    assert!(error.to_string().contains("control.toml in the log: `limits.yaw.low_rad`"), "{error}");
-    header.texts.insert("control.toml".to_owned(), control.unwrap());
+    assert!(
+        error
+            .to_string()
+            .contains("control.toml in the log: `limits.yaw.low_rad`"),
+        "{error}"
+    );
+    header
+        .texts
+        .insert("control.toml".to_owned(), control.unwrap());
     header.texts.remove("safety.toml");
     write_records(&file, &records, &header);
     let error = verify(&RunLog::open(&file.0).unwrap()).unwrap_err();
-    assert!(matches!(error, VerifyError::NoConfiguration { file: "safety.toml" }), "{error}");
+    assert!(
+        matches!(
+            error,
+            VerifyError::NoConfiguration {
+                file: "safety.toml"
+            }
+        ),
+        "{error}"
+    );
 }
 
 #[test]
@@ -124,13 +160,24 @@ fn the_checkers_kinematics_agree_with_the_controllers() {
     let mut state = 3_u64;
     for _ in 0..1000 {
         let joints = hal::JointVector::from_fn(|axis, _| {
-            state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+            state = state
+                .wrapping_mul(6_364_136_223_846_793_005)
+                .wrapping_add(1_442_695_040_888_963_407);
             let share = f64::from(u32::try_from(state >> 32).unwrap()) / f64::from(u32::MAX);
             let (low, high) = (hal::psm::POSITION_MIN[axis], hal::psm::POSITION_MAX[axis]);
             low + share * (high - low)
         });
-        let (ours, theirs) = (super::tip_in_rcm(&joints), crate::kinematics::forward(&joints));
-        assert!((ours.translation.vector - theirs.translation.vector).norm() < 1e-12, "{joints:?}");
-        assert!(ours.rotation.angle_to(&theirs.rotation) < 1e-7, "{joints:?}");
+        let (ours, theirs) = (
+            super::tip_in_rcm(&joints),
+            crate::kinematics::forward(&joints),
+        );
+        assert!(
+            (ours.translation.vector - theirs.translation.vector).norm() < 1e-12,
+            "{joints:?}"
+        );
+        assert!(
+            ours.rotation.angle_to(&theirs.rotation) < 1e-7,
+            "{joints:?}"
+        );
     }
 }

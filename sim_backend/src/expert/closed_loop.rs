@@ -10,7 +10,11 @@ use crate::task::{Outcome, TaskConfig};
 /// Tip in the RCM frame, straight from the rows of the arm's description.
 pub(crate) fn forward(joints: &JointVector) -> Pose {
     let links = psm::DH.iter().zip(joints.iter()).map(|(row, &q)| {
-        let (theta, d) = if row.prismatic { (row.theta, row.d + q) } else { (row.theta + q, row.d) };
+        let (theta, d) = if row.prismatic {
+            (row.theta, row.d + q)
+        } else {
+            (row.theta + q, row.d)
+        };
         Pose::rotation(Vector3::x() * row.alpha)
             * Pose::translation(row.a, 0.0, 0.0)
             * Pose::rotation(Vector3::z() * theta)
@@ -19,7 +23,8 @@ pub(crate) fn forward(joints: &JointVector) -> Pose {
     let rows = psm::TIP_FROM_WRIST_YAW;
     let tip = Matrix3::from_fn(|row, column| rows[row][column]);
     let tip = UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(tip));
-    links.fold(Pose::identity(), |chain, link| chain * link) * Pose::from_parts(Translation3::identity(), tip)
+    links.fold(Pose::identity(), |chain, link| chain * link)
+        * Pose::from_parts(Translation3::identity(), tip)
 }
 
 /// Newton's method from a nearby `guess`.
@@ -37,7 +42,10 @@ pub(crate) fn inverse(wanted: &Pose, guess: &JointVector) -> JointVector {
             nudged[joint] += 1e-6;
             jacobian.set_column(joint, &(twist(&here, &forward(&nudged)) / 1e-6));
         }
-        joints += jacobian.lu().solve(&error).expect("arm away from singularities");
+        joints += jacobian
+            .lu()
+            .solve(&error)
+            .expect("arm away from singularities");
     }
     joints
 }
@@ -45,7 +53,9 @@ pub(crate) fn inverse(wanted: &Pose, guess: &JointVector) -> JointVector {
 fn twist(from: &Pose, to: &Pose) -> Vector6<f64> {
     let linear = to.translation.vector - from.translation.vector;
     let angular = (to.rotation * from.rotation.inverse()).scaled_axis();
-    Vector6::new(linear.x, linear.y, linear.z, angular.x, angular.y, angular.z)
+    Vector6::new(
+        linear.x, linear.y, linear.z, angular.x, angular.y, angular.z,
+    )
 }
 
 /// How one episode went.
@@ -71,7 +81,8 @@ fn run(task: &TaskConfig, seed: u64, mut disturb: impl FnMut(f64, &mut ArmComman
         attempts = expert.attempts;
         let targets = chunk.valid_targets();
         let (from, to) = (targets[0].tip_in_rcm(), targets[1].tip_in_rcm());
-        speed_m_s_max = speed_m_s_max.max((to.translation.vector - from.translation.vector).norm() / 0.04);
+        speed_m_s_max =
+            speed_m_s_max.max((to.translation.vector - from.translation.vector).norm() / 0.04);
         for step in 0..40_u32 {
             let share = f64::from(step) / 40.0;
             let wanted = from.lerp_slerp(&to, share);
@@ -80,7 +91,11 @@ fn run(task: &TaskConfig, seed: u64, mut disturb: impl FnMut(f64, &mut ArmComman
             let mut command = ArmCommand {
                 stamp: TimeNs::from_tick(tick),
                 position: joints,
-                velocity: if tick == 0 { JointVector::zeros() } else { (joints - before) * 1000.0 },
+                velocity: if tick == 0 {
+                    JointVector::zeros()
+                } else {
+                    (joints - before) * 1000.0
+                },
                 acceleration: JointVector::zeros(),
                 jaw_position: targets[0].jaw + (targets[1].jaw - targets[0].jaw) * share,
                 jaw_velocity: (targets[1].jaw - targets[0].jaw) / 0.04,
@@ -94,7 +109,13 @@ fn run(task: &TaskConfig, seed: u64, mut disturb: impl FnMut(f64, &mut ArmComman
         }
     }
     let seconds = TimeNs::from_tick(tick).seconds();
-    Episode { outcome: simulation.outcome(), seconds, attempts, speed_m_s_max, state_hash: simulation.state_hash() }
+    Episode {
+        outcome: simulation.outcome(),
+        seconds,
+        attempts,
+        speed_m_s_max,
+        state_hash: simulation.state_hash(),
+    }
 }
 
 #[test]
@@ -103,11 +124,22 @@ fn expert_lifts_the_needle() {
     let mut lost = Vec::new();
     for seed in 0..10 {
         let episode = run(&task, seed, |_, _| {});
-        assert!(episode.speed_m_s_max < 0.06, "seed {seed}: {} m/s", episode.speed_m_s_max);
+        assert!(
+            episode.speed_m_s_max < 0.06,
+            "seed {seed}: {} m/s",
+            episode.speed_m_s_max
+        );
         if episode.outcome == Outcome::Success {
-            assert!((3.5..9.0).contains(&episode.seconds), "seed {seed}: {} s", episode.seconds);
+            assert!(
+                (3.5..9.0).contains(&episode.seconds),
+                "seed {seed}: {} s",
+                episode.seconds
+            );
         } else {
-            lost.push(format!("seed {seed}: {} after {} attempts", episode.outcome, episode.attempts));
+            lost.push(format!(
+                "seed {seed}: {} after {} attempts",
+                episode.outcome, episode.attempts
+            ));
         }
     }
     assert!(lost.len() <= 1, "{lost:#?}");
@@ -134,7 +166,11 @@ fn still_arm_does_not_succeed() {
         enabled: true,
     };
     let episode = run(&task, 2, |_, command| *command = hold);
-    assert!(matches!(episode.outcome, Outcome::Failure(_)), "{}", episode.outcome);
+    assert!(
+        matches!(episode.outcome, Outcome::Failure(_)),
+        "{}",
+        episode.outcome
+    );
     assert!(episode.seconds >= task.success.time_limit_s);
 }
 
@@ -149,7 +185,13 @@ fn expert_tries_again_after_the_jaw_let_go() {
             command.jaw_velocity = 0.0;
         }
     });
-    assert_eq!(episode.outcome, Outcome::Success, "{} after {} attempts", episode.outcome, episode.attempts);
+    assert_eq!(
+        episode.outcome,
+        Outcome::Success,
+        "{} after {} attempts",
+        episode.outcome,
+        episode.attempts
+    );
     assert!(episode.attempts > 1);
 }
 
@@ -161,7 +203,12 @@ fn chunk_starts_with_the_step_and_goes_on_smoothly() {
         tip_in_rcm: forward(&task.joints0),
         needle_in_rcm: task.scene_from_rcm.inv_mul(&needle_in_scene),
         jaw: task.jaw0,
-        grasp: crate::world::Grasp { left_force_n: 0.0, right_force_n: 0.0, both_touch: false, penetration_m: 0.0 },
+        grasp: crate::world::Grasp {
+            left_force_n: 0.0,
+            right_force_n: 0.0,
+            both_touch: false,
+            penetration_m: 0.0,
+        },
     };
     let mut expert = Expert::new(&task, 0);
     let mut steps = Expert::new(&task, 0);
@@ -170,10 +217,16 @@ fn chunk_starts_with_the_step_and_goes_on_smoothly() {
         let now = TimeNs(step * STEP_NS);
         let chunk = expert.chunk(now, &scene, step + 1);
         let targets = chunk.valid_targets();
-        assert_eq!((targets.len(), chunk.step_ns, chunk.observed_at), (CHUNK_LEN, STEP_NS, now));
+        assert_eq!(
+            (targets.len(), chunk.step_ns, chunk.observed_at),
+            (CHUNK_LEN, STEP_NS, now)
+        );
         assert_eq!(targets[0], steps.step(now, &scene).target);
         // With an arm that keeps up, what was foreseen is what comes.
-        assert!(expected.is_none_or(|target| target == targets[0]), "step {step}");
+        assert!(
+            expected.is_none_or(|target| target == targets[0]),
+            "step {step}"
+        );
         expected = Some(targets[1]);
         scene.tip_in_rcm = targets[0].tip_in_rcm();
         scene.jaw = targets[0].jaw;

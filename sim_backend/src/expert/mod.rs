@@ -102,7 +102,10 @@ impl Expert {
     ///
     /// The first call starts from where the tip is measured.
     pub fn step(&mut self, now: TimeNs, scene: &SceneState) -> ExpertStep {
-        let start = Placement { tip_in_scene: self.scene_from_rcm * scene.tip_in_rcm, jaw: scene.jaw };
+        let start = Placement {
+            tip_in_scene: self.scene_from_rcm * scene.tip_in_rcm,
+            jaw: scene.jaw,
+        };
         let mut motion = self.motion.unwrap_or_else(|| self.begin(now, start, scene));
         if let Some(goal) = self.moving_goal(scene) {
             motion.drift_end(&goal, FOLLOW_STEP_M, FOLLOW_STEP_RAD);
@@ -117,7 +120,11 @@ impl Expert {
         self.motion = Some(motion);
         let placement = motion.at(now);
         let tip_in_rcm = self.scene_from_rcm.inv_mul(&placement.tip_in_scene);
-        ExpertStep { target: TipTarget::new(&tip_in_rcm, placement.jaw), phase: self.phase, attempts: self.attempts }
+        ExpertStep {
+            target: TipTarget::new(&tip_in_rcm, placement.jaw),
+            phase: self.phase,
+            attempts: self.attempts,
+        }
     }
 
     /// The target for `now` and those that would follow if the arm kept up and the needle stayed as it is.
@@ -154,21 +161,55 @@ impl Expert {
         let straight = Vector3::zeros();
         match self.phase {
             Phase::Approach => {
-                let to = Placement { tip_in_scene: self.poise_pose(scene), jaw: style.open_rad };
+                let to = Placement {
+                    tip_in_scene: self.poise_pose(scene),
+                    jaw: style.open_rad,
+                };
                 Motion::new(from, to, style.bow_m, now, style.approach)
             }
             Phase::Poise => Motion::rest(from, now, style.poise_s),
             Phase::Descend => {
-                let to = Placement { tip_in_scene: self.grasp_pose(scene), jaw: style.open_rad };
+                let to = Placement {
+                    tip_in_scene: self.grasp_pose(scene),
+                    jaw: style.open_rad,
+                };
                 Motion::new(from, to, straight, now, style.descend)
             }
-            Phase::Close => {
-                Motion::new(from, Placement { jaw: style.grip_rad, ..from }, straight, now, style.close)
-            }
-            Phase::Lift => Motion::new(from, raised(from, style.lift_height_m), straight, now, style.lift),
+            Phase::Close => Motion::new(
+                from,
+                Placement {
+                    jaw: style.grip_rad,
+                    ..from
+                },
+                straight,
+                now,
+                style.close,
+            ),
+            Phase::Lift => Motion::new(
+                from,
+                raised(from, style.lift_height_m),
+                straight,
+                now,
+                style.lift,
+            ),
             Phase::Hold => Motion::rest(from, now, 0.0),
-            Phase::Open => Motion::new(from, Placement { jaw: style.open_rad, ..from }, straight, now, style.close),
-            Phase::Retreat => Motion::new(from, raised(from, style.poise_height_m), straight, now, style.descend),
+            Phase::Open => Motion::new(
+                from,
+                Placement {
+                    jaw: style.open_rad,
+                    ..from
+                },
+                straight,
+                now,
+                style.close,
+            ),
+            Phase::Retreat => Motion::new(
+                from,
+                raised(from, style.poise_height_m),
+                straight,
+                now,
+                style.descend,
+            ),
         }
     }
 
@@ -191,7 +232,9 @@ impl Expert {
         }
         let settled = self.settled(motion, scene) || overdue_s > ARRIVED_PATIENCE_S;
         match self.phase {
-            Phase::Approach | Phase::Poise | Phase::Retreat => (overdue_s >= 0.0).then_some(Event::Arrived),
+            Phase::Approach | Phase::Poise | Phase::Retreat => {
+                (overdue_s >= 0.0).then_some(Event::Arrived)
+            }
             Phase::Descend => (overdue_s >= 0.0 && settled).then_some(Event::Arrived),
             Phase::Open => (overdue_s >= REOPEN_S).then_some(Event::Arrived),
             Phase::Close if overdue_s < self.style.settle_s => None,
@@ -231,7 +274,10 @@ impl Expert {
         let grasp = middle + tangent * self.style.along_m;
         let floor = self.floor_m(&grasp, &(rotation * Vector3::y()));
         let tip_z = floor.max(grasp.z - self.needle.wire_radius_m) + TIP_CLEARANCE_M;
-        Pose::from_parts(Translation3::new(grasp.x, grasp.y, tip_z + hal::psm::FINGER_M), rotation)
+        Pose::from_parts(
+            Translation3::new(grasp.x, grasp.y, tip_z + hal::psm::FINGER_M),
+            rotation,
+        )
     }
 
     /// The highest point of the organ under the closed fingers, m; open, their tips are higher than closed.
@@ -246,7 +292,10 @@ impl Expert {
 
 /// `placement`, higher by `height_m`.
 fn raised(placement: Placement, height_m: f64) -> Placement {
-    Placement { tip_in_scene: Translation3::new(0.0, 0.0, height_m) * placement.tip_in_scene, ..placement }
+    Placement {
+        tip_in_scene: Translation3::new(0.0, 0.0, height_m) * placement.tip_in_scene,
+        ..placement
+    }
 }
 
 /// The tip rotation at home: approach along -z of the scene, jaw opening along x.

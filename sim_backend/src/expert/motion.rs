@@ -39,11 +39,20 @@ pub(super) struct Motion {
 
 impl Motion {
     /// A motion that starts at `began` and keeps to `pace`.
-    pub(super) fn new(from: Placement, to: Placement, bow_m: Vector3<f64>, began: TimeNs, pace: Pace) -> Self {
+    pub(super) fn new(
+        from: Placement,
+        to: Placement,
+        bow_m: Vector3<f64>,
+        began: TimeNs,
+        pace: Pace,
+    ) -> Self {
         let start = from.tip_in_scene.translation.vector;
         // A bow goes out and back; 2.6 covers the peak of its own speed on top of that of the straight way.
         let way_m = (to.tip_in_scene.translation.vector - start).norm() + 2.6 * bow_m.norm();
-        let turn_rad = from.tip_in_scene.rotation.angle_to(&to.tip_in_scene.rotation);
+        let turn_rad = from
+            .tip_in_scene
+            .rotation
+            .angle_to(&to.tip_in_scene.rotation);
         let duration_s = [
             BLEND_PEAK * way_m / pace.speed_m_s,
             BLEND_PEAK * turn_rad / TURN_RATE_RAD_S,
@@ -51,12 +60,24 @@ impl Motion {
         ]
         .into_iter()
         .fold(pace.duration_s_min, f64::max);
-        Self { from, to, bow_m, began, duration_s }
+        Self {
+            from,
+            to,
+            bow_m,
+            began,
+            duration_s,
+        }
     }
 
     /// No motion: stays at `placement` and counts as arrived after `duration_s`.
     pub(super) fn rest(placement: Placement, began: TimeNs, duration_s: f64) -> Self {
-        Self { from: placement, to: placement, bow_m: Vector3::zeros(), began, duration_s: duration_s.max(1e-3) }
+        Self {
+            from: placement,
+            to: placement,
+            bow_m: Vector3::zeros(),
+            began,
+            duration_s: duration_s.max(1e-3),
+        }
     }
 
     /// Where the motion ends.
@@ -68,11 +89,22 @@ impl Motion {
     pub(super) fn drift_end(&mut self, wanted: &Pose, step_m: f64, step_rad: f64) {
         let end = &mut self.to.tip_in_scene;
         let gap_m = wanted.translation.vector - end.translation.vector;
-        let share = if gap_m.norm() > step_m { step_m / gap_m.norm() } else { 1.0 };
+        let share = if gap_m.norm() > step_m {
+            step_m / gap_m.norm()
+        } else {
+            1.0
+        };
         end.translation = Translation3::from(end.translation.vector + gap_m * share);
         let turn_rad = end.rotation.angle_to(&wanted.rotation);
-        let share = if turn_rad > step_rad { step_rad / turn_rad } else { 1.0 };
-        end.rotation = end.rotation.try_slerp(&wanted.rotation, share, 1e-12).unwrap_or(end.rotation);
+        let share = if turn_rad > step_rad {
+            step_rad / turn_rad
+        } else {
+            1.0
+        };
+        end.rotation = end
+            .rotation
+            .try_slerp(&wanted.rotation, share, 1e-12)
+            .unwrap_or(end.rotation);
     }
 
     /// Where the tip should be at `now`.
@@ -83,7 +115,10 @@ impl Motion {
         let to = self.to.tip_in_scene;
         let bow = (4.0 * s * (1.0 - s)).powi(2);
         let position = from.translation.vector.lerp(&to.translation.vector, s) + self.bow_m * bow;
-        let rotation = from.rotation.try_slerp(&to.rotation, s, 1e-12).unwrap_or(to.rotation);
+        let rotation = from
+            .rotation
+            .try_slerp(&to.rotation, s, 1e-12)
+            .unwrap_or(to.rotation);
         Placement {
             tip_in_scene: Pose::from_parts(Translation3::from(position), rotation),
             jaw: self.from.jaw + (self.to.jaw - self.from.jaw) * s,
@@ -110,33 +145,71 @@ mod tests {
     use super::*;
 
     fn placement(x: f64, jaw: f64) -> Placement {
-        Placement { tip_in_scene: Pose::translation(x, 0.0, 0.05), jaw }
+        Placement {
+            tip_in_scene: Pose::translation(x, 0.0, 0.05),
+            jaw,
+        }
     }
 
-    const PACE: Pace = Pace { speed_m_s: 0.05, jaw_rate_rad_s: 3.0, duration_s_min: 0.2 };
+    const PACE: Pace = Pace {
+        speed_m_s: 0.05,
+        jaw_rate_rad_s: 3.0,
+        duration_s_min: 0.2,
+    };
 
     #[test]
     fn speed_stays_under_the_pace_with_a_bow() {
         let bow_m = Vector3::new(0.0, 0.004, 0.0);
-        let motion = Motion::new(placement(0.0, 0.0), placement(0.03, 0.6), bow_m, TimeNs(0), PACE);
+        let motion = Motion::new(
+            placement(0.0, 0.0),
+            placement(0.03, 0.6),
+            bow_m,
+            TimeNs(0),
+            PACE,
+        );
         let mut peak: f64 = 0.0;
         for tick in 0..3000 {
-            let here = motion.at(TimeNs::from_tick(tick)).tip_in_scene.translation.vector;
-            let next = motion.at(TimeNs::from_tick(tick + 1)).tip_in_scene.translation.vector;
+            let here = motion
+                .at(TimeNs::from_tick(tick))
+                .tip_in_scene
+                .translation
+                .vector;
+            let next = motion
+                .at(TimeNs::from_tick(tick + 1))
+                .tip_in_scene
+                .translation
+                .vector;
             peak = peak.max((next - here).norm() * 1000.0);
         }
-        assert!(peak < PACE.speed_m_s && peak > 0.6 * PACE.speed_m_s, "{peak}");
+        assert!(
+            peak < PACE.speed_m_s && peak > 0.6 * PACE.speed_m_s,
+            "{peak}"
+        );
     }
 
     #[test]
     fn drifting_end_is_reached_without_a_jump() {
-        let mut motion = Motion::new(placement(0.0, 0.0), placement(0.03, 0.0), Vector3::zeros(), TimeNs(0), PACE);
+        let mut motion = Motion::new(
+            placement(0.0, 0.0),
+            placement(0.03, 0.0),
+            Vector3::zeros(),
+            TimeNs(0),
+            PACE,
+        );
         let wanted = Pose::translation(0.03, 0.01, 0.05);
         let mut last = motion.at(TimeNs(0)).tip_in_scene.translation.vector;
         for step in 1..60 {
             motion.drift_end(&wanted, 0.0008, 0.04);
-            let here = motion.at(TimeNs::from_tick(40 * step)).tip_in_scene.translation.vector;
-            assert!((here - last).norm() < 0.04 * (PACE.speed_m_s + 0.02), "jump of {}", (here - last).norm());
+            let here = motion
+                .at(TimeNs::from_tick(40 * step))
+                .tip_in_scene
+                .translation
+                .vector;
+            assert!(
+                (here - last).norm() < 0.04 * (PACE.speed_m_s + 0.02),
+                "jump of {}",
+                (here - last).norm()
+            );
             last = here;
         }
         assert!((last - wanted.translation.vector).norm() < 1e-9);

@@ -58,7 +58,10 @@ impl Phase {
             (Self::Open, Event::Arrived) => Self::Retreat,
             (Self::Retreat, Event::Arrived) => Self::Approach,
             (Self::Close | Self::Hold, Event::Arrived)
-            | (Self::Approach | Self::Poise | Self::Descend | Self::Open | Self::Retreat, Event::Gripped | Event::Lost)
+            | (
+                Self::Approach | Self::Poise | Self::Descend | Self::Open | Self::Retreat,
+                Event::Gripped | Event::Lost,
+            )
             | (Self::Lift | Self::Hold, Event::Gripped) => self,
         }
     }

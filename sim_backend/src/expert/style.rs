@@ -40,13 +40,25 @@ impl Style {
     /// Draws a style.
     pub(super) fn draw(rng: &mut Rng) -> Self {
         let jaw_rate_rad_s = rng.range(2.4, 3.4);
-        let pace = |speed_m_s, duration_s_min| Pace { speed_m_s, jaw_rate_rad_s, duration_s_min };
+        let pace = |speed_m_s, duration_s_min| Pace {
+            speed_m_s,
+            jaw_rate_rad_s,
+            duration_s_min,
+        };
         let approach = pace(rng.range(0.036, 0.050), 0.9);
         let descend = pace(rng.range(0.018, 0.026), 0.5);
         let close = pace(0.02, rng.range(0.45, 0.65));
         let lift = pace(rng.range(0.028, 0.040), 0.8);
-        let bow_m = Vector3::new(rng.range(-0.003, 0.003), rng.range(-0.003, 0.003), rng.range(0.0, 0.003));
-        let poise_s = if rng.chance(0.5) { rng.range(0.0, 0.25) } else { 0.0 };
+        let bow_m = Vector3::new(
+            rng.range(-0.003, 0.003),
+            rng.range(-0.003, 0.003),
+            rng.range(0.0, 0.003),
+        );
+        let poise_s = if rng.chance(0.5) {
+            rng.range(0.0, 0.25)
+        } else {
+            0.0
+        };
         Self {
             approach,
             descend,

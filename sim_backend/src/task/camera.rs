@@ -38,16 +38,30 @@ impl CameraConfig {
         let key = |name: &str| format!("camera.{index}.{name}");
         source.check_range(&key("width"), f64::from(self.width), 16.0, 4096.0)?;
         source.check_range(&key("height"), f64::from(self.height), 16.0, 4096.0)?;
-        source.check_range(&key("vertical_fov_rad"), self.vertical_fov_rad, 0.05, 0.9 * PI)?;
+        source.check_range(
+            &key("vertical_fov_rad"),
+            self.vertical_fov_rad,
+            0.05,
+            0.9 * PI,
+        )?;
         for axis in 0..3 {
             source.check_range(&key(&format!("eye_m.{axis}")), self.eye_m[axis], -2.0, 2.0)?;
-            source.check_range(&key(&format!("target_m.{axis}")), self.target_m[axis], -2.0, 2.0)?;
+            source.check_range(
+                &key(&format!("target_m.{axis}")),
+                self.target_m[axis],
+                -2.0,
+                2.0,
+            )?;
             source.check_range(&key(&format!("up.{axis}")), self.up[axis], -1.0, 1.0)?;
         }
         let view = nalgebra::Vector3::from(self.target_m) - nalgebra::Vector3::from(self.eye_m);
         let up = nalgebra::Vector3::from(self.up);
         if view.cross(&up).norm() < 1e-3 * view.norm().max(1e-3) {
-            return Err(source.out_of_range(&key("up"), &format!("{:?}", self.up), "directions across the view"));
+            return Err(source.out_of_range(
+                &key("up"),
+                &format!("{:?}", self.up),
+                "directions across the view",
+            ));
         }
         Ok(())
     }

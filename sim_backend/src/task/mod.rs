@@ -80,7 +80,10 @@ impl TaskConfig {
     /// The text of the needle lift as it ships, for logs and overrides.
     #[must_use]
     pub fn needle_lift_source() -> Source {
-        Source::embedded(NEEDLE_LIFT_PATH, include_str!("../../../config/tasks/needle-lift/scene.toml"))
+        Source::embedded(
+            NEEDLE_LIFT_PATH,
+            include_str!("../../../config/tasks/needle-lift/scene.toml"),
+        )
     }
 
     /// Reads a scene file.
@@ -122,20 +125,37 @@ fn check_arm(source: &Source, arm: &ArmFile) -> Result<(), ConfigError> {
     }
     for (joint, value) in arm.joints.into_iter().enumerate() {
         let key = format!("arm.joints.{joint}");
-        source.check_range(&key, value, psm::POSITION_MIN[joint], psm::POSITION_MAX[joint])?;
+        source.check_range(
+            &key,
+            value,
+            psm::POSITION_MIN[joint],
+            psm::POSITION_MAX[joint],
+        )?;
     }
     source.check_range("arm.jaw_rad", arm.jaw_rad, 0.0, psm::JAW_MAX)
 }
 
 fn check_success(source: &Source, success: &SuccessConfig) -> Result<(), ConfigError> {
-    let check = |key: &str, value, low, high| source.check_range(&format!("success.{key}"), value, low, high);
+    let check = |key: &str, value, low, high| {
+        source.check_range(&format!("success.{key}"), value, low, high)
+    };
     check("lift_height_m", success.lift_height_m, 0.005, 0.1)?;
     check("hold_s", success.hold_s, 0.05, 10.0)?;
     check("grip_force_n_min", success.grip_force_n_min, 0.0, 10.0)?;
     check("clearance_m", success.clearance_m, 0.0, 0.05)?;
     check("time_limit_s", success.time_limit_s, 1.0, 600.0)?;
-    check("penetration_m_max", success.penetration_m_max, 0.000_01, 0.01)?;
-    check("needle_speed_m_s_max", success.needle_speed_m_s_max, 0.05, 10.0)?;
+    check(
+        "penetration_m_max",
+        success.penetration_m_max,
+        0.000_01,
+        0.01,
+    )?;
+    check(
+        "needle_speed_m_s_max",
+        success.needle_speed_m_s_max,
+        0.05,
+        10.0,
+    )?;
     check("sink_m_max", success.sink_m_max, 0.001, 0.1)
 }
 
@@ -146,8 +166,15 @@ mod tests {
     /// The shipped file with one line replaced, and the number of that line.
     fn doctored(old: &str, new: &str) -> (Source, usize) {
         let text = TaskConfig::needle_lift_source().text().to_owned();
-        let line = text.lines().position(|line| line.starts_with(old)).expect("line to replace") + 1;
-        let lines: Vec<&str> = text.lines().map(|line| if line.starts_with(old) { new } else { line }).collect();
+        let line = text
+            .lines()
+            .position(|line| line.starts_with(old))
+            .expect("line to replace")
+            + 1;
+        let lines: Vec<&str> = text
+            .lines()
+            .map(|line| if line.starts_with(old) { new } else { line })
+            .collect();
         (Source::embedded("scene.toml", &lines.join("\n")), line)
     }
 
@@ -166,22 +193,45 @@ mod tests {
     fn unknown_key_is_named_with_its_line() {
         let (source, line) = doctored("jaw_rad", "jaw_rad = 0.6\nspeling = 1");
         let message = TaskConfig::parse(&source).unwrap_err().to_string();
-        assert!(message.starts_with(&format!("scene.toml:{}: ", line + 1)) && message.contains("speling"), "{message}");
+        assert!(
+            message.starts_with(&format!("scene.toml:{}: ", line + 1))
+                && message.contains("speling"),
+            "{message}"
+        );
     }
 
     #[test]
     fn value_out_of_range_is_named_with_line_key_and_range() {
         for (old, new, key) in [
-            ("hold_s", "hold_s = -1.0", "success.hold_s = -1 is outside [0.05, 10]"),
+            (
+                "hold_s",
+                "hold_s = -1.0",
+                "success.hold_s = -1 is outside [0.05, 10]",
+            ),
             ("mass_kg", "mass_kg = 5.0", "needle.mass_kg = 5 is outside"),
-            ("vertical_fov_rad", "vertical_fov_rad = 4.0", "camera.0.vertical_fov_rad = 4 is outside"),
-            ("range_m", "range_m = [0.025, 0.5]", "needle_start.range_m.1 = 0.5 is outside"),
-            ("joints", "joints = [0.0, 0.0, 0.3, 0.0, 0.0, 0.0]", "arm.joints.2 = 0.3 is outside"),
+            (
+                "vertical_fov_rad",
+                "vertical_fov_rad = 4.0",
+                "camera.0.vertical_fov_rad = 4 is outside",
+            ),
+            (
+                "range_m",
+                "range_m = [0.025, 0.5]",
+                "needle_start.range_m.1 = 0.5 is outside",
+            ),
+            (
+                "joints",
+                "joints = [0.0, 0.0, 0.3, 0.0, 0.0, 0.0]",
+                "arm.joints.2 = 0.3 is outside",
+            ),
             ("up", "up = [0.0, 0.0, 2.0]", "camera.0.up.2 = 2 is outside"),
         ] {
             let (source, line) = doctored(old, new);
             let message = TaskConfig::parse(&source).unwrap_err().to_string();
-            assert!(message.starts_with(&format!("scene.toml:{line}: {key}")), "{message}");
+            assert!(
+                message.starts_with(&format!("scene.toml:{line}: {key}")),
+                "{message}"
+            );
         }
     }
 
@@ -192,6 +242,9 @@ mod tests {
         let after = &rest[rest.find("\n[success]").unwrap()..];
         let source = Source::embedded("scene.toml", &format!("camera = []\n{before}{after}"));
         let message = TaskConfig::parse(&source).unwrap_err().to_string();
-        assert!(message.contains("camera = no camera is outside at least one"), "{message}");
+        assert!(
+            message.contains("camera = no camera is outside at least one"),
+            "{message}"
+        );
     }
 }

@@ -44,8 +44,18 @@ impl NeedleStart {
     /// Checks every number.
     pub(super) fn check(&self, source: &Source) -> Result<(), ConfigError> {
         for axis in 0..2 {
-            source.check_range(&format!("needle_start.centre_m.{axis}"), self.centre_m[axis], -0.05, 0.05)?;
-            source.check_range(&format!("needle_start.range_m.{axis}"), self.range_m[axis], 0.0, 0.05)?;
+            source.check_range(
+                &format!("needle_start.centre_m.{axis}"),
+                self.centre_m[axis],
+                -0.05,
+                0.05,
+            )?;
+            source.check_range(
+                &format!("needle_start.range_m.{axis}"),
+                self.range_m[axis],
+                0.0,
+                0.05,
+            )?;
         }
         source.check_range("needle_start.yaw_rad", self.yaw_rad, -PI, PI)?;
         source.check_range("needle_start.yaw_jitter_rad", self.yaw_jitter_rad, 0.0, PI)
@@ -78,7 +88,9 @@ mod tests {
 
     fn middles(task: &TaskConfig, seeds: core::ops::Range<u64>) -> Vec<Point3<f64>> {
         let middle = Point3::new(task.needle.arc_radius_m, 0.0, 0.0);
-        seeds.map(|seed| task.needle_start.draw(seed, &task.needle, &task.organ) * middle).collect()
+        seeds
+            .map(|seed| task.needle_start.draw(seed, &task.needle, &task.organ) * middle)
+            .collect()
     }
 
     #[test]
@@ -88,10 +100,19 @@ mod tests {
         let middles = middles(&task, 0..2000);
         for axis in 0..2 {
             let (centre, range) = (start.centre_m[axis], start.range_m[axis]);
-            let shares: Vec<f64> = middles.iter().map(|middle| (middle[axis] - centre) / range).collect();
+            let shares: Vec<f64> = middles
+                .iter()
+                .map(|middle| (middle[axis] - centre) / range)
+                .collect();
             // The slope of the organ moves the middle of a tilted needle by a few tenths of a millimetre.
-            assert!(shares.iter().all(|share| share.abs() < 1.06), "axis {axis} leaves its range");
-            assert!(shares.iter().any(|share| *share > 0.97) && shares.iter().any(|share| *share < -0.97));
+            assert!(
+                shares.iter().all(|share| share.abs() < 1.06),
+                "axis {axis} leaves its range"
+            );
+            assert!(
+                shares.iter().any(|share| *share > 0.97)
+                    && shares.iter().any(|share| *share < -0.97)
+            );
             let mean = shares.iter().sum::<f64>() / 2000.0;
             assert!(mean.abs() < 0.06, "axis {axis} is off centre by {mean}");
         }

@@ -82,7 +82,9 @@ impl fmt::Display for Reason {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::TimeLimit { limit_s } => write!(f, "needle not lifted within {limit_s} s"),
-            Self::Penetration { depth_m } => write!(f, "fingers sank {:.2} mm into the needle", depth_m * 1e3),
+            Self::Penetration { depth_m } => {
+                write!(f, "fingers sank {:.2} mm into the needle", depth_m * 1e3)
+            }
             Self::Thrown { speed_m_s } => write!(f, "needle thrown at {speed_m_s:.2} m/s"),
             Self::OffOrgan => f.write_str("needle fell off the organ"),
             Self::NotFinite => f.write_str("needle pose is not finite"),
@@ -152,15 +154,19 @@ impl SuccessMonitor {
     }
 
     fn progress(&mut self, needle_in_scene: &Pose, middle: &Point3<f64>, grasp: &Grasp) -> Outcome {
-        let raised = middle.z - self.organ.height_m(middle.x, middle.y) >= self.config.lift_height_m;
+        let raised =
+            middle.z - self.organ.height_m(middle.x, middle.y) >= self.config.lift_height_m;
         let force_n = grasp.left_force_n.min(grasp.right_force_n);
         let gripped = grasp.both_touch && force_n >= self.config.grip_force_n_min;
-        let held = raised && gripped && self.clearance_m(needle_in_scene) >= self.config.clearance_m;
+        let held =
+            raised && gripped && self.clearance_m(needle_in_scene) >= self.config.clearance_m;
         self.held_steps = if held { self.held_steps + 1 } else { 0 };
         if seconds(self.held_steps) >= self.config.hold_s {
             Outcome::Success
         } else if seconds(self.steps) >= self.config.time_limit_s {
-            Outcome::Failure(Reason::TimeLimit { limit_s: self.config.time_limit_s })
+            Outcome::Failure(Reason::TimeLimit {
+                limit_s: self.config.time_limit_s,
+            })
         } else {
             Outcome::Running
         }
@@ -170,9 +176,15 @@ impl SuccessMonitor {
         if !middle.coords.iter().all(|x| x.is_finite()) {
             return Some(Reason::NotFinite);
         }
-        self.deep_steps = if grasp.penetration_m > self.config.penetration_m_max { self.deep_steps + 1 } else { 0 };
+        self.deep_steps = if grasp.penetration_m > self.config.penetration_m_max {
+            self.deep_steps + 1
+        } else {
+            0
+        };
         if self.deep_steps >= JUDGED_STEPS {
-            return Some(Reason::Penetration { depth_m: grasp.penetration_m });
+            return Some(Reason::Penetration {
+                depth_m: grasp.penetration_m,
+            });
         }
         self.middles.push_back(*middle);
         if self.middles.len() > JUDGED_STEPS {
@@ -200,7 +212,10 @@ impl SuccessMonitor {
     }
 }
 
-#[expect(clippy::cast_precision_loss, reason = "episodes are far shorter than 2^53 steps")]
+#[expect(
+    clippy::cast_precision_loss,
+    reason = "episodes are far shorter than 2^53 steps"
+)]
 fn seconds(steps: u64) -> f64 {
     steps as f64 * STEP_S
 }
@@ -212,8 +227,18 @@ mod tests {
     use super::*;
     use crate::task::TaskConfig;
 
-    const NO_GRASP: Grasp = Grasp { left_force_n: 0.0, right_force_n: 0.0, both_touch: false, penetration_m: 0.0 };
-    const FIRM: Grasp = Grasp { left_force_n: 2.0, right_force_n: 2.0, both_touch: true, penetration_m: 0.000_02 };
+    const NO_GRASP: Grasp = Grasp {
+        left_force_n: 0.0,
+        right_force_n: 0.0,
+        both_touch: false,
+        penetration_m: 0.0,
+    };
+    const FIRM: Grasp = Grasp {
+        left_force_n: 2.0,
+        right_force_n: 2.0,
+        both_touch: true,
+        penetration_m: 0.000_02,
+    };
 
     struct Bench {
         task: TaskConfig,
@@ -226,14 +251,21 @@ mod tests {
             let task = TaskConfig::needle_lift().unwrap();
             let monitor = SuccessMonitor::new(&task.success, &task.needle, &task.organ);
             let lying = task.needle_start.draw(1, &task.needle, &task.organ);
-            Self { task, monitor, lying }
+            Self {
+                task,
+                monitor,
+                lying,
+            }
         }
 
         /// Raises the needle smoothly by `height_m` in a second, then keeps it there for `hold_s`.
         fn lift(&mut self, height_m: f64, hold_s: f64, grasp: &Grasp) -> Outcome {
             for step in 0..1000 {
                 let share = f64::from(step) / 1000.0;
-                self.monitor.observe(&(Translation3::new(0.0, 0.0, height_m * share) * self.lying), grasp);
+                self.monitor.observe(
+                    &(Translation3::new(0.0, 0.0, height_m * share) * self.lying),
+                    grasp,
+                );
             }
             self.hold(height_m, hold_s, grasp)
         }
@@ -241,7 +273,8 @@ mod tests {
         fn hold(&mut self, height_m: f64, hold_s: f64, grasp: &Grasp) -> Outcome {
             let mut waited_s = 0.0;
             while waited_s < hold_s {
-                self.monitor.observe(&(Translation3::new(0.0, 0.0, height_m) * self.lying), grasp);
+                self.monitor
+                    .observe(&(Translation3::new(0.0, 0.0, height_m) * self.lying), grasp);
                 waited_s += 1e-3;
             }
             self.monitor.outcome()
@@ -260,15 +293,29 @@ mod tests {
         let mut bench = Bench::new();
         let limit_s = bench.task.success.time_limit_s;
         assert_eq!(bench.hold(0.0, limit_s - 0.01, &FIRM), Outcome::Running);
-        assert_eq!(bench.hold(0.0, 0.02, &FIRM), Outcome::Failure(Reason::TimeLimit { limit_s }));
+        assert_eq!(
+            bench.hold(0.0, 0.02, &FIRM),
+            Outcome::Failure(Reason::TimeLimit { limit_s })
+        );
     }
 
     #[test]
     fn lift_without_both_fingers_is_no_success() {
-        let one_finger = Grasp { right_force_n: 0.0, both_touch: false, ..FIRM };
-        let weak = Grasp { right_force_n: 0.01, ..FIRM };
+        let one_finger = Grasp {
+            right_force_n: 0.0,
+            both_touch: false,
+            ..FIRM
+        };
+        let weak = Grasp {
+            right_force_n: 0.01,
+            ..FIRM
+        };
         for grasp in [NO_GRASP, one_finger, weak] {
-            assert_eq!(Bench::new().lift(0.03, 3.0, &grasp), Outcome::Running, "{grasp:?}");
+            assert_eq!(
+                Bench::new().lift(0.03, 3.0, &grasp),
+                Outcome::Running,
+                "{grasp:?}"
+            );
         }
     }
 
@@ -311,28 +358,43 @@ mod tests {
         let mut bench = Bench::new();
         for step in 0..100 {
             let height_m = f64::from(step) * 0.001;
-            bench.monitor.observe(&(Translation3::new(0.0, 0.0, height_m) * bench.lying), &FIRM);
+            bench.monitor.observe(
+                &(Translation3::new(0.0, 0.0, height_m) * bench.lying),
+                &FIRM,
+            );
         }
-        assert!(matches!(bench.monitor.outcome(), Outcome::Failure(Reason::Thrown { speed_m_s }) if speed_m_s > 0.9));
+        assert!(
+            matches!(bench.monitor.outcome(), Outcome::Failure(Reason::Thrown { speed_m_s }) if speed_m_s > 0.9)
+        );
     }
 
     #[test]
     fn grip_that_sinks_into_the_needle_is_a_failure() {
-        let deep = Grasp { penetration_m: 0.001, ..FIRM };
+        let deep = Grasp {
+            penetration_m: 0.001,
+            ..FIRM
+        };
         let mut bench = Bench::new();
         assert_eq!(bench.hold(0.0, 0.015, &deep), Outcome::Running);
-        assert_eq!(bench.hold(0.0, 0.010, &deep), Outcome::Failure(Reason::Penetration { depth_m: 0.001 }));
+        assert_eq!(
+            bench.hold(0.0, 0.010, &deep),
+            Outcome::Failure(Reason::Penetration { depth_m: 0.001 })
+        );
     }
 
     #[test]
     fn needle_off_the_organ_is_a_failure() {
         for [x, z] in [[0.1, 0.0], [0.0, -0.01]] {
             let mut bench = Bench::new();
-            bench.monitor.observe(&(Translation3::new(x, 0.0, z) * bench.lying), &FIRM);
+            bench
+                .monitor
+                .observe(&(Translation3::new(x, 0.0, z) * bench.lying), &FIRM);
             assert_eq!(bench.monitor.outcome(), Outcome::Failure(Reason::OffOrgan));
         }
         let mut bench = Bench::new();
-        bench.monitor.observe(&Pose::translation(f64::NAN, 0.0, 0.0), &FIRM);
+        bench
+            .monitor
+            .observe(&Pose::translation(f64::NAN, 0.0, 0.0), &FIRM);
         assert_eq!(bench.monitor.outcome(), Outcome::Failure(Reason::NotFinite));
     }
 }

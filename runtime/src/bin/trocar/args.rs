@@ -21,16 +21,24 @@ pub(crate) struct Cli {
 #[derive(Debug, Subcommand)]
 pub(crate) enum Verb {
     /// Run one episode of a task, in real time or in lockstep.
-    #[command(after_help = "Example: trocar run --task needle-lift --policy expert --lockstep --seed 7 --log runs/a.mcap")]
+    #[command(
+        after_help = "Example: trocar run --task needle-lift --policy expert --lockstep --seed 7 --log runs/a.mcap"
+    )]
     Run(RunArgs),
     /// Run many seeded trials in lockstep and report the success rate.
-    #[command(after_help = "Example: trocar eval --task needle-lift --policy expert --trials 50 --jobs 2")]
+    #[command(
+        after_help = "Example: trocar eval --task needle-lift --policy expert --trials 50 --jobs 2"
+    )]
     Eval(EvalArgs),
     /// Record demonstrations as a LeRobot v3 dataset.
-    #[command(after_help = "Example: trocar record --task needle-lift --episodes 50 --source expert --out runs/demos")]
+    #[command(
+        after_help = "Example: trocar record --task needle-lift --episodes 50 --source expert --out runs/demos"
+    )]
     Record(RecordArgs),
     /// Train a policy on a dataset.
-    #[command(after_help = "Example: trocar train --policy act --data runs/demos --out runs/act --steps 10000 --device cuda")]
+    #[command(
+        after_help = "Example: trocar train --policy act --data runs/demos --out runs/act --steps 10000 --device cuda"
+    )]
     Train(TrainArgs),
     /// Recompute every command of a log from its inputs; exit 0 only if all are bit-identical.
     #[command(after_help = "Example: trocar replay runs/a.mcap")]

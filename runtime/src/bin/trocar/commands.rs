@@ -1,6 +1,5 @@
 //! The verbs: arguments in, library calls, results out. `Ok(false)` means that the job failed.
 
-use tch::Device;
 use runtime::doctor;
 use runtime::log::RunLog;
 use runtime::session::demo::{self, DemoOptions};
@@ -12,9 +11,11 @@ use runtime::session::summary::RunSummary;
 use runtime::session::training::{self, TrainingOptions};
 use runtime::session::{PolicyChoice, SessionError, Setup};
 use runtime::{replay as replaying, verify as verifying};
+use tch::Device;
 
 use crate::args::{
-    ComputeDevice, DemoArgs, DoctorArgs, EvalArgs, LogArgs, PolicyProcessArgs, RecordArgs, RunArgs, TrainArgs,
+    ComputeDevice, DemoArgs, DoctorArgs, EvalArgs, LogArgs, PolicyProcessArgs, RecordArgs, RunArgs,
+    TrainArgs,
 };
 use crate::console;
 
@@ -24,9 +25,9 @@ fn device(choice: ComputeDevice) -> Result<Device, SessionError> {
     match choice {
         ComputeDevice::Cpu => Ok(Device::Cpu),
         ComputeDevice::Cuda if tch::Cuda::is_available() => Ok(Device::Cuda(0)),
-        ComputeDevice::Cuda => {
-            Err(SessionError::BadArgument("--device cuda: this libtorch sees no CUDA device".to_owned()))
-        }
+        ComputeDevice::Cuda => Err(SessionError::BadArgument(
+            "--device cuda: this libtorch sees no CUDA device".to_owned(),
+        )),
     }
 }
 
@@ -40,8 +41,11 @@ pub(crate) fn run(args: &RunArgs) -> Done {
         latency_ms: args.latency_ms,
         device: device(args.device)?,
     };
-    let result =
-        if args.lockstep { run::run_lockstep(&setup, &options)? } else { realtime::run_realtime(&setup, &options)? };
+    let result = if args.lockstep {
+        run::run_lockstep(&setup, &options)?
+    } else {
+        realtime::run_realtime(&setup, &options)?
+    };
     report_run(&result.summary);
     if let Some(path) = &args.json {
         write_json(path, &result.summary)?;
@@ -50,8 +54,15 @@ pub(crate) fn run(args: &RunArgs) -> Done {
 }
 
 fn report_run(summary: &RunSummary) {
-    let verdict = if summary.success { "success" } else { "failure" };
-    console::result(&format!("{}: {verdict} ({}) after {:.2} s", summary.task, summary.reason, summary.seconds));
+    let verdict = if summary.success {
+        "success"
+    } else {
+        "failure"
+    };
+    console::result(&format!(
+        "{}: {verdict} ({}) after {:.2} s",
+        summary.task, summary.reason, summary.seconds
+    ));
     console::result(&format!(
         "  controller tick: p50 {:.1} us, p99 {:.1} us, max {:.1} us over {} ticks",
         summary.tick_us.p50, summary.tick_us.p99, summary.tick_us.max, summary.ticks
@@ -90,7 +101,12 @@ pub(crate) fn eval(args: &EvalArgs) -> Done {
     let bar = console::progress(args.trials as u64, "trials");
     let summary = eval::evaluate(&setup, &options, &mut |trial| {
         if !trial.success {
-            bar.suspend(|| console::note(&format!("seed {}: {} after {:.2} s", trial.seed, trial.reason, trial.seconds)));
+            bar.suspend(|| {
+                console::note(&format!(
+                    "seed {}: {} after {:.2} s",
+                    trial.seed, trial.reason, trial.seconds
+                ))
+            });
         }
         bar.inc(1);
     })?;
@@ -113,8 +129,12 @@ pub(crate) fn eval(args: &EvalArgs) -> Done {
 
 pub(crate) fn record(args: &RecordArgs) -> Done {
     let setup = Setup::load(args.task.name(), args.config.as_deref())?;
-    let options =
-        RecordOptions { episodes: args.episodes, out: args.out.clone(), seed: args.seed, jobs: args.jobs };
+    let options = RecordOptions {
+        episodes: args.episodes,
+        out: args.out.clone(),
+        seed: args.seed,
+        jobs: args.jobs,
+    };
     let bar = console::progress(args.episodes as u64, "episodes");
     let mut steps = 0;
     record::record(&setup, &options, &mut |attempt| {
@@ -122,11 +142,20 @@ pub(crate) fn record(args: &RecordArgs) -> Done {
             steps += attempt.steps;
             bar.inc(1);
         } else {
-            bar.suspend(|| console::note(&format!("seed {}: not kept: {}", attempt.seed, attempt.reason)));
+            bar.suspend(|| {
+                console::note(&format!(
+                    "seed {}: not kept: {}",
+                    attempt.seed, attempt.reason
+                ))
+            });
         }
     })?;
     bar.finish_and_clear();
-    console::result(&format!("{} episodes, {steps} steps in {}", args.episodes, args.out.display()));
+    console::result(&format!(
+        "{} episodes, {steps} steps in {}",
+        args.episodes,
+        args.out.display()
+    ));
     Ok(true)
 }
 
@@ -147,7 +176,12 @@ pub(crate) fn train(args: &TrainArgs) -> Done {
         command: std::env::args().skip(1).collect::<Vec<_>>().join(" "),
     };
     let result = training::train(&options, &mut |line| console::note(line))?;
-    console::result(&format!("trained {} steps, final loss {:.5}, {}", result.steps, result.loss, args.out.display()));
+    console::result(&format!(
+        "trained {} steps, final loss {:.5}, {}",
+        result.steps,
+        result.loss,
+        args.out.display()
+    ));
     if let Some(path) = &args.json {
         write_json(path, &result)?;
     }
@@ -190,8 +224,13 @@ pub(crate) fn verify(args: &LogArgs) -> Done {
 
 /// An incomplete log is bad input, even though what is there was used.
 fn refuse_cut(log: &RunLog, args: &LogArgs) -> Result<(), SessionError> {
-    let Some(reason) = log.cut() else { return Ok(()) };
-    Err(SessionError::CutLog { path: args.file.display().to_string(), reason: reason.to_owned() })
+    let Some(reason) = log.cut() else {
+        return Ok(());
+    };
+    Err(SessionError::CutLog {
+        path: args.file.display().to_string(),
+        reason: reason.to_owned(),
+    })
 }
 
 pub(crate) fn doctor(args: &DoctorArgs) -> Done {
@@ -204,7 +243,11 @@ pub(crate) fn doctor(args: &DoctorArgs) -> Done {
 }
 
 pub(crate) fn demo(args: &DemoArgs) -> Done {
-    let options = DemoOptions { out: args.out.clone(), policy: args.policy.clone(), seed: args.seed };
+    let options = DemoOptions {
+        out: args.out.clone(),
+        policy: args.policy.clone(),
+        seed: args.seed,
+    };
     let result = demo::run(&options)?;
     report_run(&result.summary);
     for file in &result.files {

@@ -1,5 +1,9 @@
 //! What a person at the terminal reads: results on standard output, messages and progress on standard error.
-#![expect(clippy::print_stdout, clippy::print_stderr, reason = "this is the program's console")]
+#![expect(
+    clippy::print_stdout,
+    clippy::print_stderr,
+    reason = "this is the program's console"
+)]
 
 use std::error::Error;
 

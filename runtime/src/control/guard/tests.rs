@@ -10,12 +10,20 @@ use crate::kinematics::Frames;
 const TICK_S: f64 = 1e-3;
 
 fn config() -> ControlConfig {
-    ControlConfig::load(&ControlConfig::default_control(), &ControlConfig::needle_lift_safety()).unwrap()
+    ControlConfig::load(
+        &ControlConfig::default_control(),
+        &ControlConfig::needle_lift_safety(),
+    )
+    .unwrap()
 }
 
 fn home() -> MotionState {
     let position = [0.0, 0.0, hal::psm::HOME_INSERTION_M, 0.0, 0.0, 0.0, 0.2];
-    MotionState { position, velocity: [0.0; AXES], acceleration: [0.0; AXES] }
+    MotionState {
+        position,
+        velocity: [0.0; AXES],
+        acceleration: [0.0; AXES],
+    }
 }
 
 /// Random velocities straight into the smoother, as from a filter that answers garbage; gives the least clearance, the
@@ -41,9 +49,15 @@ fn garbage(config: &ControlConfig, seed: u64, ticks: u32, guarded: bool) -> (f64
             let (next, stopped) = guard.next(&state, candidate.as_ref());
             for (axis, limits) in config.axes.iter().enumerate() {
                 let jerk = (next.acceleration[axis] - state.acceleration[axis]) / TICK_S;
-                assert!(jerk.abs() <= limits.jerk * (1.0 + 1e-6), "tick {tick} axis {axis}: jerk {jerk}");
+                assert!(
+                    jerk.abs() <= limits.jerk * (1.0 + 1e-6),
+                    "tick {tick} axis {axis}: jerk {jerk}"
+                );
                 let p = next.position[axis];
-                assert!(p >= limits.low && p <= limits.high, "tick {tick} axis {axis}: {p}");
+                assert!(
+                    p >= limits.low && p <= limits.high,
+                    "tick {tick} axis {axis}: {p}"
+                );
             }
             state = next;
             intervened += u32::from(stopped);
@@ -51,7 +65,10 @@ fn garbage(config: &ControlConfig, seed: u64, ticks: u32, guarded: bool) -> (f64
             state = candidate.unwrap();
         }
         let sample = guard.sample(&state);
-        least_m = sample.clearances.iter().fold(least_m, |least, &h| least.min(h));
+        least_m = sample
+            .clearances
+            .iter()
+            .fold(least_m, |least, &h| least.min(h));
         fastest = fastest.max(sample.tip_speed_m_s / config.tip_speed_m_s);
     }
     (least_m, fastest, intervened)
@@ -107,14 +124,20 @@ fn bounds_between_samples_hold_on_random_stops() {
         let gap_s = stop.joints_duration_s() / f64::from(INTERVALS);
         for index in 0..INTERVALS {
             let from_s = gap_s * f64::from(index);
-            let (a, b) = (guard.sample(&stop.at(from_s)), guard.sample(&stop.at(from_s + gap_s)));
+            let (a, b) = (
+                guard.sample(&stop.at(from_s)),
+                guard.sample(&stop.at(from_s + gap_s)),
+            );
             let reach = guard.reach(&stop, &a, &b, gap_s);
             for part in 1..10 {
                 let middle = guard.sample(&stop.at(from_s + gap_s * f64::from(part) / 10.0));
                 let dip_m = reach.point_speed_m_s() * gap_s / 2.0;
                 for i in 0..CLEARANCES {
                     let bound = f64::midpoint(a.clearances[i], b.clearances[i]) - dip_m;
-                    assert!(middle.clearances[i] >= bound - 1e-12, "case {case} clearance {i}");
+                    assert!(
+                        middle.clearances[i] >= bound - 1e-12,
+                        "case {case} clearance {i}"
+                    );
                 }
                 let rise = reach.tip_acceleration_m_s2() * gap_s / 2.0;
                 let bound = f64::midpoint(a.tip_speed_m_s, b.tip_speed_m_s) + rise;
@@ -134,6 +157,7 @@ fn the_guard_measures_the_distances_that_it_should() {
     assert!((clearances[2] - 0.0415).abs() < 1e-12 && (clearances[5] - 0.0535).abs() < 1e-12);
     assert!((clearances[8] - 0.0313).abs() < 1e-12);
     let vessel = &config.geometry.forbidden[0];
-    let to_fingers_m = (frames.finger_m - vessel.center_m).norm() - vessel.radius_m - hal::psm::SHAFT_RADIUS_M;
+    let to_fingers_m =
+        (frames.finger_m - vessel.center_m).norm() - vessel.radius_m - hal::psm::SHAFT_RADIUS_M;
     assert!((clearances[14] - to_fingers_m).abs() < 1e-12);
 }

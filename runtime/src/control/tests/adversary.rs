@@ -38,7 +38,14 @@ struct Checker<'a> {
 
 impl<'a> Checker<'a> {
     fn new(config: &'a ControlConfig) -> Self {
-        Self { config, previous: None, findings: Findings { clearance_m: f64::INFINITY, ..Findings::default() } }
+        Self {
+            config,
+            previous: None,
+            findings: Findings {
+                clearance_m: f64::INFINITY,
+                ..Findings::default()
+            },
+        }
     }
 
     fn look(&mut self, output: &TickOutput) {
@@ -57,21 +64,28 @@ impl<'a> Checker<'a> {
         }
         for joint in 0..JOINT_COUNT {
             let limits = &self.config.axes[joint];
-            found.acceleration = found.acceleration.max(command.acceleration[joint].abs() / limits.acceleration);
+            found.acceleration = found
+                .acceleration
+                .max(command.acceleration[joint].abs() / limits.acceleration);
             if let Some(previous) = &self.previous {
                 let tick_s = 1e-3;
                 let speed = (command.position[joint] - previous.position[joint]) / tick_s;
                 let acceleration = (command.velocity[joint] - previous.velocity[joint]) / tick_s;
                 let jerk = (command.acceleration[joint] - previous.acceleration[joint]) / tick_s;
                 found.velocity = found.velocity.max(speed.abs() / limits.velocity);
-                found.acceleration = found.acceleration.max(acceleration.abs() / limits.acceleration);
+                found.acceleration = found
+                    .acceleration
+                    .max(acceleration.abs() / limits.acceleration);
                 found.jerk = found.jerk.max(jerk.abs() / limits.jerk);
             }
         }
         let tip = forward(&command.position);
         if let Some(previous) = &self.previous {
-            let way_m = (tip.translation.vector - forward(&previous.position).translation.vector).norm();
-            found.tip_speed = found.tip_speed.max(way_m / 1e-3 / self.config.tip_speed_m_s);
+            let way_m =
+                (tip.translation.vector - forward(&previous.position).translation.vector).norm();
+            found.tip_speed = found
+                .tip_speed
+                .max(way_m / 1e-3 / self.config.tip_speed_m_s);
         }
         let finger_m = tip.translation.vector + tip.rotation * Vector3::z() * FINGER_M;
         for point in [tip.translation.vector, finger_m] {
@@ -99,7 +113,10 @@ fn wild_target(random: &mut SplitMix64, reach_m: f64) -> TipTarget {
     let mut unit = || random.between(-1.0, 1.0);
     let position = Vector3::new(unit(), unit(), unit()) * reach_m + Vector3::new(0.0, 0.0, -0.11);
     let rotation = UnitQuaternion::new(Vector3::new(unit(), unit(), unit()) * 2.0);
-    let mut target = TipTarget::new(&hal::Pose::from_parts(position.into(), rotation), 3.0 * unit());
+    let mut target = TipTarget::new(
+        &hal::Pose::from_parts(position.into(), rotation),
+        3.0 * unit(),
+    );
     target.position_m = position.into();
     target
 }
@@ -113,15 +130,25 @@ fn hostile(random: &mut SplitMix64, now: TimeNs, sequence: u64) -> Chunk {
         // One far target.
         0 | 1 => {}
         // Another one every step.
-        2 => chunk.targets.iter_mut().for_each(|target| *target = wild_target(random, reach_m)),
+        2 => chunk
+            .targets
+            .iter_mut()
+            .for_each(|target| *target = wild_target(random, reach_m)),
         // Back and forth as fast as a chunk can say it.
         3 => {
             let other = wild_target(random, reach_m);
             chunk.step_ns = TICK_NS * (1 + random.next_u64() % 100);
-            chunk.targets.iter_mut().step_by(2).for_each(|target| *target = other);
+            chunk
+                .targets
+                .iter_mut()
+                .step_by(2)
+                .for_each(|target| *target = other);
         }
         4 => chunk.targets[(random.next_u64() % 128) as usize].position_m[1] = f64::NAN,
-        5 => chunk.targets[(random.next_u64() % 128) as usize].rotation_xyzw = [1e308, f64::INFINITY, 0.0, 5e-324],
+        5 => {
+            chunk.targets[(random.next_u64() % 128) as usize].rotation_xyzw =
+                [1e308, f64::INFINITY, 0.0, 5e-324]
+        }
         6 => {
             chunk.observed_at = TimeNs(random.next_u64());
             chunk.step_ns = random.next_u64();
@@ -171,11 +198,17 @@ fn no_chunk_breaks_a_limit() {
     let found = attack(&config, 31, TICKS, false);
     println!("{found:?}");
     assert!(found.position_over <= 1e-6, "{found:?}");
-    assert!(found.velocity <= 1.0 + 1e-6 && found.acceleration <= 1.0 + 1e-6, "{found:?}");
+    assert!(
+        found.velocity <= 1.0 + 1e-6 && found.acceleration <= 1.0 + 1e-6,
+        "{found:?}"
+    );
     assert!(found.jerk <= 1.0 + 1e-6, "{found:?}");
     assert!(found.tip_speed <= 1.0 + 1e-6, "{found:?}");
     assert!(found.clearance_m >= 0.0, "{found:?}");
-    assert!(found.solved > 1000 && found.refused > 50, "the attack was real: {found:?}");
+    assert!(
+        found.solved > 1000 && found.refused > 50,
+        "the attack was real: {found:?}"
+    );
 }
 
 #[test]
@@ -183,12 +216,18 @@ fn without_the_guard_the_same_attack_breaks_limits() {
     let config = open_gate();
     let found = attack(&config, 31, TICKS / 5, true);
     println!("{found:?}");
-    assert!(found.tip_speed > 1.001 || found.clearance_m < 0.0 || found.position_over > 1e-6, "{found:?}");
+    assert!(
+        found.tip_speed > 1.001 || found.clearance_m < 0.0 || found.position_over > 1e-6,
+        "{found:?}"
+    );
 }
 
 #[test]
 fn the_committed_gate_refuses_most_of_the_attack() {
     let found = attack(&config(), 32, TICKS / 10, false);
     println!("{found:?}");
-    assert!(found.refused > 20 && found.tip_speed <= 1.0 && found.clearance_m > 0.0, "{found:?}");
+    assert!(
+        found.refused > 20 && found.tip_speed <= 1.0 && found.clearance_m > 0.0,
+        "{found:?}"
+    );
 }

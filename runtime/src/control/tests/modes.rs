@@ -8,8 +8,9 @@ use crate::control::{Fault, OperatingState, OperatorEvent};
 
 fn moving() -> Bench {
     let mut bench = Bench::enabled(&config());
-    let chunk =
-        bench.chunk_along(|time_s| TipTarget::new(&pose(0.04 * time_s, 0.0, -0.1135, Vector3::zeros()), 0.2));
+    let chunk = bench.chunk_along(|time_s| {
+        TipTarget::new(&pose(0.04 * time_s, 0.0, -0.1135, Vector3::zeros()), 0.2)
+    });
     for _ in 0..300 {
         bench.step(Some(&chunk), None);
     }
@@ -29,7 +30,10 @@ fn the_first_commands_are_where_the_arm_is() {
     let mut bench = Bench::disabled(&config());
     bench.arm.position[0] = 0.123;
     let output = bench.step(None, None);
-    assert_eq!((output.command.position, output.command.enabled), (bench.arm.position, false));
+    assert_eq!(
+        (output.command.position, output.command.enabled),
+        (bench.arm.position, false)
+    );
     let output = bench.step(None, Some(OperatorEvent::Enable));
     assert!(output.command.enabled && output.report.mode.homed);
     assert!((output.command.position[0] - 0.123).abs() < 1e-15);
@@ -46,15 +50,28 @@ fn a_lost_measurement_stops_the_arm_and_holds_it_until_the_operator_clears() {
     assert_eq!(output.report.mode.state, OperatingState::Fault);
     assert!(output.command.enabled);
     let output = bench.step(None, Some(OperatorEvent::Clear));
-    assert_eq!((output.report.mode.state, output.report.fault), (OperatingState::Disabled, None));
+    assert_eq!(
+        (output.report.mode.state, output.report.fault),
+        (OperatingState::Disabled, None)
+    );
     assert!(!output.command.enabled);
-    assert_eq!(bench.step(None, Some(OperatorEvent::Enable)).report.mode.state, OperatingState::Enabled);
+    assert_eq!(
+        bench
+            .step(None, Some(OperatorEvent::Enable))
+            .report
+            .mode
+            .state,
+        OperatingState::Enabled
+    );
 }
 
 #[test]
 fn nan_in_the_measurement_is_a_fault() {
     let mut bench = moving();
-    let measured = ArmState { jaw_effort: f64::NAN, ..bench.arm };
+    let measured = ArmState {
+        jaw_effort: f64::NAN,
+        ..bench.arm
+    };
     let output = bench.step_measuring(Ok(measured), None, None);
     assert_eq!(output.report.fault, Some(Fault::MeasurementNotFinite));
     assert!(output.command.position.iter().all(|x| x.is_finite()));
@@ -66,7 +83,14 @@ fn an_arm_that_does_not_follow_is_stopped_and_released() {
     let mut measured = bench.arm;
     measured.position[1] += 0.2;
     let output = bench.step_measuring(Ok(measured), None, None);
-    assert!(matches!(output.report.fault, Some(Fault::TrackingError { joint: 1, .. })), "{:?}", output.report.fault);
+    assert!(
+        matches!(
+            output.report.fault,
+            Some(Fault::TrackingError { joint: 1, .. })
+        ),
+        "{:?}",
+        output.report.fault
+    );
     assert!(output.command.enabled, "torque stays until rest");
     run_to_rest(&mut bench);
     assert!(!bench.step(None, None).command.enabled);
@@ -105,7 +129,11 @@ fn an_arm_enabled_outside_its_workspace_comes_back_and_never_gets_further() {
     bench.arm.position[2] = 0.0565 - 0.005 + 0.0065 + 0.005;
     let start = bench.tip();
     let ceiling_m = config.geometry.workspace_max_m.z;
-    assert!(start.translation.z > ceiling_m, "{}", start.translation.z - ceiling_m);
+    assert!(
+        start.translation.z > ceiling_m,
+        "{}",
+        start.translation.z - ceiling_m
+    );
     bench.step(None, Some(OperatorEvent::Enable));
     let goal = TipTarget::new(&pose(0.0, 0.0, -0.10, Vector3::zeros()), 0.2);
     let mut highest_m = f64::NEG_INFINITY;
@@ -115,5 +143,9 @@ fn an_arm_enabled_outside_its_workspace_comes_back_and_never_gets_further() {
         highest_m = highest_m.max(bench.tip().translation.z);
     }
     assert!(highest_m <= start.translation.z + 1e-4);
-    assert!((bench.tip().translation.z + 0.10).abs() < 1e-5, "{}", bench.tip().translation.z);
+    assert!(
+        (bench.tip().translation.z + 0.10).abs() < 1e-5,
+        "{}",
+        bench.tip().translation.z
+    );
 }

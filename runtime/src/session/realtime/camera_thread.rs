@@ -1,6 +1,8 @@
 //! The cameras in a real-time run: snapshots in, frames rendered straight into shared memory, pictures and log.
 
-use hal::topic::{ArmReport, ArmStateTopic, CameraTopic, FrameHeader, FramePublisher, Publisher, TopicNode};
+use hal::topic::{
+    ArmReport, ArmStateTopic, CameraTopic, FrameHeader, FramePublisher, Publisher, TopicNode,
+};
 use hal::{ArmState, CameraFrame, Pose};
 use rtrb::Consumer;
 use sim_backend::cameras::{SceneCameras, SceneSnapshot};
@@ -57,10 +59,21 @@ impl CameraThread {
                 publishers.push(CameraTopic::publisher(node, cameras.name(camera)?, pixels)?);
             }
         }
-        let arm = node.map(|node| ArmStateTopic::publisher(node, ARM)).transpose()?;
-        let frames =
-            (0..cameras.count()).map(|camera| cameras.blank_frame(camera)).collect::<Result<Vec<_>, _>>()?;
-        Ok(Self { cameras, publishers, arm, log, snapshots, pictures: Pictures::default(), frames })
+        let arm = node
+            .map(|node| ArmStateTopic::publisher(node, ARM))
+            .transpose()?;
+        let frames = (0..cameras.count())
+            .map(|camera| cameras.blank_frame(camera))
+            .collect::<Result<Vec<_>, _>>()?;
+        Ok(Self {
+            cameras,
+            publishers,
+            arm,
+            log,
+            snapshots,
+            pictures: Pictures::default(),
+            frames,
+        })
     }
 
     /// Renders snapshots until the control thread has stopped.
@@ -74,7 +87,9 @@ impl CameraThread {
                 }
             }
         }
-        Ok(CameraEnd { pictures: self.pictures })
+        Ok(CameraEnd {
+            pictures: self.pictures,
+        })
     }
 
     fn take(&mut self, snapshot: &Snapshot) -> Result<(), SessionError> {
@@ -83,15 +98,28 @@ impl CameraThread {
             let frame = &mut self.frames[camera];
             if let Some(publisher) = self.publishers.get_mut(camera) {
                 let pose = self.cameras.pose(camera)?;
-                let header = FrameHeader::new(stamp, snapshot.step, self.cameras.intrinsics(camera)?, &pose);
+                let header = FrameHeader::new(
+                    stamp,
+                    snapshot.step,
+                    self.cameras.intrinsics(camera)?,
+                    &pose,
+                );
                 let mut loan = publisher.loan(&header)?;
                 let (colour, depth_m, instance) = loan.planes();
-                let planes = Planes { colour, depth_m, instance };
+                let planes = Planes {
+                    colour,
+                    depth_m,
+                    instance,
+                };
                 self.cameras.render_into(camera, &snapshot.scene, planes)?;
                 frame.colour.copy_from_slice(loan.planes().0);
                 // The report goes first, so that it is there when the frame arrives.
                 if let (Some(arm), 0) = (&self.arm, camera) {
-                    arm.publish(&ArmReport::new(snapshot.step, &snapshot.arm, &snapshot.tip_in_rcm))?;
+                    arm.publish(&ArmReport::new(
+                        snapshot.step,
+                        &snapshot.arm,
+                        &snapshot.tip_in_rcm,
+                    ))?;
                 }
                 loan.send()?;
             } else {

@@ -5,13 +5,13 @@ use std::path::Path;
 use std::process::{self, Child, Command, Stdio};
 
 use hal::topic::{
-    ChunkTopic, PolicyStage, PolicyStatus, PolicyStatusTopic, Publisher, RunCommand, RunControl, RunControlTopic,
-    Subscriber, TopicNode,
+    ChunkTopic, PolicyStage, PolicyStatus, PolicyStatusTopic, Publisher, RunCommand, RunControl,
+    RunControlTopic, Subscriber, TopicNode,
 };
 use hal::{Chunk, TimeNs};
 use policy::act_policy::ActPolicy;
-use tch::Device;
 use rtrb::Producer;
+use tch::Device;
 
 use super::Signals;
 use super::policy_process::ARM;
@@ -51,18 +51,32 @@ impl PolicyChild {
         let process = Command::new(program)
             .args(["policy-process", "--run-id", &run_id, "--policy"])
             .arg(policy)
-            .args(["--device", if options.device == Device::Cpu { "cpu" } else { "cuda" }])
+            .args([
+                "--device",
+                if options.device == Device::Cpu {
+                    "cpu"
+                } else {
+                    "cuda"
+                },
+            ])
             .stdin(Stdio::null())
             .spawn()
             .map_err(|error| failed("starting the policy process", &error))?;
-        let mut child = Self { process, node, control, status, chunks };
+        let mut child = Self {
+            process,
+            node,
+            control,
+            status,
+            chunks,
+        };
         child.wait_until_ready(options.seed)?;
         Ok(child)
     }
 
     fn wait_until_ready(&mut self, seed: u64) -> Result<(), SessionError> {
         let clock = MonotonicClock::new();
-        self.control.publish(&RunControl::new(TimeNs(0), 1, RunCommand::Run { seed }))?;
+        self.control
+            .publish(&RunControl::new(TimeNs(0), 1, RunCommand::Run { seed }))?;
         while clock.now().0 < LOAD_NS_MAX {
             if let Some(status) = self.status.newest()?
                 && status.stage() == PolicyStage::Ready
@@ -71,12 +85,16 @@ impl PolicyChild {
                 return Ok(());
             }
             if let Ok(Some(exit)) = self.process.try_wait() {
-                return Err(SessionError::RealTime(format!("the policy process ended while loading: {exit}")));
+                return Err(SessionError::RealTime(format!(
+                    "the policy process ended while loading: {exit}"
+                )));
             }
             self.control.keep_alive()?;
             rt::sleep_ns(POLL_NS);
         }
-        Err(SessionError::RealTime("the policy process did not become ready in time".to_owned()))
+        Err(SessionError::RealTime(
+            "the policy process did not become ready in time".to_owned(),
+        ))
     }
 
     /// The node that this run's topics live on.
@@ -85,7 +103,11 @@ impl PolicyChild {
     }
 
     /// Hands chunks to the control thread until it has stopped.
-    pub(super) fn forward_chunks(&self, mut to: Producer<Chunk>, signals: &Signals) -> Result<(), SessionError> {
+    pub(super) fn forward_chunks(
+        &self,
+        mut to: Producer<Chunk>,
+        signals: &Signals,
+    ) -> Result<(), SessionError> {
         while !signals.stopped() {
             if let Some(chunk) = self.chunks.newest()? {
                 // Full means that the control thread takes none: it will hold the arm and say so.
@@ -98,7 +120,8 @@ impl PolicyChild {
 
     /// Tells the process to go, and makes it if it does not.
     pub(super) fn finish(mut self) -> Result<(), SessionError> {
-        self.control.publish(&RunControl::new(TimeNs(0), 1, RunCommand::Stop))?;
+        self.control
+            .publish(&RunControl::new(TimeNs(0), 1, RunCommand::Stop))?;
         let clock = MonotonicClock::new();
         while clock.now().0 < EXIT_NS_MAX {
             if let Ok(Some(_)) = self.process.try_wait() {
@@ -106,7 +129,9 @@ impl PolicyChild {
             }
             rt::sleep_ns(POLL_NS);
         }
-        self.process.kill().map_err(|error| failed("ending the policy process", &error))
+        self.process
+            .kill()
+            .map_err(|error| failed("ending the policy process", &error))
     }
 }
 

@@ -47,7 +47,12 @@ pub(super) struct ControlEnd {
 impl ControlThread {
     /// Runs until the arm rests after the verdict.
     pub(super) fn run(mut self, clock: MonotonicClock, first: TimeNs) -> ControlEnd {
-        let options = RtOptions { priority: Some(PRIORITY), cpu: None, lock_memory: false, strict: false };
+        let options = RtOptions {
+            priority: Some(PRIORITY),
+            cpu: None,
+            lock_memory: false,
+            strict: false,
+        };
         // Not strict, so a refusal is only reported; `trocar doctor` tells what to change.
         let _granted = configure_thread(&options);
         let mut periodic = Periodic::new(clock, first, TICK_NS);
@@ -68,7 +73,10 @@ impl ControlThread {
                 (done && rest_ticks == 0).then_some(OperatorEvent::Pause)
             };
             rest_ticks += u64::from(done);
-            let timing = TickTiming { wake_ns: wake.woke.since(wake.due), compute_ns: 0 };
+            let timing = TickTiming {
+                wake_ns: wake.woke.since(wake.due),
+                compute_ns: 0,
+            };
             let mut record = self.tick(wake.due, &state, operator, &mut tally, clock);
             record.timing.wake_ns = timing.wake_ns;
             tally.tick(&record);
@@ -80,7 +88,12 @@ impl ControlThread {
         let log_dropped = self.log.as_ref().map_or(0, TickLog::dropped);
         #[expect(clippy::cast_precision_loss, reason = "a delay is exact in f64")]
         let wake_p99_us = wakes.percentile(0.99) as f64 * 1e-3;
-        ControlEnd { tally, skipped, wake_p99_us, log_dropped }
+        ControlEnd {
+            tally,
+            skipped,
+            wake_p99_us,
+            log_dropped,
+        }
     }
 
     fn tick(
@@ -92,8 +105,11 @@ impl ControlThread {
         clock: MonotonicClock,
     ) -> TickRecord {
         let age_ns = now.since(state.stamp);
-        let measured =
-            if age_ns > MEASUREMENT_AGE_NS_MAX { Err(ArmError::MeasurementLost { age_ns }) } else { Ok(*state) };
+        let measured = if age_ns > MEASUREMENT_AGE_NS_MAX {
+            Err(ArmError::MeasurementLost { age_ns })
+        } else {
+            Ok(*state)
+        };
         let chunk = self.chunks.pop().ok();
         if let (Some(log), Some(chunk)) = (&mut self.log, &chunk) {
             log.chunk(chunk);
@@ -102,7 +118,12 @@ impl ControlThread {
             tally.delivery(now.since(chunk.observed_at));
         }
         let before = clock.now();
-        let output = self.controller.tick(&TickInput { now, measured, chunk: chunk.as_ref(), operator });
+        let output = self.controller.tick(&TickInput {
+            now,
+            measured,
+            chunk: chunk.as_ref(),
+            operator,
+        });
         let compute_ns = clock.now().since(before);
         self.commands.put(output.command);
         TickRecord {
@@ -113,7 +134,10 @@ impl ControlThread {
             chunk_sequence: chunk.map(|chunk| chunk.sequence),
             command: output.command,
             report: output.report,
-            timing: TickTiming { wake_ns: 0, compute_ns },
+            timing: TickTiming {
+                wake_ns: 0,
+                compute_ns,
+            },
         }
     }
 }

@@ -117,12 +117,19 @@ fn run_threads(
     let signals = Arc::new(Signals::default());
     let with_cameras = options.pictures || child.is_some();
     // Slow things first: opening a device takes longer than an episode's first second.
-    let camera_thread =
-        with_cameras.then(|| CameraThread::new(setup, child.map(PolicyChild::node), side_log, snapshots)).transpose()?;
+    let camera_thread = with_cameras
+        .then(|| CameraThread::new(setup, child.map(PolicyChild::node), side_log, snapshots))
+        .transpose()?;
     let clock = MonotonicClock::new();
     let first = clock.now().plus_ns(START_NS);
-    let control_thread =
-        ControlThread { controller, measured, chunks, commands, log: tick_log, signals: Arc::clone(&signals) };
+    let control_thread = ControlThread {
+        controller,
+        measured,
+        chunks,
+        commands,
+        log: tick_log,
+        signals: Arc::clone(&signals),
+    };
     let (local, chunk_in) = match source {
         Some(source) => (Some((source, chunk_in)), None),
         None => (None, Some(chunk_in)),
@@ -148,12 +155,19 @@ fn run_threads(
         let simulation = joined(simulated)??;
         let control = joined(control)?;
         let camera = camera.map(joined).transpose()?.transpose()?;
-        Ok(Ends { control, simulation, camera, log })
+        Ok(Ends {
+            control,
+            simulation,
+            camera,
+            log,
+        })
     })
 }
 
 fn joined<T>(handle: thread::ScopedJoinHandle<'_, T>) -> Result<T, SessionError> {
-    handle.join().map_err(|_| SessionError::RealTime("a thread of the run has panicked".to_owned()))
+    handle
+        .join()
+        .map_err(|_| SessionError::RealTime("a thread of the run has panicked".to_owned()))
 }
 
 fn conclude(setup: &Setup, options: &RunOptions, ends: Ends) -> Result<RunResult, SessionError> {
@@ -162,7 +176,11 @@ fn conclude(setup: &Setup, options: &RunOptions, ends: Ends) -> Result<RunResult
     let reason = super::episode::reason(&ends.simulation.outcome, tally.fault());
     let mut log_dropped = ends.control.log_dropped;
     if let Some(log) = ends.log {
-        let outcome = RunOutcome { success, reason: reason.clone(), command_hash: tally.command_hash() };
+        let outcome = RunOutcome {
+            success,
+            reason: reason.clone(),
+            command_hash: tally.command_hash(),
+        };
         let counts = log.finish(Some(&outcome))?;
         log_dropped += counts.frames_dropped + counts.events_dropped;
     }
@@ -173,9 +191,17 @@ fn conclude(setup: &Setup, options: &RunOptions, ends: Ends) -> Result<RunResult
         success,
         reason: &reason,
     };
-    let real_time =
-        RealTimeCounts { overruns: ends.control.skipped, wake_p99_us: ends.control.wake_p99_us, log_dropped };
+    let real_time = RealTimeCounts {
+        overruns: ends.control.skipped,
+        wake_p99_us: ends.control.wake_p99_us,
+        log_dropped,
+    };
     let summary = tally.summary(&labels, Some(real_time));
-    Ok(RunResult { summary, pictures: ends.camera.map(|camera| camera.pictures).unwrap_or_default() })
+    Ok(RunResult {
+        summary,
+        pictures: ends
+            .camera
+            .map(|camera| camera.pictures)
+            .unwrap_or_default(),
+    })
 }
-

@@ -4,8 +4,9 @@ use std::os::unix::process::parent_id;
 use std::path::PathBuf;
 
 use hal::topic::{
-    ArmReport, ArmStateTopic, CameraTopic, ChunkTopic, FrameSubscriber, FrameView, PolicyStage, PolicyStatus,
-    PolicyStatusTopic, Publisher, RunCommand, RunControl, RunControlTopic, Subscriber, TopicNode,
+    ArmReport, ArmStateTopic, CameraTopic, ChunkTopic, FrameSubscriber, FrameView, PolicyStage,
+    PolicyStatus, PolicyStatusTopic, Publisher, RunCommand, RunControl, RunControlTopic,
+    Subscriber, TopicNode,
 };
 use hal::{Chunk, FrameRef, Observation, Policy};
 use policy::act_policy::ActPolicy;
@@ -53,7 +54,9 @@ pub fn serve_policy(options: &PolicyProcessOptions) -> Result<(), SessionError> 
         counts: Counts::default(),
     };
     for camera in camera_names(&service.network) {
-        service.cameras.push(CameraTopic::subscriber(&node, &camera)?);
+        service
+            .cameras
+            .push(CameraTopic::subscriber(&node, &camera)?);
     }
     let mut every = 0_u64;
     while parent_id() == parent {
@@ -113,10 +116,18 @@ impl Service {
         if let Some(report) = self.arm.newest()? {
             self.report = Some(report);
         }
-        let views = self.cameras.iter_mut().map(FrameSubscriber::newest).collect::<Result<Vec<_>, _>>()?;
-        let Some(views) = views.into_iter().collect::<Option<Vec<FrameView>>>() else { return Ok(()) };
+        let views = self
+            .cameras
+            .iter_mut()
+            .map(FrameSubscriber::newest)
+            .collect::<Result<Vec<_>, _>>()?;
+        let Some(views) = views.into_iter().collect::<Option<Vec<FrameView>>>() else {
+            return Ok(());
+        };
         // Reports are published before the frames of the same instant, so the newest one is late only if it overtook.
-        let Some(report) = self.report.filter(|report| views.iter().all(|view| view.header().stamp == report.stamp))
+        let Some(report) = self
+            .report
+            .filter(|report| views.iter().all(|view| view.header().stamp == report.stamp))
         else {
             return Ok(());
         };
@@ -124,7 +135,11 @@ impl Service {
         let state = report.state();
         let clock = MonotonicClock::new();
         let before = clock.now();
-        let observation = Observation { arm: &state, tip_in_rcm: report.tip_in_rcm(), frames: &frames };
+        let observation = Observation {
+            arm: &state,
+            tip_in_rcm: report.tip_in_rcm(),
+            frames: &frames,
+        };
         let chunk = self.network.infer(&observation)?;
         self.counts.infer_ns = clock.now().since(before);
         self.counts.queries += 1;
@@ -134,8 +149,14 @@ impl Service {
 
     fn say(&mut self, stage: PolicyStage) -> Result<(), SessionError> {
         self.counts.said += 1;
-        let Counts { said, episode, queries, infer_ns } = self.counts;
-        self.status.publish(&PolicyStatus::new(said, episode, stage, queries, infer_ns))?;
+        let Counts {
+            said,
+            episode,
+            queries,
+            infer_ns,
+        } = self.counts;
+        self.status
+            .publish(&PolicyStatus::new(said, episode, stage, queries, infer_ns))?;
         Ok(())
     }
 }

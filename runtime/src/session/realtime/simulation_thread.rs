@@ -33,7 +33,11 @@ pub(super) struct SimulationEnd {
 
 impl SimulationThread {
     /// Runs until the control thread has stopped; says so when the task has its verdict.
-    pub(super) fn run(mut self, clock: MonotonicClock, first: TimeNs) -> Result<SimulationEnd, SessionError> {
+    pub(super) fn run(
+        mut self,
+        clock: MonotonicClock,
+        first: TimeNs,
+    ) -> Result<SimulationEnd, SessionError> {
         let mut periodic = Periodic::new(clock, first, TICK_NS);
         let mut verdict = Outcome::Running;
         let result = loop {
@@ -78,13 +82,23 @@ impl SimulationThread {
         let tip_in_rcm = kinematics::forward(&state.position);
         if let Some(snapshots) = &mut self.snapshots {
             // A camera that is still busy skips this step.
-            let _busy = snapshots.push(Snapshot { step, arm: *state, tip_in_rcm, scene: self.simulation.snapshot() });
+            let _busy = snapshots.push(Snapshot {
+                step,
+                arm: *state,
+                tip_in_rcm,
+                scene: self.simulation.snapshot(),
+            });
         }
         if let Some((source, chunks)) = &mut self.local
             && step.is_multiple_of(source.query_every_steps())
         {
             let scene = self.simulation.scene_state();
-            let query = Query { arm: state, tip_in_rcm, frames: &[], scene: &scene };
+            let query = Query {
+                arm: state,
+                tip_in_rcm,
+                frames: &[],
+                scene: &scene,
+            };
             let chunk = source.answer(&query)?;
             // The control thread takes one a tick; a full queue means that it is gone.
             let _gone = chunks.push(chunk);
