@@ -18,7 +18,10 @@ use tch::Device;
 
 pub use error::{Cause, CheckpointError};
 pub use processors::FeatureStatistics;
-pub use recipe::{DatasetSummary, RECIPE_FORMAT, Recipe, RecordedCamera, Variants};
+pub use recipe::{
+    AggregationName, DatasetSummary, RECIPE_FORMAT, Recipe, RecommendedAggregation, RecordedCamera,
+    Variants,
+};
 pub use tensors::Precision;
 
 use crate::act::{Act, STATE_DIM, VAE_PREFIX};
@@ -137,7 +140,11 @@ pub fn load(folder: &Path, device: Device) -> Result<Checkpoint, CheckpointError
     })
 }
 
-fn load_recipe(folder: &Path) -> Result<Option<Recipe>, CheckpointError> {
+/// The recipe in `folder`; none if there is no `trocar.json`.
+///
+/// # Errors
+/// [`CheckpointError`] naming what is wrong with the file.
+pub fn load_recipe(folder: &Path) -> Result<Option<Recipe>, CheckpointError> {
     let file = folder.join(RECIPE);
     let text = match std::fs::read_to_string(&file) {
         Ok(text) => text,

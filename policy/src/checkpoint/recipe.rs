@@ -44,6 +44,40 @@ pub struct DatasetSummary {
     pub fps: u32,
 }
 
+/// How overlapping chunks become one target, by the names of the controller's configuration.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct RecommendedAggregation {
+    /// The mode.
+    pub mode: AggregationName,
+    /// The decay of the ensemble; the other modes have no use for it.
+    pub decay: f64,
+}
+
+/// A way of aggregating chunks.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum AggregationName {
+    /// ACT's temporal ensembling.
+    Ensemble,
+    /// Each chunk is played to its end.
+    WholeChunk,
+    /// The newest chunk wins at once.
+    Newest,
+}
+
+impl AggregationName {
+    /// The name in configuration files.
+    #[must_use]
+    pub const fn as_str(self) -> &'static str {
+        match self {
+            Self::Ensemble => "ensemble",
+            Self::WholeChunk => "whole_chunk",
+            Self::Newest => "newest",
+        }
+    }
+}
+
 /// The whole file.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -56,6 +90,8 @@ pub struct Recipe {
     pub step_ns: u64,
     /// Steps after which the policy should be asked again.
     pub query_every_steps: u32,
+    /// How the policy's overlapping chunks should be turned into one target, unless the user says otherwise.
+    pub aggregation: RecommendedAggregation,
     /// The cameras, in the order in which observations bring their frames.
     pub cameras: Vec<RecordedCamera>,
     /// The preset that the network is.

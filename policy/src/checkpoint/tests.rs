@@ -7,8 +7,8 @@ use hal::{ArmState, CameraFrame, Intrinsics, JointVector, Observation, Policy, P
 use tch::Device;
 
 use super::{
-    Cause, CheckpointError, DatasetSummary, FeatureStatistics, Precision, Recipe, RecordedCamera,
-    SaveOptions, Variants, load, save,
+    AggregationName, Cause, CheckpointError, DatasetSummary, FeatureStatistics, Precision, Recipe,
+    RecommendedAggregation, RecordedCamera, SaveOptions, Variants, load, save,
 };
 use crate::act::{Act, ActConfig, ActPreset};
 use crate::act_policy::ActPolicy;
@@ -58,6 +58,10 @@ fn recipe(config: &ActConfig) -> Recipe {
         action_representation: crate::relative_action::REPRESENTATION.to_owned(),
         step_ns: 40_000_000,
         query_every_steps: 5,
+        aggregation: RecommendedAggregation {
+            mode: AggregationName::WholeChunk,
+            decay: 0.0,
+        },
         cameras: vec![RecordedCamera {
             feature: CAMERA.to_owned(),
             width: 128,

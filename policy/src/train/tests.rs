@@ -8,7 +8,10 @@ use tch::{Device, Kind, Tensor};
 
 use super::{Schedule, TrainError, TrainOptions, Trained, Trainer};
 use crate::act::{Act, ActConfig, ActPreset};
-use crate::checkpoint::{self, DatasetSummary, Recipe, RecordedCamera, SaveOptions, Variants};
+use crate::checkpoint::{
+    self, AggregationName, DatasetSummary, Recipe, RecommendedAggregation, RecordedCamera,
+    SaveOptions, Variants,
+};
 use crate::dataset::{CameraSpec, Dataset, DatasetSpec, DatasetWriter, FrameRecord};
 
 const SIDE: u32 = 64;
@@ -176,6 +179,10 @@ fn training_lowers_the_loss_repeats_itself_and_survives_the_disk() {
         action_representation: crate::relative_action::REPRESENTATION.to_owned(),
         step_ns: 40_000_000,
         query_every_steps: 4,
+        aggregation: RecommendedAggregation {
+            mode: AggregationName::Ensemble,
+            decay: 0.01,
+        },
         cameras: vec![RecordedCamera {
             feature: config().cameras[0].clone(),
             width: SIDE,

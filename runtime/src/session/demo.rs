@@ -37,10 +37,11 @@ pub struct DemoResult {
 /// As of a run.
 pub fn run(options: &DemoOptions) -> Result<DemoResult, SessionError> {
     const STEP_MS: u32 = 40;
-    let setup = Setup::load("needle-lift", None)?;
+    let policy = PolicyChoice::parse(options.policy.as_deref().unwrap_or(COMMITTED_POLICY));
+    let setup = Setup::load("needle-lift", None, &policy)?;
     let file = |name: &str| options.out.join(name);
     let run_options = RunOptions {
-        policy: PolicyChoice::parse(options.policy.as_deref().unwrap_or(COMMITTED_POLICY)),
+        policy,
         seed: options.seed,
         log: Some(file("run.mcap")),
         pictures: true,

@@ -4,6 +4,7 @@ use std::path::Path;
 
 use hal::config::Source;
 use policy::act_policy::ActPolicy;
+use policy::checkpoint::load_recipe;
 use sim_backend::expert::Expert;
 use sim_backend::rng::Rng;
 use sim_backend::task::TaskConfig;
@@ -40,9 +41,15 @@ pub struct Texts {
 impl Setup {
     /// The built-in configuration of `task`, with the controller's settings from `control` if given.
     ///
+    /// Without `control`, a checkpoint's own recommendation decides how its chunks are aggregated.
+    ///
     /// # Errors
     /// [`SessionError::Config`], or [`SessionError::BadArgument`] for an unknown task.
-    pub fn load(task: &str, control: Option<&Path>) -> Result<Self, SessionError> {
+    pub fn load(
+        task: &str,
+        control: Option<&Path>,
+        policy: &PolicyChoice,
+    ) -> Result<Self, SessionError> {
         let (scene, safety) = match task {
             "needle-lift" => (
                 Source::embedded(
@@ -62,10 +69,7 @@ impl Setup {
         };
         let control = match control {
             Some(path) => Source::read(&path.display().to_string())?,
-            None => Source::embedded(
-                "config/control.toml",
-                include_str!("../../../config/control.toml"),
-            ),
+            None => built_in_control(policy)?,
         };
         Ok(Self {
             task_name: task.to_owned(),
@@ -138,4 +142,29 @@ impl Setup {
         let limit = (self.task.success.time_limit_s * 1e3) as u64;
         limit + 2000
     }
+}
+
+/// The built-in settings, with the aggregation that the checkpoint recommends.
+fn built_in_control(policy: &PolicyChoice) -> Result<Source, SessionError> {
+    const PATH: &str = "config/control.toml";
+    const TEXT: &str = include_str!("../../../config/control.toml");
+    let recipe = match policy {
+        PolicyChoice::Checkpoint(folder) => load_recipe(folder)?,
+        PolicyChoice::Expert | PolicyChoice::Noop | PolicyChoice::Random => None,
+    };
+    let Some(recommended) = recipe.map(|recipe| recipe.aggregation) else {
+        return Ok(Source::embedded(PATH, TEXT));
+    };
+    let mut control: toml::Table = Source::embedded(PATH, TEXT).parse()?;
+    if let Some(aggregation) = control
+        .get_mut("aggregation")
+        .and_then(toml::Value::as_table_mut)
+    {
+        aggregation.insert("mode".to_owned(), recommended.mode.as_str().into());
+        aggregation.insert("decay".to_owned(), recommended.decay.into());
+    }
+    Ok(Source::embedded(
+        "config/control.toml with the policy's aggregation",
+        &control.to_string(),
+    ))
 }

@@ -6,7 +6,8 @@ use std::path::{Path, PathBuf};
 use hal::TimeNs;
 use policy::act::{ActConfig, ActPreset};
 use policy::checkpoint::{
-    self, DatasetSummary, Precision, RECIPE_FORMAT, Recipe, RecordedCamera, SaveOptions, Variants,
+    self, AggregationName, DatasetSummary, Precision, RECIPE_FORMAT, Recipe,
+    RecommendedAggregation, RecordedCamera, SaveOptions, Variants,
 };
 use policy::dataset::Dataset;
 use policy::relative_action::REPRESENTATION;
@@ -18,8 +19,9 @@ use super::SessionError;
 use super::source::STEP_NS;
 use crate::rt::MonotonicClock;
 
-/// Policy steps from one query to the next that a trained checkpoint asks for.
-const QUERY_EVERY_STEPS: u32 = 2;
+/// Policy steps from one query to the next that a trained checkpoint asks for: half a chunk of the small preset, so that a fresh
+/// one is there when the last ends.
+const QUERY_EVERY_STEPS: u32 = 25;
 
 /// What to train.
 #[derive(Clone, Debug)]
@@ -205,6 +207,10 @@ fn recipe(
         action_representation: REPRESENTATION.to_owned(),
         step_ns: STEP_NS,
         query_every_steps: QUERY_EVERY_STEPS,
+        aggregation: RecommendedAggregation {
+            mode: AggregationName::WholeChunk,
+            decay: 0.01,
+        },
         cameras,
         preset,
         variants: Variants {

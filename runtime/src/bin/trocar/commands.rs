@@ -32,9 +32,10 @@ fn device(choice: ComputeDevice) -> Result<Device, SessionError> {
 }
 
 pub(crate) fn run(args: &RunArgs) -> Done {
-    let setup = Setup::load(args.task.name(), args.config.as_deref())?;
+    let policy = PolicyChoice::parse(&args.policy);
+    let setup = Setup::load(args.task.name(), args.config.as_deref(), &policy)?;
     let options = RunOptions {
-        policy: PolicyChoice::parse(&args.policy),
+        policy,
         seed: args.seed,
         log: args.log.clone(),
         pictures: args.log.is_some(),
@@ -89,9 +90,10 @@ fn report_run(summary: &RunSummary) {
 }
 
 pub(crate) fn eval(args: &EvalArgs) -> Done {
-    let setup = Setup::load(args.task.name(), args.config.as_deref())?;
+    let policy = PolicyChoice::parse(&args.policy);
+    let setup = Setup::load(args.task.name(), args.config.as_deref(), &policy)?;
     let options = EvalOptions {
-        policy: PolicyChoice::parse(&args.policy),
+        policy,
         trials: args.trials,
         seed: args.seed,
         jobs: args.jobs,
@@ -128,7 +130,11 @@ pub(crate) fn eval(args: &EvalArgs) -> Done {
 }
 
 pub(crate) fn record(args: &RecordArgs) -> Done {
-    let setup = Setup::load(args.task.name(), args.config.as_deref())?;
+    let setup = Setup::load(
+        args.task.name(),
+        args.config.as_deref(),
+        &PolicyChoice::Expert,
+    )?;
     let options = RecordOptions {
         episodes: args.episodes,
         out: args.out.clone(),
