@@ -4,28 +4,22 @@
 //! replaces it only if the stop from the candidate passes too; otherwise the held stop is played. Safety is inductive and
 //! depends neither on the filter, whose rows it does not share, nor on the smoother.
 
-use hal::joints::INSERTION;
-use hal::psm::{FINGER_M, SHAFT_RADIUS_M, WRIST_M};
-use nalgebra::Vector3;
+mod clearance;
 
-use super::config::{ControlConfig, FORBIDDEN_MAX};
+use hal::joints::INSERTION;
+use hal::psm::{FINGER_M, WRIST_M};
+
+use super::config::ControlConfig;
 use super::motion::{AXES, AxisLimits, MotionState};
 use super::stop::Stop;
 use crate::kinematics::Frames;
+use clearance::{Boundaries, CLEARANCES, Clearances};
 
 /// Intervals into which a stop is cut.
 const INTERVALS: u32 = 20;
 
-/// Box sides for two points, three links for each sphere.
-const CLEARANCES: usize = 12 + 3 * FORBIDDEN_MAX;
-
-/// A clearance that cannot matter, m.
-const FAR_M: f64 = 10.0;
-
 /// Rounding allowed on limits, relative.
 const ROUNDING: f64 = 1e-9;
-
-type Clearances = [f64; CLEARANCES];
 
 /// The guard with the stop that it holds.
 #[derive(Clone, Debug)]
@@ -34,11 +28,9 @@ pub struct Guard {
     tip_speed_m_s: f64,
     margin_m: f64,
     recovery_m: f64,
-    workspace_min_m: Vector3<f64>,
-    workspace_max_m: Vector3<f64>,
-    spheres: [Option<(Vector3<f64>, f64)>; FORBIDDEN_MAX],
+    boundaries: Boundaries,
     tick_s: f64,
-    /// Clearances that a stop must keep: the margin, or less where the arm was enabled beyond it.
+    /// Clearances that a stop must keep: the margin, or less where the arm was enabled without it.
     floors: Clearances,
     /// Position ranges that a stop must keep: the limits, or wider where the arm was enabled beyond them.
     ranges: [(f64, f64); AXES],
@@ -59,18 +51,12 @@ impl Guard {
     /// A guard that holds the arm at `state`, at rest.
     #[must_use]
     pub fn new(config: &ControlConfig, state: &MotionState, tick_s: f64) -> Self {
-        let mut spheres = [None; FORBIDDEN_MAX];
-        for (slot, sphere) in spheres.iter_mut().zip(&config.geometry.forbidden) {
-            *slot = Some((sphere.center_m, sphere.radius_m));
-        }
         let mut guard = Self {
             axes: config.axes,
             tip_speed_m_s: config.tip_speed_m_s,
             margin_m: config.guard.margin_m,
             recovery_m: config.guard.recovery_m,
-            workspace_min_m: config.geometry.workspace_min_m,
-            workspace_max_m: config.geometry.workspace_max_m,
-            spheres,
+            boundaries: Boundaries::new(&config.geometry),
             tick_s,
             floors: [config.guard.margin_m; CLEARANCES],
             ranges: config.axes.map(|axis| (axis.low, axis.high)),
@@ -83,14 +69,13 @@ impl Guard {
 
     /// Starts anew from `state`, at rest.
     ///
-    /// Where the arm is beyond a boundary already, that boundary moves to where the arm is and a little further, and comes
-    /// back with the arm.
+    /// An arm that is within a boundary stays within it, even if it starts without the margin. Where the arm is beyond a
+    /// boundary already, that boundary moves to `recovery_m` behind the arm. Either comes back with the arm.
     pub fn seed(&mut self, state: &MotionState) {
         self.held = Stop::new(state, &self.axes);
         self.played_s = 0.0;
-        self.floors = self
-            .clearances(&Frames::at(&state.joints()))
-            .map(|h| (h - self.recovery_m).min(self.margin_m));
+        let clearances = self.boundaries.clearances(&Frames::at(&state.joints()));
+        self.floors = clearances.map(|h| self.floor(h));
         for (range, (limits, &position)) in self
             .ranges
             .iter_mut()
@@ -98,6 +83,13 @@ impl Guard {
         {
             *range = (limits.low.min(position), limits.high.max(position));
         }
+    }
+
+    /// What an arm that has the clearance `h` must keep, m.
+    fn floor(&self, h: f64) -> f64 {
+        // Stops are bounded from below, so a boundary right at the arm would let it move neither on nor back.
+        let behind = (h - self.recovery_m).min(self.margin_m);
+        if h < 0.0 { behind } else { behind.max(0.0) }
     }
 
     /// The next state: `candidate` if it follows from `current` within the limits and its stop is verified, otherwise the
@@ -109,10 +101,12 @@ impl Guard {
     ) -> (MotionState, bool) {
         if let Some(candidate) = candidate {
             let stop = Stop::new(candidate, &self.axes);
-            if self.follows(current, candidate) && self.verify(&stop) {
+            if self.follows(current, candidate)
+                && let Some(least) = self.verify(&stop)
+            {
+                self.tighten(&stop, &least);
                 self.held = stop;
                 self.played_s = 0.0;
-                self.tighten(candidate);
                 return (*candidate, false);
             }
         }
@@ -144,8 +138,8 @@ impl Guard {
             })
     }
 
-    /// Whether `stop` keeps every limit from its first moment to rest.
-    fn verify(&self, stop: &Stop) -> bool {
+    /// The least clearances of `stop` if it keeps every limit from its first moment to rest.
+    fn verify(&self, stop: &Stop) -> Option<Clearances> {
         let axes_keep = stop.axes().iter().zip(&self.axes).zip(&self.ranges).all(
             |((axis, limits), &(low, high))| {
                 let (least, most) = axis.position_range();
@@ -155,22 +149,28 @@ impl Guard {
                     && axis.peak_acceleration() <= limits.acceleration * (1.0 + ROUNDING)
             },
         );
-        axes_keep && self.verify_in_space(stop)
+        if axes_keep {
+            self.verify_in_space(stop)
+        } else {
+            None
+        }
     }
 
     /// Samples the stop and bounds what can happen between the samples.
-    fn verify_in_space(&self, stop: &Stop) -> bool {
+    fn verify_in_space(&self, stop: &Stop) -> Option<Clearances> {
         let gap_s = stop.joints_duration_s() / f64::from(INTERVALS);
         let mut before = self.sample(&stop.at(0.0));
+        let mut least = before.clearances;
         for index in 1..=INTERVALS {
             let after = self.sample(&stop.at(gap_s * f64::from(index)));
             let reach = self.reach(stop, &before, &after, gap_s);
-            if !self.interval_keeps(&before, &after, &reach, gap_s) {
-                return false;
+            let lows = self.interval_keeps(&before, &after, &reach, gap_s)?;
+            for (least, low) in least.iter_mut().zip(lows) {
+                *least = least.min(low);
             }
             before = after;
         }
-        true
+        Some(least)
     }
 
     /// What can happen between two samples that are `gap_s` apart.
@@ -189,16 +189,28 @@ impl Guard {
         }
     }
 
-    fn interval_keeps(&self, before: &Sample, after: &Sample, reach: &Reach, gap_s: f64) -> bool {
+    /// What no clearance falls below between two samples, if that is enough and the tip is slow enough.
+    fn interval_keeps(
+        &self,
+        before: &Sample,
+        after: &Sample,
+        reach: &Reach,
+        gap_s: f64,
+    ) -> Option<Clearances> {
         // A clearance changes no faster than its point moves, so half the way bounds the dip below the mean of the ends.
         let dip_m = reach.point_speed_m_s() * gap_s / 2.0;
-        let clear = (0..CLEARANCES).all(|i| {
-            f64::midpoint(before.clearances[i], after.clearances[i]) - dip_m >= self.floors[i]
+        let lows = core::array::from_fn(|i| {
+            f64::midpoint(before.clearances[i], after.clearances[i]) - dip_m
         });
+        let clear = lows
+            .iter()
+            .zip(&self.floors)
+            .all(|(low, floor)| low >= floor);
         let rise_m_s = reach.tip_acceleration_m_s2() * gap_s / 2.0;
         let fastest = f64::midpoint(before.tip_speed_m_s, after.tip_speed_m_s) + rise_m_s;
+        let highest = before.tip_speed_m_s.max(after.tip_speed_m_s).max(fastest);
         // NaN fails both comparisons.
-        clear && before.tip_speed_m_s.max(after.tip_speed_m_s).max(fastest) <= self.tip_speed_m_s
+        (clear && highest <= self.tip_speed_m_s).then_some(lows)
     }
 
     fn sample(&self, state: &MotionState) -> Sample {
@@ -206,62 +218,28 @@ impl Guard {
         let frames = Frames::at(&joints);
         let velocity = frames.tip_jacobian() * state.joint_velocity();
         Sample {
-            clearances: self.clearances(&frames),
+            clearances: self.boundaries.clearances(&frames),
             speeds: state.velocity.map(f64::abs),
             tip_speed_m_s: velocity.fixed_rows::<3>(0).norm(),
             wrist_distance_m: frames.wrist_m.norm(),
         }
     }
 
-    /// How far the instrument is from every boundary, m; negative beyond it.
-    fn clearances(&self, frames: &Frames) -> Clearances {
-        let mut clearances = [FAR_M; CLEARANCES];
-        let (planes, links) = clearances.split_at_mut(12);
-        let points = [frames.tip_m, frames.finger_m];
-        for (slot, index) in planes.iter_mut().zip(0..) {
-            let point_m = points[index / 6];
-            let axis = index % 3;
-            let above = index % 6 < 3;
-            *slot = if above {
-                point_m[axis] - self.workspace_min_m[axis]
-            } else {
-                self.workspace_max_m[axis] - point_m[axis]
-            };
+    /// Boundaries that were passed when the arm was enabled come back with the arm, as far as the verified `stop`, whose
+    /// least clearances are `least`, leaves them behind: it must still be allowed once it is played.
+    fn tighten(&mut self, stop: &Stop, least: &Clearances) {
+        for (index, &h) in least.iter().enumerate() {
+            self.floors[index] = self.floors[index].max(self.floor(h));
         }
-        let corners = [
-            Vector3::zeros(),
-            frames.wrist_m,
-            frames.tip_m,
-            frames.finger_m,
-        ];
-        for (slots, sphere) in links.chunks_exact_mut(3).zip(&self.spheres) {
-            let Some((center_m, radius_m)) = sphere else {
-                continue;
-            };
-            for (slot, ends) in slots.iter_mut().zip(corners.windows(2)) {
-                *slot =
-                    distance_to_segment(center_m, &ends[0], &ends[1]) - radius_m - SHAFT_RADIUS_M;
-            }
-        }
-        clearances
-    }
-
-    /// Boundaries that were passed when the arm was enabled come back with the arm.
-    fn tighten(&mut self, state: &MotionState) {
-        if self.floors.iter().any(|&floor| floor < self.margin_m) {
-            let clearances = self.clearances(&Frames::at(&state.joints()));
-            for (floor, h) in self.floors.iter_mut().zip(clearances) {
-                *floor = floor.max((h - self.recovery_m).min(self.margin_m));
-            }
-        }
-        for (range, (limits, &position)) in self
+        for (range, (limits, axis)) in self
             .ranges
             .iter_mut()
-            .zip(self.axes.iter().zip(&state.position))
+            .zip(self.axes.iter().zip(stop.axes()))
         {
+            let (low, high) = axis.position_range();
             *range = (
-                range.0.max(limits.low.min(position)),
-                range.1.min(limits.high.max(position)),
+                range.0.max(limits.low.min(low)),
+                range.1.min(limits.high.max(high)),
             );
         }
     }
@@ -297,17 +275,6 @@ impl Reach {
             + self.distance_m * swing * swing;
         wrist + WRIST_M * (a_yaw + a_pitch + a_roll + a_wrist_pitch + 2.0 * turn * turn)
     }
-}
-
-fn distance_to_segment(point_m: &Vector3<f64>, from_m: &Vector3<f64>, to_m: &Vector3<f64>) -> f64 {
-    let along = to_m - from_m;
-    let offset = point_m - from_m;
-    let length_squared = along.norm_squared();
-    if length_squared < 1e-18 {
-        return offset.norm();
-    }
-    let fraction = (offset.dot(&along) / length_squared).clamp(0.0, 1.0);
-    (offset - along * fraction).norm()
 }
 
 #[cfg(test)]

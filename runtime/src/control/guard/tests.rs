@@ -1,6 +1,7 @@
 //! The guard alone: garbage in, no limit broken.
 
-use super::{CLEARANCES, Guard, INTERVALS, Stop};
+use super::clearance::CLEARANCES;
+use super::{Guard, INTERVALS, Stop};
 use crate::control::config::ControlConfig;
 use crate::control::motion::{AXES, MotionState};
 use crate::control::random::SplitMix64;
@@ -29,9 +30,18 @@ fn home() -> MotionState {
 /// Random velocities straight into the smoother, as from a filter that answers garbage; gives the least clearance, the
 /// highest share of the tip speed limit and the interventions.
 fn garbage(config: &ControlConfig, seed: u64, ticks: u32, guarded: bool) -> (f64, f64, u32) {
+    garbage_from(home(), config, seed, ticks, guarded)
+}
+
+fn garbage_from(
+    mut state: MotionState,
+    config: &ControlConfig,
+    seed: u64,
+    ticks: u32,
+    guarded: bool,
+) -> (f64, f64, u32) {
     let mut random = SplitMix64::new(seed);
     let mut smoother = Smoother::new(&config.axes, TICK_S);
-    let mut state = home();
     let mut guard = Guard::new(config, &state, TICK_S);
     let mut velocity = [0.0; AXES];
     let (mut least_m, mut fastest, mut intervened) = (f64::INFINITY, 0.0_f64, 0);
@@ -87,6 +97,62 @@ fn the_guard_alone_keeps_every_limit_under_garbage() {
 fn garbage_without_the_guard_breaks_them() {
     let (least_m, fastest, _) = garbage(&config(), 51, 5_000, false);
     assert!(least_m < 0.0 && fastest > 1.0, "{least_m} {fastest}");
+}
+
+/// Straight down, the finger tips `h` above the floor of the workspace, m.
+fn above_the_floor(guard: &Guard, h: f64) -> MotionState {
+    let mut state = home();
+    let clearances = guard.boundaries.clearances(&Frames::at(&state.joints()));
+    state.position[2] += clearances[8] - h;
+    state
+}
+
+#[test]
+fn an_arm_enabled_without_the_margin_never_leaves() {
+    let config = config();
+    let guard = Guard::new(&config, &home(), TICK_S);
+    for (seed, h) in [(61, 1e-3), (62, 4e-4), (63, 1e-4), (64, 1e-6)] {
+        let start = above_the_floor(&guard, h);
+        let (least_m, _, intervened) = garbage_from(start, &config, seed, 5_000, true);
+        assert!(least_m >= 0.0, "from {h}: {least_m}");
+        assert!(intervened > 10, "from {h}: {intervened}");
+    }
+}
+
+#[test]
+fn an_arm_enabled_outside_gets_hardly_further_and_is_kept_in_once_it_is_back() {
+    let config = config();
+    let h = -0.002;
+    let state = above_the_floor(&Guard::new(&config, &home(), TICK_S), h);
+    let (least_m, _, _) = garbage_from(state, &config, 65, 20_000, true);
+    assert!(least_m >= h - config.guard.recovery_m, "{least_m}");
+
+    let mut guard = Guard::new(&config, &state, TICK_S);
+    let mut smoother = Smoother::new(&config.axes, TICK_S);
+    let mut state = state;
+    let mut velocity = [0.0; AXES];
+    let (mut back, mut least_back_m) = (false, f64::INFINITY);
+    for tick in 0..8_000 {
+        // Out of the tissue, then into it as fast as the arm can.
+        velocity[2] = if tick < 4_000 {
+            -0.02
+        } else {
+            config.axes[2].velocity
+        };
+        let candidate = smoother.step(&state, &velocity);
+        state = guard.next(&state, candidate.as_ref()).0;
+        let clearance_m = guard.sample(&state).clearances[8];
+        back |= clearance_m > config.guard.margin_m + config.guard.recovery_m;
+        if back {
+            least_back_m = least_back_m.min(clearance_m);
+        }
+    }
+    assert!(back);
+    assert!(
+        least_back_m >= config.guard.margin_m - 1e-9,
+        "{least_back_m}"
+    );
+    assert!(least_back_m < 0.01, "never came near: {least_back_m}");
 }
 
 #[test]
@@ -152,7 +218,7 @@ fn the_guard_measures_the_distances_that_it_should() {
     let config = config();
     let guard = Guard::new(&config, &home(), TICK_S);
     let frames = Frames::at(&home().joints());
-    let clearances = guard.clearances(&frames);
+    let clearances = guard.boundaries.clearances(&frames);
     // Home: control point 36.5 mm above the organ, fingers 10.2 mm lower, floor at -5 mm, ceiling at 90 mm.
     assert!((clearances[2] - 0.0415).abs() < 1e-12 && (clearances[5] - 0.0535).abs() < 1e-12);
     assert!((clearances[8] - 0.0313).abs() < 1e-12);
