@@ -34,18 +34,7 @@ pub(super) fn walk(
     bytes: &[u8],
     visitor: &mut impl Visitor,
 ) -> Result<Option<String>, LogError> {
-    if !bytes.starts_with(mcap::MAGIC) {
-        return Err(if mcap::MAGIC.starts_with(bytes) {
-            LogError::NotOurs {
-                path: path.to_owned(),
-                missing: format!("everything after byte {}", bytes.len()),
-            }
-        } else {
-            LogError::NotMcap {
-                path: path.to_owned(),
-            }
-        });
-    }
+    check_magic(path, bytes)?;
     let mut topics = BTreeMap::new();
     let mut offset = mcap::MAGIC.len();
     loop {
@@ -105,6 +94,22 @@ pub(super) fn walk(
         }
         offset += RECORD_HEAD + body.len();
     }
+}
+
+fn check_magic(path: &Path, bytes: &[u8]) -> Result<(), LogError> {
+    if bytes.starts_with(mcap::MAGIC) {
+        return Ok(());
+    }
+    Err(if mcap::MAGIC.starts_with(bytes) {
+        LogError::NotOurs {
+            path: path.to_owned(),
+            missing: format!("everything after byte {}", bytes.len()),
+        }
+    } else {
+        LogError::NotMcap {
+            path: path.to_owned(),
+        }
+    })
 }
 
 /// The whole record at `offset`: its type and body. `None` if the file ends before it does.
