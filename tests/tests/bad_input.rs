@@ -1,5 +1,10 @@
 //! Bad input ends with exit code 2 and a message that says what is wrong and where.
 
+#![expect(
+    clippy::unwrap_used,
+    reason = "in a test, a failure to set up is a failure"
+)]
+
 use std::fs;
 use std::path::Path;
 
@@ -77,12 +82,12 @@ fn value_out_of_range_names_line_key_and_range() {
     let (index, line) = text
         .lines()
         .enumerate()
-        .find(|(_, line)| line.starts_with("tip_speed_m_s_max"))
+        .find(|(_, line)| line.starts_with("gain_1_s"))
         .expect("the key exists");
-    let text = text.replace(line, "tip_speed_m_s_max = 7.5");
+    let text = text.replace(line, "gain_1_s = 7500.0");
     let message = run_with_config(&text, "out-of-range");
     assert!(
-        message.contains("tip_speed_m_s_max = 7.5 is outside"),
+        message.contains("tracking.gain_1_s = 7500 is outside"),
         "{message}"
     );
     assert!(message.contains(&format!(":{}:", index + 1)), "{message}");

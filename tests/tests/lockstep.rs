@@ -1,5 +1,10 @@
 //! Lockstep is reproducible: one seed gives one command hash, in any process and any build; a log replays to the bit.
 
+#![expect(
+    clippy::unwrap_used,
+    reason = "in a test, a failure to set up is a failure"
+)]
+
 use std::fs;
 use std::path::Path;
 
