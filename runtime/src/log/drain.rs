@@ -80,9 +80,13 @@ impl Drain {
                 idle = false;
                 self.write_tick(&item);
             }
+            // One at a time: compressing a frame takes a while, and ticks must not pile up behind a row of them.
             while let Ok(item) = self.side.pop() {
                 idle = false;
                 self.write_side(item);
+                if !stop {
+                    break;
+                }
             }
             if stop {
                 return self.close();

@@ -5,6 +5,7 @@
 )]
 
 use std::io;
+use std::sync::atomic::{AtomicBool, Ordering};
 
 const NS_PER_S: u64 = 1_000_000_000;
 
@@ -126,6 +127,38 @@ pub fn can_lock_bytes(bytes: usize) -> io::Result<()> {
     checked(unsafe { libc::mlock(memory.as_ptr().cast(), memory.len()) })?;
     // SAFETY: as above.
     checked(unsafe { libc::munlock(memory.as_ptr().cast(), memory.len()) })
+}
+
+/// Whether a signal has asked the process to end.
+static INTERRUPTED: AtomicBool = AtomicBool::new(false);
+
+/// Runs inside the signal: nothing but an atomic store is allowed there.
+extern "C" fn note_interrupt(_signal: libc::c_int) {
+    INTERRUPTED.store(true, Ordering::Release);
+}
+
+/// Makes the next SIGINT, SIGTERM or SIGHUP a wish that [`interrupted`] tells of; a second one ends the process at once.
+///
+/// # Errors
+/// The system's.
+pub fn catch_interrupts() -> io::Result<()> {
+    INTERRUPTED.store(false, Ordering::Release);
+    for signal in [libc::SIGINT, libc::SIGTERM, libc::SIGHUP] {
+        // SAFETY: sigaction is integers, a mask and an optional function, for which zero is a value.
+        let mut action: libc::sigaction = unsafe { core::mem::zeroed() };
+        let handler: extern "C" fn(libc::c_int) = note_interrupt;
+        action.sa_sigaction = handler as libc::sighandler_t;
+        action.sa_flags = libc::SA_RESTART | libc::SA_RESETHAND;
+        // SAFETY: `action` is live, and its handler does only what a handler may.
+        checked(unsafe { libc::sigaction(signal, &raw const action, core::ptr::null_mut()) })?;
+    }
+    Ok(())
+}
+
+/// Whether one of those signals has come since [`catch_interrupts`].
+#[must_use]
+pub fn interrupted() -> bool {
+    INTERRUPTED.load(Ordering::Acquire)
 }
 
 fn checked(code: libc::c_int) -> io::Result<()> {

@@ -69,6 +69,11 @@ impl Tally {
         self.latency.record(latency_ns);
     }
 
+    /// Adds what another thread or process measured of the policy's own computing.
+    pub fn inferences(&mut self, inference: &Histogram) {
+        self.inference.merge(inference);
+    }
+
     /// Control periods so far.
     #[must_use]
     pub const fn ticks(&self) -> u64 {

@@ -4,19 +4,19 @@ use hal::topic::{
     ArmReport, ArmStateTopic, CameraTopic, FrameHeader, FramePublisher, Publisher, TopicNode,
 };
 use hal::{ArmState, CameraFrame, Pose};
-use rtrb::Consumer;
 use sim_backend::cameras::{SceneCameras, SceneSnapshot};
 use sim_backend::render::Planes;
 
-use super::Signals;
 use super::policy_process::ARM;
+use super::signals::{EndsRun, Signals};
 use crate::log::SideLog;
+use crate::mailbox::MailboxReader;
 use crate::rt;
 use crate::session::pictures::Pictures;
 use crate::session::{SessionError, Setup};
 
 /// Time between two looks for a snapshot, ns.
-const POLL_NS: u64 = 300_000;
+const POLL_NS: u64 = 1_000_000;
 
 /// What the cameras need to know of one instant.
 #[derive(Clone, Copy, Debug)]
@@ -33,7 +33,7 @@ pub(super) struct CameraThread {
     publishers: Vec<FramePublisher>,
     arm: Option<Publisher<ArmReport>>,
     log: Option<SideLog>,
-    snapshots: Consumer<Snapshot>,
+    snapshots: MailboxReader<Snapshot>,
     pictures: Pictures,
     frames: Vec<CameraFrame>,
 }
@@ -44,14 +44,16 @@ pub(super) struct CameraEnd {
 }
 
 impl CameraThread {
-    /// Opens the renderer, and the topics if there is a policy process to see them.
+    /// Opens the renderer, and the topics if there is a policy process to see them; draws `start` once, since the first
+    /// image takes far longer than the others.
     pub(super) fn new(
         setup: &Setup,
         node: Option<&TopicNode>,
         log: Option<SideLog>,
-        snapshots: Consumer<Snapshot>,
+        snapshots: MailboxReader<Snapshot>,
+        start: &SceneSnapshot,
     ) -> Result<Self, SessionError> {
-        let cameras = SceneCameras::new(&setup.task)?;
+        let mut cameras = SceneCameras::new(&setup.task)?;
         let mut publishers = Vec::new();
         if let Some(node) = node {
             for camera in 0..cameras.count() {
@@ -62,9 +64,12 @@ impl CameraThread {
         let arm = node
             .map(|node| ArmStateTopic::publisher(node, ARM))
             .transpose()?;
-        let frames = (0..cameras.count())
+        let mut frames = (0..cameras.count())
             .map(|camera| cameras.blank_frame(camera))
             .collect::<Result<Vec<_>, _>>()?;
+        for (camera, frame) in frames.iter_mut().enumerate() {
+            cameras.render(camera, start, frame)?;
+        }
         Ok(Self {
             cameras,
             publishers,
@@ -78,13 +83,13 @@ impl CameraThread {
 
     /// Renders snapshots until the control thread has stopped.
     pub(super) fn run(mut self, signals: &Signals) -> Result<CameraEnd, SessionError> {
+        let _ends = EndsRun(signals);
         while !signals.stopped() {
-            match self.snapshots.pop() {
-                Ok(snapshot) => self.take(&snapshot)?,
-                Err(rtrb::PopError::Empty) => {
-                    self.keep_alive()?;
-                    rt::sleep_ns(POLL_NS);
-                }
+            if let Some(snapshot) = self.snapshots.take() {
+                self.take(&snapshot)?;
+            } else {
+                self.keep_alive()?;
+                rt::sleep_ns(POLL_NS);
             }
         }
         Ok(CameraEnd {

@@ -1,6 +1,7 @@
 //! The policy process as its parent sees it: started, waited for, listened to, and told to go.
 
 use std::env;
+use std::os::unix::process::CommandExt as _;
 use std::path::Path;
 use std::process::{self, Child, Command, Stdio};
 
@@ -8,16 +9,15 @@ use hal::topic::{
     ChunkTopic, PolicyStage, PolicyStatus, PolicyStatusTopic, Publisher, RunCommand, RunControl,
     RunControlTopic, Subscriber, TopicNode,
 };
-use hal::{Chunk, TimeNs};
+use hal::{Chunk, PolicyError, TimeNs};
 use policy::act_policy::ActPolicy;
-use rtrb::Producer;
 use tch::Device;
 
-use super::Signals;
 use super::policy_process::ARM;
 use crate::rt::{self, MonotonicClock};
-use crate::session::SessionError;
 use crate::session::run::RunOptions;
+use crate::session::source::camera_names;
+use crate::session::{SessionError, Setup};
 
 /// The process has this long to load its weights, ns.
 const LOAD_NS_MAX: u64 = 120_000_000_000;
@@ -25,69 +25,78 @@ const LOAD_NS_MAX: u64 = 120_000_000_000;
 /// The process has this long to go by itself, ns.
 const EXIT_NS_MAX: u64 = 3_000_000_000;
 
-/// Time between two looks, ns.
-const POLL_NS: u64 = 500_000;
+/// A process that says nothing for this long hangs, ns. Far beyond any inference.
+const SILENCE_NS_MAX: u64 = 5_000_000_000;
 
-/// The running policy process.
+/// Time between two looks, ns.
+const POLL_NS: u64 = 1_000_000;
+
+/// The running policy process. Dropping it ends the process, in peace if it listens.
 pub(super) struct PolicyChild {
     process: Child,
     node: TopicNode,
     control: Publisher<RunControl>,
     status: Subscriber<PolicyStatus>,
     chunks: Subscriber<Chunk>,
+    query_every_steps: u64,
+    queries: u64,
+    clock: MonotonicClock,
+    heard: TimeNs,
 }
 
 impl PolicyChild {
     /// Starts the process and waits until it has loaded the checkpoint.
-    pub(super) fn start(policy: &Path, options: &RunOptions) -> Result<Self, SessionError> {
-        // Loading it here first gives a bad checkpoint's reason as a proper error, before any process is started.
-        drop(ActPolicy::load(policy, Device::Cpu)?);
+    ///
+    /// The checkpoint is loaded here first: a bad one is refused with its reason before any process or thread is started.
+    pub(super) fn start(
+        setup: &Setup,
+        policy: &Path,
+        options: &RunOptions,
+    ) -> Result<Self, SessionError> {
+        let network = ActPolicy::load(policy, Device::Cpu)?;
+        check_cameras(setup, &network)?;
+        let query_every_steps = u64::from(network.recipe().query_every_steps);
+        drop(network);
         let run_id = format!("run-{}", process::id());
         let node = TopicNode::join(&run_id)?;
         let control = RunControlTopic::publisher(&node, ARM)?;
         let status = PolicyStatusTopic::subscriber(&node, ARM)?;
         let chunks = ChunkTopic::subscriber(&node, ARM)?;
-        let program = env::current_exe().map_err(|error| failed("finding this program", &error))?;
-        let process = Command::new(program)
-            .args(["policy-process", "--run-id", &run_id, "--policy"])
-            .arg(policy)
-            .args([
-                "--device",
-                if options.device == Device::Cpu {
-                    "cpu"
-                } else {
-                    "cuda"
-                },
-            ])
-            .stdin(Stdio::null())
-            .spawn()
-            .map_err(|error| failed("starting the policy process", &error))?;
         let mut child = Self {
-            process,
+            process: spawn(&run_id, policy, options.device)?,
             node,
             control,
             status,
             chunks,
+            query_every_steps,
+            queries: 0,
+            clock: MonotonicClock::new(),
+            heard: TimeNs(0),
         };
         child.wait_until_ready(options.seed)?;
         Ok(child)
     }
 
     fn wait_until_ready(&mut self, seed: u64) -> Result<(), SessionError> {
-        let clock = MonotonicClock::new();
         self.control
             .publish(&RunControl::new(TimeNs(0), 1, RunCommand::Run { seed }))?;
-        while clock.now().0 < LOAD_NS_MAX {
+        while self.clock.now().0 < LOAD_NS_MAX {
             if let Some(status) = self.status.newest()?
                 && status.stage() == PolicyStage::Ready
                 && status.episode == 1
             {
+                self.heard = self.clock.now();
                 return Ok(());
             }
             if let Ok(Some(exit)) = self.process.try_wait() {
                 return Err(SessionError::RealTime(format!(
                     "the policy process ended while loading: {exit}"
                 )));
+            }
+            if rt::interrupted() {
+                return Err(SessionError::RealTime(
+                    "interrupted before the run began".to_owned(),
+                ));
             }
             self.control.keep_alive()?;
             rt::sleep_ns(POLL_NS);
@@ -102,45 +111,109 @@ impl PolicyChild {
         &self.node
     }
 
-    /// Hands chunks to the control thread until it has stopped.
-    pub(super) fn forward_chunks(
-        &self,
-        mut to: Producer<Chunk>,
-        signals: &Signals,
-    ) -> Result<(), SessionError> {
-        while !signals.stopped() {
-            if let Some(chunk) = self.chunks.newest()? {
-                // Full means that the control thread takes none: it will hold the arm and say so.
-                let _full = to.push(chunk);
-            }
-            rt::sleep_ns(POLL_NS);
-        }
-        Ok(())
+    /// Policy steps from one query to the next.
+    pub(super) const fn query_every_steps(&self) -> u64 {
+        self.query_every_steps
     }
 
-    /// Tells the process to go, and makes it if it does not.
-    pub(super) fn finish(mut self) -> Result<(), SessionError> {
-        self.control
-            .publish(&RunControl::new(TimeNs(0), 1, RunCommand::Stop))?;
+    /// A chunk, if one has come since the last call.
+    pub(super) fn newest_chunk(&self) -> Result<Option<Chunk>, SessionError> {
+        Ok(self.chunks.newest()?)
+    }
+
+    /// How long the newest chunk took to compute, once for each chunk.
+    pub(super) fn newest_inference_ns(&mut self) -> Result<Option<u64>, SessionError> {
+        let Some(status) = self.status.newest()? else {
+            return Ok(None);
+        };
+        self.heard = self.clock.now();
+        let fresh = status.queries != self.queries;
+        self.queries = status.queries;
+        Ok(fresh.then_some(status.infer_ns))
+    }
+
+    /// Why no more chunks will come, if so.
+    pub(super) fn end(&mut self) -> Option<String> {
+        if let Ok(Some(exit)) = self.process.try_wait() {
+            return Some(format!("the policy process ended: {exit}"));
+        }
+        let silence_ns = self.clock.now().since(self.heard);
+        (silence_ns > SILENCE_NS_MAX).then(|| {
+            format!(
+                "the policy process has been silent for {} s",
+                silence_ns / 1_000_000_000
+            )
+        })
+    }
+
+    /// Tells the process to go and waits for it a while; `true` if it went and cleaned up.
+    fn goes_by_itself(&mut self) -> bool {
+        let told = self
+            .control
+            .publish(&RunControl::new(TimeNs(0), 1, RunCommand::Stop));
+        if told.is_err() {
+            return false;
+        }
         let clock = MonotonicClock::new();
         while clock.now().0 < EXIT_NS_MAX {
-            if let Ok(Some(_)) = self.process.try_wait() {
-                return Ok(());
+            if let Ok(Some(exit)) = self.process.try_wait() {
+                return exit.success();
             }
             rt::sleep_ns(POLL_NS);
         }
-        self.process
-            .kill()
-            .map_err(|error| failed("ending the policy process", &error))
+        false
     }
 }
 
 impl Drop for PolicyChild {
     fn drop(&mut self) {
-        // Whatever went wrong, no process is left behind; it may be gone already.
-        let _gone = self.process.kill();
-        let _reaped = self.process.wait();
+        if !self.goes_by_itself() {
+            // Whatever went wrong, nothing is left behind: no process, and nothing of it in shared memory.
+            let _gone = self.process.kill();
+            let _reaped = self.process.wait();
+            self.node.remove_dead();
+        }
     }
+}
+
+/// The task must have the cameras that the network was trained with.
+fn check_cameras(setup: &Setup, network: &ActPolicy) -> Result<(), SessionError> {
+    for (index, (name, trained)) in camera_names(network)
+        .into_iter()
+        .zip(&network.recipe().cameras)
+        .enumerate()
+    {
+        let Some(camera) = setup.task.cameras.iter().find(|camera| camera.name == name) else {
+            return Err(SessionError::UnknownCamera {
+                name,
+                available: setup.camera_names().join(", "),
+            });
+        };
+        if (camera.width, camera.height) != (trained.width, trained.height) {
+            return Err(SessionError::Policy(PolicyError::ImageSize {
+                camera: index,
+                expected_width: trained.width,
+                expected_height: trained.height,
+                width: camera.width,
+                height: camera.height,
+            }));
+        }
+    }
+    Ok(())
+}
+
+fn spawn(run_id: &str, policy: &Path, device: Device) -> Result<Child, SessionError> {
+    let program = env::current_exe().map_err(|error| failed("finding this program", &error))?;
+    let device = if device == Device::Cpu { "cpu" } else { "cuda" };
+    Command::new(program)
+        .args(["policy-process", "--run-id", run_id, "--policy"])
+        .arg(policy)
+        .args(["--device", device])
+        .stdin(Stdio::null())
+        // A Ctrl-C in the terminal is for this process alone, which then stops the arm before the policy.
+        .process_group(0)
+        .spawn()
+        .map_err(|error| failed("starting the policy process", &error))
 }
 
 fn failed(doing: &str, error: &std::io::Error) -> SessionError {

@@ -1,12 +1,11 @@
 //! The control thread of a real-time run: read, tick, write, once a period.
 
 use std::sync::Arc;
-use std::sync::atomic::Ordering;
 
 use hal::{ArmCommand, ArmError, ArmState, Chunk, TICK_NS, TimeNs};
 use rtrb::Consumer;
 
-use super::Signals;
+use super::signals::{Signals, StopsAll};
 use crate::control::{Controller, OperatorEvent, TickInput};
 use crate::histogram::Histogram;
 use crate::log::{TickLog, TickRecord, TickTiming};
@@ -20,7 +19,7 @@ use crate::session::tally::Tally;
 /// take the simulation thread off its core for longer than a few periods.
 const MEASUREMENT_AGE_NS_MAX: u64 = 50_000_000;
 
-/// Periods that the arm gets to come to rest after the verdict.
+/// Periods that the arm gets to come to rest after the verdict: more than twice the longest stop.
 const REST_TICKS: u64 = 500;
 
 /// Priority of the control thread under `SCHED_FIFO`.
@@ -45,8 +44,12 @@ pub(super) struct ControlEnd {
 }
 
 impl ControlThread {
-    /// Runs until the arm rests after the verdict.
+    /// Runs until the arm rests after the verdict, or after a fault, which it does not recover from by itself.
+    ///
+    /// Wakes half a period after the simulation, so that it sees this period's measurement.
     pub(super) fn run(mut self, clock: MonotonicClock, first: TimeNs) -> ControlEnd {
+        let signals = Arc::clone(&self.signals);
+        let _stops = StopsAll(&signals);
         let options = RtOptions {
             priority: Some(PRIORITY),
             cpu: None,
@@ -55,42 +58,41 @@ impl ControlThread {
         };
         // Not strict, so a refusal is only reported; `trocar doctor` tells what to change.
         let _granted = configure_thread(&options);
-        let mut periodic = Periodic::new(clock, first, TICK_NS);
+        let mut periodic = Periodic::new(clock, first.plus_ns(TICK_NS / 2), TICK_NS);
         let mut wakes = Histogram::new();
         let mut tally = Tally::default();
-        let (mut skipped, mut rest_ticks) = (0, 0);
+        let mut rest_ticks = 0;
+        let mut paused = false;
         let mut newest: Option<ArmState> = None;
         while rest_ticks < REST_TICKS {
             let wake = periodic.wait();
-            skipped += wake.skipped;
-            wakes.record(wake.woke.since(wake.due));
+            wakes.record(wake.late_ns());
+            let done = signals.done();
+            rest_ticks += u64::from(done);
             newest = self.measured.take().or(newest);
             let Some(state) = newest else { continue };
-            let done = self.signals.done();
             let operator = if tally.ticks() == 0 {
                 Some(OperatorEvent::Enable)
             } else {
-                (done && rest_ticks == 0).then_some(OperatorEvent::Pause)
+                (done && !paused).then_some(OperatorEvent::Pause)
             };
-            rest_ticks += u64::from(done);
-            let timing = TickTiming {
-                wake_ns: wake.woke.since(wake.due),
-                compute_ns: 0,
-            };
+            paused |= operator == Some(OperatorEvent::Pause);
             let mut record = self.tick(wake.due, &state, operator, &mut tally, clock);
-            record.timing.wake_ns = timing.wake_ns;
+            record.timing.wake_ns = wake.late_ns();
             tally.tick(&record);
             if let Some(log) = &mut self.log {
                 log.tick(&record);
             }
+            if record.report.fault.is_some() {
+                signals.end_run();
+            }
         }
-        self.signals.stopped.store(true, Ordering::Release);
         let log_dropped = self.log.as_ref().map_or(0, TickLog::dropped);
         #[expect(clippy::cast_precision_loss, reason = "a delay is exact in f64")]
         let wake_p99_us = wakes.percentile(0.99) as f64 * 1e-3;
         ControlEnd {
             tally,
-            skipped,
+            skipped: periodic.skipped(),
             wake_p99_us,
             log_dropped,
         }

@@ -4,19 +4,22 @@
 //!  simulation thread (1 kHz) ── measured ──> control thread (1 kHz, SCHED_FIFO) ── commands ──> simulation thread
 //!         │ snapshots                              ▲ chunks            │ ticks
 //!         ▼                                        │                   ▼
-//!   camera thread ── frames, arm ──> policy process ── chunks ──> chunk thread      log thread
+//!   camera thread ── frames, arm ──> policy process ── chunks ──> first thread      log thread
 //! ```
 //!
-//! Everything that reaches the control thread comes through wait-free mailboxes and queues.
+//! Everything that reaches the control thread comes through wait-free mailboxes and queues. The run ends with the task's
+//! verdict, with a fault, with a signal, with the policy process, or with any thread: the arm then comes to rest, the
+//! control thread stops, and everybody follows.
 
 mod camera_thread;
 mod child;
 mod control_thread;
 mod policy_process;
+mod signals;
 mod simulation_thread;
+mod watch;
 
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread;
 
 use hal::{ArmCommand, ArmState, Chunk};
@@ -31,75 +34,61 @@ use super::source::{ChunkSource, PolicyChoice};
 use super::summary::RealTimeCounts;
 use super::tally::{RunLabels, Tally};
 use super::{SessionError, Setup};
-use crate::log::RunOutcome;
+use crate::log::{LogFile, RunOutcome};
 use crate::mailbox::mailbox;
-use crate::rt::MonotonicClock;
+use crate::rt::{self, MonotonicClock};
 use camera_thread::{CameraEnd, CameraThread, Snapshot};
 use child::PolicyChild;
 use control_thread::{ControlEnd, ControlThread};
-use simulation_thread::{SimulationEnd, SimulationThread};
+use signals::Signals;
+use simulation_thread::{SimulationEnd, SimulationThread, Snapshots};
+use watch::{Watched, watch};
 
 /// Chunks that may wait for the control thread.
 const CHUNK_QUEUE: usize = 8;
 
-/// Snapshots that may wait for the camera thread; a late camera skips.
-const SNAPSHOT_QUEUE: usize = 1;
-
 /// Time for every thread to be up before the first period, ns.
 const START_NS: u64 = 20_000_000;
 
-/// Flags between the threads of a run.
-#[derive(Debug, Default)]
-struct Signals {
-    /// The task has its verdict: come to rest.
-    done: AtomicBool,
-    /// The control thread has ended: everybody else may.
-    stopped: AtomicBool,
-}
-
-impl Signals {
-    fn done(&self) -> bool {
-        self.done.load(Ordering::Acquire)
-    }
-
-    fn stopped(&self) -> bool {
-        self.stopped.load(Ordering::Acquire)
-    }
-}
-
 /// Runs one episode in real time against the simulated arm.
+///
+/// SIGINT, SIGTERM and SIGHUP bring the arm to rest and end the run as failed, with the reason `interrupted`.
 ///
 /// # Errors
 /// From the configuration, the policy, the simulation, the topics or the log.
 pub fn run_realtime(setup: &Setup, options: &RunOptions) -> Result<RunResult, SessionError> {
-    let child = match &options.policy {
-        PolicyChoice::Checkpoint(path) => Some(PolicyChild::start(path, options)?),
+    rt::catch_interrupts()
+        .map_err(|error| SessionError::RealTime(format!("catching signals failed: {error}")))?;
+    let mut child = match &options.policy {
+        PolicyChoice::Checkpoint(path) => Some(PolicyChild::start(setup, path, options)?),
         PolicyChoice::Expert | PolicyChoice::Noop | PolicyChoice::Random => None,
     };
     let source = match child {
         Some(_) => None,
         None => Some(setup.source(&options.policy, options.seed, options.device)?),
     };
-    let ends = run_threads(setup, options, source, child.as_ref())?;
-    if let Some(child) = child {
-        child.finish()?;
-    }
+    let ends = run_threads(setup, options, source, child.as_mut())?;
     conclude(setup, options, ends)
 }
 
 /// What the threads give back.
 struct Ends {
-    control: ControlEnd,
+    control: Result<ControlEnd, SessionError>,
+    others: Result<Others, SessionError>,
+    log: Option<LogFile>,
+}
+
+struct Others {
+    watched: Watched,
     simulation: SimulationEnd,
     camera: Option<CameraEnd>,
-    log: Option<crate::log::LogFile>,
 }
 
 fn run_threads(
     setup: &Setup,
     options: &RunOptions,
     source: Option<ChunkSource>,
-    child: Option<&PolicyChild>,
+    child: Option<&mut PolicyChild>,
 ) -> Result<Ends, SessionError> {
     let simulation = Simulation::new(&setup.task, options.seed, Rendering::Off)?;
     let controller = Box::new(setup.controller()?);
@@ -113,15 +102,15 @@ fn run_threads(
     let (measured_in, measured) = mailbox::<ArmState>();
     let (commands, commands_out) = mailbox::<ArmCommand>();
     let (chunk_in, chunks) = RingBuffer::<Chunk>::new(CHUNK_QUEUE);
-    let (snapshot_in, snapshots) = RingBuffer::<Snapshot>::new(SNAPSHOT_QUEUE);
+    let (snapshot_in, snapshots) = mailbox::<Snapshot>();
     let signals = Arc::new(Signals::default());
-    let with_cameras = options.pictures || child.is_some();
     // Slow things first: opening a device takes longer than an episode's first second.
-    let camera_thread = with_cameras
-        .then(|| CameraThread::new(setup, child.map(PolicyChild::node), side_log, snapshots))
+    let camera_thread = (options.pictures || child.is_some())
+        .then(|| {
+            let node = child.as_deref().map(PolicyChild::node);
+            CameraThread::new(setup, node, side_log, snapshots, &simulation.snapshot())
+        })
         .transpose()?;
-    let clock = MonotonicClock::new();
-    let first = clock.now().plus_ns(START_NS);
     let control_thread = ControlThread {
         controller,
         measured,
@@ -130,18 +119,25 @@ fn run_threads(
         log: tick_log,
         signals: Arc::clone(&signals),
     };
-    let (local, chunk_in) = match source {
+    let snapshots = camera_thread.is_some().then(|| Snapshots {
+        to: snapshot_in,
+        query_every_steps: child.as_deref().map(PolicyChild::query_every_steps),
+        pictures: options.pictures,
+    });
+    let (local, remote) = match source {
         Some(source) => (Some((source, chunk_in)), None),
-        None => (None, Some(chunk_in)),
+        None => (None, child.map(|child| (child, chunk_in))),
     };
     let simulation_thread = SimulationThread {
         simulation,
         measured: measured_in,
         commands: commands_out,
-        snapshots: with_cameras.then_some(snapshot_in),
+        snapshots,
         local,
         signals: Arc::clone(&signals),
     };
+    let clock = MonotonicClock::new();
+    let first = clock.now().plus_ns(START_NS);
     thread::scope(|scope| {
         let control = scope.spawn(move || control_thread.run(clock, first));
         let simulated = scope.spawn(move || simulation_thread.run(clock, first));
@@ -149,18 +145,27 @@ fn run_threads(
             let signals = Arc::clone(&signals);
             scope.spawn(move || camera.run(&signals))
         });
-        if let (Some(child), Some(chunk_in)) = (child, chunk_in) {
-            child.forward_chunks(chunk_in, &signals)?;
-        }
-        let simulation = joined(simulated)??;
-        let control = joined(control)?;
-        let camera = camera.map(joined).transpose()?.transpose()?;
+        let watched = watch(remote, &signals);
+        let control = joined(control);
+        let simulation = joined(simulated).and_then(|end| end);
+        let camera = camera.map(|camera| joined(camera).and_then(|end| end));
         Ok(Ends {
             control,
-            simulation,
-            camera,
+            others: others(watched, simulation, camera),
             log,
         })
+    })
+}
+
+fn others(
+    watched: Result<Watched, SessionError>,
+    simulation: Result<SimulationEnd, SessionError>,
+    camera: Option<Result<CameraEnd, SessionError>>,
+) -> Result<Others, SessionError> {
+    Ok(Others {
+        simulation: simulation?,
+        camera: camera.transpose()?,
+        watched: watched?,
     })
 }
 
@@ -170,11 +175,36 @@ fn joined<T>(handle: thread::ScopedJoinHandle<'_, T>) -> Result<T, SessionError>
         .map_err(|_| SessionError::RealTime("a thread of the run has panicked".to_owned()))
 }
 
+/// Why the run ended, and whether that is a success.
+fn verdict(others: &Result<Others, SessionError>, tally: &Tally) -> (bool, String) {
+    match others {
+        Err(error) => (false, error.to_string()),
+        Ok(Others {
+            watched,
+            simulation,
+            ..
+        }) => match &watched.ended_by {
+            Some(reason) => (false, reason.clone()),
+            None => (
+                matches!(simulation.outcome, Outcome::Success),
+                super::episode::reason(&simulation.outcome, tally.fault()),
+            ),
+        },
+    }
+}
+
+/// Closes the log, whatever happened, and sums up.
 fn conclude(setup: &Setup, options: &RunOptions, ends: Ends) -> Result<RunResult, SessionError> {
-    let success = matches!(ends.simulation.outcome, Outcome::Success);
-    let tally: &Tally = &ends.control.tally;
-    let reason = super::episode::reason(&ends.simulation.outcome, tally.fault());
-    let mut log_dropped = ends.control.log_dropped;
+    let control = match ends.control {
+        Ok(control) => control,
+        Err(error) => {
+            ends.log.map(|log| log.finish(None)).transpose()?;
+            return Err(error);
+        }
+    };
+    let mut tally = control.tally;
+    let (success, reason) = verdict(&ends.others, &tally);
+    let mut log_dropped = control.log_dropped;
     if let Some(log) = ends.log {
         let outcome = RunOutcome {
             success,
@@ -184,6 +214,9 @@ fn conclude(setup: &Setup, options: &RunOptions, ends: Ends) -> Result<RunResult
         let counts = log.finish(Some(&outcome))?;
         log_dropped += counts.frames_dropped + counts.events_dropped;
     }
+    let others = ends.others?;
+    tally.inferences(&others.watched.inference);
+    tally.inferences(&others.simulation.inference);
     let labels = RunLabels {
         task: &setup.task_name,
         policy: &options.policy.name(),
@@ -192,14 +225,13 @@ fn conclude(setup: &Setup, options: &RunOptions, ends: Ends) -> Result<RunResult
         reason: &reason,
     };
     let real_time = RealTimeCounts {
-        overruns: ends.control.skipped,
-        wake_p99_us: ends.control.wake_p99_us,
+        overruns: control.skipped,
+        wake_p99_us: control.wake_p99_us,
         log_dropped,
     };
-    let summary = tally.summary(&labels, Some(real_time));
     Ok(RunResult {
-        summary,
-        pictures: ends
+        summary: tally.summary(&labels, Some(real_time)),
+        pictures: others
             .camera
             .map(|camera| camera.pictures)
             .unwrap_or_default(),

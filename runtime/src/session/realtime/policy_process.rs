@@ -20,10 +20,10 @@ use crate::session::source::camera_names;
 pub(super) const ARM: &str = "psm1";
 
 /// Time between two looks at the topics, ns.
-const POLL_NS: u64 = 500_000;
+const POLL_NS: u64 = 1_000_000;
 
 /// Silence after which a sign of life is given all the same, in looks.
-const STATUS_EVERY_POLLS: u64 = 100;
+const STATUS_EVERY_POLLS: u64 = 50;
 
 /// What the process is started with.
 #[derive(Clone, Debug)]
@@ -43,21 +43,7 @@ pub struct PolicyProcessOptions {
 pub fn serve_policy(options: &PolicyProcessOptions) -> Result<(), SessionError> {
     let parent = parent_id();
     let node = TopicNode::join(&options.run_id)?;
-    let mut service = Service {
-        control: RunControlTopic::subscriber(&node, ARM)?,
-        arm: ArmStateTopic::subscriber(&node, ARM)?,
-        chunks: ChunkTopic::publisher(&node, ARM)?,
-        status: PolicyStatusTopic::publisher(&node, ARM)?,
-        cameras: Vec::new(),
-        network: ActPolicy::load(&options.policy, options.device)?,
-        report: None,
-        counts: Counts::default(),
-    };
-    for camera in camera_names(&service.network) {
-        service
-            .cameras
-            .push(CameraTopic::subscriber(&node, &camera)?);
-    }
+    let mut service = Service::open(&node, options)?;
     let mut every = 0_u64;
     while parent_id() == parent {
         if every.is_multiple_of(STATUS_EVERY_POLLS) {
@@ -72,6 +58,8 @@ pub fn serve_policy(options: &PolicyProcessOptions) -> Result<(), SessionError> 
         service.answer()?;
         rt::sleep_ns(POLL_NS);
     }
+    // The parent died and could not tidy up.
+    node.remove_dead();
     Ok(())
 }
 
@@ -90,11 +78,38 @@ struct Service {
     status: Publisher<PolicyStatus>,
     cameras: Vec<FrameSubscriber>,
     network: ActPolicy,
+    /// Policy steps from one query to the next.
+    every_steps: u64,
     report: Option<ArmReport>,
+    /// The newest frame of each camera.
+    views: Vec<Option<FrameView>>,
+    /// The stretch of `every_steps` steps that the last answer was for.
+    answered: Option<u64>,
     counts: Counts,
 }
 
 impl Service {
+    fn open(node: &TopicNode, options: &PolicyProcessOptions) -> Result<Self, SessionError> {
+        let network = ActPolicy::load(&options.policy, options.device)?;
+        let cameras = camera_names(&network)
+            .iter()
+            .map(|camera| CameraTopic::subscriber(node, camera))
+            .collect::<Result<Vec<_>, _>>()?;
+        Ok(Self {
+            control: RunControlTopic::subscriber(node, ARM)?,
+            arm: ArmStateTopic::subscriber(node, ARM)?,
+            chunks: ChunkTopic::publisher(node, ARM)?,
+            status: PolicyStatusTopic::publisher(node, ARM)?,
+            every_steps: u64::from(network.recipe().query_every_steps).max(1),
+            report: None,
+            views: cameras.iter().map(|_| None).collect(),
+            answered: None,
+            counts: Counts::default(),
+            cameras,
+            network,
+        })
+    }
+
     /// Follows the control process; `false` means that it is time to go.
     fn obey(&mut self, control: &RunControl) -> bool {
         match control.command() {
@@ -104,6 +119,7 @@ impl Service {
                     self.network.reset(seed);
                     self.counts.episode = control.episode;
                     self.counts.queries = 0;
+                    self.answered = None;
                 }
                 true
             }
@@ -111,27 +127,34 @@ impl Service {
         }
     }
 
-    /// Answers the newest observation, if there is a new one whose parts belong together.
+    /// Answers the newest observation if it is one's turn and its parts belong together.
+    ///
+    /// Turns begin at multiples of `every_steps`. When the camera or the network was too slow for the first observation of a
+    /// turn, the newest one takes its place.
     fn answer(&mut self) -> Result<(), SessionError> {
         if let Some(report) = self.arm.newest()? {
             self.report = Some(report);
         }
-        let views = self
-            .cameras
-            .iter_mut()
-            .map(FrameSubscriber::newest)
-            .collect::<Result<Vec<_>, _>>()?;
-        let Some(views) = views.into_iter().collect::<Option<Vec<FrameView>>>() else {
+        for (camera, view) in self.cameras.iter_mut().zip(&mut self.views) {
+            if let Some(newest) = camera.newest()? {
+                *view = Some(newest);
+            }
+        }
+        let Some(report) = self.report else {
             return Ok(());
         };
-        // Reports are published before the frames of the same instant, so the newest one is late only if it overtook.
-        let Some(report) = self
-            .report
-            .filter(|report| views.iter().all(|view| view.header().stamp == report.stamp))
-        else {
+        let turn = report.sequence / self.every_steps;
+        let views: Vec<&FrameView> = self
+            .views
+            .iter()
+            .flatten()
+            .filter(|view| view.header().stamp == report.stamp)
+            .collect();
+        if self.answered == Some(turn) || views.len() != self.cameras.len() {
             return Ok(());
-        };
-        let frames: Vec<FrameRef<'_>> = views.iter().map(FrameView::as_frame).collect();
+        }
+        self.answered = Some(turn);
+        let frames: Vec<FrameRef<'_>> = views.iter().map(|view| view.as_frame()).collect();
         let state = report.state();
         let clock = MonotonicClock::new();
         let before = clock.now();

@@ -1,27 +1,50 @@
 //! The simulated arm in a real-time run: one step a millisecond, and the local policies that look at its scene.
 
 use std::sync::Arc;
-use std::sync::atomic::Ordering;
 
 use hal::{Arm, ArmCommand, ArmState, Chunk, TICK_NS, TimeNs};
 use rtrb::Producer;
 use sim_backend::simulation::Simulation;
 use sim_backend::task::Outcome;
 
-use super::Signals;
 use super::camera_thread::Snapshot;
+use super::signals::{EndsRun, Signals};
+use crate::histogram::Histogram;
 use crate::kinematics;
 use crate::mailbox::{MailboxReader, MailboxWriter};
-use crate::rt::{MonotonicClock, Periodic};
+use crate::rt::{MonotonicClock, Periodic, RtOptions, configure_thread};
 use crate::session::SessionError;
 use crate::session::source::{ChunkSource, Query, STEP_TICKS};
+
+/// Priority under `SCHED_FIFO`, below the control thread's: the arm that this thread stands for never waits for a core.
+const PRIORITY: u8 = 70;
+
+/// Steps from one frame for the log and the pictures to the next. Drawing in software takes half a core at every step.
+const PICTURE_EVERY_STEPS: u64 = 5;
+
+/// Snapshots for the cameras, and when to take them.
+pub(super) struct Snapshots {
+    pub(super) to: MailboxWriter<Snapshot>,
+    /// Steps from one query of the policy to the next, if the policy looks through the cameras.
+    pub(super) query_every_steps: Option<u64>,
+    /// Whether the log or somebody else wants frames in between.
+    pub(super) pictures: bool,
+}
+
+impl Snapshots {
+    fn wanted(&self, step: u64) -> bool {
+        self.query_every_steps
+            .is_some_and(|every| step.is_multiple_of(every))
+            || self.pictures && step.is_multiple_of(PICTURE_EVERY_STEPS)
+    }
+}
 
 /// The simulation thread before it runs.
 pub(super) struct SimulationThread {
     pub(super) simulation: Simulation,
     pub(super) measured: MailboxWriter<ArmState>,
     pub(super) commands: MailboxReader<ArmCommand>,
-    pub(super) snapshots: Option<Producer<Snapshot>>,
+    pub(super) snapshots: Option<Snapshots>,
     pub(super) local: Option<(ChunkSource, Producer<Chunk>)>,
     pub(super) signals: Arc<Signals>,
 }
@@ -29,6 +52,8 @@ pub(super) struct SimulationThread {
 /// What it leaves behind.
 pub(super) struct SimulationEnd {
     pub(super) outcome: Outcome,
+    /// How long the local policy took for its chunks.
+    pub(super) inference: Histogram,
 }
 
 impl SimulationThread {
@@ -38,33 +63,46 @@ impl SimulationThread {
         clock: MonotonicClock,
         first: TimeNs,
     ) -> Result<SimulationEnd, SessionError> {
+        let signals = Arc::clone(&self.signals);
+        let _ends = EndsRun(&signals);
+        // Not strict: without it the arm is only less punctual.
+        let _granted = configure_thread(&RtOptions {
+            priority: Some(PRIORITY),
+            cpu: None,
+            lock_memory: false,
+            strict: false,
+        });
         let mut periodic = Periodic::new(clock, first, TICK_NS);
-        let mut verdict = Outcome::Running;
-        let result = loop {
-            if self.signals.stopped() {
-                break Ok(SimulationEnd { outcome: verdict });
-            }
+        let mut end = SimulationEnd {
+            outcome: Outcome::Running,
+            inference: Histogram::new(),
+        };
+        while !signals.stopped() {
             let wake = periodic.wait();
             // After a late wake-up the missed milliseconds are made up for, so that simulated time stays real time.
             for late in (0..=wake.skipped).rev() {
+                if signals.stopped() {
+                    break;
+                }
                 let now = TimeNs(wake.due.0.saturating_sub(late * TICK_NS));
-                let tick = wake.index.saturating_sub(late);
-                if let Err(error) = self.step(tick, now) {
-                    self.signals.done.store(true, Ordering::Release);
-                    return Err(error);
+                self.step(wake.index.saturating_sub(late), now, &mut end.inference)?;
+                if matches!(end.outcome, Outcome::Running) {
+                    end.outcome = self.simulation.outcome();
                 }
             }
-            if matches!(verdict, Outcome::Running) {
-                verdict = self.simulation.outcome();
-                if !matches!(verdict, Outcome::Running) {
-                    self.signals.done.store(true, Ordering::Release);
-                }
+            if !matches!(end.outcome, Outcome::Running) {
+                signals.end_run();
             }
-        };
-        result
+        }
+        Ok(end)
     }
 
-    fn step(&mut self, tick: u64, now: TimeNs) -> Result<(), SessionError> {
+    fn step(
+        &mut self,
+        tick: u64,
+        now: TimeNs,
+        inference: &mut Histogram,
+    ) -> Result<(), SessionError> {
         if let Some(command) = self.commands.take() {
             self.simulation.write(&command)?;
         }
@@ -72,17 +110,24 @@ impl SimulationThread {
         let state = self.simulation.read(now)?;
         self.measured.put(state);
         if tick.is_multiple_of(STEP_TICKS) && !self.signals.done() {
-            self.observe(tick / STEP_TICKS, &state)?;
+            self.observe(tick / STEP_TICKS, &state, inference)?;
         }
         Ok(())
     }
 
     /// A policy step: a snapshot for the cameras, and a chunk if the policy is a local one.
-    fn observe(&mut self, step: u64, state: &ArmState) -> Result<(), SessionError> {
+    fn observe(
+        &mut self,
+        step: u64,
+        state: &ArmState,
+        inference: &mut Histogram,
+    ) -> Result<(), SessionError> {
         let tip_in_rcm = kinematics::forward(&state.position);
-        if let Some(snapshots) = &mut self.snapshots {
-            // A camera that is still busy skips this step.
-            let _busy = snapshots.push(Snapshot {
+        if let Some(snapshots) = &mut self.snapshots
+            && snapshots.wanted(step)
+        {
+            // A camera that is still busy takes the newest when it is done.
+            snapshots.to.put(Snapshot {
                 step,
                 arm: *state,
                 tip_in_rcm,
@@ -99,7 +144,9 @@ impl SimulationThread {
                 frames: &[],
                 scene: &scene,
             };
+            let clock = MonotonicClock::new();
             let chunk = source.answer(&query)?;
+            inference.record(clock.now().0);
             // The control thread takes one a tick; a full queue means that it is gone.
             let _gone = chunks.push(chunk);
         }

@@ -1,0 +1,68 @@
+//! Flags between the threads of a run, and the promise that no thread's end leaves the others waiting.
+
+use std::sync::atomic::{AtomicBool, Ordering};
+
+/// The flags.
+#[derive(Debug, Default)]
+pub(super) struct Signals {
+    /// Come to rest: the task has its verdict, or something ended the run.
+    done: AtomicBool,
+    /// The control thread has ended: everybody else may.
+    stopped: AtomicBool,
+}
+
+impl Signals {
+    /// Whether the arm should come to rest.
+    pub(super) fn done(&self) -> bool {
+        self.done.load(Ordering::Acquire)
+    }
+
+    /// Asks for rest and then the end.
+    pub(super) fn end_run(&self) {
+        self.done.store(true, Ordering::Release);
+    }
+
+    /// Whether the control thread has ended.
+    pub(super) fn stopped(&self) -> bool {
+        self.stopped.load(Ordering::Acquire)
+    }
+}
+
+/// Held by every thread but the control thread: when the thread ends for whatever reason, a panic included, so does the run.
+pub(super) struct EndsRun<'a>(pub(super) &'a Signals);
+
+impl Drop for EndsRun<'_> {
+    fn drop(&mut self) {
+        self.0.end_run();
+    }
+}
+
+/// Held by the control thread: when it ends for whatever reason, everybody else may.
+pub(super) struct StopsAll<'a>(pub(super) &'a Signals);
+
+impl Drop for StopsAll<'_> {
+    fn drop(&mut self) {
+        self.0.end_run();
+        self.0.stopped.store(true, Ordering::Release);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_thread_that_panics_ends_the_run_and_the_control_thread_stops_all() {
+        let signals = Signals::default();
+        std::thread::scope(|scope| {
+            let panicked = scope.spawn(|| {
+                let _ends = EndsRun(&signals);
+                std::panic::resume_unwind(Box::new("a bug"));
+            });
+            assert!(panicked.join().is_err());
+        });
+        assert!(signals.done() && !signals.stopped());
+        drop(StopsAll(&signals));
+        assert!(signals.stopped());
+    }
+}
