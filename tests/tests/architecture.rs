@@ -1,0 +1,272 @@
+//! ARCHITECTURE.md says what is: the files, modules and tests that it names exist, and the absences that it states hold.
+
+#![expect(
+    clippy::expect_used,
+    reason = "in a test, a failure to read is a failure"
+)]
+
+use std::collections::BTreeSet;
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use tests::repository;
+
+/// Folders at the top whose contents the document may name.
+const FOLDERS: [&str; 7] = [
+    "hal/",
+    "policy/",
+    "sim_backend/",
+    "runtime/",
+    "tests/",
+    "config/",
+    ".ci/",
+];
+
+/// Crates with the crates of ours that each may depend on.
+const MAY_USE: [(&str, &[&str]); 4] = [
+    ("hal", &[]),
+    ("policy", &["hal"]),
+    ("sim_backend", &["hal"]),
+    ("runtime", &["hal", "policy", "sim_backend"]),
+];
+
+/// Folders with what no file in them may mention.
+const MUST_NOT_MENTION: [(&str, &[&str]); 3] = [
+    ("runtime/src/control", &OUTSIDE_OF_THE_TICK),
+    ("runtime/src/kinematics", &OUTSIDE_OF_THE_TICK),
+    (
+        "runtime/src/verify",
+        &[
+            "crate::control",
+            "crate::kinematics",
+            "crate::rt",
+            "crate::session",
+        ],
+    ),
+];
+
+const OUTSIDE_OF_THE_TICK: [&str; 10] = [
+    "crate::rt",
+    "crate::log",
+    "crate::session",
+    "crate::verify",
+    "sim_backend::",
+    "policy::act",
+    "tch::",
+    "std::fs",
+    "std::thread",
+    "std::net",
+];
+
+fn read(path: &Path) -> String {
+    fs::read_to_string(path).expect("the file can be read")
+}
+
+fn document() -> String {
+    read(&repository().join("ARCHITECTURE.md"))
+}
+
+/// The lines of `text` from `heading` to the next heading of the same rank, without fenced blocks.
+fn section<'a>(text: &'a str, heading: &str) -> Vec<&'a str> {
+    let mut fenced = false;
+    text.lines()
+        .skip_while(|line| *line != heading)
+        .skip(1)
+        .take_while(|line| !line.starts_with("## "))
+        .filter(|line| {
+            let fence = line.starts_with("```");
+            fenced ^= fence;
+            !fenced && !fence
+        })
+        .collect()
+}
+
+/// What stands between backticks.
+fn quoted(line: &str) -> impl Iterator<Item = &str> {
+    line.split('`').skip(1).step_by(2)
+}
+
+/// Quoted names that begin with a folder of the repository.
+fn paths<'a>(lines: &[&'a str]) -> Vec<&'a str> {
+    lines
+        .iter()
+        .flat_map(|line| quoted(line))
+        .filter(|name| FOLDERS.iter().any(|folder| name.starts_with(folder)))
+        .collect()
+}
+
+/// All Rust files below `folder`.
+fn rust_files(folder: &Path) -> Vec<PathBuf> {
+    let mut found = Vec::new();
+    for entry in fs::read_dir(folder).expect("the folder can be read") {
+        let path = entry.expect("the entry can be read").path();
+        if path.is_dir() {
+            found.extend(rust_files(&path));
+        } else if path.extension().is_some_and(|extension| extension == "rs") {
+            found.push(path);
+        }
+    }
+    found.sort();
+    found
+}
+
+/// Names of the functions under `#[test]` in `text`.
+fn tests_in(text: &str) -> Vec<String> {
+    let mut names = Vec::new();
+    let mut lines = text.lines().map(str::trim);
+    while lines.any(|line| line == "#[test]") {
+        let name = lines
+            .by_ref()
+            .find_map(|line| line.strip_prefix("fn ")?.split('(').next());
+        names.extend(name.map(str::to_owned));
+    }
+    names
+}
+
+fn all_tests() -> BTreeSet<String> {
+    ["hal", "policy", "sim_backend", "runtime", "tests"]
+        .iter()
+        .flat_map(|folder| rust_files(&repository().join(folder)))
+        .flat_map(|file| tests_in(&read(&file)))
+        .collect()
+}
+
+/// Rows of the safety table as hazard, mechanism, file, test.
+fn safety_rows(text: &str) -> Vec<Vec<&str>> {
+    section(text, "## Safety table")
+        .into_iter()
+        .filter(|line| line.starts_with('|'))
+        .skip(2)
+        .map(|line| line.trim_matches('|').split('|').map(str::trim).collect())
+        .collect()
+}
+
+/// What is wrong with the safety table of `text`.
+fn safety_defects(text: &str, tests: &BTreeSet<String>) -> Vec<String> {
+    let mut defects = Vec::new();
+    for row in safety_rows(text) {
+        let [hazard, mechanism, file, test] = row[..] else {
+            defects.push(format!("not four cells: {row:?}"));
+            continue;
+        };
+        if hazard.is_empty() || mechanism.is_empty() {
+            defects.push(format!("an empty cell: {row:?}"));
+        }
+        for (kind, cell) in [("file", file), ("test", test)] {
+            if quoted(cell).next().is_none() {
+                defects.push(format!("{hazard}: names no {kind}"));
+            }
+        }
+        defects.extend(
+            quoted(file)
+                .filter(|file| !repository().join(file).is_file())
+                .map(|file| format!("{hazard}: there is no file {file}")),
+        );
+        defects.extend(
+            quoted(test)
+                .filter(|test| !tests.contains(*test))
+                .map(|test| format!("{hazard}: there is no test {test}")),
+        );
+    }
+    defects
+}
+
+/// Modules of `name`'s library at its root, without extension.
+fn root_modules(name: &str) -> BTreeSet<String> {
+    fs::read_dir(repository().join(name).join("src"))
+        .expect("the crate has sources")
+        .filter_map(|entry| {
+            let path = entry.expect("the entry can be read").path();
+            path.file_stem()?.to_str().map(str::to_owned)
+        })
+        .filter(|stem| stem != "lib")
+        .collect()
+}
+
+#[test]
+fn the_safety_table_names_files_and_tests_that_exist() {
+    let text = document();
+    let rows = safety_rows(&text).len();
+    assert!(rows >= 12, "{rows} rows");
+    let defects = safety_defects(&text, &all_tests());
+    assert!(defects.is_empty(), "{defects:#?}");
+}
+
+#[test]
+fn a_doctored_safety_table_is_caught() {
+    let tests = all_tests();
+    let text = document();
+    let doctored = [
+        ("`a_good_chunk_is_accepted_once`", "`a_good_chunk_is_used`"),
+        ("`runtime/src/control/mode.rs`", "`runtime/src/mode.rs`"),
+        ("`runtime/src/control/mode.rs`", "the mode machine"),
+        // A function that is none of the tests.
+        ("`a_fault_is_left_only_by_clearing_it`", "`safety_rows`"),
+    ];
+    for (from, to) in doctored {
+        assert!(text.contains(from), "{from}");
+        let defects = safety_defects(&text.replace(from, to), &tests);
+        assert_eq!(defects.len(), 1, "{to}: {defects:#?}");
+    }
+}
+
+#[test]
+fn the_map_names_paths_that_exist_and_every_module() {
+    let text = document();
+    let lines = section(&text, "## Map");
+    let named = paths(&lines);
+    assert!(named.len() > 40, "{} paths", named.len());
+    for (name, _) in MAY_USE {
+        for module in root_modules(name) {
+            let stem = format!("{name}/src/{module}");
+            let known = named.iter().any(|path| {
+                path.strip_prefix(&stem)
+                    .is_some_and(|rest| rest.starts_with(['/', '.']))
+            });
+            assert!(known, "{stem} is missing in ARCHITECTURE.md's map");
+        }
+    }
+}
+
+#[test]
+fn every_path_in_the_document_exists() {
+    let text = document();
+    let headings: Vec<&str> = text
+        .lines()
+        .filter(|line| line.starts_with("## "))
+        .collect();
+    assert!(headings.len() >= 6, "{headings:?}");
+    for heading in headings {
+        for path in paths(&section(&text, heading)) {
+            assert!(repository().join(path).exists(), "{heading}: no {path}");
+        }
+    }
+}
+
+#[test]
+fn crates_depend_on_no_crate_that_they_must_not_know() {
+    for (name, allowed) in MAY_USE {
+        let manifest = read(&repository().join(name).join("Cargo.toml"));
+        let used: Vec<&str> = manifest
+            .lines()
+            .filter_map(|line| line.split(['.', ' ', '=']).next())
+            .filter(|word| MAY_USE.iter().any(|(other, _)| other == word))
+            .collect();
+        assert_eq!(used, allowed, "{name}");
+    }
+}
+
+#[test]
+fn modules_mention_nothing_that_they_must_not_know() {
+    for (folder, forbidden) in MUST_NOT_MENTION {
+        let files = rust_files(&repository().join(folder));
+        assert!(files.len() >= 4, "{folder}");
+        // Tests compare with what the module itself must not know.
+        for file in files.iter().filter(|file| !file.ends_with("tests.rs")) {
+            let text = read(file);
+            for word in forbidden {
+                assert!(!text.contains(word), "{} mentions {word}", file.display());
+            }
+        }
+    }
+}
