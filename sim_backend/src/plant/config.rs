@@ -34,19 +34,6 @@ pub struct PlantConfig {
     pub jaw_effort_max_n_m: f64,
 }
 
-impl Default for PlantConfig {
-    /// The values that the tests of this crate measure with.
-    fn default() -> Self {
-        Self {
-            substeps: 4,
-            inertia: [0.09, 0.08, 0.83, 1.4e-4, 1.4e-4, 1.4e-4, 1.4e-4],
-            coulomb: [0.050, 0.066_8, 0.447_6, 0.002_5, 0.002, 0.002, 0.002],
-            viscous: [0.090_5, 0.218_1, 1.203_6, 0.001_1, 0.002, 0.002, 0.002],
-            jaw_effort_max_n_m: 0.04,
-        }
-    }
-}
-
 impl PlantConfig {
     /// Checks the ranges of a plant read from `source` at the dotted `key`: outside them the model is not stable.
     ///

@@ -8,18 +8,23 @@ use hal::{ArmCommand, JOINT_COUNT, JointVector, TimeNs};
 use super::{
     AXIS_COUNT, AxisVector, Load, Plant, PlantConfig, actuator_efforts, actuator_positions,
 };
+use crate::task::TaskConfig;
 
 const FREE: Load = Load {
     efforts: [0.0; AXIS_COUNT],
     squeeze_damping: 0.0,
 };
 
+fn shipped() -> PlantConfig {
+    TaskConfig::needle_lift().unwrap().world.plant
+}
+
 fn home() -> JointVector {
     JointVector::from([0.0, 0.0, 0.12, 0.0, 0.0, 0.0])
 }
 
 fn plant() -> Plant {
-    Plant::new(&PlantConfig::default(), &home(), 0.3)
+    Plant::new(&shipped(), &home(), 0.3)
 }
 
 fn setpoint(position: JointVector, velocity: JointVector) -> ArmCommand {
@@ -41,7 +46,7 @@ fn ramp_lag_s(joint: usize, rate: f64, velocity_is_sent: bool) -> f64 {
     let config = PlantConfig {
         coulomb: none,
         viscous: none,
-        ..PlantConfig::default()
+        ..shipped()
     };
     let mut plant = Plant::new(&config, &home(), 0.3);
     let mut wanted = home();
@@ -99,7 +104,7 @@ fn steps_settle_within_the_friction_band_on_every_joint() {
 fn load_deflects_yaw_by_load_over_gain() {
     let config = PlantConfig {
         coulomb: [0.0; AXIS_COUNT],
-        ..PlantConfig::default()
+        ..shipped()
     };
     let mut plant = Plant::new(&config, &home(), 0.3);
     let mut load = FREE;
@@ -204,6 +209,6 @@ fn closed_fingers_stop_each_other() {
     }
     let state = plant.measured(TimeNs(0));
     assert!(lowest > -0.03, "overshoot to {lowest}");
-    assert!((state.jaw_effort + PlantConfig::default().jaw_effort_max_n_m).abs() < 1e-9);
+    assert!((state.jaw_effort + shipped().jaw_effort_max_n_m).abs() < 1e-9);
     assert!(plant.joints()[JOINT_COUNT] > -0.003 && state.jaw_velocity.abs() < 1e-6);
 }

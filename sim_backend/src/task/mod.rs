@@ -54,7 +54,6 @@ struct SceneFile {
     needle: NeedleShape,
     needle_start: NeedleStart,
     organ: OrganShape,
-    #[serde(default)]
     world: WorldConfig,
     camera: Vec<CameraConfig>,
     success: SuccessConfig,

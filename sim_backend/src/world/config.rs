@@ -55,35 +55,6 @@ pub struct Press {
     pub friction: f64,
 }
 
-impl Default for WorldConfig {
-    /// The values that the tests of this crate measure with.
-    fn default() -> Self {
-        Self {
-            plant: PlantConfig::default(),
-            grip: Surface {
-                frequency_hz: 1000.0,
-                damping_ratio: 1.0,
-                friction: 0.6,
-            },
-            tissue: Surface {
-                frequency_hz: 150.0,
-                damping_ratio: 1.0,
-                friction: 0.5,
-            },
-            press: Press {
-                stiffness_n_m: 800.0,
-                damping_n_s_m: 4.0,
-                friction: 0.3,
-            },
-            squeeze_damping_n_m_s: 0.03,
-            solver_substeps: 4,
-            solver_sweeps: 3,
-            length_unit_m: 0.01,
-            gravity_m_s2: 9.81,
-        }
-    }
-}
-
 impl WorldConfig {
     /// Checks the ranges of a world read from `source` at the dotted `key`: outside them the physics is not stable.
     ///

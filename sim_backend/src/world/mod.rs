@@ -4,6 +4,7 @@ mod chain;
 mod config;
 mod convert;
 mod press;
+mod solids;
 mod stage;
 mod stick;
 

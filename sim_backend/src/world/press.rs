@@ -6,7 +6,7 @@ use nalgebra::{Point3, Vector3};
 
 use super::chain::Wrench;
 use super::config::Press;
-use super::stage::{FINGER_THICKNESS_M, FINGER_WIDTH_M, WRIST_RADIUS_M};
+use super::solids::{FINGER_THICKNESS_M, FINGER_WIDTH_M, WRIST_RADIUS_M};
 use crate::organ::OrganShape;
 
 /// Below this tangential speed friction fades, m/s: it damps, it does not stick.

@@ -2,10 +2,11 @@
 
 use core::f64::consts::TAU;
 
-use super::{World, WorldConfig};
+use super::World;
 use crate::needle::NeedleShape;
 use crate::needle::tests::HALF_CIRCLE;
 use crate::organ::tests::BACK_MUSCLE;
+use crate::task::TaskConfig;
 use hal::psm::FINGER_M;
 use hal::{ArmCommand, JointVector, Pose, TimeNs};
 use nalgebra::{Point3, UnitQuaternion, Vector3};
@@ -50,7 +51,7 @@ impl Bench {
         let needle = Pose::from_parts(centre.into(), lying);
         let base = Pose::translation(0.0, 0.0, 0.15);
         let world = World::new(
-            &WorldConfig::default(),
+            &TaskConfig::needle_lift().unwrap().world,
             shape,
             &BACK_MUSCLE,
             base,
