@@ -1,8 +1,7 @@
 //! The run log: one MCAP file, written beside the loop without slowing it, read back bit for bit.
 //!
-//! [`TickRecord`] is what one tick leaves behind, [`Recorder`] writes it, [`RunLog`] reads it. Topics and schemas are
-//! in [`topic`]; joint values are Foxglove protobuf, the log's own messages JSON, so that any MCAP reader
-//! understands the file.
+//! [`TickRecord`] is what one tick leaves behind, [`Recorder`] writes it, [`RunLog`] reads it. Joint values are Foxglove
+//! protobuf, the log's own messages JSON, so that any MCAP reader understands the file.
 
 mod camera;
 mod container;
