@@ -1,0 +1,143 @@
+//! One answer of an ACT policy: a 512x512 frame in, a chunk out, on one core.
+
+#![expect(
+    clippy::expect_used,
+    reason = "a bench can't go on without its subject"
+)]
+
+mod support;
+
+use std::error::Error;
+use std::path::Path;
+
+use criterion::Criterion;
+use hal::{ArmState, CameraFrame, Intrinsics, JointVector, Observation, Policy, TimeNs};
+use policy::act::{Act, ActConfig, ActPreset};
+use policy::act_policy::ActPolicy;
+use policy::checkpoint::{
+    AggregationName, DatasetSummary, FeatureStatistics, RECIPE_FORMAT, Recipe,
+    RecommendedAggregation, RecordedCamera, SaveOptions, Variants, save,
+};
+use policy::normalise::Statistics;
+use policy::parameters::ParameterSource;
+use policy::relative_action::REPRESENTATION;
+use runtime::kinematics::forward;
+use runtime::rt::MonotonicClock;
+use runtime::session::demo::COMMITTED_POLICY;
+use runtime::session::source::STEP_NS;
+use tch::Device;
+
+const CAMERA: &str = "observation.images.endoscope";
+const SIDE_PIXELS: u32 = 512;
+const RUNS: u32 = 20;
+
+/// Saves an untrained network of the preset `small`, which takes as long as a trained one.
+fn save_untrained(folder: &Path) -> Result<(), Box<dyn Error>> {
+    let config = ActConfig::preset(ActPreset::Small, &[CAMERA.to_owned()]);
+    let spread = |std: f32| Statistics {
+        mean: vec![0.0; 7],
+        std: vec![std; 7],
+        min: vec![],
+        max: vec![],
+    };
+    let statistics = FeatureStatistics {
+        state: spread(0.5),
+        action: spread(0.002),
+    };
+    let recipe = Recipe {
+        format: RECIPE_FORMAT,
+        action_representation: REPRESENTATION.to_owned(),
+        step_ns: STEP_NS,
+        query_every_steps: 1,
+        aggregation: RecommendedAggregation {
+            mode: AggregationName::Ensemble,
+            decay: 0.01,
+        },
+        cameras: vec![RecordedCamera {
+            feature: CAMERA.to_owned(),
+            width: SIDE_PIXELS,
+            height: SIDE_PIXELS,
+        }],
+        preset: ActPreset::Small,
+        variants: Variants {
+            backbone_norm: config.backbone_norm,
+            loss_denominator: config.loss_denominator,
+        },
+        recipe: "untrained".to_owned(),
+        dataset: DatasetSummary::default(),
+        seed: 1,
+        training: serde_json::Value::Null,
+    };
+    let act = Act::new(config, ParameterSource::seeded(1, Device::Cpu))?;
+    let options = SaveOptions {
+        inference_only: true,
+        ..SaveOptions::default()
+    };
+    save(folder, &act, &statistics, &recipe, options)?;
+    Ok(())
+}
+
+/// Frames as the policy wants them, with something in them.
+fn frames(policy: &ActPolicy) -> Vec<CameraFrame> {
+    let one = |camera: &RecordedCamera| {
+        let intrinsics = Intrinsics::from_vertical_fov(camera.width, camera.height, 0.62);
+        let mut frame = CameraFrame::blank(intrinsics);
+        for (byte, shade) in frame.colour.iter_mut().zip((0..=250_u8).cycle()) {
+            *byte = shade;
+        }
+        frame
+    };
+    policy.recipe().cameras.iter().map(one).collect()
+}
+
+/// Times the policy in `folder`.
+fn infer(criterion: &mut Criterion, name: &str, folder: &Path) -> Result<(), Box<dyn Error>> {
+    let clock = MonotonicClock::new();
+    let mut policy = ActPolicy::load(folder, Device::Cpu)?;
+    let frames = frames(&policy);
+    let frames: Vec<_> = frames.iter().map(CameraFrame::as_frame).collect();
+    let joints = JointVector::new(0.0, 0.0, hal::psm::HOME_INSERTION_M, 0.0, 0.0, 0.0);
+    let arm = ArmState::at_rest(TimeNs(0), joints, 0.4);
+    let observation = Observation {
+        arm: &arm,
+        tip_in_rcm: forward(&joints),
+        frames: &frames,
+    };
+    let times = support::measure(criterion, &format!("inference/{name}"), RUNS, || {
+        let before = clock.now();
+        let chunk = policy.infer(&observation).expect("it answers");
+        let took_ns = clock.now().since(before);
+        assert!(
+            !chunk.valid_targets().is_empty(),
+            "the chunk says something"
+        );
+        took_ns
+    });
+    let ms = |fraction| TimeNs(times.percentile(fraction)).seconds() * 1e3;
+    let figure = format!(
+        "ACT {name}, one core: p50 {:.1} ms, worst {:.1} ms of {}",
+        ms(0.5),
+        ms(1.0),
+        times.count()
+    );
+    let period_ns = STEP_NS * u64::from(policy.recipe().query_every_steps);
+    let period_ms = TimeNs(period_ns).seconds() * 1e3;
+    let target = format!("within {period_ms} ms, when it is asked again");
+    support::report(&figure, &target, period_ms / ms(0.5));
+    Ok(())
+}
+
+fn main() -> Result<(), Box<dyn Error>> {
+    let mut criterion = support::criterion();
+    let untrained = std::env::temp_dir().join(format!("trocar-bench-{}", std::process::id()));
+    save_untrained(&untrained)?;
+    let result = infer(&mut criterion, "small, untrained", &untrained);
+    std::fs::remove_dir_all(&untrained)?;
+    result?;
+    let committed = tests::repository().join(COMMITTED_POLICY);
+    if committed.join("config.json").exists() {
+        infer(&mut criterion, "as committed", &committed)?;
+    }
+    criterion.final_summary();
+    Ok(())
+}

@@ -1,0 +1,211 @@
+//! The controller's tick alone: with the safety QP inactive under two ways of aggregation, and with it active.
+
+mod support;
+
+use core::f64::consts::TAU;
+use std::error::Error;
+
+use criterion::Criterion;
+use hal::{ArmState, Chunk, JointVector, Pose, TICK_NS, TimeNs, TipTarget};
+use nalgebra::{Translation3, UnitQuaternion, Vector3};
+use runtime::control::aggregate::Aggregation;
+use runtime::control::{
+    ControlConfig, Controller, OperatorEvent, QpOutcome, TickInput, TickOutput,
+};
+use runtime::histogram::Histogram;
+use runtime::kinematics::forward;
+use runtime::rt::MonotonicClock;
+
+/// Ticks from one chunk to the next.
+const STEP_TICKS: u64 = 40;
+/// Steps in a chunk; with one every step, as many chunks cover each instant.
+const CHUNK_STEPS: usize = 100;
+/// Ticks after which the chunks overlap in full and the arm is where the path is.
+const WARM_UP_TICKS: u32 = 5_000;
+/// Ticks that percentiles are taken over.
+const TICKS: u32 = 30_000;
+
+/// A controller with an arm that is wherever it was told to be, and a policy that answers every step.
+struct Rig {
+    controller: Controller,
+    path: fn(f64) -> TipTarget,
+    chunk: Option<Chunk>,
+    arm: ArmState,
+    tick: u64,
+    clock: MonotonicClock,
+}
+
+impl Rig {
+    fn new(config: &ControlConfig, path: fn(f64) -> TipTarget) -> Result<Self, Box<dyn Error>> {
+        let mut rig = Self {
+            controller: Controller::new(config)?,
+            path,
+            chunk: None,
+            arm: ArmState::at_rest(TimeNs(0), home(), 0.2),
+            tick: 0,
+            clock: MonotonicClock::new(),
+        };
+        for _ in 0..WARM_UP_TICKS {
+            rig.step();
+        }
+        Ok(rig)
+    }
+
+    /// One tick, and the time that the controller took for it, ns.
+    fn step(&mut self) -> (u64, TickOutput) {
+        let now = TimeNs::from_tick(self.tick);
+        if self.tick.is_multiple_of(STEP_TICKS) {
+            self.chunk = Some(self.chunk_from(now));
+        }
+        let input = TickInput {
+            now,
+            measured: Ok(self.arm),
+            chunk: self.chunk.as_ref(),
+            operator: (self.tick == 0).then_some(OperatorEvent::Enable),
+        };
+        let before = self.clock.now();
+        let output = self.controller.tick(&input);
+        let took_ns = self.clock.now().since(before);
+        self.tick += 1;
+        let command = &output.command;
+        self.arm = ArmState {
+            velocity: command.velocity,
+            jaw_velocity: command.jaw_velocity,
+            ..ArmState::at_rest(
+                TimeNs::from_tick(self.tick),
+                command.position,
+                command.jaw_position,
+            )
+        };
+        (took_ns, output)
+    }
+
+    fn chunk_from(&self, now: TimeNs) -> Chunk {
+        let blank = (self.path)(0.0);
+        let step_ns = STEP_TICKS * TICK_NS;
+        let mut chunk = Chunk::new(now, self.tick + 1, step_ns, &[blank; CHUNK_STEPS]);
+        for index in 0..CHUNK_STEPS {
+            chunk.targets[index] = (self.path)(chunk.due(index).seconds());
+        }
+        chunk
+    }
+}
+
+fn home() -> JointVector {
+    JointVector::new(0.0, 0.0, hal::psm::HOME_INSERTION_M, 0.0, 0.0, 0.0)
+}
+
+fn target(x: f64, y: f64, z: f64, turn: Vector3<f64>, jaw: f64) -> TipTarget {
+    let rotation = UnitQuaternion::new(turn) * forward(&home()).rotation;
+    let tip_in_rcm = Pose::from_parts(Translation3::new(x, y, z), rotation);
+    TipTarget::new(&tip_in_rcm, jaw)
+}
+
+/// A circle at 40 mm/s with a slow turn of the tool and the jaw, away from every boundary.
+fn circle(time_s: f64) -> TipTarget {
+    let blend = (time_s / 0.5).min(1.0).powi(2);
+    let angle = 2.0 * time_s;
+    let (x, y) = (
+        0.02 * blend * angle.sin(),
+        0.02 * blend * (angle.cos() - 1.0),
+    );
+    let half = (0.5 * angle).sin() * blend;
+    let whole = angle.sin() * blend;
+    let turn = Vector3::new(0.3 * half, 0.2 * half, 0.4 * whole);
+    target(x, y, -0.12, turn, 0.2 + 0.2 * whole)
+}
+
+/// To and fro along the workspace's floor, 20 mm below it.
+fn below_the_floor(time_s: f64) -> TipTarget {
+    let down_m = 0.06 * (time_s / 2.0).min(1.0);
+    let x = 0.02 * (TAU * time_s / 4.0).sin();
+    target(x, 0.0, -0.1135 - down_m, Vector3::zeros(), 0.2)
+}
+
+fn report(name: &str, ticks: &Histogram, limit_us: f64) {
+    let us = |fraction| TimeNs(ticks.percentile(fraction)).seconds() * 1e6;
+    let figure = format!(
+        "{name}: p50 {:.1} us, p99 {:.1} us, max {:.1} us of {} ticks",
+        us(0.5),
+        us(0.99),
+        us(1.0),
+        ticks.count()
+    );
+    support::report(
+        &figure,
+        &format!("p99 at most {limit_us} us"),
+        limit_us / us(0.99),
+    );
+}
+
+/// No row of the QP is touched on the way.
+fn inactive(
+    criterion: &mut Criterion,
+    name: &str,
+    config: &ControlConfig,
+) -> Result<Histogram, Box<dyn Error>> {
+    let mut rig = Rig::new(config, circle)?;
+    let mut solved = 0;
+    let ticks = support::measure(criterion, name, TICKS, || {
+        let (took_ns, output) = rig.step();
+        solved += u32::from(output.report.qp != QpOutcome::NotNeeded);
+        took_ns
+    });
+    if solved > 0 {
+        return Err(format!("{name}: the QP took part in {solved} ticks").into());
+    }
+    Ok(ticks)
+}
+
+/// Every tick that is counted has solved the QP with rows active.
+fn active(
+    criterion: &mut Criterion,
+    name: &str,
+    config: &ControlConfig,
+) -> Result<Histogram, Box<dyn Error>> {
+    let mut rig = Rig::new(config, below_the_floor)?;
+    let (mut all, mut counted) = (0_u32, 0_u32);
+    let ticks = support::measure(criterion, name, TICKS, || {
+        // The path stays below the floor, so that hardly a tick is passed over; the share is checked below.
+        loop {
+            let (took_ns, output) = rig.step();
+            all += 1;
+            let solved = matches!(output.report.qp, QpOutcome::Solved { .. });
+            if solved && output.report.rows_active > 0 || all > 100 * (counted + 1) {
+                counted += 1;
+                return took_ns;
+            }
+        }
+    });
+    if f64::from(counted) < 0.9 * f64::from(all) {
+        return Err(format!("{name}: rows were active in {counted} of {all} ticks only").into());
+    }
+    Ok(ticks)
+}
+
+fn main() -> Result<(), Box<dyn Error>> {
+    let mut criterion = support::criterion();
+    let ensemble = ControlConfig::load(
+        &ControlConfig::default_control(),
+        &ControlConfig::needle_lift_safety(),
+    )?;
+    let whole_chunk = ControlConfig {
+        aggregation: Aggregation::WholeChunk,
+        ..ensemble.clone()
+    };
+    let names = [
+        "tick/qp inactive, ensemble of 100",
+        "tick/qp inactive, whole chunk",
+        "tick/qp active, ensemble of 100",
+    ];
+    let results = [
+        inactive(&mut criterion, names[0], &ensemble)?,
+        inactive(&mut criterion, names[1], &whole_chunk)?,
+        active(&mut criterion, names[2], &ensemble)?,
+    ];
+    for ((name, ticks), limit_us) in names.iter().zip(&results).zip([50.0, 50.0, 300.0]) {
+        report(name, ticks, limit_us);
+    }
+    criterion.final_summary();
+    Ok(())
+}
