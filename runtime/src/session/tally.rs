@@ -95,6 +95,7 @@ impl Tally {
     /// The summary.
     #[must_use]
     pub fn summary(&self, labels: &RunLabels<'_>, real_time: Option<RealTimeCounts>) -> RunSummary {
+        let skipped = real_time.map_or(0, |counts| counts.overruns);
         RunSummary {
             task: labels.task.to_owned(),
             policy: PolicyCounts {
@@ -107,7 +108,7 @@ impl Tally {
             seed: labels.seed,
             success: labels.success,
             reason: labels.reason.to_owned(),
-            seconds: scaled(self.ticks * hal::TICK_NS, 1e-9),
+            seconds: scaled((self.ticks + skipped) * hal::TICK_NS, 1e-9),
             ticks: self.ticks,
             command_hash: self.command_hash(),
             tick_us: TickUs {

@@ -49,7 +49,6 @@ impl CameraThread {
     pub(super) fn new(
         setup: &Setup,
         node: Option<&TopicNode>,
-        log: Option<SideLog>,
         snapshots: MailboxReader<Snapshot>,
         start: &SceneSnapshot,
     ) -> Result<Self, SessionError> {
@@ -74,7 +73,7 @@ impl CameraThread {
             cameras,
             publishers,
             arm,
-            log,
+            log: None,
             snapshots,
             pictures: Pictures::default(),
             frames,
@@ -82,8 +81,13 @@ impl CameraThread {
     }
 
     /// Renders snapshots until the control thread has stopped.
-    pub(super) fn run(mut self, signals: &Signals) -> Result<CameraEnd, SessionError> {
+    pub(super) fn run(
+        mut self,
+        log: Option<SideLog>,
+        signals: &Signals,
+    ) -> Result<CameraEnd, SessionError> {
         let _ends = EndsRun(signals);
+        self.log = log;
         while !signals.stopped() {
             if let Some(snapshot) = self.snapshots.take() {
                 self.take(&snapshot)?;

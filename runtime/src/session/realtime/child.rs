@@ -167,7 +167,9 @@ impl PolicyChild {
 
 impl Drop for PolicyChild {
     fn drop(&mut self) {
-        if !self.goes_by_itself() {
+        // While it loads it does not listen.
+        let listens = self.heard > TimeNs(0);
+        if !(listens && self.goes_by_itself()) {
             // Whatever went wrong, nothing is left behind: no process, and nothing of it in shared memory.
             let _gone = self.process.kill();
             let _reaped = self.process.wait();

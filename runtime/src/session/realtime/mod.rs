@@ -92,13 +92,6 @@ fn run_threads(
 ) -> Result<Ends, SessionError> {
     let simulation = Simulation::new(&setup.task, options.seed, Rendering::Off)?;
     let controller = Box::new(setup.controller()?);
-    let (tick_log, side_log, log) = match open_log(setup, options, false)? {
-        Some(recorder) => {
-            let (ticks, side, file) = recorder.split();
-            (Some(ticks), Some(side), Some(file))
-        }
-        None => (None, None, None),
-    };
     let (measured_in, measured) = mailbox::<ArmState>();
     let (commands, commands_out) = mailbox::<ArmCommand>();
     let (chunk_in, chunks) = RingBuffer::<Chunk>::new(CHUNK_QUEUE);
@@ -108,9 +101,16 @@ fn run_threads(
     let camera_thread = (options.pictures || child.is_some())
         .then(|| {
             let node = child.as_deref().map(PolicyChild::node);
-            CameraThread::new(setup, node, side_log, snapshots, &simulation.snapshot())
+            CameraThread::new(setup, node, snapshots, &simulation.snapshot())
         })
         .transpose()?;
+    let (tick_log, side_log, log) = match open_log(setup, options, false)? {
+        Some(recorder) => {
+            let (ticks, side, file) = recorder.split();
+            (Some(ticks), Some(side), Some(file))
+        }
+        None => (None, None, None),
+    };
     let control_thread = ControlThread {
         controller,
         measured,
@@ -143,7 +143,7 @@ fn run_threads(
         let simulated = scope.spawn(move || simulation_thread.run(clock, first));
         let camera = camera_thread.map(|camera| {
             let signals = Arc::clone(&signals);
-            scope.spawn(move || camera.run(&signals))
+            scope.spawn(move || camera.run(side_log, &signals))
         });
         let watched = watch(remote, &signals);
         let control = joined(control);
