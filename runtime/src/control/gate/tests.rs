@@ -1,0 +1,123 @@
+//! What passes the gate and what does not.
+
+use super::{Gate, GateLimits, Verdict};
+use hal::{Chunk, Pose, TimeNs, TipTarget};
+
+const LIMITS: GateLimits = GateLimits {
+    age_ns_max: 2_000_000_000,
+    step_m_max: 0.01,
+    step_rad_max: 0.5,
+    jump_m_max: 0.05,
+    jump_rad_max: 1.0,
+};
+const STEP_NS: u64 = 40_000_000;
+const NOW: TimeNs = TimeNs(1_000_000_000);
+
+fn good(sequence: u64) -> Chunk {
+    let targets = [TipTarget::new(&Pose::translation(0.0, 0.0, -0.11), 0.2); 50];
+    Chunk::new(TimeNs(900_000_000), sequence, STEP_NS, &targets)
+}
+
+fn verdict_after(spoil: impl Fn(&mut Chunk)) -> Verdict {
+    let mut gate = Gate::new(LIMITS);
+    let mut chunk = good(5);
+    spoil(&mut chunk);
+    gate.judge(&chunk, NOW, &Pose::translation(0.0, 0.0, -0.11))
+        .unwrap()
+}
+
+#[test]
+fn a_good_chunk_is_accepted_once() {
+    let mut gate = Gate::new(LIMITS);
+    let tip = Pose::translation(0.0, 0.0, -0.11);
+    assert_eq!(gate.judge(&good(5), NOW, &tip), Some(Verdict::Accepted));
+    assert_eq!(gate.judge(&good(5), NOW, &tip), None);
+    assert_eq!(gate.judge(&good(4), NOW, &tip), Some(Verdict::OutOfOrder));
+    assert_eq!((gate.accepted_count(), gate.refused_count()), (1, 1));
+    gate.forget();
+    assert_eq!(gate.judge(&good(1), NOW, &tip), Some(Verdict::Accepted));
+}
+
+#[test]
+fn a_refused_sequence_does_not_block_the_next_one() {
+    let mut gate = Gate::new(LIMITS);
+    let tip = Pose::translation(0.0, 0.0, -0.11);
+    let mut bad = good(u64::MAX);
+    bad.targets[3].jaw = f64::NAN;
+    assert_eq!(
+        gate.judge(&bad, NOW, &tip),
+        Some(Verdict::NotFinite { index: 3 })
+    );
+    assert_eq!(gate.judge(&good(6), NOW, &tip), Some(Verdict::Accepted));
+}
+
+#[test]
+fn every_kind_of_nonsense_has_its_verdict() {
+    assert_eq!(
+        verdict_after(|c| c.len = 0),
+        Verdict::WrongLength { len: 0 }
+    );
+    assert_eq!(
+        verdict_after(|c| c.len = 129),
+        Verdict::WrongLength { len: 129 }
+    );
+    assert_eq!(
+        verdict_after(|c| c.step_ns = 0),
+        Verdict::WrongStep { step_ns: 0 }
+    );
+    assert_eq!(
+        verdict_after(|c| c.step_ns = u64::MAX),
+        Verdict::WrongStep { step_ns: u64::MAX }
+    );
+    assert_eq!(
+        verdict_after(|c| c.observed_at = TimeNs(u64::MAX)),
+        Verdict::FromTheFuture
+    );
+    assert_eq!(
+        verdict_after(|c| c.len = 2),
+        Verdict::Stale {
+            age_ns: 100_000_000
+        }
+    );
+    assert_eq!(
+        verdict_after(|c| c.targets[7].position_m[1] = f64::INFINITY),
+        Verdict::NotFinite { index: 7 }
+    );
+    assert_eq!(
+        verdict_after(|c| c.targets[7].rotation_xyzw = [0.0; 4]),
+        Verdict::NotUnit { index: 7 }
+    );
+    assert_eq!(
+        verdict_after(|c| c.targets[7].position_m[1] = 0.02),
+        Verdict::StepTooLong { index: 7 }
+    );
+    let turned = [1.0, 0.0, 0.0, 0.0];
+    assert_eq!(
+        verdict_after(|c| c.targets[9].rotation_xyzw = turned),
+        Verdict::StepTooLong { index: 9 }
+    );
+    assert_eq!(
+        verdict_after(|c| c.targets.iter_mut().for_each(|t| t.position_m[0] = 0.06)),
+        Verdict::Jump
+    );
+    assert_eq!(
+        verdict_after(|c| c.targets[100].jaw = f64::NAN),
+        Verdict::Accepted
+    );
+}
+
+#[test]
+fn an_old_observation_is_stale() {
+    let mut gate = Gate::new(LIMITS);
+    let verdict = gate.judge(
+        &good(1),
+        TimeNs(2_900_000_001),
+        &Pose::translation(0.0, 0.0, -0.11),
+    );
+    assert_eq!(
+        verdict,
+        Some(Verdict::Stale {
+            age_ns: 2_000_000_001
+        })
+    );
+}
