@@ -6,7 +6,9 @@
 
 mod augment;
 mod curve;
+mod error;
 mod flat;
+mod frame_order;
 mod options;
 #[cfg(test)]
 mod tests;
@@ -15,53 +17,18 @@ mod training_set;
 use tch::{Device, Kind, TchError, Tensor};
 
 pub use curve::{CurveRow, LossCurve};
+pub use error::TrainError;
 pub use options::{Augmentation, Schedule, TrainOptions, TrainPrecision};
 
 use crate::act::{Act, ActConfig, Demonstration, LossDenominator, l1_loss, losses};
 use crate::checkpoint::FeatureStatistics;
-use crate::dataset::{Dataset, DatasetError};
-use crate::images::ImageError;
+use crate::dataset::Dataset;
 use crate::normalise::ImageNormaliser;
-use crate::parameters::{ParameterError, ParameterSource};
+use crate::parameters::ParameterSource;
 use crate::rng::SplitMix64;
 use flat::FlatParameters;
+use frame_order::FrameOrder;
 use training_set::{Batch, TrainingSet};
-
-/// Why a training run ended early.
-#[derive(Debug, thiserror::Error)]
-pub enum TrainError {
-    /// An option or the network's configuration is impossible.
-    #[error("{0}")]
-    Options(String),
-    /// The dataset has no frame.
-    #[error("the dataset has no frame to train on")]
-    Empty,
-    /// The dataset does not fit.
-    #[error("the dataset does not fit: {0}")]
-    Dataset(String),
-    /// The dataset could not be read.
-    #[error(transparent)]
-    Read(#[from] DatasetError),
-    /// An image has the wrong size.
-    #[error(transparent)]
-    Image(#[from] ImageError),
-    /// The loss is NaN or infinite.
-    #[error(
-        "the loss is {loss} by step {step}: lower the learning rate or the gradient's greatest norm"
-    )]
-    Diverged {
-        /// Step at which it was noticed; it happened at most one row of the loss curve earlier.
-        step: u64,
-        /// The loss.
-        loss: f64,
-    },
-    /// The network could not be built.
-    #[error(transparent)]
-    Parameter(#[from] ParameterError),
-    /// The network library failed.
-    #[error("the network library failed: {0}")]
-    Torch(#[from] TchError),
-}
 
 /// Where a run stands, once a row of the loss curve.
 #[derive(Clone, Copy, Debug)]
@@ -302,33 +269,5 @@ impl Run<'_> {
             }
             Ok(Some(sum / parts))
         })
-    }
-}
-
-/// Frames in random order, each once before any comes again.
-struct FrameOrder {
-    frames: Vec<usize>,
-    next: usize,
-}
-
-impl FrameOrder {
-    fn new(frames: &[usize]) -> Self {
-        Self {
-            frames: frames.to_vec(),
-            next: frames.len(),
-        }
-    }
-
-    fn next(&mut self, count: usize, random: &mut SplitMix64) -> Vec<usize> {
-        let mut drawn = Vec::with_capacity(count);
-        while drawn.len() < count {
-            if self.next >= self.frames.len() {
-                random.shuffle(&mut self.frames);
-                self.next = 0;
-            }
-            drawn.push(self.frames[self.next]);
-            self.next += 1;
-        }
-        drawn
     }
 }
