@@ -10,7 +10,7 @@ use crate::control::{Controller, OperatorEvent, TickInput};
 use crate::histogram::Histogram;
 use crate::log::{TickLog, TickRecord, TickTiming};
 use crate::mailbox::{MailboxReader, MailboxWriter};
-use crate::rt::{MonotonicClock, Periodic, RtOptions, configure_thread};
+use crate::rt::{MonotonicClock, Periodic, RtOptions, Wake, configure_thread};
 use crate::session::tally::Tally;
 
 /// Age of the newest measurement beyond which it counts as lost, ns.
@@ -77,8 +77,7 @@ impl ControlThread {
                 (done && !paused).then_some(OperatorEvent::Pause)
             };
             paused |= operator == Some(OperatorEvent::Pause);
-            let mut record = self.tick(wake.due, &state, operator, &mut tally, clock);
-            record.timing.wake_ns = wake.late_ns();
+            let record = self.tick(&wake, &state, operator, &mut tally, clock);
             tally.tick(&record);
             if let Some(log) = &mut self.log {
                 log.tick(&record);
@@ -100,19 +99,24 @@ impl ControlThread {
 
     fn tick(
         &mut self,
-        now: TimeNs,
+        wake: &Wake,
         state: &ArmState,
         operator: Option<OperatorEvent>,
         tally: &mut Tally,
         clock: MonotonicClock,
     ) -> TickRecord {
+        let now = wake.due;
         let age_ns = now.since(state.stamp);
         let measured = if age_ns > MEASUREMENT_AGE_NS_MAX {
             Err(ArmError::MeasurementLost { age_ns })
         } else {
             Ok(*state)
         };
-        let chunk = self.chunks.pop().ok();
+        let chunk = if self.chunks.peek().is_ok_and(|chunk| is_ahead(chunk, wake)) {
+            None
+        } else {
+            self.chunks.pop().ok()
+        };
         if let (Some(log), Some(chunk)) = (&mut self.log, &chunk) {
             log.chunk(chunk);
         }
@@ -137,9 +141,42 @@ impl ControlThread {
             command: output.command,
             report: output.report,
             timing: TickTiming {
-                wake_ns: 0,
+                wake_ns: wake.late_ns(),
                 compute_ns,
             },
+        }
+    }
+}
+
+/// Whether `chunk` was observed after the period of a thread that woke late, though not after it woke.
+///
+/// The next period takes it. One from beyond the clock is nonsense, for the gate to refuse.
+const fn is_ahead(chunk: &Chunk, wake: &Wake) -> bool {
+    wake.due.0 < chunk.observed_at.0 && chunk.observed_at.0 <= wake.woke.0
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn only_an_observation_that_a_late_thread_slept_past_is_waited_for() {
+        let wake = Wake {
+            index: 50,
+            due: TimeNs(50 * TICK_NS),
+            woke: TimeNs(53 * TICK_NS),
+            skipped: 0,
+        };
+        for (observed_at, expected) in [
+            (wake.due.0 - 1, false),
+            (wake.due.0, false),
+            (wake.due.0 + TICK_NS / 2, true),
+            (wake.woke.0, true),
+            (wake.woke.0 + 1, false),
+            (u64::MAX, false),
+        ] {
+            let chunk = Chunk::new(TimeNs(observed_at), 1, TICK_NS, &[]);
+            assert_eq!(is_ahead(&chunk, &wake), expected, "{observed_at}");
         }
     }
 }
