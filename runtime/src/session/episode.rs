@@ -108,10 +108,10 @@ impl Episode<'_> {
             let now = TimeNs::from_tick(tick);
             let measured = self.simulation.read(now);
             if let (Ok(arm), 0) = (&measured, tick % STEP_TICKS) {
-                let before = clock.now();
-                let answer = self.policy_step(tick / STEP_TICKS, arm, &mut cameras, watcher)?;
-                if let Some(chunk) = answer {
-                    tally.query(clock.now().since(before), plan.latency_ticks * hal::TICK_NS);
+                let step = tick / STEP_TICKS;
+                let answer = self.policy_step(step, arm, &mut cameras, watcher, clock)?;
+                if let Some((chunk, inference_ns)) = answer {
+                    tally.query(inference_ns, plan.latency_ticks * hal::TICK_NS);
                     pending.push_back((tick + plan.latency_ticks, chunk));
                 }
             }
@@ -161,14 +161,16 @@ impl Episode<'_> {
         })
     }
 
-    /// Takes frames if anyone wants them, asks the policy if it is its turn, and shows the watcher both.
+    /// Takes frames if anyone wants them, asks the policy if it is its turn, and shows the watcher both. Gives the answer
+    /// and how long it took, ns.
     fn policy_step(
         &mut self,
         step: u64,
         arm: &ArmState,
         cameras: &mut Cameras,
         watcher: &mut dyn Watcher,
-    ) -> Result<Option<Chunk>, SessionError> {
+        clock: MonotonicClock,
+    ) -> Result<Option<(Chunk, u64)>, SessionError> {
         let asked = step.is_multiple_of(self.source.query_every_steps());
         cameras.take(self.simulation, step, asked)?;
         let tip_in_rcm = kinematics::forward(&arm.position);
@@ -182,7 +184,9 @@ impl Episode<'_> {
                 frames: &frames,
                 scene: &scene,
             };
-            Some(self.source.answer(&query)?)
+            let before = clock.now();
+            let chunk = self.source.answer(&query)?;
+            Some((chunk, clock.now().since(before)))
         } else {
             None
         };
@@ -192,7 +196,7 @@ impl Episode<'_> {
             arm,
             tip_in_rcm,
             frames,
-            answer: answer.as_ref(),
+            answer: answer.as_ref().map(|(chunk, _)| chunk),
         })?;
         Ok(answer)
     }

@@ -56,13 +56,13 @@ pub(crate) fn run(args: &RunArgs) -> Done {
 
 fn report_run(summary: &RunSummary) {
     let verdict = if summary.success {
-        "success"
+        "success".to_owned()
     } else {
-        "failure"
+        format!("failure ({})", summary.reason)
     };
     console::result(&format!(
-        "{}: {verdict} ({}) after {:.2} s",
-        summary.task, summary.reason, summary.seconds
+        "{}: {verdict} after {:.2} s",
+        summary.task, summary.seconds
     ));
     console::result(&format!(
         "  controller tick: p50 {:.1} us, p99 {:.1} us, max {:.1} us over {} ticks",
