@@ -73,8 +73,7 @@ impl Drain {
     pub(super) fn run(mut self) -> Result<LogCounts, LogError> {
         loop {
             // Read before draining: whatever was handed over before it was set is then still written.
-            let stop = self.shared.stop.load(Ordering::Acquire)
-                || (self.ticks.is_abandoned() && self.side.is_abandoned());
+            let stop = self.shared.stop.load(Ordering::Acquire) || self.is_alone();
             let mut idle = true;
             while let Ok(item) = self.ticks.pop() {
                 idle = false;
@@ -95,6 +94,14 @@ impl Drain {
                 thread::park_timeout(IDLE);
             }
         }
+    }
+
+    /// Whether nobody is left who could hand over anything: no queue's other end, and no [`super::recorder::LogFile`], which
+    /// brings the outcome.
+    fn is_alone(&self) -> bool {
+        self.ticks.is_abandoned()
+            && self.side.is_abandoned()
+            && Arc::strong_count(&self.shared) == 1
     }
 
     fn write_tick(&mut self, item: &TickItem) {

@@ -223,6 +223,23 @@ fn what_was_dropped_is_counted_and_named() {
 }
 
 #[test]
+fn the_outcome_is_written_though_the_other_ends_are_long_gone() {
+    let file = Scratch::new("late-outcome");
+    let recorder = Recorder::create(&file.0, &header(), Pressure::Drop).unwrap();
+    let (mut ticks, side, log_file) = recorder.split();
+    ticks.tick(&record(0));
+    drop((ticks, side));
+    // Ten times as long as the writer thread takes to look again.
+    crate::rt::sleep_ns(20_000_000);
+    log_file.finish(Some(&outcome())).unwrap();
+    let log = RunLog::open(&file.0).unwrap();
+    assert_eq!(
+        (log.outcome.clone(), log.tick_count()),
+        (Some(outcome()), 1)
+    );
+}
+
+#[test]
 fn frames_become_png_images_with_their_lens() {
     use prost::Message;
 
