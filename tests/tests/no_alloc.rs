@@ -2,6 +2,7 @@
 
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
+use std::error::Error;
 
 use hal::{ArmError, ArmState, Chunk, JointVector, Pose, TimeNs, TipTarget};
 use nalgebra::Translation3;
@@ -56,21 +57,20 @@ struct Rig {
 const HOME: [f64; 6] = [0.0, 0.0, 0.12, 0.0, 0.0, 0.0];
 
 impl Rig {
-    fn new() -> Self {
+    fn new() -> Result<Self, Box<dyn Error>> {
         let config = ControlConfig::load(
             &ControlConfig::default_control(),
             &ControlConfig::needle_lift_safety(),
-        )
-        .unwrap();
+        )?;
         let home = JointVector::from(HOME);
         let mut rig = Self {
-            controller: Controller::new(&config).unwrap(),
+            controller: Controller::new(&config)?,
             arm: ArmState::at_rest(TimeNs(0), home, 0.2),
             tick: 0,
             sequence: 0,
         };
         rig.tick(None, Some(OperatorEvent::Enable), None);
-        rig
+        Ok(rig)
     }
 
     /// One tick, and how often it asked for memory.
@@ -114,7 +114,7 @@ impl Rig {
 
 #[test]
 fn a_tick_without_a_solve_takes_no_memory() {
-    let mut rig = Rig::new();
+    let mut rig = Rig::new().unwrap();
     for round in 0..200_u64 {
         let offset = if round.is_multiple_of(2) { 0.01 } else { -0.01 };
         let chunk = rig.chunk([offset, 0.0, 0.0]);
@@ -132,7 +132,7 @@ fn a_tick_without_a_solve_takes_no_memory() {
 
 #[test]
 fn clarabel_takes_memory_twice_a_solve_at_most() {
-    let mut rig = Rig::new();
+    let mut rig = Rig::new().unwrap();
     let (mut solves, mut most) = (0, 0);
     for _ in 0..200 {
         // Far below the floor of the workspace.
@@ -155,7 +155,7 @@ fn clarabel_takes_memory_twice_a_solve_at_most() {
 
 #[test]
 fn error_paths_take_no_memory() {
-    let mut rig = Rig::new();
+    let mut rig = Rig::new().unwrap();
     let mut nonsense = rig.chunk([0.005, 0.0, 0.0]);
     nonsense.targets[3].position_m[1] = f64::NAN;
     let (output, requests) = rig.tick(Some(&nonsense), None, None);
