@@ -1,20 +1,27 @@
 //! The demonstration: the committed policy lifts a needle through every stage, and a person can look at it.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use tch::Device;
 
+use super::realtime::run_realtime;
 use super::run::{RunOptions, run_lockstep, write_json};
 use super::summary::RunSummary;
 use super::{PolicyChoice, SessionError, Setup};
+use crate::log::RunLog;
+use crate::replay::{ReplayResult, replay};
+use crate::verify::{VerifyResult, verify};
 
 /// The committed policy.
 pub const COMMITTED_POLICY: &str = "config/policies/needle-lift/act-small";
 
+/// Time between two pictures of the animation.
+const STEP_MS: u32 = 40;
+
 /// What to show.
 #[derive(Clone, Debug)]
 pub struct DemoOptions {
-    /// Where the log and the pictures go.
+    /// Where the logs and the pictures go.
     pub out: PathBuf,
     /// The policy; the committed one if not given.
     pub policy: Option<String>,
@@ -22,44 +29,73 @@ pub struct DemoOptions {
     pub seed: u64,
 }
 
+/// One run of the demonstration, its log read again.
+#[derive(Debug)]
+pub struct Shown {
+    /// The run's summary.
+    pub summary: RunSummary,
+    /// Every command recomputed from the log.
+    pub replayed: ReplayResult,
+    /// Every command checked against the limits in the log.
+    pub verified: VerifyResult,
+}
+
 /// What was shown.
 #[derive(Debug)]
 pub struct DemoResult {
-    /// The run's summary.
-    pub summary: RunSummary,
+    /// In lockstep: the same each time.
+    pub lockstep: Shown,
+    /// In real time, the network in its own process: as the machine allows.
+    pub real_time: Shown,
     /// The files that were written.
     pub files: Vec<PathBuf>,
 }
 
-/// Runs the needle lift in lockstep and writes `run.mcap`, `run.json`, `strip.png` and `run.gif`.
+/// Runs the needle lift in lockstep and in real time, writes both logs, the summaries, and pictures of the lockstep run.
 ///
 /// # Errors
-/// As of a run.
+/// As of the runs and of reading their logs.
 pub fn run(options: &DemoOptions) -> Result<DemoResult, SessionError> {
-    const STEP_MS: u32 = 40;
     let policy = PolicyChoice::parse(options.policy.as_deref().unwrap_or(COMMITTED_POLICY));
     let setup = Setup::load("needle-lift", None, &policy)?;
     let file = |name: &str| options.out.join(name);
-    let run_options = RunOptions {
-        policy,
+    let files: Vec<PathBuf> = [
+        "run.mcap",
+        "run.json",
+        "strip.png",
+        "run.gif",
+        "realtime.mcap",
+        "realtime.json",
+    ]
+    .map(file)
+    .into();
+    let run_options = |log: &Path| RunOptions {
+        policy: policy.clone(),
         seed: options.seed,
-        log: Some(file("run.mcap")),
+        log: Some(log.to_path_buf()),
         pictures: true,
         latency_ms: None,
         device: Device::Cpu,
     };
-    let result = run_lockstep(&setup, &run_options)?;
-    let files = vec![
-        file("run.mcap"),
-        file("run.json"),
-        file("strip.png"),
-        file("run.gif"),
-    ];
-    write_json(&files[1], &result.summary)?;
-    result.pictures.write_strip(&files[2], 4, 2)?;
-    result.pictures.write_gif(&files[3], STEP_MS)?;
+    let lockstep = run_lockstep(&setup, &run_options(&files[0]))?;
+    write_json(&files[1], &lockstep.summary)?;
+    lockstep.pictures.write_strip(&files[2], 4, 2)?;
+    lockstep.pictures.write_gif(&files[3], STEP_MS)?;
+    let real_time = run_realtime(&setup, &run_options(&files[4]))?;
+    write_json(&files[5], &real_time.summary)?;
     Ok(DemoResult {
-        summary: result.summary,
+        lockstep: examine(lockstep.summary, &files[0])?,
+        real_time: examine(real_time.summary, &files[4])?,
         files,
+    })
+}
+
+/// Reads the log of a run again, recomputes its commands and checks them.
+fn examine(summary: RunSummary, log: &Path) -> Result<Shown, SessionError> {
+    let log = RunLog::open(log)?;
+    Ok(Shown {
+        summary,
+        replayed: replay(&log)?,
+        verified: verify(&log)?,
     })
 }

@@ -255,11 +255,32 @@ pub(crate) fn demo(args: &DemoArgs) -> Done {
         seed: args.seed,
     };
     let result = demo::run(&options)?;
-    report_run(&result.summary);
-    for file in &result.files {
-        console::result(&format!("  wrote {}", file.display()));
+    for (name, shown) in [
+        ("lockstep", &result.lockstep),
+        ("real time", &result.real_time),
+    ] {
+        console::result(&format!("\n{name}:"));
+        report_run(&shown.summary);
+        console::result(&format!(
+            "  log: replay {}, verify found {} violations in {} ticks",
+            if shown.replayed.identical {
+                "identical"
+            } else {
+                "differs"
+            },
+            shown.verified.violations.len(),
+            shown.verified.ticks
+        ));
     }
-    Ok(result.summary.success)
+    console::result("");
+    for file in &result.files {
+        console::result(&format!("wrote {}", file.display()));
+    }
+    // The real-time run depends on the machine and is reported as it went; the lockstep run must succeed.
+    let sound = [&result.lockstep, &result.real_time]
+        .iter()
+        .all(|shown| shown.replayed.identical && shown.verified.ok);
+    Ok(result.lockstep.summary.success && sound)
 }
 
 pub(crate) fn policy_process(args: &PolicyProcessArgs) -> Done {
