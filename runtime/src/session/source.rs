@@ -121,7 +121,8 @@ impl ChunkSource {
     pub fn latency_ticks(&self) -> u64 {
         match self {
             Self::Expert { .. } | Self::Noop { .. } | Self::Random { .. } => 0,
-            Self::Network(_) => STEP_TICKS,
+            // What an observation takes to become a chunk in real time on two shared cores.
+            Self::Network(_) => 4 * STEP_TICKS,
         }
     }
 
