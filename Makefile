@@ -1,7 +1,15 @@
 # Two commands do everything on a fresh machine: `make demo` and `make test`.
-.PHONY: demo test build setup bench adversary clean
+.PHONY: demo test build setup bench clean
 
-TROCAR := target/release/trocar
+TROCAR := $(or $(CARGO_TARGET_DIR),target)/release/trocar
+
+# Set but empty means not set; cargo would take it for a folder.
+ifeq ($(strip $(LIBTORCH)),)
+unexport LIBTORCH
+endif
+
+# Mesa's Wayland probe complains about its absence in every program that renders.
+export XDG_RUNTIME_DIR ?= /tmp
 
 demo: build
 	$(TROCAR) demo --out runs/demo

@@ -34,7 +34,7 @@ install_packages() {
 }
 
 check_rust() {
-    command -v cargo >/dev/null || die 'cargo is missing: install Rust 1.95 or newer with rustup (Debian 12 ships one that is too old)'
+    command -v cargo >/dev/null || die 'cargo is missing, and Debian 12 ships one that is too old: install Rust 1.95 or newer with rustup'
     local have
     have=$(cargo --version | sed -E 's/^cargo ([0-9]+\.[0-9]+).*/\1/')
     [ "$(printf '%s\n1.95\n' "$have" | sort -V | head -1)" = 1.95 ] || die "Rust $have is too old: 1.95 or newer is needed (rustup update)"
@@ -71,13 +71,17 @@ PYTHON
 
 install_libtorch() {
     if [ -n "${LIBTORCH:-}" ]; then
-        [ -e "$LIBTORCH/lib/libtorch_cpu.so" ] || die "LIBTORCH=$LIBTORCH holds no lib/libtorch_cpu.so"
+        case "$LIBTORCH" in /*) ;; *) die "LIBTORCH=$LIBTORCH is no absolute path, and cargo builds in other folders" ;; esac
+        local needed
+        for needed in lib/libtorch_cpu.so include/torch/csrc/api/include/torch/torch.h; do
+            [ -e "$LIBTORCH/$needed" ] || die "LIBTORCH=$LIBTORCH holds no $needed"
+        done
         say "using your own LIBTORCH"
         return
     fi
     mkdir -p "$cache"
     exec 9>"$cache/lock"
-    flock 9
+    flock -n 9 || { say 'waiting for another set-up to finish'; flock 9; }
     if [ ! -e "$libtorch/complete" ]; then
         [ "$(uname -m)" = x86_64 ] || die "no libtorch wheel is known for $(uname -m): set LIBTORCH to a libtorch $torch_version"
         local part="$libtorch.part"
@@ -89,15 +93,16 @@ install_libtorch() {
         say "downloading libtorch $torch_version (540 MB) from PyPI into the cache"
         python3 -m pip download --quiet --no-deps --only-binary=:all: --python-version 3.11 --implementation cp \
             "${platforms[@]}" --dest "$part/wheels" \
-            "torch==$torch_version" 'nvidia-cuda-runtime==13.0.*' 'nvidia-cuda-cupti==13.0.*' >&2 ||
+            "torch==$torch_version" 'nvidia-cuda-runtime==13.0.*' 'nvidia-cuda-cupti==13.0.*' >&2 9>&- ||
             die 'PyPI could not be reached or has no such wheel; set LIBTORCH to a libtorch of your own to do without it'
         say 'unpacking it (500 MB)'
         unpack_libtorch "$part/wheels" "$part/tree" >&2 || die 'the wheels could not be unpacked (is the disk full?)'
         touch "$part/tree/complete"
         rm -rf "$libtorch"
         mv "$part/tree" "$libtorch"
-        rm -rf "$part"
     fi
+    # Also what an earlier run left that was cut off after its last rename.
+    rm -rf "$libtorch.part"
     flock -u 9
     # .cargo/config.toml points here, so that a plain `cargo build` finds it too.
     ln -sfn "$libtorch/torch" .cargo/libtorch

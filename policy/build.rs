@@ -1,4 +1,5 @@
-//! Writes the folder of libtorch into every binary, so that tests start with no environment.
+//! Writes the folder of libtorch into every binary of the package, so that it starts with no environment. `runtime` and `tests`
+//! use this file too, since a link argument reaches only the package that gives it.
 
 use std::{env, fs};
 
@@ -9,11 +10,16 @@ fn main() {
     };
     let Ok(folder) = fs::canonicalize(&libtorch) else {
         println!(
-            "cargo:warning=LIBTORCH={} does not exist",
+            "cargo:warning=LIBTORCH={} does not exist: run `make setup`",
             libtorch.display()
         );
         return;
     };
+    // The default is a link, which may come to point elsewhere.
+    println!(
+        "cargo:rerun-if-changed={}",
+        folder.join("build-version").display()
+    );
     println!(
         "cargo:rustc-link-arg=-Wl,-rpath,{}",
         folder.join("lib").display()
