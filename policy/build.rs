@@ -1,10 +1,18 @@
 //! Writes the folder of libtorch into every binary of the package, so that it starts with no environment. `runtime` and `tests`
 //! use this file too, since a link argument reaches only the package that gives it.
 
+use std::path::Path;
 use std::{env, fs};
 
 fn main() {
     println!("cargo:rerun-if-env-changed=LIBTORCH");
+    let version = env::var_os("LIBTORCH")
+        .and_then(|folder| fs::read_to_string(Path::new(&folder).join("build-version")).ok());
+    // Logs say what they ran with.
+    println!(
+        "cargo:rustc-env=LIBTORCH_VERSION={}",
+        version.as_deref().map_or("unknown", str::trim)
+    );
     let Some(libtorch) = env::var_os("LIBTORCH") else {
         return;
     };
