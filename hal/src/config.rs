@@ -1,8 +1,11 @@
 //! Configuration files: TOML parsed once, checked once, and errors that name file, line, key and allowed range.
 
 use std::fs;
+use std::ops::Range;
 
 use serde::de::DeserializeOwned;
+use toml::Spanned;
+use toml::de::{DeTable, DeValue};
 
 /// A configuration text and where it came from.
 #[derive(Clone, Debug)]
@@ -15,11 +18,12 @@ pub struct Source {
 #[derive(Debug, thiserror::Error)]
 pub enum ConfigError {
     /// The file could not be read.
-    #[error("{path}: cannot be read: {source}")]
+    #[error("{path}: cannot be read")]
     Unreadable {
         /// The file.
         path: String,
         /// The system's reason.
+        #[source]
         source: std::io::Error,
     },
     /// The text is no TOML, or a key is unknown, missing or of the wrong type.
@@ -84,10 +88,18 @@ impl Source {
     /// # Errors
     /// [`ConfigError::Malformed`].
     pub fn parse<T: DeserializeOwned>(&self) -> Result<T, ConfigError> {
-        toml::from_str(&self.text).map_err(|error| ConfigError::Malformed {
-            path: self.path.clone(),
-            line: error.span().map_or(1, |span| self.line_at(span.start)),
-            message: error.message().to_owned(),
+        toml::from_str(&self.text).map_err(|error| {
+            let span = error.span();
+            let reason = error.message();
+            let message = match span.as_ref().and_then(|span| self.key_at(span)) {
+                Some(key) => format!("{key}: {reason}"),
+                None => reason.to_owned(),
+            };
+            ConfigError::Malformed {
+                path: self.path.clone(),
+                line: span.map_or(1, |span| self.line_at(span.start)),
+                message,
+            }
         })
     }
 
@@ -105,7 +117,8 @@ impl Source {
         if (low..=high).contains(&value) {
             return Ok(());
         }
-        Err(self.out_of_range(key, &value.to_string(), &format!("[{low}, {high}]")))
+        let allowed = format!("[{}, {}]", number_text(low), number_text(high));
+        Err(self.out_of_range(key, &number_text(value), &allowed))
     }
 
     /// The error for `value` at the dotted `key`, whose indices count from 0 (`forbidden.0.radius_m`).
@@ -129,9 +142,19 @@ impl Source {
             + 1
     }
 
+    /// Dotted key of the smallest value that covers `span`; none if only the whole document does.
+    fn key_at(&self, span: &Range<usize>) -> Option<String> {
+        let document = DeTable::parse(&self.text).ok()?;
+        let mut best = None;
+        for (key, value) in document.get_ref() {
+            smallest_cover(key.get_ref(), value, span, &mut best);
+        }
+        best.map(|(_, key)| key)
+    }
+
     /// Line of the deepest part of `key` that is in the text; 1 if none is.
     fn line_of(&self, key: &str) -> usize {
-        let Ok(document) = toml::de::DeTable::parse(&self.text) else {
+        let Ok(document) = DeTable::parse(&self.text) else {
             return 1;
         };
         let mut offset = 0;
@@ -142,15 +165,15 @@ impl Source {
         loop {
             offset = offset.max(here.span().start);
             let next = parts.next().and_then(|part| match here.get_ref() {
-                toml::de::DeValue::Table(table) => table.get(part),
-                toml::de::DeValue::Array(array) => {
+                DeValue::Table(table) => table.get(part),
+                DeValue::Array(array) => {
                     part.parse().ok().and_then(|index: usize| array.get(index))
                 }
-                toml::de::DeValue::String(_)
-                | toml::de::DeValue::Integer(_)
-                | toml::de::DeValue::Float(_)
-                | toml::de::DeValue::Boolean(_)
-                | toml::de::DeValue::Datetime(_) => None,
+                DeValue::String(_)
+                | DeValue::Integer(_)
+                | DeValue::Float(_)
+                | DeValue::Boolean(_)
+                | DeValue::Datetime(_) => None,
             });
             let Some(next) = next else {
                 return self.line_at(offset);
@@ -160,8 +183,59 @@ impl Source {
     }
 }
 
+/// `value` as a person reads it: very large and very small magnitudes with an exponent.
+#[must_use]
+pub fn number_text(value: f64) -> String {
+    let magnitude = value.abs();
+    let plain = magnitude < 1e9 && (magnitude > 1e-9 || magnitude <= 0.0);
+    if plain || !value.is_finite() {
+        value.to_string()
+    } else {
+        format!("{value:e}")
+    }
+}
+
+/// Keeps in `best` the length and the dotted key of the smallest value, from `value` at `key` down, that covers `span`.
+///
+/// A table's own span may be no more than its header, so its values are looked at in any case.
+fn smallest_cover(
+    key: &str,
+    value: &Spanned<DeValue<'_>>,
+    span: &Range<usize>,
+    best: &mut Option<(usize, String)>,
+) {
+    let own = value.span();
+    let covers = own.start <= span.start && span.end <= own.end;
+    if covers
+        && best
+            .as_ref()
+            .is_none_or(|(length, _)| own.len() <= *length)
+    {
+        *best = Some((own.len(), key.to_owned()));
+    }
+    match value.get_ref() {
+        DeValue::Table(table) => {
+            for (name, inner) in table {
+                smallest_cover(&format!("{key}.{}", name.get_ref()), inner, span, best);
+            }
+        }
+        DeValue::Array(array) => {
+            for (index, inner) in array.iter().enumerate() {
+                smallest_cover(&format!("{key}.{index}"), inner, span, best);
+            }
+        }
+        DeValue::String(_)
+        | DeValue::Integer(_)
+        | DeValue::Float(_)
+        | DeValue::Boolean(_)
+        | DeValue::Datetime(_) => {}
+    }
+}
+
 #[cfg(test)]
 mod tests {
+    use std::error::Error;
+
     use super::*;
 
     #[derive(Debug, serde::Deserialize)]
@@ -179,6 +253,60 @@ mod tests {
             message.starts_with("a.toml:2: ") && message.contains("sped"),
             "{message}"
         );
+    }
+
+    #[derive(Debug, serde::Deserialize)]
+    #[serde(deny_unknown_fields)]
+    struct Nested {
+        #[expect(dead_code, reason = "only its type matters")]
+        limits: Sample,
+        #[expect(dead_code, reason = "only its type matters")]
+        regions: Vec<[f64; 2]>,
+    }
+
+    #[test]
+    fn value_of_the_wrong_type_is_named_by_its_dotted_key() {
+        let refused = |text: &str| {
+            Source::embedded("c.toml", text)
+                .parse::<Nested>()
+                .unwrap_err()
+                .to_string()
+        };
+        assert!(
+            refused("regions = []\n\n[limits]\nspeed_m_s = \"x\"\n")
+                .starts_with("c.toml:4: limits.speed_m_s: invalid type: string \"x\""),
+        );
+        assert!(
+            refused("regions = [\n  [1.0, 2.0],\n  [1.0, true],\n]\n[limits]\nspeed_m_s = 1.0\n")
+                .starts_with("c.toml:3: regions.1.1: invalid type: boolean"),
+        );
+        assert!(
+            refused("regions = []\nlimits = { speed_m_s = [] }\n")
+                .starts_with("c.toml:2: limits.speed_m_s: invalid type"),
+        );
+    }
+
+    #[test]
+    fn unreadable_file_tells_its_cause_once() {
+        let error = Source::read("no/such.toml").unwrap_err();
+        assert_eq!(error.to_string(), "no/such.toml: cannot be read");
+        assert!(error.source().is_some());
+    }
+
+    #[test]
+    fn extreme_numbers_are_short() {
+        let source = Source::embedded("a.toml", "x = 1e300\n");
+        let message = |value| {
+            source
+                .check_range("x", value, 1e-12, 1.5)
+                .unwrap_err()
+                .to_string()
+        };
+        assert_eq!(message(1e300), "a.toml:1: x = 1e300 is outside [1e-12, 1.5]");
+        assert!(message(-2.5e-20).contains("x = -2.5e-20 is"));
+        assert!(message(0.0).contains("x = 0 is"));
+        assert!(message(7500.0).contains("x = 7500 is"));
+        assert!(message(f64::INFINITY).contains("x = inf is"));
     }
 
     #[test]

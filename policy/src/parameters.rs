@@ -88,7 +88,7 @@ pub enum ParameterError {
         key: String,
     },
     /// The network library failed.
-    #[error("the network library failed: {0}")]
+    #[error(transparent)]
     Torch(#[from] TchError),
 }
 

@@ -6,11 +6,12 @@ use std::{io, path::PathBuf};
 #[derive(Debug, thiserror::Error)]
 pub enum DatasetError {
     /// A file is missing, or the system refused.
-    #[error("{path}: {source}")]
+    #[error("{path}: cannot be read or written")]
     Io {
         /// The file or folder.
         path: PathBuf,
         /// The system's reason.
+        #[source]
         source: io::Error,
     },
     /// A recording would overwrite something.
@@ -20,19 +21,21 @@ pub enum DatasetError {
         path: PathBuf,
     },
     /// A JSON file that is damaged, or lacks a key.
-    #[error("{path}: {source}")]
+    #[error("{path}: malformed")]
     Json {
         /// The file.
         path: PathBuf,
         /// The parser's reason, with line and column.
+        #[source]
         source: serde_json::Error,
     },
     /// A parquet file that is damaged or cut off.
-    #[error("{path}: not a whole parquet file: {source}")]
+    #[error("{path}: not a whole parquet file")]
     Parquet {
         /// The file.
         path: PathBuf,
         /// The reader's reason.
+        #[source]
         source: parquet::errors::ParquetError,
     },
     /// Another generation of the format.
@@ -66,11 +69,12 @@ pub enum DatasetError {
         expected: String,
     },
     /// An image can't be encoded or decoded.
-    #[error("image {what}: {source}")]
+    #[error("image {what}: cannot be encoded or decoded")]
     Image {
         /// Which image.
         what: String,
         /// The codec's reason.
+        #[source]
         source: image::ImageError,
     },
     /// A frame or specification given to the writer doesn't fit.

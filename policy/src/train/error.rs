@@ -38,6 +38,6 @@ pub enum TrainError {
     #[error(transparent)]
     Parameter(#[from] ParameterError),
     /// The network library failed.
-    #[error("the network library failed: {0}")]
+    #[error(transparent)]
     Torch(#[from] TchError),
 }

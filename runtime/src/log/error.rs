@@ -5,20 +5,31 @@ use std::path::PathBuf;
 /// Why a log could not be written or read.
 #[derive(Debug, thiserror::Error)]
 pub enum LogError {
-    /// The file could not be created, written or read.
-    #[error("{path}: {source}")]
-    Io {
+    /// The file or the thread that writes it could not be created.
+    #[error("{path}: the log could not be created")]
+    Create {
         /// The file.
         path: PathBuf,
         /// The system's reason.
+        #[source]
+        source: std::io::Error,
+    },
+    /// The file could not be read.
+    #[error("{path}: cannot be read")]
+    Read {
+        /// The file.
+        path: PathBuf,
+        /// The system's reason.
+        #[source]
         source: std::io::Error,
     },
     /// The container could not be written.
-    #[error("{path}: the log could not be written: {source}")]
+    #[error("{path}: the log could not be written")]
     Write {
         /// The file.
         path: PathBuf,
         /// The container's reason.
+        #[source]
         source: mcap::McapError,
     },
     /// A camera image could not be encoded.
@@ -59,4 +70,19 @@ pub enum LogError {
         /// What is wrong.
         reason: String,
     },
+}
+
+impl LogError {
+    /// Whether a file that was to be read is at fault, rather than the writing of one.
+    #[must_use]
+    pub const fn is_bad_input(&self) -> bool {
+        match self {
+            Self::Read { .. } | Self::NotMcap { .. } | Self::NotOurs { .. } | Self::Damaged { .. } => {
+                true
+            }
+            Self::Create { .. } | Self::Write { .. } | Self::Image { .. } | Self::WriterDied { .. } => {
+                false
+            }
+        }
+    }
 }

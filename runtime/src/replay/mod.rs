@@ -7,7 +7,7 @@ use hal::config::{ConfigError, Source};
 use hal::joints::JOINT_NAMES;
 use serde::Serialize;
 
-use crate::control::{CommandHash, ControlConfig, Controller, TickInput};
+use crate::control::{CommandHash, ControlConfig, Controller, InputHash, TickInput};
 use crate::log::{Loss, RunLog};
 
 /// What a replay found.
@@ -17,6 +17,9 @@ pub struct ReplayResult {
     pub identical: bool,
     /// Ticks that were recomputed, up to the first difference.
     pub ticks: u64,
+    /// Whether the log's own hash over the inputs could be compared; a cut log has none, so that an input that no command
+    /// shows may have changed.
+    pub inputs_checked: bool,
     /// Where the replay left the log.
     pub first_difference: Option<Difference>,
     /// Why the log ends before its end, if it does; the rest of the result is about what comes before.
@@ -28,7 +31,7 @@ pub struct ReplayResult {
 pub struct Difference {
     /// The tick.
     pub tick: u64,
-    /// What differs: `position.yaw`, `stamp`, `enabled`, `command_hash`; or `log` where the logger lost an input.
+    /// What differs: `position.yaw`, `stamp`, `enabled`, `command_hash`; `inputs` where only their hash shows it; or `log` where the logger lost an input.
     pub what: String,
     /// In the log.
     pub logged: String,
@@ -62,13 +65,19 @@ pub enum ReplayError {
     },
     /// A configuration text is wrong.
     #[error("in the log: {0}")]
-    Configuration(#[from] ConfigError),
+    Configuration(ConfigError),
     /// The controller cannot be built.
     #[error("the logged configuration makes no controller: {0}")]
     Controller(String),
     /// There is nothing to compare.
     #[error("the log holds no tick")]
     Empty,
+}
+
+impl From<ConfigError> for ReplayError {
+    fn from(error: ConfigError) -> Self {
+        Self::Configuration(error)
+    }
 }
 
 /// Recomputes every command of `log` from its inputs.
@@ -83,7 +92,9 @@ pub fn replay(log: &RunLog) -> Result<ReplayResult, ReplayError> {
         return Err(ReplayError::Empty);
     }
     let cut = log.cut().map(str::to_owned);
+    let inputs_checked = log.input_hash.is_some();
     let mut hash = CommandHash::new();
+    let mut inputs = InputHash::new();
     let mut ticks = 0;
     let mut last = 0;
     for (position, (logged, chunk)) in log.ticks().enumerate() {
@@ -94,6 +105,10 @@ pub fn replay(log: &RunLog) -> Result<ReplayResult, ReplayError> {
             chunk,
             operator: logged.operator,
         };
+        if let Some(chunk) = chunk {
+            inputs.chunk(chunk);
+        }
+        inputs.tick(logged.now, &logged.measured, logged.operator);
         let difference = inputs_lost.or_else(|| {
             let computed = controller.tick(&input).command;
             hash.add(&computed);
@@ -103,6 +118,7 @@ pub fn replay(log: &RunLog) -> Result<ReplayResult, ReplayError> {
             return Ok(ReplayResult {
                 identical: false,
                 ticks,
+                inputs_checked: false,
                 first_difference: difference,
                 cut,
             });
@@ -110,11 +126,13 @@ pub fn replay(log: &RunLog) -> Result<ReplayResult, ReplayError> {
         ticks += 1;
         last = logged.tick;
     }
-    let first_difference =
-        lost_before(log, log.tick_count(), last).or_else(|| other_hash(log, last, &hash));
+    let first_difference = lost_before(log, log.tick_count(), last)
+        .or_else(|| other_inputs(log, last, inputs))
+        .or_else(|| other_hash(log, last, hash));
     Ok(ReplayResult {
         identical: first_difference.is_none(),
         ticks,
+        inputs_checked,
         first_difference,
         cut,
     })
@@ -147,8 +165,21 @@ fn lost_before(log: &RunLog, position: usize, tick: u64) -> Option<Difference> {
     })
 }
 
+/// Compares the hash over the inputs that was taken while the controller ran: a bit may change in an input without
+/// changing any command.
+fn other_inputs(log: &RunLog, tick: u64, hash: InputHash) -> Option<Difference> {
+    let logged = log.input_hash?;
+    let computed = hash.value();
+    (logged != computed).then(|| Difference {
+        tick,
+        what: "inputs".to_owned(),
+        logged: format!("{logged:016x}"),
+        computed: format!("{computed:016x}"),
+    })
+}
+
 /// Compares the hash that the run reported, which the log's own ticks must add up to.
-fn other_hash(log: &RunLog, tick: u64, hash: &CommandHash) -> Option<Difference> {
+fn other_hash(log: &RunLog, tick: u64, hash: CommandHash) -> Option<Difference> {
     let logged = &log.outcome.as_ref()?.command_hash;
     let computed = format!("{:016x}", hash.value());
     (*logged != computed).then(|| Difference {
