@@ -30,6 +30,6 @@ mod tests;
 pub use config::ControlConfig;
 pub use controller::Controller;
 pub use gate::Verdict;
-pub use hash::CommandHash;
+pub use hash::{CommandHash, InputHash};
 pub use mode::{Mode, OperatingState, OperatorEvent};
 pub use report::{Fault, QpOutcome, TickInput, TickOutput, TickReport};

@@ -44,8 +44,13 @@ pub(super) fn walk(
             reason,
         };
         let Some((opcode, body)) = record_at(bytes, offset) else {
+            let place = if offset == bytes.len() {
+                "before the end of the data".to_owned()
+            } else {
+                format!("inside the record that begins at {offset}")
+            };
             return Ok(Some(format!(
-                "the file ends at byte {}, inside the record that begins at {offset}",
+                "the file ends at byte {}, {place}",
                 bytes.len()
             )));
         };

@@ -14,10 +14,11 @@ use rtrb::Consumer;
 
 use super::camera::FrameItem;
 use super::error::LogError;
-use super::header::{LogCounts, RunOutcome};
+use super::header::{Closing, LogCounts, RunOutcome};
 use super::record::TickRecord;
 use super::recorder::Level;
 use super::writer::LogWriter;
+use crate::control::InputHash;
 
 /// Pause of the writer thread when it has caught up.
 const IDLE: Duration = Duration::from_millis(2);
@@ -46,13 +47,27 @@ pub(super) enum SideItem {
 }
 
 /// What all ends of the queues know.
-#[derive(Default)]
 pub(super) struct Shared {
     pub(super) stop: AtomicBool,
     pub(super) ticks_dropped: AtomicU64,
     pub(super) chunks_dropped: AtomicU64,
     pub(super) frames_dropped: AtomicU64,
     pub(super) events_dropped: AtomicU64,
+    /// Hash of all inputs that were handed over, dropped ones included.
+    pub(super) input_hash: AtomicU64,
+}
+
+impl Default for Shared {
+    fn default() -> Self {
+        Self {
+            stop: AtomicBool::new(false),
+            ticks_dropped: AtomicU64::new(0),
+            chunks_dropped: AtomicU64::new(0),
+            frames_dropped: AtomicU64::new(0),
+            events_dropped: AtomicU64::new(0),
+            input_hash: AtomicU64::new(InputHash::new().value()),
+        }
+    }
 }
 
 /// The writer thread.
@@ -156,12 +171,16 @@ impl Drain {
         self.counts.chunks_dropped = dropped(&self.shared.chunks_dropped);
         self.counts.frames_dropped = dropped(&self.shared.frames_dropped);
         self.counts.events_dropped = dropped(&self.shared.events_dropped);
-        let outcome = self.outcome.try_recv().ok();
+        let closing = Closing {
+            outcome: self.outcome.try_recv().ok(),
+            counts: self.counts,
+            input_hash: self.shared.input_hash.load(Ordering::Relaxed),
+        };
         if let Some(failure) = self.failure {
             return Err(failure);
         }
         self.writer
-            .finish(outcome.as_ref(), &self.counts)
+            .finish(&closing)
             .map_err(|source| LogError::Write {
                 path: self.path,
                 source,

@@ -77,12 +77,14 @@ impl LogError {
     #[must_use]
     pub const fn is_bad_input(&self) -> bool {
         match self {
-            Self::Read { .. } | Self::NotMcap { .. } | Self::NotOurs { .. } | Self::Damaged { .. } => {
-                true
-            }
-            Self::Create { .. } | Self::Write { .. } | Self::Image { .. } | Self::WriterDied { .. } => {
-                false
-            }
+            Self::Read { .. }
+            | Self::NotMcap { .. }
+            | Self::NotOurs { .. }
+            | Self::Damaged { .. } => true,
+            Self::Create { .. }
+            | Self::Write { .. }
+            | Self::Image { .. }
+            | Self::WriterDied { .. } => false,
         }
     }
 }

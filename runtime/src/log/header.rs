@@ -133,49 +133,67 @@ impl LogCounts {
     }
 }
 
-/// The closing metadata record: the outcome, if the run had one, and what was written.
-pub(super) fn closing_metadata(outcome: Option<&RunOutcome>, counts: &LogCounts) -> Map {
-    let mut map: Map = COUNT_KEYS
-        .iter()
-        .zip(counts.values())
-        .map(|(key, value)| ((*key).to_owned(), value.to_string()))
-        .collect();
-    if let Some(outcome) = outcome {
-        map.insert("success".to_owned(), outcome.success.to_string());
-        map.insert("reason".to_owned(), outcome.reason.clone());
-        map.insert("command_hash".to_owned(), outcome.command_hash.clone());
-    }
-    map
+/// The closing metadata record: the outcome, if the run had one, what was written, and what the controller was given.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(super) struct Closing {
+    pub(super) outcome: Option<RunOutcome>,
+    pub(super) counts: LogCounts,
+    /// Hash over all inputs of the controller.
+    pub(super) input_hash: u64,
 }
 
-/// Reads what [`closing_metadata`] wrote; `None` if a count is missing.
-pub(super) fn parse_closing(map: &Map) -> Option<(Option<RunOutcome>, LogCounts)> {
-    let mut values = [0; COUNT_KEYS.len()];
-    for (value, key) in values.iter_mut().zip(COUNT_KEYS) {
-        *value = number(map, key)?;
+const INPUT_HASH: &str = "input_hash";
+
+impl Closing {
+    pub(super) fn to_metadata(&self) -> Map {
+        let mut map: Map = COUNT_KEYS
+            .iter()
+            .zip(self.counts.values())
+            .map(|(key, value)| ((*key).to_owned(), value.to_string()))
+            .collect();
+        map.insert(INPUT_HASH.to_owned(), format!("{:016x}", self.input_hash));
+        if let Some(outcome) = &self.outcome {
+            map.insert("success".to_owned(), outcome.success.to_string());
+            map.insert("reason".to_owned(), outcome.reason.clone());
+            map.insert("command_hash".to_owned(), outcome.command_hash.clone());
+        }
+        map
     }
-    let [
-        ticks,
-        chunks,
-        frames,
-        ticks_dropped,
-        chunks_dropped,
-        frames_dropped,
-        events_dropped,
-    ] = values;
-    let counts = LogCounts {
-        ticks,
-        chunks,
-        frames,
-        ticks_dropped,
-        chunks_dropped,
-        frames_dropped,
-        events_dropped,
-    };
-    let outcome = map.get("success").map(|success| RunOutcome {
-        success: success == "true",
-        reason: map.get("reason").cloned().unwrap_or_default(),
-        command_hash: map.get("command_hash").cloned().unwrap_or_default(),
-    });
-    Some((outcome, counts))
+
+    /// Reads what [`Self::to_metadata`] wrote; `None` if a count or the hash is missing.
+    pub(super) fn parse(map: &Map) -> Option<Self> {
+        let mut values = [0; COUNT_KEYS.len()];
+        for (value, key) in values.iter_mut().zip(COUNT_KEYS) {
+            *value = number(map, key)?;
+        }
+        let [
+            ticks,
+            chunks,
+            frames,
+            ticks_dropped,
+            chunks_dropped,
+            frames_dropped,
+            events_dropped,
+        ] = values;
+        let counts = LogCounts {
+            ticks,
+            chunks,
+            frames,
+            ticks_dropped,
+            chunks_dropped,
+            frames_dropped,
+            events_dropped,
+        };
+        let outcome = map.get("success").map(|success| RunOutcome {
+            success: success == "true",
+            reason: map.get("reason").cloned().unwrap_or_default(),
+            command_hash: map.get("command_hash").cloned().unwrap_or_default(),
+        });
+        let input_hash = u64::from_str_radix(map.get(INPUT_HASH)?, 16).ok()?;
+        Some(Self {
+            outcome,
+            counts,
+            input_hash,
+        })
+    }
 }

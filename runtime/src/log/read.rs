@@ -11,7 +11,7 @@ use serde::de::DeserializeOwned;
 
 use super::container::{self, Visitor};
 use super::error::LogError;
-use super::header::{self, LogCounts, RunHeader, RunOutcome};
+use super::header::{self, Closing, LogCounts, RunHeader, RunOutcome};
 use super::joints;
 use super::json::{ChunkMessage, TickMessage, TimingMessage};
 use super::messages::JointStates;
@@ -28,6 +28,8 @@ pub struct RunLog {
     pub outcome: Option<RunOutcome>,
     /// What was written; `None` if the file was cut.
     pub counts: Option<LogCounts>,
+    /// Hash over everything that the controller was given, taken while it ran; `None` if the file was cut.
+    pub input_hash: Option<u64>,
     /// Where the logger had to leave something out; empty if nothing is missing.
     pub losses: Vec<Loss>,
     cut: Option<String>,
@@ -58,7 +60,7 @@ impl RunLog {
     /// # Errors
     /// [`LogError`] when there is no such file, it is no log of ours, or bytes in it have changed.
     pub fn open(path: &Path) -> Result<Self, LogError> {
-        let bytes = fs::read(path).map_err(|source| LogError::Io {
+        let bytes = fs::read(path).map_err(|source| LogError::Read {
             path: path.to_owned(),
             source,
         })?;
@@ -79,7 +81,8 @@ impl RunLog {
             });
         }
         let mut log = assembly.log;
-        log.cut = cut;
+        let unclosed = || "the data end, but the record of how the run ended is missing".to_owned();
+        log.cut = cut.or_else(|| log.counts.is_none().then(unclosed));
         if let Some(counts) = log.counts {
             let handed_over = counts.ticks.saturating_add(counts.ticks_dropped);
             let count = handed_over.saturating_sub(assembly.next_record);
@@ -153,10 +156,10 @@ impl Visitor for Assembly {
 
     fn metadata(&mut self, name: &str, map: BTreeMap<String, String>) -> Result<(), String> {
         if name == header::OUTCOME {
-            let (outcome, counts) =
-                header::parse_closing(&map).ok_or("the outcome lacks a count")?;
-            self.log.outcome = outcome;
-            self.log.counts = Some(counts);
+            let closing = Closing::parse(&map).ok_or("the outcome lacks a count or a hash")?;
+            self.log.outcome = closing.outcome;
+            self.log.counts = Some(closing.counts);
+            self.log.input_hash = Some(closing.input_hash);
             return Ok(());
         }
         self.has_header |= name == header::RUN;

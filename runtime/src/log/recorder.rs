@@ -21,6 +21,7 @@ use super::error::LogError;
 use super::header::{LogCounts, RunHeader, RunOutcome};
 use super::record::TickRecord;
 use super::writer::LogWriter;
+use crate::control::InputHash;
 
 /// What happens when a queue is full.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -92,6 +93,7 @@ pub struct TickLog {
     tick_count: u64,
     chunk_count: u64,
     pending_chunk: Option<u64>,
+    inputs: InputHash,
 }
 
 impl TickLog {
@@ -103,6 +105,9 @@ impl TickLog {
             tick: *tick,
         };
         self.tick_count += 1;
+        self.inputs.tick(tick.now, &tick.measured, tick.operator);
+        let hash = self.inputs.value();
+        self.shared.input_hash.store(hash, Ordering::Relaxed);
         if !self.ticks.push(item) {
             self.shared.ticks_dropped.fetch_add(1, Ordering::Relaxed);
         }
@@ -112,6 +117,7 @@ impl TickLog {
     pub fn chunk(&mut self, chunk: &Chunk) {
         let record = self.chunk_count;
         self.chunk_count += 1;
+        self.inputs.chunk(chunk);
         if self.chunks.push(ChunkItem {
             record,
             chunk: *chunk,
@@ -211,7 +217,7 @@ impl Recorder {
     /// # Errors
     /// [`LogError`] when the file cannot be created or the header not be written.
     pub fn create(path: &Path, run: &RunHeader, pressure: Pressure) -> Result<Self, LogError> {
-        let io = |source| LogError::Io {
+        let io = |source| LogError::Create {
             path: path.to_owned(),
             source,
         };
@@ -257,6 +263,7 @@ impl Recorder {
                 tick_count: 0,
                 chunk_count: 0,
                 pending_chunk: None,
+                inputs: InputHash::new(),
             },
             side: SideLog {
                 queue: Feed {

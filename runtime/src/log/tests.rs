@@ -104,6 +104,39 @@ fn a_cut_file_is_readable_up_to_the_cut() {
 }
 
 #[test]
+fn a_file_cut_between_two_records_says_so() {
+    let (file, bytes) = write("cut-between", 80);
+    let reason = |length: usize| {
+        let log = RunLog::from_bytes(&file.0, &bytes[..length]).unwrap();
+        log.cut().unwrap().to_owned()
+    };
+    // The message of a cut inside a record tells where it begins.
+    let inside = reason(bytes.len() / 2);
+    let (_, begin) = inside.rsplit_once(' ').unwrap();
+    assert!(
+        inside.contains("inside the record that begins at"),
+        "{inside}"
+    );
+    let begin = begin.parse().unwrap();
+    assert_eq!(
+        reason(begin),
+        format!("the file ends at byte {begin}, before the end of the data")
+    );
+}
+
+#[test]
+fn only_a_file_that_was_read_is_bad_input() {
+    let path = PathBuf::from("/nonexistent/a.mcap");
+    assert!(RunLog::open(&path).unwrap_err().is_bad_input());
+    let Err(error) = Recorder::create(&path, &header(), Pressure::Block) else {
+        panic!("a folder that does not exist")
+    };
+    assert!(!error.is_bad_input(), "{error}");
+    let reason = std::error::Error::source(&error).unwrap().to_string();
+    assert!(!error.to_string().contains(&reason), "{error}");
+}
+
+#[test]
 fn a_crash_loses_less_than_a_third_of_a_second() {
     let file = Scratch::new("crash");
     let mut recorder = Recorder::create(&file.0, &header(), Pressure::Block).unwrap();
@@ -175,7 +208,7 @@ fn other_files_are_refused_with_a_reason() {
         "{foreign}"
     );
     let absent = RunLog::open(&PathBuf::from("/nonexistent/a.mcap")).unwrap_err();
-    assert!(matches!(absent, LogError::Io { .. }), "{absent}");
+    assert!(matches!(absent, LogError::Read { .. }), "{absent}");
 }
 
 #[test]
@@ -309,6 +342,14 @@ pub(crate) fn chunk_of_run(sequence: u64) -> Chunk {
 
 /// Runs the real controller on an arm that follows perfectly, for `ticks` ticks.
 pub(crate) fn run_controller(ticks: u64) -> (Vec<TickRecord>, RunHeader) {
+    run_with_operator(ticks, |tick| (tick == 1).then_some(OperatorEvent::Enable))
+}
+
+/// As [`run_controller`], with another operator.
+pub(crate) fn run_with_operator(
+    ticks: u64,
+    operator: impl Fn(u64) -> Option<OperatorEvent>,
+) -> (Vec<TickRecord>, RunHeader) {
     use crate::control::{ControlConfig, Controller, TickInput};
 
     let (control, safety) = (
@@ -324,7 +365,7 @@ pub(crate) fn run_controller(ticks: u64) -> (Vec<TickRecord>, RunHeader) {
     for tick in 0..ticks {
         let now = TimeNs::from_tick(tick);
         let measured = Ok(ArmState::at_rest(now, position, jaw));
-        let operator = (tick == 1).then_some(OperatorEvent::Enable);
+        let operator = operator(tick);
         let chunk = (tick % 250 == 20).then(|| chunk_of_run(tick / 250 + 1));
         let output = controller.tick(&TickInput {
             now,

@@ -9,7 +9,7 @@ use mcap::{McapResult, WriteOptions, Writer};
 use prost::{EncodeError, Message};
 use serde::Serialize;
 
-use super::header::{self, LogCounts, RunHeader, RunOutcome};
+use super::header::{self, Closing, RunHeader};
 use super::joints::JointMessages;
 use super::json::{
     ChunkMessage, ChunkRef, ErrorMessage, OperatorMessage, TickMessage, TimingMessage,
@@ -190,12 +190,8 @@ impl<W: Write + Seek> LogWriter<W> {
     }
 
     /// Writes the outcome and closes the file.
-    pub(super) fn finish(
-        mut self,
-        outcome: Option<&RunOutcome>,
-        counts: &LogCounts,
-    ) -> McapResult<()> {
-        let metadata = header::closing_metadata(outcome, counts);
+    pub(super) fn finish(mut self, closing: &Closing) -> McapResult<()> {
+        let metadata = closing.to_metadata();
         self.writer.write_metadata(&Metadata {
             name: header::OUTCOME.to_owned(),
             metadata,

@@ -1,6 +1,6 @@
 //! Replays of runs of the real controller, honest and tampered with.
 
-use hal::ArmError;
+use hal::{ArmError, Chunk};
 
 use super::{ReplayError, ReplayResult, replay};
 use crate::control::OperatorEvent;
@@ -23,24 +23,96 @@ fn a_replay_recomputes_every_command() {
         ReplayResult {
             identical: true,
             ticks: 700,
+            inputs_checked: true,
             first_difference: None,
             cut: None
         }
     );
 }
 
+/// Writes an honest run and its inputs' hash, then reads it back with `change` made to what the log says.
+///
+/// The file is as if a bit had flipped and the checksums had been computed again.
+fn changed_in_the_file(
+    name: &str,
+    change: impl Fn(&mut Vec<TickRecord>, &mut Vec<Chunk>),
+) -> ReplayResult {
+    let (mut records, header) = run_controller(700);
+    let mut chunks: Vec<_> = records
+        .iter()
+        .filter_map(|record| record.chunk_sequence.map(chunk_of_run))
+        .collect();
+    let file = Scratch::new(name);
+    let write = |records: &[TickRecord], chunks: &[Chunk]| {
+        let mut recorder = Recorder::create(&file.0, &header, Pressure::Block).unwrap();
+        let mut chunks = chunks.iter();
+        for record in records {
+            if record.chunk_sequence.is_some() {
+                recorder.chunk(chunks.next().unwrap());
+            }
+            recorder.tick(record);
+        }
+        recorder.finish(None).unwrap();
+        RunLog::open(&file.0).unwrap()
+    };
+    let honest = write(&records, &chunks);
+    change(&mut records, &mut chunks);
+    let mut log = write(&records, &chunks);
+    log.input_hash = honest.input_hash;
+    replay(&log).unwrap()
+}
+
+fn flip(value: &mut f64) {
+    *value = f64::from_bits(value.to_bits() ^ 1);
+}
+
 #[test]
 fn one_flipped_bit_in_an_input_shows() {
     // The measurement seeds the first command.
-    let result = tampered("flip-measured", |records| {
-        let state = records[0].measured.as_mut().unwrap();
-        state.position[1] = f64::from_bits(state.position[1].to_bits() ^ 1);
+    let result = changed_in_the_file("flip-first", |records, _| {
+        flip(&mut records[0].measured.as_mut().unwrap().position[1]);
     });
     let difference = result.first_difference.unwrap();
     assert_eq!(
         (result.identical, difference.tick, difference.what.as_str()),
         (false, 0, "position.pitch")
     );
+    // Later ones change no command.
+    for (name, index) in [("flip-later", 300), ("flip-last", 699)] {
+        let result = changed_in_the_file(name, |records, _| {
+            flip(&mut records[index].measured.as_mut().unwrap().position[1]);
+        });
+        let difference = result.first_difference.unwrap();
+        assert_eq!(
+            (result.identical, result.ticks, difference.what.as_str()),
+            (false, 700, "inputs")
+        );
+    }
+}
+
+#[test]
+fn one_flipped_bit_in_a_chunk_shows() {
+    let used = changed_in_the_file("flip-chunk", |_, chunks| {
+        flip(&mut chunks[1].targets[20].position_m[0]);
+    });
+    assert!(!used.identical, "{used:?}");
+    // Due long after the run has ended.
+    let unused = changed_in_the_file("flip-chunk-end", |_, chunks| {
+        flip(&mut chunks[2].targets[49].jaw);
+    });
+    let difference = unused.first_difference.unwrap();
+    assert_eq!(
+        (unused.identical, difference.what.as_str()),
+        (false, "inputs")
+    );
+}
+
+#[test]
+fn one_flipped_bit_in_a_number_that_the_controller_ignores_shows() {
+    let result = changed_in_the_file("flip-effort", |records, _| {
+        flip(&mut records[650].measured.as_mut().unwrap().jaw_effort);
+    });
+    assert_eq!(result.first_difference.unwrap().what, "inputs");
 }
 
 #[test]
@@ -104,7 +176,7 @@ fn a_cut_log_replays_up_to_the_cut() {
     let log = RunLog::from_bytes(&file.0, &bytes[..bytes.len() * 2 / 3]).unwrap();
     let result = replay(&log).unwrap();
     assert!(
-        result.identical && result.cut.is_some() && result.ticks < 700,
+        result.identical && result.cut.is_some() && result.ticks < 700 && !result.inputs_checked,
         "{result:?}"
     );
 }

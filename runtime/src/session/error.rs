@@ -5,6 +5,7 @@ use std::path::Path;
 
 use hal::config::ConfigError;
 use hal::{ArmError, PolicyError};
+use policy::train::TrainError;
 
 /// Everything that ends a session early.
 #[derive(Debug, thiserror::Error)]
@@ -20,7 +21,7 @@ pub enum SessionError {
     Dataset(#[from] policy::dataset::DatasetError),
     /// Training failed.
     #[error(transparent)]
-    Train(#[from] policy::train::TrainError),
+    Train(#[from] TrainError),
     /// The log can't be used.
     #[error(transparent)]
     Log(#[from] crate::log::LogError),
@@ -55,6 +56,14 @@ pub enum SessionError {
         /// What there is.
         available: String,
     },
+    /// Too few of the demonstrator's attempts succeeded.
+    #[error("only {kept} of {attempts} attempts succeeded")]
+    Unproductive {
+        /// Successful attempts.
+        kept: usize,
+        /// All attempts.
+        attempts: u64,
+    },
     /// An argument makes no sense.
     #[error("{0}")]
     BadArgument(String),
@@ -88,16 +97,26 @@ impl SessionError {
     #[must_use]
     pub const fn is_bad_input(&self) -> bool {
         match self {
+            Self::Log(error) => error.is_bad_input(),
             Self::Config(_)
             | Self::Checkpoint(_)
             | Self::Dataset(_)
-            | Self::Log(_)
             | Self::Replay(_)
             | Self::Verify(_)
             | Self::CutLog { .. }
             | Self::UnknownCamera { .. }
             | Self::BadArgument(_) => true,
-            Self::Train(_)
+            Self::Train(error) => match error {
+                TrainError::Options(_)
+                | TrainError::Empty
+                | TrainError::Dataset(_)
+                | TrainError::Read(_)
+                | TrainError::Image(_) => true,
+                TrainError::Diverged { .. } | TrainError::Parameter(_) | TrainError::Torch(_) => {
+                    false
+                }
+            },
+            Self::Unproductive { .. }
             | Self::Simulation(_)
             | Self::Topic(_)
             | Self::Policy(_)
@@ -105,5 +124,32 @@ impl SessionError {
             | Self::Output { .. }
             | Self::RealTime(_) => false,
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn impossible_training_is_bad_input_and_divergence_is_not() {
+        let options = TrainError::Options("batch = 0".to_owned());
+        assert!(SessionError::from(options).is_bad_input());
+        assert!(SessionError::from(TrainError::Empty).is_bad_input());
+        let loss = f64::NAN;
+        assert!(!SessionError::from(TrainError::Diverged { step: 3, loss }).is_bad_input());
+    }
+
+    #[test]
+    fn a_cause_is_told_once() {
+        let unreadable = hal::config::Source::read("no/such.toml").unwrap_err();
+        let error = SessionError::from(unreadable);
+        let mut told = error.to_string();
+        let mut source = std::error::Error::source(&error);
+        while let Some(cause) = source {
+            told = format!("{told}: {cause}");
+            source = cause.source();
+        }
+        assert_eq!(told.matches("No such file").count(), 1, "{told}");
     }
 }

@@ -2,12 +2,12 @@
 
 use core::fmt::Display;
 
-use hal::psm::SHAFT_RADIUS_M;
-use hal::{ArmCommand, TICK_NS};
+use hal::{ArmCommand, ArmError, ArmState, JointVector, TICK_NS};
 use nalgebra::Point3;
 
 use super::Violation;
-use super::chain::{Instrument, distance_to_segment, instrument};
+use super::boundary::{Boundary, boundaries};
+use super::chain::instrument;
 use super::differences::{AXES, History};
 use super::limits::Limits;
 use crate::log::LoggedTick;
@@ -15,11 +15,28 @@ use crate::log::LoggedTick;
 /// What a value may exceed its bound by, in the bound's own unit and, for derivatives, as a fraction of it.
 const TOLERANCE: f64 = 1e-6;
 
+/// Speed below which an arm counts as resting, rad/s (m/s), and what the command of an arm without torque may be away from
+/// the arm, rad (m): it is a copy.
+const REST: f64 = 1e-9;
+
 /// The arm whose commands a log holds.
 const ARM: &str = "psm1";
 
 const PERIOD_S: f64 = 1e-3;
 const DERIVATIVES: [(usize, &str); 3] = [(1, "velocity"), (2, "acceleration"), (3, "jerk")];
+
+/// What came before a command.
+#[derive(Clone, Copy, Debug)]
+enum Before {
+    /// Nothing: the log begins, and a controller begins without torque.
+    Beginning,
+    /// Missing ticks, in which the drives may have been switched.
+    Gap,
+    /// Drives without torque, and where they were told to be.
+    Limp([f64; AXES]),
+    /// Drives with torque.
+    Powered,
+}
 
 /// The state of the check between two commands.
 pub(super) struct Checker<'a> {
@@ -27,6 +44,7 @@ pub(super) struct Checker<'a> {
     history: History,
     tip: Option<Point3<f64>>,
     stamp: Option<u64>,
+    before: Before,
     /// How far outside each boundary the arm was when it was enabled, and may therefore be; empty before.
     allowances: Vec<f64>,
     tick: u64,
@@ -41,6 +59,7 @@ impl<'a> Checker<'a> {
             history: History::new(),
             tip: None,
             stamp: None,
+            before: Before::Beginning,
             allowances: Vec::new(),
             tick: 0,
             skipped_periods: 0,
@@ -53,13 +72,66 @@ impl<'a> Checker<'a> {
         self.tick = logged.tick;
         let command = &logged.command;
         self.stamp(command);
-        if !command.enabled {
-            // Without torque the command moves nothing; it follows the measured arm.
+        let sample = axes(&command.position, command.jaw_position);
+        if command.enabled {
+            if let (Before::Beginning | Before::Limp(_), Ok(arm)) = (self.before, &logged.measured)
+            {
+                self.begin(arm);
+            }
+            self.powered(command);
+            self.before = Before::Powered;
+        } else {
+            match self.before {
+                // Torque goes when the arm rests: this last setpoint is still part of the motion.
+                Before::Powered => self.powered(command),
+                Before::Limp(held) => self.limp(&sample, &logged.measured, Some(held)),
+                Before::Beginning => self.limp(&sample, &logged.measured, None),
+                Before::Gap => {}
+            }
+            let velocity = axes(&command.velocity, command.jaw_velocity);
+            self.all_near(&velocity, &[0.0; AXES], "disabled_velocity");
             self.forget();
-            return;
+            self.before = Before::Limp(sample);
         }
+    }
+
+    /// An arm gets its torque at rest, where it was measured: its motion begins there.
+    fn begin(&mut self, arm: &ArmState) {
+        self.forget();
+        for _ in 0..3 {
+            self.history.push(axes(&arm.position, arm.jaw_position));
+        }
+        self.tip = Some(instrument(&arm.position).control_point);
+    }
+
+    /// Without torque the command moves nothing: it follows the measured arm, and stays where it is if nothing is measured.
+    fn limp(
+        &mut self,
+        sample: &[f64; AXES],
+        measured: &Result<ArmState, ArmError>,
+        held: Option<[f64; AXES]>,
+    ) {
+        let expected = match measured {
+            Ok(arm) if arm.is_finite() => Some(axes(&arm.position, arm.jaw_position)),
+            Ok(_) | Err(_) => held,
+        };
+        if let Some(expected) = expected {
+            self.all_near(sample, &expected, "disabled_position");
+        }
+    }
+
+    fn all_near(&mut self, values: &[f64; AXES], expected: &[f64; AXES], what: &str) {
+        let limits = self.limits;
+        for ((limit, value), expected) in limits.axes.iter().zip(values).zip(expected) {
+            let name = format_args!("{}.{what}", limit.name);
+            self.judge((value - expected).abs(), REST, name, *value, *expected);
+        }
+    }
+
+    /// Checks a command that moves the arm.
+    fn powered(&mut self, command: &ArmCommand) {
         let at = instrument(&command.position);
-        let boundaries = self.boundaries(command, &at);
+        let boundaries = boundaries(self.limits, command, &at);
         if self.allowances.is_empty() {
             self.allowances = boundaries.iter().map(Boundary::allowance).collect();
         }
@@ -81,8 +153,8 @@ impl<'a> Checker<'a> {
         }
     }
 
-    /// Starts afresh after a gap in the log.
-    pub(super) fn forget(&mut self) {
+    /// Forgets how the arm moved and what it was allowed.
+    fn forget(&mut self) {
         self.history.clear();
         self.tip = None;
         self.allowances.clear();
@@ -93,6 +165,7 @@ impl<'a> Checker<'a> {
         self.tick = tick;
         self.forget();
         self.stamp = None;
+        self.before = Before::Gap;
         #[expect(clippy::cast_precision_loss, reason = "for people")]
         self.report("missing_ticks", count as f64, 0.0);
     }
@@ -113,11 +186,8 @@ impl<'a> Checker<'a> {
     }
 
     fn derivatives(&mut self, command: &ArmCommand) {
-        let mut sample = [command.jaw_position; AXES];
-        for (value, &joint) in sample.iter_mut().zip(command.position.iter()) {
-            *value = joint;
-        }
-        self.history.push(sample);
+        self.history
+            .push(axes(&command.position, command.jaw_position));
         let limits = self.limits;
         for (axis, limit) in limits.axes.iter().enumerate() {
             for ((order, derivative), &bound) in DERIVATIVES.into_iter().zip(&limit.derivatives) {
@@ -134,78 +204,13 @@ impl<'a> Checker<'a> {
                 }
             }
         }
-        for (axis, limit) in limits.axes.iter().enumerate() {
-            // The velocity that goes to the drives along with the position.
-            let said = command
-                .velocity
-                .get(axis)
-                .copied()
-                .unwrap_or(command.jaw_velocity);
+        // The velocity that goes to the drives along with the position.
+        let velocity = axes(&command.velocity, command.jaw_velocity);
+        for (limit, said) in limits.axes.iter().zip(velocity) {
             let bound = limit.derivatives[0];
             let name = format_args!("{}.commanded_velocity", limit.name);
             self.judge(said.abs() - bound, TOLERANCE * bound, name, said, bound);
         }
-    }
-
-    /// Every boundary and where the command is.
-    fn boundaries(&self, command: &ArmCommand, at: &Instrument) -> Vec<Boundary> {
-        let mut all = Vec::new();
-        for (axis, limit) in self.limits.axes.iter().enumerate() {
-            let value = command
-                .position
-                .get(axis)
-                .copied()
-                .unwrap_or(command.jaw_position);
-            all.push(Boundary::at_least(
-                format!("{}.low", limit.name),
-                value,
-                limit.low,
-                0.0,
-            ));
-            all.push(Boundary::at_most(
-                format!("{}.high", limit.name),
-                value,
-                limit.high,
-                0.0,
-            ));
-        }
-        let recovery_m = self.limits.recovery_m;
-        for (name, point) in [
-            ("control_point", &at.control_point),
-            ("finger_tips", &at.finger_tips),
-        ] {
-            for (axis, letter) in ["x", "y", "z"].into_iter().enumerate() {
-                let (low, high) = (self.limits.box_low_m[axis], self.limits.box_high_m[axis]);
-                let value = point[axis];
-                all.push(Boundary::at_least(
-                    format!("workspace.{name}.{letter}_min"),
-                    value,
-                    low,
-                    recovery_m,
-                ));
-                all.push(Boundary::at_most(
-                    format!("workspace.{name}.{letter}_max"),
-                    value,
-                    high,
-                    recovery_m,
-                ));
-            }
-        }
-        for sphere in &self.limits.spheres {
-            let center = Point3::from(sphere.center_m);
-            let links = [
-                ("shaft", Point3::origin(), at.wrist_pitch),
-                ("wrist", at.wrist_pitch, at.control_point),
-                ("fingers", at.control_point, at.finger_tips),
-            ];
-            for (part, start, end) in links {
-                // Wrist and fingers are thinner than the shaft; they count as thick as it is.
-                let value = distance_to_segment(&center, &start, &end) - SHAFT_RADIUS_M;
-                let name = format!("forbidden.{}.{part}", sphere.name);
-                all.push(Boundary::at_least(name, value, sphere.radius_m, recovery_m));
-            }
-        }
-        all
     }
 
     /// Notes a violation unless `excess` is at most `tolerance`; NaN is one.
@@ -214,6 +219,11 @@ impl<'a> Checker<'a> {
         if !fine {
             self.report(limit, value, bound);
         }
+    }
+
+    /// Says that the commands are not the ones that the run reported.
+    pub(super) fn other_hash(&mut self) {
+        self.report("command_hash_mismatches", 1.0, 0.0);
     }
 
     fn report(&mut self, limit: impl Display, value: f64, bound: f64) {
@@ -228,45 +238,11 @@ impl<'a> Checker<'a> {
     }
 }
 
-/// A bound on one side of a value.
-struct Boundary {
-    name: String,
-    value: f64,
-    bound: f64,
-    /// 1 if the value must be at least the bound, -1 if at most.
-    sign: f64,
-    /// How much worse a value may get that was outside when the arm was enabled.
-    recovery: f64,
-}
-
-impl Boundary {
-    const fn at_least(name: String, value: f64, bound: f64, recovery: f64) -> Self {
-        Self {
-            name,
-            value,
-            bound,
-            sign: 1.0,
-            recovery,
-        }
+/// Joints and jaw in one row.
+fn axes(joints: &JointVector, jaw: f64) -> [f64; AXES] {
+    let mut all = [jaw; AXES];
+    for (value, &joint) in all.iter_mut().zip(joints.iter()) {
+        *value = joint;
     }
-
-    const fn at_most(name: String, value: f64, bound: f64, recovery: f64) -> Self {
-        Self {
-            name,
-            value,
-            bound,
-            sign: -1.0,
-            recovery,
-        }
-    }
-
-    /// How far outside the first command of an enabled arm is, and may get.
-    fn allowance(&self) -> f64 {
-        let outside = self.sign * (self.bound - self.value);
-        if outside > 0.0 {
-            outside + self.recovery
-        } else {
-            0.0
-        }
-    }
+    all
 }

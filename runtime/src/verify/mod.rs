@@ -3,6 +3,7 @@
 //! Nothing here is shared with the controller: limits are looked up in the logged texts, forward kinematics is the
 //! product of the arm's table, derivatives are differences of the setpoints as they were sent.
 
+mod boundary;
 mod chain;
 mod checker;
 mod differences;
@@ -13,6 +14,7 @@ mod tests;
 
 use core::fmt;
 
+use hal::ArmCommand;
 use serde::Serialize;
 
 pub use chain::tip_in_rcm;
@@ -32,6 +34,8 @@ pub struct VerifyResult {
     pub skipped_periods: u64,
     /// Every limit that was broken, in every tick in which it was.
     pub violations: Vec<Violation>,
+    /// Why the log ends before its end, if it does; the rest of the result is about what comes before.
+    pub cut: Option<String>,
 }
 
 /// A limit that was broken in one tick.
@@ -41,7 +45,8 @@ pub struct Violation {
     pub tick: u64,
     /// The arm.
     pub arm: String,
-    /// The limit: `yaw.velocity`, `tip_speed`, `workspace.finger_tips.z_min`, `forbidden.vessel.shaft`.
+    /// The limit: `yaw.velocity`, `tip_speed`, `workspace.finger_tips.z_min`, `forbidden.vessel.shaft`,
+    /// `yaw.disabled_position`.
     pub limit: String,
     /// What was commanded.
     pub value: f64,
@@ -87,7 +92,9 @@ pub enum VerifyError {
 /// Checks every command of `log`.
 ///
 /// Joint ranges, velocity, acceleration and jerk of each axis; the workspace box, the forbidden regions and the speed of
-/// the tip; stamps that rise by whole periods; ticks that the log lacks. While the arm is disabled only stamps count.
+/// the tip; stamps that rise by whole periods; ticks that the log lacks. While the drives have no torque the command must follow the measured arm without
+/// velocity; they get torque at rest where the arm was measured, and lose it at rest. The commands must add up to the hash
+/// that the run reported.
 ///
 /// # Errors
 /// [`VerifyError`] when the log does not say what the limits are.
@@ -95,6 +102,7 @@ pub fn verify(log: &RunLog) -> Result<VerifyResult, VerifyError> {
     let limits = Limits::of(log)?;
     let mut checker = Checker::new(&limits);
     let mut ticks = 0;
+    let mut hash = FNV_OFFSET;
     let gap_before = |position: usize| {
         log.losses.iter().find_map(|loss| match *loss {
             Loss::Ticks {
@@ -109,6 +117,7 @@ pub fn verify(log: &RunLog) -> Result<VerifyResult, VerifyError> {
             checker.missing(tick.tick, count);
         }
         checker.tick(tick);
+        add_to_hash(&mut hash, &tick.command);
         ticks += 1;
     }
     if let Some(count) = gap_before(log.tick_count()) {
@@ -116,6 +125,11 @@ pub fn verify(log: &RunLog) -> Result<VerifyResult, VerifyError> {
             log.ticks().last().map_or(0, |(tick, _)| tick.tick + 1),
             count,
         );
+    }
+    let reported = log.outcome.as_ref().map(|outcome| &outcome.command_hash);
+    if log.losses.is_empty() && reported.is_some_and(|reported| *reported != format!("{hash:016x}"))
+    {
+        checker.other_hash();
     }
     let Checker {
         violations,
@@ -127,5 +141,23 @@ pub fn verify(log: &RunLog) -> Result<VerifyResult, VerifyError> {
         ticks,
         skipped_periods,
         violations,
+        cut: log.cut().map(str::to_owned),
     })
+}
+
+/// FNV-1a's start and factor, 64 bits.
+const FNV_OFFSET: u64 = 0xcbf2_9ce4_8422_2325;
+const FNV_PRIME: u64 = 0x0000_0100_0000_01b3;
+
+/// Takes one command into the hash that a run reports, in the order that the run documents.
+fn add_to_hash(hash: &mut u64, command: &ArmCommand) {
+    let numbers = command.position.iter().chain(command.velocity.iter());
+    let jaw = [&command.jaw_position, &command.jaw_velocity];
+    let words = [command.stamp.0]
+        .into_iter()
+        .chain(numbers.chain(jaw).map(|number| number.to_bits()))
+        .chain([u64::from(command.enabled)]);
+    for byte in words.flat_map(u64::to_le_bytes) {
+        *hash = (*hash ^ u64::from(byte)).wrapping_mul(FNV_PRIME);
+    }
 }
