@@ -206,11 +206,7 @@ fn smallest_cover(
 ) {
     let own = value.span();
     let covers = own.start <= span.start && span.end <= own.end;
-    if covers
-        && best
-            .as_ref()
-            .is_none_or(|(length, _)| own.len() <= *length)
-    {
+    if covers && best.as_ref().is_none_or(|(length, _)| own.len() <= *length) {
         *best = Some((own.len(), key.to_owned()));
     }
     match value.get_ref() {
@@ -302,7 +298,10 @@ mod tests {
                 .unwrap_err()
                 .to_string()
         };
-        assert_eq!(message(1e300), "a.toml:1: x = 1e300 is outside [1e-12, 1.5]");
+        assert_eq!(
+            message(1e300),
+            "a.toml:1: x = 1e300 is outside [1e-12, 1.5]"
+        );
         assert!(message(-2.5e-20).contains("x = -2.5e-20 is"));
         assert!(message(0.0).contains("x = 0 is"));
         assert!(message(7500.0).contains("x = 7500 is"));

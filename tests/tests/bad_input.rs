@@ -152,3 +152,136 @@ fn unknown_task_and_option_are_usage_errors() {
     assert!(refused(&["run", "--task", "tonsils", "--policy", "expert"]).contains("needle-lift"));
     assert!(refused(&["eval", "--task", "needle-lift"]).contains("--policy"));
 }
+
+/// A training that is refused, with `changes` after the options that make it whole.
+fn training_refused(data: &Path, out: &Path, changes: &[&str]) -> String {
+    let (data, out) = (data.display().to_string(), out.display().to_string());
+    let mut arguments = vec!["train", "--policy", "act", "--data", &data, "--out", &out];
+    arguments.extend(changes);
+    refused(&arguments)
+}
+
+#[test]
+fn training_on_no_dataset_or_a_damaged_one_is_refused() {
+    let folder = scratch("no-dataset");
+    let message = training_refused(&folder.join("nowhere"), &folder.join("out"), &[]);
+    assert!(message.contains("info.json"), "{message}");
+    assert_eq!(message.matches("No such file").count(), 1, "{message}");
+
+    fs::create_dir_all(folder.join("damaged/meta")).unwrap();
+    fs::write(folder.join("damaged/meta/info.json"), "{\"fps\": ").unwrap();
+    let message = training_refused(&folder.join("damaged"), &folder.join("out"), &[]);
+    assert!(message.contains("info.json"), "{message}");
+    assert_eq!(message.matches("EOF").count(), 1, "{message}");
+}
+
+#[test]
+fn training_with_impossible_options_is_refused() {
+    let folder = scratch("impossible-training");
+    let (data, out) = (folder.join("data"), folder.join("out"));
+    for (option, value) in [
+        ("--episodes", "0"),
+        ("--steps", "0"),
+        ("--batch", "0"),
+        ("--threads", "0"),
+        ("--validation-share", "2"),
+        ("--validation-share", "nan"),
+        ("--preset", "huge"),
+        ("--cameras", "three"),
+    ] {
+        let message = training_refused(&data, &out, &[option, value]);
+        let name = option.trim_start_matches("--").replace('-', "_");
+        assert!(
+            message.contains(option) || message.contains(&name),
+            "{message}"
+        );
+    }
+    assert!(!out.exists());
+}
+
+#[test]
+fn training_into_a_folder_with_content_is_refused() {
+    let data = scratch("training-over-data");
+    fs::write(data.join("precious"), "data").unwrap();
+    let message = training_refused(&data, &data, &[]);
+    assert!(message.contains("not an empty folder"), "{message}");
+    let message = training_refused(&data, &data.join("precious"), &[]);
+    assert!(message.contains("is no folder"), "{message}");
+    assert_eq!(fs::read_to_string(data.join("precious")).unwrap(), "data");
+}
+
+#[test]
+fn recording_nothing_or_over_something_is_refused() {
+    let folder = scratch("recording-over");
+    fs::write(folder.join("precious"), "data").unwrap();
+    let out = folder.display().to_string();
+    let record = ["record", "--task", "needle-lift", "--out", &out];
+    let message = refused(&[&record[..], &["--episodes", "1"]].concat());
+    assert!(message.contains("not an empty folder"), "{message}");
+    let message = refused(&[&record[..], &["--episodes", "0"]].concat());
+    assert!(message.contains("--episodes"), "{message}");
+}
+
+const EVAL: [&str; 5] = ["eval", "--task", "needle-lift", "--policy", "expert"];
+
+#[test]
+fn evaluation_of_nothing_by_nobody_or_too_late_is_refused() {
+    for (option, value) in [
+        ("--trials", "0"),
+        ("--jobs", "0"),
+        ("--jobs", "18446744073709551615"),
+        ("--latency-ms", "18446744073709551615"),
+    ] {
+        let message = refused(&[&EVAL[..], &[option, value]].concat());
+        assert!(message.contains(option), "{message}");
+    }
+}
+
+#[test]
+fn result_that_cannot_be_written_is_refused_before_the_work() {
+    let file = scratch("unwritable").join("file");
+    fs::write(&file, "a file").unwrap();
+    let below = file.join("result.json").display().to_string();
+    let message = refused(&[&EVAL[..], &["--trials", "1000000", "--json", &below]].concat());
+    assert!(message.contains("--json"), "{message}");
+    assert_eq!(fs::read_to_string(&file).unwrap(), "a file");
+}
+
+#[test]
+fn log_and_result_in_one_file_are_refused() {
+    let path = scratch("one-file").join("both").display().to_string();
+    let run = [
+        "run",
+        "--task",
+        "needle-lift",
+        "--policy",
+        "expert",
+        "--lockstep",
+    ];
+    let message = refused(&[&run[..], &["--log", &path, "--json", &path]].concat());
+    assert!(message.contains("--log names the same"), "{message}");
+}
+
+#[test]
+fn misspelt_policy_is_told_what_a_policy_can_be() {
+    let message = refused(&["eval", "--task", "needle-lift", "--policy", "exprt"]);
+    for name in ["exprt", "expert", "noop", "random", "folder"] {
+        assert!(message.contains(name), "{message}");
+    }
+}
+
+#[test]
+fn value_of_the_wrong_type_names_line_and_dotted_key() {
+    let text = built_in_config();
+    let (index, line) = text
+        .lines()
+        .enumerate()
+        .find(|(_, line)| line.starts_with("gain_1_s"))
+        .expect("the key exists");
+    let text = text.replace(line, "gain_1_s = \"x\"");
+    let message = run_with_config(&text, "wrong-type");
+    assert!(
+        message.contains(&format!(":{}: tracking.gain_1_s: invalid type", index + 1)),
+        "{message}"
+    );
+}

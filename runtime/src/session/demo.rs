@@ -52,10 +52,14 @@ pub struct DemoResult {
 }
 
 /// Runs the needle lift in lockstep and in real time, writes both logs, the summaries, and pictures of the lockstep run.
+/// `on_progress` hears what comes next.
 ///
 /// # Errors
 /// As of the runs and of reading their logs.
-pub fn run(options: &DemoOptions) -> Result<DemoResult, SessionError> {
+pub fn run(
+    options: &DemoOptions,
+    on_progress: &mut dyn FnMut(&str),
+) -> Result<DemoResult, SessionError> {
     let policy = PolicyChoice::parse(options.policy.as_deref().unwrap_or(COMMITTED_POLICY));
     let setup = Setup::load("needle-lift", None, &policy)?;
     let file = |name: &str| options.out.join(name);
@@ -69,19 +73,25 @@ pub fn run(options: &DemoOptions) -> Result<DemoResult, SessionError> {
     ]
     .map(file)
     .into();
-    let run_options = |log: &Path| RunOptions {
+    let run_options = |log: &Path, pictures: bool| RunOptions {
         policy: policy.clone(),
         seed: options.seed,
         log: Some(log.to_path_buf()),
-        pictures: true,
+        pictures,
         latency_ms: None,
         device: Device::Cpu,
     };
-    let lockstep = run_lockstep(&setup, &run_options(&files[0]))?;
+    on_progress(&format!(
+        "1 of 2: {} with {} in lockstep, as fast as it goes",
+        setup.task_name,
+        policy.name()
+    ));
+    let lockstep = run_lockstep(&setup, &run_options(&files[0], true))?;
     write_json(&files[1], &lockstep.summary)?;
     lockstep.pictures.write_strip(&files[2], 4, 2)?;
     lockstep.pictures.write_gif(&files[3], STEP_MS)?;
-    let real_time = run_realtime(&setup, &run_options(&files[4]))?;
+    on_progress("2 of 2: the same in real time, the network in its own process");
+    let real_time = run_realtime(&setup, &run_options(&files[4], false))?;
     write_json(&files[5], &real_time.summary)?;
     Ok(DemoResult {
         lockstep: examine(lockstep.summary, &files[0])?,

@@ -17,7 +17,7 @@ pub struct EvalOptions {
     pub policy: PolicyChoice,
     /// How many trials.
     pub trials: usize,
-    /// Seed of the first trial; trial i has `seed + i`.
+    /// Seed of the first trial; trial i has `seed + i`, which wraps.
     pub seed: u64,
     /// Trials at a time.
     pub jobs: usize,
@@ -36,7 +36,7 @@ pub fn evaluate(
     options: &EvalOptions,
     on_trial: &mut dyn FnMut(&TrialSummary),
 ) -> Result<EvalSummary, SessionError> {
-    let mut episodes = Vec::with_capacity(options.trials);
+    let mut episodes = Vec::new();
     parallel::in_order(
         options.trials,
         options.jobs,
@@ -79,7 +79,7 @@ impl<'a> TrialWorker<'a> {
     }
 
     fn into_job(mut self) -> impl FnMut(usize) -> Result<TrialSummary, SessionError> {
-        move |index| self.trial(self.options.seed + index as u64)
+        move |index| self.trial(self.options.seed.wrapping_add(index as u64))
     }
 
     fn trial(&mut self, seed: u64) -> Result<TrialSummary, SessionError> {

@@ -6,6 +6,7 @@ pub mod demo;
 pub mod episode;
 pub mod error;
 pub mod eval;
+pub mod outputs;
 pub mod parallel;
 pub mod pictures;
 pub mod realtime;

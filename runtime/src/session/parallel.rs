@@ -1,17 +1,21 @@
 //! Independent jobs on several threads, their results in order.
 
+use std::collections::BTreeMap;
 use std::sync::Mutex;
 use std::sync::mpsc;
 use std::thread;
 
+/// No more threads than this are started, however many are asked for.
+const THREADS_MAX: usize = 1024;
+
 /// Runs `work(index)` for every index below `count` on `threads` threads and hands the results to `consume` in order of
 /// the index, as soon as each is next.
 ///
-/// Every thread gets a worker of its own from `make_worker`. The first error stops the hand-out of further jobs and is
-/// returned.
+/// Every thread gets a worker of its own from `make_worker`. There are no more threads than jobs. An error ends the work
+/// when its turn comes, after the results before it.
 ///
 /// # Errors
-/// The first error, by index, of `make_worker`, a worker or `consume`.
+/// The first error of a worker or of `consume`, by index; or the first of `make_worker`, as soon as it arrives.
 pub fn in_order<W, T, E>(
     count: usize,
     threads: usize,
@@ -24,9 +28,10 @@ where
     E: Send,
 {
     let next = Mutex::new(0..count);
-    let (sender, receiver) = mpsc::sync_channel(2 * threads.max(1));
+    let threads = threads.min(THREADS_MAX).clamp(1, count.max(1));
+    let (sender, receiver) = mpsc::sync_channel(2 * threads);
     thread::scope(|scope| {
-        for _ in 0..threads.max(1) {
+        for _ in 0..threads {
             let sender = sender.clone();
             let (next, make_worker) = (&next, &make_worker);
             scope.spawn(move || {
@@ -34,36 +39,39 @@ where
                     Ok(worker) => worker,
                     Err(error) => {
                         // The receiver is gone only when another error has already ended the work.
-                        let _ended = sender.send((0, Err(error)));
+                        let _ended = sender.send(Err(error));
                         return;
                     }
                 };
                 loop {
                     let job = next.lock().ok().and_then(|mut jobs| jobs.next());
                     let Some(index) = job else { return };
-                    if sender.send((index, worker(index))).is_err() {
+                    if sender.send(Ok((index, worker(index)))).is_err() {
                         return;
                     }
                 }
             });
         }
         drop(sender);
-        collect(count, receiver, consume)
+        collect(receiver, consume)
     })
 }
 
+/// A job's index and its result; or why a thread has no worker.
+type Arrival<T, E> = Result<(usize, Result<T, E>), E>;
+
 /// Puts results that arrive in any order back into order. Returning drops the receiver, which ends the workers.
 fn collect<T, E>(
-    count: usize,
-    receiver: mpsc::Receiver<(usize, Result<T, E>)>,
+    receiver: mpsc::Receiver<Arrival<T, E>>,
     consume: &mut dyn FnMut(usize, T) -> Result<(), E>,
 ) -> Result<(), E> {
-    let mut waiting: Vec<Option<T>> = (0..count).map(|_| None).collect();
+    let mut waiting = BTreeMap::new();
     let mut expected = 0;
-    for (index, result) in receiver {
-        waiting[index] = Some(result?);
-        while let Some(value) = waiting.get_mut(expected).and_then(Option::take) {
-            consume(expected, value)?;
+    for arrival in receiver {
+        let (index, result) = arrival?;
+        waiting.insert(index, result);
+        while let Some(result) = waiting.remove(&expected) {
+            consume(expected, result?)?;
             expected += 1;
         }
     }
@@ -90,6 +98,55 @@ mod tests {
             .unwrap();
             assert_eq!(seen, (0..40).map(|i| (i, i * i)).collect::<Vec<_>>());
         }
+    }
+
+    #[test]
+    fn absurd_numbers_of_threads_are_cut_to_the_jobs() {
+        for count in [0, 3] {
+            let mut seen = 0;
+            in_order(
+                count,
+                usize::MAX,
+                || Ok::<_, ()>(|index: usize| Ok(index)),
+                &mut |_, _| {
+                    seen += 1;
+                    Ok(())
+                },
+            )
+            .unwrap();
+            assert_eq!(seen, count);
+        }
+    }
+
+    #[test]
+    fn the_first_error_by_index_wins_even_if_it_comes_last() {
+        // The thread that fails at 1 goes on to 2 only when its error is sent; 0 waits for that.
+        let one_has_failed = std::sync::Barrier::new(2);
+        let result = in_order(
+            3,
+            2,
+            || {
+                Ok(|index: usize| {
+                    if index != 1 {
+                        one_has_failed.wait();
+                    }
+                    Err::<(), _>(index)
+                })
+            },
+            &mut |_, ()| Ok(()),
+        );
+        assert_eq!(result, Err(0));
+    }
+
+    #[test]
+    fn a_worker_that_cannot_be_made_ends_the_work() {
+        let result = in_order(
+            5,
+            2,
+            || Err::<fn(usize) -> Result<(), &'static str>, _>("no worker"),
+            &mut |_, ()| Ok(()),
+        );
+        assert_eq!(result, Err("no worker"));
     }
 
     #[test]

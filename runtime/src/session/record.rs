@@ -5,6 +5,7 @@ use std::path::PathBuf;
 use hal::{Chunk, Pose};
 use policy::act_policy::state_numbers;
 use policy::dataset::{CameraSpec, DatasetSpec, DatasetWriter, FrameRecord};
+use serde::Serialize;
 use sim_backend::cameras::SceneCameras;
 use sim_backend::simulation::{Rendering, Simulation};
 use sim_backend::task::Outcome;
@@ -12,23 +13,23 @@ use tch::Device;
 
 use super::episode::{Episode, Plan, StepView, Watcher};
 use super::source::{PolicyChoice, STEP_NS};
-use super::{SessionError, Setup, parallel};
+use super::{SessionError, Setup, outputs, parallel};
 
 /// What to record.
 #[derive(Clone, Debug)]
 pub struct RecordOptions {
     /// How many successful episodes.
     pub episodes: usize,
-    /// The dataset's directory; must not exist.
+    /// The dataset's directory; a new or an empty one.
     pub out: PathBuf,
-    /// Seed of the first attempt.
+    /// Seed of the first attempt; attempt i has `seed + i`, which wraps.
     pub seed: u64,
     /// Episodes at a time.
     pub jobs: usize,
 }
 
 /// What became of one attempt.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct Attempt {
     /// Its seed.
     pub seed: u64,
@@ -40,33 +41,50 @@ pub struct Attempt {
     pub steps: usize,
 }
 
+/// What was recorded.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+pub struct RecordSummary {
+    /// Task name.
+    pub task: String,
+    /// Episodes in the dataset.
+    pub episodes: usize,
+    /// Policy steps in them.
+    pub steps: usize,
+    /// Every attempt, in the order of its seed's index.
+    pub attempts: Vec<Attempt>,
+}
+
 /// Records until enough attempts have succeeded; failed ones are reported and not kept.
 ///
 /// # Errors
-/// From the simulation or the dataset; [`SessionError::BadArgument`] if the expert fails far too often.
+/// From the simulation or the dataset; [`SessionError::BadArgument`] if the folder is not empty;
+/// [`SessionError::Unproductive`] if the expert fails far too often.
 pub fn record(
     setup: &Setup,
     options: &RecordOptions,
     on_attempt: &mut dyn FnMut(&Attempt),
-) -> Result<(), SessionError> {
-    if options.out.exists() {
-        return Err(SessionError::BadArgument(format!(
-            "{}: exists already",
-            options.out.display()
-        )));
-    }
+) -> Result<RecordSummary, SessionError> {
+    outputs::new_folder(&options.out)?;
     let mut writer = DatasetWriter::create(&options.out, &dataset_spec(setup))?;
-    let (mut kept, mut seed) = (0, options.seed);
-    let seed_limit = options.seed + 4 * options.episodes as u64 + 20;
-    while kept < options.episodes {
-        if seed >= seed_limit {
-            return Err(SessionError::BadArgument(format!(
-                "only {kept} of {} attempts succeeded",
-                seed - options.seed
-            )));
+    let mut summary = RecordSummary {
+        task: setup.task_name.clone(),
+        episodes: 0,
+        steps: 0,
+        attempts: Vec::new(),
+    };
+    let mut attempts: u64 = 0;
+    let attempts_max = (options.episodes as u64)
+        .saturating_mul(4)
+        .saturating_add(20);
+    while summary.episodes < options.episodes {
+        if attempts >= attempts_max {
+            return Err(SessionError::Unproductive {
+                kept: summary.episodes,
+                attempts,
+            });
         }
-        let wanted = options.episodes - kept;
-        let first = seed;
+        let wanted = options.episodes - summary.episodes;
+        let first = options.seed.wrapping_add(attempts);
         parallel::in_order(
             wanted,
             options.jobs,
@@ -75,21 +93,24 @@ pub fn record(
                 let success = matches!(demo.outcome, Outcome::Success);
                 if success {
                     store(&mut writer, &demo)?;
-                    kept += 1;
+                    summary.episodes += 1;
+                    summary.steps += demo.frames.len();
                 }
-                on_attempt(&Attempt {
-                    seed: first + index as u64,
+                let attempt = Attempt {
+                    seed: first.wrapping_add(index as u64),
                     kept: success,
                     reason: demo.reason,
                     steps: demo.frames.len(),
-                });
+                };
+                on_attempt(&attempt);
+                summary.attempts.push(attempt);
                 Ok(())
             },
         )?;
-        seed += wanted as u64;
+        attempts = attempts.saturating_add(wanted as u64);
     }
     writer.finish()?;
-    Ok(())
+    Ok(summary)
 }
 
 fn dataset_spec(setup: &Setup) -> DatasetSpec {
@@ -147,7 +168,7 @@ fn demonstrator(
 ) -> impl FnMut(usize) -> Result<Demonstration, SessionError> {
     let mut cameras: Option<SceneCameras> = None;
     move |index| {
-        let seed = first + index as u64;
+        let seed = first.wrapping_add(index as u64);
         let mut simulation = match cameras.take() {
             Some(cameras) => Simulation::with_cameras(&setup.task, seed, cameras),
             None => Simulation::new(&setup.task, seed, Rendering::On)?,

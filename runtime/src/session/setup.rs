@@ -44,12 +44,14 @@ impl Setup {
     /// Without `control`, a checkpoint's own recommendation decides how its chunks are aggregated.
     ///
     /// # Errors
-    /// [`SessionError::Config`], or [`SessionError::BadArgument`] for an unknown task.
+    /// [`SessionError::Config`], [`SessionError::Checkpoint`], or [`SessionError::BadArgument`] for an unknown task or a
+    /// policy that is neither a name nor a folder.
     pub fn load(
         task: &str,
         control: Option<&Path>,
         policy: &PolicyChoice,
     ) -> Result<Self, SessionError> {
+        policy.check_exists()?;
         let (scene, safety) = match task {
             "needle-lift" => (
                 Source::embedded(

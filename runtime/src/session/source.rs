@@ -42,6 +42,20 @@ impl PolicyChoice {
         }
     }
 
+    /// Checks that a checkpoint's folder is there.
+    ///
+    /// # Errors
+    /// [`SessionError::BadArgument`], which says what a policy can be.
+    pub fn check_exists(&self) -> Result<(), SessionError> {
+        match self {
+            Self::Checkpoint(path) if !path.is_dir() => Err(SessionError::BadArgument(format!(
+                "policy {}: there is no such folder; a policy is expert, noop, random or a checkpoint's folder",
+                path.display()
+            ))),
+            Self::Checkpoint(_) | Self::Expert | Self::Noop | Self::Random => Ok(()),
+        }
+    }
+
     /// The name used in results.
     #[must_use]
     pub fn name(&self) -> String {

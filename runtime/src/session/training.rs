@@ -11,25 +11,38 @@ use policy::checkpoint::{
 };
 use policy::dataset::Dataset;
 use policy::relative_action::REPRESENTATION;
-use policy::train::{Augmentation, Progress, TrainOptions, TrainPrecision, Trained, Trainer};
+use policy::train::{
+    Augmentation, Progress, TrainError, TrainOptions, TrainPrecision, Trained, Trainer,
+};
 use serde::Serialize;
 use tch::Device;
 
-use super::SessionError;
 use super::source::STEP_NS;
+use super::{SessionError, outputs};
 use crate::rt::MonotonicClock;
 
 /// Policy steps from one query to the next that a trained checkpoint asks for: half a chunk of the small preset, so that a fresh
 /// one is there when the last ends.
 const QUERY_EVERY_STEPS: u32 = 25;
 
+/// Which of the dataset's cameras the network sees.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum CameraChoice {
+    /// The only one; a dataset with several is refused.
+    Single,
+    /// All of them.
+    Multi,
+}
+
 /// What to train.
 #[derive(Clone, Debug)]
 pub struct TrainingOptions {
     /// The dataset's directory.
     pub data: PathBuf,
-    /// The checkpoint's directory.
+    /// The checkpoint's directory; a new or an empty one.
     pub out: PathBuf,
+    /// Which cameras the network sees.
+    pub cameras: CameraChoice,
     /// Sizes and recipe: `small`, `paper` or `lerobot`.
     pub preset: String,
     /// Optimiser steps, if not the preset's.
@@ -70,20 +83,20 @@ pub struct TrainingResult {
 /// Trains, and writes the checkpoint and its loss curve (`loss.csv`).
 ///
 /// # Errors
-/// From the dataset, the training or the file system.
+/// [`SessionError::BadArgument`] if the checkpoint's folder is not empty or can't be written, before any work; from the
+/// dataset, the training or the file system.
 pub fn train(
     options: &TrainingOptions,
     on_progress: &mut dyn FnMut(&str),
 ) -> Result<TrainingResult, SessionError> {
     let preset = parse_preset(&options.preset)?;
-    let dataset = Dataset::open_first(&options.data, options.episodes)?;
-    let cameras: Vec<String> = dataset
-        .camera_names()
-        .iter()
-        .map(|name| format!("observation.images.{name}"))
-        .collect();
-    let config = ActConfig::preset(preset, &cameras);
     let recipe_options = train_options(options, preset);
+    if let Some(defect) = recipe_options.defect() {
+        return Err(TrainError::Options(defect).into());
+    }
+    outputs::new_folder(&options.out)?;
+    let dataset = Dataset::open_first(&options.data, options.episodes)?;
+    let config = ActConfig::preset(preset, &cameras(options, &dataset)?);
     let clock = MonotonicClock::new();
     let begun = clock.now();
     let seconds = || TimeNs(clock.now().since(begun)).seconds();
@@ -125,6 +138,23 @@ pub fn train(
         validation_l1: last.and_then(|row| row.validation_l1),
         seconds: seconds(),
     })
+}
+
+/// The features of the cameras that the network sees.
+fn cameras(options: &TrainingOptions, dataset: &Dataset) -> Result<Vec<String>, SessionError> {
+    let names = dataset.camera_names();
+    if options.cameras == CameraChoice::Single && names.len() > 1 {
+        return Err(SessionError::BadArgument(format!(
+            "--cameras single: {} has {} cameras ({}), and a network is trained on all of its dataset's cameras",
+            options.data.display(),
+            names.len(),
+            names.join(", ")
+        )));
+    }
+    Ok(names
+        .iter()
+        .map(|name| format!("observation.images.{name}"))
+        .collect())
 }
 
 fn parse_preset(name: &str) -> Result<ActPreset, SessionError> {

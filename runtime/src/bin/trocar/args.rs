@@ -2,7 +2,23 @@
 
 use std::path::PathBuf;
 
+use clap::builder::RangedU64ValueParser;
 use clap::{Args, Parser, Subcommand, ValueEnum};
+
+/// A count that is not 0.
+fn count() -> RangedU64ValueParser<usize> {
+    RangedU64ValueParser::new().range(1..)
+}
+
+/// A number of threads.
+fn threads() -> RangedU64ValueParser<usize> {
+    RangedU64ValueParser::new().range(1..=1024)
+}
+
+/// A delay in ms.
+fn delay() -> RangedU64ValueParser<u64> {
+    RangedU64ValueParser::new().range(0..=10_000)
+}
 
 /// Runs learned policies on a surgical robot arm, safely and in real time.
 #[derive(Debug, Parser)]
@@ -110,14 +126,14 @@ pub(crate) struct RunArgs {
     /// Controller configuration instead of the built-in config/control.toml.
     #[arg(long, value_name = "FILE")]
     pub(crate) config: Option<PathBuf>,
-    /// Write the run's log.
+    /// Write the run's log; parent folders are made.
     #[arg(long, value_name = "FILE.mcap")]
     pub(crate) log: Option<PathBuf>,
-    /// Write the result as JSON.
+    /// Write the result as JSON; parent folders are made.
     #[arg(long, value_name = "FILE")]
     pub(crate) json: Option<PathBuf>,
-    /// Delay from observation to chunk in lockstep, ms.
-    #[arg(long, value_name = "MS")]
+    /// Delay from observation to chunk in lockstep, ms, up to 10000.
+    #[arg(long, value_name = "MS", value_parser = delay())]
     pub(crate) latency_ms: Option<u64>,
     /// Where the network computes.
     #[arg(long, value_enum, default_value = "cpu")]
@@ -134,22 +150,22 @@ pub(crate) struct EvalArgs {
     #[arg(long)]
     pub(crate) policy: String,
     /// How many trials.
-    #[arg(long, default_value_t = 50)]
+    #[arg(long, default_value_t = 50, value_parser = count())]
     pub(crate) trials: usize,
-    /// Seed of the first trial; trial i has seed + i.
+    /// Seed of the first trial; trial i has seed + i, which wraps around past 2^64 - 1.
     #[arg(long, default_value_t = 1_000_000)]
     pub(crate) seed: u64,
     /// Trials at a time.
-    #[arg(long, default_value_t = 1)]
+    #[arg(long, default_value_t = 1, value_parser = threads())]
     pub(crate) jobs: usize,
     /// Controller configuration instead of the built-in config/control.toml.
     #[arg(long, value_name = "FILE")]
     pub(crate) config: Option<PathBuf>,
-    /// Write the result as JSON.
+    /// Write the result as JSON; parent folders are made.
     #[arg(long, value_name = "FILE")]
     pub(crate) json: Option<PathBuf>,
-    /// Delay from observation to chunk, ms.
-    #[arg(long, value_name = "MS")]
+    /// Delay from observation to chunk, ms, up to 10000.
+    #[arg(long, value_name = "MS", value_parser = delay())]
     pub(crate) latency_ms: Option<u64>,
     /// Where the network computes.
     #[arg(long, value_enum, default_value = "cpu")]
@@ -170,23 +186,26 @@ pub(crate) struct RecordArgs {
     #[arg(long, value_enum)]
     pub(crate) task: Task,
     /// How many successful episodes to record.
-    #[arg(long)]
+    #[arg(long, value_parser = count())]
     pub(crate) episodes: usize,
     /// Who demonstrates.
     #[arg(long, value_enum, default_value = "expert")]
     pub(crate) source: Demonstrator,
-    /// The dataset's directory; must not exist.
+    /// The dataset's directory; a new or an empty one.
     #[arg(long)]
     pub(crate) out: PathBuf,
-    /// Seed of the first attempt; attempt i has seed + i.
+    /// Seed of the first attempt; attempt i has seed + i, which wraps around past 2^64 - 1.
     #[arg(long, default_value_t = 0)]
     pub(crate) seed: u64,
     /// Episodes at a time.
-    #[arg(long, default_value_t = 1)]
+    #[arg(long, default_value_t = 1, value_parser = threads())]
     pub(crate) jobs: usize,
     /// Controller configuration instead of the built-in config/control.toml.
     #[arg(long, value_name = "FILE")]
     pub(crate) config: Option<PathBuf>,
+    /// Write what was recorded, attempt by attempt, as JSON; parent folders are made.
+    #[arg(long, value_name = "FILE")]
+    pub(crate) json: Option<PathBuf>,
 }
 
 /// Networks that can be trained.
@@ -194,6 +213,15 @@ pub(crate) struct RecordArgs {
 pub(crate) enum Network {
     /// Action chunking with transformers, from images.
     Act,
+}
+
+/// Cameras that a network sees.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub(crate) enum Cameras {
+    /// The only one; a dataset with several is refused.
+    Single,
+    /// All of the dataset's cameras.
+    Multi,
 }
 
 /// Options of `train`.
@@ -205,32 +233,35 @@ pub(crate) struct TrainArgs {
     /// The dataset's directory.
     #[arg(long)]
     pub(crate) data: PathBuf,
-    /// The checkpoint's directory.
+    /// The checkpoint's directory; a new or an empty one.
     #[arg(long)]
     pub(crate) out: PathBuf,
-    /// Sizes and recipe: `paper` or `small`.
-    #[arg(long, default_value = "small")]
+    /// Which of the dataset's cameras the network sees.
+    #[arg(long, value_enum, default_value = "multi")]
+    pub(crate) cameras: Cameras,
+    /// Sizes and recipe.
+    #[arg(long, default_value = "small", value_parser = ["small", "paper", "lerobot"])]
     pub(crate) preset: String,
     /// Optimiser steps; the preset's number if not given.
-    #[arg(long)]
+    #[arg(long, value_parser = clap::value_parser!(u64).range(1..))]
     pub(crate) steps: Option<u64>,
     /// Samples a step; the preset's number if not given.
-    #[arg(long)]
+    #[arg(long, value_parser = count())]
     pub(crate) batch: Option<usize>,
     /// Where the network computes.
     #[arg(long, value_enum, default_value = "cpu")]
     pub(crate) device: ComputeDevice,
     /// Use only the first episodes.
-    #[arg(long)]
+    #[arg(long, value_parser = count())]
     pub(crate) episodes: Option<usize>,
-    /// Share of the episodes, the last ones, that is held out for validation.
+    /// Share of the episodes, the last ones, that is held out for validation; 0 to 0.9.
     #[arg(long, default_value_t = 0.0)]
     pub(crate) validation_share: f64,
     /// Compute in 16 bits (bfloat16); for accelerators.
     #[arg(long)]
     pub(crate) bf16: bool,
     /// Threads that decode images, and compute on the CPU.
-    #[arg(long, default_value_t = 2)]
+    #[arg(long, default_value_t = 2, value_parser = threads())]
     pub(crate) threads: usize,
     /// Random shifts and brightness of the images while training.
     #[arg(long)]
@@ -238,7 +269,7 @@ pub(crate) struct TrainArgs {
     /// Everything random hangs on this.
     #[arg(long, default_value_t = 0)]
     pub(crate) seed: u64,
-    /// Write the result as JSON.
+    /// Write the result as JSON; parent folders are made.
     #[arg(long, value_name = "FILE")]
     pub(crate) json: Option<PathBuf>,
 }
@@ -249,7 +280,7 @@ pub(crate) struct LogArgs {
     /// The log.
     #[arg(value_name = "FILE.mcap")]
     pub(crate) file: PathBuf,
-    /// Write the result as JSON.
+    /// Write the result as JSON; parent folders are made.
     #[arg(long, value_name = "FILE")]
     pub(crate) json: Option<PathBuf>,
 }
@@ -257,7 +288,7 @@ pub(crate) struct LogArgs {
 /// Options of `doctor`.
 #[derive(Args, Debug)]
 pub(crate) struct DoctorArgs {
-    /// Write the findings as JSON.
+    /// Write the findings as JSON; parent folders are made.
     #[arg(long, value_name = "FILE")]
     pub(crate) json: Option<PathBuf>,
 }
@@ -282,6 +313,9 @@ pub(crate) struct PolicyProcessArgs {
     /// Names the run's topics.
     #[arg(long)]
     pub(crate) run_id: String,
+    /// The process that started this one; this one goes when that one is gone.
+    #[arg(long)]
+    pub(crate) parent_pid: u32,
     /// The checkpoint's directory.
     #[arg(long)]
     pub(crate) policy: PathBuf,

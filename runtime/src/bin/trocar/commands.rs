@@ -8,14 +8,14 @@ use runtime::session::realtime::{self, PolicyProcessOptions};
 use runtime::session::record::{self, RecordOptions};
 use runtime::session::run::{self, RunOptions, write_json};
 use runtime::session::summary::RunSummary;
-use runtime::session::training::{self, TrainingOptions};
-use runtime::session::{PolicyChoice, SessionError, Setup};
+use runtime::session::training::{self, CameraChoice, TrainingOptions};
+use runtime::session::{PolicyChoice, SessionError, Setup, outputs};
 use runtime::{replay as replaying, verify as verifying};
 use tch::Device;
 
 use crate::args::{
-    ComputeDevice, DemoArgs, DoctorArgs, EvalArgs, LogArgs, PolicyProcessArgs, RecordArgs, RunArgs,
-    TrainArgs,
+    Cameras, ComputeDevice, DemoArgs, DoctorArgs, EvalArgs, LogArgs, PolicyProcessArgs, RecordArgs,
+    RunArgs, TrainArgs,
 };
 use crate::console;
 
@@ -32,13 +32,21 @@ fn device(choice: ComputeDevice) -> Result<Device, SessionError> {
 }
 
 pub(crate) fn run(args: &RunArgs) -> Done {
+    if args.latency_ms.is_some() && !args.lockstep {
+        return Err(SessionError::BadArgument(
+            "--latency-ms needs --lockstep: in real time a chunk comes when it comes".to_owned(),
+        ));
+    }
+    let log = ("--log", args.log.as_deref());
+    let config = ("--config", args.config.as_deref());
+    outputs::check(&[log, ("--json", args.json.as_deref())], &[config])?;
     let policy = PolicyChoice::parse(&args.policy);
     let setup = Setup::load(args.task.name(), args.config.as_deref(), &policy)?;
     let options = RunOptions {
         policy,
         seed: args.seed,
         log: args.log.clone(),
-        pictures: args.log.is_some(),
+        pictures: false,
         latency_ms: args.latency_ms,
         device: device(args.device)?,
     };
@@ -90,6 +98,8 @@ fn report_run(summary: &RunSummary) {
 }
 
 pub(crate) fn eval(args: &EvalArgs) -> Done {
+    let config = ("--config", args.config.as_deref());
+    outputs::check(&[("--json", args.json.as_deref())], &[config])?;
     let policy = PolicyChoice::parse(&args.policy);
     let setup = Setup::load(args.task.name(), args.config.as_deref(), &policy)?;
     let options = EvalOptions {
@@ -130,6 +140,9 @@ pub(crate) fn eval(args: &EvalArgs) -> Done {
 }
 
 pub(crate) fn record(args: &RecordArgs) -> Done {
+    let config = ("--config", args.config.as_deref());
+    let out = ("--out", Some(args.out.as_path()));
+    outputs::check(&[("--json", args.json.as_deref())], &[config, out])?;
     let setup = Setup::load(
         args.task.name(),
         args.config.as_deref(),
@@ -142,10 +155,8 @@ pub(crate) fn record(args: &RecordArgs) -> Done {
         jobs: args.jobs,
     };
     let bar = console::progress(args.episodes as u64, "episodes");
-    let mut steps = 0;
-    record::record(&setup, &options, &mut |attempt| {
+    let summary = record::record(&setup, &options, &mut |attempt| {
         if attempt.kept {
-            steps += attempt.steps;
             bar.inc(1);
         } else {
             bar.suspend(|| {
@@ -158,17 +169,28 @@ pub(crate) fn record(args: &RecordArgs) -> Done {
     })?;
     bar.finish_and_clear();
     console::result(&format!(
-        "{} episodes, {steps} steps in {}",
-        args.episodes,
+        "{} episodes, {} steps in {}",
+        summary.episodes,
+        summary.steps,
         args.out.display()
     ));
+    if let Some(path) = &args.json {
+        write_json(path, &summary)?;
+    }
     Ok(true)
 }
 
 pub(crate) fn train(args: &TrainArgs) -> Done {
+    let data = ("--data", Some(args.data.as_path()));
+    let out = ("--out", Some(args.out.as_path()));
+    outputs::check(&[("--json", args.json.as_deref())], &[data, out])?;
     let options = TrainingOptions {
         data: args.data.clone(),
         out: args.out.clone(),
+        cameras: match args.cameras {
+            Cameras::Single => CameraChoice::Single,
+            Cameras::Multi => CameraChoice::Multi,
+        },
         preset: args.preset.clone(),
         steps: args.steps,
         batch: args.batch,
@@ -195,6 +217,7 @@ pub(crate) fn train(args: &TrainArgs) -> Done {
 }
 
 pub(crate) fn replay(args: &LogArgs) -> Done {
+    check_result(args)?;
     let log = RunLog::open(&args.file)?;
     let result = replaying::replay(&log)?;
     match &result.first_difference {
@@ -210,6 +233,7 @@ pub(crate) fn replay(args: &LogArgs) -> Done {
 }
 
 pub(crate) fn verify(args: &LogArgs) -> Done {
+    check_result(args)?;
     let log = RunLog::open(&args.file)?;
     let result = verifying::verify(&log)?;
     console::result(&format!(
@@ -226,6 +250,12 @@ pub(crate) fn verify(args: &LogArgs) -> Done {
     }
     refuse_cut(&log, args)?;
     Ok(result.ok)
+}
+
+/// The result must not take the place of the log.
+fn check_result(args: &LogArgs) -> Result<(), SessionError> {
+    let log = ("the log", Some(args.file.as_path()));
+    outputs::check(&[("--json", args.json.as_deref())], &[log])
 }
 
 /// An incomplete log is bad input, even though what is there was used.
@@ -254,7 +284,7 @@ pub(crate) fn demo(args: &DemoArgs) -> Done {
         policy: args.policy.clone(),
         seed: args.seed,
     };
-    let result = demo::run(&options)?;
+    let result = demo::run(&options, &mut |line| console::note(line))?;
     for (name, shown) in [
         ("lockstep", &result.lockstep),
         ("real time", &result.real_time),
@@ -288,6 +318,7 @@ pub(crate) fn policy_process(args: &PolicyProcessArgs) -> Done {
         run_id: args.run_id.clone(),
         policy: args.policy.clone(),
         device: device(args.device)?,
+        parent: args.parent_pid,
     })?;
     Ok(true)
 }
