@@ -4,7 +4,7 @@ mod samples;
 
 use std::path::PathBuf;
 
-use hal::{ArmState, CameraFrame, Chunk, Intrinsics, JointVector, TimeNs, TipTarget};
+use hal::{ArmError, ArmState, CameraFrame, Chunk, Intrinsics, JointVector, TimeNs, TipTarget};
 
 use super::{
     LogCounts, LogError, Loss, Pressure, Recorder, RunHeader, RunLog, TickRecord, TickTiming,
@@ -350,6 +350,15 @@ pub(crate) fn run_with_operator(
     ticks: u64,
     operator: impl Fn(u64) -> Option<OperatorEvent>,
 ) -> (Vec<TickRecord>, RunHeader) {
+    run_disturbed(ticks, operator, |_, state| Ok(state))
+}
+
+/// As [`run_with_operator`], with something between the arm and its measurement.
+pub(crate) fn run_disturbed(
+    ticks: u64,
+    operator: impl Fn(u64) -> Option<OperatorEvent>,
+    measure: impl Fn(u64, ArmState) -> Result<ArmState, ArmError>,
+) -> (Vec<TickRecord>, RunHeader) {
     use crate::control::{ControlConfig, Controller, TickInput};
 
     let (control, safety) = (
@@ -364,7 +373,7 @@ pub(crate) fn run_with_operator(
     let mut records = Vec::new();
     for tick in 0..ticks {
         let now = TimeNs::from_tick(tick);
-        let measured = Ok(ArmState::at_rest(now, position, jaw));
+        let measured = measure(tick, ArmState::at_rest(now, position, jaw));
         let operator = operator(tick);
         let chunk = (tick % 250 == 20).then(|| chunk_of_run(tick / 250 + 1));
         let output = controller.tick(&TickInput {
