@@ -6,7 +6,6 @@
     reason = "in a test, a failure to set up is a failure"
 )]
 
-use std::collections::BTreeSet;
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
@@ -71,12 +70,24 @@ impl Run {
         send(signal, self.process.id());
     }
 
-    /// The process that runs the policy.
-    fn policy_process(&self) -> u32 {
+    /// The process that runs the policy, as soon as there is one.
+    fn policy_process(&self) -> Option<u32> {
         let parent = self.process.id();
         let children =
             fs::read_to_string(format!("/proc/{parent}/task/{parent}/children")).unwrap();
-        children.trim().parse().unwrap()
+        let child = children.trim().parse().ok()?;
+        // Until it has become another program it is a copy of its parent.
+        let command = fs::read_to_string(format!("/proc/{child}/cmdline")).unwrap();
+        command.contains("policy-process").then_some(child)
+    }
+
+    /// The policy's process and its parent, which both use shared memory.
+    fn processes(&self) -> [u32; 2] {
+        let both = [self.process.id(), self.policy_process().unwrap()];
+        for process in both {
+            assert!(!shared_things(&[process]).is_empty());
+        }
+        both
     }
 
     /// The exit code and the result.
@@ -109,25 +120,48 @@ fn until(what: &str, mut holds: impl FnMut() -> bool) {
     let clock = MonotonicClock::new();
     while !holds() {
         assert!(clock.now().0 < PATIENCE_NS, "waited in vain until {what}");
-        sleep_ns(20 * MS_NS);
+        sleep_ns(5 * MS_NS);
     }
 }
 
-/// What the transport keeps in shared memory and in its folder for nodes and topics.
-fn shared_things() -> BTreeSet<PathBuf> {
+/// What the transport keeps for these processes in shared memory and in its folders for nodes and topics.
+fn shared_things(processes: &[u32]) -> Vec<PathBuf> {
     ["/dev/shm", "/tmp/iceoryx2/nodes", "/tmp/iceoryx2/services"]
         .iter()
         .filter_map(|folder| fs::read_dir(folder).ok())
         .flatten()
         .map(|entry| entry.unwrap().path())
-        // One small lock for the whole machine, made by the first process ever and kept.
-        .filter(|path| !path.to_string_lossy().ends_with(".global_mgmt"))
+        .filter(|path| processes.iter().any(|&process| belongs(path, process)))
         .collect()
 }
 
-fn expect_nothing_new(before: &BTreeSet<PathBuf>) {
+/// Names hold the ids of nodes, ports and services; a topic's own file is named after a hash and says whose run it is for.
+fn belongs(path: &Path, process: u32) -> bool {
+    let name = path.file_name().unwrap().to_string_lossy();
+    if name.ends_with(".service") {
+        let run = format!("trocar/run-{process}-");
+        return fs::read_to_string(path).is_ok_and(|text| text.contains(&run));
+    }
+    name.split(['_', '.'])
+        .any(|part| maker(part) == Some(process))
+}
+
+/// The process that made an id: 32 of its 128 bits.
+fn maker(id: &str) -> Option<u32> {
+    let id: u128 = id.parse().ok()?;
+    u32::try_from((id >> 64) & u128::from(u32::MAX)).ok()
+}
+
+fn expect_nothing_left(processes: &[u32]) {
     until("shared memory is clean", || {
-        shared_things().difference(before).next().is_none()
+        shared_things(processes).is_empty()
+    });
+}
+
+fn expect_an_end(process: u32) {
+    until("the process has gone", || {
+        // A dead process that nobody has waited for has no command line.
+        fs::read(format!("/proc/{process}/cmdline")).map_or(true, |command| command.is_empty())
     });
 }
 
@@ -184,10 +218,11 @@ fn the_expert_lifts_the_needle_and_the_log_replays_and_verifies() {
 #[test]
 fn the_network_lifts_the_needle_from_its_own_process() {
     let _turn = alone();
-    let before = shared_things();
     let lifted = (1..=3).any(|seed| {
-        let run = Run::start("realtime-network", CHECKPOINT, seed);
+        let mut run = Run::start("realtime-network", CHECKPOINT, seed);
         let path = run.log.clone();
+        run.wait_until_under_way();
+        let processes = run.processes();
         let (code, result) = run.end();
         let log = checked_log(&path, &result);
         let policy = &result["policy"];
@@ -196,18 +231,17 @@ fn the_network_lifts_the_needle_from_its_own_process() {
         let inference_ms = policy["inference_ms"]["p50"].as_f64().unwrap();
         let latency_ms = policy["latency_ms"]["p50"].as_f64().unwrap();
         assert!(inference_ms > 0.0 && latency_ms > inference_ms, "{policy}");
+        expect_nothing_left(&processes);
         let success = result["success"] == true;
         assert_eq!(code, Some(i32::from(!success)), "{result}");
         success
     });
     assert!(lifted);
-    expect_nothing_new(&before);
 }
 
 #[test]
 fn a_policy_process_that_dies_or_hangs_ends_the_run_with_the_arm_at_rest() {
     let _turn = alone();
-    let before = shared_things();
     for (signal, expected) in [
         ("-KILL", "the policy process ended: signal: 9"),
         ("-STOP", "the policy process has been silent"),
@@ -215,50 +249,81 @@ fn a_policy_process_that_dies_or_hangs_ends_the_run_with_the_arm_at_rest() {
         let mut run = Run::start("realtime-no-policy", CHECKPOINT, 1);
         let path = run.log.clone();
         run.wait_until_under_way();
-        send(signal, run.policy_process());
+        let processes = run.processes();
+        send(signal, processes[1]);
         let (code, result) = run.end();
         assert_eq!(code, Some(1));
         let reason = result["reason"].as_str().unwrap();
         assert!(reason.starts_with(expected), "{reason}");
         expect_a_stop(&checked_log(&path, &result));
-        expect_nothing_new(&before);
+        expect_nothing_left(&processes);
     }
 }
 
 #[test]
 fn a_signal_is_a_controlled_stop() {
     let _turn = alone();
-    let before = shared_things();
     for (signal, policy) in [("-INT", "expert"), ("-TERM", CHECKPOINT)] {
         let mut run = Run::start("realtime-signal", policy, 1);
         let path = run.log.clone();
         run.wait_until_under_way();
+        let processes = (policy == CHECKPOINT).then(|| run.processes());
         run.send(signal);
         let (code, result) = run.end();
         assert_eq!(code, Some(1));
         assert_eq!(result["reason"], "interrupted");
         expect_a_stop(&checked_log(&path, &result));
-        expect_nothing_new(&before);
+        // The expert thinks in the run's own process and shares nothing.
+        expect_nothing_left(processes.as_ref().map_or(&[], |both| both));
     }
 }
 
 #[test]
 fn a_policy_whose_parent_is_killed_goes_and_cleans_up_and_the_log_is_good_up_to_the_cut() {
     let _turn = alone();
-    let before = shared_things();
     let mut run = Run::start("realtime-killed", CHECKPOINT, 1);
     run.wait_until_under_way();
-    let policy = run.policy_process();
+    let processes = run.processes();
     run.send("-KILL");
-    until("the policy process has gone", || {
-        !Path::new(&format!("/proc/{policy}")).exists()
-    });
-    expect_nothing_new(&before);
+    expect_an_end(processes[1]);
+    expect_nothing_left(&processes);
     let log = RunLog::open(&run.log).unwrap();
     assert!(log.cut().is_some() && log.tick_count() > 100);
     let replayed = replay(&log).unwrap();
     assert!(replayed.identical, "{:?}", replayed.first_difference);
     assert!(verify(&log).unwrap().ok);
+}
+
+#[test]
+fn a_policy_whose_parent_is_killed_before_the_run_begins_goes_and_cleans_up() {
+    let _turn = alone();
+    // Before the policy process can look at anything, and while it loads.
+    for joined in [false, true] {
+        let run = Run::start("realtime-killed-early", CHECKPOINT, 1);
+        let mut policy = None;
+        until("the policy process is there", || {
+            policy = run.policy_process();
+            policy.is_some_and(|policy| !joined || !shared_things(&[policy]).is_empty())
+        });
+        let processes = [run.process.id(), policy.unwrap()];
+        assert!(!shared_things(&processes[..1]).is_empty());
+        run.send("-KILL");
+        expect_an_end(processes[1]);
+        expect_nothing_left(&processes);
+        assert!(!run.log.exists());
+    }
+}
+
+#[test]
+fn a_delay_in_real_time_is_refused() {
+    let output = trocar(Profile::Debug)
+        .args(["run", "--task", "needle-lift", "--policy", "expert"])
+        .args(["--latency-ms", "40"])
+        .output()
+        .unwrap();
+    let stderr = tests::stderr(&output);
+    assert_eq!(output.status.code(), Some(2), "{stderr}");
+    assert!(stderr.contains("--lockstep"), "{stderr}");
 }
 
 #[test]

@@ -23,14 +23,21 @@ pub struct RunOptions {
     pub policy: PolicyChoice,
     /// Everything random hangs on this.
     pub seed: u64,
-    /// Where the log goes, if anywhere.
+    /// Where the log goes, if anywhere. A log holds frames even if the policy needs none.
     pub log: Option<PathBuf>,
-    /// Whether to take frames at every policy step even if the policy needs none.
+    /// Whether to keep pictures of the run for [`RunResult::pictures`].
     pub pictures: bool,
     /// Delay from observation to chunk, ms; the policy's own if not given.
     pub latency_ms: Option<u64>,
     /// Where the network computes.
     pub device: Device,
+}
+
+impl RunOptions {
+    /// Whether anybody but the policy wants frames.
+    pub(super) const fn wants_frames(&self) -> bool {
+        self.pictures || self.log.is_some()
+    }
 }
 
 /// What a run leaves behind.
@@ -51,7 +58,7 @@ pub fn run_lockstep(setup: &Setup, options: &RunOptions) -> Result<RunResult, Se
     if let super::source::ChunkSource::Network(network) = &mut source {
         hal::Policy::reset(network.as_mut(), options.seed);
     }
-    let needs_frames = options.pictures || !source.cameras().is_empty();
+    let needs_frames = options.wants_frames() || !source.cameras().is_empty();
     let rendering = if needs_frames {
         Rendering::On
     } else {
@@ -59,7 +66,7 @@ pub fn run_lockstep(setup: &Setup, options: &RunOptions) -> Result<RunResult, Se
     };
     let mut simulation = Simulation::new(&setup.task, options.seed, rendering)?;
     let mut controller = setup.controller()?;
-    let cameras = if options.pictures {
+    let cameras = if options.wants_frames() {
         setup.camera_names()
     } else {
         Vec::new()
@@ -68,7 +75,7 @@ pub fn run_lockstep(setup: &Setup, options: &RunOptions) -> Result<RunResult, Se
     let mut watcher = RunWatcher {
         recorder,
         cameras,
-        pictures: Pictures::default(),
+        pictures: options.pictures.then(Pictures::default),
     };
     let latency_ticks = options.latency_ms.unwrap_or_else(|| source.latency_ticks());
     let plan = Plan {
@@ -100,7 +107,7 @@ pub fn run_lockstep(setup: &Setup, options: &RunOptions) -> Result<RunResult, Se
     };
     Ok(RunResult {
         summary: end.tally.summary(&labels, None),
-        pictures: watcher.pictures,
+        pictures: watcher.pictures.unwrap_or_default(),
     })
 }
 
@@ -130,7 +137,10 @@ pub fn open_log(
 }
 
 fn header(setup: &Setup, options: &RunOptions, lockstep: bool) -> RunHeader {
-    let versions = [("trocar", env!("CARGO_PKG_VERSION")), ("torch", "2.11.0")];
+    let versions = [
+        ("trocar", env!("CARGO_PKG_VERSION")),
+        ("libtorch", env!("LIBTORCH_VERSION")),
+    ];
     let texts = [
         ("control.toml", &setup.texts.control),
         ("safety.toml", &setup.texts.safety),
@@ -151,11 +161,11 @@ fn header(setup: &Setup, options: &RunOptions, lockstep: bool) -> RunHeader {
     }
 }
 
-/// Writes the log and keeps pictures.
+/// Writes the log and keeps pictures, each if asked to.
 struct RunWatcher {
     recorder: Option<Recorder>,
     cameras: Vec<String>,
-    pictures: Pictures,
+    pictures: Option<Pictures>,
 }
 
 impl Watcher for RunWatcher {
@@ -168,8 +178,8 @@ impl Watcher for RunWatcher {
             if let (Some(recorder), Some(name)) = (&mut self.recorder, self.cameras.get(index)) {
                 recorder.frame(name, frame);
             }
-            if index == 0 && !self.cameras.is_empty() {
-                self.pictures.push(frame);
+            if let (Some(pictures), 0) = (&mut self.pictures, index) {
+                pictures.push(frame);
             }
         }
         Ok(())

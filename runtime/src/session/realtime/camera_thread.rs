@@ -34,23 +34,25 @@ pub(super) struct CameraThread {
     arm: Option<Publisher<ArmReport>>,
     log: Option<SideLog>,
     snapshots: MailboxReader<Snapshot>,
-    pictures: Pictures,
+    /// Kept only if somebody will look at them.
+    pictures: Option<Pictures>,
     frames: Vec<CameraFrame>,
 }
 
 /// What it leaves behind.
 pub(super) struct CameraEnd {
-    pub(super) pictures: Pictures,
+    pub(super) pictures: Option<Pictures>,
 }
 
 impl CameraThread {
     /// Opens the renderer, and the topics if there is a policy process to see them; draws `start` once, since the first
-    /// image takes far longer than the others.
+    /// image takes far longer than the others. Keeps pictures only if `keep_pictures`.
     pub(super) fn new(
         setup: &Setup,
         node: Option<&TopicNode>,
         snapshots: MailboxReader<Snapshot>,
         start: &SceneSnapshot,
+        keep_pictures: bool,
     ) -> Result<Self, SessionError> {
         let mut cameras = SceneCameras::new(&setup.task)?;
         let mut publishers = Vec::new();
@@ -75,7 +77,7 @@ impl CameraThread {
             arm,
             log: None,
             snapshots,
-            pictures: Pictures::default(),
+            pictures: keep_pictures.then(Pictures::default),
             frames,
         })
     }
@@ -104,6 +106,7 @@ impl CameraThread {
     fn take(&mut self, snapshot: &Snapshot) -> Result<(), SessionError> {
         for camera in 0..self.cameras.count() {
             let stamp = snapshot.arm.stamp;
+            let kept = self.log.is_some() || (camera == 0 && self.pictures.is_some());
             let frame = &mut self.frames[camera];
             if let Some(publisher) = self.publishers.get_mut(camera) {
                 let pose = self.cameras.pose(camera)?;
@@ -121,7 +124,9 @@ impl CameraThread {
                     instance,
                 };
                 self.cameras.render_into(camera, &snapshot.scene, planes)?;
-                frame.colour.copy_from_slice(loan.planes().0);
+                if kept {
+                    frame.colour.copy_from_slice(loan.planes().0);
+                }
                 // The report goes first, so that it is there when the frame arrives.
                 if let (Some(arm), 0) = (&self.arm, camera) {
                     arm.publish(&ArmReport::new(
@@ -139,8 +144,8 @@ impl CameraThread {
             if let Some(log) = &mut self.log {
                 log.frame(self.cameras.name(camera)?, frame);
             }
-            if camera == 0 {
-                self.pictures.push(frame);
+            if let (Some(pictures), 0) = (&mut self.pictures, camera) {
+                pictures.push(frame);
             }
         }
         Ok(())

@@ -1,6 +1,7 @@
 //! The policy process as its parent sees it: started, waited for, listened to, and told to go.
 
 use std::env;
+use std::fs;
 use std::os::unix::process::CommandExt as _;
 use std::path::Path;
 use std::process::{self, Child, Command, Stdio};
@@ -57,7 +58,7 @@ impl PolicyChild {
         check_cameras(setup, &network)?;
         let query_every_steps = u64::from(network.recipe().query_every_steps);
         drop(network);
-        let run_id = format!("run-{}", process::id());
+        let run_id = fresh_run_id()?;
         let node = TopicNode::join(&run_id)?;
         let control = RunControlTopic::publisher(&node, ARM)?;
         let status = PolicyStatusTopic::subscriber(&node, ARM)?;
@@ -204,6 +205,15 @@ fn check_cameras(setup: &Setup, network: &ActPolicy) -> Result<(), SessionError>
     Ok(())
 }
 
+/// A name for the run's topics that no other run on this machine has: containers may share memory and count their processes
+/// alike, so the process id alone would not do.
+fn fresh_run_id() -> Result<String, SessionError> {
+    let uuid = fs::read_to_string("/proc/sys/kernel/random/uuid")
+        .map_err(|error| failed("naming the run", &error))?;
+    let tag: String = uuid.chars().take(8).collect();
+    Ok(format!("run-{}-{tag}", process::id()))
+}
+
 fn spawn(run_id: &str, policy: &Path, device: Device) -> Result<Child, SessionError> {
     let program = env::current_exe().map_err(|error| failed("finding this program", &error))?;
     let device = if device == Device::Cpu { "cpu" } else { "cuda" };
@@ -211,6 +221,7 @@ fn spawn(run_id: &str, policy: &Path, device: Device) -> Result<Child, SessionEr
         .args(["policy-process", "--run-id", run_id, "--policy"])
         .arg(policy)
         .args(["--device", device])
+        .args(["--parent-pid", &process::id().to_string()])
         .stdin(Stdio::null())
         // A Ctrl-C in the terminal is for this process alone, which then stops the arm before the policy.
         .process_group(0)

@@ -98,10 +98,11 @@ fn run_threads(
     let (snapshot_in, snapshots) = mailbox::<Snapshot>();
     let signals = Arc::new(Signals::default());
     // Slow things first: opening a device takes longer than an episode's first second.
-    let camera_thread = (options.pictures || child.is_some())
+    let camera_thread = (options.wants_frames() || child.is_some())
         .then(|| {
             let node = child.as_deref().map(PolicyChild::node);
-            CameraThread::new(setup, node, snapshots, &simulation.snapshot())
+            let start = simulation.snapshot();
+            CameraThread::new(setup, node, snapshots, &start, options.pictures)
         })
         .transpose()?;
     let (tick_log, side_log, log) = match open_log(setup, options, false)? {
@@ -122,7 +123,7 @@ fn run_threads(
     let snapshots = camera_thread.is_some().then(|| Snapshots {
         to: snapshot_in,
         query_every_steps: child.as_deref().map(PolicyChild::query_every_steps),
-        pictures: options.pictures,
+        frames: options.wants_frames(),
     });
     let (local, remote) = match source {
         Some(source) => (Some((source, chunk_in)), None),
@@ -233,7 +234,7 @@ fn conclude(setup: &Setup, options: &RunOptions, ends: Ends) -> Result<RunResult
         summary: tally.summary(&labels, Some(real_time)),
         pictures: others
             .camera
-            .map(|camera| camera.pictures)
+            .and_then(|camera| camera.pictures)
             .unwrap_or_default(),
     })
 }

@@ -34,6 +34,8 @@ pub struct PolicyProcessOptions {
     pub policy: PathBuf,
     /// Where the network computes.
     pub device: Device,
+    /// The process that started this one, as it knows itself: it may die before this one can look.
+    pub parent: u32,
 }
 
 /// Serves observations until told to stop or until the parent process is gone.
@@ -41,11 +43,29 @@ pub struct PolicyProcessOptions {
 /// # Errors
 /// If the checkpoint or the topics can't be opened, or the network fails.
 pub fn serve_policy(options: &PolicyProcessOptions) -> Result<(), SessionError> {
-    let parent = parent_id();
+    // Joining frees what a parent that is already dead has left.
     let node = TopicNode::join(&options.run_id)?;
-    let mut service = Service::open(&node, options)?;
+    let parent_lives = || parent_id() == options.parent;
+    let served = if parent_lives() {
+        serve(&node, options, parent_lives)
+    } else {
+        Ok(())
+    };
+    if !parent_lives() {
+        // It could not tidy up.
+        node.remove_dead();
+    }
+    served
+}
+
+fn serve(
+    node: &TopicNode,
+    options: &PolicyProcessOptions,
+    parent_lives: impl Fn() -> bool,
+) -> Result<(), SessionError> {
+    let mut service = Service::open(node, options)?;
     let mut every = 0_u64;
-    while parent_id() == parent {
+    while parent_lives() {
         if every.is_multiple_of(STATUS_EVERY_POLLS) {
             service.say(PolicyStage::Ready)?;
         }
@@ -58,8 +78,6 @@ pub fn serve_policy(options: &PolicyProcessOptions) -> Result<(), SessionError> 
         service.answer()?;
         rt::sleep_ns(POLL_NS);
     }
-    // The parent died and could not tidy up.
-    node.remove_dead();
     Ok(())
 }
 

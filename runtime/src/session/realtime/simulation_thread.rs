@@ -19,8 +19,8 @@ use crate::session::source::{ChunkSource, Query, STEP_TICKS};
 /// Priority under `SCHED_FIFO`, below the control thread's: the arm that this thread stands for never waits for a core.
 const PRIORITY: u8 = 70;
 
-/// Steps from one frame for the log and the pictures to the next. Drawing in software takes half a core at every step.
-const PICTURE_EVERY_STEPS: u64 = 5;
+/// Steps from one frame for the log or the pictures to the next. Drawing in software takes half a core at every step.
+const FRAME_EVERY_STEPS: u64 = 5;
 
 /// Snapshots for the cameras, and when to take them.
 pub(super) struct Snapshots {
@@ -28,14 +28,14 @@ pub(super) struct Snapshots {
     /// Steps from one query of the policy to the next, if the policy looks through the cameras.
     pub(super) query_every_steps: Option<u64>,
     /// Whether the log or somebody else wants frames in between.
-    pub(super) pictures: bool,
+    pub(super) frames: bool,
 }
 
 impl Snapshots {
     fn wanted(&self, step: u64) -> bool {
         self.query_every_steps
             .is_some_and(|every| step.is_multiple_of(every))
-            || self.pictures && step.is_multiple_of(PICTURE_EVERY_STEPS)
+            || self.frames && step.is_multiple_of(FRAME_EVERY_STEPS)
     }
 }
 
