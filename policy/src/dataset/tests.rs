@@ -1,6 +1,7 @@
 //! A dataset that is written, cut off or damaged, and read again.
 
 use std::{
+    error::Error,
     fs,
     path::{Path, PathBuf},
 };
@@ -98,8 +99,16 @@ fn record(dir: &Path) -> DatasetWriter {
     writer
 }
 
+/// The error and its causes, as they are told.
 fn error_of(dir: &Path) -> String {
-    Dataset::open(dir).unwrap_err().to_string()
+    let error = Dataset::open(dir).unwrap_err();
+    let mut told = error.to_string();
+    let mut source = error.source();
+    while let Some(cause) = source {
+        told = format!("{told}: {cause}");
+        source = cause.source();
+    }
+    told
 }
 
 #[test]
@@ -274,7 +283,7 @@ fn missing_and_cut_files_are_named() {
     fs::remove_file(&data).unwrap();
     let message = error_of(&folder.0);
     assert!(
-        message.contains("file-001.parquet: No such file"),
+        message.contains("file-001.parquet: cannot be read or written: No such file"),
         "{message}"
     );
     fs::write(&data, &whole).unwrap();
@@ -290,7 +299,12 @@ fn missing_and_cut_files_are_named() {
         assert!(message.contains(file), "{message}");
         fs::write(&path, kept).unwrap();
     }
-    assert!(error_of(&folder.0.join("nowhere")).contains("nowhere/meta/info.json: No such file"));
+    let message = error_of(&folder.0.join("nowhere"));
+    assert!(
+        message.contains("nowhere/meta/info.json: cannot be read or written: No such file"),
+        "{message}"
+    );
+    assert_eq!(message.matches("No such file").count(), 1, "{message}");
 }
 
 #[test]
