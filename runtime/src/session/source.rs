@@ -14,6 +14,9 @@ use super::SessionError;
 /// Control periods in one policy step.
 pub const STEP_TICKS: u64 = 40;
 
+/// Ticks from an observation to a network's chunk in lockstep: about what it takes in real time on two shared cores.
+pub const NETWORK_LATENCY_TICKS: u64 = 4 * STEP_TICKS;
+
 /// One policy step, ns.
 pub const STEP_NS: u64 = STEP_TICKS * hal::TICK_NS;
 
@@ -135,8 +138,7 @@ impl ChunkSource {
     pub fn latency_ticks(&self) -> u64 {
         match self {
             Self::Expert { .. } | Self::Noop { .. } | Self::Random { .. } => 0,
-            // What an observation takes to become a chunk in real time on two shared cores.
-            Self::Network(_) => 4 * STEP_TICKS,
+            Self::Network(_) => NETWORK_LATENCY_TICKS,
         }
     }
 
