@@ -35,6 +35,14 @@ impl TipTarget {
         }
     }
 
+    /// The pose as datasets store it: x y z qx qy qz qw.
+    #[must_use]
+    pub fn pose_numbers(&self) -> [f64; 7] {
+        let [x, y, z] = self.position_m;
+        let [i, j, k, w] = self.rotation_xyzw;
+        [x, y, z, i, j, k, w]
+    }
+
     /// The target as a pose, its rotation normalised.
     ///
     /// Meaningful only after the input gate has accepted the chunk.

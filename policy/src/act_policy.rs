@@ -79,12 +79,6 @@ impl ActPolicy {
         &self.recipe
     }
 
-    /// Steps in a chunk.
-    #[must_use]
-    pub fn chunk_steps(&self) -> usize {
-        usize::try_from(self.act.config().chunk_size).unwrap_or(0)
-    }
-
     /// One inference on a black image, so that a network that cannot run fails now, and the first answer is not late.
     fn warm_up(&self) -> Result<(), TchError> {
         let config = self.act.config();

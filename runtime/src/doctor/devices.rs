@@ -14,8 +14,6 @@ const SHARED_MEMORY_GOOD_BYTES: u64 = 128 << 20;
 const SHARED_MEMORY_LEAST_BYTES: u64 = 32 << 20;
 /// Hardware type of CAN interfaces in sysfs.
 const ARPHRD_CAN: &str = "280";
-/// Where loaders look for Vulkan drivers.
-const VULKAN_DRIVER_DIRS: [&str; 2] = ["/usr/share/vulkan/icd.d", "/etc/vulkan/icd.d"];
 
 pub(super) fn shared_memory() -> Finding {
     let name = "shared memory";
@@ -102,38 +100,6 @@ fn of_probe(name: &'static str, probe: Probe<'_>, remedy: &str) -> Finding {
         Ok(detail) => Finding::new(name, Status::Ok, detail, remedy),
         Err(reason) => Finding::new(name, Status::Missing, reason, remedy),
     }
-}
-
-/// The Vulkan drivers that are installed, by their manifests.
-pub(super) fn installed_vulkan() -> Result<String, String> {
-    let mut drivers: Vec<String> = VULKAN_DRIVER_DIRS
-        .iter()
-        .filter_map(|dir| fs::read_dir(dir).ok())
-        .flat_map(Iterator::flatten)
-        .filter_map(|entry| {
-            entry
-                .path()
-                .file_stem()
-                .map(|stem| stem.to_string_lossy().into_owned())
-        })
-        .collect();
-    drivers.sort();
-    if drivers.is_empty() {
-        return Err("no Vulkan driver is installed".to_owned());
-    }
-    Ok(format!("Vulkan drivers: {}", drivers.join(" ")))
-}
-
-/// The libtorch that this process has loaded.
-pub(super) fn loaded_libtorch() -> Result<String, String> {
-    let maps = fs::read_to_string("/proc/self/maps").map_err(|error| error.to_string())?;
-    let library = maps.lines().find_map(|line| {
-        let path = line.split_whitespace().last()?;
-        path.contains("/libtorch_cpu").then(|| path.to_owned())
-    });
-    library
-        .map(|path| format!("libtorch: {path}"))
-        .ok_or_else(|| "libtorch is not loaded".to_owned())
 }
 
 #[cfg(test)]

@@ -85,18 +85,9 @@ impl fmt::Debug for Probes<'_> {
     }
 }
 
-/// Looks at everything, at Vulkan and libtorch by what is installed and loaded. Takes about half a second.
+/// Looks at everything; takes about half a second, and what the probes take.
 #[must_use]
-pub fn examine() -> Vec<Finding> {
-    examine_with(&Probes {
-        graphics: &devices::installed_vulkan,
-        networks: &devices::loaded_libtorch,
-    })
-}
-
-/// As [`examine`], with the caller's own look at graphics and networks.
-#[must_use]
-pub fn examine_with(probes: &Probes<'_>) -> Vec<Finding> {
+pub fn examine(probes: &Probes<'_>) -> Vec<Finding> {
     vec![
         realtime::kernel(),
         realtime::cores(),
@@ -125,7 +116,10 @@ mod tests {
 
     #[test]
     fn every_shortcoming_comes_with_a_remedy_and_nothing_else_does() {
-        let findings = examine();
+        let findings = examine(&Probes {
+            graphics: &|| Ok("llvmpipe (software)".into()),
+            networks: &|| Err("no library".into()),
+        });
         assert_eq!(findings.len(), 9);
         for finding in &findings {
             assert_eq!(
@@ -143,7 +137,7 @@ mod tests {
             graphics: &|| Ok("llvmpipe (software)".into()),
             networks: &|| Err("no library".into()),
         };
-        let findings = examine_with(&probes);
+        let findings = examine(&probes);
         let find = |name| {
             findings
                 .iter()

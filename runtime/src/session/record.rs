@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use hal::{Chunk, Pose};
+use hal::{Chunk, TipTarget};
 use policy::act_policy::state_numbers;
 use policy::dataset::{CameraSpec, DatasetSpec, DatasetWriter, FrameRecord};
 use serde::Serialize;
@@ -216,11 +216,10 @@ impl Watcher for Diary {
         else {
             return Ok(());
         };
-        let [x, y, z] = target.position_m;
-        let [i, j, k, w] = target.rotation_xyzw;
+        let [x, y, z, i, j, k, w] = target.pose_numbers();
         self.frames.push(StoredFrame {
             state: state_numbers(view.arm),
-            tip_pose: pose_numbers(&view.tip_in_rcm),
+            tip_pose: TipTarget::new(&view.tip_in_rcm, 0.0).pose_numbers(),
             action: [x, y, z, i, j, k, w, target.jaw],
             images: view
                 .frames
@@ -230,10 +229,4 @@ impl Watcher for Diary {
         });
         Ok(())
     }
-}
-
-/// A pose as datasets store it: x y z qx qy qz qw.
-fn pose_numbers(pose: &Pose) -> [f64; 7] {
-    let (p, q) = (pose.translation, pose.rotation.coords);
-    [p.x, p.y, p.z, q.x, q.y, q.z, q.w]
 }

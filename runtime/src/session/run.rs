@@ -16,6 +16,9 @@ use super::tally::RunLabels;
 use super::{SessionError, Setup, pictures};
 use crate::log::{Pressure, Recorder, RunHeader, RunOutcome, TickRecord};
 
+/// The libtorch that the program was built with.
+pub const LIBTORCH_VERSION: &str = env!("LIBTORCH_VERSION");
+
 /// How to run.
 #[derive(Clone, Debug)]
 pub struct RunOptions {
@@ -139,7 +142,7 @@ pub fn open_log(
 fn header(setup: &Setup, options: &RunOptions, lockstep: bool) -> RunHeader {
     let versions = [
         ("trocar", env!("CARGO_PKG_VERSION")),
-        ("libtorch", env!("LIBTORCH_VERSION")),
+        ("libtorch", LIBTORCH_VERSION),
     ];
     let texts = [
         ("control.toml", &setup.texts.control),

@@ -54,14 +54,8 @@ impl Setup {
         policy.check_exists()?;
         let (scene, safety) = match task {
             "needle-lift" => (
-                Source::embedded(
-                    "config/tasks/needle-lift/scene.toml",
-                    include_str!("../../../config/tasks/needle-lift/scene.toml"),
-                ),
-                Source::embedded(
-                    "config/tasks/needle-lift/safety.toml",
-                    include_str!("../../../config/tasks/needle-lift/safety.toml"),
-                ),
+                TaskConfig::needle_lift_source(),
+                ControlConfig::needle_lift_safety(),
             ),
             unknown => {
                 return Err(SessionError::BadArgument(format!(
@@ -148,16 +142,15 @@ impl Setup {
 
 /// The built-in settings, with the aggregation that the checkpoint recommends.
 fn built_in_control(policy: &PolicyChoice) -> Result<Source, SessionError> {
-    const PATH: &str = "config/control.toml";
-    const TEXT: &str = include_str!("../../../config/control.toml");
+    let built_in = ControlConfig::default_control();
     let recipe = match policy {
         PolicyChoice::Checkpoint(folder) => load_recipe(folder)?,
         PolicyChoice::Expert | PolicyChoice::Noop | PolicyChoice::Random => None,
     };
     let Some(recommended) = recipe.map(|recipe| recipe.aggregation) else {
-        return Ok(Source::embedded(PATH, TEXT));
+        return Ok(built_in);
     };
-    let mut control: toml::Table = Source::embedded(PATH, TEXT).parse()?;
+    let mut control: toml::Table = built_in.parse()?;
     if let Some(aggregation) = control
         .get_mut("aggregation")
         .and_then(toml::Value::as_table_mut)

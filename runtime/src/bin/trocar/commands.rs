@@ -1,6 +1,6 @@
 //! The verbs: arguments in, library calls, results out. `Ok(false)` means that the job failed.
 
-use runtime::doctor;
+use runtime::doctor::{self, Probes};
 use runtime::log::RunLog;
 use runtime::session::demo::{self, DemoOptions};
 use runtime::session::eval::{self, EvalOptions};
@@ -11,6 +11,8 @@ use runtime::session::summary::RunSummary;
 use runtime::session::training::{self, CameraChoice, TrainingOptions};
 use runtime::session::{PolicyChoice, SessionError, Setup, outputs};
 use runtime::{replay as replaying, verify as verifying};
+use sim_backend::cameras::SceneCameras;
+use sim_backend::task::TaskConfig;
 use tch::Device;
 
 use crate::args::{
@@ -269,8 +271,31 @@ fn refuse_cut(log: &RunLog, args: &LogArgs) -> Result<(), SessionError> {
     })
 }
 
+/// The device that the renderer really opens.
+fn graphics() -> Result<String, String> {
+    let task = TaskConfig::needle_lift().map_err(|error| error.to_string())?;
+    let cameras = SceneCameras::new(&task).map_err(|error| error.to_string())?;
+    Ok(cameras.adapter_name().to_owned())
+}
+
+/// The network library that this program is linked with, and its accelerators.
+#[expect(
+    clippy::unnecessary_wraps,
+    reason = "a probe may fail; this one can't be here if it did"
+)]
+fn networks() -> Result<String, String> {
+    let version = runtime::session::run::LIBTORCH_VERSION;
+    Ok(format!(
+        "libtorch {version}, {} CUDA devices",
+        tch::Cuda::device_count()
+    ))
+}
+
 pub(crate) fn doctor(args: &DoctorArgs) -> Done {
-    let findings = doctor::examine();
+    let findings = doctor::examine(&Probes {
+        graphics: &graphics,
+        networks: &networks,
+    });
     console::result(doctor::table(&findings).trim_end());
     if let Some(path) = &args.json {
         write_json(path, &findings)?;
