@@ -1,20 +1,23 @@
 //! The controller's configuration: `config/control.toml` and a task's `safety.toml`, parsed once and checked once.
 
+mod scene;
 mod sections;
 
 use hal::JOINT_COUNT;
+use hal::Pose;
 use hal::config::{ConfigError, Source};
 use hal::joints::INSERTION;
-use nalgebra::Vector3;
 
 use super::aggregate::Aggregation;
 use super::gate::GateLimits;
 use super::motion::{AXES, AxisLimits};
+use super::region::{Block, Region};
 use super::schema::ControlFile;
-use sections::{aggregation, axes, check_fault, filter, gate, geometry, guard, nanoseconds};
+use scene::{Scene, scene};
+use sections::{aggregation, axes, check_fault, filter, gate, nanoseconds};
 
 /// Most forbidden regions of a task.
-pub const FORBIDDEN_MAX: usize = 4;
+pub const FORBIDDEN_MAX: usize = 8;
 
 /// Everything that the controller hangs on, in SI units and the RCM frame.
 #[derive(Clone, Debug, PartialEq)]
@@ -23,6 +26,8 @@ pub struct ControlConfig {
     pub axes: [AxisLimits; AXES],
     /// Highest speed of the control point, m/s.
     pub tip_speed_m_s: f64,
+    /// Highest turning speed of the tip, rad/s.
+    pub tip_angular_speed_rad_s: f64,
     /// How chunks are blended.
     pub aggregation: Aggregation,
     /// Age of the newest chunk's observation at which the arm stops following it, ns.
@@ -33,14 +38,20 @@ pub struct ControlConfig {
     pub tracking_gain_1_s: f64,
     /// Time over which the target's velocity is taken, ns.
     pub lookahead_ns: u64,
+    /// Time over which the speed limits rise to their full height after the arm was enabled, ns.
+    pub soft_start_ns: u64,
     /// The safety filter.
     pub filter: FilterConfig,
-    /// The guard.
-    pub guard: GuardConfig,
+    /// Distances to boundaries.
+    pub margins: Margins,
     /// Position error of each joint at which the controller faults, rad (m).
     pub tracking_error_max: [f64; JOINT_COUNT],
-    /// Where the instrument may be.
-    pub geometry: Geometry,
+    /// Measured closing effort of the jaw at which it closes no further, N m.
+    pub jaw_closing_effort_n_m_max: f64,
+    /// The arms, one or two, and where each may be.
+    pub arms: Vec<ArmConfig>,
+    /// What two arms keep between them; none for one arm.
+    pub between_arms: Option<BetweenArms>,
 }
 
 /// The safety filter's numbers.
@@ -48,51 +59,47 @@ pub struct ControlConfig {
 pub struct FilterConfig {
     /// Approach speed per distance to a boundary, 1/s.
     pub alpha_1_s: f64,
-    /// Distance that the filter keeps from every boundary, m.
-    pub margin_m: f64,
-    /// The filter's tip speed limit over the limit itself.
-    pub tip_speed_fraction: f64,
+    /// The filter's limits on the tip's speed and turning speed over the limits themselves.
+    pub speed_fraction: f64,
     /// How far ahead the filter looks with the acceleration limit, s.
     pub acceleration_window_s: f64,
     /// Weight of joint changes against tip changes.
     pub joint_weight: f64,
-    /// Turning speed that weighs as much as the tip speed limit, rad/s.
-    pub angular_speed_rad_s: f64,
     /// Iterations after which the QP has failed.
     pub iterations_max: u32,
 }
 
-/// The guard's numbers.
+/// Distances to boundaries, m.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct GuardConfig {
-    /// Distance that every verified stop keeps from every boundary, m.
-    pub margin_m: f64,
-    /// How much worse an arm that was enabled beyond a boundary may get, m.
+pub struct Margins {
+    /// What the filter keeps from every boundary.
+    pub filter_m: f64,
+    /// What every verified stop keeps from every boundary.
+    pub guard_m: f64,
+    /// How much worse a stop of an arm that was enabled beyond a boundary may get.
     pub recovery_m: f64,
 }
 
-/// Where the instrument may be, in the RCM frame.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Geometry {
-    /// Lower corner of the box for the control point and the finger tips, m.
-    pub workspace_min_m: Vector3<f64>,
-    /// Upper corner of that box, m.
-    pub workspace_max_m: Vector3<f64>,
-    /// Spheres that the instrument may not touch, at most [`FORBIDDEN_MAX`].
-    pub forbidden: Vec<Sphere>,
-    /// Where the RCM is in the scene, m; the frames are parallel.
-    pub scene_from_rcm_m: Vector3<f64>,
+/// Least gaps between the surfaces of two instruments, m. Two tips may meet: handing over is their work.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct BetweenArms {
+    /// Between the shafts.
+    pub shaft_to_shaft_m: f64,
+    /// Between one's wrist and fingers and the other's shaft.
+    pub tip_to_shaft_m: f64,
 }
 
-/// A sphere in the RCM frame.
+/// One arm: where it stands, and where its instrument may be.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Sphere {
-    /// What it stands for.
+pub struct ArmConfig {
+    /// Its name in logs and topics.
     pub name: String,
-    /// Centre, m.
-    pub center_m: Vector3<f64>,
-    /// Radius, m.
-    pub radius_m: f64,
+    /// Where its remote centre is.
+    pub scene_from_rcm: Pose,
+    /// Box that control point and finger tips stay in, RCM frame.
+    pub workspace: Block,
+    /// Regions that no part may touch, RCM frame, at most [`FORBIDDEN_MAX`].
+    pub forbidden: Vec<Region>,
 }
 
 impl ControlConfig {
@@ -120,10 +127,19 @@ impl ControlConfig {
     /// [`ConfigError`] naming file, line, key and allowed range.
     pub fn load(control: &Source, safety: &Source) -> Result<Self, ConfigError> {
         let file: ControlFile = control.parse()?;
-        let geometry = geometry(safety)?;
+        let Scene {
+            arms,
+            margins,
+            between_arms,
+            jaw_closing_effort_n_m_max,
+        } = scene(safety)?;
         let axes = axes(control, &file)?;
         let speed = file.limits.tip_speed_m_s;
         control.check_range("limits.tip_speed_m_s", speed, 0.001, 0.5)?;
+        let turn = file.limits.tip_angular_speed_rad_s;
+        control.check_range("limits.tip_angular_speed_rad_s", turn, 0.1, 20.0)?;
+        let soft_start_s = file.tracking.soft_start_s;
+        control.check_range("tracking.soft_start_s", soft_start_s, 0.0, 10.0)?;
         control.check_range("tracking.gain_1_s", file.tracking.gain_1_s, 0.1, 100.0)?;
         control.check_range(
             "tracking.lookahead_s",
@@ -141,15 +157,19 @@ impl ControlConfig {
         Ok(Self {
             axes,
             tip_speed_m_s: speed,
+            tip_angular_speed_rad_s: turn,
             aggregation: aggregation(control, &file)?,
             stale_ns: nanoseconds(file.aggregation.stale_s),
             gate: gate(control, &file)?,
             tracking_gain_1_s: file.tracking.gain_1_s,
             lookahead_ns: nanoseconds(file.tracking.lookahead_s),
+            soft_start_ns: nanoseconds(soft_start_s),
             filter: filter(control, &file)?,
-            guard: guard(control, &file)?,
+            margins,
             tracking_error_max,
-            geometry,
+            jaw_closing_effort_n_m_max,
+            arms,
+            between_arms,
         })
     }
 }
@@ -176,8 +196,12 @@ mod tests {
             &ControlConfig::needle_lift_safety(),
         )
         .unwrap();
-        assert!((config.geometry.workspace_min_m.z + 0.155).abs() < 1e-12);
-        assert_eq!(config.geometry.forbidden.len(), 1);
+        let [arm] = config.arms.as_slice() else {
+            panic!("needle lift has one arm");
+        };
+        let floor_m = arm.workspace.center_m.z - arm.workspace.half_m.z;
+        assert!((floor_m + 0.155).abs() < 1e-12);
+        assert_eq!(arm.forbidden.len(), 1);
     }
 
     #[test]
@@ -202,18 +226,18 @@ mod tests {
         let safety = ControlConfig::needle_lift_safety();
         let flat = safety
             .text()
-            .replace("max_m = [0.06, 0.05, 0.09]", "max_m = [0.06, 0.05, -0.01]");
+            .replace("_max_m = [0.06, 0.05, 0.09]", "_max_m = [0.06, 0.05, -0.01]");
         let error = ControlConfig::load(&control, &Source::embedded("s.toml", &flat))
             .unwrap_err()
             .to_string();
-        assert!(error.contains("workspace.max_m = -0.01"), "{error}");
-        let sphere = "\n[[forbidden]]\nname = \"x\"\ncenter_m = [0.0, 0.0, 0.0]\nradius_m = 0.01\n";
-        let crowded = format!("{}{}", safety.text(), sphere.repeat(4));
+        assert!(error.contains("arm.0.workspace_max_m = -0.01"), "{error}");
+        let sphere = "\n[[forbidden]]\nname = \"x\"\nshape = \"sphere\"\ncenter_m = [0.0, 0.0, 0.0]\nradius_m = 0.01\n";
+        let crowded = format!("{}{}", safety.text(), sphere.repeat(8));
         let error = ControlConfig::load(&control, &Source::embedded("s.toml", &crowded))
             .unwrap_err()
             .to_string();
         assert!(
-            error.contains("forbidden = 5 is outside at most 4 regions"),
+            error.contains("forbidden = 9 is outside at most 8 regions"),
             "{error}"
         );
     }

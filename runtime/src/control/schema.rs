@@ -10,7 +10,6 @@ pub(super) struct ControlFile {
     pub(super) gate: GateTable,
     pub(super) tracking: TrackingTable,
     pub(super) filter: FilterTable,
-    pub(super) guard: GuardTable,
     pub(super) fault: FaultTable,
 }
 
@@ -18,6 +17,7 @@ pub(super) struct ControlFile {
 #[serde(deny_unknown_fields)]
 pub(super) struct LimitsTable {
     pub(super) tip_speed_m_s: f64,
+    pub(super) tip_angular_speed_rad_s: f64,
     pub(super) yaw: RotaryAxis,
     pub(super) pitch: RotaryAxis,
     pub(super) insertion: LinearAxis,
@@ -78,25 +78,17 @@ pub(super) struct GateTable {
 pub(super) struct TrackingTable {
     pub(super) gain_1_s: f64,
     pub(super) lookahead_s: f64,
+    pub(super) soft_start_s: f64,
 }
 
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct FilterTable {
     pub(super) alpha_1_s: f64,
-    pub(super) margin_m: f64,
-    pub(super) tip_speed_fraction: f64,
+    pub(super) speed_fraction: f64,
     pub(super) acceleration_window_s: f64,
     pub(super) joint_weight: f64,
-    pub(super) angular_speed_rad_s: f64,
     pub(super) iterations_max: u32,
-}
-
-#[derive(Debug, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub(super) struct GuardTable {
-    pub(super) margin_m: f64,
-    pub(super) recovery_m: f64,
 }
 
 #[derive(Debug, Deserialize)]
@@ -110,29 +102,68 @@ pub(super) struct FaultTable {
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct SafetyFile {
-    pub(super) scene_from_rcm: SceneFromRcm,
-    pub(super) workspace: WorkspaceTable,
+    pub(super) margins: MarginsTable,
+    pub(super) jaw: JawTable,
+    pub(super) between_arms: Option<BetweenArmsTable>,
+    pub(super) arm: Vec<ArmTable>,
     #[serde(default)]
-    pub(super) forbidden: Vec<SphereTable>,
+    pub(super) forbidden: Vec<RegionTable>,
 }
 
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub(super) struct SceneFromRcm {
-    pub(super) translation_m: [f64; 3],
+pub(super) struct MarginsTable {
+    pub(super) filter_m: f64,
+    pub(super) guard_m: f64,
+    pub(super) recovery_m: f64,
 }
 
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub(super) struct WorkspaceTable {
-    pub(super) min_m: [f64; 3],
-    pub(super) max_m: [f64; 3],
+pub(super) struct JawTable {
+    pub(super) closing_effort_n_m_max: f64,
 }
 
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub(super) struct SphereTable {
+pub(super) struct BetweenArmsTable {
+    pub(super) shaft_to_shaft_m: f64,
+    pub(super) tip_to_shaft_m: f64,
+}
+
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct ArmTable {
     pub(super) name: String,
-    pub(super) center_m: [f64; 3],
-    pub(super) radius_m: f64,
+    pub(super) rcm_in_scene_m: [f64; 3],
+    pub(super) rcm_in_scene_rpy_rad: [f64; 3],
+    pub(super) workspace_min_m: [f64; 3],
+    pub(super) workspace_max_m: [f64; 3],
+}
+
+#[derive(Debug, Deserialize)]
+#[serde(tag = "shape", rename_all = "snake_case", deny_unknown_fields)]
+pub(super) enum RegionTable {
+    Sphere {
+        name: String,
+        center_m: [f64; 3],
+        radius_m: f64,
+    },
+    Capsule {
+        name: String,
+        from_m: [f64; 3],
+        to_m: [f64; 3],
+        radius_m: f64,
+    },
+    HalfSpace {
+        name: String,
+        point_m: [f64; 3],
+        normal: [f64; 3],
+    },
+    Box {
+        name: String,
+        center_m: [f64; 3],
+        size_m: [f64; 3],
+        rpy_rad: [f64; 3],
+    },
 }

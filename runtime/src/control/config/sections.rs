@@ -3,13 +3,12 @@
 use hal::config::{ConfigError, Source};
 use hal::joints::INSERTION;
 use hal::psm::{JAW_MAX, JAW_MIN, POSITION_MAX, POSITION_MIN, VELOCITY_MAX};
-use nalgebra::Vector3;
 
-use super::{FORBIDDEN_MAX, FilterConfig, Geometry, GuardConfig, Sphere};
+use super::FilterConfig;
 use crate::control::aggregate::Aggregation;
 use crate::control::gate::GateLimits;
 use crate::control::motion::{AXES, AxisLimits, JAW};
-use crate::control::schema::{AggregationMode, ControlFile, LinearAxis, RotaryAxis, SafetyFile};
+use crate::control::schema::{AggregationMode, ControlFile, LinearAxis, RotaryAxis};
 
 pub(super) fn axes(source: &Source, file: &ControlFile) -> Result<[AxisLimits; AXES], ConfigError> {
     let limits = &file.limits;
@@ -119,55 +118,22 @@ pub(super) fn nanoseconds(seconds: f64) -> u64 {
 
 pub(super) fn filter(source: &Source, file: &ControlFile) -> Result<FilterConfig, ConfigError> {
     let filter = &file.filter;
-    source.check_range("filter.alpha_1_s", filter.alpha_1_s, 0.5, 50.0)?;
-    source.check_range(
-        "filter.margin_m",
-        filter.margin_m,
-        file.guard.margin_m,
-        0.02,
-    )?;
-    source.check_range(
-        "filter.tip_speed_fraction",
-        filter.tip_speed_fraction,
-        0.1,
-        1.0,
-    )?;
-    source.check_range(
-        "filter.acceleration_window_s",
-        filter.acceleration_window_s,
-        0.005,
-        1.0,
-    )?;
-    source.check_range("filter.joint_weight", filter.joint_weight, 1e-6, 1.0)?;
-    source.check_range(
-        "filter.angular_speed_rad_s",
-        filter.angular_speed_rad_s,
-        0.1,
-        20.0,
-    )?;
-    source.check_range(
-        "filter.iterations_max",
-        f64::from(filter.iterations_max),
-        5.0,
-        100.0,
-    )?;
+    let check = |key: &str, value: f64, low: f64, high: f64| {
+        source.check_range(&format!("filter.{key}"), value, low, high)
+    };
+    check("alpha_1_s", filter.alpha_1_s, 0.5, 50.0)?;
+    check("speed_fraction", filter.speed_fraction, 0.1, 1.0)?;
+    let window_s = filter.acceleration_window_s;
+    check("acceleration_window_s", window_s, 0.005, 1.0)?;
+    check("joint_weight", filter.joint_weight, 1e-6, 1.0)?;
+    let iterations = f64::from(filter.iterations_max);
+    check("iterations_max", iterations, 20.0, 1000.0)?;
     Ok(FilterConfig {
         alpha_1_s: filter.alpha_1_s,
-        margin_m: filter.margin_m,
-        tip_speed_fraction: filter.tip_speed_fraction,
+        speed_fraction: filter.speed_fraction,
         acceleration_window_s: filter.acceleration_window_s,
         joint_weight: filter.joint_weight,
-        angular_speed_rad_s: filter.angular_speed_rad_s,
         iterations_max: filter.iterations_max,
-    })
-}
-
-pub(super) fn guard(source: &Source, file: &ControlFile) -> Result<GuardConfig, ConfigError> {
-    source.check_range("guard.margin_m", file.guard.margin_m, 1e-4, 0.02)?;
-    source.check_range("guard.recovery_m", file.guard.recovery_m, 1e-4, 0.02)?;
-    Ok(GuardConfig {
-        margin_m: file.guard.margin_m,
-        recovery_m: file.guard.recovery_m,
     })
 }
 
@@ -190,48 +156,4 @@ pub(super) fn check_fault(source: &Source, file: &ControlFile) -> Result<(), Con
         0.02,
         1.5,
     )
-}
-
-pub(super) fn geometry(source: &Source) -> Result<Geometry, ConfigError> {
-    let file: SafetyFile = source.parse()?;
-    let origin = file.scene_from_rcm.translation_m;
-    let (low, high) = (file.workspace.min_m, file.workspace.max_m);
-    for axis in 0..3 {
-        source.check_range("scene_from_rcm.translation_m", origin[axis], -1.0, 1.0)?;
-        source.check_range("workspace.min_m", low[axis], -1.0, 1.0)?;
-        source.check_range("workspace.max_m", high[axis], low[axis] + 0.01, 1.0)?;
-    }
-    if file.forbidden.len() > FORBIDDEN_MAX {
-        let count = file.forbidden.len().to_string();
-        return Err(source.out_of_range(
-            "forbidden",
-            &count,
-            &format!("at most {FORBIDDEN_MAX} regions"),
-        ));
-    }
-    let rcm_in_scene_m = Vector3::from(origin);
-    let mut forbidden = Vec::with_capacity(file.forbidden.len());
-    for (index, sphere) in file.forbidden.into_iter().enumerate() {
-        source.check_range(
-            &format!("forbidden.{index}.radius_m"),
-            sphere.radius_m,
-            0.001,
-            0.2,
-        )?;
-        for value in sphere.center_m {
-            source.check_range(&format!("forbidden.{index}.center_m"), value, -1.0, 1.0)?;
-        }
-        let center_m = Vector3::from(sphere.center_m) - rcm_in_scene_m;
-        forbidden.push(Sphere {
-            name: sphere.name,
-            center_m,
-            radius_m: sphere.radius_m,
-        });
-    }
-    Ok(Geometry {
-        workspace_min_m: Vector3::from(low) - rcm_in_scene_m,
-        workspace_max_m: Vector3::from(high) - rcm_in_scene_m,
-        forbidden,
-        scene_from_rcm_m: rcm_in_scene_m,
-    })
 }
