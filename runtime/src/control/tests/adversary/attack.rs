@@ -1,0 +1,102 @@
+//! One adversary an arm, trouble besides, a filter that lies now and then, and a judge who knows nothing of any of them.
+
+use super::figures::{Figures, Tally};
+use super::judge::Judge;
+use super::kinds::{Kind, View, below};
+use super::rig::{Rig, Scene};
+use super::trouble::Trouble;
+use crate::control::random::SplitMix64;
+use crate::control::sabotage::Garbage;
+
+/// Share of the filter's answers that are replaced.
+const GARBAGE: f64 = 0.05;
+
+/// Every so many commands the tail is followed to rest; a prime, so that it meets every phase of what is periodic.
+const TAIL_EVERY: u64 = 37;
+
+/// An attack.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Attack {
+    pub(super) kind: Kind,
+    pub(super) seed: u64,
+    pub(super) ticks: u64,
+    /// Whether the gate lets every finite chunk through.
+    pub(super) open_gate: bool,
+    /// Whether each candidate goes out as it is.
+    pub(super) guard_removed: bool,
+    /// Whether operator and measurements make trouble.
+    pub(super) trouble: bool,
+}
+
+impl Attack {
+    /// The attack of `kind` with the gate open.
+    pub(super) fn new(kind: Kind, seed: u64) -> Self {
+        Self {
+            kind,
+            seed,
+            ticks: ticks(),
+            open_gate: true,
+            guard_removed: false,
+            trouble: true,
+        }
+    }
+
+    /// Plays it on one arm or two; gives the figures and the violations that the judge found.
+    pub(super) fn play<const ARMS: usize>(&self) -> (Figures, Vec<String>) {
+        let mut scene = Scene::of_arms(ARMS);
+        if self.open_gate {
+            scene = scene.open_gate();
+        }
+        let mut random = SplitMix64::new(self.seed);
+        let mut rig = Rig::<ARMS>::enabled(&scene.config);
+        rig.controller.sabotage.garbage = Some(Garbage::new(random.next_u64(), GARBAGE));
+        rig.controller.sabotage.guard_removed = self.guard_removed;
+        let mut judge = Judge::new(&scene);
+        let mut tally = Tally::new(&scene);
+        let mut adversaries: [_; ARMS] = core::array::from_fn(|_| self.kind.adversary());
+        let mut troubles: [Trouble; ARMS] = core::array::from_fn(|_| Trouble::default());
+        let first_tail = below(&mut random, 37) as u64;
+        for tick in 0..self.ticks {
+            for (arm, adversary) in adversaries.iter_mut().enumerate() {
+                let view = View {
+                    now: rig.now(),
+                    arm,
+                    arms: &rig.arms,
+                    config: &scene.config,
+                };
+                if let Some(chunk) = adversary.next(&mut random, &view) {
+                    rig.chunks[arm] = Some(Box::new(chunk));
+                }
+            }
+            let mut measured = rig.arms.map(Ok);
+            let mut operator = [None; ARMS];
+            if self.trouble {
+                for (arm, trouble) in troubles.iter_mut().enumerate() {
+                    measured[arm] = trouble.measured(&mut random, &rig.arms[arm]);
+                    let state = rig.controller.arms[arm].mode().state;
+                    operator[arm] = trouble.operator(&mut random, state);
+                }
+            }
+            let outputs = rig.step(measured, operator);
+            judge.look(&measured, &outputs);
+            tally.look(&outputs);
+            if !self.guard_removed && (tick + first_tail).is_multiple_of(TAIL_EVERY) {
+                judge.follow_tails(&outputs);
+                tally.figures.tails += 1;
+            }
+        }
+        let mut figures = tally.figures;
+        for arm in &rig.controller.arms {
+            figures.chunks_accepted += arm.gate.accepted_count();
+            figures.chunks_refused += arm.gate.refused_count();
+        }
+        let garbage = rig.controller.sabotage.garbage.as_ref();
+        figures.garbage = garbage.map_or(0, |garbage| garbage.count);
+        (figures, judge.violations())
+    }
+}
+
+/// How long an attack lasts: `TROCAR_ADVERSARY_TICKS`, or 100 000 ticks.
+pub(super) fn ticks() -> u64 {
+    std::env::var("TROCAR_ADVERSARY_TICKS").map_or(100_000, |text| text.parse().unwrap())
+}

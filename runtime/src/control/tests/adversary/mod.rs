@@ -1,0 +1,130 @@
+//! Chunks made to do harm, operators and measurements that make it worse, and a filter that lies in 5 % of its answers: no
+//! command may break a limit. The judge is `verify`, which shares nothing with the controller.
+//!
+//! `TROCAR_ADVERSARY_TICKS` says how long each attack lasts.
+
+mod attack;
+pub(super) mod eyes;
+mod figures;
+pub(super) mod judge;
+mod kinds;
+pub(super) mod rig;
+mod trouble;
+
+use attack::Attack;
+use figures::Figures;
+use kinds::Kind;
+
+/// Plays the attack; nothing may be found, and the attack must have been one.
+fn withstood<const ARMS: usize>(attack: &Attack) -> Figures {
+    let (figures, violations) = attack.play::<ARMS>();
+    println!("{:?} on {ARMS}: {figures}", attack.kind);
+    assert!(
+        violations.is_empty(),
+        "{} violations, the first: {:#?}",
+        violations.len(),
+        &violations[..violations.len().min(8)]
+    );
+    let arms = ARMS as u64;
+    let share = |part: u64| part as f64 / (arms * attack.ticks) as f64;
+    assert!(share(figures.enabled) > 0.3, "too little time to do harm: {figures}");
+    assert!(share(figures.enabled - figures.stopped) > 0.2, "too little motion: {figures}");
+    assert!(figures.garbage > attack.ticks / 100, "the filter hardly lied: {figures}");
+    assert!(figures.interventions > attack.ticks / 200, "the guard had nothing to do: {figures}");
+    assert!(figures.faults > attack.ticks / 20_000, "nothing went wrong: {figures}");
+    assert!(figures.tails > attack.ticks / 50);
+    figures
+}
+
+/// The filter was at work as well.
+fn pressed<const ARMS: usize>(attack: &Attack) -> Figures {
+    let figures = withstood::<ARMS>(attack);
+    assert!(figures.solved > attack.ticks / 10, "no row was active: {figures}");
+    figures
+}
+
+macro_rules! attacks {
+    ($($name:ident, $kind:ident, $seed:literal, $arms:literal, $withstands:ident;)*) => {
+        $(
+            #[test]
+            fn $name() {
+                $withstands::<$arms>(&Attack::new(Kind::$kind, $seed));
+            }
+        )*
+    };
+}
+
+attacks! {
+    bang_bang_breaks_no_limit, BangBang, 101, 1, pressed;
+    jumps_break_no_limit, Jumps, 102, 1, pressed;
+    drift_breaks_no_limit, Drift, 103, 1, pressed;
+    a_climber_breaks_no_limit, Climber, 104, 1, pressed;
+    a_walk_breaks_no_limit, Walk, 105, 1, pressed;
+    all_in_turn_break_no_limit, All, 106, 1, pressed;
+    nonsense_breaks_no_limit, Nonsense, 107, 1, withstood;
+    bad_messages_break_no_limit, Messages, 108, 1, withstood;
+    bang_bang_breaks_no_limit_of_two_arms, BangBang, 201, 2, pressed;
+    jumps_break_no_limit_of_two_arms, Jumps, 202, 2, pressed;
+    drift_breaks_no_limit_of_two_arms, Drift, 203, 2, pressed;
+    a_climber_breaks_no_limit_of_two_arms, Climber, 204, 2, pressed;
+    a_walk_breaks_no_limit_of_two_arms, Walk, 205, 2, pressed;
+    all_in_turn_break_no_limit_of_two_arms, All, 206, 2, pressed;
+    nonsense_breaks_no_limit_of_two_arms, Nonsense, 207, 2, withstood;
+    bad_messages_break_no_limit_of_two_arms, Messages, 208, 2, withstood;
+}
+
+/// With the gate as it is shipped most of it gets no further than that.
+fn refused<const ARMS: usize>(seed: u64) {
+    let attack = Attack {
+        open_gate: false,
+        ..Attack::new(Kind::All, seed)
+    };
+    let (figures, violations) = attack.play::<ARMS>();
+    println!("shipped gate on {ARMS}: {figures}");
+    assert!(violations.is_empty(), "{violations:#?}");
+    assert!(figures.chunks_refused > attack.ticks / 200, "{figures}");
+    assert!(figures.chunks_accepted > attack.ticks / 2000, "{figures}");
+}
+
+#[test]
+fn the_shipped_gate_refuses_most_of_it() {
+    refused::<1>(301);
+}
+
+#[test]
+fn the_shipped_gate_refuses_most_of_it_for_two_arms() {
+    refused::<2>(302);
+}
+
+/// The judge sees what the guard prevents: without it the same attack breaks limits in space.
+fn broken<const ARMS: usize>(kind: Kind, seed: u64) {
+    let attack = Attack {
+        guard_removed: true,
+        trouble: false,
+        ticks: 20_000,
+        ..Attack::new(kind, seed)
+    };
+    let (figures, violations) = attack.play::<ARMS>();
+    println!("{kind:?} on {ARMS} without the guard: {} violations, {figures}", violations.len());
+    assert!(violations.len() > 100, "{violations:#?}");
+    let in_space = |text: &&String| {
+        ["workspace", "forbidden", "tip_speed", "between"]
+            .iter()
+            .any(|limit| text.contains(limit))
+    };
+    assert!(violations.iter().filter(in_space).count() > 20, "{violations:#?}");
+}
+
+#[test]
+fn without_the_guard_the_same_attacks_break_limits() {
+    for kind in [Kind::BangBang, Kind::Jumps, Kind::Climber, Kind::Walk] {
+        broken::<1>(kind, 401);
+    }
+}
+
+#[test]
+fn without_the_guard_the_same_attacks_break_limits_of_two_arms() {
+    for kind in [Kind::BangBang, Kind::Jumps, Kind::Climber, Kind::Walk] {
+        broken::<2>(kind, 402);
+    }
+}
