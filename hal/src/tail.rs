@@ -6,7 +6,11 @@
 //! A tail is the stop itself and not its first points: each axis is a start and three phases of constant jerk. It is
 //! recomputed by a replay like everything else that a tick gives, so neither the log nor the command hash holds it.
 
+mod player;
+
 use crate::{ArmCommand, JOINT_COUNT, JointVector, TimeNs};
+
+pub use player::TailPlayer;
 
 /// Axes of a tail: the joints in order, then the jaw.
 pub const TAIL_AXES: usize = JOINT_COUNT + 1;
@@ -162,6 +166,19 @@ impl SafeTail {
             axes: positions.map(AxisTail::at_rest),
             enabled,
         }
+    }
+
+    /// An arm that rests where `command` puts it at once; a stop only for a command that does not move.
+    #[must_use]
+    pub fn hold(command: &ArmCommand) -> Self {
+        let positions = core::array::from_fn(|axis| {
+            if axis < JOINT_COUNT {
+                command.position[axis]
+            } else {
+                command.jaw_position
+            }
+        });
+        Self::at_rest(command.stamp, &positions, command.enabled)
     }
 
     /// The setpoint for `now`; before [`Self::stamp`] the first one, after the end at rest.

@@ -1,6 +1,6 @@
 //! Tests of the safe tail.
 
-use super::{AxisPoint, AxisTail, SafeTail, TAIL_AXES, TailPhase};
+use super::{AxisPoint, AxisTail, SafeTail, TAIL_AXES, TailPhase, TailPlayer};
 use crate::{TICK_NS, TimeNs};
 
 /// SplitMix64, even numbers in a range.
@@ -244,6 +244,8 @@ fn resting_arm_stays_as_it_is_and_a_disabled_one_stays_disabled() {
             assert_eq!(command.jaw_position.to_bits(), positions[6].to_bits());
             assert_eq!(command.velocity.norm().to_bits(), 0.0_f64.to_bits());
             assert_eq!(command.enabled, enabled);
+            assert_eq!(SafeTail::hold(&command).axes, tail.axes);
+            assert_eq!(SafeTail::hold(&command).enabled, enabled);
         }
     }
 }
@@ -271,4 +273,22 @@ fn senseless_durations_end_at_once() {
     assert!(tail.is_finite());
     tail.axes[6].phases[2].jerk = f64::NAN;
     assert!(!tail.is_finite());
+}
+
+#[test]
+fn player_goes_on_by_a_period_for_every_period_of_silence() {
+    let mut random = Random(8);
+    let mut player = TailPlayer::new(TICK_NS);
+    assert_eq!(player.next_period(), None);
+    for tick in [10, 20] {
+        let command = random_tail(&mut random, TimeNs(0)).command_at(TimeNs::from_tick(tick));
+        // A stop that is on the way already began before the command.
+        let tail = random_tail(&mut random, TimeNs::from_tick(tick - 3));
+        player.write(&command, &tail);
+        assert_eq!(player.next_period(), None);
+        for silent in 1..=600 {
+            let expected = tail.command_at(TimeNs::from_tick(tick + silent));
+            assert_eq!(player.next_period(), Some(expected));
+        }
+    }
 }
