@@ -90,8 +90,8 @@ impl<'a> Checker<'a> {
         let finger_m = tip.translation.vector + tip.rotation * Vector3::z() * FINGER_M;
         for point in [tip.translation.vector, finger_m] {
             for axis in 0..3 {
-                let low = point[axis] - self.config.geometry.workspace_min_m[axis];
-                let high = self.config.geometry.workspace_max_m[axis] - point[axis];
+                let low = point[axis] - (self.config.arms[0].workspace.center_m - self.config.arms[0].workspace.half_m)[axis];
+                let high = (self.config.arms[0].workspace.center_m + self.config.arms[0].workspace.half_m)[axis] - point[axis];
                 found.clearance_m = found.clearance_m.min(low).min(high);
             }
             for sphere in &self.config.geometry.forbidden {
@@ -172,7 +172,7 @@ fn open_gate() -> ControlConfig {
 fn attack(config: &ControlConfig, seed: u64, ticks: u64, guard_removed: bool) -> Findings {
     let mut random = SplitMix64::new(seed);
     let mut bench = Bench::enabled(config);
-    bench.controller.guard_removed = guard_removed;
+    bench.controller.sabotage.guard_removed = guard_removed;
     let mut checker = Checker::new(config);
     let mut chunk = hostile(&mut random, bench.now(), 1);
     let mut patience = 0;
@@ -182,7 +182,7 @@ fn attack(config: &ControlConfig, seed: u64, ticks: u64, guard_removed: bool) ->
             patience = 1 + random.next_u64() % if random.happens(0.5) { 40 } else { 600 };
             // A wild sequence would block all that follow; a restarted policy is enabled anew.
             if random.happens(0.05) {
-                bench.controller.gate.forget();
+                bench.controller.arms[0].gate.forget();
             }
         }
         patience -= 1;
