@@ -8,6 +8,7 @@
 pub mod aggregate;
 pub mod config;
 pub mod controller;
+pub mod distance;
 pub mod filter;
 pub mod gate;
 pub mod guard;
