@@ -34,6 +34,12 @@ pub(in crate::control::tests) enum Boundary {
         region: usize,
         link: usize,
     },
+    /// A forbidden region for the far end of a link alone.
+    End {
+        arm: usize,
+        region: usize,
+        link: usize,
+    },
     /// The gap between the shafts of two arms.
     Shafts,
     /// The gap between one arm's link and the other one's shaft.
@@ -65,6 +71,19 @@ impl Boundary {
             }
         }
         all
+    }
+
+    /// Every link's end at every region with flat faces; where a link is nearest to these can jump from end to end.
+    pub(in crate::control::tests) fn ends(config: &ControlConfig) -> Vec<Self> {
+        let mut ends = Vec::new();
+        for (arm, place) in config.arms.iter().enumerate() {
+            for (region, forbidden) in place.forbidden.iter().enumerate() {
+                if matches!(forbidden.shape, Shape::Box(_) | Shape::HalfSpace { .. }) {
+                    ends.extend((0..LINKS).map(|link| Self::End { arm, region, link }));
+                }
+            }
+        }
+        ends
     }
 
     /// How far the arms at `positions` are from it, m (rad for a turning axis); negative beyond it.
@@ -102,6 +121,10 @@ impl Boundary {
                 let (from, to) = Body::at(&positions[arm]).links()[link];
                 let shape = &config.arms[arm].forbidden[region].shape;
                 least(|s| distance(shape, &from.lerp(&to, s))) - SHAFT_RADIUS_M
+            }
+            Self::End { arm, region, link } => {
+                let end = Body::at(&positions[arm]).links()[link].1;
+                distance(&config.arms[arm].forbidden[region].shape, &end) - SHAFT_RADIUS_M
             }
             Self::Shafts => between(config, positions, (0, 0), (1, 0), |gaps| {
                 gaps.shaft_to_shaft_m

@@ -167,7 +167,7 @@ impl<'a> Tally<'a> {
             let figures = &mut self.figures;
             match boundary {
                 Boundary::Axis { .. } => figures.range = figures.range.min(h),
-                Boundary::Workspace { .. } | Boundary::Region { .. } => {
+                Boundary::Workspace { .. } | Boundary::Region { .. } | Boundary::End { .. } => {
                     figures.place_mm = figures.place_mm.min(1e3 * h);
                 }
                 Boundary::Shafts | Boundary::ToShaft { .. } => {

@@ -54,7 +54,8 @@ fn choose(random: &mut SplitMix64, view: &View<'_>, positions: &[Axes]) -> Optio
         .filter(|boundary| match *boundary {
             Boundary::Axis { arm, .. }
             | Boundary::Workspace { arm, .. }
-            | Boundary::Region { arm, .. } => arm == view.arm,
+            | Boundary::Region { arm, .. }
+            | Boundary::End { arm, .. } => arm == view.arm,
             Boundary::Shafts | Boundary::ToShaft { .. } => true,
         })
         .collect();

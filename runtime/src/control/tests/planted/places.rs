@@ -1,0 +1,304 @@
+//! States near every boundary, with velocities that press against it and velocities that have every right to pass.
+
+use super::super::adversary::eyes::Boundary;
+use super::super::adversary::kinds::below;
+use crate::control::config::ControlConfig;
+use crate::control::motion::{AXES, Axes, JAW};
+use crate::control::random::SplitMix64;
+use crate::control::rows::Velocities;
+use crate::verify::tip_in_rcm;
+
+/// Time over which rates are measured, s.
+const STEP_S: f64 = 1e-5;
+
+/// What a measured rate may be off, m/s.
+pub(super) const RATE_TOLERANCE_M_S: f64 = 5e-5;
+
+/// Tries to find a place near a boundary.
+const TRIES: u32 = 60;
+
+/// A state of all arms, and what to ask of the filter there.
+#[derive(Clone, Debug)]
+pub(super) struct Place {
+    /// What is near; nothing in the middle of the workspace.
+    pub(super) boundary: Option<Boundary>,
+    pub(super) positions: Vec<Axes>,
+    /// How far the boundary is, and how fast it comes nearer per velocity of an axis.
+    pub(super) clearance: f64,
+    pub(super) slope: Velocities,
+    /// What would go too far.
+    pub(super) presses: Vec<Velocities>,
+    /// What breaks nothing, for an arm that moves like that already.
+    pub(super) passes: Vec<Velocities>,
+}
+
+/// Everything that the scene bounds, ends of links included.
+pub(super) fn boundaries(config: &ControlConfig) -> Vec<Boundary> {
+    let mut all = Boundary::all(config);
+    all.extend(Boundary::ends(config));
+    all
+}
+
+/// `count` places near each boundary that can be reached, and some in the middle. The second list is of the boundaries that
+/// cannot: something else is always in the way.
+pub(super) fn places(config: &ControlConfig, count: usize) -> (Vec<Place>, Vec<Boundary>) {
+    let mut random = SplitMix64::new(71);
+    let all = boundaries(config);
+    let (mut places, mut unreachable) = (Vec::new(), Vec::new());
+    for _ in 0..count {
+        if let Some(positions) = middle(config, &all, &mut random) {
+            places.push(place(config, &all, None, positions, &mut random));
+        }
+    }
+    for &boundary in &all {
+        let before = places.len();
+        for _ in 0..TRIES {
+            if places.len() == before + count {
+                break;
+            }
+            if let Some(positions) = near(config, &all, boundary, &mut random) {
+                places.push(place(config, &all, Some(boundary), positions, &mut random));
+            }
+        }
+        if places.len() == before {
+            unreachable.push(boundary);
+        }
+    }
+    (places, unreachable)
+}
+
+/// Anywhere that is clear of everything.
+fn middle(
+    config: &ControlConfig,
+    all: &[Boundary],
+    random: &mut SplitMix64,
+) -> Option<Vec<Axes>> {
+    (0..10_000)
+        .map(|_| anywhere(config, random))
+        .find(|positions| is_clear(config, all, positions, None))
+}
+
+fn anywhere(config: &ControlConfig, random: &mut SplitMix64) -> Vec<Axes> {
+    let low = [-0.4, -0.4, 0.07, -1.5, -1.25, -1.25, 0.1];
+    let high = [0.4, 0.4, 0.17, 1.5, 1.25, 1.25, 1.2];
+    let one = |random: &mut SplitMix64| -> Axes {
+        core::array::from_fn(|axis| random.between(low[axis], high[axis]))
+    };
+    config.arms.iter().map(|_| one(random)).collect()
+}
+
+/// Whether everything but `but` keeps the filter's margin.
+fn is_clear(
+    config: &ControlConfig,
+    all: &[Boundary],
+    positions: &[Axes],
+    but: Option<Boundary>,
+) -> bool {
+    all.iter().all(|&boundary| {
+        let keep = match boundary {
+            Boundary::Axis { .. } => 1e-4,
+            _ => config.margins.filter_m,
+        };
+        Some(boundary) == but || boundary.clearance(config, positions) >= keep
+    })
+}
+
+/// Down the slope of the boundary's clearance from somewhere, to within 4 mm of the margin.
+fn near(
+    config: &ControlConfig,
+    all: &[Boundary],
+    boundary: Boundary,
+    random: &mut SplitMix64,
+) -> Option<Vec<Axes>> {
+    let mut positions = anywhere(config, random);
+    let goal = match boundary {
+        Boundary::Axis { .. } => random.between(1e-3, 0.05),
+        _ => config.margins.filter_m + random.between(1e-4, 0.004),
+    };
+    for _ in 0..30 {
+        let h = boundary.clearance(config, &positions);
+        if (h - goal).abs() < 5e-4 {
+            return is_clear(config, all, &positions, Some(boundary)).then_some(positions);
+        }
+        let slope = slope(config, boundary, &positions);
+        let steepness = slope.iter().map(|s| s * s).sum::<f64>().max(1e-9);
+        for (arm, position) in positions.iter_mut().enumerate() {
+            for (axis, value) in position.iter_mut().enumerate() {
+                let step = slope[AXES * arm + axis] * (goal - h) / steepness;
+                let limits = &config.axes[axis];
+                *value = (*value + step.clamp(-0.2, 0.2))
+                    .clamp(limits.low + 1e-4, limits.high - 1e-4);
+            }
+        }
+    }
+    None
+}
+
+/// How the clearance changes per velocity of each axis.
+pub(super) fn slope(config: &ControlConfig, boundary: Boundary, positions: &[Axes]) -> Velocities {
+    core::array::from_fn(|variable| {
+        let mut velocity = [0.0; 2 * AXES];
+        velocity[variable] = 1.0;
+        if variable < AXES * positions.len() {
+            rate(config, boundary, positions, &velocity)
+        } else {
+            0.0
+        }
+    })
+}
+
+/// How fast the clearance grows when the arms move with `velocity`.
+pub(super) fn rate(
+    config: &ControlConfig,
+    boundary: Boundary,
+    positions: &[Axes],
+    velocity: &Velocities,
+) -> f64 {
+    let before = boundary.clearance(config, &moved(positions, velocity, -STEP_S));
+    let after = boundary.clearance(config, &moved(positions, velocity, STEP_S));
+    (after - before) / (2.0 * STEP_S)
+}
+
+fn moved(positions: &[Axes], velocity: &Velocities, time_s: f64) -> Vec<Axes> {
+    let mut moved = positions.to_vec();
+    for (arm, position) in moved.iter_mut().enumerate() {
+        for (axis, value) in position.iter_mut().enumerate() {
+            *value += velocity[AXES * arm + axis] * time_s;
+        }
+    }
+    moved
+}
+
+/// Speed and turning speed of the tip of `arm`, each as a share of its limit.
+pub(super) fn tip_shares(
+    config: &ControlConfig,
+    positions: &[Axes],
+    velocity: &Velocities,
+    arm: usize,
+) -> (f64, f64) {
+    let tip = |time_s: f64| {
+        let position = moved(positions, velocity, time_s)[arm];
+        tip_in_rcm(&hal::JointVector::from_fn(|joint, _| position[joint]))
+    };
+    let (before, after) = (tip(-STEP_S), tip(STEP_S));
+    let way_m = (after.translation.vector - before.translation.vector).norm();
+    let turn_rad = before.rotation.angle_to(&after.rotation);
+    (
+        way_m / (2.0 * STEP_S) / config.tip_speed_m_s,
+        turn_rad / (2.0 * STEP_S) / config.tip_angular_speed_rad_s,
+    )
+}
+
+fn place(
+    config: &ControlConfig,
+    all: &[Boundary],
+    boundary: Option<Boundary>,
+    positions: Vec<Axes>,
+    random: &mut SplitMix64,
+) -> Place {
+    let clearance = boundary.map_or(f64::INFINITY, |boundary| {
+        boundary.clearance(config, &positions)
+    });
+    let slope = boundary.map_or([0.0; 2 * AXES], |boundary| {
+        slope(config, boundary, &positions)
+    });
+    let variables = AXES * positions.len();
+    let limit = |variable: usize| config.axes[variable % AXES].velocity;
+    let along = |share: f64| -> Velocities {
+        core::array::from_fn(|variable| {
+            if variable < variables && slope[variable].abs() > 1e-9 {
+                slope[variable].signum() * share * limit(variable)
+            } else {
+                0.0
+            }
+        })
+    };
+    let mut presses = vec![along(-2.0), along(-0.2)];
+    for _ in 0..4 {
+        presses.push(core::array::from_fn(|variable| {
+            if variable < variables {
+                random.between(-2.0, 2.0) * limit(variable) - slope[variable].signum()
+            } else {
+                0.0
+            }
+        }));
+    }
+    let mut wanted: Vec<Velocities> = (1..8).map(|part| along(0.1 * f64::from(part))).collect();
+    for _ in 0..4 {
+        let mut one = [0.0; 2 * AXES];
+        let variable = below(random, variables);
+        one[variable] = [-0.9, 0.9][below(random, 2)] * limit(variable);
+        wanted.push(one);
+    }
+    if boundary.is_none() {
+        wanted.extend(one_by_one(variables, &limit));
+    }
+    wanted.retain(|velocity| breaks_nothing(config, all, &positions, velocity));
+    Place {
+        boundary,
+        positions,
+        clearance,
+        slope,
+        presses,
+        passes: wanted,
+    }
+}
+
+/// Each axis alone, nearly as fast as it may.
+fn one_by_one(variables: usize, limit: &impl Fn(usize) -> f64) -> Vec<Velocities> {
+    let mut all = Vec::new();
+    for variable in 0..variables {
+        for share in [-0.9, -0.7, 0.7, 0.9] {
+            let mut one = [0.0; 2 * AXES];
+            one[variable] = share * limit(variable);
+            all.push(one);
+        }
+    }
+    all
+}
+
+/// Whether `velocity` is allowed by everything that can be measured, with a little to spare.
+fn breaks_nothing(
+    config: &ControlConfig,
+    all: &[Boundary],
+    positions: &[Axes],
+    velocity: &Velocities,
+) -> bool {
+    let fraction = config.filter.speed_fraction - 1e-3;
+    let slow = (0..positions.len()).all(|arm| {
+        let (speed, turn) = tip_shares(config, positions, velocity, arm);
+        speed <= fraction && turn <= fraction
+    });
+    slow && all.iter().all(|&boundary| {
+        let h = boundary.clearance(config, positions);
+        match boundary {
+            Boundary::Axis { arm, axis, high } => {
+                let speed = velocity[AXES * arm + axis];
+                let towards = if high { speed } else { -speed };
+                let limits = &config.axes[axis];
+                towards <= 0.0
+                    || stop_distance(towards, limits.acceleration, limits.jerk) <= 0.6 * h
+            }
+            _ => {
+                let allowed = config.filter.alpha_1_s * (h - config.margins.filter_m).max(0.0);
+                rate(config, boundary, positions, velocity) >= RATE_TOLERANCE_M_S - allowed
+            }
+        }
+    })
+}
+
+/// What an axis needs to stop from `speed`, by the textbook.
+pub(super) fn stop_distance(speed: f64, acceleration: f64, jerk: f64) -> f64 {
+    if speed >= acceleration * acceleration / jerk {
+        speed * speed / (2.0 * acceleration) + speed * acceleration / (2.0 * jerk)
+    } else {
+        speed.powf(1.5) / jerk.sqrt()
+    }
+}
+
+/// The jaw of every arm of `velocity` stands still.
+pub(super) fn without_jaws(mut velocity: Velocities) -> Velocities {
+    velocity[JAW] = 0.0;
+    velocity[AXES + JAW] = 0.0;
+    velocity
+}

@@ -1,0 +1,135 @@
+//! Each row of the filter dropped, and each negated.
+
+use super::super::adversary::rig::Scene;
+use super::places::{Place, RATE_TOLERANCE_M_S, places, rate, stop_distance, tip_shares};
+use super::super::adversary::eyes::Boundary;
+use crate::control::config::ControlConfig;
+use crate::control::filter::Filter;
+use crate::control::instrument::Stance;
+use crate::control::motion::{AXES, MotionState};
+use crate::control::rows::planted::{RowFault, Which, Wrong};
+use crate::control::rows::{RowInput, Rows, Velocities};
+
+/// A filter alone, with a fault in its rows or without.
+struct Bare<'a> {
+    config: &'a ControlConfig,
+    filter: Filter,
+    rows: Rows,
+}
+
+/// How a fault showed itself.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+enum Symptom {
+    /// A boundary came nearer faster than it may.
+    Approach,
+    /// An axis was faster than its limit, or than it can stop before the end of its range.
+    Axis,
+    /// A tip was too fast.
+    TipSpeed,
+    /// A tip turned too fast.
+    TipTurn,
+    /// A motion that breaks nothing was changed.
+    Restraint,
+}
+
+impl<'a> Bare<'a> {
+    fn new(config: &'a ControlConfig) -> Self {
+        Self {
+            config,
+            filter: Filter::new(config),
+            rows: Rows::new(config),
+        }
+    }
+
+    /// The filter's answer to `wanted` at `place`, for arms that move with `moving`.
+    fn answer(
+        &mut self,
+        place: &Place,
+        moving: &Velocities,
+        wanted: &Velocities,
+        fault: Option<&RowFault>,
+    ) -> Velocities {
+        let states: Vec<MotionState> = place
+            .positions
+            .iter()
+            .enumerate()
+            .map(|(arm, position)| MotionState {
+                position: *position,
+                velocity: core::array::from_fn(|axis| moving[AXES * arm + axis]),
+                ..MotionState::ZERO
+            })
+            .collect();
+        let stances: Vec<Stance> = states.iter().map(Stance::new).collect();
+        let inputs: Vec<RowInput<'_>> = states
+            .iter()
+            .zip(&stances)
+            .map(|(state, stance)| RowInput {
+                state,
+                stance,
+                moves: true,
+                jaw_effort_n_m: 0.0,
+                pace: 1.0,
+            })
+            .collect();
+        self.rows.fill(self.config, &inputs);
+        if let Some(fault) = fault {
+            self.rows.plant(fault);
+        }
+        let stances: Vec<&Stance> = stances.iter().collect();
+        self.filter.filter(wanted, &self.rows, &stances).velocity
+    }
+
+    /// What is wrong with the filter at `place`, if anything.
+    fn symptom(&mut self, place: &Place, fault: Option<&RowFault>) -> Option<Symptom> {
+        for wanted in &place.presses {
+            let answer = self.answer(place, &[0.0; 2 * AXES], wanted, fault);
+            if let Some(symptom) = too_far(self.config, place, &answer) {
+                return Some(symptom);
+            }
+        }
+        for wanted in &place.passes {
+            let answer = self.answer(place, wanted, wanted, fault);
+            let changed = wanted.iter().zip(&answer).any(|(a, b)| (a - b).abs() > 1e-9);
+            if changed {
+                return Some(Symptom::Restraint);
+            }
+        }
+        None
+    }
+}
+
+/// Whether the answer breaks something that can be measured.
+fn too_far(config: &ControlConfig, place: &Place, answer: &Velocities) -> Option<Symptom> {
+    for (variable, speed) in answer.iter().enumerate().take(AXES * place.positions.len()) {
+        let limits = &config.axes[variable % AXES];
+        let position = place.positions[variable / AXES][variable % AXES];
+        let room = if *speed > 0.0 {
+            limits.high - position
+        } else {
+            position - limits.low
+        };
+        let needed = stop_distance(speed.abs(), limits.acceleration, limits.jerk);
+        if speed.abs() > limits.velocity * (1.0 + 1e-6) || needed > room.max(0.0) + 1e-9 {
+            return Some(Symptom::Axis);
+        }
+    }
+    for arm in 0..place.positions.len() {
+        let (speed, turn) = tip_shares(config, &place.positions, answer, arm);
+        if speed > 1.0 + 1e-6 {
+            return Some(Symptom::TipSpeed);
+        }
+        if turn > 1.0 + 1e-6 {
+            return Some(Symptom::TipTurn);
+        }
+    }
+    let boundary = place.boundary?;
+    if matches!(boundary, Boundary::Axis { .. }) {
+        return None;
+    }
+    let allowed = config.filter.alpha_1_s * (place.clearance - config.margins.filter_m).max(0.0);
+    let predicted: f64 = place.slope.iter().zip(answer).map(|(s, u)| s * u).sum();
+    let too_fast = |rate: f64| rate < -allowed - RATE_TOLERANCE_M_S;
+    // Where the nearest place of a link jumps the slope says nothing; so both must agree.
+    (too_fast(predicted) && too_fast(rate(config, boundary, &place.positions, answer)))
+        .then_some(Symptom::Approach)
+}
