@@ -88,6 +88,8 @@ pub trait Arm {
     /// drives. [`TailPlayer`](crate::tail::TailPlayer) does this for a backend that commands every period itself; one
     /// whose drives are out of reach when its own process dies sends them [`SafeTail::points`] ahead.
     ///
+    /// A command after periods of silence must follow from where `tail` had led by then: a backend bridges no jump.
+    ///
     /// # Errors
     /// [`ArmError`] when it could not be sent.
     fn write(&mut self, command: &ArmCommand, tail: &SafeTail) -> Result<(), ArmError>;

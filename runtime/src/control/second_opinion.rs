@@ -10,8 +10,8 @@ use clarabel::solver::{
 use super::active_set::{Cone, LinearRow, VARIABLES_MAX};
 use super::filter::Problem;
 
-/// Tolerance of gap and feasibility that Clarabel is asked for.
-const TOLERANCE: f64 = 1e-10;
+/// Tolerances of gap and feasibility that Clarabel is asked for, one after the other; it does not always reach the first.
+const TOLERANCES: [f64; 2] = [1e-10, 1e-9];
 
 /// Iterations after which Clarabel gives up; no limit on time, which would read a clock.
 const ITERATIONS_MAX: u32 = 100;
@@ -25,11 +25,13 @@ pub struct Comparison {
     pub objective: f64,
     /// What the first answer exceeds a row by, in units of the speed limits.
     pub violation: f64,
+    /// To what tolerance the second answer is.
+    pub tolerance: f64,
 }
 
-/// Clarabel's answer; `None` unless it calls the problem solved.
+/// Clarabel's answer to `tolerance`; `None` unless it calls the problem solved.
 #[must_use]
-pub fn solve(problem: &Problem) -> Option<[f64; VARIABLES_MAX]> {
+pub fn solve(problem: &Problem, tolerance: f64) -> Option<[f64; VARIABLES_MAX]> {
     let variables = problem.variables;
     let constraint = dense(problem.rows.len() + 4 * problem.cones.len(), variables, {
         let rows = problem.rows.iter().map(|row| row.coefficients);
@@ -63,9 +65,9 @@ pub fn solve(problem: &Problem) -> Option<[f64; VARIABLES_MAX]> {
         verbose: false,
         max_threads: 1,
         direct_solve_method: "qdldl".to_owned(),
-        tol_gap_abs: TOLERANCE,
-        tol_gap_rel: TOLERANCE,
-        tol_feas: TOLERANCE,
+        tol_gap_abs: tolerance,
+        tol_gap_rel: tolerance,
+        tol_feas: tolerance,
         ..DefaultSettings::default()
     };
     let zero = vec![0.0; variables];
@@ -85,12 +87,15 @@ pub fn solve(problem: &Problem) -> Option<[f64; VARIABLES_MAX]> {
 /// How `answer` compares to Clarabel's; `None` if that has none.
 #[must_use]
 pub fn compare(problem: &Problem, answer: &[f64; VARIABLES_MAX]) -> Option<Comparison> {
-    let other = solve(problem)?;
+    let (other, tolerance) = TOLERANCES
+        .into_iter()
+        .find_map(|tolerance| Some((solve(problem, tolerance)?, tolerance)))?;
     let differences = answer.iter().zip(&other).map(|(a, b)| (a - b).abs());
     Some(Comparison {
         change: differences.fold(0.0, f64::max),
         objective: objective(problem, answer) - objective(problem, &other),
         violation: violation(problem, answer),
+        tolerance,
     })
 }
 

@@ -91,8 +91,8 @@ fn a_velocity_within_the_rows_passes_unchanged() {
 /// `cases` problems as they come in, each against Clarabel.
 fn clarabel_agrees(arms: usize, seed: u64, cases: u32) {
     let mut case = Case::new(arms, seed);
-    let (mut solved, mut unsolved, mut change, mut gap, mut violation) =
-        (0_u32, 0_u32, 0.0_f64, 0.0_f64, 0.0_f64);
+    let (mut solved, mut rough, mut unsolved) = (0_u32, 0_u32, 0_u32);
+    let (mut change, mut gap, mut violation) = (0.0_f64, 0.0_f64, 0.0_f64);
     for index in 0..cases {
         case.draw();
         let nominal = case.velocity(1.5);
@@ -110,17 +110,18 @@ fn clarabel_agrees(arms: usize, seed: u64, cases: u32) {
         };
         assert!(found.change < 1e-5, "case {index}: {found:?}");
         assert!(found.objective.abs() < 1e-8, "case {index}: {found:?}");
+        rough += u32::from(found.tolerance > 1e-10);
         change = change.max(found.change);
         gap = gap.max(found.objective.abs());
         violation = violation.max(found.violation);
     }
     println!(
-        "{arms} arms: {solved} problems, {unsolved} not solved by Clarabel, difference {change:e}, gap {gap:e}, violation {violation:e}"
+        "{arms} arms: {solved} problems, {rough} to 1e-9 only and {unsolved} not solved by Clarabel, difference {change:e}, gap {gap:e}, violation {violation:e}"
     );
     assert!(violation < 1e-8, "{violation:e}");
     assert!(
-        solved > 9 * cases / 10 && unsolved < solved / 1000 + 1,
-        "{solved} {unsolved}"
+        solved > 9 * cases / 10 && rough < solved / 100 && unsolved < solved / 1000,
+        "{solved} {rough} {unsolved}"
     );
 }
 

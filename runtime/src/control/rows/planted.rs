@@ -1,6 +1,10 @@
 //! Faults that a test plants in the rows, to see that something finds them.
 
+use super::pair::PAIRS;
 use super::{Rows, Velocities};
+use crate::control::config::ControlConfig;
+use crate::control::instrument::Link;
+use crate::control::region::Shape;
 
 /// Which row.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -45,6 +49,34 @@ impl RowFault {
             .map(|(which, wrong)| Self { which, wrong })
             .collect()
     }
+}
+
+/// What each row of geometry is about, in their order.
+pub(crate) fn geometry_names(config: &ControlConfig) -> Vec<String> {
+    let mut names = Vec::new();
+    for arm in &config.arms {
+        for point in ["control_point", "left_finger", "right_finger"] {
+            for side in ["x_min", "x_max", "y_min", "y_max", "z_min", "z_max"] {
+                names.push(format!("{}.workspace.{point}.{side}", arm.name));
+            }
+        }
+        for region in &arm.forbidden {
+            let flat = matches!(region.shape, Shape::HalfSpace { .. } | Shape::Box(_));
+            for link in Link::ALL {
+                let name = format!("{}.{}.{}", arm.name, region.name, link.name());
+                names.push(name.clone());
+                if flat {
+                    names.push(format!("{name}.end"));
+                }
+            }
+        }
+    }
+    if config.arms.len() > 1 && config.between_arms.is_some() {
+        names.extend(
+            PAIRS.map(|(one, other)| format!("between.{}.{}", one.name(), other.name())),
+        );
+    }
+    names
 }
 
 impl Rows {
