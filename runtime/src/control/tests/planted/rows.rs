@@ -133,3 +133,91 @@ fn too_far(config: &ControlConfig, place: &Place, answer: &Velocities) -> Option
     (too_fast(predicted) && too_fast(rate(config, boundary, &place.positions, answer)))
         .then_some(Symptom::Approach)
 }
+
+/// What a fault is called.
+fn name(config: &ControlConfig, geometry: &[String], fault: &RowFault) -> String {
+    let axis = |variable: usize| {
+        let axis = variable % AXES;
+        let joint = hal::joints::JOINT_NAMES.get(axis).unwrap_or(&"jaw");
+        format!("{}.{joint}", config.arms[variable / AXES].name)
+    };
+    let row = match fault.which {
+        Which::Low(variable) => format!("{}.low", axis(variable)),
+        Which::High(variable) => format!("{}.high", axis(variable)),
+        Which::Geometry(index) => geometry[index].clone(),
+        Which::Cone(index) => {
+            let what = ["tip_speed", "tip_turn"][index % 2];
+            format!("{}.{what}", config.arms[index / 2].name)
+        }
+    };
+    format!("{row} {:?}", fault.wrong)
+}
+
+/// Why a fault changes nothing, if it does not.
+fn equivalent(config: &ControlConfig, name: &str, wrong: Wrong) -> Option<&'static str> {
+    let planes = config.arms.iter().flat_map(|arm| {
+        let planes = arm.forbidden.iter().filter(|region| {
+            matches!(region.shape, crate::control::region::Shape::HalfSpace { .. })
+        });
+        planes.map(move |region| format!("{}.{}.", arm.name, region.name))
+    });
+    let at_plane = planes.into_iter().any(|plane| name.starts_with(&plane));
+    if at_plane && wrong == Wrong::Dropped && !name.contains(".end ") {
+        return Some("a link is nearest to a plane at an end, and each end has a row of its own");
+    }
+    None
+}
+
+/// Plants every fault in the rows of the scene's arms, and expects each to be found or to be explained.
+fn plant_all(arms: usize) {
+    let scene = Scene::of_arms(arms);
+    let config = &scene.config;
+    let (places, unreachable) = places(config, 8);
+    println!("{} places, unreachable: {unreachable:?}", places.len());
+    let mut bare = Bare::new(config);
+    for place in &places {
+        let symptom = bare.symptom(place, None);
+        assert_eq!(symptom, None, "without a fault, at {place:#?}");
+    }
+    let faults = RowFault::all(&bare.rows);
+    let geometry = crate::control::rows::planted::geometry_names(config);
+    let mut found: Vec<(Symptom, u32)> = Vec::new();
+    let (mut explained, mut survivors) = (Vec::new(), Vec::new());
+    let mut from = 0;
+    for fault in &faults {
+        let hit = (0..places.len())
+            .map(|step| (from + step) % places.len())
+            .find_map(|index| Some((index, bare.symptom(&places[index], Some(fault))?)));
+        let name = name(config, &geometry, fault);
+        if let Some((index, symptom)) = hit {
+            from = index;
+            match found.iter_mut().find(|(known, _)| *known == symptom) {
+                Some((_, count)) => *count += 1,
+                None => found.push((symptom, 1)),
+            }
+        } else if let Some(reason) = equivalent(config, &name, fault.wrong) {
+            explained.push(format!("{name}: {reason}"));
+        } else {
+            survivors.push(name);
+        }
+    }
+    found.sort_unstable();
+    println!(
+        "{arms} arms: {} faults planted, {} found {found:?}, {} change nothing {explained:#?}, {} survive",
+        faults.len(),
+        faults.len() - explained.len() - survivors.len(),
+        explained.len(),
+        survivors.len(),
+    );
+    assert!(survivors.is_empty(), "{survivors:#?}");
+}
+
+#[test]
+fn every_fault_in_a_row_is_found() {
+    plant_all(1);
+}
+
+#[test]
+fn every_fault_in_a_row_of_two_arms_is_found() {
+    plant_all(2);
+}
