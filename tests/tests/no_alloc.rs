@@ -75,10 +75,10 @@ fn one_arm() -> Result<ControlConfig, Box<dyn Error>> {
 }
 
 fn two_arms() -> Result<ControlConfig, Box<dyn Error>> {
-    let text = include_str!("../../runtime/src/control/tests/scenes/two_arms.toml");
+    let text = include_str!("../../runtime/src/control/tests/scenes/handover.toml");
     Ok(ControlConfig::load(
         &ControlConfig::default_control(),
-        &Source::embedded("two_arms.toml", text),
+        &Source::embedded("handover.toml", text),
     )?)
 }
 
