@@ -9,7 +9,7 @@ use super::filter::{Filter, Filtered, Problem};
 use super::guard::{Decision, Guard, Request};
 use super::instrument::Stance;
 use super::mode::{Event, Mode, OperatingState, OperatorEvent};
-use super::motion::{AXES, Axes, MotionState};
+use super::motion::{AXES, Axes, AxisLimits, MotionState};
 use super::report::{QpOutcome, TickInput, TickOutput, TickReport};
 use super::rows::{ARMS_MAX, RowInput, Rows, Velocities};
 use super::smoother::Smoother;
@@ -180,8 +180,13 @@ impl<const ARMS: usize> Controller<ARMS> {
             return Request::Stop;
         }
         let velocity: Axes = core::array::from_fn(|axis| filtered.velocity[AXES * arm + axis]);
-        let state = &self.arms[arm].commanded;
-        Request::Follow(self.smoothers[arm].step(state, &velocity))
+        let limits = self.config.axes.map(|axis| AxisLimits {
+            velocity: axis.velocity * plan.pace,
+            ..axis
+        });
+        let smoother = &mut self.smoothers[arm];
+        smoother.set_limits(&limits);
+        Request::Follow(smoother.step(&self.arms[arm].commanded, &velocity))
     }
 
     fn decide(
