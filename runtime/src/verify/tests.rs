@@ -69,7 +69,10 @@ fn a_run_shifted_out_of_its_box_is_caught() {
         }
     });
     let found = limits(&result);
-    assert!(found.contains(&"workspace.finger_tips.z_min"), "{found:?}");
+    assert!(
+        found.contains(&"workspace.left_finger_tip.z_min"),
+        "{found:?}"
+    );
 }
 
 #[test]
