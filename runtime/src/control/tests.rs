@@ -11,6 +11,16 @@ mod adversary;
 )]
 mod following;
 mod modes;
+#[expect(
+    clippy::print_stdout,
+    reason = "figures for whoever runs them with --nocapture"
+)]
+mod planted;
+#[expect(
+    clippy::print_stdout,
+    reason = "figures for whoever runs them with --nocapture"
+)]
+mod scenarios;
 
 use hal::{ArmState, Chunk, JointVector, Pose, TICK_NS, TimeNs, TipTarget};
 use nalgebra::{Translation3, UnitQuaternion, Vector3};

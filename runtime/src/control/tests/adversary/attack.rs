@@ -1,6 +1,6 @@
 //! One adversary an arm, trouble besides, a filter that lies now and then, and a judge who knows nothing of any of them.
 
-use super::figures::{Figures, Tally};
+use super::figures::Figures;
 use super::judge::Judge;
 use super::kinds::{Kind, View, below};
 use super::rig::{Rig, Scene};
@@ -52,7 +52,7 @@ impl Attack {
         rig.controller.sabotage.garbage = Some(Garbage::new(random.next_u64(), GARBAGE));
         rig.controller.sabotage.guard_removed = self.guard_removed;
         let mut judge = Judge::new(&scene);
-        let mut tally = Tally::new(&scene);
+        let mut figures = Figures::default();
         let mut adversaries: [_; ARMS] = core::array::from_fn(|_| self.kind.adversary());
         let mut troubles: [Trouble; ARMS] = core::array::from_fn(|_| Trouble::default());
         let first_tail = below(&mut random, 37) as u64;
@@ -79,17 +79,17 @@ impl Attack {
             }
             let outputs = rig.step(measured, operator);
             judge.look(&measured, &outputs);
-            tally.look(&outputs);
+            figures.count(&outputs);
             if !self.guard_removed && (tick + first_tail).is_multiple_of(TAIL_EVERY) {
                 judge.follow_tails(&outputs);
-                tally.figures.tails += 1;
             }
         }
-        let mut figures = tally.figures;
         for arm in &rig.controller.arms {
-            figures.chunks_accepted += arm.gate.accepted_count();
-            figures.chunks_refused += arm.gate.refused_count();
+            figures.accepted += arm.gate.accepted_count();
+            figures.refused += arm.gate.refused_count();
         }
+        figures.tails = judge.tails;
+        figures.nearest = Some(judge.nearest());
         let garbage = rig.controller.sabotage.garbage.as_ref();
         figures.garbage = garbage.map_or(0, |garbage| garbage.count);
         (figures, judge.violations())

@@ -28,7 +28,7 @@ fn withstood<const ARMS: usize>(attack: &Attack) -> Figures {
     let arms = ARMS as u64;
     let share = |part: u64| part as f64 / (arms * attack.ticks) as f64;
     assert!(share(figures.enabled) > 0.3, "too little time to do harm: {figures}");
-    assert!(share(figures.enabled - figures.stopped) > 0.2, "too little motion: {figures}");
+    assert!(share(figures.enabled - figures.still) > 0.2, "too little motion: {figures}");
     assert!(figures.garbage > attack.ticks / 100, "the filter hardly lied: {figures}");
     assert!(figures.interventions > attack.ticks / 200, "the guard had nothing to do: {figures}");
     assert!(figures.faults > attack.ticks / 20_000, "nothing went wrong: {figures}");
@@ -82,8 +82,8 @@ fn refused<const ARMS: usize>(seed: u64) {
     let (figures, violations) = attack.play::<ARMS>();
     println!("shipped gate on {ARMS}: {figures}");
     assert!(violations.is_empty(), "{violations:#?}");
-    assert!(figures.chunks_refused > attack.ticks / 200, "{figures}");
-    assert!(figures.chunks_accepted > attack.ticks / 2000, "{figures}");
+    assert!(figures.refused > attack.ticks / 200, "{figures}");
+    assert!(figures.accepted > attack.ticks / 2000, "{figures}");
 }
 
 #[test]
