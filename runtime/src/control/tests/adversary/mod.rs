@@ -7,7 +7,7 @@ mod attack;
 pub(super) mod eyes;
 mod figures;
 pub(super) mod judge;
-mod kinds;
+pub(super) mod kinds;
 pub(super) mod rig;
 mod trouble;
 

@@ -2,9 +2,12 @@
 
 use super::super::adversary::eyes::Boundary;
 use super::super::adversary::kinds::below;
+use hal::joints::INSERTION;
+
 use crate::control::config::ControlConfig;
-use crate::control::motion::{AXES, Axes, JAW};
+use crate::control::motion::{AXES, Axes};
 use crate::control::random::SplitMix64;
+use crate::control::region::Shape;
 use crate::control::rows::Velocities;
 use crate::verify::tip_in_rcm;
 
@@ -75,35 +78,20 @@ fn middle(
 ) -> Option<Vec<Axes>> {
     (0..10_000)
         .map(|_| anywhere(config, random))
-        .find(|positions| is_clear(config, all, positions, None))
+        .find(|positions| all.iter().all(|&one| one.clearance(config, positions) >= keep(config, one)))
 }
 
 fn anywhere(config: &ControlConfig, random: &mut SplitMix64) -> Vec<Axes> {
-    let low = [-0.4, -0.4, 0.07, -1.5, -1.25, -1.25, 0.1];
-    let high = [0.4, 0.4, 0.17, 1.5, 1.25, 1.25, 1.2];
     let one = |random: &mut SplitMix64| -> Axes {
-        core::array::from_fn(|axis| random.between(low[axis], high[axis]))
+        core::array::from_fn(|axis| {
+            let limits = &config.axes[axis];
+            random.between(limits.low + 1e-3, limits.high - 1e-3)
+        })
     };
     config.arms.iter().map(|_| one(random)).collect()
 }
 
-/// Whether everything but `but` keeps the filter's margin.
-fn is_clear(
-    config: &ControlConfig,
-    all: &[Boundary],
-    positions: &[Axes],
-    but: Option<Boundary>,
-) -> bool {
-    all.iter().all(|&boundary| {
-        let keep = match boundary {
-            Boundary::Axis { .. } => 1e-4,
-            _ => config.margins.filter_m,
-        };
-        Some(boundary) == but || boundary.clearance(config, positions) >= keep
-    })
-}
-
-/// Down the slope of the boundary's clearance from somewhere, to within 4 mm of the margin.
+/// From somewhere to within 4 mm of the boundary's margin, and out of whatever else is in the way.
 fn near(
     config: &ControlConfig,
     all: &[Boundary],
@@ -112,26 +100,83 @@ fn near(
 ) -> Option<Vec<Axes>> {
     let mut positions = anywhere(config, random);
     let goal = match boundary {
-        Boundary::Axis { .. } => random.between(1e-3, 0.05),
+        Boundary::Axis { .. } => random.between(1e-3, 0.02),
+        // Something else of the instrument is nearer.
+        Boundary::End { .. } => config.margins.filter_m + random.between(1e-4, 0.011),
         _ => config.margins.filter_m + random.between(1e-4, 0.004),
     };
-    for _ in 0..30 {
-        let h = boundary.clearance(config, &positions);
-        if (h - goal).abs() < 5e-4 {
-            return is_clear(config, all, &positions, Some(boundary)).then_some(positions);
-        }
-        let slope = slope(config, boundary, &positions);
-        let steepness = slope.iter().map(|s| s * s).sum::<f64>().max(1e-9);
-        for (arm, position) in positions.iter_mut().enumerate() {
-            for (axis, value) in position.iter_mut().enumerate() {
-                let step = slope[AXES * arm + axis] * (goal - h) / steepness;
-                let limits = &config.axes[axis];
-                *value = (*value + step.clamp(-0.2, 0.2))
-                    .clamp(limits.low + 1e-4, limits.high - 1e-4);
+    for _ in 0..60 {
+        step_to(config, boundary, goal, &mut positions);
+        let off = boundary.clearance(config, &positions) - goal;
+        let in_the_way = all
+            .iter()
+            .filter(|other| **other != boundary)
+            .map(|&other| (other, other.clearance(config, &positions) - keep(config, other)))
+            .min_by(|a, b| a.1.total_cmp(&b.1));
+        match in_the_way {
+            Some((other, lacking)) if lacking < 0.0 => {
+                let margin = keep(config, other) + random.between(1e-4, 2e-3);
+                step_to(config, other, margin, &mut positions);
             }
+            _ if off.abs() < 5e-4 && matters(config, boundary, &positions) => return Some(positions),
+            _ if off.abs() < 5e-4 => return None,
+            _ => {}
         }
     }
     None
+}
+
+/// Whether nothing else stands for the boundary: a link is nearest to a region with flat faces in its middle, and an end that
+/// has a row of its own is not the nearest place of a link.
+fn matters(config: &ControlConfig, boundary: Boundary, positions: &[Axes]) -> bool {
+    let at = |boundary: Boundary| boundary.clearance(config, positions);
+    let own = at(boundary);
+    match boundary {
+        Boundary::Region { arm, region, link } => {
+            let ends = [Some(link), [None, Some(0), Some(1), Some(1)][link]];
+            let is_box = matches!(config.arms[arm].forbidden[region].shape, Shape::Box(_));
+            !is_box
+                || ends
+                    .into_iter()
+                    .flatten()
+                    .all(|link| at(Boundary::End { arm, region, link }) > own + 1e-4)
+        }
+        Boundary::End { arm, region, link } => {
+            let sharing: &[usize] = [&[0, 1][..], &[1, 2, 3], &[2], &[3]][link];
+            sharing
+                .iter()
+                .all(|&link| at(Boundary::Region { arm, region, link }) < own - 1e-4)
+        }
+        _ => true,
+    }
+}
+
+/// The shortest way to where the boundary is `goal` away, as far as its slope tells.
+fn step_to(config: &ControlConfig, boundary: Boundary, goal: f64, positions: &mut [Axes]) {
+    let lacking = goal - boundary.clearance(config, positions);
+    // In units in which a metre of insertion and a radian of the others do about the same to the tip.
+    let weight = |axis: usize| if axis == INSERTION { 0.01 } else { 1.0 };
+    let slope = slope(config, boundary, positions);
+    let steepness: f64 = slope
+        .iter()
+        .enumerate()
+        .map(|(variable, s)| s * s * weight(variable % AXES))
+        .sum();
+    for (arm, position) in positions.iter_mut().enumerate() {
+        for (axis, value) in position.iter_mut().enumerate() {
+            let limits = &config.axes[axis];
+            let step = slope[AXES * arm + axis] * weight(axis) * lacking / steepness.max(1e-9);
+            *value = (*value + step.clamp(-0.2, 0.2)).clamp(limits.low + 1e-4, limits.high - 1e-4);
+        }
+    }
+}
+
+/// What keeps the filter out of the way.
+fn keep(config: &ControlConfig, boundary: Boundary) -> f64 {
+    match boundary {
+        Boundary::Axis { .. } => 1e-4,
+        _ => config.margins.filter_m,
+    }
 }
 
 /// How the clearance changes per velocity of each axis.
@@ -294,11 +339,4 @@ pub(super) fn stop_distance(speed: f64, acceleration: f64, jerk: f64) -> f64 {
     } else {
         speed.powf(1.5) / jerk.sqrt()
     }
-}
-
-/// The jaw of every arm of `velocity` stands still.
-pub(super) fn without_jaws(mut velocity: Velocities) -> Velocities {
-    velocity[JAW] = 0.0;
-    velocity[AXES + JAW] = 0.0;
-    velocity
 }

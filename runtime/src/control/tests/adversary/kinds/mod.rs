@@ -107,7 +107,7 @@ impl Adversary for Turns {
 }
 
 /// An index below `count`.
-pub(super) fn below(random: &mut SplitMix64, count: usize) -> usize {
+pub(in crate::control::tests) fn below(random: &mut SplitMix64, count: usize) -> usize {
     usize::try_from(random.next_u64() % count as u64).unwrap()
 }
 
