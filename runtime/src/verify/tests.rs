@@ -6,6 +6,7 @@ mod pair;
 mod recovery;
 mod scene;
 mod space;
+mod tails;
 mod torque;
 
 use hal::{TICK_NS, TimeNs};
