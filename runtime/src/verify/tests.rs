@@ -1,5 +1,12 @@
 //! The checker on runs of the real controller, honest and doctored.
 
+mod distances;
+mod motion;
+mod pair;
+mod recovery;
+mod scene;
+mod space;
+mod tails;
 mod torque;
 
 use hal::{TICK_NS, TimeNs};
