@@ -120,9 +120,6 @@ impl Block {
 }
 
 /// Where two segments are nearest to one another.
-///
-/// The squared distance is a convex quadratic of the two fractions. It is least where both derivatives vanish or, if that is
-/// off the segments or they are parallel, where one of the four ends is nearest to the other segment.
 #[must_use]
 pub fn between_segments(
     a_from_m: &Vector3<f64>,
@@ -130,32 +127,12 @@ pub fn between_segments(
     b_from_m: &Vector3<f64>,
     b_to_m: &Vector3<f64>,
 ) -> Between {
+    let (fraction_a, fraction_b) = fractions_nearest([a_from_m, a_to_m], [b_from_m, b_to_m]);
     let (a, b) = (a_to_m - a_from_m, b_to_m - b_from_m);
-    let across = a.cross(&b);
-    let fractions = lines_nearest(&(b_from_m - a_from_m), &a, &b, &across).unwrap_or_else(|| {
-        let ends = [
-            (0.0, fraction_nearest(a_from_m, b_from_m, b_to_m)),
-            (1.0, fraction_nearest(a_to_m, b_from_m, b_to_m)),
-            (fraction_nearest(b_from_m, a_from_m, a_to_m), 0.0),
-            (fraction_nearest(b_to_m, a_from_m, a_to_m), 1.0),
-        ];
-        let squared = |&(along_a, along_b): &(f64, f64)| {
-            (a_from_m - b_from_m + a * along_a - b * along_b).norm_squared()
-        };
-        let mut best = ends[0];
-        let mut least = squared(&best);
-        for end in &ends[1..] {
-            let here = squared(end);
-            if here < least {
-                (best, least) = (*end, here);
-            }
-        }
-        best
-    });
-    let (fraction_a, fraction_b) = fractions;
     let away = a_from_m - b_from_m + a * fraction_a - b * fraction_b;
     let distance_m = away.norm();
     let normal = direction(&away, distance_m, || {
+        let across = a.cross(&b);
         let sine = across.norm();
         if sine > TOUCHING_M * a.norm() * b.norm() {
             across / sine
@@ -173,19 +150,59 @@ pub fn between_segments(
     }
 }
 
+/// How far one segment is from the other, m.
+#[must_use]
+pub fn distance_between_m(
+    a_from_m: &Vector3<f64>,
+    a_to_m: &Vector3<f64>,
+    b_from_m: &Vector3<f64>,
+    b_to_m: &Vector3<f64>,
+) -> f64 {
+    let (fraction_a, fraction_b) = fractions_nearest([a_from_m, a_to_m], [b_from_m, b_to_m]);
+    let (a, b) = (a_to_m - a_from_m, b_to_m - b_from_m);
+    (a_from_m - b_from_m + a * fraction_a - b * fraction_b).norm()
+}
+
+/// How far along each of two segments they are nearest to one another.
+///
+/// The squared distance is a convex quadratic of the two fractions. It is least where both derivatives vanish or, if that is
+/// off the segments or they are parallel, where one of the four ends is nearest to the other segment.
+fn fractions_nearest(
+    [a_from_m, a_to_m]: [&Vector3<f64>; 2],
+    [b_from_m, b_to_m]: [&Vector3<f64>; 2],
+) -> (f64, f64) {
+    let (a, b) = (a_to_m - a_from_m, b_to_m - b_from_m);
+    let offset = b_from_m - a_from_m;
+    lines_nearest(&offset, &a, &b).unwrap_or_else(|| {
+        let ends = [
+            (0.0, fraction_nearest(a_from_m, b_from_m, b_to_m)),
+            (1.0, fraction_nearest(a_to_m, b_from_m, b_to_m)),
+            (fraction_nearest(b_from_m, a_from_m, a_to_m), 0.0),
+            (fraction_nearest(b_to_m, a_from_m, a_to_m), 1.0),
+        ];
+        let squared =
+            |&(along_a, along_b): &(f64, f64)| (a * along_a - b * along_b - offset).norm_squared();
+        let mut best = ends[0];
+        let mut least = squared(&best);
+        for end in &ends[1..] {
+            let here = squared(end);
+            if here < least {
+                (best, least) = (*end, here);
+            }
+        }
+        best
+    })
+}
+
 /// The fractions at which the lines through two segments are nearest, if they are not parallel and that lies on both segments.
-fn lines_nearest(
-    offset: &Vector3<f64>,
-    a: &Vector3<f64>,
-    b: &Vector3<f64>,
-    across: &Vector3<f64>,
-) -> Option<(f64, f64)> {
+fn lines_nearest(offset: &Vector3<f64>, a: &Vector3<f64>, b: &Vector3<f64>) -> Option<(f64, f64)> {
+    let across = a.cross(b);
     let squared = across.norm_squared();
     if squared <= PARALLEL * a.norm_squared() * b.norm_squared() {
         return None;
     }
-    let fraction_a = offset.cross(b).dot(across) / squared;
-    let fraction_b = offset.cross(a).dot(across) / squared;
+    let fraction_a = offset.cross(b).dot(&across) / squared;
+    let fraction_b = offset.cross(a).dot(&across) / squared;
     let on_both = (0.0..=1.0).contains(&fraction_a) && (0.0..=1.0).contains(&fraction_b);
     on_both.then_some((fraction_a, fraction_b))
 }

@@ -1,279 +1,260 @@
 //! The guard: a command leaves only if the stop after it is verified. Hot path: bounded, no allocation, no I/O, no lock.
 //!
-//! At every tick it holds a jerk-limited stop from the commanded state along which every limit has been checked. A candidate
-//! replaces it only if the stop from the candidate passes too; otherwise the held stop is played. Safety is inductive and
-//! depends neither on the filter, whose rows it does not share, nor on the smoother.
+//! It depends neither on the filter, whose rows it does not share, nor on the smoother, and it is right by induction. For each
+//! arm it holds a jerk-limited stop and how much of it has been played; the arm is commanded to be there. At every moment
+//!
+//! 1. along what is left of each held stop every joint range, velocity, acceleration, clearance and tip speed is kept, with
+//!    bounds for what lies between the samples ([`bounds`]);
+//! 2. of two arms, no point of what is left of the one's stop is nearer to any point of what is left of the other's than they
+//!    may be, at whatever times they are there ([`pair`]).
+//!
+//! *Base.* [`Guard::new`] and [`Guard::seed`] hold an arm where it rests. Its stop is one point, and floors and ranges are
+//! set to what that point keeps ([`floor`]); a pair's floors are set against what is left of the other arm's stop, so that an
+//! arm may be seeded while the other moves.
+//!
+//! *Step.* In [`Guard::next`] each arm does one of two things.
+//! * It plays its held stop by one tick. What is left is a part of what was left, so 1 and 2 stay true, whatever the other arm
+//!   plays.
+//! * It takes a candidate, which must follow from the current state within the jerk limit. The stop from the candidate has
+//!   been verified against 1, and against 2 with what the other arm will hold after this tick: the stop of its own candidate if
+//!   both are taken together, otherwise what is left of its held stop.
+//!
+//! *Floors.* A boundary that an arm was enabled beyond moves to where it is, and comes back behind it. A floor is only ever
+//! raised to less than what the stop that is held from then on keeps, so raising it breaks neither 1 nor 2.
+//!
+//! So either arm may stop at any tick, alone or with the other, be late in playing its stop, or be told to stop by an operator:
+//! nothing has to be checked for it any more. Candidates never need each other: if both together are refused, each is tried
+//! alone, first the one and then in the next tick the other, so that neither arm starves.
+//!
+//! Between two ticks a drive goes straight from one setpoint to the next; both are verified, and what lies between is a tick's
+//! way from either at most, which the margin must hold.
 
+mod arm;
+mod bounds;
 mod clearance;
-
-use hal::joints::INSERTION;
-use hal::psm::{FINGER_M, WRIST_M};
+mod floor;
+mod pair;
+#[cfg(test)]
+pub(crate) mod planted;
+mod sweep;
 
 use super::config::ControlConfig;
-use super::motion::{AXES, AxisLimits, MotionState};
+use super::motion::MotionState;
 use super::stop::Stop;
-use crate::kinematics::Frames;
-use clearance::{Boundaries, CLEARANCES, Clearances};
+use arm::ArmGuard;
+use pair::Pair;
+#[cfg(test)]
+use planted::PlantedGuardFault;
 
-/// Intervals into which a stop is cut.
-const INTERVALS: u32 = 20;
+/// Most arms that one guard can look after.
+const ARMS_MAX: usize = 2;
 
-/// Rounding allowed on limits, relative.
-const ROUNDING: f64 = 1e-9;
-
-/// The guard with the stop that it holds.
+/// The guard of one arm or two, with the stops that it holds.
 #[derive(Clone, Debug)]
-pub struct Guard {
-    axes: [AxisLimits; AXES],
-    tip_speed_m_s: f64,
-    margin_m: f64,
-    recovery_m: f64,
-    boundaries: Boundaries,
-    tick_s: f64,
-    /// Clearances that a stop must keep: the margin, or less where the arm was enabled without it.
-    floors: Clearances,
-    /// Position ranges that a stop must keep: the limits, or wider where the arm was enabled beyond them.
-    ranges: [(f64, f64); AXES],
-    held: Stop,
-    played_s: f64,
+pub struct Guard<const ARMS: usize> {
+    arms: [ArmGuard; ARMS],
+    pair: Option<Pair>,
+    /// Whether the second arm is the first to be tried alone.
+    second_first: bool,
 }
 
-/// One sample of a stop.
-#[derive(Clone, Copy)]
-struct Sample {
-    clearances: Clearances,
-    speeds: [f64; AXES],
-    tip_speed_m_s: f64,
-    wrist_distance_m: f64,
+/// What an arm is to do in a tick.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Request {
+    /// Go on to this state; `None` if there is no answer, which counts as an intervention.
+    Follow(Option<MotionState>),
+    /// Play the stop that is held.
+    Stop,
 }
 
-impl Guard {
-    /// A guard that holds the arm at `state`, at rest.
-    #[must_use]
-    pub fn new(config: &ControlConfig, state: &MotionState, tick_s: f64) -> Self {
-        let mut guard = Self {
-            axes: config.axes,
-            tip_speed_m_s: config.tip_speed_m_s,
-            margin_m: config.guard.margin_m,
-            recovery_m: config.guard.recovery_m,
-            boundaries: Boundaries::new(&config.geometry),
-            tick_s,
-            floors: [config.guard.margin_m; CLEARANCES],
-            ranges: config.axes.map(|axis| (axis.low, axis.high)),
-            held: Stop::new(state, &config.axes),
-            played_s: 0.0,
+/// What an arm does in a tick.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Decision {
+    /// The state to command.
+    pub state: MotionState,
+    /// Whether that is not what was asked for.
+    pub intervened: bool,
+}
+
+/// Why there is no guard.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum GuardError {
+    /// More arms than the guard can look after, or none.
+    #[error("the guard looks after one arm or two, not {0}")]
+    Arms(usize),
+    /// An arm without workspace and regions.
+    #[error("the configuration holds {configured} of {wanted} arms")]
+    Missing {
+        /// Arms in the configuration.
+        configured: usize,
+        /// Arms to be guarded.
+        wanted: usize,
+    },
+    /// Two arms that may meet anywhere.
+    #[error("the configuration does not say what two arms keep between them")]
+    BetweenArms,
+}
+
+impl<const ARMS: usize> Guard<ARMS> {
+    /// A guard that holds the first `ARMS` arms of `config` at `states`, at rest. Further arms are left out.
+    ///
+    /// # Errors
+    /// [`GuardError`] if the configuration has fewer arms, or two and nothing between them, or `ARMS` is not 1 or 2.
+    pub fn new(
+        config: &ControlConfig,
+        states: &[MotionState; ARMS],
+        tick_s: f64,
+    ) -> Result<Self, GuardError> {
+        if !(1..=ARMS_MAX).contains(&ARMS) {
+            return Err(GuardError::Arms(ARMS));
+        }
+        let arms = config
+            .arms
+            .first_chunk::<ARMS>()
+            .ok_or(GuardError::Missing {
+                configured: config.arms.len(),
+                wanted: ARMS,
+            })?;
+        let pair = match (&config.between_arms, ARMS) {
+            (_, 1) => None,
+            (Some(between), _) => Some(Pair::new(between, &config.margins)),
+            (None, _) => return Err(GuardError::BetweenArms),
         };
-        guard.seed(state);
-        guard
+        let arms = core::array::from_fn(|arm| {
+            ArmGuard::new(config, &arms[arm], &states[arm], tick_s, pair.is_some())
+        });
+        let mut guard = Self {
+            arms,
+            pair,
+            second_first: false,
+        };
+        guard.seed_pair();
+        Ok(guard)
     }
 
-    /// Starts anew from `state`, at rest.
+    /// Starts anew for one arm from where `state` is, at rest; an `arm` that there is not is ignored.
     ///
     /// An arm that is within a boundary stays within it, even if it starts without the margin. Where the arm is beyond a
-    /// boundary already, that boundary moves to `recovery_m` behind the arm. Either comes back with the arm.
-    pub fn seed(&mut self, state: &MotionState) {
-        self.held = Stop::new(state, &self.axes);
-        self.played_s = 0.0;
-        let clearances = self.boundaries.clearances(&Frames::at(&state.joints()));
-        self.floors = clearances.map(|h| self.floor(h));
-        for (range, (limits, &position)) in self
-            .ranges
-            .iter_mut()
-            .zip(self.axes.iter().zip(&state.position))
-        {
-            *range = (limits.low.min(position), limits.high.max(position));
+    /// boundary already, that boundary moves behind the arm by the margin for recovery. Either comes back with the arm. The
+    /// same goes for the gaps between two arms.
+    pub fn seed(&mut self, arm: usize, state: &MotionState) {
+        if let Some(arm) = self.arms.get_mut(arm) {
+            arm.seed(state);
+            self.seed_pair();
         }
     }
 
-    /// What an arm that has the clearance `h` must keep, m.
-    fn floor(&self, h: f64) -> f64 {
-        // Stops are bounded from below, so a boundary right at the arm would let it move neither on nor back.
-        let behind = (h - self.recovery_m).min(self.margin_m);
-        if h < 0.0 { behind } else { behind.max(0.0) }
+    fn seed_pair(&mut self) {
+        if let (Some(pair), [first, second]) = (&mut self.pair, self.arms.as_slice()) {
+            pair.seed(&first.held_rest(), &second.held_rest());
+        }
     }
 
-    /// The next state: `candidate` if it follows from `current` within the limits and its stop is verified, otherwise the
-    /// next one of the stop that is held. The flag tells whether the guard intervened.
+    /// The stop that is held for `arm`, and how much of it has been played, s; `None` for an `arm` that there is not.
+    #[must_use]
+    pub fn held(&self, arm: usize) -> Option<(&Stop, f64)> {
+        self.arms.get(arm).map(ArmGuard::held)
+    }
+
+    /// The next states: for each arm the one that it asks for, if it follows from its `current` one within the limits and
+    /// its stop is verified, otherwise the next one of the stop that is held.
     pub fn next(
         &mut self,
-        current: &MotionState,
-        candidate: Option<&MotionState>,
-    ) -> (MotionState, bool) {
-        if let Some(candidate) = candidate {
-            let stop = Stop::new(candidate, &self.axes);
-            if self.follows(current, candidate)
-                && let Some(least) = self.verify(&stop)
+        current: &[MotionState; ARMS],
+        requests: &[Request; ARMS],
+    ) -> [Decision; ARMS] {
+        #[cfg(test)]
+        if let Some(skipped) = self.skipped(requests) {
+            return skipped;
+        }
+        let verified = core::array::from_fn(|arm| match &requests[arm] {
+            Request::Follow(Some(candidate)) => self.arms[arm].verify(&current[arm], candidate),
+            Request::Follow(None) | Request::Stop => false,
+        });
+        let taken = self.take(verified);
+        core::array::from_fn(|arm| {
+            let guard = &mut self.arms[arm];
+            match (&requests[arm], taken[arm]) {
+                (Request::Follow(Some(candidate)), true) => {
+                    guard.commit();
+                    Decision {
+                        state: *candidate,
+                        intervened: false,
+                    }
+                }
+                (request, _) => Decision {
+                    state: guard.play(),
+                    intervened: matches!(request, Request::Follow(_)),
+                },
+            }
+        })
+    }
+
+    /// Which of the candidates whose own stops are verified may be taken together with what the other arm does then.
+    fn take(&mut self, verified: [bool; ARMS]) -> [bool; ARMS] {
+        let (Some(pair), [first, second]) = (&mut self.pair, self.arms.as_slice()) else {
+            return verified;
+        };
+        let one = |wanted: usize| core::array::from_fn(|arm| arm == wanted && verified[arm]);
+        let (lead, other) = if self.second_first { (1, 0) } else { (0, 1) };
+        self.second_first = !self.second_first;
+        let mut tried = [false; ARMS];
+        for attempt in [verified, one(lead), one(other)] {
+            if attempt == [false; ARMS] || attempt == tried {
+                continue;
+            }
+            tried = attempt;
+            #[cfg(test)]
+            if pair.planted == Some(PlantedGuardFault::HeldStopsForgotten)
+                && attempt.contains(&false)
             {
-                self.tighten(&stop, &least);
-                self.held = stop;
-                self.played_s = 0.0;
-                return (*candidate, false);
+                return attempt;
+            }
+            let rests = [(first, attempt.first()), (second, attempt.last())].map(|(arm, takes)| {
+                if takes == Some(&true) {
+                    arm.fresh_rest()
+                } else {
+                    arm.held_rest()
+                }
+            });
+            if let Some(gaps) = pair.verify(&rests[0], &rests[1]) {
+                pair.tighten(&gaps);
+                return attempt;
             }
         }
-        (self.play(), true)
+        [false; ARMS]
     }
 
-    /// The next state of the stop that is held.
-    pub fn play(&mut self) -> MotionState {
-        self.played_s += self.tick_s;
-        self.held.at(self.played_s)
-    }
-
-    /// Whether one tick of motion within the limits leads from `current` to `candidate`.
-    fn follows(&self, current: &MotionState, candidate: &MotionState) -> bool {
-        let t = self.tick_s;
-        candidate.is_finite()
-            && self.axes.iter().enumerate().all(|(axis, limits)| {
-                let (p, v, a) = (
-                    current.position[axis],
-                    current.velocity[axis],
-                    current.acceleration[axis],
-                );
-                let jerk = limits.jerk * (1.0 + 1e-7);
-                (candidate.acceleration[axis] - a).abs() <= jerk * t + 1e-12
-                    && (candidate.velocity[axis] - v - a * t).abs() <= jerk * t * t / 2.0 + 1e-12
-                    && (candidate.position[axis] - p - v * t - a * t * t / 2.0).abs()
-                        <= jerk * t * t * t / 6.0 + 1e-12
-                    && candidate.acceleration[axis].abs() <= limits.acceleration * (1.0 + ROUNDING)
+    /// What a guard that is skipped lets out.
+    #[cfg(test)]
+    fn skipped(&mut self, requests: &[Request; ARMS]) -> Option<[Decision; ARMS]> {
+        let skip = |arm: &ArmGuard| arm.planted == Some(PlantedGuardFault::GuardSkipped);
+        self.arms.iter().all(skip).then(|| {
+            core::array::from_fn(|arm| match &requests[arm] {
+                Request::Follow(Some(candidate)) if candidate.is_finite() => {
+                    self.arms[arm].skip(candidate);
+                    Decision {
+                        state: *candidate,
+                        intervened: false,
+                    }
+                }
+                request => Decision {
+                    state: self.arms[arm].play(),
+                    intervened: matches!(request, Request::Follow(_)),
+                },
             })
+        })
     }
 
-    /// The least clearances of `stop` if it keeps every limit from its first moment to rest.
-    fn verify(&self, stop: &Stop) -> Option<Clearances> {
-        let axes_keep = stop.axes().iter().zip(&self.axes).zip(&self.ranges).all(
-            |((axis, limits), &(low, high))| {
-                let (least, most) = axis.position_range();
-                least >= low
-                    && most <= high
-                    && axis.peak_velocity() <= limits.velocity * (1.0 + ROUNDING)
-                    && axis.peak_acceleration() <= limits.acceleration * (1.0 + ROUNDING)
-            },
-        );
-        if axes_keep {
-            self.verify_in_space(stop)
-        } else {
-            None
+    /// Plants a fault.
+    #[cfg(test)]
+    pub(crate) fn plant(&mut self, fault: PlantedGuardFault) {
+        for arm in &mut self.arms {
+            arm.planted = Some(fault);
         }
-    }
-
-    /// Samples the stop and bounds what can happen between the samples.
-    fn verify_in_space(&self, stop: &Stop) -> Option<Clearances> {
-        let gap_s = stop.joints_duration_s() / f64::from(INTERVALS);
-        let mut before = self.sample(&stop.at(0.0));
-        let mut least = before.clearances;
-        for index in 1..=INTERVALS {
-            let after = self.sample(&stop.at(gap_s * f64::from(index)));
-            let reach = self.reach(stop, &before, &after, gap_s);
-            let lows = self.interval_keeps(&before, &after, &reach, gap_s)?;
-            for (least, low) in least.iter_mut().zip(lows) {
-                *least = least.min(low);
-            }
-            before = after;
+        if let Some(pair) = &mut self.pair {
+            pair.planted = Some(fault);
         }
-        Some(least)
-    }
-
-    /// What can happen between two samples that are `gap_s` apart.
-    fn reach(&self, stop: &Stop, before: &Sample, after: &Sample, gap_s: f64) -> Reach {
-        let axes = stop.axes();
-        let speeds: [f64; AXES] = core::array::from_fn(|axis| {
-            // Between two samples a speed leaves the line through them by an eighth of the jerk times the gap squared.
-            let bulge = self.axes[axis].jerk * gap_s * gap_s / 8.0;
-            (before.speeds[axis].max(after.speeds[axis]) + bulge).min(axes[axis].peak_velocity())
-        });
-        Reach {
-            distance_m: before.wrist_distance_m.max(after.wrist_distance_m)
-                + speeds[INSERTION] * gap_s,
-            speeds,
-            accelerations: axes.map(|axis| axis.peak_acceleration()),
-        }
-    }
-
-    /// What no clearance falls below between two samples, if that is enough and the tip is slow enough.
-    fn interval_keeps(
-        &self,
-        before: &Sample,
-        after: &Sample,
-        reach: &Reach,
-        gap_s: f64,
-    ) -> Option<Clearances> {
-        // A clearance changes no faster than its point moves, so half the way bounds the dip below the mean of the ends.
-        let dip_m = reach.point_speed_m_s() * gap_s / 2.0;
-        let lows = core::array::from_fn(|i| {
-            f64::midpoint(before.clearances[i], after.clearances[i]) - dip_m
-        });
-        let clear = lows
-            .iter()
-            .zip(&self.floors)
-            .all(|(low, floor)| low >= floor);
-        let rise_m_s = reach.tip_acceleration_m_s2() * gap_s / 2.0;
-        let fastest = f64::midpoint(before.tip_speed_m_s, after.tip_speed_m_s) + rise_m_s;
-        let highest = before.tip_speed_m_s.max(after.tip_speed_m_s).max(fastest);
-        // NaN fails both comparisons.
-        (clear && highest <= self.tip_speed_m_s).then_some(lows)
-    }
-
-    fn sample(&self, state: &MotionState) -> Sample {
-        let joints = state.joints();
-        let frames = Frames::at(&joints);
-        let velocity = frames.tip_jacobian() * state.joint_velocity();
-        Sample {
-            clearances: self.boundaries.clearances(&frames),
-            speeds: state.velocity.map(f64::abs),
-            tip_speed_m_s: velocity.fixed_rows::<3>(0).norm(),
-            wrist_distance_m: frames.wrist_m.norm(),
-        }
-    }
-
-    /// Boundaries that were passed when the arm was enabled come back with the arm, as far as the verified `stop`, whose
-    /// least clearances are `least`, leaves them behind: it must still be allowed once it is played.
-    fn tighten(&mut self, stop: &Stop, least: &Clearances) {
-        for (index, &h) in least.iter().enumerate() {
-            self.floors[index] = self.floors[index].max(self.floor(h));
-        }
-        for (range, (limits, axis)) in self
-            .ranges
-            .iter_mut()
-            .zip(self.axes.iter().zip(stop.axes()))
-        {
-            let (low, high) = axis.position_range();
-            *range = (
-                range.0.max(limits.low.min(low)),
-                range.1.min(limits.high.max(high)),
-            );
-        }
-    }
-}
-
-/// Upper bounds of the joint motion in an interval, and what they mean for points of the instrument.
-struct Reach {
-    distance_m: f64,
-    speeds: [f64; AXES],
-    accelerations: [f64; AXES],
-}
-
-impl Reach {
-    /// No point of the instrument beyond the RCM is faster.
-    ///
-    /// The wrist point moves in spherical coordinates (yaw, pitch, insertion), whose directions are orthogonal; whatever is
-    /// further turns about it.
-    fn point_speed_m_s(&self) -> f64 {
-        let [yaw, pitch, insertion, roll, wrist_pitch, wrist_yaw, _] = self.speeds;
-        let swing = yaw.hypot(pitch);
-        let wrist = (self.distance_m * swing).hypot(insertion);
-        let turn = swing + roll + wrist_pitch;
-        wrist + WRIST_M * turn + FINGER_M * (turn + wrist_yaw)
-    }
-
-    /// The control point's acceleration is no higher.
-    fn tip_acceleration_m_s2(&self) -> f64 {
-        let [yaw, pitch, insertion, roll, wrist_pitch, ..] = self.speeds;
-        let [a_yaw, a_pitch, a_insertion, a_roll, a_wrist_pitch, ..] = self.accelerations;
-        let (swing, turn) = (yaw + pitch, yaw + pitch + roll + wrist_pitch);
-        let wrist = (self.distance_m * a_yaw.hypot(a_pitch)).hypot(a_insertion)
-            + 2.0 * insertion * swing
-            + self.distance_m * swing * swing;
-        wrist + WRIST_M * (a_yaw + a_pitch + a_roll + a_wrist_pitch + 2.0 * turn * turn)
     }
 }
 

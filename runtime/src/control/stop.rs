@@ -96,6 +96,25 @@ impl AxisStop {
         knot.after(time_s)
     }
 
+    /// What remains of the stop `time_s` into it.
+    #[must_use]
+    pub fn remainder(&self, time_s: f64) -> Remainder {
+        let (position, velocity, acceleration) = self.at(time_s);
+        let phases = core::array::from_fn(|phase| {
+            let (from, to) = (&self.knots[phase], &self.knots[phase + 1]);
+            Phase {
+                duration_s: to.time_s - from.time_s.max(time_s).min(to.time_s),
+                jerk: from.jerk,
+            }
+        });
+        Remainder {
+            position,
+            velocity,
+            acceleration,
+            phases,
+        }
+    }
+
     /// Lowest and highest position from here to rest, exactly.
     #[must_use]
     pub fn position_range(&self) -> (f64, f64) {
@@ -141,6 +160,28 @@ impl AxisStop {
             .iter()
             .fold(0.0_f64, |peak, knot| peak.max(knot.acceleration.abs()))
     }
+}
+
+/// A span of constant jerk.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Phase {
+    /// How long it lasts, s; not negative.
+    pub duration_s: f64,
+    /// Jerk, rad/s³ (m/s³).
+    pub jerk: f64,
+}
+
+/// The rest of one axis's stop: where it is, and three phases of constant jerk, after which it rests.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Remainder {
+    /// Position, rad (m).
+    pub position: f64,
+    /// Velocity, rad/s (m/s).
+    pub velocity: f64,
+    /// Acceleration, rad/s² (m/s²).
+    pub acceleration: f64,
+    /// What follows; phases that are over last no time.
+    pub phases: [Phase; 3],
 }
 
 /// When the velocity of a phase passes zero; NaN where it does not.
@@ -202,10 +243,10 @@ impl Stop {
         state
     }
 
-    /// Seconds until every joint, the jaw apart, is at rest.
+    /// Seconds until joints and jaw are at rest.
     #[must_use]
-    pub fn joints_duration_s(&self) -> f64 {
-        self.axes[..super::motion::JAW]
+    pub fn duration_s(&self) -> f64 {
+        self.axes
             .iter()
             .fold(0.0_f64, |longest, axis| longest.max(axis.duration_s()))
     }
@@ -254,6 +295,32 @@ mod tests {
                 stop.peak_acceleration() <= limits.acceleration + 1e-12,
                 "case {case}"
             );
+        }
+    }
+
+    #[test]
+    fn the_remainder_leads_to_the_same_rest() {
+        let mut random = SplitMix64::new(14);
+        for case in 0..5_000 {
+            let (limits, v, a) = random_case(&mut random);
+            let stop = AxisStop::new(0.1, v, a, &limits);
+            let from_s = random.between(0.0, 1.2) * stop.duration_s();
+            let rest = stop.remainder(from_s);
+            let (mut p, mut v, mut a) = (rest.position, rest.velocity, rest.acceleration);
+            let mut left_s = 0.0;
+            for phase in rest.phases {
+                let (t, j) = (phase.duration_s, phase.jerk);
+                assert!(t >= 0.0 && j.abs() <= limits.jerk, "case {case}");
+                p += t * (v + t * (a / 2.0 + t * j / 6.0));
+                v += t * (a + t * j / 2.0);
+                a += t * j;
+                left_s += t;
+            }
+            let (end, ..) = stop.at(stop.duration_s());
+            assert!((p - end).abs() < 1e-13, "case {case}: {p} {end}");
+            assert!(v.abs() < 1e-12 && a.abs() < 1e-11, "case {case}: {v} {a}");
+            let expected_s = (stop.duration_s() - from_s).max(0.0);
+            assert!((left_s - expected_s).abs() < 1e-15, "case {case}");
         }
     }
 

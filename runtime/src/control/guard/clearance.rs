@@ -1,13 +1,17 @@
 //! How far the instrument is from every boundary in space. Hot path: bounded, no allocation, no I/O, no lock.
 
 use hal::psm::SHAFT_RADIUS_M;
-use nalgebra::Vector3;
 
-use crate::control::config::{FORBIDDEN_MAX, Geometry};
-use crate::kinematics::Frames;
+use super::bounds::{Bounds, Way, lowest};
+use crate::control::config::{ArmConfig, FORBIDDEN_MAX};
+use crate::control::instrument::{Instrument, LINKS};
+use crate::control::region::{Block, Shape};
 
-/// Box sides for two points, three links for each sphere.
-pub(super) const CLEARANCES: usize = 12 + 3 * FORBIDDEN_MAX;
+/// Six faces for the control point and both finger tips.
+pub(super) const FACES: usize = 18;
+
+/// The faces, then every link against each region.
+pub(super) const CLEARANCES: usize = FACES + LINKS * FORBIDDEN_MAX;
 
 /// A clearance that cannot matter, m.
 const FAR_M: f64 = 10.0;
@@ -15,68 +19,108 @@ const FAR_M: f64 = 10.0;
 /// One distance for each boundary, m.
 pub(super) type Clearances = [f64; CLEARANCES];
 
-/// The box for the control point and the finger tips, and the spheres that no part may enter, in the RCM frame.
+/// The box for the control point and the finger tips, and the shapes that no part may enter, in the RCM frame.
 #[derive(Clone, Debug)]
 pub(super) struct Boundaries {
-    workspace_min_m: Vector3<f64>,
-    workspace_max_m: Vector3<f64>,
-    spheres: [Option<(Vector3<f64>, f64)>; FORBIDDEN_MAX],
+    workspace: Block,
+    shapes: [Option<Shape>; FORBIDDEN_MAX],
 }
 
+/// Which clearances are worth looking at.
+pub(super) type Wanted = [bool; CLEARANCES];
+
 impl Boundaries {
-    pub(super) fn new(geometry: &Geometry) -> Self {
-        let mut spheres = [None; FORBIDDEN_MAX];
-        for (slot, sphere) in spheres.iter_mut().zip(&geometry.forbidden) {
-            *slot = Some((sphere.center_m, sphere.radius_m));
+    pub(super) fn new(arm: &ArmConfig) -> Self {
+        let mut shapes = [None; FORBIDDEN_MAX];
+        for (slot, region) in shapes.iter_mut().zip(&arm.forbidden) {
+            *slot = Some(region.shape);
         }
         Self {
-            workspace_min_m: geometry.workspace_min_m,
-            workspace_max_m: geometry.workspace_max_m,
-            spheres,
+            workspace: arm.workspace,
+            shapes,
         }
     }
 
-    /// How far the instrument is from every boundary, m; negative beyond it.
-    pub(super) fn clearances(&self, frames: &Frames) -> Clearances {
+    /// How far the instrument is from every boundary that is wanted, m; negative beyond it.
+    pub(super) fn clearances(&self, instrument: &Instrument, wanted: &Wanted) -> Clearances {
         let mut clearances = [FAR_M; CLEARANCES];
-        let (planes, links) = clearances.split_at_mut(12);
-        let points = [frames.tip_m, frames.finger_m];
-        for (slot, index) in planes.iter_mut().zip(0..) {
-            let point_m = points[index / 6];
-            let axis = index % 3;
-            let above = index % 6 < 3;
-            *slot = if above {
-                point_m[axis] - self.workspace_min_m[axis]
-            } else {
-                self.workspace_max_m[axis] - point_m[axis]
-            };
+        let (faces, regions) = clearances.split_at_mut(FACES);
+        for (slots, point_m) in faces.chunks_exact_mut(6).zip(points(instrument)) {
+            slots.copy_from_slice(&self.workspace.clearances_m(point_m));
         }
-        let corners = [
-            Vector3::zeros(),
-            frames.wrist_m,
-            frames.tip_m,
-            frames.finger_m,
-        ];
-        for (slots, sphere) in links.chunks_exact_mut(3).zip(&self.spheres) {
-            let Some((center_m, radius_m)) = sphere else {
-                continue;
-            };
-            for (slot, ends) in slots.iter_mut().zip(corners.windows(2)) {
-                *slot =
-                    distance_to_segment(center_m, &ends[0], &ends[1]) - radius_m - SHAFT_RADIUS_M;
+        let links = instrument.links();
+        let slots = regions.chunks_exact_mut(LINKS);
+        let wanted = wanted[FACES..].chunks_exact(LINKS);
+        for ((slots, wanted), shape) in slots.zip(wanted).zip(&self.shapes) {
+            let Some(shape) = shape else { continue };
+            for ((slot, wanted), (from_m, to_m)) in slots.iter_mut().zip(wanted).zip(&links) {
+                if *wanted {
+                    *slot = shape.distance_m(from_m, to_m) - SHAFT_RADIUS_M;
+                }
             }
         }
         clearances
     }
+
+    /// What clearance `index` does not fall below between two samples, m.
+    ///
+    /// `h` is the clearance at both ends, `instruments` is where the links are then.
+    pub(super) fn lowest_between(
+        &self,
+        index: usize,
+        h: (f64, f64),
+        instruments: (&Instrument, &Instrument),
+        bounds: &Bounds,
+        enough_m: f64,
+    ) -> f64 {
+        let Some(at) = index.checked_sub(FACES) else {
+            // The control point ends the wrist, the other two points the fingers.
+            let way = bounds.way(if index < 6 { 1 } else { 2 });
+            return way.lowest_linear(h.0, h.1);
+        };
+        let way = bounds.way(at % LINKS);
+        let Some(shape) = self.shapes.get(at / LINKS).and_then(Option::as_ref) else {
+            return FAR_M;
+        };
+        match shape {
+            Shape::Sphere { radius_m, .. } | Shape::Capsule { radius_m, .. } => {
+                way.lowest_round(h.0, h.1, radius_m + SHAFT_RADIUS_M)
+            }
+            Shape::HalfSpace { .. } => way.lowest_linear(h.0, h.1),
+            Shape::Box(block) => {
+                let low = way.lowest_round(h.0, h.1, SHAFT_RADIUS_M);
+                if low < enough_m {
+                    low.max(lowest_beyond_faces(block, at % LINKS, instruments, &way))
+                } else {
+                    low
+                }
+            }
+        }
+    }
 }
 
-fn distance_to_segment(point_m: &Vector3<f64>, from_m: &Vector3<f64>, to_m: &Vector3<f64>) -> f64 {
-    let along = to_m - from_m;
-    let offset = point_m - from_m;
-    let length_squared = along.norm_squared();
-    if length_squared < 1e-18 {
-        return offset.norm();
-    }
-    let fraction = (offset.dot(&along) / length_squared).clamp(0.0, 1.0);
-    (offset - along * fraction).norm()
+/// What the clearance of a link to a box does not fall below, from each face's plane alone: a box is behind all of them, so it
+/// is never nearer than any. This is the better bound for a link that is in the box.
+fn lowest_beyond_faces(
+    block: &Block,
+    link: usize,
+    (before, after): (&Instrument, &Instrument),
+    way: &Way,
+) -> f64 {
+    let ((from, to), (then_from, then_to)) = (before.links()[link], after.links()[link]);
+    let ends = [(from, then_from), (to, then_to)]
+        .map(|(now_m, then_m)| (block.clearances_m(&now_m), block.clearances_m(&then_m)));
+    (0..6).fold(f64::NEG_INFINITY, |best, face| {
+        let least = ends.iter().fold(f64::INFINITY, |least, (now, then)| {
+            let h = (-now[face] - SHAFT_RADIUS_M, -then[face] - SHAFT_RADIUS_M);
+            least.min(lowest(h.0, h.1, way.bend_m) - way.kink_m)
+        });
+        best.max(least)
+    })
+}
+
+/// The points that stay in the workspace.
+fn points(instrument: &Instrument) -> [&nalgebra::Vector3<f64>; 3] {
+    let [left, right] = &instrument.fingers_m;
+    [&instrument.tip_m, left, right]
 }
