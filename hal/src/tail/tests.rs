@@ -251,6 +251,15 @@ fn resting_arm_stays_as_it_is_and_a_disabled_one_stays_disabled() {
 }
 
 #[test]
+fn before_the_start_is_the_start() {
+    let tail = random_stop(&mut Random(9));
+    for time_s in [-0.0, -1e-9, -1.0, f64::NEG_INFINITY, f64::NAN] {
+        assert_eq!(tail.at(time_s), tail.start, "{time_s}");
+        assert_eq!(tail.remainder(time_s), tail, "{time_s}");
+    }
+}
+
+#[test]
 fn senseless_durations_end_at_once() {
     let start = AxisPoint {
         position: 0.25,
@@ -269,10 +278,28 @@ fn senseless_durations_end_at_once() {
         assert!(tail.duration_s() <= 0.0);
         assert_eq!(tail.at(0.1), AxisTail::at_rest(0.25).start);
     }
-    let mut tail = SafeTail::at_rest(TimeNs(0), &[0.0; TAIL_AXES], true);
-    assert!(tail.is_finite());
-    tail.axes[6].phases[2].jerk = f64::NAN;
-    assert!(!tail.is_finite());
+}
+
+#[test]
+fn any_number_that_is_not_finite_is_found() {
+    let good = SafeTail::at_rest(TimeNs(0), &[0.0; TAIL_AXES], true);
+    assert!(good.is_finite());
+    let spoils: [fn(&mut AxisTail, f64); 5] = [
+        |axis, bad| axis.start.position = bad,
+        |axis, bad| axis.start.velocity = bad,
+        |axis, bad| axis.start.acceleration = bad,
+        |axis, bad| axis.phases[0].duration_s = bad,
+        |axis, bad| axis.phases[2].jerk = bad,
+    ];
+    for axis in 0..TAIL_AXES {
+        for (index, spoil) in spoils.iter().enumerate() {
+            for bad in [f64::NAN, f64::INFINITY] {
+                let mut tail = good;
+                spoil(&mut tail.axes[axis], bad);
+                assert!(!tail.is_finite(), "number {index} of axis {axis}");
+            }
+        }
+    }
 }
 
 #[test]

@@ -1,18 +1,19 @@
 //! The tick: measured arms and newest chunks in, commands out. Hot path: bounded, no allocation, no I/O, no clock, no lock.
 
 use hal::tail::{AxisPoint, AxisTail, SafeTail, TailPhase};
-use hal::{JointVector, Pose, TICK_NS, TimeNs};
+use hal::{JointVector, Pose, TimeNs};
 
 use super::arm_control::{ArmControl, Plan};
 use super::config::ControlConfig;
 use super::filter::{Filter, Filtered, Problem};
-use super::guard::{Decision, Guard, Request};
+use super::guard::{Decision, Guard, GuardError, Request};
 use super::instrument::Stance;
 use super::mode::{Event, Mode, OperatingState, OperatorEvent};
 use super::motion::{AXES, Axes, AxisLimits, MotionState};
 use super::report::{QpOutcome, TickInput, TickOutput, TickReport};
-use super::rows::{ARMS_MAX, RowInput, Rows, Velocities};
+use super::rows::{RowInput, Rows, Velocities};
 use super::smoother::Smoother;
+use super::stop::Remainder;
 use crate::kinematics::forward;
 
 /// One tick, s.
@@ -37,20 +38,26 @@ pub struct Controller<const ARMS: usize = 1> {
 
 /// Why there is no such controller.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("the configuration has {configured} arms, the controller is for {wanted}")]
-pub struct WrongArmCount {
-    /// Arms in the configuration.
-    pub configured: usize,
-    /// Arms of the controller.
-    pub wanted: usize,
+pub enum ControllerError {
+    /// It is for another number of arms.
+    #[error("the configuration has {configured} arms, the controller is for {wanted}")]
+    ArmCount {
+        /// Arms in the configuration.
+        configured: usize,
+        /// Arms of the controller.
+        wanted: usize,
+    },
+    /// There is no guard for these arms.
+    #[error(transparent)]
+    Guard(#[from] GuardError),
 }
 
 impl Controller {
     /// A disabled controller of one arm; see [`Self::for_arms`].
     ///
     /// # Errors
-    /// [`WrongArmCount`] if the configuration has two.
-    pub fn new(config: &ControlConfig) -> Result<Self, WrongArmCount> {
+    /// [`ControllerError`] if the configuration has two.
+    pub fn new(config: &ControlConfig) -> Result<Self, ControllerError> {
         Self::for_arms(config)
     }
 
@@ -85,11 +92,11 @@ impl<const ARMS: usize> Controller<ARMS> {
     /// A disabled controller of as many arms as `config` has; this allocates all that a tick needs.
     ///
     /// # Errors
-    /// [`WrongArmCount`] if the configuration has another number of arms, or the number is not one or two.
-    pub fn for_arms(config: &ControlConfig) -> Result<Self, WrongArmCount> {
+    /// [`ControllerError`] if the configuration has another number of arms, or the number is not one or two.
+    pub fn for_arms(config: &ControlConfig) -> Result<Self, ControllerError> {
         let configured = config.arms.len();
-        if configured != ARMS || !(1..=ARMS_MAX).contains(&ARMS) {
-            return Err(WrongArmCount {
+        if configured != ARMS {
+            return Err(ControllerError::ArmCount {
                 configured,
                 wanted: ARMS,
             });
@@ -99,7 +106,7 @@ impl<const ARMS: usize> Controller<ARMS> {
             smoothers: core::array::from_fn(|_| Smoother::new(&config.axes, TICK_S)),
             rows: Rows::new(config),
             filter: Filter::new(config),
-            guard: Guard::new(config, &[MotionState::ZERO; ARMS], TICK_S),
+            guard: Guard::new(config, &[MotionState::ZERO; ARMS], TICK_S)?,
             config: config.clone(),
             #[cfg(test)]
             sabotage: super::sabotage::Sabotage::default(),
@@ -209,19 +216,16 @@ impl<const ARMS: usize> Controller<ARMS> {
         filtered: &Filtered,
         decision: &Decision,
     ) -> TickOutput {
-        let tail = self.tail(index, now);
         let arm = &mut self.arms[index];
         arm.commanded = decision.state;
         if !plan.follows {
             arm.release();
         }
+        let arm = &self.arms[index];
         let correction = filtered.correction.get(index).copied().unwrap_or(0.0);
         TickOutput {
             command: arm.commanded.command(now, arm.powered),
-            tail: SafeTail {
-                enabled: arm.powered,
-                ..tail
-            },
+            tail: self.tail(index, now, arm.powered),
             report: TickReport {
                 mode: arm.mode(),
                 gate: plan.gate,
@@ -243,25 +247,33 @@ impl<const ARMS: usize> Controller<ARMS> {
         }
     }
 
-    /// The stop that the guard holds, which began when it was verified.
-    fn tail(&self, arm: usize, now: TimeNs) -> SafeTail {
-        let (stop, played_ticks) = self.guard.held(arm);
+    /// What is left of the stop that the guard holds for `arm`, from the command on.
+    fn tail(&self, arm: usize, now: TimeNs, enabled: bool) -> SafeTail {
+        let axes = match self.guard.held(arm) {
+            Some((stop, played_s)) => stop
+                .axes()
+                .each_ref()
+                .map(|axis| axis_tail(&axis.remainder(played_s))),
+            None => self.arms[arm].commanded.position.map(AxisTail::at_rest),
+        };
         SafeTail {
-            stamp: TimeNs(now.0.saturating_sub(played_ticks * TICK_NS)),
-            axes: stop.axes().each_ref().map(|axis| {
-                let (position, velocity, acceleration) = axis.start();
-                AxisTail {
-                    start: AxisPoint {
-                        position,
-                        velocity,
-                        acceleration,
-                    },
-                    phases: axis
-                        .phases()
-                        .map(|(duration_s, jerk)| TailPhase { duration_s, jerk }),
-                }
-            }),
-            enabled: true,
+            stamp: now,
+            axes,
+            enabled,
         }
+    }
+}
+
+fn axis_tail(rest: &Remainder) -> AxisTail {
+    AxisTail {
+        start: AxisPoint {
+            position: rest.position,
+            velocity: rest.velocity,
+            acceleration: rest.acceleration,
+        },
+        phases: rest.phases.map(|phase| TailPhase {
+            duration_s: phase.duration_s,
+            jerk: phase.jerk,
+        }),
     }
 }

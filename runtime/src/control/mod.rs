@@ -37,7 +37,7 @@ pub(crate) mod sabotage;
 mod tests;
 
 pub use config::ControlConfig;
-pub use controller::{Controller, WrongArmCount};
+pub use controller::{Controller, ControllerError};
 pub use gate::Verdict;
 pub use hash::{CommandHash, InputHash};
 pub use mode::{Mode, OperatingState, OperatorEvent};

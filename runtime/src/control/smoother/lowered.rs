@@ -15,9 +15,6 @@ const ACCELERATION_ROUNDING: f64 = 1e-9;
 /// Rounding allowed on a velocity that ramps to its limit, relative to the full one.
 const VELOCITY_ROUNDING: f64 = 1e-12;
 
-/// Room that a stop leaves at the ends of the range, rad (m), so that rounding does not take it past them.
-const RANGE_ROUNDING: f64 = 1e-9;
-
 /// The limits of one axis as built and as lowered.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct AxisLowering {
@@ -111,8 +108,8 @@ impl AxisLowering {
         let stop = stop_from(state);
         let (now_low, now_high) = stop.position_range();
         let (low, high) = stop_from(next).position_range();
-        let lowest = now_low.min(built.low + RANGE_ROUNDING);
-        let highest = now_high.max(built.high - RANGE_ROUNDING);
+        let lowest = now_low.min(built.low);
+        let highest = now_high.max(built.high);
         if low < lowest || high > highest {
             (
                 next.position[axis],

@@ -212,6 +212,54 @@ fn velocity_acceleration_and_jerk_come_down_without_an_overshoot() {
     }
 }
 
+/// A state at full limits that does not fit the lower ones, as the guard's stop may leave it behind.
+fn outside(built: &AxisLimits, limits: &AxisLimits, random: &mut SplitMix64) -> (f64, f64, f64) {
+    loop {
+        let a = random.between(-built.acceleration, built.acceleration);
+        let v = random.between(-built.velocity, built.velocity);
+        let carried = v + a * a.abs() / (2.0 * built.jerk);
+        let ends = a.signum() * v + a * a / (2.0 * limits.jerk);
+        let unfit = a.abs() > limits.acceleration * 1.01 || ends > limits.velocity * 1.01;
+        if unfit && carried.abs() <= built.velocity {
+            return (0.1, v, a);
+        }
+    }
+}
+
+#[test]
+fn motion_that_the_guard_left_outside_the_lower_limits_settles_too() {
+    let built = wide_axes();
+    let mut random = SplitMix64::new(45);
+    for round in 0..400 {
+        let mut smoother = Smoother::new(&built, TICK_S);
+        let limits = built.map(|limit| AxisLimits {
+            velocity: limit.velocity * random.between(0.2, 0.9),
+            acceleration: limit.acceleration * random.between(0.2, 0.9),
+            jerk: limit.jerk * random.between(0.2, 0.9),
+            ..limit
+        });
+        smoother.set_limits(&limits);
+        let mut state = smoother.step(&at_rest(), &[0.0; AXES]).unwrap();
+        for axis in 0..AXES {
+            let (_, v, a) = outside(&built[axis], &limits[axis], &mut random);
+            (state.velocity[axis], state.acceleration[axis]) = (v, a);
+        }
+        let target = random_target(&built, &mut random);
+        let watches: [Watch; AXES] = core::array::from_fn(|i| {
+            let now = axis_of(&state, i);
+            Watch::new(&built[i], &built[i], &limits[i], target[i], now)
+        });
+        for tick in 0..200 {
+            let next = smoother.step(&state, &target).unwrap();
+            for (axis, watch) in watches.iter().enumerate() {
+                let label = format!("round {round} tick {tick} axis {axis}");
+                watch.see(axis_of(&state, axis), axis_of(&next, axis), &label);
+            }
+            state = next;
+        }
+    }
+}
+
 #[test]
 fn motion_that_fits_keeps_all_the_lower_limits() {
     let built = wide_axes();

@@ -1,0 +1,105 @@
+//! Cones met by a sequence of quadratic models with the cones' curvature: Newton's method with inequalities. Hot path.
+
+use super::CONES_MAX;
+use super::Failure;
+use super::factors::dot;
+use super::method::{Entry, Method, largest};
+
+/// Models of one problem.
+const MODELS_MAX: u32 = 40;
+/// After a step shorter than this, in units of `1 + max |d|`, the next changes nothing: convergence is quadratic.
+const CONVERGED: f64 = 1e-7;
+/// A cone may be violated by this, in units of `1 + max |d|`.
+const TOLERANCE: f64 = 1e-12;
+
+impl<const N: usize> Method<N> {
+    /// From the optimum without cones to the one with them.
+    pub(super) fn meet_cones(&mut self) -> Result<Entry, Failure> {
+        if self.cones.hold(&self.x, self.tolerance()) {
+            return Ok(Entry::Active);
+        }
+        for _ in 0..MODELS_MAX {
+            self.count_iteration()?;
+            let before = self.x;
+            self.set_model()?;
+            if self.settle()? == Entry::Dependent {
+                return Ok(Entry::Dependent);
+            }
+            let mut step = before;
+            for (step, x) in step.iter_mut().zip(&self.x) {
+                *step -= x;
+            }
+            let tolerance = TOLERANCE * (1.0 + largest(&self.x));
+            if largest(&step) <= CONVERGED * (1.0 + largest(&self.x))
+                && self.cones.hold(&self.x, tolerance)
+            {
+                return Ok(Entry::Active);
+            }
+        }
+        Err(Failure::IterationLimit)
+    }
+
+    /// Puts half-spaces at the point in the place of the cones, and the cones' curvature into the factors.
+    fn set_model(&mut self) -> Result<(), Failure> {
+        let forces = self.forces();
+        let mut hessian = self.hessian;
+        for (cone, (force, cut)) in forces.iter().zip(&mut self.cuts).enumerate() {
+            *cut = self.cones.cut_if(cone, *force > 0.0, &self.x)?;
+            if *force > 0.0 {
+                self.cones
+                    .add_curvature(cone, *force, &self.x, &mut hessian)
+                    .ok_or(Failure::Infeasible)?;
+            }
+        }
+        if forces.iter().all(|force| *force <= 0.0) {
+            return Ok(());
+        }
+        for ((slope, curved), plain) in self.slope.iter_mut().zip(&hessian).zip(&self.hessian) {
+            *slope = dot(plain, &self.x) - dot(curved, &self.x);
+        }
+        // With a positive definite Hessian only multipliers without bound fail: the cones and rows do not meet.
+        self.factors
+            .start(&hessian)
+            .map_err(|_| Failure::Infeasible)?;
+        self.restart();
+        Ok(())
+    }
+
+    /// The multiplier of each cone.
+    fn forces(&self) -> [f64; CONES_MAX] {
+        let mut forces = [0.0; CONES_MAX];
+        for active in self.active.iter().take(self.active_count) {
+            if let Some(touch) = active.touch
+                && let Some(force) = forces.get_mut(touch.cone)
+            {
+                *force += active.multiplier / touch.gradient;
+            }
+        }
+        forces
+    }
+
+    /// Starts the new model with those of the active rows that still push.
+    fn restart(&mut self) {
+        let actives = self.active;
+        let count = self.active_count;
+        self.active_count = 0;
+        for mut active in actives.into_iter().take(count) {
+            if let Some(touch) = active.touch {
+                let Some(cut) = self.cuts.get(touch.cone).copied().flatten() else {
+                    continue;
+                };
+                active.row = cut.row;
+                active.touch = Some(cut.touch);
+            }
+            let seen = self.factors.see(&active.row.coefficients);
+            self.add(active, &seen);
+        }
+        loop {
+            let (multiplier, place) = self.refresh();
+            if multiplier >= 0.0 {
+                break;
+            }
+            self.remove(place);
+        }
+    }
+}
