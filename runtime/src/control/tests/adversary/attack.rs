@@ -8,9 +8,6 @@ use super::trouble::Trouble;
 use crate::control::random::SplitMix64;
 use crate::control::sabotage::Garbage;
 
-/// Share of the filter's answers that are replaced.
-const GARBAGE: f64 = 0.05;
-
 /// Every so many commands the tail is followed to rest; a prime, so that it meets every phase of what is periodic.
 const TAIL_EVERY: u64 = 37;
 
@@ -22,6 +19,8 @@ pub(super) struct Attack {
     pub(super) ticks: u64,
     /// Whether the gate lets every finite chunk through.
     pub(super) open_gate: bool,
+    /// Share of the filter's answers that are replaced.
+    pub(super) garbage: f64,
     /// Whether each candidate goes out as it is.
     pub(super) guard_removed: bool,
     /// Whether operator and measurements make trouble.
@@ -36,6 +35,7 @@ impl Attack {
             seed,
             ticks: ticks(),
             open_gate: true,
+            garbage: 0.05,
             guard_removed: false,
             trouble: true,
         }
@@ -49,7 +49,7 @@ impl Attack {
         }
         let mut random = SplitMix64::new(self.seed);
         let mut rig = Rig::<ARMS>::enabled(&scene.config);
-        rig.controller.sabotage.garbage = Some(Garbage::new(random.next_u64(), GARBAGE));
+        rig.controller.sabotage.garbage = Some(Garbage::new(random.next_u64(), self.garbage));
         rig.controller.sabotage.guard_removed = self.guard_removed;
         let mut judge = Judge::new(&scene);
         let mut figures = Figures::default();

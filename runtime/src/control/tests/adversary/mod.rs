@@ -31,7 +31,7 @@ fn withstood<const ARMS: usize>(attack: &Attack) -> Figures {
     assert!(share(figures.enabled - figures.still) > 0.2, "too little motion: {figures}");
     assert!(figures.garbage > attack.ticks / 100, "the filter hardly lied: {figures}");
     assert!(figures.interventions > attack.ticks / 200, "the guard had nothing to do: {figures}");
-    assert!(figures.faults > attack.ticks / 20_000, "nothing went wrong: {figures}");
+    assert!(figures.faults > attack.ticks / 50_000, "nothing went wrong: {figures}");
     assert!(figures.tails > attack.ticks / 50);
     figures
 }
@@ -96,35 +96,73 @@ fn the_shipped_gate_refuses_most_of_it_for_two_arms() {
     refused::<2>(302);
 }
 
-/// The judge sees what the guard prevents: without it the same attack breaks limits in space.
-fn broken<const ARMS: usize>(kind: Kind, seed: u64) {
+/// A filter that lies in every second answer makes the arm slow, not unsafe.
+fn half_garbage<const ARMS: usize>(seed: u64) {
     let attack = Attack {
-        guard_removed: true,
-        trouble: false,
-        ticks: 20_000,
-        ..Attack::new(kind, seed)
+        garbage: 0.5,
+        ..Attack::new(Kind::All, seed)
     };
     let (figures, violations) = attack.play::<ARMS>();
-    println!("{kind:?} on {ARMS} without the guard: {} violations, {figures}", violations.len());
-    assert!(violations.len() > 100, "{violations:#?}");
-    let in_space = |text: &&String| {
-        ["workspace", "forbidden", "tip_speed", "between"]
+    println!("half of the answers are garbage, on {ARMS}: {figures}");
+    assert!(violations.is_empty(), "{:#?}", &violations[..violations.len().min(8)]);
+    assert!(figures.garbage > attack.ticks / 4 && figures.interventions > attack.ticks / 50);
+}
+
+#[test]
+fn half_of_all_answers_may_be_garbage() {
+    half_garbage::<1>(351);
+}
+
+#[test]
+fn half_of_all_answers_may_be_garbage_for_two_arms() {
+    half_garbage::<2>(352);
+}
+
+/// The judge sees what the guard prevents: without it the same attacks break limits, whether the filter lies or not.
+fn broken<const ARMS: usize>(garbage: f64) {
+    let mut all = 0;
+    let mut in_space = 0;
+    for kind in [Kind::BangBang, Kind::Jumps, Kind::Climber, Kind::Walk] {
+        let attack = Attack {
+            garbage,
+            guard_removed: true,
+            trouble: false,
+            ticks: 20_000,
+            ..Attack::new(kind, 401)
+        };
+        let (figures, violations) = attack.play::<ARMS>();
+        let places = ["workspace", "forbidden", "tip_speed", "tip_angular", "between"];
+        let found = violations
             .iter()
-            .any(|limit| text.contains(limit))
-    };
-    assert!(violations.iter().filter(in_space).count() > 20, "{violations:#?}");
+            .filter(|text| places.iter().any(|limit| text.contains(limit)))
+            .count();
+        println!(
+            "{kind:?} on {ARMS} without the guard, garbage {garbage}: {} violations, {found} of them in space; {figures}",
+            violations.len()
+        );
+        all += violations.len();
+        in_space += found;
+    }
+    assert!(all > 200, "{all}");
+    assert!(in_space > 100, "{in_space}");
 }
 
 #[test]
 fn without_the_guard_the_same_attacks_break_limits() {
-    for kind in [Kind::BangBang, Kind::Jumps, Kind::Climber, Kind::Walk] {
-        broken::<1>(kind, 401);
-    }
+    broken::<1>(0.05);
 }
 
 #[test]
 fn without_the_guard_the_same_attacks_break_limits_of_two_arms() {
-    for kind in [Kind::BangBang, Kind::Jumps, Kind::Climber, Kind::Walk] {
-        broken::<2>(kind, 402);
-    }
+    broken::<2>(0.05);
+}
+
+#[test]
+fn filter_and_smoother_alone_break_limits() {
+    broken::<1>(0.0);
+}
+
+#[test]
+fn filter_and_smoother_alone_break_limits_of_two_arms() {
+    broken::<2>(0.0);
 }

@@ -27,7 +27,7 @@ fn bad_starts() -> Vec<(&'static str, ArmState, Boundary)> {
     };
     let axis = |axis, high| Boundary::Axis { arm: 0, axis, high };
     vec![
-        ("the shaft in the rib", start(&[(1, 0.62)]), region(2, 0)),
+        ("the shaft in the rib", start(&[(1, 0.31)]), region(2, 0)),
         ("a finger in the vessel", start(&[(1, -0.36), (2, 0.118)]), region(0, 3)),
         ("the wrist behind the wall", start(&[(0, 0.6)]), region(3, 1)),
         ("the tip in the retractor", start(&[(0, -0.31), (1, -0.17), (2, 0.128)]), region(4, 1)),
