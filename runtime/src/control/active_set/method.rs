@@ -66,6 +66,8 @@ pub(super) struct Method<const N: usize> {
     pub(super) slope: [f64; N],
     /// The half-space that stands for each cone.
     pub(super) cuts: [Option<Cut<N>>; CONES_MAX],
+    /// Multipliers of the cones, as the models' curvature remembers them.
+    pub(super) held: [f64; CONES_MAX],
     pub(super) x: [f64; N],
     pub(super) active: [Active<N>; N],
     pub(super) active_count: usize,
@@ -83,6 +85,7 @@ impl<const N: usize> Method<N> {
             factors: Factors::new(),
             slope: [0.0; N],
             cuts: [None; CONES_MAX],
+            held: [0.0; CONES_MAX],
             x: [0.0; N],
             active: [Active::EMPTY; N],
             active_count: 0,
@@ -117,6 +120,7 @@ impl<const N: usize> Method<N> {
         self.factors.start(&self.hessian)?;
         self.slope = [0.0; N];
         self.cuts = [None; CONES_MAX];
+        self.held = [0.0; CONES_MAX];
         self.x = [0.0; N];
         self.active_count = 0;
         self.iterations = 0;
