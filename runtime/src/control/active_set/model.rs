@@ -18,16 +18,11 @@ const TOLERANCE: f64 = 1e-12;
 impl<const N: usize> Method<N> {
     /// From the optimum without cones to the one with them.
     pub(super) fn meet_cones(&mut self) -> Result<Entry, Failure> {
-        if self.cones.hold(&self.x, self.tolerance()) {
-            return Ok(Entry::Active);
-        }
         for _ in 0..MODELS_MAX {
             self.count_iteration()?;
             let before = self.x;
             let exact = self.set_model()?;
-            if self.settle()? == Entry::Dependent {
-                return Ok(Entry::Dependent);
-            }
+            let settled = self.settle()?;
             let mut step = before;
             for (step, x) in step.iter_mut().zip(&self.x) {
                 *step -= x;
@@ -37,7 +32,7 @@ impl<const N: usize> Method<N> {
             }
             let tolerance = TOLERANCE * (1.0 + largest(&self.x));
             if exact && self.cones.hold(&self.x, tolerance) {
-                return Ok(Entry::Active);
+                return Ok(settled);
             }
             self.held = [0.0; CONES_MAX];
         }
@@ -63,9 +58,12 @@ impl<const N: usize> Method<N> {
                     .ok_or(Failure::Infeasible)?;
             }
         }
-        if forces.iter().all(|force| *force <= 0.0) {
+        let curved = forces.iter().any(|force| *force > 0.0);
+        if !curved && !self.curved {
+            // The factors are those of the Hessian alone, as before.
             return Ok(exact);
         }
+        self.curved = curved;
         for ((slope, curved), plain) in self.slope.iter_mut().zip(&hessian).zip(&self.hessian) {
             *slope = dot(plain, &self.x) - dot(curved, &self.x);
         }
