@@ -4,9 +4,9 @@ use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
 use std::error::Error;
 
+use hal::config::Source;
 use hal::{ArmError, ArmState, Chunk, JointVector, Pose, TimeNs, TipTarget};
 use nalgebra::Translation3;
-use hal::config::Source;
 use runtime::control::{
     ControlConfig, Controller, Fault, OperatorEvent, QpOutcome, TickInput, TickOutput,
 };
@@ -204,12 +204,17 @@ impl<const ARMS: usize> Rig<ARMS> {
         ];
         for accident in accidents {
             // Only the first arm has the accident; another one is paused by it.
-            let events = core::array::from_fn(|arm| if arm == 0 { accident } else { Event::default() });
+            let events =
+                core::array::from_fn(|arm| if arm == 0 { accident } else { Event::default() });
             let (outputs, requests) = self.tick(events);
             let fault: Option<Fault> = outputs[0].report.fault;
             assert!(fault.is_some());
             assert_eq!(requests, 0, "{fault:?}");
-            for operator in [None, Some(OperatorEvent::Clear), Some(OperatorEvent::Disable)] {
+            for operator in [
+                None,
+                Some(OperatorEvent::Clear),
+                Some(OperatorEvent::Disable),
+            ] {
                 for _ in 0..400 {
                     let (_, requests) = self.all(Event::default());
                     assert_eq!(requests, 0, "after {fault:?}");

@@ -199,8 +199,7 @@ impl ArmControl {
         if now.since(observed_at) > self.stale_ns {
             return None;
         }
-        self.aggregator
-            .targets(now, now.plus_ns(self.lookahead_ns))
+        self.aggregator.targets(now, now.plus_ns(self.lookahead_ns))
     }
 
     /// The share of the speed limits that holds: the operator's, and less right after the arm was enabled.

@@ -101,12 +101,7 @@ impl Filter {
     }
 
     /// The velocities nearest to `nominal` that satisfy `rows`, which were filled for `stances`.
-    pub fn filter(
-        &mut self,
-        nominal: &Velocities,
-        rows: &Rows,
-        stances: &[&Stance],
-    ) -> Filtered {
+    pub fn filter(&mut self, nominal: &Velocities, rows: &Rows, stances: &[&Stance]) -> Filtered {
         let (velocity, outcome) = if rows.hold(nominal, PASS_TOLERANCE) {
             (*nominal, QpOutcome::NotNeeded)
         } else {

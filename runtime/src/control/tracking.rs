@@ -104,7 +104,10 @@ impl Tracking {
         let share = BELOW_LIMITS * pace;
         let least = |limit: f64, speed: f64| share * limit / speed.max(1e-12);
         let moving = least(self.tip_speed_m_s, twist.fixed_rows::<3>(0).norm());
-        let turning = least(self.tip_angular_speed_rad_s, twist.fixed_rows::<3>(3).norm());
+        let turning = least(
+            self.tip_angular_speed_rad_s,
+            twist.fixed_rows::<3>(3).norm(),
+        );
         (0..JOINT_COUNT).fold(moving.min(turning).min(1.0), |scale, joint| {
             scale.min(least(self.axes[joint].velocity, wanted[joint].abs()))
         })

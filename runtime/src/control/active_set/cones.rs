@@ -121,7 +121,7 @@ impl<const N: usize> Cones<N> {
         Ok(())
     }
 
-    /// Whether `x` is in all cones, but for `tolerance` in units of `x`.
+    /// Whether `x` is in all cones, but for `tolerance` in units of `x`, at most a hundred times that in units of the radius.
     pub(super) fn hold(&self, x: &[f64; N], tolerance: f64) -> bool {
         self.cones.iter().take(self.used).all(|cone| {
             let value = cone.value(x);
@@ -131,7 +131,8 @@ impl<const N: usize> Cones<N> {
             }
             unit(value).is_some_and(|(direction, length)| {
                 let gradient = cone.gradient(&direction);
-                length - cone.radius <= tolerance * dot(&gradient, &gradient).sqrt()
+                let scale = dot(&gradient, &gradient).sqrt().min(100.0 * cone.radius);
+                length - cone.radius <= tolerance * scale
             })
         })
     }

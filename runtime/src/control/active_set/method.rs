@@ -66,6 +66,10 @@ pub(super) struct Method<const N: usize> {
     pub(super) slope: [f64; N],
     /// The half-space that stands for each cone.
     pub(super) cuts: [Option<Cut<N>>; CONES_MAX],
+    /// The factors are not those of the Hessian alone.
+    pub(super) curved: bool,
+    /// Multipliers of the cones, as the models' curvature remembers them.
+    pub(super) held: [f64; CONES_MAX],
     pub(super) x: [f64; N],
     pub(super) active: [Active<N>; N],
     pub(super) active_count: usize,
@@ -83,6 +87,8 @@ impl<const N: usize> Method<N> {
             factors: Factors::new(),
             slope: [0.0; N],
             cuts: [None; CONES_MAX],
+            curved: false,
+            held: [0.0; CONES_MAX],
             x: [0.0; N],
             active: [Active::EMPTY; N],
             active_count: 0,
@@ -117,6 +123,8 @@ impl<const N: usize> Method<N> {
         self.factors.start(&self.hessian)?;
         self.slope = [0.0; N];
         self.cuts = [None; CONES_MAX];
+        self.curved = false;
+        self.held = [0.0; CONES_MAX];
         self.x = [0.0; N];
         self.active_count = 0;
         self.iterations = 0;
@@ -126,10 +134,10 @@ impl<const N: usize> Method<N> {
     /// Solves the loaded problem.
     pub(super) fn solve(&mut self, iterations_max: u32) -> Result<Solution, Failure> {
         self.iterations_max = iterations_max;
-        let settled = match self.settle()? {
-            Entry::Active => self.meet_cones()?,
-            Entry::Dependent => Entry::Dependent,
-        };
+        let mut settled = self.settle()?;
+        if !self.cones.hold(&self.x, self.tolerance()) {
+            settled = self.meet_cones()?;
+        }
         if settled == Entry::Dependent {
             self.accept_dependent()?;
         }

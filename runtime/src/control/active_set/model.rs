@@ -9,39 +9,46 @@ use super::method::{Entry, Method, largest};
 const MODELS_MAX: u32 = 40;
 /// After a step shorter than this, in units of `1 + max |d|`, the next changes nothing: convergence is quadratic.
 const CONVERGED: f64 = 1e-7;
+/// A multiplier that vanishes fades by this from model to model. Without, a cone that is hardly active in one model would be
+/// forgotten in the next, and a few tight cones could take turns for ever.
+const FADING: f64 = 0.25;
 /// A cone may be violated by this, in units of `1 + max |d|`.
 const TOLERANCE: f64 = 1e-12;
 
 impl<const N: usize> Method<N> {
     /// From the optimum without cones to the one with them.
     pub(super) fn meet_cones(&mut self) -> Result<Entry, Failure> {
-        if self.cones.hold(&self.x, self.tolerance()) {
-            return Ok(Entry::Active);
-        }
         for _ in 0..MODELS_MAX {
             self.count_iteration()?;
             let before = self.x;
-            self.set_model()?;
-            if self.settle()? == Entry::Dependent {
-                return Ok(Entry::Dependent);
-            }
+            let exact = self.set_model()?;
+            let settled = self.settle()?;
             let mut step = before;
             for (step, x) in step.iter_mut().zip(&self.x) {
                 *step -= x;
             }
-            let tolerance = TOLERANCE * (1.0 + largest(&self.x));
-            if largest(&step) <= CONVERGED * (1.0 + largest(&self.x))
-                && self.cones.hold(&self.x, tolerance)
-            {
-                return Ok(Entry::Active);
+            if largest(&step) > CONVERGED * (1.0 + largest(&self.x)) {
+                continue;
             }
+            let tolerance = TOLERANCE * (1.0 + largest(&self.x));
+            if exact && self.cones.hold(&self.x, tolerance) {
+                return Ok(settled);
+            }
+            self.held = [0.0; CONES_MAX];
         }
         Err(Failure::IterationLimit)
     }
 
-    /// Puts half-spaces at the point in the place of the cones, and the cones' curvature into the factors.
-    fn set_model(&mut self) -> Result<(), Failure> {
-        let forces = self.forces();
+    /// Puts half-spaces at the point in the place of the cones, and the cones' curvature into the factors. False if a cone
+    /// curves the model more than its multiplier does.
+    fn set_model(&mut self) -> Result<bool, Failure> {
+        let pushing = self.forces();
+        let mut forces = pushing;
+        for (force, held) in forces.iter_mut().zip(&mut self.held) {
+            *held = force.max(FADING * *held);
+            *force = *held;
+        }
+        let exact = forces.iter().zip(&pushing).all(|(held, now)| held <= now);
         let mut hessian = self.hessian;
         for (cone, (force, cut)) in forces.iter().zip(&mut self.cuts).enumerate() {
             *cut = self.cones.cut_if(cone, *force > 0.0, &self.x)?;
@@ -51,9 +58,12 @@ impl<const N: usize> Method<N> {
                     .ok_or(Failure::Infeasible)?;
             }
         }
-        if forces.iter().all(|force| *force <= 0.0) {
-            return Ok(());
+        let curved = forces.iter().any(|force| *force > 0.0);
+        if !curved && !self.curved {
+            // The factors are those of the Hessian alone, as before.
+            return Ok(exact);
         }
+        self.curved = curved;
         for ((slope, curved), plain) in self.slope.iter_mut().zip(&hessian).zip(&self.hessian) {
             *slope = dot(plain, &self.x) - dot(curved, &self.x);
         }
@@ -62,7 +72,7 @@ impl<const N: usize> Method<N> {
             .start(&hessian)
             .map_err(|_| Failure::Infeasible)?;
         self.restart();
-        Ok(())
+        Ok(exact)
     }
 
     /// The multiplier of each cone.

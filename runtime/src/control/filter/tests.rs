@@ -151,8 +151,7 @@ fn what_no_row_touches_stays_as_it_is() {
         let jaw_within = nominal[JAW] > case.rows.low[JAW] && nominal[JAW] < case.rows.high[JAW];
         let coupled = case.rows.geometry.iter().any(|row| {
             let touches = crate::control::rows::dot(&row.coefficients, &filtered.velocity);
-            row.coefficients[AXES..].iter().any(|c| c.abs() > 0.0)
-                && touches > row.bound - 1e-9
+            row.coefficients[AXES..].iter().any(|c| c.abs() > 0.0) && touches > row.bound - 1e-9
         });
         if !coupled {
             let other: Vec<f64> = filtered.velocity[AXES..].to_vec();

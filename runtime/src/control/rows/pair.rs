@@ -60,13 +60,7 @@ pub(super) fn links(
 }
 
 /// How fast the place of `link` moves in the direction `towards` (RCM frame) per velocity of each axis.
-fn moving(
-    entries: &mut [f64],
-    stance: &Stance,
-    link: Link,
-    fraction: f64,
-    towards: &Vector3<f64>,
-) {
+fn moving(entries: &mut [f64], stance: &Stance, link: Link, fraction: f64, towards: &Vector3<f64>) {
     let (from_m, to_m) = stance.instrument.links()[link as usize];
     let point_m = from_m + (to_m - from_m) * fraction;
     let along = towards.transpose() * stance.point_jacobian(link, &point_m, fraction);

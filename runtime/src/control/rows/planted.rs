@@ -72,9 +72,7 @@ pub(crate) fn geometry_names(config: &ControlConfig) -> Vec<String> {
         }
     }
     if config.arms.len() > 1 && config.between_arms.is_some() {
-        names.extend(
-            PAIRS.map(|(one, other)| format!("between.{}.{}", one.name(), other.name())),
-        );
+        names.extend(PAIRS.map(|(one, other)| format!("between.{}.{}", one.name(), other.name())));
     }
     names
 }

@@ -149,3 +149,28 @@ fn rows_that_all_meet_in_one_point_do_not_cycle() {
         }
     }
 }
+
+/// Two cones of a hundredth of the wanted motion used to take turns: each model dropped the cone that the last one held, and
+/// forgot its curvature.
+#[test]
+fn cones_much_tighter_than_the_motion_do_not_take_turns() {
+    let mut random = SplitMix64::new(77);
+    let mut solver = ActiveSet::new();
+    for case in 0..6 * CASES {
+        let recipe = Recipe {
+            arms: 2,
+            rows_per_arm: 46,
+            nominal: random.between(0.1, 3.0),
+            ..RECIPE
+        };
+        let mut problem = Problem::random(&mut random, recipe);
+        for cone in &mut problem.cones {
+            cone.radius *= 0.01;
+        }
+        let solution = problem
+            .solve(&mut solver)
+            .unwrap_or_else(|failure| panic!("case {case}: {failure}"));
+        let violation = problem.violation(&solution.change);
+        assert!(violation <= 1e-9, "case {case}: {violation:e}");
+    }
+}

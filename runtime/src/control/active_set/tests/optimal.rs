@@ -158,3 +158,26 @@ fn two_arms_satisfy_the_optimality_conditions() {
     satisfies_the_conditions(TWO_ARMS, 7);
     satisfies_the_conditions(TWO_ARMS_CONES, 8);
 }
+
+#[test]
+fn every_size_agrees_with_clarabel() {
+    let mut random = SplitMix64::new(9);
+    let mut solver = ActiveSet::new();
+    for variables in 1..=VARIABLES_MAX {
+        let mut compared = 0;
+        for case in 0..100 {
+            let problem = Problem::of_size(&mut random, variables);
+            let change = problem.solve(&mut solver).expect("feasible").change;
+            assert!(change[variables..].iter().all(|entry| entry.to_bits() == 0));
+            let violation = problem.violation(&change);
+            assert!(violation <= 1e-9, "{variables}, {case}: {violation:e}");
+            if let Some(oracle) = problem.oracle() {
+                let (ours, theirs) = (problem.objective(&change), problem.objective(&oracle));
+                let gap = (ours - theirs).abs() / (1.0 + theirs);
+                assert!(gap <= 1e-8, "{variables}, {case}: {gap:e}");
+                compared += 1;
+            }
+        }
+        assert!(compared >= 95, "{variables}: only {compared} compared");
+    }
+}

@@ -102,6 +102,39 @@ impl Problem {
         }
     }
 
+    /// A problem of any size, all of whose variables act on each other, with three rows a variable and one cone.
+    pub(super) fn of_size(random: &mut SplitMix64, variables: usize) -> Self {
+        let nominal = vector(random, 0..variables);
+        let mut hessian = [[0.0; VARIABLES_MAX]; VARIABLES_MAX];
+        for _ in 0..variables {
+            let row = vector(random, 0..variables);
+            for i in 0..variables {
+                hessian[i][i] += 0.02;
+                for j in 0..variables {
+                    hessian[i][j] += row[i] * row[j];
+                }
+            }
+        }
+        let rows = (0..3 * variables)
+            .map(|_| {
+                let coefficients = vector(random, 0..variables);
+                at_rest(coefficients, &nominal, random.between(0.01, 1.0))
+            })
+            .collect();
+        let matrix = [(); 3].map(|()| vector(random, 0..variables));
+        let cone = Cone {
+            matrix,
+            offset: matrix.map(|row| dot(&row, &nominal)),
+            radius: random.between(0.05, 0.5),
+        };
+        Self {
+            hessian,
+            rows,
+            cones: vec![cone],
+            variables,
+        }
+    }
+
     pub(super) fn solve(&self, solver: &mut ActiveSet) -> Result<Solution, Failure> {
         solver.solve(
             &self.hessian,
