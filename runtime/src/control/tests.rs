@@ -4,6 +4,11 @@
     clippy::print_stdout,
     reason = "figures for whoever runs them with --nocapture"
 )]
+mod adversary;
+#[expect(
+    clippy::print_stdout,
+    reason = "figures for whoever runs them with --nocapture"
+)]
 mod following;
 mod modes;
 #[expect(
