@@ -55,8 +55,10 @@ pub(super) fn places(config: &ControlConfig, count: usize) -> (Vec<Place>, Vec<B
     }
     for &boundary in &all {
         let before = places.len();
-        for _ in 0..TRIES {
-            if places.len() == before + count {
+        // Ends are hard to find alone, and hard to press.
+        let more = if matches!(boundary, Boundary::End { .. }) { 3 } else { 1 };
+        for _ in 0..TRIES * more {
+            if places.len() == before + count * more as usize {
                 break;
             }
             if let Some(positions) = near(config, &all, boundary, &mut random) {
@@ -102,7 +104,10 @@ fn near(
     let goal = match boundary {
         Boundary::Axis { .. } => random.between(1e-3, 0.02),
         // Something else of the instrument is nearer.
-        Boundary::End { .. } => config.margins.filter_m + random.between(1e-4, 0.011),
+        Boundary::End { .. } => {
+            let far_m = if random.happens(0.3) { 0.011 } else { 0.004 };
+            config.margins.filter_m + random.between(1e-4, far_m)
+        }
         _ => config.margins.filter_m + random.between(1e-4, 0.004),
     };
     for _ in 0..60 {
@@ -268,6 +273,9 @@ fn place(
             }
         }));
     }
+    if let Some(Boundary::End { arm, .. }) = boundary {
+        presses.extend(wrist_turns(AXES * arm, &limit));
+    }
     let mut wanted: Vec<Velocities> = (1..8).map(|part| along(0.1 * f64::from(part))).collect();
     for _ in 0..4 {
         let mut one = [0.0; 2 * AXES];
@@ -287,6 +295,20 @@ fn place(
         presses,
         passes: wanted,
     }
+}
+
+/// The wrist's three axes turning in all ways at half their speeds.
+fn wrist_turns(first: usize, limit: &impl Fn(usize) -> f64) -> Vec<Velocities> {
+    (0..27)
+        .map(|code| {
+            let mut turn = [0.0; 2 * AXES];
+            for (axis, power) in [(3, 1), (4, 3), (5, 9)] {
+                let way = f64::from(code / power % 3 - 1);
+                turn[first + axis] = 0.5 * way * limit(first + axis);
+            }
+            turn
+        })
+        .collect()
 }
 
 /// Each axis alone, nearly as fast as it may.
