@@ -145,8 +145,8 @@ fn play<const ARMS: usize>(
             Request::Follow(candidate)
         });
         bench.step(&requests);
-        if bench.is_broken() {
-            return Some(bench.violation());
+        if let Some(violation) = bench.violation() {
+            return Some(violation);
         }
     }
     (script == Script::Benign && bench.refused > 0).then(|| "a benign motion is refused".to_owned())
@@ -158,7 +158,8 @@ fn kick(random: &mut SplitMix64, axes: &[AxisLimits; AXES], state: &mut MotionSt
     let axis = below(random, AXES);
     let (t, jerk) = (1e-3, axes[axis].jerk);
     let way = [-1.0, 1.0][below(random, 2)];
-    let size = way * random.between(2.2, [4.0, 20.0, 100.0][below(random, 3)]) * jerk;
+    let most = [4.0, 20.0, 100.0][below(random, 3)];
+    let size = way * random.between(2.2, most) * jerk;
     match below(random, 3) {
         0 => state.acceleration[axis] += size * t,
         1 => state.velocity[axis] += size * t * t / 2.0,

@@ -100,7 +100,10 @@ fn near(
     boundary: Boundary,
     random: &mut SplitMix64,
 ) -> Option<Vec<Axes>> {
-    let mut positions = anywhere(config, random);
+    // The way to the boundary hardly turns the instrument: begin with a posture that matters.
+    let mut positions = (0..300)
+        .map(|_| anywhere(config, random))
+        .find(|positions| matters(config, boundary, positions))?;
     let goal = match boundary {
         Boundary::Axis { .. } => random.between(1e-3, 0.02),
         // Something else of the instrument is nearer.

@@ -85,9 +85,16 @@ impl<'a> Bare<'a> {
     /// What is wrong with the filter at `place`, if anything.
     fn symptom(&mut self, place: &Place, fault: Option<&RowFault>) -> Option<Symptom> {
         for wanted in &place.presses {
-            let answer = self.answer(place, &[0.0; 2 * AXES], wanted, fault);
-            if let Some(symptom) = too_far(self.config, place, &answer) {
-                return Some(symptom);
+            // From rest, and in motion already, where accelerations bound less.
+            let moving = core::array::from_fn(|variable| {
+                let limit = self.config.axes[variable % AXES].velocity;
+                wanted[variable].clamp(-limit, limit)
+            });
+            for moving in [[0.0; 2 * AXES], moving] {
+                let answer = self.answer(place, &moving, wanted, fault);
+                if let Some(symptom) = too_far(self.config, place, &answer) {
+                    return Some(symptom);
+                }
             }
         }
         for wanted in &place.passes {

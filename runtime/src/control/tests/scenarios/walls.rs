@@ -168,9 +168,10 @@ fn a_target_within_a_region_for_a_minute_makes_no_chatter() {
     for (kind, config) in walls() {
         let at_rest = minute(kind, &config, 0.0, 0.045).rms();
         assert!(at_rest < 1e-4, "{kind}: {at_rest}");
+        // What the kinks between the steps of a chunk make of the same motion without a wall.
         let free = minute(kind, &config, 0.004, 0.0).rms();
         let pressed = minute(kind, &config, 0.004, 0.045).rms();
-        assert!(pressed < 10.0 * free && pressed < 0.02, "{kind}: {pressed}, free {free}");
+        assert!(pressed < 1.2 * free, "{kind}: {pressed}, free {free}");
     }
 }
 
