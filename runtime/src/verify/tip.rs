@@ -44,10 +44,7 @@ impl Tip {
 
     /// Checks the way from one place to the next, a period later.
     pub(super) fn check(&self, ledger: &mut Ledger, moment: Moment, before: &Place, after: &Place) {
-        let ids = match moment {
-            Moment::Command => [self.speed[0], self.angular_speed[0]],
-            Moment::Tail => [self.speed[1], self.angular_speed[1]],
-        };
+        let ids = [moment.of(self.speed), moment.of(self.angular_speed)];
         let speed = (after.0 - before.0).norm() / PERIOD_S;
         let angular_speed = before.1.angle_to(&after.1) / PERIOD_S;
         let bounds = [self.speed_m_s, self.angular_speed_rad_s];
