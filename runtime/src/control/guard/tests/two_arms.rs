@@ -240,9 +240,9 @@ fn arms_enabled_too_near_come_no_nearer_and_apart() {
                     rig.velocity[arm][0] = towards(&rig, arm);
                 }
             } else {
-                for arm in 0..2 {
-                    rig.velocity[arm] = [0.0; AXES];
-                    rig.velocity[arm][0] = away[arm];
+                for (velocity, away) in rig.velocity.iter_mut().zip(away) {
+                    *velocity = [0.0; AXES];
+                    velocity[0] = away;
                 }
             }
             rig.step();
