@@ -1,6 +1,6 @@
 //! Operator, faults and drives, seen from outside.
 
-use hal::{ArmError, ArmState, TipTarget};
+use hal::{ArmError, ArmState, TimeNs, TipTarget};
 use nalgebra::Vector3;
 
 use super::{Bench, config, pose};
@@ -149,4 +149,30 @@ fn an_arm_enabled_outside_its_workspace_comes_back_and_never_gets_further() {
         "{}",
         bench.tip().translation.z
     );
+}
+
+#[test]
+fn a_late_controller_goes_on_from_where_the_tail_has_led() {
+    for missed in [1, 5, 40, 400] {
+        let mut bench = moving();
+        let before = bench.step(None, None);
+        bench.tick += missed;
+        let now = bench.now();
+        // What the arm has played alone until now.
+        let alone = before.tail.command_at(now);
+        let last = before.tail.command_at(TimeNs(now.0 - hal::TICK_NS));
+        let output = bench.step(None, None);
+        for joint in 0..hal::JOINT_COUNT {
+            let jerk = config().axes[joint].jerk;
+            let off = (output.command.position[joint] - alone.position[joint]).abs();
+            // From the same moment one may go on with full jerk where the other brakes with it.
+            assert!(off < jerk * 1e-9 / 3.0 + 1e-12, "{missed} {joint}: {off:e}");
+            let change = (output.command.acceleration[joint] - last.acceleration[joint]).abs();
+            assert!(
+                change < jerk * 1e-3 * (1.0 + 1e-6),
+                "{missed} {joint}: {change}"
+            );
+        }
+        assert!(output.report.fault.is_none());
+    }
 }
