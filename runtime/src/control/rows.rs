@@ -23,6 +23,9 @@ pub const ARMS_MAX: usize = 2;
 /// and between the arms seven pairs of links.
 pub const GEOMETRY_MAX: usize = ARMS_MAX * (18 + 8 * FORBIDDEN_MAX) + 7;
 
+/// Speed of a tip that may not move, m/s or rad/s.
+const STANDSTILL: f64 = 1e-6;
+
 /// Velocities of all axes of all arms, arm by arm.
 pub type Velocities = [f64; VARIABLES_MAX];
 
@@ -142,7 +145,8 @@ impl Rows {
                     *entry = *value;
                 }
             }
-            let limit = limit * share;
+            // The solver wants an inside, however small.
+            let limit = (limit * share).max(STANDSTILL);
             self.cones.push(SpeedCone { matrix, limit });
         };
         cone(0, config.tip_speed_m_s);
