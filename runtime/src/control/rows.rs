@@ -23,9 +23,6 @@ pub const ARMS_MAX: usize = 2;
 /// and between the arms seven pairs of links.
 pub const GEOMETRY_MAX: usize = ARMS_MAX * (18 + 8 * FORBIDDEN_MAX) + 7;
 
-/// Speed of a tip that may not move, m/s or rad/s.
-const STANDSTILL: f64 = 1e-6;
-
 /// Velocities of all axes of all arms, arm by arm.
 pub type Velocities = [f64; VARIABLES_MAX];
 
@@ -135,7 +132,9 @@ impl Rows {
     }
 
     fn speeds(&mut self, config: &ControlConfig, first: usize, arm: &RowInput<'_>) {
-        let share = config.filter.speed_fraction * arm.pace;
+        // The bounds of its axes hold an arm whose pace is zero; a cone of no width would only make the problem harder.
+        let pace = if arm.pace > 0.0 { arm.pace } else { 1.0 };
+        let share = config.filter.speed_fraction * pace;
         let jacobian = arm.stance.frames.tip_jacobian();
         let mut cone = |from: usize, limit: f64| {
             let mut matrix = [[0.0; VARIABLES_MAX]; 3];
@@ -145,8 +144,7 @@ impl Rows {
                     *entry = *value;
                 }
             }
-            // The solver wants an inside, however small.
-            let limit = (limit * share).max(STANDSTILL);
+            let limit = limit * share;
             self.cones.push(SpeedCone { matrix, limit });
         };
         cone(0, config.tip_speed_m_s);
