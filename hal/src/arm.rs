@@ -2,7 +2,7 @@
 
 use core::fmt;
 
-use crate::{JointVector, TimeNs};
+use crate::{JointVector, SafeTail, TimeNs};
 
 /// What an arm measured in one control period.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -73,7 +73,7 @@ pub struct ArmCommand {
 /// An arm: simulated, on a bus, or replayed.
 ///
 /// A backend is read once and written once a control period, in that order. Before the first write it holds the
-/// position at which it was found.
+/// position at which it was found. When no further command comes it finishes alone the stop that came with the last one.
 pub trait Arm {
     /// The newest measurement at `now`.
     ///
@@ -81,11 +81,18 @@ pub trait Arm {
     /// [`ArmError`] when the measurement is lost or the drives have failed; the controller then faults.
     fn read(&mut self, now: TimeNs) -> Result<ArmState, ArmError>;
 
-    /// Hands over one setpoint.
+    /// Hands over one setpoint, with the checked stop that follows if no other does.
+    ///
+    /// A backend that gets no further command must play `tail` to rest, from the control period after `command` on, and
+    /// then hold: for good, since only another command may move it again. If `tail` is disabled it must not enable the
+    /// drives. [`TailPlayer`](crate::tail::TailPlayer) does this for a backend that commands every period itself; one
+    /// whose drives are out of reach when its own process dies sends them [`SafeTail::points`] ahead.
+    ///
+    /// A command after periods of silence must follow from where `tail` had led by then: a backend bridges no jump.
     ///
     /// # Errors
     /// [`ArmError`] when it could not be sent.
-    fn write(&mut self, command: &ArmCommand) -> Result<(), ArmError>;
+    fn write(&mut self, command: &ArmCommand, tail: &SafeTail) -> Result<(), ArmError>;
 }
 
 /// Why an arm could not be read or written.

@@ -1,8 +1,9 @@
 //! The shared vocabulary of Trocar.
 //!
 //! Read in this order: [`time`] and [`joints`] name what is counted and measured, [`psm`] is the arm as data,
-//! [`arm`] is the seam to a robot, [`camera`] and [`chunk`] are what a policy sees and says, and [`policy`] is the
-//! seam to whatever does the saying. This crate knows no physics, no networks and no control.
+//! [`arm`] is the seam to a robot and [`tail`] the stop that it can finish alone, [`camera`] and [`chunk`] are what a
+//! policy sees and says, and [`policy`] is the seam to whatever does the saying. This crate knows no physics, no networks
+//! and no control.
 
 pub mod arm;
 pub mod camera;
@@ -11,6 +12,7 @@ pub mod config;
 pub mod joints;
 pub mod policy;
 pub mod psm;
+pub mod tail;
 pub mod time;
 pub mod topic;
 
@@ -19,4 +21,5 @@ pub use camera::{CameraFrame, FrameRef, Intrinsics};
 pub use chunk::{Chunk, TipTarget};
 pub use joints::{JOINT_COUNT, JointVector, Pose};
 pub use policy::{Observation, Policy, PolicyError};
+pub use tail::SafeTail;
 pub use time::{TICK_NS, TimeNs};

@@ -1,9 +1,11 @@
 //! One episode of the simulated task: arm, needle, cameras and the verdict.
 //!
 //! The driver reads and writes it as a [`hal::Arm`] and calls [`Simulation::step`] once a control tick. Same task, seed
-//! and commands give the same bits.
+//! and commands give the same bits. If the driver falls silent the arm finishes alone the stop that came with the last
+//! command.
 
-use hal::{Arm, ArmCommand, ArmError, ArmState, CameraFrame, Pose, TimeNs};
+use hal::tail::TailPlayer;
+use hal::{Arm, ArmCommand, ArmError, ArmState, CameraFrame, Pose, SafeTail, TICK_NS, TimeNs};
 
 use crate::cameras::{SceneCameras, SceneSnapshot};
 use crate::render::RenderError;
@@ -62,6 +64,7 @@ pub struct Simulation {
     cameras: Option<SceneCameras>,
     frames: u64,
     stamp: TimeNs,
+    tail: TailPlayer,
 }
 
 impl Simulation {
@@ -115,11 +118,16 @@ impl Simulation {
             cameras,
             frames: 0,
             stamp: TimeNs(0),
+            tail: TailPlayer::new(TICK_NS),
         }
     }
 
-    /// Advances by one control tick, 1 ms.
+    /// Advances by one control tick, 1 ms: under the setpoint that was written since the last step or, if none was, under
+    /// the next point of the last one's tail.
     pub fn step(&mut self) {
+        if let Some(setpoint) = self.tail.next_period() {
+            self.world.command(&setpoint);
+        }
         self.world.step();
         self.monitor
             .observe(&self.world.needle_in_scene(), &self.world.grasp());
@@ -177,7 +185,7 @@ impl Simulation {
         Ok(())
     }
 
-    /// Digest of the whole physical state: equal after equal commands.
+    /// Digest of the whole physical state: equal after equal commands. The tail is what may come, so it is not in it.
     #[must_use]
     pub fn state_hash(&self) -> u64 {
         self.world.state_hash()
@@ -190,8 +198,12 @@ impl Arm for Simulation {
         Ok(self.world.measured(now))
     }
 
-    fn write(&mut self, command: &ArmCommand) -> Result<(), ArmError> {
+    fn write(&mut self, command: &ArmCommand, tail: &SafeTail) -> Result<(), ArmError> {
         self.world.command(command);
+        self.tail.write(command, tail);
         Ok(())
     }
 }
+
+#[cfg(test)]
+mod tests;

@@ -1,13 +1,14 @@
-//! The tick takes no memory from the system allocator, but for what Clarabel takes in a solve.
+//! The tick takes no memory from the system allocator, whatever happens in it.
 
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
 use std::error::Error;
 
+use hal::config::Source;
 use hal::{ArmError, ArmState, Chunk, JointVector, Pose, TimeNs, TipTarget};
 use nalgebra::Translation3;
 use runtime::control::{
-    ControlConfig, Controller, OperatorEvent, QpOutcome, TickInput, TickOutput,
+    ControlConfig, Controller, Fault, OperatorEvent, QpOutcome, TickInput, TickOutput,
 };
 use runtime::kinematics::forward;
 
@@ -46,56 +47,86 @@ unsafe impl GlobalAlloc for Counting {
 #[global_allocator]
 static ALLOCATOR: Counting = Counting;
 
-/// A controller, an arm that is wherever it was told to be, and what the ticks asked of the allocator.
-struct Rig {
-    controller: Controller,
-    arm: ArmState,
+/// What happens to one arm in one tick, beside its motion.
+#[derive(Clone, Copy, Default)]
+struct Event<'a> {
+    chunk: Option<&'a Chunk>,
+    operator: Option<OperatorEvent>,
+    error: Option<ArmError>,
+    /// How far the arm is from where it was told to be, rad.
+    off_rad: f64,
+}
+
+/// A controller, arms that are wherever they were told to be, and what the ticks asked of the allocator.
+struct Rig<const ARMS: usize> {
+    controller: Controller<ARMS>,
+    arms: [ArmState; ARMS],
     tick: u64,
     sequence: u64,
 }
 
 const HOME: [f64; 6] = [0.0, 0.0, 0.12, 0.0, 0.0, 0.0];
 
-impl Rig {
-    fn new() -> Result<Self, Box<dyn Error>> {
-        let config = ControlConfig::load(
-            &ControlConfig::default_control(),
-            &ControlConfig::needle_lift_safety(),
-        )?;
-        let home = JointVector::from(HOME);
+fn one_arm() -> Result<ControlConfig, Box<dyn Error>> {
+    Ok(ControlConfig::load(
+        &ControlConfig::default_control(),
+        &ControlConfig::needle_lift_safety(),
+    )?)
+}
+
+fn two_arms() -> Result<ControlConfig, Box<dyn Error>> {
+    let text = include_str!("../../runtime/src/control/tests/scenes/handover.toml");
+    Ok(ControlConfig::load(
+        &ControlConfig::default_control(),
+        &Source::embedded("handover.toml", text),
+    )?)
+}
+
+impl<const ARMS: usize> Rig<ARMS> {
+    fn new(config: &ControlConfig) -> Result<Self, Box<dyn Error>> {
         let mut rig = Self {
-            controller: Controller::new(&config)?,
-            arm: ArmState::at_rest(TimeNs(0), home, 0.2),
+            controller: Controller::for_arms(config)?,
+            arms: [ArmState::at_rest(TimeNs(0), JointVector::from(HOME), 0.2); ARMS],
             tick: 0,
             sequence: 0,
         };
-        rig.tick(None, Some(OperatorEvent::Enable), None);
+        rig.all(Event {
+            operator: Some(OperatorEvent::Enable),
+            ..Event::default()
+        });
         Ok(rig)
     }
 
+    /// One tick in which the same happens to all arms.
+    fn all(&mut self, event: Event<'_>) -> ([TickOutput; ARMS], u64) {
+        self.tick([event; ARMS])
+    }
+
     /// One tick, and how often it asked for memory.
-    fn tick(
-        &mut self,
-        chunk: Option<&Chunk>,
-        operator: Option<OperatorEvent>,
-        error: Option<ArmError>,
-    ) -> (TickOutput, u64) {
+    fn tick(&mut self, events: [Event<'_>; ARMS]) -> ([TickOutput; ARMS], u64) {
         let now = TimeNs::from_tick(self.tick);
-        self.arm.stamp = now;
-        let measured = error.map_or(Ok(self.arm), Err);
-        let before = REQUESTS.get();
-        let output = self.controller.tick(&TickInput {
-            now,
-            measured,
-            chunk,
-            operator,
+        let inputs: [TickInput<'_>; ARMS] = core::array::from_fn(|arm| {
+            let event = &events[arm];
+            let mut state = self.arms[arm];
+            state.stamp = now;
+            state.position[1] += event.off_rad;
+            TickInput {
+                now,
+                measured: event.error.map_or(Ok(state), Err),
+                chunk: event.chunk,
+                operator: event.operator,
+            }
         });
+        let before = REQUESTS.get();
+        let outputs = self.controller.tick_arms(&inputs);
         let requests = REQUESTS.get() - before;
         self.tick += 1;
-        self.arm.position = output.command.position;
-        self.arm.velocity = output.command.velocity;
-        self.arm.jaw_position = output.command.jaw_position;
-        (output, requests)
+        for (arm, output) in self.arms.iter_mut().zip(&outputs) {
+            arm.position = output.command.position;
+            arm.velocity = output.command.velocity;
+            arm.jaw_position = output.command.jaw_position;
+        }
+        (outputs, requests)
     }
 
     /// A chunk that wants the tip at `offset_m` from home, observed now.
@@ -110,66 +141,123 @@ impl Rig {
             &[target; 50],
         )
     }
-}
 
-#[test]
-fn a_tick_without_a_solve_takes_no_memory() {
-    let mut rig = Rig::new().unwrap();
-    for round in 0..200_u64 {
-        let offset = if round.is_multiple_of(2) { 0.01 } else { -0.01 };
-        let chunk = rig.chunk([offset, 0.0, 0.0]);
-        for tick in 0..40 {
-            let (output, requests) = rig.tick((tick == 0).then_some(&chunk), None, None);
-            assert_eq!(output.report.qp, QpOutcome::NotNeeded);
-            assert_eq!(requests, 0, "round {round}, tick {tick}");
-        }
-    }
-    assert!(
-        (rig.arm.position - JointVector::from(HOME)).norm() > 1e-4,
-        "the arm has not moved"
-    );
-}
-
-#[test]
-fn clarabel_takes_memory_twice_a_solve_at_most() {
-    let mut rig = Rig::new().unwrap();
-    let (mut solves, mut most) = (0, 0);
-    for _ in 0..200 {
-        // Far below the floor of the workspace.
-        let chunk = rig.chunk([0.0, 0.0, -0.058]);
-        for tick in 0..40 {
-            let (output, requests) = rig.tick((tick == 0).then_some(&chunk), None, None);
-            match output.report.qp {
-                QpOutcome::Solved { .. } => {
-                    solves += 1;
-                    most = most.max(requests);
+    /// Moves to and fro between two offsets; how many ticks solved the QP, and in how many it failed.
+    fn to_and_fro(&mut self, offsets_m: [[f64; 3]; 2], rounds: u64) -> (u32, u32) {
+        let (mut solved, mut failed) = (0, 0);
+        for round in 0..rounds {
+            let [one, other] = offsets_m;
+            let chunk = self.chunk(if round.is_multiple_of(2) { one } else { other });
+            for tick in 0..40 {
+                let chunk = (tick == 0).then_some(&chunk);
+                let (outputs, requests) = self.all(Event {
+                    chunk,
+                    ..Event::default()
+                });
+                assert_eq!(requests, 0, "round {round}, tick {tick}");
+                match outputs[0].report.qp {
+                    QpOutcome::NotNeeded => {}
+                    QpOutcome::Solved { .. } => solved += 1,
+                    QpOutcome::Failed => failed += 1,
                 }
-                QpOutcome::NotNeeded => assert_eq!(requests, 0),
-                QpOutcome::Failed => panic!("the QP failed at tick {}", rig.tick),
             }
         }
+        (solved, failed)
     }
-    assert!(solves > 100, "only {solves} ticks needed the QP");
-    assert!(most <= 2, "a solve took memory {most} times");
+
+    /// What goes wrong in an operating room.
+    fn accidents(&mut self) {
+        let mut nonsense = self.chunk([0.005, 0.0, 0.0]);
+        nonsense.targets[3].position_m[1] = f64::NAN;
+        let chunk = Some(&nonsense);
+        let (outputs, requests) = self.all(Event {
+            chunk,
+            ..Event::default()
+        });
+        let verdict = outputs[0].report.gate;
+        assert!(verdict.is_some_and(|verdict| !verdict.is_accepted()));
+        assert_eq!(requests, 0, "a refused chunk");
+        for operator in [
+            OperatorEvent::Speed { percent: 30 },
+            OperatorEvent::Pause,
+            OperatorEvent::Resume,
+        ] {
+            let (_, requests) = self.all(Event {
+                operator: Some(operator),
+                ..Event::default()
+            });
+            assert_eq!(requests, 0, "{operator:?}");
+        }
+        let accidents = [
+            Event {
+                off_rad: 0.3,
+                ..Event::default()
+            },
+            Event {
+                error: Some(ArmError::MeasurementLost { age_ns: 1 }),
+                ..Event::default()
+            },
+            Event {
+                error: Some(ArmError::DriveFault { axis: 2, code: 7 }),
+                ..Event::default()
+            },
+        ];
+        for accident in accidents {
+            // Only the first arm has the accident; another one is paused by it.
+            let events =
+                core::array::from_fn(|arm| if arm == 0 { accident } else { Event::default() });
+            let (outputs, requests) = self.tick(events);
+            let fault: Option<Fault> = outputs[0].report.fault;
+            assert!(fault.is_some());
+            assert_eq!(requests, 0, "{fault:?}");
+            for operator in [
+                None,
+                Some(OperatorEvent::Clear),
+                Some(OperatorEvent::Disable),
+            ] {
+                for _ in 0..400 {
+                    let (_, requests) = self.all(Event::default());
+                    assert_eq!(requests, 0, "after {fault:?}");
+                }
+                let (_, requests) = self.all(Event {
+                    operator,
+                    ..Event::default()
+                });
+                assert_eq!(requests, 0, "{operator:?} after {fault:?}");
+            }
+            let (outputs, _) = self.all(Event {
+                operator: Some(OperatorEvent::Enable),
+                ..Event::default()
+            });
+            assert_eq!(outputs[0].report.fault, None);
+        }
+    }
 }
 
 #[test]
-fn error_paths_take_no_memory() {
-    let mut rig = Rig::new().unwrap();
-    let mut nonsense = rig.chunk([0.005, 0.0, 0.0]);
-    nonsense.targets[3].position_m[1] = f64::NAN;
-    let (output, requests) = rig.tick(Some(&nonsense), None, None);
-    assert!(
-        output
-            .report
-            .gate
-            .is_some_and(|verdict| !verdict.is_accepted())
-    );
-    assert_eq!(requests, 0, "a refused chunk");
+fn one_arm_takes_no_memory() {
+    let mut rig = Rig::<1>::new(&one_arm().unwrap()).unwrap();
+    let (solved, _) = rig.to_and_fro([[0.01, 0.0, 0.0], [-0.01, 0.0, 0.0]], 200);
+    assert_eq!(solved, 0);
+    // Far below the floor of the workspace.
+    let (solved, failed) = rig.to_and_fro([[0.0, 0.0, -0.058], [0.01, 0.0, -0.058]], 200);
+    assert!(solved > 1000 && failed == 0, "{solved} {failed}");
+    rig.accidents();
+}
 
-    let (_, requests) = rig.tick(None, Some(OperatorEvent::Pause), None);
-    assert_eq!(requests, 0, "a pause");
-    let (output, requests) = rig.tick(None, None, Some(ArmError::MeasurementLost { age_ns: 1 }));
-    assert!(output.report.fault.is_some());
-    assert_eq!(requests, 0, "a lost measurement");
+#[test]
+fn two_arms_take_no_memory() {
+    let mut rig = Rig::<2>::new(&two_arms().unwrap()).unwrap();
+    let (solved, failed) = rig.to_and_fro([[0.03, 0.0, -0.05], [-0.03, 0.0, -0.05]], 200);
+    assert!(solved > 1000 && failed == 0, "{solved} {failed}");
+    rig.accidents();
+}
+
+#[test]
+fn a_filter_that_fails_takes_no_memory() {
+    let mut config = one_arm().unwrap();
+    config.filter.iterations_max = 1;
+    let mut rig = Rig::<1>::new(&config).unwrap();
+    let (_, failed) = rig.to_and_fro([[0.01, 0.0, -0.058], [-0.01, 0.0, -0.058]], 50);
+    assert!(failed > 10, "{failed}");
 }

@@ -224,9 +224,10 @@ mod tests {
     fn a_small_or_crowded_scene_is_refused() {
         let control = ControlConfig::default_control();
         let safety = ControlConfig::needle_lift_safety();
-        let flat = safety
-            .text()
-            .replace("_max_m = [0.06, 0.05, 0.09]", "_max_m = [0.06, 0.05, -0.01]");
+        let flat = safety.text().replace(
+            "_max_m = [0.06, 0.05, 0.09]",
+            "_max_m = [0.06, 0.05, -0.01]",
+        );
         let error = ControlConfig::load(&control, &Source::embedded("s.toml", &flat))
             .unwrap_err()
             .to_string();

@@ -1,90 +1,64 @@
-//! The tick: measured arm and newest chunk in, command out. Hot path: bounded, no I/O, no clock, no lock; allocates only inside
-//! Clarabel's solve.
+//! The tick: measured arms and newest chunks in, commands out. Hot path: bounded, no allocation, no I/O, no clock, no lock.
 
-use clarabel::solver::SolverError;
-use hal::{ArmError, ArmState, Chunk, JOINT_COUNT, JointVector, Pose, TICK_NS, TimeNs, TipTarget};
+use hal::tail::{AxisPoint, AxisTail, SafeTail, TailPhase};
+use hal::{JointVector, Pose, TimeNs};
 
-use super::aggregate::Aggregator;
+use super::arm_control::{ArmControl, Plan};
 use super::config::ControlConfig;
-use super::filter::{Filter, Filtered};
-use super::gate::{Gate, Verdict};
-use super::guard::Guard;
-use super::mode::{Event, Mode, OperatingState, next};
-use super::motion::{AXES, Axes, JAW, MotionState};
-use super::report::{Fault, QpOutcome, TickInput, TickOutput, TickReport};
-use super::rows::Rows;
+use super::filter::{Filter, Filtered, Problem};
+use super::guard::{Decision, Guard, GuardError, Request};
+use super::instrument::Stance;
+use super::mode::{Event, Mode, OperatingState, OperatorEvent};
+use super::motion::{AXES, Axes, AxisLimits, MotionState};
+use super::report::{QpOutcome, TickInput, TickOutput, TickReport};
+use super::rows::{RowInput, Rows, Velocities};
 use super::smoother::Smoother;
-use super::tracking::Tracking;
-use crate::kinematics::{Frames, forward};
+use super::stop::Remainder;
+use crate::kinematics::forward;
 
 /// One tick, s.
 const TICK_S: f64 = 1e-3;
 
-/// The controller of one arm: aggregate, inverse kinematics, filter, smoother, guard.
+/// The controller of one arm or of two that share a scene: aggregate, inverse kinematics, filter, smoother, guard.
 ///
-/// It starts disabled and follows the measured arm until the operator enables it, so that the first command is where the arm
-/// is. The same inputs give the same commands, bit for bit.
+/// An arm starts disabled and follows the measured arm until the operator enables it, so that the first command is where the
+/// arm is. A fault of one arm pauses the other. The same inputs give the same commands, bit for bit.
 #[derive(Debug)]
-pub struct Controller {
-    state: OperatingState,
-    homed: bool,
-    /// Whether the drives hold torque.
-    powered: bool,
-    fault: Option<Fault>,
-    /// What was commanded last.
-    commanded: MotionState,
-    pub(super) gate: Gate,
-    aggregator: Aggregator,
-    tracking: Tracking,
+pub struct Controller<const ARMS: usize = 1> {
+    pub(super) arms: [ArmControl; ARMS],
+    smoothers: [Smoother; ARMS],
+    rows: Rows,
     filter: Filter,
-    smoother: Smoother,
-    guard: Guard,
-    tracking_error_max: [f64; JOINT_COUNT],
-    stale_ns: u64,
-    lookahead_ns: u64,
+    guard: Guard<ARMS>,
     config: ControlConfig,
-    /// Lets a test show what the guard is for.
+    /// What a test breaks, to see what the rest is worth.
     #[cfg(test)]
-    pub(super) guard_removed: bool,
+    pub(super) sabotage: super::sabotage::Sabotage,
 }
 
-/// What a tick's motion came from.
-struct Motion {
-    filtered: Filtered,
-    target: Option<TipTarget>,
-    guard_intervened: bool,
+/// Why there is no such controller.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum ControllerError {
+    /// It is for another number of arms.
+    #[error("the configuration has {configured} arms, the controller is for {wanted}")]
+    ArmCount {
+        /// Arms in the configuration.
+        configured: usize,
+        /// Arms of the controller.
+        wanted: usize,
+    },
+    /// There is no guard for these arms.
+    #[error(transparent)]
+    Guard(#[from] GuardError),
 }
 
 impl Controller {
-    /// A disabled controller; this allocates all that a tick needs, but for Clarabel's solves.
+    /// A disabled controller of one arm; see [`Self::for_arms`].
     ///
     /// # Errors
-    /// [`SolverError`] if the QP solver cannot be built.
-    pub fn new(config: &ControlConfig) -> Result<Self, SolverError> {
-        let rest = MotionState {
-            position: [0.0; AXES],
-            velocity: [0.0; AXES],
-            acceleration: [0.0; AXES],
-        };
-        Ok(Self {
-            state: OperatingState::Disabled,
-            homed: false,
-            powered: false,
-            fault: None,
-            commanded: rest,
-            gate: Gate::new(config.gate),
-            aggregator: Aggregator::new(config.aggregation),
-            tracking: Tracking::new(config),
-            filter: Filter::new(config)?,
-            smoother: Smoother::new(&config.axes, TICK_S),
-            guard: Guard::new(config, &rest, TICK_S),
-            tracking_error_max: config.tracking_error_max,
-            stale_ns: config.stale_ns,
-            lookahead_ns: config.lookahead_ns,
-            config: config.clone(),
-            #[cfg(test)]
-            guard_removed: false,
-        })
+    /// [`ControllerError`] if the configuration has two.
+    pub fn new(config: &ControlConfig) -> Result<Self, ControllerError> {
+        Self::for_arms(config)
     }
 
     /// Tip pose at `joints`, in the RCM frame.
@@ -96,198 +70,210 @@ impl Controller {
     /// The operating state with CRTK's flags.
     #[must_use]
     pub fn mode(&self) -> Mode {
-        Mode {
-            state: self.state,
-            homed: self.homed,
-            busy: !self.commanded.is_at_rest(),
-        }
+        let [arm] = &self.arms;
+        arm.mode()
     }
 
     /// Chunks that the gate let through, and chunks that it refused, since the start.
     #[must_use]
     pub fn chunk_counts(&self) -> (u64, u64) {
-        (self.gate.accepted_count(), self.gate.refused_count())
+        let [arm] = &self.arms;
+        (arm.gate.accepted_count(), arm.gate.refused_count())
     }
 
     /// One control period.
     pub fn tick(&mut self, input: &TickInput<'_>) -> TickOutput {
-        self.look_at(&input.measured);
-        if let Some(event) = input.operator {
-            self.change(Event::Operator(event));
+        let [output] = self.tick_arms(core::array::from_ref(input));
+        output
+    }
+}
+
+impl<const ARMS: usize> Controller<ARMS> {
+    /// A disabled controller of as many arms as `config` has; this allocates all that a tick needs.
+    ///
+    /// # Errors
+    /// [`ControllerError`] if the configuration has another number of arms, or the number is not one or two.
+    pub fn for_arms(config: &ControlConfig) -> Result<Self, ControllerError> {
+        let configured = config.arms.len();
+        if configured != ARMS {
+            return Err(ControllerError::ArmCount {
+                configured,
+                wanted: ARMS,
+            });
         }
-        let (gate, motion) = match self.state {
-            OperatingState::Enabled => {
-                let gate = input.chunk.and_then(|chunk| self.take(chunk, input.now));
-                (gate, self.follow(input.now))
+        Ok(Self {
+            arms: core::array::from_fn(|_| ArmControl::new(config)),
+            smoothers: core::array::from_fn(|_| Smoother::new(&config.axes, TICK_S)),
+            rows: Rows::new(config),
+            filter: Filter::new(config),
+            guard: Guard::new(config, &[MotionState::ZERO; ARMS], TICK_S)?,
+            config: config.clone(),
+            #[cfg(test)]
+            sabotage: super::sabotage::Sabotage::default(),
+        })
+    }
+
+    /// The problem that the filter solved last, for a second opinion.
+    #[must_use]
+    pub const fn problem(&self) -> &Problem {
+        self.filter.problem()
+    }
+
+    /// The filter's answer to that problem: the change of each axis in units of its velocity limit.
+    #[must_use]
+    pub const fn solution(&self) -> &Velocities {
+        self.filter.solution()
+    }
+
+    /// One control period of all arms, which share one `now`.
+    pub fn tick_arms(&mut self, inputs: &[TickInput<'_>; ARMS]) -> [TickOutput; ARMS] {
+        for (index, (arm, input)) in self.arms.iter_mut().zip(inputs).enumerate() {
+            if arm.observe(input) {
+                self.guard.seed(index, &arm.commanded);
             }
-            OperatingState::Disabled | OperatingState::Paused | OperatingState::Fault => {
-                (None, self.come_to_rest())
+        }
+        self.pause_beside_a_fault(inputs);
+        let stances: [Stance; ARMS] =
+            core::array::from_fn(|arm| Stance::new(&self.arms[arm].commanded));
+        let plans: [Plan; ARMS] =
+            core::array::from_fn(|arm| self.arms[arm].plan(&inputs[arm], &stances[arm]));
+        let filtered = self.filter(&plans, &stances);
+        let requests = core::array::from_fn(|arm| self.request(arm, &plans[arm], &filtered));
+        let commanded = core::array::from_fn(|arm| self.arms[arm].commanded);
+        let decisions = self.decide(&commanded, &requests);
+        core::array::from_fn(|arm| {
+            let now = inputs[arm].now;
+            self.finish(arm, now, &plans[arm], &filtered, &decisions[arm])
+        })
+    }
+
+    /// The scene is shared: where one arm has a fault the other comes to rest and waits for the operator.
+    fn pause_beside_a_fault(&mut self, inputs: &[TickInput<'_>; ARMS]) {
+        let fault = |arm: &ArmControl| arm.state == OperatingState::Fault;
+        if self.arms.iter().any(fault) {
+            for (arm, input) in self.arms.iter_mut().zip(inputs) {
+                arm.change(Event::Operator(OperatorEvent::Pause), input.now);
             }
-        };
+        }
+    }
+
+    fn filter(&mut self, plans: &[Plan; ARMS], stances: &[Stance; ARMS]) -> Filtered {
+        if !plans.iter().any(|plan| plan.follows) {
+            return Filtered::AT_REST;
+        }
+        let inputs: [RowInput<'_>; ARMS] = core::array::from_fn(|arm| RowInput {
+            state: &self.arms[arm].commanded,
+            stance: &stances[arm],
+            moves: plans[arm].follows,
+            jaw_effort_n_m: self.arms[arm].jaw_effort_n_m,
+            pace: plans[arm].pace,
+        });
+        self.rows.fill(&self.config, &inputs);
+        #[cfg(test)]
+        self.sabotage.rows(&mut self.rows);
+        let mut nominal: Velocities = Filtered::AT_REST.velocity;
+        for (arm, plan) in nominal.chunks_exact_mut(AXES).zip(plans) {
+            arm.copy_from_slice(&plan.nominal);
+        }
+        let stances: [&Stance; ARMS] = core::array::from_fn(|arm| &stances[arm]);
+        let filtered = self.filter.filter(&nominal, &self.rows, &stances);
+        #[cfg(test)]
+        let filtered = self.sabotage.filtered(filtered);
+        filtered
+    }
+
+    fn request(&mut self, arm: usize, plan: &Plan, filtered: &Filtered) -> Request {
+        if !plan.follows {
+            return Request::Stop;
+        }
+        let velocity: Axes = core::array::from_fn(|axis| filtered.velocity[AXES * arm + axis]);
+        let limits = self.config.axes.map(|axis| AxisLimits {
+            velocity: axis.velocity * plan.pace,
+            ..axis
+        });
+        let smoother = &mut self.smoothers[arm];
+        smoother.set_limits(&limits);
+        Request::Follow(smoother.step(&self.arms[arm].commanded, &velocity))
+    }
+
+    fn decide(
+        &mut self,
+        commanded: &[MotionState; ARMS],
+        requests: &[Request; ARMS],
+    ) -> [Decision; ARMS] {
+        #[cfg(test)]
+        if self.sabotage.guard_removed {
+            return super::sabotage::without_guard(commanded, requests);
+        }
+        self.guard.next(commanded, requests)
+    }
+
+    fn finish(
+        &mut self,
+        index: usize,
+        now: TimeNs,
+        plan: &Plan,
+        filtered: &Filtered,
+        decision: &Decision,
+    ) -> TickOutput {
+        let arm = &mut self.arms[index];
+        arm.commanded = decision.state;
+        if !plan.follows {
+            arm.release();
+        }
+        let arm = &self.arms[index];
+        let correction = filtered.correction.get(index).copied().unwrap_or(0.0);
         TickOutput {
-            command: self.commanded.command(input.now, self.powered),
+            command: arm.commanded.command(now, arm.powered),
+            tail: self.tail(index, now, arm.powered),
             report: TickReport {
-                mode: self.mode(),
-                gate,
-                qp: motion.filtered.outcome,
-                rows_active: motion.filtered.rows_active,
-                correction: motion.filtered.correction,
-                guard_intervened: motion.guard_intervened,
-                target: motion.target,
-                fault: self.fault,
+                mode: arm.mode(),
+                gate: plan.gate,
+                qp: if plan.follows {
+                    filtered.outcome
+                } else {
+                    QpOutcome::NotNeeded
+                },
+                rows_active: if plan.follows {
+                    filtered.rows_active
+                } else {
+                    0
+                },
+                correction,
+                guard_intervened: decision.intervened,
+                target: plan.target,
+                fault: arm.fault,
             },
         }
     }
 
-    /// Judges the measurement, and follows it while the drives are off.
-    fn look_at(&mut self, measured: &Result<ArmState, ArmError>) {
-        let fault = match measured {
-            Err(error) => Some(Fault::Arm(*error)),
-            Ok(arm) if !arm.is_finite() => Some(Fault::MeasurementNotFinite),
-            Ok(arm) => self.tracking_fault(arm),
+    /// What is left of the stop that the guard holds for `arm`, from the command on.
+    fn tail(&self, arm: usize, now: TimeNs, enabled: bool) -> SafeTail {
+        let axes = match self.guard.held(arm) {
+            Some((stop, played_s)) => stop
+                .axes()
+                .each_ref()
+                .map(|axis| axis_tail(&axis.remainder(played_s))),
+            None => self.arms[arm].commanded.position.map(AxisTail::at_rest),
         };
-        if let Some(fault) = fault {
-            self.fault = self.fault.or(Some(fault));
-            self.change(Event::Fail);
-            return;
-        }
-        if let Ok(arm) = measured {
-            self.homed = true;
-            if !self.powered {
-                self.commanded = MotionState::at_rest(arm);
-                self.guard.seed(&self.commanded);
-            }
+        SafeTail {
+            stamp: now,
+            axes,
+            enabled,
         }
     }
+}
 
-    fn tracking_fault(&self, arm: &ArmState) -> Option<Fault> {
-        if !self.powered {
-            return None;
-        }
-        let error = self.commanded.joints() - arm.position;
-        let joint =
-            (0..JOINT_COUNT).find(|&joint| error[joint].abs() > self.tracking_error_max[joint])?;
-        Some(Fault::TrackingError {
-            joint: u8::try_from(joint).unwrap_or(u8::MAX),
-            error: error[joint],
-        })
-    }
-
-    fn change(&mut self, event: Event) {
-        let before = self.state;
-        self.state = next(before, event);
-        if before == self.state {
-            return;
-        }
-        match self.state {
-            OperatingState::Enabled => {
-                self.aggregator.clear();
-                if before == OperatingState::Disabled {
-                    self.gate.forget();
-                }
-                self.powered = true;
-            }
-            OperatingState::Disabled => self.fault = None,
-            OperatingState::Paused | OperatingState::Fault => {}
-        }
-    }
-
-    fn take(&mut self, chunk: &Chunk, now: TimeNs) -> Option<Verdict> {
-        let tip = Self::tip_in_rcm(&self.commanded.joints());
-        let verdict = self.gate.judge(chunk, now, &tip)?;
-        if verdict.is_accepted() {
-            self.aggregator.push(chunk, now);
-        }
-        Some(verdict)
-    }
-
-    /// One tick towards the aggregated target; without one, towards rest.
-    fn follow(&mut self, now: TimeNs) -> Motion {
-        self.aggregator.advance(now);
-        let fresh = self
-            .aggregator
-            .newest_observed_at()
-            .is_some_and(|at| now.since(at) <= self.stale_ns);
-        let ahead_ns = self.lookahead_ns.max(TICK_NS);
-        let targets = if fresh {
-            self.aggregator.targets(now, now.plus_ns(ahead_ns))
-        } else {
-            None
-        };
-
-        let frames = Frames::at(&self.commanded.joints());
-        let nominal = targets.and_then(|(target, ahead)| {
-            self.tracking.velocity(
-                &self.commanded,
-                &frames,
-                &target,
-                &ahead,
-                TimeNs(ahead_ns).seconds(),
-            )
-        });
-        let nominal = nominal.unwrap_or([0.0; AXES]);
-        let rows = Rows::new(&self.config, &self.commanded, &frames);
-        let wanted = JointVector::from_fn(|joint, _| nominal[joint]);
-        let filtered = self.filter.filter(&wanted, &rows, &frames.tip_jacobian());
-
-        let velocity: Axes = core::array::from_fn(|axis| {
-            if axis == JAW {
-                nominal[JAW]
-            } else {
-                filtered.velocity[axis]
-            }
-        });
-        let candidate = self.smoother.step(&self.commanded, &velocity);
-        let guard_intervened = self.commit(candidate.as_ref());
-        Motion {
-            filtered,
-            target: targets.map(|(target, _)| target),
-            guard_intervened,
-        }
-    }
-
-    fn commit(&mut self, candidate: Option<&MotionState>) -> bool {
-        #[cfg(test)]
-        if let (true, Some(candidate)) = (self.guard_removed, candidate) {
-            self.commanded = *candidate;
-            return false;
-        }
-        let (state, intervened) = self.guard.next(&self.commanded, candidate);
-        self.commanded = state;
-        intervened
-    }
-
-    /// Plays the verified stop; at rest, releases the drives where that is asked for.
-    fn come_to_rest(&mut self) -> Motion {
-        if !self.commanded.is_at_rest() {
-            self.commanded = self.guard.play();
-        }
-        if self.commanded.is_at_rest() && self.releases() {
-            self.powered = false;
-        }
-        let filtered = Filtered {
-            velocity: JointVector::zeros(),
-            outcome: QpOutcome::NotNeeded,
-            rows_active: 0,
-            correction: 0.0,
-        };
-        Motion {
-            filtered,
-            target: None,
-            guard_intervened: false,
-        }
-    }
-
-    /// Whether the drives lose torque at rest. An arm that lost a measurement holds what it has in its jaws; one that does
-    /// not go where it is told, or whose drives have failed, must not press on.
-    fn releases(&self) -> bool {
-        match self.state {
-            OperatingState::Disabled => true,
-            OperatingState::Enabled | OperatingState::Paused => false,
-            OperatingState::Fault => matches!(
-                self.fault,
-                Some(Fault::TrackingError { .. } | Fault::Arm(ArmError::DriveFault { .. }))
-            ),
-        }
+fn axis_tail(rest: &Remainder) -> AxisTail {
+    AxisTail {
+        start: AxisPoint {
+            position: rest.position,
+            velocity: rest.velocity,
+            acceleration: rest.acceleration,
+        },
+        phases: rest.phases.map(|phase| TailPhase {
+            duration_s: phase.duration_s,
+            jerk: phase.jerk,
+        }),
     }
 }

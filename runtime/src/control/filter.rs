@@ -1,235 +1,250 @@
-//! The safety filter: the joint velocity nearest to the wanted one that satisfies every row. Hot path: bounded, no I/O, no
-//! lock; allocates only inside Clarabel's solve.
+//! The safety filter: the velocities nearest to the wanted ones that satisfy every row. Hot path: bounded, no allocation, no
+//! I/O, no lock.
 //!
-//! In units of the joint velocity limits, `x = u / v_max`: minimise the change of the tip's twist plus a little of the joints',
-//! `(x - x_nom)' P (x - x_nom) / 2`, subject to the rows of [`super::rows`]. The tip speed is a second-order cone.
+//! In units of the axes' velocity limits, `x = u / v_max`: minimise the change of each tip's twist plus a little of the joints'
+//! and all of the jaw's, `d' P d / 2` with `d = x - x_nominal`, subject to the rows of [`super::rows`]. Two arms are one problem,
+//! coupled by the rows between them. The tip's speed and angular speed are second-order cones.
 
-use clarabel::algebra::CscMatrix;
-use clarabel::solver::{
-    DefaultSettings, DefaultSolver, IPSolver, NonnegativeConeT, SecondOrderConeT, SolverError,
-    SolverStatus,
-};
-use hal::{JOINT_COUNT, JointVector};
-use nalgebra::{Matrix6, Vector6};
+use nalgebra::SMatrix;
 
-use super::config::{ControlConfig, FilterConfig};
+use super::active_set::{ActiveSet, Cone, LinearRow, VARIABLES_MAX};
+use super::config::ControlConfig;
+use super::instrument::Stance;
+use super::motion::{AXES, JAW};
 use super::report::QpOutcome;
-use super::rows::{GEOMETRY_ROWS, Rows};
+use super::rows::{ARMS_MAX, GEOMETRY_MAX, Rows, Velocities, WideJacobian, dot};
 
-const BOX_ROWS: usize = 2 * JOINT_COUNT;
-const LINEAR_ROWS: usize = BOX_ROWS + GEOMETRY_ROWS;
-const CONE_ROWS: usize = 4;
-const ROWS: usize = LINEAR_ROWS + CONE_ROWS;
-/// Entries of one column of `A`: one upper and one lower bound, the geometry, three of the cone.
-const COLUMN: usize = 2 + GEOMETRY_ROWS + 3;
-const UPPER_TRIANGLE: usize = JOINT_COUNT * (JOINT_COUNT + 1) / 2;
-
-/// A nominal velocity may exceed its rows by rounding and still pass unchanged.
+/// Nominal velocities may exceed their rows by rounding and still pass unchanged.
 const PASS_TOLERANCE: f64 = 1e-9;
 /// A solution that exceeds its rows by more is not trusted.
-const TRUST_TOLERANCE: f64 = 1e-6;
+const TRUST_TOLERANCE: f64 = 1e-7;
 /// A row nearer than this to its bound counts as active.
 const ACTIVE_TOLERANCE: f64 = 1e-5;
 
-/// What the filter made of a velocity.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Filtered {
-    /// Joint velocity, rad/s (m/s); zero if the filter failed.
-    pub velocity: JointVector,
-    /// How it came about.
-    pub outcome: QpOutcome,
-    /// Rows that it touches.
-    pub rows_active: u32,
-    /// Length of the change in units of the joint limits.
-    pub correction: f64,
+/// A quadratic programme in the change `d` of the scaled velocities.
+#[derive(Clone, Debug)]
+pub struct Problem {
+    /// Number of variables.
+    pub variables: usize,
+    /// `P`, of which the first `variables` rows and columns count.
+    pub hessian: [[f64; VARIABLES_MAX]; VARIABLES_MAX],
+    /// Bounds, two an axis, then geometry.
+    pub rows: Vec<LinearRow>,
+    /// Speed and angular speed of each tip.
+    pub cones: Vec<Cone>,
 }
 
-/// The filter with its solver, whose memory is made once and whose numbers change every time.
+/// What the filter made of the velocities.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Filtered {
+    /// Velocities of all axes, rad/s (m/s); zero if the filter failed.
+    pub velocity: Velocities,
+    /// How they came about.
+    pub outcome: QpOutcome,
+    /// Rows that they touch.
+    pub rows_active: u32,
+    /// Length of the change of each arm in units of its velocity limits.
+    pub correction: [f64; ARMS_MAX],
+}
+
+impl Filtered {
+    /// Nothing was asked for.
+    pub const AT_REST: Self = Self {
+        velocity: [0.0; VARIABLES_MAX],
+        outcome: QpOutcome::NotNeeded,
+        rows_active: 0,
+        correction: [0.0; ARMS_MAX],
+    };
+}
+
+/// The filter with its solver; all memory is made once.
+#[derive(Debug)]
 pub struct Filter {
-    solver: DefaultSolver<f64>,
-    hessian: Vec<f64>,
-    linear: Vec<f64>,
-    constraint: Vec<f64>,
-    bound: Vec<f64>,
-    scale: JointVector,
-    twist_weight: Vector6<f64>,
+    solver: Box<ActiveSet>,
+    problem: Problem,
+    solution: Velocities,
+    scale: Velocities,
+    tip_speed_m_s: f64,
+    twist_weights: [f64; 6],
     joint_weight: f64,
+    iterations_max: u32,
 }
 
 impl Filter {
     /// A filter for `config`.
-    ///
-    /// # Errors
-    /// [`SolverError`] if Clarabel refuses the pattern or its settings.
-    pub fn new(config: &ControlConfig) -> Result<Self, SolverError> {
-        let linear_weight = (config.tip_speed_m_s * config.tip_speed_m_s).recip();
-        let angular_weight =
-            (config.filter.angular_speed_rad_s * config.filter.angular_speed_rad_s).recip();
-        Ok(Self {
-            solver: solver(&config.filter)?,
-            hessian: vec![0.0; UPPER_TRIANGLE],
-            linear: vec![0.0; JOINT_COUNT],
-            constraint: vec![0.0; JOINT_COUNT * COLUMN],
-            bound: vec![0.0; ROWS],
-            scale: JointVector::from_fn(|joint, _| config.axes[joint].velocity),
-            twist_weight: Vector6::new(
-                linear_weight,
-                linear_weight,
-                linear_weight,
-                angular_weight,
-                angular_weight,
-                angular_weight,
-            ),
+    #[must_use]
+    pub fn new(config: &ControlConfig) -> Self {
+        let weight = |speed: f64| (speed * speed).recip();
+        let linear = weight(config.tip_speed_m_s);
+        let angular = weight(config.tip_angular_speed_rad_s);
+        let mut scale = [1.0; VARIABLES_MAX];
+        for arm in scale.chunks_exact_mut(AXES) {
+            for (scale, axis) in arm.iter_mut().zip(&config.axes) {
+                *scale = axis.velocity;
+            }
+        }
+        Self {
+            solver: Box::new(ActiveSet::new()),
+            problem: Problem {
+                variables: 0,
+                hessian: [[0.0; VARIABLES_MAX]; VARIABLES_MAX],
+                rows: Vec::with_capacity(2 * VARIABLES_MAX + GEOMETRY_MAX),
+                cones: Vec::with_capacity(2 * ARMS_MAX),
+            },
+            solution: [0.0; VARIABLES_MAX],
+            scale,
+            tip_speed_m_s: config.tip_speed_m_s,
+            twist_weights: [linear, linear, linear, angular, angular, angular],
             joint_weight: config.filter.joint_weight,
-        })
+            iterations_max: config.filter.iterations_max,
+        }
     }
 
-    /// The velocity nearest to `nominal` that satisfies `rows`; `jacobian` is the tip's.
-    pub fn filter(
-        &mut self,
-        nominal: &JointVector,
-        rows: &Rows,
-        jacobian: &Matrix6<f64>,
-    ) -> Filtered {
-        let (velocity, outcome) = if rows.hold(nominal, &self.scale, PASS_TOLERANCE) {
+    /// The velocities nearest to `nominal` that satisfy `rows`, which were filled for `stances`.
+    pub fn filter(&mut self, nominal: &Velocities, rows: &Rows, stances: &[&Stance]) -> Filtered {
+        let (velocity, outcome) = if rows.hold(nominal, PASS_TOLERANCE) {
             (*nominal, QpOutcome::NotNeeded)
         } else {
-            self.solve(nominal, rows, jacobian).map_or(
-                (JointVector::zeros(), QpOutcome::Failed),
+            self.solve(nominal, rows, stances).map_or(
+                ([0.0; VARIABLES_MAX], QpOutcome::Failed),
                 |(velocity, iterations)| (velocity, QpOutcome::Solved { iterations }),
             )
         };
         Filtered {
             velocity,
             outcome,
-            rows_active: rows.active(&velocity, &self.scale, ACTIVE_TOLERANCE),
-            correction: (velocity - nominal).component_div(&self.scale).norm(),
+            rows_active: rows.active(&velocity, ACTIVE_TOLERANCE),
+            correction: self.correction(nominal, &velocity),
         }
     }
 
+    /// The problem that was solved last, for a second opinion.
+    #[must_use]
+    pub const fn problem(&self) -> &Problem {
+        &self.problem
+    }
+
+    /// The answer to it: the change of each axis in units of its velocity limit.
+    #[must_use]
+    pub const fn solution(&self) -> &Velocities {
+        &self.solution
+    }
+
+    fn correction(&self, nominal: &Velocities, velocity: &Velocities) -> [f64; ARMS_MAX] {
+        let mut corrections = [0.0; ARMS_MAX];
+        let changes = nominal.iter().zip(velocity).zip(&self.scale);
+        for (axis, ((wanted, got), scale)) in changes.enumerate() {
+            if let Some(sum) = corrections.get_mut(axis / AXES) {
+                *sum += ((got - wanted) / scale).powi(2);
+            }
+        }
+        corrections.map(f64::sqrt)
+    }
+
+    /// The solution and the number of iterations; `None` if there is none that can be trusted.
     fn solve(
         &mut self,
-        nominal: &JointVector,
+        nominal: &Velocities,
         rows: &Rows,
-        jacobian: &Matrix6<f64>,
-    ) -> Option<(JointVector, u32)> {
-        self.set_cost(nominal, jacobian);
-        self.set_rows(rows);
-        let solver = &mut self.solver;
-        solver.update_P(&self.hessian).ok()?;
-        solver.update_q(&self.linear).ok()?;
-        solver.update_A(&self.constraint).ok()?;
-        solver.update_b(&self.bound).ok()?;
-        solver.solve();
-        if solver.solution.status != SolverStatus::Solved {
-            return None;
+        stances: &[&Stance],
+    ) -> Option<(Velocities, u32)> {
+        self.problem.variables = rows.variables;
+        self.set_cost(stances);
+        self.set_rows(nominal, rows);
+        self.set_cones(nominal, rows);
+        let solution = self
+            .solver
+            .solve(
+                &self.problem.hessian,
+                &self.problem.rows,
+                &self.problem.cones,
+                self.iterations_max,
+                self.problem.variables,
+            )
+            .ok()?;
+        self.solution = solution.change;
+        let mut velocity = *nominal;
+        let changes = solution.change.iter().zip(&self.scale);
+        for (velocity, (change, scale)) in velocity.iter_mut().zip(changes) {
+            *velocity += change * scale;
         }
-        let x = &solver.solution.x;
-        let velocity = JointVector::from_fn(|joint, _| x[joint] * self.scale[joint]);
-        // The solver's word is not enough: NaN and inaccurate answers fail here.
-        rows.hold(&velocity, &self.scale, TRUST_TOLERANCE)
-            .then_some((velocity, solver.solution.iterations))
+        let trusted = rows.hold(&velocity, TRUST_TOLERANCE);
+        trusted.then_some((velocity, solution.iterations))
     }
 
-    fn set_cost(&mut self, nominal: &JointVector, jacobian: &Matrix6<f64>) {
-        let twist = jacobian * Matrix6::from_diagonal(&self.scale);
-        let cost = twist.transpose() * Matrix6::from_diagonal(&self.twist_weight) * twist
-            + Matrix6::identity() * self.joint_weight;
-        let wanted = cost * nominal.component_div(&self.scale);
-        let mut entries = self.hessian.iter_mut();
-        for column in 0..JOINT_COUNT {
-            self.linear[column] = -wanted[column];
-            for (row, entry) in (0..=column).zip(entries.by_ref()) {
-                *entry = cost[(row, column)];
+    fn set_cost(&mut self, stances: &[&Stance]) {
+        self.problem.hessian = [[0.0; VARIABLES_MAX]; VARIABLES_MAX];
+        for (arm, stance) in stances.iter().enumerate() {
+            let first = AXES * arm;
+            let mut scaled = stance.frames.tip_jacobian();
+            for (joint, mut column) in scaled.column_iter_mut().enumerate() {
+                column *= self.scale[joint];
+            }
+            let mut weighted = scaled;
+            for (mut row, weight) in weighted.row_iter_mut().zip(self.twist_weights) {
+                row *= weight;
+            }
+            let cost: SMatrix<f64, 6, 6> = scaled.transpose() * weighted;
+            let block = self.problem.hessian.iter_mut().skip(first).take(AXES);
+            for (axis, line) in block.enumerate() {
+                for (other, entry) in line.iter_mut().skip(first).take(JAW).enumerate() {
+                    if axis < JAW {
+                        *entry = cost[(axis, other)];
+                    }
+                }
+                if let Some(diagonal) = line.get_mut(first + axis) {
+                    *diagonal += if axis == JAW { 1.0 } else { self.joint_weight };
+                }
             }
         }
     }
 
-    fn set_rows(&mut self, rows: &Rows) {
-        let speed = rows.tip_speed_m_s;
-        for (joint, column) in self.constraint.chunks_exact_mut(COLUMN).enumerate() {
-            let scale = self.scale[joint];
-            column[0] = 1.0;
-            column[1] = -1.0;
-            for (entry, row) in column[2..].iter_mut().zip(&rows.geometry) {
-                *entry = row.coefficients[joint] * scale / speed;
+    fn set_rows(&mut self, nominal: &Velocities, rows: &Rows) {
+        self.problem.rows.clear();
+        for axis in 0..rows.variables {
+            let wanted = nominal[axis];
+            for (sign, room) in [
+                (1.0, rows.high[axis] - wanted),
+                (-1.0, wanted - rows.low[axis]),
+            ] {
+                let mut coefficients = [0.0; VARIABLES_MAX];
+                coefficients[axis] = sign;
+                self.problem.rows.push(LinearRow {
+                    coefficients,
+                    bound: room / self.scale[axis],
+                });
             }
-            for (axis, entry) in column[2 + GEOMETRY_ROWS..].iter_mut().enumerate() {
-                *entry = -rows.tip[(axis, joint)] * scale / speed;
+        }
+        for row in &rows.geometry {
+            let mut coefficients = row.coefficients;
+            for (coefficient, scale) in coefficients.iter_mut().zip(&self.scale) {
+                *coefficient *= scale / self.tip_speed_m_s;
             }
-            self.bound[joint] = rows.high[joint] / scale;
-            self.bound[JOINT_COUNT + joint] = -rows.low[joint] / scale;
+            let room = row.bound - dot(&row.coefficients, nominal);
+            self.problem.rows.push(LinearRow {
+                coefficients,
+                bound: room / self.tip_speed_m_s,
+            });
         }
-        for (bound, row) in self.bound[BOX_ROWS..LINEAR_ROWS]
-            .iter_mut()
-            .zip(&rows.geometry)
-        {
-            *bound = row.bound / speed;
+    }
+
+    fn set_cones(&mut self, nominal: &Velocities, rows: &Rows) {
+        self.problem.cones.clear();
+        for (index, cone) in rows.cones.iter().enumerate() {
+            // In units of the whole limit, so that a soft start does not blow the numbers up.
+            let unit = self.twist_weights[3 * (index % 2)].sqrt();
+            let mut matrix: WideJacobian = cone.matrix;
+            for row in &mut matrix {
+                for (entry, scale) in row.iter_mut().zip(&self.scale) {
+                    *entry *= scale * unit;
+                }
+            }
+            self.problem.cones.push(Cone {
+                matrix,
+                offset: cone.matrix.map(|row| dot(&row, nominal) * unit),
+                radius: cone.limit * unit,
+            });
         }
-        self.bound[LINEAR_ROWS] = 1.0;
-    }
-}
-
-/// A solver for the fixed pattern, every structural entry kept.
-fn solver(config: &FilterConfig) -> Result<DefaultSolver<f64>, SolverError> {
-    let mut column_starts = vec![0];
-    let mut row_indices = Vec::with_capacity(UPPER_TRIANGLE);
-    for column in 0..JOINT_COUNT {
-        row_indices.extend(0..=column);
-        column_starts.push(row_indices.len());
-    }
-    let cost = CscMatrix::new(
-        JOINT_COUNT,
-        JOINT_COUNT,
-        column_starts,
-        row_indices,
-        vec![1.0; UPPER_TRIANGLE],
-    );
-
-    let mut column_starts = vec![0];
-    let mut row_indices = Vec::with_capacity(JOINT_COUNT * COLUMN);
-    for column in 0..JOINT_COUNT {
-        row_indices.extend([column, JOINT_COUNT + column]);
-        row_indices.extend(BOX_ROWS..LINEAR_ROWS);
-        row_indices.extend(LINEAR_ROWS + 1..ROWS);
-        column_starts.push(row_indices.len());
-    }
-    let constraint = CscMatrix::new(
-        ROWS,
-        JOINT_COUNT,
-        column_starts,
-        row_indices,
-        vec![1.0; JOINT_COUNT * COLUMN],
-    );
-
-    // No presolve, no dropped zeros: both would forbid new numbers. No equilibration: it is computed once, from the first
-    // numbers, and the problem is scaled already. No time limit: it would read the clock.
-    let settings = DefaultSettings {
-        max_iter: config.iterations_max,
-        verbose: false,
-        equilibrate_enable: false,
-        max_threads: 1,
-        direct_solve_method: "qdldl".to_owned(),
-        presolve_enable: false,
-        input_sparse_dropzeros: false,
-        ..DefaultSettings::default()
-    };
-    let cones = [NonnegativeConeT(LINEAR_ROWS), SecondOrderConeT(CONE_ROWS)];
-    DefaultSolver::new(
-        &cost,
-        &[0.0; JOINT_COUNT],
-        &constraint,
-        &[1.0; ROWS],
-        &cones,
-        settings,
-    )
-}
-
-impl core::fmt::Debug for Filter {
-    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
-        f.debug_struct("Filter")
-            .field("scale", &self.scale)
-            .finish_non_exhaustive()
     }
 }
 

@@ -126,6 +126,7 @@ impl InputHash {
             Some(OperatorEvent::Pause) => 3,
             Some(OperatorEvent::Resume) => 4,
             Some(OperatorEvent::Clear) => 5,
+            Some(OperatorEvent::Speed { percent }) => 6 | u64::from(percent) << 8,
         });
     }
 
@@ -198,6 +199,8 @@ mod tests {
             Some(OperatorEvent::Pause),
             Some(OperatorEvent::Resume),
             Some(OperatorEvent::Clear),
+            Some(OperatorEvent::Speed { percent: 0 }),
+            Some(OperatorEvent::Speed { percent: 100 }),
         ];
         let mut values = std::collections::BTreeSet::new();
         for error in errors {

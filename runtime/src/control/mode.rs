@@ -1,11 +1,11 @@
 //! What the arm is allowed to do: the CRTK operating states and the one function that changes them.
 //!
-//! | state    | enable  | disable  | pause    | resume   | clear    | fail  |
-//! |----------|---------|----------|----------|----------|----------|-------|
-//! | DISABLED | ENABLED | DISABLED | DISABLED | DISABLED | DISABLED | FAULT |
-//! | ENABLED  | ENABLED | DISABLED | PAUSED   | ENABLED  | ENABLED  | FAULT |
-//! | PAUSED   | PAUSED  | DISABLED | PAUSED   | ENABLED  | PAUSED   | FAULT |
-//! | FAULT    | FAULT   | FAULT    | FAULT    | FAULT    | DISABLED | FAULT |
+//! | state    | enable  | disable  | pause    | resume   | clear    | speed    | fail  |
+//! |----------|---------|----------|----------|----------|----------|----------|-------|
+//! | DISABLED | ENABLED | DISABLED | DISABLED | DISABLED | DISABLED | DISABLED | FAULT |
+//! | ENABLED  | ENABLED | DISABLED | PAUSED   | ENABLED  | ENABLED  | ENABLED  | FAULT |
+//! | PAUSED   | PAUSED  | DISABLED | PAUSED   | ENABLED  | PAUSED   | PAUSED   | FAULT |
+//! | FAULT    | FAULT   | FAULT    | FAULT    | FAULT    | DISABLED | FAULT    | FAULT |
 
 use core::fmt;
 
@@ -65,6 +65,11 @@ pub enum OperatorEvent {
     Resume,
     /// Acknowledge a fault; the arm stays disabled.
     Clear,
+    /// Lower the speed limits to a share of the configured ones, or raise them again; this changes no state.
+    Speed {
+        /// The share, percent; more than 100 counts as 100.
+        percent: u8,
+    },
 }
 
 /// What can change the operating state.
@@ -81,9 +86,10 @@ pub enum Event {
 pub const fn next(state: OperatingState, event: Event) -> OperatingState {
     use Event::{Fail, Operator};
     use OperatingState::{Disabled, Enabled, Fault, Paused};
-    use OperatorEvent::{Clear, Disable, Enable, Pause, Resume};
+    use OperatorEvent::{Clear, Disable, Enable, Pause, Resume, Speed};
     match (state, event) {
         (Disabled | Enabled | Paused | Fault, Fail) => Fault,
+        (Disabled | Enabled | Paused | Fault, Operator(Speed { .. })) => state,
 
         (Disabled, Operator(Enable)) => Enabled,
         (Disabled, Operator(Disable | Pause | Resume | Clear)) => Disabled,
@@ -123,6 +129,7 @@ mod tests {
             Event::Operator(OperatorEvent::Pause),
             Event::Operator(OperatorEvent::Resume),
             Event::Operator(OperatorEvent::Clear),
+            Event::Operator(OperatorEvent::Speed { percent: 50 }),
             Event::Fail,
         ];
         let rows: Vec<Vec<&str>> = include_str!("mode.rs")

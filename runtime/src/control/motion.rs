@@ -38,6 +38,13 @@ pub struct MotionState {
 }
 
 impl MotionState {
+    /// At rest with every axis at zero.
+    pub const ZERO: Self = Self {
+        position: [0.0; AXES],
+        velocity: [0.0; AXES],
+        acceleration: [0.0; AXES],
+    };
+
     /// At rest where `arm` was measured.
     #[must_use]
     pub fn at_rest(arm: &ArmState) -> Self {

@@ -2,6 +2,7 @@
 
 use core::fmt;
 
+use hal::tail::SafeTail;
 use hal::{ArmCommand, ArmError, ArmState, Chunk, TimeNs, TipTarget};
 
 use super::gate::Verdict;
@@ -25,6 +26,8 @@ pub struct TickInput<'a> {
 pub struct TickOutput {
     /// The setpoint for the end of this control period.
     pub command: ArmCommand,
+    /// The verified stop from there, for a backend that gets no further command.
+    pub tail: SafeTail,
     /// How it came about.
     pub report: TickReport,
 }
@@ -57,7 +60,7 @@ pub enum QpOutcome {
     NotNeeded,
     /// The QP was solved and its answer satisfies every row.
     Solved {
-        /// Interior-point iterations.
+        /// Iterations of the solver.
         iterations: u32,
     },
     /// No trustworthy answer; the arm is told to stop.

@@ -4,11 +4,6 @@
     clippy::print_stdout,
     reason = "figures for whoever runs them with --nocapture"
 )]
-mod adversary;
-#[expect(
-    clippy::print_stdout,
-    reason = "figures for whoever runs them with --nocapture"
-)]
 mod following;
 mod modes;
 

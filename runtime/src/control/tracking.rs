@@ -25,6 +25,7 @@ pub struct Tracking {
     high: JointVector,
     gain_1_s: f64,
     tip_speed_m_s: f64,
+    tip_angular_speed_rad_s: f64,
 }
 
 impl Tracking {
@@ -36,14 +37,15 @@ impl Tracking {
             low: JointVector::from_fn(|joint, _| config.axes[joint].low),
             high: JointVector::from_fn(|joint, _| config.axes[joint].high),
             gain_1_s: config.tracking_gain_1_s,
-            tip_speed_m_s: config.tip_speed_m_s * config.filter.tip_speed_fraction,
+            tip_speed_m_s: config.tip_speed_m_s * config.filter.speed_fraction,
+            tip_angular_speed_rad_s: config.tip_angular_speed_rad_s * config.filter.speed_fraction,
         }
     }
 
     /// The velocity of each axis that leads from `state` to `target`, which will be at `ahead` in `ahead_s`.
     ///
-    /// Joint and tip speeds are scaled together to within their limits, so that the path keeps its direction. `None` if the
-    /// target has no inverse kinematics.
+    /// Joint and tip speeds are scaled together to within `pace` times their limits, so that the path keeps its direction. `None`
+    /// if the target has no inverse kinematics.
     #[must_use]
     pub fn velocity(
         &self,
@@ -52,6 +54,7 @@ impl Tracking {
         target: &TipTarget,
         ahead: &TipTarget,
         ahead_s: f64,
+        pace: f64,
     ) -> Option<Axes> {
         let joints = self.joints(target, state.position[3])?;
         let later = self.joints(ahead, joints[3])?;
@@ -60,9 +63,12 @@ impl Tracking {
             let own = (later[joint] - joints[joint]) / ahead_s;
             wanted[joint] = own + self.approach(joint, joints[joint] - state.position[joint]);
         }
-        let wanted = wanted * self.scale(&wanted, frames);
+        let wanted = wanted * self.scale(&wanted, frames, pace);
         let jaw = target.jaw.clamp(self.axes[JAW].low, self.axes[JAW].high);
-        let jaw_velocity = self.approach(JAW, jaw - state.position[JAW]);
+        let jaw_max = BELOW_LIMITS * self.axes[JAW].velocity * pace;
+        let jaw_velocity = self
+            .approach(JAW, jaw - state.position[JAW])
+            .clamp(-jaw_max, jaw_max);
         Some(core::array::from_fn(|axis| {
             if axis == JAW {
                 jaw_velocity
@@ -93,13 +99,17 @@ impl Tracking {
             .copysign(error)
     }
 
-    fn scale(&self, wanted: &JointVector, frames: &Frames) -> f64 {
-        let tip_m_s = (frames.tip_jacobian() * wanted).fixed_rows::<3>(0).norm();
-        let mut scale = (BELOW_LIMITS * self.tip_speed_m_s / tip_m_s.max(1e-12)).min(1.0);
-        for joint in 0..JOINT_COUNT {
-            scale = scale
-                .min(BELOW_LIMITS * self.axes[joint].velocity / wanted[joint].abs().max(1e-12));
-        }
-        scale
+    fn scale(&self, wanted: &JointVector, frames: &Frames, pace: f64) -> f64 {
+        let twist = frames.tip_jacobian() * wanted;
+        let share = BELOW_LIMITS * pace;
+        let least = |limit: f64, speed: f64| share * limit / speed.max(1e-12);
+        let moving = least(self.tip_speed_m_s, twist.fixed_rows::<3>(0).norm());
+        let turning = least(
+            self.tip_angular_speed_rad_s,
+            twist.fixed_rows::<3>(3).norm(),
+        );
+        (0..JOINT_COUNT).fold(moving.min(turning).min(1.0), |scale, joint| {
+            scale.min(least(self.axes[joint].velocity, wanted[joint].abs()))
+        })
     }
 }

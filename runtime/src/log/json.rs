@@ -127,6 +127,7 @@ pub(super) enum OperatorMessage {
     Pause,
     Resume,
     Clear,
+    Speed { percent: u8 },
 }
 
 impl From<OperatorEvent> for OperatorMessage {
@@ -137,6 +138,7 @@ impl From<OperatorEvent> for OperatorMessage {
             OperatorEvent::Pause => Self::Pause,
             OperatorEvent::Resume => Self::Resume,
             OperatorEvent::Clear => Self::Clear,
+            OperatorEvent::Speed { percent } => Self::Speed { percent },
         }
     }
 }
@@ -149,6 +151,7 @@ impl From<OperatorMessage> for OperatorEvent {
             OperatorMessage::Pause => Self::Pause,
             OperatorMessage::Resume => Self::Resume,
             OperatorMessage::Clear => Self::Clear,
+            OperatorMessage::Speed { percent } => Self::Speed { percent },
         }
     }
 }

@@ -7,11 +7,12 @@ use hal::config::{ConfigError, Source};
 use hal::joints::JOINT_NAMES;
 use serde::Serialize;
 
-use crate::control::{CommandHash, ControlConfig, Controller, InputHash, TickInput};
+use crate::control::second_opinion;
+use crate::control::{CommandHash, ControlConfig, Controller, InputHash, QpOutcome, TickInput};
 use crate::log::{Loss, RunLog};
 
 /// What a replay found.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+#[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct ReplayResult {
     /// Whether every command in the log was recomputed bit for bit, and nothing that the controller saw is missing.
     pub identical: bool,
@@ -22,8 +23,34 @@ pub struct ReplayResult {
     pub inputs_checked: bool,
     /// Where the replay left the log.
     pub first_difference: Option<Difference>,
+    /// What Clarabel says to the filter's answers.
+    pub second_opinion: SecondOpinion,
     /// Why the log ends before its end, if it does; the rest of the result is about what comes before.
     pub cut: Option<String>,
+}
+
+/// How the filter's answers compare with Clarabel's at a tolerance of 1e-10.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+pub struct SecondOpinion {
+    /// Problems that were solved again.
+    pub problems: u64,
+    /// Of these, problems that Clarabel did not solve to that tolerance.
+    pub unsolved: u64,
+    /// Largest difference of a velocity, in units of the axis's limit.
+    pub largest_difference: f64,
+}
+
+impl SecondOpinion {
+    fn ask(&mut self, controller: &Controller) {
+        let problem = controller.problem();
+        self.problems += 1;
+        match second_opinion::compare(problem, controller.solution()) {
+            Some(comparison) => {
+                self.largest_difference = self.largest_difference.max(comparison.change);
+            }
+            None => self.unsolved += 1,
+        }
+    }
 }
 
 /// The first thing that the log and its replay disagree on.
@@ -95,6 +122,7 @@ pub fn replay(log: &RunLog) -> Result<ReplayResult, ReplayError> {
     let inputs_checked = log.input_hash.is_some();
     let mut hash = CommandHash::new();
     let mut inputs = InputHash::new();
+    let mut second_opinion = SecondOpinion::default();
     let mut ticks = 0;
     let mut last = 0;
     for (position, (logged, chunk)) in log.ticks().enumerate() {
@@ -110,9 +138,12 @@ pub fn replay(log: &RunLog) -> Result<ReplayResult, ReplayError> {
         }
         inputs.tick(logged.now, &logged.measured, logged.operator);
         let difference = inputs_lost.or_else(|| {
-            let computed = controller.tick(&input).command;
-            hash.add(&computed);
-            difference(logged.tick, &logged.command, &computed)
+            let output = controller.tick(&input);
+            if matches!(output.report.qp, QpOutcome::Solved { .. }) {
+                second_opinion.ask(&controller);
+            }
+            hash.add(&output.command);
+            difference(logged.tick, &logged.command, &output.command)
         });
         if difference.is_some() {
             return Ok(ReplayResult {
@@ -120,6 +151,7 @@ pub fn replay(log: &RunLog) -> Result<ReplayResult, ReplayError> {
                 ticks,
                 inputs_checked: false,
                 first_difference: difference,
+                second_opinion,
                 cut,
             });
         }
@@ -134,6 +166,7 @@ pub fn replay(log: &RunLog) -> Result<ReplayResult, ReplayError> {
         ticks,
         inputs_checked,
         first_difference,
+        second_opinion,
         cut,
     })
 }

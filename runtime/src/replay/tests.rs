@@ -18,6 +18,7 @@ fn tampered(name: &str, change: impl Fn(&mut Vec<TickRecord>)) -> ReplayResult {
 #[test]
 fn a_replay_recomputes_every_command() {
     let result = tampered("replay", |_| {});
+    let second_opinion = result.second_opinion;
     assert_eq!(
         result,
         ReplayResult {
@@ -25,9 +26,12 @@ fn a_replay_recomputes_every_command() {
             ticks: 700,
             inputs_checked: true,
             first_difference: None,
+            second_opinion,
             cut: None
         }
     );
+    assert_eq!(second_opinion.unsolved, 0);
+    assert!(second_opinion.largest_difference < 1e-5);
 }
 
 /// Writes an honest run and its inputs' hash, then reads it back with `change` made to what the log says.

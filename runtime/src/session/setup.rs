@@ -67,10 +67,13 @@ impl Setup {
             Some(path) => Source::read(&path.display().to_string())?,
             None => built_in_control(policy)?,
         };
+        let task_config = TaskConfig::parse(&scene)?;
+        let control_config = ControlConfig::load(&control, &safety)?;
+        check_bases(&task_config, &control_config)?;
         Ok(Self {
             task_name: task.to_owned(),
-            task: TaskConfig::parse(&scene)?,
-            control: ControlConfig::load(&control, &safety)?,
+            task: task_config,
+            control: control_config,
             texts: Texts {
                 control: control.text().to_owned(),
                 safety: safety.text().to_owned(),
@@ -138,6 +141,24 @@ impl Setup {
         let limit = (self.task.success.time_limit_s * 1e3) as u64;
         limit + 2000
     }
+}
+
+/// The scene and the safety limits must speak of the same arm at the same place.
+fn check_bases(task: &TaskConfig, control: &ControlConfig) -> Result<(), SessionError> {
+    let [arm] = control.arms.as_slice() else {
+        return Err(SessionError::BadArgument(format!(
+            "safety.toml: arm = {} arms, the scene has one",
+            control.arms.len()
+        )));
+    };
+    let off = task.scene_from_rcm.inverse() * arm.scene_from_rcm;
+    if off.translation.vector.norm() < 1e-6 && off.rotation.angle() < 1e-6 {
+        return Ok(());
+    }
+    Err(SessionError::BadArgument(format!(
+        "safety.toml: arm.0.rcm_in_scene_m is {}, scene.toml puts the arm at {}",
+        arm.scene_from_rcm, task.scene_from_rcm
+    )))
 }
 
 /// The built-in settings, with the aggregation that the checkpoint recommends.

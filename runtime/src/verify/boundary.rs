@@ -1,112 +1,125 @@
-//! The places where the instrument may be, as bounds on single numbers.
+//! A place or an angle that the instrument must stay within, as a bound on one side of a number.
 
-use hal::ArmCommand;
-use hal::psm::SHAFT_RADIUS_M;
-use nalgebra::Point3;
+use super::ledger::{Ledger, LimitId};
 
-use super::chain::{Instrument, distance_to_segment};
-use super::limits::Limits;
+/// What a value may exceed its bound by, m or rad; a speed, m/s or rad/s.
+pub(super) const TOLERANCE: f64 = 1e-6;
+
+/// What is checked: the command itself, or the stop that travels with it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Moment {
+    Command,
+    Tail,
+}
 
 /// A bound on one side of a value.
+///
+/// An arm that gets its torque beyond a boundary may stay there and get no worse than by `recovery`; the bound comes back
+/// with it.
+#[derive(Clone, Debug)]
 pub(super) struct Boundary {
-    pub(super) name: String,
-    pub(super) value: f64,
-    pub(super) bound: f64,
+    command: LimitId,
+    tail: LimitId,
+    bound: f64,
     /// 1 if the value must be at least the bound, -1 if at most.
-    pub(super) sign: f64,
-    /// How much worse a value may get that was outside when the arm was enabled.
+    side: f64,
     recovery: f64,
+    /// How far outside a value may be; `None` before the first command with torque.
+    allowance: Option<f64>,
 }
 
 impl Boundary {
-    const fn at_least(name: String, value: f64, bound: f64, recovery: f64) -> Self {
+    pub(super) fn at_least(
+        ledger: &mut Ledger,
+        arm: &str,
+        name: &str,
+        bound: f64,
+        recovery: f64,
+    ) -> Self {
         Self {
-            name,
-            value,
+            command: ledger.open(arm, name.to_owned()),
+            tail: ledger.open(arm, format!("tail.{name}")),
             bound,
-            sign: 1.0,
+            side: 1.0,
             recovery,
+            allowance: None,
         }
     }
 
-    const fn at_most(name: String, value: f64, bound: f64, recovery: f64) -> Self {
+    pub(super) fn at_most(
+        ledger: &mut Ledger,
+        arm: &str,
+        name: &str,
+        bound: f64,
+        recovery: f64,
+    ) -> Self {
         Self {
-            name,
-            value,
-            bound,
-            sign: -1.0,
-            recovery,
+            side: -1.0,
+            ..Self::at_least(ledger, arm, name, bound, recovery)
         }
     }
 
-    /// How far outside the first command of an enabled arm is, and may get.
-    pub(super) fn allowance(&self) -> f64 {
-        let outside = self.sign * (self.bound - self.value);
+    const fn id(&self, moment: Moment) -> LimitId {
+        match moment {
+            Moment::Command => self.command,
+            Moment::Tail => self.tail,
+        }
+    }
+
+    /// Checks `value`; the commands' own values set and tighten the allowance.
+    pub(super) fn check(&mut self, ledger: &mut Ledger, moment: Moment, value: f64) {
+        let fresh = self.allowance_of(value);
+        let allowance = self.allowance.unwrap_or(fresh);
+        if moment == Moment::Command {
+            self.allowance = Some(allowance.min(fresh));
+        }
+        let bound = self.bound - self.side * allowance;
+        let excess = self.side * (bound - value);
+        ledger.judge(self.id(moment), excess, TOLERANCE, value, bound);
+    }
+
+    /// A value that must be at least the bound and is known to be more than this needs no check: it is neither outside nor
+    /// nearer to the bound than any value before it.
+    pub(super) fn enough(&self, ledger: &Ledger, moment: Moment) -> f64 {
+        self.bound + (-ledger.worst_excess(self.id(moment))).max(0.0)
+    }
+
+    /// Takes note of a command's value that is beyond [`Self::enough`].
+    pub(super) fn is_clear(&mut self, moment: Moment) {
+        if moment == Moment::Command {
+            self.allowance = Some(0.0);
+        }
+    }
+
+    /// Forgets what was allowed: the next value of a command may be outside.
+    pub(super) fn forget(&mut self) {
+        self.allowance = None;
+    }
+
+    /// Something else than a command took the value from `before` to `after`; where that is outward, the bound moves with it.
+    pub(super) fn was_moved(&mut self, before: f64, after: f64) {
+        let worse = self.outside(after) - self.outside(before);
+        if let Some(allowance) = &mut self.allowance
+            && worse > 0.0
+        {
+            *allowance += worse;
+            if *allowance <= worse {
+                *allowance += self.recovery;
+            }
+        }
+    }
+
+    fn outside(&self, value: f64) -> f64 {
+        (self.side * (self.bound - value)).max(0.0)
+    }
+
+    /// How far outside an arm that is at `value` may be.
+    fn allowance_of(&self, value: f64) -> f64 {
+        let outside = self.outside(value);
         if outside > 0.0 {
             outside + self.recovery
         } else {
             0.0
         }
     }
-}
-
-/// Every boundary and where the command is.
-pub(super) fn boundaries(limits: &Limits, command: &ArmCommand, at: &Instrument) -> Vec<Boundary> {
-    let mut all = Vec::new();
-    for (axis, limit) in limits.axes.iter().enumerate() {
-        let value = command
-            .position
-            .get(axis)
-            .copied()
-            .unwrap_or(command.jaw_position);
-        all.push(Boundary::at_least(
-            format!("{}.low", limit.name),
-            value,
-            limit.low,
-            0.0,
-        ));
-        all.push(Boundary::at_most(
-            format!("{}.high", limit.name),
-            value,
-            limit.high,
-            0.0,
-        ));
-    }
-    let recovery_m = limits.recovery_m;
-    for (name, point) in [
-        ("control_point", &at.control_point),
-        ("finger_tips", &at.finger_tips),
-    ] {
-        for (axis, letter) in ["x", "y", "z"].into_iter().enumerate() {
-            let (low, high) = (limits.box_low_m[axis], limits.box_high_m[axis]);
-            let value = point[axis];
-            all.push(Boundary::at_least(
-                format!("workspace.{name}.{letter}_min"),
-                value,
-                low,
-                recovery_m,
-            ));
-            all.push(Boundary::at_most(
-                format!("workspace.{name}.{letter}_max"),
-                value,
-                high,
-                recovery_m,
-            ));
-        }
-    }
-    for sphere in &limits.spheres {
-        let center = Point3::from(sphere.center_m);
-        let links = [
-            ("shaft", Point3::origin(), at.wrist_pitch),
-            ("wrist", at.wrist_pitch, at.control_point),
-            ("fingers", at.control_point, at.finger_tips),
-        ];
-        for (part, start, end) in links {
-            // Wrist and fingers are thinner than the shaft; they count as thick as it is.
-            let value = distance_to_segment(&center, &start, &end) - SHAFT_RADIUS_M;
-            let name = format!("forbidden.{}.{part}", sphere.name);
-            all.push(Boundary::at_least(name, value, sphere.radius_m, recovery_m));
-        }
-    }
-    all
 }

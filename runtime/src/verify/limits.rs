@@ -1,36 +1,51 @@
-//! The limits of a run, read from the configuration texts in its log.
-//!
-//! Looked up by key in the plain TOML tables: the controller's own parser is one of the things that are checked here.
+//! The limits of a run, read from its configuration texts. Places are in the scene's frame.
 
+use hal::Pose;
 use hal::joints::{INSERTION, JOINT_NAMES};
-use nalgebra::Vector3;
-use toml::{Table, Value};
+use nalgebra::{Point3, Translation3, UnitQuaternion, Vector3};
 
 use super::VerifyError;
 use super::differences::AXES;
-use crate::log::RunLog;
+use super::distance::Shape;
+use super::document::{Document, Entry};
 
 /// File with the axes' limits.
-const CONTROL: &str = "control.toml";
-/// File with the places where the instrument may be.
-const SAFETY: &str = "safety.toml";
+pub(super) const CONTROL: &str = "control.toml";
+/// File with the places where the instruments may be.
+pub(super) const SAFETY: &str = "safety.toml";
 
 /// Limits of one axis, rad (insertion m) and their derivatives.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct AxisLimits {
-    pub(super) name: String,
+    pub(super) name: &'static str,
     pub(super) low: f64,
     pub(super) high: f64,
     /// Bounds of velocity, acceleration and jerk.
     pub(super) derivatives: [f64; 3],
 }
 
-/// A region that the instrument may not touch, RCM frame.
+/// Where an arm stands and where its instrument may work.
 #[derive(Clone, Debug, PartialEq)]
-pub(super) struct Sphere {
+pub(super) struct ArmLimits {
     pub(super) name: String,
-    pub(super) center_m: Vector3<f64>,
-    pub(super) radius_m: f64,
+    pub(super) scene_from_rcm: Pose,
+    /// Box for the control point and the finger tips, m.
+    pub(super) box_low_m: Vector3<f64>,
+    pub(super) box_high_m: Vector3<f64>,
+}
+
+/// A region that no part of an instrument may touch.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct Region {
+    pub(super) name: String,
+    pub(super) shape: Shape,
+}
+
+/// Least gaps between the surfaces of two instruments, m.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct BetweenArms {
+    pub(super) shaft_to_shaft_m: f64,
+    pub(super) tip_to_shaft_m: f64,
 }
 
 /// Everything that a command is checked against.
@@ -38,125 +53,121 @@ pub(super) struct Sphere {
 pub(super) struct Limits {
     pub(super) axes: Vec<AxisLimits>,
     pub(super) tip_speed_m_s: f64,
+    pub(super) tip_angular_speed_rad_s: f64,
     /// How much further out an arm that was enabled outside may get, m.
     pub(super) recovery_m: f64,
-    /// Box for control point and finger tips, RCM frame, m.
-    pub(super) box_low_m: Vector3<f64>,
-    pub(super) box_high_m: Vector3<f64>,
-    pub(super) spheres: Vec<Sphere>,
+    pub(super) arms: Vec<ArmLimits>,
+    pub(super) regions: Vec<Region>,
+    pub(super) between_arms: Option<BetweenArms>,
 }
 
 impl Limits {
-    /// The limits that `log` says its run had.
-    pub(super) fn of(log: &RunLog) -> Result<Self, VerifyError> {
-        let control = Document::parse(log, CONTROL)?;
-        let safety = Document::parse(log, SAFETY)?;
-        let rcm_in_scene = safety.vector("scene_from_rcm.translation_m")?;
-        let mut axes = Vec::with_capacity(AXES);
-        for (index, name) in JOINT_NAMES.into_iter().chain(["jaw"]).enumerate() {
-            let unit = if index == INSERTION { "m" } else { "rad" };
-            let number = |key: &str| control.number(&format!("limits.{name}.{key}"));
-            axes.push(AxisLimits {
-                name: name.to_owned(),
-                low: number(&format!("low_{unit}"))?,
-                high: number(&format!("high_{unit}"))?,
-                derivatives: [
-                    number(&format!("velocity_{unit}_s"))?,
-                    number(&format!("acceleration_{unit}_s2"))?,
-                    number(&format!("jerk_{unit}_s3"))?,
-                ],
-            });
+    /// What the two configuration texts say.
+    pub(super) fn parse(control: &str, safety: &str) -> Result<Self, VerifyError> {
+        let (control, safety) = (
+            Document::parse(CONTROL, control)?,
+            Document::parse(SAFETY, safety)?,
+        );
+        let (control, safety) = (control.root(), safety.root());
+        let names = JOINT_NAMES.into_iter().chain(["jaw"]).enumerate();
+        let axes = names.map(|(index, name)| axis(&control, index, name));
+        let axes: Vec<_> = axes.collect::<Result<_, _>>()?;
+        debug_assert_eq!(axes.len(), AXES);
+        let arms: Vec<_> = each(&safety, "arm", arm)?;
+        if arms.is_empty() {
+            return Err(safety.missing("arm"));
         }
+        let between_arms = if arms.len() > 1 || safety.has("between_arms") {
+            Some(BetweenArms {
+                shaft_to_shaft_m: safety.number("between_arms.shaft_to_shaft_m")?,
+                tip_to_shaft_m: safety.number("between_arms.tip_to_shaft_m")?,
+            })
+        } else {
+            None
+        };
         Ok(Self {
             axes,
             tip_speed_m_s: control.number("limits.tip_speed_m_s")?,
-            recovery_m: control.number("guard.recovery_m")?,
-            box_low_m: safety.vector("workspace.min_m")? - rcm_in_scene,
-            box_high_m: safety.vector("workspace.max_m")? - rcm_in_scene,
-            spheres: safety.spheres(&rcm_in_scene)?,
+            tip_angular_speed_rad_s: control.number("limits.tip_angular_speed_rad_s")?,
+            recovery_m: safety.number("margins.recovery_m")?,
+            arms,
+            regions: each(&safety, "forbidden", region)?,
+            between_arms,
         })
     }
 }
 
-/// A parsed configuration text and its name.
-struct Document {
-    file: &'static str,
-    table: Table,
+fn each<T>(
+    root: &Entry<'_>,
+    key: &str,
+    read: impl Fn(&Entry<'_>) -> Result<T, VerifyError>,
+) -> Result<Vec<T>, VerifyError> {
+    root.list(key)?.iter().map(read).collect()
 }
 
-impl Document {
-    fn parse(log: &RunLog, file: &'static str) -> Result<Self, VerifyError> {
-        let text = log
-            .text(file)
-            .ok_or(VerifyError::NoConfiguration { file })?;
-        let table = text
-            .parse()
-            .map_err(|error: toml::de::Error| VerifyError::Malformed {
-                file,
-                reason: error.message().to_owned(),
-            })?;
-        Ok(Self { file, table })
-    }
+fn axis(control: &Entry<'_>, index: usize, name: &'static str) -> Result<AxisLimits, VerifyError> {
+    let unit = if index == INSERTION { "m" } else { "rad" };
+    let number = |key: &str| control.number(&format!("limits.{name}.{key}"));
+    Ok(AxisLimits {
+        name,
+        low: number(&format!("low_{unit}"))?,
+        high: number(&format!("high_{unit}"))?,
+        derivatives: [
+            number(&format!("velocity_{unit}_s"))?,
+            number(&format!("acceleration_{unit}_s2"))?,
+            number(&format!("jerk_{unit}_s3"))?,
+        ],
+    })
+}
 
-    fn missing(&self, key: &str) -> VerifyError {
-        VerifyError::Malformed {
-            file: self.file,
-            reason: format!("`{key}` is missing or of another type"),
+fn arm(entry: &Entry<'_>) -> Result<ArmLimits, VerifyError> {
+    Ok(ArmLimits {
+        name: entry.text("name")?.to_owned(),
+        scene_from_rcm: pose(
+            &entry.vector("rcm_in_scene_m")?,
+            &entry.vector("rcm_in_scene_rpy_rad")?,
+        ),
+        box_low_m: entry.vector("workspace_min_m")?,
+        box_high_m: entry.vector("workspace_max_m")?,
+    })
+}
+
+fn region(entry: &Entry<'_>) -> Result<Region, VerifyError> {
+    let point = |key: &str| entry.vector(key).map(Point3::from);
+    let shape = match entry.text("shape")? {
+        "sphere" => Shape::Sphere {
+            center: point("center_m")?,
+            radius_m: entry.number("radius_m")?,
+        },
+        "capsule" => Shape::Capsule {
+            start: point("from_m")?,
+            end: point("to_m")?,
+            radius_m: entry.number("radius_m")?,
+        },
+        "half_space" => {
+            let normal = entry.vector("normal")?.try_normalize(0.5);
+            Shape::HalfSpace {
+                point: point("point_m")?,
+                normal: normal.ok_or_else(|| entry.missing("normal"))?,
+            }
         }
-    }
-
-    fn value(&self, key: &str) -> Option<&Value> {
-        let mut parts = key.split('.');
-        let first = self.table.get(parts.next()?)?;
-        parts.try_fold(first, |here, part| here.get(part))
-    }
-
-    fn number(&self, key: &str) -> Result<f64, VerifyError> {
-        self.value(key)
-            .and_then(number)
-            .ok_or_else(|| self.missing(key))
-    }
-
-    fn vector(&self, key: &str) -> Result<Vector3<f64>, VerifyError> {
-        self.value(key)
-            .and_then(vector)
-            .ok_or_else(|| self.missing(key))
-    }
-
-    fn spheres(&self, rcm_in_scene: &Vector3<f64>) -> Result<Vec<Sphere>, VerifyError> {
-        let Some(list) = self.value("forbidden") else {
-            return Ok(Vec::new());
-        };
-        let list = list.as_array().ok_or_else(|| self.missing("forbidden"))?;
-        let sphere = |(index, entry): (usize, &Value)| {
-            Some(Sphere {
-                name: entry
-                    .get("name")
-                    .and_then(Value::as_str)
-                    .map_or(index.to_string(), str::to_owned),
-                center_m: vector(entry.get("center_m")?)? - rcm_in_scene,
-                radius_m: number(entry.get("radius_m")?)?,
-            })
-        };
-        list.iter()
-            .enumerate()
-            .map(|entry| sphere(entry).ok_or_else(|| self.missing("forbidden")))
-            .collect()
-    }
-}
-
-/// A finite number; TOML's integers count.
-#[expect(clippy::cast_precision_loss, reason = "limits are small numbers")]
-fn number(value: &Value) -> Option<f64> {
-    value
-        .as_float()
-        .or_else(|| value.as_integer().map(|whole| whole as f64))
-        .filter(|number| number.is_finite())
-}
-
-fn vector(value: &Value) -> Option<Vector3<f64>> {
-    let [x, y, z] = value.as_array()?.as_slice() else {
-        return None;
+        "box" => Shape::Box {
+            box_from_scene: pose(&entry.vector("center_m")?, &entry.vector("rpy_rad")?).inverse(),
+            half_m: entry.vector("size_m")? / 2.0,
+        },
+        _ => return Err(entry.missing("shape")),
     };
-    Some(Vector3::new(number(x)?, number(y)?, number(z)?))
+    Ok(Region {
+        name: entry.text("name")?.to_owned(),
+        shape,
+    })
+}
+
+/// A frame at `place_m`, turned by roll about the fixed x, then pitch about the fixed y, then yaw about the fixed z.
+fn pose(place_m: &Vector3<f64>, rpy_rad: &Vector3<f64>) -> Pose {
+    let about = |axis, angle| UnitQuaternion::from_axis_angle(&axis, angle);
+    let roll = about(Vector3::x_axis(), rpy_rad.x);
+    let pitch = about(Vector3::y_axis(), rpy_rad.y);
+    let yaw = about(Vector3::z_axis(), rpy_rad.z);
+    Pose::from_parts(Translation3::from(*place_m), yaw * pitch * roll)
 }

@@ -1,13 +1,25 @@
 //! Checks a log's commands against its limits, independently of the controller.
 //!
 //! Nothing here is shared with the controller: limits are looked up in the logged texts, forward kinematics is the
-//! product of the arm's table, derivatives are differences of the setpoints as they were sent.
+//! product of the arm's table, distances are found by search, derivatives are differences of the setpoints as they were
+//! sent.
+//!
+//! [`verify()`] checks a log, [`Stream`] commands as they come and the safe tails that travel with them.
 
+mod arm;
+mod axis;
 mod boundary;
 mod chain;
-mod checker;
 mod differences;
+mod distance;
+mod document;
+mod ledger;
 mod limits;
+mod pair;
+mod space;
+mod stream;
+mod tail;
+mod tip;
 
 #[cfg(test)]
 mod tests;
@@ -18,10 +30,11 @@ use hal::ArmCommand;
 use serde::Serialize;
 
 pub use chain::tip_in_rcm;
+pub use ledger::Worst;
+pub use stream::Stream;
 
 use crate::log::{Loss, RunLog};
-use checker::Checker;
-use limits::Limits;
+use limits::{CONTROL, SAFETY};
 
 /// What the check found.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -32,7 +45,9 @@ pub struct VerifyResult {
     pub ticks: u64,
     /// Control periods that the driver skipped; no violation.
     pub skipped_periods: u64,
-    /// Every limit that was broken, in every tick in which it was.
+    /// How many limits were broken, each counted in every tick in which it was.
+    pub violation_count: u64,
+    /// Every limit that was broken, in every tick in which it was; the first hundred thousand.
     pub violations: Vec<Violation>,
     /// Why the log ends before its end, if it does; the rest of the result is about what comes before.
     pub cut: Option<String>,
@@ -43,10 +58,10 @@ pub struct VerifyResult {
 pub struct Violation {
     /// The tick.
     pub tick: u64,
-    /// The arm.
+    /// The arm; `psm1+psm2` if the limit is between two.
     pub arm: String,
-    /// The limit: `yaw.velocity`, `tip_speed`, `workspace.finger_tips.z_min`, `forbidden.vessel.shaft`,
-    /// `yaw.disabled_position`.
+    /// The limit: `yaw.velocity`, `tip_speed`, `workspace.left_finger_tip.z_min`, `forbidden.vessel.shaft`,
+    /// `between_arms.shaft.shaft`, `yaw.disabled_position`; of a safe tail `tail.yaw.velocity`.
     pub limit: String,
     /// What was commanded.
     pub value: f64,
@@ -91,16 +106,17 @@ pub enum VerifyError {
 
 /// Checks every command of `log`.
 ///
-/// Joint ranges, velocity, acceleration and jerk of each axis; the workspace box, the forbidden regions and the speed of
-/// the tip; stamps that rise by whole periods; ticks that the log lacks. While the drives have no torque the command must follow the measured arm without
-/// velocity; they get torque at rest where the arm was measured, and lose it at rest. The commands must add up to the hash
-/// that the run reported.
+/// Joint ranges, velocity, acceleration and jerk of each axis; the speed of the tip and how fast it turns; the workspace box for
+/// the control point and both finger tips; the gap between every forbidden region and shaft, wrist and both fingers; stamps
+/// that rise by whole periods; ticks that the log lacks. While the drives have no torque the command must follow the measured
+/// arm without velocity; they get torque at rest where the arm was measured, and lose it at rest. The commands must add up to
+/// the hash that the run reported. The arm is the first one in the log's `safety.toml`.
 ///
 /// # Errors
 /// [`VerifyError`] when the log does not say what the limits are.
 pub fn verify(log: &RunLog) -> Result<VerifyResult, VerifyError> {
-    let limits = Limits::of(log)?;
-    let mut checker = Checker::new(&limits);
+    let text = |file| log.text(file).ok_or(VerifyError::NoConfiguration { file });
+    let mut stream = Stream::new(text(CONTROL)?, text(SAFETY)?)?;
     let mut ticks = 0;
     let mut hash = FNV_OFFSET;
     let gap_before = |position: usize| {
@@ -114,14 +130,14 @@ pub fn verify(log: &RunLog) -> Result<VerifyResult, VerifyError> {
     };
     for (position, (tick, _)) in log.ticks().enumerate() {
         if let Some(count) = gap_before(position) {
-            checker.missing(tick.tick, count);
+            stream.missing(tick.tick, count);
         }
-        checker.tick(tick);
+        stream.tick(tick.tick, &[(&tick.command, &tick.measured)]);
         add_to_hash(&mut hash, &tick.command);
         ticks += 1;
     }
     if let Some(count) = gap_before(log.tick_count()) {
-        checker.missing(
+        stream.missing(
             log.ticks().last().map_or(0, |(tick, _)| tick.tick + 1),
             count,
         );
@@ -129,18 +145,14 @@ pub fn verify(log: &RunLog) -> Result<VerifyResult, VerifyError> {
     let reported = log.outcome.as_ref().map(|outcome| &outcome.command_hash);
     if log.losses.is_empty() && reported.is_some_and(|reported| *reported != format!("{hash:016x}"))
     {
-        checker.other_hash();
+        stream.other_hash();
     }
-    let Checker {
-        violations,
-        skipped_periods,
-        ..
-    } = checker;
     Ok(VerifyResult {
-        ok: violations.is_empty(),
+        ok: stream.violation_count() == 0,
         ticks,
-        skipped_periods,
-        violations,
+        skipped_periods: stream.skipped_periods(),
+        violation_count: stream.violation_count(),
+        violations: stream.into_violations(),
         cut: log.cut().map(str::to_owned),
     })
 }

@@ -1,5 +1,12 @@
 //! The checker on runs of the real controller, honest and doctored.
 
+mod distances;
+mod motion;
+mod pair;
+mod recovery;
+mod scene;
+mod space;
+mod tails;
 mod torque;
 
 use hal::{TICK_NS, TimeNs};
@@ -69,7 +76,10 @@ fn a_run_shifted_out_of_its_box_is_caught() {
         }
     });
     let found = limits(&result);
-    assert!(found.contains(&"workspace.finger_tips.z_min"), "{found:?}");
+    assert!(
+        found.contains(&"workspace.left_finger_tip.z_min"),
+        "{found:?}"
+    );
 }
 
 #[test]

@@ -1,6 +1,6 @@
 //! Tests of the expert on the simulated arm, with a numeric inverse instead of the controller.
 
-use hal::{Arm, ArmCommand, ArmState, JointVector, Pose, TimeNs, psm};
+use hal::{Arm, ArmCommand, ArmState, JointVector, Pose, SafeTail, TimeNs, psm};
 use nalgebra::{Matrix3, Matrix6, Rotation3, Translation3, UnitQuaternion, Vector3, Vector6};
 
 use super::{CHUNK_LEN, Expert, STEP_NS};
@@ -103,7 +103,10 @@ fn run(task: &TaskConfig, seed: u64, mut disturb: impl FnMut(f64, &mut ArmComman
             };
             disturb(now.seconds(), &mut command);
             let _: ArmState = simulation.read(TimeNs::from_tick(tick)).expect("measured");
-            simulation.write(&command).expect("written");
+            // Every step has its command, so that the tail is never played.
+            simulation
+                .write(&command, &SafeTail::hold(&command))
+                .expect("written");
             simulation.step();
             tick += 1;
         }

@@ -127,6 +127,16 @@ impl Plant {
             .chain([if self.enabled { 1.0 } else { 0.0 }])
     }
 
+    /// Position and velocity setpoints in joint space, jaw last, and whether the drives are enabled.
+    #[cfg(test)]
+    pub(crate) fn setpoint(&self) -> (AxisVector, AxisVector, bool) {
+        (
+            joint_positions(&self.target_position),
+            joint_positions(&self.target_velocity),
+            self.enabled,
+        )
+    }
+
     fn substep(&mut self, load: &Load, step_s: f64) {
         self.effort = if self.enabled {
             self.controller()

@@ -116,6 +116,12 @@ impl World {
         self.plant.command(command);
     }
 
+    /// The setpoint that the drives follow; see [`Plant::setpoint`].
+    #[cfg(test)]
+    pub(crate) fn setpoint(&self) -> (AxisVector, AxisVector, bool) {
+        self.plant.setpoint()
+    }
+
     /// Advances exactly one millisecond.
     pub fn step(&mut self) {
         self.plant.step(&self.load);

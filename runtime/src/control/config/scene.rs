@@ -24,12 +24,7 @@ pub(super) struct Scene {
 pub(super) fn scene(source: &Source) -> Result<Scene, ConfigError> {
     let file: SafetyFile = source.parse()?;
     let effort = file.jaw.closing_effort_n_m_max;
-    source.check_range(
-        "jaw.closing_effort_n_m_max",
-        effort,
-        0.001,
-        EFFORT_MAX[JAW],
-    )?;
+    source.check_range("jaw.closing_effort_n_m_max", effort, 0.001, EFFORT_MAX[JAW])?;
     let regions = regions(source, &file.forbidden)?;
     let mut arms = Vec::with_capacity(file.arm.len());
     for (index, table) in file.arm.iter().enumerate() {

@@ -1,121 +1,179 @@
 //! Facts about the safety filter.
 
-use super::Filter;
+use super::{Filter, Filtered};
+use crate::control::active_set::VARIABLES_MAX;
 use crate::control::config::ControlConfig;
-use crate::control::motion::{AXES, MotionState};
+use crate::control::instrument::Stance;
+use crate::control::motion::{AXES, JAW, MotionState};
 use crate::control::random::SplitMix64;
 use crate::control::report::QpOutcome;
-use crate::control::rows::Rows;
-use crate::kinematics::Frames;
-use hal::JointVector;
-use nalgebra::Matrix6;
+use crate::control::rows::tests::{fill, two_arms};
+use crate::control::rows::{Rows, Velocities};
+use crate::control::second_opinion::compare;
 
-fn config() -> ControlConfig {
-    ControlConfig::load(
-        &ControlConfig::default_control(),
-        &ControlConfig::needle_lift_safety(),
-    )
-    .unwrap()
+/// Arms in or near the workspace, in motion, with what the filter is asked.
+struct Case {
+    config: ControlConfig,
+    filter: Filter,
+    rows: Rows,
+    stances: Vec<Stance>,
+    random: SplitMix64,
 }
 
-fn random_velocity(random: &mut SplitMix64, filter: &Filter, share: f64) -> JointVector {
-    JointVector::from_fn(|joint, _| random.between(-share, share) * filter.scale[joint])
-}
-
-/// A configuration in or near the needle-lift workspace, with the arm moving.
-fn random_rows(random: &mut SplitMix64, config: &ControlConfig) -> (Rows, Matrix6<f64>) {
-    let mut state = MotionState {
-        position: [0.0; AXES],
-        velocity: [0.0; AXES],
-        acceleration: [0.0; AXES],
-    };
-    let centre = [0.0, 0.0, 0.13, 0.0, 0.0, 0.0];
-    let spread = [0.5, 0.4, 0.04, 4.0, 1.3, 1.3];
-    for joint in 0..hal::JOINT_COUNT {
-        state.position[joint] = centre[joint] + random.between(-spread[joint], spread[joint]);
-        state.velocity[joint] = random.between(-0.3, 0.3) * config.axes[joint].velocity;
+impl Case {
+    fn new(arms: usize, seed: u64) -> Self {
+        let mut config = two_arms();
+        config.arms.truncate(arms);
+        Self {
+            filter: Filter::new(&config),
+            rows: Rows::new(&config),
+            stances: Vec::new(),
+            random: SplitMix64::new(seed),
+            config,
+        }
     }
-    let frames = Frames::at(&state.joints());
-    (Rows::new(config, &state, &frames), frames.tip_jacobian())
-}
 
-fn cost(filter: &Filter, change: &JointVector, jacobian: &Matrix6<f64>) -> f64 {
-    let twist = jacobian * change;
-    let task = twist.component_mul(&twist).dot(&filter.twist_weight);
-    task + filter.joint_weight * change.component_div(&filter.scale).norm_squared()
+    fn draw(&mut self) {
+        let centre = [0.0, 0.0, 0.13, 0.0, 0.0, 0.0, 0.5];
+        let spread = [0.5, 0.4, 0.04, 4.0, 1.3, 1.3, 0.5];
+        let states: Vec<MotionState> = (0..self.config.arms.len())
+            .map(|_| MotionState {
+                position: core::array::from_fn(|axis| {
+                    centre[axis] + self.random.between(-spread[axis], spread[axis])
+                }),
+                velocity: core::array::from_fn(|axis| {
+                    self.random.between(-0.3, 0.3) * self.config.axes[axis].velocity
+                }),
+                acceleration: [0.0; AXES],
+            })
+            .collect();
+        self.stances = fill(&mut self.rows, &self.config, &states);
+    }
+
+    fn velocity(&mut self, share: f64) -> Velocities {
+        let variables = AXES * self.config.arms.len();
+        core::array::from_fn(|axis| {
+            if axis < variables {
+                self.random.between(-share, share) * self.filter.scale[axis]
+            } else {
+                0.0
+            }
+        })
+    }
+
+    fn filter(&mut self, nominal: &Velocities) -> Filtered {
+        let stances: Vec<&Stance> = self.stances.iter().collect();
+        self.filter.filter(nominal, &self.rows, &stances)
+    }
 }
 
 #[test]
 fn a_velocity_within_the_rows_passes_unchanged() {
-    let config = config();
-    let mut filter = Filter::new(&config).unwrap();
-    let mut random = SplitMix64::new(41);
-    let mut passed = 0;
-    for _ in 0..5_000 {
-        let (rows, jacobian) = random_rows(&mut random, &config);
-        let nominal = random_velocity(&mut random, &filter, 0.2);
-        if rows.hold(&nominal, &filter.scale, 0.0) {
-            let filtered = filter.filter(&nominal, &rows, &jacobian);
-            assert_eq!(
-                (filtered.velocity, filtered.outcome),
-                (nominal, QpOutcome::NotNeeded)
-            );
-            passed += 1;
+    for arms in [1, 2] {
+        let mut case = Case::new(arms, 41);
+        let mut passed = 0;
+        for _ in 0..5_000 {
+            case.draw();
+            let nominal = case.velocity(0.15);
+            if case.rows.hold(&nominal, 0.0) {
+                let filtered = case.filter(&nominal);
+                assert_eq!(
+                    (filtered.velocity, filtered.outcome),
+                    (nominal, QpOutcome::NotNeeded)
+                );
+                passed += 1;
+            }
         }
+        assert!(passed > 50, "{arms} arms: {passed}");
     }
-    assert!(passed > 200, "{passed}");
 }
 
-#[test]
-fn every_answer_satisfies_the_rows_and_no_other_velocity_is_nearer() {
-    let config = config();
-    let mut filter = Filter::new(&config).unwrap();
-    let mut random = SplitMix64::new(42);
-    let (mut solved, mut rivals) = (0, 0);
-    for case in 0..1_500 {
-        let (rows, jacobian) = random_rows(&mut random, &config);
-        let nominal = random_velocity(&mut random, &filter, 1.5);
-        let filtered = filter.filter(&nominal, &rows, &jacobian);
-        assert_ne!(filtered.outcome, QpOutcome::Failed, "case {case}");
-        assert!(
-            rows.hold(&filtered.velocity, &filter.scale, 1e-6),
-            "case {case}"
-        );
+/// `cases` problems as they come in, each against Clarabel.
+fn clarabel_agrees(arms: usize, seed: u64, cases: u32) {
+    let mut case = Case::new(arms, seed);
+    let (mut solved, mut rough, mut unsolved) = (0_u32, 0_u32, 0_u32);
+    let (mut change, mut gap, mut violation) = (0.0_f64, 0.0_f64, 0.0_f64);
+    for index in 0..cases {
+        case.draw();
+        let nominal = case.velocity(1.5);
+        let filtered = case.filter(&nominal);
+        assert_ne!(filtered.outcome, QpOutcome::Failed, "case {index}");
+        assert!(case.rows.hold(&filtered.velocity, 1e-7), "case {index}");
         if filtered.outcome == QpOutcome::NotNeeded {
             continue;
         }
         solved += 1;
-        assert!(filtered.rows_active > 0, "case {case}");
-        let best = cost(&filter, &(filtered.velocity - nominal), &jacobian);
-        for _ in 0..20 {
-            let size = 0.1 * random.between(0.0, 1.0).powi(3);
-            let rival = filtered.velocity + random_velocity(&mut random, &filter, size);
-            if rows.hold(&rival, &filter.scale, 0.0) {
-                rivals += 1;
-                assert!(
-                    cost(&filter, &(rival - nominal), &jacobian) > best - 1e-5 * (1.0 + best),
-                    "case {case}"
-                );
-            }
+        assert!(filtered.rows_active > 0, "case {index}");
+        let Some(found) = compare(case.filter.problem(), case.filter.solution()) else {
+            unsolved += 1;
+            continue;
+        };
+        assert!(found.change < 1e-5, "case {index}: {found:?}");
+        assert!(found.objective.abs() < 1e-8, "case {index}: {found:?}");
+        rough += u32::from(found.tolerance > 1e-10);
+        change = change.max(found.change);
+        gap = gap.max(found.objective.abs());
+        violation = violation.max(found.violation);
+    }
+    println!(
+        "{arms} arms: {solved} problems, {rough} to 1e-9 only and {unsolved} not solved by Clarabel, difference {change:e}, gap {gap:e}, violation {violation:e}"
+    );
+    assert!(violation < 1e-8, "{violation:e}");
+    assert!(
+        solved > 9 * cases / 10 && rough < solved / 100 && unsolved < solved / 1000,
+        "{solved} {rough} {unsolved}"
+    );
+}
+
+#[test]
+fn clarabel_finds_the_same_answers() {
+    clarabel_agrees(1, 42, 2_000);
+    clarabel_agrees(2, 43, 1_000);
+}
+
+/// As many problems as the claim is about; takes a minute in release.
+#[test]
+#[ignore = "the long comparison: make test-adversary"]
+fn clarabel_finds_the_same_answers_to_a_hundred_thousand_problems() {
+    clarabel_agrees(1, 44, 70_000);
+    clarabel_agrees(2, 45, 35_000);
+}
+
+#[test]
+fn what_no_row_touches_stays_as_it_is() {
+    let mut case = Case::new(2, 46);
+    let mut untouched = 0;
+    for _ in 0..2_000 {
+        case.draw();
+        let mut nominal = case.velocity(1.5);
+        nominal[AXES..].fill(0.0);
+        let filtered = case.filter(&nominal);
+        let jaw_within = nominal[JAW] > case.rows.low[JAW] && nominal[JAW] < case.rows.high[JAW];
+        let coupled = case.rows.geometry.iter().any(|row| {
+            let touches = crate::control::rows::dot(&row.coefficients, &filtered.velocity);
+            row.coefficients[AXES..].iter().any(|c| c.abs() > 0.0) && touches > row.bound - 1e-9
+        });
+        if !coupled {
+            let other: Vec<f64> = filtered.velocity[AXES..].to_vec();
+            assert_eq!(other, vec![0.0; AXES]);
+            untouched += u32::from(jaw_within);
         }
     }
-    assert!(solved > 1_000 && rivals > 500, "{solved} {rivals}");
+    assert!(untouched > 200, "{untouched}");
 }
 
 #[test]
 fn nan_stops_the_arm_and_the_next_problem_is_solved_again() {
-    let config = config();
-    let mut filter = Filter::new(&config).unwrap();
-    let mut random = SplitMix64::new(43);
-    let (rows, jacobian) = random_rows(&mut random, &config);
-    let mut nominal = random_velocity(&mut random, &filter, 3.0);
-    let before = filter.filter(&nominal, &rows, &jacobian);
-    let good = nominal;
+    let mut case = Case::new(1, 47);
+    case.draw();
+    let good = case.velocity(3.0);
+    let before = case.filter(&good);
+    let mut nominal = good;
     nominal[2] = f64::NAN;
-    let broken = filter.filter(&nominal, &rows, &jacobian);
+    let broken = case.filter(&nominal);
     assert_eq!(
         (broken.velocity, broken.outcome),
-        (JointVector::zeros(), QpOutcome::Failed)
+        ([0.0; VARIABLES_MAX], QpOutcome::Failed)
     );
-    assert_eq!(filter.filter(&good, &rows, &jacobian), before);
+    assert_eq!(case.filter(&good), before);
 }

@@ -141,7 +141,8 @@ fn a_target_beyond_the_wall_stops_at_the_wall() {
             0.2,
         )
     };
-    let floor_m = config.geometry.workspace_min_m.z;
+    let workspace = config.arms[0].workspace;
+    let floor_m = workspace.center_m.z - workspace.half_m.z;
     let (mut lowest_m, mut widest_m, mut solved, mut failed, mut stopped) =
         (0.0_f64, 0.0_f64, 0, 0, 0);
     follow(&mut bench, 8, path, |bench, output, _| {
@@ -163,7 +164,7 @@ fn a_target_beyond_the_wall_stops_at_the_wall() {
         left_m * 1e3
     );
     assert!(
-        left_m > config.guard.margin_m && left_m < config.filter.margin_m + 5e-4,
+        left_m > config.margins.guard_m && left_m < config.margins.filter_m + 5e-4,
         "{left_m}"
     );
     assert!(
@@ -179,7 +180,7 @@ fn a_target_beyond_the_wall_stops_at_the_wall() {
 fn the_forbidden_sphere_is_passed_by() {
     let config = config();
     let mut bench = Bench::enabled(&config);
-    let vessel = config.geometry.forbidden[0].clone();
+    let vessel = config.arms[0].forbidden[0].shape;
     // Straight at the vessel's middle.
     let path = |time_s: f64| {
         let part = (time_s / 3.0).min(1.0);
@@ -193,8 +194,8 @@ fn the_forbidden_sphere_is_passed_by() {
     follow(&mut bench, 5, path, |bench, output, _| {
         let frames = crate::kinematics::Frames::at(&bench.arm.position);
         for point in [frames.wrist_m, frames.tip_m, frames.finger_m] {
-            nearest_m = nearest_m
-                .min((point - vessel.center_m).norm() - vessel.radius_m - hal::psm::SHAFT_RADIUS_M);
+            let centre_line_m = vessel.nearest(&point, &point).distance_m;
+            nearest_m = nearest_m.min(centre_line_m - hal::psm::SHAFT_RADIUS_M);
         }
         failed += u32::from(output.report.qp == QpOutcome::Failed);
     });
@@ -203,7 +204,7 @@ fn the_forbidden_sphere_is_passed_by() {
         nearest_m * 1e3
     );
     assert!(
-        nearest_m > config.guard.margin_m && nearest_m < 0.004,
+        nearest_m > config.margins.guard_m && nearest_m < 0.004,
         "{nearest_m}"
     );
     assert_eq!(failed, 0);

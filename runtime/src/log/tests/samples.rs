@@ -77,6 +77,7 @@ pub(super) fn record(tick: u64) -> TickRecord {
         OperatorEvent::Pause,
         OperatorEvent::Resume,
         OperatorEvent::Clear,
+        OperatorEvent::Speed { percent: 37 },
     ];
     TickRecord {
         tick,

@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use hal::{ArmCommand, ArmError, ArmState, Chunk, TICK_NS, TimeNs};
+use hal::{ArmCommand, ArmError, ArmState, Chunk, SafeTail, TICK_NS, TimeNs};
 use rtrb::Consumer;
 
 use super::signals::{Signals, StopsAll};
@@ -30,7 +30,7 @@ pub(super) struct ControlThread {
     pub(super) controller: Box<Controller>,
     pub(super) measured: MailboxReader<ArmState>,
     pub(super) chunks: Consumer<Chunk>,
-    pub(super) commands: MailboxWriter<ArmCommand>,
+    pub(super) commands: MailboxWriter<(ArmCommand, SafeTail)>,
     pub(super) log: Option<TickLog>,
     pub(super) signals: Arc<Signals>,
 }
@@ -131,7 +131,8 @@ impl ControlThread {
             operator,
         });
         let compute_ns = clock.now().since(before);
-        self.commands.put(output.command);
+        self.commands
+            .put((output.command, SafeTail::hold(&output.command)));
         TickRecord {
             tick: now.tick(),
             now,

@@ -22,7 +22,7 @@ mod watch;
 use std::sync::Arc;
 use std::thread;
 
-use hal::{ArmCommand, ArmState, Chunk};
+use hal::{ArmCommand, ArmState, Chunk, SafeTail};
 use rtrb::RingBuffer;
 use sim_backend::simulation::{Rendering, Simulation};
 use sim_backend::task::Outcome;
@@ -93,7 +93,7 @@ fn run_threads(
     let simulation = Simulation::new(&setup.task, options.seed, Rendering::Off)?;
     let controller = Box::new(setup.controller()?);
     let (measured_in, measured) = mailbox::<ArmState>();
-    let (commands, commands_out) = mailbox::<ArmCommand>();
+    let (commands, commands_out) = mailbox::<(ArmCommand, SafeTail)>();
     let (chunk_in, chunks) = RingBuffer::<Chunk>::new(CHUNK_QUEUE);
     let (snapshot_in, snapshots) = mailbox::<Snapshot>();
     let signals = Arc::new(Signals::default());
@@ -133,6 +133,7 @@ fn run_threads(
         simulation,
         measured: measured_in,
         commands: commands_out,
+        newest: None,
         snapshots,
         local,
         signals: Arc::clone(&signals),

@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use hal::{Arm, ArmCommand, ArmState, Chunk, TICK_NS, TimeNs};
+use hal::{Arm, ArmCommand, ArmState, Chunk, SafeTail, TICK_NS, TimeNs};
 use rtrb::Producer;
 use sim_backend::simulation::Simulation;
 use sim_backend::task::Outcome;
@@ -43,7 +43,8 @@ impl Snapshots {
 pub(super) struct SimulationThread {
     pub(super) simulation: Simulation,
     pub(super) measured: MailboxWriter<ArmState>,
-    pub(super) commands: MailboxReader<ArmCommand>,
+    pub(super) commands: MailboxReader<(ArmCommand, SafeTail)>,
+    pub(super) newest: Option<(ArmCommand, SafeTail)>,
     pub(super) snapshots: Option<Snapshots>,
     pub(super) local: Option<(ChunkSource, Producer<Chunk>)>,
     pub(super) signals: Arc<Signals>,
@@ -103,8 +104,9 @@ impl SimulationThread {
         now: TimeNs,
         inference: &mut Histogram,
     ) -> Result<(), SessionError> {
-        if let Some(command) = self.commands.take() {
-            self.simulation.write(&command)?;
+        self.newest = self.commands.take().or(self.newest);
+        if let Some((command, tail)) = &self.newest {
+            self.simulation.write(command, tail)?;
         }
         self.simulation.step();
         let state = self.simulation.read(now)?;

@@ -1,0 +1,5 @@
+mod hard;
+mod optimal;
+mod problem;
+mod refused;
+mod untouched;

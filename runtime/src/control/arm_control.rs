@@ -1,0 +1,232 @@
+//! One arm of a controller: its mode and faults, its chunks, and the velocity that it would like. Hot path: bounded, no
+//! allocation, no I/O, no lock.
+
+use hal::{ArmError, ArmState, Chunk, JOINT_COUNT, TICK_NS, TimeNs, TipTarget};
+
+use super::aggregate::Aggregator;
+use super::config::ControlConfig;
+use super::gate::{Gate, Verdict};
+use super::instrument::Stance;
+use super::mode::{Event, Mode, OperatingState, OperatorEvent, next};
+use super::motion::{AXES, Axes, MotionState};
+use super::report::{Fault, TickInput};
+use super::tracking::Tracking;
+use crate::kinematics::forward;
+
+/// Share of the speed limits with which a soft start begins.
+const START_PACE: f64 = 0.1;
+
+/// One arm's mode, faults and chunks.
+#[derive(Debug)]
+pub(super) struct ArmControl {
+    pub(super) state: OperatingState,
+    homed: bool,
+    /// Whether the drives hold torque.
+    pub(super) powered: bool,
+    pub(super) fault: Option<Fault>,
+    /// What was commanded last.
+    pub(super) commanded: MotionState,
+    /// The newest measured effort of the jaw, N m.
+    pub(super) jaw_effort_n_m: f64,
+    pub(super) gate: Gate,
+    aggregator: Aggregator,
+    tracking: Tracking,
+    enabled_at: TimeNs,
+    /// The operator's share of the speed limits.
+    speed: f64,
+    tracking_error_max: [f64; JOINT_COUNT],
+    stale_ns: u64,
+    lookahead_ns: u64,
+    soft_start_ns: u64,
+}
+
+/// What an arm would like to do in a tick.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Plan {
+    pub(super) gate: Option<Verdict>,
+    pub(super) target: Option<TipTarget>,
+    /// Velocity of each axis, rad/s (m/s).
+    pub(super) nominal: Axes,
+    /// Whether the arm follows; otherwise it comes to rest.
+    pub(super) follows: bool,
+    /// Share of the speed limits that it may use.
+    pub(super) pace: f64,
+}
+
+impl ArmControl {
+    pub(super) fn new(config: &ControlConfig) -> Self {
+        Self {
+            state: OperatingState::Disabled,
+            homed: false,
+            powered: false,
+            fault: None,
+            commanded: MotionState::ZERO,
+            jaw_effort_n_m: 0.0,
+            gate: Gate::new(config.gate),
+            aggregator: Aggregator::new(config.aggregation),
+            tracking: Tracking::new(config),
+            enabled_at: TimeNs(0),
+            speed: 1.0,
+            tracking_error_max: config.tracking_error_max,
+            stale_ns: config.stale_ns,
+            lookahead_ns: config.lookahead_ns.max(TICK_NS),
+            soft_start_ns: config.soft_start_ns,
+        }
+    }
+
+    pub(super) fn mode(&self) -> Mode {
+        Mode {
+            state: self.state,
+            homed: self.homed,
+            busy: !self.commanded.is_at_rest(),
+        }
+    }
+
+    /// Judges the measurement and does what the operator wants; without torque the command follows the arm. Returns whether
+    /// it does, so that the guard begins anew from there.
+    pub(super) fn observe(&mut self, input: &TickInput<'_>) -> bool {
+        let follows = self.look_at(&input.measured);
+        if let Some(event) = input.operator {
+            if let OperatorEvent::Speed { percent } = event {
+                self.speed = f64::from(percent.min(100)) / 100.0;
+            }
+            self.change(Event::Operator(event), input.now);
+        }
+        follows
+    }
+
+    fn look_at(&mut self, measured: &Result<ArmState, ArmError>) -> bool {
+        let fault = match measured {
+            Err(error) => Some(Fault::Arm(*error)),
+            Ok(arm) if !arm.is_finite() => Some(Fault::MeasurementNotFinite),
+            Ok(arm) => self.tracking_fault(arm),
+        };
+        if let Some(fault) = fault {
+            self.fault = self.fault.or(Some(fault));
+            self.state = next(self.state, Event::Fail);
+            return false;
+        }
+        if let Ok(arm) = measured {
+            self.homed = true;
+            self.jaw_effort_n_m = arm.jaw_effort;
+            if !self.powered {
+                self.commanded = MotionState::at_rest(arm);
+                return true;
+            }
+        }
+        false
+    }
+
+    fn tracking_fault(&self, arm: &ArmState) -> Option<Fault> {
+        if !self.powered {
+            return None;
+        }
+        let error = self.commanded.joints() - arm.position;
+        let joint =
+            (0..JOINT_COUNT).find(|&joint| error[joint].abs() > self.tracking_error_max[joint])?;
+        Some(Fault::TrackingError {
+            joint: u8::try_from(joint).unwrap_or(u8::MAX),
+            error: error[joint],
+        })
+    }
+
+    pub(super) fn change(&mut self, event: Event, now: TimeNs) {
+        let before = self.state;
+        self.state = next(before, event);
+        if before == self.state {
+            return;
+        }
+        match self.state {
+            OperatingState::Enabled => {
+                self.aggregator.clear();
+                if before == OperatingState::Disabled {
+                    self.gate.forget();
+                }
+                self.powered = true;
+                self.enabled_at = now;
+            }
+            OperatingState::Disabled => self.fault = None,
+            OperatingState::Paused | OperatingState::Fault => {}
+        }
+    }
+
+    /// Takes in the chunk and looks where it wants the arm; an arm that is not enabled comes to rest.
+    pub(super) fn plan(&mut self, input: &TickInput<'_>, stance: &Stance) -> Plan {
+        if self.state != OperatingState::Enabled {
+            return Plan {
+                gate: None,
+                target: None,
+                nominal: [0.0; AXES],
+                follows: false,
+                pace: 1.0,
+            };
+        }
+        let gate = input.chunk.and_then(|chunk| self.take(chunk, input.now));
+        let pace = self.pace(input.now);
+        let targets = self.targets(input.now);
+        let ahead_s = TimeNs(self.lookahead_ns).seconds();
+        let nominal = targets.and_then(|(target, ahead)| {
+            self.tracking.velocity(
+                &self.commanded,
+                &stance.frames,
+                &target,
+                &ahead,
+                ahead_s,
+                pace,
+            )
+        });
+        Plan {
+            gate,
+            target: targets.map(|(target, _)| target),
+            nominal: nominal.unwrap_or([0.0; AXES]),
+            follows: true,
+            pace,
+        }
+    }
+
+    fn take(&mut self, chunk: &Chunk, now: TimeNs) -> Option<Verdict> {
+        let tip = forward(&self.commanded.joints());
+        let verdict = self.gate.judge(chunk, now, &tip)?;
+        if verdict.is_accepted() {
+            self.aggregator.push(chunk, now);
+        }
+        Some(verdict)
+    }
+
+    fn targets(&mut self, now: TimeNs) -> Option<(TipTarget, TipTarget)> {
+        self.aggregator.advance(now);
+        let observed_at = self.aggregator.newest_observed_at()?;
+        if now.since(observed_at) > self.stale_ns {
+            return None;
+        }
+        self.aggregator.targets(now, now.plus_ns(self.lookahead_ns))
+    }
+
+    /// The share of the speed limits that holds: the operator's, and less right after the arm was enabled.
+    fn pace(&self, now: TimeNs) -> f64 {
+        let since_s = TimeNs(now.since(self.enabled_at)).seconds();
+        let ramp_s = TimeNs(self.soft_start_ns).seconds();
+        let start = if since_s < ramp_s {
+            START_PACE + (1.0 - START_PACE) * since_s / ramp_s
+        } else {
+            1.0
+        };
+        self.speed * start
+    }
+
+    /// At rest, lets the drives go where that is asked for: an arm that lost a measurement holds what it has in its jaws; one
+    /// that does not go where it is told, or whose drives have failed, must not press on.
+    pub(super) fn release(&mut self) {
+        let releases = match self.state {
+            OperatingState::Disabled => true,
+            OperatingState::Enabled | OperatingState::Paused => false,
+            OperatingState::Fault => matches!(
+                self.fault,
+                Some(Fault::TrackingError { .. } | Fault::Arm(ArmError::DriveFault { .. }))
+            ),
+        };
+        if releases && self.commanded.is_at_rest() {
+            self.powered = false;
+        }
+    }
+}

@@ -1,0 +1,58 @@
+//! How fast the tip moves and turns between two places.
+
+use nalgebra::{Point3, UnitQuaternion};
+
+use super::axis::PERIOD_S;
+use super::boundary::{Moment, TOLERANCE};
+use super::chain::Instrument;
+use super::ledger::{Ledger, LimitId};
+use super::limits::Limits;
+
+/// The checks of the tip's two speeds.
+#[derive(Clone, Debug)]
+pub(super) struct Tip {
+    /// For commands and for their tails.
+    speed: [LimitId; 2],
+    angular_speed: [LimitId; 2],
+    speed_m_s: f64,
+    angular_speed_rad_s: f64,
+}
+
+/// A place of the tip.
+pub(super) type Place = (Point3<f64>, UnitQuaternion<f64>);
+
+impl Tip {
+    pub(super) fn new(ledger: &mut Ledger, limits: &Limits, arm: &str) -> Self {
+        let mut both = |name: &str| {
+            [
+                ledger.open(arm, name.to_owned()),
+                ledger.open(arm, format!("tail.{name}")),
+            ]
+        };
+        Self {
+            speed: both("tip_speed"),
+            angular_speed: both("tip_angular_speed"),
+            speed_m_s: limits.tip_speed_m_s,
+            angular_speed_rad_s: limits.tip_angular_speed_rad_s,
+        }
+    }
+
+    /// Where the tip of an instrument is.
+    pub(super) const fn place(at: &Instrument) -> Place {
+        (at.control_point, at.rotation)
+    }
+
+    /// Checks the way from one place to the next, a period later.
+    pub(super) fn check(&self, ledger: &mut Ledger, moment: Moment, before: &Place, after: &Place) {
+        let ids = match moment {
+            Moment::Command => [self.speed[0], self.angular_speed[0]],
+            Moment::Tail => [self.speed[1], self.angular_speed[1]],
+        };
+        let speed = (after.0 - before.0).norm() / PERIOD_S;
+        let angular_speed = before.1.angle_to(&after.1) / PERIOD_S;
+        let bounds = [self.speed_m_s, self.angular_speed_rad_s];
+        for ((limit, value), bound) in ids.into_iter().zip([speed, angular_speed]).zip(bounds) {
+            ledger.judge(limit, value - bound, TOLERANCE, value, bound);
+        }
+    }
+}
