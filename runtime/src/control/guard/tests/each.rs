@@ -7,6 +7,7 @@ use super::{
 use crate::control::config::BetweenArms;
 use crate::control::guard::clearance::FACES;
 use crate::control::guard::pair::KINDS;
+use crate::control::guard::planted::{Check, PlantedGuardFault};
 use crate::control::instrument::{LINKS, Stance};
 use crate::control::region::{Block, Shape};
 use hal::Pose;
@@ -46,24 +47,67 @@ fn down(config: &ControlConfig, state: &MotionState, h: impl Fn(&MotionState) ->
     core::array::from_fn(|axis| -slopes[axis] / steepest * config.axes[axis].velocity / 3.0)
 }
 
-/// Pushes the arm at clearance `index` and expects it to come to the margin and no nearer.
-fn push(config: ControlConfig, state: MotionState, index: usize) {
+/// The guard as it is keeps a margin, and with any of `faults` it does not.
+fn only_without(
+    faults: &[PlantedGuardFault],
+    outcome: impl Fn(Option<PlantedGuardFault>) -> Result<(), String>,
+) {
+    assert_eq!(outcome(None), Ok(()));
+    for &fault in faults {
+        assert!(outcome(Some(fault)).is_err(), "{fault:?} goes unnoticed");
+    }
+}
+
+/// A check that is dropped, and the same negated.
+fn both(check: Check) -> [PlantedGuardFault; 2] {
+    [
+        PlantedGuardFault::Dropped(check),
+        PlantedGuardFault::Negated(check),
+    ]
+}
+
+/// Pushes the arm at clearance `index`, which should come to the margin and no nearer.
+fn push(
+    config: &ControlConfig,
+    state: MotionState,
+    index: usize,
+    fault: Option<PlantedGuardFault>,
+) -> Result<(), String> {
     let margin_m = config.margins.guard_m;
     let mut rig = Rig::new(config.clone(), [state], 0);
+    if let Some(fault) = fault {
+        rig.guard.plant(fault);
+    }
     let mut least_m = f64::INFINITY;
-    for tick in 0..600 {
-        rig.velocity[0] = down(&config, &rig.states[0], |state| {
-            clearances(&config, state)[index]
+    for _ in 0..600 {
+        rig.velocity[0] = down(config, &rig.states[0], |state| {
+            clearances(config, state)[index]
         });
         rig.step();
-        let h = clearances(&config, &rig.states[0])[index];
-        assert!(h >= margin_m - 1e-9, "clearance {index} tick {tick}: {h}");
-        least_m = least_m.min(h);
+        least_m = least_m.min(clearances(config, &rig.states[0])[index]);
     }
-    assert!(
-        least_m < margin_m + 5e-4,
-        "clearance {index} was never met: {least_m}"
-    );
+    // And away again.
+    let towards = rig.velocity[0];
+    for _ in 0..200 {
+        rig.velocity[0] = towards.map(|velocity| -velocity);
+        rig.step();
+    }
+    let end_m = clearances(config, &rig.states[0])[index];
+    if end_m < least_m + 1e-4 {
+        return Err(format!("{index} holds the arm at {end_m}"));
+    }
+    met(index, least_m, margin_m)
+}
+
+/// Whether the least of something came to the margin and no nearer.
+fn met(index: usize, least_m: f64, margin_m: f64) -> Result<(), String> {
+    if least_m < margin_m - 1e-9 {
+        Err(format!("{index} comes as near as {least_m}"))
+    } else if least_m > margin_m + 5e-4 {
+        Err(format!("{index} is never met, {least_m}"))
+    } else {
+        Ok(())
+    }
 }
 
 #[test]
@@ -95,7 +139,9 @@ fn each_point_is_kept_from_each_face_of_the_workspace() {
         config.arms[0].workspace.center_m += inward * (h - START_M);
         let started = clearances(&config, &state);
         assert!((started[index] - START_M).abs() < 1e-12);
-        push(config, state, index);
+        only_without(&both(Check::Clearance(index)), |fault| {
+            push(&config, state, index, fault)
+        });
     }
 }
 
@@ -150,7 +196,9 @@ fn each_link_is_kept_from_each_region() {
         for link in 0..LINKS {
             let (config, state) = beside(slot, link, &mut random);
             let index = FACES + LINKS * slot + link;
-            push(config, state, index);
+            // Negated, it still stops the arm once the whole stop's travel no longer says that the region is far.
+            let dropped = PlantedGuardFault::Dropped(Check::Clearance(index));
+            only_without(&[dropped], |fault| push(&config, state, index, fault));
         }
     }
 }
@@ -219,28 +267,39 @@ fn each_pair_of_links_of_two_arms_keeps_its_gap() {
     for kind in 0..KINDS.len() {
         for turn in 0..3 {
             let (config, states) = facing(kind, &mut random);
-            let margin_m = config.margins.guard_m;
-            let mut rig = Rig::new(config.clone(), states, 0);
-            let mut least_m = f64::INFINITY;
-            for tick in 0..600 {
-                // Either arm goes for the other, or both do.
-                for arm in (0..2).filter(|&arm| turn == 2 || turn == arm) {
-                    let other = rig.states[1 - arm];
-                    rig.velocity[arm] = down(&config, &rig.states[arm], |state| {
-                        let pair = if arm == 0 {
-                            [state, &other]
-                        } else {
-                            [&other, state]
-                        };
-                        gaps(&config, pair[0], pair[1])[kind]
-                    });
-                }
-                rig.step();
-                let gap_m = gaps(&config, &rig.states[0], &rig.states[1])[kind];
-                assert!(gap_m >= margin_m - 1e-9, "{kind} tick {tick}: {gap_m}");
-                least_m = least_m.min(gap_m);
-            }
-            assert!(least_m < margin_m + 5e-4, "{kind}: never met, {least_m}");
+            only_without(&both(Check::Pair(kind)), |fault| {
+                push_pair(&config, states, (kind, turn), fault)
+            });
         }
     }
+}
+
+/// Pushes the links of `kind` together: one arm goes for the other, by `turn`, or both do.
+fn push_pair(
+    config: &ControlConfig,
+    states: [MotionState; 2],
+    (kind, turn): (usize, usize),
+    fault: Option<PlantedGuardFault>,
+) -> Result<(), String> {
+    let mut rig = Rig::new(config.clone(), states, 0);
+    if let Some(fault) = fault {
+        rig.guard.plant(fault);
+    }
+    let mut least_m = f64::INFINITY;
+    for _ in 0..600 {
+        for arm in (0..2).filter(|&arm| turn == 2 || turn == arm) {
+            let other = rig.states[1 - arm];
+            rig.velocity[arm] = down(config, &rig.states[arm], |state| {
+                let pair = if arm == 0 {
+                    [state, &other]
+                } else {
+                    [&other, state]
+                };
+                gaps(config, pair[0], pair[1])[kind]
+            });
+        }
+        rig.step();
+        least_m = least_m.min(gaps(config, &rig.states[0], &rig.states[1])[kind]);
+    }
+    met(kind, least_m, config.margins.guard_m)
 }
