@@ -1,6 +1,7 @@
 //! The guard alone: garbage in, no limit broken.
 
 mod bounds;
+mod each;
 mod one_arm;
 mod recovery;
 mod timing;

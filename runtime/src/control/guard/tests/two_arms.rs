@@ -17,7 +17,11 @@ fn in_scene(config: &ControlConfig, arm: usize, state: &MotionState) -> Instrume
 }
 
 /// What is left of every gap between two arms, m.
-fn gaps(config: &ControlConfig, first: &MotionState, second: &MotionState) -> [f64; KINDS.len()] {
+pub(super) fn gaps(
+    config: &ControlConfig,
+    first: &MotionState,
+    second: &MotionState,
+) -> [f64; KINDS.len()] {
     let between = config.between_arms.unwrap();
     let a = in_scene(config, 0, first).links();
     let b = in_scene(config, 1, second).links();
