@@ -45,6 +45,8 @@ pub(super) struct ArmGuard {
     fresh: Path,
     /// What the last candidate's stop keeps at least.
     least: Clearances,
+    /// What it had to keep: the floors, and where the candidate is beyond a boundary hardly less than it has itself.
+    required: Clearances,
     #[cfg(test)]
     pub(super) planted: Option<PlantedGuardFault>,
 }
@@ -80,6 +82,7 @@ impl ArmGuard {
             played_s: 0.0,
             fresh: path,
             least: sample.clearances,
+            required: [config.margins.guard_m; CLEARANCES],
             #[cfg(test)]
             planted: None,
         };
@@ -153,8 +156,8 @@ impl ArmGuard {
     pub(super) fn commit(&mut self) {
         core::mem::swap(&mut self.held, &mut self.fresh);
         self.played_s = 0.0;
-        for (floor, &h) in self.floors.iter_mut().zip(&self.least) {
-            *floor = floor.max(self.floor.below(h));
+        for ((floor, &h), required) in self.floors.iter_mut().zip(&self.least).zip(self.required) {
+            *floor = required.max(self.floor.below(h));
         }
         for ((range, limits), (low, high)) in
             self.ranges.iter_mut().zip(&self.axes).zip(self.held.ranges)
@@ -170,6 +173,14 @@ impl ArmGuard {
     fn verify_in_space(&mut self) -> bool {
         let stop = self.fresh.stop;
         let mut before = Sample::new(&stop.at(0.0), &self.boundaries, &[true; CLEARANCES]);
+        self.required = core::array::from_fn(|index| {
+            let (floor, h) = (self.floors[index], before.clearances[index]);
+            if h < 0.0 {
+                floor.max(self.floor.below(h))
+            } else {
+                floor
+            }
+        });
         let travel_m = travel_m(before.wrist_distance_m, &self.fresh.ranges);
         let wanted = self.look_for(&before.clearances, &travel_m);
         let gap_s = stop.duration_s() / f64::from(INTERVALS);
@@ -225,7 +236,7 @@ impl ArmGuard {
                 .lowest_between(index, h, instruments, bounds, enough_m);
             #[cfg(test)]
             let low = self.pad(Padding::Clearance, h.0.min(h.1), low);
-            let keeps = low >= self.floors[index];
+            let keeps = low >= self.required[index];
             #[cfg(test)]
             let keeps = self.judge(Check::Clearance(index), keeps);
             if !keeps {
