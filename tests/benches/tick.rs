@@ -1,4 +1,5 @@
-//! The controller's tick alone: with the safety QP inactive under two ways of aggregation, and with it active.
+//! The controller's tick, that is filter, smoother, guard and a little more: of one arm and of two, with the safety QP inactive
+//! and with it active.
 
 mod support;
 
@@ -6,6 +7,7 @@ use core::f64::consts::TAU;
 use std::error::Error;
 
 use criterion::Criterion;
+use hal::config::Source;
 use hal::{ArmState, Chunk, JointVector, Pose, TICK_NS, TimeNs, TipTarget};
 use nalgebra::{Translation3, UnitQuaternion, Vector3};
 use runtime::control::aggregate::Aggregation;
@@ -16,6 +18,8 @@ use runtime::histogram::Histogram;
 use runtime::kinematics::forward;
 use runtime::rt::{Grant, MonotonicClock, RtOptions, configure_thread};
 
+/// Two arms that reach towards each other.
+const HANDOVER: &str = include_str!("../../runtime/src/control/tests/scenes/handover.toml");
 /// Ticks from one chunk to the next.
 const STEP_TICKS: u64 = 40;
 /// Steps in a chunk; with one every step, as many chunks cover each instant.
@@ -32,23 +36,23 @@ const REAL_TIME: RtOptions = RtOptions {
     strict: false,
 };
 
-/// A controller with an arm that is wherever it was told to be, and a policy that answers every step.
-struct Rig {
-    controller: Controller,
+/// A controller with arms that are wherever they were told to be, and a policy that answers every step.
+struct Rig<const ARMS: usize> {
+    controller: Controller<ARMS>,
     path: fn(f64) -> TipTarget,
     chunk: Option<Chunk>,
-    arm: ArmState,
+    arms: [ArmState; ARMS],
     tick: u64,
     clock: MonotonicClock,
 }
 
-impl Rig {
+impl<const ARMS: usize> Rig<ARMS> {
     fn new(config: &ControlConfig, path: fn(f64) -> TipTarget) -> Result<Self, Box<dyn Error>> {
         let mut rig = Self {
-            controller: Controller::new(config)?,
+            controller: Controller::for_arms(config)?,
             path,
             chunk: None,
-            arm: ArmState::at_rest(TimeNs(0), home(), 0.2),
+            arms: [ArmState::at_rest(TimeNs(0), home(), 0.2); ARMS],
             tick: 0,
             clock: MonotonicClock::new(),
         };
@@ -64,27 +68,32 @@ impl Rig {
         if self.tick.is_multiple_of(STEP_TICKS) {
             self.chunk = Some(self.chunk_from(now));
         }
-        let input = TickInput {
+        let inputs: [TickInput<'_>; ARMS] = self.arms.map(|arm| TickInput {
             now,
-            measured: Ok(self.arm),
+            measured: Ok(arm),
             chunk: self.chunk.as_ref(),
             operator: (self.tick == 0).then_some(OperatorEvent::Enable),
-        };
+        });
         let before = self.clock.now();
-        let output = self.controller.tick(&input);
+        let outputs = self.controller.tick_arms(&inputs);
         let took_ns = self.clock.now().since(before);
         self.tick += 1;
-        let command = &output.command;
-        self.arm = ArmState {
-            velocity: command.velocity,
-            jaw_velocity: command.jaw_velocity,
-            ..ArmState::at_rest(
-                TimeNs::from_tick(self.tick),
-                command.position,
-                command.jaw_position,
-            )
+        for (arm, output) in self.arms.iter_mut().zip(&outputs) {
+            let command = &output.command;
+            *arm = ArmState {
+                velocity: command.velocity,
+                jaw_velocity: command.jaw_velocity,
+                ..ArmState::at_rest(
+                    TimeNs::from_tick(self.tick),
+                    command.position,
+                    command.jaw_position,
+                )
+            };
+        }
+        let [output, ..] = outputs.as_slice() else {
+            unreachable!("a controller has an arm");
         };
-        (took_ns, output)
+        (took_ns, *output)
     }
 
     fn chunk_from(&self, now: TimeNs) -> Chunk {
@@ -129,6 +138,12 @@ fn below_the_floor(time_s: f64) -> TipTarget {
     target(x, 0.0, -0.1135 - down_m, Vector3::zeros(), 0.2)
 }
 
+/// To and fro across the place where the other arm's tip goes to and fro as well.
+fn across(time_s: f64) -> TipTarget {
+    let x = 0.03 * (TAU * time_s / 4.0).sin();
+    target(x, 0.0, -0.13, Vector3::zeros(), 0.2)
+}
+
 fn report(name: &str, ticks: &Histogram, limit_us: f64, fifo: &Grant) {
     let us = |fraction| TimeNs(ticks.percentile(fraction)).seconds() * 1e6;
     let figure = format!(
@@ -146,12 +161,12 @@ fn report(name: &str, ticks: &Histogram, limit_us: f64, fifo: &Grant) {
 }
 
 /// No row of the QP is touched on the way.
-fn inactive(
+fn inactive<const ARMS: usize>(
     criterion: &mut Criterion,
     name: &str,
     config: &ControlConfig,
 ) -> Result<Histogram, Box<dyn Error>> {
-    let mut rig = Rig::new(config, circle)?;
+    let mut rig = Rig::<ARMS>::new(config, circle)?;
     let mut solved = 0;
     let ticks = support::measure(criterion, name, TICKS, || {
         let (took_ns, output) = rig.step();
@@ -165,15 +180,17 @@ fn inactive(
 }
 
 /// Every tick that is counted has solved the QP with rows active.
-fn active(
+fn active<const ARMS: usize>(
     criterion: &mut Criterion,
     name: &str,
     config: &ControlConfig,
+    path: fn(f64) -> TipTarget,
+    share: f64,
 ) -> Result<Histogram, Box<dyn Error>> {
-    let mut rig = Rig::new(config, below_the_floor)?;
+    let mut rig = Rig::<ARMS>::new(config, path)?;
     let (mut all, mut counted) = (0_u32, 0_u32);
     let ticks = support::measure(criterion, name, TICKS, || {
-        // The path stays below the floor, so that hardly a tick is passed over; the share is checked below.
+        // Only ticks that solve are counted; their share is checked below.
         loop {
             let (took_ns, output) = rig.step();
             all += 1;
@@ -184,7 +201,7 @@ fn active(
             }
         }
     });
-    if f64::from(counted) < 0.9 * f64::from(all) {
+    if f64::from(counted) < share * f64::from(all) {
         return Err(format!("{name}: rows were active in {counted} of {all} ticks only").into());
     }
     Ok(ticks)
@@ -201,17 +218,30 @@ fn main() -> Result<(), Box<dyn Error>> {
         aggregation: Aggregation::WholeChunk,
         ..ensemble.clone()
     };
+    let two_arms = ControlConfig::load(
+        &ControlConfig::default_control(),
+        &Source::embedded("handover.toml", HANDOVER),
+    )?;
+    let two_arms = ControlConfig {
+        aggregation: Aggregation::WholeChunk,
+        ..two_arms
+    };
     let names = [
         "tick/qp inactive, ensemble of 100",
         "tick/qp inactive, whole chunk",
-        "tick/qp active, ensemble of 100",
+        "tick/qp active, whole chunk",
+        "tick/two arms, qp inactive, whole chunk",
+        "tick/two arms, qp active, whole chunk",
     ];
     let results = [
-        inactive(&mut criterion, names[0], &ensemble)?,
-        inactive(&mut criterion, names[1], &whole_chunk)?,
-        active(&mut criterion, names[2], &ensemble)?,
+        inactive::<1>(&mut criterion, names[0], &ensemble)?,
+        inactive::<1>(&mut criterion, names[1], &whole_chunk)?,
+        active::<1>(&mut criterion, names[2], &whole_chunk, below_the_floor, 0.9)?,
+        inactive::<2>(&mut criterion, names[3], &two_arms)?,
+        active::<2>(&mut criterion, names[4], &two_arms, across, 0.5)?,
     ];
-    for ((name, ticks), limit_us) in names.iter().zip(&results).zip([50.0, 50.0, 300.0]) {
+    let limits_us = [60.0, 60.0, 250.0, 500.0, 500.0];
+    for ((name, ticks), limit_us) in names.iter().zip(&results).zip(limits_us) {
         report(name, ticks, limit_us, &scheduling.fifo);
     }
     criterion.final_summary();

@@ -1,7 +1,7 @@
 //! The tick: measured arms and newest chunks in, commands out. Hot path: bounded, no allocation, no I/O, no clock, no lock.
 
 use hal::tail::{AxisPoint, AxisTail, SafeTail, TailPhase};
-use hal::{JointVector, Pose, TimeNs};
+use hal::{JointVector, Pose, TICK_NS, TimeNs};
 
 use super::arm_control::{ArmControl, Plan};
 use super::config::ControlConfig;
@@ -31,6 +31,8 @@ pub struct Controller<const ARMS: usize = 1> {
     filter: Filter,
     guard: Guard<ARMS>,
     config: ControlConfig,
+    /// When the newest tick was.
+    newest: Option<TimeNs>,
     /// What a test breaks, to see what the rest is worth.
     #[cfg(test)]
     pub(super) sabotage: super::sabotage::Sabotage,
@@ -108,6 +110,7 @@ impl<const ARMS: usize> Controller<ARMS> {
             filter: Filter::new(config),
             guard: Guard::new(config, &[MotionState::ZERO; ARMS], TICK_S)?,
             config: config.clone(),
+            newest: None,
             #[cfg(test)]
             sabotage: super::sabotage::Sabotage::default(),
         })
@@ -126,7 +129,13 @@ impl<const ARMS: usize> Controller<ARMS> {
     }
 
     /// One control period of all arms, which share one `now`.
+    ///
+    /// Periods that were missed since the newest tick have been played from its tail by whoever drives the arm; the controller
+    /// goes on from there.
     pub fn tick_arms(&mut self, inputs: &[TickInput<'_>; ARMS]) -> [TickOutput; ARMS] {
+        if let Some(input) = inputs.first() {
+            self.catch_up(input.now);
+        }
         for (index, (arm, input)) in self.arms.iter_mut().zip(inputs).enumerate() {
             if arm.observe(input) {
                 self.guard.seed(index, &arm.commanded);
@@ -145,6 +154,20 @@ impl<const ARMS: usize> Controller<ARMS> {
             let now = inputs[arm].now;
             self.finish(arm, now, &plans[arm], &filtered, &decisions[arm])
         })
+    }
+
+    fn catch_up(&mut self, now: TimeNs) {
+        let newest = self.newest.replace(now).unwrap_or(now);
+        for _ in 1..now.since(newest) / TICK_NS {
+            if self.arms.iter().all(|arm| arm.commanded.is_at_rest()) {
+                break;
+            }
+            let commanded = core::array::from_fn(|arm| self.arms[arm].commanded);
+            let decisions = self.guard.next(&commanded, &[Request::Stop; ARMS]);
+            for (arm, decision) in self.arms.iter_mut().zip(&decisions) {
+                arm.commanded = decision.state;
+            }
+        }
     }
 
     /// The scene is shared: where one arm has a fault the other comes to rest and waits for the operator.

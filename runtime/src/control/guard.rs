@@ -38,7 +38,7 @@ mod pair;
 pub(crate) mod planted;
 mod sweep;
 
-use super::config::ControlConfig;
+use super::config::{ControlConfig, FORBIDDEN_MAX};
 use super::motion::MotionState;
 use super::stop::Stop;
 use arm::ArmGuard;
@@ -90,6 +90,9 @@ pub enum GuardError {
         /// Arms to be guarded.
         wanted: usize,
     },
+    /// More regions than are looked at.
+    #[error("an arm has {0} forbidden regions, more than {FORBIDDEN_MAX}")]
+    Regions(usize),
     /// Two arms that may meet anywhere.
     #[error("the configuration does not say what two arms keep between them")]
     BetweenArms,
@@ -99,7 +102,8 @@ impl<const ARMS: usize> Guard<ARMS> {
     /// A guard that holds the first `ARMS` arms of `config` at `states`, at rest. Further arms are left out.
     ///
     /// # Errors
-    /// [`GuardError`] if the configuration has fewer arms, or two and nothing between them, or `ARMS` is not 1 or 2.
+    /// [`GuardError`] if the configuration has fewer arms, too many regions, or two arms and nothing between them, or if
+    /// `ARMS` is not 1 or 2.
     pub fn new(
         config: &ControlConfig,
         states: &[MotionState; ARMS],
@@ -115,6 +119,12 @@ impl<const ARMS: usize> Guard<ARMS> {
                 configured: config.arms.len(),
                 wanted: ARMS,
             })?;
+        for arm in arms {
+            let count = arm.forbidden.len();
+            if count > FORBIDDEN_MAX {
+                return Err(GuardError::Regions(count));
+            }
+        }
         let pair = match (&config.between_arms, ARMS) {
             (_, 1) => None,
             (Some(between), _) => Some(Pair::new(between, &config.margins)),
@@ -158,6 +168,8 @@ impl<const ARMS: usize> Guard<ARMS> {
 
     /// The next states: for each arm the one that it asks for, if it follows from its `current` one within the limits and
     /// its stop is verified, otherwise the next one of the stop that is held.
+    ///
+    /// `current` is what the last call decided or, after that, [`Self::seed`] was given.
     pub fn next(
         &mut self,
         current: &[MotionState; ARMS],
@@ -238,9 +250,13 @@ impl<const ARMS: usize> Guard<ARMS> {
                         intervened: false,
                     }
                 }
-                request => Decision {
+                Request::Follow(_) => Decision {
                     state: self.arms[arm].play(),
-                    intervened: matches!(request, Request::Follow(_)),
+                    intervened: true,
+                },
+                Request::Stop => Decision {
+                    state: self.arms[arm].play(),
+                    intervened: false,
                 },
             })
         })

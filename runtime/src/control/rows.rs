@@ -132,7 +132,9 @@ impl Rows {
     }
 
     fn speeds(&mut self, config: &ControlConfig, first: usize, arm: &RowInput<'_>) {
-        let share = config.filter.speed_fraction * arm.pace;
+        // The bounds of its axes hold an arm whose pace is zero; a cone of no width would only make the problem harder.
+        let pace = if arm.pace > 0.0 { arm.pace } else { 1.0 };
+        let share = config.filter.speed_fraction * pace;
         let jacobian = arm.stance.frames.tip_jacobian();
         let mut cone = |from: usize, limit: f64| {
             let mut matrix = [[0.0; VARIABLES_MAX]; 3];

@@ -2,7 +2,7 @@
 
 use std::collections::VecDeque;
 
-use hal::{Arm, ArmState, CameraFrame, Chunk, FrameRef, Pose, SafeTail, TimeNs};
+use hal::{Arm, ArmState, CameraFrame, Chunk, FrameRef, Pose, TimeNs};
 use sim_backend::simulation::Simulation;
 use sim_backend::task::Outcome;
 
@@ -130,9 +130,7 @@ impl Episode<'_> {
                 operator,
             });
             let compute_ns = clock.now().since(before);
-            // Every step has its command, so that the tail is never played.
-            self.simulation
-                .write(&output.command, &SafeTail::hold(&output.command))?;
+            self.simulation.write(&output.command, &output.tail)?;
             self.simulation.step();
             if let Some(chunk) = &chunk {
                 watcher.chunk(chunk);

@@ -37,6 +37,8 @@ pub(super) struct Arm {
     history: History,
     place: Option<Place>,
     stamp: Option<u64>,
+    /// Periods from the command before the newest to the newest.
+    periods: f64,
     before: Before,
     pub(super) skipped_periods: u64,
     pub(super) newest: Option<Newest>,
@@ -70,6 +72,7 @@ impl Arm {
             history: History::new(),
             place: None,
             stamp: None,
+            periods: 1.0,
             before: Before::Beginning,
             skipped_periods: 0,
             newest: None,
@@ -125,7 +128,7 @@ impl Arm {
         self.forget();
         let sample = axes(&state.position, state.jaw_position);
         for _ in 0..3 {
-            self.history.push(sample);
+            self.history.push(sample, 1.0);
         }
         self.place = Some(Tip::place(&self.instrument(&sample)));
     }
@@ -154,13 +157,15 @@ impl Arm {
     fn powered(&mut self, ledger: &mut Ledger, command: &ArmCommand, at: &Instrument) {
         let sample = positions(command);
         self.places(ledger, Moment::Command, &sample, at);
-        self.history.push(sample);
+        self.history.push(sample, self.periods);
         for (axis, velocity) in self.axes.iter().zip(velocities(command)) {
             axis.motion(ledger, &self.history, velocity);
         }
         let place = Tip::place(at);
         if let Some(before) = self.place.replace(place) {
-            self.tip.check(ledger, Moment::Command, &before, &place);
+            let elapsed_s = self.periods * PERIOD_S;
+            self.tip
+                .check(ledger, Moment::Command, &before, &place, elapsed_s);
         }
     }
 
@@ -201,9 +206,10 @@ impl Arm {
         ledger.judge(self.hash_limit, 1.0, 0.0, 1.0, 0.0);
     }
 
-    /// Stamps must rise by whole periods; more than one is a period that the driver skipped.
+    /// Stamps must rise by whole periods; more than one means that the driver skipped some, in which the arm played its tail.
     fn stamp(&mut self, ledger: &mut Ledger, command: &ArmCommand) {
         let now = command.stamp.0;
+        self.periods = 1.0;
         let Some(before) = self.stamp.replace(now) else {
             return;
         };
@@ -214,7 +220,14 @@ impl Arm {
             let excess_ns = (step_ns - period_ns).abs();
             ledger.judge(self.stamp_limit, excess_ns, 0.0, step_ns, period_ns);
         } else {
-            self.skipped_periods += step / TICK_NS - 1;
+            let periods = step / TICK_NS;
+            self.skipped_periods += periods - 1;
+            #[expect(
+                clippy::cast_precision_loss,
+                reason = "a run has fewer than 2^53 periods"
+            )]
+            let periods = periods as f64;
+            self.periods = periods;
         }
     }
 }

@@ -12,20 +12,40 @@ pub(super) enum Moment {
     Tail,
 }
 
+impl Moment {
+    pub(super) const fn of(self, [command, tail]: [LimitId; 2]) -> LimitId {
+        match self {
+            Self::Command => command,
+            Self::Tail => tail,
+        }
+    }
+}
+
 /// A bound on one side of a value.
 ///
-/// An arm that gets its torque beyond a boundary may stay there and get no worse than by `recovery`; the bound comes back
-/// with it.
+/// An arm that gets its torque beyond a boundary may stay there and get no worse than by `recovery`. As it comes back the
+/// bound comes back with it: to go out again is a violation of another name, so that it can be told from the worse one.
 #[derive(Clone, Debug)]
 pub(super) struct Boundary {
-    command: LimitId,
-    tail: LimitId,
+    /// For commands and for their tails.
+    limits: [LimitId; 2],
+    /// The same for the bound that came back.
+    again: [LimitId; 2],
     bound: f64,
     /// 1 if the value must be at least the bound, -1 if at most.
     side: f64,
     recovery: f64,
     /// How far outside a value may be; `None` before the first command with torque.
-    allowance: Option<f64>,
+    allowance: Option<Allowance>,
+}
+
+/// How far outside a value may be.
+#[derive(Clone, Copy, Debug)]
+struct Allowance {
+    /// Since the arm got its torque.
+    first: f64,
+    /// Since it came back as far as it did.
+    left: f64,
 }
 
 impl Boundary {
@@ -37,8 +57,8 @@ impl Boundary {
         recovery: f64,
     ) -> Self {
         Self {
-            command: ledger.open(arm, name.to_owned()),
-            tail: ledger.open(arm, format!("tail.{name}")),
+            limits: ["", "tail."].map(|of| ledger.open(arm, format!("{of}{name}"))),
+            again: ["", "tail."].map(|of| ledger.open(arm, format!("{of}{name}.again"))),
             bound,
             side: 1.0,
             recovery,
@@ -59,35 +79,40 @@ impl Boundary {
         }
     }
 
-    const fn id(&self, moment: Moment) -> LimitId {
-        match moment {
-            Moment::Command => self.command,
-            Moment::Tail => self.tail,
-        }
-    }
-
     /// Checks `value`; the commands' own values set and tighten the allowance.
     pub(super) fn check(&mut self, ledger: &mut Ledger, moment: Moment, value: f64) {
         let fresh = self.allowance_of(value);
-        let allowance = self.allowance.unwrap_or(fresh);
+        let Allowance { first, left } = self.allowance.unwrap_or(Allowance {
+            first: fresh,
+            left: fresh,
+        });
         if moment == Moment::Command {
-            self.allowance = Some(allowance.min(fresh));
+            let left = left.min(fresh);
+            self.allowance = Some(Allowance { first, left });
         }
+        self.judge(ledger, moment.of(self.limits), value, first);
+        if left < first {
+            self.judge(ledger, moment.of(self.again), value, left);
+        }
+    }
+
+    fn judge(&self, ledger: &mut Ledger, limit: LimitId, value: f64, allowance: f64) {
         let bound = self.bound - self.side * allowance;
         let excess = self.side * (bound - value);
-        ledger.judge(self.id(moment), excess, TOLERANCE, value, bound);
+        ledger.judge(limit, excess, TOLERANCE, value, bound);
     }
 
     /// A value that must be at least the bound and is known to be more than this needs no check: it is neither outside nor
     /// nearer to the bound than any value before it.
     pub(super) fn enough(&self, ledger: &Ledger, moment: Moment) -> f64 {
-        self.bound + (-ledger.worst_excess(self.id(moment))).max(0.0)
+        self.bound + (-ledger.worst_excess(moment.of(self.limits))).max(0.0)
     }
 
     /// Takes note of a command's value that is beyond [`Self::enough`].
     pub(super) fn is_clear(&mut self, moment: Moment) {
         if moment == Moment::Command {
-            self.allowance = Some(0.0);
+            let first = self.allowance.map_or(0.0, |allowance| allowance.first);
+            self.allowance = Some(Allowance { first, left: 0.0 });
         }
     }
 
@@ -99,12 +124,15 @@ impl Boundary {
     /// Something else than a command took the value from `before` to `after`; where that is outward, the bound moves with it.
     pub(super) fn was_moved(&mut self, before: f64, after: f64) {
         let worse = self.outside(after) - self.outside(before);
-        if let Some(allowance) = &mut self.allowance
+        if let Some(Allowance { first, left }) = &mut self.allowance
             && worse > 0.0
         {
-            *allowance += worse;
-            if *allowance <= worse {
-                *allowance += self.recovery;
+            for allowed in [first, left] {
+                *allowed += if *allowed > 0.0 {
+                    worse
+                } else {
+                    worse + self.recovery
+                };
             }
         }
     }

@@ -61,7 +61,8 @@ pub struct Violation {
     /// The arm; `psm1+psm2` if the limit is between two.
     pub arm: String,
     /// The limit: `yaw.velocity`, `tip_speed`, `workspace.left_finger_tip.z_min`, `forbidden.vessel.shaft`,
-    /// `between_arms.shaft.shaft`, `yaw.disabled_position`; of a safe tail `tail.yaw.velocity`.
+    /// `between_arms.shaft.shaft`, `yaw.disabled_position`; of a safe tail `tail.yaw.velocity`. With `.again` at the end, an arm
+    /// that was enabled beyond a boundary had come back and went out again.
     pub limit: String,
     /// What was commanded.
     pub value: f64,

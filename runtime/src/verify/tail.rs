@@ -260,7 +260,8 @@ impl Tails {
         newest.at = arm.instrument(&positions);
         arm.places(ledger, Moment::Tail, &positions, &newest.at);
         let after = Tip::place(&newest.at);
-        arm.tip.check(ledger, Moment::Tail, &before, &after);
+        arm.tip
+            .check(ledger, Moment::Tail, &before, &after, PERIOD_S);
     }
 }
 

@@ -2,7 +2,6 @@
 
 use nalgebra::{Point3, UnitQuaternion};
 
-use super::axis::PERIOD_S;
 use super::boundary::{Moment, TOLERANCE};
 use super::chain::Instrument;
 use super::ledger::{Ledger, LimitId};
@@ -42,14 +41,18 @@ impl Tip {
         (at.control_point, at.rotation)
     }
 
-    /// Checks the way from one place to the next, a period later.
-    pub(super) fn check(&self, ledger: &mut Ledger, moment: Moment, before: &Place, after: &Place) {
-        let ids = match moment {
-            Moment::Command => [self.speed[0], self.angular_speed[0]],
-            Moment::Tail => [self.speed[1], self.angular_speed[1]],
-        };
-        let speed = (after.0 - before.0).norm() / PERIOD_S;
-        let angular_speed = before.1.angle_to(&after.1) / PERIOD_S;
+    /// Checks the way from one place to the next, `elapsed_s` later.
+    pub(super) fn check(
+        &self,
+        ledger: &mut Ledger,
+        moment: Moment,
+        before: &Place,
+        after: &Place,
+        elapsed_s: f64,
+    ) {
+        let ids = [moment.of(self.speed), moment.of(self.angular_speed)];
+        let speed = (after.0 - before.0).norm() / elapsed_s;
+        let angular_speed = before.1.angle_to(&after.1) / elapsed_s;
         let bounds = [self.speed_m_s, self.angular_speed_rad_s];
         for ((limit, value), bound) in ids.into_iter().zip([speed, angular_speed]).zip(bounds) {
             ledger.judge(limit, value - bound, TOLERANCE, value, bound);

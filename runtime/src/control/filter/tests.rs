@@ -8,7 +8,7 @@ use crate::control::motion::{AXES, JAW, MotionState};
 use crate::control::random::SplitMix64;
 use crate::control::report::QpOutcome;
 use crate::control::rows::tests::{fill, two_arms};
-use crate::control::rows::{Rows, Velocities};
+use crate::control::rows::{RowInput, Rows, Velocities};
 use crate::control::second_opinion::compare;
 
 /// Arms in or near the workspace, in motion, with what the filter is asked.
@@ -160,6 +160,34 @@ fn what_no_row_touches_stays_as_it_is() {
         }
     }
     assert!(untouched > 200, "{untouched}");
+}
+
+#[test]
+fn an_arm_that_may_not_move_does_not_stop_the_other() {
+    let mut case = Case::new(2, 48);
+    for round in 0..2_000 {
+        case.draw();
+        let states = [(); 2].map(|()| MotionState::ZERO);
+        let mut inputs: Vec<RowInput<'_>> = states
+            .iter()
+            .zip(&case.stances)
+            .map(|(state, stance)| RowInput {
+                state,
+                stance,
+                moves: true,
+                jaw_effort_n_m: 0.0,
+                pace: 1.0,
+            })
+            .collect();
+        inputs[1].pace = 0.0;
+        inputs[1].moves = round % 2 == 0;
+        case.rows.fill(&case.config, &inputs);
+        let mut nominal = case.velocity(1.5);
+        nominal[AXES..].fill(0.0);
+        let filtered = case.filter(&nominal);
+        assert_ne!(filtered.outcome, QpOutcome::Failed, "round {round}");
+        assert!(filtered.velocity[AXES..].iter().all(|v| v.abs() < 1e-9));
+    }
 }
 
 #[test]

@@ -1,6 +1,8 @@
 //! One arm's part of the guard: the stop that it holds, and the check of another. Hot path: bounded, no allocation, no I/O, no
 //! lock.
 
+mod axes;
+
 use hal::Pose;
 
 use super::bounds::Bounds;
@@ -13,12 +15,6 @@ use crate::control::config::{ArmConfig, ControlConfig};
 use crate::control::instrument::LINKS;
 use crate::control::motion::{AXES, AxisLimits, MotionState};
 use crate::control::stop::Stop;
-
-/// Rounding allowed on limits, relative.
-const ROUNDING: f64 = 1e-9;
-
-/// Rounding allowed on a tick's motion, rad (m) and their derivatives.
-const STEP_ROUNDING: f64 = 1e-12;
 
 /// A stop, the positions that it takes, and where its links are on the way.
 #[derive(Clone, Debug)]
@@ -49,6 +45,8 @@ pub(super) struct ArmGuard {
     fresh: Path,
     /// What the last candidate's stop keeps at least.
     least: Clearances,
+    /// What it had to keep: the floors, and where the candidate is beyond a boundary hardly less than it has itself.
+    required: Clearances,
     #[cfg(test)]
     pub(super) planted: Option<PlantedGuardFault>,
 }
@@ -84,6 +82,7 @@ impl ArmGuard {
             played_s: 0.0,
             fresh: path,
             least: sample.clearances,
+            required: [config.margins.guard_m; CLEARANCES],
             #[cfg(test)]
             planted: None,
         };
@@ -157,8 +156,8 @@ impl ArmGuard {
     pub(super) fn commit(&mut self) {
         core::mem::swap(&mut self.held, &mut self.fresh);
         self.played_s = 0.0;
-        for (floor, &h) in self.floors.iter_mut().zip(&self.least) {
-            *floor = floor.max(self.floor.below(h));
+        for ((floor, &h), required) in self.floors.iter_mut().zip(&self.least).zip(self.required) {
+            *floor = required.max(self.floor.below(h));
         }
         for ((range, limits), (low, high)) in
             self.ranges.iter_mut().zip(&self.axes).zip(self.held.ranges)
@@ -170,56 +169,18 @@ impl ArmGuard {
         }
     }
 
-    /// Whether one tick of motion within the jerk limit leads from `current` to `candidate`. NaN is nowhere.
-    fn follows(&self, current: &MotionState, candidate: &MotionState) -> bool {
-        let t = self.tick_s;
-        self.axes.iter().enumerate().all(|(axis, limits)| {
-            let (p, v, a) = (
-                current.position[axis],
-                current.velocity[axis],
-                current.acceleration[axis],
-            );
-            let jerk = limits.jerk * (1.0 + 1e-7);
-            let a_off = candidate.acceleration[axis] - a;
-            let v_off = candidate.velocity[axis] - v - a * t;
-            let p_off = candidate.position[axis] - p - v * t - a * t * t / 2.0;
-            let a_follows = a_off.abs() <= jerk * t + STEP_ROUNDING;
-            let v_follows = v_off.abs() <= jerk * t * t / 2.0 + STEP_ROUNDING;
-            let p_follows = p_off.abs() <= jerk * t * t * t / 6.0 + STEP_ROUNDING;
-            #[cfg(test)]
-            let (a_follows, v_follows, p_follows) = (
-                self.judge(Check::AccelerationStep(axis), a_follows),
-                self.judge(Check::VelocityStep(axis), v_follows),
-                self.judge(Check::PositionStep(axis), p_follows),
-            );
-            a_follows && v_follows && p_follows
-        })
-    }
-
-    /// Whether every axis keeps its limits from the first moment of the candidate's stop to rest.
-    fn axes_keep(&self) -> bool {
-        let path = &self.fresh;
-        self.axes.iter().enumerate().all(|(axis, limits)| {
-            let stop = &path.stop.axes()[axis];
-            let ((low, high), (least, most)) = (self.ranges[axis], path.ranges[axis]);
-            let (above, below) = (least >= low, most <= high);
-            let slow = stop.peak_velocity() <= limits.velocity * (1.0 + ROUNDING);
-            let gentle = stop.peak_acceleration() <= limits.acceleration * (1.0 + ROUNDING);
-            #[cfg(test)]
-            let (above, below, slow, gentle) = (
-                self.judge(Check::RangeLow(axis), above),
-                self.judge(Check::RangeHigh(axis), below),
-                self.judge(Check::Velocity(axis), slow),
-                self.judge(Check::Acceleration(axis), gentle),
-            );
-            above && below && slow && gentle
-        })
-    }
-
     /// Samples the candidate's stop and bounds what can happen between the samples.
     fn verify_in_space(&mut self) -> bool {
         let stop = self.fresh.stop;
         let mut before = Sample::new(&stop.at(0.0), &self.boundaries, &[true; CLEARANCES]);
+        self.required = core::array::from_fn(|index| {
+            let (floor, h) = (self.floors[index], before.clearances[index]);
+            if h < 0.0 {
+                floor.max(self.floor.below(h))
+            } else {
+                floor
+            }
+        });
         let travel_m = travel_m(before.wrist_distance_m, &self.fresh.ranges);
         let wanted = self.look_for(&before.clearances, &travel_m);
         let gap_s = stop.duration_s() / f64::from(INTERVALS);
@@ -275,7 +236,7 @@ impl ArmGuard {
                 .lowest_between(index, h, instruments, bounds, enough_m);
             #[cfg(test)]
             let low = self.pad(Padding::Clearance, h.0.min(h.1), low);
-            let keeps = low >= self.floors[index];
+            let keeps = low >= self.required[index];
             #[cfg(test)]
             let keeps = self.judge(Check::Clearance(index), keeps);
             if !keeps {

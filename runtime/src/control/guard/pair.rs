@@ -56,7 +56,7 @@ impl Pair {
     /// nearer, as one that is beyond a boundary.
     pub(super) fn seed(&mut self, first: &Rest<'_>, second: &Rest<'_>) {
         self.floors = core::array::from_fn(|kind| {
-            let gap_m = self.least(kind, first, second);
+            let gap_m = self.least(kind, first, second, f64::NEG_INFINITY);
             self.floor.below(gap_m)
         });
     }
@@ -65,8 +65,11 @@ impl Pair {
     pub(super) fn verify(&self, first: &Rest<'_>, second: &Rest<'_>) -> Option<Gaps> {
         let mut gaps = [0.0; KINDS.len()];
         for (kind, gap) in gaps.iter_mut().enumerate() {
-            *gap = self.least(kind, first, second);
-            let keeps = *gap >= self.floors[kind];
+            let floor_m = self.floors[kind];
+            *gap = self.least(kind, first, second, floor_m);
+            #[cfg(test)]
+            self.spoil(kind, first, second, gap);
+            let keeps = *gap >= floor_m;
             #[cfg(test)]
             let keeps = self
                 .planted
@@ -85,8 +88,8 @@ impl Pair {
         }
     }
 
-    /// What two stops leave of a gap at least, or enough of it not to matter, m.
-    fn least(&self, kind: usize, first: &Rest<'_>, second: &Rest<'_>) -> f64 {
+    /// What two stops leave of a gap at least, or enough of it not to matter, m; or something that is less than `floor_m`.
+    fn least(&self, kind: usize, first: &Rest<'_>, second: &Rest<'_>, floor_m: f64) -> f64 {
         let (link_a, link_b) = KINDS[kind];
         let (keep_m, enough_m) = (self.keep_m[kind], self.floor.enough_m());
         let (Some(a), Some(b)) = (first.instruments.first(), second.instruments.first()) else {
@@ -107,40 +110,54 @@ impl Pair {
             .ways
             .iter()
             .fold(Way::default(), |worst, ways| worst.worse(&ways[link_b]));
-        let mut low = Low::default();
+        let mut low = Low {
+            by_way_m: enough_m,
+            by_bend_m: enough_m,
+        };
         for (a, ways_a) in first.instruments.iter().zip(first.ways) {
             let way_a = &ways_a[link_a];
+            let certain_m = certain_m(way_a, &worst_b, keep_m + enough_m);
             // None of the other stop's samples is nearer than this.
-            let row_m = distance_m(a, link_a, &b_start) - travel_b_m;
-            let row = Low::of(row_m, way_a, &worst_b, keep_m);
-            if row.by_way_m.min(row.by_bend_m) >= enough_m {
-                low = low.with(&row);
+            if distance_m(a, link_a, &b_start) - travel_b_m >= certain_m {
                 continue;
             }
+            let (mut spare_m, mut step_m) = (f64::NEG_INFINITY, 0.0);
             for (b, ways_b) in second.instruments.iter().zip(second.ways) {
+                let way_b = &ways_b[link_b];
+                spare_m -= step_m;
+                step_m = 2.0 * way_b.half_m;
+                // The other stop can't have come near enough to matter since the sample before.
+                if spare_m >= 0.0 {
+                    continue;
+                }
                 let apart_m = distance_m(a, link_a, &b.links()[link_b]);
-                low = low.with(&Low::of(apart_m, way_a, &ways_b[link_b], keep_m));
+                spare_m = apart_m - certain_m;
+                low = low.with(&Low::of(apart_m, way_a, way_b, keep_m));
+                if low.least_m() < floor_m {
+                    return low.least_m();
+                }
             }
         }
-        let least_m = low.by_way_m.max(low.by_bend_m);
-        #[cfg(test)]
-        let least_m = self.faulty(kind, first, second, least_m);
-        least_m
+        low.least_m()
     }
 
-    /// What a planted fault makes of the least gap.
+    /// Lets a planted fault change the least gap.
     #[cfg(test)]
-    fn faulty(&self, kind: usize, first: &Rest<'_>, second: &Rest<'_>, least_m: f64) -> f64 {
-        let Some(planted) = self.planted else {
-            return least_m;
-        };
+    fn spoil(&self, kind: usize, first: &Rest<'_>, second: &Rest<'_>, least_m: &mut f64) {
+        let Some(planted) = self.planted else { return };
         let (link_a, link_b) = KINDS[kind];
         let gap = |a: &Instrument, b: &Instrument| {
             distance_m(a, link_a, &b.links()[link_b]) - self.keep_m[kind]
         };
         if planted == PlantedGuardFault::EqualTimesOnly {
             let pairs = first.instruments.iter().zip(second.instruments);
-            return pairs.fold(f64::INFINITY, |least, (a, b)| least.min(gap(a, b)));
+            *least_m = pairs.fold(f64::INFINITY, |least, (a, b)| least.min(gap(a, b)));
+            return;
+        }
+        if planted != PlantedGuardFault::NoPadding(Padding::Pair)
+            && planted != PlantedGuardFault::NegatedPadding(Padding::Pair)
+        {
+            return;
         }
         let mut plain_m = f64::INFINITY;
         for a in first.instruments {
@@ -148,7 +165,7 @@ impl Pair {
                 plain_m = plain_m.min(gap(a, b));
             }
         }
-        planted.pad(Padding::Pair, plain_m, least_m)
+        *least_m = planted.pad(Padding::Pair, plain_m, *least_m);
     }
 }
 
@@ -157,15 +174,6 @@ impl Pair {
 struct Low {
     by_way_m: f64,
     by_bend_m: f64,
-}
-
-impl Default for Low {
-    fn default() -> Self {
-        Self {
-            by_way_m: f64::INFINITY,
-            by_bend_m: f64::INFINITY,
-        }
-    }
 }
 
 impl Low {
@@ -186,11 +194,28 @@ impl Low {
         }
     }
 
+    /// The better of both.
+    fn least_m(&self) -> f64 {
+        self.by_way_m.max(self.by_bend_m)
+    }
+
     fn with(&self, other: &Self) -> Self {
         Self {
             by_way_m: self.by_way_m.min(other.by_way_m),
             by_bend_m: self.by_bend_m.min(other.by_bend_m),
         }
+    }
+}
+
+/// How far apart two samples must be for both bounds around them to be `level_m` at least, centre line to centre line.
+fn certain_m(a: &Way, b: &Way, level_m: f64) -> f64 {
+    let way_m = a.half_m + b.half_m;
+    let nearest_m = level_m - way_m;
+    if nearest_m > 0.0 {
+        let bend_m = a.bend_m + a.kink_m + b.bend_m + b.kink_m;
+        level_m + way_m.max(bend_m + (a.turn_m2 + b.turn_m2) / nearest_m)
+    } else {
+        f64::INFINITY
     }
 }
 

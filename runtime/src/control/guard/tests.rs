@@ -1,12 +1,14 @@
 //! The guard alone: garbage in, no limit broken.
 
 mod bounds;
+mod each;
 mod one_arm;
 mod recovery;
 mod timing;
 mod two_arms;
 
 use super::clearance::{Boundaries, CLEARANCES, Clearances};
+use super::planted::PlantedGuardFault;
 use super::sweep::Sample;
 use super::{Decision, Guard, Request};
 use crate::control::config::{BetweenArms, ControlConfig};
@@ -233,4 +235,30 @@ fn the_guard_measures_the_distances_that_it_should() {
         assert!((h[20 + finger] - apart_m).abs() < 1e-12);
     }
     assert!(h[22..].iter().all(|&h| h > 1.0), "no other region");
+}
+
+#[test]
+fn every_planted_fault_is_listed_once() {
+    let faults = PlantedGuardFault::all();
+    for (index, fault) in faults.iter().enumerate() {
+        assert!(!faults[..index].contains(fault), "{fault:?}");
+    }
+    // Seven checks an axis, the clearances, two of the tip's speed, and seven pairs of links; six paddings and three more.
+    assert_eq!(faults.len(), 2 * (49 + CLEARANCES + 2 + 7) + 2 * 6 + 3);
+}
+
+#[test]
+fn an_unplanted_guard_is_the_one_that_is_tested() {
+    // The hooks of planted faults change nothing while none is planted, and are heard when one is.
+    let config = config();
+    let mut rigs = [0, 1].map(|_| Rig::new(config.clone(), [home()], 59));
+    let last = PlantedGuardFault::Dropped(super::planted::Check::Clearance(CLEARANCES - 1));
+    rigs[1].guard.plant(last);
+    for _ in 0..2_000 {
+        let [one, other] = rigs.each_mut().map(|rig| {
+            rig.shuffle();
+            rig.step()
+        });
+        assert_eq!(one, other);
+    }
 }

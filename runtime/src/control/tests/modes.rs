@@ -1,10 +1,10 @@
 //! Operator, faults and drives, seen from outside.
 
-use hal::{ArmError, ArmState, TipTarget};
+use hal::{ArmError, ArmState, TimeNs, TipTarget};
 use nalgebra::Vector3;
 
 use super::{Bench, config, pose};
-use crate::control::{Fault, OperatingState, OperatorEvent};
+use crate::control::{Controller, Fault, OperatingState, OperatorEvent, TickInput};
 
 fn moving() -> Bench {
     let mut bench = Bench::enabled(&config());
@@ -149,4 +149,71 @@ fn an_arm_enabled_outside_its_workspace_comes_back_and_never_gets_further() {
         "{}",
         bench.tip().translation.z
     );
+}
+
+#[test]
+fn a_late_controller_goes_on_from_where_the_tail_has_led() {
+    for missed in [1, 5, 40, 400] {
+        let mut bench = moving();
+        let before = bench.step(None, None);
+        bench.tick += missed;
+        let now = bench.now();
+        // What the arm has played alone until now.
+        let alone = before.tail.command_at(now);
+        let last = before.tail.command_at(TimeNs(now.0 - hal::TICK_NS));
+        let output = bench.step(None, None);
+        for joint in 0..hal::JOINT_COUNT {
+            let jerk = config().axes[joint].jerk;
+            let off = (output.command.position[joint] - alone.position[joint]).abs();
+            // From the same moment one may go on with full jerk where the other brakes with it.
+            assert!(off < jerk * 1e-9 / 3.0 + 1e-12, "{missed} {joint}: {off:e}");
+            let change = (output.command.acceleration[joint] - last.acceleration[joint]).abs();
+            assert!(
+                change < jerk * 1e-3 * (1.0 + 1e-6),
+                "{missed} {joint}: {change}"
+            );
+        }
+        assert!(output.report.fault.is_none());
+    }
+}
+
+#[test]
+fn a_fault_of_one_arm_pauses_the_other() {
+    let config = crate::control::rows::tests::two_arms();
+    let mut controller = Controller::<2>::for_arms(&config).unwrap();
+    let arm = ArmState::at_rest(TimeNs(0), super::home(), 0.2);
+    let lost = ArmError::MeasurementLost { age_ns: 1 };
+    let mut tick = 0;
+    let mut step = |measured: [Result<ArmState, ArmError>; 2], operator| {
+        let inputs = measured.map(|measured| TickInput {
+            now: TimeNs::from_tick(tick),
+            measured,
+            chunk: None,
+            operator,
+        });
+        tick += 1;
+        let outputs = controller.tick_arms(&inputs);
+        outputs.map(|output| output.report.mode.state)
+    };
+    let both = [OperatingState::Enabled; 2];
+    assert_eq!(step([Ok(arm); 2], Some(OperatorEvent::Enable)), both);
+    let paused = [OperatingState::Fault, OperatingState::Paused];
+    assert_eq!(step([Err(lost), Ok(arm)], None), paused);
+    // The operator cannot wake the other one before the fault is cleared.
+    assert_eq!(step([Ok(arm); 2], Some(OperatorEvent::Resume)), paused);
+    let cleared = [OperatingState::Disabled, OperatingState::Paused];
+    assert_eq!(step([Ok(arm); 2], Some(OperatorEvent::Clear)), cleared);
+    let resumed = [OperatingState::Disabled, OperatingState::Enabled];
+    assert_eq!(step([Ok(arm); 2], Some(OperatorEvent::Resume)), resumed);
+}
+
+#[test]
+fn a_controller_is_for_as_many_arms_as_the_configuration_has() {
+    let two = crate::control::rows::tests::two_arms();
+    let error = Controller::new(&two).unwrap_err().to_string();
+    assert_eq!(
+        error,
+        "the configuration has 2 arms, the controller is for 1"
+    );
+    assert!(Controller::<2>::for_arms(&config()).is_err());
 }

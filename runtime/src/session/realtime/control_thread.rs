@@ -30,6 +30,7 @@ pub(super) struct ControlThread {
     pub(super) controller: Box<Controller>,
     pub(super) measured: MailboxReader<ArmState>,
     pub(super) chunks: Consumer<Chunk>,
+    /// Each command with the stop that the arm finishes alone if this thread is late or gone.
     pub(super) commands: MailboxWriter<(ArmCommand, SafeTail)>,
     pub(super) log: Option<TickLog>,
     pub(super) signals: Arc<Signals>,
@@ -131,8 +132,7 @@ impl ControlThread {
             operator,
         });
         let compute_ns = clock.now().since(before);
-        self.commands
-            .put((output.command, SafeTail::hold(&output.command)));
+        self.commands.put((output.command, output.tail));
         TickRecord {
             tick: now.tick(),
             now,

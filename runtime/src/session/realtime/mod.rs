@@ -7,7 +7,8 @@
 //!   camera thread ── frames, arm ──> policy process ── chunks ──> first thread      log thread
 //! ```
 //!
-//! Everything that reaches the control thread comes through wait-free mailboxes and queues. The run ends with the task's
+//! Everything that reaches the control thread comes through wait-free mailboxes and queues. A command travels with its
+//! tail, which the arm plays while the control thread is late. The run ends with the task's
 //! verdict, with a fault, with a signal, with the policy process, or with any thread: the arm then comes to rest, the
 //! control thread stops, and everybody follows.
 
@@ -133,7 +134,7 @@ fn run_threads(
         simulation,
         measured: measured_in,
         commands: commands_out,
-        newest: None,
+        waiting: None,
         snapshots,
         local,
         signals: Arc::clone(&signals),

@@ -44,7 +44,8 @@ pub(super) struct SimulationThread {
     pub(super) simulation: Simulation,
     pub(super) measured: MailboxWriter<ArmState>,
     pub(super) commands: MailboxReader<(ArmCommand, SafeTail)>,
-    pub(super) newest: Option<(ArmCommand, SafeTail)>,
+    /// The newest command, if the arm does not have it yet.
+    pub(super) waiting: Option<(ArmCommand, SafeTail)>,
     pub(super) snapshots: Option<Snapshots>,
     pub(super) local: Option<(ChunkSource, Producer<Chunk>)>,
     pub(super) signals: Arc<Signals>,
@@ -80,12 +81,14 @@ impl SimulationThread {
         };
         while !signals.stopped() {
             let wake = periodic.wait();
+            self.waiting = self.commands.take().or(self.waiting);
             // After a late wake-up the missed milliseconds are made up for, so that simulated time stays real time.
             for late in (0..=wake.skipped).rev() {
                 if signals.stopped() {
                     break;
                 }
                 let now = TimeNs(wake.due.0.saturating_sub(late * TICK_NS));
+                self.command(late, now)?;
                 self.step(wake.index.saturating_sub(late), now, &mut end.inference)?;
                 if matches!(end.outcome, Outcome::Running) {
                     end.outcome = self.simulation.outcome();
@@ -98,16 +101,22 @@ impl SimulationThread {
         Ok(end)
     }
 
+    /// Hands over the newest command if it is for the step at `now`, which is `late` steps behind; without one the arm
+    /// plays the last one's tail.
+    fn command(&mut self, late: u64, now: TimeNs) -> Result<(), SessionError> {
+        let due = |(command, _): &mut (ArmCommand, SafeTail)| is_due(command.stamp, late, now);
+        if let Some((command, tail)) = self.waiting.take_if(due) {
+            self.simulation.write(&command, &tail)?;
+        }
+        Ok(())
+    }
+
     fn step(
         &mut self,
         tick: u64,
         now: TimeNs,
         inference: &mut Histogram,
     ) -> Result<(), SessionError> {
-        self.newest = self.commands.take().or(self.newest);
-        if let Some((command, tail)) = &self.newest {
-            self.simulation.write(command, tail)?;
-        }
         self.simulation.step();
         let state = self.simulation.read(now)?;
         self.measured.put(state);
@@ -153,5 +162,34 @@ impl SimulationThread {
             let _gone = chunks.push(chunk);
         }
         Ok(())
+    }
+}
+
+/// Whether the step at `now`, which is `late` steps behind, follows the command of `stamp`.
+///
+/// A thread that makes up for missed milliseconds does not move the arm before its time. The step that is not behind
+/// takes whatever there is.
+const fn is_due(stamp: TimeNs, late: u64, now: TimeNs) -> bool {
+    late == 0 || stamp.0 <= now.0
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn steps_that_make_up_for_missed_ones_follow_no_command_from_after_them() {
+        let stamp = TimeNs(10 * TICK_NS + TICK_NS / 2);
+        for (late, tick, expected) in [
+            (3, 9, false),
+            (2, 10, false),
+            (1, 11, true),
+            (0, 12, true),
+            (0, 10, true),
+        ] {
+            let now = TimeNs::from_tick(tick);
+            assert_eq!(is_due(stamp, late, now), expected, "{late} behind {tick}");
+        }
+        assert!(is_due(stamp, 1, stamp));
     }
 }

@@ -151,8 +151,12 @@ fn a_limp_arm_that_is_told_to_move_is_caught() {
             }
             broken(&stream)
         };
-        assert_eq!(run(2e-9, 0.0), [format!("{name}.disabled_position")]);
-        assert_eq!(run(0.0, -2e-9), [format!("{name}.disabled_velocity")]);
+        for sign in [1.0, -1.0] {
+            let place = run(sign * 2e-9, 0.0);
+            assert_eq!(place, [format!("{name}.disabled_position")]);
+            let speed = run(0.0, sign * 2e-9);
+            assert_eq!(speed, [format!("{name}.disabled_velocity")]);
+        }
         assert!(run(0.0, 0.0).is_empty());
     }
 }

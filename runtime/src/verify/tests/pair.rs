@@ -180,7 +180,7 @@ fn an_arm_without_torque_that_is_pushed_moves_the_bound() {
     // And no less once it has come back.
     assert_eq!(
         run(3, [home, home, near, near, home, near]),
-        ["between_arms.shaft.shaft"]
+        ["between_arms.shaft.shaft.again"]
     );
 }
 
@@ -212,6 +212,35 @@ fn an_arm_with_torque_may_not_approach_one_without() {
         run([home, home, tremble, home], [home, near, nearer, nearer]),
         ["between_arms.shaft.shaft"]
     );
+}
+
+#[test]
+fn a_push_moves_the_bound_by_as_much_as_it_pushed() {
+    let mut scene = scene();
+    let at = |yaw: f64| {
+        let mut place = HOME;
+        place[0] = yaw;
+        place
+    };
+    // The second arm is pushed on in two steps, from outside the bound to well beyond it.
+    let pushes = [at(0.0), at(-0.02), at(-0.04), at(-0.04)];
+    let gap = |one: f64, two: f64| shaft_gap(&scene, &[at(one), at(two)]);
+    assert!(gap(0.0, 0.0) > gap(0.0, -0.02) + 5e-4);
+    let bound = gap(0.0, 0.0) - 1e-4;
+    let first = bound - gap(0.0, -0.02);
+    assert!(gap(0.0, -0.04) - gap(0.01, -0.04) > 1e-4 && first > 4e-4);
+    let hair = gap(0.0, -0.04) - gap(0.000_1, -0.04);
+    assert!((3e-6..1.8e-5).contains(&hair), "{hair}");
+    scene.gaps_m[0] = bound;
+    for (yaw, found) in [(0.0, false), (0.000_1, false), (0.002, true), (0.01, true)] {
+        let mut stream = scene.stream();
+        let own = [at(0.0), at(0.0), at(0.0), at(yaw)];
+        for (tick_of, (push, own)) in (0..).zip(pushes.iter().zip(&own)) {
+            let told = [Told::powered(tick_of, own), Told::limp(tick_of, push)];
+            tick(&mut stream, tick_of, told);
+        }
+        assert_eq!(!broken(&stream).is_empty(), found, "{yaw}");
+    }
 }
 
 #[test]

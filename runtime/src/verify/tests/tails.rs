@@ -75,18 +75,20 @@ fn speed_brake_and_jerk_of_a_tail_are_caught_alone() {
                 |scene, bound| scene.axes[axis][order] = bound,
             );
         }
-        // A tail that speeds up first: from 0.3 to 0.35, where the acceleration changes its sign within a phase.
+        // A tail that speeds up first, and is fastest in the middle of a millisecond and of a phase.
         let (told, mut tail) = moving(axis, SPEED);
-        let brake = 7.0_f64.sqrt();
+        let up_s = 0.050_25;
+        let peak = SPEED + JERK * up_s * up_s;
+        let brake = (JERK * peak).sqrt();
         tail.axes[axis].phases = phases([
-            (0.05, JERK),
-            ((1.0 + brake) / JERK, -JERK),
+            (up_s, JERK),
+            (up_s + brake / JERK, -JERK),
             (brake / JERK, JERK),
         ]);
         only(
             &format!("tail.{name}.velocity"),
             &(told, tail),
-            [0.35 * (1.0 - 2e-6), 0.35],
+            [peak * (1.0 - 2e-6), peak],
             |scene, bound| scene.axes[axis][2] = bound,
         );
     }

@@ -168,6 +168,13 @@ fn a_guard_needs_an_arm_in_the_configuration_for_each_of_its_own() {
         wanted: 2,
     };
     assert_eq!(error, missing);
+    let eight = [shapes(), shapes()].concat();
+    let mut crowded = config_with(&eight);
+    assert!(Guard::new(&crowded, &[home()], super::TICK_S).is_ok());
+    let one_more = crowded.arms[0].forbidden[0].clone();
+    crowded.arms[0].forbidden.push(one_more);
+    let error = Guard::new(&crowded, &[home()], super::TICK_S).unwrap_err();
+    assert_eq!(error, GuardError::Regions(9));
     let mut two = super::two_arms(0.12);
     assert!(Guard::new(&two, &[home()], super::TICK_S).is_ok());
     two.between_arms = None;

@@ -31,6 +31,7 @@ fn measure<const ARMS: usize>(
 
 #[test]
 #[ignore = "a measurement"]
+#[expect(clippy::print_stdout, reason = "this reports a measurement")]
 fn how_long_the_guard_takes() {
     let mut lines = Vec::new();
     let mut rig = Rig::new(config(), [home()], 90);

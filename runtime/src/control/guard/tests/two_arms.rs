@@ -17,7 +17,11 @@ fn in_scene(config: &ControlConfig, arm: usize, state: &MotionState) -> Instrume
 }
 
 /// What is left of every gap between two arms, m.
-fn gaps(config: &ControlConfig, first: &MotionState, second: &MotionState) -> [f64; KINDS.len()] {
+pub(super) fn gaps(
+    config: &ControlConfig,
+    first: &MotionState,
+    second: &MotionState,
+) -> [f64; KINDS.len()] {
     let between = config.between_arms.unwrap();
     let a = in_scene(config, 0, first).links();
     let b = in_scene(config, 1, second).links();
@@ -240,9 +244,9 @@ fn arms_enabled_too_near_come_no_nearer_and_apart() {
                     rig.velocity[arm][0] = towards(&rig, arm);
                 }
             } else {
-                for arm in 0..2 {
-                    rig.velocity[arm] = [0.0; AXES];
-                    rig.velocity[arm][0] = away[arm];
+                for (velocity, away) in rig.velocity.iter_mut().zip(away) {
+                    *velocity = [0.0; AXES];
+                    velocity[0] = away;
                 }
             }
             rig.step();
