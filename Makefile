@@ -1,5 +1,5 @@
 # Two commands do everything on a fresh machine: `make demo` and `make test`.
-.PHONY: demo test build setup bench clean
+.PHONY: demo test test-adversary adversary build setup bench clean
 
 TROCAR := $(or $(CARGO_TARGET_DIR),target)/release/trocar
 
@@ -18,6 +18,15 @@ demo: build
 test: build
 	cargo build --locked -p runtime
 	cargo test --locked --workspace
+	$(MAKE) test-adversary
+
+# Adversaries, planted faults and scenarios for the safety chain: too long for a debug build.
+test-adversary: setup
+	cargo test --locked --release -p runtime --lib control::tests::
+
+# The same adversaries for ten million ticks each, with their figures.
+adversary: setup
+	TROCAR_ADVERSARY_TICKS=10000000 cargo test --locked --release -p runtime --lib control::tests::adversary:: -- --nocapture
 
 build: setup
 	cargo build --locked --release -p runtime

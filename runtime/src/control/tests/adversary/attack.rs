@@ -68,11 +68,16 @@ impl Attack {
                     rig.chunks[arm] = Some(Box::new(chunk));
                 }
             }
+            if self.trouble && random.happens(3e-4) {
+                let periods = [1, 2, 7, 60, 400][below(&mut random, 5)];
+                rig.miss(periods);
+                figures.missed += periods;
+            }
             let mut measured = rig.arms.map(Ok);
             let mut operator = [None; ARMS];
             if self.trouble {
                 for (arm, trouble) in troubles.iter_mut().enumerate() {
-                    measured[arm] = trouble.measured(&mut random, &rig.arms[arm]);
+                    measured[arm] = trouble.measured(&mut random, &rig.arms[arm], rig.powered[arm]);
                     let state = rig.controller.arms[arm].mode().state;
                     operator[arm] = trouble.operator(&mut random, state);
                 }

@@ -22,6 +22,8 @@ pub(super) struct Figures {
     pub(super) faults: u64,
     pub(super) accepted: u64,
     pub(super) refused: u64,
+    /// Periods that the controller missed.
+    pub(super) missed: u64,
     /// Answers of the filter that were replaced.
     pub(super) garbage: u64,
     /// Ticks whose tails were followed to rest.
@@ -57,7 +59,7 @@ impl fmt::Display for Figures {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(
             f,
-            "{} ticks: following {}, still {}, solved {}, no answer {}, guard {}, garbage {}, faults {}, chunks {} + {} refused, \
+            "{} ticks: following {}, still {}, solved {}, no answer {}, guard {}, garbage {}, faults {}, missed {}, chunks {} + {} refused, \
              tails {}",
             self.ticks,
             self.enabled,
@@ -67,6 +69,7 @@ impl fmt::Display for Figures {
             self.interventions,
             self.garbage,
             self.faults,
+            self.missed,
             self.accepted,
             self.refused,
             self.tails,

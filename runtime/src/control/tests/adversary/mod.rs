@@ -1,5 +1,5 @@
-//! Chunks made to do harm, operators and measurements that make it worse, and a filter that lies in 5 % of its answers: no
-//! command may break a limit. The judge is `verify`, which shares nothing with the controller.
+//! Chunks made to do harm, operators, measurements and missed periods that make it worse, and a filter that lies in 5 % of its
+//! answers: no command may break a limit. The judge is `verify`, which shares nothing with the controller.
 //!
 //! `TROCAR_ADVERSARY_TICKS` says how long each attack lasts.
 
@@ -47,6 +47,7 @@ macro_rules! attacks {
     ($($name:ident, $kind:ident, $seed:literal, $arms:literal, $withstands:ident;)*) => {
         $(
             #[test]
+            #[cfg_attr(debug_assertions, ignore = "long, so in release only: make test-adversary")]
             fn $name() {
                 $withstands::<$arms>(&Attack::new(Kind::$kind, $seed));
             }
@@ -87,11 +88,13 @@ fn refused<const ARMS: usize>(seed: u64) {
 }
 
 #[test]
+#[cfg_attr(debug_assertions, ignore = "long, so in release only: make test-adversary")]
 fn the_shipped_gate_refuses_most_of_it() {
     refused::<1>(301);
 }
 
 #[test]
+#[cfg_attr(debug_assertions, ignore = "long, so in release only: make test-adversary")]
 fn the_shipped_gate_refuses_most_of_it_for_two_arms() {
     refused::<2>(302);
 }
@@ -109,11 +112,13 @@ fn half_garbage<const ARMS: usize>(seed: u64) {
 }
 
 #[test]
+#[cfg_attr(debug_assertions, ignore = "long, so in release only: make test-adversary")]
 fn half_of_all_answers_may_be_garbage() {
     half_garbage::<1>(351);
 }
 
 #[test]
+#[cfg_attr(debug_assertions, ignore = "long, so in release only: make test-adversary")]
 fn half_of_all_answers_may_be_garbage_for_two_arms() {
     half_garbage::<2>(352);
 }
@@ -148,21 +153,25 @@ fn broken<const ARMS: usize>(garbage: f64) {
 }
 
 #[test]
+#[cfg_attr(debug_assertions, ignore = "long, so in release only: make test-adversary")]
 fn without_the_guard_the_same_attacks_break_limits() {
     broken::<1>(0.05);
 }
 
 #[test]
+#[cfg_attr(debug_assertions, ignore = "long, so in release only: make test-adversary")]
 fn without_the_guard_the_same_attacks_break_limits_of_two_arms() {
     broken::<2>(0.05);
 }
 
 #[test]
+#[cfg_attr(debug_assertions, ignore = "long, so in release only: make test-adversary")]
 fn filter_and_smoother_alone_break_limits() {
     broken::<1>(0.0);
 }
 
 #[test]
+#[cfg_attr(debug_assertions, ignore = "long, so in release only: make test-adversary")]
 fn filter_and_smoother_alone_break_limits_of_two_arms() {
     broken::<2>(0.0);
 }

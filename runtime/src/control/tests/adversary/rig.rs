@@ -1,7 +1,7 @@
 //! One controller with arms that go wherever they are told, and the scenes that they are in.
 
 use hal::config::Source;
-use hal::{ArmCommand, ArmError, ArmState, Chunk, JointVector, TimeNs};
+use hal::{ArmCommand, ArmError, ArmState, Chunk, JointVector, SafeTail, TimeNs};
 
 use crate::control::config::ControlConfig;
 use crate::control::motion::{AXES, Axes, JAW};
@@ -118,6 +118,9 @@ pub(in crate::control::tests) struct Rig<const ARMS: usize> {
     /// The newest chunk of each arm, seen again at every tick.
     pub(in crate::control::tests) chunks: [Option<Box<Chunk>>; ARMS],
     pub(in crate::control::tests) tick: u64,
+    /// Whether each arm was commanded to hold torque.
+    pub(in crate::control::tests) powered: [bool; ARMS],
+    tails: [Option<SafeTail>; ARMS],
 }
 
 impl<const ARMS: usize> Rig<ARMS> {
@@ -128,6 +131,19 @@ impl<const ARMS: usize> Rig<ARMS> {
             arms: [home(); ARMS],
             chunks: core::array::from_fn(|_| None),
             tick: 0,
+            powered: [false; ARMS],
+            tails: [None; ARMS],
+        }
+    }
+
+    /// Misses `periods`: the controller is late, and each backend plays the tail that it has.
+    pub(in crate::control::tests) fn miss(&mut self, periods: u64) {
+        self.tick += periods;
+        let now = self.now();
+        for (arm, tail) in self.arms.iter_mut().zip(&self.tails) {
+            if let Some(tail) = tail {
+                *arm = obedient(&tail.command_at(TimeNs::from_tick(self.tick - 1)), now);
+            }
         }
     }
 
@@ -170,6 +186,8 @@ impl<const ARMS: usize> Rig<ARMS> {
         self.tick += 1;
         let stamp = self.now();
         self.arms = core::array::from_fn(|arm| obedient(&outputs[arm].command, stamp));
+        self.powered = core::array::from_fn(|arm| outputs[arm].command.enabled);
+        self.tails = core::array::from_fn(|arm| Some(outputs[arm].tail));
         outputs
     }
 }

@@ -46,11 +46,12 @@ impl Trouble {
         }
     }
 
-    /// What is measured of `arm` in this tick.
+    /// What is measured of `arm` in this tick. An arm without torque is believed wherever it is, so it is not said to jump.
     pub(super) fn measured(
         &mut self,
         random: &mut SplitMix64,
         arm: &ArmState,
+        powered: bool,
     ) -> Result<ArmState, ArmError> {
         if random.happens(2e-3) {
             self.effort_n_m = [0.0, 0.02, -0.05, -0.056, -0.2][below(random, 5)];
@@ -69,7 +70,7 @@ impl Trouble {
             }
             2 => measured.position[joint] = f64::NAN,
             3 => measured.velocity[joint] = f64::INFINITY,
-            4 => measured.position[joint] += random.between(0.6, 2.0),
+            4 if powered => measured.position[joint] += random.between(0.6, 2.0),
             _ => measured.jaw_position = f64::NEG_INFINITY,
         }
         Ok(measured)

@@ -16,8 +16,8 @@ const TICK_S: f64 = 1e-3;
 /// How much more than the limits the smoother makes of velocities and accelerations when it is told to.
 const TOO_MUCH: f64 = 1.3;
 
-/// Every so many ticks stops are compared at all their times.
-const CROSS_EVERY: u64 = 5;
+/// Every so many ticks the stops are followed to rest, and compared at all their times.
+const STOPS_EVERY: u64 = 20;
 
 /// A guard with a fault or without, its arms, and the judge.
 pub(super) struct Bench<'a, const ARMS: usize> {
@@ -108,7 +108,7 @@ impl<'a, const ARMS: usize> Bench<'a, ARMS> {
         let measured = self.measured.map(Ok);
         let arms: Vec<_> = commands.iter().zip(&measured).collect();
         self.stream.tick(self.tick, &arms);
-        if self.tick % CROSS_EVERY == 0 {
+        if self.tick % STOPS_EVERY == 0 {
             let tails: [SafeTail; ARMS] = core::array::from_fn(|arm| self.tail(arm, now));
             let tails: Vec<&SafeTail> = tails.iter().collect();
             self.stream.tails(&tails);

@@ -2,6 +2,7 @@
 
 use std::collections::BTreeMap;
 
+use super::super::adversary::eyes::Boundary;
 use super::super::adversary::kinds::below;
 use super::super::adversary::rig::Scene;
 use super::bench::{Bench, of_arm};
@@ -12,10 +13,10 @@ use crate::control::motion::{AXES, Axes, AxisLimits, MotionState};
 use crate::control::random::SplitMix64;
 
 /// How long the guard is pressed from one place, ticks.
-const TICKS: u32 = 300;
+const TICKS: u32 = 200;
 
-/// Places near each boundary.
-const PLACES: usize = 3;
+/// Places near each boundary of one arm, and between two.
+const PLACES: [usize; 2] = [2, 6];
 
 /// The guard's margin here, m: nothing is left that could hide a fault.
 const MARGIN_M: f64 = 1e-6;
@@ -28,9 +29,13 @@ struct Ground {
 }
 
 impl Ground {
-    fn new(name: &'static str, mut scene: Scene) -> Self {
+    fn new(
+        name: &'static str,
+        mut scene: Scene,
+        of_interest: impl Fn(Boundary) -> bool,
+    ) -> Self {
         scene.config.margins.guard_m = MARGIN_M;
-        let (places, _) = places(&scene.config, PLACES);
+        let (places, _) = places(&scene.config, PLACES[scene.config.arms.len() - 1], of_interest);
         Self {
             name,
             scene,
@@ -79,20 +84,31 @@ fn grounds(arms: usize) -> Vec<Ground> {
             regions.insert(0, far.clone());
         }
     });
+    let between = |boundary| matches!(boundary, Boundary::Shafts | Boundary::ToShaft { .. });
+    let region = |boundary| matches!(boundary, Boundary::Region { .. });
+    if arms == 2 {
+        return vec![Ground::new("as it is", whole, between)];
+    }
     vec![
-        Ground::new("as it is", whole),
-        Ground::new("the last slots", last),
-        Ground::new("tight ranges", tight),
-        Ground::new("small workspace", small),
-        Ground::new("fast tips", fast),
+        Ground::new("as it is", whole, region),
+        Ground::new("the last slots", last, region),
+        Ground::new("tight ranges", tight, |boundary| {
+            matches!(boundary, Boundary::Axis { .. })
+        }),
+        Ground::new("small workspace", small, |boundary| {
+            matches!(boundary, Boundary::Workspace { .. })
+        }),
+        Ground::new("fast tips", fast, |_| false),
     ]
 }
 
 /// What is done to the guard.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Script {
-    /// Straight at the boundary, or anywhere at full speed.
+    /// Straight at the boundary, most of the time.
     Press,
+    /// At the boundary and along it at full speed, so that what is nearest is so between two samples.
+    Graze,
     /// The same, with velocities and accelerations above the limits.
     TooMuch,
     /// With steps that no motion can make.
@@ -109,7 +125,7 @@ fn play<const ARMS: usize>(
     fault: Option<PlantedGuardFault>,
 ) -> Option<String> {
     let config = &ground.scene.config;
-    let mut random = SplitMix64::new(81);
+    let mut random = SplitMix64::new(81 + place.clearance.to_bits());
     let mut bench =
         Bench::<ARMS>::new(&ground.scene, &place.positions, fault, script == Script::TooMuch);
     let mut wanted = [0.0; 2 * AXES];
@@ -118,7 +134,9 @@ fn play<const ARMS: usize>(
         if tick % 30 == 0 {
             wanted = match (script, place.boundary) {
                 (Script::Benign, _) => [0.0; 2 * AXES].map(|_: f64| random.between(-0.1, 0.1)),
-                (_, Some(boundary)) if random.happens(0.8) => {
+                (_, Some(boundary))
+                    if random.happens(if script == Script::Graze { 0.4 } else { 0.9 }) =>
+                {
                     let slope = slope(config, boundary, &bench.positions());
                     slope.map(|s| if s.abs() > 1e-9 { -2.0 * s.signum() } else { 0.0 })
                 }
@@ -131,7 +149,7 @@ fn play<const ARMS: usize>(
                 waiting[arm] -= 1;
                 return Request::Stop;
             }
-            if ARMS > 1 && script == Script::Press && random.happens(0.01) {
+            if ARMS > 1 && script != Script::Benign && random.happens(0.01) {
                 waiting[arm] = 1 + tick % 60;
             }
             let velocity: Axes = of_arm(&wanted, arm);
@@ -171,7 +189,7 @@ fn kick(random: &mut SplitMix64, axes: &[AxisLimits; AXES], state: &mut MotionSt
 fn scripts(place: &Place) -> &'static [Script] {
     match place.boundary {
         None => &[Script::Benign, Script::Kicks, Script::TooMuch, Script::Press],
-        Some(_) => &[Script::Press],
+        Some(_) => &[Script::Press, Script::Graze],
     }
 }
 
@@ -252,6 +270,7 @@ fn between_arms(fault: &PlantedGuardFault) -> bool {
 }
 
 #[test]
+#[cfg_attr(debug_assertions, ignore = "long, so in release only: make test-adversary")]
 fn every_fault_in_the_guard_is_found() {
     let mut faults = PlantedGuardFault::all();
     faults.retain(|fault| !between_arms(fault));
@@ -259,6 +278,7 @@ fn every_fault_in_the_guard_is_found() {
 }
 
 #[test]
+#[cfg_attr(debug_assertions, ignore = "long, so in release only: make test-adversary")]
 fn every_fault_between_two_arms_is_found() {
     let mut faults = PlantedGuardFault::all();
     faults.retain(between_arms);

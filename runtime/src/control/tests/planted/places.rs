@@ -42,9 +42,13 @@ pub(super) fn boundaries(config: &ControlConfig) -> Vec<Boundary> {
     all
 }
 
-/// `count` places near each boundary that can be reached, and some in the middle. The second list is of the boundaries that
+/// `count` places near each boundary of interest that can be reached, and some in the middle. The second list is of the boundaries that
 /// cannot: something else is always in the way.
-pub(super) fn places(config: &ControlConfig, count: usize) -> (Vec<Place>, Vec<Boundary>) {
+pub(super) fn places(
+    config: &ControlConfig,
+    count: usize,
+    of_interest: impl Fn(Boundary) -> bool,
+) -> (Vec<Place>, Vec<Boundary>) {
     let mut random = SplitMix64::new(71);
     let all = boundaries(config);
     let (mut places, mut unreachable) = (Vec::new(), Vec::new());
@@ -53,7 +57,7 @@ pub(super) fn places(config: &ControlConfig, count: usize) -> (Vec<Place>, Vec<B
             places.push(place(config, &all, None, positions, &mut random));
         }
     }
-    for &boundary in &all {
+    for boundary in all.iter().copied().filter(|&boundary| of_interest(boundary)) {
         let before = places.len();
         // Ends are hard to find alone, and hard to press.
         let more = if matches!(boundary, Boundary::End { .. }) { 3 } else { 1 };

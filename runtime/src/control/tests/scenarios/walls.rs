@@ -164,6 +164,7 @@ fn minute(kind: &str, config: &ControlConfig, circle_m: f64, depth_m: f64) -> Je
 }
 
 #[test]
+#[cfg_attr(debug_assertions, ignore = "long, so in release only: make test-adversary")]
 fn a_target_within_a_region_for_a_minute_makes_no_chatter() {
     for (kind, config) in walls() {
         let at_rest = minute(kind, &config, 0.0, 0.045).rms();
