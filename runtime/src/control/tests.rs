@@ -2,7 +2,8 @@
 
 #[expect(
     clippy::print_stdout,
-    reason = "figures for whoever runs them with --nocapture"
+    clippy::cast_precision_loss,
+    reason = "figures for whoever runs them with --nocapture; counts are small"
 )]
 mod adversary;
 #[expect(
@@ -18,7 +19,8 @@ mod modes;
 mod planted;
 #[expect(
     clippy::print_stdout,
-    reason = "figures for whoever runs them with --nocapture"
+    clippy::cast_precision_loss,
+    reason = "figures for whoever runs them with --nocapture; counts are small"
 )]
 mod scenarios;
 

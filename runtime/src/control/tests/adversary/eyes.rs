@@ -16,11 +16,7 @@ pub(in crate::control::tests) const LINKS: usize = 4;
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(in crate::control::tests) enum Boundary {
     /// An end of an axis's range.
-    Axis {
-        arm: usize,
-        axis: usize,
-        high: bool,
-    },
+    Axis { arm: usize, axis: usize, high: bool },
     /// A face of the workspace for the control point (0) or a finger tip (1, 2).
     Workspace {
         arm: usize,

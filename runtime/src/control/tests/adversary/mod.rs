@@ -27,11 +27,26 @@ fn withstood<const ARMS: usize>(attack: &Attack) -> Figures {
     );
     let arms = ARMS as u64;
     let share = |part: u64| part as f64 / (arms * attack.ticks) as f64;
-    assert!(share(figures.enabled) > 0.3, "too little time to do harm: {figures}");
-    assert!(share(figures.enabled - figures.still) > 0.2, "too little motion: {figures}");
-    assert!(figures.garbage > attack.ticks / 100, "the filter hardly lied: {figures}");
-    assert!(figures.interventions > attack.ticks / 200, "the guard had nothing to do: {figures}");
-    assert!(figures.faults > attack.ticks / 50_000, "nothing went wrong: {figures}");
+    assert!(
+        share(figures.enabled) > 0.3,
+        "too little time to do harm: {figures}"
+    );
+    assert!(
+        share(figures.enabled - figures.still) > 0.2,
+        "too little motion: {figures}"
+    );
+    assert!(
+        figures.garbage > attack.ticks / 100,
+        "the filter hardly lied: {figures}"
+    );
+    assert!(
+        figures.interventions > attack.ticks / 200,
+        "the guard had nothing to do: {figures}"
+    );
+    assert!(
+        figures.faults > attack.ticks / 50_000,
+        "nothing went wrong: {figures}"
+    );
     assert!(figures.tails > attack.ticks / 50);
     figures
 }
@@ -39,7 +54,10 @@ fn withstood<const ARMS: usize>(attack: &Attack) -> Figures {
 /// The filter was at work as well.
 fn pressed<const ARMS: usize>(attack: &Attack) -> Figures {
     let figures = withstood::<ARMS>(attack);
-    assert!(figures.solved > attack.ticks / 10, "no row was active: {figures}");
+    assert!(
+        figures.solved > attack.ticks / 10,
+        "no row was active: {figures}"
+    );
     figures
 }
 
@@ -88,13 +106,19 @@ fn refused<const ARMS: usize>(seed: u64) {
 }
 
 #[test]
-#[cfg_attr(debug_assertions, ignore = "long, so in release only: make test-adversary")]
+#[cfg_attr(
+    debug_assertions,
+    ignore = "long, so in release only: make test-adversary"
+)]
 fn the_shipped_gate_refuses_most_of_it() {
     refused::<1>(301);
 }
 
 #[test]
-#[cfg_attr(debug_assertions, ignore = "long, so in release only: make test-adversary")]
+#[cfg_attr(
+    debug_assertions,
+    ignore = "long, so in release only: make test-adversary"
+)]
 fn the_shipped_gate_refuses_most_of_it_for_two_arms() {
     refused::<2>(302);
 }
@@ -107,18 +131,28 @@ fn half_garbage<const ARMS: usize>(seed: u64) {
     };
     let (figures, violations) = attack.play::<ARMS>();
     println!("half of the answers are garbage, on {ARMS}: {figures}");
-    assert!(violations.is_empty(), "{:#?}", &violations[..violations.len().min(8)]);
+    assert!(
+        violations.is_empty(),
+        "{:#?}",
+        &violations[..violations.len().min(8)]
+    );
     assert!(figures.garbage > attack.ticks / 4 && figures.interventions > attack.ticks / 50);
 }
 
 #[test]
-#[cfg_attr(debug_assertions, ignore = "long, so in release only: make test-adversary")]
+#[cfg_attr(
+    debug_assertions,
+    ignore = "long, so in release only: make test-adversary"
+)]
 fn half_of_all_answers_may_be_garbage() {
     half_garbage::<1>(351);
 }
 
 #[test]
-#[cfg_attr(debug_assertions, ignore = "long, so in release only: make test-adversary")]
+#[cfg_attr(
+    debug_assertions,
+    ignore = "long, so in release only: make test-adversary"
+)]
 fn half_of_all_answers_may_be_garbage_for_two_arms() {
     half_garbage::<2>(352);
 }
@@ -136,7 +170,13 @@ fn broken<const ARMS: usize>(garbage: f64) {
             ..Attack::new(kind, 401)
         };
         let (figures, violations) = attack.play::<ARMS>();
-        let places = ["workspace", "forbidden", "tip_speed", "tip_angular", "between"];
+        let places = [
+            "workspace",
+            "forbidden",
+            "tip_speed",
+            "tip_angular",
+            "between",
+        ];
         let found = violations
             .iter()
             .filter(|text| places.iter().any(|limit| text.contains(limit)))
@@ -153,25 +193,37 @@ fn broken<const ARMS: usize>(garbage: f64) {
 }
 
 #[test]
-#[cfg_attr(debug_assertions, ignore = "long, so in release only: make test-adversary")]
+#[cfg_attr(
+    debug_assertions,
+    ignore = "long, so in release only: make test-adversary"
+)]
 fn without_the_guard_the_same_attacks_break_limits() {
     broken::<1>(0.05);
 }
 
 #[test]
-#[cfg_attr(debug_assertions, ignore = "long, so in release only: make test-adversary")]
+#[cfg_attr(
+    debug_assertions,
+    ignore = "long, so in release only: make test-adversary"
+)]
 fn without_the_guard_the_same_attacks_break_limits_of_two_arms() {
     broken::<2>(0.05);
 }
 
 #[test]
-#[cfg_attr(debug_assertions, ignore = "long, so in release only: make test-adversary")]
+#[cfg_attr(
+    debug_assertions,
+    ignore = "long, so in release only: make test-adversary"
+)]
 fn filter_and_smoother_alone_break_limits() {
     broken::<1>(0.0);
 }
 
 #[test]
-#[cfg_attr(debug_assertions, ignore = "long, so in release only: make test-adversary")]
+#[cfg_attr(
+    debug_assertions,
+    ignore = "long, so in release only: make test-adversary"
+)]
 fn filter_and_smoother_alone_break_limits_of_two_arms() {
     broken::<2>(0.0);
 }

@@ -41,20 +41,6 @@ impl Scene {
         }
     }
 
-    /// With other texts.
-    pub(in crate::control::tests) fn edited(
-        &self,
-        edit: impl FnOnce(&mut toml::Table, &mut toml::Table),
-    ) -> Self {
-        let mut control: toml::Table = self.control.text().parse().unwrap();
-        let mut safety: toml::Table = self.safety.text().parse().unwrap();
-        edit(&mut control, &mut safety);
-        Self::new(
-            Source::embedded("control.toml", &control.to_string()),
-            Source::embedded("safety.toml", &safety.to_string()),
-        )
-    }
-
     fn new(control: Source, safety: Source) -> Self {
         let config = ControlConfig::load(&control, &safety).unwrap();
         Self {

@@ -2,6 +2,7 @@
 
 use super::super::adversary::eyes::Boundary;
 use super::super::adversary::kinds::below;
+use super::measure::{RATE_TOLERANCE_M_S, rate, slope, stop_distance, tip_shares};
 use hal::joints::INSERTION;
 
 use crate::control::config::ControlConfig;
@@ -9,13 +10,6 @@ use crate::control::motion::{AXES, Axes};
 use crate::control::random::SplitMix64;
 use crate::control::region::Shape;
 use crate::control::rows::Velocities;
-use crate::verify::tip_in_rcm;
-
-/// Time over which rates are measured, s.
-const STEP_S: f64 = 1e-5;
-
-/// What a measured rate may be off, m/s.
-pub(super) const RATE_TOLERANCE_M_S: f64 = 5e-5;
 
 /// Tries to find a place near a boundary.
 const TRIES: u32 = 60;
@@ -57,10 +51,18 @@ pub(super) fn places(
             places.push(place(config, &all, None, positions, &mut random));
         }
     }
-    for boundary in all.iter().copied().filter(|&boundary| of_interest(boundary)) {
+    for boundary in all
+        .iter()
+        .copied()
+        .filter(|&boundary| of_interest(boundary))
+    {
         let before = places.len();
         // Ends are hard to find alone, and hard to press.
-        let more = if matches!(boundary, Boundary::End { .. }) { 3 } else { 1 };
+        let more = if matches!(boundary, Boundary::End { .. }) {
+            3
+        } else {
+            1
+        };
         for _ in 0..TRIES * more {
             if places.len() == before + count * more as usize {
                 break;
@@ -77,14 +79,13 @@ pub(super) fn places(
 }
 
 /// Anywhere that is clear of everything.
-fn middle(
-    config: &ControlConfig,
-    all: &[Boundary],
-    random: &mut SplitMix64,
-) -> Option<Vec<Axes>> {
+fn middle(config: &ControlConfig, all: &[Boundary], random: &mut SplitMix64) -> Option<Vec<Axes>> {
     (0..10_000)
         .map(|_| anywhere(config, random))
-        .find(|positions| all.iter().all(|&one| one.clearance(config, positions) >= keep(config, one)))
+        .find(|positions| {
+            all.iter()
+                .all(|&one| one.clearance(config, positions) >= keep(config, one))
+        })
 }
 
 fn anywhere(config: &ControlConfig, random: &mut SplitMix64) -> Vec<Axes> {
@@ -115,7 +116,10 @@ fn near(
             let far_m = if random.happens(0.3) { 0.011 } else { 0.004 };
             config.margins.filter_m + random.between(1e-4, far_m)
         }
-        _ => config.margins.filter_m + random.between(1e-4, 0.004),
+        Boundary::Workspace { .. }
+        | Boundary::Region { .. }
+        | Boundary::Shafts
+        | Boundary::ToShaft { .. } => config.margins.filter_m + random.between(1e-4, 0.004),
     };
     for _ in 0..60 {
         step_to(config, boundary, goal, &mut positions);
@@ -123,14 +127,21 @@ fn near(
         let in_the_way = all
             .iter()
             .filter(|other| **other != boundary)
-            .map(|&other| (other, other.clearance(config, &positions) - keep(config, other)))
+            .map(|&other| {
+                (
+                    other,
+                    other.clearance(config, &positions) - keep(config, other),
+                )
+            })
             .min_by(|a, b| a.1.total_cmp(&b.1));
         match in_the_way {
             Some((other, lacking)) if lacking < 0.0 => {
                 let margin = keep(config, other) + random.between(1e-4, 2e-3);
                 step_to(config, other, margin, &mut positions);
             }
-            _ if off.abs() < 5e-4 && matters(config, boundary, &positions) => return Some(positions),
+            _ if off.abs() < 5e-4 && matters(config, boundary, &positions) => {
+                return Some(positions);
+            }
             _ if off.abs() < 5e-4 => return None,
             _ => {}
         }
@@ -159,7 +170,10 @@ fn matters(config: &ControlConfig, boundary: Boundary, positions: &[Axes]) -> bo
                 .iter()
                 .all(|&link| at(Boundary::Region { arm, region, link }) < own - 1e-4)
         }
-        _ => true,
+        Boundary::Axis { .. }
+        | Boundary::Workspace { .. }
+        | Boundary::Shafts
+        | Boundary::ToShaft { .. } => true,
     }
 }
 
@@ -185,65 +199,11 @@ fn step_to(config: &ControlConfig, boundary: Boundary, goal: f64, positions: &mu
 
 /// What keeps the filter out of the way.
 fn keep(config: &ControlConfig, boundary: Boundary) -> f64 {
-    match boundary {
-        Boundary::Axis { .. } => 1e-4,
-        _ => config.margins.filter_m,
+    if matches!(boundary, Boundary::Axis { .. }) {
+        1e-4
+    } else {
+        config.margins.filter_m
     }
-}
-
-/// How the clearance changes per velocity of each axis.
-pub(super) fn slope(config: &ControlConfig, boundary: Boundary, positions: &[Axes]) -> Velocities {
-    core::array::from_fn(|variable| {
-        let mut velocity = [0.0; 2 * AXES];
-        velocity[variable] = 1.0;
-        if variable < AXES * positions.len() {
-            rate(config, boundary, positions, &velocity)
-        } else {
-            0.0
-        }
-    })
-}
-
-/// How fast the clearance grows when the arms move with `velocity`.
-pub(super) fn rate(
-    config: &ControlConfig,
-    boundary: Boundary,
-    positions: &[Axes],
-    velocity: &Velocities,
-) -> f64 {
-    let before = boundary.clearance(config, &moved(positions, velocity, -STEP_S));
-    let after = boundary.clearance(config, &moved(positions, velocity, STEP_S));
-    (after - before) / (2.0 * STEP_S)
-}
-
-fn moved(positions: &[Axes], velocity: &Velocities, time_s: f64) -> Vec<Axes> {
-    let mut moved = positions.to_vec();
-    for (arm, position) in moved.iter_mut().enumerate() {
-        for (axis, value) in position.iter_mut().enumerate() {
-            *value += velocity[AXES * arm + axis] * time_s;
-        }
-    }
-    moved
-}
-
-/// Speed and turning speed of the tip of `arm`, each as a share of its limit.
-pub(super) fn tip_shares(
-    config: &ControlConfig,
-    positions: &[Axes],
-    velocity: &Velocities,
-    arm: usize,
-) -> (f64, f64) {
-    let tip = |time_s: f64| {
-        let position = moved(positions, velocity, time_s)[arm];
-        tip_in_rcm(&hal::JointVector::from_fn(|joint, _| position[joint]))
-    };
-    let (before, after) = (tip(-STEP_S), tip(STEP_S));
-    let way_m = (after.translation.vector - before.translation.vector).norm();
-    let turn_rad = before.rotation.angle_to(&after.rotation);
-    (
-        way_m / (2.0 * STEP_S) / config.tip_speed_m_s,
-        turn_rad / (2.0 * STEP_S) / config.tip_angular_speed_rad_s,
-    )
 }
 
 fn place(
@@ -345,27 +305,14 @@ fn breaks_nothing(
     });
     slow && all.iter().all(|&boundary| {
         let h = boundary.clearance(config, positions);
-        match boundary {
-            Boundary::Axis { arm, axis, high } => {
-                let speed = velocity[AXES * arm + axis];
-                let towards = if high { speed } else { -speed };
-                let limits = &config.axes[axis];
-                towards <= 0.0
-                    || stop_distance(towards, limits.acceleration, limits.jerk) <= 0.6 * h
-            }
-            _ => {
-                let allowed = config.filter.alpha_1_s * (h - config.margins.filter_m).max(0.0);
-                rate(config, boundary, positions, velocity) >= RATE_TOLERANCE_M_S - allowed
-            }
+        if let Boundary::Axis { arm, axis, high } = boundary {
+            let speed = velocity[AXES * arm + axis];
+            let towards = if high { speed } else { -speed };
+            let limits = &config.axes[axis];
+            towards <= 0.0 || stop_distance(towards, limits.acceleration, limits.jerk) <= 0.6 * h
+        } else {
+            let allowed = config.filter.alpha_1_s * (h - config.margins.filter_m).max(0.0);
+            rate(config, boundary, positions, velocity) >= RATE_TOLERANCE_M_S - allowed
         }
     })
-}
-
-/// What an axis needs to stop from `speed`, by the textbook.
-pub(super) fn stop_distance(speed: f64, acceleration: f64, jerk: f64) -> f64 {
-    if speed >= acceleration * acceleration / jerk {
-        speed * speed / (2.0 * acceleration) + speed * acceleration / (2.0 * jerk)
-    } else {
-        speed.powf(1.5) / jerk.sqrt()
-    }
 }

@@ -2,9 +2,10 @@
 
 use std::collections::BTreeMap;
 
-use super::super::adversary::rig::Scene;
-use super::places::{Place, RATE_TOLERANCE_M_S, places, rate, stop_distance, tip_shares};
 use super::super::adversary::eyes::Boundary;
+use super::super::adversary::rig::Scene;
+use super::measure::{RATE_TOLERANCE_M_S, rate, stop_distance, tip_shares};
+use super::places::{Place, places};
 use crate::control::config::ControlConfig;
 use crate::control::filter::Filter;
 use crate::control::instrument::Stance;
@@ -99,7 +100,10 @@ impl<'a> Bare<'a> {
         }
         for wanted in &place.passes {
             let answer = self.answer(place, wanted, wanted, fault);
-            let changed = wanted.iter().zip(&answer).any(|(a, b)| (a - b).abs() > 1e-9);
+            let changed = wanted
+                .iter()
+                .zip(&answer)
+                .any(|(a, b)| (a - b).abs() > 1e-9);
             if changed {
                 return Some(Symptom::Restraint);
             }
@@ -173,9 +177,13 @@ fn equivalent(config: &ControlConfig, name: &str) -> Option<&'static str> {
         planes.map(move |region| format!("{}.{}.", arm.name, region.name))
     });
     let row = name.strip_suffix(" Dropped")?;
-    let link = planes.into_iter().find_map(|plane| row.strip_prefix(&plane))?;
+    let link = planes
+        .into_iter()
+        .find_map(|plane| row.strip_prefix(&plane))?;
     match link {
-        "shaft.end" => Some("the shaft's end is nearer to a plane than the rest of it, which has a row"),
+        "shaft.end" => {
+            Some("the shaft's end is nearer to a plane than the rest of it, which has a row")
+        }
         "shaft" | "wrist" | "left_finger" | "right_finger" => {
             Some("a link is nearest to a plane at an end, and every end has a row of its own")
         }
@@ -268,13 +276,19 @@ fn every_fault_is_found(arms: usize) {
 }
 
 #[test]
-#[cfg_attr(debug_assertions, ignore = "long, so in release only: make test-adversary")]
+#[cfg_attr(
+    debug_assertions,
+    ignore = "long, so in release only: make test-adversary"
+)]
 fn every_fault_in_a_row_is_found() {
     every_fault_is_found(1);
 }
 
 #[test]
-#[cfg_attr(debug_assertions, ignore = "long, so in release only: make test-adversary")]
+#[cfg_attr(
+    debug_assertions,
+    ignore = "long, so in release only: make test-adversary"
+)]
 fn every_fault_in_a_row_of_two_arms_is_found() {
     every_fault_is_found(2);
 }

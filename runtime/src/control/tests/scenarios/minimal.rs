@@ -42,7 +42,10 @@ fn nothing_is_changed<const ARMS: usize>(seed: u64) {
         let motions: [Sines; ARMS] = core::array::from_fn(|_| Sines::new(&mut random));
         let path = |arm: usize, time_s: f64| {
             let [x, y, z, roll, pitch, yaw] = motions[arm].at(time_s);
-            target(home_m() + Vector3::new(x, y, z), Vector3::new(roll, pitch, yaw))
+            target(
+                home_m() + Vector3::new(x, y, z),
+                Vector3::new(roll, pitch, yaw),
+            )
         };
         follow(&mut rig, 8.0, path, |_, outputs| {
             ticks += 1;
@@ -53,19 +56,27 @@ fn nothing_is_changed<const ARMS: usize>(seed: u64) {
             }
         });
     }
-    println!("minimal intervention, {ARMS} arms: {ticks} ticks, solved {solved}, guard {intervened}, change {change:e}");
+    println!(
+        "minimal intervention, {ARMS} arms: {ticks} ticks, solved {solved}, guard {intervened}, change {change:e}"
+    );
     assert_eq!((solved, intervened), (0, 0));
     assert!(change <= 1e-9, "{change}");
 }
 
 #[test]
-#[cfg_attr(debug_assertions, ignore = "long, so in release only: make test-adversary")]
+#[cfg_attr(
+    debug_assertions,
+    ignore = "long, so in release only: make test-adversary"
+)]
 fn a_motion_inside_all_limits_passes_unchanged() {
     nothing_is_changed::<1>(501);
 }
 
 #[test]
-#[cfg_attr(debug_assertions, ignore = "long, so in release only: make test-adversary")]
+#[cfg_attr(
+    debug_assertions,
+    ignore = "long, so in release only: make test-adversary"
+)]
 fn motions_of_two_arms_inside_all_limits_pass_unchanged() {
     nothing_is_changed::<2>(502);
 }

@@ -52,7 +52,10 @@ fn follow<const ARMS: usize>(
 /// A target at a place in the RCM frame with home's orientation, turned.
 fn target(place_m: Vector3<f64>, turn: Vector3<f64>) -> TipTarget {
     let rotation = UnitQuaternion::new(turn) * forward(&home().position).rotation;
-    TipTarget::new(&Pose::from_parts(Translation3::from(place_m), rotation), 0.2)
+    TipTarget::new(
+        &Pose::from_parts(Translation3::from(place_m), rotation),
+        0.2,
+    )
 }
 
 /// Home's place, m.

@@ -5,6 +5,7 @@ use nalgebra::Vector3;
 
 use super::{follow, home_m, least_clearance, target, tip_m};
 use crate::control::OperatorEvent;
+use crate::control::config::ControlConfig;
 use crate::control::motion::{AXES, Axes, JAW};
 use crate::control::tests::adversary::eyes::Boundary;
 use crate::control::tests::adversary::judge::Judge;
@@ -28,19 +29,49 @@ fn bad_starts() -> Vec<(&'static str, ArmState, Boundary)> {
     let axis = |axis, high| Boundary::Axis { arm: 0, axis, high };
     vec![
         ("the shaft in the rib", start(&[(1, 0.31)]), region(2, 0)),
-        ("a finger in the vessel", start(&[(1, -0.36), (2, 0.118)]), region(0, 3)),
-        ("the wrist behind the wall", start(&[(0, 0.6)]), region(3, 1)),
-        ("the tip in the retractor", start(&[(0, -0.31), (1, -0.17), (2, 0.128)]), region(4, 1)),
+        (
+            "a finger in the vessel",
+            start(&[(1, -0.36), (2, 0.118)]),
+            region(0, 3),
+        ),
+        (
+            "the wrist behind the wall",
+            start(&[(0, 0.6)]),
+            region(3, 1),
+        ),
+        (
+            "the tip in the retractor",
+            start(&[(0, -0.31), (1, -0.17), (2, 0.128)]),
+            region(4, 1),
+        ),
         ("a wrist turned too far", start(&[(4, 1.39)]), axis(4, true)),
-        ("the jaw too far open", start(&[(JAW, 1.39)]), axis(JAW, true)),
+        (
+            "the jaw too far open",
+            start(&[(JAW, 1.39)]),
+            axis(JAW, true),
+        ),
         ("the roll too far", start(&[(3, -4.53)]), axis(3, false)),
-        ("the fingers in the floor", start(&[(2, 0.156)]), Boundary::Workspace {
-            arm: 0,
-            point: 1,
-            axis: 2,
-            high: false,
-        }),
+        (
+            "the fingers in the floor",
+            start(&[(2, 0.156)]),
+            Boundary::Workspace {
+                arm: 0,
+                point: 1,
+                axis: 2,
+                high: false,
+            },
+        ),
     ]
+}
+
+/// On the way from home to `start`, where the boundary is passed by 2 mm (0.002 rad) or, if it never is, the end.
+fn beyond(config: &ControlConfig, start: &ArmState, boundary: Boundary) -> ArmState {
+    let (from, to) = (axes_of(&home()), axes_of(start));
+    (0..=1000)
+        .map(|step| f64::from(step) / 1000.0)
+        .map(|share| core::array::from_fn(|axis| from[axis] + share * (to[axis] - from[axis])))
+        .find(|axes| boundary.clearance(config, &[*axes]) <= -0.002)
+        .map_or(*start, |axes| resting(TimeNs(0), &axes))
 }
 
 #[test]
@@ -50,7 +81,7 @@ fn from_a_bad_start_it_only_gets_better() {
     for (name, start, boundary) in bad_starts() {
         for outward in [true, false] {
             let mut rig = Rig::<1>::new(config);
-            rig.arms = [start];
+            rig.arms = [beyond(config, &start, boundary)];
             let mut judge = Judge::new(&scene);
             let positions = rig.positions();
             let at_start = boundary.clearance(config, &positions);
@@ -62,7 +93,11 @@ fn from_a_bad_start_it_only_gets_better() {
             let home_m = home_m();
             let away_m = tip_m(&positions[0]) - home_m;
             let path = |_: usize, _: f64| {
-                let place_m = if outward { home_m } else { home_m + away_m * 2.0 };
+                let place_m = if outward {
+                    home_m
+                } else {
+                    home_m + away_m * 2.0
+                };
                 let mut goal = target(place_m, Vector3::new(0.0, 0.0, 0.0));
                 goal.jaw = if outward { 0.2 } else { 3.0 };
                 goal
@@ -80,7 +115,10 @@ fn from_a_bad_start_it_only_gets_better() {
                 "{name}, {}: from {at_start:.5}, least {least:.5}, at the end {at_end:.5}",
                 if outward { "out" } else { "further in" }
             );
-            assert!(least >= at_start - config.margins.recovery_m, "{name}: {least}");
+            assert!(
+                least >= at_start - config.margins.recovery_m,
+                "{name}: {least}"
+            );
             assert!(!outward || at_end > 0.0, "{name}: still at {at_end}");
             // On the way out it may fall back a little behind its best, which is told apart.
             let mut violations = judge.violations();
@@ -112,7 +150,9 @@ fn the_first_chunk_far_away_makes_no_jump() {
         most = most.max(share / pace);
         before = rig.arms[0];
     });
-    println!("soft start: first tick {first_m:.1e} m, at most {most:.3} of the pace, up to {fastest:.3} of the speed");
+    println!(
+        "soft start: first tick {first_m:.1e} m, at most {most:.3} of the pace, up to {fastest:.3} of the speed"
+    );
     // What the jerk limits allow within a tick.
     assert!(first_m <= 1e-7, "{first_m}");
     assert!(most <= 1.0, "{most}");
@@ -128,7 +168,11 @@ fn limits_lowered_while_moving_are_kept_without_an_excursion() {
         let mut judge = Judge::new(&scene);
         // Back and forth, turning, as fast as it can; the limits fall after 1.15 s, in full motion.
         let path = |_: usize, time_s: f64| {
-            let side = if (time_s * 1.25).fract() < 0.5 { 1.0 } else { -1.0 };
+            let side = if (time_s * 1.25).fract() < 0.5 {
+                1.0
+            } else {
+                -1.0
+            };
             target(
                 home_m() + Vector3::new(0.02 * side, 0.008 * side, 0.0),
                 Vector3::new(0.0, 0.0, 0.9 * side),

@@ -28,11 +28,16 @@ fn two_arms_pushed_through_each_other_stay_apart() {
         let path = |arm: usize, time_s: f64| {
             let side = if arm == 0 { 1.0 } else { -1.0 };
             let sway = (core::f64::consts::TAU * time_s / 6.0).sin();
-            let in_scene = Point3::new(side * (-0.012 + 0.045 * sway), 0.004 * side, 0.015 + height_m);
+            let in_scene = Point3::new(
+                side * (-0.012 + 0.045 * sway),
+                0.004 * side,
+                0.015 + height_m,
+            );
             let in_rcm = config.arms[arm].scene_from_rcm.inverse() * in_scene;
             target(in_rcm.coords, Vector3::zeros())
         };
-        let (mut least_m, mut failed, mut pressed, mut stopped) = (f64::INFINITY, 0_u32, 0_u32, 0_u32);
+        let (mut least_m, mut failed, mut pressed, mut stopped) =
+            (f64::INFINITY, 0_u32, 0_u32, 0_u32);
         let mut before = rig.arms;
         follow(&mut rig, 12.0, path, |rig, outputs| {
             judge.look(&before.map(Ok), outputs);
@@ -53,7 +58,10 @@ fn two_arms_pushed_through_each_other_stay_apart() {
         );
         let violations = judge.violations();
         assert!(violations.is_empty(), "{violations:#?}");
-        assert!(least_m >= config.margins.guard_m && least_m < 0.004, "{least_m}");
+        assert!(
+            least_m >= config.margins.guard_m && least_m < 0.004,
+            "{least_m}"
+        );
         assert!(pressed > 2_000, "{pressed}");
         assert_eq!(failed, 0);
     }
@@ -81,7 +89,13 @@ fn one_arm_pushed_into_a_resting_one_stays_away() {
         before = rig.arms;
         least_m = least_m.min(gap_m(&scene, rig));
     });
-    println!("into a resting arm: gap {:.3} mm beyond what is kept", 1e3 * least_m);
+    println!(
+        "into a resting arm: gap {:.3} mm beyond what is kept",
+        1e3 * least_m
+    );
     assert!(judge.violations().is_empty(), "{:#?}", judge.violations());
-    assert!(least_m >= config.margins.guard_m && least_m < 0.004, "{least_m}");
+    assert!(
+        least_m >= config.margins.guard_m && least_m < 0.004,
+        "{least_m}"
+    );
 }

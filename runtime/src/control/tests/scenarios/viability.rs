@@ -1,9 +1,9 @@
 //! Axes at their extremes: whatever an axis is asked for, it can still stop within its range.
 
 use super::super::adversary::kinds::below;
+use crate::control::instrument::Stance;
 use crate::control::motion::{AXES, AxisLimits, MotionState};
 use crate::control::random::SplitMix64;
-use crate::control::instrument::Stance;
 use crate::control::rows::{RowInput, Rows};
 use crate::control::smoother::Smoother;
 use crate::control::stop::AxisStop;
@@ -36,7 +36,7 @@ fn can_stop(limits: &AxisLimits, (p, v, a): (f64, f64, f64)) -> Option<AxisStop>
         && high <= limits.high
         && stop.peak_velocity() <= limits.velocity * (1.0 + 1e-9)
         && stop.peak_acceleration() <= limits.acceleration * (1.0 + 1e-9))
-    .then_some(stop)
+        .then_some(stop)
 }
 
 /// Always the highest jerk one way or the other, as long as a stop is left; otherwise the stop itself.
@@ -76,7 +76,11 @@ fn extreme_jerks(limits: &AxisLimits, seed: u64, steps: u64) -> Excess {
 #[test]
 fn five_million_extreme_jerks_an_axis_keep_every_axis_in_its_range() {
     let config = Scene::crowded().config;
-    let steps = if cfg!(debug_assertions) { 100_000 } else { 5_000_000 };
+    let steps = if cfg!(debug_assertions) {
+        100_000
+    } else {
+        5_000_000
+    };
     for (axis, limits) in config.axes.iter().enumerate() {
         let excess = extreme_jerks(limits, 600 + axis as u64, steps);
         println!(
@@ -84,7 +88,10 @@ fn five_million_extreme_jerks_an_axis_keep_every_axis_in_its_range() {
             excess.refused, excess.position, excess.velocity, excess.acceleration
         );
         assert!(excess.position <= 1e-6, "{excess:?}");
-        assert!(excess.velocity <= 1e-6 && excess.acceleration <= 1e-6, "{excess:?}");
+        assert!(
+            excess.velocity <= 1e-6 && excess.acceleration <= 1e-6,
+            "{excess:?}"
+        );
         assert!(excess.refused > steps / 100, "{excess:?}");
     }
 }
@@ -101,8 +108,12 @@ fn extreme_velocities(seed: u64, ticks: u64) -> [Excess; AXES] {
         position: config.axes.map(|axis| f64::midpoint(axis.low, axis.high)),
         ..MotionState::ZERO
     };
-    let mut held: [(AxisStop, f64); AXES] =
-        core::array::from_fn(|axis| (AxisStop::new(state.position[axis], 0.0, 0.0, &config.axes[axis]), 0.0));
+    let mut held: [(AxisStop, f64); AXES] = core::array::from_fn(|axis| {
+        (
+            AxisStop::new(state.position[axis], 0.0, 0.0, &config.axes[axis]),
+            0.0,
+        )
+    });
     let mut high = [true; AXES];
     let mut excesses = [Excess::default(); AXES];
     for _ in 0..ticks {
@@ -116,7 +127,10 @@ fn extreme_velocities(seed: u64, ticks: u64) -> [Excess; AXES] {
         rows.fill(&config, &[input]);
         let wanted = core::array::from_fn(|axis| {
             let (lowest, highest) = (rows.low[axis], rows.high[axis]);
-            assert!(lowest <= 0.0 && highest >= 0.0, "no interval: {lowest} {highest}");
+            assert!(
+                lowest <= 0.0 && highest >= 0.0,
+                "no interval: {lowest} {highest}"
+            );
             if random.happens(0.003) {
                 high[axis] = !high[axis];
             }
@@ -125,7 +139,11 @@ fn extreme_velocities(seed: u64, ticks: u64) -> [Excess; AXES] {
         let next = smoother.step(&state, &wanted).unwrap();
         for axis in 0..AXES {
             let limits = &config.axes[axis];
-            let moved = (next.position[axis], next.velocity[axis], next.acceleration[axis]);
+            let moved = (
+                next.position[axis],
+                next.velocity[axis],
+                next.acceleration[axis],
+            );
             let (p, v, a) = if let Some(stop) = can_stop(limits, moved) {
                 held[axis] = (stop, 0.0);
                 moved
@@ -145,7 +163,11 @@ fn extreme_velocities(seed: u64, ticks: u64) -> [Excess; AXES] {
 
 #[test]
 fn five_million_steps_at_the_filters_bounds_keep_every_axis_in_its_range() {
-    let ticks = if cfg!(debug_assertions) { 20_000 } else { 715_000 };
+    let ticks = if cfg!(debug_assertions) {
+        20_000
+    } else {
+        715_000
+    };
     let excesses = extreme_velocities(701, ticks);
     for (axis, excess) in excesses.iter().enumerate() {
         println!(
@@ -153,6 +175,9 @@ fn five_million_steps_at_the_filters_bounds_keep_every_axis_in_its_range() {
             excess.refused, excess.position, excess.velocity, excess.acceleration
         );
         assert!(excess.position <= 1e-6, "{excess:?}");
-        assert!(excess.velocity <= 1e-6 && excess.acceleration <= 1e-6, "{excess:?}");
+        assert!(
+            excess.velocity <= 1e-6 && excess.acceleration <= 1e-6,
+            "{excess:?}"
+        );
     }
 }

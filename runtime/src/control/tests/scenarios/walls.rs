@@ -164,7 +164,10 @@ fn minute(kind: &str, config: &ControlConfig, circle_m: f64, depth_m: f64) -> Je
 }
 
 #[test]
-#[cfg_attr(debug_assertions, ignore = "long, so in release only: make test-adversary")]
+#[cfg_attr(
+    debug_assertions,
+    ignore = "long, so in release only: make test-adversary"
+)]
 fn a_target_within_a_region_for_a_minute_makes_no_chatter() {
     for (kind, config) in walls() {
         let at_rest = minute(kind, &config, 0.0, 0.045).rms();
@@ -203,7 +206,10 @@ fn head_on_at_full_speed_stops_in_front_of_the_wall() {
             1e3 * left_m,
         );
         assert!(nearest_m >= config.margins.guard_m, "{kind}: {nearest_m}");
-        assert!(fastest_m_s > 0.05 && fastest_m_s <= config.tip_speed_m_s, "{kind}: {fastest_m_s}");
+        assert!(
+            fastest_m_s > 0.05 && fastest_m_s <= config.tip_speed_m_s,
+            "{kind}: {fastest_m_s}"
+        );
         assert!(left_m < config.margins.filter_m + 1e-3, "{kind}: {left_m}");
     }
 }
@@ -216,7 +222,10 @@ fn in_a_corner_of_three_walls_the_arm_comes_to_rest() {
         let path = |_: usize, time_s: f64| {
             let part = (time_s / 4.0).min(1.0);
             let corner_m = Vector3::new(0.08 * signs[0], 0.08 * signs[1], -0.06);
-            target(Vector3::new(0.0, 0.0, -0.1135) + corner_m * part, Vector3::zeros())
+            target(
+                Vector3::new(0.0, 0.0, -0.1135) + corner_m * part,
+                Vector3::zeros(),
+            )
         };
         let (mut nearest_m, mut speed, mut most_rows) = (f64::INFINITY, 0.0_f64, 0);
         follow(&mut rig, 12.0, path, |rig, outputs| {

@@ -62,9 +62,10 @@ fn choose(random: &mut SplitMix64, view: &View<'_>, positions: &[Axes]) -> Optio
     let away = |boundary: &Boundary| {
         let h = boundary.clearance(view.config, positions);
         // A radian of a joint is about as far as its speed is high: compare in seconds.
-        match *boundary {
-            Boundary::Axis { axis, .. } => h / view.config.axes[axis].velocity,
-            _ => h / view.config.tip_speed_m_s,
+        if let Boundary::Axis { axis, .. } = *boundary {
+            h / view.config.axes[axis].velocity
+        } else {
+            h / view.config.tip_speed_m_s
         }
     };
     match below(random, 5) {
@@ -77,9 +78,7 @@ fn choose(random: &mut SplitMix64, view: &View<'_>, positions: &[Axes]) -> Optio
             .into_iter()
             .filter(|boundary| !matches!(boundary, Boundary::Axis { .. }))
             .min_by(|a, b| away(a).total_cmp(&away(b))),
-        _ => own
-            .into_iter()
-            .min_by(|a, b| away(a).total_cmp(&away(b))),
+        _ => own.into_iter().min_by(|a, b| away(a).total_cmp(&away(b))),
     }
 }
 

@@ -53,7 +53,11 @@ impl Messages {
         }
         let mut chunk = good_chunk(TimeNs(now_ns));
         // The policies behind the chunks disagree about where the motion is.
-        let aside_m = Vector3::new(random.between(-0.02, 0.02), random.between(-0.02, 0.02), 0.0);
+        let aside_m = Vector3::new(
+            random.between(-0.02, 0.02),
+            random.between(-0.02, 0.02),
+            0.0,
+        );
         let short = below(random, CHUNK_STEPS_MAX) + 1;
         for target in &mut chunk.targets[..short] {
             for axis in 0..3 {

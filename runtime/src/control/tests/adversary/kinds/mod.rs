@@ -141,7 +141,11 @@ fn wild_target(random: &mut SplitMix64, reach_m: f64) -> TipTarget {
 fn good_target(time_s: f64) -> TipTarget {
     let phase = core::f64::consts::TAU * time_s / 2.5;
     let home = forward(&home().position);
-    let place = Vector3::new(0.008 * phase.cos(), 0.006 * phase.sin(), 0.004 * phase.sin());
+    let place = Vector3::new(
+        0.008 * phase.cos(),
+        0.006 * phase.sin(),
+        0.004 * phase.sin(),
+    );
     let turn = UnitQuaternion::new(Vector3::new(0.2 * phase.sin(), 0.0, 0.3 * phase.cos()));
     let pose = Pose::from_parts(
         Translation3::from(home.translation.vector + place),
