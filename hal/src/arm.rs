@@ -2,7 +2,13 @@
 
 use core::fmt;
 
+use crate::joints::INSERTION;
+use crate::psm::{JAW_MAX, JAW_MIN, POSITION_MAX, POSITION_MIN};
 use crate::{JointVector, SafeTail, TimeNs};
+
+/// How far beyond an axis's mechanical range a measurement is believed, rad, and m for the insertion.
+const BELIEVED_RAD: f64 = 0.2;
+const BELIEVED_M: f64 = 0.02;
 
 /// What an arm measured in one control period.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -46,6 +52,24 @@ impl ArmState {
             && self.jaw_position.is_finite()
             && self.jaw_velocity.is_finite()
             && self.jaw_effort.is_finite()
+    }
+
+    /// The first axis, 6 for the jaw, that is measured where no instrument can be, and where: far beyond its mechanical
+    /// range. Such an outlier must not become the place where an arm is enabled.
+    #[must_use]
+    pub fn impossible(&self) -> Option<(u8, f64)> {
+        let joints = POSITION_MIN.iter().zip(&POSITION_MAX).zip(&self.position);
+        let jaw = ((&JAW_MIN, &JAW_MAX), &self.jaw_position);
+        let mut axes = (0..).zip(joints.chain([jaw]));
+        axes.find_map(|(axis, ((low, high), value))| {
+            let slack = if usize::from(axis) == INSERTION {
+                BELIEVED_M
+            } else {
+                BELIEVED_RAD
+            };
+            let possible = (low - slack..=high + slack).contains(value);
+            (!possible).then_some((axis, *value))
+        })
     }
 }
 

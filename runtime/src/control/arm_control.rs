@@ -99,7 +99,10 @@ impl ArmControl {
         let fault = match measured {
             Err(error) => Some(Fault::Arm(*error)),
             Ok(arm) if !arm.is_finite() => Some(Fault::MeasurementNotFinite),
-            Ok(arm) => self.tracking_fault(arm),
+            Ok(arm) => match arm.impossible() {
+                Some((axis, value)) => Some(Fault::MeasurementOutOfRange { axis, value }),
+                None => self.tracking_fault(arm),
+            },
         };
         if let Some(fault) = fault {
             self.fault = self.fault.or(Some(fault));

@@ -72,6 +72,13 @@ pub enum QpOutcome {
 pub enum Fault {
     /// The measurement held NaN or infinity.
     MeasurementNotFinite,
+    /// The measurement is where the instrument cannot be.
+    MeasurementOutOfRange {
+        /// Joint index, 6 for the jaw.
+        axis: u8,
+        /// Measured, rad (m).
+        value: f64,
+    },
     /// The backend gave no measurement.
     Arm(ArmError),
     /// The arm did not follow.
@@ -87,13 +94,22 @@ impl fmt::Display for Fault {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::MeasurementNotFinite => write!(f, "the measurement is not finite"),
+            Self::MeasurementOutOfRange { axis, value } => {
+                write!(f, "{} cannot be at {value}", axis_name(*axis))
+            }
             Self::Arm(error) => error.fmt(f),
             Self::TrackingError { joint, error } => {
-                let name = hal::joints::JOINT_NAMES
-                    .get(usize::from(*joint))
-                    .unwrap_or(&"?");
-                write!(f, "{name} is {error:.4} away from its command")
+                write!(
+                    f,
+                    "{} is {error:.4} away from its command",
+                    axis_name(*joint)
+                )
             }
         }
     }
+}
+
+fn axis_name(axis: u8) -> &'static str {
+    let joint = hal::joints::JOINT_NAMES.get(usize::from(axis));
+    joint.copied().unwrap_or("jaw")
 }

@@ -28,6 +28,7 @@ pub(super) struct SafetyMessage {
 #[serde(rename_all = "snake_case")]
 enum FaultMessage {
     MeasurementNotFinite,
+    MeasurementOutOfRange { axis: u8, value: Exact },
     Arm(ErrorMessage),
     TrackingError { joint: u8, error: Exact },
 }
@@ -53,6 +54,12 @@ impl SafetyMessage {
             target: report.target.map(|target| numbers(&target)),
             fault: report.fault.map(|fault| match fault {
                 Fault::MeasurementNotFinite => FaultMessage::MeasurementNotFinite,
+                Fault::MeasurementOutOfRange { axis, value } => {
+                    FaultMessage::MeasurementOutOfRange {
+                        axis,
+                        value: Exact(value),
+                    }
+                }
                 Fault::Arm(error) => FaultMessage::Arm(error.into()),
                 Fault::TrackingError { joint, error } => FaultMessage::TrackingError {
                     joint,

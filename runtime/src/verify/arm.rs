@@ -142,7 +142,9 @@ impl Arm {
         held: Option<[f64; AXES]>,
     ) {
         let expected = match measured {
-            Ok(state) if state.is_finite() => Some(axes(&state.position, state.jaw_position)),
+            Ok(state) if state.is_finite() && state.impossible().is_none() => {
+                Some(axes(&state.position, state.jaw_position))
+            }
             Ok(_) | Err(_) => held,
         };
         if let Some(expected) = expected {

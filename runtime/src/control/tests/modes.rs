@@ -78,6 +78,27 @@ fn nan_in_the_measurement_is_a_fault() {
 }
 
 #[test]
+fn an_arm_that_is_measured_where_it_cannot_be_is_not_enabled_there() {
+    for (axis, value) in [(2, 1.39), (2, -0.05), (0, 2.0), (6, 4.0)] {
+        let mut bench = Bench::disabled(&config());
+        bench.step(None, None);
+        let mut measured = bench.arm;
+        match measured.position.get_mut(axis) {
+            Some(joint) => *joint = value,
+            None => measured.jaw_position = value,
+        }
+        let output = bench.step_measuring(Ok(measured), None, Some(OperatorEvent::Enable));
+        let axis = u8::try_from(axis).unwrap();
+        assert_eq!(
+            output.report.fault,
+            Some(Fault::MeasurementOutOfRange { axis, value })
+        );
+        assert!(!output.command.enabled);
+        assert_eq!(output.command.position, super::home());
+    }
+}
+
+#[test]
 fn an_arm_that_does_not_follow_is_stopped_and_released() {
     let mut bench = moving();
     let mut measured = bench.arm;

@@ -14,7 +14,7 @@ fn an_arm_without_torque_may_be_anywhere() {
             make_limp(record);
             // Somebody pushes it about, far out of its box.
             let state = record.measured.as_mut().unwrap();
-            state.position[0] += 0.01 * f64::from(k);
+            state.position[0] += 0.0015 * f64::from(k);
             record.command.position = state.position;
         }
     });
