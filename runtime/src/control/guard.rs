@@ -9,8 +9,8 @@
 //!    may be, at whatever times they are there ([`pair`]).
 //!
 //! *Base.* [`Guard::new`] and [`Guard::seed`] hold an arm where it rests. Its stop is one point, and floors and ranges are
-//! set to what that point keeps ([`floor`]); a pair's floors are set against what is left of the other arm's stop, so that an
-//! arm may be seeded while the other moves.
+//! set to what that point keeps ([`floor`]); a pair's floors are moved with what the arm takes from or gives to what is left of
+//! the other arm's stop, so that an arm may be seeded while the other moves.
 //!
 //! *Step.* In [`Guard::next`] each arm does one of two things.
 //! * It plays its held stop by one tick. What is left is a part of what was left, so 1 and 2 stay true, whatever the other arm
@@ -42,7 +42,7 @@ use super::config::{ControlConfig, FORBIDDEN_MAX};
 use super::motion::MotionState;
 use super::stop::Stop;
 use arm::ArmGuard;
-use pair::Pair;
+use pair::{Gaps, Pair};
 #[cfg(test)]
 use planted::PlantedGuardFault;
 
@@ -145,12 +145,27 @@ impl<const ARMS: usize> Guard<ARMS> {
     /// Starts anew for one arm from where `state` is, at rest; an `arm` that there is not is ignored.
     ///
     /// An arm that is within a boundary stays within it, even if it starts without the margin. Where the arm is beyond a
-    /// boundary already, that boundary moves behind the arm by the margin for recovery. Either comes back with the arm. The
-    /// same goes for the gaps between two arms.
+    /// boundary already, that boundary moves behind the arm by the margin for recovery. Either comes back with the arm. What
+    /// two arms keep between them moves by as much as the arm was moved, and so a seed gives the other arm no way.
     pub fn seed(&mut self, arm: usize, state: &MotionState) {
+        let before = self.gaps();
         if let Some(arm) = self.arms.get_mut(arm) {
             arm.seed(state);
-            self.seed_pair();
+        }
+        if let (Some(pair), Some(before), [first, second]) =
+            (&mut self.pair, before, self.arms.as_slice())
+        {
+            pair.put(&before, &first.held_rest(), &second.held_rest());
+        }
+    }
+
+    /// What the stops of two arms leave of the gaps between them.
+    fn gaps(&self) -> Option<Gaps> {
+        match (&self.pair, self.arms.as_slice()) {
+            (Some(pair), [first, second]) => {
+                Some(pair.gaps(&first.held_rest(), &second.held_rest()))
+            }
+            _ => None,
         }
     }
 

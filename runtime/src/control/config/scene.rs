@@ -1,8 +1,8 @@
 //! A task's `safety.toml`: arms, margins and forbidden regions, from the scene's frame into each arm's.
 
 use hal::Pose;
-use hal::config::{ConfigError, Source};
-use hal::psm::EFFORT_MAX;
+use hal::config::{ConfigError, Source, number_text};
+use hal::psm::{EFFORT_MAX, SHAFT_RADIUS_M};
 use nalgebra::{Rotation3, Translation3, UnitQuaternion, Vector3};
 
 use super::{ArmConfig, BetweenArms, FORBIDDEN_MAX, Margins};
@@ -30,14 +30,15 @@ pub(super) fn scene(source: &Source) -> Result<Scene, ConfigError> {
     for (index, table) in file.arm.iter().enumerate() {
         arms.push(arm(source, index, table, &regions)?);
     }
-    if let [first, second] = arms.as_slice()
-        && first.name == second.name
-    {
-        return Err(source.out_of_range("arm.1.name", &second.name, "a name of its own"));
+    let margins = margins(source, &file)?;
+    let between_arms = between_arms(source, &file)?;
+    if let ([first, second], Some(between)) = (arms.as_slice(), &between_arms) {
+        check_pair(source, first, second, between, &margins)?;
     }
+    check_entries(source, &arms, &margins)?;
     Ok(Scene {
-        margins: margins(source, &file)?,
-        between_arms: between_arms(source, &file)?,
+        margins,
+        between_arms,
         arms,
         jaw_closing_effort_n_m_max: effort,
     })
@@ -80,6 +81,54 @@ fn between_arms(source: &Source, file: &SafetyFile) -> Result<Option<BetweenArms
         shaft_to_shaft_m: table.shaft_to_shaft_m,
         tip_to_shaft_m: table.tip_to_shaft_m,
     }))
+}
+
+/// Two arms must be told apart, and enter so far apart that their shafts can be.
+fn check_pair(
+    source: &Source,
+    first: &ArmConfig,
+    second: &ArmConfig,
+    between: &BetweenArms,
+    margins: &Margins,
+) -> Result<(), ConfigError> {
+    if first.name == second.name {
+        return Err(source.out_of_range("arm.1.name", &second.name, "a name of its own"));
+    }
+    let apart = second.scene_from_rcm.translation.vector - first.scene_from_rcm.translation.vector;
+    let least_m = between.shaft_to_shaft_m + 2.0 * SHAFT_RADIUS_M + margins.filter_m;
+    if apart.norm() > least_m {
+        return Ok(());
+    }
+    let found = format!("{} m from arm.0's", number_text(apart.norm()));
+    let allowed = format!("more than {} m", number_text(least_m));
+    Err(source.out_of_range("arm.1.rcm_in_scene_m", &found, &allowed))
+}
+
+/// A shaft cannot leave its remote centre, so no region may reach there.
+fn check_entries(
+    source: &Source,
+    arms: &[ArmConfig],
+    margins: &Margins,
+) -> Result<(), ConfigError> {
+    let least_m = SHAFT_RADIUS_M + margins.filter_m;
+    for (arm, config) in arms.iter().enumerate() {
+        for (index, region) in config.forbidden.iter().enumerate() {
+            let distance_m = region
+                .shape
+                .distance_m(&Vector3::zeros(), &Vector3::zeros());
+            if distance_m <= least_m {
+                let found = format!(
+                    "{:?} is {} m from the remote centre of arm.{arm}",
+                    region.name,
+                    number_text(distance_m)
+                );
+                let allowed = format!("more than {} m", number_text(least_m));
+                let key = format!("forbidden.{index}");
+                return Err(source.out_of_range(&key, &found, &allowed));
+            }
+        }
+    }
+    Ok(())
 }
 
 fn arm(
@@ -214,4 +263,84 @@ fn region(source: &Source, index: usize, table: &RegionTable) -> Result<Region, 
         name: name.clone(),
         shape,
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use crate::control::config::ControlConfig;
+    use crate::control::rows::tests::TWO_ARMS;
+    use hal::config::Source;
+
+    /// What is said to the two-armed scene with one text replaced.
+    fn message(from: &str, to: &str) -> String {
+        let changed = TWO_ARMS.replacen(from, to, 1);
+        assert_ne!(changed, TWO_ARMS, "{from}");
+        let source = Source::embedded("safety.toml", &changed);
+        ControlConfig::load(&ControlConfig::default_control(), &source)
+            .map_or_else(|error| error.to_string(), |_| "loaded".to_owned())
+    }
+
+    #[test]
+    fn what_no_two_arms_can_keep_is_refused() {
+        let base = "rcm_in_scene_m = [-0.06, 0.0, 0.15]";
+        let same = message(base, "rcm_in_scene_m = [0.06, 0.0, 0.15]");
+        assert!(
+            same.contains("arm.1.rcm_in_scene_m = 0 m from arm.0's"),
+            "{same}"
+        );
+        let near = message(base, "rcm_in_scene_m = [0.052, 0.0, 0.15]");
+        assert!(near.contains("outside more than 0.0115 m"), "{near}");
+        assert!(message("name = \"psm2\"", "name = \"psm1\"").contains("arm.1.name"));
+        let alone = message("[between_arms]", "[[forbidden]]\nname = \"x\"\n[nonsense]");
+        assert!(!alone.contains("loaded"), "{alone}");
+    }
+
+    #[test]
+    fn a_region_about_a_remote_centre_is_refused() {
+        let said = message(
+            "center_m = [0.0, 0.05, 0.0]",
+            "center_m = [0.06, 0.005, 0.155]",
+        );
+        assert!(
+            said.contains("forbidden.0") && said.contains("arm.0"),
+            "{said}"
+        );
+        let said = message("point_m = [0.0, 0.0, -0.01]", "point_m = [0.0, 0.0, 0.146]");
+        assert!(said.contains("forbidden.2"), "{said}");
+    }
+
+    #[test]
+    fn regions_that_are_none_are_refused() {
+        for (from, to, key) in [
+            (
+                "normal = [0.0, 0.0, 1.0]",
+                "normal = [0.0, 0.0, 0.0]",
+                "forbidden.2.normal",
+            ),
+            (
+                "normal = [0.0, 0.0, 1.0]",
+                "normal = [0.0, 0.0, 2.0]",
+                "forbidden.2.normal",
+            ),
+            ("radius_m = 0.006", "radius_m = 0.0", "forbidden.1.radius_m"),
+            ("radius_m = 0.006", "radius_m = nan", "forbidden.1.radius_m"),
+            (
+                "size_m = [0.03, 0.02, 0.04]",
+                "size_m = [0.03, -0.02, 0.04]",
+                "forbidden.3.size_m",
+            ),
+            ("shape = \"box\"", "shape = \"cone\"", "cone"),
+            (
+                "rpy_rad = [0.2, -0.3, 0.5]",
+                "rpy = [0.2, -0.3, 0.5]",
+                "rpy",
+            ),
+        ] {
+            let said = message(from, to);
+            assert!(said.contains(key), "{to}: {said}");
+        }
+        // A capsule whose ends meet is a sphere.
+        let ball = message("to_m = [0.05, -0.05, 0.03]", "to_m = [-0.04, -0.04, 0.01]");
+        assert_eq!(ball, "loaded");
+    }
 }

@@ -24,6 +24,11 @@ impl Floor {
         if h < 0.0 { behind } else { behind.max(0.0) }
     }
 
+    /// What an arm keeps that was enabled well within its boundaries, m.
+    pub(super) const fn margin_m(&self) -> f64 {
+        self.margin_m
+    }
+
     /// A clearance from which on it does not matter what it is, m.
     pub(super) fn enough_m(&self) -> f64 {
         self.margin_m + self.recovery_m

@@ -52,13 +52,36 @@ impl Pair {
         }
     }
 
+    /// What two stops leave of each gap at least, as far as it matters.
+    pub(super) fn gaps(&self, first: &Rest<'_>, second: &Rest<'_>) -> Gaps {
+        let enough_m = self.floor.enough_m();
+        core::array::from_fn(|kind| {
+            self.least(kind, first, second, f64::NEG_INFINITY)
+                .min(enough_m)
+        })
+    }
+
     /// Starts anew with two stops, one of which may be under way. Arms that are too near to one another already may come no
     /// nearer, as one that is beyond a boundary.
     pub(super) fn seed(&mut self, first: &Rest<'_>, second: &Rest<'_>) {
-        self.floors = core::array::from_fn(|kind| {
-            let gap_m = self.least(kind, first, second, f64::NEG_INFINITY);
-            self.floor.below(gap_m)
-        });
+        let gaps = self.gaps(first, second);
+        self.floors = gaps.map(|gap_m| self.floor.below(gap_m));
+    }
+
+    /// Takes note that one arm was put elsewhere, where the gaps had been `before`.
+    ///
+    /// A floor moves by as much as its gap did, so that a hand on an arm without torque may bring it near, and what is
+    /// measured of it may tremble, without the other arm ever gaining a way towards it.
+    pub(super) fn put(&mut self, before: &Gaps, first: &Rest<'_>, second: &Rest<'_>) {
+        let after = self.gaps(first, second);
+        for (floor, (before_m, after_m)) in self.floors.iter_mut().zip(before.iter().zip(after)) {
+            let moved_m = *floor + (after_m - before_m);
+            // At most the margin, and at most the gap itself.
+            *floor = self
+                .floor
+                .below(after_m)
+                .max(moved_m.min(self.floor.margin_m()).min(after_m));
+        }
     }
 
     /// What two stops leave of each gap at least, if that is enough.

@@ -300,3 +300,40 @@ fn one_arm_may_be_seeded_while_the_other_moves() {
         }
     }
 }
+
+#[test]
+fn an_arm_that_trembles_without_torque_gives_the_other_no_way() {
+    for (case, start_m) in [(0, 1e-3), (1, 1e-4), (2, -1e-3)] {
+        let config = two_arms(APART_M);
+        let mut states = [home(); 2];
+        let probe = Rig::new(config.clone(), states, 0);
+        let sides = [0, 1].map(|arm| towards(&probe, arm).signum());
+        while gap_m(&config, &states) > start_m {
+            for (state, side) in states.iter_mut().zip(sides) {
+                state.position[0] += 1e-5 * side;
+            }
+        }
+        let mut rig = Rig::new(config.clone(), states, 95 + case);
+        let starts_m = gap_m(&config, &states);
+        for tick in 0..3_000 {
+            let mut trembling = states[0];
+            for (axis, position) in trembling.position.iter_mut().enumerate() {
+                let size = if axis == 2 { 1e-6 } else { 1e-5 };
+                *position += rig.random.between(-size, size);
+            }
+            rig.states[0] = trembling;
+            rig.guard.seed(0, &trembling);
+            rig.velocity[1][0] = towards(&rig, 1);
+            let candidate = rig.candidates()[1];
+            let requests = [Request::Stop, Request::Follow(candidate)];
+            rig.states[1] = rig.guard.next(&rig.states, &requests)[1].state;
+            let still_m = gap_m(&config, &[states[0], rig.states[1]]);
+            let keep_m = starts_m.min(0.0) - config.margins.recovery_m;
+            // Once the recovery, and what the trembling itself is.
+            assert!(
+                still_m > keep_m - 4e-6,
+                "case {case} tick {tick}: {still_m} from {starts_m}"
+            );
+        }
+    }
+}
