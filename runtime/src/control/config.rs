@@ -14,7 +14,7 @@ use super::motion::{AXES, AxisLimits};
 use super::region::{Block, Region};
 use super::schema::ControlFile;
 use scene::{Scene, scene};
-use sections::{aggregation, axes, check_fault, filter, gate, nanoseconds};
+use sections::{aggregation, axes, check_fault, check_tick, filter, gate, nanoseconds};
 
 /// Most forbidden regions of a task.
 pub const FORBIDDEN_MAX: usize = 8;
@@ -147,6 +147,7 @@ impl ControlConfig {
             0.001,
             0.2,
         )?;
+        check_tick(safety, &margins, speed, turn, &axes)?;
         check_fault(control, &file)?;
         let fault = &file.fault;
         let tracking_error_max = core::array::from_fn(|joint| match joint {
@@ -217,7 +218,30 @@ mod tests {
             message("high_rad = 1.5", "high_rad = -2.0")
                 .contains("limits.yaw.high_rad = -2 is outside [-1.5, 1.588]")
         );
+        assert!(
+            message("jerk_rad_s3 = 80.0", "jerk_rad_s3 = 8.0").contains("limits.yaw = a stop of")
+        );
         assert!(message("mode = \"ensemble\"", "mode = \"mean\"").contains("mean"));
+    }
+
+    #[test]
+    fn a_margin_within_which_a_tick_leads_is_refused() {
+        let fast = ControlConfig::default_control();
+        let fast = fast
+            .text()
+            .replace("tip_speed_m_s = 0.08", "tip_speed_m_s = 0.5");
+        let fast = Source::embedded("control.toml", &fast);
+        let safety = ControlConfig::needle_lift_safety();
+        let thin = safety
+            .text()
+            .replace("guard_m = 0.0003", "guard_m = 0.0001");
+        let thin = Source::embedded("safety.toml", &thin);
+        let error = ControlConfig::load(&fast, &thin).unwrap_err().to_string();
+        assert!(
+            error.contains("margins.guard_m = 0.0001 is outside [0.00028"),
+            "{error}"
+        );
+        assert!(ControlConfig::load(&ControlConfig::default_control(), &thin).is_ok());
     }
 
     #[test]

@@ -1,14 +1,21 @@
 //! The sections of the configuration files, each checked against its ranges.
 
-use hal::config::{ConfigError, Source};
+use hal::config::{ConfigError, Source, number_text};
 use hal::joints::INSERTION;
-use hal::psm::{JAW_MAX, JAW_MIN, POSITION_MAX, POSITION_MIN, VELOCITY_MAX};
+use hal::psm::{FINGER_M, JAW_MAX, JAW_MIN, POSITION_MAX, POSITION_MIN, VELOCITY_MAX};
 
-use super::FilterConfig;
+use super::{FilterConfig, Margins};
 use crate::control::aggregate::Aggregation;
 use crate::control::gate::GateLimits;
 use crate::control::motion::{AXES, AxisLimits, JAW};
 use crate::control::schema::{AggregationMode, ControlFile, LinearAxis, RotaryAxis};
+use crate::control::stop::AxisStop;
+
+/// One tick, s.
+const TICK_S: f64 = 1e-3;
+
+/// The longest that an axis may take to come to rest, s: what waits for a stop counts on it.
+const STOP_S_MAX: f64 = 0.4;
 
 pub(super) fn axes(source: &Source, file: &ControlFile) -> Result<[AxisLimits; AXES], ConfigError> {
     let limits = &file.limits;
@@ -47,13 +54,15 @@ fn rotary(
     )?;
     check("acceleration_rad_s2", axis.acceleration_rad_s2, 0.1, 200.0)?;
     check("jerk_rad_s3", axis.jerk_rad_s3, 1.0, 20_000.0)?;
-    Ok(AxisLimits {
+    let limits = AxisLimits {
         low: axis.low_rad,
         high: axis.high_rad,
         velocity: axis.velocity_rad_s,
         acceleration: axis.acceleration_rad_s2,
         jerk: axis.jerk_rad_s3,
-    })
+    };
+    check_stop(source, name, &limits)?;
+    Ok(limits)
 }
 
 fn linear(source: &Source, name: &str, axis: &LinearAxis) -> Result<AxisLimits, ConfigError> {
@@ -71,13 +80,26 @@ fn linear(source: &Source, name: &str, axis: &LinearAxis) -> Result<AxisLimits, 
     )?;
     check("acceleration_m_s2", axis.acceleration_m_s2, 0.01, 20.0)?;
     check("jerk_m_s3", axis.jerk_m_s3, 0.1, 2_000.0)?;
-    Ok(AxisLimits {
+    let limits = AxisLimits {
         low: axis.low_m,
         high: axis.high_m,
         velocity: axis.velocity_m_s,
         acceleration: axis.acceleration_m_s2,
         jerk: axis.jerk_m_s3,
-    })
+    };
+    check_stop(source, name, &limits)?;
+    Ok(limits)
+}
+
+/// An axis must be able to come to rest soon: from full speed with its acceleration the wrong way.
+fn check_stop(source: &Source, name: &str, limits: &AxisLimits) -> Result<(), ConfigError> {
+    let stop = AxisStop::new(0.0, limits.velocity, limits.acceleration, limits);
+    if stop.duration_s() <= STOP_S_MAX {
+        return Ok(());
+    }
+    let found = format!("a stop of {} s", number_text(stop.duration_s()));
+    let allowed = format!("at most {STOP_S_MAX} s from full speed and acceleration");
+    Err(source.out_of_range(&format!("limits.{name}"), &found, &allowed))
 }
 
 pub(super) fn aggregation(source: &Source, file: &ControlFile) -> Result<Aggregation, ConfigError> {
@@ -135,6 +157,22 @@ pub(super) fn filter(source: &Source, file: &ControlFile) -> Result<FilterConfig
         joint_weight: filter.joint_weight,
         iterations_max: filter.iterations_max,
     })
+}
+
+/// The guard judges setpoints; what an instrument does between two of them must be within its margin.
+///
+/// No point of the instrument is further than half a tick's way from where it is at the nearer of the two.
+pub(super) fn check_tick(
+    safety: &Source,
+    margins: &Margins,
+    tip_speed_m_s: f64,
+    tip_angular_speed_rad_s: f64,
+    axes: &[AxisLimits; AXES],
+) -> Result<(), ConfigError> {
+    let finger_m_s =
+        tip_speed_m_s + FINGER_M * (tip_angular_speed_rad_s + axes[JAW].velocity / 2.0);
+    let half_way_m = finger_m_s * TICK_S / 2.0;
+    safety.check_range("margins.guard_m", margins.guard_m, half_way_m, 0.02)
 }
 
 pub(super) fn check_fault(source: &Source, file: &ControlFile) -> Result<(), ConfigError> {

@@ -3,13 +3,13 @@
 use std::sync::Arc;
 
 use hal::{ArmCommand, ArmError, ArmState, Chunk, SafeTail, TICK_NS, TimeNs};
-use rtrb::Consumer;
+use rtrb::{Consumer, Producer};
 
 use super::signals::{Signals, StopsAll};
 use crate::control::{Controller, OperatorEvent, TickInput};
 use crate::histogram::Histogram;
 use crate::log::{TickLog, TickRecord, TickTiming};
-use crate::mailbox::{MailboxReader, MailboxWriter};
+use crate::mailbox::MailboxReader;
 use crate::rt::{MonotonicClock, Periodic, RtOptions, Wake, configure_thread};
 use crate::session::tally::Tally;
 
@@ -31,7 +31,7 @@ pub(super) struct ControlThread {
     pub(super) measured: MailboxReader<ArmState>,
     pub(super) chunks: Consumer<Chunk>,
     /// Each command with the stop that the arm finishes alone if this thread is late or gone.
-    pub(super) commands: MailboxWriter<(ArmCommand, SafeTail)>,
+    pub(super) commands: Producer<(ArmCommand, SafeTail)>,
     pub(super) log: Option<TickLog>,
     pub(super) signals: Arc<Signals>,
 }
@@ -132,7 +132,8 @@ impl ControlThread {
             operator,
         });
         let compute_ns = clock.now().since(before);
-        self.commands.put((output.command, output.tail));
+        // Full only if the arm has not moved for a second, and then its measurement is long missing.
+        let _gone = self.commands.push((output.command, output.tail));
         TickRecord {
             tick: now.tick(),
             now,

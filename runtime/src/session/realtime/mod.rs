@@ -8,9 +8,9 @@
 //! ```
 //!
 //! Everything that reaches the control thread comes through wait-free mailboxes and queues. A command travels with its
-//! tail, which the arm plays while the control thread is late. The run ends with the task's
-//! verdict, with a fault, with a signal, with the policy process, or with any thread: the arm then comes to rest, the
-//! control thread stops, and everybody follows.
+//! tail, which the arm plays while the control thread is late; an arm that was late itself makes up for it with the commands
+//! of then. The run ends with the task's verdict, with a fault, with a signal, with the policy process, or with any thread: the arm
+//! then comes to rest, the control thread stops, and everybody follows.
 
 mod camera_thread;
 mod child;
@@ -47,6 +47,9 @@ use watch::{Watched, watch};
 
 /// Chunks that may wait for the control thread.
 const CHUNK_QUEUE: usize = 8;
+
+/// Commands that may wait for the simulated arm: a second of them.
+const COMMANDS: usize = 1000;
 
 /// Time for every thread to be up before the first period, ns.
 const START_NS: u64 = 20_000_000;
@@ -94,7 +97,7 @@ fn run_threads(
     let simulation = Simulation::new(&setup.task, options.seed, Rendering::Off)?;
     let controller = Box::new(setup.controller()?);
     let (measured_in, measured) = mailbox::<ArmState>();
-    let (commands, commands_out) = mailbox::<(ArmCommand, SafeTail)>();
+    let (commands, commands_out) = RingBuffer::new(COMMANDS);
     let (chunk_in, chunks) = RingBuffer::<Chunk>::new(CHUNK_QUEUE);
     let (snapshot_in, snapshots) = mailbox::<Snapshot>();
     let signals = Arc::new(Signals::default());
@@ -134,7 +137,6 @@ fn run_threads(
         simulation,
         measured: measured_in,
         commands: commands_out,
-        waiting: None,
         snapshots,
         local,
         signals: Arc::clone(&signals),

@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use hal::{Arm, ArmCommand, ArmState, Chunk, SafeTail, TICK_NS, TimeNs};
-use rtrb::Producer;
+use rtrb::{Consumer, Producer};
 use sim_backend::simulation::Simulation;
 use sim_backend::task::Outcome;
 
@@ -11,7 +11,7 @@ use super::camera_thread::Snapshot;
 use super::signals::{EndsRun, Signals};
 use crate::histogram::Histogram;
 use crate::kinematics;
-use crate::mailbox::{MailboxReader, MailboxWriter};
+use crate::mailbox::MailboxWriter;
 use crate::rt::{MonotonicClock, Periodic, RtOptions, configure_thread};
 use crate::session::SessionError;
 use crate::session::source::{ChunkSource, Query, STEP_TICKS};
@@ -43,9 +43,8 @@ impl Snapshots {
 pub(super) struct SimulationThread {
     pub(super) simulation: Simulation,
     pub(super) measured: MailboxWriter<ArmState>,
-    pub(super) commands: MailboxReader<(ArmCommand, SafeTail)>,
-    /// The newest command, if the arm does not have it yet.
-    pub(super) waiting: Option<(ArmCommand, SafeTail)>,
+    /// Every command, in order: a thread that makes up for missed milliseconds needs those of then.
+    pub(super) commands: Consumer<(ArmCommand, SafeTail)>,
     pub(super) snapshots: Option<Snapshots>,
     pub(super) local: Option<(ChunkSource, Producer<Chunk>)>,
     pub(super) signals: Arc<Signals>,
@@ -81,7 +80,6 @@ impl SimulationThread {
         };
         while !signals.stopped() {
             let wake = periodic.wait();
-            self.waiting = self.commands.take().or(self.waiting);
             // After a late wake-up the missed milliseconds are made up for, so that simulated time stays real time.
             for late in (0..=wake.skipped).rev() {
                 if signals.stopped() {
@@ -101,11 +99,16 @@ impl SimulationThread {
         Ok(end)
     }
 
-    /// Hands over the newest command if it is for the step at `now`, which is `late` steps behind; without one the arm
+    /// Hands over the newest command that is for the step at `now`, which is `late` steps behind; without one the arm
     /// plays the last one's tail.
     fn command(&mut self, late: u64, now: TimeNs) -> Result<(), SessionError> {
-        let due = |(command, _): &mut (ArmCommand, SafeTail)| is_due(command.stamp, late, now);
-        if let Some((command, tail)) = self.waiting.take_if(due) {
+        let mut newest = None;
+        while let Ok((command, _)) = self.commands.peek()
+            && is_due(command.stamp, late, now)
+        {
+            newest = self.commands.pop().ok();
+        }
+        if let Some((command, tail)) = newest {
             self.simulation.write(&command, &tail)?;
         }
         Ok(())
