@@ -131,14 +131,6 @@ fn clarabel_finds_the_same_answers() {
     clarabel_agrees(2, 43, 1_000);
 }
 
-/// As many problems as the claim is about; takes a minute in release.
-#[test]
-#[ignore = "the long comparison: make test-adversary"]
-fn clarabel_finds_the_same_answers_to_a_hundred_thousand_problems() {
-    clarabel_agrees(1, 44, 70_000);
-    clarabel_agrees(2, 45, 35_000);
-}
-
 #[test]
 fn what_no_row_touches_stays_as_it_is() {
     let mut case = Case::new(2, 46);

@@ -7,9 +7,15 @@ use super::rig::{Rig, Scene};
 use super::trouble::Trouble;
 use crate::control::random::SplitMix64;
 use crate::control::sabotage::Garbage;
+use crate::control::{QpOutcome, TickOutput, second_opinion};
 
-/// Every so many commands the tail is followed to rest; a prime, so that it meets every phase of what is periodic.
+/// Every so many commands the tail is followed to rest, more seldom in a long attack; primes, so that they meet every phase
+/// of what is periodic.
 const TAIL_EVERY: u64 = 37;
+const TAIL_EVERY_LONG: u64 = 997;
+
+/// From so many ticks on an attack is long.
+const LONG: u64 = 1_000_000;
 
 /// An attack.
 #[derive(Clone, Copy, Debug)]
@@ -25,6 +31,8 @@ pub(super) struct Attack {
     pub(super) guard_removed: bool,
     /// Whether operator and measurements make trouble.
     pub(super) trouble: bool,
+    /// Whether Clarabel solves each of the filter's problems again.
+    pub(super) second_opinion: bool,
 }
 
 impl Attack {
@@ -38,6 +46,7 @@ impl Attack {
             garbage: 0.05,
             guard_removed: false,
             trouble: true,
+            second_opinion: false,
         }
     }
 
@@ -55,6 +64,11 @@ impl Attack {
         let mut figures = Figures::default();
         let mut adversaries: [_; ARMS] = core::array::from_fn(|_| self.kind.adversary());
         let mut troubles: [Trouble; ARMS] = core::array::from_fn(|_| Trouble::default());
+        let tail_every = if self.ticks < LONG {
+            TAIL_EVERY
+        } else {
+            TAIL_EVERY_LONG
+        };
         let first_tail = below(&mut random, 37) as u64;
         for tick in 0..self.ticks {
             for (arm, adversary) in adversaries.iter_mut().enumerate() {
@@ -85,7 +99,13 @@ impl Attack {
             let outputs = rig.step(measured, operator);
             judge.look(&measured, &outputs);
             figures.count(&outputs);
-            if !self.guard_removed && (tick + first_tail).is_multiple_of(TAIL_EVERY) {
+            let solved = |output: &TickOutput| matches!(output.report.qp, QpOutcome::Solved { .. });
+            if self.second_opinion && outputs.iter().any(solved) {
+                let controller = &rig.controller;
+                let found = second_opinion::compare(controller.problem(), controller.solution());
+                figures.opinions.add(found);
+            }
+            if !self.guard_removed && (tick + first_tail).is_multiple_of(tail_every) {
                 judge.follow_tails(&outputs);
             }
         }

@@ -6,9 +6,11 @@ use super::judge::Nearest;
 use crate::control::{OperatingState, QpOutcome, TickOutput};
 
 /// Figures of all arms together.
-#[derive(Clone, Debug, Default)]
+#[derive(Debug, Default)]
 pub(super) struct Figures {
     pub(super) ticks: u64,
+    /// What Clarabel said, where it was asked.
+    pub(super) opinions: super::opinions::Opinions,
     /// Arm-ticks in which the arm followed.
     pub(super) enabled: u64,
     /// Of these, those in which it stood still.

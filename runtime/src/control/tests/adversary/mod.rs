@@ -8,6 +8,7 @@ pub(super) mod eyes;
 mod figures;
 pub(super) mod judge;
 pub(super) mod kinds;
+mod opinions;
 pub(super) mod rig;
 mod trouble;
 
@@ -47,7 +48,7 @@ fn withstood<const ARMS: usize>(attack: &Attack) -> Figures {
         figures.faults > attack.ticks / 50_000,
         "nothing went wrong: {figures}"
     );
-    assert!(figures.tails > attack.ticks / 50);
+    assert!(figures.tails > attack.ticks / 1_100);
     figures
 }
 

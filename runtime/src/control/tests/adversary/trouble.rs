@@ -58,6 +58,12 @@ impl Trouble {
         }
         let mut measured = *arm;
         measured.jaw_effort = self.effort_n_m;
+        if !powered {
+            // Nobody holds it: it trembles.
+            for position in measured.position.iter_mut() {
+                *position += random.between(-2e-6, 2e-6);
+            }
+        }
         if !random.happens(1.5e-4) {
             return Ok(measured);
         }
