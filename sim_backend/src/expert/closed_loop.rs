@@ -157,6 +157,20 @@ fn same_seed_gives_the_same_episode_bit_for_bit() {
 }
 
 #[test]
+fn needle_lift_is_the_known_episode() {
+    // Recorded demonstrations and trained policies rest on these bits.
+    let episode = run(&TaskConfig::needle_lift().unwrap(), 3, |_, _| {});
+    assert!((episode.seconds - 4.72).abs() < 1e-9, "{}", episode.seconds);
+    let known = (1, 0x8700_e7b2_7af6_cab7);
+    assert_eq!(
+        (episode.attempts, episode.state_hash),
+        known,
+        "{:#018x}",
+        episode.state_hash
+    );
+}
+
+#[test]
 fn still_arm_does_not_succeed() {
     let task = TaskConfig::needle_lift().unwrap();
     let hold = ArmCommand {
