@@ -4,6 +4,7 @@
 //! form smooth paths from rest to rest, so that they can be recorded as demonstrations. Scripts follow what moves, and
 //! start over when a grasp failed.
 
+mod block_transfer;
 #[cfg(test)]
 mod closed_loop;
 mod hand;
@@ -30,6 +31,7 @@ pub struct Expert {
 #[derive(Clone, Debug)]
 enum AnyScript {
     NeedleLift(needle_lift::Lifter),
+    BlockTransfer(block_transfer::Mover),
 }
 
 /// Where the tips should be at one instant, each in its arm's RCM frame.
@@ -64,6 +66,9 @@ impl Expert {
             Scene::NeedleLift(scene) => {
                 AnyScript::NeedleLift(needle_lift::Lifter::new(task, scene, seed))
             }
+            Scene::BlockTransfer(scene) => {
+                AnyScript::BlockTransfer(block_transfer::Mover::new(task, scene, seed))
+            }
         };
         Self { script }
     }
@@ -95,12 +100,14 @@ impl Expert {
     pub fn attempts(&self) -> u32 {
         match &self.script {
             AnyScript::NeedleLift(script) => script.attempts(),
+            AnyScript::BlockTransfer(script) => script.attempts(),
         }
     }
 
     fn wishes(&mut self, now: TimeNs, scene: &SceneState) -> [Wish; CHUNK_LEN] {
         match &mut self.script {
             AnyScript::NeedleLift(script) => foreseen(script, now, scene),
+            AnyScript::BlockTransfer(script) => foreseen(script, now, scene),
         }
     }
 }

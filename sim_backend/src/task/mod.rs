@@ -3,6 +3,7 @@
 //! A task is a folder under `config/tasks/`, a module here with its scene and its monitor, a script in
 //! [`crate::expert`], and a line in [`ENTRIES`] and in [`Scene`].
 
+pub mod block_transfer;
 mod camera;
 mod common;
 mod judge;
@@ -22,6 +23,7 @@ pub(crate) use visuals::{scene_poses, scene_visuals};
 
 use crate::visual::Visual;
 use crate::world::{ArmStart, Scenery, WorldConfig};
+use block_transfer::BlockTransfer;
 use needle_lift::NeedleLift;
 
 /// Most arms that a task has.
@@ -39,7 +41,7 @@ struct Entry {
 }
 
 /// All tasks.
-const ENTRIES: [Entry; 1] = [needle_lift::ENTRY];
+const ENTRIES: [Entry; 2] = [needle_lift::ENTRY, block_transfer::ENTRY];
 
 /// A task, checked.
 #[derive(Clone, Debug)]
@@ -63,6 +65,8 @@ pub struct TaskConfig {
 pub enum Scene {
     /// One arm lifts a needle.
     NeedleLift(NeedleLift),
+    /// One arm moves a block from peg to peg.
+    BlockTransfer(BlockTransfer),
 }
 
 /// What a task's module answers. Everything that is drawn at random hangs on `seed`.
@@ -87,6 +91,7 @@ impl Scene {
     pub(crate) const fn of_task(&self) -> &dyn TaskScene {
         match self {
             Self::NeedleLift(scene) => scene,
+            Self::BlockTransfer(scene) => scene,
         }
     }
 }

@@ -1,5 +1,6 @@
 //! Tests of the experts on the simulated arms, with a numeric inverse instead of the controller.
 
+mod block_transfer;
 mod needle_lift;
 
 use hal::{Arm, ArmCommand, ArmState, Chunk, JointVector, Pose, SafeTail, TimeNs, psm};

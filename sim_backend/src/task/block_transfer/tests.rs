@@ -1,0 +1,1 @@
+//! Facts about the block transfer: draws, rest, verdicts.
