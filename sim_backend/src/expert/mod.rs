@@ -6,7 +6,7 @@
 
 mod block_transfer;
 #[cfg(test)]
-mod closed_loop;
+pub(crate) mod closed_loop;
 mod hand;
 mod motion;
 mod needle_lift;

@@ -153,3 +153,23 @@ pub(crate) fn hold(task: &TaskConfig) -> ArmCommand {
         enabled: true,
     }
 }
+
+/// Runs the expert over `seeds`; gives what went wrong.
+pub(crate) fn failures(task: &TaskConfig, seeds: core::ops::Range<u64>) -> Vec<String> {
+    let mut failed = Vec::new();
+    for seed in seeds {
+        let episode = run(task, seed, |_, _| {});
+        assert!(
+            episode.speed_m_s_max < 0.06,
+            "seed {seed}: {} m/s",
+            episode.speed_m_s_max
+        );
+        if episode.outcome != Outcome::Success {
+            failed.push(format!(
+                "seed {seed}: {} after {:.1} s and {} attempts",
+                episode.outcome, episode.seconds, episode.attempts
+            ));
+        }
+    }
+    failed
+}

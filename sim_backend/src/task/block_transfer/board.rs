@@ -10,7 +10,7 @@ use crate::visual::Mesh;
 use crate::world::Shape;
 
 /// How many pegs a board has.
-pub const PEGS: usize = 6;
+pub(super) const PEGS: usize = 6;
 
 /// Half the size of the table under the board, m.
 const TABLE_HALF_M: f64 = 0.25;
