@@ -10,6 +10,8 @@ pub(crate) mod closed_loop;
 mod hand;
 mod motion;
 mod needle_lift;
+mod suture_pad;
+mod wire;
 
 use hal::{Chunk, TimeNs, TipTarget};
 
@@ -30,8 +32,9 @@ pub struct Expert {
 
 #[derive(Clone, Debug)]
 enum AnyScript {
-    NeedleLift(needle_lift::Lifter),
-    BlockTransfer(block_transfer::Mover),
+    NeedleLift(Box<needle_lift::Lifter>),
+    BlockTransfer(Box<block_transfer::Mover>),
+    SuturePad(Box<suture_pad::Driver>),
 }
 
 /// Where the tips should be at one instant, each in its arm's RCM frame.
@@ -64,10 +67,13 @@ impl Expert {
     pub fn new(task: &TaskConfig, seed: u64) -> Self {
         let script = match &task.scene {
             Scene::NeedleLift(scene) => {
-                AnyScript::NeedleLift(needle_lift::Lifter::new(task, scene, seed))
+                AnyScript::NeedleLift(Box::new(needle_lift::Lifter::new(task, scene, seed)))
             }
             Scene::BlockTransfer(scene) => {
-                AnyScript::BlockTransfer(block_transfer::Mover::new(task, scene, seed))
+                AnyScript::BlockTransfer(Box::new(block_transfer::Mover::new(task, scene, seed)))
+            }
+            Scene::SuturePad(scene) => {
+                AnyScript::SuturePad(Box::new(suture_pad::Driver::new(task, scene, seed)))
             }
         };
         Self { script }
@@ -101,13 +107,15 @@ impl Expert {
         match &self.script {
             AnyScript::NeedleLift(script) => script.attempts(),
             AnyScript::BlockTransfer(script) => script.attempts(),
+            AnyScript::SuturePad(script) => script.attempts(),
         }
     }
 
     fn wishes(&mut self, now: TimeNs, scene: &SceneState) -> [Wish; CHUNK_LEN] {
         match &mut self.script {
-            AnyScript::NeedleLift(script) => foreseen(script, now, scene),
-            AnyScript::BlockTransfer(script) => foreseen(script, now, scene),
+            AnyScript::NeedleLift(script) => foreseen(&mut **script, now, scene),
+            AnyScript::BlockTransfer(script) => foreseen(&mut **script, now, scene),
+            AnyScript::SuturePad(script) => foreseen(&mut **script, now, scene),
         }
     }
 }
@@ -126,6 +134,13 @@ fn foreseen<S: Script>(script: &mut S, now: TimeNs, scene: &SceneState) -> [Wish
         *slot = wish;
     }
     wishes
+}
+
+/// [`arrive`] with the thing in the hand.
+fn carry(arm: &mut ArmScene, target: &TipTarget) {
+    let thing_in_tip = arm.tip_in_rcm.inv_mul(&arm.thing_in_rcm);
+    arrive(arm, target);
+    arm.thing_in_rcm = arm.tip_in_rcm * thing_in_tip;
 }
 
 fn arrive(arm: &mut ArmScene, target: &TipTarget) {

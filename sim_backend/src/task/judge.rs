@@ -185,7 +185,7 @@ impl Judge {
 const STEP_S: f64 = 1e-3;
 
 /// Time over which speed and overlaps are judged, steps: one step alone may be a solver's hiccup.
-pub(super) const JUDGED_STEPS: usize = 20;
+const JUDGED_STEPS: usize = 20;
 
 /// A count of observations as time, s.
 #[expect(
@@ -194,6 +194,12 @@ pub(super) const JUDGED_STEPS: usize = 20;
 )]
 pub(super) fn seconds(steps: u64) -> f64 {
     steps as f64 * STEP_S
+}
+
+/// Counts how long something has been so; true once it has lasted.
+pub(super) fn lasts(steps: &mut usize, is_so: bool) -> bool {
+    *steps = if is_so { *steps + 1 } else { 0 };
+    *steps >= JUDGED_STEPS
 }
 
 /// The checks that every handled thing passes: no sinking in, no throwing, no nonsense.
@@ -223,12 +229,7 @@ impl Watch {
         if !point.coords.iter().all(|x| x.is_finite()) {
             return Some(Reason::NotFinite { thing });
         }
-        self.deep_steps = if depth_m > self.penetration_m_max {
-            self.deep_steps + 1
-        } else {
-            0
-        };
-        if self.deep_steps >= JUDGED_STEPS {
+        if lasts(&mut self.deep_steps, depth_m > self.penetration_m_max) {
             return Some(Reason::Penetration { thing, depth_m });
         }
         self.points.push_back(*point);

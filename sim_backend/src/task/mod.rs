@@ -9,6 +9,7 @@ mod common;
 mod judge;
 pub mod needle_lift;
 mod needle_start;
+pub mod suture_pad;
 mod visuals;
 
 use hal::Pose;
@@ -25,6 +26,7 @@ use crate::visual::Visual;
 use crate::world::{ArmStart, Scenery, WorldConfig};
 use block_transfer::BlockTransfer;
 use needle_lift::NeedleLift;
+use suture_pad::SuturePad;
 
 /// Most arms that a task has.
 pub const ARMS_MAX: usize = 2;
@@ -41,7 +43,7 @@ struct Entry {
 }
 
 /// All tasks.
-const ENTRIES: [Entry; 2] = [needle_lift::ENTRY, block_transfer::ENTRY];
+const ENTRIES: [Entry; 3] = [needle_lift::ENTRY, block_transfer::ENTRY, suture_pad::ENTRY];
 
 /// A task, checked.
 #[derive(Clone, Debug)]
@@ -67,6 +69,8 @@ pub enum Scene {
     NeedleLift(NeedleLift),
     /// One arm moves a block from peg to peg.
     BlockTransfer(BlockTransfer),
+    /// One arm drives a needle through a hole.
+    SuturePad(SuturePad),
 }
 
 /// What a task's module answers. Everything that is drawn at random hangs on `seed`.
@@ -92,6 +96,7 @@ impl Scene {
         match self {
             Self::NeedleLift(scene) => scene,
             Self::BlockTransfer(scene) => scene,
+            Self::SuturePad(scene) => scene,
         }
     }
 }

@@ -102,6 +102,19 @@ const NEEDLE_INERTIA: f64 = 3.0;
 const NEEDLE_BEADS: usize = 9;
 
 impl Thing {
+    /// A needle as a chain of capsules for fingers and hard ground alike.
+    #[must_use]
+    pub fn bare_needle(config: &WorldConfig, shape: &NeedleShape, in_scene: Pose) -> Self {
+        let mut needle = Self::needle(config, shape, in_scene);
+        needle
+            .pieces
+            .retain(|piece| piece.meets == Meets::Instrument);
+        for piece in &mut needle.pieces {
+            piece.meets = Meets::Both;
+        }
+        needle
+    }
+
     /// A needle as a chain of capsules for the fingers and of balls for the tissue.
     #[must_use]
     pub fn needle(config: &WorldConfig, shape: &NeedleShape, in_scene: Pose) -> Self {

@@ -13,9 +13,9 @@ use nalgebra::{Translation3, Vector3};
 
 use super::hand::{ARRIVED_PATIENCE_S, raised, settled};
 use super::motion::{Motion, Placement};
-use super::{Script, Wish};
+use super::{Script, Wish, arrive, carry};
 use crate::rng::Rng;
-use crate::simulation::{ArmScene, SceneState};
+use crate::simulation::SceneState;
 use crate::task::TaskConfig;
 use crate::task::block_transfer::BlockTransfer;
 use grip::{Grip, Gripping};
@@ -104,16 +104,11 @@ impl Script for Mover {
     }
 
     fn foresee(&self, scene: &mut SceneState, wish: &Wish) {
-        let arm = &mut scene.first;
-        let tip_in_rcm = wish.first.tip_in_rcm();
-        if self.carries() && arm.grasp.both_touch {
-            arm.thing_in_rcm = tip_in_rcm * arm.tip_in_rcm.inv_mul(&arm.thing_in_rcm);
+        if self.carries() && scene.first.grasp.both_touch {
+            carry(&mut scene.first, &wish.first);
+        } else {
+            arrive(&mut scene.first, &wish.first);
         }
-        *arm = ArmScene {
-            tip_in_rcm,
-            jaw: wish.first.jaw,
-            ..*arm
-        };
     }
 }
 

@@ -17,7 +17,7 @@ fn expert_moves_the_block() {
 #[ignore = "takes a minute"]
 fn expert_moves_the_block_fifty_times() {
     let failed = failures(&task(), 100..150);
-    assert!(failed.len() <= 2, "{failed:#?}");
+    assert!(failed.is_empty(), "{failed:#?}");
 }
 
 #[test]

@@ -6,10 +6,11 @@ mod phase;
 mod style;
 
 use hal::{Pose, TimeNs, TipTarget};
-use nalgebra::{Point3, Translation3, UnitQuaternion, Vector3};
+use nalgebra::{Translation3, Vector3};
 
-use super::hand::{ARRIVED_PATIENCE_S, raised, settled, straight_down};
+use super::hand::{ARRIVED_PATIENCE_S, raised, settled};
 use super::motion::{Motion, Placement};
+use super::wire::wire_grasp;
 use super::{Script, Wish};
 use crate::needle::NeedleShape;
 use crate::organ::OrganShape;
@@ -19,13 +20,6 @@ use crate::task::TaskConfig;
 use crate::task::needle_lift::NeedleLift;
 use phase::{Event, Phase};
 use style::Style;
-
-/// Distance between the closed finger tips and the organ at the grasp, m. The less, the further the tips reach beyond
-/// the wire.
-const TIP_CLEARANCE_M: f64 = 0.000_1;
-
-/// Thickness of a finger around the wire, m.
-const FINGER_REACH_M: f64 = 0.0015;
 
 /// A step's share of following a moving needle, m and rad.
 const FOLLOW_STEP_M: f64 = 0.0008;
@@ -211,34 +205,10 @@ impl Lifter {
         Translation3::from(lift) * self.grasp_pose(scene)
     }
 
-    /// The pose of the control point in which closing the jaw grips the wire at the middle of its arc.
-    ///
-    /// The tool points straight down and opens across the wire; the finger tips stay clear of the organ.
+    /// The pose in which closing the jaw grips the wire near the middle of its arc.
     fn grasp_pose(&self, scene: &SceneState) -> Pose {
         let needle_in_scene = self.scene_from_rcm * scene.first.thing_in_rcm;
-        let tangent = needle_in_scene * Vector3::y();
-        // Of the two ways to lay the jaw across the wire, the one nearer to the home rotation.
-        let mut yaw = (-tangent.x).atan2(tangent.y);
-        if yaw.abs() > core::f64::consts::FRAC_PI_2 {
-            yaw -= core::f64::consts::PI.copysign(yaw);
-        }
-        let rotation = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), yaw) * straight_down();
-        let middle = needle_in_scene * Point3::new(self.needle.arc_radius_m, 0.0, 0.0);
-        let grasp = middle + tangent * self.style.along_m;
-        let floor = self.floor_m(&grasp, &(rotation * Vector3::y()));
-        let tip_z = floor.max(grasp.z - self.needle.wire_radius_m) + TIP_CLEARANCE_M;
-        Pose::from_parts(
-            Translation3::new(grasp.x, grasp.y, tip_z + hal::psm::FINGER_M),
-            rotation,
-        )
-    }
-
-    /// The highest point of the organ under the closed fingers, m; open, their tips are higher than closed.
-    fn floor_m(&self, grasp: &Point3<f64>, opening: &Vector3<f64>) -> f64 {
-        [-FINGER_REACH_M, 0.0, FINGER_REACH_M]
-            .into_iter()
-            .map(|reach_m| grasp + opening * reach_m)
-            .map(|point| self.organ.height_m(point.x, point.y))
-            .fold(f64::NEG_INFINITY, f64::max)
+        let height_m = |x, y| self.organ.height_m(x, y);
+        wire_grasp(&self.needle, &needle_in_scene, self.style.along_m, height_m)
     }
 }

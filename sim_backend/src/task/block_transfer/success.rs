@@ -7,7 +7,7 @@ use serde::Deserialize;
 
 use super::{BlockTransfer, BoardShape};
 use crate::block::BlockShape;
-use crate::task::judge::{JUDGED_STEPS, Watch, seconds};
+use crate::task::judge::{Watch, lasts, seconds};
 use crate::task::{Monitor, Outcome, Reason, Sight};
 
 /// What counts as a moved block, and what ends the episode at once.
@@ -167,12 +167,6 @@ impl SuccessMonitor {
             .map(|point| (pose * point - before * point).norm() * 1e3)
             .fold(0.0, f64::max)
     }
-}
-
-/// Counts how long something has been so; true once it has lasted.
-fn lasts(steps: &mut usize, is_so: bool) -> bool {
-    *steps = if is_so { *steps + 1 } else { 0 };
-    *steps >= JUDGED_STEPS
 }
 
 impl Monitor for SuccessMonitor {
