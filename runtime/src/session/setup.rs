@@ -138,7 +138,7 @@ impl Setup {
             clippy::cast_sign_loss,
             reason = "the limit is checked to lie in 1 to 600 s"
         )]
-        let limit = (self.task.success.time_limit_s * 1e3) as u64;
+        let limit = (self.task.time_limit_s * 1e3) as u64;
         limit + 2000
     }
 }
