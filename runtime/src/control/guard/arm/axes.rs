@@ -36,10 +36,16 @@ impl ArmGuard {
                 (candidate.position[axis] - p - v * t - a * t * t / 2.0) / units[2],
             ];
             let [x_off, y_off, z_off] = units.map(|unit| STEP_ROUNDING / unit);
+            // Between the two states as well, acceleration and velocity are within their limits on the whole.
+            let gentle = limits.acceleration * t * (1.0 + ROUNDING) + STEP_ROUNDING;
+            let slow = limits.velocity * t * (1.0 + ROUNDING) + STEP_ROUNDING;
             let a_follows = x.abs() <= 1.0 + x_off;
-            let v_follows = y <= highest_velocity(x) + y_off && -y <= highest_velocity(-x) + y_off;
-            let p_follows =
-                z <= highest_position(x, y) + z_off && -z <= highest_position(-x, -y) + z_off;
+            let v_follows = y <= highest_velocity(x) + y_off
+                && -y <= highest_velocity(-x) + y_off
+                && (candidate.velocity[axis] - v).abs() <= gentle;
+            let p_follows = z <= highest_position(x, y) + z_off
+                && -z <= highest_position(-x, -y) + z_off
+                && (candidate.position[axis] - p).abs() <= slow;
             #[cfg(test)]
             let (a_follows, v_follows, p_follows) = (
                 self.judge(Check::AccelerationStep(axis), a_follows),
