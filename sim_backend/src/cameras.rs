@@ -5,7 +5,8 @@ use nalgebra::{Point3, Vector3};
 
 use crate::render::{Camera, Light, Planes, Renderer, look_at};
 use crate::simulation::SimulationError;
-use crate::task::{CameraConfig, TaskConfig, visual_poses, visuals};
+use crate::task::{ARMS_MAX, CameraConfig, Scene, THINGS_MAX, TaskConfig};
+use crate::task::{scene_poses, scene_visuals};
 use crate::world::ArmBodies;
 
 /// Image depth range, m.
@@ -15,15 +16,18 @@ const FAR_M: f64 = 1.0;
 /// Where everything that moves is at one instant, in the scene frame.
 #[derive(Clone, Copy, Debug)]
 pub struct SceneSnapshot {
-    /// The needle.
-    pub needle: Pose,
-    /// The instrument's parts.
-    pub arm: ArmBodies,
+    /// The things that move, as many as the task has.
+    pub things: [Pose; THINGS_MAX],
+    /// The place where something is to be brought, if the task has one.
+    pub goal: Pose,
+    /// The instruments' parts.
+    pub arms: [Option<ArmBodies>; ARMS_MAX],
 }
 
 /// The cameras of one task, their light and the device that draws.
 pub struct SceneCameras {
     renderer: Renderer,
+    scene: Scene,
     views: Vec<View>,
     light: Light,
 }
@@ -39,10 +43,11 @@ impl SceneCameras {
     /// # Errors
     /// [`SimulationError::Render`] if there is no device to render with.
     pub fn new(task: &TaskConfig) -> Result<Self, SimulationError> {
-        let renderer = Renderer::new(&visuals(task))?;
+        let renderer = Renderer::new(&scene_visuals(task))?;
         let views = task.cameras.iter().map(View::new).collect();
         Ok(Self {
             renderer,
+            scene: task.scene.clone(),
             views,
             light: Light::default(),
         })
@@ -114,7 +119,7 @@ impl SceneCameras {
         frame: &mut CameraFrame,
     ) -> Result<(), SimulationError> {
         let camera = self.view(camera)?.camera;
-        let poses = visual_poses(snapshot.needle, &snapshot.arm);
+        let poses = scene_poses(&self.scene, snapshot);
         self.renderer.render(&poses, &camera, &self.light, frame)?;
         Ok(())
     }
@@ -130,7 +135,7 @@ impl SceneCameras {
         planes: Planes<'_>,
     ) -> Result<(), SimulationError> {
         let camera = self.view(camera)?.camera;
-        let poses = visual_poses(snapshot.needle, &snapshot.arm);
+        let poses = scene_poses(&self.scene, snapshot);
         self.renderer
             .render_into(&poses, &camera, &self.light, planes)?;
         Ok(())

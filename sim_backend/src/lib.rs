@@ -1,5 +1,6 @@
 //! The simulated arm and the tasks: plant, contact physics, renderer, scripted experts.
 
+pub mod block;
 pub mod cameras;
 pub mod expert;
 pub mod needle;

@@ -53,6 +53,17 @@ impl Rng {
         low + (high - low) * self.unit()
     }
 
+    /// Uniform among `0..count`; 0 if there are none.
+    #[expect(
+        clippy::cast_possible_truncation,
+        clippy::cast_sign_loss,
+        clippy::cast_precision_loss,
+        reason = "counts of choices are small"
+    )]
+    pub fn below(&mut self, count: usize) -> usize {
+        (self.unit() * count as f64) as usize
+    }
+
     /// True with the given probability.
     pub fn chance(&mut self, probability: f64) -> bool {
         self.unit() < probability

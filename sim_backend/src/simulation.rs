@@ -1,15 +1,15 @@
-//! One episode of the simulated task: arm, needle, cameras and the verdict.
+//! One episode of a simulated task: arms, things, cameras and the verdict.
 //!
-//! The driver reads and writes it as a [`hal::Arm`] and calls [`Simulation::step`] once a control tick. Same task, seed
-//! and commands give the same bits. If the driver falls silent the arm finishes alone the stop that came with the last
-//! command.
+//! The driver reads and writes each arm as a [`hal::Arm`] and calls [`Simulation::step`] once a control tick; the whole
+//! simulation is its first arm too. Same task, seed and commands give the same bits. If the driver falls silent an arm
+//! finishes alone the stop that came with the last command.
 
 use hal::tail::TailPlayer;
 use hal::{Arm, ArmCommand, ArmError, ArmState, CameraFrame, Pose, SafeTail, TICK_NS, TimeNs};
 
 use crate::cameras::{SceneCameras, SceneSnapshot};
 use crate::render::RenderError;
-use crate::task::{Outcome, SuccessMonitor, TaskConfig};
+use crate::task::{ARMS_MAX, Judge, Outcome, Sight, THINGS_MAX, TaskConfig};
 use crate::world::{Grasp, World};
 
 /// Whether an episode can be looked at.
@@ -40,31 +40,49 @@ pub enum SimulationError {
     },
 }
 
-/// The true state of the scene, which experts may see and policies may not.
+/// The true state of the scene as one arm's base sees it.
 #[derive(Clone, Copy, Debug)]
-pub struct SceneState {
+pub struct ArmScene {
     /// Tip (control point) in the RCM frame.
     pub tip_in_rcm: Pose,
-    /// Needle in the RCM frame.
-    pub needle_in_rcm: Pose,
+    /// The thing that the task is about, in the RCM frame.
+    pub thing_in_rcm: Pose,
     /// Angle between the jaw fingers, rad.
     pub jaw: f64,
-    /// How the fingers hold the needle.
+    /// How the fingers hold the thing.
     pub grasp: Grasp,
 }
 
-/// Time that the needle gets to come to rest before the episode begins, ms.
+/// The true state of the scene, which experts may see and policies may not.
+#[derive(Clone, Copy, Debug)]
+pub struct SceneState {
+    /// The arm that a one-armed task has.
+    pub first: ArmScene,
+    /// The other one.
+    pub second: Option<ArmScene>,
+    /// Where something is to be brought, scene frame, if the task has such a place.
+    pub goal_in_scene: Option<Pose>,
+}
+
+/// Time that things get to come to rest before the episode begins, ms.
 const SETTLE_STEPS: u32 = 250;
 
 /// An episode.
 pub struct Simulation {
     world: World,
-    monitor: SuccessMonitor,
-    scene_from_rcm: Pose,
+    judge: Judge,
+    goal: Option<Pose>,
+    bases: Vec<Pose>,
+    tails: Vec<TailPlayer>,
     cameras: Option<SceneCameras>,
     frames: u64,
     stamp: TimeNs,
-    tail: TailPlayer,
+}
+
+/// One arm of a simulation.
+pub struct SimulatedArm<'a> {
+    simulation: &'a mut Simulation,
+    index: usize,
 }
 
 impl Simulation {
@@ -98,64 +116,90 @@ impl Simulation {
     }
 
     fn build(task: &TaskConfig, seed: u64, cameras: Option<SceneCameras>) -> Self {
-        let needle_in_scene = task.needle_start.draw(seed, &task.needle, &task.organ);
-        let mut world = World::new(
-            &task.world,
-            &task.needle,
-            &task.organ,
-            task.scene_from_rcm,
-            task.joints0,
-            task.jaw0,
-            needle_in_scene,
-        );
+        let scene = task.scene.of_task();
+        let mut world = World::new(&task.world, &scene.scenery(&task.world, seed), &task.arms);
         for _ in 0..SETTLE_STEPS {
             world.step();
         }
         Self {
             world,
-            monitor: SuccessMonitor::new(&task.success, &task.needle, &task.organ),
-            scene_from_rcm: task.scene_from_rcm,
+            judge: Judge::new(scene.monitor(seed), task.time_limit_s),
+            goal: scene.goal(seed),
+            bases: task.arms.iter().map(|arm| arm.scene_from_rcm).collect(),
+            tails: vec![TailPlayer::new(TICK_NS); task.arms.len()],
             cameras,
             frames: 0,
             stamp: TimeNs(0),
-            tail: TailPlayer::new(TICK_NS),
         }
     }
 
-    /// Advances by one control tick, 1 ms: under the setpoint that was written since the last step or, if none was, under
-    /// the next point of the last one's tail.
+    /// How many arms there are.
+    #[must_use]
+    pub const fn arm_count(&self) -> usize {
+        self.bases.len()
+    }
+
+    /// The arm `index`, counted from 0; none if there are not so many.
+    pub fn arm(&mut self, index: usize) -> Option<SimulatedArm<'_>> {
+        (index < self.arm_count()).then_some(SimulatedArm {
+            simulation: self,
+            index,
+        })
+    }
+
+    /// Advances by one control tick, 1 ms: each arm under the setpoint that was written since the last step or, if none
+    /// was, under the next point of the last one's tail.
     pub fn step(&mut self) {
-        if let Some(setpoint) = self.tail.next_period() {
-            self.world.command(&setpoint);
+        for (arm, tail) in self.tails.iter_mut().enumerate() {
+            if let Some(setpoint) = tail.next_period() {
+                self.world.command(arm, &setpoint);
+            }
         }
         self.world.step();
-        self.monitor
-            .observe(&self.world.needle_in_scene(), &self.world.grasp());
+        self.judge.observe(&Sight::of(&self.world));
     }
 
     /// How the episode stands.
     #[must_use]
     pub const fn outcome(&self) -> Outcome {
-        self.monitor.outcome()
+        self.judge.outcome()
     }
 
     /// The true state of the scene.
     #[must_use]
     pub fn scene_state(&self) -> SceneState {
         SceneState {
-            tip_in_rcm: self.scene_from_rcm.inv_mul(&self.world.tip_in_scene()),
-            needle_in_rcm: self.scene_from_rcm.inv_mul(&self.world.needle_in_scene()),
-            jaw: self.world.measured(self.stamp).jaw_position,
-            grasp: self.world.grasp(),
+            first: self.arm_scene(0),
+            second: (self.arm_count() > 1).then(|| self.arm_scene(1)),
+            goal_in_scene: self.goal,
+        }
+    }
+
+    fn arm_scene(&self, arm: usize) -> ArmScene {
+        let base = &self.bases[arm];
+        ArmScene {
+            tip_in_rcm: base.inv_mul(&self.world.tip_in_scene(arm)),
+            thing_in_rcm: base.inv_mul(&self.world.thing_in_scene(0)),
+            jaw: self.world.measured(arm, self.stamp).jaw_position,
+            grasp: self.world.grasp(arm, 0),
         }
     }
 
     /// Where everything that moves is, for cameras in another thread.
     #[must_use]
     pub fn snapshot(&self) -> SceneSnapshot {
+        let mut things = [Pose::identity(); THINGS_MAX];
+        for (index, thing) in things.iter_mut().enumerate().take(self.world.thing_count()) {
+            *thing = self.world.thing_in_scene(index);
+        }
+        let mut arms = [None; ARMS_MAX];
+        for (index, arm) in arms.iter_mut().enumerate().take(self.arm_count()) {
+            *arm = Some(self.world.body_poses(index));
+        }
         SceneSnapshot {
-            needle: self.world.needle_in_scene(),
-            arm: self.world.body_poses(),
+            things,
+            goal: self.goal.unwrap_or_else(Pose::identity),
+            arms,
         }
     }
 
@@ -167,7 +211,7 @@ impl Simulation {
         self.cameras.as_ref().ok_or(SimulationError::RenderingOff)
     }
 
-    /// Takes one image, stamped with the newest time at which the arm was read.
+    /// Takes one image, stamped with the newest time at which an arm was read.
     ///
     /// # Errors
     /// [`SimulationError`]; the frame's content is then unspecified.
@@ -192,16 +236,35 @@ impl Simulation {
     }
 }
 
-impl Arm for Simulation {
+impl Arm for SimulatedArm<'_> {
     fn read(&mut self, now: TimeNs) -> Result<ArmState, ArmError> {
-        self.stamp = now;
-        Ok(self.world.measured(now))
+        self.simulation.stamp = now;
+        Ok(self.simulation.world.measured(self.index, now))
     }
 
     fn write(&mut self, command: &ArmCommand, tail: &SafeTail) -> Result<(), ArmError> {
-        self.world.command(command);
-        self.tail.write(command, tail);
+        self.simulation.world.command(self.index, command);
+        self.simulation.tails[self.index].write(command, tail);
         Ok(())
+    }
+}
+
+/// The first arm.
+impl Arm for Simulation {
+    fn read(&mut self, now: TimeNs) -> Result<ArmState, ArmError> {
+        SimulatedArm {
+            simulation: self,
+            index: 0,
+        }
+        .read(now)
+    }
+
+    fn write(&mut self, command: &ArmCommand, tail: &SafeTail) -> Result<(), ArmError> {
+        SimulatedArm {
+            simulation: self,
+            index: 0,
+        }
+        .write(command, tail)
     }
 }
 

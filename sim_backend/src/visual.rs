@@ -14,6 +14,18 @@ pub mod instance {
     pub const WRIST: u8 = 4;
     /// Jaw fingers of the first arm.
     pub const JAW: u8 = 5;
+    /// Instrument shaft of the second arm.
+    pub const SECOND_SHAFT: u8 = 6;
+    /// Wrist of the second arm.
+    pub const SECOND_WRIST: u8 = 7;
+    /// Jaw fingers of the second arm.
+    pub const SECOND_JAW: u8 = 8;
+    /// The training block.
+    pub const BLOCK: u8 = 9;
+    /// Pegs of a board.
+    pub const PEG: u8 = 10;
+    /// The peg that the block belongs on.
+    pub const GOAL_PEG: u8 = 11;
 }
 
 /// A triangle mesh in its own frame, metres; counter-clockwise triangles face outwards.

@@ -16,6 +16,7 @@ pub mod setup;
 pub mod source;
 pub mod summary;
 pub mod tally;
+pub mod tasks;
 pub mod training;
 
 pub use error::SessionError;

@@ -12,6 +12,7 @@ use tch::Device;
 
 use super::SessionError;
 use super::source::{ChunkSource, PolicyChoice};
+use super::tasks;
 use crate::control::{ControlConfig, Controller};
 
 /// Everything that a session is configured by.
@@ -52,17 +53,7 @@ impl Setup {
         policy: &PolicyChoice,
     ) -> Result<Self, SessionError> {
         policy.check_exists()?;
-        let (scene, safety) = match task {
-            "needle-lift" => (
-                TaskConfig::needle_lift_source(),
-                ControlConfig::needle_lift_safety(),
-            ),
-            unknown => {
-                return Err(SessionError::BadArgument(format!(
-                    "there is no task {unknown:?}"
-                )));
-            }
-        };
+        let (scene, safety) = tasks::sources(task)?;
         let control = match control {
             Some(path) => Source::read(&path.display().to_string())?,
             None => built_in_control(policy)?,
@@ -138,26 +129,27 @@ impl Setup {
             clippy::cast_sign_loss,
             reason = "the limit is checked to lie in 1 to 600 s"
         )]
-        let limit = (self.task.success.time_limit_s * 1e3) as u64;
+        let limit = (self.task.time_limit_s * 1e3) as u64;
         limit + 2000
     }
 }
 
 /// The scene and the safety limits must speak of the same arm at the same place.
 fn check_bases(task: &TaskConfig, control: &ControlConfig) -> Result<(), SessionError> {
-    let [arm] = control.arms.as_slice() else {
+    let ([arm], [start]) = (control.arms.as_slice(), task.arms.as_slice()) else {
         return Err(SessionError::BadArgument(format!(
-            "safety.toml: arm = {} arms, the scene has one",
-            control.arms.len()
+            "safety.toml: arm = {} arms, the scene has {}, a session drives one",
+            control.arms.len(),
+            task.arms.len()
         )));
     };
-    let off = task.scene_from_rcm.inverse() * arm.scene_from_rcm;
+    let off = start.scene_from_rcm.inverse() * arm.scene_from_rcm;
     if off.translation.vector.norm() < 1e-6 && off.rotation.angle() < 1e-6 {
         return Ok(());
     }
     Err(SessionError::BadArgument(format!(
         "safety.toml: arm.0.rcm_in_scene_m is {}, scene.toml puts the arm at {}",
-        arm.scene_from_rcm, task.scene_from_rcm
+        arm.scene_from_rcm, start.scene_from_rcm
     )))
 }
 

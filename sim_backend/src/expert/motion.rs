@@ -1,7 +1,7 @@
 //! Smooth point-to-point motion of the tip, whose end may drift while it is under way.
 
 use hal::{Pose, TimeNs};
-use nalgebra::{Translation3, Vector3};
+use nalgebra::{Point3, Translation3, UnitQuaternion, Vector3};
 
 /// Tip pose and jaw angle, in the scene frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -33,8 +33,16 @@ pub(super) struct Motion {
     from: Placement,
     to: Placement,
     bow_m: Vector3<f64>,
+    swing: Option<Swing>,
     began: TimeNs,
     duration_s: f64,
+}
+
+/// A turn about a fixed upright axis instead of the straight way.
+#[derive(Clone, Copy, Debug)]
+struct Swing {
+    centre: Point3<f64>,
+    angle_rad: f64,
 }
 
 impl Motion {
@@ -64,6 +72,35 @@ impl Motion {
             from,
             to,
             bow_m,
+            swing: None,
+            began,
+            duration_s,
+        }
+    }
+
+    /// A motion that turns the tip by `angle_rad` about the vertical through `centre`.
+    pub(super) fn swing(
+        from: Placement,
+        centre: Point3<f64>,
+        angle_rad: f64,
+        began: TimeNs,
+        pace: Pace,
+    ) -> Self {
+        let swing = Swing { centre, angle_rad };
+        let to = Placement {
+            tip_in_scene: swing.turned(&from.tip_in_scene, 1.0),
+            ..from
+        };
+        let lever_m = (from.tip_in_scene.translation.vector - centre.coords).norm();
+        let way_m = lever_m * angle_rad.abs();
+        let duration_s = (BLEND_PEAK * way_m / pace.speed_m_s)
+            .max(BLEND_PEAK * angle_rad.abs() / TURN_RATE_RAD_S)
+            .max(pace.duration_s_min);
+        Self {
+            from,
+            to,
+            bow_m: Vector3::zeros(),
+            swing: Some(swing),
             began,
             duration_s,
         }
@@ -75,6 +112,7 @@ impl Motion {
             from: placement,
             to: placement,
             bow_m: Vector3::zeros(),
+            swing: None,
             began,
             duration_s: duration_s.max(1e-3),
         }
@@ -111,6 +149,12 @@ impl Motion {
     pub(super) fn at(&self, now: TimeNs) -> Placement {
         let share = (self.elapsed_s(now) / self.duration_s).clamp(0.0, 1.0);
         let s = blend(share);
+        if let Some(swing) = self.swing {
+            return Placement {
+                tip_in_scene: swing.turned(&self.from.tip_in_scene, s),
+                jaw: self.from.jaw,
+            };
+        }
         let from = self.from.tip_in_scene;
         let to = self.to.tip_in_scene;
         let bow = (4.0 * s * (1.0 - s)).powi(2);
@@ -132,6 +176,15 @@ impl Motion {
 
     fn elapsed_s(&self, now: TimeNs) -> f64 {
         TimeNs(now.since(self.began)).seconds()
+    }
+}
+
+impl Swing {
+    /// `pose` after `share` of the turn.
+    fn turned(&self, pose: &Pose, share: f64) -> Pose {
+        let turn = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), self.angle_rad * share);
+        let about = Translation3::from(self.centre.coords);
+        about * turn * about.inverse() * pose
     }
 }
 
@@ -185,6 +238,25 @@ mod tests {
             peak < PACE.speed_m_s && peak > 0.6 * PACE.speed_m_s,
             "{peak}"
         );
+    }
+
+    #[test]
+    fn swing_keeps_its_distance_and_ends_where_it_says() {
+        let centre = Point3::new(0.0, 0.02, 0.01);
+        let motion = Motion::swing(placement(0.0, 0.1), centre, 1.2, TimeNs(0), PACE);
+        let start = motion.at(TimeNs(0)).tip_in_scene;
+        let mut before = start;
+        for tick in 0..3000 {
+            let here = motion.at(TimeNs::from_tick(tick)).tip_in_scene;
+            let lever = here.translation.vector - centre.coords;
+            assert!((lever.xy().norm() - 0.02).abs() < 1e-12 && (lever.z - 0.04).abs() < 1e-12);
+            let step_m = (here.translation.vector - before.translation.vector).norm();
+            assert!(step_m * 1000.0 < PACE.speed_m_s);
+            before = here;
+        }
+        let end = motion.end().tip_in_scene;
+        assert!((end.translation.vector - before.translation.vector).norm() < 1e-12);
+        assert!((end.rotation.angle_to(&start.rotation) - 1.2).abs() < 1e-9);
     }
 
     #[test]

@@ -113,7 +113,7 @@ fn velocities(state: &ArmState) -> [f64; TAIL_AXES] {
 
 /// Whether the drives have what `command` says.
 fn follows(simulation: &Simulation, command: &ArmCommand) -> bool {
-    let (position, velocity, enabled) = simulation.world.setpoint();
+    let (position, velocity, enabled) = simulation.world.setpoint(0);
     let wanted = axes(&command.position, command.jaw_position);
     let wanted_velocity = axes(&command.velocity, command.jaw_velocity);
     let near = |got: &[f64], wanted: &[f64]| {
@@ -226,10 +226,10 @@ fn next_command_takes_over_wherever_the_stop_is() {
 #[test]
 fn unheard_arm_holds_what_it_was_found_at() {
     let mut driver = Driver::new();
-    let found = driver.simulation.world.setpoint();
+    let found = driver.simulation.world.setpoint(0);
     for _ in 0..300 {
         let state = driver.silent();
-        assert_eq!(driver.simulation.world.setpoint(), found);
+        assert_eq!(driver.simulation.world.setpoint(0), found);
         for (axis, position) in positions(&state).iter().enumerate() {
             assert!((position - driver.start[axis]).abs() < 1e-3 * WAY[axis].abs());
         }

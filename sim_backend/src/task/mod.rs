@@ -1,73 +1,131 @@
-//! The needle lift as data: scene, start, cameras, and what counts as success.
+//! Tasks as data: who stands where, what lies there, who looks, and what counts as success.
+//!
+//! A task is a folder under `config/tasks/`, a module here with its scene and its monitor, a script in
+//! [`crate::expert`], and a line in [`ENTRIES`] and in [`Scene`].
 
+pub mod block_transfer;
 mod camera;
-mod start;
-mod success;
+mod common;
+mod judge;
+pub mod needle_lift;
+mod needle_start;
+pub mod suture_pad;
 mod visuals;
 
+use hal::Pose;
 use hal::config::{ConfigError, Source};
-use hal::{JOINT_COUNT, JointVector, Pose, psm};
 use serde::Deserialize;
 
 pub use camera::CameraConfig;
-pub use start::NeedleStart;
-pub use success::{Outcome, Reason, SuccessConfig, SuccessMonitor};
-pub(crate) use visuals::{visual_poses, visuals};
+pub(crate) use judge::{Judge, Monitor, Sight};
+pub use judge::{Outcome, Reason};
+pub use needle_start::NeedleStart;
+pub(crate) use visuals::{scene_poses, scene_visuals};
 
-use crate::needle::NeedleShape;
-use crate::organ::OrganShape;
-use crate::world::WorldConfig;
+use crate::visual::Visual;
+use crate::world::{ArmStart, Scenery, WorldConfig};
+use block_transfer::BlockTransfer;
+use needle_lift::NeedleLift;
+use suture_pad::SuturePad;
 
-/// The name by which the command line and the logs know the task.
-pub const NEEDLE_LIFT: &str = "needle-lift";
+/// Most arms that a task has.
+pub const ARMS_MAX: usize = 2;
 
-/// Path of the needle lift's scene in the repository.
-pub const NEEDLE_LIFT_PATH: &str = "config/tasks/needle-lift/scene.toml";
+/// Most things that a task has.
+pub const THINGS_MAX: usize = 2;
+
+/// A task as the repository knows it.
+struct Entry {
+    name: &'static str,
+    path: &'static str,
+    text: &'static str,
+    parse: fn(&Source) -> Result<TaskConfig, ConfigError>,
+}
+
+/// All tasks.
+const ENTRIES: [Entry; 3] = [needle_lift::ENTRY, block_transfer::ENTRY, suture_pad::ENTRY];
 
 /// A task, checked.
 #[derive(Clone, Debug)]
 pub struct TaskConfig {
-    /// Scene frame from the arm's base frame (the RCM).
-    pub scene_from_rcm: Pose,
-    /// Joints of the arm at the start, rad (insertion m).
-    pub joints0: JointVector,
-    /// Jaw angle at the start, rad.
-    pub jaw0: f64,
-    /// The needle.
-    pub needle: NeedleShape,
-    /// Where the needle may lie at the start.
-    pub needle_start: NeedleStart,
-    /// What the needle lies on.
-    pub organ: OrganShape,
+    /// The name by which the command line and the logs know it.
+    pub name: &'static str,
+    /// The arms, the one that a one-armed driver drives first.
+    pub arms: Vec<ArmStart>,
     /// Drives and contact physics.
     pub world: WorldConfig,
     /// The cameras, in the order of observations.
     pub cameras: Vec<CameraConfig>,
-    /// What counts as success.
-    pub success: SuccessConfig,
+    /// When the episode ends without success, s.
+    pub time_limit_s: f64,
+    /// What is particular to the task.
+    pub scene: Scene,
 }
 
-#[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
-struct SceneFile {
-    arm: ArmFile,
-    needle: NeedleShape,
-    needle_start: NeedleStart,
-    organ: OrganShape,
-    world: WorldConfig,
-    camera: Vec<CameraConfig>,
-    success: SuccessConfig,
+/// What is particular to each task.
+#[derive(Clone, Debug)]
+pub enum Scene {
+    /// One arm lifts a needle.
+    NeedleLift(NeedleLift),
+    /// One arm moves a block from peg to peg.
+    BlockTransfer(BlockTransfer),
+    /// One arm drives a needle through a hole.
+    SuturePad(SuturePad),
 }
 
+/// What a task's module answers. Everything that is drawn at random hangs on `seed`.
+pub(crate) trait TaskScene {
+    /// Things at their places, and the ground.
+    fn scenery(&self, world: &WorldConfig, seed: u64) -> Scenery;
+
+    /// The place where something is to be brought, scene frame, if the task has one.
+    fn goal(&self, seed: u64) -> Option<Pose>;
+
+    /// A judge of the episode, at its start.
+    fn monitor(&self, seed: u64) -> Box<dyn Monitor>;
+
+    /// What there is to see besides the arms.
+    fn visuals(&self) -> Vec<Visual>;
+
+    /// Where that is, in the same order, in the scene frame.
+    fn visual_poses(&self, things: &[Pose], goal: &Pose) -> Vec<Pose>;
+}
+
+impl Scene {
+    pub(crate) const fn of_task(&self) -> &dyn TaskScene {
+        match self {
+            Self::NeedleLift(scene) => scene,
+            Self::BlockTransfer(scene) => scene,
+            Self::SuturePad(scene) => scene,
+        }
+    }
+}
+
+/// The part of a scene file that says what it is.
 #[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
-struct ArmFile {
-    rcm_in_scene_m: [f64; 3],
-    joints: [f64; JOINT_COUNT],
-    jaw_rad: f64,
+struct Title {
+    task: String,
 }
 
 impl TaskConfig {
+    /// Names of all tasks.
+    pub fn names() -> impl Iterator<Item = &'static str> {
+        ENTRIES.iter().map(|entry| entry.name)
+    }
+
+    /// The text of a task as it ships, for logs and overrides; none if there is no such task.
+    #[must_use]
+    pub fn source(name: &str) -> Option<Source> {
+        let entry = ENTRIES.iter().find(|entry| entry.name == name)?;
+        Some(Source::embedded(entry.path, entry.text))
+    }
+
+    /// The text of the needle lift as it ships.
+    #[must_use]
+    pub fn needle_lift_source() -> Source {
+        Source::embedded(needle_lift::ENTRY.path, needle_lift::ENTRY.text)
+    }
+
     /// The needle lift as it ships.
     ///
     /// # Errors
@@ -76,174 +134,20 @@ impl TaskConfig {
         Self::parse(&Self::needle_lift_source())
     }
 
-    /// The text of the needle lift as it ships, for logs and overrides.
-    #[must_use]
-    pub fn needle_lift_source() -> Source {
-        Source::embedded(
-            NEEDLE_LIFT_PATH,
-            include_str!("../../../config/tasks/needle-lift/scene.toml"),
-        )
-    }
-
-    /// Reads a scene file.
+    /// Reads a scene file, whose key `task` says of which task.
     ///
     /// # Errors
     /// [`ConfigError`], naming line, key and allowed range.
     pub fn parse(source: &Source) -> Result<Self, ConfigError> {
-        let file: SceneFile = source.parse()?;
-        check_arm(source, &file.arm)?;
-        file.needle.check(source, "needle")?;
-        file.organ.check(source, "organ")?;
-        file.world.check(source, "world")?;
-        file.needle_start.check(source)?;
-        check_success(source, &file.success)?;
-        if file.camera.is_empty() {
-            return Err(source.out_of_range("camera", "no camera", "at least one"));
-        }
-        for (index, camera) in file.camera.iter().enumerate() {
-            camera.check(source, index)?;
-        }
-        let [x, y, z] = file.arm.rcm_in_scene_m;
-        Ok(Self {
-            scene_from_rcm: Pose::translation(x, y, z),
-            joints0: JointVector::from(file.arm.joints),
-            jaw0: file.arm.jaw_rad,
-            needle: file.needle,
-            needle_start: file.needle_start,
-            organ: file.organ,
-            world: file.world,
-            cameras: file.camera,
-            success: file.success,
-        })
+        let title: Title = source.parse()?;
+        let found = ENTRIES.iter().find(|entry| entry.name == title.task);
+        let Some(entry) = found else {
+            let known: Vec<_> = Self::names().collect();
+            return Err(source.out_of_range("task", &title.task, &known.join(", ")));
+        };
+        (entry.parse)(source)
     }
-}
-
-fn check_arm(source: &Source, arm: &ArmFile) -> Result<(), ConfigError> {
-    for (axis, value) in arm.rcm_in_scene_m.into_iter().enumerate() {
-        source.check_range(&format!("arm.rcm_in_scene_m.{axis}"), value, -1.0, 1.0)?;
-    }
-    for (joint, value) in arm.joints.into_iter().enumerate() {
-        let key = format!("arm.joints.{joint}");
-        source.check_range(
-            &key,
-            value,
-            psm::POSITION_MIN[joint],
-            psm::POSITION_MAX[joint],
-        )?;
-    }
-    source.check_range("arm.jaw_rad", arm.jaw_rad, 0.0, psm::JAW_MAX)
-}
-
-fn check_success(source: &Source, success: &SuccessConfig) -> Result<(), ConfigError> {
-    let check = |key: &str, value, low, high| {
-        source.check_range(&format!("success.{key}"), value, low, high)
-    };
-    check("lift_height_m", success.lift_height_m, 0.005, 0.1)?;
-    check("hold_s", success.hold_s, 0.05, 10.0)?;
-    check("grip_force_n_min", success.grip_force_n_min, 0.0, 10.0)?;
-    check("clearance_m", success.clearance_m, 0.0, 0.05)?;
-    check("time_limit_s", success.time_limit_s, 1.0, 600.0)?;
-    check(
-        "penetration_m_max",
-        success.penetration_m_max,
-        0.000_01,
-        0.01,
-    )?;
-    check(
-        "needle_speed_m_s_max",
-        success.needle_speed_m_s_max,
-        0.05,
-        10.0,
-    )?;
-    check("sink_m_max", success.sink_m_max, 0.001, 0.1)
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-
-    /// The shipped file with one line replaced, and the number of that line.
-    fn doctored(old: &str, new: &str) -> (Source, usize) {
-        let text = TaskConfig::needle_lift_source().text().to_owned();
-        let line = text
-            .lines()
-            .position(|line| line.starts_with(old))
-            .expect("line to replace")
-            + 1;
-        let lines: Vec<&str> = text
-            .lines()
-            .map(|line| if line.starts_with(old) { new } else { line })
-            .collect();
-        (Source::embedded("scene.toml", &lines.join("\n")), line)
-    }
-
-    #[test]
-    fn shipped_scene_is_valid_and_starts_above_the_organ() {
-        let task = TaskConfig::needle_lift().unwrap();
-        assert_eq!(task.cameras[0].name, "endoscope");
-        assert_eq!((task.cameras[0].width, task.cameras[0].height), (512, 512));
-        // Straight down at zero wrist angles: insertion less 6.5 mm below the RCM.
-        let tip_z = task.scene_from_rcm.translation.z - (task.joints0[2] - 0.0065);
-        let height = tip_z - task.organ.height_m(0.0, 0.0);
-        assert!((0.04..0.05).contains(&height), "{height}");
-    }
-
-    #[test]
-    fn unknown_key_is_named_with_its_line() {
-        let (source, line) = doctored("jaw_rad", "jaw_rad = 0.6\nspeling = 1");
-        let message = TaskConfig::parse(&source).unwrap_err().to_string();
-        assert!(
-            message.starts_with(&format!("scene.toml:{}: ", line + 1))
-                && message.contains("speling"),
-            "{message}"
-        );
-    }
-
-    #[test]
-    fn value_out_of_range_is_named_with_line_key_and_range() {
-        for (old, new, key) in [
-            (
-                "hold_s",
-                "hold_s = -1.0",
-                "success.hold_s = -1 is outside [0.05, 10]",
-            ),
-            ("mass_kg", "mass_kg = 5.0", "needle.mass_kg = 5 is outside"),
-            (
-                "vertical_fov_rad",
-                "vertical_fov_rad = 4.0",
-                "camera.0.vertical_fov_rad = 4 is outside",
-            ),
-            (
-                "range_m",
-                "range_m = [0.025, 0.5]",
-                "needle_start.range_m.1 = 0.5 is outside",
-            ),
-            (
-                "joints",
-                "joints = [0.0, 0.0, 0.3, 0.0, 0.0, 0.0]",
-                "arm.joints.2 = 0.3 is outside",
-            ),
-            ("up", "up = [0.0, 0.0, 2.0]", "camera.0.up.2 = 2 is outside"),
-        ] {
-            let (source, line) = doctored(old, new);
-            let message = TaskConfig::parse(&source).unwrap_err().to_string();
-            assert!(
-                message.starts_with(&format!("scene.toml:{line}: {key}")),
-                "{message}"
-            );
-        }
-    }
-
-    #[test]
-    fn missing_camera_is_an_error() {
-        let text = TaskConfig::needle_lift_source().text().to_owned();
-        let (before, rest) = text.split_once("[[camera]]").unwrap();
-        let after = &rest[rest.find("\n[success]").unwrap()..];
-        let source = Source::embedded("scene.toml", &format!("camera = []\n{before}{after}"));
-        let message = TaskConfig::parse(&source).unwrap_err().to_string();
-        assert!(
-            message.contains("camera = no camera is outside at least one"),
-            "{message}"
-        );
-    }
-}
+mod tests;

@@ -1,24 +1,24 @@
-//! What the cameras see of the needle lift.
+//! What the cameras see: surfaces, and the arms that every task has.
 
 use hal::Pose;
 use nalgebra::{Matrix3, Rotation3, Translation3, UnitQuaternion, Vector3};
 
-use super::TaskConfig;
+use super::{Scene, TaskConfig};
+use crate::cameras::SceneSnapshot;
 use crate::shapes::instrument::{Finger, finger, shaft, wrist};
 use crate::visual::{Material, Visual, VisualPoses, instance};
-use crate::world::ArmBodies;
 
 /// Length of the shaft that is drawn, m: from the wrist to beyond the remote centre.
 const SHAFT_LENGTH_M: f64 = 0.30;
 
-const MUSCLE: Material = Material {
+pub(super) const MUSCLE: Material = Material {
     base_colour: [0.46, 0.085, 0.065],
     metallic: 0.0,
     roughness: 0.5,
     wetness: 0.8,
     detail: 1.0,
 };
-const NEEDLE_STEEL: Material = Material {
+pub(super) const NEEDLE_STEEL: Material = Material {
     base_colour: [0.80, 0.82, 0.85],
     metallic: 1.0,
     roughness: 0.25,
@@ -40,58 +40,65 @@ const SHAFT_COAT: Material = Material {
     detail: 0.1,
 };
 
-/// The visuals of the scene, in the order of [`visual_poses`].
-pub(crate) fn visuals(task: &TaskConfig) -> Vec<Visual> {
-    vec![
-        Visual {
-            name: "organ",
-            mesh: task.organ.mesh(),
-            material: MUSCLE,
-            instance: instance::ORGAN,
-        },
-        Visual {
-            name: "needle",
-            mesh: task.needle.mesh(),
-            material: NEEDLE_STEEL,
-            instance: instance::NEEDLE,
-        },
+/// What a task's cameras see: the task's own visuals, then those of each arm.
+pub(crate) fn scene_visuals(task: &TaskConfig) -> Vec<Visual> {
+    let mut visuals = task.scene.of_task().visuals();
+    let ids = [
+        [instance::SHAFT, instance::WRIST, instance::JAW],
+        [
+            instance::SECOND_SHAFT,
+            instance::SECOND_WRIST,
+            instance::SECOND_JAW,
+        ],
+    ];
+    for ids in ids.into_iter().take(task.arms.len()) {
+        visuals.extend(arm_visuals(ids));
+    }
+    visuals
+}
+
+/// Poses of the visuals in the scene frame.
+pub(crate) fn scene_poses(scene: &Scene, snapshot: &SceneSnapshot) -> VisualPoses {
+    let mut poses = scene
+        .of_task()
+        .visual_poses(&snapshot.things, &snapshot.goal);
+    for arm in snapshot.arms.iter().flatten() {
+        poses.extend([
+            arm.shaft,
+            arm.wrist * drawn_from_joint(),
+            arm.finger_left,
+            arm.finger_right,
+        ]);
+    }
+    poses
+}
+
+fn arm_visuals([shaft_id, wrist_id, jaw_id]: [u8; 3]) -> [Visual; 4] {
+    [
         Visual {
             name: "shaft",
             mesh: shaft(SHAFT_LENGTH_M),
             material: SHAFT_COAT,
-            instance: instance::SHAFT,
+            instance: shaft_id,
         },
         Visual {
             name: "wrist",
             mesh: wrist(),
             material: TOOL_STEEL,
-            instance: instance::WRIST,
+            instance: wrist_id,
         },
         Visual {
             name: "left finger",
             mesh: finger(Finger::PlusY),
             material: TOOL_STEEL,
-            instance: instance::JAW,
+            instance: jaw_id,
         },
         Visual {
             name: "right finger",
             mesh: finger(Finger::MinusY),
             material: TOOL_STEEL,
-            instance: instance::JAW,
+            instance: jaw_id,
         },
-    ]
-}
-
-/// Poses of the visuals in the scene frame.
-pub(crate) fn visual_poses(needle_in_scene: Pose, arm: &ArmBodies) -> VisualPoses {
-    let wrist = arm.wrist * drawn_from_joint();
-    vec![
-        Pose::identity(),
-        needle_in_scene,
-        arm.shaft,
-        wrist,
-        arm.finger_left,
-        arm.finger_right,
     ]
 }
 

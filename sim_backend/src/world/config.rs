@@ -11,11 +11,11 @@ use crate::plant::PlantConfig;
 pub struct WorldConfig {
     /// The drives.
     pub plant: PlantConfig,
-    /// Contact between the instrument and the needle.
+    /// Contact between the instrument and things.
     pub grip: Surface,
-    /// Contact between the needle and the tissue.
+    /// Contact between things and the ground.
     pub tissue: Surface,
-    /// How the tissue pushes back at the instrument.
+    /// How the ground pushes back at the instrument.
     pub press: Press,
     /// Damping of the jaw while it squeezes something, N m s/rad: what finger pads, hinge and cables lose. Without it
     /// a jaw at its effort limit, whose controller then damps nothing, bounces on the wire.
@@ -31,11 +31,11 @@ pub struct WorldConfig {
     pub gravity_m_s2: f64,
 }
 
-/// One kind of contact of the needle.
+/// One kind of contact of a thing.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Surface {
-    /// Stiffness as the frequency at which the needle's mass swings on the contact, Hz.
+    /// Stiffness as the frequency at which the thing's mass swings on the contact, Hz.
     pub frequency_hz: f64,
     /// Damping ratio of that swing.
     pub damping_ratio: f64,
@@ -43,13 +43,13 @@ pub struct Surface {
     pub friction: f64,
 }
 
-/// Tissue under the instrument: a bed of springs with friction, which gives way instead of stopping the tool dead.
+/// Ground under the instrument: springs with friction, which give way instead of stopping the tool dead.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Press {
-    /// Stiffness at each of the instrument's sample points, N/m.
+    /// Stiffness at each of the instrument's sample points, or where it overlaps a solid, N/m.
     pub stiffness_n_m: f64,
-    /// Damping at each sample point while it sinks in, N s/m.
+    /// Damping there while it sinks in, N s/m.
     pub damping_n_s_m: f64,
     /// Coulomb friction.
     pub friction: f64,
@@ -86,7 +86,7 @@ impl WorldConfig {
             &format!("{key}.press.stiffness_n_m"),
             self.press.stiffness_n_m,
             10.0,
-            2000.0,
+            4000.0,
         )?;
         source.check_range(
             &format!("{key}.press.damping_n_s_m"),

@@ -1,4 +1,4 @@
-//! The bodies in the physics engine: the needle, the ground, and the instrument's moving parts.
+//! The bodies in the physics engine: things, ground, and the instruments' moving parts.
 
 use hal::Pose;
 use hal::psm::{FINGER_M, WRIST_M};
@@ -13,31 +13,23 @@ use rapier3d_f64::pipeline::{ActiveHooks, PhysicsWorld};
 use super::chain::z_from_y;
 use super::config::WorldConfig;
 use super::convert::{engine_pose, engine_vector};
-use crate::needle::NeedleShape;
+use super::scenery::{Ground, Meets, Piece, Shape, Thing};
 use crate::organ::OrganShape;
 
 /// Width of a finger along its hinge, m.
 pub(super) const FINGER_WIDTH_M: f64 = 0.003;
 /// Thickness of a finger from its inner to its outer face, m.
-pub(super) const FINGER_THICKNESS_M: f64 = 0.001_5;
+pub(crate) const FINGER_THICKNESS_M: f64 = 0.001_5;
 /// Radius of the wrist links, m.
 pub(super) const WRIST_RADIUS_M: f64 = 0.002_5;
 
-/// Length of the capsules that make up the needle, m, at most.
-const NEEDLE_CAPSULE_M: f64 = 0.002_6;
-/// The needle's inertia over that of its shape. A contact is as stiff as the mass it finds at its lever is large, so a
-/// slender wire held away from its middle would rock in the jaws; like the raised mass, this stays far below what the
-/// grip carries.
-const NEEDLE_INERTIA: f64 = 3.0;
-/// Balls along the needle that rest on the tissue: a ball meets a smooth surface in one point, and three carry it.
-const NEEDLE_BEADS: usize = 9;
 /// Top of the table that the tissue lies on, m; a needle pushed over the edge stops there.
 const TABLE_HEIGHT_M: f64 = -0.02;
 
 const INSTRUMENT: Group = Group::GROUP_1;
-const NEEDLE: Group = Group::GROUP_2;
+const GRIPPED: Group = Group::GROUP_2;
 const GROUND: Group = Group::GROUP_3;
-const BEADS: Group = Group::GROUP_4;
+const RESTING: Group = Group::GROUP_4;
 
 /// One moving part of the instrument in the engine.
 pub(super) struct Part {
@@ -49,56 +41,91 @@ fn groups(of: Group, with: Group) -> InteractionGroups {
     InteractionGroups::new(of, with, InteractionTestMode::And)
 }
 
-pub(super) fn insert_needle(
-    engine: &mut PhysicsWorld,
-    config: &WorldConfig,
-    shape: &NeedleShape,
-    pose: &Pose,
-) -> RigidBodyHandle {
-    let mass = shape.mass_properties();
-    let inertia = mass.inertia * NEEDLE_INERTIA;
+/// A shape for the engine, with its place in the frame that its points are in. A hull without volume becomes a ball
+/// about its first point; no task has one.
+pub(super) fn engine_shape(shape: &Shape) -> (SharedShape, Pose) {
+    match shape {
+        Shape::Ball { centre, radius_m } => (
+            SharedShape::ball(*radius_m),
+            Pose::translation(centre.x, centre.y, centre.z),
+        ),
+        Shape::Capsule { from, to, radius_m } => (
+            SharedShape::capsule(
+                engine_vector(&from.coords),
+                engine_vector(&to.coords),
+                *radius_m,
+            ),
+            Pose::identity(),
+        ),
+        Shape::Block { low, high } => {
+            let half = (high - low) * 0.5;
+            let middle = low + half;
+            (
+                SharedShape::cuboid(half.x, half.y, half.z),
+                Pose::translation(middle.x, middle.y, middle.z),
+            )
+        }
+        Shape::Hull(points) => {
+            let corners: Vec<_> = points.iter().map(|p| engine_vector(&p.coords)).collect();
+            let hull = SharedShape::convex_hull(&corners);
+            (
+                hull.unwrap_or_else(|| SharedShape::ball(1e-3)),
+                Pose::identity(),
+            )
+        }
+    }
+}
+
+pub(super) fn insert_thing(engine: &mut PhysicsWorld, thing: &Thing) -> RigidBodyHandle {
     let properties = MassProperties::new(
-        engine_vector(&mass.centre.coords),
-        shape.mass_kg,
-        engine_vector(&inertia),
+        engine_vector(&thing.centre.coords),
+        thing.mass_kg,
+        engine_vector(&thing.inertia),
     );
     let body = RigidBodyBuilder::dynamic()
-        .pose(engine_pose(pose))
+        .pose(engine_pose(&thing.in_scene))
         .additional_mass_properties(properties)
         .can_sleep(false)
         .build();
     let handle = engine.insert_body(body);
-    let points = shape.centre_line(capsule_count(shape) + 1);
-    for pair in points.windows(2) {
-        let (from, to) = (
-            engine_vector(&pair[0].coords),
-            engine_vector(&pair[1].coords),
-        );
-        let capsule = ColliderBuilder::capsule_from_endpoints(from, to, shape.wire_radius_m)
-            .density(0.0)
-            .friction(config.grip.friction)
-            .collision_groups(groups(NEEDLE, INSTRUMENT));
-        engine.insert_collider(capsule, Some(handle));
-    }
-    for bead in shape.centre_line(NEEDLE_BEADS) {
-        let bead = ColliderBuilder::ball(shape.wire_radius_m)
-            .translation(engine_vector(&bead.coords))
-            .density(0.0)
-            .friction(config.tissue.friction)
-            .collision_groups(groups(BEADS, GROUND));
-        engine.insert_collider(bead, Some(handle));
+    for piece in &thing.pieces {
+        engine.insert_collider(collider(piece), Some(handle));
     }
     handle
 }
 
-/// Odd, so that a capsule lies across the middle of the arc.
-fn capsule_count(shape: &NeedleShape) -> usize {
-    let length_m = shape.arc_radius_m * shape.arc_angle_rad;
-    let fits = |count: &usize| crate::needle::ratio(1, *count) * length_m <= NEEDLE_CAPSULE_M;
-    (1..=41).step_by(2).find(fits).unwrap_or(41)
+fn collider(piece: &Piece) -> ColliderBuilder {
+    let (of, with) = match piece.meets {
+        Meets::Instrument => (GRIPPED, INSTRUMENT),
+        Meets::Ground => (RESTING, GROUND),
+        Meets::Both => (GRIPPED | RESTING, INSTRUMENT | GROUND),
+    };
+    let (shape, pose) = engine_shape(&piece.shape);
+    ColliderBuilder::new(shape)
+        .position(engine_pose(&pose))
+        .density(0.0)
+        .friction(piece.friction)
+        .collision_groups(groups(of, with))
 }
 
-pub(super) fn insert_ground(engine: &mut PhysicsWorld, config: &WorldConfig, organ: &OrganShape) {
+pub(super) fn insert_ground(engine: &mut PhysicsWorld, config: &WorldConfig, ground: &Ground) {
+    match ground {
+        Ground::Organ(organ) => insert_organ(engine, config, organ),
+        Ground::Solids(solids) => {
+            let body = engine.insert_body(RigidBodyBuilder::fixed().build());
+            for solid in solids {
+                let (shape, pose) = engine_shape(solid);
+                let solid = ColliderBuilder::new(shape)
+                    .position(engine_pose(&pose))
+                    .friction(config.tissue.friction)
+                    .collision_groups(groups(GROUND, RESTING));
+                engine.insert_collider(solid, Some(body));
+            }
+        }
+    }
+}
+
+fn insert_organ(engine: &mut PhysicsWorld, config: &WorldConfig, organ: &OrganShape) {
     let rows = organ.contact_heights();
     let (row_count, column_count) = (rows.len(), rows.first().map_or(0, Vec::len));
     // The engine's height field rises along y and counts rows along z, which becomes -y here: last row first.
@@ -121,7 +148,7 @@ pub(super) fn insert_ground(engine: &mut PhysicsWorld, config: &WorldConfig, org
     for ground in [field, table] {
         let ground = ground
             .friction(config.tissue.friction)
-            .collision_groups(groups(GROUND, BEADS));
+            .collision_groups(groups(GROUND, RESTING));
         engine.insert_collider(ground, Some(body));
     }
 }
@@ -164,7 +191,7 @@ pub(super) fn insert_part(
         .density(0.0)
         .friction(config.grip.friction)
         .active_hooks(ActiveHooks::MODIFY_SOLVER_CONTACTS)
-        .collision_groups(groups(INSTRUMENT, NEEDLE));
+        .collision_groups(groups(INSTRUMENT, GRIPPED));
     Part {
         body,
         collider: engine.insert_collider(collider, Some(body)),

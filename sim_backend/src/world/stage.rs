@@ -1,4 +1,4 @@
-//! The physics engine's side of the world: steps it, and reads what the instrument feels.
+//! The physics engine's side of the world: steps it, and reads what the instruments feel.
 
 use hal::Pose;
 use nalgebra::{Point3, Vector3};
@@ -11,15 +11,14 @@ use rapier3d_f64::pipeline::PhysicsWorld;
 use super::chain::Wrench;
 use super::config::WorldConfig;
 use super::convert::{engine_pose, engine_vector, our_pose, our_vector};
-use super::solids::{Part, finger, insert_ground, insert_needle, insert_part, wrist};
+use super::scenery::Scenery;
+use super::solids::{Part, finger, insert_ground, insert_part, insert_thing, wrist};
 use super::stick::{Memory, Recall};
-use crate::needle::NeedleShape;
-use crate::organ::OrganShape;
 
 /// Least force that counts as touching, N.
 pub(super) const TOUCH_N: f64 = 1e-3;
 
-/// What one part of the instrument feels from the needle.
+/// What one part of the instrument feels of one thing.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Touch {
     /// Force and moment about the tip frame's origin, on the part.
@@ -49,81 +48,87 @@ impl Touch {
 /// Poses of the instrument's moving parts for one step, in the order left finger, right finger, wrist.
 pub(super) type PartPoses = [Pose; 3];
 
+/// The instrument of one arm in the engine.
+struct Instrument {
+    parts: [Part; 3],
+    poses: PartPoses,
+    /// What left and right finger remember of each thing.
+    memories: Vec<[Memory; 2]>,
+    /// What the parts felt of each thing in the newest step, in the order of [`PartPoses`].
+    touches: Vec<[Touch; 3]>,
+}
+
 /// The engine with everything in it.
 pub(super) struct Stage {
     engine: PhysicsWorld,
-    parts: [Part; 3],
-    poses: PartPoses,
-    needle: RigidBodyHandle,
-    memories: [Memory; 2],
-    touches: [Touch; 3],
+    instruments: Vec<Instrument>,
+    things: Vec<RigidBodyHandle>,
 }
 
 impl Stage {
-    pub(super) fn new(
-        config: &WorldConfig,
-        needle: &NeedleShape,
-        organ: &OrganShape,
-        needle_in_scene: &Pose,
-        parts: &PartPoses,
-    ) -> Self {
+    /// The things, the ground and one instrument for each of `arms`.
+    pub(super) fn new(config: &WorldConfig, scenery: &Scenery, arms: &[PartPoses]) -> Self {
         let mut engine = PhysicsWorld::new();
         engine.gravity = engine_vector(&Vector3::new(0.0, 0.0, -config.gravity_m_s2));
         engine.integration_parameters = parameters(config);
-        let needle = insert_needle(&mut engine, config, needle, needle_in_scene);
-        insert_ground(&mut engine, config, organ);
-        let shapes = [finger(1.0), finger(-1.0), wrist()];
-        let mut index = 0;
-        let handles = shapes.map(|shape| {
-            let part = insert_part(&mut engine, config, shape, &parts[index]);
-            index += 1;
-            part
-        });
+        // The order of insertion is part of the physics: things, ground, instruments.
+        let things: Vec<_> = scenery
+            .things
+            .iter()
+            .map(|thing| insert_thing(&mut engine, thing))
+            .collect();
+        insert_ground(&mut engine, config, &scenery.ground);
+        let instruments = arms
+            .iter()
+            .map(|poses| Instrument::new(&mut engine, config, poses, things.len()))
+            .collect();
         Self {
             engine,
-            parts: handles,
-            poses: *parts,
-            needle,
-            memories: [Memory::default(); 2],
-            touches: [Touch::NONE; 3],
+            instruments,
+            things,
         }
     }
 
-    /// Moves the instrument to `poses` within one step and lets the needle follow; moments are then taken about
-    /// `centre`.
-    pub(super) fn step(&mut self, poses: &PartPoses, centre: &Vector3<f64>) {
-        for (part, pose) in self.parts.iter().zip(poses) {
-            if let Some(body) = self.engine.bodies.get_mut(part.body) {
-                body.set_next_kinematic_position(engine_pose(pose));
+    /// Moves the instruments within one step and lets the things follow. Each arm gives the poses of its parts and the
+    /// point about which moments are then taken.
+    pub(super) fn step(&mut self, arms: impl Iterator<Item = (PartPoses, Vector3<f64>)>) {
+        let before: Vec<Pose> = (0..self.things.len())
+            .map(|thing| self.thing_in_scene(thing))
+            .collect();
+        let mut recall = Recall::default();
+        let mut centres = Vec::with_capacity(self.instruments.len());
+        for (instrument, (poses, centre)) in self.instruments.iter_mut().zip(arms) {
+            instrument.remember(&mut recall, &self.things, &before);
+            instrument.go(&mut self.engine, &poses);
+            centres.push(centre);
+        }
+        self.engine.step_with_events(&recall, &());
+        for thing in 0..self.things.len() {
+            let pose = self.thing_in_scene(thing);
+            for (arm, centre) in centres.iter().enumerate() {
+                let parts = self.instruments[arm].parts.each_ref();
+                let touches = parts.map(|part| self.touch_of(part.collider, thing, centre));
+                self.instruments[arm].take_in(thing, &pose, touches);
             }
         }
-        let fingers = [0, 1].map(|side| {
-            (
-                self.parts[side].collider,
-                self.poses[side],
-                &self.memories[side],
-            )
-        });
-        let recall = Recall::new(fingers, &self.needle_in_scene());
-        self.engine.step_with_events(&recall, &());
-        self.poses = *poses;
-        self.touches = [0, 1, 2].map(|index| self.touch(self.parts[index].collider, centre));
-        let needle = self.needle_in_scene();
-        for (side, memory) in self.memories.iter_mut().enumerate() {
-            memory.update(&poses[side], &needle, self.touches[side].middle());
-        }
     }
 
-    /// What the parts felt in the newest step, in the order of [`PartPoses`].
-    pub(super) const fn touches(&self) -> &[Touch; 3] {
-        &self.touches
+    /// What the parts of an arm felt of each thing in the newest step.
+    pub(super) fn touches(&self, arm: usize) -> impl Iterator<Item = &[Touch; 3]> {
+        self.instruments[arm].touches.iter()
     }
 
-    /// Where the fingers remember the needle, for hashing.
+    /// What the parts of an arm felt of one thing in the newest step.
+    pub(super) fn touch(&self, arm: usize, thing: usize) -> &[Touch; 3] {
+        &self.instruments[arm].touches[thing]
+    }
+
+    /// Where the fingers remember the things, for hashing.
     pub(super) fn memory_numbers(&self) -> impl Iterator<Item = f64> + '_ {
-        self.memories
+        self.instruments
             .iter()
-            .filter_map(|memory| memory.finger_from_needle)
+            .flat_map(|instrument| instrument.memories.iter().flatten())
+            .filter_map(|memory| memory.finger_from_thing)
             .flat_map(|pose| {
                 let q = pose.rotation.quaternion().coords;
                 let t = pose.translation.vector;
@@ -131,27 +136,63 @@ impl Stage {
             })
     }
 
-    pub(super) fn needle_in_scene(&self) -> Pose {
+    pub(super) const fn thing_count(&self) -> usize {
+        self.things.len()
+    }
+
+    pub(super) fn thing_in_scene(&self, thing: usize) -> Pose {
         self.engine
             .bodies
-            .get(self.needle)
+            .get(self.things[thing])
             .map_or_else(Pose::identity, |body| our_pose(body.position()))
     }
 
-    /// Linear and angular velocity of the needle.
-    pub(super) fn needle_velocity(&self) -> [Vector3<f64>; 2] {
+    /// Linear and angular velocity of a thing.
+    pub(super) fn thing_velocity(&self, thing: usize) -> [Vector3<f64>; 2] {
         let velocity = self
             .engine
             .bodies
-            .get(self.needle)
+            .get(self.things[thing])
             .map(|body| [body.linvel(), body.angvel()]);
         velocity.map_or_else(|| [Vector3::zeros(); 2], |pair| pair.map(our_vector))
     }
 
-    fn touch(&self, collider: ColliderHandle, centre: &Vector3<f64>) -> Touch {
+    /// Deepest overlap of a thing and the ground.
+    pub(super) fn sunk_m(&self, thing: usize) -> f64 {
+        let Some(body) = self.engine.bodies.get(self.things[thing]) else {
+            return 0.0;
+        };
+        let mut sunk_m: f64 = 0.0;
+        for &collider in body.colliders() {
+            for pair in self.engine.narrow_phase.contact_pairs_with(collider) {
+                if self.is_instrument(pair.collider1) || self.is_instrument(pair.collider2) {
+                    continue;
+                }
+                for point in pair.solver_manifolds().iter().flat_map(|m| &m.points) {
+                    sunk_m = sunk_m.max(-point.dist);
+                }
+            }
+        }
+        sunk_m
+    }
+
+    fn is_instrument(&self, collider: ColliderHandle) -> bool {
+        let mut parts = self.instruments.iter().flat_map(|i| &i.parts);
+        parts.any(|part| part.collider == collider)
+    }
+
+    fn touch_of(&self, part: ColliderHandle, thing: usize, centre: &Vector3<f64>) -> Touch {
         let mut touch = Touch::NONE;
-        for pair in self.engine.narrow_phase.contact_pairs_with(collider) {
-            self.add_pair(&mut touch, pair, collider, centre);
+        for pair in self.engine.narrow_phase.contact_pairs_with(part) {
+            let other = if pair.collider1 == part {
+                pair.collider2
+            } else {
+                pair.collider1
+            };
+            let body = self.engine.colliders.get(other).and_then(|c| c.parent());
+            if body == Some(self.things[thing]) {
+                self.add_pair(&mut touch, pair, part, centre);
+            }
         }
         touch
     }
@@ -188,6 +229,55 @@ impl Stage {
                 }
             }
         }
+    }
+}
+
+impl Instrument {
+    fn new(
+        engine: &mut PhysicsWorld,
+        config: &WorldConfig,
+        poses: &PartPoses,
+        thing_count: usize,
+    ) -> Self {
+        let shapes = [finger(1.0), finger(-1.0), wrist()];
+        let mut index = 0;
+        let parts = shapes.map(|shape| {
+            let part = insert_part(engine, config, shape, &poses[index]);
+            index += 1;
+            part
+        });
+        Self {
+            parts,
+            poses: *poses,
+            memories: vec![[Memory::default(); 2]; thing_count],
+            touches: vec![[Touch::NONE; 3]; thing_count],
+        }
+    }
+
+    /// Tells the step's contacts where the fingers, still at the last step's poses, remember the things.
+    fn remember(&self, recall: &mut Recall, things: &[RigidBodyHandle], in_scene: &[Pose]) {
+        for ((memories, &thing), pose) in self.memories.iter().zip(things).zip(in_scene) {
+            for (side, memory) in memories.iter().enumerate() {
+                let finger = (self.parts[side].collider, &self.poses[side]);
+                recall.add(finger, (thing, pose), memory);
+            }
+        }
+    }
+
+    fn go(&mut self, engine: &mut PhysicsWorld, poses: &PartPoses) {
+        for (part, pose) in self.parts.iter().zip(poses) {
+            if let Some(body) = engine.bodies.get_mut(part.body) {
+                body.set_next_kinematic_position(engine_pose(pose));
+            }
+        }
+        self.poses = *poses;
+    }
+
+    fn take_in(&mut self, thing: usize, in_scene: &Pose, touches: [Touch; 3]) {
+        for (side, memory) in self.memories[thing].iter_mut().enumerate() {
+            memory.update(&self.poses[side], in_scene, touches[side].middle());
+        }
+        self.touches[thing] = touches;
     }
 }
 

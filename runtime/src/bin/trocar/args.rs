@@ -2,8 +2,10 @@
 
 use std::path::PathBuf;
 
-use clap::builder::RangedU64ValueParser;
+use clap::builder::{PossibleValuesParser, RangedU64ValueParser};
 use clap::{Args, Parser, Subcommand, ValueEnum};
+
+use runtime::session::tasks;
 
 /// A count that is not 0.
 fn count() -> RangedU64ValueParser<usize> {
@@ -73,20 +75,9 @@ pub(crate) enum Verb {
     PolicyProcess(PolicyProcessArgs),
 }
 
-/// Tasks that can be run.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-pub(crate) enum Task {
-    /// Grasp a needle on an organ and lift it.
-    NeedleLift,
-}
-
-impl Task {
-    /// The name used in files and results.
-    pub(crate) const fn name(self) -> &'static str {
-        match self {
-            Self::NeedleLift => "needle-lift",
-        }
-    }
+/// The name of a task that can be run.
+fn task() -> PossibleValuesParser {
+    PossibleValuesParser::new(tasks::names())
 }
 
 /// Which arm is driven.
@@ -109,8 +100,8 @@ pub(crate) enum ComputeDevice {
 #[derive(Args, Debug)]
 pub(crate) struct RunArgs {
     /// The task.
-    #[arg(long, value_enum)]
-    pub(crate) task: Task,
+    #[arg(long, value_parser = task())]
+    pub(crate) task: String,
     /// `expert`, `noop`, `random`, or a checkpoint's directory.
     #[arg(long)]
     pub(crate) policy: String,
@@ -144,8 +135,8 @@ pub(crate) struct RunArgs {
 #[derive(Args, Debug)]
 pub(crate) struct EvalArgs {
     /// The task.
-    #[arg(long, value_enum)]
-    pub(crate) task: Task,
+    #[arg(long, value_parser = task())]
+    pub(crate) task: String,
     /// `expert`, `noop`, `random`, or a checkpoint's directory.
     #[arg(long)]
     pub(crate) policy: String,
@@ -183,8 +174,8 @@ pub(crate) enum Demonstrator {
 #[derive(Args, Debug)]
 pub(crate) struct RecordArgs {
     /// The task.
-    #[arg(long, value_enum)]
-    pub(crate) task: Task,
+    #[arg(long, value_parser = task())]
+    pub(crate) task: String,
     /// How many successful episodes to record.
     #[arg(long, value_parser = count())]
     pub(crate) episodes: usize,

@@ -43,7 +43,7 @@ pub(crate) fn run(args: &RunArgs) -> Done {
     let config = ("--config", args.config.as_deref());
     outputs::check(&[log, ("--json", args.json.as_deref())], &[config])?;
     let policy = PolicyChoice::parse(&args.policy);
-    let setup = Setup::load(args.task.name(), args.config.as_deref(), &policy)?;
+    let setup = Setup::load(&args.task, args.config.as_deref(), &policy)?;
     let options = RunOptions {
         policy,
         seed: args.seed,
@@ -103,7 +103,7 @@ pub(crate) fn eval(args: &EvalArgs) -> Done {
     let config = ("--config", args.config.as_deref());
     outputs::check(&[("--json", args.json.as_deref())], &[config])?;
     let policy = PolicyChoice::parse(&args.policy);
-    let setup = Setup::load(args.task.name(), args.config.as_deref(), &policy)?;
+    let setup = Setup::load(&args.task, args.config.as_deref(), &policy)?;
     let options = EvalOptions {
         policy,
         trials: args.trials,
@@ -146,7 +146,7 @@ pub(crate) fn record(args: &RecordArgs) -> Done {
     let out = ("--out", Some(args.out.as_path()));
     outputs::check(&[("--json", args.json.as_deref())], &[config, out])?;
     let setup = Setup::load(
-        args.task.name(),
+        &args.task,
         args.config.as_deref(),
         &PolicyChoice::Expert,
     )?;

@@ -2,7 +2,7 @@
 
 use nalgebra::Vector3;
 
-use super::motion::Pace;
+use crate::expert::motion::Pace;
 use crate::rng::Rng;
 
 /// The habits of one demonstration, drawn once from its seed.

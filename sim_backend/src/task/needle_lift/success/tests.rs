@@ -3,7 +3,8 @@
 use nalgebra::{Translation3, UnitQuaternion, Vector3};
 
 use super::*;
-use crate::task::TaskConfig;
+use crate::task::Judge;
+use crate::task::needle_lift::NeedleLift;
 
 const NO_GRASP: Grasp = Grasp {
     left_force_n: 0.0,
@@ -18,30 +19,43 @@ const FIRM: Grasp = Grasp {
     penetration_m: 0.000_02,
 };
 
+const FALLEN: Outcome = Outcome::Failure(Reason::Fallen {
+    thing: "needle",
+    ground: "organ",
+});
+const LIMIT_S: f64 = 12.0;
+
 struct Bench {
-    task: TaskConfig,
-    monitor: SuccessMonitor,
+    task: NeedleLift,
+    judge: Judge,
     lying: Pose,
 }
 
 impl Bench {
     fn new() -> Self {
-        let task = TaskConfig::needle_lift().unwrap();
+        let task = NeedleLift::shipped();
         let monitor = SuccessMonitor::new(&task.success, &task.needle, &task.organ);
-        let lying = task.needle_start.draw(1, &task.needle, &task.organ);
-        Self {
-            task,
-            monitor,
-            lying,
-        }
+        let judge = Judge::new(Box::new(monitor), LIMIT_S);
+        let lying = task.start.draw(1, &task.needle, &task.organ);
+        Self { task, judge, lying }
+    }
+
+    fn show(&mut self, thing_in_scene: Pose, grasp: &Grasp) {
+        self.judge.observe(&Sight {
+            thing_in_scene,
+            grasps: vec![*grasp],
+            tips_in_scene: vec![Pose::identity()],
+            sunk_m: 0.0,
+            ground_force_n: 0.0,
+        });
     }
 
     /// Raises the needle smoothly by `height_m` in a second, then keeps it there for `hold_s`.
     fn lift(&mut self, height_m: f64, hold_s: f64, grasp: &Grasp) -> Outcome {
         for step in 0..1000 {
             let share = f64::from(step) / 1000.0;
-            self.monitor.observe(
-                &(Translation3::new(0.0, 0.0, height_m * share) * self.lying),
+            self.show(
+                Translation3::new(0.0, 0.0, height_m * share) * self.lying,
                 grasp,
             );
         }
@@ -51,11 +65,10 @@ impl Bench {
     fn hold(&mut self, height_m: f64, hold_s: f64, grasp: &Grasp) -> Outcome {
         let mut waited_s = 0.0;
         while waited_s < hold_s {
-            self.monitor
-                .observe(&(Translation3::new(0.0, 0.0, height_m) * self.lying), grasp);
+            self.show(Translation3::new(0.0, 0.0, height_m) * self.lying, grasp);
             waited_s += 1e-3;
         }
-        self.monitor.outcome()
+        self.judge.outcome()
     }
 }
 
@@ -69,11 +82,13 @@ fn gripped_lift_that_is_held_succeeds_and_stays_so() {
 #[test]
 fn still_needle_runs_out_of_time() {
     let mut bench = Bench::new();
-    let limit_s = bench.task.success.time_limit_s;
-    assert_eq!(bench.hold(0.0, limit_s - 0.01, &FIRM), Outcome::Running);
+    assert_eq!(bench.hold(0.0, LIMIT_S - 0.01, &FIRM), Outcome::Running);
     assert_eq!(
         bench.hold(0.0, 0.02, &FIRM),
-        Outcome::Failure(Reason::TimeLimit { limit_s })
+        Outcome::Failure(Reason::TimeLimit {
+            missing: "needle not lifted",
+            limit_s: LIMIT_S
+        })
     );
 }
 
@@ -136,13 +151,10 @@ fn thrown_needle_is_a_failure() {
     let mut bench = Bench::new();
     for step in 0..100 {
         let height_m = f64::from(step) * 0.001;
-        bench.monitor.observe(
-            &(Translation3::new(0.0, 0.0, height_m) * bench.lying),
-            &FIRM,
-        );
+        bench.show(Translation3::new(0.0, 0.0, height_m) * bench.lying, &FIRM);
     }
     assert!(
-        matches!(bench.monitor.outcome(), Outcome::Failure(Reason::Thrown { speed_m_s }) if speed_m_s > 0.9)
+        matches!(bench.judge.outcome(), Outcome::Failure(Reason::Thrown { speed_m_s, .. }) if speed_m_s > 0.9)
     );
 }
 
@@ -156,7 +168,10 @@ fn grip_that_sinks_into_the_needle_is_a_failure() {
     assert_eq!(bench.hold(0.0, 0.015, &deep), Outcome::Running);
     assert_eq!(
         bench.hold(0.0, 0.010, &deep),
-        Outcome::Failure(Reason::Penetration { depth_m: 0.001 })
+        Outcome::Failure(Reason::Penetration {
+            thing: "needle",
+            depth_m: 0.001
+        })
     );
 }
 
@@ -164,14 +179,13 @@ fn grip_that_sinks_into_the_needle_is_a_failure() {
 fn needle_off_the_organ_is_a_failure() {
     for [x, z] in [[0.1, 0.0], [0.0, -0.01]] {
         let mut bench = Bench::new();
-        bench
-            .monitor
-            .observe(&(Translation3::new(x, 0.0, z) * bench.lying), &FIRM);
-        assert_eq!(bench.monitor.outcome(), Outcome::Failure(Reason::OffOrgan));
+        bench.show(Translation3::new(x, 0.0, z) * bench.lying, &FIRM);
+        assert_eq!(bench.judge.outcome(), FALLEN);
     }
     let mut bench = Bench::new();
-    bench
-        .monitor
-        .observe(&Pose::translation(f64::NAN, 0.0, 0.0), &FIRM);
-    assert_eq!(bench.monitor.outcome(), Outcome::Failure(Reason::NotFinite));
+    bench.show(Pose::translation(f64::NAN, 0.0, 0.0), &FIRM);
+    assert_eq!(
+        bench.judge.outcome(),
+        Outcome::Failure(Reason::NotFinite { thing: "needle" })
+    );
 }

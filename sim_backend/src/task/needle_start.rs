@@ -84,19 +84,19 @@ fn flat_on(organ: &OrganShape, needle: &NeedleShape, x: f64, y: f64, yaw: f64) -
 mod tests {
     use nalgebra::Point3;
 
-    use crate::task::TaskConfig;
+    use crate::task::needle_lift::NeedleLift;
 
-    fn middles(task: &TaskConfig, seeds: core::ops::Range<u64>) -> Vec<Point3<f64>> {
+    fn middles(task: &NeedleLift, seeds: core::ops::Range<u64>) -> Vec<Point3<f64>> {
         let middle = Point3::new(task.needle.arc_radius_m, 0.0, 0.0);
         seeds
-            .map(|seed| task.needle_start.draw(seed, &task.needle, &task.organ) * middle)
+            .map(|seed| task.start.draw(seed, &task.needle, &task.organ) * middle)
             .collect()
     }
 
     #[test]
     fn start_covers_its_region_and_stays_in_it() {
-        let task = TaskConfig::needle_lift().unwrap();
-        let start = &task.needle_start;
+        let task = NeedleLift::shipped();
+        let start = &task.start;
         let middles = middles(&task, 0..2000);
         for axis in 0..2 {
             let (centre, range) = (start.centre_m[axis], start.range_m[axis]);
@@ -120,16 +120,16 @@ mod tests {
 
     #[test]
     fn same_seed_gives_the_same_start_bit_for_bit() {
-        let task = TaskConfig::needle_lift().unwrap();
+        let task = NeedleLift::shipped();
         assert_eq!(middles(&task, 5..9), middles(&task, 5..9));
         assert_ne!(middles(&task, 5..6), middles(&task, 6..7));
     }
 
     #[test]
     fn wire_starts_clear_of_the_organ_and_close_to_it() {
-        let task = TaskConfig::needle_lift().unwrap();
+        let task = NeedleLift::shipped();
         for seed in 0..50 {
-            let pose = task.needle_start.draw(seed, &task.needle, &task.organ);
+            let pose = task.start.draw(seed, &task.needle, &task.organ);
             let gaps = task.needle.centre_line(41).into_iter().map(|point| {
                 let point = pose * point;
                 point.z - task.organ.height_m(point.x, point.y) - task.needle.wire_radius_m

@@ -15,7 +15,7 @@
 ///
 /// An empty cell stays in the phase.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Phase {
+pub(super) enum Phase {
     /// On the way to above the needle, opening the jaw.
     Approach,
     /// Waiting above the needle.

@@ -1,0 +1,295 @@
+//! Suture pad: grips the needle at the middle of its arc, turns its point to the hole, and turns it through.
+//!
+//! The needle stays flat all the way: its arc lies in a horizontal plane at the height of the hole, and the drive is a
+//! turn about the arc's centre. The script keeps the needle, not the hand, on that way, goes back and lines up again if
+//! the point does not get through, and starts over when the fingers closed on nothing or the needle slipped out.
+
+mod phase;
+mod style;
+
+use hal::{Pose, TimeNs, TipTarget};
+use nalgebra::{Point3, Translation3, UnitQuaternion, Vector3};
+
+use super::hand::{ARRIVED_PATIENCE_S, raised, settled};
+use super::motion::{Motion, Placement};
+use super::wire::wire_grasp;
+use super::{Script, Wish, arrive, carry};
+use crate::needle::NeedleShape;
+use crate::rng::Rng;
+use crate::simulation::SceneState;
+use crate::task::TaskConfig;
+use crate::task::suture_pad::{PadShape, SuturePad};
+use phase::{Event, Phase};
+use style::Style;
+
+/// A step's share of following a moving needle, m and rad.
+const FOLLOW_STEP_M: f64 = 0.000_8;
+const FOLLOW_STEP_RAD: f64 = 0.04;
+
+/// How far the needle may be from its place before the drive, m.
+const LINED_UP_M: f64 = 0.000_4;
+
+/// How far behind the lip the point must get, m.
+const THROUGH_M: f64 = 0.008_5;
+
+/// How long to wait for both fingers after the jaw's motion has ended, s.
+const GRIP_PATIENCE_S: f64 = 0.5;
+
+/// Steps without touch by both fingers after which the needle counts as lost.
+const LOST_STEPS: u32 = 4;
+
+/// Time to rest with an open jaw after a failed attempt, s.
+const REOPEN_S: f64 = 0.3;
+
+/// The script of the suture pad.
+#[derive(Clone, Debug)]
+pub(super) struct Driver {
+    needle: NeedleShape,
+    pad: PadShape,
+    scene_from_rcm: Pose,
+    rng: Rng,
+    style: Style,
+    phase: Phase,
+    motion: Option<Motion>,
+    attempts: u32,
+    untouched_steps: u32,
+}
+
+/// What the script sees, in the scene frame.
+struct View {
+    tip: Pose,
+    needle: Pose,
+    both_touch: bool,
+}
+
+impl Script for Driver {
+    fn step(&mut self, now: TimeNs, scene: &SceneState) -> Wish {
+        let view = View {
+            tip: self.scene_from_rcm * scene.first.tip_in_rcm,
+            needle: self.scene_from_rcm * scene.first.thing_in_rcm,
+            both_touch: scene.first.grasp.both_touch,
+        };
+        let start = Placement {
+            tip_in_scene: view.tip,
+            jaw: scene.first.jaw,
+        };
+        let mut motion = self.motion.unwrap_or_else(|| self.begin(now, start, &view));
+        if let Some(goal) = self.moving_goal(&view) {
+            motion.drift_end(&goal, FOLLOW_STEP_M, FOLLOW_STEP_RAD);
+        }
+        if let Some(event) = self.event(now, &motion, &view) {
+            let next = self.phase.next(event);
+            if next != self.phase {
+                self.enter(next);
+                motion = self.begin(now, motion.at(now), &view);
+            }
+        }
+        self.motion = Some(motion);
+        let placement = motion.at(now);
+        let tip_in_rcm = self.scene_from_rcm.inv_mul(&placement.tip_in_scene);
+        Wish {
+            first: TipTarget::new(&tip_in_rcm, placement.jaw),
+            second: None,
+        }
+    }
+
+    fn attempts(&self) -> u32 {
+        self.attempts
+    }
+
+    fn foresee(&self, scene: &mut SceneState, wish: &Wish) {
+        if self.carries() && scene.first.grasp.both_touch {
+            carry(&mut scene.first, &wish.first);
+        } else {
+            arrive(&mut scene.first, &wish.first);
+        }
+    }
+}
+
+impl Driver {
+    pub(super) fn new(task: &TaskConfig, scene: &SuturePad, seed: u64) -> Self {
+        let mut rng = Rng::stream(seed, "expert");
+        let style = Style::draw(&mut rng);
+        Self {
+            needle: scene.needle,
+            pad: scene.pad,
+            scene_from_rcm: task.arms[0].scene_from_rcm,
+            rng,
+            style,
+            phase: Phase::Approach,
+            motion: None,
+            attempts: 1,
+            untouched_steps: 0,
+        }
+    }
+
+    /// Whether the needle is meant to be in the jaw.
+    fn carries(&self) -> bool {
+        use Phase::{Back, Cross, Drive, Hold, Lift, Near};
+        matches!(self.phase, Lift | Cross | Near | Drive | Back | Hold)
+    }
+
+    /// Book-keeping on entering a phase.
+    fn enter(&mut self, phase: Phase) {
+        if matches!(phase, Phase::Open | Phase::Back) {
+            // A person does not repeat a failed attempt exactly.
+            self.style = Style::draw(&mut self.rng);
+            self.attempts += 1;
+        }
+        self.phase = phase;
+        self.untouched_steps = 0;
+    }
+
+    /// The motion of the present phase.
+    fn begin(&self, now: TimeNs, from: Placement, view: &View) -> Motion {
+        let style = &self.style;
+        let straight = Vector3::zeros();
+        let open = |tip_in_scene| Placement {
+            tip_in_scene,
+            jaw: style.open_rad,
+        };
+        let held = |tip_in_scene| Placement {
+            tip_in_scene,
+            ..from
+        };
+        let jaw = |jaw| Placement { jaw, ..from };
+        let lift_m = self.pad.hole_height_m - view.needle.translation.z;
+        let (to, bow_m, pace) = match self.phase {
+            Phase::Approach => (open(self.poise_pose(view)), style.bow_m, style.approach),
+            Phase::Descend => (open(self.grasp_pose(view)), straight, style.descend),
+            Phase::Close => (jaw(style.grip_rad), straight, style.close),
+            Phase::Lift => (raised(from, lift_m), straight, style.carry),
+            Phase::Cross => (held(self.aside(view)), style.detour_m, style.carry),
+            Phase::Near => (held(self.lined_up(view)), straight, style.carry),
+            Phase::Drive => {
+                return self.turn(now, from, view, style.driven_rad);
+            }
+            Phase::Back => return self.turn(now, from, view, style.ready_rad),
+            Phase::Hold => return Motion::rest(from, now, 0.0),
+            Phase::Open => (jaw(style.open_rad), straight, style.close),
+            Phase::Retreat => (raised(from, style.poise_height_m), straight, style.descend),
+        };
+        Motion::new(from, to, bow_m, now, pace)
+    }
+
+    /// The turn about the drive's centre that brings the needle's point to `angle_rad`.
+    fn turn(&self, now: TimeNs, from: Placement, view: &View, angle_rad: f64) -> Motion {
+        let centre = self.drive_centre();
+        let turn_rad = angle_rad - self.point_rad(view);
+        Motion::swing(from, centre, turn_rad, now, self.style.drive)
+    }
+
+    /// The goal of a phase that follows the needle.
+    fn moving_goal(&self, view: &View) -> Option<Pose> {
+        match self.phase {
+            Phase::Approach => Some(self.poise_pose(view)),
+            Phase::Descend => Some(self.grasp_pose(view)),
+            Phase::Cross if view.both_touch => Some(self.aside(view)),
+            Phase::Near if view.both_touch => Some(self.lined_up(view)),
+            Phase::Close
+            | Phase::Lift
+            | Phase::Cross
+            | Phase::Near
+            | Phase::Drive
+            | Phase::Back
+            | Phase::Hold
+            | Phase::Open
+            | Phase::Retreat => None,
+        }
+    }
+
+    /// What has happened at this step, if anything.
+    fn event(&mut self, now: TimeNs, motion: &Motion, view: &View) -> Option<Event> {
+        let overdue_s = motion.overdue_s(now);
+        if view.both_touch {
+            self.untouched_steps = 0;
+        } else {
+            self.untouched_steps += 1;
+        }
+        if self.carries() && self.untouched_steps >= LOST_STEPS {
+            return Some(Event::Lost);
+        }
+        let patient = overdue_s > ARRIVED_PATIENCE_S;
+        match self.phase {
+            Phase::Approach | Phase::Lift | Phase::Cross | Phase::Retreat => {
+                (overdue_s >= 0.0).then_some(Event::Arrived)
+            }
+            Phase::Descend => {
+                let there = overdue_s >= 0.0 && settled(motion, &view.tip);
+                (there || patient).then_some(Event::Arrived)
+            }
+            Phase::Close if overdue_s < self.style.settle_s => None,
+            Phase::Close if view.both_touch => Some(if self.is_in_hole(view) {
+                Event::Regripped
+            } else {
+                Event::Gripped
+            }),
+            Phase::Close => (overdue_s > GRIP_PATIENCE_S).then_some(Event::Lost),
+            Phase::Near => {
+                let gap = self.lined_up(view).translation.vector - view.tip.translation.vector;
+                let there = overdue_s >= 0.0 && gap.norm() < LINED_UP_M;
+                (there || patient).then_some(Event::Arrived)
+            }
+            Phase::Drive if overdue_s < 0.2 => None,
+            Phase::Drive => {
+                let through = self.point(view).y >= self.pad.lip_back_m() + THROUGH_M;
+                Some(if through {
+                    Event::Arrived
+                } else {
+                    Event::Stuck
+                })
+            }
+            Phase::Back => (overdue_s >= 0.2).then_some(Event::Arrived),
+            Phase::Hold => None,
+            Phase::Open => (overdue_s >= REOPEN_S).then_some(Event::Arrived),
+        }
+    }
+
+    /// The pose in which closing the jaw grips the wire near the middle of its arc.
+    fn grasp_pose(&self, view: &View) -> Pose {
+        wire_grasp(&self.needle, &view.needle, self.style.along_m, |_, _| 0.0)
+    }
+
+    /// The pose to wait in above the needle.
+    fn poise_pose(&self, view: &View) -> Pose {
+        Translation3::new(0.0, 0.0, self.style.poise_height_m) * self.grasp_pose(view)
+    }
+
+    /// The centre of the circle that leads through the hole: left of it.
+    fn drive_centre(&self) -> Point3<f64> {
+        self.pad.hole() - Vector3::x() * self.needle.arc_radius_m
+    }
+
+    /// The pose of the tip that brings the needle before the hole, ready for the drive.
+    fn lined_up(&self, view: &View) -> Pose {
+        let yaw_rad = self.style.ready_rad - 0.5 * self.needle.arc_angle_rad;
+        let wanted = Pose::from_parts(
+            self.drive_centre().into(),
+            UnitQuaternion::from_axis_angle(&Vector3::z_axis(), yaw_rad),
+        );
+        wanted * view.needle.inv_mul(&view.tip)
+    }
+
+    /// The same, further from the lip.
+    fn aside(&self, view: &View) -> Pose {
+        Translation3::new(0.0, -self.style.aside_m, 0.0) * self.lined_up(view)
+    }
+
+    /// The needle's point.
+    fn point(&self, view: &View) -> Point3<f64> {
+        let (sin, cos) = (0.5 * self.needle.arc_angle_rad).sin_cos();
+        view.needle * (Point3::new(cos, sin, 0.0) * self.needle.arc_radius_m)
+    }
+
+    /// Angle of the needle's point about the drive's centre, from the plane of the lip.
+    fn point_rad(&self, view: &View) -> f64 {
+        let arm = self.point(view) - self.drive_centre();
+        arm.y.atan2(arm.x)
+    }
+
+    fn is_in_hole(&self, view: &View) -> bool {
+        let (point, hole) = (self.point(view), self.pad.hole());
+        let near = (point.x - hole.x).abs() < 2.0 * self.pad.hole_half_m;
+        near && point.y > self.pad.lip_front_m
+    }
+}

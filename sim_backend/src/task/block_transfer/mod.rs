@@ -1,0 +1,222 @@
+//! Block transfer: one arm takes a block off its peg, lifts it clear of the pegs and puts it on the pink one.
+
+mod board;
+mod success;
+
+use core::f64::consts::PI;
+
+use hal::Pose;
+use hal::config::{ConfigError, Source};
+use nalgebra::{Point3, Translation3, UnitQuaternion, Vector3};
+use serde::Deserialize;
+
+pub use board::BoardShape;
+pub use success::SuccessConfig;
+use success::SuccessMonitor;
+
+use super::common::{ArmFile, CommonFile, EpisodeFile};
+use super::{CameraConfig, Entry, Monitor, Scene, TaskConfig, TaskScene};
+use crate::block::BlockShape;
+use crate::rng::Rng;
+use crate::visual::{Material, Visual, instance};
+use crate::world::{Ground, Meets, Piece, Scenery, Shape, Thing, WorldConfig};
+
+/// The name by which the command line and the logs know the task.
+pub const NAME: &str = "block-transfer";
+
+pub(super) const ENTRY: Entry = Entry {
+    name: NAME,
+    path: "config/tasks/block-transfer/scene.toml",
+    text: include_str!("../../../../config/tasks/block-transfer/scene.toml"),
+    parse,
+};
+
+/// How far above the board the block is let go, m: it must not start inside.
+const DROP_M: f64 = 0.000_1;
+
+/// The scene of a block transfer.
+#[derive(Clone, Debug)]
+pub struct BlockTransfer {
+    /// The block.
+    pub block: BlockShape,
+    /// How the block may sit on its peg at the start.
+    pub start: BlockStart,
+    /// The board.
+    pub board: BoardShape,
+    /// What counts as success.
+    pub success: SuccessConfig,
+}
+
+/// How the block may sit on its peg, which is drawn among all, as is the goal among the others.
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct BlockStart {
+    /// Half the range of its uniform turn about the peg, rad.
+    pub yaw_rad: f64,
+    /// Half the range of its uniform shift in x and y, m.
+    pub shift_m: f64,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct File {
+    #[serde(rename = "task")]
+    _task: String,
+    episode: EpisodeFile,
+    arm: Vec<ArmFile>,
+    block: BlockShape,
+    block_start: BlockStart,
+    board: BoardShape,
+    world: WorldConfig,
+    camera: Vec<CameraConfig>,
+    success: SuccessConfig,
+}
+
+fn parse(source: &Source) -> Result<TaskConfig, ConfigError> {
+    let file: File = source.parse()?;
+    file.block.check(source, "block")?;
+    file.board.check(source, "board")?;
+    file.success.check(source)?;
+    source.check_range("block_start.yaw_rad", file.block_start.yaw_rad, 0.0, PI)?;
+    // The block hangs on its peg, it does not start in it.
+    let room_m = file.block.hole_m - file.board.peg_radius_m;
+    source.check_range(
+        "block_start.shift_m",
+        file.block_start.shift_m,
+        0.0,
+        0.6 * room_m,
+    )?;
+    let common = CommonFile {
+        arm: file.arm,
+        world: file.world,
+        camera: file.camera,
+        episode: file.episode,
+    };
+    let scene = BlockTransfer {
+        block: file.block,
+        start: file.block_start,
+        board: file.board,
+        success: file.success,
+    };
+    common.into_task(source, NAME, 1, Scene::BlockTransfer(scene))
+}
+
+impl BlockTransfer {
+    /// The pegs on which the block starts and where it belongs, in the episode `seed`.
+    fn pegs(&self, seed: u64) -> [[f64; 2]; 2] {
+        let mut rng = Rng::stream(seed, "pegs");
+        let count = self.board.pegs_m.len();
+        let start = rng.below(count);
+        let goal = (start + 1 + rng.below(count - 1)) % count;
+        [start, goal].map(|peg| self.board.pegs_m[peg])
+    }
+
+    fn block_at_start(&self, seed: u64) -> Pose {
+        let [[x, y], _] = self.pegs(seed);
+        let mut rng = Rng::stream(seed, "block");
+        let mut shift = || rng.range(-self.start.shift_m, self.start.shift_m);
+        let (x, y) = (x + shift(), y + shift());
+        let yaw = rng.range(-self.start.yaw_rad, self.start.yaw_rad);
+        Pose::from_parts(
+            Translation3::new(x, y, 0.5 * self.block.height_m + DROP_M),
+            UnitQuaternion::from_axis_angle(&Vector3::z_axis(), yaw),
+        )
+    }
+}
+
+impl TaskScene for BlockTransfer {
+    fn scenery(&self, world: &WorldConfig, seed: u64) -> Scenery {
+        let pieces = self.block.pieces().map(|ends| Piece {
+            shape: Shape::Hull(ends.into_iter().flatten().collect()),
+            friction: world.grip.friction,
+            meets: Meets::Both,
+        });
+        let block = Thing {
+            in_scene: self.block_at_start(seed),
+            mass_kg: self.block.mass_kg,
+            centre: Point3::origin(),
+            inertia: self.block.inertia(),
+            pieces: pieces.into(),
+        };
+        Scenery {
+            things: vec![block],
+            ground: Ground::Solids(self.board.solids()),
+        }
+    }
+
+    fn goal(&self, seed: u64) -> Option<Pose> {
+        let [_, [x, y]] = self.pegs(seed);
+        Some(Pose::translation(x, y, 0.0))
+    }
+
+    fn monitor(&self, seed: u64) -> Box<dyn Monitor> {
+        let [_, goal] = self.pegs(seed);
+        Box::new(SuccessMonitor::new(self, goal))
+    }
+
+    fn visuals(&self) -> Vec<Visual> {
+        let mut visuals = vec![
+            Visual {
+                name: "board",
+                mesh: self.board.mesh(),
+                material: paint([0.55, 0.57, 0.60]),
+                instance: instance::ORGAN,
+            },
+            Visual {
+                name: "block",
+                mesh: self.block.mesh(),
+                material: paint([0.05, 0.22, 0.62]),
+                instance: instance::BLOCK,
+            },
+            Visual {
+                name: "goal peg",
+                mesh: self.board.peg_mesh(),
+                material: paint([0.90, 0.16, 0.42]),
+                instance: instance::GOAL_PEG,
+            },
+        ];
+        visuals.extend((1..self.board.pegs_m.len()).map(|_| Visual {
+            name: "peg",
+            mesh: self.board.peg_mesh(),
+            material: paint([0.78, 0.78, 0.74]),
+            instance: instance::PEG,
+        }));
+        visuals
+    }
+
+    fn visual_poses(&self, things: &[Pose], goal: &Pose) -> Vec<Pose> {
+        let mut pegs = self.board.pegs_m.map(|[x, y]| Pose::translation(x, y, 0.0));
+        let away = |peg: &Pose| (peg.translation.vector - goal.translation.vector).norm();
+        pegs.sort_by(|a, b| away(a).total_cmp(&away(b)));
+        [Pose::identity(), things[0]]
+            .into_iter()
+            .chain(pegs)
+            .collect()
+    }
+}
+
+/// A matt plastic.
+const fn paint(base_colour: [f32; 3]) -> Material {
+    Material {
+        base_colour,
+        metallic: 0.0,
+        roughness: 0.55,
+        wetness: 0.0,
+        detail: 0.1,
+    }
+}
+
+#[cfg(test)]
+impl BlockTransfer {
+    /// The scene as it ships.
+    pub(crate) fn shipped() -> Self {
+        let source = TaskConfig::source(NAME).unwrap();
+        match TaskConfig::parse(&source).unwrap().scene {
+            Scene::BlockTransfer(scene) => scene,
+            other => panic!("{other:?}"),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,110 @@
+//! What every scene file says: arms, physics, cameras, time.
+
+use core::f64::consts::PI;
+
+use hal::config::{ConfigError, Source};
+use hal::{JOINT_COUNT, JointVector, Pose, psm};
+use nalgebra::{Translation3, UnitQuaternion, Vector3};
+use serde::Deserialize;
+
+use super::{CameraConfig, Scene, TaskConfig};
+use crate::world::{ArmStart, WorldConfig};
+
+/// One `[[arm]]`.
+#[derive(Clone, Copy, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct ArmFile {
+    /// The remote centre of motion, scene frame, m.
+    rcm_in_scene_m: [f64; 3],
+    /// How the arm's base frame is turned in the scene, as axis times angle, rad.
+    rcm_rotation_rad: [f64; 3],
+    /// Joints at the start, rad (insertion m).
+    joints: [f64; JOINT_COUNT],
+    /// Jaw angle at the start, rad.
+    jaw_rad: f64,
+}
+
+/// `[episode]`.
+#[derive(Clone, Copy, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct EpisodeFile {
+    /// When the episode ends without success, s.
+    time_limit_s: f64,
+}
+
+/// The tables that all scene files share.
+pub(super) struct CommonFile {
+    pub(super) arm: Vec<ArmFile>,
+    pub(super) world: WorldConfig,
+    pub(super) camera: Vec<CameraConfig>,
+    pub(super) episode: EpisodeFile,
+}
+
+impl CommonFile {
+    /// Checks everything and makes a task of it.
+    pub(super) fn into_task(
+        self,
+        source: &Source,
+        name: &'static str,
+        arm_count: usize,
+        scene: Scene,
+    ) -> Result<TaskConfig, ConfigError> {
+        if self.arm.len() != arm_count {
+            let found = format!("{} arms", self.arm.len());
+            return Err(source.out_of_range("arm", &found, &arm_count.to_string()));
+        }
+        for (index, arm) in self.arm.iter().enumerate() {
+            arm.check(source, index)?;
+        }
+        self.world.check(source, "world")?;
+        if self.camera.is_empty() {
+            return Err(source.out_of_range("camera", "no camera", "at least one"));
+        }
+        for (index, camera) in self.camera.iter().enumerate() {
+            camera.check(source, index)?;
+        }
+        source.check_range(
+            "episode.time_limit_s",
+            self.episode.time_limit_s,
+            1.0,
+            600.0,
+        )?;
+        Ok(TaskConfig {
+            name,
+            arms: self.arm.iter().map(ArmFile::start).collect(),
+            world: self.world,
+            cameras: self.camera,
+            time_limit_s: self.episode.time_limit_s,
+            scene,
+        })
+    }
+}
+
+impl ArmFile {
+    fn check(&self, source: &Source, index: usize) -> Result<(), ConfigError> {
+        let key = |name: &str| format!("arm.{index}.{name}");
+        for axis in 0..3 {
+            let (place, turn) = (self.rcm_in_scene_m[axis], self.rcm_rotation_rad[axis]);
+            source.check_range(&key(&format!("rcm_in_scene_m.{axis}")), place, -1.0, 1.0)?;
+            source.check_range(&key(&format!("rcm_rotation_rad.{axis}")), turn, -PI, PI)?;
+        }
+        for (joint, value) in self.joints.into_iter().enumerate() {
+            source.check_range(
+                &key(&format!("joints.{joint}")),
+                value,
+                psm::POSITION_MIN[joint],
+                psm::POSITION_MAX[joint],
+            )?;
+        }
+        source.check_range(&key("jaw_rad"), self.jaw_rad, 0.0, psm::JAW_MAX)
+    }
+
+    fn start(&self) -> ArmStart {
+        let turn = UnitQuaternion::from_scaled_axis(Vector3::from(self.rcm_rotation_rad));
+        ArmStart {
+            scene_from_rcm: Pose::from_parts(Translation3::from(self.rcm_in_scene_m), turn),
+            joints: JointVector::from(self.joints),
+            jaw: self.jaw_rad,
+        }
+    }
+}

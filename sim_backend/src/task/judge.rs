@@ -1,0 +1,245 @@
+//! Verdicts: what a task's monitor sees, what it can say, and what it shares with the others.
+
+use core::fmt;
+use std::collections::VecDeque;
+
+use hal::Pose;
+use nalgebra::Point3;
+
+use crate::world::{Grasp, World};
+
+/// How an episode stands.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Outcome {
+    /// Not decided yet.
+    Running,
+    /// The task is done.
+    Success,
+    /// The episode is lost.
+    Failure(Reason),
+}
+
+/// Why an episode was lost. `thing` is what the task is about.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Reason {
+    /// Time ran out.
+    TimeLimit {
+        /// What has not happened.
+        missing: &'static str,
+        /// The limit, s.
+        limit_s: f64,
+    },
+    /// The fingers sank into the thing.
+    Penetration {
+        /// What.
+        thing: &'static str,
+        /// How deep, m.
+        depth_m: f64,
+    },
+    /// The thing sank into what it lies on.
+    Sunk {
+        /// What.
+        thing: &'static str,
+        /// How deep, m.
+        depth_m: f64,
+    },
+    /// The thing moved faster than careful hands move it.
+    Thrown {
+        /// What.
+        thing: &'static str,
+        /// How fast, m/s.
+        speed_m_s: f64,
+    },
+    /// The thing fell off what it belongs on.
+    Fallen {
+        /// What.
+        thing: &'static str,
+        /// Off what.
+        ground: &'static str,
+    },
+    /// The instrument pressed on hard ground.
+    Pressed {
+        /// On what.
+        ground: &'static str,
+        /// How hard, N.
+        force_n: f64,
+    },
+    /// The thing's pose is no number any more.
+    NotFinite {
+        /// What.
+        thing: &'static str,
+    },
+}
+
+impl fmt::Display for Outcome {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Running => f.write_str("running"),
+            Self::Success => f.write_str("success"),
+            Self::Failure(reason) => reason.fmt(f),
+        }
+    }
+}
+
+impl fmt::Display for Reason {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::TimeLimit { missing, limit_s } => write!(f, "{missing} within {limit_s} s"),
+            Self::Penetration { thing, depth_m } => {
+                write!(f, "fingers sank {:.2} mm into the {thing}", depth_m * 1e3)
+            }
+            Self::Sunk { thing, depth_m } => {
+                let depth_mm = depth_m * 1e3;
+                write!(f, "{thing} sank {depth_mm:.2} mm into what it lies on")
+            }
+            Self::Thrown { thing, speed_m_s } => write!(f, "{thing} thrown at {speed_m_s:.2} m/s"),
+            Self::Fallen { thing, ground } => write!(f, "{thing} fell off the {ground}"),
+            Self::Pressed { ground, force_n } => {
+                write!(f, "instrument pressed on the {ground} with {force_n:.1} N")
+            }
+            Self::NotFinite { thing } => write!(f, "{thing} pose is not finite"),
+        }
+    }
+}
+
+/// What a monitor sees of one millisecond.
+#[derive(Clone, Debug)]
+pub(crate) struct Sight {
+    /// The thing that the task is about, scene frame.
+    pub(crate) thing_in_scene: Pose,
+    /// How each arm holds it.
+    pub(crate) grasps: Vec<Grasp>,
+    /// Tip of each arm, scene frame.
+    pub(crate) tips_in_scene: Vec<Pose>,
+    /// Deepest overlap of the thing and the ground, m.
+    pub(crate) sunk_m: f64,
+    /// Highest force with which hard ground pushes at an instrument, N.
+    pub(crate) ground_force_n: f64,
+}
+
+impl Sight {
+    pub(crate) fn of(world: &World) -> Self {
+        let arms = 0..world.arm_count();
+        Self {
+            thing_in_scene: world.thing_in_scene(0),
+            grasps: arms.clone().map(|arm| world.grasp(arm, 0)).collect(),
+            tips_in_scene: arms.clone().map(|arm| world.tip_in_scene(arm)).collect(),
+            sunk_m: world.sunk_m(0),
+            ground_force_n: arms
+                .map(|arm| world.ground_force_n(arm))
+                .fold(0.0, f64::max),
+        }
+    }
+}
+
+/// Watches one episode of one task, 1000 times a second.
+pub(crate) trait Monitor: Send {
+    /// Takes in the state after one millisecond. After success or failure it is not asked again.
+    fn observe(&mut self, sight: &Sight) -> Outcome;
+
+    /// What has not happened as long as there is no success, in words.
+    fn missing(&self) -> &'static str;
+}
+
+/// A monitor with the clock.
+pub(crate) struct Judge {
+    monitor: Box<dyn Monitor>,
+    limit_s: f64,
+    steps: u64,
+    outcome: Outcome,
+}
+
+impl Judge {
+    /// A judge at the start of an episode.
+    pub(crate) fn new(monitor: Box<dyn Monitor>, limit_s: f64) -> Self {
+        Self {
+            monitor,
+            limit_s,
+            steps: 0,
+            outcome: Outcome::Running,
+        }
+    }
+
+    /// How the episode stands; once decided it stays.
+    pub(crate) const fn outcome(&self) -> Outcome {
+        self.outcome
+    }
+
+    /// Takes in the state after one millisecond.
+    pub(crate) fn observe(&mut self, sight: &Sight) {
+        if self.outcome != Outcome::Running {
+            return;
+        }
+        self.steps += 1;
+        self.outcome = self.monitor.observe(sight);
+        if self.outcome == Outcome::Running && seconds(self.steps) >= self.limit_s {
+            self.outcome = Outcome::Failure(Reason::TimeLimit {
+                missing: self.monitor.missing(),
+                limit_s: self.limit_s,
+            });
+        }
+    }
+}
+
+/// Length of one observation, s.
+const STEP_S: f64 = 1e-3;
+
+/// Time over which speed and overlaps are judged, steps: one step alone may be a solver's hiccup.
+const JUDGED_STEPS: usize = 20;
+
+/// A count of observations as time, s.
+#[expect(
+    clippy::cast_precision_loss,
+    reason = "episodes are far shorter than 2^53 steps"
+)]
+pub(super) fn seconds(steps: u64) -> f64 {
+    steps as f64 * STEP_S
+}
+
+/// Counts how long something has been so; true once it has lasted.
+pub(super) fn lasts(steps: &mut usize, is_so: bool) -> bool {
+    *steps = if is_so { *steps + 1 } else { 0 };
+    *steps >= JUDGED_STEPS
+}
+
+/// The checks that every handled thing passes: no sinking in, no throwing, no nonsense.
+#[derive(Clone, Debug)]
+pub(super) struct Watch {
+    thing: &'static str,
+    penetration_m_max: f64,
+    speed_m_s_max: f64,
+    deep_steps: usize,
+    points: VecDeque<Point3<f64>>,
+}
+
+impl Watch {
+    pub(super) fn new(thing: &'static str, penetration_m_max: f64, speed_m_s_max: f64) -> Self {
+        Self {
+            thing,
+            penetration_m_max,
+            speed_m_s_max,
+            deep_steps: 0,
+            points: VecDeque::with_capacity(JUDGED_STEPS + 1),
+        }
+    }
+
+    /// What is wrong with a thing, one of whose points is at `point` and into which fingers reach by `depth_m`.
+    pub(super) fn failure(&mut self, point: &Point3<f64>, depth_m: f64) -> Option<Reason> {
+        let thing = self.thing;
+        if !point.coords.iter().all(|x| x.is_finite()) {
+            return Some(Reason::NotFinite { thing });
+        }
+        if lasts(&mut self.deep_steps, depth_m > self.penetration_m_max) {
+            return Some(Reason::Penetration { thing, depth_m });
+        }
+        self.points.push_back(*point);
+        if self.points.len() > JUDGED_STEPS {
+            let before = self.points.pop_front()?;
+            let speed_m_s = (point - before).norm() / seconds(JUDGED_STEPS as u64);
+            if speed_m_s > self.speed_m_s_max {
+                return Some(Reason::Thrown { thing, speed_m_s });
+            }
+        }
+        None
+    }
+}

@@ -1,0 +1,131 @@
+//! Needle lift: one arm grasps a suture needle that lies on an organ, lifts it and holds it up.
+
+mod success;
+
+use hal::Pose;
+use hal::config::{ConfigError, Source};
+use serde::Deserialize;
+
+pub use success::SuccessConfig;
+use success::SuccessMonitor;
+
+use super::common::{ArmFile, CommonFile, EpisodeFile};
+use super::visuals::{MUSCLE, NEEDLE_STEEL};
+use super::{CameraConfig, Entry, Monitor, NeedleStart, Scene, TaskConfig, TaskScene};
+use crate::needle::NeedleShape;
+use crate::organ::OrganShape;
+use crate::visual::{Visual, instance};
+use crate::world::{Ground, Scenery, Thing, WorldConfig};
+
+/// The name by which the command line and the logs know the task.
+pub const NAME: &str = "needle-lift";
+
+pub(super) const ENTRY: Entry = Entry {
+    name: NAME,
+    path: "config/tasks/needle-lift/scene.toml",
+    text: include_str!("../../../../config/tasks/needle-lift/scene.toml"),
+    parse,
+};
+
+/// The scene of a needle lift.
+#[derive(Clone, Debug)]
+pub struct NeedleLift {
+    /// The needle.
+    pub needle: NeedleShape,
+    /// Where the needle may lie at the start.
+    pub start: NeedleStart,
+    /// What the needle lies on.
+    pub organ: OrganShape,
+    /// What counts as success.
+    pub success: SuccessConfig,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct File {
+    #[serde(rename = "task")]
+    _task: String,
+    episode: EpisodeFile,
+    arm: Vec<ArmFile>,
+    needle: NeedleShape,
+    needle_start: NeedleStart,
+    organ: OrganShape,
+    world: WorldConfig,
+    camera: Vec<CameraConfig>,
+    success: SuccessConfig,
+}
+
+fn parse(source: &Source) -> Result<TaskConfig, ConfigError> {
+    let file: File = source.parse()?;
+    file.needle.check(source, "needle")?;
+    file.needle_start.check(source)?;
+    file.organ.check(source, "organ")?;
+    file.success.check(source)?;
+    let common = CommonFile {
+        arm: file.arm,
+        world: file.world,
+        camera: file.camera,
+        episode: file.episode,
+    };
+    let scene = NeedleLift {
+        needle: file.needle,
+        start: file.needle_start,
+        organ: file.organ,
+        success: file.success,
+    };
+    common.into_task(source, NAME, 1, Scene::NeedleLift(scene))
+}
+
+impl TaskScene for NeedleLift {
+    fn scenery(&self, world: &WorldConfig, seed: u64) -> Scenery {
+        let in_scene = self.start.draw(seed, &self.needle, &self.organ);
+        Scenery {
+            things: vec![Thing::needle(world, &self.needle, in_scene)],
+            ground: Ground::Organ(self.organ),
+        }
+    }
+
+    fn goal(&self, _seed: u64) -> Option<Pose> {
+        None
+    }
+
+    fn monitor(&self, _seed: u64) -> Box<dyn Monitor> {
+        Box::new(SuccessMonitor::new(
+            &self.success,
+            &self.needle,
+            &self.organ,
+        ))
+    }
+
+    fn visuals(&self) -> Vec<Visual> {
+        vec![
+            Visual {
+                name: "organ",
+                mesh: self.organ.mesh(),
+                material: MUSCLE,
+                instance: instance::ORGAN,
+            },
+            Visual {
+                name: "needle",
+                mesh: self.needle.mesh(),
+                material: NEEDLE_STEEL,
+                instance: instance::NEEDLE,
+            },
+        ]
+    }
+
+    fn visual_poses(&self, things: &[Pose], _goal: &Pose) -> Vec<Pose> {
+        vec![Pose::identity(), things[0]]
+    }
+}
+
+#[cfg(test)]
+impl NeedleLift {
+    /// The scene as it ships.
+    pub(crate) fn shipped() -> Self {
+        match TaskConfig::needle_lift().unwrap().scene {
+            Scene::NeedleLift(scene) => scene,
+            other => panic!("{other:?}"),
+        }
+    }
+}

@@ -1,0 +1,191 @@
+//! Suture pad: one arm grasps a needle that lies on a pad and drives it through the hole in the pad's lip.
+
+mod pad;
+mod success;
+
+use core::f64::consts::PI;
+
+use hal::Pose;
+use hal::config::{ConfigError, Source};
+use nalgebra::{Translation3, UnitQuaternion, Vector3};
+use serde::Deserialize;
+
+pub use pad::PadShape;
+pub use success::SuccessConfig;
+use success::SuccessMonitor;
+
+use super::common::{ArmFile, CommonFile, EpisodeFile};
+use super::visuals::NEEDLE_STEEL;
+use super::{CameraConfig, Entry, Monitor, Scene, TaskConfig, TaskScene};
+use crate::needle::NeedleShape;
+use crate::rng::Rng;
+use crate::visual::{Material, Visual, instance};
+use crate::world::{Ground, Scenery, Thing, WorldConfig};
+
+/// The name by which the command line and the logs know the task.
+pub const NAME: &str = "suture-pad";
+
+pub(super) const ENTRY: Entry = Entry {
+    name: NAME,
+    path: "config/tasks/suture-pad/scene.toml",
+    text: include_str!("../../../../config/tasks/suture-pad/scene.toml"),
+    parse,
+};
+
+/// How far above the pad the needle is let go, m: it must not start inside.
+const DROP_M: f64 = 0.000_1;
+
+/// Silicone.
+const SKIN: Material = Material {
+    base_colour: [0.72, 0.42, 0.32],
+    metallic: 0.0,
+    roughness: 0.6,
+    wetness: 0.1,
+    detail: 0.4,
+};
+
+/// The scene of a suture pad.
+#[derive(Clone, Debug)]
+pub struct SuturePad {
+    /// The needle.
+    pub needle: NeedleShape,
+    /// Where the needle may lie at the start.
+    pub start: PadStart,
+    /// The pad.
+    pub pad: PadShape,
+    /// What counts as success.
+    pub success: SuccessConfig,
+}
+
+/// Where the needle may lie on the pad.
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct PadStart {
+    /// Middle of the region in which the centre of the needle's arc lies, scene x and y, m.
+    pub centre_m: [f64; 2],
+    /// Half the size of the region along scene x and y, m.
+    pub range_m: [f64; 2],
+    /// Rotation of the needle, rad; at 0 its arc bulges towards +x.
+    pub yaw_rad: f64,
+    /// Half the range of a uniform error of the yaw, rad.
+    pub yaw_jitter_rad: f64,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct File {
+    #[serde(rename = "task")]
+    _task: String,
+    episode: EpisodeFile,
+    arm: Vec<ArmFile>,
+    needle: NeedleShape,
+    needle_start: PadStart,
+    pad: PadShape,
+    world: WorldConfig,
+    camera: Vec<CameraConfig>,
+    success: SuccessConfig,
+}
+
+fn parse(source: &Source) -> Result<TaskConfig, ConfigError> {
+    let file: File = source.parse()?;
+    file.needle.check(source, "needle")?;
+    file.needle_start.check(source, "needle_start")?;
+    file.pad.check(source, "pad")?;
+    file.success.check(source)?;
+    let common = CommonFile {
+        arm: file.arm,
+        world: file.world,
+        camera: file.camera,
+        episode: file.episode,
+    };
+    let scene = SuturePad {
+        needle: file.needle,
+        start: file.needle_start,
+        pad: file.pad,
+        success: file.success,
+    };
+    common.into_task(source, NAME, 1, Scene::SuturePad(scene))
+}
+
+impl PadStart {
+    fn check(&self, source: &Source, key: &str) -> Result<(), ConfigError> {
+        for axis in 0..2 {
+            let (centre, range) = (self.centre_m[axis], self.range_m[axis]);
+            source.check_range(&format!("{key}.centre_m.{axis}"), centre, -0.05, 0.05)?;
+            source.check_range(&format!("{key}.range_m.{axis}"), range, 0.0, 0.05)?;
+        }
+        source.check_range(&format!("{key}.yaw_rad"), self.yaw_rad, -PI, PI)?;
+        let jitter = self.yaw_jitter_rad;
+        source.check_range(&format!("{key}.yaw_jitter_rad"), jitter, 0.0, PI)
+    }
+
+    /// The needle's pose at the start of the episode `seed`, flat and just above the pad.
+    fn draw(&self, seed: u64, needle: &NeedleShape) -> Pose {
+        let mut rng = Rng::stream(seed, "needle");
+        let mut about = |centre: f64, range: f64| centre + rng.range(-range, range);
+        let x = about(self.centre_m[0], self.range_m[0]);
+        let y = about(self.centre_m[1], self.range_m[1]);
+        let yaw = about(self.yaw_rad, self.yaw_jitter_rad);
+        Pose::from_parts(
+            Translation3::new(x, y, needle.wire_radius_m + DROP_M),
+            UnitQuaternion::from_axis_angle(&Vector3::z_axis(), yaw),
+        )
+    }
+}
+
+impl TaskScene for SuturePad {
+    fn scenery(&self, world: &WorldConfig, seed: u64) -> Scenery {
+        let in_scene = self.start.draw(seed, &self.needle);
+        Scenery {
+            things: vec![Thing::bare_needle(world, &self.needle, in_scene)],
+            ground: Ground::Solids(self.pad.solids()),
+        }
+    }
+
+    fn goal(&self, _seed: u64) -> Option<Pose> {
+        Some(Pose::from_parts(
+            self.pad.hole().into(),
+            UnitQuaternion::identity(),
+        ))
+    }
+
+    fn monitor(&self, _seed: u64) -> Box<dyn Monitor> {
+        Box::new(SuccessMonitor::new(self))
+    }
+
+    fn visuals(&self) -> Vec<Visual> {
+        vec![
+            Visual {
+                name: "pad",
+                mesh: self.pad.mesh(),
+                material: SKIN,
+                instance: instance::ORGAN,
+            },
+            Visual {
+                name: "needle",
+                mesh: self.needle.mesh(),
+                material: NEEDLE_STEEL,
+                instance: instance::NEEDLE,
+            },
+        ]
+    }
+
+    fn visual_poses(&self, things: &[Pose], _goal: &Pose) -> Vec<Pose> {
+        vec![Pose::identity(), things[0]]
+    }
+}
+
+#[cfg(test)]
+impl SuturePad {
+    /// The scene as it ships.
+    pub(crate) fn shipped() -> Self {
+        let source = TaskConfig::source(NAME).unwrap();
+        match TaskConfig::parse(&source).unwrap().scene {
+            Scene::SuturePad(scene) => scene,
+            other => panic!("{other:?}"),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,142 @@
+//! Decides whether the needle is through the hole, and catches what would only look like it.
+
+use hal::Pose;
+use hal::config::{ConfigError, Source};
+use nalgebra::Point3;
+use serde::Deserialize;
+
+use super::{PadShape, SuturePad};
+use crate::task::judge::{Watch, lasts, seconds};
+use crate::task::{Monitor, Outcome, Reason, Sight};
+
+/// What counts as a needle through the hole, and what ends the episode at once.
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct SuccessConfig {
+    /// How far behind the lip the needle's point must be, m.
+    pub through_m: f64,
+    /// How long the needle must stay so without a break, s.
+    pub hold_s: f64,
+    /// Depth by which the fingers may sink into the needle, m; deeper is a fault of the physics, not a grasp.
+    pub penetration_m_max: f64,
+    /// Depth by which the needle may sink into the pad, m: a needle that is forced through is no needle in the hole.
+    pub sunk_m_max: f64,
+    /// Force with which the pad may push back at the instrument, N.
+    pub press_n_max: f64,
+    /// Speed of the needle's point above which the needle counts as thrown, m/s.
+    pub needle_speed_m_s_max: f64,
+}
+
+/// Points on the wire at which its way through the hole is followed: 0.6 mm apart.
+const WIRE_POINTS: usize = 113;
+
+impl SuccessConfig {
+    pub(super) fn check(&self, source: &Source) -> Result<(), ConfigError> {
+        let check = |key: &str, value, low, high| {
+            source.check_range(&format!("success.{key}"), value, low, high)
+        };
+        check("through_m", self.through_m, 0.001, 0.03)?;
+        check("hold_s", self.hold_s, 0.05, 10.0)?;
+        check("penetration_m_max", self.penetration_m_max, 0.000_01, 0.01)?;
+        check("sunk_m_max", self.sunk_m_max, 0.000_01, 0.01)?;
+        check("press_n_max", self.press_n_max, 0.1, 100.0)?;
+        let speed = self.needle_speed_m_s_max;
+        check("needle_speed_m_s_max", speed, 0.05, 10.0)
+    }
+}
+
+/// Watches the needle.
+pub(super) struct SuccessMonitor {
+    config: SuccessConfig,
+    pad: PadShape,
+    /// The wire in the needle frame, its point last.
+    wire: Vec<Point3<f64>>,
+    held_steps: u64,
+    sunk_steps: usize,
+    pressed_steps: usize,
+    watch: Watch,
+}
+
+impl SuccessMonitor {
+    /// A monitor at the start of an episode.
+    pub(super) fn new(scene: &SuturePad) -> Self {
+        let config = scene.success.clone();
+        Self {
+            pad: scene.pad,
+            wire: scene.needle.centre_line(WIRE_POINTS),
+            held_steps: 0,
+            sunk_steps: 0,
+            pressed_steps: 0,
+            watch: Watch::new(
+                "needle",
+                config.penetration_m_max,
+                config.needle_speed_m_s_max,
+            ),
+            config,
+        }
+    }
+
+    fn failure(&mut self, sight: &Sight) -> Option<Reason> {
+        let point = sight.thing_in_scene * self.wire[WIRE_POINTS - 1];
+        let depth_m = sight.grasps[0].penetration_m;
+        if let Some(reason) = self.watch.failure(&point, depth_m) {
+            return Some(reason);
+        }
+        let depth_m = sight.sunk_m;
+        if lasts(&mut self.sunk_steps, depth_m > self.config.sunk_m_max) {
+            let thing = "needle";
+            return Some(Reason::Sunk { thing, depth_m });
+        }
+        let force_n = sight.ground_force_n;
+        if lasts(&mut self.pressed_steps, force_n > self.config.press_n_max) {
+            let ground = "pad";
+            return Some(Reason::Pressed { ground, force_n });
+        }
+        let middle = sight.thing_in_scene * self.wire[WIRE_POINTS / 2];
+        let fallen = !self.pad.covers(middle.x, middle.y) || middle.z < 0.0;
+        fallen.then_some(Reason::Fallen {
+            thing: "needle",
+            ground: "pad",
+        })
+    }
+
+    /// Whether the wire leads from before the lip through the hole to its point behind the lip.
+    fn is_through(&self, needle_in_scene: &Pose) -> bool {
+        let pad = &self.pad;
+        let hole = pad.hole();
+        let mut ends = [false; 2];
+        for (index, point) in self.wire.iter().enumerate() {
+            let point = needle_in_scene * point;
+            if point.y < pad.lip_front_m {
+                ends[0] |= index == 0;
+            } else if point.y <= pad.lip_back_m() {
+                let aside_m = (point.x - hole.x).abs().max((point.z - hole.z).abs());
+                if aside_m > pad.hole_half_m {
+                    return false;
+                }
+            } else if point.y >= pad.lip_back_m() + self.config.through_m {
+                ends[1] |= index == WIRE_POINTS - 1;
+            }
+        }
+        ends == [true; 2]
+    }
+}
+
+impl Monitor for SuccessMonitor {
+    fn observe(&mut self, sight: &Sight) -> Outcome {
+        if let Some(reason) = self.failure(sight) {
+            return Outcome::Failure(reason);
+        }
+        let through = self.is_through(&sight.thing_in_scene);
+        self.held_steps = if through { self.held_steps + 1 } else { 0 };
+        if seconds(self.held_steps) >= self.config.hold_s {
+            Outcome::Success
+        } else {
+            Outcome::Running
+        }
+    }
+
+    fn missing(&self) -> &'static str {
+        "needle not through the hole"
+    }
+}

@@ -1,0 +1,114 @@
+//! Facts about scene files: what ships is valid, and what is wrong is named.
+
+use super::*;
+use crate::task::needle_lift::NeedleLift;
+
+/// The shipped file with one line replaced, and the number of that line.
+fn doctored(old: &str, new: &str) -> (Source, usize) {
+    let text = TaskConfig::needle_lift_source().text().to_owned();
+    let line = text
+        .lines()
+        .position(|line| line.starts_with(old))
+        .expect("line to replace")
+        + 1;
+    let lines: Vec<&str> = text
+        .lines()
+        .map(|line| if line.starts_with(old) { new } else { line })
+        .collect();
+    (Source::embedded("scene.toml", &lines.join("\n")), line)
+}
+
+#[test]
+fn shipped_scene_is_valid_and_starts_above_the_organ() {
+    let task = TaskConfig::needle_lift().unwrap();
+    assert_eq!(task.cameras[0].name, "endoscope");
+    assert_eq!((task.cameras[0].width, task.cameras[0].height), (512, 512));
+    let arm = task.arms[0];
+    // Straight down at zero wrist angles: insertion less 6.5 mm below the RCM.
+    let tip_z = arm.scene_from_rcm.translation.z - (arm.joints[2] - 0.0065);
+    let height = tip_z - NeedleLift::shipped().organ.height_m(0.0, 0.0);
+    assert!((0.04..0.05).contains(&height), "{height}");
+}
+
+#[test]
+fn unknown_key_is_named_with_its_line() {
+    let (source, line) = doctored("jaw_rad", "jaw_rad = 0.6\nspeling = 1");
+    let message = TaskConfig::parse(&source).unwrap_err().to_string();
+    assert!(
+        message.starts_with(&format!("scene.toml:{}: ", line + 1)) && message.contains("speling"),
+        "{message}"
+    );
+}
+
+#[test]
+fn value_out_of_range_is_named_with_line_key_and_range() {
+    for (old, new, key) in [
+        (
+            "hold_s",
+            "hold_s = -1.0",
+            "success.hold_s = -1 is outside [0.05, 10]",
+        ),
+        ("mass_kg", "mass_kg = 5.0", "needle.mass_kg = 5 is outside"),
+        (
+            "vertical_fov_rad",
+            "vertical_fov_rad = 4.0",
+            "camera.0.vertical_fov_rad = 4 is outside",
+        ),
+        (
+            "range_m",
+            "range_m = [0.025, 0.5]",
+            "needle_start.range_m.1 = 0.5 is outside",
+        ),
+        (
+            "joints",
+            "joints = [0.0, 0.0, 0.3, 0.0, 0.0, 0.0]",
+            "arm.0.joints.2 = 0.3 is outside",
+        ),
+        ("up", "up = [0.0, 0.0, 2.0]", "camera.0.up.2 = 2 is outside"),
+    ] {
+        let (source, line) = doctored(old, new);
+        let message = TaskConfig::parse(&source).unwrap_err().to_string();
+        assert!(
+            message.starts_with(&format!("scene.toml:{line}: {key}")),
+            "{message}"
+        );
+    }
+}
+
+#[test]
+fn missing_camera_is_an_error() {
+    let text = TaskConfig::needle_lift_source().text().to_owned();
+    let (before, rest) = text.split_once("[[camera]]").unwrap();
+    let after = &rest[rest.find("\n[success]").unwrap()..];
+    let source = Source::embedded("scene.toml", &format!("camera = []\n{before}{after}"));
+    let message = TaskConfig::parse(&source).unwrap_err().to_string();
+    assert!(
+        message.contains("camera = no camera is outside at least one"),
+        "{message}"
+    );
+}
+
+#[test]
+fn every_task_ships_with_a_valid_scene_of_its_name() {
+    for name in TaskConfig::names() {
+        let task = TaskConfig::parse(&TaskConfig::source(name).unwrap()).unwrap();
+        assert_eq!(task.name, name);
+        assert!((1..=ARMS_MAX).contains(&task.arms.len()));
+        let scene = task.scene.of_task();
+        let scenery = scene.scenery(&task.world, 1);
+        assert!((1..=THINGS_MAX).contains(&scenery.things.len()));
+        let poses = scene.visual_poses(&[Pose::identity(); THINGS_MAX], &Pose::identity());
+        assert_eq!(poses.len(), scene.visuals().len());
+    }
+    assert!(TaskConfig::source("needle-drop").is_none());
+}
+
+#[test]
+fn unknown_task_is_an_error() {
+    let (source, line) = doctored("task =", "task = \"needle-drop\"");
+    let message = TaskConfig::parse(&source).unwrap_err().to_string();
+    assert!(
+        message.starts_with(&format!("scene.toml:{line}: task = needle-drop")),
+        "{message}"
+    );
+}

@@ -1,0 +1,156 @@
+//! What a world is made of besides its arms: things that move, and ground that does not.
+
+use hal::Pose;
+use nalgebra::{Point3, Vector3};
+
+use super::config::WorldConfig;
+use crate::needle::{NeedleShape, ratio};
+use crate::organ::OrganShape;
+
+/// Everything in a world but the arms.
+#[derive(Clone, Debug)]
+pub struct Scenery {
+    /// Things that can be pushed and gripped, in the order in which the world counts them.
+    pub things: Vec<Thing>,
+    /// What they lie on.
+    pub ground: Ground,
+}
+
+/// A rigid thing that moves.
+#[derive(Clone, Debug)]
+pub struct Thing {
+    /// Where it is at the start, scene frame; it must not overlap anything.
+    pub in_scene: Pose,
+    /// Mass, kg.
+    pub mass_kg: f64,
+    /// Centre of mass in the thing's frame, m.
+    pub centre: Point3<f64>,
+    /// Moments of inertia about the centre of mass along the thing's axes, kg m².
+    pub inertia: Vector3<f64>,
+    /// What it touches with.
+    pub pieces: Vec<Piece>,
+}
+
+/// A part of a thing's surface.
+#[derive(Clone, Debug)]
+pub struct Piece {
+    /// Its shape, in the thing's frame.
+    pub shape: Shape,
+    /// Coulomb friction.
+    pub friction: f64,
+    /// What it touches.
+    pub meets: Meets,
+}
+
+/// What a piece of a thing touches. Things do not touch each other.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Meets {
+    /// Fingers and wrists.
+    Instrument,
+    /// The ground.
+    Ground,
+    /// Both.
+    Both,
+}
+
+/// A convex shape in some frame, m.
+#[derive(Clone, Debug)]
+pub enum Shape {
+    /// A ball.
+    Ball {
+        /// Its middle.
+        centre: Point3<f64>,
+        /// Its radius.
+        radius_m: f64,
+    },
+    /// A ball drawn along a line.
+    Capsule {
+        /// One end of the line.
+        from: Point3<f64>,
+        /// Its other end.
+        to: Point3<f64>,
+        /// Radius of the ball.
+        radius_m: f64,
+    },
+    /// A box along the frame's axes.
+    Block {
+        /// Its lowest corner.
+        low: Point3<f64>,
+        /// Its highest corner.
+        high: Point3<f64>,
+    },
+    /// The convex hull of points.
+    Hull(Vec<Point3<f64>>),
+}
+
+/// What does not move.
+#[derive(Clone, Debug)]
+pub enum Ground {
+    /// A soft organ on a table. The instrument sinks into it against springs.
+    Organ(OrganShape),
+    /// Hard convex solids in the scene frame. The instrument meets them with a little give.
+    Solids(Vec<Shape>),
+}
+
+/// Length of the capsules that make up the needle, m, at most.
+const NEEDLE_CAPSULE_M: f64 = 0.002_6;
+/// The needle's inertia over that of its shape. A contact is as stiff as the mass it finds at its lever is large, so a
+/// slender wire held away from its middle would rock in the jaws; like the raised mass, this stays far below what the
+/// grip carries.
+const NEEDLE_INERTIA: f64 = 3.0;
+/// Balls along the needle that rest on the tissue: a ball meets a smooth surface in one point, and three carry it.
+const NEEDLE_BEADS: usize = 9;
+
+impl Thing {
+    /// A needle as a chain of capsules for fingers and hard ground alike.
+    #[must_use]
+    pub fn bare_needle(config: &WorldConfig, shape: &NeedleShape, in_scene: Pose) -> Self {
+        let mut needle = Self::needle(config, shape, in_scene);
+        needle
+            .pieces
+            .retain(|piece| piece.meets == Meets::Instrument);
+        for piece in &mut needle.pieces {
+            piece.meets = Meets::Both;
+        }
+        needle
+    }
+
+    /// A needle as a chain of capsules for the fingers and of balls for the tissue.
+    #[must_use]
+    pub fn needle(config: &WorldConfig, shape: &NeedleShape, in_scene: Pose) -> Self {
+        let mass = shape.mass_properties();
+        let points = shape.centre_line(capsule_count(shape) + 1);
+        let radius_m = shape.wire_radius_m;
+        let wire = points.windows(2).map(|pair| Piece {
+            shape: Shape::Capsule {
+                from: pair[0],
+                to: pair[1],
+                radius_m,
+            },
+            friction: config.grip.friction,
+            meets: Meets::Instrument,
+        });
+        let beads = shape
+            .centre_line(NEEDLE_BEADS)
+            .into_iter()
+            .map(|centre| Piece {
+                shape: Shape::Ball { centre, radius_m },
+                friction: config.tissue.friction,
+                meets: Meets::Ground,
+            });
+        Self {
+            in_scene,
+            mass_kg: shape.mass_kg,
+            centre: mass.centre,
+            inertia: mass.inertia * NEEDLE_INERTIA,
+            pieces: wire.chain(beads).collect(),
+        }
+    }
+}
+
+/// Odd, so that a capsule lies across the middle of the arc.
+fn capsule_count(shape: &NeedleShape) -> usize {
+    let length_m = shape.arc_radius_m * shape.arc_angle_rad;
+    let fits = |count: &usize| ratio(1, *count) * length_m <= NEEDLE_CAPSULE_M;
+    (1..=41).step_by(2).find(fits).unwrap_or(41)
+}
