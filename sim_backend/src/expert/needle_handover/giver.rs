@@ -3,7 +3,6 @@
 use hal::{Pose, TimeNs};
 use nalgebra::{Translation3, Vector3};
 
-use super::style::Style;
 use super::{GRIP_PATIENCE_S, Hand, LOST_STEPS, REOPEN_S, View};
 use crate::expert::hand::{ARRIVED_PATIENCE_S, raised, settled};
 use crate::expert::motion::{Motion, Placement};
