@@ -1,7 +1,7 @@
 //! Tasks as data: who stands where, what lies there, who looks, and what counts as success.
 //!
 //! A task is a folder under `config/tasks/`, a module here with its scene and its monitor, a script in
-//! [`crate::expert`], and a line in [`ENTRIES`] and in [`Scene`].
+//! [`crate::expert`], and a line in `ENTRIES` and in [`Scene`].
 
 pub mod block_transfer;
 mod camera;
