@@ -155,5 +155,5 @@ fn expert_lifts_every_needle_fifty_times() {
         let of_needle = failures(&task, 100..150);
         failed.extend(of_needle.iter().map(|why| format!("{name}, {why}")));
     }
-    assert!(failed.len() <= 2, "{failed:#?}");
+    assert!(failed.is_empty(), "{failed:#?}");
 }
