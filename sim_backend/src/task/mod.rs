@@ -1,12 +1,13 @@
 //! Tasks as data: who stands where, what lies there, who looks, and what counts as success.
 //!
 //! A task is a folder under `config/tasks/`, a module here with its scene and its monitor, a script in
-//! [`crate::expert`], and a line in [`ENTRIES`] and in [`Scene`].
+//! [`crate::expert`], and a line in `ENTRIES` and in [`Scene`].
 
 pub mod block_transfer;
 mod camera;
 mod common;
 mod judge;
+pub mod needle_handover;
 pub mod needle_lift;
 mod needle_start;
 pub mod suture_pad;
@@ -25,6 +26,7 @@ pub(crate) use visuals::{scene_poses, scene_visuals};
 use crate::visual::Visual;
 use crate::world::{ArmStart, Scenery, WorldConfig};
 use block_transfer::BlockTransfer;
+use needle_handover::NeedleHandover;
 use needle_lift::NeedleLift;
 use suture_pad::SuturePad;
 
@@ -43,7 +45,12 @@ struct Entry {
 }
 
 /// All tasks.
-const ENTRIES: [Entry; 3] = [needle_lift::ENTRY, block_transfer::ENTRY, suture_pad::ENTRY];
+const ENTRIES: [Entry; 4] = [
+    needle_lift::ENTRY,
+    needle_handover::ENTRY,
+    suture_pad::ENTRY,
+    block_transfer::ENTRY,
+];
 
 /// A task, checked.
 #[derive(Clone, Debug)]
@@ -71,6 +78,8 @@ pub enum Scene {
     BlockTransfer(BlockTransfer),
     /// One arm drives a needle through a hole.
     SuturePad(SuturePad),
+    /// Two arms pass a needle.
+    NeedleHandover(NeedleHandover),
 }
 
 /// What a task's module answers. Everything that is drawn at random hangs on `seed`.
@@ -97,8 +106,21 @@ impl Scene {
             Self::NeedleLift(scene) => scene,
             Self::BlockTransfer(scene) => scene,
             Self::SuturePad(scene) => scene,
+            Self::NeedleHandover(scene) => scene,
         }
     }
+}
+
+/// A needle was asked for that a task does not have.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("{task} has no needle {name:?}; it has {known:?}")]
+pub struct NoSuchNeedle {
+    /// The task.
+    pub task: &'static str,
+    /// The needle asked for.
+    pub name: String,
+    /// The needles that can be chosen.
+    pub known: Vec<String>,
 }
 
 /// The part of a scene file that says what it is.
@@ -132,6 +154,28 @@ impl TaskConfig {
     /// [`ConfigError`] if the file that is built in is wrong.
     pub fn needle_lift() -> Result<Self, ConfigError> {
         Self::parse(&Self::needle_lift_source())
+    }
+
+    /// The same task with another needle, by the name that the scene file gives it.
+    ///
+    /// # Errors
+    /// [`NoSuchNeedle`], also for a task that has no choice of needles.
+    pub fn with_needle(mut self, name: &str) -> Result<Self, NoSuchNeedle> {
+        let known = match &mut self.scene {
+            Scene::NeedleLift(scene) => {
+                if let Some(&needle) = scene.needles.get(name) {
+                    scene.needle = needle;
+                    return Ok(self);
+                }
+                scene.needles.keys().cloned().collect()
+            }
+            Scene::BlockTransfer(_) | Scene::SuturePad(_) | Scene::NeedleHandover(_) => Vec::new(),
+        };
+        Err(NoSuchNeedle {
+            task: self.name,
+            name: name.to_owned(),
+            known,
+        })
     }
 
     /// Reads a scene file, whose key `task` says of which task.

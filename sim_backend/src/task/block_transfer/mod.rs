@@ -136,6 +136,7 @@ impl TaskScene for BlockTransfer {
             mass_kg: self.block.mass_kg,
             centre: Point3::origin(),
             inertia: self.block.inertia(),
+            axes: UnitQuaternion::identity(),
             pieces: pieces.into(),
         };
         Scenery {
@@ -211,10 +212,11 @@ impl BlockTransfer {
     /// The scene as it ships.
     pub(crate) fn shipped() -> Self {
         let source = TaskConfig::source(NAME).unwrap();
-        match TaskConfig::parse(&source).unwrap().scene {
-            Scene::BlockTransfer(scene) => scene,
-            other => panic!("{other:?}"),
-        }
+        let task = TaskConfig::parse(&source).unwrap();
+        let Scene::BlockTransfer(scene) = task.scene else {
+            panic!("not a {NAME}");
+        };
+        scene
     }
 }
 
