@@ -1,0 +1,231 @@
+//! What the sheet rests on: an organ's surface as a table of heights, an elastic bed with friction.
+
+use hal::config::{ConfigError, Source};
+use nalgebra::Vector3;
+use serde::Deserialize;
+
+use super::sheet::{Sheet, count};
+
+/// How a surface pushes back at the sheet.
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Touch {
+    /// Pressure for a depth, N/m³.
+    pub stiffness_n_m3: f64,
+    /// Damping ratio of the sheet's own mass on that spring, while it sinks in.
+    pub damping_ratio: f64,
+    /// Coulomb friction.
+    pub friction: f64,
+}
+
+impl Touch {
+    /// Checks the ranges of a contact read from `source` at the dotted `key`.
+    ///
+    /// # Errors
+    /// [`ConfigError::OutOfRange`].
+    pub fn check(&self, source: &Source, key: &str) -> Result<(), ConfigError> {
+        let check =
+            |name: &str, value, low, high| source.check_range(&format!("{key}.{name}"), value, low, high);
+        check("stiffness_n_m3", self.stiffness_n_m3, 1e5, 2e8)?;
+        check("damping_ratio", self.damping_ratio, 0.0, 1.0)?;
+        check("friction", self.friction, 0.0, 2.0)
+    }
+
+    /// Damping of a square metre of sheet of `mass_kg_m2`, N s/m³.
+    pub(super) fn damping_n_s_m3(&self, mass_kg_m2: f64) -> f64 {
+        2.0 * self.damping_ratio * (self.stiffness_n_m3 * mass_kg_m2).sqrt()
+    }
+}
+
+/// A rectangle of heights over the scene's xy-plane; beyond it there is nothing to rest on.
+#[derive(Clone, Debug)]
+pub struct Ground {
+    low_m: [f64; 2],
+    spacing_m: [f64; 2],
+    points: [usize; 2],
+    heights_m: Vec<f64>,
+}
+
+/// The plane that stands for the ground under one node.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Plane {
+    /// A point of it, scene frame, m.
+    pub(super) point: Vector3<f64>,
+    /// Unit normal, up.
+    pub(super) normal: Vector3<f64>,
+}
+
+/// Distance of the table's points, m, at most.
+const SPACING_M: f64 = 0.001;
+
+impl Ground {
+    /// The surface `height_m(x, y)` over the rectangle from `low_m` to `high_m`, sampled every millimetre.
+    #[must_use]
+    pub fn sampled(low_m: [f64; 2], high_m: [f64; 2], height_m: impl Fn(f64, f64) -> f64) -> Self {
+        #[expect(
+            clippy::cast_possible_truncation,
+            clippy::cast_sign_loss,
+            reason = "a positive count of millimetres, and casts saturate"
+        )]
+        let cells = [0, 1].map(|axis| {
+            ((high_m[axis] - low_m[axis]) / SPACING_M).ceil().clamp(1.0, CELLS_MAX) as usize
+        });
+        let spacing_m = [0, 1].map(|axis| (high_m[axis] - low_m[axis]) / count(cells[axis]));
+        let points = cells.map(|cells| cells + 1);
+        let height = |index: usize| {
+            let x = low_m[0] + count(index % points[0]) * spacing_m[0];
+            let y = low_m[1] + count(index / points[0]) * spacing_m[1];
+            height_m(x, y)
+        };
+        let heights_m = (0..points[0] * points[1]).map(height).collect();
+        Self { low_m, spacing_m, points, heights_m }
+    }
+
+    /// No ground at all.
+    #[must_use]
+    pub const fn none() -> Self {
+        Self { low_m: [0.0; 2], spacing_m: [1.0; 2], points: [0; 2], heights_m: Vec::new() }
+    }
+
+    /// Height of the surface over (`x`, `y`) in the scene, m; none beyond the rectangle.
+    #[must_use]
+    pub fn height_m(&self, x: f64, y: f64) -> Option<f64> {
+        self.plane(x, y).map(|plane| plane.point.z)
+    }
+
+    /// The tangent plane over (`x`, `y`).
+    pub(super) fn plane(&self, x: f64, y: f64) -> Option<Plane> {
+        let (i, s) = self.place(0, x)?;
+        let (j, t) = self.place(1, y)?;
+        let first = j * self.points[0] + i;
+        let (a, b) = (self.heights_m[first], self.heights_m[first + 1]);
+        let (c, d) = (self.heights_m[first + self.points[0]], self.heights_m[first + self.points[0] + 1]);
+        let (low, high) = (a + s * (b - a), c + s * (d - c));
+        let slope_x = ((b - a) + t * ((d - c) - (b - a))) / self.spacing_m[0];
+        let slope_y = (high - low) / self.spacing_m[1];
+        Some(Plane {
+            point: Vector3::new(x, y, low + t * (high - low)),
+            normal: Vector3::new(-slope_x, -slope_y, 1.0).normalize(),
+        })
+    }
+
+    /// Cell and share of it along one axis.
+    fn place(&self, axis: usize, value: f64) -> Option<(usize, f64)> {
+        let cells = self.points[axis].checked_sub(1)?;
+        let at = (value - self.low_m[axis]) / self.spacing_m[axis];
+        if !(0.0..=count(cells)).contains(&at) {
+            return None;
+        }
+        #[expect(
+            clippy::cast_possible_truncation,
+            clippy::cast_sign_loss,
+            reason = "inside the table, so small and not negative"
+        )]
+        let cell = (at as usize).min(cells - 1);
+        Some((cell, at - count(cell)))
+    }
+}
+
+/// Most cells of a table along one axis.
+const CELLS_MAX: f64 = 1000.0;
+
+/// A node that may touch the ground during this millisecond.
+#[derive(Clone, Copy, Debug)]
+struct Near {
+    node: usize,
+    area_m2: f64,
+    plane: Plane,
+    load_n: f64,
+}
+
+/// The contact of a sheet with its ground.
+#[derive(Clone, Debug)]
+pub(super) struct Bed {
+    ground: Ground,
+    touch: Touch,
+    damping_n_s_m3: f64,
+    half_thickness_m: f64,
+    near: Vec<Near>,
+    depth_m: f64,
+}
+
+/// Nodes further above the ground than this cannot reach it within a millisecond, m.
+const REACH_M: f64 = 0.004;
+
+impl Bed {
+    pub(super) fn new(ground: Ground, touch: &Touch, sheet: &Sheet) -> Self {
+        Self {
+            ground,
+            touch: *touch,
+            damping_n_s_m3: touch.damping_n_s_m3(sheet.material.mass_kg_m2()),
+            half_thickness_m: 0.5 * sheet.material.thickness_m,
+            near: Vec::with_capacity(sheet.positions.len()),
+            depth_m: 0.0,
+        }
+    }
+
+    /// Height of the bare ground, m.
+    pub(super) fn height_m(&self, x: f64, y: f64) -> Option<f64> {
+        self.ground.height_m(x, y)
+    }
+
+    /// Finds what may touch during the next millisecond.
+    pub(super) fn begin(&mut self, sheet: &Sheet) {
+        self.near.clear();
+        self.depth_m = 0.0;
+        let per_kg = sheet.material.mass_kg_m2().recip();
+        for (node, at) in sheet.positions.iter().enumerate() {
+            if sheet.inverse_masses[node] <= 0.0 {
+                continue;
+            }
+            if let Some(plane) = self.ground.plane(at.x, at.y)
+                && at.z - plane.point.z < REACH_M
+            {
+                let area_m2 = sheet.masses[node] * per_kg;
+                self.near.push(Near { node, area_m2, plane, load_n: 0.0 });
+            }
+        }
+    }
+
+    /// Adds the ground's pressure to the sheet's forces.
+    pub(super) fn press(&mut self, sheet: &mut Sheet) {
+        for near in &mut self.near {
+            let normal = near.plane.normal;
+            let gap_m = (sheet.positions[near.node] - near.plane.point).dot(&normal);
+            let depth_m = self.half_thickness_m - gap_m;
+            near.load_n = 0.0;
+            if depth_m > 0.0 {
+                self.depth_m = self.depth_m.max(depth_m);
+                let rising = sheet.velocities[near.node].dot(&normal);
+                let pressure = self.touch.stiffness_n_m3 * depth_m - self.damping_n_s_m3 * rising;
+                near.load_n = (pressure * near.area_m2).max(0.0);
+                sheet.forces[near.node] += normal * near.load_n;
+            }
+        }
+    }
+
+    /// Takes from the touching nodes as much of their sliding as friction can in `dt_s`.
+    pub(super) fn rub(&self, sheet: &mut Sheet, dt_s: f64) {
+        for near in &self.near {
+            if near.load_n > 0.0 {
+                let normal = near.plane.normal;
+                let velocity = &mut sheet.velocities[near.node];
+                let sliding = *velocity - normal * velocity.dot(&normal);
+                let most = self.touch.friction * near.load_n * dt_s * sheet.inverse_masses[near.node];
+                *velocity -= braked(&sliding, most);
+            }
+        }
+    }
+
+    /// Deepest that the sheet sank into the ground since [`Self::begin`], m.
+    pub(super) const fn depth_m(&self) -> f64 {
+        self.depth_m
+    }
+}
+
+/// The change of velocity by which friction that can change it by `most` acts against `sliding`: all of it, if it can.
+#[inline]
+pub(super) fn braked(sliding: &Vector3<f64>, most: f64) -> Vector3<f64> {
+    let speed = sliding.norm();
+    if speed <= most { *sliding } else { sliding * (most / speed) }
+}

@@ -1,0 +1,28 @@
+//! Soft tissue: an elastic flap over an organ, grasped by area.
+
+mod bending;
+mod config;
+mod contact;
+mod flap;
+mod grasp;
+mod ground;
+mod jaw;
+mod mark;
+mod material;
+mod membrane;
+mod report;
+mod samples;
+mod sheet;
+
+pub use config::TissueConfig;
+pub use flap::Tissue;
+pub use grasp::GraspConfig;
+pub use ground::{Ground, Touch};
+pub use jaw::{JawInput, Wrench};
+pub use mark::MarkConfig;
+pub use material::Material;
+pub use report::{Grasp, JawReport, TissueReport};
+pub use sheet::{Sheet, SheetShape};
+
+#[cfg(test)]
+mod tests;
