@@ -1,6 +1,7 @@
 //! The flap with everything that touches it, a millisecond at a time.
 
 use hal::Pose;
+use hal::psm::FINGER_M;
 use nalgebra::{Matrix3, Point3, Rotation3, UnitQuaternion, Vector3};
 
 use super::config::{STEP_S, TissueConfig};
@@ -19,7 +20,7 @@ use super::sheet::Sheet;
 /// flap stays for good where it last was, feels nothing, and says so ([`TissueReport::fault`]).
 #[derive(Clone, Debug)]
 pub struct Tissue {
-    sheet: Sheet,
+    pub(super) sheet: Sheet,
     samples: Samples,
     bed: Bed,
     jaws: Vec<Jaw>,
@@ -49,6 +50,8 @@ const SETTLE_STEPS: usize = 1000;
 const SETTLE_DRAG_PER_S: f64 = 25.0;
 /// Cut-off of the force that the report gives beside the plain one, as a share per millisecond: 50 Hz.
 const FORCE_SHARE: f64 = 0.239;
+/// What is left of a fading force below this is none, N.
+const FORCE_N_MIN: f64 = 1e-12;
 /// A coordinate beyond this is out of range, m.
 const RANGE_M: f64 = 1.0;
 
@@ -104,11 +107,11 @@ impl Tissue {
         if self.report.fault {
             return;
         }
+        self.kept.copy_from_slice(&self.sheet.positions);
         if !inputs.iter().all(JawInput::is_finite) {
             self.freeze();
             return;
         }
-        self.kept.copy_from_slice(&self.sheet.positions);
         self.bed.begin(&self.sheet);
         for (index, jaw) in self.jaws.iter_mut().enumerate() {
             let input = inputs.get(index).copied().unwrap_or(jaw.input);
@@ -181,6 +184,9 @@ impl Tissue {
         report.ground_depth_m = self.bed.depth_m();
         report.force_n = self.jaws.iter().map(|jaw| jaw.report.total().force.norm()).fold(0.0, f64::max);
         report.smooth_force_n += FORCE_SHARE * (report.force_n - report.smooth_force_n);
+        if report.smooth_force_n < FORCE_N_MIN {
+            report.smooth_force_n = 0.0;
+        }
         report.instrument_depth_m = self.jaws.iter().map(|jaw| jaw.report.depth_m).fold(0.0, f64::max);
         report.speed_m_s = self.sheet.velocities.iter().map(Vector3::norm).fold(0.0, f64::max);
         report.lost = self.jaws.iter().map(|jaw| jaw.hold.lost()).sum();
@@ -285,9 +291,9 @@ impl Jaw {
         wrenches[1].add(&pull.scaled(0.5));
         let squeeze_n =
             self.squeeze_n_m3 * self.hold.area_m2() * self.hold.squeezed_m(&self.input, sheet);
-        for (index, side) in [1.0, -1.0].into_iter().enumerate() {
-            wrenches[index].add(&squeeze(&self.input.fingers[index], side * squeeze_n));
-        }
+        let squeezed = squeeze(&self.input.middle(), squeeze_n);
+        wrenches[0].add(&squeezed);
+        wrenches[1].add(&squeezed.scaled(-1.0));
         self.report = JawReport {
             fingers: [wrenches[0], wrenches[1]],
             wrist: wrenches[2],
@@ -309,11 +315,12 @@ impl Jaw {
     }
 }
 
-/// What squeezed tissue does to a finger: a force along its y through the middle of its pad.
-fn squeeze(finger: &Pose, force_n: f64) -> Wrench {
+/// What squeezed tissue does to the first finger of a jaw around `middle`: a force along y at the pads' middle. The
+/// second finger feels the opposite, so that nothing is left of it on the whole.
+fn squeeze(middle: &Pose, force_n: f64) -> Wrench {
     let mut wrench = Wrench::zero();
-    let lever = finger.rotation * Vector3::new(0.0, 0.0, 0.6 * hal::psm::FINGER_M);
-    wrench.push(&lever, &(finger.rotation * Vector3::new(0.0, force_n, 0.0)));
+    let lever = middle.rotation * Vector3::new(0.0, 0.0, 0.6 * FINGER_M);
+    wrench.push(&lever, &(middle.rotation * Vector3::new(0.0, force_n, 0.0)));
     wrench
 }
 

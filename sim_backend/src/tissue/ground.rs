@@ -37,7 +37,7 @@ impl Touch {
     }
 }
 
-/// A rectangle of heights over the scene's xy-plane; beyond it there is nothing to rest on.
+/// A rectangle of heights over the scene's xy-plane; beyond its rim there is nothing to rest on.
 #[derive(Clone, Debug)]
 pub struct Ground {
     low_m: [f64; 2],
@@ -56,16 +56,26 @@ pub(super) struct Plane {
 }
 
 /// Distance of the table's points, m, at most.
-const SPACING_M: f64 = 0.001;
+const SPACING_M: f64 = 0.000_5;
 
 impl Ground {
-    /// The surface `height_m(x, y)` over the rectangle from `low_m` to `high_m`, sampled every millimetre.
+    /// The surface `height_m(x, y)` over the rectangle from `low_m` to `high_m`, which is round at its rim: it falls off
+    /// over a further `rim_m` on all sides. (An edge would be a step in the height, which hands energy to what slides
+    /// over it.)
     #[must_use]
-    pub fn sampled(low_m: [f64; 2], high_m: [f64; 2], height_m: impl Fn(f64, f64) -> f64) -> Self {
+    pub fn sampled(
+        low_m: [f64; 2],
+        high_m: [f64; 2],
+        rim_m: f64,
+        height_m: impl Fn(f64, f64) -> f64,
+    ) -> Self {
+        let inner = [low_m, high_m];
+        let low_m = low_m.map(|low| low - rim_m);
+        let high_m = high_m.map(|high| high + rim_m);
         #[expect(
             clippy::cast_possible_truncation,
             clippy::cast_sign_loss,
-            reason = "a positive count of millimetres, and casts saturate"
+            reason = "a positive count, and casts saturate"
         )]
         let cells = [0, 1].map(|axis| {
             ((high_m[axis] - low_m[axis]) / SPACING_M).ceil().clamp(1.0, CELLS_MAX) as usize
@@ -75,7 +85,10 @@ impl Ground {
         let height = |index: usize| {
             let x = low_m[0] + count(index % points[0]) * spacing_m[0];
             let y = low_m[1] + count(index / points[0]) * spacing_m[1];
-            height_m(x, y)
+            let (inner_x, inner_y) =
+                (x.clamp(inner[0][0], inner[1][0]), y.clamp(inner[0][1], inner[1][1]));
+            let beyond_m = ((x - inner_x).powi(2) + (y - inner_y).powi(2)).sqrt();
+            height_m(inner_x, inner_y) - fall_m(beyond_m, rim_m)
         };
         let heights_m = (0..points[0] * points[1]).map(height).collect();
         Self { low_m, spacing_m, points, heights_m }
@@ -125,6 +138,16 @@ impl Ground {
         Some((cell, at - count(cell)))
     }
 }
+
+/// How far a rim of radius `rim_m` falls, `beyond_m` from where it begins: a circle down to a steep slope.
+fn fall_m(beyond_m: f64, rim_m: f64) -> f64 {
+    let round_m = beyond_m.min(STEEP * rim_m);
+    let circle_m = rim_m - (rim_m * rim_m - round_m * round_m).sqrt();
+    circle_m + (beyond_m - round_m) * STEEP / (1.0 - STEEP * STEEP).sqrt()
+}
+
+/// Share of a rim's radius at which its circle goes over into a slope, 64 degrees steep.
+const STEEP: f64 = 0.9;
 
 /// Most cells of a table along one axis.
 const CELLS_MAX: f64 = 1000.0;

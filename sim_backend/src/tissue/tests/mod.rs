@@ -1,13 +1,15 @@
 //! Checks of the tissue against closed forms, conservation laws and its own stated limits.
 
 mod bench;
+mod dynamics;
+mod grasp;
 mod statics;
 
 use hal::Pose;
 use hal::config::Source;
 use nalgebra::{Point3, Translation3, UnitQuaternion, Vector3};
 
-use super::{Ground, JawInput, TissueConfig};
+use super::{Ground, JawInput, Tissue, TissueConfig};
 use crate::organ::OrganShape;
 
 /// The flap that the tests use.
@@ -21,7 +23,7 @@ fn flap_config() -> TissueConfig {
 /// A rolling organ that ends before the flap does.
 fn organ_ground() -> Ground {
     let organ = OrganShape { length_m: 0.12, width_m: 0.09, amplitude_m: 0.001_5, wavelength_m: 0.09 };
-    Ground::sampled([-0.06, -0.02], [0.06, 0.045], |x, y| organ.height_m(x, y))
+    Ground::sampled([-0.06, -0.02], [0.06, 0.045], 0.003, |x, y| organ.height_m(x, y))
 }
 
 /// A jaw that hangs straight down with its ends at `ends_m`, opened by `opening_rad`, its hinge along x turned by `yaw_rad`.
@@ -41,4 +43,73 @@ fn jaw(tip: &Pose, opening_rad: f64, grip_n: f64) -> JawInput {
         wrist: [tip * Point3::new(0.0, 0.0, -hal::psm::WRIST_M), tip * Point3::origin()],
         grip_n,
     }
+}
+
+/// A jaw led by hand through a tissue.
+struct Puppet {
+    tissue: Tissue,
+    tip: Pose,
+    opening_rad: f64,
+    grip_n: f64,
+}
+
+/// Opening at which the ends are 6 mm apart.
+const OPEN_RAD: f64 = 0.6;
+
+impl Puppet {
+    /// A flap with a jaw at `tip`, open.
+    fn new(config: &TissueConfig, ground: Ground, tip: Pose) -> Self {
+        Self {
+            tissue: Tissue::new(config, ground, 3, &[jaw(&tip, OPEN_RAD, 0.0)]),
+            tip,
+            opening_rad: OPEN_RAD,
+            grip_n: 0.0,
+        }
+    }
+
+    fn step(&mut self) {
+        self.tissue.step(&[jaw(&self.tip, self.opening_rad, self.grip_n)]);
+    }
+
+    /// Moves at `speed_m_s` by `by_m`.
+    fn travel(&mut self, by_m: Vector3<f64>, speed_m_s: f64) {
+        let steps = (by_m.norm() / speed_m_s * 1e3).ceil();
+        let mut step = 0.0;
+        while step < steps {
+            self.tip = Translation3::from(by_m / steps) * self.tip;
+            self.step();
+            step += 1.0;
+        }
+    }
+
+    /// Closes with `grip_n` until something is grasped or nothing is left to close.
+    fn close(&mut self, grip_n: f64) {
+        self.grip_n = grip_n;
+        while self.opening_rad > 0.0 && self.tissue.report().grasp.is_none() {
+            self.opening_rad = (self.opening_rad - 0.001).max(0.0);
+            self.step();
+        }
+    }
+
+    fn wait(&mut self, steps: usize) {
+        for _ in 0..steps {
+            self.step();
+        }
+    }
+}
+
+/// A tip frame that lies flat, pointing to the free edge from outside, its fingers above and below; its ends reach
+/// `over_m` past the edge of the resting flap at the mark, `aside_m` along the edge.
+fn edge_tip(config: &TissueConfig, over_m: f64, aside_m: f64) -> Pose {
+    let away = jaw_at([0.0, 0.0, 0.1], OPEN_RAD, 0.0);
+    let rest = Tissue::new(config, organ_ground(), 3, &[away]);
+    let mark = rest.mark_in_scene().translation.vector;
+    let level = UnitQuaternion::from_axis_angle(&Vector3::x_axis(), -core::f64::consts::FRAC_PI_2);
+    let edge_y = mark.y - config.mark.inset_m;
+    let hinge = Translation3::new(
+        mark.x + aside_m,
+        edge_y + over_m - hal::psm::FINGER_M,
+        mark.z - 0.5 * config.material.thickness_m,
+    );
+    Pose::from_parts(hinge, level)
 }
