@@ -26,7 +26,8 @@ struct Strains {
 impl Edges {
     #[inline]
     fn of(values: &[Vector3<f64>], corners: [usize; 4], per_m: [f64; 2]) -> Self {
-        let [a, b, c, d] = corners.map(|corner| values[corner]);
+        let [a, b, c, d] = corners;
+        let (a, b, c, d) = (&values[a], &values[b], &values[c], &values[d]);
         Self {
             u: [(b - a) * per_m[0], (d - c) * per_m[0]],
             v: [(c - a) * per_m[1], (d - b) * per_m[1]],
@@ -35,10 +36,14 @@ impl Edges {
 
     #[inline]
     fn strains(&self) -> Strains {
+        let ([u0, u1], [v0, v1]) = (&self.u, &self.v);
         Strains {
-            u: self.u.map(|edge| 0.5 * (edge.norm_squared() - 1.0)),
-            v: self.v.map(|edge| 0.5 * (edge.norm_squared() - 1.0)),
-            shear: self.u.map(|u| self.v.map(|v| 0.5 * u.dot(&v))),
+            u: [0.5 * (u0.norm_squared() - 1.0), 0.5 * (u1.norm_squared() - 1.0)],
+            v: [0.5 * (v0.norm_squared() - 1.0), 0.5 * (v1.norm_squared() - 1.0)],
+            shear: [
+                [0.5 * u0.dot(v0), 0.5 * u0.dot(v1)],
+                [0.5 * u1.dot(v0), 0.5 * u1.dot(v1)],
+            ],
         }
     }
 
@@ -95,23 +100,48 @@ pub(super) fn add_forces(sheet: &mut Sheet) {
             let largest = e.largest();
             // Beyond the tearing strain the stress stays, so that no stretch can outrun the sub-step.
             let yielding = if largest > cap { cap / largest } else { 1.0 };
-            let (stretch, shear) = (stretch * yielding, shear * yielding);
-            let (sum_u, sum_v) = (e.u[0] + e.u[1], e.v[0] + e.v[1]);
-            let along_u = [0, 1].map(|k| {
-                edges.u[k] * (stretch * (2.0 * e.u[k] + poisson * sum_v))
-                    + (edges.v[0] * e.shear[k][0] + edges.v[1] * e.shear[k][1]) * shear
-            });
-            let along_v = [0, 1].map(|l| {
-                edges.v[l] * (stretch * (2.0 * e.v[l] + poisson * sum_u))
-                    + (edges.u[0] * e.shear[0][l] + edges.u[1] * e.shear[1][l]) * shear
-            });
-            let [u0, u1] = along_u.map(|force| force * per_m[0]);
-            let [v0, v1] = along_v.map(|force| force * per_m[1]);
+            let law = Law {
+                stretch: stretch * yielding,
+                shear: shear * yielding,
+                poisson,
+            };
+            let [[u0, u1], [v0, v1]] = law.edge_forces(&edges, &e);
+            let [u0, u1] = [u0 * per_m[0], u1 * per_m[0]];
+            let [v0, v1] = [v0 * per_m[1], v1 * per_m[1]];
             sheet.forces[at[0]] += u0 + v0;
             sheet.forces[at[1]] += v1 - u0;
             sheet.forces[at[2]] += u1 - v0;
             sheet.forces[at[3]] -= u1 + v1;
         }
+    }
+}
+
+/// Stiffness of a quarter of a cell, N m.
+struct Law {
+    stretch: f64,
+    shear: f64,
+    poisson: f64,
+}
+
+impl Law {
+    /// Derivatives of the cell's energy by its edge vectors, along u and along v.
+    #[inline]
+    fn edge_forces(&self, edges: &Edges, e: &Strains) -> [[Vector3<f64>; 2]; 2] {
+        let ([u0, u1], [v0, v1]) = (&edges.u, &edges.v);
+        let [[s00, s01], [s10, s11]] = e.shear;
+        let by_v = self.poisson * (e.v[0] + e.v[1]);
+        let by_u = self.poisson * (e.u[0] + e.u[1]);
+        let (k, g) = (self.stretch, self.shear);
+        [
+            [
+                u0 * (k * (2.0 * e.u[0] + by_v)) + v0 * (g * s00) + v1 * (g * s01),
+                u1 * (k * (2.0 * e.u[1] + by_v)) + v0 * (g * s10) + v1 * (g * s11),
+            ],
+            [
+                v0 * (k * (2.0 * e.v[0] + by_u)) + u0 * (g * s00) + u1 * (g * s10),
+                v1 * (k * (2.0 * e.v[1] + by_u)) + u0 * (g * s01) + u1 * (g * s11),
+            ],
+        ]
     }
 }
 

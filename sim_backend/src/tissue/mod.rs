@@ -11,8 +11,10 @@ mod mark;
 mod material;
 mod membrane;
 mod report;
+mod retraction;
 mod samples;
 mod sheet;
+mod surface;
 
 pub use config::TissueConfig;
 pub use flap::Tissue;
@@ -22,7 +24,9 @@ pub use jaw::{JawInput, Wrench};
 pub use mark::MarkConfig;
 pub use material::Material;
 pub use report::{Grasp, JawReport, TissueReport};
+pub use retraction::{Retraction, RetractionConfig, RetractionFailure, RetractionMonitor};
 pub use sheet::{Sheet, SheetShape};
+pub use surface::Surface;
 
 #[cfg(test)]
 mod tests;

@@ -1,23 +1,46 @@
 //! Checks of the tissue against closed forms, conservation laws and its own stated limits.
 
 mod bench;
+mod config;
 mod dynamics;
 mod grasp;
+mod retraction;
 mod statics;
+mod surface;
 
 use hal::Pose;
 use hal::config::Source;
 use nalgebra::{Point3, Translation3, UnitQuaternion, Vector3};
 
-use super::{Ground, JawInput, Tissue, TissueConfig};
+use super::{Ground, JawInput, RetractionConfig, Tissue, TissueConfig};
 use crate::organ::OrganShape;
 
-/// The flap that the tests use.
+/// The parts of the task's file that are about the tissue.
+#[derive(serde::Deserialize)]
+struct TaskFile {
+    tissue: TissueConfig,
+    success: RetractionConfig,
+}
+
+/// The task as it ships.
+fn task() -> TaskFile {
+    let source = task_source();
+    let file: TaskFile = source.parse().unwrap();
+    file.tissue.check(&source, "tissue").unwrap();
+    file.success.check(&source, "success").unwrap();
+    file
+}
+
+fn task_source() -> Source {
+    Source::embedded(
+        "config/tasks/tissue-retraction/scene.toml",
+        include_str!("../../../../config/tasks/tissue-retraction/scene.toml"),
+    )
+}
+
+/// The flap of the task as it ships.
 fn flap_config() -> TissueConfig {
-    let source = Source::embedded("flap.toml", include_str!("flap.toml"));
-    let config: TissueConfig = source.parse().unwrap();
-    config.check(&source, "tissue").unwrap();
-    config
+    task().tissue
 }
 
 /// A rolling organ that ends before the flap does.
