@@ -11,7 +11,7 @@ use super::grasp::GraspConfig;
 use super::ground::Touch;
 use super::mark::MarkConfig;
 use super::material::Material;
-use super::sheet::{Sheet, SheetShape, count};
+use super::sheet::{Sheet, SheetShape, count, longest_step_s};
 
 /// A flap of tissue, attached to the body along one edge, and what touches it.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
@@ -46,9 +46,11 @@ pub struct TissueConfig {
 /// Length of a step of the tissue, s.
 pub(super) const STEP_S: f64 = 1e-3;
 
-/// Share of the undamped stability limit that a sub-step may use at rest: a sheet stretched by half as much again is
+/// Share of the stability limit of the sheet at rest that a sub-step may use: a sheet stretched by half as much again is
 /// 1.6 times as fast.
-const STABLE_SHARE: f64 = 0.62;
+const STRETCHED_SHARE: f64 = 0.62;
+/// Share of the stability limit of the contacts that a sub-step may use: the sheet bends beside them.
+const CONTACT_SHARE: f64 = 0.85;
 
 impl TissueConfig {
     /// Checks the ranges of a tissue read from `source` at the dotted `key`, and that its sub-steps are short enough.
@@ -77,13 +79,16 @@ impl TissueConfig {
     #[must_use]
     pub fn substeps_min(&self) -> f64 {
         let elastic = self.sheet(&Pose::identity()).fastest_rad_s();
-        let per_m2 = self.material.mass_kg_m2();
-        let contact = (self.ground.stiffness_n_m3 + 2.0 * self.instrument.stiffness_n_m3) / per_m2;
-        let fastest = (elastic * elastic).max(contact);
-        // x² + 2 damping x < 4 with x = dt * fastest, damping = relaxation * fastest / 2, solved for dt.
-        let lag = self.material.relaxation_s;
-        let damped = (lag * lag + 4.0 / fastest).sqrt() - lag;
-        (STEP_S / (STABLE_SHARE * damped)).ceil()
+        let step_s = longest_step_s(elastic * elastic, self.material.relaxation_s);
+        let mut most_s = STRETCHED_SHARE * step_s;
+        // The ground on one side and both fingers of a shut jaw on the other.
+        let per_kg = self.material.mass_kg_m2().recip();
+        let stiffness = self.ground.stiffness_n_m3 + 2.0 * self.instrument.stiffness_n_m3;
+        let fastest = stiffness * per_kg;
+        let damping_ratio = self.ground.damping_ratio.max(self.instrument.damping_ratio);
+        let step_s = longest_step_s(fastest, 2.0 * damping_ratio / fastest.sqrt());
+        most_s = most_s.min(CONTACT_SHARE * step_s);
+        (STEP_S / most_s).ceil()
     }
 
     /// The sheet at rest in `pose`, its first two rows fixed: the attached edge keeps its place and its slope.

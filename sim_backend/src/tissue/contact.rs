@@ -3,7 +3,7 @@
 
 use nalgebra::Vector3;
 
-use super::ground::{Touch, braked};
+use super::ground::{Touch, held_back};
 use super::jaw::{Motion, Solid, Wrench};
 use super::samples::Samples;
 use super::sheet::Sheet;
@@ -11,9 +11,6 @@ use hal::Pose;
 
 /// Samples further away than this from a part's skin cannot reach it within a millisecond, m.
 const REACH_M: f64 = 0.002;
-/// How far beyond a part's ball a cell's nearest corner may be while one of its samples touches, m.
-const CELL_M: f64 = 0.005;
-
 /// A part and its touch.
 #[derive(Clone, Debug)]
 pub(super) struct Part {
@@ -24,6 +21,9 @@ pub(super) struct Part {
     motion: Motion,
     near: Vec<usize>,
     touched: Vec<usize>,
+    touched_before: Vec<usize>,
+    /// Velocity that friction gave each node in the last sub-step, m/s.
+    rubs: Vec<Vector3<f64>>,
     loads_n: Vec<f64>,
     normals: Vec<Vector3<f64>>,
     felt: Felt,
@@ -57,10 +57,17 @@ impl Part {
             motion: Motion::new(pose, pose, 1.0),
             near: Vec::with_capacity(samples.len()),
             touched: Vec::with_capacity(nodes),
+            touched_before: Vec::with_capacity(nodes),
+            rubs: vec![Vector3::zeros(); nodes],
             loads_n: vec![0.0; nodes],
             normals: vec![Vector3::zeros(); nodes],
             felt: Felt::nothing(),
         }
+    }
+
+    /// Changes the part's shape.
+    pub(super) const fn reshape(&mut self, solid: Solid) {
+        self.solid = solid;
     }
 
     /// Begins a millisecond in which the part moves to `pose`; the samples marked in `held` do not touch it.
@@ -78,7 +85,7 @@ impl Part {
         let (middle, radius_m) = self.solid.ball();
         let middle = (pose * nalgebra::Point3::from(middle)).coords;
         let Self { solid, near, half_thickness_m, .. } = self;
-        samples.around(sheet, &middle, radius_m + CELL_M, |index, point| {
+        samples.around(sheet, &middle, radius_m + *half_thickness_m + REACH_M, |index, point| {
             if !held[index] {
                 let local = pose.inverse_transform_point(&point.of(&sheet.positions).into());
                 if solid.distance_m(&local.coords).0 < *half_thickness_m + REACH_M {
@@ -125,25 +132,43 @@ impl Part {
         }
     }
 
-    /// Takes from the pressed nodes as much of their sliding over the part as friction can in `dt_s`.
+    /// Gives the pressed nodes the friction of the last sub-step again; see [`held_back`].
+    pub(super) fn rub_as_before(&mut self, sheet: &mut Sheet) {
+        for &node in &self.touched_before {
+            if self.loads_n[node] > 0.0 {
+                sheet.velocities[node] += self.rubs[node];
+            } else {
+                self.rubs[node] = Vector3::zeros();
+            }
+        }
+    }
+
+    /// Corrects the friction of the pressed nodes by as much of what still slides as it can take in `dt_s`.
     pub(super) fn rub(&mut self, sheet: &mut Sheet, share: f64, dt_s: f64, centre: &Vector3<f64>) {
-        if self.touched.is_empty() {
+        core::mem::swap(&mut self.touched, &mut self.touched_before);
+        self.touched.clear();
+        if self.touched_before.is_empty() {
             return;
         }
         let pose = self.motion.at(share);
-        for &node in &self.touched {
+        for &node in &self.touched_before {
             let normal = self.normals[node] / self.normals[node].norm().max(f64::MIN_POSITIVE);
             let at = sheet.positions[node];
             let past = sheet.velocities[node] - self.motion.velocity(&pose, &at);
             let sliding = past - normal * past.dot(&normal);
             let most = self.touch.friction * self.loads_n[node] * dt_s * sheet.inverse_masses[node];
-            let change = braked(&sliding, most);
-            sheet.velocities[node] -= change;
-            let force = change * (sheet.masses[node] / dt_s);
+            let rub = held_back(&self.rubs[node], &sliding, &normal, most);
+            sheet.velocities[node] += rub - self.rubs[node];
+            self.rubs[node] = rub;
+            let force = rub * (-sheet.masses[node] / dt_s);
             self.felt.wrench.push(&(at - centre), &force);
             self.loads_n[node] = 0.0;
         }
-        self.touched.clear();
+    }
+
+    /// Numbers that decide the future, for hashing.
+    pub(super) fn state(&self) -> impl Iterator<Item = f64> + '_ {
+        self.rubs.iter().flat_map(|rub| [rub.x, rub.y, rub.z])
     }
 
     /// What the part felt since [`Self::begin`], over `substeps` sub-steps.

@@ -52,6 +52,8 @@ const SETTLE_DRAG_PER_S: f64 = 25.0;
 const FORCE_SHARE: f64 = 0.239;
 /// What is left of a fading force below this is none, N.
 const FORCE_N_MIN: f64 = 1e-12;
+/// Gap of a jaw's ends, over the tissue's thickness, below which nothing fits between them.
+const SHUT: f64 = 0.5;
 /// A coordinate beyond this is out of range, m.
 const RANGE_M: f64 = 1.0;
 
@@ -144,6 +146,10 @@ impl Tissue {
             jaw.hold.pull(sheet, &jaw.motion, share);
         }
         sheet.accelerate(dt_s);
+        bed.rub_as_before(sheet);
+        for part in jaws.iter_mut().flat_map(|jaw| &mut jaw.parts) {
+            part.rub_as_before(sheet);
+        }
         for jaw in jaws.iter_mut() {
             let centre = jaw.input.fingers[0].translation.vector;
             jaw.hold.act(sheet, dt_s, &centre);
@@ -247,7 +253,9 @@ impl Tissue {
     pub fn state(&self) -> impl Iterator<Item = f64> + '_ {
         let vectors = self.sheet.positions.iter().chain(&self.sheet.velocities);
         let holds = self.jaws.iter().flat_map(|jaw| jaw.hold.state());
-        vectors.flat_map(|v| [v.x, v.y, v.z]).chain(holds)
+        let parts = self.jaws.iter().flat_map(|jaw| &jaw.parts).flat_map(Part::state);
+        let vectors = vectors.flat_map(|v| [v.x, v.y, v.z]);
+        vectors.chain(holds).chain(parts).chain(self.bed.state())
     }
 }
 
@@ -276,6 +284,10 @@ impl Jaw {
         let (wrist, _) = frame_along(&input.wrist[0], &input.wrist[1]);
         let poses = [input.fingers[0], input.fingers[1], wrist];
         self.hold.begin();
+        let shut = input.gap_m() < SHUT * sheet.material.thickness_m;
+        for (part, side) in self.parts.iter_mut().zip([1.0, -1.0]) {
+            part.reshape(if shut { Solid::shut_finger() } else { Solid::finger(side) });
+        }
         for (part, pose) in self.parts.iter_mut().zip(poses) {
             part.begin(&pose, STEP_S, sheet, samples, self.hold.held());
         }

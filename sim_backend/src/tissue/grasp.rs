@@ -226,9 +226,9 @@ impl Hold {
 
     fn take(&mut self, jaw: &JawInput, sheet: &Sheet, samples: &Samples) {
         let middle = jaw.middle();
-        let end = (middle * Point3::new(0.0, 0.0, 0.5 * FINGER_M)).coords;
+        let pads = (middle * Point3::new(0.0, 0.0, 0.5 * FINGER_M)).coords;
         let Self { config, ties, .. } = self;
-        samples.around(sheet, &end, FINGER_M, |index, point| {
+        samples.around(sheet, &pads, FINGER_M, |index, point| {
             let at = Point3::from(point.of(&sheet.positions));
             if between_pads(config, jaw, &at) {
                 let anchor = middle.inverse_transform_point(&at);

@@ -169,6 +169,8 @@ pub(super) struct Bed {
     damping_n_s_m3: f64,
     half_thickness_m: f64,
     near: Vec<Near>,
+    /// Velocity that friction gave each node in the last sub-step, m/s.
+    rubs: Vec<Vector3<f64>>,
     depth_m: f64,
 }
 
@@ -183,6 +185,7 @@ impl Bed {
             damping_n_s_m3: touch.damping_n_s_m3(sheet.material.mass_kg_m2()),
             half_thickness_m: 0.5 * sheet.material.thickness_m,
             near: Vec::with_capacity(sheet.positions.len()),
+            rubs: vec![Vector3::zeros(); sheet.positions.len()],
             depth_m: 0.0,
         }
     }
@@ -206,6 +209,8 @@ impl Bed {
             {
                 let area_m2 = sheet.masses[node] * per_kg;
                 self.near.push(Near { node, area_m2, plane, load_n: 0.0 });
+            } else {
+                self.rubs[node] = Vector3::zeros();
             }
         }
     }
@@ -227,17 +232,35 @@ impl Bed {
         }
     }
 
-    /// Takes from the touching nodes as much of their sliding as friction can in `dt_s`.
-    pub(super) fn rub(&self, sheet: &mut Sheet, dt_s: f64) {
+    /// Gives the touching nodes the friction of the last sub-step again; see [`held_back`].
+    pub(super) fn rub_as_before(&mut self, sheet: &mut Sheet) {
+        for near in &self.near {
+            if near.load_n > 0.0 {
+                sheet.velocities[near.node] += self.rubs[near.node];
+            } else {
+                self.rubs[near.node] = Vector3::zeros();
+            }
+        }
+    }
+
+    /// Corrects the friction by as much of what still slides as it can take in `dt_s`.
+    pub(super) fn rub(&mut self, sheet: &mut Sheet, dt_s: f64) {
         for near in &self.near {
             if near.load_n > 0.0 {
                 let normal = near.plane.normal;
                 let velocity = &mut sheet.velocities[near.node];
                 let sliding = *velocity - normal * velocity.dot(&normal);
                 let most = self.touch.friction * near.load_n * dt_s * sheet.inverse_masses[near.node];
-                *velocity -= braked(&sliding, most);
+                let rub = held_back(&self.rubs[near.node], &sliding, &normal, most);
+                *velocity += rub - self.rubs[near.node];
+                self.rubs[near.node] = rub;
             }
         }
+    }
+
+    /// Numbers that decide the future, for hashing.
+    pub(super) fn state(&self) -> impl Iterator<Item = f64> + '_ {
+        self.rubs.iter().flat_map(|rub| [rub.x, rub.y, rub.z])
     }
 
     /// Deepest that the sheet sank into the ground since [`Self::begin`], m.
@@ -246,9 +269,19 @@ impl Bed {
     }
 }
 
-/// The change of velocity by which friction that can change it by `most` acts against `sliding`: all of it, if it can.
+/// The change of velocity by friction in one sub-step: what it was in the last one, `before`, and on top whatever stops
+/// the `sliding` that is left, together no more than `most`.
+///
+/// Going on from the last sub-step is what lets two surfaces pull at one node, a finger above and the organ below, until
+/// the weaker one slips; starting from nothing, the one that is asked last would always win.
 #[inline]
-pub(super) fn braked(sliding: &Vector3<f64>, most: f64) -> Vector3<f64> {
-    let speed = sliding.norm();
-    if speed <= most { *sliding } else { sliding * (most / speed) }
+pub(super) fn held_back(
+    before: &Vector3<f64>,
+    sliding: &Vector3<f64>,
+    normal: &Vector3<f64>,
+    most: f64,
+) -> Vector3<f64> {
+    let wanted = before - normal * before.dot(normal) - sliding;
+    let size = wanted.norm();
+    if size <= most { wanted } else { wanted * (most / size) }
 }

@@ -114,6 +114,15 @@ impl Solid {
         }
     }
 
+    /// The same finger while the jaw is shut: it reaches through to the outer face of the other one, so that tissue in
+    /// front of the jaw meets no seam to be drawn into.
+    pub(super) fn shut_finger() -> Self {
+        Self::Block {
+            centre: Vector3::new(0.0, 0.0, 0.5 * FINGER_M),
+            half: Vector3::new(FINGER_HALF_WIDTH_M, FINGER_THICKNESS_M, 0.5 * FINGER_M),
+        }
+    }
+
     /// The wrist, `length_m` long.
     pub(super) const fn wrist(length_m: f64) -> Self {
         Self::Capsule { length_m, radius_m: WRIST_RADIUS_M }

@@ -79,6 +79,8 @@ pub(super) struct Samples {
     points: Vec<MaterialPoint>,
     /// Area of the sheet for which one sample stands, m².
     pub(super) area_m2: f64,
+    /// Furthest that a sample may be from the nearest corner of its cell, m, be the cell stretched up to tearing.
+    cell_m: f64,
 }
 
 impl Samples {
@@ -93,8 +95,9 @@ impl Samples {
                 }));
             }
         }
-        let cell_m2 = sheet.spacing_m[0] * sheet.spacing_m[1];
-        Self { points, area_m2: cell_m2 / count(PER_CELL) }
+        let [u, v] = sheet.spacing_m;
+        let cell_m = 0.5 * (1.0 + sheet.material.tear_strain) * (u * u + v * v).sqrt();
+        Self { points, area_m2: u * v / count(PER_CELL), cell_m }
     }
 
     /// How many there are.
@@ -108,7 +111,7 @@ impl Samples {
         &self.points[index]
     }
 
-    /// Visits the samples of the cells that have a corner within `reach_m` of `middle`, in order.
+    /// Visits, in order, all samples within `reach_m` of `middle` and some that are further away.
     pub(super) fn around(
         &self,
         sheet: &Sheet,
@@ -116,7 +119,7 @@ impl Samples {
         reach_m: f64,
         mut visit: impl FnMut(usize, &MaterialPoint),
     ) {
-        let reach_m2 = reach_m * reach_m;
+        let reach_m2 = (reach_m + self.cell_m) * (reach_m + self.cell_m);
         for (cell, points) in self.points.chunks_exact(PER_CELL).enumerate() {
             let close = |corner: &usize| {
                 (sheet.positions[*corner] - middle).norm_squared() < reach_m2

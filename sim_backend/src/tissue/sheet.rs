@@ -178,6 +178,13 @@ fn norm(shape: &[Vector3<f64>]) -> f64 {
     shape.iter().map(Vector3::norm_squared).sum::<f64>().sqrt()
 }
 
+/// The longest stable sub-step of an oscillation of angular frequency squared `fastest` (1/s²) whose damping lags by
+/// `lag_s`, s.
+pub(super) fn longest_step_s(fastest: f64, lag_s: f64) -> f64 {
+    // With the forces of the old velocities the rule is stable while fastest (dt² + 2 lag dt) < 4.
+    (lag_s * lag_s + 4.0 / fastest).sqrt() - lag_s
+}
+
 /// A node on the edge of a grid stands for half a cell in that direction.
 pub(super) fn edge_share(index: usize, nodes: usize) -> f64 {
     if index == 0 || index + 1 == nodes { 0.5 } else { 1.0 }

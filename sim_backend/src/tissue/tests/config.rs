@@ -36,10 +36,10 @@ fn numbers_out_of_range_are_named_with_key_and_range() {
 
 #[test]
 fn sub_steps_too_long_for_the_stiffness_are_refused() {
-    let message = complaint("substeps = 7", "substeps = 6");
+    let message = complaint("substeps = 8", "substeps = 6");
     assert!(message.contains("tissue.substeps = 6 is outside [7, 64]"), "{message}");
     let message = complaint("young_pa = 1.0e5", "young_pa = 4.0e5");
-    assert!(message.contains("tissue.substeps = 7 is outside [1"), "{message}");
+    assert!(message.contains("tissue.substeps = 8 is outside [1"), "{message}");
 }
 
 #[test]

@@ -48,11 +48,10 @@ fn free_sheet_keeps_its_momentum() {
     for (relaxation_s, spin_lost) in [(0.0, 1e-11), (5e-5, 1e-6)] {
         let mut sheet = tumbling(relaxation_s);
         let [linear, angular] = momentum(&sheet);
-        run(&mut sheet, 1e-3 / 7.0, 7000);
+        run(&mut sheet, 1e-3 / 8.0, 8000);
         let [linear_after, angular_after] = momentum(&sheet);
         let lost = (linear_after - linear).norm() / linear.norm();
         let spin = (angular_after - angular).norm() / angular.norm();
-        println!("after 1 s, relaxation {relaxation_s} s: momentum {lost:e}, angular momentum {spin:e}");
         assert!(lost < 1e-11 && spin < spin_lost);
     }
 }
@@ -63,7 +62,7 @@ fn undamped_energy_neither_grows_nor_fades() {
     let start: f64 = sheet.energy_j().iter().sum();
     let [mut early, mut late] = [0.0_f64; 2];
     for step in 0..5000 {
-        run(&mut sheet, 1e-3 / 7.0, 7);
+        run(&mut sheet, 1e-3 / 8.0, 8);
         let now: f64 = sheet.energy_j().iter().sum();
         let strayed = (now / start - 1.0).abs();
         if step < 1000 {
@@ -72,7 +71,6 @@ fn undamped_energy_neither_grows_nor_fades() {
             late = late.max(strayed);
         }
     }
-    println!("undamped energy strays by at most {early:.4} in the first second, {late:.4} in the fifth");
     assert!(early < 0.01 && late < 0.01);
 }
 
@@ -82,13 +80,12 @@ fn damping_only_takes_energy() {
     let start: f64 = sheet.energy_j().iter().sum();
     let mut last = start;
     for step in 0..1000 {
-        run(&mut sheet, 1e-3 / 7.0, 7);
+        run(&mut sheet, 1e-3 / 8.0, 8);
         let now: f64 = sheet.energy_j().iter().sum();
         // The integrator keeps an energy that differs from this one by a part in a thousand of what swings.
         assert!(now <= last + 1e-6 * start, "step {step}: {last:e} to {now:e}");
         last = now;
     }
-    println!("damping took {:.3} of the energy", 1.0 - last / start);
     assert!(last < 0.999 * start);
 }
 
@@ -135,7 +132,6 @@ fn what_the_jaw_feels_is_what_the_tissue_loses() {
     let [linear_now, angular_now] = momentum(puppet.tissue.sheet());
     let lost = (impulse + linear_now).norm() / linear_now.norm();
     let spin = (angular + angular_now).norm() / angular_now.norm();
-    println!("momentum {linear_now:?}: {lost:e} unaccounted, of the angular {spin:e}");
     assert!(grasped && pressed_n > 0.0 && linear_now.norm() > 1e-5);
     assert!(lost < 1e-9);
     // The same loss of spin by damped bending as above.
@@ -152,7 +148,6 @@ fn flap_on_its_organ_comes_to_rest_and_stays() {
         tissue.step(&[away]);
     }
     let moved = tissue.sheet().positions().iter().zip(&before).map(|(now, then)| (now - then).norm()).fold(0.0, f64::max);
-    println!("moved {moved:e} m in 2 s, {:?}", tissue.report());
     assert!(moved < 2e-5 && tissue.report().speed_m_s < 1e-5);
 }
 

@@ -5,8 +5,10 @@ mod config;
 mod dynamics;
 mod grasp;
 mod retraction;
+mod scratch;
 mod statics;
 mod surface;
+mod violence;
 
 use hal::Pose;
 use hal::config::Source;
@@ -135,4 +137,12 @@ fn edge_tip(config: &TissueConfig, over_m: f64, aside_m: f64) -> Pose {
         mark.z - 0.5 * config.material.thickness_m,
     );
     Pose::from_parts(hinge, level)
+}
+
+/// A jaw that has just grasped the flap at the mark, by its edge.
+fn grasped(config: &TissueConfig) -> Puppet {
+    let mut puppet = Puppet::new(config, organ_ground(), edge_tip(config, 0.006, 0.0));
+    puppet.close(2.0);
+    assert!(puppet.tissue.report().grasp.is_some(), "{:?}", puppet.tissue.report());
+    puppet
 }

@@ -104,14 +104,11 @@ fn episode(aside_m: f64, rise_m: f64, speed_m_s: f64) -> (Retraction, f64) {
 #[test]
 fn a_careful_lift_succeeds_and_careless_ones_do_not() {
     let (careful, hardest_n) = episode(0.0, 0.022, 0.02);
-    println!("careful: {careful}, at most {hardest_n:.3} N");
     assert_eq!(careful, Retraction::Success);
     assert!(hardest_n < 0.5 * config().force_n_max);
     let (beside, _) = episode(0.009, 0.022, 0.02);
-    println!("9 mm aside: {beside}");
     assert!(matches!(beside, Retraction::Failure(RetractionFailure::BesideMark { .. })));
     let (too_far, hardest_n) = episode(0.0, 0.06, 0.05);
-    println!("lifted by 60 mm: {too_far}, at most {hardest_n:.3} N");
     assert!(matches!(too_far, Retraction::Failure(_)), "{too_far}");
     let (still, _) = episode(0.0, 0.0, 0.02);
     assert_eq!(still, Retraction::Running);
