@@ -15,7 +15,13 @@ use super::sheet::{Sheet, edge_share};
 pub(super) fn add_forces(sheet: &mut Sheet) {
     let plate = Plate::of(sheet);
     let time_s = sheet.material.relaxation_s;
-    let Sheet { positions, velocities, forces, nodes, .. } = sheet;
+    let Sheet {
+        positions,
+        velocities,
+        forces,
+        nodes,
+        ..
+    } = sheet;
     let at = |index: usize| positions[index] + velocities[index] * time_s;
     let row = nodes[0];
     for j in 0..nodes[1] {
@@ -103,8 +109,7 @@ pub(super) fn energy_j(sheet: &Sheet) -> f64 {
                 edge_share(i, row) > 0.75,
                 edge_share(j, sheet.nodes[1]) > 0.75,
             );
-            let difference =
-                |stride: usize| at[here - stride] - at[here] * 2.0 + at[here + stride];
+            let difference = |stride: usize| at[here - stride] - at[here] * 2.0 + at[here + stride];
             if inner_u && inner_v {
                 let (u, v) = (difference(1), difference(row));
                 sum += plate.uu * u.norm_squared()

@@ -62,7 +62,12 @@ impl TissueConfig {
         source.check_range(&of("length_m"), self.length_m, 0.01, 0.3)?;
         source.check_range(&of("depth_m"), self.depth_m, 0.01, 0.3)?;
         for axis in 0..2 {
-            source.check_range(&of(&format!("cells.{axis}")), count(self.cells[axis]), 2.0, 60.0)?;
+            source.check_range(
+                &of(&format!("cells.{axis}")),
+                count(self.cells[axis]),
+                2.0,
+                60.0,
+            )?;
             source.check_range(&of(&format!("edge_m.{axis}")), self.edge_m[axis], -0.2, 0.2)?;
         }
         source.check_range(&of("yaw_rad"), self.yaw_rad, -PI, PI)?;
@@ -72,7 +77,12 @@ impl TissueConfig {
         self.grasp.check(source, &of("grasp"))?;
         self.mark.check(source, &of("mark"), self)?;
         source.check_range(&of("gravity_m_s2"), self.gravity_m_s2, 0.0, 20.0)?;
-        source.check_range(&of("substeps"), f64::from(self.substeps), self.substeps_min(), 64.0)
+        source.check_range(
+            &of("substeps"),
+            f64::from(self.substeps),
+            self.substeps_min(),
+            64.0,
+        )
     }
 
     /// Fewest sub-steps that are stable, with room for a stretched sheet and for the stiffness of its contacts.
@@ -93,7 +103,10 @@ impl TissueConfig {
 
     /// The sheet at rest in `pose`, its first two rows fixed: the attached edge keeps its place and its slope.
     pub(super) fn sheet(&self, pose: &Pose) -> Sheet {
-        let shape = SheetShape { size_m: [self.length_m, self.depth_m], cells: self.cells };
+        let shape = SheetShape {
+            size_m: [self.length_m, self.depth_m],
+            cells: self.cells,
+        };
         let gravity = Vector3::new(0.0, 0.0, -self.gravity_m_s2);
         let mut sheet = Sheet::new(&shape, &self.material, pose, gravity);
         for node in 0..2 * sheet.nodes()[0] {

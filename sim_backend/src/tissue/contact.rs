@@ -3,7 +3,8 @@
 
 use nalgebra::Vector3;
 
-use super::ground::{Touch, held_back};
+use super::bed::held_back;
+use super::ground::Touch;
 use super::jaw::{Motion, Solid, Wrench};
 use super::samples::Samples;
 use super::sheet::Sheet;
@@ -42,12 +43,22 @@ pub(super) struct Felt {
 
 impl Felt {
     pub(super) const fn nothing() -> Self {
-        Self { wrench: Wrench::zero(), load_n: 0.0, depth_m: 0.0 }
+        Self {
+            wrench: Wrench::zero(),
+            load_n: 0.0,
+            depth_m: 0.0,
+        }
     }
 }
 
 impl Part {
-    pub(super) fn new(solid: Solid, touch: &Touch, pose: &Pose, sheet: &Sheet, samples: &Samples) -> Self {
+    pub(super) fn new(
+        solid: Solid,
+        touch: &Touch,
+        pose: &Pose,
+        sheet: &Sheet,
+        samples: &Samples,
+    ) -> Self {
         let nodes = sheet.positions.len();
         Self {
             solid,
@@ -84,19 +95,35 @@ impl Part {
         self.near.clear();
         let (middle, radius_m) = self.solid.ball();
         let middle = (pose * nalgebra::Point3::from(middle)).coords;
-        let Self { solid, near, half_thickness_m, .. } = self;
-        samples.around(sheet, &middle, radius_m + *half_thickness_m + REACH_M, |index, point| {
-            if !held[index] {
-                let local = pose.inverse_transform_point(&point.of(&sheet.positions).into());
-                if solid.distance_m(&local.coords).0 < *half_thickness_m + REACH_M {
-                    near.push(index);
+        let Self {
+            solid,
+            near,
+            half_thickness_m,
+            ..
+        } = self;
+        samples.around(
+            sheet,
+            &middle,
+            radius_m + *half_thickness_m + REACH_M,
+            |index, point| {
+                if !held[index] {
+                    let local = pose.inverse_transform_point(&point.of(&sheet.positions).into());
+                    if solid.distance_m(&local.coords).0 < *half_thickness_m + REACH_M {
+                        near.push(index);
+                    }
                 }
-            }
-        });
+            },
+        );
     }
 
     /// Adds the part's pressure at the share `share` of the millisecond to the sheet's forces.
-    pub(super) fn press(&mut self, sheet: &mut Sheet, samples: &Samples, share: f64, centre: &Vector3<f64>) {
+    pub(super) fn press(
+        &mut self,
+        sheet: &mut Sheet,
+        samples: &Samples,
+        share: f64,
+        centre: &Vector3<f64>,
+    ) {
         if self.near.is_empty() {
             return;
         }
@@ -111,7 +138,8 @@ impl Part {
                 continue;
             }
             let normal = pose.rotation * normal;
-            let leaving = (point.of(&sheet.velocities) - self.motion.velocity(&pose, &at)).dot(&normal);
+            let leaving =
+                (point.of(&sheet.velocities) - self.motion.velocity(&pose, &at)).dot(&normal);
             let pressure = self.touch.stiffness_n_m3 * depth_m - self.damping_n_s_m3 * leaving;
             let load_n = (pressure * samples.area_m2).max(0.0);
             let force = normal * load_n;

@@ -1,14 +1,14 @@
 //! The flap with everything that touches it, a millisecond at a time.
 
 use hal::Pose;
-use hal::psm::FINGER_M;
 use nalgebra::{Matrix3, Point3, Rotation3, UnitQuaternion, Vector3};
 
+use super::bed::Bed;
 use super::config::{STEP_S, TissueConfig};
-use super::contact::{Felt, Part};
-use super::grasp::Hold;
-use super::ground::{Bed, Ground};
-use super::jaw::{JawInput, Motion, Solid, Wrench, frame_along};
+use super::contact::Part;
+use super::ground::Ground;
+use super::instrument::Jaw;
+use super::jaw::JawInput;
 use super::report::{Grasp, JawReport, TissueReport};
 use super::samples::{MaterialPoint, Samples};
 use super::sheet::Sheet;
@@ -33,17 +33,6 @@ pub struct Tissue {
     report: TissueReport,
 }
 
-/// One instrument.
-#[derive(Clone, Debug)]
-struct Jaw {
-    input: JawInput,
-    motion: Motion,
-    parts: [Part; 3],
-    hold: Hold,
-    squeeze_n_m3: f64,
-    report: JawReport,
-}
-
 /// Milliseconds for which a new flap settles on its organ before the episode begins, heavily damped.
 const SETTLE_STEPS: usize = 1000;
 /// Damping while it settles, 1/s.
@@ -52,8 +41,6 @@ const SETTLE_DRAG_PER_S: f64 = 25.0;
 const FORCE_SHARE: f64 = 0.239;
 /// What is left of a fading force below this is none, N.
 const FORCE_N_MIN: f64 = 1e-12;
-/// Gap of a jaw's ends, over the tissue's thickness, below which nothing fits between them.
-const SHUT: f64 = 0.5;
 /// A coordinate beyond this is out of range, m.
 const RANGE_M: f64 = 1.0;
 
@@ -70,7 +57,10 @@ impl Tissue {
         let mark = MaterialPoint::at(&sheet, mark_m);
         let speed_max_m_s =
             0.5 * sheet.spacing_m[0].min(sheet.spacing_m[1]) * f64::from(config.substeps) / STEP_S;
-        let jaws = jaws.iter().map(|input| Jaw::new(config, input, &sheet, &samples)).collect();
+        let jaws = jaws
+            .iter()
+            .map(|input| Jaw::new(config, input, &sheet, &samples))
+            .collect();
         let mut tissue = Self {
             kept: sheet.positions.clone(),
             sheet,
@@ -99,7 +89,10 @@ impl Tissue {
         self.sheet.material.drag_per_s = drag;
         self.sheet.velocities.fill(Vector3::zeros());
         self.mark_rest = self.mark.of(&self.sheet.positions);
-        self.report = TissueReport { fault: self.report.fault, ..TissueReport::at_rest() };
+        self.report = TissueReport {
+            fault: self.report.fault,
+            ..TissueReport::at_rest()
+        };
     }
 
     /// Advances one millisecond, in which every jaw moves to where `inputs` says; a jaw without an input stays.
@@ -135,7 +128,13 @@ impl Tissue {
     }
 
     fn substep(&mut self, share: f64, dt_s: f64) {
-        let Self { sheet, samples, bed, jaws, .. } = self;
+        let Self {
+            sheet,
+            samples,
+            bed,
+            jaws,
+            ..
+        } = self;
         sheet.load();
         bed.press(sheet);
         for jaw in jaws.iter_mut() {
@@ -166,7 +165,11 @@ impl Tissue {
     fn in_range(&self) -> bool {
         let near = |v: &Vector3<f64>| v.iter().all(|x| x.abs() <= RANGE_M);
         self.sheet.positions.iter().all(near)
-            && self.sheet.velocities.iter().all(|v| v.iter().all(|x| x.is_finite()))
+            && self
+                .sheet
+                .velocities
+                .iter()
+                .all(|v| v.iter().all(|x| x.is_finite()))
     }
 
     /// Stops for good where the flap last was.
@@ -178,7 +181,11 @@ impl Tissue {
             jaw.report = JawReport::untouched();
         }
         let torn = self.report.torn;
-        self.report = TissueReport { fault: true, torn, ..TissueReport::at_rest() };
+        self.report = TissueReport {
+            fault: true,
+            torn,
+            ..TissueReport::at_rest()
+        };
     }
 
     /// Reads off what the report says.
@@ -188,13 +195,26 @@ impl Tissue {
         report.stretch = stretch;
         report.torn |= stretch > self.sheet.material.tear_strain;
         report.ground_depth_m = self.bed.depth_m();
-        report.force_n = self.jaws.iter().map(|jaw| jaw.report.total().force.norm()).fold(0.0, f64::max);
+        report.force_n = self
+            .jaws
+            .iter()
+            .map(|jaw| jaw.report.total().force.norm())
+            .fold(0.0, f64::max);
         report.smooth_force_n += FORCE_SHARE * (report.force_n - report.smooth_force_n);
         if report.smooth_force_n < FORCE_N_MIN {
             report.smooth_force_n = 0.0;
         }
-        report.instrument_depth_m = self.jaws.iter().map(|jaw| jaw.report.depth_m).fold(0.0, f64::max);
-        report.speed_m_s = self.sheet.velocities.iter().map(Vector3::norm).fold(0.0, f64::max);
+        report.instrument_depth_m = self
+            .jaws
+            .iter()
+            .map(|jaw| jaw.report.depth_m)
+            .fold(0.0, f64::max);
+        report.speed_m_s = self
+            .sheet
+            .velocities
+            .iter()
+            .map(Vector3::norm)
+            .fold(0.0, f64::max);
         report.lost = self.jaws.iter().map(|jaw| jaw.hold.lost()).sum();
         report.mark_rise_m = (self.mark.of(&self.sheet.positions) - self.mark_rest).z;
         let mark_m = self.mark_m;
@@ -219,7 +239,9 @@ impl Tissue {
     /// What one jaw felt in the newest step; nothing for a jaw that does not exist.
     #[must_use]
     pub fn jaw(&self, index: usize) -> JawReport {
-        self.jaws.get(index).map_or(JawReport::untouched(), |jaw| jaw.report)
+        self.jaws
+            .get(index)
+            .map_or(JawReport::untouched(), |jaw| jaw.report)
     }
 
     /// The elastic sheet, for drawing and tests.
@@ -244,8 +266,10 @@ impl Tissue {
             _ => (Vector3::x(), Vector3::z()),
         };
         let axes = Matrix3::from_columns(&[along, out.cross(&along), out]);
-        let rotation = UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(axes));
-        let at = self.mark.of(&self.sheet.positions) + out * (0.5 * self.sheet.material.thickness_m);
+        let rotation =
+            UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(axes));
+        let at =
+            self.mark.of(&self.sheet.positions) + out * (0.5 * self.sheet.material.thickness_m);
         Pose::from_parts(at.into(), rotation)
     }
 
@@ -253,87 +277,14 @@ impl Tissue {
     pub fn state(&self) -> impl Iterator<Item = f64> + '_ {
         let vectors = self.sheet.positions.iter().chain(&self.sheet.velocities);
         let holds = self.jaws.iter().flat_map(|jaw| jaw.hold.state());
-        let parts = self.jaws.iter().flat_map(|jaw| &jaw.parts).flat_map(Part::state);
+        let parts = self
+            .jaws
+            .iter()
+            .flat_map(|jaw| &jaw.parts)
+            .flat_map(Part::state);
         let vectors = vectors.flat_map(|v| [v.x, v.y, v.z]);
         vectors.chain(holds).chain(parts).chain(self.bed.state())
     }
-}
-
-impl Jaw {
-    fn new(config: &TissueConfig, input: &JawInput, sheet: &Sheet, samples: &Samples) -> Self {
-        let [first, second] = input.fingers;
-        let (wrist, wrist_m) = frame_along(&input.wrist[0], &input.wrist[1]);
-        let part = |solid, pose: &Pose| Part::new(solid, &config.instrument, pose, sheet, samples);
-        Self {
-            input: *input,
-            motion: Motion::new(&input.middle(), &input.middle(), STEP_S),
-            parts: [
-                part(Solid::finger(1.0), &first),
-                part(Solid::finger(-1.0), &second),
-                part(Solid::wrist(wrist_m), &wrist),
-            ],
-            hold: Hold::new(&config.grasp, sheet, samples),
-            squeeze_n_m3: config.material.young_pa / config.material.thickness_m,
-            report: JawReport::untouched(),
-        }
-    }
-
-    fn begin(&mut self, input: &JawInput, sheet: &Sheet, samples: &Samples) {
-        self.motion = Motion::new(&self.input.middle(), &input.middle(), STEP_S);
-        self.input = *input;
-        let (wrist, _) = frame_along(&input.wrist[0], &input.wrist[1]);
-        let poses = [input.fingers[0], input.fingers[1], wrist];
-        self.hold.begin();
-        let shut = input.gap_m() < SHUT * sheet.material.thickness_m;
-        for (part, side) in self.parts.iter_mut().zip([1.0, -1.0]) {
-            part.reshape(if shut { Solid::shut_finger() } else { Solid::finger(side) });
-        }
-        for (part, pose) in self.parts.iter_mut().zip(poses) {
-            part.begin(&pose, STEP_S, sheet, samples, self.hold.held());
-        }
-    }
-
-    fn end(&mut self, sheet: &Sheet, samples: &Samples, substeps: f64) {
-        let felt: [Felt; 3] = [0, 1, 2].map(|index| self.parts[index].felt(substeps));
-        let pull = self.hold.felt(substeps);
-        let grasp = self.hold.holds().then(|| self.grasp(sheet, &pull));
-        let mut wrenches = felt.map(|felt| felt.wrench);
-        // Both pads share what the patch pulls.
-        wrenches[0].add(&pull.scaled(0.5));
-        wrenches[1].add(&pull.scaled(0.5));
-        let squeeze_n =
-            self.squeeze_n_m3 * self.hold.area_m2() * self.hold.squeezed_m(&self.input, sheet);
-        let squeezed = squeeze(&self.input.middle(), squeeze_n);
-        wrenches[0].add(&squeezed);
-        wrenches[1].add(&squeezed.scaled(-1.0));
-        self.report = JawReport {
-            fingers: [wrenches[0], wrenches[1]],
-            wrist: wrenches[2],
-            pressed_n: felt.map(|felt| felt.load_n),
-            depth_m: felt.iter().map(|felt| felt.depth_m).fold(0.0, f64::max),
-            grasp,
-        };
-        let pressed_n = [felt[0].load_n, felt[1].load_n];
-        self.hold.decide(&self.input, sheet, samples, pressed_n, pull.force.norm());
-    }
-
-    fn grasp(&self, sheet: &Sheet, pull: &Wrench) -> Grasp {
-        Grasp {
-            area_m2: self.hold.area_m2(),
-            force_n: pull.force.norm(),
-            middle_m: self.hold.middle_m(sheet),
-            beside_mark_m: f64::INFINITY,
-        }
-    }
-}
-
-/// What squeezed tissue does to the first finger of a jaw around `middle`: a force along y at the pads' middle. The
-/// second finger feels the opposite, so that nothing is left of it on the whole.
-fn squeeze(middle: &Pose, force_n: f64) -> Wrench {
-    let mut wrench = Wrench::zero();
-    let lever = middle.rotation * Vector3::new(0.0, 0.0, 0.6 * FINGER_M);
-    wrench.push(&lever, &(middle.rotation * Vector3::new(0.0, force_n, 0.0)));
-    wrench
 }
 
 /// Lays a flat sheet down: every node to where it touches the ground, or where the ground ends, as high as the last one

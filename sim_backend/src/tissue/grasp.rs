@@ -44,8 +44,9 @@ impl GraspConfig {
     /// # Errors
     /// [`ConfigError::OutOfRange`].
     pub fn check(&self, source: &Source, key: &str) -> Result<(), ConfigError> {
-        let check =
-            |name: &str, value, low, high| source.check_range(&format!("{key}.{name}"), value, low, high);
+        let check = |name: &str, value, low, high| {
+            source.check_range(&format!("{key}.{name}"), value, low, high)
+        };
         check("grip_n_min", self.grip_n_min, 0.01, 20.0)?;
         check("press_n_min", self.press_n_min, 0.0001, 5.0)?;
         check("area_m2_min", self.area_m2_min, 1e-6, 1e-4)?;
@@ -142,10 +143,15 @@ impl Hold {
 
     /// Numbers that decide the future, for hashing.
     pub(super) fn state(&self) -> impl Iterator<Item = f64> + '_ {
-        let anchors = self.ties.iter().flat_map(|tie| {
-            [count(tie.index), tie.anchor.x, tie.anchor.y, tie.anchor.z]
-        });
-        anchors.chain([self.gap_m, f64::from(u8::from(self.armed)), f64::from(self.lost)])
+        let anchors = self
+            .ties
+            .iter()
+            .flat_map(|tie| [count(tie.index), tie.anchor.x, tie.anchor.y, tie.anchor.z]);
+        anchors.chain([
+            self.gap_m,
+            f64::from(u8::from(self.armed)),
+            f64::from(self.lost),
+        ])
     }
 
     pub(super) fn begin(&mut self) {
@@ -217,7 +223,9 @@ impl Hold {
         } else if gap_m < SHUT * self.config.gap_m_max {
             self.armed = false;
         }
-        let pressed = pressed_n.iter().all(|load| *load >= self.config.press_n_min);
+        let pressed = pressed_n
+            .iter()
+            .all(|load| *load >= self.config.press_n_min);
         if self.armed && pressed && jaw.grip_n >= self.config.grip_n_min {
             self.take(jaw, sheet, samples);
             self.gap_m = gap_m;
@@ -232,7 +240,11 @@ impl Hold {
             let at = Point3::from(point.of(&sheet.positions));
             if between_pads(config, jaw, &at) {
                 let anchor = middle.inverse_transform_point(&at);
-                ties.push(Tie { index, point: *point, anchor });
+                ties.push(Tie {
+                    index,
+                    point: *point,
+                    anchor,
+                });
             }
         });
         if self.area_m2() < self.config.area_m2_min {

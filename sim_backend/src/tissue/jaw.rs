@@ -33,7 +33,10 @@ impl JawInput {
             pose.translation.vector.iter().all(|x| x.is_finite())
                 && pose.rotation.coords.iter().all(|x| x.is_finite())
         });
-        let ends = self.wrist.iter().all(|end| end.coords.iter().all(|x| x.is_finite()));
+        let ends = self
+            .wrist
+            .iter()
+            .all(|end| end.coords.iter().all(|x| x.is_finite()));
         poses && ends && self.grip_n.is_finite()
     }
 
@@ -99,7 +102,10 @@ impl Wrench {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Solid {
     /// A box.
-    Block { centre: Vector3<f64>, half: Vector3<f64> },
+    Block {
+        centre: Vector3<f64>,
+        half: Vector3<f64>,
+    },
     /// A capsule along z from the origin.
     Capsule { length_m: f64, radius_m: f64 },
 }
@@ -107,7 +113,11 @@ pub(super) enum Solid {
 impl Solid {
     /// The finger on the side `side` (1 or -1) of the jaw.
     pub(super) fn finger(side: f64) -> Self {
-        let half = Vector3::new(FINGER_HALF_WIDTH_M, 0.5 * FINGER_THICKNESS_M, 0.5 * FINGER_M);
+        let half = Vector3::new(
+            FINGER_HALF_WIDTH_M,
+            0.5 * FINGER_THICKNESS_M,
+            0.5 * FINGER_M,
+        );
         Self::Block {
             centre: Vector3::new(0.0, side * half.y, half.z),
             half,
@@ -125,7 +135,10 @@ impl Solid {
 
     /// The wrist, `length_m` long.
     pub(super) const fn wrist(length_m: f64) -> Self {
-        Self::Capsule { length_m, radius_m: WRIST_RADIUS_M }
+        Self::Capsule {
+            length_m,
+            radius_m: WRIST_RADIUS_M,
+        }
     }
 
     /// Middle and radius of a ball around it, in its frame, m.
@@ -147,7 +160,11 @@ impl Solid {
                 let along = point.z.clamp(0.0, length_m);
                 let away = point - Vector3::new(0.0, 0.0, along);
                 let norm = away.norm();
-                let normal = if norm > 0.0 { away / norm } else { Vector3::x() };
+                let normal = if norm > 0.0 {
+                    away / norm
+                } else {
+                    Vector3::x()
+                };
                 (norm - radius_m, normal)
             }
         }
@@ -221,7 +238,11 @@ pub(super) fn between(
     to: &UnitQuaternion<f64>,
     share: f64,
 ) -> UnitQuaternion<f64> {
-    let sign = if from.coords.dot(&to.coords) < 0.0 { -1.0 } else { 1.0 };
+    let sign = if from.coords.dot(&to.coords) < 0.0 {
+        -1.0
+    } else {
+        1.0
+    };
     let mixed = from.coords * (1.0 - share) + to.coords * (sign * share);
     UnitQuaternion::new_normalize(Quaternion::from(mixed))
 }

@@ -33,6 +33,11 @@ impl MarkConfig {
         tissue: &TissueConfig,
     ) -> Result<(), ConfigError> {
         source.check_range(&format!("{key}.span_m"), self.span_m, 0.0, tissue.length_m)?;
-        source.check_range(&format!("{key}.inset_m"), self.inset_m, 0.0, 0.5 * tissue.depth_m)
+        source.check_range(
+            &format!("{key}.inset_m"),
+            self.inset_m,
+            0.0,
+            0.5 * tissue.depth_m,
+        )
     }
 }

@@ -29,8 +29,9 @@ impl Material {
     /// # Errors
     /// [`ConfigError::OutOfRange`].
     pub fn check(&self, source: &Source, key: &str) -> Result<(), ConfigError> {
-        let check =
-            |name: &str, value, low, high| source.check_range(&format!("{key}.{name}"), value, low, high);
+        let check = |name: &str, value, low, high| {
+            source.check_range(&format!("{key}.{name}"), value, low, high)
+        };
         check("thickness_m", self.thickness_m, 0.0005, 0.02)?;
         check("young_pa", self.young_pa, 1e3, 2e6)?;
         check("poisson", self.poisson, 0.0, 0.499)?;

@@ -38,8 +38,14 @@ impl Edges {
     fn strains(&self) -> Strains {
         let ([u0, u1], [v0, v1]) = (&self.u, &self.v);
         Strains {
-            u: [0.5 * (u0.norm_squared() - 1.0), 0.5 * (u1.norm_squared() - 1.0)],
-            v: [0.5 * (v0.norm_squared() - 1.0), 0.5 * (v1.norm_squared() - 1.0)],
+            u: [
+                0.5 * (u0.norm_squared() - 1.0),
+                0.5 * (u1.norm_squared() - 1.0),
+            ],
+            v: [
+                0.5 * (v0.norm_squared() - 1.0),
+                0.5 * (v1.norm_squared() - 1.0),
+            ],
             shear: [
                 [0.5 * u0.dot(v0), 0.5 * u0.dot(v1)],
                 [0.5 * u1.dot(v0), 0.5 * u1.dot(v1)],
@@ -67,7 +73,11 @@ impl Strains {
     fn largest(&self) -> f64 {
         let [[a, b], [c, d]] = self.shear;
         let shear = a.abs().max(b.abs()).max(c.abs().max(d.abs()));
-        let stretch = self.u[0].abs().max(self.u[1].abs()).max(self.v[0].abs()).max(self.v[1].abs());
+        let stretch = self.u[0]
+            .abs()
+            .max(self.u[1].abs())
+            .max(self.v[0].abs())
+            .max(self.v[1].abs());
         stretch.max(shear)
     }
 }

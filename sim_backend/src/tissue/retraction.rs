@@ -129,8 +129,9 @@ impl RetractionConfig {
     /// # Errors
     /// [`ConfigError::OutOfRange`].
     pub fn check(&self, source: &Source, key: &str) -> Result<(), ConfigError> {
-        let check =
-            |name: &str, value, low, high| source.check_range(&format!("{key}.{name}"), value, low, high);
+        let check = |name: &str, value, low, high| {
+            source.check_range(&format!("{key}.{name}"), value, low, high)
+        };
         check("lift_height_m", self.lift_height_m, 0.001, 0.1)?;
         check("hold_s", self.hold_s, 0.0, 10.0)?;
         check("mark_distance_m", self.mark_distance_m, 0.000_5, 0.05)?;
@@ -193,7 +194,9 @@ impl RetractionMonitor {
         self.count(report);
         self.state = match self.failure(report) {
             Some(failure) => Retraction::Failure(failure),
-            None if self.lasting.held_s > 0.0 && reached(self.lasting.held_s, self.config.hold_s) => {
+            None if self.lasting.held_s > 0.0
+                && reached(self.lasting.held_s, self.config.hold_s) =>
+            {
                 Retraction::Success
             }
             None => Retraction::Running,
@@ -209,9 +212,18 @@ impl RetractionMonitor {
         for (seconds, lasts) in [
             (&mut lasting.held_s, right && lifted),
             (&mut lasting.stray_s, beside_m.is_some() && !right),
-            (&mut lasting.hard_s, report.smooth_force_n > config.force_n_max),
-            (&mut lasting.stretched_s, report.stretch > config.stretch_max),
-            (&mut lasting.deep_s, report.instrument_depth_m > config.depth_m_max),
+            (
+                &mut lasting.hard_s,
+                report.smooth_force_n > config.force_n_max,
+            ),
+            (
+                &mut lasting.stretched_s,
+                report.stretch > config.stretch_max,
+            ),
+            (
+                &mut lasting.deep_s,
+                report.instrument_depth_m > config.depth_m_max,
+            ),
             (&mut lasting.fast_s, report.speed_m_s > config.speed_m_s_max),
         ] {
             *seconds = if lasts { *seconds + STEP_S } else { 0.0 };
@@ -228,18 +240,30 @@ impl RetractionMonitor {
         } else if report.lost > 0 {
             Some(RetractionFailure::SlippedOut)
         } else if judged(lasting.hard_s) {
-            Some(RetractionFailure::TooHard { force_n: report.smooth_force_n })
+            Some(RetractionFailure::TooHard {
+                force_n: report.smooth_force_n,
+            })
         } else if judged(lasting.stretched_s) {
-            Some(RetractionFailure::Overstretched { stretch: report.stretch })
+            Some(RetractionFailure::Overstretched {
+                stretch: report.stretch,
+            })
         } else if judged(lasting.deep_s) {
-            Some(RetractionFailure::Sunk { depth_m: report.instrument_depth_m })
+            Some(RetractionFailure::Sunk {
+                depth_m: report.instrument_depth_m,
+            })
         } else if judged(lasting.fast_s) {
-            Some(RetractionFailure::Flung { speed_m_s: report.speed_m_s })
+            Some(RetractionFailure::Flung {
+                speed_m_s: report.speed_m_s,
+            })
         } else if lasting.stray_s > 0.0 && reached(lasting.stray_s, self.config.stray_s) {
-            let distance_m = report.grasp.map_or(f64::INFINITY, |grasp| grasp.beside_mark_m);
+            let distance_m = report
+                .grasp
+                .map_or(f64::INFINITY, |grasp| grasp.beside_mark_m);
             Some(RetractionFailure::BesideMark { distance_m })
         } else if reached(self.time_s, self.config.time_limit_s) {
-            Some(RetractionFailure::TimeLimit { limit_s: self.config.time_limit_s })
+            Some(RetractionFailure::TimeLimit {
+                limit_s: self.config.time_limit_s,
+            })
         } else {
             None
         }

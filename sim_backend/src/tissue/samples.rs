@@ -63,7 +63,10 @@ impl MaterialPoint {
     pub(super) fn tangents(&self, field: &[Vector3<f64>]) -> [Vector3<f64>; 2] {
         let [a, b, c, d] = self.corners.map(|corner| field[corner]);
         let [p, q, r, s] = self.weights;
-        [(b - a) * (p + q) + (d - c) * (r + s), (c - a) * (p + r) + (d - b) * (q + s)]
+        [
+            (b - a) * (p + q) + (d - c) * (r + s),
+            (c - a) * (p + r) + (d - b) * (q + s),
+        ]
     }
 
     /// The corners with their weights.
@@ -97,7 +100,11 @@ impl Samples {
         }
         let [u, v] = sheet.spacing_m;
         let cell_m = 0.5 * (1.0 + sheet.material.tear_strain) * (u * u + v * v).sqrt();
-        Self { points, area_m2: u * v / count(PER_CELL), cell_m }
+        Self {
+            points,
+            area_m2: u * v / count(PER_CELL),
+            cell_m,
+        }
     }
 
     /// How many there are.
@@ -121,9 +128,8 @@ impl Samples {
     ) {
         let reach_m2 = (reach_m + self.cell_m) * (reach_m + self.cell_m);
         for (cell, points) in self.points.chunks_exact(PER_CELL).enumerate() {
-            let close = |corner: &usize| {
-                (sheet.positions[*corner] - middle).norm_squared() < reach_m2
-            };
+            let close =
+                |corner: &usize| (sheet.positions[*corner] - middle).norm_squared() < reach_m2;
             if points[0].corners.iter().any(close) {
                 for (sub, point) in points.iter().enumerate() {
                     visit(cell * PER_CELL + sub, point);

@@ -35,7 +35,12 @@ pub struct Sheet {
 impl Sheet {
     /// A flat sheet at rest: `pose` places its frame, u along x and v along y, the corner `[0, 0]` at the origin.
     #[must_use]
-    pub fn new(shape: &SheetShape, material: &Material, pose: &Pose, gravity: Vector3<f64>) -> Self {
+    pub fn new(
+        shape: &SheetShape,
+        material: &Material,
+        pose: &Pose,
+        gravity: Vector3<f64>,
+    ) -> Self {
         let nodes = shape.cells.map(|cells| cells + 1);
         let spacing_m = [0, 1].map(|axis| shape.size_m[axis] / count(shape.cells[axis]));
         let mut positions = Vec::with_capacity(nodes[0] * nodes[1]);
@@ -123,7 +128,11 @@ impl Sheet {
             kinetic += 0.5 * mass * self.velocities[index].norm_squared();
             potential -= mass * self.gravity.dot(&self.positions[index]);
         }
-        [kinetic, membrane::energy_j(self) + bending::energy_j(self), potential]
+        [
+            kinetic,
+            membrane::energy_j(self) + bending::energy_j(self),
+            potential,
+        ]
     }
 
     /// Largest stretch of any cell (0.1 is a tenth longer than at rest), never below 0.
@@ -187,11 +196,18 @@ pub(super) fn longest_step_s(fastest: f64, lag_s: f64) -> f64 {
 
 /// A node on the edge of a grid stands for half a cell in that direction.
 pub(super) fn edge_share(index: usize, nodes: usize) -> f64 {
-    if index == 0 || index + 1 == nodes { 0.5 } else { 1.0 }
+    if index == 0 || index + 1 == nodes {
+        0.5
+    } else {
+        1.0
+    }
 }
 
 /// A count as a number.
-#[expect(clippy::cast_precision_loss, reason = "counts of nodes, far below 2^52")]
+#[expect(
+    clippy::cast_precision_loss,
+    reason = "counts of nodes, far below 2^52"
+)]
 pub(super) const fn count(number: usize) -> f64 {
     number as f64
 }

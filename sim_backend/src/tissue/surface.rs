@@ -79,7 +79,11 @@ impl Surface {
             let out = along.cross(&up).try_normalize(0.0).unwrap_or(up);
             let offset = up * self.half_thickness_m;
             self.set(2 * whole + 2 * corner, &(self.middle[here] + offset), &out);
-            self.set(2 * whole + 2 * corner + 1, &(self.middle[here] - offset), &out);
+            self.set(
+                2 * whole + 2 * corner + 1,
+                &(self.middle[here] - offset),
+                &out,
+            );
         }
     }
 
@@ -106,7 +110,10 @@ impl Surface {
         let at = |i: usize, j: usize| self.middle[j * columns + i];
         let along_u = at((i + 1).min(columns - 1), j) - at(i.saturating_sub(1), j);
         let along_v = at(i, (j + 1).min(rows - 1)) - at(i, j.saturating_sub(1));
-        along_u.cross(&along_v).try_normalize(0.0).unwrap_or_else(Vector3::z)
+        along_u
+            .cross(&along_v)
+            .try_normalize(0.0)
+            .unwrap_or_else(Vector3::z)
     }
 
     fn set(&mut self, vertex: usize, position: &Vector3<f64>, normal: &Vector3<f64>) {
@@ -144,8 +151,16 @@ fn along(
         return at(cell);
     }
     let (low, high) = (at(cell), at(cell + 1));
-    let before = if cell == 0 { low * 2.0 - high } else { at(cell - 1) };
-    let after = if cell + 2 < nodes { at(cell + 2) } else { high * 2.0 - low };
+    let before = if cell == 0 {
+        low * 2.0 - high
+    } else {
+        at(cell - 1)
+    };
+    let after = if cell + 2 < nodes {
+        at(cell + 2)
+    } else {
+        high * 2.0 - low
+    };
     let [p, q, r, s] = weights[part];
     before * p + low * q + high * r + after * s
 }
@@ -177,5 +192,8 @@ fn indices([columns, rows]: [usize; 2], rim: usize) -> Vec<u32> {
         triangles.extend([here, here + 1, next + 1, here, next + 1, next]);
     }
     // A grid that fits memory has far fewer than 2^32 vertices.
-    triangles.into_iter().map(|vertex| u32::try_from(vertex).unwrap_or(0)).collect()
+    triangles
+        .into_iter()
+        .map(|vertex| u32::try_from(vertex).unwrap_or(0))
+        .collect()
 }

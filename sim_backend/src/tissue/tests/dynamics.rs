@@ -10,7 +10,12 @@ use crate::tissue::{Ground, Sheet, SheetShape, Tissue};
 /// Momentum and angular momentum about the origin.
 fn momentum(sheet: &Sheet) -> [Vector3<f64>; 2] {
     let mut sums = [Vector3::zeros(); 2];
-    for ((at, velocity), mass) in sheet.positions.iter().zip(&sheet.velocities).zip(&sheet.masses) {
+    for ((at, velocity), mass) in sheet
+        .positions
+        .iter()
+        .zip(&sheet.velocities)
+        .zip(&sheet.masses)
+    {
         sums[0] += velocity * *mass;
         sums[1] += at.cross(velocity) * *mass;
     }
@@ -22,14 +27,18 @@ fn tumbling(relaxation_s: f64) -> Sheet {
     let mut material = flap_config().material;
     material.drag_per_s = 0.0;
     material.relaxation_s = relaxation_s;
-    let shape = SheetShape { size_m: [0.06, 0.048], cells: [15, 12] };
+    let shape = SheetShape {
+        size_m: [0.06, 0.048],
+        cells: [15, 12],
+    };
     let mut sheet = Sheet::new(&shape, &material, &Pose::identity(), Vector3::zeros());
     let mut rng = Rng::new(5);
     for index in 0..sheet.positions.len() {
         let at = sheet.positions[index];
         let noise: [f64; 3] = std::array::from_fn(|_| rng.range(-0.02, 0.02));
-        sheet.velocities[index] =
-            Vector3::new(0.1, -0.2, 0.05) + Vector3::new(1.0, 2.0, 4.0).cross(&at) + Vector3::from(noise);
+        sheet.velocities[index] = Vector3::new(0.1, -0.2, 0.05)
+            + Vector3::new(1.0, 2.0, 4.0).cross(&at)
+            + Vector3::from(noise);
     }
     sheet
 }
@@ -83,7 +92,10 @@ fn damping_only_takes_energy() {
         run(&mut sheet, 1e-3 / 8.0, 8);
         let now: f64 = sheet.energy_j().iter().sum();
         // The integrator keeps an energy that differs from this one by a part in a thousand of what swings.
-        assert!(now <= last + 1e-6 * start, "step {step}: {last:e} to {now:e}");
+        assert!(
+            now <= last + 1e-6 * start,
+            "step {step}: {last:e} to {now:e}"
+        );
         last = now;
     }
     assert!(last < 0.999 * start);
@@ -119,7 +131,8 @@ fn what_the_jaw_feels_is_what_the_tissue_loses() {
             puppet.grip_n = 2.0;
         } else {
             let speed = 0.1 * f64::from(step - 600).min(100.0) / 100.0;
-            puppet.tip = Translation3::new(0.5e-3 * speed, -1e-3 * speed, 1e-3 * speed) * puppet.tip;
+            puppet.tip =
+                Translation3::new(0.5e-3 * speed, -1e-3 * speed, 1e-3 * speed) * puppet.tip;
         }
         puppet.step();
         let felt = puppet.tissue.jaw(0);
@@ -147,7 +160,13 @@ fn flap_on_its_organ_comes_to_rest_and_stays() {
     for _ in 0..2000 {
         tissue.step(&[away]);
     }
-    let moved = tissue.sheet().positions().iter().zip(&before).map(|(now, then)| (now - then).norm()).fold(0.0, f64::max);
+    let moved = tissue
+        .sheet()
+        .positions()
+        .iter()
+        .zip(&before)
+        .map(|(now, then)| (now - then).norm())
+        .fold(0.0, f64::max);
     assert!(moved < 2e-5 && tissue.report().speed_m_s < 1e-5);
 }
 

@@ -4,7 +4,7 @@ use hal::Pose;
 use nalgebra::{Translation3, UnitQuaternion, Vector3};
 
 use super::{OPEN_RAD, Puppet, edge_tip, flap_config, grasped, jaw_at, organ_ground};
-use crate::tissue::Tissue;
+use crate::tissue::{Ground, Tissue};
 
 #[test]
 fn closing_on_the_mark_takes_the_area_between_the_pads_and_lifts_it() {
@@ -30,69 +30,87 @@ fn the_jaw_carries_what_the_attached_edge_does_not() {
     let sheet = &mut puppet.tissue.sheet;
     sheet.load();
     // Elastic forces sum to nothing, so what the attached nodes feel is what the edge carries, but for its sign.
-    let fixed = sheet.forces.iter().zip(&sheet.inverse_masses).filter(|(_, inverse)| **inverse <= 0.0);
+    let fixed = sheet
+        .forces
+        .iter()
+        .zip(&sheet.inverse_masses)
+        .filter(|(_, inverse)| **inverse <= 0.0);
     let edge: Vector3<f64> = fixed.map(|(force, _)| force).sum();
     let expected = sheet.gravity * sheet.masses.iter().sum::<f64>() - edge;
     assert!(ground_m <= 0.0, "hangs free");
     assert!((felt - expected).norm() < 0.01 * felt.norm());
 }
 
-/// A jaw that points straight down, its hinge turned by `yaw_rad` from the edge, its ends `above_m` over the face of the
-/// flap at a point `inward_m` further from the free edge than the mark.
-pub(super) fn from_above(inward_m: f64, yaw_rad: f64, above_m: f64) -> Puppet {
+/// A jaw that points straight down over `ground`, its hinge turned by `yaw_rad` from the edge, its ends `above_m` over the
+/// face of the flap at a point `inward_m` further from the free edge than the mark.
+fn from_above(ground: Ground, inward_m: f64, yaw_rad: f64, above_m: f64) -> Puppet {
     let config = flap_config();
     let away = jaw_at([0.0, 0.0, 0.1], OPEN_RAD, 0.0);
-    let rest = Tissue::new(&config, organ_ground(), 3, &[away]);
+    let rest = Tissue::new(&config, ground.clone(), 3, &[away]);
     let mark = rest.mark_in_scene().translation.vector;
     let down = UnitQuaternion::from_axis_angle(&Vector3::x_axis(), core::f64::consts::PI);
     let turn = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), yaw_rad);
     let reach_m = hal::psm::FINGER_M * (0.5 * OPEN_RAD).cos();
     let hinge = Translation3::new(mark.x, mark.y + inward_m, mark.z + above_m + reach_m);
-    Puppet::new(&config, organ_ground(), Pose::from_parts(hinge, turn * down))
+    Puppet::new(&config, ground, Pose::from_parts(hinge, turn * down))
 }
 
 #[test]
-fn a_fold_is_pinched_from_above() {
-    // In the middle of the flap across and along, and at the mark along the edge, where the flap stands out freely.
+fn a_fold_is_pinched_from_above_where_the_organ_bears_it() {
+    // In the middle of the flap across and along, and at the mark along the edge.
     let along = core::f64::consts::FRAC_PI_2;
-    for (inward_m, yaw_rad, press_m) in
-        [(0.015, 0.0, 0.000_3), (0.015, 1.2, 0.000_3), (0.0, along, 0.001)]
-    {
-        let mut puppet = from_above(inward_m, yaw_rad, 0.003);
-        puppet.travel(Vector3::new(0.0, 0.0, -0.003 - press_m), 0.02);
+    let wide = || Ground::sampled([-0.06, -0.05], [0.06, 0.045], 0.003, |_, _| 0.0);
+    let pinched = |ground: Ground, inward_m: f64, yaw_rad: f64| {
+        let mut puppet = from_above(ground, inward_m, yaw_rad, 0.003);
+        puppet.travel(Vector3::new(0.0, 0.0, -0.003_3), 0.02);
         puppet.close(2.0);
-        println!("{yaw_rad} {:?}", puppet.tissue.jaw(0));
+        puppet
+    };
+    for (inward_m, yaw_rad) in [(0.015, 0.0), (0.015, 1.2), (0.0, along)] {
+        let mut puppet = pinched(wide(), inward_m, yaw_rad);
         let grasp = puppet.tissue.report().grasp.unwrap();
         assert!((grasp.beside_mark_m - inward_m).abs() < 0.002, "{grasp:?}");
         puppet.travel(Vector3::new(0.0, 0.0, 0.008), 0.02);
         puppet.wait(300);
-        assert!(puppet.tissue.report().grasp.is_some(), "{yaw_rad}: {:?}", puppet.tissue.report());
+        assert!(
+            puppet.tissue.report().grasp.is_some(),
+            "{yaw_rad}: {:?}",
+            puppet.tissue.report()
+        );
     }
+    // Where the flap stands out freely it gives way and tilts out from between the ends.
+    let puppet = pinched(organ_ground(), 0.0, along);
+    assert!(puppet.tissue.report().grasp.is_none());
 }
 
 #[test]
 fn a_jaw_that_only_pushes_feels_the_tissue_and_holds_nothing() {
-    let mut puppet = from_above(0.015, 0.0, 0.003);
+    let mut puppet = from_above(organ_ground(), 0.015, 0.0, 0.003);
     puppet.close(2.0);
     assert!(puppet.opening_rad <= 0.0, "it closes on air");
     puppet.travel(Vector3::new(0.0, 0.0, -0.003), 0.02);
     puppet.wait(300);
     let pressed = puppet.tissue.jaw(0);
     let load_n = pressed.pressed_n[0] + pressed.pressed_n[1];
-    println!("PUSH {pressed:?}");
     assert!(load_n > 0.01 && pressed.grasp.is_none(), "{pressed:?}");
-    assert!(pressed.total().force.z > 0.8 * load_n, "it is pushed up: {pressed:?}");
+    assert!(
+        pressed.total().force.z > 0.8 * load_n,
+        "it is pushed up: {pressed:?}"
+    );
     assert!(pressed.depth_m < 0.000_75, "{pressed:?}");
     // Dragged sideways it rubs, up to the coefficient of friction.
     puppet.travel(Vector3::new(0.005, 0.0, 0.0), 0.02);
     let rubbed = puppet.tissue.jaw(0);
     let load_n = rubbed.pressed_n[0] + rubbed.pressed_n[1];
     let share = -rubbed.total().force.x / load_n;
-    assert!((0.2..=0.9).contains(&share), "{share} {rubbed:?}");
+    assert!((0.4..=0.9).contains(&share), "{share} {rubbed:?}");
     puppet.travel(Vector3::new(0.0, 0.0, 0.01), 0.05);
     puppet.wait(1500);
     let report = puppet.tissue.report();
-    assert!(report.force_n <= 0.0 && report.grasp.is_none() && report.speed_m_s < 0.005, "{report:?}");
+    assert!(
+        report.force_n <= 0.0 && report.grasp.is_none() && report.speed_m_s < 0.005,
+        "{report:?}"
+    );
 }
 
 #[test]
@@ -105,7 +123,10 @@ fn the_wrist_pushes_too() {
     puppet.wait(1);
     puppet.travel(Vector3::new(0.0, 0.0, -0.01), 0.02);
     let felt = puppet.tissue.jaw(0);
-    assert!(felt.pressed_n[2] > 0.01 && felt.wrist.force.z > 0.01, "{felt:?}");
+    assert!(
+        felt.pressed_n[2] > 0.01 && felt.wrist.force.z > 0.01,
+        "{felt:?}"
+    );
     assert!(felt.grasp.is_none());
 }
 
@@ -116,7 +137,11 @@ fn closing_beside_the_tissue_or_on_too_little_of_it_takes_nothing() {
         let mut puppet = Puppet::new(&config, organ_ground(), edge_tip(&config, over_m, aside_m));
         puppet.close(2.0);
         puppet.wait(100);
-        assert!(puppet.tissue.report().grasp.is_none(), "{over_m} {:?}", puppet.tissue.report());
+        assert!(
+            puppet.tissue.report().grasp.is_none(),
+            "{over_m} {:?}",
+            puppet.tissue.report()
+        );
     }
 }
 
@@ -147,7 +172,10 @@ fn tissue_slips_out_at_the_break_force_and_is_not_taken_again_until_the_jaw_open
         }
         steps += 1;
     }
-    assert!((last_n / config.grasp.break_force_n - 1.0).abs() < 0.02, "{last_n}");
+    assert!(
+        (last_n / config.grasp.break_force_n - 1.0).abs() < 0.02,
+        "{last_n}"
+    );
     puppet.wait(200);
     assert!(puppet.tissue.report().grasp.is_none());
     assert_eq!(puppet.tissue.report().lost, 1);
@@ -166,5 +194,8 @@ fn an_opening_jaw_lets_go() {
     puppet.travel(Vector3::new(0.0, -0.02, 0.0), 0.05);
     puppet.wait(1500);
     let report = puppet.tissue.report();
-    assert!(report.mark_rise_m.abs() < 0.001 && report.speed_m_s < 0.002, "{report:?}");
+    assert!(
+        report.mark_rise_m.abs() < 0.001 && report.speed_m_s < 0.002,
+        "{report:?}"
+    );
 }

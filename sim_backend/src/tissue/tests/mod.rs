@@ -5,7 +5,6 @@ mod config;
 mod dynamics;
 mod grasp;
 mod retraction;
-mod scratch;
 mod statics;
 mod surface;
 mod violence;
@@ -47,8 +46,15 @@ fn flap_config() -> TissueConfig {
 
 /// A rolling organ that ends before the flap does.
 fn organ_ground() -> Ground {
-    let organ = OrganShape { length_m: 0.12, width_m: 0.09, amplitude_m: 0.001_5, wavelength_m: 0.09 };
-    Ground::sampled([-0.06, -0.02], [0.06, 0.045], 0.003, |x, y| organ.height_m(x, y))
+    let organ = OrganShape {
+        length_m: 0.12,
+        width_m: 0.09,
+        amplitude_m: 0.001_5,
+        wavelength_m: 0.09,
+    };
+    Ground::sampled([-0.06, -0.02], [0.06, 0.045], 0.003, |x, y| {
+        organ.height_m(x, y)
+    })
 }
 
 /// A jaw that hangs straight down with its ends at `ends_m`, opened by `opening_rad`, its hinge along x turned by `yaw_rad`.
@@ -65,7 +71,10 @@ fn jaw(tip: &Pose, opening_rad: f64, grip_n: f64) -> JawInput {
     };
     JawInput {
         fingers: [finger(1.0), finger(-1.0)],
-        wrist: [tip * Point3::new(0.0, 0.0, -hal::psm::WRIST_M), tip * Point3::origin()],
+        wrist: [
+            tip * Point3::new(0.0, 0.0, -hal::psm::WRIST_M),
+            tip * Point3::origin(),
+        ],
         grip_n,
     }
 }
@@ -93,7 +102,8 @@ impl Puppet {
     }
 
     fn step(&mut self) {
-        self.tissue.step(&[jaw(&self.tip, self.opening_rad, self.grip_n)]);
+        self.tissue
+            .step(&[jaw(&self.tip, self.opening_rad, self.grip_n)]);
     }
 
     /// Moves at `speed_m_s` by `by_m`.
@@ -143,6 +153,10 @@ fn edge_tip(config: &TissueConfig, over_m: f64, aside_m: f64) -> Pose {
 fn grasped(config: &TissueConfig) -> Puppet {
     let mut puppet = Puppet::new(config, organ_ground(), edge_tip(config, 0.006, 0.0));
     puppet.close(2.0);
-    assert!(puppet.tissue.report().grasp.is_some(), "{:?}", puppet.tissue.report());
+    assert!(
+        puppet.tissue.report().grasp.is_some(),
+        "{:?}",
+        puppet.tissue.report()
+    );
     puppet
 }

@@ -7,7 +7,7 @@ use crate::tissue::sheet::{Sheet, SheetShape, count, longest_step_s};
 use crate::tissue::{Ground, Material, TissueConfig};
 
 use super::flap_config;
-use crate::tissue::ground::Bed;
+use crate::tissue::bed::Bed;
 
 /// The flap's material, damped so that it comes to rest soon.
 fn rubber() -> Material {
@@ -63,14 +63,23 @@ fn strip(
 fn hanging_bar_grows_by_rho_g_l_squared_over_2e() {
     let length_m = 0.05;
     let error = |cells: [usize; 2], material: &Material| {
-        let mut sheet = strip(cells, [length_m, 0.01], material, Vector3::x() * (G * SMALL), 1);
+        let mut sheet = strip(
+            cells,
+            [length_m, 0.01],
+            material,
+            Vector3::x() * (G * SMALL),
+            1,
+        );
         come_to_rest(&mut sheet, &[]);
         let grown_m = sheet.positions()[sheet.node(cells[0], cells[1] / 2)].x - length_m;
         let weight_pa = material.density_kg_m3 * G * SMALL * length_m;
         grown_m * 2.0 * material.young_pa / (weight_pa * length_m) - 1.0
     };
     // Without contraction across nothing is left to err; the wall hinders it near the wall.
-    let plain = Material { poisson: 0.0, ..rubber() };
+    let plain = Material {
+        poisson: 0.0,
+        ..rubber()
+    };
     let plain = error([10, 2], &plain);
     assert!(plain.abs() < 0.002, "{plain}");
     for cells in [[10, 2], [20, 4]] {
@@ -90,10 +99,16 @@ fn cantilever_sags_by_rho_g_a_l_to_the_4_over_8_e_i() {
         let spacing_m = length_m / (count(free_cells) + 0.5);
         let size_m = [spacing_m * count(free_cells + 1), width_m];
         let down = -Vector3::z() * G * SMALL;
-        let material = Material { poisson, ..material };
+        let material = Material {
+            poisson,
+            ..material
+        };
         let mut sheet = strip([free_cells + 1, across], size_m, &material, down, 2);
         come_to_rest(&mut sheet, &[]);
-        let ends = [sheet.node(free_cells + 1, 0), sheet.node(free_cells + 1, across)];
+        let ends = [
+            sheet.node(free_cells + 1, 0),
+            sheet.node(free_cells + 1, across),
+        ];
         let sag_m = -0.5 * (sheet.positions()[ends[0]].z + sheet.positions()[ends[1]].z);
         sag_m / expected_m - 1.0
     };
@@ -126,7 +141,10 @@ fn bar_under_a_known_pull_tells_youngs_modulus_and_poissons_ratio() {
     let stress_pa = force_n / (size_m[1] * material.thickness_m);
     // Saint Venant and Kirchhoff: the nominal stress is E e (1 + 1.5 e) to second order.
     let young_pa = stress_pa / (longer * (1.0 + 1.5 * longer));
-    assert!((young_pa / material.young_pa - 1.0).abs() < 0.01, "{young_pa}");
+    assert!(
+        (young_pa / material.young_pa - 1.0).abs() < 0.01,
+        "{young_pa}"
+    );
     let ratio = narrower / longer;
     assert!((ratio / material.poisson - 1.0).abs() < 0.02, "{ratio}");
     assert!((sheet.stretch_max() - longer).abs() < 1e-3);
@@ -135,7 +153,11 @@ fn bar_under_a_known_pull_tells_youngs_modulus_and_poissons_ratio() {
 #[test]
 fn fastest_oscillation_is_the_one_that_destroys_the_step_rule() {
     // The symplectic rule is stable exactly below 2 / omega.
-    let material = Material { relaxation_s: 0.0, drag_per_s: 0.0, ..rubber() };
+    let material = Material {
+        relaxation_s: 0.0,
+        drag_per_s: 0.0,
+        ..rubber()
+    };
     let mut rng = crate::rng::Rng::new(1);
     for (share, stable) in [(1.9, true), (2.1, false)] {
         let mut sheet = strip([15, 12], [0.06, 0.048], &material, Vector3::zeros(), 2);
@@ -154,17 +176,26 @@ fn fastest_oscillation_is_the_one_that_destroys_the_step_rule() {
         }
         let [kinetic, elastic, _] = sheet.energy_j();
         let grown = (kinetic + elastic) / start;
-        assert_eq!(grown < 100.0, stable, "{share}: energy grew {grown:e} times");
+        assert_eq!(
+            grown < 100.0,
+            stable,
+            "{share}: energy grew {grown:e} times"
+        );
     }
 }
 
 /// A loose sheet on a slope, as gravity turned by `slope_rad`; how far it has slid after a second.
 fn slid_m(config: &TissueConfig, slope_rad: f64) -> f64 {
     let gravity = Vector3::new(slope_rad.sin(), 0.0, -slope_rad.cos()) * G;
-    let material = Material { drag_per_s: 0.0, ..config.material };
+    let material = Material {
+        drag_per_s: 0.0,
+        ..config.material
+    };
     let mut sheet = strip([15, 12], [0.06, 0.048], &material, gravity, 0);
     let low = -0.5;
-    let ground = Ground::sampled([low, low], [0.5, 0.5], 0.003, |_, _| -0.5 * material.thickness_m);
+    let ground = Ground::sampled([low, low], [0.5, 0.5], 0.003, |_, _| {
+        -0.5 * material.thickness_m
+    });
     let mut bed = Bed::new(ground, &config.ground, &sheet);
     let dt_s = 1e-3 / f64::from(config.substeps);
     let start = sheet.positions()[100];
@@ -192,5 +223,8 @@ fn friction_holds_below_its_angle_and_lets_slide_above() {
     let expected_m = 0.5 * G * (steep.sin() - config.ground.friction * steep.cos());
     // It sinks in at first, and while it bounces it is not rubbed.
     let free_m = slid_m(&config, steep);
-    assert!((free_m / expected_m - 1.0).abs() < 0.05, "{free_m} of {expected_m}");
+    assert!(
+        (free_m / expected_m - 1.0).abs() < 0.05,
+        "{free_m} of {expected_m}"
+    );
 }
