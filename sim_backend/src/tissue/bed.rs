@@ -31,6 +31,9 @@ pub(super) struct Bed {
 /// Nodes further above the ground than this cannot reach it within a millisecond, m.
 const REACH_M: f64 = 0.004;
 
+/// Depth from which on the pressure grows no more, m: what got below the ground somehow comes up without a shot.
+const DEPTH_M_MAX: f64 = 0.002;
+
 impl Bed {
     pub(super) fn new(ground: Ground, touch: &Touch, sheet: &Sheet) -> Self {
         Self {
@@ -84,7 +87,8 @@ impl Bed {
             if depth_m > 0.0 {
                 self.depth_m = self.depth_m.max(depth_m);
                 let rising = sheet.velocities[near.node].dot(&normal);
-                let pressure = self.touch.stiffness_n_m3 * depth_m - self.damping_n_s_m3 * rising;
+                let pressure = self.touch.stiffness_n_m3 * depth_m.min(DEPTH_M_MAX)
+                    - self.damping_n_s_m3 * rising;
                 near.load_n = (pressure * near.area_m2).max(0.0);
                 sheet.forces[near.node] += normal * near.load_n;
             }

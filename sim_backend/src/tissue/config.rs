@@ -19,7 +19,8 @@ use super::sheet::{Sheet, SheetShape, count, longest_step_s};
 pub struct TissueConfig {
     /// Length of the attached edge and of the free edge opposite, m: the material's u axis.
     pub length_m: f64,
-    /// From the attached to the free edge, m: the material's v axis.
+    /// From the attached to the free edge, m, along the material's v axis. The grid goes on behind the attached edge for
+    /// half a cell: its first two rows of nodes are fixed, and the edge is half way between them.
     pub depth_m: f64,
     /// Cells along u and v. Elasticity needs none smaller than a few times the thickness.
     pub cells: [usize; 2],
@@ -104,7 +105,7 @@ impl TissueConfig {
     /// The sheet at rest in `pose`, its first two rows fixed: the attached edge keeps its place and its slope.
     pub(super) fn sheet(&self, pose: &Pose) -> Sheet {
         let shape = SheetShape {
-            size_m: [self.length_m, self.depth_m],
+            size_m: [self.length_m, self.grid_depth_m()],
             cells: self.cells,
         };
         let gravity = Vector3::new(0.0, 0.0, -self.gravity_m_s2);
@@ -115,10 +116,18 @@ impl TissueConfig {
         sheet
     }
 
-    /// The scene frame from the material's frame (u along x, v along y) before the flap is laid down.
+    /// The scene frame from the grid's frame (u along x, v along y) before the flap is laid down.
     pub(super) fn scene_from_material(&self) -> Pose {
         let turn = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), self.yaw_rad);
         let edge = Translation3::new(self.edge_m[0], self.edge_m[1], 0.0);
-        edge * turn * Translation3::new(-0.5 * self.length_m, 0.0, 0.0)
+        let behind_m = self.grid_depth_m() - self.depth_m;
+        edge * turn * Translation3::new(-0.5 * self.length_m, -behind_m, 0.0)
+    }
+
+    /// Size of the grid along v, m: the depth and half a cell.
+    #[must_use]
+    pub fn grid_depth_m(&self) -> f64 {
+        let cells = count(self.cells[1]);
+        self.depth_m * cells / (cells - 0.5)
     }
 }

@@ -1,7 +1,7 @@
 //! The flap with everything that touches it, a millisecond at a time.
 
 use hal::Pose;
-use nalgebra::{Matrix3, Point3, Rotation3, UnitQuaternion, Vector3};
+use nalgebra::{Matrix3, Rotation3, UnitQuaternion, Vector3};
 
 use super::bed::Bed;
 use super::config::{STEP_S, TissueConfig};
@@ -33,6 +33,8 @@ pub struct Tissue {
     report: TissueReport,
 }
 
+/// Slope of a sheet as it is laid down, at most.
+const GENTLE: f64 = 0.15;
 /// Milliseconds for which a new flap settles on its organ before the episode begins, heavily damped.
 const SETTLE_STEPS: usize = 1000;
 /// Damping while it settles, 1/s.
@@ -287,18 +289,37 @@ impl Tissue {
     }
 }
 
-/// Lays a flat sheet down: every node to where it touches the ground, or where the ground ends, as high as the last one
-/// of its column that does.
+/// Lays a flat sheet down: every node to where it touches the ground, but nowhere steeper than a gentle slope, so that it
+/// begins nearly unstretched and stands out over an organ's rim. Where there is no ground at all it lies level.
 fn lay(sheet: &mut Sheet, bed: &Bed) {
+    let heights = sheet.positions.iter().map(|at| bed.height_m(at.x, at.y));
+    let mut heights_m: Vec<f64> = heights.map(|height| height.unwrap_or(f64::MIN)).collect();
+    if heights_m.iter().all(|height_m| *height_m <= f64::MIN) {
+        heights_m.fill(0.0);
+    }
     let [columns, rows] = sheet.nodes;
-    for i in 0..columns {
-        let mut height_m = 0.0;
-        for j in 0..rows {
-            let node = sheet.node(i, j);
-            let at = Point3::from(sheet.positions[node]);
-            height_m = bed.height_m(at.x, at.y).unwrap_or(height_m);
-            sheet.positions[node].z = height_m + 0.5 * sheet.material.thickness_m;
+    let fall_m = sheet.spacing_m.map(|spacing_m| GENTLE * spacing_m);
+    let mut ease = |here: usize, beside: usize, fall_m: f64| {
+        heights_m[here] = heights_m[here].max(heights_m[beside] - fall_m);
+    };
+    for j in 0..rows {
+        for i in 1..columns {
+            ease(sheet.node(i, j), sheet.node(i - 1, j), fall_m[0]);
         }
+        for i in (1..columns).rev() {
+            ease(sheet.node(i - 1, j), sheet.node(i, j), fall_m[0]);
+        }
+    }
+    for i in 0..columns {
+        for j in 1..rows {
+            ease(sheet.node(i, j), sheet.node(i, j - 1), fall_m[1]);
+        }
+        for j in (1..rows).rev() {
+            ease(sheet.node(i, j - 1), sheet.node(i, j), fall_m[1]);
+        }
+    }
+    for (position, height_m) in sheet.positions.iter_mut().zip(heights_m) {
+        position.z = height_m + 0.5 * sheet.material.thickness_m;
     }
 }
 

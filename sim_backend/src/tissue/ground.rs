@@ -56,13 +56,15 @@ pub(super) struct Plane {
     pub(super) normal: Vector3<f64>,
 }
 
+/// How far the table goes on beyond a rim, m.
+const SKIRT_M: f64 = 0.015;
 /// Distance of the table's points, m, at most.
 const SPACING_M: f64 = 0.000_5;
 
 impl Ground {
     /// The surface `height_m(x, y)` over the rectangle from `low_m` to `high_m`, which is round at its rim: it falls off
-    /// over a further `rim_m` on all sides. (An edge would be a step in the height, which hands energy to what slides
-    /// over it.)
+    /// over a further `rim_m` on all sides and then goes down steeply for 3 cm. (An edge would be a step in the height,
+    /// which hands energy to what slides over it.)
     #[must_use]
     pub fn sampled(
         low_m: [f64; 2],
@@ -71,8 +73,8 @@ impl Ground {
         height_m: impl Fn(f64, f64) -> f64,
     ) -> Self {
         let inner = [low_m, high_m];
-        let low_m = low_m.map(|low| low - rim_m);
-        let high_m = high_m.map(|high| high + rim_m);
+        let low_m = low_m.map(|low| low - rim_m - SKIRT_M);
+        let high_m = high_m.map(|high| high + rim_m + SKIRT_M);
         #[expect(
             clippy::cast_possible_truncation,
             clippy::cast_sign_loss,

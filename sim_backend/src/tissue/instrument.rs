@@ -25,6 +25,7 @@ pub(super) struct Jaw {
 
 /// Gap of a jaw's ends, over the tissue's thickness, below which nothing fits between them.
 const SHUT: f64 = 0.5;
+
 impl Jaw {
     pub(super) fn new(
         config: &TissueConfig,

@@ -17,12 +17,15 @@ pub struct MarkConfig {
 }
 
 impl MarkConfig {
-    /// Material coordinates of the mark of the episode `seed`, m.
+    /// Material coordinates (on the sheet's grid) of the mark of the episode `seed`, m.
     #[must_use]
     pub fn draw(&self, seed: u64, tissue: &TissueConfig) -> [f64; 2] {
         let mut rng = Rng::stream(seed, "mark");
         let along = rng.range(-0.5 * self.span_m, 0.5 * self.span_m);
-        [0.5 * tissue.length_m + along, tissue.depth_m - self.inset_m]
+        [
+            0.5 * tissue.length_m + along,
+            tissue.grid_depth_m() - self.inset_m,
+        ]
     }
 
     /// Checks the ranges of a mark read from `source` at the dotted `key`.

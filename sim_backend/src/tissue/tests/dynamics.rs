@@ -3,7 +3,7 @@
 use hal::Pose;
 use nalgebra::{Translation3, Vector3};
 
-use super::{OPEN_RAD, Puppet, edge_tip, flap_config, jaw_at, organ_ground};
+use super::{OPEN_RAD, Puppet, edge_tip, flap_config, grasped, jaw_at, organ_ground};
 use crate::rng::Rng;
 use crate::tissue::{Ground, Sheet, SheetShape, Tissue};
 
@@ -184,4 +184,28 @@ fn same_inputs_give_the_same_bits() {
     let (first, second) = (run(), run());
     assert!(first.1.grasp.is_some());
     assert_eq!(first, second);
+}
+
+#[test]
+fn half_the_sub_step_changes_next_to_nothing() {
+    let lifted = |substeps: u32| {
+        let mut config = flap_config();
+        config.substeps = substeps;
+        let mut puppet = grasped(&config);
+        puppet.travel(Vector3::new(0.0, 0.005, 0.02), 0.02);
+        puppet.wait(2000);
+        let report = puppet.tissue.report();
+        (report.force_n, report.stretch, report.mark_rise_m)
+    };
+    let (whole, half) = (lifted(8), lifted(16));
+    // Not nothing: the fingers touch, and the jaw takes hold, a little earlier or later.
+    assert!(
+        (whole.0 / half.0 - 1.0).abs() < 0.01,
+        "force {whole:?} {half:?}"
+    );
+    assert!(
+        (whole.1 / half.1 - 1.0).abs() < 0.01,
+        "stretch {whole:?} {half:?}"
+    );
+    assert!((whole.2 - half.2).abs() < 2e-5, "rise {whole:?} {half:?}");
 }

@@ -192,7 +192,7 @@ fn an_opening_jaw_lets_go() {
     assert_eq!(puppet.tissue.report().lost, 0);
     puppet.opening_rad = OPEN_RAD;
     puppet.travel(Vector3::new(0.0, -0.02, 0.0), 0.05);
-    puppet.wait(1500);
+    puppet.wait(2500);
     let report = puppet.tissue.report();
     assert!(
         report.mark_rise_m.abs() < 0.001 && report.speed_m_s < 0.002,

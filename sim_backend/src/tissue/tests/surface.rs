@@ -45,7 +45,7 @@ fn surface_is_closed_and_faces_outwards() {
         edges.values().all(|count| *count == 0),
         "every edge is walked once each way"
     );
-    let expected = config.length_m * config.depth_m * config.material.thickness_m;
+    let expected = config.length_m * config.grid_depth_m() * config.material.thickness_m;
     assert!(
         (volume / expected - 1.0).abs() < 0.01,
         "{volume:e} of {expected:e}"
