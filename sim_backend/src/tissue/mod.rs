@@ -14,16 +14,20 @@
 //! # Why a sheet of our own
 //!
 //! Measured for a flap of 60 x 48 x 1.5 mm, E 100 kPa, Poisson ratio 0.45, a millisecond a step, one core, release
-//! (user time of the thread), and for the sag of a bar of 20 x 3 x 1.5 mm of it against `rho g A L^4 / (8 E I)`:
+//! (the thread's own time, median; `tests/bench.rs`), and for the sag of a bar of 20 x 3 x 1.5 mm of it against
+//! `rho g A L^4 / (8 E I)`:
 //!
 //! | | nodes | us a step | sag of the bar |
 //! |---|---|---|---|
-//! | this sheet, nothing near | 208 | 92 | -0.4 % |
-//! | this sheet between the fingers, held and lifted | 208 | 125 | |
+//! | this sheet, nothing near | 208 | 100 | -0.4 % |
+//! | this sheet between closing fingers, or held and lifted | 208 | 140 | |
 //! | rapier 0.36 soft body, constraints (4 iterations), one cell thick, no contact | 416 | 3300 | -11 % |
 //! | the same, two cells thick | 624 | 6800 | +37 % |
 //! | rapier 0.36 soft body, `fem`, one cell thick, no contact | 416 | 4500 | -62 % |
 //! | the same, two cells thick | 624 | 8400 | -38 % |
+//!
+//! With other sub-steps the same lift takes the same force (to 0.2 %); with cells of 6, 4 and 3 mm it takes 60, 58 and
+//! 50 mN, of which a part is that the grasped area comes in whole samples.
 //!
 //! A sheet much thinner than its cells is the case in which linear tetrahedra lock and in which constraint sweeps do not
 //! converge, and 3 ms for a millisecond is what real time leaves out. Explicit stepping, in turn, is only possible since

@@ -4,7 +4,7 @@
 //! The time is what the kernel counts as this thread's own, so that neighbours on the machine count less; the best of
 //! several rounds counts, so that they hardly count at all.
 
-use super::{Puppet, edge_tip, flap_config, jaw, jaw_at, organ_ground};
+use super::{Puppet, flap_config, jaw, jaw_at, organ_ground};
 use crate::tissue::{JawInput, Tissue};
 
 /// Nanoseconds that this thread has run.
@@ -51,7 +51,7 @@ fn bench_of_a_millisecond() {
 #[ignore = "prints a time, judges nothing"]
 fn bench_of_a_lift() {
     let config = flap_config();
-    let mut puppet = Puppet::new(&config, organ_ground(), edge_tip(&config, 0.006, 0.0));
+    let mut puppet = Puppet::at_edge(&config, 0.006, 0.0);
     let jaw_with = |tip: &hal::Pose, opening_rad, grip_n| jaw(tip, opening_rad, grip_n);
     let tip = puppet.tip;
     time("closing around the edge", &mut puppet.tissue, |step| {

@@ -3,7 +3,7 @@
 use hal::Pose;
 use nalgebra::{Translation3, Vector3};
 
-use super::{OPEN_RAD, Puppet, edge_tip, flap_config, grasped, jaw_at, organ_ground};
+use super::{OPEN_RAD, Puppet, flap_config, grasped, jaw_at, organ_ground};
 use crate::rng::Rng;
 use crate::tissue::{Ground, Sheet, SheetShape, Tissue};
 
@@ -101,26 +101,21 @@ fn damping_only_takes_energy() {
     assert!(last < 0.999 * start);
 }
 
-/// The flap of the tests, with nothing holding it, no ground and no gravity.
-fn floating(jaw_tip: Pose) -> Puppet {
+/// A jaw at the edge of a flap with nothing holding it, no ground and no gravity.
+fn floating() -> Puppet {
     let mut config = flap_config();
     config.gravity_m_s2 = 0.0;
     config.material.drag_per_s = 0.0;
-    let mut puppet = Puppet::new(&config, Ground::none(), jaw_tip);
+    let mut puppet = Puppet::at_edge_over(Ground::none(), &config, 0.006, 0.0);
     let sheet = &mut puppet.tissue.sheet;
     sheet.inverse_masses = sheet.masses.iter().map(|mass| mass.recip()).collect();
-    sheet.material.drag_per_s = 0.0;
     puppet
 }
 
 #[test]
 fn what_the_jaw_feels_is_what_the_tissue_loses() {
-    // The sheet floats at half its thickness; the jaw comes along the edge's direction, grasps, and tears away.
-    let mut config = flap_config();
-    config.gravity_m_s2 = 0.0;
-    let mut tip = edge_tip(&config, 0.006, 0.0);
-    tip.translation.vector.z = 0.000_75;
-    let mut puppet = floating(tip);
+    // The jaw closes on the sheet, holds it, and flies off with it.
+    let mut puppet = floating();
     let mut impulse = Vector3::zeros();
     let mut angular = Vector3::zeros();
     let mut grasped = false;
@@ -174,7 +169,7 @@ fn flap_on_its_organ_comes_to_rest_and_stays() {
 fn same_inputs_give_the_same_bits() {
     let run = || {
         let config = flap_config();
-        let mut puppet = Puppet::new(&config, organ_ground(), edge_tip(&config, 0.006, 0.0));
+        let mut puppet = Puppet::at_edge(&config, 0.006, 0.0);
         puppet.close(2.0);
         puppet.travel(Vector3::new(0.003, 0.005, 0.02), 0.05);
         let report = *puppet.tissue.report();

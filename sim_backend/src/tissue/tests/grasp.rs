@@ -3,8 +3,8 @@
 use hal::Pose;
 use nalgebra::{Translation3, UnitQuaternion, Vector3};
 
-use super::{OPEN_RAD, Puppet, edge_tip, flap_config, grasped, jaw_at, organ_ground};
-use crate::tissue::{Ground, Tissue};
+use super::{OPEN_RAD, Puppet, down, flap_config, grasped, jaw, organ_ground};
+use crate::tissue::{Ground, JawReport, Tissue};
 
 #[test]
 fn closing_on_the_mark_takes_the_area_between_the_pads_and_lifts_it() {
@@ -44,15 +44,13 @@ fn the_jaw_carries_what_the_attached_edge_does_not() {
 /// A jaw that points straight down over `ground`, its hinge turned by `yaw_rad` from the edge, its ends `above_m` over the
 /// face of the flap at a point `inward_m` further from the free edge than the mark.
 fn from_above(ground: Ground, inward_m: f64, yaw_rad: f64, above_m: f64) -> Puppet {
-    let config = flap_config();
-    let away = jaw_at([0.0, 0.0, 0.1], OPEN_RAD, 0.0);
-    let rest = Tissue::new(&config, ground.clone(), 3, &[away]);
-    let mark = rest.mark_in_scene().translation.vector;
-    let down = UnitQuaternion::from_axis_angle(&Vector3::x_axis(), core::f64::consts::PI);
+    let mut puppet = Puppet::new(&flap_config(), ground);
+    let mark = puppet.tissue.mark_in_scene().translation.vector;
     let turn = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), yaw_rad);
     let reach_m = hal::psm::FINGER_M * (0.5 * OPEN_RAD).cos();
     let hinge = Translation3::new(mark.x, mark.y + inward_m, mark.z + above_m + reach_m);
-    Puppet::new(&config, ground, Pose::from_parts(hinge, turn * down))
+    puppet.tip = Pose::from_parts(hinge, turn * down());
+    puppet
 }
 
 #[test]
@@ -116,7 +114,7 @@ fn a_jaw_that_only_pushes_feels_the_tissue_and_holds_nothing() {
 #[test]
 fn the_wrist_pushes_too() {
     let config = flap_config();
-    let mut puppet = Puppet::new(&config, organ_ground(), edge_tip(&config, 0.006, 0.0));
+    let mut puppet = Puppet::at_edge(&config, 0.006, 0.0);
     // Level, a wrist's radius and more above the flap, over its middle; then down.
     puppet.tip = Translation3::new(0.0, 0.02, 0.012) * puppet.tip;
     puppet.opening_rad = 0.0;
@@ -134,7 +132,7 @@ fn the_wrist_pushes_too() {
 fn closing_beside_the_tissue_or_on_too_little_of_it_takes_nothing() {
     let config = flap_config();
     for (over_m, aside_m) in [(-0.004, 0.0), (0.001_2, 0.0), (0.006, 0.06)] {
-        let mut puppet = Puppet::new(&config, organ_ground(), edge_tip(&config, over_m, aside_m));
+        let mut puppet = Puppet::at_edge(&config, over_m, aside_m);
         puppet.close(2.0);
         puppet.wait(100);
         assert!(
@@ -148,11 +146,10 @@ fn closing_beside_the_tissue_or_on_too_little_of_it_takes_nothing() {
 #[test]
 fn nothing_is_taken_without_grip_or_by_a_jaw_that_was_shut_before() {
     let config = flap_config();
-    let mut puppet = Puppet::new(&config, organ_ground(), edge_tip(&config, 0.006, 0.0));
+    let mut puppet = Puppet::at_edge(&config, 0.006, 0.0);
     puppet.close(0.1);
     assert!(puppet.tissue.report().grasp.is_none());
-    let outside = edge_tip(&config, -0.006, 0.0);
-    let mut puppet = Puppet::new(&config, organ_ground(), outside);
+    let mut puppet = Puppet::at_edge(&config, -0.006, 0.0);
     puppet.close(2.0);
     puppet.travel(Vector3::new(0.0, 0.012, 0.0), 0.05);
     assert!(puppet.tissue.report().grasp.is_none());
@@ -197,5 +194,47 @@ fn an_opening_jaw_lets_go() {
     assert!(
         report.mark_rise_m.abs() < 0.001 && report.speed_m_s < 0.002,
         "{report:?}"
+    );
+}
+
+/// What two jaws feel that take a floating flap by its free edge 24 mm apart and pull by 3 mm, once all is still.
+fn pulled_apart() -> [JawReport; 2] {
+    let mut config = flap_config();
+    config.gravity_m_s2 = 0.0;
+    config.material.drag_per_s = 20.0;
+    let one = Puppet::at_edge(&config, 0.006, 0.0).tip;
+    let jaws = |opening_rad: f64, aside_m: f64| {
+        [-1.0, 1.0].map(|side| {
+            let mut tip = one;
+            tip.translation.vector.x = side * aside_m;
+            tip.translation.vector.z = 0.5 * config.material.thickness_m;
+            jaw(&tip, opening_rad, 2.0)
+        })
+    };
+    let mut tissue = Tissue::new(&config, Ground::none(), 3, &jaws(OPEN_RAD, 0.012));
+    for node in 0..tissue.sheet.masses.len() {
+        tissue.sheet.inverse_masses[node] = tissue.sheet.masses[node].recip();
+    }
+    let mut opening_rad = OPEN_RAD;
+    while opening_rad > 0.2 && (0..2).any(|index| tissue.jaw(index).grasp.is_none()) {
+        opening_rad -= 0.001;
+        tissue.step(&jaws(opening_rad, 0.012));
+    }
+    for step in 0..4000_u32 {
+        let out_m = 0.001_5 * f64::from(step.min(1000)) / 1000.0;
+        tissue.step(&jaws(opening_rad, 0.012 + out_m));
+    }
+    [tissue.jaw(0), tissue.jaw(1)]
+}
+
+#[test]
+fn two_jaws_that_pull_at_one_flap_feel_each_other() {
+    let felt = pulled_apart();
+    let [left, right] = felt.map(|felt| felt.total());
+    assert!(felt.iter().all(|felt| felt.grasp.is_some()), "{felt:?}");
+    assert!(left.force.x > 0.02, "{left:?}");
+    assert!(
+        (left.force + right.force).norm() < 1e-3 * left.force.norm(),
+        "{left:?} {right:?}"
     );
 }

@@ -57,11 +57,15 @@ fn organ_ground() -> Ground {
     })
 }
 
-/// A jaw that hangs straight down with its ends at `ends_m`, opened by `opening_rad`, its hinge along x turned by `yaw_rad`.
+/// A jaw that hangs straight down with its ends at `ends_m`, opened by `opening_rad`, its hinge along x.
 fn jaw_at(ends_m: [f64; 3], opening_rad: f64, grip_n: f64) -> JawInput {
-    let down = UnitQuaternion::from_axis_angle(&Vector3::x_axis(), core::f64::consts::PI);
     let hinge = Translation3::new(ends_m[0], ends_m[1], ends_m[2] + hal::psm::FINGER_M);
-    jaw(&Pose::from_parts(hinge, down), opening_rad, grip_n)
+    jaw(&Pose::from_parts(hinge, down()), opening_rad, grip_n)
+}
+
+/// The orientation of a tip frame that points straight down, its hinge along x.
+fn down() -> UnitQuaternion<f64> {
+    UnitQuaternion::from_axis_angle(&Vector3::x_axis(), core::f64::consts::PI)
 }
 
 /// A jaw with its tip frame at `tip`.
@@ -91,14 +95,36 @@ struct Puppet {
 const OPEN_RAD: f64 = 0.6;
 
 impl Puppet {
-    /// A flap with a jaw at `tip`, open.
-    fn new(config: &TissueConfig, ground: Ground, tip: Pose) -> Self {
+    /// A flap with an open jaw far away.
+    fn new(config: &TissueConfig, ground: Ground) -> Self {
+        let tip = Pose::from_parts(Translation3::new(0.0, 0.0, 0.1), down());
         Self {
             tissue: Tissue::new(config, ground, 3, &[jaw(&tip, OPEN_RAD, 0.0)]),
             tip,
             opening_rad: OPEN_RAD,
             grip_n: 0.0,
         }
+    }
+
+    /// [`Self::at_edge_over`] the rolling organ.
+    fn at_edge(config: &TissueConfig, over_m: f64, aside_m: f64) -> Self {
+        Self::at_edge_over(organ_ground(), config, over_m, aside_m)
+    }
+
+    /// A flap over `ground` with an open jaw that lies flat and points to the free edge from outside, its fingers above
+    /// and below; its ends reach `over_m` past the edge of the resting flap at the mark, `aside_m` along the edge.
+    fn at_edge_over(ground: Ground, config: &TissueConfig, over_m: f64, aside_m: f64) -> Self {
+        let mut puppet = Self::new(config, ground);
+        let mark = puppet.tissue.mark_in_scene().translation.vector;
+        let level =
+            UnitQuaternion::from_axis_angle(&Vector3::x_axis(), -core::f64::consts::FRAC_PI_2);
+        let hinge = Translation3::new(
+            mark.x + aside_m,
+            mark.y - config.mark.inset_m + over_m - hal::psm::FINGER_M,
+            mark.z - 0.5 * config.material.thickness_m,
+        );
+        puppet.tip = Pose::from_parts(hinge, level);
+        puppet
     }
 
     fn step(&mut self) {
@@ -133,25 +159,9 @@ impl Puppet {
     }
 }
 
-/// A tip frame that lies flat, pointing to the free edge from outside, its fingers above and below; its ends reach
-/// `over_m` past the edge of the resting flap at the mark, `aside_m` along the edge.
-fn edge_tip(config: &TissueConfig, over_m: f64, aside_m: f64) -> Pose {
-    let away = jaw_at([0.0, 0.0, 0.1], OPEN_RAD, 0.0);
-    let rest = Tissue::new(config, organ_ground(), 3, &[away]);
-    let mark = rest.mark_in_scene().translation.vector;
-    let level = UnitQuaternion::from_axis_angle(&Vector3::x_axis(), -core::f64::consts::FRAC_PI_2);
-    let edge_y = mark.y - config.mark.inset_m;
-    let hinge = Translation3::new(
-        mark.x + aside_m,
-        edge_y + over_m - hal::psm::FINGER_M,
-        mark.z - 0.5 * config.material.thickness_m,
-    );
-    Pose::from_parts(hinge, level)
-}
-
 /// A jaw that has just grasped the flap at the mark, by its edge.
 fn grasped(config: &TissueConfig) -> Puppet {
-    let mut puppet = Puppet::new(config, organ_ground(), edge_tip(config, 0.006, 0.0));
+    let mut puppet = Puppet::at_edge(config, 0.006, 0.0);
     puppet.close(2.0);
     assert!(
         puppet.tissue.report().grasp.is_some(),

@@ -2,7 +2,7 @@
 
 use nalgebra::Vector3;
 
-use super::{Puppet, edge_tip, organ_ground, task};
+use super::{Puppet, task};
 use crate::tissue::{
     Grasp, Retraction, RetractionConfig, RetractionFailure, RetractionMonitor, TissueReport,
 };
@@ -150,11 +150,7 @@ fn a_hiccup_of_one_step_is_no_failure() {
 /// Plays a grasp `aside_m` beside the mark, a lift by `rise_m` at `speed_m_s`, and a wait.
 fn episode(aside_m: f64, rise_m: f64, speed_m_s: f64) -> (Retraction, f64) {
     let task = task();
-    let mut puppet = Puppet::new(
-        &task.tissue,
-        organ_ground(),
-        edge_tip(&task.tissue, 0.006, aside_m),
-    );
+    let mut puppet = Puppet::at_edge(&task.tissue, 0.006, aside_m);
     let mut monitor = RetractionMonitor::new(&task.success);
     let mut hardest_n = 0.0_f64;
     puppet.close(2.0);
