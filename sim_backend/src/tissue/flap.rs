@@ -1,3 +1,4 @@
+//! Hot path: bounded, no allocation after construction, no I/O, no lock.
 //! The flap with everything that touches it, a millisecond at a time.
 
 use hal::Pose;

@@ -204,3 +204,49 @@ fn half_the_sub_step_changes_next_to_nothing() {
     );
     assert!((whole.2 - half.2).abs() < 2e-5, "rise {whole:?} {half:?}");
 }
+
+#[test]
+fn bar_swings_at_the_beams_first_frequency() {
+    let mut material = flap_config().material;
+    material.drag_per_s = 0.0;
+    let (length_m, cells) = (0.02_f64, 20_u32);
+    // Two fixed columns: the wall is half way between them.
+    let spacing_m = length_m / (f64::from(cells) + 0.5);
+    let shape = SheetShape {
+        size_m: [spacing_m * f64::from(cells + 1), 0.003],
+        cells: [21, 1],
+    };
+    let mut sheet = Sheet::new(&shape, &material, &Pose::identity(), Vector3::zeros());
+    for j in 0..2 {
+        for i in 0..2 {
+            sheet.fix(sheet.node(i, j));
+        }
+    }
+    // A push along about the first mode; the others fade by the inner damping.
+    let end = sheet.node(21, 0);
+    for index in 0..sheet.positions.len() {
+        let share = (sheet.positions[index].x / length_m).powi(2);
+        sheet.velocities[index] =
+            Vector3::z() * (0.01 * share * sheet.inverse_masses[index].min(1.0));
+    }
+    let dt_s = 2e-5;
+    let mut crossings_s = Vec::new();
+    for step in 0..100_000_u32 {
+        let before = sheet.positions[end].z;
+        run(&mut sheet, dt_s, 1);
+        let after = sheet.positions[end].z;
+        if before < 0.0 && after >= 0.0 {
+            crossings_s.push(dt_s * (f64::from(step) + before / (before - after)));
+        }
+    }
+    let last = crossings_s.len() - 1;
+    let rad_s = core::f64::consts::TAU * f64::from(u32::try_from(last).unwrap())
+        / (crossings_s[last] - crossings_s[0]);
+    let stiff = material.young_pa * material.thickness_m.powi(2) / (12.0 * material.density_kg_m3);
+    let expected_rad_s = 1.8751_f64.powi(2) * stiff.sqrt() / length_m.powi(2);
+    assert!(last >= 8, "{last} swings");
+    assert!(
+        (rad_s / expected_rad_s - 1.0).abs() < 0.01,
+        "{rad_s} of {expected_rad_s}"
+    );
+}
