@@ -49,6 +49,7 @@ mod grasp;
 mod ground;
 mod instrument;
 mod jaw;
+mod lay;
 mod mark;
 mod material;
 mod membrane;
