@@ -11,5 +11,6 @@ pub mod rng;
 pub mod shapes;
 pub mod simulation;
 pub mod task;
+pub mod tissue;
 pub mod visual;
 pub mod world;

@@ -1,0 +1,276 @@
+//! Decides whether the flap was grasped at its mark and lifted, and catches what would only look like it.
+//!
+//! In words: the flap counts as retracted when one jaw holds it within `mark_distance_m` of the mark (measured in the
+//! material, to the middle of the area held) while the mark is at least `lift_height_m` above where it lay, for `hold_s`
+//! without a break. The episode is lost when time runs out, when the tissue is pulled harder than `force_n_max` or slips
+//! out of the jaw, when it is stretched by more than `stretch_max` or torn, when a jaw holds it beside the mark for
+//! longer than `stray_s`, when an instrument sinks into it, when it is flung about, and when its numbers leave their
+//! range. Force, stretch, depth and speed count once they last for 20 ms: one step alone may be a solver's hiccup.
+
+use core::fmt;
+
+use hal::config::{ConfigError, Source};
+use serde::Deserialize;
+
+use super::config::STEP_S;
+use super::report::TissueReport;
+
+/// What counts as a retracted flap, and what ends the episode at once.
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct RetractionConfig {
+    /// How far the mark must be above where it lay at rest, m.
+    pub lift_height_m: f64,
+    /// How long it must be held up without a break, s.
+    pub hold_s: f64,
+    /// Distance of the middle of the held area from the mark within which the grasp is right, m.
+    pub mark_distance_m: f64,
+    /// How long a jaw may hold the tissue elsewhere before the episode is lost, s.
+    pub stray_s: f64,
+    /// Force between an instrument and the tissue, after a low pass at 50 Hz, N.
+    pub force_n_max: f64,
+    /// Largest stretch (0.3 is three tenths longer than at rest).
+    pub stretch_max: f64,
+    /// Overlap of an instrument with the tissue's thickness, m; deeper is a fault of the physics, not a grasp.
+    pub depth_m_max: f64,
+    /// Speed of the fastest point of the tissue, m/s.
+    pub speed_m_s_max: f64,
+    /// When the episode ends without success, s.
+    pub time_limit_s: f64,
+}
+
+/// How an episode of the retraction stands.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Retraction {
+    /// Not decided yet.
+    Running,
+    /// The flap was grasped at the mark, lifted and held.
+    Success,
+    /// The episode is lost.
+    Failure(RetractionFailure),
+}
+
+/// Why an episode of the retraction was lost.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum RetractionFailure {
+    /// Time ran out.
+    TimeLimit {
+        /// The limit, s.
+        limit_s: f64,
+    },
+    /// The tissue was held at the wrong place.
+    BesideMark {
+        /// How far from the mark, m.
+        distance_m: f64,
+    },
+    /// The tissue was pulled or pressed too hard.
+    TooHard {
+        /// How hard, N.
+        force_n: f64,
+    },
+    /// The tissue slipped out of the jaw because it was pulled too hard.
+    SlippedOut,
+    /// The tissue was stretched too far.
+    Overstretched {
+        /// By how much of its length at rest.
+        stretch: f64,
+    },
+    /// The tissue tore.
+    Torn,
+    /// The instrument sank into the tissue.
+    Sunk {
+        /// How deep, m.
+        depth_m: f64,
+    },
+    /// The tissue moved faster than a careful hand moves it.
+    Flung {
+        /// How fast, m/s.
+        speed_m_s: f64,
+    },
+    /// The tissue's numbers left their range.
+    OutOfRange,
+}
+
+impl fmt::Display for Retraction {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Running => f.write_str("running"),
+            Self::Success => f.write_str("flap grasped at the mark, lifted and held"),
+            Self::Failure(failure) => failure.fmt(f),
+        }
+    }
+}
+
+impl fmt::Display for RetractionFailure {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::TimeLimit { limit_s } => write!(f, "flap not lifted within {limit_s} s"),
+            Self::BesideMark { distance_m } => {
+                write!(f, "flap held {:.1} mm beside the mark", distance_m * 1e3)
+            }
+            Self::TooHard { force_n } => write!(f, "tissue handled with {force_n:.2} N"),
+            Self::SlippedOut => f.write_str("tissue slipped out of the jaw"),
+            Self::Overstretched { stretch } => {
+                write!(f, "tissue stretched by {:.0} %", stretch * 100.0)
+            }
+            Self::Torn => f.write_str("tissue torn"),
+            Self::Sunk { depth_m } => {
+                write!(f, "instrument sank {:.2} mm into the tissue", depth_m * 1e3)
+            }
+            Self::Flung { speed_m_s } => write!(f, "tissue flung at {speed_m_s:.2} m/s"),
+            Self::OutOfRange => f.write_str("tissue's numbers left their range"),
+        }
+    }
+}
+
+impl RetractionConfig {
+    /// Checks the ranges read from `source` at the dotted `key`.
+    ///
+    /// # Errors
+    /// [`ConfigError::OutOfRange`].
+    pub fn check(&self, source: &Source, key: &str) -> Result<(), ConfigError> {
+        let check = |name: &str, value, low, high| {
+            source.check_range(&format!("{key}.{name}"), value, low, high)
+        };
+        check("lift_height_m", self.lift_height_m, 0.001, 0.1)?;
+        check("hold_s", self.hold_s, 0.0, 10.0)?;
+        check("mark_distance_m", self.mark_distance_m, 0.000_5, 0.05)?;
+        check("stray_s", self.stray_s, 0.0, 10.0)?;
+        check("force_n_max", self.force_n_max, 0.01, 50.0)?;
+        check("stretch_max", self.stretch_max, 0.01, 2.0)?;
+        check("depth_m_max", self.depth_m_max, 0.000_1, 0.01)?;
+        check("speed_m_s_max", self.speed_m_s_max, 0.05, 10.0)?;
+        check("time_limit_s", self.time_limit_s, 0.1, 600.0)
+    }
+}
+
+/// Time for which force, stretch, depth and speed must last to count, s.
+const JUDGED_S: f64 = 0.020;
+
+/// For how long several things have lasted without a break, s.
+#[derive(Clone, Copy, Debug, Default)]
+struct Lasting {
+    held_s: f64,
+    stray_s: f64,
+    hard_s: f64,
+    stretched_s: f64,
+    deep_s: f64,
+    fast_s: f64,
+}
+
+/// Watches the flap, 1000 times a second.
+#[derive(Clone, Debug)]
+pub struct RetractionMonitor {
+    config: RetractionConfig,
+    time_s: f64,
+    lasting: Lasting,
+    state: Retraction,
+}
+
+impl RetractionMonitor {
+    /// A monitor at the start of an episode.
+    #[must_use]
+    pub fn new(config: &RetractionConfig) -> Self {
+        Self {
+            config: config.clone(),
+            time_s: 0.0,
+            lasting: Lasting::default(),
+            state: Retraction::Running,
+        }
+    }
+
+    /// How the episode stands; once decided it stays.
+    #[must_use]
+    pub const fn state(&self) -> Retraction {
+        self.state
+    }
+
+    /// Takes in what the tissue reports after one millisecond.
+    pub fn observe(&mut self, report: &TissueReport) {
+        if self.state != Retraction::Running {
+            return;
+        }
+        self.time_s += STEP_S;
+        self.count(report);
+        self.state = match self.failure(report) {
+            Some(failure) => Retraction::Failure(failure),
+            None if self.lasting.held_s > 0.0
+                && reached(self.lasting.held_s, self.config.hold_s) =>
+            {
+                Retraction::Success
+            }
+            None => Retraction::Running,
+        };
+    }
+
+    fn count(&mut self, report: &TissueReport) {
+        let config = &self.config;
+        let beside_m = report.grasp.map(|grasp| grasp.beside_mark_m);
+        let right = beside_m.is_some_and(|beside_m| beside_m <= config.mark_distance_m);
+        let lifted = report.mark_rise_m >= config.lift_height_m;
+        let lasting = &mut self.lasting;
+        for (seconds, lasts) in [
+            (&mut lasting.held_s, right && lifted),
+            (&mut lasting.stray_s, beside_m.is_some() && !right),
+            (
+                &mut lasting.hard_s,
+                report.smooth_force_n > config.force_n_max,
+            ),
+            (
+                &mut lasting.stretched_s,
+                report.stretch > config.stretch_max,
+            ),
+            (
+                &mut lasting.deep_s,
+                report.instrument_depth_m > config.depth_m_max,
+            ),
+            (&mut lasting.fast_s, report.speed_m_s > config.speed_m_s_max),
+        ] {
+            *seconds = if lasts { *seconds + STEP_S } else { 0.0 };
+        }
+    }
+
+    fn failure(&self, report: &TissueReport) -> Option<RetractionFailure> {
+        let lasting = &self.lasting;
+        let judged = |seconds: f64| reached(seconds, JUDGED_S);
+        if report.fault {
+            Some(RetractionFailure::OutOfRange)
+        } else if report.torn {
+            Some(RetractionFailure::Torn)
+        } else if report.lost > 0 {
+            Some(RetractionFailure::SlippedOut)
+        } else if judged(lasting.hard_s) {
+            Some(RetractionFailure::TooHard {
+                force_n: report.smooth_force_n,
+            })
+        } else if judged(lasting.stretched_s) {
+            Some(RetractionFailure::Overstretched {
+                stretch: report.stretch,
+            })
+        } else if judged(lasting.deep_s) {
+            Some(RetractionFailure::Sunk {
+                depth_m: report.instrument_depth_m,
+            })
+        } else if judged(lasting.fast_s) {
+            Some(RetractionFailure::Flung {
+                speed_m_s: report.speed_m_s,
+            })
+        } else if lasting.stray_s > 0.0 && reached(lasting.stray_s, self.config.stray_s) {
+            let distance_m = report
+                .grasp
+                .map_or(f64::INFINITY, |grasp| grasp.beside_mark_m);
+            Some(RetractionFailure::BesideMark { distance_m })
+        } else if reached(self.time_s, self.config.time_limit_s) {
+            Some(RetractionFailure::TimeLimit {
+                limit_s: self.config.time_limit_s,
+            })
+        } else {
+            None
+        }
+    }
+}
+
+/// Whether `seconds`, a sum of steps, amounts to `limit_s`; sums of milliseconds are exact to far less than half of one.
+fn reached(seconds: f64, limit_s: f64) -> bool {
+    seconds > limit_s - 0.5 * STEP_S
+}

@@ -1,0 +1,84 @@
+//! The drawn surface: closed, facing outwards, following the sheet without allocating.
+
+use std::collections::BTreeMap;
+
+use nalgebra::Vector3;
+
+use super::{OPEN_RAD, flap_config, jaw_at, organ_ground};
+use crate::tissue::{Surface, Tissue};
+
+fn vertex(surface: &Surface, index: u32) -> Vector3<f64> {
+    Vector3::from(surface.mesh().positions[index as usize].map(f64::from))
+}
+
+#[test]
+fn surface_is_closed_and_faces_outwards() {
+    let config = flap_config();
+    let tissue = Tissue::new(
+        &config,
+        organ_ground(),
+        1,
+        &[jaw_at([0.0, 0.0, 0.1], OPEN_RAD, 0.0)],
+    );
+    let surface = Surface::new(tissue.sheet());
+    // The rim has vertices of its own where the faces end, so edges are matched by place.
+    let place = |index: u32| surface.mesh().positions[index as usize].map(f32::to_bits);
+    let mut edges: BTreeMap<[[u32; 3]; 2], i32> = BTreeMap::new();
+    let mut volume = 0.0;
+    for triangle in surface.mesh().indices.chunks_exact(3) {
+        let [a, b, c] = [0, 1, 2].map(|k| vertex(&surface, triangle[k]));
+        volume += a.cross(&b).dot(&c) / 6.0;
+        let normal = (b - a).cross(&(c - a));
+        for k in 0..3 {
+            let (from, to) = (place(triangle[k]), place(triangle[(k + 1) % 3]));
+            let (edge, sign) = if from < to {
+                ([from, to], 1)
+            } else {
+                ([to, from], -1)
+            };
+            *edges.entry(edge).or_insert(0) += sign;
+            let drawn = Vector3::from(surface.mesh().normals[triangle[k] as usize].map(f64::from));
+            assert!((drawn.norm() - 1.0).abs() < 1e-5 && drawn.dot(&normal) > 0.0);
+        }
+    }
+    assert!(
+        edges.values().all(|count| *count == 0),
+        "every edge is walked once each way"
+    );
+    let expected = config.length_m * config.grid_depth_m() * config.material.thickness_m;
+    assert!(
+        (volume / expected - 1.0).abs() < 0.01,
+        "{volume:e} of {expected:e}"
+    );
+}
+
+#[test]
+fn surface_follows_the_sheet_and_keeps_its_memory() {
+    let config = flap_config();
+    let away = jaw_at([0.0, 0.0, 0.1], OPEN_RAD, 0.0);
+    let mut tissue = Tissue::new(&config, organ_ground(), 1, &[away]);
+    let mut surface = Surface::new(tissue.sheet());
+    let (place, count) = (
+        surface.mesh().positions.as_ptr(),
+        surface.mesh().positions.len(),
+    );
+    let last = tissue.sheet().positions().len() - 1;
+    let lift = Vector3::new(0.0, 0.002, 0.003);
+    tissue.sheet.positions[last] += lift;
+    let before = surface.clone();
+    surface.update(tissue.sheet());
+    assert!(core::ptr::eq(place, surface.mesh().positions.as_ptr()));
+    assert_eq!(
+        (count, &before.mesh().indices),
+        (surface.mesh().positions.len(), &surface.mesh().indices)
+    );
+    // Between the two faces of the last corner lies the last node, before and after.
+    let corner = |surface: &Surface| {
+        let whole = surface.mesh().positions.len();
+        let rim = 2 * (15 + 12) * 3;
+        let faces = (whole - 2 * rim) / 2;
+        let index = |vertex: usize| u32::try_from(vertex).unwrap();
+        0.5 * (vertex(surface, index(faces - 1)) + vertex(surface, index(2 * faces - 1)))
+    };
+    assert!((corner(&surface) - corner(&before) - lift).norm() < 1e-8);
+}
