@@ -89,7 +89,8 @@ fn physics(criterion: &mut Criterion, setup: &Setup) -> Result<(), Box<dyn Error
     let mut simulation = Simulation::new(&patient.task, SEED, Rendering::Off)?;
     run_expert(&patient, &mut simulation, SEED, lifted.tally.ticks())?;
     let held = steps(criterion, "simulation/step, needle held", &mut simulation);
-    if !simulation.scene_state().first.grasp.both_touch || simulation.outcome() != Outcome::Running {
+    if !simulation.scene_state().first.grasp.both_touch || simulation.outcome() != Outcome::Running
+    {
         return Err("the needle was lost while it was held".into());
     }
 

@@ -143,7 +143,7 @@ impl<const ARMS: usize> Rig<ARMS> {
     }
 
     /// Moves to and fro between two offsets; how many ticks solved the QP, and in how many it failed.
-    fn to_and_fro(&mut self, offsets_m: [[f64; 3]; 2], rounds: u64) -> (u32, u32) {
+    fn oscillate(&mut self, offsets_m: [[f64; 3]; 2], rounds: u64) -> (u32, u32) {
         let (mut solved, mut failed) = (0, 0);
         for round in 0..rounds {
             let [one, other] = offsets_m;
@@ -163,6 +163,54 @@ impl<const ARMS: usize> Rig<ARMS> {
             }
         }
         (solved, failed)
+    }
+
+    /// Periods that nobody called the controller in, in mid-motion.
+    fn missed_periods(&mut self) {
+        for missed in [1, 10, 300] {
+            let chunk = self.chunk([0.01, 0.0, 0.0]);
+            for tick in 0..60 {
+                let chunk = (tick == 0).then_some(&chunk);
+                let (_, requests) = self.all(Event {
+                    chunk,
+                    ..Event::default()
+                });
+                assert_eq!(requests, 0, "tick {tick} before {missed} missed ones");
+            }
+            self.tick += missed;
+            let (_, requests) = self.all(Event::default());
+            assert_eq!(requests, 0, "{missed} missed periods");
+        }
+    }
+
+    /// The last arm loses its torque and is pushed about while another one moves.
+    fn a_limp_arm(&mut self) {
+        let mut events = [Event::default(); ARMS];
+        if let Some(last) = events.last_mut() {
+            last.operator = Some(OperatorEvent::Disable);
+        }
+        for tick in 0..1_000 {
+            if tick % 40 == 0 {
+                let chunk = self.chunk([if tick % 80 == 0 { 0.02 } else { -0.02 }, 0.0, -0.03]);
+                let mut events = [Event::default(); ARMS];
+                if let Some(first) = events.first_mut() {
+                    first.chunk = Some(&chunk);
+                }
+                let (_, requests) = self.tick(events);
+                assert_eq!(requests, 0, "tick {tick}");
+            }
+            if let Some(arm) = self.arms.last_mut() {
+                arm.position[0] += if tick % 2 == 0 { 1e-5 } else { -1e-5 };
+            }
+            let (_, requests) = self.tick(events);
+            assert_eq!(requests, 0, "tick {tick}");
+            events = [Event::default(); ARMS];
+        }
+        let (outputs, _) = self.all(Event {
+            operator: Some(OperatorEvent::Enable),
+            ..Event::default()
+        });
+        assert!(outputs.iter().all(|output| output.command.enabled));
     }
 
     /// What goes wrong in an operating room.
@@ -191,6 +239,10 @@ impl<const ARMS: usize> Rig<ARMS> {
         let accidents = [
             Event {
                 off_rad: 0.3,
+                ..Event::default()
+            },
+            Event {
+                off_rad: 3.0,
                 ..Event::default()
             },
             Event {
@@ -237,19 +289,22 @@ impl<const ARMS: usize> Rig<ARMS> {
 #[test]
 fn one_arm_takes_no_memory() {
     let mut rig = Rig::<1>::new(&one_arm().unwrap()).unwrap();
-    let (solved, _) = rig.to_and_fro([[0.01, 0.0, 0.0], [-0.01, 0.0, 0.0]], 200);
+    let (solved, _) = rig.oscillate([[0.01, 0.0, 0.0], [-0.01, 0.0, 0.0]], 200);
     assert_eq!(solved, 0);
     // Far below the floor of the workspace.
-    let (solved, failed) = rig.to_and_fro([[0.0, 0.0, -0.058], [0.01, 0.0, -0.058]], 200);
+    let (solved, failed) = rig.oscillate([[0.0, 0.0, -0.058], [0.01, 0.0, -0.058]], 200);
     assert!(solved > 1000 && failed == 0, "{solved} {failed}");
+    rig.missed_periods();
     rig.accidents();
 }
 
 #[test]
 fn two_arms_take_no_memory() {
     let mut rig = Rig::<2>::new(&two_arms().unwrap()).unwrap();
-    let (solved, failed) = rig.to_and_fro([[0.03, 0.0, -0.05], [-0.03, 0.0, -0.05]], 200);
+    let (solved, failed) = rig.oscillate([[0.03, 0.0, -0.05], [-0.03, 0.0, -0.05]], 200);
     assert!(solved > 1000 && failed == 0, "{solved} {failed}");
+    rig.missed_periods();
+    rig.a_limp_arm();
     rig.accidents();
 }
 
@@ -258,6 +313,6 @@ fn a_filter_that_fails_takes_no_memory() {
     let mut config = one_arm().unwrap();
     config.filter.iterations_max = 1;
     let mut rig = Rig::<1>::new(&config).unwrap();
-    let (_, failed) = rig.to_and_fro([[0.01, 0.0, -0.058], [-0.01, 0.0, -0.058]], 50);
+    let (_, failed) = rig.oscillate([[0.01, 0.0, -0.058], [-0.01, 0.0, -0.058]], 50);
     assert!(failed > 10, "{failed}");
 }

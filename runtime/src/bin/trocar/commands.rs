@@ -145,11 +145,7 @@ pub(crate) fn record(args: &RecordArgs) -> Done {
     let config = ("--config", args.config.as_deref());
     let out = ("--out", Some(args.out.as_path()));
     outputs::check(&[("--json", args.json.as_deref())], &[config, out])?;
-    let setup = Setup::load(
-        &args.task,
-        args.config.as_deref(),
-        &PolicyChoice::Expert,
-    )?;
+    let setup = Setup::load(&args.task, args.config.as_deref(), &PolicyChoice::Expert)?;
     let options = RecordOptions {
         episodes: args.episodes,
         out: args.out.clone(),

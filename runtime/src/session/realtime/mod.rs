@@ -23,7 +23,7 @@ mod watch;
 use std::sync::Arc;
 use std::thread;
 
-use hal::{ArmCommand, ArmState, Chunk, SafeTail};
+use hal::{ArmState, Chunk};
 use rtrb::RingBuffer;
 use sim_backend::simulation::{Rendering, Simulation};
 use sim_backend::task::Outcome;
