@@ -9,6 +9,7 @@ mod block_transfer;
 pub(crate) mod closed_loop;
 mod hand;
 mod motion;
+mod needle_handover;
 mod needle_lift;
 mod suture_pad;
 mod wire;
@@ -35,6 +36,7 @@ enum AnyScript {
     NeedleLift(Box<needle_lift::Lifter>),
     BlockTransfer(Box<block_transfer::Mover>),
     SuturePad(Box<suture_pad::Driver>),
+    NeedleHandover(Box<needle_handover::Passer>),
 }
 
 /// Where the tips should be at one instant, each in its arm's RCM frame.
@@ -75,6 +77,9 @@ impl Expert {
             Scene::SuturePad(scene) => {
                 AnyScript::SuturePad(Box::new(suture_pad::Driver::new(task, scene, seed)))
             }
+            Scene::NeedleHandover(scene) => {
+                AnyScript::NeedleHandover(Box::new(needle_handover::Passer::new(task, scene, seed)))
+            }
         };
         Self { script }
     }
@@ -108,6 +113,7 @@ impl Expert {
             AnyScript::NeedleLift(script) => script.attempts(),
             AnyScript::BlockTransfer(script) => script.attempts(),
             AnyScript::SuturePad(script) => script.attempts(),
+            AnyScript::NeedleHandover(script) => script.attempts(),
         }
     }
 
@@ -116,6 +122,7 @@ impl Expert {
             AnyScript::NeedleLift(script) => foreseen(&mut **script, now, scene),
             AnyScript::BlockTransfer(script) => foreseen(&mut **script, now, scene),
             AnyScript::SuturePad(script) => foreseen(&mut **script, now, scene),
+            AnyScript::NeedleHandover(script) => foreseen(&mut **script, now, scene),
         }
     }
 }

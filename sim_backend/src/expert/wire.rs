@@ -48,3 +48,27 @@ pub(super) fn wire_grasp(
         rotation,
     )
 }
+
+/// The pose of the control point in which closing the jaw grips the wire at `angle_rad` from the middle of its arc,
+/// towards the needle's point, with the finger tips `beyond_m` beyond the wire's middle line.
+///
+/// The tool points straight down and opens across the wire, as near to the home rotation as that goes.
+pub(super) fn wire_hold(
+    needle: &NeedleShape,
+    needle_in_scene: &Pose,
+    angle_rad: f64,
+    beyond_m: f64,
+) -> Pose {
+    let (sin, cos) = angle_rad.sin_cos();
+    let tangent = needle_in_scene * Vector3::new(-sin, cos, 0.0);
+    let mut yaw = (-tangent.x).atan2(tangent.y);
+    if yaw.abs() > FRAC_PI_2 {
+        yaw -= PI.copysign(yaw);
+    }
+    let rotation = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), yaw) * straight_down();
+    let grasp = needle_in_scene * (Point3::new(cos, sin, 0.0) * needle.arc_radius_m);
+    Pose::from_parts(
+        Translation3::new(grasp.x, grasp.y, grasp.z + FINGER_M - beyond_m),
+        rotation,
+    )
+}

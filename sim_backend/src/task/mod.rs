@@ -7,6 +7,7 @@ pub mod block_transfer;
 mod camera;
 mod common;
 mod judge;
+pub mod needle_handover;
 pub mod needle_lift;
 mod needle_start;
 pub mod suture_pad;
@@ -25,6 +26,7 @@ pub(crate) use visuals::{scene_poses, scene_visuals};
 use crate::visual::Visual;
 use crate::world::{ArmStart, Scenery, WorldConfig};
 use block_transfer::BlockTransfer;
+use needle_handover::NeedleHandover;
 use needle_lift::NeedleLift;
 use suture_pad::SuturePad;
 
@@ -43,7 +45,12 @@ struct Entry {
 }
 
 /// All tasks.
-const ENTRIES: [Entry; 3] = [needle_lift::ENTRY, block_transfer::ENTRY, suture_pad::ENTRY];
+const ENTRIES: [Entry; 4] = [
+    needle_lift::ENTRY,
+    needle_handover::ENTRY,
+    suture_pad::ENTRY,
+    block_transfer::ENTRY,
+];
 
 /// A task, checked.
 #[derive(Clone, Debug)]
@@ -71,6 +78,8 @@ pub enum Scene {
     BlockTransfer(BlockTransfer),
     /// One arm drives a needle through a hole.
     SuturePad(SuturePad),
+    /// Two arms pass a needle.
+    NeedleHandover(NeedleHandover),
 }
 
 /// What a task's module answers. Everything that is drawn at random hangs on `seed`.
@@ -97,6 +106,7 @@ impl Scene {
             Self::NeedleLift(scene) => scene,
             Self::BlockTransfer(scene) => scene,
             Self::SuturePad(scene) => scene,
+            Self::NeedleHandover(scene) => scene,
         }
     }
 }

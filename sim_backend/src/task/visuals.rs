@@ -18,6 +18,13 @@ pub(super) const MUSCLE: Material = Material {
     wetness: 0.8,
     detail: 1.0,
 };
+pub(super) const LIVER: Material = Material {
+    base_colour: [0.24, 0.050, 0.038],
+    metallic: 0.0,
+    roughness: 0.35,
+    wetness: 0.9,
+    detail: 0.6,
+};
 pub(super) const NEEDLE_STEEL: Material = Material {
     base_colour: [0.80, 0.82, 0.85],
     metallic: 1.0,

@@ -1,6 +1,7 @@
 //! Tests of the experts on the simulated arms, with a numeric inverse instead of the controller.
 
 mod block_transfer;
+mod needle_handover;
 mod needle_lift;
 mod suture_pad;
 

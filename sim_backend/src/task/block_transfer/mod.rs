@@ -211,10 +211,11 @@ impl BlockTransfer {
     /// The scene as it ships.
     pub(crate) fn shipped() -> Self {
         let source = TaskConfig::source(NAME).unwrap();
-        match TaskConfig::parse(&source).unwrap().scene {
-            Scene::BlockTransfer(scene) => scene,
-            other => panic!("{other:?}"),
-        }
+        let task = TaskConfig::parse(&source).unwrap();
+        let Scene::BlockTransfer(scene) = task.scene else {
+            panic!("not a {NAME}");
+        };
+        scene
     }
 }
 

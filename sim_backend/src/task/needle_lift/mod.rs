@@ -123,9 +123,10 @@ impl TaskScene for NeedleLift {
 impl NeedleLift {
     /// The scene as it ships.
     pub(crate) fn shipped() -> Self {
-        match TaskConfig::needle_lift().unwrap().scene {
-            Scene::NeedleLift(scene) => scene,
-            other => panic!("{other:?}"),
-        }
+        let task = TaskConfig::needle_lift().unwrap();
+        let Scene::NeedleLift(scene) = task.scene else {
+            panic!("not a {NAME}");
+        };
+        scene
     }
 }

@@ -180,10 +180,11 @@ impl SuturePad {
     /// The scene as it ships.
     pub(crate) fn shipped() -> Self {
         let source = TaskConfig::source(NAME).unwrap();
-        match TaskConfig::parse(&source).unwrap().scene {
-            Scene::SuturePad(scene) => scene,
-            other => panic!("{other:?}"),
-        }
+        let task = TaskConfig::parse(&source).unwrap();
+        let Scene::SuturePad(scene) = task.scene else {
+            panic!("not a {NAME}");
+        };
+        scene
     }
 }
 

@@ -1,0 +1,59 @@
+//! The needle handover's expert.
+
+use super::{failures, hold, run};
+use crate::task::{Outcome, TaskConfig};
+
+fn task() -> TaskConfig {
+    TaskConfig::parse(&TaskConfig::source("needle-handover").unwrap()).unwrap()
+}
+
+#[test]
+fn expert_hands_the_needle_over() {
+    let failed = failures(&task(), 0..8);
+    assert!(failed.is_empty(), "{failed:#?}");
+}
+
+#[test]
+#[ignore = "takes minutes"]
+fn expert_hands_the_needle_over_fifty_times() {
+    let failed = failures(&task(), 100..150);
+    assert!(failed.is_empty(), "{failed:#?}");
+}
+
+#[test]
+fn same_seed_gives_the_same_handover_bit_for_bit() {
+    let task = task();
+    let hash = |seed| run(&task, seed, |_, _| {}).state_hash;
+    assert_eq!(hash(3), hash(3));
+    assert_ne!(hash(3), hash(4));
+}
+
+#[test]
+fn still_giver_hands_nothing_over() {
+    let task = task();
+    let hold = hold(&task);
+    let episode = run(&task, 2, |_, command| *command = hold);
+    assert!(matches!(episode.outcome, Outcome::Failure(_)));
+    assert!(episode.seconds >= task.time_limit_s);
+}
+
+#[test]
+fn giver_fetches_the_needle_again_after_the_jaw_let_go() {
+    let mut task = task();
+    task.time_limit_s = 45.0;
+    // Whatever it wants, the giver's jaw opens for a moment while it carries the needle.
+    let episode = run(&task, 1, |seconds, command| {
+        if (4.5..4.8).contains(&seconds) {
+            command.jaw_position = 0.6;
+            command.jaw_velocity = 0.0;
+        }
+    });
+    assert_eq!(
+        episode.outcome,
+        Outcome::Success,
+        "{} after {} attempts",
+        episode.outcome,
+        episode.attempts
+    );
+    assert!(episode.attempts > 1);
+}

@@ -1,0 +1,153 @@
+//! Needle handover: the right arm grasps a needle that lies on the liver and presents it, the left one takes it away.
+
+mod success;
+
+use hal::Pose;
+use hal::config::{ConfigError, Source};
+use nalgebra::{Translation3, UnitQuaternion, Vector3};
+use serde::Deserialize;
+
+pub use success::SuccessConfig;
+use success::SuccessMonitor;
+
+use super::common::{ArmFile, CommonFile, EpisodeFile};
+use super::visuals::{LIVER, NEEDLE_STEEL};
+use super::{CameraConfig, Entry, Monitor, NeedleStart, Scene, TaskConfig, TaskScene};
+use crate::needle::NeedleShape;
+use crate::organ::OrganShape;
+use crate::visual::{Visual, instance};
+use crate::world::{Ground, Scenery, Thing, WorldConfig};
+
+/// The name by which the command line and the logs know the task.
+pub const NAME: &str = "needle-handover";
+
+pub(super) const ENTRY: Entry = Entry {
+    name: NAME,
+    path: "config/tasks/needle-handover/scene.toml",
+    text: include_str!("../../../../config/tasks/needle-handover/scene.toml"),
+    parse,
+};
+
+/// The scene of a needle handover. The first arm is the right one, which gives.
+#[derive(Clone, Debug)]
+pub struct NeedleHandover {
+    /// The needle.
+    pub needle: NeedleShape,
+    /// Where the needle may lie at the start.
+    pub start: NeedleStart,
+    /// Where the needle is to be presented.
+    pub presented: Presented,
+    /// What the needle lies on.
+    pub organ: OrganShape,
+    /// What counts as success.
+    pub success: SuccessConfig,
+}
+
+/// Where the needle is to be presented, flat.
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Presented {
+    /// Centre of the needle's arc, scene frame, m.
+    pub centre_m: [f64; 3],
+    /// Rotation of the needle about the vertical, rad; at 0 its arc bulges towards +x.
+    pub yaw_rad: f64,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct File {
+    #[serde(rename = "task")]
+    _task: String,
+    episode: EpisodeFile,
+    arm: Vec<ArmFile>,
+    needle: NeedleShape,
+    needle_start: NeedleStart,
+    presented: Presented,
+    organ: OrganShape,
+    world: WorldConfig,
+    camera: Vec<CameraConfig>,
+    success: SuccessConfig,
+}
+
+fn parse(source: &Source) -> Result<TaskConfig, ConfigError> {
+    let file: File = source.parse()?;
+    file.needle.check(source, "needle")?;
+    file.needle_start.check(source)?;
+    for (axis, value) in file.presented.centre_m.into_iter().enumerate() {
+        source.check_range(&format!("presented.centre_m.{axis}"), value, -0.05, 0.1)?;
+    }
+    source.check_range("presented.yaw_rad", file.presented.yaw_rad, -3.2, 3.2)?;
+    file.organ.check(source, "organ")?;
+    file.success.check(source)?;
+    let common = CommonFile {
+        arm: file.arm,
+        world: file.world,
+        camera: file.camera,
+        episode: file.episode,
+    };
+    let scene = NeedleHandover {
+        needle: file.needle,
+        start: file.needle_start,
+        presented: file.presented,
+        organ: file.organ,
+        success: file.success,
+    };
+    common.into_task(source, NAME, 2, Scene::NeedleHandover(scene))
+}
+
+impl TaskScene for NeedleHandover {
+    fn scenery(&self, world: &WorldConfig, seed: u64) -> Scenery {
+        let in_scene = self.start.draw(seed, &self.needle, &self.organ);
+        Scenery {
+            things: vec![Thing::needle(world, &self.needle, in_scene)],
+            ground: Ground::Organ(self.organ),
+        }
+    }
+
+    fn goal(&self, _seed: u64) -> Option<Pose> {
+        let turn = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), self.presented.yaw_rad);
+        let centre = Translation3::from(self.presented.centre_m);
+        Some(Pose::from_parts(centre, turn))
+    }
+
+    fn monitor(&self, _seed: u64) -> Box<dyn Monitor> {
+        Box::new(SuccessMonitor::new(self))
+    }
+
+    fn visuals(&self) -> Vec<Visual> {
+        vec![
+            Visual {
+                name: "liver",
+                mesh: self.organ.mesh(),
+                material: LIVER,
+                instance: instance::ORGAN,
+            },
+            Visual {
+                name: "needle",
+                mesh: self.needle.mesh(),
+                material: NEEDLE_STEEL,
+                instance: instance::NEEDLE,
+            },
+        ]
+    }
+
+    fn visual_poses(&self, things: &[Pose], _goal: &Pose) -> Vec<Pose> {
+        vec![Pose::identity(), things[0]]
+    }
+}
+
+#[cfg(test)]
+impl NeedleHandover {
+    /// The scene as it ships.
+    pub(crate) fn shipped() -> Self {
+        let source = TaskConfig::source(NAME).unwrap();
+        let task = TaskConfig::parse(&source).unwrap();
+        let Scene::NeedleHandover(scene) = task.scene else {
+            panic!("not a {NAME}");
+        };
+        scene
+    }
+}
+
+#[cfg(test)]
+mod tests;
