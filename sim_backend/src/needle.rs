@@ -1,4 +1,4 @@
-//! The suture needle: a tapered wire bent to an arc, as mass properties, centre line and mesh.
+//! The suture needle: a tapered wire bent to an arc or unevenly, as mass properties, centre line and mesh.
 
 use core::f64::consts::TAU;
 
@@ -11,7 +11,8 @@ use crate::visual::Mesh;
 /// Shape and mass of a needle.
 ///
 /// The needle frame has its origin in the centre of the arc, the arc in its xy-plane and the middle of the arc on +x;
-/// the point is at the end with positive y.
+/// the point is at the end with positive y. If the needle is bent unevenly the same holds for the circle that fits the
+/// wire in its middle.
 ///
 /// A real needle of this size weighs 0.2 g. A contact's stiffness is proportional to the mass it acts on, and at 0.2 g
 /// no stiffness that one sub-step can resolve carries a grip of newtons without the jaws closing through the wire, so
@@ -21,8 +22,11 @@ use crate::visual::Mesh;
 pub struct NeedleShape {
     /// Radius of the arc's centre line, m.
     pub arc_radius_m: f64,
-    /// Angle that the arc spans, rad.
+    /// Angle that the arc spans, rad; if the needle is bent unevenly, the wire's length over the radius.
     pub arc_angle_rad: f64,
+    /// How the wire's curvature changes from its middle to its ends: where `u` is -1 at the blunt end, 0 in the middle
+    /// and 1 at the point, the curvature is that of the arc times `1 + uneven[0] * u + uneven[1] * u²`. Zeros make an arc.
+    pub uneven: [f64; 2],
     /// Radius of the wire, m.
     pub wire_radius_m: f64,
     /// Mass, kg.
@@ -34,12 +38,18 @@ pub struct NeedleShape {
 pub(crate) struct MassProperties {
     /// Centre of mass, m.
     pub(crate) centre: Point3<f64>,
-    /// Moments of inertia about the centre of mass along the frame's axes, kg m².
+    /// Principal moments of inertia about the centre of mass, kg m².
     pub(crate) inertia: Vector3<f64>,
+    /// Angle from the frame's x-axis to the first principal axis, about z, rad; the third one is z.
+    pub(crate) axes_rad: f64,
 }
 
 /// Share of the arc that tapers to the point.
 const TAPER: f64 = 0.18;
+/// Beads that stand for an uneven wire's mass.
+const MASS_BEADS: usize = 400;
+/// Pairs of steps in which an uneven wire is followed from its middle.
+const WIRE_STEPS: u32 = 24;
 /// Segments of the mesh along the arc.
 const MESH_SEGMENTS: u32 = 24;
 /// Sides of the mesh's tube.
@@ -69,6 +79,9 @@ impl NeedleShape {
             0.000_2,
             0.001_5,
         )?;
+        for (index, uneven) in self.uneven.into_iter().enumerate() {
+            source.check_range(&format!("{key}.uneven.{index}"), uneven, -2.0, 2.0)?;
+        }
         source.check_range(&format!("{key}.mass_kg"), self.mass_kg, 0.000_5, 0.01)
     }
 
@@ -77,10 +90,10 @@ impl NeedleShape {
     #[must_use]
     pub fn centre_line(&self, count: usize) -> Vec<Point3<f64>> {
         if count < 2 {
-            return vec![self.arc_point(0.0); count];
+            return vec![self.wire_at(0.0).0; count];
         }
         (0..count)
-            .map(|index| self.arc_point(self.arc_angle_rad * (ratio(index, count - 1) - 0.5)))
+            .map(|index| self.wire_at(ratio(index, count - 1) - 0.5).0)
             .collect()
     }
 
@@ -106,6 +119,9 @@ impl NeedleShape {
     }
 
     pub(crate) fn mass_properties(&self) -> MassProperties {
+        if !self.is_arc() {
+            return self.mass_properties_of_beads();
+        }
         let half = 0.5 * self.arc_angle_rad;
         let square = self.arc_radius_m * self.arc_radius_m;
         let centre_x = self.arc_radius_m * half.sin() / half;
@@ -119,7 +135,68 @@ impl NeedleShape {
         MassProperties {
             centre: Point3::new(centre_x, 0.0, 0.0),
             inertia: inertia * self.mass_kg,
+            axes_rad: 0.0,
         }
+    }
+
+    fn mass_properties_of_beads(&self) -> MassProperties {
+        let share = ratio(1, MASS_BEADS);
+        let beads: Vec<_> = (0..MASS_BEADS)
+            .map(|bead| self.wire_at(ratio(2 * bead + 1, 2 * MASS_BEADS) - 0.5).0)
+            .collect();
+        let centre = beads.iter().map(|p| p.coords).sum::<Vector3<f64>>() * share;
+        // Second moments in the plane: of x, of y and mixed.
+        let mut moments = Vector3::zeros();
+        for bead in &beads {
+            let arm = bead.coords - centre;
+            moments += Vector3::new(arm.x * arm.x, arm.y * arm.y, arm.x * arm.y) * share;
+        }
+        let axes_rad = 0.5 * (2.0 * moments.z).atan2(moments.x - moments.y);
+        let mean = 0.5 * (moments.x + moments.y);
+        let apart = (0.5 * (moments.x - moments.y)).hypot(moments.z);
+        let wire = 0.5 * self.wire_radius_m * self.wire_radius_m;
+        let inertia = Vector3::new(mean - apart, mean + apart, 2.0 * mean);
+        MassProperties {
+            centre: Point3::from(centre),
+            inertia: (inertia + Vector3::repeat(wire)) * self.mass_kg,
+            axes_rad,
+        }
+    }
+
+    /// Whether the wire is bent evenly.
+    fn is_arc(&self) -> bool {
+        self.uneven.iter().all(|uneven| uneven.abs() < 1e-12)
+    }
+
+    /// The wire's centre line at `along`, from -1/2 at the blunt end to 1/2 at the point, and the angle of its outer
+    /// side from the frame's x-axis there.
+    fn wire_at(&self, along: f64) -> (Point3<f64>, f64) {
+        let angle = self.arc_angle_rad * along;
+        if self.is_arc() {
+            return (self.arc_point(angle), angle);
+        }
+        let turned = |along: f64| {
+            let u = 2.0 * along;
+            self.arc_angle_rad
+                * along
+                * (1.0 + u * (self.uneven[0] / 2.0 + u * self.uneven[1] / 3.0))
+        };
+        // Simpson's rule from the middle outwards.
+        let step = along / f64::from(2 * WIRE_STEPS);
+        let mut sum = Vector3::zeros();
+        for index in 0..=2 * WIRE_STEPS {
+            let weight = match index {
+                0 => 1.0,
+                index if index == 2 * WIRE_STEPS => 1.0,
+                index => 2.0 + 2.0 * f64::from(index % 2),
+            };
+            let (sin, cos) = turned(step * f64::from(index)).sin_cos();
+            sum += Vector3::new(-sin, cos, 0.0) * weight;
+        }
+        let length_m = self.arc_radius_m * self.arc_angle_rad;
+        let offset = sum * (step * length_m / 3.0);
+        let middle = Point3::new(self.arc_radius_m, 0.0, 0.0);
+        (middle + offset, turned(along))
     }
 
     fn arc_point(&self, angle: f64) -> Point3<f64> {
@@ -131,9 +208,8 @@ impl NeedleShape {
     }
 
     fn push_ring(&self, mesh: &mut Mesh, along: f64) {
-        let angle = self.arc_angle_rad * (along - 0.5);
+        let (centre, angle) = self.wire_at(along - 0.5);
         let radial = Vector3::new(angle.cos(), angle.sin(), 0.0);
-        let centre = self.arc_point(angle);
         // Square root: the point looks ground, not like a cone.
         let radius = self.wire_radius_m * ((1.0 - along) / TAPER).clamp(0.0, 1.0).sqrt();
         for side in 0..MESH_SIDES {
@@ -146,7 +222,7 @@ impl NeedleShape {
     }
 
     fn push_blunt_end(&self, mesh: &mut Mesh) {
-        let angle = -0.5 * self.arc_angle_rad;
+        let (end, angle) = self.wire_at(-0.5);
         let normal = Vector3::new(angle.sin(), -angle.cos(), 0.0);
         let ring: Vec<[f32; 3]> = mesh
             .positions
@@ -155,7 +231,7 @@ impl NeedleShape {
             .take(MESH_SIDES as usize)
             .collect();
         let centre = MESH_SIDES * (MESH_SEGMENTS + 1);
-        mesh.positions.push(single(self.arc_point(angle).coords));
+        mesh.positions.push(single(end.coords));
         mesh.positions.extend(ring);
         mesh.normals
             .extend((0..=MESH_SIDES).map(|_| single(normal)));
@@ -186,72 +262,4 @@ pub(crate) fn ratio(part: usize, whole: usize) -> f64 {
 }
 
 #[cfg(test)]
-pub(crate) mod tests {
-    use super::*;
-
-    pub(crate) const HALF_CIRCLE: NeedleShape = NeedleShape {
-        arc_radius_m: 0.012,
-        arc_angle_rad: core::f64::consts::PI,
-        wire_radius_m: 0.000_7,
-        mass_kg: 0.001_5,
-    };
-
-    #[test]
-    fn centre_line_is_an_arc_with_its_middle_on_x() {
-        let points = HALF_CIRCLE.centre_line(11);
-        assert_eq!(points.len(), 11);
-        assert!(
-            points
-                .iter()
-                .all(|p| (p.coords.norm() - 0.012).abs() < 1e-15 && p.z.abs() < 1e-15)
-        );
-        assert!((points[5] - Point3::new(0.012, 0.0, 0.0)).norm() < 1e-15);
-        assert!((points[10] - Point3::new(0.0, 0.012, 0.0)).norm() < 1e-12);
-    }
-
-    #[test]
-    fn mass_properties_equal_those_of_many_beads() {
-        let exact = HALF_CIRCLE.mass_properties();
-        let beads = HALF_CIRCLE.centre_line(20_001);
-        let bead_kg = HALF_CIRCLE.mass_kg / 20_001.0;
-        let centre = beads.iter().map(|p| p.coords).sum::<Vector3<f64>>() / 20_001.0;
-        let mut inertia = Vector3::zeros();
-        for bead in &beads {
-            let arm = bead.coords - centre;
-            inertia += (Vector3::repeat(arm.norm_squared()) - arm.component_mul(&arm)) * bead_kg;
-        }
-        assert!((exact.centre.coords - centre).norm() < 1e-6);
-        // The beads have no thickness; the wire does.
-        assert!(
-            (exact.inertia - inertia).norm() < 5e-3 * inertia.norm(),
-            "{} against {inertia}",
-            exact.inertia
-        );
-    }
-
-    #[test]
-    fn mesh_faces_outwards_and_stays_on_the_wire() {
-        let mesh = HALF_CIRCLE.mesh();
-        assert!((560..=640).contains(&(mesh.indices.len() / 3)));
-        for triangle in mesh.indices.chunks_exact(3) {
-            let [a, b, c] = [0, 1, 2].map(|k| {
-                let [x, y, z] = mesh.positions[triangle[k] as usize].map(f64::from);
-                Vector3::new(x, y, z)
-            });
-            let face = (b - a).cross(&(c - a));
-            let normal: Vector3<f64> = triangle
-                .iter()
-                .map(|&index| Vector3::from(mesh.normals[index as usize].map(f64::from)))
-                .sum();
-            assert!(
-                face.norm() < 1e-12 || face.dot(&normal) > 0.0,
-                "{a} {b} {c} {normal}"
-            );
-        }
-        let wire = mesh.positions.iter().map(|p| {
-            let flat = f64::from(p[0]).hypot(f64::from(p[1])) - 0.012;
-            flat.hypot(f64::from(p[2]))
-        });
-        assert!(wire.fold(0.0, f64::max) < 0.000_701);
-    }
-}
+pub(crate) mod tests;

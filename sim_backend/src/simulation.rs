@@ -269,4 +269,6 @@ impl Arm for Simulation {
 }
 
 #[cfg(test)]
+mod pictures;
+#[cfg(test)]
 mod tests;

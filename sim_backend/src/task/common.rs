@@ -4,7 +4,7 @@ use core::f64::consts::PI;
 
 use hal::config::{ConfigError, Source};
 use hal::{JOINT_COUNT, JointVector, Pose, psm};
-use nalgebra::{Translation3, UnitQuaternion, Vector3};
+use nalgebra::{Translation3, UnitQuaternion};
 use serde::Deserialize;
 
 use super::{CameraConfig, Scene, TaskConfig};
@@ -16,8 +16,8 @@ use crate::world::{ArmStart, WorldConfig};
 pub(super) struct ArmFile {
     /// The remote centre of motion, scene frame, m.
     rcm_in_scene_m: [f64; 3],
-    /// How the arm's base frame is turned in the scene, as axis times angle, rad.
-    rcm_rotation_rad: [f64; 3],
+    /// How the arm's base frame is turned in the scene: about x, then y, then z of the scene, rad.
+    rcm_in_scene_rpy_rad: [f64; 3],
     /// Joints at the start, rad (insertion m).
     joints: [f64; JOINT_COUNT],
     /// Jaw angle at the start, rad.
@@ -84,9 +84,9 @@ impl ArmFile {
     fn check(&self, source: &Source, index: usize) -> Result<(), ConfigError> {
         let key = |name: &str| format!("arm.{index}.{name}");
         for axis in 0..3 {
-            let (place, turn) = (self.rcm_in_scene_m[axis], self.rcm_rotation_rad[axis]);
+            let (place, turn) = (self.rcm_in_scene_m[axis], self.rcm_in_scene_rpy_rad[axis]);
             source.check_range(&key(&format!("rcm_in_scene_m.{axis}")), place, -1.0, 1.0)?;
-            source.check_range(&key(&format!("rcm_rotation_rad.{axis}")), turn, -PI, PI)?;
+            source.check_range(&key(&format!("rcm_in_scene_rpy_rad.{axis}")), turn, -PI, PI)?;
         }
         for (joint, value) in self.joints.into_iter().enumerate() {
             source.check_range(
@@ -100,7 +100,8 @@ impl ArmFile {
     }
 
     fn start(&self) -> ArmStart {
-        let turn = UnitQuaternion::from_scaled_axis(Vector3::from(self.rcm_rotation_rad));
+        let [roll, pitch, yaw] = self.rcm_in_scene_rpy_rad;
+        let turn = UnitQuaternion::from_euler_angles(roll, pitch, yaw);
         ArmStart {
             scene_from_rcm: Pose::from_parts(Translation3::from(self.rcm_in_scene_m), turn),
             joints: JointVector::from(self.joints),

@@ -1,7 +1,7 @@
 //! Tasks as data: who stands where, what lies there, who looks, and what counts as success.
 //!
 //! A task is a folder under `config/tasks/`, a module here with its scene and its monitor, a script in
-//! [`crate::expert`], and a line in [`ENTRIES`] and in [`Scene`].
+//! [`crate::expert`], and a line in `ENTRIES` and in [`Scene`].
 
 pub mod block_transfer;
 mod camera;
@@ -111,6 +111,18 @@ impl Scene {
     }
 }
 
+/// A needle was asked for that a task does not have.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("{task} has no needle {name:?}; it has {known:?}")]
+pub struct NoSuchNeedle {
+    /// The task.
+    pub task: &'static str,
+    /// The needle asked for.
+    pub name: String,
+    /// The needles that can be chosen.
+    pub known: Vec<String>,
+}
+
 /// The part of a scene file that says what it is.
 #[derive(Deserialize)]
 struct Title {
@@ -142,6 +154,28 @@ impl TaskConfig {
     /// [`ConfigError`] if the file that is built in is wrong.
     pub fn needle_lift() -> Result<Self, ConfigError> {
         Self::parse(&Self::needle_lift_source())
+    }
+
+    /// The same task with another needle, by the name that the scene file gives it.
+    ///
+    /// # Errors
+    /// [`NoSuchNeedle`], also for a task that has no choice of needles.
+    pub fn with_needle(mut self, name: &str) -> Result<Self, NoSuchNeedle> {
+        let known = match &mut self.scene {
+            Scene::NeedleLift(scene) => {
+                if let Some(&needle) = scene.needles.get(name) {
+                    scene.needle = needle;
+                    return Ok(self);
+                }
+                scene.needles.keys().cloned().collect()
+            }
+            Scene::BlockTransfer(_) | Scene::SuturePad(_) | Scene::NeedleHandover(_) => Vec::new(),
+        };
+        Err(NoSuchNeedle {
+            task: self.name,
+            name: name.to_owned(),
+            known,
+        })
     }
 
     /// Reads a scene file, whose key `task` says of which task.

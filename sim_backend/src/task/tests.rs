@@ -48,7 +48,11 @@ fn value_out_of_range_is_named_with_line_key_and_range() {
             "hold_s = -1.0",
             "success.hold_s = -1 is outside [0.05, 10]",
         ),
-        ("mass_kg", "mass_kg = 5.0", "needle.mass_kg = 5 is outside"),
+        (
+            "mass_kg",
+            "mass_kg = 5.0",
+            "needle.N1.mass_kg = 5 is outside",
+        ),
         (
             "vertical_fov_rad",
             "vertical_fov_rad = 4.0",
@@ -111,4 +115,27 @@ fn unknown_task_is_an_error() {
         message.starts_with(&format!("scene.toml:{line}: task = needle-drop")),
         "{message}"
     );
+}
+
+#[test]
+fn needles_can_be_chosen_by_name() {
+    let task = TaskConfig::needle_lift().unwrap();
+    let of = |name: &str| {
+        let chosen = TaskConfig::needle_lift()
+            .unwrap()
+            .with_needle(name)
+            .unwrap();
+        let Scene::NeedleLift(scene) = chosen.scene else {
+            panic!("not a needle lift");
+        };
+        scene.needle
+    };
+    assert_eq!(of("N1"), NeedleLift::shipped().needle);
+    for (name, other) in [("N1", "N2"), ("N2", "N3"), ("N3", "N4"), ("N4", "N5")] {
+        assert_ne!(of(name), of(other));
+    }
+    let error = task.with_needle("N6").unwrap_err();
+    assert_eq!(error.known, ["N1", "N2", "N3", "N4", "N5"]);
+    let pad = TaskConfig::parse(&TaskConfig::source("suture-pad").unwrap()).unwrap();
+    assert!(pad.with_needle("N1").is_err());
 }

@@ -1,7 +1,7 @@
 //! What a world is made of besides its arms: things that move, and ground that does not.
 
 use hal::Pose;
-use nalgebra::{Point3, Vector3};
+use nalgebra::{Point3, UnitQuaternion, Vector3};
 
 use super::config::WorldConfig;
 use crate::needle::{NeedleShape, ratio};
@@ -25,8 +25,10 @@ pub struct Thing {
     pub mass_kg: f64,
     /// Centre of mass in the thing's frame, m.
     pub centre: Point3<f64>,
-    /// Moments of inertia about the centre of mass along the thing's axes, kg m².
+    /// Principal moments of inertia about the centre of mass, kg m².
     pub inertia: Vector3<f64>,
+    /// How the principal axes are turned in the thing's frame.
+    pub axes: UnitQuaternion<f64>,
     /// What it touches with.
     pub pieces: Vec<Piece>,
 }
@@ -143,6 +145,7 @@ impl Thing {
             mass_kg: shape.mass_kg,
             centre: mass.centre,
             inertia: mass.inertia * NEEDLE_INERTIA,
+            axes: UnitQuaternion::from_axis_angle(&Vector3::z_axis(), mass.axes_rad),
             pieces: wire.chain(beads).collect(),
         }
     }

@@ -77,10 +77,12 @@ pub(super) fn engine_shape(shape: &Shape) -> (SharedShape, Pose) {
 }
 
 pub(super) fn insert_thing(engine: &mut PhysicsWorld, thing: &Thing) -> RigidBodyHandle {
-    let properties = MassProperties::new(
+    let axes = Pose::from_parts([0.0; 3].into(), thing.axes);
+    let properties = MassProperties::with_principal_inertia_frame(
         engine_vector(&thing.centre.coords),
         thing.mass_kg,
         engine_vector(&thing.inertia),
+        engine_pose(&axes).rotation,
     );
     let body = RigidBodyBuilder::dynamic()
         .pose(engine_pose(&thing.in_scene))

@@ -189,6 +189,7 @@ fn friction_holds_a_larger_needle_grasped_askew_and_off_its_middle() {
     let large = NeedleShape {
         arc_radius_m: 0.019_2,
         arc_angle_rad: 3.316,
+        uneven: [0.0, 0.0],
         wire_radius_m: 0.000_825,
         mass_kg: 0.001_5,
     };

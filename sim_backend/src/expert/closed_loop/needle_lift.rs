@@ -2,7 +2,7 @@
 
 use hal::TimeNs;
 
-use super::{forward, hold, run};
+use super::{failures, forward, hold, run};
 use crate::expert::{CHUNK_LEN, Expert, STEP_NS};
 use crate::simulation::{ArmScene, SceneState};
 use crate::task::needle_lift::NeedleLift;
@@ -129,4 +129,31 @@ fn chunk_starts_with_the_step_and_goes_on_smoothly() {
         scene.first.tip_in_rcm = targets[0].tip_in_rcm();
         scene.first.jaw = targets[0].jaw;
     }
+}
+
+#[test]
+fn expert_lifts_every_needle() {
+    for name in ["N2", "N3", "N4", "N5"] {
+        let task = TaskConfig::needle_lift()
+            .unwrap()
+            .with_needle(name)
+            .unwrap();
+        let failed = failures(&task, 0..4);
+        assert!(failed.is_empty(), "{name}: {failed:#?}");
+    }
+}
+
+#[test]
+#[ignore = "takes minutes"]
+fn expert_lifts_every_needle_fifty_times() {
+    let mut failed = Vec::new();
+    for name in ["N1", "N2", "N3", "N4", "N5"] {
+        let task = TaskConfig::needle_lift()
+            .unwrap()
+            .with_needle(name)
+            .unwrap();
+        let of_needle = failures(&task, 100..150);
+        failed.extend(of_needle.iter().map(|why| format!("{name}, {why}")));
+    }
+    assert!(failed.is_empty(), "{failed:#?}");
 }

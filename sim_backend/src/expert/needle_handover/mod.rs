@@ -38,8 +38,9 @@ const LOST_STEPS: u32 = 4;
 /// Time to rest with an open jaw, s.
 const REOPEN_S: f64 = 0.3;
 
-/// Distance between the closed finger tips and the organ at the grasp, m.
-const TIP_CLEARANCE_M: f64 = 0.000_1;
+/// How far the finger tips press into the soft organ, and reach beyond the wire that lies on it, at the grasp, m: a needle
+/// that is held far from its middle slides out of the very ends of the fingers.
+const TIP_SINK_M: f64 = 0.000_5;
 
 /// Distances from the grasp at which the organ's height is looked at, m.
 const FINGER_REACH_M: f64 = 0.001_5;
@@ -193,7 +194,7 @@ impl ArmView {
 }
 
 impl View {
-    /// `hold`, not lower than the organ under the fingers and the wire on it allow.
+    /// `hold`, as low as the organ under the fingers and the wire on it allow.
     fn above_organ(&self, hold: &Pose) -> Pose {
         let place = hold.translation.vector;
         let heights_m = (0..8).map(|step| {
@@ -206,7 +207,7 @@ impl View {
         let floor_m = heights_m.fold(f64::NEG_INFINITY, f64::max);
         let wire_m = place.z - FINGER_M - self.shape.wire_radius_m;
         let mut hold = *hold;
-        hold.translation.z = floor_m.max(wire_m) + TIP_CLEARANCE_M + FINGER_M;
+        hold.translation.z = floor_m.max(wire_m) - TIP_SINK_M + FINGER_M;
         hold
     }
 }

@@ -136,6 +136,7 @@ impl TaskScene for BlockTransfer {
             mass_kg: self.block.mass_kg,
             centre: Point3::origin(),
             inertia: self.block.inertia(),
+            axes: UnitQuaternion::identity(),
             pieces: pieces.into(),
         };
         Scenery {

@@ -124,6 +124,10 @@ fn one_arm_alone_hands_nothing_over() {
     let mut bench = Bench::new();
     let low = Pose::translation(0.0, 0.0, -0.033) * up;
     bench.show(low, [FIRM, NO_GRASP], 0.01, 1.0);
+    for step in 0..1000 {
+        let needle = low.lerp_slerp(&up, f64::from(step) / 1000.0);
+        bench.show(needle, [NO_GRASP, FIRM], 0.05, 0.001);
+    }
     assert_eq!(
         bench.show(up, [NO_GRASP, FIRM], 0.05, 2.0),
         Outcome::Running

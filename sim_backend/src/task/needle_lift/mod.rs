@@ -2,6 +2,8 @@
 
 mod success;
 
+use std::collections::BTreeMap;
+
 use hal::Pose;
 use hal::config::{ConfigError, Source};
 use serde::Deserialize;
@@ -20,6 +22,9 @@ use crate::world::{Ground, Scenery, Thing, WorldConfig};
 /// The name by which the command line and the logs know the task.
 pub const NAME: &str = "needle-lift";
 
+/// The needle that demonstrations are recorded with.
+pub const TRAINED: &str = "N1";
+
 pub(super) const ENTRY: Entry = Entry {
     name: NAME,
     path: "config/tasks/needle-lift/scene.toml",
@@ -30,8 +35,10 @@ pub(super) const ENTRY: Entry = Entry {
 /// The scene of a needle lift.
 #[derive(Clone, Debug)]
 pub struct NeedleLift {
-    /// The needle.
+    /// The needle of this episode: one of `needles`, the trained one unless another was chosen.
     pub needle: NeedleShape,
+    /// All needles by name.
+    pub needles: BTreeMap<String, NeedleShape>,
     /// Where the needle may lie at the start.
     pub start: NeedleStart,
     /// What the needle lies on.
@@ -47,7 +54,7 @@ struct File {
     _task: String,
     episode: EpisodeFile,
     arm: Vec<ArmFile>,
-    needle: NeedleShape,
+    needle: BTreeMap<String, NeedleShape>,
     needle_start: NeedleStart,
     organ: OrganShape,
     world: WorldConfig,
@@ -57,7 +64,12 @@ struct File {
 
 fn parse(source: &Source) -> Result<TaskConfig, ConfigError> {
     let file: File = source.parse()?;
-    file.needle.check(source, "needle")?;
+    for (name, needle) in &file.needle {
+        needle.check(source, &format!("needle.{name}"))?;
+    }
+    let Some(&trained) = file.needle.get(TRAINED) else {
+        return Err(source.out_of_range("needle", "no such needle", TRAINED));
+    };
     file.needle_start.check(source)?;
     file.organ.check(source, "organ")?;
     file.success.check(source)?;
@@ -68,7 +80,8 @@ fn parse(source: &Source) -> Result<TaskConfig, ConfigError> {
         episode: file.episode,
     };
     let scene = NeedleLift {
-        needle: file.needle,
+        needle: trained,
+        needles: file.needle,
         start: file.needle_start,
         organ: file.organ,
         success: file.success,
