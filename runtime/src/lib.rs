@@ -6,6 +6,7 @@ pub mod histogram;
 pub mod kinematics;
 pub mod log;
 pub mod mailbox;
+pub mod per_arm;
 pub mod replay;
 pub mod rt;
 pub mod session;

@@ -188,13 +188,14 @@ fn checked_log(path: &Path, result: &serde_json::Value) -> RunLog {
 fn expect_a_stop(log: &RunLog) {
     let fastest = log
         .ticks()
-        .map(|(tick, _)| tick.command.velocity.amax())
+        .map(|(tick, _)| tick.arms.first.command.velocity.amax())
         .fold(0.0, f64::max);
     assert!(fastest > 0.01, "the arm never moved: {fastest}");
     let (last, _) = log.ticks().last().unwrap();
-    assert!(last.command.enabled, "the arm was let go");
-    assert!(last.command.velocity.amax() <= 0.0, "{:?}", last.command);
-    assert!(last.command.jaw_velocity.abs() <= 0.0, "{:?}", last.command);
+    let told = last.arms.first.command;
+    assert!(told.enabled, "the arm was let go");
+    assert!(told.velocity.amax() <= 0.0, "{told:?}");
+    assert!(told.jaw_velocity.abs() <= 0.0, "{told:?}");
 }
 
 #[test]
@@ -226,7 +227,10 @@ fn the_network_lifts_the_needle_from_its_own_process() {
         let (code, result) = run.end();
         let log = checked_log(&path, &result);
         let policy = &result["policy"];
-        let chunks = log.ticks().filter(|(_, chunk)| chunk.is_some()).count();
+        let chunks = log
+            .ticks()
+            .filter(|(_, chunk)| chunk.first.is_some())
+            .count();
         assert_eq!(policy["queries"].as_u64(), u64::try_from(chunks).ok());
         let inference_ms = policy["inference_ms"]["p50"].as_f64().unwrap();
         let latency_ms = policy["latency_ms"]["p50"].as_f64().unwrap();

@@ -75,9 +75,13 @@ impl InputHash {
         Self(Fnv1a::new())
     }
 
-    /// Takes in the chunk that the controller is given in the coming tick, up to its length.
-    pub fn chunk(&mut self, chunk: &Chunk) {
+    /// Takes in the chunk that the arm `arm`, counted from 0, is given in the coming tick, up to its length.
+    pub fn chunk(&mut self, arm: usize, chunk: &Chunk) {
         let Self(hash) = self;
+        // The first arm goes without its number, so that the hash of a run of one arm is what it always was.
+        if arm > 0 {
+            hash.word(arm as u64);
+        }
         for word in [chunk.observed_at.0, chunk.sequence, chunk.step_ns] {
             hash.word(word);
         }
@@ -90,7 +94,9 @@ impl InputHash {
         }
     }
 
-    /// Takes in the rest of a tick's input: its time, the measurement or why there is none, and the operator's wish.
+    /// Takes in the rest of one arm's input: its time, the measurement or why there is none, and the operator's wish.
+    ///
+    /// Of two arms the first comes first, after the chunks of both.
     pub fn tick(
         &mut self,
         now: TimeNs,

@@ -19,6 +19,7 @@ use super::record::TickRecord;
 use super::recorder::Level;
 use super::writer::LogWriter;
 use crate::control::InputHash;
+use crate::per_arm::PerArm;
 
 /// Pause of the writer thread when it has caught up.
 const IDLE: Duration = Duration::from_millis(2);
@@ -26,13 +27,15 @@ const IDLE: Duration = Duration::from_millis(2);
 /// A tick on its way.
 pub(super) struct TickItem {
     pub(super) record: u64,
-    pub(super) chunk_record: Option<u64>,
+    /// The record of each arm's chunk.
+    pub(super) chunk_records: PerArm<Option<u64>>,
     pub(super) tick: TickRecord,
 }
 
 /// A chunk on its way.
 pub(super) struct ChunkItem {
     pub(super) record: u64,
+    pub(super) arm: usize,
     pub(super) chunk: Chunk,
 }
 
@@ -121,17 +124,18 @@ impl Drain {
 
     fn write_tick(&mut self, item: &TickItem) {
         // Chunks of ticks that were dropped come out here as well: they are written, under their own number.
-        while let Some(wanted) = item.chunk_record
+        let newest = item.chunk_records.iter().copied().flatten().max();
+        while let Some(wanted) = newest
             && let Ok(head) = self.chunks.peek().map(|head| head.record)
             && head <= wanted
         {
             if let Ok(chunk) = self.chunks.pop() {
-                let result = self.writer.chunk(chunk.record, item.tick.now, &chunk.chunk);
+                let result = self.writer.chunk(&chunk, item.tick.now);
                 self.counts.chunks += 1;
                 self.note(result);
             }
         }
-        let result = self.writer.tick(item.record, item.chunk_record, &item.tick);
+        let result = self.writer.tick(item);
         self.counts.ticks += 1;
         self.note(result);
     }

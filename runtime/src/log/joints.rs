@@ -8,7 +8,7 @@ use super::messages::{JointState, JointStates, Timestamp};
 const JAW: &str = "jaw";
 const JAW_SETPOINT: &str = "jaw_setpoint";
 
-/// The joint messages of one tick, built once and filled in place.
+/// The joint messages of one arm in one tick, built once and filled in place.
 pub(super) struct JointMessages {
     /// `/psm1/measured_js`: position, velocity, effort.
     pub(super) measured: JointStates,

@@ -69,7 +69,7 @@ pub(super) struct TimingMessage {
     pub(super) compute_ns: u64,
 }
 
-/// `/psm1/tick`.
+/// `/psm1/tick`, one for each arm.
 #[derive(Debug, Serialize, Deserialize)]
 pub(super) struct TickMessage {
     pub(super) record: u64,

@@ -26,5 +26,5 @@ pub(crate) mod tests;
 pub use error::LogError;
 pub use header::{LogCounts, RunHeader, RunOutcome};
 pub use read::{Loss, RunLog};
-pub use record::{LoggedTick, TickRecord, TickTiming};
+pub use record::{ArmRecord, LoggedArm, LoggedTick, TickRecord, TickTiming};
 pub use recorder::{Level, LogFile, Pressure, Recorder, SideLog, TickLog};

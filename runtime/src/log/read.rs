@@ -1,4 +1,4 @@
-//! Reads a run's log back: every tick with the chunk that it was given, bit for bit.
+//! Reads a run's log back: every tick with the chunks that it was given, bit for bit.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -15,9 +15,10 @@ use super::header::{self, Closing, LogCounts, RunHeader, RunOutcome};
 use super::joints;
 use super::json::{ChunkMessage, TickMessage, TimingMessage};
 use super::messages::JointStates;
-use super::record::{LoggedTick, TickTiming};
+use super::record::{LoggedArm, LoggedTick, TickTiming};
 use super::topic::Topic;
 use crate::control::OperatorEvent;
+use crate::per_arm::{ARMS_MAX, PerArm};
 
 /// A log in memory.
 #[derive(Clone, Debug, Default)]
@@ -34,7 +35,8 @@ pub struct RunLog {
     pub losses: Vec<Loss>,
     cut: Option<String>,
     ticks: Vec<LoggedTick>,
-    chunks: BTreeMap<usize, Chunk>,
+    /// By the position of their tick, for each arm.
+    chunks: [BTreeMap<usize, Chunk>; ARMS_MAX],
 }
 
 /// Something that the controller saw and the log lacks.
@@ -96,12 +98,14 @@ impl RunLog {
         Ok(log)
     }
 
-    /// The ticks in order, each with the chunk that it was given.
-    pub fn ticks(&self) -> impl ExactSizeIterator<Item = (&LoggedTick, Option<&Chunk>)> {
-        self.ticks
-            .iter()
-            .enumerate()
-            .map(|(index, tick)| (tick, self.chunks.get(&index)))
+    /// The ticks in order, each with the chunks that its arms were given.
+    pub fn ticks(&self) -> impl ExactSizeIterator<Item = (&LoggedTick, PerArm<Option<&Chunk>>)> {
+        let [first, second] = &self.chunks;
+        self.ticks.iter().enumerate().map(|(index, tick)| {
+            let mut chunks = [first.get(&index), second.get(&index)].into_iter();
+            let given = tick.arms.as_ref().map(|_| chunks.next().flatten());
+            (tick, given)
+        })
     }
 
     /// Why the file ends before its end, if it does.
@@ -129,25 +133,37 @@ struct Assembly {
     log: RunLog,
     has_header: bool,
     next_record: u64,
+    parts: [ArmParts; ARMS_MAX],
+    /// The second arm, whose messages come before the first one's.
+    second: Option<(TickMessage, LoggedArm)>,
+    timing: Option<TimingMessage>,
+}
+
+/// An arm's messages of the tick that is not complete yet.
+#[derive(Default)]
+struct ArmParts {
     measured: Option<JointStates>,
     setpoint: Option<JointStates>,
     jaw: Option<JointStates>,
-    timing: Option<TimingMessage>,
     chunk: Option<ChunkMessage>,
 }
 
 impl Visitor for Assembly {
     fn message(&mut self, topic: &str, _: &MessageHeader, data: &[u8]) -> Result<(), String> {
-        let Some(topic) = Topic::ALL.into_iter().find(|known| known.name() == topic) else {
+        let Some((topic, arm)) = Topic::find(topic) else {
+            return Ok(());
+        };
+        let Some(parts) = self.parts.get_mut(arm) else {
             return Ok(());
         };
         match topic {
-            Topic::MeasuredJs => self.measured = Some(protobuf(data)?),
-            Topic::SetpointJs => self.setpoint = Some(protobuf(data)?),
-            Topic::Jaw => self.jaw = Some(protobuf(data)?),
+            Topic::MeasuredJs => parts.measured = Some(protobuf(data)?),
+            Topic::SetpointJs => parts.setpoint = Some(protobuf(data)?),
+            Topic::Jaw => parts.jaw = Some(protobuf(data)?),
+            Topic::Chunk => parts.chunk = Some(json(data)?),
             Topic::Timing => self.timing = Some(json(data)?),
-            Topic::Chunk => self.chunk = Some(json(data)?),
-            Topic::Tick => self.complete(&json(data)?)?,
+            Topic::Tick if arm == 0 => self.complete(&json(data)?)?,
+            Topic::Tick => self.keep_second(json(data)?)?,
             // For people; not part of what the controller was given or answered.
             Topic::MeasuredCp | Topic::Safety | Topic::Events => {}
         }
@@ -174,38 +190,48 @@ impl Visitor for Assembly {
 impl Assembly {
     /// Puts a tick together from the messages since the one before.
     fn complete(&mut self, message: &TickMessage) -> Result<(), String> {
-        let lacks = |what: &str| format!("tick {} lacks its {what}", message.tick);
-        let jaw = self.jaw.take().ok_or_else(|| lacks("jaw"))?;
-        let measured = self.measured.take();
-        let measured = match (message.error, measured) {
-            (Some(error), _) => Err(error.into()),
-            (None, Some(states)) => {
-                Ok(joints::state(&states, &jaw).ok_or_else(|| lacks("measurement"))?)
-            }
-            (None, None) => return Err(lacks("measurement")),
-        };
-        let setpoint = self.setpoint.take().ok_or_else(|| lacks("setpoint"))?;
-        let command =
-            joints::command(&setpoint, &jaw, message.enabled).ok_or_else(|| lacks("setpoint"))?;
+        let [first, _] = &mut self.parts;
+        let first = first.arm(message)?;
         let timing = self
             .timing
             .take()
             .filter(|timing| timing.tick == message.tick)
-            .ok_or_else(|| lacks("timing"))?;
+            .ok_or_else(|| lacks(message, "timing"))?;
         self.note_gap(message)?;
-        self.take_chunk(message)?;
+        self.take_chunk(0, message)?;
+        let second = self.second.take();
+        if let Some((beside, _)) = &second {
+            let key = |message: &TickMessage| (message.record, message.tick, message.now_ns);
+            if key(beside) != key(message) {
+                return Err(format!(
+                    "tick {} comes with the second arm of tick {}",
+                    message.tick, beside.tick
+                ));
+            }
+            self.take_chunk(1, beside)?;
+        }
         self.log.ticks.push(LoggedTick {
             tick: message.tick,
             now: TimeNs(message.now_ns),
-            measured,
-            operator: message.operator.map(OperatorEvent::from),
-            chunk_sequence: message.chunk.map(|chunk| chunk.sequence),
-            command,
+            arms: PerArm {
+                first,
+                second: second.map(|(_, arm)| arm),
+            },
             timing: TickTiming {
                 wake_ns: timing.wake_ns,
                 compute_ns: timing.compute_ns,
             },
         });
+        Ok(())
+    }
+
+    /// Keeps the second arm until the first one completes the tick.
+    fn keep_second(&mut self, message: TickMessage) -> Result<(), String> {
+        let [_, second] = &mut self.parts;
+        let arm = second.arm(&message)?;
+        if let Some((before, _)) = self.second.replace((message, arm)) {
+            return Err(format!("tick {} lacks its first arm", before.tick));
+        }
         Ok(())
     }
 
@@ -227,8 +253,8 @@ impl Assembly {
         Ok(())
     }
 
-    fn take_chunk(&mut self, message: &TickMessage) -> Result<(), String> {
-        let chunk = self.chunk.take();
+    fn take_chunk(&mut self, arm: usize, message: &TickMessage) -> Result<(), String> {
+        let chunk = self.parts[arm].chunk.take();
         let Some(wanted) = message.chunk else {
             return Ok(());
         };
@@ -237,12 +263,40 @@ impl Assembly {
                 let chunk = found
                     .chunk()
                     .ok_or("a chunk has more targets than a chunk can hold")?;
-                self.log.chunks.insert(self.log.ticks.len(), chunk);
+                self.log.chunks[arm].insert(self.log.ticks.len(), chunk);
             }
             None => self.log.losses.push(Loss::Chunk { tick: message.tick }),
         }
         Ok(())
     }
+}
+
+impl ArmParts {
+    /// Puts the arm together from its messages since the tick before.
+    fn arm(&mut self, message: &TickMessage) -> Result<LoggedArm, String> {
+        let jaw = self.jaw.take().ok_or_else(|| lacks(message, "jaw"))?;
+        let measured = match (message.error, self.measured.take()) {
+            (Some(error), _) => Err(error.into()),
+            (None, Some(states)) => {
+                Ok(joints::state(&states, &jaw).ok_or_else(|| lacks(message, "measurement"))?)
+            }
+            (None, None) => return Err(lacks(message, "measurement")),
+        };
+        let setpoint = self.setpoint.take();
+        let command = setpoint
+            .and_then(|setpoint| joints::command(&setpoint, &jaw, message.enabled))
+            .ok_or_else(|| lacks(message, "setpoint"))?;
+        Ok(LoggedArm {
+            measured,
+            operator: message.operator.map(OperatorEvent::from),
+            chunk_sequence: message.chunk.map(|chunk| chunk.sequence),
+            command,
+        })
+    }
+}
+
+fn lacks(message: &TickMessage, what: &str) -> String {
+    format!("tick {} lacks its {what}", message.tick)
 }
 
 fn protobuf(data: &[u8]) -> Result<JointStates, String> {

@@ -3,14 +3,24 @@
 use hal::{ArmCommand, ArmError, ArmState, TimeNs};
 
 use crate::control::{OperatorEvent, TickReport};
+use crate::per_arm::PerArm;
 
-/// One tick of one arm. Plain data, so that the control thread can hand it over without allocating.
+/// One tick of all arms. Plain data, so that the control thread can hand it over without allocating.
 #[derive(Clone, Copy, Debug)]
 pub struct TickRecord {
     /// Count of the control periods, skipped ones included.
     pub tick: u64,
     /// The time that the controller was given.
     pub now: TimeNs,
+    /// What it was given and answered for each arm.
+    pub arms: PerArm<ArmRecord>,
+    /// How long it took; zero in lockstep.
+    pub timing: TickTiming,
+}
+
+/// One arm in one tick.
+#[derive(Clone, Copy, Debug)]
+pub struct ArmRecord {
     /// What the arm reported.
     pub measured: Result<ArmState, ArmError>,
     /// What the operator asked for in this tick.
@@ -21,8 +31,6 @@ pub struct TickRecord {
     pub command: ArmCommand,
     /// What it says about its answer.
     pub report: TickReport,
-    /// How long it took; zero in lockstep.
-    pub timing: TickTiming,
 }
 
 /// Host timing of one tick.
@@ -34,13 +42,22 @@ pub struct TickTiming {
     pub compute_ns: u64,
 }
 
-/// One tick as it is read back: [`TickRecord`] without the controller's report, which a replay recomputes.
+/// One tick as it is read back: [`TickRecord`] without the controller's reports, which a replay recomputes.
 #[derive(Clone, Copy, Debug)]
 pub struct LoggedTick {
     /// Count of the control periods, skipped ones included.
     pub tick: u64,
     /// The time that the controller was given.
     pub now: TimeNs,
+    /// What it was given and answered for each arm.
+    pub arms: PerArm<LoggedArm>,
+    /// How long it took.
+    pub timing: TickTiming,
+}
+
+/// One arm in one tick as it is read back.
+#[derive(Clone, Copy, Debug)]
+pub struct LoggedArm {
     /// What the arm reported.
     pub measured: Result<ArmState, ArmError>,
     /// What the operator asked for in this tick.
@@ -49,6 +66,4 @@ pub struct LoggedTick {
     pub chunk_sequence: Option<u64>,
     /// What the controller answered.
     pub command: ArmCommand,
-    /// How long it took.
-    pub timing: TickTiming,
 }

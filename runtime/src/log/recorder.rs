@@ -22,6 +22,7 @@ use super::header::{LogCounts, RunHeader, RunOutcome};
 use super::record::TickRecord;
 use super::writer::LogWriter;
 use crate::control::InputHash;
+use crate::per_arm::ARMS_MAX;
 
 /// What happens when a queue is full.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -92,20 +93,24 @@ pub struct TickLog {
     shared: Arc<Shared>,
     tick_count: u64,
     chunk_count: u64,
-    pending_chunk: Option<u64>,
+    /// Each arm's chunk for the coming tick.
+    pending_chunks: [Option<u64>; ARMS_MAX],
     inputs: InputHash,
 }
 
 impl TickLog {
     /// Hands over one tick; to be called in every tick, after [`Self::chunk`].
     pub fn tick(&mut self, tick: &TickRecord) {
+        let mut chunks = core::mem::take(&mut self.pending_chunks).into_iter();
         let item = TickItem {
             record: self.tick_count,
-            chunk_record: self.pending_chunk.take(),
+            chunk_records: tick.arms.as_ref().map(|_| chunks.next().flatten()),
             tick: *tick,
         };
         self.tick_count += 1;
-        self.inputs.tick(tick.now, &tick.measured, tick.operator);
+        for arm in tick.arms.iter() {
+            self.inputs.tick(tick.now, &arm.measured, arm.operator);
+        }
         let hash = self.inputs.value();
         self.shared.input_hash.store(hash, Ordering::Relaxed);
         if !self.ticks.push(item) {
@@ -113,19 +118,23 @@ impl TickLog {
         }
     }
 
-    /// Hands over the chunk that the controller is given in the coming tick.
-    pub fn chunk(&mut self, chunk: &Chunk) {
+    /// Hands over the chunk that the controller is given for the arm `arm` in the coming tick, the first arm's first.
+    pub fn chunk(&mut self, arm: usize, chunk: &Chunk) {
         let record = self.chunk_count;
         self.chunk_count += 1;
-        self.inputs.chunk(chunk);
-        if self.chunks.push(ChunkItem {
+        self.inputs.chunk(arm, chunk);
+        let item = ChunkItem {
             record,
+            arm,
             chunk: *chunk,
-        }) {
-            self.pending_chunk = Some(record);
-        } else {
-            self.pending_chunk = None;
+        };
+        let pending = self.pending_chunks.get_mut(arm);
+        let pushed = pending.is_some() && self.chunks.push(item);
+        if !pushed {
             self.shared.chunks_dropped.fetch_add(1, Ordering::Relaxed);
+        }
+        if let Some(pending) = pending {
+            *pending = pushed.then_some(record);
         }
     }
 
@@ -262,7 +271,7 @@ impl Recorder {
                 shared: Arc::clone(&shared),
                 tick_count: 0,
                 chunk_count: 0,
-                pending_chunk: None,
+                pending_chunks: [None; ARMS_MAX],
                 inputs: InputHash::new(),
             },
             side: SideLog {
@@ -288,8 +297,8 @@ impl Recorder {
     }
 
     /// See [`TickLog::chunk`].
-    pub fn chunk(&mut self, chunk: &Chunk) {
-        self.ticks.chunk(chunk);
+    pub fn chunk(&mut self, arm: usize, chunk: &Chunk) {
+        self.ticks.chunk(arm, chunk);
     }
 
     /// See [`SideLog::event`].

@@ -1,15 +1,18 @@
 //! The log as a whole: what goes in comes out bit for bit, whatever happens to the file.
 
 mod samples;
+pub(crate) mod two_arms;
 
 use std::path::PathBuf;
 
 use hal::{ArmError, ArmState, CameraFrame, Chunk, Intrinsics, JointVector, TimeNs, TipTarget};
 
 use super::{
-    LogCounts, LogError, Loss, Pressure, Recorder, RunHeader, RunLog, TickRecord, TickTiming,
+    ArmRecord, LogCounts, LogError, Loss, Pressure, Recorder, RunHeader, RunLog, TickRecord,
+    TickTiming,
 };
 use crate::control::OperatorEvent;
+use crate::per_arm::PerArm;
 
 use samples::{assert_same, chunk, chunk_bits, header, outcome, record, write};
 
@@ -47,9 +50,9 @@ fn everything_that_goes_in_comes_out_bit_for_bit() {
     for ((logged, given), tick) in log.ticks().zip(0..) {
         assert_same(logged, &record(tick));
         let expected = (tick % 40 == 1).then_some(tick);
-        assert_eq!(logged.chunk_sequence, expected);
+        assert_eq!(logged.arms.first.chunk_sequence, expected);
         assert_eq!(
-            given.map(chunk_bits),
+            given.first.map(chunk_bits),
             expected.map(|tick| chunk_bits(&chunk(tick)))
         );
     }
@@ -62,15 +65,14 @@ fn a_chunk_of_impossible_length_keeps_it() {
     let mut wrong = chunk(1);
     wrong.len = 4000;
     wrong.reserved = 9;
-    recorder.chunk(&wrong);
-    recorder.tick(&TickRecord {
-        chunk_sequence: Some(1),
-        ..record(0)
-    });
+    recorder.chunk(0, &wrong);
+    let mut record = record(0);
+    record.arms.first.chunk_sequence = Some(1);
+    recorder.tick(&record);
     recorder.finish(None).unwrap();
     let log = RunLog::open(&file.0).unwrap();
     let (_, given) = log.ticks().next().unwrap();
-    let given = given.unwrap();
+    let given = given.first.unwrap();
     assert_eq!(
         (given.len, given.reserved, given.valid_targets().len()),
         (4000, 9, 0)
@@ -219,8 +221,8 @@ fn what_was_dropped_is_counted_and_named() {
     let ticks = 60_000;
     for tick in 0..ticks {
         let mut record = record(tick);
-        record.chunk_sequence = (tick % 10 == 0).then(|| {
-            recorder.chunk(&chunk(tick));
+        record.arms.first.chunk_sequence = (tick % 10 == 0).then(|| {
+            recorder.chunk(0, &chunk(tick));
             tick
         });
         recorder.tick(&record);
@@ -251,7 +253,12 @@ fn what_was_dropped_is_counted_and_named() {
     );
     for (logged, given) in log.ticks() {
         assert_same(logged, &record(logged.tick));
-        assert!(given.is_none_or(|given| Some(given.sequence) == logged.chunk_sequence));
+        let wanted = logged.arms.first.chunk_sequence;
+        assert!(
+            given
+                .first
+                .is_none_or(|given| Some(given.sequence) == wanted)
+        );
     }
 }
 
@@ -387,15 +394,17 @@ pub(crate) fn run_disturbed(
         records.push(TickRecord {
             tick,
             now,
-            measured,
-            operator,
-            chunk_sequence: chunk.map(|chunk| chunk.sequence),
-            command: output.command,
-            report: output.report,
+            arms: PerArm::one(ArmRecord {
+                measured,
+                operator,
+                chunk_sequence: chunk.map(|chunk| chunk.sequence),
+                command: output.command,
+                report: output.report,
+            }),
             timing: TickTiming::default(),
         });
     }
-    let moved = (position - records[0].command.position).norm();
+    let moved = (position - records[0].arms.first.command.position).norm();
     assert!(ticks < 500 || moved > 0.01, "the arm hardly moved: {moved}");
     let texts = [
         ("control.toml", control.text()),
@@ -411,8 +420,8 @@ pub(crate) fn run_disturbed(
 pub(crate) fn write_records(file: &Scratch, records: &[TickRecord], header: &RunHeader) {
     let mut recorder = Recorder::create(&file.0, header, Pressure::Block).unwrap();
     for record in records {
-        if let Some(sequence) = record.chunk_sequence {
-            recorder.chunk(&chunk_of_run(sequence));
+        if let Some(sequence) = record.arms.first.chunk_sequence {
+            recorder.chunk(0, &chunk_of_run(sequence));
         }
         recorder.tick(record);
     }

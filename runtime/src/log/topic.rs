@@ -22,7 +22,7 @@ pub(super) enum Topic {
     Safety,
     /// Host timing.
     Timing,
-    /// The rest of what the controller was given; the last message of a tick.
+    /// The rest of what the controller was given; the first arm's is the last message of a tick.
     Tick,
     /// What happened, in words.
     Events,
@@ -45,19 +45,29 @@ impl Topic {
         Self::Events,
     ];
 
-    /// The name in the file.
-    pub(super) const fn name(self) -> &'static str {
+    /// The names in the file, one for each arm; a single one where all arms share the topic.
+    ///
+    /// The first arm's names are the same whether there is another arm or not.
+    pub(super) const fn names(self) -> &'static [&'static str] {
         match self {
-            Self::MeasuredJs => "/psm1/measured_js",
-            Self::SetpointJs => "/psm1/setpoint_js",
-            Self::MeasuredCp => "/psm1/measured_cp",
-            Self::Jaw => "/psm1/jaw",
-            Self::Chunk => "/policy/chunk",
-            Self::Safety => "/safety",
-            Self::Timing => "/timing",
-            Self::Tick => "/psm1/tick",
-            Self::Events => "/events",
+            Self::MeasuredJs => &["/psm1/measured_js", "/psm2/measured_js"],
+            Self::SetpointJs => &["/psm1/setpoint_js", "/psm2/setpoint_js"],
+            Self::MeasuredCp => &["/psm1/measured_cp", "/psm2/measured_cp"],
+            Self::Jaw => &["/psm1/jaw", "/psm2/jaw"],
+            Self::Chunk => &["/policy/chunk", "/policy/chunk/psm2"],
+            Self::Safety => &["/safety", "/safety/psm2"],
+            Self::Timing => &["/timing"],
+            Self::Tick => &["/psm1/tick", "/psm2/tick"],
+            Self::Events => &["/events"],
         }
+    }
+
+    /// The topic called `name`, and whose it is.
+    pub(super) fn find(name: &str) -> Option<(Self, usize)> {
+        Self::ALL.into_iter().find_map(|topic| {
+            let arm = topic.names().iter().position(|known| *known == name)?;
+            Some((topic, arm))
+        })
     }
 
     const fn schema(self) -> Schema {
@@ -104,13 +114,16 @@ pub(super) fn add_channel<W: Write + Seek>(
     }
 }
 
-/// Registers every topic of [`Topic`].
+/// Registers every topic of the arm `arm`: of the first one also what all share, for which other arms get channel 0.
 pub(super) fn add_channels<W: Write + Seek>(
     writer: &mut Writer<W>,
+    arm: usize,
 ) -> McapResult<[u16; TOPIC_COUNT]> {
     let mut channels = [0; TOPIC_COUNT];
     for (channel, topic) in channels.iter_mut().zip(Topic::ALL) {
-        *channel = add_channel(writer, topic.name(), topic.schema())?;
+        if let Some(name) = topic.names().get(arm) {
+            *channel = add_channel(writer, name, topic.schema())?;
+        }
     }
     Ok(channels)
 }

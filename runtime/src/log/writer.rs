@@ -3,25 +3,27 @@
 use std::collections::BTreeMap;
 use std::io::{Seek, Write};
 
-use hal::{Chunk, TimeNs};
+use hal::TimeNs;
 use mcap::records::{MessageHeader, Metadata};
 use mcap::{McapResult, WriteOptions, Writer};
 use prost::{EncodeError, Message};
 use serde::Serialize;
 
+use super::drain::{ChunkItem, TickItem};
 use super::header::{self, Closing, RunHeader};
 use super::joints::JointMessages;
 use super::json::{
     ChunkMessage, ChunkRef, ErrorMessage, OperatorMessage, TickMessage, TimingMessage,
 };
 use super::messages::{Log, Pose, PoseInFrame, Quaternion, Timestamp, Vector3};
-use super::record::TickRecord;
+use super::record::{ArmRecord, TickRecord};
 use super::safety::SafetyMessage;
 use super::topic::{self, Schema, TOPIC_COUNT, Topic};
 use super::{Level, camera};
+use crate::per_arm::ARMS_MAX;
 
-/// Frame of the measured tip pose.
-const RCM_FRAME: &str = "psm1_rcm";
+/// Frame of each arm's measured tip pose.
+const RCM_FRAMES: [&str; ARMS_MAX] = ["psm1_rcm", "psm2_rcm"];
 
 /// A crash loses at most this much log time.
 const FLUSH_NS: u64 = 250_000_000;
@@ -32,7 +34,8 @@ const FILE_CHUNK_BYTES: u64 = 1 << 20;
 /// The open file.
 pub(super) struct LogWriter<W: Write + Seek> {
     writer: Writer<W>,
-    channels: [u16; TOPIC_COUNT],
+    /// Each arm's channels; another arm than the first has them from its first message on.
+    channels: Vec<[u16; TOPIC_COUNT]>,
     cameras: BTreeMap<String, camera::Channels>,
     sequences: BTreeMap<u16, u32>,
     joints: JointMessages,
@@ -59,7 +62,7 @@ impl<W: Write + Seek> LogWriter<W> {
                 metadata,
             })?;
         }
-        let channels = topic::add_channels(&mut writer)?;
+        let channels = vec![topic::add_channels(&mut writer, 0)?];
         writer.flush()?;
         Ok(Self {
             writer,
@@ -73,56 +76,22 @@ impl<W: Write + Seek> LogWriter<W> {
         })
     }
 
-    /// Writes all messages of one tick; `record` counts the ticks, `chunk_record` names the chunk's message.
-    pub(super) fn tick(
-        &mut self,
-        record: u64,
-        chunk_record: Option<u64>,
-        tick: &TickRecord,
-    ) -> McapResult<()> {
-        let measured = tick.measured.as_ref().ok();
-        self.joints.set_measured(measured);
-        self.joints.set_command(&tick.command);
-        if let Some(state) = measured {
-            self.protobuf(Topic::MeasuredJs, tick.now, |joints, buffer| {
-                joints.measured.encode(buffer)
-            })?;
-            if state.is_finite() {
-                let tip = measured_tip(state);
-                self.protobuf(Topic::MeasuredCp, tick.now, |_, buffer| tip.encode(buffer))?;
-            }
+    /// Writes all messages of one tick. The first arm comes last: its tick message says that the tick is complete.
+    pub(super) fn tick(&mut self, item: &TickItem) -> McapResult<()> {
+        let tick = &item.tick;
+        if let Some(second) = &tick.arms.second {
+            self.arm(1, tick, second)?;
+            self.rest(1, item, second)?;
         }
-        self.protobuf(Topic::Jaw, tick.now, |joints, buffer| {
-            joints.jaw.encode(buffer)
-        })?;
-        self.protobuf(Topic::SetpointJs, tick.now, |joints, buffer| {
-            joints.setpoint.encode(buffer)
-        })?;
-        self.json(
-            Topic::Safety,
-            tick.now,
-            &SafetyMessage::new(tick.tick, &tick.report),
-        )?;
+        self.arm(0, tick, &tick.arms.first)?;
         let timing = TimingMessage {
             tick: tick.tick,
             period_ns: tick.now.since(self.previous_now),
             wake_ns: tick.timing.wake_ns,
             compute_ns: tick.timing.compute_ns,
         };
-        self.json(Topic::Timing, tick.now, &timing)?;
-        let rest = TickMessage {
-            record,
-            tick: tick.tick,
-            now_ns: tick.now.0,
-            error: tick.measured.err().map(ErrorMessage::from),
-            operator: tick.operator.map(OperatorMessage::from),
-            chunk: tick.chunk_sequence.map(|sequence| ChunkRef {
-                sequence,
-                record: chunk_record,
-            }),
-            enabled: tick.command.enabled,
-        };
-        self.json(Topic::Tick, tick.now, &rest)?;
+        self.json(Topic::Timing, 0, tick.now, &timing)?;
+        self.rest(0, item, &tick.arms.first)?;
         self.previous_now = tick.now;
         if tick.now.since(self.flushed_at) >= FLUSH_NS {
             self.flushed_at = tick.now;
@@ -131,9 +100,53 @@ impl<W: Write + Seek> LogWriter<W> {
         Ok(())
     }
 
+    /// Writes what the arm `index` measured, what it was told and how that came about.
+    fn arm(&mut self, index: usize, tick: &TickRecord, arm: &ArmRecord) -> McapResult<()> {
+        let measured = arm.measured.as_ref().ok();
+        self.joints.set_measured(measured);
+        self.joints.set_command(&arm.command);
+        if let Some(state) = measured {
+            self.protobuf(Topic::MeasuredJs, index, tick.now, |joints, buffer| {
+                joints.measured.encode(buffer)
+            })?;
+            if state.is_finite() {
+                let tip = measured_tip(RCM_FRAMES[index], state);
+                self.protobuf(Topic::MeasuredCp, index, tick.now, |_, buffer| {
+                    tip.encode(buffer)
+                })?;
+            }
+        }
+        self.protobuf(Topic::Jaw, index, tick.now, |joints, buffer| {
+            joints.jaw.encode(buffer)
+        })?;
+        self.protobuf(Topic::SetpointJs, index, tick.now, |joints, buffer| {
+            joints.setpoint.encode(buffer)
+        })?;
+        let safety = SafetyMessage::new(tick.tick, &arm.report);
+        self.json(Topic::Safety, index, tick.now, &safety)
+    }
+
+    /// Writes the rest of what the controller was given for the arm `index`.
+    fn rest(&mut self, index: usize, item: &TickItem, arm: &ArmRecord) -> McapResult<()> {
+        let record = item.chunk_records.get(index).copied().flatten();
+        let rest = TickMessage {
+            record: item.record,
+            tick: item.tick.tick,
+            now_ns: item.tick.now.0,
+            error: arm.measured.err().map(ErrorMessage::from),
+            operator: arm.operator.map(OperatorMessage::from),
+            chunk: arm
+                .chunk_sequence
+                .map(|sequence| ChunkRef { sequence, record }),
+            enabled: arm.command.enabled,
+        };
+        self.json(Topic::Tick, index, item.tick.now, &rest)
+    }
+
     /// Writes a chunk that the controller was given at `now`, before the tick that names it.
-    pub(super) fn chunk(&mut self, record: u64, now: TimeNs, chunk: &Chunk) -> McapResult<()> {
-        self.json(Topic::Chunk, now, &ChunkMessage::new(record, chunk))
+    pub(super) fn chunk(&mut self, item: &ChunkItem, now: TimeNs) -> McapResult<()> {
+        let message = ChunkMessage::new(item.record, &item.chunk);
+        self.json(Topic::Chunk, item.arm, now, &message)
     }
 
     /// Writes a line of text.
@@ -145,7 +158,7 @@ impl<W: Write + Seek> LogWriter<W> {
             name: "trocar".to_owned(),
             ..Log::default()
         };
-        self.protobuf(Topic::Events, at, |_, buffer| log.encode(buffer))
+        self.protobuf(Topic::Events, 0, at, |_, buffer| log.encode(buffer))
     }
 
     /// Writes a camera's image and lens.
@@ -204,22 +217,35 @@ impl<W: Write + Seek> LogWriter<W> {
     fn protobuf(
         &mut self,
         topic: Topic,
+        arm: usize,
         now: TimeNs,
         encode: impl FnOnce(&JointMessages, &mut Vec<u8>) -> Result<(), EncodeError>,
     ) -> McapResult<()> {
         self.buffer.clear();
         encode(&self.joints, &mut self.buffer).map_err(std::io::Error::from)?;
-        self.put(self.channel(topic), now)
+        let channel = self.channel(topic, arm)?;
+        self.put(channel, now)
     }
 
-    fn json(&mut self, topic: Topic, now: TimeNs, message: &impl Serialize) -> McapResult<()> {
+    fn json(
+        &mut self,
+        topic: Topic,
+        arm: usize,
+        now: TimeNs,
+        message: &impl Serialize,
+    ) -> McapResult<()> {
         self.buffer.clear();
         serde_json::to_writer(&mut self.buffer, message).map_err(std::io::Error::from)?;
-        self.put(self.channel(topic), now)
+        let channel = self.channel(topic, arm)?;
+        self.put(channel, now)
     }
 
-    fn channel(&self, topic: Topic) -> u16 {
-        self.channels[topic as usize]
+    fn channel(&mut self, topic: Topic, arm: usize) -> McapResult<u16> {
+        while self.channels.len() <= arm {
+            let channels = topic::add_channels(&mut self.writer, self.channels.len())?;
+            self.channels.push(channels);
+        }
+        Ok(self.channels[arm][topic as usize])
     }
 
     fn put(&mut self, channel_id: u16, now: TimeNs) -> McapResult<()> {
@@ -235,12 +261,12 @@ impl<W: Write + Seek> LogWriter<W> {
     }
 }
 
-fn measured_tip(state: &hal::ArmState) -> PoseInFrame {
+fn measured_tip(frame: &str, state: &hal::ArmState) -> PoseInFrame {
     let tip = crate::verify::tip_in_rcm(&state.position);
     let (p, q) = (tip.translation.vector, tip.rotation.coords);
     PoseInFrame {
         timestamp: Some(Timestamp::new(state.stamp)),
-        frame_id: RCM_FRAME.to_owned(),
+        frame_id: frame.to_owned(),
         pose: Some(Pose {
             position: Some(Vector3 {
                 x: p.x,

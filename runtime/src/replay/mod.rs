@@ -2,14 +2,17 @@
 
 use core::fmt;
 
-use hal::ArmCommand;
 use hal::config::{ConfigError, Source};
 use hal::joints::JOINT_NAMES;
+use hal::{ArmCommand, Chunk};
 use serde::Serialize;
 
 use crate::control::second_opinion;
-use crate::control::{CommandHash, ControlConfig, Controller, InputHash, QpOutcome, TickInput};
-use crate::log::{Loss, RunLog};
+use crate::control::{
+    AnyController, CommandHash, ControlConfig, InputHash, QpOutcome, TickInput, TickOutput,
+};
+use crate::log::{LoggedTick, Loss, RunLog};
+use crate::per_arm::PerArm;
 
 /// What a replay found.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -41,7 +44,7 @@ pub struct SecondOpinion {
 }
 
 impl SecondOpinion {
-    fn ask(&mut self, controller: &Controller) {
+    fn ask(&mut self, controller: &AnyController) {
         let problem = controller.problem();
         self.problems += 1;
         match second_opinion::compare(problem, controller.solution()) {
@@ -58,7 +61,9 @@ impl SecondOpinion {
 pub struct Difference {
     /// The tick.
     pub tick: u64,
-    /// What differs: `position.yaw`, `stamp`, `enabled`, `command_hash`; `inputs` where only their hash shows it; or `log` where the logger lost an input.
+    /// What differs: `position.yaw`, `stamp`, `enabled`, `command_hash`; `inputs` where only their hash shows it; `arms` where
+    /// their number does; or `log` where the logger lost an input. Where there are two arms, the arm's name comes first:
+    /// `psm2.position.yaw`.
     pub what: String,
     /// In the log.
     pub logged: String,
@@ -113,62 +118,108 @@ impl From<ConfigError> for ReplayError {
 /// [`ReplayError`] when the log does not say how the controller was configured or holds no tick.
 pub fn replay(log: &RunLog) -> Result<ReplayResult, ReplayError> {
     let config = ControlConfig::load(&text(log, "control.toml")?, &text(log, "safety.toml")?)?;
-    let mut controller =
-        Controller::new(&config).map_err(|error| ReplayError::Controller(error.to_string()))?;
+    let mut run = Recomputed::new(&config)?;
     if log.tick_count() == 0 {
         return Err(ReplayError::Empty);
     }
-    let cut = log.cut().map(str::to_owned);
-    let inputs_checked = log.input_hash.is_some();
-    let mut hash = CommandHash::new();
-    let mut inputs = InputHash::new();
-    let mut second_opinion = SecondOpinion::default();
     let mut ticks = 0;
     let mut last = 0;
-    for (position, (logged, chunk)) in log.ticks().enumerate() {
-        let inputs_lost = lost_before(log, position, logged.tick);
-        let input = TickInput {
-            now: logged.now,
-            measured: logged.measured,
-            chunk,
-            operator: logged.operator,
-        };
-        if let Some(chunk) = chunk {
-            inputs.chunk(chunk);
-        }
-        inputs.tick(logged.now, &logged.measured, logged.operator);
-        let difference = inputs_lost.or_else(|| {
-            let output = controller.tick(&input);
-            if matches!(output.report.qp, QpOutcome::Solved { .. }) {
-                second_opinion.ask(&controller);
-            }
-            hash.add(&output.command);
-            difference(logged.tick, &logged.command, &output.command)
-        });
-        if difference.is_some() {
-            return Ok(ReplayResult {
-                identical: false,
-                ticks,
-                inputs_checked: false,
-                first_difference: difference,
-                second_opinion,
-                cut,
-            });
+    let mut found = None;
+    for (position, (logged, chunks)) in log.ticks().enumerate() {
+        found = lost_before(log, position, logged.tick).or_else(|| run.tick(logged, &chunks));
+        if found.is_some() {
+            break;
         }
         ticks += 1;
         last = logged.tick;
     }
-    let first_difference = lost_before(log, log.tick_count(), last)
-        .or_else(|| other_inputs(log, last, inputs))
-        .or_else(|| other_hash(log, last, hash));
+    let went_through = found.is_none();
+    let first_difference = found
+        .or_else(|| lost_before(log, log.tick_count(), last))
+        .or_else(|| other_inputs(log, last, run.inputs))
+        .or_else(|| other_hash(log, last, run.hash));
     Ok(ReplayResult {
         identical: first_difference.is_none(),
         ticks,
-        inputs_checked,
+        inputs_checked: went_through && log.input_hash.is_some(),
         first_difference,
-        second_opinion,
-        cut,
+        second_opinion: run.second_opinion,
+        cut: log.cut().map(str::to_owned),
     })
+}
+
+/// The run as it is computed again.
+struct Recomputed {
+    controller: AnyController,
+    /// What stands before the names of each arm's numbers.
+    prefixes: Vec<String>,
+    hash: CommandHash,
+    inputs: InputHash,
+    second_opinion: SecondOpinion,
+}
+
+impl Recomputed {
+    fn new(config: &ControlConfig) -> Result<Self, ReplayError> {
+        let controller = AnyController::new(config)
+            .map_err(|error| ReplayError::Controller(error.to_string()))?;
+        let alone = controller.arm_count() == 1;
+        let prefix = |name: &str| {
+            if alone {
+                String::new()
+            } else {
+                format!("{name}.")
+            }
+        };
+        Ok(Self {
+            prefixes: config.arms.iter().map(|arm| prefix(&arm.name)).collect(),
+            controller,
+            hash: CommandHash::new(),
+            inputs: InputHash::new(),
+            second_opinion: SecondOpinion::default(),
+        })
+    }
+
+    /// Recomputes one tick of all arms and compares.
+    fn tick(&mut self, logged: &LoggedTick, chunks: &PerArm<Option<&Chunk>>) -> Option<Difference> {
+        for (index, chunk) in chunks.iter().enumerate() {
+            if let Some(chunk) = chunk {
+                self.inputs.chunk(index, chunk);
+            }
+        }
+        for arm in logged.arms.iter() {
+            self.inputs.tick(logged.now, &arm.measured, arm.operator);
+        }
+        let given = logged.arms.as_ref().zip(*chunks);
+        let outputs = self.controller.tick(&given.map(|(arm, chunk)| TickInput {
+            now: logged.now,
+            measured: arm.measured,
+            chunk,
+            operator: arm.operator,
+        }));
+        let Some(outputs) = outputs else {
+            return Some(Difference {
+                tick: logged.tick,
+                what: "arms".to_owned(),
+                logged: logged.arms.count().to_string(),
+                computed: self.controller.arm_count().to_string(),
+            });
+        };
+        let solved = |output: &TickOutput| matches!(output.report.qp, QpOutcome::Solved { .. });
+        if outputs.iter().any(solved) {
+            self.second_opinion.ask(&self.controller);
+        }
+        for output in outputs.iter() {
+            self.hash.add(&output.command);
+        }
+        let mut pairs = logged.arms.iter().zip(outputs.iter()).zip(&self.prefixes);
+        pairs.find_map(|((arm, output), prefix)| {
+            let found = difference(logged.tick, &arm.command, &output.command)?;
+            Some(Difference {
+                what: format!("{prefix}{}", found.what),
+                ..found
+            })
+        })
+    }
 }
 
 fn text(log: &RunLog, file: &'static str) -> Result<Source, ReplayError> {

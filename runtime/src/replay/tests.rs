@@ -1,5 +1,7 @@
 //! Replays of runs of the real controller, honest and tampered with.
 
+mod two_arms;
+
 use hal::{ArmError, Chunk};
 
 use super::{ReplayError, ReplayResult, replay};
@@ -44,15 +46,15 @@ fn changed_in_the_file(
     let (mut records, header) = run_controller(700);
     let mut chunks: Vec<_> = records
         .iter()
-        .filter_map(|record| record.chunk_sequence.map(chunk_of_run))
+        .filter_map(|record| record.arms.first.chunk_sequence.map(chunk_of_run))
         .collect();
     let file = Scratch::new(name);
     let write = |records: &[TickRecord], chunks: &[Chunk]| {
         let mut recorder = Recorder::create(&file.0, &header, Pressure::Block).unwrap();
         let mut chunks = chunks.iter();
         for record in records {
-            if record.chunk_sequence.is_some() {
-                recorder.chunk(chunks.next().unwrap());
+            if record.arms.first.chunk_sequence.is_some() {
+                recorder.chunk(0, chunks.next().unwrap());
             }
             recorder.tick(record);
         }
@@ -74,7 +76,7 @@ fn flip(value: &mut f64) {
 fn one_flipped_bit_in_an_input_shows() {
     // The measurement seeds the first command.
     let result = changed_in_the_file("flip-first", |records, _| {
-        flip(&mut records[0].measured.as_mut().unwrap().position[1]);
+        flip(&mut records[0].arms.first.measured.as_mut().unwrap().position[1]);
     });
     let difference = result.first_difference.unwrap();
     assert_eq!(
@@ -84,7 +86,15 @@ fn one_flipped_bit_in_an_input_shows() {
     // Later ones change no command.
     for (name, index) in [("flip-later", 300), ("flip-last", 699)] {
         let result = changed_in_the_file(name, |records, _| {
-            flip(&mut records[index].measured.as_mut().unwrap().position[1]);
+            flip(
+                &mut records[index]
+                    .arms
+                    .first
+                    .measured
+                    .as_mut()
+                    .unwrap()
+                    .position[1],
+            );
         });
         let difference = result.first_difference.unwrap();
         assert_eq!(
@@ -114,7 +124,15 @@ fn one_flipped_bit_in_a_chunk_shows() {
 #[test]
 fn one_flipped_bit_in_a_number_that_the_controller_ignores_shows() {
     let result = changed_in_the_file("flip-effort", |records, _| {
-        flip(&mut records[650].measured.as_mut().unwrap().jaw_effort);
+        flip(
+            &mut records[650]
+                .arms
+                .first
+                .measured
+                .as_mut()
+                .unwrap()
+                .jaw_effort,
+        );
     });
     assert_eq!(result.first_difference.unwrap().what, "inputs");
 }
@@ -122,7 +140,7 @@ fn one_flipped_bit_in_a_number_that_the_controller_ignores_shows() {
 #[test]
 fn one_flipped_bit_in_a_command_shows() {
     let result = tampered("flip-command", |records| {
-        let jaw = &mut records[300].command.jaw_velocity;
+        let jaw = &mut records[300].arms.first.command.jaw_velocity;
         *jaw = f64::from_bits(jaw.to_bits() ^ 1);
     });
     let difference = result.first_difference.unwrap();
@@ -135,7 +153,7 @@ fn one_flipped_bit_in_a_command_shows() {
 #[test]
 fn another_operator_or_a_lost_measurement_shows() {
     let paused = tampered("pause", |records| {
-        records[200].operator = Some(OperatorEvent::Pause)
+        records[200].arms.first.operator = Some(OperatorEvent::Pause)
     });
     assert!(
         paused
@@ -143,7 +161,7 @@ fn another_operator_or_a_lost_measurement_shows() {
             .is_some_and(|difference| difference.tick >= 200)
     );
     let lost = tampered("lost", |records| {
-        records[200].measured = Err(ArmError::MeasurementLost { age_ns: 1 })
+        records[200].arms.first.measured = Err(ArmError::MeasurementLost { age_ns: 1 })
     });
     assert!(
         lost.first_difference

@@ -2,16 +2,16 @@
 
 use std::collections::VecDeque;
 
-use hal::{Arm, ArmState, CameraFrame, Chunk, FrameRef, Pose, TimeNs};
+use hal::{Arm, ArmError, ArmState, CameraFrame, Chunk, FrameRef, TimeNs};
 use sim_backend::simulation::Simulation;
 use sim_backend::task::Outcome;
 
 use super::SessionError;
-use super::source::{ChunkSource, Query, STEP_TICKS};
+use super::source::{ChunkSource, Query, STEP_TICKS, SeenArm};
 use super::tally::Tally;
-use crate::control::{Controller, Fault, OperatorEvent, TickInput};
-use crate::kinematics;
-use crate::log::{TickRecord, TickTiming};
+use crate::control::{AnyController, Fault, OperatorEvent, TickInput};
+use crate::log::{ArmRecord, TickRecord, TickTiming};
+use crate::per_arm::PerArm;
 use crate::rt::MonotonicClock;
 
 /// What is fixed about an episode before it begins.
@@ -26,16 +26,12 @@ pub struct Plan {
 /// What was seen and answered at one policy step.
 #[derive(Clone, Copy, Debug)]
 pub struct StepView<'a> {
-    /// The time of the step.
-    pub now: TimeNs,
-    /// The measured arm.
-    pub arm: &'a ArmState,
-    /// Measured tip pose in the RCM frame.
-    pub tip_in_rcm: Pose,
+    /// The measured arms.
+    pub arms: &'a PerArm<SeenArm>,
     /// Frames, if any were taken.
     pub frames: &'a [CameraFrame],
-    /// The answer, if the policy was asked.
-    pub answer: Option<&'a Chunk>,
+    /// The answer, a chunk for each arm, if the policy was asked.
+    pub answer: Option<&'a PerArm<Chunk>>,
 }
 
 /// Looks on while an episode runs: a log, a dataset, pictures.
@@ -54,9 +50,10 @@ pub trait Watcher {
         Ok(())
     }
 
-    /// A chunk that the controller is about to consume.
-    fn chunk(&mut self, chunk: &Chunk) {
-        let _unwatched = chunk;
+    /// A chunk that the controller has consumed for the arm `arm`, counted from 0; the first arm's comes first, and their tick
+    /// after them.
+    fn chunk(&mut self, arm: usize, chunk: &Chunk) {
+        let _unwatched = (arm, chunk);
     }
 
     /// A control period.
@@ -82,10 +79,10 @@ pub struct EpisodeEnd {
 
 /// The parts of an episode.
 pub struct Episode<'a> {
-    /// The arm and its scene.
+    /// The arms and their scene.
     pub simulation: &'a mut Simulation,
     /// A fresh controller.
-    pub controller: &'a mut Controller,
+    pub controller: &'a mut AnyController,
     /// The policy.
     pub source: &'a mut ChunkSource,
 }
@@ -94,7 +91,8 @@ impl Episode<'_> {
     /// Runs to the task's verdict or the tick limit.
     ///
     /// # Errors
-    /// From the simulation, the policy or the watcher.
+    /// From the simulation, the policy or the watcher; [`SessionError::BadArgument`] if the simulation has other arms than the
+    /// controller.
     pub fn run(
         mut self,
         plan: &Plan,
@@ -102,52 +100,25 @@ impl Episode<'_> {
     ) -> Result<EpisodeEnd, SessionError> {
         let clock = MonotonicClock::new();
         let mut cameras = Cameras::choose(self.source, watcher, self.simulation)?;
-        let mut pending: VecDeque<(u64, Chunk)> = VecDeque::new();
+        let mut pending: VecDeque<(u64, PerArm<Chunk>)> = VecDeque::new();
         let mut tally = Tally::default();
         for tick in 0..plan.tick_limit {
             let now = TimeNs::from_tick(tick);
-            let measured = self.simulation.read(now);
-            if let (Ok(arm), 0) = (&measured, tick % STEP_TICKS) {
+            let measured = self.read(now)?;
+            if let (Some(arms), 0) = (seen(&measured), tick % STEP_TICKS) {
                 let step = tick / STEP_TICKS;
-                let answer = self.policy_step(step, arm, &mut cameras, watcher, clock)?;
-                if let Some((chunk, inference_ns)) = answer {
+                let answer = self.policy_step(step, &arms, &mut cameras, watcher, clock)?;
+                if let Some((chunks, inference_ns)) = answer {
                     tally.query(inference_ns, plan.latency_ticks * hal::TICK_NS);
-                    pending.push_back((tick + plan.latency_ticks, chunk));
+                    pending.push_back((tick + plan.latency_ticks, chunks));
                 }
             }
-            let due = pending.front().is_some_and(|(at, _)| *at <= tick);
-            let chunk = if due {
-                pending.pop_front().map(|(_, chunk)| chunk)
-            } else {
-                None
-            };
-            let operator = (tick == 0).then_some(OperatorEvent::Enable);
-            let before = clock.now();
-            let output = self.controller.tick(&TickInput {
-                now,
-                measured,
-                chunk: chunk.as_ref(),
-                operator,
-            });
-            let compute_ns = clock.now().since(before);
-            self.simulation.write(&output.command, &output.tail)?;
-            self.simulation.step();
-            if let Some(chunk) = &chunk {
-                watcher.chunk(chunk);
+            let due = pending.pop_front_if(|(at, _)| *at <= tick);
+            let chunks = due.map(|(_, chunks)| chunks);
+            let record = self.control(tick, measured, chunks.as_ref(), clock)?;
+            for (arm, chunk) in chunks.iter().flat_map(PerArm::iter).enumerate() {
+                watcher.chunk(arm, chunk);
             }
-            let record = TickRecord {
-                tick,
-                now,
-                measured,
-                operator,
-                chunk_sequence: chunk.map(|chunk| chunk.sequence),
-                command: output.command,
-                report: output.report,
-                timing: TickTiming {
-                    wake_ns: 0,
-                    compute_ns,
-                },
-            };
             tally.tick(&record);
             watcher.tick(&record);
             let outcome = self.simulation.outcome();
@@ -161,45 +132,110 @@ impl Episode<'_> {
         })
     }
 
+    /// What each arm measured.
+    fn read(&mut self, now: TimeNs) -> Result<PerArm<Measured>, SessionError> {
+        let count = self.simulation.arm_count();
+        let read = |arm| Some(self.simulation.arm(arm)?.read(now));
+        PerArm::collect((0..count).filter_map(read)).ok_or_else(|| other_arms(self.controller))
+    }
+
+    /// One control period: the controller's tick, and the arms' millisecond after it.
+    fn control(
+        &mut self,
+        tick: u64,
+        measured: PerArm<Measured>,
+        chunks: Option<&PerArm<Chunk>>,
+        clock: MonotonicClock,
+    ) -> Result<TickRecord, SessionError> {
+        let now = TimeNs::from_tick(tick);
+        let mut newest = chunks.into_iter().flat_map(PerArm::iter);
+        let inputs = measured.map(|measured| TickInput {
+            now,
+            measured,
+            chunk: newest.next(),
+            operator: (tick == 0).then_some(OperatorEvent::Enable),
+        });
+        let before = clock.now();
+        let outputs = self.controller.tick(&inputs);
+        let compute_ns = clock.now().since(before);
+        let outputs = outputs.ok_or_else(|| other_arms(self.controller))?;
+        for (index, output) in outputs.iter().enumerate() {
+            if let Some(mut arm) = self.simulation.arm(index) {
+                arm.write(&output.command, &output.tail)?;
+            }
+        }
+        self.simulation.step();
+        Ok(TickRecord {
+            tick,
+            now,
+            arms: inputs.zip(outputs).map(|(input, output)| ArmRecord {
+                measured: input.measured,
+                operator: input.operator,
+                chunk_sequence: input.chunk.map(|chunk| chunk.sequence),
+                command: output.command,
+                report: output.report,
+            }),
+            timing: TickTiming {
+                wake_ns: 0,
+                compute_ns,
+            },
+        })
+    }
+
     /// Takes frames if anyone wants them, asks the policy if it is its turn, and shows the watcher both. Gives the answer
     /// and how long it took, ns.
     fn policy_step(
         &mut self,
         step: u64,
-        arm: &ArmState,
+        arms: &PerArm<SeenArm>,
         cameras: &mut Cameras,
         watcher: &mut dyn Watcher,
         clock: MonotonicClock,
-    ) -> Result<Option<(Chunk, u64)>, SessionError> {
+    ) -> Result<Option<(PerArm<Chunk>, u64)>, SessionError> {
         let asked = step.is_multiple_of(self.source.query_every_steps());
         cameras.take(self.simulation, step, asked)?;
-        let tip_in_rcm = kinematics::forward(&arm.position);
         let answer = if asked {
             let scene = self.simulation.scene_state();
             let frames: Vec<FrameRef<'_>> =
                 cameras.frames.iter().map(CameraFrame::as_frame).collect();
             let query = Query {
-                arm,
-                tip_in_rcm,
+                arms: *arms,
                 frames: &frames,
                 scene: &scene,
             };
             let before = clock.now();
-            let chunk = self.source.answer(&query)?;
-            Some((chunk, clock.now().since(before)))
+            let chunks = self.source.answer(&query)?;
+            Some((chunks, clock.now().since(before)))
         } else {
             None
         };
         let frames: &[CameraFrame] = if cameras.fresh { &cameras.frames } else { &[] };
         watcher.step(&StepView {
-            now: arm.stamp,
-            arm,
-            tip_in_rcm,
+            arms,
             frames,
-            answer: answer.as_ref().map(|(chunk, _)| chunk),
+            answer: answer.as_ref().map(|(chunks, _)| chunks),
         })?;
         Ok(answer)
     }
+}
+
+/// What an arm answers when it is read.
+type Measured = Result<ArmState, ArmError>;
+
+/// The arms as a policy sees them, unless one was not measured.
+fn seen(measured: &PerArm<Measured>) -> Option<PerArm<SeenArm>> {
+    let arms: Option<Vec<SeenArm>> = measured
+        .iter()
+        .map(|arm| arm.as_ref().ok().map(SeenArm::new))
+        .collect();
+    PerArm::collect(arms?)
+}
+
+fn other_arms(controller: &AnyController) -> SessionError {
+    SessionError::BadArgument(format!(
+        "the controller has {} arms, the simulation another number",
+        controller.arm_count()
+    ))
 }
 
 /// The cameras of an episode and their newest frames.

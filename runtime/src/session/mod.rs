@@ -19,6 +19,9 @@ pub mod tally;
 pub mod tasks;
 pub mod training;
 
+#[cfg(test)]
+mod tests;
+
 pub use error::SessionError;
 pub use setup::Setup;
 pub use source::PolicyChoice;

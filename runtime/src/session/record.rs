@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use hal::{Chunk, TipTarget};
+use hal::TipTarget;
 use policy::act_policy::state_numbers;
 use policy::dataset::{CameraSpec, DatasetSpec, DatasetWriter, FrameRecord};
 use serde::Serialize;
@@ -57,13 +57,14 @@ pub struct RecordSummary {
 /// Records until enough attempts have succeeded; failed ones are reported and not kept.
 ///
 /// # Errors
-/// From the simulation or the dataset; [`SessionError::BadArgument`] if the folder is not empty;
+/// From the simulation or the dataset; [`SessionError::BadArgument`] if the folder is not empty or the task has two arms;
 /// [`SessionError::Unproductive`] if the expert fails far too often.
 pub fn record(
     setup: &Setup,
     options: &RecordOptions,
     on_attempt: &mut dyn FnMut(&Attempt),
 ) -> Result<RecordSummary, SessionError> {
+    setup.expect_one_arm("a dataset holds one arm's demonstrations")?;
     outputs::new_folder(&options.out)?;
     let mut writer = DatasetWriter::create(&options.out, &dataset_spec(setup))?;
     let mut summary = RecordSummary {
@@ -212,14 +213,15 @@ impl Watcher for Diary {
     fn step(&mut self, view: &StepView<'_>) -> Result<(), SessionError> {
         let Some(target) = view
             .answer
-            .and_then(|chunk: &Chunk| chunk.valid_targets().first())
+            .and_then(|chunks| chunks.first.valid_targets().first())
         else {
             return Ok(());
         };
+        let arm = &view.arms.first;
         let [x, y, z, i, j, k, w] = target.pose_numbers();
         self.frames.push(StoredFrame {
-            state: state_numbers(view.arm),
-            tip_pose: TipTarget::new(&view.tip_in_rcm, 0.0).pose_numbers(),
+            state: state_numbers(&arm.state),
+            tip_pose: TipTarget::new(&arm.tip_in_rcm, 0.0).pose_numbers(),
             action: [x, y, z, i, j, k, w, target.jaw],
             images: view
                 .frames

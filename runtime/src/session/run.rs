@@ -188,9 +188,9 @@ impl Watcher for RunWatcher {
         Ok(())
     }
 
-    fn chunk(&mut self, chunk: &Chunk) {
+    fn chunk(&mut self, arm: usize, chunk: &Chunk) {
         if let Some(recorder) = &mut self.recorder {
-            recorder.chunk(chunk);
+            recorder.chunk(arm, chunk);
         }
     }
 

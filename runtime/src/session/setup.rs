@@ -13,7 +13,7 @@ use tch::Device;
 use super::SessionError;
 use super::source::{ChunkSource, PolicyChoice};
 use super::tasks;
-use crate::control::{ControlConfig, Controller};
+use crate::control::{AnyController, ControlConfig};
 
 /// Everything that a session is configured by.
 #[derive(Clone, Debug)]
@@ -83,18 +83,34 @@ impl Setup {
             .collect()
     }
 
-    /// A fresh controller.
+    /// A fresh controller of all arms of the task.
     ///
     /// # Errors
     /// [`SessionError::BadArgument`] if the configuration can't be turned into one.
-    pub fn controller(&self) -> Result<Controller, SessionError> {
-        Controller::new(&self.control).map_err(|error| SessionError::BadArgument(error.to_string()))
+    pub fn controller(&self) -> Result<AnyController, SessionError> {
+        AnyController::new(&self.control)
+            .map_err(|error| SessionError::BadArgument(error.to_string()))
+    }
+
+    /// Refuses a task of two arms, for what knows one only; `what` says what that is and what to do instead.
+    ///
+    /// # Errors
+    /// [`SessionError::BadArgument`].
+    pub fn expect_one_arm(&self, what: &str) -> Result<(), SessionError> {
+        let count = self.task.arms.len();
+        if count == 1 {
+            return Ok(());
+        }
+        Err(SessionError::BadArgument(format!(
+            "task {} has {count} arms: {what}",
+            self.task_name
+        )))
     }
 
     /// The source of chunks that the user asked for.
     ///
     /// # Errors
-    /// [`SessionError::Checkpoint`].
+    /// [`SessionError::Checkpoint`], or [`SessionError::BadArgument`] for a checkpoint and a task of two arms.
     pub fn source(
         &self,
         choice: &PolicyChoice,
@@ -116,6 +132,7 @@ impl Setup {
                 sequence: 0,
             },
             PolicyChoice::Checkpoint(path) => {
+                self.expect_one_arm("a network commands one; take expert, noop or random")?;
                 ChunkSource::Network(Box::new(ActPolicy::load(path, device)?))
             }
         })
@@ -134,23 +151,25 @@ impl Setup {
     }
 }
 
-/// The scene and the safety limits must speak of the same arm at the same place.
+/// The scene and the safety limits must speak of the same arms at the same places.
 fn check_bases(task: &TaskConfig, control: &ControlConfig) -> Result<(), SessionError> {
-    let ([arm], [start]) = (control.arms.as_slice(), task.arms.as_slice()) else {
+    let counts = (control.arms.len(), task.arms.len());
+    if counts.0 != counts.1 {
         return Err(SessionError::BadArgument(format!(
-            "safety.toml: arm = {} arms, the scene has {}, a session drives one",
-            control.arms.len(),
-            task.arms.len()
+            "safety.toml: arm = {} arms, scene.toml has {}",
+            counts.0, counts.1
         )));
-    };
-    let off = start.scene_from_rcm.inverse() * arm.scene_from_rcm;
-    if off.translation.vector.norm() < 1e-6 && off.rotation.angle() < 1e-6 {
-        return Ok(());
     }
-    Err(SessionError::BadArgument(format!(
-        "safety.toml: arm.0.rcm_in_scene_m is {}, scene.toml puts the arm at {}",
-        arm.scene_from_rcm, start.scene_from_rcm
-    )))
+    for (index, (arm, start)) in control.arms.iter().zip(&task.arms).enumerate() {
+        let off = start.scene_from_rcm.inverse() * arm.scene_from_rcm;
+        if off.translation.vector.norm() >= 1e-6 || off.rotation.angle() >= 1e-6 {
+            return Err(SessionError::BadArgument(format!(
+                "safety.toml: arm.{index}.rcm_in_scene_m is {}, scene.toml puts the arm at {}",
+                arm.scene_from_rcm, start.scene_from_rcm
+            )));
+        }
+    }
+    Ok(())
 }
 
 /// The built-in settings, with the aggregation that the checkpoint recommends.

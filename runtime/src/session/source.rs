@@ -10,6 +10,8 @@ use sim_backend::rng::Rng;
 use sim_backend::simulation::SceneState;
 
 use super::SessionError;
+use crate::kinematics;
+use crate::per_arm::PerArm;
 
 /// Control periods in one policy step.
 pub const STEP_TICKS: u64 = 40;
@@ -71,13 +73,36 @@ impl PolicyChoice {
     }
 }
 
+/// An arm as a policy sees it.
+#[derive(Clone, Copy, Debug)]
+pub struct SeenArm {
+    /// What was measured.
+    pub state: ArmState,
+    /// Measured tip pose in the RCM frame.
+    pub tip_in_rcm: Pose,
+}
+
+impl SeenArm {
+    /// An arm that measured `state`.
+    #[must_use]
+    pub fn new(state: &ArmState) -> Self {
+        Self {
+            state: *state,
+            tip_in_rcm: kinematics::forward(&state.position),
+        }
+    }
+
+    /// Where it is.
+    fn here(&self) -> TipTarget {
+        TipTarget::new(&self.tip_in_rcm, self.state.jaw_position)
+    }
+}
+
 /// What a source may look at. Only the expert looks at `scene`.
 #[derive(Clone, Copy, Debug)]
 pub struct Query<'a> {
-    /// The measured arm.
-    pub arm: &'a ArmState,
-    /// Measured tip pose in the RCM frame.
-    pub tip_in_rcm: Pose,
+    /// The measured arms.
+    pub arms: PerArm<SeenArm>,
     /// Frames of the cameras in [`ChunkSource::cameras`].
     pub frames: &'a [FrameRef<'a>],
     /// The true state of the scene.
@@ -93,23 +118,23 @@ pub enum ChunkSource {
         /// Chunks so far.
         sequence: u64,
     },
-    /// Holds the pose it saw first.
+    /// Holds the pose that it saw first of each arm.
     Noop {
-        /// That pose and jaw angle.
-        held: Option<TipTarget>,
+        /// These poses and jaw angles.
+        held: Option<PerArm<TipTarget>>,
         /// Chunks so far.
         sequence: u64,
     },
-    /// Wanders around the pose it saw first.
+    /// Wanders around the pose that it saw first of each arm.
     Random {
-        /// That pose and jaw angle.
-        home: Option<TipTarget>,
+        /// These poses and jaw angles.
+        home: Option<PerArm<TipTarget>>,
         /// The dice.
         rng: Rng,
         /// Chunks so far.
         sequence: u64,
     },
-    /// A trained network.
+    /// A trained network, which commands one arm.
     Network(Box<ActPolicy>),
 }
 
@@ -142,22 +167,26 @@ impl ChunkSource {
         }
     }
 
-    /// The chunk that answers `query`.
+    /// The chunks that answer `query`, one for each arm.
     ///
     /// # Errors
-    /// Whatever the network reports.
-    pub fn answer(&mut self, query: &Query<'_>) -> Result<Chunk, SessionError> {
-        let now = query.arm.stamp;
-        let here = TipTarget::new(&query.tip_in_rcm, query.arm.jaw_position);
+    /// Whatever the network reports; [`SessionError::BadArgument`] if the expert commands no arm.
+    pub fn answer(&mut self, query: &Query<'_>) -> Result<PerArm<Chunk>, SessionError> {
+        let first = &query.arms.first;
+        let now = first.state.stamp;
+        let here = query.arms.map(|arm| arm.here());
         match self {
             Self::Expert { expert, sequence } => {
                 *sequence += 1;
-                Ok(expert.chunk(now, query.scene, *sequence))
+                let chunks = expert.chunks(now, query.scene, *sequence);
+                PerArm::collect(chunks).ok_or_else(|| {
+                    SessionError::BadArgument("the expert commands no arm".to_owned())
+                })
             }
             Self::Noop { held, sequence } => {
                 *sequence += 1;
-                let target = *held.get_or_insert(here);
-                Ok(Chunk::new(now, *sequence, STEP_NS, &[target; 2]))
+                let held = *held.get_or_insert(here);
+                Ok(held.map(|target| Chunk::new(now, *sequence, STEP_NS, &[target; 2])))
             }
             Self::Random {
                 home,
@@ -166,15 +195,15 @@ impl ChunkSource {
             } => {
                 *sequence += 1;
                 let home = *home.get_or_insert(here);
-                Ok(wander(now, *sequence, &home, rng))
+                Ok(home.map(|home| wander(now, *sequence, &home, rng)))
             }
             Self::Network(network) => {
                 let observation = Observation {
-                    arm: query.arm,
-                    tip_in_rcm: query.tip_in_rcm,
+                    arm: &first.state,
+                    tip_in_rcm: first.tip_in_rcm,
                     frames: query.frames,
                 };
-                Ok(network.infer(&observation)?)
+                Ok(PerArm::one(network.infer(&observation)?))
             }
         }
     }

@@ -1,7 +1,7 @@
 //! Counts and percentiles of one run, from its tick records.
 
 use super::summary::{LatencyMs, PolicyCounts, QpCounts, RealTimeCounts, RunSummary, TickUs};
-use crate::control::{CommandHash, Fault, QpOutcome};
+use crate::control::{CommandHash, Fault, QpOutcome, TickReport};
 use crate::histogram::Histogram;
 use crate::log::TickRecord;
 
@@ -39,21 +39,23 @@ impl Tally {
     /// Counts one control period.
     pub fn tick(&mut self, record: &TickRecord) {
         self.ticks += 1;
-        self.hash.add(&record.command);
         self.compute.record(record.timing.compute_ns);
-        match record.report.qp {
-            QpOutcome::NotNeeded => self.qp.passed += 1,
-            QpOutcome::Solved { .. } => self.qp.solved += 1,
-            QpOutcome::Failed => self.qp.failed += 1,
+        for arm in record.arms.iter() {
+            self.hash.add(&arm.command);
+            let gate = arm.report.gate;
+            self.refused += u64::from(gate.is_some_and(|verdict| !verdict.is_accepted()));
+            self.fault = self.fault.or(arm.report.fault);
         }
-        self.guard_interventions += u64::from(record.report.guard_intervened);
-        self.refused += u64::from(
-            record
-                .report
-                .gate
-                .is_some_and(|verdict| !verdict.is_accepted()),
-        );
-        self.fault = self.fault.or(record.report.fault);
+        // One problem for all arms; one that follows nothing has no part in it.
+        let any = |what: fn(&TickReport) -> bool| record.arms.iter().any(|arm| what(&arm.report));
+        if any(|report| report.qp == QpOutcome::Failed) {
+            self.qp.failed += 1;
+        } else if any(|report| matches!(report.qp, QpOutcome::Solved { .. })) {
+            self.qp.solved += 1;
+        } else {
+            self.qp.passed += 1;
+        }
+        self.guard_interventions += u64::from(any(|report| report.guard_intervened));
     }
 
     /// Counts one answered observation: how long the policy took, and how long until its chunk was there.

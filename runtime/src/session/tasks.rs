@@ -6,7 +6,7 @@ use sim_backend::task::TaskConfig;
 use super::SessionError;
 
 /// Safety limits that are built into the program, by task.
-const SAFETY: [(&str, &str, &str); 3] = [
+const SAFETY: [(&str, &str, &str); 4] = [
     (
         "needle-lift",
         "config/tasks/needle-lift/safety.toml",
@@ -21,6 +21,11 @@ const SAFETY: [(&str, &str, &str); 3] = [
         "suture-pad",
         "config/tasks/suture-pad/safety.toml",
         include_str!("../../../config/tasks/suture-pad/safety.toml"),
+    ),
+    (
+        "needle-handover",
+        "config/tasks/needle-handover/safety.toml",
+        include_str!("../../../config/tasks/needle-handover/safety.toml"),
     ),
 ];
 
@@ -55,7 +60,7 @@ mod tests {
     use sim_backend::task::TaskConfig;
 
     #[test]
-    fn every_task_of_one_arm_has_its_limits_and_they_fit_its_scene() {
+    fn every_task_has_its_limits_and_they_fit_its_scene() {
         let simulated: Vec<&str> = TaskConfig::names().collect();
         for name in names() {
             assert!(simulated.contains(&name), "{name}");

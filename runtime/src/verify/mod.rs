@@ -110,8 +110,8 @@ pub enum VerifyError {
 /// Joint ranges, velocity, acceleration and jerk of each axis; the speed of the tip and how fast it turns; the workspace box for
 /// the control point and both finger tips; the gap between every forbidden region and shaft, wrist and both fingers; stamps
 /// that rise by whole periods; ticks that the log lacks. While the drives have no torque the command must follow the measured
-/// arm without velocity; they get torque at rest where the arm was measured, and lose it at rest. The commands must add up to
-/// the hash that the run reported. The arm is the first one in the log's `safety.toml`.
+/// arm without velocity; they get torque at rest where the arm was measured, and lose it at rest. The gaps between two arms. The
+/// commands must add up to the hash that the run reported. Every tick must have each arm of the log's `safety.toml`, in its order.
 ///
 /// # Errors
 /// [`VerifyError`] when the log does not say what the limits are.
@@ -133,8 +133,15 @@ pub fn verify(log: &RunLog) -> Result<VerifyResult, VerifyError> {
         if let Some(count) = gap_before(position) {
             stream.missing(tick.tick, count);
         }
-        stream.tick(tick.tick, &[(&tick.command, &tick.measured)]);
-        add_to_hash(&mut hash, &tick.command);
+        let told = tick.arms.as_ref().map(|arm| (&arm.command, &arm.measured));
+        match told.second {
+            None => stream.tick(tick.tick, &[told.first]),
+            Some(second) => stream.tick(tick.tick, &[told.first, second]),
+        }
+        stream.expect_arms(told.count());
+        for (command, _) in told.iter() {
+            add_to_hash(&mut hash, command);
+        }
         ticks += 1;
     }
     if let Some(count) = gap_before(log.tick_count()) {

@@ -19,6 +19,7 @@ pub struct Stream {
     pair: Option<Pair>,
     tails: Tails,
     strangers: LimitId,
+    absent: LimitId,
 }
 
 impl Stream {
@@ -39,6 +40,7 @@ impl Stream {
             pair: between.and_then(|between| Pair::new(&mut ledger, &limits, between)),
             tails: Tails::new(&mut ledger, &limits),
             strangers: ledger.open("", "unknown_arms".to_owned()),
+            absent: ledger.open("", "missing_arms".to_owned()),
             ledger,
         })
     }
@@ -95,6 +97,13 @@ impl Stream {
     pub fn skipped_periods(&self) -> u64 {
         let skipped = self.arms.iter().map(|arm| arm.skipped_periods);
         skipped.max().unwrap_or(0)
+    }
+
+    /// Says that the newest tick had commands for `count` arms and should have had one for each.
+    pub(super) fn expect_arms(&mut self, count: usize) {
+        if count < self.arms.len() {
+            self.ledger.judge(self.absent, 1.0, 0.0, 1.0, 0.0);
+        }
     }
 
     /// Says that `count` ticks before `tick` are missing.

@@ -8,6 +8,7 @@ mod scene;
 mod space;
 mod tails;
 mod torque;
+mod two_arms;
 
 use hal::{TICK_NS, TimeNs};
 
@@ -46,7 +47,9 @@ fn an_honest_run_breaks_no_limit() {
 
 #[test]
 fn a_position_jump_is_caught() {
-    let result = doctored("jump", |records| records[600].command.position[0] += 0.002);
+    let result = doctored("jump", |records| {
+        records[600].arms.first.command.position[0] += 0.002
+    });
     let found = limits(&result);
     assert!(
         !result.ok && found.contains(&"yaw.velocity") && found.contains(&"yaw.jerk"),
@@ -58,7 +61,7 @@ fn a_position_jump_is_caught() {
 #[test]
 fn a_jump_too_small_for_speed_is_caught_by_jerk() {
     let result = doctored("small-jump", |records| {
-        records[600].command.position[4] += 1e-5
+        records[600].arms.first.command.position[4] += 1e-5
     });
     let found = limits(&result);
     assert!(
@@ -72,7 +75,7 @@ fn a_run_shifted_out_of_its_box_is_caught() {
     let result = doctored("shift", |records| {
         // Even and slow, so that only the place is wrong: 40 mm deeper over 600 ticks.
         for (record, k) in records[200..].iter_mut().zip(0_u32..) {
-            record.command.position[2] += 0.04 * (f64::from(k) / 600.0).min(1.0).powi(3);
+            record.arms.first.command.position[2] += 0.04 * (f64::from(k) / 600.0).min(1.0).powi(3);
         }
     });
     let found = limits(&result);
@@ -84,7 +87,9 @@ fn a_run_shifted_out_of_its_box_is_caught() {
 
 #[test]
 fn nan_is_caught() {
-    let result = doctored("nan", |records| records[500].command.position[3] = f64::NAN);
+    let result = doctored("nan", |records| {
+        records[500].arms.first.command.position[3] = f64::NAN
+    });
     let found = limits(&result);
     assert!(
         found.contains(&"roll.low") && found.contains(&"roll.velocity"),
@@ -94,25 +99,27 @@ fn nan_is_caught() {
 
 #[test]
 fn a_velocity_beyond_the_drives_is_caught() {
-    let result = doctored("said", |records| records[500].command.velocity[0] = 7.0);
+    let result = doctored("said", |records| {
+        records[500].arms.first.command.velocity[0] = 7.0
+    });
     assert_eq!(limits(&result), ["yaw.commanded_velocity"]);
 }
 
 #[test]
 fn stamps_must_rise_by_whole_periods() {
     let early = doctored("stamp", |records| {
-        records[500].command.stamp = TimeNs(499 * TICK_NS)
+        records[500].arms.first.command.stamp = TimeNs(499 * TICK_NS)
     });
     assert!(limits(&early).contains(&"stamp"), "{early:?}");
     let crooked = doctored("crooked", |records| {
-        records[500].command.stamp = TimeNs(500 * TICK_NS + 7)
+        records[500].arms.first.command.stamp = TimeNs(500 * TICK_NS + 7)
     });
     assert_eq!(limits(&crooked), ["stamp", "stamp"]);
 }
 
 #[test]
 fn an_arm_that_went_on_during_skipped_periods_is_fine_and_one_that_stood_still_is_not() {
-    let fast = |record: &TickRecord| record.command.velocity.amax();
+    let fast = |record: &TickRecord| record.arms.first.command.velocity.amax();
     let (records, _) = run_controller(900);
     let moving = records
         .iter()
@@ -131,7 +138,7 @@ fn an_arm_that_went_on_during_skipped_periods_is_fine_and_one_that_stood_still_i
     );
     let stood_still = doctored("stood-still", |records| {
         for record in &mut records[moving..] {
-            record.command.stamp = record.command.stamp.plus_ns(3 * TICK_NS);
+            record.arms.first.command.stamp = record.arms.first.command.stamp.plus_ns(3 * TICK_NS);
         }
     });
     let found = limits(&stood_still);
@@ -154,7 +161,7 @@ fn commands_that_the_run_did_not_report_are_caught() {
     let (mut records, header) = run_controller(100);
     let mut hash = CommandHash::new();
     for record in &records {
-        hash.add(&record.command);
+        hash.add(&record.arms.first.command);
     }
     let outcome = RunOutcome {
         command_hash: format!("{:016x}", hash.value()),
@@ -164,16 +171,15 @@ fn commands_that_the_run_did_not_report_are_caught() {
         let file = Scratch::new(name);
         let mut recorder = Recorder::create(&file.0, &header, Pressure::Block).unwrap();
         for record in records {
-            recorder.tick(&TickRecord {
-                chunk_sequence: None,
-                ..*record
-            });
+            let mut record = *record;
+            record.arms.first.chunk_sequence = None;
+            recorder.tick(&record);
         }
         recorder.finish(Some(&outcome)).unwrap();
         verify(&RunLog::open(&file.0).unwrap()).unwrap()
     };
     assert!(verify_all("hash", &records).ok);
-    let jaw = &mut records[50].command.jaw_velocity;
+    let jaw = &mut records[50].arms.first.command.jaw_velocity;
     *jaw = f64::from_bits(jaw.to_bits() ^ 1);
     let found = verify_all("hash-other", &records);
     assert_eq!(limits(&found), ["command_hash_mismatches"]);

@@ -5,8 +5,9 @@ use hal::{ArmCommand, ArmError, ArmState, Chunk, JointVector, TimeNs, TipTarget}
 use super::Scratch;
 use crate::control::{Fault, Mode, OperatingState, OperatorEvent, QpOutcome, TickReport};
 use crate::log::{
-    Level, LoggedTick, Pressure, Recorder, RunHeader, RunOutcome, TickRecord, TickTiming,
+    ArmRecord, Level, LoggedTick, Pressure, Recorder, RunHeader, RunOutcome, TickRecord, TickTiming,
 };
+use crate::per_arm::PerArm;
 
 pub(super) fn report() -> TickReport {
     TickReport {
@@ -49,6 +50,19 @@ pub(super) fn awkward(index: u64) -> f64 {
 }
 
 pub(super) fn record(tick: u64) -> TickRecord {
+    TickRecord {
+        tick,
+        now: TimeNs::from_tick(tick),
+        arms: PerArm::one(arm(tick)),
+        timing: TickTiming {
+            wake_ns: tick,
+            compute_ns: 2 * tick,
+        },
+    }
+}
+
+/// One arm in a tick, full of awkward numbers.
+pub(super) fn arm(tick: u64) -> ArmRecord {
     let now = TimeNs::from_tick(tick);
     let vector = |offset| {
         JointVector::from_fn(|axis, _| awkward(tick + offset + u64::try_from(axis).unwrap()))
@@ -79,9 +93,7 @@ pub(super) fn record(tick: u64) -> TickRecord {
         OperatorEvent::Clear,
         OperatorEvent::Speed { percent: 37 },
     ];
-    TickRecord {
-        tick,
-        now,
+    ArmRecord {
         measured,
         operator: operators.get(usize::try_from(tick % 9).unwrap()).copied(),
         chunk_sequence: None,
@@ -95,10 +107,6 @@ pub(super) fn record(tick: u64) -> TickRecord {
             enabled: tick.is_multiple_of(2),
         },
         report: report(),
-        timing: TickTiming {
-            wake_ns: tick,
-            compute_ns: 2 * tick,
-        },
     }
 }
 
@@ -144,8 +152,8 @@ pub(super) fn write(name: &str, ticks: u64) -> (Scratch, Vec<u8>) {
     for tick in 0..ticks {
         let mut record = record(tick);
         if tick % 40 == 1 {
-            recorder.chunk(&chunk(tick));
-            record.chunk_sequence = Some(tick);
+            recorder.chunk(0, &chunk(tick));
+            record.arms.first.chunk_sequence = Some(tick);
         }
         recorder.tick(&record);
     }
@@ -186,12 +194,15 @@ pub(super) fn bits(
 
 pub(super) fn assert_same(logged: &LoggedTick, written: &TickRecord) {
     assert_eq!((logged.tick, logged.now), (written.tick, written.now));
-    assert_eq!(logged.operator, written.operator);
     assert_eq!(logged.timing, written.timing);
-    assert_eq!(
-        bits(&logged.measured, &logged.command),
-        bits(&written.measured, &written.command)
-    );
+    assert_eq!(logged.arms.count(), written.arms.count());
+    for (logged, written) in logged.arms.iter().zip(written.arms.iter()) {
+        assert_eq!(logged.operator, written.operator);
+        assert_eq!(
+            bits(&logged.measured, &logged.command),
+            bits(&written.measured, &written.command)
+        );
+    }
 }
 
 pub(super) fn chunk_bits(chunk: &Chunk) -> (TimeNs, u64, u64, u32, Vec<u64>) {

@@ -8,8 +8,9 @@ use rtrb::{Consumer, Producer};
 use super::signals::{Signals, StopsAll};
 use crate::control::{Controller, OperatorEvent, TickInput};
 use crate::histogram::Histogram;
-use crate::log::{TickLog, TickRecord, TickTiming};
+use crate::log::{ArmRecord, TickLog, TickRecord, TickTiming};
 use crate::mailbox::MailboxReader;
+use crate::per_arm::PerArm;
 use crate::rt::{MonotonicClock, Periodic, RtOptions, Wake, configure_thread};
 use crate::session::tally::Tally;
 
@@ -83,7 +84,7 @@ impl ControlThread {
             if let Some(log) = &mut self.log {
                 log.tick(&record);
             }
-            if record.report.fault.is_some() {
+            if record.arms.first.report.fault.is_some() {
                 signals.end_run();
             }
         }
@@ -119,7 +120,7 @@ impl ControlThread {
             self.chunks.pop().ok()
         };
         if let (Some(log), Some(chunk)) = (&mut self.log, &chunk) {
-            log.chunk(chunk);
+            log.chunk(0, chunk);
         }
         if let Some(chunk) = &chunk {
             tally.delivery(now.since(chunk.observed_at));
@@ -137,11 +138,13 @@ impl ControlThread {
         TickRecord {
             tick: now.tick(),
             now,
-            measured,
-            operator,
-            chunk_sequence: chunk.map(|chunk| chunk.sequence),
-            command: output.command,
-            report: output.report,
+            arms: PerArm::one(ArmRecord {
+                measured,
+                operator,
+                chunk_sequence: chunk.map(|chunk| chunk.sequence),
+                command: output.command,
+                report: output.report,
+            }),
             timing: TickTiming {
                 wake_ns: wake.late_ns(),
                 compute_ns,

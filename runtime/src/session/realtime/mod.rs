@@ -35,6 +35,7 @@ use super::source::{ChunkSource, PolicyChoice};
 use super::summary::RealTimeCounts;
 use super::tally::{RunLabels, Tally};
 use super::{SessionError, Setup};
+use crate::control::AnyController;
 use crate::log::{LogFile, RunOutcome};
 use crate::mailbox::mailbox;
 use crate::rt::{self, MonotonicClock};
@@ -54,13 +55,18 @@ const COMMANDS: usize = 1000;
 /// Time for every thread to be up before the first period, ns.
 const START_NS: u64 = 20_000_000;
 
+/// Why a task of two arms does not run in real time.
+const ONE_ARM_ONLY: &str = "a run in real time drives one; use --lockstep";
+
 /// Runs one episode in real time against the simulated arm.
 ///
 /// SIGINT, SIGTERM and SIGHUP bring the arm to rest and end the run as failed, with the reason `interrupted`.
 ///
 /// # Errors
-/// From the configuration, the policy, the simulation, the topics or the log.
+/// From the configuration, the policy, the simulation, the topics or the log; [`SessionError::BadArgument`] if the task has two
+/// arms.
 pub fn run_realtime(setup: &Setup, options: &RunOptions) -> Result<RunResult, SessionError> {
+    setup.expect_one_arm(ONE_ARM_ONLY)?;
     rt::catch_interrupts()
         .map_err(|error| SessionError::RealTime(format!("catching signals failed: {error}")))?;
     let mut child = match &options.policy {
@@ -95,7 +101,9 @@ fn run_threads(
     child: Option<&mut PolicyChild>,
 ) -> Result<Ends, SessionError> {
     let simulation = Simulation::new(&setup.task, options.seed, Rendering::Off)?;
-    let controller = Box::new(setup.controller()?);
+    let AnyController::One(controller) = setup.controller()? else {
+        return Err(SessionError::BadArgument(ONE_ARM_ONLY.to_owned()));
+    };
     let (measured_in, measured) = mailbox::<ArmState>();
     let (commands, commands_out) = RingBuffer::new(COMMANDS);
     let (chunk_in, chunks) = RingBuffer::<Chunk>::new(CHUNK_QUEUE);

@@ -12,9 +12,10 @@ use super::signals::{EndsRun, Signals};
 use crate::histogram::Histogram;
 use crate::kinematics;
 use crate::mailbox::MailboxWriter;
+use crate::per_arm::PerArm;
 use crate::rt::{MonotonicClock, Periodic, RtOptions, configure_thread};
 use crate::session::SessionError;
-use crate::session::source::{ChunkSource, Query, STEP_TICKS};
+use crate::session::source::{ChunkSource, Query, STEP_TICKS, SeenArm};
 
 /// Priority under `SCHED_FIFO`, below the control thread's: the arm that this thread stands for never waits for a core.
 const PRIORITY: u8 = 70;
@@ -153,16 +154,15 @@ impl SimulationThread {
         {
             let scene = self.simulation.scene_state();
             let query = Query {
-                arm: state,
-                tip_in_rcm,
+                arms: PerArm::one(SeenArm::new(state)),
                 frames: &[],
                 scene: &scene,
             };
             let clock = MonotonicClock::new();
-            let chunk = source.answer(&query)?;
+            let answer = source.answer(&query)?;
             inference.record(clock.now().0);
             // The control thread takes one a tick; a full queue means that it is gone.
-            let _gone = chunks.push(chunk);
+            let _gone = chunks.push(answer.first);
         }
         Ok(())
     }

@@ -13,9 +13,9 @@ fn an_arm_without_torque_may_be_anywhere() {
         for (record, k) in records.iter_mut().zip(0_u32..) {
             make_limp(record);
             // Somebody pushes it about, far out of its box.
-            let state = record.measured.as_mut().unwrap();
+            let state = record.arms.first.measured.as_mut().unwrap();
             state.position[0] += 0.0015 * f64::from(k);
-            record.command.position = state.position;
+            record.arms.first.command.position = state.position;
         }
     });
     assert!(result.ok, "{:?}", result.violations.first());
@@ -23,8 +23,8 @@ fn an_arm_without_torque_may_be_anywhere() {
 
 /// What the controller says of `record`'s measurement while the drives have no torque.
 fn make_limp(record: &mut TickRecord) {
-    let state = record.measured.unwrap();
-    let command = &mut record.command;
+    let state = record.arms.first.measured.unwrap();
+    let command = &mut record.arms.first.command;
     command.enabled = false;
     (command.position, command.jaw_position) = (state.position, state.jaw_position);
     (command.velocity, command.jaw_velocity) = (JointVector::zeros(), 0.0);
@@ -36,18 +36,18 @@ fn without_torque_and_measurement_the_command_stays() {
         for record in &mut *records {
             make_limp(record);
         }
-        let held = records[499].command;
+        let held = records[499].arms.first.command;
         for record in &mut records[500..510] {
-            let stamp = record.command.stamp;
-            record.measured = Err(ArmError::MeasurementLost { age_ns: 1 });
-            record.command = ArmCommand { stamp, ..held };
+            let stamp = record.arms.first.command.stamp;
+            record.arms.first.measured = Err(ArmError::MeasurementLost { age_ns: 1 });
+            record.arms.first.command = ArmCommand { stamp, ..held };
         }
     };
     let result = doctored("lost", still);
     assert!(result.ok, "{:?}", result.violations.first());
     let result = doctored("lost-jump", |records| {
         still(records);
-        records[505].command.position[0] += 1.0;
+        records[505].arms.first.command.position[0] += 1.0;
     });
     let found = limits(&result);
     assert_eq!(found, ["yaw.disabled_position"; 2]);
@@ -57,9 +57,9 @@ fn without_torque_and_measurement_the_command_stays() {
 fn a_log_that_calls_every_tick_disabled_is_caught() {
     let result = doctored("all-disabled", |records| {
         for record in &mut *records {
-            record.command.enabled = false;
+            record.arms.first.command.enabled = false;
         }
-        records[600].command.position[0] += 1.0;
+        records[600].arms.first.command.position[0] += 1.0;
     });
     let found = limits(&result);
     assert!(
@@ -78,9 +78,9 @@ fn a_log_that_calls_every_tick_disabled_is_caught() {
 fn a_jump_cannot_hide_behind_a_disabled_tick() {
     // The arm moves when the tick claims to have no torque.
     let moving = doctored("hidden-jump", |records| {
-        records[600].command.enabled = false;
+        records[600].arms.first.command.enabled = false;
         for record in &mut records[601..] {
-            record.command.position[0] += 1.0;
+            record.arms.first.command.position[0] += 1.0;
         }
     });
     let found = limits(&moving);
@@ -92,7 +92,7 @@ fn a_jump_cannot_hide_behind_a_disabled_tick() {
     let consistent = doctored("hidden-jump-consistent", |records| {
         make_limp(&mut records[600]);
         for record in &mut records[601..] {
-            record.command.position[0] += 1.0;
+            record.arms.first.command.position[0] += 1.0;
         }
     });
     let found = limits(&consistent);
@@ -105,7 +105,7 @@ fn a_jump_cannot_hide_behind_a_disabled_tick() {
         make_limp(&mut records[10]);
         make_limp(&mut records[11]);
         for record in &mut records[12..] {
-            record.command.position[0] += 1.0;
+            record.arms.first.command.position[0] += 1.0;
         }
     });
     let found = limits(&resting);
@@ -143,7 +143,7 @@ fn an_honest_disabling_and_enabling_breaks_no_limit() {
     let limp = records
         .iter()
         .skip(2)
-        .filter(|record| !record.command.enabled);
+        .filter(|record| !record.arms.first.command.enabled);
     assert!(limp.count() > 100);
     let result = verify_records("switched", &records, &header);
     assert!(result.ok, "{:?}", result.violations.first());
@@ -175,11 +175,13 @@ fn an_honest_fault_breaks_no_limit() {
         ("fault-lost", run_disturbed(1200, operator, held)),
     ];
     for (name, (records, header)) in runs {
-        assert!(records[380].command.enabled && records[380].report.mode.busy);
+        assert!(
+            records[380].arms.first.command.enabled && records[380].arms.first.report.mode.busy
+        );
         assert!(
             records[1000..1100]
                 .iter()
-                .any(|record| !record.command.enabled)
+                .any(|record| !record.arms.first.command.enabled)
         );
         let result = verify_records(name, &records, &header);
         assert!(result.ok, "{name}: {:?}", result.violations.first());

@@ -1,0 +1,70 @@
+//! The controller of as many arms as the configuration has. Hot path: bounded, no allocation, no I/O, no clock, no lock.
+
+use super::config::ControlConfig;
+use super::controller::{Controller, ControllerError};
+use super::filter::Problem;
+use super::report::{TickInput, TickOutput};
+use super::rows::Velocities;
+use crate::per_arm::PerArm;
+
+/// A controller of one arm or of two.
+#[derive(Debug)]
+pub enum AnyController {
+    /// Of one arm.
+    One(Box<Controller<1>>),
+    /// Of two that share a scene.
+    Two(Box<Controller<2>>),
+}
+
+impl AnyController {
+    /// A disabled controller of the arms of `config`.
+    ///
+    /// # Errors
+    /// [`ControllerError`] if there is no controller of so many arms, or none of these.
+    pub fn new(config: &ControlConfig) -> Result<Self, ControllerError> {
+        Ok(if config.arms.len() == 2 {
+            Self::Two(Box::new(Controller::for_arms(config)?))
+        } else {
+            Self::One(Box::new(Controller::for_arms(config)?))
+        })
+    }
+
+    /// How many arms there are.
+    #[must_use]
+    pub const fn arm_count(&self) -> usize {
+        match self {
+            Self::One(_) => 1,
+            Self::Two(_) => 2,
+        }
+    }
+
+    /// One control period; nothing happens, and nothing comes out, if `inputs` are for another number of arms.
+    pub fn tick(&mut self, inputs: &PerArm<TickInput<'_>>) -> Option<PerArm<TickOutput>> {
+        match (self, inputs.second) {
+            (Self::One(controller), None) => Some(PerArm::one(controller.tick(&inputs.first))),
+            (Self::Two(controller), Some(second)) => {
+                let [first, second] = controller.tick_arms(&[inputs.first, second]);
+                Some(PerArm::two(first, second))
+            }
+            (Self::One(_), Some(_)) | (Self::Two(_), None) => None,
+        }
+    }
+
+    /// As [`Controller::problem`].
+    #[must_use]
+    pub const fn problem(&self) -> &Problem {
+        match self {
+            Self::One(controller) => controller.problem(),
+            Self::Two(controller) => controller.problem(),
+        }
+    }
+
+    /// As [`Controller::solution`].
+    #[must_use]
+    pub const fn solution(&self) -> &Velocities {
+        match self {
+            Self::One(controller) => controller.solution(),
+            Self::Two(controller) => controller.solution(),
+        }
+    }
+}
