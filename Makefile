@@ -23,6 +23,7 @@ test: build
 # Adversaries, planted faults and scenarios for the safety chain: too long for a debug build.
 test-adversary: setup
 	cargo test --locked --release -p runtime --lib control::tests::
+	cargo test --locked --release -p tests --test no_alloc
 
 # The same adversaries for ten million ticks each, with their figures.
 adversary: setup
