@@ -4,12 +4,12 @@
 //! arm it holds a jerk-limited stop and how much of it has been played; the arm is commanded to be there. At every moment
 //!
 //! 1. along what is left of each held stop every joint range, velocity, acceleration, clearance and tip speed is kept, with
-//!    bounds for what lies between the samples ([`bounds`]);
+//!    bounds for what lies between the samples (`bounds`);
 //! 2. of two arms, no point of what is left of the one's stop is nearer to any point of what is left of the other's than they
-//!    may be, at whatever times they are there ([`pair`]).
+//!    may be, at whatever times they are there (`pair`).
 //!
 //! *Base.* [`Guard::new`] and [`Guard::seed`] hold an arm where it rests. Its stop is one point, and floors and ranges are
-//! set to what that point keeps ([`floor`]); a pair's floors are moved with what the arm takes from or gives to what is left of
+//! set to what that point keeps (`floor`); a pair's floors are moved with what the arm takes from or gives to what is left of
 //! the other arm's stop, so that an arm may be seeded while the other moves.
 //!
 //! *Step.* In [`Guard::next`] each arm does one of two things.
