@@ -138,6 +138,17 @@ fn below_the_floor(time_s: f64) -> TipTarget {
     target(x, 0.0, -0.1135 - down_m, Vector3::zeros(), 0.2)
 }
 
+/// A small circle far up, where two arms and all regions are apart.
+fn apart(time_s: f64) -> TipTarget {
+    let blend = (time_s / 2.0).min(1.0).powi(2);
+    let angle = 2.0 * time_s;
+    let (x, y) = (
+        0.008 * blend * angle.sin(),
+        0.008 * blend * (angle.cos() - 1.0),
+    );
+    target(x, y, -0.1135 + 0.023 * blend, Vector3::zeros(), 0.2)
+}
+
 /// To and fro across the place where the other arm's tip goes to and fro as well.
 fn across(time_s: f64) -> TipTarget {
     let x = 0.03 * (TAU * time_s / 4.0).sin();
@@ -165,8 +176,9 @@ fn inactive<const ARMS: usize>(
     criterion: &mut Criterion,
     name: &str,
     config: &ControlConfig,
+    path: fn(f64) -> TipTarget,
 ) -> Result<Histogram, Box<dyn Error>> {
-    let mut rig = Rig::<ARMS>::new(config, circle)?;
+    let mut rig = Rig::<ARMS>::new(config, path)?;
     let mut solved = 0;
     let ticks = support::measure(criterion, name, TICKS, || {
         let (took_ns, output) = rig.step();
@@ -234,10 +246,10 @@ fn main() -> Result<(), Box<dyn Error>> {
         "tick/two arms, qp active, whole chunk",
     ];
     let results = [
-        inactive::<1>(&mut criterion, names[0], &ensemble)?,
-        inactive::<1>(&mut criterion, names[1], &whole_chunk)?,
+        inactive::<1>(&mut criterion, names[0], &ensemble, circle)?,
+        inactive::<1>(&mut criterion, names[1], &whole_chunk, circle)?,
         active::<1>(&mut criterion, names[2], &whole_chunk, below_the_floor, 0.9)?,
-        inactive::<2>(&mut criterion, names[3], &two_arms)?,
+        inactive::<2>(&mut criterion, names[3], &two_arms, apart)?,
         active::<2>(&mut criterion, names[4], &two_arms, across, 0.5)?,
     ];
     let limits_us = [60.0, 60.0, 250.0, 500.0, 500.0];
