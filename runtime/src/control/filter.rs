@@ -12,7 +12,7 @@ use super::config::ControlConfig;
 use super::instrument::Stance;
 use super::motion::{AXES, JAW};
 use super::report::QpOutcome;
-use super::rows::{ARMS_MAX, GEOMETRY_MAX, Rows, Velocities, WideJacobian, dot};
+use super::rows::{ARMS_MAX, GEOMETRY_MAX, Rows, Velocities, WideJacobian, dot, velocity_scale};
 
 /// Nominal velocities may exceed their rows by rounding and still pass unchanged.
 const PASS_TOLERANCE: f64 = 1e-9;
@@ -77,12 +77,6 @@ impl Filter {
         let weight = |speed: f64| (speed * speed).recip();
         let linear = weight(config.tip_speed_m_s);
         let angular = weight(config.tip_angular_speed_rad_s);
-        let mut scale = [1.0; VARIABLES_MAX];
-        for arm in scale.chunks_exact_mut(AXES) {
-            for (scale, axis) in arm.iter_mut().zip(&config.axes) {
-                *scale = axis.velocity;
-            }
-        }
         Self {
             solver: Box::new(ActiveSet::new()),
             problem: Problem {
@@ -92,7 +86,7 @@ impl Filter {
                 cones: Vec::with_capacity(2 * ARMS_MAX),
             },
             solution: [0.0; VARIABLES_MAX],
-            scale,
+            scale: velocity_scale(config),
             tip_speed_m_s: config.tip_speed_m_s,
             twist_weights: [linear, linear, linear, angular, angular, angular],
             joint_weight: config.filter.joint_weight,

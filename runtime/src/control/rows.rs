@@ -84,19 +84,13 @@ impl Rows {
     /// Room for the rows of `config`'s arms; filling them takes no memory.
     #[must_use]
     pub fn new(config: &ControlConfig) -> Self {
-        let mut scale = [1.0; VARIABLES_MAX];
-        for arm in scale.chunks_exact_mut(AXES) {
-            for (scale, axis) in arm.iter_mut().zip(&config.axes) {
-                *scale = axis.velocity;
-            }
-        }
         Self {
             variables: 0,
             low: [0.0; VARIABLES_MAX],
             high: [0.0; VARIABLES_MAX],
             geometry: Vec::with_capacity(GEOMETRY_MAX),
             cones: Vec::with_capacity(2 * ARMS_MAX),
-            scale,
+            scale: velocity_scale(config),
             tip_speed_m_s: config.tip_speed_m_s,
         }
     }
@@ -221,6 +215,17 @@ impl SpeedCone {
         let squares = self.matrix.iter().map(|row| dot(row, velocity).powi(2));
         squares.sum::<f64>().sqrt()
     }
+}
+
+/// The highest speed of each axis of each arm, by which velocities are scaled.
+pub(super) fn velocity_scale(config: &ControlConfig) -> Velocities {
+    let mut scale = [1.0; VARIABLES_MAX];
+    for arm in scale.chunks_exact_mut(AXES) {
+        for (scale, axis) in arm.iter_mut().zip(&config.axes) {
+            *scale = axis.velocity;
+        }
+    }
+    scale
 }
 
 /// The velocity towards a boundary that is `distance_m` away, margin apart, m/s.
