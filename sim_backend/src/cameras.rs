@@ -1,13 +1,17 @@
 //! A task's cameras: they render a snapshot of the scene, in whatever thread they live.
 
+mod flap;
+
 use hal::{CameraFrame, Intrinsics, Pose};
 use nalgebra::{Point3, Vector3};
 
-use crate::render::{Camera, Light, Planes, Renderer, look_at};
+use crate::render::{Camera, Light, Planes, RenderError, Renderer, look_at};
 use crate::simulation::SimulationError;
 use crate::task::{ARMS_MAX, CameraConfig, Scene, THINGS_MAX, TaskConfig};
 use crate::task::{scene_poses, scene_visuals};
+use crate::tissue::FlapSnapshot;
 use crate::world::ArmBodies;
+use flap::DrawnFlap;
 
 /// Image depth range, m.
 const NEAR_M: f64 = 0.005;
@@ -22,6 +26,8 @@ pub struct SceneSnapshot {
     pub goal: Pose,
     /// The instruments' parts.
     pub arms: [Option<ArmBodies>; ARMS_MAX],
+    /// The soft flap, if there is one.
+    pub flap: Option<FlapSnapshot>,
 }
 
 /// The cameras of one task, their light and the device that draws.
@@ -30,6 +36,7 @@ pub struct SceneCameras {
     scene: Scene,
     views: Vec<View>,
     light: Light,
+    flap: Option<DrawnFlap>,
 }
 
 struct View {
@@ -43,13 +50,15 @@ impl SceneCameras {
     /// # Errors
     /// [`SimulationError::Render`] if there is no device to render with.
     pub fn new(task: &TaskConfig) -> Result<Self, SimulationError> {
-        let renderer = Renderer::new(&scene_visuals(task))?;
+        let visuals = scene_visuals(task);
+        let renderer = Renderer::new(&visuals)?;
         let views = task.cameras.iter().map(View::new).collect();
         Ok(Self {
             renderer,
             scene: task.scene.clone(),
             views,
             light: Light::default(),
+            flap: DrawnFlap::new(&task.scene, &visuals),
         })
     }
 
@@ -120,6 +129,7 @@ impl SceneCameras {
     ) -> Result<(), SimulationError> {
         let camera = self.view(camera)?.camera;
         let poses = scene_poses(&self.scene, snapshot);
+        self.bend(snapshot)?;
         self.renderer.render(&poses, &camera, &self.light, frame)?;
         Ok(())
     }
@@ -136,9 +146,18 @@ impl SceneCameras {
     ) -> Result<(), SimulationError> {
         let camera = self.view(camera)?.camera;
         let poses = scene_poses(&self.scene, snapshot);
+        self.bend(snapshot)?;
         self.renderer
             .render_into(&poses, &camera, &self.light, planes)?;
         Ok(())
+    }
+
+    /// Gives the flap the shape that it has in `snapshot`.
+    fn bend(&mut self, snapshot: &SceneSnapshot) -> Result<(), RenderError> {
+        match (&mut self.flap, &snapshot.flap) {
+            (Some(drawn), Some(flap)) => drawn.bend(flap, &mut self.renderer),
+            _ => Ok(()),
+        }
     }
 
     fn view(&self, camera: usize) -> Result<&View, SimulationError> {

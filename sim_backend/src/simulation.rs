@@ -10,6 +10,7 @@ use hal::{Arm, ArmCommand, ArmError, ArmState, CameraFrame, Pose, SafeTail, TICK
 use crate::cameras::{SceneCameras, SceneSnapshot};
 use crate::render::RenderError;
 use crate::task::{ARMS_MAX, Judge, Outcome, Sight, THINGS_MAX, TaskConfig};
+use crate::tissue::{FlapSnapshot, TissueExtremes};
 use crate::world::{Grasp, World};
 
 /// Whether an episode can be looked at.
@@ -45,11 +46,11 @@ pub enum SimulationError {
 pub struct ArmScene {
     /// Tip (control point) in the RCM frame.
     pub tip_in_rcm: Pose,
-    /// The thing that the task is about, in the RCM frame.
+    /// The thing that the task is about, or the mark on the flap, in the RCM frame.
     pub thing_in_rcm: Pose,
     /// Angle between the jaw fingers, rad.
     pub jaw: f64,
-    /// How the fingers hold the thing.
+    /// How the fingers hold the thing or the flap.
     pub grasp: Grasp,
 }
 
@@ -74,6 +75,7 @@ pub struct Simulation {
     goal: Option<Pose>,
     bases: Vec<Pose>,
     tails: Vec<TailPlayer>,
+    extremes: TissueExtremes,
     cameras: Option<SceneCameras>,
     frames: u64,
     stamp: TimeNs,
@@ -127,6 +129,7 @@ impl Simulation {
             goal: scene.goal(seed),
             bases: task.arms.iter().map(|arm| arm.scene_from_rcm).collect(),
             tails: vec![TailPlayer::new(TICK_NS); task.arms.len()],
+            extremes: TissueExtremes::default(),
             cameras,
             frames: 0,
             stamp: TimeNs(0),
@@ -156,6 +159,9 @@ impl Simulation {
             }
         }
         self.world.step();
+        if let Some(tissue) = self.world.tissue() {
+            self.extremes.observe(tissue.report());
+        }
         self.judge.observe(&Sight::of(&self.world));
     }
 
@@ -163,6 +169,12 @@ impl Simulation {
     #[must_use]
     pub const fn outcome(&self) -> Outcome {
         self.judge.outcome()
+    }
+
+    /// What the flap has gone through since the episode began, if there is one.
+    #[must_use]
+    pub fn tissue_extremes(&self) -> Option<TissueExtremes> {
+        self.world.tissue().map(|_| self.extremes)
     }
 
     /// The true state of the scene.
@@ -179,9 +191,9 @@ impl Simulation {
         let base = &self.bases[arm];
         ArmScene {
             tip_in_rcm: base.inv_mul(&self.world.tip_in_scene(arm)),
-            thing_in_rcm: base.inv_mul(&self.world.thing_in_scene(0)),
+            thing_in_rcm: base.inv_mul(&self.world.subject_in_scene()),
             jaw: self.world.measured(arm, self.stamp).jaw_position,
-            grasp: self.world.grasp(arm, 0),
+            grasp: self.world.subject_grasp(arm),
         }
     }
 
@@ -200,6 +212,7 @@ impl Simulation {
             things,
             goal: self.goal.unwrap_or_else(Pose::identity),
             arms,
+            flap: self.world.tissue().map(FlapSnapshot::of),
         }
     }
 

@@ -26,6 +26,10 @@ pub mod instance {
     pub const PEG: u8 = 10;
     /// The peg that the block belongs on.
     pub const GOAL_PEG: u8 = 11;
+    /// The soft flap.
+    pub const TISSUE: u8 = 12;
+    /// The mark on it.
+    pub const MARK: u8 = 13;
 }
 
 /// A triangle mesh in its own frame, metres; counter-clockwise triangles face outwards.

@@ -17,7 +17,7 @@ use hal::{CameraFrame, Intrinsics, Pose};
 
 pub use camera::{Camera, Light, look_at};
 
-use crate::visual::Visual;
+use crate::visual::{Mesh, Visual};
 use gpu::Gpu;
 use pipelines::Pipelines;
 use scene::Scene;
@@ -115,7 +115,7 @@ pub enum Quality {
     Plain,
 }
 
-/// Draws one fixed set of visuals from any number of cameras.
+/// Draws one fixed set of visuals, which may move and bend, from any number of cameras.
 pub struct Renderer {
     gpu: Gpu,
     scene: Scene,
@@ -154,6 +154,15 @@ impl Renderer {
     /// Chooses how much work goes into the following images; [`Quality::Shadows`] at first.
     pub const fn set_quality(&mut self, quality: Quality) {
         self.quality = quality;
+    }
+
+    /// Bends the visual `index`: its vertices go to where `mesh` has them, for all following images. The triangles stay what
+    /// they were; those of `mesh` are not looked at.
+    ///
+    /// # Errors
+    /// No such visual, or another number of vertices.
+    pub fn reshape(&mut self, index: usize, mesh: &Mesh) -> Result<(), RenderError> {
+        self.scene.reshape(&self.gpu.queue, index, mesh)
     }
 
     /// Takes one image: `poses` are the visuals' poses in the scene frame, in their order.

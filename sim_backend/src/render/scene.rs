@@ -5,7 +5,7 @@ use nalgebra::{Isometry3, Matrix4, Point3};
 use wgpu::util::DeviceExt;
 
 use super::{Camera, Light, RenderError};
-use crate::visual::{Material, Visual};
+use crate::visual::{Material, Mesh, Visual};
 
 /// Bytes of one vertex: position and normal.
 pub(super) const VERTEX_BYTES: u64 = 24;
@@ -18,8 +18,10 @@ const FRAME_BYTES: usize = 176;
 
 /// One mesh inside the shared buffers.
 struct Part {
+    name: &'static str,
     indices: core::ops::Range<u32>,
     base_vertex: i32,
+    vertex_count: usize,
     centre: Point3<f64>,
     radius_m: f64,
     material: Material,
@@ -56,10 +58,7 @@ impl Scene {
             vertex_count = vertex_count
                 .checked_add(new_vertices)
                 .ok_or_else(too_many)?;
-            for (position, normal) in visual.mesh.positions.iter().zip(&visual.mesh.normals) {
-                put(&mut vertices, position);
-                put(&mut vertices, normal);
-            }
+            put_vertices(&mut vertices, &visual.mesh);
             indices.extend(
                 visual
                     .mesh
@@ -80,7 +79,7 @@ impl Scene {
         };
         let record = wgpu::BufferUsages::COPY_DST;
         Ok(Self {
-            vertices: filled("vertices", &vertices, wgpu::BufferUsages::VERTEX),
+            vertices: filled("vertices", &vertices, record | wgpu::BufferUsages::VERTEX),
             indices: filled("indices", &indices, wgpu::BufferUsages::INDEX),
             frame: filled(
                 "frame",
@@ -96,6 +95,32 @@ impl Scene {
             bytes: Vec::with_capacity(OBJECT_BYTES * parts.len().max(2)),
             parts,
         })
+    }
+
+    /// Moves the vertices of the visual `index` to where `mesh` has them; the triangles stay.
+    pub(super) fn reshape(
+        &mut self,
+        queue: &wgpu::Queue,
+        index: usize,
+        mesh: &Mesh,
+    ) -> Result<(), RenderError> {
+        let expected = self.parts.len();
+        let Some(part) = self.parts.get_mut(index) else {
+            let got = index + 1;
+            return Err(RenderError::PoseCount { expected, got });
+        };
+        if [mesh.positions.len(), mesh.normals.len()] != [part.vertex_count; 2] {
+            return Err(RenderError::Mesh {
+                name: part.name,
+                reason: "as many vertices as before are needed",
+            });
+        }
+        (part.centre, part.radius_m) = ball(mesh);
+        self.bytes.clear();
+        put_vertices(&mut self.bytes, mesh);
+        let first = u64::from(part.base_vertex.unsigned_abs());
+        queue.write_buffer(&self.vertices, first * VERTEX_BYTES, &self.bytes);
+        Ok(())
     }
 
     /// Writes the records of one frame and decides the order of drawing: nearest first, so that what it hides is
@@ -147,26 +172,12 @@ impl Scene {
 
 impl Part {
     fn new(visual: &Visual, indices: core::ops::Range<u32>, base_vertex: i32) -> Self {
-        let points = || {
-            visual
-                .mesh
-                .positions
-                .iter()
-                .map(|p| Point3::from(p.map(f64::from)))
-        };
-        let (low, high) = points().fold(
-            (Point3::from([f64::MAX; 3]), Point3::from([f64::MIN; 3])),
-            |(low, high), p| (low.inf(&p), high.sup(&p)),
-        );
-        let centre = if indices.is_empty() {
-            Point3::origin()
-        } else {
-            nalgebra::center(&low, &high)
-        };
-        let radius_m = points().map(|p| (p - centre).norm()).fold(0.0, f64::max);
+        let (centre, radius_m) = ball(&visual.mesh);
         Self {
+            name: visual.name,
             indices,
             base_vertex,
+            vertex_count: visual.mesh.positions.len(),
             centre,
             radius_m,
             material: visual.material,
@@ -188,6 +199,33 @@ impl Part {
                 f32::from(self.instance),
             ],
         );
+    }
+}
+
+/// A ball around a mesh, m.
+fn ball(mesh: &Mesh) -> (Point3<f64>, f64) {
+    let points = || {
+        mesh.positions
+            .iter()
+            .map(|p| Point3::from(p.map(f64::from)))
+    };
+    let (low, high) = points().fold(
+        (Point3::from([f64::MAX; 3]), Point3::from([f64::MIN; 3])),
+        |(low, high), p| (low.inf(&p), high.sup(&p)),
+    );
+    let centre = if mesh.positions.is_empty() {
+        Point3::origin()
+    } else {
+        nalgebra::center(&low, &high)
+    };
+    let radius_m = points().map(|p| (p - centre).norm()).fold(0.0, f64::max);
+    (centre, radius_m)
+}
+
+fn put_vertices(bytes: &mut Vec<u8>, mesh: &Mesh) {
+    for (position, normal) in mesh.positions.iter().zip(&mesh.normals) {
+        put(bytes, position);
+        put(bytes, normal);
     }
 }
 

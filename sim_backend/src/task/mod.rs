@@ -11,6 +11,7 @@ pub mod needle_handover;
 pub mod needle_lift;
 mod needle_start;
 pub mod suture_pad;
+pub mod tissue_retraction;
 mod visuals;
 
 use hal::Pose;
@@ -23,12 +24,14 @@ pub use judge::{Outcome, Reason};
 pub use needle_start::NeedleStart;
 pub(crate) use visuals::{scene_poses, scene_visuals};
 
+use crate::tissue::TissueConfig;
 use crate::visual::Visual;
 use crate::world::{ArmStart, Scenery, WorldConfig};
 use block_transfer::BlockTransfer;
 use needle_handover::NeedleHandover;
 use needle_lift::NeedleLift;
 use suture_pad::SuturePad;
+use tissue_retraction::TissueRetraction;
 
 /// Most arms that a task has.
 pub const ARMS_MAX: usize = 2;
@@ -45,9 +48,10 @@ struct Entry {
 }
 
 /// All tasks.
-const ENTRIES: [Entry; 4] = [
+const ENTRIES: [Entry; 5] = [
     needle_lift::ENTRY,
     needle_handover::ENTRY,
+    tissue_retraction::ENTRY,
     suture_pad::ENTRY,
     block_transfer::ENTRY,
 ];
@@ -80,6 +84,8 @@ pub enum Scene {
     SuturePad(SuturePad),
     /// Two arms pass a needle.
     NeedleHandover(NeedleHandover),
+    /// One arm lifts a flap of skin.
+    TissueRetraction(TissueRetraction),
 }
 
 /// What a task's module answers. Everything that is drawn at random hangs on `seed`.
@@ -98,6 +104,12 @@ pub(crate) trait TaskScene {
 
     /// Where that is, in the same order, in the scene frame.
     fn visual_poses(&self, things: &[Pose], goal: &Pose) -> Vec<Pose>;
+
+    /// The soft flap, if there is one, with the radius of its mark, m. Its visuals are those with the instance ids
+    /// [`crate::visual::instance::TISSUE`] and [`crate::visual::instance::MARK`].
+    fn flap(&self) -> Option<(&TissueConfig, f64)> {
+        None
+    }
 }
 
 impl Scene {
@@ -107,6 +119,7 @@ impl Scene {
             Self::BlockTransfer(scene) => scene,
             Self::SuturePad(scene) => scene,
             Self::NeedleHandover(scene) => scene,
+            Self::TissueRetraction(scene) => scene,
         }
     }
 }
@@ -169,7 +182,10 @@ impl TaskConfig {
                 }
                 scene.needles.keys().cloned().collect()
             }
-            Scene::BlockTransfer(_) | Scene::SuturePad(_) | Scene::NeedleHandover(_) => Vec::new(),
+            Scene::BlockTransfer(_)
+            | Scene::SuturePad(_)
+            | Scene::NeedleHandover(_)
+            | Scene::TissueRetraction(_) => Vec::new(),
         };
         Err(NoSuchNeedle {
             task: self.name,

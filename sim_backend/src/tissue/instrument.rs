@@ -1,13 +1,12 @@
 //! One instrument in the tissue: its parts, its hold, and what it felt of both.
 
 use hal::Pose;
-use hal::psm::FINGER_M;
 use nalgebra::Vector3;
 
 use super::config::{STEP_S, TissueConfig};
 use super::contact::{Felt, Part};
 use super::grasp::Hold;
-use super::jaw::{JawInput, Motion, Solid, Wrench, frame_along};
+use super::jaw::{JawInput, Motion, PAD_MIDDLE_M, Solid, Wrench, frame_along};
 use super::report::{Grasp, JawReport};
 use super::samples::Samples;
 use super::sheet::Sheet;
@@ -108,7 +107,7 @@ impl Jaw {
 /// second finger feels the opposite, so that nothing is left of it on the whole.
 fn squeeze(middle: &Pose, force_n: f64) -> Wrench {
     let mut wrench = Wrench::zero();
-    let lever = middle.rotation * Vector3::new(0.0, 0.0, 0.6 * FINGER_M);
+    let lever = middle.rotation * Vector3::new(0.0, 0.0, PAD_MIDDLE_M);
     wrench.push(&lever, &(middle.rotation * Vector3::new(0.0, force_n, 0.0)));
     wrench
 }

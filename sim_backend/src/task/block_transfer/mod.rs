@@ -142,6 +142,7 @@ impl TaskScene for BlockTransfer {
         Scenery {
             things: vec![block],
             ground: Ground::Solids(self.board.solids()),
+            flap: None,
         }
     }
 

@@ -101,6 +101,7 @@ impl TaskScene for NeedleHandover {
         Scenery {
             things: vec![Thing::needle(world, &self.needle, in_scene)],
             ground: Ground::Organ(self.organ),
+            flap: None,
         }
     }
 

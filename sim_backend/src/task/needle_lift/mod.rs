@@ -95,6 +95,7 @@ impl TaskScene for NeedleLift {
         Scenery {
             things: vec![Thing::needle(world, &self.needle, in_scene)],
             ground: Ground::Organ(self.organ),
+            flap: None,
         }
     }
 

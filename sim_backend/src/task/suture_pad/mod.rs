@@ -139,6 +139,7 @@ impl TaskScene for SuturePad {
         Scenery {
             things: vec![Thing::bare_needle(world, &self.needle, in_scene)],
             ground: Ground::Solids(self.pad.solids()),
+            flap: None,
         }
     }
 

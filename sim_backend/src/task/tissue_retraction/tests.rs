@@ -1,0 +1,3 @@
+//! Facts about the retraction's scene.
+
+use super::*;
