@@ -8,6 +8,7 @@ use sim_backend::task::Outcome;
 
 use super::SessionError;
 use super::source::{ChunkSource, Query, STEP_TICKS, SeenArm};
+use super::summary::TissueSummary;
 use super::tally::Tally;
 use crate::control::{AnyController, Fault, OperatorEvent, TickInput};
 use crate::log::{ArmRecord, TickRecord, TickTiming};
@@ -75,6 +76,8 @@ pub struct EpisodeEnd {
     pub outcome: Outcome,
     /// Counts and percentiles.
     pub tally: Tally,
+    /// What a soft tissue went through, if the task has one.
+    pub tissue: Option<TissueSummary>,
 }
 
 /// The parts of an episode.
@@ -123,13 +126,18 @@ impl Episode<'_> {
             watcher.tick(&record);
             let outcome = self.simulation.outcome();
             if !matches!(outcome, Outcome::Running) {
-                return Ok(EpisodeEnd { outcome, tally });
+                return Ok(self.end(outcome, tally));
             }
         }
-        Ok(EpisodeEnd {
-            outcome: Outcome::Running,
+        Ok(self.end(Outcome::Running, tally))
+    }
+
+    fn end(&self, outcome: Outcome, tally: Tally) -> EpisodeEnd {
+        EpisodeEnd {
+            outcome,
             tally,
-        })
+            tissue: self.simulation.tissue_extremes().map(TissueSummary::from),
+        }
     }
 
     /// What each arm measured.

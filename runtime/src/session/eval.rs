@@ -124,6 +124,7 @@ impl<'a> TrialWorker<'a> {
             reason: end.reason(),
             seconds: hal::TimeNs::from_tick(end.tally.ticks()).seconds(),
             command_hash: end.tally.command_hash(),
+            tissue: end.tissue,
         })
     }
 }

@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-use hal::Chunk;
+use hal::{Chunk, TimeNs};
 use sim_backend::simulation::{Rendering, Simulation};
 use sim_backend::task::Outcome;
 use tch::Device;
@@ -14,7 +14,7 @@ use super::source::PolicyChoice;
 use super::summary::RunSummary;
 use super::tally::RunLabels;
 use super::{SessionError, Setup, pictures};
-use crate::log::{Pressure, Recorder, RunHeader, RunOutcome, TickRecord};
+use crate::log::{Level, Pressure, Recorder, RunHeader, RunOutcome, TickRecord};
 
 /// The libtorch that the program was built with.
 pub const LIBTORCH_VERSION: &str = env!("LIBTORCH_VERSION");
@@ -93,7 +93,11 @@ pub fn run_lockstep(setup: &Setup, options: &RunOptions) -> Result<RunResult, Se
     let end = episode.run(&plan, &mut watcher)?;
     let reason = end.reason();
     let success = matches!(end.outcome, Outcome::Success);
-    if let Some(recorder) = watcher.recorder {
+    if let Some(mut recorder) = watcher.recorder {
+        if let Some(tissue) = &end.tissue {
+            let last = TimeNs::from_tick(end.tally.ticks());
+            recorder.event(last, Level::Info, &tissue.to_string());
+        }
         let outcome = RunOutcome {
             success,
             reason: reason.clone(),
@@ -107,6 +111,7 @@ pub fn run_lockstep(setup: &Setup, options: &RunOptions) -> Result<RunResult, Se
         seed: options.seed,
         success,
         reason: &reason,
+        tissue: end.tissue,
     };
     Ok(RunResult {
         summary: end.tally.summary(&labels, None),

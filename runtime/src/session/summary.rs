@@ -1,6 +1,9 @@
 //! What a run and an evaluation report, in the form that scripts rely on.
 
+use core::fmt;
+
 use serde::Serialize;
+use sim_backend::tissue::TissueExtremes;
 
 /// Percentiles of a duration.
 #[derive(Clone, Copy, Debug, Default, Serialize)]
@@ -59,6 +62,39 @@ pub struct RealTimeCounts {
     pub log_dropped: u64,
 }
 
+/// What a soft tissue went through: the largest values of a run.
+#[derive(Clone, Copy, Debug, Serialize)]
+pub struct TissueSummary {
+    /// Force between an instrument and the tissue after a low pass at 50 Hz, N.
+    pub force_n_max: f64,
+    /// Stretch; 0.1 is a tenth longer than at rest.
+    pub stretch_max: f64,
+    /// How far the mark rose above where it lay at rest, m.
+    pub mark_rise_m_max: f64,
+}
+
+impl From<TissueExtremes> for TissueSummary {
+    fn from(extremes: TissueExtremes) -> Self {
+        Self {
+            force_n_max: extremes.force_n,
+            stretch_max: extremes.stretch,
+            mark_rise_m_max: extremes.mark_rise_m,
+        }
+    }
+}
+
+impl fmt::Display for TissueSummary {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(
+            f,
+            "tissue: at most {:.3} N, stretched by {:.1} %, mark {:.1} mm up",
+            self.force_n_max,
+            self.stretch_max * 100.0,
+            self.mark_rise_m_max * 1e3
+        )
+    }
+}
+
 /// One run.
 #[derive(Clone, Debug, Serialize)]
 pub struct RunSummary {
@@ -87,6 +123,9 @@ pub struct RunSummary {
     /// Present in real-time runs.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub real_time: Option<RealTimeCounts>,
+    /// Present in tasks with a soft tissue.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub tissue: Option<TissueSummary>,
 }
 
 /// One trial of an evaluation.
@@ -102,6 +141,9 @@ pub struct TrialSummary {
     pub seconds: f64,
     /// Hash of its commands.
     pub command_hash: String,
+    /// Present in tasks with a soft tissue.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub tissue: Option<TissueSummary>,
 }
 
 /// An evaluation over many trials.

@@ -1,6 +1,8 @@
 //! Counts and percentiles of one run, from its tick records.
 
-use super::summary::{LatencyMs, PolicyCounts, QpCounts, RealTimeCounts, RunSummary, TickUs};
+use super::summary::{
+    LatencyMs, PolicyCounts, QpCounts, RealTimeCounts, RunSummary, TickUs, TissueSummary,
+};
 use crate::control::{CommandHash, Fault, QpOutcome, TickReport};
 use crate::histogram::Histogram;
 use crate::log::TickRecord;
@@ -33,6 +35,8 @@ pub struct RunLabels<'a> {
     pub success: bool,
     /// Why the run ended.
     pub reason: &'a str,
+    /// What a soft tissue went through, if the task has one.
+    pub tissue: Option<TissueSummary>,
 }
 
 impl Tally {
@@ -121,6 +125,7 @@ impl Tally {
             qp: self.qp,
             guard_interventions: self.guard_interventions,
             real_time,
+            tissue: labels.tissue,
         }
     }
 }

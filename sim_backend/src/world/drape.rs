@@ -6,6 +6,10 @@ use super::chain::Wrench;
 use super::scenery::{Flap, Ground};
 use crate::tissue::{self, JawInput, Tissue};
 
+/// Share of a new grip that counts in a millisecond, a low pass at 8 Hz: cables give, and a drive's effort ripples while
+/// the jaw closes, which is no reason for held tissue to be let go.
+const GRIP_SHARE: f64 = 0.05;
+
 /// A flap with the jaws that may touch it, one an arm.
 pub(super) struct Drape {
     tissue: Tissue,
@@ -29,7 +33,9 @@ impl Drape {
     /// Advances one millisecond, in which the instruments go to where `arms` are.
     pub(super) fn step(&mut self, arms: &[ArmUnit]) {
         for (jaw, arm) in self.jaws.iter_mut().zip(arms) {
+            let grip_n = jaw.grip_n;
             *jaw = arm.jaw_input();
+            jaw.grip_n = grip_n + GRIP_SHARE * (jaw.grip_n - grip_n);
         }
         self.tissue.step(&self.jaws);
     }
@@ -53,6 +59,12 @@ impl Drape {
             both_touch: felt.grasp.is_some(),
             penetration_m: felt.depth_m,
         }
+    }
+
+    /// Every number that decides the future, for hashing.
+    pub(super) fn state(&self) -> impl Iterator<Item = f64> + '_ {
+        let grips = self.jaws.iter().map(|jaw| jaw.grip_n);
+        self.tissue.state().chain(grips)
     }
 
     pub(super) const fn tissue(&self) -> &Tissue {

@@ -210,6 +210,10 @@ impl World {
         self.sunk_m(0)
     }
 
+    pub(crate) fn jaw_of(&self, arm: usize) -> crate::tissue::JawInput {
+        self.arms[arm].jaw_input()
+    }
+
     /// Digest of every number that decides the future, bit by bit.
     #[must_use]
     pub fn state_hash(&self) -> u64 {
@@ -224,7 +228,7 @@ impl World {
                 angular.y, angular.z,
             ]
         });
-        let tissue = self.tissue().into_iter().flat_map(Tissue::state);
+        let tissue = self.drape.iter().flat_map(Drape::state);
         let rigid = arms.chain(self.stage.memory_numbers()).chain(things);
         let numbers = rigid.chain(tissue);
         // FNV-1a over 64-bit words.

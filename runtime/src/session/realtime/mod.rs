@@ -32,7 +32,7 @@ pub use policy_process::{PolicyProcessOptions, serve_policy};
 
 use super::run::{RunOptions, RunResult, open_log};
 use super::source::{ChunkSource, PolicyChoice};
-use super::summary::RealTimeCounts;
+use super::summary::{RealTimeCounts, TissueSummary};
 use super::tally::{RunLabels, Tally};
 use super::{SessionError, Setup};
 use crate::control::AnyController;
@@ -236,6 +236,7 @@ fn conclude(setup: &Setup, options: &RunOptions, ends: Ends) -> Result<RunResult
         seed: options.seed,
         success,
         reason: &reason,
+        tissue: others.simulation.tissue.map(TissueSummary::from),
     };
     let real_time = RealTimeCounts {
         overruns: control.skipped,

@@ -6,6 +6,7 @@ use hal::{Arm, ArmCommand, ArmState, Chunk, SafeTail, TICK_NS, TimeNs};
 use rtrb::{Consumer, Producer};
 use sim_backend::simulation::Simulation;
 use sim_backend::task::Outcome;
+use sim_backend::tissue::TissueExtremes;
 
 use super::camera_thread::Snapshot;
 use super::signals::{EndsRun, Signals};
@@ -56,6 +57,8 @@ pub(super) struct SimulationEnd {
     pub(super) outcome: Outcome,
     /// How long the local policy took for its chunks.
     pub(super) inference: Histogram,
+    /// What a soft tissue went through, if the task has one.
+    pub(super) tissue: Option<TissueExtremes>,
 }
 
 impl SimulationThread {
@@ -78,6 +81,7 @@ impl SimulationThread {
         let mut end = SimulationEnd {
             outcome: Outcome::Running,
             inference: Histogram::new(),
+            tissue: None,
         };
         while !signals.stopped() {
             let wake = periodic.wait();
@@ -97,6 +101,7 @@ impl SimulationThread {
                 signals.end_run();
             }
         }
+        end.tissue = self.simulation.tissue_extremes();
         Ok(end)
     }
 
