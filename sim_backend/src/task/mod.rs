@@ -11,16 +11,18 @@ pub mod needle_handover;
 pub mod needle_lift;
 mod needle_start;
 pub mod suture_pad;
+mod view;
 mod visuals;
 
 use hal::Pose;
 use hal::config::{ConfigError, Source};
 use serde::Deserialize;
 
-pub use camera::CameraConfig;
+pub use camera::{CameraConfig, ENDOSCOPE, Mount, SIDE};
 pub(crate) use judge::{Judge, Monitor, Sight};
 pub use judge::{Outcome, Reason};
 pub use needle_start::NeedleStart;
+pub use view::{NoSuchView, VIEW1_SHIFT_M, VIEW1_TURN_RAD, View};
 pub(crate) use visuals::{scene_poses, scene_visuals};
 
 use crate::visual::Visual;
@@ -63,6 +65,8 @@ pub struct TaskConfig {
     pub world: WorldConfig,
     /// The cameras, in the order of observations.
     pub cameras: Vec<CameraConfig>,
+    /// How the cameras stand against the file; see [`Self::with_view`].
+    pub view: View,
     /// When the episode ends without success, s.
     pub time_limit_s: f64,
     /// What is particular to the task.
@@ -113,7 +117,7 @@ impl Scene {
 
 /// A needle was asked for that a task does not have.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("{task} has no needle {name:?}; it has {known:?}")]
+#[error("{task} has no needle {name:?}; {}", known_needles(known))]
 pub struct NoSuchNeedle {
     /// The task.
     pub task: &'static str,
@@ -121,6 +125,14 @@ pub struct NoSuchNeedle {
     pub name: String,
     /// The needles that can be chosen.
     pub known: Vec<String>,
+}
+
+fn known_needles(known: &[String]) -> String {
+    if known.is_empty() {
+        "it has no choice of needles".to_owned()
+    } else {
+        format!("it has {}", known.join(", "))
+    }
 }
 
 /// The part of a scene file that says what it is.
@@ -156,6 +168,15 @@ impl TaskConfig {
         Self::parse(&Self::needle_lift_source())
     }
 
+    /// The name of the needle of this task, if there is a choice.
+    #[must_use]
+    pub fn needle(&self) -> Option<&str> {
+        match &self.scene {
+            Scene::NeedleLift(scene) => Some(&scene.needle_name),
+            Scene::BlockTransfer(_) | Scene::SuturePad(_) | Scene::NeedleHandover(_) => None,
+        }
+    }
+
     /// The same task with another needle, by the name that the scene file gives it.
     ///
     /// # Errors
@@ -165,6 +186,7 @@ impl TaskConfig {
             Scene::NeedleLift(scene) => {
                 if let Some(&needle) = scene.needles.get(name) {
                     scene.needle = needle;
+                    name.clone_into(&mut scene.needle_name);
                     return Ok(self);
                 }
                 scene.needles.keys().cloned().collect()
