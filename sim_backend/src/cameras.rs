@@ -1,4 +1,5 @@
-//! A task's cameras: they render a snapshot of the scene, in whatever thread they live.
+//! A task's cameras: they render a snapshot of the scene, in whatever thread they live. Nothing is drawn for a camera that
+//! nobody asks.
 
 mod flap;
 
@@ -37,15 +38,23 @@ pub struct SceneCameras {
     views: Vec<View>,
     light: Light,
     flap: Option<DrawnFlap>,
+    /// The camera that the light is meant for.
+    light_camera: usize,
 }
 
+/// A camera and what carries it.
 struct View {
     name: String,
-    camera: Camera,
+    intrinsics: Intrinsics,
+    /// In the scene frame, or in the tip frame of the arm that carries it.
+    camera_in_mount: Pose,
+    carrier: Option<usize>,
+    /// Distance from the lens to what it looks at, m.
+    focus_m: f64,
 }
 
 impl SceneCameras {
-    /// Opens a device for the cameras of `task`.
+    /// Opens a device for the cameras of `task`, which stand as the file says until an episode begins.
     ///
     /// # Errors
     /// [`SimulationError::Render`] if there is no device to render with.
@@ -59,7 +68,19 @@ impl SceneCameras {
             views,
             light: Light::default(),
             flap: DrawnFlap::new(&task.scene, &visuals),
+            light_camera: task.light_camera(),
         })
+    }
+
+    /// Puts the cameras where `task` has them in the episode `seed`: its view may move them anew in each.
+    pub fn begin_episode(&mut self, task: &TaskConfig, seed: u64) {
+        let placed = |camera: &CameraConfig| {
+            let mut view = View::new(camera);
+            view.camera_in_mount *= task.view.shift(camera, seed);
+            view
+        };
+        self.views = task.cameras.iter().map(placed).collect();
+        self.light_camera = task.light_camera();
     }
 
     /// How many cameras there are.
@@ -98,15 +119,15 @@ impl SceneCameras {
     /// # Errors
     /// [`SimulationError::NoSuchCamera`].
     pub fn intrinsics(&self, camera: usize) -> Result<Intrinsics, SimulationError> {
-        Ok(self.view(camera)?.camera.intrinsics)
+        Ok(self.view(camera)?.intrinsics)
     }
 
-    /// The pose of a camera in the scene frame.
+    /// The pose of a camera in the scene frame at the instant of `snapshot`.
     ///
     /// # Errors
-    /// [`SimulationError::NoSuchCamera`].
-    pub fn pose(&self, camera: usize) -> Result<Pose, SimulationError> {
-        Ok(self.view(camera)?.camera.camera_in_scene)
+    /// [`SimulationError::NoSuchCamera`], [`SimulationError::NoCarrier`].
+    pub fn pose(&self, camera: usize, snapshot: &SceneSnapshot) -> Result<Pose, SimulationError> {
+        self.view(camera)?.camera_in_scene(snapshot)
     }
 
     /// A black frame of the right size.
@@ -127,10 +148,10 @@ impl SceneCameras {
         snapshot: &SceneSnapshot,
         frame: &mut CameraFrame,
     ) -> Result<(), SimulationError> {
-        let camera = self.view(camera)?.camera;
+        let (camera, light) = self.placed(camera, snapshot)?;
         let poses = scene_poses(&self.scene, snapshot);
         self.bend(snapshot)?;
-        self.renderer.render(&poses, &camera, &self.light, frame)?;
+        self.renderer.render(&poses, &camera, &light, frame)?;
         Ok(())
     }
 
@@ -144,11 +165,10 @@ impl SceneCameras {
         snapshot: &SceneSnapshot,
         planes: Planes<'_>,
     ) -> Result<(), SimulationError> {
-        let camera = self.view(camera)?.camera;
+        let (camera, light) = self.placed(camera, snapshot)?;
         let poses = scene_poses(&self.scene, snapshot);
         self.bend(snapshot)?;
-        self.renderer
-            .render_into(&poses, &camera, &self.light, planes)?;
+        self.renderer.render_into(&poses, &camera, &light, planes)?;
         Ok(())
     }
 
@@ -158,6 +178,27 @@ impl SceneCameras {
             (Some(drawn), Some(flap)) => drawn.bend(flap, &mut self.renderer),
             _ => Ok(()),
         }
+    }
+
+    /// A camera where it is now. Each has its own light; all but the endoscope's are adjusted to the distance that their
+    /// camera looks at.
+    fn placed(
+        &self,
+        camera: usize,
+        snapshot: &SceneSnapshot,
+    ) -> Result<(Camera, Light), SimulationError> {
+        let view = self.view(camera)?;
+        let mut light = self.light;
+        if camera != self.light_camera {
+            light.reference_distance_m = view.focus_m;
+        }
+        let placed = Camera {
+            intrinsics: view.intrinsics,
+            camera_in_scene: view.camera_in_scene(snapshot)?,
+            near_m: NEAR_M,
+            far_m: FAR_M,
+        };
+        Ok((placed, light))
     }
 
     fn view(&self, camera: usize) -> Result<&View, SimulationError> {
@@ -171,20 +212,25 @@ impl SceneCameras {
 
 impl View {
     fn new(config: &CameraConfig) -> Self {
-        let camera_in_scene = look_at(
-            Point3::from(config.eye_m),
-            Point3::from(config.target_m),
-            Vector3::from(config.up),
-        );
-        let camera = Camera {
-            intrinsics: config.intrinsics(),
-            camera_in_scene,
-            near_m: NEAR_M,
-            far_m: FAR_M,
-        };
+        let (eye, target) = (Point3::from(config.eye_m), Point3::from(config.target_m));
         Self {
             name: config.name.clone(),
-            camera,
+            intrinsics: config.intrinsics(),
+            camera_in_mount: look_at(eye, target, Vector3::from(config.up)),
+            carrier: config.carrier(),
+            focus_m: (target - eye).norm(),
         }
+    }
+
+    fn camera_in_scene(&self, snapshot: &SceneSnapshot) -> Result<Pose, SimulationError> {
+        let Some(arm) = self.carrier else {
+            return Ok(self.camera_in_mount);
+        };
+        let bodies = snapshot.arms.get(arm).copied().flatten();
+        let bodies = bodies.ok_or_else(|| SimulationError::NoCarrier {
+            camera: self.name.clone(),
+            arm,
+        })?;
+        Ok(bodies.tip * self.camera_in_mount)
     }
 }

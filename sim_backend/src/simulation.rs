@@ -31,6 +31,14 @@ pub enum SimulationError {
     /// An image was asked of an episode that runs without cameras.
     #[error("this simulation was made without rendering")]
     RenderingOff,
+    /// A wrist camera was asked for an image of a scene without its arm.
+    #[error("camera {camera} is carried by arm {arm}, which is not there")]
+    NoCarrier {
+        /// The camera.
+        camera: String,
+        /// Its arm, counted from 0.
+        arm: usize,
+    },
     /// There is no such camera.
     #[error("camera {index} of {count}")]
     NoSuchCamera {
@@ -117,7 +125,10 @@ impl Simulation {
         self.cameras
     }
 
-    fn build(task: &TaskConfig, seed: u64, cameras: Option<SceneCameras>) -> Self {
+    fn build(task: &TaskConfig, seed: u64, mut cameras: Option<SceneCameras>) -> Self {
+        if let Some(cameras) = &mut cameras {
+            cameras.begin_episode(task, seed);
+        }
         let scene = task.scene.of_task();
         let mut world = World::new(&task.world, &scene.scenery(&task.world, seed), &task.arms);
         for _ in 0..SETTLE_STEPS {
@@ -285,3 +296,5 @@ impl Arm for Simulation {
 mod pictures;
 #[cfg(test)]
 mod tests;
+#[cfg(test)]
+mod wrist;

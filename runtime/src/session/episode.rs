@@ -29,7 +29,7 @@ pub struct Plan {
 pub struct StepView<'a> {
     /// The measured arms.
     pub arms: &'a PerArm<SeenArm>,
-    /// Frames, if any were taken.
+    /// Frames, if any were taken: of the policy's cameras, then of the watcher's others.
     pub frames: &'a [CameraFrame],
     /// The answer, a chunk for each arm, if the policy was asked.
     pub answer: Option<&'a PerArm<Chunk>>,
@@ -204,8 +204,8 @@ impl Episode<'_> {
         cameras.take(self.simulation, step, asked)?;
         let answer = if asked {
             let scene = self.simulation.scene_state();
-            let frames: Vec<FrameRef<'_>> =
-                cameras.frames.iter().map(CameraFrame::as_frame).collect();
+            let seen = cameras.frames.iter().take(cameras.seen);
+            let frames: Vec<FrameRef<'_>> = seen.map(CameraFrame::as_frame).collect();
             let query = Query {
                 arms: *arms,
                 frames: &frames,
@@ -250,12 +250,14 @@ fn other_arms(controller: &AnyController) -> SessionError {
 struct Cameras {
     indices: Vec<usize>,
     frames: Vec<CameraFrame>,
+    /// So many of them, the first, are the policy's.
+    seen: usize,
     every_step: bool,
     fresh: bool,
 }
 
 impl Cameras {
-    /// The policy's cameras if it has any, otherwise the watcher's.
+    /// The policy's cameras and the watcher's others.
     fn choose(
         source: &ChunkSource,
         watcher: &dyn Watcher,
@@ -264,11 +266,18 @@ impl Cameras {
         let watched = watcher.cameras();
         let seen = source.cameras();
         let every_step = !watched.is_empty();
-        let names = if seen.is_empty() { watched } else { seen };
+        let seen_count = seen.len();
+        let mut names = seen;
+        let others = watched
+            .into_iter()
+            .filter(|name| !names.contains(name))
+            .collect::<Vec<_>>();
+        names.extend(others);
         if names.is_empty() {
             return Ok(Self {
                 indices: Vec::new(),
                 frames: Vec::new(),
+                seen: 0,
                 every_step: false,
                 fresh: false,
             });
@@ -289,6 +298,7 @@ impl Cameras {
         Ok(Self {
             indices,
             frames,
+            seen: seen_count,
             every_step,
             fresh: false,
         })

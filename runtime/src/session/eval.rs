@@ -49,6 +49,8 @@ pub fn evaluate(
     )?;
     Ok(EvalSummary::new(
         &setup.task_name,
+        setup.task.needle(),
+        setup.task.view.name(),
         &options.policy.name(),
         episodes,
     ))

@@ -46,6 +46,13 @@ pub struct Attempt {
 pub struct RecordSummary {
     /// Task name.
     pub task: String,
+    /// From where the cameras looked: `train`, `view1` or `view2`.
+    pub view: String,
+    /// The needle, in a task that has a choice.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub needle: Option<String>,
+    /// The cameras whose frames are in the dataset.
+    pub cameras: Vec<String>,
     /// Episodes in the dataset.
     pub episodes: usize,
     /// Policy steps in them.
@@ -69,6 +76,9 @@ pub fn record(
     let mut writer = DatasetWriter::create(&options.out, &dataset_spec(setup))?;
     let mut summary = RecordSummary {
         task: setup.task_name.clone(),
+        view: setup.task.view.name().to_owned(),
+        needle: setup.task.needle().map(str::to_owned),
+        cameras: setup.cameras_with(Vec::new()),
         episodes: 0,
         steps: 0,
         attempts: Vec::new(),
@@ -115,10 +125,16 @@ pub fn record(
 }
 
 fn dataset_spec(setup: &Setup) -> DatasetSpec {
-    let cameras = setup
-        .task
-        .cameras
+    let names = setup.cameras_with(Vec::new());
+    let cameras = names
         .iter()
+        .filter_map(|name| {
+            setup
+                .task
+                .cameras
+                .iter()
+                .find(|camera| camera.name == *name)
+        })
         .map(|camera| CameraSpec {
             name: camera.name.clone(),
             width: camera.intrinsics().width,
@@ -177,7 +193,7 @@ fn demonstrator(
         let mut source = setup.source(&PolicyChoice::Expert, seed, Device::Cpu)?;
         let mut controller = setup.controller()?;
         let mut diary = Diary {
-            cameras: setup.camera_names(),
+            cameras: setup.cameras_with(Vec::new()),
             frames: Vec::new(),
         };
         let plan = Plan {

@@ -26,7 +26,7 @@ pub struct RunOptions {
     pub policy: PolicyChoice,
     /// Everything random hangs on this.
     pub seed: u64,
-    /// Where the log goes, if anywhere. A log holds frames even if the policy needs none.
+    /// Where the log goes, if anywhere. A log holds frames even if the policy needs none: see [`Setup::cameras_with`].
     pub log: Option<PathBuf>,
     /// Whether to keep pictures of the run for [`RunResult::pictures`].
     pub pictures: bool,
@@ -70,7 +70,7 @@ pub fn run_lockstep(setup: &Setup, options: &RunOptions) -> Result<RunResult, Se
     let mut simulation = Simulation::new(&setup.task, options.seed, rendering)?;
     let mut controller = setup.controller()?;
     let cameras = if options.wants_frames() {
-        setup.camera_names()
+        setup.cameras_with(source.cameras())
     } else {
         Vec::new()
     };
@@ -107,6 +107,8 @@ pub fn run_lockstep(setup: &Setup, options: &RunOptions) -> Result<RunResult, Se
     }
     let labels = RunLabels {
         task: &setup.task_name,
+        view: setup.task.view.name(),
+        needle: setup.task.needle(),
         policy: &options.policy.name(),
         seed: options.seed,
         success,
@@ -159,6 +161,8 @@ fn header(setup: &Setup, options: &RunOptions, lockstep: bool) -> RunHeader {
         policy: options.policy.name(),
         seed: options.seed,
         lockstep,
+        view: setup.task.view.name().to_owned(),
+        needle: setup.task.needle().map(str::to_owned),
         versions: versions
             .map(|(name, version)| (name.to_owned(), version.to_owned()))
             .into(),

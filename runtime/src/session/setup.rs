@@ -26,6 +26,8 @@ pub struct Setup {
     pub control: ControlConfig,
     /// The texts they came from, for the log.
     pub texts: Texts,
+    /// Cameras whose frames were asked for; see [`Self::cameras_with`].
+    pub kept_cameras: Option<Vec<String>>,
 }
 
 /// Effective configuration texts.
@@ -70,6 +72,7 @@ impl Setup {
                 safety: safety.text().to_owned(),
                 scene: scene.text().to_owned(),
             },
+            kept_cameras: None,
         })
     }
 

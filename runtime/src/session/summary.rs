@@ -100,6 +100,11 @@ impl fmt::Display for TissueSummary {
 pub struct RunSummary {
     /// Task name.
     pub task: String,
+    /// From where the cameras looked: `train`, `view1` or `view2`.
+    pub view: String,
+    /// The needle, in a task that has a choice.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub needle: Option<String>,
     /// The policy and what it did.
     pub policy: PolicyCounts,
     /// The seed that everything random hangs on.
@@ -151,6 +156,11 @@ pub struct TrialSummary {
 pub struct EvalSummary {
     /// Task name.
     pub task: String,
+    /// From where the cameras looked: `train`, `view1` or `view2`.
+    pub view: String,
+    /// The needle, in a task that has a choice.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub needle: Option<String>,
     /// The policy.
     pub policy: String,
     /// How many trials.
@@ -166,14 +176,22 @@ pub struct EvalSummary {
 }
 
 impl EvalSummary {
-    /// Sums up `episodes`.
+    /// Sums up `episodes` of a task with that needle, if it has a choice, seen from `view`.
     #[must_use]
-    pub fn new(task: &str, policy: &str, episodes: Vec<TrialSummary>) -> Self {
+    pub fn new(
+        task: &str,
+        needle: Option<&str>,
+        view: &str,
+        policy: &str,
+        episodes: Vec<TrialSummary>,
+    ) -> Self {
         let trials = episodes.len();
         let successes = episodes.iter().filter(|episode| episode.success).count();
         let (rate, wilson95) = wilson_interval(successes, trials);
         Self {
             task: task.to_owned(),
+            view: view.to_owned(),
+            needle: needle.map(str::to_owned),
             policy: policy.to_owned(),
             trials,
             successes,

@@ -27,6 +27,10 @@ pub struct Tally {
 pub struct RunLabels<'a> {
     /// Task name.
     pub task: &'a str,
+    /// From where the cameras looked.
+    pub view: &'a str,
+    /// The needle, in a task that has a choice.
+    pub needle: Option<&'a str>,
     /// Policy name.
     pub policy: &'a str,
     /// The seed.
@@ -104,6 +108,8 @@ impl Tally {
         let skipped = real_time.map_or(0, |counts| counts.overruns);
         RunSummary {
             task: labels.task.to_owned(),
+            view: labels.view.to_owned(),
+            needle: labels.needle.map(str::to_owned),
             policy: PolicyCounts {
                 name: labels.policy.to_owned(),
                 queries: self.queries,

@@ -7,7 +7,7 @@ use hal::{JOINT_COUNT, JointVector, Pose, psm};
 use nalgebra::{Translation3, UnitQuaternion};
 use serde::Deserialize;
 
-use super::{CameraConfig, Scene, TaskConfig};
+use super::{CameraConfig, Scene, TaskConfig, View};
 use crate::world::{ArmStart, WorldConfig};
 
 /// One `[[arm]]`.
@@ -57,12 +57,7 @@ impl CommonFile {
             arm.check(source, index)?;
         }
         self.world.check(source, "world")?;
-        if self.camera.is_empty() {
-            return Err(source.out_of_range("camera", "no camera", "at least one"));
-        }
-        for (index, camera) in self.camera.iter().enumerate() {
-            camera.check(source, index)?;
-        }
+        CameraConfig::check_all(&self.camera, source, self.arm.len())?;
         source.check_range(
             "episode.time_limit_s",
             self.episode.time_limit_s,
@@ -74,6 +69,7 @@ impl CommonFile {
             arms: self.arm.iter().map(ArmFile::start).collect(),
             world: self.world,
             cameras: self.camera,
+            view: View::Train,
             time_limit_s: self.episode.time_limit_s,
             scene,
         })

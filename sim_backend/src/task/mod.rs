@@ -12,16 +12,18 @@ pub mod needle_lift;
 mod needle_start;
 pub mod suture_pad;
 pub mod tissue_retraction;
+mod view;
 mod visuals;
 
 use hal::Pose;
 use hal::config::{ConfigError, Source};
 use serde::Deserialize;
 
-pub use camera::CameraConfig;
+pub use camera::{CameraConfig, ENDOSCOPE, Mount, SIDE};
 pub(crate) use judge::{Judge, Monitor, Sight};
 pub use judge::{Outcome, Reason};
 pub use needle_start::NeedleStart;
+pub use view::{NoSuchView, VIEW1_SHIFT_M, VIEW1_TURN_RAD, View};
 pub(crate) use visuals::{scene_poses, scene_visuals};
 
 use crate::tissue::TissueConfig;
@@ -67,6 +69,8 @@ pub struct TaskConfig {
     pub world: WorldConfig,
     /// The cameras, in the order of observations.
     pub cameras: Vec<CameraConfig>,
+    /// How the cameras stand against the file; see [`Self::with_view`].
+    pub view: View,
     /// When the episode ends without success, s.
     pub time_limit_s: f64,
     /// What is particular to the task.
@@ -126,7 +130,7 @@ impl Scene {
 
 /// A needle was asked for that a task does not have.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("{task} has no needle {name:?}; it has {known:?}")]
+#[error("{task} has no needle {name:?}; {}", known_needles(known))]
 pub struct NoSuchNeedle {
     /// The task.
     pub task: &'static str,
@@ -134,6 +138,14 @@ pub struct NoSuchNeedle {
     pub name: String,
     /// The needles that can be chosen.
     pub known: Vec<String>,
+}
+
+fn known_needles(known: &[String]) -> String {
+    if known.is_empty() {
+        "it has no choice of needles".to_owned()
+    } else {
+        format!("it has {}", known.join(", "))
+    }
 }
 
 /// The part of a scene file that says what it is.
@@ -169,6 +181,15 @@ impl TaskConfig {
         Self::parse(&Self::needle_lift_source())
     }
 
+    /// The name of the needle of this task, if there is a choice.
+    #[must_use]
+    pub fn needle(&self) -> Option<&str> {
+        match &self.scene {
+            Scene::NeedleLift(scene) => Some(&scene.needle_name),
+            Scene::BlockTransfer(_) | Scene::SuturePad(_) | Scene::NeedleHandover(_) => None,
+        }
+    }
+
     /// The same task with another needle, by the name that the scene file gives it.
     ///
     /// # Errors
@@ -178,6 +199,7 @@ impl TaskConfig {
             Scene::NeedleLift(scene) => {
                 if let Some(&needle) = scene.needles.get(name) {
                     scene.needle = needle;
+                    name.clone_into(&mut scene.needle_name);
                     return Ok(self);
                 }
                 scene.needles.keys().cloned().collect()

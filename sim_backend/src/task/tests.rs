@@ -69,6 +69,22 @@ fn value_out_of_range_is_named_with_line_key_and_range() {
             "arm.0.joints.2 = 0.3 is outside",
         ),
         ("up", "up = [0.0, 0.0, 2.0]", "camera.0.up.2 = 2 is outside"),
+        (
+            "name = \"side\"",
+            "name = \"endoscope\"",
+            "camera.1.name = endoscope is outside names used once",
+        ),
+        (
+            "name = \"side\"",
+            "name = \"a side\"",
+            "camera.1.name = a side is outside letters",
+        ),
+        ("arm = 0", "arm = 1", "camera.2.arm = 1 is outside"),
+        (
+            "name = \"side\"",
+            "arm = 0\nname = \"side\"",
+            "camera.1.arm = 0 is outside cameras with mount = \"wrist\"",
+        ),
     ] {
         let (source, line) = doctored(old, new);
         let message = TaskConfig::parse(&source).unwrap_err().to_string();

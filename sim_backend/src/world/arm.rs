@@ -34,6 +34,8 @@ pub struct ArmBodies {
     pub finger_left: Pose,
     /// Right finger: like the left one with its body at y < 0.
     pub finger_right: Pose,
+    /// Nothing to draw: the tip frame, its origin on the wrist-yaw axis, z along the closed fingers, x along their hinge.
+    pub tip: Pose,
 }
 
 /// Drives and links of one arm.
@@ -106,6 +108,7 @@ impl ArmUnit {
             wrist: self.chain.frames[4],
             finger_left: self.chain.finger(jaw, 1.0),
             finger_right: self.chain.finger(jaw, -1.0),
+            tip: self.chain.tip,
         }
     }
 

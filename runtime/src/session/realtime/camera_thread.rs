@@ -13,6 +13,7 @@ use crate::log::SideLog;
 use crate::mailbox::MailboxReader;
 use crate::rt;
 use crate::session::pictures::Pictures;
+use crate::session::run::RunOptions;
 use crate::session::{SessionError, Setup};
 
 /// Time between two looks for a snapshot, ns.
@@ -30,6 +31,8 @@ pub(super) struct Snapshot {
 /// The camera thread before it runs.
 pub(super) struct CameraThread {
     cameras: SceneCameras,
+    /// The cameras that somebody wants, by index; publishers and frames are in their order.
+    wanted: Vec<usize>,
     publishers: Vec<FramePublisher>,
     arm: Option<Publisher<ArmReport>>,
     log: Option<SideLog>,
@@ -45,19 +48,23 @@ pub(super) struct CameraEnd {
 }
 
 impl CameraThread {
-    /// Opens the renderer, and the topics if there is a policy process to see them; draws `start` once, since the first
-    /// image takes far longer than the others. Keeps pictures only if `keep_pictures`.
+    /// Opens the renderer for the cameras `seen` by the policy and those that `setup` asks for, and the topics if there is a
+    /// policy process to see them; draws `start` once, since the first image takes far longer than the others.
     pub(super) fn new(
         setup: &Setup,
+        options: &RunOptions,
+        seen: &[String],
         node: Option<&TopicNode>,
         snapshots: MailboxReader<Snapshot>,
         start: &SceneSnapshot,
-        keep_pictures: bool,
     ) -> Result<Self, SessionError> {
         let mut cameras = SceneCameras::new(&setup.task)?;
+        cameras.begin_episode(&setup.task, options.seed);
+        let names = setup.cameras_with(seen.to_vec());
+        let wanted: Vec<usize> = names.iter().filter_map(|name| cameras.find(name)).collect();
         let mut publishers = Vec::new();
         if let Some(node) = node {
-            for camera in 0..cameras.count() {
+            for &camera in &wanted {
                 let pixels = cameras.intrinsics(camera)?.pixel_count();
                 publishers.push(CameraTopic::publisher(node, cameras.name(camera)?, pixels)?);
             }
@@ -65,19 +72,21 @@ impl CameraThread {
         let arm = node
             .map(|node| ArmStateTopic::publisher(node, ARM))
             .transpose()?;
-        let mut frames = (0..cameras.count())
-            .map(|camera| cameras.blank_frame(camera))
+        let mut frames = wanted
+            .iter()
+            .map(|&camera| cameras.blank_frame(camera))
             .collect::<Result<Vec<_>, _>>()?;
-        for (camera, frame) in frames.iter_mut().enumerate() {
+        for (&camera, frame) in wanted.iter().zip(&mut frames) {
             cameras.render(camera, start, frame)?;
         }
         Ok(Self {
             cameras,
+            wanted,
             publishers,
             arm,
             log: None,
             snapshots,
-            pictures: keep_pictures.then(Pictures::default),
+            pictures: options.pictures.then(Pictures::default),
             frames,
         })
     }
@@ -104,12 +113,12 @@ impl CameraThread {
     }
 
     fn take(&mut self, snapshot: &Snapshot) -> Result<(), SessionError> {
-        for camera in 0..self.cameras.count() {
+        for (place, &camera) in self.wanted.iter().enumerate() {
             let stamp = snapshot.arm.stamp;
-            let kept = self.log.is_some() || (camera == 0 && self.pictures.is_some());
-            let frame = &mut self.frames[camera];
-            if let Some(publisher) = self.publishers.get_mut(camera) {
-                let pose = self.cameras.pose(camera)?;
+            let kept = self.log.is_some() || (place == 0 && self.pictures.is_some());
+            let frame = &mut self.frames[place];
+            if let Some(publisher) = self.publishers.get_mut(place) {
+                let pose = self.cameras.pose(camera, &snapshot.scene)?;
                 let header = FrameHeader::new(
                     stamp,
                     snapshot.step,
@@ -126,9 +135,10 @@ impl CameraThread {
                 self.cameras.render_into(camera, &snapshot.scene, planes)?;
                 if kept {
                     frame.colour.copy_from_slice(loan.planes().0);
+                    frame.camera_in_scene = pose;
                 }
                 // The report goes first, so that it is there when the frame arrives.
-                if let (Some(arm), 0) = (&self.arm, camera) {
+                if let (Some(arm), 0) = (&self.arm, place) {
                     arm.publish(&ArmReport::new(
                         snapshot.step,
                         &snapshot.arm,
@@ -144,7 +154,7 @@ impl CameraThread {
             if let Some(log) = &mut self.log {
                 log.frame(self.cameras.name(camera)?, frame);
             }
-            if let (Some(pictures), 0) = (&mut self.pictures, camera) {
+            if let (Some(pictures), 0) = (&mut self.pictures, place) {
                 pictures.push(frame);
             }
         }

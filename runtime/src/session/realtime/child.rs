@@ -40,6 +40,7 @@ pub(super) struct PolicyChild {
     status: Subscriber<PolicyStatus>,
     chunks: Subscriber<Chunk>,
     query_every_steps: u64,
+    cameras: Vec<String>,
     queries: u64,
     clock: MonotonicClock,
     heard: TimeNs,
@@ -57,6 +58,7 @@ impl PolicyChild {
         let network = ActPolicy::load(policy, Device::Cpu)?;
         check_cameras(setup, &network)?;
         let query_every_steps = u64::from(network.recipe().query_every_steps);
+        let cameras = camera_names(&network);
         drop(network);
         let run_id = fresh_run_id()?;
         let node = TopicNode::join(&run_id)?;
@@ -70,6 +72,7 @@ impl PolicyChild {
             status,
             chunks,
             query_every_steps,
+            cameras,
             queries: 0,
             clock: MonotonicClock::new(),
             heard: TimeNs(0),
@@ -105,6 +108,11 @@ impl PolicyChild {
         Err(SessionError::RealTime(
             "the policy process did not become ready in time".to_owned(),
         ))
+    }
+
+    /// Names of the cameras that the policy looks through.
+    pub(super) fn cameras(&self) -> Vec<String> {
+        self.cameras.clone()
     }
 
     /// The node that this run's topics live on.

@@ -114,7 +114,8 @@ fn run_threads(
         .then(|| {
             let node = child.as_deref().map(PolicyChild::node);
             let start = simulation.snapshot();
-            CameraThread::new(setup, node, snapshots, &start, options.pictures)
+            let seen = child.as_deref().map_or_else(Vec::new, PolicyChild::cameras);
+            CameraThread::new(setup, options, &seen, node, snapshots, &start)
         })
         .transpose()?;
     let (tick_log, side_log, log) = match open_log(setup, options, false)? {
@@ -232,6 +233,8 @@ fn conclude(setup: &Setup, options: &RunOptions, ends: Ends) -> Result<RunResult
     tally.inferences(&others.simulation.inference);
     let labels = RunLabels {
         task: &setup.task_name,
+        view: setup.task.view.name(),
+        needle: setup.task.needle(),
         policy: &options.policy.name(),
         seed: options.seed,
         success,

@@ -37,6 +37,8 @@ pub(super) const ENTRY: Entry = Entry {
 pub struct NeedleLift {
     /// The needle of this episode: one of `needles`, the trained one unless another was chosen.
     pub needle: NeedleShape,
+    /// The name of that one.
+    pub needle_name: String,
     /// All needles by name.
     pub needles: BTreeMap<String, NeedleShape>,
     /// Where the needle may lie at the start.
@@ -81,6 +83,7 @@ fn parse(source: &Source) -> Result<TaskConfig, ConfigError> {
     };
     let scene = NeedleLift {
         needle: trained,
+        needle_name: TRAINED.to_owned(),
         needles: file.needle,
         start: file.needle_start,
         organ: file.organ,
