@@ -43,13 +43,16 @@ impl SceneCameras {
     /// # Errors
     /// [`SimulationError::Render`] if there is no device to render with.
     pub fn new(task: &TaskConfig) -> Result<Self, SimulationError> {
-        let renderer = Renderer::new(&scene_visuals(task))?;
-        let views = task.cameras.iter().map(View::new).collect();
+        let backdrop = task.scene.of_task().backdrop();
+        let renderer = Renderer::with_backdrop(&scene_visuals(task), &backdrop, task.shading)?;
+        let views: Vec<View> = task.cameras.iter().map(View::new).collect();
+        // The endoscope comes first, and all cameras see in its light.
+        let endoscope = views.first().map(|view| Light::beside(&view.camera));
         Ok(Self {
             renderer,
             scene: task.scene.clone(),
             views,
-            light: Light::default(),
+            light: endoscope.unwrap_or_default(),
         })
     }
 

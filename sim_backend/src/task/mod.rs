@@ -23,7 +23,8 @@ pub use judge::{Outcome, Reason};
 pub use needle_start::NeedleStart;
 pub(crate) use visuals::{scene_poses, scene_visuals};
 
-use crate::visual::Visual;
+use crate::render::Shading;
+use crate::visual::{Backdrop, Visual};
 use crate::world::{ArmStart, Scenery, WorldConfig};
 use block_transfer::BlockTransfer;
 use needle_handover::NeedleHandover;
@@ -63,6 +64,8 @@ pub struct TaskConfig {
     pub world: WorldConfig,
     /// The cameras, in the order of observations.
     pub cameras: Vec<CameraConfig>,
+    /// How much work goes into pictures.
+    pub shading: Shading,
     /// When the episode ends without success, s.
     pub time_limit_s: f64,
     /// What is particular to the task.
@@ -96,7 +99,12 @@ pub(crate) trait TaskScene {
     /// What there is to see besides the arms.
     fn visuals(&self) -> Vec<Visual>;
 
-    /// Where that is, in the same order, in the scene frame.
+    /// What is behind that.
+    fn backdrop(&self) -> Backdrop {
+        Backdrop::CAVITY
+    }
+
+    /// Where the visuals are, in the same order, in the scene frame.
     fn visual_poses(&self, things: &[Pose], goal: &Pose) -> Vec<Pose>;
 }
 
