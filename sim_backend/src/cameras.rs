@@ -36,10 +36,9 @@ pub struct SceneCameras {
     renderer: Renderer,
     scene: Scene,
     views: Vec<View>,
-    light: Light,
     flap: Option<DrawnFlap>,
-    /// The camera that the light is meant for.
-    light_camera: usize,
+    /// The endoscope: all cameras see in its light.
+    endoscope: usize,
 }
 
 /// A camera and what carries it.
@@ -49,8 +48,6 @@ struct View {
     /// In the scene frame, or in the tip frame of the arm that carries it.
     camera_in_mount: Pose,
     carrier: Option<usize>,
-    /// Distance from the lens to what it looks at, m.
-    focus_m: f64,
 }
 
 impl SceneCameras {
@@ -60,15 +57,15 @@ impl SceneCameras {
     /// [`SimulationError::Render`] if there is no device to render with.
     pub fn new(task: &TaskConfig) -> Result<Self, SimulationError> {
         let visuals = scene_visuals(task);
-        let renderer = Renderer::new(&visuals)?;
+        let backdrop = task.scene.of_task().backdrop();
+        let renderer = Renderer::with_backdrop(&visuals, &backdrop, task.shading)?;
         let views = task.cameras.iter().map(View::new).collect();
         Ok(Self {
             renderer,
             scene: task.scene.clone(),
             views,
-            light: Light::default(),
             flap: DrawnFlap::new(&task.scene, &visuals),
-            light_camera: task.light_camera(),
+            endoscope: task.light_camera(),
         })
     }
 
@@ -80,7 +77,7 @@ impl SceneCameras {
             view
         };
         self.views = task.cameras.iter().map(placed).collect();
-        self.light_camera = task.light_camera();
+        self.endoscope = task.light_camera();
     }
 
     /// How many cameras there are.
@@ -180,25 +177,22 @@ impl SceneCameras {
         }
     }
 
-    /// A camera where it is now. Each has its own light; all but the endoscope's are adjusted to the distance that their
-    /// camera looks at.
+    /// A camera where it is now, and the light of the endoscope.
     fn placed(
         &self,
         camera: usize,
         snapshot: &SceneSnapshot,
     ) -> Result<(Camera, Light), SimulationError> {
-        let view = self.view(camera)?;
-        let mut light = self.light;
-        if camera != self.light_camera {
-            light.reference_distance_m = view.focus_m;
-        }
-        let placed = Camera {
-            intrinsics: view.intrinsics,
-            camera_in_scene: view.camera_in_scene(snapshot)?,
-            near_m: NEAR_M,
-            far_m: FAR_M,
+        let at = |camera: usize| {
+            let view = self.view(camera)?;
+            Ok::<_, SimulationError>(Camera {
+                intrinsics: view.intrinsics,
+                camera_in_scene: view.camera_in_scene(snapshot)?,
+                near_m: NEAR_M,
+                far_m: FAR_M,
+            })
         };
-        Ok((placed, light))
+        Ok((at(camera)?, Light::beside(&at(self.endoscope)?)))
     }
 
     fn view(&self, camera: usize) -> Result<&View, SimulationError> {
@@ -218,7 +212,6 @@ impl View {
             intrinsics: config.intrinsics(),
             camera_in_mount: look_at(eye, target, Vector3::from(config.up)),
             carrier: config.carrier(),
-            focus_m: (target - eye).norm(),
         }
     }
 

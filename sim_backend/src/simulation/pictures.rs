@@ -1,5 +1,7 @@
 //! Tests of what the tasks look like, and that looking changes nothing.
 
+use hal::CameraFrame;
+
 use super::{Rendering, Simulation};
 use crate::task::TaskConfig;
 use crate::visual::instance;
@@ -27,6 +29,71 @@ fn visible(task: &str) -> Vec<(u8, usize)> {
     own.into_iter().chain(first).collect()
 }
 
+/// Mean colour of the pixels of one id.
+fn colour(frame: &CameraFrame, id: u8) -> [f64; 3] {
+    let (mut sums, mut count) = ([0.0; 3], 0.0);
+    for (pixel, _) in frame
+        .colour
+        .chunks_exact(3)
+        .zip(&frame.instance)
+        .filter(|(_, seen)| **seen == id)
+    {
+        count += 1.0;
+        for (sum, byte) in sums.iter_mut().zip(pixel) {
+            *sum += f64::from(*byte);
+        }
+    }
+    sums.map(|sum| sum / count)
+}
+
+/// 0 for grey, 1 for a pure colour.
+fn saturation(colour: [f64; 3]) -> f64 {
+    let [high, low] = [f64::max, f64::min].map(|of| colour.into_iter().fold(colour[0], of));
+    (high - low) / high
+}
+
+/// What tells organs and tools apart must be in the picture: hues, greys, light and dark.
+fn check_colours(task: &str, frame: &CameraFrame) {
+    let of = |id| colour(frame, id);
+    let ground = of(instance::ORGAN);
+    let [red, green, blue] = ground;
+    let told = |holds: bool, what: &str| assert!(holds, "{task}: {what}, ground {ground:?}");
+    told(
+        (4.0..110.0).contains(&of(0)[0]),
+        "the backdrop is dim, no void",
+    );
+    told(saturation(of(instance::JAW)) < 0.3, "jaws are steel");
+    match task {
+        "needle-lift" => {
+            told(red > 1.6 * green && red > 110.0, "muscle is bright red");
+        }
+        "needle-handover" => {
+            told(red > 1.5 * green, "liver is red-brown");
+            told((25.0..110.0).contains(&red), "and dark");
+        }
+        "suture-pad" => {
+            told(red > green && green > blue, "silicone has the hue of skin");
+            told((0.15..0.6).contains(&saturation(ground)), "and is pale");
+        }
+        _ => {
+            told(saturation(ground) < 0.12, "the board is grey");
+            let [red, green, blue] = of(instance::GOAL_PEG);
+            told(red > 2.0 * green && blue > 1.3 * green, "the goal is pink");
+            told(saturation(of(instance::PEG)) < 0.2, "other pegs are not");
+            let [red, _, blue] = of(instance::BLOCK);
+            told(blue > 2.0 * red, "the block is blue");
+        }
+    }
+    if task != "block-transfer" {
+        let needle = of(instance::NEEDLE);
+        told(saturation(needle) < 0.3, "the needle is steel");
+        told(
+            saturation(needle) < saturation(ground) - 0.1,
+            "unlike what it lies on",
+        );
+    }
+}
+
 #[test]
 fn every_task_shows_all_of_its_parts() {
     for name in TaskConfig::names() {
@@ -44,6 +111,7 @@ fn every_task_shows_all_of_its_parts() {
             let pixels = frame.instance.iter().filter(|&&seen| seen == id).count();
             assert!(pixels >= least, "{name}: {pixels} pixels of instance {id}");
         }
+        check_colours(name, &frame);
     }
 }
 

@@ -26,8 +26,9 @@ pub use needle_start::NeedleStart;
 pub use view::{NoSuchView, VIEW1_SHIFT_M, VIEW1_TURN_RAD, View};
 pub(crate) use visuals::{scene_poses, scene_visuals};
 
+use crate::render::Shading;
 use crate::tissue::TissueConfig;
-use crate::visual::Visual;
+use crate::visual::{Backdrop, Visual};
 use crate::world::{ArmStart, Scenery, WorldConfig};
 use block_transfer::BlockTransfer;
 use needle_handover::NeedleHandover;
@@ -71,6 +72,8 @@ pub struct TaskConfig {
     pub cameras: Vec<CameraConfig>,
     /// How the cameras stand against the file; see [`Self::with_view`].
     pub view: View,
+    /// How much work goes into pictures.
+    pub shading: Shading,
     /// When the episode ends without success, s.
     pub time_limit_s: f64,
     /// What is particular to the task.
@@ -106,7 +109,12 @@ pub(crate) trait TaskScene {
     /// What there is to see besides the arms.
     fn visuals(&self) -> Vec<Visual>;
 
-    /// Where that is, in the same order, in the scene frame.
+    /// What is behind that.
+    fn backdrop(&self) -> Backdrop {
+        Backdrop::CAVITY
+    }
+
+    /// Where the visuals are, in the same order, in the scene frame.
     fn visual_poses(&self, things: &[Pose], goal: &Pose) -> Vec<Pose>;
 
     /// The soft flap, if there is one, with the radius of its mark, m. Its visuals are those with the instance ids

@@ -41,6 +41,32 @@ fn unknown_key_is_named_with_its_line() {
 }
 
 #[test]
+fn shading_is_full_unless_the_scene_says_plain() {
+    let shading = |text: &str| {
+        let (source, line) = doctored("[organ]", &format!("{text}\n[organ]"));
+        (
+            TaskConfig::parse(&source).map(|task| task.shading),
+            line + 1,
+        )
+    };
+    let table = |value: &str| shading(&format!("[rendering]\nshading = \"{value}\""));
+    assert_eq!(shading("").0.unwrap(), Shading::Full);
+    assert_eq!(shading("[rendering]").0.unwrap(), Shading::Full);
+    assert_eq!(table("full").0.unwrap(), Shading::Full);
+    assert_eq!(table("fine").0.unwrap(), Shading::Fine);
+    assert_eq!(table("plain").0.unwrap(), Shading::Plain);
+    let (refused, line) = table("glossy");
+    let message = refused.unwrap_err().to_string();
+    let place = format!("scene.toml:{line}: ");
+    assert!(
+        message.starts_with(&place)
+            && message.contains("rendering.shading = glossy")
+            && message.contains("full, fine, plain"),
+        "{message}"
+    );
+}
+
+#[test]
 fn value_out_of_range_is_named_with_line_key_and_range() {
     for (old, new, key) in [
         (

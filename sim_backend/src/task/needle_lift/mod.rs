@@ -11,7 +11,7 @@ use serde::Deserialize;
 pub use success::SuccessConfig;
 use success::SuccessMonitor;
 
-use super::common::{ArmFile, CommonFile, EpisodeFile};
+use super::common::{ArmFile, CommonFile, EpisodeFile, RenderingFile};
 use super::visuals::{MUSCLE, NEEDLE_STEEL};
 use super::{CameraConfig, Entry, Monitor, NeedleStart, Scene, TaskConfig, TaskScene};
 use crate::needle::NeedleShape;
@@ -61,6 +61,8 @@ struct File {
     organ: OrganShape,
     world: WorldConfig,
     camera: Vec<CameraConfig>,
+    #[serde(default)]
+    rendering: RenderingFile,
     success: SuccessConfig,
 }
 
@@ -79,6 +81,7 @@ fn parse(source: &Source) -> Result<TaskConfig, ConfigError> {
         arm: file.arm,
         world: file.world,
         camera: file.camera,
+        rendering: file.rendering,
         episode: file.episode,
     };
     let scene = NeedleLift {

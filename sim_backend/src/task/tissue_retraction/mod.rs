@@ -10,11 +10,11 @@ use serde::Deserialize;
 pub use liver::LiverShape;
 use success::SuccessMonitor;
 
-use super::common::{ArmFile, CommonFile, EpisodeFile};
+use super::common::{ArmFile, CommonFile, EpisodeFile, RenderingFile};
 use super::visuals::{LIVER, MUSCLE};
 use super::{CameraConfig, Entry, Monitor, Scene, TaskConfig, TaskScene};
 use crate::tissue::{NODES_MAX, Patch, RetractionConfig, TissueConfig};
-use crate::visual::{Material, Visual, instance};
+use crate::visual::{Backdrop, Material, Pattern, Visual, instance};
 use crate::world::{Flap, Ground, Scenery, WorldConfig};
 
 /// The name by which the command line and the logs know the task.
@@ -27,13 +27,14 @@ pub(super) const ENTRY: Entry = Entry {
     parse,
 };
 
-/// Skin without blood. Little detail: the pattern is fixed in space, and the flap moves through it.
+/// Skin without blood.
 const SKIN: Material = Material {
     base_colour: [0.74, 0.46, 0.36],
     metallic: 0.0,
     roughness: 0.5,
     wetness: 0.35,
-    detail: 0.08,
+    detail: 0.35,
+    pattern: Pattern::Skin,
 };
 /// Ink.
 const RED: Material = Material {
@@ -42,6 +43,7 @@ const RED: Material = Material {
     roughness: 0.6,
     wetness: 0.0,
     detail: 0.0,
+    pattern: Pattern::Smooth,
 };
 
 /// The scene of a tissue retraction.
@@ -69,6 +71,8 @@ struct File {
     look: Look,
     world: WorldConfig,
     camera: Vec<CameraConfig>,
+    #[serde(default)]
+    rendering: RenderingFile,
     success: RetractionConfig,
 }
 
@@ -95,6 +99,7 @@ fn parse(source: &Source) -> Result<TaskConfig, ConfigError> {
         arm: file.arm,
         world: file.world,
         camera: file.camera,
+        rendering: file.rendering,
         episode: file.episode,
     };
     let scene = TissueRetraction {
@@ -141,6 +146,13 @@ impl TaskScene for TissueRetraction {
             visual("flap", flap.mesh().clone(), SKIN, instance::TISSUE),
             visual("mark", mark.mesh().clone(), RED, instance::MARK),
         ]
+    }
+
+    fn backdrop(&self) -> Backdrop {
+        Backdrop {
+            bounce: [0.20, 0.045, 0.03],
+            ..Backdrop::CAVITY
+        }
     }
 
     fn visual_poses(&self, _things: &[Pose], _goal: &Pose) -> Vec<Pose> {
