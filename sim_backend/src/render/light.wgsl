@@ -84,7 +84,7 @@ fn surroundings(direction: vec3f, beam: Beam, roughness: f32) -> vec3f {
     let far4 = far * far * far * far;
     let far16 = far4 * far4 * far4 * far4;
     let far64 = far16 * far16 * far16 * far16;
-    let glow = mix(far64 * far64 * 2.2, far4 * 0.3, smoothstep(0.15, 0.6, roughness));
+    let glow = mix(far64 * far64 * 1.2, far4 * 0.3, smoothstep(0.15, 0.6, roughness));
     let white = vec3f(0.95, 0.93, 0.88);
     return mix(walls, floor, below) + white * (power * (halo * 1.1 + glow));
 }
