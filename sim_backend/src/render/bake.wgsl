@@ -99,7 +99,7 @@ fn muscle(p: vec2f) -> Look {
     let vessel = vessels(p, 150);
     let broad = clouds(p / 22.0, 160) - 0.5;
     var colour = paint.base_colour * (0.62 + 0.46 * bundle.z + 0.95 * (streaks - 0.5) + 0.9 * broad + 0.15);
-    colour = mix(colour, vec3f(0.58, 0.31, 0.25), 0.58 * fascia);
+    colour = mix(colour, vec3f(0.58, 0.31, 0.25), 0.48 * fascia);
     colour = mix(colour, paint.base_colour * vec3f(0.34, 0.22, 0.50), 0.85 * vessel);
     let round = smoothstep(0.0, 0.55, bundle.y - bundle.x);
     let height = 0.36 * round + 0.10 * strand + 0.05 * fibre + 0.9 * clouds(p / 16.0, 170) + 0.10 * vessel;

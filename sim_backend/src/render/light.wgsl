@@ -72,7 +72,7 @@ fn surroundings(direction: vec3f, beam: Beam, roughness: f32) -> vec3f {
     let below = 1.0 - smoothstep(-0.10 - soft, -0.10 + soft, height);
     let above = smoothstep(0.1 - soft, 0.75 + soft, height);
     let power = min(beam.power, 4.0);
-    let floor = mix(frame.bounce, vec3f(dot(frame.bounce, vec3f(0.4))), 0.4) * (0.10 + 0.40 * power);
+    let floor = mix(frame.bounce, vec3f(dot(frame.bounce, vec3f(0.4))), 0.65) * (0.10 + 0.40 * power);
     let walls = mix(vec3f(0.05, 0.042, 0.040), vec3f(0.28, 0.26, 0.255), above) * (0.4 + 0.6 * power);
     let towards = max(dot(direction, beam.direction), 0.0);
     let t2 = towards * towards;
@@ -84,7 +84,7 @@ fn surroundings(direction: vec3f, beam: Beam, roughness: f32) -> vec3f {
     let far4 = far * far * far * far;
     let far16 = far4 * far4 * far4 * far4;
     let far64 = far16 * far16 * far16 * far16;
-    let glow = mix(far64 * far64 * 2.2, far4 * 0.3, smoothstep(0.15, 0.6, roughness));
+    let glow = mix(far64 * far64 * 1.2, far4 * 0.3, smoothstep(0.15, 0.6, roughness));
     let white = vec3f(0.95, 0.93, 0.88);
     return mix(walls, floor, below) + white * (power * (halo * 1.1 + glow));
 }
