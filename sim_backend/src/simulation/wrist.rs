@@ -70,8 +70,9 @@ fn shown(frame: &CameraFrame, needle: &NeedleShape, needle_in_scene: &Pose) -> u
     for (pixel, depth_m) in points.filter_map(|point| project(frame, &point)) {
         match frame.instance[pixel] {
             instance::NEEDLE => {
-                let off = (f64::from(frame.depth_m[pixel]) - depth_m).abs();
-                assert!(off < 1.6 * needle.wire_radius_m, "{off} at {pixel}");
+                // The surface lies before the middle, further where the wire is seen along.
+                let before = (depth_m - f64::from(frame.depth_m[pixel])) / needle.wire_radius_m;
+                assert!((-0.3..3.0).contains(&before), "{before} radii at {pixel}");
                 shown += 1;
             }
             instance::SHAFT | instance::WRIST | instance::JAW => {
@@ -157,7 +158,7 @@ fn wrist_cameras_show_both_fingers_and_what_lies_below() {
             let frame = picture(&mut simulation, &camera.name);
             let count = |id: u8| frame.instance.iter().filter(|&&seen| seen == id).count();
             let jaw = jaws[camera.carrier().unwrap()];
-            assert!(count(jaw) > 5_000, "{name} {}: {}", camera.name, count(jaw));
+            assert!(count(jaw) > 1_500, "{name} {}: {}", camera.name, count(jaw));
             assert!(count(instance::ORGAN) > 20_000, "{name} {}", camera.name);
             // The ends of both fingers are in the picture.
             let arm = simulation.snapshot().arms[camera.carrier().unwrap()].unwrap();

@@ -35,7 +35,7 @@ pub(crate) struct SheetArgs {
     #[arg(long, value_name = "PX", default_value_t = 160, value_parser = clap::value_parser!(u32).range(16..=1024))]
     pub(crate) width: u32,
     /// The moment, as a share of the time that the expert takes, 0 to 1.
-    #[arg(long, value_name = "SHARE", default_value_t = 0.6, value_parser = share)]
+    #[arg(long, value_name = "SHARE", default_value_t = 0.65, value_parser = share)]
     pub(crate) at: f64,
 }
 

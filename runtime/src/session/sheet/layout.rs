@@ -148,8 +148,9 @@ fn legend(blocks: &[Block], width: u32, sizes: Sizes) -> RgbImage {
     let side = font::height(sizes.dot);
     let mut places = Vec::new();
     let (mut x, mut y) = (sizes.gap, 0);
-    for (id, name) in NAMES.into_iter().filter(|(id, _)| seen(*id)) {
-        let wide = side + sizes.gap + font::width(name, sizes.dot) + 2 * sizes.gap;
+    for id in (1..=u8::MAX).filter(|&id| seen(id)) {
+        let name = name_of(id);
+        let wide = side + sizes.gap + font::width(&name, sizes.dot) + 2 * sizes.gap;
         if x + wide > width && x > sizes.gap {
             (x, y) = (sizes.gap, y + sizes.line());
         }
@@ -160,9 +161,14 @@ fn legend(blocks: &[Block], width: u32, sizes: Sizes) -> RgbImage {
     for (id, name, [x, y]) in places {
         font::fill(&mut legend, [x, y], [side, side], id_colour(id));
         let text = [x + side + sizes.gap, y];
-        font::write(&mut legend, name, text, sizes.dot, INK);
+        font::write(&mut legend, &name, text, sizes.dot, INK);
     }
     legend
+}
+
+fn name_of(id: u8) -> String {
+    let known = NAMES.iter().find(|(known, _)| *known == id);
+    known.map_or_else(|| format!("id {id}"), |(_, name)| (*name).to_owned())
 }
 
 #[cfg(test)]

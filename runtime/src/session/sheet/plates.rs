@@ -86,24 +86,41 @@ fn shade(share: f32) -> Rgb<u8> {
     Rgb(mixed)
 }
 
-/// A colour for an instance id, black for the background: hues a golden section apart, so that neighbours differ most.
+/// Colours of the ids from 1 that tasks use.
+const IDS: [[u8; 3]; 11] = [
+    [128, 70, 60],
+    [255, 225, 25],
+    [130, 130, 140],
+    [70, 200, 240],
+    [245, 120, 30],
+    [110, 80, 200],
+    [60, 180, 75],
+    [230, 40, 60],
+    [50, 100, 230],
+    [240, 240, 240],
+    [250, 110, 190],
+];
+
+/// A colour for an instance id, black for the background. Ids beyond the table get hues a golden section apart.
 #[expect(
     clippy::cast_possible_truncation,
     clippy::cast_sign_loss,
-    reason = "all three numbers are clamped to their range"
+    reason = "the numbers are clamped to their range"
 )]
 pub(super) fn id_colour(id: u8) -> Rgb<u8> {
     const GOLDEN: f32 = 0.618_034;
-    if id == 0 {
+    let Some(place) = id.checked_sub(1) else {
         return NOTHING;
+    };
+    if let Some(&known) = IDS.get(usize::from(place)) {
+        return Rgb(known);
     }
     let hue = (GOLDEN * f32::from(id)).fract();
-    let bright = if id.is_multiple_of(2) { 250.0 } else { 190.0 };
     // The hue circle, a third of it for each primary.
     let primaries = [0.0, 2.0 / 3.0, 1.0 / 3.0];
     Rgb(primaries.map(|offset| {
         let away = ((hue + offset).fract() * 6.0 - 3.0).abs() - 1.0;
-        (bright * (0.25 + 0.75 * away.clamp(0.0, 1.0))).clamp(0.0, 255.0) as u8
+        (200.0 * (0.25 + 0.75 * away.clamp(0.0, 1.0))).clamp(0.0, 255.0) as u8
     }))
 }
 
