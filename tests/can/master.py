@@ -68,21 +68,34 @@ def order(node, command, expected):
 
 
 class Cycle:
-    """SYNC and one RPDO for each drive, at a fixed period, as long as it is not paused."""
+    """SYNC, every drive's TPDO 1, then an RPDO 1 for each; again after a while, as long as it is not paused.
+
+    Since each SYNC waits for all answers to the last, a drive's delay is a number of cycles, however slow the machine is.
+    """
 
     def __init__(self, network, nodes, period_s):
         self.network, self.nodes, self.period_s = network, nodes, period_s
         self.count = 0
         self.targets = None
+        self.failure = None
         self.running = threading.Event()
-        self.ended = False
-        self.thread = threading.Thread(target=self.run, daemon=True)
-        self.thread.start()
+        self.answered = {node.id: threading.Event() for node in nodes}
+        threading.Thread(target=self.run, daemon=True).start()
+
+    def start(self):
+        for node in self.nodes:
+            node.tpdo[1].add_callback(lambda _pdo, answered=self.answered[node.id]: answered.set())
+        self.running.set()
 
     def run(self):
-        while not self.ended:
+        while self.failure is None:
             self.running.wait()
+            for answered in self.answered.values():
+                answered.clear()
             self.network.sync.transmit()
+            for node in self.nodes:
+                if not self.answered[node.id].wait(PATIENCE_S):
+                    self.failure = f"node {node.id} does not answer SYNC with TPDO 1"
             for node in self.nodes:
                 if self.targets is not None:
                     node.rpdo[1][0x607A].raw = self.targets(node, self.count)
@@ -92,7 +105,9 @@ class Cycle:
 
     def wait(self, cycles):
         until = self.count + cycles
-        wait_for(lambda: self.count >= until, "the master's own cycle stands still")
+        while self.count < until:
+            check(self.failure is None, self.failure)
+            time.sleep(0.01)
 
 
 def identity(node, dictionary):
@@ -178,7 +193,7 @@ def map_pdos(node, feedback):
         pdo.save()
 
 
-def remapping(node, cycle):
+def remapping(node):
     for feedback, length in (((0x6041, 0x6064, 0x6077), 8), ((0x6041, 0x6064), 6)):
         map_pdos(node, feedback)
         seen = queue.Queue()
@@ -222,7 +237,7 @@ def power_up(nodes, cycle):
         node.sdo[0x60C2][2].raw = -3
         node.nmt.state = "OPERATIONAL"
     preload(nodes)
-    cycle.running.set()
+    cycle.start()
     for node in nodes:
         for state in ("SWITCH ON DISABLED", "READY TO SWITCH ON", "SWITCHED ON", "OPERATION ENABLED"):
             if node.state != state:
@@ -334,7 +349,7 @@ def exercise(network, nodes, arguments):
     each("SDO transfers, expedited and segmented", lambda node: transfers(node, node.object_dictionary))
     each("SDO refusals", refusals)
     each("NMT states and heartbeats", states)
-    each("PDO remapping", remapping, cycle)
+    each("PDO remapping", remapping)
     power_up(nodes, cycle)
     print("power-up in cyclic synchronous position mode", flush=True)
     motion(nodes, cycle, arguments.amplitude, arguments.tolerance)

@@ -293,7 +293,7 @@ def main():
     parser.add_argument("--eds", required=True, help="EDS file that the drives are built from")
     parser.add_argument("--nodes", default="1", help="node ids, separated by commas")
     parser.add_argument("--channel", default="vcan0")
-    parser.add_argument("--silence", type=float, default=1.0, help="time without SYNC after which an enabled drive faults, s")
+    parser.add_argument("--silence", type=float, default=3.0, help="time without SYNC after which an enabled drive faults, s")
     arguments = parser.parse_args()
     # A master's wrong requests are its own affair.
     logging.getLogger("canopen").setLevel(logging.CRITICAL)
