@@ -367,7 +367,7 @@ def main():
     parser.add_argument("--eds", required=True, help="EDS file of the drives")
     parser.add_argument("--nodes", default="1", help="node ids, separated by commas")
     parser.add_argument("--channel", default="vcan0")
-    parser.add_argument("--period", type=float, default=0.02, help="SYNC period, s")
+    parser.add_argument("--period", type=float, default=0.01, help="SYNC period, s")
     parser.add_argument("--amplitude", type=float, default=10000, help="height of the motion, counts")
     parser.add_argument("--tolerance", type=float, default=0, help="how far from its last targets a drive may be, counts")
     arguments = parser.parse_args()
