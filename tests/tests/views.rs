@@ -195,6 +195,7 @@ fn sheet_of_a_strange_size_moment_or_place_is_refused() {
         (&file, "--at", "1.5"),
         (&file, "--at", "nan"),
         (&file, "--task", "tonsils"),
+        (&file, "--needle", "N2"),
         (&below, "--out", ""),
     ] {
         let mut arguments = vec!["sheet", "--out", out];

@@ -194,7 +194,10 @@ impl TaskConfig {
     pub fn needle(&self) -> Option<&str> {
         match &self.scene {
             Scene::NeedleLift(scene) => Some(&scene.needle_name),
-            Scene::BlockTransfer(_) | Scene::SuturePad(_) | Scene::NeedleHandover(_) => None,
+            Scene::BlockTransfer(_)
+            | Scene::SuturePad(_)
+            | Scene::NeedleHandover(_)
+            | Scene::TissueRetraction(_) => None,
         }
     }
 

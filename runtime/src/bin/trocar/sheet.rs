@@ -10,6 +10,7 @@ use runtime::session::{outputs, tasks};
 use crate::args::task;
 use crate::commands::Done;
 use crate::console;
+use crate::scene_args::SceneArgs;
 
 /// A share of something.
 fn share(text: &str) -> Result<f64, String> {
@@ -28,11 +29,14 @@ pub(crate) struct SheetArgs {
     /// A task to show; may be given several times. All if not given.
     #[arg(long, value_parser = task())]
     pub(crate) task: Vec<String>,
+    /// The scene.
+    #[command(flatten)]
+    pub(crate) scene: SceneArgs,
     /// Everything random hangs on this.
     #[arg(long, default_value_t = 0)]
     pub(crate) seed: u64,
     /// Width of one picture, pixels.
-    #[arg(long, value_name = "PX", default_value_t = 160, value_parser = clap::value_parser!(u32).range(16..=1024))]
+    #[arg(long, value_name = "PX", default_value_t = 192, value_parser = clap::value_parser!(u32).range(16..=1024))]
     pub(crate) width: u32,
     /// The moment, as a share of the time that the expert takes, 0 to 1.
     #[arg(long, value_name = "SHARE", default_value_t = 0.65, value_parser = share)]
@@ -47,6 +51,7 @@ pub(crate) fn sheet(args: &SheetArgs) -> Done {
         } else {
             args.task.clone()
         },
+        scene: args.scene.options(None),
         out: args.out.clone(),
         seed: args.seed,
         width: args.width,

@@ -17,7 +17,7 @@ const INK: Rgb<u8> = Rgb([235, 235, 235]);
 const LABEL: Rgb<u8> = Rgb([12, 12, 14]);
 
 /// What the ids of [`instance`] mean.
-const NAMES: [(u8, &str); 11] = [
+const NAMES: [(u8, &str); 13] = [
     (instance::ORGAN, "ground"),
     (instance::NEEDLE, "needle"),
     (instance::SHAFT, "shaft"),
@@ -29,6 +29,8 @@ const NAMES: [(u8, &str); 11] = [
     (instance::BLOCK, "block"),
     (instance::PEG, "peg"),
     (instance::GOAL_PEG, "goal peg"),
+    (instance::TISSUE, "flap"),
+    (instance::MARK, "mark"),
 ];
 
 /// One camera of a task.

@@ -14,6 +14,7 @@ use sim_backend::simulation::{Rendering, Simulation};
 use tch::Device;
 
 use super::episode::{Episode, Nobody, Plan};
+use super::scene_options::SceneOptions;
 use super::{PolicyChoice, SessionError, Setup, pictures};
 use layout::{Block, Row};
 use plates::Plates;
@@ -23,6 +24,8 @@ use plates::Plates;
 pub struct SheetOptions {
     /// The tasks, in order.
     pub tasks: Vec<String>,
+    /// Their needle and view.
+    pub scene: SceneOptions,
     /// The file, a PNG.
     pub out: PathBuf,
     /// The seed of every episode.
@@ -49,7 +52,7 @@ pub fn write(options: &SheetOptions, on_task: &mut dyn FnMut(&str)) -> Result<()
 
 /// The frames of one task.
 fn block(task: &str, options: &SheetOptions) -> Result<Block, SessionError> {
-    let setup = Setup::load(task, None, &PolicyChoice::Expert)?;
+    let setup = Setup::load(task, None, &PolicyChoice::Expert)?.with_scene(&options.scene)?;
     let (_, ticks) = play(&setup, options.seed, Rendering::Off, setup.tick_limit())?;
     #[expect(
         clippy::cast_possible_truncation,
