@@ -70,7 +70,7 @@ const SETTLE_STEPS: u32 = 250;
 
 /// An episode.
 pub struct Simulation {
-    pub(crate) world: World,
+    world: World,
     judge: Judge,
     goal: Option<Pose>,
     bases: Vec<Pose>,
