@@ -78,7 +78,7 @@ const SETTLE_STEPS: u32 = 250;
 
 /// An episode.
 pub struct Simulation {
-    pub(crate) world: World,
+    world: World,
     judge: Judge,
     goal: Option<Pose>,
     bases: Vec<Pose>,

@@ -458,3 +458,35 @@ fn a_needle_lift_shows_all_of_its_parts() {
         std::fs::write(path, picture).unwrap();
     }
 }
+
+#[test]
+fn a_reshaped_mesh_is_drawn_where_it_went() {
+    let board =
+        |x: f64| crate::shapes::placed(cuboid(Vector3::new(0.01, 0.01, 0.002)), &at(x, 0.0, 0.0));
+    let visuals = [
+        visual("still", board(-0.03), STEEL, 1),
+        visual("bent", board(0.0), STEEL, 2),
+    ];
+    let mut renderer = Renderer::new(&visuals).unwrap();
+    let poses = [Pose::identity(); 2];
+    let camera = tilted_camera();
+    let before = shoot(&mut renderer, &poses, &camera);
+    renderer.reshape(1, &board(0.02)).unwrap();
+    let after = shoot(&mut renderer, &poses, &camera);
+    // As if it had been made there.
+    let mut moved =
+        Renderer::new(&[visuals[0].clone(), visual("bent", board(0.02), STEEL, 2)]).unwrap();
+    let expected = shoot(&mut moved, &poses, &camera);
+    assert!(before.instance.contains(&2) && before.instance != after.instance);
+    assert_eq!(after.instance, expected.instance);
+    assert_eq!(after.depth_m, expected.depth_m);
+    let fewer = renderer
+        .reshape(1, &Mesh::default())
+        .unwrap_err()
+        .to_string();
+    assert!(
+        fewer.contains("bent") && fewer.contains("as many vertices"),
+        "{fewer}"
+    );
+    assert!(renderer.reshape(2, &board(0.0)).is_err());
+}

@@ -3,6 +3,7 @@
 use hal::CameraFrame;
 
 use super::{Rendering, Simulation};
+use crate::cameras::SceneSnapshot;
 use crate::task::TaskConfig;
 use crate::visual::instance;
 
@@ -24,6 +25,7 @@ fn visible(task: &str) -> Vec<(u8, usize)> {
             (instance::PEG, 1_000),
             (instance::GOAL_PEG, 150),
         ],
+        "tissue-retraction" => vec![ground, (instance::TISSUE, 30_000), (instance::MARK, 200)],
         other => panic!("say what {other} shows"),
     };
     own.into_iter().chain(first).collect()
@@ -113,6 +115,45 @@ fn every_task_shows_all_of_its_parts() {
         }
         check_colours(name, &frame);
     }
+}
+
+#[test]
+fn a_flap_is_drawn_where_it_has_gone() {
+    let task = TaskConfig::parse(&TaskConfig::source("tissue-retraction").unwrap()).unwrap();
+    let mut simulation = Simulation::new(&task, 1, Rendering::On).unwrap();
+    let mut frame = simulation.cameras().unwrap().blank_frame(0).unwrap();
+    let flat = simulation.snapshot();
+    // Lifted by 2 cm as a whole: more than any lens would miss.
+    let raised = SceneSnapshot {
+        flap: flat.flap.map(|flap| flap.moved([0.0, 0.0, 0.02])),
+        ..flat
+    };
+    let cameras = simulation.cameras.as_mut().unwrap();
+    let mut mean_depth_m = |snapshot: &SceneSnapshot, id: u8| {
+        cameras.render(0, snapshot, &mut frame).unwrap();
+        let seen = frame.instance.iter().zip(&frame.depth_m);
+        let depths: Vec<f64> = seen
+            .filter(|(seen, _)| **seen == id)
+            .map(|(_, depth_m)| f64::from(*depth_m))
+            .collect();
+        let count = u32::try_from(depths.len()).unwrap();
+        depths.iter().sum::<f64>() / f64::from(count)
+    };
+    let low_m = mean_depth_m(&flat, instance::MARK);
+    let high_m = mean_depth_m(&raised, instance::MARK);
+    // The endoscope looks down at 57 degrees.
+    assert!(
+        (0.012..0.019).contains(&(low_m - high_m)),
+        "{low_m} {high_m}"
+    );
+    let high_m = mean_depth_m(&raised, instance::TISSUE);
+    let low_m = mean_depth_m(&flat, instance::TISSUE);
+    assert!(
+        (0.012..0.022).contains(&(low_m - high_m)),
+        "{low_m} {high_m}"
+    );
+    let again_m = mean_depth_m(&flat, instance::TISSUE);
+    assert!((again_m - low_m).abs() < 1e-12);
 }
 
 #[test]

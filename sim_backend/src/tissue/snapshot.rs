@@ -32,6 +32,15 @@ impl FlapSnapshot {
         }
     }
 
+    /// The same flap moved by `way_m`.
+    #[cfg(test)]
+    pub(crate) fn moved(mut self, way_m: [f32; 3]) -> Self {
+        for node_m in &mut self.nodes_m {
+            *node_m = core::array::from_fn(|axis| node_m[axis] + way_m[axis]);
+        }
+        self
+    }
+
     /// Where the nodes are, as many as there is room for, scene frame, m.
     pub fn nodes(&self) -> impl Iterator<Item = Vector3<f64>> + '_ {
         self.nodes_m

@@ -210,10 +210,6 @@ impl World {
         self.sunk_m(0)
     }
 
-    pub(crate) fn jaw_of(&self, arm: usize) -> crate::tissue::JawInput {
-        self.arms[arm].jaw_input()
-    }
-
     /// Digest of every number that decides the future, bit by bit.
     #[must_use]
     pub fn state_hash(&self) -> u64 {

@@ -1,7 +1,11 @@
-//! The tissue retraction's expert.
+//! The tissue retraction's expert, and what hands that are not careful do with the same arm.
 
-use super::{failures, hold, run};
+use hal::ArmCommand;
+use nalgebra::{Translation3, Vector3};
+
+use super::{failures, forward, hold, inverse, run};
 use crate::task::{Outcome, Reason, TaskConfig};
+use crate::tissue::RetractionFailure;
 
 fn task() -> TaskConfig {
     TaskConfig::parse(&TaskConfig::source("tissue-retraction").unwrap()).unwrap()
@@ -60,68 +64,75 @@ fn expert_takes_the_flap_again_after_the_jaw_let_go() {
     assert!(episode.attempts > 1);
 }
 
+/// Moves the tip that `command` asks for by `way_m` in the scene.
+fn push_aside(task: &TaskConfig, command: &mut ArmCommand, way_m: Vector3<f64>) {
+    let base = task.arms[0].scene_from_rcm.rotation;
+    let there = Translation3::from(base.inverse() * way_m) * forward(&command.position);
+    command.position = inverse(&there, &command.position);
+}
+
 #[test]
-#[ignore = "trace"]
-fn trace() {
-    use super::{inverse, towards};
-    use crate::expert::Expert;
-    use crate::simulation::{Rendering, Simulation};
-    use hal::{Arm, ArmState, JointVector, SafeTail, TimeNs};
+fn pulling_too_hard_loses_the_episode() {
     let task = task();
-    let seed: u64 = std::env::var("SEED").unwrap().parse().unwrap();
-    let mut simulation = Simulation::new(&task, seed, Rendering::Off).unwrap();
-    let mut expert = Expert::new(&task, seed);
-    let mut joints: JointVector = task.arms[0].joints;
-    let mut tick = 0;
-    while simulation.outcome() == Outcome::Running {
-        let now = TimeNs::from_tick(tick);
-        let state = simulation.scene_state();
-        let chunks = expert.chunks(now, &state, tick / 40 + 1);
-        let base = task.arms[0].scene_from_rcm;
-        let tip = base * state.first.tip_in_rcm;
-        let mark = base * state.first.thing_in_rcm;
-        let want = base * chunks[0].valid_targets()[0].tip_in_rcm();
-        let t = tip.translation.vector * 1e3;
-        let w = want.translation.vector * 1e3;
-        let m = mark.translation.vector * 1e3;
-        let r = simulation.world.tissue().unwrap().report();
-        let j = simulation.world.tissue().unwrap().jaw(0);
-        let inp = simulation.world.jaw_of(0);
-        println!(
-            "{:.2} att {} tip {:.1} {:.1} {:.1} err {:.2} jaw {:.3} want {:.3} mark {:.1} {:.1} {:.1} | grip {:.2} press {:.3} {:.3} w {:.3} depth {:.2} gr {:?} f {:.3} sm {:.3} st {:.2} v {:.2} rise {:.1}",
-            now.seconds(),
-            expert.attempts(),
-            t.x,
-            t.y,
-            t.z,
-            (t - w).norm(),
-            state.first.jaw,
-            chunks[0].valid_targets()[0].jaw,
-            m.x,
-            m.y,
-            m.z,
-            inp.grip_n,
-            j.pressed_n[0],
-            j.pressed_n[1],
-            j.pressed_n[2],
-            j.depth_m * 1e3,
-            j.grasp
-                .map(|g| (g.area_m2 * 1e6, g.force_n, g.beside_mark_m * 1e3)),
-            r.force_n,
-            r.smooth_force_n,
-            r.stretch,
-            r.speed_m_s,
-            r.mark_rise_m * 1e3
-        );
-        for step in 0..40_u32 {
-            let command = towards(&chunks[0], f64::from(step) / 40.0, tick, &mut joints);
-            let mut arm = simulation.arm(0).unwrap();
-            let _: ArmState = arm.read(TimeNs::from_tick(tick)).unwrap();
-            arm.write(&command, &SafeTail::hold(&command)).unwrap();
-            simulation.step();
-            tick += 1;
+    // From the middle of the lift on, the hand goes away from the attached edge as well, at 4 cm/s.
+    let episode = run(&task, 1, |seconds, command| {
+        let away_m = 0.04 * (seconds - 4.3).clamp(0.0, 1.0);
+        push_aside(&task, command, Vector3::new(0.0, -away_m, 0.0));
+    });
+    assert!(
+        matches!(
+            episode.outcome,
+            Outcome::Failure(Reason::Tissue(
+                RetractionFailure::TooHard { .. } | RetractionFailure::SlippedOut
+            ))
+        ),
+        "{} after {} s",
+        episode.outcome,
+        episode.seconds
+    );
+}
+
+#[test]
+fn a_grasp_beside_the_mark_loses_the_episode() {
+    let task = task();
+    // The hand comes in 9 mm beside the mark, and keeps what it has.
+    let episode = run(&task, 1, |seconds, command| {
+        let aside_m = 0.009 * seconds.min(1.0);
+        push_aside(&task, command, Vector3::new(-aside_m, 0.0, 0.0));
+        if seconds > 3.5 {
+            command.jaw_position = 0.04;
+            command.jaw_velocity = 0.0;
         }
-    }
-    println!("{}", simulation.outcome());
-    let _ = inverse;
+    });
+    assert!(
+        matches!(
+            episode.outcome,
+            Outcome::Failure(Reason::Tissue(RetractionFailure::BesideMark { distance_m }))
+                if (0.007..0.011).contains(&distance_m)
+        ),
+        "{} after {} s",
+        episode.outcome,
+        episode.seconds
+    );
+}
+
+#[test]
+fn a_hand_that_flails_retracts_nothing() {
+    let task = task();
+    let episode = run(&task, 1, |seconds, command| {
+        let swing = |rate: f64| 0.02 * (rate * seconds).sin();
+        let start = task.arms[0].joints;
+        command.position = start;
+        push_aside(
+            &task,
+            command,
+            Vector3::new(swing(1.3), 0.02 + swing(0.9), swing(1.7)),
+        );
+        command.jaw_position = 0.4 + 0.6 * (2.3 * seconds).sin();
+    });
+    assert!(
+        matches!(episode.outcome, Outcome::Failure(_)),
+        "{}",
+        episode.outcome
+    );
 }

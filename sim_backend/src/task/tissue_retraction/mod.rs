@@ -29,7 +29,7 @@ pub(super) const ENTRY: Entry = Entry {
 
 /// Skin without blood.
 const SKIN: Material = Material {
-    base_colour: [0.74, 0.46, 0.36],
+    base_colour: [0.52, 0.25, 0.18],
     metallic: 0.0,
     roughness: 0.5,
     wetness: 0.35,
