@@ -3,14 +3,15 @@
 use hal::topic::{
     ArmReport, ArmStateTopic, CameraTopic, FrameHeader, FramePublisher, Publisher, TopicNode,
 };
-use hal::{ArmState, CameraFrame, Pose};
+use hal::{CameraFrame, SeenArm};
 use sim_backend::cameras::{SceneCameras, SceneSnapshot};
 use sim_backend::render::Planes;
 
-use super::policy_process::ARM;
+use super::policy_process::arm_names;
 use super::signals::{EndsRun, Signals};
 use crate::log::SideLog;
 use crate::mailbox::MailboxReader;
+use crate::per_arm::PerArm;
 use crate::rt;
 use crate::session::pictures::Pictures;
 use crate::session::{SessionError, Setup};
@@ -22,8 +23,7 @@ const POLL_NS: u64 = 1_000_000;
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Snapshot {
     pub(super) step: u64,
-    pub(super) arm: ArmState,
-    pub(super) tip_in_rcm: Pose,
+    pub(super) arms: PerArm<SeenArm>,
     pub(super) scene: SceneSnapshot,
 }
 
@@ -31,7 +31,8 @@ pub(super) struct Snapshot {
 pub(super) struct CameraThread {
     cameras: SceneCameras,
     publishers: Vec<FramePublisher>,
-    arm: Option<Publisher<ArmReport>>,
+    /// One an arm, if there is a policy process to read them.
+    arms: Vec<Publisher<ArmReport>>,
     log: Option<SideLog>,
     snapshots: MailboxReader<Snapshot>,
     /// Kept only if somebody will look at them.
@@ -56,15 +57,16 @@ impl CameraThread {
     ) -> Result<Self, SessionError> {
         let mut cameras = SceneCameras::new(&setup.task)?;
         let mut publishers = Vec::new();
+        let mut arms = Vec::new();
         if let Some(node) = node {
+            for name in arm_names(setup.task.arms.len()) {
+                arms.push(ArmStateTopic::publisher(node, name)?);
+            }
             for camera in 0..cameras.count() {
                 let pixels = cameras.intrinsics(camera)?.pixel_count();
                 publishers.push(CameraTopic::publisher(node, cameras.name(camera)?, pixels)?);
             }
         }
-        let arm = node
-            .map(|node| ArmStateTopic::publisher(node, ARM))
-            .transpose()?;
         let mut frames = (0..cameras.count())
             .map(|camera| cameras.blank_frame(camera))
             .collect::<Result<Vec<_>, _>>()?;
@@ -74,7 +76,7 @@ impl CameraThread {
         Ok(Self {
             cameras,
             publishers,
-            arm,
+            arms,
             log: None,
             snapshots,
             pictures: keep_pictures.then(Pictures::default),
@@ -105,7 +107,7 @@ impl CameraThread {
 
     fn take(&mut self, snapshot: &Snapshot) -> Result<(), SessionError> {
         for camera in 0..self.cameras.count() {
-            let stamp = snapshot.arm.stamp;
+            let stamp = snapshot.arms.first.state.stamp;
             let kept = self.log.is_some() || (camera == 0 && self.pictures.is_some());
             let frame = &mut self.frames[camera];
             if let Some(publisher) = self.publishers.get_mut(camera) {
@@ -127,13 +129,9 @@ impl CameraThread {
                 if kept {
                     frame.colour.copy_from_slice(loan.planes().0);
                 }
-                // The report goes first, so that it is there when the frame arrives.
-                if let (Some(arm), 0) = (&self.arm, camera) {
-                    arm.publish(&ArmReport::new(
-                        snapshot.step,
-                        &snapshot.arm,
-                        &snapshot.tip_in_rcm,
-                    ))?;
+                // The reports go first, so that they are there when the frame arrives.
+                if camera == 0 {
+                    publish_arms(&self.arms, snapshot)?;
                 }
                 loan.send()?;
             } else {
@@ -156,9 +154,16 @@ impl CameraThread {
         for publisher in &self.publishers {
             publisher.keep_alive()?;
         }
-        if let Some(arm) = &self.arm {
+        for arm in &self.arms {
             arm.keep_alive()?;
         }
         Ok(())
     }
+}
+
+fn publish_arms(to: &[Publisher<ArmReport>], snapshot: &Snapshot) -> Result<(), SessionError> {
+    for (publisher, arm) in to.iter().zip(snapshot.arms.iter()) {
+        publisher.publish(&ArmReport::new(snapshot.step, &arm.state, &arm.tip_in_rcm))?;
+    }
+    Ok(())
 }
