@@ -57,7 +57,8 @@ pub struct RecordSummary {
 /// Records until enough attempts have succeeded; failed ones are reported and not kept.
 ///
 /// # Errors
-/// From the simulation or the dataset; [`SessionError::BadArgument`] if the folder is not empty; [`SessionError::Unproductive`] if the expert fails far too often.
+/// From the simulation or the dataset; [`SessionError::BadArgument`] if the folder is not empty;
+/// [`SessionError::Unproductive`] if the expert fails far too often.
 pub fn record(
     setup: &Setup,
     options: &RecordOptions,

@@ -57,10 +57,10 @@ mod tests {
 
     #[test]
     fn chunks_of_different_answers_wait_for_each_other() {
-        let mut waiting = [chunk(1, 10), None];
+        let mut waiting = vec![chunk(1, 10), None];
         assert!(take_answer(&mut waiting).is_none());
         // The first arm's next chunk takes the place of the one that was never complete.
-        waiting = [chunk(2, 10), chunk(1, 20)];
+        waiting = vec![chunk(2, 10), chunk(1, 20)];
         assert!(take_answer(&mut waiting).is_none());
         waiting[1] = chunk(2, 20);
         let answer = take_answer(&mut waiting).unwrap();
