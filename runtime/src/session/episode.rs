@@ -2,16 +2,16 @@
 
 use std::collections::VecDeque;
 
-use hal::{Arm, ArmError, ArmState, CameraFrame, Chunk, FrameRef, TimeNs};
+use hal::{Arm, ArmError, ArmState, CameraFrame, Chunk, FrameRef, SeenArm, TimeNs};
 use sim_backend::simulation::Simulation;
 use sim_backend::task::Outcome;
 
 use super::SessionError;
-use super::source::{ChunkSource, Query, STEP_TICKS, SeenArm};
+use super::source::{ChunkSource, Query, STEP_TICKS, seen_arm};
 use super::summary::TissueSummary;
 use super::tally::Tally;
-use crate::control::{AnyController, Fault, OperatorEvent, TickInput};
-use crate::log::{ArmRecord, TickRecord, TickTiming};
+use crate::control::{AnyController, OperatorEvent, TickInput};
+use crate::log::{TickRecord, TickTiming};
 use crate::per_arm::PerArm;
 use crate::rt::MonotonicClock;
 
@@ -173,21 +173,11 @@ impl Episode<'_> {
             }
         }
         self.simulation.step();
-        Ok(TickRecord {
-            tick,
-            now,
-            arms: inputs.zip(outputs).map(|(input, output)| ArmRecord {
-                measured: input.measured,
-                operator: input.operator,
-                chunk_sequence: input.chunk.map(|chunk| chunk.sequence),
-                command: output.command,
-                report: output.report,
-            }),
-            timing: TickTiming {
-                wake_ns: 0,
-                compute_ns,
-            },
-        })
+        let timing = TickTiming {
+            wake_ns: 0,
+            compute_ns,
+        };
+        Ok(TickRecord::new(tick, inputs, outputs, timing))
     }
 
     /// Takes frames if anyone wants them, asks the policy if it is its turn, and shows the watcher both. Gives the answer
@@ -234,7 +224,7 @@ type Measured = Result<ArmState, ArmError>;
 fn seen(measured: &PerArm<Measured>) -> Option<PerArm<SeenArm>> {
     let arms: Option<Vec<SeenArm>> = measured
         .iter()
-        .map(|arm| arm.as_ref().ok().map(SeenArm::new))
+        .map(|arm| arm.as_ref().ok().map(seen_arm))
         .collect();
     PerArm::collect(arms?)
 }
@@ -326,16 +316,16 @@ impl EpisodeEnd {
     /// Why the episode ended, in words.
     #[must_use]
     pub fn reason(&self) -> String {
-        reason(&self.outcome, self.tally.fault())
+        reason(&self.outcome, &self.tally)
     }
 }
 
 /// Why an episode ended, in words: a fault of the controller explains a failure.
 #[must_use]
-pub fn reason(outcome: &Outcome, fault: Option<Fault>) -> String {
-    match (outcome, fault) {
+pub fn reason(outcome: &Outcome, tally: &Tally) -> String {
+    match (outcome, tally.faults()) {
         (Outcome::Success, _) => "success".to_owned(),
-        (_, Some(fault)) => format!("fault: {fault}"),
+        (_, Some(faults)) => faults,
         (Outcome::Failure(reason), None) => reason.to_string(),
         (Outcome::Running, None) => "tick limit".to_owned(),
     }

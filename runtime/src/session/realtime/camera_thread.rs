@@ -3,14 +3,15 @@
 use hal::topic::{
     ArmReport, ArmStateTopic, CameraTopic, FrameHeader, FramePublisher, Publisher, TopicNode,
 };
-use hal::{ArmState, CameraFrame, Pose};
+use hal::{CameraFrame, SeenArm};
 use sim_backend::cameras::{SceneCameras, SceneSnapshot};
 use sim_backend::render::Planes;
 
-use super::policy_process::ARM;
+use super::policy_process::arm_names;
 use super::signals::{EndsRun, Signals};
 use crate::log::SideLog;
 use crate::mailbox::MailboxReader;
+use crate::per_arm::PerArm;
 use crate::rt;
 use crate::session::pictures::Pictures;
 use crate::session::run::RunOptions;
@@ -23,8 +24,7 @@ const POLL_NS: u64 = 1_000_000;
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Snapshot {
     pub(super) step: u64,
-    pub(super) arm: ArmState,
-    pub(super) tip_in_rcm: Pose,
+    pub(super) arms: PerArm<SeenArm>,
     pub(super) scene: SceneSnapshot,
 }
 
@@ -34,7 +34,8 @@ pub(super) struct CameraThread {
     /// The cameras that somebody wants, by index; publishers and frames are in their order.
     wanted: Vec<usize>,
     publishers: Vec<FramePublisher>,
-    arm: Option<Publisher<ArmReport>>,
+    /// One an arm, if there is a policy process to read them.
+    arms: Vec<Publisher<ArmReport>>,
     log: Option<SideLog>,
     snapshots: MailboxReader<Snapshot>,
     /// Kept only if somebody will look at them.
@@ -63,15 +64,16 @@ impl CameraThread {
         let names = setup.cameras_with(seen.to_vec());
         let wanted: Vec<usize> = names.iter().filter_map(|name| cameras.find(name)).collect();
         let mut publishers = Vec::new();
+        let mut arms = Vec::new();
         if let Some(node) = node {
+            for name in arm_names(setup.task.arms.len()) {
+                arms.push(ArmStateTopic::publisher(node, name)?);
+            }
             for &camera in &wanted {
                 let pixels = cameras.intrinsics(camera)?.pixel_count();
                 publishers.push(CameraTopic::publisher(node, cameras.name(camera)?, pixels)?);
             }
         }
-        let arm = node
-            .map(|node| ArmStateTopic::publisher(node, ARM))
-            .transpose()?;
         let mut frames = wanted
             .iter()
             .map(|&camera| cameras.blank_frame(camera))
@@ -83,7 +85,7 @@ impl CameraThread {
             cameras,
             wanted,
             publishers,
-            arm,
+            arms,
             log: None,
             snapshots,
             pictures: options.pictures.then(Pictures::default),
@@ -114,7 +116,7 @@ impl CameraThread {
 
     fn take(&mut self, snapshot: &Snapshot) -> Result<(), SessionError> {
         for (place, &camera) in self.wanted.iter().enumerate() {
-            let stamp = snapshot.arm.stamp;
+            let stamp = snapshot.arms.first.state.stamp;
             let kept = self.log.is_some() || (place == 0 && self.pictures.is_some());
             let frame = &mut self.frames[place];
             if let Some(publisher) = self.publishers.get_mut(place) {
@@ -137,13 +139,9 @@ impl CameraThread {
                     frame.colour.copy_from_slice(loan.planes().0);
                     frame.camera_in_scene = pose;
                 }
-                // The report goes first, so that it is there when the frame arrives.
-                if let (Some(arm), 0) = (&self.arm, place) {
-                    arm.publish(&ArmReport::new(
-                        snapshot.step,
-                        &snapshot.arm,
-                        &snapshot.tip_in_rcm,
-                    ))?;
+                // The reports go first, so that they are there when the frame arrives.
+                if place == 0 {
+                    publish_arms(&self.arms, snapshot)?;
                 }
                 loan.send()?;
             } else {
@@ -166,9 +164,16 @@ impl CameraThread {
         for publisher in &self.publishers {
             publisher.keep_alive()?;
         }
-        if let Some(arm) = &self.arm {
+        for arm in &self.arms {
             arm.keep_alive()?;
         }
         Ok(())
     }
+}
+
+fn publish_arms(to: &[Publisher<ArmReport>], snapshot: &Snapshot) -> Result<(), SessionError> {
+    for (publisher, arm) in to.iter().zip(snapshot.arms.iter()) {
+        publisher.publish(&ArmReport::new(snapshot.step, &arm.state, &arm.tip_in_rcm))?;
+    }
+    Ok(())
 }
