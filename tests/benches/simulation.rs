@@ -199,7 +199,7 @@ fn against_real_time(
     Ok(())
 }
 
-/// Frames of all cameras of a task in turn: colour, depth and instance ids.
+/// Frames of all cameras of a task at one instant: colour, depth and instance ids.
 fn frames(criterion: &mut Criterion, setup: &Setup) -> Result<(), Box<dyn Error>> {
     let clock = MonotonicClock::new();
     let mut task = setup.task.clone();
@@ -212,15 +212,14 @@ fn frames(criterion: &mut Criterion, setup: &Setup) -> Result<(), Box<dyn Error>
     let mut images: Vec<CameraFrame> = (0..cameras.count())
         .map(|camera| cameras.blank_frame(camera))
         .collect::<Result<_, _>>()?;
+    let all: Vec<usize> = (0..cameras.count()).collect();
     let name = &setup.task_name;
     let bench = format!("simulation/{name}, a frame of each of {count} cameras");
     let times = support::measure(criterion, &bench, FRAMES, || {
         let before = clock.now();
-        for (camera, image) in images.iter_mut().enumerate() {
-            cameras
-                .render(camera, &snapshot, image)
-                .expect("it renders");
-        }
+        cameras
+            .render_all(&all, &snapshot, &mut images)
+            .expect("it renders");
         clock.now().since(before)
     });
     if images

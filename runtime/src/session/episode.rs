@@ -304,8 +304,8 @@ impl Cameras {
         if !self.fresh {
             return Ok(());
         }
-        for (&index, frame) in self.indices.iter().zip(&mut self.frames) {
-            simulation.render(index, frame)?;
+        simulation.render_all(&self.indices, &mut self.frames)?;
+        for frame in &mut self.frames {
             frame.sequence = step;
         }
         Ok(())

@@ -24,6 +24,7 @@ fn alone(config: &WorldConfig, ground: Ground, in_scene: Pose) -> World {
     let scenery = Scenery {
         things: vec![needle],
         ground,
+        flap: None,
     };
     let mut world = World::new(config, &scenery, &[]);
     // The engine works masses out in its first step.
