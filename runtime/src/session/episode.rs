@@ -301,7 +301,7 @@ impl Cameras {
         asked: bool,
     ) -> Result<(), SessionError> {
         self.fresh = self.every_step || asked;
-        if !self.fresh {
+        if !self.fresh || self.indices.is_empty() {
             return Ok(());
         }
         simulation.render_all(&self.indices, &mut self.frames)?;
