@@ -7,6 +7,7 @@ pub mod dataset;
 pub mod images;
 pub mod normalise;
 pub mod parameters;
+pub mod perception;
 pub mod relative_action;
 pub mod rng;
 pub mod train;
