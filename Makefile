@@ -1,5 +1,5 @@
 # Two commands do everything on a fresh machine: `make demo` and `make test`.
-.PHONY: demo test test-adversary adversary build setup bench clean
+.PHONY: demo test test-adversary test-golden adversary build setup bench clean
 
 TROCAR := $(or $(CARGO_TARGET_DIR),target)/release/trocar
 
@@ -24,6 +24,10 @@ test: build
 test-adversary: setup
 	cargo test --locked --release -p runtime --lib control::tests::
 	cargo test --locked --release -p tests --test no_alloc
+
+# The networks against the numbers of the reference implementations in TROCAR_GOLDEN, or in tests/golden/policies.json.
+test-golden: setup
+	cargo test --locked -p policy --test golden -- --nocapture
 
 # The same adversaries for ten million ticks each, with their figures.
 adversary: setup
