@@ -1,6 +1,6 @@
 //! Layers that networks share: linear, layer normalisation, attention, feed-forward. Batch first throughout.
 
-use tch::{TchError, Tensor};
+use tch::{Device, TchError, Tensor};
 
 use crate::parameters::{Init, ParameterError, ParameterSource};
 
@@ -38,6 +38,11 @@ impl Linear {
 
     pub(crate) fn forward(&self, x: &Tensor) -> Result<Tensor, TchError> {
         x.f_linear(&self.weight, Some(&self.bias))
+    }
+
+    /// Where its parameters are.
+    pub(crate) fn device(&self) -> Device {
+        self.weight.device()
     }
 }
 

@@ -43,7 +43,7 @@ pub struct PointLosses {
 }
 
 impl ActPc {
-    /// Builds the network of `config` from `source`.
+    /// Builds the network of `config`, which has no [`ActPcConfig::defect`], from `source`.
     ///
     /// The variational encoder is left out if the source has nothing of it; the network can then infer but not train.
     ///

@@ -6,7 +6,7 @@
 
 use core::f64::consts::FRAC_PI_2;
 
-use tch::{Kind, TchError, Tensor};
+use tch::{Device, Kind, TchError, Tensor};
 
 /// Cumulative products of what each step leaves of the signal's power.
 #[derive(Debug)]
@@ -56,6 +56,17 @@ impl Diffusion {
         Ok(Self { kept, steps })
     }
 
+    /// The same for tensors on `device`.
+    ///
+    /// # Errors
+    /// The network library's.
+    pub fn on(self, device: Device) -> Result<Self, TchError> {
+        Ok(Self {
+            kept: self.kept.f_to_device(device)?,
+            ..self
+        })
+    }
+
     /// `clean` `(batch, ..)` with `noise` as each one's `timestep` (whole numbers, `(batch)`) has it.
     ///
     /// # Errors
@@ -70,7 +81,6 @@ impl Diffusion {
         shape[0] = -1;
         let kept = self
             .kept
-            .f_to_device(clean.device())?
             .f_index_select(0, timestep)?
             .f_view(shape.as_slice())?;
         let lost = kept.f_neg()?.f_add_scalar(1.0)?;

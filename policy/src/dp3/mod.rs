@@ -68,14 +68,15 @@ impl Dp3Config {
 }
 
 impl Dp3 {
-    /// Builds the network of `config` from `source`.
+    /// Builds the network of `config`, which has no [`Dp3Config::defect`], from `source`.
     ///
     /// # Errors
     /// [`ParameterError`] if a tensor is missing, left over or of another shape.
     pub fn new(config: Dp3Config, mut source: ParameterSource) -> Result<Self, ParameterError> {
         let encoder = Encoder::new(&mut source, "obs_encoder", &config)?;
         let unet = UNet::new(&mut source, "model", &config)?;
-        let diffusion = Diffusion::new(config.num_train_timesteps, config.num_inference_steps)?;
+        let diffusion = Diffusion::new(config.num_train_timesteps, config.num_inference_steps)?
+            .on(unet.device())?;
         Ok(Self {
             encoder,
             unet,

@@ -83,7 +83,9 @@ impl UNet {
         let block = ConvolutionBlock::new(source, &place(0), [first; 2], kernel, groups)?;
         let channels = [first, config.action_dim];
         let out = Convolution::new(source, &place(1), channels, 1, 1)?;
-        let step_embedding = step_table(config.num_train_timesteps, width)?;
+        // Where the parameters are, so that no call has to move it there.
+        let step_embedding =
+            step_table(config.num_train_timesteps, width)?.f_to_device(step_encoder[0].device())?;
         Ok(Self {
             step_embedding,
             step_encoder,
@@ -92,6 +94,11 @@ impl UNet {
             up,
             last: (block, out),
         })
+    }
+
+    /// Where its parameters are.
+    pub(super) fn device(&self) -> Device {
+        self.step_encoder[0].device()
     }
 
     /// The clean actions `(batch, steps, action)` behind `noisy` ones, by the diffusion's `step` (whole numbers,
@@ -103,10 +110,7 @@ impl UNet {
         observed: &Tensor,
     ) -> Result<Tensor, TchError> {
         let [widen, narrow] = &self.step_encoder;
-        let embedding = self
-            .step_embedding
-            .f_to_device(observed.device())?
-            .f_index_select(0, step)?;
+        let embedding = self.step_embedding.f_index_select(0, step)?;
         let embedding = narrow.forward(&widen.forward(&embedding)?.f_mish()?)?;
         let condition = Tensor::f_cat(&[&embedding, observed], -1)?.f_mish()?;
         let mut x = noisy.f_transpose(1, 2)?;

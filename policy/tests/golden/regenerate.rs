@@ -1,10 +1,10 @@
 //! The recipe of the golden file for weights and inputs, written down again on purpose.
 
 use serde_json::Value;
-use tch::{Kind, Tensor};
+use tch::Tensor;
 
 /// The numbers -1 to 1 that belong to `key`.
-pub(crate) fn regenerate(key: &str, seed: u64, count: i64) -> impl Iterator<Item = f64> {
+fn regenerate(key: &str, seed: u64, count: i64) -> impl Iterator<Item = f64> {
     let mut state = 0xcbf2_9ce4_8422_2325_u64;
     for byte in key.bytes() {
         state = (state ^ u64::from(byte)).wrapping_mul(0x100_0000_01b3);
@@ -21,10 +21,13 @@ pub(crate) fn regenerate(key: &str, seed: u64, count: i64) -> impl Iterator<Item
     })
 }
 
-pub(crate) fn tensor(values: impl Iterator<Item = f64>, shape: &[i64]) -> Tensor {
-    Tensor::from_slice(&values.collect::<Vec<f64>>())
-        .to_kind(Kind::Float)
-        .view(shape)
+#[expect(
+    clippy::cast_possible_truncation,
+    reason = "computed in double precision, then rounded, as the recipe says"
+)]
+fn tensor(values: impl Iterator<Item = f64>, shape: &[i64]) -> Tensor {
+    let values: Vec<f32> = values.map(|value| value as f32).collect();
+    Tensor::from_slice(&values).view(shape)
 }
 
 pub(crate) fn input(name: &str, seed: u64, shape: &[i64]) -> Tensor {

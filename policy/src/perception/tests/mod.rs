@@ -1,5 +1,6 @@
 //! What the perception promises, against geometry worked out here in double precision and against the plain algorithms.
 
+mod drawn;
 mod frames;
 mod sampling;
 
