@@ -27,7 +27,7 @@ test-adversary: setup
 
 # The networks against the numbers of the reference implementations in TROCAR_GOLDEN, or in tests/golden/policies.json.
 test-golden: setup
-	cargo test --locked -p policy --test golden -- --nocapture
+	cargo test --locked --workspace --test golden -- --nocapture
 
 # The same adversaries for ten million ticks each, with their figures.
 adversary: setup
