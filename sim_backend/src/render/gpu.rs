@@ -71,13 +71,22 @@ impl Gpu {
         }
     }
 
+    /// Waits until all submitted work is done.
+    pub(super) fn finish(&self) -> Result<(), RenderError> {
+        self.poll(wgpu::PollType::wait_indefinitely())
+    }
+
     /// Waits until `submission` is done.
     pub(super) fn wait(&self, submission: wgpu::SubmissionIndex) -> Result<(), RenderError> {
+        self.poll(wgpu::PollType::Wait {
+            submission_index: Some(submission),
+            timeout: None,
+        })
+    }
+
+    fn poll(&self, what: wgpu::PollType) -> Result<(), RenderError> {
         self.device
-            .poll(wgpu::PollType::Wait {
-                submission_index: Some(submission),
-                timeout: None,
-            })
+            .poll(what)
             .map_err(|error| RenderError::Gpu(error.to_string()))?;
         self.check()
     }

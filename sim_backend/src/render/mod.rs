@@ -16,6 +16,8 @@ mod scene;
 mod station;
 mod targets;
 
+use std::sync::{Mutex, PoisonError};
+
 use hal::{CameraFrame, Intrinsics, Pose};
 
 pub use camera::{Camera, Light, look_at};
@@ -28,6 +30,9 @@ use pipelines::{Pipelines, SHADOW_MAP_PX};
 use records::{Eye, Records, View};
 use scene::Scene;
 use station::{Station, Stations};
+
+/// Renderers are opened one after the other: a driver may hang when several threads do it at the same time.
+static OPENING: Mutex<()> = Mutex::new(());
 
 /// The buffers of one image.
 #[derive(Debug)]
@@ -97,6 +102,7 @@ impl Renderer {
         backdrop: &Backdrop,
         shading: Shading,
     ) -> Result<Self, RenderError> {
+        let _turn = OPENING.lock().unwrap_or_else(PoisonError::into_inner);
         let gpu = Gpu::open()?;
         let things = visuals.iter().map(|visual| &visual.material);
         let materials = things.chain([&backdrop.material]);
@@ -104,7 +110,7 @@ impl Renderer {
         let scene = Scene::upload(&gpu.device, visuals, &paints)?;
         let pipelines = Pipelines::new(&gpu.device, &paints, shading);
         let light = Records::new(&gpu.device, &pipelines.records, scene.part_count());
-        gpu.check()?;
+        gpu.finish()?;
         Ok(Self {
             gpu,
             scene,
