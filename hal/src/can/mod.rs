@@ -1,0 +1,13 @@
+//! CANopen: the codecs, an emulated drive, a model of the bus and the master of an arm.
+//!
+//! Read in this order: [`frame`] is what is on the wire, [`cia301`] and [`cia402`] are what the frames mean. Nothing here
+//! opens a socket or reads a clock, and the codecs take no memory.
+
+pub mod cia301;
+pub mod cia402;
+pub mod frame;
+
+pub use frame::{CanId, Frame, NodeId, Payload, WireError};
+
+#[cfg(test)]
+mod random;
