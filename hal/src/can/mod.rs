@@ -4,9 +4,11 @@
 //! the values that an emulated drive has to offer. Nothing here
 //! opens a socket or reads a clock, and the codecs take no memory.
 
+pub mod bus;
 pub mod cia301;
 pub mod cia402;
 pub mod frame;
+pub mod master;
 pub mod node;
 mod number;
 pub mod od;
