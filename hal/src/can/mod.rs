@@ -12,8 +12,10 @@ pub mod master;
 pub mod node;
 mod number;
 pub mod od;
+mod outbox;
 
 pub use frame::{CanId, Frame, NodeId, Payload, WireError};
+pub use outbox::Outbox;
 
 #[cfg(test)]
 mod random;

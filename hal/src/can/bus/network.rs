@@ -74,6 +74,16 @@ struct Line {
     delayed: Vec<(TimeNs, Delivery)>,
 }
 
+impl<M> core::fmt::Debug for Network<M> {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        f.debug_struct("Network")
+            .field("now", &self.now)
+            .field("lines", &self.lines.len())
+            .field("drives", &self.drives.len())
+            .finish_non_exhaustive()
+    }
+}
+
 /// Up to three buses, their drives, and the master's end of each.
 pub struct Network<M> {
     now: TimeNs,

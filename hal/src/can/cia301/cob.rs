@@ -19,6 +19,9 @@ pub const PDO_COUNT: u8 = 4;
 pub struct PdoNumber(u8);
 
 impl PdoNumber {
+    /// PDO 1 of a device.
+    pub const FIRST: Self = Self(0);
+
     /// The PDO `number` from 0, none from 4 on.
     #[must_use]
     pub const fn new(number: u8) -> Option<Self> {

@@ -9,7 +9,6 @@ mod alarm;
 mod axis;
 mod drive;
 mod motion;
-mod outbox;
 mod process;
 mod rules;
 mod server;
@@ -21,6 +20,8 @@ use super::cia301::{Cob, NmtCommand, NmtState, nmt};
 use super::od::object::Object;
 use super::od::{Area, Dictionary, index, table};
 use super::{CanId, Frame, NodeId};
+
+pub use super::outbox::Outbox;
 use crate::TimeNs;
 
 use alarm::{Alarm, Alarms};
@@ -31,7 +32,6 @@ use watch::Watches;
 
 pub use axis::AxisConfig;
 pub use drive::{Demand, Feedback};
-pub use outbox::Outbox;
 
 /// An emulated drive.
 #[derive(Clone, Debug)]

@@ -1,0 +1,396 @@
+use super::*;
+use crate::can::cia301::emcy::ErrorCode;
+
+/// Moving at 0.4 units/s.
+fn moving() -> Bench {
+    let mut bench = Bench::new();
+    bench.cycles(50, 0.0008).unwrap();
+    bench
+}
+
+fn is_answer(frame: &Frame, axis: u16) -> bool {
+    frame.id.raw() == 0x181 + axis
+}
+
+#[test]
+fn bus_off_is_a_fault_at_once_and_nothing_stale_leaves_later() {
+    let mut bench = moving();
+    bench.net().bus_off(0, true);
+    assert!(matches!(
+        bench.cycle(0.0008),
+        Err(ArmError::DriveFault { code: 0x8140, .. })
+    ));
+    let _ = bench.cycles(20, 0.0008);
+    assert_eq!(bench.net().wire(0).waiting(0), 0);
+    bench.net().bus_off(0, false);
+    bench.assert_stopped_for_good("bus 0: our controller is bus-off");
+}
+
+#[test]
+fn bus_off_on_one_of_three_buses_stops_the_axes_on_the_others() {
+    let mut bench = Bench::on(&plan(3, MS));
+    bench.cycles(50, 0.0004).unwrap();
+    bench.net().bus_off(1, true);
+    let _ = bench.cycles(20, 0.0004);
+    bench.assert_stopped_for_good("bus 1: our controller is bus-off");
+}
+
+#[test]
+fn an_interface_that_goes_down_is_a_fault() {
+    let mut bench = moving();
+    bench.net().trouble(0, Trouble::Down);
+    let _ = bench.cycle(0.0);
+    bench.assert_stopped_for_good("bus 0: the interface is down");
+}
+
+#[test]
+fn error_passive_and_lost_frames_are_told_and_the_arm_goes_on() {
+    let mut bench = moving();
+    bench.net().trouble(0, Trouble::ErrorPassive);
+    bench.net().trouble(0, Trouble::Lost(3));
+    bench.net().trouble(0, Trouble::Foreign);
+    assert!(bench.cycle(0.0008).is_ok());
+    let health = bench.arm.cycle().line_health()[0];
+    assert!(health.passive);
+    assert_eq!((health.lost, health.foreign), (3, 1));
+    bench.net().trouble(0, Trouble::ErrorActive);
+    assert!(bench.cycle(0.0008).is_ok());
+    assert!(!bench.arm.cycle().line_health()[0].passive);
+}
+
+#[test]
+fn a_full_send_queue_is_a_lost_arm_and_then_a_fault() {
+    let plan = plan(1, 2 * MS);
+    let mut bench = Bench::on(&plan);
+    bench.cycles(50, 0.0008).unwrap();
+    // Somebody who always wins the bus: nothing of ours gets out.
+    let mut outcomes = Vec::new();
+    for _ in 0..60 {
+        for _ in 0..25 {
+            bench.net().intrude(0, frame(0x001, &[0; 8]));
+        }
+        outcomes.push(bench.cycle(0.0));
+    }
+    let lost = outcomes
+        .iter()
+        .position(|o| matches!(o, Err(ArmError::MeasurementLost { .. })));
+    let fault = outcomes
+        .iter()
+        .position(|o| matches!(o, Err(ArmError::DriveFault { .. })));
+    assert!(lost < fault && lost.is_some(), "{outcomes:?}");
+    assert!(bench.arm.cycle().line_health()[0].unsent > 0);
+    assert!(bench.arm.fault().is_some());
+}
+
+#[test]
+fn no_room_for_20_cycles_is_told_as_such() {
+    let plan = plan(1, 2 * MS);
+    let mut cycle = cycle::Cycle::new(&plan, TimeNs(0));
+    for _ in 0..19 {
+        cycle.on_sent(0, TimeNs(0), false);
+    }
+    cycle.on_sent(0, TimeNs(0), true);
+    for _ in 0..19 {
+        cycle.on_sent(0, TimeNs(0), false);
+    }
+    assert!(cycle.fault().is_none());
+    cycle.on_sent(0, TimeNs(0), false);
+    assert_eq!(
+        cycle.fault().unwrap().to_string(),
+        "bus 0: no room for set-points in the send queue for 20 cycles"
+    );
+}
+
+/// What becomes of `count` answers of axis 2, and what the arm says in the cycles after.
+fn disturbed(
+    count: u32,
+    change: impl Fn(&Frame) -> Tampering + 'static,
+) -> (Bench, Vec<Result<ArmState, ArmError>>) {
+    let mut bench = moving();
+    let mut left = count;
+    bench.tamper(move |frame| {
+        if is_answer(frame, 2) && left > 0 {
+            left -= 1;
+            change(frame)
+        } else {
+            Tampering::Pass
+        }
+    });
+    let outcomes = (0..30).map(|_| bench.cycle(0.0008)).collect();
+    (bench, outcomes)
+}
+
+fn lost(outcomes: &[Result<ArmState, ArmError>]) -> usize {
+    let is_lost = |o: &&Result<_, _>| matches!(o, Err(ArmError::MeasurementLost { .. }));
+    outcomes.iter().filter(is_lost).count()
+}
+
+#[test]
+fn one_or_two_missing_answers_are_bridged_three_are_a_lost_measurement() {
+    let (bench, outcomes) = disturbed(2, |_| Tampering::Drop);
+    assert!(outcomes.iter().all(Result::is_ok));
+    let steps: Vec<f64> = outcomes
+        .windows(2)
+        .map(|w| w[1].unwrap().position[2] - w[0].unwrap().position[2])
+        .collect();
+    assert!(steps.iter().all(|s| (s - 0.0008).abs() < 4e-5), "{steps:?}");
+    assert_eq!(bench.arm.cycle().axis_health()[2].missed, 2);
+    let (bench, outcomes) = disturbed(3, |_| Tampering::Drop);
+    assert_eq!(lost(&outcomes), 1);
+    assert!(outcomes[29].is_ok() && bench.arm.fault().is_none());
+}
+
+#[test]
+fn twenty_missing_answers_are_a_fault() {
+    let (mut bench, outcomes) = disturbed(1000, |_| Tampering::Drop);
+    assert_eq!(lost(&outcomes), 17);
+    bench.assert_stopped_for_good("node 3 (axis 2, bus 0): no usable process data for 20 cycles");
+}
+
+#[test]
+fn short_long_senseless_and_impossible_answers_are_not_believed() {
+    let cut = |f: &Frame| Tampering::Replace(frame(f.id.raw(), &f.data()[..7]));
+    let empty = |f: &Frame| Tampering::Replace(frame(f.id.raw(), &[]));
+    let status = |f: &Frame| {
+        let mut data = f.data().to_vec();
+        data[0] = 0x03;
+        Tampering::Replace(frame(f.id.raw(), &data))
+    };
+    let jump = |f: &Frame| {
+        let mut data = f.data().to_vec();
+        data[4] ^= 0x40;
+        Tampering::Replace(frame(f.id.raw(), &data))
+    };
+    let kinds: [fn(&Frame) -> Tampering; 4] = [cut, empty, status, jump];
+    for kind in kinds {
+        let (bench, outcomes) = disturbed(2, kind);
+        assert!(outcomes.iter().all(Result::is_ok));
+        assert_eq!(bench.arm.cycle().axis_health()[2].rejected, 2);
+        let (mut bench, outcomes) = disturbed(1000, kind);
+        assert_eq!(lost(&outcomes), 17);
+        bench.assert_stopped_for_good(
+            "node 3 (axis 2, bus 0): no usable process data for 20 cycles",
+        );
+    }
+}
+
+#[test]
+fn late_and_doubled_answers_are_counted() {
+    let (bench, outcomes) = disturbed(1, |_| Tampering::Delay(2 * MS));
+    assert!(outcomes.iter().all(Result::is_ok));
+    let health = bench.arm.cycle().axis_health()[2];
+    assert_eq!((health.missed, health.late), (1, 1));
+    let (bench, outcomes) = disturbed(1, |_| Tampering::Repeat);
+    assert!(outcomes.iter().all(Result::is_ok));
+    assert_eq!(bench.arm.cycle().axis_health()[2].late, 1);
+}
+
+#[test]
+fn a_node_that_is_pulled_is_named_and_the_others_stop() {
+    let mut bench = moving();
+    bench.net().power(node(4), false);
+    let _ = bench.cycles(25, 0.0008);
+    // Its process data are missed before its heartbeat is.
+    assert_eq!(
+        bench.arm.fault().unwrap().to_string(),
+        "node 5 (axis 4, bus 0): no usable process data for 20 cycles"
+    );
+    let _ = bench.cycles(300, 0.0);
+    let torques = bench.torques();
+    assert!(
+        torques
+            .iter()
+            .enumerate()
+            .all(|(axis, torque)| axis == 4 || !torque),
+        "{torques:?}"
+    );
+}
+
+#[test]
+fn a_heartbeat_that_stays_out_is_a_fault() {
+    let mut bench = moving();
+    bench.tamper(|frame| {
+        if frame.id.raw() == 0x706 {
+            Tampering::Drop
+        } else {
+            Tampering::Pass
+        }
+    });
+    let _ = bench.cycles(250, 0.0);
+    bench.assert_stopped_for_good("node 6 (axis 5, bus 0): no heartbeat");
+}
+
+#[test]
+fn a_node_that_reboots_is_a_fault() {
+    let mut bench = moving();
+    bench
+        .net()
+        .poke(node(2), |now, drive, out| drive.power_on(now, out));
+    let _ = bench.cycle(0.0);
+    bench.assert_stopped_for_good("node 3 (axis 2, bus 0): was reset while in use");
+}
+
+#[test]
+fn a_node_that_leaves_operational_is_a_fault() {
+    let mut bench = moving();
+    let stop = frame(0x000, &[0x80, 3]);
+    bench
+        .net()
+        .poke(node(2), |now, drive, out| drive.on_frame(now, &stop, out));
+    let _ = bench.cycles(60, 0.0);
+    let fault = bench.arm.fault().unwrap();
+    assert_eq!(fault.who().map(|who| who.axis), Some(2));
+    let text = fault.to_string();
+    bench.assert_stopped_for_good(&text);
+}
+
+#[test]
+fn an_emergency_is_a_fault_with_the_drives_code() {
+    let mut bench = moving();
+    bench.net().poke(node(6), |now, drive, out| {
+        drive.fail(now, ErrorCode::OVER_CURRENT, 2, out);
+    });
+    let _ = bench.cycle(0.0);
+    let error = bench.cycle(0.0).unwrap_err();
+    assert_eq!(
+        error,
+        ArmError::DriveFault {
+            axis: 6,
+            code: 0x2310
+        }
+    );
+    bench.assert_stopped_for_good(
+        "node 7 (axis 6, bus 0): emergency 2310h, continuous over-current",
+    );
+}
+
+#[test]
+fn a_motor_that_does_not_follow_is_a_fault() {
+    let mut bench = moving();
+    bench.net().motor(node(1)).unwrap().stuck = true;
+    let _ = bench.cycles(100, 0.0008);
+    let fault = bench.arm.fault().unwrap();
+    // The drive's own window is narrower than the master's.
+    assert!(
+        matches!(fault, Fault::FollowingError(who, _) if who.axis == 1),
+        "{fault}"
+    );
+    let _ = bench.cycles(400, 0.0);
+    assert_eq!(bench.torques(), [false; TAIL_AXES]);
+}
+
+#[test]
+fn the_masters_own_comparison_catches_what_a_drive_does_not_tell() {
+    let mut bench = moving();
+    // A drive that says all is well and stands still.
+    let mut first: Option<Vec<u8>> = None;
+    bench.tamper(move |f| {
+        if !is_answer(f, 1) {
+            return Tampering::Pass;
+        }
+        let data = first.get_or_insert_with(|| f.data().to_vec());
+        Tampering::Replace(frame(f.id.raw(), data))
+    });
+    let _ = bench.cycles(200, 0.0008);
+    let fault = bench.arm.fault().unwrap();
+    assert!(
+        matches!(fault, Fault::FollowingError(who, _) if who.axis == 1),
+        "{fault}"
+    );
+}
+
+#[test]
+fn lost_power_is_a_fault() {
+    let mut bench = moving();
+    bench.tamper(|f| {
+        if !is_answer(f, 0) {
+            return Tampering::Pass;
+        }
+        let mut data = f.data().to_vec();
+        data[0] &= !0x10;
+        Tampering::Replace(frame(f.id.raw(), &data))
+    });
+    let _ = bench.cycles(2, 0.0);
+    bench.assert_stopped_for_good("node 1 (axis 0, bus 0): the power stage has no voltage");
+}
+
+#[test]
+fn a_drive_that_disables_itself_is_a_fault() {
+    let mut bench = moving();
+    bench.tamper(|f| {
+        if f.id.raw() == 0x204 {
+            Tampering::Replace(frame(0x204, &[0x06, 0, 0, 0, 0, 0]))
+        } else {
+            Tampering::Pass
+        }
+    });
+    let _ = bench.cycles(40, 0.0);
+    let fault = bench.arm.fault().unwrap();
+    assert!(
+        matches!(fault, Fault::NotEnabled(who, _) if who.axis == 3),
+        "{fault}"
+    );
+}
+
+#[test]
+fn a_foreign_master_is_a_fault_and_another_arms_is_not() {
+    for (id, data) in [
+        (0x080, &[][..]),
+        (0x000, &[0x80, 0]),
+        (0x000, &[0x02, 3]),
+        (0x204, &[0x0F, 0, 0, 0, 0, 0]),
+        (0x77F, &[5]),
+    ] {
+        let mut bench = moving();
+        bench.net().intrude(0, frame(id, data));
+        let _ = bench.cycles(2, 0.0);
+        bench.assert_stopped_for_good(&format!(
+            "bus 0: somebody else sends {id:03X}h, which only this master may"
+        ));
+    }
+    let mut bench = moving();
+    for (id, data) in [
+        (0x20B, &[0x0F, 0, 0, 0, 0, 0][..]),
+        (0x000, &[0x01, 11]),
+        (0x77E, &[5]),
+        (0x18B, &[0; 8]),
+        (0x08B, &[0x10, 0x23, 3, 0, 0, 0, 0, 0]),
+        (0x70B, &[0]),
+    ] {
+        bench.net().intrude(0, frame(id, data));
+        assert!(bench.cycle(0.0).is_ok(), "{id:03X}");
+    }
+    assert!(bench.arm.fault().is_none());
+}
+
+#[test]
+fn lost_set_points_stop_the_drive_that_misses_them() {
+    let mut bench = moving();
+    bench.tamper(|f| {
+        if f.id.raw() == 0x203 {
+            Tampering::Drop
+        } else {
+            Tampering::Pass
+        }
+    });
+    let _ = bench.cycles(30, 0.0008);
+    bench.assert_stopped_for_good("node 3 (axis 2, bus 0): emergency 8250h, RPDO overdue");
+}
+
+#[test]
+fn lost_syncs_stop_every_drive() {
+    let mut bench = moving();
+    bench.tamper(|f| {
+        if f.id.raw() == 0x080 {
+            Tampering::Drop
+        } else {
+            Tampering::Pass
+        }
+    });
+    let _ = bench.cycles(40, 0.0008);
+    assert!(bench.arm.fault().is_some());
+    let _ = bench.cycles(300, 0.0008);
+    let rest = bench.motors();
+    let _ = bench.cycles(100, 0.0008);
+    assert!(same(&bench.motors(), &rest));
+}
