@@ -13,6 +13,7 @@ pub mod node;
 mod number;
 pub mod od;
 mod outbox;
+pub mod socket;
 
 pub use frame::{CanId, Frame, NodeId, Payload, WireError};
 pub use outbox::Outbox;
