@@ -62,6 +62,8 @@ pub(super) struct Drive {
     rearmed: bool,
     halted: bool,
     limited: bool,
+    /// How much of the way to the newest target the greatest speed left over, counts.
+    short: f64,
     deviates_since: Option<TimeNs>,
     register: u8,
 }
@@ -80,6 +82,7 @@ impl Default for Drive {
             rearmed: false,
             halted: false,
             limited: false,
+            short: 0.0,
             deviates_since: None,
             register: 0,
         }
@@ -182,6 +185,7 @@ impl Drive {
             self.halted = false;
         }
         self.deviates_since = None;
+        self.short = 0.0;
     }
 
     /// Brakes with `deceleration`; what `after` says comes at rest, or at once without braking.
@@ -189,6 +193,7 @@ impl Drive {
         match deceleration {
             Some(deceleration) => {
                 self.motion = self.motion.stopped(now, real(deceleration));
+                self.short = 0.0;
                 self.at_rest = after;
             }
             None => {
@@ -318,6 +323,7 @@ impl Drive {
         let reach = get(index::SPEED_MAX) * seconds(period_ns);
         let to = from + (inside - from).clamp(-reach, reach);
         self.limited = (to - wanted).abs() > 0.5;
+        self.short = inside - to;
         self.motion = Motion::Line {
             start: now,
             from,

@@ -5,7 +5,7 @@
 use crate::can::cia301::{AbortCode, Address};
 
 /// Most bytes of a text.
-pub const TEXT_MAX: usize = 40;
+pub const TEXT_MAX: usize = 64;
 
 /// A type of value.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

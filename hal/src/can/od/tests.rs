@@ -54,7 +54,7 @@ fn reading_and_writing_refuse_with_the_standards_codes() {
     assert_eq!(write(index::CONTROL, &[0; 4]), Err(AbortCode::TOO_LONG));
     assert_eq!(write(index::SYNC_LOSS, &[101]), Err(AbortCode::TOO_HIGH));
     assert_eq!(write(index::SYNC_LOSS, &[1]), Err(AbortCode::TOO_LOW));
-    assert_eq!(write(index::LABEL, &[b'a'; 41]), Err(AbortCode::TOO_LONG));
+    assert_eq!(write(index::LABEL, &[b'a'; 65]), Err(AbortCode::TOO_LONG));
     assert_eq!(write(index::TARGET, &(-5_i32).to_le_bytes()), Ok(()));
     assert_eq!(dictionary.get(index::TARGET), -5);
 }

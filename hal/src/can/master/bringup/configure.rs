@@ -5,7 +5,7 @@ use super::super::link::Bus;
 use super::super::plan::ArmPlan;
 use super::BringUpError;
 use crate::can::NodeId;
-use crate::can::cia301::cob::PdoNumber;
+use crate::can::cia301::cob::{PdoNumber, SYNC_ID};
 use crate::can::cia301::pdo::{MappingEntry, PdoCob, SyncCount, Transmission};
 use crate::can::cia301::{AbortCode, Address, Cob};
 use crate::can::cia402::Mode;
@@ -51,7 +51,11 @@ impl<B: Bus> Writer<'_, B> {
     /// Writes what not every drive has.
     fn set_if_there(&mut self, address: Address, data: &[u8]) -> Result<(), BringUpError> {
         match self.set(address, data) {
-            Err(BringUpError::Refused { code, .. }) if code == AbortCode::NO_OBJECT => Ok(()),
+            Err(BringUpError::Refused { code, .. })
+                if code == AbortCode::NO_OBJECT || code == AbortCode::NO_SUB_INDEX =>
+            {
+                Ok(())
+            }
             other => other,
         }
     }
@@ -99,7 +103,8 @@ pub(super) fn node<B: Bus>(bus: &mut B, plan: &ArmPlan, axis: usize) -> Result<(
         (index::DISABLE_OPTION, RAMP),
         (index::FAULT_OPTION, FAST_RAMP),
     ] {
-        to.set(address, &[option, 0])?;
+        // CiA 402 leaves these to the drive; each has a default that stops.
+        to.set_if_there(address, &[option, 0])?;
     }
     let command = Cob::ReceivePdo(PdoNumber::FIRST, who.node).id();
     let answer = Cob::TransmitPdo(PdoNumber::FIRST, who.node).id();
@@ -132,7 +137,11 @@ fn beat<B: Bus>(to: &mut Writer<'_, B>, plan: &ArmPlan) -> Result<(), BringUpErr
     let cycle_ns = plan.cycle_ns;
     let (value, exponent) = period_parameter(cycle_ns).ok_or(BringUpError::Period { cycle_ns })?;
     let cob = u32::from(plan.sync_id.raw());
-    to.set(index::SYNC_COB, &cob.to_le_bytes())?;
+    if plan.sync_id == SYNC_ID {
+        to.set_if_there(index::SYNC_COB, &cob.to_le_bytes())?;
+    } else {
+        to.set(index::SYNC_COB, &cob.to_le_bytes())?;
+    }
     // The counter may change only while there is no period.
     to.set_if_there(index::SYNC_PERIOD, &[0; 4])?;
     to.set_if_there(index::SYNC_COUNTER, &[plan.sync_counter])?;
@@ -144,8 +153,8 @@ fn beat<B: Bus>(to: &mut Writer<'_, B>, plan: &ArmPlan) -> Result<(), BringUpErr
 fn watches<B: Bus>(to: &mut Writer<'_, B>, plan: &ArmPlan) -> Result<(), BringUpError> {
     to.set(index::HEARTBEAT, &plan.heartbeat_ms.to_le_bytes())?;
     let [low, high] = plan.heartbeat_ms.saturating_mul(3).to_le_bytes();
-    to.set(index::CONSUMER, &[low, high, plan.master.raw(), 0])?;
+    to.set_if_there(index::CONSUMER, &[low, high, plan.master.raw(), 0])?;
     let deadline_ms = (DEADLINE_CYCLES * plan.cycle_ns / 1_000_000).max(DEADLINE_MS_MIN);
     let deadline_ms = u16::try_from(deadline_ms).unwrap_or(u16::MAX);
-    to.set(index::rpdo(0, 5), &deadline_ms.to_le_bytes())
+    to.set_if_there(index::rpdo(0, 5), &deadline_ms.to_le_bytes())
 }

@@ -53,7 +53,7 @@ fn in_actuator_space_the_arm_moves_its_joints() {
     let mut plan = plan(1, 2 * MS);
     plan.space = Space::Actuator;
     let mut bench = Bench::on(&plan);
-    let start = bench.cycle(0.0).unwrap();
+    let start = bench.read().unwrap();
     bench.position[..6].copy_from_slice(start.position.as_slice());
     bench.position[6] = start.jaw_position;
     let state = bench.cycles(100, 0.0002).unwrap();

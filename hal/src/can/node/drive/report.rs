@@ -9,8 +9,9 @@ use crate::can::number::{real, whole};
 use crate::can::od::{Dictionary, index};
 
 impl Drive {
+    /// How far the motor is from where it was told to be, be it slow itself or held back by its greatest speed.
     fn deviation(&self, now: TimeNs) -> f64 {
-        self.motion.at(now).0 - self.actual()
+        self.motion.at(now).0 + self.short - self.actual()
     }
 
     fn deviates(&self, now: TimeNs, dictionary: &Dictionary) -> bool {

@@ -100,7 +100,7 @@ fn broken_transfers_are_aborted_with_their_code() {
     let answer = download(&mut bench, index::LABEL, Some(3), b"abcd");
     assert_eq!(refused(answer), AbortCode::LENGTH);
     // More than the object holds.
-    let answer = download(&mut bench, index::LABEL, None, &[b'x'; 48]);
+    let answer = download(&mut bench, index::LABEL, None, &[b'x'; 70]);
     assert_eq!(refused(answer), AbortCode::TOO_LONG);
     // The same toggle bit twice.
     bench.request(Request::Upload(Address::new(0x1008, 0)));
