@@ -45,7 +45,12 @@ impl Cycle {
             return;
         };
         let status = newest.status;
-        if !status.voltage {
+        // Before it is switched on, a drive may well be without.
+        let powered = matches!(
+            status.state,
+            PowerState::SwitchedOn | PowerState::OperationEnabled | PowerState::QuickStopActive
+        );
+        if powered && !status.voltage {
             self.latch(now, Fault::PowerLost(who));
         }
         let fails = matches!(
