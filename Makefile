@@ -1,5 +1,5 @@
 # Two commands do everything on a fresh machine: `make demo` and `make test`.
-.PHONY: demo test test-adversary adversary build setup bench clean
+.PHONY: demo test test-adversary test-can adversary build setup setup-can bench clean
 
 TROCAR := $(or $(CARGO_TARGET_DIR),target)/release/trocar
 
@@ -19,11 +19,16 @@ test: build
 	cargo build --locked -p runtime
 	cargo test --locked --workspace
 	$(MAKE) test-adversary
+	$(MAKE) test-can
 
 # Adversaries, planted faults and scenarios for the safety chain: too long for a debug build.
 test-adversary: setup
 	cargo test --locked --release -p runtime --lib control::tests::
 	cargo test --locked --release -p tests --test no_alloc
+
+# What needs a CAN bus, where there is one: in user-mode Linux if this machine's kernel has none. Without either, this fails.
+test-can: setup setup-can
+	cargo test --locked --workspace --test can_bus --config 'target."cfg(all())".runner="$(CURDIR)/.ci/with-vcan"' -- --ignored
 
 # The same adversaries for ten million ticks each, with their figures.
 adversary: setup
@@ -37,6 +42,10 @@ bench: setup
 
 setup:
 	@.ci/setup.sh
+
+# Only the CAN tests need what this installs.
+setup-can:
+	@.ci/setup-can.sh
 
 clean:
 	cargo clean

@@ -6,6 +6,9 @@ use crate::joints::INSERTION;
 use crate::psm::{JAW_MAX, JAW_MIN, POSITION_MAX, POSITION_MIN};
 use crate::{JointVector, SafeTail, TimeNs};
 
+/// Names of the arms of a run in topics, logs and datasets, in their order; the first is the one that every run has.
+pub const ARM_NAMES: [&str; 2] = ["psm1", "psm2"];
+
 /// How far beyond an axis's mechanical range a measurement is believed, rad, and m for the insertion.
 const BELIEVED_RAD: f64 = 0.2;
 const BELIEVED_M: f64 = 0.02;

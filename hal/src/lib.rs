@@ -17,10 +17,10 @@ pub mod tail;
 pub mod time;
 pub mod topic;
 
-pub use arm::{Arm, ArmCommand, ArmError, ArmState};
+pub use arm::{ARM_NAMES, Arm, ArmCommand, ArmError, ArmState};
 pub use camera::{CameraFrame, FrameRef, Intrinsics};
 pub use chunk::{Chunk, TipTarget};
 pub use joints::{JOINT_COUNT, JointVector, Pose};
-pub use policy::{Observation, Policy, PolicyError};
+pub use policy::{Observation, Policy, PolicyError, SeenArm};
 pub use tail::SafeTail;
 pub use time::{TICK_NS, TimeNs};

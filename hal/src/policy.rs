@@ -1,14 +1,29 @@
-//! The seam to a policy: what it sees, and that it answers with a chunk.
+//! The seam to a policy: what it sees, and that it answers with a chunk for each arm.
 
-use crate::{ArmState, Chunk, FrameRef, Pose};
+use crate::{ArmState, Chunk, FrameRef, Pose, TipTarget};
 
 /// What a policy sees of one arm at one instant.
 #[derive(Clone, Copy, Debug)]
-pub struct Observation<'a> {
-    /// The measured arm; its stamp is the observation's.
-    pub arm: &'a ArmState,
-    /// Measured tip pose in the RCM frame, from forward kinematics.
+pub struct SeenArm {
+    /// What was measured.
+    pub state: ArmState,
+    /// Measured tip pose in the arm's own RCM frame, from forward kinematics.
     pub tip_in_rcm: Pose,
+}
+
+impl SeenArm {
+    /// Where the arm is, as a target.
+    #[must_use]
+    pub fn here(&self) -> TipTarget {
+        TipTarget::new(&self.tip_in_rcm, self.state.jaw_position)
+    }
+}
+
+/// What a policy sees at one instant.
+#[derive(Clone, Copy, Debug)]
+pub struct Observation<'a> {
+    /// The measured arms, of one instant and in their order; the stamp of the first is the observation's.
+    pub arms: &'a [SeenArm],
     /// Frames taken at the observation, in the order of the policy's camera list.
     pub frames: &'a [FrameRef<'a>],
 }
@@ -18,16 +33,24 @@ pub trait Policy {
     /// Forgets the past; everything random afterwards hangs on `seed`.
     fn reset(&mut self, seed: u64);
 
-    /// The chunk that answers `observation`.
+    /// The chunks that answer `observation`, one for each of its arms, all with the same time and sequence.
     ///
     /// # Errors
     /// [`PolicyError`] when the observation does not fit the policy or the computation failed.
-    fn infer(&mut self, observation: &Observation<'_>) -> Result<Chunk, PolicyError>;
+    fn infer(&mut self, observation: &Observation<'_>) -> Result<Vec<Chunk>, PolicyError>;
 }
 
 /// Why a policy gave no chunk.
 #[derive(Debug, thiserror::Error)]
 pub enum PolicyError {
+    /// The observation has another number of arms than the policy was trained with.
+    #[error("policy commands {expected} arms, observation has {actual}")]
+    ArmCount {
+        /// Arms the policy was trained with.
+        expected: usize,
+        /// Arms in the observation.
+        actual: usize,
+    },
     /// The observation has another number of cameras than the policy was trained with.
     #[error("policy expects {expected} camera frames, observation has {actual}")]
     CameraCount {

@@ -1,16 +1,16 @@
-//! A trained ACT network as a policy: frames and arm state in, a chunk of absolute tip targets out.
+//! A trained ACT network as a policy: frames and arm states in, a chunk of absolute tip targets for each arm out.
 
 use std::path::Path;
 
 use hal::chunk::CHUNK_STEPS_MAX;
-use hal::{ArmState, Chunk, FrameRef, Observation, Policy, PolicyError, TipTarget};
+use hal::{ArmState, Chunk, FrameRef, Observation, Policy, PolicyError};
 use tch::{Device, Kind, TchError, Tensor};
 
 use crate::act::Act;
 use crate::checkpoint::{self, Cause, CheckpointError, Recipe};
 use crate::images::{area_average, shrink_factor};
 use crate::normalise::{ImageNormaliser, Normaliser};
-use crate::relative_action::{RELATIVE_ACTION_DIM, absolute_target};
+use crate::relative_action::absolute_chunks;
 
 /// An ACT policy that was loaded from a folder.
 #[derive(Debug)]
@@ -143,10 +143,18 @@ impl Policy for ActPolicy {
         self.sequence = 0;
     }
 
-    fn infer(&mut self, observation: &Observation<'_>) -> Result<Chunk, PolicyError> {
+    fn infer(&mut self, observation: &Observation<'_>) -> Result<Vec<Chunk>, PolicyError> {
+        let (expected, actual) = (self.recipe.arms, observation.arms.len());
+        if expected != actual {
+            return Err(PolicyError::ArmCount { expected, actual });
+        }
         let images = self.image_bytes(observation.frames)?;
-        let state = Tensor::f_from_slice(&state_numbers(observation.arm))
-            .and_then(|state| state.f_unsqueeze(0));
+        let numbers: Vec<f32> = observation
+            .arms
+            .iter()
+            .flat_map(|arm| state_numbers(&arm.state))
+            .collect();
+        let state = Tensor::f_from_slice(&numbers).and_then(|state| state.f_unsqueeze(0));
         let actions = state
             .and_then(|state| self.network(&images, &state))
             .map_err(|error| PolicyError::Inference(error.to_string()))?;
@@ -155,22 +163,13 @@ impl Policy for ActPolicy {
                 "the network answered with a number that is not finite".to_owned(),
             ));
         }
-        let (rows, _) = actions.as_chunks::<RELATIVE_ACTION_DIM>();
-        let targets: Vec<TipTarget> = rows
-            .iter()
-            .map(|row| absolute_target(&observation.tip_in_rcm, &row.map(f64::from)))
-            .collect();
         self.sequence += 1;
-        Ok(Chunk::new(
-            observation.arm.stamp,
-            self.sequence,
-            self.recipe.step_ns,
-            &targets,
-        ))
+        let (sequence, step_ns) = (self.sequence, self.recipe.step_ns);
+        Ok(absolute_chunks(observation, &actions, sequence, step_ns))
     }
 }
 
-/// `observation.state`: six joint positions (rad, insertion m) and the jaw (rad).
+/// One arm's part of `observation.state`: six joint positions (rad, insertion m) and the jaw (rad).
 #[must_use]
 #[expect(
     clippy::cast_possible_truncation,

@@ -15,13 +15,13 @@ pub const LENGTH_STD_MIN_M: f64 = 1e-4;
 /// Least deviation of an angle, rad: a joint that demonstrations leave alone must not turn encoder noise into a signal.
 pub const ANGLE_STD_MIN_RAD: f64 = 5e-3;
 
-/// Least deviations of `observation.state`: yaw, pitch, insertion, roll, wrist pitch, wrist yaw, jaw.
+/// Least deviations of one arm's `observation.state`: yaw, pitch, insertion, roll, wrist pitch, wrist yaw, jaw.
 pub const STATE_STD_MIN: [f64; 7] = {
     let (length, angle) = (LENGTH_STD_MIN_M, ANGLE_STD_MIN_RAD);
     [angle, angle, length, angle, angle, angle, angle]
 };
 
-/// Least deviations of an action: translation, rotation vector, jaw.
+/// Least deviations of one arm's action: translation, rotation vector, jaw.
 pub const ACTION_STD_MIN: [f64; 7] = {
     let (length, angle) = (LENGTH_STD_MIN_M, ANGLE_STD_MIN_RAD);
     [length, length, length, angle, angle, angle, angle]
@@ -85,6 +85,18 @@ impl Statistics {
             min: narrow(min),
             max: narrow(max),
         })
+    }
+
+    /// Those of several features as of one, their dimensions one after another.
+    #[must_use]
+    pub fn joined(parts: &[Self]) -> Self {
+        let join = |of: fn(&Self) -> &[f32]| parts.iter().flat_map(of).copied().collect();
+        Self {
+            mean: join(|part| &part.mean),
+            std: join(|part| &part.std),
+            min: join(|part| &part.min),
+            max: join(|part| &part.max),
+        }
     }
 
     /// What makes these statistics useless for `dims` dimensions, if anything does.

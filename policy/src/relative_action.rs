@@ -1,15 +1,16 @@
 //! Actions relative to the tip at the observation: what networks predict, against the absolute targets that chunks carry.
 //!
-//! Seven numbers: translation from the measured tip in the RCM frame (m), rotation vector in the frame of the measured
-//! tip (rad), and the jaw angle as it is (rad). Absolute poses would carry the arm's calibration into the network.
+//! Seven numbers an arm: translation from the measured tip in the RCM frame (m), rotation vector in the frame of the measured
+//! tip (rad), and the jaw angle as it is (rad). Absolute poses would carry the arm's calibration into the network. Of several
+//! arms, each is relative to its own tip in its own RCM frame, and a step has the arms' numbers one after another.
 
-use hal::{Pose, TipTarget};
+use hal::{Chunk, Observation, Pose, SeenArm, TipTarget};
 use nalgebra::{Quaternion, Translation3, UnitQuaternion, Vector3};
 
 /// Name of this representation in checkpoints.
 pub const REPRESENTATION: &str = "observation_relative";
 
-/// Numbers in a relative action.
+/// Numbers in the relative action of one arm.
 pub const RELATIVE_ACTION_DIM: usize = 7;
 
 /// A pose from `x y z qx qy qz qw`, as datasets store it.
@@ -52,10 +53,77 @@ pub fn absolute_target(tip_in_rcm: &Pose, action: &[f64; RELATIVE_ACTION_DIM]) -
     )
 }
 
+/// The chunks that `actions` mean, one for each arm of `observation`: row-major, a step's arms one after another.
+#[must_use]
+pub fn absolute_chunks(
+    observation: &Observation<'_>,
+    actions: &[f32],
+    sequence: u64,
+    step_ns: u64,
+) -> Vec<Chunk> {
+    let arms = observation.arms;
+    let Some(first) = arms.first() else {
+        return Vec::new();
+    };
+    let (rows, _) = actions.as_chunks::<RELATIVE_ACTION_DIM>();
+    let chunk = |(index, arm): (usize, &SeenArm)| {
+        let targets: Vec<TipTarget> = rows
+            .iter()
+            .skip(index)
+            .step_by(arms.len())
+            .map(|row| absolute_target(&arm.tip_in_rcm, &row.map(f64::from)))
+            .collect();
+        Chunk::new(first.state.stamp, sequence, step_ns, &targets)
+    };
+    arms.iter().enumerate().map(chunk).collect()
+}
+
 #[cfg(test)]
 mod tests {
-    use super::{absolute_target, pose_from_numbers, relative_action};
+    use hal::{ArmState, JointVector, Observation, SeenArm, TimeNs};
+
+    use super::{absolute_chunks, absolute_target, pose_from_numbers, relative_action};
     use crate::rng::SplitMix64;
+
+    #[test]
+    fn each_arm_gets_its_own_chunk_relative_to_its_own_tip() {
+        let arm = |z: f64, stamp| SeenArm {
+            state: ArmState::at_rest(TimeNs(stamp), JointVector::zeros(), 0.0),
+            tip_in_rcm: pose_from_numbers(&[0.0, 0.0, z, 0.0, 0.0, 0.0, 1.0]),
+        };
+        let observation = Observation {
+            arms: &[arm(-0.1, 7), arm(-0.2, 7)],
+            frames: &[],
+        };
+        // Two steps; the x of each number says which row it came from.
+        let mut actions = [0.0; 28];
+        for (row, numbers) in actions.chunks_exact_mut(7).enumerate() {
+            numbers[0] = f32::from(u8::try_from(row).unwrap());
+            numbers[6] = 0.5;
+        }
+        let chunks = absolute_chunks(&observation, &actions, 3, 40);
+        assert_eq!(chunks.len(), 2);
+        for (index, (chunk, z)) in chunks.iter().zip([-0.1, -0.2]).enumerate() {
+            assert_eq!(
+                (chunk.observed_at, chunk.sequence, chunk.step_ns, chunk.len),
+                (TimeNs(7), 3, 40, 2)
+            );
+            for (step, target) in chunk.valid_targets().iter().enumerate() {
+                let row = f64::from(u8::try_from(2 * step + index).unwrap());
+                assert!((target.position_m[0] - row).abs() < 1e-12, "{target:?}");
+                assert!((target.position_m[2] - z).abs() < 1e-12, "{target:?}");
+                assert!((target.jaw - 0.5).abs() < 1e-12, "{target:?}");
+            }
+        }
+        let alone = Observation {
+            arms: &observation.arms[..1],
+            frames: &[],
+        };
+        let [chunk] = absolute_chunks(&alone, &actions, 3, 40)[..] else {
+            panic!("one arm, one chunk");
+        };
+        assert_eq!(chunk.len, 4);
+    }
 
     #[test]
     fn composing_a_relative_action_gives_back_the_target() {

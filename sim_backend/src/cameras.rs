@@ -1,13 +1,18 @@
-//! A task's cameras: they render a snapshot of the scene, in whatever thread they live.
+//! A task's cameras: they render a snapshot of the scene, in whatever thread they live. Nothing is drawn for a camera that
+//! nobody asks.
+
+mod flap;
 
 use hal::{CameraFrame, Intrinsics, Pose};
 use nalgebra::{Point3, Vector3};
 
-use crate::render::{Camera, Light, Planes, Renderer, look_at};
+use crate::render::{Camera, Light, Planes, RenderError, Renderer, look_at};
 use crate::simulation::SimulationError;
 use crate::task::{ARMS_MAX, CameraConfig, Scene, THINGS_MAX, TaskConfig};
 use crate::task::{scene_poses, scene_visuals};
+use crate::tissue::FlapSnapshot;
 use crate::world::ArmBodies;
+use flap::DrawnFlap;
 
 /// Image depth range, m.
 const NEAR_M: f64 = 0.005;
@@ -22,6 +27,8 @@ pub struct SceneSnapshot {
     pub goal: Pose,
     /// The instruments' parts.
     pub arms: [Option<ArmBodies>; ARMS_MAX],
+    /// The soft flap, if there is one.
+    pub flap: Option<FlapSnapshot>,
 }
 
 /// The cameras of one task, their light and the device that draws.
@@ -29,28 +36,48 @@ pub struct SceneCameras {
     renderer: Renderer,
     scene: Scene,
     views: Vec<View>,
-    light: Light,
+    flap: Option<DrawnFlap>,
+    /// The endoscope: all cameras see in its light.
+    endoscope: usize,
 }
 
+/// A camera and what carries it.
 struct View {
     name: String,
-    camera: Camera,
+    intrinsics: Intrinsics,
+    /// In the scene frame, or in the tip frame of the arm that carries it.
+    camera_in_mount: Pose,
+    carrier: Option<usize>,
 }
 
 impl SceneCameras {
-    /// Opens a device for the cameras of `task`.
+    /// Opens a device for the cameras of `task`, which stand as the file says until an episode begins.
     ///
     /// # Errors
     /// [`SimulationError::Render`] if there is no device to render with.
     pub fn new(task: &TaskConfig) -> Result<Self, SimulationError> {
-        let renderer = Renderer::new(&scene_visuals(task))?;
+        let visuals = scene_visuals(task);
+        let backdrop = task.scene.of_task().backdrop();
+        let renderer = Renderer::with_backdrop(&visuals, &backdrop, task.shading)?;
         let views = task.cameras.iter().map(View::new).collect();
         Ok(Self {
             renderer,
             scene: task.scene.clone(),
             views,
-            light: Light::default(),
+            flap: DrawnFlap::new(&task.scene, &visuals),
+            endoscope: task.light_camera(),
         })
+    }
+
+    /// Puts the cameras where `task` has them in the episode `seed`: its view may move them anew in each.
+    pub fn begin_episode(&mut self, task: &TaskConfig, seed: u64) {
+        let placed = |camera: &CameraConfig| {
+            let mut view = View::new(camera);
+            view.camera_in_mount *= task.view.shift(camera, seed);
+            view
+        };
+        self.views = task.cameras.iter().map(placed).collect();
+        self.endoscope = task.light_camera();
     }
 
     /// How many cameras there are.
@@ -89,15 +116,15 @@ impl SceneCameras {
     /// # Errors
     /// [`SimulationError::NoSuchCamera`].
     pub fn intrinsics(&self, camera: usize) -> Result<Intrinsics, SimulationError> {
-        Ok(self.view(camera)?.camera.intrinsics)
+        Ok(self.view(camera)?.intrinsics)
     }
 
-    /// The pose of a camera in the scene frame.
+    /// The pose of a camera in the scene frame at the instant of `snapshot`.
     ///
     /// # Errors
-    /// [`SimulationError::NoSuchCamera`].
-    pub fn pose(&self, camera: usize) -> Result<Pose, SimulationError> {
-        Ok(self.view(camera)?.camera.camera_in_scene)
+    /// [`SimulationError::NoSuchCamera`], [`SimulationError::NoCarrier`].
+    pub fn pose(&self, camera: usize, snapshot: &SceneSnapshot) -> Result<Pose, SimulationError> {
+        self.view(camera)?.camera_in_scene(snapshot)
     }
 
     /// A black frame of the right size.
@@ -118,9 +145,10 @@ impl SceneCameras {
         snapshot: &SceneSnapshot,
         frame: &mut CameraFrame,
     ) -> Result<(), SimulationError> {
-        let camera = self.view(camera)?.camera;
+        let (camera, light) = self.placed(camera, snapshot)?;
         let poses = scene_poses(&self.scene, snapshot);
-        self.renderer.render(&poses, &camera, &self.light, frame)?;
+        self.bend(snapshot)?;
+        self.renderer.render(&poses, &camera, &light, frame)?;
         Ok(())
     }
 
@@ -134,11 +162,37 @@ impl SceneCameras {
         snapshot: &SceneSnapshot,
         planes: Planes<'_>,
     ) -> Result<(), SimulationError> {
-        let camera = self.view(camera)?.camera;
+        let (camera, light) = self.placed(camera, snapshot)?;
         let poses = scene_poses(&self.scene, snapshot);
-        self.renderer
-            .render_into(&poses, &camera, &self.light, planes)?;
+        self.bend(snapshot)?;
+        self.renderer.render_into(&poses, &camera, &light, planes)?;
         Ok(())
+    }
+
+    /// Gives the flap the shape that it has in `snapshot`.
+    fn bend(&mut self, snapshot: &SceneSnapshot) -> Result<(), RenderError> {
+        match (&mut self.flap, &snapshot.flap) {
+            (Some(drawn), Some(flap)) => drawn.bend(flap, &mut self.renderer),
+            _ => Ok(()),
+        }
+    }
+
+    /// A camera where it is now, and the light of the endoscope.
+    fn placed(
+        &self,
+        camera: usize,
+        snapshot: &SceneSnapshot,
+    ) -> Result<(Camera, Light), SimulationError> {
+        let at = |camera: usize| {
+            let view = self.view(camera)?;
+            Ok::<_, SimulationError>(Camera {
+                intrinsics: view.intrinsics,
+                camera_in_scene: view.camera_in_scene(snapshot)?,
+                near_m: NEAR_M,
+                far_m: FAR_M,
+            })
+        };
+        Ok((at(camera)?, Light::beside(&at(self.endoscope)?)))
     }
 
     fn view(&self, camera: usize) -> Result<&View, SimulationError> {
@@ -152,20 +206,24 @@ impl SceneCameras {
 
 impl View {
     fn new(config: &CameraConfig) -> Self {
-        let camera_in_scene = look_at(
-            Point3::from(config.eye_m),
-            Point3::from(config.target_m),
-            Vector3::from(config.up),
-        );
-        let camera = Camera {
-            intrinsics: config.intrinsics(),
-            camera_in_scene,
-            near_m: NEAR_M,
-            far_m: FAR_M,
-        };
+        let (eye, target) = (Point3::from(config.eye_m), Point3::from(config.target_m));
         Self {
             name: config.name.clone(),
-            camera,
+            intrinsics: config.intrinsics(),
+            camera_in_mount: look_at(eye, target, Vector3::from(config.up)),
+            carrier: config.carrier(),
         }
+    }
+
+    fn camera_in_scene(&self, snapshot: &SceneSnapshot) -> Result<Pose, SimulationError> {
+        let Some(arm) = self.carrier else {
+            return Ok(self.camera_in_mount);
+        };
+        let bodies = snapshot.arms.get(arm).copied().flatten();
+        let bodies = bodies.ok_or_else(|| SimulationError::NoCarrier {
+            camera: self.name.clone(),
+            arm,
+        })?;
+        Ok(bodies.tip * self.camera_in_mount)
     }
 }

@@ -51,9 +51,9 @@ const MASS_BEADS: usize = 400;
 /// Pairs of steps in which an uneven wire is followed from its middle.
 const WIRE_STEPS: u32 = 24;
 /// Segments of the mesh along the arc.
-const MESH_SEGMENTS: u32 = 24;
+const MESH_SEGMENTS: u32 = 56;
 /// Sides of the mesh's tube.
-const MESH_SIDES: u32 = 12;
+const MESH_SIDES: u32 = 10;
 
 impl NeedleShape {
     /// Checks the ranges of a needle read from `source` at the dotted `key`.
@@ -97,7 +97,7 @@ impl NeedleShape {
             .collect()
     }
 
-    /// The tube with its tapered point, in the needle frame: 600 triangles.
+    /// The tube with its tapered point, in the needle frame: 1130 triangles.
     #[must_use]
     pub fn mesh(&self) -> Mesh {
         let mut mesh = Mesh::default();

@@ -1,13 +1,14 @@
 //! The organ surface: a gently rolling patch of back muscle, as a smooth height over the xy-plane.
 
+mod drawn;
+
 use core::f64::consts::TAU;
 
 use hal::config::{ConfigError, Source};
 use nalgebra::{Unit, Vector3};
 use serde::Deserialize;
 
-use crate::needle::{ratio, single};
-use crate::visual::Mesh;
+use crate::needle::ratio;
 
 /// A rectangular patch around the scene's origin whose height is a sum of three waves.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
@@ -22,9 +23,6 @@ pub struct OrganShape {
     /// Longest wavelength, m.
     pub wavelength_m: f64,
 }
-
-/// Cells of the drawn grid along x and y: 2400 triangles.
-const CELLS: [usize; 2] = [40, 30];
 
 /// Cells of the grid that contact physics uses: 216 triangles, less than 0.1 mm from the drawn surface.
 const CONTACT_CELLS: [usize; 2] = [12, 9];
@@ -79,30 +77,6 @@ impl OrganShape {
         x.abs() <= 0.5 * self.length_m && y.abs() <= 0.5 * self.width_m
     }
 
-    /// The patch as 2400 triangles in the scene frame.
-    #[must_use]
-    pub fn mesh(&self) -> Mesh {
-        let mut mesh = Mesh::default();
-        for row in 0..=CELLS[1] {
-            for column in 0..=CELLS[0] {
-                let (x, y) = self.grid_point(CELLS, column, row);
-                mesh.positions
-                    .push(single(Vector3::new(x, y, self.height_m(x, y))));
-                mesh.normals.push(single(self.normal(x, y).into_inner()));
-            }
-        }
-        let [columns, rows] = CELLS.map(|cells| u32::try_from(cells).unwrap_or(0));
-        for row in 0..rows {
-            for column in 0..columns {
-                let here = row * (columns + 1) + column;
-                let above = here + columns + 1;
-                mesh.indices
-                    .extend([here, here + 1, above + 1, here, above + 1, above]);
-            }
-        }
-        mesh
-    }
-
     /// Heights on the grid that contact physics uses, rows along y from its lower end, columns along x.
     pub(crate) fn contact_heights(&self) -> Vec<Vec<f64>> {
         let row_of = |row| {
@@ -135,6 +109,7 @@ impl OrganShape {
 #[cfg(test)]
 pub(crate) mod tests {
     use super::*;
+    use crate::visual::Mesh;
 
     pub(crate) const BACK_MUSCLE: OrganShape = OrganShape {
         length_m: 0.12,
@@ -161,16 +136,54 @@ pub(crate) mod tests {
         }
     }
 
+    /// The corners of all triangles, and whether each lies inside of the rim: its corners on the surface of physics.
+    fn triangles(mesh: &Mesh) -> Vec<([Vector3<f64>; 3], bool)> {
+        let at = |index: u32| Vector3::from(mesh.positions[index as usize].map(f64::from));
+        let on_surface = |p: &Vector3<f64>| (BACK_MUSCLE.height_m(p.x, p.y) - p.z).abs() < 1e-7;
+        mesh.indices
+            .chunks_exact(3)
+            .map(|triangle| [0, 1, 2].map(|k| at(triangle[k])))
+            .map(|corners| (corners, corners.iter().all(on_surface)))
+            .collect()
+    }
+
     #[test]
-    fn mesh_follows_the_surface_and_faces_up() {
-        let mesh = BACK_MUSCLE.mesh();
-        assert!(mesh.indices.len() / 3 <= 2500);
-        for triangle in mesh.indices.chunks_exact(3) {
-            let [a, b, c] = [0, 1, 2]
-                .map(|k| Vector3::from(mesh.positions[triangle[k] as usize].map(f64::from)));
-            assert!((b - a).cross(&(c - a)).z > 0.0);
-            let middle = (a + b + c) / 3.0;
-            assert!((BACK_MUSCLE.height_m(middle.x, middle.y) - middle.z).abs() < 2e-5);
+    fn meshes_follow_the_surface_and_face_up() {
+        for (mesh, least_m2) in [
+            (BACK_MUSCLE.mesh(), 0.0070),
+            (BACK_MUSCLE.lobed_mesh(), 0.0060),
+        ] {
+            let mut drawn_m2 = 0.0;
+            for ([a, b, c], inside) in triangles(&mesh) {
+                let across = (b - a).cross(&(c - a));
+                if inside {
+                    assert!(across.z > 0.0);
+                    drawn_m2 += 0.5 * across.z;
+                    let middle = (a + b + c) / 3.0;
+                    let apart = BACK_MUSCLE.height_m(middle.x, middle.y) - middle.z;
+                    assert!(apart.abs() < 2e-5, "{apart} at {middle}");
+                }
+            }
+            assert!(drawn_m2 > least_m2, "{drawn_m2}");
+            assert!(mesh.indices.len() / 3 <= 8000);
+        }
+    }
+
+    #[test]
+    fn rims_fall_off_outwards_and_normals_face_outside() {
+        for mesh in [BACK_MUSCLE.mesh(), BACK_MUSCLE.lobed_mesh()] {
+            let lowest = mesh.positions.iter().map(|p| p[2]).fold(0.0, f32::min);
+            assert!(lowest < -0.025, "{lowest}");
+            for triangle in mesh.indices.chunks_exact(3) {
+                let [a, b, c] = [0, 1, 2]
+                    .map(|k| Vector3::from(mesh.positions[triangle[k] as usize].map(f64::from)));
+                let across = (b - a).cross(&(c - a));
+                for &index in triangle {
+                    let normal = Vector3::from(mesh.normals[index as usize].map(f64::from));
+                    assert!(normal.dot(&across) > 0.0);
+                    assert!((normal.norm() - 1.0).abs() < 1e-5);
+                }
+            }
         }
     }
 }

@@ -10,6 +10,7 @@ use hal::{Arm, ArmCommand, ArmError, ArmState, CameraFrame, Pose, SafeTail, TICK
 use crate::cameras::{SceneCameras, SceneSnapshot};
 use crate::render::RenderError;
 use crate::task::{ARMS_MAX, Judge, Outcome, Sight, THINGS_MAX, TaskConfig};
+use crate::tissue::{FlapSnapshot, TissueExtremes};
 use crate::world::{Grasp, World};
 
 /// Whether an episode can be looked at.
@@ -30,6 +31,14 @@ pub enum SimulationError {
     /// An image was asked of an episode that runs without cameras.
     #[error("this simulation was made without rendering")]
     RenderingOff,
+    /// A wrist camera was asked for an image of a scene without its arm.
+    #[error("camera {camera} is carried by arm {arm}, which is not there")]
+    NoCarrier {
+        /// The camera.
+        camera: String,
+        /// Its arm, counted from 0.
+        arm: usize,
+    },
     /// There is no such camera.
     #[error("camera {index} of {count}")]
     NoSuchCamera {
@@ -45,11 +54,11 @@ pub enum SimulationError {
 pub struct ArmScene {
     /// Tip (control point) in the RCM frame.
     pub tip_in_rcm: Pose,
-    /// The thing that the task is about, in the RCM frame.
+    /// The thing that the task is about, or the mark on the flap, in the RCM frame.
     pub thing_in_rcm: Pose,
     /// Angle between the jaw fingers, rad.
     pub jaw: f64,
-    /// How the fingers hold the thing.
+    /// How the fingers hold the thing or the flap.
     pub grasp: Grasp,
 }
 
@@ -74,6 +83,7 @@ pub struct Simulation {
     goal: Option<Pose>,
     bases: Vec<Pose>,
     tails: Vec<TailPlayer>,
+    extremes: TissueExtremes,
     cameras: Option<SceneCameras>,
     frames: u64,
     stamp: TimeNs,
@@ -115,7 +125,10 @@ impl Simulation {
         self.cameras
     }
 
-    fn build(task: &TaskConfig, seed: u64, cameras: Option<SceneCameras>) -> Self {
+    fn build(task: &TaskConfig, seed: u64, mut cameras: Option<SceneCameras>) -> Self {
+        if let Some(cameras) = &mut cameras {
+            cameras.begin_episode(task, seed);
+        }
         let scene = task.scene.of_task();
         let mut world = World::new(&task.world, &scene.scenery(&task.world, seed), &task.arms);
         for _ in 0..SETTLE_STEPS {
@@ -127,6 +140,7 @@ impl Simulation {
             goal: scene.goal(seed),
             bases: task.arms.iter().map(|arm| arm.scene_from_rcm).collect(),
             tails: vec![TailPlayer::new(TICK_NS); task.arms.len()],
+            extremes: TissueExtremes::default(),
             cameras,
             frames: 0,
             stamp: TimeNs(0),
@@ -156,6 +170,9 @@ impl Simulation {
             }
         }
         self.world.step();
+        if let Some(tissue) = self.world.tissue() {
+            self.extremes.observe(tissue.report());
+        }
         self.judge.observe(&Sight::of(&self.world));
     }
 
@@ -163,6 +180,12 @@ impl Simulation {
     #[must_use]
     pub const fn outcome(&self) -> Outcome {
         self.judge.outcome()
+    }
+
+    /// What the flap has gone through since the episode began, if there is one.
+    #[must_use]
+    pub fn tissue_extremes(&self) -> Option<TissueExtremes> {
+        self.world.tissue().map(|_| self.extremes)
     }
 
     /// The true state of the scene.
@@ -179,9 +202,9 @@ impl Simulation {
         let base = &self.bases[arm];
         ArmScene {
             tip_in_rcm: base.inv_mul(&self.world.tip_in_scene(arm)),
-            thing_in_rcm: base.inv_mul(&self.world.thing_in_scene(0)),
+            thing_in_rcm: base.inv_mul(&self.world.subject_in_scene()),
             jaw: self.world.measured(arm, self.stamp).jaw_position,
-            grasp: self.world.grasp(arm, 0),
+            grasp: self.world.subject_grasp(arm),
         }
     }
 
@@ -200,6 +223,7 @@ impl Simulation {
             things,
             goal: self.goal.unwrap_or_else(Pose::identity),
             arms,
+            flap: self.world.tissue().map(FlapSnapshot::of),
         }
     }
 
@@ -272,3 +296,5 @@ impl Arm for Simulation {
 mod pictures;
 #[cfg(test)]
 mod tests;
+#[cfg(test)]
+mod wrist;

@@ -26,6 +26,10 @@ pub mod instance {
     pub const PEG: u8 = 10;
     /// The peg that the block belongs on.
     pub const GOAL_PEG: u8 = 11;
+    /// The soft flap.
+    pub const TISSUE: u8 = 12;
+    /// The mark on it.
+    pub const MARK: u8 = 13;
 }
 
 /// A triangle mesh in its own frame, metres; counter-clockwise triangles face outwards.
@@ -50,8 +54,78 @@ pub struct Material {
     pub roughness: f32,
     /// Strength of a thin wet film, 0 to 1.
     pub wetness: f32,
-    /// Amount of procedural colour and normal detail, 0 to 1.
+    /// Amount of the pattern's relief, 0 to 1.
     pub detail: f32,
+    /// What is painted on it.
+    pub pattern: Pattern,
+}
+
+/// What is painted on a surface, and with which relief. It sticks to the surface as it was when it was uploaded.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Pattern {
+    /// One even colour.
+    #[default]
+    Smooth,
+    /// Fine grooves around the object's z axis, of machined metal.
+    Brushed,
+    /// Bundles of fibres along x, with fascia between them and vessels on top.
+    Muscle,
+    /// A smooth capsule over faint lobules.
+    Liver,
+    /// Yellow lobules with vessels in the creases.
+    Fat,
+    /// Creases and pores; silicone that stands for skin, too.
+    Skin,
+    /// A woven drape in soft folds.
+    Cloth,
+}
+
+/// What is behind all things: a floor and, around it, the wall of a cavity. It has no instance id and no depth.
+#[derive(Clone, Copy, Debug)]
+pub struct Backdrop {
+    /// Height of the floor in the scene frame, m.
+    pub floor_m: f64,
+    /// Surface of floor and wall, with a painted pattern.
+    pub material: Material,
+    /// How much of the light that falls on the wall it throws back, compared to the floor.
+    pub walls: f32,
+    /// Linear RGB of what metal mirrors from below: the colour that prevails in the scene.
+    pub bounce: [f32; 3],
+}
+
+impl Backdrop {
+    /// The inside of a body: fat on the floor, a wall that loses itself in the dark.
+    pub const CAVITY: Self = Self {
+        floor_m: -0.022,
+        material: Material {
+            base_colour: [0.55, 0.30, 0.09],
+            metallic: 0.0,
+            roughness: 0.5,
+            wetness: 0.7,
+            detail: 0.8,
+            pattern: Pattern::Fat,
+        },
+        walls: 0.35,
+        bounce: [0.42, 0.10, 0.075],
+    };
+
+    /// A table under a drape, `floor_m` high, in a dark room.
+    #[must_use]
+    pub const fn table(floor_m: f64, bounce: [f32; 3]) -> Self {
+        Self {
+            floor_m,
+            material: Material {
+                base_colour: [0.012, 0.115, 0.125],
+                metallic: 0.0,
+                roughness: 0.8,
+                wetness: 0.0,
+                detail: 0.8,
+                pattern: Pattern::Cloth,
+            },
+            walls: 0.25,
+            bounce,
+        }
+    }
 }
 
 /// One thing to draw.

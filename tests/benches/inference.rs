@@ -11,7 +11,7 @@ use std::error::Error;
 use std::path::Path;
 
 use criterion::Criterion;
-use hal::{ArmState, CameraFrame, Intrinsics, JointVector, Observation, Policy, TimeNs};
+use hal::{ArmState, CameraFrame, Intrinsics, JointVector, Observation, Policy, SeenArm, TimeNs};
 use policy::act::{Act, ActConfig, ActPreset};
 use policy::act_policy::ActPolicy;
 use policy::checkpoint::{
@@ -46,6 +46,7 @@ fn save_untrained(folder: &Path) -> Result<(), Box<dyn Error>> {
     };
     let recipe = Recipe {
         format: RECIPE_FORMAT,
+        arms: 1,
         action_representation: REPRESENTATION.to_owned(),
         step_ns: STEP_NS,
         query_every_steps: 25,
@@ -97,19 +98,21 @@ fn infer(criterion: &mut Criterion, name: &str, folder: &Path) -> Result<(), Box
     let frames = frames(&policy);
     let frames: Vec<_> = frames.iter().map(CameraFrame::as_frame).collect();
     let joints = JointVector::new(0.0, 0.0, hal::psm::HOME_INSERTION_M, 0.0, 0.0, 0.0);
-    let arm = ArmState::at_rest(TimeNs(0), joints, 0.4);
-    let observation = Observation {
-        arm: &arm,
+    let arm = SeenArm {
+        state: ArmState::at_rest(TimeNs(0), joints, 0.4),
         tip_in_rcm: forward(&joints),
+    };
+    let observation = Observation {
+        arms: &[arm],
         frames: &frames,
     };
     let times = support::measure(criterion, &format!("inference/{name}"), RUNS, || {
         let before = clock.now();
-        let chunk = policy.infer(&observation).expect("it answers");
+        let chunks = policy.infer(&observation).expect("it answers");
         let took_ns = clock.now().since(before);
         assert!(
-            !chunk.valid_targets().is_empty(),
-            "the chunk says something"
+            chunks.iter().all(|chunk| !chunk.valid_targets().is_empty()),
+            "the chunks say something"
         );
         took_ns
     });

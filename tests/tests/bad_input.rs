@@ -285,3 +285,25 @@ fn value_of_the_wrong_type_names_line_and_dotted_key() {
         "{message}"
     );
 }
+
+#[test]
+fn checkpoint_for_a_camera_that_the_task_lacks_is_refused() {
+    let (known, strange) = (&b"images.endoscope"[..], &b"images.periscope"[..]);
+    let message = run_with_checkpoint("strange-camera", |folder| {
+        for entry in fs::read_dir(folder).unwrap() {
+            let path = entry.unwrap().path();
+            let mut bytes = fs::read(&path).unwrap();
+            for at in 0..bytes.len().saturating_sub(known.len()) {
+                if bytes[at..].starts_with(known) {
+                    bytes[at..at + known.len()].copy_from_slice(strange);
+                }
+            }
+            fs::write(&path, bytes).unwrap();
+        }
+    });
+    assert!(
+        message.contains("needs camera \"periscope\"")
+            && message.contains("endoscope, side, wrist"),
+        "{message}"
+    );
+}

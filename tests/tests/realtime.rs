@@ -1,10 +1,14 @@
 //! Real-time runs: what they write replays and verifies, and whatever ends them, the arm ends at rest and nothing is left.
 //!
-//! Behaviour is checked here, never the clock: a busy machine makes these runs slower, not wrong.
+//! Behaviour is checked here, never the clock: a busy machine makes these runs slower, not wrong. Runs of two arms are in a
+//! file of their own.
 #![expect(
     clippy::unwrap_used,
     reason = "in a test, a failure to set up is a failure"
 )]
+
+#[path = "realtime/two_arms.rs"]
+mod two_arms;
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -39,10 +43,14 @@ struct Run {
 
 impl Run {
     fn start(test: &str, policy: &str, seed: u64) -> Self {
+        Self::start_task(test, "needle-lift", policy, seed)
+    }
+
+    fn start_task(test: &str, task: &str, policy: &str, seed: u64) -> Self {
         let folder = scratch(test);
         let (log, result) = (folder.join("run.mcap"), folder.join("run.json"));
         let process = trocar(Profile::Debug)
-            .args(["run", "--task", "needle-lift", "--policy", policy])
+            .args(["run", "--task", task, "--policy", policy])
             .args(["--seed", &seed.to_string(), "--log"])
             .arg(&log)
             .arg("--json")
@@ -184,18 +192,20 @@ fn checked_log(path: &Path, result: &serde_json::Value) -> RunLog {
     log
 }
 
-/// The arm was moved, and at the end it was held still.
+/// Every arm was moved, and at the end it was held still.
 fn expect_a_stop(log: &RunLog) {
-    let fastest = log
-        .ticks()
-        .map(|(tick, _)| tick.arms.first.command.velocity.amax())
-        .fold(0.0, f64::max);
-    assert!(fastest > 0.01, "the arm never moved: {fastest}");
     let (last, _) = log.ticks().last().unwrap();
-    let told = last.arms.first.command;
-    assert!(told.enabled, "the arm was let go");
-    assert!(told.velocity.amax() <= 0.0, "{told:?}");
-    assert!(told.jaw_velocity.abs() <= 0.0, "{told:?}");
+    for (arm, last) in last.arms.iter().enumerate() {
+        let fastest = log
+            .ticks()
+            .filter_map(|(tick, _)| Some(tick.arms.get(arm)?.command.velocity.amax()))
+            .fold(0.0, f64::max);
+        assert!(fastest > 0.01, "arm {arm} never moved: {fastest}");
+        let told = last.command;
+        assert!(told.enabled, "arm {arm} was let go");
+        assert!(told.velocity.amax() <= 0.0, "arm {arm}: {told:?}");
+        assert!(told.jaw_velocity.abs() <= 0.0, "arm {arm}: {told:?}");
+    }
 }
 
 #[test]

@@ -30,8 +30,8 @@ pub type ChunkTopic = Topic<crate::Chunk>;
 /// The measured arm, from the control process to the policy process; one topic an arm.
 pub type ArmStateTopic = Topic<ArmReport>;
 
-/// What the policy process should be doing; one topic an arm.
+/// What the policy process should be doing; one topic a process, under the first of its arms.
 pub type RunControlTopic = Topic<RunControl>;
 
-/// How the policy process is doing; one topic an arm.
+/// How the policy process is doing; one topic a process, under the first of its arms.
 pub type PolicyStatusTopic = Topic<PolicyStatus>;

@@ -94,11 +94,11 @@ pub enum ActPreset {
     Small,
 }
 
-/// Numbers in `observation.state` and in one action: six joints or pose numbers, and the jaw.
+/// Numbers of one arm in `observation.state` and in one action: six joints or pose numbers, and the jaw.
 pub const STATE_DIM: i64 = 7;
 
 impl ActConfig {
-    /// The network of `preset` for `cameras`, feature names, with group normalisation since nothing is imported.
+    /// The network of `preset` for one arm and `cameras`, feature names, with group normalisation since nothing is imported.
     #[must_use]
     pub fn preset(preset: ActPreset, cameras: &[String]) -> Self {
         let base = Self::lerobot_defaults(STATE_DIM, STATE_DIM, cameras, 512, 512);
@@ -122,6 +122,19 @@ impl ActConfig {
                 image_width: 256,
                 ..scratch
             },
+        }
+    }
+
+    /// The same network with the inputs and outputs of `arms` arms.
+    #[must_use]
+    pub fn for_arms(self, arms: usize) -> Self {
+        let dim = i64::try_from(arms)
+            .unwrap_or(i64::MAX)
+            .saturating_mul(STATE_DIM);
+        Self {
+            state_dim: dim,
+            action_dim: dim,
+            ..self
         }
     }
 

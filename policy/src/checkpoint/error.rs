@@ -60,13 +60,17 @@ pub enum Cause {
         expected: String,
     },
     /// The policy is for another number of joints.
-    #[error("{feature} has {actual} numbers, the arm needs {expected} (six joints and the jaw)")]
+    #[error(
+        "{feature} has {actual} numbers, expected {expected}: six joints and the jaw of each arm, arms = {arms}"
+    )]
     JointCount {
         /// The feature.
         feature: String,
         /// Numbers in the checkpoint.
         actual: i64,
-        /// Numbers of the arm.
+        /// Arms that the checkpoint is for.
+        arms: usize,
+        /// Numbers of these arms.
         expected: i64,
     },
     /// The configuration cannot be built.

@@ -14,6 +14,7 @@ mod tests;
 use std::collections::BTreeMap;
 use std::path::Path;
 
+use hal::ARM_NAMES;
 use tch::Device;
 
 pub use error::{Cause, CheckpointError};
@@ -24,7 +25,7 @@ pub use recipe::{
 };
 pub use tensors::Precision;
 
-use crate::act::{Act, STATE_DIM, VAE_PREFIX};
+use crate::act::{Act, ActConfig, STATE_DIM, VAE_PREFIX};
 use crate::parameters::ParameterSource;
 use crate::relative_action::REPRESENTATION;
 use tensors::Plain;
@@ -105,19 +106,8 @@ pub fn load(folder: &Path, device: Device) -> Result<Checkpoint, CheckpointError
         .unwrap_or_default();
     let config = config_file::read(&text, variants, cameras.as_deref())
         .map_err(|cause| cause.in_file(&config_path))?;
-    for (feature, actual) in [
-        ("observation.state", config.state_dim),
-        ("action", config.action_dim),
-    ] {
-        if actual != STATE_DIM {
-            let cause = Cause::JointCount {
-                feature: feature.to_owned(),
-                actual,
-                expected: STATE_DIM,
-            };
-            return Err(cause.in_file(&config_path));
-        }
-    }
+    let arms = recipe.as_ref().map_or(1, |recipe| recipe.arms);
+    check_widths(&config, arms).map_err(|cause| cause.in_file(&config_path))?;
     let statistics = processors::read(folder, &config)?;
     let weights_path = folder.join(WEIGHTS);
     let in_weights = |cause: Cause| cause.in_file(&weights_path);
@@ -138,6 +128,27 @@ pub fn load(folder: &Path, device: Device) -> Result<Checkpoint, CheckpointError
         statistics,
         recipe,
     })
+}
+
+/// The network must have the inputs and outputs of so many arms.
+fn check_widths(config: &ActConfig, arms: usize) -> Result<(), Cause> {
+    let expected = i64::try_from(arms)
+        .unwrap_or(i64::MAX)
+        .saturating_mul(STATE_DIM);
+    for (feature, actual) in [
+        ("observation.state", config.state_dim),
+        ("action", config.action_dim),
+    ] {
+        if actual != expected {
+            return Err(Cause::JointCount {
+                feature: feature.to_owned(),
+                actual,
+                arms,
+                expected,
+            });
+        }
+    }
+    Ok(())
 }
 
 /// The recipe in `folder`; none if there is no `trocar.json`.
@@ -174,6 +185,10 @@ pub fn load_recipe(folder: &Path) -> Result<Option<Recipe>, CheckpointError> {
             recipe.action_representation,
             REPRESENTATION.to_owned(),
         );
+    }
+    if !(1..=ARM_NAMES.len()).contains(&recipe.arms) {
+        let allowed = format!("1 to {}", ARM_NAMES.len());
+        return unsupported("arms", recipe.arms.to_string(), allowed);
     }
     if recipe.step_ns == 0 {
         return unsupported("step_ns", "0".to_owned(), "a positive time".to_owned());

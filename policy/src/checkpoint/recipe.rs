@@ -78,12 +78,20 @@ impl AggregationName {
     }
 }
 
+/// Files from before there could be two do not say it.
+const fn one_arm() -> usize {
+    1
+}
+
 /// The whole file.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Recipe {
     /// [`RECIPE_FORMAT`].
     pub format: u32,
+    /// How many arms the network sees and commands.
+    #[serde(default = "one_arm")]
+    pub arms: usize,
     /// What the network's actions mean: [`crate::relative_action::REPRESENTATION`].
     pub action_representation: String,
     /// Time between two steps of a chunk, ns.

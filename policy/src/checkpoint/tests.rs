@@ -3,7 +3,10 @@
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use hal::{ArmState, CameraFrame, Intrinsics, JointVector, Observation, Policy, Pose, TimeNs};
+use hal::{
+    ArmState, CameraFrame, Intrinsics, JointVector, Observation, Policy, PolicyError, Pose,
+    SeenArm, TimeNs,
+};
 use tch::Device;
 
 use super::{
@@ -52,9 +55,18 @@ fn statistics() -> FeatureStatistics {
     }
 }
 
+/// An arm at rest at `jaw`, 10 cm down.
+fn arm(jaw: f64) -> SeenArm {
+    SeenArm {
+        state: ArmState::at_rest(TimeNs(7), JointVector::zeros(), jaw),
+        tip_in_rcm: Pose::translation(0.0, 0.0, -0.1),
+    }
+}
+
 fn recipe(config: &ActConfig) -> Recipe {
     Recipe {
         format: super::RECIPE_FORMAT,
+        arms: 1,
         action_representation: crate::relative_action::REPRESENTATION.to_owned(),
         step_ns: 40_000_000,
         query_every_steps: 5,
@@ -109,19 +121,18 @@ fn frame() -> CameraFrame {
 #[test]
 fn a_policy_answers_the_same_after_a_second_loading() {
     let folder = saved("again", SaveOptions::default());
-    let arm = ArmState::at_rest(TimeNs(7), JointVector::zeros(), 0.2);
     let frame = frame();
     let frames = [frame.as_frame()];
     let observation = Observation {
-        arm: &arm,
-        tip_in_rcm: Pose::translation(0.0, 0.0, -0.1),
+        arms: &[arm(0.2)],
         frames: &frames,
     };
     let answer = || {
-        ActPolicy::load(&folder, Device::Cpu)
-            .unwrap()
-            .infer(&observation)
-            .unwrap()
+        let mut policy = ActPolicy::load(&folder, Device::Cpu).unwrap();
+        let [chunk] = policy.infer(&observation).unwrap()[..] else {
+            panic!("one arm, one chunk");
+        };
+        chunk
     };
     let (first, second) = (answer(), answer());
     assert_eq!(first, second);
@@ -166,22 +177,19 @@ fn half_precision_without_the_variational_encoder_is_close() {
 fn frames_of_another_size_or_number_are_refused() {
     let folder = saved("frames", SaveOptions::default());
     let mut policy = ActPolicy::load(&folder, Device::Cpu).unwrap();
-    let arm = ArmState::at_rest(TimeNs(0), JointVector::zeros(), 0.0);
+    let arms = [arm(0.0)];
     let small = CameraFrame::blank(Intrinsics::from_vertical_fov(64, 64, 1.0));
     let frames = [small.as_frame()];
-    let tip_in_rcm = Pose::identity();
     let size = policy
         .infer(&Observation {
-            arm: &arm,
-            tip_in_rcm,
+            arms: &arms,
             frames: &frames,
         })
         .unwrap_err();
     assert!(size.to_string().contains("expects 128x128"), "{size}");
     let count = policy
         .infer(&Observation {
-            arm: &arm,
-            tip_in_rcm,
+            arms: &arms,
             frames: &[],
         })
         .unwrap_err();
@@ -291,6 +299,115 @@ fn another_number_of_joints_is_refused() {
             }
         ),
         "{error}"
+    );
+}
+
+/// A policy of two arms. Its second arm's actions are a hundred times the first's.
+fn saved_for_two(name: &str) -> PathBuf {
+    let folder = folder(name);
+    let config = config().for_arms(2);
+    let act = Act::new(config.clone(), ParameterSource::seeded(3, Device::Cpu)).unwrap();
+    let one = statistics();
+    let far = Statistics {
+        std: vec![0.2; 7],
+        ..one.action.clone()
+    };
+    let statistics = FeatureStatistics {
+        state: Statistics::joined(&[one.state.clone(), one.state]),
+        action: Statistics::joined(&[one.action, far]),
+    };
+    let recipe = Recipe {
+        arms: 2,
+        ..recipe(&config)
+    };
+    save(&folder, &act, &statistics, &recipe, SaveOptions::default()).unwrap();
+    folder
+}
+
+#[test]
+fn a_policy_of_two_arms_answers_with_a_chunk_for_each() {
+    let folder = saved_for_two("two-arms");
+    let config: serde_json::Value =
+        serde_json::from_slice(&fs::read(folder.join("config.json")).unwrap()).unwrap();
+    for (side, feature) in [
+        ("input_features", "observation.state"),
+        ("output_features", "action"),
+    ] {
+        assert_eq!(config[side][feature]["shape"], serde_json::json!([14]));
+    }
+    let mut policy = ActPolicy::load(&folder, Device::Cpu).unwrap();
+    assert_eq!(policy.recipe().arms, 2);
+    let frame = frame();
+    let frames = [frame.as_frame()];
+    let far = SeenArm {
+        tip_in_rcm: Pose::translation(0.0, 0.0, -0.2),
+        ..arm(0.3)
+    };
+    let ask = |arms: &[SeenArm], policy: &mut ActPolicy| {
+        policy.infer(&Observation {
+            arms,
+            frames: &frames,
+        })
+    };
+    let chunks = ask(&[arm(0.2), far], &mut policy).unwrap();
+    assert_eq!(chunks.len(), 2);
+    for chunk in &chunks {
+        assert_eq!(
+            (chunk.observed_at, chunk.sequence, chunk.len),
+            (TimeNs(7), 1, 5)
+        );
+    }
+    let worst = |index: usize, z: f64| {
+        let targets = chunks[index].valid_targets().iter();
+        targets.fold(0.0_f64, |worst, target| {
+            worst.max((target.position_m[2] - z).abs())
+        })
+    };
+    let worst = [worst(0, -0.1), worst(1, -0.2)];
+    assert!(worst[0] < 0.02 && worst[1] > worst[0], "{worst:?}");
+    // What the second arm measures goes in as well.
+    let again = ask(&[arm(0.2), arm(-0.3)], &mut policy).unwrap();
+    assert_eq!(again[0].sequence, 2);
+    assert_ne!(again[0].targets, chunks[0].targets);
+
+    for arms in [&[][..], &[arm(0.2)], &[arm(0.2); 3]] {
+        let error = ask(arms, &mut policy).unwrap_err();
+        assert!(
+            matches!(error, PolicyError::ArmCount { expected: 2, actual } if actual == arms.len()),
+            "{error}"
+        );
+    }
+}
+
+#[test]
+fn a_recipe_says_for_how_many_arms_and_the_network_must_agree() {
+    // Those from before there could be two do not say it.
+    let folder = saved("arms", SaveOptions::default());
+    edit(&folder, "trocar.json", "\"arms\": 1,", "");
+    let old = load(&folder, Device::Cpu).unwrap();
+    assert_eq!(old.recipe.unwrap().arms, 1);
+
+    for (arms, expected) in [
+        ("2", "observation.state has 7 numbers, expected 14"),
+        ("0", "arms = 0 is not supported, expected 1 to 2"),
+        ("3", "arms = 3 is not supported, expected 1 to 2"),
+    ] {
+        let folder = saved("arms", SaveOptions::default());
+        edit(
+            &folder,
+            "trocar.json",
+            "\"arms\": 1",
+            &format!("\"arms\": {arms}"),
+        );
+        let message = refused(&folder).to_string();
+        assert!(message.contains(expected), "{message}");
+    }
+    let folder = saved_for_two("arms-two");
+    edit(&folder, "trocar.json", "\"arms\": 2", "\"arms\": 1");
+    let message = refused(&folder).to_string();
+    assert!(
+        message.contains("observation.state has 14 numbers, expected 7"),
+        "{message}"
     );
 }
 

@@ -9,15 +9,17 @@ use arrow_array::{
 use arrow_schema::DataType;
 
 use super::{
-    ACTION_WIDTH, STATE_WIDTH, TIP_POSE_WIDTH,
+    ACTION_WIDTH, ArmFrame, DatasetSpec, STATE_WIDTH, TIP_POSE_WIDTH,
     meta::EpisodeRow,
     schema::{self, INDICES},
     stats::ImageStats,
 };
 
-/// The episode in progress.
+/// The episode in progress. The numbers of a frame are as many rows as there are arms.
 #[derive(Debug)]
 pub(super) struct Pending {
+    arms: usize,
+    frames: usize,
     pub(super) state: Vec<[f32; STATE_WIDTH]>,
     pub(super) tip_pose: Vec<[f64; TIP_POSE_WIDTH]>,
     pub(super) action: Vec<[f32; ACTION_WIDTH]>,
@@ -27,14 +29,45 @@ pub(super) struct Pending {
 }
 
 impl Pending {
-    pub(super) fn new(camera_count: usize) -> Self {
+    pub(super) fn new(spec: &DatasetSpec) -> Self {
+        let camera_count = spec.cameras.len();
         Self {
+            arms: spec.arms,
+            frames: 0,
             state: Vec::new(),
             tip_pose: Vec::new(),
             action: Vec::new(),
             images: vec![Vec::new(); camera_count],
             image_stats: vec![ImageStats::new(); camera_count],
         }
+    }
+
+    pub(super) const fn frame_count(&self) -> usize {
+        self.frames
+    }
+
+    /// Adds the numbers of a frame.
+    pub(super) fn push(&mut self, arms: &[ArmFrame]) {
+        self.frames += 1;
+        for arm in arms {
+            #[expect(
+                clippy::cast_possible_truncation,
+                reason = "documented: actions are stored as f32"
+            )]
+            let action = arm.action.map(|value| value as f32);
+            self.state.push(arm.state);
+            self.tip_pose.push(arm.tip_pose);
+            self.action.push(action);
+        }
+    }
+
+    /// The values of each frame in one of the vectors, all arms' one after another.
+    pub(super) fn frame_rows<T: Copy + Into<f64>, const N: usize>(
+        &self,
+        rows: &[[T; N]],
+    ) -> impl Iterator<Item = impl Iterator<Item = f64>> {
+        let frames = rows.chunks_exact(self.arms.max(1));
+        frames.map(|frame| frame.as_flattened().iter().map(|&value| value.into()))
     }
 }
 
@@ -45,23 +78,25 @@ pub(super) fn columns(
     frames: Range<usize>,
     fps: u32,
 ) -> Vec<ArrayRef> {
-    let state = pending.state[frames.clone()].as_flattened().to_vec();
-    let tip_pose = pending.tip_pose[frames.clone()].as_flattened().to_vec();
-    let action = pending.action[frames.clone()].as_flattened().to_vec();
+    let arms = pending.arms;
+    let rows = arms * frames.start..arms * frames.end;
+    let state = pending.state[rows.clone()].as_flattened().to_vec();
+    let tip_pose = pending.tip_pose[rows.clone()].as_flattened().to_vec();
+    let action = pending.action[rows].as_flattened().to_vec();
     let mut columns = vec![
         vectors(
             DataType::Float32,
-            STATE_WIDTH,
+            arms * STATE_WIDTH,
             Arc::new(Float32Array::from(state)),
         ),
         vectors(
             DataType::Float64,
-            TIP_POSE_WIDTH,
+            arms * TIP_POSE_WIDTH,
             Arc::new(Float64Array::from(tip_pose)),
         ),
         vectors(
             DataType::Float32,
-            ACTION_WIDTH,
+            arms * ACTION_WIDTH,
             Arc::new(Float32Array::from(action)),
         ),
     ];
@@ -89,7 +124,7 @@ fn vectors(data_type: DataType, width: usize, values: ArrayRef) -> ArrayRef {
     #[expect(
         clippy::cast_possible_truncation,
         clippy::cast_possible_wrap,
-        reason = "widths are single digits"
+        reason = "widths have two digits at most"
     )]
     let width = width as i32;
     Arc::new(FixedSizeListArray::new(

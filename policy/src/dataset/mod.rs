@@ -8,15 +8,20 @@
 //! data/chunk-000/file-000.parquet             one row a frame, images as PNG bytes
 //! ```
 //!
+//! Of two arms, each vector has the first arm's numbers and then the second's, and every name in it begins with its arm's
+//! (`psm1_yaw`); a single arm's names stand alone. Poses are in each arm's own RCM frame.
+//!
 //! [`DatasetWriter`] records, [`Dataset`] reads. A recording that is cut off loses the episode in progress and nothing
 //! else. Every file is replaced by renaming, never written in place.
 
+mod check;
 mod episode;
 mod error;
 mod meta;
 mod png;
 mod reader;
 mod schema;
+mod spec;
 mod stats;
 mod store;
 mod table;
@@ -29,11 +34,11 @@ pub use png::{decode_rgb, encode_rgb};
 pub use reader::Dataset;
 pub use writer::{DatasetWriter, Totals};
 
-/// Numbers in `observation.state`: six joint positions (rad, insertion m) and the jaw angle (rad).
+/// Numbers of one arm in `observation.state`: six joint positions (rad, insertion m) and the jaw angle (rad).
 pub const STATE_WIDTH: usize = 7;
-/// Numbers in `observation.tip_pose`: x, y, z (m) and a unit quaternion x, y, z, w, in the RCM frame.
+/// Numbers of one arm in `observation.tip_pose`: x, y, z (m) and a unit quaternion x, y, z, w, in the RCM frame.
 pub const TIP_POSE_WIDTH: usize = 7;
-/// Numbers in `action`: the commanded tip pose as in [`TIP_POSE_WIDTH`], then the jaw angle (rad).
+/// Numbers of one arm in `action`: the commanded tip pose as in [`TIP_POSE_WIDTH`], then the jaw angle (rad).
 pub const ACTION_WIDTH: usize = 8;
 
 /// What a dataset is of.
@@ -43,6 +48,8 @@ pub struct DatasetSpec {
     pub fps: u32,
     /// The robot's name.
     pub robot_type: String,
+    /// How many arms it has, one or two.
+    pub arms: usize,
     /// What every episode shows, in words.
     pub task: String,
     /// The cameras, in the order in which frames bring their images.
@@ -68,9 +75,9 @@ impl CameraSpec {
     }
 }
 
-/// What happened in one frame: an observation and the command given for it.
-#[derive(Clone, Copy, Debug)]
-pub struct FrameRecord<'a> {
+/// One arm in one frame: what was observed and the command given for it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ArmFrame {
     /// Measured joint positions (rad, insertion m) and jaw angle (rad); stored as `f32`.
     pub state: [f32; STATE_WIDTH],
     /// Measured tip pose in the RCM frame, see [`TIP_POSE_WIDTH`]; stored as `f64`.
@@ -78,6 +85,13 @@ pub struct FrameRecord<'a> {
     /// Commanded tip pose in the RCM frame and jaw, see [`ACTION_WIDTH`]; stored as `f32`, so positions within 0.25 m
     /// are rounded by at most 8 nm.
     pub action: [f64; ACTION_WIDTH],
+}
+
+/// What happened in one frame.
+#[derive(Clone, Copy, Debug)]
+pub struct FrameRecord<'a> {
+    /// The arms in their order, as many as [`DatasetSpec::arms`].
+    pub arms: &'a [ArmFrame],
     /// One RGB image a camera, 8 bit, row-major, in the order of [`DatasetSpec::cameras`].
     pub images: &'a [&'a [u8]],
 }

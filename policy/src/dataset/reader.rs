@@ -1,6 +1,6 @@
 //! Reading: numbers are loaded at once, images one by one when asked for.
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use image::RgbImage;
 
@@ -8,7 +8,8 @@ use super::{
     ACTION_WIDTH, CameraSpec, DatasetError, DatasetSpec, Episode, STATE_WIDTH, TIP_POSE_WIDTH,
     meta::{self, EpisodeRow},
     png::decode_rgb,
-    schema::{ACTION, EPISODE_INDEX, Feature, IMAGE_PREFIX, Info, STATE, TIP_POSE, image_feature},
+    schema::{ACTION, EPISODE_INDEX, STATE, TIP_POSE, image_feature},
+    spec::{mismatch, read_spec},
     table::Table,
 };
 
@@ -22,7 +23,7 @@ pub struct Dataset {
     tables: Vec<Table>,
 }
 
-/// The numbers of some frames.
+/// The numbers of some frames; a vector has as many rows a frame as there are arms.
 #[derive(Debug, Default)]
 struct Rows {
     state: Vec<[f64; STATE_WIDTH]>,
@@ -120,23 +121,34 @@ impl Dataset {
         &self.camera_names
     }
 
-    /// Measured joint positions (rad, insertion m) and jaw (rad) of a frame below [`len`](Self::len).
+    /// How many arms each frame has; elsewhere an arm is a number below it.
+    #[must_use]
+    pub const fn arms(&self) -> usize {
+        self.spec.arms
+    }
+
+    /// Measured joint positions (rad, insertion m) and jaw (rad) of an arm in a frame below [`len`](Self::len).
     #[must_use]
     #[expect(clippy::cast_possible_truncation, reason = "the column is f32")]
-    pub fn state(&self, frame: usize) -> [f32; STATE_WIDTH] {
-        self.rows.state[frame].map(|value| value as f32)
+    pub fn state(&self, frame: usize, arm: usize) -> [f32; STATE_WIDTH] {
+        self.rows.state[self.row(frame, arm)].map(|value| value as f32)
     }
 
-    /// Measured tip pose of a frame in the RCM frame: x, y, z (m), quaternion x, y, z, w.
+    /// Measured tip pose of an arm in its RCM frame: x, y, z (m), quaternion x, y, z, w.
     #[must_use]
-    pub fn tip_pose(&self, frame: usize) -> [f64; TIP_POSE_WIDTH] {
-        self.rows.tip_pose[frame]
+    pub fn tip_pose(&self, frame: usize, arm: usize) -> [f64; TIP_POSE_WIDTH] {
+        self.rows.tip_pose[self.row(frame, arm)]
     }
 
-    /// Commanded tip pose of a frame in the RCM frame and jaw (rad), with the precision of `f32`.
+    /// Commanded tip pose of an arm in its RCM frame and jaw (rad), with the precision of `f32`.
     #[must_use]
-    pub fn action(&self, frame: usize) -> [f64; ACTION_WIDTH] {
-        self.rows.action[frame]
+    pub fn action(&self, frame: usize, arm: usize) -> [f64; ACTION_WIDTH] {
+        self.rows.action[self.row(frame, arm)]
+    }
+
+    const fn row(&self, frame: usize, arm: usize) -> usize {
+        assert!(arm < self.spec.arms, "no such arm");
+        frame * self.spec.arms + arm
     }
 
     /// The encoded image of a frame; read from disk now.
@@ -189,7 +201,7 @@ impl Dataset {
             for name in &self.camera_names {
                 table.require(&image_feature(name))?;
             }
-            let file = FileRows::read(&table)?;
+            let file = FileRows::read(&table, self.spec.arms)?;
             let mut row = 0_usize;
             for listed in episodes {
                 let rows = row..row.saturating_add(listed.len);
@@ -211,6 +223,7 @@ impl Dataset {
 
 /// The numbers of one data file.
 struct FileRows {
+    arms: usize,
     state: Vec<[f64; STATE_WIDTH]>,
     tip_pose: Vec<[f64; TIP_POSE_WIDTH]>,
     action: Vec<[f64; ACTION_WIDTH]>,
@@ -218,20 +231,22 @@ struct FileRows {
 }
 
 impl FileRows {
-    fn read(table: &Table) -> Result<Self, DatasetError> {
+    fn read(table: &Table, arms: usize) -> Result<Self, DatasetError> {
         Ok(Self {
-            state: table.vectors(STATE)?,
-            tip_pose: table.vectors(TIP_POSE)?,
-            action: table.vectors(ACTION)?,
+            arms,
+            state: table.vectors(STATE, arms)?,
+            tip_pose: table.vectors(TIP_POSE, arms)?,
+            action: table.vectors(ACTION, arms)?,
             episode_index: table.integers(EPISODE_INDEX)?,
         })
     }
 
     fn append(&self, rows: &mut Rows, table: usize, range: std::ops::Range<usize>) {
-        rows.state.extend_from_slice(&self.state[range.clone()]);
+        let of_arms = self.arms * range.start..self.arms * range.end;
+        rows.state.extend_from_slice(&self.state[of_arms.clone()]);
         rows.tip_pose
-            .extend_from_slice(&self.tip_pose[range.clone()]);
-        rows.action.extend_from_slice(&self.action[range.clone()]);
+            .extend_from_slice(&self.tip_pose[of_arms.clone()]);
+        rows.action.extend_from_slice(&self.action[of_arms]);
         rows.place.extend(range.map(|row| Place { table, row }));
     }
 }
@@ -266,87 +281,4 @@ fn check_episode(
         return Err(table.mismatch(&what, found, format!("at least one, from frame {next}")));
     }
     Ok(())
-}
-
-fn read_spec(dir: &Path, info: &Info) -> Result<DatasetSpec, DatasetError> {
-    let path = meta::info_path(dir);
-    for (name, width) in [
-        (STATE, STATE_WIDTH),
-        (TIP_POSE, TIP_POSE_WIDTH),
-        (ACTION, ACTION_WIDTH),
-    ] {
-        let feature = info.features.iter().find(|(other, _)| other == name);
-        let Some((_, feature)) = feature else {
-            return Err(DatasetError::Missing {
-                path,
-                name: format!("feature {name}"),
-            });
-        };
-        if feature.shape != [width] {
-            return Err(mismatch(
-                path,
-                &format!("the shape of {name}"),
-                format!("{:?}", feature.shape),
-                width,
-            ));
-        }
-    }
-    if info.fps == 0 {
-        return Err(mismatch(path, "fps", 0, "at least 1"));
-    }
-    let mut cameras = Vec::new();
-    for (name, feature) in &info.features {
-        if let Some(camera) = name.strip_prefix(IMAGE_PREFIX) {
-            cameras.push(camera_spec(&path, camera, feature)?);
-        }
-    }
-    Ok(DatasetSpec {
-        fps: info.fps,
-        robot_type: info.robot_type.clone().unwrap_or_default(),
-        task: meta::read_task(dir)?,
-        cameras,
-    })
-}
-
-fn camera_spec(path: &Path, name: &str, feature: &Feature) -> Result<CameraSpec, DatasetError> {
-    if feature.dtype != "image" {
-        let what = format!("the type of {IMAGE_PREFIX}{name}");
-        return Err(mismatch(
-            path.to_owned(),
-            &what,
-            &feature.dtype,
-            "image: PNG in the data files",
-        ));
-    }
-    let pixels = |value: usize| u32::try_from(value).ok().filter(|&value| value > 0);
-    if let [height, width, 3] = feature.shape[..]
-        && let (Some(height), Some(width)) = (pixels(height), pixels(width))
-    {
-        return Ok(CameraSpec {
-            name: name.to_owned(),
-            width,
-            height,
-        });
-    }
-    let what = format!("the shape of {IMAGE_PREFIX}{name}");
-    Err(mismatch(
-        path.to_owned(),
-        &what,
-        format!("{:?}", feature.shape),
-        "[height, width, 3]",
-    ))
-}
-
-fn mismatch(
-    path: PathBuf,
-    what: &str,
-    found: impl ToString,
-    expected: impl ToString,
-) -> DatasetError {
-    DatasetError::Mismatch {
-        path,
-        what: what.to_owned(),
-        found: found.to_string(),
-        expected: expected.to_string(),
-    }
 }

@@ -3,7 +3,7 @@
 use std::{collections::BTreeMap, sync::Arc};
 
 use arrow_schema::{DataType, Field, Schema};
-use hal::joints::JOINT_NAMES;
+use hal::{ARM_NAMES, joints::JOINT_NAMES};
 use serde::{
     Deserialize, Deserializer, Serialize, Serializer,
     de::{MapAccess, Visitor},
@@ -69,22 +69,30 @@ pub(super) fn image_feature(camera: &str) -> String {
     format!("{IMAGE_PREFIX}{camera}")
 }
 
+/// The names in a vector of `arms` arms, from those of one: of several, each begins with its arm's, as in LeRobot's bimanual
+/// datasets.
+fn of_arms(arms: usize, names: &[&str]) -> Vec<String> {
+    if arms == 1 {
+        return names.iter().map(|&name| name.to_owned()).collect();
+    }
+    let mut all = Vec::with_capacity(arms * names.len());
+    for arm in ARM_NAMES.iter().take(arms) {
+        all.extend(names.iter().map(|name| format!("{arm}_{name}")));
+    }
+    all
+}
+
 /// Every feature of a dataset, in column order.
 pub(super) fn features(spec: &DatasetSpec) -> Vec<(String, Feature)> {
-    let with_jaw = |names: &[&str]| json!([names, &["jaw"]].concat());
+    let vector = |dtype: &str, names: &[&str]| {
+        let names = of_arms(spec.arms, names);
+        Feature::new(dtype, &[names.len()], json!(names))
+    };
+    let with_jaw = |names: &[&'static str]| [names, &["jaw"]].concat();
     let mut features = vec![
-        (
-            STATE.to_owned(),
-            Feature::new("float32", &[STATE_WIDTH], with_jaw(&JOINT_NAMES)),
-        ),
-        (
-            TIP_POSE.to_owned(),
-            Feature::new("float64", &[TIP_POSE_WIDTH], json!(POSE_NAMES)),
-        ),
-        (
-            ACTION.to_owned(),
-            Feature::new("float32", &[ACTION_WIDTH], with_jaw(&POSE_NAMES)),
-        ),
+        (STATE.to_owned(), vector("float32", &with_jaw(&JOINT_NAMES))),
+        (TIP_POSE.to_owned(), vector("float64", &POSE_NAMES)),
+        (ACTION.to_owned(), vector("float32", &with_jaw(&POSE_NAMES))),
     ];
     for CameraSpec {
         name,
@@ -111,9 +119,9 @@ pub(super) fn features(spec: &DatasetSpec) -> Vec<(String, Feature)> {
 /// Schema of the data files.
 pub(super) fn data_schema(spec: &DatasetSpec) -> Schema {
     let mut fields = vec![
-        vector_field(STATE, DataType::Float32, STATE_WIDTH),
-        vector_field(TIP_POSE, DataType::Float64, TIP_POSE_WIDTH),
-        vector_field(ACTION, DataType::Float32, ACTION_WIDTH),
+        vector_field(STATE, DataType::Float32, spec.arms * STATE_WIDTH),
+        vector_field(TIP_POSE, DataType::Float64, spec.arms * TIP_POSE_WIDTH),
+        vector_field(ACTION, DataType::Float32, spec.arms * ACTION_WIDTH),
     ];
     for camera in &spec.cameras {
         fields.push(Field::new(
@@ -192,7 +200,7 @@ fn vector_field(name: &str, data_type: DataType, width: usize) -> Field {
     #[expect(
         clippy::cast_possible_truncation,
         clippy::cast_possible_wrap,
-        reason = "widths are single digits"
+        reason = "widths have two digits at most"
     )]
     let width = width as i32;
     Field::new(name, DataType::FixedSizeList(item(data_type), width), true)

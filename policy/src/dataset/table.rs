@@ -77,17 +77,18 @@ impl Table {
         Ok(values)
     }
 
-    /// Rows of a vector column of `f32` or `f64`.
+    /// Rows of a vector column of `f32` or `f64`, each as `parts` parts of `N` numbers.
     pub(super) fn vectors<const N: usize>(
         &self,
         name: &str,
+        parts: usize,
     ) -> Result<Vec<[f64; N]>, DatasetError> {
         let mut rows = Vec::new();
         for column in self.column(name)? {
             let lists = self.cast::<FixedSizeListArray>(&column, name, "a list of fixed size")?;
-            if usize::try_from(lists.value_length()) != Ok(N) {
+            if usize::try_from(lists.value_length()) != Ok(parts * N) {
                 let found = format!("{} numbers wide", lists.value_length());
-                return Err(self.mismatch(name, found, format!("{N}")));
+                return Err(self.mismatch(name, found, format!("{}", parts * N)));
             }
             let values = lists.values();
             let values: Vec<f64> =

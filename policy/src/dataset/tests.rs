@@ -7,8 +7,8 @@ use std::{
 };
 
 use super::{
-    CameraSpec, Dataset, DatasetError, DatasetSpec, DatasetWriter, FrameRecord, Totals, meta,
-    schema,
+    ArmFrame, CameraSpec, Dataset, DatasetError, DatasetSpec, DatasetWriter, FrameRecord, Totals,
+    meta, schema,
 };
 
 /// A folder of its own for one test, removed at the end.
@@ -40,6 +40,7 @@ fn spec() -> DatasetSpec {
     DatasetSpec {
         fps: 25,
         robot_type: "psm".to_owned(),
+        arms: 1,
         task: "Lift the needle".to_owned(),
         // Not in alphabetical order: the order of the specification has to survive.
         cameras: vec![camera("scope", 24, 16), camera("overview", 8, 12)],
@@ -70,7 +71,31 @@ fn image(frame: usize, size: usize) -> Vec<u8> {
         .collect()
 }
 
+/// Numbers of an arm; those of the second are others.
+fn arm(frame: usize, arm: usize) -> ArmFrame {
+    let salted = |salt: f64| if arm == 0 { salt } else { -salt };
+    ArmFrame {
+        state: narrow(numbers(frame, salted(0.5))),
+        tip_pose: numbers(frame, salted(0.05)),
+        action: numbers(frame, salted(0.06)),
+    }
+}
+
+const STILL: ArmFrame = ArmFrame {
+    state: [0.0; 7],
+    tip_pose: [0.0; 7],
+    action: [0.0; 8],
+};
+
 fn push(writer: &mut DatasetWriter, frame: usize) -> Result<(), DatasetError> {
+    push_arms(writer, frame, &[arm(frame, 0)])
+}
+
+fn push_arms(
+    writer: &mut DatasetWriter,
+    frame: usize,
+    arms: &[ArmFrame],
+) -> Result<(), DatasetError> {
     let images: Vec<Vec<u8>> = spec()
         .cameras
         .iter()
@@ -78,9 +103,7 @@ fn push(writer: &mut DatasetWriter, frame: usize) -> Result<(), DatasetError> {
         .collect();
     let images: Vec<&[u8]> = images.iter().map(Vec::as_slice).collect();
     writer.push_frame(&FrameRecord {
-        state: narrow(numbers(frame, 0.5)),
-        tip_pose: numbers(frame, 0.05),
-        action: numbers(frame, 0.06),
+        arms,
         images: &images,
     })
 }
@@ -136,10 +159,10 @@ fn everything_written_is_read_back() {
     assert_eq!(starts, [(0, 0, 5), (1, 5, 130), (2, 135, 3)]);
     for frame in 0..dataset.len() {
         let state = narrow(numbers(frame, 0.5)).map(f32::to_bits);
-        assert_eq!(dataset.state(frame).map(f32::to_bits), state);
-        assert_eq!(bits(dataset.tip_pose(frame)), bits(numbers(frame, 0.05)));
+        assert_eq!(dataset.state(frame, 0).map(f32::to_bits), state);
+        assert_eq!(bits(dataset.tip_pose(frame, 0)), bits(numbers(frame, 0.05)));
         let action = narrow(numbers(frame, 0.06)).map(f64::from);
-        assert_eq!(bits(dataset.action(frame)), bits(action));
+        assert_eq!(bits(dataset.action(frame, 0)), bits(action));
         for (camera, spec) in spec().cameras.iter().enumerate() {
             let rgb = dataset.image_rgb(frame, camera).unwrap();
             assert_eq!(rgb.dimensions(), (spec.width, spec.height));
@@ -205,7 +228,7 @@ fn discarded_episode_leaves_no_trace() {
     writer.finish().unwrap();
     let dataset = Dataset::open(&folder.0).unwrap();
     assert_eq!(dataset.len(), 1);
-    assert_eq!(bits(dataset.tip_pose(0)), bits(numbers(1, 0.05)));
+    assert_eq!(bits(dataset.tip_pose(0, 0)), bits(numbers(1, 0.05)));
     let stats: serde_json::Value =
         serde_json::from_slice(&fs::read(meta::stats_path(&folder.0)).unwrap()).unwrap();
     assert_eq!(stats[schema::TIP_POSE]["count"], serde_json::json!([1]));
@@ -232,9 +255,7 @@ fn writer_refuses_what_does_not_fit() {
     let folder = Folder::new("refuse");
     let mut writer = DatasetWriter::create(&folder.0, &spec()).unwrap();
     let frame = FrameRecord {
-        state: [0.0; 7],
-        tip_pose: [0.0; 7],
-        action: [0.0; 8],
+        arms: &[STILL],
         images: &[],
     };
     let message = writer.push_frame(&frame).unwrap_err().to_string();
@@ -253,7 +274,10 @@ fn writer_refuses_what_does_not_fit() {
     let mut action = [0.0; 8];
     action[7] = f64::NAN;
     let message = writer
-        .push_frame(&FrameRecord { action, ..frame })
+        .push_frame(&FrameRecord {
+            arms: &[ArmFrame { action, ..STILL }],
+            ..frame
+        })
         .unwrap_err()
         .to_string();
     assert_eq!(message, "action[7] is NaN, expected a finite number");
@@ -392,9 +416,7 @@ fn data_that_disagrees_with_the_description_is_refused() {
     let mut writer = DatasetWriter::create(&other.0, &narrow).unwrap();
     let image = image(0, narrow.cameras[0].image_size_bytes());
     let frame = FrameRecord {
-        state: [0.0; 7],
-        tip_pose: [0.0; 7],
-        action: [0.0; 8],
+        arms: &[STILL],
         images: &[&image],
     };
     (0..5).for_each(|_| writer.push_frame(&frame).unwrap());
@@ -407,9 +429,134 @@ fn data_that_disagrees_with_the_description_is_refused() {
     );
 
     let table = super::table::Table::open(&first).unwrap();
-    let message = table.vectors::<9>(schema::ACTION).unwrap_err().to_string();
+    let message = table
+        .vectors::<9>(schema::ACTION, 1)
+        .unwrap_err()
+        .to_string();
     assert!(
         message.ends_with("action is 8 numbers wide, expected 9"),
         "{message}"
     );
+}
+
+#[test]
+fn two_arms_are_read_back_as_they_were_written() {
+    let folder = Folder::new("two-arms");
+    let spec = DatasetSpec { arms: 2, ..spec() };
+    let mut writer = DatasetWriter::create(&folder.0, &spec).unwrap();
+    // More frames than are handed to the file together.
+    for frame in 0..70 {
+        push_arms(&mut writer, frame, &[arm(frame, 0), arm(frame, 1)]).unwrap();
+    }
+    writer.end_episode().unwrap();
+    let message = push_arms(&mut writer, 0, &[arm(0, 0)])
+        .unwrap_err()
+        .to_string();
+    assert_eq!(message, "the frame is of 1 arms, expected 2");
+    let mut nan = arm(0, 1);
+    nan.tip_pose[2] = f64::NAN;
+    let message = push_arms(&mut writer, 0, &[arm(0, 0), nan])
+        .unwrap_err()
+        .to_string();
+    assert_eq!(message, "psm2 tip_pose[2] is NaN, expected a finite number");
+    writer.finish().unwrap();
+
+    let dataset = Dataset::open(&folder.0).unwrap();
+    assert_eq!(
+        (dataset.spec(), dataset.arms(), dataset.len()),
+        (&spec, 2, 70)
+    );
+    for frame in 0..dataset.len() {
+        for index in 0..2 {
+            let written = arm(frame, index);
+            let state = dataset.state(frame, index).map(f32::to_bits);
+            assert_eq!(state, written.state.map(f32::to_bits));
+            assert_eq!(bits(dataset.tip_pose(frame, index)), bits(written.tip_pose));
+            let action = narrow(written.action).map(f64::from);
+            assert_eq!(bits(dataset.action(frame, index)), bits(action));
+        }
+    }
+    let stats: serde_json::Value =
+        serde_json::from_slice(&fs::read(meta::stats_path(&folder.0)).unwrap()).unwrap();
+    let least = |place: usize| stats[schema::ACTION]["min"][place].as_f64().unwrap();
+    for (place, index) in [(1, 0), (9, 1)] {
+        let values = (0..70).map(|frame| f64::from(narrow(arm(frame, index).action)[1]));
+        assert!((least(place) - values.fold(f64::INFINITY, f64::min)).abs() < 1e-12);
+    }
+}
+
+#[test]
+fn one_arms_names_stand_alone_and_of_two_each_begins_with_its_arms() {
+    let described = |arms: usize| {
+        let folder = Folder::new(&format!("names-{arms}"));
+        let spec = DatasetSpec { arms, ..spec() };
+        drop(DatasetWriter::create(&folder.0, &spec).unwrap());
+        let text = fs::read(meta::info_path(&folder.0)).unwrap();
+        let info: serde_json::Value = serde_json::from_slice(&text).unwrap();
+        [schema::STATE, schema::TIP_POSE, schema::ACTION].map(|name| {
+            let feature = &info["features"][name];
+            let names: Vec<String> = serde_json::from_value(feature["names"].clone()).unwrap();
+            assert_eq!(feature["shape"], serde_json::json!([names.len()]));
+            (
+                feature["dtype"].as_str().unwrap().to_owned(),
+                names.join(" "),
+            )
+        })
+    };
+    let [state, tip_pose, action] = described(1);
+    let joints = "yaw pitch insertion roll wrist_pitch wrist_yaw jaw";
+    assert_eq!(state, ("float32".to_owned(), joints.to_owned()));
+    assert_eq!(
+        tip_pose,
+        ("float64".to_owned(), "x y z qx qy qz qw".to_owned())
+    );
+    assert_eq!(
+        action,
+        ("float32".to_owned(), "x y z qx qy qz qw jaw".to_owned())
+    );
+    for (alone, both) in [state, tip_pose, action].into_iter().zip(described(2)) {
+        let prefixed = |arm: &str| {
+            let names = alone.1.split(' ').map(|name| format!("{arm}_{name}"));
+            names.collect::<Vec<_>>().join(" ")
+        };
+        let names = format!("{} {}", prefixed("psm1"), prefixed("psm2"));
+        assert_eq!(both, (alone.0.clone(), names));
+    }
+}
+
+#[test]
+fn a_number_of_arms_that_no_robot_has_and_vectors_that_disagree_are_refused() {
+    for arms in [0, 3] {
+        let folder = Folder::new(&format!("arms-{arms}"));
+        let spec = DatasetSpec { arms, ..spec() };
+        let message = DatasetWriter::create(&folder.0, &spec)
+            .unwrap_err()
+            .to_string();
+        assert_eq!(
+            message,
+            format!("the number of arms is {arms}, expected 1 to 2")
+        );
+    }
+    let folder = Folder::new("arms-disagree");
+    let spec = DatasetSpec { arms: 2, ..spec() };
+    drop(DatasetWriter::create(&folder.0, &spec).unwrap());
+    let path = meta::info_path(&folder.0);
+    let whole = fs::read_to_string(&path).unwrap();
+    for (from, to, expected) in [
+        (
+            "        16\n",
+            "        8\n",
+            "the shape of action is [8], expected 16",
+        ),
+        (
+            "        14\n",
+            "        15\n",
+            "the shape of observation.state is [15], expected 7 or 14",
+        ),
+    ] {
+        assert!(whole.contains(from), "{whole}");
+        fs::write(&path, whole.replacen(from, to, 1)).unwrap();
+        let message = error_of(&folder.0);
+        assert!(message.ends_with(expected), "{message}");
+    }
 }

@@ -18,6 +18,7 @@ use serde_json::{Map, Value};
 
 use super::{
     CameraSpec, DatasetError, DatasetSpec, FrameRecord,
+    check::{check_arms, check_spec, input},
     episode::{Pending, columns, index_value, timestamp_s},
     meta::{self, CHUNK_SIZE, EpisodeRow},
     png::encode_rgb,
@@ -84,7 +85,7 @@ impl DatasetWriter {
                 .map(|(name, feature)| (name, ColumnStats::new(feature.shape[0])))
                 .collect(),
             image_stats: vec![ImageStats::new(); spec.cameras.len()],
-            pending: Pending::new(spec.cameras.len()),
+            pending: Pending::new(spec),
         };
         meta::write_task(dir, &spec.task)?;
         writer.commit()?;
@@ -94,26 +95,17 @@ impl DatasetWriter {
     /// Adds a frame to the episode in progress; encodes its images.
     ///
     /// # Errors
-    /// [`DatasetError::Input`] for a number that is not finite, or images that don't fit the cameras. The frame is then
-    /// not added.
+    /// [`DatasetError::Input`] for a number that is not finite, another number of arms, or images that don't fit the
+    /// cameras. The frame is then not added.
     pub fn push_frame(&mut self, frame: &FrameRecord<'_>) -> Result<(), DatasetError> {
-        check_finite("state", frame.state.map(f64::from))?;
-        check_finite("tip_pose", frame.tip_pose)?;
-        check_finite("action", frame.action)?;
+        check_arms(&self.spec, frame.arms)?;
         let pngs = self.encode(frame.images)?;
-        if self.pending.state.len().is_multiple_of(IMAGE_STATS_STRIDE) {
+        if self.pending_frames().is_multiple_of(IMAGE_STATS_STRIDE) {
             for (stats, rgb) in self.pending.image_stats.iter_mut().zip(frame.images) {
                 stats.add(rgb);
             }
         }
-        #[expect(
-            clippy::cast_possible_truncation,
-            reason = "documented: actions are stored as f32"
-        )]
-        let action = frame.action.map(|value| value as f32);
-        self.pending.state.push(frame.state);
-        self.pending.tip_pose.push(frame.tip_pose);
-        self.pending.action.push(action);
+        self.pending.push(frame.arms);
         for (images, png) in self.pending.images.iter_mut().zip(pngs) {
             images.push(png);
         }
@@ -123,7 +115,7 @@ impl DatasetWriter {
     /// Frames pushed since the last episode ended.
     #[must_use]
     pub const fn pending_frames(&self) -> usize {
-        self.pending.state.len()
+        self.pending.frame_count()
     }
 
     /// Finishes the episode in progress: once this returns, it survives a power cut.
@@ -135,7 +127,7 @@ impl DatasetWriter {
         if len == 0 {
             return Err(input("the episode", "without frames", "at least one"));
         }
-        let pending = std::mem::replace(&mut self.pending, Pending::new(self.spec.cameras.len()));
+        let pending = std::mem::replace(&mut self.pending, Pending::new(&self.spec));
         let index = self.episodes.len();
         let row = EpisodeRow {
             index,
@@ -153,7 +145,7 @@ impl DatasetWriter {
 
     /// Forgets the episode in progress.
     pub fn discard_episode(&mut self) {
-        self.pending = Pending::new(self.spec.cameras.len());
+        self.pending = Pending::new(&self.spec);
     }
 
     /// Ends the recording.
@@ -219,9 +211,9 @@ impl DatasetWriter {
     fn add_stats(&mut self, row: &EpisodeRow, pending: &Pending) {
         for (name, stats) in &mut self.column_stats {
             match name.as_str() {
-                STATE => stats.extend(pending.state.iter().map(|values| values.map(f64::from))),
-                TIP_POSE => stats.extend(pending.tip_pose.iter().copied()),
-                ACTION => stats.extend(pending.action.iter().map(|values| values.map(f64::from))),
+                STATE => stats.extend(pending.frame_rows(&pending.state)),
+                TIP_POSE => stats.extend(pending.frame_rows(&pending.tip_pose)),
+                ACTION => stats.extend(pending.frame_rows(&pending.action)),
                 TIMESTAMP => stats.extend(
                     (0..row.len).map(|frame| [f64::from(timestamp_s(frame, self.spec.fps))]),
                 ),
@@ -274,49 +266,4 @@ fn data_properties(spec: &DatasetSpec) -> WriterProperties {
             .set_column_data_page_row_count_limit(bytes, 1);
     }
     properties.build()
-}
-
-fn check_spec(spec: &DatasetSpec) -> Result<(), DatasetError> {
-    if spec.fps == 0 {
-        return Err(input("fps", "0", "at least 1"));
-    }
-    for (index, camera) in spec.cameras.iter().enumerate() {
-        let what = format!("camera \"{}\"", camera.name);
-        if camera.name.is_empty() || camera.name.contains('/') {
-            return Err(input(&what, "no name for a feature", "a name without '/'"));
-        }
-        if camera.width == 0 || camera.height == 0 {
-            return Err(input(
-                &what,
-                &format!("{} x {}", camera.width, camera.height),
-                "at least 1 x 1",
-            ));
-        }
-        if spec.cameras[..index]
-            .iter()
-            .any(|other| other.name == camera.name)
-        {
-            return Err(input(&what, "there twice", "there once"));
-        }
-    }
-    Ok(())
-}
-
-fn check_finite<const N: usize>(what: &str, values: [f64; N]) -> Result<(), DatasetError> {
-    match values.iter().position(|value| !value.is_finite()) {
-        Some(index) => Err(input(
-            &format!("{what}[{index}]"),
-            &values[index].to_string(),
-            "a finite number",
-        )),
-        None => Ok(()),
-    }
-}
-
-fn input(what: &str, found: &str, expected: &str) -> DatasetError {
-    DatasetError::Input {
-        what: what.to_owned(),
-        found: found.to_owned(),
-        expected: expected.to_owned(),
-    }
 }

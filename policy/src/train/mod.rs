@@ -77,7 +77,8 @@ impl Trainer {
 
     /// Trains the network `config` on `dataset` from a fresh start.
     ///
-    /// Cameras of the configuration must be the dataset's, in its order. `on_progress` hears of every row of the loss
+    /// Cameras of the configuration must be the dataset's, in its order, and its widths those of the dataset's arms.
+    /// `on_progress` hears of every row of the loss
     /// curve.
     ///
     /// # Errors
@@ -93,6 +94,7 @@ impl Trainer {
             return Err(TrainError::Options(defect));
         }
         check_cameras(config, dataset)?;
+        check_arms(config, dataset.arms())?;
         tch::set_num_threads(i32::try_from(options.threads.max(1)).unwrap_or(1));
         tch::manual_seed(options.seed.cast_signed());
         let set = TrainingSet::new(
@@ -138,6 +140,17 @@ fn check_cameras(config: &ActConfig, dataset: &Dataset) -> Result<(), TrainError
     Err(TrainError::Dataset(format!(
         "it has the cameras {recorded:?}, the network {:?}",
         config.cameras
+    )))
+}
+
+fn check_arms(config: &ActConfig, arms: usize) -> Result<(), TrainError> {
+    let fitting = config.clone().for_arms(arms);
+    if *config == fitting {
+        return Ok(());
+    }
+    Err(TrainError::Dataset(format!(
+        "it has {arms} arms, {} numbers of state and of action, the network {} and {}",
+        fitting.state_dim, config.state_dim, config.action_dim
     )))
 }
 

@@ -12,7 +12,7 @@ use crate::checkpoint::{
     self, AggregationName, DatasetSummary, Recipe, RecommendedAggregation, RecordedCamera,
     SaveOptions, Variants,
 };
-use crate::dataset::{CameraSpec, Dataset, DatasetSpec, DatasetWriter, FrameRecord};
+use crate::dataset::{ArmFrame, CameraSpec, Dataset, DatasetSpec, DatasetWriter, FrameRecord};
 
 const SIDE: u32 = 64;
 
@@ -36,6 +36,11 @@ impl Drop for Scratch {
 
 /// Two episodes in which the tip follows a bright square across the image.
 fn dataset(name: &str) -> Scratch {
+    dataset_of(1, name)
+}
+
+/// The same with so many arms; the second goes the other way.
+fn dataset_of(arms: usize, name: &str) -> Scratch {
     let folder = folder(name);
     let camera = CameraSpec {
         name: "endoscope".to_owned(),
@@ -45,6 +50,7 @@ fn dataset(name: &str) -> Scratch {
     let spec = DatasetSpec {
         fps: 25,
         robot_type: "psm".to_owned(),
+        arms,
         task: "follow the square".to_owned(),
         cameras: vec![camera],
     };
@@ -59,19 +65,15 @@ fn dataset(name: &str) -> Scratch {
                 })
                 .collect();
             let along = 0.001 * f64::from(step);
-            let record = FrameRecord {
+            let aside = 0.0005 * f64::from(episode);
+            let of_arm = |sign: f64| ArmFrame {
                 state: [0.01 * f32::from(step); 7],
-                tip_pose: [along, 0.0, -0.1, 0.0, 0.0, 0.0, 1.0],
-                action: [
-                    along + 0.001,
-                    0.0005 * f64::from(episode),
-                    -0.1,
-                    0.0,
-                    0.0,
-                    0.0,
-                    1.0,
-                    0.5,
-                ],
+                tip_pose: [sign * along, 0.0, -0.1, 0.0, 0.0, 0.0, 1.0],
+                action: [sign * (along + 0.001), aside, -0.1, 0.0, 0.0, 0.0, 1.0, 0.5],
+            };
+            let both = [of_arm(1.0), of_arm(-1.0)];
+            let record = FrameRecord {
+                arms: &both[..arms],
                 images: &[&image],
             };
             writer.push_frame(&record).unwrap();
@@ -176,6 +178,7 @@ fn training_lowers_the_loss_repeats_itself_and_survives_the_disk() {
     let folder = folder("disk");
     let recipe = Recipe {
         format: checkpoint::RECIPE_FORMAT,
+        arms: 1,
         action_representation: crate::relative_action::REPRESENTATION.to_owned(),
         step_ns: 40_000_000,
         query_every_steps: 4,
@@ -249,6 +252,28 @@ fn relative_actions_are_those_of_the_recording() {
         (action.mean[6] - 0.5).abs() < 1e-6 && action.std[6] > 1e-3,
         "{action:?}"
     );
+}
+
+#[test]
+fn two_arms_are_learned_each_relative_to_its_own_tip() {
+    let dataset = dataset_of(2, "two-arms");
+    let trained = run(&config().for_arms(2), &dataset, &options()).unwrap();
+    let (start, end) = (trained.curve.rows[0], *trained.curve.last().unwrap());
+    assert!(end.l1 < 0.9 * start.l1, "{start:?} {end:?}");
+    let action = &trained.statistics.action;
+    assert_eq!(
+        (action.mean.len(), trained.statistics.state.std.len()),
+        (14, 14)
+    );
+    // One to four steps ahead of its own tip, in its own direction.
+    for (dim, least, greatest) in [(0, 0.001, 0.004), (7, -0.004, -0.001)] {
+        assert!((action.min[dim] - least).abs() < 1e-6, "{action:?}");
+        assert!((action.max[dim] - greatest).abs() < 1e-6, "{action:?}");
+    }
+    assert!((action.mean[8] - 0.000_25).abs() < 1e-6, "{action:?}");
+
+    let error = run(&config(), &dataset, &options()).unwrap_err();
+    assert!(error.to_string().contains("it has 2 arms"), "{error}");
 }
 
 #[test]

@@ -2,6 +2,7 @@
 
 use std::ops::Range;
 
+use hal::Pose;
 use tch::{Device, Kind, TchError, Tensor};
 
 use super::TrainError;
@@ -17,9 +18,9 @@ use crate::relative_action::{RELATIVE_ACTION_DIM, pose_from_numbers, relative_ac
 pub(super) struct TrainingSet {
     /// `(frames, cameras, height, width, 3)`, bytes.
     images: Tensor,
-    /// `(frames, 7)`, normalised.
+    /// `(frames, arms * 7)`, normalised.
     states: Tensor,
-    /// `(frames, steps, 7)`, normalised.
+    /// `(frames, steps, arms * 7)`, normalised.
     chunks: Tensor,
     /// `(frames, steps)`, true past the end of the episode.
     is_pad: Tensor,
@@ -61,20 +62,15 @@ impl TrainingSet {
                     .map(|frame| chunk_of(dataset, &episode.frames(), frame, steps))
             })
             .collect();
-        let state_of = |&frame: &usize| dataset.state(frame).map(f64::from);
-        let state =
-            Statistics::of(trained.iter().map(state_of), STATE_STD_MIN).ok_or(TrainError::Empty)?;
-        let real = trained
-            .iter()
-            .flat_map(|&frame| rows[frame].actions[..rows[frame].valid].iter().copied());
-        let action = Statistics::of(real, ACTION_STD_MIN).ok_or(TrainError::Empty)?;
-        if let Some(defect) = state.defect(7).or_else(|| action.defect(7)) {
+        let statistics = statistics(dataset, &trained, &rows).ok_or(TrainError::Empty)?;
+        let FeatureStatistics { state, action } = &statistics;
+        let width = RELATIVE_ACTION_DIM * dataset.arms();
+        if let Some(defect) = state.defect(width).or_else(|| action.defect(width)) {
             return Err(TrainError::Dataset(defect));
         }
-        let tensors = numbers(dataset, &rows, steps, [&state, &action], device)?;
+        let tensors = numbers(dataset, &rows, steps, [state, action], device)?;
         let [states, chunks, is_pad] = tensors;
         let images = images(dataset, config, threads)?.f_to_device(device)?;
-        let statistics = FeatureStatistics { state, action };
         Ok(Self {
             images,
             states,
@@ -115,23 +111,55 @@ fn split_at(episodes: usize, validation_share: f64) -> usize {
 }
 
 struct ChunkRow {
+    /// As many a step as there are arms.
     actions: Vec<[f64; RELATIVE_ACTION_DIM]>,
+    /// Steps that are not past the end of the episode.
     valid: usize,
 }
 
-/// The commands of `steps` frames from `frame` on, relative to the tip there; past the end the last one repeats.
+/// The commands of `steps` frames from `frame` on, each arm's relative to its tip there; past the end the last one repeats.
 fn chunk_of(dataset: &Dataset, episode: &Range<usize>, frame: usize, steps: usize) -> ChunkRow {
-    let tip = pose_from_numbers(&dataset.tip_pose(frame));
-    let actions = (frame..frame + steps)
-        .map(|later| {
-            let [x, y, z, qx, qy, qz, qw, jaw] = dataset.action(later.min(episode.end - 1));
-            relative_action(&tip, &pose_from_numbers(&[x, y, z, qx, qy, qz, qw]), jaw)
-        })
+    let arms = 0..dataset.arms();
+    let tips: Vec<Pose> = arms
+        .map(|arm| pose_from_numbers(&dataset.tip_pose(frame, arm)))
         .collect();
+    let mut actions = Vec::with_capacity(steps * tips.len());
+    for later in frame..frame + steps {
+        let commanded = later.min(episode.end - 1);
+        for (arm, tip) in tips.iter().enumerate() {
+            let [x, y, z, qx, qy, qz, qw, jaw] = dataset.action(commanded, arm);
+            let target = pose_from_numbers(&[x, y, z, qx, qy, qz, qw]);
+            actions.push(relative_action(tip, &target, jaw));
+        }
+    }
     ChunkRow {
         actions,
         valid: steps.min(episode.end - frame),
     }
+}
+
+/// Statistics of the frames `trained`, arm by arm; padding does not count. None without frames.
+fn statistics(
+    dataset: &Dataset,
+    trained: &[usize],
+    rows: &[ChunkRow],
+) -> Option<FeatureStatistics> {
+    let arms = dataset.arms();
+    let (mut states, mut actions) = (Vec::with_capacity(arms), Vec::with_capacity(arms));
+    for arm in 0..arms {
+        let state_of = |&frame: &usize| dataset.state(frame, arm).map(f64::from);
+        states.push(Statistics::of(trained.iter().map(state_of), STATE_STD_MIN)?);
+        let real = trained.iter().flat_map(|&frame| {
+            let row = &rows[frame];
+            let valid = &row.actions[..arms * row.valid];
+            valid.iter().skip(arm).step_by(arms).copied()
+        });
+        actions.push(Statistics::of(real, ACTION_STD_MIN)?);
+    }
+    Some(FeatureStatistics {
+        state: Statistics::joined(&states),
+        action: Statistics::joined(&actions),
+    })
 }
 
 #[expect(
@@ -145,8 +173,9 @@ fn numbers(
     [state, action]: [&Statistics; 2],
     device: Device,
 ) -> Result<[Tensor; 3], TchError> {
+    let arms = dataset.arms();
     let states: Vec<f32> = (0..rows.len())
-        .flat_map(|frame| dataset.state(frame))
+        .flat_map(|frame| (0..arms).flat_map(move |arm| dataset.state(frame, arm)))
         .collect();
     let chunks: Vec<f32> = rows
         .iter()

@@ -1,16 +1,20 @@
-//! Camera frames as the log keeps them: the colour image as PNG, and the lens.
+//! Camera frames as the log keeps them: the colour image as PNG, the lens, and where the camera was.
 
-use hal::{CameraFrame, Intrinsics, TimeNs};
+use hal::{CameraFrame, Intrinsics, Pose, TimeNs};
 use image::{ExtendedColorType, ImageEncoder, codecs::png};
 
 use super::error::LogError;
-use super::messages::{CameraCalibration, CompressedImage, Timestamp};
+use super::messages::{CameraCalibration, CompressedImage, PoseInFrame, Timestamp};
+
+/// The frame that camera poses are given in.
+const SCENE: &str = "scene";
 
 /// A frame on its way to the writer thread.
 pub(super) struct FrameItem {
     name: String,
     stamp: TimeNs,
     intrinsics: Intrinsics,
+    camera_in_scene: Pose,
     colour: Vec<u8>,
 }
 
@@ -18,13 +22,15 @@ pub(super) struct FrameItem {
 pub(super) struct Encoded {
     pub(super) image: CompressedImage,
     pub(super) lens: CameraCalibration,
+    pub(super) pose: PoseInFrame,
 }
 
-/// The two channels of one camera.
+/// The channels of one camera.
 #[derive(Clone, Copy)]
 pub(super) struct Channels {
     pub(super) image: u16,
     pub(super) lens: u16,
+    pub(super) pose: u16,
 }
 
 impl FrameItem {
@@ -34,6 +40,7 @@ impl FrameItem {
             name: name.to_owned(),
             stamp: frame.stamp,
             intrinsics: frame.intrinsics,
+            camera_in_scene: frame.camera_in_scene,
             colour: frame.colour.clone(),
         }
     }
@@ -96,6 +103,11 @@ impl FrameItem {
             p: vec![fx, 0.0, cx, 0.0, 0.0, fy, cy, 0.0, 0.0, 0.0, 1.0, 0.0],
             frame_id: self.name.clone(),
         };
-        Ok(Encoded { image, lens })
+        let pose = PoseInFrame {
+            timestamp,
+            frame_id: SCENE.to_owned(),
+            pose: Some((&self.camera_in_scene).into()),
+        };
+        Ok(Encoded { image, lens, pose })
     }
 }

@@ -13,6 +13,10 @@ pub struct RunHeader {
     pub seed: u64,
     /// Whether time was the tick counter.
     pub lockstep: bool,
+    /// From where the cameras looked: `train`, `view1` or `view2`; empty in a log of before there was a choice.
+    pub view: String,
+    /// The needle, in a task that has a choice.
+    pub needle: Option<String>,
     /// What was running: program, libraries, commit; name to version.
     pub versions: BTreeMap<String, String>,
     /// The effective configuration; file name (`control.toml`) to text.
@@ -68,9 +72,12 @@ impl RunHeader {
             ("policy", self.policy.clone()),
             ("seed", self.seed.to_string()),
             ("lockstep", self.lockstep.to_string()),
+            ("view", self.view.clone()),
         ];
+        let needle = self.needle.clone().map(|needle| ("needle", needle));
         let run = run
             .into_iter()
+            .chain(needle)
             .map(|(key, value)| (key.to_owned(), value))
             .collect();
         [
@@ -94,6 +101,8 @@ impl RunHeader {
                 self.policy.clone_from(policy);
                 self.seed = seed;
                 self.lockstep = map.get("lockstep").is_some_and(|text| text == "true");
+                self.view = map.get("view").cloned().unwrap_or_default();
+                self.needle = map.get("needle").cloned();
             }
             VERSIONS => self.versions = map,
             CONFIGURATION => self.texts = map,

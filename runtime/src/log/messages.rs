@@ -94,6 +94,25 @@ pub(super) struct Pose {
     pub(super) orientation: Option<Quaternion>,
 }
 
+impl From<&hal::Pose> for Pose {
+    fn from(pose: &hal::Pose) -> Self {
+        let (p, q) = (pose.translation.vector, pose.rotation.coords);
+        Self {
+            position: Some(Vector3 {
+                x: p.x,
+                y: p.y,
+                z: p.z,
+            }),
+            orientation: Some(Quaternion {
+                x: q.x,
+                y: q.y,
+                z: q.z,
+                w: q.w,
+            }),
+        }
+    }
+}
+
 /// A pose in a named frame at one time.
 #[derive(Clone, PartialEq, Message)]
 pub(super) struct PoseInFrame {

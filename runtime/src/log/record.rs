@@ -2,7 +2,7 @@
 
 use hal::{ArmCommand, ArmError, ArmState, TimeNs};
 
-use crate::control::{OperatorEvent, TickReport};
+use crate::control::{OperatorEvent, TickInput, TickOutput, TickReport};
 use crate::per_arm::PerArm;
 
 /// One tick of all arms. Plain data, so that the control thread can hand it over without allocating.
@@ -16,6 +16,36 @@ pub struct TickRecord {
     pub arms: PerArm<ArmRecord>,
     /// How long it took; zero in lockstep.
     pub timing: TickTiming,
+}
+
+impl TickRecord {
+    /// The record of a tick in which the controller answered `inputs` with `outputs`; the arms share the first one's time.
+    #[must_use]
+    pub fn new(
+        tick: u64,
+        inputs: PerArm<TickInput<'_>>,
+        outputs: PerArm<TickOutput>,
+        timing: TickTiming,
+    ) -> Self {
+        Self {
+            tick,
+            now: inputs.first.now,
+            arms: inputs.zip(outputs).map(|(input, output)| ArmRecord {
+                measured: input.measured,
+                operator: input.operator,
+                chunk_sequence: input.chunk.map(|chunk| chunk.sequence),
+                command: output.command,
+                report: output.report,
+            }),
+            timing,
+        }
+    }
+
+    /// Whether any arm has a fault.
+    #[must_use]
+    pub fn has_fault(&self) -> bool {
+        self.arms.iter().any(|arm| arm.report.fault.is_some())
+    }
 }
 
 /// One arm in one tick.

@@ -289,6 +289,7 @@ fn frames_become_png_images_with_their_lens() {
     for (pixel, value) in frame.colour.iter_mut().zip((0..=255).cycle()) {
         *pixel = value;
     }
+    frame.camera_in_scene = hal::Pose::translation(0.1, -0.2, 0.3);
     recorder.frame("endoscope", &frame);
     recorder.tick(&record(0));
     assert_eq!(recorder.finish(None).unwrap().frames, 1);
@@ -310,8 +311,14 @@ fn frames_become_png_images_with_their_lens() {
             );
             seen += 1;
         }
+        if message.channel.topic == "/camera/endoscope/pose" {
+            let told = super::messages::PoseInFrame::decode(&message.data[..]).unwrap();
+            assert_eq!(told.frame_id, "scene");
+            assert_eq!(told.pose, Some((&frame.camera_in_scene).into()));
+            seen += 1;
+        }
     }
-    assert_eq!(seen, 2);
+    assert_eq!(seen, 3);
 }
 
 #[test]

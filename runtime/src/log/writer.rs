@@ -15,7 +15,7 @@ use super::joints::JointMessages;
 use super::json::{
     ChunkMessage, ChunkRef, ErrorMessage, OperatorMessage, TickMessage, TimingMessage,
 };
-use super::messages::{Log, Pose, PoseInFrame, Quaternion, Timestamp, Vector3};
+use super::messages::{Log, PoseInFrame, Timestamp};
 use super::record::{ArmRecord, TickRecord};
 use super::safety::SafetyMessage;
 use super::topic::{self, Schema, TOPIC_COUNT, Topic};
@@ -161,7 +161,7 @@ impl<W: Write + Seek> LogWriter<W> {
         self.protobuf(Topic::Events, 0, at, |_, buffer| log.encode(buffer))
     }
 
-    /// Writes a camera's image and lens.
+    /// Writes a camera's image, lens and pose.
     pub(super) fn frame(
         &mut self,
         name: &str,
@@ -173,6 +173,7 @@ impl<W: Write + Seek> LogWriter<W> {
         } else {
             let image = format!("/camera/{name}");
             let lens = format!("/camera/{name}/calibration");
+            let pose = format!("/camera/{name}/pose");
             let new = camera::Channels {
                 image: topic::add_channel(
                     &mut self.writer,
@@ -184,6 +185,11 @@ impl<W: Write + Seek> LogWriter<W> {
                     &lens,
                     Schema::Protobuf("foxglove.CameraCalibration"),
                 )?,
+                pose: topic::add_channel(
+                    &mut self.writer,
+                    &pose,
+                    Schema::Protobuf("foxglove.PoseInFrame"),
+                )?,
             };
             self.cameras.insert(name.to_owned(), new);
             new
@@ -194,6 +200,12 @@ impl<W: Write + Seek> LogWriter<W> {
             .encode(&mut self.buffer)
             .map_err(std::io::Error::from)?;
         self.put(channels.lens, at)?;
+        self.buffer.clear();
+        frame
+            .pose
+            .encode(&mut self.buffer)
+            .map_err(std::io::Error::from)?;
+        self.put(channels.pose, at)?;
         self.buffer.clear();
         frame
             .image
@@ -263,22 +275,9 @@ impl<W: Write + Seek> LogWriter<W> {
 
 fn measured_tip(frame: &str, state: &hal::ArmState) -> PoseInFrame {
     let tip = crate::verify::tip_in_rcm(&state.position);
-    let (p, q) = (tip.translation.vector, tip.rotation.coords);
     PoseInFrame {
         timestamp: Some(Timestamp::new(state.stamp)),
         frame_id: frame.to_owned(),
-        pose: Some(Pose {
-            position: Some(Vector3 {
-                x: p.x,
-                y: p.y,
-                z: p.z,
-            }),
-            orientation: Some(Quaternion {
-                x: q.x,
-                y: q.y,
-                z: q.z,
-                w: q.w,
-            }),
-        }),
+        pose: Some((&tip).into()),
     }
 }

@@ -2,15 +2,16 @@
 
 use std::collections::VecDeque;
 
-use hal::{Arm, ArmError, ArmState, CameraFrame, Chunk, FrameRef, TimeNs};
+use hal::{Arm, ArmError, ArmState, CameraFrame, Chunk, FrameRef, SeenArm, TimeNs};
 use sim_backend::simulation::Simulation;
 use sim_backend::task::Outcome;
 
 use super::SessionError;
-use super::source::{ChunkSource, Query, STEP_TICKS, SeenArm};
+use super::source::{ChunkSource, Query, STEP_TICKS, seen_arm};
+use super::summary::TissueSummary;
 use super::tally::Tally;
-use crate::control::{AnyController, Fault, OperatorEvent, TickInput};
-use crate::log::{ArmRecord, TickRecord, TickTiming};
+use crate::control::{AnyController, OperatorEvent, TickInput};
+use crate::log::{TickRecord, TickTiming};
 use crate::per_arm::PerArm;
 use crate::rt::MonotonicClock;
 
@@ -28,7 +29,7 @@ pub struct Plan {
 pub struct StepView<'a> {
     /// The measured arms.
     pub arms: &'a PerArm<SeenArm>,
-    /// Frames, if any were taken.
+    /// Frames, if any were taken: of the policy's cameras, then of the watcher's others.
     pub frames: &'a [CameraFrame],
     /// The answer, a chunk for each arm, if the policy was asked.
     pub answer: Option<&'a PerArm<Chunk>>,
@@ -75,6 +76,8 @@ pub struct EpisodeEnd {
     pub outcome: Outcome,
     /// Counts and percentiles.
     pub tally: Tally,
+    /// What a soft tissue went through, if the task has one.
+    pub tissue: Option<TissueSummary>,
 }
 
 /// The parts of an episode.
@@ -123,13 +126,18 @@ impl Episode<'_> {
             watcher.tick(&record);
             let outcome = self.simulation.outcome();
             if !matches!(outcome, Outcome::Running) {
-                return Ok(EpisodeEnd { outcome, tally });
+                return Ok(self.end(outcome, tally));
             }
         }
-        Ok(EpisodeEnd {
-            outcome: Outcome::Running,
+        Ok(self.end(Outcome::Running, tally))
+    }
+
+    fn end(&self, outcome: Outcome, tally: Tally) -> EpisodeEnd {
+        EpisodeEnd {
+            outcome,
             tally,
-        })
+            tissue: self.simulation.tissue_extremes().map(TissueSummary::from),
+        }
     }
 
     /// What each arm measured.
@@ -165,21 +173,11 @@ impl Episode<'_> {
             }
         }
         self.simulation.step();
-        Ok(TickRecord {
-            tick,
-            now,
-            arms: inputs.zip(outputs).map(|(input, output)| ArmRecord {
-                measured: input.measured,
-                operator: input.operator,
-                chunk_sequence: input.chunk.map(|chunk| chunk.sequence),
-                command: output.command,
-                report: output.report,
-            }),
-            timing: TickTiming {
-                wake_ns: 0,
-                compute_ns,
-            },
-        })
+        let timing = TickTiming {
+            wake_ns: 0,
+            compute_ns,
+        };
+        Ok(TickRecord::new(tick, inputs, outputs, timing))
     }
 
     /// Takes frames if anyone wants them, asks the policy if it is its turn, and shows the watcher both. Gives the answer
@@ -196,8 +194,8 @@ impl Episode<'_> {
         cameras.take(self.simulation, step, asked)?;
         let answer = if asked {
             let scene = self.simulation.scene_state();
-            let frames: Vec<FrameRef<'_>> =
-                cameras.frames.iter().map(CameraFrame::as_frame).collect();
+            let seen = cameras.frames.iter().take(cameras.seen);
+            let frames: Vec<FrameRef<'_>> = seen.map(CameraFrame::as_frame).collect();
             let query = Query {
                 arms: *arms,
                 frames: &frames,
@@ -226,7 +224,7 @@ type Measured = Result<ArmState, ArmError>;
 fn seen(measured: &PerArm<Measured>) -> Option<PerArm<SeenArm>> {
     let arms: Option<Vec<SeenArm>> = measured
         .iter()
-        .map(|arm| arm.as_ref().ok().map(SeenArm::new))
+        .map(|arm| arm.as_ref().ok().map(seen_arm))
         .collect();
     PerArm::collect(arms?)
 }
@@ -242,12 +240,14 @@ fn other_arms(controller: &AnyController) -> SessionError {
 struct Cameras {
     indices: Vec<usize>,
     frames: Vec<CameraFrame>,
+    /// So many of them, the first, are the policy's.
+    seen: usize,
     every_step: bool,
     fresh: bool,
 }
 
 impl Cameras {
-    /// The policy's cameras if it has any, otherwise the watcher's.
+    /// The policy's cameras and the watcher's others.
     fn choose(
         source: &ChunkSource,
         watcher: &dyn Watcher,
@@ -256,11 +256,18 @@ impl Cameras {
         let watched = watcher.cameras();
         let seen = source.cameras();
         let every_step = !watched.is_empty();
-        let names = if seen.is_empty() { watched } else { seen };
+        let seen_count = seen.len();
+        let mut names = seen;
+        let others = watched
+            .into_iter()
+            .filter(|name| !names.contains(name))
+            .collect::<Vec<_>>();
+        names.extend(others);
         if names.is_empty() {
             return Ok(Self {
                 indices: Vec::new(),
                 frames: Vec::new(),
+                seen: 0,
                 every_step: false,
                 fresh: false,
             });
@@ -281,6 +288,7 @@ impl Cameras {
         Ok(Self {
             indices,
             frames,
+            seen: seen_count,
             every_step,
             fresh: false,
         })
@@ -308,16 +316,16 @@ impl EpisodeEnd {
     /// Why the episode ended, in words.
     #[must_use]
     pub fn reason(&self) -> String {
-        reason(&self.outcome, self.tally.fault())
+        reason(&self.outcome, &self.tally)
     }
 }
 
 /// Why an episode ended, in words: a fault of the controller explains a failure.
 #[must_use]
-pub fn reason(outcome: &Outcome, fault: Option<Fault>) -> String {
-    match (outcome, fault) {
+pub fn reason(outcome: &Outcome, tally: &Tally) -> String {
+    match (outcome, tally.faults()) {
         (Outcome::Success, _) => "success".to_owned(),
-        (_, Some(fault)) => format!("fault: {fault}"),
+        (_, Some(faults)) => faults,
         (Outcome::Failure(reason), None) => reason.to_string(),
         (Outcome::Running, None) => "tick limit".to_owned(),
     }

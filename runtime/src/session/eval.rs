@@ -49,6 +49,8 @@ pub fn evaluate(
     )?;
     Ok(EvalSummary::new(
         &setup.task_name,
+        setup.task.needle(),
+        setup.task.view.name(),
         &options.policy.name(),
         episodes,
     ))
@@ -124,6 +126,7 @@ impl<'a> TrialWorker<'a> {
             reason: end.reason(),
             seconds: hal::TimeNs::from_tick(end.tally.ticks()).seconds(),
             command_hash: end.tally.command_hash(),
+            tissue: end.tissue,
         })
     }
 }

@@ -2,9 +2,9 @@
 
 use std::path::PathBuf;
 
-use hal::TipTarget;
+use hal::{Chunk, SeenArm};
 use policy::act_policy::state_numbers;
-use policy::dataset::{CameraSpec, DatasetSpec, DatasetWriter, FrameRecord};
+use policy::dataset::{ArmFrame, CameraSpec, DatasetSpec, DatasetWriter, FrameRecord};
 use serde::Serialize;
 use sim_backend::cameras::SceneCameras;
 use sim_backend::simulation::{Rendering, Simulation};
@@ -46,6 +46,13 @@ pub struct Attempt {
 pub struct RecordSummary {
     /// Task name.
     pub task: String,
+    /// From where the cameras looked: `train`, `view1` or `view2`.
+    pub view: String,
+    /// The needle, in a task that has a choice.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub needle: Option<String>,
+    /// The cameras whose frames are in the dataset.
+    pub cameras: Vec<String>,
     /// Episodes in the dataset.
     pub episodes: usize,
     /// Policy steps in them.
@@ -57,18 +64,20 @@ pub struct RecordSummary {
 /// Records until enough attempts have succeeded; failed ones are reported and not kept.
 ///
 /// # Errors
-/// From the simulation or the dataset; [`SessionError::BadArgument`] if the folder is not empty or the task has two arms;
+/// From the simulation or the dataset; [`SessionError::BadArgument`] if the folder is not empty;
 /// [`SessionError::Unproductive`] if the expert fails far too often.
 pub fn record(
     setup: &Setup,
     options: &RecordOptions,
     on_attempt: &mut dyn FnMut(&Attempt),
 ) -> Result<RecordSummary, SessionError> {
-    setup.expect_one_arm("a dataset holds one arm's demonstrations")?;
     outputs::new_folder(&options.out)?;
     let mut writer = DatasetWriter::create(&options.out, &dataset_spec(setup))?;
     let mut summary = RecordSummary {
         task: setup.task_name.clone(),
+        view: setup.task.view.name().to_owned(),
+        needle: setup.task.needle().map(str::to_owned),
+        cameras: setup.cameras_with(Vec::new()),
         episodes: 0,
         steps: 0,
         attempts: Vec::new(),
@@ -115,10 +124,16 @@ pub fn record(
 }
 
 fn dataset_spec(setup: &Setup) -> DatasetSpec {
-    let cameras = setup
-        .task
-        .cameras
+    let names = setup.cameras_with(Vec::new());
+    let cameras = names
         .iter()
+        .filter_map(|name| {
+            setup
+                .task
+                .cameras
+                .iter()
+                .find(|camera| camera.name == *name)
+        })
         .map(|camera| CameraSpec {
             name: camera.name.clone(),
             width: camera.intrinsics().width,
@@ -129,9 +144,19 @@ fn dataset_spec(setup: &Setup) -> DatasetSpec {
     let fps = (1_000_000_000 / STEP_NS) as u32;
     DatasetSpec {
         fps,
-        robot_type: "dvrk_psm_sim".to_owned(),
+        robot_type: robot_type(setup.task.arms.len()).to_owned(),
+        arms: setup.task.arms.len(),
         task: setup.task_name.clone(),
         cameras,
+    }
+}
+
+/// The robot's name: LeRobot puts `bi_` before that of an arm of which there are two.
+const fn robot_type(arms: usize) -> &'static str {
+    if arms == 1 {
+        "dvrk_psm_sim"
+    } else {
+        "bi_dvrk_psm_sim"
     }
 }
 
@@ -143,9 +168,7 @@ struct Demonstration {
 }
 
 struct StoredFrame {
-    state: [f32; 7],
-    tip_pose: [f64; 7],
-    action: [f64; 8],
+    arms: Vec<ArmFrame>,
     images: Vec<Vec<u8>>,
 }
 
@@ -153,9 +176,7 @@ fn store(writer: &mut DatasetWriter, demo: &Demonstration) -> Result<(), Session
     for frame in &demo.frames {
         let images: Vec<&[u8]> = frame.images.iter().map(Vec::as_slice).collect();
         writer.push_frame(&FrameRecord {
-            state: frame.state,
-            tip_pose: frame.tip_pose,
-            action: frame.action,
+            arms: &frame.arms,
             images: &images,
         })?;
     }
@@ -177,7 +198,7 @@ fn demonstrator(
         let mut source = setup.source(&PolicyChoice::Expert, seed, Device::Cpu)?;
         let mut controller = setup.controller()?;
         let mut diary = Diary {
-            cameras: setup.camera_names(),
+            cameras: setup.cameras_with(Vec::new()),
             frames: Vec::new(),
         };
         let plan = Plan {
@@ -211,18 +232,14 @@ impl Watcher for Diary {
     }
 
     fn step(&mut self, view: &StepView<'_>) -> Result<(), SessionError> {
-        let Some(target) = view
-            .answer
-            .and_then(|chunks| chunks.first.valid_targets().first())
-        else {
+        let Some(chunks) = view.answer else {
             return Ok(());
         };
-        let arm = &view.arms.first;
-        let [x, y, z, i, j, k, w] = target.pose_numbers();
+        let arms = view.arms.iter().zip(chunks.iter());
+        let arms: Option<Vec<ArmFrame>> = arms.map(|(arm, chunk)| arm_frame(arm, chunk)).collect();
+        let Some(arms) = arms else { return Ok(()) };
         self.frames.push(StoredFrame {
-            state: state_numbers(&arm.state),
-            tip_pose: TipTarget::new(&arm.tip_in_rcm, 0.0).pose_numbers(),
-            action: [x, y, z, i, j, k, w, target.jaw],
+            arms,
             images: view
                 .frames
                 .iter()
@@ -231,4 +248,15 @@ impl Watcher for Diary {
         });
         Ok(())
     }
+}
+
+/// What an arm measured and the first target that it was given for it, if there is one.
+fn arm_frame(arm: &SeenArm, chunk: &Chunk) -> Option<ArmFrame> {
+    let target = chunk.valid_targets().first()?;
+    let [x, y, z, i, j, k, w] = target.pose_numbers();
+    Some(ArmFrame {
+        state: state_numbers(&arm.state),
+        tip_pose: arm.here().pose_numbers(),
+        action: [x, y, z, i, j, k, w, target.jaw],
+    })
 }

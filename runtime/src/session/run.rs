@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-use hal::Chunk;
+use hal::{Chunk, TimeNs};
 use sim_backend::simulation::{Rendering, Simulation};
 use sim_backend::task::Outcome;
 use tch::Device;
@@ -14,7 +14,7 @@ use super::source::PolicyChoice;
 use super::summary::RunSummary;
 use super::tally::RunLabels;
 use super::{SessionError, Setup, pictures};
-use crate::log::{Pressure, Recorder, RunHeader, RunOutcome, TickRecord};
+use crate::log::{Level, Pressure, Recorder, RunHeader, RunOutcome, TickRecord};
 
 /// The libtorch that the program was built with.
 pub const LIBTORCH_VERSION: &str = env!("LIBTORCH_VERSION");
@@ -26,7 +26,7 @@ pub struct RunOptions {
     pub policy: PolicyChoice,
     /// Everything random hangs on this.
     pub seed: u64,
-    /// Where the log goes, if anywhere. A log holds frames even if the policy needs none.
+    /// Where the log goes, if anywhere. A log holds frames even if the policy needs none: see [`Setup::cameras_with`].
     pub log: Option<PathBuf>,
     /// Whether to keep pictures of the run for [`RunResult::pictures`].
     pub pictures: bool,
@@ -70,7 +70,7 @@ pub fn run_lockstep(setup: &Setup, options: &RunOptions) -> Result<RunResult, Se
     let mut simulation = Simulation::new(&setup.task, options.seed, rendering)?;
     let mut controller = setup.controller()?;
     let cameras = if options.wants_frames() {
-        setup.camera_names()
+        setup.cameras_with(source.cameras())
     } else {
         Vec::new()
     };
@@ -93,7 +93,11 @@ pub fn run_lockstep(setup: &Setup, options: &RunOptions) -> Result<RunResult, Se
     let end = episode.run(&plan, &mut watcher)?;
     let reason = end.reason();
     let success = matches!(end.outcome, Outcome::Success);
-    if let Some(recorder) = watcher.recorder {
+    if let Some(mut recorder) = watcher.recorder {
+        if let Some(tissue) = &end.tissue {
+            let last = TimeNs::from_tick(end.tally.ticks());
+            recorder.event(last, Level::Info, &tissue.to_string());
+        }
         let outcome = RunOutcome {
             success,
             reason: reason.clone(),
@@ -103,10 +107,13 @@ pub fn run_lockstep(setup: &Setup, options: &RunOptions) -> Result<RunResult, Se
     }
     let labels = RunLabels {
         task: &setup.task_name,
+        view: setup.task.view.name(),
+        needle: setup.task.needle(),
         policy: &options.policy.name(),
         seed: options.seed,
         success,
         reason: &reason,
+        tissue: end.tissue,
     };
     Ok(RunResult {
         summary: end.tally.summary(&labels, None),
@@ -154,6 +161,8 @@ fn header(setup: &Setup, options: &RunOptions, lockstep: bool) -> RunHeader {
         policy: options.policy.name(),
         seed: options.seed,
         lockstep,
+        view: setup.task.view.name().to_owned(),
+        needle: setup.task.needle().map(str::to_owned),
         versions: versions
             .map(|(name, version)| (name.to_owned(), version.to_owned()))
             .into(),

@@ -26,6 +26,8 @@ pub struct Setup {
     pub control: ControlConfig,
     /// The texts they came from, for the log.
     pub texts: Texts,
+    /// Cameras whose frames were asked for; see [`Self::cameras_with`].
+    pub kept_cameras: Option<Vec<String>>,
 }
 
 /// Effective configuration texts.
@@ -70,6 +72,7 @@ impl Setup {
                 safety: safety.text().to_owned(),
                 scene: scene.text().to_owned(),
             },
+            kept_cameras: None,
         })
     }
 
@@ -92,17 +95,26 @@ impl Setup {
             .map_err(|error| SessionError::BadArgument(error.to_string()))
     }
 
-    /// Refuses a task of two arms, for what knows one only; `what` says what that is and what to do instead.
+    /// The network in `folder` on `device`.
     ///
     /// # Errors
-    /// [`SessionError::BadArgument`].
-    pub fn expect_one_arm(&self, what: &str) -> Result<(), SessionError> {
+    /// [`SessionError::Checkpoint`], or [`SessionError::BadArgument`] if it is for another number of arms than the task's.
+    pub fn network(&self, folder: &Path, device: Device) -> Result<ActPolicy, SessionError> {
+        // Before the weights: they would only take time.
+        if let Some(recipe) = load_recipe(folder)? {
+            self.check_arms(folder, recipe.arms)?;
+        }
+        Ok(ActPolicy::load(folder, device)?)
+    }
+
+    fn check_arms(&self, folder: &Path, commanded: usize) -> Result<(), SessionError> {
         let count = self.task.arms.len();
-        if count == 1 {
+        if count == commanded {
             return Ok(());
         }
         Err(SessionError::BadArgument(format!(
-            "task {} has {count} arms: {what}",
+            "policy {}: trocar.json: arms = {commanded}, task {} has {count}",
+            folder.display(),
             self.task_name
         )))
     }
@@ -110,7 +122,7 @@ impl Setup {
     /// The source of chunks that the user asked for.
     ///
     /// # Errors
-    /// [`SessionError::Checkpoint`], or [`SessionError::BadArgument`] for a checkpoint and a task of two arms.
+    /// Those of [`Self::network`].
     pub fn source(
         &self,
         choice: &PolicyChoice,
@@ -132,8 +144,7 @@ impl Setup {
                 sequence: 0,
             },
             PolicyChoice::Checkpoint(path) => {
-                self.expect_one_arm("a network commands one; take expert, noop or random")?;
-                ChunkSource::Network(Box::new(ActPolicy::load(path, device)?))
+                ChunkSource::Network(Box::new(self.network(path, device)?))
             }
         })
     }

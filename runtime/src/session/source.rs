@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use hal::{ArmState, Chunk, FrameRef, Observation, Policy, Pose, TimeNs, TipTarget};
+use hal::{ArmState, Chunk, FrameRef, Observation, Policy, SeenArm, TimeNs, TipTarget};
 use nalgebra::{Translation3, Vector3};
 use policy::act_policy::ActPolicy;
 use sim_backend::expert::Expert;
@@ -73,28 +73,12 @@ impl PolicyChoice {
     }
 }
 
-/// An arm as a policy sees it.
-#[derive(Clone, Copy, Debug)]
-pub struct SeenArm {
-    /// What was measured.
-    pub state: ArmState,
-    /// Measured tip pose in the RCM frame.
-    pub tip_in_rcm: Pose,
-}
-
-impl SeenArm {
-    /// An arm that measured `state`.
-    #[must_use]
-    pub fn new(state: &ArmState) -> Self {
-        Self {
-            state: *state,
-            tip_in_rcm: kinematics::forward(&state.position),
-        }
-    }
-
-    /// Where it is.
-    fn here(&self) -> TipTarget {
-        TipTarget::new(&self.tip_in_rcm, self.state.jaw_position)
+/// An arm that measured `state`, as a policy sees it.
+#[must_use]
+pub fn seen_arm(state: &ArmState) -> SeenArm {
+    SeenArm {
+        state: *state,
+        tip_in_rcm: kinematics::forward(&state.position),
     }
 }
 
@@ -134,7 +118,7 @@ pub enum ChunkSource {
         /// Chunks so far.
         sequence: u64,
     },
-    /// A trained network, which commands one arm.
+    /// A trained network.
     Network(Box<ActPolicy>),
 }
 
@@ -170,18 +154,14 @@ impl ChunkSource {
     /// The chunks that answer `query`, one for each arm.
     ///
     /// # Errors
-    /// Whatever the network reports; [`SessionError::BadArgument`] if the expert commands no arm.
+    /// Whatever the network reports; [`SessionError::BadArgument`] if the policy commands no arm.
     pub fn answer(&mut self, query: &Query<'_>) -> Result<PerArm<Chunk>, SessionError> {
-        let first = &query.arms.first;
-        let now = first.state.stamp;
+        let now = query.arms.first.state.stamp;
         let here = query.arms.map(|arm| arm.here());
         match self {
             Self::Expert { expert, sequence } => {
                 *sequence += 1;
-                let chunks = expert.chunks(now, query.scene, *sequence);
-                PerArm::collect(chunks).ok_or_else(|| {
-                    SessionError::BadArgument("the expert commands no arm".to_owned())
-                })
+                per_arm(expert.chunks(now, query.scene, *sequence))
             }
             Self::Noop { held, sequence } => {
                 *sequence += 1;
@@ -198,15 +178,20 @@ impl ChunkSource {
                 Ok(home.map(|home| wander(now, *sequence, &home, rng)))
             }
             Self::Network(network) => {
+                let arms: Vec<SeenArm> = query.arms.iter().copied().collect();
                 let observation = Observation {
-                    arm: &first.state,
-                    tip_in_rcm: first.tip_in_rcm,
+                    arms: &arms,
                     frames: query.frames,
                 };
-                Ok(PerArm::one(network.infer(&observation)?))
+                per_arm(network.infer(&observation)?)
             }
         }
     }
+}
+
+fn per_arm(chunks: Vec<Chunk>) -> Result<PerArm<Chunk>, SessionError> {
+    PerArm::collect(chunks)
+        .ok_or_else(|| SessionError::BadArgument("the policy commands no arm".to_owned()))
 }
 
 /// Names of the cameras that `network` looks through: LeRobot's feature names without their common beginning.

@@ -1,6 +1,9 @@
 //! What a run and an evaluation report, in the form that scripts rely on.
 
+use core::fmt;
+
 use serde::Serialize;
+use sim_backend::tissue::TissueExtremes;
 
 /// Percentiles of a duration.
 #[derive(Clone, Copy, Debug, Default, Serialize)]
@@ -59,11 +62,49 @@ pub struct RealTimeCounts {
     pub log_dropped: u64,
 }
 
+/// What a soft tissue went through: the largest values of a run.
+#[derive(Clone, Copy, Debug, Serialize)]
+pub struct TissueSummary {
+    /// Force between an instrument and the tissue after a low pass at 50 Hz, N.
+    pub force_n_max: f64,
+    /// Stretch; 0.1 is a tenth longer than at rest.
+    pub stretch_max: f64,
+    /// How far the mark rose above where it lay at rest, m.
+    pub mark_rise_m_max: f64,
+}
+
+impl From<TissueExtremes> for TissueSummary {
+    fn from(extremes: TissueExtremes) -> Self {
+        Self {
+            force_n_max: extremes.force_n,
+            stretch_max: extremes.stretch,
+            mark_rise_m_max: extremes.mark_rise_m,
+        }
+    }
+}
+
+impl fmt::Display for TissueSummary {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(
+            f,
+            "tissue: at most {:.3} N, stretched by {:.1} %, mark {:.1} mm up",
+            self.force_n_max,
+            self.stretch_max * 100.0,
+            self.mark_rise_m_max * 1e3
+        )
+    }
+}
+
 /// One run.
 #[derive(Clone, Debug, Serialize)]
 pub struct RunSummary {
     /// Task name.
     pub task: String,
+    /// From where the cameras looked: `train`, `view1` or `view2`.
+    pub view: String,
+    /// The needle, in a task that has a choice.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub needle: Option<String>,
     /// The policy and what it did.
     pub policy: PolicyCounts,
     /// The seed that everything random hangs on.
@@ -87,6 +128,9 @@ pub struct RunSummary {
     /// Present in real-time runs.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub real_time: Option<RealTimeCounts>,
+    /// Present in tasks with a soft tissue.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub tissue: Option<TissueSummary>,
 }
 
 /// One trial of an evaluation.
@@ -102,6 +146,9 @@ pub struct TrialSummary {
     pub seconds: f64,
     /// Hash of its commands.
     pub command_hash: String,
+    /// Present in tasks with a soft tissue.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub tissue: Option<TissueSummary>,
 }
 
 /// An evaluation over many trials.
@@ -109,6 +156,11 @@ pub struct TrialSummary {
 pub struct EvalSummary {
     /// Task name.
     pub task: String,
+    /// From where the cameras looked: `train`, `view1` or `view2`.
+    pub view: String,
+    /// The needle, in a task that has a choice.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub needle: Option<String>,
     /// The policy.
     pub policy: String,
     /// How many trials.
@@ -124,14 +176,22 @@ pub struct EvalSummary {
 }
 
 impl EvalSummary {
-    /// Sums up `episodes`.
+    /// Sums up `episodes` of a task with that needle, if it has a choice, seen from `view`.
     #[must_use]
-    pub fn new(task: &str, policy: &str, episodes: Vec<TrialSummary>) -> Self {
+    pub fn new(
+        task: &str,
+        needle: Option<&str>,
+        view: &str,
+        policy: &str,
+        episodes: Vec<TrialSummary>,
+    ) -> Self {
         let trials = episodes.len();
         let successes = episodes.iter().filter(|episode| episode.success).count();
         let (rate, wilson95) = wilson_interval(successes, trials);
         Self {
             task: task.to_owned(),
+            view: view.to_owned(),
+            needle: needle.map(str::to_owned),
             policy: policy.to_owned(),
             trials,
             successes,

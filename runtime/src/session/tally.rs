@@ -1,9 +1,14 @@
 //! Counts and percentiles of one run, from its tick records.
 
-use super::summary::{LatencyMs, PolicyCounts, QpCounts, RealTimeCounts, RunSummary, TickUs};
+use hal::ARM_NAMES;
+
+use super::summary::{
+    LatencyMs, PolicyCounts, QpCounts, RealTimeCounts, RunSummary, TickUs, TissueSummary,
+};
 use crate::control::{CommandHash, Fault, QpOutcome, TickReport};
 use crate::histogram::Histogram;
 use crate::log::TickRecord;
+use crate::per_arm::PerArm;
 
 /// What a run adds up to.
 #[derive(Debug, Default)]
@@ -17,14 +22,19 @@ pub struct Tally {
     guard_interventions: u64,
     queries: u64,
     refused: u64,
-    fault: Option<Fault>,
+    /// Each arm's fault in the first tick that had any.
+    faults: Option<PerArm<Option<Fault>>>,
 }
 
 /// What the tally can't know.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, Default)]
 pub struct RunLabels<'a> {
     /// Task name.
     pub task: &'a str,
+    /// From where the cameras looked.
+    pub view: &'a str,
+    /// The needle, in a task that has a choice.
+    pub needle: Option<&'a str>,
     /// Policy name.
     pub policy: &'a str,
     /// The seed.
@@ -33,6 +43,8 @@ pub struct RunLabels<'a> {
     pub success: bool,
     /// Why the run ended.
     pub reason: &'a str,
+    /// What a soft tissue went through, if the task has one.
+    pub tissue: Option<TissueSummary>,
 }
 
 impl Tally {
@@ -44,7 +56,9 @@ impl Tally {
             self.hash.add(&arm.command);
             let gate = arm.report.gate;
             self.refused += u64::from(gate.is_some_and(|verdict| !verdict.is_accepted()));
-            self.fault = self.fault.or(arm.report.fault);
+        }
+        if self.faults.is_none() && record.has_fault() {
+            self.faults = Some(record.arms.map(|arm| arm.report.fault));
         }
         // One problem for all arms; one that follows nothing has no part in it.
         let any = |what: fn(&TickReport) -> bool| record.arms.iter().any(|arm| what(&arm.report));
@@ -82,10 +96,20 @@ impl Tally {
         self.ticks
     }
 
-    /// The first fault, if there was one.
+    /// What was wrong when something first was, in words; of two arms, also whose fault it was.
     #[must_use]
-    pub const fn fault(&self) -> Option<Fault> {
-        self.fault
+    pub fn faults(&self) -> Option<String> {
+        let faults = self.faults.as_ref()?;
+        let alone = faults.count() == 1;
+        let told = faults.iter().zip(ARM_NAMES).filter_map(|(fault, name)| {
+            let fault = fault.as_ref()?;
+            Some(if alone {
+                format!("fault: {fault}")
+            } else {
+                format!("fault of {name}: {fault}")
+            })
+        });
+        Some(told.collect::<Vec<_>>().join("; "))
     }
 
     /// The hash of all commands so far, hexadecimal.
@@ -100,6 +124,8 @@ impl Tally {
         let skipped = real_time.map_or(0, |counts| counts.overruns);
         RunSummary {
             task: labels.task.to_owned(),
+            view: labels.view.to_owned(),
+            needle: labels.needle.map(str::to_owned),
             policy: PolicyCounts {
                 name: labels.policy.to_owned(),
                 queries: self.queries,
@@ -121,6 +147,7 @@ impl Tally {
             qp: self.qp,
             guard_interventions: self.guard_interventions,
             real_time,
+            tissue: labels.tissue,
         }
     }
 }
@@ -138,4 +165,53 @@ fn milliseconds(histogram: &Histogram) -> LatencyMs {
 )]
 fn scaled(ns: u64, unit: f64) -> f64 {
     ns as f64 * unit
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::log::tests::two_arms::run_two_arms;
+
+    #[test]
+    fn a_fault_is_told_in_words_and_of_two_arms_with_its_arm() {
+        let (records, _) = run_two_arms(1);
+        let fault = Fault::TrackingError {
+            joint: 2,
+            error: 0.25,
+        };
+        let told = |faults: [Option<Fault>; 2], arms: usize| {
+            let [first, second] = faults;
+            let mut record = records[0];
+            record.arms.first.report.fault = first;
+            record.arms.second = record.arms.second.filter(|_| arms == 2);
+            if let Some(arm) = &mut record.arms.second {
+                arm.report.fault = second;
+            }
+            let mut tally = Tally::default();
+            tally.tick(&records[0]);
+            tally.tick(&record);
+            // What comes after the first is not its cause.
+            record.arms.first.report.fault = Some(Fault::MeasurementNotFinite);
+            if first.or(second).is_some() {
+                tally.tick(&record);
+            }
+            tally.faults()
+        };
+        let words = "insertion is 0.2500 away from its command";
+        assert_eq!(told([None, None], 2), None);
+        assert_eq!(
+            told([Some(fault), None], 1),
+            Some(format!("fault: {words}"))
+        );
+        for (faults, expected) in [
+            ([Some(fault), None], format!("fault of psm1: {words}")),
+            ([None, Some(fault)], format!("fault of psm2: {words}")),
+            (
+                [Some(fault); 2],
+                format!("fault of psm1: {words}; fault of psm2: {words}"),
+            ),
+        ] {
+            assert_eq!(told(faults, 2), Some(expected));
+        }
+    }
 }

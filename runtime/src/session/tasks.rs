@@ -6,7 +6,7 @@ use sim_backend::task::TaskConfig;
 use super::SessionError;
 
 /// Safety limits that are built into the program, by task.
-const SAFETY: [(&str, &str, &str); 4] = [
+const SAFETY: [(&str, &str, &str); 5] = [
     (
         "needle-lift",
         "config/tasks/needle-lift/safety.toml",
@@ -26,6 +26,11 @@ const SAFETY: [(&str, &str, &str); 4] = [
         "needle-handover",
         "config/tasks/needle-handover/safety.toml",
         include_str!("../../../config/tasks/needle-handover/safety.toml"),
+    ),
+    (
+        "tissue-retraction",
+        "config/tasks/tissue-retraction/safety.toml",
+        include_str!("../../../config/tasks/tissue-retraction/safety.toml"),
     ),
 ];
 

@@ -1,13 +1,18 @@
-//! Sessions of two arms in lockstep, and what refuses them.
+//! Sessions of two arms in lockstep: runs, recordings, and networks trained on them.
+
+use std::fs;
+use std::path::Path;
 
 use hal::Chunk;
+use nalgebra::Vector3;
+use policy::dataset::Dataset;
 use sim_backend::simulation::{Rendering, Simulation};
 use tch::Device;
 
 use super::episode::{Episode, EpisodeEnd, Plan, Watcher};
-use super::realtime::run_realtime;
 use super::record::{RecordOptions, record};
-use super::run::RunOptions;
+use super::tally::RunLabels;
+use super::training::{CameraChoice, TrainingOptions, train};
 use super::{PolicyChoice, Setup};
 use crate::log::tests::Scratch;
 use crate::log::{Pressure, Recorder, RunHeader, RunLog, RunOutcome, TickRecord};
@@ -33,7 +38,15 @@ fn handover(policy: &PolicyChoice) -> Setup {
 
 /// The first `ticks` of the handover under `policy`, with a log.
 fn run(policy: &PolicyChoice, ticks: u64, file: &Scratch) -> (EpisodeEnd, RunLog) {
-    let setup = handover(policy);
+    run_setup(&handover(policy), policy, ticks, file)
+}
+
+fn run_setup(
+    setup: &Setup,
+    policy: &PolicyChoice,
+    ticks: u64,
+    file: &Scratch,
+) -> (EpisodeEnd, RunLog) {
     let texts = [
         ("control.toml", setup.texts.control.clone()),
         ("safety.toml", setup.texts.safety.clone()),
@@ -43,8 +56,12 @@ fn run(policy: &PolicyChoice, ticks: u64, file: &Scratch) -> (EpisodeEnd, RunLog
         ..RunHeader::default()
     };
     let mut logger = Logger(Recorder::create(&file.0, &header, Pressure::Block).unwrap());
+    let rendering = match policy {
+        PolicyChoice::Checkpoint(_) => Rendering::On,
+        PolicyChoice::Expert | PolicyChoice::Noop | PolicyChoice::Random => Rendering::Off,
+    };
     let episode = Episode {
-        simulation: &mut Simulation::new(&setup.task, 3, Rendering::Off).unwrap(),
+        simulation: &mut Simulation::new(&setup.task, 3, rendering).unwrap(),
         controller: &mut setup.controller().unwrap(),
         source: &mut setup.source(policy, 3, Device::Cpu).unwrap(),
     };
@@ -72,7 +89,7 @@ fn two_arms_run_replay_and_verify_under_every_policy_without_a_network() {
         let name = policy.name();
         let file = Scratch::new(&format!("session-two-{name}"));
         let (end, log) = run(&policy, ticks, &file);
-        assert_eq!(end.tally.fault(), None, "{name}");
+        assert_eq!(end.tally.faults(), None, "{name}");
         let replayed = replay(&log).unwrap();
         assert!(
             replayed.identical && replayed.inputs_checked && replayed.ticks == end.tally.ticks(),
@@ -110,31 +127,138 @@ fn the_same_seed_gives_the_same_hash_of_both_arms() {
     assert_eq!(once.tally.command_hash(), twice.tally.command_hash());
 }
 
+/// A checkpoint of one arm.
+const COMMITTED: &str = concat!(
+    env!("CARGO_MANIFEST_DIR"),
+    "/../config/policies/needle-lift/act-small"
+);
+
 #[test]
-fn what_knows_one_arm_refuses_two_and_says_what_to_do() {
-    let setup = handover(&PolicyChoice::Expert);
-    let options = RunOptions {
-        policy: PolicyChoice::Expert,
-        seed: 1,
-        log: None,
-        pictures: false,
-        latency_ms: None,
-        device: Device::Cpu,
-    };
-    let error = run_realtime(&setup, &options).unwrap_err();
-    assert!(error.is_bad_input() && error.to_string().contains("use --lockstep"));
-    let out = std::env::temp_dir().join("trocar-no-two-armed-dataset");
+fn a_network_of_another_number_of_arms_is_refused_with_both_numbers() {
+    let folder = Scratch::new("session-arms");
+    fs::create_dir_all(&folder.0).unwrap();
+    let recipe = Path::new(COMMITTED).join("trocar.json");
+    let one: serde_json::Value = serde_json::from_slice(&fs::read(recipe).unwrap()).unwrap();
+    let mut two = one;
+    two["arms"] = 2.into();
+    // The recipe alone decides: the weights are not even there.
+    fs::write(folder.0.join("trocar.json"), two.to_string()).unwrap();
+    for (task, checkpoint, expected) in [
+        (
+            "needle-handover",
+            Path::new(COMMITTED),
+            "arms = 1, task needle-handover has 2",
+        ),
+        (
+            "needle-lift",
+            folder.0.as_path(),
+            "arms = 2, task needle-lift has 1",
+        ),
+    ] {
+        let policy = PolicyChoice::Checkpoint(checkpoint.to_owned());
+        let setup = Setup::load(task, None, &policy).unwrap();
+        let Err(error) = setup.source(&policy, 1, Device::Cpu) else {
+            panic!("{task} took it");
+        };
+        let message = error.to_string();
+        assert!(
+            error.is_bad_input() && message.contains(expected),
+            "{message}"
+        );
+        assert!(
+            message.contains(&checkpoint.display().to_string()),
+            "{message}"
+        );
+    }
+    fs::remove_dir_all(&folder.0).unwrap();
+}
+
+/// The handover seen by a smaller camera, which is drawn sooner.
+fn small_handover(policy: &PolicyChoice) -> Setup {
+    let mut setup = handover(policy);
+    for camera in &mut setup.task.cameras {
+        (camera.width, camera.height) = (256, 256);
+    }
+    setup
+}
+
+/// Records one demonstration of the handover.
+fn record_one(out: &Path) -> Dataset {
     let options = RecordOptions {
         episodes: 1,
-        out: out.clone(),
-        seed: 1,
+        out: out.to_owned(),
+        seed: 3,
         jobs: 1,
     };
-    let error = record(&setup, &options, &mut |_| {}).unwrap_err();
-    assert!(error.is_bad_input() && !out.exists(), "{error}");
-    let network = PolicyChoice::Checkpoint(out);
-    let Err(error) = setup.source(&network, 1, Device::Cpu) else {
-        panic!("a network for two arms")
+    let setup = small_handover(&PolicyChoice::Expert);
+    let summary = record(&setup, &options, &mut |_| {}).unwrap();
+    assert_eq!((summary.episodes, summary.attempts.len()), (1, 1));
+    let dataset = Dataset::open(out).unwrap();
+    assert_eq!((dataset.len(), dataset.arms()), (summary.steps, 2));
+    dataset
+}
+
+/// Both arms move in a demonstration, and each one's commands are near its own tip.
+fn check_demonstration(dataset: &Dataset) {
+    let place = |numbers: &[f64]| Vector3::new(numbers[0], numbers[1], numbers[2]);
+    for arm in 0..2 {
+        let start = place(&dataset.tip_pose(0, arm));
+        let (mut way_m, mut lead_m) = (0.0_f64, 0.0_f64);
+        for frame in 0..dataset.len() {
+            let tip = place(&dataset.tip_pose(frame, arm));
+            way_m = way_m.max((tip - start).norm());
+            lead_m = lead_m.max((place(&dataset.action(frame, arm)) - tip).norm());
+        }
+        assert!(way_m > 0.01 && lead_m < 0.02, "{arm}: {way_m} {lead_m}");
+    }
+    let first = dataset.state(0, 0).map(f32::to_bits);
+    assert_ne!(first, dataset.state(dataset.len() - 1, 0).map(f32::to_bits));
+}
+
+#[test]
+fn a_demonstration_of_two_arms_trains_a_network_that_commands_both() {
+    let folder = Scratch::new("session-bimanual");
+    let (data, out) = (folder.0.join("data"), folder.0.join("act"));
+    check_demonstration(&record_one(&data));
+    let options = TrainingOptions {
+        data,
+        out: out.clone(),
+        cameras: CameraChoice::Multi,
+        preset: "small".to_owned(),
+        steps: Some(2),
+        batch: Some(2),
+        device: Device::Cpu,
+        bf16: false,
+        episodes: None,
+        validation_share: 0.0,
+        augment: false,
+        threads: 2,
+        seed: 1,
+        command: "train".to_owned(),
     };
-    assert!(error.is_bad_input() && error.to_string().contains("2 arms"));
+    assert!(train(&options, &mut |_| {}).unwrap().loss.is_finite());
+    let policy = PolicyChoice::Checkpoint(out);
+    let file = Scratch::new("session-bimanual-log");
+    let (end, log) = run_setup(&small_handover(&policy), &policy, 2200, &file);
+    let summary = end.tally.summary(&RunLabels::default(), None);
+    assert_eq!((summary.policy.queries, end.tally.faults()), (3, None));
+    assert!(summary.policy.refused < 2, "{:?}", summary.policy);
+    let chunks: Vec<_> = log
+        .ticks()
+        .filter_map(|(_, chunks)| Some((chunks.first?, chunks.second.flatten()?)))
+        .collect();
+    assert_eq!(chunks.len(), 3);
+    for (index, (first, second)) in (1..).zip(&chunks) {
+        assert_eq!((first.sequence, second.sequence), (index, index));
+        assert_eq!(first.observed_at, second.observed_at);
+        assert_ne!(first.targets, second.targets);
+    }
+    let replayed = replay(&log).unwrap();
+    assert!(
+        replayed.identical && replayed.inputs_checked,
+        "{replayed:?}"
+    );
+    let verified = verify(&log).unwrap();
+    assert!(verified.ok, "{:?}", verified.violations.first());
+    fs::remove_dir_all(&folder.0).unwrap();
 }

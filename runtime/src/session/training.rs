@@ -96,7 +96,7 @@ pub fn train(
     }
     outputs::new_folder(&options.out)?;
     let dataset = Dataset::open_first(&options.data, options.episodes)?;
-    let config = ActConfig::preset(preset, &cameras(options, &dataset)?);
+    let config = ActConfig::preset(preset, &cameras(options, &dataset)?).for_arms(dataset.arms());
     let clock = MonotonicClock::new();
     let begun = clock.now();
     let seconds = || TimeNs(clock.now().since(begun)).seconds();
@@ -234,6 +234,7 @@ fn recipe(
         .collect();
     Recipe {
         format: RECIPE_FORMAT,
+        arms: spec.arms,
         action_representation: REPRESENTATION.to_owned(),
         step_ns: STEP_NS,
         query_every_steps: QUERY_EVERY_STEPS,

@@ -12,6 +12,7 @@ mod motion;
 mod needle_handover;
 mod needle_lift;
 mod suture_pad;
+mod tissue_retraction;
 mod wire;
 
 use hal::{Chunk, TimeNs, TipTarget};
@@ -37,6 +38,7 @@ enum AnyScript {
     BlockTransfer(Box<block_transfer::Mover>),
     SuturePad(Box<suture_pad::Driver>),
     NeedleHandover(Box<needle_handover::Passer>),
+    TissueRetraction(Box<tissue_retraction::Retractor>),
 }
 
 /// Where the tips should be at one instant, each in its arm's RCM frame.
@@ -80,6 +82,10 @@ impl Expert {
             Scene::NeedleHandover(scene) => {
                 AnyScript::NeedleHandover(Box::new(needle_handover::Passer::new(task, scene, seed)))
             }
+            Scene::TissueRetraction(scene) => {
+                let script = tissue_retraction::Retractor::new(task, scene, seed);
+                AnyScript::TissueRetraction(Box::new(script))
+            }
         };
         Self { script }
     }
@@ -114,6 +120,7 @@ impl Expert {
             AnyScript::BlockTransfer(script) => script.attempts(),
             AnyScript::SuturePad(script) => script.attempts(),
             AnyScript::NeedleHandover(script) => script.attempts(),
+            AnyScript::TissueRetraction(script) => script.attempts(),
         }
     }
 
@@ -123,6 +130,7 @@ impl Expert {
             AnyScript::BlockTransfer(script) => foreseen(&mut **script, now, scene),
             AnyScript::SuturePad(script) => foreseen(&mut **script, now, scene),
             AnyScript::NeedleHandover(script) => foreseen(&mut **script, now, scene),
+            AnyScript::TissueRetraction(script) => foreseen(&mut **script, now, scene),
         }
     }
 }

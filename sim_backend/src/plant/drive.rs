@@ -111,6 +111,12 @@ impl Plant {
         }
     }
 
+    /// Effort of the motors on the jaw, N m: negative while they close it. The cables' friction takes its part of it.
+    #[must_use]
+    pub fn jaw_effort(&self) -> f64 {
+        joint_efforts(&self.effort)[JOINT_COUNT]
+    }
+
     /// Every number that decides the future, for hashing.
     pub(crate) fn state(&self) -> impl Iterator<Item = f64> + '_ {
         let parts = [

@@ -18,11 +18,11 @@ pub struct Camera {
     pub far_m: f64,
 }
 
-/// The light guide of an endoscope: a spot that travels with the camera and shines along its z axis.
+/// The light guide of an endoscope: a spot with a place of its own, so that all cameras see the scene in the same light.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Light {
-    /// Where the guide ends in the camera frame, m. At the lens itself no shadow would be seen.
-    pub position_in_camera_m: [f64; 3],
+    /// Where the guide ends and points, scene frame: it shines along z.
+    pub guide_in_scene: Pose,
     /// Angle from the axis at which the spot has faded to nothing, rad, below a quarter turn.
     pub cone_half_angle_rad: f64,
     /// Brightness of the spot at [`Self::reference_distance_m`]; it falls with the square of the distance.
@@ -33,14 +33,35 @@ pub struct Light {
     pub ambient: f64,
 }
 
+/// Where the light guide ends beside the lens of an endoscope, camera frame, m. At the lens itself no shadow would be
+/// seen.
+const GUIDE_IN_CAMERA_M: [f64; 3] = [0.010, -0.012, 0.0];
+
+impl Light {
+    /// The light of an endoscope whose lens is `camera`: it covers what the camera sees and a little more.
+    #[must_use]
+    pub fn beside(camera: &Camera) -> Self {
+        let lens = &camera.intrinsics;
+        let reach =
+            |centre: f64, size: u32, focal: f64| centre.max(f64::from(size) - centre) / focal;
+        let across = reach(lens.cx, lens.width, lens.fx);
+        let down = reach(lens.cy, lens.height, lens.fy);
+        Self {
+            guide_in_scene: camera.camera_in_scene * Translation3::from(GUIDE_IN_CAMERA_M),
+            cone_half_angle_rad: (1.3 * across.hypot(down).atan() + 0.08).clamp(0.1, 1.2),
+            ..Self::default()
+        }
+    }
+}
+
 impl Default for Light {
     fn default() -> Self {
         Self {
-            position_in_camera_m: [0.010, -0.012, 0.0],
-            cone_half_angle_rad: 0.8,
-            intensity: 2.7,
+            guide_in_scene: Pose::identity(),
+            cone_half_angle_rad: 0.7,
+            intensity: 2.3,
             reference_distance_m: 0.12,
-            ambient: 0.22,
+            ambient: 0.20,
         }
     }
 }
@@ -112,7 +133,7 @@ impl Light {
         let numbers = [self.intensity, self.reference_distance_m, self.ambient];
         let finite = numbers
             .iter()
-            .chain(&self.position_in_camera_m)
+            .chain(self.guide_in_scene.to_homogeneous().iter())
             .all(|v| v.is_finite());
         let cone = self.cone_half_angle_rad > 0.0
             && self.cone_half_angle_rad < core::f64::consts::FRAC_PI_2;
@@ -125,30 +146,24 @@ impl Light {
         }
     }
 
-    /// Half width of the shadow map over distance: the part of the cone that `camera` sees.
-    ///
-    /// What comes so near that the guide's offset carries it out of the map gets no shadow.
-    pub(super) fn window_tan(&self, camera: &Camera) -> f64 {
-        let lens = &camera.intrinsics;
-        let reach =
-            |centre: f64, size: u32, focal: f64| centre.max(f64::from(size) - centre) / focal;
-        let seen = reach(lens.cx, lens.width, lens.fx).max(reach(lens.cy, lens.height, lens.fy));
-        let [x, y, _] = self.position_in_camera_m.map(f64::abs);
-        let offset = 2.0 * x.max(y) / self.reference_distance_m.max(camera.near_m);
-        (seen + offset)
-            .min(self.cone_half_angle_rad.tan())
-            .max(1e-3)
+    /// Half width of the shadow map over distance: it holds the whole cone.
+    pub(super) fn window_tan(&self) -> f64 {
+        self.cone_half_angle_rad.tan()
     }
 
-    /// Clip coordinates of the shadow map from camera coordinates.
-    pub(super) fn clip_from_camera(&self, camera: &Camera) -> Matrix4<f64> {
-        let scale = 1.0 / self.window_tan(camera);
-        let mut clip = depth_rows(camera.near_m, camera.far_m);
+    /// Clip coordinates of the shadow map from coordinates of the guide.
+    pub(super) fn clip_from_light(&self) -> Matrix4<f64> {
+        let scale = 1.0 / self.window_tan();
+        let mut clip = depth_rows(SHADOW_NEAR_M, SHADOW_FAR_M);
         clip[(0, 0)] = scale;
         clip[(1, 1)] = -scale;
-        clip * Matrix4::new_translation(&-Vector3::from(self.position_in_camera_m))
+        clip
     }
 }
+
+/// Depth range of the shadow map, m; what is beyond gets light.
+const SHADOW_NEAR_M: f64 = 0.01;
+const SHADOW_FAR_M: f64 = 0.7;
 
 /// The depth and w rows that every projection along +z shares.
 fn depth_rows(near_m: f64, far_m: f64) -> Matrix4<f64> {

@@ -71,10 +71,13 @@ impl Gpu {
         }
     }
 
-    /// Waits until all submitted work is done.
-    pub(super) fn wait(&self) -> Result<(), RenderError> {
+    /// Waits until `submission` is done.
+    pub(super) fn wait(&self, submission: wgpu::SubmissionIndex) -> Result<(), RenderError> {
         self.device
-            .poll(wgpu::PollType::wait_indefinitely())
+            .poll(wgpu::PollType::Wait {
+                submission_index: Some(submission),
+                timeout: None,
+            })
             .map_err(|error| RenderError::Gpu(error.to_string()))?;
         self.check()
     }

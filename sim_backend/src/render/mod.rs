@@ -1,86 +1,33 @@
 //! The off-screen renderer: colour, metric depth and instance ids of a scene, as an endoscope sees it.
 //!
-//! Everything is drawn in one pass on any Vulkan device; a software rasteriser is enough. Coordinates go to the device
-//! relative to the camera, so that single precision is never spent on where the camera is. What the surfaces look
-//! like is in `surface.wgsl`. On one device and driver the same inputs give the same bytes.
+//! It runs on any Vulkan device; a software rasteriser is enough. Coordinates go to the device relative to the camera, so
+//! that single precision is never spent on where the camera is. Ids and depth come from a pass of their own, with one
+//! sample a pixel, so that no way of shading touches them. What surfaces look like is in `bake.wgsl` (patterns, painted
+//! once), `surface.wgsl` and `light.wgsl`. On one device and driver the same inputs give the same bytes.
 
+mod bake;
 mod camera;
+mod error;
 mod gpu;
+mod maps;
 mod pipelines;
+mod records;
 mod scene;
+mod station;
 mod targets;
-
-#[cfg(test)]
-mod tests;
 
 use hal::{CameraFrame, Intrinsics, Pose};
 
 pub use camera::{Camera, Light, look_at};
+pub use error::RenderError;
 
-use crate::visual::Visual;
+use crate::visual::{Backdrop, Mesh, Visual};
+use bake::Paints;
 use gpu::Gpu;
-use pipelines::Pipelines;
+use pipelines::{Pipelines, SHADOW_MAP_PX};
+use records::{Eye, Records, View};
 use scene::Scene;
-use targets::Targets;
-
-/// Why there is no image.
-#[derive(Debug, thiserror::Error)]
-pub enum RenderError {
-    /// The Vulkan loader or every driver is missing.
-    #[error(
-        "no Vulkan device: install a GPU driver, or mesa-vulkan-drivers to render in software (see VK_DRIVER_FILES)"
-    )]
-    NoAdapter,
-    /// The driver is there and refuses.
-    #[error("the Vulkan device {adapter} can't be opened: {reason}")]
-    Device {
-        /// Which one.
-        adapter: String,
-        /// What it says.
-        reason: String,
-    },
-    /// A mesh can't be drawn.
-    #[error("mesh of {name}: {reason}")]
-    Mesh {
-        /// Name of the visual.
-        name: &'static str,
-        /// What is wrong.
-        reason: &'static str,
-    },
-    /// The image is empty or larger than the device allows.
-    #[error("image of {width} x {height} pixels: each side must be in 1..={max}")]
-    ImageSize {
-        /// Asked width.
-        width: u32,
-        /// Asked height.
-        height: u32,
-        /// Largest side.
-        max: u32,
-    },
-    /// The caller's buffers do not fit the image.
-    #[error("the buffers given are not for an image of {pixels} pixels")]
-    Buffers {
-        /// Pixels of the image.
-        pixels: usize,
-    },
-    /// The camera can't be.
-    #[error("camera: {0}")]
-    Camera(&'static str),
-    /// The light can't be.
-    #[error("light: {0}")]
-    Light(&'static str),
-    /// One pose a visual is needed.
-    #[error("{got} poses for {expected} visuals")]
-    PoseCount {
-        /// Visuals in the scene.
-        expected: usize,
-        /// Poses given.
-        got: usize,
-    },
-    /// The device failed at work.
-    #[error("Vulkan: {0}")]
-    Gpu(String),
-}
+use station::{Station, Stations};
 
 /// The buffers of one image.
 #[derive(Debug)]
@@ -105,43 +52,68 @@ impl Planes<'_> {
     }
 }
 
-/// How much work goes into an image; depth and ids do not depend on it.
+/// How much work goes into colours; depth and ids do not depend on it.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum Quality {
-    /// Shadows from the light.
+pub enum Shading {
+    /// Shadows, surroundings mirrored in metal and fluid, relief.
     #[default]
-    Shadows,
-    /// No shadows, cheaper.
+    Full,
+    /// The same with edges smoothed over the pixel, which a software rasteriser takes nearly twice as long for.
+    Fine,
+    /// Painted colours in the same light without any of these, for about half the cost.
     Plain,
 }
 
-/// Draws one fixed set of visuals from any number of cameras.
+/// Draws one fixed set of visuals, which may move and bend, from any number of cameras.
 pub struct Renderer {
     gpu: Gpu,
     scene: Scene,
     pipelines: Pipelines,
-    targets: Option<Targets>,
-    quality: Quality,
+    light: Records,
+    stations: Stations,
+    backdrop: Backdrop,
+    backdrop_layer: f32,
+    shading: Shading,
 }
 
 impl Renderer {
-    /// Opens the best Vulkan device of the machine, a software one if there is no other, and uploads the meshes.
+    /// Opens the best Vulkan device of the machine, a software one if there is no other, and uploads the meshes. Behind
+    /// them is the inside of a body.
     ///
     /// The loader's own variables, `VK_DRIVER_FILES` and the like, decide which devices there are.
     ///
     /// # Errors
     /// No usable device, or a mesh that can't be drawn.
     pub fn new(visuals: &[Visual]) -> Result<Self, RenderError> {
+        Self::with_backdrop(visuals, &Backdrop::CAVITY, Shading::default())
+    }
+
+    /// The same with something else behind and a choice of shading.
+    ///
+    /// # Errors
+    /// As [`Self::new`].
+    pub fn with_backdrop(
+        visuals: &[Visual],
+        backdrop: &Backdrop,
+        shading: Shading,
+    ) -> Result<Self, RenderError> {
         let gpu = Gpu::open()?;
-        let scene = Scene::upload(&gpu.device, visuals)?;
-        let pipelines = Pipelines::new(&gpu.device, &scene);
+        let things = visuals.iter().map(|visual| &visual.material);
+        let materials = things.chain([&backdrop.material]);
+        let paints = Paints::new(&gpu.device, &gpu.queue, materials);
+        let scene = Scene::upload(&gpu.device, visuals, &paints)?;
+        let pipelines = Pipelines::new(&gpu.device, &paints, shading);
+        let light = Records::new(&gpu.device, &pipelines.records, scene.part_count());
         gpu.check()?;
         Ok(Self {
             gpu,
             scene,
             pipelines,
-            targets: None,
-            quality: Quality::default(),
+            light,
+            stations: Stations::default(),
+            backdrop: *backdrop,
+            backdrop_layer: paints.layer(&backdrop.material),
+            shading,
         })
     }
 
@@ -151,9 +123,21 @@ impl Renderer {
         &self.gpu.name
     }
 
-    /// Chooses how much work goes into the following images; [`Quality::Shadows`] at first.
-    pub const fn set_quality(&mut self, quality: Quality) {
-        self.quality = quality;
+    /// Chooses how much work goes into the colours of the following images.
+    pub fn set_shading(&mut self, shading: Shading) {
+        if self.shading != shading {
+            self.shading = shading;
+            self.pipelines.set_shading(&self.gpu.device, shading);
+        }
+    }
+
+    /// Bends the visual `index`: its vertices go to where `mesh` has them, for all following images. The triangles stay what
+    /// they were; those of `mesh` are not looked at.
+    ///
+    /// # Errors
+    /// No such visual, or another number of vertices.
+    pub fn reshape(&mut self, index: usize, mesh: &Mesh) -> Result<(), RenderError> {
+        self.scene.reshape(&self.gpu.queue, index, mesh)
     }
 
     /// Takes one image: `poses` are the visuals' poses in the scene frame, in their order.
@@ -170,20 +154,37 @@ impl Renderer {
         light: &Light,
         frame: &mut CameraFrame,
     ) -> Result<(), RenderError> {
-        camera.check(self.gpu.size_px_max)?;
-        let pixels = camera.intrinsics.pixel_count();
-        frame.colour.resize(3 * pixels, 0);
-        frame.instance.resize(pixels, 0);
-        frame.depth_m.resize(pixels, 0.0);
-        let planes = Planes {
-            colour: &mut frame.colour,
-            depth_m: &mut frame.depth_m,
-            instance: &mut frame.instance,
-        };
-        self.render_into(poses, camera, light, planes)?;
-        frame.intrinsics = camera.intrinsics;
-        frame.camera_in_scene = camera.camera_in_scene;
-        Ok(())
+        self.render_all(poses, light, &mut [(*camera, frame)])
+    }
+
+    /// Takes an image from each of several cameras at the same instant, the same as one by one, but without waiting for
+    /// one before the next is begun, and with one shadow map for all.
+    ///
+    /// # Errors
+    /// As [`Self::render`]; then the content of all frames is unspecified.
+    pub fn render_all(
+        &mut self,
+        poses: &[Pose],
+        light: &Light,
+        shots: &mut [(Camera, &mut CameraFrame)],
+    ) -> Result<(), RenderError> {
+        let mut views = Vec::with_capacity(shots.len());
+        for (camera, frame) in shots {
+            camera.check(self.gpu.size_px_max)?;
+            let pixels = camera.intrinsics.pixel_count();
+            frame.colour.resize(3 * pixels, 0);
+            frame.instance.resize(pixels, 0);
+            frame.depth_m.resize(pixels, 0.0);
+            frame.intrinsics = camera.intrinsics;
+            frame.camera_in_scene = camera.camera_in_scene;
+            let planes = Planes {
+                colour: &mut frame.colour,
+                depth_m: &mut frame.depth_m,
+                instance: &mut frame.instance,
+            };
+            views.push((*camera, planes));
+        }
+        self.render_all_into(poses, light, &mut views)
     }
 
     /// Takes one image straight into the caller's buffers: `width * height` pixels, row-major from the top left.
@@ -195,30 +196,90 @@ impl Renderer {
         poses: &[Pose],
         camera: &Camera,
         light: &Light,
-        mut planes: Planes<'_>,
+        planes: Planes<'_>,
     ) -> Result<(), RenderError> {
-        camera.check(self.gpu.size_px_max)?;
-        planes.check(&camera.intrinsics)?;
+        self.render_all_into(poses, light, &mut [(*camera, planes)])
+    }
+
+    /// [`Self::render_all`] straight into the callers' buffers.
+    ///
+    /// # Errors
+    /// As [`Self::render_into`].
+    pub fn render_all_into(
+        &mut self,
+        poses: &[Pose],
+        light: &Light,
+        views: &mut [(Camera, Planes<'_>)],
+    ) -> Result<(), RenderError> {
         light.check()?;
-        self.scene.place(&self.gpu.queue, poses, camera, light)?;
-        let targets = match self.targets.take() {
-            Some(targets) if targets.fits(&camera.intrinsics) => targets,
-            Some(_) | None => Targets::new(&self.gpu.device, &camera.intrinsics),
+        for (camera, planes) in &*views {
+            camera.check(self.gpu.size_px_max)?;
+            planes.check(&camera.intrinsics)?;
+        }
+        let lenses = views.iter().map(|(camera, _)| &camera.intrinsics);
+        let parts = self.scene.part_count();
+        let room = (&self.pipelines.records, parts, self.shading);
+        self.stations.fit(&self.gpu.device, room, lenses);
+        let mut submissions = Vec::with_capacity(views.len());
+        for (index, (camera, _)) in views.iter().enumerate() {
+            submissions.push(self.submit(poses, light, camera, index)?);
+        }
+        let stations = self.stations.iter();
+        for ((station, submission), (_, planes)) in stations.zip(submissions).zip(views) {
+            station.targets.read(&self.gpu, submission, planes)?;
+        }
+        Ok(())
+    }
+
+    /// Begins the image of one camera at its station; the first one's submission draws the shadow map for all.
+    fn submit(
+        &mut self,
+        poses: &[Pose],
+        light: &Light,
+        camera: &Camera,
+        index: usize,
+    ) -> Result<wgpu::SubmissionIndex, RenderError> {
+        let Some(station) = self.stations.get(index) else {
+            return Err(RenderError::Gpu("no room for the image".to_owned()));
         };
+        let queue = &self.gpu.queue;
         let mut encoder = self
             .gpu
             .device
             .create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
-        let shadows = self.quality == Quality::Shadows;
-        if shadows {
-            self.pipelines.draw_shadow_map(&mut encoder, &self.scene);
+        if index == 0 && self.shading != Shading::Plain {
+            self.scene
+                .place(queue, &self.light, poses, &Eye::light(light))?;
+            self.pipelines
+                .draw_shadow_map(&mut encoder, &self.scene, &self.light);
         }
-        self.pipelines
-            .draw_scene(&mut targets.begin(&mut encoder), &self.scene, shadows);
+        let eye = Eye::camera(
+            light,
+            View {
+                camera,
+                backdrop: &self.backdrop,
+                backdrop_layer: self.backdrop_layer,
+                shadow_map_px: SHADOW_MAP_PX,
+            },
+        );
+        let Station { targets, records } = station;
+        self.scene.place(queue, records, poses, &eye)?;
+        self.pipelines.draw_labels(
+            &mut targets.begin_labels(&mut encoder),
+            &self.scene,
+            records,
+        );
+        self.pipelines.draw_colour(
+            &mut targets.begin_colour(&mut encoder),
+            &self.scene,
+            records,
+        );
         targets.copy(&mut encoder);
-        self.gpu.queue.submit([encoder.finish()]);
-        targets.read(&self.gpu, &mut planes)?;
-        self.targets = Some(targets);
-        Ok(())
+        let submission = queue.submit([encoder.finish()]);
+        targets.ask();
+        Ok(submission)
     }
 }
+
+#[cfg(test)]
+mod tests;

@@ -1,33 +1,64 @@
-//! The two passes: shadow map from the light, then colour, id and range from the camera.
+//! The passes: shadow map from the light, then ids and range, then colour from the camera.
 
-use super::scene::{Scene, VERTEX_BYTES};
+use super::bake::{PATTERN_SIZE_M, Paints};
+use super::records::{self, Records};
+use super::scene::{Scene, UNROLLED_BYTES, VERTEX_BYTES};
 use super::targets::{
-    COLOUR_FORMAT, DEPTH_FORMAT, INSTANCE_FORMAT, RANGE_FORMAT, depth_attachment, texture,
+    COLOUR_FORMAT, DEPTH_FORMAT, FAR, INSTANCE_FORMAT, RANGE_FORMAT, colour_samples,
+    depth_attachment, texture,
 };
+use super::{Shading, maps};
+use crate::visual::Pattern;
 
 /// Side of the square shadow map, texels.
-const SHADOW_MAP_PX: u32 = 768;
+pub(super) const SHADOW_MAP_PX: u32 = 1024;
 
 /// Pipelines and what they bind.
 pub(super) struct Pipelines {
+    pub(super) records: wgpu::BindGroupLayout,
     shadow: wgpu::RenderPipeline,
-    shadowed: wgpu::RenderPipeline,
-    unshadowed: wgpu::RenderPipeline,
-    records: wgpu::BindGroup,
-    shadow_map: wgpu::BindGroup,
+    label: wgpu::RenderPipeline,
+    colours: Colours,
+    maps: wgpu::BindGroup,
     shadow_view: wgpu::TextureView,
+    module: wgpu::ShaderModule,
+    colour_layout: wgpu::PipelineLayout,
+}
+
+/// The pipelines of the colour pass.
+struct Colours {
+    patterned: wgpu::RenderPipeline,
+    smooth: wgpu::RenderPipeline,
+    brushed: wgpu::RenderPipeline,
+    backdrop: wgpu::RenderPipeline,
 }
 
 impl Pipelines {
-    pub(super) fn new(device: &wgpu::Device, scene: &Scene) -> Self {
+    pub(super) fn new(device: &wgpu::Device, paints: &Paints, shading: Shading) -> Self {
         let module = device.create_shader_module(wgpu::ShaderModuleDescriptor {
             label: Some("scene"),
             source: wgpu::ShaderSource::Wgsl(
-                concat!(include_str!("scene.wgsl"), include_str!("surface.wgsl")).into(),
+                concat!(
+                    include_str!("scene.wgsl"),
+                    include_str!("noise.wgsl"),
+                    include_str!("light.wgsl"),
+                    include_str!("surface.wgsl")
+                )
+                .into(),
             ),
         });
-        let (records_layout, records) = records(device, scene);
-        let (shadow_layout, shadow_map, shadow_view) = shadow_map(device);
+        let records = records::layout(device);
+        let usage = wgpu::TextureUsages::RENDER_ATTACHMENT | wgpu::TextureUsages::TEXTURE_BINDING;
+        let shadow_view = texture(
+            device,
+            "shadow map",
+            SHADOW_MAP_PX,
+            SHADOW_MAP_PX,
+            DEPTH_FORMAT,
+            usage,
+        )
+        .create_view(&wgpu::TextureViewDescriptor::default());
+        let maps_layout = maps::layout(device);
         let layout = |groups: &[Option<&wgpu::BindGroupLayout>]| {
             device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
                 label: None,
@@ -35,136 +66,99 @@ impl Pipelines {
                 immediate_size: 0,
             })
         };
-        let scene_layout = layout(&[Some(&records_layout), Some(&shadow_layout)]);
+        let plain_layout = layout(&[Some(&records)]);
+        let colour_layout = layout(&[Some(&records), Some(&maps_layout)]);
         Self {
-            shadow: shadow_pipeline(device, &module, &layout(&[Some(&records_layout)])),
-            shadowed: scene_pipeline(device, &module, &scene_layout, 1.0),
-            unshadowed: scene_pipeline(device, &module, &scene_layout, 0.0),
+            shadow: shadow_pipeline(device, &module, &plain_layout),
+            label: label_pipeline(device, &module, &plain_layout),
+            colours: Colours::new(device, &module, &colour_layout, shading),
+            maps: maps::group(device, &maps_layout, &shadow_view, paints),
             records,
-            shadow_map,
             shadow_view,
+            module,
+            colour_layout,
         }
     }
 
+    /// Prepares for another kind of shading.
+    pub(super) fn set_shading(&mut self, device: &wgpu::Device, shading: Shading) {
+        self.colours = Colours::new(device, &self.module, &self.colour_layout, shading);
+    }
+
     /// Draws the scene as the light sees it.
-    pub(super) fn draw_shadow_map(&self, encoder: &mut wgpu::CommandEncoder, scene: &Scene) {
+    pub(super) fn draw_shadow_map(
+        &self,
+        encoder: &mut wgpu::CommandEncoder,
+        scene: &Scene,
+        light: &Records,
+    ) {
         let mut pass = encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
             label: Some("shadow map"),
             depth_stencil_attachment: Some(depth_attachment(
                 &self.shadow_view,
+                FAR,
                 wgpu::StoreOp::Store,
             )),
             ..Default::default()
         });
         pass.set_pipeline(&self.shadow);
-        pass.set_bind_group(0, &self.records, &[]);
-        scene.draw(&mut pass);
+        pass.set_bind_group(0, &light.group, &[]);
+        scene.draw(&mut pass, |_| None);
     }
 
-    /// Draws the scene as the camera sees it.
-    pub(super) fn draw_scene(&self, pass: &mut wgpu::RenderPass<'_>, scene: &Scene, shadows: bool) {
-        pass.set_pipeline(if shadows {
-            &self.shadowed
-        } else {
-            &self.unshadowed
-        });
-        pass.set_bind_group(0, &self.records, &[]);
-        pass.set_bind_group(1, &self.shadow_map, &[]);
-        scene.draw(pass);
+    /// Draws what is where.
+    pub(super) fn draw_labels(
+        &self,
+        pass: &mut wgpu::RenderPass<'_>,
+        scene: &Scene,
+        camera: &Records,
+    ) {
+        pass.set_pipeline(&self.label);
+        pass.set_bind_group(0, &camera.group, &[]);
+        scene.draw(pass, |_| None);
+    }
+
+    /// Draws the scene as the camera sees it, what is behind it last.
+    pub(super) fn draw_colour(
+        &self,
+        pass: &mut wgpu::RenderPass<'_>,
+        scene: &Scene,
+        camera: &Records,
+    ) {
+        pass.set_bind_group(0, &camera.group, &[]);
+        pass.set_bind_group(1, &self.maps, &[]);
+        scene.draw(pass, |pattern| Some(self.colours.of(pattern)));
+        pass.set_pipeline(&self.colours.backdrop);
+        pass.draw(0..3, 0..1);
     }
 }
 
-fn records(device: &wgpu::Device, scene: &Scene) -> (wgpu::BindGroupLayout, wgpu::BindGroup) {
-    let entry = |binding, ty| wgpu::BindGroupLayoutEntry {
-        binding,
-        visibility: wgpu::ShaderStages::VERTEX_FRAGMENT,
-        ty: wgpu::BindingType::Buffer {
-            ty,
-            has_dynamic_offset: false,
-            min_binding_size: None,
-        },
-        count: None,
-    };
-    let layout = device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
-        label: Some("records"),
-        entries: &[
-            entry(0, wgpu::BufferBindingType::Uniform),
-            entry(1, wgpu::BufferBindingType::Storage { read_only: true }),
-        ],
-    });
-    let group = device.create_bind_group(&wgpu::BindGroupDescriptor {
-        label: Some("records"),
-        layout: &layout,
-        entries: &[
-            wgpu::BindGroupEntry {
-                binding: 0,
-                resource: scene.frame.as_entire_binding(),
-            },
-            wgpu::BindGroupEntry {
-                binding: 1,
-                resource: scene.objects.as_entire_binding(),
-            },
-        ],
-    });
-    (layout, group)
-}
+impl Colours {
+    fn new(
+        device: &wgpu::Device,
+        module: &wgpu::ShaderModule,
+        layout: &wgpu::PipelineLayout,
+        shading: Shading,
+    ) -> Self {
+        let pipeline =
+            |vertex, fragment| colour_pipeline(device, module, layout, shading, [vertex, fragment]);
+        Self {
+            patterned: pipeline("scene_vertex", "patterned_fragment"),
+            smooth: pipeline("scene_vertex", "smooth_fragment"),
+            brushed: pipeline("scene_vertex", "brushed_fragment"),
+            backdrop: pipeline(BACKDROP, "backdrop_fragment"),
+        }
+    }
 
-fn shadow_map(
-    device: &wgpu::Device,
-) -> (wgpu::BindGroupLayout, wgpu::BindGroup, wgpu::TextureView) {
-    let usage = wgpu::TextureUsages::RENDER_ATTACHMENT | wgpu::TextureUsages::TEXTURE_BINDING;
-    let view = texture(
-        device,
-        "shadow map",
-        SHADOW_MAP_PX,
-        SHADOW_MAP_PX,
-        DEPTH_FORMAT,
-        usage,
-    )
-    .create_view(&wgpu::TextureViewDescriptor::default());
-    let sampler = device.create_sampler(&wgpu::SamplerDescriptor {
-        label: Some("shadow"),
-        mag_filter: wgpu::FilterMode::Linear,
-        min_filter: wgpu::FilterMode::Linear,
-        compare: Some(wgpu::CompareFunction::LessEqual),
-        ..Default::default()
-    });
-    let entry = |binding, ty| wgpu::BindGroupLayoutEntry {
-        binding,
-        visibility: wgpu::ShaderStages::FRAGMENT,
-        ty,
-        count: None,
-    };
-    let depth = wgpu::BindingType::Texture {
-        sample_type: wgpu::TextureSampleType::Depth,
-        view_dimension: wgpu::TextureViewDimension::D2,
-        multisampled: false,
-    };
-    let layout = device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
-        label: Some("shadow map"),
-        entries: &[
-            entry(0, depth),
-            entry(
-                1,
-                wgpu::BindingType::Sampler(wgpu::SamplerBindingType::Comparison),
-            ),
-        ],
-    });
-    let group = device.create_bind_group(&wgpu::BindGroupDescriptor {
-        label: Some("shadow map"),
-        layout: &layout,
-        entries: &[
-            wgpu::BindGroupEntry {
-                binding: 0,
-                resource: wgpu::BindingResource::TextureView(&view),
-            },
-            wgpu::BindGroupEntry {
-                binding: 1,
-                resource: wgpu::BindingResource::Sampler(&sampler),
-            },
-        ],
-    });
-    (layout, group, view)
+    const fn of(&self, pattern: Pattern) -> &wgpu::RenderPipeline {
+        match pattern {
+            Pattern::Smooth => &self.smooth,
+            Pattern::Brushed => &self.brushed,
+            Pattern::Muscle | Pattern::Liver | Pattern::Fat | Pattern::Skin | Pattern::Cloth => {
+                &self.patterned
+            }
+        }
+    }
 }
 
 const VERTEX: wgpu::VertexBufferLayout<'static> = wgpu::VertexBufferLayout {
@@ -172,6 +166,15 @@ const VERTEX: wgpu::VertexBufferLayout<'static> = wgpu::VertexBufferLayout {
     step_mode: wgpu::VertexStepMode::Vertex,
     attributes: &wgpu::vertex_attr_array![0 => Float32x3, 1 => Float32x3],
 };
+
+const UNROLLED: wgpu::VertexBufferLayout<'static> = wgpu::VertexBufferLayout {
+    array_stride: UNROLLED_BYTES,
+    step_mode: wgpu::VertexStepMode::Vertex,
+    attributes: &wgpu::vertex_attr_array![2 => Float32x2],
+};
+
+/// The vertex function that needs no mesh.
+const BACKDROP: &str = "backdrop_vertex";
 
 const fn visibility(bias: wgpu::DepthBiasState) -> wgpu::DepthStencilState {
     wgpu::DepthStencilState {
@@ -185,6 +188,14 @@ const fn visibility(bias: wgpu::DepthBiasState) -> wgpu::DepthStencilState {
             write_mask: 0,
         },
         bias,
+    }
+}
+
+const fn unbiased() -> wgpu::DepthBiasState {
+    wgpu::DepthBiasState {
+        constant: 0,
+        slope_scale: 0.0,
+        clamp: 0.0,
     }
 }
 
@@ -204,9 +215,8 @@ fn shadow_pipeline(
         },
         primitive: wgpu::PrimitiveState::default(),
         depth_stencil: Some(visibility(wgpu::DepthBiasState {
-            constant: 0,
             slope_scale: 1.5,
-            clamp: 0.0,
+            ..unbiased()
         })),
         multisample: wgpu::MultisampleState::default(),
         fragment: None,
@@ -215,49 +225,99 @@ fn shadow_pipeline(
     })
 }
 
-fn scene_pipeline(
+fn label_pipeline(
     device: &wgpu::Device,
     module: &wgpu::ShaderModule,
     layout: &wgpu::PipelineLayout,
-    shadows: f64,
 ) -> wgpu::RenderPipeline {
-    let target = |format| {
-        Some(wgpu::ColorTargetState {
-            format,
-            blend: None,
-            write_mask: wgpu::ColorWrites::ALL,
-        })
-    };
-    let texels = f64::from(SHADOW_MAP_PX);
     device.create_render_pipeline(&wgpu::RenderPipelineDescriptor {
-        label: Some("scene"),
+        label: Some("labels"),
         layout: Some(layout),
         vertex: wgpu::VertexState {
             module,
-            entry_point: Some("scene_vertex"),
+            entry_point: Some("label_vertex"),
             compilation_options: wgpu::PipelineCompilationOptions::default(),
             buffers: &[Some(VERTEX)],
         },
-        primitive: wgpu::PrimitiveState {
-            cull_mode: Some(wgpu::Face::Back),
-            ..Default::default()
-        },
-        depth_stencil: Some(visibility(wgpu::DepthBiasState::default())),
+        primitive: culled(),
+        depth_stencil: Some(visibility(unbiased())),
         multisample: wgpu::MultisampleState::default(),
         fragment: Some(wgpu::FragmentState {
             module,
-            entry_point: Some("scene_fragment"),
-            compilation_options: wgpu::PipelineCompilationOptions {
-                constants: &[("SHADOWS", shadows), ("SHADOW_MAP_PX", texels)],
-                ..Default::default()
-            },
-            targets: &[
-                target(COLOUR_FORMAT),
-                target(INSTANCE_FORMAT),
-                target(RANGE_FORMAT),
-            ],
+            entry_point: Some("label_fragment"),
+            compilation_options: wgpu::PipelineCompilationOptions::default(),
+            targets: &[whole(INSTANCE_FORMAT), whole(RANGE_FORMAT)],
         }),
         multiview_mask: None,
         cache: None,
+    })
+}
+
+fn colour_pipeline(
+    device: &wgpu::Device,
+    module: &wgpu::ShaderModule,
+    layout: &wgpu::PipelineLayout,
+    shading: Shading,
+    [vertex, fragment]: [&'static str; 2],
+) -> wgpu::RenderPipeline {
+    let full = shading != Shading::Plain;
+    let samples = colour_samples(shading);
+    let constants = [
+        ("FULL", if full { 1.0 } else { 0.0 }),
+        ("PATTERN_SIZE_M", f64::from(PATTERN_SIZE_M)),
+    ];
+    let behind = vertex == BACKDROP;
+    let compilation_options = wgpu::PipelineCompilationOptions {
+        constants: &constants,
+        ..Default::default()
+    };
+    device.create_render_pipeline(&wgpu::RenderPipelineDescriptor {
+        label: Some(fragment),
+        layout: Some(layout),
+        vertex: wgpu::VertexState {
+            module,
+            entry_point: Some(vertex),
+            compilation_options: compilation_options.clone(),
+            buffers: if behind {
+                &[]
+            } else {
+                &[Some(VERTEX), Some(UNROLLED)]
+            },
+        },
+        primitive: culled(),
+        // With one sample colour is drawn on the depth of the labels, the backdrop on what is left free.
+        depth_stencil: Some(wgpu::DepthStencilState {
+            depth_write_enabled: Some(samples > 1 && !behind),
+            depth_compare: Some(wgpu::CompareFunction::LessEqual),
+            ..visibility(unbiased())
+        }),
+        multisample: wgpu::MultisampleState {
+            count: samples,
+            ..Default::default()
+        },
+        fragment: Some(wgpu::FragmentState {
+            module,
+            entry_point: Some(fragment),
+            compilation_options,
+            targets: &[whole(COLOUR_FORMAT)],
+        }),
+        multiview_mask: None,
+        cache: None,
+    })
+}
+
+fn culled() -> wgpu::PrimitiveState {
+    wgpu::PrimitiveState {
+        cull_mode: Some(wgpu::Face::Back),
+        ..Default::default()
+    }
+}
+
+/// A colour target that takes what is drawn as it is.
+const fn whole(format: wgpu::TextureFormat) -> Option<wgpu::ColorTargetState> {
+    Some(wgpu::ColorTargetState {
+        format,
+        blend: None,
+        write_mask: wgpu::ColorWrites::ALL,
     })
 }

@@ -1,9 +1,10 @@
 // Geometry of one frame. All positions and directions are in the camera frame (x right, y down, z along the view)
 // unless their names say otherwise.
 
-// Whether the shadow map is read.
-override SHADOWS: bool = true;
-override SHADOW_MAP_PX: f32 = 768.0;
+// Shadows, surroundings and relief, or none of them.
+override FULL: bool = true;
+// Side of the image that a pattern is painted in, m.
+override PATTERN_SIZE_M: f32 = 0.18;
 
 struct Frame {
     clip_from_camera: mat4x4f,
@@ -11,14 +12,27 @@ struct Frame {
     light_position: vec3f,
     // Brightness times the square of the distance, m^2.
     light_power: f32,
+    light_axis: vec3f,
     cone_cos_outer: f32,
     cone_cos_inner: f32,
     ambient: f32,
-    // Half width of the shadow map over distance.
+    // Half width of the shadow map over distance, and of one of its texels.
     shadow_window_tan: f32,
+    shadow_texel_tan: f32,
     // The scene's z axis.
     up: vec3f,
+    // Height of the backdrop's floor in the scene, m.
+    floor: f32,
+    // What the things in the scene throw back from below.
+    bounce: vec3f,
+    backdrop_layer: f32,
+    backdrop_roughness: f32,
+    backdrop_wetness: f32,
+    backdrop_walls: f32,
     unused: f32,
+    // Principal point, pixels, and one over the focal lengths.
+    lens: vec4f,
+    scene_from_camera: mat4x4f,
 }
 
 struct Object {
@@ -29,50 +43,67 @@ struct Object {
     wetness: f32,
     detail: f32,
     instance: f32,
+    // Where its pattern lies among the painted ones.
+    layer: f32,
+    unused_0: f32,
+    unused_1: f32,
+    unused_2: f32,
 }
 
 @group(0) @binding(0) var<uniform> frame: Frame;
 @group(0) @binding(1) var<storage, read> objects: array<Object>;
 @group(1) @binding(0) var shadow_map: texture_depth_2d;
 @group(1) @binding(1) var shadow_sampler: sampler_comparison;
+@group(1) @binding(2) var albedo_map: texture_2d_array<f32>;
+@group(1) @binding(3) var relief_map: texture_2d_array<f32>;
+@group(1) @binding(4) var pattern_sampler: sampler;
 
 struct Varying {
-    @builtin(position) clip: vec4f,
+    @builtin(position) @invariant clip: vec4f,
     @location(0) position: vec3f,
     @location(1) object_position: vec3f,
     @location(2) object_normal: vec3f,
-    @location(3) @interpolate(flat) object: u32,
-}
-
-struct Pixel {
-    @location(0) colour: vec4f,
-    @location(1) instance: u32,
-    @location(2) range: f32,
+    // Where on its surface the point is, m; it stays the same when the surface is deformed.
+    @location(3) unrolled: vec2f,
+    @location(4) @interpolate(flat) object: u32,
 }
 
 @vertex
 fn scene_vertex(
     @location(0) position: vec3f,
     @location(1) normal: vec3f,
+    @location(2) unrolled: vec2f,
     @builtin(instance_index) object: u32,
 ) -> Varying {
     let in_camera = objects[object].camera_from_object * vec4f(position, 1.0);
-    return Varying(frame.clip_from_camera * in_camera, in_camera.xyz, position, normal, object);
+    return Varying(frame.clip_from_camera * in_camera, in_camera.xyz, position, normal, unrolled, object);
 }
 
+struct Seen {
+    @builtin(position) @invariant clip: vec4f,
+    @location(0) range: f32,
+    @location(1) @interpolate(flat) instance: u32,
+}
+
+struct Label {
+    @location(0) instance: u32,
+    @location(1) range: f32,
+}
+
+// What is where: the only source of ids and depth, whatever the colours are.
 @vertex
-fn shadow_vertex(@location(0) position: vec3f, @builtin(instance_index) object: u32) -> @builtin(position) vec4f {
-    return frame.light_clip_from_camera * (objects[object].camera_from_object * vec4f(position, 1.0));
+fn label_vertex(@location(0) position: vec3f, @builtin(instance_index) object: u32) -> Seen {
+    let in_camera = objects[object].camera_from_object * vec4f(position, 1.0);
+    return Seen(frame.clip_from_camera * in_camera, in_camera.z, u32(objects[object].instance));
 }
 
 @fragment
-fn scene_fragment(in: Varying) -> Pixel {
-    let footprint_m = length(fwidth(in.object_position));
-    let object = objects[in.object];
-    let normal = normalize(in.object_normal);
-    let surface = surface_of(object, in.object_position, normal, footprint_m);
-    let linear = shade(surface, in.position, (object.camera_from_object * vec4f(normal, 0.0)).xyz);
-    // Soft shoulder: highlights saturate slowly, as an endoscope's exposure control makes them.
-    let exposed = vec3f(1.0) - exp(-linear);
-    return Pixel(vec4f(exposed, 1.0), u32(object.instance), in.position.z);
+fn label_fragment(in: Seen) -> Label {
+    return Label(in.instance, in.range);
+}
+
+// The same from the light, whose records say "camera" and mean the light.
+@vertex
+fn shadow_vertex(@location(0) position: vec3f, @builtin(instance_index) object: u32) -> @builtin(position) vec4f {
+    return frame.clip_from_camera * (objects[object].camera_from_object * vec4f(position, 1.0));
 }

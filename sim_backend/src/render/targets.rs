@@ -1,13 +1,17 @@
 //! The images on the device and the way they come back: one staging buffer, mapped once a frame.
+//!
+//! Ids and range are drawn first, with one sample a pixel and no blending. Colour follows in a pass of its own: smoothed
+//! over the pixel by several samples, or with one sample on the first pass's depth.
 
 use hal::Intrinsics;
 
 use super::Planes;
 use super::RenderError;
+use super::Shading;
 use super::gpu::Gpu;
 
-/// Colour as the frame holds it, with a fourth byte.
-pub(super) const COLOUR_FORMAT: wgpu::TextureFormat = wgpu::TextureFormat::Rgba8UnormSrgb;
+/// Colour as the frame holds it, encoded by the shader, with a fourth byte.
+pub(super) const COLOUR_FORMAT: wgpu::TextureFormat = wgpu::TextureFormat::Rgba8Unorm;
 /// Instance id.
 pub(super) const INSTANCE_FORMAT: wgpu::TextureFormat = wgpu::TextureFormat::R8Uint;
 /// Metres along the camera's z.
@@ -24,19 +28,30 @@ struct Plane {
     pitch_bytes: u32,
 }
 
+/// Samples a pixel of the colour.
+pub(super) const fn colour_samples(shading: Shading) -> u32 {
+    match shading {
+        Shading::Fine => 4,
+        Shading::Full | Shading::Plain => 1,
+    }
+}
+
 /// Everything of one image size.
 pub(super) struct Targets {
-    pub(super) width: u32,
-    pub(super) height: u32,
+    width: u32,
+    height: u32,
+    shading: Shading,
     colour: Plane,
     instance: Plane,
     range: Plane,
     depth: wgpu::TextureView,
+    /// Colour and depth of all samples.
+    samples: Option<[wgpu::TextureView; 2]>,
     staging: wgpu::Buffer,
 }
 
 impl Targets {
-    pub(super) fn new(device: &wgpu::Device, lens: &Intrinsics) -> Self {
+    pub(super) fn new(device: &wgpu::Device, lens: &Intrinsics, shading: Shading) -> Self {
         let (width, height) = (lens.width, lens.height);
         let mut end = 0;
         let mut plane = |label, format, pixel_bytes: u32| {
@@ -58,15 +73,19 @@ impl Targets {
         let colour = plane("colour", COLOUR_FORMAT, 4);
         let instance = plane("instance", INSTANCE_FORMAT, 1);
         let range = plane("range", RANGE_FORMAT, 4);
-        let depth = texture(
-            device,
-            "depth",
-            width,
-            height,
-            DEPTH_FORMAT,
-            wgpu::TextureUsages::RENDER_ATTACHMENT,
-        )
-        .create_view(&wgpu::TextureViewDescriptor::default());
+        let drawn = |label, format, samples| {
+            let usage = wgpu::TextureUsages::RENDER_ATTACHMENT;
+            sampled(device, label, [width, height, samples], format, usage)
+                .create_view(&wgpu::TextureViewDescriptor::default())
+        };
+        let depth = drawn("depth", DEPTH_FORMAT, 1);
+        let per_pixel = colour_samples(shading);
+        let samples = (per_pixel > 1).then(|| {
+            [
+                drawn("colour samples", COLOUR_FORMAT, per_pixel),
+                drawn("depth samples", DEPTH_FORMAT, per_pixel),
+            ]
+        });
         let staging = device.create_buffer(&wgpu::BufferDescriptor {
             label: Some("read-back"),
             size: end,
@@ -76,37 +95,64 @@ impl Targets {
         Self {
             width,
             height,
+            shading,
             colour,
             instance,
             range,
             depth,
+            samples,
             staging,
         }
     }
 
-    pub(super) fn fits(&self, lens: &Intrinsics) -> bool {
-        (self.width, self.height) == (lens.width, lens.height)
+    pub(super) fn fits(&self, lens: &Intrinsics, shading: Shading) -> bool {
+        (self.width, self.height, self.shading) == (lens.width, lens.height, shading)
     }
 
-    /// Starts the pass that draws all images at once, on a dark background without depth and id.
-    pub(super) fn begin<'pass>(
+    /// Starts the pass that draws ids and range, 0 where nothing is.
+    pub(super) fn begin_labels<'pass>(
         &self,
         encoder: &'pass mut wgpu::CommandEncoder,
     ) -> wgpu::RenderPass<'pass> {
-        let background = wgpu::Color {
-            r: 0.010,
-            g: 0.004,
-            b: 0.004,
-            a: 1.0,
+        let nothing = wgpu::LoadOp::Clear(wgpu::Color::TRANSPARENT);
+        let store = match self.samples {
+            Some(_) => wgpu::StoreOp::Discard,
+            None => wgpu::StoreOp::Store,
         };
         encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
-            label: Some("scene"),
+            label: Some("labels"),
             color_attachments: &[
-                Some(attachment(&self.colour.view, background)),
-                Some(attachment(&self.instance.view, wgpu::Color::TRANSPARENT)),
-                Some(attachment(&self.range.view, wgpu::Color::TRANSPARENT)),
+                Some(attachment(&self.instance.view, nothing)),
+                Some(attachment(&self.range.view, nothing)),
             ],
-            depth_stencil_attachment: Some(depth_attachment(&self.depth, wgpu::StoreOp::Discard)),
+            depth_stencil_attachment: Some(depth_attachment(&self.depth, FAR, store)),
+            ..Default::default()
+        })
+    }
+
+    /// Starts the pass that draws colour, after [`Self::begin_labels`].
+    pub(super) fn begin_colour<'pass>(
+        &self,
+        encoder: &'pass mut wgpu::CommandEncoder,
+    ) -> wgpu::RenderPass<'pass> {
+        let black = wgpu::LoadOp::Clear(wgpu::Color::BLACK);
+        let (colour, depth) = match &self.samples {
+            Some([colour, depth]) => {
+                let mut smoothed = attachment(colour, black);
+                smoothed.resolve_target = Some(&self.colour.view);
+                smoothed.ops.store = wgpu::StoreOp::Discard;
+                (smoothed, (depth, FAR))
+            }
+            None => (
+                attachment(&self.colour.view, black),
+                (&self.depth, wgpu::LoadOp::Load),
+            ),
+        };
+        let (depth, load) = depth;
+        encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
+            label: Some("colour"),
+            color_attachments: &[Some(colour)],
+            depth_stencil_attachment: Some(depth_attachment(depth, load, wgpu::StoreOp::Discard)),
             ..Default::default()
         })
     }
@@ -129,11 +175,21 @@ impl Targets {
         }
     }
 
-    /// Waits for the device and unpacks its images into `planes`, which fit.
-    pub(super) fn read(&self, gpu: &Gpu, planes: &mut Planes<'_>) -> Result<(), RenderError> {
+    /// Asks for the images of the last submission that drew them.
+    pub(super) fn ask(&self) {
         // A failure shows as an error of `get_mapped_range`.
         self.staging.map_async(wgpu::MapMode::Read, .., |_| ());
-        gpu.wait()?;
+    }
+
+    /// Waits for the images that `submission` draws and [`Self::ask`] asked for, and unpacks them into `planes`, which
+    /// fit.
+    pub(super) fn read(
+        &self,
+        gpu: &Gpu,
+        submission: wgpu::SubmissionIndex,
+        planes: &mut Planes<'_>,
+    ) -> Result<(), RenderError> {
+        gpu.wait(submission)?;
         let mapped = self
             .staging
             .get_mapped_range(..)
@@ -190,6 +246,16 @@ pub(super) fn texture(
     format: wgpu::TextureFormat,
     usage: wgpu::TextureUsages,
 ) -> wgpu::Texture {
+    sampled(device, label, [width, height, 1], format, usage)
+}
+
+fn sampled(
+    device: &wgpu::Device,
+    label: &str,
+    [width, height, samples]: [u32; 3],
+    format: wgpu::TextureFormat,
+    usage: wgpu::TextureUsages,
+) -> wgpu::Texture {
     device.create_texture(&wgpu::TextureDescriptor {
         label: Some(label),
         size: wgpu::Extent3d {
@@ -198,7 +264,7 @@ pub(super) fn texture(
             depth_or_array_layers: 1,
         },
         mip_level_count: 1,
-        sample_count: 1,
+        sample_count: samples,
         dimension: wgpu::TextureDimension::D2,
         format,
         usage,
@@ -206,29 +272,32 @@ pub(super) fn texture(
     })
 }
 
-fn attachment(view: &wgpu::TextureView, clear: wgpu::Color) -> wgpu::RenderPassColorAttachment<'_> {
+/// A depth attachment starts at the far plane.
+pub(super) const FAR: wgpu::LoadOp<f32> = wgpu::LoadOp::Clear(1.0);
+
+const fn attachment(
+    view: &wgpu::TextureView,
+    load: wgpu::LoadOp<wgpu::Color>,
+) -> wgpu::RenderPassColorAttachment<'_> {
     wgpu::RenderPassColorAttachment {
         view,
         depth_slice: None,
         resolve_target: None,
         ops: wgpu::Operations {
-            load: wgpu::LoadOp::Clear(clear),
+            load,
             store: wgpu::StoreOp::Store,
         },
     }
 }
 
-/// A depth attachment that starts at the far plane.
 pub(super) const fn depth_attachment(
     view: &wgpu::TextureView,
+    load: wgpu::LoadOp<f32>,
     store: wgpu::StoreOp,
 ) -> wgpu::RenderPassDepthStencilAttachment<'_> {
     wgpu::RenderPassDepthStencilAttachment {
         view,
-        depth_ops: Some(wgpu::Operations {
-            load: wgpu::LoadOp::Clear(1.0),
-            store,
-        }),
+        depth_ops: Some(wgpu::Operations { load, store }),
         stencil_ops: None,
     }
 }

@@ -2,13 +2,16 @@
 
 #![expect(clippy::cast_precision_loss, reason = "pixel counts are small")]
 
+mod labels;
+mod shading;
+
 use hal::{CameraFrame, Intrinsics, Pose};
 use nalgebra::{Point3, Translation3, Vector3};
 
 use super::*;
 use crate::shapes::instrument::{Finger, finger, shaft, wrist};
 use crate::shapes::{arc, cuboid, height_field, sphere, tube};
-use crate::visual::{Material, Mesh, Visual, instance};
+use crate::visual::{Material, Mesh, Pattern, Visual, instance};
 
 const STEEL: Material = Material {
     base_colour: [0.62, 0.62, 0.64],
@@ -16,6 +19,7 @@ const STEEL: Material = Material {
     roughness: 0.34,
     wetness: 0.0,
     detail: 0.5,
+    pattern: Pattern::Brushed,
 };
 const NEEDLE: Material = Material {
     base_colour: [0.86, 0.86, 0.88],
@@ -23,6 +27,7 @@ const NEEDLE: Material = Material {
     roughness: 0.20,
     wetness: 0.0,
     detail: 0.1,
+    pattern: Pattern::Smooth,
 };
 const MUSCLE: Material = Material {
     base_colour: [0.46, 0.085, 0.065],
@@ -30,6 +35,7 @@ const MUSCLE: Material = Material {
     roughness: 0.5,
     wetness: 0.8,
     detail: 1.0,
+    pattern: Pattern::Muscle,
 };
 
 fn visual(name: &'static str, mesh: Mesh, material: Material, instance: u8) -> Visual {
@@ -69,7 +75,7 @@ fn tilted_camera() -> Camera {
 fn shoot(renderer: &mut Renderer, poses: &[Pose], camera: &Camera) -> CameraFrame {
     let mut frame = CameraFrame::blank(Intrinsics::from_vertical_fov(1, 1, 1.0));
     renderer
-        .render(poses, camera, &Light::default(), &mut frame)
+        .render(poses, camera, &Light::beside(camera), &mut frame)
         .unwrap();
     frame
 }
@@ -82,6 +88,28 @@ fn ray(lens: &Intrinsics, pixel: usize) -> Vector3<f64> {
         (row as f64 + 0.5 - lens.cy) / lens.fy,
         1.0,
     )
+}
+
+/// Pixels of one id among pixels of the same id: no edge colours them.
+fn within(frame: &CameraFrame, id: u8) -> Vec<usize> {
+    let width = frame.intrinsics.width as usize;
+    let around = [
+        0,
+        1,
+        2,
+        width,
+        width + 1,
+        width + 2,
+        2 * width,
+        2 * width + 1,
+        2 * width + 2,
+    ];
+    let last = frame.instance.len() - 2 * width - 2;
+    (0..last)
+        .filter(|first| first % width < width - 2)
+        .filter(|first| around.iter().all(|step| frame.instance[first + step] == id))
+        .map(|first| first + width + 1)
+        .collect()
 }
 
 /// Where a point of the scene falls in the image, pixels.
@@ -286,36 +314,40 @@ fn the_same_scene_gives_the_same_bytes() {
 }
 
 #[test]
-fn shadows_darken_and_leave_geometry_alone() {
+fn a_ball_puts_what_is_behind_it_into_shadow() {
     let plane = visual(
         "plane",
         height_field(0.1, 0.1, 3, |_, _| 0.0),
         Material {
             detail: 0.0,
+            pattern: Pattern::Smooth,
             ..MUSCLE
         },
         1,
     );
     let ball = visual("ball", sphere(0.006, 32), STEEL, 2);
-    let mut renderer = Renderer::new(&[plane, ball]).unwrap();
     let poses = [Pose::identity(), at(0.0, 0.0, 0.025)];
     let camera = Camera {
         camera_in_scene: look_at(Point3::new(0.0, 0.0, 0.12), Point3::origin(), Vector3::y()),
         ..endoscope(128)
     };
-    let shadowed = shoot(&mut renderer, &poses, &camera);
-    renderer.set_quality(Quality::Plain);
-    let plain = shoot(&mut renderer, &poses, &camera);
-    assert!(shadowed.instance == plain.instance && shadowed.depth_m == plain.depth_m);
-    let light = Point3::from(Light::default().position_in_camera_m);
+    let bare = shoot(
+        &mut Renderer::new(core::slice::from_ref(&plane)).unwrap(),
+        &poses[..1],
+        &camera,
+    );
+    let shadowed = shoot(&mut Renderer::new(&[plane, ball]).unwrap(), &poses, &camera);
+    let guide_in_scene = Light::beside(&camera).guide_in_scene;
+    let light = (camera.camera_in_scene.inverse() * guide_in_scene) * Point3::origin();
     let ball_centre = camera.camera_in_scene.inverse() * Point3::new(0.0, 0.0, 0.025);
     let red = |frame: &CameraFrame, pixel: usize| f64::from(frame.colour[3 * pixel]);
     let (mut dark, mut bright) = (0, 0);
-    for pixel in (0..plain.instance.len()).filter(|&pixel| plain.instance[pixel] == 1) {
-        let point = Point3::from(ray(&camera.intrinsics, pixel) * f64::from(plain.depth_m[pixel]));
+    for pixel in within(&shadowed, 1) {
+        let point =
+            Point3::from(ray(&camera.intrinsics, pixel) * f64::from(shadowed.depth_m[pixel]));
         let to_point = (point - light).normalize();
         let miss = (ball_centre - light).cross(&to_point).norm();
-        let ratio = red(&shadowed, pixel) / red(&plain, pixel);
+        let ratio = red(&shadowed, pixel) / red(&bare, pixel);
         if miss < 0.005 {
             assert!(ratio < 0.8, "pixel {pixel}: {ratio}");
             dark += 1;
@@ -392,7 +424,10 @@ fn an_empty_scene_is_background() {
         frame.depth_m.iter().all(|depth| depth.to_bits() == 0)
             && frame.instance.iter().all(|id| *id == 0)
     );
-    assert!(frame.colour.iter().all(|byte| *byte < 40));
+    // Dim, but no void.
+    let sum: f64 = frame.colour.iter().map(|byte| f64::from(*byte)).sum();
+    let mean = sum / frame.colour.len() as f64;
+    assert!((5.0..120.0).contains(&mean), "{mean}");
     assert!(!renderer.adapter_name().is_empty());
 }
 
@@ -422,4 +457,36 @@ fn a_needle_lift_shows_all_of_its_parts() {
         picture.extend(&frame.colour);
         std::fs::write(path, picture).unwrap();
     }
+}
+
+#[test]
+fn a_reshaped_mesh_is_drawn_where_it_went() {
+    let board =
+        |x: f64| crate::shapes::placed(cuboid(Vector3::new(0.01, 0.01, 0.002)), &at(x, 0.0, 0.0));
+    let visuals = [
+        visual("still", board(-0.03), STEEL, 1),
+        visual("bent", board(0.0), STEEL, 2),
+    ];
+    let mut renderer = Renderer::new(&visuals).unwrap();
+    let poses = [Pose::identity(); 2];
+    let camera = tilted_camera();
+    let before = shoot(&mut renderer, &poses, &camera);
+    renderer.reshape(1, &board(0.02)).unwrap();
+    let after = shoot(&mut renderer, &poses, &camera);
+    // As if it had been made there.
+    let mut moved =
+        Renderer::new(&[visuals[0].clone(), visual("bent", board(0.02), STEEL, 2)]).unwrap();
+    let expected = shoot(&mut moved, &poses, &camera);
+    assert!(before.instance.contains(&2) && before.instance != after.instance);
+    assert_eq!(after.instance, expected.instance);
+    assert_eq!(after.depth_m, expected.depth_m);
+    let fewer = renderer
+        .reshape(1, &Mesh::default())
+        .unwrap_err()
+        .to_string();
+    assert!(
+        fewer.contains("bent") && fewer.contains("as many vertices"),
+        "{fewer}"
+    );
+    assert!(renderer.reshape(2, &board(0.0)).is_err());
 }

@@ -4,10 +4,12 @@
 //! hinge) along x. With the wrist straight all frames are parallel and the yaw axis lies [`psm::WRIST_M`] beyond the
 //! pitch axis.
 
+use core::f64::consts::PI;
+
 use hal::psm;
 use nalgebra::{Isometry3, Point3, Translation3, UnitQuaternion, Vector3};
 
-use super::{cylinder, hexahedron, merged, placed, revolved};
+use super::{Builder, cylinder, hexahedron, merged, placed, revolved};
 use crate::visual::Mesh;
 
 /// Which finger of the jaw: the half space of the tip frame that it fills when the jaw is closed.
@@ -68,7 +70,7 @@ pub fn wrist() -> Mesh {
 pub fn finger(which: Finger) -> Mesh {
     let turn = match which {
         Finger::PlusY => 0.0,
-        Finger::MinusY => core::f64::consts::PI,
+        Finger::MinusY => PI,
     };
     let rotation = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), turn);
     let hub = placed(
@@ -79,30 +81,30 @@ pub fn finger(which: Finger) -> Mesh {
         ),
     );
     let tip = psm::FINGER_M;
-    let blade = hexahedron([
-        blade_section(0.0008, 0.0016, 0.0022),
-        blade_section(tip - 0.0014, 0.0011, 0.0012),
-    ]);
-    let nose = hexahedron([
-        blade_section(tip - 0.0014, 0.0011, 0.0012),
-        blade_section(tip, 0.0006, 0.0005),
+    let blade = blade(&[
+        (0.0008, 0.0016, 0.0020),
+        (0.0040, 0.0014, 0.0016),
+        (tip - 0.0014, 0.0011, 0.0011),
+        (tip - 0.0004, 0.0008, 0.0006),
+        (tip - 0.0001, 0.0005, 0.0003),
+        (tip, 0.0001, 0.00005),
     ]);
     let teeth = (0..9).map(|tooth| {
-        let z = 0.0034 + 0.0007 * f64::from(tooth);
+        let z = 0.0030 + 0.0007 * f64::from(tooth);
         let ridge = |z: f64, depth: f64, half: f64| {
             [(-half, -depth), (half, -depth), (half, 0.0), (-half, 0.0)]
                 .map(|(x, y)| Point3::new(x, y + GAP_M, z))
         };
         merged([
-            hexahedron([ridge(z, 0.0, 0.0010), ridge(z + 0.00025, GAP_M, 0.0010)]),
+            hexahedron([ridge(z, 0.0, 0.0010), ridge(z + 0.00022, GAP_M, 0.0010)]),
             hexahedron([
-                ridge(z + 0.00025, GAP_M, 0.0010),
-                ridge(z + 0.0005, 0.0, 0.0010),
+                ridge(z + 0.00022, GAP_M, 0.0010),
+                ridge(z + 0.00045, 0.0, 0.0010),
             ]),
         ])
     });
     placed(
-        merged([hub, blade, nose].into_iter().chain(teeth)),
+        merged([hub, blade].into_iter().chain(teeth)),
         &Isometry3::from_parts(Translation3::identity(), rotation),
     )
 }
@@ -110,15 +112,33 @@ pub fn finger(which: Finger) -> Mesh {
 /// How far the floor between the teeth lies behind the gripping face, m.
 const GAP_M: f64 = 0.00012;
 
-/// A quad across a finger at `z`, from the floor of the gripping face outwards.
-fn blade_section(z: f64, half_width: f64, thickness: f64) -> [Point3<f64>; 4] {
-    let bevel = 0.6 * half_width;
-    [
-        Point3::new(-half_width, GAP_M, z),
-        Point3::new(half_width, GAP_M, z),
-        Point3::new(bevel, thickness, z),
-        Point3::new(-bevel, thickness, z),
-    ]
+/// A blade along z with a flat gripping side and a round back, through sections of `(z, half width, thickness)`.
+fn blade(sections: &[(f64, f64, f64)]) -> Mesh {
+    let across = 8;
+    let back: Vec<Vec<_>> = sections
+        .iter()
+        .map(|&(z, half, thickness)| {
+            (0..=across)
+                .map(|step| {
+                    let (sin, cos) = (PI * f64::from(step) / f64::from(across)).sin_cos();
+                    let point = Point3::new(half * cos, GAP_M + thickness * sin, z);
+                    (point, Vector3::new(cos / half, sin / thickness, 0.0))
+                })
+                .collect()
+        })
+        .collect();
+    let face: Vec<Vec<_>> = sections
+        .iter()
+        .map(|&(z, half, _)| {
+            [-half, half]
+                .map(|x| (Point3::new(x, GAP_M, z), -Vector3::y()))
+                .to_vec()
+        })
+        .collect();
+    let mut builder = Builder::default();
+    builder.sheet(&back);
+    builder.sheet(&face);
+    builder.mesh
 }
 
 /// A frustum with rectangular ends of the given half widths.

@@ -7,7 +7,8 @@ use hal::{JOINT_COUNT, JointVector, Pose, psm};
 use nalgebra::{Translation3, UnitQuaternion};
 use serde::Deserialize;
 
-use super::{CameraConfig, Scene, TaskConfig};
+use super::{CameraConfig, Scene, TaskConfig, View};
+use crate::render::Shading;
 use crate::world::{ArmStart, WorldConfig};
 
 /// One `[[arm]]`.
@@ -32,11 +33,33 @@ pub(super) struct EpisodeFile {
     time_limit_s: f64,
 }
 
+/// `[rendering]`, which a scene file may leave out.
+#[derive(Clone, Deserialize, Default)]
+#[serde(deny_unknown_fields)]
+pub(super) struct RenderingFile {
+    /// "full", "fine" or "plain".
+    shading: Option<String>,
+}
+
+impl RenderingFile {
+    fn shading(&self, source: &Source) -> Result<Shading, ConfigError> {
+        match self.shading.as_deref() {
+            None | Some("full") => Ok(Shading::Full),
+            Some("fine") => Ok(Shading::Fine),
+            Some("plain") => Ok(Shading::Plain),
+            Some(other) => {
+                Err(source.out_of_range("rendering.shading", other, "full, fine, plain"))
+            }
+        }
+    }
+}
+
 /// The tables that all scene files share.
 pub(super) struct CommonFile {
     pub(super) arm: Vec<ArmFile>,
     pub(super) world: WorldConfig,
     pub(super) camera: Vec<CameraConfig>,
+    pub(super) rendering: RenderingFile,
     pub(super) episode: EpisodeFile,
 }
 
@@ -57,12 +80,7 @@ impl CommonFile {
             arm.check(source, index)?;
         }
         self.world.check(source, "world")?;
-        if self.camera.is_empty() {
-            return Err(source.out_of_range("camera", "no camera", "at least one"));
-        }
-        for (index, camera) in self.camera.iter().enumerate() {
-            camera.check(source, index)?;
-        }
+        CameraConfig::check_all(&self.camera, source, self.arm.len())?;
         source.check_range(
             "episode.time_limit_s",
             self.episode.time_limit_s,
@@ -73,7 +91,9 @@ impl CommonFile {
             name,
             arms: self.arm.iter().map(ArmFile::start).collect(),
             world: self.world,
+            shading: self.rendering.shading(source)?,
             cameras: self.camera,
+            view: View::Train,
             time_limit_s: self.episode.time_limit_s,
             scene,
         })

@@ -6,6 +6,7 @@ use std::collections::VecDeque;
 use hal::Pose;
 use nalgebra::Point3;
 
+use crate::tissue::{RetractionFailure, TissueReport};
 use crate::world::{Grasp, World};
 
 /// How an episode stands.
@@ -64,6 +65,8 @@ pub enum Reason {
         /// How hard, N.
         force_n: f64,
     },
+    /// The flap was not retracted as it should be.
+    Tissue(RetractionFailure),
     /// The thing's pose is no number any more.
     NotFinite {
         /// What.
@@ -97,6 +100,7 @@ impl fmt::Display for Reason {
             Self::Pressed { ground, force_n } => {
                 write!(f, "instrument pressed on the {ground} with {force_n:.1} N")
             }
+            Self::Tissue(failure) => failure.fmt(f),
             Self::NotFinite { thing } => write!(f, "{thing} pose is not finite"),
         }
     }
@@ -105,7 +109,7 @@ impl fmt::Display for Reason {
 /// What a monitor sees of one millisecond.
 #[derive(Clone, Debug)]
 pub(crate) struct Sight {
-    /// The thing that the task is about, scene frame.
+    /// What the task is about, scene frame: a thing, or the mark on a flap.
     pub(crate) thing_in_scene: Pose,
     /// How each arm holds it.
     pub(crate) grasps: Vec<Grasp>,
@@ -115,19 +119,22 @@ pub(crate) struct Sight {
     pub(crate) sunk_m: f64,
     /// Highest force with which hard ground pushes at an instrument, N.
     pub(crate) ground_force_n: f64,
+    /// What the flap says of itself, if there is one.
+    pub(crate) tissue: Option<TissueReport>,
 }
 
 impl Sight {
     pub(crate) fn of(world: &World) -> Self {
         let arms = 0..world.arm_count();
         Self {
-            thing_in_scene: world.thing_in_scene(0),
-            grasps: arms.clone().map(|arm| world.grasp(arm, 0)).collect(),
+            thing_in_scene: world.subject_in_scene(),
+            grasps: arms.clone().map(|arm| world.subject_grasp(arm)).collect(),
             tips_in_scene: arms.clone().map(|arm| world.tip_in_scene(arm)).collect(),
-            sunk_m: world.sunk_m(0),
+            sunk_m: world.subject_sunk_m(),
             ground_force_n: arms
                 .map(|arm| world.ground_force_n(arm))
                 .fold(0.0, f64::max),
+            tissue: world.tissue().map(|tissue| *tissue.report()),
         }
     }
 }

@@ -11,24 +11,30 @@ pub mod needle_handover;
 pub mod needle_lift;
 mod needle_start;
 pub mod suture_pad;
+pub mod tissue_retraction;
+mod view;
 mod visuals;
 
 use hal::Pose;
 use hal::config::{ConfigError, Source};
 use serde::Deserialize;
 
-pub use camera::CameraConfig;
+pub use camera::{CameraConfig, ENDOSCOPE, Mount, SIDE};
 pub(crate) use judge::{Judge, Monitor, Sight};
 pub use judge::{Outcome, Reason};
 pub use needle_start::NeedleStart;
+pub use view::{NoSuchView, VIEW1_SHIFT_M, VIEW1_TURN_RAD, View};
 pub(crate) use visuals::{scene_poses, scene_visuals};
 
-use crate::visual::Visual;
+use crate::render::Shading;
+use crate::tissue::TissueConfig;
+use crate::visual::{Backdrop, Visual};
 use crate::world::{ArmStart, Scenery, WorldConfig};
 use block_transfer::BlockTransfer;
 use needle_handover::NeedleHandover;
 use needle_lift::NeedleLift;
 use suture_pad::SuturePad;
+use tissue_retraction::TissueRetraction;
 
 /// Most arms that a task has.
 pub const ARMS_MAX: usize = 2;
@@ -45,9 +51,10 @@ struct Entry {
 }
 
 /// All tasks.
-const ENTRIES: [Entry; 4] = [
+const ENTRIES: [Entry; 5] = [
     needle_lift::ENTRY,
     needle_handover::ENTRY,
+    tissue_retraction::ENTRY,
     suture_pad::ENTRY,
     block_transfer::ENTRY,
 ];
@@ -63,6 +70,10 @@ pub struct TaskConfig {
     pub world: WorldConfig,
     /// The cameras, in the order of observations.
     pub cameras: Vec<CameraConfig>,
+    /// How the cameras stand against the file; see [`Self::with_view`].
+    pub view: View,
+    /// How much work goes into pictures.
+    pub shading: Shading,
     /// When the episode ends without success, s.
     pub time_limit_s: f64,
     /// What is particular to the task.
@@ -80,6 +91,8 @@ pub enum Scene {
     SuturePad(SuturePad),
     /// Two arms pass a needle.
     NeedleHandover(NeedleHandover),
+    /// One arm lifts a flap of skin.
+    TissueRetraction(TissueRetraction),
 }
 
 /// What a task's module answers. Everything that is drawn at random hangs on `seed`.
@@ -96,8 +109,19 @@ pub(crate) trait TaskScene {
     /// What there is to see besides the arms.
     fn visuals(&self) -> Vec<Visual>;
 
-    /// Where that is, in the same order, in the scene frame.
+    /// What is behind that.
+    fn backdrop(&self) -> Backdrop {
+        Backdrop::CAVITY
+    }
+
+    /// Where the visuals are, in the same order, in the scene frame.
     fn visual_poses(&self, things: &[Pose], goal: &Pose) -> Vec<Pose>;
+
+    /// The soft flap, if there is one, with the radius of its mark, m. Its visuals are those with the instance ids
+    /// [`crate::visual::instance::TISSUE`] and [`crate::visual::instance::MARK`].
+    fn flap(&self) -> Option<(&TissueConfig, f64)> {
+        None
+    }
 }
 
 impl Scene {
@@ -107,13 +131,14 @@ impl Scene {
             Self::BlockTransfer(scene) => scene,
             Self::SuturePad(scene) => scene,
             Self::NeedleHandover(scene) => scene,
+            Self::TissueRetraction(scene) => scene,
         }
     }
 }
 
 /// A needle was asked for that a task does not have.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("{task} has no needle {name:?}; it has {known:?}")]
+#[error("{task} has no needle {name:?}; {}", known_needles(known))]
 pub struct NoSuchNeedle {
     /// The task.
     pub task: &'static str,
@@ -121,6 +146,14 @@ pub struct NoSuchNeedle {
     pub name: String,
     /// The needles that can be chosen.
     pub known: Vec<String>,
+}
+
+fn known_needles(known: &[String]) -> String {
+    if known.is_empty() {
+        "it has no choice of needles".to_owned()
+    } else {
+        format!("it has {}", known.join(", "))
+    }
 }
 
 /// The part of a scene file that says what it is.
@@ -156,6 +189,18 @@ impl TaskConfig {
         Self::parse(&Self::needle_lift_source())
     }
 
+    /// The name of the needle of this task, if there is a choice.
+    #[must_use]
+    pub fn needle(&self) -> Option<&str> {
+        match &self.scene {
+            Scene::NeedleLift(scene) => Some(&scene.needle_name),
+            Scene::BlockTransfer(_)
+            | Scene::SuturePad(_)
+            | Scene::NeedleHandover(_)
+            | Scene::TissueRetraction(_) => None,
+        }
+    }
+
     /// The same task with another needle, by the name that the scene file gives it.
     ///
     /// # Errors
@@ -165,11 +210,15 @@ impl TaskConfig {
             Scene::NeedleLift(scene) => {
                 if let Some(&needle) = scene.needles.get(name) {
                     scene.needle = needle;
+                    name.clone_into(&mut scene.needle_name);
                     return Ok(self);
                 }
                 scene.needles.keys().cloned().collect()
             }
-            Scene::BlockTransfer(_) | Scene::SuturePad(_) | Scene::NeedleHandover(_) => Vec::new(),
+            Scene::BlockTransfer(_)
+            | Scene::SuturePad(_)
+            | Scene::NeedleHandover(_)
+            | Scene::TissueRetraction(_) => Vec::new(),
         };
         Err(NoSuchNeedle {
             task: self.name,

@@ -41,6 +41,32 @@ fn unknown_key_is_named_with_its_line() {
 }
 
 #[test]
+fn shading_is_full_unless_the_scene_says_plain() {
+    let shading = |text: &str| {
+        let (source, line) = doctored("[organ]", &format!("{text}\n[organ]"));
+        (
+            TaskConfig::parse(&source).map(|task| task.shading),
+            line + 1,
+        )
+    };
+    let table = |value: &str| shading(&format!("[rendering]\nshading = \"{value}\""));
+    assert_eq!(shading("").0.unwrap(), Shading::Full);
+    assert_eq!(shading("[rendering]").0.unwrap(), Shading::Full);
+    assert_eq!(table("full").0.unwrap(), Shading::Full);
+    assert_eq!(table("fine").0.unwrap(), Shading::Fine);
+    assert_eq!(table("plain").0.unwrap(), Shading::Plain);
+    let (refused, line) = table("glossy");
+    let message = refused.unwrap_err().to_string();
+    let place = format!("scene.toml:{line}: ");
+    assert!(
+        message.starts_with(&place)
+            && message.contains("rendering.shading = glossy")
+            && message.contains("full, fine, plain"),
+        "{message}"
+    );
+}
+
+#[test]
 fn value_out_of_range_is_named_with_line_key_and_range() {
     for (old, new, key) in [
         (
@@ -69,6 +95,22 @@ fn value_out_of_range_is_named_with_line_key_and_range() {
             "arm.0.joints.2 = 0.3 is outside",
         ),
         ("up", "up = [0.0, 0.0, 2.0]", "camera.0.up.2 = 2 is outside"),
+        (
+            "name = \"side\"",
+            "name = \"endoscope\"",
+            "camera.1.name = endoscope is outside names used once",
+        ),
+        (
+            "name = \"side\"",
+            "name = \"a side\"",
+            "camera.1.name = a side is outside letters",
+        ),
+        ("arm = 0", "arm = 1", "camera.2.arm = 1 is outside"),
+        (
+            "name = \"side\"",
+            "arm = 0\nname = \"side\"",
+            "camera.1.arm = 0 is outside cameras with mount = \"wrist\"",
+        ),
     ] {
         let (source, line) = doctored(old, new);
         let message = TaskConfig::parse(&source).unwrap_err().to_string();
@@ -100,7 +142,8 @@ fn every_task_ships_with_a_valid_scene_of_its_name() {
         assert!((1..=ARMS_MAX).contains(&task.arms.len()));
         let scene = task.scene.of_task();
         let scenery = scene.scenery(&task.world, 1);
-        assert!((1..=THINGS_MAX).contains(&scenery.things.len()));
+        let handled = scenery.things.len() + usize::from(scenery.flap.is_some());
+        assert!((1..=THINGS_MAX).contains(&handled));
         let poses = scene.visual_poses(&[Pose::identity(); THINGS_MAX], &Pose::identity());
         assert_eq!(poses.len(), scene.visuals().len());
     }

@@ -6,45 +6,60 @@ use nalgebra::{Matrix3, Rotation3, Translation3, UnitQuaternion, Vector3};
 use super::{Scene, TaskConfig};
 use crate::cameras::SceneSnapshot;
 use crate::shapes::instrument::{Finger, finger, shaft, wrist};
-use crate::visual::{Material, Visual, VisualPoses, instance};
+use crate::visual::{Material, Pattern, Visual, VisualPoses, instance};
 
 /// Length of the shaft that is drawn, m: from the wrist to beyond the remote centre.
 const SHAFT_LENGTH_M: f64 = 0.30;
 
 pub(super) const MUSCLE: Material = Material {
-    base_colour: [0.46, 0.085, 0.065],
+    base_colour: [0.36, 0.055, 0.040],
     metallic: 0.0,
-    roughness: 0.5,
-    wetness: 0.8,
+    roughness: 0.55,
+    wetness: 0.75,
     detail: 1.0,
+    pattern: Pattern::Muscle,
 };
 pub(super) const LIVER: Material = Material {
-    base_colour: [0.24, 0.050, 0.038],
+    base_colour: [0.090, 0.0135, 0.0080],
     metallic: 0.0,
-    roughness: 0.35,
-    wetness: 0.9,
-    detail: 0.6,
+    roughness: 0.45,
+    wetness: 1.0,
+    detail: 1.0,
+    pattern: Pattern::Liver,
 };
 pub(super) const NEEDLE_STEEL: Material = Material {
-    base_colour: [0.80, 0.82, 0.85],
+    base_colour: [0.90, 0.91, 0.93],
     metallic: 1.0,
-    roughness: 0.25,
+    roughness: 0.22,
     wetness: 0.0,
     detail: 0.0,
+    pattern: Pattern::Smooth,
 };
+/// Wrist: machined and a little worn.
 const TOOL_STEEL: Material = Material {
-    base_colour: [0.55, 0.56, 0.58],
+    base_colour: [0.56, 0.57, 0.59],
     metallic: 1.0,
-    roughness: 0.38,
+    roughness: 0.40,
     wetness: 0.0,
-    detail: 0.1,
+    detail: 0.8,
+    pattern: Pattern::Brushed,
+};
+/// Jaws: polished.
+const JAW_STEEL: Material = Material {
+    base_colour: [0.78, 0.78, 0.79],
+    metallic: 1.0,
+    roughness: 0.27,
+    wetness: 0.0,
+    detail: 0.35,
+    pattern: Pattern::Brushed,
 };
 const SHAFT_COAT: Material = Material {
-    base_colour: [0.045, 0.045, 0.05],
+    base_colour: [0.022, 0.022, 0.025],
     metallic: 0.0,
-    roughness: 0.5,
+    roughness: 0.42,
     wetness: 0.0,
-    detail: 0.1,
+    detail: 0.0,
+    pattern: Pattern::Smooth,
 };
 
 /// What a task's cameras see: the task's own visuals, then those of each arm.
@@ -97,13 +112,13 @@ fn arm_visuals([shaft_id, wrist_id, jaw_id]: [u8; 3]) -> [Visual; 4] {
         Visual {
             name: "left finger",
             mesh: finger(Finger::PlusY),
-            material: TOOL_STEEL,
+            material: JAW_STEEL,
             instance: jaw_id,
         },
         Visual {
             name: "right finger",
             mesh: finger(Finger::MinusY),
-            material: TOOL_STEEL,
+            material: JAW_STEEL,
             instance: jaw_id,
         },
     ]

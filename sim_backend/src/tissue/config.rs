@@ -12,6 +12,7 @@ use super::ground::Touch;
 use super::mark::MarkConfig;
 use super::material::Material;
 use super::sheet::{Sheet, SheetShape, count, longest_step_s};
+use super::surface::Surface;
 
 /// A flap of tissue, attached to the body along one edge, and what touches it.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
@@ -122,6 +123,12 @@ impl TissueConfig {
         let edge = Translation3::new(self.edge_m[0], self.edge_m[1], 0.0);
         let behind_m = self.grid_depth_m() - self.depth_m;
         edge * turn * Translation3::new(-0.5 * self.length_m, -behind_m, 0.0)
+    }
+
+    /// What to draw of the flap, before it is laid down.
+    #[must_use]
+    pub fn surface(&self) -> Surface {
+        Surface::new(&self.sheet(&self.scene_from_material()))
     }
 
     /// Size of the grid along v, m: the depth and half a cell.

@@ -89,6 +89,8 @@ pub(super) struct Hold {
 const OPEN: f64 = 1.2;
 /// The ends' gap at which a jaw has closed on nothing, over [`GraspConfig::gap_m_max`].
 const SHUT: f64 = 0.1;
+/// Compression of held tissue beyond which it pushes back no harder.
+const COMPRESSION_MAX: f64 = 0.95;
 /// Tissue may stand this far inside a pad and still count as between the pads, m.
 const INSIDE_M: f64 = 0.000_3;
 
@@ -276,18 +278,22 @@ impl Hold {
         self.armed = false;
     }
 
-    /// How much thinner than at rest the pads leave the held tissue, on average, m.
-    pub(super) fn squeezed_m(&self, jaw: &JawInput, sheet: &Sheet) -> f64 {
+    /// Force with which the held tissue pushes each pad back, N. The thinner the pads leave it the stiffer it gets: Young's
+    /// modulus times `s / (1 - s)` at the compression `s`.
+    pub(super) fn squeeze_n(&self, jaw: &JawInput, sheet: &Sheet) -> f64 {
+        let material = &sheet.material;
         let sum: f64 = self
             .ties
             .iter()
             .map(|tie| {
                 let at = Point3::from(tie.point.of(&sheet.positions));
                 let [first, second] = pad_distances(jaw, &at);
-                (sheet.material.thickness_m - first - second).max(0.0)
+                let compression = 1.0 - (first + second) / material.thickness_m;
+                let compression = compression.clamp(0.0, COMPRESSION_MAX);
+                compression / (1.0 - compression)
             })
             .sum();
-        sum / count(self.ties.len().max(1))
+        material.young_pa * self.area_m2 * sum
     }
 }
 

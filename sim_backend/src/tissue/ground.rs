@@ -123,6 +123,21 @@ impl Ground {
         self.plane(x, y).map(|plane| plane.point.z)
     }
 
+    /// Unit normal of the surface there, up.
+    #[must_use]
+    pub fn normal(&self, x: f64, y: f64) -> Option<Vector3<f64>> {
+        self.plane(x, y).map(|plane| plane.normal)
+    }
+
+    /// The rectangle over which there is a surface: its lowest and its highest corner, scene x and y, m.
+    #[must_use]
+    pub fn extent_m(&self) -> [[f64; 2]; 2] {
+        let far = [0, 1].map(|axis| {
+            self.low_m[axis] + self.spacing_m[axis] * count(self.points[axis].saturating_sub(1))
+        });
+        [self.low_m, far]
+    }
+
     /// The tangent plane over (`x`, `y`).
     pub(super) fn plane(&self, x: f64, y: f64) -> Option<Plane> {
         let (i, s) = self.place(0, x)?;

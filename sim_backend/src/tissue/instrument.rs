@@ -1,13 +1,12 @@
 //! One instrument in the tissue: its parts, its hold, and what it felt of both.
 
 use hal::Pose;
-use hal::psm::FINGER_M;
 use nalgebra::Vector3;
 
 use super::config::{STEP_S, TissueConfig};
 use super::contact::{Felt, Part};
 use super::grasp::Hold;
-use super::jaw::{JawInput, Motion, Solid, Wrench, frame_along};
+use super::jaw::{JawInput, Motion, PAD_MIDDLE_M, Solid, Wrench, frame_along};
 use super::report::{Grasp, JawReport};
 use super::samples::Samples;
 use super::sheet::Sheet;
@@ -19,11 +18,10 @@ pub(super) struct Jaw {
     pub(super) motion: Motion,
     pub(super) parts: [Part; 3],
     pub(super) hold: Hold,
-    squeeze_n_m3: f64,
     pub(super) report: JawReport,
 }
 
-/// Gap of a jaw's ends, over the tissue's thickness, below which nothing fits between them.
+/// Gap of an empty jaw's ends, over the tissue's thickness, below which nothing fits between them.
 const SHUT: f64 = 0.5;
 
 impl Jaw {
@@ -45,7 +43,6 @@ impl Jaw {
                 part(Solid::wrist(wrist_m), &wrist),
             ],
             hold: Hold::new(&config.grasp, sheet, samples),
-            squeeze_n_m3: config.material.young_pa / config.material.thickness_m,
             report: JawReport::untouched(),
         }
     }
@@ -56,7 +53,7 @@ impl Jaw {
         let (wrist, _) = frame_along(&input.wrist[0], &input.wrist[1]);
         let poses = [input.fingers[0], input.fingers[1], wrist];
         self.hold.begin();
-        let shut = input.gap_m() < SHUT * sheet.material.thickness_m;
+        let shut = !self.hold.holds() && input.gap_m() < SHUT * sheet.material.thickness_m;
         for (part, side) in self.parts.iter_mut().zip([1.0, -1.0]) {
             part.reshape(if shut {
                 Solid::shut_finger()
@@ -77,8 +74,7 @@ impl Jaw {
         // Both pads share what the patch pulls.
         wrenches[0].add(&pull.scaled(0.5));
         wrenches[1].add(&pull.scaled(0.5));
-        let squeeze_n =
-            self.squeeze_n_m3 * self.hold.area_m2() * self.hold.squeezed_m(&self.input, sheet);
+        let squeeze_n = self.hold.squeeze_n(&self.input, sheet);
         let squeezed = squeeze(&self.input.middle(), squeeze_n);
         wrenches[0].add(&squeezed);
         wrenches[1].add(&squeezed.scaled(-1.0));
@@ -108,7 +104,7 @@ impl Jaw {
 /// second finger feels the opposite, so that nothing is left of it on the whole.
 fn squeeze(middle: &Pose, force_n: f64) -> Wrench {
     let mut wrench = Wrench::zero();
-    let lever = middle.rotation * Vector3::new(0.0, 0.0, 0.6 * FINGER_M);
+    let lever = middle.rotation * Vector3::new(0.0, 0.0, PAD_MIDDLE_M);
     wrench.push(&lever, &(middle.rotation * Vector3::new(0.0, force_n, 0.0)));
     wrench
 }

@@ -10,6 +10,8 @@ pub(super) const FINGER_HALF_WIDTH_M: f64 = 0.0015;
 pub(super) const FINGER_THICKNESS_M: f64 = 0.0015;
 /// Where the pad of a finger begins, from the hinge, m.
 pub(super) const PAD_FROM_M: f64 = 0.002;
+/// Where the middle of a finger's pad is, from the hinge, m.
+pub const PAD_MIDDLE_M: f64 = 0.5 * (PAD_FROM_M + FINGER_M);
 /// Radius of the wrist, m.
 const WRIST_RADIUS_M: f64 = 0.0025;
 

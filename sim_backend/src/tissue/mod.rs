@@ -53,22 +53,26 @@ mod lay;
 mod mark;
 mod material;
 mod membrane;
+mod patch;
 mod report;
 mod retraction;
 mod samples;
 mod sheet;
+mod snapshot;
 mod surface;
 
 pub use config::TissueConfig;
 pub use flap::Tissue;
 pub use grasp::GraspConfig;
 pub use ground::{Ground, Touch};
-pub use jaw::{JawInput, Wrench};
+pub use jaw::{JawInput, PAD_MIDDLE_M, Wrench};
 pub use mark::MarkConfig;
 pub use material::Material;
-pub use report::{Grasp, JawReport, TissueReport};
+pub use patch::Patch;
+pub use report::{Grasp, JawReport, TissueExtremes, TissueReport};
 pub use retraction::{Retraction, RetractionConfig, RetractionFailure, RetractionMonitor};
 pub use sheet::{Sheet, SheetShape};
+pub use snapshot::{FlapSnapshot, NODES_MAX};
 pub use surface::Surface;
 
 #[cfg(test)]

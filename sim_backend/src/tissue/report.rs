@@ -103,3 +103,23 @@ impl TissueReport {
         }
     }
 }
+
+/// What a flap went through in an episode: the largest values so far.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct TissueExtremes {
+    /// Force between an instrument and the tissue after a low pass at 50 Hz, N.
+    pub force_n: f64,
+    /// Stretch (0.1 is a tenth longer than at rest).
+    pub stretch: f64,
+    /// How far the mark was above where it lay at rest, m.
+    pub mark_rise_m: f64,
+}
+
+impl TissueExtremes {
+    /// Takes in what the flap says after a millisecond.
+    pub fn observe(&mut self, report: &TissueReport) {
+        self.force_n = self.force_n.max(report.smooth_force_n);
+        self.stretch = self.stretch.max(report.stretch);
+        self.mark_rise_m = self.mark_rise_m.max(report.mark_rise_m);
+    }
+}

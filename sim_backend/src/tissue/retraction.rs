@@ -2,10 +2,10 @@
 //!
 //! In words: the flap counts as retracted when one jaw holds it within `mark_distance_m` of the mark (measured in the
 //! material, to the middle of the area held) while the mark is at least `lift_height_m` above where it lay, for `hold_s`
-//! without a break. The episode is lost when time runs out, when the tissue is pulled harder than `force_n_max` or slips
-//! out of the jaw, when it is stretched by more than `stretch_max` or torn, when a jaw holds it beside the mark for
-//! longer than `stray_s`, when an instrument sinks into it, when it is flung about, and when its numbers leave their
-//! range. Force, stretch, depth and speed count once they last for 20 ms: one step alone may be a solver's hiccup.
+//! without a break. The episode is lost when the tissue is pulled harder than `force_n_max` or slips out of the jaw, when
+//! it is stretched by more than `stretch_max` or torn, when a jaw holds it beside the mark for longer than `stray_s`,
+//! when an instrument sinks into it, when it is flung about, and when its numbers leave their range; the task's clock is
+//! not kept here. Force, stretch, depth and speed count once they last for 20 ms: one step alone may be a solver's hiccup.
 
 use core::fmt;
 
@@ -35,8 +35,6 @@ pub struct RetractionConfig {
     pub depth_m_max: f64,
     /// Speed of the fastest point of the tissue, m/s.
     pub speed_m_s_max: f64,
-    /// When the episode ends without success, s.
-    pub time_limit_s: f64,
 }
 
 /// How an episode of the retraction stands.
@@ -53,11 +51,6 @@ pub enum Retraction {
 /// Why an episode of the retraction was lost.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum RetractionFailure {
-    /// Time ran out.
-    TimeLimit {
-        /// The limit, s.
-        limit_s: f64,
-    },
     /// The tissue was held at the wrong place.
     BesideMark {
         /// How far from the mark, m.
@@ -104,7 +97,6 @@ impl fmt::Display for Retraction {
 impl fmt::Display for RetractionFailure {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            Self::TimeLimit { limit_s } => write!(f, "flap not lifted within {limit_s} s"),
             Self::BesideMark { distance_m } => {
                 write!(f, "flap held {:.1} mm beside the mark", distance_m * 1e3)
             }
@@ -139,8 +131,7 @@ impl RetractionConfig {
         check("force_n_max", self.force_n_max, 0.01, 50.0)?;
         check("stretch_max", self.stretch_max, 0.01, 2.0)?;
         check("depth_m_max", self.depth_m_max, 0.000_1, 0.01)?;
-        check("speed_m_s_max", self.speed_m_s_max, 0.05, 10.0)?;
-        check("time_limit_s", self.time_limit_s, 0.1, 600.0)
+        check("speed_m_s_max", self.speed_m_s_max, 0.05, 10.0)
     }
 }
 
@@ -162,7 +153,6 @@ struct Lasting {
 #[derive(Clone, Debug)]
 pub struct RetractionMonitor {
     config: RetractionConfig,
-    time_s: f64,
     lasting: Lasting,
     state: Retraction,
 }
@@ -173,7 +163,6 @@ impl RetractionMonitor {
     pub fn new(config: &RetractionConfig) -> Self {
         Self {
             config: config.clone(),
-            time_s: 0.0,
             lasting: Lasting::default(),
             state: Retraction::Running,
         }
@@ -190,7 +179,6 @@ impl RetractionMonitor {
         if self.state != Retraction::Running {
             return;
         }
-        self.time_s += STEP_S;
         self.count(report);
         self.state = match self.failure(report) {
             Some(failure) => Retraction::Failure(failure),
@@ -260,10 +248,6 @@ impl RetractionMonitor {
                 .grasp
                 .map_or(f64::INFINITY, |grasp| grasp.beside_mark_m);
             Some(RetractionFailure::BesideMark { distance_m })
-        } else if reached(self.time_s, self.config.time_limit_s) {
-            Some(RetractionFailure::TimeLimit {
-                limit_s: self.config.time_limit_s,
-            })
         } else {
             None
         }

@@ -14,7 +14,10 @@ const SPLIT: usize = 3;
 #[derive(Clone, Debug)]
 pub struct Surface {
     mesh: Mesh,
+    nodes: [usize; 2],
     points: [usize; 2],
+    /// Distance of the points in the material, m.
+    spacing_m: [f64; 2],
     half_thickness_m: f64,
     weights: [[f64; 4]; SPLIT],
     /// Rows of nodes refined along u, then everything refined along both.
@@ -39,14 +42,16 @@ impl Surface {
                 normals: vec![[0.0; 3]; vertices],
                 indices: indices(points, rim.len()),
             },
+            nodes,
             points,
+            spacing_m: sheet.spacing_m.map(|spacing_m| spacing_m / count(SPLIT)),
             half_thickness_m: 0.5 * sheet.material.thickness_m,
             weights: core::array::from_fn(|part| spline(count(part) / count(SPLIT))),
             rows: vec![Vector3::zeros(); points[0] * nodes[1]],
             middle: vec![Vector3::zeros(); whole],
             rim,
         };
-        surface.update(sheet);
+        surface.update(&sheet.positions);
         surface
     }
 
@@ -56,9 +61,16 @@ impl Surface {
         &self.mesh
     }
 
-    /// Follows the sheet. Indices and the number of vertices stay.
-    pub fn update(&mut self, sheet: &Sheet) {
-        self.refine(sheet);
+    /// How many nodes it is laid through.
+    #[must_use]
+    pub const fn node_count(&self) -> usize {
+        self.nodes[0] * self.nodes[1]
+    }
+
+    /// Follows the sheet, whose nodes are at `positions` (m, in their order), [`Self::node_count`] of them. Indices and the
+    /// number of vertices stay.
+    pub fn update(&mut self, positions: &[Vector3<f64>]) {
+        self.refine(positions);
         let [columns, rows] = self.points;
         let whole = columns * rows;
         for j in 0..rows {
@@ -88,10 +100,10 @@ impl Surface {
     }
 
     /// Lays cubic splines through the nodes, first along u, then along v.
-    fn refine(&mut self, sheet: &Sheet) {
-        let (nodes, columns) = (sheet.nodes(), self.points[0]);
+    fn refine(&mut self, positions: &[Vector3<f64>]) {
+        let (nodes, columns) = (self.nodes, self.points[0]);
         for j in 0..nodes[1] {
-            let row = &sheet.positions[j * nodes[0]..(j + 1) * nodes[0]];
+            let row = &positions[j * nodes[0]..(j + 1) * nodes[0]];
             for i in 0..columns {
                 let at = |node: usize| row[node];
                 self.rows[j * columns + i] = along(nodes[0], i, &self.weights, at);
@@ -103,6 +115,31 @@ impl Surface {
                 self.middle[j * columns + i] = along(nodes[1], j, &self.weights, at);
             }
         }
+    }
+
+    /// The upper face at the material coordinates `at_m`, held inside the sheet: place and unit normal.
+    pub(super) fn upper(&self, at_m: [f64; 2]) -> (Vector3<f64>, Vector3<f64>) {
+        let [(i, s), (j, t)] = [0, 1].map(|axis| {
+            let last = self.points[axis] - 1;
+            let along = (at_m[axis] / self.spacing_m[axis]).clamp(0.0, count(last));
+            #[expect(
+                clippy::cast_possible_truncation,
+                clippy::cast_sign_loss,
+                reason = "clamped to the number of points"
+            )]
+            let low = (along as usize).min(last - 1);
+            (low, along - count(low))
+        });
+        let corners = [(i, j), (i + 1, j), (i, j + 1), (i + 1, j + 1)];
+        let weights = [(1.0 - s) * (1.0 - t), s * (1.0 - t), (1.0 - s) * t, s * t];
+        let mut at = Vector3::zeros();
+        let mut normal = Vector3::zeros();
+        for ((i, j), weight) in corners.into_iter().zip(weights) {
+            let here = self.normal(i, j);
+            at += (self.middle[j * self.points[0] + i] + here * self.half_thickness_m) * weight;
+            normal += here * weight;
+        }
+        (at, normal.try_normalize(0.0).unwrap_or_else(Vector3::z))
     }
 
     fn normal(&self, i: usize, j: usize) -> Vector3<f64> {
@@ -123,7 +160,7 @@ impl Surface {
 }
 
 #[expect(clippy::cast_possible_truncation, reason = "drawn in single precision")]
-const fn single(v: &Vector3<f64>) -> [f32; 3] {
+pub(super) const fn single(v: &Vector3<f64>) -> [f32; 3] {
     let [[x, y, z]] = v.data.0;
     [x as f32, y as f32, z as f32]
 }

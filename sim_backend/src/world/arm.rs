@@ -6,10 +6,11 @@ use nalgebra::{Point3, Vector3};
 use super::chain::{Chain, Wrench};
 use super::config::WorldConfig;
 use super::obstacle::Obstacles;
-use super::press;
+use super::press::{self, SoftGround};
 use super::scenery::Ground;
 use super::stage::{PartPoses, Touch};
 use crate::plant::{AXIS_COUNT, AxisVector, Load, Plant};
+use crate::tissue::{JawInput, PAD_MIDDLE_M};
 
 /// Where an arm stands and how it starts.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -33,6 +34,8 @@ pub struct ArmBodies {
     pub finger_left: Pose,
     /// Right finger: like the left one with its body at y < 0.
     pub finger_right: Pose,
+    /// Nothing to draw: the tip frame, its origin on the wrist-yaw axis, z along the closed fingers, x along their hinge.
+    pub tip: Pose,
 }
 
 /// Drives and links of one arm.
@@ -105,6 +108,19 @@ impl ArmUnit {
             wrist: self.chain.frames[4],
             finger_left: self.chain.finger(jaw, 1.0),
             finger_right: self.chain.finger(jaw, -1.0),
+            tip: self.chain.tip,
+        }
+    }
+
+    /// The instrument as a flap meets it.
+    pub(super) fn jaw_input(&self) -> JawInput {
+        let jaw = self.jaw();
+        let ends = [&self.chain.frames[4], &self.chain.tip];
+        JawInput {
+            fingers: [1.0, -1.0].map(|side| self.chain.finger(jaw, side)),
+            wrist: ends.map(|frame| Point3::from(frame.translation.vector)),
+            // Power: each finger turns by half of the jaw's angle, and there are two.
+            grip_n: (-self.plant.jaw_effort() / PAD_MIDDLE_M).max(0.0),
         }
     }
 
@@ -125,29 +141,36 @@ impl ArmUnit {
         ground: &Ground,
         obstacles: &Obstacles,
         touches: impl Iterator<Item = &'a [Touch; 3]>,
+        drape: Option<[Wrench; 3]>,
     ) {
         let mut wrenches = match ground {
-            Ground::Organ(organ) => {
-                let centre = self.chain.tip.translation.vector;
-                let now = Pressing::new(&self.chain, self.jaw());
-                let before = core::mem::replace(&mut self.pressing, now);
-                let press = |points: &[Point3<f64>], before: &[Point3<f64>]| {
-                    press::pressed(&config.press, organ, points, before, &centre)
-                };
-                [
-                    press(&self.pressing.left, &before.left),
-                    press(&self.pressing.right, &before.right),
-                    press(&self.pressing.wrist, &before.wrist),
-                ]
-            }
+            Ground::Organ(organ) => self.pressed(config, organ),
+            Ground::Bed(bed) => self.pressed(config, bed),
             Ground::Solids(_) => self.pushed(config, obstacles),
         };
+        for (wrench, pull) in wrenches.iter_mut().zip(drape.iter().flatten()) {
+            wrench.add(pull);
+        }
         for touch in touches {
             for (wrench, touch) in wrenches.iter_mut().zip(touch) {
                 wrench.add(&touch.wrench);
             }
         }
         self.load.efforts = self.efforts(&wrenches);
+    }
+
+    fn pressed(&mut self, config: &WorldConfig, ground: &impl SoftGround) -> [Wrench; 3] {
+        let centre = self.chain.tip.translation.vector;
+        let now = Pressing::new(&self.chain, self.jaw());
+        let before = core::mem::replace(&mut self.pressing, now);
+        let press = |points: &[Point3<f64>], before: &[Point3<f64>]| {
+            press::pressed(&config.press, ground, points, before, &centre)
+        };
+        [
+            press(&self.pressing.left, &before.left),
+            press(&self.pressing.right, &before.right),
+            press(&self.pressing.wrist, &before.wrist),
+        ]
     }
 
     fn pushed(&mut self, config: &WorldConfig, obstacles: &Obstacles) -> [Wrench; 3] {

@@ -1,9 +1,10 @@
-//! The simulated world: arms, things that they can grip, and ground, a millisecond at a time.
+//! The simulated world: arms, things that they can grip, a soft flap, and ground, a millisecond at a time.
 
 mod arm;
 mod chain;
 mod config;
 mod convert;
+mod drape;
 mod obstacle;
 mod press;
 mod scenery;
@@ -16,13 +17,15 @@ use nalgebra::Vector3;
 
 #[cfg(test)]
 use crate::plant::AxisVector;
+use crate::tissue::Tissue;
 use arm::ArmUnit;
+use drape::Drape;
 use obstacle::Obstacles;
 use stage::{Stage, TOUCH_N};
 
 pub use arm::{ArmBodies, ArmStart};
 pub use config::{Press, Surface, WorldConfig};
-pub use scenery::{Ground, Meets, Piece, Scenery, Shape, Thing};
+pub use scenery::{Flap, Ground, Meets, Piece, Scenery, Shape, Thing};
 pub(crate) use solids::FINGER_THICKNESS_M;
 
 /// Arms over things on some ground.
@@ -37,23 +40,24 @@ pub struct World {
     obstacles: Obstacles,
     arms: Vec<ArmUnit>,
     stage: Stage,
+    drape: Option<Drape>,
 }
 
-/// What the fingers of one arm feel of one thing.
+/// What the fingers of one arm feel of one thing or of the flap.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Grasp {
     /// Sum of normal forces on the left finger, N.
     pub left_force_n: f64,
     /// Sum of normal forces on the right finger, N.
     pub right_force_n: f64,
-    /// Whether both fingers press on the thing.
+    /// Whether both fingers press on the thing; of a flap, whether the jaw holds it.
     pub both_touch: bool,
     /// Deepest overlap of a finger and the thing, m.
     pub penetration_m: f64,
 }
 
 impl World {
-    /// Arms at rest over `scenery`, whose things must not overlap the fingers.
+    /// Arms at rest over `scenery`, whose things and flap must not overlap the fingers.
     #[must_use]
     pub fn new(config: &WorldConfig, scenery: &Scenery, arms: &[ArmStart]) -> Self {
         let arms: Vec<ArmUnit> = arms
@@ -62,14 +66,16 @@ impl World {
             .collect();
         let parts: Vec<_> = arms.iter().map(ArmUnit::part_poses).collect();
         let solids = match &scenery.ground {
-            Ground::Organ(_) => &[],
+            Ground::Organ(_) | Ground::Bed(_) => &[],
             Ground::Solids(solids) => solids.as_slice(),
         };
+        let flap = scenery.flap.as_ref();
         Self {
             config: *config,
             ground: scenery.ground.clone(),
             obstacles: Obstacles::new(solids),
             stage: Stage::new(config, scenery, &parts),
+            drape: flap.map(|flap| Drape::new(flap, &scenery.ground, &arms)),
             arms,
         }
     }
@@ -107,9 +113,13 @@ impl World {
             .iter()
             .map(|arm| (arm.part_poses(), arm.chain.tip.translation.vector));
         self.stage.step(parts);
+        if let Some(drape) = &mut self.drape {
+            drape.step(&self.arms);
+        }
         for (index, arm) in self.arms.iter_mut().enumerate() {
             let touches = self.stage.touches(index);
-            arm.feel(&self.config, &self.ground, &self.obstacles, touches);
+            let drape = self.drape.as_ref().map(|drape| drape.wrenches(index));
+            arm.feel(&self.config, &self.ground, &self.obstacles, touches, drape);
         }
     }
 
@@ -167,6 +177,39 @@ impl World {
         }
     }
 
+    /// The soft flap, if there is one.
+    #[must_use]
+    pub fn tissue(&self) -> Option<&Tissue> {
+        self.drape.as_ref().map(Drape::tissue)
+    }
+
+    /// What the arms are to handle, in the scene: the first thing or, where there is none, the flap's mark.
+    #[must_use]
+    pub fn subject_in_scene(&self) -> Pose {
+        match self.tissue() {
+            Some(tissue) if self.thing_count() == 0 => tissue.mark_in_scene(),
+            _ => self.thing_in_scene(0),
+        }
+    }
+
+    /// What the fingers of an arm felt of that in the newest step.
+    #[must_use]
+    pub fn subject_grasp(&self, arm: usize) -> Grasp {
+        match &self.drape {
+            Some(drape) if self.thing_count() == 0 => drape.grasp(arm),
+            _ => self.grasp(arm, 0),
+        }
+    }
+
+    /// Deepest overlap of the things and the ground in the newest step, m; the first thing's, or 0 where there is none.
+    #[must_use]
+    pub fn subject_sunk_m(&self) -> f64 {
+        if self.thing_count() == 0 {
+            return 0.0;
+        }
+        self.sunk_m(0)
+    }
+
     /// Digest of every number that decides the future, bit by bit.
     #[must_use]
     pub fn state_hash(&self) -> u64 {
@@ -181,7 +224,9 @@ impl World {
                 angular.y, angular.z,
             ]
         });
-        let numbers = arms.chain(self.stage.memory_numbers()).chain(things);
+        let tissue = self.drape.iter().flat_map(Drape::state);
+        let rigid = arms.chain(self.stage.memory_numbers()).chain(things);
+        let numbers = rigid.chain(tissue);
         // FNV-1a over 64-bit words.
         numbers.fold(0xcbf2_9ce4_8422_2325, |hash, number| {
             (hash ^ number.to_bits()).wrapping_mul(0x0000_0100_0000_01b3)

@@ -6,6 +6,7 @@ use nalgebra::{Point3, UnitQuaternion, Vector3};
 use super::config::WorldConfig;
 use crate::needle::{NeedleShape, ratio};
 use crate::organ::OrganShape;
+use crate::tissue::{self, TissueConfig};
 
 /// Everything in a world but the arms.
 #[derive(Clone, Debug)]
@@ -14,6 +15,17 @@ pub struct Scenery {
     pub things: Vec<Thing>,
     /// What they lie on.
     pub ground: Ground,
+    /// A soft flap over the ground.
+    pub flap: Option<Flap>,
+}
+
+/// A soft flap of tissue. It lies on a [`Ground::Bed`]; it does not touch things, and no other ground.
+#[derive(Clone, Debug)]
+pub struct Flap {
+    /// What it is.
+    pub config: TissueConfig,
+    /// What its mark hangs on.
+    pub seed: u64,
 }
 
 /// A rigid thing that moves.
@@ -92,6 +104,8 @@ pub enum Ground {
     Organ(OrganShape),
     /// Hard convex solids in the scene frame. The instrument meets them with a little give.
     Solids(Vec<Shape>),
+    /// A soft organ with a rim, for a flap to lie on. The instrument sinks into it against springs; things fall through.
+    Bed(tissue::Ground),
 }
 
 /// Length of the capsules that make up the needle, m, at most.

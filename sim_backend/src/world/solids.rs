@@ -113,6 +113,7 @@ fn collider(piece: &Piece) -> ColliderBuilder {
 pub(super) fn insert_ground(engine: &mut PhysicsWorld, config: &WorldConfig, ground: &Ground) {
     match ground {
         Ground::Organ(organ) => insert_organ(engine, config, organ),
+        Ground::Bed(_) => {}
         Ground::Solids(solids) => {
             let body = engine.insert_body(RigidBodyBuilder::fixed().build());
             for solid in solids {

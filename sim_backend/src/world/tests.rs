@@ -53,6 +53,7 @@ impl Bench {
         let scenery = Scenery {
             things: vec![Thing::needle(&config, shape, needle)],
             ground: Ground::Organ(BACK_MUSCLE),
+            flap: None,
         };
         let arm = ArmStart {
             scene_from_rcm: Pose::translation(0.0, 0.0, 0.15),

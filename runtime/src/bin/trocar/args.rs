@@ -7,6 +7,9 @@ use clap::{Args, Parser, Subcommand, ValueEnum};
 
 use runtime::session::tasks;
 
+use crate::scene_args::SceneArgs;
+use crate::sheet::SheetArgs;
+
 /// A count that is not 0.
 fn count() -> RangedU64ValueParser<usize> {
     RangedU64ValueParser::new().range(1..)
@@ -45,12 +48,12 @@ pub(crate) enum Verb {
     Run(RunArgs),
     /// Run many seeded trials in lockstep and report the success rate.
     #[command(
-        after_help = "Example: trocar eval --task needle-lift --policy expert --trials 50 --jobs 2"
+        after_help = "Example: trocar eval --task needle-lift --policy expert --trials 50 --jobs 2\n         trocar eval --task needle-lift --policy runs/act --needle N3 --view view1 --json runs/eval.json"
     )]
     Eval(EvalArgs),
     /// Record demonstrations as a LeRobot v3 dataset.
     #[command(
-        after_help = "Example: trocar record --task needle-lift --episodes 50 --source expert --out runs/demos"
+        after_help = "Example: trocar record --task needle-lift --episodes 50 --source expert --cameras multi --out runs/demos"
     )]
     Record(RecordArgs),
     /// Train a policy on a dataset.
@@ -70,13 +73,16 @@ pub(crate) enum Verb {
     /// Run the committed needle-lift policy and write its log and pictures.
     #[command(after_help = "Example: trocar demo --out runs/demo")]
     Demo(DemoArgs),
+    /// Draw what every camera of every task sees in the middle of an expert's episode, in colour, depth and ids, as one PNG.
+    #[command(after_help = "Example: trocar sheet --out runs/tasks.png --seed 7 --width 192")]
+    Sheet(SheetArgs),
     /// The policy's own process in a real-time run; started by `run`.
     #[command(hide = true)]
     PolicyProcess(PolicyProcessArgs),
 }
 
 /// The name of a task that can be run.
-fn task() -> PossibleValuesParser {
+pub(crate) fn task() -> PossibleValuesParser {
     PossibleValuesParser::new(tasks::names())
 }
 
@@ -114,12 +120,20 @@ pub(crate) struct RunArgs {
     /// Everything random hangs on this.
     #[arg(long, default_value_t = 0)]
     pub(crate) seed: u64,
+    /// The scene.
+    #[command(flatten)]
+    pub(crate) scene: SceneArgs,
     /// Controller configuration instead of the built-in config/control.toml.
     #[arg(long, value_name = "FILE")]
     pub(crate) config: Option<PathBuf>,
     /// Write the run's log; parent folders are made.
     #[arg(long, value_name = "FILE.mcap")]
     pub(crate) log: Option<PathBuf>,
+    /// Cameras whose frames the log keeps besides those that the policy sees: `single` (the one that the paper gives the
+    /// task's policies), `multi` (that one and the wrists), or names with commas between them. If there is neither:
+    /// endoscope.
+    #[arg(long, value_name = "single|multi|NAMES", requires = "log")]
+    pub(crate) cameras: Option<String>,
     /// Write the result as JSON; parent folders are made.
     #[arg(long, value_name = "FILE")]
     pub(crate) json: Option<PathBuf>,
@@ -149,6 +163,9 @@ pub(crate) struct EvalArgs {
     /// Trials at a time.
     #[arg(long, default_value_t = 1, value_parser = threads())]
     pub(crate) jobs: usize,
+    /// The scene.
+    #[command(flatten)]
+    pub(crate) scene: SceneArgs,
     /// Controller configuration instead of the built-in config/control.toml.
     #[arg(long, value_name = "FILE")]
     pub(crate) config: Option<PathBuf>,
@@ -191,6 +208,13 @@ pub(crate) struct RecordArgs {
     /// Episodes at a time.
     #[arg(long, default_value_t = 1, value_parser = threads())]
     pub(crate) jobs: usize,
+    /// The scene.
+    #[command(flatten)]
+    pub(crate) scene: SceneArgs,
+    /// Cameras whose frames are recorded: `single` (the one that the paper gives the task's policies), `multi` (that one and
+    /// the wrists), or names with commas between them. A camera that is not named is not drawn.
+    #[arg(long, value_name = "single|multi|NAMES", default_value = "endoscope")]
+    pub(crate) cameras: String,
     /// Controller configuration instead of the built-in config/control.toml.
     #[arg(long, value_name = "FILE")]
     pub(crate) config: Option<PathBuf>,

@@ -21,7 +21,7 @@ use crate::args::{
 };
 use crate::console;
 
-type Done = Result<bool, SessionError>;
+pub(crate) type Done = Result<bool, SessionError>;
 
 fn device(choice: ComputeDevice) -> Result<Device, SessionError> {
     match choice {
@@ -43,7 +43,8 @@ pub(crate) fn run(args: &RunArgs) -> Done {
     let config = ("--config", args.config.as_deref());
     outputs::check(&[log, ("--json", args.json.as_deref())], &[config])?;
     let policy = PolicyChoice::parse(&args.policy);
-    let setup = Setup::load(&args.task, args.config.as_deref(), &policy)?;
+    let setup = Setup::load(&args.task, args.config.as_deref(), &policy)?
+        .with_scene(&args.scene.options(args.cameras.as_deref()))?;
     let options = RunOptions {
         policy,
         seed: args.seed,
@@ -103,7 +104,8 @@ pub(crate) fn eval(args: &EvalArgs) -> Done {
     let config = ("--config", args.config.as_deref());
     outputs::check(&[("--json", args.json.as_deref())], &[config])?;
     let policy = PolicyChoice::parse(&args.policy);
-    let setup = Setup::load(&args.task, args.config.as_deref(), &policy)?;
+    let setup = Setup::load(&args.task, args.config.as_deref(), &policy)?
+        .with_scene(&args.scene.options(None))?;
     let options = EvalOptions {
         policy,
         trials: args.trials,
@@ -145,7 +147,8 @@ pub(crate) fn record(args: &RecordArgs) -> Done {
     let config = ("--config", args.config.as_deref());
     let out = ("--out", Some(args.out.as_path()));
     outputs::check(&[("--json", args.json.as_deref())], &[config, out])?;
-    let setup = Setup::load(&args.task, args.config.as_deref(), &PolicyChoice::Expert)?;
+    let setup = Setup::load(&args.task, args.config.as_deref(), &PolicyChoice::Expert)?
+        .with_scene(&args.scene.options(Some(&args.cameras)))?;
     let options = RecordOptions {
         episodes: args.episodes,
         out: args.out.clone(),

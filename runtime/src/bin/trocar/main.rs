@@ -5,6 +5,8 @@
 mod args;
 mod commands;
 mod console;
+mod scene_args;
+mod sheet;
 
 use std::process::ExitCode;
 
@@ -23,6 +25,7 @@ fn main() -> ExitCode {
         Verb::Verify(args) => commands::verify(args),
         Verb::Doctor(args) => commands::doctor(args),
         Verb::Demo(args) => commands::demo(args),
+        Verb::Sheet(args) => sheet::sheet(args),
         Verb::PolicyProcess(args) => commands::policy_process(args),
     };
     match result {

@@ -132,6 +132,8 @@ pub(super) fn header() -> RunHeader {
         policy: "expert".to_owned(),
         seed: u64::MAX,
         lockstep: true,
+        view: "view2".to_owned(),
+        needle: Some("N3".to_owned()),
         versions: [("trocar".to_owned(), "0.1.0".to_owned())].into(),
         texts: [("safety.toml".to_owned(), "# µ\n[a]\nb = 1\n".to_owned())].into(),
     }

@@ -7,9 +7,7 @@ use hal::{ArmState, Chunk, JointVector, TimeNs, TipTarget};
 use nalgebra::Translation3;
 
 use super::samples::{self, assert_same, chunk, chunk_bits, header, outcome};
-use super::{
-    ArmRecord, Pressure, Recorder, RunHeader, RunLog, Scratch, TickRecord, TickTiming, chunk_of_run,
-};
+use super::{Pressure, Recorder, RunHeader, RunLog, Scratch, TickRecord, TickTiming, chunk_of_run};
 use crate::control::{AnyController, ControlConfig, OperatorEvent, TickInput};
 use crate::log::{Loss, RunOutcome};
 use crate::per_arm::PerArm;
@@ -71,18 +69,8 @@ pub(crate) fn run_two_arms(ticks: u64) -> (Vec<TickRecord>, RunHeader) {
         });
         let outputs = controller.tick(&inputs).unwrap();
         places = outputs.map(|output| (output.command.position, output.command.jaw_position));
-        records.push(TickRecord {
-            tick,
-            now,
-            arms: inputs.zip(outputs).map(|(input, output)| ArmRecord {
-                measured: input.measured,
-                operator: input.operator,
-                chunk_sequence: input.chunk.map(|chunk| chunk.sequence),
-                command: output.command,
-                report: output.report,
-            }),
-            timing: TickTiming::default(),
-        });
+        let timing = TickTiming::default();
+        records.push(TickRecord::new(tick, inputs, outputs, timing));
     }
     for (position, _) in places.iter() {
         let moved = (position - start()).norm();

@@ -3,16 +3,18 @@
 use hal::topic::{
     ArmReport, ArmStateTopic, CameraTopic, FrameHeader, FramePublisher, Publisher, TopicNode,
 };
-use hal::{ArmState, CameraFrame, Pose};
+use hal::{CameraFrame, SeenArm};
 use sim_backend::cameras::{SceneCameras, SceneSnapshot};
 use sim_backend::render::Planes;
 
-use super::policy_process::ARM;
+use super::policy_process::arm_names;
 use super::signals::{EndsRun, Signals};
 use crate::log::SideLog;
 use crate::mailbox::MailboxReader;
+use crate::per_arm::PerArm;
 use crate::rt;
 use crate::session::pictures::Pictures;
+use crate::session::run::RunOptions;
 use crate::session::{SessionError, Setup};
 
 /// Time between two looks for a snapshot, ns.
@@ -22,16 +24,18 @@ const POLL_NS: u64 = 1_000_000;
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Snapshot {
     pub(super) step: u64,
-    pub(super) arm: ArmState,
-    pub(super) tip_in_rcm: Pose,
+    pub(super) arms: PerArm<SeenArm>,
     pub(super) scene: SceneSnapshot,
 }
 
 /// The camera thread before it runs.
 pub(super) struct CameraThread {
     cameras: SceneCameras,
+    /// The cameras that somebody wants, by index; publishers and frames are in their order.
+    wanted: Vec<usize>,
     publishers: Vec<FramePublisher>,
-    arm: Option<Publisher<ArmReport>>,
+    /// One an arm, if there is a policy process to read them.
+    arms: Vec<Publisher<ArmReport>>,
     log: Option<SideLog>,
     snapshots: MailboxReader<Snapshot>,
     /// Kept only if somebody will look at them.
@@ -45,39 +49,46 @@ pub(super) struct CameraEnd {
 }
 
 impl CameraThread {
-    /// Opens the renderer, and the topics if there is a policy process to see them; draws `start` once, since the first
-    /// image takes far longer than the others. Keeps pictures only if `keep_pictures`.
+    /// Opens the renderer for the cameras `seen` by the policy and those that `setup` asks for, and the topics if there is a
+    /// policy process to see them; draws `start` once, since the first image takes far longer than the others.
     pub(super) fn new(
         setup: &Setup,
+        options: &RunOptions,
+        seen: &[String],
         node: Option<&TopicNode>,
         snapshots: MailboxReader<Snapshot>,
         start: &SceneSnapshot,
-        keep_pictures: bool,
     ) -> Result<Self, SessionError> {
         let mut cameras = SceneCameras::new(&setup.task)?;
+        cameras.begin_episode(&setup.task, options.seed);
+        let names = setup.cameras_with(seen.to_vec());
+        let wanted: Vec<usize> = names.iter().filter_map(|name| cameras.find(name)).collect();
         let mut publishers = Vec::new();
+        let mut arms = Vec::new();
         if let Some(node) = node {
-            for camera in 0..cameras.count() {
+            for name in arm_names(setup.task.arms.len()) {
+                arms.push(ArmStateTopic::publisher(node, name)?);
+            }
+            for &camera in &wanted {
                 let pixels = cameras.intrinsics(camera)?.pixel_count();
                 publishers.push(CameraTopic::publisher(node, cameras.name(camera)?, pixels)?);
             }
         }
-        let arm = node
-            .map(|node| ArmStateTopic::publisher(node, ARM))
-            .transpose()?;
-        let mut frames = (0..cameras.count())
-            .map(|camera| cameras.blank_frame(camera))
+        let mut frames = wanted
+            .iter()
+            .map(|&camera| cameras.blank_frame(camera))
             .collect::<Result<Vec<_>, _>>()?;
-        for (camera, frame) in frames.iter_mut().enumerate() {
+        for (&camera, frame) in wanted.iter().zip(&mut frames) {
             cameras.render(camera, start, frame)?;
         }
         Ok(Self {
             cameras,
+            wanted,
             publishers,
-            arm,
+            arms,
             log: None,
             snapshots,
-            pictures: keep_pictures.then(Pictures::default),
+            pictures: options.pictures.then(Pictures::default),
             frames,
         })
     }
@@ -104,12 +115,12 @@ impl CameraThread {
     }
 
     fn take(&mut self, snapshot: &Snapshot) -> Result<(), SessionError> {
-        for camera in 0..self.cameras.count() {
-            let stamp = snapshot.arm.stamp;
-            let kept = self.log.is_some() || (camera == 0 && self.pictures.is_some());
-            let frame = &mut self.frames[camera];
-            if let Some(publisher) = self.publishers.get_mut(camera) {
-                let pose = self.cameras.pose(camera)?;
+        for (place, &camera) in self.wanted.iter().enumerate() {
+            let stamp = snapshot.arms.first.state.stamp;
+            let kept = self.log.is_some() || (place == 0 && self.pictures.is_some());
+            let frame = &mut self.frames[place];
+            if let Some(publisher) = self.publishers.get_mut(place) {
+                let pose = self.cameras.pose(camera, &snapshot.scene)?;
                 let header = FrameHeader::new(
                     stamp,
                     snapshot.step,
@@ -126,14 +137,11 @@ impl CameraThread {
                 self.cameras.render_into(camera, &snapshot.scene, planes)?;
                 if kept {
                     frame.colour.copy_from_slice(loan.planes().0);
+                    frame.camera_in_scene = pose;
                 }
-                // The report goes first, so that it is there when the frame arrives.
-                if let (Some(arm), 0) = (&self.arm, camera) {
-                    arm.publish(&ArmReport::new(
-                        snapshot.step,
-                        &snapshot.arm,
-                        &snapshot.tip_in_rcm,
-                    ))?;
+                // The reports go first, so that they are there when the frame arrives.
+                if place == 0 {
+                    publish_arms(&self.arms, snapshot)?;
                 }
                 loan.send()?;
             } else {
@@ -144,7 +152,7 @@ impl CameraThread {
             if let Some(log) = &mut self.log {
                 log.frame(self.cameras.name(camera)?, frame);
             }
-            if let (Some(pictures), 0) = (&mut self.pictures, camera) {
+            if let (Some(pictures), 0) = (&mut self.pictures, place) {
                 pictures.push(frame);
             }
         }
@@ -156,9 +164,16 @@ impl CameraThread {
         for publisher in &self.publishers {
             publisher.keep_alive()?;
         }
-        if let Some(arm) = &self.arm {
+        for arm in &self.arms {
             arm.keep_alive()?;
         }
         Ok(())
     }
+}
+
+fn publish_arms(to: &[Publisher<ArmReport>], snapshot: &Snapshot) -> Result<(), SessionError> {
+    for (publisher, arm) in to.iter().zip(snapshot.arms.iter()) {
+        publisher.publish(&ArmReport::new(snapshot.step, &arm.state, &arm.tip_in_rcm))?;
+    }
+    Ok(())
 }

@@ -7,14 +7,16 @@ use std::path::Path;
 use std::process::{self, Child, Command, Stdio};
 
 use hal::topic::{
-    ChunkTopic, PolicyStage, PolicyStatus, PolicyStatusTopic, Publisher, RunCommand, RunControl,
+    PolicyStage, PolicyStatus, PolicyStatusTopic, Publisher, RunCommand, RunControl,
     RunControlTopic, Subscriber, TopicNode,
 };
 use hal::{Chunk, PolicyError, TimeNs};
 use policy::act_policy::ActPolicy;
 use tch::Device;
 
-use super::policy_process::ARM;
+use super::arm_chunks::ArmChunks;
+use super::policy_process::FIRST_ARM;
+use crate::per_arm::PerArm;
 use crate::rt::{self, MonotonicClock};
 use crate::session::run::RunOptions;
 use crate::session::source::camera_names;
@@ -38,8 +40,9 @@ pub(super) struct PolicyChild {
     node: TopicNode,
     control: Publisher<RunControl>,
     status: Subscriber<PolicyStatus>,
-    chunks: Subscriber<Chunk>,
+    chunks: ArmChunks,
     query_every_steps: u64,
+    cameras: Vec<String>,
     queries: u64,
     clock: MonotonicClock,
     heard: TimeNs,
@@ -54,15 +57,16 @@ impl PolicyChild {
         policy: &Path,
         options: &RunOptions,
     ) -> Result<Self, SessionError> {
-        let network = ActPolicy::load(policy, Device::Cpu)?;
+        let network = setup.network(policy, Device::Cpu)?;
         check_cameras(setup, &network)?;
         let query_every_steps = u64::from(network.recipe().query_every_steps);
+        let cameras = camera_names(&network);
         drop(network);
         let run_id = fresh_run_id()?;
         let node = TopicNode::join(&run_id)?;
-        let control = RunControlTopic::publisher(&node, ARM)?;
-        let status = PolicyStatusTopic::subscriber(&node, ARM)?;
-        let chunks = ChunkTopic::subscriber(&node, ARM)?;
+        let control = RunControlTopic::publisher(&node, FIRST_ARM)?;
+        let status = PolicyStatusTopic::subscriber(&node, FIRST_ARM)?;
+        let chunks = ArmChunks::open(&node, setup.task.arms.len())?;
         let mut child = Self {
             process: spawn(&run_id, policy, options.device)?,
             node,
@@ -70,6 +74,7 @@ impl PolicyChild {
             status,
             chunks,
             query_every_steps,
+            cameras,
             queries: 0,
             clock: MonotonicClock::new(),
             heard: TimeNs(0),
@@ -107,6 +112,11 @@ impl PolicyChild {
         ))
     }
 
+    /// Names of the cameras that the policy looks through.
+    pub(super) fn cameras(&self) -> Vec<String> {
+        self.cameras.clone()
+    }
+
     /// The node that this run's topics live on.
     pub(super) const fn node(&self) -> &TopicNode {
         &self.node
@@ -117,9 +127,9 @@ impl PolicyChild {
         self.query_every_steps
     }
 
-    /// A chunk, if one has come since the last call.
-    pub(super) fn newest_chunk(&self) -> Result<Option<Chunk>, SessionError> {
-        Ok(self.chunks.newest()?)
+    /// The newest answer, a chunk for each arm, if one has come since the last call.
+    pub(super) fn newest_chunks(&mut self) -> Result<Option<PerArm<Chunk>>, SessionError> {
+        self.chunks.newest()
     }
 
     /// How long the newest chunk took to compute, once for each chunk.

@@ -6,9 +6,9 @@ use hal::{ArmCommand, ArmError, ArmState, Chunk, SafeTail, TICK_NS, TimeNs};
 use rtrb::{Consumer, Producer};
 
 use super::signals::{Signals, StopsAll};
-use crate::control::{Controller, OperatorEvent, TickInput};
+use crate::control::{AnyController, OperatorEvent, TickInput};
 use crate::histogram::Histogram;
-use crate::log::{ArmRecord, TickLog, TickRecord, TickTiming};
+use crate::log::{TickLog, TickRecord, TickTiming};
 use crate::mailbox::MailboxReader;
 use crate::per_arm::PerArm;
 use crate::rt::{MonotonicClock, Periodic, RtOptions, Wake, configure_thread};
@@ -20,19 +20,21 @@ use crate::session::tally::Tally;
 /// take the simulation thread off its core for longer than a few periods.
 const MEASUREMENT_AGE_NS_MAX: u64 = 50_000_000;
 
-/// Periods that the arm gets to come to rest after the verdict: more than twice the longest stop.
+/// Periods that the arms get to come to rest after the verdict: more than twice the longest stop.
 const REST_TICKS: u64 = 500;
 
 /// Priority of the control thread under `SCHED_FIFO`.
 const PRIORITY: u8 = 80;
 
+/// A command with the stop that the arm finishes alone if this thread is late or gone.
+pub(super) type Setpoint = (ArmCommand, SafeTail);
+
 /// The control thread before it runs.
 pub(super) struct ControlThread {
-    pub(super) controller: Box<Controller>,
-    pub(super) measured: MailboxReader<ArmState>,
-    pub(super) chunks: Consumer<Chunk>,
-    /// Each command with the stop that the arm finishes alone if this thread is late or gone.
-    pub(super) commands: Producer<(ArmCommand, SafeTail)>,
+    pub(super) controller: AnyController,
+    pub(super) measured: MailboxReader<PerArm<ArmState>>,
+    pub(super) chunks: Consumer<PerArm<Chunk>>,
+    pub(super) commands: Producer<PerArm<Setpoint>>,
     pub(super) log: Option<TickLog>,
     pub(super) signals: Arc<Signals>,
 }
@@ -46,7 +48,7 @@ pub(super) struct ControlEnd {
 }
 
 impl ControlThread {
-    /// Runs until the arm rests after the verdict, or after a fault, which it does not recover from by itself.
+    /// Runs until the arms rest after the verdict, or after a fault of any, which it does not recover from by itself.
     ///
     /// Wakes half a period after the simulation, so that it sees this period's measurement.
     pub(super) fn run(mut self, clock: MonotonicClock, first: TimeNs) -> ControlEnd {
@@ -65,26 +67,28 @@ impl ControlThread {
         let mut tally = Tally::default();
         let mut rest_ticks = 0;
         let mut paused = false;
-        let mut newest: Option<ArmState> = None;
+        let mut newest: Option<PerArm<ArmState>> = None;
         while rest_ticks < REST_TICKS {
             let wake = periodic.wait();
             wakes.record(wake.late_ns());
             let done = signals.done();
             rest_ticks += u64::from(done);
             newest = self.measured.take().or(newest);
-            let Some(state) = newest else { continue };
+            let Some(states) = newest else { continue };
             let operator = if tally.ticks() == 0 {
                 Some(OperatorEvent::Enable)
             } else {
                 (done && !paused).then_some(OperatorEvent::Pause)
             };
             paused |= operator == Some(OperatorEvent::Pause);
-            let record = self.tick(&wake, &state, operator, &mut tally, clock);
+            let Some(record) = self.tick(&wake, &states, operator, &mut tally, clock) else {
+                break;
+            };
             tally.tick(&record);
             if let Some(log) = &mut self.log {
                 log.tick(&record);
             }
-            if record.arms.first.report.fault.is_some() {
+            if record.has_fault() {
                 signals.end_run();
             }
         }
@@ -99,57 +103,60 @@ impl ControlThread {
         }
     }
 
+    /// One control period of all arms; none if the simulation has other arms than the controller, which `Setup` rules out.
     fn tick(
         &mut self,
         wake: &Wake,
-        state: &ArmState,
+        states: &PerArm<ArmState>,
         operator: Option<OperatorEvent>,
         tally: &mut Tally,
         clock: MonotonicClock,
-    ) -> TickRecord {
+    ) -> Option<TickRecord> {
         let now = wake.due;
-        let age_ns = now.since(state.stamp);
-        let measured = if age_ns > MEASUREMENT_AGE_NS_MAX {
-            Err(ArmError::MeasurementLost { age_ns })
-        } else {
-            Ok(*state)
-        };
-        let chunk = if self.chunks.peek().is_ok_and(|chunk| is_ahead(chunk, wake)) {
+        let waits = |chunks: &PerArm<Chunk>| is_ahead(&chunks.first, wake);
+        let chunks = if self.chunks.peek().is_ok_and(waits) {
             None
         } else {
             self.chunks.pop().ok()
         };
-        if let (Some(log), Some(chunk)) = (&mut self.log, &chunk) {
-            log.chunk(0, chunk);
+        if let Some(chunks) = &chunks {
+            tally.delivery(now.since(chunks.first.observed_at));
+            if let Some(log) = &mut self.log {
+                for (arm, chunk) in chunks.iter().enumerate() {
+                    log.chunk(arm, chunk);
+                }
+            }
         }
-        if let Some(chunk) = &chunk {
-            tally.delivery(now.since(chunk.observed_at));
-        }
-        let before = clock.now();
-        let output = self.controller.tick(&TickInput {
+        let mut newest = chunks.iter().flat_map(PerArm::iter);
+        let inputs = states.map(|state| TickInput {
             now,
-            measured,
-            chunk: chunk.as_ref(),
+            measured: fresh(&state, now),
+            chunk: newest.next(),
             operator,
         });
+        let before = clock.now();
+        let outputs = self.controller.tick(&inputs);
         let compute_ns = clock.now().since(before);
-        // Full only if the arm has not moved for a second, and then its measurement is long missing.
-        let _gone = self.commands.push((output.command, output.tail));
-        TickRecord {
-            tick: now.tick(),
-            now,
-            arms: PerArm::one(ArmRecord {
-                measured,
-                operator,
-                chunk_sequence: chunk.map(|chunk| chunk.sequence),
-                command: output.command,
-                report: output.report,
-            }),
-            timing: TickTiming {
-                wake_ns: wake.late_ns(),
-                compute_ns,
-            },
-        }
+        let outputs = outputs?;
+        // Full only if the arms have not moved for a second, and then their measurements are long missing.
+        let _gone = self
+            .commands
+            .push(outputs.map(|output| (output.command, output.tail)));
+        let timing = TickTiming {
+            wake_ns: wake.late_ns(),
+            compute_ns,
+        };
+        Some(TickRecord::new(now.tick(), inputs, outputs, timing))
+    }
+}
+
+/// The measurement, unless it is too old at `now`.
+const fn fresh(state: &ArmState, now: TimeNs) -> Result<ArmState, ArmError> {
+    let age_ns = now.since(state.stamp);
+    if age_ns > MEASUREMENT_AGE_NS_MAX {
+        Err(ArmError::MeasurementLost { age_ns })
+    } else {
+        Ok(*state)
     }
 }
 

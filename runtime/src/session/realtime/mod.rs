@@ -1,4 +1,4 @@
-//! A real-time run: the control thread on its own, its neighbours on theirs, the network in its own process.
+//! A real-time run of one arm or two: the control thread on its own, its neighbours on theirs, the network in its own process.
 //!
 //! ```text
 //!  simulation thread (1 kHz) ── measured ──> control thread (1 kHz, SCHED_FIFO) ── commands ──> simulation thread
@@ -7,11 +7,13 @@
 //!   camera thread ── frames, arm ──> policy process ── chunks ──> first thread      log thread
 //! ```
 //!
-//! Everything that reaches the control thread comes through wait-free mailboxes and queues. A command travels with its
+//! Everything that reaches the control thread comes through wait-free mailboxes and queues. What is of one instant travels
+//! together: all arms' measurements, commands and chunks; only on the topics has each arm its own. A command travels with its
 //! tail, which the arm plays while the control thread is late; an arm that was late itself makes up for it with the commands
-//! of then. The run ends with the task's verdict, with a fault, with a signal, with the policy process, or with any thread: the arm
-//! then comes to rest, the control thread stops, and everybody follows.
+//! of then. The run ends with the task's verdict, with a fault of any arm, with a signal, with the policy process, or with any
+//! thread: all arms then come to rest, the control thread stops, and everybody follows.
 
+mod arm_chunks;
 mod camera_thread;
 mod child;
 mod control_thread;
@@ -32,12 +34,12 @@ pub use policy_process::{PolicyProcessOptions, serve_policy};
 
 use super::run::{RunOptions, RunResult, open_log};
 use super::source::{ChunkSource, PolicyChoice};
-use super::summary::RealTimeCounts;
+use super::summary::{RealTimeCounts, TissueSummary};
 use super::tally::{RunLabels, Tally};
 use super::{SessionError, Setup};
-use crate::control::AnyController;
 use crate::log::{LogFile, RunOutcome};
 use crate::mailbox::mailbox;
+use crate::per_arm::PerArm;
 use crate::rt::{self, MonotonicClock};
 use camera_thread::{CameraEnd, CameraThread, Snapshot};
 use child::PolicyChild;
@@ -49,24 +51,19 @@ use watch::{Watched, watch};
 /// Chunks that may wait for the control thread.
 const CHUNK_QUEUE: usize = 8;
 
-/// Commands that may wait for the simulated arm: a second of them.
+/// Commands that may wait for the simulated arms: a second of them.
 const COMMANDS: usize = 1000;
 
 /// Time for every thread to be up before the first period, ns.
 const START_NS: u64 = 20_000_000;
 
-/// Why a task of two arms does not run in real time.
-const ONE_ARM_ONLY: &str = "a run in real time drives one; use --lockstep";
-
-/// Runs one episode in real time against the simulated arm.
+/// Runs one episode in real time against the simulated arms.
 ///
-/// SIGINT, SIGTERM and SIGHUP bring the arm to rest and end the run as failed, with the reason `interrupted`.
+/// SIGINT, SIGTERM and SIGHUP bring the arms to rest and end the run as failed, with the reason `interrupted`.
 ///
 /// # Errors
-/// From the configuration, the policy, the simulation, the topics or the log; [`SessionError::BadArgument`] if the task has two
-/// arms.
+/// From the configuration, the policy, the simulation, the topics or the log.
 pub fn run_realtime(setup: &Setup, options: &RunOptions) -> Result<RunResult, SessionError> {
-    setup.expect_one_arm(ONE_ARM_ONLY)?;
     rt::catch_interrupts()
         .map_err(|error| SessionError::RealTime(format!("catching signals failed: {error}")))?;
     let mut child = match &options.policy {
@@ -101,12 +98,10 @@ fn run_threads(
     child: Option<&mut PolicyChild>,
 ) -> Result<Ends, SessionError> {
     let simulation = Simulation::new(&setup.task, options.seed, Rendering::Off)?;
-    let AnyController::One(controller) = setup.controller()? else {
-        return Err(SessionError::BadArgument(ONE_ARM_ONLY.to_owned()));
-    };
-    let (measured_in, measured) = mailbox::<ArmState>();
+    let controller = setup.controller()?;
+    let (measured_in, measured) = mailbox::<PerArm<ArmState>>();
     let (commands, commands_out) = RingBuffer::new(COMMANDS);
-    let (chunk_in, chunks) = RingBuffer::<Chunk>::new(CHUNK_QUEUE);
+    let (chunk_in, chunks) = RingBuffer::<PerArm<Chunk>>::new(CHUNK_QUEUE);
     let (snapshot_in, snapshots) = mailbox::<Snapshot>();
     let signals = Arc::new(Signals::default());
     // Slow things first: opening a device takes longer than an episode's first second.
@@ -114,7 +109,8 @@ fn run_threads(
         .then(|| {
             let node = child.as_deref().map(PolicyChild::node);
             let start = simulation.snapshot();
-            CameraThread::new(setup, node, snapshots, &start, options.pictures)
+            let seen = child.as_deref().map_or_else(Vec::new, PolicyChild::cameras);
+            CameraThread::new(setup, options, &seen, node, snapshots, &start)
         })
         .transpose()?;
     let (tick_log, side_log, log) = match open_log(setup, options, false)? {
@@ -200,7 +196,7 @@ fn verdict(others: &Result<Others, SessionError>, tally: &Tally) -> (bool, Strin
             Some(reason) => (false, reason.clone()),
             None => (
                 matches!(simulation.outcome, Outcome::Success),
-                super::episode::reason(&simulation.outcome, tally.fault()),
+                super::episode::reason(&simulation.outcome, tally),
             ),
         },
     }
@@ -232,10 +228,13 @@ fn conclude(setup: &Setup, options: &RunOptions, ends: Ends) -> Result<RunResult
     tally.inferences(&others.simulation.inference);
     let labels = RunLabels {
         task: &setup.task_name,
+        view: setup.task.view.name(),
+        needle: setup.task.needle(),
         policy: &options.policy.name(),
         seed: options.seed,
         success,
         reason: &reason,
+        tissue: others.simulation.tissue.map(TissueSummary::from),
     };
     let real_time = RealTimeCounts {
         overruns: control.skipped,

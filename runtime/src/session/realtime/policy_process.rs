@@ -1,4 +1,4 @@
-//! The policy's own process in a real-time run: frames and the arm in, chunks out.
+//! The policy's own process in a real-time run: frames and the arms in, a chunk for each arm out.
 
 use std::os::unix::process::parent_id;
 use std::path::PathBuf;
@@ -8,7 +8,7 @@ use hal::topic::{
     PolicyStatus, PolicyStatusTopic, Publisher, RunCommand, RunControl, RunControlTopic,
     Subscriber, TopicNode,
 };
-use hal::{Chunk, FrameRef, Observation, Policy};
+use hal::{ARM_NAMES, Chunk, FrameRef, Observation, Policy, SeenArm, TimeNs};
 use policy::act_policy::ActPolicy;
 use tch::Device;
 
@@ -16,8 +16,13 @@ use crate::rt::{self, MonotonicClock};
 use crate::session::SessionError;
 use crate::session::source::camera_names;
 
-/// The arm that the topics of a one-armed task are named after.
-pub(super) const ARM: &str = "psm1";
+/// The arm that the topics which all arms share are named after.
+pub(super) const FIRST_ARM: &str = ARM_NAMES[0];
+
+/// The names of a run's arms, after which their topics are called.
+pub(super) fn arm_names(count: usize) -> impl Iterator<Item = &'static str> {
+    ARM_NAMES.into_iter().take(count)
+}
 
 /// Time between two looks at the topics, ns.
 const POLL_NS: u64 = 1_000_000;
@@ -91,14 +96,15 @@ struct Counts {
 
 struct Service {
     control: Subscriber<RunControl>,
-    arm: Subscriber<ArmReport>,
-    chunks: Publisher<Chunk>,
+    /// One an arm, as are the reports and the chunks.
+    arms: Vec<Subscriber<ArmReport>>,
+    chunks: Vec<Publisher<Chunk>>,
     status: Publisher<PolicyStatus>,
     cameras: Vec<FrameSubscriber>,
     network: ActPolicy,
     /// Policy steps from one query to the next.
     every_steps: u64,
-    report: Option<ArmReport>,
+    reports: Vec<Option<ArmReport>>,
     /// The newest frame of each camera.
     views: Vec<Option<FrameView>>,
     /// The stretch of `every_steps` steps that the last answer was for.
@@ -113,13 +119,16 @@ impl Service {
             .iter()
             .map(|camera| CameraTopic::subscriber(node, camera))
             .collect::<Result<Vec<_>, _>>()?;
+        let names = || arm_names(network.recipe().arms);
+        let arms = names().map(|arm| ArmStateTopic::subscriber(node, arm));
+        let chunks = names().map(|arm| ChunkTopic::publisher(node, arm));
         Ok(Self {
-            control: RunControlTopic::subscriber(node, ARM)?,
-            arm: ArmStateTopic::subscriber(node, ARM)?,
-            chunks: ChunkTopic::publisher(node, ARM)?,
-            status: PolicyStatusTopic::publisher(node, ARM)?,
+            control: RunControlTopic::subscriber(node, FIRST_ARM)?,
+            arms: arms.collect::<Result<_, _>>()?,
+            chunks: chunks.collect::<Result<_, _>>()?,
+            status: PolicyStatusTopic::publisher(node, FIRST_ARM)?,
             every_steps: u64::from(network.recipe().query_every_steps).max(1),
-            report: None,
+            reports: names().map(|_| None).collect(),
             views: cameras.iter().map(|_| None).collect(),
             answered: None,
             counts: Counts::default(),
@@ -150,41 +159,43 @@ impl Service {
     /// Turns begin at multiples of `every_steps`. When the camera or the network was too slow for the first observation of a
     /// turn, the newest one takes its place.
     fn answer(&mut self) -> Result<(), SessionError> {
-        if let Some(report) = self.arm.newest()? {
-            self.report = Some(report);
+        for (arm, report) in self.arms.iter().zip(&mut self.reports) {
+            if let Some(newest) = arm.newest()? {
+                *report = Some(newest);
+            }
         }
         for (camera, view) in self.cameras.iter_mut().zip(&mut self.views) {
             if let Some(newest) = camera.newest()? {
                 *view = Some(newest);
             }
         }
-        let Some(report) = self.report else {
+        let Some((stamp, sequence, arms)) = of_one_instant(&self.reports) else {
             return Ok(());
         };
-        let turn = report.sequence / self.every_steps;
+        let turn = sequence / self.every_steps;
         let views: Vec<&FrameView> = self
             .views
             .iter()
             .flatten()
-            .filter(|view| view.header().stamp == report.stamp)
+            .filter(|view| view.header().stamp == stamp)
             .collect();
         if self.answered == Some(turn) || views.len() != self.cameras.len() {
             return Ok(());
         }
         self.answered = Some(turn);
         let frames: Vec<FrameRef<'_>> = views.iter().map(|view| view.as_frame()).collect();
-        let state = report.state();
         let clock = MonotonicClock::new();
         let before = clock.now();
         let observation = Observation {
-            arm: &state,
-            tip_in_rcm: report.tip_in_rcm(),
+            arms: &arms,
             frames: &frames,
         };
-        let chunk = self.network.infer(&observation)?;
+        let chunks = self.network.infer(&observation)?;
         self.counts.infer_ns = clock.now().since(before);
         self.counts.queries += 1;
-        self.chunks.publish(&chunk)?;
+        for (publisher, chunk) in self.chunks.iter().zip(&chunks) {
+            publisher.publish(chunk)?;
+        }
         self.say(PolicyStage::Ready)
     }
 
@@ -199,5 +210,47 @@ impl Service {
         self.status
             .publish(&PolicyStatus::new(said, episode, stage, queries, infer_ns))?;
         Ok(())
+    }
+}
+
+/// Time and sequence of the reports and the arms in them, once there is one of each arm and all are of the same instant.
+fn of_one_instant(reports: &[Option<ArmReport>]) -> Option<(TimeNs, u64, Vec<SeenArm>)> {
+    let first = (*reports.first()?)?;
+    let mut arms = Vec::with_capacity(reports.len());
+    for report in reports {
+        let report = report.as_ref()?;
+        if (report.stamp, report.sequence) != (first.stamp, first.sequence) {
+            return None;
+        }
+        arms.push(SeenArm {
+            state: report.state(),
+            tip_in_rcm: report.tip_in_rcm(),
+        });
+    }
+    Some((first.stamp, first.sequence, arms))
+}
+
+#[cfg(test)]
+mod tests {
+    use hal::{ArmState, JointVector, Pose};
+
+    use super::*;
+
+    #[test]
+    fn arms_are_seen_together_or_not_at_all() {
+        let report = |step: u64, jaw| {
+            let state = ArmState::at_rest(TimeNs(step * 40), JointVector::zeros(), jaw);
+            Some(ArmReport::new(step, &state, &Pose::identity()))
+        };
+        let seen = of_one_instant(&[report(3, 0.1), report(3, 0.2)]);
+        let (stamp, sequence, arms) = seen.unwrap();
+        assert_eq!((stamp, sequence), (TimeNs(120), 3));
+        let jaws: Vec<f64> = arms.iter().map(|arm| arm.state.jaw_position).collect();
+        assert_eq!(jaws, [0.1, 0.2]);
+        // The second arm's report is still that of the step before, or not there at all.
+        assert!(of_one_instant(&[report(3, 0.1), report(2, 0.2)]).is_none());
+        assert!(of_one_instant(&[report(3, 0.1), None]).is_none());
+        assert!(of_one_instant(&[None, report(3, 0.1)]).is_none());
+        assert!(of_one_instant(&[]).is_none());
     }
 }

@@ -1,23 +1,24 @@
-//! The simulated arm in a real-time run: one step a millisecond, and the local policies that look at its scene.
+//! The simulated arms in a real-time run: one step a millisecond, and the local policies that look at its scene.
 
 use std::sync::Arc;
 
-use hal::{Arm, ArmCommand, ArmState, Chunk, SafeTail, TICK_NS, TimeNs};
+use hal::{Arm, ArmState, Chunk, SeenArm, TICK_NS, TimeNs};
 use rtrb::{Consumer, Producer};
 use sim_backend::simulation::Simulation;
 use sim_backend::task::Outcome;
+use sim_backend::tissue::TissueExtremes;
 
 use super::camera_thread::Snapshot;
+use super::control_thread::Setpoint;
 use super::signals::{EndsRun, Signals};
 use crate::histogram::Histogram;
-use crate::kinematics;
 use crate::mailbox::MailboxWriter;
 use crate::per_arm::PerArm;
 use crate::rt::{MonotonicClock, Periodic, RtOptions, configure_thread};
 use crate::session::SessionError;
-use crate::session::source::{ChunkSource, Query, STEP_TICKS, SeenArm};
+use crate::session::source::{ChunkSource, Query, STEP_TICKS, seen_arm};
 
-/// Priority under `SCHED_FIFO`, below the control thread's: the arm that this thread stands for never waits for a core.
+/// Priority under `SCHED_FIFO`, below the control thread's: the arms that this thread stands for never wait for a core.
 const PRIORITY: u8 = 70;
 
 /// Steps from one frame for the log or the pictures to the next. Drawing in software takes half a core at every step.
@@ -43,11 +44,11 @@ impl Snapshots {
 /// The simulation thread before it runs.
 pub(super) struct SimulationThread {
     pub(super) simulation: Simulation,
-    pub(super) measured: MailboxWriter<ArmState>,
+    pub(super) measured: MailboxWriter<PerArm<ArmState>>,
     /// Every command, in order: a thread that makes up for missed milliseconds needs those of then.
-    pub(super) commands: Consumer<(ArmCommand, SafeTail)>,
+    pub(super) commands: Consumer<PerArm<Setpoint>>,
     pub(super) snapshots: Option<Snapshots>,
-    pub(super) local: Option<(ChunkSource, Producer<Chunk>)>,
+    pub(super) local: Option<(ChunkSource, Producer<PerArm<Chunk>>)>,
     pub(super) signals: Arc<Signals>,
 }
 
@@ -56,6 +57,8 @@ pub(super) struct SimulationEnd {
     pub(super) outcome: Outcome,
     /// How long the local policy took for its chunks.
     pub(super) inference: Histogram,
+    /// What a soft tissue went through, if the task has one.
+    pub(super) tissue: Option<TissueExtremes>,
 }
 
 impl SimulationThread {
@@ -78,6 +81,7 @@ impl SimulationThread {
         let mut end = SimulationEnd {
             outcome: Outcome::Running,
             inference: Histogram::new(),
+            tissue: None,
         };
         while !signals.stopped() {
             let wake = periodic.wait();
@@ -97,20 +101,23 @@ impl SimulationThread {
                 signals.end_run();
             }
         }
+        end.tissue = self.simulation.tissue_extremes();
         Ok(end)
     }
 
-    /// Hands over the newest command that is for the step at `now`, which is `late` steps behind; without one the arm
-    /// plays the last one's tail.
+    /// Hands over the newest commands that are for the step at `now`, which is `late` steps behind; without them the arms
+    /// play the last ones' tails.
     fn command(&mut self, late: u64, now: TimeNs) -> Result<(), SessionError> {
         let mut newest = None;
-        while let Ok((command, _)) = self.commands.peek()
-            && is_due(command.stamp, late, now)
+        while let Ok(commands) = self.commands.peek()
+            && is_due(commands.first.0.stamp, late, now)
         {
             newest = self.commands.pop().ok();
         }
-        if let Some((command, tail)) = newest {
-            self.simulation.write(&command, &tail)?;
+        for (index, (command, tail)) in newest.iter().flat_map(PerArm::iter).enumerate() {
+            if let Some(mut arm) = self.simulation.arm(index) {
+                arm.write(command, tail)?;
+            }
         }
         Ok(())
     }
@@ -122,30 +129,39 @@ impl SimulationThread {
         inference: &mut Histogram,
     ) -> Result<(), SessionError> {
         self.simulation.step();
-        let state = self.simulation.read(now)?;
-        self.measured.put(state);
+        let states = self.read(now)?;
+        self.measured.put(states);
         if tick.is_multiple_of(STEP_TICKS) && !self.signals.done() {
-            self.observe(tick / STEP_TICKS, &state, inference)?;
+            let arms = states.map(|state| seen_arm(&state));
+            self.observe(tick / STEP_TICKS, &arms, inference)?;
         }
         Ok(())
     }
 
-    /// A policy step: a snapshot for the cameras, and a chunk if the policy is a local one.
+    /// What each arm measures.
+    fn read(&mut self, now: TimeNs) -> Result<PerArm<ArmState>, SessionError> {
+        let first = self.simulation.read(now)?;
+        let second = self.simulation.arm(1).map(|mut arm| arm.read(now));
+        Ok(PerArm {
+            first,
+            second: second.transpose()?,
+        })
+    }
+
+    /// A policy step: a snapshot for the cameras, and chunks if the policy is a local one.
     fn observe(
         &mut self,
         step: u64,
-        state: &ArmState,
+        arms: &PerArm<SeenArm>,
         inference: &mut Histogram,
     ) -> Result<(), SessionError> {
-        let tip_in_rcm = kinematics::forward(&state.position);
         if let Some(snapshots) = &mut self.snapshots
             && snapshots.wanted(step)
         {
             // A camera that is still busy takes the newest when it is done.
             snapshots.to.put(Snapshot {
                 step,
-                arm: *state,
-                tip_in_rcm,
+                arms: *arms,
                 scene: self.simulation.snapshot(),
             });
         }
@@ -154,7 +170,7 @@ impl SimulationThread {
         {
             let scene = self.simulation.scene_state();
             let query = Query {
-                arms: PerArm::one(SeenArm::new(state)),
+                arms: *arms,
                 frames: &[],
                 scene: &scene,
             };
@@ -162,7 +178,7 @@ impl SimulationThread {
             let answer = source.answer(&query)?;
             inference.record(clock.now().0);
             // The control thread takes one a tick; a full queue means that it is gone.
-            let _gone = chunks.push(answer.first);
+            let _gone = chunks.push(answer);
         }
         Ok(())
     }

@@ -6,6 +6,7 @@ use rtrb::Producer;
 use super::child::PolicyChild;
 use super::signals::{EndsRun, Signals};
 use crate::histogram::Histogram;
+use crate::per_arm::PerArm;
 use crate::rt;
 use crate::session::SessionError;
 
@@ -28,7 +29,7 @@ pub(super) struct Watched {
 /// # Errors
 /// If a topic fails; that ends the run as well.
 pub(super) fn watch(
-    mut policy: Option<(&mut PolicyChild, Producer<Chunk>)>,
+    mut policy: Option<(&mut PolicyChild, Producer<PerArm<Chunk>>)>,
     signals: &Signals,
 ) -> Result<Watched, SessionError> {
     let _ends = EndsRun(signals);
@@ -38,9 +39,9 @@ pub(super) fn watch(
     };
     while !signals.stopped() {
         if let Some((child, chunks)) = &mut policy {
-            if let Some(chunk) = child.newest_chunk()? {
-                // Full means that the control thread takes none: it will hold the arm and say so.
-                let _full = chunks.push(chunk);
+            if let Some(answer) = child.newest_chunks()? {
+                // Full means that the control thread takes none: it will hold the arms and say so.
+                let _full = chunks.push(answer);
             }
             if let Some(infer_ns) = child.newest_inference_ns()? {
                 watched.inference.record(infer_ns);

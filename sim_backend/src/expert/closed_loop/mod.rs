@@ -4,6 +4,7 @@ mod block_transfer;
 mod needle_handover;
 mod needle_lift;
 mod suture_pad;
+mod tissue_retraction;
 
 use hal::{Arm, ArmCommand, ArmState, Chunk, JointVector, Pose, SafeTail, TimeNs, psm};
 use nalgebra::{Matrix3, Matrix6, Rotation3, Translation3, UnitQuaternion, Vector3, Vector6};

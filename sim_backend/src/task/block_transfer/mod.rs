@@ -14,11 +14,11 @@ pub use board::BoardShape;
 pub use success::SuccessConfig;
 use success::SuccessMonitor;
 
-use super::common::{ArmFile, CommonFile, EpisodeFile};
+use super::common::{ArmFile, CommonFile, EpisodeFile, RenderingFile};
 use super::{CameraConfig, Entry, Monitor, Scene, TaskConfig, TaskScene};
 use crate::block::BlockShape;
 use crate::rng::Rng;
-use crate::visual::{Material, Visual, instance};
+use crate::visual::{Backdrop, Material, Pattern, Visual, instance};
 use crate::world::{Ground, Meets, Piece, Scenery, Shape, Thing, WorldConfig};
 
 /// The name by which the command line and the logs know the task.
@@ -69,6 +69,8 @@ struct File {
     board: BoardShape,
     world: WorldConfig,
     camera: Vec<CameraConfig>,
+    #[serde(default)]
+    rendering: RenderingFile,
     success: SuccessConfig,
 }
 
@@ -90,6 +92,7 @@ fn parse(source: &Source) -> Result<TaskConfig, ConfigError> {
         arm: file.arm,
         world: file.world,
         camera: file.camera,
+        rendering: file.rendering,
         episode: file.episode,
     };
     let scene = BlockTransfer {
@@ -142,6 +145,7 @@ impl TaskScene for BlockTransfer {
         Scenery {
             things: vec![block],
             ground: Ground::Solids(self.board.solids()),
+            flap: None,
         }
     }
 
@@ -160,29 +164,33 @@ impl TaskScene for BlockTransfer {
             Visual {
                 name: "board",
                 mesh: self.board.mesh(),
-                material: paint([0.55, 0.57, 0.60]),
+                material: paint([0.26, 0.27, 0.28]),
                 instance: instance::ORGAN,
             },
             Visual {
                 name: "block",
                 mesh: self.block.mesh(),
-                material: paint([0.05, 0.22, 0.62]),
+                material: paint([0.02, 0.11, 0.48]),
                 instance: instance::BLOCK,
             },
             Visual {
                 name: "goal peg",
                 mesh: self.board.peg_mesh(),
-                material: paint([0.90, 0.16, 0.42]),
+                material: paint([0.85, 0.06, 0.30]),
                 instance: instance::GOAL_PEG,
             },
         ];
         visuals.extend((1..self.board.pegs_m.len()).map(|_| Visual {
             name: "peg",
             mesh: self.board.peg_mesh(),
-            material: paint([0.78, 0.78, 0.74]),
+            material: paint([0.62, 0.61, 0.56]),
             instance: instance::PEG,
         }));
         visuals
+    }
+
+    fn backdrop(&self) -> Backdrop {
+        Backdrop::table(-self.board.thickness_m, [0.22, 0.23, 0.24])
     }
 
     fn visual_poses(&self, things: &[Pose], goal: &Pose) -> Vec<Pose> {
@@ -201,9 +209,10 @@ const fn paint(base_colour: [f32; 3]) -> Material {
     Material {
         base_colour,
         metallic: 0.0,
-        roughness: 0.55,
+        roughness: 0.38,
         wetness: 0.0,
-        detail: 0.1,
+        detail: 0.0,
+        pattern: Pattern::Smooth,
     }
 }
 

@@ -110,6 +110,7 @@ impl Bench {
                 tips_in_scene: vec![Translation3::new(0.0, 0.0, above_m) * block],
                 sunk_m: 0.0,
                 ground_force_n: 0.0,
+                tissue: None,
             });
             shown_s += 1e-3;
         }

@@ -10,12 +10,12 @@ use serde::Deserialize;
 pub use success::SuccessConfig;
 use success::SuccessMonitor;
 
-use super::common::{ArmFile, CommonFile, EpisodeFile};
+use super::common::{ArmFile, CommonFile, EpisodeFile, RenderingFile};
 use super::visuals::{LIVER, NEEDLE_STEEL};
 use super::{CameraConfig, Entry, Monitor, NeedleStart, Scene, TaskConfig, TaskScene};
 use crate::needle::NeedleShape;
 use crate::organ::OrganShape;
-use crate::visual::{Visual, instance};
+use crate::visual::{Backdrop, Visual, instance};
 use crate::world::{Ground, Scenery, Thing, WorldConfig};
 
 /// The name by which the command line and the logs know the task.
@@ -66,6 +66,8 @@ struct File {
     organ: OrganShape,
     world: WorldConfig,
     camera: Vec<CameraConfig>,
+    #[serde(default)]
+    rendering: RenderingFile,
     success: SuccessConfig,
 }
 
@@ -83,6 +85,7 @@ fn parse(source: &Source) -> Result<TaskConfig, ConfigError> {
         arm: file.arm,
         world: file.world,
         camera: file.camera,
+        rendering: file.rendering,
         episode: file.episode,
     };
     let scene = NeedleHandover {
@@ -101,6 +104,7 @@ impl TaskScene for NeedleHandover {
         Scenery {
             things: vec![Thing::needle(world, &self.needle, in_scene)],
             ground: Ground::Organ(self.organ),
+            flap: None,
         }
     }
 
@@ -118,7 +122,7 @@ impl TaskScene for NeedleHandover {
         vec![
             Visual {
                 name: "liver",
-                mesh: self.organ.mesh(),
+                mesh: self.organ.lobed_mesh(),
                 material: LIVER,
                 instance: instance::ORGAN,
             },
@@ -129,6 +133,13 @@ impl TaskScene for NeedleHandover {
                 instance: instance::NEEDLE,
             },
         ]
+    }
+
+    fn backdrop(&self) -> Backdrop {
+        Backdrop {
+            bounce: [0.20, 0.045, 0.03],
+            ..Backdrop::CAVITY
+        }
     }
 
     fn visual_poses(&self, things: &[Pose], _goal: &Pose) -> Vec<Pose> {

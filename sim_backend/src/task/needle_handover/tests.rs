@@ -47,6 +47,7 @@ impl Bench {
                 tips_in_scene: vec![giver, Pose::identity()],
                 sunk_m: 0.0,
                 ground_force_n: 0.0,
+                tissue: None,
             });
             shown_s += 1e-3;
         }

@@ -11,7 +11,7 @@ use serde::Deserialize;
 pub use success::SuccessConfig;
 use success::SuccessMonitor;
 
-use super::common::{ArmFile, CommonFile, EpisodeFile};
+use super::common::{ArmFile, CommonFile, EpisodeFile, RenderingFile};
 use super::visuals::{MUSCLE, NEEDLE_STEEL};
 use super::{CameraConfig, Entry, Monitor, NeedleStart, Scene, TaskConfig, TaskScene};
 use crate::needle::NeedleShape;
@@ -37,6 +37,8 @@ pub(super) const ENTRY: Entry = Entry {
 pub struct NeedleLift {
     /// The needle of this episode: one of `needles`, the trained one unless another was chosen.
     pub needle: NeedleShape,
+    /// The name of that one.
+    pub needle_name: String,
     /// All needles by name.
     pub needles: BTreeMap<String, NeedleShape>,
     /// Where the needle may lie at the start.
@@ -59,6 +61,8 @@ struct File {
     organ: OrganShape,
     world: WorldConfig,
     camera: Vec<CameraConfig>,
+    #[serde(default)]
+    rendering: RenderingFile,
     success: SuccessConfig,
 }
 
@@ -77,10 +81,12 @@ fn parse(source: &Source) -> Result<TaskConfig, ConfigError> {
         arm: file.arm,
         world: file.world,
         camera: file.camera,
+        rendering: file.rendering,
         episode: file.episode,
     };
     let scene = NeedleLift {
         needle: trained,
+        needle_name: TRAINED.to_owned(),
         needles: file.needle,
         start: file.needle_start,
         organ: file.organ,
@@ -95,6 +101,7 @@ impl TaskScene for NeedleLift {
         Scenery {
             things: vec![Thing::needle(world, &self.needle, in_scene)],
             ground: Ground::Organ(self.organ),
+            flap: None,
         }
     }
 

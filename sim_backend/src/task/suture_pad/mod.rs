@@ -14,12 +14,12 @@ pub use pad::PadShape;
 pub use success::SuccessConfig;
 use success::SuccessMonitor;
 
-use super::common::{ArmFile, CommonFile, EpisodeFile};
+use super::common::{ArmFile, CommonFile, EpisodeFile, RenderingFile};
 use super::visuals::NEEDLE_STEEL;
 use super::{CameraConfig, Entry, Monitor, Scene, TaskConfig, TaskScene};
 use crate::needle::NeedleShape;
 use crate::rng::Rng;
-use crate::visual::{Material, Visual, instance};
+use crate::visual::{Backdrop, Material, Pattern, Visual, instance};
 use crate::world::{Ground, Scenery, Thing, WorldConfig};
 
 /// The name by which the command line and the logs know the task.
@@ -35,14 +35,25 @@ pub(super) const ENTRY: Entry = Entry {
 /// How far above the pad the needle is let go, m: it must not start inside.
 const DROP_M: f64 = 0.000_1;
 
-/// Silicone.
-const SKIN: Material = Material {
-    base_colour: [0.72, 0.42, 0.32],
-    metallic: 0.0,
-    roughness: 0.6,
-    wetness: 0.1,
-    detail: 0.4,
-};
+/// Silicone of one colour.
+const fn silicone(base_colour: [f32; 3], pattern: Pattern) -> Material {
+    Material {
+        base_colour,
+        metallic: 0.0,
+        roughness: 0.5,
+        wetness: 0.12,
+        detail: 0.9,
+        pattern,
+    }
+}
+
+/// The layers of the pad: skin, fat, muscle, and the ink that marks the hole.
+const LAYERS: [(&str, Material); 4] = [
+    ("skin", silicone([0.50, 0.24, 0.16], Pattern::Skin)),
+    ("fat", silicone([0.60, 0.42, 0.12], Pattern::Smooth)),
+    ("muscle", silicone([0.33, 0.035, 0.03], Pattern::Smooth)),
+    ("ink", silicone([0.015, 0.02, 0.07], Pattern::Smooth)),
+];
 
 /// The scene of a suture pad.
 #[derive(Clone, Debug)]
@@ -83,6 +94,8 @@ struct File {
     pad: PadShape,
     world: WorldConfig,
     camera: Vec<CameraConfig>,
+    #[serde(default)]
+    rendering: RenderingFile,
     success: SuccessConfig,
 }
 
@@ -96,6 +109,7 @@ fn parse(source: &Source) -> Result<TaskConfig, ConfigError> {
         arm: file.arm,
         world: file.world,
         camera: file.camera,
+        rendering: file.rendering,
         episode: file.episode,
     };
     let scene = SuturePad {
@@ -139,6 +153,7 @@ impl TaskScene for SuturePad {
         Scenery {
             things: vec![Thing::bare_needle(world, &self.needle, in_scene)],
             ground: Ground::Solids(self.pad.solids()),
+            flap: None,
         }
     }
 
@@ -154,24 +169,32 @@ impl TaskScene for SuturePad {
     }
 
     fn visuals(&self) -> Vec<Visual> {
-        vec![
-            Visual {
-                name: "pad",
-                mesh: self.pad.mesh(),
-                material: SKIN,
+        let layers = LAYERS.into_iter().zip(self.pad.meshes());
+        let needle = Visual {
+            name: "needle",
+            mesh: self.needle.mesh(),
+            material: NEEDLE_STEEL,
+            instance: instance::NEEDLE,
+        };
+        layers
+            .map(|((name, material), mesh)| Visual {
+                name,
+                mesh,
+                material,
                 instance: instance::ORGAN,
-            },
-            Visual {
-                name: "needle",
-                mesh: self.needle.mesh(),
-                material: NEEDLE_STEEL,
-                instance: instance::NEEDLE,
-            },
-        ]
+            })
+            .chain([needle])
+            .collect()
+    }
+
+    fn backdrop(&self) -> Backdrop {
+        Backdrop::table(-self.pad.thickness_m, [0.30, 0.17, 0.13])
     }
 
     fn visual_poses(&self, things: &[Pose], _goal: &Pose) -> Vec<Pose> {
-        vec![Pose::identity(), things[0]]
+        let mut poses = vec![Pose::identity(); LAYERS.len()];
+        poses.push(things[0]);
+        poses
     }
 }
 

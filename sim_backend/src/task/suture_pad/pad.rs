@@ -12,6 +12,12 @@ use crate::world::Shape;
 /// Half the size of the table under the pad, m.
 const TABLE_HALF_M: f64 = 0.25;
 
+/// How far the layer of fat lies behind the others, m.
+const INSET_M: f64 = 0.000_3;
+
+/// Thickness of the ink, m.
+const INK_M: f64 = 0.000_05;
+
 /// A suture pad. The lip stands across y; its square hole goes through it along y over the scene's origin.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -94,15 +100,42 @@ impl PadShape {
         [table].into_iter().chain(self.boxes()).map(shape).collect()
     }
 
-    /// Plate and lip in the scene frame.
-    pub(super) fn mesh(&self) -> Mesh {
-        merged(self.boxes().map(|[low, high]| {
-            let (low, high) = (Vector3::from(low), Vector3::from(high));
-            let middle = (low + high) * 0.5;
-            placed(
-                cuboid((high - low) * 0.5),
-                &Pose::translation(middle.x, middle.y, middle.z),
-            )
+    /// What is drawn, in the scene frame: skin with the lip, fat, muscle, and the ink around the hole.
+    pub(super) fn meshes(&self) -> [Mesh; 4] {
+        let [plate, lip @ ..] = self.boxes();
+        let layer = |from: f64, to: f64, inset_m: f64| {
+            let [mut low, mut high] = plate;
+            for axis in 0..2 {
+                low[axis] += inset_m;
+                high[axis] -= inset_m;
+            }
+            (low[2], high[2]) = (-from * self.thickness_m, -to * self.thickness_m);
+            block([low, high])
+        };
+        let skin = merged([layer(0.25, 0.0, 0.0)].into_iter().chain(lip.map(block)));
+        let fat = layer(0.6, 0.25, INSET_M);
+        let muscle = layer(1.0, 0.6, 0.0);
+        [skin, fat, muscle, self.ink()]
+    }
+
+    /// A square frame on both sides of the lip.
+    fn ink(&self) -> Mesh {
+        let (inner, outer) = (self.hole_half_m + 0.000_4, self.hole_half_m + 0.001_1);
+        let middle = self.hole_height_m;
+        let sides = [
+            [[-outer, inner], [outer, outer]],
+            [[-outer, -outer], [outer, -inner]],
+            [[-outer, -inner], [-inner, inner]],
+            [[inner, -inner], [outer, inner]],
+        ];
+        let fronts = [self.lip_front_m, self.lip_back_m()];
+        merged(fronts.into_iter().flat_map(|y| {
+            sides.map(|[low, high]| {
+                block([
+                    [low[0], y - INK_M, middle + low[1]],
+                    [high[0], y + INK_M, middle + high[1]],
+                ])
+            })
         }))
     }
 
@@ -126,4 +159,14 @@ impl PadShape {
             lip([-hole, hole], [over, top]),
         ]
     }
+}
+
+/// A box by its lowest and highest corners.
+fn block([low, high]: [[f64; 3]; 2]) -> Mesh {
+    let (low, high) = (Vector3::from(low), Vector3::from(high));
+    let middle = (low + high) * 0.5;
+    placed(
+        cuboid((high - low) * 0.5),
+        &Pose::translation(middle.x, middle.y, middle.z),
+    )
 }

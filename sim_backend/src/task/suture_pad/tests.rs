@@ -26,6 +26,7 @@ fn show(judge: &mut Judge, needle: Pose, sunk_m: f64, seconds: f64) -> Outcome {
             tips_in_scene: vec![Pose::identity()],
             sunk_m,
             ground_force_n: 0.0,
+            tissue: None,
         });
         shown_s += 1e-3;
     }

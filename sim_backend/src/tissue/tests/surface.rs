@@ -66,7 +66,7 @@ fn surface_follows_the_sheet_and_keeps_its_memory() {
     let lift = Vector3::new(0.0, 0.002, 0.003);
     tissue.sheet.positions[last] += lift;
     let before = surface.clone();
-    surface.update(tissue.sheet());
+    surface.update(tissue.sheet().positions());
     assert!(core::ptr::eq(place, surface.mesh().positions.as_ptr()));
     assert_eq!(
         (count, &before.mesh().indices),

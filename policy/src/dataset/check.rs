@@ -1,0 +1,78 @@
+//! What a recording refuses: descriptions and frames that could not be read back.
+
+use hal::ARM_NAMES;
+
+use super::{ArmFrame, DatasetError, DatasetSpec};
+
+/// Only what can be stored and read back.
+pub(super) fn check_spec(spec: &DatasetSpec) -> Result<(), DatasetError> {
+    if spec.fps == 0 {
+        return Err(input("fps", "0", "at least 1"));
+    }
+    if !(1..=ARM_NAMES.len()).contains(&spec.arms) {
+        let allowed = format!("1 to {}", ARM_NAMES.len());
+        return Err(input(
+            "the number of arms",
+            &spec.arms.to_string(),
+            &allowed,
+        ));
+    }
+    for (index, camera) in spec.cameras.iter().enumerate() {
+        let what = format!("camera \"{}\"", camera.name);
+        if camera.name.is_empty() || camera.name.contains('/') {
+            return Err(input(&what, "no name for a feature", "a name without '/'"));
+        }
+        if camera.width == 0 || camera.height == 0 {
+            return Err(input(
+                &what,
+                &format!("{} x {}", camera.width, camera.height),
+                "at least 1 x 1",
+            ));
+        }
+        if spec.cameras[..index]
+            .iter()
+            .any(|other| other.name == camera.name)
+        {
+            return Err(input(&what, "there twice", "there once"));
+        }
+    }
+    Ok(())
+}
+
+/// As many arms as the dataset has, and every number finite.
+pub(super) fn check_arms(spec: &DatasetSpec, arms: &[ArmFrame]) -> Result<(), DatasetError> {
+    if arms.len() != spec.arms {
+        let found = format!("of {} arms", arms.len());
+        return Err(input("the frame", &found, &spec.arms.to_string()));
+    }
+    for (arm, name) in arms.iter().zip(ARM_NAMES) {
+        let place = |what: &str| match spec.arms {
+            1 => what.to_owned(),
+            _ => format!("{name} {what}"),
+        };
+        check_finite(&place("state"), arm.state.map(f64::from))?;
+        check_finite(&place("tip_pose"), arm.tip_pose)?;
+        check_finite(&place("action"), arm.action)?;
+    }
+    Ok(())
+}
+
+fn check_finite<const N: usize>(what: &str, values: [f64; N]) -> Result<(), DatasetError> {
+    match values.iter().position(|value| !value.is_finite()) {
+        Some(index) => Err(input(
+            &format!("{what}[{index}]"),
+            &values[index].to_string(),
+            "a finite number",
+        )),
+        None => Ok(()),
+    }
+}
+
+/// The error that `what` is `found` where `expected` would do.
+pub(super) fn input(what: &str, found: &str, expected: &str) -> DatasetError {
+    DatasetError::Input {
+        what: what.to_owned(),
+        found: found.to_owned(),
+        expected: expected.to_owned(),
+    }
+}

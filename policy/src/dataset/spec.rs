@@ -1,0 +1,105 @@
+//! What a dataset is of, read from its description and checked.
+
+use std::path::{Path, PathBuf};
+
+use hal::ARM_NAMES;
+
+use super::{
+    ACTION_WIDTH, CameraSpec, DatasetError, DatasetSpec, STATE_WIDTH, TIP_POSE_WIDTH, meta,
+    schema::{ACTION, Feature, IMAGE_PREFIX, Info, STATE, TIP_POSE},
+};
+
+/// The specification that `info`, out of the folder `dir`, amounts to.
+pub(super) fn read_spec(dir: &Path, info: &Info) -> Result<DatasetSpec, DatasetError> {
+    let path = meta::info_path(dir);
+    let arms = read_arms(&path, info)?;
+    if info.fps == 0 {
+        return Err(mismatch(path, "fps", 0, "at least 1"));
+    }
+    let mut cameras = Vec::new();
+    for (name, feature) in &info.features {
+        if let Some(camera) = name.strip_prefix(IMAGE_PREFIX) {
+            cameras.push(camera_spec(&path, camera, feature)?);
+        }
+    }
+    Ok(DatasetSpec {
+        fps: info.fps,
+        robot_type: info.robot_type.clone().unwrap_or_default(),
+        arms,
+        task: meta::read_task(dir)?,
+        cameras,
+    })
+}
+
+/// How many arms the vectors are of: as many as the state has room for, and the others must agree.
+fn read_arms(path: &Path, info: &Info) -> Result<usize, DatasetError> {
+    let mut arms = 1..=ARM_NAMES.len();
+    for (name, width) in [
+        (STATE, STATE_WIDTH),
+        (TIP_POSE, TIP_POSE_WIDTH),
+        (ACTION, ACTION_WIDTH),
+    ] {
+        let feature = info.features.iter().find(|(other, _)| other == name);
+        let Some((_, feature)) = feature else {
+            return Err(DatasetError::Missing {
+                path: path.to_owned(),
+                name: format!("feature {name}"),
+            });
+        };
+        let Some(found) = arms.clone().find(|arms| feature.shape == [arms * width]) else {
+            let expected: Vec<String> = arms.map(|arms| (arms * width).to_string()).collect();
+            return Err(mismatch(
+                path.to_owned(),
+                &format!("the shape of {name}"),
+                format!("{:?}", feature.shape),
+                expected.join(" or "),
+            ));
+        };
+        arms = found..=found;
+    }
+    Ok(*arms.start())
+}
+
+fn camera_spec(path: &Path, name: &str, feature: &Feature) -> Result<CameraSpec, DatasetError> {
+    if feature.dtype != "image" {
+        let what = format!("the type of {IMAGE_PREFIX}{name}");
+        return Err(mismatch(
+            path.to_owned(),
+            &what,
+            &feature.dtype,
+            "image: PNG in the data files",
+        ));
+    }
+    let pixels = |value: usize| u32::try_from(value).ok().filter(|&value| value > 0);
+    if let [height, width, 3] = feature.shape[..]
+        && let (Some(height), Some(width)) = (pixels(height), pixels(width))
+    {
+        return Ok(CameraSpec {
+            name: name.to_owned(),
+            width,
+            height,
+        });
+    }
+    let what = format!("the shape of {IMAGE_PREFIX}{name}");
+    Err(mismatch(
+        path.to_owned(),
+        &what,
+        format!("{:?}", feature.shape),
+        "[height, width, 3]",
+    ))
+}
+
+/// Something in `path` that is not as it must be.
+pub(super) fn mismatch(
+    path: PathBuf,
+    what: &str,
+    found: impl ToString,
+    expected: impl ToString,
+) -> DatasetError {
+    DatasetError::Mismatch {
+        path,
+        what: what.to_owned(),
+        found: found.to_string(),
+        expected: expected.to_string(),
+    }
+}

@@ -1,0 +1,50 @@
+//! The options that choose a scene among those that a task has.
+
+use clap::{Args, ValueEnum};
+
+use runtime::session::scene_options::{CameraSet, SceneOptions};
+use sim_backend::task::View;
+
+/// From where the cameras look.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub(crate) enum ViewChoice {
+    /// As in the scene file, where demonstrations are recorded.
+    Train,
+    /// Endoscope and side camera shifted along each of their axes by up to 1 cm and turned about each by up to 5 degrees,
+    /// uniformly, by the episode's seed.
+    View1,
+    /// Endoscope and side camera swapped.
+    View2,
+}
+
+impl From<ViewChoice> for View {
+    fn from(choice: ViewChoice) -> Self {
+        match choice {
+            ViewChoice::Train => Self::Train,
+            ViewChoice::View1 => Self::View1,
+            ViewChoice::View2 => Self::View2,
+        }
+    }
+}
+
+/// Which scene it is, of those that a task has.
+#[derive(Args, Debug)]
+pub(crate) struct SceneArgs {
+    /// The needle, N1 to N5 in needle-lift; N1, which demonstrations are recorded with, if not given.
+    #[arg(long, value_name = "NAME")]
+    pub(crate) needle: Option<String>,
+    /// From where the cameras look; wrist cameras stay as they are.
+    #[arg(long, value_enum, default_value = "train")]
+    pub(crate) view: ViewChoice,
+}
+
+impl SceneArgs {
+    /// The choices, with `cameras` for those whose frames are kept.
+    pub(crate) fn options(&self, cameras: Option<&str>) -> SceneOptions {
+        SceneOptions {
+            needle: self.needle.clone(),
+            view: self.view.into(),
+            cameras: cameras.map(CameraSet::parse),
+        }
+    }
+}

@@ -1,0 +1,65 @@
+//! The verb `sheet`.
+
+use std::path::PathBuf;
+
+use clap::Args;
+
+use runtime::session::sheet::{self, SheetOptions};
+use runtime::session::{outputs, tasks};
+
+use crate::args::task;
+use crate::commands::Done;
+use crate::console;
+use crate::scene_args::SceneArgs;
+
+/// A share of something.
+fn share(text: &str) -> Result<f64, String> {
+    match text.parse() {
+        Ok(share) if (0.0..=1.0).contains(&share) => Ok(share),
+        _ => Err("not a number from 0 to 1".to_owned()),
+    }
+}
+
+/// Options of `sheet`.
+#[derive(Args, Debug)]
+pub(crate) struct SheetArgs {
+    /// The file; parent folders are made.
+    #[arg(long, value_name = "FILE.png")]
+    pub(crate) out: PathBuf,
+    /// A task to show; may be given several times. All if not given.
+    #[arg(long, value_parser = task())]
+    pub(crate) task: Vec<String>,
+    /// The scene.
+    #[command(flatten)]
+    pub(crate) scene: SceneArgs,
+    /// Everything random hangs on this.
+    #[arg(long, default_value_t = 0)]
+    pub(crate) seed: u64,
+    /// Width of one picture, pixels.
+    #[arg(long, value_name = "PX", default_value_t = 192, value_parser = clap::value_parser!(u32).range(16..=1024))]
+    pub(crate) width: u32,
+    /// The moment, as a share of the time that the expert takes, 0 to 1.
+    #[arg(long, value_name = "SHARE", default_value_t = 0.65, value_parser = share)]
+    pub(crate) at: f64,
+}
+
+pub(crate) fn sheet(args: &SheetArgs) -> Done {
+    outputs::check(&[("--out", Some(args.out.as_path()))], &[])?;
+    let options = SheetOptions {
+        tasks: if args.task.is_empty() {
+            tasks::names().map(str::to_owned).collect()
+        } else {
+            args.task.clone()
+        },
+        scene: args.scene.options(None),
+        out: args.out.clone(),
+        seed: args.seed,
+        width: args.width,
+        at: args.at,
+    };
+    let bar = console::progress(options.tasks.len() as u64, "tasks");
+    sheet::write(&options, &mut |_| bar.inc(1))?;
+    bar.finish_and_clear();
+    console::result(&format!("wrote {}", args.out.display()));
+    Ok(true)
+}

@@ -1,0 +1,185 @@
+//! What of a task's scene the user chooses: which needle lies there, from where it is seen, and whose frames are kept.
+
+use sim_backend::task::{CameraConfig, Mount, View};
+
+use super::{SessionError, Setup};
+
+/// Cameras whose frames are kept, in a dataset or a log.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum CameraSet {
+    /// The task's primary camera, as the paper's policies of a single camera have it.
+    Single,
+    /// That one and the wrist cameras, as the paper's policies of several cameras have them.
+    Multi,
+    /// These.
+    Named(Vec<String>),
+}
+
+/// The choices.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct SceneOptions {
+    /// The needle by name; the trained one if not given.
+    pub needle: Option<String>,
+    /// From where the cameras look.
+    pub view: View,
+    /// Whose frames are kept.
+    pub cameras: Option<CameraSet>,
+}
+
+impl CameraSet {
+    /// Reads `single`, `multi`, or else names with commas between them.
+    #[must_use]
+    pub fn parse(text: &str) -> Self {
+        match text {
+            "single" => Self::Single,
+            "multi" => Self::Multi,
+            names => Self::Named(names.split(',').map(str::to_owned).collect()),
+        }
+    }
+
+    /// The names of these cameras among `cameras`.
+    fn names(&self, cameras: &[CameraConfig]) -> Vec<String> {
+        let primary = cameras.iter().find(|camera| camera.primary);
+        let primary = primary.or_else(|| cameras.first());
+        let wrists = cameras.iter().filter(|camera| camera.mount == Mount::Wrist);
+        let named = |camera: &CameraConfig| camera.name.clone();
+        match self {
+            Self::Single => primary.into_iter().map(named).collect(),
+            Self::Multi => primary.into_iter().chain(wrists).map(named).collect(),
+            Self::Named(names) => names.clone(),
+        }
+    }
+}
+
+impl Setup {
+    /// The same setup with these choices.
+    ///
+    /// # Errors
+    /// [`SessionError::BadArgument`] for a needle or a camera that the task has not, and for a view that its cameras can't
+    /// give.
+    pub fn with_scene(mut self, options: &SceneOptions) -> Result<Self, SessionError> {
+        let refused = |reason: String| SessionError::BadArgument(reason);
+        if let Some(needle) = &options.needle {
+            let changed = self.task.with_needle(needle);
+            self.task = changed.map_err(|error| refused(format!("--needle {needle}: {error}")))?;
+        }
+        self.task = self.task.with_view(options.view).map_err(|error| {
+            let view = options.view.name();
+            refused(format!("--view {view}: {error}"))
+        })?;
+        let Some(set) = &options.cameras else {
+            return Ok(self);
+        };
+        let names = set.names(&self.task.cameras);
+        let all = self.camera_names();
+        for (index, name) in names.iter().enumerate() {
+            if !all.contains(name) {
+                return Err(refused(format!(
+                    "--cameras {name}: there is no such camera; task {} has {}, and single and multi stand for some of them",
+                    self.task_name,
+                    all.join(", ")
+                )));
+            }
+            if names[..index].contains(name) {
+                return Err(refused(format!("--cameras: {name} is named twice")));
+            }
+        }
+        self.kept_cameras = Some(names);
+        Ok(self)
+    }
+
+    /// The cameras whose frames a session takes whose policy looks through `seen`: these first, then the ones that were asked
+    /// for. If there is neither, the first camera of the task.
+    #[must_use]
+    pub fn cameras_with(&self, seen: Vec<String>) -> Vec<String> {
+        let mut names = seen;
+        for name in self.kept_cameras.iter().flatten() {
+            if !names.contains(name) {
+                names.push(name.clone());
+            }
+        }
+        if names.is_empty() {
+            names.extend(self.camera_names().into_iter().take(1));
+        }
+        names
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::session::PolicyChoice;
+
+    fn setup(task: &str, options: &SceneOptions) -> Result<Setup, SessionError> {
+        Setup::load(task, None, &PolicyChoice::Expert)
+            .unwrap()
+            .with_scene(options)
+    }
+
+    fn kept(task: &str, cameras: &str) -> Vec<String> {
+        let options = SceneOptions {
+            cameras: Some(CameraSet::parse(cameras)),
+            ..SceneOptions::default()
+        };
+        setup(task, &options).unwrap().cameras_with(Vec::new())
+    }
+
+    #[test]
+    fn single_and_multi_are_the_papers() {
+        assert_eq!(kept("needle-lift", "single"), ["endoscope"]);
+        assert_eq!(kept("needle-lift", "multi"), ["endoscope", "wrist"]);
+        assert_eq!(kept("suture-pad", "single"), ["side"]);
+        assert_eq!(kept("block-transfer", "multi"), ["side", "wrist"]);
+        assert_eq!(
+            kept("needle-handover", "multi"),
+            ["endoscope", "wrist_right", "wrist_left"]
+        );
+        assert_eq!(
+            kept("suture-pad", "wrist,endoscope"),
+            ["wrist", "endoscope"]
+        );
+    }
+
+    #[test]
+    fn a_policys_cameras_come_first_and_only_without_any_the_first_of_the_task() {
+        let plain = setup("needle-lift", &SceneOptions::default()).unwrap();
+        assert_eq!(plain.cameras_with(Vec::new()), ["endoscope"]);
+        assert_eq!(plain.cameras_with(vec!["wrist".to_owned()]), ["wrist"]);
+        let options = SceneOptions {
+            cameras: Some(CameraSet::parse("side,wrist")),
+            ..SceneOptions::default()
+        };
+        let asked = setup("needle-lift", &options).unwrap();
+        assert_eq!(
+            asked.cameras_with(vec!["wrist".to_owned()]),
+            ["wrist", "side"]
+        );
+    }
+
+    #[test]
+    fn what_a_task_has_not_is_refused_with_what_it_has() {
+        let mut options = SceneOptions {
+            needle: Some("N6".to_owned()),
+            ..SceneOptions::default()
+        };
+        let error = setup("needle-lift", &options).unwrap_err();
+        assert!(error.is_bad_input());
+        assert_eq!(
+            error.to_string(),
+            "--needle N6: needle-lift has no needle \"N6\"; it has N1, N2, N3, N4, N5"
+        );
+        let error = setup("block-transfer", &options).unwrap_err().to_string();
+        assert!(error.ends_with("it has no choice of needles"), "{error}");
+        options = SceneOptions {
+            cameras: Some(CameraSet::parse("endoscope,laparoscope")),
+            ..SceneOptions::default()
+        };
+        let error = setup("needle-lift", &options).unwrap_err().to_string();
+        assert!(
+            error.contains("--cameras laparoscope") && error.contains("endoscope, side, wrist"),
+            "{error}"
+        );
+        options.cameras = Some(CameraSet::parse("side,side"));
+        assert!(setup("needle-lift", &options).unwrap_err().is_bad_input());
+    }
+}

@@ -1,0 +1,138 @@
+//! The tissue retraction's expert, and what hands that are not careful do with the same arm.
+
+use hal::ArmCommand;
+use nalgebra::{Translation3, Vector3};
+
+use super::{failures, forward, hold, inverse, run};
+use crate::task::{Outcome, Reason, TaskConfig};
+use crate::tissue::RetractionFailure;
+
+fn task() -> TaskConfig {
+    TaskConfig::parse(&TaskConfig::source("tissue-retraction").unwrap()).unwrap()
+}
+
+#[test]
+fn expert_retracts_the_flap() {
+    let failed = failures(&task(), 0..6);
+    assert!(failed.is_empty(), "{failed:#?}");
+}
+
+#[test]
+#[ignore = "takes minutes"]
+fn expert_retracts_the_flap_fifty_times() {
+    let failed = failures(&task(), 100..150);
+    assert!(failed.is_empty(), "{failed:#?}");
+}
+
+#[test]
+fn same_seed_gives_the_same_retraction_bit_for_bit() {
+    let task = task();
+    let hash = |seed| run(&task, seed, |_, _| {}).state_hash;
+    assert_eq!(hash(3), hash(3));
+    assert_ne!(hash(3), hash(4));
+}
+
+#[test]
+fn still_arm_retracts_nothing() {
+    let task = task();
+    let hold = hold(&task);
+    let episode = run(&task, 2, |_, command| *command = hold);
+    assert!(matches!(
+        episode.outcome,
+        Outcome::Failure(Reason::TimeLimit { .. })
+    ));
+}
+
+#[test]
+fn expert_takes_the_flap_again_after_the_jaw_let_go() {
+    let mut task = task();
+    task.time_limit_s = 30.0;
+    // Whatever it wants, the jaw opens for a moment while the flap is lifted.
+    let episode = run(&task, 1, |seconds, command| {
+        if (4.0..4.3).contains(&seconds) {
+            command.jaw_position = 0.6;
+            command.jaw_velocity = 0.0;
+        }
+    });
+    assert_eq!(
+        episode.outcome,
+        Outcome::Success,
+        "{} after {} attempts",
+        episode.outcome,
+        episode.attempts
+    );
+    assert!(episode.attempts > 1);
+}
+
+/// Moves the tip that `command` asks for by `way_m` in the scene.
+fn push_aside(task: &TaskConfig, command: &mut ArmCommand, way_m: Vector3<f64>) {
+    let base = task.arms[0].scene_from_rcm.rotation;
+    let there = Translation3::from(base.inverse() * way_m) * forward(&command.position);
+    command.position = inverse(&there, &command.position);
+}
+
+#[test]
+fn pulling_too_hard_loses_the_episode() {
+    let task = task();
+    // From the middle of the lift on, the hand goes away from the attached edge as well, at 4 cm/s.
+    let episode = run(&task, 1, |seconds, command| {
+        let away_m = 0.04 * (seconds - 4.3).clamp(0.0, 1.0);
+        push_aside(&task, command, Vector3::new(0.0, -away_m, 0.0));
+    });
+    assert!(
+        matches!(
+            episode.outcome,
+            Outcome::Failure(Reason::Tissue(
+                RetractionFailure::TooHard { .. } | RetractionFailure::SlippedOut
+            ))
+        ),
+        "{} after {} s",
+        episode.outcome,
+        episode.seconds
+    );
+}
+
+#[test]
+fn a_grasp_beside_the_mark_loses_the_episode() {
+    let task = task();
+    // The hand comes in 9 mm beside the mark, and keeps what it has.
+    let episode = run(&task, 1, |seconds, command| {
+        let aside_m = 0.009 * seconds.min(1.0);
+        push_aside(&task, command, Vector3::new(-aside_m, 0.0, 0.0));
+        if seconds > 3.5 {
+            command.jaw_position = 0.04;
+            command.jaw_velocity = 0.0;
+        }
+    });
+    assert!(
+        matches!(
+            episode.outcome,
+            Outcome::Failure(Reason::Tissue(RetractionFailure::BesideMark { distance_m }))
+                if (0.007..0.011).contains(&distance_m)
+        ),
+        "{} after {} s",
+        episode.outcome,
+        episode.seconds
+    );
+}
+
+#[test]
+fn a_hand_that_flails_retracts_nothing() {
+    let task = task();
+    let episode = run(&task, 1, |seconds, command| {
+        let swing = |rate: f64| 0.02 * (rate * seconds).sin();
+        let start = task.arms[0].joints;
+        command.position = start;
+        push_aside(
+            &task,
+            command,
+            Vector3::new(swing(1.3), 0.02 + swing(0.9), swing(1.7)),
+        );
+        command.jaw_position = 0.4 + 0.6 * (2.3 * seconds).sin();
+    });
+    assert!(
+        matches!(episode.outcome, Outcome::Failure(_)),
+        "{}",
+        episode.outcome
+    );
+}

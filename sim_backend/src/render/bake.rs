@@ -1,0 +1,334 @@
+//! The patterns of a scene's surfaces, painted once on the device into images that all later frames read.
+//!
+//! Painting costs as much as some frames, so the patterns may be as rich as they like; reading them costs the same for
+//! every pattern, and their coarser levels keep what is finer than a pixel from flickering.
+
+use wgpu::util::DeviceExt;
+
+use super::targets::texture;
+use crate::visual::{Material, Pattern};
+
+/// Side of the square that a pattern is painted in, m; beyond it the pattern is mirrored.
+pub(super) const PATTERN_SIZE_M: f32 = 0.18;
+
+/// Side of the painted images, texels.
+const PATTERN_PX: u32 = 1024;
+
+/// Levels down to 8 texels.
+const LEVELS: u32 = 8;
+
+const ALBEDO_FORMAT: wgpu::TextureFormat = wgpu::TextureFormat::Rgba8UnormSrgb;
+const RELIEF_FORMAT: wgpu::TextureFormat = wgpu::TextureFormat::Rgba8Unorm;
+const HEIGHT_FORMAT: wgpu::TextureFormat = wgpu::TextureFormat::Rg32Float;
+
+/// All painted patterns of a scene, a layer each.
+pub(super) struct Paints {
+    pub(super) albedo: wgpu::TextureView,
+    pub(super) relief: wgpu::TextureView,
+    painted: Vec<Key>,
+}
+
+/// What makes two surfaces the same layer.
+type Key = (u32, [u32; 3]);
+
+impl Paints {
+    /// Paints what `materials` ask for.
+    pub(super) fn new<'a>(
+        device: &wgpu::Device,
+        queue: &wgpu::Queue,
+        materials: impl IntoIterator<Item = &'a Material>,
+    ) -> Self {
+        let mut wanted: Vec<(Key, [f32; 3])> = Vec::new();
+        for material in materials {
+            if let Some(key) = key(material)
+                && !wanted.iter().any(|(known, _)| *known == key)
+            {
+                wanted.push((key, material.base_colour));
+            }
+        }
+        let layers = u32::try_from(wanted.len()).unwrap_or(u32::MAX);
+        let albedo = layered(device, "albedo", ALBEDO_FORMAT, layers);
+        let relief = layered(device, "relief", RELIEF_FORMAT, layers);
+        let painter = Painter::new(device);
+        let mut encoder = device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
+        for (layer, ((pattern, _), base_colour)) in (0_u32..).zip(&wanted) {
+            painter.paint(
+                &mut encoder,
+                (*pattern, base_colour),
+                [&albedo, &relief],
+                layer,
+            );
+        }
+        queue.submit([encoder.finish()]);
+        let whole = |texture: &wgpu::Texture| {
+            texture.create_view(&wgpu::TextureViewDescriptor {
+                dimension: Some(wgpu::TextureViewDimension::D2Array),
+                ..Default::default()
+            })
+        };
+        Self {
+            albedo: whole(&albedo),
+            relief: whole(&relief),
+            painted: wanted.into_iter().map(|(key, _)| key).collect(),
+        }
+    }
+
+    /// The layer in which `material` was painted; 0 if it has no pattern.
+    #[expect(
+        clippy::cast_precision_loss,
+        reason = "a scene has a handful of layers"
+    )]
+    pub(super) fn layer(&self, material: &Material) -> f32 {
+        let wanted = key(material);
+        let found = self.painted.iter().position(|known| Some(*known) == wanted);
+        found.unwrap_or(0) as f32
+    }
+}
+
+/// Pattern number of `bake.wgsl` and the bits of the colour; none if nothing is painted.
+fn key(material: &Material) -> Option<Key> {
+    let pattern = match material.pattern {
+        Pattern::Smooth | Pattern::Brushed => return None,
+        Pattern::Muscle => 1,
+        Pattern::Liver => 2,
+        Pattern::Fat => 3,
+        Pattern::Skin => 4,
+        Pattern::Cloth => 5,
+    };
+    Some((pattern, material.base_colour.map(f32::to_bits)))
+}
+
+fn layered(
+    device: &wgpu::Device,
+    label: &str,
+    format: wgpu::TextureFormat,
+    layers: u32,
+) -> wgpu::Texture {
+    device.create_texture(&wgpu::TextureDescriptor {
+        label: Some(label),
+        size: wgpu::Extent3d {
+            width: PATTERN_PX,
+            height: PATTERN_PX,
+            depth_or_array_layers: layers.max(1),
+        },
+        mip_level_count: LEVELS,
+        sample_count: 1,
+        dimension: wgpu::TextureDimension::D2,
+        format,
+        usage: wgpu::TextureUsages::RENDER_ATTACHMENT | wgpu::TextureUsages::TEXTURE_BINDING,
+        view_formats: &[],
+    })
+}
+
+/// The passes that paint one layer.
+struct Painter<'a> {
+    device: &'a wgpu::Device,
+    paint_layout: wgpu::BindGroupLayout,
+    source_layout: wgpu::BindGroupLayout,
+    look: wgpu::RenderPipeline,
+    slope: wgpu::RenderPipeline,
+    halve: wgpu::RenderPipeline,
+}
+
+impl<'a> Painter<'a> {
+    fn new(device: &'a wgpu::Device) -> Self {
+        let module = device.create_shader_module(wgpu::ShaderModuleDescriptor {
+            label: Some("bake"),
+            source: wgpu::ShaderSource::Wgsl(
+                concat!(include_str!("noise.wgsl"), include_str!("bake.wgsl")).into(),
+            ),
+        });
+        let paint_layout = layout(
+            device,
+            &[(
+                0,
+                wgpu::BindingType::Buffer {
+                    ty: wgpu::BufferBindingType::Uniform,
+                    has_dynamic_offset: false,
+                    min_binding_size: None,
+                },
+            )],
+        );
+        let image = wgpu::BindingType::Texture {
+            sample_type: wgpu::TextureSampleType::Float { filterable: false },
+            view_dimension: wgpu::TextureViewDimension::D2,
+            multisampled: false,
+        };
+        let source_layout = layout(device, &[(0, image), (1, image)]);
+        let pipeline = |entry, relief| {
+            let layouts = [Some(&paint_layout), Some(&source_layout)];
+            pipeline(device, &module, &layouts, entry, relief)
+        };
+        Self {
+            device,
+            look: pipeline("look", HEIGHT_FORMAT),
+            slope: pipeline("slope", RELIEF_FORMAT),
+            halve: pipeline("halve", RELIEF_FORMAT),
+            paint_layout,
+            source_layout,
+        }
+    }
+
+    fn paint(
+        &self,
+        encoder: &mut wgpu::CommandEncoder,
+        (pattern, base_colour): (u32, &[f32; 3]),
+        images: [&wgpu::Texture; 2],
+        layer: u32,
+    ) {
+        let paint = self.paint_record(pattern, base_colour);
+        let scratch = |label, format| {
+            let usage =
+                wgpu::TextureUsages::RENDER_ATTACHMENT | wgpu::TextureUsages::TEXTURE_BINDING;
+            texture(self.device, label, PATTERN_PX, PATTERN_PX, format, usage)
+                .create_view(&wgpu::TextureViewDescriptor::default())
+        };
+        // The first step has nothing to read.
+        let nothing = [
+            scratch("no albedo", ALBEDO_FORMAT),
+            scratch("no heights", HEIGHT_FORMAT),
+        ];
+        let looks = [
+            scratch("albedo", ALBEDO_FORMAT),
+            scratch("heights", HEIGHT_FORMAT),
+        ];
+        self.pass(encoder, &self.look, &paint, &nothing, &looks);
+        let mut finer = images.map(|image| level_of(image, layer, 0));
+        self.pass(encoder, &self.slope, &paint, &looks, &finer);
+        for level in 1..LEVELS {
+            let coarser = images.map(|image| level_of(image, layer, level));
+            self.pass(encoder, &self.halve, &paint, &finer, &coarser);
+            finer = coarser;
+        }
+    }
+
+    fn paint_record(&self, pattern: u32, base_colour: &[f32; 3]) -> wgpu::BindGroup {
+        let mut bytes: Vec<u8> = base_colour.iter().flat_map(|c| c.to_ne_bytes()).collect();
+        bytes.extend(pattern.to_ne_bytes());
+        #[expect(clippy::cast_precision_loss, reason = "a power of two")]
+        let sizes = [PATTERN_PX as f32, PATTERN_SIZE_M * 1e3, 0.0, 0.0];
+        bytes.extend(sizes.iter().flat_map(|size| size.to_ne_bytes()));
+        let buffer = self
+            .device
+            .create_buffer_init(&wgpu::util::BufferInitDescriptor {
+                label: Some("paint"),
+                contents: &bytes,
+                usage: wgpu::BufferUsages::UNIFORM,
+            });
+        self.device.create_bind_group(&wgpu::BindGroupDescriptor {
+            label: Some("paint"),
+            layout: &self.paint_layout,
+            entries: &[wgpu::BindGroupEntry {
+                binding: 0,
+                resource: buffer.as_entire_binding(),
+            }],
+        })
+    }
+
+    fn pass(
+        &self,
+        encoder: &mut wgpu::CommandEncoder,
+        pipeline: &wgpu::RenderPipeline,
+        paint: &wgpu::BindGroup,
+        from: &[wgpu::TextureView; 2],
+        to: &[wgpu::TextureView; 2],
+    ) {
+        let source = self.device.create_bind_group(&wgpu::BindGroupDescriptor {
+            label: Some("paint's source"),
+            layout: &self.source_layout,
+            entries: &[0, 1].map(|index: u32| wgpu::BindGroupEntry {
+                binding: index,
+                resource: wgpu::BindingResource::TextureView(&from[index as usize]),
+            }),
+        });
+        let target = |view| {
+            Some(wgpu::RenderPassColorAttachment {
+                view,
+                depth_slice: None,
+                resolve_target: None,
+                ops: wgpu::Operations {
+                    load: wgpu::LoadOp::Clear(wgpu::Color::TRANSPARENT),
+                    store: wgpu::StoreOp::Store,
+                },
+            })
+        };
+        let mut pass = encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
+            label: Some("paint"),
+            color_attachments: &[target(&to[0]), target(&to[1])],
+            ..Default::default()
+        });
+        pass.set_pipeline(pipeline);
+        pass.set_bind_group(0, paint, &[]);
+        pass.set_bind_group(1, &source, &[]);
+        pass.draw(0..3, 0..1);
+    }
+}
+
+fn level_of(image: &wgpu::Texture, layer: u32, level: u32) -> wgpu::TextureView {
+    image.create_view(&wgpu::TextureViewDescriptor {
+        dimension: Some(wgpu::TextureViewDimension::D2),
+        base_mip_level: level,
+        mip_level_count: Some(1),
+        base_array_layer: layer,
+        array_layer_count: Some(1),
+        ..Default::default()
+    })
+}
+
+fn layout(device: &wgpu::Device, bindings: &[(u32, wgpu::BindingType)]) -> wgpu::BindGroupLayout {
+    let entries: Vec<_> = bindings
+        .iter()
+        .map(|&(binding, ty)| wgpu::BindGroupLayoutEntry {
+            binding,
+            visibility: wgpu::ShaderStages::FRAGMENT,
+            ty,
+            count: None,
+        })
+        .collect();
+    device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
+        label: Some("paint"),
+        entries: &entries,
+    })
+}
+
+fn pipeline(
+    device: &wgpu::Device,
+    module: &wgpu::ShaderModule,
+    layouts: &[Option<&wgpu::BindGroupLayout>],
+    entry: &'static str,
+    relief: wgpu::TextureFormat,
+) -> wgpu::RenderPipeline {
+    let layout = device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
+        label: Some("paint"),
+        bind_group_layouts: layouts,
+        immediate_size: 0,
+    });
+    let target = |format| {
+        Some(wgpu::ColorTargetState {
+            format,
+            blend: None,
+            write_mask: wgpu::ColorWrites::ALL,
+        })
+    };
+    device.create_render_pipeline(&wgpu::RenderPipelineDescriptor {
+        label: Some(entry),
+        layout: Some(&layout),
+        vertex: wgpu::VertexState {
+            module,
+            entry_point: Some("cover"),
+            compilation_options: wgpu::PipelineCompilationOptions::default(),
+            buffers: &[],
+        },
+        primitive: wgpu::PrimitiveState::default(),
+        depth_stencil: None,
+        multisample: wgpu::MultisampleState::default(),
+        fragment: Some(wgpu::FragmentState {
+            module,
+            entry_point: Some(entry),
+            compilation_options: wgpu::PipelineCompilationOptions::default(),
+            targets: &[target(ALBEDO_FORMAT), target(relief)],
+        }),
+        multiview_mask: None,
+        cache: None,
+    })
+}

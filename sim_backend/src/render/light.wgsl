@@ -1,0 +1,145 @@
+// How surfaces answer the endoscope's light and what is around them.
+
+struct Surface {
+    normal: vec3f,
+    // Normal of the film of fluid, which is smoother than the flesh.
+    film_normal: vec3f,
+    // Normal of the mesh, without relief.
+    mesh_normal: vec3f,
+    base_colour: vec3f,
+    metallic: f32,
+    roughness: f32,
+    wetness: f32,
+    // 1 in the open, less in hollows.
+    open: f32,
+    // How far red light travels under the surface: 1 for flesh, 0 for metal and paint.
+    flesh: f32,
+}
+
+// The light that reaches a point: towards it, how much, and what share of it is not in shadow.
+struct Beam {
+    direction: vec3f,
+    power: f32,
+    lit: f32,
+}
+
+fn beam_at(position: vec3f, normal: vec3f) -> Beam {
+    let to_light = frame.light_position - position;
+    let distance2 = max(dot(to_light, to_light), 1e-6);
+    let direction = to_light * inverseSqrt(distance2);
+    let spot = smoothstep(frame.cone_cos_outer, frame.cone_cos_inner, -dot(direction, frame.light_axis));
+    var lit = 1.0;
+    if FULL {
+        lit = unshadowed(position, normal, sqrt(distance2));
+    }
+    return Beam(direction, frame.light_power / distance2 * spot, lit);
+}
+
+// Share of the light that is not in shadow: the mean of two taps, each of which blends four texels.
+fn unshadowed(position: vec3f, normal: vec3f, distance: f32) -> f32 {
+    let off_surface = position + 2.0 * frame.shadow_texel_tan * distance * normal;
+    let clip = frame.light_clip_from_camera * vec4f(off_surface, 1.0);
+    let ndc = clip.xyz / clip.w;
+    let at = vec2f(0.5 + 0.5 * ndc.x, 0.5 - 0.5 * ndc.y);
+    let texel = frame.shadow_texel_tan / frame.shadow_window_tan * 0.5;
+    let wide = vec2f(0.9, 0.45) * texel;
+    let sum = textureSampleCompareLevel(shadow_map, shadow_sampler, at + wide, ndc.z)
+        + textureSampleCompareLevel(shadow_map, shadow_sampler, at - wide, ndc.z);
+    // Beyond the map there is no beam either.
+    let outside = max(abs(ndc.x), abs(ndc.y)) > 0.995 || clip.w <= 0.0;
+    return select(0.5 * sum, 1.0, outside);
+}
+
+// GGX with Smith's joint masking in the approximation of Hammon (2017), without Fresnel's factor.
+fn glint(n_l: f32, n_v: f32, n_h: f32, roughness: f32) -> f32 {
+    let a = roughness * roughness;
+    let a2 = a * a;
+    let d = n_h * n_h * (a2 - 1.0) + 1.0;
+    return n_l * a2 / (3.14159265 * d * d) * 0.5 / mix(2.0 * n_l * n_v, n_l + n_v, a);
+}
+
+// Schlick's.
+fn fresnel(cosine: f32, f0: vec3f) -> vec3f {
+    let x = 1.0 - cosine;
+    let x2 = x * x;
+    return f0 + (vec3f(1.0) - f0) * (x2 * x2 * x);
+}
+
+// What a mirror sees: the lit scene below, a dim cavity above, the glow of the light guide, and a dark gap between.
+fn surroundings(direction: vec3f, beam: Beam, roughness: f32) -> vec3f {
+    let height = dot(direction, frame.up);
+    let soft = 0.10 + 0.7 * roughness;
+    let below = 1.0 - smoothstep(-0.10 - soft, -0.10 + soft, height);
+    let above = smoothstep(0.1 - soft, 0.75 + soft, height);
+    let power = min(beam.power, 4.0);
+    let floor = mix(frame.bounce, vec3f(dot(frame.bounce, vec3f(0.4))), 0.65) * (0.10 + 0.40 * power);
+    let walls = mix(vec3f(0.05, 0.042, 0.040), vec3f(0.28, 0.26, 0.255), above) * (0.4 + 0.6 * power);
+    let towards = max(dot(direction, beam.direction), 0.0);
+    let t2 = towards * towards;
+    let t4 = t2 * t2;
+    let halo = mix(t4 * t4 * t4, t4, roughness);
+    // The lit wall opposite, which wet ground mirrors towards the lens.
+    let opposite = frame.light_axis - 2.0 * dot(frame.light_axis, frame.up) * frame.up;
+    let far = max(dot(direction, opposite), 0.0);
+    let far4 = far * far * far * far;
+    let far16 = far4 * far4 * far4 * far4;
+    let far64 = far16 * far16 * far16 * far16;
+    let glow = mix(far64 * far64 * 1.2, far4 * 0.3, smoothstep(0.15, 0.6, roughness));
+    let white = vec3f(0.95, 0.93, 0.88);
+    return mix(walls, floor, below) + white * (power * (halo * 1.1 + glow));
+}
+
+fn shade(s: Surface, position: vec3f) -> vec3f {
+    let beam = beam_at(position, s.mesh_normal);
+    let v = -normalize(position);
+    let l = beam.direction;
+    let n_l = dot(s.normal, l);
+    let albedo = s.base_colour * (1.0 - s.metallic);
+    // Red light travels further under the surface and comes out beyond the terminator, and into shadows.
+    let wrap = s.flesh * vec3f(0.34, 0.09, 0.06);
+    let diffuse = albedo * max((vec3f(n_l) + wrap) / ((vec3f(1.0) + wrap) * (vec3f(1.0) + wrap)), vec3f(0.0));
+    let facing = 0.5 + 0.5 * dot(s.normal, frame.up);
+    let sky = mix(frame.bounce + 0.25, vec3f(1.0, 0.93, 0.90), facing) * s.open;
+    if !FULL {
+        let h = normalize(v + l);
+        let n_h = max(dot(s.normal, h), 0.0);
+        let f0 = mix(0.04 + 0.08 * s.wetness, 1.0, s.metallic);
+        let shine = glint(max(n_l, 0.0), max(dot(s.normal, v), 1e-3), n_h, max(s.roughness, 0.25));
+        let mirror = mix(vec3f(1.0), s.base_colour, s.metallic) * f0;
+        let grey = s.base_colour * s.metallic * (0.35 + 0.5 * max(n_l, 0.0));
+        return beam.power * (diffuse + mirror * shine + 0.4 * grey) + frame.ambient * (albedo * sky + grey);
+    }
+    let h = normalize(v + l);
+    let roughness = clamp(s.roughness, 0.08, 1.0);
+    let f0 = mix(vec3f(0.04), s.base_colour, s.metallic);
+    let v_h = max(dot(v, h), 0.0);
+    let n_v = max(dot(s.normal, v), 1e-3);
+    let body = fresnel(v_h, f0) * glint(max(n_l, 0.0), n_v, max(dot(s.normal, h), 0.0), roughness);
+    let film_n_v = max(dot(s.film_normal, v), 1e-3);
+    let film_n_l = max(dot(s.film_normal, l), 0.0);
+    let film_f0 = vec3f(0.05);
+    let film = s.wetness * fresnel(v_h, film_f0)
+        * glint(film_n_l, film_n_v, max(dot(s.film_normal, h), 0.0), 0.21);
+    let through = 1.0 - s.wetness * fresnel(film_n_v, film_f0).x;
+
+    let lit = mix(vec3f(beam.lit), vec3f(sqrt(beam.lit), beam.lit, beam.lit), s.flesh);
+    let direct = beam.power * (lit * diffuse * through + beam.lit * (body * through + film));
+    // Where the beam does not reach, what it lights nearby shines less.
+    let near = 0.55 + 0.45 * beam.lit;
+    let mirror = surroundings(reflect(-v, s.normal), beam, roughness);
+    let gloss = fresnel(n_v, f0) * (1.0 - 0.35 * roughness);
+    let sheen = s.wetness * fresnel(film_n_v, film_f0) * surroundings(reflect(-v, s.film_normal), beam, 0.2);
+    return direct + near * s.open * (frame.ambient * albedo * sky * through + mirror * gloss * through + sheen);
+}
+
+// sRGB's encoding, done here since samples of a pixel are then cheaper to keep.
+fn encoded(x: vec3f) -> vec3f {
+    return select(1.055 * pow(x, vec3f(1.0 / 2.4)) - 0.055, 12.92 * x, x < vec3f(0.0031308));
+}
+
+// Filmic response: a toe, a middle grey that stays where it is, a long shoulder. The three numbers were fitted to
+// 0.02 -> 0.012, 0.18 -> 0.20, 1 -> 0.72, 4 -> 0.935, with the ends fixed at 0 and 1.
+fn exposed(linear: vec3f) -> vec4f {
+    let x = max(linear, vec3f(0.0));
+    return vec4f(encoded(x * (x + 0.0593) / (x * (x + 0.3833) + 0.1126)), 1.0);
+}

@@ -1,0 +1,78 @@
+//! The images that the colour pass reads: shadow map and painted patterns.
+
+use super::bake::Paints;
+
+/// How they are bound.
+pub(super) fn layout(device: &wgpu::Device) -> wgpu::BindGroupLayout {
+    let entry = |binding, ty| wgpu::BindGroupLayoutEntry {
+        binding,
+        visibility: wgpu::ShaderStages::FRAGMENT,
+        ty,
+        count: None,
+    };
+    let depth = wgpu::BindingType::Texture {
+        sample_type: wgpu::TextureSampleType::Depth,
+        view_dimension: wgpu::TextureViewDimension::D2,
+        multisampled: false,
+    };
+    let painted = wgpu::BindingType::Texture {
+        sample_type: wgpu::TextureSampleType::Float { filterable: true },
+        view_dimension: wgpu::TextureViewDimension::D2Array,
+        multisampled: false,
+    };
+    let comparing = wgpu::BindingType::Sampler(wgpu::SamplerBindingType::Comparison);
+    let filtering = wgpu::BindingType::Sampler(wgpu::SamplerBindingType::Filtering);
+    device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
+        label: Some("maps"),
+        entries: &[
+            entry(0, depth),
+            entry(1, comparing),
+            entry(2, painted),
+            entry(3, painted),
+            entry(4, filtering),
+        ],
+    })
+}
+
+/// The shadow map and the patterns, bound.
+pub(super) fn group(
+    device: &wgpu::Device,
+    layout: &wgpu::BindGroupLayout,
+    shadow_map: &wgpu::TextureView,
+    paints: &Paints,
+) -> wgpu::BindGroup {
+    let comparing = device.create_sampler(&wgpu::SamplerDescriptor {
+        label: Some("shadow"),
+        mag_filter: wgpu::FilterMode::Linear,
+        min_filter: wgpu::FilterMode::Linear,
+        compare: Some(wgpu::CompareFunction::LessEqual),
+        ..Default::default()
+    });
+    let mirrored = wgpu::AddressMode::MirrorRepeat;
+    let filtering = device.create_sampler(&wgpu::SamplerDescriptor {
+        label: Some("patterns"),
+        address_mode_u: mirrored,
+        address_mode_v: mirrored,
+        mag_filter: wgpu::FilterMode::Linear,
+        min_filter: wgpu::FilterMode::Linear,
+        mipmap_filter: wgpu::MipmapFilterMode::Linear,
+        ..Default::default()
+    });
+    let view = wgpu::BindingResource::TextureView;
+    let resources = [
+        view(shadow_map),
+        wgpu::BindingResource::Sampler(&comparing),
+        view(&paints.albedo),
+        view(&paints.relief),
+        wgpu::BindingResource::Sampler(&filtering),
+    ];
+    let entries: Vec<_> = (0_u32..)
+        .zip(resources)
+        .map(|(binding, resource)| wgpu::BindGroupEntry { binding, resource })
+        .collect();
+    device.create_bind_group(&wgpu::BindGroupDescriptor {
+        label: Some("maps"),
+        layout,
+        entries: &entries,
+    })
+}

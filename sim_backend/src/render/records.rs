@@ -1,0 +1,178 @@
+//! What one eye, a camera or the light, tells the device about a frame: one record of its own and one an object.
+
+use nalgebra::{Isometry3, Matrix4, Vector3};
+use wgpu::util::DeviceExt;
+
+use super::{Camera, Light};
+use crate::visual::Backdrop;
+
+/// Bytes of one object record, see `scene.wgsl`.
+pub(super) const OBJECT_BYTES: usize = 112;
+
+/// Bytes of the frame record, see `scene.wgsl`.
+const FRAME_BYTES: usize = 304;
+
+/// The buffers of one eye.
+pub(super) struct Records {
+    pub(super) frame: wgpu::Buffer,
+    pub(super) objects: wgpu::Buffer,
+    pub(super) group: wgpu::BindGroup,
+}
+
+impl Records {
+    /// Room for `parts` objects.
+    pub(super) fn new(device: &wgpu::Device, layout: &wgpu::BindGroupLayout, parts: usize) -> Self {
+        let filled = |label, bytes: usize, usage| {
+            device.create_buffer_init(&wgpu::util::BufferInitDescriptor {
+                label: Some(label),
+                contents: &vec![0; bytes],
+                usage: wgpu::BufferUsages::COPY_DST | usage,
+            })
+        };
+        let frame = filled("frame", FRAME_BYTES, wgpu::BufferUsages::UNIFORM);
+        // An empty buffer can't be bound.
+        let object_bytes = OBJECT_BYTES * parts.max(1);
+        let objects = filled("objects", object_bytes, wgpu::BufferUsages::STORAGE);
+        let group = device.create_bind_group(&wgpu::BindGroupDescriptor {
+            label: Some("records"),
+            layout,
+            entries: &[
+                wgpu::BindGroupEntry {
+                    binding: 0,
+                    resource: frame.as_entire_binding(),
+                },
+                wgpu::BindGroupEntry {
+                    binding: 1,
+                    resource: objects.as_entire_binding(),
+                },
+            ],
+        });
+        Self {
+            frame,
+            objects,
+            group,
+        }
+    }
+}
+
+/// How records are bound.
+pub(super) fn layout(device: &wgpu::Device) -> wgpu::BindGroupLayout {
+    let entry = |binding, ty| wgpu::BindGroupLayoutEntry {
+        binding,
+        visibility: wgpu::ShaderStages::VERTEX_FRAGMENT,
+        ty: wgpu::BindingType::Buffer {
+            ty,
+            has_dynamic_offset: false,
+            min_binding_size: None,
+        },
+        count: None,
+    };
+    device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
+        label: Some("records"),
+        entries: &[
+            entry(0, wgpu::BufferBindingType::Uniform),
+            entry(1, wgpu::BufferBindingType::Storage { read_only: true }),
+        ],
+    })
+}
+
+/// An eye that records are written for.
+pub(super) struct Eye<'a> {
+    /// Coordinates of the eye (z along the view) from those of the scene.
+    pub(super) eye_from_scene: Isometry3<f64>,
+    light: &'a Light,
+    view: Option<View<'a>>,
+}
+
+/// What a camera needs besides.
+pub(super) struct View<'a> {
+    pub(super) camera: &'a Camera,
+    pub(super) backdrop: &'a Backdrop,
+    pub(super) backdrop_layer: f32,
+    pub(super) shadow_map_px: u32,
+}
+
+impl<'a> Eye<'a> {
+    /// The light, which sees what it does not put into shadow.
+    pub(super) fn light(light: &'a Light) -> Self {
+        Self {
+            eye_from_scene: light.guide_in_scene.inverse(),
+            light,
+            view: None,
+        }
+    }
+
+    /// A camera in that light.
+    pub(super) fn camera(light: &'a Light, view: View<'a>) -> Self {
+        Self {
+            eye_from_scene: view.camera.camera_in_scene.inverse(),
+            light,
+            view: Some(view),
+        }
+    }
+
+    /// Appends the frame record; the light's has only its projection.
+    pub(super) fn write(&self, bytes: &mut Vec<u8>) {
+        let end = bytes.len() + FRAME_BYTES;
+        match &self.view {
+            None => put_matrix(bytes, &self.light.clip_from_light()),
+            Some(view) => {
+                put_matrix(bytes, &view.camera.clip_from_camera());
+                self.write_light(view.shadow_map_px, bytes);
+                view.write(&self.eye_from_scene, bytes);
+            }
+        }
+        bytes.resize(end, 0);
+    }
+
+    fn write_light(&self, shadow_map_px: u32, bytes: &mut Vec<u8>) {
+        let light = self.light;
+        let eye_from_light = self.eye_from_scene * light.guide_in_scene;
+        let light_from_eye = eye_from_light.inverse().to_homogeneous();
+        put_matrix(bytes, &(light.clip_from_light() * light_from_eye));
+        let place = eye_from_light.translation.vector;
+        let power = light.intensity * light.reference_distance_m * light.reference_distance_m;
+        put_f64(bytes, &[place.x, place.y, place.z, power]);
+        let axis = eye_from_light * Vector3::z();
+        let (outer, inner) = (light.cone_half_angle_rad, 0.5 * light.cone_half_angle_rad);
+        put_f64(bytes, &[axis.x, axis.y, axis.z, outer.cos()]);
+        let window = light.window_tan();
+        let texel = 2.0 * window / f64::from(shadow_map_px);
+        put_f64(bytes, &[inner.cos(), light.ambient, window, texel]);
+    }
+}
+
+impl View<'_> {
+    fn write(&self, camera_from_scene: &Isometry3<f64>, bytes: &mut Vec<u8>) {
+        let (lens, behind) = (&self.camera.intrinsics, &self.backdrop.material);
+        let up = camera_from_scene * Vector3::z();
+        put_f64(bytes, &[up.x, up.y, up.z, self.backdrop.floor_m]);
+        put(bytes, &self.backdrop.bounce);
+        put(bytes, &[self.backdrop_layer, behind.roughness]);
+        put(bytes, &[behind.wetness, self.backdrop.walls, 0.0]);
+        put_f64(bytes, &[lens.cx, lens.cy, 1.0 / lens.fx, 1.0 / lens.fy]);
+        put_matrix(bytes, &self.camera.camera_in_scene.to_homogeneous());
+    }
+}
+
+/// Appends numbers as the device reads them.
+pub(super) fn put(bytes: &mut Vec<u8>, values: &[f32]) {
+    bytes.extend(values.iter().flat_map(|value| value.to_ne_bytes()));
+}
+
+#[expect(
+    clippy::cast_possible_truncation,
+    reason = "the device computes in single precision"
+)]
+fn put_f64(bytes: &mut Vec<u8>, values: &[f64]) {
+    bytes.extend(
+        values
+            .iter()
+            .flat_map(|value| (*value as f32).to_ne_bytes()),
+    );
+}
+
+/// Appends a matrix, column by column.
+pub(super) fn put_matrix(bytes: &mut Vec<u8>, matrix: &Matrix4<f64>) {
+    put_f64(bytes, matrix.as_slice());
+}

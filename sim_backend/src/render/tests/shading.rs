@@ -1,0 +1,164 @@
+//! What light does: shadows that stay with the endoscope, patterns that stay with the surface, edges, metal.
+
+use nalgebra::{Point3, Vector3};
+
+use super::*;
+
+/// Mean of red, green and blue.
+fn grey(frame: &CameraFrame, pixel: usize) -> f64 {
+    let bytes = &frame.colour[3 * pixel..3 * pixel + 3];
+    bytes.iter().map(|byte| f64::from(*byte)).sum::<f64>() / 3.0
+}
+
+#[test]
+fn a_camera_beside_sees_the_shadow_that_the_endoscope_casts() {
+    let plain = Material {
+        pattern: Pattern::Smooth,
+        wetness: 0.0,
+        ..MUSCLE
+    };
+    let plane = || visual("plane", height_field(0.1, 0.1, 3, |_, _| 0.0), plain, 1);
+    let ball = visual("ball", sphere(0.006, 32), STEEL, 2);
+    let overhead = Camera {
+        camera_in_scene: look_at(Point3::new(0.0, 0.0, 0.12), Point3::origin(), Vector3::y()),
+        ..endoscope(64)
+    };
+    let beside = Camera {
+        camera_in_scene: look_at(
+            Point3::new(0.12, -0.02, 0.05),
+            Point3::origin(),
+            Vector3::z(),
+        ),
+        ..endoscope(128)
+    };
+    let light = Light::beside(&overhead);
+    let mut with = CameraFrame::blank(beside.intrinsics);
+    let mut without = with.clone();
+    let centre = Point3::new(0.0, 0.0, 0.02);
+    Renderer::new(&[plane(), ball])
+        .unwrap()
+        .render(
+            &[Pose::identity(), at(0.0, 0.0, 0.02)],
+            &beside,
+            &light,
+            &mut with,
+        )
+        .unwrap();
+    Renderer::new(&[plane()])
+        .unwrap()
+        .render(&[Pose::identity()], &beside, &light, &mut without)
+        .unwrap();
+    let guide = light.guide_in_scene * Point3::origin();
+    let (mut dark, mut bright) = (0, 0);
+    for pixel in within(&with, 1) {
+        let seen = ray(&beside.intrinsics, pixel) * f64::from(with.depth_m[pixel]);
+        let point = beside.camera_in_scene * Point3::from(seen);
+        let miss = (centre - guide).cross(&(point - guide).normalize()).norm();
+        let ratio = grey(&with, pixel) / grey(&without, pixel);
+        if miss < 0.005 {
+            assert!(ratio < 0.8, "pixel {pixel}: {ratio}");
+            dark += 1;
+        } else if miss > 0.007 {
+            assert!(ratio > 0.97, "pixel {pixel}: {ratio}");
+            bright += 1;
+        }
+    }
+    assert!(dark > 50 && bright > 2000, "{dark} {bright}");
+}
+
+#[test]
+fn a_pattern_goes_where_its_surface_goes() {
+    let patch = visual("patch", height_field(0.06, 0.06, 8, |_, _| 0.0), MUSCLE, 1);
+    let mut renderer = Renderer::new(&[patch]).unwrap();
+    let shift = at(0.037, -0.011, 0.0);
+    let camera = Camera {
+        camera_in_scene: look_at(
+            Point3::new(0.0, -0.03, 0.09),
+            Point3::origin(),
+            Vector3::z(),
+        ),
+        ..endoscope(96)
+    };
+    let moved = Camera {
+        camera_in_scene: shift * camera.camera_in_scene,
+        ..camera
+    };
+    let here = shoot(&mut renderer, &[Pose::identity()], &camera);
+    let there = shoot(&mut renderer, &[shift], &moved);
+    let left_behind = shoot(&mut renderer, &[Pose::identity()], &moved);
+    let on_patch = |pixel: &usize| here.instance[*pixel] == 1 && left_behind.instance[*pixel] == 1;
+    let pixels: Vec<usize> = (0..here.instance.len()).filter(on_patch).collect();
+    let apart = |other: &CameraFrame| {
+        let difference = |&pixel: &usize| (grey(&here, pixel) - grey(other, pixel)).abs();
+        pixels.iter().map(difference).sum::<f64>() / pixels.len() as f64
+    };
+    assert!(pixels.len() > 2000, "{}", pixels.len());
+    assert!(apart(&there) < 0.5, "{}", apart(&there));
+    // And there is a pattern at all.
+    assert!(apart(&left_behind) > 4.0, "{}", apart(&left_behind));
+}
+
+#[test]
+fn edges_are_smooth_in_colour_and_sharp_in_ids() {
+    let white = Material {
+        base_colour: [0.9; 3],
+        metallic: 0.0,
+        pattern: Pattern::Smooth,
+        ..STEEL
+    };
+    let dark = Material {
+        base_colour: [0.0; 3],
+        ..white
+    };
+    let scene = [
+        visual("box", cuboid(Vector3::new(0.01, 0.01, 0.001)), white, 200),
+        visual("wall", cuboid(Vector3::new(0.2, 0.2, 0.001)), dark, 100),
+    ];
+    let mut renderer = Renderer::new(&scene).unwrap();
+    let camera = Camera {
+        camera_in_scene: Pose::identity(),
+        ..endoscope(96)
+    };
+    let turned = Pose::rotation(Vector3::new(0.0, 0.0, 0.3));
+    let poses = [at(0.0, 0.0, 0.1) * turned, at(0.0, 0.0, 0.15)];
+    let full = shoot(&mut renderer, &poses, &camera);
+    renderer.set_shading(Shading::Fine);
+    let fine = shoot(&mut renderer, &poses, &camera);
+    assert!(fine.instance.iter().all(|id| [100, 200].contains(id)));
+    let inside = [within(&full, 100), within(&full, 200)].concat();
+    let changed = |pixel: &usize| (grey(&full, *pixel) - grey(&fine, *pixel)).abs() > 12.0;
+    let at_edges = (0..full.instance.len()).filter(changed).count();
+    assert!((40..400).contains(&at_edges), "{at_edges}");
+    let elsewhere = inside.iter().filter(|pixel| changed(pixel)).count();
+    assert_eq!(elsewhere, 0);
+}
+
+#[test]
+fn metal_mirrors_and_flesh_is_red() {
+    let (visuals, poses) = lift_scene();
+    let mut renderer = Renderer::new(&visuals).unwrap();
+    let frame = shoot(&mut renderer, &poses, &endoscope(256));
+    let of = |id: u8| -> Vec<usize> {
+        let pixels = 0..frame.instance.len();
+        pixels.filter(|&p| frame.instance[p] == id).collect()
+    };
+    let mean = |id: u8, channel: usize| {
+        let bytes: Vec<f64> = of(id)
+            .into_iter()
+            .map(|pixel| f64::from(frame.colour[3 * pixel + channel]))
+            .collect();
+        bytes.iter().sum::<f64>() / bytes.len() as f64
+    };
+    let red_over_green = |id| mean(id, 0) / mean(id, 1);
+    assert!(red_over_green(instance::ORGAN) > 1.5);
+    assert!((0.9..1.25).contains(&red_over_green(instance::NEEDLE)));
+    assert!((0.9..1.25).contains(&red_over_green(instance::JAW)));
+    // What mirrors has lights and darks.
+    let mut needle: Vec<f64> = of(instance::NEEDLE)
+        .into_iter()
+        .map(|pixel| grey(&frame, pixel))
+        .collect();
+    needle.sort_by(f64::total_cmp);
+    let (low, high) = (needle[needle.len() / 20], needle[needle.len() * 19 / 20]);
+    assert!(high > 1.8 * low, "{low} {high}");
+}

@@ -1,0 +1,35 @@
+//! The flap's own monitor as a judge of the task.
+
+use crate::task::{Monitor, Outcome, Reason, Sight};
+use crate::tissue::{Retraction, RetractionConfig, RetractionMonitor};
+
+/// Watches the flap.
+pub(super) struct SuccessMonitor {
+    flap: RetractionMonitor,
+}
+
+impl SuccessMonitor {
+    /// A monitor at the start of an episode.
+    pub(super) fn new(config: &RetractionConfig) -> Self {
+        Self {
+            flap: RetractionMonitor::new(config),
+        }
+    }
+}
+
+impl Monitor for SuccessMonitor {
+    fn observe(&mut self, sight: &Sight) -> Outcome {
+        if let Some(report) = &sight.tissue {
+            self.flap.observe(report);
+        }
+        match self.flap.state() {
+            Retraction::Running => Outcome::Running,
+            Retraction::Success => Outcome::Success,
+            Retraction::Failure(failure) => Outcome::Failure(Reason::Tissue(failure)),
+        }
+    }
+
+    fn missing(&self) -> &'static str {
+        "flap not held up at its mark"
+    }
+}

@@ -1,0 +1,115 @@
+//! Other programs on the bus, ended with the test that started them.
+
+use std::fs::{self, File};
+use std::io::{BufRead as _, BufReader, Read as _};
+use std::path::Path;
+use std::process::{Child, Command, Output, Stdio};
+use std::sync::{Mutex, MutexGuard, PoisonError};
+
+use runtime::rt::sleep_ns;
+use tests::repository;
+
+/// A bus carries everybody's frames: one test at a time.
+pub(crate) fn alone() -> MutexGuard<'static, ()> {
+    static TURN: Mutex<()> = Mutex::new(());
+    TURN.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// Everything that a finished command printed.
+pub(crate) fn said(output: &Output) -> String {
+    format!(
+        "{}{}",
+        String::from_utf8_lossy(&output.stdout),
+        String::from_utf8_lossy(&output.stderr)
+    )
+}
+
+/// Sockets that hear everything on the first bus.
+fn receivers() -> usize {
+    fs::read_to_string("/proc/net/can/rcvlist_all")
+        .unwrap()
+        .lines()
+        .filter(|line| line.split_whitespace().next() == Some("vcan0"))
+        .count()
+}
+
+/// Waits until there are more of them than `before`.
+fn await_receiver(before: usize) {
+    let opened = (0..6000).any(|_hundredth| {
+        let more = receivers() > before;
+        if !more {
+            sleep_ns(10_000_000);
+        }
+        more
+    });
+    assert!(opened, "the program opened no socket");
+}
+
+/// A program on the bus.
+pub(crate) struct Peer {
+    process: Child,
+}
+
+impl Peer {
+    /// A program that prints what it hears, and has its socket open when this returns.
+    pub(crate) fn listening(program: &str, arguments: &[&str]) -> Self {
+        let before = receivers();
+        let process = Command::new(program)
+            .args(arguments)
+            .stdout(Stdio::piped())
+            .spawn()
+            .unwrap();
+        await_receiver(before);
+        Self { process }
+    }
+
+    /// `candump` on the first bus, writing its log to `file`.
+    pub(crate) fn logging(file: &Path) -> Self {
+        let before = receivers();
+        let process = Command::new("candump")
+            .args(["-L", "vcan0"])
+            .stdout(File::create(file).unwrap())
+            .spawn()
+            .unwrap();
+        await_receiver(before);
+        Self { process }
+    }
+
+    /// Drives with these node ids, in their initial state, when this returns.
+    pub(crate) fn drives(nodes: &str) -> Self {
+        let mut process = Command::new("python3")
+            .arg(repository().join("tests/can/peer_drive.py"))
+            .arg("--eds")
+            .arg(repository().join("tests/can/peer_drive.eds"))
+            .args(["--nodes", nodes])
+            .stdin(Stdio::piped())
+            .stdout(Stdio::piped())
+            .spawn()
+            .unwrap();
+        let mut line = String::new();
+        BufReader::new(process.stdout.as_mut().unwrap())
+            .read_line(&mut line)
+            .unwrap();
+        assert_eq!(line, "ready\n", "the drives can be spoken to");
+        Self { process }
+    }
+
+    /// Waits until it has ended by itself, and gives what it printed.
+    pub(crate) fn finish(mut self) -> String {
+        let mut printed = String::new();
+        let mut output = self.process.stdout.take().unwrap();
+        output.read_to_string(&mut printed).unwrap();
+        assert!(self.process.wait().unwrap().success());
+        printed
+    }
+
+    /// Ends it.
+    pub(crate) fn stop(self) {}
+}
+
+impl Drop for Peer {
+    fn drop(&mut self) {
+        let _ended = self.process.kill();
+        let _reaped = self.process.wait();
+    }
+}
