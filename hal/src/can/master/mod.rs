@@ -1,6 +1,6 @@
 //! The master of an arm: it finds its drives, leads them to where they may be enabled, and keeps the beat.
 //!
-//! [`plan`] says which node drives what. [`bringup`] is the way to an enabled arm, a type a step; [`cycle`] is what
+//! [`plan`] says which node drives what, [`config`] reads it from `config/can.toml`. [`bringup`] is the way to an enabled arm, a type a step; [`cycle`] is what
 //! happens between two SYNCs, without clock or socket; [`arm`] makes a [`hal::Arm`](crate::Arm) of it. [`link`] is the
 //! seam to the buses.
 //!
@@ -31,6 +31,7 @@ pub mod arm;
 pub mod axis;
 pub mod bringup;
 mod client;
+pub mod config;
 pub mod cycle;
 pub mod fault;
 pub mod link;
@@ -39,6 +40,7 @@ pub mod space;
 
 pub use arm::CanArm;
 pub use bringup::{BringUpError, Offline};
+pub use config::CanConfig;
 pub use fault::{Fault, Who};
 pub use link::{Bus, Received, Trouble};
 pub use plan::{ArmPlan, AxisPlan};
