@@ -14,8 +14,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread::{self, JoinHandle};
 use std::time::{Duration, Instant};
 
-use hal::can::bus::Network;
-use hal::can::bus::network::IdealMotor;
+use hal::can::bus::{IdealMotor, Network};
 use hal::can::master::{ArmPlan, AxisPlan, Bus, CanArm, Fault, Offline, Received, Space, Trouble};
 use hal::can::node::{AxisConfig, Node};
 use hal::can::od::table::PRODUCT_CODE;

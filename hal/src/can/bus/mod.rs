@@ -2,11 +2,13 @@
 
 pub mod bits;
 pub mod load;
+pub mod motor;
 pub mod network;
 pub mod wire;
 
 pub use load::{Overload, Plan};
-pub use network::{Motor, Network, Tampering};
+pub use motor::{IdealMotor, Motor};
+pub use network::{Network, Tampering};
 pub use wire::Wire;
 
 #[cfg(test)]

@@ -1,7 +1,7 @@
 //! The way from silent buses to an enabled arm, a type a step: each has only the next one.
 //!
 //! [`Offline::scan`] → [`Scanned::check_identity`] → [`Identified::map`] → [`Mapped::home`] → [`Homed::enable`] →
-//! [`CanArm`](super::CanArm). Whatever goes wrong ends the bring-up with the node and the cause; nothing is retried.
+//! [`CanArm`]. Whatever goes wrong ends the bring-up with the node and the cause; nothing is retried.
 
 mod configure;
 mod error;

@@ -4,7 +4,7 @@
 //! happens between two SYNCs, without clock or socket; [`arm`] makes a [`hal::Arm`](crate::Arm) of it. [`link`] is the
 //! seam to the buses.
 //!
-//! What the master does about what can go wrong. "Lost" means that [`CanArm`](arm::CanArm) reports a lost measurement,
+//! What the master does about what can go wrong. "Lost" means that [`CanArm`] reports a lost measurement,
 //! whereupon the controller plays its verified stop; "fault" means that every drive that still hears us gets a quick stop,
 //! half a second later no voltage, and that nothing but a new bring-up leads out of it.
 //!

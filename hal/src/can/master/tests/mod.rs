@@ -1,13 +1,13 @@
 //! The master against emulated drives on buses in memory, in virtual time.
 
+mod answers;
 mod bringup;
 mod faults;
 mod fuzz;
 mod motion;
 
 use super::*;
-use crate::can::bus::network::IdealMotor;
-use crate::can::bus::{Network, Tampering};
+use crate::can::bus::{IdealMotor, Network, Tampering};
 use crate::can::node::{AxisConfig, Node};
 use crate::can::od::table::PRODUCT_CODE;
 use crate::can::{CanId, Frame, NodeId, Payload};
