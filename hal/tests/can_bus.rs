@@ -14,7 +14,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread::{self, JoinHandle};
 use std::time::{Duration, Instant};
 
-use hal::can::bus::{IdealMotor, Network};
+use hal::can::bus::{IdealMotor, Network, Station};
 use hal::can::master::{ArmPlan, AxisPlan, Bus, CanArm, Fault, Offline, Received, Space, Trouble};
 use hal::can::node::{AxisConfig, Node};
 use hal::can::od::table::PRODUCT_CODE;
@@ -179,7 +179,7 @@ impl Drives {
     }
 }
 
-fn emulate(mut bus: SocketBus<Real>, stop: &AtomicBool) -> [f64; 7] {
+fn emulate(bus: SocketBus<Real>, stop: &AtomicBool) -> [f64; 7] {
     let mut net: Network<IdealMotor> = Network::new(1, 1_000_000, 1000);
     for axis in 0..7 {
         let config = AxisConfig {
@@ -190,28 +190,15 @@ fn emulate(mut bus: SocketBus<Real>, stop: &AtomicBool) -> [f64; 7] {
         };
         net.add(0, Node::new(node(axis), &config), IdealMotor::default());
     }
+    let mut station = Station::new(net, bus, 1);
     while !stop.load(Ordering::Relaxed) {
-        let mut heard = Vec::new();
-        bus.receive(0, &mut |received| {
-            if let Received::Frame(frame) = received {
-                heard.push(frame);
-            }
-        });
-        net.send(0, &heard);
-        net.advance(bus.now());
-        let mut said = Vec::new();
-        net.receive(0, &mut |received| {
-            if let Received::Frame(frame) = received {
-                said.push(frame);
-            }
-        });
-        bus.send(0, &said);
-        let later = bus.now().plus_ns(MS / 2);
-        bus.wait(later);
+        let later = station.turn().plus_ns(MS / 2);
+        station.bus_mut().wait(later);
     }
+    assert_eq!(station.lost(), 0);
     core::array::from_fn(|axis| {
         let id = node(u8::try_from(axis).unwrap());
-        net.motor(id).unwrap().position_counts / COUNTS
+        station.network_mut().motor(id).unwrap().position_counts / COUNTS
     })
 }
 
