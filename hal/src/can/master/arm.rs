@@ -17,7 +17,7 @@ const CATCH_UP_MAX: u64 = 1000;
 ///
 /// [`Arm::read`] takes what has come, and where a SYNC is due sends it; the answers to it are what the next period reads,
 /// so a measurement is one period old. [`Arm::write`] sends the set-points, which the next SYNC puts into effect. A
-/// period without a new command is a period of the tail. After a [`Fault`] the drives stop, and nothing enables them
+/// period without a new command is a period of the tail. A controller may be faster than the bus by a whole factor. After a [`Fault`] the drives stop, and nothing enables them
 /// again but a new [`Offline`](super::Offline).
 #[derive(Debug)]
 pub struct CanArm<B> {
@@ -29,6 +29,9 @@ pub struct CanArm<B> {
     written: bool,
     /// Whether the set-points of this cycle are on their way.
     sent: bool,
+    /// The newest call of [`Arm::read`], and the time between the last two, ns.
+    called: Option<TimeNs>,
+    between_calls_ns: u64,
     /// Set-points in joint space that were no numbers.
     refused: u64,
     out: Outbox,
@@ -43,6 +46,8 @@ impl<B: Bus> CanArm<B> {
             player: TailPlayer::new(plan.cycle_ns),
             written: false,
             sent: false,
+            called: None,
+            between_calls_ns: plan.cycle_ns,
             refused: 0,
             out: Outbox::default(),
         }
@@ -185,6 +190,9 @@ fn leave(node: NodeId) -> crate::can::Frame {
 
 impl<B: Bus> Arm for CanArm<B> {
     fn read(&mut self, now: TimeNs) -> Result<ArmState, ArmError> {
+        if let Some(before) = self.called.replace(now) {
+            self.between_calls_ns = now.since(before);
+        }
         if self.cycle.is_due(now) {
             self.turn(now);
         } else {
@@ -209,7 +217,9 @@ impl<B: Bus> Arm for CanArm<B> {
         } else {
             self.refused += 1;
         }
-        if !self.sent && self.written {
+        // A controller that is faster than the bus: only the newest command before a SYNC is sent.
+        let last = self.cycle.is_due(now.plus_ns(self.between_calls_ns));
+        if last && !self.sent && self.written {
             self.send_set_points(now);
         }
         match self.cycle.fault() {

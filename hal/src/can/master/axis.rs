@@ -48,6 +48,8 @@ pub(super) struct Axis {
     pub(super) velocity: f64,
     /// Set-point, counts.
     pub(super) target: i32,
+    /// The newest set-point that was handed to the bus, counts.
+    pub(super) sent: i32,
     /// The set-point that the drive was on its way to when it measured.
     pub(super) followed: i32,
     answered: bool,
@@ -62,6 +64,7 @@ impl Axis {
             sampled: TimeNs(0),
             velocity: 0.0,
             target: 0,
+            sent: 0,
             followed: 0,
             answered: false,
         }

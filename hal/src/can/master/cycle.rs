@@ -196,6 +196,7 @@ impl Cycle {
             if let Some(newest) = newest.filter(|_| !follows) {
                 axis.target = newest.position;
             }
+            axis.sent = axis.target;
             let [a, b] = Control::new(command).emit().to_le_bytes();
             let [c, d, e, f] = axis.target.to_le_bytes();
             let id = Cob::ReceivePdo(PdoNumber::FIRST, self.plan.axes[n].node).id();
@@ -240,7 +241,7 @@ impl Cycle {
     pub fn beat(&mut self, now: TimeNs, out: &mut Outbox) {
         for (axis, applied) in self.axes.iter_mut().zip(&mut self.applied) {
             axis.followed = *applied;
-            *applied = axis.target;
+            *applied = axis.sent;
         }
         self.sync = Some(now);
         let period_ns = u64::from(self.plan.heartbeat_ms) * 1_000_000;

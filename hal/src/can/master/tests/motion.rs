@@ -192,3 +192,21 @@ fn a_beat_may_count_and_may_have_another_identifier() {
         assert!(bench.cycles(20, 0.0).is_ok());
     }
 }
+
+#[test]
+fn a_controller_twice_as_fast_as_the_bus_sends_its_newest_command() {
+    let mut bench = Bench::new();
+    let _ = bench.cycles(5, 0.0);
+    bench.cycle_ns = MS;
+    let before = bench.net().wire(0).busy().1;
+    let state = bench.cycles(1000, 0.0004).unwrap();
+    let frames = bench.net().wire(0).busy().1 - before;
+    // 500 SYNCs with fourteen frames each, and heartbeats.
+    assert!((7500..7600).contains(&frames), "{frames}");
+    let behind = (bench.position[0] - state.position[0]) / 0.0004;
+    assert!((2.0..7.0).contains(&behind), "{behind}");
+    let target = f64::from(bench.arm.cycle().targets()[0]) / COUNTS;
+    assert!((target - bench.position[0]).abs() < 1e-4);
+    assert!(bench.arm.fault().is_none());
+    assert_eq!(bench.arm.cycle().axis_health()[0].missed, 0);
+}
