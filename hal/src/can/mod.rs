@@ -1,8 +1,10 @@
-//! CANopen: the codecs, an emulated drive, a model of the bus and the master of an arm.
+//! CANopen: the codecs, an emulated drive, a model of the bus, and the master of an arm.
 //!
-//! Read in this order: [`frame`] is what is on the wire, [`cia301`] and [`cia402`] are what the frames mean, [`od`] are
-//! the values that an emulated drive has to offer. Nothing here
-//! opens a socket or reads a clock, and the codecs take no memory.
+//! Read in this order: [`frame`] is what is on the wire, [`cia301`] and [`cia402`] are what the frames mean, in codecs that
+//! take no memory. [`od`] are the values that an emulated drive has to offer and [`node`] is the drive, a state machine
+//! without clock or socket. [`bus`] is the time that frames take, and drives on such buses. [`master`] leads drives, be
+//! they emulated or real, and makes a [`hal::Arm`](crate::Arm) of seven of them. [`socket`] are the buses of Linux; it
+//! alone makes system calls, and nothing here reads a clock.
 
 pub mod bus;
 pub mod cia301;

@@ -2,6 +2,7 @@
 
 mod answers;
 mod bringup;
+mod client;
 mod faults;
 mod fuzz;
 mod motion;
