@@ -32,7 +32,7 @@ pub struct CanArm<B> {
     /// The newest call of [`Arm::read`], and the time between the last two, ns.
     called: Option<TimeNs>,
     between_calls_ns: u64,
-    /// Set-points in joint space that were no numbers.
+    /// Commands whose set-points were no numbers or out of reach.
     refused: u64,
     out: Outbox,
 }
@@ -65,7 +65,7 @@ impl<B: Bus> CanArm<B> {
         &self.cycle
     }
 
-    /// Commands with numbers that are none; the tail was played instead.
+    /// Commands that were no numbers or out of reach; the tail was played instead.
     #[must_use]
     pub const fn refused(&self) -> u64 {
         self.refused
@@ -116,7 +116,7 @@ impl<B: Bus> CanArm<B> {
         }
     }
 
-    /// Takes a command's set-points; tells whether they are numbers.
+    /// Takes a command's set-points; tells whether they can be gone to.
     fn take(&mut self, command: &ArmCommand) -> bool {
         let joints: Axes = core::array::from_fn(|axis| {
             if axis < JOINT_COUNT {
@@ -126,7 +126,7 @@ impl<B: Bus> CanArm<B> {
             }
         });
         let units = self.plan.space.from_joints(&joints);
-        self.cycle.set_targets(&units)
+        self.cycle.set_targets(command.stamp, &units)
     }
 
     fn receive(&mut self, now: TimeNs) {

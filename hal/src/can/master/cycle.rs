@@ -12,6 +12,7 @@ use crate::can::cia301::cob::PdoNumber;
 use crate::can::cia301::sync::Sync;
 use crate::can::cia301::{Cob, NmtState};
 use crate::can::cia402::{Command, Control, PowerState};
+use crate::can::number::seconds;
 use crate::can::{Frame, Outbox, Payload};
 use crate::tail::TAIL_AXES;
 
@@ -69,6 +70,8 @@ pub struct Cycle {
     applied: [i32; TAIL_AXES],
     fault: Option<(Fault, TimeNs)>,
     counter: u8,
+    /// Stamp of the newest set-points that were taken.
+    commanded: Option<TimeNs>,
     sync: Option<TimeNs>,
     heartbeat: Option<TimeNs>,
     /// Whether the newest beat goes with a heartbeat.
@@ -94,6 +97,7 @@ impl Cycle {
             applied: [0; TAIL_AXES],
             fault: None,
             counter: 0,
+            commanded: None,
             sync: None,
             heartbeat: None,
             alive: false,
@@ -165,15 +169,28 @@ impl Cycle {
         self.goal
     }
 
-    /// Takes set-points in the drives' units; tells whether all are numbers. If one is not, none is taken.
-    pub fn set_targets(&mut self, units: &Axes) -> bool {
+    /// Takes set-points in the drives' units for `stamp`; tells whether they can be gone to. If one is no number, or
+    /// further than twice the axis's greatest speed would bring it, none is taken.
+    pub fn set_targets(&mut self, stamp: TimeNs, units: &Axes) -> bool {
+        let gap_ns = self.commanded.map_or(0, |before| stamp.since(before));
+        let gap_s = seconds(gap_ns.max(self.plan.cycle_ns));
         let mut wanted = [0; TAIL_AXES];
-        for (axis, place) in wanted.iter_mut().enumerate() {
-            match counts(&self.plan.axes[axis], units[axis]) {
-                Some(target) => *place = target,
-                None => return false,
+        for (n, place) in wanted.iter_mut().enumerate() {
+            let (plan, axis) = (&self.plan.axes[n], &self.axes[n]);
+            let Some(target) = counts(plan, units[n]) else {
+                return false;
+            };
+            let follows = axis
+                .newest
+                .is_some_and(|newest| newest.status.state == PowerState::OperationEnabled);
+            let way = f64::from(target) - f64::from(axis.target);
+            let reach = 2.0 * plan.speed_max * plan.counts_per_unit.abs() * gap_s + 10.0;
+            if follows && way.abs() > reach {
+                return false;
             }
+            *place = target;
         }
+        self.commanded = Some(stamp);
         for (axis, target) in self.axes.iter_mut().zip(wanted) {
             axis.target = target;
         }

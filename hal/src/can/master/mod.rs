@@ -23,7 +23,7 @@
 //! power lost                               status word                     fault
 //! somebody else's SYNC, NMT or set-points  their identifiers               fault
 //! wrong identity                           bring-up                        no arm
-//! controller silent or senseless           no new set-point in a cycle     the tail is played to rest
+//! controller silent, senseless or leaping  no set-point in reach           the tail is played to rest
 //! own process dead                         the drives' own watches         they stop by themselves
 //! ```
 

@@ -133,6 +133,26 @@ fn a_command_of_no_number_is_refused_and_the_tail_played_instead() {
 }
 
 #[test]
+fn a_command_that_leaps_is_refused_and_the_tail_played_instead() {
+    let mut bench = Bench::new();
+    let _ = bench.cycles(10, 0.0);
+    let before = bench.motors();
+    bench.position[5] += 0.02;
+    for refused in 1..=3 {
+        // Twice the greatest speed for a cycle of 2 ms are 0.008.
+        let _ = bench.cycle(0.0);
+        assert_eq!(bench.arm.refused(), refused);
+    }
+    let _ = bench.read();
+    assert!(same(&bench.motors(), &before));
+    bench.position[5] -= 0.015;
+    let _ = bench.cycles(5, 0.0);
+    assert_eq!(bench.arm.refused(), 3);
+    assert!((bench.motors()[5] - before[5] - 0.005).abs() < 1e-5);
+    assert!(bench.arm.fault().is_none());
+}
+
+#[test]
 fn periods_that_were_missed_are_periods_of_the_tail() {
     let mut bench = Bench::new();
     let mut command = bench.command();
