@@ -91,18 +91,14 @@ impl<B: Bus> CanArm<B> {
         // Of the periods that have passed, the controller has taken care of one at most.
         let written = u64::from(core::mem::take(&mut self.written));
         self.play(self.cycle.cycles_since_sync(now) - written);
+        if !self.sent {
+            self.send_set_points(now);
+        }
+        self.cycle.begin(now);
         for line in 0..self.plan.lines {
             self.out.clear();
-            if !self.sent {
-                self.cycle.commands(now, line, &mut self.out);
-            }
-            // One beat for all buses: only the first one counts it.
-            if line == 0 {
-                self.cycle.beat(now, &mut self.out);
-            } else {
-                self.cycle.same_beat(&mut self.out);
-            }
-            self.transmit(now, line);
+            self.cycle.beat(&mut self.out);
+            self.transmit(line);
         }
         self.sent = false;
     }
@@ -141,7 +137,7 @@ impl<B: Bus> CanArm<B> {
     }
 
     /// Sends what is in the outbox, unless that bus is lost.
-    fn transmit(&mut self, now: TimeNs, line: u8) {
+    fn transmit(&mut self, line: u8) {
         let lost = matches!(
             self.cycle.fault(),
             Some(Fault::BusOff { line: off } | Fault::Down { line: off }) if off == line
@@ -153,33 +149,33 @@ impl<B: Bus> CanArm<B> {
         }
         let frames = self.out.frames();
         let all = self.bus.send(line, frames) == frames.len();
-        self.cycle.on_sent(line, now, all);
+        self.cycle.on_sent(line, all);
     }
 
     fn send_set_points(&mut self, now: TimeNs) {
         for line in 0..self.plan.lines {
             self.out.clear();
             self.cycle.commands(now, line, &mut self.out);
-            self.transmit(now, line);
+            self.transmit(line);
         }
         self.sent = true;
     }
 
     /// Takes every drive out of operational: those that still have torque stop by themselves.
-    pub fn shut_down(&mut self, now: TimeNs) {
+    pub fn shut_down(&mut self) {
         for axis in 0..TAIL_AXES {
             let who = self.plan.who(axis);
             self.out.clear();
             self.out.push(leave(who.node));
-            self.transmit(now, who.line);
+            self.transmit(who.line);
         }
     }
 
     /// Gives the buses back, for a new bring-up, after the operator has cleared the fault. The drives are taken out of
     /// operational first.
     #[must_use]
-    pub fn release(mut self, now: TimeNs) -> B {
-        self.shut_down(now);
+    pub fn release(mut self) -> B {
+        self.shut_down();
         self.bus
     }
 }

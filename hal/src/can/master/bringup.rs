@@ -229,11 +229,11 @@ impl<B: Bus> Homed<B> {
             arm.bus_mut().wait(at);
             arm.turn(at);
             if let Some(fault) = arm.fault() {
-                arm.shut_down(at);
+                arm.shut_down();
                 return Err(BringUpError::Fault(fault));
             }
             if at.since(start) > ENABLE_NS {
-                arm.shut_down(at);
+                arm.shut_down();
                 return Err(BringUpError::Slow);
             }
         }

@@ -51,8 +51,10 @@ pub struct LineHealth {
     pub lost: u64,
     /// Frames that no CANopen device sends.
     pub foreign: u64,
-    /// Cycles in a row whose frames found no room.
+    /// Cycles in a row of which some frame found no room.
     pub unsent: u32,
+    /// Whether this cycle is one.
+    short: bool,
 }
 
 /// The arm between two SYNCs.
@@ -254,8 +256,8 @@ impl Cycle {
         }
     }
 
-    /// Begins the cycle at `now`: the set-points that were sent take effect. The beat for the first bus.
-    pub fn beat(&mut self, now: TimeNs, out: &mut Outbox) {
+    /// Begins the cycle at `now`: the set-points that were sent take effect.
+    pub fn begin(&mut self, now: TimeNs) {
         for (axis, applied) in self.axes.iter_mut().zip(&mut self.applied) {
             axis.followed = *applied;
             *applied = axis.sent;
@@ -273,11 +275,10 @@ impl Cycle {
         } else {
             self.counter + 1
         };
-        self.same_beat(out);
     }
 
-    /// The newest beat again, for a further bus: SYNC, and the own heartbeat if it is due.
-    pub fn same_beat(&self, out: &mut Outbox) {
+    /// The beat of this cycle, the same for every bus: SYNC, and the own heartbeat if it is due.
+    pub fn beat(&self, out: &mut Outbox) {
         let sync = Sync::counted(self.counter)
             .filter(|_| self.plan.sync_counter != 0)
             .unwrap_or(Sync::PLAIN);
@@ -287,15 +288,10 @@ impl Cycle {
         }
     }
 
-    /// Notes whether the frames of this cycle found room on `line`.
-    pub fn on_sent(&mut self, line: u8, now: TimeNs, all: bool) {
-        let Some(health) = self.lines.get_mut(usize::from(line)) else {
-            return;
-        };
-        health.unsent = if all { 0 } else { health.unsent + 1 };
-        let cycles = health.unsent;
-        if cycles >= UNSENT_FAULT_AFTER {
-            self.latch(now, Fault::CannotSend { line, cycles });
+    /// Notes whether all frames that were handed over in this cycle found room on `line`.
+    pub fn on_sent(&mut self, line: u8, all: bool) {
+        if let Some(health) = self.lines.get_mut(usize::from(line)) {
+            health.short |= !all;
         }
     }
 }

@@ -3,7 +3,8 @@
 use super::super::fault::Fault;
 use super::super::space::Axes;
 use super::{
-    Cycle, DEVIATION_CYCLES, ENABLE_NS, Goal, LOST_AFTER, SILENT_AFTER, UNSENT_LOST_AFTER,
+    Cycle, DEVIATION_CYCLES, ENABLE_NS, Goal, LOST_AFTER, SILENT_AFTER, UNSENT_FAULT_AFTER,
+    UNSENT_LOST_AFTER,
 };
 use crate::can::cia402::PowerState;
 use crate::can::number::{nanoseconds, real, whole};
@@ -13,6 +14,7 @@ use crate::{ArmError, ArmState, JOINT_COUNT, JointVector, TimeNs};
 impl Cycle {
     /// Ends the cycle of the newest SYNC: ages, heartbeats, and what the drives said.
     pub fn judge(&mut self, now: TimeNs) {
+        self.judge_sending(now);
         if self.sync.is_none() {
             return;
         }
@@ -23,6 +25,20 @@ impl Cycle {
         }
         if self.goal == Goal::Enabled && self.is_enabled() {
             self.reached = true;
+        }
+    }
+
+    fn judge_sending(&mut self, now: TimeNs) {
+        for line in 0..self.plan.lines {
+            let Some(health) = self.lines.get_mut(usize::from(line)) else {
+                continue;
+            };
+            let short = core::mem::take(&mut health.short);
+            health.unsent = if short { health.unsent + 1 } else { 0 };
+            let cycles = health.unsent;
+            if cycles >= UNSENT_FAULT_AFTER {
+                self.latch(now, Fault::CannotSend { line, cycles });
+            }
         }
     }
 

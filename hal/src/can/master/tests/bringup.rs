@@ -121,7 +121,7 @@ fn serial_numbers_are_read_and_nothing_has_torque_before_enabling() {
     let homed = identified.map().unwrap().home().unwrap();
     let mut arm = homed.enable().unwrap();
     let now = arm.bus_mut().now();
-    let mut net = arm.release(now);
+    let mut net = arm.release();
     net.wait(now.plus_ns(100 * MS));
     for axis in 0..TAIL_AXES {
         let node = net.node(node(axis)).unwrap();
@@ -165,8 +165,7 @@ fn an_operator_may_bring_the_arm_up_again_after_a_fault() {
     });
     let _ = bench.cycles(100, 0.0);
     assert!(bench.arm.fault().is_some());
-    let now = bench.now;
-    let net = bench.arm.release(now);
+    let net = bench.arm.release();
     let plan = plan(1, 2 * MS);
     let again = Offline::new(net, &plan).unwrap().scan().unwrap();
     let again = again
