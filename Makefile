@@ -1,5 +1,5 @@
 # Two commands do everything on a fresh machine: `make demo` and `make test`.
-.PHONY: demo test test-adversary test-can adversary build setup setup-can bench clean
+.PHONY: demo test test-adversary test-golden test-can adversary build setup setup-can bench clean
 
 TROCAR := $(or $(CARGO_TARGET_DIR),target)/release/trocar
 
@@ -29,6 +29,10 @@ test-adversary: setup
 # What needs a CAN bus, where there is one: in user-mode Linux if this machine's kernel has none. Without either, this fails.
 test-can: setup setup-can
 	cargo test --locked --workspace --test can_bus --config 'target."cfg(all())".runner="$(CURDIR)/.ci/with-vcan"' -- --ignored
+
+# The networks against the numbers of the reference implementations in TROCAR_GOLDEN, or in tests/golden/policies.json.
+test-golden: setup
+	cargo test --locked --workspace --test golden -- --nocapture
 
 # The same adversaries for ten million ticks each, with their figures.
 adversary: setup

@@ -1,12 +1,17 @@
 //! Learned policies: perception, networks, checkpoints, datasets, training.
 
 pub mod act;
+pub mod act_pc;
 pub mod act_policy;
 pub mod checkpoint;
 pub mod dataset;
+pub mod dp3;
+pub mod ensemble;
 pub mod images;
+mod layers;
 pub mod normalise;
 pub mod parameters;
+pub mod perception;
 pub mod relative_action;
 pub mod rng;
 pub mod train;

@@ -145,10 +145,32 @@ impl SceneCameras {
         snapshot: &SceneSnapshot,
         frame: &mut CameraFrame,
     ) -> Result<(), SimulationError> {
-        let (camera, light) = self.placed(camera, snapshot)?;
+        let (camera, light) = (self.placed(camera, snapshot)?, self.light(snapshot)?);
         let poses = scene_poses(&self.scene, snapshot);
         self.bend(snapshot)?;
         self.renderer.render(&poses, &camera, &light, frame)?;
+        Ok(())
+    }
+
+    /// Takes an image from each of the cameras `which` into the frame at its place in `frames`: the same as one by one, but
+    /// without waiting for one before the next is begun.
+    ///
+    /// # Errors
+    /// As [`Self::render`]; then the content of all frames is unspecified.
+    pub fn render_all(
+        &mut self,
+        which: &[usize],
+        snapshot: &SceneSnapshot,
+        frames: &mut [CameraFrame],
+    ) -> Result<(), SimulationError> {
+        let light = self.light(snapshot)?;
+        let poses = scene_poses(&self.scene, snapshot);
+        let mut shots = Vec::with_capacity(which.len());
+        for (&camera, frame) in which.iter().zip(frames) {
+            shots.push((self.placed(camera, snapshot)?, frame));
+        }
+        self.bend(snapshot)?;
+        self.renderer.render_all(&poses, &light, &mut shots)?;
         Ok(())
     }
 
@@ -162,7 +184,7 @@ impl SceneCameras {
         snapshot: &SceneSnapshot,
         planes: Planes<'_>,
     ) -> Result<(), SimulationError> {
-        let (camera, light) = self.placed(camera, snapshot)?;
+        let (camera, light) = (self.placed(camera, snapshot)?, self.light(snapshot)?);
         let poses = scene_poses(&self.scene, snapshot);
         self.bend(snapshot)?;
         self.renderer.render_into(&poses, &camera, &light, planes)?;
@@ -177,22 +199,20 @@ impl SceneCameras {
         }
     }
 
-    /// A camera where it is now, and the light of the endoscope.
-    fn placed(
-        &self,
-        camera: usize,
-        snapshot: &SceneSnapshot,
-    ) -> Result<(Camera, Light), SimulationError> {
-        let at = |camera: usize| {
-            let view = self.view(camera)?;
-            Ok::<_, SimulationError>(Camera {
-                intrinsics: view.intrinsics,
-                camera_in_scene: view.camera_in_scene(snapshot)?,
-                near_m: NEAR_M,
-                far_m: FAR_M,
-            })
-        };
-        Ok((at(camera)?, Light::beside(&at(self.endoscope)?)))
+    /// A camera where it is now.
+    fn placed(&self, camera: usize, snapshot: &SceneSnapshot) -> Result<Camera, SimulationError> {
+        let view = self.view(camera)?;
+        Ok(Camera {
+            intrinsics: view.intrinsics,
+            camera_in_scene: view.camera_in_scene(snapshot)?,
+            near_m: NEAR_M,
+            far_m: FAR_M,
+        })
+    }
+
+    /// The light of the endoscope, in which all cameras see.
+    fn light(&self, snapshot: &SceneSnapshot) -> Result<Light, SimulationError> {
+        Ok(Light::beside(&self.placed(self.endoscope, snapshot)?))
     }
 
     fn view(&self, camera: usize) -> Result<&View, SimulationError> {

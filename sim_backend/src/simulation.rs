@@ -253,6 +253,26 @@ impl Simulation {
         Ok(())
     }
 
+    /// Takes an image from each of the cameras `which` into the frame at its place in `frames`, all of this instant.
+    ///
+    /// # Errors
+    /// [`SimulationError`]; the content of all frames is then unspecified.
+    pub fn render_all(
+        &mut self,
+        which: &[usize],
+        frames: &mut [CameraFrame],
+    ) -> Result<(), SimulationError> {
+        let snapshot = self.snapshot();
+        let cameras = self.cameras.as_mut().ok_or(SimulationError::RenderingOff)?;
+        cameras.render_all(which, &snapshot, frames)?;
+        self.frames += 1;
+        for frame in frames {
+            frame.sequence = self.frames;
+            frame.stamp = self.stamp;
+        }
+        Ok(())
+    }
+
     /// Digest of the whole physical state: equal after equal commands. The tail is what may come, so it is not in it.
     #[must_use]
     pub fn state_hash(&self) -> u64 {

@@ -1,5 +1,6 @@
 //! The loss of ACT: absolute errors of the actions, and the price of telling the style.
 
+use serde::{Deserialize, Serialize};
 use tch::{Kind, TchError, Tensor};
 
 use super::config::{ActConfig, LossDenominator};
@@ -37,6 +38,17 @@ pub fn losses(
     Ok(Losses { l1, kl, total })
 }
 
+/// What is counted of an action's error.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum ActionError {
+    /// Its size: ACT.
+    #[default]
+    Absolute,
+    /// Its square: PointCloudMatters.
+    Squared,
+}
+
 /// Mean absolute error over steps that are not padded, by the named denominator.
 ///
 /// # Errors
@@ -47,8 +59,33 @@ pub fn l1_loss(
     actions: &Tensor,
     is_pad: &Tensor,
 ) -> Result<Tensor, TchError> {
+    action_loss(
+        ActionError::Absolute,
+        denominator,
+        predicted,
+        actions,
+        is_pad,
+    )
+}
+
+/// Mean of `error` over steps that are not padded, by the named denominator.
+///
+/// # Errors
+/// The network library's, if shapes do not fit.
+pub fn action_loss(
+    error: ActionError,
+    denominator: LossDenominator,
+    predicted: &Tensor,
+    actions: &Tensor,
+    is_pad: &Tensor,
+) -> Result<Tensor, TchError> {
     let kept = is_pad.f_logical_not()?.f_unsqueeze(-1)?;
-    let errors = predicted.f_sub(actions)?.f_abs()?.f_mul(&kept)?;
+    let apart = predicted.f_sub(actions)?;
+    let errors = match error {
+        ActionError::Absolute => apart.f_abs()?,
+        ActionError::Squared => apart.f_square()?,
+    };
+    let errors = errors.f_mul(&kept)?;
     match denominator {
         LossDenominator::All => errors.f_mean(Kind::Float),
         LossDenominator::Valid => {
@@ -62,7 +99,7 @@ pub fn l1_loss(
     }
 }
 
-fn kl_divergence(latent: &LatentDistribution) -> Result<Tensor, TchError> {
+pub(crate) fn kl_divergence(latent: &LatentDistribution) -> Result<Tensor, TchError> {
     let log_variance = latent.log_variance.f_to_kind(Kind::Float)?;
     let mean = latent.mean.f_to_kind(Kind::Float)?;
     let inner = log_variance

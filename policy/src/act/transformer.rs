@@ -3,7 +3,7 @@
 use tch::{TchError, Tensor};
 
 use super::config::ActConfig;
-use super::layers::{Attention, FeedForward, LayerNorm, drop};
+use crate::layers::{Attention, FeedForward, LayerNorm, drop};
 use crate::parameters::{ParameterError, ParameterSource};
 
 /// A stack of encoder layers; with pre-normalisation a last normalisation follows.

@@ -3,9 +3,9 @@
 use tch::{Kind, TchError, Tensor};
 
 use super::config::ActConfig;
-use super::layers::Linear;
 use super::position::sequence_table;
 use super::transformer::Encoder;
+use crate::layers::Linear;
 use crate::parameters::{Init, ParameterError, ParameterSource};
 
 /// Keys of the variational encoder start with this; inference does without them.

@@ -301,11 +301,11 @@ impl Cameras {
         asked: bool,
     ) -> Result<(), SessionError> {
         self.fresh = self.every_step || asked;
-        if !self.fresh {
+        if !self.fresh || self.indices.is_empty() {
             return Ok(());
         }
-        for (&index, frame) in self.indices.iter().zip(&mut self.frames) {
-            simulation.render(index, frame)?;
+        simulation.render_all(&self.indices, &mut self.frames)?;
+        for frame in &mut self.frames {
             frame.sequence = step;
         }
         Ok(())

@@ -212,3 +212,5 @@ fn closed_fingers_stop_each_other() {
     assert!((state.jaw_effort + shipped().jaw_effort_max_n_m).abs() < 1e-9);
     assert!(plant.joints()[JOINT_COUNT] > -0.003 && state.jaw_velocity.abs() < 1e-6);
 }
+
+mod response;

@@ -59,7 +59,7 @@ impl Default for Light {
         Self {
             guide_in_scene: Pose::identity(),
             cone_half_angle_rad: 0.7,
-            intensity: 2.3,
+            intensity: 3.0,
             reference_distance_m: 0.12,
             ambient: 0.20,
         }

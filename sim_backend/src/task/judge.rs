@@ -37,6 +37,20 @@ pub enum Reason {
         /// How deep, m.
         depth_m: f64,
     },
+    /// The fingers squeezed the thing harder than it stands.
+    Squeezed {
+        /// What.
+        thing: &'static str,
+        /// How hard one finger pressed, N.
+        force_n: f64,
+    },
+    /// The thing gained energy that nobody gave it.
+    Gained {
+        /// What.
+        thing: &'static str,
+        /// How much, J.
+        energy_j: f64,
+    },
     /// The thing sank into what it lies on.
     Sunk {
         /// What.
@@ -91,6 +105,13 @@ impl fmt::Display for Reason {
             Self::Penetration { thing, depth_m } => {
                 write!(f, "fingers sank {:.2} mm into the {thing}", depth_m * 1e3)
             }
+            Self::Squeezed { thing, force_n } => {
+                write!(f, "{thing} squeezed with {force_n:.1} N")
+            }
+            Self::Gained { thing, energy_j } => {
+                let energy_uj = energy_j * 1e6;
+                write!(f, "{thing} gained {energy_uj:.0} uJ from nowhere")
+            }
             Self::Sunk { thing, depth_m } => {
                 let depth_mm = depth_m * 1e3;
                 write!(f, "{thing} sank {depth_mm:.2} mm into what it lies on")
@@ -121,11 +142,14 @@ pub(crate) struct Sight {
     pub(crate) ground_force_n: f64,
     /// What the flap says of itself, if there is one.
     pub(crate) tissue: Option<TissueReport>,
+    /// Kinetic and potential energy of the thing, J, while no part of an instrument touches it.
+    pub(crate) free_energy_j: Option<f64>,
 }
 
 impl Sight {
     pub(crate) fn of(world: &World) -> Self {
         let arms = 0..world.arm_count();
+        let is_free = world.thing_count() > 0 && arms.clone().all(|arm| !world.is_touched(arm, 0));
         Self {
             thing_in_scene: world.subject_in_scene(),
             grasps: arms.clone().map(|arm| world.subject_grasp(arm)).collect(),
@@ -135,6 +159,7 @@ impl Sight {
                 .map(|arm| world.ground_force_n(arm))
                 .fold(0.0, f64::max),
             tissue: world.tissue().map(|tissue| *tissue.report()),
+            free_energy_j: is_free.then(|| world.energy_j(0)),
         }
     }
 }
@@ -209,44 +234,76 @@ pub(super) fn lasts(steps: &mut usize, is_so: bool) -> bool {
     *steps >= JUDGED_STEPS
 }
 
-/// The checks that every handled thing passes: no sinking in, no throwing, no nonsense.
+/// What no handled thing may go beyond.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Limits {
+    /// Depth by which fingers may sink into it, m.
+    pub(super) penetration_m: f64,
+    /// Speed of the point that is watched, m/s.
+    pub(super) speed_m_s: f64,
+    /// Force of one finger, N.
+    pub(super) force_n: f64,
+    /// Energy that it may gain while no instrument touches it, J: what the ground's give returns.
+    pub(super) gain_j: f64,
+}
+
+/// The checks that every handled thing passes: no sinking in, no crushing, no throwing, no energy from nowhere, no nonsense.
 #[derive(Clone, Debug)]
 pub(super) struct Watch {
     thing: &'static str,
-    penetration_m_max: f64,
-    speed_m_s_max: f64,
+    limits: Limits,
     deep_steps: usize,
+    hard_steps: usize,
+    least_energy_j: f64,
     points: VecDeque<Point3<f64>>,
 }
 
 impl Watch {
-    pub(super) fn new(thing: &'static str, penetration_m_max: f64, speed_m_s_max: f64) -> Self {
+    pub(super) fn new(thing: &'static str, limits: Limits) -> Self {
         Self {
             thing,
-            penetration_m_max,
-            speed_m_s_max,
+            limits,
             deep_steps: 0,
+            hard_steps: 0,
+            least_energy_j: f64::INFINITY,
             points: VecDeque::with_capacity(JUDGED_STEPS + 1),
         }
     }
 
-    /// What is wrong with a thing, one of whose points is at `point` and into which fingers reach by `depth_m`.
-    pub(super) fn failure(&mut self, point: &Point3<f64>, depth_m: f64) -> Option<Reason> {
+    /// What is wrong with a thing, one of whose points is at `point`.
+    pub(super) fn failure(&mut self, point: &Point3<f64>, sight: &Sight) -> Option<Reason> {
         let thing = self.thing;
         if !point.coords.iter().all(|x| x.is_finite()) {
             return Some(Reason::NotFinite { thing });
         }
-        if lasts(&mut self.deep_steps, depth_m > self.penetration_m_max) {
+        let most = |of: fn(&Grasp) -> f64| sight.grasps.iter().map(of).fold(0.0, f64::max);
+        let depth_m = most(|grasp| grasp.penetration_m);
+        if lasts(&mut self.deep_steps, depth_m > self.limits.penetration_m) {
             return Some(Reason::Penetration { thing, depth_m });
+        }
+        let force_n = most(|grasp| grasp.left_force_n.max(grasp.right_force_n));
+        if lasts(&mut self.hard_steps, force_n > self.limits.force_n) {
+            return Some(Reason::Squeezed { thing, force_n });
         }
         self.points.push_back(*point);
         if self.points.len() > JUDGED_STEPS {
             let before = self.points.pop_front()?;
             let speed_m_s = (point - before).norm() / seconds(JUDGED_STEPS as u64);
-            if speed_m_s > self.speed_m_s_max {
+            if speed_m_s > self.limits.speed_m_s {
                 return Some(Reason::Thrown { thing, speed_m_s });
             }
         }
-        None
+        let energy_j = self.gain_j(sight.free_energy_j);
+        (energy_j > self.limits.gain_j).then_some(Reason::Gained { thing, energy_j })
+    }
+
+    /// How far the energy is above its least value since an instrument last touched the thing.
+    fn gain_j(&mut self, free_energy_j: Option<f64>) -> f64 {
+        let Some(energy_j) = free_energy_j else {
+            self.least_energy_j = f64::INFINITY;
+            return 0.0;
+        };
+        self.least_energy_j = self.least_energy_j.min(energy_j);
+        energy_j - self.least_energy_j
     }
 }

@@ -2,6 +2,7 @@
 
 use super::*;
 use crate::task::needle_lift::NeedleLift;
+use crate::world::{Grasp, World};
 
 /// The shipped file with one line replaced, and the number of that line.
 fn doctored(old: &str, new: &str) -> (Source, usize) {
@@ -181,4 +182,83 @@ fn needles_can_be_chosen_by_name() {
     assert_eq!(error.known, ["N1", "N2", "N3", "N4", "N5"]);
     let pad = TaskConfig::parse(&TaskConfig::source("suture-pad").unwrap()).unwrap();
     assert!(pad.with_needle("N1").is_err());
+}
+
+/// What a judge of the task `name` says of a thing that lies where it starts while every finger and its energy are as given.
+fn judged(
+    name: &str,
+    force_n: f64,
+    penetration_m: f64,
+    energies_j: &[Option<f64>],
+) -> Option<Outcome> {
+    let task = TaskConfig::parse(&TaskConfig::source(name).unwrap()).unwrap();
+    let scene = task.scene.of_task();
+    let thing = scene.scenery(&task.world, 1).things.first()?.in_scene;
+    let grasp = Grasp {
+        left_force_n: force_n,
+        right_force_n: 0.0,
+        both_touch: false,
+        penetration_m,
+    };
+    let mut judge = Judge::new(scene.monitor(1), task.time_limit_s);
+    let mut sight = Sight::of(&World::new(
+        &task.world,
+        &scene.scenery(&task.world, 1),
+        &task.arms,
+    ));
+    sight.thing_in_scene = thing;
+    sight.grasps = vec![grasp; task.arms.len()];
+    for &energy_j in energies_j {
+        sight.free_energy_j = energy_j;
+        judge.observe(&sight);
+    }
+    Some(judge.outcome())
+}
+
+#[test]
+fn every_thing_can_be_crushed_but_not_by_a_solvers_hiccup() {
+    for name in TaskConfig::names() {
+        let squeezed = |force_n, steps| judged(name, force_n, 0.0, &vec![None; steps]);
+        let Some(outcome) = squeezed(1000.0, 25) else {
+            continue;
+        };
+        assert!(
+            matches!(outcome, Outcome::Failure(Reason::Squeezed { force_n, .. }) if force_n > 999.0),
+            "{name}: {outcome}"
+        );
+        assert_eq!(squeezed(1000.0, 15), Some(Outcome::Running), "{name}");
+        assert_eq!(squeezed(1.0, 25), Some(Outcome::Running), "{name}");
+    }
+}
+
+#[test]
+fn no_thing_may_gain_energy_that_nobody_gave_it() {
+    for name in TaskConfig::names() {
+        let shown = |energies_j: &[Option<f64>]| judged(name, 0.0, 0.0, energies_j);
+        let Some(outcome) = shown(&[Some(0.01), Some(0.005), Some(0.02)]) else {
+            continue;
+        };
+        assert!(
+            matches!(outcome, Outcome::Failure(Reason::Gained { energy_j, .. }) if (energy_j - 0.015).abs() < 1e-12),
+            "{name}: {outcome}"
+        );
+        // Falling loses energy, and what a hand lifts gains it from the hand.
+        let fallen = shown(&[Some(0.02), Some(0.01), Some(0.005)]);
+        assert_eq!(fallen, Some(Outcome::Running), "{name}");
+        let lifted = shown(&[Some(0.005), None, Some(0.02), Some(0.02)]);
+        assert_eq!(lifted, Some(Outcome::Running), "{name}");
+    }
+}
+
+#[test]
+fn fingers_inside_a_thing_lose_every_task() {
+    for name in TaskConfig::names() {
+        let Some(outcome) = judged(name, 0.0, 0.005, &[None; 25]) else {
+            continue;
+        };
+        assert!(
+            matches!(outcome, Outcome::Failure(Reason::Penetration { .. })),
+            "{name}: {outcome}"
+        );
+    }
 }

@@ -141,6 +141,19 @@ impl World {
         self.stage.thing_velocity(thing)
     }
 
+    /// Kinetic energy of a thing and its potential energy over the scene's xy-plane, J.
+    #[must_use]
+    pub fn energy_j(&self, thing: usize) -> f64 {
+        self.stage.energy_j(thing)
+    }
+
+    /// Whether fingers or wrist of an arm touched a thing in the newest step.
+    #[must_use]
+    pub fn is_touched(&self, arm: usize, thing: usize) -> bool {
+        let touch = self.stage.touch(arm, thing);
+        touch.iter().any(|part| part.force_n > 0.0)
+    }
+
     /// Deepest overlap of a thing and the ground in the newest step, m.
     #[must_use]
     pub fn sunk_m(&self, thing: usize) -> f64 {

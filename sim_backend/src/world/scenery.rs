@@ -95,6 +95,8 @@ pub enum Shape {
     },
     /// The convex hull of points.
     Hull(Vec<Point3<f64>>),
+    /// Several convex shapes that meet others as one: of their contacts with one face four at most are solved.
+    Joined(Vec<Shape>),
 }
 
 /// What does not move.
@@ -125,10 +127,19 @@ impl Thing {
         needle
             .pieces
             .retain(|piece| piece.meets == Meets::Instrument);
-        for piece in &mut needle.pieces {
-            piece.meets = Meets::Both;
-        }
+        needle.on_hard_ground(config.grip.friction);
         needle
+    }
+
+    /// Lets the ground meet all pieces as one: a solver that is given dozens of contacts on one face spends its time on them,
+    /// and four carry the thing as well.
+    pub fn on_hard_ground(&mut self, friction: f64) {
+        let shapes = self.pieces.iter().map(|piece| piece.shape.clone());
+        self.pieces.push(Piece {
+            shape: Shape::Joined(shapes.collect()),
+            friction,
+            meets: Meets::Ground,
+        });
     }
 
     /// A needle as a chain of capsules for the fingers and of balls for the tissue.

@@ -42,7 +42,7 @@ fn groups(of: Group, with: Group) -> InteractionGroups {
 }
 
 /// A shape for the engine, with its place in the frame that its points are in. A hull without volume becomes a ball
-/// about its first point; no task has one.
+/// about its first point, and nothing joined to nothing one about the origin; no task has them.
 pub(super) fn engine_shape(shape: &Shape) -> (SharedShape, Pose) {
     match shape {
         Shape::Ball { centre, radius_m } => (
@@ -72,6 +72,14 @@ pub(super) fn engine_shape(shape: &Shape) -> (SharedShape, Pose) {
                 hull.unwrap_or_else(|| SharedShape::ball(1e-3)),
                 Pose::identity(),
             )
+        }
+        Shape::Joined(shapes) if shapes.is_empty() => (SharedShape::ball(1e-3), Pose::identity()),
+        Shape::Joined(shapes) => {
+            let parts = shapes.iter().map(|shape| {
+                let (shape, pose) = engine_shape(shape);
+                (engine_pose(&pose), shape)
+            });
+            (SharedShape::compound(parts.collect()), Pose::identity())
         }
     }
 }

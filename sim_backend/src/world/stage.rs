@@ -157,6 +157,34 @@ impl Stage {
         velocity.map_or_else(|| [Vector3::zeros(); 2], |pair| pair.map(our_vector))
     }
 
+    /// Kinetic energy of a thing and its potential energy over the scene's xy-plane, J.
+    pub(super) fn energy_j(&self, thing: usize) -> f64 {
+        self.engine.bodies.get(self.things[thing]).map_or(0.0, |b| {
+            b.kinetic_energy() - b.mass() * self.engine.gravity.dot(b.center_of_mass())
+        })
+    }
+
+    /// Throws a thing: linear velocity of its centre of mass, m/s, and angular velocity, rad/s.
+    #[cfg(test)]
+    pub(super) fn throw(&mut self, thing: usize, velocity: &[Vector3<f64>; 2]) {
+        if let Some(body) = self.engine.bodies.get_mut(self.things[thing]) {
+            body.set_linvel(engine_vector(&velocity[0]), true);
+            body.set_angvel(engine_vector(&velocity[1]), true);
+        }
+    }
+
+    /// Changes the friction between an arm's fingers and things.
+    #[cfg(test)]
+    pub(super) fn set_grip_friction(&mut self, arm: usize, friction: f64) {
+        use rapier3d_f64::dynamics::CoefficientCombineRule;
+        for part in &self.instruments[arm].parts {
+            if let Some(collider) = self.engine.colliders.get_mut(part.collider) {
+                collider.set_friction(friction);
+                collider.set_friction_combine_rule(CoefficientCombineRule::Min);
+            }
+        }
+    }
+
     /// Deepest overlap of a thing and the ground.
     pub(super) fn sunk_m(&self, thing: usize) -> f64 {
         let Some(body) = self.engine.bodies.get(self.things[thing]) else {
@@ -168,7 +196,7 @@ impl Stage {
                 if self.is_instrument(pair.collider1) || self.is_instrument(pair.collider2) {
                     continue;
                 }
-                for point in pair.solver_manifolds().iter().flat_map(|m| &m.points) {
+                for point in pair.manifolds().iter().flat_map(|m| &m.points) {
                     sunk_m = sunk_m.max(-point.dist);
                 }
             }

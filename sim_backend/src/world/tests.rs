@@ -348,3 +348,7 @@ fn scripted_commands_end_in_the_known_state() {
     ];
     assert_eq!(hashes, known, "{hashes:#018x?}");
 }
+
+mod energy;
+mod mujoco;
+mod rest;

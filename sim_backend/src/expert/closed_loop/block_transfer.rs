@@ -1,7 +1,7 @@
 //! The block transfer's expert.
 
 use super::{failures, hold, run};
-use crate::task::{Outcome, TaskConfig};
+use crate::task::{Outcome, Scene, TaskConfig};
 
 fn task() -> TaskConfig {
     TaskConfig::parse(&TaskConfig::source("block-transfer").unwrap()).unwrap()
@@ -56,4 +56,16 @@ fn expert_takes_the_block_again_after_the_jaw_let_go() {
         episode.attempts
     );
     assert!(episode.attempts > 1);
+}
+
+#[test]
+fn expert_stays_far_from_what_the_block_stands() {
+    let mut task = task();
+    let Scene::BlockTransfer(scene) = &mut task.scene else {
+        panic!("another task");
+    };
+    scene.success.block_force_n_max *= 0.7;
+    scene.success.block_gain_j_max *= 0.5;
+    let failed = failures(&task, 0..2);
+    assert!(failed.is_empty(), "{failed:#?}");
 }

@@ -6,7 +6,7 @@ use super::{failures, forward, hold, run};
 use crate::expert::{CHUNK_LEN, Expert, STEP_NS};
 use crate::simulation::{ArmScene, SceneState};
 use crate::task::needle_lift::NeedleLift;
-use crate::task::{Outcome, TaskConfig};
+use crate::task::{Outcome, Scene, TaskConfig};
 use crate::world::Grasp;
 
 #[test]
@@ -155,5 +155,17 @@ fn expert_lifts_every_needle_fifty_times() {
         let of_needle = failures(&task, 100..150);
         failed.extend(of_needle.iter().map(|why| format!("{name}, {why}")));
     }
+    assert!(failed.is_empty(), "{failed:#?}");
+}
+
+#[test]
+fn expert_stays_far_from_what_the_needle_stands() {
+    let mut task = TaskConfig::needle_lift().unwrap();
+    let Scene::NeedleLift(scene) = &mut task.scene else {
+        panic!("another task");
+    };
+    scene.success.needle_force_n_max *= 0.7;
+    scene.success.needle_gain_j_max *= 0.5;
+    let failed = failures(&task, 0..2);
     assert!(failed.is_empty(), "{failed:#?}");
 }

@@ -1,7 +1,7 @@
 //! The suture pad's expert.
 
 use super::{failures, hold, run};
-use crate::task::{Outcome, TaskConfig};
+use crate::task::{Outcome, Scene, TaskConfig};
 
 fn task() -> TaskConfig {
     TaskConfig::parse(&TaskConfig::source("suture-pad").unwrap()).unwrap()
@@ -56,4 +56,16 @@ fn expert_takes_the_needle_again_after_the_jaw_let_go() {
         episode.attempts
     );
     assert!(episode.attempts > 1);
+}
+
+#[test]
+fn expert_stays_far_from_what_the_needle_stands() {
+    let mut task = task();
+    let Scene::SuturePad(scene) = &mut task.scene else {
+        panic!("another task");
+    };
+    scene.success.needle_force_n_max *= 0.7;
+    scene.success.needle_gain_j_max *= 0.5;
+    let failed = failures(&task, 0..2);
+    assert!(failed.is_empty(), "{failed:#?}");
 }

@@ -132,9 +132,9 @@ impl TaskScene for BlockTransfer {
         let pieces = self.block.pieces().map(|ends| Piece {
             shape: Shape::Hull(ends.into_iter().flatten().collect()),
             friction: world.grip.friction,
-            meets: Meets::Both,
+            meets: Meets::Instrument,
         });
-        let block = Thing {
+        let mut block = Thing {
             in_scene: self.block_at_start(seed),
             mass_kg: self.block.mass_kg,
             centre: Point3::origin(),
@@ -142,6 +142,7 @@ impl TaskScene for BlockTransfer {
             axes: UnitQuaternion::identity(),
             pieces: pieces.into(),
         };
+        block.on_hard_ground(world.grip.friction);
         Scenery {
             things: vec![block],
             ground: Ground::Solids(self.board.solids()),

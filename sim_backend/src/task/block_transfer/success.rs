@@ -7,7 +7,7 @@ use serde::Deserialize;
 
 use super::{BlockTransfer, BoardShape};
 use crate::block::BlockShape;
-use crate::task::judge::{Watch, lasts, seconds};
+use crate::task::judge::{Limits, Watch, lasts, seconds};
 use crate::task::{Monitor, Outcome, Reason, Sight};
 
 /// What counts as a moved block, and what ends the episode at once.
@@ -36,6 +36,10 @@ pub struct SuccessConfig {
     pub press_n_max: f64,
     /// Speed of a corner of the block above which it counts as thrown, m/s.
     pub block_speed_m_s_max: f64,
+    /// Force of one finger on the block above which it counts as crushed, N.
+    pub block_force_n_max: f64,
+    /// Energy that the block may gain while no instrument touches it, J: more is a fault of the physics.
+    pub block_gain_j_max: f64,
 }
 
 impl SuccessConfig {
@@ -53,7 +57,18 @@ impl SuccessConfig {
         check("penetration_m_max", self.penetration_m_max, 0.000_01, 0.01)?;
         check("sunk_m_max", self.sunk_m_max, 0.000_01, 0.01)?;
         check("press_n_max", self.press_n_max, 0.1, 100.0)?;
-        check("block_speed_m_s_max", self.block_speed_m_s_max, 0.05, 10.0)
+        check("block_speed_m_s_max", self.block_speed_m_s_max, 0.05, 10.0)?;
+        check("block_force_n_max", self.block_force_n_max, 0.1, 100.0)?;
+        check("block_gain_j_max", self.block_gain_j_max, 1e-7, 0.01)
+    }
+
+    const fn limits(&self) -> Limits {
+        Limits {
+            penetration_m: self.penetration_m_max,
+            speed_m_s: self.block_speed_m_s_max,
+            force_n: self.block_force_n_max,
+            gain_j: self.block_gain_j_max,
+        }
     }
 }
 
@@ -87,19 +102,14 @@ impl SuccessMonitor {
             held_steps: 0,
             sunk_steps: 0,
             pressed_steps: 0,
-            watch: Watch::new(
-                "block",
-                config.penetration_m_max,
-                config.block_speed_m_s_max,
-            ),
+            watch: Watch::new("block", config.limits()),
             config,
         }
     }
 
     fn failure(&mut self, sight: &Sight) -> Option<Reason> {
         let corner = sight.thing_in_scene * self.corner;
-        let depth_m = sight.grasps[0].penetration_m;
-        if let Some(reason) = self.watch.failure(&corner, depth_m) {
+        if let Some(reason) = self.watch.failure(&corner, sight) {
             return Some(reason);
         }
         if lasts(&mut self.sunk_steps, sight.sunk_m > self.config.sunk_m_max) {

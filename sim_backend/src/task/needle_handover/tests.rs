@@ -48,6 +48,7 @@ impl Bench {
                 sunk_m: 0.0,
                 ground_force_n: 0.0,
                 tissue: None,
+                free_energy_j: None,
             });
             shown_s += 1e-3;
         }

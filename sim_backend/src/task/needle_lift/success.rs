@@ -7,7 +7,7 @@ use serde::Deserialize;
 
 use crate::needle::NeedleShape;
 use crate::organ::OrganShape;
-use crate::task::judge::{Watch, seconds};
+use crate::task::judge::{Limits, Watch, seconds};
 use crate::task::{Monitor, Outcome, Reason, Sight};
 use crate::world::Grasp;
 
@@ -27,6 +27,10 @@ pub struct SuccessConfig {
     pub penetration_m_max: f64,
     /// Speed of the middle of the needle's arc above which the needle counts as thrown, m/s.
     pub needle_speed_m_s_max: f64,
+    /// Force of one finger on the needle above which it counts as crushed, N.
+    pub needle_force_n_max: f64,
+    /// Energy that the needle may gain while no instrument touches it, J: more is a fault of the physics.
+    pub needle_gain_j_max: f64,
     /// Depth below the organ's surface at which the middle of the needle's arc counts as fallen off, m.
     pub sink_m_max: f64,
 }
@@ -47,7 +51,18 @@ impl SuccessConfig {
             0.05,
             10.0,
         )?;
-        check("sink_m_max", self.sink_m_max, 0.001, 0.1)
+        check("sink_m_max", self.sink_m_max, 0.001, 0.1)?;
+        check("needle_force_n_max", self.needle_force_n_max, 0.1, 100.0)?;
+        check("needle_gain_j_max", self.needle_gain_j_max, 1e-7, 0.01)
+    }
+
+    const fn limits(&self) -> Limits {
+        Limits {
+            penetration_m: self.penetration_m_max,
+            speed_m_s: self.needle_speed_m_s_max,
+            force_n: self.needle_force_n_max,
+            gain_j: self.needle_gain_j_max,
+        }
     }
 }
 
@@ -76,11 +91,7 @@ impl SuccessMonitor {
             wire_radius_m: needle.wire_radius_m,
             organ: *organ,
             held_steps: 0,
-            watch: Watch::new(
-                "needle",
-                config.penetration_m_max,
-                config.needle_speed_m_s_max,
-            ),
+            watch: Watch::new("needle", config.limits()),
         }
     }
 
@@ -111,7 +122,7 @@ impl Monitor for SuccessMonitor {
     fn observe(&mut self, sight: &Sight) -> Outcome {
         let grasp = &sight.grasps[0];
         let middle = sight.thing_in_scene * self.middle;
-        if let Some(reason) = self.watch.failure(&middle, grasp.penetration_m) {
+        if let Some(reason) = self.watch.failure(&middle, sight) {
             return Outcome::Failure(reason);
         }
         if self.off_organ(&middle) {

@@ -6,7 +6,7 @@ use nalgebra::Point3;
 use serde::Deserialize;
 
 use super::{PadShape, SuturePad};
-use crate::task::judge::{Watch, lasts, seconds};
+use crate::task::judge::{Limits, Watch, lasts, seconds};
 use crate::task::{Monitor, Outcome, Reason, Sight};
 
 /// What counts as a needle through the hole, and what ends the episode at once.
@@ -25,6 +25,10 @@ pub struct SuccessConfig {
     pub press_n_max: f64,
     /// Speed of the needle's point above which the needle counts as thrown, m/s.
     pub needle_speed_m_s_max: f64,
+    /// Force of one finger on the needle above which it counts as crushed, N.
+    pub needle_force_n_max: f64,
+    /// Energy that the needle may gain while no instrument touches it, J: more is a fault of the physics.
+    pub needle_gain_j_max: f64,
 }
 
 /// Points on the wire at which its way through the hole is followed: 0.6 mm apart.
@@ -41,7 +45,18 @@ impl SuccessConfig {
         check("sunk_m_max", self.sunk_m_max, 0.000_01, 0.01)?;
         check("press_n_max", self.press_n_max, 0.1, 100.0)?;
         let speed = self.needle_speed_m_s_max;
-        check("needle_speed_m_s_max", speed, 0.05, 10.0)
+        check("needle_speed_m_s_max", speed, 0.05, 10.0)?;
+        check("needle_force_n_max", self.needle_force_n_max, 0.1, 100.0)?;
+        check("needle_gain_j_max", self.needle_gain_j_max, 1e-7, 0.01)
+    }
+
+    const fn limits(&self) -> Limits {
+        Limits {
+            penetration_m: self.penetration_m_max,
+            speed_m_s: self.needle_speed_m_s_max,
+            force_n: self.needle_force_n_max,
+            gain_j: self.needle_gain_j_max,
+        }
     }
 }
 
@@ -67,19 +82,14 @@ impl SuccessMonitor {
             held_steps: 0,
             sunk_steps: 0,
             pressed_steps: 0,
-            watch: Watch::new(
-                "needle",
-                config.penetration_m_max,
-                config.needle_speed_m_s_max,
-            ),
+            watch: Watch::new("needle", config.limits()),
             config,
         }
     }
 
     fn failure(&mut self, sight: &Sight) -> Option<Reason> {
         let point = sight.thing_in_scene * self.wire[WIRE_POINTS - 1];
-        let depth_m = sight.grasps[0].penetration_m;
-        if let Some(reason) = self.watch.failure(&point, depth_m) {
+        if let Some(reason) = self.watch.failure(&point, sight) {
             return Some(reason);
         }
         let depth_m = sight.sunk_m;
@@ -103,6 +113,10 @@ impl SuccessMonitor {
     /// Whether the wire leads from before the lip through the hole to its point behind the lip.
     fn is_through(&self, needle_in_scene: &Pose) -> bool {
         let pad = &self.pad;
+        let point = needle_in_scene * self.wire[WIRE_POINTS - 1];
+        if point.y < pad.lip_back_m() + self.config.through_m {
+            return false;
+        }
         let hole = pad.hole();
         let mut ends = [false; 2];
         for (index, point) in self.wire.iter().enumerate() {

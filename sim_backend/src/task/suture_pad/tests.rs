@@ -27,6 +27,7 @@ fn show(judge: &mut Judge, needle: Pose, sunk_m: f64, seconds: f64) -> Outcome {
             sunk_m,
             ground_force_n: 0.0,
             tissue: None,
+            free_energy_j: None,
         });
         shown_s += 1e-3;
     }

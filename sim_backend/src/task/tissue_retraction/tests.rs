@@ -148,6 +148,7 @@ fn verdicts_of_the_flap_are_those_of_the_task() {
                 sunk_m: 0.0,
                 ground_force_n: 0.0,
                 tissue: Some(report),
+                free_energy_j: None,
             });
         }
         outcome

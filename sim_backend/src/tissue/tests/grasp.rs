@@ -238,3 +238,32 @@ fn two_jaws_that_pull_at_one_flap_feel_each_other() {
         "{left:?} {right:?}"
     );
 }
+
+#[test]
+fn held_tissue_gets_stiffer_the_thinner_it_is_squeezed() {
+    let mut puppet = grasped(&flap_config());
+    let mut squeezed_n = Vec::new();
+    for opening_rad in [0.17, 0.13, 0.09, 0.05] {
+        while puppet.opening_rad > opening_rad {
+            puppet.opening_rad -= 0.001;
+            puppet.step();
+        }
+        puppet.wait(50);
+        let felt = puppet.tissue.jaw(0);
+        // The two fingers are pushed apart, and next to nothing is left of that on the whole.
+        let apart = (felt.fingers[0].force - felt.fingers[1].force).norm() / 2.0;
+        assert!(
+            felt.total().force.norm() < 0.1 && felt.grasp.is_some(),
+            "{felt:?}"
+        );
+        squeezed_n.push(apart);
+    }
+    let steps: Vec<f64> = squeezed_n
+        .windows(2)
+        .map(|pair| pair[1] - pair[0])
+        .collect();
+    assert!(
+        steps[0] > 0.0 && steps[1] > 1.3 * steps[0] && steps[2] > 1.3 * steps[1],
+        "{squeezed_n:?}"
+    );
+}

@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use nalgebra::Vector3;
 
 use super::{OPEN_RAD, flap_config, jaw_at, organ_ground};
-use crate::tissue::{Surface, Tissue};
+use crate::tissue::{FlapSnapshot, NODES_MAX, Patch, Surface, Tissue};
 
 fn vertex(surface: &Surface, index: u32) -> Vector3<f64> {
     Vector3::from(surface.mesh().positions[index as usize].map(f64::from))
@@ -81,4 +81,54 @@ fn surface_follows_the_sheet_and_keeps_its_memory() {
         0.5 * (vertex(surface, index(faces - 1)) + vertex(surface, index(2 * faces - 1)))
     };
     assert!((corner(&surface) - corner(&before) - lift).norm() < 1e-8);
+}
+
+#[test]
+fn mark_lies_on_the_upper_face_and_bends_with_it() {
+    let config = flap_config();
+    let away = jaw_at([0.0, 0.0, 0.1], OPEN_RAD, 0.0);
+    let tissue = Tissue::new(&config, organ_ground(), 1, &[away]);
+    let mut surface = Surface::new(tissue.sheet());
+    let radius_m = 0.002;
+    let mut patch = Patch::new(&surface, tissue.mark_m(), radius_m);
+    let mark = tissue.mark_in_scene();
+    let local = |patch: &Patch, vertex: usize| {
+        let at = nalgebra::Point3::from(patch.mesh().positions[vertex].map(f64::from));
+        mark.inverse_transform_point(&at)
+    };
+    let vertices = patch.mesh().positions.len();
+    for vertex in 0..vertices {
+        let at = local(&patch, vertex);
+        assert!(at.coords.xy().norm() < 1.01 * radius_m, "{at}");
+        // A tenth of a millimetre in front of the face, which bends by less than that over the mark.
+        assert!((0.000_02..0.000_3).contains(&at.z), "{at}");
+    }
+    for triangle in patch.mesh().indices.chunks_exact(3) {
+        let [a, b, c] = [0, 1, 2].map(|k| local(&patch, triangle[k] as usize));
+        assert!((b - a).cross(&(c - a)).z > 0.0, "faces out of the tissue");
+    }
+    // Lifted as a whole, it goes along.
+    let up = Vector3::new(0.0, 0.0, 0.01);
+    let lifted: Vec<_> = tissue
+        .sheet()
+        .positions()
+        .iter()
+        .map(|at| at + up)
+        .collect();
+    surface.update(&lifted);
+    patch.update(&surface, tissue.mark_m());
+    assert!((0..vertices).all(|vertex| local(&patch, vertex).z > 0.008));
+}
+
+#[test]
+fn snapshot_has_every_node_to_a_tenth_of_a_micrometre() {
+    let config = flap_config();
+    let away = jaw_at([0.0, 0.0, 0.1], OPEN_RAD, 0.0);
+    let tissue = Tissue::new(&config, organ_ground(), 1, &[away]);
+    let snapshot = FlapSnapshot::of(&tissue);
+    let nodes = tissue.sheet().positions();
+    assert!(nodes.len() <= NODES_MAX);
+    for (drawn, true_m) in snapshot.nodes().zip(nodes) {
+        assert!((drawn - true_m).norm() < 1e-7);
+    }
 }

@@ -1,19 +1,19 @@
-//! The layers of the transformer: linear, layer normalisation, attention, feed-forward. Batch first throughout.
+//! Layers that networks share: linear, layer normalisation, attention, feed-forward. Batch first throughout.
 
-use tch::{TchError, Tensor};
+use tch::{Device, TchError, Tensor};
 
 use crate::parameters::{Init, ParameterError, ParameterSource};
 
 /// A linear layer with bias.
 #[derive(Debug)]
-pub(super) struct Linear {
+pub(crate) struct Linear {
     weight: Tensor,
     bias: Tensor,
 }
 
 impl Linear {
     /// Starts as PyTorch's linear layers do.
-    pub(super) fn new(
+    pub(crate) fn new(
         source: &mut ParameterSource,
         key: &str,
         inputs: i64,
@@ -23,7 +23,7 @@ impl Linear {
     }
 
     /// Starts with weights from `init`.
-    pub(super) fn with_init(
+    pub(crate) fn with_init(
         source: &mut ParameterSource,
         key: &str,
         inputs: i64,
@@ -36,21 +36,26 @@ impl Linear {
         })
     }
 
-    pub(super) fn forward(&self, x: &Tensor) -> Result<Tensor, TchError> {
+    pub(crate) fn forward(&self, x: &Tensor) -> Result<Tensor, TchError> {
         x.f_linear(&self.weight, Some(&self.bias))
+    }
+
+    /// Where its parameters are.
+    pub(crate) fn device(&self) -> Device {
+        self.weight.device()
     }
 }
 
 /// Normalisation over the last dimension.
 #[derive(Debug)]
-pub(super) struct LayerNorm {
+pub(crate) struct LayerNorm {
     weight: Tensor,
     bias: Tensor,
     width: i64,
 }
 
 impl LayerNorm {
-    pub(super) fn new(
+    pub(crate) fn new(
         source: &mut ParameterSource,
         key: &str,
         width: i64,
@@ -62,7 +67,7 @@ impl LayerNorm {
         })
     }
 
-    pub(super) fn forward(&self, x: &Tensor) -> Result<Tensor, TchError> {
+    pub(crate) fn forward(&self, x: &Tensor) -> Result<Tensor, TchError> {
         x.f_layer_norm(
             [self.width],
             Some(&self.weight),
@@ -75,7 +80,7 @@ impl LayerNorm {
 
 /// Attention with several heads and one packed projection of queries, keys and values.
 #[derive(Debug)]
-pub(super) struct Attention {
+pub(crate) struct Attention {
     in_weight: Tensor,
     in_bias: Tensor,
     out_weight: Tensor,
@@ -85,7 +90,7 @@ pub(super) struct Attention {
 }
 
 impl Attention {
-    pub(super) fn new(
+    pub(crate) fn new(
         source: &mut ParameterSource,
         key: &str,
         width: i64,
@@ -113,7 +118,7 @@ impl Attention {
     }
 
     /// `(batch, queries, width)`; `allowed` is `(batch, 1, 1, keys)`, true where a key may be looked at.
-    pub(super) fn forward(
+    pub(crate) fn forward(
         &self,
         query: &Tensor,
         key: &Tensor,
@@ -146,14 +151,14 @@ impl Attention {
 
 /// Two linear layers with a rectifier between them.
 #[derive(Debug)]
-pub(super) struct FeedForward {
+pub(crate) struct FeedForward {
     widen: Linear,
     narrow: Linear,
 }
 
 impl FeedForward {
     /// `key` is the layer's; the two are its `linear1` and `linear2`.
-    pub(super) fn new(
+    pub(crate) fn new(
         source: &mut ParameterSource,
         key: &str,
         width: i64,
@@ -166,13 +171,13 @@ impl FeedForward {
         })
     }
 
-    pub(super) fn forward(&self, x: &Tensor, dropout: f64) -> Result<Tensor, TchError> {
+    pub(crate) fn forward(&self, x: &Tensor, dropout: f64) -> Result<Tensor, TchError> {
         self.narrow
             .forward(&drop(self.widen.forward(x)?.f_relu()?, dropout)?)
     }
 }
 
 /// Dropout with probability `p`; nothing at all if it is zero.
-pub(super) fn drop(x: Tensor, p: f64) -> Result<Tensor, TchError> {
+pub(crate) fn drop(x: Tensor, p: f64) -> Result<Tensor, TchError> {
     if p > 0.0 { x.f_dropout(p, true) } else { Ok(x) }
 }

@@ -1,0 +1,116 @@
+//! PointNet: features of every point by itself, with batch normalisation.
+
+use tch::{TchError, Tensor};
+
+use crate::parameters::{Init, ParameterError, ParameterSource};
+
+/// Features of a point.
+pub(super) const POINT_FEATURES: i64 = 512;
+
+/// Features after each layer.
+const WIDTHS: [i64; 5] = [64, 64, 64, 128, POINT_FEATURES];
+
+/// A linear layer without bias.
+#[derive(Debug)]
+pub(super) struct Mix {
+    pub(super) weight: Tensor,
+}
+
+impl Mix {
+    pub(super) fn new(
+        source: &mut ParameterSource,
+        key: &str,
+        inputs: i64,
+        outputs: i64,
+    ) -> Result<Self, ParameterError> {
+        let init = Init::fan_in(inputs);
+        let weight = source.trainable(&format!("{key}.weight"), &[outputs, inputs], &init)?;
+        Ok(Self { weight })
+    }
+}
+
+/// Batch normalisation over the last of several dimensions.
+///
+/// In training it normalises by what is in the batch, and its own statistics move towards that.
+#[derive(Debug)]
+pub(super) struct BatchNorm {
+    weight: Tensor,
+    bias: Tensor,
+    mean: Tensor,
+    variance: Tensor,
+    momentum: f64,
+    epsilon: f64,
+}
+
+impl BatchNorm {
+    pub(super) fn new(
+        source: &mut ParameterSource,
+        key: &str,
+        width: i64,
+        momentum: f64,
+        epsilon: f64,
+    ) -> Result<Self, ParameterError> {
+        let (zero, one) = (Init::Constant(0.0), Init::Constant(1.0));
+        let key = |name: &str| format!("{key}.{name}");
+        Ok(Self {
+            weight: source.trainable(&key("weight"), &[width], &one)?,
+            bias: source.trainable(&key("bias"), &[width], &zero)?,
+            mean: source.fixed(&key("running_mean"), &[width], &zero)?,
+            variance: source.fixed(&key("running_var"), &[width], &one)?,
+            momentum,
+            epsilon,
+        })
+    }
+
+    pub(super) fn forward(&self, x: &Tensor, training: bool) -> Result<Tensor, TchError> {
+        let shape = x.size();
+        let width = shape.last().copied().unwrap_or(0);
+        x.f_reshape([-1, width])?
+            .f_batch_norm(
+                Some(&self.weight),
+                Some(&self.bias),
+                Some(&self.mean),
+                Some(&self.variance),
+                training,
+                self.momentum,
+                self.epsilon,
+                true,
+            )?
+            .f_view(shape.as_slice())
+    }
+}
+
+#[derive(Debug)]
+pub(super) struct PointNet {
+    layers: Vec<(Mix, BatchNorm)>,
+}
+
+impl PointNet {
+    pub(super) fn new(
+        source: &mut ParameterSource,
+        key: &str,
+        inputs: i64,
+    ) -> Result<Self, ParameterError> {
+        let mut layers = Vec::new();
+        let mut inputs = inputs;
+        for (index, outputs) in (1..).zip(WIDTHS) {
+            let key = |place: usize| format!("{key}.conv{index}.{place}");
+            layers.push((
+                Mix::new(source, &key(0), inputs, outputs)?,
+                BatchNorm::new(source, &key(1), outputs, 0.01, 1e-3)?,
+            ));
+            inputs = outputs;
+        }
+        Ok(Self { layers })
+    }
+
+    /// `(.., inputs)` to `(.., POINT_FEATURES)`.
+    pub(super) fn forward(&self, points: &Tensor, training: bool) -> Result<Tensor, TchError> {
+        let mut x = points.shallow_clone();
+        for (mix, norm) in &self.layers {
+            let mixed = x.f_linear(&mix.weight, None::<&Tensor>)?;
+            x = norm.forward(&mixed, training)?.f_relu()?;
+        }
+        Ok(x)
+    }
+}

@@ -1,0 +1,175 @@
+//! The blocks of DP3's U-Net, over `(batch, channels, steps)`.
+
+use tch::{TchError, Tensor};
+
+use crate::layers::Linear;
+use crate::parameters::{Init, ParameterError, ParameterSource};
+
+/// A convolution over the steps with bias.
+#[derive(Debug)]
+pub(super) struct Convolution {
+    weight: Tensor,
+    bias: Tensor,
+    stride: i64,
+    padding: i64,
+}
+
+impl Convolution {
+    /// As many steps out as in, divided by `stride`; `kernel` is odd.
+    pub(super) fn new(
+        source: &mut ParameterSource,
+        key: &str,
+        [inputs, outputs]: [i64; 2],
+        kernel: i64,
+        stride: i64,
+    ) -> Result<Self, ParameterError> {
+        let init = Init::fan_in(inputs * kernel);
+        let shape = [outputs, inputs, kernel];
+        Ok(Self {
+            weight: source.trainable(&format!("{key}.weight"), &shape, &init)?,
+            bias: source.trainable(&format!("{key}.bias"), &[outputs], &init)?,
+            stride,
+            padding: kernel / 2,
+        })
+    }
+
+    pub(super) fn forward(&self, x: &Tensor) -> Result<Tensor, TchError> {
+        x.f_conv1d(
+            &self.weight,
+            Some(&self.bias),
+            self.stride,
+            self.padding,
+            1,
+            1,
+        )
+    }
+}
+
+/// The transposed convolution that doubles the steps.
+#[derive(Debug)]
+pub(super) struct Doubling {
+    weight: Tensor,
+    bias: Tensor,
+}
+
+impl Doubling {
+    const KERNEL: i64 = 4;
+
+    pub(super) fn new(
+        source: &mut ParameterSource,
+        key: &str,
+        channels: i64,
+    ) -> Result<Self, ParameterError> {
+        let init = Init::fan_in(channels * Self::KERNEL);
+        let shape = [channels, channels, Self::KERNEL];
+        Ok(Self {
+            weight: source.trainable(&format!("{key}.weight"), &shape, &init)?,
+            bias: source.trainable(&format!("{key}.bias"), &[channels], &init)?,
+        })
+    }
+
+    pub(super) fn forward(&self, x: &Tensor) -> Result<Tensor, TchError> {
+        x.f_conv_transpose1d(&self.weight, Some(&self.bias), 2, 1, 0, 1, 1)
+    }
+}
+
+/// Convolution, group normalisation, Mish.
+#[derive(Debug)]
+pub(super) struct ConvolutionBlock {
+    convolution: Convolution,
+    norm_weight: Tensor,
+    norm_bias: Tensor,
+    groups: i64,
+}
+
+impl ConvolutionBlock {
+    pub(super) fn new(
+        source: &mut ParameterSource,
+        key: &str,
+        channels: [i64; 2],
+        kernel: i64,
+        groups: i64,
+    ) -> Result<Self, ParameterError> {
+        let outputs = [channels[1]];
+        let norm = format!("{key}.block.1");
+        Ok(Self {
+            convolution: Convolution::new(source, &format!("{key}.block.0"), channels, kernel, 1)?,
+            norm_weight: source.trainable(
+                &format!("{norm}.weight"),
+                &outputs,
+                &Init::Constant(1.0),
+            )?,
+            norm_bias: source.trainable(&format!("{norm}.bias"), &outputs, &Init::Constant(0.0))?,
+            groups,
+        })
+    }
+
+    pub(super) fn forward(&self, x: &Tensor) -> Result<Tensor, TchError> {
+        let x = self.convolution.forward(x)?;
+        let weight = Some(&self.norm_weight);
+        x.f_group_norm(self.groups, weight, Some(&self.norm_bias), 1e-5, true)?
+            .f_mish()
+    }
+}
+
+/// Two convolution blocks around a scale and a shift that the condition gives each channel, and what went in added.
+#[derive(Debug)]
+pub(super) struct ResidualBlock {
+    blocks: [ConvolutionBlock; 2],
+    condition: Linear,
+    residual: Option<Convolution>,
+}
+
+/// What all residual blocks of a network have in common.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct BlockShape {
+    pub(super) kernel: i64,
+    pub(super) groups: i64,
+    pub(super) condition: i64,
+}
+
+impl ResidualBlock {
+    pub(super) fn new(
+        source: &mut ParameterSource,
+        key: &str,
+        channels: [i64; 2],
+        shape: BlockShape,
+    ) -> Result<Self, ParameterError> {
+        let BlockShape {
+            kernel,
+            groups,
+            condition,
+        } = shape;
+        let [inputs, outputs] = channels;
+        let place = |index: usize| format!("{key}.blocks.{index}");
+        let first = ConvolutionBlock::new(source, &place(0), channels, kernel, groups)?;
+        let second = ConvolutionBlock::new(source, &place(1), [outputs; 2], kernel, groups)?;
+        let residual = if inputs == outputs {
+            None
+        } else {
+            let key = format!("{key}.residual_conv");
+            Some(Convolution::new(source, &key, channels, 1, 1)?)
+        };
+        let key = format!("{key}.cond_encoder.1");
+        Ok(Self {
+            blocks: [first, second],
+            condition: Linear::new(source, &key, condition, 2 * outputs)?,
+            residual,
+        })
+    }
+
+    /// `condition` is `(batch, condition)` and has been through Mish.
+    pub(super) fn forward(&self, x: &Tensor, condition: &Tensor) -> Result<Tensor, TchError> {
+        let scale_and_shift = self.condition.forward(condition)?.f_unsqueeze(-1)?;
+        let parts = scale_and_shift.f_chunk(2, 1)?;
+        let [scale, shift] = parts.as_slice() else {
+            return Err(TchError::Shape("a scale and a shift".to_owned()));
+        };
+        let modulated = scale.f_mul(&self.blocks[0].forward(x)?)?.f_add(shift)?;
+        let out = self.blocks[1].forward(&modulated)?;
+        match &self.residual {
+            Some(residual) => out.f_add(&residual.forward(x)?),
+            None => out.f_add(x),
+        }
+    }
+}

@@ -1,0 +1,202 @@
+//! From pixels with depth to points in a stated frame.
+//!
+//! With `a = (column + 0.5 - cx) / fx` and `b = (row + 0.5 - cy) / fy`, both computed in double precision and then rounded,
+//! and R and t the camera's rounded pose, coordinate i of a pixel's point is `((R_i1 b + R_i2) + R_i0 a) depth + t_i`.
+
+use hal::{FrameRef, Intrinsics, Pose};
+
+use super::Point;
+use super::error::{PerceptionError, Refused};
+use super::instances::InstanceSet;
+
+/// In which frame a cloud is.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum CloudFrame {
+    /// The scene's.
+    #[default]
+    Scene,
+    /// The first camera's: x right, y down, z along the view. What a system has that knows no scene.
+    FirstCamera,
+}
+
+/// A box along the axes of the cloud's frame; its faces belong to it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct CropBox {
+    /// Lower ends, m; may be minus infinity.
+    pub min_m: Point,
+    /// Upper ends, m; may be infinity.
+    pub max_m: Point,
+}
+
+impl CropBox {
+    /// Drops nothing.
+    pub const EVERYTHING: Self = Self {
+        min_m: [f32::NEG_INFINITY; 3],
+        max_m: [f32::INFINITY; 3],
+    };
+
+    /// Whether the finite `point` lies in it.
+    #[must_use]
+    pub fn contains(&self, point: &Point) -> bool {
+        (0..3).all(|axis| point[axis] >= self.min_m[axis] && point[axis] <= self.max_m[axis])
+    }
+
+    fn check(&self) -> Result<(), PerceptionError> {
+        for axis in 0..3 {
+            let (min_m, max_m) = (self.min_m[axis], self.max_m[axis]);
+            if min_m.is_nan() || max_m.is_nan() || min_m >= max_m {
+                return Err(PerceptionError::Crop { axis, min_m, max_m });
+            }
+        }
+        Ok(())
+    }
+}
+
+/// The points of every pixel that shows one of `instances`, has a finite positive depth and lies in `crop`.
+///
+/// # Errors
+/// [`PerceptionError`] if a frame is not whole, the box has no inside, or no point is left.
+pub fn back_project(
+    frames: &[FrameRef<'_>],
+    cloud_frame: CloudFrame,
+    crop: &CropBox,
+    instances: &InstanceSet,
+) -> Result<Vec<Point>, PerceptionError> {
+    let first = frames.first().ok_or(PerceptionError::NoFrame)?;
+    crop.check()?;
+    let mut points = Vec::new();
+    let mut refused = Refused::default();
+    for (index, frame) in frames.iter().enumerate() {
+        check(index, frame)?;
+        let camera_in_cloud = match cloud_frame {
+            CloudFrame::Scene => frame.camera_in_scene,
+            // Exactly the identity, which a pose times its inverse is not.
+            CloudFrame::FirstCamera if index == 0 => Pose::identity(),
+            CloudFrame::FirstCamera => first.camera_in_scene.inverse() * frame.camera_in_scene,
+        };
+        let view = View::new(&frame.intrinsics, &camera_in_cloud);
+        let seen = view.project(frame, crop, instances, &mut points);
+        refused.pixels += seen.pixels;
+        refused.of_instance += seen.of_instance;
+        refused.with_depth += seen.with_depth;
+    }
+    if points.is_empty() {
+        return Err(PerceptionError::Empty(refused));
+    }
+    Ok(points)
+}
+
+fn check(index: usize, frame: &FrameRef<'_>) -> Result<(), PerceptionError> {
+    let lens = &frame.intrinsics;
+    let expected = lens.pixel_count();
+    let sizes = [
+        ("depth", frame.depth_m.len()),
+        ("instance ids", frame.instance.len()),
+    ];
+    for (what, actual) in sizes {
+        if actual != expected {
+            return Err(PerceptionError::Size {
+                frame: index,
+                what,
+                expected,
+                actual,
+            });
+        }
+    }
+    let camera = |what, value, allowed| PerceptionError::Camera {
+        frame: index,
+        what,
+        value,
+        allowed,
+    };
+    for (what, value) in [("fx", lens.fx), ("fy", lens.fy)] {
+        if !(value.is_finite() && value > 0.0) {
+            return Err(camera(what, value, "positive and finite"));
+        }
+    }
+    let pose = &frame.camera_in_scene;
+    let centre = [lens.cx, lens.cy];
+    for (what, values) in [
+        ("principal point", centre.as_slice()),
+        ("camera position", pose.translation.vector.as_slice()),
+        ("camera rotation", pose.rotation.coords.as_slice()),
+    ] {
+        if let Some(&value) = values.iter().find(|value| !value.is_finite()) {
+            return Err(camera(what, value, "finite"));
+        }
+    }
+    Ok(())
+}
+
+/// A camera's rays in its own frame, and where the camera is.
+struct View {
+    across: Vec<f32>,
+    down: Vec<f32>,
+    rotation: [Point; 3],
+    translation: Point,
+}
+
+impl View {
+    #[expect(
+        clippy::cast_possible_truncation,
+        reason = "clouds are in single precision"
+    )]
+    fn new(lens: &Intrinsics, camera_in_cloud: &Pose) -> Self {
+        let rays = |count: u32, centre: f64, focal: f64| {
+            (0..count)
+                .map(|pixel| ((f64::from(pixel) + 0.5 - centre) / focal) as f32)
+                .collect()
+        };
+        let rotation = camera_in_cloud.rotation.to_rotation_matrix();
+        let row = |axis: usize| core::array::from_fn(|column| rotation[(axis, column)] as f32);
+        Self {
+            across: rays(lens.width, lens.cx, lens.fx),
+            down: rays(lens.height, lens.cy, lens.fy),
+            rotation: [row(0), row(1), row(2)],
+            translation: core::array::from_fn(|axis| {
+                camera_in_cloud.translation.vector[axis] as f32
+            }),
+        }
+    }
+
+    /// Appends the frame's points to `points`; says what came how far.
+    fn project(
+        &self,
+        frame: &FrameRef<'_>,
+        crop: &CropBox,
+        instances: &InstanceSet,
+        points: &mut Vec<Point>,
+    ) -> Refused {
+        let mut seen = Refused {
+            pixels: frame.depth_m.len(),
+            ..Refused::default()
+        };
+        let width = self.across.len().max(1);
+        let rows = frame
+            .depth_m
+            .chunks_exact(width)
+            .zip(frame.instance.chunks_exact(width));
+        for ((depths, ids), down) in rows.zip(&self.down) {
+            let row: Point =
+                core::array::from_fn(|i| self.rotation[i][1] * down + self.rotation[i][2]);
+            for ((&depth, &id), across) in depths.iter().zip(ids).zip(&self.across) {
+                if !instances.contains(id) {
+                    continue;
+                }
+                seen.of_instance += 1;
+                // Neither zero, where nothing was hit, nor NaN passes.
+                if !(depth > 0.0 && depth < f32::INFINITY) {
+                    continue;
+                }
+                seen.with_depth += 1;
+                let point: Point = core::array::from_fn(|i| {
+                    (row[i] + self.rotation[i][0] * across) * depth + self.translation[i]
+                });
+                if crop.contains(&point) && point.iter().all(|x| x.is_finite()) {
+                    points.push(point);
+                }
+            }
+        }
+        seen
+    }
+}

@@ -1,0 +1,78 @@
+//! Depth images to point clouds: back-projection, mask, crop, thinning, farthest-point sampling.
+//!
+//! Plain single precision in a stated order of operations: the same frames give the same bits in every build. What comes
+//! out is in metres and not normalised, and its order is part of the result: frames in their order, each row by row from
+//! the top left, then what the sampling makes of that.
+//!
+//! Source: reference note on policies, sections 4 and 5.8 (crop before sampling, sampling from index 0, the first of equal
+//! maxima, zeros where points are missing).
+
+mod back_projection;
+mod buckets;
+mod error;
+mod farthest;
+mod instances;
+mod neighbours;
+#[cfg(test)]
+mod tests;
+mod thinning;
+
+use hal::FrameRef;
+
+pub use back_projection::{CloudFrame, CropBox, back_project};
+pub use error::{PerceptionError, Refused};
+pub use farthest::farthest_points;
+pub use instances::InstanceSet;
+pub use neighbours::nearest_points;
+pub use thinning::thin;
+
+/// A point, metres.
+pub type Point = [f32; 3];
+
+/// What fills the cloud when there are fewer points than asked for.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Padding {
+    /// The first point again, which is also what sampling on would give: nothing that takes a maximum sees it.
+    #[default]
+    FirstPoint,
+    /// Points at the origin, as DP3's published code has it. The network sees them.
+    Origin,
+}
+
+/// How frames become the cloud that a network sees.
+#[derive(Clone, Debug, PartialEq)]
+pub struct CloudOptions {
+    /// The frame in which the points are, and the box.
+    pub frame: CloudFrame,
+    /// Points outside are dropped.
+    pub crop: CropBox,
+    /// What may be seen.
+    pub instances: InstanceSet,
+    /// Side of the cubes of which each keeps its first point, m; `None` keeps all.
+    pub voxel_m: Option<f32>,
+    /// Points in the cloud.
+    pub points: usize,
+    /// What fills the cloud when there are fewer.
+    pub padding: Padding,
+}
+
+/// The cloud that `frames` show: exactly `options.points` points, the farthest first.
+///
+/// # Errors
+/// [`PerceptionError`] if a frame is not whole, an option is senseless or no point is left.
+pub fn point_cloud(
+    frames: &[FrameRef<'_>],
+    options: &CloudOptions,
+) -> Result<Vec<Point>, PerceptionError> {
+    let seen = back_project(frames, options.frame, &options.crop, &options.instances)?;
+    let kept = match options.voxel_m {
+        Some(side_m) => thin(&seen, side_m)?,
+        None => seen,
+    };
+    let chosen = farthest_points(&kept, options.points)?;
+    let mut cloud: Vec<Point> = chosen.iter().map(|&index| kept[index]).collect();
+    if options.padding == Padding::Origin && cloud.len() > kept.len() {
+        cloud[kept.len()..].fill([0.0; 3]);
+    }
+    Ok(cloud)
+}

@@ -1,0 +1,53 @@
+//! What a soft tissue adds to the results, and that only the expert retracts it.
+
+use tch::Device;
+
+use crate::session::eval::{EvalOptions, evaluate};
+use crate::session::{PolicyChoice, Setup};
+
+fn evaluated(
+    task: &str,
+    policy: PolicyChoice,
+    seed: u64,
+    limit_s: Option<f64>,
+) -> serde_json::Value {
+    let mut setup = Setup::load(task, None, &policy).unwrap();
+    setup.task.time_limit_s = limit_s.unwrap_or(setup.task.time_limit_s);
+    let options = EvalOptions {
+        policy,
+        trials: 1,
+        seed,
+        jobs: 1,
+        latency_ms: None,
+        device: Device::Cpu,
+    };
+    let summary = evaluate(&setup, &options, &mut |_| {}).unwrap();
+    serde_json::to_value(&summary).unwrap()
+}
+
+#[test]
+fn expert_retracts_the_flap_through_the_whole_chain_and_the_tissue_is_reported() {
+    let result = evaluated("tissue-retraction", PolicyChoice::Expert, 1, None);
+    assert_eq!(result["successes"], 1, "{result}");
+    let tissue = &result["episodes"][0]["tissue"];
+    let value = |key: &str| tissue[key].as_f64().unwrap();
+    assert!((0.03..0.8).contains(&value("force_n_max")), "{tissue}");
+    assert!((0.005..0.4).contains(&value("stretch_max")), "{tissue}");
+    assert!((0.02..0.03).contains(&value("mark_rise_m_max")), "{tissue}");
+}
+
+#[test]
+fn nobody_retracts_the_flap_by_doing_nothing_or_anything() {
+    for policy in [PolicyChoice::Noop, PolicyChoice::Random] {
+        // Longer than the expert takes.
+        let result = evaluated("tissue-retraction", policy, 1, Some(6.0));
+        assert_eq!(result["successes"], 0, "{result}");
+    }
+}
+
+#[test]
+fn tasks_without_a_tissue_report_none() {
+    let result = evaluated("needle-lift", PolicyChoice::Noop, 1, Some(1.0));
+    let episode = result["episodes"][0].as_object().unwrap();
+    assert!(!episode.contains_key("tissue"), "{result}");
+}

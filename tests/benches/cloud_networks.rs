@@ -1,0 +1,104 @@
+//! One answer of an untrained ACT-PC, DP3 and SimpleDP3 to a point cloud, on one core. What it takes does not depend on the
+//! parameters' values.
+
+#![expect(
+    clippy::expect_used,
+    reason = "a bench can't go on without its subject"
+)]
+
+mod support;
+
+use std::error::Error;
+
+use criterion::Criterion;
+use hal::TimeNs;
+use policy::act_pc::{ActPc, ActPcConfig, ActPcPreset, Clouds};
+use policy::dp3::{CloudObservation, Dp3, Dp3Config, Dp3Preset};
+use policy::parameters::ParameterSource;
+use policy::perception::Point;
+use policy::rng::SplitMix64;
+use runtime::rt::MonotonicClock;
+use runtime::session::source::STEP_NS;
+use tch::{Device, Kind, Tensor};
+
+const CAMERA: &str = "observation.images.endoscope";
+const RUNS: u32 = 10;
+
+/// Numbers in a state, and in an action.
+const WIDTH: i64 = 7;
+
+/// Points all over a tenth of a metre.
+#[expect(clippy::cast_possible_truncation, reason = "coordinates")]
+fn cloud(points: i64) -> Vec<Point> {
+    let mut random = SplitMix64::new(1);
+    (0..points)
+        .map(|_| core::array::from_fn(|_| (0.05 * random.signed_unit()) as f32))
+        .collect()
+}
+
+/// Times `work`, which is to be done within `steps` steps.
+fn report(criterion: &mut Criterion, name: &str, steps: f64, work: &dyn Fn() -> Tensor) {
+    let clock = MonotonicClock::new();
+    let times = support::measure(criterion, &format!("networks/{name}"), RUNS, || {
+        let before = clock.now();
+        let answer = tch::no_grad(work);
+        let took_ns = clock.now().since(before);
+        assert!(answer.numel() > 0, "the network says something");
+        took_ns
+    });
+    let ms = |fraction| TimeNs(times.percentile(fraction)).seconds() * 1e3;
+    let figure = format!(
+        "{name}, one core: p50 {:.1} ms, worst {:.1} ms of {RUNS}",
+        ms(0.5),
+        ms(1.0)
+    );
+    let period_ms = steps * TimeNs(STEP_NS).seconds() * 1e3;
+    let target = format!("within the {period_ms} ms after which it is asked again");
+    support::report(&figure, &target, period_ms / ms(0.5));
+}
+
+fn act_pc(
+    criterion: &mut Criterion,
+    name: &str,
+    preset: ActPcPreset,
+) -> Result<(), Box<dyn Error>> {
+    let config = ActPcConfig::preset(preset, &[CAMERA.to_owned()]);
+    let cloud = cloud(config.points);
+    let network = ActPc::new(config.clone(), ParameterSource::seeded(1, Device::Cpu))?;
+    let state = Tensor::zeros([1, WIDTH], (Kind::Float, Device::Cpu));
+    // Half a chunk is executed.
+    let steps = f64::from(i32::try_from(config.act.chunk_size / 2)?);
+    report(criterion, name, steps, &|| {
+        let clouds = Clouds::new(&[&cloud], &config, Device::Cpu).expect("clouds");
+        network.infer(&clouds, &state).expect("it answers")
+    });
+    Ok(())
+}
+
+fn dp3(criterion: &mut Criterion, name: &str, preset: Dp3Preset) -> Result<(), Box<dyn Error>> {
+    let config = Dp3Config::preset(preset, WIDTH, WIDTH);
+    let network = Dp3::new(config.clone(), ParameterSource::seeded(1, Device::Cpu))?;
+    let observations = config.n_obs_steps;
+    let cloud = cloud(observations * 1024);
+    let observation = CloudObservation {
+        points: &Tensor::from_slice(cloud.as_flattened()).view([1, observations, 1024, 3]),
+        state: &Tensor::zeros([1, observations, WIDTH], (Kind::Float, Device::Cpu)),
+    };
+    let noise = config.start_noise(1, 1)?;
+    let steps = f64::from(i32::try_from(config.n_action_steps)?);
+    report(criterion, name, steps, &|| {
+        network.infer(&observation, &noise).expect("it answers")
+    });
+    Ok(())
+}
+
+fn main() -> Result<(), Box<dyn Error>> {
+    tch::set_num_threads(1);
+    let mut criterion = support::criterion();
+    act_pc(&mut criterion, "ACT-PC small", ActPcPreset::Small)?;
+    act_pc(&mut criterion, "ACT-PC paper", ActPcPreset::Paper)?;
+    dp3(&mut criterion, "SimpleDP3", Dp3Preset::Simple)?;
+    dp3(&mut criterion, "DP3", Dp3Preset::Dp3)?;
+    criterion.final_summary();
+    Ok(())
+}
