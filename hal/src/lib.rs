@@ -3,10 +3,11 @@
 //! Read in this order: [`time`] and [`joints`] name what is counted and measured, [`psm`] is the arm as data,
 //! [`arm`] is the seam to a robot and [`tail`] the stop that it can finish alone, [`camera`] and [`chunk`] are what a
 //! policy sees and says, and [`policy`] is the seam to whatever does the saying. This crate knows no physics, no networks
-//! and no control.
+//! and no control. [`can`] is the arm on a CAN bus and the drives that one finds there.
 
 pub mod arm;
 pub mod camera;
+pub mod can;
 pub mod chunk;
 pub mod config;
 pub mod joints;

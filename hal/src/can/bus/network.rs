@@ -1,0 +1,319 @@
+//! Buses with emulated drives on them and a master beside them, in virtual time.
+
+use super::motor::Motor;
+use super::wire::{Delivery, Order, Wire};
+use crate::TimeNs;
+use crate::can::master::{Bus, Received, Trouble};
+use crate::can::node::{Demand, Node, Outbox};
+use crate::can::{Frame, NodeId};
+
+/// How often a drive looks at its clock and its motor, ns.
+pub const NODE_STEP_NS: u64 = 500_000;
+
+/// Frames that a drive's controller holds.
+const NODE_QUEUE: usize = 64;
+
+/// What becomes of a frame on its way.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Tampering {
+    /// Nothing.
+    Pass,
+    /// Nobody gets it.
+    Drop,
+    /// Everybody gets another one.
+    Replace(Frame),
+    /// Everybody gets it twice.
+    Repeat,
+    /// Everybody gets it this much later, ns.
+    Delay(u64),
+}
+
+/// Decides about every frame: line, time, frame.
+pub type Tamper = Box<dyn FnMut(u8, TimeNs, &Frame) -> Tampering>;
+
+struct Drive<M> {
+    line: usize,
+    port: usize,
+    node: Node,
+    motor: M,
+    powered: bool,
+}
+
+struct Line {
+    wire: Wire,
+    master: usize,
+    inbox: Vec<Received>,
+    delayed: Vec<(TimeNs, Delivery)>,
+}
+
+impl<M> core::fmt::Debug for Network<M> {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        f.debug_struct("Network")
+            .field("now", &self.now)
+            .field("lines", &self.lines.len())
+            .field("drives", &self.drives.len())
+            .finish_non_exhaustive()
+    }
+}
+
+/// Up to three buses, their drives, and the master's end of each.
+pub struct Network<M> {
+    now: TimeNs,
+    next_step: TimeNs,
+    lines: Vec<Line>,
+    drives: Vec<Drive<M>>,
+    tamper: Option<Tamper>,
+    out: Outbox,
+}
+
+impl<M: Motor> Network<M> {
+    /// `lines` buses at `bit_rate`, without drives; the master's queues hold `master_queue` frames each.
+    #[must_use]
+    pub fn new(lines: u8, bit_rate: u32, master_queue: usize) -> Self {
+        let lines = (0..lines)
+            .map(|_| {
+                let mut wire = Wire::new(bit_rate);
+                let master = wire.attach(Order::Fifo, master_queue);
+                Line {
+                    wire,
+                    master,
+                    inbox: Vec::new(),
+                    delayed: Vec::new(),
+                }
+            })
+            .collect();
+        Self {
+            now: TimeNs(0),
+            next_step: TimeNs(0),
+            lines,
+            drives: Vec::new(),
+            tamper: None,
+            out: Outbox::default(),
+        }
+    }
+
+    /// Puts a drive on `line` and switches it on.
+    pub fn add(&mut self, line: u8, node: Node, motor: M) {
+        let line = usize::from(line);
+        let port = self.lines[line].wire.attach(Order::Priority, NODE_QUEUE);
+        self.drives.push(Drive {
+            line,
+            port,
+            node,
+            motor,
+            powered: true,
+        });
+        let place = self.drives.len() - 1;
+        self.with(place, |now, drive, out| {
+            let off = Demand {
+                torque: false,
+                position_counts: 0.0,
+                velocity_counts_s: 0.0,
+                torque_per_mille_max: 0.0,
+            };
+            drive.node.feedback(drive.motor.step(0, &off));
+            drive.node.power_on(now, out);
+        });
+    }
+
+    /// Decides from now on what becomes of every frame.
+    pub fn tamper(&mut self, tamper: Tamper) {
+        self.tamper = Some(tamper);
+    }
+
+    /// Frames arrive as they are again.
+    pub fn leave_alone(&mut self) {
+        self.tamper = None;
+    }
+
+    /// The drive with the number `id`.
+    #[must_use]
+    pub fn node(&self, id: NodeId) -> Option<&Node> {
+        let drive = self.drives.iter().find(|drive| drive.node.id() == id)?;
+        Some(&drive.node)
+    }
+
+    /// Its motor.
+    pub fn motor(&mut self, id: NodeId) -> Option<&mut M> {
+        let drive = self.drives.iter_mut().find(|drive| drive.node.id() == id)?;
+        Some(&mut drive.motor)
+    }
+
+    /// Does something to the drive `id` itself, which may answer on its bus.
+    pub fn poke(&mut self, id: NodeId, act: impl FnOnce(TimeNs, &mut Node, &mut Outbox)) {
+        if let Some(place) = self.drives.iter().position(|drive| drive.node.id() == id) {
+            self.with(place, |now, drive, out| act(now, &mut drive.node, out));
+        }
+    }
+
+    /// Takes the drive `id` off its bus and off its power, or puts it back.
+    pub fn power(&mut self, id: NodeId, powered: bool) {
+        let Some(place) = self.drives.iter().position(|drive| drive.node.id() == id) else {
+            return;
+        };
+        let drive = &mut self.drives[place];
+        drive.powered = powered;
+        self.lines[drive.line]
+            .wire
+            .set_attached(drive.port, powered);
+        if powered {
+            self.with(place, |now, drive, out| drive.node.power_on(now, out));
+        }
+    }
+
+    /// The master's controller on `line` goes bus-off, or comes back.
+    pub fn bus_off(&mut self, line: u8, off: bool) {
+        let line = &mut self.lines[usize::from(line)];
+        line.wire.set_attached(line.master, !off);
+        let trouble = if off {
+            Trouble::BusOff
+        } else {
+            Trouble::Restarted
+        };
+        line.inbox.push(Received::Trouble(trouble));
+    }
+
+    /// The master hears of `trouble` on `line`.
+    pub fn trouble(&mut self, line: u8, trouble: Trouble) {
+        let inbox = &mut self.lines[usize::from(line)].inbox;
+        inbox.push(Received::Trouble(trouble));
+    }
+
+    /// Somebody who is no drive of ours sends `frame` on `line`.
+    pub fn intrude(&mut self, line: u8, frame: Frame) {
+        let now = self.now;
+        let wire = &mut self.lines[usize::from(line)].wire;
+        let port = wire.attach(Order::Fifo, 1);
+        // A fresh port has room.
+        let _ = wire.send(now, port, frame);
+    }
+
+    /// The bus `line`.
+    #[must_use]
+    pub fn wire(&self, line: u8) -> &Wire {
+        &self.lines[usize::from(line)].wire
+    }
+
+    /// Lets a drive act, and queues what it says.
+    fn with(&mut self, place: usize, act: impl FnOnce(TimeNs, &mut Drive<M>, &mut Outbox)) {
+        let drive = &mut self.drives[place];
+        if !drive.powered {
+            return;
+        }
+        self.out.clear();
+        act(self.now, drive, &mut self.out);
+        for frame in self.out.frames() {
+            // A drive whose queue is full loses the frame, as a real one would.
+            let wire = &mut self.lines[drive.line].wire;
+            let _ = wire.send(self.now, drive.port, *frame);
+        }
+    }
+
+    /// Lets time pass until `until`, frame by frame and step by step.
+    pub fn advance(&mut self, until: TimeNs) {
+        while self.next_step <= until {
+            self.exchange(self.next_step);
+            self.now = self.next_step;
+            for place in 0..self.drives.len() {
+                self.with(place, |now, drive, out| {
+                    let demand = drive.node.demand(now);
+                    drive.node.feedback(drive.motor.step(NODE_STEP_NS, &demand));
+                    drive.node.on_time(now, out);
+                });
+            }
+            self.next_step = self.next_step.plus_ns(NODE_STEP_NS);
+        }
+        self.exchange(until);
+        self.now = until;
+    }
+
+    /// Delivers everything that arrives by `until`, in order of time.
+    fn exchange(&mut self, until: TimeNs) {
+        for line in 0..self.lines.len() {
+            loop {
+                let late = self.lines[line]
+                    .delayed
+                    .iter()
+                    .position(|(at, _)| *at <= until);
+                if let Some(late) = late {
+                    let (at, delivery) = self.lines[line].delayed.remove(late);
+                    self.now = at.max(self.now);
+                    self.hand_over(line, &delivery);
+                } else if let Some(delivery) = self.lines[line].wire.next(until) {
+                    self.now = delivery.at;
+                    self.arrive(line, delivery);
+                } else {
+                    break;
+                }
+            }
+        }
+    }
+
+    fn arrive(&mut self, line: usize, delivery: Delivery) {
+        let number = u8::try_from(line).unwrap_or(u8::MAX);
+        let tampering = self.tamper.as_mut().map_or(Tampering::Pass, |tamper| {
+            tamper(number, delivery.at, &delivery.frame)
+        });
+        match tampering {
+            Tampering::Pass => self.hand_over(line, &delivery),
+            Tampering::Drop => {}
+            Tampering::Replace(frame) => self.hand_over(line, &Delivery { frame, ..delivery }),
+            Tampering::Repeat => {
+                self.hand_over(line, &delivery);
+                self.hand_over(line, &delivery);
+            }
+            Tampering::Delay(ns) => {
+                let due = delivery.at.plus_ns(ns);
+                self.lines[line].delayed.push((due, delivery));
+            }
+        }
+    }
+
+    fn hand_over(&mut self, line: usize, delivery: &Delivery) {
+        if delivery.port != self.lines[line].master {
+            self.lines[line].inbox.push(Received::Frame(delivery.frame));
+        }
+        for place in 0..self.drives.len() {
+            let drive = &self.drives[place];
+            if drive.line == line && drive.port != delivery.port {
+                self.with(place, |now, drive, out| {
+                    drive.node.on_frame(now, &delivery.frame, out);
+                });
+            }
+        }
+    }
+}
+
+impl<M: Motor> Bus for Network<M> {
+    fn now(&self) -> TimeNs {
+        self.now
+    }
+
+    fn send(&mut self, line: u8, frames: &[Frame]) -> usize {
+        let Some(line) = self.lines.get_mut(usize::from(line)) else {
+            return 0;
+        };
+        let now = self.now;
+        let (wire, master) = (&mut line.wire, line.master);
+        frames
+            .iter()
+            .take_while(|frame| wire.send(now, master, **frame).is_ok())
+            .count()
+    }
+
+    fn receive(&mut self, line: u8, sink: &mut dyn FnMut(Received)) {
+        if let Some(line) = self.lines.get_mut(usize::from(line)) {
+            line.inbox.drain(..).for_each(sink);
+        }
+    }
+
+    fn flush(&mut self, line: u8) {
+        if let Some(line) = self.lines.get_mut(usize::from(line)) {
+            line.wire.discard(line.master);
+        }
+    }
+
+    fn wait(&mut self, until: TimeNs) {
+        self.advance(until);
+    }
+}

@@ -1,0 +1,166 @@
+//! What the master knows of one axis. Hot path: bounded, no allocation, no I/O, no lock.
+
+use super::plan::{ANSWER_BYTES, AxisPlan};
+use crate::TimeNs;
+use crate::can::cia402::Status;
+use crate::can::number::{real, seconds, whole};
+
+/// What a drive said in one answer.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Answer {
+    pub(super) status: Status,
+    pub(super) position: i32,
+    pub(super) torque: i16,
+}
+
+/// Why an answer was not taken.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Rejected {
+    /// Not eight bytes.
+    Length,
+    /// The status word codes no state.
+    Status,
+    /// The axis cannot have come there since the last answer.
+    Jump,
+}
+
+/// How one axis has been heard.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct AxisHealth {
+    /// Cycles since the newest usable answer; 0 when it came in this one.
+    pub age_cycles: u32,
+    /// Cycles without a usable answer, ever.
+    pub missed: u64,
+    /// More than one answer in a cycle: one was late.
+    pub late: u64,
+    /// Answers that were not taken, ever.
+    pub rejected: u64,
+}
+
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Axis {
+    pub(super) newest: Option<Answer>,
+    pub(super) health: AxisHealth,
+    pub(super) heard: Option<TimeNs>,
+    /// When the drive measured it: the SYNC that it answers.
+    pub(super) sampled: TimeNs,
+    /// Counts/s from the last two answers.
+    pub(super) velocity: f64,
+    /// Set-point, counts.
+    pub(super) target: i32,
+    /// The newest set-point that was handed to the bus, counts.
+    pub(super) sent: i32,
+    /// The set-point that the drive was on its way to when it measured.
+    pub(super) followed: i32,
+    answered: bool,
+}
+
+impl Axis {
+    pub(super) fn new() -> Self {
+        Self {
+            newest: None,
+            health: AxisHealth::default(),
+            heard: None,
+            sampled: TimeNs(0),
+            velocity: 0.0,
+            target: 0,
+            sent: 0,
+            followed: 0,
+            answered: false,
+        }
+    }
+
+    /// Takes an answer to the SYNC of `sync`.
+    pub(super) fn on_answer(
+        &mut self,
+        plan: &AxisPlan,
+        cycle_ns: u64,
+        sync: TimeNs,
+        data: &[u8],
+    ) -> Result<Answer, Rejected> {
+        let gap_ns = sync.since(self.sampled).max(cycle_ns);
+        let answer = parse(data).and_then(|answer| self.believe(plan, gap_ns, answer));
+        match answer {
+            Ok(answer) => {
+                if self.answered {
+                    self.health.late += 1;
+                }
+                let gap_s = seconds(sync.since(self.sampled));
+                if let Some(before) = self.newest.filter(|_| gap_s > 0.0) {
+                    let way = i64::from(answer.position) - i64::from(before.position);
+                    self.velocity = real(way) / gap_s;
+                }
+                self.answered = true;
+                self.newest = Some(answer);
+                self.sampled = sync;
+                Ok(answer)
+            }
+            Err(rejected) => {
+                self.health.rejected += 1;
+                Err(rejected)
+            }
+        }
+    }
+
+    /// Refuses places that the axis cannot have reached, with half again its greatest speed and a little for rounding.
+    fn believe(&self, plan: &AxisPlan, gap_ns: u64, answer: Answer) -> Result<Answer, Rejected> {
+        let Some(before) = self.newest else {
+            return Ok(answer);
+        };
+        let reach = 1.5 * plan.speed_max * plan.counts_per_unit.abs() * seconds(gap_ns) + 10.0;
+        let way = real((i64::from(answer.position) - i64::from(before.position)).abs());
+        if way <= reach {
+            Ok(answer)
+        } else {
+            Err(Rejected::Jump)
+        }
+    }
+
+    /// The cycle is over: counts it if no answer came.
+    pub(super) fn end_cycle(&mut self) {
+        if core::mem::take(&mut self.answered) {
+            self.health.age_cycles = 0;
+        } else {
+            self.health.age_cycles = self.health.age_cycles.saturating_add(1);
+            self.health.missed += 1;
+        }
+    }
+
+    /// Where it is at `now` if it has gone on as it did, counts.
+    pub(super) fn predicted(&self, now: TimeNs) -> Option<f64> {
+        let newest = self.newest?;
+        let ahead = self.velocity * seconds(now.since(self.sampled));
+        Some(f64::from(newest.position) + ahead)
+    }
+
+    /// How far it is from the set-point that it was following, counts.
+    pub(super) fn deviation(&self) -> u32 {
+        self.newest.map_or(0, |newest| {
+            let way = i64::from(newest.position) - i64::from(self.followed);
+            u32::try_from(way.unsigned_abs()).unwrap_or(u32::MAX)
+        })
+    }
+}
+
+fn parse(data: &[u8]) -> Result<Answer, Rejected> {
+    if data.len() != usize::from(ANSWER_BYTES) {
+        return Err(Rejected::Length);
+    }
+    let [s0, s1, p0, p1, p2, p3, t0, t1] =
+        <[u8; 8]>::try_from(data).map_err(|_| Rejected::Length)?;
+    let status = u16::from_le_bytes([s0, s1]);
+    Ok(Answer {
+        status: Status::parse(status).map_err(|_| Rejected::Status)?,
+        position: i32::from_le_bytes([p0, p1, p2, p3]),
+        torque: i16::from_le_bytes([t0, t1]),
+    })
+}
+
+/// `units` in counts, inside the axis's range; none if it is no number.
+pub(super) fn counts(plan: &AxisPlan, units: f64) -> Option<i32> {
+    if !units.is_finite() {
+        return None;
+    }
+    let inside = units.max(plan.range.0).min(plan.range.1);
+    i32::try_from(whole(inside * plan.counts_per_unit)).ok()
+}

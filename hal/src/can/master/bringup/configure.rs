@@ -1,0 +1,160 @@
+//! What every node is told before it may be operational, in the order that CiA 301 wants.
+
+use super::super::client::{read, write};
+use super::super::link::Bus;
+use super::super::plan::ArmPlan;
+use super::BringUpError;
+use crate::can::NodeId;
+use crate::can::cia301::cob::{PdoNumber, SYNC_ID};
+use crate::can::cia301::pdo::{MappingEntry, PdoCob, SyncCount, Transmission};
+use crate::can::cia301::{AbortCode, Address, Cob};
+use crate::can::cia402::Mode;
+use crate::can::cia402::mode::period_parameter;
+use crate::can::od::index;
+
+/// Periods of the beat after which a set-point is overdue.
+const DEADLINE_CYCLES: u64 = 10;
+/// Least deadline, ms: below that the host's own jitter would stop the arm.
+const DEADLINE_MS_MIN: u64 = 10;
+/// Abort connection: quick stop.
+const QUICK_STOP: u8 = 3;
+/// Shutdown, disabling: ramp first.
+const RAMP: u8 = 1;
+/// Quick stop, fault reaction: fast ramp, then no voltage. A drive whose master is dead must not hold on for good.
+const FAST_RAMP: u8 = 2;
+
+struct Writer<'a, B> {
+    bus: &'a mut B,
+    line: u8,
+    node: NodeId,
+}
+
+impl<B: Bus> Writer<'_, B> {
+    fn put(&mut self, address: Address, data: &[u8]) -> Result<(), BringUpError> {
+        write(self.bus, self.line, self.node, address, data)
+    }
+
+    /// Writes and compares.
+    fn set(&mut self, address: Address, data: &[u8]) -> Result<(), BringUpError> {
+        self.put(address, data)?;
+        let found = read(self.bus, self.line, self.node, address)?;
+        if found.as_slice() == data {
+            Ok(())
+        } else {
+            Err(BringUpError::NotTaken {
+                node: self.node,
+                address,
+            })
+        }
+    }
+
+    /// Writes what not every drive has.
+    fn set_if_there(&mut self, address: Address, data: &[u8]) -> Result<(), BringUpError> {
+        match self.set(address, data) {
+            Err(BringUpError::Refused { code, .. })
+                if code == AbortCode::NO_OBJECT || code == AbortCode::NO_SUB_INDEX =>
+            {
+                Ok(())
+            }
+            other => other,
+        }
+    }
+
+    /// One PDO: off, mapping, transmission, on.
+    fn pdo(
+        &mut self,
+        record: fn(u8, u8) -> Address,
+        mapping: fn(u8, u8) -> Address,
+        cob: PdoCob,
+        objects: &[(Address, u8)],
+    ) -> Result<(), BringUpError> {
+        let off = PdoCob {
+            valid: false,
+            ..cob
+        };
+        self.put(record(0, 1), &off.emit().to_le_bytes())?;
+        self.set(mapping(0, 0), &[0])?;
+        for (n, &(address, bits)) in (1_u8..).zip(objects) {
+            let entry = MappingEntry { address, bits };
+            self.set(mapping(0, n), &entry.emit().to_le_bytes())?;
+        }
+        let count = u8::try_from(objects.len()).unwrap_or(u8::MAX);
+        self.set(mapping(0, 0), &[count])?;
+        let every = Transmission::SyncCyclic(SyncCount::EVERY);
+        self.set(record(0, 2), &[every.raw()])?;
+        self.set(record(0, 1), &cob.emit().to_le_bytes())
+    }
+}
+
+/// Tells the node of `axis` everything.
+pub(super) fn node<B: Bus>(bus: &mut B, plan: &ArmPlan, axis: usize) -> Result<(), BringUpError> {
+    let who = plan.who(axis);
+    let mut to = Writer {
+        bus,
+        line: who.line,
+        node: who.node,
+    };
+    beat(&mut to, plan)?;
+    watches(&mut to, plan)?;
+    for (address, option) in [
+        (index::ABORT_OPTION, QUICK_STOP),
+        (index::QUICK_STOP_OPTION, FAST_RAMP),
+        (index::SHUTDOWN_OPTION, RAMP),
+        (index::DISABLE_OPTION, RAMP),
+        (index::FAULT_OPTION, FAST_RAMP),
+    ] {
+        // CiA 402 leaves these to the drive; each has a default that stops.
+        to.set_if_there(address, &[option, 0])?;
+    }
+    let command = Cob::ReceivePdo(PdoNumber::FIRST, who.node).id();
+    let answer = Cob::TransmitPdo(PdoNumber::FIRST, who.node).id();
+    let cob = |id, rtr| PdoCob {
+        id,
+        valid: true,
+        rtr,
+    };
+    to.pdo(
+        index::rpdo,
+        index::rpdo_mapping,
+        cob(command, true),
+        &[(index::CONTROL, 16), (index::TARGET, 32)],
+    )?;
+    to.pdo(
+        index::tpdo,
+        index::tpdo_mapping,
+        cob(answer, false),
+        &[
+            (index::STATUS, 16),
+            (index::POSITION, 32),
+            (index::TORQUE, 16),
+        ],
+    )?;
+    to.set(index::MODE, &Mode::CyclicPosition.raw().to_le_bytes())
+}
+
+/// SYNC and interpolation.
+fn beat<B: Bus>(to: &mut Writer<'_, B>, plan: &ArmPlan) -> Result<(), BringUpError> {
+    let cycle_ns = plan.cycle_ns;
+    let (value, exponent) = period_parameter(cycle_ns).ok_or(BringUpError::Period { cycle_ns })?;
+    let cob = u32::from(plan.sync_id.raw());
+    if plan.sync_id == SYNC_ID {
+        to.set_if_there(index::SYNC_COB, &cob.to_le_bytes())?;
+    } else {
+        to.set(index::SYNC_COB, &cob.to_le_bytes())?;
+    }
+    // The counter may change only while there is no period.
+    to.set_if_there(index::SYNC_PERIOD, &[0; 4])?;
+    to.set_if_there(index::SYNC_COUNTER, &[plan.sync_counter])?;
+    to.set(index::PERIOD_VALUE, &[value])?;
+    to.set(index::PERIOD_EXPONENT, &exponent.to_le_bytes())
+}
+
+/// Heartbeats both ways, and the deadline of a set-point.
+fn watches<B: Bus>(to: &mut Writer<'_, B>, plan: &ArmPlan) -> Result<(), BringUpError> {
+    to.set(index::HEARTBEAT, &plan.heartbeat_ms.to_le_bytes())?;
+    let [low, high] = plan.heartbeat_ms.saturating_mul(3).to_le_bytes();
+    to.set_if_there(index::CONSUMER, &[low, high, plan.master.raw(), 0])?;
+    let deadline_ms = (DEADLINE_CYCLES * plan.cycle_ns / 1_000_000).max(DEADLINE_MS_MIN);
+    let deadline_ms = u16::try_from(deadline_ms).unwrap_or(u16::MAX);
+    to.set_if_there(index::rpdo(0, 5), &deadline_ms.to_le_bytes())
+}

@@ -1,0 +1,112 @@
+//! Why an arm did not come up, with the node and the object.
+
+use super::super::fault::{Fault, Who};
+use crate::can::bus::Overload;
+use crate::can::cia301::{AbortCode, Address};
+use crate::can::cia402::Mode;
+use crate::can::{Frame, NodeId};
+
+/// Why an arm did not come up.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum BringUpError {
+    /// The plan is more than a bus can carry.
+    #[error("{0}")]
+    Overload(#[from] Overload),
+    /// The send queue stays full.
+    #[error("bus {line}: no room in the send queue")]
+    CannotSend {
+        /// The bus.
+        line: u8,
+    },
+    /// Our controller left the bus, or the interface is down.
+    #[error("bus {line}: bus-off or down")]
+    Off {
+        /// The bus.
+        line: u8,
+    },
+    /// Somebody else leads these nodes.
+    #[error("bus {line}: another master sends {frame}")]
+    ForeignMaster {
+        /// The bus.
+        line: u8,
+        /// What was heard.
+        frame: Frame,
+    },
+    /// A node does not boot up when it is told to.
+    #[error("{0}: does not answer to a reset")]
+    Missing(Who),
+    /// A node does not answer a transfer.
+    #[error("node {node}: no answer about {address}")]
+    NoAnswer {
+        /// The node.
+        node: NodeId,
+        /// The object.
+        address: Address,
+    },
+    /// A node answers something else than was asked.
+    #[error("node {node}: a senseless answer about {address}")]
+    Confused {
+        /// The node.
+        node: NodeId,
+        /// The object.
+        address: Address,
+    },
+    /// A node refuses a transfer.
+    #[error("node {node}: refuses {address}: {code}")]
+    Refused {
+        /// The node.
+        node: NodeId,
+        /// The object.
+        address: Address,
+        /// Why.
+        code: AbortCode,
+    },
+    /// A node is not what the plan says.
+    #[error("{who}: {address} is {found:#x} instead of {expected:#x}")]
+    Identity {
+        /// The node.
+        who: Who,
+        /// The object.
+        address: Address,
+        /// What it should be.
+        expected: u32,
+        /// What it is.
+        found: u32,
+    },
+    /// A node lacks a mode of operation.
+    #[error("{who}: has no {mode:?} mode")]
+    Mode {
+        /// The node.
+        who: Who,
+        /// The mode.
+        mode: Mode,
+    },
+    /// A node took a value and has another.
+    #[error("node {node}: {address} was written and does not read back")]
+    NotTaken {
+        /// The node.
+        node: NodeId,
+        /// The object.
+        address: Address,
+    },
+    /// The interpolation period cannot be said in 60C2h.
+    #[error("a cycle of {cycle_ns} ns has no value in 60C2h")]
+    Period {
+        /// The cycle.
+        cycle_ns: u64,
+    },
+    /// A drive does not come to a state that homing needs.
+    #[error("{who}: homing failed, status word {status:#06x}")]
+    Homing {
+        /// The node.
+        who: Who,
+        /// What it says.
+        status: u32,
+    },
+    /// The arm failed while it was being enabled.
+    #[error("{0}")]
+    Fault(Fault),
+    /// The drives were not enabled in time.
+    #[error("the drives did not become enabled in time")]
+    Slow,
+}

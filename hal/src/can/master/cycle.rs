@@ -1,0 +1,297 @@
+//! What happens between two SYNCs. Hot path: bounded, no allocation, no I/O, no lock.
+
+mod receive;
+mod supervise;
+
+use super::axis::{Axis, AxisHealth, counts};
+use super::fault::Fault;
+use super::plan::ArmPlan;
+use super::space::Axes;
+use crate::TimeNs;
+use crate::can::cia301::cob::PdoNumber;
+use crate::can::cia301::sync::Sync;
+use crate::can::cia301::{Cob, NmtState};
+use crate::can::cia402::{Command, Control, PowerState};
+use crate::can::number::seconds;
+use crate::can::{Frame, Outbox, Payload};
+use crate::tail::TAIL_AXES;
+
+/// Cycles without an answer from which on the measurement counts as lost.
+pub const LOST_AFTER: u32 = 3;
+/// Cycles without an answer that are a fault.
+pub const SILENT_AFTER: u32 = 20;
+/// Cycles in a row without room to send from which on the arm counts as lost.
+pub const UNSENT_LOST_AFTER: u32 = 2;
+/// Cycles in a row without room to send that are a fault.
+pub const UNSENT_FAULT_AFTER: u32 = 20;
+/// Cycles for which a deviation must last.
+const DEVIATION_CYCLES: u32 = 10;
+/// How long the drives may take to become enabled, ns.
+const ENABLE_NS: u64 = 2_000_000_000;
+/// How long after a fault the drives hold before they lose their voltage, ns.
+const HOLD_NS: u64 = 500_000_000;
+/// Buses at most.
+pub const LINES_MAX: usize = 3;
+
+/// What the drives should be.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Goal {
+    /// Without torque.
+    Disabled,
+    /// Following.
+    Enabled,
+}
+
+/// How the buses have been.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct LineHealth {
+    /// Whether our controller is error passive.
+    pub passive: bool,
+    /// Frames lost before they came to us.
+    pub lost: u64,
+    /// Frames that no CANopen device sends.
+    pub foreign: u64,
+    /// Cycles in a row of which some frame found no room.
+    pub unsent: u32,
+    /// Whether this cycle is one.
+    short: bool,
+}
+
+/// The arm between two SYNCs.
+#[derive(Clone, Debug)]
+pub struct Cycle {
+    plan: ArmPlan,
+    axes: [Axis; TAIL_AXES],
+    lines: [LineHealth; LINES_MAX],
+    goal: Goal,
+    goal_since: TimeNs,
+    /// Whether all drives have been enabled since the goal was set.
+    reached: bool,
+    deviates: [u32; TAIL_AXES],
+    /// Set-points that the newest SYNC put into effect, counts.
+    applied: [i32; TAIL_AXES],
+    fault: Option<(Fault, TimeNs)>,
+    counter: u8,
+    /// Stamp of the newest set-points that were taken.
+    commanded: Option<TimeNs>,
+    sync: Option<TimeNs>,
+    heartbeat: Option<TimeNs>,
+    /// Whether the newest beat goes with a heartbeat.
+    alive: bool,
+}
+
+impl Cycle {
+    /// A cycle that begins at `now` with drives that are operational and have just been heard.
+    #[must_use]
+    pub fn new(plan: &ArmPlan, now: TimeNs) -> Self {
+        let mut axes = [Axis::new(); TAIL_AXES];
+        for axis in &mut axes {
+            axis.heard = Some(now);
+        }
+        Self {
+            plan: *plan,
+            axes,
+            lines: [LineHealth::default(); LINES_MAX],
+            goal: Goal::Disabled,
+            goal_since: now,
+            reached: false,
+            deviates: [0; TAIL_AXES],
+            applied: [0; TAIL_AXES],
+            fault: None,
+            counter: 0,
+            commanded: None,
+            sync: None,
+            heartbeat: None,
+            alive: false,
+        }
+    }
+
+    /// The latched fault.
+    #[must_use]
+    pub fn fault(&self) -> Option<Fault> {
+        self.fault.map(|(fault, _)| fault)
+    }
+
+    /// How each axis has been heard.
+    #[must_use]
+    pub fn axis_health(&self) -> [AxisHealth; TAIL_AXES] {
+        self.axes.map(|axis| axis.health)
+    }
+
+    /// How each bus has been.
+    #[must_use]
+    pub const fn line_health(&self) -> &[LineHealth; LINES_MAX] {
+        &self.lines
+    }
+
+    /// Power states as last heard.
+    #[must_use]
+    pub fn states(&self) -> [Option<PowerState>; TAIL_AXES] {
+        self.axes
+            .map(|axis| axis.newest.map(|newest| newest.status.state))
+    }
+
+    /// Set-points, counts.
+    #[must_use]
+    pub fn targets(&self) -> [i32; TAIL_AXES] {
+        self.axes.map(|axis| axis.target)
+    }
+
+    /// Whether every drive follows.
+    #[must_use]
+    pub fn is_enabled(&self) -> bool {
+        self.states()
+            .iter()
+            .all(|state| *state == Some(PowerState::OperationEnabled))
+    }
+
+    /// The newest SYNC.
+    #[must_use]
+    pub const fn sync(&self) -> Option<TimeNs> {
+        self.sync
+    }
+
+    fn latch(&mut self, now: TimeNs, fault: Fault) {
+        // The first one is the cause; what follows from it is not.
+        self.fault.get_or_insert((fault, now));
+    }
+
+    /// Sets what the drives should be. A fault wins over it.
+    pub fn set_goal(&mut self, now: TimeNs, goal: Goal) {
+        if goal != self.goal {
+            self.goal = goal;
+            self.goal_since = now;
+            self.reached = false;
+        }
+    }
+
+    /// What the drives should be.
+    #[must_use]
+    pub const fn goal(&self) -> Goal {
+        self.goal
+    }
+
+    /// Takes set-points in the drives' units for `stamp`; tells whether they can be gone to. If one is no number, or
+    /// further than twice the axis's greatest speed would bring it, none is taken.
+    pub fn set_targets(&mut self, stamp: TimeNs, units: &Axes) -> bool {
+        let gap_ns = self.commanded.map_or(0, |before| stamp.since(before));
+        let gap_s = seconds(gap_ns.max(self.plan.cycle_ns));
+        let mut wanted = [0; TAIL_AXES];
+        for (n, place) in wanted.iter_mut().enumerate() {
+            let (plan, axis) = (&self.plan.axes[n], &self.axes[n]);
+            let Some(target) = counts(plan, units[n]) else {
+                return false;
+            };
+            let follows = axis
+                .newest
+                .is_some_and(|newest| newest.status.state == PowerState::OperationEnabled);
+            let way = f64::from(target) - f64::from(axis.target);
+            let reach = 2.0 * plan.speed_max * plan.counts_per_unit.abs() * gap_s + 10.0;
+            if follows && way.abs() > reach {
+                return false;
+            }
+            *place = target;
+        }
+        self.commanded = Some(stamp);
+        for (axis, target) in self.axes.iter_mut().zip(wanted) {
+            axis.target = target;
+        }
+        true
+    }
+
+    /// The set-points for the drives on `line`.
+    pub fn commands(&mut self, now: TimeNs, line: u8, out: &mut Outbox) {
+        let together = self.together();
+        for n in 0..TAIL_AXES {
+            if self.plan.axes[n].line != line {
+                continue;
+            }
+            let command = self.command_for(n, now, together);
+            let axis = &mut self.axes[n];
+            let newest = axis.newest;
+            let follows =
+                newest.is_some_and(|newest| newest.status.state == PowerState::OperationEnabled);
+            // Where a drive that does not follow yet is must be where it starts to.
+            if let Some(newest) = newest.filter(|_| !follows) {
+                axis.target = newest.position;
+            }
+            axis.sent = axis.target;
+            let [a, b] = Control::new(command).emit().to_le_bytes();
+            let [c, d, e, f] = axis.target.to_le_bytes();
+            let id = Cob::ReceivePdo(PdoNumber::FIRST, self.plan.axes[n].node).id();
+            out.push(Frame::new(id, Payload::truncated(&[a, b, c, d, e, f])));
+        }
+    }
+
+    /// Whether all drives are ready to be enabled in the same cycle.
+    fn together(&self) -> bool {
+        self.states().iter().all(|state| {
+            matches!(
+                state,
+                Some(PowerState::SwitchedOn | PowerState::OperationEnabled)
+            )
+        })
+    }
+
+    fn command_for(&self, axis: usize, now: TimeNs, together: bool) -> Command {
+        let Some(newest) = self.axes[axis].newest else {
+            return Command::DisableVoltage;
+        };
+        let state = newest.status.state;
+        if let Some((_, since)) = self.fault {
+            return if now.since(since) < HOLD_NS && state.has_torque() {
+                Command::QuickStop
+            } else {
+                Command::DisableVoltage
+            };
+        }
+        match self.goal {
+            Goal::Disabled if state == PowerState::QuickStopActive => Command::DisableVoltage,
+            Goal::Disabled => Command::Shutdown,
+            Goal::Enabled => match state.towards_enabled() {
+                Some(Command::EnableOperation) if !together => Command::SwitchOn,
+                Some(command) => command,
+                None => Command::DisableVoltage,
+            },
+        }
+    }
+
+    /// Begins the cycle at `now`: the set-points that were sent take effect.
+    pub fn begin(&mut self, now: TimeNs) {
+        for (axis, applied) in self.axes.iter_mut().zip(&mut self.applied) {
+            axis.followed = *applied;
+            *applied = axis.sent;
+        }
+        self.sync = Some(now);
+        let period_ns = u64::from(self.plan.heartbeat_ms) * 1_000_000;
+        self.alive = self
+            .heartbeat
+            .is_none_or(|then| now.since(then) >= period_ns);
+        if self.alive {
+            self.heartbeat = Some(now);
+        }
+        self.counter = if self.counter >= self.plan.sync_counter {
+            1
+        } else {
+            self.counter + 1
+        };
+    }
+
+    /// The beat of this cycle, the same for every bus: SYNC, and the own heartbeat if it is due.
+    pub fn beat(&self, out: &mut Outbox) {
+        let sync = Sync::counted(self.counter)
+            .filter(|_| self.plan.sync_counter != 0)
+            .unwrap_or(Sync::PLAIN);
+        out.push(sync.emit(self.plan.sync_id));
+        if self.alive {
+            out.push(NmtState::Operational.emit(self.plan.master));
+        }
+    }
+
+    /// Notes whether all frames that were handed over in this cycle found room on `line`.
+    pub fn on_sent(&mut self, line: u8, all: bool) {
+        if let Some(health) = self.lines.get_mut(usize::from(line)) {
+            health.short |= !all;
+        }
+    }
+}

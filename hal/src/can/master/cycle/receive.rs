@@ -1,0 +1,106 @@
+//! What comes from the buses in a cycle. Hot path: bounded, no allocation, no I/O, no lock.
+
+use super::super::fault::Fault;
+use super::super::link::{Received, Trouble};
+use super::Cycle;
+use crate::TimeNs;
+use crate::can::cia301::cob::PdoNumber;
+use crate::can::cia301::{Cob, Emergency, NmtState, NmtTarget, nmt};
+use crate::can::{Frame, NodeId};
+
+impl Cycle {
+    /// Takes what came on `line`.
+    pub fn on_received(&mut self, line: u8, now: TimeNs, received: &Received) {
+        match received {
+            Received::Frame(frame) => self.on_frame(line, now, frame),
+            Received::Trouble(trouble) => self.on_trouble(line, now, *trouble),
+        }
+    }
+
+    fn on_trouble(&mut self, line: u8, now: TimeNs, trouble: Trouble) {
+        let Some(health) = self.lines.get_mut(usize::from(line)) else {
+            return;
+        };
+        match trouble {
+            // Whoever restarted the controller, what it missed is not known.
+            Trouble::BusOff | Trouble::Restarted => self.latch(now, Fault::BusOff { line }),
+            Trouble::Down => self.latch(now, Fault::Down { line }),
+            Trouble::ErrorPassive => health.passive = true,
+            Trouble::ErrorActive => health.passive = false,
+            Trouble::Lost(count) => health.lost += u64::from(count),
+            Trouble::Foreign => health.foreign += 1,
+        }
+    }
+
+    fn on_frame(&mut self, line: u8, now: TimeNs, frame: &Frame) {
+        let axis = |node: NodeId| self.plan.axis_of(line, node);
+        let foreign = match Cob::of(frame.id) {
+            _ if frame.id == self.plan.sync_id => true,
+            Cob::Nmt => self.concerns_us(line, frame),
+            Cob::ReceivePdo(_, node) => axis(node).is_some(),
+            Cob::Heartbeat(node) if node == self.plan.master => true,
+            Cob::Heartbeat(node) => {
+                if let Some(axis) = axis(node) {
+                    self.on_heartbeat(axis, now, frame.data());
+                }
+                false
+            }
+            Cob::TransmitPdo(number, node) => {
+                if let Some(axis) = axis(node).filter(|_| number == PdoNumber::FIRST) {
+                    self.on_answer(axis, frame.data());
+                }
+                false
+            }
+            Cob::Emergency(node) => {
+                if let Some(axis) = axis(node) {
+                    self.on_emergency(axis, now, frame.data());
+                }
+                false
+            }
+            Cob::Sync | Cob::Time | Cob::SdoResponse(_) | Cob::SdoRequest(_) | Cob::Other(_) => {
+                false
+            }
+        };
+        if foreign {
+            let id = frame.id;
+            self.latch(now, Fault::ForeignMaster { line, id });
+        }
+    }
+
+    fn concerns_us(&self, line: u8, frame: &Frame) -> bool {
+        match nmt::NmtView(frame.data()).target() {
+            Ok(NmtTarget::Node(node)) => self.plan.axis_of(line, node).is_some(),
+            Ok(NmtTarget::All) => true,
+            Err(_) => false,
+        }
+    }
+
+    fn on_answer(&mut self, axis: usize, data: &[u8]) {
+        if let Some(sync) = self.sync {
+            // What is not taken is counted by the axis, and missing at the end of the cycle.
+            let plan = &self.plan.axes[axis];
+            let _ = self.axes[axis].on_answer(plan, self.plan.cycle_ns, sync, data);
+        }
+    }
+
+    fn on_emergency(&mut self, axis: usize, now: TimeNs, data: &[u8]) {
+        if let Ok(emergency) = Emergency::parse(data)
+            && emergency.code.0 != 0
+        {
+            let who = self.plan.who(axis);
+            self.latch(now, Fault::Emergency(who, emergency.code));
+        }
+    }
+
+    fn on_heartbeat(&mut self, axis: usize, now: TimeNs, data: &[u8]) {
+        let who = self.plan.who(axis);
+        match NmtState::parse(data) {
+            Ok(NmtState::Operational) => self.axes[axis].heard = Some(now),
+            Ok(NmtState::BootUp) => self.latch(now, Fault::Rebooted(who)),
+            Ok(state @ (NmtState::Stopped | NmtState::PreOperational)) => {
+                self.latch(now, Fault::LeftOperational(who, state));
+            }
+            Err(_) => {}
+        }
+    }
+}

@@ -1,0 +1,50 @@
+//! The master of an arm: it finds its drives, leads them to where they may be enabled, and keeps the beat.
+//!
+//! [`plan`] says which node drives what, [`config`] reads it from `config/can.toml`. [`bringup`] is the way to an enabled arm, a type a step; [`cycle`] is what
+//! happens between two SYNCs, without clock or socket; [`arm`] makes a [`hal::Arm`](crate::Arm) of it. [`link`] is the
+//! seam to the buses.
+//!
+//! What the master does about what can go wrong. "Lost" means that [`CanArm`] reports a lost measurement,
+//! whereupon the controller plays its verified stop; "fault" means that every drive that still hears us gets a quick stop,
+//! half a second later no voltage, and that nothing but a new bring-up leads out of it.
+//!
+//! ```text
+//! what                                     noticed by                      reaction
+//! bus-off, interface down                  error frame                     fault at once; that bus is not sent to again
+//! error passive, lost frames               error frame, receive counter    counted and told
+//! no room to send                          short send                      2 cycles lost, 20 cycles fault
+//! answer missing, late, short, long,       per-axis age                    predicted; 3 cycles lost, 20 cycles fault
+//! senseless or impossibly far
+//! heartbeat missing                        three periods                   fault
+//! boot-up or another NMT state             heartbeat                       fault
+//! emergency                                its frame                       fault with the drive's code
+//! not enabled any more                     status word                     fault
+//! following error                          status word, own comparison     fault
+//! power lost                               status word                     fault
+//! somebody else's SYNC, NMT or set-points  their identifiers               fault
+//! wrong identity                           bring-up                        no arm
+//! controller silent, senseless or leaping  no set-point in reach           the tail is played to rest
+//! own process dead                         the drives' own watches         they stop by themselves
+//! ```
+
+pub mod arm;
+pub mod axis;
+pub mod bringup;
+mod client;
+pub mod config;
+pub mod cycle;
+pub mod fault;
+pub mod link;
+pub mod plan;
+pub mod space;
+
+pub use arm::CanArm;
+pub use bringup::{BringUpError, Offline};
+pub use config::CanConfig;
+pub use fault::{Fault, Who};
+pub use link::{Bus, Received, Trouble};
+pub use plan::{ArmPlan, AxisPlan};
+pub use space::Space;
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,99 @@
+//! Which node drives which axis on which bus, and how fast.
+
+use super::fault::Who;
+use super::space::Space;
+use crate::can::bus::{Overload, Plan};
+use crate::can::{CanId, NodeId};
+use crate::tail::TAIL_AXES;
+
+/// Data bytes of a set-point: control word and target position.
+pub const COMMAND_BYTES: u8 = 6;
+/// Data bytes of an answer: status word, actual position, actual torque.
+pub const ANSWER_BYTES: u8 = 8;
+
+/// One axis on a bus. Units are those of its space: rad, or m for the insertion.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct AxisPlan {
+    /// Its node.
+    pub node: NodeId,
+    /// The bus, from 0.
+    pub line: u8,
+    /// Vendor and product that the node must say it is; 1018h:01 and :02.
+    pub identity: (u32, u32),
+    /// Counts a unit.
+    pub counts_per_unit: f64,
+    /// Where it may be sent, units.
+    pub range: (f64, f64),
+    /// Greatest speed that is believed of it, units/s.
+    pub speed_max: f64,
+    /// Distance from the set-point that is a fault, units.
+    pub following_max: f64,
+    /// Torque at 1000 per mille, N m (N).
+    pub torque_rated: f64,
+}
+
+/// An arm on one to three buses.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ArmPlan {
+    /// Buses.
+    pub lines: u8,
+    /// Bits a second on each.
+    pub bit_rate: u32,
+    /// Time between two SYNCs, ns; a whole number of 100 us.
+    pub cycle_ns: u64,
+    /// Identifier of the SYNC. Two arms on one bus need two.
+    pub sync_id: CanId,
+    /// Greatest value of the SYNC's counter, 2 to 240, or 0 for none.
+    pub sync_counter: u8,
+    /// Number under which the master's own heartbeat goes out.
+    pub master: NodeId,
+    /// Time between two heartbeats, of master and drives, ms.
+    pub heartbeat_ms: u16,
+    /// What the drives' positions mean.
+    pub space: Space,
+    /// Joints in order and the jaw, or actuators in order.
+    pub axes: [AxisPlan; TAIL_AXES],
+}
+
+impl ArmPlan {
+    /// The axis `axis` with its node.
+    #[must_use]
+    pub fn who(&self, axis: usize) -> Who {
+        let plan = &self.axes[axis];
+        Who {
+            axis: u8::try_from(axis).unwrap_or(u8::MAX),
+            node: plan.node,
+            line: plan.line,
+        }
+    }
+
+    /// Which axis `node` on `line` drives.
+    #[must_use]
+    pub fn axis_of(&self, line: u8, node: NodeId) -> Option<usize> {
+        self.axes
+            .iter()
+            .position(|axis| axis.line == line && axis.node == node)
+    }
+
+    /// What `line` has to carry, with this arm alone on it.
+    #[must_use]
+    pub fn traffic(&self, line: u8) -> Plan {
+        let axes = self.axes.iter().filter(|axis| axis.line == line).count();
+        let axes = u32::try_from(axes).unwrap_or(u32::MAX);
+        let bytes = (COMMAND_BYTES, ANSWER_BYTES);
+        let mut plan = Plan::cyclic(line, self.bit_rate, self.cycle_ns, axes, bytes);
+        if self.sync_counter != 0 {
+            plan.traffic[0].data_bytes = 1;
+        }
+        plan.heartbeats = (axes + 1, u64::from(self.heartbeat_ms) * 1_000_000);
+        plan
+    }
+
+    /// Whether each bus can carry its part.
+    ///
+    /// # Errors
+    /// [`Overload`] with the arithmetic.
+    pub fn check_load(&self) -> Result<(), Overload> {
+        (0..self.lines).try_for_each(|line| self.traffic(line).check().map(|_| ()))
+    }
+}

@@ -1,0 +1,183 @@
+use super::*;
+use crate::can::cia301::NmtState;
+use crate::can::cia402::PowerState;
+
+#[test]
+fn seven_axes_come_up_at_500_hz_on_one_bus_and_at_1_khz_on_three() {
+    for plan in [plan(1, 2 * MS), plan(3, MS)] {
+        let mut bench = Bench::on(&plan);
+        assert!(bench.arm.cycle().is_enabled());
+        let state = bench.cycles(5, 0.0).unwrap();
+        for axis in 0..6 {
+            assert!((state.position[axis] - bench.position[axis]).abs() < 1e-4);
+        }
+        assert_eq!(bench.torques(), [true; TAIL_AXES]);
+    }
+}
+
+#[test]
+fn seven_axes_at_1_khz_on_one_bus_are_refused_with_the_arithmetic() {
+    let plan = plan(1, MS);
+    let error = Offline::new(network(&plan), &plan).unwrap_err();
+    assert_eq!(
+        error.to_string(),
+        "bus 0: 1 SYNC x 55 + 7 set-points x 115 + 7 answers x 135 + heartbeats of 8 nodes = 1811 bits with stuffing, \
+         but a cycle of 1000 us at 1 Mbit/s has 1000: 181.1 % of the bus, of which at most 95 % may be planned; use more \
+         buses or a longer cycle"
+    );
+}
+
+#[test]
+fn a_plan_that_the_wire_cannot_carry_fails_on_it() {
+    // The plan says 1 Mbit/s, but the wire has half of it.
+    let plan = plan(1, 2 * MS);
+    let mut net: Net = Network::new(1, 500_000, 64);
+    for axis in 0..TAIL_AXES {
+        net.add(0, drive(axis), IdealMotor::default());
+    }
+    let homed = Offline::new(net, &plan).unwrap().scan().unwrap();
+    let homed = homed
+        .check_identity()
+        .unwrap()
+        .map()
+        .unwrap()
+        .home()
+        .unwrap();
+    // A few cycles may fit into the queues; many do not.
+    let Ok(mut arm) = homed.enable() else {
+        return;
+    };
+    let start = arm.bus_mut().now();
+    for n in 1..200 {
+        let now = start.plus_ns(n * plan.cycle_ns);
+        arm.bus_mut().wait(now);
+        let _ = arm.read(now);
+    }
+    let health = arm.cycle().axis_health();
+    assert!(arm.fault().is_some() && health[6].missed > 20, "{health:?}");
+}
+
+#[test]
+fn a_missing_node_is_named() {
+    let plan = plan(1, 2 * MS);
+    let mut net = network(&plan);
+    net.power(node(4), false);
+    let error = Offline::new(net, &plan)
+        .unwrap()
+        .scan()
+        .map(|_| ())
+        .unwrap_err();
+    assert_eq!(
+        error.to_string(),
+        "node 5 (axis 4, bus 0): does not answer to a reset"
+    );
+}
+
+#[test]
+fn a_drive_of_another_make_is_refused() {
+    let plan = plan(1, 2 * MS);
+    let mut net: Net = Network::new(1, plan.bit_rate, 64);
+    for axis in 0..TAIL_AXES {
+        let config = AxisConfig {
+            identity: (0, if axis == 2 { 77 } else { PRODUCT_CODE }),
+            ..AxisConfig::default()
+        };
+        net.add(0, Node::new(node(axis), &config), IdealMotor::default());
+    }
+    let scanned = Offline::new(net, &plan).unwrap().scan().unwrap();
+    let error = scanned.check_identity().map(|_| ()).unwrap_err();
+    assert_eq!(
+        error.to_string(),
+        "node 3 (axis 2, bus 0): 1018:02 is 0x4d instead of 0x54524f43"
+    );
+}
+
+#[test]
+fn another_master_is_noticed_before_a_word_is_said() {
+    let plan = plan(1, 2 * MS);
+    let mut net = network(&plan);
+    net.intrude(0, frame(0x203, &[6, 0, 0, 0, 0, 0]));
+    let error = Offline::new(net, &plan)
+        .unwrap()
+        .scan()
+        .map(|_| ())
+        .unwrap_err();
+    assert_eq!(
+        error.to_string(),
+        "bus 0: another master sends 203#060000000000"
+    );
+}
+
+#[test]
+fn serial_numbers_are_read_and_nothing_has_torque_before_enabling() {
+    let plan = plan(1, 2 * MS);
+    let identified = Offline::new(network(&plan), &plan)
+        .unwrap()
+        .scan()
+        .unwrap()
+        .check_identity()
+        .unwrap();
+    assert_eq!(identified.serials(), &[100, 101, 102, 103, 104, 105, 106]);
+    let homed = identified.map().unwrap().home().unwrap();
+    let mut arm = homed.enable().unwrap();
+    let now = arm.bus_mut().now();
+    let mut net = arm.release();
+    net.wait(now.plus_ns(100 * MS));
+    for axis in 0..TAIL_AXES {
+        let node = net.node(node(axis)).unwrap();
+        assert!(!node.power_state().has_torque());
+        assert_eq!(node.nmt_state(), NmtState::PreOperational);
+    }
+}
+
+#[test]
+fn a_drive_that_does_not_become_enabled_ends_the_bring_up() {
+    let plan = plan(1, 2 * MS);
+    let homed = Offline::new(network(&plan), &plan).unwrap().scan().unwrap();
+    let homed = homed.check_identity().unwrap().map().unwrap();
+    let homed = homed.home().unwrap();
+    let mut homed = homed;
+    homed.bus_mut().tamper(Box::new(|_, _, f| {
+        // Node 6 is always told to let go.
+        if f.id.raw() == 0x206 {
+            Tampering::Replace(frame(0x206, &[0x06, 0, 0, 0, 0, 0]))
+        } else {
+            Tampering::Pass
+        }
+    }));
+    let error = homed.enable().map(|_| ()).unwrap_err();
+    assert!(
+        matches!(error, BringUpError::Fault(Fault::NotEnabled(..))),
+        "{error}"
+    );
+}
+
+#[test]
+fn an_operator_may_bring_the_arm_up_again_after_a_fault() {
+    let mut bench = Bench::new();
+    bench.net().poke(node(1), |now, drive, out| {
+        drive.fail(
+            now,
+            crate::can::cia301::emcy::ErrorCode::OVER_CURRENT,
+            2,
+            out,
+        );
+    });
+    let _ = bench.cycles(100, 0.0);
+    assert!(bench.arm.fault().is_some());
+    let net = bench.arm.release();
+    let plan = plan(1, 2 * MS);
+    let again = Offline::new(net, &plan).unwrap().scan().unwrap();
+    let again = again
+        .check_identity()
+        .unwrap()
+        .map()
+        .unwrap()
+        .home()
+        .unwrap();
+    let arm = again.enable().unwrap();
+    assert_eq!(
+        arm.cycle().states(),
+        [Some(PowerState::OperationEnabled); TAIL_AXES]
+    );
+}

@@ -1,0 +1,157 @@
+//! The CAN arm's cycle for one arm and for two, and frames through the codecs.
+
+use core::hint::black_box;
+use std::error::Error;
+use std::time::Duration;
+
+use criterion::{Criterion, Throughput};
+use hal::can::bus::{IdealMotor, Network};
+use hal::can::cia301::sdo::{Request, Response};
+use hal::can::cia301::{Cob, Emergency, NmtState};
+use hal::can::cia402::{Control, Status};
+use hal::can::master::config::CanConfig;
+use hal::can::master::{ArmPlan, Bus as _, CanArm, Offline};
+use hal::can::node::{Node, Outbox};
+use hal::can::{CanId, Frame, Payload};
+use hal::{Arm as _, ArmCommand, JointVector, SafeTail, TimeNs};
+
+type Net = Network<IdealMotor>;
+
+/// An enabled arm on emulated drives, and its time.
+struct Rig {
+    arm: CanArm<Net>,
+    now: TimeNs,
+    cycle_ns: u64,
+}
+
+impl Rig {
+    fn new(plan: &ArmPlan) -> Result<Self, Box<dyn Error>> {
+        let mut net = Net::new(plan.lines, plan.bit_rate, 64);
+        for axis in &plan.axes {
+            let node = Node::new(axis.node, &axis.drive(0));
+            net.add(axis.line, node, IdealMotor::default());
+        }
+        let scanned = Offline::new(net, plan)?.scan()?;
+        let mut arm = scanned.check_identity()?.map()?.home()?.enable()?;
+        let now = arm.bus_mut().now();
+        Ok(Self {
+            arm,
+            now,
+            cycle_ns: plan.cycle_ns,
+        })
+    }
+
+    /// Lets the drives answer.
+    fn wait(&mut self) {
+        self.now = self.now.plus_ns(self.cycle_ns);
+        self.arm.bus_mut().wait(self.now);
+    }
+
+    /// What the control thread does with the arm in a cycle.
+    fn cycle(&mut self) {
+        let measured = self.arm.read(self.now);
+        let command = ArmCommand {
+            stamp: self.now,
+            position: JointVector::zeros(),
+            velocity: JointVector::zeros(),
+            acceleration: JointVector::zeros(),
+            jaw_position: 0.0,
+            jaw_velocity: 0.0,
+            enabled: true,
+        };
+        let written = self.arm.write(&command, &SafeTail::hold(&command));
+        let _ = black_box((measured, written));
+    }
+}
+
+/// Time in the cycle alone, without the buses in memory.
+fn cycles(criterion: &mut Criterion, name: &str, rigs: &mut [Rig]) {
+    criterion.bench_function(name, |bencher| {
+        bencher.iter_custom(|count| {
+            let mut spent = Duration::ZERO;
+            for _ in 0..count {
+                rigs.iter_mut().for_each(Rig::wait);
+                let start = instant();
+                rigs.iter_mut().for_each(Rig::cycle);
+                spent += start.elapsed();
+            }
+            spent
+        });
+    });
+}
+
+#[expect(clippy::disallowed_methods, reason = "a bench measures time")]
+fn instant() -> std::time::Instant {
+    std::time::Instant::now()
+}
+
+/// A thousand arbitrary frames (splitmix64).
+fn frames() -> Vec<Frame> {
+    let mut state = 1_u64;
+    let mut next = || {
+        state = state.wrapping_add(0x9E37_79B9_7F4A_7C15);
+        let z = (state ^ (state >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
+        (z ^ (z >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB)
+    };
+    (0..1000)
+        .map(|_| {
+            let [low, high, ..] = next().to_le_bytes();
+            let id = CanId::truncated(u16::from_le_bytes([low, high]));
+            Frame::new(id, Payload::full(next().to_le_bytes()))
+        })
+        .collect()
+}
+
+/// A frame through every codec that could be meant by it, and back.
+fn decode(frame: &Frame) -> u32 {
+    let data = frame.data();
+    let request = Request::parse(data).map(|request| request.emit());
+    let response = Response::parse(data).map(|response| response.emit());
+    let emergency = Emergency::parse(data);
+    let heartbeat = NmtState::parse(data);
+    let word = u16::from_le_bytes([data[0], data[1]]);
+    let status = Status::parse(word).map(Status::emit);
+    let control = Control::parse(word).map(Control::emit);
+    let _ = black_box((request, response, emergency, heartbeat, status, control));
+    u32::from(Cob::of(frame.id).id().raw())
+}
+
+fn codecs(criterion: &mut Criterion) -> Result<(), Box<dyn Error>> {
+    let frames = frames();
+    let mut group = criterion.benchmark_group("can");
+    group.throughput(Throughput::Elements(1000));
+    group.bench_function("codecs, 1000 frames", |bencher| {
+        bencher.iter(|| frames.iter().map(decode).fold(0, u32::wrapping_add));
+    });
+    let config = CanConfig::load(&CanConfig::shipped())?;
+    let axis = config.arms[0].plan.axes[0];
+    let mut node = Node::new(axis.node, &axis.drive(0));
+    let mut out = Outbox::default();
+    node.power_on(TimeNs(0), &mut out);
+    group.bench_function("emulated drive, 1000 frames", |bencher| {
+        bencher.iter(|| {
+            for frame in &frames {
+                node.on_frame(TimeNs(1), frame, &mut out);
+                out.clear();
+            }
+        });
+    });
+    group.finish();
+    Ok(())
+}
+
+fn main() -> Result<(), Box<dyn Error>> {
+    let mut criterion = Criterion::default().configure_from_args();
+    codecs(&mut criterion)?;
+    let config = CanConfig::load(&CanConfig::shipped())?;
+    let rigs = config.arms.iter().map(|arm| Rig::new(&arm.plan));
+    let mut rigs = rigs.collect::<Result<Vec<_>, _>>()?;
+    cycles(&mut criterion, "can/cycle, 7 axes", &mut rigs[..1]);
+    cycles(&mut criterion, "can/cycle, 14 axes", &mut rigs);
+    criterion.final_summary();
+    // A stopped arm would be cheaper.
+    match rigs.iter().find_map(|rig| rig.arm.fault()) {
+        Some(fault) => Err(fault.to_string().into()),
+        None => Ok(()),
+    }
+}
