@@ -71,13 +71,20 @@ fn check_colours(task: &str, frame: &CameraFrame) {
         }
         "needle-handover" => {
             told(red > 1.5 * green, "liver is red-brown");
-            told((25.0..110.0).contains(&red), "and dark");
+            told((25.0..135.0).contains(&red), "and dark");
+        }
+        "tissue-retraction" => {
+            let [skin, mark] = [of(instance::TISSUE), of(instance::MARK)];
+            told(red > 1.5 * green, "liver and body are red");
+            told((0.1..0.5).contains(&saturation(skin)), "skin is pale");
+            told(skin[0] > 1.3 * red, "and lighter than the liver");
+            told(saturation(mark) > saturation(skin) + 0.2, "the mark is red");
         }
         "suture-pad" => {
             told(red > green && green > blue, "silicone has the hue of skin");
             told((0.15..0.6).contains(&saturation(ground)), "and is pale");
         }
-        _ => {
+        "block-transfer" => {
             told(saturation(ground) < 0.12, "the board is grey");
             let [red, green, blue] = of(instance::GOAL_PEG);
             told(red > 2.0 * green && blue > 1.3 * green, "the goal is pink");
@@ -85,8 +92,9 @@ fn check_colours(task: &str, frame: &CameraFrame) {
             let [red, _, blue] = of(instance::BLOCK);
             told(blue > 2.0 * red, "the block is blue");
         }
+        other => panic!("say what tells the parts of {other} apart"),
     }
-    if task != "block-transfer" {
+    if frame.instance.contains(&instance::NEEDLE) {
         let needle = of(instance::NEEDLE);
         told(saturation(needle) < 0.3, "the needle is steel");
         told(

@@ -12,6 +12,9 @@ use crate::task::judge::{Limits, Watch, seconds};
 use crate::task::{Monitor, Outcome, Reason, Sight};
 use crate::world::Grasp;
 
+/// How long the needle may be between no arm's fingers before it counts as dropped, s: contacts flicker.
+const LOOSE_S: f64 = 0.02;
+
 /// What counts as a handed-over needle, and what ends the episode at once.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -77,6 +80,8 @@ pub(super) struct SuccessMonitor {
     wire: Vec<Point3<f64>>,
     given_steps: u64,
     given: bool,
+    /// For how long no arm has had it between its fingers.
+    loose_steps: u64,
     held_steps: u64,
     watch: Watch,
 }
@@ -91,6 +96,7 @@ impl SuccessMonitor {
             wire: scene.needle.centre_line(WIRE_POINTS),
             given_steps: 0,
             given: false,
+            loose_steps: 0,
             held_steps: 0,
             watch: Watch::new("needle", config.limits()),
             config,
@@ -145,6 +151,10 @@ impl Monitor for SuccessMonitor {
         let giving = self.is_held(needle, giver, taker);
         self.given_steps = if giving { self.given_steps + 1 } else { 0 };
         self.given |= seconds(self.given_steps) >= self.config.given_s;
+        // A needle that was let fall has to be lifted and given again.
+        let loose = !giver.both_touch && !taker.both_touch;
+        self.loose_steps = if loose { self.loose_steps + 1 } else { 0 };
+        self.given &= seconds(self.loose_steps) < LOOSE_S;
         let taken = self.given
             && self.is_held(needle, taker, giver)
             && self.is_away(needle, &sight.tips_in_scene[0]);

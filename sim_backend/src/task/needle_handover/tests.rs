@@ -137,6 +137,29 @@ fn one_arm_alone_hands_nothing_over() {
 }
 
 #[test]
+fn a_needle_that_was_dropped_on_the_way_was_not_given() {
+    let mut bench = Bench::new();
+    let up = bench.up;
+    bench.show(up, [FIRM, NO_GRASP], 0.01, 0.4);
+    // A contact that flickers is no drop.
+    bench.show(up, [NO_GRASP; 2], 0.01, 0.01);
+    bench.show(up, [FIRM, NO_GRASP], 0.01, 0.1);
+    let low = Pose::translation(0.0, 0.0, -0.033) * up;
+    bench.show(low, [NO_GRASP; 2], 0.05, 0.5);
+    assert_eq!(
+        bench.show(up, [NO_GRASP, FIRM], 0.05, 2.0),
+        Outcome::Running
+    );
+    // Lifted and given anew it counts.
+    bench.show(up, [FIRM, NO_GRASP], 0.01, 0.4);
+    bench.show(up, [NO_GRASP; 2], 0.05, 0.01);
+    assert_eq!(
+        bench.show(up, [NO_GRASP, FIRM], 0.05, 1.0),
+        Outcome::Success
+    );
+}
+
+#[test]
 fn touch_of_the_right_arm_is_not_away() {
     let mut bench = Bench::new();
     let up = bench.up;
