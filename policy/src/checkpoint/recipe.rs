@@ -4,6 +4,7 @@ use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
 use crate::act::{ActPreset, BackboneNorm, LossDenominator};
+use crate::dp3::Dp3Preset;
 
 /// Version of this file's form.
 pub const RECIPE_FORMAT: u32 = 1;
@@ -28,6 +29,41 @@ pub struct RecordedCamera {
     pub width: u32,
     /// Height of its frames, pixels.
     pub height: u32,
+}
+
+/// A named network of any kind.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum PolicyPreset {
+    /// [`ActPreset::Small`].
+    Small,
+    /// [`ActPreset::Paper`].
+    Paper,
+    /// [`ActPreset::Lerobot`].
+    Lerobot,
+    /// [`Dp3Preset::Dp3`].
+    Dp3,
+    /// [`Dp3Preset::Simple`].
+    SimpleDp3,
+}
+
+impl From<ActPreset> for PolicyPreset {
+    fn from(preset: ActPreset) -> Self {
+        match preset {
+            ActPreset::Small => Self::Small,
+            ActPreset::Paper => Self::Paper,
+            ActPreset::Lerobot => Self::Lerobot,
+        }
+    }
+}
+
+impl From<Dp3Preset> for PolicyPreset {
+    fn from(preset: Dp3Preset) -> Self {
+        match preset {
+            Dp3Preset::Dp3 => Self::Dp3,
+            Dp3Preset::Simple => Self::SimpleDp3,
+        }
+    }
 }
 
 /// What a policy was trained on.
@@ -103,7 +139,7 @@ pub struct Recipe {
     /// The cameras, in the order in which observations bring their frames.
     pub cameras: Vec<RecordedCamera>,
     /// The preset that the network is.
-    pub preset: ActPreset,
+    pub preset: PolicyPreset,
     /// Choices that LeRobot's file cannot say.
     pub variants: Variants,
     /// How it was made, in words: the command, or what a person should do to make it again.
