@@ -2,6 +2,7 @@
 
 pub mod act;
 pub mod act_pc;
+pub mod act_pc_policy;
 pub mod act_policy;
 pub mod checkpoint;
 pub mod dataset;

@@ -5,8 +5,9 @@ use std::path::Path;
 use hal::{Chunk, Observation, Policy, PolicyError};
 use tch::Device;
 
+use crate::act_pc_policy::ActPcPolicy;
 use crate::act_policy::ActPolicy;
-use crate::checkpoint::{CheckpointError, DP3_TYPE, Recipe, policy_type};
+use crate::checkpoint::{ACT_PC_TYPE, CheckpointError, DP3_TYPE, Recipe, policy_type};
 use crate::dp3_policy::Dp3Policy;
 
 /// A policy that was loaded from a folder.
@@ -14,6 +15,8 @@ use crate::dp3_policy::Dp3Policy;
 pub enum LoadedPolicy {
     /// ACT, from colour images.
     Act(Box<ActPolicy>),
+    /// ACT-PC, from point clouds.
+    ActPc(Box<ActPcPolicy>),
     /// DP3, from point clouds.
     Dp3(Box<Dp3Policy>),
 }
@@ -25,6 +28,7 @@ impl LoadedPolicy {
     /// [`CheckpointError`] naming the file and what is wrong with it.
     pub fn load(folder: &Path, device: Device) -> Result<Self, CheckpointError> {
         Ok(match policy_type(folder)?.as_deref() {
+            Some(ACT_PC_TYPE) => Self::ActPc(Box::new(ActPcPolicy::load(folder, device)?)),
             Some(DP3_TYPE) => Self::Dp3(Box::new(Dp3Policy::load(folder, device)?)),
             _ => Self::Act(Box::new(ActPolicy::load(folder, device)?)),
         })
@@ -35,6 +39,7 @@ impl LoadedPolicy {
     pub fn recipe(&self) -> &Recipe {
         match self {
             Self::Act(policy) => policy.recipe(),
+            Self::ActPc(policy) => policy.recipe(),
             Self::Dp3(policy) => policy.recipe(),
         }
     }
@@ -42,6 +47,7 @@ impl LoadedPolicy {
     fn policy(&mut self) -> &mut dyn Policy {
         match self {
             Self::Act(policy) => policy.as_mut(),
+            Self::ActPc(policy) => policy.as_mut(),
             Self::Dp3(policy) => policy.as_mut(),
         }
     }
@@ -55,6 +61,7 @@ impl Policy for LoadedPolicy {
     fn history_steps(&self) -> u64 {
         match self {
             Self::Act(policy) => policy.history_steps(),
+            Self::ActPc(policy) => policy.history_steps(),
             Self::Dp3(policy) => policy.history_steps(),
         }
     }

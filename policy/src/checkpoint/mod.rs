@@ -3,6 +3,7 @@
 //! `config.json` is the architecture, `model.safetensors` the weights, `policy_preprocessor.json` and
 //! `policy_postprocessor.json` name the statistics. Nothing in the folder can run code.
 
+mod act_pc;
 mod clouds;
 mod config_file;
 mod dp3;
@@ -19,6 +20,7 @@ use std::path::Path;
 use hal::ARM_NAMES;
 use tch::Device;
 
+pub use act_pc::{ACT_PC_TYPE, ActPcCheckpoint, load_act_pc, save_act_pc};
 pub use clouds::CloudStatistics;
 pub use dp3::{DP3_TYPE, Dp3Checkpoint, load_dp3, save_dp3};
 pub use error::{Cause, CheckpointError};

@@ -4,6 +4,7 @@ use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
 use crate::act::{ActPreset, BackboneNorm, LossDenominator};
+use crate::act_pc::ActPcPreset;
 use crate::dp3::Dp3Preset;
 
 /// Version of this file's form.
@@ -45,6 +46,12 @@ pub enum PolicyPreset {
     Dp3,
     /// [`Dp3Preset::Simple`].
     SimpleDp3,
+    /// [`ActPcPreset::Paper`].
+    ActPcPaper,
+    /// [`ActPcPreset::PointCloudMatters`].
+    ActPcPointCloudMatters,
+    /// [`ActPcPreset::Small`].
+    ActPcSmall,
 }
 
 impl From<ActPreset> for PolicyPreset {
@@ -53,6 +60,16 @@ impl From<ActPreset> for PolicyPreset {
             ActPreset::Small => Self::Small,
             ActPreset::Paper => Self::Paper,
             ActPreset::Lerobot => Self::Lerobot,
+        }
+    }
+}
+
+impl From<ActPcPreset> for PolicyPreset {
+    fn from(preset: ActPcPreset) -> Self {
+        match preset {
+            ActPcPreset::Paper => Self::ActPcPaper,
+            ActPcPreset::PointCloudMatters => Self::ActPcPointCloudMatters,
+            ActPcPreset::Small => Self::ActPcSmall,
         }
     }
 }

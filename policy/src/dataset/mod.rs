@@ -20,6 +20,8 @@
 
 mod check;
 mod depth;
+#[cfg(test)]
+mod depth_tests;
 mod episode;
 mod error;
 mod meta;

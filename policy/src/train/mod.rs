@@ -1,13 +1,18 @@
-//! Training of policies on recorded demonstrations: ACT from images, DP3 from point clouds.
+//! Training of policies on recorded demonstrations: ACT from images, ACT-PC and DP3 from point clouds.
 //!
 //! Everything is decoded once and kept on the training device; a step draws frames, not episodes. On the CPU, with one
 //! seed and one number of threads, two runs give the same bits, provided that nothing else in the process draws from
 //! the network library's random numbers meanwhile (dropout and the latent do).
 
+mod act_pc;
+#[cfg(test)]
+mod act_pc_tests;
 mod augment;
 mod cloud_set;
 mod curve;
 mod dp3;
+#[cfg(test)]
+mod dp3_tests;
 mod error;
 mod flat;
 mod frame_order;
@@ -19,6 +24,7 @@ mod training_set;
 
 use tch::{Device, Kind, TchError, Tensor};
 
+pub use act_pc::TrainedActPc;
 pub use curve::{CurveRow, LossCurve};
 pub use dp3::TrainedDp3;
 pub use error::TrainError;

@@ -121,7 +121,7 @@ fn options() -> TrainOptions {
 }
 
 /// The library's random numbers belong to the process: one run at a time, or none repeats itself.
-static ONE_AT_A_TIME: Mutex<()> = Mutex::new(());
+pub(super) static ONE_AT_A_TIME: Mutex<()> = Mutex::new(());
 
 fn run(
     config: &ActConfig,

@@ -19,6 +19,7 @@ use crate::log::{Pressure, Recorder, RunHeader, RunLog, RunOutcome, TickRecord};
 use crate::replay::replay;
 use crate::verify::verify;
 
+mod clouds;
 mod tissue;
 
 /// Writes the log of an episode without looking at it.

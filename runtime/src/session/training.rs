@@ -39,6 +39,8 @@ pub enum CameraChoice {
 pub enum NetworkChoice {
     /// ACT, from colour images.
     Act,
+    /// ACT-PC, from point clouds.
+    ActPc,
     /// DP3, from point clouds.
     Dp3,
 }
@@ -54,7 +56,8 @@ pub struct TrainingOptions {
     pub out: PathBuf,
     /// Which cameras the network sees.
     pub cameras: CameraChoice,
-    /// Sizes and recipe: `small`, `paper` or `lerobot`; of DP3, `paper` or `simple`.
+    /// Sizes and recipe: `small`, `paper` or `lerobot`; of DP3, `paper` or `simple`; of ACT-PC, `small`,
+    /// `paper` or `pcm`.
     pub preset: String,
     /// Optimiser steps, if not the preset's.
     pub steps: Option<u64>,
@@ -128,6 +131,9 @@ pub fn train(
                 return Err(TrainError::Options(defect).into());
             }
         }
+        NetworkChoice::ActPc => {
+            training_clouds::act_pc_options(options)?;
+        }
         NetworkChoice::Dp3 => {
             training_clouds::dp3_preset(&options.preset)?;
             training_clouds::dp3_options(options, 1)?;
@@ -138,6 +144,9 @@ pub fn train(
     let stopwatch = Stopwatch::start();
     match options.network {
         NetworkChoice::Act => train_act(options, &dataset, &stopwatch, on_progress),
+        NetworkChoice::ActPc => {
+            training_clouds::train_act_pc(options, &dataset, &stopwatch, on_progress)
+        }
         NetworkChoice::Dp3 => {
             training_clouds::train_dp3(options, &dataset, &stopwatch, on_progress)
         }

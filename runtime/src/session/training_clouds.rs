@@ -1,6 +1,7 @@
 //! Training of the policies that see point clouds.
 
-use policy::act::BackboneNorm;
+use policy::act::{ActPreset, BackboneNorm};
+use policy::act_pc::{ActPcConfig, ActPcPreset};
 use policy::checkpoint::{self, AggregationName, Precision, Variants};
 use policy::dataset::Dataset;
 use policy::dp3::{Dp3Config, Dp3Preset};
@@ -23,13 +24,13 @@ const DP3_EPOCHS: usize = 3000;
 
 /// What is in a cloud: neither background nor ground, and of the instruments only what works. A shaft has more surface
 /// than all else together and tells nothing that the joints do not.
-fn cloud_recipe() -> CloudRecipe {
+fn cloud_recipe(points: usize) -> CloudRecipe {
     CloudRecipe {
         frame: CloudFrame::Scene,
         crop_m: None,
         dropped_instances: vec![0, instance::ORGAN, instance::SHAFT, instance::SECOND_SHAFT],
         voxel_m: None,
-        points: POINTS,
+        points,
         padding: Padding::FirstPoint,
     }
 }
@@ -47,7 +48,7 @@ pub(super) fn train_dp3(
     let numbers = i64::try_from(RELATIVE_ACTION_DIM * dataset.arms()).unwrap_or(i64::MAX);
     let config = Dp3Config::preset(preset, numbers, numbers);
     let train_options = dp3_options(options, dataset.len())?;
-    let cloud = cloud_recipe();
+    let cloud = cloud_recipe(POINTS);
     say_size(dataset, train_options.steps, on_progress);
     let trained = Trainer::new(options.device).run_dp3(
         &config,
@@ -97,11 +98,7 @@ pub(super) fn dp3_options(
     options: &TrainingOptions,
     frames: usize,
 ) -> Result<TrainOptions, SessionError> {
-    let refused = [("--augment", options.augment), ("--bf16", options.bf16)];
-    if let Some((name, _)) = refused.iter().find(|(_, asked)| *asked) {
-        let defect = format!("{name}: dp3 has no such thing");
-        return Err(SessionError::BadArgument(defect));
-    }
+    refuse_images(options, "dp3")?;
     let batch = options.batch.unwrap_or(TrainOptions::dp3(1).batch);
     let published = DP3_EPOCHS.saturating_mul(frames.div_ceil(batch.max(1)));
     let train_options = TrainOptions {
@@ -116,4 +113,92 @@ pub(super) fn dp3_options(
         Some(defect) => Err(TrainError::Options(defect).into()),
         None => Ok(train_options),
     }
+}
+
+/// What is only there for images.
+fn refuse_images(options: &TrainingOptions, network: &str) -> Result<(), SessionError> {
+    let refused = [("--augment", options.augment), ("--bf16", options.bf16)];
+    match refused.iter().find(|(_, asked)| *asked) {
+        None => Ok(()),
+        Some((name, _)) => Err(SessionError::BadArgument(format!(
+            "{name}: {network} has no such thing"
+        ))),
+    }
+}
+
+/// The named ACT-PC network, and ACT's recipe of its size with what the user wants otherwise.
+pub(super) fn act_pc_options(
+    options: &TrainingOptions,
+) -> Result<(ActPcPreset, TrainOptions), SessionError> {
+    refuse_images(options, "act-pc")?;
+    let (preset, base) = match options.preset.as_str() {
+        "small" => (ActPcPreset::Small, ActPreset::Small),
+        "paper" => (ActPcPreset::Paper, ActPreset::Paper),
+        "pcm" => (ActPcPreset::PointCloudMatters, ActPreset::Paper),
+        unknown => {
+            return Err(SessionError::BadArgument(format!(
+                "--preset {unknown}: of act-pc, small, paper or pcm"
+            )));
+        }
+    };
+    let base = TrainOptions::preset(base);
+    let train_options = TrainOptions {
+        steps: options.steps.unwrap_or(base.steps),
+        batch: options.batch.unwrap_or(base.batch),
+        validation_share: options.validation_share,
+        threads: options.threads,
+        seed: options.seed,
+        ..base
+    };
+    match train_options.defect() {
+        Some(defect) => Err(TrainError::Options(defect).into()),
+        None => Ok((preset, train_options)),
+    }
+}
+
+/// Trains ACT-PC and writes the checkpoint and its loss curve.
+pub(super) fn train_act_pc(
+    options: &TrainingOptions,
+    dataset: &Dataset,
+    stopwatch: &Stopwatch,
+    on_progress: &mut dyn FnMut(&str),
+) -> Result<TrainingResult, SessionError> {
+    let (preset, train_options) = act_pc_options(options)?;
+    let config = ActPcConfig::preset(preset, &cameras(options, dataset)?);
+    let config = ActPcConfig {
+        act: config.act.for_arms(dataset.arms()),
+        ..config
+    };
+    let cloud = cloud_recipe(usize::try_from(config.points).unwrap_or(0));
+    say_size(dataset, train_options.steps, on_progress);
+    let trained = Trainer::new(options.device).run_act_pc(
+        &config,
+        &cloud,
+        &train_options,
+        dataset,
+        &mut |progress| on_progress(&progress_line(progress, stopwatch.seconds())),
+    )?;
+    let made = Made {
+        preset: preset.into(),
+        variants: Variants {
+            backbone_norm: BackboneNorm::default(),
+            loss_denominator: config.act.loss_denominator,
+        },
+        query_every_steps: u32::try_from(config.act.chunk_size / 2).unwrap_or(1),
+        aggregation: AggregationName::WholeChunk,
+        frames: trained.frames,
+        curve: &trained.curve,
+    };
+    let recipe = recipe(options, &train_options, dataset, &made, stopwatch.seconds());
+    let (out, precision) = (&options.out, Precision::F16);
+    checkpoint::save_act_pc(
+        out,
+        &trained.network,
+        &cloud,
+        &trained.statistics,
+        &recipe,
+        precision,
+    )?;
+    write_curve(out, &trained.curve)?;
+    Ok(result(train_options.steps, &trained.curve, stopwatch))
 }

@@ -232,6 +232,8 @@ pub(crate) struct RecordArgs {
 pub(crate) enum Network {
     /// Action chunking with transformers, from images.
     Act,
+    /// Action chunking from point clouds; the dataset must be recorded with --depth.
+    ActPc,
     /// Diffusion from point clouds; the dataset must be recorded with --depth.
     Dp3,
 }
@@ -260,8 +262,9 @@ pub(crate) struct TrainArgs {
     /// Which of the dataset's cameras the network sees.
     #[arg(long, value_enum, default_value = "multi")]
     pub(crate) cameras: Cameras,
-    /// Sizes and recipe: of act, small (the default), paper or lerobot; of dp3, paper (the default) or simple.
-    #[arg(long, value_parser = ["small", "paper", "lerobot", "simple"])]
+    /// Sizes and recipe: of act, small (the default), paper or lerobot; of act-pc, small (the default), paper
+    /// or pcm; of dp3, paper (the default) or simple.
+    #[arg(long, value_parser = ["small", "paper", "lerobot", "pcm", "simple"])]
     pub(crate) preset: Option<String>,
     /// Optimiser steps; the preset's number if not given.
     #[arg(long, value_parser = clap::value_parser!(u64).range(1..))]

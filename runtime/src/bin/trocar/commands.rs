@@ -189,6 +189,7 @@ pub(crate) fn train(args: &TrainArgs) -> Done {
     let options = TrainingOptions {
         network: match args.policy {
             Network::Act => NetworkChoice::Act,
+            Network::ActPc => NetworkChoice::ActPc,
             Network::Dp3 => NetworkChoice::Dp3,
         },
         data: args.data.clone(),
@@ -199,7 +200,7 @@ pub(crate) fn train(args: &TrainArgs) -> Done {
         },
         preset: args.preset.clone().unwrap_or_else(|| {
             match args.policy {
-                Network::Act => "small",
+                Network::Act | Network::ActPc => "small",
                 Network::Dp3 => "paper",
             }
             .to_owned()
