@@ -139,7 +139,11 @@ fn another_unit_or_lens_is_refused_by_name() {
     let path = meta::info_path(&folder);
     let text = fs::read_to_string(&path).unwrap();
     for (from, to, what) in [
-        ("0.00002", "0.001", "depth_unit_m of observation.depth.scope"),
+        (
+            "0.00002",
+            "0.001",
+            "depth_unit_m of observation.depth.scope",
+        ),
         ("7.1", "-7.1", "fx of observation.depth.scope"),
     ] {
         let changed = text.replace(from, to);

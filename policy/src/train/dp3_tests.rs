@@ -39,7 +39,7 @@ pub(super) fn lens() -> Intrinsics {
 
 /// A step before a far wall, of instance 2 and 1; it is nearer the later it is.
 fn scene(step: u16) -> (Vec<u16>, Vec<u8>) {
-    let shown = |place: usize| (place % 16 + place / 16) % 3 == 0;
+    let shown = |place: usize| (place % 16 + place / 16).is_multiple_of(3);
     let depth = |place| if shown(place) { 5000 + 40 * step } else { 9000 };
     let id = |place| if shown(place) { 2 } else { 1 };
     (
