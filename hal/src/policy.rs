@@ -33,6 +33,20 @@ pub trait Policy {
     /// Forgets the past; everything random afterwards hangs on `seed`.
     fn reset(&mut self, seed: u64);
 
+    /// How many policy steps before a query it wants to have observed too; see [`observe`](Self::observe).
+    fn history_steps(&self) -> u64 {
+        0
+    }
+
+    /// Remembers `observation` for the query that follows in at most [`history_steps`](Self::history_steps) steps.
+    ///
+    /// # Errors
+    /// [`PolicyError`] when the observation does not fit the policy.
+    fn observe(&mut self, observation: &Observation<'_>) -> Result<(), PolicyError> {
+        let _unused = observation;
+        Ok(())
+    }
+
     /// The chunks that answer `observation`, one for each of its arms, all with the same time and sequence.
     ///
     /// # Errors

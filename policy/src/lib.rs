@@ -2,13 +2,16 @@
 
 pub mod act;
 pub mod act_pc;
+pub mod act_pc_policy;
 pub mod act_policy;
 pub mod checkpoint;
 pub mod dataset;
 pub mod dp3;
+pub mod dp3_policy;
 pub mod ensemble;
 pub mod images;
 mod layers;
+pub mod loaded_policy;
 pub mod normalise;
 pub mod parameters;
 pub mod perception;

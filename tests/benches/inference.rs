@@ -59,7 +59,7 @@ fn save_untrained(folder: &Path) -> Result<(), Box<dyn Error>> {
             width: SIDE_PIXELS,
             height: SIDE_PIXELS,
         }],
-        preset: ActPreset::Small,
+        preset: ActPreset::Small.into(),
         variants: Variants {
             backbone_norm: config.backbone_norm,
             loss_denominator: config.loss_denominator,

@@ -37,7 +37,8 @@ pub enum DecoderOutput {
 }
 
 /// One ACT network. Field names and defaults are LeRobot's where it has the field.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub struct ActConfig {
     /// Steps in a chunk.
     pub chunk_size: i64,

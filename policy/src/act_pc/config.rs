@@ -17,7 +17,8 @@ pub enum ActPcPreset {
 }
 
 /// One ACT-PC network.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub struct ActPcConfig {
     /// The transformer, its latent and its chunk. The cameras are those whose depth makes the cloud; the size of their
     /// colour images does not matter.

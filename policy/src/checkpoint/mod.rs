@@ -3,7 +3,10 @@
 //! `config.json` is the architecture, `model.safetensors` the weights, `policy_preprocessor.json` and
 //! `policy_postprocessor.json` name the statistics. Nothing in the folder can run code.
 
+mod act_pc;
+mod clouds;
 mod config_file;
+mod dp3;
 mod error;
 mod processors;
 mod recipe;
@@ -17,11 +20,14 @@ use std::path::Path;
 use hal::ARM_NAMES;
 use tch::Device;
 
+pub use act_pc::{ACT_PC_TYPE, ActPcCheckpoint, load_act_pc, save_act_pc};
+pub use clouds::CloudStatistics;
+pub use dp3::{DP3_TYPE, Dp3Checkpoint, load_dp3, save_dp3};
 pub use error::{Cause, CheckpointError};
 pub use processors::FeatureStatistics;
 pub use recipe::{
-    AggregationName, DatasetSummary, RECIPE_FORMAT, Recipe, RecommendedAggregation, RecordedCamera,
-    Variants,
+    AggregationName, DatasetSummary, PolicyPreset, RECIPE_FORMAT, Recipe, RecommendedAggregation,
+    RecordedCamera, Variants,
 };
 pub use tensors::Precision;
 
@@ -132,13 +138,15 @@ pub fn load(folder: &Path, device: Device) -> Result<Checkpoint, CheckpointError
 
 /// The network must have the inputs and outputs of so many arms.
 fn check_widths(config: &ActConfig, arms: usize) -> Result<(), Cause> {
+    check_joints(arms, config.state_dim, config.action_dim)
+}
+
+/// State and action must have the numbers of so many arms.
+fn check_joints(arms: usize, state_dim: i64, action_dim: i64) -> Result<(), Cause> {
     let expected = i64::try_from(arms)
         .unwrap_or(i64::MAX)
         .saturating_mul(STATE_DIM);
-    for (feature, actual) in [
-        ("observation.state", config.state_dim),
-        ("action", config.action_dim),
-    ] {
+    for (feature, actual) in [("observation.state", state_dim), ("action", action_dim)] {
         if actual != expected {
             return Err(Cause::JointCount {
                 feature: feature.to_owned(),
@@ -149,6 +157,22 @@ fn check_widths(config: &ActConfig, arms: usize) -> Result<(), Cause> {
         }
     }
     Ok(())
+}
+
+/// The kind of the policy in `folder`, by its `config.json`; none if the file is not there or does not say it.
+///
+/// # Errors
+/// [`CheckpointError`] if the file cannot be read or is no JSON.
+pub fn policy_type(folder: &Path) -> Result<Option<String>, CheckpointError> {
+    let file = folder.join(CONFIG);
+    let text = match std::fs::read_to_string(&file) {
+        Ok(text) => text,
+        Err(error) if error.kind() == std::io::ErrorKind::NotFound => return Ok(None),
+        Err(error) => return Err(Cause::io(error).in_file(&file)),
+    };
+    let config: serde_json::Value =
+        serde_json::from_str(&text).map_err(|error| Cause::Json(error).in_file(&file))?;
+    Ok(config["type"].as_str().map(str::to_owned))
 }
 
 /// The recipe in `folder`; none if there is no `trocar.json`.

@@ -65,6 +65,15 @@ pub(super) fn write(
     tensors::write(&folder.join(BEFORE), &values, Precision::F32)
 }
 
+/// Writes anything that can be JSON to `file`.
+pub(super) fn write_value(
+    file: &Path,
+    value: &impl serde::Serialize,
+) -> Result<(), CheckpointError> {
+    let value = serde_json::to_value(value).map_err(|error| Cause::Json(error).in_file(file))?;
+    write_json(file, &value)
+}
+
 /// Writes `value` to `file` for people to read.
 pub(super) fn write_json(file: &Path, value: &Value) -> Result<(), CheckpointError> {
     let mut text =
@@ -73,7 +82,7 @@ pub(super) fn write_json(file: &Path, value: &Value) -> Result<(), CheckpointErr
     replace(file, text.as_bytes())
 }
 
-fn insert(values: &mut BTreeMap<String, Plain>, feature: &str, statistics: &Statistics) {
+pub(super) fn insert(values: &mut BTreeMap<String, Plain>, feature: &str, statistics: &Statistics) {
     let parts = [
         ("mean", &statistics.mean),
         ("std", &statistics.std),
@@ -139,7 +148,7 @@ fn state_of(folder: &Path, name: &str, registry_name: &str) -> Result<StateFile,
     Ok((state_file, values))
 }
 
-fn statistics(
+pub(super) fn statistics(
     values: &BTreeMap<String, Plain>,
     feature: &str,
     dims: i64,

@@ -4,6 +4,8 @@ use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
 use crate::act::{ActPreset, BackboneNorm, LossDenominator};
+use crate::act_pc::ActPcPreset;
+use crate::dp3::Dp3Preset;
 
 /// Version of this file's form.
 pub const RECIPE_FORMAT: u32 = 1;
@@ -28,6 +30,57 @@ pub struct RecordedCamera {
     pub width: u32,
     /// Height of its frames, pixels.
     pub height: u32,
+}
+
+/// A named network of any kind.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum PolicyPreset {
+    /// [`ActPreset::Small`].
+    Small,
+    /// [`ActPreset::Paper`].
+    Paper,
+    /// [`ActPreset::Lerobot`].
+    Lerobot,
+    /// [`Dp3Preset::Dp3`].
+    Dp3,
+    /// [`Dp3Preset::Simple`].
+    SimpleDp3,
+    /// [`ActPcPreset::Paper`].
+    ActPcPaper,
+    /// [`ActPcPreset::PointCloudMatters`].
+    ActPcPointCloudMatters,
+    /// [`ActPcPreset::Small`].
+    ActPcSmall,
+}
+
+impl From<ActPreset> for PolicyPreset {
+    fn from(preset: ActPreset) -> Self {
+        match preset {
+            ActPreset::Small => Self::Small,
+            ActPreset::Paper => Self::Paper,
+            ActPreset::Lerobot => Self::Lerobot,
+        }
+    }
+}
+
+impl From<ActPcPreset> for PolicyPreset {
+    fn from(preset: ActPcPreset) -> Self {
+        match preset {
+            ActPcPreset::Paper => Self::ActPcPaper,
+            ActPcPreset::PointCloudMatters => Self::ActPcPointCloudMatters,
+            ActPcPreset::Small => Self::ActPcSmall,
+        }
+    }
+}
+
+impl From<Dp3Preset> for PolicyPreset {
+    fn from(preset: Dp3Preset) -> Self {
+        match preset {
+            Dp3Preset::Dp3 => Self::Dp3,
+            Dp3Preset::Simple => Self::SimpleDp3,
+        }
+    }
 }
 
 /// What a policy was trained on.
@@ -103,7 +156,7 @@ pub struct Recipe {
     /// The cameras, in the order in which observations bring their frames.
     pub cameras: Vec<RecordedCamera>,
     /// The preset that the network is.
-    pub preset: ActPreset,
+    pub preset: PolicyPreset,
     /// Choices that LeRobot's file cannot say.
     pub variants: Variants,
     /// How it was made, in words: the command, or what a person should do to make it again.

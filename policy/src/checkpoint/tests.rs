@@ -79,7 +79,7 @@ fn recipe(config: &ActConfig) -> Recipe {
             width: 128,
             height: 128,
         }],
-        preset: ActPreset::Small,
+        preset: ActPreset::Small.into(),
         variants: Variants {
             backbone_norm: config.backbone_norm,
             loss_denominator: config.loss_denominator,

@@ -10,6 +10,7 @@ use arrow_schema::DataType;
 
 use super::{
     ACTION_WIDTH, ArmFrame, DatasetSpec, STATE_WIDTH, TIP_POSE_WIDTH,
+    depth::DepthColumns,
     meta::EpisodeRow,
     schema::{self, INDICES},
     stats::ImageStats,
@@ -25,6 +26,8 @@ pub(super) struct Pending {
     pub(super) action: Vec<[f32; ACTION_WIDTH]>,
     /// PNG bytes by camera, then frame.
     pub(super) images: Vec<Vec<Vec<u8>>>,
+    /// What depth the frames have, by camera that keeps it.
+    pub(super) depth: Vec<DepthColumns>,
     pub(super) image_stats: Vec<ImageStats>,
 }
 
@@ -38,6 +41,7 @@ impl Pending {
             tip_pose: Vec::new(),
             action: Vec::new(),
             images: vec![Vec::new(); camera_count],
+            depth: vec![DepthColumns::default(); spec.depth_cameras().count()],
             image_stats: vec![ImageStats::new(); camera_count],
         }
     }
@@ -101,15 +105,17 @@ pub(super) fn columns(
         ),
     ];
     for images in &pending.images {
-        let bytes = BinaryArray::from_iter_values(&images[frames.clone()]);
-        let path = StringArray::from_iter_values(
-            frames.clone().map(|frame| format!("frame-{frame:06}.png")),
-        );
-        columns.push(Arc::new(StructArray::new(
-            schema::image_fields(),
-            vec![Arc::new(bytes) as ArrayRef, Arc::new(path)],
-            None,
-        )));
+        columns.push(pngs(&images[frames.clone()], frames.start));
+    }
+    for depth in &pending.depth {
+        columns.push(pngs(&depth.depth[frames.clone()], frames.start));
+        columns.push(pngs(&depth.instance[frames.clone()], frames.start));
+        let poses = depth.camera_in_scene[frames.clone()].as_flattened();
+        columns.push(vectors(
+            DataType::Float64,
+            TIP_POSE_WIDTH,
+            Arc::new(Float64Array::from(poses.to_vec())),
+        ));
     }
     let timestamps = frames.clone().map(|frame| timestamp_s(frame, fps));
     columns.push(Arc::new(Float32Array::from_iter_values(timestamps)));
@@ -118,6 +124,15 @@ pub(super) fn columns(
         columns.push(Arc::new(Int64Array::from_iter_values(values)));
     }
     columns
+}
+
+/// An image column, its first frame the episode's frame `first`.
+fn pngs(images: &[Vec<u8>], first: usize) -> ArrayRef {
+    let bytes = BinaryArray::from_iter_values(images);
+    let frames = first..first + images.len();
+    let path = StringArray::from_iter_values(frames.map(|frame| format!("frame-{frame:06}.png")));
+    let parts = vec![Arc::new(bytes) as ArrayRef, Arc::new(path)];
+    Arc::new(StructArray::new(schema::image_fields(), parts, None))
 }
 
 fn vectors(data_type: DataType, width: usize, values: ArrayRef) -> ArrayRef {

@@ -11,10 +11,17 @@
 //! Of two arms, each vector has the first arm's numbers and then the second's, and every name in it begins with its arm's
 //! (`psm1_yaw`); a single arm's names stand alone. Poses are in each arm's own RCM frame.
 //!
+//! A camera that keeps depth has three features more: `observation.depth.NAME`, 16-bit PNG in units of
+//! [`DEPTH_UNIT_M`](crate::perception::DEPTH_UNIT_M); `observation.instance.NAME`, 8-bit PNG; and
+//! `observation.camera_pose.NAME`, where the camera was in the scene. Its lens stands in the depth feature's `info`.
+//!
 //! [`DatasetWriter`] records, [`Dataset`] reads. A recording that is cut off loses the episode in progress and nothing
 //! else. Every file is replaced by renaming, never written in place.
 
 mod check;
+mod depth;
+#[cfg(test)]
+mod depth_tests;
 mod episode;
 mod error;
 mod meta;
@@ -29,10 +36,13 @@ mod table;
 mod tests;
 mod writer;
 
+pub use depth::{DepthFrame, RecordedDepth};
 pub use error::DatasetError;
 pub use png::{decode_rgb, encode_rgb};
 pub use reader::Dataset;
 pub use writer::{DatasetWriter, Totals};
+
+use hal::Intrinsics;
 
 /// Numbers of one arm in `observation.state`: six joint positions (rad, insertion m) and the jaw angle (rad).
 pub const STATE_WIDTH: usize = 7;
@@ -42,7 +52,7 @@ pub const TIP_POSE_WIDTH: usize = 7;
 pub const ACTION_WIDTH: usize = 8;
 
 /// What a dataset is of.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct DatasetSpec {
     /// Frames a second; the spacing of rows is exactly `1 / fps`.
     pub fps: u32,
@@ -57,7 +67,7 @@ pub struct DatasetSpec {
 }
 
 /// One camera of a dataset.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct CameraSpec {
     /// Name, without `/`; the feature is `observation.images.<name>`.
     pub name: String,
@@ -65,6 +75,8 @@ pub struct CameraSpec {
     pub width: u32,
     /// Image height, pixels.
     pub height: u32,
+    /// Its lens, if depth and instance ids are kept too.
+    pub depth: Option<Intrinsics>,
 }
 
 impl CameraSpec {
@@ -94,6 +106,8 @@ pub struct FrameRecord<'a> {
     pub arms: &'a [ArmFrame],
     /// One RGB image a camera, 8 bit, row-major, in the order of [`DatasetSpec::cameras`].
     pub images: &'a [&'a [u8]],
+    /// Depth and ids, one of each camera whose [`CameraSpec::depth`] says so, in their order.
+    pub depth: &'a [DepthFrame<'a>],
 }
 
 /// Where one episode lies among all frames.

@@ -6,6 +6,7 @@ use image::RgbImage;
 
 use super::{
     ACTION_WIDTH, CameraSpec, DatasetError, DatasetSpec, Episode, STATE_WIDTH, TIP_POSE_WIDTH,
+    depth::{self, RecordedDepth},
     meta::{self, EpisodeRow},
     png::decode_rgb,
     schema::{ACTION, EPISODE_INDEX, STATE, TIP_POSE, image_feature},
@@ -171,6 +172,7 @@ impl Dataset {
             name,
             width,
             height,
+            ..
         } = &self.spec.cameras[camera];
         let path = self.tables[self.rows.place[frame].table].path();
         let what = format!("{name} of frame {frame}");
@@ -190,6 +192,15 @@ impl Dataset {
         Ok(image)
     }
 
+    /// Depth, ids and pose of a camera in a frame; read from disk and decoded now.
+    ///
+    /// # Errors
+    /// [`DatasetError::Missing`] if the camera keeps no depth; else those of [`Dataset::image_rgb`].
+    pub fn depth(&self, frame: usize, camera: usize) -> Result<RecordedDepth, DatasetError> {
+        let Place { table, row } = self.rows.place[frame];
+        depth::read(&self.tables[table], &self.spec.cameras[camera], row)
+    }
+
     /// Loads the rows of `listed`, which are in order and begin with the first row of each file.
     fn load(&mut self, dir: &Path, listed: &[EpisodeRow]) -> Result<(), DatasetError> {
         let mut next = 0;
@@ -201,6 +212,7 @@ impl Dataset {
             for name in &self.camera_names {
                 table.require(&image_feature(name))?;
             }
+            depth::require(&table, &self.spec)?;
             let file = FileRows::read(&table, self.spec.arms)?;
             let mut row = 0_usize;
             for listed in episodes {

@@ -11,13 +11,16 @@ use serde::{
 };
 use serde_json::{Value, json};
 
-use super::{ACTION_WIDTH, CameraSpec, DatasetSpec, STATE_WIDTH, TIP_POSE_WIDTH};
+use super::{ACTION_WIDTH, CameraSpec, DatasetSpec, STATE_WIDTH, TIP_POSE_WIDTH, depth};
 
 pub(super) const VERSION: &str = "v3.0";
 pub(super) const STATE: &str = "observation.state";
 pub(super) const TIP_POSE: &str = "observation.tip_pose";
 pub(super) const ACTION: &str = "action";
 pub(super) const IMAGE_PREFIX: &str = "observation.images.";
+pub(super) const DEPTH_PREFIX: &str = "observation.depth.";
+pub(super) const INSTANCE_PREFIX: &str = "observation.instance.";
+pub(super) const CAMERA_POSE_PREFIX: &str = "observation.camera_pose.";
 pub(super) const TIMESTAMP: &str = "timestamp";
 pub(super) const EPISODE_INDEX: &str = "episode_index";
 /// Integer columns that every LeRobot dataset ends with.
@@ -53,6 +56,8 @@ pub(super) struct Feature {
     pub(super) dtype: String,
     pub(super) shape: Vec<usize>,
     pub(super) names: Value,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(super) info: Option<Value>,
 }
 
 impl Feature {
@@ -61,6 +66,7 @@ impl Feature {
             dtype: dtype.to_owned(),
             shape: shape.to_vec(),
             names,
+            info: None,
         }
     }
 }
@@ -98,6 +104,7 @@ pub(super) fn features(spec: &DatasetSpec) -> Vec<(String, Feature)> {
         name,
         width,
         height,
+        ..
     } in &spec.cameras
     {
         let shape = [*height as usize, *width as usize, 3];
@@ -105,6 +112,19 @@ pub(super) fn features(spec: &DatasetSpec) -> Vec<(String, Feature)> {
             image_feature(name),
             Feature::new("image", &shape, json!(["height", "width", "channels"])),
         ));
+    }
+    for (camera, lens) in spec.depth_cameras() {
+        let shape = [camera.height as usize, camera.width as usize, 1];
+        let image = || Feature::new("image", &shape, json!(["height", "width", "channels"]));
+        let depth = Feature {
+            info: Some(depth::describe(&lens)),
+            ..image()
+        };
+        let name = &camera.name;
+        features.push((format!("{DEPTH_PREFIX}{name}"), depth));
+        features.push((format!("{INSTANCE_PREFIX}{name}"), image()));
+        let pose = Feature::new("float64", &[POSE_NAMES.len()], json!(POSE_NAMES));
+        features.push((format!("{CAMERA_POSE_PREFIX}{name}"), pose));
     }
     features.push((
         TIMESTAMP.to_owned(),
@@ -129,6 +149,14 @@ pub(super) fn data_schema(spec: &DatasetSpec) -> Schema {
             DataType::Struct(image_fields()),
             true,
         ));
+    }
+    for (camera, _) in spec.depth_cameras() {
+        for prefix in [DEPTH_PREFIX, INSTANCE_PREFIX] {
+            let name = format!("{prefix}{}", camera.name);
+            fields.push(Field::new(name, DataType::Struct(image_fields()), true));
+        }
+        let name = format!("{CAMERA_POSE_PREFIX}{}", camera.name);
+        fields.push(vector_field(&name, DataType::Float64, TIP_POSE_WIDTH));
     }
     fields.push(Field::new(TIMESTAMP, DataType::Float32, true));
     fields.extend(INDICES.map(|name| Field::new(name, DataType::Int64, true)));

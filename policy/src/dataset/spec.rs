@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use hal::ARM_NAMES;
 
 use super::{
-    ACTION_WIDTH, CameraSpec, DatasetError, DatasetSpec, STATE_WIDTH, TIP_POSE_WIDTH, meta,
+    ACTION_WIDTH, CameraSpec, DatasetError, DatasetSpec, STATE_WIDTH, TIP_POSE_WIDTH, depth, meta,
     schema::{ACTION, Feature, IMAGE_PREFIX, Info, STATE, TIP_POSE},
 };
 
@@ -19,7 +19,9 @@ pub(super) fn read_spec(dir: &Path, info: &Info) -> Result<DatasetSpec, DatasetE
     let mut cameras = Vec::new();
     for (name, feature) in &info.features {
         if let Some(camera) = name.strip_prefix(IMAGE_PREFIX) {
-            cameras.push(camera_spec(&path, camera, feature)?);
+            let mut camera = camera_spec(&path, camera, feature)?;
+            camera.depth = depth::read_lens(&path, info, &camera)?;
+            cameras.push(camera);
         }
     }
     Ok(DatasetSpec {
@@ -78,6 +80,7 @@ fn camera_spec(path: &Path, name: &str, feature: &Feature) -> Result<CameraSpec,
             name: name.to_owned(),
             width,
             height,
+            depth: None,
         });
     }
     let what = format!("the shape of {IMAGE_PREFIX}{name}");

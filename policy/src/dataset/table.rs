@@ -106,17 +106,8 @@ impl Table {
 
     /// The encoded image in one row of an image column; reads no more of the file than it has to.
     pub(super) fn image(&self, name: &str, row: usize) -> Result<Vec<u8>, DatasetError> {
-        let selection = RowSelection::from(vec![RowSelector::skip(row), RowSelector::select(1)]);
-        let batch = self
-            .builder(name)?
-            .with_row_selection(selection)
-            .build()
-            .map_err(parquet_error(&self.path))?;
-        let columns = self.collect(batch)?;
-        let column = columns.iter().find(|column| column.len() == 1);
-        let column = column
-            .ok_or_else(|| self.mismatch(name, format!("without row {row}"), "one".to_owned()))?;
-        let images = self.cast::<StructArray>(column, name, "a struct of bytes and path")?;
+        let column = self.cell(name, row)?;
+        let images = self.cast::<StructArray>(&column, name, "a struct of bytes and path")?;
         let bytes = images.column_by_name("bytes");
         let bytes = bytes.ok_or_else(|| DatasetError::Missing {
             path: self.path.clone(),
@@ -131,6 +122,34 @@ impl Table {
             ));
         }
         Ok(bytes.value(0).to_vec())
+    }
+
+    /// The vector in one row.
+    pub(super) fn vector<const N: usize>(
+        &self,
+        name: &str,
+        row: usize,
+    ) -> Result<[f64; N], DatasetError> {
+        let column = self.cell(name, row)?;
+        let lists = self.cast::<FixedSizeListArray>(&column, name, "a list of fixed size")?;
+        let values = self.cast::<Float64Array>(lists.values(), name, "a list of float64")?;
+        values.values().as_ref().try_into().map_err(|_| {
+            let found = format!("{} numbers wide", lists.value_length());
+            self.mismatch(name, found, N.to_string())
+        })
+    }
+
+    /// One row of a column.
+    fn cell(&self, name: &str, row: usize) -> Result<ArrayRef, DatasetError> {
+        let selection = RowSelection::from(vec![RowSelector::skip(row), RowSelector::select(1)]);
+        let batch = self
+            .builder(name)?
+            .with_row_selection(selection)
+            .build()
+            .map_err(parquet_error(&self.path))?;
+        let columns = self.collect(batch)?;
+        let column = columns.into_iter().find(|column| column.len() == 1);
+        column.ok_or_else(|| self.mismatch(name, format!("without row {row}"), "one".to_owned()))
     }
 
     pub(super) fn mismatch(&self, what: &str, found: String, expected: String) -> DatasetError {

@@ -36,6 +36,7 @@ fn spec() -> DatasetSpec {
         name: name.to_owned(),
         width,
         height,
+        depth: None,
     };
     DatasetSpec {
         fps: 25,
@@ -105,6 +106,7 @@ fn push_arms(
     writer.push_frame(&FrameRecord {
         arms,
         images: &images,
+        depth: &[],
     })
 }
 
@@ -257,6 +259,7 @@ fn writer_refuses_what_does_not_fit() {
     let frame = FrameRecord {
         arms: &[STILL],
         images: &[],
+        depth: &[],
     };
     let message = writer.push_frame(&frame).unwrap_err().to_string();
     assert_eq!(message, "the frame is 0 images, expected 2, one a camera");
@@ -418,6 +421,7 @@ fn data_that_disagrees_with_the_description_is_refused() {
     let frame = FrameRecord {
         arms: &[STILL],
         images: &[&image],
+        depth: &[],
     };
     (0..5).for_each(|_| writer.push_frame(&frame).unwrap());
     writer.end_episode().unwrap();

@@ -19,10 +19,14 @@ use serde_json::{Map, Value};
 use super::{
     CameraSpec, DatasetError, DatasetSpec, FrameRecord,
     check::{check_arms, check_spec, input},
+    depth,
     episode::{Pending, columns, index_value, timestamp_s},
     meta::{self, CHUNK_SIZE, EpisodeRow},
     png::encode_rgb,
-    schema::{self, ACTION, STATE, TIMESTAMP, TIP_POSE, image_feature},
+    schema::{
+        self, ACTION, CAMERA_POSE_PREFIX, DEPTH_PREFIX, INSTANCE_PREFIX, STATE, TIMESTAMP,
+        TIP_POSE, image_feature,
+    },
     stats::{ColumnStats, ImageStats},
     store::{io_error, parquet_error, write_json, write_parquet},
 };
@@ -100,6 +104,7 @@ impl DatasetWriter {
     pub fn push_frame(&mut self, frame: &FrameRecord<'_>) -> Result<(), DatasetError> {
         check_arms(&self.spec, frame.arms)?;
         let pngs = self.encode(frame.images)?;
+        let depth = depth::encode(&self.spec, frame.depth)?;
         if self.pending_frames().is_multiple_of(IMAGE_STATS_STRIDE) {
             for (stats, rgb) in self.pending.image_stats.iter_mut().zip(frame.images) {
                 stats.add(rgb);
@@ -108,6 +113,9 @@ impl DatasetWriter {
         self.pending.push(frame.arms);
         for (images, png) in self.pending.images.iter_mut().zip(pngs) {
             images.push(png);
+        }
+        for (columns, row) in self.pending.depth.iter_mut().zip(depth) {
+            columns.push(row);
         }
         Ok(())
     }
@@ -217,6 +225,14 @@ impl DatasetWriter {
                 TIMESTAMP => stats.extend(
                     (0..row.len).map(|frame| [f64::from(timestamp_s(frame, self.spec.fps))]),
                 ),
+                name if name.starts_with(CAMERA_POSE_PREFIX) => {
+                    let camera = &name[CAMERA_POSE_PREFIX.len()..];
+                    let mut cameras = self.spec.depth_cameras().zip(&pending.depth);
+                    if let Some((_, columns)) = cameras.find(|((other, _), _)| other.name == camera)
+                    {
+                        stats.extend(columns.camera_in_scene.iter().copied());
+                    }
+                }
                 #[expect(clippy::cast_precision_loss, reason = "counts stay far below 2^53")]
                 name => {
                     stats.extend((0..row.len).map(|frame| [index_value(name, row, frame) as f64]))
@@ -258,8 +274,15 @@ fn data_properties(spec: &DatasetSpec) -> WriterProperties {
         .set_dictionary_enabled(false)
         // The limit on rows in a page is looked at after each such batch.
         .set_write_batch_size(1);
-    for camera in &spec.cameras {
-        let bytes = ColumnPath::new(vec![image_feature(&camera.name), "bytes".to_owned()]);
+    let colour = spec
+        .cameras
+        .iter()
+        .map(|camera| image_feature(&camera.name));
+    let planes = spec.depth_cameras().flat_map(|(camera, _)| {
+        [DEPTH_PREFIX, INSTANCE_PREFIX].map(|prefix| format!("{prefix}{}", camera.name))
+    });
+    for feature in colour.chain(planes) {
+        let bytes = ColumnPath::new(vec![feature, "bytes".to_owned()]);
         properties = properties
             .set_column_compression(bytes.clone(), Compression::UNCOMPRESSED)
             .set_column_statistics_enabled(bytes.clone(), EnabledStatistics::None)

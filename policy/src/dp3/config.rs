@@ -13,7 +13,8 @@ pub enum Dp3Preset {
 }
 
 /// One DP3 network. Field names and defaults are the published ones where these have the field.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub struct Dp3Config {
     /// Steps that are predicted at once; a multiple of what the lengths shrink by.
     pub horizon: i64,

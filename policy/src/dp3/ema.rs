@@ -39,12 +39,18 @@ impl MovingAverage {
 
     /// The share of the average that stays at the update after `updates` others.
     #[must_use]
-    #[expect(clippy::cast_precision_loss, reason = "counts stay far below 2^52")]
     pub fn decay(updates: u64) -> f64 {
+        Self::decay_with(updates, Self::POWER)
+    }
+
+    /// The same with another power.
+    #[must_use]
+    #[expect(clippy::cast_precision_loss, reason = "counts stay far below 2^52")]
+    pub fn decay_with(updates: u64, power: f64) -> f64 {
         if updates <= 1 {
             return 0.0;
         }
-        (1.0 - (updates as f64).powf(-Self::POWER)).clamp(0.0, Self::DECAY_MAX)
+        (1.0 - (updates as f64).powf(-power)).clamp(0.0, Self::DECAY_MAX)
     }
 
     /// Moves towards `parameters`; what training leaves alone is taken over as it is.

@@ -4,13 +4,15 @@
 //! and R and t the camera's rounded pose, coordinate i of a pixel's point is `((R_i1 b + R_i2) + R_i0 a) depth + t_i`.
 
 use hal::{FrameRef, Intrinsics, Pose};
+use serde::{Deserialize, Serialize};
 
 use super::Point;
 use super::error::{PerceptionError, Refused};
 use super::instances::InstanceSet;
 
 /// In which frame a cloud is.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
 pub enum CloudFrame {
     /// The scene's.
     #[default]

@@ -9,28 +9,34 @@
 
 mod back_projection;
 mod buckets;
+mod depth_units;
 mod error;
 mod farthest;
 mod instances;
 mod neighbours;
+mod recipe;
 #[cfg(test)]
 mod tests;
 mod thinning;
 
 use hal::FrameRef;
+use serde::{Deserialize, Serialize};
 
 pub use back_projection::{CloudFrame, CropBox, back_project};
+pub use depth_units::{DEPTH_MAX_M, DEPTH_UNIT_M, depth_from_units, depth_units};
 pub use error::{PerceptionError, Refused};
 pub use farthest::farthest_points;
 pub use instances::InstanceSet;
 pub use neighbours::nearest_points;
+pub use recipe::CloudRecipe;
 pub use thinning::thin;
 
 /// A point, metres.
 pub type Point = [f32; 3];
 
 /// What fills the cloud when there are fewer points than asked for.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
 pub enum Padding {
     /// The first point again, which is also what sampling on would give: nothing that takes a maximum sees it.
     #[default]

@@ -7,9 +7,9 @@ use std::collections::BTreeMap;
 use tch::{Device, Kind, TchError, Tensor};
 
 use super::options::{TrainOptions, TrainPrecision};
+use crate::dp3::MovingAverage;
 use crate::parameters::Parameters;
 
-const BETA_1: f64 = 0.9;
 const BETA_2: f64 = 0.999;
 const EPS: f64 = 1e-8;
 
@@ -174,8 +174,11 @@ impl FlatParameters {
     ) -> Result<(), TchError> {
         self.steps = self.steps.saturating_add(1);
         let exponent = f64::from(self.steps);
-        let (bias_1, bias_2) = (1.0 - BETA_1.powf(exponent), 1.0 - BETA_2.powf(exponent));
-        let _ = self.first_moment.f_lerp_(gradient, 1.0 - BETA_1)?;
+        let (bias_1, bias_2) = (
+            1.0 - options.beta_1.powf(exponent),
+            1.0 - BETA_2.powf(exponent),
+        );
+        let _ = self.first_moment.f_lerp_(gradient, 1.0 - options.beta_1)?;
         let _ = self
             .second_moment
             .f_lerp_(&gradient.f_square()?, 1.0 - BETA_2)?;
@@ -200,7 +203,12 @@ impl FlatParameters {
         }
         if let Some(average) = &mut self.average {
             // Young averages must not remember the initial weights.
-            let decay = options.ema_decay.min((1.0 + exponent) / (10.0 + exponent));
+            let young = if options.ema_power > 0.0 {
+                MovingAverage::decay_with(u64::from(self.steps) - 1, options.ema_power)
+            } else {
+                (1.0 + exponent) / (10.0 + exponent)
+            };
+            let decay = options.ema_decay.min(young);
             let _ = average.f_lerp_(&self.master, 1.0 - decay)?;
         }
         Ok(())

@@ -1,22 +1,32 @@
-//! Training of ACT on recorded demonstrations.
+//! Training of policies on recorded demonstrations: ACT from images, ACT-PC and DP3 from point clouds.
 //!
 //! Everything is decoded once and kept on the training device; a step draws frames, not episodes. On the CPU, with one
 //! seed and one number of threads, two runs give the same bits, provided that nothing else in the process draws from
 //! the network library's random numbers meanwhile (dropout and the latent do).
 
+mod act_pc;
+#[cfg(test)]
+mod act_pc_tests;
 mod augment;
+mod cloud_set;
 mod curve;
+mod dp3;
+#[cfg(test)]
+mod dp3_tests;
 mod error;
 mod flat;
 mod frame_order;
 mod options;
+mod steps;
 #[cfg(test)]
 mod tests;
 mod training_set;
 
 use tch::{Device, Kind, TchError, Tensor};
 
+pub use act_pc::TrainedActPc;
 pub use curve::{CurveRow, LossCurve};
+pub use dp3::TrainedDp3;
 pub use error::TrainError;
 pub use options::{Augmentation, Schedule, TrainOptions, TrainPrecision};
 
@@ -27,7 +37,7 @@ use crate::normalise::ImageNormaliser;
 use crate::parameters::ParameterSource;
 use crate::rng::SplitMix64;
 use flat::FlatParameters;
-use frame_order::FrameOrder;
+use steps::{Learner, Losses, Split, all_steps};
 use training_set::{Batch, TrainingSet};
 
 /// Where a run stands, once a row of the loss curve.
@@ -75,6 +85,10 @@ impl Trainer {
         Self { device }
     }
 
+    const fn device(&self) -> Device {
+        self.device
+    }
+
     /// Trains the network `config` on `dataset` from a fresh start.
     ///
     /// Cameras of the configuration must be the dataset's, in its order, and its widths those of the dataset's arms.
@@ -116,7 +130,11 @@ impl Trainer {
             options,
             set: &set,
         };
-        let curve = run.all_steps(&mut flat, on_progress)?;
+        let split = Split {
+            trained: &set.trained,
+            held_out: &set.held_out,
+        };
+        let curve = all_steps(&run, options, split, &mut flat, on_progress)?;
         let averaged = ParameterSource::given(flat.averaged_tensors(fresh.parameters())?);
         let act = Act::new(config.clone(), averaged)?;
         Ok(Trained {
@@ -162,62 +180,9 @@ struct Run<'a> {
     set: &'a TrainingSet,
 }
 
-impl Run<'_> {
-    fn all_steps(
-        &self,
-        flat: &mut FlatParameters,
-        on_progress: &mut dyn FnMut(&Progress),
-    ) -> Result<LossCurve, TrainError> {
-        let options = self.options;
-        let mut random = SplitMix64::named("train", options.seed);
-        let mut order = FrameOrder::new(&self.set.trained);
-        let mut curve = LossCurve::default();
-        let mut since_row = Vec::new();
-        for step in 0..options.steps {
-            let batch = self.set.batch(&order.next(options.batch, &mut random))?;
-            let factor = options.lr_factor(step);
-            since_row.push(self.step(&batch, factor, flat, &mut random)?);
-            let done = step + 1;
-            if done.is_multiple_of(options.log_every) || done == options.steps {
-                let means = Tensor::f_stack(&since_row, 0)?.f_mean_dim(
-                    [0].as_slice(),
-                    false,
-                    Kind::Double,
-                )?;
-                let means = Vec::<f64>::try_from(&means)?;
-                since_row.clear();
-                let [loss, l1, kl, gradient_norm] = [means[0], means[1], means[2], means[3]];
-                if !(loss.is_finite() && gradient_norm.is_finite()) {
-                    return Err(TrainError::Diverged { step: done, loss });
-                }
-                let validation_l1 = self.validate()?;
-                let row = CurveRow {
-                    step: done,
-                    loss,
-                    l1,
-                    kl,
-                    gradient_norm,
-                    lr: options.lr * factor,
-                    validation_l1,
-                };
-                curve.rows.push(row);
-                on_progress(&Progress {
-                    steps: options.steps,
-                    row,
-                });
-            }
-        }
-        Ok(curve)
-    }
-
-    /// One step; loss, its parts and the gradient's norm in one tensor, not yet waited for.
-    fn step(
-        &self,
-        batch: &Batch,
-        lr_factor: f64,
-        flat: &mut FlatParameters,
-        random: &mut SplitMix64,
-    ) -> Result<Tensor, TchError> {
+impl Learner for Run<'_> {
+    fn losses(&self, frames: &[usize], random: &mut SplitMix64) -> Result<Losses, TchError> {
+        let batch: Batch = self.set.batch(frames)?;
         let config = self.act.config();
         let images = self.images.apply(&batch.images)?;
         let images = augment::images(images, &self.options.augmentation, random)?;
@@ -239,48 +204,23 @@ impl Run<'_> {
             &batch.actions,
             &batch.is_pad,
         )?;
-        let lr = [
-            self.options.lr_backbone * lr_factor,
-            self.options.lr * lr_factor,
-        ];
-        let norm = flat.step(&parts.total, lr, self.options)?;
-        Tensor::f_stack(
-            &[
-                parts.total.f_detach()?,
-                parts.l1.f_detach()?,
-                parts.kl.f_detach()?,
-                norm,
-            ],
-            0,
-        )
+        Ok(Losses {
+            total: parts.total,
+            l1: parts.l1,
+            kl: parts.kl,
+        })
     }
 
-    /// Mean absolute error of held-out frames as inference sees them, normalised; none without such frames. At most 256
-    /// frames, evenly spread, by the weights as they are.
-    fn validate(&self) -> Result<Option<f64>, TchError> {
-        let held_out = &self.set.held_out;
-        if held_out.is_empty() {
-            return Ok(None);
-        }
-        let stride = held_out.len().div_ceil(256);
-        let frames: Vec<usize> = held_out.iter().copied().step_by(stride).collect();
-        tch::no_grad(|| {
-            let (mut sum, mut parts) = (0.0, 0.0);
-            for frames in frames.chunks(self.options.batch) {
-                let batch = self.set.batch(frames)?;
-                let predicted = self
-                    .act
-                    .infer(&self.images.apply(&batch.images)?, &batch.state)?;
-                let l1 = l1_loss(
-                    LossDenominator::Valid,
-                    &predicted,
-                    &batch.actions,
-                    &batch.is_pad,
-                )?;
-                sum += l1.f_double_value(&[])?;
-                parts += 1.0;
-            }
-            Ok(Some(sum / parts))
-        })
+    fn error(&self, frames: &[usize]) -> Result<f64, TchError> {
+        let batch = self.set.batch(frames)?;
+        let images = self.images.apply(&batch.images)?;
+        let predicted = self.act.infer(&images, &batch.state)?;
+        let l1 = l1_loss(
+            LossDenominator::Valid,
+            &predicted,
+            &batch.actions,
+            &batch.is_pad,
+        )?;
+        l1.f_double_value(&[])
     }
 }

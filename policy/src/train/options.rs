@@ -3,6 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use crate::act::ActPreset;
+use crate::dp3::MovingAverage;
 
 /// Number format of the forward and backward pass; the master copy of the weights is always single precision.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -24,6 +25,8 @@ pub enum Schedule {
     /// It falls to a hundredth along half a cosine.
     #[default]
     Cosine,
+    /// It falls to nothing along half a cosine.
+    CosineToZero,
 }
 
 /// Random changes of the training images, each frame its own.
@@ -50,6 +53,8 @@ pub struct TrainOptions {
     pub lr: f64,
     /// Learning rate of the backbone.
     pub lr_backbone: f64,
+    /// How much of the gradients' mean stays at a step.
+    pub beta_1: f64,
     /// Weight decay (decoupled).
     pub weight_decay: f64,
     /// Steps over which the learning rate rises from 0.
@@ -60,6 +65,8 @@ pub struct TrainOptions {
     pub clip_norm: f64,
     /// Decay of the moving average of the weights, which is what is kept at the end. 0 keeps the last weights.
     pub ema_decay: f64,
+    /// How the decay grows to its greatest: DP3's `1 - n^-power` after `n` updates; 0 is `(1 + n) / (10 + n)`.
+    pub ema_power: f64,
     /// Share of the episodes, the last ones, that is held out for validation. 0 is none.
     pub validation_share: f64,
     /// Steps between two rows of the loss curve.
@@ -83,11 +90,13 @@ impl TrainOptions {
             batch: 64,
             lr: 1e-4,
             lr_backbone: 1e-4,
+            beta_1: 0.9,
             weight_decay: 1e-4,
             warm_up_steps: 500,
             schedule: Schedule::Cosine,
             clip_norm: 10.0,
             ema_decay: 0.999,
+            ema_power: 0.0,
             validation_share: 0.0,
             log_every: 50,
             precision: TrainPrecision::F32,
@@ -118,7 +127,9 @@ impl TrainOptions {
             ("lr_backbone", self.lr_backbone, 0.0, 1.0),
             ("weight_decay", self.weight_decay, 0.0, 1.0),
             ("clip_norm", self.clip_norm, 1e-6, f64::INFINITY),
+            ("beta_1", self.beta_1, 0.0, 0.999_999),
             ("ema_decay", self.ema_decay, 0.0, 0.999_999),
+            ("ema_power", self.ema_power, 0.0, 1.0),
             ("validation_share", self.validation_share, 0.0, 0.9),
             (
                 "augmentation.brightness",
@@ -164,12 +175,35 @@ impl TrainOptions {
         }
         match self.schedule {
             Schedule::Constant => 1.0,
-            Schedule::Cosine => {
-                let span = self.steps.saturating_sub(self.warm_up_steps).max(1) as f64;
-                let share = ((step - self.warm_up_steps) as f64 / span).min(1.0);
-                0.01 + 0.99 * 0.5 * (1.0 + (core::f64::consts::PI * share).cos())
-            }
+            Schedule::Cosine => 0.01 + 0.99 * self.cosine(step),
+            Schedule::CosineToZero => self.cosine(step),
         }
+    }
+}
+
+impl TrainOptions {
+    /// DP3's published recipe over `steps` steps; its own number of them is 3000 times the frames over the batch.
+    #[must_use]
+    pub const fn dp3(steps: u64) -> Self {
+        Self {
+            steps,
+            batch: 128,
+            beta_1: 0.95,
+            weight_decay: 1e-6,
+            schedule: Schedule::CosineToZero,
+            clip_norm: f64::INFINITY,
+            ema_decay: MovingAverage::DECAY_MAX,
+            ema_power: MovingAverage::POWER,
+            ..Self::preset(ActPreset::Small)
+        }
+    }
+
+    /// Half a cosine from 1 at the end of the warm-up to 0 at the last step.
+    #[expect(clippy::cast_precision_loss, reason = "steps stay far below 2^52")]
+    fn cosine(&self, step: u64) -> f64 {
+        let span = self.steps.saturating_sub(self.warm_up_steps).max(1) as f64;
+        let share = (step.saturating_sub(self.warm_up_steps) as f64 / span).min(1.0);
+        0.5 * (1.0 + (core::f64::consts::PI * share).cos())
     }
 }
 

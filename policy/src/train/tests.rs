@@ -46,6 +46,7 @@ fn dataset_of(arms: usize, name: &str) -> Scratch {
         name: "endoscope".to_owned(),
         width: SIDE,
         height: SIDE,
+        depth: None,
     };
     let spec = DatasetSpec {
         fps: 25,
@@ -75,6 +76,7 @@ fn dataset_of(arms: usize, name: &str) -> Scratch {
             let record = FrameRecord {
                 arms: &both[..arms],
                 images: &[&image],
+                depth: &[],
             };
             writer.push_frame(&record).unwrap();
         }
@@ -119,7 +121,7 @@ fn options() -> TrainOptions {
 }
 
 /// The library's random numbers belong to the process: one run at a time, or none repeats itself.
-static ONE_AT_A_TIME: Mutex<()> = Mutex::new(());
+pub(super) static ONE_AT_A_TIME: Mutex<()> = Mutex::new(());
 
 fn run(
     config: &ActConfig,
@@ -191,7 +193,7 @@ fn training_lowers_the_loss_repeats_itself_and_survives_the_disk() {
             width: SIDE,
             height: SIDE,
         }],
-        preset: ActPreset::Small,
+        preset: ActPreset::Small.into(),
         variants: Variants {
             backbone_norm: config().backbone_norm,
             loss_denominator: config().loss_denominator,

@@ -49,17 +49,14 @@ impl TrainingSet {
         device: Device,
     ) -> Result<Self, TrainError> {
         let episodes = dataset.episodes();
-        let (trained_episodes, held_out_episodes) =
-            episodes.split_at(split_at(episodes.len(), validation_share));
-        let trained: Vec<usize> = trained_episodes.iter().flat_map(Episode::frames).collect();
-        let held_out = held_out_episodes.iter().flat_map(Episode::frames).collect();
+        let (trained, held_out) = episode_split(episodes, validation_share);
         let steps = usize::try_from(config.chunk_size).unwrap_or(0);
         let rows: Vec<ChunkRow> = episodes
             .iter()
             .flat_map(|episode| {
                 episode
                     .frames()
-                    .map(|frame| chunk_of(dataset, &episode.frames(), frame, steps))
+                    .map(|frame| chunk_of(dataset, &episode.frames(), frame, 0, steps))
             })
             .collect();
         let statistics = statistics(dataset, &trained, &rows).ok_or(TrainError::Empty)?;
@@ -84,11 +81,7 @@ impl TrainingSet {
 
     /// The given frames.
     pub(super) fn batch(&self, frames: &[usize]) -> Result<Batch, TchError> {
-        let indices: Vec<i64> = frames
-            .iter()
-            .map(|&frame| i64::try_from(frame).unwrap_or(i64::MAX))
-            .collect();
-        let indices = Tensor::f_from_slice(&indices)?.f_to_device(self.images.device())?;
+        let indices = index_tensor(frames, self.images.device())?;
         Ok(Batch {
             images: self.images.f_index_select(0, &indices)?,
             state: self.states.f_index_select(0, &indices)?,
@@ -96,6 +89,25 @@ impl TrainingSet {
             is_pad: self.is_pad.f_index_select(0, &indices)?,
         })
     }
+}
+
+/// Indices as a tensor on `device`.
+pub(super) fn index_tensor(indices: &[usize], device: Device) -> Result<Tensor, TchError> {
+    let indices: Vec<i64> = indices
+        .iter()
+        .map(|&index| i64::try_from(index).unwrap_or(i64::MAX))
+        .collect();
+    Tensor::f_from_slice(&indices)?.f_to_device(device)
+}
+
+/// The frames of the episodes that are trained on, and those of the last ones, which are held out.
+pub(super) fn episode_split(
+    episodes: &[Episode],
+    validation_share: f64,
+) -> (Vec<usize>, Vec<usize>) {
+    let (trained, held_out) = episodes.split_at(split_at(episodes.len(), validation_share));
+    let frames = |episodes: &[Episode]| episodes.iter().flat_map(Episode::frames).collect();
+    (frames(trained), frames(held_out))
 }
 
 /// How many of `episodes` are trained on: at least one.
@@ -110,22 +122,32 @@ fn split_at(episodes: usize, validation_share: f64) -> usize {
     episodes.saturating_sub(held_out).max(1).min(episodes)
 }
 
-struct ChunkRow {
+/// The actions that belong to one frame.
+#[derive(Debug)]
+pub(super) struct ChunkRow {
     /// As many a step as there are arms.
     actions: Vec<[f64; RELATIVE_ACTION_DIM]>,
     /// Steps that are not past the end of the episode.
     valid: usize,
 }
 
-/// The commands of `steps` frames from `frame` on, each arm's relative to its tip there; past the end the last one repeats.
-fn chunk_of(dataset: &Dataset, episode: &Range<usize>, frame: usize, steps: usize) -> ChunkRow {
+/// The commands of `steps` frames, the first of them `before` frames before `frame`, each arm's relative to its tip at
+/// `frame`; beyond either end of the episode the one there repeats.
+pub(super) fn chunk_of(
+    dataset: &Dataset,
+    episode: &Range<usize>,
+    frame: usize,
+    before: usize,
+    steps: usize,
+) -> ChunkRow {
     let arms = 0..dataset.arms();
     let tips: Vec<Pose> = arms
         .map(|arm| pose_from_numbers(&dataset.tip_pose(frame, arm)))
         .collect();
     let mut actions = Vec::with_capacity(steps * tips.len());
     for later in frame..frame + steps {
-        let commanded = later.min(episode.end - 1);
+        let commanded = later.saturating_sub(before);
+        let commanded = commanded.clamp(episode.start, episode.end - 1);
         for (arm, tip) in tips.iter().enumerate() {
             let [x, y, z, qx, qy, qz, qw, jaw] = dataset.action(commanded, arm);
             let target = pose_from_numbers(&[x, y, z, qx, qy, qz, qw]);
@@ -134,12 +156,12 @@ fn chunk_of(dataset: &Dataset, episode: &Range<usize>, frame: usize, steps: usiz
     }
     ChunkRow {
         actions,
-        valid: steps.min(episode.end - frame),
+        valid: steps.min(episode.end + before - frame),
     }
 }
 
 /// Statistics of the frames `trained`, arm by arm; padding does not count. None without frames.
-fn statistics(
+pub(super) fn statistics(
     dataset: &Dataset,
     trained: &[usize],
     rows: &[ChunkRow],
@@ -162,17 +184,15 @@ fn statistics(
     })
 }
 
+/// States `(frames, numbers)` and actions, a frame a row, in SI units on the CPU.
 #[expect(
     clippy::cast_possible_truncation,
     reason = "networks compute in single precision"
 )]
-fn numbers(
+pub(super) fn raw_numbers(
     dataset: &Dataset,
     rows: &[ChunkRow],
-    steps: usize,
-    [state, action]: [&Statistics; 2],
-    device: Device,
-) -> Result<[Tensor; 3], TchError> {
+) -> Result<(Tensor, Tensor), TchError> {
     let arms = dataset.arms();
     let states: Vec<f32> = (0..rows.len())
         .flat_map(|frame| (0..arms).flat_map(move |arm| dataset.state(frame, arm)))
@@ -182,18 +202,31 @@ fn numbers(
         .flat_map(|row| row.actions.as_flattened())
         .map(|value| *value as f32)
         .collect();
+    let frames = i64::try_from(rows.len()).unwrap_or(i64::MAX);
+    Ok((
+        Tensor::f_from_slice(&states)?.f_view([frames, -1])?,
+        Tensor::f_from_slice(&chunks)?.f_view([frames, -1])?,
+    ))
+}
+
+pub(super) fn numbers(
+    dataset: &Dataset,
+    rows: &[ChunkRow],
+    steps: usize,
+    [state, action]: [&Statistics; 2],
+    device: Device,
+) -> Result<[Tensor; 3], TchError> {
+    let (states, chunks) = raw_numbers(dataset, rows)?;
     let is_pad: Vec<bool> = rows
         .iter()
         .flat_map(|row| (0..steps).map(|step| step >= row.valid))
         .collect();
     let frames = i64::try_from(rows.len()).unwrap_or(i64::MAX);
-    let states = state
-        .normaliser()
-        .apply(&Tensor::f_from_slice(&states)?.f_view([frames, -1])?)?;
+    let states = state.normaliser().apply(&states)?;
     let steps = i64::try_from(steps).unwrap_or(i64::MAX);
     let chunks = action
         .normaliser()
-        .apply(&Tensor::f_from_slice(&chunks)?.f_view([frames, steps, -1])?)?;
+        .apply(&chunks.f_view([frames, steps, -1])?)?;
     let is_pad = Tensor::f_from_slice(&is_pad)?.f_view([frames, steps])?;
     Ok([
         states.f_to_device(device)?,

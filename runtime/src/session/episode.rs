@@ -7,7 +7,7 @@ use sim_backend::simulation::Simulation;
 use sim_backend::task::Outcome;
 
 use super::SessionError;
-use super::source::{ChunkSource, Query, STEP_TICKS, seen_arm};
+use super::source::{ChunkSource, Query, STEP_TICKS, precedes_query, seen_arm};
 use super::summary::TissueSummary;
 use super::tally::Tally;
 use crate::control::{AnyController, OperatorEvent, TickInput};
@@ -190,12 +190,17 @@ impl Episode<'_> {
         watcher: &mut dyn Watcher,
         clock: MonotonicClock,
     ) -> Result<Option<(PerArm<Chunk>, u64)>, SessionError> {
-        let asked = step.is_multiple_of(self.source.query_every_steps());
-        cameras.take(self.simulation, step, asked)?;
+        let every = self.source.query_every_steps().max(1);
+        let asked = step.is_multiple_of(every);
+        let shown = precedes_query(step, every, self.source.history_steps());
+        cameras.take(self.simulation, step, asked || shown)?;
+        let seen = cameras.frames.iter().take(cameras.seen);
+        let frames: Vec<FrameRef<'_>> = seen.map(CameraFrame::as_frame).collect();
+        if shown {
+            self.source.observe(arms, &frames)?;
+        }
         let answer = if asked {
             let scene = self.simulation.scene_state();
-            let seen = cameras.frames.iter().take(cameras.seen);
-            let frames: Vec<FrameRef<'_>> = seen.map(CameraFrame::as_frame).collect();
             let query = Query {
                 arms: *arms,
                 frames: &frames,

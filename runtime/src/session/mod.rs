@@ -20,6 +20,7 @@ pub mod summary;
 pub mod tally;
 pub mod tasks;
 pub mod training;
+mod training_clouds;
 
 #[cfg(test)]
 mod tests;

@@ -2,9 +2,10 @@
 
 use std::path::PathBuf;
 
-use hal::{Chunk, SeenArm};
+use hal::{CameraFrame, Chunk, SeenArm, TipTarget};
 use policy::act_policy::state_numbers;
-use policy::dataset::{ArmFrame, CameraSpec, DatasetSpec, DatasetWriter, FrameRecord};
+use policy::dataset::{ArmFrame, CameraSpec, DatasetSpec, DatasetWriter, DepthFrame, FrameRecord};
+use policy::perception::depth_units;
 use serde::Serialize;
 use sim_backend::cameras::SceneCameras;
 use sim_backend::simulation::{Rendering, Simulation};
@@ -26,6 +27,8 @@ pub struct RecordOptions {
     pub seed: u64,
     /// Episodes at a time.
     pub jobs: usize,
+    /// Keep depth and instance ids of every camera too.
+    pub depth: bool,
 }
 
 /// What became of one attempt.
@@ -72,7 +75,7 @@ pub fn record(
     on_attempt: &mut dyn FnMut(&Attempt),
 ) -> Result<RecordSummary, SessionError> {
     outputs::new_folder(&options.out)?;
-    let mut writer = DatasetWriter::create(&options.out, &dataset_spec(setup))?;
+    let mut writer = DatasetWriter::create(&options.out, &dataset_spec(setup, options.depth))?;
     let mut summary = RecordSummary {
         task: setup.task_name.clone(),
         view: setup.task.view.name().to_owned(),
@@ -98,7 +101,7 @@ pub fn record(
         parallel::in_order(
             wanted,
             options.jobs,
-            || Ok(demonstrator(setup, first)),
+            || Ok(demonstrator(setup, first, options.depth)),
             &mut |index, demo: Demonstration| {
                 let success = matches!(demo.outcome, Outcome::Success);
                 if success {
@@ -123,7 +126,7 @@ pub fn record(
     Ok(summary)
 }
 
-fn dataset_spec(setup: &Setup) -> DatasetSpec {
+fn dataset_spec(setup: &Setup, depth: bool) -> DatasetSpec {
     let names = setup.cameras_with(Vec::new());
     let cameras = names
         .iter()
@@ -138,6 +141,7 @@ fn dataset_spec(setup: &Setup) -> DatasetSpec {
             name: camera.name.clone(),
             width: camera.intrinsics().width,
             height: camera.intrinsics().height,
+            depth: depth.then(|| camera.intrinsics()),
         })
         .collect();
     #[expect(clippy::cast_possible_truncation, reason = "25 steps a second")]
@@ -170,14 +174,43 @@ struct Demonstration {
 struct StoredFrame {
     arms: Vec<ArmFrame>,
     images: Vec<Vec<u8>>,
+    /// Of every camera, or none.
+    depth: Vec<StoredDepth>,
+}
+
+struct StoredDepth {
+    units: Vec<u16>,
+    instance: Vec<u8>,
+    camera_in_scene: [f64; 7],
+}
+
+impl StoredDepth {
+    fn of(frame: &CameraFrame) -> Self {
+        let depths = frame.depth_m.iter();
+        Self {
+            units: depths.map(|&depth_m| depth_units(depth_m)).collect(),
+            instance: frame.instance.clone(),
+            camera_in_scene: TipTarget::new(&frame.camera_in_scene, 0.0).pose_numbers(),
+        }
+    }
 }
 
 fn store(writer: &mut DatasetWriter, demo: &Demonstration) -> Result<(), SessionError> {
     for frame in &demo.frames {
         let images: Vec<&[u8]> = frame.images.iter().map(Vec::as_slice).collect();
+        let depth: Vec<DepthFrame<'_>> = frame
+            .depth
+            .iter()
+            .map(|depth| DepthFrame {
+                units: &depth.units,
+                instance: &depth.instance,
+                camera_in_scene: depth.camera_in_scene,
+            })
+            .collect();
         writer.push_frame(&FrameRecord {
             arms: &frame.arms,
             images: &images,
+            depth: &depth,
         })?;
     }
     Ok(writer.end_episode()?)
@@ -187,6 +220,7 @@ fn store(writer: &mut DatasetWriter, demo: &Demonstration) -> Result<(), Session
 fn demonstrator(
     setup: &Setup,
     first: u64,
+    depth: bool,
 ) -> impl FnMut(usize) -> Result<Demonstration, SessionError> {
     let mut cameras: Option<SceneCameras> = None;
     move |index| {
@@ -199,6 +233,7 @@ fn demonstrator(
         let mut controller = setup.controller()?;
         let mut diary = Diary {
             cameras: setup.cameras_with(Vec::new()),
+            depth,
             frames: Vec::new(),
         };
         let plan = Plan {
@@ -223,6 +258,7 @@ fn demonstrator(
 /// Writes down every policy step of the expert.
 struct Diary {
     cameras: Vec<String>,
+    depth: bool,
     frames: Vec<StoredFrame>,
 }
 
@@ -245,6 +281,11 @@ impl Watcher for Diary {
                 .iter()
                 .map(|frame| frame.colour.clone())
                 .collect(),
+            depth: if self.depth {
+                view.frames.iter().map(StoredDepth::of).collect()
+            } else {
+                Vec::new()
+            },
         });
         Ok(())
     }

@@ -3,8 +3,8 @@
 use std::path::Path;
 
 use hal::config::Source;
-use policy::act_policy::ActPolicy;
 use policy::checkpoint::load_recipe;
+use policy::loaded_policy::LoadedPolicy;
 use sim_backend::expert::Expert;
 use sim_backend::rng::Rng;
 use sim_backend::task::TaskConfig;
@@ -99,12 +99,12 @@ impl Setup {
     ///
     /// # Errors
     /// [`SessionError::Checkpoint`], or [`SessionError::BadArgument`] if it is for another number of arms than the task's.
-    pub fn network(&self, folder: &Path, device: Device) -> Result<ActPolicy, SessionError> {
+    pub fn network(&self, folder: &Path, device: Device) -> Result<LoadedPolicy, SessionError> {
         // Before the weights: they would only take time.
         if let Some(recipe) = load_recipe(folder)? {
             self.check_arms(folder, recipe.arms)?;
         }
-        Ok(ActPolicy::load(folder, device)?)
+        Ok(LoadedPolicy::load(folder, device)?)
     }
 
     fn check_arms(&self, folder: &Path, commanded: usize) -> Result<(), SessionError> {

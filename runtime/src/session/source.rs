@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use hal::{ArmState, Chunk, FrameRef, Observation, Policy, SeenArm, TimeNs, TipTarget};
 use nalgebra::{Translation3, Vector3};
-use policy::act_policy::ActPolicy;
+use policy::loaded_policy::LoadedPolicy;
 use sim_backend::expert::Expert;
 use sim_backend::rng::Rng;
 use sim_backend::simulation::SceneState;
@@ -119,7 +119,7 @@ pub enum ChunkSource {
         sequence: u64,
     },
     /// A trained network.
-    Network(Box<ActPolicy>),
+    Network(Box<LoadedPolicy>),
 }
 
 impl ChunkSource {
@@ -140,6 +140,32 @@ impl ChunkSource {
             Self::Random { .. } => 5,
             Self::Network(network) => u64::from(network.recipe().query_every_steps),
         }
+    }
+
+    /// Policy steps before a query that it wants to have observed too.
+    #[must_use]
+    pub fn history_steps(&self) -> u64 {
+        match self {
+            Self::Expert { .. } | Self::Noop { .. } | Self::Random { .. } => 0,
+            Self::Network(network) => network.history_steps(),
+        }
+    }
+
+    /// Shows it what comes before its next query.
+    ///
+    /// # Errors
+    /// Whatever the network reports.
+    pub fn observe(
+        &mut self,
+        arms: &PerArm<SeenArm>,
+        frames: &[FrameRef<'_>],
+    ) -> Result<(), SessionError> {
+        if let Self::Network(network) = self {
+            let arms: Vec<SeenArm> = arms.iter().copied().collect();
+            let arms = &arms;
+            network.observe(&Observation { arms, frames })?;
+        }
+        Ok(())
     }
 
     /// Ticks from observation to delivery in lockstep, unless the user says otherwise.
@@ -194,9 +220,16 @@ fn per_arm(chunks: Vec<Chunk>) -> Result<PerArm<Chunk>, SessionError> {
         .ok_or_else(|| SessionError::BadArgument("the policy commands no arm".to_owned()))
 }
 
+/// Whether a policy that is asked every `every` steps wants to have seen the step `step` too, which is no query's.
+#[must_use]
+pub const fn precedes_query(step: u64, every: u64, history_steps: u64) -> bool {
+    let since = step % every;
+    since != 0 && every - since <= history_steps
+}
+
 /// Names of the cameras that `network` looks through: LeRobot's feature names without their common beginning.
 #[must_use]
-pub fn camera_names(network: &ActPolicy) -> Vec<String> {
+pub fn camera_names(network: &LoadedPolicy) -> Vec<String> {
     let name = |feature: &str| {
         feature
             .strip_prefix("observation.images.")

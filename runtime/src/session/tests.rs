@@ -12,13 +12,14 @@ use tch::Device;
 use super::episode::{Episode, EpisodeEnd, Plan, Watcher};
 use super::record::{RecordOptions, record};
 use super::tally::RunLabels;
-use super::training::{CameraChoice, TrainingOptions, train};
+use super::training::{CameraChoice, NetworkChoice, TrainingOptions, train};
 use super::{PolicyChoice, Setup};
 use crate::log::tests::Scratch;
 use crate::log::{Pressure, Recorder, RunHeader, RunLog, RunOutcome, TickRecord};
 use crate::replay::replay;
 use crate::verify::verify;
 
+mod clouds;
 mod tissue;
 
 /// Writes the log of an episode without looking at it.
@@ -191,6 +192,7 @@ fn record_one(out: &Path) -> Dataset {
         out: out.to_owned(),
         seed: 3,
         jobs: 1,
+        depth: false,
     };
     let setup = small_handover(&PolicyChoice::Expert);
     let summary = record(&setup, &options, &mut |_| {}).unwrap();
@@ -223,6 +225,7 @@ fn a_demonstration_of_two_arms_trains_a_network_that_commands_both() {
     let (data, out) = (folder.0.join("data"), folder.0.join("act"));
     check_demonstration(&record_one(&data));
     let options = TrainingOptions {
+        network: NetworkChoice::Act,
         data,
         out: out.clone(),
         cameras: CameraChoice::Multi,

@@ -6,19 +6,19 @@ use std::path::{Path, PathBuf};
 use hal::TimeNs;
 use policy::act::{ActConfig, ActPreset};
 use policy::checkpoint::{
-    self, AggregationName, DatasetSummary, Precision, RECIPE_FORMAT, Recipe,
+    self, AggregationName, DatasetSummary, PolicyPreset, Precision, RECIPE_FORMAT, Recipe,
     RecommendedAggregation, RecordedCamera, SaveOptions, Variants,
 };
 use policy::dataset::Dataset;
 use policy::relative_action::REPRESENTATION;
 use policy::train::{
-    Augmentation, Progress, TrainError, TrainOptions, TrainPrecision, Trained, Trainer,
+    Augmentation, LossCurve, Progress, TrainError, TrainOptions, TrainPrecision, Trainer,
 };
 use serde::Serialize;
 use tch::Device;
 
 use super::source::STEP_NS;
-use super::{SessionError, outputs};
+use super::{SessionError, outputs, training_clouds};
 use crate::rt::MonotonicClock;
 
 /// Policy steps from one query to the next that a trained checkpoint asks for: half a chunk of the small preset, so that a fresh
@@ -34,16 +34,30 @@ pub enum CameraChoice {
     Multi,
 }
 
+/// Which network is trained.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum NetworkChoice {
+    /// ACT, from colour images.
+    Act,
+    /// ACT-PC, from point clouds.
+    ActPc,
+    /// DP3, from point clouds.
+    Dp3,
+}
+
 /// What to train.
 #[derive(Clone, Debug)]
 pub struct TrainingOptions {
+    /// The network.
+    pub network: NetworkChoice,
     /// The dataset's directory.
     pub data: PathBuf,
     /// The checkpoint's directory; a new or an empty one.
     pub out: PathBuf,
     /// Which cameras the network sees.
     pub cameras: CameraChoice,
-    /// Sizes and recipe: `small`, `paper` or `lerobot`.
+    /// Sizes and recipe: `small`, `paper` or `lerobot`; of DP3, `paper` or `simple`; of ACT-PC, `small`,
+    /// `paper` or `pcm`.
     pub preset: String,
     /// Optimiser steps, if not the preset's.
     pub steps: Option<u64>,
@@ -80,6 +94,26 @@ pub struct TrainingResult {
     pub seconds: f64,
 }
 
+/// How long a training has taken.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Stopwatch {
+    clock: MonotonicClock,
+    begun: TimeNs,
+}
+
+impl Stopwatch {
+    fn start() -> Self {
+        let clock = MonotonicClock::new();
+        let begun = clock.now();
+        Self { clock, begun }
+    }
+
+    /// Time since the start, s.
+    pub(super) fn seconds(&self) -> f64 {
+        TimeNs(self.clock.now().since(self.begun)).seconds()
+    }
+}
+
 /// Trains, and writes the checkpoint and its loss curve (`loss.csv`).
 ///
 /// # Errors
@@ -89,36 +123,62 @@ pub fn train(
     options: &TrainingOptions,
     on_progress: &mut dyn FnMut(&str),
 ) -> Result<TrainingResult, SessionError> {
-    let preset = parse_preset(&options.preset)?;
-    let recipe_options = train_options(options, preset);
-    if let Some(defect) = recipe_options.defect() {
-        return Err(TrainError::Options(defect).into());
+    // Whatever is wrong with the options is said before anything is made.
+    match options.network {
+        NetworkChoice::Act => {
+            let preset = parse_preset(&options.preset)?;
+            if let Some(defect) = train_options(options, preset).defect() {
+                return Err(TrainError::Options(defect).into());
+            }
+        }
+        NetworkChoice::ActPc => {
+            training_clouds::act_pc_options(options)?;
+        }
+        NetworkChoice::Dp3 => {
+            training_clouds::dp3_preset(&options.preset)?;
+            training_clouds::dp3_options(options, 1)?;
+        }
     }
     outputs::new_folder(&options.out)?;
     let dataset = Dataset::open_first(&options.data, options.episodes)?;
-    let config = ActConfig::preset(preset, &cameras(options, &dataset)?).for_arms(dataset.arms());
-    let clock = MonotonicClock::new();
-    let begun = clock.now();
-    let seconds = || TimeNs(clock.now().since(begun)).seconds();
-    on_progress(&format!(
-        "{} episodes, {} frames; {} steps",
-        dataset.episodes().len(),
-        dataset.len(),
-        recipe_options.steps
-    ));
+    let stopwatch = Stopwatch::start();
+    match options.network {
+        NetworkChoice::Act => train_act(options, &dataset, &stopwatch, on_progress),
+        NetworkChoice::ActPc => {
+            training_clouds::train_act_pc(options, &dataset, &stopwatch, on_progress)
+        }
+        NetworkChoice::Dp3 => {
+            training_clouds::train_dp3(options, &dataset, &stopwatch, on_progress)
+        }
+    }
+}
+
+fn train_act(
+    options: &TrainingOptions,
+    dataset: &Dataset,
+    stopwatch: &Stopwatch,
+    on_progress: &mut dyn FnMut(&str),
+) -> Result<TrainingResult, SessionError> {
+    let preset = parse_preset(&options.preset)?;
+    let train_options = train_options(options, preset);
+    let config = ActConfig::preset(preset, &cameras(options, dataset)?).for_arms(dataset.arms());
+    say_size(dataset, train_options.steps, on_progress);
     let trained =
-        Trainer::new(options.device).run(&config, &recipe_options, &dataset, &mut |progress| {
-            on_progress(&progress_line(progress, seconds()));
+        Trainer::new(options.device).run(&config, &train_options, dataset, &mut |progress| {
+            on_progress(&progress_line(progress, stopwatch.seconds()));
         })?;
-    let recipe = recipe(
-        options,
-        preset,
-        &config,
-        &recipe_options,
-        &dataset,
-        &trained,
-        seconds(),
-    );
+    let made = Made {
+        preset: preset.into(),
+        variants: Variants {
+            backbone_norm: config.backbone_norm,
+            loss_denominator: config.loss_denominator,
+        },
+        query_every_steps: QUERY_EVERY_STEPS,
+        aggregation: AggregationName::WholeChunk,
+        frames: trained.frames,
+        curve: &trained.curve,
+    };
+    let recipe = recipe(options, &train_options, dataset, &made, stopwatch.seconds());
     let save = SaveOptions {
         precision: Precision::F16,
         inference_only: true,
@@ -130,18 +190,34 @@ pub fn train(
         &recipe,
         save,
     )?;
-    write_curve(&options.out, &trained)?;
-    let last = trained.curve.last();
-    Ok(TrainingResult {
-        steps: recipe_options.steps,
+    write_curve(&options.out, &trained.curve)?;
+    Ok(result(train_options.steps, &trained.curve, stopwatch))
+}
+
+pub(super) fn say_size(dataset: &Dataset, steps: u64, on_progress: &mut dyn FnMut(&str)) {
+    on_progress(&format!(
+        "{} episodes, {} frames; {steps} steps",
+        dataset.episodes().len(),
+        dataset.len(),
+    ));
+}
+
+/// What a training came to.
+pub(super) fn result(steps: u64, curve: &LossCurve, stopwatch: &Stopwatch) -> TrainingResult {
+    let last = curve.last();
+    TrainingResult {
+        steps,
         loss: last.map_or(f64::NAN, |row| row.loss),
         validation_l1: last.and_then(|row| row.validation_l1),
-        seconds: seconds(),
-    })
+        seconds: stopwatch.seconds(),
+    }
 }
 
 /// The features of the cameras that the network sees.
-fn cameras(options: &TrainingOptions, dataset: &Dataset) -> Result<Vec<String>, SessionError> {
+pub(super) fn cameras(
+    options: &TrainingOptions,
+    dataset: &Dataset,
+) -> Result<Vec<String>, SessionError> {
     let names = dataset.camera_names();
     if options.cameras == CameraChoice::Single && names.len() > 1 {
         return Err(SessionError::BadArgument(format!(
@@ -163,7 +239,7 @@ fn parse_preset(name: &str) -> Result<ActPreset, SessionError> {
         "paper" => Ok(ActPreset::Paper),
         "lerobot" => Ok(ActPreset::Lerobot),
         unknown => Err(SessionError::BadArgument(format!(
-            "--preset {unknown}: small, paper or lerobot"
+            "--preset {unknown}: of act, small, paper or lerobot"
         ))),
     }
 }
@@ -196,7 +272,7 @@ fn train_options(options: &TrainingOptions, preset: ActPreset) -> TrainOptions {
     }
 }
 
-fn progress_line(progress: &Progress, seconds: f64) -> String {
+pub(super) fn progress_line(progress: &Progress, seconds: f64) -> String {
     let row = &progress.row;
     let validation = row
         .validation_l1
@@ -213,13 +289,21 @@ fn progress_line(progress: &Progress, seconds: f64) -> String {
     )
 }
 
-fn recipe(
+/// What is particular about the network that was trained.
+pub(super) struct Made<'a> {
+    pub(super) preset: PolicyPreset,
+    pub(super) variants: Variants,
+    pub(super) query_every_steps: u32,
+    pub(super) aggregation: AggregationName,
+    pub(super) frames: usize,
+    pub(super) curve: &'a LossCurve,
+}
+
+pub(super) fn recipe(
     options: &TrainingOptions,
-    preset: ActPreset,
-    config: &ActConfig,
     train_options: &TrainOptions,
     dataset: &Dataset,
-    trained: &Trained,
+    made: &Made<'_>,
     seconds: f64,
 ) -> Recipe {
     let spec = dataset.spec();
@@ -237,17 +321,14 @@ fn recipe(
         arms: spec.arms,
         action_representation: REPRESENTATION.to_owned(),
         step_ns: STEP_NS,
-        query_every_steps: QUERY_EVERY_STEPS,
+        query_every_steps: made.query_every_steps,
         aggregation: RecommendedAggregation {
-            mode: AggregationName::WholeChunk,
+            mode: made.aggregation,
             decay: 0.01,
         },
         cameras,
-        preset,
-        variants: Variants {
-            backbone_norm: config.backbone_norm,
-            loss_denominator: config.loss_denominator,
-        },
+        preset: made.preset,
+        variants: made.variants,
         recipe: format!("trocar {}", options.command),
         dataset: DatasetSummary {
             task: spec.task.clone(),
@@ -258,14 +339,14 @@ fn recipe(
         seed: options.seed,
         training: serde_json::json!({
             "options": train_options,
-            "frames": trained.frames,
+            "frames": made.frames,
             "seconds": seconds,
-            "final": trained.curve.last().map(|row| serde_json::json!({"loss": row.loss, "l1": row.l1, "kl": row.kl})),
+            "final": made.curve.last().map(|row| serde_json::json!({"loss": row.loss, "l1": row.l1, "kl": row.kl})),
         }),
     }
 }
 
-fn write_curve(folder: &Path, trained: &Trained) -> Result<(), SessionError> {
+pub(super) fn write_curve(folder: &Path, curve: &LossCurve) -> Result<(), SessionError> {
     let path = folder.join("loss.csv");
-    fs::write(&path, trained.curve.to_csv()).map_err(|error| SessionError::output(&path, error))
+    fs::write(&path, curve.to_csv()).map_err(|error| SessionError::output(&path, error))
 }

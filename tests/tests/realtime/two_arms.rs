@@ -67,7 +67,7 @@ fn untrained(test: &str) -> PathBuf {
             width: 512,
             height: 512,
         }],
-        preset: ActPreset::Small,
+        preset: ActPreset::Small.into(),
         variants: Variants {
             backbone_norm: config.backbone_norm,
             loss_denominator: config.loss_denominator,

@@ -215,6 +215,10 @@ pub(crate) struct RecordArgs {
     /// the wrists), or names with commas between them. A camera that is not named is not drawn.
     #[arg(long, value_name = "single|multi|NAMES", default_value = "endoscope")]
     pub(crate) cameras: String,
+    /// Keep depth (rounded to 0.02 mm, up to 1.31 m) and instance ids of these cameras too, which point clouds are made
+    /// from.
+    #[arg(long)]
+    pub(crate) depth: bool,
     /// Controller configuration instead of the built-in config/control.toml.
     #[arg(long, value_name = "FILE")]
     pub(crate) config: Option<PathBuf>,
@@ -228,6 +232,10 @@ pub(crate) struct RecordArgs {
 pub(crate) enum Network {
     /// Action chunking with transformers, from images.
     Act,
+    /// Action chunking from point clouds; the dataset must be recorded with --depth.
+    ActPc,
+    /// Diffusion from point clouds; the dataset must be recorded with --depth.
+    Dp3,
 }
 
 /// Cameras that a network sees.
@@ -254,9 +262,10 @@ pub(crate) struct TrainArgs {
     /// Which of the dataset's cameras the network sees.
     #[arg(long, value_enum, default_value = "multi")]
     pub(crate) cameras: Cameras,
-    /// Sizes and recipe.
-    #[arg(long, default_value = "small", value_parser = ["small", "paper", "lerobot"])]
-    pub(crate) preset: String,
+    /// Sizes and recipe: of act, small (the default), paper or lerobot; of act-pc, small (the default), paper
+    /// or pcm; of dp3, paper (the default) or simple.
+    #[arg(long, value_parser = ["small", "paper", "lerobot", "pcm", "simple"])]
+    pub(crate) preset: Option<String>,
     /// Optimiser steps; the preset's number if not given.
     #[arg(long, value_parser = clap::value_parser!(u64).range(1..))]
     pub(crate) steps: Option<u64>,

@@ -8,7 +8,7 @@ use runtime::session::realtime::{self, PolicyProcessOptions};
 use runtime::session::record::{self, RecordOptions};
 use runtime::session::run::{self, RunOptions, write_json};
 use runtime::session::summary::RunSummary;
-use runtime::session::training::{self, CameraChoice, TrainingOptions};
+use runtime::session::training::{self, CameraChoice, NetworkChoice, TrainingOptions};
 use runtime::session::{PolicyChoice, SessionError, Setup, outputs};
 use runtime::{replay as replaying, verify as verifying};
 use sim_backend::cameras::SceneCameras;
@@ -16,8 +16,8 @@ use sim_backend::task::TaskConfig;
 use tch::Device;
 
 use crate::args::{
-    Cameras, ComputeDevice, DemoArgs, DoctorArgs, EvalArgs, LogArgs, PolicyProcessArgs, RecordArgs,
-    RunArgs, TrainArgs,
+    Cameras, ComputeDevice, DemoArgs, DoctorArgs, EvalArgs, LogArgs, Network, PolicyProcessArgs,
+    RecordArgs, RunArgs, TrainArgs,
 };
 use crate::console;
 
@@ -154,6 +154,7 @@ pub(crate) fn record(args: &RecordArgs) -> Done {
         out: args.out.clone(),
         seed: args.seed,
         jobs: args.jobs,
+        depth: args.depth,
     };
     let bar = console::progress(args.episodes as u64, "episodes");
     let summary = record::record(&setup, &options, &mut |attempt| {
@@ -186,13 +187,24 @@ pub(crate) fn train(args: &TrainArgs) -> Done {
     let out = ("--out", Some(args.out.as_path()));
     outputs::check(&[("--json", args.json.as_deref())], &[data, out])?;
     let options = TrainingOptions {
+        network: match args.policy {
+            Network::Act => NetworkChoice::Act,
+            Network::ActPc => NetworkChoice::ActPc,
+            Network::Dp3 => NetworkChoice::Dp3,
+        },
         data: args.data.clone(),
         out: args.out.clone(),
         cameras: match args.cameras {
             Cameras::Single => CameraChoice::Single,
             Cameras::Multi => CameraChoice::Multi,
         },
-        preset: args.preset.clone(),
+        preset: args.preset.clone().unwrap_or_else(|| {
+            match args.policy {
+                Network::Act | Network::ActPc => "small",
+                Network::Dp3 => "paper",
+            }
+            .to_owned()
+        }),
         steps: args.steps,
         batch: args.batch,
         device: device(args.device)?,

@@ -11,7 +11,7 @@ use hal::topic::{
     RunControlTopic, Subscriber, TopicNode,
 };
 use hal::{Chunk, PolicyError, TimeNs};
-use policy::act_policy::ActPolicy;
+use policy::loaded_policy::LoadedPolicy;
 use tch::Device;
 
 use super::arm_chunks::ArmChunks;
@@ -42,6 +42,7 @@ pub(super) struct PolicyChild {
     status: Subscriber<PolicyStatus>,
     chunks: ArmChunks,
     query_every_steps: u64,
+    history_steps: u64,
     cameras: Vec<String>,
     queries: u64,
     clock: MonotonicClock,
@@ -59,7 +60,8 @@ impl PolicyChild {
     ) -> Result<Self, SessionError> {
         let network = setup.network(policy, Device::Cpu)?;
         check_cameras(setup, &network)?;
-        let query_every_steps = u64::from(network.recipe().query_every_steps);
+        let query_every_steps = u64::from(network.recipe().query_every_steps).max(1);
+        let history_steps = hal::Policy::history_steps(&network);
         let cameras = camera_names(&network);
         drop(network);
         let run_id = fresh_run_id()?;
@@ -74,6 +76,7 @@ impl PolicyChild {
             status,
             chunks,
             query_every_steps,
+            history_steps,
             cameras,
             queries: 0,
             clock: MonotonicClock::new(),
@@ -125,6 +128,11 @@ impl PolicyChild {
     /// Policy steps from one query to the next.
     pub(super) const fn query_every_steps(&self) -> u64 {
         self.query_every_steps
+    }
+
+    /// Policy steps before a query that it wants to have observed too.
+    pub(super) const fn history_steps(&self) -> u64 {
+        self.history_steps
     }
 
     /// The newest answer, a chunk for each arm, if one has come since the last call.
@@ -190,7 +198,7 @@ impl Drop for PolicyChild {
 }
 
 /// The task must have the cameras that the network was trained with.
-fn check_cameras(setup: &Setup, network: &ActPolicy) -> Result<(), SessionError> {
+fn check_cameras(setup: &Setup, network: &LoadedPolicy) -> Result<(), SessionError> {
     for (index, (name, trained)) in camera_names(network)
         .into_iter()
         .zip(&network.recipe().cameras)

@@ -131,6 +131,7 @@ fn run_threads(
     let snapshots = camera_thread.is_some().then(|| Snapshots {
         to: snapshot_in,
         query_every_steps: child.as_deref().map(PolicyChild::query_every_steps),
+        history_steps: child.as_deref().map_or(0, PolicyChild::history_steps),
         frames: options.wants_frames(),
     });
     let (local, remote) = match source {

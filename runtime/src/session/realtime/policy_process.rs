@@ -9,12 +9,12 @@ use hal::topic::{
     Subscriber, TopicNode,
 };
 use hal::{ARM_NAMES, Chunk, FrameRef, Observation, Policy, SeenArm, TimeNs};
-use policy::act_policy::ActPolicy;
+use policy::loaded_policy::LoadedPolicy;
 use tch::Device;
 
 use crate::rt::{self, MonotonicClock};
 use crate::session::SessionError;
-use crate::session::source::camera_names;
+use crate::session::source::{camera_names, precedes_query};
 
 /// The arm that the topics which all arms share are named after.
 pub(super) const FIRST_ARM: &str = ARM_NAMES[0];
@@ -101,7 +101,7 @@ struct Service {
     chunks: Vec<Publisher<Chunk>>,
     status: Publisher<PolicyStatus>,
     cameras: Vec<FrameSubscriber>,
-    network: ActPolicy,
+    network: LoadedPolicy,
     /// Policy steps from one query to the next.
     every_steps: u64,
     reports: Vec<Option<ArmReport>>,
@@ -109,12 +109,14 @@ struct Service {
     views: Vec<Option<FrameView>>,
     /// The stretch of `every_steps` steps that the last answer was for.
     answered: Option<u64>,
+    /// The last step that the network was shown without being asked.
+    shown: Option<u64>,
     counts: Counts,
 }
 
 impl Service {
     fn open(node: &TopicNode, options: &PolicyProcessOptions) -> Result<Self, SessionError> {
-        let network = ActPolicy::load(&options.policy, options.device)?;
+        let network = LoadedPolicy::load(&options.policy, options.device)?;
         let cameras = camera_names(&network)
             .iter()
             .map(|camera| CameraTopic::subscriber(node, camera))
@@ -131,6 +133,7 @@ impl Service {
             reports: names().map(|_| None).collect(),
             views: cameras.iter().map(|_| None).collect(),
             answered: None,
+            shown: None,
             counts: Counts::default(),
             cameras,
             network,
@@ -147,6 +150,7 @@ impl Service {
                     self.counts.episode = control.episode;
                     self.counts.queries = 0;
                     self.answered = None;
+                    self.shown = None;
                 }
                 true
             }
@@ -179,17 +183,25 @@ impl Service {
             .flatten()
             .filter(|view| view.header().stamp == stamp)
             .collect();
-        if self.answered == Some(turn) || views.len() != self.cameras.len() {
+        if views.len() != self.cameras.len() {
             return Ok(());
         }
-        self.answered = Some(turn);
         let frames: Vec<FrameRef<'_>> = views.iter().map(|view| view.as_frame()).collect();
-        let clock = MonotonicClock::new();
-        let before = clock.now();
         let observation = Observation {
             arms: &arms,
             frames: &frames,
         };
+        if self.answered == Some(turn) {
+            let shown = precedes_query(sequence, self.every_steps, self.network.history_steps());
+            if shown && self.shown != Some(sequence) {
+                self.shown = Some(sequence);
+                self.network.observe(&observation)?;
+            }
+            return Ok(());
+        }
+        self.answered = Some(turn);
+        let clock = MonotonicClock::new();
+        let before = clock.now();
         let chunks = self.network.infer(&observation)?;
         self.counts.infer_ns = clock.now().since(before);
         self.counts.queries += 1;

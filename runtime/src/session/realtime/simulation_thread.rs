@@ -16,7 +16,7 @@ use crate::mailbox::MailboxWriter;
 use crate::per_arm::PerArm;
 use crate::rt::{MonotonicClock, Periodic, RtOptions, configure_thread};
 use crate::session::SessionError;
-use crate::session::source::{ChunkSource, Query, STEP_TICKS, seen_arm};
+use crate::session::source::{ChunkSource, Query, STEP_TICKS, precedes_query, seen_arm};
 
 /// Priority under `SCHED_FIFO`, below the control thread's: the arms that this thread stands for never wait for a core.
 const PRIORITY: u8 = 70;
@@ -29,15 +29,17 @@ pub(super) struct Snapshots {
     pub(super) to: MailboxWriter<Snapshot>,
     /// Steps from one query of the policy to the next, if the policy looks through the cameras.
     pub(super) query_every_steps: Option<u64>,
+    /// Steps before a query that it wants to have observed too.
+    pub(super) history_steps: u64,
     /// Whether the log or somebody else wants frames in between.
     pub(super) frames: bool,
 }
 
 impl Snapshots {
     fn wanted(&self, step: u64) -> bool {
-        self.query_every_steps
-            .is_some_and(|every| step.is_multiple_of(every))
-            || self.frames && step.is_multiple_of(FRAME_EVERY_STEPS)
+        self.query_every_steps.is_some_and(|every| {
+            step.is_multiple_of(every) || precedes_query(step, every, self.history_steps)
+        }) || self.frames && step.is_multiple_of(FRAME_EVERY_STEPS)
     }
 }
 

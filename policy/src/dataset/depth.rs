@@ -1,0 +1,271 @@
+//! Depth and instance ids of a camera, kept to the bit: 16-bit and 8-bit PNG beside the colour image.
+
+use std::io::Cursor;
+use std::path::Path;
+
+use hal::{CameraFrame, Intrinsics};
+use image::codecs::png::{CompressionType, FilterType, PngEncoder};
+use image::{DynamicImage, ExtendedColorType, ImageEncoder, ImageFormat};
+use serde_json::{Value, json};
+
+use super::{
+    CameraSpec, DatasetError, DatasetSpec, TIP_POSE_WIDTH,
+    check::input,
+    schema::{CAMERA_POSE_PREFIX, DEPTH_PREFIX, INSTANCE_PREFIX, Info},
+    spec::mismatch,
+    table::Table,
+};
+use crate::perception::{DEPTH_UNIT_M, depth_from_units};
+use crate::relative_action::pose_from_numbers;
+
+/// What a camera saw of depth in one frame.
+#[derive(Clone, Copy, Debug)]
+pub struct DepthFrame<'a> {
+    /// Depths in units of [`DEPTH_UNIT_M`], row-major; 0 is none.
+    pub units: &'a [u16],
+    /// Instance ids, row-major.
+    pub instance: &'a [u8],
+    /// Where the camera was in the scene: x, y, z (m) and a unit quaternion x, y, z, w.
+    pub camera_in_scene: [f64; TIP_POSE_WIDTH],
+}
+
+/// The same, read back.
+#[derive(Clone, Debug, PartialEq)]
+pub struct RecordedDepth {
+    /// The lens.
+    pub intrinsics: Intrinsics,
+    /// Depths in units of [`DEPTH_UNIT_M`], row-major; 0 is none.
+    pub units: Vec<u16>,
+    /// Instance ids, row-major.
+    pub instance: Vec<u8>,
+    /// As [`DepthFrame::camera_in_scene`].
+    pub camera_in_scene: [f64; TIP_POSE_WIDTH],
+}
+
+impl RecordedDepth {
+    /// The frame that a policy would see, without colour.
+    #[must_use]
+    pub fn into_frame(self) -> CameraFrame {
+        CameraFrame {
+            stamp: hal::TimeNs(0),
+            sequence: 0,
+            intrinsics: self.intrinsics,
+            camera_in_scene: pose_from_numbers(&self.camera_in_scene),
+            colour: Vec::new(),
+            depth_m: self.units.into_iter().map(depth_from_units).collect(),
+            instance: self.instance,
+        }
+    }
+}
+
+impl DatasetSpec {
+    /// The cameras that keep depth, with their lenses.
+    pub(super) fn depth_cameras(&self) -> impl Iterator<Item = (&CameraSpec, Intrinsics)> {
+        self.cameras
+            .iter()
+            .filter_map(|camera| Some((camera, camera.depth?)))
+    }
+}
+
+/// The depth of the episode in progress, of one camera.
+#[derive(Clone, Debug, Default)]
+pub(super) struct DepthColumns {
+    pub(super) depth: Vec<Vec<u8>>,
+    pub(super) instance: Vec<Vec<u8>>,
+    pub(super) camera_in_scene: Vec<[f64; TIP_POSE_WIDTH]>,
+}
+
+/// One frame of it.
+pub(super) struct DepthRow {
+    depth: Vec<u8>,
+    instance: Vec<u8>,
+    camera_in_scene: [f64; TIP_POSE_WIDTH],
+}
+
+impl DepthColumns {
+    pub(super) fn push(&mut self, row: DepthRow) {
+        self.depth.push(row.depth);
+        self.instance.push(row.instance);
+        self.camera_in_scene.push(row.camera_in_scene);
+    }
+}
+
+/// The frame's depth as PNG, by camera.
+pub(super) fn encode(
+    spec: &DatasetSpec,
+    frames: &[DepthFrame<'_>],
+) -> Result<Vec<DepthRow>, DatasetError> {
+    let wanted = spec.depth_cameras().count();
+    if frames.len() != wanted {
+        let found = format!("with depth of {} cameras", frames.len());
+        return Err(input("the frame", &found, &format!("of {wanted}")));
+    }
+    let cameras = spec.depth_cameras().zip(frames);
+    cameras
+        .map(|((camera, _), frame)| encode_one(camera, frame))
+        .collect()
+}
+
+fn encode_one(camera: &CameraSpec, frame: &DepthFrame<'_>) -> Result<DepthRow, DatasetError> {
+    let pixels = camera.width as usize * camera.height as usize;
+    let planes = [
+        ("depth", frame.units.len()),
+        ("instance ids", frame.instance.len()),
+    ];
+    for (what, found) in planes {
+        if found != pixels {
+            let what = format!("the {what} of {}", camera.name);
+            return Err(input(
+                &what,
+                &format!("{found} pixels"),
+                &pixels.to_string(),
+            ));
+        }
+    }
+    if let Some(value) = frame.camera_in_scene.iter().find(|x| !x.is_finite()) {
+        let what = format!("the pose of {}", camera.name);
+        return Err(input(&what, &value.to_string(), "finite numbers"));
+    }
+    // The encoder wants the machine's own order of bytes.
+    let units: Vec<u8> = frame.units.iter().flat_map(|x| x.to_ne_bytes()).collect();
+    Ok(DepthRow {
+        depth: png(camera, &units, ExtendedColorType::L16)?,
+        instance: png(camera, frame.instance, ExtendedColorType::L8)?,
+        camera_in_scene: frame.camera_in_scene,
+    })
+}
+
+fn png(
+    camera: &CameraSpec,
+    bytes: &[u8],
+    colour: ExtendedColorType,
+) -> Result<Vec<u8>, DatasetError> {
+    let mut png = Vec::new();
+    PngEncoder::new_with_quality(&mut png, CompressionType::Fast, FilterType::Up)
+        .write_image(bytes, camera.width, camera.height, colour)
+        .map_err(|source| DatasetError::Image {
+            what: format!("the depth of {}", camera.name),
+            source,
+        })?;
+    Ok(png)
+}
+
+/// What `info.json` says about a camera's depth.
+pub(super) fn describe(lens: &Intrinsics) -> Value {
+    json!({
+        "is_depth_map": true,
+        "depth_unit_m": DEPTH_UNIT_M,
+        "intrinsics_px": {"fx": lens.fx, "fy": lens.fy, "cx": lens.cx, "cy": lens.cy},
+    })
+}
+
+/// The lens of a camera whose depth is kept; none if it is not.
+pub(super) fn read_lens(
+    path: &Path,
+    info: &Info,
+    camera: &CameraSpec,
+) -> Result<Option<Intrinsics>, DatasetError> {
+    let name = format!("{DEPTH_PREFIX}{}", camera.name);
+    let Some((_, feature)) = info.features.iter().find(|(other, _)| *other == name) else {
+        return Ok(None);
+    };
+    let odd = |what: &str, found: String, expected: String| {
+        Err(mismatch(
+            path.to_owned(),
+            &format!("{what} of {name}"),
+            found,
+            expected,
+        ))
+    };
+    let shape = [camera.height as usize, camera.width as usize, 1];
+    if feature.dtype != "image" || feature.shape != shape {
+        let found = format!("{} {:?}", feature.dtype, feature.shape);
+        return odd("the type", found, format!("image {shape:?}"));
+    }
+    let described = feature.info.as_ref().unwrap_or(&Value::Null);
+    let unit = described["depth_unit_m"].as_f64();
+    if unit.map(f64::to_bits) != Some(DEPTH_UNIT_M.to_bits()) {
+        return odd(
+            "depth_unit_m",
+            format!("{unit:?}"),
+            DEPTH_UNIT_M.to_string(),
+        );
+    }
+    let mut numbers = [0.0; 4];
+    for (number, key) in numbers.iter_mut().zip(["fx", "fy", "cx", "cy"]) {
+        let found = &described["intrinsics_px"][key];
+        let Some(value) = found.as_f64().filter(|value| *value > 0.0) else {
+            return odd(key, found.to_string(), "a positive number".to_owned());
+        };
+        *number = value;
+    }
+    let [fx, fy, cx, cy] = numbers;
+    let (width, height) = (camera.width, camera.height);
+    Ok(Some(Intrinsics {
+        width,
+        height,
+        fx,
+        fy,
+        cx,
+        cy,
+    }))
+}
+
+/// Every depth column must be there.
+pub(super) fn require(table: &Table, spec: &DatasetSpec) -> Result<(), DatasetError> {
+    for (camera, _) in spec.depth_cameras() {
+        for prefix in [DEPTH_PREFIX, INSTANCE_PREFIX, CAMERA_POSE_PREFIX] {
+            table.require(&format!("{prefix}{}", camera.name))?;
+        }
+    }
+    Ok(())
+}
+
+/// A camera's depth in one row of `table`.
+pub(super) fn read(
+    table: &Table,
+    camera: &CameraSpec,
+    row: usize,
+) -> Result<RecordedDepth, DatasetError> {
+    let feature = |prefix: &str| format!("{prefix}{}", camera.name);
+    let Some(intrinsics) = camera.depth else {
+        return Err(DatasetError::Missing {
+            path: table.path().to_owned(),
+            name: feature(DEPTH_PREFIX),
+        });
+    };
+    let depth = plane(table, camera, &feature(DEPTH_PREFIX), row)?;
+    let ids = plane(table, camera, &feature(INSTANCE_PREFIX), row)?;
+    let (DynamicImage::ImageLuma16(depth), DynamicImage::ImageLuma8(ids)) = (depth, ids) else {
+        return Err(table.mismatch(
+            &feature(DEPTH_PREFIX),
+            "of other bit depths".to_owned(),
+            "16 bits of depth and 8 of ids".to_owned(),
+        ));
+    };
+    Ok(RecordedDepth {
+        intrinsics,
+        units: depth.into_raw(),
+        instance: ids.into_raw(),
+        camera_in_scene: table.vector(&feature(CAMERA_POSE_PREFIX), row)?,
+    })
+}
+
+fn plane(
+    table: &Table,
+    camera: &CameraSpec,
+    feature: &str,
+    row: usize,
+) -> Result<DynamicImage, DatasetError> {
+    let png = table.image(feature, row)?;
+    let image = image::load(Cursor::new(png), ImageFormat::Png).map_err(|source| {
+        let what = format!("{feature} in {}", table.path().display());
+        DatasetError::Image { what, source }
+    })?;
+    if (image.width(), image.height()) != (camera.width, camera.height) {
+        let found = format!("{} x {}", image.width(), image.height());
+        let expected = format!("{} x {}", camera.width, camera.height);
+        return Err(table.mismatch(feature, found, expected));
+    }
+    Ok(image)
+}

@@ -1,0 +1,236 @@
+//! A trained DP3 network as a policy: what depth cameras saw lately and arm states in, a chunk for each arm out.
+
+use std::collections::VecDeque;
+use std::path::Path;
+
+use hal::{Chunk, FrameRef, Observation, Policy, PolicyError, TimeNs};
+use tch::{Device, Kind, TchError, Tensor};
+
+use crate::act_policy::state_numbers;
+use crate::checkpoint::{Cause, CheckpointError, Recipe, RecordedCamera, load_dp3};
+use crate::dp3::{CloudObservation, Dp3, LimitsNormaliser};
+use crate::perception::{CloudRecipe, Point};
+use crate::relative_action::absolute_chunks;
+
+/// A DP3 policy that was loaded from a folder.
+///
+/// It sees as many observations as its configuration says, a policy step apart; of one that is missing, the next newer
+/// one takes the place, as in training at the beginning of an episode.
+#[derive(Debug)]
+pub struct Dp3Policy {
+    dp3: Dp3,
+    device: Device,
+    recipe: Recipe,
+    cloud: CloudRecipe,
+    points: LimitsNormaliser,
+    state: LimitsNormaliser,
+    action: LimitsNormaliser,
+    /// Oldest first.
+    seen: VecDeque<Seen>,
+    seed: u64,
+    sequence: u64,
+}
+
+/// One observation as the network wants it, in SI units.
+#[derive(Clone, Debug)]
+struct Seen {
+    stamp: TimeNs,
+    cloud: Vec<Point>,
+    state: Vec<f32>,
+}
+
+impl Dp3Policy {
+    /// Loads the policy in `folder` onto `device` and runs it once.
+    ///
+    /// The network library computes with one thread from then on.
+    ///
+    /// # Errors
+    /// [`CheckpointError`] naming the file and what is wrong with it.
+    pub fn load(folder: &Path, device: Device) -> Result<Self, CheckpointError> {
+        tch::set_num_threads(1);
+        let loaded = load_dp3(folder, device)?;
+        let torch = |error: TchError| Cause::Parameter(error.into()).in_file(folder);
+        let policy = Self {
+            points: loaded.points.to_device(device).map_err(torch)?,
+            state: loaded.state.to_device(device).map_err(torch)?,
+            action: loaded.action,
+            dp3: loaded.dp3,
+            recipe: loaded.recipe,
+            cloud: loaded.cloud,
+            device,
+            seen: VecDeque::new(),
+            seed: 0,
+            sequence: 0,
+        };
+        let nothing = Seen {
+            stamp: TimeNs(0),
+            cloud: vec![[0.0; 3]; policy.cloud.points],
+            state: vec![0.0; usize::try_from(policy.dp3.config().state_dim).unwrap_or(0)],
+        };
+        let history = vec![&nothing; policy.observations()];
+        policy.network(&history, 0).map_err(torch)?;
+        Ok(policy)
+    }
+
+    /// What the policy says of itself: cameras, step, how often to ask it.
+    #[must_use]
+    pub const fn recipe(&self) -> &Recipe {
+        &self.recipe
+    }
+
+    /// How its clouds are made.
+    #[must_use]
+    pub const fn cloud(&self) -> &CloudRecipe {
+        &self.cloud
+    }
+
+    /// Observations that the network sees, a policy step apart.
+    #[must_use]
+    pub fn observations(&self) -> usize {
+        usize::try_from(self.dp3.config().n_obs_steps).unwrap_or(1)
+    }
+
+    /// The actions that answer `history`, oldest first, from the newest observation on; in SI units, row-major.
+    fn network(&self, history: &[&Seen], answer: u64) -> Result<Vec<f32>, TchError> {
+        let config = self.dp3.config();
+        let clouds: Vec<Point> = history
+            .iter()
+            .flat_map(|seen| &seen.cloud)
+            .copied()
+            .collect();
+        let states: Vec<f32> = history
+            .iter()
+            .flat_map(|seen| &seen.state)
+            .copied()
+            .collect();
+        let shape = [1, config.n_obs_steps, -1, 3];
+        let on_device = |numbers: &[f32], shape: &[i64]| {
+            Tensor::f_from_slice(numbers)?
+                .f_view(shape)?
+                .f_to_device(self.device)
+        };
+        tch::no_grad(|| {
+            let points = on_device(clouds.as_flattened(), &shape)?;
+            let states = on_device(&states, &[1, config.n_obs_steps, config.state_dim])?;
+            let (points, state) = (self.points.apply(&points)?, self.state.apply(&states)?);
+            let observation = CloudObservation {
+                points: &points,
+                state: &state,
+            };
+            let noise = config.start_noise(self.seed, answer)?;
+            let actions = self
+                .dp3
+                .infer(&observation, &noise.f_to_device(self.device)?)?
+                .f_to_device(Device::Cpu)?
+                .f_to_kind(Kind::Float)?;
+            // All that is left of the horizon: the later steps bridge the time to the next answer.
+            let first = config.n_obs_steps - 1;
+            let actions = actions.f_narrow(1, first, config.horizon - first)?;
+            Vec::<f32>::try_from(&self.action.invert(&actions)?.f_reshape([-1])?)
+        })
+    }
+
+    /// What the network wants of `observation`.
+    fn look(&self, observation: &Observation<'_>) -> Result<Seen, PolicyError> {
+        let (expected, actual) = (self.recipe.arms, observation.arms.len());
+        if expected != actual {
+            return Err(PolicyError::ArmCount { expected, actual });
+        }
+        check_frames(&self.recipe.cameras, observation.frames)?;
+        let cloud = self
+            .cloud
+            .cloud(observation.frames)
+            .map_err(|error| PolicyError::Inference(format!("point cloud: {error}")))?;
+        let arms = observation.arms.iter();
+        Ok(Seen {
+            stamp: observation
+                .arms
+                .first()
+                .map_or(TimeNs(0), |arm| arm.state.stamp),
+            cloud,
+            state: arms.flat_map(|arm| state_numbers(&arm.state)).collect(),
+        })
+    }
+
+    fn remember(&mut self, seen: Seen) {
+        self.seen.retain(|other| other.stamp < seen.stamp);
+        self.seen.push_back(seen);
+        while self.seen.len() > self.observations() {
+            let _forgotten = self.seen.pop_front();
+        }
+    }
+
+    /// The remembered observations at the newest one's time and whole steps before, oldest first.
+    fn history(&self) -> Vec<&Seen> {
+        let mut history = Vec::new();
+        let Some(mut newest) = self.seen.back() else {
+            return history;
+        };
+        let now = newest.stamp.0;
+        for steps in 0..self.observations() as u64 {
+            let due = now.saturating_sub(steps.saturating_mul(self.recipe.step_ns));
+            let near = |seen: &&Seen| seen.stamp.0.abs_diff(due) <= self.recipe.step_ns / 2;
+            newest = self.seen.iter().find(near).unwrap_or(newest);
+            history.push(newest);
+        }
+        history.reverse();
+        history
+    }
+}
+
+/// The frames must be those of `cameras`, of their sizes.
+pub(crate) fn check_frames(
+    cameras: &[RecordedCamera],
+    frames: &[FrameRef<'_>],
+) -> Result<(), PolicyError> {
+    let (expected, actual) = (cameras.len(), frames.len());
+    if expected != actual {
+        return Err(PolicyError::CameraCount { expected, actual });
+    }
+    for (camera, (frame, expected)) in frames.iter().zip(cameras).enumerate() {
+        let (width, height) = (frame.intrinsics.width, frame.intrinsics.height);
+        if (width, height) != (expected.width, expected.height) {
+            return Err(PolicyError::ImageSize {
+                camera,
+                expected_width: expected.width,
+                expected_height: expected.height,
+                width,
+                height,
+            });
+        }
+    }
+    Ok(())
+}
+
+impl Policy for Dp3Policy {
+    fn reset(&mut self, seed: u64) {
+        self.seed = seed;
+        self.sequence = 0;
+        self.seen.clear();
+    }
+
+    fn history_steps(&self) -> u64 {
+        self.observations().saturating_sub(1) as u64
+    }
+
+    fn observe(&mut self, observation: &Observation<'_>) -> Result<(), PolicyError> {
+        let seen = self.look(observation)?;
+        self.remember(seen);
+        Ok(())
+    }
+
+    fn infer(&mut self, observation: &Observation<'_>) -> Result<Vec<Chunk>, PolicyError> {
+        self.observe(observation)?;
+        let actions = self
+            .network(&self.history(), self.sequence)
+            .map_err(|error| PolicyError::Inference(error.to_string()))?;
+        if !actions.iter().all(|value| value.is_finite()) {
+            return Err(PolicyError::Inference(
+                "the network answered with a number that is not finite".to_owned(),
+            ));
+        }
+        self.sequence += 1;
+        let (sequence, step_ns) = (self.sequence, self.recipe.step_ns);
+        Ok(absolute_chunks(observation, &actions, sequence, step_ns))
+    }
+}

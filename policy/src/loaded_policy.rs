@@ -1,0 +1,76 @@
+//! A trained policy of any kind, told apart by its `config.json`.
+
+use std::path::Path;
+
+use hal::{Chunk, Observation, Policy, PolicyError};
+use tch::Device;
+
+use crate::act_pc_policy::ActPcPolicy;
+use crate::act_policy::ActPolicy;
+use crate::checkpoint::{ACT_PC_TYPE, CheckpointError, DP3_TYPE, Recipe, policy_type};
+use crate::dp3_policy::Dp3Policy;
+
+/// A policy that was loaded from a folder.
+#[derive(Debug)]
+pub enum LoadedPolicy {
+    /// ACT, from colour images.
+    Act(Box<ActPolicy>),
+    /// ACT-PC, from point clouds.
+    ActPc(Box<ActPcPolicy>),
+    /// DP3, from point clouds.
+    Dp3(Box<Dp3Policy>),
+}
+
+impl LoadedPolicy {
+    /// Loads the policy in `folder` onto `device` and runs it once.
+    ///
+    /// # Errors
+    /// [`CheckpointError`] naming the file and what is wrong with it.
+    pub fn load(folder: &Path, device: Device) -> Result<Self, CheckpointError> {
+        Ok(match policy_type(folder)?.as_deref() {
+            Some(ACT_PC_TYPE) => Self::ActPc(Box::new(ActPcPolicy::load(folder, device)?)),
+            Some(DP3_TYPE) => Self::Dp3(Box::new(Dp3Policy::load(folder, device)?)),
+            _ => Self::Act(Box::new(ActPolicy::load(folder, device)?)),
+        })
+    }
+
+    /// What the policy says of itself: cameras, step, how often to ask it.
+    #[must_use]
+    pub fn recipe(&self) -> &Recipe {
+        match self {
+            Self::Act(policy) => policy.recipe(),
+            Self::ActPc(policy) => policy.recipe(),
+            Self::Dp3(policy) => policy.recipe(),
+        }
+    }
+
+    fn policy(&mut self) -> &mut dyn Policy {
+        match self {
+            Self::Act(policy) => policy.as_mut(),
+            Self::ActPc(policy) => policy.as_mut(),
+            Self::Dp3(policy) => policy.as_mut(),
+        }
+    }
+}
+
+impl Policy for LoadedPolicy {
+    fn reset(&mut self, seed: u64) {
+        self.policy().reset(seed);
+    }
+
+    fn history_steps(&self) -> u64 {
+        match self {
+            Self::Act(policy) => policy.history_steps(),
+            Self::ActPc(policy) => policy.history_steps(),
+            Self::Dp3(policy) => policy.history_steps(),
+        }
+    }
+
+    fn observe(&mut self, observation: &Observation<'_>) -> Result<(), PolicyError> {
+        self.policy().observe(observation)
+    }
+
+    fn infer(&mut self, observation: &Observation<'_>) -> Result<Vec<Chunk>, PolicyError> {
+        self.policy().infer(observation)
+    }
+}

@@ -1,0 +1,158 @@
+//! A dataset as point clouds: every frame's cloud made once and kept, by the function that policies use at run time.
+
+use hal::FrameRef;
+use tch::{Device, TchError, Tensor};
+
+use super::TrainError;
+use super::training_set::{ChunkRow, chunk_of, episode_split, statistics};
+use crate::checkpoint::CloudStatistics;
+use crate::dataset::{Dataset, Episode};
+use crate::perception::{CloudRecipe, Point};
+use crate::relative_action::RELATIVE_ACTION_DIM;
+
+/// All frames as clouds, states and chunks of relative actions, in SI units.
+#[derive(Debug)]
+pub(super) struct CloudSet {
+    /// By frame.
+    pub(super) clouds: Vec<Vec<Point>>,
+    pub(super) rows: Vec<ChunkRow>,
+    pub(super) statistics: CloudStatistics,
+    pub(super) trained: Vec<usize>,
+    pub(super) held_out: Vec<usize>,
+    /// First frame of each frame's episode.
+    pub(super) episode_start: Vec<usize>,
+}
+
+impl CloudSet {
+    /// Reads `dataset`; chunks have `steps` steps, the first of them `before` steps before its frame. The last
+    /// `validation_share` of the episodes takes no part in the statistics.
+    pub(super) fn new(
+        dataset: &Dataset,
+        cloud: &CloudRecipe,
+        [before, steps]: [usize; 2],
+        validation_share: f64,
+        threads: usize,
+    ) -> Result<Self, TrainError> {
+        check_depth(dataset)?;
+        let episodes = dataset.episodes();
+        let (trained, held_out) = episode_split(episodes, validation_share);
+        let rows: Vec<ChunkRow> = episodes
+            .iter()
+            .flat_map(|episode| {
+                let frames = episode.frames();
+                let range = frames.clone();
+                frames.map(move |frame| chunk_of(dataset, &range, frame, before, steps))
+            })
+            .collect();
+        let features = statistics(dataset, &trained, &rows).ok_or(TrainError::Empty)?;
+        let width = RELATIVE_ACTION_DIM * dataset.arms();
+        let defect = features.state.defect(width);
+        if let Some(defect) = defect.or_else(|| features.action.defect(width)) {
+            return Err(TrainError::Dataset(defect));
+        }
+        let clouds = clouds(dataset, cloud, threads)?;
+        let points = limits(trained.iter().flat_map(|&frame| &clouds[frame]));
+        Ok(Self {
+            statistics: CloudStatistics {
+                state: features.state,
+                action: features.action,
+                points,
+            },
+            clouds,
+            rows,
+            trained,
+            held_out,
+            episode_start: episodes
+                .iter()
+                .flat_map(|episode: &Episode| vec![episode.start; episode.len])
+                .collect(),
+        })
+    }
+
+    /// All clouds, `(frames, points, 3)`.
+    pub(super) fn points(&self, device: Device) -> Result<Tensor, TchError> {
+        let numbers: Vec<f32> = self
+            .clouds
+            .iter()
+            .flat_map(|cloud| cloud.as_flattened())
+            .copied()
+            .collect();
+        let frames = i64::try_from(self.clouds.len()).unwrap_or(i64::MAX);
+        Tensor::f_from_slice(&numbers)?
+            .f_view([frames, -1, 3])?
+            .f_to_device(device)
+    }
+}
+
+/// Every camera must have kept depth.
+fn check_depth(dataset: &Dataset) -> Result<(), TrainError> {
+    let cameras = &dataset.spec().cameras;
+    if cameras.is_empty() {
+        let defect = "it has no camera, and point clouds need depth";
+        return Err(TrainError::Dataset(defect.to_owned()));
+    }
+    match cameras.iter().find(|camera| camera.depth.is_none()) {
+        None => Ok(()),
+        Some(camera) => Err(TrainError::Dataset(format!(
+            "it has no observation.depth.{}, and point clouds need depth: record with --depth",
+            camera.name
+        ))),
+    }
+}
+
+fn limits<'a>(points: impl Iterator<Item = &'a Point>) -> [Point; 2] {
+    let (mut min, mut max) = ([f32::INFINITY; 3], [f32::NEG_INFINITY; 3]);
+    for point in points {
+        for axis in 0..3 {
+            min[axis] = min[axis].min(point[axis]);
+            max[axis] = max[axis].max(point[axis]);
+        }
+    }
+    [min, max]
+}
+
+/// The cloud of every frame, `threads` at a time; the order is that of the frames whatever the threads do.
+fn clouds(
+    dataset: &Dataset,
+    cloud: &CloudRecipe,
+    threads: usize,
+) -> Result<Vec<Vec<Point>>, TrainError> {
+    let mut clouds = vec![Vec::new(); dataset.len()];
+    let share = dataset.len().div_ceil(threads.max(1)).max(1);
+    std::thread::scope(|scope| {
+        let workers: Vec<_> = clouds
+            .chunks_mut(share)
+            .enumerate()
+            .map(|(worker, part)| {
+                scope.spawn(move || {
+                    for (index, made) in part.iter_mut().enumerate() {
+                        *made = cloud_of(dataset, cloud, worker * share + index)?;
+                    }
+                    Ok::<(), TrainError>(())
+                })
+            })
+            .collect();
+        for worker in workers {
+            worker
+                .join()
+                .map_err(|_| TrainError::Dataset("a decoding thread failed".to_owned()))??;
+        }
+        Ok::<(), TrainError>(())
+    })?;
+    Ok(clouds)
+}
+
+fn cloud_of(
+    dataset: &Dataset,
+    cloud: &CloudRecipe,
+    frame: usize,
+) -> Result<Vec<Point>, TrainError> {
+    let mut frames = Vec::new();
+    for camera in 0..dataset.camera_names().len() {
+        frames.push(dataset.depth(frame, camera)?.into_frame());
+    }
+    let frames: Vec<FrameRef<'_>> = frames.iter().map(hal::CameraFrame::as_frame).collect();
+    cloud
+        .cloud(&frames)
+        .map_err(|error| TrainError::Dataset(format!("frame {frame}: {error}")))
+}

@@ -1,0 +1,89 @@
+//! Policies that see point clouds: recorded, trained, run in lockstep.
+
+use super::*;
+use crate::session::SessionError;
+use crate::session::training::TrainingResult;
+
+fn small_lift(policy: &PolicyChoice) -> Setup {
+    let mut setup = Setup::load("needle-lift", None, policy).unwrap();
+    for camera in &mut setup.task.cameras {
+        (camera.width, camera.height) = (128, 128);
+    }
+    setup
+}
+
+fn record_lift(out: &Path, depth: bool) -> Dataset {
+    let options = RecordOptions {
+        episodes: 1,
+        out: out.to_owned(),
+        seed: 3,
+        jobs: 1,
+        depth,
+    };
+    record(&small_lift(&PolicyChoice::Expert), &options, &mut |_| {}).unwrap();
+    Dataset::open(out).unwrap()
+}
+
+fn train_simple(data: &Path, out: &Path) -> Result<TrainingResult, SessionError> {
+    let options = TrainingOptions {
+        network: NetworkChoice::Dp3,
+        data: data.to_owned(),
+        out: out.to_owned(),
+        cameras: CameraChoice::Multi,
+        preset: "simple".to_owned(),
+        steps: Some(2),
+        batch: Some(2),
+        device: Device::Cpu,
+        bf16: false,
+        episodes: None,
+        validation_share: 0.0,
+        augment: false,
+        threads: 2,
+        seed: 1,
+        command: "train".to_owned(),
+    };
+    train(&options, &mut |_| {})
+}
+
+#[test]
+fn a_demonstration_with_depth_trains_a_diffusion_policy_that_repeats_itself() {
+    let folder = Scratch::new("session-clouds");
+    let (data, out) = (folder.0.join("data"), folder.0.join("dp3"));
+    let dataset = record_lift(&data, true);
+    let seen = dataset.depth(0, 0).unwrap();
+    assert!(seen.units.iter().any(|&units| units > 0));
+    assert!(
+        [2, 4, 5].iter().all(|id| seen.instance.contains(id)),
+        "needle, wrist and jaw"
+    );
+    assert!(train_simple(&data, &out).unwrap().loss.is_finite());
+
+    let policy = PolicyChoice::Checkpoint(out);
+    let mut hashes = Vec::new();
+    for run in 0..2 {
+        let file = Scratch::new(&format!("session-clouds-{run}"));
+        let (end, log) = run_setup(&small_lift(&policy), &policy, 1500, &file);
+        assert_eq!(end.tally.faults(), None);
+        hashes.push(end.tally.command_hash());
+        let chunks: Vec<_> = log.ticks().filter_map(|(_, chunks)| chunks.first).collect();
+        // Every eight steps of 40 ms, 160 ms late; all that is left of the horizon.
+        let observed: Vec<u64> = chunks.iter().map(|chunk| chunk.observed_at.0).collect();
+        assert_eq!(observed, [0, 320, 640, 960, 1280].map(|ms| ms * 1_000_000));
+        assert!(chunks.iter().all(|chunk| chunk.len == 15));
+        let replayed = replay(&log).unwrap();
+        assert!(replayed.identical, "{replayed:?}");
+    }
+    assert_eq!(hashes[0], hashes[1]);
+    fs::remove_dir_all(&folder.0).unwrap();
+}
+
+#[test]
+fn a_recording_without_depth_is_refused_with_what_to_do() {
+    let folder = Scratch::new("session-no-depth");
+    let (data, out) = (folder.0.join("data"), folder.0.join("dp3"));
+    record_lift(&data, false);
+    let error = train_simple(&data, &out).unwrap_err();
+    assert!(error.is_bad_input());
+    assert!(error.to_string().contains("record with --depth"), "{error}");
+    fs::remove_dir_all(&folder.0).unwrap();
+}

@@ -1,0 +1,204 @@
+//! Training of the policies that see point clouds.
+
+use policy::act::{ActPreset, BackboneNorm};
+use policy::act_pc::{ActPcConfig, ActPcPreset};
+use policy::checkpoint::{self, AggregationName, Precision, Variants};
+use policy::dataset::Dataset;
+use policy::dp3::{Dp3Config, Dp3Preset};
+use policy::perception::{CloudFrame, CloudRecipe, Padding};
+use policy::relative_action::RELATIVE_ACTION_DIM;
+use policy::train::{TrainError, TrainOptions, TrainPrecision, Trainer};
+use sim_backend::visual::instance;
+
+use super::SessionError;
+use super::training::{
+    Made, Stopwatch, TrainingOptions, TrainingResult, cameras, progress_line, recipe, result,
+    say_size, write_curve,
+};
+
+/// Points in a cloud, of the published real tasks.
+const POINTS: usize = 1024;
+
+/// Times that DP3's published recipe sees every frame.
+const DP3_EPOCHS: usize = 3000;
+
+/// What is in a cloud: neither background nor ground, and of the instruments only what works. A shaft has more surface
+/// than all else together and tells nothing that the joints do not.
+fn cloud_recipe(points: usize) -> CloudRecipe {
+    CloudRecipe {
+        frame: CloudFrame::Scene,
+        crop_m: None,
+        dropped_instances: vec![0, instance::ORGAN, instance::SHAFT, instance::SECOND_SHAFT],
+        voxel_m: None,
+        points,
+        padding: Padding::FirstPoint,
+    }
+}
+
+/// Trains DP3 or SimpleDP3 and writes the checkpoint and its loss curve.
+pub(super) fn train_dp3(
+    options: &TrainingOptions,
+    dataset: &Dataset,
+    stopwatch: &Stopwatch,
+    on_progress: &mut dyn FnMut(&str),
+) -> Result<TrainingResult, SessionError> {
+    let preset = dp3_preset(&options.preset)?;
+    // Both choices of cameras are checked as for images.
+    cameras(options, dataset)?;
+    let numbers = i64::try_from(RELATIVE_ACTION_DIM * dataset.arms()).unwrap_or(i64::MAX);
+    let config = Dp3Config::preset(preset, numbers, numbers);
+    let train_options = dp3_options(options, dataset.len())?;
+    let cloud = cloud_recipe(POINTS);
+    say_size(dataset, train_options.steps, on_progress);
+    let trained = Trainer::new(options.device).run_dp3(
+        &config,
+        &cloud,
+        &train_options,
+        dataset,
+        &mut |progress| on_progress(&progress_line(progress, stopwatch.seconds())),
+    )?;
+    let made = Made {
+        preset: preset.into(),
+        variants: Variants {
+            backbone_norm: BackboneNorm::default(),
+            ..Variants::default()
+        },
+        query_every_steps: u32::try_from(config.n_action_steps).unwrap_or(1),
+        aggregation: AggregationName::Newest,
+        frames: trained.frames,
+        curve: &trained.curve,
+    };
+    let recipe = recipe(options, &train_options, dataset, &made, stopwatch.seconds());
+    let (out, precision) = (&options.out, Precision::F16);
+    checkpoint::save_dp3(
+        out,
+        &trained.dp3,
+        &cloud,
+        &trained.statistics,
+        &recipe,
+        precision,
+    )?;
+    write_curve(out, &trained.curve)?;
+    Ok(result(train_options.steps, &trained.curve, stopwatch))
+}
+
+/// Reads the name of a DP3 network.
+pub(super) fn dp3_preset(name: &str) -> Result<Dp3Preset, SessionError> {
+    match name {
+        "paper" => Ok(Dp3Preset::Dp3),
+        "simple" => Ok(Dp3Preset::Simple),
+        unknown => Err(SessionError::BadArgument(format!(
+            "--preset {unknown}: of dp3, paper or simple"
+        ))),
+    }
+}
+
+/// The published recipe with what the user wants otherwise, for a dataset of `frames`.
+pub(super) fn dp3_options(
+    options: &TrainingOptions,
+    frames: usize,
+) -> Result<TrainOptions, SessionError> {
+    refuse_images(options, "dp3")?;
+    let batch = options.batch.unwrap_or(TrainOptions::dp3(1).batch);
+    let published = DP3_EPOCHS.saturating_mul(frames.div_ceil(batch.max(1)));
+    let train_options = TrainOptions {
+        batch,
+        precision: TrainPrecision::F32,
+        validation_share: options.validation_share,
+        threads: options.threads,
+        seed: options.seed,
+        ..TrainOptions::dp3(options.steps.unwrap_or(published as u64))
+    };
+    match train_options.defect() {
+        Some(defect) => Err(TrainError::Options(defect).into()),
+        None => Ok(train_options),
+    }
+}
+
+/// What is only there for images.
+fn refuse_images(options: &TrainingOptions, network: &str) -> Result<(), SessionError> {
+    let refused = [("--augment", options.augment), ("--bf16", options.bf16)];
+    match refused.iter().find(|(_, asked)| *asked) {
+        None => Ok(()),
+        Some((name, _)) => Err(SessionError::BadArgument(format!(
+            "{name}: {network} has no such thing"
+        ))),
+    }
+}
+
+/// The named ACT-PC network, and ACT's recipe of its size with what the user wants otherwise.
+pub(super) fn act_pc_options(
+    options: &TrainingOptions,
+) -> Result<(ActPcPreset, TrainOptions), SessionError> {
+    refuse_images(options, "act-pc")?;
+    let (preset, base) = match options.preset.as_str() {
+        "small" => (ActPcPreset::Small, ActPreset::Small),
+        "paper" => (ActPcPreset::Paper, ActPreset::Paper),
+        "pcm" => (ActPcPreset::PointCloudMatters, ActPreset::Paper),
+        unknown => {
+            return Err(SessionError::BadArgument(format!(
+                "--preset {unknown}: of act-pc, small, paper or pcm"
+            )));
+        }
+    };
+    let base = TrainOptions::preset(base);
+    let train_options = TrainOptions {
+        steps: options.steps.unwrap_or(base.steps),
+        batch: options.batch.unwrap_or(base.batch),
+        validation_share: options.validation_share,
+        threads: options.threads,
+        seed: options.seed,
+        ..base
+    };
+    match train_options.defect() {
+        Some(defect) => Err(TrainError::Options(defect).into()),
+        None => Ok((preset, train_options)),
+    }
+}
+
+/// Trains ACT-PC and writes the checkpoint and its loss curve.
+pub(super) fn train_act_pc(
+    options: &TrainingOptions,
+    dataset: &Dataset,
+    stopwatch: &Stopwatch,
+    on_progress: &mut dyn FnMut(&str),
+) -> Result<TrainingResult, SessionError> {
+    let (preset, train_options) = act_pc_options(options)?;
+    let config = ActPcConfig::preset(preset, &cameras(options, dataset)?);
+    let config = ActPcConfig {
+        act: config.act.for_arms(dataset.arms()),
+        ..config
+    };
+    let cloud = cloud_recipe(usize::try_from(config.points).unwrap_or(0));
+    say_size(dataset, train_options.steps, on_progress);
+    let trained = Trainer::new(options.device).run_act_pc(
+        &config,
+        &cloud,
+        &train_options,
+        dataset,
+        &mut |progress| on_progress(&progress_line(progress, stopwatch.seconds())),
+    )?;
+    let made = Made {
+        preset: preset.into(),
+        variants: Variants {
+            backbone_norm: BackboneNorm::default(),
+            loss_denominator: config.act.loss_denominator,
+        },
+        query_every_steps: u32::try_from(config.act.chunk_size / 2).unwrap_or(1),
+        aggregation: AggregationName::WholeChunk,
+        frames: trained.frames,
+        curve: &trained.curve,
+    };
+    let recipe = recipe(options, &train_options, dataset, &made, stopwatch.seconds());
+    let (out, precision) = (&options.out, Precision::F16);
+    checkpoint::save_act_pc(
+        out,
+        &trained.network,
+        &cloud,
+        &trained.statistics,
+        &recipe,
+        precision,
+    )?;
+    write_curve(out, &trained.curve)?;
+    Ok(result(train_options.steps, &trained.curve, stopwatch))
+}
