@@ -195,7 +195,7 @@ fn sheet_of_a_strange_size_moment_or_place_is_refused() {
         (&file, "--at", "1.5"),
         (&file, "--at", "nan"),
         (&file, "--task", "tonsils"),
-        (&file, "--needle", "N2"),
+        (&file, "--needle", "N9"),
         (&below, "--out", ""),
     ] {
         let mut arguments = vec!["sheet", "--out", out];

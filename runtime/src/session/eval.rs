@@ -47,13 +47,18 @@ pub fn evaluate(
             Ok(())
         },
     )?;
-    Ok(EvalSummary::new(
+    let summary = EvalSummary::new(
         &setup.task_name,
         setup.task.needle(),
         setup.task.view.name(),
         &options.policy.name(),
         episodes,
-    ))
+    );
+    Ok(EvalSummary {
+        scene: setup.scene_file.clone(),
+        trained_on: setup.trained_on.clone(),
+        ..summary
+    })
 }
 
 /// What one thread keeps from trial to trial: the network and the cameras, which are slow to make.

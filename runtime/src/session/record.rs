@@ -54,6 +54,9 @@ pub struct RecordSummary {
     /// The needle, in a task that has a choice.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub needle: Option<String>,
+    /// The scene file, if it was not the built-in one.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub scene: Option<String>,
     /// The cameras whose frames are in the dataset.
     pub cameras: Vec<String>,
     /// Episodes in the dataset.
@@ -80,6 +83,7 @@ pub fn record(
         task: setup.task_name.clone(),
         view: setup.task.view.name().to_owned(),
         needle: setup.task.needle().map(str::to_owned),
+        scene: setup.scene_file.clone(),
         cameras: setup.cameras_with(Vec::new()),
         episodes: 0,
         steps: 0,

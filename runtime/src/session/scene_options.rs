@@ -1,4 +1,7 @@
-//! What of a task's scene the user chooses: which needle lies there, from where it is seen, and whose frames are kept.
+//! What of a task's scene the user chooses: the file that describes it, which needle lies there, from where it is seen, and
+//! whose frames are kept.
+
+use std::path::PathBuf;
 
 use sim_backend::task::{CameraConfig, Mount, View};
 
@@ -18,6 +21,8 @@ pub enum CameraSet {
 /// The choices.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct SceneOptions {
+    /// The scene file; the built-in one if not given.
+    pub file: Option<PathBuf>,
     /// The needle by name; the trained one if not given.
     pub needle: Option<String>,
     /// From where the cameras look.
@@ -56,9 +61,12 @@ impl Setup {
     ///
     /// # Errors
     /// [`SessionError::BadArgument`] for a needle or a camera that the task has not, and for a view that its cameras can't
-    /// give.
+    /// give; those of [`Self::with_scene_file`].
     pub fn with_scene(mut self, options: &SceneOptions) -> Result<Self, SessionError> {
         let refused = |reason: String| SessionError::BadArgument(reason);
+        if let Some(path) = &options.file {
+            self = self.with_scene_file(path)?;
+        }
         if let Some(needle) = &options.needle {
             let changed = self.task.with_needle(needle);
             self.task = changed.map_err(|error| refused(format!("--needle {needle}: {error}")))?;

@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use hal::config::Source;
-use policy::checkpoint::load_recipe;
+use policy::checkpoint::{Recipe, load_recipe};
 use policy::loaded_policy::LoadedPolicy;
 use sim_backend::expert::Expert;
 use sim_backend::rng::Rng;
@@ -26,8 +26,12 @@ pub struct Setup {
     pub control: ControlConfig,
     /// The texts they came from, for the log.
     pub texts: Texts,
+    /// The scene file that takes the place of the built-in one, if any.
+    pub scene_file: Option<String>,
     /// Cameras whose frames were asked for; see [`Self::cameras_with`].
     pub kept_cameras: Option<Vec<String>>,
+    /// The task of the demonstrations that the policy was trained on, if it is a checkpoint that tells.
+    pub trained_on: Option<String>,
 }
 
 /// Effective configuration texts.
@@ -56,13 +60,17 @@ impl Setup {
     ) -> Result<Self, SessionError> {
         policy.check_exists()?;
         let (scene, safety) = tasks::sources(task)?;
+        let recipe = match policy {
+            PolicyChoice::Checkpoint(folder) => load_recipe(folder)?,
+            PolicyChoice::Expert | PolicyChoice::Noop | PolicyChoice::Random => None,
+        };
         let control = match control {
             Some(path) => Source::read(&path.display().to_string())?,
-            None => built_in_control(policy)?,
+            None => built_in_control(recipe.as_ref())?,
         };
         let task_config = TaskConfig::parse(&scene)?;
         let control_config = ControlConfig::load(&control, &safety)?;
-        check_bases(&task_config, &control_config)?;
+        check_bases(&task_config, &scene, &control_config)?;
         Ok(Self {
             task_name: task.to_owned(),
             task: task_config,
@@ -72,7 +80,41 @@ impl Setup {
                 safety: safety.text().to_owned(),
                 scene: scene.text().to_owned(),
             },
+            scene_file: None,
             kept_cameras: None,
+            trained_on: recipe.map(|recipe| recipe.dataset.task),
+        })
+    }
+
+    /// The same setup with the scene of the file `path`, which must be of the same task and have its arms at the same
+    /// places. The safety limits stay.
+    ///
+    /// # Errors
+    /// [`SessionError::Config`], naming file, line and key.
+    pub fn with_scene_file(mut self, path: &Path) -> Result<Self, SessionError> {
+        let path = path.display().to_string();
+        let scene = Source::read(&path)?;
+        let task = TaskConfig::parse(&scene)?;
+        if task.name != self.task_name {
+            let asked = format!("{}, the task that was asked for", self.task_name);
+            return Err(scene.out_of_range("task", task.name, &asked).into());
+        }
+        check_bases(&task, &scene, &self.control)?;
+        self.task = task;
+        scene.text().clone_into(&mut self.texts.scene);
+        self.scene_file = Some(path);
+        Ok(self)
+    }
+
+    /// What a person should know before a policy does another task than that of its demonstrations; none if it does not.
+    #[must_use]
+    pub fn transfer_note(&self) -> Option<String> {
+        let trained_on = self.trained_on.as_ref()?;
+        (*trained_on != self.task_name).then(|| {
+            format!(
+                "the policy was trained on task {trained_on}, not on {}",
+                self.task_name
+            )
         })
     }
 
@@ -162,8 +204,12 @@ impl Setup {
     }
 }
 
-/// The scene and the safety limits must speak of the same arms at the same places.
-fn check_bases(task: &TaskConfig, control: &ControlConfig) -> Result<(), SessionError> {
+/// The scene, which came from `source`, and the safety limits must speak of the same arms at the same places.
+fn check_bases(
+    task: &TaskConfig,
+    source: &Source,
+    control: &ControlConfig,
+) -> Result<(), SessionError> {
     let counts = (control.arms.len(), task.arms.len());
     if counts.0 != counts.1 {
         return Err(SessionError::BadArgument(format!(
@@ -172,25 +218,32 @@ fn check_bases(task: &TaskConfig, control: &ControlConfig) -> Result<(), Session
         )));
     }
     for (index, (arm, start)) in control.arms.iter().zip(&task.arms).enumerate() {
-        let off = start.scene_from_rcm.inverse() * arm.scene_from_rcm;
-        if off.translation.vector.norm() >= 1e-6 || off.rotation.angle() >= 1e-6 {
-            return Err(SessionError::BadArgument(format!(
-                "safety.toml: arm.{index}.rcm_in_scene_m is {}, scene.toml puts the arm at {}",
-                arm.scene_from_rcm, start.scene_from_rcm
-            )));
+        let (limits, scene) = (arm.scene_from_rcm, start.scene_from_rcm);
+        let off = scene.inverse() * limits;
+        let differs = |key: &str, [found, expected]: [[f64; 3]; 2]| {
+            let allowed = format!("what safety.toml says, {expected:.6?}");
+            source.out_of_range(
+                &format!("arm.{index}.{key}"),
+                &format!("{found:.6?}"),
+                &allowed,
+            )
+        };
+        if off.translation.vector.norm() >= 1e-6 {
+            let places = [scene, limits].map(|pose| pose.translation.vector.into());
+            return Err(differs("rcm_in_scene_m", places).into());
+        }
+        if off.rotation.angle() >= 1e-6 {
+            let turns = [scene, limits].map(|pose| pose.rotation.euler_angles().into());
+            return Err(differs("rcm_in_scene_rpy_rad", turns).into());
         }
     }
     Ok(())
 }
 
 /// The built-in settings, with the aggregation that the checkpoint recommends.
-fn built_in_control(policy: &PolicyChoice) -> Result<Source, SessionError> {
+fn built_in_control(recipe: Option<&Recipe>) -> Result<Source, SessionError> {
     let built_in = ControlConfig::default_control();
-    let recipe = match policy {
-        PolicyChoice::Checkpoint(folder) => load_recipe(folder)?,
-        PolicyChoice::Expert | PolicyChoice::Noop | PolicyChoice::Random => None,
-    };
-    let Some(recommended) = recipe.map(|recipe| recipe.aggregation) else {
+    let Some(recommended) = recipe.map(|recipe| &recipe.aggregation) else {
         return Ok(built_in);
     };
     let mut control: toml::Table = built_in.parse()?;

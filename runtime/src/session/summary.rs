@@ -41,6 +41,9 @@ pub struct QpCounts {
 pub struct PolicyCounts {
     /// `expert`, `noop`, `random` or the checkpoint's directory.
     pub name: String,
+    /// The task of the demonstrations that a checkpoint was trained on, if it tells.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub trained_on: Option<String>,
     /// Observations that were answered.
     pub queries: u64,
     /// Chunks that the input gate refused.
@@ -105,6 +108,9 @@ pub struct RunSummary {
     /// The needle, in a task that has a choice.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub needle: Option<String>,
+    /// The scene file, if it was not the built-in one.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub scene: Option<String>,
     /// The policy and what it did.
     pub policy: PolicyCounts,
     /// The seed that everything random hangs on.
@@ -161,8 +167,14 @@ pub struct EvalSummary {
     /// The needle, in a task that has a choice.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub needle: Option<String>,
+    /// The scene file, if it was not the built-in one.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub scene: Option<String>,
     /// The policy.
     pub policy: String,
+    /// The task of the demonstrations that a checkpoint was trained on, if it tells.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub trained_on: Option<String>,
     /// How many trials.
     pub trials: usize,
     /// How many of them succeeded.
@@ -176,7 +188,8 @@ pub struct EvalSummary {
 }
 
 impl EvalSummary {
-    /// Sums up `episodes` of a task with that needle, if it has a choice, seen from `view`.
+    /// Sums up `episodes` of a task with that needle, if it has a choice, seen from `view`; the scene is the built-in one and
+    /// the policy was not trained, unless the caller says otherwise.
     #[must_use]
     pub fn new(
         task: &str,
@@ -192,7 +205,9 @@ impl EvalSummary {
             task: task.to_owned(),
             view: view.to_owned(),
             needle: needle.map(str::to_owned),
+            scene: None,
             policy: policy.to_owned(),
+            trained_on: None,
             trials,
             successes,
             rate,

@@ -35,8 +35,12 @@ pub struct RunLabels<'a> {
     pub view: &'a str,
     /// The needle, in a task that has a choice.
     pub needle: Option<&'a str>,
+    /// The scene file, if it was not the built-in one.
+    pub scene: Option<&'a str>,
     /// Policy name.
     pub policy: &'a str,
+    /// The task that the policy was trained on, if it tells.
+    pub trained_on: Option<&'a str>,
     /// The seed.
     pub seed: u64,
     /// Whether the task was done.
@@ -126,8 +130,10 @@ impl Tally {
             task: labels.task.to_owned(),
             view: labels.view.to_owned(),
             needle: labels.needle.map(str::to_owned),
+            scene: labels.scene.map(str::to_owned),
             policy: PolicyCounts {
                 name: labels.policy.to_owned(),
+                trained_on: labels.trained_on.map(str::to_owned),
                 queries: self.queries,
                 refused: self.refused,
                 latency_ms: milliseconds(&self.latency),

@@ -1,7 +1,15 @@
 //! Tasks as data: who stands where, what lies there, who looks, and what counts as success.
 //!
-//! A task is a folder under `config/tasks/`, a module here with its scene and its monitor, a script in
-//! [`crate::expert`], and a line in `ENTRIES` and in [`Scene`].
+//! Adding a task touches, and nothing else:
+//! - a folder `config/tasks/TASK/` with `scene.toml` and `safety.toml`;
+//! - a module here with its scene, its monitor and its `ENTRY`;
+//! - in this file the module's line, a line in `ENTRIES`, and a variant of [`Scene`] with its lines in [`Scene::of_task`],
+//!   [`TaskConfig::needle`] and [`TaskConfig::with_needle`];
+//! - a script in [`crate::expert`] with its variant in `AnyScript`;
+//! - if it shows things of a new kind, their ids in [`crate::visual::instance`] and, in the contact sheet of the sessions, a
+//!   name and a colour for each.
+//!
+//! Names, command line, sheet and evaluations follow from `ENTRIES`, in its order.
 
 pub mod block_transfer;
 mod camera;
@@ -45,9 +53,22 @@ pub const THINGS_MAX: usize = 2;
 /// A task as the repository knows it.
 struct Entry {
     name: &'static str,
+    scene: BuiltIn,
+    /// Where the instruments may be. Handed on to whoever controls them, never read here.
+    safety: BuiltIn,
+    parse: fn(&Source) -> Result<TaskConfig, ConfigError>,
+}
+
+/// A file that is built into the program, and where it lies in the repository.
+struct BuiltIn {
     path: &'static str,
     text: &'static str,
-    parse: fn(&Source) -> Result<TaskConfig, ConfigError>,
+}
+
+impl BuiltIn {
+    fn source(&self) -> Source {
+        Source::embedded(self.path, self.text)
+    }
 }
 
 /// All tasks.
@@ -172,13 +193,20 @@ impl TaskConfig {
     #[must_use]
     pub fn source(name: &str) -> Option<Source> {
         let entry = ENTRIES.iter().find(|entry| entry.name == name)?;
-        Some(Source::embedded(entry.path, entry.text))
+        Some(entry.scene.source())
+    }
+
+    /// The safety limits of a task as they ship, unread; none if there is no such task.
+    #[must_use]
+    pub fn safety_source(name: &str) -> Option<Source> {
+        let entry = ENTRIES.iter().find(|entry| entry.name == name)?;
+        Some(entry.safety.source())
     }
 
     /// The text of the needle lift as it ships.
     #[must_use]
     pub fn needle_lift_source() -> Source {
-        Source::embedded(needle_lift::ENTRY.path, needle_lift::ENTRY.text)
+        needle_lift::ENTRY.scene.source()
     }
 
     /// The needle lift as it ships.

@@ -43,16 +43,19 @@ fn unknown_key_is_named_with_its_line() {
 
 #[test]
 fn shading_is_full_unless_the_scene_says_plain() {
-    let shading = |text: &str| {
-        let (source, line) = doctored("[organ]", &format!("{text}\n[organ]"));
-        (
-            TaskConfig::parse(&source).map(|task| task.shading),
-            line + 1,
-        )
+    let shading = |line: &str| {
+        let (source, number) = doctored("shading", line);
+        (TaskConfig::parse(&source).map(|task| task.shading), number)
     };
-    let table = |value: &str| shading(&format!("[rendering]\nshading = \"{value}\""));
+    let table = |value: &str| shading(&format!("shading = \"{value}\""));
     assert_eq!(shading("").0.unwrap(), Shading::Full);
-    assert_eq!(shading("[rendering]").0.unwrap(), Shading::Full);
+    let text = TaskConfig::needle_lift_source().text().to_owned();
+    let without = text
+        .replace("[rendering]\n", "")
+        .replace("shading = \"full\"\n", "");
+    assert!(!without.contains("shading ="));
+    let without = TaskConfig::parse(&Source::embedded("scene.toml", &without)).unwrap();
+    assert_eq!(without.shading, Shading::Full);
     assert_eq!(table("full").0.unwrap(), Shading::Full);
     assert_eq!(table("fine").0.unwrap(), Shading::Fine);
     assert_eq!(table("plain").0.unwrap(), Shading::Plain);

@@ -33,6 +33,13 @@ fn device(choice: ComputeDevice) -> Result<Device, SessionError> {
     }
 }
 
+/// Says so if the policy does another task than that of its demonstrations: that may be meant, so that it is no error.
+fn warn_of_transfer(setup: &Setup) {
+    if let Some(reason) = setup.transfer_note() {
+        console::warning(&reason);
+    }
+}
+
 pub(crate) fn run(args: &RunArgs) -> Done {
     if args.latency_ms.is_some() && !args.lockstep {
         return Err(SessionError::BadArgument(
@@ -41,10 +48,12 @@ pub(crate) fn run(args: &RunArgs) -> Done {
     }
     let log = ("--log", args.log.as_deref());
     let config = ("--config", args.config.as_deref());
-    outputs::check(&[log, ("--json", args.json.as_deref())], &[config])?;
+    let scene = ("--scene", args.scene.scene.as_deref());
+    outputs::check(&[log, ("--json", args.json.as_deref())], &[config, scene])?;
     let policy = PolicyChoice::parse(&args.policy);
     let setup = Setup::load(&args.task, args.config.as_deref(), &policy)?
         .with_scene(&args.scene.options(args.cameras.as_deref()))?;
+    warn_of_transfer(&setup);
     let options = RunOptions {
         policy,
         seed: args.seed,
@@ -102,10 +111,12 @@ fn report_run(summary: &RunSummary) {
 
 pub(crate) fn eval(args: &EvalArgs) -> Done {
     let config = ("--config", args.config.as_deref());
-    outputs::check(&[("--json", args.json.as_deref())], &[config])?;
+    let scene = ("--scene", args.scene.scene.as_deref());
+    outputs::check(&[("--json", args.json.as_deref())], &[config, scene])?;
     let policy = PolicyChoice::parse(&args.policy);
     let setup = Setup::load(&args.task, args.config.as_deref(), &policy)?
         .with_scene(&args.scene.options(None))?;
+    warn_of_transfer(&setup);
     let options = EvalOptions {
         policy,
         trials: args.trials,
@@ -145,8 +156,9 @@ pub(crate) fn eval(args: &EvalArgs) -> Done {
 
 pub(crate) fn record(args: &RecordArgs) -> Done {
     let config = ("--config", args.config.as_deref());
+    let scene = ("--scene", args.scene.scene.as_deref());
     let out = ("--out", Some(args.out.as_path()));
-    outputs::check(&[("--json", args.json.as_deref())], &[config, out])?;
+    outputs::check(&[("--json", args.json.as_deref())], &[config, scene, out])?;
     let setup = Setup::load(&args.task, args.config.as_deref(), &PolicyChoice::Expert)?
         .with_scene(&args.scene.options(Some(&args.cameras)))?;
     let options = RecordOptions {

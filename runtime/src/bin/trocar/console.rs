@@ -19,6 +19,11 @@ pub(crate) fn note(line: &str) {
     eprintln!("{line}");
 }
 
+/// A line about what is allowed but may not be meant.
+pub(crate) fn warning(line: &str) {
+    eprintln!("trocar: warning: {line}");
+}
+
 /// The error and everything behind it.
 pub(crate) fn error(error: &dyn Error) {
     eprint!("trocar: error: {error}");

@@ -1,5 +1,7 @@
 //! The options that choose a scene among those that a task has.
 
+use std::path::PathBuf;
+
 use clap::{Args, ValueEnum};
 
 use runtime::session::scene_options::{CameraSet, SceneOptions};
@@ -30,6 +32,10 @@ impl From<ViewChoice> for View {
 /// Which scene it is, of those that a task has.
 #[derive(Args, Debug)]
 pub(crate) struct SceneArgs {
+    /// The task's scene instead of the built-in config/tasks/TASK/scene.toml: a changed copy of that file. The arms stay where
+    /// they are; safety limits are not part of it.
+    #[arg(long, value_name = "FILE")]
+    pub(crate) scene: Option<PathBuf>,
     /// The needle, N1 to N5 in needle-lift; N1, which demonstrations are recorded with, if not given.
     #[arg(long, value_name = "NAME")]
     pub(crate) needle: Option<String>,
@@ -42,6 +48,7 @@ impl SceneArgs {
     /// The choices, with `cameras` for those whose frames are kept.
     pub(crate) fn options(&self, cameras: Option<&str>) -> SceneOptions {
         SceneOptions {
+            file: self.scene.clone(),
             needle: self.needle.clone(),
             view: self.view.into(),
             cameras: cameras.map(CameraSet::parse),

@@ -26,7 +26,8 @@ pub(crate) struct SheetArgs {
     /// The file; parent folders are made.
     #[arg(long, value_name = "FILE.png")]
     pub(crate) out: PathBuf,
-    /// A task to show; may be given several times. All if not given.
+    /// A task to show; may be given several times. All if not given. A needle goes to the tasks that have a choice; a scene
+    /// file needs one task.
     #[arg(long, value_parser = task())]
     pub(crate) task: Vec<String>,
     /// The scene.
@@ -44,7 +45,8 @@ pub(crate) struct SheetArgs {
 }
 
 pub(crate) fn sheet(args: &SheetArgs) -> Done {
-    outputs::check(&[("--out", Some(args.out.as_path()))], &[])?;
+    let scene = ("--scene", args.scene.scene.as_deref());
+    outputs::check(&[("--out", Some(args.out.as_path()))], &[scene])?;
     let options = SheetOptions {
         tasks: if args.task.is_empty() {
             tasks::names().map(str::to_owned).collect()

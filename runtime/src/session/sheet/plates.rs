@@ -87,7 +87,7 @@ fn shade(share: f32) -> Rgb<u8> {
 }
 
 /// Colours of the ids from 1 that tasks use.
-const IDS: [[u8; 3]; 11] = [
+const IDS: [[u8; 3]; 13] = [
     [128, 70, 60],
     [255, 225, 25],
     [130, 130, 140],
@@ -99,6 +99,8 @@ const IDS: [[u8; 3]; 11] = [
     [50, 100, 230],
     [240, 240, 240],
     [250, 110, 190],
+    [0, 110, 100],
+    [210, 0, 210],
 ];
 
 /// A colour for an instance id, black for the background. Ids beyond the table get hues a golden section apart.
@@ -128,6 +130,13 @@ pub(super) fn id_colour(id: u8) -> Rgb<u8> {
 mod tests {
     use super::*;
     use hal::Intrinsics;
+    use sim_backend::visual::instance;
+
+    /// How far two colours are apart: the sum over red, green and blue.
+    fn apart(one: [u8; 3], two: [u8; 3]) -> u32 {
+        let parts = one.into_iter().zip(two);
+        parts.map(|(a, b)| u32::from(a.abs_diff(b))).sum()
+    }
 
     #[test]
     fn near_is_bright_and_far_is_dark_and_nothing_is_black() {
@@ -155,13 +164,28 @@ mod tests {
         for id in 1..=15 {
             for other in 0..id {
                 let (Rgb(one), Rgb(two)) = (id_colour(id), id_colour(other));
-                let off: u32 = one
-                    .iter()
-                    .zip(two)
-                    .map(|(a, b)| u32::from(a.abs_diff(b)))
-                    .sum();
+                let off = apart(one, two);
                 assert!(off > 60, "{id} {other}: {one:?} {two:?}");
             }
         }
+    }
+
+    #[test]
+    fn flap_and_mark_can_be_told_from_all_that_is_around_them() {
+        for id in [instance::TISSUE, instance::MARK] {
+            assert!(usize::from(id) <= IDS.len());
+            for other in [
+                0,
+                instance::ORGAN,
+                instance::SHAFT,
+                instance::WRIST,
+                instance::JAW,
+            ] {
+                let off = apart(id_colour(id).0, id_colour(other).0);
+                assert!(off > 200, "{id} {other}: {off}");
+            }
+        }
+        let [flap, mark] = [instance::TISSUE, instance::MARK].map(|id| id_colour(id).0);
+        assert!(apart(flap, mark) > 200);
     }
 }

@@ -15,7 +15,7 @@ pub use success::SuccessConfig;
 use success::SuccessMonitor;
 
 use super::common::{ArmFile, CommonFile, EpisodeFile, RenderingFile};
-use super::{CameraConfig, Entry, Monitor, Scene, TaskConfig, TaskScene};
+use super::{BuiltIn, CameraConfig, Entry, Monitor, Scene, TaskConfig, TaskScene};
 use crate::block::BlockShape;
 use crate::rng::Rng;
 use crate::visual::{Backdrop, Material, Pattern, Visual, instance};
@@ -26,8 +26,14 @@ pub const NAME: &str = "block-transfer";
 
 pub(super) const ENTRY: Entry = Entry {
     name: NAME,
-    path: "config/tasks/block-transfer/scene.toml",
-    text: include_str!("../../../../config/tasks/block-transfer/scene.toml"),
+    scene: BuiltIn {
+        path: "config/tasks/block-transfer/scene.toml",
+        text: include_str!("../../../../config/tasks/block-transfer/scene.toml"),
+    },
+    safety: BuiltIn {
+        path: "config/tasks/block-transfer/safety.toml",
+        text: include_str!("../../../../config/tasks/block-transfer/safety.toml"),
+    },
     parse,
 };
 

@@ -12,7 +12,7 @@ use success::SuccessMonitor;
 
 use super::common::{ArmFile, CommonFile, EpisodeFile, RenderingFile};
 use super::visuals::{LIVER, NEEDLE_STEEL};
-use super::{CameraConfig, Entry, Monitor, NeedleStart, Scene, TaskConfig, TaskScene};
+use super::{BuiltIn, CameraConfig, Entry, Monitor, NeedleStart, Scene, TaskConfig, TaskScene};
 use crate::needle::NeedleShape;
 use crate::organ::OrganShape;
 use crate::visual::{Backdrop, Visual, instance};
@@ -23,8 +23,14 @@ pub const NAME: &str = "needle-handover";
 
 pub(super) const ENTRY: Entry = Entry {
     name: NAME,
-    path: "config/tasks/needle-handover/scene.toml",
-    text: include_str!("../../../../config/tasks/needle-handover/scene.toml"),
+    scene: BuiltIn {
+        path: "config/tasks/needle-handover/scene.toml",
+        text: include_str!("../../../../config/tasks/needle-handover/scene.toml"),
+    },
+    safety: BuiltIn {
+        path: "config/tasks/needle-handover/safety.toml",
+        text: include_str!("../../../../config/tasks/needle-handover/safety.toml"),
+    },
     parse,
 };
 

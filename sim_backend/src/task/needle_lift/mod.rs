@@ -13,7 +13,7 @@ use success::SuccessMonitor;
 
 use super::common::{ArmFile, CommonFile, EpisodeFile, RenderingFile};
 use super::visuals::{MUSCLE, NEEDLE_STEEL};
-use super::{CameraConfig, Entry, Monitor, NeedleStart, Scene, TaskConfig, TaskScene};
+use super::{BuiltIn, CameraConfig, Entry, Monitor, NeedleStart, Scene, TaskConfig, TaskScene};
 use crate::needle::NeedleShape;
 use crate::organ::OrganShape;
 use crate::visual::{Visual, instance};
@@ -27,8 +27,14 @@ pub const TRAINED: &str = "N1";
 
 pub(super) const ENTRY: Entry = Entry {
     name: NAME,
-    path: "config/tasks/needle-lift/scene.toml",
-    text: include_str!("../../../../config/tasks/needle-lift/scene.toml"),
+    scene: BuiltIn {
+        path: "config/tasks/needle-lift/scene.toml",
+        text: include_str!("../../../../config/tasks/needle-lift/scene.toml"),
+    },
+    safety: BuiltIn {
+        path: "config/tasks/needle-lift/safety.toml",
+        text: include_str!("../../../../config/tasks/needle-lift/safety.toml"),
+    },
     parse,
 };
 

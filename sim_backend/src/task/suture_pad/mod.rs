@@ -16,7 +16,7 @@ use success::SuccessMonitor;
 
 use super::common::{ArmFile, CommonFile, EpisodeFile, RenderingFile};
 use super::visuals::NEEDLE_STEEL;
-use super::{CameraConfig, Entry, Monitor, Scene, TaskConfig, TaskScene};
+use super::{BuiltIn, CameraConfig, Entry, Monitor, Scene, TaskConfig, TaskScene};
 use crate::needle::NeedleShape;
 use crate::rng::Rng;
 use crate::visual::{Backdrop, Material, Pattern, Visual, instance};
@@ -27,8 +27,14 @@ pub const NAME: &str = "suture-pad";
 
 pub(super) const ENTRY: Entry = Entry {
     name: NAME,
-    path: "config/tasks/suture-pad/scene.toml",
-    text: include_str!("../../../../config/tasks/suture-pad/scene.toml"),
+    scene: BuiltIn {
+        path: "config/tasks/suture-pad/scene.toml",
+        text: include_str!("../../../../config/tasks/suture-pad/scene.toml"),
+    },
+    safety: BuiltIn {
+        path: "config/tasks/suture-pad/safety.toml",
+        text: include_str!("../../../../config/tasks/suture-pad/safety.toml"),
+    },
     parse,
 };
 

@@ -12,7 +12,7 @@ use success::SuccessMonitor;
 
 use super::common::{ArmFile, CommonFile, EpisodeFile, RenderingFile};
 use super::visuals::{LIVER, MUSCLE};
-use super::{CameraConfig, Entry, Monitor, Scene, TaskConfig, TaskScene};
+use super::{BuiltIn, CameraConfig, Entry, Monitor, Scene, TaskConfig, TaskScene};
 use crate::tissue::{NODES_MAX, Patch, RetractionConfig, TissueConfig};
 use crate::visual::{Backdrop, Material, Pattern, Visual, instance};
 use crate::world::{Flap, Ground, Scenery, WorldConfig};
@@ -22,8 +22,14 @@ pub const NAME: &str = "tissue-retraction";
 
 pub(super) const ENTRY: Entry = Entry {
     name: NAME,
-    path: "config/tasks/tissue-retraction/scene.toml",
-    text: include_str!("../../../../config/tasks/tissue-retraction/scene.toml"),
+    scene: BuiltIn {
+        path: "config/tasks/tissue-retraction/scene.toml",
+        text: include_str!("../../../../config/tasks/tissue-retraction/scene.toml"),
+    },
+    safety: BuiltIn {
+        path: "config/tasks/tissue-retraction/safety.toml",
+        text: include_str!("../../../../config/tasks/tissue-retraction/safety.toml"),
+    },
     parse,
 };
 
