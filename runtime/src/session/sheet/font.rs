@@ -124,7 +124,7 @@ mod tests {
 
     #[test]
     fn what_does_not_fit_is_cut_off() {
-        let mut image = RgbImage::new(8, 4);
+        let mut image = RgbImage::new(8, 16);
         write(&mut image, "needle", [3, 1], 3, WHITE);
         write(&mut image, "needle", [30, 40], 3, WHITE);
         assert!(image.pixels().any(|pixel| *pixel == WHITE));

@@ -133,8 +133,11 @@ fn draw(sheet: &mut RgbImage, block: &Block, [left, top]: [u32; 2], sizes: Sizes
     }
 }
 
-/// Writes `text` on a dark strip in the corner of a picture.
+/// Writes `text` on a dark strip in the corner of a picture, as much of it as the picture is wide.
 fn label(sheet: &mut RgbImage, text: &str, [x, y]: [u32; 2], sizes: Sizes) {
+    let letters = sizes.plate.saturating_sub(sizes.gap) / font::width("x", sizes.dot);
+    let end = usize::try_from(letters).unwrap_or(usize::MAX);
+    let text = text.get(..end).unwrap_or(text);
     let strip = [
         font::width(text, sizes.dot) + sizes.gap,
         font::height(sizes.dot) + 2 * sizes.dot,
