@@ -68,8 +68,10 @@ pub struct RealTimeCounts {
 /// What a soft tissue went through: the largest values of a run.
 #[derive(Clone, Copy, Debug, Serialize)]
 pub struct TissueSummary {
-    /// Force between an instrument and the tissue after a low pass at 50 Hz, N.
+    /// Force between an instrument as a whole and the tissue after a low pass at 50 Hz, N; a pinch is not in it.
     pub force_n_max: f64,
+    /// Normal force of one finger on the tissue after the same low pass, N.
+    pub squeeze_n_max: f64,
     /// Stretch; 0.1 is a tenth longer than at rest.
     pub stretch_max: f64,
     /// How far the mark rose above where it lay at rest, m.
@@ -80,6 +82,7 @@ impl From<TissueExtremes> for TissueSummary {
     fn from(extremes: TissueExtremes) -> Self {
         Self {
             force_n_max: extremes.force_n,
+            squeeze_n_max: extremes.squeeze_n,
             stretch_max: extremes.stretch,
             mark_rise_m_max: extremes.mark_rise_m,
         }
@@ -90,8 +93,9 @@ impl fmt::Display for TissueSummary {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(
             f,
-            "tissue: at most {:.3} N, stretched by {:.1} %, mark {:.1} mm up",
+            "tissue: pulled with at most {:.3} N, squeezed with {:.2} N, stretched by {:.1} %, mark {:.1} mm up",
             self.force_n_max,
+            self.squeeze_n_max,
             self.stretch_max * 100.0,
             self.mark_rise_m_max * 1e3
         )

@@ -187,6 +187,11 @@ fn needles_can_be_chosen_by_name() {
     assert!(pad.with_needle("N1").is_err());
 }
 
+/// The task without a rigid thing, which the checks below leave out. Its flap has tests of its own: crushing and sinking
+/// in through reports in `tissue/tests/retraction.rs`, crushing through the simulation in
+/// `expert/closed_loop/tissue_retraction.rs`; why it has no energy check is said in `tissue/retraction.rs`.
+const FLAP: &str = "tissue-retraction";
+
 /// What a judge of the task `name` says of a thing that lies where it starts while every finger and its energy are as given.
 fn judged(
     name: &str,
@@ -223,6 +228,7 @@ fn every_thing_can_be_crushed_but_not_by_a_solvers_hiccup() {
     for name in TaskConfig::names() {
         let squeezed = |force_n, steps| judged(name, force_n, 0.0, &vec![None; steps]);
         let Some(outcome) = squeezed(1000.0, 25) else {
+            assert_eq!(name, FLAP);
             continue;
         };
         assert!(
@@ -239,6 +245,7 @@ fn no_thing_may_gain_energy_that_nobody_gave_it() {
     for name in TaskConfig::names() {
         let shown = |energies_j: &[Option<f64>]| judged(name, 0.0, 0.0, energies_j);
         let Some(outcome) = shown(&[Some(0.01), Some(0.005), Some(0.02)]) else {
+            assert_eq!(name, FLAP);
             continue;
         };
         assert!(
@@ -257,6 +264,7 @@ fn no_thing_may_gain_energy_that_nobody_gave_it() {
 fn fingers_inside_a_thing_lose_every_task() {
     for name in TaskConfig::names() {
         let Some(outcome) = judged(name, 0.0, 0.005, &[None; 25]) else {
+            assert_eq!(name, FLAP);
             continue;
         };
         assert!(

@@ -39,10 +39,6 @@ pub struct Tissue {
 const SETTLE_STEPS: usize = 1000;
 /// Damping while it settles, 1/s.
 const SETTLE_DRAG_PER_S: f64 = 25.0;
-/// Cut-off of the force that the report gives beside the plain one, as a share per millisecond: 50 Hz.
-const FORCE_SHARE: f64 = 0.239;
-/// What is left of a fading force below this is none, N.
-const FORCE_N_MIN: f64 = 1e-12;
 /// A coordinate beyond this is out of range, m.
 const RANGE_M: f64 = 1.0;
 
@@ -197,20 +193,7 @@ impl Tissue {
         report.stretch = stretch;
         report.torn |= stretch > self.sheet.material.tear_strain;
         report.ground_depth_m = self.bed.depth_m();
-        report.force_n = self
-            .jaws
-            .iter()
-            .map(|jaw| jaw.report.total().force.norm())
-            .fold(0.0, f64::max);
-        report.smooth_force_n += FORCE_SHARE * (report.force_n - report.smooth_force_n);
-        if report.smooth_force_n < FORCE_N_MIN {
-            report.smooth_force_n = 0.0;
-        }
-        report.instrument_depth_m = self
-            .jaws
-            .iter()
-            .map(|jaw| jaw.report.depth_m)
-            .fold(0.0, f64::max);
+        report.feel(self.jaws.iter().map(|jaw| jaw.report));
         report.speed_m_s = self
             .sheet
             .velocities

@@ -82,6 +82,7 @@ impl Jaw {
             fingers: [wrenches[0], wrenches[1]],
             wrist: wrenches[2],
             pressed_n: felt.map(|felt| felt.load_n),
+            squeezed_n: squeeze_n,
             depth_m: felt.iter().map(|felt| felt.depth_m).fold(0.0, f64::max),
             grasp,
         };

@@ -25,6 +25,8 @@ pub struct JawReport {
     pub wrist: Wrench,
     /// Sums of the normal forces with which the fingers and the wrist press on tissue that they do not hold, N.
     pub pressed_n: [f64; 3],
+    /// Force with which the tissue between the pads that it does hold pushes each of them back, N.
+    pub squeezed_n: f64,
     /// Deepest overlap of the instrument with the tissue's thickness, m.
     pub depth_m: f64,
     /// What it holds.
@@ -39,6 +41,7 @@ impl JawReport {
             fingers: [Wrench::zero(); 2],
             wrist: Wrench::zero(),
             pressed_n: [0.0; 3],
+            squeezed_n: 0.0,
             depth_m: 0.0,
             grasp: None,
         }
@@ -52,6 +55,12 @@ impl JawReport {
         total.add(&self.fingers[1]);
         total
     }
+
+    /// Normal force of each finger on the tissue, held or not, N.
+    #[must_use]
+    pub fn finger_n(&self) -> [f64; 2] {
+        [0, 1].map(|finger| self.pressed_n[finger] + self.squeezed_n)
+    }
 }
 
 /// What the whole flap felt in a millisecond.
@@ -59,10 +68,15 @@ impl JawReport {
 pub struct TissueReport {
     /// The grasp, of the first jaw that has one.
     pub grasp: Option<Grasp>,
-    /// Largest force between one instrument and the tissue, N.
+    /// Largest force between one instrument as a whole and the tissue, N: what moves it. A pinch is not in it, since its
+    /// two sides cancel.
     pub force_n: f64,
     /// The same after a low pass at 50 Hz, N.
     pub smooth_force_n: f64,
+    /// Largest normal force of one finger on the tissue, held or not, N: what crushes it.
+    pub squeeze_n: f64,
+    /// The same after a low pass at 50 Hz, N.
+    pub smooth_squeeze_n: f64,
     /// Largest stretch of the tissue (0.1 is a tenth longer than at rest).
     pub stretch: f64,
     /// Whether the stretch ever exceeded the tearing strain. The mesh does not open; the tissue there only yields.
@@ -91,6 +105,8 @@ impl TissueReport {
             grasp: None,
             force_n: 0.0,
             smooth_force_n: 0.0,
+            squeeze_n: 0.0,
+            smooth_squeeze_n: 0.0,
             stretch: 0.0,
             torn: false,
             lost: 0,
@@ -102,13 +118,37 @@ impl TissueReport {
             fault: false,
         }
     }
+
+    /// Takes in what the jaws feel after a millisecond.
+    pub(super) fn feel(&mut self, jaws: impl Iterator<Item = JawReport> + Clone) {
+        let most = |of: fn(&JawReport) -> f64| jaws.clone().map(|jaw| of(&jaw)).fold(0.0, f64::max);
+        self.force_n = most(|jaw| jaw.total().force.norm());
+        self.squeeze_n = most(|jaw| jaw.finger_n().into_iter().fold(0.0, f64::max));
+        self.instrument_depth_m = most(|jaw| jaw.depth_m);
+        low_pass(&mut self.smooth_force_n, self.force_n);
+        low_pass(&mut self.smooth_squeeze_n, self.squeeze_n);
+    }
+}
+
+/// Cut-off of the forces that the report gives beside the plain ones, as a share per millisecond: 50 Hz.
+const FORCE_SHARE: f64 = 0.239;
+/// What is left of a fading force below this is none, N.
+const FORCE_N_MIN: f64 = 1e-12;
+
+fn low_pass(smooth_n: &mut f64, force_n: f64) {
+    *smooth_n += FORCE_SHARE * (force_n - *smooth_n);
+    if *smooth_n < FORCE_N_MIN {
+        *smooth_n = 0.0;
+    }
 }
 
 /// What a flap went through in an episode: the largest values so far.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct TissueExtremes {
-    /// Force between an instrument and the tissue after a low pass at 50 Hz, N.
+    /// Force between an instrument as a whole and the tissue after a low pass at 50 Hz, N.
     pub force_n: f64,
+    /// Normal force of one finger on the tissue after the same low pass, N.
+    pub squeeze_n: f64,
     /// Stretch (0.1 is a tenth longer than at rest).
     pub stretch: f64,
     /// How far the mark was above where it lay at rest, m.
@@ -119,6 +159,7 @@ impl TissueExtremes {
     /// Takes in what the flap says after a millisecond.
     pub fn observe(&mut self, report: &TissueReport) {
         self.force_n = self.force_n.max(report.smooth_force_n);
+        self.squeeze_n = self.squeeze_n.max(report.smooth_squeeze_n);
         self.stretch = self.stretch.max(report.stretch);
         self.mark_rise_m = self.mark_rise_m.max(report.mark_rise_m);
     }

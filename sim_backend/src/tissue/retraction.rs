@@ -2,10 +2,17 @@
 //!
 //! In words: the flap counts as retracted when one jaw holds it within `mark_distance_m` of the mark (measured in the
 //! material, to the middle of the area held) while the mark is at least `lift_height_m` above where it lay, for `hold_s`
-//! without a break. The episode is lost when the tissue is pulled harder than `force_n_max` or slips out of the jaw, when
-//! it is stretched by more than `stretch_max` or torn, when a jaw holds it beside the mark for longer than `stray_s`,
-//! when an instrument sinks into it, when it is flung about, and when its numbers leave their range; the task's clock is
-//! not kept here. Force, stretch, depth and speed count once they last for 20 ms: one step alone may be a solver's hiccup.
+//! without a break. The episode is lost when the tissue is pulled or pushed harder than `force_n_max` or slips out of the
+//! jaw, when one finger squeezes it harder than `squeeze_n_max`, when it is stretched by more than `stretch_max` or torn,
+//! when a jaw holds it beside the mark for longer than `stray_s`, when an instrument sinks into it, when it is pressed into
+//! what it lies on, when it is flung about, and when its simulation breaks; the task's clock is not kept here. Forces,
+//! stretch, depths and speed count once they last for 20 ms: one step alone may be a solver's hiccup.
+//!
+//! Rigid things may gain no energy that nobody gave them. A flap has no such check, since its attached edge, the organ and
+//! the jaws all do work on it. A broken simulation of it shows otherwise: energy from nowhere as speed (flung) and stretch
+//! (torn), at the worst as nodes that must be slowed down since they would cross half a cell in a sub-step (16 m/s as the
+//! task ships; no hand is that fast, so one is enough) or as numbers out of their range; a contact that gives way as depth,
+//! of the instrument in the tissue or of the tissue in the organ.
 
 use core::fmt;
 
@@ -27,12 +34,16 @@ pub struct RetractionConfig {
     pub mark_distance_m: f64,
     /// How long a jaw may hold the tissue elsewhere before the episode is lost, s.
     pub stray_s: f64,
-    /// Force between an instrument and the tissue, after a low pass at 50 Hz, N.
+    /// Force between an instrument as a whole and the tissue, after a low pass at 50 Hz, N; a pinch is not in it.
     pub force_n_max: f64,
+    /// Normal force of one finger on the tissue, held or not, after the same low pass, N.
+    pub squeeze_n_max: f64,
     /// Largest stretch (0.3 is three tenths longer than at rest).
     pub stretch_max: f64,
     /// Overlap of an instrument with the tissue's thickness, m; deeper is a fault of the physics, not a grasp.
     pub depth_m_max: f64,
+    /// How deep the tissue may be pressed into what it lies on, m.
+    pub ground_depth_m_max: f64,
     /// Speed of the fastest point of the tissue, m/s.
     pub speed_m_s_max: f64,
 }
@@ -61,6 +72,11 @@ pub enum RetractionFailure {
         /// How hard, N.
         force_n: f64,
     },
+    /// The tissue was squeezed too hard.
+    Squeezed {
+        /// How hard one finger pressed, N.
+        force_n: f64,
+    },
     /// The tissue slipped out of the jaw because it was pulled too hard.
     SlippedOut,
     /// The tissue was stretched too far.
@@ -75,10 +91,20 @@ pub enum RetractionFailure {
         /// How deep, m.
         depth_m: f64,
     },
+    /// The tissue was pressed into what it lies on.
+    PressedIn {
+        /// How deep, m.
+        depth_m: f64,
+    },
     /// The tissue moved faster than a careful hand moves it.
     Flung {
         /// How fast, m/s.
         speed_m_s: f64,
+    },
+    /// Parts of the tissue would have crossed half a cell in a sub-step and were slowed down.
+    Slowed {
+        /// How often.
+        times: u64,
     },
     /// The tissue's numbers left their range.
     OutOfRange,
@@ -101,6 +127,7 @@ impl fmt::Display for RetractionFailure {
                 write!(f, "flap held {:.1} mm beside the mark", distance_m * 1e3)
             }
             Self::TooHard { force_n } => write!(f, "tissue handled with {force_n:.2} N"),
+            Self::Squeezed { force_n } => write!(f, "tissue squeezed with {force_n:.2} N"),
             Self::SlippedOut => f.write_str("tissue slipped out of the jaw"),
             Self::Overstretched { stretch } => {
                 write!(f, "tissue stretched by {:.0} %", stretch * 100.0)
@@ -109,7 +136,17 @@ impl fmt::Display for RetractionFailure {
             Self::Sunk { depth_m } => {
                 write!(f, "instrument sank {:.2} mm into the tissue", depth_m * 1e3)
             }
+            Self::PressedIn { depth_m } => {
+                let depth_mm = depth_m * 1e3;
+                write!(f, "tissue pressed {depth_mm:.2} mm into what it lies on")
+            }
             Self::Flung { speed_m_s } => write!(f, "tissue flung at {speed_m_s:.2} m/s"),
+            Self::Slowed { times } => {
+                write!(
+                    f,
+                    "tissue too fast for its simulation, slowed down {times} times"
+                )
+            }
             Self::OutOfRange => f.write_str("tissue's numbers left their range"),
         }
     }
@@ -129,13 +166,15 @@ impl RetractionConfig {
         check("mark_distance_m", self.mark_distance_m, 0.000_5, 0.05)?;
         check("stray_s", self.stray_s, 0.0, 10.0)?;
         check("force_n_max", self.force_n_max, 0.01, 50.0)?;
+        check("squeeze_n_max", self.squeeze_n_max, 0.05, 50.0)?;
         check("stretch_max", self.stretch_max, 0.01, 2.0)?;
         check("depth_m_max", self.depth_m_max, 0.000_1, 0.01)?;
+        check("ground_depth_m_max", self.ground_depth_m_max, 0.000_1, 0.01)?;
         check("speed_m_s_max", self.speed_m_s_max, 0.05, 10.0)
     }
 }
 
-/// Time for which force, stretch, depth and speed must last to count, s.
+/// Time for which forces, stretch, depths and speed must last to count, s.
 const JUDGED_S: f64 = 0.020;
 
 /// For how long several things have lasted without a break, s.
@@ -144,8 +183,10 @@ struct Lasting {
     held_s: f64,
     stray_s: f64,
     hard_s: f64,
+    squeezed_s: f64,
     stretched_s: f64,
     deep_s: f64,
+    pressed_in_s: f64,
     fast_s: f64,
 }
 
@@ -205,12 +246,20 @@ impl RetractionMonitor {
                 report.smooth_force_n > config.force_n_max,
             ),
             (
+                &mut lasting.squeezed_s,
+                report.smooth_squeeze_n > config.squeeze_n_max,
+            ),
+            (
                 &mut lasting.stretched_s,
                 report.stretch > config.stretch_max,
             ),
             (
                 &mut lasting.deep_s,
                 report.instrument_depth_m > config.depth_m_max,
+            ),
+            (
+                &mut lasting.pressed_in_s,
+                report.ground_depth_m > config.ground_depth_m_max,
             ),
             (&mut lasting.fast_s, report.speed_m_s > config.speed_m_s_max),
         ] {
@@ -223,6 +272,10 @@ impl RetractionMonitor {
         let judged = |seconds: f64| reached(seconds, JUDGED_S);
         if report.fault {
             Some(RetractionFailure::OutOfRange)
+        } else if report.slowed > 0 {
+            Some(RetractionFailure::Slowed {
+                times: report.slowed,
+            })
         } else if report.torn {
             Some(RetractionFailure::Torn)
         } else if report.lost > 0 {
@@ -231,6 +284,10 @@ impl RetractionMonitor {
             Some(RetractionFailure::TooHard {
                 force_n: report.smooth_force_n,
             })
+        } else if judged(lasting.squeezed_s) {
+            Some(RetractionFailure::Squeezed {
+                force_n: report.smooth_squeeze_n,
+            })
         } else if judged(lasting.stretched_s) {
             Some(RetractionFailure::Overstretched {
                 stretch: report.stretch,
@@ -238,6 +295,10 @@ impl RetractionMonitor {
         } else if judged(lasting.deep_s) {
             Some(RetractionFailure::Sunk {
                 depth_m: report.instrument_depth_m,
+            })
+        } else if judged(lasting.pressed_in_s) {
+            Some(RetractionFailure::PressedIn {
+                depth_m: report.ground_depth_m,
             })
         } else if judged(lasting.fast_s) {
             Some(RetractionFailure::Flung {

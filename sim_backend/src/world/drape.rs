@@ -50,12 +50,13 @@ impl Drape {
         })
     }
 
-    /// How an arm holds it. The forces are whole ones, not only the normal part: in a held patch there is no telling.
+    /// How an arm holds it.
     pub(super) fn grasp(&self, arm: usize) -> Grasp {
         let felt = self.tissue.jaw(arm);
+        let [left_force_n, right_force_n] = felt.finger_n();
         Grasp {
-            left_force_n: felt.fingers[0].force.norm(),
-            right_force_n: felt.fingers[1].force.norm(),
+            left_force_n,
+            right_force_n,
             both_touch: felt.grasp.is_some(),
             penetration_m: felt.depth_m,
         }

@@ -46,9 +46,10 @@ pub struct World {
 /// What the fingers of one arm feel of one thing or of the flap.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Grasp {
-    /// Sum of normal forces on the left finger, N.
+    /// Sum of normal forces on the left finger, N; of a flap, without the pull of what it holds, which is along the pads
+    /// as well.
     pub left_force_n: f64,
-    /// Sum of normal forces on the right finger, N.
+    /// The same on the right finger, N.
     pub right_force_n: f64,
     /// Whether both fingers press on the thing; of a flap, whether the jaw holds it.
     pub both_touch: bool,

@@ -32,6 +32,7 @@ fn expert_retracts_the_flap_through_the_whole_chain_and_the_tissue_is_reported()
     let tissue = &result["episodes"][0]["tissue"];
     let value = |key: &str| tissue[key].as_f64().unwrap();
     assert!((0.03..0.8).contains(&value("force_n_max")), "{tissue}");
+    assert!((0.5..2.8).contains(&value("squeeze_n_max")), "{tissue}");
     assert!((0.005..0.4).contains(&value("stretch_max")), "{tissue}");
     assert!((0.02..0.03).contains(&value("mark_rise_m_max")), "{tissue}");
 }

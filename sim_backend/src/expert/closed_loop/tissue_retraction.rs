@@ -4,7 +4,7 @@ use hal::ArmCommand;
 use nalgebra::{Translation3, Vector3};
 
 use super::{failures, forward, hold, inverse, run};
-use crate::task::{Outcome, Reason, TaskConfig};
+use crate::task::{Outcome, Reason, Scene, TaskConfig};
 use crate::tissue::RetractionFailure;
 
 fn task() -> TaskConfig {
@@ -93,6 +93,41 @@ fn pulling_too_hard_loses_the_episode() {
 }
 
 #[test]
+fn a_jaw_closed_with_all_its_effort_crushes_the_flap() {
+    // The hand goes where it would, but once the jaw is to close it closes as hard as it can: the drive alone gives
+    // 6.2 N to 6.6 N, and the swing of the jaw adds to that.
+    let episode = run(&task(), 1, |_, command| {
+        if command.jaw_position < 0.2 {
+            command.jaw_position = -0.3;
+            command.jaw_velocity = 0.0;
+        }
+    });
+    assert!(
+        matches!(
+            episode.outcome,
+            Outcome::Failure(Reason::Tissue(RetractionFailure::Squeezed { force_n }))
+                if force_n > 6.0
+        ),
+        "{} after {} s",
+        episode.outcome,
+        episode.seconds
+    );
+}
+
+#[test]
+fn expert_stays_far_from_what_the_flap_stands() {
+    let mut task = task();
+    let Scene::TissueRetraction(scene) = &mut task.scene else {
+        panic!("another task");
+    };
+    scene.success.force_n_max *= 0.7;
+    scene.success.squeeze_n_max *= 0.7;
+    scene.success.ground_depth_m_max *= 0.7;
+    let failed = failures(&task, 0..3);
+    assert!(failed.is_empty(), "{failed:#?}");
+}
+
+#[test]
 fn a_grasp_beside_the_mark_loses_the_episode() {
     let task = task();
     // The hand comes in 9 mm beside the mark, and keeps what it has.
@@ -100,7 +135,7 @@ fn a_grasp_beside_the_mark_loses_the_episode() {
         let aside_m = 0.009 * seconds.min(1.0);
         push_aside(&task, command, Vector3::new(-aside_m, 0.0, 0.0));
         if seconds > 3.5 {
-            command.jaw_position = 0.04;
+            command.jaw_position = 0.1;
             command.jaw_velocity = 0.0;
         }
     });

@@ -30,7 +30,8 @@ pub(super) struct Style {
     pub(super) tilt_rad: f64,
     /// Jaw angle when open, rad.
     pub(super) open_rad: f64,
-    /// Jaw command when holding, rad; below contact.
+    /// Jaw command when holding, rad; so far below contact that the tissue is squeezed with about 2 N, not with all that
+    /// the drive has.
     pub(super) grip_rad: f64,
     /// Time between the hold and the lift, s.
     pub(super) settle_s: f64,
@@ -69,7 +70,7 @@ impl Style {
             over: rng.range(0.80, 0.95),
             tilt_rad: rng.range(-0.05, 0.10),
             open_rad: rng.range(0.58, 0.70),
-            grip_rad: rng.range(-0.02, 0.03),
+            grip_rad: rng.range(0.09, 0.11),
             settle_s: rng.range(0.08, 0.25),
             lift_height_m: rng.range(0.024, 0.027),
             lean: rng.range(0.15, 0.35),

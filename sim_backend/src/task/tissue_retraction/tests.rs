@@ -65,6 +65,12 @@ fn a_closing_jaw_takes_the_flap_and_is_stopped_by_it() {
     assert!(grasp.beside_mark_m < 0.001, "{grasp:?}");
     let hold = world.subject_grasp(0);
     assert!(hold.both_touch && hold.left_force_n > 2.0, "{hold:?}");
+    // The report has the pinch, whose two sides cancel in the force on the whole instrument.
+    let report = *world.tissue().unwrap().report();
+    assert!(
+        report.smooth_squeeze_n > 4.0 && report.force_n < 0.5,
+        "{report:?}"
+    );
     // The drive presses with all it has; without tissue the fingers would be shut.
     let jaw = world.measured(0, TimeNs(0)).jaw_position;
     assert!((0.02..0.15).contains(&jaw), "{jaw}");
@@ -105,18 +111,18 @@ fn the_state_of_the_flap_is_in_the_hash() {
     squeeze(&mut first, &joints, 0.1, 200);
     squeeze(&mut second, &joints, 0.1, 200);
     assert_eq!(first.state_hash(), second.state_hash());
-    let other = World::new(
-        &task.world,
-        &TissueRetraction::shipped().scenery(&task.world, 6),
-        &task.arms,
-    );
-    let same_flap = World::new(
-        &task.world,
-        &TissueRetraction::shipped().scenery(&task.world, 7),
-        &task.arms,
-    );
+    let untouched = |scene: &TissueRetraction, seed| {
+        World::new(&task.world, &scene.scenery(&task.world, seed), &task.arms)
+    };
+    let mut scene = TissueRetraction::shipped();
+    let other = untouched(&scene, 6);
     // Untouched flaps differ by nothing but the mark, which is no state.
-    assert_eq!(other.state_hash(), same_flap.state_hash());
+    assert_eq!(other.state_hash(), untouched(&scene, 7).state_hash());
+    // A lighter flap hangs otherwise, with the same arms at the same place: nothing else in the world tells them apart.
+    scene.tissue.gravity_m_s2 *= 0.5;
+    let lighter = untouched(&scene, 6);
+    assert_eq!(other.measured(0, TimeNs(0)), lighter.measured(0, TimeNs(0)));
+    assert_ne!(other.state_hash(), lighter.state_hash());
 }
 
 #[test]

@@ -87,6 +87,27 @@ fn every_failure_is_seen_and_named() {
         ),
         (
             TissueReport {
+                smooth_squeeze_n: 4.5,
+                ..rest
+            },
+            20,
+            "tissue squeezed with 4.50 N",
+        ),
+        (
+            TissueReport {
+                ground_depth_m: 0.001,
+                ..rest
+            },
+            20,
+            "tissue pressed 1.00 mm into what it lies on",
+        ),
+        (
+            TissueReport { slowed: 3, ..rest },
+            1,
+            "tissue too fast for its simulation, slowed down 3 times",
+        ),
+        (
+            TissueReport {
                 stretch: 0.5,
                 ..rest
             },
