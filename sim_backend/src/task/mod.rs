@@ -7,7 +7,9 @@
 //!   [`TaskConfig::needle`] and [`TaskConfig::with_needle`];
 //! - a script in [`crate::expert`] with its variant in `AnyScript`;
 //! - if it shows things of a new kind, their ids in [`crate::visual::instance`] and, in the contact sheet of the sessions, a
-//!   name and a colour for each.
+//!   name and a colour for each;
+//! - tests: what the first camera shows of it (`simulation/pictures.rs`), and its script in closed loop
+//!   (`expert/closed_loop/`).
 //!
 //! Names, command line, sheet and evaluations follow from `ENTRIES`, in its order.
 
