@@ -73,18 +73,19 @@ fn a_break_in_the_hold_starts_it_anew() {
     assert_eq!(monitor.state(), Retraction::Success);
 }
 
+/// Checks that each report, lasting, loses the episode after its steps with its words.
+fn are_named(cases: &[(TissueReport, u32, &str)]) {
+    for (report, steps, text) in cases {
+        let (state, after_steps) = after(report, 20.0);
+        assert!(matches!(state, Retraction::Failure(_)), "{text}: {state:?}");
+        assert_eq!((state.to_string().as_str(), after_steps), (*text, *steps));
+    }
+}
+
 #[test]
-fn every_failure_is_seen_and_named() {
+fn squeezing_pressing_in_and_slowed_nodes_are_seen_and_named() {
     let rest = TissueReport::at_rest();
-    let cases = [
-        (
-            TissueReport {
-                smooth_force_n: 0.9,
-                ..rest
-            },
-            20,
-            "tissue handled with 0.90 N",
-        ),
+    are_named(&[
         (
             TissueReport {
                 smooth_squeeze_n: 4.5,
@@ -105,6 +106,21 @@ fn every_failure_is_seen_and_named() {
             TissueReport { slowed: 3, ..rest },
             1,
             "tissue too fast for its simulation, slowed down 3 times",
+        ),
+    ]);
+}
+
+#[test]
+fn every_failure_is_seen_and_named() {
+    let rest = TissueReport::at_rest();
+    let cases = [
+        (
+            TissueReport {
+                smooth_force_n: 0.9,
+                ..rest
+            },
+            20,
+            "tissue handled with 0.90 N",
         ),
         (
             TissueReport {
@@ -146,11 +162,7 @@ fn every_failure_is_seen_and_named() {
         ),
         (lifted(0.008, 0.0), 500, "flap held 8.0 mm beside the mark"),
     ];
-    for (report, steps, text) in cases {
-        let (state, after_steps) = after(&report, 20.0);
-        assert!(matches!(state, Retraction::Failure(_)), "{text}: {state:?}");
-        assert_eq!((state.to_string().as_str(), after_steps), (text, steps));
-    }
+    are_named(&cases);
 }
 
 #[test]
