@@ -3,7 +3,7 @@
 //! Adding a task touches, and nothing else:
 //! - a folder `config/tasks/TASK/` with `scene.toml` and `safety.toml`;
 //! - a module here with its scene, its monitor and its `ENTRY`;
-//! - in this file the module's line, a line in `ENTRIES`, and a variant of [`Scene`] with its lines in [`Scene::of_task`],
+//! - in this file the module's line, a line in `ENTRIES`, and a variant of [`Scene`] with its lines in `Scene::of_task`,
 //!   [`TaskConfig::needle`] and [`TaskConfig::with_needle`];
 //! - a script in [`crate::expert`] with its variant in `AnyScript`;
 //! - if it shows things of a new kind, their ids in [`crate::visual::instance`] and, in the contact sheet of the sessions, a
