@@ -60,10 +60,10 @@ fn check_colours(task: &str, frame: &CameraFrame) {
     let ground = of(instance::ORGAN);
     let [red, green, blue] = ground;
     let told = |holds: bool, what: &str| assert!(holds, "{task}: {what}, ground {ground:?}");
-    told(
-        (4.0..110.0).contains(&of(0)[0]),
-        "the backdrop is dim, no void",
-    );
+    if frame.instance.contains(&0) {
+        let dim = (4.0..110.0).contains(&of(0)[0]);
+        told(dim, "the backdrop is dim, no void");
+    }
     told(saturation(of(instance::JAW)) < 0.3, "jaws are steel");
     match task {
         "needle-lift" => {
