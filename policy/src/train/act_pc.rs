@@ -50,11 +50,9 @@ impl Trainer {
             return Err(TrainError::Options(defect));
         }
         check_arms(&config.act, dataset.arms())?;
-        tch::set_num_threads(i32::try_from(options.threads.max(1)).unwrap_or(1));
-        tch::manual_seed(options.seed.cast_signed());
+        self.begin(options);
         let steps = usize::try_from(config.act.chunk_size).unwrap_or(0);
-        let (share, threads) = (options.validation_share, options.threads);
-        let set = CloudSet::new(dataset, cloud, [0, steps], share, threads)?;
+        let set = CloudSet::new(dataset, cloud, [0, steps], options, on_progress)?;
         let source = ParameterSource::seeded(options.seed, Device::Cpu);
         let fresh = ActPc::new(config.clone(), source)?;
         let mut flat = FlatParameters::new(fresh.parameters(), self.device(), options)?;
@@ -63,7 +61,7 @@ impl Trainer {
         let [states, actions, is_pad] =
             numbers(dataset, &set.rows, steps, statistics, self.device())?;
         let run = Run {
-            clouds: all_clouds(&set.clouds, config, threads, self.device())?,
+            clouds: all_clouds(&set.clouds, config, options.threads, self.device())?,
             network: ActPc::new(config.clone(), working)?,
             states,
             actions,

@@ -52,15 +52,14 @@ impl Trainer {
             return Err(TrainError::Options(defect));
         }
         check_arms(config, dataset.arms())?;
-        tch::set_num_threads(i32::try_from(options.threads.max(1)).unwrap_or(1));
-        tch::manual_seed(options.seed.cast_signed());
+        self.begin(options);
         let steps = [config.n_obs_steps - 1, config.horizon];
         let set = CloudSet::new(
             dataset,
             cloud,
             steps.map(|count| usize::try_from(count).unwrap_or(0)),
-            options.validation_share,
-            options.threads,
+            options,
+            on_progress,
         )?;
         let source = ParameterSource::seeded(options.seed, Device::Cpu);
         let fresh = Dp3::new(config.clone(), source)?;

@@ -1,8 +1,9 @@
 //! Training of policies on recorded demonstrations: ACT from images, ACT-PC and DP3 from point clouds.
 //!
-//! Everything is decoded once and kept on the training device; a step draws frames, not episodes. On the CPU, with one
-//! seed and one number of threads, two runs give the same bits, provided that nothing else in the process draws from
-//! the network library's random numbers meanwhile (dropout and the latent do).
+//! Everything is decoded once and kept on the training device (images that it has no room for stay with the host, which
+//! sends each step's ahead of it); a step draws frames, not episodes. On the CPU, with one seed and one number of threads,
+//! two runs give the same bits, provided that nothing else in the process draws from the network library's random numbers
+//! meanwhile (dropout and the latent do).
 
 mod act_pc;
 #[cfg(test)]
@@ -15,6 +16,7 @@ mod dp3;
 mod dp3_tests;
 mod error;
 mod flat;
+mod frame_images;
 mod frame_order;
 mod options;
 mod steps;
@@ -40,23 +42,30 @@ use flat::FlatParameters;
 use steps::{Learner, Losses, Split, all_steps};
 use training_set::{Batch, TrainingSet};
 
-/// Where a run stands, once a row of the loss curve.
+/// Where a run stands.
 #[derive(Clone, Copy, Debug)]
-pub struct Progress {
-    /// Steps of the whole run.
-    pub steps: u64,
-    /// The newest row.
-    pub row: CurveRow,
-}
-
-impl Progress {
-    /// Time that is left, given the time that steps have taken so far, seconds.
-    #[must_use]
-    #[expect(clippy::cast_precision_loss, reason = "steps stay far below 2^52")]
-    pub fn seconds_left(&self, seconds_so_far: f64) -> f64 {
-        let done = self.row.step.max(1) as f64;
-        seconds_so_far * (self.steps as f64 - done).max(0.0) / done
-    }
+pub enum Progress {
+    /// Frames are being decoded.
+    Read {
+        /// Frames done.
+        frames: usize,
+        /// Frames of the dataset.
+        of: usize,
+    },
+    /// Clouds are made; in some frames nothing wanted was in view, and their clouds lie at the origin.
+    Unseen {
+        /// Frames without a point.
+        frames: usize,
+        /// Frames of the dataset.
+        of: usize,
+    },
+    /// A row of the loss curve is there.
+    Row {
+        /// Steps of the whole run.
+        steps: u64,
+        /// The newest row.
+        row: CurveRow,
+    },
 }
 
 /// The outcome of a run.
@@ -89,11 +98,20 @@ impl Trainer {
         self.device
     }
 
+    /// Sets what the network library keeps for the whole process: threads, seed, and that it may try which kernels are
+    /// the fastest (every step has the same shapes; on the CPU this means nothing).
+    fn begin(&self, options: &TrainOptions) {
+        tch::set_num_threads(i32::try_from(options.threads.max(1)).unwrap_or(1));
+        if self.device.is_cuda() {
+            tch::Cuda::cudnn_set_benchmark(true);
+        }
+        tch::manual_seed(options.seed.cast_signed());
+    }
+
     /// Trains the network `config` on `dataset` from a fresh start.
     ///
     /// Cameras of the configuration must be the dataset's, in its order, and its widths those of the dataset's arms.
-    /// `on_progress` hears of every row of the loss
-    /// curve.
+    /// `on_progress` hears of decoded frames and of every row of the loss curve.
     ///
     /// # Errors
     /// [`TrainError`].
@@ -109,15 +127,11 @@ impl Trainer {
         }
         check_cameras(config, dataset)?;
         check_arms(config, dataset.arms())?;
-        tch::set_num_threads(i32::try_from(options.threads.max(1)).unwrap_or(1));
-        tch::manual_seed(options.seed.cast_signed());
-        let set = TrainingSet::new(
-            dataset,
-            config,
-            options.validation_share,
-            options.threads,
-            self.device,
-        )?;
+        self.begin(options);
+        let set = TrainingSet::new(dataset, config, options, self.device, &mut |frames| {
+            let of = dataset.len();
+            on_progress(&Progress::Read { frames, of });
+        })?;
         let fresh = Act::new(
             config.clone(),
             ParameterSource::seeded(options.seed, Device::Cpu),
@@ -181,6 +195,10 @@ struct Run<'a> {
 }
 
 impl Learner for Run<'_> {
+    fn announce(&self, frames: &[usize]) {
+        self.set.images.announce(frames);
+    }
+
     fn losses(&self, frames: &[usize], random: &mut SplitMix64) -> Result<Losses, TchError> {
         let batch: Batch = self.set.batch(frames)?;
         let config = self.act.config();

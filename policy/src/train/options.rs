@@ -75,6 +75,8 @@ pub struct TrainOptions {
     pub precision: TrainPrecision,
     /// Random changes of the images.
     pub augmentation: Augmentation,
+    /// Keep the images in the host's memory and send each step's ahead of it, for what the device has no room for.
+    pub images_on_host: bool,
     /// Threads that decode images, and that compute if training is on the CPU.
     pub threads: usize,
     /// The seed of everything random.
@@ -106,6 +108,7 @@ impl TrainOptions {
                 contrast: 0.0,
                 state_noise: 0.0,
             },
+            images_on_host: false,
             threads: 2,
             seed: 1000,
         };

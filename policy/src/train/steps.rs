@@ -11,6 +11,9 @@ use crate::rng::SplitMix64;
 
 /// A network in training, with the data that it learns from.
 pub(super) trait Learner {
+    /// What the step after the next one is going to be about, so that it can be fetched meanwhile.
+    fn announce(&self, _frames: &[usize]) {}
+
     /// The loss over `frames`, and its two parts for the curve: error of the actions, divergence.
     fn losses(&self, frames: &[usize], random: &mut SplitMix64) -> Result<Losses, TchError>;
 
@@ -40,12 +43,16 @@ pub(super) fn all_steps(
     flat: &mut FlatParameters,
     on_progress: &mut dyn FnMut(&Progress),
 ) -> Result<LossCurve, TrainError> {
-    let mut random = SplitMix64::named("train", options.seed);
+    let mut shuffle = SplitMix64::named("train", options.seed);
+    let mut random = SplitMix64::named("train/augment", options.seed);
     let mut order = FrameOrder::new(split.trained);
     let mut curve = LossCurve::default();
     let mut since_row = Vec::new();
+    let mut next = order.next(options.batch, &mut shuffle);
     for step in 0..options.steps {
-        let frames = order.next(options.batch, &mut random);
+        let frames = next;
+        next = order.next(options.batch, &mut shuffle);
+        learner.announce(&next);
         let factor = options.lr_factor(step);
         let losses = learner.losses(&frames, &mut random)?;
         let lr = [options.lr_backbone * factor, options.lr * factor];
@@ -74,7 +81,7 @@ pub(super) fn all_steps(
                 validation_l1: validate(learner, split.held_out, options.batch)?,
             };
             curve.rows.push(row);
-            on_progress(&Progress {
+            on_progress(&Progress::Row {
                 steps: options.steps,
                 row,
             });

@@ -6,7 +6,7 @@ use std::sync::{Mutex, PoisonError};
 
 use tch::{Device, Kind, Tensor};
 
-use super::{Schedule, TrainError, TrainOptions, Trained, Trainer};
+use super::{Progress, Schedule, TrainError, TrainOptions, Trained, Trainer};
 use crate::act::{Act, ActConfig, ActPreset};
 use crate::checkpoint::{
     self, AggregationName, DatasetSummary, Recipe, RecommendedAggregation, RecordedCamera,
@@ -41,9 +41,14 @@ fn dataset(name: &str) -> Scratch {
 
 /// The same with so many arms; the second goes the other way.
 fn dataset_of(arms: usize, name: &str) -> Scratch {
+    dataset_seen_by(&["endoscope"], arms, name)
+}
+
+/// The same with so many cameras, of which only the first sees the square.
+fn dataset_seen_by(cameras: &[&str], arms: usize, name: &str) -> Scratch {
     let folder = folder(name);
-    let camera = CameraSpec {
-        name: "endoscope".to_owned(),
+    let camera = |name: &&str| CameraSpec {
+        name: (*name).to_owned(),
         width: SIDE,
         height: SIDE,
         depth: None,
@@ -53,8 +58,9 @@ fn dataset_of(arms: usize, name: &str) -> Scratch {
         robot_type: "psm".to_owned(),
         arms,
         task: "follow the square".to_owned(),
-        cameras: vec![camera],
+        cameras: cameras.iter().map(camera).collect(),
     };
+    let dark = vec![20_u8; 3 * (SIDE * SIDE) as usize];
     let mut writer = DatasetWriter::create(&folder, &spec).unwrap();
     for episode in 0..2_u8 {
         for step in 0..6_u8 {
@@ -73,9 +79,11 @@ fn dataset_of(arms: usize, name: &str) -> Scratch {
                 action: [sign * (along + 0.001), aside, -0.1, 0.0, 0.0, 0.0, 1.0, 0.5],
             };
             let both = [of_arm(1.0), of_arm(-1.0)];
+            let mut images = vec![&dark[..]; cameras.len()];
+            images[0] = &image;
             let record = FrameRecord {
                 arms: &both[..arms],
-                images: &[&image],
+                images: &images,
                 depth: &[],
             };
             writer.push_frame(&record).unwrap();
@@ -215,6 +223,35 @@ fn training_lowers_the_loss_repeats_itself_and_survives_the_disk() {
     assert_eq!(answer(&first.act), answer(&loaded.act));
     assert_eq!(first.statistics, loaded.statistics);
     fs::remove_dir_all(&folder).unwrap();
+}
+
+#[test]
+fn several_cameras_are_learned_from_wherever_their_images_are_kept() {
+    let dataset = dataset_seen_by(&["wrist", "endoscope"], 1, "cameras");
+    let cameras = ["wrist", "endoscope"].map(|name| format!("observation.images.{name}"));
+    let config = ActConfig {
+        cameras: cameras.to_vec(),
+        ..config()
+    };
+    let resident = run(&config, &dataset, &options()).unwrap();
+    let (start, end) = (resident.curve.rows[0], *resident.curve.last().unwrap());
+    assert!(end.l1 < 0.9 * start.l1, "{start:?} {end:?}");
+    let streamed = TrainOptions {
+        images_on_host: true,
+        ..options()
+    };
+    let _one = ONE_AT_A_TIME.lock().unwrap_or_else(PoisonError::into_inner);
+    let mut read = Vec::new();
+    let trainer = Trainer::new(Device::Cpu);
+    let streamed = trainer
+        .run(&config, &streamed, &dataset.dataset, &mut |progress| {
+            if let Progress::Read { frames, of } = progress {
+                read.push((*frames, *of));
+            }
+        })
+        .unwrap();
+    assert_eq!(read, [(12, 12)]);
+    assert_eq!(resident.curve, streamed.curve);
 }
 
 #[test]

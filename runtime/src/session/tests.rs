@@ -237,6 +237,7 @@ fn a_demonstration_of_two_arms_trains_a_network_that_commands_both() {
         episodes: None,
         validation_share: 0.0,
         augment: false,
+        images_on_host: false,
         threads: 2,
         seed: 1,
         command: "train".to_owned(),

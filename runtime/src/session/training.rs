@@ -73,6 +73,8 @@ pub struct TrainingOptions {
     pub validation_share: f64,
     /// Shift and brighten images at random.
     pub augment: bool,
+    /// Keep images in the host's memory instead of the device's.
+    pub images_on_host: bool,
     /// Threads that decode images, and compute on the CPU.
     pub threads: usize,
     /// Everything random hangs on this.
@@ -163,9 +165,10 @@ fn train_act(
     let train_options = train_options(options, preset);
     let config = ActConfig::preset(preset, &cameras(options, dataset)?).for_arms(dataset.arms());
     say_size(dataset, train_options.steps, on_progress);
+    let mut pace = Pace::default();
     let trained =
         Trainer::new(options.device).run(&config, &train_options, dataset, &mut |progress| {
-            on_progress(&progress_line(progress, stopwatch.seconds()));
+            on_progress(&pace.line(progress, stopwatch.seconds()));
         })?;
     let made = Made {
         preset: preset.into(),
@@ -266,27 +269,53 @@ fn train_options(options: &TrainingOptions, preset: ActPreset) -> TrainOptions {
         },
         validation_share: options.validation_share,
         augmentation,
+        images_on_host: options.images_on_host,
         threads: options.threads,
         seed: options.seed,
         ..base
     }
 }
 
-pub(super) fn progress_line(progress: &Progress, seconds: f64) -> String {
-    let row = &progress.row;
-    let validation = row
-        .validation_l1
-        .map_or_else(String::new, |l1| format!(", validation l1 {l1:.5}"));
-    format!(
-        "step {}/{}: loss {:.5}, l1 {:.5}, kl {:.5}, gradient {:.3}{validation}; {seconds:.0} s, {:.0} s left",
-        row.step,
-        progress.steps,
-        row.loss,
-        row.l1,
-        row.kl,
-        row.gradient_norm,
-        progress.seconds_left(seconds)
-    )
+/// Says where a training stands, with the time that is left.
+///
+/// The pace is that of the steps since the first row of the curve: what came before it (decoding, the first steps, for
+/// which an accelerator looks for its best kernels) says nothing about the rest.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Pace {
+    /// Step and time of the first row.
+    first: Option<(u64, f64)>,
+}
+
+impl Pace {
+    /// The line about `progress` after `seconds`.
+    pub(super) fn line(&mut self, progress: &Progress, seconds: f64) -> String {
+        match *progress {
+            Progress::Read { frames, of } => {
+                format!("{frames} of {of} frames decoded; {seconds:.0} s")
+            }
+            Progress::Unseen { frames, of } => format!(
+                "in {frames} of {of} frames nothing wanted is in view: their clouds lie at the origin"
+            ),
+            Progress::Row { steps, row } => {
+                let (step, since) = *self.first.get_or_insert((row.step, seconds));
+                let left = time_left(row.step - step, seconds - since, steps - row.step);
+                let left = left.map_or_else(String::new, |left| format!(", {left:.0} s left"));
+                let validation = row
+                    .validation_l1
+                    .map_or_else(String::new, |l1| format!(", validation l1 {l1:.5}"));
+                format!(
+                    "step {}/{steps}: loss {:.5}, l1 {:.5}, kl {:.5}, gradient {:.3}{validation}; {seconds:.0} s{left}",
+                    row.step, row.loss, row.l1, row.kl, row.gradient_norm,
+                )
+            }
+        }
+    }
+}
+
+/// Time that `left` more steps take when `done` took `seconds`, s; unknown before there was one.
+#[expect(clippy::cast_precision_loss, reason = "steps stay far below 2^52")]
+fn time_left(done: u64, seconds: f64, left: u64) -> Option<f64> {
+    (done > 0).then(|| seconds * left as f64 / done as f64)
 }
 
 /// What is particular about the network that was trained.

@@ -12,8 +12,8 @@ use sim_backend::visual::instance;
 
 use super::SessionError;
 use super::training::{
-    Made, Stopwatch, TrainingOptions, TrainingResult, cameras, progress_line, recipe, result,
-    say_size, write_curve,
+    Made, Pace, Stopwatch, TrainingOptions, TrainingResult, cameras, recipe, result, say_size,
+    write_curve,
 };
 
 /// Points in a cloud, of the published real tasks.
@@ -50,12 +50,13 @@ pub(super) fn train_dp3(
     let train_options = dp3_options(options, dataset.len())?;
     let cloud = cloud_recipe(POINTS);
     say_size(dataset, train_options.steps, on_progress);
+    let mut pace = Pace::default();
     let trained = Trainer::new(options.device).run_dp3(
         &config,
         &cloud,
         &train_options,
         dataset,
-        &mut |progress| on_progress(&progress_line(progress, stopwatch.seconds())),
+        &mut |progress| on_progress(&pace.line(progress, stopwatch.seconds())),
     )?;
     let made = Made {
         preset: preset.into(),
@@ -117,7 +118,11 @@ pub(super) fn dp3_options(
 
 /// What is only there for images.
 fn refuse_images(options: &TrainingOptions, network: &str) -> Result<(), SessionError> {
-    let refused = [("--augment", options.augment), ("--bf16", options.bf16)];
+    let refused = [
+        ("--augment", options.augment),
+        ("--bf16", options.bf16),
+        ("--images-on-host", options.images_on_host),
+    ];
     match refused.iter().find(|(_, asked)| *asked) {
         None => Ok(()),
         Some((name, _)) => Err(SessionError::BadArgument(format!(
@@ -171,12 +176,13 @@ pub(super) fn train_act_pc(
     };
     let cloud = cloud_recipe(usize::try_from(config.points).unwrap_or(0));
     say_size(dataset, train_options.steps, on_progress);
+    let mut pace = Pace::default();
     let trained = Trainer::new(options.device).run_act_pc(
         &config,
         &cloud,
         &train_options,
         dataset,
-        &mut |progress| on_progress(&progress_line(progress, stopwatch.seconds())),
+        &mut |progress| on_progress(&pace.line(progress, stopwatch.seconds())),
     )?;
     let made = Made {
         preset: preset.into(),

@@ -284,6 +284,9 @@ pub(crate) struct TrainArgs {
     /// Compute in 16 bits (bfloat16); for accelerators.
     #[arg(long)]
     pub(crate) bf16: bool,
+    /// Keep decoded images in the host's memory and send each step's ahead of it, when the device has no room for all.
+    #[arg(long)]
+    pub(crate) images_on_host: bool,
     /// Threads that decode images, and compute on the CPU.
     #[arg(long, default_value_t = 2, value_parser = threads())]
     pub(crate) threads: usize,

@@ -225,6 +225,7 @@ pub(crate) fn train(args: &TrainArgs) -> Done {
         validation_share: args.validation_share,
         threads: args.threads,
         augment: args.augment,
+        images_on_host: args.images_on_host,
         seed: args.seed,
         command: std::env::args().skip(1).collect::<Vec<_>>().join(" "),
     };
