@@ -5,9 +5,9 @@ use tch::{Device, Kind, TchError, Tensor};
 use super::cloud_set::CloudSet;
 use super::flat::FlatParameters;
 use super::options::{TrainOptions, TrainPrecision};
-use super::steps::{Learner, Losses, Split, all_steps};
+use super::steps::{Learner, Losses, Split, Steps};
 use super::training_set::{index_tensor, numbers};
-use super::{LossCurve, Progress, TrainError, Trainer, check_arms};
+use super::{LossCurve, TrainError, Trainer, Watch, check_arms, run_of};
 use crate::act::{Demonstration, LossDenominator, l1_loss};
 use crate::act_pc::{ActPc, ActPcConfig, Clouds, CloudsError};
 use crate::checkpoint::CloudStatistics;
@@ -40,7 +40,7 @@ impl Trainer {
         cloud: &CloudRecipe,
         options: &TrainOptions,
         dataset: &Dataset,
-        on_progress: &mut dyn FnMut(&Progress),
+        watch: &mut dyn Watch,
     ) -> Result<TrainedActPc, TrainError> {
         if let Some(defect) = options.defect().or_else(|| config.defect()) {
             return Err(TrainError::Options(defect));
@@ -52,11 +52,11 @@ impl Trainer {
         check_arms(&config.act, dataset.arms())?;
         self.begin(options);
         let steps = usize::try_from(config.act.chunk_size).unwrap_or(0);
-        let set = CloudSet::new(dataset, cloud, [0, steps], options, on_progress)?;
+        let set = CloudSet::new(dataset, cloud, [0, steps], options, watch)?;
         let source = ParameterSource::seeded(options.seed, Device::Cpu);
         let fresh = ActPc::new(config.clone(), source)?;
         let mut flat = FlatParameters::new(fresh.parameters(), self.device(), options)?;
-        let working = ParameterSource::given(flat.working_tensors(fresh.parameters())?);
+        let working = ParameterSource::given(flat.working_tensors()?);
         let statistics = [&set.statistics.state, &set.statistics.action];
         let [states, actions, is_pad] =
             numbers(dataset, &set.rows, steps, statistics, self.device())?;
@@ -67,13 +67,18 @@ impl Trainer {
             actions,
             is_pad,
         };
-        let split = Split {
-            trained: &set.trained,
-            held_out: &set.held_out,
+        let steps = Steps {
+            learner: &run,
+            options,
+            split: Split {
+                trained: &set.trained,
+                held_out: &set.held_out,
+            },
+            run: run_of(config, Some(cloud), options, &set.trained, statistics),
         };
-        let curve = all_steps(&run, options, split, &mut flat, on_progress)?;
+        let curve = steps.take(&mut flat, self.from.as_ref(), watch)?;
         // The statistics of the normalisations are those of the network that was trained.
-        let averaged = flat.averaged_tensors(run.network.parameters())?;
+        let averaged = flat.averaged_tensors()?;
         Ok(TrainedActPc {
             network: ActPc::new(config.clone(), ParameterSource::given(averaged))?,
             frames: set.trained.len(),

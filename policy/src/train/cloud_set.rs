@@ -4,7 +4,7 @@ use hal::FrameRef;
 use tch::{Device, TchError, Tensor};
 
 use super::training_set::{ChunkRow, chunk_of, episode_split, statistics};
-use super::{Progress, TrainError, TrainOptions};
+use super::{Progress, TrainError, TrainOptions, Watch};
 use crate::checkpoint::CloudStatistics;
 use crate::dataset::{Dataset, Episode};
 use crate::perception::{CloudRecipe, Point, shows_nothing};
@@ -37,7 +37,7 @@ impl CloudSet {
         cloud: &CloudRecipe,
         [before, steps]: [usize; 2],
         options: &TrainOptions,
-        on_progress: &mut dyn FnMut(&Progress),
+        watch: &mut dyn Watch,
     ) -> Result<Self, TrainError> {
         check_depth(dataset)?;
         let episodes = dataset.episodes();
@@ -58,11 +58,11 @@ impl CloudSet {
         }
         let clouds = clouds(dataset, cloud, options.threads, &mut |frames| {
             let of = dataset.len();
-            on_progress(&Progress::Read { frames, of });
+            watch.progress(&Progress::Read { frames, of });
         })?;
         let (unseen, of) = (check_seen(dataset, &clouds)?, clouds.len());
         if unseen > 0 {
-            on_progress(&Progress::Unseen { frames: unseen, of });
+            watch.progress(&Progress::Unseen { frames: unseen, of });
         }
         // A cloud that shows nothing lies at the origin, which may be far from all that there is to see.
         let seen = trained.iter().map(|&frame| &clouds[frame]);

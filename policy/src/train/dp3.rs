@@ -7,9 +7,9 @@ use tch::{Device, Kind, TchError, Tensor};
 use super::cloud_set::CloudSet;
 use super::flat::FlatParameters;
 use super::options::{TrainOptions, TrainPrecision};
-use super::steps::{Learner, Losses, Split, all_steps};
+use super::steps::{Learner, Losses, Split, Steps};
 use super::training_set::{index_tensor, raw_numbers};
-use super::{LossCurve, Progress, TrainError, Trainer};
+use super::{LossCurve, TrainError, Trainer, Watch, run_of};
 use crate::checkpoint::CloudStatistics;
 use crate::dataset::Dataset;
 use crate::dp3::{CloudObservation, Dp3, Dp3Config, LimitsError, LimitsNormaliser};
@@ -42,7 +42,7 @@ impl Trainer {
         cloud: &CloudRecipe,
         options: &TrainOptions,
         dataset: &Dataset,
-        on_progress: &mut dyn FnMut(&Progress),
+        watch: &mut dyn Watch,
     ) -> Result<TrainedDp3, TrainError> {
         if let Some(defect) = options.defect().or_else(|| config.defect()) {
             return Err(TrainError::Options(defect));
@@ -59,20 +59,26 @@ impl Trainer {
             cloud,
             steps.map(|count| usize::try_from(count).unwrap_or(0)),
             options,
-            on_progress,
+            watch,
         )?;
         let source = ParameterSource::seeded(options.seed, Device::Cpu);
         let fresh = Dp3::new(config.clone(), source)?;
         let mut flat = FlatParameters::new(fresh.parameters(), self.device(), options)?;
-        let working = ParameterSource::given(flat.working_tensors(fresh.parameters())?);
+        let working = ParameterSource::given(flat.working_tensors()?);
         let dp3 = Dp3::new(config.clone(), working)?;
         let run = Run::new(dp3, dataset, &set, self.device())?;
-        let split = Split {
-            trained: &set.trained,
-            held_out: &set.held_out,
+        let statistics = [&set.statistics.state, &set.statistics.action];
+        let steps = Steps {
+            learner: &run,
+            options,
+            split: Split {
+                trained: &set.trained,
+                held_out: &set.held_out,
+            },
+            run: run_of(config, Some(cloud), options, &set.trained, statistics),
         };
-        let curve = all_steps(&run, options, split, &mut flat, on_progress)?;
-        let averaged = ParameterSource::given(flat.averaged_tensors(fresh.parameters())?);
+        let curve = steps.take(&mut flat, self.from.as_ref(), watch)?;
+        let averaged = ParameterSource::given(flat.averaged_tensors()?);
         Ok(TrainedDp3 {
             dp3: Dp3::new(config.clone(), averaged)?,
             frames: set.trained.len(),

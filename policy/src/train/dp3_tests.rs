@@ -106,7 +106,7 @@ fn dataset_hiding(
     (folder, dataset)
 }
 
-fn config() -> Dp3Config {
+pub(super) fn config() -> Dp3Config {
     Dp3Config {
         horizon: 8,
         n_action_steps: 4,
@@ -126,7 +126,7 @@ pub(super) fn cloud() -> CloudRecipe {
     }
 }
 
-fn options() -> TrainOptions {
+pub(super) fn options() -> TrainOptions {
     TrainOptions {
         batch: 12,
         lr: 3e-3,
@@ -140,7 +140,13 @@ fn options() -> TrainOptions {
 
 fn train(dataset: &Dataset, options: &TrainOptions) -> Result<TrainedDp3, TrainError> {
     let _alone = ONE_AT_A_TIME.lock().unwrap_or_else(PoisonError::into_inner);
-    Trainer::new(Device::Cpu).run_dp3(&config(), &cloud(), options, dataset, &mut |_| ())
+    Trainer::new(Device::Cpu).run_dp3(
+        &config(),
+        &cloud(),
+        options,
+        dataset,
+        &mut |_: &Progress| (),
+    )
 }
 
 pub(super) fn recipe() -> Recipe {

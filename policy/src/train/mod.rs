@@ -19,11 +19,15 @@ mod flat;
 mod frame_images;
 mod frame_order;
 mod options;
+#[cfg(test)]
+mod resume_tests;
+mod run_state;
 mod steps;
 #[cfg(test)]
 mod tests;
 mod training_set;
 
+use serde::Serialize;
 use tch::{Device, Kind, TchError, Tensor};
 
 pub use act_pc::TrainedActPc;
@@ -31,15 +35,17 @@ pub use curve::{CurveRow, LossCurve};
 pub use dp3::TrainedDp3;
 pub use error::TrainError;
 pub use options::{Augmentation, Schedule, TrainOptions, TrainPrecision};
+pub use run_state::RunState;
 
 use crate::act::{Act, ActConfig, Demonstration, LossDenominator, l1_loss, losses};
 use crate::checkpoint::FeatureStatistics;
 use crate::dataset::Dataset;
-use crate::normalise::ImageNormaliser;
+use crate::normalise::{ImageNormaliser, Statistics};
 use crate::parameters::ParameterSource;
+use crate::perception::CloudRecipe;
 use crate::rng::SplitMix64;
 use flat::FlatParameters;
-use steps::{Learner, Losses, Split, all_steps};
+use steps::{Learner, Losses, Split, Steps};
 use training_set::{Batch, TrainingSet};
 
 /// Where a run stands.
@@ -68,6 +74,60 @@ pub enum Progress {
     },
 }
 
+/// Who watches a run. A function of [`Progress`] is one that never stops it and keeps nothing.
+pub trait Watch {
+    /// Hears where the run stands.
+    fn progress(&mut self, progress: &Progress);
+
+    /// Whether the run should keep its state and stop; asked after every step.
+    fn wants_stop(&mut self) -> bool {
+        false
+    }
+
+    /// Keeps the state, every [`TrainOptions::save_every`] steps and when the run is stopped.
+    ///
+    /// # Errors
+    /// Whatever is to end the run.
+    fn keep(&mut self, state: RunState) -> Result<(), TrainError> {
+        drop(state);
+        Ok(())
+    }
+}
+
+impl<F: FnMut(&Progress)> Watch for F {
+    fn progress(&mut self, progress: &Progress) {
+        self(progress);
+    }
+}
+
+/// What must be the same in a run that goes on with another one's state, as JSON.
+fn run_of(
+    config: &impl Serialize,
+    cloud: Option<&CloudRecipe>,
+    options: &TrainOptions,
+    trained: &[usize],
+    [state, action]: [&Statistics; 2],
+) -> String {
+    let dataset = serde_json::json!({
+        "frames": trained.len(),
+        "state": [state.mean, state.std],
+        "action": [action.mean, action.std],
+    });
+    // Where images lie and how often the state is kept changes no number.
+    let options = TrainOptions {
+        images_on_host: false,
+        save_every: 0,
+        ..*options
+    };
+    serde_json::json!({
+        "network": config,
+        "cloud": cloud,
+        "options": options,
+        "dataset": dataset,
+    })
+    .to_string()
+}
+
 /// The outcome of a run.
 #[derive(Debug)]
 pub struct Trained {
@@ -82,16 +142,27 @@ pub struct Trained {
 }
 
 /// Trains networks on one device.
-#[derive(Clone, Copy, Debug)]
+#[derive(Debug)]
 pub struct Trainer {
     device: Device,
+    from: Option<RunState>,
 }
 
 impl Trainer {
     /// A trainer on `device`.
     #[must_use]
     pub const fn new(device: Device) -> Self {
-        Self { device }
+        Self { device, from: None }
+    }
+
+    /// The same, but that a run goes on from `state` instead of starting: on the CPU, and with the same options, dataset and
+    /// number of threads, to the same bits as one that was never stopped.
+    #[must_use]
+    pub fn resuming(self, state: RunState) -> Self {
+        Self {
+            from: Some(state),
+            ..self
+        }
     }
 
     const fn device(&self) -> Device {
@@ -111,7 +182,7 @@ impl Trainer {
     /// Trains the network `config` on `dataset` from a fresh start.
     ///
     /// Cameras of the configuration must be the dataset's, in its order, and its widths those of the dataset's arms.
-    /// `on_progress` hears of decoded frames and of every row of the loss curve.
+    /// `watch` hears of decoded frames and of every row of the loss curve.
     ///
     /// # Errors
     /// [`TrainError`].
@@ -120,7 +191,7 @@ impl Trainer {
         config: &ActConfig,
         options: &TrainOptions,
         dataset: &Dataset,
-        on_progress: &mut dyn FnMut(&Progress),
+        watch: &mut dyn Watch,
     ) -> Result<Trained, TrainError> {
         if let Some(defect) = options.defect().or_else(|| config.defect()) {
             return Err(TrainError::Options(defect));
@@ -130,26 +201,32 @@ impl Trainer {
         self.begin(options);
         let set = TrainingSet::new(dataset, config, options, self.device, &mut |frames| {
             let of = dataset.len();
-            on_progress(&Progress::Read { frames, of });
+            watch.progress(&Progress::Read { frames, of });
         })?;
         let fresh = Act::new(
             config.clone(),
             ParameterSource::seeded(options.seed, Device::Cpu),
         )?;
         let mut flat = FlatParameters::new(fresh.parameters(), self.device, options)?;
-        let working = ParameterSource::given(flat.working_tensors(fresh.parameters())?);
+        let working = ParameterSource::given(flat.working_tensors()?);
         let run = Run {
             act: Act::new(config.clone(), working)?,
             images: ImageNormaliser::imagenet(self.device)?,
             options,
             set: &set,
         };
-        let split = Split {
-            trained: &set.trained,
-            held_out: &set.held_out,
+        let statistics = [&set.statistics.state, &set.statistics.action];
+        let steps = Steps {
+            learner: &run,
+            options,
+            split: Split {
+                trained: &set.trained,
+                held_out: &set.held_out,
+            },
+            run: run_of(config, None, options, &set.trained, statistics),
         };
-        let curve = all_steps(&run, options, split, &mut flat, on_progress)?;
-        let averaged = ParameterSource::given(flat.averaged_tensors(fresh.parameters())?);
+        let curve = steps.take(&mut flat, self.from.as_ref(), watch)?;
+        let averaged = ParameterSource::given(flat.averaged_tensors()?);
         let act = Act::new(config.clone(), averaged)?;
         Ok(Trained {
             act,

@@ -71,6 +71,8 @@ pub struct TrainOptions {
     pub validation_share: f64,
     /// Steps between two rows of the loss curve.
     pub log_every: u64,
+    /// Steps between two times that the state is kept, so that the run can go on from there. 0 is never.
+    pub save_every: u64,
     /// Number format of the passes.
     pub precision: TrainPrecision,
     /// Random changes of the images.
@@ -101,6 +103,7 @@ impl TrainOptions {
             ema_power: 0.0,
             validation_share: 0.0,
             log_every: 50,
+            save_every: 0,
             precision: TrainPrecision::F32,
             augmentation: Augmentation {
                 shift_px: 0,

@@ -23,9 +23,9 @@ fn folder(name: &str) -> PathBuf {
 }
 
 /// A dataset whose folder goes with it.
-struct Scratch {
-    folder: PathBuf,
-    dataset: Dataset,
+pub(super) struct Scratch {
+    pub(super) folder: PathBuf,
+    pub(super) dataset: Dataset,
 }
 
 impl Drop for Scratch {
@@ -35,7 +35,7 @@ impl Drop for Scratch {
 }
 
 /// Two episodes in which the tip follows a bright square across the image.
-fn dataset(name: &str) -> Scratch {
+pub(super) fn dataset(name: &str) -> Scratch {
     dataset_of(1, name)
 }
 
@@ -95,7 +95,7 @@ fn dataset_seen_by(cameras: &[&str], arms: usize, name: &str) -> Scratch {
     Scratch { folder, dataset }
 }
 
-fn config() -> ActConfig {
+pub(super) fn config() -> ActConfig {
     let base = ActConfig::preset(
         ActPreset::Small,
         &["observation.images.endoscope".to_owned()],
@@ -113,7 +113,7 @@ fn config() -> ActConfig {
     }
 }
 
-fn options() -> TrainOptions {
+pub(super) fn options() -> TrainOptions {
     TrainOptions {
         steps: 16,
         schedule: Schedule::Constant,
@@ -137,7 +137,7 @@ fn run(
     options: &TrainOptions,
 ) -> Result<Trained, TrainError> {
     let _alone = ONE_AT_A_TIME.lock().unwrap_or_else(PoisonError::into_inner);
-    Trainer::new(Device::Cpu).run(config, options, &scratch.dataset, &mut |_| ())
+    Trainer::new(Device::Cpu).run(config, options, &scratch.dataset, &mut |_: &Progress| ())
 }
 
 fn train(scratch: &Scratch, options: &TrainOptions) -> Result<Trained, TrainError> {
@@ -244,11 +244,16 @@ fn several_cameras_are_learned_from_wherever_their_images_are_kept() {
     let mut read = Vec::new();
     let trainer = Trainer::new(Device::Cpu);
     let streamed = trainer
-        .run(&config, &streamed, &dataset.dataset, &mut |progress| {
-            if let Progress::Read { frames, of } = progress {
-                read.push((*frames, *of));
-            }
-        })
+        .run(
+            &config,
+            &streamed,
+            &dataset.dataset,
+            &mut |progress: &Progress| {
+                if let Progress::Read { frames, of } = progress {
+                    read.push((*frames, *of));
+                }
+            },
+        )
         .unwrap();
     assert_eq!(read, [(12, 12)]);
     assert_eq!(resident.curve, streamed.curve);
@@ -324,7 +329,14 @@ fn divergence_and_foreign_cameras_are_errors() {
     };
     let error = run(&overflowing, &dataset, &options()).unwrap_err();
     assert!(
-        matches!(error, TrainError::Diverged { step: 4, .. }),
+        matches!(
+            error,
+            TrainError::Diverged {
+                step: 1,
+                term: "loss",
+                ..
+            }
+        ),
         "{error}"
     );
     let impossible = TrainOptions {

@@ -21,6 +21,7 @@ pub mod tally;
 pub mod tasks;
 pub mod training;
 mod training_clouds;
+mod training_watch;
 
 #[cfg(test)]
 mod tests;

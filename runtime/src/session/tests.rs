@@ -240,6 +240,7 @@ fn a_demonstration_of_two_arms_trains_a_network_that_commands_both() {
         images_on_host: false,
         threads: 2,
         seed: 1,
+        save_every: 0,
         command: "train".to_owned(),
     };
     assert!(train(&options, &mut |_| {}).unwrap().loss.is_finite());

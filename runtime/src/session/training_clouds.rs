@@ -7,14 +7,14 @@ use policy::dataset::Dataset;
 use policy::dp3::{Dp3Config, Dp3Preset};
 use policy::perception::{CloudFrame, CloudRecipe, Padding};
 use policy::relative_action::RELATIVE_ACTION_DIM;
-use policy::train::{TrainError, TrainOptions, TrainPrecision, Trainer};
+use policy::train::{TrainError, TrainOptions, TrainPrecision};
 use sim_backend::visual::instance;
 
 use super::SessionError;
 use super::training::{
-    Made, Pace, Stopwatch, TrainingOptions, TrainingResult, cameras, recipe, result, say_size,
-    write_curve,
+    Made, Start, TrainingOptions, TrainingResult, cameras, recipe, result, say_size,
 };
+use super::training_watch::{Watcher, write_curve};
 
 /// Points in a cloud, of the published real tasks.
 const POINTS: usize = 1024;
@@ -39,7 +39,7 @@ fn cloud_recipe(points: usize) -> CloudRecipe {
 pub(super) fn train_dp3(
     options: &TrainingOptions,
     dataset: &Dataset,
-    stopwatch: &Stopwatch,
+    Start { trainer, stopwatch }: &Start,
     on_progress: &mut dyn FnMut(&str),
 ) -> Result<TrainingResult, SessionError> {
     let preset = dp3_preset(&options.preset)?;
@@ -50,14 +50,8 @@ pub(super) fn train_dp3(
     let train_options = dp3_options(options, dataset.len())?;
     let cloud = cloud_recipe(POINTS);
     say_size(dataset, train_options.steps, on_progress);
-    let mut pace = Pace::default();
-    let trained = Trainer::new(options.device).run_dp3(
-        &config,
-        &cloud,
-        &train_options,
-        dataset,
-        &mut |progress| on_progress(&pace.line(progress, stopwatch.seconds())),
-    )?;
+    let mut watcher = Watcher::new(options, stopwatch, on_progress);
+    let trained = trainer.run_dp3(&config, &cloud, &train_options, dataset, &mut watcher)?;
     let made = Made {
         preset: preset.into(),
         variants: Variants {
@@ -106,6 +100,7 @@ pub(super) fn dp3_options(
         batch,
         precision: TrainPrecision::F32,
         validation_share: options.validation_share,
+        save_every: options.save_every,
         threads: options.threads,
         seed: options.seed,
         ..TrainOptions::dp3(options.steps.unwrap_or(published as u64))
@@ -151,6 +146,7 @@ pub(super) fn act_pc_options(
         steps: options.steps.unwrap_or(base.steps),
         batch: options.batch.unwrap_or(base.batch),
         validation_share: options.validation_share,
+        save_every: options.save_every,
         threads: options.threads,
         seed: options.seed,
         ..base
@@ -165,7 +161,7 @@ pub(super) fn act_pc_options(
 pub(super) fn train_act_pc(
     options: &TrainingOptions,
     dataset: &Dataset,
-    stopwatch: &Stopwatch,
+    Start { trainer, stopwatch }: &Start,
     on_progress: &mut dyn FnMut(&str),
 ) -> Result<TrainingResult, SessionError> {
     let (preset, train_options) = act_pc_options(options)?;
@@ -176,14 +172,8 @@ pub(super) fn train_act_pc(
     };
     let cloud = cloud_recipe(usize::try_from(config.points).unwrap_or(0));
     say_size(dataset, train_options.steps, on_progress);
-    let mut pace = Pace::default();
-    let trained = Trainer::new(options.device).run_act_pc(
-        &config,
-        &cloud,
-        &train_options,
-        dataset,
-        &mut |progress| on_progress(&pace.line(progress, stopwatch.seconds())),
-    )?;
+    let mut watcher = Watcher::new(options, stopwatch, on_progress);
+    let trained = trainer.run_act_pc(&config, &cloud, &train_options, dataset, &mut watcher)?;
     let made = Made {
         preset: preset.into(),
         variants: Variants {

@@ -251,14 +251,29 @@ pub(crate) enum Cameras {
 #[derive(Args, Debug)]
 pub(crate) struct TrainArgs {
     /// The network.
-    #[arg(long, value_enum)]
-    pub(crate) policy: Network,
+    #[arg(long, value_enum, required_unless_present = "resume")]
+    pub(crate) policy: Option<Network>,
     /// The dataset's directory.
-    #[arg(long)]
-    pub(crate) data: PathBuf,
+    #[arg(long, required_unless_present = "resume")]
+    pub(crate) data: Option<PathBuf>,
     /// The checkpoint's directory; a new or an empty one.
-    #[arg(long)]
-    pub(crate) out: PathBuf,
+    #[arg(long, required_unless_present = "resume")]
+    pub(crate) out: Option<PathBuf>,
+    /// Go on with the training whose state is in this directory, with the options that it was begun with; --json alone may
+    /// go with it.
+    #[arg(
+        long,
+        value_name = "DIR",
+        conflicts_with_all = [
+            "policy", "data", "out", "cameras", "preset", "steps", "batch", "device", "episodes", "validation_share",
+            "bf16", "images_on_host", "threads", "augment", "save_every", "seed"
+        ]
+    )]
+    pub(crate) resume: Option<PathBuf>,
+    /// Steps between two times that the state is kept, from which --resume goes on; 0 is never. It is kept too when the
+    /// training is interrupted.
+    #[arg(long, value_name = "STEPS", default_value_t = 10_000)]
+    pub(crate) save_every: u64,
     /// Which of the dataset's cameras the network sees.
     #[arg(long, value_enum, default_value = "multi")]
     pub(crate) cameras: Cameras,

@@ -41,6 +41,7 @@ fn train_simple(data: &Path, out: &Path) -> Result<TrainingResult, SessionError>
         images_on_host: false,
         threads: 2,
         seed: 1,
+        save_every: 0,
         command: "train".to_owned(),
     };
     train(&options, &mut |_| {})
