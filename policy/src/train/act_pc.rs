@@ -2,9 +2,10 @@
 
 use tch::{Device, Kind, TchError, Tensor};
 
+use super::augment;
 use super::cloud_set::CloudSet;
 use super::flat::FlatParameters;
-use super::options::{TrainOptions, TrainPrecision};
+use super::options::{Augmentation, TrainOptions, TrainPrecision};
 use super::steps::{Learner, Losses, Split, Steps};
 use super::training_set::{index_tensor, numbers};
 use super::{LossCurve, TrainError, Trainer, Watch, check_arms, run_of};
@@ -66,6 +67,7 @@ impl Trainer {
             states,
             actions,
             is_pad,
+            augmentation: options.augmentation,
         };
         let steps = Steps {
             learner: &run,
@@ -137,6 +139,7 @@ struct Run {
     states: Tensor,
     actions: Tensor,
     is_pad: Tensor,
+    augmentation: Augmentation,
 }
 
 /// What a step sees.
@@ -166,7 +169,12 @@ impl Run {
 
 impl Learner for Run {
     fn losses(&self, frames: &[usize], _random: &mut SplitMix64) -> Result<Losses, TchError> {
-        let batch = self.batch(frames)?;
+        let mut batch = self.batch(frames)?;
+        // A hidden point may be a token's centre, so that all stay.
+        let points = batch.clouds.points.shallow_clone();
+        batch.clouds.points = augment::points(points, &self.augmentation, None, false)?;
+        let state = batch.state.shallow_clone();
+        batch.state = augment::state(state, &self.augmentation)?;
         let noise = Tensor::f_randn(
             [batch.state.size()[0], self.network.config().act.latent_dim],
             (Kind::Float, batch.state.device()),

@@ -4,9 +4,10 @@
 
 use tch::{Device, Kind, TchError, Tensor};
 
+use super::augment;
 use super::cloud_set::CloudSet;
 use super::flat::FlatParameters;
-use super::options::{TrainOptions, TrainPrecision};
+use super::options::{Augmentation, TrainOptions, TrainPrecision};
 use super::steps::{Learner, Losses, Split, Steps};
 use super::training_set::{index_tensor, raw_numbers};
 use super::{LossCurve, TrainError, Trainer, Watch, run_of};
@@ -66,7 +67,7 @@ impl Trainer {
         let mut flat = FlatParameters::new(fresh.parameters(), self.device(), options)?;
         let working = ParameterSource::given(flat.working_tensors()?);
         let dp3 = Dp3::new(config.clone(), working)?;
-        let run = Run::new(dp3, dataset, &set, self.device())?;
+        let run = Run::new(dp3, dataset, &set, (options.augmentation, self.device()))?;
         let statistics = [&set.statistics.state, &set.statistics.action];
         let steps = Steps {
             learner: &run,
@@ -110,6 +111,9 @@ struct Run {
     actions: Tensor,
     /// Indices of what is observed at each frame, oldest first: `(frames, observations)`.
     observed: Tensor,
+    /// What a metre is in normalised points, for each coordinate.
+    metre: Tensor,
+    augmentation: Augmentation,
     device: Device,
 }
 
@@ -118,7 +122,7 @@ impl Run {
         dp3: Dp3,
         dataset: &Dataset,
         set: &CloudSet,
-        device: Device,
+        (augmentation, device): (Augmentation, Device),
     ) -> Result<Self, TrainError> {
         let CloudStatistics {
             state,
@@ -149,8 +153,15 @@ impl Run {
                     .map(move |back| frame.saturating_sub(back).max(start))
             })
             .collect();
+        let to_points = limits(&points[0], &points[1])?;
+        let (kind, origin) = (Kind::Float, [1, 3].as_slice());
+        let metre = to_points
+            .apply(&Tensor::f_ones(origin, (kind, device))?)?
+            .f_sub(&to_points.apply(&Tensor::f_zeros(origin, (kind, device))?)?)?;
         Ok(Self {
-            points: limits(&points[0], &points[1])?.apply(&set.points(device)?)?,
+            points: to_points.apply(&set.points(device)?)?,
+            metre,
+            augmentation,
             states: limits(&state.min, &state.max)?.apply(&states.f_to_device(device)?)?,
             actions: limits(&action.min, &action.max)?.apply(&actions.f_to_device(device)?)?,
             observed: index_tensor(&observed, device)?.f_view([-1, dp3.config().n_obs_steps])?,
@@ -176,6 +187,8 @@ impl Run {
 impl Learner for Run {
     fn losses(&self, frames: &[usize], _random: &mut SplitMix64) -> Result<Losses, TchError> {
         let [points, states, actions] = self.batch(frames)?;
+        let points = augment::points(points, &self.augmentation, Some(&self.metre), true)?;
+        let states = augment::state(states, &self.augmentation)?;
         let observation = CloudObservation {
             points: &points,
             state: &states,

@@ -19,6 +19,7 @@ mod flat;
 mod frame_images;
 mod frame_order;
 mod options;
+mod plot;
 #[cfg(test)]
 mod resume_tests;
 mod run_state;

@@ -29,7 +29,7 @@ pub enum Schedule {
     CosineToZero,
 }
 
-/// Random changes of the training images, each frame its own.
+/// Random changes of what is trained on, each frame its own.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Augmentation {
     /// Greatest shift in either direction, pixels of the network's image; edges repeat. 0 is off.
@@ -40,6 +40,10 @@ pub struct Augmentation {
     pub contrast: f64,
     /// Standard deviation of noise on the normalised state. 0 is off.
     pub state_noise: f64,
+    /// Standard deviation of noise on every coordinate of a point, m. 0 is off.
+    pub point_noise_m: f64,
+    /// Share of a cloud's points that are hidden: the first takes their place, which a maximum does not see. 0 is off.
+    pub point_dropout: f64,
 }
 
 /// All options of a training run.
@@ -110,6 +114,8 @@ impl TrainOptions {
                 brightness: 0.0,
                 contrast: 0.0,
                 state_noise: 0.0,
+                point_noise_m: 0.0,
+                point_dropout: 0.0,
             },
             images_on_host: false,
             threads: 2,
@@ -154,6 +160,18 @@ impl TrainOptions {
                 self.augmentation.state_noise,
                 0.0,
                 1.0,
+            ),
+            (
+                "augmentation.point_noise_m",
+                self.augmentation.point_noise_m,
+                0.0,
+                0.1,
+            ),
+            (
+                "augmentation.point_dropout",
+                self.augmentation.point_dropout,
+                0.0,
+                0.9,
             ),
         ];
         for (name, value, low, high) in ranges {

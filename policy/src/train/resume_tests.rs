@@ -67,10 +67,13 @@ fn same(one: (&Parameters, &LossCurve), other: (&Parameters, &LossCurve)) {
     }
 }
 
+/// A run from a state, or from the start.
+type Run<'a, T> = dyn Fn(Option<&Path>, &mut dyn Watch) -> Result<T, TrainError> + 'a;
+
 /// Runs four steps at once, then two and two; `run` takes the state to go on from.
 fn check<T: std::fmt::Debug>(
     folder: &Path,
-    run: &dyn Fn(Option<&Path>, &mut dyn Watch) -> Result<T, TrainError>,
+    run: &Run<'_, T>,
     outcome: fn(&T) -> (&Parameters, &LossCurve),
 ) -> PathBuf {
     let _alone = alone();

@@ -84,7 +84,10 @@ impl Steps<'_> {
                 let steps = options.steps;
                 watch.progress(&Progress::Row { steps, row });
             }
-            let stop = watch.wants_stop() && done < options.steps;
+            if done == options.steps {
+                break;
+            }
+            let stop = watch.wants_stop();
             if stop || (options.save_every > 0 && done.is_multiple_of(options.save_every)) {
                 let state = self.state(done, flat, &curve, &since_row)?;
                 watch.keep(state)?;

@@ -15,6 +15,7 @@ use policy::train::{
 use serde::{Deserialize, Serialize};
 use tch::Device;
 
+use super::cloud_file::cloud_recipe;
 use super::source::STEP_NS;
 use super::training_watch::{Stopwatch, Watcher, read_state, remove_state, write_curve};
 use super::{SessionError, outputs, training_clouds};
@@ -71,8 +72,10 @@ pub struct TrainingOptions {
     pub episodes: Option<usize>,
     /// Share of the episodes held out for validation.
     pub validation_share: f64,
-    /// Shift and brighten images at random.
+    /// Change what is trained on at random: shift and brighten images, move and hide points, disturb states.
     pub augment: bool,
+    /// What clouds are made of instead of the built-in config/clouds.toml.
+    pub clouds: Option<PathBuf>,
     /// Keep images in the host's memory instead of the device's.
     pub images_on_host: bool,
     /// Threads that decode images, and compute on the CPU.
@@ -90,7 +93,6 @@ mod device_name {
     use serde::{Deserialize, Deserializer, Serializer, de};
     use tch::Device;
 
-    #[expect(clippy::trivially_copy_pass_by_ref, reason = "serde's signature")]
     pub(super) fn serialize<S: Serializer>(device: &Device, to: S) -> Result<S::Ok, S::Error> {
         to.serialize_str(if device.is_cuda() { "cuda" } else { "cpu" })
     }
@@ -135,13 +137,19 @@ pub fn train(
             if let Some(defect) = train_options(options, preset).defect() {
                 return Err(TrainError::Options(defect).into());
             }
+            if options.clouds.is_some() {
+                let defect = "--clouds: act sees images; of act-pc and dp3";
+                return Err(SessionError::BadArgument(defect.to_owned()));
+            }
         }
         NetworkChoice::ActPc => {
             training_clouds::act_pc_options(options)?;
+            cloud_recipe(options.clouds.as_deref(), 1)?;
         }
         NetworkChoice::Dp3 => {
             training_clouds::dp3_preset(&options.preset)?;
             training_clouds::dp3_options(options, 1)?;
+            cloud_recipe(options.clouds.as_deref(), 1)?;
         }
     }
     outputs::new_folder(&options.out)?;
@@ -291,6 +299,7 @@ fn train_options(options: &TrainingOptions, preset: ActPreset) -> TrainOptions {
             brightness: 0.15,
             contrast: 0.15,
             state_noise: 0.02,
+            ..base.augmentation
         }
     } else {
         base.augmentation

@@ -177,8 +177,11 @@ fn time_left(done: u64, seconds: f64, left: u64) -> Option<f64> {
     (done > 0).then(|| seconds * left as f64 / done as f64)
 }
 
-/// Writes the losses as a table.
+/// Writes the losses as a table (`loss.csv`) and as a picture (`loss.svg`).
 pub(super) fn write_curve(folder: &Path, curve: &LossCurve) -> Result<(), SessionError> {
-    let path = folder.join("loss.csv");
-    fs::write(&path, curve.to_csv()).map_err(|error| SessionError::output(&path, error))
+    for (name, text) in [("loss.csv", curve.to_csv()), ("loss.svg", curve.to_svg())] {
+        let path = folder.join(name);
+        fs::write(&path, text).map_err(|error| SessionError::output(&path, error))?;
+    }
+    Ok(())
 }

@@ -140,6 +140,9 @@ pub(crate) struct RunArgs {
     /// Delay from observation to chunk in lockstep, ms, up to 10000.
     #[arg(long, value_name = "MS", value_parser = delay())]
     pub(crate) latency_ms: Option<u64>,
+    /// What may come on top of it, evenly from nothing to this, drawn for each chunk by the seed, ms, up to 10000.
+    #[arg(long, value_name = "MS", default_value_t = 0, value_parser = delay())]
+    pub(crate) latency_jitter_ms: u64,
     /// Where the network computes.
     #[arg(long, value_enum, default_value = "cpu")]
     pub(crate) device: ComputeDevice,
@@ -175,6 +178,9 @@ pub(crate) struct EvalArgs {
     /// Delay from observation to chunk, ms, up to 10000.
     #[arg(long, value_name = "MS", value_parser = delay())]
     pub(crate) latency_ms: Option<u64>,
+    /// What may come on top of it, evenly from nothing to this, drawn for each chunk by the seed, ms, up to 10000.
+    #[arg(long, value_name = "MS", default_value_t = 0, value_parser = delay())]
+    pub(crate) latency_jitter_ms: u64,
     /// Where the network computes.
     #[arg(long, value_enum, default_value = "cpu")]
     pub(crate) device: ComputeDevice,
@@ -266,7 +272,7 @@ pub(crate) struct TrainArgs {
         value_name = "DIR",
         conflicts_with_all = [
             "policy", "data", "out", "cameras", "preset", "steps", "batch", "device", "episodes", "validation_share",
-            "bf16", "images_on_host", "threads", "augment", "save_every", "seed"
+            "bf16", "images_on_host", "threads", "augment", "clouds", "save_every", "seed"
         ]
     )]
     pub(crate) resume: Option<PathBuf>,
@@ -305,9 +311,12 @@ pub(crate) struct TrainArgs {
     /// Threads that decode images, and compute on the CPU.
     #[arg(long, default_value_t = 2, value_parser = threads())]
     pub(crate) threads: usize,
-    /// Random shifts and brightness of the images while training.
+    /// Change at random what is trained on: images are shifted and brightened, points moved and hidden, states disturbed.
     #[arg(long)]
     pub(crate) augment: bool,
+    /// What point clouds are made of (box, instances, number of points) instead of the built-in config/clouds.toml.
+    #[arg(long, value_name = "FILE")]
+    pub(crate) clouds: Option<PathBuf>,
     /// Everything random hangs on this.
     #[arg(long, default_value_t = 0)]
     pub(crate) seed: u64,

@@ -43,9 +43,10 @@ fn warn_of_transfer(setup: &Setup) {
 }
 
 pub(crate) fn run(args: &RunArgs) -> Done {
-    if args.latency_ms.is_some() && !args.lockstep {
+    if (args.latency_ms.is_some() || args.latency_jitter_ms > 0) && !args.lockstep {
         return Err(SessionError::BadArgument(
-            "--latency-ms needs --lockstep: in real time a chunk comes when it comes".to_owned(),
+            "--latency-ms and --latency-jitter-ms need --lockstep: in real time a chunk comes when it comes"
+                .to_owned(),
         ));
     }
     let log = ("--log", args.log.as_deref());
@@ -62,6 +63,7 @@ pub(crate) fn run(args: &RunArgs) -> Done {
         log: args.log.clone(),
         pictures: false,
         latency_ms: args.latency_ms,
+        latency_jitter_ms: args.latency_jitter_ms,
         device: device(args.device)?,
     };
     let result = if args.lockstep {
@@ -125,6 +127,7 @@ pub(crate) fn eval(args: &EvalArgs) -> Done {
         seed: args.seed,
         jobs: args.jobs,
         latency_ms: args.latency_ms,
+        latency_jitter_ms: args.latency_jitter_ms,
         device: device(args.device)?,
     };
     let bar = console::progress(args.trials as u64, "trials");
@@ -259,6 +262,7 @@ fn training_options(
         validation_share: args.validation_share,
         threads: args.threads,
         augment: args.augment,
+        clouds: args.clouds.clone(),
         images_on_host: args.images_on_host,
         seed: args.seed,
         save_every: args.save_every,

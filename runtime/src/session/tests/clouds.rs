@@ -38,6 +38,7 @@ fn train_simple(data: &Path, out: &Path) -> Result<TrainingResult, SessionError>
         episodes: None,
         validation_share: 0.0,
         augment: false,
+        clouds: None,
         images_on_host: false,
         threads: 2,
         seed: 1,
