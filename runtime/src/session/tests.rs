@@ -21,6 +21,7 @@ use crate::replay::replay;
 use crate::verify::verify;
 
 mod clouds;
+mod latency;
 mod tissue;
 
 /// Writes the log of an episode without looking at it.
