@@ -52,7 +52,7 @@ fn run_expert(
         source: &mut setup.source(&PolicyChoice::Expert, seed, Device::Cpu)?,
     };
     let plan = Plan {
-        latency_ticks: 0,
+        latency: runtime::session::latency::Latency::fixed(0),
         tick_limit,
     };
     episode.run(&plan, watcher)

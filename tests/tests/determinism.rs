@@ -44,7 +44,7 @@ fn digest(task: &str, seed: u64, ticks: u64, rendering: Rendering) -> String {
             .unwrap(),
     };
     let plan = Plan {
-        latency_ticks: 0,
+        latency: runtime::session::latency::Latency::fixed(0),
         tick_limit: ticks,
     };
     let end = match rendering {

@@ -76,7 +76,7 @@ pub enum PerceptionError {
     /// Nothing was asked for.
     #[error("a cloud of no points was asked for")]
     NoPoints,
-    /// Nothing is left of the frames.
+    /// Nothing is left of the frames. A cloud is refused for it only if wanted pixels are in view and none has a depth.
     #[error("no point is left: {0}")]
     Empty(Refused),
     /// There is no point to choose from.

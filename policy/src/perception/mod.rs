@@ -34,6 +34,15 @@ pub use thinning::thin;
 /// A point, metres.
 pub type Point = [f32; 3];
 
+/// Where all points of a cloud are that shows nothing: the origin of its frame.
+const NOWHERE: Point = [0.0; 3];
+
+/// Whether `cloud` is what [`point_cloud`] gives when nothing wanted is in view.
+#[must_use]
+pub fn shows_nothing(cloud: &[Point]) -> bool {
+    cloud.iter().all(|point| *point == NOWHERE)
+}
+
 /// What fills the cloud when there are fewer points than asked for.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
@@ -64,13 +73,28 @@ pub struct CloudOptions {
 
 /// The cloud that `frames` show: exactly `options.points` points, the farthest first.
 ///
+/// Where nothing wanted is in view (all of it hidden, or outside of the box) every point is the origin of the cloud's
+/// frame, which is what published code's zero padding comes to and what [`shows_nothing`] knows again. Where wanted
+/// pixels are in view but none has a depth, the sensor is to blame and there is no cloud.
+///
 /// # Errors
-/// [`PerceptionError`] if a frame is not whole, an option is senseless or no point is left.
+/// [`PerceptionError`] if a frame is not whole, an option is senseless or no pixel of what is wanted has a depth.
 pub fn point_cloud(
     frames: &[FrameRef<'_>],
     options: &CloudOptions,
 ) -> Result<Vec<Point>, PerceptionError> {
-    let seen = back_project(frames, options.frame, &options.crop, &options.instances)?;
+    if options.points == 0 {
+        return Err(PerceptionError::NoPoints);
+    }
+    let seen = match back_project(frames, options.frame, &options.crop, &options.instances) {
+        Ok(seen) => seen,
+        Err(PerceptionError::Empty(refused))
+            if refused.of_instance == 0 || refused.with_depth > 0 =>
+        {
+            return Ok(vec![NOWHERE; options.points]);
+        }
+        Err(error) => return Err(error),
+    };
     let kept = match options.voxel_m {
         Some(side_m) => thin(&seen, side_m)?,
         None => seen,
@@ -78,7 +102,7 @@ pub fn point_cloud(
     let chosen = farthest_points(&kept, options.points)?;
     let mut cloud: Vec<Point> = chosen.iter().map(|&index| kept[index]).collect();
     if options.padding == Padding::Origin && cloud.len() > kept.len() {
-        cloud[kept.len()..].fill([0.0; 3]);
+        cloud[kept.len()..].fill(NOWHERE);
     }
     Ok(cloud)
 }

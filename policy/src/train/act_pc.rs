@@ -2,12 +2,13 @@
 
 use tch::{Device, Kind, TchError, Tensor};
 
+use super::augment;
 use super::cloud_set::CloudSet;
 use super::flat::FlatParameters;
-use super::options::{TrainOptions, TrainPrecision};
-use super::steps::{Learner, Losses, Split, all_steps};
+use super::options::{Augmentation, TrainOptions, TrainPrecision};
+use super::steps::{Learner, Losses, Split, Steps};
 use super::training_set::{index_tensor, numbers};
-use super::{LossCurve, Progress, TrainError, Trainer, check_arms};
+use super::{LossCurve, TrainError, Trainer, Watch, check_arms, run_of};
 use crate::act::{Demonstration, LossDenominator, l1_loss};
 use crate::act_pc::{ActPc, ActPcConfig, Clouds, CloudsError};
 use crate::checkpoint::CloudStatistics;
@@ -40,7 +41,7 @@ impl Trainer {
         cloud: &CloudRecipe,
         options: &TrainOptions,
         dataset: &Dataset,
-        on_progress: &mut dyn FnMut(&Progress),
+        watch: &mut dyn Watch,
     ) -> Result<TrainedActPc, TrainError> {
         if let Some(defect) = options.defect().or_else(|| config.defect()) {
             return Err(TrainError::Options(defect));
@@ -50,32 +51,36 @@ impl Trainer {
             return Err(TrainError::Options(defect));
         }
         check_arms(&config.act, dataset.arms())?;
-        tch::set_num_threads(i32::try_from(options.threads.max(1)).unwrap_or(1));
-        tch::manual_seed(options.seed.cast_signed());
+        self.begin(options);
         let steps = usize::try_from(config.act.chunk_size).unwrap_or(0);
-        let (share, threads) = (options.validation_share, options.threads);
-        let set = CloudSet::new(dataset, cloud, [0, steps], share, threads)?;
+        let set = CloudSet::new(dataset, cloud, [0, steps], options, watch)?;
         let source = ParameterSource::seeded(options.seed, Device::Cpu);
         let fresh = ActPc::new(config.clone(), source)?;
         let mut flat = FlatParameters::new(fresh.parameters(), self.device(), options)?;
-        let working = ParameterSource::given(flat.working_tensors(fresh.parameters())?);
+        let working = ParameterSource::given(flat.working_tensors()?);
         let statistics = [&set.statistics.state, &set.statistics.action];
         let [states, actions, is_pad] =
             numbers(dataset, &set.rows, steps, statistics, self.device())?;
         let run = Run {
-            clouds: all_clouds(&set.clouds, config, threads, self.device())?,
+            clouds: all_clouds(&set.clouds, config, options.threads, self.device())?,
             network: ActPc::new(config.clone(), working)?,
             states,
             actions,
             is_pad,
+            augmentation: options.augmentation,
         };
-        let split = Split {
-            trained: &set.trained,
-            held_out: &set.held_out,
+        let steps = Steps {
+            learner: &run,
+            options,
+            split: Split {
+                trained: &set.trained,
+                held_out: &set.held_out,
+            },
+            run: run_of(config, Some(cloud), options, &set.trained, statistics),
         };
-        let curve = all_steps(&run, options, split, &mut flat, on_progress)?;
+        let curve = steps.take(&mut flat, self.from.as_ref(), watch)?;
         // The statistics of the normalisations are those of the network that was trained.
-        let averaged = flat.averaged_tensors(run.network.parameters())?;
+        let averaged = flat.averaged_tensors()?;
         Ok(TrainedActPc {
             network: ActPc::new(config.clone(), ParameterSource::given(averaged))?,
             frames: set.trained.len(),
@@ -134,6 +139,7 @@ struct Run {
     states: Tensor,
     actions: Tensor,
     is_pad: Tensor,
+    augmentation: Augmentation,
 }
 
 /// What a step sees.
@@ -163,7 +169,12 @@ impl Run {
 
 impl Learner for Run {
     fn losses(&self, frames: &[usize], _random: &mut SplitMix64) -> Result<Losses, TchError> {
-        let batch = self.batch(frames)?;
+        let mut batch = self.batch(frames)?;
+        // A hidden point may be a token's centre, so that all stay.
+        let points = batch.clouds.points.shallow_clone();
+        batch.clouds.points = augment::points(points, &self.augmentation, None, false)?;
+        let state = batch.state.shallow_clone();
+        batch.state = augment::state(state, &self.augmentation)?;
         let noise = Tensor::f_randn(
             [batch.state.size()[0], self.network.config().act.latent_dim],
             (Kind::Float, batch.state.device()),

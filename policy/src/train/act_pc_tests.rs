@@ -8,14 +8,14 @@ use tch::Device;
 
 use super::dp3_tests::{cloud, dataset, folder, lens, recipe, seen};
 use super::tests::ONE_AT_A_TIME;
-use super::{Schedule, TrainError, TrainOptions, TrainedActPc, Trainer};
+use super::{Progress, Schedule, TrainError, TrainOptions, TrainedActPc, Trainer};
 use crate::act::{ActConfig, ActPreset};
 use crate::act_pc::{ActPcConfig, ActPcPreset};
 use crate::act_pc_policy::ActPcPolicy;
 use crate::checkpoint::{self, Precision};
 use crate::dataset::Dataset;
 
-fn config() -> ActPcConfig {
+pub(super) fn config() -> ActPcConfig {
     let cameras = ["observation.images.endoscope".to_owned()];
     let preset = ActPcConfig::preset(ActPcPreset::Small, &cameras);
     ActPcConfig {
@@ -35,7 +35,7 @@ fn config() -> ActPcConfig {
     }
 }
 
-fn options() -> TrainOptions {
+pub(super) fn options() -> TrainOptions {
     TrainOptions {
         steps: 24,
         schedule: Schedule::Constant,
@@ -52,7 +52,13 @@ fn options() -> TrainOptions {
 
 fn train(dataset: &Dataset, options: &TrainOptions) -> Result<TrainedActPc, TrainError> {
     let _alone = ONE_AT_A_TIME.lock().unwrap_or_else(PoisonError::into_inner);
-    Trainer::new(Device::Cpu).run_act_pc(&config(), &cloud(), options, dataset, &mut |_| ())
+    Trainer::new(Device::Cpu).run_act_pc(
+        &config(),
+        &cloud(),
+        options,
+        dataset,
+        &mut |_: &Progress| (),
+    )
 }
 
 #[test]

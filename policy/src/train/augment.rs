@@ -1,4 +1,4 @@
-//! Random changes of training images and states, drawn from the run's own seed.
+//! Random changes of training images, clouds and states, drawn from the run's own seed.
 
 use tch::{Kind, TchError, Tensor};
 
@@ -56,6 +56,37 @@ pub(super) fn state(state: Tensor, options: &Augmentation) -> Result<Tensor, Tch
     }
 }
 
+/// `points` `(.., points, 3)` with the noise that the options ask for; `metre` is what a metre is in their units, one for each
+/// coordinate. Of hidden points the first of the cloud takes the place, if `may_hide`.
+pub(super) fn points(
+    points: Tensor,
+    options: &Augmentation,
+    metre: Option<&Tensor>,
+    may_hide: bool,
+) -> Result<Tensor, TchError> {
+    let mut points = points;
+    if options.point_noise_m > 0.0 {
+        let noise = points.f_randn_like()?.f_mul_scalar(options.point_noise_m)?;
+        let noise = match metre {
+            Some(metre) => noise.f_mul(metre)?,
+            None => noise,
+        };
+        points = points.f_add(&noise)?;
+    }
+    if may_hide && options.point_dropout > 0.0 {
+        let size = points.size();
+        let [clouds @ .., _] = size.as_slice() else {
+            return Err(TchError::Shape(format!("points of shape {size:?}")));
+        };
+        let hidden = Tensor::f_rand(clouds, (Kind::Float, points.device()))?
+            .f_lt(options.point_dropout)?
+            .f_unsqueeze(-1)?;
+        let first = points.f_narrow(-2, 0, 1)?;
+        points = first.f_where_self(&hidden, &points)?;
+    }
+    Ok(points)
+}
+
 fn span(random: &mut SplitMix64, reach: u32) -> i64 {
     i64::try_from(random.below(2 * reach as usize + 1)).unwrap_or(0)
 }
@@ -71,7 +102,7 @@ fn shift(frame: &Tensor, reach: i64, down: i64, right: i64) -> Result<Tensor, Tc
 
 #[cfg(test)]
 mod tests {
-    use super::{Augmentation, images, shift};
+    use super::{Augmentation, images, points, shift};
     use crate::rng::SplitMix64;
     use tch::{Kind, Tensor};
 
@@ -83,6 +114,44 @@ mod tests {
         assert_eq!(
             Vec::<f32>::try_from(moved.flatten(0, -1)).unwrap(),
             expected
+        );
+    }
+
+    #[test]
+    fn points_are_moved_by_the_noise_and_hidden_ones_are_the_first() {
+        let clouds = Tensor::arange(2 * 500 * 3, (Kind::Float, tch::Device::Cpu)).view([2, 500, 3]);
+        let noisy = Augmentation {
+            point_noise_m: 0.5,
+            ..Augmentation::default()
+        };
+        let metre = Tensor::from_slice(&[1.0_f32, 0.0, 2.0]);
+        let moved = points(clouds.shallow_clone(), &noisy, Some(&metre), true).unwrap();
+        let moved = (&moved - &clouds).std_dim([0, 1].as_slice(), true, false);
+        let moved = Vec::<f32>::try_from(moved).unwrap();
+        assert!(
+            (moved[0] - 0.5).abs() < 0.1 && moved[1].to_bits() == 0 && (moved[2] - 1.0).abs() < 0.2,
+            "{moved:?}"
+        );
+        let hiding = Augmentation {
+            point_dropout: 0.3,
+            ..Augmentation::default()
+        };
+        let shown = points(clouds.shallow_clone(), &hiding, None, true).unwrap();
+        let same = shown.eq_tensor(&clouds).all_dim(-1, false);
+        let first = shown.eq_tensor(&clouds.narrow(1, 0, 1)).all_dim(-1, false);
+        assert!(bool::try_from(same.logical_or(&first).all()).unwrap());
+        let kept = same
+            .to_kind(Kind::Float)
+            .mean(Kind::Float)
+            .double_value(&[]);
+        assert!((kept - 0.7).abs() < 0.06, "{kept}");
+        assert_eq!(
+            points(clouds.shallow_clone(), &hiding, None, false).unwrap(),
+            clouds
+        );
+        assert_eq!(
+            points(clouds.shallow_clone(), &Augmentation::default(), None, true).unwrap(),
+            clouds
         );
     }
 

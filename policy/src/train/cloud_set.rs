@@ -3,12 +3,18 @@
 use hal::FrameRef;
 use tch::{Device, TchError, Tensor};
 
-use super::TrainError;
 use super::training_set::{ChunkRow, chunk_of, episode_split, statistics};
+use super::{Progress, TrainError, TrainOptions, Watch};
 use crate::checkpoint::CloudStatistics;
 use crate::dataset::{Dataset, Episode};
-use crate::perception::{CloudRecipe, Point};
+use crate::perception::{CloudRecipe, Point, shows_nothing};
 use crate::relative_action::RELATIVE_ACTION_DIM;
+
+/// Greatest share of frames in which nothing wanted is in view. More is no occlusion: the recipe does not fit the cameras.
+const UNSEEN_SHARE_MAX: f64 = 0.2;
+
+/// Frames that a thread makes clouds of before progress is told.
+const BLOCK_FRAMES: usize = 128;
 
 /// All frames as clouds, states and chunks of relative actions, in SI units.
 #[derive(Debug)]
@@ -24,18 +30,18 @@ pub(super) struct CloudSet {
 }
 
 impl CloudSet {
-    /// Reads `dataset`; chunks have `steps` steps, the first of them `before` steps before its frame. The last
-    /// `validation_share` of the episodes takes no part in the statistics.
+    /// Reads `dataset`; chunks have `steps` steps, the first of them `before` steps before its frame. The last episodes,
+    /// the options' share of them, take no part in the statistics.
     pub(super) fn new(
         dataset: &Dataset,
         cloud: &CloudRecipe,
         [before, steps]: [usize; 2],
-        validation_share: f64,
-        threads: usize,
+        options: &TrainOptions,
+        watch: &mut dyn Watch,
     ) -> Result<Self, TrainError> {
         check_depth(dataset)?;
         let episodes = dataset.episodes();
-        let (trained, held_out) = episode_split(episodes, validation_share);
+        let (trained, held_out) = episode_split(episodes, options.validation_share);
         let rows: Vec<ChunkRow> = episodes
             .iter()
             .flat_map(|episode| {
@@ -50,8 +56,22 @@ impl CloudSet {
         if let Some(defect) = defect.or_else(|| features.action.defect(width)) {
             return Err(TrainError::Dataset(defect));
         }
-        let clouds = clouds(dataset, cloud, threads)?;
-        let points = limits(trained.iter().flat_map(|&frame| &clouds[frame]));
+        let clouds = clouds(dataset, cloud, options.threads, &mut |frames| {
+            let of = dataset.len();
+            watch.progress(&Progress::Read { frames, of });
+        })?;
+        let (unseen, of) = (check_seen(dataset, &clouds)?, clouds.len());
+        if unseen > 0 {
+            watch.progress(&Progress::Unseen { frames: unseen, of });
+        }
+        // A cloud that shows nothing lies at the origin, which may be far from all that there is to see.
+        let seen = trained.iter().map(|&frame| &clouds[frame]);
+        let seen = seen.filter(|cloud| !shows_nothing(cloud));
+        let points = limits(seen.flatten());
+        if !points.as_flattened().iter().all(|limit| limit.is_finite()) {
+            let defect = "nothing wanted is in view in the episodes that are trained on";
+            return Err(TrainError::Dataset(defect.to_owned()));
+        }
         Ok(Self {
             statistics: CloudStatistics {
                 state: features.state,
@@ -100,6 +120,23 @@ fn check_depth(dataset: &Dataset) -> Result<(), TrainError> {
     }
 }
 
+/// Counts the frames in which nothing wanted is in view; more than a few are refused.
+#[expect(clippy::cast_precision_loss, reason = "frames are few")]
+fn check_seen(dataset: &Dataset, clouds: &[Vec<Point>]) -> Result<usize, TrainError> {
+    let is_unseen = |cloud: &Vec<Point>| shows_nothing(cloud);
+    let unseen = clouds.iter().filter(|cloud| is_unseen(cloud)).count();
+    if unseen as f64 <= UNSEEN_SHARE_MAX * clouds.len() as f64 {
+        return Ok(unseen);
+    }
+    let first = clouds.iter().position(is_unseen).unwrap_or(0);
+    Err(TrainError::Dataset(format!(
+        "in {unseen} of its {} frames (the first is frame {first}) {} show nothing that the cloud wants: other cameras, \
+         a wider box or other instances are needed",
+        clouds.len(),
+        dataset.camera_names().join(" and ")
+    )))
+}
+
 fn limits<'a>(points: impl Iterator<Item = &'a Point>) -> [Point; 2] {
     let (mut min, mut max) = ([f32::INFINITY; 3], [f32::NEG_INFINITY; 3]);
     for point in points {
@@ -111,34 +148,43 @@ fn limits<'a>(points: impl Iterator<Item = &'a Point>) -> [Point; 2] {
     [min, max]
 }
 
-/// The cloud of every frame, `threads` at a time; the order is that of the frames whatever the threads do.
+/// The cloud of every frame, `threads` at a time; the order is that of the frames whatever the threads do. `on_read`
+/// hears how many are done.
 fn clouds(
     dataset: &Dataset,
     cloud: &CloudRecipe,
     threads: usize,
+    on_read: &mut dyn FnMut(usize),
 ) -> Result<Vec<Vec<Point>>, TrainError> {
     let mut clouds = vec![Vec::new(); dataset.len()];
-    let share = dataset.len().div_ceil(threads.max(1)).max(1);
-    std::thread::scope(|scope| {
-        let workers: Vec<_> = clouds
-            .chunks_mut(share)
-            .enumerate()
-            .map(|(worker, part)| {
-                scope.spawn(move || {
-                    for (index, made) in part.iter_mut().enumerate() {
-                        *made = cloud_of(dataset, cloud, worker * share + index)?;
-                    }
-                    Ok::<(), TrainError>(())
+    let block = BLOCK_FRAMES * threads.max(1);
+    let mut start = 0;
+    for part in clouds.chunks_mut(block) {
+        std::thread::scope(|scope| {
+            let share = part.len().div_ceil(threads.max(1)).max(1);
+            let workers: Vec<_> = part
+                .chunks_mut(share)
+                .enumerate()
+                .map(|(worker, part)| {
+                    let first = start + worker * share;
+                    scope.spawn(move || {
+                        for (index, made) in part.iter_mut().enumerate() {
+                            *made = cloud_of(dataset, cloud, first + index)?;
+                        }
+                        Ok::<(), TrainError>(())
+                    })
                 })
-            })
-            .collect();
-        for worker in workers {
-            worker
-                .join()
-                .map_err(|_| TrainError::Dataset("a decoding thread failed".to_owned()))??;
-        }
-        Ok::<(), TrainError>(())
-    })?;
+                .collect();
+            for worker in workers {
+                worker
+                    .join()
+                    .map_err(|_| TrainError::Dataset("a decoding thread failed".to_owned()))??;
+            }
+            Ok::<(), TrainError>(())
+        })?;
+        start += part.len();
+        on_read(start);
+    }
     Ok(clouds)
 }
 

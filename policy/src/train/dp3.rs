@@ -4,12 +4,13 @@
 
 use tch::{Device, Kind, TchError, Tensor};
 
+use super::augment;
 use super::cloud_set::CloudSet;
 use super::flat::FlatParameters;
-use super::options::{TrainOptions, TrainPrecision};
-use super::steps::{Learner, Losses, Split, all_steps};
+use super::options::{Augmentation, TrainOptions, TrainPrecision};
+use super::steps::{Learner, Losses, Split, Steps};
 use super::training_set::{index_tensor, raw_numbers};
-use super::{LossCurve, Progress, TrainError, Trainer};
+use super::{LossCurve, TrainError, Trainer, Watch, run_of};
 use crate::checkpoint::CloudStatistics;
 use crate::dataset::Dataset;
 use crate::dp3::{CloudObservation, Dp3, Dp3Config, LimitsError, LimitsNormaliser};
@@ -42,7 +43,7 @@ impl Trainer {
         cloud: &CloudRecipe,
         options: &TrainOptions,
         dataset: &Dataset,
-        on_progress: &mut dyn FnMut(&Progress),
+        watch: &mut dyn Watch,
     ) -> Result<TrainedDp3, TrainError> {
         if let Some(defect) = options.defect().or_else(|| config.defect()) {
             return Err(TrainError::Options(defect));
@@ -52,28 +53,33 @@ impl Trainer {
             return Err(TrainError::Options(defect));
         }
         check_arms(config, dataset.arms())?;
-        tch::set_num_threads(i32::try_from(options.threads.max(1)).unwrap_or(1));
-        tch::manual_seed(options.seed.cast_signed());
+        self.begin(options);
         let steps = [config.n_obs_steps - 1, config.horizon];
         let set = CloudSet::new(
             dataset,
             cloud,
             steps.map(|count| usize::try_from(count).unwrap_or(0)),
-            options.validation_share,
-            options.threads,
+            options,
+            watch,
         )?;
         let source = ParameterSource::seeded(options.seed, Device::Cpu);
         let fresh = Dp3::new(config.clone(), source)?;
         let mut flat = FlatParameters::new(fresh.parameters(), self.device(), options)?;
-        let working = ParameterSource::given(flat.working_tensors(fresh.parameters())?);
+        let working = ParameterSource::given(flat.working_tensors()?);
         let dp3 = Dp3::new(config.clone(), working)?;
-        let run = Run::new(dp3, dataset, &set, self.device())?;
-        let split = Split {
-            trained: &set.trained,
-            held_out: &set.held_out,
+        let run = Run::new(dp3, dataset, &set, (options.augmentation, self.device()))?;
+        let statistics = [&set.statistics.state, &set.statistics.action];
+        let steps = Steps {
+            learner: &run,
+            options,
+            split: Split {
+                trained: &set.trained,
+                held_out: &set.held_out,
+            },
+            run: run_of(config, Some(cloud), options, &set.trained, statistics),
         };
-        let curve = all_steps(&run, options, split, &mut flat, on_progress)?;
-        let averaged = ParameterSource::given(flat.averaged_tensors(fresh.parameters())?);
+        let curve = steps.take(&mut flat, self.from.as_ref(), watch)?;
+        let averaged = ParameterSource::given(flat.averaged_tensors()?);
         Ok(TrainedDp3 {
             dp3: Dp3::new(config.clone(), averaged)?,
             frames: set.trained.len(),
@@ -105,6 +111,9 @@ struct Run {
     actions: Tensor,
     /// Indices of what is observed at each frame, oldest first: `(frames, observations)`.
     observed: Tensor,
+    /// What a metre is in normalised points, for each coordinate.
+    metre: Tensor,
+    augmentation: Augmentation,
     device: Device,
 }
 
@@ -113,7 +122,7 @@ impl Run {
         dp3: Dp3,
         dataset: &Dataset,
         set: &CloudSet,
-        device: Device,
+        (augmentation, device): (Augmentation, Device),
     ) -> Result<Self, TrainError> {
         let CloudStatistics {
             state,
@@ -144,8 +153,15 @@ impl Run {
                     .map(move |back| frame.saturating_sub(back).max(start))
             })
             .collect();
+        let to_points = limits(&points[0], &points[1])?;
+        let (kind, origin) = (Kind::Float, [1, 3].as_slice());
+        let metre = to_points
+            .apply(&Tensor::f_ones(origin, (kind, device))?)?
+            .f_sub(&to_points.apply(&Tensor::f_zeros(origin, (kind, device))?)?)?;
         Ok(Self {
-            points: limits(&points[0], &points[1])?.apply(&set.points(device)?)?,
+            points: to_points.apply(&set.points(device)?)?,
+            metre,
+            augmentation,
             states: limits(&state.min, &state.max)?.apply(&states.f_to_device(device)?)?,
             actions: limits(&action.min, &action.max)?.apply(&actions.f_to_device(device)?)?,
             observed: index_tensor(&observed, device)?.f_view([-1, dp3.config().n_obs_steps])?,
@@ -171,6 +187,8 @@ impl Run {
 impl Learner for Run {
     fn losses(&self, frames: &[usize], _random: &mut SplitMix64) -> Result<Losses, TchError> {
         let [points, states, actions] = self.batch(frames)?;
+        let points = augment::points(points, &self.augmentation, Some(&self.metre), true)?;
+        let states = augment::state(states, &self.augmentation)?;
         let observation = CloudObservation {
             points: &points,
             state: &states,

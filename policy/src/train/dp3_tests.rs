@@ -11,7 +11,7 @@ use hal::{
 use tch::Device;
 
 use super::tests::ONE_AT_A_TIME;
-use super::{Schedule, TrainError, TrainOptions, TrainedDp3, Trainer};
+use super::{Progress, Schedule, TrainError, TrainOptions, TrainedDp3, Trainer};
 use crate::checkpoint::{
     self, AggregationName, DatasetSummary, Precision, Recipe, RecommendedAggregation,
     RecordedCamera, Variants,
@@ -50,6 +50,15 @@ fn scene(step: u16) -> (Vec<u16>, Vec<u8>) {
 
 /// Two episodes; the tip moves towards the camera.
 pub(super) fn dataset(name: &str, depth: Option<Intrinsics>) -> (PathBuf, Dataset) {
+    dataset_hiding(name, depth, |_| false)
+}
+
+/// The same, but in the frames of which `hidden` says so nothing is in view but the wall.
+fn dataset_hiding(
+    name: &str,
+    depth: Option<Intrinsics>,
+    hidden: impl Fn(u16) -> bool,
+) -> (PathBuf, Dataset) {
     let folder = folder(name);
     let spec = DatasetSpec {
         fps: 25,
@@ -67,7 +76,10 @@ pub(super) fn dataset(name: &str, depth: Option<Intrinsics>) -> (PathBuf, Datase
     for episode in 0..2_u16 {
         for step in 0..6_u16 {
             let along = 0.001 * f64::from(step);
-            let (units, instance) = scene(step + episode);
+            let (units, mut instance) = scene(step + episode);
+            if hidden(6 * episode + step) {
+                instance.fill(1);
+            }
             let depth_frame = DepthFrame {
                 units: &units,
                 instance: &instance,
@@ -94,7 +106,7 @@ pub(super) fn dataset(name: &str, depth: Option<Intrinsics>) -> (PathBuf, Datase
     (folder, dataset)
 }
 
-fn config() -> Dp3Config {
+pub(super) fn config() -> Dp3Config {
     Dp3Config {
         horizon: 8,
         n_action_steps: 4,
@@ -114,7 +126,7 @@ pub(super) fn cloud() -> CloudRecipe {
     }
 }
 
-fn options() -> TrainOptions {
+pub(super) fn options() -> TrainOptions {
     TrainOptions {
         batch: 12,
         lr: 3e-3,
@@ -128,7 +140,13 @@ fn options() -> TrainOptions {
 
 fn train(dataset: &Dataset, options: &TrainOptions) -> Result<TrainedDp3, TrainError> {
     let _alone = ONE_AT_A_TIME.lock().unwrap_or_else(PoisonError::into_inner);
-    Trainer::new(Device::Cpu).run_dp3(&config(), &cloud(), options, dataset, &mut |_| ())
+    Trainer::new(Device::Cpu).run_dp3(
+        &config(),
+        &cloud(),
+        options,
+        dataset,
+        &mut |_: &Progress| (),
+    )
 }
 
 pub(super) fn recipe() -> Recipe {
@@ -256,9 +274,9 @@ fn missing_depth_wrong_frames_and_cut_files_are_refused_with_the_reason() {
         error.to_string()
     };
     assert!(infer(&frame, 2).contains("1 camera frames"));
-    frame.instance.fill(1);
+    frame.depth_m.fill(0.0);
     let error = infer(&frame, 1);
-    assert!(error.contains("0 show a wanted instance"), "{error}");
+    assert!(error.contains("0 of these have a depth"), "{error}");
     frame.depth_m.clear();
     let error = infer(&frame, 1);
     assert!(error.contains("depth has 0 pixels"), "{error}");
@@ -271,5 +289,54 @@ fn missing_depth_wrong_frames_and_cut_files_are_refused_with_the_reason() {
         "{error}"
     );
     fs::remove_dir_all(&folder).unwrap();
+    fs::remove_dir_all(&data).unwrap();
+}
+
+#[test]
+fn what_is_hidden_for_a_while_is_trained_on_and_answered_and_a_camera_that_sees_nothing_refused() {
+    let (data, dataset) = dataset_hiding("hidden", Some(lens()), |frame| frame % 6 == 3);
+    let short = TrainOptions {
+        steps: 10,
+        ..options()
+    };
+    let mut unseen = None;
+    let trained = {
+        let _alone = ONE_AT_A_TIME.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut hear = |progress: &Progress| {
+            if let Progress::Unseen { frames, of } = progress {
+                unseen = Some((*frames, *of));
+            }
+        };
+        let trainer = Trainer::new(Device::Cpu);
+        let trained = trainer.run_dp3(&config(), &cloud(), &short, &dataset, &mut hear);
+        trained.unwrap()
+    };
+    assert_eq!(unseen, Some((2, 12)));
+    assert!(trained.curve.last().unwrap().loss.is_finite());
+    // The hidden frames' clouds at the scene's origin are no limit of what there is to see, 0.1 m and more above it.
+    assert!(
+        trained.statistics.points[0][2] > 0.05,
+        "{:?}",
+        trained.statistics.points
+    );
+
+    let folder = folder("hidden-policy");
+    save(&folder, &trained);
+    let mut policy = Dp3Policy::load(&folder, Device::Cpu).unwrap();
+    let (arm, mut frame) = seen(0);
+    frame.instance.fill(1);
+    let frames = [frame.as_frame()];
+    let (arms, frames) = (&[arm][..], &frames[..]);
+    let chunks = policy.infer(&Observation { arms, frames }).unwrap();
+    assert!(!chunks[0].valid_targets().is_empty());
+    fs::remove_dir_all(&folder).unwrap();
+    fs::remove_dir_all(&data).unwrap();
+
+    let (data, dataset) = dataset_hiding("blind", Some(lens()), |frame| frame % 6 > 3);
+    let error = train(&dataset, &short).unwrap_err().to_string();
+    assert!(
+        error.contains("in 4 of its 12 frames (the first is frame 4) endoscope show nothing"),
+        "{error}"
+    );
     fs::remove_dir_all(&data).unwrap();
 }

@@ -24,16 +24,27 @@ pub enum TrainError {
     /// An image has the wrong size.
     #[error(transparent)]
     Image(#[from] ImageError),
-    /// The loss is NaN or infinite.
+    /// A part of the loss, or the gradient, is NaN or infinite.
     #[error(
-        "the loss is {loss} by step {step}: lower the learning rate or the gradient's greatest norm"
+        "the {term} is {value} at step {step}: lower the learning rate or the gradient's greatest norm"
     )]
     Diverged {
-        /// Step at which it was noticed; it happened at most one row of the loss curve earlier.
+        /// The first step with such a number, counted from 1; it is noticed at the next row of the loss curve.
         step: u64,
-        /// The loss.
-        loss: f64,
+        /// The first such number of that step: `l1`, `kl`, `loss` or `gradient`.
+        term: &'static str,
+        /// Its value.
+        value: f64,
     },
+    /// Somebody wanted it to stop; the state was kept.
+    #[error("stopped after step {step}")]
+    Stopped {
+        /// Steps taken.
+        step: u64,
+    },
+    /// The state of an earlier run can't be written, read or gone on with.
+    #[error("{0}")]
+    State(String),
     /// The network could not be built.
     #[error(transparent)]
     Parameter(#[from] ParameterError),

@@ -6,7 +6,9 @@ use std::collections::BTreeMap;
 
 use tch::{Device, Kind, TchError, Tensor};
 
+use super::TrainError;
 use super::options::{TrainOptions, TrainPrecision};
+use super::run_state::RunState;
 use crate::dp3::MovingAverage;
 use crate::parameters::Parameters;
 
@@ -27,6 +29,8 @@ pub(super) struct FlatParameters {
     first_moment: Tensor,
     second_moment: Tensor,
     average: Option<Tensor>,
+    /// What the optimiser leaves alone, in single precision: tables, and statistics that move with what is seen.
+    fixed: BTreeMap<String, Tensor>,
     steps: u32,
 }
 
@@ -67,6 +71,7 @@ impl FlatParameters {
             leaves: Vec::new(),
             master,
             working,
+            fixed: BTreeMap::new(),
             steps: 0,
         };
         let shapes: Vec<Vec<i64>> = backbone
@@ -74,6 +79,12 @@ impl FlatParameters {
             .chain(&rest)
             .map(|(_, tensor)| tensor.size())
             .collect();
+        for (key, tensor) in parameters.iter() {
+            if !parameters.is_trainable(key) {
+                let own = tensor.f_to_device(device)?.f_detach_copy()?;
+                flat.fixed.insert(key.to_owned(), own);
+            }
+        }
         let mut start = 0;
         for shape in &shapes {
             let view = unflatten(&flat.working, start, shape)?;
@@ -84,21 +95,12 @@ impl FlatParameters {
         Ok(flat)
     }
 
-    /// The tensors that the network should be built from; fixed ones of `parameters` come along.
-    pub(super) fn working_tensors(
-        &self,
-        parameters: &Parameters,
-    ) -> Result<BTreeMap<String, Tensor>, TchError> {
+    /// The tensors that the network should be built from; in single precision they share their memory with these.
+    pub(super) fn working_tensors(&self) -> Result<BTreeMap<String, Tensor>, TchError> {
+        let kind = self.working.kind();
         let mut tensors = BTreeMap::new();
-        for (key, tensor) in parameters
-            .iter()
-            .filter(|(key, _)| !parameters.is_trainable(key))
-        {
-            let kind = self.working.kind();
-            tensors.insert(
-                key.to_owned(),
-                tensor.f_to_device(self.working.device())?.f_to_kind(kind)?,
-            );
+        for (key, tensor) in &self.fixed {
+            tensors.insert(key.clone(), tensor.f_to_kind(kind)?);
         }
         for (key, leaf) in self.keys.iter().zip(&self.leaves) {
             tensors.insert(key.clone(), leaf.shallow_clone());
@@ -106,18 +108,60 @@ impl FlatParameters {
         Ok(tensors)
     }
 
-    /// Copies of the averaged (or last) parameters in single precision; fixed ones of `parameters` come along.
-    pub(super) fn averaged_tensors(
-        &self,
-        parameters: &Parameters,
-    ) -> Result<BTreeMap<String, Tensor>, TchError> {
+    /// Where it all is.
+    pub(super) fn device(&self) -> Device {
+        self.master.device()
+    }
+
+    /// Copies of everything that a run needs to go on, by name.
+    pub(super) fn state(&self) -> Result<BTreeMap<String, Tensor>, TchError> {
+        let mut state = BTreeMap::new();
+        for (name, tensor) in self.named() {
+            state.insert(name, tensor.f_detach_copy()?.f_to_device(Device::Cpu)?);
+        }
+        Ok(state)
+    }
+
+    /// Goes on from the state that [`Self::state`] of a like run was.
+    pub(super) fn resume(&mut self, state: &RunState) -> Result<(), TrainError> {
+        tch::no_grad(|| {
+            for (name, tensor) in self.named() {
+                // The copy shares its memory with the network's tensors.
+                tensor
+                    .shallow_clone()
+                    .f_copy_(&state.tensor(&name, tensor)?)?;
+            }
+            if self.working.kind() != self.master.kind() {
+                self.working.f_copy_(&self.master)?;
+            }
+            Ok::<(), TrainError>(())
+        })?;
+        self.steps = u32::try_from(state.step).unwrap_or(u32::MAX);
+        Ok(())
+    }
+
+    /// What a run's state is made of.
+    fn named(&self) -> Vec<(String, &Tensor)> {
+        let mut named = vec![
+            ("master".to_owned(), &self.master),
+            ("first_moment".to_owned(), &self.first_moment),
+            ("second_moment".to_owned(), &self.second_moment),
+        ];
+        if let Some(average) = &self.average {
+            named.push(("average".to_owned(), average));
+        }
+        for (key, tensor) in &self.fixed {
+            named.push((format!("fixed.{key}"), tensor));
+        }
+        named
+    }
+
+    /// Copies of the averaged (or last) parameters in single precision, with what the optimiser left alone.
+    pub(super) fn averaged_tensors(&self) -> Result<BTreeMap<String, Tensor>, TchError> {
         let source = self.average.as_ref().unwrap_or(&self.master);
         let mut tensors = BTreeMap::new();
-        for (key, tensor) in parameters
-            .iter()
-            .filter(|(key, _)| !parameters.is_trainable(key))
-        {
-            tensors.insert(key.to_owned(), tensor.f_to_device(source.device())?);
+        for (key, tensor) in &self.fixed {
+            tensors.insert(key.clone(), tensor.f_detach_copy()?);
         }
         let mut start = 0;
         for (key, leaf) in self.keys.iter().zip(&self.leaves) {
@@ -268,7 +312,7 @@ mod tests {
             ..TrainOptions::preset(ActPreset::Small)
         };
         let mut flat = FlatParameters::new(&parameters, Device::Cpu, &options).unwrap();
-        let ours = flat.working_tensors(&parameters).unwrap();
+        let ours = flat.working_tensors().unwrap();
 
         let store = nn::VarStore::new(Device::Cpu);
         let filter = store.root().var_copy("filter", &filter);

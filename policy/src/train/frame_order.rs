@@ -3,29 +3,68 @@
 use crate::rng::SplitMix64;
 
 /// Frames in random order, each once before any comes again.
+///
+/// The frames of a step hang on the seed and the step alone, so that a run can go on from anywhere.
 pub(super) struct FrameOrder {
     frames: Vec<usize>,
-    next: usize,
+    seed: u64,
+    /// The newest round through all frames, and its order.
+    round: Option<(u64, Vec<usize>)>,
 }
 
 impl FrameOrder {
-    pub(super) fn new(frames: &[usize]) -> Self {
+    pub(super) fn new(frames: &[usize], seed: u64) -> Self {
         Self {
             frames: frames.to_vec(),
-            next: frames.len(),
+            seed,
+            round: None,
         }
     }
 
-    pub(super) fn next(&mut self, count: usize, random: &mut SplitMix64) -> Vec<usize> {
-        let mut drawn = Vec::with_capacity(count);
-        while drawn.len() < count {
-            if self.next >= self.frames.len() {
-                random.shuffle(&mut self.frames);
-                self.next = 0;
-            }
-            drawn.push(self.frames[self.next]);
-            self.next += 1;
+    /// The `count` frames of `step`, from 0, when every step has as many; none if there are no frames at all.
+    pub(super) fn of_step(&mut self, step: u64, count: usize) -> Vec<usize> {
+        let total = self.frames.len() as u64;
+        if total == 0 {
+            return Vec::new();
         }
-        drawn
+        let first = step.saturating_mul(count as u64);
+        (first..first.saturating_add(count as u64))
+            .map(|drawn| {
+                let place = usize::try_from(drawn % total).unwrap_or(0);
+                self.round(drawn / total)[place]
+            })
+            .collect()
+    }
+
+    fn round(&mut self, number: u64) -> &[usize] {
+        if self.round.as_ref().is_none_or(|(of, _)| *of != number) {
+            let mut random = SplitMix64::named(&format!("train/round/{number}"), self.seed);
+            let mut frames = self.frames.clone();
+            random.shuffle(&mut frames);
+            self.round = Some((number, frames));
+        }
+        self.round.as_ref().map_or(&[], |(_, frames)| frames)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::FrameOrder;
+
+    #[test]
+    fn every_frame_comes_once_a_round_and_a_step_can_be_asked_for_alone() {
+        let frames: Vec<usize> = (10..17).collect();
+        let mut order = FrameOrder::new(&frames, 5);
+        let steps: Vec<Vec<usize>> = (0..7).map(|step| order.of_step(step, 3)).collect();
+        let drawn: Vec<usize> = steps.iter().flatten().copied().collect();
+        for round in drawn.chunks(7) {
+            let mut round = round.to_vec();
+            round.sort_unstable();
+            assert_eq!(round, frames);
+        }
+        assert_ne!(drawn[..7], drawn[7..14], "every round is another");
+        assert_eq!(FrameOrder::new(&frames, 5).of_step(4, 3), steps[4]);
+        assert_ne!(FrameOrder::new(&frames, 6).of_step(4, 3), steps[4]);
+        assert!(FrameOrder::new(&[], 5).of_step(4, 3).is_empty());
     }
 }

@@ -1,8 +1,9 @@
 //! Training of policies on recorded demonstrations: ACT from images, ACT-PC and DP3 from point clouds.
 //!
-//! Everything is decoded once and kept on the training device; a step draws frames, not episodes. On the CPU, with one
-//! seed and one number of threads, two runs give the same bits, provided that nothing else in the process draws from
-//! the network library's random numbers meanwhile (dropout and the latent do).
+//! Everything is decoded once and kept on the training device (images that it has no room for stay with the host, which
+//! sends each step's ahead of it); a step draws frames, not episodes. On the CPU, with one seed and one number of threads,
+//! two runs give the same bits, provided that nothing else in the process draws from the network library's random numbers
+//! meanwhile (dropout and the latent do).
 
 mod act_pc;
 #[cfg(test)]
@@ -15,13 +16,19 @@ mod dp3;
 mod dp3_tests;
 mod error;
 mod flat;
+mod frame_images;
 mod frame_order;
 mod options;
+mod plot;
+#[cfg(test)]
+mod resume_tests;
+mod run_state;
 mod steps;
 #[cfg(test)]
 mod tests;
 mod training_set;
 
+use serde::Serialize;
 use tch::{Device, Kind, TchError, Tensor};
 
 pub use act_pc::TrainedActPc;
@@ -29,34 +36,97 @@ pub use curve::{CurveRow, LossCurve};
 pub use dp3::TrainedDp3;
 pub use error::TrainError;
 pub use options::{Augmentation, Schedule, TrainOptions, TrainPrecision};
+pub use run_state::RunState;
 
 use crate::act::{Act, ActConfig, Demonstration, LossDenominator, l1_loss, losses};
 use crate::checkpoint::FeatureStatistics;
 use crate::dataset::Dataset;
-use crate::normalise::ImageNormaliser;
+use crate::normalise::{ImageNormaliser, Statistics};
 use crate::parameters::ParameterSource;
+use crate::perception::CloudRecipe;
 use crate::rng::SplitMix64;
 use flat::FlatParameters;
-use steps::{Learner, Losses, Split, all_steps};
+use steps::{Learner, Losses, Split, Steps};
 use training_set::{Batch, TrainingSet};
 
-/// Where a run stands, once a row of the loss curve.
+/// Where a run stands.
 #[derive(Clone, Copy, Debug)]
-pub struct Progress {
-    /// Steps of the whole run.
-    pub steps: u64,
-    /// The newest row.
-    pub row: CurveRow,
+pub enum Progress {
+    /// Frames are being decoded.
+    Read {
+        /// Frames done.
+        frames: usize,
+        /// Frames of the dataset.
+        of: usize,
+    },
+    /// Clouds are made; in some frames nothing wanted was in view, and their clouds lie at the origin.
+    Unseen {
+        /// Frames without a point.
+        frames: usize,
+        /// Frames of the dataset.
+        of: usize,
+    },
+    /// A row of the loss curve is there.
+    Row {
+        /// Steps of the whole run.
+        steps: u64,
+        /// The newest row.
+        row: CurveRow,
+    },
 }
 
-impl Progress {
-    /// Time that is left, given the time that steps have taken so far, seconds.
-    #[must_use]
-    #[expect(clippy::cast_precision_loss, reason = "steps stay far below 2^52")]
-    pub fn seconds_left(&self, seconds_so_far: f64) -> f64 {
-        let done = self.row.step.max(1) as f64;
-        seconds_so_far * (self.steps as f64 - done).max(0.0) / done
+/// Who watches a run. A function of [`Progress`] is one that never stops it and keeps nothing.
+pub trait Watch {
+    /// Hears where the run stands.
+    fn progress(&mut self, progress: &Progress);
+
+    /// Whether the run should keep its state and stop; asked after every step.
+    fn wants_stop(&mut self) -> bool {
+        false
     }
+
+    /// Keeps the state, every [`TrainOptions::save_every`] steps and when the run is stopped.
+    ///
+    /// # Errors
+    /// Whatever is to end the run.
+    fn keep(&mut self, state: RunState) -> Result<(), TrainError> {
+        drop(state);
+        Ok(())
+    }
+}
+
+impl<F: FnMut(&Progress)> Watch for F {
+    fn progress(&mut self, progress: &Progress) {
+        self(progress);
+    }
+}
+
+/// What must be the same in a run that goes on with another one's state, as JSON.
+fn run_of(
+    config: &impl Serialize,
+    cloud: Option<&CloudRecipe>,
+    options: &TrainOptions,
+    trained: &[usize],
+    [state, action]: [&Statistics; 2],
+) -> String {
+    let dataset = serde_json::json!({
+        "frames": trained.len(),
+        "state": [state.mean, state.std],
+        "action": [action.mean, action.std],
+    });
+    // Where images lie and how often the state is kept changes no number.
+    let options = TrainOptions {
+        images_on_host: false,
+        save_every: 0,
+        ..*options
+    };
+    serde_json::json!({
+        "network": config,
+        "cloud": cloud,
+        "options": options,
+        "dataset": dataset,
+    })
+    .to_string()
 }
 
 /// The outcome of a run.
@@ -73,27 +143,47 @@ pub struct Trained {
 }
 
 /// Trains networks on one device.
-#[derive(Clone, Copy, Debug)]
+#[derive(Debug)]
 pub struct Trainer {
     device: Device,
+    from: Option<RunState>,
 }
 
 impl Trainer {
     /// A trainer on `device`.
     #[must_use]
     pub const fn new(device: Device) -> Self {
-        Self { device }
+        Self { device, from: None }
+    }
+
+    /// The same, but that a run goes on from `state` instead of starting: on the CPU, and with the same options, dataset and
+    /// number of threads, to the same bits as one that was never stopped.
+    #[must_use]
+    pub fn resuming(self, state: RunState) -> Self {
+        Self {
+            from: Some(state),
+            ..self
+        }
     }
 
     const fn device(&self) -> Device {
         self.device
     }
 
+    /// Sets what the network library keeps for the whole process: threads, seed, and that it may try which kernels are
+    /// the fastest (every step has the same shapes; on the CPU this means nothing).
+    fn begin(&self, options: &TrainOptions) {
+        tch::set_num_threads(i32::try_from(options.threads.max(1)).unwrap_or(1));
+        if self.device.is_cuda() {
+            tch::Cuda::cudnn_set_benchmark(true);
+        }
+        tch::manual_seed(options.seed.cast_signed());
+    }
+
     /// Trains the network `config` on `dataset` from a fresh start.
     ///
     /// Cameras of the configuration must be the dataset's, in its order, and its widths those of the dataset's arms.
-    /// `on_progress` hears of every row of the loss
-    /// curve.
+    /// `watch` hears of decoded frames and of every row of the loss curve.
     ///
     /// # Errors
     /// [`TrainError`].
@@ -102,40 +192,42 @@ impl Trainer {
         config: &ActConfig,
         options: &TrainOptions,
         dataset: &Dataset,
-        on_progress: &mut dyn FnMut(&Progress),
+        watch: &mut dyn Watch,
     ) -> Result<Trained, TrainError> {
         if let Some(defect) = options.defect().or_else(|| config.defect()) {
             return Err(TrainError::Options(defect));
         }
         check_cameras(config, dataset)?;
         check_arms(config, dataset.arms())?;
-        tch::set_num_threads(i32::try_from(options.threads.max(1)).unwrap_or(1));
-        tch::manual_seed(options.seed.cast_signed());
-        let set = TrainingSet::new(
-            dataset,
-            config,
-            options.validation_share,
-            options.threads,
-            self.device,
-        )?;
+        self.begin(options);
+        let set = TrainingSet::new(dataset, config, options, self.device, &mut |frames| {
+            let of = dataset.len();
+            watch.progress(&Progress::Read { frames, of });
+        })?;
         let fresh = Act::new(
             config.clone(),
             ParameterSource::seeded(options.seed, Device::Cpu),
         )?;
         let mut flat = FlatParameters::new(fresh.parameters(), self.device, options)?;
-        let working = ParameterSource::given(flat.working_tensors(fresh.parameters())?);
+        let working = ParameterSource::given(flat.working_tensors()?);
         let run = Run {
             act: Act::new(config.clone(), working)?,
             images: ImageNormaliser::imagenet(self.device)?,
             options,
             set: &set,
         };
-        let split = Split {
-            trained: &set.trained,
-            held_out: &set.held_out,
+        let statistics = [&set.statistics.state, &set.statistics.action];
+        let steps = Steps {
+            learner: &run,
+            options,
+            split: Split {
+                trained: &set.trained,
+                held_out: &set.held_out,
+            },
+            run: run_of(config, None, options, &set.trained, statistics),
         };
-        let curve = all_steps(&run, options, split, &mut flat, on_progress)?;
-        let averaged = ParameterSource::given(flat.averaged_tensors(fresh.parameters())?);
+        let curve = steps.take(&mut flat, self.from.as_ref(), watch)?;
+        let averaged = ParameterSource::given(flat.averaged_tensors()?);
         let act = Act::new(config.clone(), averaged)?;
         Ok(Trained {
             act,
@@ -181,6 +273,10 @@ struct Run<'a> {
 }
 
 impl Learner for Run<'_> {
+    fn announce(&self, frames: &[usize]) {
+        self.set.images.announce(frames);
+    }
+
     fn losses(&self, frames: &[usize], random: &mut SplitMix64) -> Result<Losses, TchError> {
         let batch: Batch = self.set.batch(frames)?;
         let config = self.act.config();

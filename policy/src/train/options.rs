@@ -29,7 +29,7 @@ pub enum Schedule {
     CosineToZero,
 }
 
-/// Random changes of the training images, each frame its own.
+/// Random changes of what is trained on, each frame its own.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Augmentation {
     /// Greatest shift in either direction, pixels of the network's image; edges repeat. 0 is off.
@@ -40,6 +40,10 @@ pub struct Augmentation {
     pub contrast: f64,
     /// Standard deviation of noise on the normalised state. 0 is off.
     pub state_noise: f64,
+    /// Standard deviation of noise on every coordinate of a point, m. 0 is off.
+    pub point_noise_m: f64,
+    /// Share of a cloud's points that are hidden: the first takes their place, which a maximum does not see. 0 is off.
+    pub point_dropout: f64,
 }
 
 /// All options of a training run.
@@ -71,10 +75,14 @@ pub struct TrainOptions {
     pub validation_share: f64,
     /// Steps between two rows of the loss curve.
     pub log_every: u64,
+    /// Steps between two times that the state is kept, so that the run can go on from there. 0 is never.
+    pub save_every: u64,
     /// Number format of the passes.
     pub precision: TrainPrecision,
     /// Random changes of the images.
     pub augmentation: Augmentation,
+    /// Keep the images in the host's memory and send each step's ahead of it, for what the device has no room for.
+    pub images_on_host: bool,
     /// Threads that decode images, and that compute if training is on the CPU.
     pub threads: usize,
     /// The seed of everything random.
@@ -99,13 +107,17 @@ impl TrainOptions {
             ema_power: 0.0,
             validation_share: 0.0,
             log_every: 50,
+            save_every: 0,
             precision: TrainPrecision::F32,
             augmentation: Augmentation {
                 shift_px: 0,
                 brightness: 0.0,
                 contrast: 0.0,
                 state_noise: 0.0,
+                point_noise_m: 0.0,
+                point_dropout: 0.0,
             },
+            images_on_host: false,
             threads: 2,
             seed: 1000,
         };
@@ -148,6 +160,18 @@ impl TrainOptions {
                 self.augmentation.state_noise,
                 0.0,
                 1.0,
+            ),
+            (
+                "augmentation.point_noise_m",
+                self.augmentation.point_noise_m,
+                0.0,
+                0.1,
+            ),
+            (
+                "augmentation.point_dropout",
+                self.augmentation.point_dropout,
+                0.0,
+                0.9,
             ),
         ];
         for (name, value, low, high) in ranges {

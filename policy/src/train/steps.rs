@@ -6,11 +6,15 @@ use super::curve::{CurveRow, LossCurve};
 use super::flat::FlatParameters;
 use super::frame_order::FrameOrder;
 use super::options::TrainOptions;
-use super::{Progress, TrainError};
+use super::run_state::RunState;
+use super::{Progress, TrainError, Watch};
 use crate::rng::SplitMix64;
 
 /// A network in training, with the data that it learns from.
 pub(super) trait Learner {
+    /// What the step after the next one is going to be about, so that it can be fetched meanwhile.
+    fn announce(&self, _frames: &[usize]) {}
+
     /// The loss over `frames`, and its two parts for the curve: error of the actions, divergence.
     fn losses(&self, frames: &[usize], random: &mut SplitMix64) -> Result<Losses, TchError>;
 
@@ -32,55 +36,160 @@ pub(super) struct Split<'a> {
     pub(super) held_out: &'a [usize],
 }
 
-/// Takes all steps of the run; `on_progress` hears of every row of the loss curve.
-pub(super) fn all_steps(
-    learner: &dyn Learner,
-    options: &TrainOptions,
-    split: Split<'_>,
-    flat: &mut FlatParameters,
-    on_progress: &mut dyn FnMut(&Progress),
-) -> Result<LossCurve, TrainError> {
-    let mut random = SplitMix64::named("train", options.seed);
-    let mut order = FrameOrder::new(split.trained);
-    let mut curve = LossCurve::default();
-    let mut since_row = Vec::new();
-    for step in 0..options.steps {
-        let frames = order.next(options.batch, &mut random);
+/// What the columns of the losses since the last row are, in the order in which the first is looked for that went wrong.
+const TERMS: [(usize, &str); 4] = [(1, "l1"), (2, "kl"), (0, "loss"), (3, "gradient")];
+
+/// A run on its way through the steps.
+pub(super) struct Steps<'a> {
+    pub(super) learner: &'a dyn Learner,
+    pub(super) options: &'a TrainOptions,
+    pub(super) split: Split<'a>,
+    /// What must be the same when the run goes on another time, as JSON.
+    pub(super) run: String,
+}
+
+impl Steps<'_> {
+    /// Takes the steps that are left, all of them or those after `from`'s; `watch` hears of every row of the loss curve
+    /// and keeps the state.
+    pub(super) fn take(
+        &self,
+        flat: &mut FlatParameters,
+        from: Option<&RunState>,
+        watch: &mut dyn Watch,
+    ) -> Result<LossCurve, TrainError> {
+        let options = self.options;
+        let mut order = FrameOrder::new(self.split.trained, options.seed);
+        let mut curve = LossCurve::default();
+        let mut since_row = Vec::new();
+        let mut first = 0;
+        if let Some(state) = from {
+            state.check(&self.run)?;
+            flat.resume(state)?;
+            curve.rows.clone_from(&state.curve.rows);
+            since_row = rows_of(state.since_row.as_ref(), flat)?;
+            first = state.step;
+        }
+        let mut next = order.of_step(first, options.batch);
+        for step in first..options.steps {
+            let frames = next;
+            next = order.of_step(step + 1, options.batch);
+            self.learner.announce(&next);
+            // Not waited for.
+            since_row.push(self.step(step, &frames, flat)?);
+            let done = step + 1;
+            if done.is_multiple_of(options.log_every) || done == options.steps {
+                let row = self.row(done, &since_row)?;
+                since_row.clear();
+                curve.rows.push(row);
+                let steps = options.steps;
+                watch.progress(&Progress::Row { steps, row });
+            }
+            if done == options.steps {
+                break;
+            }
+            let stop = watch.wants_stop();
+            if stop || (options.save_every > 0 && done.is_multiple_of(options.save_every)) {
+                let state = self.state(done, flat, &curve, &since_row)?;
+                watch.keep(state)?;
+            }
+            if stop {
+                return Err(TrainError::Stopped { step: done });
+            }
+        }
+        Ok(curve)
+    }
+
+    /// One step: the loss, its parts and the norm of the gradient, on the device.
+    ///
+    /// All that is random in it hangs on the seed and the step.
+    fn step(
+        &self,
+        step: u64,
+        frames: &[usize],
+        flat: &mut FlatParameters,
+    ) -> Result<Tensor, TrainError> {
+        let options = self.options;
+        let mut random = SplitMix64::named(&format!("train/step/{step}"), options.seed);
+        tch::manual_seed(random.next_u64().cast_signed());
         let factor = options.lr_factor(step);
-        let losses = learner.losses(&frames, &mut random)?;
+        let losses = self.learner.losses(frames, &mut random)?;
         let lr = [options.lr_backbone * factor, options.lr * factor];
         let norm = flat.step(&losses.total, lr, options)?;
         let Losses { total, l1, kl } = losses;
         let parts = [total.f_detach()?, l1.f_detach()?, kl.f_detach()?, norm];
-        // Not yet waited for.
-        since_row.push(Tensor::f_stack(&parts, 0)?);
-        let done = step + 1;
-        if done.is_multiple_of(options.log_every) || done == options.steps {
-            let means = Tensor::f_stack(&since_row, 0)?;
-            let means = means.f_mean_dim([0].as_slice(), false, Kind::Double)?;
-            let means = Vec::<f64>::try_from(&means)?;
-            since_row.clear();
-            let [loss, l1, kl, gradient_norm] = [means[0], means[1], means[2], means[3]];
-            if !(loss.is_finite() && gradient_norm.is_finite()) {
-                return Err(TrainError::Diverged { step: done, loss });
+        Ok(Tensor::f_stack(&parts, 0)?)
+    }
+
+    /// The row of the curve after `done` steps: the means of what was lost `since_row`.
+    fn row(&self, done: u64, since_row: &[Tensor]) -> Result<CurveRow, TrainError> {
+        let all = Tensor::f_stack(since_row, 0)?;
+        let means = all.f_mean_dim([0].as_slice(), false, Kind::Double)?;
+        let means = Vec::<f64>::try_from(&means)?;
+        let [loss, l1, kl, gradient_norm] = [means[0], means[1], means[2], means[3]];
+        if !means.iter().all(|mean| mean.is_finite()) {
+            return Err(diverged(done, &all)?);
+        }
+        let factor = self.options.lr_factor(done.saturating_sub(1));
+        Ok(CurveRow {
+            step: done,
+            loss,
+            l1,
+            kl,
+            gradient_norm,
+            lr: self.options.lr * factor,
+            validation_l1: validate(self.learner, self.split.held_out, self.options.batch)?,
+        })
+    }
+
+    fn state(
+        &self,
+        step: u64,
+        flat: &FlatParameters,
+        curve: &LossCurve,
+        since_row: &[Tensor],
+    ) -> Result<RunState, TrainError> {
+        Ok(RunState {
+            step,
+            about: String::new(),
+            run: self.run.clone(),
+            curve: curve.clone(),
+            since_row: if since_row.is_empty() {
+                None
+            } else {
+                Some(Tensor::f_stack(since_row, 0)?)
+            },
+            tensors: flat.state()?,
+        })
+    }
+}
+
+/// The losses since the last row, as they were kept, where the run computes.
+fn rows_of(kept: Option<&Tensor>, flat: &FlatParameters) -> Result<Vec<Tensor>, TchError> {
+    kept.map_or(Ok(Vec::new()), |kept| {
+        kept.f_to_device(flat.device())?.f_unbind(0)
+    })
+}
+
+/// Which step and which term was the first that is no number, among `all` `(steps, 4)` up to step `done`.
+fn diverged(done: u64, all: &Tensor) -> Result<TrainError, TchError> {
+    let rows = Vec::<f64>::try_from(&all.f_to_kind(Kind::Double)?.f_reshape([-1])?)?;
+    let (rows, _) = rows.as_chunks::<4>();
+    let before = done - rows.len() as u64;
+    for (step, row) in (before + 1..).zip(rows) {
+        for (column, term) in TERMS {
+            let value = row[column];
+            if !value.is_finite() {
+                return Ok(TrainError::Diverged { step, term, value });
             }
-            let row = CurveRow {
-                step: done,
-                loss,
-                l1,
-                kl,
-                gradient_norm,
-                lr: options.lr * factor,
-                validation_l1: validate(learner, split.held_out, options.batch)?,
-            };
-            curve.rows.push(row);
-            on_progress(&Progress {
-                steps: options.steps,
-                row,
-            });
         }
     }
-    Ok(curve)
+    // Finite numbers whose sum is not.
+    let (term, value) = ("loss", f64::INFINITY);
+    Ok(TrainError::Diverged {
+        step: done,
+        term,
+        value,
+    })
 }
 
 /// Mean absolute error of held-out frames, normalised; none without such frames. At most 256 frames, evenly spread, by
@@ -103,4 +212,94 @@ fn validate(
         }
         Ok(Some(sum / parts))
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{FlatParameters, Learner, Losses, Split, Steps};
+    use crate::act::ActPreset;
+    use crate::parameters::{Init, ParameterSource};
+    use crate::rng::SplitMix64;
+    use crate::train::{Progress, TrainError, TrainOptions};
+    use std::cell::Cell;
+    use tch::{Device, Kind, TchError, Tensor};
+
+    /// Pulls one number to zero; in one step, one of its terms is `planted`.
+    struct Planted {
+        number: Tensor,
+        at: u64,
+        term: &'static str,
+        planted: f64,
+        step: Cell<u64>,
+    }
+
+    impl Learner for Planted {
+        fn losses(&self, _frames: &[usize], _random: &mut SplitMix64) -> Result<Losses, TchError> {
+            self.step.set(self.step.get() + 1);
+            let pick = |term, good: &Tensor| {
+                if term == self.term && self.step.get() == self.at {
+                    good.f_full_like(self.planted)
+                } else {
+                    Ok(good.shallow_clone())
+                }
+            };
+            let total = self.number.f_square()?.f_sum(Kind::Float)?;
+            Ok(Losses {
+                l1: pick("l1", &total.f_detach()?)?,
+                kl: pick("kl", &total.f_detach()?)?,
+                total,
+            })
+        }
+
+        fn error(&self, _frames: &[usize]) -> Result<f64, TchError> {
+            Ok(0.0)
+        }
+    }
+
+    fn run(term: &'static str, planted: f64) -> Result<(), TrainError> {
+        let mut source = ParameterSource::seeded(2, Device::Cpu);
+        let start = Init::Constant(1.0);
+        let _ = source.trainable("number", &[1], &start).unwrap();
+        let parameters = source.finish().unwrap();
+        let options = TrainOptions {
+            steps: 10,
+            log_every: 5,
+            ..TrainOptions::preset(ActPreset::Small)
+        };
+        let mut flat = FlatParameters::new(&parameters, Device::Cpu, &options).unwrap();
+        let number = flat.working_tensors().unwrap()["number"].shallow_clone();
+        let learner = Planted {
+            number,
+            at: 8,
+            term,
+            planted,
+            step: Cell::new(0),
+        };
+        let steps = Steps {
+            learner: &learner,
+            options: &options,
+            split: Split {
+                trained: &[0],
+                held_out: &[],
+            },
+            run: String::new(),
+        };
+        steps
+            .take(&mut flat, None, &mut |_: &Progress| ())
+            .map(drop)
+    }
+
+    #[test]
+    fn the_first_number_that_is_none_is_named_with_its_step() {
+        assert!(run("none of them", f64::NAN).is_ok());
+        for (term, planted) in [("l1", f64::NAN), ("kl", f64::NEG_INFINITY)] {
+            let error = run(term, planted).unwrap_err();
+            assert!(
+                matches!(&error, TrainError::Diverged { step: 8, term: found, .. } if *found == term),
+                "{error}"
+            );
+            let said = format!("the {term} is {planted} at step 8");
+            assert!(error.to_string().starts_with(&said), "{error}");
+        }
+    }
 }

@@ -6,7 +6,7 @@ use std::sync::{Mutex, PoisonError};
 
 use tch::{Device, Kind, Tensor};
 
-use super::{Schedule, TrainError, TrainOptions, Trained, Trainer};
+use super::{Progress, Schedule, TrainError, TrainOptions, Trained, Trainer};
 use crate::act::{Act, ActConfig, ActPreset};
 use crate::checkpoint::{
     self, AggregationName, DatasetSummary, Recipe, RecommendedAggregation, RecordedCamera,
@@ -23,9 +23,9 @@ fn folder(name: &str) -> PathBuf {
 }
 
 /// A dataset whose folder goes with it.
-struct Scratch {
-    folder: PathBuf,
-    dataset: Dataset,
+pub(super) struct Scratch {
+    pub(super) folder: PathBuf,
+    pub(super) dataset: Dataset,
 }
 
 impl Drop for Scratch {
@@ -35,15 +35,20 @@ impl Drop for Scratch {
 }
 
 /// Two episodes in which the tip follows a bright square across the image.
-fn dataset(name: &str) -> Scratch {
+pub(super) fn dataset(name: &str) -> Scratch {
     dataset_of(1, name)
 }
 
 /// The same with so many arms; the second goes the other way.
 fn dataset_of(arms: usize, name: &str) -> Scratch {
+    dataset_seen_by(&["endoscope"], arms, name)
+}
+
+/// The same with so many cameras, of which only the first sees the square.
+fn dataset_seen_by(cameras: &[&str], arms: usize, name: &str) -> Scratch {
     let folder = folder(name);
-    let camera = CameraSpec {
-        name: "endoscope".to_owned(),
+    let camera = |name: &&str| CameraSpec {
+        name: (*name).to_owned(),
         width: SIDE,
         height: SIDE,
         depth: None,
@@ -53,8 +58,9 @@ fn dataset_of(arms: usize, name: &str) -> Scratch {
         robot_type: "psm".to_owned(),
         arms,
         task: "follow the square".to_owned(),
-        cameras: vec![camera],
+        cameras: cameras.iter().map(camera).collect(),
     };
+    let dark = vec![20_u8; 3 * (SIDE * SIDE) as usize];
     let mut writer = DatasetWriter::create(&folder, &spec).unwrap();
     for episode in 0..2_u8 {
         for step in 0..6_u8 {
@@ -73,9 +79,11 @@ fn dataset_of(arms: usize, name: &str) -> Scratch {
                 action: [sign * (along + 0.001), aside, -0.1, 0.0, 0.0, 0.0, 1.0, 0.5],
             };
             let both = [of_arm(1.0), of_arm(-1.0)];
+            let mut images = vec![&dark[..]; cameras.len()];
+            images[0] = &image;
             let record = FrameRecord {
                 arms: &both[..arms],
-                images: &[&image],
+                images: &images,
                 depth: &[],
             };
             writer.push_frame(&record).unwrap();
@@ -87,7 +95,7 @@ fn dataset_of(arms: usize, name: &str) -> Scratch {
     Scratch { folder, dataset }
 }
 
-fn config() -> ActConfig {
+pub(super) fn config() -> ActConfig {
     let base = ActConfig::preset(
         ActPreset::Small,
         &["observation.images.endoscope".to_owned()],
@@ -105,7 +113,7 @@ fn config() -> ActConfig {
     }
 }
 
-fn options() -> TrainOptions {
+pub(super) fn options() -> TrainOptions {
     TrainOptions {
         steps: 16,
         schedule: Schedule::Constant,
@@ -129,7 +137,7 @@ fn run(
     options: &TrainOptions,
 ) -> Result<Trained, TrainError> {
     let _alone = ONE_AT_A_TIME.lock().unwrap_or_else(PoisonError::into_inner);
-    Trainer::new(Device::Cpu).run(config, options, &scratch.dataset, &mut |_| ())
+    Trainer::new(Device::Cpu).run(config, options, &scratch.dataset, &mut |_: &Progress| ())
 }
 
 fn train(scratch: &Scratch, options: &TrainOptions) -> Result<Trained, TrainError> {
@@ -218,6 +226,40 @@ fn training_lowers_the_loss_repeats_itself_and_survives_the_disk() {
 }
 
 #[test]
+fn several_cameras_are_learned_from_wherever_their_images_are_kept() {
+    let dataset = dataset_seen_by(&["wrist", "endoscope"], 1, "cameras");
+    let cameras = ["wrist", "endoscope"].map(|name| format!("observation.images.{name}"));
+    let config = ActConfig {
+        cameras: cameras.to_vec(),
+        ..config()
+    };
+    let resident = run(&config, &dataset, &options()).unwrap();
+    let (start, end) = (resident.curve.rows[0], *resident.curve.last().unwrap());
+    assert!(end.l1 < 0.9 * start.l1, "{start:?} {end:?}");
+    let streamed = TrainOptions {
+        images_on_host: true,
+        ..options()
+    };
+    let _one = ONE_AT_A_TIME.lock().unwrap_or_else(PoisonError::into_inner);
+    let mut read = Vec::new();
+    let trainer = Trainer::new(Device::Cpu);
+    let streamed = trainer
+        .run(
+            &config,
+            &streamed,
+            &dataset.dataset,
+            &mut |progress: &Progress| {
+                if let Progress::Read { frames, of } = progress {
+                    read.push((*frames, *of));
+                }
+            },
+        )
+        .unwrap();
+    assert_eq!(read, [(12, 12)]);
+    assert_eq!(resident.curve, streamed.curve);
+}
+
+#[test]
 fn a_held_out_episode_is_validated_and_not_trained_on() {
     let dataset = dataset("held-out");
     let trained = train(
@@ -287,7 +329,14 @@ fn divergence_and_foreign_cameras_are_errors() {
     };
     let error = run(&overflowing, &dataset, &options()).unwrap_err();
     assert!(
-        matches!(error, TrainError::Diverged { step: 4, .. }),
+        matches!(
+            error,
+            TrainError::Diverged {
+                step: 1,
+                term: "loss",
+                ..
+            }
+        ),
         "{error}"
     );
     let impossible = TrainOptions {

@@ -3,21 +3,19 @@
 use std::ops::Range;
 
 use hal::Pose;
-use tch::{Device, Kind, TchError, Tensor};
+use tch::{Device, TchError, Tensor};
 
-use super::TrainError;
+use super::frame_images::FrameImages;
+use super::{TrainError, TrainOptions};
 use crate::act::ActConfig;
 use crate::checkpoint::FeatureStatistics;
 use crate::dataset::{Dataset, Episode};
-use crate::images::{area_average, shrink_factor};
 use crate::normalise::{ACTION_STD_MIN, STATE_STD_MIN, Statistics};
 use crate::relative_action::{RELATIVE_ACTION_DIM, pose_from_numbers, relative_action};
 
 /// All frames, ready to be drawn from.
-#[derive(Debug)]
 pub(super) struct TrainingSet {
-    /// `(frames, cameras, height, width, 3)`, bytes.
-    images: Tensor,
+    pub(super) images: FrameImages,
     /// `(frames, arms * 7)`, normalised.
     states: Tensor,
     /// `(frames, steps, arms * 7)`, normalised.
@@ -39,17 +37,17 @@ pub(super) struct Batch {
 }
 
 impl TrainingSet {
-    /// Reads `dataset` for the network `config`; the last `validation_share` of the episodes is held out, and takes no
-    /// part in the statistics.
+    /// Reads `dataset` for the network `config`; the last episodes, the options' share of them, are held out, and take
+    /// no part in the statistics. `on_read` hears how many frames are decoded.
     pub(super) fn new(
         dataset: &Dataset,
         config: &ActConfig,
-        validation_share: f64,
-        threads: usize,
+        options: &TrainOptions,
         device: Device,
+        on_read: &mut dyn FnMut(usize),
     ) -> Result<Self, TrainError> {
         let episodes = dataset.episodes();
-        let (trained, held_out) = episode_split(episodes, validation_share);
+        let (trained, held_out) = episode_split(episodes, options.validation_share);
         let steps = usize::try_from(config.chunk_size).unwrap_or(0);
         let rows: Vec<ChunkRow> = episodes
             .iter()
@@ -67,7 +65,8 @@ impl TrainingSet {
         }
         let tensors = numbers(dataset, &rows, steps, [state, action], device)?;
         let [states, chunks, is_pad] = tensors;
-        let images = images(dataset, config, threads)?.f_to_device(device)?;
+        let place = (device, options.images_on_host);
+        let images = FrameImages::new(dataset, config, options.threads, place, on_read)?;
         Ok(Self {
             images,
             states,
@@ -81,9 +80,9 @@ impl TrainingSet {
 
     /// The given frames.
     pub(super) fn batch(&self, frames: &[usize]) -> Result<Batch, TchError> {
-        let indices = index_tensor(frames, self.images.device())?;
+        let indices = index_tensor(frames, self.states.device())?;
         Ok(Batch {
-            images: self.images.f_index_select(0, &indices)?,
+            images: self.images.batch(frames, &indices)?,
             state: self.states.f_index_select(0, &indices)?,
             actions: self.chunks.f_index_select(0, &indices)?,
             is_pad: self.is_pad.f_index_select(0, &indices)?,
@@ -91,13 +90,18 @@ impl TrainingSet {
     }
 }
 
-/// Indices as a tensor on `device`.
+/// Indices as a tensor on `device`. On an accelerator nothing waits for what it was asked to do before.
 pub(super) fn index_tensor(indices: &[usize], device: Device) -> Result<Tensor, TchError> {
     let indices: Vec<i64> = indices
         .iter()
         .map(|&index| i64::try_from(index).unwrap_or(i64::MAX))
         .collect();
-    Tensor::f_from_slice(&indices)?.f_to_device(device)
+    send(&Tensor::f_from_slice(&indices)?, device)
+}
+
+/// `tensor` of the host's memory on `device`, without waiting for the device.
+pub(super) fn send(tensor: &Tensor, device: Device) -> Result<Tensor, TchError> {
+    tensor.f_to_dtype_layout((tensor.kind(), device), true, false)
 }
 
 /// The frames of the episodes that are trained on, and those of the last ones, which are held out.
@@ -233,52 +237,4 @@ pub(super) fn numbers(
         chunks.f_to_device(device)?,
         is_pad.f_to_device(device)?,
     ])
-}
-
-/// Decodes and shrinks every image, `threads` at a time; the order is that of the frames whatever the threads do.
-fn images(dataset: &Dataset, config: &ActConfig, threads: usize) -> Result<Tensor, TrainError> {
-    let (high, wide) = (config.image_height, config.image_width);
-    let cameras = dataset.camera_names().len();
-    let image_bytes = usize::try_from(3 * high * wide).unwrap_or(0);
-    let frame_bytes = image_bytes * cameras;
-    let mut bytes = vec![0_u8; frame_bytes * dataset.len()];
-    let share = dataset.len().div_ceil(threads.max(1)).max(1);
-    std::thread::scope(|scope| {
-        let workers: Vec<_> = bytes
-            .chunks_mut(share * frame_bytes)
-            .enumerate()
-            .map(|(worker, part)| {
-                scope.spawn(move || {
-                    for (index, image) in part.chunks_mut(image_bytes).enumerate() {
-                        let frame = worker * share + index / cameras;
-                        read_image(dataset, frame, index % cameras, [wide, high], image)?;
-                    }
-                    Ok::<(), TrainError>(())
-                })
-            })
-            .collect();
-        for worker in workers {
-            worker
-                .join()
-                .map_err(|_| TrainError::Dataset("a decoding thread failed".to_owned()))??;
-        }
-        Ok::<(), TrainError>(())
-    })?;
-    let count = |value: usize| i64::try_from(value).unwrap_or(i64::MAX);
-    let shape = [count(dataset.len()), count(cameras), high, wide, 3];
-    Ok(Tensor::f_from_data_size(&bytes, &shape, Kind::Uint8)?)
-}
-
-fn read_image(
-    dataset: &Dataset,
-    frame: usize,
-    camera: usize,
-    [wide, high]: [i64; 2],
-    into: &mut [u8],
-) -> Result<(), TrainError> {
-    let image = dataset.image_rgb(frame, camera)?;
-    let side = |pixels: i64| u32::try_from(pixels).unwrap_or(0);
-    let factor = shrink_factor(image.width(), image.height(), side(wide), side(high))?;
-    into.copy_from_slice(&area_average(image.as_raw(), image.width(), factor));
-    Ok(())
 }

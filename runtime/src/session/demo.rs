@@ -79,6 +79,7 @@ pub fn run(
         log: Some(log.to_path_buf()),
         pictures,
         latency_ms: None,
+        latency_jitter_ms: 0,
         device: Device::Cpu,
     };
     on_progress(&format!(

@@ -1,12 +1,11 @@
 //! One episode in lockstep: virtual time, everything in one thread, bit for bit the same each time.
 
-use std::collections::VecDeque;
-
 use hal::{Arm, ArmError, ArmState, CameraFrame, Chunk, FrameRef, SeenArm, TimeNs};
 use sim_backend::simulation::Simulation;
 use sim_backend::task::Outcome;
 
 use super::SessionError;
+use super::latency::{Deliveries, Latency};
 use super::source::{ChunkSource, Query, STEP_TICKS, precedes_query, seen_arm};
 use super::summary::TissueSummary;
 use super::tally::Tally;
@@ -18,8 +17,8 @@ use crate::rt::MonotonicClock;
 /// What is fixed about an episode before it begins.
 #[derive(Clone, Copy, Debug)]
 pub struct Plan {
-    /// Ticks from an observation to the delivery of its chunk.
-    pub latency_ticks: u64,
+    /// Time from an observation to the delivery of its chunk.
+    pub latency: Latency,
     /// The episode is given up after so many ticks.
     pub tick_limit: u64,
 }
@@ -103,7 +102,7 @@ impl Episode<'_> {
     ) -> Result<EpisodeEnd, SessionError> {
         let clock = MonotonicClock::new();
         let mut cameras = Cameras::choose(self.source, watcher, self.simulation)?;
-        let mut pending: VecDeque<(u64, PerArm<Chunk>)> = VecDeque::new();
+        let mut deliveries: Deliveries<PerArm<Chunk>> = Deliveries::new(plan.latency);
         let mut tally = Tally::default();
         for tick in 0..plan.tick_limit {
             let now = TimeNs::from_tick(tick);
@@ -112,12 +111,11 @@ impl Episode<'_> {
                 let step = tick / STEP_TICKS;
                 let answer = self.policy_step(step, &arms, &mut cameras, watcher, clock)?;
                 if let Some((chunks, inference_ns)) = answer {
-                    tally.query(inference_ns, plan.latency_ticks * hal::TICK_NS);
-                    pending.push_back((tick + plan.latency_ticks, chunks));
+                    let latency_ticks = deliveries.send(tick, chunks);
+                    tally.query(inference_ns, latency_ticks * hal::TICK_NS);
                 }
             }
-            let due = pending.pop_front_if(|(at, _)| *at <= tick);
-            let chunks = due.map(|(_, chunks)| chunks);
+            let chunks = deliveries.receive(tick);
             let record = self.control(tick, measured, chunks.as_ref(), clock)?;
             for (arm, chunk) in chunks.iter().flat_map(PerArm::iter).enumerate() {
                 watcher.chunk(arm, chunk);

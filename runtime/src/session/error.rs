@@ -111,10 +111,12 @@ impl SessionError {
                 | TrainError::Empty
                 | TrainError::Dataset(_)
                 | TrainError::Read(_)
-                | TrainError::Image(_) => true,
-                TrainError::Diverged { .. } | TrainError::Parameter(_) | TrainError::Torch(_) => {
-                    false
-                }
+                | TrainError::Image(_)
+                | TrainError::State(_) => true,
+                TrainError::Diverged { .. }
+                | TrainError::Stopped { .. }
+                | TrainError::Parameter(_)
+                | TrainError::Torch(_) => false,
             },
             Self::Unproductive { .. }
             | Self::Simulation(_)
@@ -136,8 +138,8 @@ mod tests {
         let options = TrainError::Options("batch = 0".to_owned());
         assert!(SessionError::from(options).is_bad_input());
         assert!(SessionError::from(TrainError::Empty).is_bad_input());
-        let loss = f64::NAN;
-        assert!(!SessionError::from(TrainError::Diverged { step: 3, loss }).is_bad_input());
+        let (step, term, value) = (3, "kl", f64::NAN);
+        assert!(!SessionError::from(TrainError::Diverged { step, term, value }).is_bad_input());
     }
 
     #[test]

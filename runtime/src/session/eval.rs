@@ -6,6 +6,7 @@ use sim_backend::task::Outcome;
 use tch::Device;
 
 use super::episode::{Episode, Nobody, Plan};
+use super::latency::Latency;
 use super::source::{ChunkSource, PolicyChoice};
 use super::summary::{EvalSummary, TrialSummary};
 use super::{SessionError, Setup, parallel};
@@ -23,6 +24,8 @@ pub struct EvalOptions {
     pub jobs: usize,
     /// Delay from observation to chunk, ms; the policy's own if not given.
     pub latency_ms: Option<u64>,
+    /// What may come on top of it, evenly from nothing to this, drawn for each chunk by the trial's seed, ms.
+    pub latency_jitter_ms: u64,
     /// Where the network computes.
     pub device: Device,
 }
@@ -107,12 +110,15 @@ impl<'a> TrialWorker<'a> {
             None => Simulation::new(&self.setup.task, seed, Rendering::On)?,
         };
         let mut controller = self.setup.controller()?;
-        let latency_ticks = self
-            .options
-            .latency_ms
-            .unwrap_or_else(|| source.latency_ticks());
         let plan = Plan {
-            latency_ticks,
+            latency: Latency {
+                ticks: self
+                    .options
+                    .latency_ms
+                    .unwrap_or_else(|| source.latency_ticks()),
+                jitter_ticks: self.options.latency_jitter_ms,
+                seed,
+            },
             tick_limit: self.setup.tick_limit(),
         };
         let episode = Episode {

@@ -2,10 +2,12 @@
 //!
 //! This is the one place where the simulator, the policies and the controller meet.
 
+mod cloud_file;
 pub mod demo;
 pub mod episode;
 pub mod error;
 pub mod eval;
+pub mod latency;
 pub mod outputs;
 pub mod parallel;
 pub mod pictures;
@@ -21,6 +23,7 @@ pub mod tally;
 pub mod tasks;
 pub mod training;
 mod training_clouds;
+mod training_watch;
 
 #[cfg(test)]
 mod tests;

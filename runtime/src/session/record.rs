@@ -13,6 +13,7 @@ use sim_backend::task::Outcome;
 use tch::Device;
 
 use super::episode::{Episode, Plan, StepView, Watcher};
+use super::latency::Latency;
 use super::source::{PolicyChoice, STEP_NS};
 use super::{SessionError, Setup, outputs, parallel};
 
@@ -241,7 +242,7 @@ fn demonstrator(
             frames: Vec::new(),
         };
         let plan = Plan {
-            latency_ticks: source.latency_ticks(),
+            latency: Latency::fixed(source.latency_ticks()),
             tick_limit: setup.tick_limit(),
         };
         let episode = Episode {

@@ -9,6 +9,7 @@ use sim_backend::task::Outcome;
 use tch::Device;
 
 use super::episode::{Episode, Plan, StepView, Watcher};
+use super::latency::Latency;
 use super::pictures::Pictures;
 use super::source::PolicyChoice;
 use super::summary::RunSummary;
@@ -32,6 +33,8 @@ pub struct RunOptions {
     pub pictures: bool,
     /// Delay from observation to chunk, ms; the policy's own if not given.
     pub latency_ms: Option<u64>,
+    /// What may come on top of it, evenly from nothing to this, drawn for each chunk by the seed, ms.
+    pub latency_jitter_ms: u64,
     /// Where the network computes.
     pub device: Device,
 }
@@ -80,9 +83,12 @@ pub fn run_lockstep(setup: &Setup, options: &RunOptions) -> Result<RunResult, Se
         cameras,
         pictures: options.pictures.then(Pictures::default),
     };
-    let latency_ticks = options.latency_ms.unwrap_or_else(|| source.latency_ticks());
     let plan = Plan {
-        latency_ticks,
+        latency: Latency {
+            ticks: options.latency_ms.unwrap_or_else(|| source.latency_ticks()),
+            jitter_ticks: options.latency_jitter_ms,
+            seed: options.seed,
+        },
         tick_limit: setup.tick_limit(),
     };
     let episode = Episode {

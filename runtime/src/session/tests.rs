@@ -10,6 +10,7 @@ use sim_backend::simulation::{Rendering, Simulation};
 use tch::Device;
 
 use super::episode::{Episode, EpisodeEnd, Plan, Watcher};
+use super::latency::Latency;
 use super::record::{RecordOptions, record};
 use super::tally::RunLabels;
 use super::training::{CameraChoice, NetworkChoice, TrainingOptions, train};
@@ -20,6 +21,7 @@ use crate::replay::replay;
 use crate::verify::verify;
 
 mod clouds;
+mod latency;
 mod tissue;
 
 /// Writes the log of an episode without looking at it.
@@ -69,7 +71,7 @@ fn run_setup(
         source: &mut setup.source(policy, 3, Device::Cpu).unwrap(),
     };
     let plan = Plan {
-        latency_ticks: 40,
+        latency: Latency::fixed(40),
         tick_limit: ticks,
     };
     let end = episode.run(&plan, &mut logger).unwrap();
@@ -237,8 +239,11 @@ fn a_demonstration_of_two_arms_trains_a_network_that_commands_both() {
         episodes: None,
         validation_share: 0.0,
         augment: false,
+        clouds: None,
+        images_on_host: false,
         threads: 2,
         seed: 1,
+        save_every: 0,
         command: "train".to_owned(),
     };
     assert!(train(&options, &mut |_| {}).unwrap().loss.is_finite());

@@ -1,9 +1,7 @@
 //! Training a policy on a dataset.
 
-use std::fs;
 use std::path::{Path, PathBuf};
 
-use hal::TimeNs;
 use policy::act::{ActConfig, ActPreset};
 use policy::checkpoint::{
     self, AggregationName, DatasetSummary, PolicyPreset, Precision, RECIPE_FORMAT, Recipe,
@@ -12,21 +10,23 @@ use policy::checkpoint::{
 use policy::dataset::Dataset;
 use policy::relative_action::REPRESENTATION;
 use policy::train::{
-    Augmentation, LossCurve, Progress, TrainError, TrainOptions, TrainPrecision, Trainer,
+    Augmentation, LossCurve, RunState, TrainError, TrainOptions, TrainPrecision, Trainer,
 };
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 use tch::Device;
 
+use super::cloud_file::cloud_recipe;
 use super::source::STEP_NS;
+use super::training_watch::{Stopwatch, Watcher, read_state, remove_state, write_curve};
 use super::{SessionError, outputs, training_clouds};
-use crate::rt::MonotonicClock;
+use crate::rt;
 
 /// Policy steps from one query to the next that a trained checkpoint asks for: half a chunk of the small preset, so that a fresh
 /// one is there when the last ends.
 const QUERY_EVERY_STEPS: u32 = 25;
 
 /// Which of the dataset's cameras the network sees.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum CameraChoice {
     /// The only one; a dataset with several is refused.
     Single,
@@ -35,7 +35,7 @@ pub enum CameraChoice {
 }
 
 /// Which network is trained.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum NetworkChoice {
     /// ACT, from colour images.
     Act,
@@ -46,7 +46,7 @@ pub enum NetworkChoice {
 }
 
 /// What to train.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct TrainingOptions {
     /// The network.
     pub network: NetworkChoice,
@@ -64,6 +64,7 @@ pub struct TrainingOptions {
     /// Samples a step, if not the preset's.
     pub batch: Option<usize>,
     /// Where to compute.
+    #[serde(with = "device_name")]
     pub device: Device,
     /// Compute in 16 bits; for accelerators.
     pub bf16: bool,
@@ -71,14 +72,38 @@ pub struct TrainingOptions {
     pub episodes: Option<usize>,
     /// Share of the episodes held out for validation.
     pub validation_share: f64,
-    /// Shift and brighten images at random.
+    /// Change what is trained on at random: shift and brighten images, move and hide points, disturb states.
     pub augment: bool,
+    /// What clouds are made of instead of the built-in config/clouds.toml.
+    pub clouds: Option<PathBuf>,
+    /// Keep images in the host's memory instead of the device's.
+    pub images_on_host: bool,
     /// Threads that decode images, and compute on the CPU.
     pub threads: usize,
     /// Everything random hangs on this.
     pub seed: u64,
+    /// Steps between two times that the state is kept, from which the training can go on; 0 is never.
+    pub save_every: u64,
     /// The command line, for the checkpoint's recipe.
     pub command: String,
+}
+
+/// A device by its name.
+mod device_name {
+    use serde::{Deserialize, Deserializer, Serializer, de};
+    use tch::Device;
+
+    pub(super) fn serialize<S: Serializer>(device: &Device, to: S) -> Result<S::Ok, S::Error> {
+        to.serialize_str(if device.is_cuda() { "cuda" } else { "cpu" })
+    }
+
+    pub(super) fn deserialize<'de, D: Deserializer<'de>>(from: D) -> Result<Device, D::Error> {
+        match String::deserialize(from)?.as_str() {
+            "cpu" => Ok(Device::Cpu),
+            "cuda" => Ok(Device::Cuda(0)),
+            other => Err(de::Error::custom(format!("device {other:?}"))),
+        }
+    }
 }
 
 /// What training came to.
@@ -94,31 +119,13 @@ pub struct TrainingResult {
     pub seconds: f64,
 }
 
-/// How long a training has taken.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct Stopwatch {
-    clock: MonotonicClock,
-    begun: TimeNs,
-}
-
-impl Stopwatch {
-    fn start() -> Self {
-        let clock = MonotonicClock::new();
-        let begun = clock.now();
-        Self { clock, begun }
-    }
-
-    /// Time since the start, s.
-    pub(super) fn seconds(&self) -> f64 {
-        TimeNs(self.clock.now().since(self.begun)).seconds()
-    }
-}
-
 /// Trains, and writes the checkpoint and its loss curve (`loss.csv`).
+///
+/// SIGINT, SIGTERM and SIGHUP make it keep its state and stop after the step at hand.
 ///
 /// # Errors
 /// [`SessionError::BadArgument`] if the checkpoint's folder is not empty or can't be written, before any work; from the
-/// dataset, the training or the file system.
+/// dataset, the training or the file system; [`TrainError::Stopped`].
 pub fn train(
     options: &TrainingOptions,
     on_progress: &mut dyn FnMut(&str),
@@ -130,43 +137,83 @@ pub fn train(
             if let Some(defect) = train_options(options, preset).defect() {
                 return Err(TrainError::Options(defect).into());
             }
+            if options.clouds.is_some() {
+                let defect = "--clouds: act sees images; of act-pc and dp3";
+                return Err(SessionError::BadArgument(defect.to_owned()));
+            }
         }
         NetworkChoice::ActPc => {
             training_clouds::act_pc_options(options)?;
+            cloud_recipe(options.clouds.as_deref(), 1)?;
         }
         NetworkChoice::Dp3 => {
             training_clouds::dp3_preset(&options.preset)?;
             training_clouds::dp3_options(options, 1)?;
+            cloud_recipe(options.clouds.as_deref(), 1)?;
         }
     }
     outputs::new_folder(&options.out)?;
+    let start = Start {
+        trainer: Trainer::new(options.device),
+        stopwatch: Stopwatch::start(0.0),
+    };
+    train_from(options, start, on_progress)
+}
+
+/// Goes on with the training whose state is in the checkpoint's folder `folder`, with the options that it was begun with.
+///
+/// # Errors
+/// [`SessionError::BadArgument`] if there is no state; otherwise those of [`train`], and [`TrainError::State`] if the
+/// dataset is another one now.
+pub fn resume(
+    folder: &Path,
+    on_progress: &mut dyn FnMut(&str),
+) -> Result<TrainingResult, SessionError> {
+    let (state, options, seconds): (RunState, _, _) = read_state(folder)?;
+    let start = Start {
+        trainer: Trainer::new(options.device).resuming(state),
+        stopwatch: Stopwatch::start(seconds),
+    };
+    train_from(&options, start, on_progress)
+}
+
+/// Where a training starts from.
+pub(super) struct Start {
+    pub(super) trainer: Trainer,
+    pub(super) stopwatch: Stopwatch,
+}
+
+fn train_from(
+    options: &TrainingOptions,
+    start: Start,
+    on_progress: &mut dyn FnMut(&str),
+) -> Result<TrainingResult, SessionError> {
+    rt::catch_interrupts()
+        .map_err(|error| SessionError::RealTime(format!("signals can't be caught: {error}")))?;
     let dataset = Dataset::open_first(&options.data, options.episodes)?;
-    let stopwatch = Stopwatch::start();
-    match options.network {
-        NetworkChoice::Act => train_act(options, &dataset, &stopwatch, on_progress),
+    let result = match options.network {
+        NetworkChoice::Act => train_act(options, &dataset, &start, on_progress),
         NetworkChoice::ActPc => {
-            training_clouds::train_act_pc(options, &dataset, &stopwatch, on_progress)
+            training_clouds::train_act_pc(options, &dataset, &start, on_progress)
         }
-        NetworkChoice::Dp3 => {
-            training_clouds::train_dp3(options, &dataset, &stopwatch, on_progress)
-        }
-    }
+        NetworkChoice::Dp3 => training_clouds::train_dp3(options, &dataset, &start, on_progress),
+    }?;
+    remove_state(&options.out)?;
+    Ok(result)
 }
 
 fn train_act(
     options: &TrainingOptions,
     dataset: &Dataset,
-    stopwatch: &Stopwatch,
+    Start { trainer, stopwatch }: &Start,
     on_progress: &mut dyn FnMut(&str),
 ) -> Result<TrainingResult, SessionError> {
     let preset = parse_preset(&options.preset)?;
     let train_options = train_options(options, preset);
     let config = ActConfig::preset(preset, &cameras(options, dataset)?).for_arms(dataset.arms());
     say_size(dataset, train_options.steps, on_progress);
-    let trained =
-        Trainer::new(options.device).run(&config, &train_options, dataset, &mut |progress| {
-            on_progress(&progress_line(progress, stopwatch.seconds()));
-        })?;
+    let mut watcher = Watcher::new(options, stopwatch, on_progress);
+    let trained = trainer.run(&config, &train_options, dataset, &mut watcher)?;
     let made = Made {
         preset: preset.into(),
         variants: Variants {
@@ -252,6 +299,7 @@ fn train_options(options: &TrainingOptions, preset: ActPreset) -> TrainOptions {
             brightness: 0.15,
             contrast: 0.15,
             state_noise: 0.02,
+            ..base.augmentation
         }
     } else {
         base.augmentation
@@ -266,27 +314,12 @@ fn train_options(options: &TrainingOptions, preset: ActPreset) -> TrainOptions {
         },
         validation_share: options.validation_share,
         augmentation,
+        images_on_host: options.images_on_host,
+        save_every: options.save_every,
         threads: options.threads,
         seed: options.seed,
         ..base
     }
-}
-
-pub(super) fn progress_line(progress: &Progress, seconds: f64) -> String {
-    let row = &progress.row;
-    let validation = row
-        .validation_l1
-        .map_or_else(String::new, |l1| format!(", validation l1 {l1:.5}"));
-    format!(
-        "step {}/{}: loss {:.5}, l1 {:.5}, kl {:.5}, gradient {:.3}{validation}; {seconds:.0} s, {:.0} s left",
-        row.step,
-        progress.steps,
-        row.loss,
-        row.l1,
-        row.kl,
-        row.gradient_norm,
-        progress.seconds_left(seconds)
-    )
 }
 
 /// What is particular about the network that was trained.
@@ -344,9 +377,4 @@ pub(super) fn recipe(
             "final": made.curve.last().map(|row| serde_json::json!({"loss": row.loss, "l1": row.l1, "kl": row.kl})),
         }),
     }
-}
-
-pub(super) fn write_curve(folder: &Path, curve: &LossCurve) -> Result<(), SessionError> {
-    let path = folder.join("loss.csv");
-    fs::write(&path, curve.to_csv()).map_err(|error| SessionError::output(&path, error))
 }

@@ -5,16 +5,15 @@ use policy::act_pc::{ActPcConfig, ActPcPreset};
 use policy::checkpoint::{self, AggregationName, Precision, Variants};
 use policy::dataset::Dataset;
 use policy::dp3::{Dp3Config, Dp3Preset};
-use policy::perception::{CloudFrame, CloudRecipe, Padding};
 use policy::relative_action::RELATIVE_ACTION_DIM;
-use policy::train::{TrainError, TrainOptions, TrainPrecision, Trainer};
-use sim_backend::visual::instance;
+use policy::train::{Augmentation, TrainError, TrainOptions, TrainPrecision};
 
 use super::SessionError;
+use super::cloud_file::cloud_recipe;
 use super::training::{
-    Made, Stopwatch, TrainingOptions, TrainingResult, cameras, progress_line, recipe, result,
-    say_size, write_curve,
+    Made, Start, TrainingOptions, TrainingResult, cameras, recipe, result, say_size,
 };
+use super::training_watch::{Watcher, write_curve};
 
 /// Points in a cloud, of the published real tasks.
 const POINTS: usize = 1024;
@@ -22,24 +21,21 @@ const POINTS: usize = 1024;
 /// Times that DP3's published recipe sees every frame.
 const DP3_EPOCHS: usize = 3000;
 
-/// What is in a cloud: neither background nor ground, and of the instruments only what works. A shaft has more surface
-/// than all else together and tells nothing that the joints do not.
-fn cloud_recipe(points: usize) -> CloudRecipe {
-    CloudRecipe {
-        frame: CloudFrame::Scene,
-        crop_m: None,
-        dropped_instances: vec![0, instance::ORGAN, instance::SHAFT, instance::SECOND_SHAFT],
-        voxel_m: None,
-        points,
-        padding: Padding::FirstPoint,
-    }
-}
+/// What `--augment` does to clouds: a depth camera's noise, a tenth of the points hidden, and the state as for images.
+const CLOUD_AUGMENTATION: Augmentation = Augmentation {
+    shift_px: 0,
+    brightness: 0.0,
+    contrast: 0.0,
+    state_noise: 0.02,
+    point_noise_m: 0.0003,
+    point_dropout: 0.1,
+};
 
 /// Trains DP3 or SimpleDP3 and writes the checkpoint and its loss curve.
 pub(super) fn train_dp3(
     options: &TrainingOptions,
     dataset: &Dataset,
-    stopwatch: &Stopwatch,
+    Start { trainer, stopwatch }: &Start,
     on_progress: &mut dyn FnMut(&str),
 ) -> Result<TrainingResult, SessionError> {
     let preset = dp3_preset(&options.preset)?;
@@ -48,15 +44,10 @@ pub(super) fn train_dp3(
     let numbers = i64::try_from(RELATIVE_ACTION_DIM * dataset.arms()).unwrap_or(i64::MAX);
     let config = Dp3Config::preset(preset, numbers, numbers);
     let train_options = dp3_options(options, dataset.len())?;
-    let cloud = cloud_recipe(POINTS);
+    let cloud = cloud_recipe(options.clouds.as_deref(), POINTS)?;
     say_size(dataset, train_options.steps, on_progress);
-    let trained = Trainer::new(options.device).run_dp3(
-        &config,
-        &cloud,
-        &train_options,
-        dataset,
-        &mut |progress| on_progress(&progress_line(progress, stopwatch.seconds())),
-    )?;
+    let mut watcher = Watcher::new(options, stopwatch, on_progress);
+    let trained = trainer.run_dp3(&config, &cloud, &train_options, dataset, &mut watcher)?;
     let made = Made {
         preset: preset.into(),
         variants: Variants {
@@ -104,7 +95,9 @@ pub(super) fn dp3_options(
     let train_options = TrainOptions {
         batch,
         precision: TrainPrecision::F32,
+        augmentation: augmentation(options),
         validation_share: options.validation_share,
+        save_every: options.save_every,
         threads: options.threads,
         seed: options.seed,
         ..TrainOptions::dp3(options.steps.unwrap_or(published as u64))
@@ -115,13 +108,29 @@ pub(super) fn dp3_options(
     }
 }
 
-/// What is only there for images.
+fn augmentation(options: &TrainingOptions) -> Augmentation {
+    if options.augment {
+        CLOUD_AUGMENTATION
+    } else {
+        Augmentation::default()
+    }
+}
+
+/// What there is for images only, with the reason.
 fn refuse_images(options: &TrainingOptions, network: &str) -> Result<(), SessionError> {
-    let refused = [("--augment", options.augment), ("--bf16", options.bf16)];
-    match refused.iter().find(|(_, asked)| *asked) {
+    let precision = "it is trained in single precision, as published";
+    let refused = [
+        ("--bf16", options.bf16, precision),
+        (
+            "--images-on-host",
+            options.images_on_host,
+            "it sees no images",
+        ),
+    ];
+    match refused.iter().find(|(_, asked, _)| *asked) {
         None => Ok(()),
-        Some((name, _)) => Err(SessionError::BadArgument(format!(
-            "{name}: {network} has no such thing"
+        Some((name, _, reason)) => Err(SessionError::BadArgument(format!(
+            "{name}: not of {network}: {reason}"
         ))),
     }
 }
@@ -145,7 +154,9 @@ pub(super) fn act_pc_options(
     let train_options = TrainOptions {
         steps: options.steps.unwrap_or(base.steps),
         batch: options.batch.unwrap_or(base.batch),
+        augmentation: augmentation(options),
         validation_share: options.validation_share,
+        save_every: options.save_every,
         threads: options.threads,
         seed: options.seed,
         ..base
@@ -160,24 +171,21 @@ pub(super) fn act_pc_options(
 pub(super) fn train_act_pc(
     options: &TrainingOptions,
     dataset: &Dataset,
-    stopwatch: &Stopwatch,
+    Start { trainer, stopwatch }: &Start,
     on_progress: &mut dyn FnMut(&str),
 ) -> Result<TrainingResult, SessionError> {
     let (preset, train_options) = act_pc_options(options)?;
     let config = ActPcConfig::preset(preset, &cameras(options, dataset)?);
+    let points = usize::try_from(config.points).unwrap_or(0);
+    let cloud = cloud_recipe(options.clouds.as_deref(), points)?;
     let config = ActPcConfig {
         act: config.act.for_arms(dataset.arms()),
+        points: i64::try_from(cloud.points).unwrap_or(i64::MAX),
         ..config
     };
-    let cloud = cloud_recipe(usize::try_from(config.points).unwrap_or(0));
     say_size(dataset, train_options.steps, on_progress);
-    let trained = Trainer::new(options.device).run_act_pc(
-        &config,
-        &cloud,
-        &train_options,
-        dataset,
-        &mut |progress| on_progress(&progress_line(progress, stopwatch.seconds())),
-    )?;
+    let mut watcher = Watcher::new(options, stopwatch, on_progress);
+    let trained = trainer.run_act_pc(&config, &cloud, &train_options, dataset, &mut watcher)?;
     let made = Made {
         preset: preset.into(),
         variants: Variants {

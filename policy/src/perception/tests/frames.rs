@@ -8,7 +8,7 @@ use nalgebra::{Point3, Translation3, UnitQuaternion, Vector3};
 use super::drawn::{frame, plane, pose, project, sphere, wide};
 use crate::perception::{
     CloudFrame, CloudOptions, CropBox, InstanceSet, Padding, PerceptionError, Point, Refused,
-    point_cloud,
+    point_cloud, shows_nothing,
 };
 
 const EVERYTHING: CropBox = CropBox::EVERYTHING;
@@ -185,6 +185,47 @@ fn nothing_left_says_where_it_went() {
             with_depth: 1728,
             ..
         })
+    ));
+}
+
+#[test]
+fn what_is_hidden_gives_a_cloud_at_the_origin_and_a_blind_sensor_none() {
+    let shown = frame(pose(), plane(Point3::origin(), Vector3::z()));
+    let options = CloudOptions {
+        frame: CloudFrame::Scene,
+        crop: EVERYTHING,
+        instances: ALL,
+        voxel_m: None,
+        points: 7,
+        padding: Padding::FirstPoint,
+    };
+    let cloud =
+        |frame: &CameraFrame, options: &CloudOptions| point_cloud(&[frame.as_frame()], options);
+    assert!(!shows_nothing(&cloud(&shown, &options).unwrap()));
+    let elsewhere = CropBox {
+        min_m: [1.0; 3],
+        max_m: [2.0; 3],
+    };
+    let hidden = [
+        CloudOptions {
+            instances: InstanceSet::only(&[9]),
+            ..options.clone()
+        },
+        CloudOptions {
+            crop: elsewhere,
+            ..options.clone()
+        },
+    ];
+    for options in &hidden {
+        let nothing = cloud(&shown, options).unwrap();
+        assert_eq!(nothing, vec![[0.0; 3]; 7]);
+        assert!(shows_nothing(&nothing));
+    }
+    let mut blind = shown;
+    blind.depth_m.fill(0.0);
+    assert!(matches!(
+        cloud(&blind, &options).unwrap_err(),
+        PerceptionError::Empty(_)
     ));
 }
 

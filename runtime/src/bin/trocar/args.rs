@@ -140,6 +140,9 @@ pub(crate) struct RunArgs {
     /// Delay from observation to chunk in lockstep, ms, up to 10000.
     #[arg(long, value_name = "MS", value_parser = delay())]
     pub(crate) latency_ms: Option<u64>,
+    /// What may come on top of it, evenly from nothing to this, drawn for each chunk by the seed, ms, up to 10000.
+    #[arg(long, value_name = "MS", default_value_t = 0, value_parser = delay())]
+    pub(crate) latency_jitter_ms: u64,
     /// Where the network computes.
     #[arg(long, value_enum, default_value = "cpu")]
     pub(crate) device: ComputeDevice,
@@ -175,6 +178,9 @@ pub(crate) struct EvalArgs {
     /// Delay from observation to chunk, ms, up to 10000.
     #[arg(long, value_name = "MS", value_parser = delay())]
     pub(crate) latency_ms: Option<u64>,
+    /// What may come on top of it, evenly from nothing to this, drawn for each chunk by the seed, ms, up to 10000.
+    #[arg(long, value_name = "MS", default_value_t = 0, value_parser = delay())]
+    pub(crate) latency_jitter_ms: u64,
     /// Where the network computes.
     #[arg(long, value_enum, default_value = "cpu")]
     pub(crate) device: ComputeDevice,
@@ -251,14 +257,29 @@ pub(crate) enum Cameras {
 #[derive(Args, Debug)]
 pub(crate) struct TrainArgs {
     /// The network.
-    #[arg(long, value_enum)]
-    pub(crate) policy: Network,
+    #[arg(long, value_enum, required_unless_present = "resume")]
+    pub(crate) policy: Option<Network>,
     /// The dataset's directory.
-    #[arg(long)]
-    pub(crate) data: PathBuf,
+    #[arg(long, required_unless_present = "resume")]
+    pub(crate) data: Option<PathBuf>,
     /// The checkpoint's directory; a new or an empty one.
-    #[arg(long)]
-    pub(crate) out: PathBuf,
+    #[arg(long, required_unless_present = "resume")]
+    pub(crate) out: Option<PathBuf>,
+    /// Go on with the training whose state is in this directory, with the options that it was begun with; --json alone may
+    /// go with it.
+    #[arg(
+        long,
+        value_name = "DIR",
+        conflicts_with_all = [
+            "policy", "data", "out", "cameras", "preset", "steps", "batch", "device", "episodes", "validation_share",
+            "bf16", "images_on_host", "threads", "augment", "clouds", "save_every", "seed"
+        ]
+    )]
+    pub(crate) resume: Option<PathBuf>,
+    /// Steps between two times that the state is kept, from which --resume goes on; 0 is never. It is kept too when the
+    /// training is interrupted.
+    #[arg(long, value_name = "STEPS", default_value_t = 10_000)]
+    pub(crate) save_every: u64,
     /// Which of the dataset's cameras the network sees.
     #[arg(long, value_enum, default_value = "multi")]
     pub(crate) cameras: Cameras,
@@ -284,12 +305,18 @@ pub(crate) struct TrainArgs {
     /// Compute in 16 bits (bfloat16); for accelerators.
     #[arg(long)]
     pub(crate) bf16: bool,
+    /// Keep decoded images in the host's memory and send each step's ahead of it, when the device has no room for all.
+    #[arg(long)]
+    pub(crate) images_on_host: bool,
     /// Threads that decode images, and compute on the CPU.
     #[arg(long, default_value_t = 2, value_parser = threads())]
     pub(crate) threads: usize,
-    /// Random shifts and brightness of the images while training.
+    /// Change at random what is trained on: images are shifted and brightened, points moved and hidden, states disturbed.
     #[arg(long)]
     pub(crate) augment: bool,
+    /// What point clouds are made of (box, instances, number of points) instead of the built-in config/clouds.toml.
+    #[arg(long, value_name = "FILE")]
+    pub(crate) clouds: Option<PathBuf>,
     /// Everything random hangs on this.
     #[arg(long, default_value_t = 0)]
     pub(crate) seed: u64,

@@ -1,5 +1,7 @@
 //! The verbs: arguments in, library calls, results out. `Ok(false)` means that the job failed.
 
+use std::path::Path;
+
 use runtime::doctor::{self, Probes};
 use runtime::log::RunLog;
 use runtime::session::demo::{self, DemoOptions};
@@ -41,9 +43,10 @@ fn warn_of_transfer(setup: &Setup) {
 }
 
 pub(crate) fn run(args: &RunArgs) -> Done {
-    if args.latency_ms.is_some() && !args.lockstep {
+    if (args.latency_ms.is_some() || args.latency_jitter_ms > 0) && !args.lockstep {
         return Err(SessionError::BadArgument(
-            "--latency-ms needs --lockstep: in real time a chunk comes when it comes".to_owned(),
+            "--latency-ms and --latency-jitter-ms need --lockstep: in real time a chunk comes when it comes"
+                .to_owned(),
         ));
     }
     let log = ("--log", args.log.as_deref());
@@ -60,6 +63,7 @@ pub(crate) fn run(args: &RunArgs) -> Done {
         log: args.log.clone(),
         pictures: false,
         latency_ms: args.latency_ms,
+        latency_jitter_ms: args.latency_jitter_ms,
         device: device(args.device)?,
     };
     let result = if args.lockstep {
@@ -123,6 +127,7 @@ pub(crate) fn eval(args: &EvalArgs) -> Done {
         seed: args.seed,
         jobs: args.jobs,
         latency_ms: args.latency_ms,
+        latency_jitter_ms: args.latency_jitter_ms,
         device: device(args.device)?,
     };
     let bar = console::progress(args.trials as u64, "trials");
@@ -195,23 +200,55 @@ pub(crate) fn record(args: &RecordArgs) -> Done {
 }
 
 pub(crate) fn train(args: &TrainArgs) -> Done {
-    let data = ("--data", Some(args.data.as_path()));
-    let out = ("--out", Some(args.out.as_path()));
+    let data = ("--data", args.data.as_deref());
+    let out = ("--out", args.out.as_deref());
     outputs::check(&[("--json", args.json.as_deref())], &[data, out])?;
-    let options = TrainingOptions {
-        network: match args.policy {
+    let mut say = |line: &str| console::note(line);
+    let (result, out) = match (&args.resume, &args.policy, &args.data, &args.out) {
+        (Some(folder), ..) => (training::resume(folder, &mut say)?, folder),
+        (None, Some(policy), Some(data), Some(out)) => {
+            let options = training_options(args, *policy, data, out)?;
+            (training::train(&options, &mut say)?, out)
+        }
+        // The parser asks for these before.
+        _ => return Err(missing_options()),
+    };
+    console::result(&format!(
+        "trained {} steps, final loss {:.5}, {}",
+        result.steps,
+        result.loss,
+        out.display()
+    ));
+    if let Some(path) = &args.json {
+        write_json(path, &result)?;
+    }
+    Ok(true)
+}
+
+fn missing_options() -> SessionError {
+    SessionError::BadArgument("--policy, --data and --out are needed, or --resume".to_owned())
+}
+
+fn training_options(
+    args: &TrainArgs,
+    network: Network,
+    data: &Path,
+    out: &Path,
+) -> Result<TrainingOptions, SessionError> {
+    Ok(TrainingOptions {
+        network: match network {
             Network::Act => NetworkChoice::Act,
             Network::ActPc => NetworkChoice::ActPc,
             Network::Dp3 => NetworkChoice::Dp3,
         },
-        data: args.data.clone(),
-        out: args.out.clone(),
+        data: data.to_owned(),
+        out: out.to_owned(),
         cameras: match args.cameras {
             Cameras::Single => CameraChoice::Single,
             Cameras::Multi => CameraChoice::Multi,
         },
         preset: args.preset.clone().unwrap_or_else(|| {
-            match args.policy {
+            match network {
                 Network::Act | Network::ActPc => "small",
                 Network::Dp3 => "paper",
             }
@@ -225,20 +262,12 @@ pub(crate) fn train(args: &TrainArgs) -> Done {
         validation_share: args.validation_share,
         threads: args.threads,
         augment: args.augment,
+        clouds: args.clouds.clone(),
+        images_on_host: args.images_on_host,
         seed: args.seed,
+        save_every: args.save_every,
         command: std::env::args().skip(1).collect::<Vec<_>>().join(" "),
-    };
-    let result = training::train(&options, &mut |line| console::note(line))?;
-    console::result(&format!(
-        "trained {} steps, final loss {:.5}, {}",
-        result.steps,
-        result.loss,
-        args.out.display()
-    ));
-    if let Some(path) = &args.json {
-        write_json(path, &result)?;
-    }
-    Ok(true)
+    })
 }
 
 pub(crate) fn replay(args: &LogArgs) -> Done {

@@ -14,6 +14,7 @@ use sim_backend::simulation::{Rendering, Simulation};
 use tch::Device;
 
 use super::episode::{Episode, Nobody, Plan};
+use super::latency::Latency;
 use super::scene_options::SceneOptions;
 use super::{PolicyChoice, SessionError, Setup, pictures};
 use layout::{Block, Row};
@@ -118,7 +119,7 @@ fn play(
     let mut simulation = Simulation::new(&setup.task, seed, rendering)?;
     let mut source = setup.source(&PolicyChoice::Expert, seed, Device::Cpu)?;
     let plan = Plan {
-        latency_ticks: source.latency_ticks(),
+        latency: Latency::fixed(source.latency_ticks()),
         tick_limit,
     };
     let episode = Episode {

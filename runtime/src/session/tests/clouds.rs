@@ -38,8 +38,11 @@ fn train_simple(data: &Path, out: &Path) -> Result<TrainingResult, SessionError>
         episodes: None,
         validation_share: 0.0,
         augment: false,
+        clouds: None,
+        images_on_host: false,
         threads: 2,
         seed: 1,
+        save_every: 0,
         command: "train".to_owned(),
     };
     train(&options, &mut |_| {})

@@ -19,6 +19,7 @@ fn evaluated(
         seed,
         jobs: 1,
         latency_ms: None,
+        latency_jitter_ms: 0,
         device: Device::Cpu,
     };
     let summary = evaluate(&setup, &options, &mut |_| {}).unwrap();

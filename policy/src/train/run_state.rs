@@ -1,0 +1,200 @@
+//! What a training needs to go on as if it had never stopped, in one file.
+//!
+//! Every random number of a step hangs on the run's seed and the step alone, so that there is no state of generators to
+//! keep: what is kept is the parameters with their optimiser, the moving average, and the curve so far.
+
+use std::collections::BTreeMap;
+use std::fs;
+use std::path::Path;
+
+use tch::{Device, Kind, TchError, Tensor};
+
+use super::TrainError;
+use super::curve::{CurveRow, LossCurve};
+
+const STEP: &str = "step";
+const CURVE: &str = "curve";
+const ABOUT: &str = "about";
+const RUN: &str = "run";
+const SINCE_ROW: &str = "since_row";
+
+/// Numbers in a row of the stored curve.
+const COLUMNS: usize = 7;
+
+/// A training that is not at its end.
+#[derive(Debug)]
+pub struct RunState {
+    /// Steps taken.
+    pub step: u64,
+    /// What the caller wants to know again: how the run was begun.
+    pub about: String,
+    /// What must be the same in the run that goes on, as JSON.
+    pub(super) run: String,
+    pub(super) curve: LossCurve,
+    /// Losses since the last row of the curve, `(steps, 4)`.
+    pub(super) since_row: Option<Tensor>,
+    /// Parameters, moments and averages by name.
+    pub(super) tensors: BTreeMap<String, Tensor>,
+}
+
+impl RunState {
+    /// Writes the state to `file`, by way of a file beside it, so that a cut-off leaves the state before it.
+    ///
+    /// # Errors
+    /// [`TrainError::State`] naming the file.
+    pub fn write(&self, file: &Path) -> Result<(), TrainError> {
+        let refuse = |reason: String| TrainError::State(format!("{}: {reason}", file.display()));
+        let tensors = self.all().map_err(|error| refuse(error.to_string()))?;
+        let tensors: Vec<(&str, &Tensor)> = tensors
+            .iter()
+            .map(|(key, tensor)| (key.as_str(), tensor))
+            .collect();
+        let part = file.with_extension("part");
+        Tensor::write_safetensors(&tensors, &part).map_err(|error| refuse(error.to_string()))?;
+        fs::rename(&part, file).map_err(|error| refuse(error.to_string()))
+    }
+
+    /// Reads the state in `file`.
+    ///
+    /// # Errors
+    /// [`TrainError::State`] naming the file and what is wrong with it.
+    pub fn read(file: &Path) -> Result<Self, TrainError> {
+        let refuse = |reason: String| TrainError::State(format!("{}: {reason}", file.display()));
+        let tensors = Tensor::read_safetensors(file).map_err(|error| refuse(error.to_string()))?;
+        let mut tensors: BTreeMap<String, Tensor> = tensors.into_iter().collect();
+        let mut take = |key: &str, kind: Kind, dims: usize| {
+            let tensor = tensors
+                .remove(key)
+                .ok_or_else(|| refuse(format!("has no {key}")))?;
+            if tensor.kind() == kind && tensor.dim() == dims {
+                return Ok(tensor);
+            }
+            Err(refuse(format!("{key} is not what it should be")))
+        };
+        let step = take(STEP, Kind::Int64, 1)?;
+        let curve = take(CURVE, Kind::Double, 2)?;
+        let (about, run) = (take(ABOUT, Kind::Uint8, 1)?, take(RUN, Kind::Uint8, 1)?);
+        let text = |tensor: &Tensor| {
+            let bytes = Vec::<u8>::try_from(tensor).map_err(|error| refuse(error.to_string()))?;
+            String::from_utf8(bytes).map_err(|error| refuse(error.to_string()))
+        };
+        let step = Vec::<i64>::try_from(&step).map_err(|error| refuse(error.to_string()))?;
+        let step = step.first().and_then(|&step| u64::try_from(step).ok());
+        Ok(Self {
+            step: step.ok_or_else(|| refuse(format!("{STEP} is not what it should be")))?,
+            about: text(&about)?,
+            run: text(&run)?,
+            curve: curve_of(&curve).map_err(|error| refuse(error.to_string()))?,
+            since_row: tensors.remove(SINCE_ROW),
+            tensors,
+        })
+    }
+
+    fn all(&self) -> Result<BTreeMap<String, Tensor>, TchError> {
+        let mut all = BTreeMap::new();
+        for (key, tensor) in &self.tensors {
+            all.insert(
+                key.clone(),
+                tensor.f_to_device(Device::Cpu)?.f_contiguous()?,
+            );
+        }
+        if let Some(since_row) = &self.since_row {
+            all.insert(SINCE_ROW.to_owned(), since_row.f_to_device(Device::Cpu)?);
+        }
+        let step = i64::try_from(self.step).unwrap_or(i64::MAX);
+        all.insert(STEP.to_owned(), Tensor::f_from_slice(&[step])?);
+        all.insert(CURVE.to_owned(), tensor_of(&self.curve)?);
+        all.insert(
+            ABOUT.to_owned(),
+            Tensor::f_from_slice(self.about.as_bytes())?,
+        );
+        all.insert(RUN.to_owned(), Tensor::f_from_slice(self.run.as_bytes())?);
+        Ok(all)
+    }
+
+    /// The losses so far.
+    #[must_use]
+    pub const fn curve(&self) -> &LossCurve {
+        &self.curve
+    }
+
+    /// The tensor `key`, which must be like `like`, where that is.
+    pub(super) fn tensor(&self, key: &str, like: &Tensor) -> Result<Tensor, TrainError> {
+        match self.tensors.get(key) {
+            Some(tensor) if tensor.size() == like.size() && tensor.kind() == like.kind() => {
+                Ok(tensor.f_to_device(like.device())?)
+            }
+            Some(_) => Err(TrainError::State(format!("{key} is of another network"))),
+            None => Err(TrainError::State(format!("there is no {key}"))),
+        }
+    }
+
+    /// Refuses to go on as the run `run` what was begun as another.
+    pub(super) fn check(&self, run: &str) -> Result<(), TrainError> {
+        if self.run == run {
+            return Ok(());
+        }
+        let fields = |text: &str| {
+            serde_json::from_str::<serde_json::Map<String, serde_json::Value>>(text)
+                .unwrap_or_default()
+        };
+        let (begun, now) = (fields(&self.run), fields(run));
+        let differs = now
+            .iter()
+            .find(|(key, value)| begun.get(*key) != Some(value));
+        let what = differs.map_or("format", |(key, _)| key.as_str());
+        Err(TrainError::State(format!(
+            "the run was begun with another {what}, and would not be the same run"
+        )))
+    }
+}
+
+/// The curve to the bit; what is not there is NaN.
+#[expect(clippy::cast_precision_loss, reason = "steps stay far below 2^52")]
+fn tensor_of(curve: &LossCurve) -> Result<Tensor, TchError> {
+    let numbers: Vec<f64> = curve
+        .rows
+        .iter()
+        .flat_map(|row| {
+            let CurveRow {
+                step,
+                loss,
+                l1,
+                kl,
+                gradient_norm,
+                lr,
+                validation_l1,
+            } = *row;
+            let validation_l1 = validation_l1.unwrap_or(f64::NAN);
+            [step as f64, loss, l1, kl, gradient_norm, lr, validation_l1]
+        })
+        .collect();
+    let rows = i64::try_from(curve.rows.len()).unwrap_or(i64::MAX);
+    let columns = i64::try_from(COLUMNS).unwrap_or(i64::MAX);
+    Tensor::f_from_slice(&numbers)?.f_view([rows, columns])
+}
+
+#[expect(
+    clippy::cast_possible_truncation,
+    clippy::cast_sign_loss,
+    reason = "a step was stored"
+)]
+fn curve_of(tensor: &Tensor) -> Result<LossCurve, TchError> {
+    let numbers = Vec::<f64>::try_from(&tensor.f_reshape([-1])?)?;
+    let (rows, _) = numbers.as_chunks::<COLUMNS>();
+    let rows = rows.iter().map(|row| {
+        let [step, loss, l1, kl, gradient_norm, lr, validation_l1] = *row;
+        CurveRow {
+            step: step as u64,
+            loss,
+            l1,
+            kl,
+            gradient_norm,
+            lr,
+            validation_l1: (!validation_l1.is_nan()).then_some(validation_l1),
+        }
+    });
+    Ok(LossCurve {
+        rows: rows.collect(),
+    })
+}
