@@ -6,7 +6,7 @@ use hal::chunk::CHUNK_STEPS_MAX;
 use hal::{ArmState, Chunk, FrameRef, Observation, Policy, PolicyError};
 use tch::{Device, Kind, TchError, Tensor};
 
-use crate::act::Act;
+use crate::act::{ActConfig, FoldedAct};
 use crate::checkpoint::{self, Cause, CheckpointError, Recipe};
 use crate::images::{area_average, shrink_factor};
 use crate::normalise::{ImageNormaliser, Normaliser};
@@ -15,7 +15,8 @@ use crate::relative_action::absolute_chunks;
 /// An ACT policy that was loaded from a folder.
 #[derive(Debug)]
 pub struct ActPolicy {
-    act: Act,
+    config: ActConfig,
+    act: FoldedAct,
     device: Device,
     recipe: Recipe,
     image_factors: Vec<u32>,
@@ -64,7 +65,8 @@ impl ActPolicy {
             images: ImageNormaliser::imagenet(device).map_err(torch)?,
             state: loaded.statistics.state.normaliser(),
             action: loaded.statistics.action.normaliser(),
-            act: loaded.act,
+            act: FoldedAct::new(&loaded.act, Kind::Float).map_err(torch)?,
+            config: loaded.act.config().clone(),
             device,
             recipe,
             sequence: 0,
@@ -81,7 +83,7 @@ impl ActPolicy {
 
     /// One inference on a black image, so that a network that cannot run fails now, and the first answer is not late.
     fn warm_up(&self) -> Result<(), TchError> {
-        let config = self.act.config();
+        let config = &self.config;
         let cameras = i64::try_from(self.recipe.cameras.len()).unwrap_or(i64::MAX);
         let shape = [1, cameras, config.image_height, config.image_width, 3];
         let images = Tensor::f_zeros(shape, (Kind::Uint8, self.device))?;
@@ -128,7 +130,7 @@ impl ActPolicy {
                 self.image_factors[camera],
             ));
         }
-        let config = self.act.config();
+        let config = &self.config;
         let count = i64::try_from(frames.len()).unwrap_or(i64::MAX);
         let shape = [1, count, config.image_height, config.image_width, 3];
         let tensor = Tensor::f_from_data_size(&bytes, &shape, Kind::Uint8)

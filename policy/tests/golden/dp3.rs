@@ -1,6 +1,6 @@
 //! DP3 and SimpleDP3: the encoder, one call of the U-Net, ten steps of diffusion with normalised inputs and outputs.
 
-use policy::dp3::{CloudObservation, Dp3, Dp3Config, Dp3Preset, LimitsNormaliser};
+use policy::dp3::{CloudObservation, Dp3, Dp3Config, Dp3Preset, FoldedDp3, LimitsNormaliser};
 use policy::parameters::ParameterSource;
 use serde_json::Value;
 use tch::{Device, Kind, Tensor};
@@ -143,6 +143,16 @@ fn check_parts(name: &str, case: &Value, seed: u64) {
         &what("executed"),
         &executed,
         &numbers(&case["action"]),
+        1e-4,
+    );
+    // What policies run.
+    let mut folded = FoldedDp3::new(network, Kind::Float).unwrap();
+    let normalised = folded.infer(&observation, &noise).unwrap();
+    let actions = limits("action").invert(&normalised).unwrap();
+    check_all(
+        &what("folded actions"),
+        &actions,
+        &numbers(&case["action_pred"]),
         1e-4,
     );
 }
