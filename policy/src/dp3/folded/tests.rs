@@ -75,6 +75,17 @@ fn folding_changes_nothing_but_rounding() {
 }
 
 #[test]
+fn blocks_of_outputs_fold_too() {
+    for preset in [Dp3Preset::Dp3, Dp3Preset::Simple] {
+        let wide = Dp3Config {
+            down_dims: vec![128, 256],
+            ..config(preset, 8, 5)
+        };
+        check(&wide);
+    }
+}
+
+#[test]
 fn fewer_steps_than_a_convolution_sees_fold_too() {
     check(&config(Dp3Preset::Simple, 4, 7));
 }

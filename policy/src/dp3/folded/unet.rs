@@ -187,7 +187,8 @@ impl FoldedBlock {
         let (scale, shift) = (part(self.column)?, part(self.column + self.channels)?);
         let inner = shift.f_addcmul(&scale, &self.first.apply(x)?)?;
         let mut out = self.second.apply(&inner)?;
-        out.f_add_(self.first.taps.beside().unwrap_or(x))
+        self.first.taps.add_beside(&mut out, x)?;
+        Ok(out)
     }
 }
 
