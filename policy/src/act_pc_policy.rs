@@ -3,11 +3,12 @@
 use std::path::Path;
 
 use hal::{Chunk, Observation, Policy, PolicyError};
-use tch::{Device, Kind, TchError, Tensor};
+use tch::{Device, TchError, Tensor};
 
 use crate::act_pc::{ActPcConfig, Clouds, CloudsError, FoldedActPc};
 use crate::act_policy::state_numbers;
 use crate::checkpoint::{Cause, CheckpointError, Recipe, load_act_pc};
+use crate::compute::Compute;
 use crate::dp3_policy::check_frames;
 use crate::normalise::Normaliser;
 use crate::perception::{CloudRecipe, Point};
@@ -27,16 +28,15 @@ pub struct ActPcPolicy {
 }
 
 impl ActPcPolicy {
-    /// Loads the policy in `folder` onto `device` and runs it once.
-    ///
-    /// The network library computes with one thread from then on.
+    /// Loads the policy in `folder` and runs it once. The threads of `compute` become those of the whole process.
     ///
     /// # Errors
     /// [`CheckpointError`] naming the file and what is wrong with it.
-    pub fn load(folder: &Path, device: Device) -> Result<Self, CheckpointError> {
-        tch::set_num_threads(1);
+    pub fn load(folder: &Path, compute: impl Into<Compute>) -> Result<Self, CheckpointError> {
+        let compute = compute.into();
+        let (device, kind) = (compute.device, compute.prepare(folder)?);
         let loaded = load_act_pc(folder, device)?;
-        let network = FoldedActPc::new(&loaded.network, Kind::Float)
+        let network = FoldedActPc::new(&loaded.network, kind)
             .map_err(|error| Cause::Parameter(error.into()).in_file(folder))?;
         let policy = Self {
             state: loaded.statistics.state.normaliser(),

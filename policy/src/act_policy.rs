@@ -8,6 +8,7 @@ use tch::{Device, Kind, TchError, Tensor};
 
 use crate::act::{ActConfig, FoldedAct};
 use crate::checkpoint::{self, Cause, CheckpointError, Recipe};
+use crate::compute::Compute;
 use crate::images::{area_average, shrink_factor};
 use crate::normalise::{ImageNormaliser, Normaliser};
 use crate::relative_action::absolute_chunks;
@@ -27,15 +28,14 @@ pub struct ActPolicy {
 }
 
 impl ActPolicy {
-    /// Loads the policy in `folder` onto `device` and runs it once.
-    ///
-    /// The network library computes with one thread from then on: on cores that are not reserved, several are slower.
+    /// Loads the policy in `folder` and runs it once. The threads of `compute` become those of the whole process.
     ///
     /// # Errors
     /// [`CheckpointError`] naming the file and what is wrong with it; a folder without `trocar.json` is refused, since
     /// nothing then says what the actions mean.
-    pub fn load(folder: &Path, device: Device) -> Result<Self, CheckpointError> {
-        tch::set_num_threads(1);
+    pub fn load(folder: &Path, compute: impl Into<Compute>) -> Result<Self, CheckpointError> {
+        let compute = compute.into();
+        let (device, kind) = (compute.device, compute.prepare(folder)?);
         let recipe_file = folder.join("trocar.json");
         if folder.is_dir() && !recipe_file.exists() {
             return Err(Cause::Missing.in_file(&recipe_file));
@@ -65,7 +65,7 @@ impl ActPolicy {
             images: ImageNormaliser::imagenet(device).map_err(torch)?,
             state: loaded.statistics.state.normaliser(),
             action: loaded.statistics.action.normaliser(),
-            act: FoldedAct::new(&loaded.act, Kind::Float).map_err(torch)?,
+            act: FoldedAct::new(&loaded.act, kind).map_err(torch)?,
             config: loaded.act.config().clone(),
             device,
             recipe,

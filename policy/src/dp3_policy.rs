@@ -4,10 +4,11 @@ use std::collections::VecDeque;
 use std::path::Path;
 
 use hal::{Chunk, FrameRef, Observation, Policy, PolicyError, TimeNs};
-use tch::{Device, Kind, TchError, Tensor};
+use tch::{Device, TchError, Tensor};
 
 use crate::act_policy::state_numbers;
 use crate::checkpoint::{Cause, CheckpointError, Recipe, RecordedCamera, load_dp3};
+use crate::compute::Compute;
 use crate::dp3::{CloudObservation, Dp3Config, FoldedDp3, LimitsNormaliser};
 use crate::perception::{CloudRecipe, Point};
 use crate::relative_action::absolute_chunks;
@@ -58,14 +59,13 @@ impl Asked {
 }
 
 impl Dp3Policy {
-    /// Loads the policy in `folder` onto `device` and runs it once.
-    ///
-    /// The network library computes with one thread from then on.
+    /// Loads the policy in `folder` and runs it once. The threads of `compute` become those of the whole process.
     ///
     /// # Errors
     /// [`CheckpointError`] naming the file and what is wrong with it.
-    pub fn load(folder: &Path, device: Device) -> Result<Self, CheckpointError> {
-        tch::set_num_threads(1);
+    pub fn load(folder: &Path, compute: impl Into<Compute>) -> Result<Self, CheckpointError> {
+        let compute = compute.into();
+        let (device, kind) = (compute.device, compute.prepare(folder)?);
         let loaded = load_dp3(folder, device)?;
         let torch = |error: TchError| Cause::Parameter(error.into()).in_file(folder);
         let mut policy = Self {
@@ -73,7 +73,7 @@ impl Dp3Policy {
             points: loaded.points.to_device(device).map_err(torch)?,
             state: loaded.state.to_device(device).map_err(torch)?,
             action: loaded.action,
-            dp3: FoldedDp3::new(loaded.dp3, Kind::Float).map_err(torch)?,
+            dp3: FoldedDp3::new(loaded.dp3, kind).map_err(torch)?,
             recipe: loaded.recipe,
             cloud: loaded.cloud,
             device,

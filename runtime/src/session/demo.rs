@@ -79,7 +79,7 @@ pub fn run(
         log: Some(log.to_path_buf()),
         pictures,
         latency_ms: None,
-        device: Device::Cpu,
+        compute: Device::Cpu.into(),
     };
     on_progress(&format!(
         "1 of 2: {} with {} in lockstep, as fast as it goes",

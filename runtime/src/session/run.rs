@@ -4,9 +4,9 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use hal::{Chunk, TimeNs};
+use policy::compute::Compute;
 use sim_backend::simulation::{Rendering, Simulation};
 use sim_backend::task::Outcome;
-use tch::Device;
 
 use super::episode::{Episode, Plan, StepView, Watcher};
 use super::pictures::Pictures;
@@ -32,8 +32,8 @@ pub struct RunOptions {
     pub pictures: bool,
     /// Delay from observation to chunk, ms; the policy's own if not given.
     pub latency_ms: Option<u64>,
-    /// Where the network computes.
-    pub device: Device,
+    /// Where and how the network computes.
+    pub compute: Compute,
 }
 
 impl RunOptions {
@@ -57,7 +57,7 @@ pub struct RunResult {
 /// # Errors
 /// From the configuration, the policy, the simulation or the log.
 pub fn run_lockstep(setup: &Setup, options: &RunOptions) -> Result<RunResult, SessionError> {
-    let mut source = setup.source(&options.policy, options.seed, options.device)?;
+    let mut source = setup.source(&options.policy, options.seed, options.compute)?;
     if let super::source::ChunkSource::Network(network) = &mut source {
         hal::Policy::reset(network.as_mut(), options.seed);
     }

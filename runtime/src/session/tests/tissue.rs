@@ -19,7 +19,7 @@ fn evaluated(
         seed,
         jobs: 1,
         latency_ms: None,
-        device: Device::Cpu,
+        compute: Device::Cpu.into(),
     };
     let summary = evaluate(&setup, &options, &mut |_| {}).unwrap();
     serde_json::to_value(&summary).unwrap()
