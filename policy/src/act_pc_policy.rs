@@ -5,9 +5,10 @@ use std::path::Path;
 use hal::{Chunk, Observation, Policy, PolicyError};
 use tch::{Device, TchError, Tensor};
 
-use crate::act_pc::{ActPc, Clouds, CloudsError};
+use crate::act_pc::{ActPcConfig, Clouds, CloudsError, FoldedActPc};
 use crate::act_policy::state_numbers;
 use crate::checkpoint::{Cause, CheckpointError, Recipe, load_act_pc};
+use crate::compute::Compute;
 use crate::dp3_policy::check_frames;
 use crate::normalise::Normaliser;
 use crate::perception::{CloudRecipe, Point};
@@ -16,7 +17,8 @@ use crate::relative_action::absolute_chunks;
 /// An ACT-PC policy that was loaded from a folder.
 #[derive(Debug)]
 pub struct ActPcPolicy {
-    network: ActPc,
+    config: ActPcConfig,
+    network: FoldedActPc,
     device: Device,
     recipe: Recipe,
     cloud: CloudRecipe,
@@ -26,25 +28,27 @@ pub struct ActPcPolicy {
 }
 
 impl ActPcPolicy {
-    /// Loads the policy in `folder` onto `device` and runs it once.
-    ///
-    /// The network library computes with one thread from then on.
+    /// Loads the policy in `folder` and runs it once. The threads of `compute` become those of the whole process.
     ///
     /// # Errors
     /// [`CheckpointError`] naming the file and what is wrong with it.
-    pub fn load(folder: &Path, device: Device) -> Result<Self, CheckpointError> {
-        tch::set_num_threads(1);
+    pub fn load(folder: &Path, compute: impl Into<Compute>) -> Result<Self, CheckpointError> {
+        let compute = compute.into();
+        let (device, kind) = (compute.device, compute.prepare(folder)?);
         let loaded = load_act_pc(folder, device)?;
+        let network = FoldedActPc::new(&loaded.network, kind)
+            .map_err(|error| Cause::Parameter(error.into()).in_file(folder))?;
         let policy = Self {
             state: loaded.statistics.state.normaliser(),
             action: loaded.statistics.action.normaliser(),
-            network: loaded.network,
+            config: loaded.network.config().clone(),
+            network,
             device,
             recipe: loaded.recipe,
             cloud: loaded.cloud,
             sequence: 0,
         };
-        let dims = usize::try_from(policy.network.config().act.state_dim).unwrap_or(0);
+        let dims = usize::try_from(policy.config.act.state_dim).unwrap_or(0);
         let nothing = vec![[0.0; 3]; policy.cloud.points];
         policy
             .actions(&nothing, &vec![0.0; dims])
@@ -66,7 +70,7 @@ impl ActPcPolicy {
 
     /// A cloud in metres and the state in SI units to actions in SI units, row-major.
     fn actions(&self, cloud: &[Point], state: &[f32]) -> Result<Vec<f32>, CloudsError> {
-        let clouds = Clouds::new(&[cloud], self.network.config(), self.device)?;
+        let clouds = Clouds::new(&[cloud], &self.config, self.device)?;
         let actions = tch::no_grad(|| {
             let state = Tensor::f_from_slice(state)?.f_unsqueeze(0)?;
             let state = self.state.apply(&state)?.f_to_device(self.device)?;

@@ -6,8 +6,9 @@ use hal::chunk::CHUNK_STEPS_MAX;
 use hal::{ArmState, Chunk, FrameRef, Observation, Policy, PolicyError};
 use tch::{Device, Kind, TchError, Tensor};
 
-use crate::act::Act;
+use crate::act::{ActConfig, FoldedAct};
 use crate::checkpoint::{self, Cause, CheckpointError, Recipe};
+use crate::compute::Compute;
 use crate::images::{area_average, shrink_factor};
 use crate::normalise::{ImageNormaliser, Normaliser};
 use crate::relative_action::absolute_chunks;
@@ -15,7 +16,8 @@ use crate::relative_action::absolute_chunks;
 /// An ACT policy that was loaded from a folder.
 #[derive(Debug)]
 pub struct ActPolicy {
-    act: Act,
+    config: ActConfig,
+    act: FoldedAct,
     device: Device,
     recipe: Recipe,
     image_factors: Vec<u32>,
@@ -26,15 +28,14 @@ pub struct ActPolicy {
 }
 
 impl ActPolicy {
-    /// Loads the policy in `folder` onto `device` and runs it once.
-    ///
-    /// The network library computes with one thread from then on: on cores that are not reserved, several are slower.
+    /// Loads the policy in `folder` and runs it once. The threads of `compute` become those of the whole process.
     ///
     /// # Errors
     /// [`CheckpointError`] naming the file and what is wrong with it; a folder without `trocar.json` is refused, since
     /// nothing then says what the actions mean.
-    pub fn load(folder: &Path, device: Device) -> Result<Self, CheckpointError> {
-        tch::set_num_threads(1);
+    pub fn load(folder: &Path, compute: impl Into<Compute>) -> Result<Self, CheckpointError> {
+        let compute = compute.into();
+        let (device, kind) = (compute.device, compute.prepare(folder)?);
         let recipe_file = folder.join("trocar.json");
         if folder.is_dir() && !recipe_file.exists() {
             return Err(Cause::Missing.in_file(&recipe_file));
@@ -64,7 +65,8 @@ impl ActPolicy {
             images: ImageNormaliser::imagenet(device).map_err(torch)?,
             state: loaded.statistics.state.normaliser(),
             action: loaded.statistics.action.normaliser(),
-            act: loaded.act,
+            act: FoldedAct::new(&loaded.act, kind).map_err(torch)?,
+            config: loaded.act.config().clone(),
             device,
             recipe,
             sequence: 0,
@@ -81,7 +83,7 @@ impl ActPolicy {
 
     /// One inference on a black image, so that a network that cannot run fails now, and the first answer is not late.
     fn warm_up(&self) -> Result<(), TchError> {
-        let config = self.act.config();
+        let config = &self.config;
         let cameras = i64::try_from(self.recipe.cameras.len()).unwrap_or(i64::MAX);
         let shape = [1, cameras, config.image_height, config.image_width, 3];
         let images = Tensor::f_zeros(shape, (Kind::Uint8, self.device))?;
@@ -128,7 +130,7 @@ impl ActPolicy {
                 self.image_factors[camera],
             ));
         }
-        let config = self.act.config();
+        let config = &self.config;
         let count = i64::try_from(frames.len()).unwrap_or(i64::MAX);
         let shape = [1, count, config.image_height, config.image_width, 3];
         let tensor = Tensor::f_from_data_size(&bytes, &shape, Kind::Uint8)

@@ -4,11 +4,12 @@ use std::collections::VecDeque;
 use std::path::Path;
 
 use hal::{Chunk, FrameRef, Observation, Policy, PolicyError, TimeNs};
-use tch::{Device, Kind, TchError, Tensor};
+use tch::{Device, TchError, Tensor};
 
 use crate::act_policy::state_numbers;
 use crate::checkpoint::{Cause, CheckpointError, Recipe, RecordedCamera, load_dp3};
-use crate::dp3::{CloudObservation, Dp3, LimitsNormaliser};
+use crate::compute::Compute;
+use crate::dp3::{CloudObservation, Dp3Config, FoldedDp3, LimitsNormaliser};
 use crate::perception::{CloudRecipe, Point};
 use crate::relative_action::absolute_chunks;
 
@@ -18,7 +19,8 @@ use crate::relative_action::absolute_chunks;
 /// one takes the place, as in training at the beginning of an episode.
 #[derive(Debug)]
 pub struct Dp3Policy {
-    dp3: Dp3,
+    config: Dp3Config,
+    dp3: FoldedDp3,
     device: Device,
     recipe: Recipe,
     cloud: CloudRecipe,
@@ -39,22 +41,39 @@ struct Seen {
     state: Vec<f32>,
 }
 
+/// What the network is asked about: observations, the oldest first.
+struct Asked {
+    points: Vec<Point>,
+    states: Vec<f32>,
+}
+
+impl Asked {
+    fn about(history: &[&Seen]) -> Self {
+        let clouds = history.iter().flat_map(|seen| &seen.cloud);
+        let states = history.iter().flat_map(|seen| &seen.state);
+        Self {
+            points: clouds.copied().collect(),
+            states: states.copied().collect(),
+        }
+    }
+}
+
 impl Dp3Policy {
-    /// Loads the policy in `folder` onto `device` and runs it once.
-    ///
-    /// The network library computes with one thread from then on.
+    /// Loads the policy in `folder` and runs it once. The threads of `compute` become those of the whole process.
     ///
     /// # Errors
     /// [`CheckpointError`] naming the file and what is wrong with it.
-    pub fn load(folder: &Path, device: Device) -> Result<Self, CheckpointError> {
-        tch::set_num_threads(1);
+    pub fn load(folder: &Path, compute: impl Into<Compute>) -> Result<Self, CheckpointError> {
+        let compute = compute.into();
+        let (device, kind) = (compute.device, compute.prepare(folder)?);
         let loaded = load_dp3(folder, device)?;
         let torch = |error: TchError| Cause::Parameter(error.into()).in_file(folder);
-        let policy = Self {
+        let mut policy = Self {
+            config: loaded.dp3.config().clone(),
             points: loaded.points.to_device(device).map_err(torch)?,
             state: loaded.state.to_device(device).map_err(torch)?,
             action: loaded.action,
-            dp3: loaded.dp3,
+            dp3: FoldedDp3::new(loaded.dp3, kind).map_err(torch)?,
             recipe: loaded.recipe,
             cloud: loaded.cloud,
             device,
@@ -65,10 +84,10 @@ impl Dp3Policy {
         let nothing = Seen {
             stamp: TimeNs(0),
             cloud: vec![[0.0; 3]; policy.cloud.points],
-            state: vec![0.0; usize::try_from(policy.dp3.config().state_dim).unwrap_or(0)],
+            state: vec![0.0; usize::try_from(policy.config.state_dim).unwrap_or(0)],
         };
-        let history = vec![&nothing; policy.observations()];
-        policy.network(&history, 0).map_err(torch)?;
+        let asked = Asked::about(&vec![&nothing; policy.observations()]);
+        policy.network(&asked, 0).map_err(torch)?;
         Ok(policy)
     }
 
@@ -87,22 +106,12 @@ impl Dp3Policy {
     /// Observations that the network sees, a policy step apart.
     #[must_use]
     pub fn observations(&self) -> usize {
-        usize::try_from(self.dp3.config().n_obs_steps).unwrap_or(1)
+        usize::try_from(self.config.n_obs_steps).unwrap_or(1)
     }
 
-    /// The actions that answer `history`, oldest first, from the newest observation on; in SI units, row-major.
-    fn network(&self, history: &[&Seen], answer: u64) -> Result<Vec<f32>, TchError> {
-        let config = self.dp3.config();
-        let clouds: Vec<Point> = history
-            .iter()
-            .flat_map(|seen| &seen.cloud)
-            .copied()
-            .collect();
-        let states: Vec<f32> = history
-            .iter()
-            .flat_map(|seen| &seen.state)
-            .copied()
-            .collect();
+    /// The actions that answer `asked`, from the newest observation on; in SI units, row-major.
+    fn network(&mut self, asked: &Asked, answer: u64) -> Result<Vec<f32>, TchError> {
+        let config = &self.config;
         let shape = [1, config.n_obs_steps, -1, 3];
         let on_device = |numbers: &[f32], shape: &[i64]| {
             Tensor::f_from_slice(numbers)?
@@ -110,8 +119,9 @@ impl Dp3Policy {
                 .f_to_device(self.device)
         };
         tch::no_grad(|| {
-            let points = on_device(clouds.as_flattened(), &shape)?;
-            let states = on_device(&states, &[1, config.n_obs_steps, config.state_dim])?;
+            let points = on_device(asked.points.as_flattened(), &shape)?;
+            let states = [1, config.n_obs_steps, config.state_dim];
+            let states = on_device(&asked.states, &states)?;
             let (points, state) = (self.points.apply(&points)?, self.state.apply(&states)?);
             let observation = CloudObservation {
                 points: &points,
@@ -121,8 +131,7 @@ impl Dp3Policy {
             let actions = self
                 .dp3
                 .infer(&observation, &noise.f_to_device(self.device)?)?
-                .f_to_device(Device::Cpu)?
-                .f_to_kind(Kind::Float)?;
+                .f_to_device(Device::Cpu)?;
             // All that is left of the horizon: the later steps bridge the time to the next answer.
             let first = config.n_obs_steps - 1;
             let actions = actions.f_narrow(1, first, config.horizon - first)?;
@@ -221,8 +230,9 @@ impl Policy for Dp3Policy {
 
     fn infer(&mut self, observation: &Observation<'_>) -> Result<Vec<Chunk>, PolicyError> {
         self.observe(observation)?;
+        let asked = Asked::about(&self.history());
         let actions = self
-            .network(&self.history(), self.sequence)
+            .network(&asked, self.sequence)
             .map_err(|error| PolicyError::Inference(error.to_string()))?;
         if !actions.iter().all(|value| value.is_finite()) {
             return Err(PolicyError::Inference(

@@ -1,14 +1,16 @@
 //! Layers that networks share: linear, layer normalisation, attention, feed-forward. Batch first throughout.
 
-use tch::{Device, TchError, Tensor};
+pub(crate) mod folded;
+
+use tch::{Device, Kind, TchError, Tensor};
 
 use crate::parameters::{Init, ParameterError, ParameterSource};
 
 /// A linear layer with bias.
 #[derive(Debug)]
 pub(crate) struct Linear {
-    weight: Tensor,
-    bias: Tensor,
+    pub(crate) weight: Tensor,
+    pub(crate) bias: Tensor,
 }
 
 impl Linear {
@@ -67,6 +69,15 @@ impl LayerNorm {
         })
     }
 
+    /// The same in the precision `kind`, apart from training.
+    pub(crate) fn of_kind(&self, kind: Kind) -> Result<Self, TchError> {
+        Ok(Self {
+            weight: self.weight.f_detach()?.f_to_kind(kind)?,
+            bias: self.bias.f_detach()?.f_to_kind(kind)?,
+            width: self.width,
+        })
+    }
+
     pub(crate) fn forward(&self, x: &Tensor) -> Result<Tensor, TchError> {
         x.f_layer_norm(
             [self.width],
@@ -81,12 +92,12 @@ impl LayerNorm {
 /// Attention with several heads and one packed projection of queries, keys and values.
 #[derive(Debug)]
 pub(crate) struct Attention {
-    in_weight: Tensor,
-    in_bias: Tensor,
-    out_weight: Tensor,
-    out_bias: Tensor,
-    width: i64,
-    heads: i64,
+    pub(crate) in_weight: Tensor,
+    pub(crate) in_bias: Tensor,
+    pub(crate) out_weight: Tensor,
+    pub(crate) out_bias: Tensor,
+    pub(crate) width: i64,
+    pub(crate) heads: i64,
 }
 
 impl Attention {
@@ -152,8 +163,8 @@ impl Attention {
 /// Two linear layers with a rectifier between them.
 #[derive(Debug)]
 pub(crate) struct FeedForward {
-    widen: Linear,
-    narrow: Linear,
+    pub(crate) widen: Linear,
+    pub(crate) narrow: Linear,
 }
 
 impl FeedForward {

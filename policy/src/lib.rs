@@ -5,6 +5,7 @@ pub mod act_pc;
 pub mod act_pc_policy;
 pub mod act_policy;
 pub mod checkpoint;
+pub mod compute;
 pub mod dataset;
 pub mod dp3;
 pub mod dp3_policy;

@@ -3,11 +3,11 @@
 use std::path::Path;
 
 use hal::{Chunk, Observation, Policy, PolicyError};
-use tch::Device;
 
 use crate::act_pc_policy::ActPcPolicy;
 use crate::act_policy::ActPolicy;
 use crate::checkpoint::{ACT_PC_TYPE, CheckpointError, DP3_TYPE, Recipe, policy_type};
+use crate::compute::Compute;
 use crate::dp3_policy::Dp3Policy;
 
 /// A policy that was loaded from a folder.
@@ -22,15 +22,16 @@ pub enum LoadedPolicy {
 }
 
 impl LoadedPolicy {
-    /// Loads the policy in `folder` onto `device` and runs it once.
+    /// Loads the policy in `folder` and runs it once. The threads of `compute` become those of the whole process.
     ///
     /// # Errors
     /// [`CheckpointError`] naming the file and what is wrong with it.
-    pub fn load(folder: &Path, device: Device) -> Result<Self, CheckpointError> {
+    pub fn load(folder: &Path, compute: impl Into<Compute>) -> Result<Self, CheckpointError> {
+        let compute = compute.into();
         Ok(match policy_type(folder)?.as_deref() {
-            Some(ACT_PC_TYPE) => Self::ActPc(Box::new(ActPcPolicy::load(folder, device)?)),
-            Some(DP3_TYPE) => Self::Dp3(Box::new(Dp3Policy::load(folder, device)?)),
-            _ => Self::Act(Box::new(ActPolicy::load(folder, device)?)),
+            Some(ACT_PC_TYPE) => Self::ActPc(Box::new(ActPcPolicy::load(folder, compute)?)),
+            Some(DP3_TYPE) => Self::Dp3(Box::new(Dp3Policy::load(folder, compute)?)),
+            _ => Self::Act(Box::new(ActPolicy::load(folder, compute)?)),
         })
     }
 

@@ -185,7 +185,7 @@ impl ImageNormaliser {
     /// The network library's, if there are not three channels.
     pub fn apply(&self, bytes: &Tensor) -> Result<Tensor, TchError> {
         let planes = bytes.f_movedim_int(-1, -3)?.f_to_kind(Kind::Float)?;
-        planes.f_mul(&self.scale)?.f_add(&self.shift)
+        self.shift.f_addcmul(&planes, &self.scale)
     }
 }
 

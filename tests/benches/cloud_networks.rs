@@ -1,4 +1,4 @@
-//! One answer of an untrained ACT-PC, DP3 and SimpleDP3 to a point cloud, on one core. What it takes does not depend on the
+//! One answer of an untrained ACT-PC, DP3 and SimpleDP3, folded as policies run them, to a point cloud, on one core. What it takes does not depend on the
 //! parameters' values.
 
 #![expect(
@@ -12,8 +12,8 @@ use std::error::Error;
 
 use criterion::Criterion;
 use hal::TimeNs;
-use policy::act_pc::{ActPc, ActPcConfig, ActPcPreset, Clouds};
-use policy::dp3::{CloudObservation, Dp3, Dp3Config, Dp3Preset};
+use policy::act_pc::{ActPc, ActPcConfig, ActPcPreset, Clouds, FoldedActPc};
+use policy::dp3::{CloudObservation, Dp3, Dp3Config, Dp3Preset, FoldedDp3};
 use policy::parameters::ParameterSource;
 use policy::perception::Point;
 use policy::rng::SplitMix64;
@@ -37,11 +37,11 @@ fn cloud(points: i64) -> Vec<Point> {
 }
 
 /// Times `work`, which is to be done within `steps` steps.
-fn report(criterion: &mut Criterion, name: &str, steps: f64, work: &dyn Fn() -> Tensor) {
+fn report(criterion: &mut Criterion, name: &str, steps: f64, work: &mut dyn FnMut() -> Tensor) {
     let clock = MonotonicClock::new();
     let times = support::measure(criterion, &format!("networks/{name}"), RUNS, || {
         let before = clock.now();
-        let answer = tch::no_grad(work);
+        let answer = tch::no_grad(&mut *work);
         let took_ns = clock.now().since(before);
         assert!(answer.numel() > 0, "the network says something");
         took_ns
@@ -65,10 +65,11 @@ fn act_pc(
     let config = ActPcConfig::preset(preset, &[CAMERA.to_owned()]);
     let cloud = cloud(config.points);
     let network = ActPc::new(config.clone(), ParameterSource::seeded(1, Device::Cpu))?;
+    let network = FoldedActPc::new(&network, Kind::Float)?;
     let state = Tensor::zeros([1, WIDTH], (Kind::Float, Device::Cpu));
     // Half a chunk is executed.
     let steps = f64::from(i32::try_from(config.act.chunk_size / 2)?);
-    report(criterion, name, steps, &|| {
+    report(criterion, name, steps, &mut || {
         let clouds = Clouds::new(&[&cloud], &config, Device::Cpu).expect("clouds");
         network.infer(&clouds, &state).expect("it answers")
     });
@@ -78,6 +79,7 @@ fn act_pc(
 fn dp3(criterion: &mut Criterion, name: &str, preset: Dp3Preset) -> Result<(), Box<dyn Error>> {
     let config = Dp3Config::preset(preset, WIDTH, WIDTH);
     let network = Dp3::new(config.clone(), ParameterSource::seeded(1, Device::Cpu))?;
+    let mut network = FoldedDp3::new(network, Kind::Float)?;
     let observations = config.n_obs_steps;
     let cloud = cloud(observations * 1024);
     let observation = CloudObservation {
@@ -86,7 +88,7 @@ fn dp3(criterion: &mut Criterion, name: &str, preset: Dp3Preset) -> Result<(), B
     };
     let noise = config.start_noise(1, 1)?;
     let steps = f64::from(i32::try_from(config.n_action_steps)?);
-    report(criterion, name, steps, &|| {
+    report(criterion, name, steps, &mut || {
         network.infer(&observation, &noise).expect("it answers")
     });
     Ok(())

@@ -6,6 +6,7 @@
 //! Source: reference note on policies, sections 2 and 3; checked against golden numbers in `tests/golden/`.
 
 mod config;
+mod folded;
 mod loss;
 mod position;
 mod resnet;
@@ -16,6 +17,8 @@ mod vae;
 use tch::{TchError, Tensor};
 
 pub use config::{ActConfig, ActPreset, BackboneNorm, DecoderOutput, LossDenominator, STATE_DIM};
+pub use folded::FoldedAct;
+pub(crate) use folded::{FoldedTrunk, Situated};
 pub use loss::{ActionError, Losses, action_loss, l1_loss, losses};
 pub(crate) use trunk::{Seen, Trunk};
 pub use vae::LatentDistribution;

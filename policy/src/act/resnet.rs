@@ -14,13 +14,13 @@ const STAGE_CHANNELS: [i64; 4] = [64, 128, 256, 512];
 /// Channels that one group of a group normalisation holds.
 const CHANNELS_PER_GROUP: i64 = 16;
 
-const NORM_EPS: f64 = 1e-5;
+pub(super) const NORM_EPS: f64 = 1e-5;
 
 /// The backbone. Key names are torchvision's.
 #[derive(Debug)]
 pub(super) struct ResNet18 {
-    stem: Conv,
-    blocks: Vec<Block>,
+    pub(super) stem: Conv,
+    pub(super) blocks: Vec<Block>,
 }
 
 impl ResNet18 {
@@ -78,10 +78,10 @@ impl ResNet18 {
 
 /// Two 3x3 convolutions beside an identity.
 #[derive(Debug)]
-struct Block {
-    first: Conv,
-    second: Conv,
-    downsample: Option<Conv>,
+pub(super) struct Block {
+    pub(super) first: Conv,
+    pub(super) second: Conv,
+    pub(super) downsample: Option<Conv>,
 }
 
 impl Block {
@@ -160,11 +160,11 @@ struct ConvShape {
 
 /// A convolution without bias, and the normalisation after it.
 #[derive(Debug)]
-struct Conv {
-    weight: Tensor,
-    stride: i64,
-    padding: i64,
-    norm: Norm,
+pub(super) struct Conv {
+    pub(super) weight: Tensor,
+    pub(super) stride: i64,
+    pub(super) padding: i64,
+    pub(super) norm: Norm,
 }
 
 impl Conv {
@@ -202,12 +202,12 @@ impl Conv {
     }
 }
 
+/// The normalisation after a convolution.
 #[derive(Debug)]
-enum Norm {
-    Frozen {
-        scale: Tensor,
-        shift: Tensor,
-    },
+pub(super) enum Norm {
+    /// `x * scale + shift`, both `(1, channels, 1, 1)`.
+    Frozen { scale: Tensor, shift: Tensor },
+    /// Over the pixels and channels of a group.
     Group {
         groups: i64,
         weight: Tensor,

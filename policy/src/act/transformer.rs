@@ -9,8 +9,8 @@ use crate::parameters::{ParameterError, ParameterSource};
 /// A stack of encoder layers; with pre-normalisation a last normalisation follows.
 #[derive(Debug)]
 pub(super) struct Encoder {
-    layers: Vec<EncoderLayer>,
-    norm: Option<LayerNorm>,
+    pub(super) layers: Vec<EncoderLayer>,
+    pub(super) norm: Option<LayerNorm>,
 }
 
 impl Encoder {
@@ -55,11 +55,11 @@ impl Encoder {
 }
 
 #[derive(Debug)]
-struct EncoderLayer {
-    attention: Attention,
-    feed_forward: FeedForward,
-    norms: [LayerNorm; 2],
-    pre_norm: bool,
+pub(super) struct EncoderLayer {
+    pub(super) attention: Attention,
+    pub(super) feed_forward: FeedForward,
+    pub(super) norms: [LayerNorm; 2],
+    pub(super) pre_norm: bool,
 }
 
 impl EncoderLayer {
@@ -101,8 +101,8 @@ impl EncoderLayer {
 /// A stack of decoder layers, followed by a normalisation.
 #[derive(Debug)]
 pub(super) struct Decoder {
-    layers: Vec<DecoderLayer>,
-    norm: LayerNorm,
+    pub(super) layers: Vec<DecoderLayer>,
+    pub(super) norm: LayerNorm,
 }
 
 /// What the decoder looks at: the encoder's tokens and where they are.
@@ -143,12 +143,12 @@ impl Decoder {
 }
 
 #[derive(Debug)]
-struct DecoderLayer {
-    self_attention: Attention,
-    cross_attention: Attention,
-    feed_forward: FeedForward,
-    norms: [LayerNorm; 3],
-    pre_norm: bool,
+pub(super) struct DecoderLayer {
+    pub(super) self_attention: Attention,
+    pub(super) cross_attention: Attention,
+    pub(super) feed_forward: FeedForward,
+    pub(super) norms: [LayerNorm; 3],
+    pub(super) pre_norm: bool,
 }
 
 impl DecoderLayer {
@@ -188,11 +188,7 @@ impl DecoderLayer {
         memory: &Memory<'_>,
         dropout: f64,
     ) -> Result<Tensor, TchError> {
-        let x = residual(x, &self.norms[0], self.pre_norm, dropout, |x| {
-            let located = x.f_add(queries)?;
-            self.self_attention
-                .forward(&located, &located, x, None, dropout)
-        })?;
+        let x = self.look_at_each_other(x, queries, dropout)?;
         let x = residual(&x, &self.norms[1], self.pre_norm, dropout, |x| {
             let keys = memory.tokens.f_add(memory.position)?;
             self.cross_attention
@@ -202,10 +198,24 @@ impl DecoderLayer {
             self.feed_forward.forward(x, dropout)
         })
     }
+
+    /// The steps' attention to each other, the first part of the layer.
+    pub(super) fn look_at_each_other(
+        &self,
+        x: &Tensor,
+        queries: &Tensor,
+        dropout: f64,
+    ) -> Result<Tensor, TchError> {
+        residual(x, &self.norms[0], self.pre_norm, dropout, |x| {
+            let located = x.f_add(queries)?;
+            self.self_attention
+                .forward(&located, &located, x, None, dropout)
+        })
+    }
 }
 
 /// `x` plus what `work` makes of it, normalised before the work or after the sum.
-fn residual(
+pub(super) fn residual(
     x: &Tensor,
     norm: &LayerNorm,
     pre_norm: bool,

@@ -12,13 +12,13 @@ use crate::parameters::{Init, ParameterError, ParameterSource};
 /// Everything of an ACT network but what turns a view into tokens.
 #[derive(Debug)]
 pub(crate) struct Trunk {
-    encoder: Encoder,
-    decoder: Decoder,
-    state_input: Linear,
-    latent_input: Linear,
-    token_position: Tensor,
-    step_queries: Tensor,
-    action_head: Linear,
+    pub(super) encoder: Encoder,
+    pub(super) decoder: Decoder,
+    pub(super) state_input: Linear,
+    pub(super) latent_input: Linear,
+    pub(super) token_position: Tensor,
+    pub(super) step_queries: Tensor,
+    pub(super) action_head: Linear,
     vae: Option<VaeEncoder>,
     latent_dim: i64,
     dropout: f64,

@@ -8,6 +8,7 @@
 
 mod clouds;
 mod config;
+mod folded;
 mod point_net;
 #[cfg(test)]
 mod tests;
@@ -17,6 +18,7 @@ use tch::{TchError, Tensor};
 
 pub use clouds::{Clouds, CloudsError};
 pub use config::{ActPcConfig, ActPcPreset};
+pub use folded::FoldedActPc;
 
 use crate::act::{Demonstration, LatentDistribution, Seen, Trunk, action_loss, kl_divergence};
 use crate::parameters::{ParameterError, ParameterSource, Parameters};

@@ -42,6 +42,12 @@ pub(super) struct BatchNorm {
     epsilon: f64,
 }
 
+/// What a batch normalisation does outside of training: `x * scale + shift`.
+pub(super) struct Fixed {
+    pub(super) scale: Tensor,
+    pub(super) shift: Tensor,
+}
+
 impl BatchNorm {
     pub(super) fn new(
         source: &mut ParameterSource,
@@ -78,11 +84,19 @@ impl BatchNorm {
             )?
             .f_view(shape.as_slice())
     }
+
+    /// Its statistics as they are now, in one scale and one shift.
+    pub(super) fn fixed(&self) -> Result<Fixed, TchError> {
+        let spread = self.variance.f_add_scalar(self.epsilon)?;
+        let scale = self.weight.f_mul(&spread.f_rsqrt()?)?;
+        let shift = self.bias.f_sub(&self.mean.f_mul(&scale)?)?;
+        Ok(Fixed { scale, shift })
+    }
 }
 
 #[derive(Debug)]
 pub(super) struct PointNet {
-    layers: Vec<(Mix, BatchNorm)>,
+    pub(super) layers: Vec<(Mix, BatchNorm)>,
 }
 
 impl PointNet {

@@ -10,7 +10,7 @@ use crate::parameters::ParameterSource;
 use crate::perception::Point;
 use crate::rng::SplitMix64;
 
-fn config(pre_sample: bool) -> ActPcConfig {
+pub(super) fn config(pre_sample: bool) -> ActPcConfig {
     let cameras = ["observation.images.endoscope".to_owned()];
     let preset = ActPcConfig::preset(ActPcPreset::Small, &cameras);
     ActPcConfig {
@@ -32,7 +32,7 @@ fn config(pre_sample: bool) -> ActPcConfig {
 }
 
 /// A network whose statistics and norms are not those of the beginning.
-fn network(config: &ActPcConfig) -> ActPc {
+pub(super) fn network(config: &ActPcConfig) -> ActPc {
     let network = ActPc::new(config.clone(), ParameterSource::seeded(5, Device::Cpu)).unwrap();
     for (key, tensor) in network.parameters().iter() {
         let random = &mut SplitMix64::named(key, 9);
@@ -56,7 +56,7 @@ fn network(config: &ActPcConfig) -> ActPc {
 }
 
 #[expect(clippy::cast_possible_truncation, reason = "coordinates")]
-fn cloud(seed: u64) -> Vec<Point> {
+pub(super) fn cloud(seed: u64) -> Vec<Point> {
     let mut random = SplitMix64::new(seed);
     (0..40)
         .map(|_| core::array::from_fn(|_| (0.1 * random.signed_unit()) as f32))

@@ -13,11 +13,11 @@ const TEMPERATURE: f64 = 10_000.0;
 /// Makes a token of what is around each centre.
 #[derive(Debug)]
 pub(super) struct PointTokens {
-    point_net: PointNet,
-    mix: Mix,
-    norm: BatchNorm,
-    pre_sample: bool,
-    width: i64,
+    pub(super) point_net: PointNet,
+    pub(super) mix: Mix,
+    pub(super) norm: BatchNorm,
+    pub(super) pre_sample: bool,
+    pub(super) width: i64,
 }
 
 impl PointTokens {
@@ -101,7 +101,7 @@ impl PointTokens {
 }
 
 /// Rows of `values` `(batch, rows, width)` by `indices` `(batch, picked)`.
-fn pick(values: &Tensor, indices: &Tensor) -> Result<Tensor, TchError> {
+pub(super) fn pick(values: &Tensor, indices: &Tensor) -> Result<Tensor, TchError> {
     let width = values.size().last().copied().unwrap_or(0);
     let indices = indices.f_unsqueeze(-1)?.f_expand([-1, -1, width], false)?;
     values.f_gather(1, &indices, false)
@@ -110,7 +110,7 @@ fn pick(values: &Tensor, indices: &Tensor) -> Result<Tensor, TchError> {
 /// Sine positions in space of `centres` `(batch, tokens, 3)`, in metres, as `(batch, tokens, width)`.
 ///
 /// A third of the width for each axis: first the sines, then the cosines; what is left is zero.
-fn space_position(centres: &Tensor, width: i64) -> Result<Tensor, TchError> {
+pub(super) fn space_position(centres: &Tensor, width: i64) -> Result<Tensor, TchError> {
     let third = width / 3;
     let index = Tensor::f_arange(third, (Kind::Float, centres.device()))?;
     // The same frequency for a sine and its cosine.

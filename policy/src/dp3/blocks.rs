@@ -8,9 +8,9 @@ use crate::parameters::{Init, ParameterError, ParameterSource};
 /// A convolution over the steps with bias.
 #[derive(Debug)]
 pub(super) struct Convolution {
-    weight: Tensor,
-    bias: Tensor,
-    stride: i64,
+    pub(super) weight: Tensor,
+    pub(super) bias: Tensor,
+    pub(super) stride: i64,
     padding: i64,
 }
 
@@ -48,8 +48,8 @@ impl Convolution {
 /// The transposed convolution that doubles the steps.
 #[derive(Debug)]
 pub(super) struct Doubling {
-    weight: Tensor,
-    bias: Tensor,
+    pub(super) weight: Tensor,
+    pub(super) bias: Tensor,
 }
 
 impl Doubling {
@@ -76,10 +76,10 @@ impl Doubling {
 /// Convolution, group normalisation, Mish.
 #[derive(Debug)]
 pub(super) struct ConvolutionBlock {
-    convolution: Convolution,
-    norm_weight: Tensor,
-    norm_bias: Tensor,
-    groups: i64,
+    pub(super) convolution: Convolution,
+    pub(super) norm_weight: Tensor,
+    pub(super) norm_bias: Tensor,
+    pub(super) groups: i64,
 }
 
 impl ConvolutionBlock {
@@ -115,9 +115,9 @@ impl ConvolutionBlock {
 /// Two convolution blocks around a scale and a shift that the condition gives each channel, and what went in added.
 #[derive(Debug)]
 pub(super) struct ResidualBlock {
-    blocks: [ConvolutionBlock; 2],
-    condition: Linear,
-    residual: Option<Convolution>,
+    pub(super) blocks: [ConvolutionBlock; 2],
+    pub(super) condition: Linear,
+    pub(super) residual: Option<Convolution>,
 }
 
 /// What all residual blocks of a network have in common.

@@ -96,7 +96,7 @@ impl Diffusion {
     pub fn sample(
         &self,
         noise: &Tensor,
-        predict: impl Fn(&Tensor, i64) -> Result<Tensor, TchError>,
+        mut predict: impl FnMut(&Tensor, i64) -> Result<Tensor, TchError>,
     ) -> Result<Tensor, TchError> {
         let mut x = noise.shallow_clone();
         for step in &self.steps {

@@ -12,6 +12,7 @@ mod config;
 mod diffusion;
 mod ema;
 mod encoder;
+mod folded;
 mod limits;
 #[cfg(test)]
 mod tests;
@@ -22,6 +23,7 @@ use tch::{Kind, Reduction, TchError, Tensor};
 pub use config::{Dp3Config, Dp3Preset};
 pub use diffusion::Diffusion;
 pub use ema::MovingAverage;
+pub use folded::FoldedDp3;
 pub use limits::{LimitsError, LimitsNormaliser};
 
 use crate::parameters::{ParameterError, ParameterSource, Parameters};

@@ -9,26 +9,26 @@ use crate::parameters::{ParameterError, ParameterSource};
 
 /// One length of the way down; the last one does not halve.
 #[derive(Debug)]
-struct Down {
-    blocks: Vec<ResidualBlock>,
-    halve: Option<Convolution>,
+pub(super) struct Down {
+    pub(super) blocks: Vec<ResidualBlock>,
+    pub(super) halve: Option<Convolution>,
 }
 
 /// One length of the way up.
 #[derive(Debug)]
-struct Up {
-    blocks: Vec<ResidualBlock>,
-    double: Doubling,
+pub(super) struct Up {
+    pub(super) blocks: Vec<ResidualBlock>,
+    pub(super) double: Doubling,
 }
 
 #[derive(Debug)]
 pub(super) struct UNet {
     step_embedding: Tensor,
     step_encoder: [Linear; 2],
-    down: Vec<Down>,
-    middle: Vec<ResidualBlock>,
-    up: Vec<Up>,
-    last: (ConvolutionBlock, Convolution),
+    pub(super) down: Vec<Down>,
+    pub(super) middle: Vec<ResidualBlock>,
+    pub(super) up: Vec<Up>,
+    pub(super) last: (ConvolutionBlock, Convolution),
 }
 
 impl UNet {
@@ -101,6 +101,13 @@ impl UNet {
         self.step_encoder[0].device()
     }
 
+    /// Features of the diffusion's `step` (whole numbers, `(batch)`): `(batch, features)`.
+    pub(super) fn embed(&self, step: &Tensor) -> Result<Tensor, TchError> {
+        let [widen, narrow] = &self.step_encoder;
+        let embedding = self.step_embedding.f_index_select(0, step)?;
+        narrow.forward(&widen.forward(&embedding)?.f_mish()?)
+    }
+
     /// The clean actions `(batch, steps, action)` behind `noisy` ones, by the diffusion's `step` (whole numbers,
     /// `(batch)`) and the observations' features `(batch, features)`.
     pub(super) fn forward(
@@ -109,9 +116,7 @@ impl UNet {
         step: &Tensor,
         observed: &Tensor,
     ) -> Result<Tensor, TchError> {
-        let [widen, narrow] = &self.step_encoder;
-        let embedding = self.step_embedding.f_index_select(0, step)?;
-        let embedding = narrow.forward(&widen.forward(&embedding)?.f_mish()?)?;
+        let embedding = self.embed(step)?;
         let condition = Tensor::f_cat(&[&embedding, observed], -1)?.f_mish()?;
         let mut x = noisy.f_transpose(1, 2)?;
         let mut on_the_way = Vec::new();

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use policy::act::{Act, ActConfig, Demonstration, losses};
+use policy::act::{Act, ActConfig, Demonstration, FoldedAct, losses};
 use policy::parameters::ParameterSource;
 use serde_json::Value;
 use tch::{Device, Kind, Tensor};
@@ -111,6 +111,12 @@ pub(crate) fn check_chunk(name: &str, case: &Value, seed: u64) {
     let chunk = tch::no_grad(|| act.infer(&images, &state)).unwrap();
     assert_eq!(chunk.size(), shape, "{name}");
     let what = format!("{name} chunk");
+    check_all(&what, &chunk, &numbers(&case["output"]), 2e-6);
+    // What policies run.
+    let folded = FoldedAct::new(&act, Kind::Float).unwrap();
+    let chunk = tch::no_grad(|| folded.infer(&images, &state)).unwrap();
+    assert_eq!(chunk.size(), shape, "{name}");
+    let what = format!("{name} folded chunk");
     check_all(&what, &chunk, &numbers(&case["output"]), 2e-6);
 }
 

@@ -1,6 +1,6 @@
 //! DP3 and SimpleDP3: the encoder, one call of the U-Net, ten steps of diffusion with normalised inputs and outputs.
 
-use policy::dp3::{CloudObservation, Dp3, Dp3Config, Dp3Preset, LimitsNormaliser};
+use policy::dp3::{CloudObservation, Dp3, Dp3Config, Dp3Preset, FoldedDp3, LimitsNormaliser};
 use policy::parameters::ParameterSource;
 use serde_json::Value;
 use tch::{Device, Kind, Tensor};
@@ -125,24 +125,31 @@ fn check_parts(name: &str, case: &Value, seed: u64) {
         1e-5,
     );
     let noise = input("noise", seed, &shape) * 2.0_f64;
-    let normalised = network.infer(&observation, &noise).unwrap();
-    let actions = limits("action").invert(&normalised).unwrap();
-    check_all(
-        &what("actions"),
-        &actions,
-        &numbers(&case["action_pred"]),
-        1e-4,
-    );
+    check_actions(name, case, network, &observation, &noise);
+}
+
+/// Ten steps of diffusion by the network as it is trained and as policies run it.
+fn check_actions(
+    name: &str,
+    case: &Value,
+    network: Dp3,
+    observation: &CloudObservation<'_>,
+    noise: &Tensor,
+) {
+    let what = |part: &str| format!("{name} {part}");
+    let normaliser = normaliser(&case["limits"]["action"]);
+    let check = |part: &str, actual: &Tensor, expected: &str| {
+        check_all(&what(part), actual, &numbers(&case[expected]), 1e-4);
+    };
+    let normalised = network.infer(observation, noise).unwrap();
+    let actions = normaliser.invert(&normalised).unwrap();
+    check("actions", &actions, "action_pred");
     let executed = network.executed(&actions).unwrap();
-    assert_eq!(
-        executed.size(),
-        whole_numbers(&case["action_shape"]),
-        "{name}"
-    );
-    check_all(
-        &what("executed"),
-        &executed,
-        &numbers(&case["action"]),
-        1e-4,
-    );
+    let shape = whole_numbers(&case["action_shape"]);
+    assert_eq!(executed.size(), shape, "{name}");
+    check("executed", &executed, "action");
+    let mut folded = FoldedDp3::new(network, Kind::Float).unwrap();
+    let normalised = folded.infer(observation, noise).unwrap();
+    let actions = normaliser.invert(&normalised).unwrap();
+    check("folded actions", &actions, "action_pred");
 }

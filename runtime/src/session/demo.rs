@@ -80,7 +80,7 @@ pub fn run(
         pictures,
         latency_ms: None,
         latency_jitter_ms: 0,
-        device: Device::Cpu,
+        compute: Device::Cpu.into(),
     };
     on_progress(&format!(
         "1 of 2: {} with {} in lockstep, as fast as it goes",

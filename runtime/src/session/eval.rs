@@ -1,9 +1,9 @@
 //! Many seeded trials in lockstep.
 
+use policy::compute::Compute;
 use sim_backend::cameras::SceneCameras;
 use sim_backend::simulation::{Rendering, Simulation};
 use sim_backend::task::Outcome;
-use tch::Device;
 
 use super::episode::{Episode, Nobody, Plan};
 use super::latency::Latency;
@@ -26,8 +26,8 @@ pub struct EvalOptions {
     pub latency_ms: Option<u64>,
     /// What may come on top of it, evenly from nothing to this, drawn for each chunk by the trial's seed, ms.
     pub latency_jitter_ms: u64,
-    /// Where the network computes.
-    pub device: Device,
+    /// Where and how the network computes.
+    pub compute: Compute,
 }
 
 /// Runs the trials; `on_trial` hears of each in order.
@@ -76,7 +76,7 @@ impl<'a> TrialWorker<'a> {
     fn new(setup: &'a Setup, options: &'a EvalOptions) -> Result<Self, SessionError> {
         let network = match options.policy {
             PolicyChoice::Checkpoint(_) => {
-                Some(setup.source(&options.policy, options.seed, options.device)?)
+                Some(setup.source(&options.policy, options.seed, options.compute)?)
             }
             PolicyChoice::Expert | PolicyChoice::Noop | PolicyChoice::Random => None,
         };
@@ -100,7 +100,7 @@ impl<'a> TrialWorker<'a> {
             }
             _ => self
                 .setup
-                .source(&self.options.policy, seed, self.options.device)?,
+                .source(&self.options.policy, seed, self.options.compute)?,
         };
         let mut simulation = match self.cameras.take() {
             Some(cameras) => Simulation::with_cameras(&self.setup.task, seed, cameras),

@@ -4,9 +4,9 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use hal::{Chunk, TimeNs};
+use policy::compute::Compute;
 use sim_backend::simulation::{Rendering, Simulation};
 use sim_backend::task::Outcome;
-use tch::Device;
 
 use super::episode::{Episode, Plan, StepView, Watcher};
 use super::latency::Latency;
@@ -35,8 +35,8 @@ pub struct RunOptions {
     pub latency_ms: Option<u64>,
     /// What may come on top of it, evenly from nothing to this, drawn for each chunk by the seed, ms.
     pub latency_jitter_ms: u64,
-    /// Where the network computes.
-    pub device: Device,
+    /// Where and how the network computes.
+    pub compute: Compute,
 }
 
 impl RunOptions {
@@ -60,7 +60,7 @@ pub struct RunResult {
 /// # Errors
 /// From the configuration, the policy, the simulation or the log.
 pub fn run_lockstep(setup: &Setup, options: &RunOptions) -> Result<RunResult, SessionError> {
-    let mut source = setup.source(&options.policy, options.seed, options.device)?;
+    let mut source = setup.source(&options.policy, options.seed, options.compute)?;
     if let super::source::ChunkSource::Network(network) = &mut source {
         hal::Policy::reset(network.as_mut(), options.seed);
     }

@@ -4,11 +4,11 @@ use std::path::Path;
 
 use hal::config::Source;
 use policy::checkpoint::{Recipe, load_recipe};
+use policy::compute::Compute;
 use policy::loaded_policy::LoadedPolicy;
 use sim_backend::expert::Expert;
 use sim_backend::rng::Rng;
 use sim_backend::task::TaskConfig;
-use tch::Device;
 
 use super::SessionError;
 use super::source::{ChunkSource, PolicyChoice};
@@ -137,16 +137,20 @@ impl Setup {
             .map_err(|error| SessionError::BadArgument(error.to_string()))
     }
 
-    /// The network in `folder` on `device`.
+    /// The network in `folder`, computing as `compute` says.
     ///
     /// # Errors
     /// [`SessionError::Checkpoint`], or [`SessionError::BadArgument`] if it is for another number of arms than the task's.
-    pub fn network(&self, folder: &Path, device: Device) -> Result<LoadedPolicy, SessionError> {
+    pub fn network(
+        &self,
+        folder: &Path,
+        compute: impl Into<Compute>,
+    ) -> Result<LoadedPolicy, SessionError> {
         // Before the weights: they would only take time.
         if let Some(recipe) = load_recipe(folder)? {
             self.check_arms(folder, recipe.arms)?;
         }
-        Ok(LoadedPolicy::load(folder, device)?)
+        Ok(LoadedPolicy::load(folder, compute)?)
     }
 
     fn check_arms(&self, folder: &Path, commanded: usize) -> Result<(), SessionError> {
@@ -169,7 +173,7 @@ impl Setup {
         &self,
         choice: &PolicyChoice,
         seed: u64,
-        device: Device,
+        compute: impl Into<Compute>,
     ) -> Result<ChunkSource, SessionError> {
         Ok(match choice {
             PolicyChoice::Expert => ChunkSource::Expert {
@@ -186,7 +190,7 @@ impl Setup {
                 sequence: 0,
             },
             PolicyChoice::Checkpoint(path) => {
-                ChunkSource::Network(Box::new(self.network(path, device)?))
+                ChunkSource::Network(Box::new(self.network(path, compute)?))
             }
         })
     }

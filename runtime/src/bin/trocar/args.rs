@@ -143,9 +143,33 @@ pub(crate) struct RunArgs {
     /// What may come on top of it, evenly from nothing to this, drawn for each chunk by the seed, ms, up to 10000.
     #[arg(long, value_name = "MS", default_value_t = 0, value_parser = delay())]
     pub(crate) latency_jitter_ms: u64,
+    /// Where and how the network computes.
+    #[command(flatten)]
+    pub(crate) compute: ComputeArgs,
+}
+
+/// Where and how a network computes.
+#[derive(Args, Clone, Copy, Debug)]
+pub(crate) struct ComputeArgs {
     /// Where the network computes.
     #[arg(long, value_enum, default_value = "cpu")]
     pub(crate) device: ComputeDevice,
+    /// In which numbers the network computes: bf16 is faster and less exact, on CUDA only.
+    #[arg(long, value_enum, default_value = "f32")]
+    pub(crate) precision: Precision,
+    /// Threads of the network on the CPU, at most one fewer than there are cores: one is the control's. Another number may
+    /// give other bits.
+    #[arg(long, default_value_t = 1, value_parser = threads())]
+    pub(crate) threads: usize,
+}
+
+/// In which numbers a network computes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub(crate) enum Precision {
+    /// Single precision.
+    F32,
+    /// 8 significant bits.
+    Bf16,
 }
 
 /// Options of `eval`.
@@ -181,9 +205,9 @@ pub(crate) struct EvalArgs {
     /// What may come on top of it, evenly from nothing to this, drawn for each chunk by the seed, ms, up to 10000.
     #[arg(long, value_name = "MS", default_value_t = 0, value_parser = delay())]
     pub(crate) latency_jitter_ms: u64,
-    /// Where the network computes.
-    #[arg(long, value_enum, default_value = "cpu")]
-    pub(crate) device: ComputeDevice,
+    /// Where and how the network computes.
+    #[command(flatten)]
+    pub(crate) compute: ComputeArgs,
 }
 
 /// Who demonstrates.
@@ -370,7 +394,7 @@ pub(crate) struct PolicyProcessArgs {
     /// The checkpoint's directory.
     #[arg(long)]
     pub(crate) policy: PathBuf,
-    /// Where the network computes.
-    #[arg(long, value_enum, default_value = "cpu")]
-    pub(crate) device: ComputeDevice,
+    /// Where and how the network computes.
+    #[command(flatten)]
+    pub(crate) compute: ComputeArgs,
 }

@@ -2,6 +2,7 @@
 
 use std::path::Path;
 
+use policy::compute::{Arithmetic, Compute};
 use runtime::doctor::{self, Probes};
 use runtime::log::RunLog;
 use runtime::session::demo::{self, DemoOptions};
@@ -18,8 +19,8 @@ use sim_backend::task::TaskConfig;
 use tch::Device;
 
 use crate::args::{
-    Cameras, ComputeDevice, DemoArgs, DoctorArgs, EvalArgs, LogArgs, Network, PolicyProcessArgs,
-    RecordArgs, RunArgs, TrainArgs,
+    Cameras, ComputeArgs, ComputeDevice, DemoArgs, DoctorArgs, EvalArgs, LogArgs, Network,
+    PolicyProcessArgs, Precision, RecordArgs, RunArgs, TrainArgs,
 };
 use crate::console;
 
@@ -33,6 +34,26 @@ fn device(choice: ComputeDevice) -> Result<Device, SessionError> {
             "--device cuda: this libtorch sees no CUDA device".to_owned(),
         )),
     }
+}
+
+/// Leaves a core to the control, if there are two.
+fn compute(args: &ComputeArgs) -> Result<Compute, SessionError> {
+    let cores = std::thread::available_parallelism().map_or(1, usize::from);
+    let most = cores.saturating_sub(1).max(1);
+    if args.threads > most {
+        return Err(SessionError::BadArgument(format!(
+            "--threads {}: this machine has {cores} cores, of which the network can have 1 to {most}",
+            args.threads
+        )));
+    }
+    Ok(Compute {
+        device: device(args.device)?,
+        arithmetic: match args.precision {
+            Precision::F32 => Arithmetic::F32,
+            Precision::Bf16 => Arithmetic::Bf16,
+        },
+        threads: args.threads,
+    })
 }
 
 /// Says so if the policy does another task than that of its demonstrations: that may be meant, so that it is no error.
@@ -64,7 +85,7 @@ pub(crate) fn run(args: &RunArgs) -> Done {
         pictures: false,
         latency_ms: args.latency_ms,
         latency_jitter_ms: args.latency_jitter_ms,
-        device: device(args.device)?,
+        compute: compute(&args.compute)?,
     };
     let result = if args.lockstep {
         run::run_lockstep(&setup, &options)?
@@ -128,7 +149,7 @@ pub(crate) fn eval(args: &EvalArgs) -> Done {
         jobs: args.jobs,
         latency_ms: args.latency_ms,
         latency_jitter_ms: args.latency_jitter_ms,
-        device: device(args.device)?,
+        compute: compute(&args.compute)?,
     };
     let bar = console::progress(args.trials as u64, "trials");
     let summary = eval::evaluate(&setup, &options, &mut |trial| {
@@ -394,7 +415,7 @@ pub(crate) fn policy_process(args: &PolicyProcessArgs) -> Done {
     realtime::serve_policy(&PolicyProcessOptions {
         run_id: args.run_id.clone(),
         policy: args.policy.clone(),
-        device: device(args.device)?,
+        compute: compute(&args.compute)?,
         parent: args.parent_pid,
     })?;
     Ok(true)

@@ -11,6 +11,7 @@ use hal::topic::{
     RunControlTopic, Subscriber, TopicNode,
 };
 use hal::{Chunk, PolicyError, TimeNs};
+use policy::compute::{Arithmetic, Compute};
 use policy::loaded_policy::LoadedPolicy;
 use tch::Device;
 
@@ -70,7 +71,7 @@ impl PolicyChild {
         let status = PolicyStatusTopic::subscriber(&node, FIRST_ARM)?;
         let chunks = ArmChunks::open(&node, setup.task.arms.len())?;
         let mut child = Self {
-            process: spawn(&run_id, policy, options.device)?,
+            process: spawn(&run_id, policy, options.compute)?,
             node,
             control,
             status,
@@ -232,13 +233,24 @@ fn fresh_run_id() -> Result<String, SessionError> {
     Ok(format!("run-{}-{tag}", process::id()))
 }
 
-fn spawn(run_id: &str, policy: &Path, device: Device) -> Result<Child, SessionError> {
+fn spawn(run_id: &str, policy: &Path, compute: Compute) -> Result<Child, SessionError> {
     let program = env::current_exe().map_err(|error| failed("finding this program", &error))?;
-    let device = if device == Device::Cpu { "cpu" } else { "cuda" };
+    let device = if compute.device == Device::Cpu {
+        "cpu"
+    } else {
+        "cuda"
+    };
+    let precision = match compute.arithmetic {
+        Arithmetic::F32 => "f32",
+        Arithmetic::Bf16 => "bf16",
+    };
     Command::new(program)
         .args(["policy-process", "--run-id", run_id, "--policy"])
         .arg(policy)
-        .args(["--device", device])
+        .args(["--device", device, "--precision", precision])
+        .args(["--threads", &compute.threads.to_string()])
+        // Threads that wait for each other sleep: spinning, they would take cores from the simulation and the control.
+        .env("OMP_WAIT_POLICY", "PASSIVE")
         .args(["--parent-pid", &process::id().to_string()])
         .stdin(Stdio::null())
         // A Ctrl-C in the terminal is for this process alone, which then stops the arm before the policy.

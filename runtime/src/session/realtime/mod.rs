@@ -72,7 +72,7 @@ pub fn run_realtime(setup: &Setup, options: &RunOptions) -> Result<RunResult, Se
     };
     let source = match child {
         Some(_) => None,
-        None => Some(setup.source(&options.policy, options.seed, options.device)?),
+        None => Some(setup.source(&options.policy, options.seed, options.compute)?),
     };
     let ends = run_threads(setup, options, source, child.as_mut())?;
     conclude(setup, options, ends)

@@ -9,8 +9,8 @@ use hal::topic::{
     Subscriber, TopicNode,
 };
 use hal::{ARM_NAMES, Chunk, FrameRef, Observation, Policy, SeenArm, TimeNs};
+use policy::compute::Compute;
 use policy::loaded_policy::LoadedPolicy;
-use tch::Device;
 
 use crate::rt::{self, MonotonicClock};
 use crate::session::SessionError;
@@ -37,8 +37,8 @@ pub struct PolicyProcessOptions {
     pub run_id: String,
     /// The checkpoint's directory.
     pub policy: PathBuf,
-    /// Where the network computes.
-    pub device: Device,
+    /// Where and how the network computes.
+    pub compute: Compute,
     /// The process that started this one, as it knows itself: it may die before this one can look.
     pub parent: u32,
 }
@@ -116,7 +116,7 @@ struct Service {
 
 impl Service {
     fn open(node: &TopicNode, options: &PolicyProcessOptions) -> Result<Self, SessionError> {
-        let network = LoadedPolicy::load(&options.policy, options.device)?;
+        let network = LoadedPolicy::load(&options.policy, options.compute)?;
         let cameras = camera_names(&network)
             .iter()
             .map(|camera| CameraTopic::subscriber(node, camera))

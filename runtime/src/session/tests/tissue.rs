@@ -20,7 +20,7 @@ fn evaluated(
         jobs: 1,
         latency_ms: None,
         latency_jitter_ms: 0,
-        device: Device::Cpu,
+        compute: Device::Cpu.into(),
     };
     let summary = evaluate(&setup, &options, &mut |_| {}).unwrap();
     serde_json::to_value(&summary).unwrap()

@@ -1,0 +1,69 @@
+//! ACT as inference runs it: made once from a trained network, with the same answers but for rounding.
+//!
+//! What is done while building: fixed normalisations go into the convolutions; what positions add to queries and keys, and
+//! the token of the latent, which is zero, become biases; the first decoder layer's attention of the steps to each other,
+//! which starts from zeros, becomes a constant with the queries that follow from it. Nothing of the variational encoder is
+//! kept.
+
+mod backbone;
+#[cfg(test)]
+mod tests;
+mod trunk;
+
+use tch::{Kind, TchError, Tensor};
+
+use super::Act;
+use crate::layers::folded::Affine;
+use backbone::FoldedBackbone;
+pub(crate) use trunk::{FoldedTrunk, Situated};
+
+/// An ACT network for inference.
+#[derive(Debug)]
+pub struct FoldedAct {
+    backbone: FoldedBackbone,
+    image_input: Affine,
+    trunk: FoldedTrunk,
+    kind: Kind,
+}
+
+impl FoldedAct {
+    /// The network that answers as `act` does, computing in the precision `kind`, where `act` is.
+    ///
+    /// # Errors
+    /// The network library's.
+    pub fn new(act: &Act, kind: Kind) -> Result<Self, TchError> {
+        tch::no_grad(|| {
+            let image_weight = act.image_weight.f_flatten(1, 3)?;
+            let position = act.image_position.f_squeeze_dim(0)?;
+            Ok(Self {
+                backbone: FoldedBackbone::new(&act.backbone, kind)?,
+                image_input: Affine::new(&image_weight, &act.image_bias, kind)?,
+                trunk: FoldedTrunk::new(&act.trunk, Some(&position), kind)?,
+                kind,
+            })
+        })
+    }
+
+    /// The chunk for an observation, as [`Act::infer`] gives it: `(batch, steps, action)`, normalised, single precision.
+    ///
+    /// `images` is `(batch, cameras, 3, height, width)`, all of which go through the backbone together; `state` is
+    /// `(batch, state)`.
+    ///
+    /// # Errors
+    /// The network library's, if shapes do not fit.
+    pub fn infer(&self, images: &Tensor, state: &Tensor) -> Result<Tensor, TchError> {
+        let batch = images.size()[0];
+        let images = images.f_to_kind(self.kind)?.f_flatten(0, 1)?;
+        let features = self.backbone.forward(&images)?;
+        let rows = self.image_input.forward(&features)?;
+        let tokens = rows.f_unflatten(0, [batch, -1])?;
+        let position = None;
+        self.trunk.infer(
+            &Situated {
+                tokens: &tokens,
+                position,
+            },
+            state,
+        )
+    }
+}

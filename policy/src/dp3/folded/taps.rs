@@ -1,0 +1,212 @@
+//! Convolutions over few steps as one matrix product each: what every step gives to every tap, then the sum over the taps.
+//!
+//! With this few steps a convolution takes as long as reading its weights. Here these lie as the product reads them: on the
+//! CPU in blocks of outputs, each of which is one stretch of memory.
+
+use tch::{Device, Kind, TchError, Tensor};
+
+use crate::dp3::blocks::{Convolution, Doubling};
+
+/// A convolution for a fixed number of steps, from `(channels, steps)` to `(channels, steps)`.
+#[derive(Debug)]
+pub(super) struct Taps {
+    /// `(blocks, inputs, columns of a block)`. The columns are the outputs of each tap, one tap after the other, then what
+    /// is asked for besides.
+    weight: Tensor,
+    /// `(blocks, 1, columns of a block)`: with the tap that meets a step for every output.
+    bias: Tensor,
+    /// The products, `(blocks, steps, columns of a block)`. In memory there are rows of zeros around the steps of each
+    /// block, which nobody writes to.
+    written: Tensor,
+    /// The products by output and tap, the taps last.
+    terms: Tensor,
+    /// Those of the convolution beside, by output and step.
+    beside: Option<Tensor>,
+    outputs: i64,
+}
+
+/// Where the products lie in memory.
+#[derive(Clone, Copy)]
+struct Layout {
+    /// Steps, and the rows of zeros before and after them.
+    rows: i64,
+    columns: i64,
+    outputs: i64,
+    /// Columns of a block.
+    block: i64,
+}
+
+impl Layout {
+    /// On the CPU blocks are as wide as measured to be read fastest; elsewhere there is one.
+    fn new(rows: i64, columns: i64, outputs: i64, device: Device) -> Self {
+        let fits = |block: &i64| device == Device::Cpu && outputs % block == 0;
+        let block = [256, 128].into_iter().find(fits).unwrap_or(columns);
+        Self {
+            rows,
+            columns,
+            outputs,
+            block,
+        }
+    }
+
+    /// From a product to that of the next tap.
+    const fn tap(self) -> i64 {
+        if self.block == self.columns {
+            self.outputs
+        } else {
+            // Whole blocks lie between.
+            self.outputs * self.rows
+        }
+    }
+
+    /// The outputs as one dimension or two, and their strides.
+    const fn outputs(self) -> [[i64; 2]; 2] {
+        let Self {
+            rows,
+            outputs,
+            block,
+            ..
+        } = self;
+        if block == self.columns {
+            [[1, outputs], [outputs, 1]]
+        } else {
+            [[outputs / block, block], [rows * block, 1]]
+        }
+    }
+
+    /// A view of `products` by output and the given further sizes and strides, from `offset` on.
+    fn view<const N: usize>(
+        self,
+        products: &Tensor,
+        sizes: [i64; N],
+        strides: [i64; N],
+        offset: i64,
+    ) -> Result<Tensor, TchError> {
+        let [of_outputs, apart] = self.outputs();
+        products.f_as_strided(
+            [&of_outputs[..], &sizes].concat(),
+            [&apart[..], &strides].concat(),
+            offset,
+        )
+    }
+
+    /// `(rows of `matrix`, columns)` as `(blocks, rows, columns of a block)`.
+    fn blocked(self, matrix: &Tensor, kind: Kind) -> Result<Tensor, TchError> {
+        matrix
+            .f_unflatten(1, [self.columns / self.block, self.block])?
+            .f_transpose(0, 1)?
+            .f_to_kind(kind)?
+            .f_contiguous()
+    }
+
+    fn zeros(self, like: &Tensor, kind: Kind) -> Result<Tensor, TchError> {
+        let blocks = self.columns / self.block;
+        Tensor::f_zeros([blocks, self.rows, self.block], (kind, like.device()))
+    }
+}
+
+impl Taps {
+    /// `convolution` over `steps`, and one of a single tap and as many outputs beside it.
+    pub(super) fn new(
+        convolution: &Convolution,
+        beside: Option<&Convolution>,
+        steps: i64,
+        kind: Kind,
+    ) -> Result<Self, TchError> {
+        let weight = convolution.weight.f_detach()?;
+        let size = weight.size();
+        let &[outputs, inputs, taps] = size.as_slice() else {
+            return Err(TchError::Shape(format!("weights of shape {size:?}")));
+        };
+        let mut blocks = vec![weight.f_permute([1, 2, 0])?.f_reshape([inputs, -1])?];
+        let mut biases = vec![bias_at(&convolution.bias, &[taps / 2], taps)?];
+        if let Some(beside) = beside {
+            let weight = beside.weight.f_detach()?;
+            blocks.push(weight.f_squeeze_dim(2)?.f_transpose(0, 1)?);
+            biases.push(beside.bias.f_detach()?);
+        }
+        let (weight, bias) = (Tensor::f_cat(&blocks, 1)?, Tensor::f_cat(&biases, 0)?);
+        let around = taps / 2;
+        let columns = bias.size()[0];
+        let layout = Layout::new(steps + 2 * around, columns, outputs, weight.device());
+        let products = layout.zeros(&weight, kind)?;
+        let (row, tap, stride) = (layout.block, layout.tap(), convolution.stride);
+        let steps_after = (steps + 2 * around - taps) / stride + 1;
+        let besides = beside.map(|_| {
+            let first = around * row + taps * tap;
+            layout.view(&products, [steps], [row], first)
+        });
+        Ok(Self {
+            weight: layout.blocked(&weight, kind)?,
+            bias: layout.blocked(&bias.f_unsqueeze(0)?, kind)?,
+            written: products.f_narrow(1, around, steps)?,
+            terms: layout.view(&products, [steps_after, taps], [stride * row, tap + row], 0)?,
+            beside: besides.transpose()?,
+            outputs,
+        })
+    }
+
+    /// Twice as many steps as went in.
+    pub(super) fn doubling(doubling: &Doubling, steps: i64, kind: Kind) -> Result<Self, TchError> {
+        let weight = doubling.weight.f_detach()?;
+        let size = weight.size();
+        let &[inputs, outputs, _] = size.as_slice() else {
+            return Err(TchError::Shape(format!("weights of shape {size:?}")));
+        };
+        // An even step gets the step's second tap and the fourth of the one before; an odd one the third, and the first of
+        // the one after.
+        let order = Tensor::f_from_slice(&[3_i64, 1, 2, 0])?.f_to_device(weight.device())?;
+        let ordered = weight.f_index_select(2, &order)?.f_permute([0, 2, 1])?;
+        let layout = Layout::new(steps + 2, 4 * outputs, outputs, weight.device());
+        let products = layout.zeros(&weight, kind)?;
+        let (row, tap) = (layout.block, layout.tap());
+        let bias = bias_at(&doubling.bias, &[1, 2], 4)?;
+        Ok(Self {
+            weight: layout.blocked(&ordered.f_reshape([inputs, -1])?, kind)?,
+            bias: layout.blocked(&bias.f_unsqueeze(0)?, kind)?,
+            written: products.f_narrow(1, 1, steps)?,
+            terms: layout.view(&products, [steps, 2, 2], [row, row + 2 * tap, row + tap], 0)?,
+            beside: None,
+            outputs,
+        })
+    }
+
+    /// `(channels, steps)` in single precision, whatever the weights have.
+    pub(super) fn apply(&mut self, x: &Tensor) -> Result<Tensor, TchError> {
+        let rows = x.f_to_kind(self.weight.kind())?.f_transpose(0, 1)?;
+        let size = self.weight.size();
+        if let &[1, inputs, columns] = size.as_slice() {
+            let weight = self.weight.f_view([inputs, columns])?;
+            let written = self.written.f_squeeze_dim(0)?;
+            let bias = self.bias.f_view([columns])?;
+            let _written = bias.f_addmm_out(&written, &rows, &weight)?;
+        } else {
+            let rows = rows.f_unsqueeze(0)?.f_expand([size[0], -1, -1], false)?;
+            let _written = self
+                .bias
+                .f_baddbmm_out(&self.written, &rows, &self.weight)?;
+        }
+        self.terms
+            .f_sum_dim_intlist([-1].as_slice(), false, Kind::Float)?
+            .f_view([self.outputs, -1])
+    }
+
+    /// `out` `(channels, steps)` and what the convolution beside made of what was last applied to; or `x` if there is none.
+    pub(super) fn add_beside(&self, out: &mut Tensor, x: &Tensor) -> Result<(), TchError> {
+        let _sum = match &self.beside {
+            Some(beside) => out.f_view(beside.size().as_slice())?.f_add_(beside)?,
+            None => out.f_add_(x)?,
+        };
+        Ok(())
+    }
+}
+
+/// `bias` at those of `taps` that are named, zeros at the others, one tap after the other.
+fn bias_at(bias: &Tensor, named: &[i64], taps: i64) -> Result<Tensor, TchError> {
+    let bias = bias.f_detach()?;
+    let zeros = bias.f_zeros_like()?;
+    let rows: Vec<&Tensor> = (0..taps)
+        .map(|tap| if named.contains(&tap) { &bias } else { &zeros })
+        .collect();
+    Tensor::f_cat(&rows, 0)
+}

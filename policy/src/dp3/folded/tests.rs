@@ -1,0 +1,91 @@
+//! Folded and trained networks give the same answers, to rounding.
+
+use std::collections::BTreeMap;
+
+use tch::{Device, Kind, Tensor};
+
+use super::FoldedDp3;
+use crate::dp3::{CloudObservation, Dp3, Dp3Config, Dp3Preset};
+use crate::parameters::ParameterSource;
+
+/// Of the greatest number in an answer, after all steps of the diffusion.
+const ROUNDING: f64 = 1e-5;
+
+fn config(preset: Dp3Preset, horizon: i64, kernel_size: i64) -> Dp3Config {
+    Dp3Config {
+        horizon,
+        kernel_size,
+        n_action_steps: 3,
+        down_dims: vec![16, 24, 40],
+        diffusion_step_embed_dim: 16,
+        num_inference_steps: 5,
+        ..Dp3Config::preset(preset, 7, 7)
+    }
+}
+
+/// A network none of whose parameters is at a value that hides mistakes, such as a bias of zero.
+fn trained(config: &Dp3Config) -> Dp3 {
+    let fresh = Dp3::new(config.clone(), ParameterSource::seeded(5, Device::Cpu)).unwrap();
+    let moved: BTreeMap<String, Tensor> = fresh
+        .parameters()
+        .iter()
+        .map(|(key, tensor)| {
+            let ramp = Tensor::arange(tensor.size()[0], (Kind::Float, Device::Cpu));
+            let nudge = if tensor.dim() == 1 {
+                ramp.sin() * 0.3
+            } else {
+                tensor.zeros_like()
+            };
+            (key.to_owned(), (tensor + nudge).set_requires_grad(true))
+        })
+        .collect();
+    Dp3::new(config.clone(), ParameterSource::given(moved)).unwrap()
+}
+
+#[track_caller]
+fn check(config: &Dp3Config) {
+    assert_eq!(config.defect(), None);
+    let network = trained(config);
+    let ramp =
+        |count: i64, rate: f64| (Tensor::arange(count, (Kind::Float, Device::Cpu)) * rate).sin();
+    let observation = CloudObservation {
+        points: &ramp(2 * 50 * 3, 0.7).view([1, 2, 50, 3]),
+        state: &ramp(14, 1.3).view([1, 2, 7]),
+    };
+    let noise = config.start_noise(3, 1).unwrap();
+    tch::no_grad(|| {
+        let expected = network.infer(&observation, &noise).unwrap();
+        let mut folded = FoldedDp3::new(network, Kind::Float).unwrap();
+        let first = folded.infer(&observation, &noise).unwrap();
+        let scale = expected.abs().max().double_value(&[]);
+        let off = (&expected - &first).abs().max().double_value(&[]) / scale;
+        assert!(off <= ROUNDING && scale > 0.1, "off by {off:e} of {scale}");
+        // What it writes into is no part of the next answer.
+        let other = config.start_noise(4, 1).unwrap();
+        let between = folded.infer(&observation, &other).unwrap();
+        assert_ne!(between, first);
+        assert_eq!(folded.infer(&observation, &noise).unwrap(), first);
+    });
+}
+
+#[test]
+fn folding_changes_nothing_but_rounding() {
+    check(&config(Dp3Preset::Dp3, 16, 5));
+    check(&config(Dp3Preset::Simple, 8, 3));
+}
+
+#[test]
+fn blocks_of_outputs_fold_too() {
+    for preset in [Dp3Preset::Dp3, Dp3Preset::Simple] {
+        let wide = Dp3Config {
+            down_dims: vec![128, 256],
+            ..config(preset, 8, 5)
+        };
+        check(&wide);
+    }
+}
+
+#[test]
+fn fewer_steps_than_a_convolution_sees_fold_too() {
+    check(&config(Dp3Preset::Simple, 4, 7));
+}

@@ -1,0 +1,228 @@
+//! The U-Net with everything that does not depend on the noisy actions computed beforehand.
+
+use tch::{Kind, TchError, Tensor};
+
+use super::taps::Taps;
+use crate::dp3::blocks::{ConvolutionBlock, ResidualBlock};
+use crate::dp3::unet::UNet;
+
+/// The U-Net for the timesteps of inference.
+#[derive(Debug)]
+pub(super) struct FoldedUNet {
+    down: Vec<(Vec<FoldedBlock>, Option<Taps>)>,
+    middle: Vec<FoldedBlock>,
+    up: Vec<(Vec<FoldedBlock>, Taps)>,
+    last: (FoldedConvolution, Taps),
+    modulation: Modulation,
+}
+
+/// The scales and shifts of all blocks, one beside the other.
+#[derive(Debug)]
+struct Modulation {
+    /// The timesteps' part with the bias, `(timesteps, scales and shifts)`.
+    of_steps: Tensor,
+    /// `(features of the observations, scales and shifts)`.
+    observed: Tensor,
+}
+
+/// Builds the blocks one after the other and gathers what they make of the condition.
+struct Builder<'a> {
+    /// Features of the timesteps after Mish, `(timesteps, features)`.
+    embedded: &'a Tensor,
+    kind: Kind,
+    of_steps: Vec<Tensor>,
+    observed: Vec<Tensor>,
+    columns: i64,
+}
+
+/// A residual block.
+#[derive(Debug)]
+struct FoldedBlock {
+    first: FoldedConvolution,
+    second: FoldedConvolution,
+    /// Where its scales, then its shifts, begin among all.
+    column: i64,
+    channels: i64,
+}
+
+/// Convolution, group normalisation, Mish.
+#[derive(Debug)]
+struct FoldedConvolution {
+    taps: Taps,
+    norm_weight: Tensor,
+    norm_bias: Tensor,
+    groups: i64,
+}
+
+impl FoldedUNet {
+    /// For actions of `horizon` steps; convolutions have weights of the precision `kind`.
+    pub(super) fn new(
+        unet: &UNet,
+        timesteps: &[i64],
+        horizon: i64,
+        kind: Kind,
+    ) -> Result<Self, TchError> {
+        let timesteps = Tensor::f_from_slice(timesteps)?.f_to_device(unet.device())?;
+        let mut builder = Builder {
+            embedded: &unet.embed(&timesteps)?.f_mish()?,
+            kind,
+            of_steps: Vec::new(),
+            observed: Vec::new(),
+            columns: 0,
+        };
+        let mut steps = horizon;
+        let mut down = Vec::new();
+        for level in &unet.down {
+            let blocks = builder.blocks(&level.blocks, steps)?;
+            let halve = match &level.halve {
+                Some(halve) => {
+                    let taps = Taps::new(halve, None, steps, kind)?;
+                    steps = (steps - 1) / 2 + 1;
+                    Some(taps)
+                }
+                None => None,
+            };
+            down.push((blocks, halve));
+        }
+        let middle = builder.blocks(&unet.middle, steps)?;
+        let mut up = Vec::new();
+        for level in &unet.up {
+            let blocks = builder.blocks(&level.blocks, steps)?;
+            up.push((blocks, Taps::doubling(&level.double, steps, kind)?));
+            steps *= 2;
+        }
+        let (block, out) = &unet.last;
+        Ok(Self {
+            down,
+            middle,
+            up,
+            last: (
+                FoldedConvolution::new(block, None, steps, kind)?,
+                Taps::new(out, None, steps, kind)?,
+            ),
+            modulation: builder.modulation()?,
+        })
+    }
+
+    /// Scales and shifts of every timestep, `(timesteps, scales and shifts)`, for the observations' features
+    /// `(1, features)`.
+    pub(super) fn modulations(&self, observed: &Tensor) -> Result<Tensor, TchError> {
+        let Modulation {
+            of_steps,
+            observed: weight,
+        } = &self.modulation;
+        of_steps.f_add(&observed.f_mish()?.f_mm(weight)?)
+    }
+
+    /// The clean actions `(1, steps, action)` behind `noisy` ones by one row of [`Self::modulations`].
+    pub(super) fn forward(
+        &mut self,
+        noisy: &Tensor,
+        modulation: &Tensor,
+    ) -> Result<Tensor, TchError> {
+        let mut x = noisy.f_squeeze_dim(0)?.f_transpose(0, 1)?;
+        let mut on_the_way = Vec::new();
+        for (blocks, halve) in &mut self.down {
+            x = through(blocks, x, modulation)?;
+            on_the_way.push(x.shallow_clone());
+            if let Some(halve) = halve {
+                x = halve.apply(&x)?;
+            }
+        }
+        x = through(&mut self.middle, x, modulation)?;
+        for ((blocks, double), beside) in self.up.iter_mut().zip(on_the_way.iter().rev()) {
+            x = through(blocks, Tensor::f_cat(&[&x, beside], 0)?, modulation)?;
+            x = double.apply(&x)?;
+        }
+        let (block, out) = &mut self.last;
+        let clean = out.apply(&block.apply(&x)?)?;
+        clean.f_transpose(0, 1)?.f_unsqueeze(0)
+    }
+}
+
+impl Builder<'_> {
+    fn blocks(
+        &mut self,
+        blocks: &[ResidualBlock],
+        steps: i64,
+    ) -> Result<Vec<FoldedBlock>, TchError> {
+        blocks
+            .iter()
+            .map(|block| self.block(block, steps))
+            .collect()
+    }
+
+    fn block(&mut self, block: &ResidualBlock, steps: i64) -> Result<FoldedBlock, TchError> {
+        let [first, second] = &block.blocks;
+        let weight = block.condition.weight.f_detach()?;
+        let (own, all) = (self.embedded.size()[1], weight.size()[1]);
+        let of_steps = weight.f_narrow(1, 0, own)?;
+        let bias = block.condition.bias.f_detach()?;
+        let of_steps = self.embedded.f_linear(&of_steps, Some(&bias))?;
+        let columns = of_steps.size()[1];
+        self.of_steps.push(of_steps);
+        let observed = weight.f_narrow(1, own, all - own)?;
+        self.observed.push(observed.f_transpose(0, 1)?);
+        let column = self.columns;
+        self.columns += columns;
+        Ok(FoldedBlock {
+            first: FoldedConvolution::new(first, block.residual.as_ref(), steps, self.kind)?,
+            second: FoldedConvolution::new(second, None, steps, self.kind)?,
+            column,
+            channels: columns / 2,
+        })
+    }
+
+    fn modulation(self) -> Result<Modulation, TchError> {
+        Ok(Modulation {
+            of_steps: Tensor::f_cat(&self.of_steps, 1)?,
+            observed: Tensor::f_cat(&self.observed, 1)?.f_contiguous()?,
+        })
+    }
+}
+
+impl FoldedBlock {
+    fn apply(&mut self, x: &Tensor, modulation: &Tensor) -> Result<Tensor, TchError> {
+        let part = |first: i64| modulation.f_narrow(0, first, self.channels)?.f_unsqueeze(1);
+        let (scale, shift) = (part(self.column)?, part(self.column + self.channels)?);
+        let inner = shift.f_addcmul(&scale, &self.first.apply(x)?)?;
+        let mut out = self.second.apply(&inner)?;
+        self.first.taps.add_beside(&mut out, x)?;
+        Ok(out)
+    }
+}
+
+impl FoldedConvolution {
+    fn new(
+        block: &ConvolutionBlock,
+        beside: Option<&crate::dp3::blocks::Convolution>,
+        steps: i64,
+        kind: Kind,
+    ) -> Result<Self, TchError> {
+        Ok(Self {
+            taps: Taps::new(&block.convolution, beside, steps, kind)?,
+            norm_weight: block.norm_weight.f_detach()?,
+            norm_bias: block.norm_bias.f_detach()?,
+            groups: block.groups,
+        })
+    }
+
+    fn apply(&mut self, x: &Tensor) -> Result<Tensor, TchError> {
+        let x = self.taps.apply(x)?.f_unsqueeze(0)?;
+        let (weight, bias) = (Some(&self.norm_weight), Some(&self.norm_bias));
+        x.f_group_norm(self.groups, weight, bias, 1e-5, true)?
+            .f_mish_()?
+            .f_squeeze_dim(0)
+    }
+}
+
+fn through(
+    blocks: &mut [FoldedBlock],
+    mut x: Tensor,
+    modulation: &Tensor,
+) -> Result<Tensor, TchError> {
+    for block in blocks {
+        x = block.apply(&x, modulation)?;
+    }
+    Ok(x)
+}
