@@ -13,7 +13,7 @@ use super::{
     AggregationName, Cause, CheckpointError, DatasetSummary, FeatureStatistics, Precision, Recipe,
     RecommendedAggregation, RecordedCamera, SaveOptions, Variants, load, save,
 };
-use crate::act::{Act, ActConfig, ActPreset};
+use crate::act::{Act, ActConfig, ActPreset, BackboneNorm};
 use crate::act_policy::ActPolicy;
 use crate::normalise::Statistics;
 use crate::parameters::ParameterSource;
@@ -452,6 +452,35 @@ fn useless_statistics_are_refused() {
 }
 
 #[test]
+fn a_backbone_that_lerobot_lacks_has_a_name_that_lerobot_refuses() {
+    let folder = saved("backbone", SaveOptions::default());
+    let name = |folder: &Path| {
+        let text = fs::read(folder.join("config.json")).unwrap();
+        let config: serde_json::Value = serde_json::from_slice(&text).unwrap();
+        config["vision_backbone"].as_str().unwrap().to_owned()
+    };
+    assert!(!name(&folder).starts_with("resnet"));
+    // The name alone says it, and a recipe of before the name was there says it as well.
+    let norm = |folder: &Path| {
+        load(folder, Device::Cpu)
+            .unwrap()
+            .act
+            .config()
+            .backbone_norm
+    };
+    fs::rename(folder.join("trocar.json"), folder.join("aside")).unwrap();
+    assert_eq!(norm(&folder), BackboneNorm::GroupNorm);
+    fs::rename(folder.join("aside"), folder.join("trocar.json")).unwrap();
+    edit(&folder, "config.json", "group_norm_resnet18", "resnet18");
+    assert_eq!(norm(&folder), BackboneNorm::GroupNorm);
+
+    let folder = saved("backbone", SaveOptions::default());
+    edit(&folder, "trocar.json", "group_norm", "frozen_batch_norm");
+    let message = refused(&folder).to_string();
+    assert!(message.contains("backbone_norm is another"), "{message}");
+}
+
+#[test]
 fn unknown_types_and_variants_are_refused() {
     let folder = saved("variants", SaveOptions::default());
     edit(
@@ -464,7 +493,7 @@ fn unknown_types_and_variants_are_refused() {
         matches!(refused(&folder).cause, Cause::PolicyType { actual } if actual == "diffusion")
     );
     let folder = saved("variants", SaveOptions::default());
-    edit(&folder, "config.json", "resnet18", "resnet50");
+    edit(&folder, "config.json", "group_norm_resnet18", "resnet50");
     assert!(
         matches!(refused(&folder).cause, Cause::Unsupported { field, .. } if field == "vision_backbone")
     );

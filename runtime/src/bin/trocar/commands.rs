@@ -1,5 +1,6 @@
 //! The verbs: arguments in, library calls, results out. `Ok(false)` means that the job failed.
 
+use policy::dataset::VideoCodec;
 use runtime::doctor::{self, Probes};
 use runtime::log::RunLog;
 use runtime::session::demo::{self, DemoOptions};
@@ -17,7 +18,7 @@ use tch::Device;
 
 use crate::args::{
     Cameras, ComputeDevice, DemoArgs, DoctorArgs, EvalArgs, LogArgs, Network, PolicyProcessArgs,
-    RecordArgs, RunArgs, TrainArgs,
+    RecordArgs, RunArgs, TrainArgs, Video,
 };
 use crate::console;
 
@@ -167,6 +168,10 @@ pub(crate) fn record(args: &RecordArgs) -> Done {
         seed: args.seed,
         jobs: args.jobs,
         depth: args.depth,
+        video: args.video.map(|video| match video {
+            Video::H264 => VideoCodec::H264,
+            Video::Av1 => VideoCodec::Av1,
+        }),
     };
     let bar = console::progress(args.episodes as u64, "episodes");
     let summary = record::record(&setup, &options, &mut |attempt| {
