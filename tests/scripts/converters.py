@@ -1,10 +1,10 @@
 #!/usr/bin/env python3
 """The converters of `policy/convert/` against the programs whose files they read.
 
-Requirements: those of lerobot_round_trip.py, and einops diffusers omegaconf dill
+Requirements: those of lerobot_round_trip.py, and einops diffusers omegaconf dill h5py
 
     cargo build --locked --workspace
-    python tests/scripts/converters.py target/converters --act ACT_SOURCE --dp3 DP3_SOURCE
+    python tests/scripts/converters.py target/converters --act ACT_SOURCE --dp3 DP3_SOURCE [--demos FOLDER]
 
 ACT_SOURCE and DP3_SOURCE are checkouts of tonyzhaozh/act (742c753) and YanjieZe/3D-Diffusion-Policy (47385d9); none of their code is
 here. Each case builds the authors' own network with random weights, saves it as their training does, converts the file, and
@@ -13,6 +13,8 @@ compares what the authors' code answers to a random observation with what ours a
   act      seven decoder layers, two cameras, 14 numbers of state and action: two arms
   dp3      SimpleDP3 and, at a quarter of its width, DP3; in the file `model` and `ema_model` have different weights
   legacy   LeRobot's ACT with its statistics among the weights, as 0.3.3 wrote it
+  hdf5     what `trocar record` recorded (now, or in --demos) put into ACT's and robomimic's layout and converted back: our reader
+           and LeRobot's must find the same numbers and pictures, and the poses that the converter computes must be the recorded
 
 Then files that must not be converted, with the reason that is given.
 """
@@ -292,11 +294,92 @@ def legacy_case(work):
     return {"do": "act", "name": "legacy", "what": "LeRobot 0.3.3"}, their_chunk(new, inputs)
 
 
+def write_hdf5(work, recorded):
+    """The recorded episodes in both layouts; the action is the joints a step later."""
+    import h5py
+
+    starts = [*recorded["episode_start"].tolist(), len(recorded["action"])]
+    (work / "act_hdf5").mkdir()
+    with h5py.File(work / "robomimic.hdf5", "w") as whole:
+        for episode, (start, end) in enumerate(zip(starts, starts[1:])):
+            rows = slice(start, end)
+            joints = recorded["observation.state"][rows].numpy()
+            image = recorded["observation.images.endoscope"][rows].numpy()
+            with h5py.File(work / f"act_hdf5/episode_{episode}.hdf5", "w") as file:
+                file.attrs["sim"] = True
+                file["observations/qpos"] = joints.astype(np.float32)
+                file["observations/images/endoscope"] = image
+                file["action"] = np.concatenate([joints[1:], joints[-1:]])
+            demo = whole.create_group(f"data/demo_{episode}")
+            demo["obs/joint_pos"], demo["obs/endoscope_image"] = joints, image
+            demo["actions"] = recorded["action"][rows].numpy()
+
+
+def hdf5_case(work, demos):
+    from lerobot.datasets.lerobot_dataset import LeRobotDataset
+
+    def dumped(dataset, name):
+        job = {"do": "frames", "dataset": str(dataset), "image_stride": 1, "output": str(work / f"{name}.safetensors")}
+        our_answers(work, [job])
+        return load_file(work / f"{name}.safetensors")
+
+    recorded = dumped(demos, "recorded")
+    write_hdf5(work, recorded)
+    same = ["--fps", 25, "--task", "Lift the needle", "--out"]
+    names = ["--joints", "obs/joint_pos", "--images", "obs/endoscope_image", "--action-pose", "actions"]
+    converted("hdf5_to_lerobot.py", "act", work / "act_hdf5", *same, work / "from_act")
+    converted("hdf5_to_lerobot.py", "robomimic", work / "robomimic.hdf5", *names, *same, work / "from_robomimic")
+    for name in ("from_act", "from_robomimic"):
+        ours = dumped(work / name, name)
+        for feature in ("observation.state", "observation.images.endoscope"):
+            difference = (ours[feature].double() - recorded[feature].double()).abs().max().item()
+            report(f"{name}, {feature}", difference, 0.0)
+        report(f"{name}, tip poses by forward kinematics", pose_difference(ours, recorded, "observation.tip_pose"), 2e-7)
+        theirs = LeRobotDataset(f"local/{name}", root=work / name)
+        assert len(theirs) == len(recorded["action"]) and theirs[0]["task"] == "Lift the needle"
+        difference = max((theirs[index]["action"] - ours["action"][index].float()).abs().max().item() for index in range(0, len(theirs), 7))
+        report(f"{name} -> LeRobot, actions", difference, 0.0)
+    report("from_robomimic, actions", pose_difference(dumped(work / "from_robomimic", "again"), recorded, "action"), 0.0)
+    refuse_hdf5(work, same)
+
+
+def pose_difference(ours, recorded, feature):
+    """A quaternion and its negative are the same turn."""
+    a, b = ours[feature], recorded[feature]
+    sign = torch.sign((a[:, 3:7] * b[:, 3:7]).sum(1, keepdim=True))
+    turned = (a[:, 3:7] * sign - b[:, 3:7]).abs().max()
+    return max((a[:, :3] - b[:, :3]).abs().max().item(), turned.item())
+
+
+def refuse_hdf5(work, same):
+    import h5py
+
+    cases = {
+        "degrees": ("observations/qpos", lambda joints: np.degrees(joints), "outside"),
+        "nan": ("observations/qpos", lambda joints: np.where(np.arange(7) == 2, np.nan, joints), "not finite"),
+        "joints": ("observations/qpos", lambda joints: joints[:, :6], "expected 7"),
+        "frames": ("observations/images/endoscope", lambda images: images[:-1], "frames of"),
+    }
+    for name, (path, change, reason) in cases.items():
+        folder = work / f"bad_{name}"
+        shutil.copytree(work / "act_hdf5", folder)
+        with h5py.File(folder / "episode_0.hdf5", "r+") as file:
+            other = change(file[path][:])
+            del file[path]
+            file[path] = other
+        must_fail(f"hdf5 with other {name}", reason, "hdf5_to_lerobot.py", "act", folder, *same, work / f"refused_{name}")
+    with h5py.File(work / "robomimic.hdf5", "r+") as file:
+        file["data/demo_0/actions"][3] *= 0.1
+    names = ["--joints", "obs/joint_pos", "--images", "obs/endoscope_image", "--action-pose", "actions"]
+    must_fail("hdf5 with deltas", "deltas", "hdf5_to_lerobot.py", "robomimic", work / "robomimic.hdf5", *names, *same, work / "refused_deltas")
+
+
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("work", type=Path)
     parser.add_argument("--act", type=Path, required=True)
     parser.add_argument("--dp3", type=Path, required=True)
+    parser.add_argument("--demos", type=Path, help="a dataset of one arm and the camera endoscope instead of one that is recorded now")
     options = parser.parse_args()
     work = options.work.resolve()
     if work.exists() and not (work / "jobs.json").exists() and any(work.iterdir()):
@@ -310,6 +393,13 @@ def main():
     sys.modules["zarr"].Array = type("Array", (), {})
     sys.path.insert(0, str(options.dp3.resolve() / "3D-Diffusion-Policy"))
 
+    demos = work / "demos"
+    if options.demos:
+        demos = options.demos.resolve()
+    else:
+        command = [ROOT / "target/debug/trocar", "record", "--task", "needle-lift", "--episodes", "1", "--out", demos]
+        subprocess.run(command, check=True)
+    hdf5_case(work, demos)
     cases = [act_case(work, options.act.resolve()), legacy_case(work)]
     cases += [dp3_case(work, options.dp3.resolve(), simple) for simple in (True, False)]
     jobs = []

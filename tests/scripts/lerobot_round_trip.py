@@ -13,8 +13,11 @@ train on them for two steps, a checkpoint and two datasets that LeRobot saves. O
   ours -> theirs   LeRobot loads what we trained (strictly: no key may be missing or left over), with its own processors, and
                    gives our chunk
   theirs -> ours   we load what `save_pretrained` wrote, random weights and random frozen statistics, and give its chunk
+  trained there    two steps of LeRobot's own training on what we recorded, with its features, statistics and processors; with
+                   `policy/convert/lerobot_recipe.py` the folder is then run by `trocar run`
   not theirs       a backbone with group normalisation, which LeRobot does not have: it must refuse it, not load it wrongly
-  dataset ->       LeRobotDataset reads what we recorded: every number, image, time, task, and chunks by delta_timestamps
+  dataset ->       LeRobotDataset reads what we recorded: every number, image, time, task, and chunks by delta_timestamps; and frames
+                   of what we recorded as video
   dataset <-       we read what LeRobotDataset recorded, as images and, where ffmpeg is installed, as video
 """
 
@@ -37,12 +40,15 @@ from lerobot.datasets.lerobot_dataset import LeRobotDataset
 from lerobot.policies.act.configuration_act import ACTConfig
 from lerobot.policies.act.modeling_act import ACTPolicy
 from lerobot.policies.factory import make_pre_post_processors
+from lerobot.utils.constants import IMAGENET_STATS
+from lerobot.utils.feature_utils import dataset_to_policy_features
 
 ROOT = Path(__file__).resolve().parents[2]
 # Of the greatest number of a chunk, in SI units: single precision through a backbone that normalises nothing at the beginning.
 CHUNK_TOLERANCE = 5e-6
 # Of a channel of a decoded frame of video, of 255: two programs' conversions from YUV.
 VIDEO_TOLERANCE = 3
+NAMES = {"ours": "ours -> theirs", "theirs": "theirs -> ours", "trained": "trained there -> ours"}
 failures = []
 
 
@@ -120,8 +126,59 @@ def save_theirs(folder, cameras):
     after.save_pretrained(folder)
 
 
+def train_theirs(folder, demos):
+    """As lerobot-train does it, but small and short: every feature of the dataset, ImageNet's statistics for images."""
+    fps = json.loads((demos / "meta/info.json").read_text())["fps"]
+    dataset = LeRobotDataset("local/demos", root=demos, delta_timestamps={"action": [step / fps for step in range(20)]})
+    features = dataset_to_policy_features(dataset.meta.features)
+    outputs = {name: feature for name, feature in features.items() if feature.type is FeatureType.ACTION}
+    inputs = {name: feature for name, feature in features.items() if name not in outputs}
+    sizes = {"dim_model": 64, "n_heads": 4, "dim_feedforward": 128, "n_encoder_layers": 1, "n_vae_encoder_layers": 1}
+    config = ACTConfig(
+        input_features=inputs,
+        output_features=outputs,
+        pretrained_backbone_weights=None,
+        device="cpu",
+        push_to_hub=False,
+        chunk_size=20,
+        n_action_steps=20,
+        **sizes,
+    )
+    statistics = {name: dict(parts) for name, parts in dataset.meta.stats.items()}
+    for name in dataset.meta.camera_keys:
+        statistics[name] |= {part: torch.tensor(values) for part, values in IMAGENET_STATS.items()}
+    torch.manual_seed(21)
+    policy = ACTPolicy(config)
+    before, after = make_pre_post_processors(config, dataset_stats=statistics)
+    optimiser = torch.optim.AdamW(policy.get_optim_params(), lr=1e-4)
+    policy.train()
+    for batch, _ in zip(torch.utils.data.DataLoader(dataset, batch_size=2, shuffle=True), range(2)):
+        loss, _ = policy.forward(before(batch))
+        optimiser.zero_grad()
+        loss.backward()
+        optimiser.step()
+    print(f"LeRobot trained for two steps, the loss is {loss.item():.3f}")
+    policy.save_pretrained(folder)
+    before.save_pretrained(folder)
+    after.save_pretrained(folder)
+    command = [sys.executable, ROOT / "policy/convert/lerobot_recipe.py", folder, "--actions", "absolute_pose", "--fps", str(fps)]
+    subprocess.run(command, check=True)
+
+
+def run_theirs(work):
+    """The untrained policy does not lift a needle; what counts is that it is loaded, asked and followed."""
+    result = work / "run.json"
+    command = [ROOT / "target/debug/trocar", "run", "--task", "needle-lift", "--lockstep", "--policy", work / "trained", "--json", result]
+    done = subprocess.run(command, capture_output=True, text=True)
+    if done.returncode not in (0, 1) or not result.exists():
+        print(f"trocar run of LeRobot's policy: {done.returncode}: {done.stderr.strip()}  FAILED")
+        failures.append("trocar run of LeRobot's policy")
+        return
+    print(f"trocar run of LeRobot's policy: {json.loads(result.read_text())['reason']}")
+
+
 def compare_chunks(work, cameras):
-    for name in ("ours", "theirs"):
+    for name in NAMES:
         folder = work / name
         if name == "theirs":
             save_theirs(folder, cameras)
@@ -137,16 +194,16 @@ def compare_chunks(work, cameras):
                 "inputs": str(work / f"{name}_inputs.safetensors"),
                 "output": str(work / f"{name}_chunk.safetensors"),
             }
-            for name in ("ours", "theirs")
+            for name in NAMES
         ],
     )
-    for name, what in (("ours", "ours -> theirs, chunk of 3 observations"), ("theirs", "theirs -> ours, chunk of 3 observations")):
+    for name, what in NAMES.items():
         expected = their_chunk(work / name, load_file(work / f"{name}_inputs.safetensors"))
         found = load_file(work / f"{name}_chunk.safetensors")["action"]
         assert found.shape == expected.shape, (found.shape, expected.shape)
         scale = expected.abs().max()
         print(f"{name}: {tuple(found.shape)} numbers up to {scale:.4g}, difference {(found - expected).abs().max():.3g}")
-        report(what + ", of its greatest", ((found - expected).abs().max() / scale).item(), CHUNK_TOLERANCE)
+        report(what + ", chunk, of its greatest", ((found - expected).abs().max() / scale).item(), CHUNK_TOLERANCE)
 
 
 def must_refuse(folder):
@@ -275,6 +332,26 @@ def compare_our_reading(work, demos):
         report(f"dataset <- LeRobot as {kind}, frames (of 255)", images, VIDEO_TOLERANCE if kind == "video" else 0)
 
 
+def compare_their_reading_of_video(work):
+    """Two short episodes of ours as video: the first is not all of it, so that times count from the right place."""
+    for codec in ("h264", "av1"):
+        demos = work / f"our_{codec}"
+        command = [ROOT / "target/debug/trocar", "record", "--task", "block-transfer", "--episodes", "2", "--video", codec, "--out", demos]
+        subprocess.run(command, check=True)
+        our_answers(work, [{"do": "frames", "dataset": str(demos), "image_stride": 9, "output": str(work / f"our_{codec}.safetensors")}])
+        ours = load_file(work / f"our_{codec}.safetensors")
+        theirs = LeRobotDataset("local/video", root=demos, video_backend="pyav")
+        worst = {"frames (of 255)": 0.0, "numbers": 0.0}
+        for index in range(0, len(theirs), 9):
+            item = theirs[index]
+            theirs_image = (item["observation.images.endoscope"] * 255).round().permute(1, 2, 0)
+            difference = (theirs_image - ours["observation.images.endoscope"][index // 9].float()).abs().max().item()
+            worst["frames (of 255)"] = max(worst["frames (of 255)"], difference)
+            worst["numbers"] = max(worst["numbers"], (item["action"] - ours["action"][index].float()).abs().max().item())
+        for what, found in worst.items():
+            report(f"dataset -> LeRobot as {codec}, {what}", found, VIDEO_TOLERANCE if "255" in what else 0)
+
+
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("work", type=Path)
@@ -300,10 +377,14 @@ def main():
             for name, norm in (("ours", "frozen_batch_norm"), ("ours_group_norm", "group_norm"))
         ],
     )
+    train_theirs(work / "trained", demos)
     compare_chunks(work, ["endoscope", "wrist_a"])
+    run_theirs(work)
     must_refuse(work / "ours_group_norm")
     must_refuse(ROOT / "config/policies/needle-lift/act-small")
     compare_their_reading(demos, load_file(work / "demos.safetensors"))
+    if shutil.which("ffmpeg"):
+        compare_their_reading_of_video(work)
     compare_our_reading(work, demos)
     if failures:
         sys.exit("FAILED: " + "; ".join(failures))

@@ -193,7 +193,18 @@ pub(super) fn read_episodes(dir: &Path, videos: &[String]) -> Result<Vec<Listed>
         ]
         .map(|name| table.counts(name));
         let (index, len, chunk, file, start) = (index?, len?, chunk?, file?, start?);
+        for (name, rows) in [
+            ("length", len.len()),
+            ("data/chunk_index", chunk.len()),
+            ("data/file_index", file.len()),
+            ("dataset_from_index", start.len()),
+        ] {
+            table.check_rows(name, rows, index.len())?;
+        }
         let places = read_video_places(dir, &table, videos)?;
+        for (feature, places) in videos.iter().zip(&places) {
+            table.check_rows(feature, places.len(), index.len())?;
+        }
         rows.extend((0..index.len()).map(|row| Listed {
             index: index[row],
             start: start[row],

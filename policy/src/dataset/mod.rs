@@ -29,6 +29,7 @@ mod depth_tests;
 mod encoder;
 mod episode;
 mod error;
+mod guard;
 mod layout;
 mod meta;
 mod png;
@@ -48,6 +49,7 @@ mod writer;
 
 pub use depth::{DepthFrame, RecordedDepth};
 pub use error::DatasetError;
+pub use guard::file_being_read;
 pub use png::{decode_rgb, encode_rgb};
 pub use reader::Dataset;
 pub use video::VideoCodec;

@@ -279,13 +279,22 @@ struct FileRows {
 
 impl FileRows {
     fn read(table: &Table, arms: usize) -> Result<Self, DatasetError> {
-        Ok(Self {
+        let file = Self {
             arms,
             state: table.vectors(STATE, arms)?,
             tip_pose: table.vectors(TIP_POSE, arms)?,
             action: table.vectors(ACTION, arms)?,
             episode_index: table.integers(EPISODE_INDEX)?,
-        })
+        };
+        let rows = file.episode_index.len();
+        for (name, found) in [
+            (STATE, file.state.len()),
+            (TIP_POSE, file.tip_pose.len()),
+            (ACTION, file.action.len()),
+        ] {
+            table.check_rows(name, found / arms.max(1), rows)?;
+        }
+        Ok(file)
     }
 
     fn append(&self, rows: &mut Rows, table: usize, range: std::ops::Range<usize>) {

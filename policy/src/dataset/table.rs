@@ -24,6 +24,7 @@ use parquet::{
 
 use super::{
     DatasetError,
+    guard::reading,
     store::{io_error, parquet_error},
 };
 
@@ -38,7 +39,9 @@ impl Table {
     pub(super) fn open(path: &Path) -> Result<Self, DatasetError> {
         let file = File::open(path).map_err(io_error(path))?;
         let options = ArrowReaderOptions::new().with_page_index_policy(PageIndexPolicy::Optional);
-        let metadata = ArrowReaderMetadata::load(&file, options).map_err(parquet_error(path))?;
+        let metadata = reading(path, || {
+            ArrowReaderMetadata::load(&file, options).map_err(parquet_error(path))
+        })?;
         Ok(Self {
             path: path.to_owned(),
             metadata,
@@ -181,14 +184,25 @@ impl Table {
     /// One row of a column.
     fn cell(&self, name: &str, row: usize) -> Result<ArrayRef, DatasetError> {
         let selection = RowSelection::from(vec![RowSelector::skip(row), RowSelector::select(1)]);
-        let batch = self
-            .builder(name)?
-            .with_row_selection(selection)
-            .build()
-            .map_err(parquet_error(&self.path))?;
-        let columns = self.collect(batch)?;
+        let columns = reading(&self.path, || {
+            let builder = self.builder(name)?.with_row_selection(selection);
+            self.collect(builder.build().map_err(parquet_error(&self.path))?)
+        })?;
         let column = columns.into_iter().find(|column| column.len() == 1);
         column.ok_or_else(|| self.mismatch(name, format!("without row {row}"), "one".to_owned()))
+    }
+
+    /// The columns of a damaged file may differ in their length: `name` must have as many rows as the others.
+    pub(super) fn check_rows(
+        &self,
+        name: &str,
+        found: usize,
+        expected: usize,
+    ) -> Result<(), DatasetError> {
+        if found == expected {
+            return Ok(());
+        }
+        Err(self.mismatch(name, format!("{found} rows long"), expected.to_string()))
     }
 
     pub(super) fn mismatch(&self, what: &str, found: String, expected: String) -> DatasetError {
@@ -219,11 +233,10 @@ impl Table {
     }
 
     fn column(&self, name: &str) -> Result<Vec<ArrayRef>, DatasetError> {
-        let columns = self.collect(
-            self.builder(name)?
-                .build()
-                .map_err(parquet_error(&self.path))?,
-        )?;
+        let columns = reading(&self.path, || {
+            let builder = self.builder(name)?;
+            self.collect(builder.build().map_err(parquet_error(&self.path))?)
+        })?;
         match columns.iter().find(|column| column.null_count() > 0) {
             Some(_) => Err(self.mismatch(
                 name,

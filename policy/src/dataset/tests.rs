@@ -387,8 +387,8 @@ fn other_versions_features_and_widths_are_refused() {
     );
     check(
         "\"dtype\": \"image\"",
-        "\"dtype\": \"video\"",
-        "observation.images.scope is video, expected image",
+        "\"dtype\": \"jpeg\"",
+        "observation.images.scope is jpeg, expected image",
     );
     check("\"fps\": 25,", "", "missing field `fps`");
     check(

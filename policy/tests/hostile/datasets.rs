@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use hal::Intrinsics;
 use policy::dataset::{
     ArmFrame, CameraSpec, Dataset, DatasetError, DatasetSpec, DatasetWriter, DepthFrame,
-    FrameRecord,
+    FrameRecord, VideoCodec,
 };
 
 use crate::damage::damaged;
@@ -15,6 +15,10 @@ use crate::{Folder, seeds, told, within_memory};
 const SIDE: u32 = 8;
 
 fn record(dir: &Path, camera: &str) {
+    record_with(dir, camera, None);
+}
+
+fn record_with(dir: &Path, camera: &str, video: Option<VideoCodec>) {
     let spec = DatasetSpec {
         fps: 25,
         robot_type: "psm".to_owned(),
@@ -27,7 +31,7 @@ fn record(dir: &Path, camera: &str) {
             depth: Some(Intrinsics::from_vertical_fov(SIDE, SIDE, 1.0)),
         }],
     };
-    let mut writer = DatasetWriter::create(dir, &spec).unwrap();
+    let mut writer = DatasetWriter::create_with(dir, &spec, video).unwrap();
     for episode in 0..2_u8 {
         for frame in 0..4_u8 {
             let value = f32::from(4 * episode + frame);
@@ -104,9 +108,7 @@ fn a_damaged_dataset_is_read_or_refused_by_name() {
             let number = usize::try_from(seed).unwrap() % files.len();
             fs::write(&files[number], damaged(&whole[number], seed)).unwrap();
             let case = format!("seed {seed}, {}", files[number].display());
-            let read = std::panic::catch_unwind(|| read(&dir));
-            let read = read.unwrap_or_else(|_| panic!("{case}: a panic"));
-            if let Err(error) = read {
+            if let Err(error) = read(&dir) {
                 check(&error, &dir, &case);
                 refused += 1;
             }
@@ -114,6 +116,31 @@ fn a_damaged_dataset_is_read_or_refused_by_name() {
         }
         assert!(refused > 0, "nothing was refused: is anything damaged?");
     });
+    read(&dir).expect("it is whole again");
+}
+
+#[test]
+fn a_damaged_video_is_read_or_refused_by_name() {
+    let folder = Folder::new("video");
+    let dir = folder.path().join("d");
+    record_with(&dir, "scope", Some(VideoCodec::H264));
+    let file = dir.join("videos/observation.images.scope/chunk-000/file-001.mp4");
+    let whole = fs::read(&file).unwrap();
+    let mut refused = 0_u32;
+    // Each case starts several programs.
+    for seed in seeds(20) {
+        fs::write(&file, damaged(&whole, seed)).unwrap();
+        if let Err(error) = read(&dir) {
+            check(&error, &dir, &format!("seed {seed}"));
+            assert!(
+                matches!(error, DatasetError::Video { .. }),
+                "seed {seed}: {error}"
+            );
+            refused += 1;
+        }
+    }
+    assert!(refused > 0, "nothing was refused: is anything damaged?");
+    fs::write(&file, &whole).unwrap();
     read(&dir).expect("it is whole again");
 }
 
