@@ -13,8 +13,8 @@ die() { say "error: $*"; exit 1; }
 
 # Only what is missing is installed, so that a machine which has everything needs neither root nor a network.
 install_packages() {
-    command -v dpkg-query >/dev/null || { say 'no Debian package manager: assuming that a C++ compiler, python3 with pip, and a Vulkan driver are here'; return; }
-    local wanted=(g++ make ca-certificates python3 libvulkan1 mesa-vulkan-drivers) missing=() package
+    command -v dpkg-query >/dev/null || { say 'no Debian package manager: assuming that a C++ compiler, python3 with pip, a Vulkan driver and ffmpeg are here'; return; }
+    local wanted=(g++ make ca-certificates python3 libvulkan1 mesa-vulkan-drivers ffmpeg) missing=() package
     [ -n "${LIBTORCH:-}" ] || [ -e "$libtorch/complete" ] || python3 -m pip --version >/dev/null 2>&1 || wanted+=(python3-pip)
     for package in "${wanted[@]}"; do
         [ "$(dpkg-query -W -f='${db:Status-Status}' "$package" 2>/dev/null)" = installed ] || missing+=("$package")

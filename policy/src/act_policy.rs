@@ -11,7 +11,7 @@ use crate::checkpoint::{self, Cause, CheckpointError, Recipe};
 use crate::compute::Compute;
 use crate::images::{area_average, shrink_factor};
 use crate::normalise::{ImageNormaliser, Normaliser};
-use crate::relative_action::absolute_chunks;
+use crate::relative_action::chunks_of;
 
 /// An ACT policy that was loaded from a folder.
 #[derive(Debug)]
@@ -167,7 +167,14 @@ impl Policy for ActPolicy {
         }
         self.sequence += 1;
         let (sequence, step_ns) = (self.sequence, self.recipe.step_ns);
-        Ok(absolute_chunks(observation, &actions, sequence, step_ns))
+        let representation = &self.recipe.action_representation;
+        Ok(chunks_of(
+            representation,
+            observation,
+            &actions,
+            sequence,
+            step_ns,
+        ))
     }
 }
 

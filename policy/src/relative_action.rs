@@ -13,6 +13,23 @@ pub const REPRESENTATION: &str = "observation_relative";
 /// Numbers in the relative action of one arm.
 pub const RELATIVE_ACTION_DIM: usize = 7;
 
+/// Name of absolute actions in checkpoints: what a dataset's `action` holds, so what a policy predicts that LeRobot trained
+/// on one. Eight numbers an arm: position in the RCM frame (m), quaternion x, y, z, w (any length), jaw (rad).
+pub const ABSOLUTE_REPRESENTATION: &str = "absolute_pose";
+
+/// Numbers in the absolute action of one arm.
+pub const ABSOLUTE_ACTION_DIM: usize = 8;
+
+/// Numbers in the action of one arm in `representation`; none if there is no such representation.
+#[must_use]
+pub fn action_dim(representation: &str) -> Option<usize> {
+    match representation {
+        REPRESENTATION => Some(RELATIVE_ACTION_DIM),
+        ABSOLUTE_REPRESENTATION => Some(ABSOLUTE_ACTION_DIM),
+        _ => None,
+    }
+}
+
 /// A pose from `x y z qx qy qz qw`, as datasets store it.
 #[must_use]
 pub fn pose_from_numbers(numbers: &[f64; 7]) -> Pose {
@@ -53,7 +70,7 @@ pub fn absolute_target(tip_in_rcm: &Pose, action: &[f64; RELATIVE_ACTION_DIM]) -
     )
 }
 
-/// The chunks that `actions` mean, one for each arm of `observation`: row-major, a step's arms one after another.
+/// The chunks that relative `actions` mean, one for each arm of `observation`: row-major, a step's arms one after another.
 #[must_use]
 pub fn absolute_chunks(
     observation: &Observation<'_>,
@@ -61,17 +78,49 @@ pub fn absolute_chunks(
     sequence: u64,
     step_ns: u64,
 ) -> Vec<Chunk> {
+    chunks::<RELATIVE_ACTION_DIM>(observation, actions, sequence, step_ns, |arm, row| {
+        absolute_target(&arm.tip_in_rcm, row)
+    })
+}
+
+/// The chunks that `actions` in `representation` mean; those of an unknown one are taken for relative.
+///
+/// A quaternion of no length makes a target with NaN in it, which the controller refuses.
+#[must_use]
+pub fn chunks_of(
+    representation: &str,
+    observation: &Observation<'_>,
+    actions: &[f32],
+    sequence: u64,
+    step_ns: u64,
+) -> Vec<Chunk> {
+    if representation != ABSOLUTE_REPRESENTATION {
+        return absolute_chunks(observation, actions, sequence, step_ns);
+    }
+    chunks::<ABSOLUTE_ACTION_DIM>(observation, actions, sequence, step_ns, |_, row| {
+        let [x, y, z, qx, qy, qz, qw, jaw] = *row;
+        TipTarget::new(&pose_from_numbers(&[x, y, z, qx, qy, qz, qw]), jaw)
+    })
+}
+
+fn chunks<const N: usize>(
+    observation: &Observation<'_>,
+    actions: &[f32],
+    sequence: u64,
+    step_ns: u64,
+    target: impl Fn(&SeenArm, &[f64; N]) -> TipTarget,
+) -> Vec<Chunk> {
     let arms = observation.arms;
     let Some(first) = arms.first() else {
         return Vec::new();
     };
-    let (rows, _) = actions.as_chunks::<RELATIVE_ACTION_DIM>();
+    let (rows, _) = actions.as_chunks::<N>();
     let chunk = |(index, arm): (usize, &SeenArm)| {
         let targets: Vec<TipTarget> = rows
             .iter()
             .skip(index)
             .step_by(arms.len())
-            .map(|row| absolute_target(&arm.tip_in_rcm, &row.map(f64::from)))
+            .map(|row| target(arm, &row.map(f64::from)))
             .collect();
         Chunk::new(first.state.stamp, sequence, step_ns, &targets)
     };

@@ -125,6 +125,7 @@ pub(super) fn check_cloud(cloud: &CloudRecipe, recipe: &Recipe) -> Result<(), Ca
         );
         return Err(Cause::Config(defect));
     }
+    super::check_relative(recipe)?;
     if recipe.cameras.is_empty() {
         let defect = "trocar.json lists no camera to take points from".to_owned();
         return Err(Cause::Inconsistent(defect));

@@ -7,10 +7,16 @@ use serde_json::{Value, json};
 
 use super::error::Cause;
 use super::recipe::Variants;
-use crate::act::ActConfig;
+use crate::act::{ActConfig, BackboneNorm};
 
 const STATE: &str = "observation.state";
 const ACTION: &str = "action";
+
+/// The backbone as LeRobot has it, its normalisation frozen.
+const RESNET: &str = "resnet18";
+/// The one whose group normalisation LeRobot does not have. Its keys are the other's but for two that LeRobot can do
+/// without, so the name has to be one that LeRobot refuses: under its own it would load the weights and answer nonsense.
+const GROUP_NORM_RESNET: &str = "group_norm_resnet18";
 
 /// Kind and shape of a feature.
 #[derive(Clone, Debug, Serialize, Deserialize)]
@@ -94,7 +100,10 @@ pub(super) fn write(config: &ActConfig) -> Value {
         "chunk_size": config.chunk_size,
         "n_action_steps": config.chunk_size,
         "normalization_mapping": normalisation(),
-        "vision_backbone": "resnet18",
+        "vision_backbone": match config.backbone_norm {
+            BackboneNorm::FrozenBatchNorm => RESNET,
+            BackboneNorm::GroupNorm => GROUP_NORM_RESNET,
+        },
         "pretrained_backbone_weights": null,
         "replace_final_stride_with_dilation": 0,
         "pre_norm": config.pre_norm,
@@ -132,6 +141,7 @@ pub(super) fn read(
     }
     let file: ConfigFile = serde_json::from_value(document).map_err(Cause::Json)?;
     check_supported(&file)?;
+    let backbone_norm = backbone_norm(&file, variants, camera_order.is_some())?;
     let (height, width, named) = image_features(&file)?;
     let cameras = match camera_order {
         Some(order) => {
@@ -161,7 +171,7 @@ pub(super) fn read(
         kl_weight: file.kl_weight,
         decoder_output: crate::act::DecoderOutput::Last,
         loss_denominator: variants.loss_denominator,
-        backbone_norm: variants.backbone_norm,
+        backbone_norm,
         state_dim: width_of(&file.input_features, STATE)?,
         action_dim: width_of(&file.output_features, ACTION)?,
         cameras,
@@ -178,7 +188,6 @@ fn check_supported(file: &ConfigFile) -> Result<(), Cause> {
         && file.replace_final_stride_with_dilation.as_i64() != Some(0);
     let checks = [
         ("n_obs_steps", file.n_obs_steps.to_string(), "1"),
-        ("vision_backbone", file.vision_backbone.clone(), "resnet18"),
         (
             "feedforward_activation",
             file.feedforward_activation.clone(),
@@ -210,6 +219,29 @@ fn check_supported(file: &ConfigFile) -> Result<(), Cause> {
         });
     }
     Ok(())
+}
+
+/// The backbone's normalisation by its name and, where there is one, by the recipe. Files from before the second name
+/// have the first, and only the recipe tells.
+fn backbone_norm(
+    file: &ConfigFile,
+    variants: Variants,
+    has_recipe: bool,
+) -> Result<BackboneNorm, Cause> {
+    match (file.vision_backbone.as_str(), variants.backbone_norm) {
+        (RESNET, norm) => Ok(norm),
+        (GROUP_NORM_RESNET, norm) if has_recipe && norm != BackboneNorm::GroupNorm => {
+            Err(Cause::Inconsistent(format!(
+                "vision_backbone = {GROUP_NORM_RESNET}, but the recipe's backbone_norm is another"
+            )))
+        }
+        (GROUP_NORM_RESNET, _) => Ok(BackboneNorm::GroupNorm),
+        (other, _) => Err(Cause::Unsupported {
+            field: "vision_backbone".to_owned(),
+            value: other.to_owned(),
+            expected: format!("{RESNET} or {GROUP_NORM_RESNET}"),
+        }),
+    }
 }
 
 /// Height, width and names of the cameras; all must have the same size.

@@ -61,7 +61,7 @@ pub enum Cause {
     },
     /// The policy is for another number of joints.
     #[error(
-        "{feature} has {actual} numbers, expected {expected}: six joints and the jaw of each arm, arms = {arms}"
+        "{feature} has {actual} numbers, expected {expected}: those of each arm, arms = {arms}"
     )]
     JointCount {
         /// The feature.

@@ -10,6 +10,8 @@ mod dp3;
 mod error;
 mod processors;
 mod recipe;
+#[cfg(test)]
+mod refusal_tests;
 mod tensors;
 #[cfg(test)]
 mod tests;
@@ -33,7 +35,9 @@ pub use tensors::Precision;
 
 use crate::act::{Act, ActConfig, STATE_DIM, VAE_PREFIX};
 use crate::parameters::ParameterSource;
-use crate::relative_action::REPRESENTATION;
+use crate::relative_action::{
+    ABSOLUTE_REPRESENTATION, RELATIVE_ACTION_DIM, REPRESENTATION, action_dim,
+};
 use tensors::Plain;
 
 const CONFIG: &str = "config.json";
@@ -112,8 +116,7 @@ pub fn load(folder: &Path, device: Device) -> Result<Checkpoint, CheckpointError
         .unwrap_or_default();
     let config = config_file::read(&text, variants, cameras.as_deref())
         .map_err(|cause| cause.in_file(&config_path))?;
-    let arms = recipe.as_ref().map_or(1, |recipe| recipe.arms);
-    check_widths(&config, arms).map_err(|cause| cause.in_file(&config_path))?;
+    check_widths(&config, recipe.as_ref()).map_err(|cause| cause.in_file(&config_path))?;
     let statistics = processors::read(folder, &config)?;
     let weights_path = folder.join(WEIGHTS);
     let in_weights = |cause: Cause| cause.in_file(&weights_path);
@@ -136,17 +139,32 @@ pub fn load(folder: &Path, device: Device) -> Result<Checkpoint, CheckpointError
     })
 }
 
-/// The network must have the inputs and outputs of so many arms.
-fn check_widths(config: &ActConfig, arms: usize) -> Result<(), Cause> {
-    check_joints(arms, config.state_dim, config.action_dim)
+/// The network must have the inputs and outputs of the recipe's arms and kind of action; of one arm without a recipe.
+fn check_widths(config: &ActConfig, recipe: Option<&Recipe>) -> Result<(), Cause> {
+    let arms = recipe.map_or(1, |recipe| recipe.arms);
+    let of_arm = recipe.and_then(|recipe| action_dim(&recipe.action_representation));
+    let of_arm = of_arm.unwrap_or(RELATIVE_ACTION_DIM);
+    check_numbers(arms, config.state_dim, config.action_dim, of_arm)
 }
 
-/// State and action must have the numbers of so many arms.
+/// State and relative action must have the numbers of so many arms.
 fn check_joints(arms: usize, state_dim: i64, action_dim: i64) -> Result<(), Cause> {
-    let expected = i64::try_from(arms)
-        .unwrap_or(i64::MAX)
-        .saturating_mul(STATE_DIM);
-    for (feature, actual) in [("observation.state", state_dim), ("action", action_dim)] {
+    check_numbers(arms, state_dim, action_dim, RELATIVE_ACTION_DIM)
+}
+
+fn check_numbers(
+    arms: usize,
+    state_dim: i64,
+    action_dim: i64,
+    action_dim_of_arm: usize,
+) -> Result<(), Cause> {
+    let of_arms =
+        |of_arm: i64| i64::try_from(arms).map_or(i64::MAX, |it| it.saturating_mul(of_arm));
+    let action = of_arms(i64::try_from(action_dim_of_arm).unwrap_or(i64::MAX));
+    for (feature, actual, expected) in [
+        ("observation.state", state_dim, of_arms(STATE_DIM)),
+        ("action", action_dim, action),
+    ] {
         if actual != expected {
             return Err(Cause::JointCount {
                 feature: feature.to_owned(),
@@ -173,6 +191,18 @@ pub fn policy_type(folder: &Path) -> Result<Option<String>, CheckpointError> {
     let config: serde_json::Value =
         serde_json::from_str(&text).map_err(|error| Cause::Json(error).in_file(&file))?;
     Ok(config["type"].as_str().map(str::to_owned))
+}
+
+/// Networks from point clouds predict relative actions only.
+fn check_relative(recipe: &Recipe) -> Result<(), Cause> {
+    if recipe.action_representation == REPRESENTATION {
+        return Ok(());
+    }
+    Err(Cause::Unsupported {
+        field: "action_representation".to_owned(),
+        value: recipe.action_representation.clone(),
+        expected: REPRESENTATION.to_owned(),
+    })
 }
 
 /// The recipe in `folder`; none if there is no `trocar.json`.
@@ -203,11 +233,11 @@ pub fn load_recipe(folder: &Path) -> Result<Option<Recipe>, CheckpointError> {
             RECIPE_FORMAT.to_string(),
         );
     }
-    if recipe.action_representation != REPRESENTATION {
+    if action_dim(&recipe.action_representation).is_none() {
         return unsupported(
             "action_representation",
             recipe.action_representation,
-            REPRESENTATION.to_owned(),
+            format!("{REPRESENTATION} or {ABSOLUTE_REPRESENTATION}"),
         );
     }
     if !(1..=ARM_NAMES.len()).contains(&recipe.arms) {

@@ -145,7 +145,8 @@ pub struct Recipe {
     /// How many arms the network sees and commands.
     #[serde(default = "one_arm")]
     pub arms: usize,
-    /// What the network's actions mean: [`crate::relative_action::REPRESENTATION`].
+    /// What the network's actions mean: [`crate::relative_action::REPRESENTATION`], or, of ACT,
+    /// [`crate::relative_action::ABSOLUTE_REPRESENTATION`].
     pub action_representation: String,
     /// Time between two steps of a chunk, ns.
     pub step_ns: u64,

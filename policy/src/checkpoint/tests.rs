@@ -13,21 +13,21 @@ use super::{
     AggregationName, Cause, CheckpointError, DatasetSummary, FeatureStatistics, Precision, Recipe,
     RecommendedAggregation, RecordedCamera, SaveOptions, Variants, load, save,
 };
-use crate::act::{Act, ActConfig, ActPreset};
+use crate::act::{Act, ActConfig, ActPreset, BackboneNorm};
 use crate::act_policy::ActPolicy;
 use crate::normalise::Statistics;
 use crate::parameters::ParameterSource;
 
 const CAMERA: &str = "observation.images.endoscope";
 
-fn folder(name: &str) -> PathBuf {
+pub(super) fn folder(name: &str) -> PathBuf {
     let folder =
         std::env::temp_dir().join(format!("trocar-checkpoint-{name}-{}", std::process::id()));
     let _ = fs::remove_dir_all(&folder);
     folder
 }
 
-fn config() -> ActConfig {
+pub(super) fn config() -> ActConfig {
     let base = ActConfig::preset(ActPreset::Small, &[CAMERA.to_owned()]);
     ActConfig {
         chunk_size: 5,
@@ -42,7 +42,7 @@ fn config() -> ActConfig {
     }
 }
 
-fn statistics() -> FeatureStatistics {
+pub(super) fn statistics() -> FeatureStatistics {
     let of = |scale: f32| Statistics {
         mean: vec![0.1 * scale; 7],
         std: vec![scale; 7],
@@ -56,14 +56,14 @@ fn statistics() -> FeatureStatistics {
 }
 
 /// An arm at rest at `jaw`, 10 cm down.
-fn arm(jaw: f64) -> SeenArm {
+pub(super) fn arm(jaw: f64) -> SeenArm {
     SeenArm {
         state: ArmState::at_rest(TimeNs(7), JointVector::zeros(), jaw),
         tip_in_rcm: Pose::translation(0.0, 0.0, -0.1),
     }
 }
 
-fn recipe(config: &ActConfig) -> Recipe {
+pub(super) fn recipe(config: &ActConfig) -> Recipe {
     Recipe {
         format: super::RECIPE_FORMAT,
         arms: 1,
@@ -91,7 +91,7 @@ fn recipe(config: &ActConfig) -> Recipe {
     }
 }
 
-fn saved(name: &str, options: SaveOptions) -> PathBuf {
+pub(super) fn saved(name: &str, options: SaveOptions) -> PathBuf {
     let folder = folder(name);
     let config = config();
     let act = Act::new(config.clone(), ParameterSource::seeded(3, Device::Cpu)).unwrap();
@@ -99,18 +99,18 @@ fn saved(name: &str, options: SaveOptions) -> PathBuf {
     folder
 }
 
-fn refused(folder: &Path) -> CheckpointError {
+pub(super) fn refused(folder: &Path) -> CheckpointError {
     load(folder, Device::Cpu).expect_err("the damage must be noticed")
 }
 
-fn edit(folder: &Path, file: &str, from: &str, to: &str) {
+pub(super) fn edit(folder: &Path, file: &str, from: &str, to: &str) {
     let path = folder.join(file);
     let text = fs::read_to_string(&path).unwrap();
     assert!(text.contains(from), "{file} has no {from}");
     fs::write(&path, text.replace(from, to)).unwrap();
 }
 
-fn frame() -> CameraFrame {
+pub(super) fn frame() -> CameraFrame {
     let mut frame = CameraFrame::blank(Intrinsics::from_vertical_fov(128, 128, 1.0));
     for (index, byte) in frame.colour.iter_mut().enumerate() {
         *byte = u8::try_from(index * 7 % 251).unwrap();
@@ -452,6 +452,35 @@ fn useless_statistics_are_refused() {
 }
 
 #[test]
+fn a_backbone_that_lerobot_lacks_has_a_name_that_lerobot_refuses() {
+    let folder = saved("backbone", SaveOptions::default());
+    let name = |folder: &Path| {
+        let text = fs::read(folder.join("config.json")).unwrap();
+        let config: serde_json::Value = serde_json::from_slice(&text).unwrap();
+        config["vision_backbone"].as_str().unwrap().to_owned()
+    };
+    assert!(!name(&folder).starts_with("resnet"));
+    // The name alone says it, and a recipe of before the name was there says it as well.
+    let norm = |folder: &Path| {
+        load(folder, Device::Cpu)
+            .unwrap()
+            .act
+            .config()
+            .backbone_norm
+    };
+    fs::rename(folder.join("trocar.json"), folder.join("aside")).unwrap();
+    assert_eq!(norm(&folder), BackboneNorm::GroupNorm);
+    fs::rename(folder.join("aside"), folder.join("trocar.json")).unwrap();
+    edit(&folder, "config.json", "group_norm_resnet18", "resnet18");
+    assert_eq!(norm(&folder), BackboneNorm::GroupNorm);
+
+    let folder = saved("backbone", SaveOptions::default());
+    edit(&folder, "trocar.json", "group_norm", "frozen_batch_norm");
+    let message = refused(&folder).to_string();
+    assert!(message.contains("backbone_norm is another"), "{message}");
+}
+
+#[test]
 fn unknown_types_and_variants_are_refused() {
     let folder = saved("variants", SaveOptions::default());
     edit(
@@ -464,7 +493,7 @@ fn unknown_types_and_variants_are_refused() {
         matches!(refused(&folder).cause, Cause::PolicyType { actual } if actual == "diffusion")
     );
     let folder = saved("variants", SaveOptions::default());
-    edit(&folder, "config.json", "resnet18", "resnet50");
+    edit(&folder, "config.json", "group_norm_resnet18", "resnet50");
     assert!(
         matches!(refused(&folder).cause, Cause::Unsupported { field, .. } if field == "vision_backbone")
     );
@@ -472,7 +501,7 @@ fn unknown_types_and_variants_are_refused() {
     edit(&folder, "trocar.json", "group_norm", "weight_norm");
     assert!(refused(&folder).to_string().contains("weight_norm"));
     let folder = saved("variants", SaveOptions::default());
-    edit(&folder, "trocar.json", "observation_relative", "absolute");
+    edit(&folder, "trocar.json", "observation_relative", "joints");
     assert!(
         refused(&folder)
             .to_string()

@@ -39,6 +39,21 @@ pub(super) fn check_spec(spec: &DatasetSpec) -> Result<(), DatasetError> {
     Ok(())
 }
 
+/// Only what a video with halved colour can hold.
+pub(super) fn check_video(spec: &DatasetSpec) -> Result<(), DatasetError> {
+    let even = |camera: &super::CameraSpec| {
+        camera.width.is_multiple_of(2) && camera.height.is_multiple_of(2)
+    };
+    match spec.cameras.iter().find(|camera| !even(camera)) {
+        None => Ok(()),
+        Some(camera) => Err(input(
+            &format!("camera \"{}\"", camera.name),
+            &format!("{} x {}", camera.width, camera.height),
+            "even sides, for video",
+        )),
+    }
+}
+
 /// As many arms as the dataset has, and every number finite.
 pub(super) fn check_arms(spec: &DatasetSpec, arms: &[ArmFrame]) -> Result<(), DatasetError> {
     if arms.len() != spec.arms {

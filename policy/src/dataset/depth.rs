@@ -1,16 +1,16 @@
 //! Depth and instance ids of a camera, kept to the bit: 16-bit and 8-bit PNG beside the colour image.
 
-use std::io::Cursor;
 use std::path::Path;
 
 use hal::{CameraFrame, Intrinsics};
 use image::codecs::png::{CompressionType, FilterType, PngEncoder};
-use image::{DynamicImage, ExtendedColorType, ImageEncoder, ImageFormat};
+use image::{DynamicImage, ExtendedColorType, ImageEncoder};
 use serde_json::{Value, json};
 
 use super::{
     CameraSpec, DatasetError, DatasetSpec, TIP_POSE_WIDTH,
     check::input,
+    png::decode,
     schema::{CAMERA_POSE_PREFIX, DEPTH_PREFIX, INSTANCE_PREFIX, Info},
     spec::mismatch,
     table::Table,
@@ -258,7 +258,7 @@ fn plane(
     row: usize,
 ) -> Result<DynamicImage, DatasetError> {
     let png = table.image(feature, row)?;
-    let image = image::load(Cursor::new(png), ImageFormat::Png).map_err(|source| {
+    let image = decode(&png).map_err(|source| {
         let what = format!("{feature} in {}", table.path().display());
         DatasetError::Image { what, source }
     })?;

@@ -104,7 +104,8 @@ pub(super) fn columns(
             Arc::new(Float32Array::from(action)),
         ),
     ];
-    for images in &pending.images {
+    // Of cameras that are kept as video there are none here.
+    for images in pending.images.iter().filter(|it| !it.is_empty()) {
         columns.push(pngs(&images[frames.clone()], frames.start));
     }
     for depth in &pending.depth {

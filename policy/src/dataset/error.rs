@@ -38,15 +38,23 @@ pub enum DatasetError {
         #[source]
         source: parquet::errors::ParquetError,
     },
+    /// A video that is missing, damaged, or shows no frame when it should; or there is no program to read or write it.
+    #[error("{path}: {what}")]
+    Video {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong.
+        what: String,
+    },
     /// Another generation of the format.
-    #[error("{path}: codebase_version is \"{found}\", this program reads \"{expected}\"")]
+    #[error("{path}: codebase_version is \"{found}\", this program reads {expected}")]
     Version {
         /// The file.
         path: PathBuf,
         /// The version found.
         found: String,
-        /// The version that is read and written.
-        expected: &'static str,
+        /// The versions that are read.
+        expected: String,
     },
     /// A column or feature that has to be there is not.
     #[error("{path}: {name} is missing")]

@@ -7,15 +7,16 @@ use std::{
 };
 
 use arrow_array::{
-    ArrayRef, Int64Array, RecordBatch, StringArray,
+    ArrayRef, Float64Array, Int64Array, RecordBatch, StringArray,
     builder::{ListBuilder, StringBuilder},
 };
 use arrow_schema::Schema;
 use parquet::{errors::ParquetError, file::properties::WriterProperties};
 
 use super::{
-    DatasetError, DatasetSpec,
-    schema::{self, EPISODE_COLUMNS, Info, VERSION},
+    DatasetError, DatasetSpec, VideoCodec,
+    layout::{Listed, VideoPlace},
+    schema::{self, EPISODE_COLUMNS, Info, READABLE, VERSION, video_columns},
     store::{io_error, parquet_error, write_json, write_parquet},
     table::Table,
 };
@@ -49,8 +50,20 @@ pub(super) fn data_path(dir: &Path, chunk: usize, file: usize) -> PathBuf {
     dir.join(format!("data/chunk-{chunk:03}/file-{file:03}.parquet"))
 }
 
+/// A file of the video of `feature`.
+pub(super) fn video_path(dir: &Path, feature: &str, chunk: usize, file: usize) -> PathBuf {
+    dir.join(format!(
+        "videos/{feature}/chunk-{chunk:03}/file-{file:03}.mp4"
+    ))
+}
+
 /// The commit record for `episodes` episodes with `frames` frames.
-pub(super) fn info(spec: &DatasetSpec, episodes: usize, frames: usize) -> Info {
+pub(super) fn info(
+    spec: &DatasetSpec,
+    video: Option<VideoCodec>,
+    episodes: usize,
+    frames: usize,
+) -> Info {
     Info {
         codebase_version: VERSION.to_owned(),
         robot_type: Some(spec.robot_type.clone()),
@@ -63,8 +76,10 @@ pub(super) fn info(spec: &DatasetSpec, episodes: usize, frames: usize) -> Info {
         fps: spec.fps,
         splits: [("train".to_owned(), format!("0:{episodes}"))].into(),
         data_path: "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet".to_owned(),
-        video_path: None,
-        features: schema::features(spec),
+        video_path: video.map(|_| {
+            "videos/{video_key}/chunk-{chunk_index:03d}/file-{file_index:03d}.mp4".to_owned()
+        }),
+        features: schema::features(spec, video),
     }
 }
 
@@ -78,11 +93,11 @@ pub(super) fn read_info(dir: &Path) -> Result<Info, DatasetError> {
     // The version first: another one may lack the other keys.
     let value: serde_json::Value = serde_json::from_str(&text).map_err(json_error)?;
     let found = value["codebase_version"].as_str().unwrap_or_default();
-    if found != VERSION {
+    if !READABLE.contains(&found) {
         return Err(DatasetError::Version {
             path,
             found: found.to_owned(),
-            expected: VERSION,
+            expected: READABLE.join(", "),
         });
     }
     serde_json::from_str(&text).map_err(json_error)
@@ -113,6 +128,8 @@ pub(super) fn read_task(dir: &Path) -> Result<String, DatasetError> {
 pub(super) fn write_episodes(
     dir: &Path,
     task: &str,
+    fps: u32,
+    videos: &[String],
     episodes: &[EpisodeRow],
 ) -> Result<(), DatasetError> {
     let column = |name: &str| -> ArrayRef {
@@ -136,15 +153,34 @@ pub(super) fn write_episodes(
         tasks.append_value([Some(task)]);
     }
     columns.push(Arc::new(tasks.finish()));
+    for _ in videos {
+        // An episode has a video of its own, numbered as its data file.
+        columns.push(column("data/chunk_index"));
+        columns.push(column("data/file_index"));
+        let seconds = |end: &dyn Fn(&EpisodeRow) -> usize| -> ArrayRef {
+            let seconds = episodes.iter().map(|row| seconds_of(end(row), fps));
+            Arc::new(Float64Array::from_iter_values(seconds))
+        };
+        columns.push(seconds(&|_| 0));
+        columns.push(seconds(&|row| row.len));
+    }
     write_table(
         &dir.join("meta/episodes/chunk-000/file-000.parquet"),
-        schema::episodes_schema(),
+        schema::episodes_schema(videos),
         columns,
     )
 }
 
-/// The episodes in order, out of every file of the table.
-pub(super) fn read_episodes(dir: &Path) -> Result<Vec<EpisodeRow>, DatasetError> {
+#[expect(
+    clippy::cast_precision_loss,
+    reason = "frame counts stay far below 2^53"
+)]
+fn seconds_of(frames: usize, fps: u32) -> f64 {
+    frames as f64 / f64::from(fps)
+}
+
+/// The episodes in order, out of every file of the table; `videos` are the features that are kept as video.
+pub(super) fn read_episodes(dir: &Path, videos: &[String]) -> Result<Vec<Listed>, DatasetError> {
     let mut rows = Vec::new();
     for path in parquet_files(&dir.join("meta/episodes"))? {
         let table = Table::open(&path)?;
@@ -157,16 +193,49 @@ pub(super) fn read_episodes(dir: &Path) -> Result<Vec<EpisodeRow>, DatasetError>
         ]
         .map(|name| table.counts(name));
         let (index, len, chunk, file, start) = (index?, len?, chunk?, file?, start?);
-        rows.extend((0..index.len()).map(|row| EpisodeRow {
+        for (name, rows) in [
+            ("length", len.len()),
+            ("data/chunk_index", chunk.len()),
+            ("data/file_index", file.len()),
+            ("dataset_from_index", start.len()),
+        ] {
+            table.check_rows(name, rows, index.len())?;
+        }
+        let places = read_video_places(dir, &table, videos)?;
+        for (feature, places) in videos.iter().zip(&places) {
+            table.check_rows(feature, places.len(), index.len())?;
+        }
+        rows.extend((0..index.len()).map(|row| Listed {
             index: index[row],
             start: start[row],
             len: len[row],
-            chunk: chunk[row],
-            file: file[row],
+            data: data_path(dir, chunk[row], file[row]),
+            videos: places.iter().map(|of_rows| of_rows[row].clone()).collect(),
         }));
     }
     rows.sort_by_key(|row| row.index);
     Ok(rows)
+}
+
+/// Where each row's frames are, by feature.
+fn read_video_places(
+    dir: &Path,
+    table: &Table,
+    videos: &[String],
+) -> Result<Vec<Vec<VideoPlace>>, DatasetError> {
+    let of_feature = |feature: &String| {
+        let [chunk, file, from, _] = video_columns(feature);
+        let (chunk, file) = (table.counts(&chunk)?, table.counts(&file)?);
+        let from = table.reals(&from)?;
+        let rows = chunk.iter().zip(&file).zip(&from);
+        Ok(rows
+            .map(|((&chunk, &file), &from_s)| VideoPlace {
+                path: video_path(dir, feature, chunk, file),
+                from_s,
+            })
+            .collect())
+    };
+    videos.iter().map(of_feature).collect()
 }
 
 fn write_table(path: &Path, schema: Schema, columns: Vec<ArrayRef>) -> Result<(), DatasetError> {

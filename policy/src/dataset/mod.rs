@@ -6,7 +6,11 @@
 //! meta/tasks.parquet                          the task text, as the pandas index
 //! meta/episodes/chunk-000/file-000.parquet    where each episode's rows are
 //! data/chunk-000/file-000.parquet             one row a frame, images as PNG bytes
+//! videos/FEATURE/chunk-000/file-000.mp4       instead of the PNG, where the camera is kept as video
 //! ```
+//!
+//! Datasets of v2.0 and v2.1 are read too. Video goes through the system's ffmpeg and loses some of the picture; depth and
+//! instance ids are never video.
 //!
 //! Of two arms, each vector has the first arm's numbers and then the second's, and every name in it begins with its arm's
 //! (`psm1_yaw`); a single arm's names stand alone. Poses are in each arm's own RCM frame.
@@ -22,24 +26,33 @@ mod check;
 mod depth;
 #[cfg(test)]
 mod depth_tests;
+mod encoder;
 mod episode;
 mod error;
+mod guard;
+mod layout;
 mod meta;
 mod png;
 mod reader;
 mod schema;
+mod segments;
 mod spec;
 mod stats;
 mod store;
 mod table;
 #[cfg(test)]
 mod tests;
+mod video;
+#[cfg(test)]
+mod video_tests;
 mod writer;
 
 pub use depth::{DepthFrame, RecordedDepth};
 pub use error::DatasetError;
+pub use guard::file_being_read;
 pub use png::{decode_rgb, encode_rgb};
 pub use reader::Dataset;
+pub use video::VideoCodec;
 pub use writer::{DatasetWriter, Totals};
 
 use hal::Intrinsics;

@@ -3,9 +3,13 @@
 use std::io::Cursor;
 
 use image::{
-    ExtendedColorType, ImageEncoder, ImageError, ImageFormat, RgbImage,
+    DynamicImage, ExtendedColorType, ImageEncoder, ImageError, ImageFormat, ImageReader, Limits,
+    RgbImage,
     codecs::png::{CompressionType, FilterType, PngEncoder},
 };
+
+/// Pixels that a side of an image may have.
+pub(super) const SIDE_MAX: u32 = 8192;
 
 /// Encodes 8-bit RGB, row-major, `3 * width * height` bytes.
 ///
@@ -28,7 +32,17 @@ pub fn encode_rgb(rgb: &[u8], width: u32, height: u32) -> Result<Vec<u8>, ImageE
 /// Decodes a PNG of any colour type to 8-bit RGB.
 ///
 /// # Errors
-/// The codec's, for anything that is no whole PNG.
+/// The codec's, for anything that is no whole PNG, or one with a side of more than 8192 pixels.
 pub fn decode_rgb(png: &[u8]) -> Result<RgbImage, ImageError> {
-    Ok(image::load(Cursor::new(png), ImageFormat::Png)?.into_rgb8())
+    Ok(decode(png)?.into_rgb8())
+}
+
+/// Decodes a PNG whose header may lie.
+pub(super) fn decode(png: &[u8]) -> Result<DynamicImage, ImageError> {
+    let mut limits = Limits::default();
+    limits.max_image_width = Some(SIDE_MAX);
+    limits.max_image_height = Some(SIDE_MAX);
+    let mut reader = ImageReader::with_format(Cursor::new(png), ImageFormat::Png);
+    reader.limits(limits);
+    reader.decode()
 }

@@ -7,10 +7,12 @@ use image::RgbImage;
 use super::{
     ACTION_WIDTH, CameraSpec, DatasetError, DatasetSpec, Episode, STATE_WIDTH, TIP_POSE_WIDTH,
     depth::{self, RecordedDepth},
-    meta::{self, EpisodeRow},
+    layout::{self, Listed},
+    meta,
     png::decode_rgb,
     schema::{ACTION, EPISODE_INDEX, STATE, TIP_POSE, image_feature},
-    spec::{mismatch, read_spec},
+    segments::{VideoCamera, VideoFrames},
+    spec::{mismatch, read_spec, video_features},
     table::Table,
 };
 
@@ -22,6 +24,7 @@ pub struct Dataset {
     episodes: Vec<Episode>,
     rows: Rows,
     tables: Vec<Table>,
+    videos: VideoFrames,
 }
 
 /// The numbers of some frames; a vector has as many rows a frame as there are arms.
@@ -57,7 +60,8 @@ impl Dataset {
     pub fn open_first(dir: &Path, episodes: Option<usize>) -> Result<Self, DatasetError> {
         let info = meta::read_info(dir)?;
         let spec = read_spec(dir, &info)?;
-        let mut listed = meta::read_episodes(dir)?;
+        let videos = video_features(&info);
+        let mut listed = layout::read_episodes(dir, &info, &videos)?;
         let wanted = episodes.unwrap_or(info.total_episodes);
         let available = info.total_episodes.min(listed.len());
         if wanted > available || info.total_episodes > listed.len() {
@@ -71,18 +75,20 @@ impl Dataset {
         }
         // What is listed beyond the total was being written when the recording was cut off.
         listed.truncate(wanted);
+        let camera_names: Vec<String> = spec
+            .cameras
+            .iter()
+            .map(|camera| camera.name.clone())
+            .collect();
         let mut dataset = Self {
-            camera_names: spec
-                .cameras
-                .iter()
-                .map(|camera| camera.name.clone())
-                .collect(),
+            videos: open_videos(&camera_names, &videos, &listed, spec.fps)?,
+            camera_names,
             spec,
             episodes: Vec::new(),
             rows: Rows::default(),
             tables: Vec::new(),
         };
-        dataset.load(dir, &listed)?;
+        dataset.load(&listed)?;
         Ok(dataset)
     }
 
@@ -152,21 +158,27 @@ impl Dataset {
         frame * self.spec.arms + arm
     }
 
-    /// The encoded image of a frame; read from disk now.
-    ///
-    /// # Errors
-    /// [`DatasetError::Io`], [`DatasetError::Parquet`] or [`DatasetError::Mismatch`] if the file is damaged.
-    pub fn image_png(&self, frame: usize, camera: usize) -> Result<Vec<u8>, DatasetError> {
+    fn image_png(&self, frame: usize, camera: usize) -> Result<Vec<u8>, DatasetError> {
         let Place { table, row } = self.rows.place[frame];
         self.tables[table].image(&image_feature(&self.camera_names[camera]), row)
     }
 
-    /// The image of a frame; read from disk and decoded now.
+    /// The image of a frame; read from disk and decoded now. Of video some frames around it are decoded too and kept for
+    /// the next call.
     ///
     /// # Errors
-    /// Those of [`Dataset::image_png`]; [`DatasetError::Image`] for what is no PNG, and [`DatasetError::Mismatch`] for
-    /// one of another size.
+    /// [`DatasetError::Io`], [`DatasetError::Parquet`] or [`DatasetError::Mismatch`] if the data file is damaged or the
+    /// image is of another size; [`DatasetError::Image`] for what is no PNG, [`DatasetError::Video`] for what is no video.
     pub fn image_rgb(&self, frame: usize, camera: usize) -> Result<RgbImage, DatasetError> {
+        if self.videos.has(camera) {
+            let episode = self.episodes.partition_point(|it| it.start <= frame) - 1;
+            let within = frame - self.episodes[episode].start;
+            let size = [
+                self.spec.cameras[camera].width,
+                self.spec.cameras[camera].height,
+            ];
+            return self.videos.image(camera, [episode, within], size);
+        }
         let png = self.image_png(frame, camera)?;
         let CameraSpec {
             name,
@@ -202,15 +214,17 @@ impl Dataset {
     }
 
     /// Loads the rows of `listed`, which are in order and begin with the first row of each file.
-    fn load(&mut self, dir: &Path, listed: &[EpisodeRow]) -> Result<(), DatasetError> {
+    fn load(&mut self, listed: &[Listed]) -> Result<(), DatasetError> {
         let mut next = 0;
-        for episodes in listed.chunk_by(|a, b| (a.chunk, a.file) == (b.chunk, b.file)) {
+        for episodes in listed.chunk_by(|a, b| a.data == b.data) {
             let Some(first) = episodes.first() else {
                 continue;
             };
-            let table = Table::open(&meta::data_path(dir, first.chunk, first.file))?;
-            for name in &self.camera_names {
-                table.require(&image_feature(name))?;
+            let table = Table::open(&first.data)?;
+            for (camera, name) in self.camera_names.iter().enumerate() {
+                if !self.videos.has(camera) {
+                    table.require(&image_feature(name))?;
+                }
             }
             depth::require(&table, &self.spec)?;
             let file = FileRows::read(&table, self.spec.arms)?;
@@ -233,6 +247,27 @@ impl Dataset {
     }
 }
 
+/// Looks at the videos of the `listed` episodes; `features` are the cameras' that are kept so, in the order of the listing.
+fn open_videos(
+    camera_names: &[String],
+    features: &[String],
+    listed: &[Listed],
+    fps: u32,
+) -> Result<VideoFrames, DatasetError> {
+    let of_camera = |name: &String| {
+        let feature = image_feature(name);
+        let place = features.iter().position(|other| *other == feature);
+        let episodes = listed.iter();
+        VideoCamera {
+            episodes: place.map_or_else(Vec::new, |place| {
+                episodes.map(|it| (&it.videos[place], it.len)).collect()
+            }),
+        }
+    };
+    let cameras: Vec<VideoCamera<'_>> = camera_names.iter().map(of_camera).collect();
+    VideoFrames::open(&cameras, fps)
+}
+
 /// The numbers of one data file.
 struct FileRows {
     arms: usize,
@@ -244,13 +279,22 @@ struct FileRows {
 
 impl FileRows {
     fn read(table: &Table, arms: usize) -> Result<Self, DatasetError> {
-        Ok(Self {
+        let file = Self {
             arms,
             state: table.vectors(STATE, arms)?,
             tip_pose: table.vectors(TIP_POSE, arms)?,
             action: table.vectors(ACTION, arms)?,
             episode_index: table.integers(EPISODE_INDEX)?,
-        })
+        };
+        let rows = file.episode_index.len();
+        for (name, found) in [
+            (STATE, file.state.len()),
+            (TIP_POSE, file.tip_pose.len()),
+            (ACTION, file.action.len()),
+        ] {
+            table.check_rows(name, found / arms.max(1), rows)?;
+        }
+        Ok(file)
     }
 
     fn append(&self, rows: &mut Rows, table: usize, range: std::ops::Range<usize>) {
@@ -266,7 +310,7 @@ impl FileRows {
 /// An episode has to lie where the table of episodes says, and nowhere else.
 fn check_episode(
     table: &Table,
-    listed: &EpisodeRow,
+    listed: &Listed,
     next: usize,
     rows: Option<&[i64]>,
 ) -> Result<(), DatasetError> {

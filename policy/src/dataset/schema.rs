@@ -11,9 +11,13 @@ use serde::{
 };
 use serde_json::{Value, json};
 
-use super::{ACTION_WIDTH, CameraSpec, DatasetSpec, STATE_WIDTH, TIP_POSE_WIDTH, depth};
+use super::{
+    ACTION_WIDTH, CameraSpec, DatasetSpec, STATE_WIDTH, TIP_POSE_WIDTH, VideoCodec, depth,
+};
 
 pub(super) const VERSION: &str = "v3.0";
+/// Versions that are read.
+pub(super) const READABLE: [&str; 3] = [VERSION, "v2.1", "v2.0"];
 pub(super) const STATE: &str = "observation.state";
 pub(super) const TIP_POSE: &str = "observation.tip_pose";
 pub(super) const ACTION: &str = "action";
@@ -37,9 +41,13 @@ pub(super) struct Info {
     pub(super) total_frames: usize,
     pub(super) total_tasks: usize,
     pub(super) chunks_size: usize,
+    // Of v3.0 alone.
+    #[serde(default)]
     pub(super) data_files_size_in_mb: usize,
+    #[serde(default)]
     pub(super) video_files_size_in_mb: usize,
     pub(super) fps: u32,
+    #[serde(default)]
     pub(super) splits: BTreeMap<String, String>,
     pub(super) data_path: String,
     pub(super) video_path: Option<String>,
@@ -55,6 +63,7 @@ pub(super) struct Info {
 pub(super) struct Feature {
     pub(super) dtype: String,
     pub(super) shape: Vec<usize>,
+    #[serde(default)]
     pub(super) names: Value,
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub(super) info: Option<Value>,
@@ -88,8 +97,8 @@ fn of_arms(arms: usize, names: &[&str]) -> Vec<String> {
     all
 }
 
-/// Every feature of a dataset, in column order.
-pub(super) fn features(spec: &DatasetSpec) -> Vec<(String, Feature)> {
+/// Every feature of a dataset, in column order; the colour is kept as PNG or as video.
+pub(super) fn features(spec: &DatasetSpec, video: Option<VideoCodec>) -> Vec<(String, Feature)> {
     let vector = |dtype: &str, names: &[&str]| {
         let names = of_arms(spec.arms, names);
         Feature::new(dtype, &[names.len()], json!(names))
@@ -108,10 +117,15 @@ pub(super) fn features(spec: &DatasetSpec) -> Vec<(String, Feature)> {
     } in &spec.cameras
     {
         let shape = [*height as usize, *width as usize, 3];
-        features.push((
-            image_feature(name),
-            Feature::new("image", &shape, json!(["height", "width", "channels"])),
-        ));
+        let names = json!(["height", "width", "channels"]);
+        let feature = match video {
+            None => Feature::new("image", &shape, names),
+            Some(codec) => Feature {
+                info: Some(describe_video(codec, shape, spec.fps)),
+                ..Feature::new("video", &shape, names)
+            },
+        };
+        features.push((image_feature(name), feature));
     }
     for (camera, lens) in spec.depth_cameras() {
         let shape = [camera.height as usize, camera.width as usize, 1];
@@ -136,14 +150,28 @@ pub(super) fn features(spec: &DatasetSpec) -> Vec<(String, Feature)> {
     features
 }
 
-/// Schema of the data files.
-pub(super) fn data_schema(spec: &DatasetSpec) -> Schema {
+/// What `info.json` says about a camera's video.
+fn describe_video(codec: VideoCodec, [height, width, channels]: [usize; 3], fps: u32) -> Value {
+    json!({
+        "video.height": height,
+        "video.width": width,
+        "video.codec": codec.name(),
+        "video.pix_fmt": "yuv420p",
+        "video.is_depth_map": false,
+        "video.fps": fps,
+        "video.channels": channels,
+        "has_audio": false,
+    })
+}
+
+/// Schema of the data files; a camera that is kept as video has no column.
+pub(super) fn data_schema(spec: &DatasetSpec, video: Option<VideoCodec>) -> Schema {
     let mut fields = vec![
         vector_field(STATE, DataType::Float32, spec.arms * STATE_WIDTH),
         vector_field(TIP_POSE, DataType::Float64, spec.arms * TIP_POSE_WIDTH),
         vector_field(ACTION, DataType::Float32, spec.arms * ACTION_WIDTH),
     ];
-    for camera in &spec.cameras {
+    for camera in spec.cameras.iter().filter(|_| video.is_none()) {
         fields.push(Field::new(
             image_feature(&camera.name),
             DataType::Struct(image_fields()),
@@ -205,8 +233,19 @@ pub(super) const EPISODE_COLUMNS: [&str; 8] = [
     "meta/episodes/file_index",
 ];
 
-/// Schema of the episodes table.
-pub(super) fn episodes_schema() -> Schema {
+/// Columns of the episodes table about the video of `feature`: two numbers of its file, and the times there (s).
+pub(super) fn video_columns(feature: &str) -> [String; 4] {
+    let parts = [
+        "chunk_index",
+        "file_index",
+        "from_timestamp",
+        "to_timestamp",
+    ];
+    parts.map(|part| format!("videos/{feature}/{part}"))
+}
+
+/// Schema of the episodes table; `videos` are the features that are kept as video.
+pub(super) fn episodes_schema(videos: &[String]) -> Schema {
     let mut fields: Vec<Field> = EPISODE_COLUMNS
         .iter()
         .map(|name| Field::new(*name, DataType::Int64, true))
@@ -216,6 +255,11 @@ pub(super) fn episodes_schema() -> Schema {
         DataType::List(item(DataType::Utf8)),
         true,
     ));
+    for feature in videos {
+        let [chunk, file, from, to] = video_columns(feature);
+        fields.extend([chunk, file].map(|name| Field::new(name, DataType::Int64, true)));
+        fields.extend([from, to].map(|name| Field::new(name, DataType::Float64, true)));
+    }
     Schema::new(fields)
 }
 

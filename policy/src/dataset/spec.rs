@@ -5,9 +5,23 @@ use std::path::{Path, PathBuf};
 use hal::ARM_NAMES;
 
 use super::{
-    ACTION_WIDTH, CameraSpec, DatasetError, DatasetSpec, STATE_WIDTH, TIP_POSE_WIDTH, depth, meta,
+    ACTION_WIDTH, CameraSpec, DatasetError, DatasetSpec, STATE_WIDTH, TIP_POSE_WIDTH, depth,
+    layout, meta,
+    png::SIDE_MAX,
     schema::{ACTION, Feature, IMAGE_PREFIX, Info, STATE, TIP_POSE},
 };
+
+/// The features of cameras that are kept as video.
+pub(super) fn video_features(info: &Info) -> Vec<String> {
+    let features = info.features.iter();
+    features
+        .filter(|(name, feature)| name.starts_with(IMAGE_PREFIX) && feature.dtype == VIDEO)
+        .map(|(name, _)| name.clone())
+        .collect()
+}
+
+/// What `info.json` calls a feature that is kept as video.
+const VIDEO: &str = "video";
 
 /// The specification that `info`, out of the folder `dir`, amounts to.
 pub(super) fn read_spec(dir: &Path, info: &Info) -> Result<DatasetSpec, DatasetError> {
@@ -28,7 +42,7 @@ pub(super) fn read_spec(dir: &Path, info: &Info) -> Result<DatasetSpec, DatasetE
         fps: info.fps,
         robot_type: info.robot_type.clone().unwrap_or_default(),
         arms,
-        task: meta::read_task(dir)?,
+        task: layout::read_task(dir, info)?,
         cameras,
     })
 }
@@ -63,17 +77,30 @@ fn read_arms(path: &Path, info: &Info) -> Result<usize, DatasetError> {
 }
 
 fn camera_spec(path: &Path, name: &str, feature: &Feature) -> Result<CameraSpec, DatasetError> {
-    if feature.dtype != "image" {
+    if feature.dtype != "image" && feature.dtype != VIDEO {
         let what = format!("the type of {IMAGE_PREFIX}{name}");
         return Err(mismatch(
             path.to_owned(),
             &what,
             &feature.dtype,
-            "image: PNG in the data files",
+            "image: PNG in the data files, or video",
         ));
     }
-    let pixels = |value: usize| u32::try_from(value).ok().filter(|&value| value > 0);
-    if let [height, width, 3] = feature.shape[..]
+    // The name becomes a folder's, which must not lead elsewhere.
+    if name.is_empty() || name.contains(['/', '\\']) {
+        let what = "a camera's name";
+        return Err(mismatch(path.to_owned(), what, name, "a name without '/'"));
+    }
+    let pixels = |value: usize| {
+        let value = u32::try_from(value).ok();
+        value.filter(|value| (1..=SIDE_MAX).contains(value))
+    };
+    let channels_first = feature.names[0] == "channels" || feature.names[0] == "channel";
+    let shape = match feature.shape[..] {
+        [3, height, width] if channels_first => vec![height, width, 3],
+        _ => feature.shape.clone(),
+    };
+    if let [height, width, 3] = shape[..]
         && let (Some(height), Some(width)) = (pixels(height), pixels(width))
     {
         return Ok(CameraSpec {
@@ -88,7 +115,7 @@ fn camera_spec(path: &Path, name: &str, feature: &Feature) -> Result<CameraSpec,
         path.to_owned(),
         &what,
         format!("{:?}", feature.shape),
-        "[height, width, 3]",
+        format!("[height, width, 3], sides up to {SIDE_MAX}"),
     ))
 }
 

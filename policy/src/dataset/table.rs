@@ -3,11 +3,12 @@
 use std::{
     fs::File,
     path::{Path, PathBuf},
+    sync::Arc,
 };
 
 use arrow_array::{
     Array, ArrayRef, BinaryArray, FixedSizeListArray, Float32Array, Float64Array, Int64Array,
-    RecordBatch, StringArray, StructArray,
+    ListArray, RecordBatch, StringArray, StructArray,
 };
 use parquet::{
     arrow::{
@@ -23,6 +24,7 @@ use parquet::{
 
 use super::{
     DatasetError,
+    guard::reading,
     store::{io_error, parquet_error},
 };
 
@@ -37,7 +39,9 @@ impl Table {
     pub(super) fn open(path: &Path) -> Result<Self, DatasetError> {
         let file = File::open(path).map_err(io_error(path))?;
         let options = ArrowReaderOptions::new().with_page_index_policy(PageIndexPolicy::Optional);
-        let metadata = ArrowReaderMetadata::load(&file, options).map_err(parquet_error(path))?;
+        let metadata = reading(path, || {
+            ArrowReaderMetadata::load(&file, options).map_err(parquet_error(path))
+        })?;
         Ok(Self {
             path: path.to_owned(),
             metadata,
@@ -68,6 +72,19 @@ impl Table {
         self.integers(name)?.into_iter().map(count).collect()
     }
 
+    pub(super) fn reals(&self, name: &str) -> Result<Vec<f64>, DatasetError> {
+        let mut values = Vec::new();
+        for column in self.column(name)? {
+            if let Some(narrow) = column.as_any().downcast_ref::<Float32Array>() {
+                values.extend(narrow.values().iter().copied().map(f64::from));
+            } else {
+                let wide = self.cast::<Float64Array>(&column, name, "float32 or float64")?;
+                values.extend_from_slice(wide.values());
+            }
+        }
+        Ok(values)
+    }
+
     pub(super) fn strings(&self, name: &str) -> Result<Vec<String>, DatasetError> {
         let mut values = Vec::new();
         for column in self.column(name)? {
@@ -85,23 +102,48 @@ impl Table {
     ) -> Result<Vec<[f64; N]>, DatasetError> {
         let mut rows = Vec::new();
         for column in self.column(name)? {
-            let lists = self.cast::<FixedSizeListArray>(&column, name, "a list of fixed size")?;
-            if usize::try_from(lists.value_length()) != Ok(parts * N) {
-                let found = format!("{} numbers wide", lists.value_length());
-                return Err(self.mismatch(name, found, format!("{}", parts * N)));
-            }
-            let values = lists.values();
+            let values = self.lists(&column, name, parts * N)?;
             let values: Vec<f64> =
                 if let Some(values) = values.as_any().downcast_ref::<Float32Array>() {
                     values.values().iter().copied().map(f64::from).collect()
                 } else {
-                    self.cast::<Float64Array>(values, name, "a list of float32 or float64")?
+                    self.cast::<Float64Array>(&values, name, "a list of float32 or float64")?
                         .values()
                         .to_vec()
                 };
             rows.extend(values.as_chunks::<N>().0);
         }
         Ok(rows)
+    }
+
+    /// The numbers of a column of lists, each of which must be `width` wide and whole.
+    fn lists(&self, column: &ArrayRef, name: &str, width: usize) -> Result<ArrayRef, DatasetError> {
+        let odd = |found: usize| {
+            Err(self.mismatch(name, format!("{found} numbers wide"), width.to_string()))
+        };
+        let values = if let Some(lists) = column.as_any().downcast_ref::<ListArray>() {
+            // Some writers leave the width out of the type; then every row has its own.
+            let other = lists.offsets().lengths().find(|&length| length != width);
+            if let Some(other) = other {
+                return odd(other);
+            }
+            let offsets = lists.offsets();
+            let first = offsets.iter().next().copied().unwrap_or(0);
+            let first = usize::try_from(first).unwrap_or(0);
+            lists.values().slice(first, width * lists.len())
+        } else {
+            let lists = self.cast::<FixedSizeListArray>(column, name, "a list")?;
+            let found = usize::try_from(lists.value_length()).unwrap_or(0);
+            if found != width {
+                return odd(found);
+            }
+            Arc::clone(lists.values())
+        };
+        if values.null_count() > 0 {
+            let found = "null in some rows".to_owned();
+            return Err(self.mismatch(name, found, "a value in each".to_owned()));
+        }
+        Ok(values)
     }
 
     /// The encoded image in one row of an image column; reads no more of the file than it has to.
@@ -131,10 +173,10 @@ impl Table {
         row: usize,
     ) -> Result<[f64; N], DatasetError> {
         let column = self.cell(name, row)?;
-        let lists = self.cast::<FixedSizeListArray>(&column, name, "a list of fixed size")?;
-        let values = self.cast::<Float64Array>(lists.values(), name, "a list of float64")?;
+        let values = self.lists(&column, name, N)?;
+        let values = self.cast::<Float64Array>(&values, name, "a list of float64")?;
         values.values().as_ref().try_into().map_err(|_| {
-            let found = format!("{} numbers wide", lists.value_length());
+            let found = format!("{} numbers wide", values.len());
             self.mismatch(name, found, N.to_string())
         })
     }
@@ -142,14 +184,25 @@ impl Table {
     /// One row of a column.
     fn cell(&self, name: &str, row: usize) -> Result<ArrayRef, DatasetError> {
         let selection = RowSelection::from(vec![RowSelector::skip(row), RowSelector::select(1)]);
-        let batch = self
-            .builder(name)?
-            .with_row_selection(selection)
-            .build()
-            .map_err(parquet_error(&self.path))?;
-        let columns = self.collect(batch)?;
+        let columns = reading(&self.path, || {
+            let builder = self.builder(name)?.with_row_selection(selection);
+            self.collect(builder.build().map_err(parquet_error(&self.path))?)
+        })?;
         let column = columns.into_iter().find(|column| column.len() == 1);
         column.ok_or_else(|| self.mismatch(name, format!("without row {row}"), "one".to_owned()))
+    }
+
+    /// The columns of a damaged file may differ in their length: `name` must have as many rows as the others.
+    pub(super) fn check_rows(
+        &self,
+        name: &str,
+        found: usize,
+        expected: usize,
+    ) -> Result<(), DatasetError> {
+        if found == expected {
+            return Ok(());
+        }
+        Err(self.mismatch(name, format!("{found} rows long"), expected.to_string()))
     }
 
     pub(super) fn mismatch(&self, what: &str, found: String, expected: String) -> DatasetError {
@@ -180,11 +233,10 @@ impl Table {
     }
 
     fn column(&self, name: &str) -> Result<Vec<ArrayRef>, DatasetError> {
-        let columns = self.collect(
-            self.builder(name)?
-                .build()
-                .map_err(parquet_error(&self.path))?,
-        )?;
+        let columns = reading(&self.path, || {
+            let builder = self.builder(name)?;
+            self.collect(builder.build().map_err(parquet_error(&self.path))?)
+        })?;
         match columns.iter().find(|column| column.null_count() > 0) {
             Some(_) => Err(self.mismatch(
                 name,

@@ -372,8 +372,8 @@ fn other_versions_features_and_widths_are_refused() {
     };
     check(
         "\"v3.0\"",
-        "\"v2.1\"",
-        "codebase_version is \"v2.1\", this program reads \"v3.0\"",
+        "\"v1.6\"",
+        "codebase_version is \"v1.6\", this program reads v3.0, v2.1, v2.0",
     );
     check(
         "observation.tip_pose",
@@ -387,8 +387,8 @@ fn other_versions_features_and_widths_are_refused() {
     );
     check(
         "\"dtype\": \"image\"",
-        "\"dtype\": \"video\"",
-        "observation.images.scope is video, expected image",
+        "\"dtype\": \"jpeg\"",
+        "observation.images.scope is jpeg, expected image",
     );
     check("\"fps\": 25,", "", "missing field `fps`");
     check(

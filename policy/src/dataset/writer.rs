@@ -17,9 +17,10 @@ use parquet::{
 use serde_json::{Map, Value};
 
 use super::{
-    CameraSpec, DatasetError, DatasetSpec, FrameRecord,
-    check::{check_arms, check_spec, input},
+    CameraSpec, DatasetError, DatasetSpec, FrameRecord, VideoCodec,
+    check::{check_arms, check_spec, check_video, input},
     depth,
+    encoder::Encoder,
     episode::{Pending, columns, index_value, timestamp_s},
     meta::{self, CHUNK_SIZE, EpisodeRow},
     png::encode_rgb,
@@ -54,12 +55,15 @@ pub struct Totals {
 pub struct DatasetWriter {
     dir: PathBuf,
     spec: DatasetSpec,
+    video: Option<VideoCodec>,
     schema: Arc<Schema>,
     episodes: Vec<EpisodeRow>,
     frame_count: usize,
     column_stats: Vec<(String, ColumnStats)>,
     image_stats: Vec<ImageStats>,
     pending: Pending,
+    /// The videos of the episode in progress, by camera.
+    encoders: Vec<Encoder>,
 }
 
 impl DatasetWriter {
@@ -69,20 +73,37 @@ impl DatasetWriter {
     /// [`DatasetError::Exists`], [`DatasetError::Input`] for a specification that can't be stored, or
     /// [`DatasetError::Io`].
     pub fn create(dir: &Path, spec: &DatasetSpec) -> Result<Self, DatasetError> {
+        Self::create_with(dir, spec, None)
+    }
+
+    /// As [`Self::create`]; the cameras' colour is kept as video if a codec is given, through the system's ffmpeg, which is
+    /// looked for with the first frame. Depth and instance ids are lossless all the same.
+    ///
+    /// # Errors
+    /// Those of [`Self::create`]; [`DatasetError::Input`] for sides that are odd, which the codecs can't do.
+    pub fn create_with(
+        dir: &Path,
+        spec: &DatasetSpec,
+        video: Option<VideoCodec>,
+    ) -> Result<Self, DatasetError> {
         check_spec(spec)?;
+        if video.is_some() {
+            check_video(spec)?;
+        }
         fs::create_dir_all(dir).map_err(io_error(dir))?;
         if fs::read_dir(dir).map_err(io_error(dir))?.next().is_some() {
             return Err(DatasetError::Exists {
                 path: dir.to_owned(),
             });
         }
-        let widths = schema::features(spec)
+        let widths = schema::features(spec, video)
             .into_iter()
-            .filter(|(_, feature)| feature.dtype != "image");
+            .filter(|(_, feature)| feature.dtype != "image" && feature.dtype != "video");
         let writer = Self {
             dir: dir.to_owned(),
             spec: spec.clone(),
-            schema: Arc::new(schema::data_schema(spec)),
+            video,
+            schema: Arc::new(schema::data_schema(spec, video)),
             episodes: Vec::new(),
             frame_count: 0,
             column_stats: widths
@@ -90,6 +111,7 @@ impl DatasetWriter {
                 .collect(),
             image_stats: vec![ImageStats::new(); spec.cameras.len()],
             pending: Pending::new(spec),
+            encoders: Vec::new(),
         };
         meta::write_task(dir, &spec.task)?;
         writer.commit()?;
@@ -100,11 +122,21 @@ impl DatasetWriter {
     ///
     /// # Errors
     /// [`DatasetError::Input`] for a number that is not finite, another number of arms, or images that don't fit the
-    /// cameras. The frame is then not added.
+    /// cameras. The frame is then not added. [`DatasetError::Video`] if ffmpeg fails; the episode in progress is then lost.
     pub fn push_frame(&mut self, frame: &FrameRecord<'_>) -> Result<(), DatasetError> {
         check_arms(&self.spec, frame.arms)?;
-        let pngs = self.encode(frame.images)?;
+        self.check_images(frame.images)?;
         let depth = depth::encode(&self.spec, frame.depth)?;
+        let pngs = match self.video {
+            None => self.encode(frame.images)?,
+            Some(codec) => {
+                if let Err(error) = self.film(frame.images, codec) {
+                    self.discard_episode();
+                    return Err(error);
+                }
+                Vec::new()
+            }
+        };
         if self.pending_frames().is_multiple_of(IMAGE_STATS_STRIDE) {
             for (stats, rgb) in self.pending.image_stats.iter_mut().zip(frame.images) {
                 stats.add(rgb);
@@ -137,13 +169,17 @@ impl DatasetWriter {
         }
         let pending = std::mem::replace(&mut self.pending, Pending::new(&self.spec));
         let index = self.episodes.len();
+        let (chunk, file) = file_of(index);
         let row = EpisodeRow {
             index,
             start: self.frame_count,
             len,
-            chunk: index / CHUNK_SIZE,
-            file: index % CHUNK_SIZE,
+            chunk,
+            file,
         };
+        for encoder in std::mem::take(&mut self.encoders) {
+            encoder.finish()?;
+        }
         self.write_data(&row, &pending)?;
         self.episodes.push(row);
         self.frame_count += len;
@@ -153,6 +189,7 @@ impl DatasetWriter {
 
     /// Forgets the episode in progress.
     pub fn discard_episode(&mut self) {
+        self.encoders.clear();
         self.pending = Pending::new(&self.spec);
     }
 
@@ -174,7 +211,7 @@ impl DatasetWriter {
         }
     }
 
-    fn encode(&self, images: &[&[u8]]) -> Result<Vec<Vec<u8>>, DatasetError> {
+    fn check_images(&self, images: &[&[u8]]) -> Result<(), DatasetError> {
         let cameras = &self.spec.cameras;
         if images.len() != cameras.len() {
             let found = format!("{} images", images.len());
@@ -184,7 +221,7 @@ impl DatasetWriter {
                 &format!("{}, one a camera", cameras.len()),
             ));
         }
-        let encode = |(camera, rgb): (&CameraSpec, &&[u8])| {
+        for (camera, rgb) in cameras.iter().zip(images) {
             let what = format!("the image of {}", camera.name);
             if rgb.len() != camera.image_size_bytes() {
                 let expected = format!(
@@ -195,10 +232,35 @@ impl DatasetWriter {
                 );
                 return Err(input(&what, &format!("{} bytes", rgb.len()), &expected));
             }
-            encode_rgb(rgb, camera.width, camera.height)
-                .map_err(|source| DatasetError::Image { what, source })
+        }
+        Ok(())
+    }
+
+    fn encode(&self, images: &[&[u8]]) -> Result<Vec<Vec<u8>>, DatasetError> {
+        let encode = |(camera, rgb): (&CameraSpec, &&[u8])| {
+            encode_rgb(rgb, camera.width, camera.height).map_err(|source| {
+                let what = format!("the image of {}", camera.name);
+                DatasetError::Image { what, source }
+            })
         };
-        cameras.iter().zip(images).map(encode).collect()
+        self.spec.cameras.iter().zip(images).map(encode).collect()
+    }
+
+    /// Adds a frame to the videos, which begin with the episode.
+    fn film(&mut self, images: &[&[u8]], codec: VideoCodec) -> Result<(), DatasetError> {
+        if self.encoders.is_empty() {
+            let (chunk, file) = file_of(self.episodes.len());
+            for camera in &self.spec.cameras {
+                let feature = image_feature(&camera.name);
+                let path = meta::video_path(&self.dir, &feature, chunk, file);
+                let encoder = Encoder::start(&path, camera, self.spec.fps, codec)?;
+                self.encoders.push(encoder);
+            }
+        }
+        for (encoder, rgb) in self.encoders.iter_mut().zip(images) {
+            encoder.push(rgb)?;
+        }
+        Ok(())
     }
 
     fn write_data(&self, row: &EpisodeRow, pending: &Pending) -> Result<(), DatasetError> {
@@ -259,12 +321,19 @@ impl DatasetWriter {
                 .filter_map(|(name, value)| Some((name, value?))),
         );
         write_json(&meta::stats_path(&self.dir), &Value::Object(stats))?;
-        meta::write_episodes(&self.dir, &self.spec.task, &self.episodes)?;
-        meta::write_info(
-            &self.dir,
-            &meta::info(&self.spec, self.episodes.len(), self.frame_count),
-        )
+        let cameras = self.spec.cameras.iter().filter(|_| self.video.is_some());
+        let videos: Vec<String> = cameras.map(|camera| image_feature(&camera.name)).collect();
+        let (task, fps) = (&self.spec.task, self.spec.fps);
+        meta::write_episodes(&self.dir, task, fps, &videos, &self.episodes)?;
+        let (episodes, frames) = (self.episodes.len(), self.frame_count);
+        let info = meta::info(&self.spec, self.video, episodes, frames);
+        meta::write_info(&self.dir, &info)
     }
+}
+
+/// Folder and file of an episode, which has files of its own.
+const fn file_of(index: usize) -> (usize, usize) {
+    (index / CHUNK_SIZE, index % CHUNK_SIZE)
 }
 
 /// One page an image, so that a reader fetches an image without its neighbours; PNG is not compressed again.

@@ -4,7 +4,9 @@ use std::path::PathBuf;
 
 use hal::{CameraFrame, Chunk, SeenArm, TipTarget};
 use policy::act_policy::state_numbers;
-use policy::dataset::{ArmFrame, CameraSpec, DatasetSpec, DatasetWriter, DepthFrame, FrameRecord};
+use policy::dataset::{
+    ArmFrame, CameraSpec, DatasetSpec, DatasetWriter, DepthFrame, FrameRecord, VideoCodec,
+};
 use policy::perception::depth_units;
 use serde::Serialize;
 use sim_backend::cameras::SceneCameras;
@@ -30,6 +32,8 @@ pub struct RecordOptions {
     pub jobs: usize,
     /// Keep depth and instance ids of every camera too.
     pub depth: bool,
+    /// Keep colour as video, which loses some of it, instead of as PNG.
+    pub video: Option<VideoCodec>,
 }
 
 /// What became of one attempt.
@@ -79,7 +83,8 @@ pub fn record(
     on_attempt: &mut dyn FnMut(&Attempt),
 ) -> Result<RecordSummary, SessionError> {
     outputs::new_folder(&options.out)?;
-    let mut writer = DatasetWriter::create(&options.out, &dataset_spec(setup, options.depth))?;
+    let spec = dataset_spec(setup, options.depth);
+    let mut writer = DatasetWriter::create_with(&options.out, &spec, options.video)?;
     let mut summary = RecordSummary {
         task: setup.task_name.clone(),
         view: setup.task.view.name().to_owned(),

@@ -195,6 +195,7 @@ fn record_one(out: &Path) -> Dataset {
         seed: 3,
         jobs: 1,
         depth: false,
+        video: None,
     };
     let setup = small_handover(&PolicyChoice::Expert);
     let summary = record(&setup, &options, &mut |_| {}).unwrap();

@@ -217,6 +217,15 @@ pub(crate) enum Demonstrator {
     Expert,
 }
 
+/// How video is compressed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub(crate) enum Video {
+    /// H.264, which encodes fast.
+    H264,
+    /// AV1, which is smaller; LeRobot's choice.
+    Av1,
+}
+
 /// Options of `record`.
 #[derive(Args, Debug)]
 pub(crate) struct RecordArgs {
@@ -245,6 +254,10 @@ pub(crate) struct RecordArgs {
     /// the wrists), or names with commas between them. A camera that is not named is not drawn.
     #[arg(long, value_name = "single|multi|NAMES", default_value = "endoscope")]
     pub(crate) cameras: String,
+    /// Keep colour as video instead of as PNG: a tenth of the size, but pictures come back close, not the same. Needs
+    /// ffmpeg 5.1 or newer, here and where the dataset is read.
+    #[arg(long, value_enum, value_name = "CODEC")]
+    pub(crate) video: Option<Video>,
     /// Keep depth (rounded to 0.02 mm, up to 1.31 m) and instance ids of these cameras too, which point clouds are made
     /// from.
     #[arg(long)]

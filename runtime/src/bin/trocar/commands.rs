@@ -3,6 +3,7 @@
 use std::path::Path;
 
 use policy::compute::{Arithmetic, Compute};
+use policy::dataset::VideoCodec;
 use runtime::doctor::{self, Probes};
 use runtime::log::RunLog;
 use runtime::session::demo::{self, DemoOptions};
@@ -20,7 +21,7 @@ use tch::Device;
 
 use crate::args::{
     Cameras, ComputeArgs, ComputeDevice, DemoArgs, DoctorArgs, EvalArgs, LogArgs, Network,
-    PolicyProcessArgs, Precision, RecordArgs, RunArgs, TrainArgs,
+    PolicyProcessArgs, Precision, RecordArgs, RunArgs, TrainArgs, Video,
 };
 use crate::console;
 
@@ -193,6 +194,10 @@ pub(crate) fn record(args: &RecordArgs) -> Done {
         seed: args.seed,
         jobs: args.jobs,
         depth: args.depth,
+        video: args.video.map(|video| match video {
+            Video::H264 => VideoCodec::H264,
+            Video::Av1 => VideoCodec::Av1,
+        }),
     };
     let bar = console::progress(args.episodes as u64, "episodes");
     let summary = record::record(&setup, &options, &mut |attempt| {

@@ -14,7 +14,26 @@ use clap::Parser;
 
 use args::{Cli, Verb};
 
+/// A dataset's file that its reader panics at is bad input, not a defect of this program: the file is named, also where a
+/// panic ends the program at once.
+fn explain_panics() {
+    let before = std::panic::take_hook();
+    std::panic::set_hook(Box::new(move |panic| {
+        let Some(file) = policy::dataset::file_being_read() else {
+            return before(panic);
+        };
+        if cfg!(panic = "abort") {
+            let file = file.display();
+            console::note(&format!(
+                "trocar: error: {file}: not a whole parquet file: its parts contradict each other"
+            ));
+            std::process::exit(2);
+        }
+    }));
+}
+
 fn main() -> ExitCode {
+    explain_panics();
     let cli = Cli::parse();
     let result = match &cli.verb {
         Verb::Run(args) => commands::run(args),

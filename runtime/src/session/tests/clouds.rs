@@ -19,6 +19,7 @@ fn record_lift(out: &Path, depth: bool) -> Dataset {
         seed: 3,
         jobs: 1,
         depth,
+        video: None,
     };
     record(&small_lift(&PolicyChoice::Expert), &options, &mut |_| {}).unwrap();
     Dataset::open(out).unwrap()

@@ -1,0 +1,77 @@
+#!/usr/bin/env python3
+"""Writes trocar.json beside a policy that LeRobot 0.4 or newer saved, so that it can be run. Nothing else is touched.
+
+Requirements: none
+
+    python policy/convert/lerobot_recipe.py outputs/train/checkpoints/last/pretrained_model --actions absolute_pose --fps 25
+
+Such a folder loads as it is; what it does not say is what its actions mean, how fast they follow each other, and how large the
+cameras' frames are. A policy that LeRobot trained on a dataset of `trocar record` predicts that dataset's `action`: absolute_pose,
+eight numbers an arm (position in the RCM frame, m; quaternion x, y, z, w; jaw, rad). One that was trained on actions relative to the
+tip at the observation predicts observation_relative, seven numbers an arm.
+"""
+
+import argparse
+import json
+from pathlib import Path
+
+WIDTHS = {"absolute_pose": 8, "observation_relative": 7}
+
+
+def fail(text):
+    raise SystemExit(f"error: {text}")
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("--actions", choices=sorted(WIDTHS), required=True, help="what the actions mean")
+    parser.add_argument("--fps", type=int, required=True, help="steps of a chunk a second: the dataset's")
+    parser.add_argument("--query-every", type=int, help="steps from one query to the next; half a chunk if not given")
+    parser.add_argument(
+        "--recorded", metavar="WIDTHxHEIGHT", help="size of the cameras' frames, a whole multiple of the network's; the same if not given"
+    )
+    parser.add_argument("--task", default="", help="the task in words")
+    options = parser.parse_args()
+
+    file = options.folder / "config.json"
+    config = json.loads(file.read_text())
+    if config.get("type") != "act":
+        fail(f"{file}: the policy is of type {config.get('type')!r}, expected 'act'")
+    if (options.folder / "trocar.json").exists():
+        fail(f"{options.folder / 'trocar.json'} is there already")
+    state = config["input_features"]["observation.state"]["shape"][0]
+    action = config["output_features"]["action"]["shape"][0]
+    arms = state // 7
+    if state % 7 or arms not in (1, 2) or action != arms * WIDTHS[options.actions]:
+        fail(f"{file}: {state} numbers of state and {action} of action are not those of one or two arms with {options.actions}")
+    cameras = {name: feature["shape"] for name, feature in config["input_features"].items() if feature["type"] == "VISUAL"}
+    recorded = None
+    if options.recorded:
+        try:
+            recorded = [int(part) for part in options.recorded.split("x")]
+            width, height = recorded
+        except ValueError:
+            fail(f"--recorded {options.recorded}: expected WIDTHxHEIGHT")
+    size = lambda shape: recorded or [shape[2], shape[1]]
+    recipe = {
+        "format": 1,
+        "arms": arms,
+        "action_representation": options.actions,
+        "step_ns": 1_000_000_000 // options.fps,
+        "query_every_steps": options.query_every or max(1, config["chunk_size"] // 2),
+        "aggregation": {"mode": "whole_chunk", "decay": 0.01},
+        "cameras": [{"feature": name, "width": size(shape)[0], "height": size(shape)[1]} for name, shape in cameras.items()],
+        "preset": "lerobot",
+        "variants": {"backbone_norm": "frozen_batch_norm", "loss_denominator": "valid"},
+        "recipe": "trained with LeRobot",
+        "dataset": {"task": options.task, "episodes": 0, "frames": 0, "fps": options.fps},
+        "seed": 0,
+        "training": None,
+    }
+    (options.folder / "trocar.json").write_text(json.dumps(recipe, indent=2, sort_keys=True) + "\n")
+    print(f"{options.folder / 'trocar.json'}: {arms} arm{'s' * (arms - 1)}, {len(cameras)} cameras, {options.actions}")
+
+
+if __name__ == "__main__":
+    main()

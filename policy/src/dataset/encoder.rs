@@ -1,0 +1,110 @@
+//! One episode's frames of one camera on their way into a video file, through the system's ffmpeg.
+
+use std::{
+    fs::{self, File},
+    io::Write,
+    path::{Path, PathBuf},
+    process::{Child, Stdio},
+    thread::JoinHandle,
+};
+
+use super::{
+    CameraSpec, DatasetError,
+    store::io_error,
+    video::{VideoCodec, failed, program, reason_in, spawn, url},
+};
+
+/// A video that is being written beside its place. Dropped unfinished, it leaves nothing.
+#[derive(Debug)]
+pub(super) struct Encoder {
+    child: Child,
+    errors: Option<JoinHandle<String>>,
+    path: PathBuf,
+    partial: PathBuf,
+    finished: bool,
+}
+
+impl Encoder {
+    /// Starts on the file `path`, in a folder that is made.
+    pub(super) fn start(
+        path: &Path,
+        camera: &CameraSpec,
+        fps: u32,
+        codec: VideoCodec,
+    ) -> Result<Self, DatasetError> {
+        let folder = path.parent().unwrap_or(Path::new("."));
+        fs::create_dir_all(folder).map_err(io_error(folder))?;
+        let mut partial = path.as_os_str().to_owned();
+        partial.push(".partial");
+        let partial = PathBuf::from(partial);
+        let mut command = program("ffmpeg");
+        command
+            .arg("-y")
+            .args(["-f", "rawvideo", "-pix_fmt", "rgb24"]);
+        let size = format!("{}x{}", camera.width, camera.height);
+        command.args(["-video_size", &size, "-framerate", &fps.to_string()]);
+        command.args(["-i", "-"]).args(codec.options());
+        command
+            .args(["-pix_fmt", "yuv420p", "-f", "mp4"])
+            .arg(url(&partial));
+        command.stdin(Stdio::piped()).stdout(Stdio::null());
+        let mut child = spawn(command, path)?;
+        let errors = child.stderr.take();
+        let errors = errors.map(|errors| std::thread::spawn(move || reason_in(errors)));
+        Ok(Self {
+            child,
+            errors,
+            path: path.to_owned(),
+            partial,
+            finished: false,
+        })
+    }
+
+    /// Adds a frame of RGB bytes.
+    pub(super) fn push(&mut self, rgb: &[u8]) -> Result<(), DatasetError> {
+        let written = match self.child.stdin.as_mut() {
+            Some(input) => input.write_all(rgb),
+            None => Ok(()),
+        };
+        if written.is_ok() {
+            return Ok(());
+        }
+        let reason = self.end().1;
+        Err(failed(&self.path, format!("ffmpeg gave up: {reason}")))
+    }
+
+    /// Ends the video and puts it in its place, whole and durable.
+    pub(super) fn finish(mut self) -> Result<(), DatasetError> {
+        let (good, reason) = self.end();
+        if !good {
+            return Err(failed(&self.path, format!("ffmpeg failed: {reason}")));
+        }
+        let synced = File::open(&self.partial).and_then(|file| file.sync_all());
+        synced.map_err(io_error(&self.partial))?;
+        fs::rename(&self.partial, &self.path).map_err(io_error(&self.path))?;
+        self.finished = true;
+        let folder = self.path.parent().unwrap_or(Path::new("."));
+        File::open(folder)
+            .and_then(|folder| folder.sync_all())
+            .map_err(io_error(folder))
+    }
+
+    /// Waits for the program: whether it ended well, and what it said.
+    fn end(&mut self) -> (bool, String) {
+        drop(self.child.stdin.take());
+        let status = self.child.wait();
+        let errors = self.errors.take().and_then(|errors| errors.join().ok());
+        let good = status.is_ok_and(|status| status.success());
+        (good, errors.unwrap_or_default())
+    }
+}
+
+impl Drop for Encoder {
+    fn drop(&mut self) {
+        if !self.finished {
+            let _gone = self.child.kill();
+            let _ended = self.child.wait();
+            let _removed = fs::remove_file(&self.partial);
+        }
+    }
+}

@@ -1,0 +1,128 @@
+//! Where a dataset's episodes lie: the folders of LeRobot v3.0, and those of v2.0 and v2.1, which are only read.
+//!
+//! ```text
+//!        v3.0                                                  v2.1
+//! meta   episodes/chunk-000/file-000.parquet, tasks.parquet    episodes.jsonl, tasks.jsonl
+//! data   chunk-000/file-000.parquet, many episodes a file      chunk-000/episode_000000.parquet
+//! videos KEY/chunk-000/file-000.mp4, many episodes a file      chunk-000/KEY/episode_000000.mp4
+//! ```
+
+use std::{
+    fs::File,
+    io::{BufRead, BufReader, Read},
+    path::{Path, PathBuf},
+};
+
+use serde::{Deserialize, de::DeserializeOwned};
+
+use super::{
+    DatasetError,
+    meta::{self, CHUNK_SIZE},
+    schema::{Info, VERSION},
+    spec::mismatch,
+    store::io_error,
+};
+
+/// Bytes that a line of a `.jsonl` file may have.
+const LINE_MAX: u64 = 1 << 20;
+
+/// One episode as the dataset's tables list it.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct Listed {
+    pub(super) index: usize,
+    pub(super) start: usize,
+    pub(super) len: usize,
+    /// The file with its rows.
+    pub(super) data: PathBuf,
+    /// Where its frames are, of each camera that is asked about.
+    pub(super) videos: Vec<VideoPlace>,
+}
+
+/// Where an episode's frames of one camera are.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct VideoPlace {
+    pub(super) path: PathBuf,
+    /// When its first frame is shown, s.
+    pub(super) from_s: f64,
+}
+
+/// The episodes in order; `videos` are the features that are kept as video.
+pub(super) fn read_episodes(
+    dir: &Path,
+    info: &Info,
+    videos: &[String],
+) -> Result<Vec<Listed>, DatasetError> {
+    if info.codebase_version == VERSION {
+        return meta::read_episodes(dir, videos);
+    }
+    let path = dir.join("meta/episodes.jsonl");
+    let lines: Vec<EpisodeLine> = read_lines(&path)?;
+    let mut start = 0_usize;
+    let mut listed = Vec::with_capacity(lines.len());
+    for (index, line) in lines.into_iter().enumerate() {
+        if line.episode_index != index {
+            let found = line.episode_index.to_string();
+            return Err(mismatch(path, "episode_index", found, index));
+        }
+        let chunk = format!("chunk-{:03}", index / CHUNK_SIZE);
+        let of_feature = |feature: &String| VideoPlace {
+            path: dir.join(format!("videos/{chunk}/{feature}/episode_{index:06}.mp4")),
+            from_s: 0.0,
+        };
+        listed.push(Listed {
+            index,
+            start,
+            len: line.length,
+            data: dir.join(format!("data/{chunk}/episode_{index:06}.parquet")),
+            videos: videos.iter().map(of_feature).collect(),
+        });
+        start = start.saturating_add(line.length);
+    }
+    Ok(listed)
+}
+
+/// What the episodes show, in words: the first task.
+pub(super) fn read_task(dir: &Path, info: &Info) -> Result<String, DatasetError> {
+    if info.codebase_version == VERSION {
+        return meta::read_task(dir);
+    }
+    let path = dir.join("meta/tasks.jsonl");
+    let lines: Vec<TaskLine> = read_lines(&path)?;
+    let first = lines.into_iter().next();
+    first
+        .map(|line| line.task)
+        .ok_or_else(|| mismatch(path, "task", "empty", "at least one"))
+}
+
+#[derive(Deserialize)]
+struct EpisodeLine {
+    episode_index: usize,
+    length: usize,
+}
+
+#[derive(Deserialize)]
+struct TaskLine {
+    task: String,
+}
+
+/// A JSON value a line, empty lines left out.
+fn read_lines<T: DeserializeOwned>(path: &Path) -> Result<Vec<T>, DatasetError> {
+    let mut reader = BufReader::new(File::open(path).map_err(io_error(path))?);
+    let mut values = Vec::new();
+    let mut line = Vec::new();
+    loop {
+        line.clear();
+        let read = reader.by_ref().take(LINE_MAX).read_until(b'\n', &mut line);
+        if read.map_err(io_error(path))? == 0 {
+            return Ok(values);
+        }
+        if line.trim_ascii().is_empty() {
+            continue;
+        }
+        let value = serde_json::from_slice(&line).map_err(|source| DatasetError::Json {
+            path: path.to_owned(),
+            source,
+        });
+        values.push(value?);
+    }
+}

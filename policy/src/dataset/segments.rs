@@ -1,0 +1,158 @@
+//! Frames of video for readers that want one after another: pieces are decoded whole and the latest are kept.
+
+use std::{
+    collections::{BTreeMap, VecDeque},
+    path::{Path, PathBuf},
+    sync::{Arc, Mutex, PoisonError},
+};
+
+use image::RgbImage;
+
+use super::{
+    DatasetError,
+    layout::VideoPlace,
+    video::{FrameTimes, failed},
+};
+
+/// Bytes that a piece should not exceed; it has at least one frame, at most [`PIECE_FRAMES_MAX`].
+const PIECE_BYTES: usize = 24 << 20;
+const PIECE_FRAMES_MAX: usize = 64;
+
+/// Pieces that are kept: at least one for each camera of each thread that reads.
+const PIECES_MAX: usize = 32;
+
+/// The frames of the cameras that are kept as video.
+#[derive(Debug)]
+pub(super) struct VideoFrames {
+    /// By camera, then episode; a camera that is not kept as video has none.
+    cameras: Vec<Vec<Place>>,
+    files: Vec<VideoFile>,
+    recent: Mutex<VecDeque<(Key, Arc<Vec<u8>>)>>,
+}
+
+/// File and first frame there of an episode.
+#[derive(Clone, Copy, Debug)]
+struct Place {
+    file: usize,
+    first: usize,
+    len: usize,
+}
+
+#[derive(Debug)]
+struct VideoFile {
+    path: PathBuf,
+    times: FrameTimes,
+}
+
+/// Camera, episode, piece.
+type Key = (usize, usize, usize);
+
+/// A camera's part of what [`VideoFrames::open`] is told.
+pub(super) struct VideoCamera<'a> {
+    /// Where each episode begins, and its frames.
+    pub(super) episodes: Vec<(&'a VideoPlace, usize)>,
+}
+
+impl VideoFrames {
+    /// Looks at every file once: each episode's first and last frame must be shown when the dataset, with `fps` frames a
+    /// second, says so, and there must be as many between them.
+    pub(super) fn open(cameras: &[VideoCamera<'_>], fps: u32) -> Result<Self, DatasetError> {
+        let mut files: Vec<VideoFile> = Vec::new();
+        let mut numbers: BTreeMap<&Path, usize> = BTreeMap::new();
+        let mut all = Vec::new();
+        for camera in cameras {
+            let mut places = Vec::new();
+            for (place, len) in &camera.episodes {
+                let file = match numbers.get(place.path.as_path()) {
+                    Some(&file) => file,
+                    None => {
+                        let (path, times) = (place.path.clone(), FrameTimes::read(&place.path)?);
+                        files.push(VideoFile { path, times });
+                        numbers.insert(&place.path, files.len() - 1);
+                        files.len() - 1
+                    }
+                };
+                let first = first_frame(&files[file], place.from_s, *len, fps)?;
+                let len = *len;
+                places.push(Place { file, first, len });
+            }
+            all.push(places);
+        }
+        Ok(Self {
+            cameras: all,
+            files,
+            recent: Mutex::new(VecDeque::new()),
+        })
+    }
+
+    /// Is the camera kept as video?
+    pub(super) fn has(&self, camera: usize) -> bool {
+        self.cameras
+            .get(camera)
+            .is_some_and(|places| !places.is_empty())
+    }
+
+    /// A frame of an episode, of `width` by `height` pixels.
+    pub(super) fn image(
+        &self,
+        camera: usize,
+        [episode, frame]: [usize; 2],
+        [width, height]: [u32; 2],
+    ) -> Result<RgbImage, DatasetError> {
+        let place = self.cameras[camera][episode];
+        let file = &self.files[place.file];
+        let frame_bytes = 3 * width as usize * height as usize;
+        let piece_frames = (PIECE_BYTES / frame_bytes.max(1)).clamp(1, PIECE_FRAMES_MAX);
+        let (piece, within) = (frame / piece_frames, frame % piece_frames);
+        let key = (camera, episode, piece);
+        let bytes = match self.recall(key) {
+            Some(bytes) => bytes,
+            None => {
+                let first = piece * piece_frames;
+                let count = piece_frames.min(place.len.saturating_sub(first));
+                let range = [place.first + first, count];
+                let decoded = file.times.decode(&file.path, range, [width, height])?;
+                self.remember(key, Arc::new(decoded))
+            }
+        };
+        let start = within * frame_bytes;
+        let image = bytes.get(start..start + frame_bytes);
+        let image = image.and_then(|bytes| RgbImage::from_raw(width, height, bytes.to_vec()));
+        image.ok_or_else(|| failed(&file.path, format!("frame {frame} is missing")))
+    }
+
+    fn recall(&self, key: Key) -> Option<Arc<Vec<u8>>> {
+        let mut recent = self.recent.lock().unwrap_or_else(PoisonError::into_inner);
+        let place = recent.iter().position(|(other, _)| *other == key)?;
+        let found = recent.remove(place)?;
+        let bytes = Arc::clone(&found.1);
+        recent.push_back(found);
+        Some(bytes)
+    }
+
+    fn remember(&self, key: Key, bytes: Arc<Vec<u8>>) -> Arc<Vec<u8>> {
+        let mut recent = self.recent.lock().unwrap_or_else(PoisonError::into_inner);
+        while recent.len() >= PIECES_MAX {
+            let _forgotten = recent.pop_front();
+        }
+        recent.push_back((key, Arc::clone(&bytes)));
+        bytes
+    }
+}
+
+/// The file's frame that an episode of `len` frames begins with at `from_s`.
+#[expect(
+    clippy::cast_precision_loss,
+    reason = "frame counts stay far below 2^53"
+)]
+fn first_frame(file: &VideoFile, from_s: f64, len: usize, fps: u32) -> Result<usize, DatasetError> {
+    let first = file.times.frame_at(from_s, &file.path)?;
+    let last_s = from_s + len.saturating_sub(1) as f64 / f64::from(fps);
+    let last = file.times.frame_at(last_s, &file.path)?;
+    if last - first != len.saturating_sub(1) || last >= file.times.len() {
+        let found = last - first + 1;
+        let what = format!("{found} frames from {from_s:.6} s to {last_s:.6} s, expected {len}");
+        return Err(failed(&file.path, what));
+    }
+    Ok(first)
+}
