@@ -287,8 +287,11 @@ impl Arm for SimulatedArm<'_> {
     }
 
     fn write(&mut self, command: &ArmCommand, tail: &SafeTail) -> Result<(), ArmError> {
-        self.simulation.world.command(self.index, command);
-        self.simulation.tails[self.index].write(command, tail);
+        // What is no number would never leave the plant again.
+        if command.is_finite() && tail.is_finite() {
+            self.simulation.world.command(self.index, command);
+            self.simulation.tails[self.index].write(command, tail);
+        }
         Ok(())
     }
 }

@@ -90,7 +90,7 @@ impl<B: Bus> CanArm<B> {
         self.cycle.judge(now);
         // Of the periods that have passed, the controller has taken care of one at most.
         let written = u64::from(core::mem::take(&mut self.written));
-        self.play(self.cycle.cycles_since_sync(now) - written);
+        self.play(now, self.cycle.cycles_since_sync(now) - written);
         if !self.sent {
             self.send_set_points(now);
         }
@@ -103,11 +103,14 @@ impl<B: Bus> CanArm<B> {
         self.sent = false;
     }
 
-    /// The tail's set-points for `periods` without a command, of which the last one counts.
-    fn play(&mut self, periods: u64) {
+    /// The tail's set-points for `periods` without a command, of which the last one counts. It may let go, never enable.
+    fn play(&mut self, now: TimeNs, periods: u64) {
         for _ in 0..periods.min(CATCH_UP_MAX) {
             if let Some(command) = self.player.next_period() {
                 self.take(&command);
+                if !command.enabled {
+                    self.cycle.set_goal(now, Goal::Disabled);
+                }
             }
         }
     }
@@ -186,7 +189,8 @@ fn leave(node: NodeId) -> crate::can::Frame {
 
 impl<B: Bus> Arm for CanArm<B> {
     fn read(&mut self, now: TimeNs) -> Result<ArmState, ArmError> {
-        if let Some(before) = self.called.replace(now) {
+        let before = self.called.replace(now);
+        if let Some(before) = before.filter(|before| *before < now) {
             self.between_calls_ns = now.since(before);
         }
         if self.cycle.is_due(now) {
@@ -199,7 +203,7 @@ impl<B: Bus> Arm for CanArm<B> {
 
     fn write(&mut self, command: &ArmCommand, tail: &SafeTail) -> Result<(), ArmError> {
         let now = command.stamp;
-        if self.take(command) && tail.is_finite() {
+        if command.is_finite() && tail.is_finite() && self.take(command) {
             self.player.write(command, tail);
             // The player asks at the SYNC whether this period had its command; this one had.
             let _ = self.player.next_period();

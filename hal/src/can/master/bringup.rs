@@ -120,6 +120,11 @@ impl<B: Bus> Offline<B> {
 }
 
 impl<B: Bus> Scanned<B> {
+    /// The buses.
+    pub const fn bus_mut(&mut self) -> &mut B {
+        &mut self.bus
+    }
+
     /// Compares device type, vendor, product and modes of every node with the plan.
     ///
     /// # Errors

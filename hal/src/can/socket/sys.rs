@@ -170,3 +170,16 @@ pub(super) fn count_missed(socket: &CanSocket) -> io::Result<()> {
         Err(io::Error::last_os_error())
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_full_queue_and_an_interrupted_call_are_no_room_and_nothing_else_is() {
+        let is = |code| is_full(&io::Error::from_raw_os_error(code));
+        // ENOBUFS is what an interface's queue says, EAGAIN the socket's own; vcan says neither.
+        assert!(is(libc::ENOBUFS) && is(libc::EAGAIN) && is(libc::EINTR));
+        assert!(!is(libc::ENETDOWN) && !is(libc::ENODEV) && !is(libc::EINVAL));
+    }
+}
