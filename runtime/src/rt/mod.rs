@@ -33,6 +33,18 @@ impl MonotonicClock {
         TimeNs(sys::monotonic_ns().saturating_sub(self.origin_ns))
     }
 
+    /// What the system's own clock, which all processes share, says at `at`, ns.
+    #[must_use]
+    pub const fn to_system(&self, at: TimeNs) -> TimeNs {
+        at.plus_ns(self.origin_ns)
+    }
+
+    /// When the system's own clock said `at`; zero for what was before this one was made.
+    #[must_use]
+    pub const fn from_system(&self, at: TimeNs) -> TimeNs {
+        TimeNs(at.since(TimeNs(self.origin_ns)))
+    }
+
     /// Sleeps until `deadline`; returns at once if it has passed.
     pub fn wait_until(&self, deadline: TimeNs) {
         sys::sleep_until_ns(self.origin_ns.saturating_add(deadline.0));

@@ -2,7 +2,10 @@
 //!
 //! This is the one place where the simulator, the policies and the controller meet.
 
+mod can_clock;
+mod can_interfaces;
 pub mod demo;
+pub mod drives;
 pub mod episode;
 pub mod error;
 pub mod eval;
@@ -21,6 +24,7 @@ pub mod tally;
 pub mod tasks;
 pub mod training;
 mod training_clouds;
+mod world_report;
 
 #[cfg(test)]
 mod tests;

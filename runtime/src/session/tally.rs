@@ -153,6 +153,7 @@ impl Tally {
             qp: self.qp,
             guard_interventions: self.guard_interventions,
             real_time,
+            can: None,
             tissue: labels.tissue,
         }
     }

@@ -144,6 +144,20 @@ impl<M: Motor> Network<M> {
         Some(&drive.node)
     }
 
+    /// The bus that it is on.
+    #[must_use]
+    pub fn line_of(&self, id: NodeId) -> Option<u8> {
+        let drive = self.drives.iter().find(|drive| drive.node.id() == id)?;
+        u8::try_from(drive.line).ok()
+    }
+
+    /// Whether it has power.
+    #[must_use]
+    pub fn is_powered(&self, id: NodeId) -> bool {
+        let drive = self.drives.iter().find(|drive| drive.node.id() == id);
+        drive.is_some_and(|drive| drive.powered)
+    }
+
     /// Its motor.
     pub fn motor(&mut self, id: NodeId) -> Option<&mut M> {
         let drive = self.drives.iter_mut().find(|drive| drive.node.id() == id)?;

@@ -36,6 +36,34 @@ impl<M: Motor, B: Bus> Station<M, B> {
     /// Takes what has come, lets the drives live until now, and sends what they have said. Call it a few times in a
     /// cycle of the master; gives the time.
     pub fn turn(&mut self) -> TimeNs {
+        let now = self.bus.now();
+        self.take();
+        self.network.advance(now);
+        self.give();
+        now
+    }
+
+    /// The same for drives that have a time of their own, which is `until` at the end, and a world that moves with them:
+    /// `act` is called at every whole multiple of `step_ns` that passes, when the drives have lived until then.
+    pub fn turn_until(
+        &mut self,
+        until: TimeNs,
+        step_ns: u64,
+        act: &mut dyn FnMut(TimeNs, &mut Network<M>),
+    ) {
+        self.take();
+        let mut step = self.network.now().0 / step_ns.max(1) + 1;
+        while step.saturating_mul(step_ns) <= until.0 {
+            let at = TimeNs(step * step_ns);
+            self.network.advance(at);
+            act(at, &mut self.network);
+            step += 1;
+        }
+        self.network.advance(until);
+        self.give();
+    }
+
+    fn take(&mut self) {
         for line in 0..self.lines {
             let frames = &mut self.frames;
             frames.clear();
@@ -47,8 +75,9 @@ impl<M: Motor, B: Bus> Station<M, B> {
             let taken = self.network.send(line, &self.frames);
             self.count_lost(taken);
         }
-        let now = self.bus.now();
-        self.network.advance(now);
+    }
+
+    fn give(&mut self) {
         for line in 0..self.lines {
             let frames = &mut self.frames;
             frames.clear();
@@ -60,7 +89,6 @@ impl<M: Motor, B: Bus> Station<M, B> {
             let taken = self.bus.send(line, &self.frames);
             self.count_lost(taken);
         }
-        now
     }
 
     fn count_lost(&mut self, taken: usize) {

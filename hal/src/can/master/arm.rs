@@ -65,6 +65,16 @@ impl<B: Bus> CanArm<B> {
         &self.cycle
     }
 
+    /// What it was brought up with.
+    #[must_use]
+    pub const fn plan(&self) -> &ArmPlan {
+        &self.plan
+    }
+
+    pub(super) const fn cycle_ns(&self) -> u64 {
+        self.plan.cycle_ns
+    }
+
     /// Commands that were no numbers or out of reach; the tail was played instead.
     #[must_use]
     pub const fn refused(&self) -> u64 {

@@ -39,7 +39,7 @@ pub mod plan;
 pub mod space;
 
 pub use arm::CanArm;
-pub use bringup::{BringUpError, Offline};
+pub use bringup::{BringUpError, Homed, Offline, enable_together};
 pub use config::CanConfig;
 pub use fault::{Fault, Who};
 pub use link::{Bus, Received, Trouble};

@@ -5,6 +5,7 @@
 mod args;
 mod commands;
 mod console;
+mod drives;
 mod scene_args;
 mod sheet;
 
@@ -23,6 +24,7 @@ fn main() -> ExitCode {
         Verb::Train(args) => commands::train(args),
         Verb::Replay(args) => commands::replay(args),
         Verb::Verify(args) => commands::verify(args),
+        Verb::Drives(args) => drives::drives(args),
         Verb::Doctor(args) => commands::doctor(args),
         Verb::Demo(args) => commands::demo(args),
         Verb::Sheet(args) => sheet::sheet(args),
