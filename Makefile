@@ -1,5 +1,5 @@
 # Two commands do everything on a fresh machine: `make demo` and `make test`.
-.PHONY: demo test test-adversary test-golden test-can adversary build setup setup-can bench clean
+.PHONY: demo test test-adversary test-golden test-can adversary fuzz-can build setup setup-can bench clean
 
 TROCAR := $(or $(CARGO_TARGET_DIR),target)/release/trocar
 
@@ -37,6 +37,11 @@ test-golden: setup
 # The same adversaries for ten million ticks each, with their figures.
 adversary: setup
 	TROCAR_ADVERSARY_TICKS=10000000 cargo test --locked --release -p runtime --lib control::tests::adversary:: -- --nocapture
+
+# Ten million arbitrary frames on the bus of an arm, and as many at a single drive, with figures.
+fuzz-can:
+	cargo test --locked --release -p hal --test can_fuzz -- --ignored --nocapture
+	cargo test --locked --release -p hal --lib can::node::tests::fuzz:: -- --ignored --nocapture
 
 build: setup
 	cargo build --locked --release -p runtime

@@ -58,13 +58,32 @@ fn the_simulated_arm_conforms() {
     conforms("simulated", &simulated::make, all);
 }
 
+/// The arm on CAN of one of the plans.
+fn on_can_conforms(plan: usize) {
+    let (name, plan, period_ns) = on_can::plans()[plan];
+    let make = || on_can::make(&plan, period_ns);
+    let all = FACTS.iter().chain(&STOPS).chain(&FAULTS);
+    conforms(name, &make, all);
+}
+
 #[test]
-fn the_arm_on_can_conforms() {
-    for (name, plan, period_ns) in on_can::plans() {
-        let make = || on_can::make(&plan, period_ns);
-        let all = FACTS.iter().chain(&STOPS).chain(&FAULTS);
-        conforms(name, &make, all);
-    }
+fn the_arm_on_one_bus_conforms() {
+    on_can_conforms(0);
+}
+
+#[test]
+fn the_arm_on_one_bus_under_a_faster_controller_conforms() {
+    on_can_conforms(1);
+}
+
+#[test]
+fn the_arm_on_three_buses_conforms() {
+    on_can_conforms(2);
+}
+
+#[test]
+fn the_arm_led_by_its_actuators_conforms() {
+    on_can_conforms(3);
 }
 
 #[test]

@@ -7,7 +7,7 @@ use std::process::{Child, Command, Output, Stdio};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
 use runtime::rt::sleep_ns;
-use tests::repository;
+use tests::{Profile, repository, trocar};
 
 /// A bus carries everybody's frames: one test at a time.
 pub(crate) fn alone() -> MutexGuard<'static, ()> {
@@ -92,6 +92,32 @@ impl Peer {
             .unwrap();
         assert_eq!(line, "ready\n", "the drives can be spoken to");
         Self { process }
+    }
+
+    /// `trocar drives` with these options, when its drives can be spoken to; it has said so with a line that has `ready` in it.
+    pub(crate) fn trocar_drives(profile: Profile, options: &[&str], ready: &str) -> Self {
+        let mut process = trocar(profile)
+            .arg("drives")
+            .args(options)
+            .stdout(Stdio::piped())
+            .stderr(Stdio::piped())
+            .spawn()
+            .unwrap();
+        let mut said = String::new();
+        let mut lines = BufReader::new(process.stderr.as_mut().unwrap());
+        while !said.contains(ready) {
+            let more = lines.read_line(&mut said).unwrap();
+            assert!(more > 0, "the drives ended: {said}");
+        }
+        Self { process }
+    }
+
+    /// Asks it to end as a person at the terminal would, and gives what it then printed.
+    pub(crate) fn interrupt(self) -> String {
+        let id = self.process.id().to_string();
+        let sent = Command::new("kill").args(["-INT", &id]).status().unwrap();
+        assert!(sent.success());
+        self.finish()
     }
 
     /// Waits until it has ended by itself, and gives what it printed.

@@ -107,8 +107,8 @@ impl Rig for OnCan {
         let cycle_ns = self.plan.cycle_ns;
         Nature {
             period_ns: self.period_ns,
-            // The answers to a SYNC are judged when the next one is due.
-            age_max_ns: cycle_ns,
+            // The answers to a SYNC are read from the next one on, until the one after that.
+            age_max_ns: 2 * cycle_ns - self.period_ns,
             settle_ns: 20_000_000,
             bridged: 2 * cycle_ns / self.period_ns,
         }

@@ -15,9 +15,10 @@ const CATCH_UP_MAX: u64 = 1000;
 
 /// Seven drives on one to three buses.
 ///
-/// [`Arm::read`] takes what has come, and where a SYNC is due sends it; the answers to it are what the next period reads,
-/// so a measurement is one period old. [`Arm::write`] sends the set-points, which the next SYNC puts into effect. A
-/// period without a new command is a period of the tail. A controller may be faster than the bus by a whole factor. After a [`Fault`] the drives stop, and nothing enables them
+/// [`Arm::read`] takes what has come, and where a SYNC is due sends it; the answers to it are what is read from the next SYNC
+/// on, so a measurement is one cycle old. [`Arm::write`] sends the set-points, which the next SYNC puts into effect. A
+/// cycle without a new command is one of the tail. A controller may be faster than the bus by a whole factor; between two SYNCs
+/// it reads the same measurement again, since half of the answers would have to be guessed. After a [`Fault`] the drives stop, and nothing enables them
 /// again but a new [`Offline`](super::Offline).
 #[derive(Debug)]
 pub struct CanArm<B> {
@@ -32,6 +33,8 @@ pub struct CanArm<B> {
     /// The newest call of [`Arm::read`], and the time between the last two, ns.
     called: Option<TimeNs>,
     between_calls_ns: u64,
+    /// The arm as it was at the newest SYNC.
+    measured: Result<ArmState, ArmError>,
     /// Commands whose set-points were no numbers or out of reach.
     refused: u64,
     out: Outbox,
@@ -48,6 +51,7 @@ impl<B: Bus> CanArm<B> {
             sent: false,
             called: None,
             between_calls_ns: plan.cycle_ns,
+            measured: Err(ArmError::MeasurementLost { age_ns: 0 }),
             refused: 0,
             out: Outbox::default(),
         }
@@ -111,6 +115,19 @@ impl<B: Bus> CanArm<B> {
             self.transmit(line);
         }
         self.sent = false;
+        self.measured = self.cycle.state(now);
+    }
+
+    /// What is known of the arm at `now`.
+    fn measured(&self, now: TimeNs) -> Result<ArmState, ArmError> {
+        let since_ns = self.cycle.sync().map_or(0, |sync| now.since(sync));
+        match (self.cycle.fault(), self.measured) {
+            (Some(fault), _) => Err(fault.arm_error()),
+            (None, Err(ArmError::MeasurementLost { age_ns })) => Err(ArmError::MeasurementLost {
+                age_ns: age_ns.saturating_add(since_ns),
+            }),
+            (None, measured) => measured,
+        }
     }
 
     /// The tail's set-points for `periods` without a command, of which the last one counts. It may let go, never enable.
@@ -208,7 +225,7 @@ impl<B: Bus> Arm for CanArm<B> {
         } else {
             self.receive(now);
         }
-        self.cycle.state(now)
+        self.measured(now)
     }
 
     fn write(&mut self, command: &ArmCommand, tail: &SafeTail) -> Result<(), ArmError> {
