@@ -9,7 +9,8 @@ use tests::{Profile, repository, scratch};
 use crate::peer::{Peer, alone, said};
 use crate::{bus, dissected, receive};
 
-/// Counts by which an axis with inertia may be away from the last four targets of a slow master.
+/// Counts by which an axis with inertia and friction may be away from the last four targets of a slow master. Of the nodes that
+/// are led the first, which has the least way to go, is one of the wrist's, with few counts a turn and much friction.
 const TOLERANCE: &str = "300";
 
 /// Drives of `task`'s arms on the first bus, whose last node is `last`.
@@ -49,7 +50,7 @@ fn lead(test: &str, task: &str, nodes: &str, last: &str) -> PathBuf {
         .arg("--eds")
         .arg(repository().join("config/eds/trocar_drive.eds"))
         .args(["--nodes", nodes, "--period", "0.02"])
-        .args(["--amplitude", "1500", "--tolerance", TOLERANCE])
+        .args(["--amplitude", "3000", "--tolerance", TOLERANCE])
         .output()
         .unwrap();
     let printed = drives.interrupt();
@@ -80,7 +81,7 @@ fn assert_understood(capture: &Path) {
 #[ignore = "needs a CAN bus: make test-can"]
 fn a_master_in_python_leads_the_drives_of_the_command_line_and_wireshark_agrees() {
     let _turn = alone();
-    let capture = lead("drives_led", "needle-lift", "1,3,7", "7");
+    let capture = lead("drives_led", "needle-lift", "7,3,1", "7");
     assert_understood(&capture);
 }
 
@@ -88,12 +89,12 @@ fn a_master_in_python_leads_the_drives_of_the_command_line_and_wireshark_agrees(
 #[ignore = "needs a CAN bus: make test-can"]
 fn a_master_in_python_leads_drives_of_two_arms_on_one_bus() {
     let _turn = alone();
-    let capture = lead("drives_of_two_arms", "needle-handover", "2,15", "17");
+    let capture = lead("drives_of_two_arms", "needle-handover", "15,13,2", "17");
     assert_understood(&capture);
     // Both arms' drives are there, but only those that were led have answered a SYNC.
     let frames = frames(&capture);
     let says = |start: &str| frames.iter().any(|frame| frame.starts_with(start));
-    assert!(says("182#") && says("18F#") && !says("181#") && !says("18B#"));
+    assert!(says("182#") && says("18D#") && says("18F#") && !says("181#") && !says("18B#"));
     assert!(says("702#") && says("70F#"));
 }
 
@@ -120,11 +121,11 @@ fn cansend_leads_a_drive_and_candump_shows_what_it_says() {
     // TPDO 1 at every SYNC.
     let taken = answer(&bus, "603#2F00180201000000", 0x583);
     assert_eq!(taken, [0x60, 0x00, 0x18, 2, 0, 0, 0, 0]);
-    // Operational, it answers one: switch-on disabled, with voltage, remote.
+    // Operational, it answers one: switch-on disabled, with voltage and no quick stop, remote.
     cansend("000#0103");
     while receive(&bus, 0x703).data() != [5] {}
     let status = answer(&bus, "080#", 0x183);
-    assert_eq!(status[..2], [0x50, 0x02]);
+    assert_eq!(status[..2], [0x70, 0x02]);
     // Stopped, it has no dictionary, and starts again.
     cansend("000#0203");
     while receive(&bus, 0x703).data() != [4] {}
