@@ -74,6 +74,17 @@ impl<C: Clock> SocketBus<C> {
     }
 }
 
+impl<C: Clock> SocketBus<C> {
+    /// Waits until something has come on any line, for `timeout_ns` at most.
+    pub fn wait_for_frames(&mut self, timeout_ns: u64) {
+        if !sys::wait_readable(self.lines.iter().map(|line| &line.socket), timeout_ns) {
+            // An interface in trouble would wake us again and again.
+            let until = self.clock.now().plus_ns(timeout_ns);
+            self.clock.wait(until);
+        }
+    }
+}
+
 impl Line {
     fn open(name: &str) -> io::Result<Self> {
         let socket = CanSocket::open(name)?;

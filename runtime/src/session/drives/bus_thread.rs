@@ -22,8 +22,14 @@ use crate::session::world_report::WorldState;
 /// Priority under `SCHED_FIFO`: below a control thread's.
 const PRIORITY: u8 = 70;
 
-/// Time from one look at the buses to the next, ns.
-const GRID_NS: u64 = 250_000;
+/// The drives are looked after at least this often, ns.
+const TURN_NS: u64 = 1_000_000;
+
+/// When the master has spoken, its drives are looked after this part of its cycle later at the latest.
+const SOON: u64 = 4;
+
+/// Time from one look to the next at least, unless something comes, ns.
+const WAIT_NS_MIN: u64 = 20_000;
 
 /// The longest time that passes for the drives at once, ns. What this thread was kept from its work for beyond that does not
 /// pass for them at all: no real drive stands still because a computer is busy.
@@ -147,6 +153,8 @@ impl BusThread<'_> {
         };
         let (mut last, mut now, mut stalled_ns) = (clock.now(), TimeNs(0), 0);
         let mut failure = None;
+        let cycle_ns = self.can.arms.iter().map(|arm| arm.plan.cycle_ns).min();
+        let soon_ns = cycle_ns.unwrap_or(TICK_NS) / SOON;
         while !self.stop.load(Ordering::Acquire) && failure.is_none() {
             let wall = clock.now();
             let gap_ns = wall.since(last);
@@ -159,7 +167,18 @@ impl BusThread<'_> {
                     failure = bench.step(at, network, &mut messenger).err();
                 }
             });
-            clock.wait_until(wall.plus_ns(GRID_NS));
+            let network = station.network_mut();
+            // Their words leave together when the last of them has had its time on the wire.
+            let next = match (network.silent_at(), network.hears()) {
+                (Some(at), _) => at,
+                (None, true) => now.plus_ns(soon_ns),
+                (None, false) => now.plus_ns(TURN_NS),
+            };
+            let wait_ns = next.since(now).clamp(WAIT_NS_MIN, TURN_NS);
+            let spent_ns = clock.now().since(wall);
+            station
+                .bus_mut()
+                .wait_for_frames(wait_ns.saturating_sub(spent_ns).max(WAIT_NS_MIN));
         }
         if let Some(failure) = failure {
             return Err(failure);

@@ -38,8 +38,8 @@ use crate::rt::{self, MonotonicClock};
 use bus_thread::{BusEnd, BusThread, Told};
 use show::Show;
 
-/// Time between two looks of the first thread, ns.
-const POLL_NS: u64 = 2_000_000;
+/// Time between two looks of the first thread, ns; the world is shown every 40 ms.
+const POLL_NS: u64 = 5_000_000;
 
 /// Things that may wait to be told.
 const TOLD: usize = 256;
@@ -257,3 +257,6 @@ fn sum_up(
         stops: stops.iter().map(StopSummary::from).collect(),
     }
 }
+
+#[cfg(test)]
+mod tests;

@@ -6,7 +6,7 @@ use hal::can::NodeId;
 use hal::can::bus::{Network, Terminal};
 use hal::can::cia301::NmtState;
 use hal::can::cia301::emcy::ErrorCode;
-use hal::can::cia402::PowerState;
+use hal::can::cia402::{Command, ControlView, PowerState};
 use hal::can::master::ArmPlan;
 use hal::can::node::Node;
 use hal::can::od::index;
@@ -184,14 +184,15 @@ impl StopWatch {
 fn cause(node: &Node, powered: bool) -> StopCause {
     let dictionary = node.dictionary();
     let code = u16::try_from(dictionary.get(index::ERROR_CODE)).unwrap_or(0);
-    let state = node.power_state();
+    let control = u16::try_from(dictionary.get(index::CONTROL)).unwrap_or(0);
+    let command = ControlView(control).command();
     if !powered {
         StopCause::Powerless
     } else if dictionary.get(index::ERROR_REGISTER) != 0 && code != 0 {
         StopCause::Error(ErrorCode(code))
     } else if node.nmt_state() != NmtState::Operational {
         StopCause::Left(node.nmt_state())
-    } else if state == PowerState::QuickStopActive {
+    } else if command == Command::QuickStop {
         StopCause::QuickStop
     } else {
         StopCause::SwitchedOff

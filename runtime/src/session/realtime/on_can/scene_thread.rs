@@ -23,10 +23,10 @@ use crate::session::summary::TissueSummary;
 use crate::session::world_report::{scene_state, tissue};
 use crate::session::{SessionError, Setup};
 
-/// Time between two looks, ns.
-const POLL_NS: u64 = 1_000_000;
+/// Time between two looks, ns; the world speaks every 40 ms.
+const POLL_NS: u64 = 3_000_000;
 
-/// A world that says nothing for this long is gone, ns. It speaks every 40 ms.
+/// A world that says nothing for this long is gone, ns.
 const SILENCE_NS_MAX: u64 = 2_000_000_000;
 
 /// The thread before it runs.
