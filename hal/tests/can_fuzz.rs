@@ -132,7 +132,7 @@ fn drive(mut arm: CanArm<Noisy>, plan: &ArmPlan, mood: Mood, tally: &mut Tally) 
 fn plan(seed: u64) -> ArmPlan {
     let config = CanConfig::load(&CanConfig::shipped()).unwrap();
     let shipped = config.arms[0].plan;
-    let cycle_ns = if seed / 8 % 4 == 0 {
+    let cycle_ns = if (seed / 8).is_multiple_of(4) {
         shipped.cycle_ns
     } else {
         2 * shipped.cycle_ns

@@ -94,7 +94,7 @@ const OBJECTS: [u16; 28] = [
 
 fn meaning(random: &mut Random) -> Frame {
     let node = u16::try_from(random.below(8)).unwrap() + 1;
-    let [a, b, c, d, e, f, ..] = random.next().to_le_bytes();
+    let [a, b, c, d, ..] = random.next().to_le_bytes();
     match random.below(10) {
         0 => {
             let command = random.pick(&[0x01, 0x02, 0x80, 0x81, 0x82, a]);

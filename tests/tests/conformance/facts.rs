@@ -97,14 +97,14 @@ fn velocity_is_the_rate_of_the_position(make: Make<'_>) {
     let (first, last) = (states.first().unwrap(), states.last().unwrap());
     let seconds = hal::TimeNs(last.stamp.since(first.stamp)).seconds();
     let count = f64::from(u32::try_from(states.len()).unwrap());
-    for axis in 0..TAIL_AXES {
+    for (axis, way) in WAY.iter().enumerate() {
         let rate = (positions(last)[axis] - positions(first)[axis]) / seconds;
         let mean = states
             .iter()
             .map(|state| velocities(state)[axis])
             .sum::<f64>()
             / count;
-        let fastest = 2.0 * WAY[axis] / WAY_S;
+        let fastest = 2.0 * way / WAY_S;
         assert!(
             (mean - rate).abs() < 0.03 * fastest.abs(),
             "axis {axis}: {mean} but the position changes by {rate}"

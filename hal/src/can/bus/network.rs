@@ -221,22 +221,6 @@ impl<M: Motor> Network<M> {
         &self.lines[usize::from(line)].wire
     }
 
-    /// When everything that drives want to say now will have been said, if nothing else comes; none if there is nothing.
-    #[must_use]
-    pub fn silent_at(&self) -> Option<TimeNs> {
-        let lines = self.lines.iter();
-        lines
-            .filter_map(|line| line.wire.silent_at(line.master))
-            .max()
-    }
-
-    /// Whether frames of the master wait for their bus.
-    #[must_use]
-    pub fn hears(&self) -> bool {
-        let mut lines = self.lines.iter();
-        lines.any(|line| line.wire.waiting(line.master) > 0)
-    }
-
     /// Lets a drive act, and queues what it says.
     fn with(&mut self, place: usize, act: impl FnOnce(TimeNs, &mut Drive<M>, &mut Outbox)) {
         let drive = &mut self.drives[place];

@@ -57,6 +57,23 @@ impl<M: Motor> Network<M> {
         }
     }
 
+    /// When everything that drives want to say now will have been said, if nothing else comes from the first master; none if
+    /// there is nothing.
+    #[must_use]
+    pub fn silent_at(&self) -> Option<TimeNs> {
+        let lines = self.lines.iter();
+        lines
+            .filter_map(|line| line.wire.silent_at(line.masters.first()?.port))
+            .max()
+    }
+
+    /// Whether frames of the first master wait for their bus.
+    #[must_use]
+    pub fn hears(&self) -> bool {
+        let mut lines = (0..).zip(&self.lines);
+        lines.any(|(line, _)| self.waiting(0, line) > 0)
+    }
+
     /// Frames of `master` that wait on `line`.
     #[must_use]
     pub fn waiting(&self, master: usize, line: u8) -> usize {
