@@ -3,6 +3,11 @@
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
+use hal::can::bus::bits::exact;
+use hal::can::master::CanConfig;
+use hal::can::{CanId, Frame, Payload};
+use hal::config::Source;
+use runtime::rt::sleep_ns;
 use socketcan::{CanSocket, EmbeddedFrame as _};
 use tests::{repository, scratch};
 
@@ -13,10 +18,14 @@ use crate::{bus, dissected, profile, receive};
 /// are led the first, which has the least way to go, is one of the wrist's, with few counts a turn and much friction.
 const TOLERANCE: &str = "300";
 
+/// Nobody else's.
+const TOPICS: &str = "can_bus_drives";
+
 /// Drives of `task`'s arms on the first bus, whose last node is `last`.
-fn drives(task: &str, last: &str) -> Peer {
-    let options = ["--task", task, "--topics", "can_bus_drives"];
-    Peer::trocar_drives(profile(), &options, &format!(" {last} on vcan0"))
+fn drives(task: &str, last: &str, more: &[&str]) -> Peer {
+    let arguments = ["drives", "--task", task, "--topics", TOPICS];
+    let arguments = [&arguments[..], more].concat();
+    Peer::trocar(profile(), &arguments, &format!(" {last} on vcan0"))
 }
 
 /// The frames of a candump log, as `185#0102`.
@@ -44,7 +53,7 @@ fn answer(bus: &CanSocket, frame: &str, id: u16) -> Vec<u8> {
 fn lead(test: &str, task: &str, nodes: &str, last: &str) -> PathBuf {
     let capture = scratch(test).join("capture.log");
     let dump = Peer::logging(&capture);
-    let drives = drives(task, last);
+    let drives = drives(task, last, &[]);
     let master = Command::new("python3")
         .arg(repository().join("tests/can/master.py"))
         .arg("--eds")
@@ -104,7 +113,7 @@ fn cansend_leads_a_drive_and_candump_shows_what_it_says() {
     let _turn = alone();
     let log = scratch("drives_by_hand").join("capture.log");
     let dump = Peer::logging(&log);
-    let drives = drives("needle-lift", "7");
+    let drives = drives("needle-lift", "7", &[]);
     let bus = bus();
     // A reset is answered with a boot-up.
     assert_eq!(answer(&bus, "000#8103", 0x703), [0]);
@@ -152,4 +161,65 @@ fn cansend_leads_a_drive_and_candump_shows_what_it_says() {
     let answers = frames.iter().filter(|frame| frame.starts_with("583#43"));
     assert_eq!(answers.count(), 1, "a stopped node answers nothing");
     assert_eq!(dissected(&log, "_ws.malformed || _ws.expert"), [""; 0]);
+}
+
+/// The frame of a candump log's line.
+fn parsed(text: &str) -> Frame {
+    let (id, data) = text.split_once('#').unwrap();
+    let byte = |place: usize| u8::from_str_radix(&data[place..place + 2], 16).unwrap();
+    let bytes: Vec<u8> = (0..data.len()).step_by(2).map(byte).collect();
+    let id = CanId::new(u16::from_str_radix(id, 16).unwrap()).unwrap();
+    Frame::new(id, Payload::new(&bytes).unwrap())
+}
+
+/// The shipped nodes on a beat that a busy machine keeps up with.
+fn slow_config(folder: &Path) -> (PathBuf, CanConfig) {
+    let file = folder.join("can.toml");
+    let text = std::fs::read_to_string(repository().join("config/can.toml")).unwrap();
+    let slow = text.replace("\ncycle_us = 2000", "\ncycle_us = 8000");
+    std::fs::write(&file, &slow).unwrap();
+    let config = CanConfig::load(&Source::embedded("can.toml", &slow)).unwrap();
+    (file, config)
+}
+
+#[test]
+#[ignore = "needs a CAN bus: make test-can"]
+fn a_run_loads_its_bus_as_the_plan_says_and_wireshark_understands_its_master() {
+    let _turn = alone();
+    let folder = scratch("drives_run");
+    let (file, config) = slow_config(&folder);
+    let file = file.to_str().unwrap();
+    let log = folder.join("capture.log");
+    let dump = Peer::logging(&log);
+    let mut drives = drives("needle-lift", "7", &["--config", file]);
+    let run = ["run", "--task", "needle-lift", "--policy", "noop"];
+    let on_can = ["--backend", "can", "--topics", TOPICS, "--can-config", file];
+    let run = Peer::trocar(profile(), &[&run[..], &on_can].concat(), "");
+    drives.await_word("the episode begins");
+    sleep_ns(2_000_000_000);
+    let printed = run.interrupt();
+    let _ = drives.interrupt();
+    dump.stop();
+    assert_eq!(dissected(&log, "_ws.malformed || _ws.expert"), [""; 0]);
+    // A SYNC, and what comes until the next one: on a busy machine some answers are a cycle late.
+    let frames: Vec<Frame> = frames(&log).iter().map(|frame| parsed(frame)).collect();
+    let load = config.arms[0].plan.traffic(0).load();
+    assert_eq!((load.least, load.room), (1489, 8000));
+    let (mut cycles, mut whole) = (0, 0);
+    for cycle in frames.split(|frame| frame.id.raw() == 0x080).skip(1) {
+        let exchanged = |frame: &&Frame| matches!(frame.id.raw(), 0x181..=0x207);
+        let exchanged: Vec<&Frame> = cycle.iter().filter(exchanged).collect();
+        cycles += 1;
+        if exchanged.len() == 14 {
+            whole += 1;
+            let bits: u32 = exchanged.iter().map(|frame| exact(frame)).sum();
+            let sync = exact(&Frame::new(CanId::new(0x080).unwrap(), Payload::EMPTY));
+            let bits = u64::from(bits + sync);
+            assert!((load.least..=load.most).contains(&bits), "{bits} bits");
+        }
+    }
+    assert!(
+        cycles > 100 && whole > cycles / 2,
+        "{whole} of {cycles}: {printed}"
+    );
 }
