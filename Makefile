@@ -28,6 +28,7 @@ test-adversary: setup
 
 # What needs a CAN bus, where there is one: in user-mode Linux if this machine's kernel has none. Without either, this fails.
 test-can: setup setup-can
+	cargo build --locked -p runtime
 	cargo test --locked --workspace --test can_bus --config 'target."cfg(all())".runner="$(CURDIR)/.ci/with-vcan"' -- --ignored
 
 # The networks against the numbers of the reference implementations in TROCAR_GOLDEN, or in tests/golden/policies.json.

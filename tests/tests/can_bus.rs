@@ -23,20 +23,12 @@ use socketcan::{
     CanDataFrame, CanFrame, CanSocket, EmbeddedFrame as _, Frame as _, Socket as _,
     SocketOptions as _, StandardId,
 };
-use tests::{Profile, repository, scratch};
+use tests::{repository, scratch};
 
 use peer::{Peer, alone, said};
 
 /// Anything takes less time than this: it is how long a test waits for what never comes.
 const PATIENCE: Duration = Duration::from_secs(60);
-
-/// The build of `trocar` on these buses: a debug build unless `TROCAR_CAN_PROFILE` is `release`.
-fn profile() -> Profile {
-    match std::env::var("TROCAR_CAN_PROFILE").as_deref() {
-        Ok("release") => Profile::Release,
-        _ => Profile::Debug,
-    }
-}
 
 fn bus() -> CanSocket {
     CanSocket::open("vcan0").unwrap()

@@ -63,6 +63,8 @@ pub struct RealTimeCounts {
     pub wake_p99_us: f64,
     /// Log records dropped.
     pub log_dropped: u64,
+    /// How many times slower than the system's the run's clocks went; 1 is real time. See [`crate::rt::slow_motion`].
+    pub slow_motion: u64,
 }
 
 /// One bus of an arm.

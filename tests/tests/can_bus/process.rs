@@ -8,15 +8,17 @@ use runtime::log::RunLog;
 use runtime::replay::replay;
 use runtime::rt::{MonotonicClock, sleep_ns};
 use runtime::verify::verify;
-use tests::{json, repository, scratch, trocar};
+use tests::{Profile, json, repository, scratch, trocar};
 
 use super::peer::alone;
-use super::profile;
 
 const MS_NS: u64 = 1_000_000;
 
 /// Anything takes less time than this, ns.
-const PATIENCE_NS: u64 = 120_000 * MS_NS;
+const PATIENCE_NS: u64 = 240_000 * MS_NS;
+
+/// How much slower these processes live, so that a kernel inside a kernel on a busy machine keeps up with their buses.
+const SLOW_MOTION: u64 = 6;
 
 fn until(what: &str, mut holds: impl FnMut() -> bool) {
     let clock = MonotonicClock::new();
@@ -37,7 +39,8 @@ impl Process {
     fn start(folder: &std::path::Path, name: &str, arguments: &[&str]) -> Self {
         let said = folder.join(format!("{name}.txt"));
         let result = folder.join(format!("{name}.json"));
-        let child = trocar(profile())
+        let child = trocar(Profile::Debug)
+            .env("TROCAR_SLOW_MOTION", SLOW_MOTION.to_string())
             .args(arguments)
             .arg("--json")
             .arg(&result)
@@ -209,7 +212,7 @@ fn when_the_run_is_killed_in_mid_motion_the_drives_rest_within_50_ms_and_say_why
     let mut pair = Pair::start("can_killed", &[], &[]);
     let run = pair.run("expert");
     pair.drives.await_word("the episode begins");
-    sleep_ns(1500 * MS_NS);
+    sleep_ns(1500 * MS_NS * SLOW_MOTION);
     run.signal("-KILL");
     pair.drives.await_word("at rest");
     drop(run);
@@ -285,7 +288,7 @@ fn a_wrong_drive_an_absent_one_and_a_missing_world_are_named() {
     let _turn = alone();
     let pair = Pair::start("can_wrong", &[], &["kind=wrong-identity,node=5"]);
     let mut run = pair.run("expert");
-    run.await_word("psm1 on vcan0: node 5 (axis 4, bus 0): 1018h");
+    run.await_word("psm1 on vcan0: node 5 (axis 4, bus 0): 1018:02 is ");
     drop(run);
     let folder = scratch("can_absent");
     let mut alone = Process::start(
@@ -343,7 +346,7 @@ fn one_khz_on_three_buses_runs() {
     let mut pair = Pair::start("can_three", &changes, &[]);
     let run = pair.run("expert");
     pair.drives.await_word("the episode begins");
-    sleep_ns(2000 * MS_NS);
+    sleep_ns(2000 * MS_NS * SLOW_MOTION);
     run.signal("-INT");
     let (_, run) = run.end();
     assert!(run["can"]["arms"][0]["fault"].is_null(), "{run}");

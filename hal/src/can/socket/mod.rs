@@ -75,13 +75,10 @@ impl<C: Clock> SocketBus<C> {
 }
 
 impl<C: Clock> SocketBus<C> {
-    /// Waits until something has come on any line, for `timeout_ns` at most.
-    pub fn wait_for_frames(&mut self, timeout_ns: u64) {
-        if !sys::wait_readable(self.lines.iter().map(|line| &line.socket), timeout_ns) {
-            // An interface in trouble would wake us again and again.
-            let until = self.clock.now().plus_ns(timeout_ns);
-            self.clock.wait(until);
-        }
+    /// Waits until something has come on any line, for `timeout_ns` of the system's time at most; `false` if a line is in
+    /// trouble, for which no waiting helps.
+    pub fn wait_for_frames(&mut self, timeout_ns: u64) -> bool {
+        sys::wait_readable(self.lines.iter().map(|line| &line.socket), timeout_ns)
     }
 }
 

@@ -82,6 +82,10 @@ pub(crate) fn drives(args: &DrivesArgs) -> Done {
             bus.busy_share * 100.0
         ));
     }
+    console::result(&format!(
+        "  a look at the buses and the world: p50 {:.0} us, p99 {:.0} us, max {:.0} us",
+        summary.turn_us.p50, summary.turn_us.p99, summary.turn_us.max
+    ));
     if summary.stalled_s > 0.0 {
         console::result(&format!(
             "  this machine kept the drives waiting for {:.3} s, which did not pass for them",

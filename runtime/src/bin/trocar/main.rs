@@ -13,10 +13,18 @@ use std::process::ExitCode;
 
 use clap::Parser;
 
+use runtime::rt;
+
 use args::{Cli, Verb};
 
 fn main() -> ExitCode {
     let cli = Cli::parse();
+    if rt::slow_motion() > 1 {
+        console::warning(&format!(
+            "TROCAR_SLOW_MOTION: everything takes {} times as long",
+            rt::slow_motion()
+        ));
+    }
     let result = match &cli.verb {
         Verb::Run(args) => commands::run(args),
         Verb::Eval(args) => commands::eval(args),

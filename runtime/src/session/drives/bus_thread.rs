@@ -13,8 +13,9 @@ use sim_backend::simulation::Simulation;
 use super::bench::{Bench, Listener};
 use super::inject::InjectedFault;
 use super::stops::Stop;
+use crate::histogram::Histogram;
 use crate::mailbox::MailboxWriter;
-use crate::rt::{MonotonicClock, RtOptions, configure_thread};
+use crate::rt::{MonotonicClock, RtOptions, configure_thread, sleep_ns, slow_motion};
 use crate::session::SessionError;
 use crate::session::can_clock::CanClock;
 use crate::session::world_report::WorldState;
@@ -74,6 +75,8 @@ pub(super) struct BusEnd {
     pub(super) begun: Option<TimeNs>,
     /// Time that did not pass for the drives, ns.
     pub(super) stalled_ns: u64,
+    /// How long a look at the buses and the world took.
+    pub(super) turns: Histogram,
     /// How the world stands.
     pub(super) world: WorldState,
     /// How busy each line was, ns, and with how many frames.
@@ -152,6 +155,7 @@ impl BusThread<'_> {
             told: self.told,
         };
         let (mut last, mut now, mut stalled_ns) = (clock.now(), TimeNs(0), 0);
+        let mut turns = Histogram::new();
         let mut failure = None;
         let cycle_ns = self.can.arms.iter().map(|arm| arm.plan.cycle_ns).min();
         let soon_ns = cycle_ns.unwrap_or(TICK_NS) / SOON;
@@ -176,9 +180,13 @@ impl BusThread<'_> {
             };
             let wait_ns = next.since(now).clamp(WAIT_NS_MIN, TURN_NS);
             let spent_ns = clock.now().since(wall);
-            station
-                .bus_mut()
-                .wait_for_frames(wait_ns.saturating_sub(spent_ns).max(WAIT_NS_MIN));
+            turns.record(spent_ns);
+            let left_ns = wait_ns.saturating_sub(spent_ns).max(WAIT_NS_MIN);
+            let bus = station.bus_mut();
+            if !bus.wait_for_frames(left_ns * slow_motion()) {
+                // An interface in trouble would wake us again and again.
+                sleep_ns(left_ns);
+            }
         }
         if let Some(failure) = failure {
             return Err(failure);
@@ -189,6 +197,7 @@ impl BusThread<'_> {
             now: network.now(),
             begun: bench.begun(),
             stalled_ns,
+            turns,
             world: bench.world(),
             busy: Bench::busy(network, self.lines),
             lost,

@@ -32,6 +32,7 @@ pub use stops::{Stop, StopCause};
 pub use summary::{BusSummary, DrivesSummary, StopSummary};
 
 use super::can_interfaces::{BusOffInjector, open};
+use super::summary::TickUs;
 use super::{SessionError, Setup};
 use crate::mailbox::mailbox;
 use crate::rt::{self, MonotonicClock};
@@ -248,6 +249,7 @@ fn sum_up(
         arms: setup.task.arms.len(),
         seconds: end.now.seconds(),
         stalled_s: TimeNs(end.stalled_ns).seconds(),
+        turn_us: TickUs::of(&end.turns),
         begun_s: end.begun.map(TimeNs::seconds),
         success: outcome
             .is_some_and(|outcome| matches!(outcome, sim_backend::task::Outcome::Success)),

@@ -244,6 +244,7 @@ fn conclude(setup: &Setup, options: &RunOptions, ends: Ends) -> Result<RunResult
         overruns: control.skipped,
         wake_p99_us: control.wake_p99_us,
         log_dropped,
+        slow_motion: rt::slow_motion(),
     };
     Ok(RunResult {
         summary: tally.summary(&labels, Some(real_time)),

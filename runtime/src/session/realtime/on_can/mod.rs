@@ -399,6 +399,7 @@ fn conclude(
         overruns: control.skipped,
         wake_p99_us: control.wake_p99_us,
         log_dropped,
+        slow_motion: rt::slow_motion(),
     };
     let mut summary = control.tally.summary(&labels, Some(real_time));
     summary.can = Some(control.link.summary(can));
