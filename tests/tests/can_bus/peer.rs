@@ -105,9 +105,10 @@ impl Peer {
         }
     }
 
-    /// `trocar` with these arguments, when it has said a line that has `ready` in it.
-    pub(crate) fn trocar(profile: Profile, arguments: &[&str], ready: &str) -> Self {
-        let mut process = trocar(profile)
+    /// `trocar` with these arguments, `slow` times slower than real time, when it has said a line that has `ready` in it.
+    pub(crate) fn trocar(slow: u64, arguments: &[&str], ready: &str) -> Self {
+        let mut process = trocar(Profile::Debug)
+            .env("TROCAR_SLOW_MOTION", slow.to_string())
             .args(arguments)
             .stdout(Stdio::piped())
             .stderr(Stdio::piped())
