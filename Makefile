@@ -1,5 +1,5 @@
 # Two commands do everything on a fresh machine: `make demo` and `make test`.
-.PHONY: demo test test-adversary test-golden test-can adversary build setup setup-can bench clean
+.PHONY: demo test test-adversary test-golden test-can adversary fuzz-can build setup setup-can bench clean
 
 TROCAR := $(or $(CARGO_TARGET_DIR),target)/release/trocar
 
@@ -28,6 +28,7 @@ test-adversary: setup
 
 # What needs a CAN bus, where there is one: in user-mode Linux if this machine's kernel has none. Without either, this fails.
 test-can: setup setup-can
+	cargo build --locked -p runtime
 	cargo test --locked --workspace --test can_bus --config 'target."cfg(all())".runner="$(CURDIR)/.ci/with-vcan"' -- --ignored
 
 # The networks against the numbers of the reference implementations in TROCAR_GOLDEN, or in tests/golden/policies.json.
@@ -37,6 +38,11 @@ test-golden: setup
 # The same adversaries for ten million ticks each, with their figures.
 adversary: setup
 	TROCAR_ADVERSARY_TICKS=10000000 cargo test --locked --release -p runtime --lib control::tests::adversary:: -- --nocapture
+
+# Ten million arbitrary frames on the bus of an arm, and as many at a single drive, with figures.
+fuzz-can:
+	cargo test --locked --release -p hal --test can_fuzz -- --ignored --nocapture
+	cargo test --locked --release -p hal --lib can::node::tests::fuzz:: -- --ignored --nocapture
 
 build: setup
 	cargo build --locked --release -p runtime

@@ -97,28 +97,47 @@ pub struct ArmCommand {
     pub enabled: bool,
 }
 
+impl ArmCommand {
+    /// Whether every number is finite.
+    #[must_use]
+    pub fn is_finite(&self) -> bool {
+        let vectors = [&self.position, &self.velocity, &self.acceleration];
+        vectors.iter().all(|v| v.iter().all(|x| x.is_finite()))
+            && self.jaw_position.is_finite()
+            && self.jaw_velocity.is_finite()
+    }
+}
+
 /// An arm: simulated, on a bus, or replayed.
 ///
 /// A backend is read once and written once a control period, in that order. Before the first write it holds the
 /// position at which it was found. When no further command comes it finishes alone the stop that came with the last one.
+///
+/// `tests/tests/conformance.rs` holds every backend to what is said here.
 pub trait Arm {
     /// The newest measurement at `now`.
     ///
+    /// Its stamp is when it was measured: never later than `now`, and never earlier than that of the measurement before. As
+    /// long as nothing newer has come the same measurement is given again; reading more often changes nothing.
+    ///
     /// # Errors
-    /// [`ArmError`] when the measurement is lost or the drives have failed; the controller then faults.
+    /// [`ArmError`] when the measurement is lost or the drives have failed; the controller then faults. A measurement that
+    /// was lost may be followed by others. Drives that have failed stay so until the operator has brought them up again.
     fn read(&mut self, now: TimeNs) -> Result<ArmState, ArmError>;
 
     /// Hands over one setpoint, with the checked stop that follows if no other does.
     ///
     /// A backend that gets no further command must play `tail` to rest, from the control period after `command` on, and
-    /// then hold: for good, since only another command may move it again. If `tail` is disabled it must not enable the
-    /// drives. [`TailPlayer`](crate::tail::TailPlayer) does this for a backend that commands every period itself; one
+    /// then hold: for good, since only another command may move it again. If `tail` is disabled the drives let go when it
+    /// begins, and it never enables them. [`TailPlayer`](crate::tail::TailPlayer) does this for a backend that commands every period itself; one
     /// whose drives are out of reach when its own process dies sends them [`SafeTail::points`] ahead.
     ///
     /// A command after periods of silence must follow from where `tail` had led by then: a backend bridges no jump.
     ///
+    /// If any number of `command` or `tail` is not finite both are refused: it is a period without a command.
+    ///
     /// # Errors
-    /// [`ArmError`] when it could not be sent.
+    /// [`ArmError`] when it could not be sent, as after a failure of the drives.
     fn write(&mut self, command: &ArmCommand, tail: &SafeTail) -> Result<(), ArmError>;
 }
 

@@ -8,6 +8,7 @@ use hal::tail::TailPlayer;
 use hal::{Arm, ArmCommand, ArmError, ArmState, CameraFrame, Pose, SafeTail, TICK_NS, TimeNs};
 
 use crate::cameras::{SceneCameras, SceneSnapshot};
+use crate::plant::DriveSetpoint;
 use crate::render::RenderError;
 use crate::task::{ARMS_MAX, Judge, Outcome, Sight, THINGS_MAX, TaskConfig};
 use crate::tissue::{FlapSnapshot, TissueExtremes};
@@ -176,6 +177,12 @@ impl Simulation {
         self.judge.observe(&Sight::of(&self.world));
     }
 
+    /// Advances by 1 ms before the episode begins, when nobody leads the arms yet: nothing is judged, and the episode's time
+    /// does not run.
+    pub fn wait(&mut self) {
+        self.world.step();
+    }
+
     /// How the episode stands.
     #[must_use]
     pub const fn outcome(&self) -> Outcome {
@@ -280,6 +287,14 @@ impl Simulation {
     }
 }
 
+impl SimulatedArm<'_> {
+    /// Takes setpoints of drives that are led one by one, each with its own torque, instead of a command for the arm. They
+    /// hold until the next ones: such drives stop by themselves, so there is no tail.
+    pub fn lead(&mut self, setpoint: &DriveSetpoint) {
+        self.simulation.world.lead(self.index, setpoint);
+    }
+}
+
 impl Arm for SimulatedArm<'_> {
     fn read(&mut self, now: TimeNs) -> Result<ArmState, ArmError> {
         self.simulation.stamp = now;
@@ -287,8 +302,11 @@ impl Arm for SimulatedArm<'_> {
     }
 
     fn write(&mut self, command: &ArmCommand, tail: &SafeTail) -> Result<(), ArmError> {
-        self.simulation.world.command(self.index, command);
-        self.simulation.tails[self.index].write(command, tail);
+        // What is no number would never leave the plant again.
+        if command.is_finite() && tail.is_finite() {
+            self.simulation.world.command(self.index, command);
+            self.simulation.tails[self.index].write(command, tail);
+        }
         Ok(())
     }
 }

@@ -8,8 +8,12 @@
 
 #[path = "can_bus/batch.rs"]
 mod batch;
+#[path = "can_bus/drives.rs"]
+mod drives;
 #[path = "can_bus/peer.rs"]
 mod peer;
+#[path = "can_bus/process.rs"]
+mod process;
 
 use std::process::Command;
 use std::time::Duration;

@@ -13,6 +13,7 @@ mod frame;
 mod message;
 mod node;
 mod port;
+mod scene;
 mod shm;
 #[cfg(test)]
 mod tests;
@@ -22,6 +23,7 @@ pub use frame::{CameraTopic, FrameHeader, FrameLoan, FramePublisher, FrameSubscr
 pub use message::{ArmReport, PolicyStage, PolicyStatus, RunCommand, RunControl};
 pub use node::TopicNode;
 pub use port::{Message, Publisher, Subscriber, Topic};
+pub use scene::{Line, Place, SCENE_ARMS_MAX, SceneArm, SceneReport, SceneTissue, Verdict};
 pub use shm::{SHARED_MEMORY_DIR, SharedMemorySpace, shared_memory_space};
 
 /// Chunks, from the policy process to the control process; one topic an arm.
@@ -32,6 +34,9 @@ pub type ArmStateTopic = Topic<ArmReport>;
 
 /// What the policy process should be doing; one topic a process, under the first of its arms.
 pub type RunControlTopic = Topic<RunControl>;
+
+/// The true state of a world in another process; one topic a world, under the first of its arms.
+pub type SceneTopic = Topic<SceneReport>;
 
 /// How the policy process is doing; one topic a process, under the first of its arms.
 pub type PolicyStatusTopic = Topic<PolicyStatus>;

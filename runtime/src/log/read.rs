@@ -14,7 +14,7 @@ use super::error::LogError;
 use super::header::{self, Closing, LogCounts, RunHeader, RunOutcome};
 use super::joints;
 use super::json::{ChunkMessage, TickMessage, TimingMessage};
-use super::messages::JointStates;
+use super::messages::{JointStates, Log};
 use super::record::{LoggedArm, LoggedTick, TickTiming};
 use super::topic::Topic;
 use crate::control::OperatorEvent;
@@ -33,6 +33,8 @@ pub struct RunLog {
     pub input_hash: Option<u64>,
     /// Where the logger had to leave something out; empty if nothing is missing.
     pub losses: Vec<Loss>,
+    /// What happened in words, in order; for people, and no part of what a replay needs.
+    pub events: Vec<String>,
     cut: Option<String>,
     ticks: Vec<LoggedTick>,
     /// By the position of their tick, for each arm.
@@ -165,7 +167,8 @@ impl Visitor for Assembly {
             Topic::Tick if arm == 0 => self.complete(&json(data)?)?,
             Topic::Tick => self.keep_second(json(data)?)?,
             // For people; not part of what the controller was given or answered.
-            Topic::MeasuredCp | Topic::Safety | Topic::Events => {}
+            Topic::Events => self.log.events.push(protobuf::<Log>(data)?.message),
+            Topic::MeasuredCp | Topic::Safety => {}
         }
         Ok(())
     }
@@ -299,8 +302,8 @@ fn lacks(message: &TickMessage, what: &str) -> String {
     format!("tick {} lacks its {what}", message.tick)
 }
 
-fn protobuf(data: &[u8]) -> Result<JointStates, String> {
-    JointStates::decode(data).map_err(|error| error.to_string())
+fn protobuf<T: Message + Default>(data: &[u8]) -> Result<T, String> {
+    T::decode(data).map_err(|error| error.to_string())
 }
 
 fn json<T: DeserializeOwned>(data: &[u8]) -> Result<T, String> {

@@ -1,4 +1,7 @@
-//! Recomputes every command of a logged run from its recorded inputs and compares bit for bit.
+//! Recomputes every command of a logged run from its recorded inputs and compares bit for bit; and its arms, to be read
+//! again by another controller.
+
+mod arm;
 
 use core::fmt;
 
@@ -13,6 +16,8 @@ use crate::control::{
 };
 use crate::log::{LoggedTick, Loss, RunLog};
 use crate::per_arm::PerArm;
+
+pub use arm::RecordedArm;
 
 /// What a replay found.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -104,6 +109,12 @@ pub enum ReplayError {
     /// There is nothing to compare.
     #[error("the log holds no tick")]
     Empty,
+    /// There is no such arm in it.
+    #[error("the log has no arm {index}, counted from 0")]
+    NoArm {
+        /// The one asked for.
+        index: usize,
+    },
 }
 
 impl From<ConfigError> for ReplayError {

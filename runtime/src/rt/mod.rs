@@ -12,7 +12,17 @@ pub use thread::{
     Grant, RtOptions, RtRefused, RtReport, ThreadFaults, configure_thread, thread_faults,
 };
 
-/// The system's monotonic clock, counted from where it was made.
+/// How many times slower than the system's the clocks of this process run; 1 unless `TROCAR_SLOW_MOTION` in its environment
+/// says otherwise, up to 100.
+///
+/// For machines that are too slow for a run in real time, such as a kernel inside a kernel: emulated drives and their
+/// controller, slowed down alike, do the same as ever. A real drive does not slow down; it hears no beat in time and stops.
+#[must_use]
+pub fn slow_motion() -> u64 {
+    sys::slow_motion()
+}
+
+/// The system's monotonic clock, slowed down if [`slow_motion`] says so, counted from where it was made.
 #[derive(Clone, Copy, Debug)]
 pub struct MonotonicClock {
     origin_ns: u64,
@@ -31,6 +41,18 @@ impl MonotonicClock {
     #[must_use]
     pub fn now(&self) -> TimeNs {
         TimeNs(sys::monotonic_ns().saturating_sub(self.origin_ns))
+    }
+
+    /// What the system's own clock, which all processes share, says at `at`, ns.
+    #[must_use]
+    pub const fn to_system(&self, at: TimeNs) -> TimeNs {
+        at.plus_ns(self.origin_ns)
+    }
+
+    /// When the system's own clock said `at`; zero for what was before this one was made.
+    #[must_use]
+    pub const fn from_system(&self, at: TimeNs) -> TimeNs {
+        TimeNs(at.since(TimeNs(self.origin_ns)))
     }
 
     /// Sleeps until `deadline`; returns at once if it has passed.

@@ -5,12 +5,31 @@
 )]
 
 use std::io;
+use std::sync::OnceLock;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 const NS_PER_S: u64 = 1_000_000_000;
 
+/// The variable of the environment that [`slow_motion`] reads.
+pub(super) const SLOW_MOTION: &str = "TROCAR_SLOW_MOTION";
+
+/// How many times slower than the system's all clocks of this process run: a whole number from 1, which it is unless the
+/// environment says otherwise, to 100.
+pub(super) fn slow_motion() -> u64 {
+    static FACTOR: OnceLock<u64> = OnceLock::new();
+    *FACTOR.get_or_init(|| {
+        let wanted = std::env::var(SLOW_MOTION).ok();
+        let factor = wanted.and_then(|text| text.parse().ok());
+        factor.unwrap_or(1_u64).clamp(1, 100)
+    })
+}
+
 /// The monotonic clock, ns since an arbitrary point.
 pub(super) fn monotonic_ns() -> u64 {
+    system_ns() / slow_motion()
+}
+
+fn system_ns() -> u64 {
     let mut now = libc::timespec {
         tv_sec: 0,
         tv_nsec: 0,
@@ -24,6 +43,7 @@ pub(super) fn monotonic_ns() -> u64 {
 
 /// Sleeps until [`monotonic_ns`] reaches `deadline_ns`; signals do not cut it short.
 pub(super) fn sleep_until_ns(deadline_ns: u64) {
+    let deadline_ns = deadline_ns.saturating_mul(slow_motion());
     let deadline = libc::timespec {
         tv_sec: i64::try_from(deadline_ns / NS_PER_S).unwrap_or(i64::MAX),
         tv_nsec: i64::try_from(deadline_ns % NS_PER_S).unwrap_or(0),

@@ -78,6 +78,29 @@ pub enum SessionError {
     /// A topic failed.
     #[error(transparent)]
     Topic(#[from] hal::topic::TopicError),
+    /// A CAN interface cannot be used.
+    #[error("{name}: {reason}; {remedy}")]
+    Interface {
+        /// The interface.
+        name: String,
+        /// Why.
+        reason: String,
+        /// What may help.
+        remedy: String,
+    },
+    /// The plan is more than a CAN bus can carry.
+    #[error("{0}")]
+    Overload(hal::can::bus::Overload),
+    /// The drives of an arm did not come up.
+    #[error("{arm} on {interfaces}: {reason}")]
+    BringUp {
+        /// The arm.
+        arm: &'static str,
+        /// Its interfaces.
+        interfaces: String,
+        /// Why, with the node.
+        reason: String,
+    },
     /// The real-time parts failed.
     #[error("{0}")]
     RealTime(String),
@@ -105,6 +128,7 @@ impl SessionError {
             | Self::Verify(_)
             | Self::CutLog { .. }
             | Self::UnknownCamera { .. }
+            | Self::Overload(_)
             | Self::BadArgument(_) => true,
             Self::Train(error) => match error {
                 TrainError::Options(_)
@@ -123,6 +147,8 @@ impl SessionError {
             | Self::Topic(_)
             | Self::Policy(_)
             | Self::Arm(_)
+            | Self::Interface { .. }
+            | Self::BringUp { .. }
             | Self::Output { .. }
             | Self::RealTime(_) => false,
         }

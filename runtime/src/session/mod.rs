@@ -2,8 +2,11 @@
 //!
 //! This is the one place where the simulator, the policies and the controller meet.
 
+mod can_clock;
+mod can_interfaces;
 mod cloud_file;
 pub mod demo;
+pub mod drives;
 pub mod episode;
 pub mod error;
 pub mod eval;
@@ -24,6 +27,7 @@ pub mod tasks;
 pub mod training;
 mod training_clouds;
 mod training_watch;
+mod world_report;
 
 #[cfg(test)]
 mod tests;

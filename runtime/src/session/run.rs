@@ -175,8 +175,9 @@ fn header(setup: &Setup, options: &RunOptions, lockstep: bool) -> RunHeader {
             .map(|(name, version)| (name.to_owned(), version.to_owned()))
             .into(),
         texts: texts
-            .map(|(name, text)| (name.to_owned(), text.clone()))
             .into_iter()
+            .chain(setup.texts.can.as_ref().map(|text| ("can.toml", text)))
+            .map(|(name, text)| (name.to_owned(), text.clone()))
             .collect::<BTreeMap<_, _>>(),
     }
 }

@@ -43,6 +43,8 @@ pub struct Texts {
     pub safety: String,
     /// The task's scene.
     pub scene: String,
+    /// Nodes and buses, if the arms are on CAN.
+    pub can: Option<String>,
 }
 
 impl Setup {
@@ -79,6 +81,7 @@ impl Setup {
                 control: control.text().to_owned(),
                 safety: safety.text().to_owned(),
                 scene: scene.text().to_owned(),
+                can: None,
             },
             scene_file: None,
             kept_cameras: None,

@@ -63,6 +63,53 @@ pub struct RealTimeCounts {
     pub wake_p99_us: f64,
     /// Log records dropped.
     pub log_dropped: u64,
+    /// How many times slower than the system's the run's clocks went; 1 is real time. See [`crate::rt::slow_motion`].
+    pub slow_motion: u64,
+}
+
+/// One bus of an arm.
+#[derive(Clone, Debug, Serialize)]
+pub struct CanBusSummary {
+    /// Its interface.
+    pub interface: String,
+    /// Share that this arm may take of it at worst-case stuffing, per mille.
+    pub planned_per_mille: u64,
+    /// Frames that the system lost before they came to us.
+    pub frames_lost: u64,
+}
+
+/// One arm on CAN.
+#[derive(Clone, Debug, Serialize)]
+pub struct CanArmSummary {
+    /// `psm1` or `psm2`.
+    pub arm: &'static str,
+    /// Its buses.
+    pub buses: Vec<CanBusSummary>,
+    /// Answers of drives that did not come in their cycle, over all axes.
+    pub answers_missed: u64,
+    /// Answers that came in a later cycle.
+    pub answers_late: u64,
+    /// Answers that could not be believed.
+    pub answers_rejected: u64,
+    /// Commands that were no numbers or out of reach.
+    pub commands_refused: u64,
+    /// What stopped the arm, if something did.
+    pub fault: Option<String>,
+    /// The node that it was, if it was one.
+    pub fault_node: Option<u8>,
+}
+
+/// Arms on CAN.
+#[derive(Clone, Debug, Serialize)]
+pub struct CanSummary {
+    /// Time between two SYNCs, us.
+    pub cycle_us: u64,
+    /// Bits a second.
+    pub bit_rate_bit_s: u32,
+    /// Whether the drives' positions are those of actuators; otherwise of joints.
+    pub actuator_space: bool,
+    /// The arms.
+    pub arms: Vec<CanArmSummary>,
 }
 
 /// What a soft tissue went through: the largest values of a run.
@@ -138,6 +185,9 @@ pub struct RunSummary {
     /// Present in real-time runs.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub real_time: Option<RealTimeCounts>,
+    /// Present in runs over CAN.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub can: Option<CanSummary>,
     /// Present in tasks with a soft tissue.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub tissue: Option<TissueSummary>,

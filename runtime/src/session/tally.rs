@@ -145,15 +145,23 @@ impl Tally {
             seconds: scaled((self.ticks + skipped) * hal::TICK_NS, 1e-9),
             ticks: self.ticks,
             command_hash: self.command_hash(),
-            tick_us: TickUs {
-                p50: scaled(self.compute.percentile(0.50), 1e-3),
-                p99: scaled(self.compute.percentile(0.99), 1e-3),
-                max: scaled(self.compute.max(), 1e-3),
-            },
+            tick_us: TickUs::of(&self.compute),
             qp: self.qp,
             guard_interventions: self.guard_interventions,
             real_time,
+            can: None,
             tissue: labels.tissue,
+        }
+    }
+}
+
+impl TickUs {
+    /// The percentiles of `histogram`, which holds ns.
+    pub(super) fn of(histogram: &Histogram) -> Self {
+        Self {
+            p50: scaled(histogram.percentile(0.50), 1e-3),
+            p99: scaled(histogram.percentile(0.99), 1e-3),
+            max: scaled(histogram.max(), 1e-3),
         }
     }
 }

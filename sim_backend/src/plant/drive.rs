@@ -30,6 +30,26 @@ pub struct Load {
     pub squeeze_damping: f64,
 }
 
+/// What each of seven drives should do that are led one by one, as drives on a bus are.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct DriveSetpoint {
+    /// Whether an axis is an actuator; otherwise it is a joint, jaw last, and its drive works through the coupling.
+    pub actuators: bool,
+    /// Where each axis should be, rad (m).
+    pub position: AxisVector,
+    /// How fast it should go there, rad/s (m/s).
+    pub velocity: AxisVector,
+    /// Share of the effort limit that each drive may use; 0 for one without torque.
+    pub torque: AxisVector,
+}
+
+/// Shares of the effort limits, of drives that are led one by one.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Shares {
+    joint: AxisVector,
+    actuator: AxisVector,
+}
+
 /// The arm's drives, each a motor with gear, encoder and controller.
 ///
 /// Before the first command it holds the position it was made with.
@@ -43,6 +63,8 @@ pub struct Plant {
     target_position: AxisVector,
     target_velocity: AxisVector,
     enabled: bool,
+    /// None while one command is for all of them.
+    shares: Option<Shares>,
 }
 
 impl Plant {
@@ -61,6 +83,7 @@ impl Plant {
             target_position: position,
             target_velocity: [0.0; AXIS_COUNT],
             enabled: true,
+            shares: None,
         }
     }
 
@@ -71,6 +94,32 @@ impl Plant {
         self.target_velocity =
             actuator_positions(&with_jaw(&command.velocity, command.jaw_velocity));
         self.enabled = command.enabled;
+        self.shares = None;
+    }
+
+    /// Takes setpoints of drives that are led one by one, which hold until the next ones.
+    pub fn lead(&mut self, setpoint: &DriveSetpoint) {
+        let shares = setpoint.torque.map(|share| share.clamp(0.0, 1.0));
+        let all = [1.0; AXIS_COUNT];
+        if setpoint.actuators {
+            self.target_position = setpoint.position;
+            self.target_velocity = setpoint.velocity;
+        } else {
+            self.target_position = actuator_positions(&setpoint.position);
+            self.target_velocity = actuator_positions(&setpoint.velocity);
+        }
+        self.enabled = shares.iter().any(|share| *share > 0.0);
+        self.shares = Some(if setpoint.actuators {
+            Shares {
+                joint: all,
+                actuator: shares,
+            }
+        } else {
+            Shares {
+                joint: shares,
+                actuator: all,
+            }
+        });
     }
 
     /// Advances one millisecond under `load`.
@@ -131,6 +180,11 @@ impl Plant {
             .flatten()
             .copied()
             .chain([if self.enabled { 1.0 } else { 0.0 }])
+            .chain(
+                self.shares
+                    .iter()
+                    .flat_map(|shares| shares.joint.into_iter().chain(shares.actuator)),
+            )
     }
 
     /// Position and velocity setpoints in joint space, jaw last, and whether the drives are enabled.
@@ -178,14 +232,21 @@ impl Plant {
             let velocity_error = self.target_velocity[axis] - self.velocity[axis];
             ACTUATORS[axis].p * position_error + ACTUATORS[axis].d * velocity_error
         });
+        let all = [1.0; AXIS_COUNT];
+        let shares = self.shares.unwrap_or(Shares {
+            joint: all,
+            actuator: all,
+        });
         let joint = joint_efforts(&wanted);
         let joint = core::array::from_fn(|axis| {
-            joint[axis].clamp(-self.effort_max[axis], self.effort_max[axis])
+            let limit = self.effort_max[axis] * shares.joint[axis];
+            joint[axis].clamp(-limit, limit)
         });
         let actuator = actuator_efforts(&joint);
         core::array::from_fn(|axis| {
             let drive = &ACTUATORS[axis];
             let limit = drive.current_max_a * drive.torque_constant_n_m_a * drive.gear_ratio;
+            let limit = limit * shares.actuator[axis];
             actuator[axis].clamp(-limit, limit)
         })
     }

@@ -9,7 +9,7 @@ use super::obstacle::Obstacles;
 use super::press::{self, SoftGround};
 use super::scenery::Ground;
 use super::stage::{PartPoses, Touch};
-use crate::plant::{AXIS_COUNT, AxisVector, Load, Plant};
+use crate::plant::{AXIS_COUNT, AxisVector, DriveSetpoint, Load, Plant};
 use crate::tissue::{JawInput, PAD_MIDDLE_M};
 
 /// Where an arm stands and how it starts.
@@ -79,6 +79,10 @@ impl ArmUnit {
 
     pub(super) fn command(&mut self, command: &ArmCommand) {
         self.plant.command(command);
+    }
+
+    pub(super) fn lead(&mut self, setpoint: &DriveSetpoint) {
+        self.plant.lead(setpoint);
     }
 
     #[cfg(test)]

@@ -17,6 +17,7 @@ use nalgebra::Vector3;
 
 #[cfg(test)]
 use crate::plant::AxisVector;
+use crate::plant::DriveSetpoint;
 use crate::tissue::Tissue;
 use arm::ArmUnit;
 use drape::Drape;
@@ -96,6 +97,11 @@ impl World {
     /// Takes a setpoint for an arm, which holds until the next one. Before the first the arm holds its initial position.
     pub fn command(&mut self, arm: usize, command: &ArmCommand) {
         self.arms[arm].command(command);
+    }
+
+    /// Takes setpoints for the drives of an arm that are led one by one, which hold until the next ones.
+    pub fn lead(&mut self, arm: usize, setpoint: &DriveSetpoint) {
+        self.arms[arm].lead(setpoint);
     }
 
     /// The setpoint that an arm's drives follow; see [`crate::plant::Plant::setpoint`].

@@ -3,11 +3,11 @@
 use std::fs::{self, File};
 use std::io::{BufRead as _, BufReader, Read as _};
 use std::path::Path;
-use std::process::{Child, Command, Output, Stdio};
+use std::process::{Child, ChildStderr, Command, Output, Stdio};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
 use runtime::rt::sleep_ns;
-use tests::repository;
+use tests::{Profile, repository, trocar};
 
 /// A bus carries everybody's frames: one test at a time.
 pub(crate) fn alone() -> MutexGuard<'static, ()> {
@@ -48,6 +48,8 @@ fn await_receiver(before: usize) {
 /// A program on the bus.
 pub(crate) struct Peer {
     process: Child,
+    /// What it says beside its results, if that is listened to.
+    aside: Option<BufReader<ChildStderr>>,
 }
 
 impl Peer {
@@ -60,7 +62,10 @@ impl Peer {
             .spawn()
             .unwrap();
         await_receiver(before);
-        Self { process }
+        Self {
+            process,
+            aside: None,
+        }
     }
 
     /// `candump` on the first bus, writing its log to `file`.
@@ -72,7 +77,10 @@ impl Peer {
             .spawn()
             .unwrap();
         await_receiver(before);
-        Self { process }
+        Self {
+            process,
+            aside: None,
+        }
     }
 
     /// Drives with these node ids, in their initial state, when this returns.
@@ -91,16 +99,58 @@ impl Peer {
             .read_line(&mut line)
             .unwrap();
         assert_eq!(line, "ready\n", "the drives can be spoken to");
-        Self { process }
+        Self {
+            process,
+            aside: None,
+        }
+    }
+
+    /// `trocar` with these arguments, `slow` times slower than real time, when it has said a line that has `ready` in it.
+    pub(crate) fn trocar(slow: u64, arguments: &[&str], ready: &str) -> Self {
+        let mut process = trocar(Profile::Debug)
+            .env("TROCAR_SLOW_MOTION", slow.to_string())
+            .args(arguments)
+            .stdout(Stdio::piped())
+            .stderr(Stdio::piped())
+            .spawn()
+            .unwrap();
+        let aside = process.stderr.take().map(BufReader::new);
+        let mut peer = Self { process, aside };
+        peer.await_word(ready);
+        peer
+    }
+
+    /// Waits until it says a line that has `word` in it.
+    pub(crate) fn await_word(&mut self, word: &str) {
+        let mut said = String::new();
+        let aside = self.aside.as_mut().unwrap();
+        while !said.contains(word) {
+            let more = aside.read_line(&mut said).unwrap();
+            assert!(more > 0, "it ended before it said {word:?}: {said}");
+        }
+    }
+
+    /// Asks it to end as a person at the terminal would, and gives what it then printed.
+    pub(crate) fn interrupt(self) -> String {
+        let id = self.process.id().to_string();
+        let sent = Command::new("kill").args(["-INT", &id]).status().unwrap();
+        assert!(sent.success());
+        self.end().1
     }
 
     /// Waits until it has ended by itself, and gives what it printed.
-    pub(crate) fn finish(mut self) -> String {
+    pub(crate) fn finish(self) -> String {
+        let (success, printed) = self.end();
+        assert!(success, "{printed}");
+        printed
+    }
+
+    /// Waits for its end: whether it was content, and what it printed.
+    fn end(mut self) -> (bool, String) {
         let mut printed = String::new();
         let mut output = self.process.stdout.take().unwrap();
         output.read_to_string(&mut printed).unwrap();
-        assert!(self.process.wait().unwrap().success());
-        printed
+        (self.process.wait().unwrap().success(), printed)
     }
 
     /// Ends it.

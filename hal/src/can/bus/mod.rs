@@ -9,7 +9,7 @@ pub mod station;
 pub mod wire;
 
 pub use load::{Overload, Plan};
-pub use motor::{IdealMotor, Motor};
+pub use motor::{IdealMotor, Motor, Terminal};
 pub use network::{Network, Tampering};
 pub use station::Station;
 pub use wire::Wire;

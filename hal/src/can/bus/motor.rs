@@ -30,3 +30,35 @@ impl Motor for IdealMotor {
         }
     }
 }
+
+/// A motor that turns elsewhere, together with others: what it was told waits here, and so does what became of it.
+///
+/// Seven drives of one arm turn one plant: whoever has that plant looks at the demands, moves it, and leaves the feedback.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Terminal {
+    /// The newest demand.
+    pub demand: Demand,
+    /// Where the motor is, as the drive will be told from now on.
+    pub feedback: Feedback,
+}
+
+impl Terminal {
+    /// A motor without torque that is where `feedback` says.
+    #[must_use]
+    pub const fn new(feedback: Feedback) -> Self {
+        let demand = Demand {
+            torque: false,
+            position_counts: feedback.position_counts,
+            velocity_counts_s: 0.0,
+            torque_per_mille_max: 0.0,
+        };
+        Self { demand, feedback }
+    }
+}
+
+impl Motor for Terminal {
+    fn step(&mut self, _step_ns: u64, demand: &Demand) -> Feedback {
+        self.demand = *demand;
+        self.feedback
+    }
+}

@@ -1,17 +1,23 @@
 //! Buses with emulated drives on them and a master beside them, in virtual time.
 
+mod seat;
+
 use super::motor::Motor;
 use super::wire::{Delivery, Order, Wire};
 use crate::TimeNs;
-use crate::can::master::{Bus, Received, Trouble};
+use crate::can::master::{Received, Trouble};
 use crate::can::node::{Demand, Node, Outbox};
 use crate::can::{Frame, NodeId};
+
+use seat::Seat;
 
 /// How often a drive looks at its clock and its motor, ns.
 pub const NODE_STEP_NS: u64 = 500_000;
 
 /// Frames that a drive's controller holds.
 const NODE_QUEUE: usize = 64;
+/// Frames of strangers that wait for a bus; what comes beyond that is lost.
+const STRANGER_QUEUE: usize = 256;
 
 /// What becomes of a frame on its way.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -41,8 +47,9 @@ struct Drive<M> {
 
 struct Line {
     wire: Wire,
-    master: usize,
-    inbox: Vec<Received>,
+    masters: Vec<Seat>,
+    /// Whose frames are nobody's here.
+    stranger: usize,
     delayed: Vec<(TimeNs, Delivery)>,
 }
 
@@ -56,7 +63,9 @@ impl<M> core::fmt::Debug for Network<M> {
     }
 }
 
-/// Up to three buses, their drives, and the master's end of each.
+/// Up to three buses, their drives, and the ends of each that masters have.
+///
+/// There is one master, for whom this is a [`Bus`](crate::can::master::Bus); others can be added. They hear each other, as on any bus.
 pub struct Network<M> {
     now: TimeNs,
     next_step: TimeNs,
@@ -73,23 +82,25 @@ impl<M: Motor> Network<M> {
         let lines = (0..lines)
             .map(|_| {
                 let mut wire = Wire::new(bit_rate);
-                let master = wire.attach(Order::Fifo, master_queue);
+                let stranger = wire.attach(Order::Priority, STRANGER_QUEUE);
                 Line {
                     wire,
-                    master,
-                    inbox: Vec::new(),
+                    masters: Vec::new(),
+                    stranger,
                     delayed: Vec::new(),
                 }
             })
             .collect();
-        Self {
+        let mut network = Self {
             now: TimeNs(0),
             next_step: TimeNs(0),
             lines,
             drives: Vec::new(),
             tamper: None,
             out: Outbox::default(),
-        }
+        };
+        network.add_master(master_queue);
+        network
     }
 
     /// Puts a drive on `line` and switches it on.
@@ -133,6 +144,20 @@ impl<M: Motor> Network<M> {
         Some(&drive.node)
     }
 
+    /// The bus that it is on.
+    #[must_use]
+    pub fn line_of(&self, id: NodeId) -> Option<u8> {
+        let drive = self.drives.iter().find(|drive| drive.node.id() == id)?;
+        u8::try_from(drive.line).ok()
+    }
+
+    /// Whether it has power.
+    #[must_use]
+    pub fn is_powered(&self, id: NodeId) -> bool {
+        let drive = self.drives.iter().find(|drive| drive.node.id() == id);
+        drive.is_some_and(|drive| drive.powered)
+    }
+
     /// Its motor.
     pub fn motor(&mut self, id: NodeId) -> Option<&mut M> {
         let drive = self.drives.iter_mut().find(|drive| drive.node.id() == id)?;
@@ -161,31 +186,33 @@ impl<M: Motor> Network<M> {
         }
     }
 
-    /// The master's controller on `line` goes bus-off, or comes back.
+    /// The first master's controller on `line` goes bus-off, or comes back.
     pub fn bus_off(&mut self, line: u8, off: bool) {
         let line = &mut self.lines[usize::from(line)];
-        line.wire.set_attached(line.master, !off);
+        let Some(master) = line.masters.first_mut() else {
+            return;
+        };
+        line.wire.set_attached(master.port, !off);
         let trouble = if off {
             Trouble::BusOff
         } else {
             Trouble::Restarted
         };
-        line.inbox.push(Received::Trouble(trouble));
+        master.inbox.push(Received::Trouble(trouble));
     }
 
-    /// The master hears of `trouble` on `line`.
+    /// The first master hears of `trouble` on `line`.
     pub fn trouble(&mut self, line: u8, trouble: Trouble) {
-        let inbox = &mut self.lines[usize::from(line)].inbox;
-        inbox.push(Received::Trouble(trouble));
+        if let Some(master) = self.lines[usize::from(line)].masters.first_mut() {
+            master.inbox.push(Received::Trouble(trouble));
+        }
     }
 
-    /// Somebody who is no drive of ours sends `frame` on `line`.
-    pub fn intrude(&mut self, line: u8, frame: Frame) {
+    /// Somebody who is neither a drive nor a master of ours sends `frame` on `line`; tells whether it found room.
+    pub fn intrude(&mut self, line: u8, frame: Frame) -> bool {
         let now = self.now;
-        let wire = &mut self.lines[usize::from(line)].wire;
-        let port = wire.attach(Order::Fifo, 1);
-        // A fresh port has room.
-        let _ = wire.send(now, port, frame);
+        let line = &mut self.lines[usize::from(line)];
+        line.wire.send(now, line.stranger, frame).is_ok()
     }
 
     /// The bus `line`.
@@ -270,8 +297,10 @@ impl<M: Motor> Network<M> {
     }
 
     fn hand_over(&mut self, line: usize, delivery: &Delivery) {
-        if delivery.port != self.lines[line].master {
-            self.lines[line].inbox.push(Received::Frame(delivery.frame));
+        for master in &mut self.lines[line].masters {
+            if delivery.port != master.port {
+                master.inbox.push(Received::Frame(delivery.frame));
+            }
         }
         for place in 0..self.drives.len() {
             let drive = &self.drives[place];
@@ -281,39 +310,5 @@ impl<M: Motor> Network<M> {
                 });
             }
         }
-    }
-}
-
-impl<M: Motor> Bus for Network<M> {
-    fn now(&self) -> TimeNs {
-        self.now
-    }
-
-    fn send(&mut self, line: u8, frames: &[Frame]) -> usize {
-        let Some(line) = self.lines.get_mut(usize::from(line)) else {
-            return 0;
-        };
-        let now = self.now;
-        let (wire, master) = (&mut line.wire, line.master);
-        frames
-            .iter()
-            .take_while(|frame| wire.send(now, master, **frame).is_ok())
-            .count()
-    }
-
-    fn receive(&mut self, line: u8, sink: &mut dyn FnMut(Received)) {
-        if let Some(line) = self.lines.get_mut(usize::from(line)) {
-            line.inbox.drain(..).for_each(sink);
-        }
-    }
-
-    fn flush(&mut self, line: u8) {
-        if let Some(line) = self.lines.get_mut(usize::from(line)) {
-            line.wire.discard(line.master);
-        }
-    }
-
-    fn wait(&mut self, until: TimeNs) {
-        self.advance(until);
     }
 }

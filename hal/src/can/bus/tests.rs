@@ -68,12 +68,12 @@ fn traffic(kinds: &[(u32, u8)]) -> Plan {
     }
 }
 
-/// The reference's table 2.10: frames a cycle, bits without and with stuffing, and whether 500 Hz and 1 kHz can be had.
-#[test]
-fn plans_cost_what_the_table_says() {
-    // Name, frames as count and bytes, bits, at 500 Hz, at 1 kHz.
-    type Row = (&'static str, &'static [(u32, u8)], (u64, u64), bool, bool);
-    let rows: [Row; 10] = [
+/// Name, frames as count and bytes, bits without and with stuffing, whether 500 Hz and 1 kHz can be had.
+type Row = (&'static str, &'static [(u32, u8)], (u64, u64), bool, bool);
+
+/// The reference's table 2.10.
+const fn table() -> [Row; 10] {
+    [
         ("A", &[(1, 0), (7, 6), (7, 8)], (1489, 1805), true, false),
         // With a counter in the SYNC.
         (
@@ -115,14 +115,91 @@ fn plans_cost_what_the_table_says() {
             true,
             true,
         ),
-    ];
-    for (name, kinds, bits, at_500_hz, at_1_khz) in rows {
+    ]
+}
+
+#[test]
+fn plans_cost_what_the_table_says() {
+    for (name, kinds, bits, at_500_hz, at_1_khz) in table() {
         let mut plan = traffic(kinds);
         let load = plan.load();
         assert_eq!((load.least, load.most), bits, "{name}");
         assert_eq!(plan.check().is_ok(), at_1_khz, "{name}");
         plan.cycle_ns = 2_000_000;
         assert_eq!(plan.check().is_ok(), at_500_hz, "{name}");
+    }
+}
+
+/// The shares of the bus that the table gives for 250 Hz, 500 Hz and 1 kHz, without and with stuffing, %.
+#[test]
+fn plans_take_the_share_that_the_table_says() {
+    let rows = [
+        ("A", 250, (37, 45)),
+        ("A", 500, (74, 90)),
+        ("A", 1000, (149, 181)),
+        ("B", 250, (54, 66)),
+        ("B", 500, (108, 131)),
+        ("C", 250, (23, 28)),
+        ("C", 500, (46, 56)),
+        ("C", 1000, (92, 111)),
+        ("D", 250, (32, 39)),
+        ("D", 500, (63, 77)),
+        ("E", 250, (26, 32)),
+        ("E", 500, (52, 63)),
+        ("E", 1000, (104, 126)),
+        ("F", 250, (29, 35)),
+        ("F", 500, (58, 69)),
+        ("4 axes of A", 1000, (87, 106)),
+        ("3 axes of A", 1000, (67, 81)),
+        ("4, shared", 1000, (65, 79)),
+        ("3, shared", 1000, (55, 67)),
+    ];
+    for (name, hz, (low, high)) in rows {
+        let found = table().into_iter().find(|row| row.0 == name);
+        let mut plan = traffic(found.unwrap().1);
+        plan.cycle_ns = 1_000_000_000 / hz;
+        let load = plan.load();
+        let per_mille = |bits: u64| bits * 1000 / load.room;
+        // The table rounds either way.
+        for (bits, percent) in [(load.least, low), (load.most, high)] {
+            let off = per_mille(bits).abs_diff(percent * 10);
+            assert!(
+                off <= 10,
+                "{name} at {hz} Hz: {} per mille",
+                per_mille(bits)
+            );
+        }
+    }
+}
+
+/// What each plan of the table takes on the wire, with frames of arbitrary content.
+#[test]
+fn plans_take_on_the_wire_what_the_table_says() {
+    const CYCLES: u64 = 200;
+    for (name, kinds, (low, high), at_500_hz, _) in table() {
+        let mut random = Random::new(7);
+        let mut wire = Wire::new(1_000_000);
+        let port = wire.attach(Order::Fifo, 64);
+        let mut late = 0;
+        for cycle in 0..CYCLES {
+            let start = TimeNs(cycle * 2_000_000);
+            late += u64::from(wire.waiting(port) > 0);
+            for (count, bytes) in kinds {
+                for _ in 0..*count {
+                    let content = random.next().to_le_bytes();
+                    let id = CanId::truncated(random.next().to_le_bytes()[0].into());
+                    let data = Payload::truncated(&content[..usize::from(*bytes)]);
+                    let _ = wire.send(start, port, Frame::new(id, data));
+                }
+            }
+            while wire.next(start.plus_ns(2_000_000)).is_some() {}
+        }
+        // What overloads the bus piles up, so that not all of it has gone.
+        assert_eq!(late > CYCLES / 2, !at_500_hz, "{name}: {late}");
+        if at_500_hz {
+            let bits = wire.busy().0 / 1000 / CYCLES;
+            assert!((low..=high).contains(&bits), "{name}: {bits} bits a cycle");
+        }
     }
 }
 

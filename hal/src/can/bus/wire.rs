@@ -178,6 +178,25 @@ impl Wire {
         })
     }
 
+    /// When the last frame that now waits at any port but `except` will have been sent, if no other comes; none if there is
+    /// none.
+    #[must_use]
+    pub fn silent_at(&self, except: usize) -> Option<TimeNs> {
+        let others = self.ports.iter().enumerate();
+        let others = others.filter(|(port, place)| *port != except && place.attached);
+        let waiting_ns: u64 = others
+            .flat_map(|(_, port)| &port.queue)
+            .map(|(_, frame)| duration_ns(exact(frame), self.bit_rate))
+            .sum();
+        match &self.sending {
+            Some(sending) if waiting_ns > 0 || sending.port != except => {
+                Some(sending.end.plus_ns(waiting_ns))
+            }
+            None if waiting_ns > 0 => Some(self.idle_since.plus_ns(waiting_ns)),
+            Some(_) | None => None,
+        }
+    }
+
     /// Frames that wait at `port`.
     #[must_use]
     pub fn waiting(&self, port: usize) -> usize {

@@ -15,9 +15,10 @@ const CATCH_UP_MAX: u64 = 1000;
 
 /// Seven drives on one to three buses.
 ///
-/// [`Arm::read`] takes what has come, and where a SYNC is due sends it; the answers to it are what the next period reads,
-/// so a measurement is one period old. [`Arm::write`] sends the set-points, which the next SYNC puts into effect. A
-/// period without a new command is a period of the tail. A controller may be faster than the bus by a whole factor. After a [`Fault`] the drives stop, and nothing enables them
+/// [`Arm::read`] takes what has come, and where a SYNC is due sends it; the answers to it are what is read from the next SYNC
+/// on, so a measurement is one cycle old. [`Arm::write`] sends the set-points, which the next SYNC puts into effect. A
+/// cycle without a new command is one of the tail. A controller may be faster than the bus by a whole factor; between two SYNCs
+/// it reads the same measurement again, since half of the answers would have to be guessed. After a [`Fault`] the drives stop, and nothing enables them
 /// again but a new [`Offline`](super::Offline).
 #[derive(Debug)]
 pub struct CanArm<B> {
@@ -32,6 +33,8 @@ pub struct CanArm<B> {
     /// The newest call of [`Arm::read`], and the time between the last two, ns.
     called: Option<TimeNs>,
     between_calls_ns: u64,
+    /// The arm as it was at the newest SYNC.
+    measured: Result<ArmState, ArmError>,
     /// Commands whose set-points were no numbers or out of reach.
     refused: u64,
     out: Outbox,
@@ -48,6 +51,7 @@ impl<B: Bus> CanArm<B> {
             sent: false,
             called: None,
             between_calls_ns: plan.cycle_ns,
+            measured: Err(ArmError::MeasurementLost { age_ns: 0 }),
             refused: 0,
             out: Outbox::default(),
         }
@@ -63,6 +67,16 @@ impl<B: Bus> CanArm<B> {
     #[must_use]
     pub const fn cycle(&self) -> &Cycle {
         &self.cycle
+    }
+
+    /// What it was brought up with.
+    #[must_use]
+    pub const fn plan(&self) -> &ArmPlan {
+        &self.plan
+    }
+
+    pub(super) const fn cycle_ns(&self) -> u64 {
+        self.plan.cycle_ns
     }
 
     /// Commands that were no numbers or out of reach; the tail was played instead.
@@ -90,7 +104,7 @@ impl<B: Bus> CanArm<B> {
         self.cycle.judge(now);
         // Of the periods that have passed, the controller has taken care of one at most.
         let written = u64::from(core::mem::take(&mut self.written));
-        self.play(self.cycle.cycles_since_sync(now) - written);
+        self.play(now, self.cycle.cycles_since_sync(now) - written);
         if !self.sent {
             self.send_set_points(now);
         }
@@ -101,13 +115,29 @@ impl<B: Bus> CanArm<B> {
             self.transmit(line);
         }
         self.sent = false;
+        self.measured = self.cycle.state(now);
     }
 
-    /// The tail's set-points for `periods` without a command, of which the last one counts.
-    fn play(&mut self, periods: u64) {
+    /// What is known of the arm at `now`.
+    fn measured(&self, now: TimeNs) -> Result<ArmState, ArmError> {
+        let since_ns = self.cycle.sync().map_or(0, |sync| now.since(sync));
+        match (self.cycle.fault(), self.measured) {
+            (Some(fault), _) => Err(fault.arm_error()),
+            (None, Err(ArmError::MeasurementLost { age_ns })) => Err(ArmError::MeasurementLost {
+                age_ns: age_ns.saturating_add(since_ns),
+            }),
+            (None, measured) => measured,
+        }
+    }
+
+    /// The tail's set-points for `periods` without a command, of which the last one counts. It may let go, never enable.
+    fn play(&mut self, now: TimeNs, periods: u64) {
         for _ in 0..periods.min(CATCH_UP_MAX) {
             if let Some(command) = self.player.next_period() {
                 self.take(&command);
+                if !command.enabled {
+                    self.cycle.set_goal(now, Goal::Disabled);
+                }
             }
         }
     }
@@ -186,7 +216,8 @@ fn leave(node: NodeId) -> crate::can::Frame {
 
 impl<B: Bus> Arm for CanArm<B> {
     fn read(&mut self, now: TimeNs) -> Result<ArmState, ArmError> {
-        if let Some(before) = self.called.replace(now) {
+        let before = self.called.replace(now);
+        if let Some(before) = before.filter(|before| *before < now) {
             self.between_calls_ns = now.since(before);
         }
         if self.cycle.is_due(now) {
@@ -194,12 +225,12 @@ impl<B: Bus> Arm for CanArm<B> {
         } else {
             self.receive(now);
         }
-        self.cycle.state(now)
+        self.measured(now)
     }
 
     fn write(&mut self, command: &ArmCommand, tail: &SafeTail) -> Result<(), ArmError> {
         let now = command.stamp;
-        if self.take(command) && tail.is_finite() {
+        if command.is_finite() && tail.is_finite() && self.take(command) {
             self.player.write(command, tail);
             // The player asks at the SYNC whether this period had its command; this one had.
             let _ = self.player.next_period();

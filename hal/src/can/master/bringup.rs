@@ -12,6 +12,7 @@ use super::client::{expect, read_number, send};
 use super::cycle::{Cycle, Goal};
 use super::link::Bus;
 use super::plan::ArmPlan;
+use crate::TimeNs;
 use crate::can::cia301::{Cob, NmtCommand, NmtState, NmtTarget};
 use crate::can::cia402::Mode;
 use crate::can::od::index;
@@ -120,6 +121,11 @@ impl<B: Bus> Offline<B> {
 }
 
 impl<B: Bus> Scanned<B> {
+    /// The buses.
+    pub const fn bus_mut(&mut self) -> &mut B {
+        &mut self.bus
+    }
+
     /// Compares device type, vendor, product and modes of every node with the plan.
     ///
     /// # Errors
@@ -209,34 +215,74 @@ impl<B: Bus> Homed<B> {
     /// # Errors
     /// [`BringUpError::Fault`] if a drive fails meanwhile; it and the others then have no torque.
     pub fn enable(self) -> Result<CanArm<B>, BringUpError> {
-        let Self { mut bus, plan } = self;
+        let mut arms = enable_together(vec![self]).map_err(|(_, error)| error)?;
+        arms.pop().ok_or(BringUpError::Slow)
+    }
+
+    fn start(&mut self) -> Result<(), BringUpError> {
         for axis in 0..TAIL_AXES {
-            let who = plan.who(axis);
+            let who = self.plan.who(axis);
             let start = NmtCommand::Start.emit(NmtTarget::Node(who.node));
-            send(&mut bus, who.line, start)?;
+            send(&mut self.bus, who.line, start)?;
         }
-        // Heartbeats from before are not what the cycle should judge by.
-        let start = bus.now().plus_ns(SETTLE_NS);
-        bus.wait(start);
+        Ok(())
+    }
+}
+
+/// Starts the beats of several arms and enables all their drives, so that no arm waits without a beat for another one.
+///
+/// # Errors
+/// As [`Homed::enable`], with the place of the arm that failed; no drive of any arm has torque then.
+pub fn enable_together<B: Bus>(
+    mut homed: Vec<Homed<B>>,
+) -> Result<Vec<CanArm<B>>, (usize, BringUpError)> {
+    for (place, arm) in homed.iter_mut().enumerate() {
+        arm.start().map_err(|error| (place, error))?;
+    }
+    let Some(first) = homed.first_mut() else {
+        return Ok(Vec::new());
+    };
+    // Heartbeats from before are not what the cycle should judge by.
+    let start = first.bus.now().plus_ns(SETTLE_NS);
+    first.bus.wait(start);
+    let begin = |Homed { mut bus, plan }: Homed<B>| {
         for line in 0..plan.lines {
             bus.receive(line, &mut |_| {});
         }
         let mut arm = CanArm::new(bus, &plan, Cycle::new(&plan, start));
         arm.set_goal(start, Goal::Enabled);
-        let mut at = start;
-        while !arm.is_enabled() {
-            at = at.plus_ns(plan.cycle_ns);
-            arm.bus_mut().wait(at);
+        arm
+    };
+    let mut arms: Vec<CanArm<B>> = homed.into_iter().map(begin).collect();
+    match turn_until_enabled(&mut arms, start) {
+        Ok(()) => Ok(arms),
+        Err(failed) => {
+            arms.iter_mut().for_each(CanArm::shut_down);
+            Err(failed)
+        }
+    }
+}
+
+fn turn_until_enabled<B: Bus>(
+    arms: &mut [CanArm<B>],
+    start: TimeNs,
+) -> Result<(), (usize, BringUpError)> {
+    let cycle_ns = arms.iter().map(CanArm::cycle_ns).max().unwrap_or(1);
+    let mut at = start;
+    while let Some(slow) = arms.iter().position(|arm| !arm.is_enabled()) {
+        if at.since(start) > ENABLE_NS {
+            return Err((slow, BringUpError::Slow));
+        }
+        at = at.plus_ns(cycle_ns);
+        if let Some(first) = arms.first_mut() {
+            first.bus_mut().wait(at);
+        }
+        for (place, arm) in arms.iter_mut().enumerate() {
             arm.turn(at);
             if let Some(fault) = arm.fault() {
-                arm.shut_down();
-                return Err(BringUpError::Fault(fault));
-            }
-            if at.since(start) > ENABLE_NS {
-                arm.shut_down();
-                return Err(BringUpError::Slow);
+                return Err((place, BringUpError::Fault(fault)));
             }
         }
-        Ok(arm)
     }
+    Ok(())
 }

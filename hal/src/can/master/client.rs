@@ -118,6 +118,10 @@ pub(super) fn read<B: Bus>(
                 if segment.is_last() {
                     return Ok(all);
                 }
+                // Or a node could go on for ever.
+                if segment.data().is_empty() {
+                    return Err(confused);
+                }
                 toggle = !toggle;
             }
         }

@@ -1,8 +1,8 @@
 //! The master of an arm: it finds its drives, leads them to where they may be enabled, and keeps the beat.
 //!
-//! [`plan`] says which node drives what, [`config`] reads it from `config/can.toml`. [`bringup`] is the way to an enabled arm, a type a step; [`cycle`] is what
-//! happens between two SYNCs, without clock or socket; [`arm`] makes a [`hal::Arm`](crate::Arm) of it. [`link`] is the
-//! seam to the buses.
+//! [`plan`] says which node drives what, [`config`] reads it from `config/can.toml`. [`bringup`] is the way to an enabled arm,
+//! a type a step; [`cycle`] is what happens between two SYNCs, without clock or socket; [`arm`] makes a
+//! [`hal::Arm`](crate::Arm) of it. [`link`] is the seam to the buses.
 //!
 //! What the master does about what can go wrong. "Lost" means that [`CanArm`] reports a lost measurement,
 //! whereupon the controller plays its verified stop; "fault" means that every drive that still hears us gets a quick stop,
@@ -13,8 +13,11 @@
 //! bus-off, interface down                  error frame                     fault at once; that bus is not sent to again
 //! error passive, lost frames               error frame, receive counter    counted and told
 //! no room to send                          short send                      2 cycles lost, 20 cycles fault
-//! answer missing, late, short, long,       per-axis age                    predicted; 3 cycles lost, 20 cycles fault
-//! senseless or impossibly far
+//! answer missing, late, short, senseless   per-axis age                    predicted; 3 cycles lost, 20 cycles fault
+//! or impossibly far (none can be longer)
+//! set-point or SYNC short or long          the drive's emergency           fault with the drive's code
+//! set-point or SYNC missing                the drive's own watches         one is bridged; 10 cycles fault
+//! set-point with another target            following error                 fault; no faster than the drive may be
 //! heartbeat missing                        three periods                   fault
 //! boot-up or another NMT state             heartbeat                       fault
 //! emergency                                its frame                       fault with the drive's code
@@ -22,6 +25,7 @@
 //! following error                          status word, own comparison     fault
 //! power lost                               status word                     fault
 //! somebody else's SYNC, NMT or set-points  their identifiers               fault
+//! a second node with a drive's number      the drive's emergency           fault
 //! wrong identity                           bring-up                        no arm
 //! controller silent, senseless or leaping  no set-point in reach           the tail is played to rest
 //! own process dead                         the drives' own watches         they stop by themselves
@@ -39,7 +43,7 @@ pub mod plan;
 pub mod space;
 
 pub use arm::CanArm;
-pub use bringup::{BringUpError, Offline};
+pub use bringup::{BringUpError, Homed, Offline, enable_together};
 pub use config::CanConfig;
 pub use fault::{Fault, Who};
 pub use link::{Bus, Received, Trouble};

@@ -95,6 +95,12 @@ impl Node {
         self.drive.state()
     }
 
+    /// When the newest SYNC came, if one has come since the node became operational or stopped being so.
+    #[must_use]
+    pub const fn newest_sync(&self) -> Option<TimeNs> {
+        self.watches.newest_sync()
+    }
+
     /// Starts the node: boot-up, then pre-operational.
     pub fn power_on(&mut self, now: TimeNs, out: &mut Outbox) {
         self.reset(Area::All, now, out);

@@ -29,6 +29,11 @@ impl Watches {
         self.heartbeat_due = (period_ns > 0).then(|| now.plus_ns(period_ns));
     }
 
+    /// The newest SYNC since the watch over it began.
+    pub(super) const fn newest_sync(&self) -> Option<TimeNs> {
+        self.sync
+    }
+
     /// A SYNC came.
     pub(super) fn on_sync(&mut self, now: TimeNs) {
         self.sync = Some(now);

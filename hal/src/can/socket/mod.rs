@@ -16,6 +16,9 @@ use super::{CanId, Frame, Payload};
 use crate::TimeNs;
 use sys::{BATCH, RawFrame};
 
+/// Most batches that one call takes: more than any bus brings in a cycle. What is left waits for the next call.
+const BATCHES_MAX: usize = 32;
+
 /// The time, and how to wait for it. Only the real-time driver has a clock, so it lends one.
 pub trait Clock {
     /// What time it is.
@@ -71,6 +74,14 @@ impl<C: Clock> SocketBus<C> {
     }
 }
 
+impl<C: Clock> SocketBus<C> {
+    /// Waits until something has come on any line, for `timeout_ns` of the system's time at most; `false` if a line is in
+    /// trouble, for which no waiting helps.
+    pub fn wait_for_frames(&mut self, timeout_ns: u64) -> bool {
+        sys::wait_readable(self.lines.iter().map(|line| &line.socket), timeout_ns)
+    }
+}
+
 impl Line {
     fn open(name: &str) -> io::Result<Self> {
         let socket = CanSocket::open(name)?;
@@ -114,7 +125,7 @@ impl Line {
             sink(Received::Trouble(trouble));
         }
         let mut raw = [RawFrame::default(); BATCH];
-        loop {
+        for _ in 0..BATCHES_MAX {
             match sys::receive(&self.socket, &mut raw) {
                 Ok((count, missed)) => {
                     raw.iter().take(count).for_each(|frame| frame.tell(sink));

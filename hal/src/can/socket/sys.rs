@@ -139,6 +139,41 @@ pub(super) fn receive(
     Ok((received, missed))
 }
 
+/// Sockets that can be waited for at once.
+const WAITED_MAX: usize = 8;
+
+/// Waits until one of `sockets` has something to read, for `timeout_ns` at most; `false` if one is in trouble.
+pub(super) fn wait_readable<'a>(
+    sockets: impl Iterator<Item = &'a CanSocket>,
+    timeout_ns: u64,
+) -> bool {
+    const NONE: libc::pollfd = libc::pollfd {
+        fd: -1,
+        events: libc::POLLIN,
+        revents: 0,
+    };
+    let mut waited = [NONE; WAITED_MAX];
+    for (place, socket) in waited.iter_mut().zip(sockets) {
+        place.fd = socket.as_raw_fd();
+    }
+    let timeout = libc::timespec {
+        tv_sec: libc::time_t::try_from(timeout_ns / 1_000_000_000).unwrap_or(libc::time_t::MAX),
+        tv_nsec: libc::c_long::try_from(timeout_ns % 1_000_000_000).unwrap_or(0),
+    };
+    // SAFETY: `waited` and `timeout` are live; entries with a negative descriptor are passed over, and without a signal
+    // mask the last pointer may be null.
+    unsafe {
+        libc::ppoll(
+            waited.as_mut_ptr(),
+            WAITED_MAX as libc::nfds_t,
+            &raw const timeout,
+            ptr::null(),
+        )
+    };
+    let bad = libc::POLLERR | libc::POLLHUP | libc::POLLNVAL;
+    waited.iter().all(|place| place.revents & bad == 0)
+}
+
 /// The count in a control message of `SO_RXQ_OVFL`: header of length, level and type, then four bytes.
 fn missed_count(control: &Control, length: usize) -> Option<u32> {
     let [_, kind, value, _] = control.map(u64::to_ne_bytes);
@@ -168,5 +203,18 @@ pub(super) fn count_missed(socket: &CanSocket) -> io::Result<()> {
         Ok(())
     } else {
         Err(io::Error::last_os_error())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_full_queue_and_an_interrupted_call_are_no_room_and_nothing_else_is() {
+        let is = |code| is_full(&io::Error::from_raw_os_error(code));
+        // ENOBUFS is what an interface's queue says, EAGAIN the socket's own; vcan says neither.
+        assert!(is(libc::ENOBUFS) && is(libc::EAGAIN) && is(libc::EINTR));
+        assert!(!is(libc::ENETDOWN) && !is(libc::ENODEV) && !is(libc::EINVAL));
     }
 }

@@ -5,8 +5,10 @@ use std::path::PathBuf;
 use clap::builder::{PossibleValuesParser, RangedU64ValueParser};
 use clap::{Args, Parser, Subcommand, ValueEnum};
 
+use runtime::session::drives::DEFAULT_TOPICS;
 use runtime::session::tasks;
 
+use crate::drives::DrivesArgs;
 use crate::scene_args::SceneArgs;
 use crate::sheet::SheetArgs;
 
@@ -67,6 +69,11 @@ pub(crate) enum Verb {
     /// Check a log's commands against its limits, independently of the controller.
     #[command(after_help = "Example: trocar verify runs/a.mcap")]
     Verify(LogArgs),
+    /// Be seven emulated CiA 402 drives an arm, on CAN interfaces such as vcan, that move the simulated arms of a task.
+    #[command(
+        after_help = "Example: trocar drives --task needle-lift --seed 7\n         trocar drives --config runs/can.toml --fault kind=pull,node=3,at=2s --json runs/drives.json"
+    )]
+    Drives(DrivesArgs),
     /// Show what this machine offers: scheduling, memory locking, CAN, GPU, shared memory.
     #[command(after_help = "Example: trocar doctor")]
     Doctor(DoctorArgs),
@@ -91,6 +98,8 @@ pub(crate) fn task() -> PossibleValuesParser {
 pub(crate) enum Backend {
     /// The simulated arm.
     Sim,
+    /// Drives on CAN, such as those of `trocar drives`.
+    Can,
 }
 
 /// Where a network computes.
@@ -126,6 +135,12 @@ pub(crate) struct RunArgs {
     /// Controller configuration instead of the built-in config/control.toml.
     #[arg(long, value_name = "FILE")]
     pub(crate) config: Option<PathBuf>,
+    /// With --backend can: nodes and interfaces instead of the built-in config/can.toml.
+    #[arg(long, value_name = "FILE")]
+    pub(crate) can_config: Option<PathBuf>,
+    /// With --backend can: the name of the topics on which the world of the drives shows itself.
+    #[arg(long, value_name = "NAME", default_value = DEFAULT_TOPICS)]
+    pub(crate) topics: String,
     /// Write the run's log; parent folders are made.
     #[arg(long, value_name = "FILE.mcap")]
     pub(crate) log: Option<PathBuf>,

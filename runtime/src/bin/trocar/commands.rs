@@ -8,7 +8,7 @@ use runtime::doctor::{self, Probes};
 use runtime::log::RunLog;
 use runtime::session::demo::{self, DemoOptions};
 use runtime::session::eval::{self, EvalOptions};
-use runtime::session::realtime::{self, PolicyProcessOptions};
+use runtime::session::realtime::{self, CanOptions, PolicyProcessOptions};
 use runtime::session::record::{self, RecordOptions};
 use runtime::session::run::{self, RunOptions, write_json};
 use runtime::session::summary::RunSummary;
@@ -20,10 +20,11 @@ use sim_backend::task::TaskConfig;
 use tch::Device;
 
 use crate::args::{
-    Cameras, ComputeArgs, ComputeDevice, DemoArgs, DoctorArgs, EvalArgs, LogArgs, Network,
+    Backend, Cameras, ComputeArgs, ComputeDevice, DemoArgs, DoctorArgs, EvalArgs, LogArgs, Network,
     PolicyProcessArgs, Precision, RecordArgs, RunArgs, TrainArgs, Video,
 };
 use crate::console;
+use crate::drives::can_source;
 
 pub(crate) type Done = Result<bool, SessionError>;
 
@@ -74,9 +75,12 @@ pub(crate) fn run(args: &RunArgs) -> Done {
     let log = ("--log", args.log.as_deref());
     let config = ("--config", args.config.as_deref());
     let scene = ("--scene", args.scene.scene.as_deref());
-    outputs::check(&[log, ("--json", args.json.as_deref())], &[config, scene])?;
+    let can_config = ("--can-config", args.can_config.as_deref());
+    let read = [config, scene, can_config];
+    outputs::check(&[log, ("--json", args.json.as_deref())], &read)?;
+    let can = can_options(args)?;
     let policy = PolicyChoice::parse(&args.policy);
-    let setup = Setup::load(&args.task, args.config.as_deref(), &policy)?
+    let mut setup = Setup::load(&args.task, args.config.as_deref(), &policy)?
         .with_scene(&args.scene.options(args.cameras.as_deref()))?;
     warn_of_transfer(&setup);
     let options = RunOptions {
@@ -88,7 +92,10 @@ pub(crate) fn run(args: &RunArgs) -> Done {
         latency_jitter_ms: args.latency_jitter_ms,
         compute: compute(&args.compute)?,
     };
-    let result = if args.lockstep {
+    let result = if let Some((can, text)) = can {
+        setup.texts.can = Some(text);
+        realtime::run_on_can(&setup, &options, &can)?
+    } else if args.lockstep {
         run::run_lockstep(&setup, &options)?
     } else {
         realtime::run_realtime(&setup, &options)?
@@ -98,6 +105,25 @@ pub(crate) fn run(args: &RunArgs) -> Done {
         write_json(path, &result.summary)?;
     }
     Ok(result.summary.success)
+}
+
+/// The arms on CAN with the text that says where they are, if that is where the arms are.
+fn can_options(args: &RunArgs) -> Result<Option<(CanOptions, String)>, SessionError> {
+    match args.backend {
+        Backend::Sim => match &args.can_config {
+            None => Ok(None),
+            Some(_) => Err(SessionError::BadArgument(
+                "--can-config needs --backend can".to_owned(),
+            )),
+        },
+        Backend::Can if args.lockstep => Err(SessionError::BadArgument(
+            "--lockstep needs --backend sim: drives on a bus have a time of their own".to_owned(),
+        )),
+        Backend::Can => {
+            let source = can_source(args.can_config.as_ref())?;
+            CanOptions::load(&source, &args.topics).map(Some)
+        }
+    }
 }
 
 fn report_run(summary: &RunSummary) {
@@ -130,6 +156,29 @@ fn report_run(summary: &RunSummary) {
         console::result(&format!(
             "  real time: {} skipped periods, wake-up p99 {:.0} us, {} log records dropped",
             real_time.overruns, real_time.wake_p99_us, real_time.log_dropped
+        ));
+    }
+    for arm in summary.can.iter().flat_map(|can| &can.arms) {
+        let buses: Vec<String> = arm
+            .buses
+            .iter()
+            .map(|bus| {
+                format!(
+                    "{} {}.{} %",
+                    bus.interface,
+                    bus.planned_per_mille / 10,
+                    bus.planned_per_mille % 10
+                )
+            })
+            .collect();
+        console::result(&format!(
+            "  {} on {}: {} answers missed, {} late, {} rejected, {} commands refused",
+            arm.arm,
+            buses.join(", "),
+            arm.answers_missed,
+            arm.answers_late,
+            arm.answers_rejected,
+            arm.commands_refused
         ));
     }
     console::result(&format!("  command hash: {}", summary.command_hash));

@@ -5,12 +5,15 @@
 mod args;
 mod commands;
 mod console;
+mod drives;
 mod scene_args;
 mod sheet;
 
 use std::process::ExitCode;
 
 use clap::Parser;
+
+use runtime::rt;
 
 use args::{Cli, Verb};
 
@@ -35,6 +38,12 @@ fn explain_panics() {
 fn main() -> ExitCode {
     explain_panics();
     let cli = Cli::parse();
+    if rt::slow_motion() > 1 {
+        console::warning(&format!(
+            "TROCAR_SLOW_MOTION: everything takes {} times as long",
+            rt::slow_motion()
+        ));
+    }
     let result = match &cli.verb {
         Verb::Run(args) => commands::run(args),
         Verb::Eval(args) => commands::eval(args),
@@ -42,6 +51,7 @@ fn main() -> ExitCode {
         Verb::Train(args) => commands::train(args),
         Verb::Replay(args) => commands::replay(args),
         Verb::Verify(args) => commands::verify(args),
+        Verb::Drives(args) => drives::drives(args),
         Verb::Doctor(args) => commands::doctor(args),
         Verb::Demo(args) => commands::demo(args),
         Verb::Sheet(args) => sheet::sheet(args),

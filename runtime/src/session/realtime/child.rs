@@ -47,6 +47,8 @@ pub(super) struct PolicyChild {
     cameras: Vec<String>,
     queries: u64,
     clock: MonotonicClock,
+    /// The run's clock, if the policy's observations have the system's instants.
+    world: Option<MonotonicClock>,
     heard: TimeNs,
 }
 
@@ -54,10 +56,12 @@ impl PolicyChild {
     /// Starts the process and waits until it has loaded the checkpoint.
     ///
     /// The checkpoint is loaded here first: a bad one is refused with its reason before any process or thread is started.
+    /// With `world`, the topics are those of a world in another process, whose instants are the system's.
     pub(super) fn start(
         setup: &Setup,
         policy: &Path,
         options: &RunOptions,
+        world: Option<(&str, MonotonicClock)>,
     ) -> Result<Self, SessionError> {
         let network = setup.network(policy, Device::Cpu)?;
         check_cameras(setup, &network)?;
@@ -65,7 +69,10 @@ impl PolicyChild {
         let history_steps = hal::Policy::history_steps(&network);
         let cameras = camera_names(&network);
         drop(network);
-        let run_id = fresh_run_id()?;
+        let run_id = match world {
+            Some((topics, _)) => topics.to_owned(),
+            None => fresh_run_id()?,
+        };
         let node = TopicNode::join(&run_id)?;
         let control = RunControlTopic::publisher(&node, FIRST_ARM)?;
         let status = PolicyStatusTopic::subscriber(&node, FIRST_ARM)?;
@@ -81,6 +88,7 @@ impl PolicyChild {
             cameras,
             queries: 0,
             clock: MonotonicClock::new(),
+            world: world.map(|(_, clock)| clock),
             heard: TimeNs(0),
         };
         child.wait_until_ready(options.seed)?;
@@ -138,7 +146,16 @@ impl PolicyChild {
 
     /// The newest answer, a chunk for each arm, if one has come since the last call.
     pub(super) fn newest_chunks(&mut self) -> Result<Option<PerArm<Chunk>>, SessionError> {
-        self.chunks.newest()
+        let answer = self.chunks.newest()?;
+        let Some(clock) = &self.world else {
+            return Ok(answer);
+        };
+        Ok(answer.map(|chunks| {
+            chunks.map(|chunk| Chunk {
+                observed_at: clock.from_system(chunk.observed_at),
+                ..chunk
+            })
+        }))
     }
 
     /// How long the newest chunk took to compute, once for each chunk.

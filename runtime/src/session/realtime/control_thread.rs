@@ -2,23 +2,17 @@
 
 use std::sync::Arc;
 
-use hal::{ArmCommand, ArmError, ArmState, Chunk, SafeTail, TICK_NS, TimeNs};
-use rtrb::{Consumer, Producer};
+use hal::{Chunk, TICK_NS, TimeNs};
+use rtrb::Consumer;
 
+use super::arm_link::{ArmLink, Measured};
 use super::signals::{Signals, StopsAll};
 use crate::control::{AnyController, OperatorEvent, TickInput};
 use crate::histogram::Histogram;
 use crate::log::{TickLog, TickRecord, TickTiming};
-use crate::mailbox::MailboxReader;
 use crate::per_arm::PerArm;
 use crate::rt::{MonotonicClock, Periodic, RtOptions, Wake, configure_thread};
 use crate::session::tally::Tally;
-
-/// Age of the newest measurement beyond which it counts as lost, ns.
-///
-/// A drive's watchdog on a bus is of the same size (the dVRK's is 30 ms); a shared machine without a real-time kernel can
-/// take the simulation thread off its core for longer than a few periods.
-const MEASUREMENT_AGE_NS_MAX: u64 = 50_000_000;
 
 /// Periods that the arms get to come to rest after the verdict: more than twice the longest stop.
 const REST_TICKS: u64 = 500;
@@ -26,32 +20,28 @@ const REST_TICKS: u64 = 500;
 /// Priority of the control thread under `SCHED_FIFO`.
 const PRIORITY: u8 = 80;
 
-/// A command with the stop that the arm finishes alone if this thread is late or gone.
-pub(super) type Setpoint = (ArmCommand, SafeTail);
-
 /// The control thread before it runs.
-pub(super) struct ControlThread {
+pub(super) struct ControlThread<L> {
     pub(super) controller: AnyController,
-    pub(super) measured: MailboxReader<PerArm<ArmState>>,
+    pub(super) link: L,
     pub(super) chunks: Consumer<PerArm<Chunk>>,
-    pub(super) commands: Producer<PerArm<Setpoint>>,
     pub(super) log: Option<TickLog>,
     pub(super) signals: Arc<Signals>,
 }
 
 /// What it leaves behind.
-pub(super) struct ControlEnd {
+pub(super) struct ControlEnd<L> {
+    pub(super) link: L,
     pub(super) tally: Tally,
     pub(super) skipped: u64,
     pub(super) wake_p99_us: f64,
     pub(super) log_dropped: u64,
 }
 
-impl ControlThread {
-    /// Runs until the arms rest after the verdict, or after a fault of any, which it does not recover from by itself.
-    ///
-    /// Wakes half a period after the simulation, so that it sees this period's measurement.
-    pub(super) fn run(mut self, clock: MonotonicClock, first: TimeNs) -> ControlEnd {
+impl<L: ArmLink> ControlThread<L> {
+    /// Runs from `first` until the arms rest after the verdict, or after a fault of any, which it does not recover from by
+    /// itself.
+    pub(super) fn run(mut self, clock: MonotonicClock, first: TimeNs) -> ControlEnd<L> {
         let signals = Arc::clone(&self.signals);
         let _stops = StopsAll(&signals);
         let options = RtOptions {
@@ -62,26 +52,26 @@ impl ControlThread {
         };
         // Not strict, so a refusal is only reported; `trocar doctor` tells what to change.
         let _granted = configure_thread(&options);
-        let mut periodic = Periodic::new(clock, first.plus_ns(TICK_NS / 2), TICK_NS);
+        let mut periodic = Periodic::new(clock, first, TICK_NS);
         let mut wakes = Histogram::new();
         let mut tally = Tally::default();
         let mut rest_ticks = 0;
         let mut paused = false;
-        let mut newest: Option<PerArm<ArmState>> = None;
         while rest_ticks < REST_TICKS {
             let wake = periodic.wait();
             wakes.record(wake.late_ns());
             let done = signals.done();
             rest_ticks += u64::from(done);
-            newest = self.measured.take().or(newest);
-            let Some(states) = newest else { continue };
+            let Some(measured) = self.link.read(wake.due) else {
+                continue;
+            };
             let operator = if tally.ticks() == 0 {
                 Some(OperatorEvent::Enable)
             } else {
                 (done && !paused).then_some(OperatorEvent::Pause)
             };
             paused |= operator == Some(OperatorEvent::Pause);
-            let Some(record) = self.tick(&wake, &states, operator, &mut tally, clock) else {
+            let Some(record) = self.tick(&wake, measured, operator, &mut tally, clock) else {
                 break;
             };
             tally.tick(&record);
@@ -96,6 +86,7 @@ impl ControlThread {
         #[expect(clippy::cast_precision_loss, reason = "a delay is exact in f64")]
         let wake_p99_us = wakes.percentile(0.99) as f64 * 1e-3;
         ControlEnd {
+            link: self.link,
             tally,
             skipped: periodic.skipped(),
             wake_p99_us,
@@ -103,11 +94,11 @@ impl ControlThread {
         }
     }
 
-    /// One control period of all arms; none if the simulation has other arms than the controller, which `Setup` rules out.
+    /// One control period of all arms; none if there are other arms than the controller's, which `Setup` rules out.
     fn tick(
         &mut self,
         wake: &Wake,
-        states: &PerArm<ArmState>,
+        measured: PerArm<Measured>,
         operator: Option<OperatorEvent>,
         tally: &mut Tally,
         clock: MonotonicClock,
@@ -128,9 +119,9 @@ impl ControlThread {
             }
         }
         let mut newest = chunks.iter().flat_map(PerArm::iter);
-        let inputs = states.map(|state| TickInput {
+        let inputs = measured.map(|measured| TickInput {
             now,
-            measured: fresh(&state, now),
+            measured,
             chunk: newest.next(),
             operator,
         });
@@ -138,25 +129,13 @@ impl ControlThread {
         let outputs = self.controller.tick(&inputs);
         let compute_ns = clock.now().since(before);
         let outputs = outputs?;
-        // Full only if the arms have not moved for a second, and then their measurements are long missing.
-        let _gone = self
-            .commands
-            .push(outputs.map(|output| (output.command, output.tail)));
+        self.link
+            .write(&outputs.map(|output| (output.command, output.tail)));
         let timing = TickTiming {
             wake_ns: wake.late_ns(),
             compute_ns,
         };
         Some(TickRecord::new(now.tick(), inputs, outputs, timing))
-    }
-}
-
-/// The measurement, unless it is too old at `now`.
-const fn fresh(state: &ArmState, now: TimeNs) -> Result<ArmState, ArmError> {
-    let age_ns = now.since(state.stamp);
-    if age_ns > MEASUREMENT_AGE_NS_MAX {
-        Err(ArmError::MeasurementLost { age_ns })
-    } else {
-        Ok(*state)
     }
 }
 

@@ -14,9 +14,11 @@
 //! thread: all arms then come to rest, the control thread stops, and everybody follows.
 
 mod arm_chunks;
+mod arm_link;
 mod camera_thread;
 mod child;
 mod control_thread;
+mod on_can;
 mod policy_process;
 mod signals;
 mod simulation_thread;
@@ -25,11 +27,12 @@ mod watch;
 use std::sync::Arc;
 use std::thread;
 
-use hal::{ArmState, Chunk};
+use hal::{ArmState, Chunk, TICK_NS};
 use rtrb::RingBuffer;
 use sim_backend::simulation::{Rendering, Simulation};
 use sim_backend::task::Outcome;
 
+pub use on_can::{CanOptions, run_on_can};
 pub use policy_process::{PolicyProcessOptions, serve_policy};
 
 use super::run::{RunOptions, RunResult, open_log};
@@ -41,6 +44,7 @@ use crate::log::{LogFile, RunOutcome};
 use crate::mailbox::mailbox;
 use crate::per_arm::PerArm;
 use crate::rt::{self, MonotonicClock};
+use arm_link::SimLink;
 use camera_thread::{CameraEnd, CameraThread, Snapshot};
 use child::PolicyChild;
 use control_thread::{ControlEnd, ControlThread};
@@ -67,7 +71,7 @@ pub fn run_realtime(setup: &Setup, options: &RunOptions) -> Result<RunResult, Se
     rt::catch_interrupts()
         .map_err(|error| SessionError::RealTime(format!("catching signals failed: {error}")))?;
     let mut child = match &options.policy {
-        PolicyChoice::Checkpoint(path) => Some(PolicyChild::start(setup, path, options)?),
+        PolicyChoice::Checkpoint(path) => Some(PolicyChild::start(setup, path, options, None)?),
         PolicyChoice::Expert | PolicyChoice::Noop | PolicyChoice::Random => None,
     };
     let source = match child {
@@ -80,7 +84,7 @@ pub fn run_realtime(setup: &Setup, options: &RunOptions) -> Result<RunResult, Se
 
 /// What the threads give back.
 struct Ends {
-    control: Result<ControlEnd, SessionError>,
+    control: Result<ControlEnd<SimLink>, SessionError>,
     others: Result<Others, SessionError>,
     log: Option<LogFile>,
 }
@@ -122,9 +126,8 @@ fn run_threads(
     };
     let control_thread = ControlThread {
         controller,
-        measured,
+        link: SimLink::new(measured, commands),
         chunks,
-        commands,
         log: tick_log,
         signals: Arc::clone(&signals),
     };
@@ -149,7 +152,10 @@ fn run_threads(
     let clock = MonotonicClock::new();
     let first = clock.now().plus_ns(START_NS);
     thread::scope(|scope| {
-        let control = scope.spawn(move || control_thread.run(clock, first));
+        let control = scope.spawn(move || {
+            // Half a period after the simulation, to see this period's measurement.
+            control_thread.run(clock, first.plus_ns(TICK_NS / 2))
+        });
         let simulated = scope.spawn(move || simulation_thread.run(clock, first));
         let camera = camera_thread.map(|camera| {
             let signals = Arc::clone(&signals);
@@ -227,22 +233,18 @@ fn conclude(setup: &Setup, options: &RunOptions, ends: Ends) -> Result<RunResult
     let others = ends.others?;
     tally.inferences(&others.watched.inference);
     tally.inferences(&others.simulation.inference);
+    let policy = options.policy.name();
     let labels = RunLabels {
-        task: &setup.task_name,
-        view: setup.task.view.name(),
-        needle: setup.task.needle(),
-        scene: setup.scene_file.as_deref(),
-        policy: &options.policy.name(),
-        trained_on: setup.trained_on.as_deref(),
-        seed: options.seed,
         success,
         reason: &reason,
         tissue: others.simulation.tissue.map(TissueSummary::from),
+        ..labels(setup, options, &policy)
     };
     let real_time = RealTimeCounts {
         overruns: control.skipped,
         wake_p99_us: control.wake_p99_us,
         log_dropped,
+        slow_motion: rt::slow_motion(),
     };
     Ok(RunResult {
         summary: tally.summary(&labels, Some(real_time)),
@@ -251,4 +253,18 @@ fn conclude(setup: &Setup, options: &RunOptions, ends: Ends) -> Result<RunResult
             .and_then(|camera| camera.pictures)
             .unwrap_or_default(),
     })
+}
+
+/// What a run is called, before anything is known of how it went.
+fn labels<'a>(setup: &'a Setup, options: &RunOptions, policy: &'a str) -> RunLabels<'a> {
+    RunLabels {
+        task: &setup.task_name,
+        view: setup.task.view.name(),
+        needle: setup.task.needle(),
+        scene: setup.scene_file.as_deref(),
+        policy,
+        trained_on: setup.trained_on.as_deref(),
+        seed: options.seed,
+        ..RunLabels::default()
+    }
 }

@@ -8,8 +8,8 @@ use sim_backend::simulation::Simulation;
 use sim_backend::task::Outcome;
 use sim_backend::tissue::TissueExtremes;
 
+use super::arm_link::Setpoint;
 use super::camera_thread::Snapshot;
-use super::control_thread::Setpoint;
 use super::signals::{EndsRun, Signals};
 use crate::histogram::Histogram;
 use crate::mailbox::MailboxWriter;

@@ -10,8 +10,9 @@ use crate::per_arm::PerArm;
 use crate::rt;
 use crate::session::SessionError;
 
-/// Time between two looks, ns.
+/// Time between two looks, ns: at a policy process, and at the signals alone.
 const POLL_NS: u64 = 1_000_000;
+const IDLE_NS: u64 = 10_000_000;
 
 /// What ended a run that a signal ended.
 pub(super) const INTERRUPTED: &str = "interrupted";
@@ -57,7 +58,7 @@ pub(super) fn watch(
                 signals.end_run();
             }
         }
-        rt::sleep_ns(POLL_NS);
+        rt::sleep_ns(if policy.is_some() { POLL_NS } else { IDLE_NS });
     }
     Ok(watched)
 }

@@ -93,6 +93,42 @@ fn a_drive_of_another_make_is_refused() {
 }
 
 #[test]
+fn another_vendor_profile_or_modes_are_refused() {
+    // What node 3 says of an object instead of what it is.
+    for (object, value, refusal) in [
+        (
+            0x1000_u16,
+            0x0002_0191_u32,
+            "1000:00 is 0x191 instead of 0x192",
+        ),
+        (0x1018, 7, "1018:01 is 0x7 instead of 0x0"),
+        (0x6502, 1 << 7, "has no Homing mode"),
+        (0x6502, 1 << 5, "has no CyclicPosition mode"),
+    ] {
+        let plan = plan(1, 2 * MS);
+        let scanned = Offline::new(network(&plan), &plan).unwrap().scan();
+        let mut scanned = scanned.unwrap();
+        scanned.bus_mut().tamper(Box::new(move |_, _, f| {
+            let about = f.data().get(1..3) == Some(&object.to_le_bytes());
+            if f.id.raw() == 0x583 && about {
+                let mut data = f.data().to_vec();
+                // A value of four bytes, whatever it was.
+                data[0] = 0x43;
+                data[4..].copy_from_slice(&value.to_le_bytes());
+                Tampering::Replace(frame(0x583, &data))
+            } else {
+                Tampering::Pass
+            }
+        }));
+        let error = scanned.check_identity().map(|_| ()).unwrap_err();
+        assert_eq!(
+            error.to_string(),
+            format!("node 3 (axis 2, bus 0): {refusal}")
+        );
+    }
+}
+
+#[test]
 fn another_master_is_noticed_before_a_word_is_said() {
     let plan = plan(1, 2 * MS);
     let mut net = network(&plan);

@@ -97,6 +97,23 @@ fn no_answer_and_a_senseless_one_are_told_apart() {
 }
 
 #[test]
+fn a_node_that_sends_nothing_for_ever_is_confused() {
+    let mut net = net();
+    let (node, address) = (node(0), NAME);
+    net.tamper(Box::new(|_, _, f| {
+        if f.id.raw() == 0x581 && f.data()[0] >> 5 == 0 {
+            // A segment without a byte, and not the last one.
+            let toggle = f.data()[0] & 0x10;
+            Tampering::Replace(frame(0x581, &[0x0E | toggle, 0, 0, 0, 0, 0, 0, 0]))
+        } else {
+            Tampering::Pass
+        }
+    }));
+    let endless = read(&mut net, 0, node, address).map(|_| ());
+    assert_eq!(endless, Err(BringUpError::Confused { node, address }));
+}
+
+#[test]
 fn a_bus_that_is_off_ends_the_transfer() {
     let mut net = net();
     net.bus_off(0, true);

@@ -21,7 +21,7 @@ fn bus_off_is_a_fault_at_once_and_nothing_stale_leaves_later() {
         Err(ArmError::DriveFault { code: 0x8140, .. })
     ));
     let _ = bench.cycles(20, 0.0008);
-    assert_eq!(bench.net().wire(0).waiting(0), 0);
+    assert_eq!(bench.net().waiting(0, 0), 0);
     bench.net().bus_off(0, false);
     bench.assert_stopped_for_good("bus 0: our controller is bus-off");
 }

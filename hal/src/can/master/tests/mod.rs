@@ -3,9 +3,11 @@
 mod answers;
 mod bringup;
 mod client;
+mod corrupted;
 mod faults;
 mod fuzz;
 mod motion;
+mod two_arms;
 
 use super::*;
 use crate::can::bus::{IdealMotor, Network, Tampering};

@@ -1,0 +1,99 @@
+//! The verb `drives`.
+
+use std::path::PathBuf;
+
+use clap::Args;
+
+use hal::can::master::CanConfig;
+use hal::config::Source;
+use runtime::session::drives::{DEFAULT_TOPICS, DrivesOptions, InjectedFault, run_drives};
+use runtime::session::run::write_json;
+use runtime::session::{PolicyChoice, SessionError, Setup, outputs};
+
+use crate::args::task;
+use crate::commands::Done;
+use crate::console;
+use crate::scene_args::SceneArgs;
+
+/// Options of `drives`.
+#[derive(Args, Debug)]
+pub(crate) struct DrivesArgs {
+    /// Nodes and interfaces instead of the built-in config/can.toml.
+    #[arg(long, value_name = "FILE")]
+    pub(crate) config: Option<PathBuf>,
+    /// The task whose arms these are, and whose world they move in.
+    #[arg(long, value_parser = task(), default_value = "needle-lift")]
+    pub(crate) task: String,
+    /// Everything random in the scene hangs on this.
+    #[arg(long, default_value_t = 0)]
+    pub(crate) seed: u64,
+    /// The scene.
+    #[command(flatten)]
+    pub(crate) scene: SceneArgs,
+    /// Cameras whose frames are shown to other processes: `single`, `multi`, or names with commas between them; none if not
+    /// given.
+    #[arg(long, value_name = "single|multi|NAMES")]
+    pub(crate) cameras: Option<String>,
+    /// Names the topics on which scene, verdict and frames are shown.
+    #[arg(long, value_name = "NAME", default_value = DEFAULT_TOPICS)]
+    pub(crate) topics: String,
+    /// Something that goes wrong, `at` so long after all drives were first enabled: kind=KIND,node=N[,at=2s][,for=100ms].
+    /// Kinds: pull, reboot, emcy (with code=0x4310), following-error, slack, silence, late, short, garbage, no-heartbeat,
+    /// wrong-identity, bus-off, foreign-master. May be given several times.
+    #[arg(long, value_name = "kind=KIND,node=N,...")]
+    pub(crate) fault: Vec<InjectedFault>,
+    /// Write what happened as JSON at the end; parent folders are made.
+    #[arg(long, value_name = "FILE")]
+    pub(crate) json: Option<PathBuf>,
+}
+
+/// Nodes and buses of `file`, or of the built-in configuration.
+pub(crate) fn can_source(file: Option<&PathBuf>) -> Result<Source, SessionError> {
+    Ok(match file {
+        Some(path) => Source::read(&path.display().to_string())?,
+        None => CanConfig::shipped(),
+    })
+}
+
+pub(crate) fn drives(args: &DrivesArgs) -> Done {
+    let config = ("--config", args.config.as_deref());
+    let scene = ("--scene", args.scene.scene.as_deref());
+    outputs::check(&[("--json", args.json.as_deref())], &[config, scene])?;
+    let can = CanConfig::load(&can_source(args.config.as_ref())?)?;
+    let setup = Setup::load(&args.task, None, &PolicyChoice::Expert)?
+        .with_scene(&args.scene.options(args.cameras.as_deref()))?;
+    let options = DrivesOptions {
+        seed: args.seed,
+        topics: args.topics.clone(),
+        cameras: args.cameras.is_some(),
+        faults: args.fault.clone(),
+    };
+    let summary = run_drives(&setup, &can, &options, &mut |line| console::note(line))?;
+    let stops = summary.stops.len();
+    console::result(&format!(
+        "{}: {} after {:.2} s of the drives' time; {stops} stops of drives",
+        summary.task, summary.outcome, summary.seconds
+    ));
+    for bus in &summary.buses {
+        console::result(&format!(
+            "  {}: {} frames, busy {:.1} %",
+            bus.interface,
+            bus.frames,
+            bus.busy_share * 100.0
+        ));
+    }
+    console::result(&format!(
+        "  a look at the buses and the world: p50 {:.0} us, p99 {:.0} us, max {:.0} us",
+        summary.turn_us.p50, summary.turn_us.p99, summary.turn_us.max
+    ));
+    if summary.stalled_s > 0.0 {
+        console::result(&format!(
+            "  this machine kept the drives waiting for {:.3} s, which did not pass for them",
+            summary.stalled_s
+        ));
+    }
+    if let Some(path) = &args.json {
+        write_json(path, &summary)?;
+    }
+    Ok(true)
+}

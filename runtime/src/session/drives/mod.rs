@@ -1,0 +1,264 @@
+//! Emulated drives on real buses: seven an arm, which move the simulated arms of a task.
+//!
+//! ```text
+//!  buses <──> bus thread (SCHED_FIFO): drives and the time that frames take, and the world every millisecond
+//!                  │ snapshots, what happened
+//!                  ▼
+//!             first thread: scene, verdict and camera frames on topics; a line for whatever stopped a drive
+//! ```
+//!
+//! To whoever leads them they are nodes on a bus and nothing else. The topics are for those who look at the world: scripted
+//! experts, cameras, and whoever wants to know how the task went. The episode begins when all drives of all arms are
+//! enabled for the first time; before that nothing is judged.
+
+mod bench;
+mod bus_thread;
+mod coupling;
+mod inject;
+mod show;
+mod stops;
+mod summary;
+
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::thread;
+
+use hal::TimeNs;
+use hal::can::master::CanConfig;
+use rtrb::{Consumer, RingBuffer};
+use sim_backend::simulation::{Rendering, Simulation};
+
+pub use inject::{BadFault, FaultKind, InjectedFault};
+pub use stops::{Stop, StopCause};
+pub use summary::{BusSummary, DrivesSummary, StopSummary};
+
+use super::can_interfaces::{BusOffInjector, open};
+use super::summary::TickUs;
+use super::{SessionError, Setup};
+use crate::mailbox::mailbox;
+use crate::rt::{self, MonotonicClock};
+use bus_thread::{BusEnd, BusThread, Told};
+use show::Show;
+
+/// Time between two looks of the first thread, ns; the world is shown every 40 ms.
+const POLL_NS: u64 = 5_000_000;
+
+/// Things that may wait to be told.
+const TOLD: usize = 256;
+
+/// Stops that belong together are told together, so long after the first, ns.
+const GATHER_NS: u64 = 100_000_000;
+
+/// The topics' name unless another one is asked for.
+pub const DEFAULT_TOPICS: &str = "drives";
+
+/// How to run drives.
+#[derive(Clone, Debug)]
+pub struct DrivesOptions {
+    /// Everything random in the scene hangs on this.
+    pub seed: u64,
+    /// Names the topics.
+    pub topics: String,
+    /// Whether the cameras that the setup keeps are drawn and published.
+    pub cameras: bool,
+    /// What goes wrong on purpose.
+    pub faults: Vec<InjectedFault>,
+}
+
+/// Runs the drives of the task's arms until a signal comes. `say` gets a line when they are there, when the episode begins,
+/// for whatever stops a drive, and for the verdict.
+///
+/// # Errors
+/// From the configuration, the buses, the simulation or the topics.
+pub fn run_drives(
+    setup: &Setup,
+    can: &CanConfig,
+    options: &DrivesOptions,
+    say: &mut dyn FnMut(&str),
+) -> Result<DrivesSummary, SessionError> {
+    let arms = setup.task.arms.len();
+    if can.arms.len() < arms {
+        return Err(SessionError::BadArgument(format!(
+            "arm: {} arms are on CAN, task {} has {arms}",
+            can.arms.len(),
+            setup.task_name
+        )));
+    }
+    bench::check_nodes(can, arms)?;
+    check_faults(can, arms, &options.faults)?;
+    rt::catch_interrupts()
+        .map_err(|error| SessionError::RealTime(format!("catching signals failed: {error}")))?;
+    let names = bench::interfaces(can, arms);
+    let bus = open(&names, MonotonicClock::new())?;
+    let simulation = Simulation::new(&setup.task, options.seed, Rendering::Off)?;
+    let (shown_in, shown) = mailbox();
+    let (told_in, told) = RingBuffer::new(TOLD);
+    let stop = AtomicBool::new(false);
+    let show = Show::open(setup, options, shown, &simulation.snapshot())?;
+    let off = BusOffInjector::open(&names, &options.faults)?;
+    let bus_thread = BusThread {
+        simulation,
+        can,
+        faults: &options.faults,
+        bus,
+        lines: u8::try_from(names.len()).unwrap_or(u8::MAX),
+        shown: shown_in,
+        told: told_in,
+        stop: &stop,
+    };
+    say(&format!(
+        "{}, seed {}: {} on {}; scene on topics {:?}",
+        setup.task_name,
+        options.seed,
+        nodes(can, arms),
+        names.join(" "),
+        options.topics
+    ));
+    let mut teller = Teller {
+        told,
+        faults: &options.faults,
+        off,
+        stops: Vec::new(),
+        fresh: Vec::new(),
+        first: TimeNs(0),
+        clock: MonotonicClock::new(),
+    };
+    let (end, shown) = thread::scope(|scope| {
+        let bus = scope.spawn(move || bus_thread.run());
+        let shown = attend(show, &mut teller, &stop, say);
+        stop.store(true, Ordering::Release);
+        let end = bus
+            .join()
+            .map_err(|_| SessionError::RealTime("the bus thread has panicked".to_owned()));
+        (end.and_then(|end| end), shown)
+    });
+    let end = end?;
+    shown?;
+    teller.turn(true, say)?;
+    Ok(sum_up(setup, options, &names, &end, &teller.stops))
+}
+
+/// What the first thread does until it is time to end.
+fn attend(
+    mut show: Show,
+    teller: &mut Teller<'_>,
+    stop: &AtomicBool,
+    say: &mut dyn FnMut(&str),
+) -> Result<(), SessionError> {
+    while !stop.load(Ordering::Acquire) && !rt::interrupted() {
+        show.turn(say)?;
+        teller.turn(false, say)?;
+        rt::sleep_ns(POLL_NS);
+    }
+    Ok(())
+}
+
+/// A fault must be of a drive that is there.
+fn check_faults(
+    can: &CanConfig,
+    arms: usize,
+    faults: &[InjectedFault],
+) -> Result<(), SessionError> {
+    let all = || can.arms.iter().take(arms).flat_map(|arm| &arm.plan.axes);
+    for fault in faults {
+        if !all().any(|axis| axis.node == fault.node) {
+            let nodes: Vec<String> = all().map(|axis| axis.node.to_string()).collect();
+            return Err(SessionError::BadArgument(format!(
+                "--fault {fault}: there is no such node; there are {}",
+                nodes.join(" ")
+            )));
+        }
+    }
+    Ok(())
+}
+
+/// The nodes of each arm in words.
+fn nodes(can: &CanConfig, arms: usize) -> String {
+    let arms = can.arms.iter().take(arms).zip(hal::ARM_NAMES);
+    let arms = arms.map(|(arm, name)| {
+        let nodes: Vec<String> = arm.plan.axes.iter().map(|a| a.node.to_string()).collect();
+        format!("{name} is nodes {}", nodes.join(" "))
+    });
+    arms.collect::<Vec<_>>().join(", ")
+}
+
+/// Says what the bus thread tells.
+struct Teller<'a> {
+    told: Consumer<Told>,
+    faults: &'a [InjectedFault],
+    off: BusOffInjector,
+    stops: Vec<Stop>,
+    /// Stops that have not been said yet.
+    fresh: Vec<Stop>,
+    first: TimeNs,
+    clock: MonotonicClock,
+}
+
+impl Teller<'_> {
+    /// Says what is to be said now, or all of it if this is the end.
+    fn turn(&mut self, end: bool, say: &mut dyn FnMut(&str)) -> Result<(), SessionError> {
+        while let Ok(told) = self.told.pop() {
+            match told {
+                Told::Begun(at) => say(&format!(
+                    "all drives are enabled at {:.3} s: the episode begins",
+                    at.seconds()
+                )),
+                Told::Injected(place) => {
+                    if let Some(fault) = self.faults.get(place) {
+                        say(&format!("fault: {fault}"));
+                    }
+                }
+                Told::BusOff(line) => self.off.send(line)?,
+                Told::Stopped(stop) => {
+                    if self.fresh.is_empty() {
+                        self.first = self.clock.now();
+                    }
+                    self.fresh.push(stop);
+                }
+            }
+        }
+        let due = self.clock.now().since(self.first) > GATHER_NS;
+        if due || end {
+            for line in stops::lines(&self.fresh) {
+                say(&line);
+            }
+            self.stops.append(&mut self.fresh);
+        }
+        Ok(())
+    }
+}
+
+fn sum_up(
+    setup: &Setup,
+    options: &DrivesOptions,
+    names: &[String],
+    end: &BusEnd,
+    stops: &[Stop],
+) -> DrivesSummary {
+    let elapsed_ns = end.now.0.max(1);
+    let buses = names.iter().zip(&end.busy);
+    #[expect(clippy::cast_precision_loss, reason = "a share of a run's time")]
+    let buses = buses.map(|(interface, (busy_ns, frames))| BusSummary {
+        interface: interface.clone(),
+        frames: *frames,
+        busy_share: *busy_ns as f64 / elapsed_ns as f64,
+    });
+    let outcome = end.world.outcome;
+    DrivesSummary {
+        task: setup.task_name.clone(),
+        seed: options.seed,
+        arms: setup.task.arms.len(),
+        seconds: end.now.seconds(),
+        stalled_s: TimeNs(end.stalled_ns).seconds(),
+        turn_us: TickUs::of(&end.turns),
+        begun_s: end.begun.map(TimeNs::seconds),
+        success: outcome
+            .is_some_and(|outcome| matches!(outcome, sim_backend::task::Outcome::Success)),
+        outcome: outcome.map_or_else(|| "not begun".to_owned(), |outcome| outcome.to_string()),
+        buses: buses.collect(),
+        frames_lost: end.lost,
+        stops: stops.iter().map(StopSummary::from).collect(),
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,274 @@
+//! Why emulated drives stopped, and how long after their master's last word they rested.
+
+use core::fmt;
+
+use hal::can::NodeId;
+use hal::can::bus::{Network, Terminal};
+use hal::can::cia301::NmtState;
+use hal::can::cia301::emcy::ErrorCode;
+use hal::can::cia402::{Command, ControlView, PowerState};
+use hal::can::master::ArmPlan;
+use hal::can::node::Node;
+use hal::can::od::index;
+use hal::tail::TAIL_AXES;
+use hal::{ARM_NAMES, TimeNs};
+
+/// An axis slower than this share of its greatest speed rests.
+const REST_SHARE: f64 = 0.01;
+
+/// How long an axis must be so slow, ns.
+const REST_NS: u64 = 10_000_000;
+
+/// Why a drive stopped following.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum StopCause {
+    /// It told an error.
+    Error(ErrorCode),
+    /// Its master asked for a quick stop.
+    QuickStop,
+    /// Its master switched it off.
+    SwitchedOff,
+    /// It was taken out of operational, or reset.
+    Left(NmtState),
+    /// It has lost its power.
+    Powerless,
+}
+
+impl fmt::Display for StopCause {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Error(code) => {
+                let text = code.text().unwrap_or("a code of its own");
+                write!(f, "{:04X}h, {text}", code.0)
+            }
+            Self::QuickStop => f.write_str("its master asked for a quick stop"),
+            Self::SwitchedOff => f.write_str("its master switched it off"),
+            Self::Left(state) => write!(f, "it was reset or taken to {state:?}"),
+            Self::Powerless => f.write_str("it lost its power"),
+        }
+    }
+}
+
+/// One drive's stop, in the time of the drives.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Stop {
+    /// The arm, from 0.
+    pub arm: usize,
+    /// The axis, 6 for the jaw.
+    pub axis: usize,
+    /// Its node.
+    pub node: NodeId,
+    /// Why.
+    pub cause: StopCause,
+    /// When it left off following.
+    pub at: TimeNs,
+    /// The last SYNC that it heard before.
+    pub sync: Option<TimeNs>,
+    /// When the axis came to rest, once it has.
+    pub rest: Option<TimeNs>,
+}
+
+impl Stop {
+    /// How long after the last SYNC the drive left off following, and its axis rested, ns.
+    #[must_use]
+    pub fn after_sync_ns(&self) -> Option<(u64, u64)> {
+        let sync = self.sync?;
+        Some((self.at.since(sync), self.rest?.since(sync)))
+    }
+}
+
+#[derive(Clone, Copy, Debug)]
+struct Seen {
+    follows: bool,
+    /// The newest SYNC while it followed.
+    sync: Option<TimeNs>,
+    /// The newest instant at which the axis moved.
+    moved: TimeNs,
+    stop: Option<Stop>,
+}
+
+/// Watches the drives of one arm.
+#[derive(Clone, Debug)]
+pub(super) struct StopWatch {
+    arm: usize,
+    plan: ArmPlan,
+    seen: [Seen; TAIL_AXES],
+    /// Whether all have followed at once: before that drives come and go.
+    enabled: bool,
+}
+
+impl StopWatch {
+    pub(super) const fn new(arm: usize, plan: &ArmPlan) -> Self {
+        let seen = Seen {
+            follows: false,
+            sync: None,
+            moved: TimeNs(0),
+            stop: None,
+        };
+        Self {
+            arm,
+            plan: *plan,
+            seen: [seen; TAIL_AXES],
+            enabled: false,
+        }
+    }
+
+    /// Whether all drives follow.
+    pub(super) fn all_follow(&self) -> bool {
+        self.seen.iter().all(|seen| seen.follows)
+    }
+
+    /// Looks at all drives; `tell` gets every stop that has come to its rest.
+    pub(super) fn look(
+        &mut self,
+        now: TimeNs,
+        network: &mut Network<Terminal>,
+        tell: &mut dyn FnMut(Stop),
+    ) {
+        for axis in 0..TAIL_AXES {
+            self.look_at(axis, now, network, tell);
+        }
+        if self.all_follow() {
+            self.enabled = true;
+        } else if self.seen.iter().all(|seen| !seen.follows) {
+            // The next bring-up enables its drives one by one again.
+            self.enabled = false;
+        }
+    }
+
+    fn look_at(
+        &mut self,
+        axis: usize,
+        now: TimeNs,
+        network: &mut Network<Terminal>,
+        tell: &mut dyn FnMut(Stop),
+    ) {
+        let plan = self.plan.axes[axis];
+        let powered = network.is_powered(plan.node);
+        let speed = network
+            .motor(plan.node)
+            .map_or(0.0, |motor| motor.feedback.velocity_counts_s.abs());
+        let Some(node) = network.node(plan.node) else {
+            return;
+        };
+        let follows = powered && node.power_state() == PowerState::OperationEnabled;
+        let seen = &mut self.seen[axis];
+        if follows {
+            seen.sync = node.newest_sync().or(seen.sync);
+        }
+        if speed > REST_SHARE * plan.speed_max * plan.counts_per_unit.abs() {
+            seen.moved = now;
+        }
+        if seen.follows && !follows && self.enabled {
+            seen.stop = Some(Stop {
+                arm: self.arm,
+                axis,
+                node: plan.node,
+                cause: cause(node, powered),
+                at: now,
+                sync: node.newest_sync().or(seen.sync),
+                rest: None,
+            });
+        }
+        seen.follows = follows;
+        let since = seen.stop.map_or(now, |stop| stop.at.max(seen.moved));
+        if now.since(since) >= REST_NS
+            && let Some(mut stop) = seen.stop.take()
+        {
+            stop.rest = Some(since);
+            tell(stop);
+        }
+    }
+}
+
+fn cause(node: &Node, powered: bool) -> StopCause {
+    let dictionary = node.dictionary();
+    let code = u16::try_from(dictionary.get(index::ERROR_CODE)).unwrap_or(0);
+    let control = u16::try_from(dictionary.get(index::CONTROL)).unwrap_or(0);
+    let command = ControlView(control).command();
+    if !powered {
+        StopCause::Powerless
+    } else if dictionary.get(index::ERROR_REGISTER) != 0 && code != 0 {
+        StopCause::Error(ErrorCode(code))
+    } else if node.nmt_state() != NmtState::Operational {
+        StopCause::Left(node.nmt_state())
+    } else if command == Command::QuickStop {
+        StopCause::QuickStop
+    } else {
+        StopCause::SwitchedOff
+    }
+}
+
+/// The stops of `stops` in a few lines: those of one arm for one reason together.
+#[must_use]
+pub(super) fn lines(stops: &[Stop]) -> Vec<String> {
+    let mut lines = Vec::new();
+    for (place, stop) in stops.iter().enumerate() {
+        let alike = |other: &&Stop| (other.arm, other.cause) == (stop.arm, stop.cause);
+        if stops[..place].iter().any(|other| alike(&other)) {
+            continue;
+        }
+        let group: Vec<&Stop> = stops.iter().filter(alike).collect();
+        let nodes: Vec<String> = group.iter().map(|stop| stop.node.to_string()).collect();
+        let arm = ARM_NAMES.get(stop.arm).copied().unwrap_or("arm");
+        let plural = if group.len() == 1 { "node" } else { "nodes" };
+        let mut line = format!(
+            "{arm}: {plural} {} stopped at {:.3} s: {}",
+            nodes.join(" "),
+            stop.at.seconds(),
+            stop.cause
+        );
+        let after = group.iter().filter_map(|stop| stop.after_sync_ns());
+        if let Some((at_ns, rest_ns)) = after.max_by_key(|(_, rest_ns)| *rest_ns) {
+            line += &format!(
+                "; stopped {:.1} ms and at rest {:.1} ms after the last SYNC",
+                TimeNs(at_ns).seconds() * 1e3,
+                TimeNs(rest_ns).seconds() * 1e3
+            );
+        }
+        lines.push(line);
+    }
+    lines
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn stop(arm: usize, node: u8, cause: StopCause, rest_ms: u64) -> Stop {
+        let ms = |ms: u64| TimeNs(ms * 1_000_000);
+        Stop {
+            arm,
+            axis: 0,
+            node: NodeId::new(node).unwrap(),
+            cause,
+            at: ms(1020),
+            sync: Some(ms(1000)),
+            rest: Some(ms(1000 + rest_ms)),
+        }
+    }
+
+    #[test]
+    fn stops_of_one_cause_are_one_line_with_the_slowest() {
+        let lost = StopCause::Error(ErrorCode::SYNC_CONTROLLER);
+        let told = lines(&[
+            stop(0, 1, lost, 31),
+            stop(0, 2, lost, 37),
+            stop(1, 11, lost, 25),
+            stop(0, 3, StopCause::Powerless, 20),
+        ]);
+        assert_eq!(told.len(), 3);
+        assert!(
+            told[0].starts_with("psm1: nodes 1 2 stopped at 1.020 s: 8700h, "),
+            "{}",
+            told[0]
+        );
+        assert!(
+            told[0].ends_with("; stopped 20.0 ms and at rest 37.0 ms after the last SYNC"),
+            "{}",
+            told[0]
+        );
+        assert!(told[1].starts_with("psm2: node 11 stopped"), "{}", told[1]);
+        assert!(told[2].contains("it lost its power"), "{}", told[2]);
+    }
+}

@@ -1,0 +1,145 @@
+//! Arms on CAN as the control thread reaches them. Hot path: bounded, no allocation, no lock; its system calls are the
+//! arms' sockets.
+
+use hal::can::master::axis::AxisHealth;
+use hal::can::master::{CanArm, Fault, Space};
+use hal::can::socket::SocketBus;
+use hal::{ARM_NAMES, Arm as _, ArmState, TimeNs};
+
+use super::super::arm_link::{ArmLink, Measured, Setpoint};
+use super::CanOptions;
+use crate::mailbox::MailboxWriter;
+use crate::per_arm::PerArm;
+use crate::session::can_clock::CanClock;
+use crate::session::summary::{CanArmSummary, CanBusSummary, CanSummary};
+
+/// An arm of this machine's buses.
+pub(super) type BusArm = CanArm<SocketBus<CanClock>>;
+
+/// Why an arm's drives were stopped, and when that was noticed.
+pub(super) type Noticed = (TimeNs, PerArm<Option<Fault>>);
+
+/// The arms, and who else wants to know of them.
+pub(super) struct CanLink {
+    pub(super) arms: PerArm<BusArm>,
+    measured: MailboxWriter<PerArm<ArmState>>,
+    noticed: MailboxWriter<Noticed>,
+    faults: PerArm<Option<Fault>>,
+}
+
+impl CanLink {
+    pub(super) fn new(
+        arms: PerArm<BusArm>,
+        measured: MailboxWriter<PerArm<ArmState>>,
+        noticed: MailboxWriter<Noticed>,
+    ) -> Self {
+        let faults = arms.as_ref().map(|_| None);
+        Self {
+            arms,
+            measured,
+            noticed,
+            faults,
+        }
+    }
+
+    /// What has stopped each arm, if anything.
+    pub(super) fn faults(&self) -> PerArm<Option<Fault>> {
+        self.arms.as_ref().map(CanArm::fault)
+    }
+
+    /// The same in words, with the arm's name.
+    pub(super) fn fault_texts(&self) -> Vec<String> {
+        let faults = self.faults();
+        let named = faults.iter().zip(ARM_NAMES);
+        named
+            .filter_map(|(fault, name)| fault.map(|fault| format!("{name}: {fault}")))
+            .collect()
+    }
+
+    /// How the drives and the buses have been.
+    pub(super) fn summary(&self, can: &CanOptions) -> CanSummary {
+        let arms = self.arms.iter().zip(&can.config.arms).zip(ARM_NAMES);
+        let arms: Vec<CanArmSummary> = arms
+            .map(|((arm, place), name)| arm_summary(arm, &place.interfaces, name))
+            .collect();
+        let first = self.arms.first.plan();
+        CanSummary {
+            cycle_us: first.cycle_ns / 1000,
+            bit_rate_bit_s: first.bit_rate,
+            actuator_space: first.space == Space::Actuator,
+            arms,
+        }
+    }
+
+    /// Takes the drives out of operational: those that still have torque stop by themselves.
+    pub(super) fn shut_down(&mut self) {
+        self.arms.iter_mut().for_each(CanArm::shut_down);
+    }
+
+    fn notice(&mut self, now: TimeNs) {
+        let faults = self.faults();
+        if faults != self.faults {
+            self.faults = faults;
+            self.noticed.put((now, faults));
+        }
+    }
+}
+
+fn arm_summary(arm: &BusArm, interfaces: &[String], name: &'static str) -> CanArmSummary {
+    let (plan, cycle) = (arm.plan(), arm.cycle());
+    let health = cycle.axis_health();
+    let sum = |count: fn(&AxisHealth) -> u64| health.iter().map(count).sum();
+    let fault = arm.fault();
+    let lines = (0..plan.lines).zip(interfaces);
+    CanArmSummary {
+        arm: name,
+        buses: lines
+            .map(|(line, interface)| CanBusSummary {
+                interface: interface.clone(),
+                planned_per_mille: plan.traffic(line).load().per_mille(),
+                frames_lost: cycle
+                    .line_health()
+                    .get(usize::from(line))
+                    .map_or(0, |health| health.lost),
+            })
+            .collect(),
+        answers_missed: sum(|axis| axis.missed),
+        answers_late: sum(|axis| axis.late),
+        answers_rejected: sum(|axis| axis.rejected),
+        commands_refused: arm.refused(),
+        fault: fault.map(|fault| fault.to_string()),
+        fault_node: fault
+            .and_then(|fault| fault.who())
+            .map(|who| who.node.raw()),
+    }
+}
+
+impl ArmLink for CanLink {
+    fn read(&mut self, now: TimeNs) -> Option<PerArm<Measured>> {
+        let PerArm { first, second } = &mut self.arms;
+        let measured = PerArm {
+            first: first.read(now),
+            second: second.as_mut().map(|arm| arm.read(now)),
+        };
+        self.notice(now);
+        let states = PerArm {
+            first: measured.first.ok(),
+            second: measured.second.map(Result::ok),
+        };
+        let second = match states.second {
+            None => Some(None),
+            Some(state) => state.map(Some),
+        };
+        if let (Some(first), Some(second)) = (states.first, second) {
+            self.measured.put(PerArm { first, second });
+        }
+        Some(measured)
+    }
+
+    fn write(&mut self, setpoints: &PerArm<Setpoint>) {
+        for (arm, (command, tail)) in self.arms.iter_mut().zip(setpoints.iter()) {
+            // A fault is told at the next reading too, and there the controller hears of it.
+            let _told = arm.write(command, tail);
+        }
+    }
+}

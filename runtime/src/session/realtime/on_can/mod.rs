@@ -1,0 +1,410 @@
+//! A real-time run of arms on CAN: the same controller, with drives on buses as its arms and the world in another process.
+//!
+//! ```text
+//!  buses <── SYNC, set-points, answers ──> control thread (1 kHz, SCHED_FIFO) ── ticks ──> log thread
+//!                                            ▲ chunks       │ measured, faults
+//!                                            │              ▼
+//!  world's topics ── scene, verdict ──> scene thread ── arm ──> policy process ── chunks ──> first thread
+//!                └── frames ───────────────────────────────────────▲
+//! ```
+//!
+//! The bring-up ends in the control thread, which must not let the beat stop from then on. A fault of any drive or bus stops
+//! all drives of its arm and ends the run; nothing enables them again but a new run.
+
+mod link;
+mod scene_thread;
+
+use std::sync::Arc;
+use std::thread;
+
+use hal::can::master::{CanConfig, Homed, Offline, enable_together};
+use hal::can::socket::SocketBus;
+use hal::config::Source;
+use hal::topic::{SceneReport, SceneTopic, Subscriber, TopicNode, Verdict};
+use hal::{ARM_NAMES, ArmState, Chunk, TICK_NS};
+use rtrb::{Consumer, Producer, RingBuffer};
+
+use super::child::PolicyChild;
+use super::control_thread::{ControlEnd, ControlThread};
+use super::signals::{Signals, StopsAll};
+use super::watch::{Watched, watch};
+use super::{CHUNK_QUEUE, joined, labels};
+use crate::control::AnyController;
+use crate::log::{LogFile, RunOutcome, TickLog};
+use crate::mailbox::{MailboxWriter, mailbox};
+use crate::per_arm::PerArm;
+use crate::rt::{self, MonotonicClock};
+use crate::session::can_clock::CanClock;
+use crate::session::can_interfaces;
+use crate::session::pictures::Pictures;
+use crate::session::run::{RunOptions, RunResult, open_log};
+use crate::session::source::ChunkSource;
+use crate::session::summary::RealTimeCounts;
+use crate::session::tally::RunLabels;
+use crate::session::{PolicyChoice, SessionError, Setup};
+use link::{CanLink, Noticed};
+use scene_thread::{SceneEnd, SceneThread, arm_reports, frames};
+
+/// A world shows itself every 40 ms; one that has not done so for this long is not there, ns.
+const WORLD_NS_MAX: u64 = 3_000_000_000;
+
+/// Time between two looks, ns.
+const POLL_NS: u64 = 1_000_000;
+
+/// Where the arms are and where their world shows itself.
+#[derive(Clone, Debug)]
+pub struct CanOptions {
+    /// Nodes and buses.
+    pub config: CanConfig,
+    /// The name of the world's topics.
+    pub topics: String,
+}
+
+impl CanOptions {
+    /// Reads nodes and buses from `source`; also gives their text, for the log.
+    ///
+    /// # Errors
+    /// [`SessionError::Config`].
+    pub fn load(source: &Source, topics: &str) -> Result<(Self, String), SessionError> {
+        let options = Self {
+            config: CanConfig::load(source)?,
+            topics: topics.to_owned(),
+        };
+        Ok((options, source.text().to_owned()))
+    }
+}
+
+/// An arm that has its references and no torque yet.
+type ReadyArm = Homed<SocketBus<CanClock>>;
+
+/// Runs one episode with the task's arms on CAN.
+///
+/// SIGINT, SIGTERM and SIGHUP bring the arms to rest and end the run as failed, with the reason `interrupted`.
+///
+/// # Errors
+/// From the configuration, the buses and their drives, the world's topics, the policy or the log.
+pub fn run_on_can(
+    setup: &Setup,
+    options: &RunOptions,
+    can: &CanOptions,
+) -> Result<RunResult, SessionError> {
+    check(setup, &can.config)?;
+    rt::catch_interrupts()
+        .map_err(|error| SessionError::RealTime(format!("catching signals failed: {error}")))?;
+    let clock = MonotonicClock::new();
+    let count = setup.task.arms.len();
+    let arms = can.config.arms.iter().take(count);
+    let buses = arms.map(|arm| can_interfaces::open(&arm.interfaces, clock));
+    let buses: Vec<_> = buses.collect::<Result<_, _>>()?;
+    let node = TopicNode::join(&can.topics)?;
+    let scene = SceneTopic::subscriber(&node, ARM_NAMES[0])?;
+    let waiting = await_world(&scene, &can.topics, clock)?;
+    check_world(&waiting, setup, options, &can.topics)?;
+    let mut child = match &options.policy {
+        PolicyChoice::Checkpoint(path) => {
+            let world = Some((can.topics.as_str(), clock));
+            Some(PolicyChild::start(setup, path, options, world)?)
+        }
+        PolicyChoice::Expert | PolicyChoice::Noop | PolicyChoice::Random => None,
+    };
+    let ready = bring_up(can, buses)?;
+    let parts = Parts {
+        clock,
+        node: &node,
+        scene,
+    };
+    let ends = run_threads(setup, options, can, parts, child.as_mut(), ready)?;
+    conclude(setup, options, can, ends)
+}
+
+/// What can be known to be wrong before anything is opened.
+fn check(setup: &Setup, can: &CanConfig) -> Result<(), SessionError> {
+    let count = setup.task.arms.len();
+    if can.arms.len() < count {
+        return Err(SessionError::BadArgument(format!(
+            "arm: {} arms are on CAN, task {} has {count}",
+            can.arms.len(),
+            setup.task_name
+        )));
+    }
+    for arm in &can.arms[..count] {
+        if !arm.plan.cycle_ns.is_multiple_of(TICK_NS) {
+            return Err(SessionError::BadArgument(format!(
+                "cycle_us = {}: the controller's period is {} us, and a cycle must be a whole number of those",
+                arm.plan.cycle_ns / 1000,
+                TICK_NS / 1000
+            )));
+        }
+    }
+    can.check_load(count).map_err(SessionError::Overload)
+}
+
+fn await_world(
+    scene: &Subscriber<SceneReport>,
+    topics: &str,
+    clock: MonotonicClock,
+) -> Result<SceneReport, SessionError> {
+    let end = clock.now().plus_ns(WORLD_NS_MAX);
+    while clock.now() < end && !rt::interrupted() {
+        if let Some(report) = scene.newest()? {
+            return Ok(report);
+        }
+        rt::sleep_ns(POLL_NS);
+    }
+    Err(SessionError::RealTime(format!(
+        "nobody shows a scene on topics {topics:?}: start `trocar drives` first, or name its topics with --topics"
+    )))
+}
+
+/// The world must be the one that is meant, and not be used up.
+fn check_world(
+    world: &SceneReport,
+    setup: &Setup,
+    options: &RunOptions,
+    topics: &str,
+) -> Result<(), SessionError> {
+    let (task, seed) = (world.task.text(), world.seed);
+    if task != setup.task_name || seed != options.seed {
+        return Err(SessionError::BadArgument(format!(
+            "the world on topics {topics:?} is {task}, seed {seed}; this run is {}, seed {}",
+            setup.task_name, options.seed
+        )));
+    }
+    match world.verdict() {
+        Verdict::Waiting => Ok(()),
+        Verdict::Running | Verdict::Success | Verdict::Failure => {
+            Err(SessionError::RealTime(format!(
+                "the episode of the world on topics {topics:?} has begun already: start `trocar drives` anew"
+            )))
+        }
+    }
+}
+
+/// Leads the drives of all arms to where they may be enabled.
+fn bring_up(
+    can: &CanOptions,
+    buses: Vec<SocketBus<CanClock>>,
+) -> Result<Vec<ReadyArm>, SessionError> {
+    let arms = buses.into_iter().zip(&can.config.arms).enumerate();
+    let ready = arms.map(|(index, (bus, arm))| {
+        Offline::new(bus, &arm.plan)
+            .and_then(Offline::scan)
+            .and_then(|scanned| scanned.check_identity())
+            .and_then(|identified| identified.map())
+            .and_then(|mapped| mapped.home())
+            .map_err(|error| failed(can, index, &error))
+    });
+    ready.collect()
+}
+
+fn failed(can: &CanOptions, arm: usize, error: &impl core::fmt::Display) -> SessionError {
+    let interfaces = can.config.arms.get(arm).map(|arm| arm.interfaces.join(" "));
+    SessionError::BringUp {
+        arm: ARM_NAMES.get(arm).copied().unwrap_or("arm"),
+        interfaces: interfaces.unwrap_or_default(),
+        reason: error.to_string(),
+    }
+}
+
+struct Parts<'a> {
+    clock: MonotonicClock,
+    node: &'a TopicNode,
+    scene: Subscriber<SceneReport>,
+}
+
+/// What the threads give back.
+struct Ends {
+    control: Result<ControlEnd<CanLink>, SessionError>,
+    watched: Result<Watched, SessionError>,
+    scene: Result<SceneEnd, SessionError>,
+    log: Option<LogFile>,
+}
+
+fn run_threads(
+    setup: &Setup,
+    options: &RunOptions,
+    can: &CanOptions,
+    parts: Parts<'_>,
+    child: Option<&mut PolicyChild>,
+    ready: Vec<ReadyArm>,
+) -> Result<Ends, SessionError> {
+    let Parts { clock, node, scene } = parts;
+    let (chunk_in, chunks) = RingBuffer::<PerArm<Chunk>>::new(CHUNK_QUEUE);
+    let (measured_in, measured) = mailbox();
+    let (noticed_in, noticed) = mailbox();
+    let signals = Arc::new(Signals::default());
+    let reports = match &child {
+        Some(_) => arm_reports(node, setup)?,
+        None => Vec::new(),
+    };
+    let (local, remote) = local_or_remote(setup, options, child, chunk_in)?;
+    let (tick_log, side_log, log) = match open_log(setup, options, false)? {
+        Some(recorder) => {
+            let (ticks, side, file) = recorder.split();
+            (Some(ticks), Some(side), Some(file))
+        }
+        None => (None, None, None),
+    };
+    let kept = match &side_log {
+        Some(_) => frames(node, setup.cameras_with(Vec::new()))?,
+        None => Vec::new(),
+    };
+    let scene_thread = SceneThread {
+        scene,
+        clock,
+        measured,
+        noticed,
+        local,
+        reports,
+        frames: kept,
+        log: side_log,
+        signals: Arc::clone(&signals),
+    };
+    let enabling = Enabling {
+        can,
+        ready,
+        controller: setup.controller()?,
+        measured: measured_in,
+        noticed: noticed_in,
+        chunks,
+        log: tick_log,
+        signals: Arc::clone(&signals),
+        clock,
+    };
+    Ok(thread::scope(|scope| {
+        let control = scope.spawn(move || enabling.run());
+        let scene = scope.spawn(move || scene_thread.run());
+        let watched = watch(remote, &signals);
+        Ends {
+            control: joined(control).and_then(|end| end),
+            scene: joined(scene).and_then(|end| end),
+            watched,
+            log,
+        }
+    }))
+}
+
+/// A policy of this process with the queue for its chunks, or of another process.
+type Local = Option<(ChunkSource, Producer<PerArm<Chunk>>)>;
+type Remote<'a> = Option<(&'a mut PolicyChild, Producer<PerArm<Chunk>>)>;
+
+fn local_or_remote<'a>(
+    setup: &Setup,
+    options: &RunOptions,
+    child: Option<&'a mut PolicyChild>,
+    chunks: Producer<PerArm<Chunk>>,
+) -> Result<(Local, Remote<'a>), SessionError> {
+    match child {
+        Some(child) => Ok((None, Some((child, chunks)))),
+        None => {
+            let source = setup.source(&options.policy, options.seed, options.device)?;
+            Ok((Some((source, chunks)), None))
+        }
+    }
+}
+
+/// The control thread before its arms have torque.
+struct Enabling<'a> {
+    can: &'a CanOptions,
+    ready: Vec<ReadyArm>,
+    controller: AnyController,
+    measured: MailboxWriter<PerArm<ArmState>>,
+    noticed: MailboxWriter<Noticed>,
+    chunks: Consumer<PerArm<Chunk>>,
+    log: Option<TickLog>,
+    signals: Arc<Signals>,
+    clock: MonotonicClock,
+}
+
+impl Enabling<'_> {
+    /// Enables all drives and controls them until the run is over, which leaves them without torque.
+    fn run(self) -> Result<ControlEnd<CanLink>, SessionError> {
+        let _stops = StopsAll(&self.signals);
+        let arms =
+            enable_together(self.ready).map_err(|(arm, error)| failed(self.can, arm, &error))?;
+        let Some(arms) = PerArm::collect(arms) else {
+            return Err(SessionError::BadArgument("there is no arm".to_owned()));
+        };
+        let control = ControlThread {
+            controller: self.controller,
+            link: CanLink::new(arms, self.measured, self.noticed),
+            chunks: self.chunks,
+            log: self.log,
+            signals: Arc::clone(&self.signals),
+        };
+        // The beat goes on at once.
+        let first = self.clock.now().plus_ns(TICK_NS);
+        let mut end = control.run(self.clock, first);
+        end.link.shut_down();
+        Ok(end)
+    }
+}
+
+/// Why the run ended, and whether that is a success.
+fn verdict(ends: &Ends, control: &ControlEnd<CanLink>) -> (bool, String) {
+    let told = match (&ends.watched, &ends.scene) {
+        (Err(error), _) | (_, Err(error)) => return (false, error.to_string()),
+        (Ok(watched), Ok(scene)) => (watched.ended_by.clone(), scene),
+    };
+    let faults = control.link.fault_texts();
+    match told {
+        (_, scene) if scene.verdict == Verdict::Success => (true, "success".to_owned()),
+        (Some(reason), _) => (false, reason),
+        (None, _) if !faults.is_empty() => (false, format!("fault: {}", faults.join("; "))),
+        (None, scene) => {
+            let reason = control.tally.faults();
+            (false, reason.unwrap_or_else(|| scene.reason.clone()))
+        }
+    }
+}
+
+/// Closes the log, whatever happened, and sums up.
+fn conclude(
+    setup: &Setup,
+    options: &RunOptions,
+    can: &CanOptions,
+    mut ends: Ends,
+) -> Result<RunResult, SessionError> {
+    let log = ends.log.take();
+    let mut control = match ends.control {
+        Ok(control) => control,
+        Err(error) => {
+            log.map(|log| log.finish(None)).transpose()?;
+            return Err(error);
+        }
+    };
+    ends.control = Err(SessionError::RealTime(String::new()));
+    let (success, reason) = verdict(&ends, &control);
+    let mut log_dropped = control.log_dropped;
+    if let Some(log) = log {
+        let outcome = RunOutcome {
+            success,
+            reason: reason.clone(),
+            command_hash: control.tally.command_hash(),
+        };
+        let counts = log.finish(Some(&outcome))?;
+        log_dropped += counts.frames_dropped + counts.events_dropped;
+    }
+    let scene = ends.scene?;
+    control.tally.inferences(&ends.watched?.inference);
+    control.tally.inferences(&scene.inference);
+    let policy = options.policy.name();
+    let labels = RunLabels {
+        success,
+        reason: &reason,
+        tissue: scene.tissue,
+        ..labels(setup, options, &policy)
+    };
+    let real_time = RealTimeCounts {
+        overruns: control.skipped,
+        wake_p99_us: control.wake_p99_us,
+        log_dropped,
+        slow_motion: rt::slow_motion(),
+    };
+    let mut summary = control.tally.summary(&labels, Some(real_time));
+    summary.can = Some(control.link.summary(can));
+    Ok(RunResult {
+        summary,
+        pictures: Pictures::default(),
+    })
+}

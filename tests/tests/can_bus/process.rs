@@ -1,0 +1,357 @@
+//! `trocar drives` and `trocar run --backend can`, two processes on a bus.
+
+use std::fs::{self, File};
+use std::path::PathBuf;
+use std::process::{Child, Command, Stdio};
+
+use runtime::log::RunLog;
+use runtime::replay::replay;
+use runtime::rt::{MonotonicClock, sleep_ns};
+use runtime::verify::verify;
+use tests::{Profile, json, repository, scratch, trocar};
+
+use super::peer::alone;
+
+const MS_NS: u64 = 1_000_000;
+
+/// Anything takes less time than this, ns.
+const PATIENCE_NS: u64 = 240_000 * MS_NS;
+
+/// How much slower these processes live, so that a kernel inside a kernel on a busy machine keeps up with their buses.
+const SLOW_MOTION: u64 = 6;
+
+fn until(what: &str, mut holds: impl FnMut() -> bool) {
+    let clock = MonotonicClock::new();
+    while !holds() {
+        assert!(clock.now().0 < PATIENCE_NS, "waited in vain until {what}");
+        sleep_ns(20 * MS_NS);
+    }
+}
+
+/// A `trocar` process with files for what it says and what comes of it.
+struct Process {
+    child: Child,
+    said: PathBuf,
+    result: PathBuf,
+}
+
+impl Process {
+    fn start(folder: &std::path::Path, name: &str, arguments: &[&str]) -> Self {
+        let said = folder.join(format!("{name}.txt"));
+        let result = folder.join(format!("{name}.json"));
+        let child = trocar(Profile::Debug)
+            .env("TROCAR_SLOW_MOTION", SLOW_MOTION.to_string())
+            .args(arguments)
+            .arg("--json")
+            .arg(&result)
+            .stdout(Stdio::null())
+            .stderr(File::create(&said).unwrap())
+            .spawn()
+            .unwrap();
+        Self {
+            child,
+            said,
+            result,
+        }
+    }
+
+    fn said(&self) -> String {
+        fs::read_to_string(&self.said).unwrap()
+    }
+
+    /// Waits until it has said `text`.
+    fn await_word(&mut self, text: &str) {
+        until(&format!("somebody says {text:?}"), || {
+            let ended = self.child.try_wait().unwrap();
+            let said = self.said();
+            assert!(
+                ended.is_none() || said.contains(text),
+                "it ended before it said {text:?}: {said}"
+            );
+            said.contains(text)
+        });
+    }
+
+    fn signal(&self, signal: &str) {
+        let id = self.child.id().to_string();
+        let sent = Command::new("kill").args([signal, &id]).status().unwrap();
+        assert!(sent.success());
+    }
+
+    /// Waits for its end: the exit code and the result.
+    fn end(mut self) -> (Option<i32>, serde_json::Value) {
+        let mut code = None;
+        until("a process ends", || {
+            code = self.child.try_wait().unwrap();
+            code.is_some()
+        });
+        let said = self.said();
+        assert!(self.result.exists(), "no result: {said}");
+        (code.and_then(|status| status.code()), json(&self.result))
+    }
+}
+
+impl Drop for Process {
+    fn drop(&mut self) {
+        let _gone = self.child.kill();
+        let _reaped = self.child.wait();
+    }
+}
+
+/// Drives and, beside them, a run of the expert.
+struct Pair {
+    folder: PathBuf,
+    config: String,
+    drives: Process,
+}
+
+impl Pair {
+    /// Drives whose nodes and buses are the shipped ones after `changes`.
+    fn start(test: &str, changes: &[(&str, &str)], faults: &[&str]) -> Self {
+        let folder = scratch(test);
+        let mut text = fs::read_to_string(repository().join("config/can.toml")).unwrap();
+        for (from, to) in changes {
+            assert!(text.contains(from), "{from}");
+            text = text.replace(from, to);
+        }
+        let file = folder.join("can.toml");
+        fs::write(&file, text).unwrap();
+        let config = file.to_str().unwrap().to_owned();
+        let mut arguments = vec!["drives", "--config", &config, "--topics", test];
+        for fault in faults {
+            arguments.extend(["--fault", fault]);
+        }
+        let mut drives = Process::start(&folder, "drives", &arguments);
+        drives.await_word("psm1 is nodes 1 2 3 4 5 6 7");
+        Self {
+            folder,
+            config,
+            drives,
+        }
+    }
+
+    /// The expert's run on these drives.
+    fn run(&self, policy: &str) -> Process {
+        let log = self.log();
+        let topics = self.folder.file_name().unwrap().to_str().unwrap();
+        let arguments = [
+            "run",
+            "--task",
+            "needle-lift",
+            "--policy",
+            policy,
+            "--backend",
+            "can",
+            "--can-config",
+            &self.config,
+            "--topics",
+            topics,
+            "--log",
+            log.to_str().unwrap(),
+        ];
+        Process::start(&self.folder, "run", &arguments)
+    }
+
+    fn log(&self) -> PathBuf {
+        self.folder.join("run.mcap")
+    }
+
+    /// Ends the drives: what they report.
+    fn end(self) -> serde_json::Value {
+        self.drives.signal("-INT");
+        let (code, result) = self.drives.end();
+        assert_eq!(code, Some(0));
+        result
+    }
+}
+
+/// Why each drive stopped, by node.
+fn causes(drives: &serde_json::Value) -> Vec<(u64, String)> {
+    let stops = drives["stops"].as_array().unwrap();
+    let mut causes: Vec<(u64, String)> = stops
+        .iter()
+        .map(|stop| {
+            let cause = stop["cause"].as_str().unwrap().to_owned();
+            (stop["node"].as_u64().unwrap(), cause)
+        })
+        .collect();
+    causes.sort();
+    causes
+}
+
+#[test]
+#[ignore = "needs a CAN bus: make test-can"]
+fn the_needle_is_lifted_over_can() {
+    let _turn = alone();
+    let pair = Pair::start("can_lift", &[], &[]);
+    let (code, run) = pair.run("expert").end();
+    assert_eq!(code, Some(0), "{run}");
+    assert_eq!(run["success"], true, "{run}");
+    assert!(run["can"]["arms"][0]["fault"].is_null(), "{run}");
+    let log = RunLog::open(&pair.log()).unwrap();
+    let verified = verify(&log).unwrap();
+    assert!(verified.ok, "{:?}", verified.violations.first());
+    assert!(replay(&log).unwrap().identical);
+    assert!(
+        log.text("can.toml")
+            .is_some_and(|text| text.contains("nodes"))
+    );
+    let drives = pair.end();
+    assert_eq!(drives["success"], true, "{drives}");
+    let ends = causes(&drives);
+    assert!(
+        ends.iter().all(|(_, why)| why.contains("PreOperational")),
+        "{ends:?}"
+    );
+}
+
+#[test]
+#[ignore = "needs a CAN bus: make test-can"]
+fn when_the_run_is_killed_in_mid_motion_the_drives_rest_within_50_ms_and_say_why() {
+    let _turn = alone();
+    let mut pair = Pair::start("can_killed", &[], &[]);
+    let run = pair.run("expert");
+    pair.drives.await_word("the episode begins");
+    sleep_ns(1500 * MS_NS * SLOW_MOTION);
+    run.signal("-KILL");
+    pair.drives.await_word("at rest");
+    drop(run);
+    let drives = pair.end();
+    let stops = drives["stops"].as_array().unwrap();
+    assert_eq!(stops.len(), 7, "{drives}");
+    for stop in stops {
+        let code = stop["code"].as_u64();
+        // No SYNC, or no set-point: both are missing since then.
+        assert!(matches!(code, Some(0x8700 | 0x8250)), "{stop}");
+        assert!(
+            stop["rest_after_sync_ms"].as_f64().unwrap() <= 50.0,
+            "{stop}"
+        );
+    }
+}
+
+#[test]
+#[ignore = "needs a CAN bus: make test-can"]
+fn a_pulled_node_stops_the_others_and_log_and_result_name_it() {
+    let _turn = alone();
+    let pair = Pair::start("can_pulled", &[], &["kind=pull,node=3,at=1s"]);
+    let (code, run) = pair.run("expert").end();
+    assert_eq!(code, Some(1), "{run}");
+    assert_eq!(run["success"], false);
+    assert_eq!(run["can"]["arms"][0]["fault_node"], 3, "{run}");
+    let reason = run["reason"].as_str().unwrap();
+    assert!(
+        reason.starts_with("fault: psm1: node 3 (axis 2, bus 0): "),
+        "{reason}"
+    );
+    let event = reason.trim_start_matches("fault: ");
+    let log = RunLog::open(&pair.log()).unwrap();
+    assert_eq!(log.events, [event]);
+    let drives = pair.end();
+    for (node, cause) in causes(&drives) {
+        let expected = if node == 3 {
+            "it lost its power"
+        } else {
+            "its master asked for a quick stop"
+        };
+        assert_eq!(cause, expected, "node {node}");
+    }
+    assert_eq!(causes(&drives).len(), 7);
+}
+
+#[test]
+#[ignore = "needs a CAN bus: make test-can"]
+fn bus_off_stops_the_arm_at_once_and_its_drives_by_themselves() {
+    let _turn = alone();
+    let pair = Pair::start("can_bus_off", &[], &["kind=bus-off,node=1,at=1s"]);
+    let (code, run) = pair.run("expert").end();
+    assert_eq!(code, Some(1), "{run}");
+    assert_eq!(
+        run["reason"], "fault: psm1: bus 0: our controller is bus-off",
+        "{run}"
+    );
+    // The master says nothing more, so the drives notice that it is gone.
+    let drives = pair.end();
+    let stops = drives["stops"].as_array().unwrap();
+    assert_eq!(stops.len(), 7, "{drives}");
+    for stop in stops {
+        assert!(
+            matches!(stop["code"].as_u64(), Some(0x8700 | 0x8250)),
+            "{stop}"
+        );
+    }
+}
+
+#[test]
+#[ignore = "needs a CAN bus: make test-can"]
+fn a_wrong_drive_an_absent_one_and_a_missing_world_are_named() {
+    let _turn = alone();
+    let pair = Pair::start("can_wrong", &[], &["kind=wrong-identity,node=5"]);
+    let mut run = pair.run("expert");
+    run.await_word("psm1 on vcan0: node 5 (axis 4, bus 0): 1018:02 is ");
+    drop(run);
+    let folder = scratch("can_absent");
+    let mut alone = Process::start(
+        &folder,
+        "run",
+        &[
+            "run",
+            "--task",
+            "needle-lift",
+            "--policy",
+            "noop",
+            "--backend",
+            "can",
+            "--topics",
+            "nowhere",
+        ],
+    );
+    alone.await_word("nobody shows a scene on topics \"nowhere\"");
+    let mut other = Process::start(
+        &folder,
+        "run",
+        &[
+            "run",
+            "--task",
+            "needle-lift",
+            "--policy",
+            "noop",
+            "--backend",
+            "can",
+            "--topics",
+            "can_wrong",
+            "--seed",
+            "9",
+        ],
+    );
+    other.await_word("is needle-lift, seed 0; this run is needle-lift, seed 9");
+    drop(pair);
+}
+
+#[test]
+#[ignore = "needs a CAN bus: make test-can"]
+fn one_khz_on_three_buses_runs() {
+    let _turn = alone();
+    let changes = [
+        ("cycle_us = 2000", "cycle_us = 1000"),
+        (
+            "interfaces = [\"vcan0\"]\nsync_id = 0x080",
+            "interfaces = [\"vcan0\", \"vcan1\", \"vcan2\"]\nsync_id = 0x080",
+        ),
+        (
+            "nodes = [1, 2, 3, 4, 5, 6, 7]\nlines = [0, 0, 0, 0, 0, 0, 0]",
+            "nodes = [1, 2, 3, 4, 5, 6, 7]\nlines = [0, 0, 0, 1, 1, 2, 2]",
+        ),
+    ];
+    let mut pair = Pair::start("can_three", &changes, &[]);
+    let run = pair.run("expert");
+    pair.drives.await_word("the episode begins");
+    sleep_ns(2000 * MS_NS * SLOW_MOTION);
+    run.signal("-INT");
+    let (_, run) = run.end();
+    assert!(run["can"]["arms"][0]["fault"].is_null(), "{run}");
+    assert_eq!(run["can"]["cycle_us"], 1000);
+    assert_eq!(run["reason"], "interrupted", "{run}");
+    let drives = pair.end();
+    assert_eq!(drives["buses"].as_array().map(Vec::len), Some(3));
+}

@@ -1,0 +1,174 @@
+//! What `trocar drives` and `trocar run --backend can` refuse before they touch a bus; these need none.
+#![expect(
+    clippy::unwrap_used,
+    reason = "in a test, a failure to set up is a failure"
+)]
+
+use std::fs;
+use std::path::PathBuf;
+use std::process::Output;
+
+use tests::{Profile, repository, scratch, trocar};
+
+/// The shipped nodes and buses with some text replaced.
+fn config(test: &str, changes: &[(&str, &str)]) -> PathBuf {
+    let mut text = fs::read_to_string(repository().join("config/can.toml")).unwrap();
+    for (from, to) in changes {
+        assert!(text.contains(from), "{from}");
+        text = text.replace(from, to);
+    }
+    let file = scratch(test).join("can.toml");
+    fs::write(&file, text).unwrap();
+    file
+}
+
+fn run(arguments: &[&str]) -> Output {
+    trocar(Profile::Debug).args(arguments).output().unwrap()
+}
+
+/// The exit code and what the program complained of.
+fn refused(output: &Output) -> (Option<i32>, String) {
+    let told = String::from_utf8_lossy(&output.stderr).into_owned();
+    (output.status.code(), told)
+}
+
+const ON_CAN: [&str; 7] = [
+    "run",
+    "--task",
+    "needle-lift",
+    "--policy",
+    "expert",
+    "--backend",
+    "can",
+];
+
+#[test]
+fn one_khz_for_seven_axes_on_one_bus_is_refused_with_the_arithmetic() {
+    let file = config(
+        "can_refusals_1khz",
+        &[("cycle_us = 2000", "cycle_us = 1000")],
+    );
+    let mut arguments = ON_CAN.to_vec();
+    arguments.extend(["--can-config", file.to_str().unwrap()]);
+    let (code, told) = refused(&run(&arguments));
+    assert_eq!(code, Some(2), "{told}");
+    assert!(
+        told.contains(
+            "bus 0: 1 SYNC x 55 + 7 set-points x 115 + 7 answers x 135 + heartbeats of 8 nodes = 1811 bits with stuffing, \
+             but a cycle of 1000 us at 1 Mbit/s has 1000: 181.1 % of the bus"
+        ),
+        "{told}"
+    );
+}
+
+#[test]
+fn two_arms_on_one_bus_at_500_hz_are_refused_and_at_250_hz_only_lack_the_bus() {
+    let arguments = [
+        "run",
+        "--task",
+        "needle-handover",
+        "--policy",
+        "expert",
+        "--backend",
+        "can",
+    ];
+    let (code, told) = refused(&run(&arguments));
+    assert_eq!(code, Some(2), "{told}");
+    assert!(
+        told.contains("of which at most 95 % may be planned"),
+        "{told}"
+    );
+    let file = config(
+        "can_refusals_two_arms",
+        &[
+            ("cycle_us = 2000", "cycle_us = 4000"),
+            ("\"vcan0\"", "\"nocan7\""),
+        ],
+    );
+    let mut slower = arguments.to_vec();
+    slower.extend(["--can-config", file.to_str().unwrap()]);
+    let (code, told) = refused(&run(&slower));
+    assert_eq!(code, Some(1), "{told}");
+    assert!(told.contains("nocan7: cannot be opened"), "{told}");
+}
+
+#[test]
+fn a_cycle_that_is_no_whole_number_of_control_periods_is_refused() {
+    let file = config(
+        "can_refusals_cycle",
+        &[("cycle_us = 2000", "cycle_us = 2500")],
+    );
+    let mut arguments = ON_CAN.to_vec();
+    arguments.extend(["--can-config", file.to_str().unwrap()]);
+    let (code, told) = refused(&run(&arguments));
+    assert_eq!(code, Some(2), "{told}");
+    assert!(told.contains("cycle_us = 2500"), "{told}");
+}
+
+#[test]
+fn options_that_do_not_go_together_are_refused() {
+    let mut lockstep = ON_CAN.to_vec();
+    lockstep.push("--lockstep");
+    let (code, told) = refused(&run(&lockstep));
+    assert_eq!(code, Some(2), "{told}");
+    assert!(told.contains("--lockstep needs --backend sim"), "{told}");
+    let mut simulated = ON_CAN[..5].to_vec();
+    simulated.extend(["--can-config", "config/can.toml"]);
+    let (code, told) = refused(&run(&simulated));
+    assert_eq!(code, Some(2), "{told}");
+    assert!(told.contains("--can-config needs --backend can"), "{told}");
+}
+
+#[test]
+fn an_interface_that_is_not_there_is_named_with_what_to_do() {
+    let file = config("can_refusals_interface", &[("\"vcan0\"", "\"nocan7\"")]);
+    let file = file.to_str().unwrap();
+    let mut arguments = ON_CAN.to_vec();
+    arguments.extend(["--can-config", file]);
+    for output in [run(&arguments), run(&["drives", "--config", file])] {
+        let (code, told) = refused(&output);
+        assert_eq!(code, Some(1), "{told}");
+        assert!(
+            told.contains("nocan7: cannot be opened as a CAN interface: ")
+                && told.contains("`ip link add dev nocan7 type vcan"),
+            "{told}"
+        );
+    }
+}
+
+#[test]
+fn faults_that_cannot_be_are_refused() {
+    for (fault, expected) in [
+        ("kind=fire,node=3", "kind=fire: there are pull, reboot, "),
+        ("kind=pull,node=3,at=soon", "at=soon: a time is 0 to 3600 s"),
+        (
+            "kind=pull,node=99",
+            "there is no such node; there are 1 2 3",
+        ),
+    ] {
+        let (code, told) = refused(&run(&["drives", "--fault", fault]));
+        assert_eq!(code, Some(2), "{told}");
+        assert!(told.contains(expected), "{told}");
+    }
+}
+
+#[test]
+fn one_node_for_two_axes_is_refused() {
+    let file = config(
+        "can_refusals_nodes",
+        &[(
+            "[11, 12, 13, 14, 15, 16, 17]",
+            "[11, 12, 3, 14, 15, 16, 17]",
+        )],
+    );
+    let file = file.to_str().unwrap();
+    let (code, told) = refused(&run(&[
+        "drives",
+        "--task",
+        "needle-handover",
+        "--config",
+        file,
+    ]));
+    assert_eq!(code, Some(2), "{told}");
+    assert!(told.contains("node 3 is of two arms"), "{told}");
+}
