@@ -10,8 +10,7 @@ use tests::{Profile, stderr, trocar};
 /// Runs the committed policy with `arguments`, expects exit code 2, and gives the message.
 fn refused(arguments: &[&str]) -> String {
     let policy = "config/policies/needle-lift/act-small";
-    let output = trocar(Profile::Release)
-        .current_dir(tests::repository())
+    let output = trocar(Profile::Debug)
         .args(["run", "--task", "needle-lift", "--lockstep"])
         .args(["--policy", policy])
         .args(arguments)
