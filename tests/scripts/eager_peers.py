@@ -1,7 +1,10 @@
 """Our inference beside eager PyTorch: the same weights, the same observation, taking turns in one run.
 
-    cargo build --locked --release --workspace --bench peers
-    python tests/scripts/eager_peers.py target/release/deps/peers-HASH [--device cuda] [--dp3-source FOLDER]
+    cargo build --locked --workspace --bench peers
+    strip -o target/peers target/debug/deps/peers-HASH
+    python tests/scripts/eager_peers.py target/peers [--device cuda] [--dp3-source FOLDER]
+
+A debug build does: the network library does the work. The stripped file can be carried to a machine with an accelerator.
 
 Peers, each named in the table:
 - ACT: LeRobot's own ACTPolicy where lerobot is installed, else a module of this file with the same operations.
