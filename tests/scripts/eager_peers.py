@@ -1,7 +1,10 @@
 """Our inference beside eager PyTorch: the same weights, the same observation, taking turns in one run.
 
-    cargo build --locked --release --workspace --bench peers
-    python tests/scripts/eager_peers.py target/release/deps/peers-HASH [--device cuda] [--dp3-source FOLDER]
+    cargo build --locked --workspace --bench peers
+    strip -o target/peers target/debug/deps/peers-HASH
+    python tests/scripts/eager_peers.py target/peers [--device cuda] [--dp3-source FOLDER]
+
+A debug build does: the network library does the work. The stripped file can be carried to a machine with an accelerator.
 
 Peers, each named in the table:
 - ACT: LeRobot's own ACTPolicy where lerobot is installed, else a module of this file with the same operations.
@@ -305,16 +308,17 @@ def authors_modules(source):
     from diffusion_policy_3d.model.diffusion.conditional_unet1d import ConditionalUnet1D
     from diffusion_policy_3d.model.vision.pointnet_extractor import DP3Encoder
 
-    cloud = types.SimpleNamespace(in_channels=3, out_channels=64, use_layernorm=True, final_norm="layernorm")
-
     class Settings(dict):
+        """The authors set a field of what they then pass as keywords."""
+
         def __setattr__(self, name, value):
             self[name] = value
 
+    cloud = Settings(out_channels=64, use_layernorm=True, final_norm="layernorm", normal_channel=False)
     encoder = DP3Encoder(
         {"point_cloud": (1024, 3), "agent_pos": (WIDTH,)},
         out_channel=64,
-        pointcloud_encoder_cfg=Settings(vars(cloud), normal_channel=False),
+        pointcloud_encoder_cfg=cloud,
     )
     unet = ConditionalUnet1D(
         WIDTH, global_cond_dim=256, diffusion_step_embed_dim=128, down_dims=[512, 1024, 2048], kernel_size=5
@@ -419,12 +423,14 @@ def compare(ours, network, options, device, inputs_on):
     weights, inputs = read(ours.folder / f"{network}.safetensors")
     if network == "act":
         try:
+            if options.plain:
+                raise ImportError("not asked for")
             name, answer = lerobot_act(weights, device)
         except ImportError as error:
-            print(f"  no LeRobot here ({error})")
+            print(f"  no LeRobot ({error})")
             name, answer = own_act(weights, device)
     else:
-        name, answer = dp3(weights, device, network == "simple-dp3", options.dp3_source)
+        name, answer = dp3(weights, device, network == "simple-dp3", None if options.plain else options.dp3_source)
     del weights
     inputs = {key: inputs_on(value) for key, value in inputs.items()}
     ours_times, their_times = [], []
@@ -463,6 +469,7 @@ def main():
     parser.add_argument("--rounds", type=int, default=5, help="turns that each side has")
     parser.add_argument("--runs", type=int, default=6, help="answers in a turn")
     parser.add_argument("--bf16", action="store_true", help="ours in bf16 too, on the CPU; always on cuda")
+    parser.add_argument("--plain", action="store_true", help="this file's modules, whatever is installed")
     parser.add_argument("--dp3-source", help="checkout of YanjieZe/3D-Diffusion-Policy")
     options = parser.parse_args()
     torch.set_num_threads(options.threads)

@@ -67,17 +67,21 @@ impl FoldedDp3 {
         observation: &CloudObservation<'_>,
         noise: &Tensor,
     ) -> Result<Tensor, TchError> {
+        let shape = [1, self.config.horizon, self.config.action_dim];
+        if noise.size() != shape {
+            let actual = noise.size();
+            return Err(TchError::Shape(format!("noise {actual:?}, not {shape:?}")));
+        }
         let points = observation.points.f_flatten(0, 1)?;
         let state = observation.state.f_flatten(0, 1)?;
         let observed = self.encoder.forward(&points, &state)?.f_view([1, -1])?;
         let modulations = self.unet.modulations(&observed)?;
-        let rows = modulations.f_unbind(0)?;
-        let mut rows = rows.iter();
+        let mut steps = modulations.iter();
         self.diffusion.sample(noise, |noisy, _| {
-            let row = rows
+            let step = steps
                 .next()
                 .ok_or_else(|| TchError::Shape("timesteps".to_owned()))?;
-            self.unet.forward(noisy, row)
+            self.unet.forward(noisy, step)
         })
     }
 }

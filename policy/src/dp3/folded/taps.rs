@@ -7,22 +7,39 @@ use tch::{Device, Kind, TchError, Tensor};
 
 use crate::dp3::blocks::{Convolution, Doubling};
 
-/// A convolution for a fixed number of steps, from `(channels, steps)` to `(channels, steps)`.
+/// A convolution for a fixed number of steps, from `(1, channels, steps)` to `(1, channels, steps)`.
 #[derive(Debug)]
 pub(super) struct Taps {
-    /// `(blocks, inputs, columns of a block)`. The columns are the outputs of each tap, one tap after the other, then what
-    /// is asked for besides.
+    /// `(blocks, inputs, columns of a block)`, without the first dimension if there is one block. The columns are the
+    /// outputs of each tap, one tap after the other, then what is asked for besides.
     weight: Tensor,
-    /// `(blocks, 1, columns of a block)`: with the tap that meets a step for every output.
+    /// `(blocks, 1, columns of a block)`, or `(columns)`: with the tap that meets a step for every output.
     bias: Tensor,
-    /// The products, `(blocks, steps, columns of a block)`. In memory there are rows of zeros around the steps of each
-    /// block, which nobody writes to.
+    /// The products, `(blocks, steps, columns of a block)`, or without the first dimension. In memory there are rows of
+    /// zeros around the steps of each block, which nobody writes to.
     written: Tensor,
     /// The products by output and tap, the taps last.
     terms: Tensor,
     /// Those of the convolution beside, by output and step.
     beside: Option<Tensor>,
+    kind: Kind,
+    inputs: i64,
     outputs: i64,
+    steps: i64,
+}
+
+/// What makes up [`Taps`].
+struct Parts {
+    /// `(inputs, columns)`.
+    weight: Tensor,
+    /// `(columns)`.
+    bias: Tensor,
+    terms: Tensor,
+    beside: Option<Tensor>,
+    /// From the first row of zeros on.
+    products: Tensor,
+    around: i64,
+    steps: i64,
 }
 
 /// Where the products lie in memory.
@@ -136,14 +153,16 @@ impl Taps {
             let first = around * row + taps * tap;
             layout.view(&products, [steps], [row], first)
         });
-        Ok(Self {
-            weight: layout.blocked(&weight, kind)?,
-            bias: layout.blocked(&bias.f_unsqueeze(0)?, kind)?,
-            written: products.f_narrow(1, around, steps)?,
+        let parts = Parts {
             terms: layout.view(&products, [steps_after, taps], [stride * row, tap + row], 0)?,
             beside: besides.transpose()?,
-            outputs,
-        })
+            weight,
+            bias,
+            products,
+            around,
+            steps,
+        };
+        Self::of(parts, layout, kind)
     }
 
     /// Twice as many steps as went in.
@@ -160,44 +179,87 @@ impl Taps {
         let layout = Layout::new(steps + 2, 4 * outputs, outputs, weight.device());
         let products = layout.zeros(&weight, kind)?;
         let (row, tap) = (layout.block, layout.tap());
-        let bias = bias_at(&doubling.bias, &[1, 2], 4)?;
-        Ok(Self {
-            weight: layout.blocked(&ordered.f_reshape([inputs, -1])?, kind)?,
-            bias: layout.blocked(&bias.f_unsqueeze(0)?, kind)?,
-            written: products.f_narrow(1, 1, steps)?,
+        let parts = Parts {
             terms: layout.view(&products, [steps, 2, 2], [row, row + 2 * tap, row + tap], 0)?,
             beside: None,
-            outputs,
+            weight: ordered.f_reshape([inputs, -1])?,
+            bias: bias_at(&doubling.bias, &[1, 2], 4)?,
+            products,
+            around: 1,
+            steps,
+        };
+        Self::of(parts, layout, kind)
+    }
+
+    fn of(parts: Parts, layout: Layout, kind: Kind) -> Result<Self, TchError> {
+        let Parts {
+            weight,
+            bias,
+            terms,
+            beside,
+            products,
+            around,
+            steps,
+        } = parts;
+        let inputs = weight.size()[0];
+        let one = layout.block == layout.columns;
+        let flat = |tensor: Tensor| {
+            if one {
+                tensor.f_squeeze_dim(0)
+            } else {
+                Ok(tensor)
+            }
+        };
+        let bias = layout.blocked(&bias.f_unsqueeze(0)?, kind)?;
+        Ok(Self {
+            weight: flat(layout.blocked(&weight, kind)?)?,
+            bias: if one { bias.f_view([-1])? } else { bias },
+            written: flat(products.f_narrow(1, around, steps)?)?,
+            terms,
+            beside,
+            kind,
+            inputs,
+            outputs: layout.outputs,
+            steps,
         })
     }
 
-    /// `(channels, steps)` in single precision, whatever the weights have.
+    /// `x` is contiguous. The answer is in single precision, whatever the weights have.
     pub(super) fn apply(&mut self, x: &Tensor) -> Result<Tensor, TchError> {
-        let rows = x.f_to_kind(self.weight.kind())?.f_transpose(0, 1)?;
-        let size = self.weight.size();
-        if let &[1, inputs, columns] = size.as_slice() {
-            let weight = self.weight.f_view([inputs, columns])?;
-            let written = self.written.f_squeeze_dim(0)?;
-            let bias = self.bias.f_view([columns])?;
-            let _written = bias.f_addmm_out(&written, &rows, &weight)?;
+        let (steps, inputs) = (self.steps, self.inputs);
+        let one = self.weight.dim() == 2;
+        // Few calls into the network library: on an accelerator they are what takes the time.
+        let rows = if one {
+            x.f_as_strided([steps, inputs], [1, steps], None)?
         } else {
-            let rows = rows.f_unsqueeze(0)?.f_expand([size[0], -1, -1], false)?;
-            let _written = self
-                .bias
-                .f_baddbmm_out(&self.written, &rows, &self.weight)?;
-        }
+            let blocks = self.weight.size()[0];
+            x.f_as_strided([blocks, steps, inputs], [0, 1, steps], None)?
+        };
+        let rows = if self.kind == Kind::Float {
+            rows
+        } else {
+            rows.f_to_kind(self.kind)?
+        };
+        let _written = if one {
+            self.bias.f_addmm_out(&self.written, &rows, &self.weight)?
+        } else {
+            self.bias
+                .f_baddbmm_out(&self.written, &rows, &self.weight)?
+        };
         self.terms
             .f_sum_dim_intlist([-1].as_slice(), false, Kind::Float)?
-            .f_view([self.outputs, -1])
+            .f_view([1, self.outputs, -1])
     }
 
-    /// `out` `(channels, steps)` and what the convolution beside made of what was last applied to; or `x` if there is none.
-    pub(super) fn add_beside(&self, out: &mut Tensor, x: &Tensor) -> Result<(), TchError> {
-        let _sum = match &self.beside {
-            Some(beside) => out.f_view(beside.size().as_slice())?.f_add_(beside)?,
-            None => out.f_add_(x)?,
-        };
-        Ok(())
+    /// Adds to `out` what the convolution beside made of what was last applied to; or `x` if there is none.
+    pub(super) fn add_beside(&self, mut out: Tensor, x: &Tensor) -> Result<Tensor, TchError> {
+        match &self.beside {
+            Some(beside) => {
+                let _sum = out.f_view(beside.size().as_slice())?.f_add_(beside)?;
+                Ok(out)
+            }
+            None => out.f_add_(x),
+        }
     }
 }
 

@@ -89,3 +89,18 @@ fn blocks_of_outputs_fold_too() {
 fn fewer_steps_than_a_convolution_sees_fold_too() {
     check(&config(Dp3Preset::Simple, 4, 7));
 }
+
+#[test]
+fn noise_of_another_shape_is_refused() {
+    let config = config(Dp3Preset::Simple, 8, 3);
+    let mut folded = FoldedDp3::new(trained(&config), Kind::Float).unwrap();
+    let float = (Kind::Float, Device::Cpu);
+    let observation = CloudObservation {
+        points: &Tensor::zeros([1, 2, 50, 3], float),
+        state: &Tensor::zeros([1, 2, 7], float),
+    };
+    for shape in [[2, 8, 7], [1, 16, 7], [1, 8, 6]] {
+        let answer = folded.infer(&observation, &Tensor::zeros(shape, float));
+        assert!(answer.unwrap_err().to_string().contains("noise"));
+    }
+}

@@ -23,6 +23,8 @@ struct Modulation {
     of_steps: Tensor,
     /// `(features of the observations, scales and shifts)`.
     observed: Tensor,
+    /// How many scales, then shifts, each block has.
+    sizes: Vec<i64>,
 }
 
 /// Builds the blocks one after the other and gathers what they make of the condition.
@@ -32,7 +34,7 @@ struct Builder<'a> {
     kind: Kind,
     of_steps: Vec<Tensor>,
     observed: Vec<Tensor>,
-    columns: i64,
+    sizes: Vec<i64>,
 }
 
 /// A residual block.
@@ -40,9 +42,8 @@ struct Builder<'a> {
 struct FoldedBlock {
     first: FoldedConvolution,
     second: FoldedConvolution,
-    /// Where its scales, then its shifts, begin among all.
-    column: i64,
-    channels: i64,
+    /// Which of the modulations are its scales; its shifts follow.
+    place: usize,
 }
 
 /// Convolution, group normalisation, Mish.
@@ -68,7 +69,7 @@ impl FoldedUNet {
             kind,
             of_steps: Vec::new(),
             observed: Vec::new(),
-            columns: 0,
+            sizes: Vec::new(),
         };
         let mut steps = horizon;
         let mut down = Vec::new();
@@ -104,39 +105,43 @@ impl FoldedUNet {
         })
     }
 
-    /// Scales and shifts of every timestep, `(timesteps, scales and shifts)`, for the observations' features
-    /// `(1, features)`.
-    pub(super) fn modulations(&self, observed: &Tensor) -> Result<Tensor, TchError> {
+    /// Scales and shifts `(channels, 1)` of every block at every timestep for the observations' features `(1, features)`.
+    pub(super) fn modulations(&self, observed: &Tensor) -> Result<Vec<Vec<Tensor>>, TchError> {
         let Modulation {
             of_steps,
             observed: weight,
+            sizes,
         } = &self.modulation;
-        of_steps.f_add(&observed.f_mish()?.f_mm(weight)?)
+        let all = of_steps.f_add(&observed.f_mish()?.f_mm(weight)?)?;
+        let steps = all.f_unsqueeze(2)?.f_unbind(0)?;
+        steps
+            .iter()
+            .map(|step| step.f_split_with_sizes(sizes, 0))
+            .collect()
     }
 
-    /// The clean actions `(1, steps, action)` behind `noisy` ones by one row of [`Self::modulations`].
+    /// The clean actions `(1, steps, action)` behind `noisy` ones by one timestep's [`Self::modulations`].
     pub(super) fn forward(
         &mut self,
         noisy: &Tensor,
-        modulation: &Tensor,
+        modulations: &[Tensor],
     ) -> Result<Tensor, TchError> {
-        let mut x = noisy.f_squeeze_dim(0)?.f_transpose(0, 1)?;
+        let mut x = noisy.f_transpose(1, 2)?.f_contiguous()?;
         let mut on_the_way = Vec::new();
         for (blocks, halve) in &mut self.down {
-            x = through(blocks, x, modulation)?;
+            x = through(blocks, x, modulations)?;
             on_the_way.push(x.shallow_clone());
             if let Some(halve) = halve {
                 x = halve.apply(&x)?;
             }
         }
-        x = through(&mut self.middle, x, modulation)?;
+        x = through(&mut self.middle, x, modulations)?;
         for ((blocks, double), beside) in self.up.iter_mut().zip(on_the_way.iter().rev()) {
-            x = through(blocks, Tensor::f_cat(&[&x, beside], 0)?, modulation)?;
+            x = through(blocks, Tensor::f_cat(&[&x, beside], 1)?, modulations)?;
             x = double.apply(&x)?;
         }
         let (block, out) = &mut self.last;
-        let clean = out.apply(&block.apply(&x)?)?;
-        clean.f_transpose(0, 1)?.f_unsqueeze(0)
+        out.apply(&block.apply(&x)?)?.f_transpose(1, 2)
     }
 }
 
@@ -159,17 +164,16 @@ impl Builder<'_> {
         let of_steps = weight.f_narrow(1, 0, own)?;
         let bias = block.condition.bias.f_detach()?;
         let of_steps = self.embedded.f_linear(&of_steps, Some(&bias))?;
-        let columns = of_steps.size()[1];
+        let channels = of_steps.size()[1] / 2;
         self.of_steps.push(of_steps);
         let observed = weight.f_narrow(1, own, all - own)?;
         self.observed.push(observed.f_transpose(0, 1)?);
-        let column = self.columns;
-        self.columns += columns;
+        let place = self.sizes.len();
+        self.sizes.extend([channels; 2]);
         Ok(FoldedBlock {
             first: FoldedConvolution::new(first, block.residual.as_ref(), steps, self.kind)?,
             second: FoldedConvolution::new(second, None, steps, self.kind)?,
-            column,
-            channels: columns / 2,
+            place,
         })
     }
 
@@ -177,18 +181,19 @@ impl Builder<'_> {
         Ok(Modulation {
             of_steps: Tensor::f_cat(&self.of_steps, 1)?,
             observed: Tensor::f_cat(&self.observed, 1)?.f_contiguous()?,
+            sizes: self.sizes,
         })
     }
 }
 
 impl FoldedBlock {
-    fn apply(&mut self, x: &Tensor, modulation: &Tensor) -> Result<Tensor, TchError> {
-        let part = |first: i64| modulation.f_narrow(0, first, self.channels)?.f_unsqueeze(1);
-        let (scale, shift) = (part(self.column)?, part(self.column + self.channels)?);
-        let inner = shift.f_addcmul(&scale, &self.first.apply(x)?)?;
-        let mut out = self.second.apply(&inner)?;
-        self.first.taps.add_beside(&mut out, x)?;
-        Ok(out)
+    fn apply(&mut self, x: &Tensor, modulations: &[Tensor]) -> Result<Tensor, TchError> {
+        let Some([scale, shift]) = modulations.get(self.place..self.place + 2) else {
+            return Err(TchError::Shape("a scale and a shift".to_owned()));
+        };
+        let inner = shift.f_addcmul(scale, &self.first.apply(x)?)?;
+        let out = self.second.apply(&inner)?;
+        self.first.taps.add_beside(out, x)
     }
 }
 
@@ -208,21 +213,20 @@ impl FoldedConvolution {
     }
 
     fn apply(&mut self, x: &Tensor) -> Result<Tensor, TchError> {
-        let x = self.taps.apply(x)?.f_unsqueeze(0)?;
+        let x = self.taps.apply(x)?;
         let (weight, bias) = (Some(&self.norm_weight), Some(&self.norm_bias));
         x.f_group_norm(self.groups, weight, bias, 1e-5, true)?
-            .f_mish_()?
-            .f_squeeze_dim(0)
+            .f_mish_()
     }
 }
 
 fn through(
     blocks: &mut [FoldedBlock],
     mut x: Tensor,
-    modulation: &Tensor,
+    modulations: &[Tensor],
 ) -> Result<Tensor, TchError> {
     for block in blocks {
-        x = block.apply(&x, modulation)?;
+        x = block.apply(&x, modulations)?;
     }
     Ok(x)
 }
