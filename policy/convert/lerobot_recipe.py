@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
-"""Writes trocar.json beside a policy that LeRobot 0.4 or newer saved, so that it can be run. Nothing else is touched.
+"""Writes trocar.json beside a policy that LeRobot 0.4 or newer saved, so that it can be run. Once, offline.
 
-Requirements: none
+Requirements: none; with --least-deviation numpy safetensors
 
     python policy/convert/lerobot_recipe.py outputs/train/checkpoints/last/pretrained_model --actions absolute_pose --fps 25
 
@@ -9,6 +9,10 @@ Such a folder loads as it is; what it does not say is what its actions mean, how
 cameras' frames are. A policy that LeRobot trained on a dataset of `trocar record` predicts that dataset's `action`: absolute_pose,
 eight numbers an arm (position in the RCM frame, m; quaternion x, y, z, w; jaw, rad). One that was trained on actions relative to the
 tip at the observation predicts observation_relative, seven numbers an arm.
+
+A number that never changed in the demonstrations has a deviation of zero. LeRobot trains with that, and then multiplies whatever such a
+joint measures by 1e8; here such statistics are refused. --least-deviation raises them, in the two statistics files, and says which:
+for an action, nothing changes but rounding, since its mean is what comes out; for a state, the network is spared the noise.
 """
 
 import argparse
@@ -22,6 +26,22 @@ def fail(text):
     raise SystemExit(f"error: {text}")
 
 
+def raise_deviations(folder, least):
+    """Every deviation of state and action below `least` becomes `least`."""
+    from safetensors.numpy import load_file, save_file
+
+    for file in sorted(folder.glob("policy_*processor_step_*.safetensors")):
+        values = load_file(file)
+        for feature in ("observation.state", "action"):
+            deviation = values.get(f"{feature}.std")
+            if deviation is None or not (deviation < least).any():
+                continue
+            raised = [int(place) for place in (deviation < least).nonzero()[0]]
+            print(f"{file.name}: {feature}: deviations of dimensions {raised} raised to {least}")
+            values[f"{feature}.std"] = deviation.clip(min=least)
+        save_file(values, file)
+
+
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folder", type=Path)
@@ -32,6 +52,7 @@ def main():
         "--recorded", metavar="WIDTHxHEIGHT", help="size of the cameras' frames, a whole multiple of the network's; the same if not given"
     )
     parser.add_argument("--task", default="", help="the task in words")
+    parser.add_argument("--least-deviation", type=float, help="raise smaller deviations of state and action to this")
     options = parser.parse_args()
 
     file = options.folder / "config.json"
@@ -69,6 +90,10 @@ def main():
         "seed": 0,
         "training": None,
     }
+    if options.least_deviation is not None:
+        if not 0 < options.least_deviation < 1:
+            fail(f"--least-deviation {options.least_deviation} is outside (0, 1)")
+        raise_deviations(options.folder, options.least_deviation)
     (options.folder / "trocar.json").write_text(json.dumps(recipe, indent=2, sort_keys=True) + "\n")
     print(f"{options.folder / 'trocar.json'}: {arms} arm{'s' * (arms - 1)}, {len(cameras)} cameras, {options.actions}")
 

@@ -4,6 +4,8 @@
 //! `policy_postprocessor.json` name the statistics. Nothing in the folder can run code.
 
 mod act_pc;
+#[cfg(test)]
+mod cloud_refusal_tests;
 mod clouds;
 mod config_file;
 mod dp3;

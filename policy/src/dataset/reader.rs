@@ -10,7 +10,8 @@ use super::{
     layout::{self, Listed},
     meta,
     png::decode_rgb,
-    schema::{ACTION, EPISODE_INDEX, STATE, TIP_POSE, image_feature},
+    rows::{FileRows, Place, Rows, check_episode},
+    schema::image_feature,
     segments::{VideoCamera, VideoFrames},
     spec::{mismatch, read_spec, video_features},
     table::Table,
@@ -25,22 +26,6 @@ pub struct Dataset {
     rows: Rows,
     tables: Vec<Table>,
     videos: VideoFrames,
-}
-
-/// The numbers of some frames; a vector has as many rows a frame as there are arms.
-#[derive(Debug, Default)]
-struct Rows {
-    state: Vec<[f64; STATE_WIDTH]>,
-    tip_pose: Vec<[f64; TIP_POSE_WIDTH]>,
-    action: Vec<[f64; ACTION_WIDTH]>,
-    place: Vec<Place>,
-}
-
-/// Where a frame is stored.
-#[derive(Clone, Copy, Debug)]
-struct Place {
-    table: usize,
-    row: usize,
 }
 
 impl Dataset {
@@ -266,75 +251,4 @@ fn open_videos(
     };
     let cameras: Vec<VideoCamera<'_>> = camera_names.iter().map(of_camera).collect();
     VideoFrames::open(&cameras, fps)
-}
-
-/// The numbers of one data file.
-struct FileRows {
-    arms: usize,
-    state: Vec<[f64; STATE_WIDTH]>,
-    tip_pose: Vec<[f64; TIP_POSE_WIDTH]>,
-    action: Vec<[f64; ACTION_WIDTH]>,
-    episode_index: Vec<i64>,
-}
-
-impl FileRows {
-    fn read(table: &Table, arms: usize) -> Result<Self, DatasetError> {
-        let file = Self {
-            arms,
-            state: table.vectors(STATE, arms)?,
-            tip_pose: table.vectors(TIP_POSE, arms)?,
-            action: table.vectors(ACTION, arms)?,
-            episode_index: table.integers(EPISODE_INDEX)?,
-        };
-        let rows = file.episode_index.len();
-        for (name, found) in [
-            (STATE, file.state.len()),
-            (TIP_POSE, file.tip_pose.len()),
-            (ACTION, file.action.len()),
-        ] {
-            table.check_rows(name, found / arms.max(1), rows)?;
-        }
-        Ok(file)
-    }
-
-    fn append(&self, rows: &mut Rows, table: usize, range: std::ops::Range<usize>) {
-        let of_arms = self.arms * range.start..self.arms * range.end;
-        rows.state.extend_from_slice(&self.state[of_arms.clone()]);
-        rows.tip_pose
-            .extend_from_slice(&self.tip_pose[of_arms.clone()]);
-        rows.action.extend_from_slice(&self.action[of_arms]);
-        rows.place.extend(range.map(|row| Place { table, row }));
-    }
-}
-
-/// An episode has to lie where the table of episodes says, and nowhere else.
-fn check_episode(
-    table: &Table,
-    listed: &Listed,
-    next: usize,
-    rows: Option<&[i64]>,
-) -> Result<(), DatasetError> {
-    let what = format!("episode {}", listed.index);
-    let Some(rows) = rows else {
-        return Err(table.mismatch(
-            &what,
-            "cut off by the end of the file".to_owned(),
-            format!("{} rows", listed.len),
-        ));
-    };
-    if let Some(other) = rows
-        .iter()
-        .find(|&&index| usize::try_from(index) != Ok(listed.index))
-    {
-        return Err(table.mismatch(
-            &what,
-            format!("mixed with rows of episode {other}"),
-            "whole".to_owned(),
-        ));
-    }
-    if listed.len == 0 || listed.start != next {
-        let found = format!("{} frames from frame {}", listed.len, listed.start);
-        return Err(table.mismatch(&what, found, format!("at least one, from frame {next}")));
-    }
-    Ok(())
 }

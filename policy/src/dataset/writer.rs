@@ -8,12 +8,7 @@ use std::{
 
 use arrow_array::RecordBatch;
 use arrow_schema::Schema;
-use parquet::{
-    basic::Compression,
-    errors::ParquetError,
-    file::properties::{EnabledStatistics, WriterProperties},
-    schema::types::ColumnPath,
-};
+use parquet::errors::ParquetError;
 use serde_json::{Map, Value};
 
 use super::{
@@ -23,11 +18,9 @@ use super::{
     encoder::Encoder,
     episode::{Pending, columns, index_value, timestamp_s},
     meta::{self, CHUNK_SIZE, EpisodeRow},
+    pages::data_properties,
     png::encode_rgb,
-    schema::{
-        self, ACTION, CAMERA_POSE_PREFIX, DEPTH_PREFIX, INSTANCE_PREFIX, STATE, TIMESTAMP,
-        TIP_POSE, image_feature,
-    },
+    schema::{self, ACTION, CAMERA_POSE_PREFIX, STATE, TIMESTAMP, TIP_POSE, image_feature},
     stats::{ColumnStats, ImageStats},
     store::{io_error, parquet_error, write_json, write_parquet},
 };
@@ -334,28 +327,4 @@ impl DatasetWriter {
 /// Folder and file of an episode, which has files of its own.
 const fn file_of(index: usize) -> (usize, usize) {
     (index / CHUNK_SIZE, index % CHUNK_SIZE)
-}
-
-/// One page an image, so that a reader fetches an image without its neighbours; PNG is not compressed again.
-fn data_properties(spec: &DatasetSpec) -> WriterProperties {
-    let mut properties = WriterProperties::builder()
-        .set_compression(Compression::SNAPPY)
-        .set_dictionary_enabled(false)
-        // The limit on rows in a page is looked at after each such batch.
-        .set_write_batch_size(1);
-    let colour = spec
-        .cameras
-        .iter()
-        .map(|camera| image_feature(&camera.name));
-    let planes = spec.depth_cameras().flat_map(|(camera, _)| {
-        [DEPTH_PREFIX, INSTANCE_PREFIX].map(|prefix| format!("{prefix}{}", camera.name))
-    });
-    for feature in colour.chain(planes) {
-        let bytes = ColumnPath::new(vec![feature, "bytes".to_owned()]);
-        properties = properties
-            .set_column_compression(bytes.clone(), Compression::UNCOMPRESSED)
-            .set_column_statistics_enabled(bytes.clone(), EnabledStatistics::None)
-            .set_column_data_page_row_count_limit(bytes, 1);
-    }
-    properties.build()
 }

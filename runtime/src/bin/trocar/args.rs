@@ -269,7 +269,7 @@ pub(crate) struct RecordArgs {
     /// the wrists), or names with commas between them. A camera that is not named is not drawn.
     #[arg(long, value_name = "single|multi|NAMES", default_value = "endoscope")]
     pub(crate) cameras: String,
-    /// Keep colour as video instead of as PNG: a tenth of the size, but pictures come back close, not the same. Needs
+    /// Keep colour as video instead of as PNG: far smaller, but pictures come back close, not the same. Needs
     /// ffmpeg 5.1 or newer, here and where the dataset is read.
     #[arg(long, value_enum, value_name = "CODEC")]
     pub(crate) video: Option<Video>,
