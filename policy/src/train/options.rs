@@ -27,6 +27,9 @@ pub enum Schedule {
     Cosine,
     /// It falls to nothing along half a cosine.
     CosineToZero,
+    /// It rises from a hundredth over a tenth of the steps and falls to a hundred-thousandth, both along half a cosine;
+    /// there is no other warm-up. PyTorch's `OneCycleLR` with PointCloudMatters' numbers.
+    OneCycle,
 }
 
 /// Random changes of what is trained on, each frame its own.
@@ -198,6 +201,7 @@ impl TrainOptions {
             return (step + 1) as f64 / self.warm_up_steps as f64;
         }
         match self.schedule {
+            Schedule::OneCycle => self.one_cycle(step),
             Schedule::Constant => 1.0,
             Schedule::Cosine => 0.01 + 0.99 * self.cosine(step),
             Schedule::CosineToZero => self.cosine(step),
@@ -222,6 +226,64 @@ impl TrainOptions {
         }
     }
 
+    /// `preset`'s recipe as its authors have it, where they say; from an ImageNet backbone, which a training here lacks, so
+    /// that [`Self::preset`] is what learns from scratch.
+    ///
+    /// The original's epochs take one frame of every episode: 2000 of them on 50 episodes are these steps.
+    #[must_use]
+    pub const fn published(preset: ActPreset) -> Self {
+        let steps = match preset {
+            ActPreset::Paper | ActPreset::Small => 10_000,
+            ActPreset::Lerobot => 100_000,
+        };
+        let clip_norm = match preset {
+            ActPreset::Paper | ActPreset::Small => f64::INFINITY,
+            ActPreset::Lerobot => 10.0,
+        };
+        Self {
+            steps,
+            batch: 8,
+            lr: 1e-5,
+            lr_backbone: 1e-5,
+            warm_up_steps: 0,
+            schedule: Schedule::Constant,
+            clip_norm,
+            ema_decay: 0.0,
+            ..Self::preset(preset)
+        }
+    }
+
+    /// PointCloudMatters' recipe; its batches of 8, two to a step, are ones of 16. Its 500 epochs are steps that depend on the
+    /// dataset, so that their number is [`Self::preset`]'s.
+    #[must_use]
+    pub const fn point_cloud_matters() -> Self {
+        Self {
+            batch: 16,
+            lr: 5e-5,
+            lr_backbone: 5e-5,
+            weight_decay: 0.05,
+            warm_up_steps: 0,
+            schedule: Schedule::OneCycle,
+            clip_norm: f64::INFINITY,
+            ema_decay: 0.0,
+            ..Self::preset(ActPreset::Paper)
+        }
+    }
+
+    /// See [`Schedule::OneCycle`].
+    #[expect(clippy::cast_precision_loss, reason = "steps stay far below 2^52")]
+    fn one_cycle(&self, step: u64) -> f64 {
+        let last = self.steps.saturating_sub(1).max(1) as f64;
+        let peak = (0.1 * self.steps as f64 - 1.0).max(0.0);
+        let step = step as f64;
+        let (from, to, share) = if step <= peak {
+            (0.01, 1.0, step / peak.max(1e-9))
+        } else {
+            (1.0, 1e-5, (step - peak) / (last - peak).max(1e-9))
+        };
+        to + 0.5 * (from - to) * (1.0 + (core::f64::consts::PI * share.min(1.0)).cos())
+    }
+
     /// Half a cosine from 1 at the end of the warm-up to 0 at the last step.
     #[expect(clippy::cast_precision_loss, reason = "steps stay far below 2^52")]
     fn cosine(&self, step: u64) -> f64 {
@@ -233,7 +295,7 @@ impl TrainOptions {
 
 #[cfg(test)]
 mod tests {
-    use super::TrainOptions;
+    use super::{Schedule, TrainOptions};
     use crate::act::ActPreset;
 
     #[test]
@@ -242,6 +304,74 @@ mod tests {
         assert!((options.lr_factor(0) - 1.0 / 500.0).abs() < 1e-12);
         assert!((options.lr_factor(500) - 1.0).abs() < 1e-12);
         assert!((options.lr_factor(options.steps) - 0.01).abs() < 1e-12);
+    }
+
+    #[test]
+    fn published_recipes_are_those_of_their_authors() {
+        // Infinite is no clipping.
+        let numbers = |options: TrainOptions| {
+            format!(
+                "batch {} lr {:e} {:e} beta {} decay {:e} clip {} average {} warm-up {}",
+                options.batch,
+                options.lr,
+                options.lr_backbone,
+                options.beta_1,
+                options.weight_decay,
+                options.clip_norm,
+                options.ema_decay,
+                options.warm_up_steps
+            )
+        };
+        let act = TrainOptions::published(ActPreset::Paper);
+        assert_eq!((act.steps, act.schedule), (10_000, Schedule::Constant));
+        assert_eq!(
+            numbers(act),
+            "batch 8 lr 1e-5 1e-5 beta 0.9 decay 1e-4 clip inf average 0 warm-up 0"
+        );
+        let lerobot = TrainOptions::published(ActPreset::Lerobot);
+        assert_eq!(
+            (lerobot.steps, lerobot.schedule),
+            (100_000, Schedule::Constant)
+        );
+        assert_eq!(
+            numbers(lerobot),
+            "batch 8 lr 1e-5 1e-5 beta 0.9 decay 1e-4 clip 10 average 0 warm-up 0"
+        );
+        assert_eq!(
+            numbers(TrainOptions::point_cloud_matters()),
+            "batch 16 lr 5e-5 5e-5 beta 0.9 decay 5e-2 clip inf average 0 warm-up 0"
+        );
+        let dp3 = TrainOptions::dp3(1000);
+        assert_eq!(
+            (dp3.schedule, dp3.ema_power.to_bits()),
+            (Schedule::CosineToZero, 0.75_f64.to_bits())
+        );
+        assert_eq!(
+            numbers(dp3),
+            "batch 128 lr 1e-4 1e-4 beta 0.95 decay 1e-6 clip inf average 0.9999 warm-up 500"
+        );
+    }
+
+    #[test]
+    fn one_cycle_is_the_library_s() {
+        let options = TrainOptions {
+            steps: 1000,
+            ..TrainOptions::point_cloud_matters()
+        };
+        // torch.optim.lr_scheduler.OneCycleLR(max_lr=1, total_steps=1000, pct_start=0.1, div_factor=100,
+        // final_div_factor=1000).
+        let library = [
+            (0, 0.01),
+            (50, 0.512_853_652_098_23),
+            (99, 1.0),
+            (100, 0.999_996_953_859_356_9),
+            (549, 0.500_005),
+            (999, 1e-5),
+        ];
+        for (step, factor) in library {
+            let error = (options.lr_factor(step) - factor).abs();
+            assert!(error < 1e-9, "step {step}: off by {error:e}");
+        }
     }
 
     #[test]

@@ -48,6 +48,7 @@ pub(super) fn train_dp3(
     say_size(dataset, train_options.steps, on_progress);
     let mut watcher = Watcher::new(options, stopwatch, on_progress);
     let trained = trainer.run_dp3(&config, &cloud, &train_options, dataset, &mut watcher)?;
+    let pace = watcher.pace;
     let made = Made {
         preset: preset.into(),
         variants: Variants {
@@ -70,7 +71,7 @@ pub(super) fn train_dp3(
         precision,
     )?;
     write_curve(out, &trained.curve)?;
-    Ok(result(train_options.steps, &trained.curve, stopwatch))
+    Ok(result(&train_options, &trained.curve, (pace, stopwatch)))
 }
 
 /// Reads the name of a DP3 network.
@@ -150,7 +151,11 @@ pub(super) fn act_pc_options(
             )));
         }
     };
-    let base = TrainOptions::preset(base);
+    let base = match (options.published, preset) {
+        (false, _) => TrainOptions::preset(base),
+        (true, ActPcPreset::PointCloudMatters) => TrainOptions::point_cloud_matters(),
+        (true, ActPcPreset::Paper | ActPcPreset::Small) => TrainOptions::published(base),
+    };
     let train_options = TrainOptions {
         steps: options.steps.unwrap_or(base.steps),
         batch: options.batch.unwrap_or(base.batch),
@@ -186,6 +191,7 @@ pub(super) fn train_act_pc(
     say_size(dataset, train_options.steps, on_progress);
     let mut watcher = Watcher::new(options, stopwatch, on_progress);
     let trained = trainer.run_act_pc(&config, &cloud, &train_options, dataset, &mut watcher)?;
+    let pace = watcher.pace;
     let made = Made {
         preset: preset.into(),
         variants: Variants {
@@ -208,5 +214,5 @@ pub(super) fn train_act_pc(
         precision,
     )?;
     write_curve(out, &trained.curve)?;
-    Ok(result(train_options.steps, &trained.curve, stopwatch))
+    Ok(result(&train_options, &trained.curve, (pace, stopwatch)))
 }

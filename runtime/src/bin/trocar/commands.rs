@@ -19,7 +19,7 @@ use tch::Device;
 
 use crate::args::{
     Cameras, ComputeDevice, DemoArgs, DoctorArgs, EvalArgs, LogArgs, Network, PolicyProcessArgs,
-    RecordArgs, RunArgs, TrainArgs,
+    RecordArgs, RunArgs, TrainArgs, TrainingRecipe,
 };
 use crate::console;
 
@@ -254,6 +254,7 @@ fn training_options(
             }
             .to_owned()
         }),
+        published: args.recipe == Some(TrainingRecipe::Published),
         steps: args.steps,
         batch: args.batch,
         device: device(args.device)?,
