@@ -23,6 +23,7 @@ pub mod tally;
 pub mod tasks;
 pub mod training;
 mod training_clouds;
+mod training_recipe;
 mod training_watch;
 
 #[cfg(test)]

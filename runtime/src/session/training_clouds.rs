@@ -10,9 +10,8 @@ use policy::train::{Augmentation, TrainError, TrainOptions, TrainPrecision};
 
 use super::SessionError;
 use super::cloud_file::cloud_recipe;
-use super::training::{
-    Made, Start, TrainingOptions, TrainingResult, cameras, recipe, result, say_size,
-};
+use super::training::{Start, TrainingOptions, TrainingResult, cameras, result, say_size};
+use super::training_recipe::{Made, recipe};
 use super::training_watch::{Watcher, write_curve};
 
 /// Points in a cloud, of the published real tasks.
