@@ -20,6 +20,7 @@ mod frame_images;
 mod frame_order;
 mod options;
 mod plot;
+mod recipes;
 #[cfg(test)]
 mod resume_tests;
 mod run_state;

@@ -2,9 +2,6 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::act::ActPreset;
-use crate::dp3::MovingAverage;
-
 /// Number format of the forward and backward pass; the master copy of the weights is always single precision.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
@@ -27,6 +24,9 @@ pub enum Schedule {
     Cosine,
     /// It falls to nothing along half a cosine.
     CosineToZero,
+    /// It rises from a hundredth over a tenth of the steps and falls to a hundred-thousandth, both along half a cosine;
+    /// there is no other warm-up. PyTorch's `OneCycleLR` with PointCloudMatters' numbers.
+    OneCycle,
 }
 
 /// Random changes of what is trained on, each frame its own.
@@ -90,47 +90,6 @@ pub struct TrainOptions {
 }
 
 impl TrainOptions {
-    /// What suits `preset`. The original's learning rate of 1e-5 is for a pretrained backbone; from scratch it is tenfold.
-    #[must_use]
-    pub const fn preset(preset: ActPreset) -> Self {
-        let small = Self {
-            steps: 10_000,
-            batch: 64,
-            lr: 1e-4,
-            lr_backbone: 1e-4,
-            beta_1: 0.9,
-            weight_decay: 1e-4,
-            warm_up_steps: 500,
-            schedule: Schedule::Cosine,
-            clip_norm: 10.0,
-            ema_decay: 0.999,
-            ema_power: 0.0,
-            validation_share: 0.0,
-            log_every: 50,
-            save_every: 0,
-            precision: TrainPrecision::F32,
-            augmentation: Augmentation {
-                shift_px: 0,
-                brightness: 0.0,
-                contrast: 0.0,
-                state_noise: 0.0,
-                point_noise_m: 0.0,
-                point_dropout: 0.0,
-            },
-            images_on_host: false,
-            threads: 2,
-            seed: 1000,
-        };
-        match preset {
-            ActPreset::Small => small,
-            ActPreset::Paper | ActPreset::Lerobot => Self {
-                steps: 40_000,
-                batch: 32,
-                ..small
-            },
-        }
-    }
-
     /// What makes these options impossible, if anything does.
     #[must_use]
     pub fn defect(&self) -> Option<String> {
@@ -198,6 +157,7 @@ impl TrainOptions {
             return (step + 1) as f64 / self.warm_up_steps as f64;
         }
         match self.schedule {
+            Schedule::OneCycle => self.one_cycle(step),
             Schedule::Constant => 1.0,
             Schedule::Cosine => 0.01 + 0.99 * self.cosine(step),
             Schedule::CosineToZero => self.cosine(step),
@@ -206,20 +166,18 @@ impl TrainOptions {
 }
 
 impl TrainOptions {
-    /// DP3's published recipe over `steps` steps; its own number of them is 3000 times the frames over the batch.
-    #[must_use]
-    pub const fn dp3(steps: u64) -> Self {
-        Self {
-            steps,
-            batch: 128,
-            beta_1: 0.95,
-            weight_decay: 1e-6,
-            schedule: Schedule::CosineToZero,
-            clip_norm: f64::INFINITY,
-            ema_decay: MovingAverage::DECAY_MAX,
-            ema_power: MovingAverage::POWER,
-            ..Self::preset(ActPreset::Small)
-        }
+    /// See [`Schedule::OneCycle`].
+    #[expect(clippy::cast_precision_loss, reason = "steps stay far below 2^52")]
+    fn one_cycle(&self, step: u64) -> f64 {
+        let last = self.steps.saturating_sub(1).max(1) as f64;
+        let peak = (0.1 * self.steps as f64 - 1.0).max(0.0);
+        let step = step as f64;
+        let (from, to, share) = if step <= peak {
+            (0.01, 1.0, step / peak.max(1e-9))
+        } else {
+            (1.0, 1e-5, (step - peak) / (last - peak).max(1e-9))
+        };
+        to + 0.5 * (from - to) * (1.0 + (core::f64::consts::PI * share.min(1.0)).cos())
     }
 
     /// Half a cosine from 1 at the end of the warm-up to 0 at the last step.
@@ -242,6 +200,28 @@ mod tests {
         assert!((options.lr_factor(0) - 1.0 / 500.0).abs() < 1e-12);
         assert!((options.lr_factor(500) - 1.0).abs() < 1e-12);
         assert!((options.lr_factor(options.steps) - 0.01).abs() < 1e-12);
+    }
+
+    #[test]
+    fn one_cycle_is_the_library_s() {
+        let options = TrainOptions {
+            steps: 1000,
+            ..TrainOptions::point_cloud_matters()
+        };
+        // torch.optim.lr_scheduler.OneCycleLR(max_lr=1, total_steps=1000, pct_start=0.1, div_factor=100,
+        // final_div_factor=1000).
+        let library = [
+            (0, 0.01),
+            (50, 0.512_853_652_098_23),
+            (99, 1.0),
+            (100, 0.999_996_953_859_356_9),
+            (549, 0.500_005),
+            (999, 1e-5),
+        ];
+        for (step, factor) in library {
+            let error = (options.lr_factor(step) - factor).abs();
+            assert!(error < 1e-9, "step {step}: off by {error:e}");
+        }
     }
 
     #[test]

@@ -26,6 +26,7 @@ pub mod tally;
 pub mod tasks;
 pub mod training;
 mod training_clouds;
+mod training_recipe;
 mod training_watch;
 mod world_report;
 

@@ -233,6 +233,7 @@ fn a_demonstration_of_two_arms_trains_a_network_that_commands_both() {
         out: out.clone(),
         cameras: CameraChoice::Multi,
         preset: "small".to_owned(),
+        published: false,
         steps: Some(2),
         batch: Some(2),
         device: Device::Cpu,

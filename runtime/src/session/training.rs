@@ -3,12 +3,8 @@
 use std::path::{Path, PathBuf};
 
 use policy::act::{ActConfig, ActPreset};
-use policy::checkpoint::{
-    self, AggregationName, DatasetSummary, PolicyPreset, Precision, RECIPE_FORMAT, Recipe,
-    RecommendedAggregation, RecordedCamera, SaveOptions, Variants,
-};
+use policy::checkpoint::{self, AggregationName, Precision, SaveOptions, Variants};
 use policy::dataset::Dataset;
-use policy::relative_action::REPRESENTATION;
 use policy::train::{
     Augmentation, LossCurve, RunState, TrainError, TrainOptions, TrainPrecision, Trainer,
 };
@@ -16,8 +12,8 @@ use serde::{Deserialize, Serialize};
 use tch::Device;
 
 use super::cloud_file::cloud_recipe;
-use super::source::STEP_NS;
-use super::training_watch::{Stopwatch, Watcher, read_state, remove_state, write_curve};
+use super::training_recipe::{Made, recipe};
+use super::training_watch::{Pace, Stopwatch, Watcher, read_state, remove_state, write_curve};
 use super::{SessionError, outputs, training_clouds};
 use crate::rt;
 
@@ -59,6 +55,8 @@ pub struct TrainingOptions {
     /// Sizes and recipe: `small`, `paper` or `lerobot`; of DP3, `paper` or `simple`; of ACT-PC, `small`,
     /// `paper` or `pcm`.
     pub preset: String,
+    /// Whether the recipe is the authors' own, which begins from an ImageNet backbone, instead of one that learns from scratch.
+    pub published: bool,
     /// Optimiser steps, if not the preset's.
     pub steps: Option<u64>,
     /// Samples a step, if not the preset's.
@@ -117,6 +115,8 @@ pub struct TrainingResult {
     pub validation_l1: Option<f64>,
     /// Time it took, s.
     pub seconds: f64,
+    /// Samples that went through a second, from the first row of the loss curve to the last; unknown of one row.
+    pub samples_per_second: Option<f64>,
 }
 
 /// Trains, and writes the checkpoint and its loss curve (`loss.csv`).
@@ -214,6 +214,7 @@ fn train_act(
     say_size(dataset, train_options.steps, on_progress);
     let mut watcher = Watcher::new(options, stopwatch, on_progress);
     let trained = trainer.run(&config, &train_options, dataset, &mut watcher)?;
+    let pace = watcher.pace;
     let made = Made {
         preset: preset.into(),
         variants: Variants {
@@ -238,7 +239,7 @@ fn train_act(
         save,
     )?;
     write_curve(&options.out, &trained.curve)?;
-    Ok(result(train_options.steps, &trained.curve, stopwatch))
+    Ok(result(&train_options, &trained.curve, (pace, stopwatch)))
 }
 
 pub(super) fn say_size(dataset: &Dataset, steps: u64, on_progress: &mut dyn FnMut(&str)) {
@@ -249,14 +250,19 @@ pub(super) fn say_size(dataset: &Dataset, steps: u64, on_progress: &mut dyn FnMu
     ));
 }
 
-/// What a training came to.
-pub(super) fn result(steps: u64, curve: &LossCurve, stopwatch: &Stopwatch) -> TrainingResult {
+/// What a training came to, at its `pace`.
+pub(super) fn result(
+    train_options: &TrainOptions,
+    curve: &LossCurve,
+    (pace, stopwatch): (Pace, &Stopwatch),
+) -> TrainingResult {
     let last = curve.last();
     TrainingResult {
-        steps,
+        steps: train_options.steps,
         loss: last.map_or(f64::NAN, |row| row.loss),
         validation_l1: last.and_then(|row| row.validation_l1),
         seconds: stopwatch.seconds(),
+        samples_per_second: pace.samples_per_second(train_options.batch),
     }
 }
 
@@ -292,7 +298,11 @@ fn parse_preset(name: &str) -> Result<ActPreset, SessionError> {
 }
 
 fn train_options(options: &TrainingOptions, preset: ActPreset) -> TrainOptions {
-    let base = TrainOptions::preset(preset);
+    let base = if options.published {
+        TrainOptions::published(preset)
+    } else {
+        TrainOptions::preset(preset)
+    };
     let augmentation = if options.augment {
         Augmentation {
             shift_px: 4,
@@ -319,62 +329,5 @@ fn train_options(options: &TrainingOptions, preset: ActPreset) -> TrainOptions {
         threads: options.threads,
         seed: options.seed,
         ..base
-    }
-}
-
-/// What is particular about the network that was trained.
-pub(super) struct Made<'a> {
-    pub(super) preset: PolicyPreset,
-    pub(super) variants: Variants,
-    pub(super) query_every_steps: u32,
-    pub(super) aggregation: AggregationName,
-    pub(super) frames: usize,
-    pub(super) curve: &'a LossCurve,
-}
-
-pub(super) fn recipe(
-    options: &TrainingOptions,
-    train_options: &TrainOptions,
-    dataset: &Dataset,
-    made: &Made<'_>,
-    seconds: f64,
-) -> Recipe {
-    let spec = dataset.spec();
-    let cameras = spec
-        .cameras
-        .iter()
-        .map(|camera| RecordedCamera {
-            feature: format!("observation.images.{}", camera.name),
-            width: camera.width,
-            height: camera.height,
-        })
-        .collect();
-    Recipe {
-        format: RECIPE_FORMAT,
-        arms: spec.arms,
-        action_representation: REPRESENTATION.to_owned(),
-        step_ns: STEP_NS,
-        query_every_steps: made.query_every_steps,
-        aggregation: RecommendedAggregation {
-            mode: made.aggregation,
-            decay: 0.01,
-        },
-        cameras,
-        preset: made.preset,
-        variants: made.variants,
-        recipe: format!("trocar {}", options.command),
-        dataset: DatasetSummary {
-            task: spec.task.clone(),
-            episodes: dataset.episodes().len(),
-            frames: dataset.len(),
-            fps: spec.fps,
-        },
-        seed: options.seed,
-        training: serde_json::json!({
-            "options": train_options,
-            "frames": made.frames,
-            "seconds": seconds,
-            "final": made.curve.last().map(|row| serde_json::json!({"loss": row.loss, "l1": row.l1, "kl": row.kl})),
-        }),
     }
 }

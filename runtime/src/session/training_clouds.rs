@@ -10,9 +10,8 @@ use policy::train::{Augmentation, TrainError, TrainOptions, TrainPrecision};
 
 use super::SessionError;
 use super::cloud_file::cloud_recipe;
-use super::training::{
-    Made, Start, TrainingOptions, TrainingResult, cameras, recipe, result, say_size,
-};
+use super::training::{Start, TrainingOptions, TrainingResult, cameras, result, say_size};
+use super::training_recipe::{Made, recipe};
 use super::training_watch::{Watcher, write_curve};
 
 /// Points in a cloud, of the published real tasks.
@@ -48,6 +47,7 @@ pub(super) fn train_dp3(
     say_size(dataset, train_options.steps, on_progress);
     let mut watcher = Watcher::new(options, stopwatch, on_progress);
     let trained = trainer.run_dp3(&config, &cloud, &train_options, dataset, &mut watcher)?;
+    let pace = watcher.pace;
     let made = Made {
         preset: preset.into(),
         variants: Variants {
@@ -70,7 +70,7 @@ pub(super) fn train_dp3(
         precision,
     )?;
     write_curve(out, &trained.curve)?;
-    Ok(result(train_options.steps, &trained.curve, stopwatch))
+    Ok(result(&train_options, &trained.curve, (pace, stopwatch)))
 }
 
 /// Reads the name of a DP3 network.
@@ -150,7 +150,11 @@ pub(super) fn act_pc_options(
             )));
         }
     };
-    let base = TrainOptions::preset(base);
+    let base = match (options.published, preset) {
+        (false, _) => TrainOptions::preset(base),
+        (true, ActPcPreset::PointCloudMatters) => TrainOptions::point_cloud_matters(),
+        (true, ActPcPreset::Paper | ActPcPreset::Small) => TrainOptions::published(base),
+    };
     let train_options = TrainOptions {
         steps: options.steps.unwrap_or(base.steps),
         batch: options.batch.unwrap_or(base.batch),
@@ -186,6 +190,7 @@ pub(super) fn train_act_pc(
     say_size(dataset, train_options.steps, on_progress);
     let mut watcher = Watcher::new(options, stopwatch, on_progress);
     let trained = trainer.run_act_pc(&config, &cloud, &train_options, dataset, &mut watcher)?;
+    let pace = watcher.pace;
     let made = Made {
         preset: preset.into(),
         variants: Variants {
@@ -208,5 +213,5 @@ pub(super) fn train_act_pc(
         precision,
     )?;
     write_curve(out, &trained.curve)?;
-    Ok(result(train_options.steps, &trained.curve, stopwatch))
+    Ok(result(&train_options, &trained.curve, (pace, stopwatch)))
 }

@@ -143,9 +143,18 @@ impl Watch for Watcher<'_> {
 pub(super) struct Pace {
     /// Step and time of the first row.
     first: Option<(u64, f64)>,
+    /// The same of the newest.
+    last: Option<(u64, f64)>,
 }
 
 impl Pace {
+    /// Samples a second between the first row and the newest.
+    #[expect(clippy::cast_precision_loss, reason = "steps stay far below 2^52")]
+    pub(super) fn samples_per_second(&self, batch: usize) -> Option<f64> {
+        let ((first, since), (last, until)) = (self.first?, self.last?);
+        (last > first).then(|| ((last - first) * batch as u64) as f64 / (until - since))
+    }
+
     /// The line about `progress` after `seconds`.
     pub(super) fn line(&mut self, progress: &Progress, seconds: f64) -> String {
         match *progress {
@@ -157,6 +166,7 @@ impl Pace {
             ),
             Progress::Row { steps, row } => {
                 let (step, since) = *self.first.get_or_insert((row.step, seconds));
+                self.last = Some((row.step, seconds));
                 let left = time_left(row.step - step, seconds - since, steps - row.step);
                 let left = left.map_or_else(String::new, |left| format!(", {left:.0} s left"));
                 let validation = row
@@ -184,4 +194,39 @@ pub(super) fn write_curve(folder: &Path, curve: &LossCurve) -> Result<(), Sessio
         fs::write(&path, text).map_err(|error| SessionError::output(&path, error))?;
     }
     Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::Pace;
+    use policy::train::{CurveRow, Progress};
+
+    fn row(step: u64) -> Progress {
+        let row = CurveRow {
+            step,
+            loss: 1.0,
+            l1: 0.5,
+            kl: 0.1,
+            gradient_norm: 2.0,
+            lr: 1e-4,
+            validation_l1: None,
+        };
+        Progress::Row { steps: 400, row }
+    }
+
+    #[test]
+    fn the_time_that_is_left_is_that_of_the_steps_and_not_of_what_came_before() {
+        let mut pace = Pace::default();
+        let decoded = Progress::Read { frames: 5, of: 9 };
+        assert_eq!(pace.line(&decoded, 80.0), "5 of 9 frames decoded; 80 s");
+        assert!(!pace.line(&row(100), 100.0).contains("left"), "unknown yet");
+        assert_eq!(pace.samples_per_second(8), None);
+        let line = pace.line(&row(200), 105.0);
+        assert!(
+            line.starts_with("step 200/400: loss 1.00000") && line.ends_with("105 s, 10 s left"),
+            "{line}"
+        );
+        let rate = pace.samples_per_second(8).unwrap();
+        assert!((rate - 160.0).abs() < 1e-9, "{rate}");
+    }
 }

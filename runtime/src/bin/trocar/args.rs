@@ -305,6 +305,15 @@ pub(crate) enum Cameras {
     Multi,
 }
 
+/// Whose learning rates a training has.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub(crate) enum TrainingRecipe {
+    /// What learns from scratch.
+    Scratch,
+    /// The authors' own.
+    Published,
+}
+
 /// Options of `train`.
 #[derive(Args, Debug)]
 pub(crate) struct TrainArgs {
@@ -323,8 +332,8 @@ pub(crate) struct TrainArgs {
         long,
         value_name = "DIR",
         conflicts_with_all = [
-            "policy", "data", "out", "cameras", "preset", "steps", "batch", "device", "episodes", "validation_share",
-            "bf16", "images_on_host", "threads", "augment", "clouds", "save_every", "seed"
+            "policy", "data", "out", "cameras", "preset", "recipe", "steps", "batch", "device", "episodes",
+            "validation_share", "bf16", "images_on_host", "threads", "augment", "clouds", "save_every", "seed"
         ]
     )]
     pub(crate) resume: Option<PathBuf>,
@@ -339,6 +348,10 @@ pub(crate) struct TrainArgs {
     /// or pcm; of dp3, paper (the default) or simple.
     #[arg(long, value_parser = ["small", "paper", "lerobot", "pcm", "simple"])]
     pub(crate) preset: Option<String>,
+    /// Learning rates, batch, schedule and averaging of act and act-pc: what learns from scratch (the default), or the
+    /// authors' own, meant for an ImageNet backbone. dp3 is always trained as published.
+    #[arg(long, value_enum)]
+    pub(crate) recipe: Option<TrainingRecipe>,
     /// Optimiser steps; the preset's number if not given.
     #[arg(long, value_parser = clap::value_parser!(u64).range(1..))]
     pub(crate) steps: Option<u64>,

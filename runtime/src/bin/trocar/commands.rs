@@ -21,7 +21,7 @@ use tch::Device;
 
 use crate::args::{
     Backend, Cameras, ComputeArgs, ComputeDevice, DemoArgs, DoctorArgs, EvalArgs, LogArgs, Network,
-    PolicyProcessArgs, Precision, RecordArgs, RunArgs, TrainArgs, Video,
+    PolicyProcessArgs, Precision, RecordArgs, RunArgs, TrainArgs, TrainingRecipe, Video,
 };
 use crate::console;
 use crate::drives::can_source;
@@ -329,6 +329,7 @@ fn training_options(
             }
             .to_owned()
         }),
+        published: args.recipe == Some(TrainingRecipe::Published),
         steps: args.steps,
         batch: args.batch,
         device: device(args.device)?,

@@ -32,6 +32,7 @@ fn train_simple(data: &Path, out: &Path) -> Result<TrainingResult, SessionError>
         out: out.to_owned(),
         cameras: CameraChoice::Multi,
         preset: "simple".to_owned(),
+        published: false,
         steps: Some(2),
         batch: Some(2),
         device: Device::Cpu,
