@@ -8,6 +8,8 @@
 
 #[path = "can_bus/batch.rs"]
 mod batch;
+#[path = "can_bus/pair.rs"]
+mod pair;
 #[path = "can_bus/peer.rs"]
 mod peer;
 #[path = "can_bus/process.rs"]
