@@ -10,6 +10,8 @@
 mod batch;
 #[path = "can_bus/drives.rs"]
 mod drives;
+#[path = "can_bus/pair.rs"]
+mod pair;
 #[path = "can_bus/peer.rs"]
 mod peer;
 #[path = "can_bus/process.rs"]

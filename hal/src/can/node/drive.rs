@@ -40,6 +40,12 @@ pub struct Demand {
     pub torque_per_mille_max: f64,
 }
 
+/// A motor slower than this part of its greatest speed rests.
+const REST_PART: f64 = 100.0;
+
+/// How long a motor may lag behind the end of its stop before it loses its torque all the same, ns.
+const REST_NS_MAX: u64 = 100_000_000;
+
 /// What happens at the end of a stop.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum AtRest {
@@ -53,6 +59,8 @@ pub(super) struct Drive {
     mode: Mode,
     motion: Motion,
     at_rest: AtRest,
+    /// Since when the stop is over and the motor lags behind it.
+    lags_since: Option<TimeNs>,
     feedback: Feedback,
     /// Added to the encoder's counts.
     offset: f64,
@@ -75,6 +83,7 @@ impl Default for Drive {
             mode: Mode::None,
             motion: Motion::Rest { position: 0.0 },
             at_rest: AtRest::Stay,
+            lags_since: None,
             feedback: Feedback::default(),
             offset: 0.0,
             homed: false,
@@ -158,6 +167,7 @@ impl Drive {
         }
         if let AtRest::Send(event) = self.at_rest
             && self.motion.rests(now)
+            && self.motor_rests(now, dictionary)
         {
             self.at_rest = AtRest::Stay;
             let position = self.motion.at(now).0;
@@ -172,6 +182,18 @@ impl Drive {
         {
             self.command(now, Command::EnableOperation, dictionary);
         }
+    }
+
+    /// Whether the motor, too, has come to rest, or has had its time for it: without torque it would only coast.
+    fn motor_rests(&mut self, now: TimeNs, dictionary: &Dictionary) -> bool {
+        let since = *self.lags_since.get_or_insert(now);
+        let speed = self.feedback.velocity_counts_s.abs();
+        let rests = speed * REST_PART <= real(dictionary.get(index::SPEED_MAX))
+            || now.since(since) >= REST_NS_MAX;
+        if rests {
+            self.lags_since = None;
+        }
+        rests
     }
 
     fn event(&mut self, event: Event) {
@@ -190,6 +212,7 @@ impl Drive {
 
     /// Brakes with `deceleration`; what `after` says comes at rest, or at once without braking.
     fn brake(&mut self, now: TimeNs, deceleration: Option<i64>, after: AtRest) {
+        self.lags_since = None;
         match deceleration {
             Some(deceleration) => {
                 self.motion = self.motion.stopped(now, real(deceleration));

@@ -4,7 +4,6 @@ use hal::can::bus::{Network, Terminal};
 use hal::can::master::CanConfig;
 use hal::can::node::Node;
 use hal::can::{Frame, NodeId, Payload};
-use hal::tail::TAIL_AXES;
 use hal::{Arm as _, TimeNs};
 use sim_backend::simulation::Simulation;
 
@@ -151,9 +150,9 @@ impl Bench {
                 continue;
             };
             let feedback = coupling.feedback(&arm.read(at)?);
-            for axis in 0..TAIL_AXES {
-                if let Some(motor) = network.motor(coupling.plan().axes[axis].node) {
-                    motor.feedback = feedback[axis];
+            for (axis, feedback) in coupling.plan().axes.iter().zip(feedback) {
+                if let Some(motor) = network.motor(axis.node) {
+                    motor.feedback = feedback;
                 }
             }
         }

@@ -182,8 +182,8 @@ mod tests {
                 feedback[axis].position_counts / coupling.plan().axes[axis].counts_per_unit
             });
             let joints = space.to_joints(&axes);
-            for joint in 0..JOINT_COUNT {
-                assert!((joints[joint] - state.position[joint]).abs() < 1e-9);
+            for (joint, measured) in joints.iter().zip(&state.position) {
+                assert!((joint - measured).abs() < 1e-9);
             }
         }
     }

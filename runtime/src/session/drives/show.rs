@@ -39,12 +39,14 @@ impl Show {
         start: &SceneSnapshot,
     ) -> Result<Self, SessionError> {
         let node = TopicNode::join(&options.topics)?;
-        let scene = SceneTopic::publisher(&node, ARM_NAMES[0]).map_err(|error| match error {
-            TopicError::AlreadyPublished { .. } => SessionError::BadArgument(format!(
-                "--topics {}: another `trocar drives` shows its scene there",
-                options.topics
-            )),
-            other => SessionError::Topic(other),
+        let scene = SceneTopic::publisher(&node, ARM_NAMES[0]).map_err(|error| {
+            if matches!(error, TopicError::AlreadyPublished { .. }) {
+                return SessionError::BadArgument(format!(
+                    "--topics {}: another `trocar drives` shows its scene there",
+                    options.topics
+                ));
+            }
+            SessionError::Topic(error)
         })?;
         let mut cameras = None;
         let mut views = Vec::new();

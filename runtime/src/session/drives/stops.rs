@@ -64,7 +64,7 @@ pub struct Stop {
     pub at: TimeNs,
     /// The last SYNC that it heard before.
     pub sync: Option<TimeNs>,
-    /// When the axis came to rest, once it has.
+    /// The last instant at which the axis moved, once it rests; the last SYNC if it did not move then.
     pub rest: Option<TimeNs>,
 }
 
@@ -175,7 +175,7 @@ impl StopWatch {
         if now.since(since) >= REST_NS
             && let Some(mut stop) = seen.stop.take()
         {
-            stop.rest = Some(since);
+            stop.rest = Some(stop.sync.map_or(since, |sync| seen.moved.max(sync)));
             tell(stop);
         }
     }

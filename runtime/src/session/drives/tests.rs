@@ -205,24 +205,32 @@ fn the_needle_is_lifted_over_can_in_joint_and_in_actuator_space() {
 }
 
 #[test]
-fn when_the_master_dies_in_mid_motion_all_axes_rest_within_50_ms_and_say_why() {
+fn whenever_the_master_dies_all_axes_rest_within_50_ms_of_the_last_sync_and_say_why() {
+    let moments = [700, 1000, 1500, 2200, 4300];
+    let moving = moments.into_iter().filter(|ticks| dies_after(*ticks));
+    assert!(moving.count() >= 3, "of these most are in mid-motion");
+}
+
+/// Whether the arm was moving when its master died.
+fn dies_after(ticks: u64) -> bool {
     let mut rig = Rig::new(Space::Joint, &[]);
-    rig.ticks(1000);
+    rig.ticks(ticks);
     let end = rig.now.plus_ns(200 * MS_NS);
     rig.bus().wait(end);
     let stops = &rig.bus().notes.stops;
     assert_eq!(stops.len(), 7);
+    let moved = |stop: &Stop| stop.after_sync_ns().is_some_and(|(_, rest_ns)| rest_ns > 0);
     for stop in stops {
-        let code = match stop.cause {
-            StopCause::Error(code) => code,
-            ref other => panic!("{other:?}"),
+        let StopCause::Error(code) = stop.cause else {
+            panic!("{:?}", stop.cause);
         };
         let lost = [ErrorCode::SYNC_CONTROLLER, ErrorCode::RPDO_TIMEOUT];
         assert!(lost.contains(&code), "{code:?}");
         let (stopped_ns, rest_ns) = stop.after_sync_ns().unwrap();
-        assert!(stopped_ns <= 25 * MS_NS, "{stopped_ns}");
-        assert!(rest_ns <= 50 * MS_NS, "{rest_ns}");
+        assert!(stopped_ns <= 25 * MS_NS, "{ticks}: {stopped_ns}");
+        assert!(rest_ns <= 50 * MS_NS, "{ticks}: {rest_ns}");
     }
+    stops.iter().any(moved)
 }
 
 #[test]

@@ -11,16 +11,17 @@
 //! The bring-up ends in the control thread, which must not let the beat stop from then on. A fault of any drive or bus stops
 //! all drives of its arm and ends the run; nothing enables them again but a new run.
 
+mod bring_up;
+mod conclude;
 mod link;
 mod scene_thread;
 
 use std::sync::Arc;
 use std::thread;
 
-use hal::can::master::{CanConfig, Homed, Offline, enable_together};
-use hal::can::socket::SocketBus;
+use hal::can::master::{CanConfig, enable_together};
 use hal::config::Source;
-use hal::topic::{SceneReport, SceneTopic, Subscriber, TopicNode, Verdict};
+use hal::topic::{SceneReport, SceneTopic, Subscriber, TopicNode};
 use hal::{ARM_NAMES, ArmState, Chunk, TICK_NS};
 use rtrb::{Consumer, Producer, RingBuffer};
 
@@ -28,28 +29,20 @@ use super::child::PolicyChild;
 use super::control_thread::{ControlEnd, ControlThread};
 use super::signals::{Signals, StopsAll};
 use super::watch::{Watched, watch};
-use super::{CHUNK_QUEUE, joined, labels};
+use super::{CHUNK_QUEUE, joined};
 use crate::control::AnyController;
-use crate::log::{LogFile, RunOutcome, TickLog};
+use crate::log::{LogFile, TickLog};
 use crate::mailbox::{MailboxWriter, mailbox};
 use crate::per_arm::PerArm;
 use crate::rt::{self, MonotonicClock};
-use crate::session::can_clock::CanClock;
 use crate::session::can_interfaces;
-use crate::session::pictures::Pictures;
 use crate::session::run::{RunOptions, RunResult, open_log};
 use crate::session::source::ChunkSource;
-use crate::session::summary::RealTimeCounts;
-use crate::session::tally::RunLabels;
 use crate::session::{PolicyChoice, SessionError, Setup};
+use bring_up::{ReadyArm, await_world, bring_up, check, check_world, failed};
+use conclude::conclude;
 use link::{CanLink, Noticed};
 use scene_thread::{SceneEnd, SceneThread, arm_reports, frames};
-
-/// A world shows itself every 40 ms; one that has not done so for this long is not there, ns.
-const WORLD_NS_MAX: u64 = 3_000_000_000;
-
-/// Time between two looks, ns.
-const POLL_NS: u64 = 1_000_000;
 
 /// Where the arms are and where their world shows itself.
 #[derive(Clone, Debug)]
@@ -73,9 +66,6 @@ impl CanOptions {
         Ok((options, source.text().to_owned()))
     }
 }
-
-/// An arm that has its references and no torque yet.
-type ReadyArm = Homed<SocketBus<CanClock>>;
 
 /// Runs one episode with the task's arms on CAN.
 ///
@@ -115,95 +105,6 @@ pub fn run_on_can(
     };
     let ends = run_threads(setup, options, can, parts, child.as_mut(), ready)?;
     conclude(setup, options, can, ends)
-}
-
-/// What can be known to be wrong before anything is opened.
-fn check(setup: &Setup, can: &CanConfig) -> Result<(), SessionError> {
-    let count = setup.task.arms.len();
-    if can.arms.len() < count {
-        return Err(SessionError::BadArgument(format!(
-            "arm: {} arms are on CAN, task {} has {count}",
-            can.arms.len(),
-            setup.task_name
-        )));
-    }
-    for arm in &can.arms[..count] {
-        if !arm.plan.cycle_ns.is_multiple_of(TICK_NS) {
-            return Err(SessionError::BadArgument(format!(
-                "cycle_us = {}: the controller's period is {} us, and a cycle must be a whole number of those",
-                arm.plan.cycle_ns / 1000,
-                TICK_NS / 1000
-            )));
-        }
-    }
-    can.check_load(count).map_err(SessionError::Overload)
-}
-
-fn await_world(
-    scene: &Subscriber<SceneReport>,
-    topics: &str,
-    clock: MonotonicClock,
-) -> Result<SceneReport, SessionError> {
-    let end = clock.now().plus_ns(WORLD_NS_MAX);
-    while clock.now() < end && !rt::interrupted() {
-        if let Some(report) = scene.newest()? {
-            return Ok(report);
-        }
-        rt::sleep_ns(POLL_NS);
-    }
-    Err(SessionError::RealTime(format!(
-        "nobody shows a scene on topics {topics:?}: start `trocar drives` first, or name its topics with --topics"
-    )))
-}
-
-/// The world must be the one that is meant, and not be used up.
-fn check_world(
-    world: &SceneReport,
-    setup: &Setup,
-    options: &RunOptions,
-    topics: &str,
-) -> Result<(), SessionError> {
-    let (task, seed) = (world.task.text(), world.seed);
-    if task != setup.task_name || seed != options.seed {
-        return Err(SessionError::BadArgument(format!(
-            "the world on topics {topics:?} is {task}, seed {seed}; this run is {}, seed {}",
-            setup.task_name, options.seed
-        )));
-    }
-    match world.verdict() {
-        Verdict::Waiting => Ok(()),
-        Verdict::Running | Verdict::Success | Verdict::Failure => {
-            Err(SessionError::RealTime(format!(
-                "the episode of the world on topics {topics:?} has begun already: start `trocar drives` anew"
-            )))
-        }
-    }
-}
-
-/// Leads the drives of all arms to where they may be enabled.
-fn bring_up(
-    can: &CanOptions,
-    buses: Vec<SocketBus<CanClock>>,
-) -> Result<Vec<ReadyArm>, SessionError> {
-    let arms = buses.into_iter().zip(&can.config.arms).enumerate();
-    let ready = arms.map(|(index, (bus, arm))| {
-        Offline::new(bus, &arm.plan)
-            .and_then(Offline::scan)
-            .and_then(|scanned| scanned.check_identity())
-            .and_then(|identified| identified.map())
-            .and_then(|mapped| mapped.home())
-            .map_err(|error| failed(can, index, &error))
-    });
-    ready.collect()
-}
-
-fn failed(can: &CanOptions, arm: usize, error: &impl core::fmt::Display) -> SessionError {
-    let interfaces = can.config.arms.get(arm).map(|arm| arm.interfaces.join(" "));
-    SessionError::BringUp {
-        arm: ARM_NAMES.get(arm).copied().unwrap_or("arm"),
-        interfaces: interfaces.unwrap_or_default(),
-        reason: error.to_string(),
-    }
 }
 
 struct Parts<'a> {
@@ -338,73 +239,4 @@ impl Enabling<'_> {
         end.link.shut_down();
         Ok(end)
     }
-}
-
-/// Why the run ended, and whether that is a success.
-fn verdict(ends: &Ends, control: &ControlEnd<CanLink>) -> (bool, String) {
-    let told = match (&ends.watched, &ends.scene) {
-        (Err(error), _) | (_, Err(error)) => return (false, error.to_string()),
-        (Ok(watched), Ok(scene)) => (watched.ended_by.clone(), scene),
-    };
-    let faults = control.link.fault_texts();
-    match told {
-        (_, scene) if scene.verdict == Verdict::Success => (true, "success".to_owned()),
-        (Some(reason), _) => (false, reason),
-        (None, _) if !faults.is_empty() => (false, format!("fault: {}", faults.join("; "))),
-        (None, scene) => {
-            let reason = control.tally.faults();
-            (false, reason.unwrap_or_else(|| scene.reason.clone()))
-        }
-    }
-}
-
-/// Closes the log, whatever happened, and sums up.
-fn conclude(
-    setup: &Setup,
-    options: &RunOptions,
-    can: &CanOptions,
-    mut ends: Ends,
-) -> Result<RunResult, SessionError> {
-    let log = ends.log.take();
-    let mut control = match ends.control {
-        Ok(control) => control,
-        Err(error) => {
-            log.map(|log| log.finish(None)).transpose()?;
-            return Err(error);
-        }
-    };
-    ends.control = Err(SessionError::RealTime(String::new()));
-    let (success, reason) = verdict(&ends, &control);
-    let mut log_dropped = control.log_dropped;
-    if let Some(log) = log {
-        let outcome = RunOutcome {
-            success,
-            reason: reason.clone(),
-            command_hash: control.tally.command_hash(),
-        };
-        let counts = log.finish(Some(&outcome))?;
-        log_dropped += counts.frames_dropped + counts.events_dropped;
-    }
-    let scene = ends.scene?;
-    control.tally.inferences(&ends.watched?.inference);
-    control.tally.inferences(&scene.inference);
-    let policy = options.policy.name();
-    let labels = RunLabels {
-        success,
-        reason: &reason,
-        tissue: scene.tissue,
-        ..labels(setup, options, &policy)
-    };
-    let real_time = RealTimeCounts {
-        overruns: control.skipped,
-        wake_p99_us: control.wake_p99_us,
-        log_dropped,
-        slow_motion: rt::slow_motion(),
-    };
-    let mut summary = control.tally.summary(&labels, Some(real_time));
-    summary.can = Some(control.link.summary(can));
-    Ok(RunResult {
-        summary,
-        pictures: Pictures::default(),
-    })
 }

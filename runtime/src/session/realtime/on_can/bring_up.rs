@@ -1,0 +1,117 @@
+//! What comes before the first beat: what is wrong without any bus, the world, and the way of the drives to where they may be
+//! enabled.
+
+use hal::can::master::{CanConfig, Homed, Offline};
+use hal::can::socket::SocketBus;
+use hal::topic::{SceneReport, Subscriber, Verdict};
+use hal::{ARM_NAMES, TICK_NS};
+
+use super::CanOptions;
+use crate::rt::{self, MonotonicClock};
+use crate::session::can_clock::CanClock;
+use crate::session::run::RunOptions;
+use crate::session::{SessionError, Setup};
+
+/// A world shows itself every 40 ms; one that has not done so for this long is not there, ns.
+const WORLD_NS_MAX: u64 = 3_000_000_000;
+
+/// Time between two looks, ns.
+const POLL_NS: u64 = 1_000_000;
+
+/// An arm that has its references and no torque yet.
+pub(super) type ReadyArm = Homed<SocketBus<CanClock>>;
+
+/// What can be known to be wrong before anything is opened.
+pub(super) fn check(setup: &Setup, can: &CanConfig) -> Result<(), SessionError> {
+    let count = setup.task.arms.len();
+    if can.arms.len() < count {
+        return Err(SessionError::BadArgument(format!(
+            "arm: {} arms are on CAN, task {} has {count}",
+            can.arms.len(),
+            setup.task_name
+        )));
+    }
+    for arm in &can.arms[..count] {
+        if !arm.plan.cycle_ns.is_multiple_of(TICK_NS) {
+            return Err(SessionError::BadArgument(format!(
+                "cycle_us = {}: the controller's period is {} us, and a cycle must be a whole number of those",
+                arm.plan.cycle_ns / 1000,
+                TICK_NS / 1000
+            )));
+        }
+    }
+    can.check_load(count).map_err(SessionError::Overload)
+}
+
+/// Waits for the first sight of the world.
+pub(super) fn await_world(
+    scene: &Subscriber<SceneReport>,
+    topics: &str,
+    clock: MonotonicClock,
+) -> Result<SceneReport, SessionError> {
+    let end = clock.now().plus_ns(WORLD_NS_MAX);
+    while clock.now() < end && !rt::interrupted() {
+        if let Some(report) = scene.newest()? {
+            return Ok(report);
+        }
+        rt::sleep_ns(POLL_NS);
+    }
+    Err(SessionError::RealTime(format!(
+        "nobody shows a scene on topics {topics:?}: start `trocar drives` first, or name its topics with --topics"
+    )))
+}
+
+/// The world must be the one that is meant, and not be used up.
+pub(super) fn check_world(
+    world: &SceneReport,
+    setup: &Setup,
+    options: &RunOptions,
+    topics: &str,
+) -> Result<(), SessionError> {
+    let (task, seed) = (world.task.text(), world.seed);
+    if task != setup.task_name || seed != options.seed {
+        return Err(SessionError::BadArgument(format!(
+            "the world on topics {topics:?} is {task}, seed {seed}; this run is {}, seed {}",
+            setup.task_name, options.seed
+        )));
+    }
+    match world.verdict() {
+        Verdict::Waiting => Ok(()),
+        Verdict::Running | Verdict::Success | Verdict::Failure => {
+            Err(SessionError::RealTime(format!(
+                "the episode of the world on topics {topics:?} has begun already: start `trocar drives` anew"
+            )))
+        }
+    }
+}
+
+/// Leads the drives of all arms to where they may be enabled.
+pub(super) fn bring_up(
+    can: &CanOptions,
+    buses: Vec<SocketBus<CanClock>>,
+) -> Result<Vec<ReadyArm>, SessionError> {
+    let arms = buses.into_iter().zip(&can.config.arms).enumerate();
+    let ready = arms.map(|(index, (bus, arm))| {
+        Offline::new(bus, &arm.plan)
+            .and_then(Offline::scan)
+            .and_then(|scanned| scanned.check_identity())
+            .and_then(|identified| identified.map())
+            .and_then(|mapped| mapped.home())
+            .map_err(|error| failed(can, index, &error))
+    });
+    ready.collect()
+}
+
+/// The arm in this place did not come up.
+pub(super) fn failed(
+    can: &CanOptions,
+    arm: usize,
+    error: &impl core::fmt::Display,
+) -> SessionError {
+    let interfaces = can.config.arms.get(arm).map(|arm| arm.interfaces.join(" "));
+    SessionError::BringUp {
+        arm: ARM_NAMES.get(arm).copied().unwrap_or("arm"),
+        interfaces: interfaces.unwrap_or_default(),
+        reason: error.to_string(),
+    }
+}

@@ -1,0 +1,166 @@
+//! `trocar drives` and a run beside them, as processes that end with the test.
+
+use std::fs::{self, File};
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Stdio};
+
+use runtime::rt::{MonotonicClock, sleep_ns};
+use tests::{Profile, json, repository, scratch, trocar};
+
+const MS_NS: u64 = 1_000_000;
+
+/// Anything takes less time than this, ns.
+const PATIENCE_NS: u64 = 240_000 * MS_NS;
+
+/// How much slower these processes live, so that a kernel inside a kernel on a busy machine keeps up with their buses.
+const SLOW_MOTION: u64 = 6;
+
+/// Lets so many milliseconds of the processes' time pass.
+pub(crate) fn pass_ms(ms: u64) {
+    sleep_ns(ms * MS_NS * SLOW_MOTION);
+}
+
+fn until(what: &str, mut holds: impl FnMut() -> bool) {
+    let clock = MonotonicClock::new();
+    while !holds() {
+        assert!(clock.now().0 < PATIENCE_NS, "waited in vain until {what}");
+        sleep_ns(20 * MS_NS);
+    }
+}
+
+/// A `trocar` process with files for what it says and what comes of it.
+pub(crate) struct Process {
+    child: Child,
+    said: PathBuf,
+    result: PathBuf,
+}
+
+impl Process {
+    pub(crate) fn start(folder: &Path, name: &str, arguments: &[&str]) -> Self {
+        let said = folder.join(format!("{name}.txt"));
+        let result = folder.join(format!("{name}.json"));
+        let child = trocar(Profile::Debug)
+            .env("TROCAR_SLOW_MOTION", SLOW_MOTION.to_string())
+            .args(arguments)
+            .arg("--json")
+            .arg(&result)
+            .stdout(Stdio::null())
+            .stderr(File::create(&said).unwrap())
+            .spawn()
+            .unwrap();
+        Self {
+            child,
+            said,
+            result,
+        }
+    }
+
+    fn said(&self) -> String {
+        fs::read_to_string(&self.said).unwrap()
+    }
+
+    /// Waits until it has said `text`.
+    pub(crate) fn await_word(&mut self, text: &str) {
+        until(&format!("somebody says {text:?}"), || {
+            let ended = self.child.try_wait().unwrap();
+            let said = self.said();
+            assert!(
+                ended.is_none() || said.contains(text),
+                "it ended before it said {text:?}: {said}"
+            );
+            said.contains(text)
+        });
+    }
+
+    pub(crate) fn signal(&self, signal: &str) {
+        let id = self.child.id().to_string();
+        let sent = Command::new("kill").args([signal, &id]).status().unwrap();
+        assert!(sent.success());
+    }
+
+    /// Waits for its end: the exit code and the result.
+    pub(crate) fn end(mut self) -> (Option<i32>, serde_json::Value) {
+        let mut code = None;
+        until("a process ends", || {
+            code = self.child.try_wait().unwrap();
+            code.is_some()
+        });
+        let said = self.said();
+        assert!(self.result.exists(), "no result: {said}");
+        (code.and_then(|status| status.code()), json(&self.result))
+    }
+}
+
+impl Drop for Process {
+    fn drop(&mut self) {
+        let _gone = self.child.kill();
+        let _reaped = self.child.wait();
+    }
+}
+
+/// Drives and, beside them, a run of the expert.
+pub(crate) struct Pair {
+    folder: PathBuf,
+    config: String,
+    pub(crate) drives: Process,
+}
+
+impl Pair {
+    /// Drives whose nodes and buses are the shipped ones after `changes`.
+    pub(crate) fn start(test: &str, changes: &[(&str, &str)], faults: &[&str]) -> Self {
+        let folder = scratch(test);
+        let mut text = fs::read_to_string(repository().join("config/can.toml")).unwrap();
+        for (from, to) in changes {
+            assert!(text.contains(from), "{from}");
+            text = text.replace(from, to);
+        }
+        let file = folder.join("can.toml");
+        fs::write(&file, text).unwrap();
+        let config = file.to_str().unwrap().to_owned();
+        let mut arguments = vec!["drives", "--config", &config, "--topics", test];
+        for fault in faults {
+            arguments.extend(["--fault", fault]);
+        }
+        let mut drives = Process::start(&folder, "drives", &arguments);
+        drives.await_word("psm1 is nodes 1 2 3 4 5 6 7");
+        Self {
+            folder,
+            config,
+            drives,
+        }
+    }
+
+    /// The expert's run on these drives.
+    pub(crate) fn run(&self, policy: &str) -> Process {
+        let log = self.log();
+        let topics = self.folder.file_name().unwrap().to_str().unwrap();
+        let arguments = [
+            "run",
+            "--task",
+            "needle-lift",
+            "--policy",
+            policy,
+            "--backend",
+            "can",
+            "--can-config",
+            &self.config,
+            "--topics",
+            topics,
+            "--log",
+            log.to_str().unwrap(),
+        ];
+        Process::start(&self.folder, "run", &arguments)
+    }
+
+    pub(crate) fn log(&self) -> PathBuf {
+        self.folder.join("run.mcap")
+    }
+
+    /// Ends the drives: what they report.
+    pub(crate) fn end(self) -> serde_json::Value {
+        self.drives.signal("-INT");
+        let (code, result) = self.drives.end();
+        assert_eq!(code, Some(0));
+        result
+    }
+}
