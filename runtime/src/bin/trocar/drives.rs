@@ -37,7 +37,7 @@ pub(crate) struct DrivesArgs {
     /// Names the topics on which scene, verdict and frames are shown.
     #[arg(long, value_name = "NAME", default_value = DEFAULT_TOPICS)]
     pub(crate) topics: String,
-    /// Something that goes wrong, `at` so long after all drives were first enabled: kind=KIND,node=N[,at=2s][,for=100ms].
+    /// Something that goes wrong: kind=KIND,node=N and, if wanted, at=2s (after all drives were first enabled) and for=100ms.
     /// Kinds: pull, reboot, emcy (with code=0x4310), following-error, slack, silence, late, short, garbage, no-heartbeat,
     /// wrong-identity, bus-off, foreign-master. May be given several times.
     #[arg(long, value_name = "kind=KIND,node=N,...")]

@@ -9,7 +9,7 @@ use super::{
 use crate::can::cia402::PowerState;
 use crate::can::number::{nanoseconds, real, whole};
 use crate::tail::TAIL_AXES;
-use crate::{ArmError, ArmState, JOINT_COUNT, JointVector, TimeNs};
+use crate::{ArmError, ArmState, JOINT_COUNT, JointVector, TICK_NS, TimeNs};
 
 impl Cycle {
     /// Ends the cycle of the newest SYNC: ages, heartbeats, and what the drives said.
@@ -144,10 +144,11 @@ impl Cycle {
         }
     }
 
-    /// Whether a SYNC is due at `now`, a quarter of a cycle early at most.
+    /// Whether a SYNC is due at `now`: a quarter of a cycle early at most, and less than a control period, or a controller
+    /// that is faster than the bus would make the bus faster.
     #[must_use]
     pub fn is_due(&self, now: TimeNs) -> bool {
-        let early_ns = self.plan.cycle_ns / 4;
+        let early_ns = (self.plan.cycle_ns / 4).min(TICK_NS / 2);
         self.sync
             .is_none_or(|sync| now.since(sync) + early_ns >= self.plan.cycle_ns)
     }

@@ -230,3 +230,19 @@ fn a_controller_twice_as_fast_as_the_bus_sends_its_newest_command() {
     assert!(bench.arm.fault().is_none());
     assert_eq!(bench.arm.cycle().axis_health()[0].missed, 0);
 }
+
+#[test]
+fn a_controller_that_is_faster_than_its_bus_does_not_make_the_bus_faster() {
+    for cycle_ms in [1, 2, 4, 8] {
+        let mut bench = Bench::on(&plan(3, cycle_ms * MS));
+        bench.cycle_ns = MS;
+        let (mut syncs, mut newest) = (0, bench.arm.cycle().sync());
+        for _ in 0..80 {
+            bench.cycle(0.0).unwrap();
+            let sync = bench.arm.cycle().sync();
+            syncs += u64::from(sync != newest);
+            newest = sync;
+        }
+        assert_eq!(syncs, 80 / cycle_ms, "cycle of {cycle_ms} ms");
+    }
+}
