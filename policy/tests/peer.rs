@@ -159,7 +159,7 @@ fn train(job: &Value) {
         ..TrainOptions::preset(ActPreset::Small)
     };
     let trained = Trainer::new(Device::Cpu)
-        .run(&config, &options, &dataset, &mut |_| {})
+        .run(&config, &options, &dataset, &mut |_: &policy::train::Progress| {})
         .unwrap();
     let recipe = recipe(&config, &dataset);
     let options = SaveOptions::default();

@@ -198,7 +198,7 @@ fn local_or_remote<'a>(
     match child {
         Some(child) => Ok((None, Some((child, chunks)))),
         None => {
-            let source = setup.source(&options.policy, options.seed, options.device)?;
+            let source = setup.source(&options.policy, options.seed, options.compute)?;
             Ok((Some((source, chunks)), None))
         }
     }
