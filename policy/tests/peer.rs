@@ -159,7 +159,12 @@ fn train(job: &Value) {
         ..TrainOptions::preset(ActPreset::Small)
     };
     let trained = Trainer::new(Device::Cpu)
-        .run(&config, &options, &dataset, &mut |_: &policy::train::Progress| {})
+        .run(
+            &config,
+            &options,
+            &dataset,
+            &mut |_: &policy::train::Progress| {},
+        )
         .unwrap();
     let recipe = recipe(&config, &dataset);
     let options = SaveOptions::default();

@@ -141,9 +141,9 @@ fn bystander(random: &mut Random) -> Frame {
     let node = u16::try_from(random.below(8)).unwrap() + 1;
     let [a, b, c, d, ..] = random.next().to_le_bytes();
     match random.below(8) {
-        // Reads, writes and segments of any object, with or without sense.
+        // Reads and their segments of any object, with or without sense; writes are not a bystander's.
         0..=3 => {
-            let command = random.pick(&[0x40, 0x40, 0x60, 0x70, 0x2F, 0x2B, 0x23, 0x21, 0xA0, a]);
+            let command = random.pick(&[0x40, 0x40, 0x60, 0x70, 0x80, 0xA0]);
             let [low, high] = random.pick(&OBJECTS).to_le_bytes();
             let sub = random.pick(&[0, 0, 1, 2, 3, b]);
             // What is written is anything, unless it is read.

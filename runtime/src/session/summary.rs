@@ -76,6 +76,10 @@ pub struct CanBusSummary {
     pub planned_per_mille: u64,
     /// Frames that the system lost before they came to us.
     pub frames_lost: u64,
+    /// How often our controller became error passive on it.
+    pub error_passive: u64,
+    /// Frames on it that no CANopen device sends.
+    pub frames_foreign: u64,
 }
 
 /// One arm on CAN.

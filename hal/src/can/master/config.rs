@@ -99,6 +99,7 @@ impl CanConfig {
         let arms = arms
             .map(|(n, arm)| arm_on_can(source, &file, space, n, arm))
             .collect::<Result<_, _>>()?;
+        check_shared(source, &file.arm)?;
         Ok(Self { arms })
     }
 
@@ -126,6 +127,48 @@ impl CanConfig {
             }
         }
         Ok(())
+    }
+}
+
+/// Arms on a common interface must be told apart there, and an arm names an interface once.
+fn check_shared(source: &Source, arms: &[ArmFile]) -> Result<(), ConfigError> {
+    for (n, arm) in arms.iter().enumerate() {
+        for (place, name) in arm.interfaces.iter().enumerate() {
+            if arm.interfaces[..place].contains(name) {
+                let key = format!("arm.{n}.interfaces");
+                return Err(source.out_of_range(&key, name, "interfaces named once"));
+            }
+        }
+    }
+    let [first, second] = arms else {
+        return Ok(());
+    };
+    if !first
+        .interfaces
+        .iter()
+        .any(|name| second.interfaces.contains(name))
+    {
+        return Ok(());
+    }
+    let taken = |key: &str, value: String| {
+        let allowed = "one that the first arm, on the same interface, has not";
+        Err(source.out_of_range(&format!("arm.1.{key}"), &value, allowed))
+    };
+    let is_taken = |node: &u8| first.nodes.contains(node) || *node == first.master_node;
+    if first.sync_id == second.sync_id {
+        return taken("sync_id", format!("{:#05x}", second.sync_id));
+    }
+    if is_taken(&second.master_node) {
+        return taken("master_node", second.master_node.to_string());
+    }
+    match second
+        .nodes
+        .iter()
+        .enumerate()
+        .find(|(_, node)| is_taken(node))
+    {
+        Some((axis, node)) => taken(&format!("nodes.{axis}"), node.to_string()),
+        None => Ok(()),
     }
 }
 

@@ -47,6 +47,8 @@ pub enum Goal {
 pub struct LineHealth {
     /// Whether our controller is error passive.
     pub passive: bool,
+    /// How often it became so.
+    pub passives: u64,
     /// Frames lost before they came to us.
     pub lost: u64,
     /// Frames that no CANopen device sends.

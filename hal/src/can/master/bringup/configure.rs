@@ -106,6 +106,9 @@ pub(super) fn node<B: Bus>(bus: &mut B, plan: &ArmPlan, axis: usize) -> Result<(
         // CiA 402 leaves these to the drive; each has a default that stops.
         to.set_if_there(address, &[option, 0])?;
     }
+    // A drive may have stored one, and would add it to every set-point.
+    to.set_if_there(index::POSITION_OFFSET, &[0; 4])?;
+    silence_others(&mut to)?;
     let command = Cob::ReceivePdo(PdoNumber::FIRST, who.node).id();
     let answer = Cob::TransmitPdo(PdoNumber::FIRST, who.node).id();
     let cob = |id, rtr| PdoCob {
@@ -130,6 +133,22 @@ pub(super) fn node<B: Bus>(bus: &mut B, plan: &ArmPlan, axis: usize) -> Result<(
         ],
     )?;
     to.set(index::MODE, &Mode::CyclicPosition.raw().to_le_bytes())
+}
+
+/// The PDOs that are not used: a drive may have stored some, as a second way to command it or as load on the bus.
+fn silence_others<B: Bus>(to: &mut Writer<'_, B>) -> Result<(), BringUpError> {
+    for (raw, number) in (1_u8..).map_while(|raw| Some((raw, PdoNumber::new(raw)?))) {
+        let off = |id, rtr| PdoCob {
+            id,
+            valid: false,
+            rtr,
+        };
+        let command = off(Cob::ReceivePdo(number, to.node).id(), true);
+        to.set_if_there(index::rpdo(raw, 1), &command.emit().to_le_bytes())?;
+        let answer = off(Cob::TransmitPdo(number, to.node).id(), false);
+        to.set_if_there(index::tpdo(raw, 1), &answer.emit().to_le_bytes())?;
+    }
+    Ok(())
 }
 
 /// SYNC and interpolation.

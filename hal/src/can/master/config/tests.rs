@@ -97,6 +97,26 @@ fn what_cannot_be_is_named_with_its_place() {
             "[]",
             "arm.0.interfaces = 0 interfaces is outside 1 to 3 interfaces",
         ),
+        (
+            "[\"vcan0\"]",
+            "[\"vcan0\", \"vcan0\"]",
+            "arm.0.interfaces = vcan0 is outside interfaces named once",
+        ),
+        (
+            "[11, 12, 13",
+            "[11, 2, 13",
+            "arm.1.nodes.1 = 2 is outside one that the first arm, on the same interface, has not",
+        ),
+        (
+            "sync_id = 0x100",
+            "sync_id = 0x080",
+            "arm.1.sync_id = 0x080 is outside one that the first arm",
+        ),
+        (
+            "master_node = 126",
+            "master_node = 127",
+            "arm.1.master_node = 127 is outside one that the first arm",
+        ),
     ] {
         let error = load(from, to).unwrap_err().to_string();
         assert!(error.contains(message), "{error}");

@@ -25,7 +25,10 @@ impl Cycle {
             // Whoever restarted the controller, what it missed is not known.
             Trouble::BusOff | Trouble::Restarted => self.latch(now, Fault::BusOff { line }),
             Trouble::Down => self.latch(now, Fault::Down { line }),
-            Trouble::ErrorPassive => health.passive = true,
+            Trouble::ErrorPassive => {
+                health.passive = true;
+                health.passives += 1;
+            }
             Trouble::ErrorActive => health.passive = false,
             Trouble::Lost(count) => health.lost += u64::from(count),
             Trouble::Foreign => health.foreign += 1,
@@ -57,9 +60,9 @@ impl Cycle {
                 }
                 false
             }
-            Cob::Sync | Cob::Time | Cob::SdoResponse(_) | Cob::SdoRequest(_) | Cob::Other(_) => {
-                false
-            }
+            // We write nothing once the drives are led; whoever does changes what they do behind our back.
+            Cob::SdoRequest(node) => axis(node).is_some() && is_download(frame.data()),
+            Cob::Sync | Cob::Time | Cob::SdoResponse(_) | Cob::Other(_) => false,
         };
         if foreign {
             let id = frame.id;
@@ -103,4 +106,11 @@ impl Cycle {
             Err(_) => {}
         }
     }
+}
+
+/// Whether an SDO client begins or continues to write: its command specifier (CiA 301, 7.2.4.3) is that of a download segment,
+/// of a download's beginning, or of a block download.
+fn is_download(data: &[u8]) -> bool {
+    data.first()
+        .is_some_and(|command| matches!(command >> 5, 0 | 1 | 6))
 }

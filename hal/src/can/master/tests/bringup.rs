@@ -217,3 +217,30 @@ fn an_operator_may_bring_the_arm_up_again_after_a_fault() {
         [Some(PowerState::OperationEnabled); TAIL_AXES]
     );
 }
+
+#[test]
+fn what_a_drive_has_stored_neither_shifts_it_nor_leaves_a_second_way_to_it() {
+    use crate::can::master::client::{read_number, write};
+    use crate::can::od::index;
+
+    let plan = plan(1, 2 * MS);
+    let scanned = Offline::new(network(&plan), &plan).unwrap().scan();
+    let mut scanned = scanned.unwrap();
+    let invalid = 1_u32 << 31;
+    {
+        let net = scanned.bus_mut();
+        let mut put = |address, data: &[u8]| write(net, 0, node(2), address, data).unwrap();
+        put(index::POSITION_OFFSET, &6000_i32.to_le_bytes());
+        put(index::rpdo(1, 1), &0x303_u32.to_le_bytes());
+        put(index::tpdo(2, 1), &(0x4000_0383_u32).to_le_bytes());
+        put(index::STORE, b"save");
+    }
+    let homed = scanned.check_identity().unwrap().map().unwrap().home();
+    let mut homed = homed.unwrap();
+    let mut get = |address| read_number(homed.bus_mut(), 0, node(2), address).unwrap();
+    assert_eq!(get(index::POSITION_OFFSET), 0);
+    assert_ne!(get(index::rpdo(1, 1)) & invalid, 0);
+    assert_ne!(get(index::tpdo(2, 1)) & invalid, 0);
+    let mut bench = Bench::of(homed.enable().unwrap(), &plan);
+    assert!(bench.cycles(5, 0.0).is_ok());
+}

@@ -55,7 +55,9 @@ fn error_passive_and_lost_frames_are_told_and_the_arm_goes_on() {
     assert_eq!((health.lost, health.foreign), (3, 1));
     bench.net().trouble(0, Trouble::ErrorActive);
     assert!(bench.cycle(0.0008).is_ok());
-    assert!(!bench.arm.cycle().line_health()[0].passive);
+    let health = bench.arm.cycle().line_health()[0];
+    assert!(!health.passive);
+    assert_eq!(health.passives, 1);
 }
 
 #[test]
@@ -258,6 +260,10 @@ fn a_foreign_master_is_a_fault_and_another_arms_is_not() {
         (0x000, &[0x80, 0]),
         (0x000, &[0x02, 3]),
         (0x204, &[0x0F, 0, 0, 0, 0, 0]),
+        // Writes to a node: a position offset, a segment, a block.
+        (0x603, &[0x23, 0xB0, 0x60, 0, 0, 1, 0, 0]),
+        (0x603, &[0x01, 1, 2, 3, 4, 5, 6, 7]),
+        (0x603, &[0xC2, 0xB0, 0x60, 0, 4, 0, 0, 0]),
         (0x77F, &[5]),
     ] {
         let mut bench = moving();
@@ -275,6 +281,9 @@ fn a_foreign_master_is_a_fault_and_another_arms_is_not() {
         (0x18B, &[0; 8]),
         (0x08B, &[0x10, 0x23, 3, 0, 0, 0, 0, 0]),
         (0x70B, &[0]),
+        // Reading is anybody's, and so are the other arm's nodes.
+        (0x603, &[0x40, 0x64, 0x60, 0, 0, 0, 0, 0]),
+        (0x60B, &[0x23, 0xB0, 0x60, 0, 0, 1, 0, 0]),
     ] {
         bench.net().intrude(0, frame(id, data));
         assert!(bench.cycle(0.0).is_ok(), "{id:03X}");

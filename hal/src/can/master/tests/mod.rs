@@ -94,7 +94,7 @@ struct Bench {
 
 impl Bench {
     fn on(plan: &ArmPlan) -> Self {
-        let mut arm = Offline::new(network(plan), plan)
+        let arm = Offline::new(network(plan), plan)
             .unwrap()
             .scan()
             .unwrap()
@@ -106,6 +106,11 @@ impl Bench {
             .unwrap()
             .enable()
             .unwrap();
+        Self::of(arm, plan)
+    }
+
+    /// Of an arm that is enabled.
+    fn of(mut arm: CanArm<Net>, plan: &ArmPlan) -> Self {
         let now = arm.bus_mut().now();
         Self {
             arm,

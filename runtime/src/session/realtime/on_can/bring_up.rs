@@ -50,7 +50,8 @@ pub(super) fn await_world(
     clock: MonotonicClock,
 ) -> Result<SceneReport, SessionError> {
     let end = clock.now().plus_ns(WORLD_NS_MAX);
-    while clock.now() < end && !rt::interrupted() {
+    while clock.now() < end {
+        uninterrupted()?;
         if let Some(report) = scene.newest()? {
             return Ok(report);
         }
@@ -92,14 +93,25 @@ pub(super) fn bring_up(
 ) -> Result<Vec<ReadyArm>, SessionError> {
     let arms = buses.into_iter().zip(&can.config.arms).enumerate();
     let ready = arms.map(|(index, (bus, arm))| {
-        Offline::new(bus, &arm.plan)
+        uninterrupted()?;
+        let mapped = Offline::new(bus, &arm.plan)
             .and_then(Offline::scan)
             .and_then(|scanned| scanned.check_identity())
             .and_then(|identified| identified.map())
-            .and_then(|mapped| mapped.home())
-            .map_err(|error| failed(can, index, &error))
+            .map_err(|error| failed(can, index, &error))?;
+        uninterrupted()?;
+        mapped.home().map_err(|error| failed(can, index, &error))
     });
     ready.collect()
+}
+
+/// Whoever interrupts a run before its drives have torque does not want them to get it.
+pub(super) fn uninterrupted() -> Result<(), SessionError> {
+    if rt::interrupted() {
+        let what = "interrupted before the drives were enabled";
+        return Err(SessionError::RealTime(what.to_owned()));
+    }
+    Ok(())
 }
 
 /// The arm in this place did not come up.

@@ -90,17 +90,20 @@ fn arm_summary(arm: &BusArm, interfaces: &[String], name: &'static str) -> CanAr
     let health = cycle.axis_health();
     let sum = |count: fn(&AxisHealth) -> u64| health.iter().map(count).sum();
     let fault = arm.fault();
-    let lines = (0..plan.lines).zip(interfaces);
+    let lines = cycle
+        .line_health()
+        .iter()
+        .zip(0..plan.lines)
+        .zip(interfaces);
     CanArmSummary {
         arm: name,
         buses: lines
-            .map(|(line, interface)| CanBusSummary {
+            .map(|((health, line), interface)| CanBusSummary {
                 interface: interface.clone(),
                 planned_per_mille: plan.traffic(line).load().per_mille(),
-                frames_lost: cycle
-                    .line_health()
-                    .get(usize::from(line))
-                    .map_or(0, |health| health.lost),
+                frames_lost: health.lost,
+                error_passive: health.passives,
+                frames_foreign: health.foreign,
             })
             .collect(),
         answers_missed: sum(|axis| axis.missed),

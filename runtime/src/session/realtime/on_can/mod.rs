@@ -39,7 +39,7 @@ use crate::session::can_interfaces;
 use crate::session::run::{RunOptions, RunResult, open_log};
 use crate::session::source::ChunkSource;
 use crate::session::{PolicyChoice, SessionError, Setup};
-use bring_up::{ReadyArm, await_world, bring_up, check, check_world, failed};
+use bring_up::{ReadyArm, await_world, bring_up, check, check_world, failed, uninterrupted};
 use conclude::conclude;
 use link::{CanLink, Noticed};
 use scene_thread::{SceneEnd, SceneThread, arm_reports, frames};
@@ -221,6 +221,7 @@ impl Enabling<'_> {
     /// Enables all drives and controls them until the run is over, which leaves them without torque.
     fn run(self) -> Result<ControlEnd<CanLink>, SessionError> {
         let _stops = StopsAll(&self.signals);
+        uninterrupted()?;
         let arms =
             enable_together(self.ready).map_err(|(arm, error)| failed(self.can, arm, &error))?;
         let Some(arms) = PerArm::collect(arms) else {
