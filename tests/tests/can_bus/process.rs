@@ -115,6 +115,8 @@ fn bus_off_stops_the_arm_at_once_and_its_drives_by_themselves() {
         run["reason"], "fault: psm1: bus 0: our controller is bus-off",
         "{run}"
     );
+    let log = RunLog::open(&pair.log()).unwrap();
+    assert_eq!(log.events, ["psm1: bus 0: our controller is bus-off"]);
     // The master says nothing more, so the drives notice that it is gone.
     let drives = pair.end();
     let stops = drives["stops"].as_array().unwrap();

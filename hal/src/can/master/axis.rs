@@ -53,6 +53,9 @@ pub(super) struct Axis {
     /// The set-point that the drive was on its way to when it measured.
     pub(super) followed: i32,
     answered: bool,
+    /// The newest answer of an earlier cycle and when it was measured: what this cycle's answers are held against, so that
+    /// many in one cycle lead no further than one.
+    before: Option<(Answer, TimeNs)>,
 }
 
 impl Axis {
@@ -67,6 +70,7 @@ impl Axis {
             sent: 0,
             followed: 0,
             answered: false,
+            before: None,
         }
     }
 
@@ -78,17 +82,23 @@ impl Axis {
         sync: TimeNs,
         data: &[u8],
     ) -> Result<Answer, Rejected> {
-        let gap_ns = sync.since(self.sampled).max(cycle_ns);
+        if !self.answered {
+            self.before = self.newest.map(|newest| (newest, self.sampled));
+        }
+        let gap_ns = self.before.map_or(0, |(_, sampled)| sync.since(sampled));
+        let gap_ns = gap_ns.max(cycle_ns);
         let answer = parse(data).and_then(|answer| self.believe(plan, gap_ns, answer));
         match answer {
             Ok(answer) => {
                 if self.answered {
                     self.health.late += 1;
                 }
-                let gap_s = seconds(sync.since(self.sampled));
-                if let Some(before) = self.newest.filter(|_| gap_s > 0.0) {
+                if let Some((before, sampled)) = self.before {
                     let way = i64::from(answer.position) - i64::from(before.position);
-                    self.velocity = real(way) / gap_s;
+                    let gap_s = seconds(sync.since(sampled));
+                    if gap_s > 0.0 {
+                        self.velocity = real(way) / gap_s;
+                    }
                 }
                 self.answered = true;
                 self.newest = Some(answer);
@@ -104,7 +114,7 @@ impl Axis {
 
     /// Refuses places that the axis cannot have reached, with half again its greatest speed and a little for rounding.
     fn believe(&self, plan: &AxisPlan, gap_ns: u64, answer: Answer) -> Result<Answer, Rejected> {
-        let Some(before) = self.newest else {
+        let Some((before, _)) = self.before else {
             return Ok(answer);
         };
         let reach = 1.5 * plan.speed_max * plan.counts_per_unit.abs() * seconds(gap_ns) + 10.0;
@@ -163,4 +173,53 @@ pub(super) fn counts(plan: &AxisPlan, units: f64) -> Option<i32> {
     }
     let inside = units.max(plan.range.0).min(plan.range.1);
     i32::try_from(whole(inside * plan.counts_per_unit)).ok()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::can::NodeId;
+
+    const CYCLE_NS: u64 = 2_000_000;
+
+    #[test]
+    fn many_answers_in_a_cycle_lead_no_further_than_one() {
+        let plan = AxisPlan {
+            node: NodeId::new(3).unwrap(),
+            line: 0,
+            identity: (0, 0),
+            counts_per_unit: 100_000.0,
+            range: (-1.0, 1.0),
+            speed_max: 1.0,
+            following_max: 0.1,
+            torque_rated: 1.0,
+        };
+        let answer = |position: i32| {
+            let mut data = [0x37, 0x02, 0, 0, 0, 0, 0, 0];
+            data[2..6].copy_from_slice(&position.to_le_bytes());
+            data
+        };
+        // 1.5 times the greatest speed over a cycle, and 10 counts.
+        let reach = 310;
+        let mut axis = Axis::new();
+        let mut sync = TimeNs(CYCLE_NS);
+        let mut hear = |axis: &mut Axis, sync, position| {
+            axis.on_answer(&plan, CYCLE_NS, sync, &answer(position))
+        };
+        assert!(hear(&mut axis, sync, 0).is_ok());
+        axis.end_cycle();
+        sync = sync.plus_ns(CYCLE_NS);
+        assert!(hear(&mut axis, sync, reach).is_ok());
+        for step in 2..30 {
+            let far = hear(&mut axis, sync, step * reach);
+            assert_eq!(far, Err(Rejected::Jump), "{step}");
+        }
+        assert_eq!(axis.newest.unwrap().position, reach);
+        assert!((axis.velocity - 155_000.0).abs() < 1.0, "{}", axis.velocity);
+        // The last of several that can be is taken, and the next cycle starts from it.
+        assert!(hear(&mut axis, sync, 100).is_ok());
+        axis.end_cycle();
+        sync = sync.plus_ns(CYCLE_NS);
+        assert!(hear(&mut axis, sync, 100 + reach).is_ok());
+    }
 }

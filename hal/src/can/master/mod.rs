@@ -14,7 +14,7 @@
 //! error passive, lost frames               error frame, receive counter    counted and told
 //! no room to send                          short send                      2 cycles lost, 20 cycles fault
 //! answer missing, late, short, senseless   per-axis age                    predicted; 3 cycles lost, 20 cycles fault
-//! or impossibly far (none can be longer)
+//! or impossibly far (none can be longer)   or, always late by a cycle, not: a PDO carries no number
 //! set-point or SYNC short or long          the drive's emergency           fault with the drive's code
 //! set-point or SYNC missing                the drive's own watches         one is bridged; 10 cycles fault
 //! set-point with another target            following error                 fault; no faster than the drive may be
@@ -24,9 +24,11 @@
 //! not enabled any more                     status word                     fault
 //! following error                          status word, own comparison     fault
 //! power lost                               status word                     fault
-//! somebody else's SYNC, NMT or set-points  their identifiers               fault
+//! somebody else's SYNC, NMT, set-points    their identifiers               fault
+//! or writing over SDO
 //! a second node with a drive's number      the drive's emergency           fault
 //! wrong identity                           bring-up                        no arm
+//! stored offset, unused PDOs that are on   bring-up                        cleared
 //! controller silent, senseless or leaping  no set-point in reach           the tail is played to rest
 //! own process dead                         the drives' own watches         they stop by themselves
 //! ```
