@@ -203,7 +203,7 @@ mod tests {
         let reach = 310;
         let mut axis = Axis::new();
         let mut sync = TimeNs(CYCLE_NS);
-        let mut hear = |axis: &mut Axis, sync, position| {
+        let hear = |axis: &mut Axis, sync, position| {
             axis.on_answer(&plan, CYCLE_NS, sync, &answer(position))
         };
         assert!(hear(&mut axis, sync, 0).is_ok());
