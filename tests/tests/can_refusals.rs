@@ -170,5 +170,6 @@ fn one_node_for_two_axes_is_refused() {
         file,
     ]));
     assert_eq!(code, Some(2), "{told}");
-    assert!(told.contains("node 3 is of two arms"), "{told}");
+    let expected = "arm.1.nodes.2 = 3 is outside one that the first arm";
+    assert!(told.contains(expected), "{told}");
 }
