@@ -154,22 +154,33 @@ fn faults_that_cannot_be_are_refused() {
 
 #[test]
 fn one_node_for_two_axes_is_refused() {
-    let file = config(
-        "can_refusals_nodes",
-        &[(
-            "[11, 12, 13, 14, 15, 16, 17]",
-            "[11, 12, 3, 14, 15, 16, 17]",
-        )],
+    let nodes = (
+        "[11, 12, 13, 14, 15, 16, 17]",
+        "[11, 12, 3, 14, 15, 16, 17]",
     );
-    let file = file.to_str().unwrap();
-    let (code, told) = refused(&run(&[
-        "drives",
-        "--task",
-        "needle-handover",
-        "--config",
-        file,
-    ]));
-    assert_eq!(code, Some(2), "{told}");
-    let expected = "arm.1.nodes.2 = 3 is outside one that the first arm";
-    assert!(told.contains(expected), "{told}");
+    let apart = (
+        "[\"vcan0\"]\nsync_id = 0x080",
+        "[\"vcan1\"]\nsync_id = 0x080",
+    );
+    let cases = [
+        // On one interface no master could tell them apart; on two it is only the drives' process that could not.
+        (
+            &[nodes][..],
+            "arm.1.nodes.2 = 3 is outside one that the first arm",
+        ),
+        (&[nodes, apart], "node 3 is of two arms"),
+    ];
+    for (changes, expected) in cases {
+        let file = config("can_refusals_nodes", changes);
+        let file = file.to_str().unwrap();
+        let (code, told) = refused(&run(&[
+            "drives",
+            "--task",
+            "needle-handover",
+            "--config",
+            file,
+        ]));
+        assert_eq!(code, Some(2), "{told}");
+        assert!(told.contains(expected), "{told}");
+    }
 }
