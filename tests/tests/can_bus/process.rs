@@ -138,39 +138,14 @@ fn a_wrong_drive_an_absent_one_and_a_missing_world_are_named() {
     run.await_word("psm1 on vcan0: node 5 (axis 4, bus 0): 1018:02 is ");
     drop(run);
     let folder = scratch("can_absent");
-    let mut alone = Process::start(
-        &folder,
-        "run",
-        &[
-            "run",
-            "--task",
-            "needle-lift",
-            "--policy",
-            "noop",
-            "--backend",
-            "can",
-            "--topics",
-            "nowhere",
-        ],
-    );
+    let on = |topics: &str, seed: &str| {
+        let world = ["--backend", "can", "--topics", topics, "--seed", seed];
+        let run = ["run", "--task", "needle-lift", "--policy", "noop"];
+        Process::start(&folder, "run", &[&run[..], &world].concat())
+    };
+    let mut alone = on("nowhere", "0");
     alone.await_word("nobody shows a scene on topics \"nowhere\"");
-    let mut other = Process::start(
-        &folder,
-        "run",
-        &[
-            "run",
-            "--task",
-            "needle-lift",
-            "--policy",
-            "noop",
-            "--backend",
-            "can",
-            "--topics",
-            "can_wrong",
-            "--seed",
-            "9",
-        ],
-    );
+    let mut other = on("can_wrong", "9");
     other.await_word("is needle-lift, seed 0; this run is needle-lift, seed 9");
     drop(pair);
 }
