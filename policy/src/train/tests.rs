@@ -128,7 +128,7 @@ pub(super) fn options() -> TrainOptions {
     }
 }
 
-/// The library's random numbers belong to the process: one run at a time, or none repeats itself.
+/// The library's random numbers belong to the process: whoever draws from them holds this, or no run repeats itself.
 pub(super) static ONE_AT_A_TIME: Mutex<()> = Mutex::new(());
 
 fn run(
