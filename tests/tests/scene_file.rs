@@ -151,7 +151,10 @@ fn a_scene_that_is_not_the_tasks_is_refused_with_file_line_and_key() {
     };
     let other = changed("suture-pad", &folder, &[]);
     let message = refused("needle-lift", &other);
-    let place = format!("mine.toml:{}: task = suture-pad", line_of(&other, "task ="));
+    let place = format!(
+        "mine.toml:{}: task.kind = suture-pad",
+        line_of(&other, "kind =")
+    );
     assert!(
         message.contains(&place) && message.contains("needle-lift"),
         "{message}"

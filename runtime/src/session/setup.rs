@@ -26,7 +26,7 @@ pub struct Setup {
     pub control: ControlConfig,
     /// The texts they came from, for the log.
     pub texts: Texts,
-    /// The scene file that takes the place of the built-in one, if any.
+    /// The scene file, if it is not a built-in one.
     pub scene_file: Option<String>,
     /// Cameras whose frames were asked for; see [`Self::cameras_with`].
     pub kept_cameras: Option<Vec<String>>,
@@ -48,7 +48,8 @@ pub struct Texts {
 }
 
 impl Setup {
-    /// The built-in configuration of `task`, with the controller's settings from `control` if given.
+    /// The configuration of `task`, a built-in one's name or the path of a folder, with the controller's settings from
+    /// `control` if given.
     ///
     /// Without `control`, a checkpoint's own recommendation decides how its chunks are aggregated.
     ///
@@ -61,7 +62,7 @@ impl Setup {
         policy: &PolicyChoice,
     ) -> Result<Self, SessionError> {
         policy.check_exists()?;
-        let (scene, safety) = tasks::sources(task)?;
+        let files = tasks::files(task)?;
         let recipe = match policy {
             PolicyChoice::Checkpoint(folder) => load_recipe(folder)?,
             PolicyChoice::Expert | PolicyChoice::Noop | PolicyChoice::Random => None,
@@ -70,37 +71,38 @@ impl Setup {
             Some(path) => Source::read(&path.display().to_string())?,
             None => built_in_control(recipe.as_ref())?,
         };
-        let task_config = TaskConfig::parse(&scene)?;
-        let control_config = ControlConfig::load(&control, &safety)?;
-        check_bases(&task_config, &scene, &control_config)?;
+        let task_config = files.config()?;
+        let control_config = ControlConfig::load(&control, &files.safety)?;
+        check_bases(&task_config, &files.scene, &control_config)?;
+        let scene_file = tasks::paths(task).into_iter().next();
         Ok(Self {
-            task_name: task.to_owned(),
             task: task_config,
             control: control_config,
             texts: Texts {
                 control: control.text().to_owned(),
-                safety: safety.text().to_owned(),
-                scene: scene.text().to_owned(),
+                safety: files.safety.text().to_owned(),
+                scene: files.scene.text().to_owned(),
                 can: None,
             },
-            scene_file: None,
+            task_name: files.name,
+            scene_file: scene_file.map(|path| path.display().to_string()),
             kept_cameras: None,
             trained_on: recipe.map(|recipe| recipe.dataset.task),
         })
     }
 
-    /// The same setup with the scene of the file `path`, which must be of the same task and have its arms at the same
-    /// places. The safety limits stay.
+    /// The same setup with the scene of the file `path`, which must be of the same kind and have its arms at the same
+    /// places. The task's name and its safety limits stay.
     ///
     /// # Errors
     /// [`SessionError::Config`], naming file, line and key.
     pub fn with_scene_file(mut self, path: &Path) -> Result<Self, SessionError> {
         let path = path.display().to_string();
         let scene = Source::read(&path)?;
-        let task = TaskConfig::parse(&scene)?;
-        if task.name != self.task_name {
-            let asked = format!("{}, the task that was asked for", self.task_name);
-            return Err(scene.out_of_range("task", task.name, &asked).into());
+        let task = TaskConfig::parse(&self.task_name, &scene)?;
+        if task.kind != self.task.kind {
+            let asked = format!("{}, as is task {}", self.task.kind, self.task_name);
+            return Err(scene.out_of_range("task.kind", task.kind, &asked).into());
         }
         check_bases(&task, &scene, &self.control)?;
         self.task = task;
@@ -219,10 +221,9 @@ fn check_bases(
 ) -> Result<(), SessionError> {
     let counts = (control.arms.len(), task.arms.len());
     if counts.0 != counts.1 {
-        return Err(SessionError::BadArgument(format!(
-            "safety.toml: arm = {} arms, scene.toml has {}",
-            counts.0, counts.1
-        )));
+        let (found, allowed) = (counts.1.to_string(), counts.0.to_string());
+        let allowed = format!("the {allowed} of the task's safety.toml");
+        return Err(source.out_of_range("arm", &found, &allowed).into());
     }
     for (index, (arm, start)) in control.arms.iter().zip(&task.arms).enumerate() {
         let (limits, scene) = (arm.scene_from_rcm, start.scene_from_rcm);

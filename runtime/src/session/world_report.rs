@@ -119,7 +119,7 @@ mod tests {
     #[test]
     fn a_scene_comes_back_bit_for_bit() {
         for name in TaskConfig::names() {
-            let task = TaskConfig::parse(&TaskConfig::source(name).unwrap()).unwrap();
+            let task = TaskConfig::built_in(name).unwrap();
             let simulation = Simulation::new(&task, 5, Rendering::Off).unwrap();
             let state = WorldState {
                 scene: simulation.scene_state(),

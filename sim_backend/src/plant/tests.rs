@@ -16,7 +16,7 @@ const FREE: Load = Load {
 };
 
 fn shipped() -> PlantConfig {
-    TaskConfig::needle_lift().unwrap().world.plant
+    TaskConfig::shipped("needle-lift").world.plant
 }
 
 fn home() -> JointVector {

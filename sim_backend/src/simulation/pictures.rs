@@ -107,7 +107,7 @@ fn check_colours(task: &str, frame: &CameraFrame) {
 #[test]
 fn every_task_shows_all_of_its_parts() {
     for name in TaskConfig::names() {
-        let task = TaskConfig::parse(&TaskConfig::source(name).unwrap()).unwrap();
+        let task = TaskConfig::shipped(name);
         let mut simulation = Simulation::new(&task, 1, Rendering::On).unwrap();
         let mut frame = simulation.cameras().unwrap().blank_frame(0).unwrap();
         simulation.render(0, &mut frame).unwrap();
@@ -133,7 +133,7 @@ fn every_task_shows_all_of_its_parts() {
 
 #[test]
 fn a_flap_is_drawn_where_it_has_gone() {
-    let task = TaskConfig::parse(&TaskConfig::source("tissue-retraction").unwrap()).unwrap();
+    let task = TaskConfig::shipped("tissue-retraction");
     let mut simulation = Simulation::new(&task, 1, Rendering::On).unwrap();
     let mut frame = simulation.cameras().unwrap().blank_frame(0).unwrap();
     let flat = simulation.snapshot();
@@ -173,7 +173,7 @@ fn a_flap_is_drawn_where_it_has_gone() {
 #[test]
 fn looking_changes_nothing() {
     for name in TaskConfig::names() {
-        let task = TaskConfig::parse(&TaskConfig::source(name).unwrap()).unwrap();
+        let task = TaskConfig::shipped(name);
         let hash = |rendering| {
             let mut simulation = Simulation::new(&task, 3, rendering).unwrap();
             for step in 0..100 {

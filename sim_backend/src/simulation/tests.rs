@@ -29,7 +29,7 @@ struct Driver {
 
 impl Driver {
     fn new() -> Self {
-        let task = TaskConfig::needle_lift().unwrap();
+        let task = TaskConfig::shipped("needle-lift");
         let mut simulation = Simulation::new(&task, 0, Rendering::Off).unwrap();
         let found = simulation.read(TimeNs(0)).unwrap();
         Self {

@@ -98,7 +98,7 @@ fn the_pose_that_a_camera_reports_is_the_one_of_its_picture() {
         ("N4", View::View1),
         ("N5", View::View2),
     ] {
-        let task = TaskConfig::needle_lift().unwrap();
+        let task = TaskConfig::shipped("needle-lift");
         let task = task.with_needle(needle).unwrap().with_view(view).unwrap();
         let mut simulation = Simulation::new(&task, 5, Rendering::On).unwrap();
         for way in [[0.0; 6], [0.06, -0.05, 0.012, 0.5, 0.25, -0.2]] {
@@ -115,8 +115,7 @@ fn the_pose_that_a_camera_reports_is_the_one_of_its_picture() {
 
 #[test]
 fn a_wrist_camera_goes_with_its_arm_and_no_other_does() {
-    let text = TaskConfig::source("needle-handover").unwrap();
-    let task = TaskConfig::parse(&text).unwrap();
+    let task = TaskConfig::shipped("needle-handover");
     let mut simulation = Simulation::new(&task, 2, Rendering::On).unwrap();
     let names = ["wrist_right", "wrist_left", "endoscope", "side"];
     let look = |simulation: &mut Simulation| names.map(|name| picture(simulation, name));
@@ -147,7 +146,7 @@ fn a_wrist_camera_goes_with_its_arm_and_no_other_does() {
 #[test]
 fn wrist_cameras_show_both_fingers_and_what_lies_below() {
     for name in TaskConfig::names() {
-        let task = TaskConfig::parse(&TaskConfig::source(name).unwrap()).unwrap();
+        let task = TaskConfig::shipped(name);
         let mut simulation = Simulation::new(&task, 1, Rendering::On).unwrap();
         let jaws = [instance::JAW, instance::SECOND_JAW];
         for camera in task
@@ -173,7 +172,7 @@ fn wrist_cameras_show_both_fingers_and_what_lies_below() {
 
 #[test]
 fn a_new_episode_moves_the_cameras_of_the_first_view_by_its_seed() {
-    let task = TaskConfig::needle_lift().unwrap();
+    let task = TaskConfig::shipped("needle-lift");
     let moving = task.clone().with_view(View::View1).unwrap();
     let poses = |task: &TaskConfig, seeds: [u64; 2]| {
         let mut simulation = Simulation::new(task, seeds[0], Rendering::On).unwrap();

@@ -7,9 +7,19 @@ use hal::{JOINT_COUNT, JointVector, Pose, psm};
 use nalgebra::{Translation3, UnitQuaternion};
 use serde::Deserialize;
 
-use super::{CameraConfig, Scene, TaskConfig, View};
+use super::{CameraConfig, Kind, Scene, TaskConfig, View};
 use crate::render::Shading;
 use crate::world::{ArmStart, WorldConfig};
+
+/// `[task]`.
+#[derive(Clone, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct TitleFile {
+    /// The kind of scene.
+    pub(super) kind: String,
+    /// The place in lists of tasks, from the front; at their end if not given.
+    pub(super) order: Option<u32>,
+}
 
 /// One `[[arm]]`.
 #[derive(Clone, Copy, Deserialize)]
@@ -68,13 +78,13 @@ impl CommonFile {
     pub(super) fn into_task(
         self,
         source: &Source,
-        name: &'static str,
-        arm_count: usize,
+        name: &str,
+        kind: &Kind,
         scene: Scene,
     ) -> Result<TaskConfig, ConfigError> {
-        if self.arm.len() != arm_count {
+        if self.arm.len() != kind.arms {
             let found = format!("{} arms", self.arm.len());
-            return Err(source.out_of_range("arm", &found, &arm_count.to_string()));
+            return Err(source.out_of_range("arm", &found, &kind.arms.to_string()));
         }
         for (index, arm) in self.arm.iter().enumerate() {
             arm.check(source, index)?;
@@ -88,7 +98,8 @@ impl CommonFile {
             600.0,
         )?;
         Ok(TaskConfig {
-            name,
+            name: name.to_owned(),
+            kind: kind.name,
             arms: self.arm.iter().map(ArmFile::start).collect(),
             world: self.world,
             shading: self.rendering.shading(source)?,

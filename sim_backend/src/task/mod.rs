@@ -1,21 +1,22 @@
 //! Tasks as data: who stands where, what lies there, who looks, and what counts as success.
 //!
-//! Adding a task touches, and nothing else:
-//! - a folder `config/tasks/TASK/` with `scene.toml` and `safety.toml`;
-//! - a module here with its scene, its monitor and its `ENTRY`;
-//! - in this file the module's line, a line in `ENTRIES`, and a variant of [`Scene`] with its lines in `Scene::of_task`,
+//! A task is a folder with `scene.toml` and `safety.toml`, and its name is the folder's. Adding one touches that folder and
+//! nothing else: those in `config/tasks/` are built in, any other folder is a task as well, given its path.
+//!
+//! What a scene file describes is said by its `task.kind`. Adding a kind touches:
+//! - a module here with its scene, its monitor and its `KIND`;
+//! - in this file the module's line, a line in `KINDS`, and a variant of [`Scene`] with its lines in `Scene::of_task`,
 //!   [`TaskConfig::needle`] and [`TaskConfig::with_needle`];
 //! - a script in [`crate::expert`] with its variant in `AnyScript`;
-//! - if it shows things of a new kind, their ids in [`crate::visual::instance`] and, in the contact sheet of the sessions, a
+//! - if it shows things of a new sort, their ids in [`crate::visual::instance`] and, in the contact sheet of the sessions, a
 //!   name and a colour for each;
 //! - tests: what the first camera shows of it (`simulation/pictures.rs`), and its script in closed loop
 //!   (`expert/closed_loop/`).
-//!
-//! Names, command line, sheet and evaluations follow from `ENTRIES`, in its order.
 
 pub mod block_transfer;
 mod camera;
 mod common;
+mod files;
 mod judge;
 pub mod needle_handover;
 pub mod needle_lift;
@@ -27,9 +28,9 @@ mod visuals;
 
 use hal::Pose;
 use hal::config::{ConfigError, Source};
-use serde::Deserialize;
 
 pub use camera::{CameraConfig, ENDOSCOPE, Mount, SIDE};
+pub use files::{SAFETY_FILE, SCENE_FILE, TaskError, TaskFiles};
 pub(crate) use judge::{Judge, Monitor, Sight};
 pub use judge::{Outcome, Reason};
 pub use needle_start::NeedleStart;
@@ -41,6 +42,7 @@ use crate::tissue::TissueConfig;
 use crate::visual::{Backdrop, Visual};
 use crate::world::{ArmStart, Scenery, WorldConfig};
 use block_transfer::BlockTransfer;
+use common::CommonFile;
 use needle_handover::NeedleHandover;
 use needle_lift::NeedleLift;
 use suture_pad::SuturePad;
@@ -52,41 +54,32 @@ pub const ARMS_MAX: usize = 2;
 /// Most things that a task has.
 pub const THINGS_MAX: usize = 2;
 
-/// A task as the repository knows it.
-struct Entry {
+/// A kind of scene: what a scene file describes, and how that is done and judged.
+struct Kind {
+    /// The name by which scene files know it.
     name: &'static str,
-    scene: BuiltIn,
-    /// Where the instruments may be. Handed on to whoever controls them, never read here.
-    safety: BuiltIn,
-    parse: fn(&Source) -> Result<TaskConfig, ConfigError>,
+    /// How many arms it has.
+    arms: usize,
+    /// Reads what is particular to it, and checks that.
+    parse: fn(&Source) -> Result<(CommonFile, Scene), ConfigError>,
 }
 
-/// A file that is built into the program, and where it lies in the repository.
-struct BuiltIn {
-    path: &'static str,
-    text: &'static str,
-}
-
-impl BuiltIn {
-    fn source(&self) -> Source {
-        Source::embedded(self.path, self.text)
-    }
-}
-
-/// All tasks.
-const ENTRIES: [Entry; 5] = [
-    needle_lift::ENTRY,
-    needle_handover::ENTRY,
-    tissue_retraction::ENTRY,
-    suture_pad::ENTRY,
-    block_transfer::ENTRY,
+/// All kinds.
+const KINDS: [Kind; 5] = [
+    block_transfer::KIND,
+    needle_handover::KIND,
+    needle_lift::KIND,
+    suture_pad::KIND,
+    tissue_retraction::KIND,
 ];
 
 /// A task, checked.
 #[derive(Clone, Debug)]
 pub struct TaskConfig {
-    /// The name by which the command line and the logs know it.
-    pub name: &'static str,
+    /// The name by which results, logs and datasets know it.
+    pub name: String,
+    /// The kind of its scene.
+    pub kind: &'static str,
     /// The arms, the one that a one-armed driver drives first.
     pub arms: Vec<ArmStart>,
     /// Drives and contact physics.
@@ -164,7 +157,7 @@ impl Scene {
 #[error("{task} has no needle {name:?}; {}", known_needles(known))]
 pub struct NoSuchNeedle {
     /// The task.
-    pub task: &'static str,
+    pub task: String,
     /// The needle asked for.
     pub name: String,
     /// The needles that can be chosen.
@@ -179,44 +172,19 @@ fn known_needles(known: &[String]) -> String {
     }
 }
 
-/// The part of a scene file that says what it is.
-#[derive(Deserialize)]
-struct Title {
-    task: String,
-}
-
 impl TaskConfig {
-    /// Names of all tasks.
+    /// Names of the built-in tasks.
     pub fn names() -> impl Iterator<Item = &'static str> {
-        ENTRIES.iter().map(|entry| entry.name)
+        files::names()
     }
 
-    /// The text of a task as it ships, for logs and overrides; none if there is no such task.
-    #[must_use]
-    pub fn source(name: &str) -> Option<Source> {
-        let entry = ENTRIES.iter().find(|entry| entry.name == name)?;
-        Some(entry.scene.source())
-    }
-
-    /// The safety limits of a task as they ship, unread; none if there is no such task.
-    #[must_use]
-    pub fn safety_source(name: &str) -> Option<Source> {
-        let entry = ENTRIES.iter().find(|entry| entry.name == name)?;
-        Some(entry.safety.source())
-    }
-
-    /// The text of the needle lift as it ships.
-    #[must_use]
-    pub fn needle_lift_source() -> Source {
-        needle_lift::ENTRY.scene.source()
-    }
-
-    /// The needle lift as it ships.
+    /// The built-in task `name`.
     ///
     /// # Errors
-    /// [`ConfigError`] if the file that is built in is wrong.
-    pub fn needle_lift() -> Result<Self, ConfigError> {
-        Self::parse(&Self::needle_lift_source())
+    /// [`TaskError::Unknown`], or [`TaskError::Config`] if its file is wrong.
+    pub fn built_in(name: &str) -> Result<Self, TaskError> {
+        let files = TaskFiles::built_in(name).ok_or_else(|| TaskError::unknown(name))?;
+        Ok(files.config()?)
     }
 
     /// The name of the needle of this task, if there is a choice.
@@ -257,18 +225,26 @@ impl TaskConfig {
         })
     }
 
-    /// Reads a scene file, whose key `task` says of which task.
+    /// Reads the scene file of the task `name`, whose `task.kind` says what it describes.
     ///
     /// # Errors
     /// [`ConfigError`], naming line, key and allowed range.
-    pub fn parse(source: &Source) -> Result<Self, ConfigError> {
-        let title: Title = source.parse()?;
-        let found = ENTRIES.iter().find(|entry| entry.name == title.task);
-        let Some(entry) = found else {
-            let known: Vec<_> = Self::names().collect();
-            return Err(source.out_of_range("task", &title.task, &known.join(", ")));
+    pub fn parse(name: &str, source: &Source) -> Result<Self, ConfigError> {
+        let asked = files::title(source)?.kind;
+        let Some(kind) = KINDS.iter().find(|kind| kind.name == asked) else {
+            let known = KINDS.map(|kind| kind.name).join(", ");
+            return Err(source.out_of_range("task.kind", &asked, &known));
         };
-        (entry.parse)(source)
+        let (common, scene) = (kind.parse)(source)?;
+        common.into_task(source, name, kind, scene)
+    }
+}
+
+#[cfg(test)]
+impl TaskConfig {
+    /// A built-in task.
+    pub(crate) fn shipped(name: &str) -> Self {
+        Self::built_in(name).unwrap()
     }
 }
 

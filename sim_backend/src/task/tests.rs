@@ -4,9 +4,14 @@ use super::*;
 use crate::task::needle_lift::NeedleLift;
 use crate::world::{Grasp, World};
 
+fn needle_lift_text() -> String {
+    let files = TaskFiles::built_in("needle-lift").unwrap();
+    files.scene.text().to_owned()
+}
+
 /// The shipped file with one line replaced, and the number of that line.
 fn doctored(old: &str, new: &str) -> (Source, usize) {
-    let text = TaskConfig::needle_lift_source().text().to_owned();
+    let text = needle_lift_text();
     let line = text
         .lines()
         .position(|line| line.starts_with(old))
@@ -21,7 +26,7 @@ fn doctored(old: &str, new: &str) -> (Source, usize) {
 
 #[test]
 fn shipped_scene_is_valid_and_starts_above_the_organ() {
-    let task = TaskConfig::needle_lift().unwrap();
+    let task = TaskConfig::shipped("needle-lift");
     assert_eq!(task.cameras[0].name, "endoscope");
     assert_eq!((task.cameras[0].width, task.cameras[0].height), (512, 512));
     let arm = task.arms[0];
@@ -34,7 +39,7 @@ fn shipped_scene_is_valid_and_starts_above_the_organ() {
 #[test]
 fn unknown_key_is_named_with_its_line() {
     let (source, line) = doctored("jaw_rad", "jaw_rad = 0.6\nspeling = 1");
-    let message = TaskConfig::parse(&source).unwrap_err().to_string();
+    let message = TaskConfig::parse("mine", &source).unwrap_err().to_string();
     assert!(
         message.starts_with(&format!("scene.toml:{}: ", line + 1)) && message.contains("speling"),
         "{message}"
@@ -45,16 +50,19 @@ fn unknown_key_is_named_with_its_line() {
 fn shading_is_full_unless_the_scene_says_plain() {
     let shading = |line: &str| {
         let (source, number) = doctored("shading", line);
-        (TaskConfig::parse(&source).map(|task| task.shading), number)
+        (
+            TaskConfig::parse("mine", &source).map(|task| task.shading),
+            number,
+        )
     };
     let table = |value: &str| shading(&format!("shading = \"{value}\""));
     assert_eq!(shading("").0.unwrap(), Shading::Full);
-    let text = TaskConfig::needle_lift_source().text().to_owned();
+    let text = needle_lift_text();
     let without = text
         .replace("[rendering]\n", "")
         .replace("shading = \"full\"\n", "");
     assert!(!without.contains("shading ="));
-    let without = TaskConfig::parse(&Source::embedded("scene.toml", &without)).unwrap();
+    let without = TaskConfig::parse("mine", &Source::embedded("scene.toml", &without)).unwrap();
     assert_eq!(without.shading, Shading::Full);
     assert_eq!(table("full").0.unwrap(), Shading::Full);
     assert_eq!(table("fine").0.unwrap(), Shading::Fine);
@@ -117,7 +125,7 @@ fn value_out_of_range_is_named_with_line_key_and_range() {
         ),
     ] {
         let (source, line) = doctored(old, new);
-        let message = TaskConfig::parse(&source).unwrap_err().to_string();
+        let message = TaskConfig::parse("mine", &source).unwrap_err().to_string();
         assert!(
             message.starts_with(&format!("scene.toml:{line}: {key}")),
             "{message}"
@@ -127,11 +135,11 @@ fn value_out_of_range_is_named_with_line_key_and_range() {
 
 #[test]
 fn missing_camera_is_an_error() {
-    let text = TaskConfig::needle_lift_source().text().to_owned();
+    let text = needle_lift_text();
     let (before, rest) = text.split_once("[[camera]]").unwrap();
     let after = &rest[rest.find("\n[success]").unwrap()..];
     let source = Source::embedded("scene.toml", &format!("camera = []\n{before}{after}"));
-    let message = TaskConfig::parse(&source).unwrap_err().to_string();
+    let message = TaskConfig::parse("mine", &source).unwrap_err().to_string();
     assert!(
         message.contains("camera = no camera is outside at least one"),
         "{message}"
@@ -141,7 +149,7 @@ fn missing_camera_is_an_error() {
 #[test]
 fn every_task_ships_with_a_valid_scene_of_its_name() {
     for name in TaskConfig::names() {
-        let task = TaskConfig::parse(&TaskConfig::source(name).unwrap()).unwrap();
+        let task = TaskConfig::shipped(name);
         assert_eq!(task.name, name);
         assert!((1..=ARMS_MAX).contains(&task.arms.len()));
         let scene = task.scene.of_task();
@@ -151,25 +159,24 @@ fn every_task_ships_with_a_valid_scene_of_its_name() {
         let poses = scene.visual_poses(&[Pose::identity(); THINGS_MAX], &Pose::identity());
         assert_eq!(poses.len(), scene.visuals().len());
     }
-    assert!(TaskConfig::source("needle-drop").is_none());
+    assert!(TaskFiles::built_in("needle-drop").is_none());
 }
 
 #[test]
-fn unknown_task_is_an_error() {
-    let (source, line) = doctored("task =", "task = \"needle-drop\"");
-    let message = TaskConfig::parse(&source).unwrap_err().to_string();
+fn unknown_kind_is_an_error() {
+    let (source, line) = doctored("kind =", "kind = \"needle-drop\"");
+    let message = TaskConfig::parse("mine", &source).unwrap_err().to_string();
     assert!(
-        message.starts_with(&format!("scene.toml:{line}: task = needle-drop")),
+        message.starts_with(&format!("scene.toml:{line}: task.kind = needle-drop")),
         "{message}"
     );
 }
 
 #[test]
 fn needles_can_be_chosen_by_name() {
-    let task = TaskConfig::needle_lift().unwrap();
+    let task = TaskConfig::shipped("needle-lift");
     let of = |name: &str| {
-        let chosen = TaskConfig::needle_lift()
-            .unwrap()
+        let chosen = TaskConfig::shipped("needle-lift")
             .with_needle(name)
             .unwrap();
         let Scene::NeedleLift(scene) = chosen.scene else {
@@ -183,7 +190,7 @@ fn needles_can_be_chosen_by_name() {
     }
     let error = task.with_needle("N6").unwrap_err();
     assert_eq!(error.known, ["N1", "N2", "N3", "N4", "N5"]);
-    let pad = TaskConfig::parse(&TaskConfig::source("suture-pad").unwrap()).unwrap();
+    let pad = TaskConfig::shipped("suture-pad");
     assert!(pad.with_needle("N1").is_err());
 }
 
@@ -199,7 +206,7 @@ fn judged(
     penetration_m: f64,
     energies_j: &[Option<f64>],
 ) -> Option<Outcome> {
-    let task = TaskConfig::parse(&TaskConfig::source(name).unwrap()).unwrap();
+    let task = TaskConfig::shipped(name);
     let scene = task.scene.of_task();
     let thing = scene.scenery(&task.world, 1).things.first()?.in_scene;
     let grasp = Grasp {

@@ -65,7 +65,7 @@ impl View {
 #[error("{task} has no camera {camera:?}, which {} swaps", View::View2.name())]
 pub struct NoSuchView {
     /// The task.
-    pub task: &'static str,
+    pub task: String,
     /// The camera that it lacks.
     pub camera: &'static str,
 }
@@ -99,7 +99,7 @@ impl TaskConfig {
     fn standing(&self, name: &'static str) -> Result<usize, NoSuchView> {
         let stands = |camera: &CameraConfig| camera.name == name && camera.mount == Mount::Scene;
         self.cameras.iter().position(stands).ok_or(NoSuchView {
-            task: self.name,
+            task: self.name.clone(),
             camera: name,
         })
     }

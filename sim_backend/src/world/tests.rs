@@ -49,7 +49,7 @@ impl Bench {
         let grasped = Vector3::new(along.cos(), along.sin(), 0.0) * shape.arc_radius_m;
         let centre = middle - lying * grasped;
         let needle = Pose::from_parts(centre.into(), lying);
-        let config = TaskConfig::needle_lift().unwrap().world;
+        let config = TaskConfig::shipped("needle-lift").world;
         let scenery = Scenery {
             things: vec![Thing::needle(&config, shape, needle)],
             ground: Ground::Organ(BACK_MUSCLE),

@@ -14,7 +14,7 @@ pub(crate) struct Simulated {
 
 /// A fresh episode, the same each time.
 pub(crate) fn make() -> Box<dyn Rig> {
-    let task = TaskConfig::needle_lift().unwrap();
+    let task = TaskConfig::built_in("needle-lift").unwrap();
     let simulation = Simulation::new(&task, 0, Rendering::Off).unwrap();
     Box::new(Simulated {
         simulation,

@@ -1,9 +1,10 @@
 //! The command line as it is typed; nothing is read or checked beyond its form.
 
+use std::ffi::OsStr;
 use std::path::PathBuf;
 
-use clap::builder::{PossibleValuesParser, RangedU64ValueParser};
-use clap::{Args, Parser, Subcommand, ValueEnum};
+use clap::builder::{PossibleValue, RangedU64ValueParser, StringValueParser, TypedValueParser};
+use clap::{Arg, Args, Command, Parser, Subcommand, ValueEnum};
 
 use runtime::session::drives::DEFAULT_TOPICS;
 use runtime::session::tasks;
@@ -88,9 +89,29 @@ pub(crate) enum Verb {
     PolicyProcess(PolicyProcessArgs),
 }
 
-/// The name of a task that can be run.
-pub(crate) fn task() -> PossibleValuesParser {
-    PossibleValuesParser::new(tasks::names())
+/// A task: the name of a built-in one or the path of a folder. Which of them there are is seen when one is loaded.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct TaskParser;
+
+impl TypedValueParser for TaskParser {
+    type Value = String;
+
+    fn parse_ref(
+        &self,
+        command: &Command,
+        option: Option<&Arg>,
+        value: &OsStr,
+    ) -> Result<String, clap::Error> {
+        StringValueParser::new().parse_ref(command, option, value)
+    }
+
+    /// For the help and for shells.
+    fn possible_values(&self) -> Option<Box<dyn Iterator<Item = PossibleValue> + '_>> {
+        let folder = PossibleValue::new("FOLDER").help("a folder with scene.toml and safety.toml");
+        Some(Box::new(
+            tasks::names().map(PossibleValue::new).chain([folder]),
+        ))
+    }
 }
 
 /// Which arm is driven.
@@ -114,8 +135,8 @@ pub(crate) enum ComputeDevice {
 /// Options of `run`.
 #[derive(Args, Debug)]
 pub(crate) struct RunArgs {
-    /// The task.
-    #[arg(long, value_parser = task())]
+    /// The task: a built-in one by name, or the path of a folder with scene.toml and safety.toml.
+    #[arg(long, value_parser = TaskParser)]
     pub(crate) task: String,
     /// `expert`, `noop`, `random`, or a checkpoint's directory.
     #[arg(long)]
@@ -190,8 +211,8 @@ pub(crate) enum Precision {
 /// Options of `eval`.
 #[derive(Args, Debug)]
 pub(crate) struct EvalArgs {
-    /// The task.
-    #[arg(long, value_parser = task())]
+    /// The task: a built-in one by name, or the path of a folder with scene.toml and safety.toml.
+    #[arg(long, value_parser = TaskParser)]
     pub(crate) task: String,
     /// `expert`, `noop`, `random`, or a checkpoint's directory.
     #[arg(long)]
@@ -244,8 +265,8 @@ pub(crate) enum Video {
 /// Options of `record`.
 #[derive(Args, Debug)]
 pub(crate) struct RecordArgs {
-    /// The task.
-    #[arg(long, value_parser = task())]
+    /// The task: a built-in one by name, or the path of a folder with scene.toml and safety.toml.
+    #[arg(long, value_parser = TaskParser)]
     pub(crate) task: String,
     /// How many successful episodes to record.
     #[arg(long, value_parser = count())]

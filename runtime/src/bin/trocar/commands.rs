@@ -13,7 +13,7 @@ use runtime::session::record::{self, RecordOptions};
 use runtime::session::run::{self, RunOptions, write_json};
 use runtime::session::summary::RunSummary;
 use runtime::session::training::{self, CameraChoice, NetworkChoice, TrainingOptions};
-use runtime::session::{PolicyChoice, SessionError, Setup, outputs};
+use runtime::session::{PolicyChoice, SessionError, Setup, outputs, tasks};
 use runtime::{replay as replaying, verify as verifying};
 use sim_backend::cameras::SceneCameras;
 use sim_backend::task::TaskConfig;
@@ -25,6 +25,7 @@ use crate::args::{
 };
 use crate::console;
 use crate::drives::can_source;
+use crate::scene_args::of_task;
 
 pub(crate) type Done = Result<bool, SessionError>;
 
@@ -76,7 +77,9 @@ pub(crate) fn run(args: &RunArgs) -> Done {
     let config = ("--config", args.config.as_deref());
     let scene = ("--scene", args.scene.scene.as_deref());
     let can_config = ("--can-config", args.can_config.as_deref());
-    let read = [config, scene, can_config];
+    let task = tasks::paths(&args.task);
+    let mut read = vec![config, scene, can_config];
+    read.extend(of_task(&task));
     outputs::check(&[log, ("--json", args.json.as_deref())], &read)?;
     let can = can_options(args)?;
     let policy = PolicyChoice::parse(&args.policy);
@@ -187,7 +190,10 @@ fn report_run(summary: &RunSummary) {
 pub(crate) fn eval(args: &EvalArgs) -> Done {
     let config = ("--config", args.config.as_deref());
     let scene = ("--scene", args.scene.scene.as_deref());
-    outputs::check(&[("--json", args.json.as_deref())], &[config, scene])?;
+    let task = tasks::paths(&args.task);
+    let mut read = vec![config, scene];
+    read.extend(of_task(&task));
+    outputs::check(&[("--json", args.json.as_deref())], &read)?;
     let policy = PolicyChoice::parse(&args.policy);
     let setup = Setup::load(&args.task, args.config.as_deref(), &policy)?
         .with_scene(&args.scene.options(None))?;
@@ -234,7 +240,10 @@ pub(crate) fn record(args: &RecordArgs) -> Done {
     let config = ("--config", args.config.as_deref());
     let scene = ("--scene", args.scene.scene.as_deref());
     let out = ("--out", Some(args.out.as_path()));
-    outputs::check(&[("--json", args.json.as_deref())], &[config, scene, out])?;
+    let task = tasks::paths(&args.task);
+    let mut read = vec![config, scene, out];
+    read.extend(of_task(&task));
+    outputs::check(&[("--json", args.json.as_deref())], &read)?;
     let setup = Setup::load(&args.task, args.config.as_deref(), &PolicyChoice::Expert)?
         .with_scene(&args.scene.options(Some(&args.cameras)))?;
     let options = RecordOptions {
@@ -401,7 +410,7 @@ fn refuse_cut(log: &RunLog, args: &LogArgs) -> Result<(), SessionError> {
 
 /// The device that the renderer really opens.
 fn graphics() -> Result<String, String> {
-    let task = TaskConfig::needle_lift().map_err(|error| error.to_string())?;
+    let task = TaskConfig::built_in("needle-lift").map_err(|error| error.to_string())?;
     let cameras = SceneCameras::new(&task).map_err(|error| error.to_string())?;
     Ok(cameras.adapter_name().to_owned())
 }

@@ -8,12 +8,12 @@ use hal::can::master::CanConfig;
 use hal::config::Source;
 use runtime::session::drives::{DEFAULT_TOPICS, DrivesOptions, InjectedFault, run_drives};
 use runtime::session::run::write_json;
-use runtime::session::{PolicyChoice, SessionError, Setup, outputs};
+use runtime::session::{PolicyChoice, SessionError, Setup, outputs, tasks};
 
-use crate::args::task;
+use crate::args::TaskParser;
 use crate::commands::Done;
 use crate::console;
-use crate::scene_args::SceneArgs;
+use crate::scene_args::{SceneArgs, of_task};
 
 /// Options of `drives`.
 #[derive(Args, Debug)]
@@ -21,8 +21,8 @@ pub(crate) struct DrivesArgs {
     /// Nodes and interfaces instead of the built-in config/can.toml.
     #[arg(long, value_name = "FILE")]
     pub(crate) config: Option<PathBuf>,
-    /// The task whose arms these are, and whose world they move in.
-    #[arg(long, value_parser = task(), default_value = "needle-lift")]
+    /// The task whose arms these are, and whose world they move in: a built-in one by name, or the path of a folder.
+    #[arg(long, value_parser = TaskParser, default_value = "needle-lift")]
     pub(crate) task: String,
     /// Everything random in the scene hangs on this.
     #[arg(long, default_value_t = 0)]
@@ -58,7 +58,10 @@ pub(crate) fn can_source(file: Option<&PathBuf>) -> Result<Source, SessionError>
 pub(crate) fn drives(args: &DrivesArgs) -> Done {
     let config = ("--config", args.config.as_deref());
     let scene = ("--scene", args.scene.scene.as_deref());
-    outputs::check(&[("--json", args.json.as_deref())], &[config, scene])?;
+    let task = tasks::paths(&args.task);
+    let mut read = vec![config, scene];
+    read.extend(of_task(&task));
+    outputs::check(&[("--json", args.json.as_deref())], &read)?;
     let can = CanConfig::load(&can_source(args.config.as_ref())?)?;
     let setup = Setup::load(&args.task, None, &PolicyChoice::Expert)?
         .with_scene(&args.scene.options(args.cameras.as_deref()))?;

@@ -1,6 +1,6 @@
 //! The options that choose a scene among those that a task has.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use clap::{Args, ValueEnum};
 
@@ -42,6 +42,11 @@ pub(crate) struct SceneArgs {
     /// From where the cameras look; wrist cameras stay as they are.
     #[arg(long, value_enum, default_value = "train")]
     pub(crate) view: ViewChoice,
+}
+
+/// The files at `paths`, which a task is read from, as what results must not take the place of.
+pub(crate) fn of_task(paths: &[PathBuf]) -> impl Iterator<Item = (&'static str, Option<&Path>)> {
+    paths.iter().map(|path| ("--task", Some(path.as_path())))
 }
 
 impl SceneArgs {

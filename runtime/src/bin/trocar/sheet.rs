@@ -7,10 +7,10 @@ use clap::Args;
 use runtime::session::sheet::{self, SheetOptions};
 use runtime::session::{outputs, tasks};
 
-use crate::args::task;
+use crate::args::TaskParser;
 use crate::commands::Done;
 use crate::console;
-use crate::scene_args::SceneArgs;
+use crate::scene_args::{SceneArgs, of_task};
 
 /// A share of something.
 fn share(text: &str) -> Result<f64, String> {
@@ -26,9 +26,9 @@ pub(crate) struct SheetArgs {
     /// The file; parent folders are made.
     #[arg(long, value_name = "FILE.png")]
     pub(crate) out: PathBuf,
-    /// A task to show; may be given several times. All if not given. A needle goes to the tasks that have a choice; a scene
-    /// file needs one task.
-    #[arg(long, value_parser = task())]
+    /// A task to show, by name or the path of its folder; may be given several times. All built-in ones if not given. A
+    /// needle goes to the tasks that have a choice; a scene file needs one task.
+    #[arg(long, value_parser = TaskParser)]
     pub(crate) task: Vec<String>,
     /// The scene.
     #[command(flatten)]
@@ -46,7 +46,14 @@ pub(crate) struct SheetArgs {
 
 pub(crate) fn sheet(args: &SheetArgs) -> Done {
     let scene = ("--scene", args.scene.scene.as_deref());
-    outputs::check(&[("--out", Some(args.out.as_path()))], &[scene])?;
+    let paths: Vec<PathBuf> = args
+        .task
+        .iter()
+        .flat_map(|task| tasks::paths(task))
+        .collect();
+    let mut read = vec![scene];
+    read.extend(of_task(&paths));
+    outputs::check(&[("--out", Some(args.out.as_path()))], &read)?;
     let options = SheetOptions {
         tasks: if args.task.is_empty() {
             tasks::names().map(str::to_owned).collect()

@@ -124,7 +124,7 @@ mod tests {
 
     /// Drives with torque that want their axes to be where `wanted` is, of which `limp` has no torque.
     fn lead(space: Space, limp: Option<usize>) -> (ArmState, ArmState) {
-        let task = TaskConfig::needle_lift().unwrap();
+        let task = TaskConfig::built_in("needle-lift").unwrap();
         let mut simulation = Simulation::new(&task, 0, Rendering::Off).unwrap();
         let before = simulation.read(TimeNs(0)).unwrap();
         let coupling = Coupling::new(&plan(space));
@@ -172,7 +172,7 @@ mod tests {
 
     #[test]
     fn what_the_encoders_say_is_what_was_measured() {
-        let task = TaskConfig::needle_lift().unwrap();
+        let task = TaskConfig::built_in("needle-lift").unwrap();
         let mut simulation = Simulation::new(&task, 0, Rendering::Off).unwrap();
         let state = simulation.read(TimeNs(0)).unwrap();
         for space in [Space::Joint, Space::Actuator] {

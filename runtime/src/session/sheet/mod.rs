@@ -23,7 +23,7 @@ use plates::Plates;
 /// What to show.
 #[derive(Clone, Debug)]
 pub struct SheetOptions {
-    /// The tasks, in order.
+    /// The tasks, in order: names or paths of folders.
     pub tasks: Vec<String>,
     /// Their needle and view, and the scene file if it is one task. The needle goes to the tasks that have a choice.
     pub scene: SceneOptions,
@@ -57,11 +57,6 @@ pub fn write(options: &SheetOptions, on_task: &mut dyn FnMut(&str)) -> Result<()
 fn setups(options: &SheetOptions) -> Result<Vec<Setup>, SessionError> {
     let refused = |reason: String| Err(SessionError::BadArgument(reason));
     let tasks = &options.tasks;
-    for (index, task) in tasks.iter().enumerate() {
-        if tasks[..index].contains(task) {
-            return refused(format!("--task: {task} is named twice"));
-        }
-    }
     if let (Some(file), true) = (&options.scene.file, tasks.len() != 1) {
         return refused(format!(
             "--scene {}: it is of one task; name that one with --task",
@@ -72,6 +67,12 @@ fn setups(options: &SheetOptions) -> Result<Vec<Setup>, SessionError> {
         .iter()
         .map(|task| Setup::load(task, None, &PolicyChoice::Expert))
         .collect::<Result<Vec<_>, _>>()?;
+    for (index, setup) in setups.iter().enumerate() {
+        let named = |other: &Setup| other.task_name == setup.task_name;
+        if setups[..index].iter().any(named) {
+            return refused(format!("--task: {} is named twice", setup.task_name));
+        }
+    }
     let has_choice = |setup: &Setup| setup.task.needle().is_some();
     // If none has, the first says so.
     let any_choice = setups.iter().any(has_choice);

@@ -4,7 +4,7 @@ use super::{failures, hold, run};
 use crate::task::{Outcome, Scene, TaskConfig};
 
 fn task() -> TaskConfig {
-    TaskConfig::parse(&TaskConfig::source("block-transfer").unwrap()).unwrap()
+    TaskConfig::shipped("block-transfer")
 }
 
 #[test]

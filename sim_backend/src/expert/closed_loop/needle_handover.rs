@@ -4,7 +4,7 @@ use super::{failures, hold, run};
 use crate::task::{Outcome, Scene, TaskConfig};
 
 fn task() -> TaskConfig {
-    TaskConfig::parse(&TaskConfig::source("needle-handover").unwrap()).unwrap()
+    TaskConfig::shipped("needle-handover")
 }
 
 #[test]

@@ -11,7 +11,7 @@ use crate::world::Grasp;
 
 #[test]
 fn expert_lifts_the_needle() {
-    let task = TaskConfig::needle_lift().unwrap();
+    let task = TaskConfig::shipped("needle-lift");
     let mut lost = Vec::new();
     for seed in 0..10 {
         let episode = run(&task, seed, |_, _| {});
@@ -38,7 +38,7 @@ fn expert_lifts_the_needle() {
 
 #[test]
 fn same_seed_gives_the_same_episode_bit_for_bit() {
-    let task = TaskConfig::needle_lift().unwrap();
+    let task = TaskConfig::shipped("needle-lift");
     let hash = |seed| run(&task, seed, |_, _| {}).state_hash;
     assert_eq!(hash(3), hash(3));
     assert_ne!(hash(3), hash(4));
@@ -47,7 +47,7 @@ fn same_seed_gives_the_same_episode_bit_for_bit() {
 #[test]
 fn needle_lift_is_the_known_episode() {
     // Recorded demonstrations and trained policies rest on these bits.
-    let episode = run(&TaskConfig::needle_lift().unwrap(), 3, |_, _| {});
+    let episode = run(&TaskConfig::shipped("needle-lift"), 3, |_, _| {});
     assert!((episode.seconds - 4.72).abs() < 1e-9, "{}", episode.seconds);
     let known = (1, 0x8700_e7b2_7af6_cab7);
     assert_eq!(
@@ -60,7 +60,7 @@ fn needle_lift_is_the_known_episode() {
 
 #[test]
 fn still_arm_does_not_succeed() {
-    let task = TaskConfig::needle_lift().unwrap();
+    let task = TaskConfig::shipped("needle-lift");
     let hold = hold(&task);
     let episode = run(&task, 2, |_, command| *command = hold);
     assert!(
@@ -73,7 +73,7 @@ fn still_arm_does_not_succeed() {
 
 #[test]
 fn expert_tries_again_after_the_jaw_let_go() {
-    let mut task = TaskConfig::needle_lift().unwrap();
+    let mut task = TaskConfig::shipped("needle-lift");
     task.time_limit_s = 25.0;
     // Whatever it wants, the jaw opens between 4.0 and 4.3 s, in the middle of the lift.
     let episode = run(&task, 1, |seconds, command| {
@@ -94,7 +94,7 @@ fn expert_tries_again_after_the_jaw_let_go() {
 
 #[test]
 fn chunk_starts_with_the_step_and_goes_on_smoothly() {
-    let task = TaskConfig::needle_lift().unwrap();
+    let task = TaskConfig::shipped("needle-lift");
     let lift = NeedleLift::shipped();
     let needle_in_scene = lift.start.draw(0, &lift.needle, &lift.organ);
     let base = task.arms[0].scene_from_rcm;
@@ -134,8 +134,7 @@ fn chunk_starts_with_the_step_and_goes_on_smoothly() {
 #[test]
 fn expert_lifts_every_needle() {
     for name in ["N2", "N3", "N4", "N5"] {
-        let task = TaskConfig::needle_lift()
-            .unwrap()
+        let task = TaskConfig::shipped("needle-lift")
             .with_needle(name)
             .unwrap();
         let failed = failures(&task, 0..4);
@@ -148,8 +147,7 @@ fn expert_lifts_every_needle() {
 fn expert_lifts_every_needle_fifty_times() {
     let mut failed = Vec::new();
     for name in ["N1", "N2", "N3", "N4", "N5"] {
-        let task = TaskConfig::needle_lift()
-            .unwrap()
+        let task = TaskConfig::shipped("needle-lift")
             .with_needle(name)
             .unwrap();
         let of_needle = failures(&task, 100..150);
@@ -160,7 +158,7 @@ fn expert_lifts_every_needle_fifty_times() {
 
 #[test]
 fn expert_stays_far_from_what_the_needle_stands() {
-    let mut task = TaskConfig::needle_lift().unwrap();
+    let mut task = TaskConfig::shipped("needle-lift");
     let Scene::NeedleLift(scene) = &mut task.scene else {
         panic!("another task");
     };

@@ -4,7 +4,7 @@ use super::{failures, hold, run};
 use crate::task::{Outcome, Scene, TaskConfig};
 
 fn task() -> TaskConfig {
-    TaskConfig::parse(&TaskConfig::source("suture-pad").unwrap()).unwrap()
+    TaskConfig::shipped("suture-pad")
 }
 
 #[test]

@@ -8,7 +8,7 @@ use crate::task::{Outcome, Reason, Scene, TaskConfig};
 use crate::tissue::RetractionFailure;
 
 fn task() -> TaskConfig {
-    TaskConfig::parse(&TaskConfig::source("tissue-retraction").unwrap()).unwrap()
+    TaskConfig::shipped("tissue-retraction")
 }
 
 #[test]

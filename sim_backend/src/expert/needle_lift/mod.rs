@@ -34,11 +34,16 @@ const LOST_STEPS: u32 = 4;
 /// Time to rest with an open jaw after a failed attempt, s.
 const REOPEN_S: f64 = 0.3;
 
+/// How much higher than success asks for to lift at least, m.
+const SPARE_LIFT_M: f64 = 0.010;
+
 /// The script of the needle lift.
 #[derive(Clone, Debug)]
 pub(super) struct Lifter {
     needle: NeedleShape,
     organ: OrganShape,
+    /// How far to lift at least, m.
+    lift_m_min: f64,
     scene_from_rcm: Pose,
     rng: Rng,
     style: Style,
@@ -86,6 +91,7 @@ impl Lifter {
         Self {
             needle: lift.needle,
             organ: lift.organ,
+            lift_m_min: lift.success.lift_height_m + SPARE_LIFT_M,
             scene_from_rcm: task.arms[0].scene_from_rcm,
             rng,
             style,
@@ -139,7 +145,7 @@ impl Lifter {
             ),
             Phase::Lift => Motion::new(
                 from,
-                raised(from, style.lift_height_m),
+                raised(from, style.lift_height_m.max(self.lift_m_min)),
                 straight,
                 now,
                 style.lift,

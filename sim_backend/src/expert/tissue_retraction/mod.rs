@@ -36,11 +36,16 @@ const LOST_STEPS: u32 = 3;
 /// Time to rest with an open jaw after a failed attempt, s: the flap falls back.
 const REOPEN_S: f64 = 0.4;
 
+/// How much higher than success asks for to lift at least, m.
+const SPARE_LIFT_M: f64 = 0.003;
+
 /// The script of the tissue retraction.
 #[derive(Clone, Debug)]
 pub(super) struct Retractor {
     thickness_m: f64,
     inset_m: f64,
+    /// How far to lift at least, m.
+    lift_m_min: f64,
     scene_from_rcm: Pose,
     rng: Rng,
     style: Style,
@@ -110,6 +115,7 @@ impl Retractor {
         Self {
             thickness_m: scene.tissue.material.thickness_m,
             inset_m: scene.tissue.mark.inset_m,
+            lift_m_min: scene.success.lift_height_m + SPARE_LIFT_M,
             scene_from_rcm: task.arms[0].scene_from_rcm,
             rng,
             style,
@@ -147,7 +153,7 @@ impl Retractor {
             Phase::Lift => {
                 let inward = from.tip_in_scene.rotation * Vector3::z();
                 let way = Vector3::z() + Vector3::new(inward.x, inward.y, 0.0) * style.lean;
-                let lift = Translation3::from(way * style.lift_height_m);
+                let lift = Translation3::from(way * style.lift_height_m.max(self.lift_m_min));
                 let to = Placement {
                     tip_in_scene: lift * from.tip_in_scene,
                     ..from

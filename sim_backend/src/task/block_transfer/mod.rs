@@ -14,26 +14,19 @@ pub use board::BoardShape;
 pub use success::SuccessConfig;
 use success::SuccessMonitor;
 
-use super::common::{ArmFile, CommonFile, EpisodeFile, RenderingFile};
-use super::{BuiltIn, CameraConfig, Entry, Monitor, Scene, TaskConfig, TaskScene};
+use super::common::{ArmFile, CommonFile, EpisodeFile, RenderingFile, TitleFile};
+use super::{CameraConfig, Kind, Monitor, Scene, TaskScene};
 use crate::block::BlockShape;
 use crate::rng::Rng;
 use crate::visual::{Backdrop, Material, Pattern, Visual, instance};
 use crate::world::{Ground, Meets, Piece, Scenery, Shape, Thing, WorldConfig};
 
-/// The name by which the command line and the logs know the task.
+/// The name by which scene files know this kind of scene.
 pub const NAME: &str = "block-transfer";
 
-pub(super) const ENTRY: Entry = Entry {
+pub(super) const KIND: Kind = Kind {
     name: NAME,
-    scene: BuiltIn {
-        path: "config/tasks/block-transfer/scene.toml",
-        text: include_str!("../../../../config/tasks/block-transfer/scene.toml"),
-    },
-    safety: BuiltIn {
-        path: "config/tasks/block-transfer/safety.toml",
-        text: include_str!("../../../../config/tasks/block-transfer/safety.toml"),
-    },
+    arms: 1,
     parse,
 };
 
@@ -67,7 +60,7 @@ pub struct BlockStart {
 #[serde(deny_unknown_fields)]
 struct File {
     #[serde(rename = "task")]
-    _task: String,
+    _task: TitleFile,
     episode: EpisodeFile,
     arm: Vec<ArmFile>,
     block: BlockShape,
@@ -80,7 +73,7 @@ struct File {
     success: SuccessConfig,
 }
 
-fn parse(source: &Source) -> Result<TaskConfig, ConfigError> {
+fn parse(source: &Source) -> Result<(CommonFile, Scene), ConfigError> {
     let file: File = source.parse()?;
     file.block.check(source, "block")?;
     file.board.check(source, "board")?;
@@ -107,7 +100,7 @@ fn parse(source: &Source) -> Result<TaskConfig, ConfigError> {
         board: file.board,
         success: file.success,
     };
-    common.into_task(source, NAME, 1, Scene::BlockTransfer(scene))
+    Ok((common, Scene::BlockTransfer(scene)))
 }
 
 impl BlockTransfer {
@@ -227,8 +220,7 @@ const fn paint(base_colour: [f32; 3]) -> Material {
 impl BlockTransfer {
     /// The scene as it ships.
     pub(crate) fn shipped() -> Self {
-        let source = TaskConfig::source(NAME).unwrap();
-        let task = TaskConfig::parse(&source).unwrap();
+        let task = super::TaskConfig::shipped(NAME);
         let Scene::BlockTransfer(scene) = task.scene else {
             panic!("not a {NAME}");
         };

@@ -5,7 +5,7 @@ use crate::task::{Judge, Outcome, Reason, Sight, TaskConfig};
 use crate::world::{Grasp, World};
 
 fn task() -> TaskConfig {
-    TaskConfig::parse(&TaskConfig::source(NAME).unwrap()).unwrap()
+    TaskConfig::shipped(NAME)
 }
 
 fn world(seed: u64) -> World {

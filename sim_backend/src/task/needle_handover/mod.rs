@@ -10,27 +10,20 @@ use serde::Deserialize;
 pub use success::SuccessConfig;
 use success::SuccessMonitor;
 
-use super::common::{ArmFile, CommonFile, EpisodeFile, RenderingFile};
+use super::common::{ArmFile, CommonFile, EpisodeFile, RenderingFile, TitleFile};
 use super::visuals::{LIVER, NEEDLE_STEEL};
-use super::{BuiltIn, CameraConfig, Entry, Monitor, NeedleStart, Scene, TaskConfig, TaskScene};
+use super::{CameraConfig, Kind, Monitor, NeedleStart, Scene, TaskScene};
 use crate::needle::NeedleShape;
 use crate::organ::OrganShape;
 use crate::visual::{Backdrop, Visual, instance};
 use crate::world::{Ground, Scenery, Thing, WorldConfig};
 
-/// The name by which the command line and the logs know the task.
+/// The name by which scene files know this kind of scene.
 pub const NAME: &str = "needle-handover";
 
-pub(super) const ENTRY: Entry = Entry {
+pub(super) const KIND: Kind = Kind {
     name: NAME,
-    scene: BuiltIn {
-        path: "config/tasks/needle-handover/scene.toml",
-        text: include_str!("../../../../config/tasks/needle-handover/scene.toml"),
-    },
-    safety: BuiltIn {
-        path: "config/tasks/needle-handover/safety.toml",
-        text: include_str!("../../../../config/tasks/needle-handover/safety.toml"),
-    },
+    arms: 2,
     parse,
 };
 
@@ -63,7 +56,7 @@ pub struct Presented {
 #[serde(deny_unknown_fields)]
 struct File {
     #[serde(rename = "task")]
-    _task: String,
+    _task: TitleFile,
     episode: EpisodeFile,
     arm: Vec<ArmFile>,
     needle: NeedleShape,
@@ -77,7 +70,7 @@ struct File {
     success: SuccessConfig,
 }
 
-fn parse(source: &Source) -> Result<TaskConfig, ConfigError> {
+fn parse(source: &Source) -> Result<(CommonFile, Scene), ConfigError> {
     let file: File = source.parse()?;
     file.needle.check(source, "needle")?;
     file.needle_start.check(source)?;
@@ -101,7 +94,7 @@ fn parse(source: &Source) -> Result<TaskConfig, ConfigError> {
         organ: file.organ,
         success: file.success,
     };
-    common.into_task(source, NAME, 2, Scene::NeedleHandover(scene))
+    Ok((common, Scene::NeedleHandover(scene)))
 }
 
 impl TaskScene for NeedleHandover {
@@ -157,8 +150,7 @@ impl TaskScene for NeedleHandover {
 impl NeedleHandover {
     /// The scene as it ships.
     pub(crate) fn shipped() -> Self {
-        let source = TaskConfig::source(NAME).unwrap();
-        let task = TaskConfig::parse(&source).unwrap();
+        let task = super::TaskConfig::shipped(NAME);
         let Scene::NeedleHandover(scene) = task.scene else {
             panic!("not a {NAME}");
         };

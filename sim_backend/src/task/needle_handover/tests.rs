@@ -66,7 +66,7 @@ impl Bench {
 
 #[test]
 fn both_shafts_point_at_the_scene_from_their_sides() {
-    let task = TaskConfig::parse(&TaskConfig::source(NAME).unwrap()).unwrap();
+    let task = TaskConfig::shipped(NAME);
     let scene = NeedleHandover::shipped();
     let world = World::new(&task.world, &scene.scenery(&task.world, 0), &task.arms);
     for (arm, side) in [(0, 1.0), (1, -1.0)] {

@@ -11,30 +11,23 @@ use serde::Deserialize;
 pub use success::SuccessConfig;
 use success::SuccessMonitor;
 
-use super::common::{ArmFile, CommonFile, EpisodeFile, RenderingFile};
+use super::common::{ArmFile, CommonFile, EpisodeFile, RenderingFile, TitleFile};
 use super::visuals::{MUSCLE, NEEDLE_STEEL};
-use super::{BuiltIn, CameraConfig, Entry, Monitor, NeedleStart, Scene, TaskConfig, TaskScene};
+use super::{CameraConfig, Kind, Monitor, NeedleStart, Scene, TaskScene};
 use crate::needle::NeedleShape;
 use crate::organ::OrganShape;
 use crate::visual::{Visual, instance};
 use crate::world::{Ground, Scenery, Thing, WorldConfig};
 
-/// The name by which the command line and the logs know the task.
+/// The name by which scene files know this kind of scene.
 pub const NAME: &str = "needle-lift";
 
 /// The needle that demonstrations are recorded with.
 pub const TRAINED: &str = "N1";
 
-pub(super) const ENTRY: Entry = Entry {
+pub(super) const KIND: Kind = Kind {
     name: NAME,
-    scene: BuiltIn {
-        path: "config/tasks/needle-lift/scene.toml",
-        text: include_str!("../../../../config/tasks/needle-lift/scene.toml"),
-    },
-    safety: BuiltIn {
-        path: "config/tasks/needle-lift/safety.toml",
-        text: include_str!("../../../../config/tasks/needle-lift/safety.toml"),
-    },
+    arms: 1,
     parse,
 };
 
@@ -59,7 +52,7 @@ pub struct NeedleLift {
 #[serde(deny_unknown_fields)]
 struct File {
     #[serde(rename = "task")]
-    _task: String,
+    _task: TitleFile,
     episode: EpisodeFile,
     arm: Vec<ArmFile>,
     needle: BTreeMap<String, NeedleShape>,
@@ -72,7 +65,7 @@ struct File {
     success: SuccessConfig,
 }
 
-fn parse(source: &Source) -> Result<TaskConfig, ConfigError> {
+fn parse(source: &Source) -> Result<(CommonFile, Scene), ConfigError> {
     let file: File = source.parse()?;
     for (name, needle) in &file.needle {
         needle.check(source, &format!("needle.{name}"))?;
@@ -98,7 +91,7 @@ fn parse(source: &Source) -> Result<TaskConfig, ConfigError> {
         organ: file.organ,
         success: file.success,
     };
-    common.into_task(source, NAME, 1, Scene::NeedleLift(scene))
+    Ok((common, Scene::NeedleLift(scene)))
 }
 
 impl TaskScene for NeedleLift {
@@ -149,7 +142,7 @@ impl TaskScene for NeedleLift {
 impl NeedleLift {
     /// The scene as it ships.
     pub(crate) fn shipped() -> Self {
-        let task = TaskConfig::needle_lift().unwrap();
+        let task = super::TaskConfig::shipped("needle-lift");
         let Scene::NeedleLift(scene) = task.scene else {
             panic!("not a {NAME}");
         };

@@ -14,27 +14,20 @@ pub use pad::PadShape;
 pub use success::SuccessConfig;
 use success::SuccessMonitor;
 
-use super::common::{ArmFile, CommonFile, EpisodeFile, RenderingFile};
+use super::common::{ArmFile, CommonFile, EpisodeFile, RenderingFile, TitleFile};
 use super::visuals::NEEDLE_STEEL;
-use super::{BuiltIn, CameraConfig, Entry, Monitor, Scene, TaskConfig, TaskScene};
+use super::{CameraConfig, Kind, Monitor, Scene, TaskScene};
 use crate::needle::NeedleShape;
 use crate::rng::Rng;
 use crate::visual::{Backdrop, Material, Pattern, Visual, instance};
 use crate::world::{Ground, Scenery, Thing, WorldConfig};
 
-/// The name by which the command line and the logs know the task.
+/// The name by which scene files know this kind of scene.
 pub const NAME: &str = "suture-pad";
 
-pub(super) const ENTRY: Entry = Entry {
+pub(super) const KIND: Kind = Kind {
     name: NAME,
-    scene: BuiltIn {
-        path: "config/tasks/suture-pad/scene.toml",
-        text: include_str!("../../../../config/tasks/suture-pad/scene.toml"),
-    },
-    safety: BuiltIn {
-        path: "config/tasks/suture-pad/safety.toml",
-        text: include_str!("../../../../config/tasks/suture-pad/safety.toml"),
-    },
+    arms: 1,
     parse,
 };
 
@@ -92,7 +85,7 @@ pub struct PadStart {
 #[serde(deny_unknown_fields)]
 struct File {
     #[serde(rename = "task")]
-    _task: String,
+    _task: TitleFile,
     episode: EpisodeFile,
     arm: Vec<ArmFile>,
     needle: NeedleShape,
@@ -105,7 +98,7 @@ struct File {
     success: SuccessConfig,
 }
 
-fn parse(source: &Source) -> Result<TaskConfig, ConfigError> {
+fn parse(source: &Source) -> Result<(CommonFile, Scene), ConfigError> {
     let file: File = source.parse()?;
     file.needle.check(source, "needle")?;
     file.needle_start.check(source, "needle_start")?;
@@ -124,7 +117,7 @@ fn parse(source: &Source) -> Result<TaskConfig, ConfigError> {
         pad: file.pad,
         success: file.success,
     };
-    common.into_task(source, NAME, 1, Scene::SuturePad(scene))
+    Ok((common, Scene::SuturePad(scene)))
 }
 
 impl PadStart {
@@ -208,8 +201,7 @@ impl TaskScene for SuturePad {
 impl SuturePad {
     /// The scene as it ships.
     pub(crate) fn shipped() -> Self {
-        let source = TaskConfig::source(NAME).unwrap();
-        let task = TaskConfig::parse(&source).unwrap();
+        let task = super::TaskConfig::shipped(NAME);
         let Scene::SuturePad(scene) = task.scene else {
             panic!("not a {NAME}");
         };

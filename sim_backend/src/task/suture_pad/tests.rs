@@ -37,7 +37,7 @@ fn show(judge: &mut Judge, needle: Pose, sunk_m: f64, seconds: f64) -> Outcome {
 #[test]
 fn needle_starts_along_the_lip_and_at_rest() {
     let scene = SuturePad::shipped();
-    let task = TaskConfig::parse(&TaskConfig::source(NAME).unwrap()).unwrap();
+    let task = TaskConfig::shipped(NAME);
     let (mut least, mut most) = (f64::INFINITY, f64::NEG_INFINITY);
     for seed in 0..1000 {
         let middle = scene.start.draw(seed, &scene.needle)
@@ -63,7 +63,7 @@ fn needle_starts_along_the_lip_and_at_rest() {
 #[test]
 fn wire_fits_through_the_hole_and_not_through_the_lip() {
     let scene = SuturePad::shipped();
-    let task = TaskConfig::parse(&TaskConfig::source(NAME).unwrap()).unwrap();
+    let task = TaskConfig::shipped(NAME);
     let sunk = |in_scene| {
         let mut scenery = scene.scenery(&task.world, 0);
         scenery.things[0].in_scene = in_scene;

@@ -10,26 +10,19 @@ use serde::Deserialize;
 pub use liver::LiverShape;
 use success::SuccessMonitor;
 
-use super::common::{ArmFile, CommonFile, EpisodeFile, RenderingFile};
+use super::common::{ArmFile, CommonFile, EpisodeFile, RenderingFile, TitleFile};
 use super::visuals::{LIVER, MUSCLE};
-use super::{BuiltIn, CameraConfig, Entry, Monitor, Scene, TaskConfig, TaskScene};
+use super::{CameraConfig, Kind, Monitor, Scene, TaskScene};
 use crate::tissue::{NODES_MAX, Patch, RetractionConfig, TissueConfig};
 use crate::visual::{Backdrop, Material, Pattern, Visual, instance};
 use crate::world::{Flap, Ground, Scenery, WorldConfig};
 
-/// The name by which the command line and the logs know the task.
+/// The name by which scene files know this kind of scene.
 pub const NAME: &str = "tissue-retraction";
 
-pub(super) const ENTRY: Entry = Entry {
+pub(super) const KIND: Kind = Kind {
     name: NAME,
-    scene: BuiltIn {
-        path: "config/tasks/tissue-retraction/scene.toml",
-        text: include_str!("../../../../config/tasks/tissue-retraction/scene.toml"),
-    },
-    safety: BuiltIn {
-        path: "config/tasks/tissue-retraction/safety.toml",
-        text: include_str!("../../../../config/tasks/tissue-retraction/safety.toml"),
-    },
+    arms: 1,
     parse,
 };
 
@@ -69,7 +62,7 @@ pub struct TissueRetraction {
 #[serde(deny_unknown_fields)]
 struct File {
     #[serde(rename = "task")]
-    _task: String,
+    _task: TitleFile,
     episode: EpisodeFile,
     arm: Vec<ArmFile>,
     liver: LiverShape,
@@ -89,7 +82,7 @@ struct Look {
     mark_radius_m: f64,
 }
 
-fn parse(source: &Source) -> Result<TaskConfig, ConfigError> {
+fn parse(source: &Source) -> Result<(CommonFile, Scene), ConfigError> {
     let file: File = source.parse()?;
     file.liver.check(source, "liver")?;
     file.tissue.check(source, "tissue")?;
@@ -114,7 +107,7 @@ fn parse(source: &Source) -> Result<TaskConfig, ConfigError> {
         liver: file.liver,
         success: file.success,
     };
-    common.into_task(source, NAME, 1, Scene::TissueRetraction(scene))
+    Ok((common, Scene::TissueRetraction(scene)))
 }
 
 impl TaskScene for TissueRetraction {
@@ -175,8 +168,7 @@ impl TaskScene for TissueRetraction {
 impl TissueRetraction {
     /// The scene as it ships.
     pub(crate) fn shipped() -> Self {
-        let source = TaskConfig::source(NAME).unwrap();
-        let task = TaskConfig::parse(&source).unwrap();
+        let task = super::TaskConfig::shipped(NAME);
         let Scene::TissueRetraction(scene) = task.scene else {
             panic!("not a {NAME}");
         };

@@ -5,12 +5,12 @@ use nalgebra::{Point3, Translation3};
 
 use super::*;
 use crate::expert::closed_loop::{forward, inverse};
-use crate::task::{Outcome, Sight};
+use crate::task::{Outcome, Sight, TaskConfig, TaskFiles};
 use crate::tissue::{Grasp, TissueReport};
 use crate::world::World;
 
 fn task() -> TaskConfig {
-    TaskConfig::parse(&TaskConfig::source(NAME).unwrap()).unwrap()
+    TaskConfig::shipped(NAME)
 }
 
 /// The world of the episode `seed`, the arm's jaw open around the free edge at the mark.
@@ -179,9 +179,9 @@ fn verdicts_of_the_flap_are_those_of_the_task() {
 
 #[test]
 fn a_flap_of_more_nodes_than_can_be_drawn_is_refused() {
-    let text = TaskConfig::source(NAME).unwrap().text().to_owned();
+    let text = TaskFiles::built_in(NAME).unwrap().scene.text().to_owned();
     let finer = text.replace("cells = [15, 12]", "cells = [15, 13]");
-    let message = TaskConfig::parse(&Source::embedded("scene.toml", &finer))
+    let message = TaskConfig::parse(NAME, &Source::embedded("scene.toml", &finer))
         .unwrap_err()
         .to_string();
     assert!(

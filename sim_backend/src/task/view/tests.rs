@@ -5,7 +5,7 @@ use crate::render::look_at;
 use nalgebra::{Point3, Vector3};
 
 fn tasks() -> impl Iterator<Item = TaskConfig> {
-    TaskConfig::names().map(|name| TaskConfig::parse(&TaskConfig::source(name).unwrap()).unwrap())
+    TaskConfig::names().map(TaskConfig::shipped)
 }
 
 fn file_pose(camera: &CameraConfig) -> Pose {
@@ -15,7 +15,7 @@ fn file_pose(camera: &CameraConfig) -> Pose {
 
 /// The endoscope of the needle lift, and how the first view moves it in the episode `seed`.
 fn shifts() -> impl Fn(u64) -> Pose {
-    let endoscope = TaskConfig::needle_lift().unwrap().cameras[0].clone();
+    let endoscope = TaskConfig::shipped("needle-lift").cameras[0].clone();
     move |seed| View::View1.shift(&endoscope, seed)
 }
 
@@ -44,7 +44,7 @@ fn view1_hangs_on_seed_and_name_alone() {
     let shift = shifts();
     assert_eq!(shift(7), shift(7));
     assert_ne!(shift(7), shift(8));
-    let task = TaskConfig::needle_lift().unwrap();
+    let task = TaskConfig::shipped("needle-lift");
     let side = task.cameras.iter().find(|camera| camera.name == SIDE);
     assert_ne!(View::View1.shift(side.unwrap(), 7), shift(7));
     assert_eq!(View::Train.shift(&task.cameras[0], 7), Pose::identity());
@@ -97,7 +97,7 @@ fn view2_swaps_places_and_lenses_and_keeps_names_and_sizes() {
 
 #[test]
 fn a_swap_without_a_side_camera_is_refused() {
-    let mut task = TaskConfig::needle_lift().unwrap();
+    let mut task = TaskConfig::shipped("needle-lift");
     task.cameras.retain(|camera| camera.name != SIDE);
     let error = task.clone().with_view(View::View2).unwrap_err().to_string();
     assert_eq!(

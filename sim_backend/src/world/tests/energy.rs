@@ -9,9 +9,7 @@ use crate::world::{Shape, WorldConfig};
 use hal::Pose;
 
 fn config(task: &str) -> WorldConfig {
-    TaskConfig::parse(&TaskConfig::source(task).unwrap())
-        .unwrap()
-        .world
+    TaskConfig::shipped(task).world
 }
 
 /// A needle alone in the world over `ground`, at rest at `in_scene`.

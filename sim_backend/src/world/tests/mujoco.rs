@@ -25,7 +25,7 @@ const TIP_TOLERANCE_RAD: f64 = 0.02;
 const STATIC_TOLERANCE: f64 = 1e-8;
 
 fn config() -> PlantConfig {
-    TaskConfig::needle_lift().unwrap().world.plant
+    TaskConfig::shipped("needle-lift").world.plant
 }
 
 fn parameters() -> Parameters {

@@ -10,7 +10,7 @@ use crate::task::{Scene, TaskConfig};
 
 /// A world of the block transfer at the start of an episode.
 fn block_on_peg(seed: u64) -> (TaskConfig, World) {
-    let task = TaskConfig::parse(&TaskConfig::source("block-transfer").unwrap()).unwrap();
+    let task = TaskConfig::shipped("block-transfer");
     let scenery = task.scene.of_task().scenery(&task.world, seed);
     let world = World::new(&task.world, &scenery, &task.arms);
     (task, world)
