@@ -8,7 +8,7 @@ use nalgebra::{Point3, Vector3};
 
 use crate::render::{Camera, Light, Planes, RenderError, Renderer, look_at};
 use crate::simulation::SimulationError;
-use crate::task::{ARMS_MAX, CameraConfig, Scene, THINGS_MAX, TaskConfig};
+use crate::task::{ARMS_MAX, CameraConfig, THINGS_MAX, TaskConfig, TaskScene};
 use crate::task::{scene_poses, scene_visuals};
 use crate::tissue::FlapSnapshot;
 use crate::world::ArmBodies;
@@ -34,7 +34,7 @@ pub struct SceneSnapshot {
 /// The cameras of one task, their light and the device that draws.
 pub struct SceneCameras {
     renderer: Renderer,
-    scene: Scene,
+    scene: Box<dyn TaskScene>,
     views: Vec<View>,
     flap: Option<DrawnFlap>,
     /// The endoscope: all cameras see in its light.
@@ -57,14 +57,14 @@ impl SceneCameras {
     /// [`SimulationError::Render`] if there is no device to render with.
     pub fn new(task: &TaskConfig) -> Result<Self, SimulationError> {
         let visuals = scene_visuals(task);
-        let backdrop = task.scene.of_task().backdrop();
+        let backdrop = task.scene.backdrop();
         let renderer = Renderer::with_backdrop(&visuals, &backdrop, task.shading)?;
         let views = task.cameras.iter().map(View::new).collect();
         Ok(Self {
             renderer,
             scene: task.scene.clone(),
             views,
-            flap: DrawnFlap::new(&task.scene, &visuals),
+            flap: DrawnFlap::new(&*task.scene, &visuals),
             endoscope: task.light_camera(),
         })
     }
@@ -146,7 +146,7 @@ impl SceneCameras {
         frame: &mut CameraFrame,
     ) -> Result<(), SimulationError> {
         let (camera, light) = (self.placed(camera, snapshot)?, self.light(snapshot)?);
-        let poses = scene_poses(&self.scene, snapshot);
+        let poses = scene_poses(&*self.scene, snapshot);
         self.bend(snapshot)?;
         self.renderer.render(&poses, &camera, &light, frame)?;
         Ok(())
@@ -164,7 +164,7 @@ impl SceneCameras {
         frames: &mut [CameraFrame],
     ) -> Result<(), SimulationError> {
         let light = self.light(snapshot)?;
-        let poses = scene_poses(&self.scene, snapshot);
+        let poses = scene_poses(&*self.scene, snapshot);
         let mut shots = Vec::with_capacity(which.len());
         for (&camera, frame) in which.iter().zip(frames) {
             shots.push((self.placed(camera, snapshot)?, frame));
@@ -185,7 +185,7 @@ impl SceneCameras {
         planes: Planes<'_>,
     ) -> Result<(), SimulationError> {
         let (camera, light) = (self.placed(camera, snapshot)?, self.light(snapshot)?);
-        let poses = scene_poses(&self.scene, snapshot);
+        let poses = scene_poses(&*self.scene, snapshot);
         self.bend(snapshot)?;
         self.renderer.render_into(&poses, &camera, &light, planes)?;
         Ok(())

@@ -130,7 +130,7 @@ impl Simulation {
         if let Some(cameras) = &mut cameras {
             cameras.begin_episode(task, seed);
         }
-        let scene = task.scene.of_task();
+        let scene = &task.scene;
         let mut world = World::new(&task.world, &scene.scenery(&task.world, seed), &task.arms);
         for _ in 0..SETTLE_STEPS {
             world.step();
@@ -331,7 +331,7 @@ impl Arm for Simulation {
 }
 
 #[cfg(test)]
-mod pictures;
+pub(crate) mod pictures;
 #[cfg(test)]
 mod tests;
 #[cfg(test)]

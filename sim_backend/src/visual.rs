@@ -2,7 +2,7 @@
 
 use hal::Pose;
 
-/// Instance ids that every task uses; 0 is background.
+/// Instance ids that scenes of several kinds use; 0 is background. Those of one kind alone lie in its module.
 pub mod instance {
     /// The organ or board that the task happens on.
     pub const ORGAN: u8 = 1;
@@ -20,17 +20,46 @@ pub mod instance {
     pub const SECOND_WRIST: u8 = 7;
     /// Jaw fingers of the second arm.
     pub const SECOND_JAW: u8 = 8;
-    /// The training block.
-    pub const BLOCK: u8 = 9;
-    /// Pegs of a board.
-    pub const PEG: u8 = 10;
-    /// The peg that the block belongs on.
-    pub const GOAL_PEG: u8 = 11;
     /// The soft flap.
     pub const TISSUE: u8 = 12;
     /// The mark on it.
     pub const MARK: u8 = 13;
 }
+
+/// What an instance id means to people.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Part {
+    /// The id.
+    pub instance: u8,
+    /// The name.
+    pub name: &'static str,
+    /// A colour for pictures of ids, RGB.
+    pub colour: [u8; 3],
+}
+
+impl Part {
+    pub(crate) const fn new(instance: u8, name: &'static str, colour: [u8; 3]) -> Self {
+        Self {
+            instance,
+            name,
+            colour,
+        }
+    }
+}
+
+/// The parts of [`instance`].
+pub(crate) const PARTS: [Part; 10] = [
+    Part::new(instance::ORGAN, "ground", [128, 70, 60]),
+    Part::new(instance::NEEDLE, "needle", [255, 225, 25]),
+    Part::new(instance::SHAFT, "shaft", [130, 130, 140]),
+    Part::new(instance::WRIST, "wrist", [70, 200, 240]),
+    Part::new(instance::JAW, "jaw", [245, 120, 30]),
+    Part::new(instance::SECOND_SHAFT, "2nd shaft", [110, 80, 200]),
+    Part::new(instance::SECOND_WRIST, "2nd wrist", [60, 180, 75]),
+    Part::new(instance::SECOND_JAW, "2nd jaw", [230, 40, 60]),
+    Part::new(instance::TISSUE, "flap", [0, 150, 60]),
+    Part::new(instance::MARK, "mark", [210, 0, 210]),
+];
 
 /// A triangle mesh in its own frame, metres; counter-clockwise triangles face outwards.
 #[derive(Clone, Debug, Default)]

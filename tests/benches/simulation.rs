@@ -19,7 +19,8 @@ use runtime::session::source::STEP_NS;
 use runtime::session::{PolicyChoice, SessionError, Setup, tasks};
 use sim_backend::cameras::SceneCameras;
 use sim_backend::simulation::{Rendering, Simulation};
-use sim_backend::task::{Outcome, Scene};
+use sim_backend::task::Outcome;
+use sim_backend::task::needle_lift::NeedleLift;
 use tch::Device;
 
 const SEED: u64 = 1;
@@ -62,7 +63,7 @@ fn run_expert(
 fn unending(setup: &Setup) -> Setup {
     let mut patient = setup.clone();
     patient.task.time_limit_s = 1e6;
-    if let Scene::NeedleLift(lift) = &mut patient.task.scene {
+    if let Some(lift) = patient.task.scene_mut::<NeedleLift>() {
         lift.success.hold_s = 1e6;
     }
     patient

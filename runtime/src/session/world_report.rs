@@ -133,7 +133,7 @@ mod tests {
             );
             assert_eq!((told.task.text().as_str(), told.seed), (name, 5));
             assert_eq!(told.verdict(), Verdict::Running);
-            assert_eq!(tissue(&told).is_some(), name == "tissue-retraction");
+            assert_eq!(tissue(&told).is_some(), task.kind == "tissue-retraction");
             let waiting = WorldState {
                 outcome: None,
                 ..state

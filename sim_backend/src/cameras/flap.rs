@@ -3,7 +3,7 @@
 use nalgebra::Vector3;
 
 use crate::render::{RenderError, Renderer};
-use crate::task::Scene;
+use crate::task::TaskScene;
 use crate::tissue::{FlapSnapshot, Patch, Surface};
 use crate::visual::{Visual, instance};
 
@@ -21,8 +21,8 @@ pub(super) struct DrawnFlap {
 
 impl DrawnFlap {
     /// The flap of `scene`, if it has one and `visuals` show it.
-    pub(super) fn new(scene: &Scene, visuals: &[Visual]) -> Option<Self> {
-        let (config, mark_radius_m) = scene.of_task().flap()?;
+    pub(super) fn new(scene: &dyn TaskScene, visuals: &[Visual]) -> Option<Self> {
+        let (config, mark_radius_m) = scene.flap()?;
         let index = |id| visuals.iter().position(|visual| visual.instance == id);
         let surface = config.surface();
         Some(Self {

@@ -7,10 +7,10 @@ use super::motion::{Motion, Placement};
 
 /// How far the measured tip may be from its target at the end of a motion, m, and how long to wait for it, s.
 const ARRIVED_M: f64 = 0.0006;
-pub(super) const ARRIVED_PATIENCE_S: f64 = 0.6;
+pub(crate) const ARRIVED_PATIENCE_S: f64 = 0.6;
 
 /// `placement`, higher by `height_m`.
-pub(super) fn raised(placement: Placement, height_m: f64) -> Placement {
+pub(crate) fn raised(placement: Placement, height_m: f64) -> Placement {
     Placement {
         tip_in_scene: Translation3::new(0.0, 0.0, height_m) * placement.tip_in_scene,
         ..placement
@@ -18,13 +18,13 @@ pub(super) fn raised(placement: Placement, height_m: f64) -> Placement {
 }
 
 /// The tip rotation at home: approach along -z of the scene, jaw opening along x.
-pub(super) fn straight_down() -> UnitQuaternion<f64> {
+pub(crate) fn straight_down() -> UnitQuaternion<f64> {
     let columns = Matrix3::from_columns(&[Vector3::y(), Vector3::x(), -Vector3::z()]);
     UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(columns))
 }
 
 /// Whether the measured tip is where the motion ends.
-pub(super) fn settled(motion: &Motion, tip_in_scene: &Pose) -> bool {
+pub(crate) fn settled(motion: &Motion, tip_in_scene: &Pose) -> bool {
     let tip = tip_in_scene.translation.vector;
     (tip - motion.end().tip_in_scene.translation.vector).norm() < ARRIVED_M
 }

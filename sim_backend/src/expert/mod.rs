@@ -1,24 +1,23 @@
-//! Scripted experts: one script a task, a little different with each seed.
+//! Scripted experts: what the scripts of all tasks share. Each lies with its task, and is a little different with each seed.
 //!
 //! A script sees the scene's true state, once a policy step, and answers with the tip targets of that instant. Targets
 //! form smooth paths from rest to rest, so that they can be recorded as demonstrations. Scripts follow what moves, and
 //! start over when a grasp failed.
 
-mod block_transfer;
+pub(crate) mod alone;
 #[cfg(test)]
 pub(crate) mod closed_loop;
-mod hand;
-mod motion;
-mod needle_handover;
-mod needle_lift;
-mod suture_pad;
-mod tissue_retraction;
-mod wire;
+pub(crate) mod hand;
+pub(crate) mod motion;
+pub(crate) mod play;
+pub(crate) mod wire;
+
+use core::fmt::Debug;
 
 use hal::{Chunk, TimeNs, TipTarget};
 
 use crate::simulation::{ArmScene, SceneState};
-use crate::task::{ARMS_MAX, Scene, TaskConfig};
+use crate::task::{ARMS_MAX, TaskConfig};
 
 /// Time between two steps of an expert, ns: 40 control ticks.
 pub const STEP_NS: u64 = 40 * hal::TICK_NS;
@@ -27,29 +26,20 @@ pub const STEP_NS: u64 = 40 * hal::TICK_NS;
 pub const CHUNK_LEN: usize = 10;
 
 /// The scripted expert of a task.
-#[derive(Clone, Debug)]
+#[derive(Debug)]
 pub struct Expert {
-    script: AnyScript,
-}
-
-#[derive(Clone, Debug)]
-enum AnyScript {
-    NeedleLift(Box<needle_lift::Lifter>),
-    BlockTransfer(Box<block_transfer::Mover>),
-    SuturePad(Box<suture_pad::Driver>),
-    NeedleHandover(Box<needle_handover::Passer>),
-    TissueRetraction(Box<tissue_retraction::Retractor>),
+    script: Box<dyn AnyScript>,
 }
 
 /// Where the tips should be at one instant, each in its arm's RCM frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
-struct Wish {
-    first: TipTarget,
-    second: Option<TipTarget>,
+pub(crate) struct Wish {
+    pub(crate) first: TipTarget,
+    pub(crate) second: Option<TipTarget>,
 }
 
 /// What an expert of one task does.
-trait Script: Clone {
+pub(crate) trait Script: Clone + Debug + Send + 'static {
     /// The wish for `now`; to be asked every [`STEP_NS`]. The first call starts from where the tips are measured.
     fn step(&mut self, now: TimeNs, scene: &SceneState) -> Wish;
 
@@ -57,11 +47,36 @@ trait Script: Clone {
     fn attempts(&self) -> u32;
 
     /// Changes `scene` to what it would be after `wish` if the arms kept up.
-    fn foresee(&self, scene: &mut SceneState, wish: &Wish) {
-        arrive(&mut scene.first, &wish.first);
-        if let (Some(arm), Some(target)) = (&mut scene.second, &wish.second) {
-            arrive(arm, target);
+    fn foresee(&self, scene: &mut SceneState, wish: &Wish);
+}
+
+/// A script of whatever task, with its foresight.
+pub(crate) trait AnyScript: Debug + Send {
+    /// The wish for `now`, and those that would follow.
+    fn wishes(&mut self, now: TimeNs, scene: &SceneState) -> [Wish; CHUNK_LEN];
+
+    /// Attempts at a grasp begun so far, the present one included.
+    fn attempts(&self) -> u32;
+}
+
+impl<S: Script> AnyScript for S {
+    fn wishes(&mut self, now: TimeNs, scene: &SceneState) -> [Wish; CHUNK_LEN] {
+        let mut wish = self.step(now, scene);
+        let mut wishes = [wish; CHUNK_LEN];
+        let mut ahead = self.clone();
+        let mut imagined = *scene;
+        let mut due = now;
+        for slot in wishes.iter_mut().skip(1) {
+            due = due.plus_ns(STEP_NS);
+            ahead.foresee(&mut imagined, &wish);
+            wish = ahead.step(due, &imagined);
+            *slot = wish;
         }
+        wishes
+    }
+
+    fn attempts(&self) -> u32 {
+        Script::attempts(self)
     }
 }
 
@@ -69,37 +84,21 @@ impl Expert {
     /// An expert for `task`; its habits hang on `seed`, apart from the scene's own randomness.
     #[must_use]
     pub fn new(task: &TaskConfig, seed: u64) -> Self {
-        let script = match &task.scene {
-            Scene::NeedleLift(scene) => {
-                AnyScript::NeedleLift(Box::new(needle_lift::Lifter::new(task, scene, seed)))
-            }
-            Scene::BlockTransfer(scene) => {
-                AnyScript::BlockTransfer(Box::new(block_transfer::Mover::new(task, scene, seed)))
-            }
-            Scene::SuturePad(scene) => {
-                AnyScript::SuturePad(Box::new(suture_pad::Driver::new(task, scene, seed)))
-            }
-            Scene::NeedleHandover(scene) => {
-                AnyScript::NeedleHandover(Box::new(needle_handover::Passer::new(task, scene, seed)))
-            }
-            Scene::TissueRetraction(scene) => {
-                let script = tissue_retraction::Retractor::new(task, scene, seed);
-                AnyScript::TissueRetraction(Box::new(script))
-            }
-        };
-        Self { script }
+        Self {
+            script: task.scene.expert(&task.arms, seed),
+        }
     }
 
     /// The first arm's target for `now` and those that would follow if the arm kept up and nothing unforeseen happened;
     /// to be called every [`STEP_NS`].
     pub fn chunk(&mut self, now: TimeNs, scene: &SceneState, sequence: u64) -> Chunk {
-        let wishes = self.wishes(now, scene);
+        let wishes = self.script.wishes(now, scene);
         Chunk::new(now, sequence, STEP_NS, &wishes.map(|wish| wish.first))
     }
 
     /// The same for all arms of the task, in their order; to be called instead of [`Expert::chunk`].
     pub fn chunks(&mut self, now: TimeNs, scene: &SceneState, sequence: u64) -> Vec<Chunk> {
-        let wishes = self.wishes(now, scene);
+        let wishes = self.script.wishes(now, scene);
         let first = wishes.map(|wish| Some(wish.first));
         let second = wishes.map(|wish| wish.second);
         let mut chunks = Vec::with_capacity(ARMS_MAX);
@@ -115,50 +114,22 @@ impl Expert {
     /// Attempts at a grasp begun so far, the present one included.
     #[must_use]
     pub fn attempts(&self) -> u32 {
-        match &self.script {
-            AnyScript::NeedleLift(script) => script.attempts(),
-            AnyScript::BlockTransfer(script) => script.attempts(),
-            AnyScript::SuturePad(script) => script.attempts(),
-            AnyScript::NeedleHandover(script) => script.attempts(),
-            AnyScript::TissueRetraction(script) => script.attempts(),
-        }
+        self.script.attempts()
     }
-
-    fn wishes(&mut self, now: TimeNs, scene: &SceneState) -> [Wish; CHUNK_LEN] {
-        match &mut self.script {
-            AnyScript::NeedleLift(script) => foreseen(&mut **script, now, scene),
-            AnyScript::BlockTransfer(script) => foreseen(&mut **script, now, scene),
-            AnyScript::SuturePad(script) => foreseen(&mut **script, now, scene),
-            AnyScript::NeedleHandover(script) => foreseen(&mut **script, now, scene),
-            AnyScript::TissueRetraction(script) => foreseen(&mut **script, now, scene),
-        }
-    }
-}
-
-/// The wish of `script` for `now`, and those that would follow.
-fn foreseen<S: Script>(script: &mut S, now: TimeNs, scene: &SceneState) -> [Wish; CHUNK_LEN] {
-    let mut wish = script.step(now, scene);
-    let mut wishes = [wish; CHUNK_LEN];
-    let mut ahead = script.clone();
-    let mut imagined = *scene;
-    let mut due = now;
-    for slot in wishes.iter_mut().skip(1) {
-        due = due.plus_ns(STEP_NS);
-        ahead.foresee(&mut imagined, &wish);
-        wish = ahead.step(due, &imagined);
-        *slot = wish;
-    }
-    wishes
 }
 
 /// [`arrive`] with the thing in the hand.
-fn carry(arm: &mut ArmScene, target: &TipTarget) {
+pub(crate) fn carry(arm: &mut ArmScene, target: &TipTarget) {
     let thing_in_tip = arm.tip_in_rcm.inv_mul(&arm.thing_in_rcm);
     arrive(arm, target);
     arm.thing_in_rcm = arm.tip_in_rcm * thing_in_tip;
 }
 
-fn arrive(arm: &mut ArmScene, target: &TipTarget) {
+/// Changes `arm` to what it would be if it were where `target` wants it.
+pub(crate) fn arrive(arm: &mut ArmScene, target: &TipTarget) {
     arm.tip_in_rcm = target.tip_in_rcm();
     arm.jaw = target.jaw;
 }
+
+#[cfg(test)]
+mod tests;

@@ -5,20 +5,20 @@ use nalgebra::{Point3, Translation3, UnitQuaternion, Vector3};
 
 /// Tip pose and jaw angle, in the scene frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Placement {
-    pub(super) tip_in_scene: Pose,
-    pub(super) jaw: f64,
+pub(crate) struct Placement {
+    pub(crate) tip_in_scene: Pose,
+    pub(crate) jaw: f64,
 }
 
 /// How fast a motion may be.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Pace {
+pub(crate) struct Pace {
     /// Peak speed of the tip, m/s.
-    pub(super) speed_m_s: f64,
+    pub(crate) speed_m_s: f64,
     /// Peak rate of the jaw, rad/s.
-    pub(super) jaw_rate_rad_s: f64,
+    pub(crate) jaw_rate_rad_s: f64,
     /// Shortest time that a motion takes, s.
-    pub(super) duration_s_min: f64,
+    pub(crate) duration_s_min: f64,
 }
 
 /// Peak rate of turning, rad/s.
@@ -29,7 +29,7 @@ const BLEND_PEAK: f64 = 1.875;
 
 /// One motion from rest to rest along a minimum-jerk profile, with an optional sideways bow.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Motion {
+pub(crate) struct Motion {
     from: Placement,
     to: Placement,
     bow_m: Vector3<f64>,
@@ -47,7 +47,7 @@ struct Swing {
 
 impl Motion {
     /// A motion that starts at `began` and keeps to `pace`.
-    pub(super) fn new(
+    pub(crate) fn new(
         from: Placement,
         to: Placement,
         bow_m: Vector3<f64>,
@@ -79,7 +79,7 @@ impl Motion {
     }
 
     /// A motion that turns the tip by `angle_rad` about the vertical through `centre`.
-    pub(super) fn swing(
+    pub(crate) fn swing(
         from: Placement,
         centre: Point3<f64>,
         angle_rad: f64,
@@ -107,7 +107,7 @@ impl Motion {
     }
 
     /// No motion: stays at `placement` and counts as arrived after `duration_s`.
-    pub(super) fn rest(placement: Placement, began: TimeNs, duration_s: f64) -> Self {
+    pub(crate) fn rest(placement: Placement, began: TimeNs, duration_s: f64) -> Self {
         Self {
             from: placement,
             to: placement,
@@ -119,12 +119,12 @@ impl Motion {
     }
 
     /// Where the motion ends.
-    pub(super) fn end(&self) -> &Placement {
+    pub(crate) fn end(&self) -> &Placement {
         &self.to
     }
 
     /// Moves the end towards `wanted`, by at most `step_m` and `step_rad`, so that the path bends instead of jumping.
-    pub(super) fn drift_end(&mut self, wanted: &Pose, step_m: f64, step_rad: f64) {
+    pub(crate) fn drift_end(&mut self, wanted: &Pose, step_m: f64, step_rad: f64) {
         let end = &mut self.to.tip_in_scene;
         let gap_m = wanted.translation.vector - end.translation.vector;
         let share = if gap_m.norm() > step_m {
@@ -146,7 +146,7 @@ impl Motion {
     }
 
     /// Where the tip should be at `now`.
-    pub(super) fn at(&self, now: TimeNs) -> Placement {
+    pub(crate) fn at(&self, now: TimeNs) -> Placement {
         let share = (self.elapsed_s(now) / self.duration_s).clamp(0.0, 1.0);
         let s = blend(share);
         if let Some(swing) = self.swing {
@@ -170,7 +170,7 @@ impl Motion {
     }
 
     /// Seconds since the motion ought to have ended; negative while it is under way.
-    pub(super) fn overdue_s(&self, now: TimeNs) -> f64 {
+    pub(crate) fn overdue_s(&self, now: TimeNs) -> f64 {
         self.elapsed_s(now) - self.duration_s
     }
 

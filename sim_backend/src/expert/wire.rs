@@ -20,7 +20,7 @@ const FINGER_REACH_M: f64 = 0.0015;
 ///
 /// The tool points straight down and opens across the wire; the finger tips stay clear of the ground, whose height over
 /// the scene's x and y is `ground_m`.
-pub(super) fn wire_grasp(
+pub(crate) fn wire_grasp(
     needle: &NeedleShape,
     needle_in_scene: &Pose,
     along_m: f64,
@@ -53,7 +53,7 @@ pub(super) fn wire_grasp(
 /// towards the needle's point, with the finger tips `beyond_m` beyond the wire's middle line.
 ///
 /// The tool points straight down and opens across the wire, as near to the home rotation as that goes.
-pub(super) fn wire_hold(
+pub(crate) fn wire_hold(
     needle: &NeedleShape,
     needle_in_scene: &Pose,
     angle_rad: f64,

@@ -8,7 +8,7 @@ use nalgebra::Point3;
 use super::{Rendering, Simulation};
 use crate::needle::NeedleShape;
 use crate::task::needle_lift::NeedleLift;
-use crate::task::{Scene, TaskConfig, View};
+use crate::task::{TaskConfig, View};
 use crate::visual::instance;
 
 /// Ticks of a motion and of its rest.
@@ -85,10 +85,7 @@ fn shown(frame: &CameraFrame, needle: &NeedleShape, needle_in_scene: &Pose) -> u
 }
 
 fn lift(task: &TaskConfig) -> &NeedleLift {
-    let Scene::NeedleLift(lift) = &task.scene else {
-        panic!("not a needle lift");
-    };
-    lift
+    task.scene().unwrap()
 }
 
 #[test]

@@ -7,7 +7,7 @@ use hal::{JOINT_COUNT, JointVector, Pose, psm};
 use nalgebra::{Translation3, UnitQuaternion};
 use serde::Deserialize;
 
-use super::{CameraConfig, Kind, Scene, TaskConfig, View};
+use super::{CameraConfig, Kind, TaskConfig, TaskScene, View};
 use crate::render::Shading;
 use crate::world::{ArmStart, WorldConfig};
 
@@ -80,7 +80,7 @@ impl CommonFile {
         source: &Source,
         name: &str,
         kind: &Kind,
-        scene: Scene,
+        scene: Box<dyn TaskScene>,
     ) -> Result<TaskConfig, ConfigError> {
         if self.arm.len() != kind.arms {
             let found = format!("{} arms", self.arm.len());

@@ -1,17 +1,13 @@
 //! Tasks as data: who stands where, what lies there, who looks, and what counts as success.
 //!
-//! A task is a folder with `scene.toml` and `safety.toml`, and its name is the folder's. Adding one touches that folder and
-//! nothing else: those in `config/tasks/` are built in, any other folder is a task as well, given its path.
+//! **A task** is a folder with `scene.toml` and `safety.toml`, and its name is the folder's. Adding one touches that folder
+//! and nothing else, no line of code and no list: those in `config/tasks/` are built in, any other folder is a task as well,
+//! given its path. What a scene file describes is said by its `task.kind`.
 //!
-//! What a scene file describes is said by its `task.kind`. Adding a kind touches:
-//! - a module here with its scene, its monitor and its `KIND`;
-//! - in this file the module's line, a line in `KINDS`, and a variant of [`Scene`] with its lines in `Scene::of_task`,
-//!   [`TaskConfig::needle`] and [`TaskConfig::with_needle`];
-//! - a script in [`crate::expert`] with its variant in `AnyScript`;
-//! - if it shows things of a new sort, their ids in [`crate::visual::instance`] and, in the contact sheet of the sessions, a
-//!   name and a colour for each;
-//! - tests: what the first camera shows of it (`simulation/pictures.rs`), and its script in closed loop
-//!   (`expert/closed_loop/`).
+//! **A kind of scene** is a folder here: its scene and what is drawn at random, its monitor, its expert's script, the parts
+//! that it alone shows, and the tests of all that. Adding one touches that folder and two lines of this file, the module's
+//! and the one in `KINDS`; and a folder of the first sort, whose task has that kind. Everything else sees kinds through
+//! `TaskScene` and tasks through [`TaskConfig`].
 
 pub mod block_transfer;
 mod camera;
@@ -26,6 +22,9 @@ pub mod tissue_retraction;
 mod view;
 mod visuals;
 
+use core::any::Any;
+use core::fmt::Debug;
+
 use hal::Pose;
 use hal::config::{ConfigError, Source};
 
@@ -37,16 +36,12 @@ pub use needle_start::NeedleStart;
 pub use view::{NoSuchView, VIEW1_SHIFT_M, VIEW1_TURN_RAD, View};
 pub(crate) use visuals::{scene_poses, scene_visuals};
 
+use crate::expert::AnyScript;
 use crate::render::Shading;
 use crate::tissue::TissueConfig;
-use crate::visual::{Backdrop, Visual};
+use crate::visual::{Backdrop, PARTS, Part, Visual};
 use crate::world::{ArmStart, Scenery, WorldConfig};
-use block_transfer::BlockTransfer;
 use common::CommonFile;
-use needle_handover::NeedleHandover;
-use needle_lift::NeedleLift;
-use suture_pad::SuturePad;
-use tissue_retraction::TissueRetraction;
 
 /// Most arms that a task has.
 pub const ARMS_MAX: usize = 2;
@@ -54,24 +49,35 @@ pub const ARMS_MAX: usize = 2;
 /// Most things that a task has.
 pub const THINGS_MAX: usize = 2;
 
+/// What a scene file says: what all kinds share, and the rest.
+type Parsed = (CommonFile, Box<dyn TaskScene>);
+
 /// A kind of scene: what a scene file describes, and how that is done and judged.
 struct Kind {
     /// The name by which scene files know it.
     name: &'static str,
     /// How many arms it has.
     arms: usize,
+    /// What it alone shows, each with an instance id that nobody else has.
+    parts: &'static [Part],
     /// Reads what is particular to it, and checks that.
-    parse: fn(&Source) -> Result<(CommonFile, Scene), ConfigError>,
+    parse: fn(&Source) -> Result<Parsed, ConfigError>,
 }
 
 /// All kinds.
-const KINDS: [Kind; 5] = [
+static KINDS: &[Kind] = &[
     block_transfer::KIND,
     needle_handover::KIND,
     needle_lift::KIND,
     suture_pad::KIND,
     tissue_retraction::KIND,
 ];
+
+/// What instance ids mean, in scenes of all kinds.
+pub fn parts() -> impl Iterator<Item = &'static Part> {
+    let own = KINDS.iter().flat_map(|kind| kind.parts);
+    PARTS.iter().chain(own)
+}
 
 /// A task, checked.
 #[derive(Clone, Debug)]
@@ -93,26 +99,11 @@ pub struct TaskConfig {
     /// When the episode ends without success, s.
     pub time_limit_s: f64,
     /// What is particular to the task.
-    pub scene: Scene,
+    pub(crate) scene: Box<dyn TaskScene>,
 }
 
-/// What is particular to each task.
-#[derive(Clone, Debug)]
-pub enum Scene {
-    /// One arm lifts a needle.
-    NeedleLift(NeedleLift),
-    /// One arm moves a block from peg to peg.
-    BlockTransfer(BlockTransfer),
-    /// One arm drives a needle through a hole.
-    SuturePad(SuturePad),
-    /// Two arms pass a needle.
-    NeedleHandover(NeedleHandover),
-    /// One arm lifts a flap of skin.
-    TissueRetraction(TissueRetraction),
-}
-
-/// What a task's module answers. Everything that is drawn at random hangs on `seed`.
-pub(crate) trait TaskScene {
+/// What is particular to a kind of scene. Everything that is drawn at random hangs on `seed`.
+pub(crate) trait TaskScene: Any + CloneScene + Debug + Send + Sync {
     /// Things at their places, and the ground.
     fn scenery(&self, world: &WorldConfig, seed: u64) -> Scenery;
 
@@ -121,6 +112,19 @@ pub(crate) trait TaskScene {
 
     /// A judge of the episode, at its start.
     fn monitor(&self, seed: u64) -> Box<dyn Monitor>;
+
+    /// The scripted expert, which drives `arms`.
+    fn expert(&self, arms: &[ArmStart], seed: u64) -> Box<dyn AnyScript>;
+
+    /// The name of the needle, if there is a choice.
+    fn needle(&self) -> Option<&str> {
+        None
+    }
+
+    /// Takes the needle `name`, or answers with those that can be chosen.
+    fn choose_needle(&mut self, _name: &str) -> Result<(), Vec<String>> {
+        Err(Vec::new())
+    }
 
     /// What there is to see besides the arms.
     fn visuals(&self) -> Vec<Visual>;
@@ -140,15 +144,21 @@ pub(crate) trait TaskScene {
     }
 }
 
-impl Scene {
-    pub(crate) const fn of_task(&self) -> &dyn TaskScene {
-        match self {
-            Self::NeedleLift(scene) => scene,
-            Self::BlockTransfer(scene) => scene,
-            Self::SuturePad(scene) => scene,
-            Self::NeedleHandover(scene) => scene,
-            Self::TissueRetraction(scene) => scene,
-        }
+/// Scenes can be cloned behind their trait.
+pub(crate) trait CloneScene {
+    /// Another one.
+    fn boxed(&self) -> Box<dyn TaskScene>;
+}
+
+impl<S: TaskScene + Clone> CloneScene for S {
+    fn boxed(&self) -> Box<dyn TaskScene> {
+        Box::new(self.clone())
+    }
+}
+
+impl Clone for Box<dyn TaskScene> {
+    fn clone(&self) -> Self {
+        (**self).boxed()
     }
 }
 
@@ -187,16 +197,23 @@ impl TaskConfig {
         Ok(files.config()?)
     }
 
+    /// What is particular to the task, if its kind's is a `T`.
+    #[must_use]
+    pub fn scene<T: Any>(&self) -> Option<&T> {
+        let scene: &dyn Any = &*self.scene;
+        scene.downcast_ref()
+    }
+
+    /// The same, to be changed.
+    pub fn scene_mut<T: Any>(&mut self) -> Option<&mut T> {
+        let scene: &mut dyn Any = &mut *self.scene;
+        scene.downcast_mut()
+    }
+
     /// The name of the needle of this task, if there is a choice.
     #[must_use]
     pub fn needle(&self) -> Option<&str> {
-        match &self.scene {
-            Scene::NeedleLift(scene) => Some(&scene.needle_name),
-            Scene::BlockTransfer(_)
-            | Scene::SuturePad(_)
-            | Scene::NeedleHandover(_)
-            | Scene::TissueRetraction(_) => None,
-        }
+        self.scene.needle()
     }
 
     /// The same task with another needle, by the name that the scene file gives it.
@@ -204,25 +221,14 @@ impl TaskConfig {
     /// # Errors
     /// [`NoSuchNeedle`], also for a task that has no choice of needles.
     pub fn with_needle(mut self, name: &str) -> Result<Self, NoSuchNeedle> {
-        let known = match &mut self.scene {
-            Scene::NeedleLift(scene) => {
-                if let Some(&needle) = scene.needles.get(name) {
-                    scene.needle = needle;
-                    name.clone_into(&mut scene.needle_name);
-                    return Ok(self);
-                }
-                scene.needles.keys().cloned().collect()
-            }
-            Scene::BlockTransfer(_)
-            | Scene::SuturePad(_)
-            | Scene::NeedleHandover(_)
-            | Scene::TissueRetraction(_) => Vec::new(),
-        };
-        Err(NoSuchNeedle {
-            task: self.name,
-            name: name.to_owned(),
-            known,
-        })
+        match self.scene.choose_needle(name) {
+            Ok(()) => Ok(self),
+            Err(known) => Err(NoSuchNeedle {
+                task: self.name,
+                name: name.to_owned(),
+                known,
+            }),
+        }
     }
 
     /// Reads the scene file of the task `name`, whose `task.kind` says what it describes.
@@ -232,8 +238,8 @@ impl TaskConfig {
     pub fn parse(name: &str, source: &Source) -> Result<Self, ConfigError> {
         let asked = files::title(source)?.kind;
         let Some(kind) = KINDS.iter().find(|kind| kind.name == asked) else {
-            let known = KINDS.map(|kind| kind.name).join(", ");
-            return Err(source.out_of_range("task.kind", &asked, &known));
+            let known: Vec<_> = KINDS.iter().map(|kind| kind.name).collect();
+            return Err(source.out_of_range("task.kind", &asked, &known.join(", ")));
         };
         let (common, scene) = (kind.parse)(source)?;
         common.into_task(source, name, kind, scene)

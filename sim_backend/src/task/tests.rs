@@ -152,7 +152,7 @@ fn every_task_ships_with_a_valid_scene_of_its_name() {
         let task = TaskConfig::shipped(name);
         assert_eq!(task.name, name);
         assert!((1..=ARMS_MAX).contains(&task.arms.len()));
-        let scene = task.scene.of_task();
+        let scene = &task.scene;
         let scenery = scene.scenery(&task.world, 1);
         let handled = scenery.things.len() + usize::from(scenery.flap.is_some());
         assert!((1..=THINGS_MAX).contains(&handled));
@@ -160,6 +160,21 @@ fn every_task_ships_with_a_valid_scene_of_its_name() {
         assert_eq!(poses.len(), scene.visuals().len());
     }
     assert!(TaskFiles::built_in("needle-drop").is_none());
+}
+
+#[test]
+fn every_part_that_a_task_shows_has_a_name_and_an_id_of_its_own() {
+    let mut ids: Vec<u8> = parts().map(|part| part.instance).collect();
+    for name in TaskConfig::names() {
+        for visual in scene_visuals(&TaskConfig::shipped(name)) {
+            assert!(ids.contains(&visual.instance), "{name}: {}", visual.name);
+        }
+    }
+    ids.sort_unstable();
+    let known = ids.len();
+    ids.dedup();
+    assert_eq!((ids.len(), ids.contains(&0)), (known, false));
+    assert!(parts().all(|part| !part.name.is_empty()));
 }
 
 #[test]
@@ -179,10 +194,7 @@ fn needles_can_be_chosen_by_name() {
         let chosen = TaskConfig::shipped("needle-lift")
             .with_needle(name)
             .unwrap();
-        let Scene::NeedleLift(scene) = chosen.scene else {
-            panic!("not a needle lift");
-        };
-        scene.needle
+        chosen.scene::<NeedleLift>().unwrap().needle
     };
     assert_eq!(of("N1"), NeedleLift::shipped().needle);
     for (name, other) in [("N1", "N2"), ("N2", "N3"), ("N3", "N4"), ("N4", "N5")] {
@@ -194,9 +206,9 @@ fn needles_can_be_chosen_by_name() {
     assert!(pad.with_needle("N1").is_err());
 }
 
-/// The task without a rigid thing, which the checks below leave out. Its flap has tests of its own: crushing and sinking
+/// The kind without a rigid thing, which the checks below leave out. Its flap has tests of its own: crushing and sinking
 /// in through reports in `tissue/tests/retraction.rs`, crushing through the simulation in
-/// `expert/closed_loop/tissue_retraction.rs`; why it has no energy check is said in `tissue/retraction.rs`.
+/// `task/tissue_retraction/script/tests.rs`; why it has no energy check is said in `tissue/retraction.rs`.
 const FLAP: &str = "tissue-retraction";
 
 /// What a judge of the task `name` says of a thing that lies where it starts while every finger and its energy are as given.
@@ -207,7 +219,7 @@ fn judged(
     energies_j: &[Option<f64>],
 ) -> Option<Outcome> {
     let task = TaskConfig::shipped(name);
-    let scene = task.scene.of_task();
+    let scene = &task.scene;
     let thing = scene.scenery(&task.world, 1).things.first()?.in_scene;
     let grasp = Grasp {
         left_force_n: force_n,
@@ -235,7 +247,7 @@ fn every_thing_can_be_crushed_but_not_by_a_solvers_hiccup() {
     for name in TaskConfig::names() {
         let squeezed = |force_n, steps| judged(name, force_n, 0.0, &vec![None; steps]);
         let Some(outcome) = squeezed(1000.0, 25) else {
-            assert_eq!(name, FLAP);
+            assert_eq!(TaskConfig::shipped(name).kind, FLAP);
             continue;
         };
         assert!(
@@ -252,7 +264,7 @@ fn no_thing_may_gain_energy_that_nobody_gave_it() {
     for name in TaskConfig::names() {
         let shown = |energies_j: &[Option<f64>]| judged(name, 0.0, 0.0, energies_j);
         let Some(outcome) = shown(&[Some(0.01), Some(0.005), Some(0.02)]) else {
-            assert_eq!(name, FLAP);
+            assert_eq!(TaskConfig::shipped(name).kind, FLAP);
             continue;
         };
         assert!(
@@ -271,7 +283,7 @@ fn no_thing_may_gain_energy_that_nobody_gave_it() {
 fn fingers_inside_a_thing_lose_every_task() {
     for name in TaskConfig::names() {
         let Some(outcome) = judged(name, 0.0, 0.005, &[None; 25]) else {
-            assert_eq!(name, FLAP);
+            assert_eq!(TaskConfig::shipped(name).kind, FLAP);
             continue;
         };
         assert!(

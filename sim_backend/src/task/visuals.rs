@@ -3,7 +3,7 @@
 use hal::Pose;
 use nalgebra::{Matrix3, Rotation3, Translation3, UnitQuaternion, Vector3};
 
-use super::{Scene, TaskConfig};
+use super::{TaskConfig, TaskScene};
 use crate::cameras::SceneSnapshot;
 use crate::shapes::instrument::{Finger, finger, shaft, wrist};
 use crate::visual::{Material, Pattern, Visual, VisualPoses, instance};
@@ -64,7 +64,7 @@ const SHAFT_COAT: Material = Material {
 
 /// What a task's cameras see: the task's own visuals, then those of each arm.
 pub(crate) fn scene_visuals(task: &TaskConfig) -> Vec<Visual> {
-    let mut visuals = task.scene.of_task().visuals();
+    let mut visuals = task.scene.visuals();
     let ids = [
         [instance::SHAFT, instance::WRIST, instance::JAW],
         [
@@ -80,10 +80,8 @@ pub(crate) fn scene_visuals(task: &TaskConfig) -> Vec<Visual> {
 }
 
 /// Poses of the visuals in the scene frame.
-pub(crate) fn scene_poses(scene: &Scene, snapshot: &SceneSnapshot) -> VisualPoses {
-    let mut poses = scene
-        .of_task()
-        .visual_poses(&snapshot.things, &snapshot.goal);
+pub(crate) fn scene_poses(scene: &dyn TaskScene, snapshot: &SceneSnapshot) -> VisualPoses {
+    let mut poses = scene.visual_poses(&snapshot.things, &snapshot.goal);
     for arm in snapshot.arms.iter().flatten() {
         poses.extend([
             arm.shaft,

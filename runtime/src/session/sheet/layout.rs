@@ -1,7 +1,7 @@
 //! Where on the sheet everything goes: a block a task, a row a camera, colour, depth and ids beside each other.
 
 use image::{Rgb, RgbImage, imageops};
-use sim_backend::visual::instance;
+use sim_backend::task;
 
 use super::font;
 use super::plates::{Plates, id_colour};
@@ -15,23 +15,6 @@ const PLATES: u32 = 3;
 const PAPER: Rgb<u8> = Rgb([24, 24, 27]);
 const INK: Rgb<u8> = Rgb([235, 235, 235]);
 const LABEL: Rgb<u8> = Rgb([12, 12, 14]);
-
-/// What the ids of [`instance`] mean.
-const NAMES: [(u8, &str); 13] = [
-    (instance::ORGAN, "ground"),
-    (instance::NEEDLE, "needle"),
-    (instance::SHAFT, "shaft"),
-    (instance::WRIST, "wrist"),
-    (instance::JAW, "jaw"),
-    (instance::SECOND_SHAFT, "2nd shaft"),
-    (instance::SECOND_WRIST, "2nd wrist"),
-    (instance::SECOND_JAW, "2nd jaw"),
-    (instance::BLOCK, "block"),
-    (instance::PEG, "peg"),
-    (instance::GOAL_PEG, "goal peg"),
-    (instance::TISSUE, "flap"),
-    (instance::MARK, "mark"),
-];
 
 /// One camera of a task.
 pub(super) struct Row {
@@ -172,14 +155,16 @@ fn legend(blocks: &[Block], width: u32, sizes: Sizes) -> RgbImage {
 }
 
 fn name_of(id: u8) -> String {
-    let known = NAMES.iter().find(|(known, _)| *known == id);
-    known.map_or_else(|| format!("id {id}"), |(_, name)| (*name).to_owned())
+    let known = task::parts().find(|part| part.instance == id);
+    known.map_or_else(|| format!("id {id}"), |part| part.name.to_owned())
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
     use hal::{CameraFrame, Intrinsics};
+    use sim_backend::task::block_transfer::{BLOCK, PEG};
+    use sim_backend::visual::instance;
 
     fn block(cameras: usize, id: u8) -> Block {
         let mut frame = CameraFrame::blank(Intrinsics::from_vertical_fov(8, 4, 0.9));
@@ -199,19 +184,11 @@ mod tests {
 
     #[test]
     fn every_picture_is_on_the_sheet_once() {
-        let blocks = [
-            block(3, instance::NEEDLE),
-            block(4, instance::BLOCK),
-            block(3, instance::PEG),
-        ];
+        let blocks = [block(3, instance::NEEDLE), block(4, BLOCK), block(3, PEG)];
         let sheet = compose(&blocks, 64);
         let count = |colour: Rgb<u8>| sheet.pixels().filter(|pixel| **pixel == colour).count();
         // The legend's square of 7 pixels a side comes on top.
-        for (id, cameras) in [
-            (instance::NEEDLE, 3),
-            (instance::BLOCK, 4),
-            (instance::PEG, 3),
-        ] {
+        for (id, cameras) in [(instance::NEEDLE, 3), (BLOCK, 4), (PEG, 3)] {
             assert_eq!(count(id_colour(id)), cameras * 64 * 32 + 49, "{id}");
         }
         let colours = count(Rgb([200; 3]));
@@ -225,11 +202,12 @@ mod tests {
 
     #[test]
     fn a_long_legend_takes_several_lines_and_loses_nothing() {
-        let blocks: Vec<Block> = NAMES.iter().map(|(id, _)| block(1, *id)).collect();
+        let ids: Vec<u8> = task::parts().map(|part| part.instance).collect();
+        let blocks: Vec<Block> = ids.iter().map(|&id| block(1, id)).collect();
         let sizes = Sizes::new(64);
         let drawn = legend(&blocks, 120, sizes);
         assert!(drawn.height() >= 5 * sizes.line());
-        for (id, _) in NAMES {
+        for id in ids {
             let found = drawn.pixels().filter(|pixel| **pixel == id_colour(id));
             assert_eq!(found.count(), 49, "{id}");
         }

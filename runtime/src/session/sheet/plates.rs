@@ -5,6 +5,7 @@ use core::ops::RangeInclusive;
 use hal::CameraFrame;
 use image::imageops::{self, FilterType};
 use image::{Rgb, RgbImage};
+use sim_backend::task;
 
 /// Colours from near to far: yellow, green, blue, violet. Every fifth of the colour map viridis.
 const NEAR_TO_FAR: [[f32; 3]; 6] = [
@@ -86,24 +87,7 @@ fn shade(share: f32) -> Rgb<u8> {
     Rgb(mixed)
 }
 
-/// Colours of the ids from 1 that tasks use.
-const IDS: [[u8; 3]; 13] = [
-    [128, 70, 60],
-    [255, 225, 25],
-    [130, 130, 140],
-    [70, 200, 240],
-    [245, 120, 30],
-    [110, 80, 200],
-    [60, 180, 75],
-    [230, 40, 60],
-    [50, 100, 230],
-    [240, 240, 240],
-    [250, 110, 190],
-    [0, 150, 60],
-    [210, 0, 210],
-];
-
-/// A colour for an instance id, black for the background. Ids beyond the table get hues a golden section apart.
+/// A colour for an instance id, black for the background. Ids that no part has get hues a golden section apart.
 #[expect(
     clippy::cast_possible_truncation,
     clippy::cast_sign_loss,
@@ -111,11 +95,11 @@ const IDS: [[u8; 3]; 13] = [
 )]
 pub(super) fn id_colour(id: u8) -> Rgb<u8> {
     const GOLDEN: f32 = 0.618_034;
-    let Some(place) = id.checked_sub(1) else {
+    if id == 0 {
         return NOTHING;
-    };
-    if let Some(&known) = IDS.get(usize::from(place)) {
-        return Rgb(known);
+    }
+    if let Some(part) = task::parts().find(|part| part.instance == id) {
+        return Rgb(part.colour);
     }
     let hue = (GOLDEN * f32::from(id)).fract();
     // The hue circle, a third of it for each primary.
@@ -173,7 +157,6 @@ mod tests {
     #[test]
     fn flap_and_mark_can_be_told_from_all_that_is_around_them() {
         for id in [instance::TISSUE, instance::MARK] {
-            assert!(usize::from(id) <= IDS.len());
             for other in [
                 0,
                 instance::ORGAN,

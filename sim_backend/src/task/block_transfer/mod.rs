@@ -1,6 +1,7 @@
 //! Block transfer: one arm takes a block off its peg, lifts it clear of the pegs and puts it on the pink one.
 
 mod board;
+mod script;
 mod success;
 
 use core::f64::consts::PI;
@@ -11,22 +12,39 @@ use nalgebra::{Point3, Translation3, UnitQuaternion, Vector3};
 use serde::Deserialize;
 
 pub use board::BoardShape;
+use script::Mover;
 pub use success::SuccessConfig;
 use success::SuccessMonitor;
 
 use super::common::{ArmFile, CommonFile, EpisodeFile, RenderingFile, TitleFile};
-use super::{CameraConfig, Kind, Monitor, Scene, TaskScene};
+use super::{CameraConfig, Kind, Monitor, Parsed, TaskScene};
 use crate::block::BlockShape;
+use crate::expert::AnyScript;
+use crate::expert::alone::Alone;
 use crate::rng::Rng;
-use crate::visual::{Backdrop, Material, Pattern, Visual, instance};
-use crate::world::{Ground, Meets, Piece, Scenery, Shape, Thing, WorldConfig};
+use crate::visual::{Backdrop, Material, Part, Pattern, Visual, instance};
+use crate::world::{ArmStart, Ground, Meets, Piece, Scenery, Shape, Thing, WorldConfig};
 
 /// The name by which scene files know this kind of scene.
 pub const NAME: &str = "block-transfer";
 
+/// Instance id of the training block.
+pub const BLOCK: u8 = 9;
+
+/// Instance id of the pegs of the board.
+pub const PEG: u8 = 10;
+
+/// Instance id of the peg that the block belongs on.
+pub const GOAL_PEG: u8 = 11;
+
 pub(super) const KIND: Kind = Kind {
     name: NAME,
     arms: 1,
+    parts: &[
+        Part::new(BLOCK, "block", [50, 100, 230]),
+        Part::new(PEG, "peg", [240, 240, 240]),
+        Part::new(GOAL_PEG, "goal peg", [250, 110, 190]),
+    ],
     parse,
 };
 
@@ -73,7 +91,7 @@ struct File {
     success: SuccessConfig,
 }
 
-fn parse(source: &Source) -> Result<(CommonFile, Scene), ConfigError> {
+fn parse(source: &Source) -> Result<Parsed, ConfigError> {
     let file: File = source.parse()?;
     file.block.check(source, "block")?;
     file.board.check(source, "board")?;
@@ -100,7 +118,7 @@ fn parse(source: &Source) -> Result<(CommonFile, Scene), ConfigError> {
         board: file.board,
         success: file.success,
     };
-    Ok((common, Scene::BlockTransfer(scene)))
+    Ok((common, Box::new(scene)))
 }
 
 impl BlockTransfer {
@@ -159,6 +177,10 @@ impl TaskScene for BlockTransfer {
         Box::new(SuccessMonitor::new(self, goal))
     }
 
+    fn expert(&self, arms: &[ArmStart], seed: u64) -> Box<dyn AnyScript> {
+        Box::new(Alone::new(Mover::new(self, seed), arms))
+    }
+
     fn visuals(&self) -> Vec<Visual> {
         let mut visuals = vec![
             Visual {
@@ -171,20 +193,20 @@ impl TaskScene for BlockTransfer {
                 name: "block",
                 mesh: self.block.mesh(),
                 material: paint([0.02, 0.11, 0.48]),
-                instance: instance::BLOCK,
+                instance: BLOCK,
             },
             Visual {
                 name: "goal peg",
                 mesh: self.board.peg_mesh(),
                 material: paint([0.85, 0.06, 0.30]),
-                instance: instance::GOAL_PEG,
+                instance: GOAL_PEG,
             },
         ];
         visuals.extend((1..self.board.pegs_m.len()).map(|_| Visual {
             name: "peg",
             mesh: self.board.peg_mesh(),
             material: paint([0.62, 0.61, 0.56]),
-            instance: instance::PEG,
+            instance: PEG,
         }));
         visuals
     }
@@ -221,10 +243,7 @@ impl BlockTransfer {
     /// The scene as it ships.
     pub(crate) fn shipped() -> Self {
         let task = super::TaskConfig::shipped(NAME);
-        let Scene::BlockTransfer(scene) = task.scene else {
-            panic!("not a {NAME}");
-        };
-        scene
+        task.scene::<Self>().unwrap().clone()
     }
 }
 

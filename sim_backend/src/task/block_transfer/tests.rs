@@ -1,6 +1,7 @@
 //! Facts about the block transfer: what is drawn, what rests, what counts.
 
 use super::*;
+use crate::simulation::pictures::{Looks, saturation};
 use crate::task::{Judge, Outcome, Reason, Sight, TaskConfig};
 use crate::world::{Grasp, World};
 
@@ -10,7 +11,7 @@ fn task() -> TaskConfig {
 
 fn world(seed: u64) -> World {
     let task = task();
-    let scenery = task.scene.of_task().scenery(&task.world, seed);
+    let scenery = task.scene.scenery(&task.world, seed);
     World::new(&task.world, &scenery, &task.arms)
 }
 
@@ -208,4 +209,17 @@ fn thrown_and_fallen_blocks_are_failures() {
         bench.show(beside, Grasp::default(), 0.03, 0.01),
         Outcome::Failure(Reason::Fallen { .. })
     ));
+}
+
+#[test]
+fn block_and_goal_are_seen_by_their_colours() {
+    let looks = Looks::of(NAME);
+    looks.show(&[(BLOCK, 1_500), (PEG, 1_000), (GOAL_PEG, 150)]);
+    let grey = saturation(looks.colour(instance::ORGAN));
+    looks.told(grey < 0.12, "the board is grey");
+    let [red, green, blue] = looks.colour(GOAL_PEG);
+    looks.told(red > 2.0 * green && blue > 1.3 * green, "the goal is pink");
+    looks.told(saturation(looks.colour(PEG)) < 0.2, "other pegs are not");
+    let [red, _, blue] = looks.colour(BLOCK);
+    looks.told(blue > 2.0 * red, "the block is blue");
 }

@@ -1,5 +1,6 @@
 //! Needle handover: the right arm grasps a needle that lies on the liver and presents it, the left one takes it away.
 
+mod script;
 mod success;
 
 use hal::Pose;
@@ -7,16 +8,18 @@ use hal::config::{ConfigError, Source};
 use nalgebra::{Translation3, UnitQuaternion, Vector3};
 use serde::Deserialize;
 
+use script::Passer;
 pub use success::SuccessConfig;
 use success::SuccessMonitor;
 
 use super::common::{ArmFile, CommonFile, EpisodeFile, RenderingFile, TitleFile};
 use super::visuals::{LIVER, NEEDLE_STEEL};
-use super::{CameraConfig, Kind, Monitor, NeedleStart, Scene, TaskScene};
+use super::{CameraConfig, Kind, Monitor, NeedleStart, Parsed, TaskScene};
+use crate::expert::AnyScript;
 use crate::needle::NeedleShape;
 use crate::organ::OrganShape;
 use crate::visual::{Backdrop, Visual, instance};
-use crate::world::{Ground, Scenery, Thing, WorldConfig};
+use crate::world::{ArmStart, Ground, Scenery, Thing, WorldConfig};
 
 /// The name by which scene files know this kind of scene.
 pub const NAME: &str = "needle-handover";
@@ -24,6 +27,7 @@ pub const NAME: &str = "needle-handover";
 pub(super) const KIND: Kind = Kind {
     name: NAME,
     arms: 2,
+    parts: &[],
     parse,
 };
 
@@ -70,7 +74,7 @@ struct File {
     success: SuccessConfig,
 }
 
-fn parse(source: &Source) -> Result<(CommonFile, Scene), ConfigError> {
+fn parse(source: &Source) -> Result<Parsed, ConfigError> {
     let file: File = source.parse()?;
     file.needle.check(source, "needle")?;
     file.needle_start.check(source)?;
@@ -94,7 +98,7 @@ fn parse(source: &Source) -> Result<(CommonFile, Scene), ConfigError> {
         organ: file.organ,
         success: file.success,
     };
-    Ok((common, Scene::NeedleHandover(scene)))
+    Ok((common, Box::new(scene)))
 }
 
 impl TaskScene for NeedleHandover {
@@ -115,6 +119,10 @@ impl TaskScene for NeedleHandover {
 
     fn monitor(&self, _seed: u64) -> Box<dyn Monitor> {
         Box::new(SuccessMonitor::new(self))
+    }
+
+    fn expert(&self, arms: &[ArmStart], seed: u64) -> Box<dyn AnyScript> {
+        Box::new(Passer::new(self, arms, seed))
     }
 
     fn visuals(&self) -> Vec<Visual> {
@@ -151,10 +159,7 @@ impl NeedleHandover {
     /// The scene as it ships.
     pub(crate) fn shipped() -> Self {
         let task = super::TaskConfig::shipped(NAME);
-        let Scene::NeedleHandover(scene) = task.scene else {
-            panic!("not a {NAME}");
-        };
-        scene
+        task.scene::<Self>().unwrap().clone()
     }
 }
 

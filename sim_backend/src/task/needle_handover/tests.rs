@@ -3,6 +3,7 @@
 use nalgebra::Point3;
 
 use super::*;
+use crate::simulation::pictures::Looks;
 use crate::task::{Judge, Outcome, Reason, Sight, TaskConfig};
 use crate::world::{Grasp, World};
 
@@ -184,4 +185,12 @@ fn needle_off_the_organ_is_a_failure() {
     let beside = Pose::translation(0.0, 0.1, -0.03) * bench.up;
     let outcome = bench.show(beside, [NO_GRASP; 2], 0.1, 0.01);
     assert!(matches!(outcome, Outcome::Failure(Reason::Fallen { .. })));
+}
+
+#[test]
+fn liver_is_red_brown_and_dark() {
+    let looks = Looks::of(NAME);
+    let [red, green, _] = looks.colour(instance::ORGAN);
+    looks.told(red > 1.5 * green, "liver is red-brown");
+    looks.told((25.0..135.0).contains(&red), "and dark");
 }

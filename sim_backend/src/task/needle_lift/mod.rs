@@ -1,5 +1,6 @@
 //! Needle lift: one arm grasps a suture needle that lies on an organ, lifts it and holds it up.
 
+mod script;
 mod success;
 
 use std::collections::BTreeMap;
@@ -8,16 +9,19 @@ use hal::Pose;
 use hal::config::{ConfigError, Source};
 use serde::Deserialize;
 
+use script::Lifter;
 pub use success::SuccessConfig;
 use success::SuccessMonitor;
 
 use super::common::{ArmFile, CommonFile, EpisodeFile, RenderingFile, TitleFile};
 use super::visuals::{MUSCLE, NEEDLE_STEEL};
-use super::{CameraConfig, Kind, Monitor, NeedleStart, Scene, TaskScene};
+use super::{CameraConfig, Kind, Monitor, NeedleStart, Parsed, TaskScene};
+use crate::expert::AnyScript;
+use crate::expert::alone::Alone;
 use crate::needle::NeedleShape;
 use crate::organ::OrganShape;
 use crate::visual::{Visual, instance};
-use crate::world::{Ground, Scenery, Thing, WorldConfig};
+use crate::world::{ArmStart, Ground, Scenery, Thing, WorldConfig};
 
 /// The name by which scene files know this kind of scene.
 pub const NAME: &str = "needle-lift";
@@ -28,6 +32,7 @@ pub const TRAINED: &str = "N1";
 pub(super) const KIND: Kind = Kind {
     name: NAME,
     arms: 1,
+    parts: &[],
     parse,
 };
 
@@ -65,7 +70,7 @@ struct File {
     success: SuccessConfig,
 }
 
-fn parse(source: &Source) -> Result<(CommonFile, Scene), ConfigError> {
+fn parse(source: &Source) -> Result<Parsed, ConfigError> {
     let file: File = source.parse()?;
     for (name, needle) in &file.needle {
         needle.check(source, &format!("needle.{name}"))?;
@@ -91,7 +96,7 @@ fn parse(source: &Source) -> Result<(CommonFile, Scene), ConfigError> {
         organ: file.organ,
         success: file.success,
     };
-    Ok((common, Scene::NeedleLift(scene)))
+    Ok((common, Box::new(scene)))
 }
 
 impl TaskScene for NeedleLift {
@@ -116,6 +121,10 @@ impl TaskScene for NeedleLift {
         ))
     }
 
+    fn expert(&self, arms: &[ArmStart], seed: u64) -> Box<dyn AnyScript> {
+        Box::new(Alone::new(Lifter::new(self, seed), arms))
+    }
+
     fn visuals(&self) -> Vec<Visual> {
         vec![
             Visual {
@@ -133,6 +142,19 @@ impl TaskScene for NeedleLift {
         ]
     }
 
+    fn needle(&self) -> Option<&str> {
+        Some(&self.needle_name)
+    }
+
+    fn choose_needle(&mut self, name: &str) -> Result<(), Vec<String>> {
+        let Some(&needle) = self.needles.get(name) else {
+            return Err(self.needles.keys().cloned().collect());
+        };
+        self.needle = needle;
+        name.clone_into(&mut self.needle_name);
+        Ok(())
+    }
+
     fn visual_poses(&self, things: &[Pose], _goal: &Pose) -> Vec<Pose> {
         vec![Pose::identity(), things[0]]
     }
@@ -142,10 +164,10 @@ impl TaskScene for NeedleLift {
 impl NeedleLift {
     /// The scene as it ships.
     pub(crate) fn shipped() -> Self {
-        let task = super::TaskConfig::shipped("needle-lift");
-        let Scene::NeedleLift(scene) = task.scene else {
-            panic!("not a {NAME}");
-        };
-        scene
+        let task = super::TaskConfig::shipped(NAME);
+        task.scene::<Self>().unwrap().clone()
     }
 }
+
+#[cfg(test)]
+mod tests;

@@ -1,6 +1,7 @@
 //! Suture pad: one arm grasps a needle that lies on a pad and drives it through the hole in the pad's lip.
 
 mod pad;
+mod script;
 mod success;
 
 use core::f64::consts::PI;
@@ -11,16 +12,19 @@ use nalgebra::{Translation3, UnitQuaternion, Vector3};
 use serde::Deserialize;
 
 pub use pad::PadShape;
+use script::Driver;
 pub use success::SuccessConfig;
 use success::SuccessMonitor;
 
 use super::common::{ArmFile, CommonFile, EpisodeFile, RenderingFile, TitleFile};
 use super::visuals::NEEDLE_STEEL;
-use super::{CameraConfig, Kind, Monitor, Scene, TaskScene};
+use super::{CameraConfig, Kind, Monitor, Parsed, TaskScene};
+use crate::expert::AnyScript;
+use crate::expert::alone::Alone;
 use crate::needle::NeedleShape;
 use crate::rng::Rng;
 use crate::visual::{Backdrop, Material, Pattern, Visual, instance};
-use crate::world::{Ground, Scenery, Thing, WorldConfig};
+use crate::world::{ArmStart, Ground, Scenery, Thing, WorldConfig};
 
 /// The name by which scene files know this kind of scene.
 pub const NAME: &str = "suture-pad";
@@ -28,6 +32,7 @@ pub const NAME: &str = "suture-pad";
 pub(super) const KIND: Kind = Kind {
     name: NAME,
     arms: 1,
+    parts: &[],
     parse,
 };
 
@@ -98,7 +103,7 @@ struct File {
     success: SuccessConfig,
 }
 
-fn parse(source: &Source) -> Result<(CommonFile, Scene), ConfigError> {
+fn parse(source: &Source) -> Result<Parsed, ConfigError> {
     let file: File = source.parse()?;
     file.needle.check(source, "needle")?;
     file.needle_start.check(source, "needle_start")?;
@@ -117,7 +122,7 @@ fn parse(source: &Source) -> Result<(CommonFile, Scene), ConfigError> {
         pad: file.pad,
         success: file.success,
     };
-    Ok((common, Scene::SuturePad(scene)))
+    Ok((common, Box::new(scene)))
 }
 
 impl PadStart {
@@ -167,6 +172,10 @@ impl TaskScene for SuturePad {
         Box::new(SuccessMonitor::new(self))
     }
 
+    fn expert(&self, arms: &[ArmStart], seed: u64) -> Box<dyn AnyScript> {
+        Box::new(Alone::new(Driver::new(self, seed), arms))
+    }
+
     fn visuals(&self) -> Vec<Visual> {
         let layers = LAYERS.into_iter().zip(self.pad.meshes());
         let needle = Visual {
@@ -202,10 +211,7 @@ impl SuturePad {
     /// The scene as it ships.
     pub(crate) fn shipped() -> Self {
         let task = super::TaskConfig::shipped(NAME);
-        let Scene::SuturePad(scene) = task.scene else {
-            panic!("not a {NAME}");
-        };
-        scene
+        task.scene::<Self>().unwrap().clone()
     }
 }
 

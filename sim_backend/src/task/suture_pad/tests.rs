@@ -3,6 +3,7 @@
 use nalgebra::Point3;
 
 use super::*;
+use crate::simulation::pictures::{Looks, saturation};
 use crate::task::{Judge, Outcome, Reason, Sight, TaskConfig};
 use crate::world::{Grasp, World};
 
@@ -127,4 +128,13 @@ fn needle_that_is_forced_through_is_a_failure() {
     let mut judge = Judge::new(scene.monitor(0), 25.0);
     let outcome = show(&mut judge, on_circle(&scene, 0.1), 0.001, 0.1);
     assert!(matches!(outcome, Outcome::Failure(Reason::Sunk { .. })));
+}
+
+#[test]
+fn silicone_has_the_hue_of_skin() {
+    let looks = Looks::of(NAME);
+    let ground = looks.colour(instance::ORGAN);
+    let [red, green, blue] = ground;
+    looks.told(red > green && green > blue, "silicone has the hue of skin");
+    looks.told((0.15..0.6).contains(&saturation(ground)), "and is pale");
 }

@@ -1,6 +1,7 @@
 //! Tissue retraction: one arm grasps a flap of skin on a liver at a red mark near its free edge, lifts it and holds it up.
 
 mod liver;
+mod script;
 mod success;
 
 use hal::Pose;
@@ -8,14 +9,17 @@ use hal::config::{ConfigError, Source};
 use serde::Deserialize;
 
 pub use liver::LiverShape;
+use script::Retractor;
 use success::SuccessMonitor;
 
 use super::common::{ArmFile, CommonFile, EpisodeFile, RenderingFile, TitleFile};
 use super::visuals::{LIVER, MUSCLE};
-use super::{CameraConfig, Kind, Monitor, Scene, TaskScene};
+use super::{CameraConfig, Kind, Monitor, Parsed, TaskScene};
+use crate::expert::AnyScript;
+use crate::expert::alone::Alone;
 use crate::tissue::{NODES_MAX, Patch, RetractionConfig, TissueConfig};
 use crate::visual::{Backdrop, Material, Pattern, Visual, instance};
-use crate::world::{Flap, Ground, Scenery, WorldConfig};
+use crate::world::{ArmStart, Flap, Ground, Scenery, WorldConfig};
 
 /// The name by which scene files know this kind of scene.
 pub const NAME: &str = "tissue-retraction";
@@ -23,6 +27,7 @@ pub const NAME: &str = "tissue-retraction";
 pub(super) const KIND: Kind = Kind {
     name: NAME,
     arms: 1,
+    parts: &[],
     parse,
 };
 
@@ -82,7 +87,7 @@ struct Look {
     mark_radius_m: f64,
 }
 
-fn parse(source: &Source) -> Result<(CommonFile, Scene), ConfigError> {
+fn parse(source: &Source) -> Result<Parsed, ConfigError> {
     let file: File = source.parse()?;
     file.liver.check(source, "liver")?;
     file.tissue.check(source, "tissue")?;
@@ -107,7 +112,7 @@ fn parse(source: &Source) -> Result<(CommonFile, Scene), ConfigError> {
         liver: file.liver,
         success: file.success,
     };
-    Ok((common, Scene::TissueRetraction(scene)))
+    Ok((common, Box::new(scene)))
 }
 
 impl TaskScene for TissueRetraction {
@@ -128,6 +133,10 @@ impl TaskScene for TissueRetraction {
 
     fn monitor(&self, _seed: u64) -> Box<dyn Monitor> {
         Box::new(SuccessMonitor::new(&self.success))
+    }
+
+    fn expert(&self, arms: &[ArmStart], seed: u64) -> Box<dyn AnyScript> {
+        Box::new(Alone::new(Retractor::new(self, seed), arms))
     }
 
     fn visuals(&self) -> Vec<Visual> {
@@ -169,10 +178,7 @@ impl TissueRetraction {
     /// The scene as it ships.
     pub(crate) fn shipped() -> Self {
         let task = super::TaskConfig::shipped(NAME);
-        let Scene::TissueRetraction(scene) = task.scene else {
-            panic!("not a {NAME}");
-        };
-        scene
+        task.scene::<Self>().unwrap().clone()
     }
 }
 

@@ -5,6 +5,7 @@ use nalgebra::{Point3, Translation3};
 
 use super::*;
 use crate::expert::closed_loop::{forward, inverse};
+use crate::simulation::pictures::{Looks, saturation};
 use crate::task::{Outcome, Sight, TaskConfig, TaskFiles};
 use crate::tissue::{Grasp, TissueReport};
 use crate::world::World;
@@ -188,4 +189,16 @@ fn a_flap_of_more_nodes_than_can_be_drawn_is_refused() {
         message.contains("tissue.cells = 16 x 14 nodes is outside cells of at most 208 nodes"),
         "{message}"
     );
+}
+
+#[test]
+fn flap_and_mark_are_seen_on_the_liver() {
+    let looks = Looks::of(NAME);
+    looks.show(&[(instance::TISSUE, 30_000), (instance::MARK, 200)]);
+    let [red, green, _] = looks.colour(instance::ORGAN);
+    let [skin, mark] = [instance::TISSUE, instance::MARK].map(|id| looks.colour(id));
+    looks.told(red > 1.5 * green, "liver and body are red");
+    looks.told((0.1..0.5).contains(&saturation(skin)), "skin is pale");
+    looks.told(skin[0] > 1.3 * red, "and lighter than the liver");
+    looks.told(saturation(mark) > saturation(skin) + 0.2, "the mark is red");
 }

@@ -6,12 +6,13 @@ use hal::psm::FINGER_M;
 use nalgebra::{Point3, Vector3};
 
 use super::{Bench, HALF_CIRCLE, OPEN, REACH_M, World, shake};
-use crate::task::{Scene, TaskConfig};
+use crate::task::TaskConfig;
+use crate::task::block_transfer::BlockTransfer;
 
 /// A world of the block transfer at the start of an episode.
 fn block_on_peg(seed: u64) -> (TaskConfig, World) {
     let task = TaskConfig::shipped("block-transfer");
-    let scenery = task.scene.of_task().scenery(&task.world, seed);
+    let scenery = task.scene.scenery(&task.world, seed);
     let world = World::new(&task.world, &scenery, &task.arms);
     (task, world)
 }
@@ -20,9 +21,7 @@ fn block_on_peg(seed: u64) -> (TaskConfig, World) {
 fn a_block_on_its_peg_does_not_creep_sink_or_jitter() {
     for seed in 0..3 {
         let (task, mut world) = block_on_peg(seed);
-        let Scene::BlockTransfer(scene) = &task.scene else {
-            panic!("another task");
-        };
+        let scene: &BlockTransfer = task.scene().unwrap();
         for _ in 0..500 {
             world.step();
         }

@@ -1,17 +1,13 @@
-//! Tests of the experts on the simulated arms, with a numeric inverse instead of the controller.
+//! What the tests of the scripts share: the simulated arms, with a numeric inverse instead of the controller.
 
-mod block_transfer;
-mod needle_handover;
-mod needle_lift;
-mod suture_pad;
-mod tissue_retraction;
+use core::ops::Range;
 
 use hal::{Arm, ArmCommand, ArmState, Chunk, JointVector, Pose, SafeTail, TimeNs, psm};
 use nalgebra::{Matrix3, Matrix6, Rotation3, Translation3, UnitQuaternion, Vector3, Vector6};
 
 use super::Expert;
 use crate::simulation::{Rendering, Simulation};
-use crate::task::{Outcome, TaskConfig};
+use crate::task::{Outcome, Reason, TaskConfig};
 
 /// Tip in the RCM frame, straight from the rows of the arm's description.
 pub(crate) fn forward(joints: &JointVector) -> Pose {
@@ -158,7 +154,7 @@ pub(crate) fn hold(task: &TaskConfig) -> ArmCommand {
 }
 
 /// Runs the expert over `seeds`; gives what went wrong.
-pub(crate) fn failures(task: &TaskConfig, seeds: core::ops::Range<u64>) -> Vec<String> {
+pub(crate) fn failures(task: &TaskConfig, seeds: Range<u64>) -> Vec<String> {
     let mut failed = Vec::new();
     for seed in seeds {
         let episode = run(task, seed, |_, _| {});
@@ -175,4 +171,54 @@ pub(crate) fn failures(task: &TaskConfig, seeds: core::ops::Range<u64>) -> Vec<S
         }
     }
     failed
+}
+
+/// Checks that the expert does `task` with each of `seeds`.
+pub(crate) fn succeeds(task: &TaskConfig, seeds: Range<u64>) {
+    let failed = failures(task, seeds);
+    assert!(failed.is_empty(), "{}: {failed:#?}", task.name);
+}
+
+/// Checks that the same seed gives the same episode bit for bit, and another seed another one.
+pub(crate) fn repeats(task: &TaskConfig) {
+    let hash = |seed| run(task, seed, |_, _| {}).state_hash;
+    let before = hash(3);
+    assert_eq!(before, hash(3), "{}", task.name);
+    assert_ne!(before, hash(4), "{}", task.name);
+}
+
+/// Checks that time runs out on a first arm that holds still.
+pub(crate) fn needs_its_hand(task: &TaskConfig) {
+    let hold = hold(task);
+    let episode = run(task, 2, |_, command| *command = hold);
+    assert!(
+        matches!(episode.outcome, Outcome::Failure(Reason::TimeLimit { .. })),
+        "{}: {}",
+        task.name,
+        episode.outcome
+    );
+    assert!(episode.seconds >= task.time_limit_s, "{}", task.name);
+}
+
+/// Checks that the expert does `task` in more than one attempt, within `limit_s`, after the first arm's jaw stood at `jaw_rad`
+/// during `window_s`, whatever it was told.
+pub(crate) fn recovers(task: &TaskConfig, limit_s: f64, window_s: Range<f64>, jaw_rad: f64) {
+    let mut task = task.clone();
+    task.time_limit_s = limit_s;
+    let episode = run(&task, 1, |seconds, command| {
+        if window_s.contains(&seconds) {
+            command.jaw_position = jaw_rad;
+            command.jaw_velocity = 0.0;
+        }
+    });
+    let (outcome, attempts) = (episode.outcome, episode.attempts);
+    assert_eq!(outcome, Outcome::Success, "{outcome}, {attempts} attempts");
+    assert!(attempts > 1);
+}
+
+#[test]
+fn every_task_that_ships_has_an_expert_that_does_it() {
+    for name in TaskConfig::names() {
+        succeeds(&TaskConfig::shipped(name), 20..21);
+    }
 }

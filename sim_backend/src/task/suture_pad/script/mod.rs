@@ -7,24 +7,19 @@
 mod phase;
 mod style;
 
-use hal::{Pose, TimeNs, TipTarget};
+use hal::{Pose, TimeNs};
 use nalgebra::{Point3, Translation3, UnitQuaternion, Vector3};
 
-use super::hand::{ARRIVED_PATIENCE_S, raised, settled};
-use super::motion::{Motion, Placement};
-use super::wire::wire_grasp;
-use super::{Script, Wish, arrive, carry};
+use super::{PadShape, SuturePad};
+use crate::expert::alone::View;
+use crate::expert::hand::{ARRIVED_PATIENCE_S, raised, settled};
+use crate::expert::motion::{Motion, Placement};
+use crate::expert::play::{ArmView, Hand, Part};
+use crate::expert::wire::wire_grasp;
 use crate::needle::NeedleShape;
 use crate::rng::Rng;
-use crate::simulation::SceneState;
-use crate::task::TaskConfig;
-use crate::task::suture_pad::{PadShape, SuturePad};
 use phase::{Event, Phase};
 use style::Style;
-
-/// A step's share of following a moving needle, m and rad.
-const FOLLOW_STEP_M: f64 = 0.000_8;
-const FOLLOW_STEP_RAD: f64 = 0.04;
 
 /// How far the needle may be from its place before the drive, m.
 const LINED_UP_M: f64 = 0.000_4;
@@ -46,103 +41,37 @@ const REOPEN_S: f64 = 0.3;
 pub(super) struct Driver {
     needle: NeedleShape,
     pad: PadShape,
-    scene_from_rcm: Pose,
-    rng: Rng,
-    style: Style,
-    phase: Phase,
-    motion: Option<Motion>,
-    attempts: u32,
-    untouched_steps: u32,
+    hand: Hand<Style, Phase>,
 }
 
-/// What the script sees, in the scene frame.
-struct View {
-    tip: Pose,
-    needle: Pose,
-    both_touch: bool,
-}
+impl Part for Driver {
+    type Habits = Style;
+    type Stage = Phase;
+    type View = View;
 
-impl Script for Driver {
-    fn step(&mut self, now: TimeNs, scene: &SceneState) -> Wish {
-        let view = View {
-            tip: self.scene_from_rcm * scene.first.tip_in_rcm,
-            needle: self.scene_from_rcm * scene.first.thing_in_rcm,
-            both_touch: scene.first.grasp.both_touch,
-        };
-        let start = Placement {
-            tip_in_scene: view.tip,
-            jaw: scene.first.jaw,
-        };
-        let mut motion = self.motion.unwrap_or_else(|| self.begin(now, start, &view));
-        if let Some(goal) = self.moving_goal(&view) {
-            motion.drift_end(&goal, FOLLOW_STEP_M, FOLLOW_STEP_RAD);
-        }
-        if let Some(event) = self.event(now, &motion, &view) {
-            let next = self.phase.next(event);
-            if next != self.phase {
-                self.enter(next);
-                motion = self.begin(now, motion.at(now), &view);
-            }
-        }
-        self.motion = Some(motion);
-        let placement = motion.at(now);
-        let tip_in_rcm = self.scene_from_rcm.inv_mul(&placement.tip_in_scene);
-        Wish {
-            first: TipTarget::new(&tip_in_rcm, placement.jaw),
-            second: None,
-        }
+    fn hand(&self) -> &Hand<Style, Phase> {
+        &self.hand
     }
 
-    fn attempts(&self) -> u32 {
-        self.attempts
+    fn hand_mut(&mut self) -> &mut Hand<Style, Phase> {
+        &mut self.hand
     }
 
-    fn foresee(&self, scene: &mut SceneState, wish: &Wish) {
-        if self.carries() && scene.first.grasp.both_touch {
-            carry(&mut scene.first, &wish.first);
-        } else {
-            arrive(&mut scene.first, &wish.first);
-        }
-    }
-}
-
-impl Driver {
-    pub(super) fn new(task: &TaskConfig, scene: &SuturePad, seed: u64) -> Self {
-        let mut rng = Rng::stream(seed, "expert");
-        let style = Style::draw(&mut rng);
-        Self {
-            needle: scene.needle,
-            pad: scene.pad,
-            scene_from_rcm: task.arms[0].scene_from_rcm,
-            rng,
-            style,
-            phase: Phase::Approach,
-            motion: None,
-            attempts: 1,
-            untouched_steps: 0,
-        }
+    fn own(view: &View) -> &ArmView {
+        &view.arm
     }
 
-    /// Whether the needle is meant to be in the jaw.
     fn carries(&self) -> bool {
         use Phase::{Back, Cross, Drive, Hold, Lift, Near};
-        matches!(self.phase, Lift | Cross | Near | Drive | Back | Hold)
+        matches!(self.hand.phase, Lift | Cross | Near | Drive | Back | Hold)
     }
 
-    /// Book-keeping on entering a phase.
-    fn enter(&mut self, phase: Phase) {
-        if matches!(phase, Phase::Open | Phase::Back) {
-            // A person does not repeat a failed attempt exactly.
-            self.style = Style::draw(&mut self.rng);
-            self.attempts += 1;
-        }
-        self.phase = phase;
-        self.untouched_steps = 0;
+    fn tries_again(&self, next: Phase) -> bool {
+        matches!(next, Phase::Open | Phase::Back)
     }
 
-    /// The motion of the present phase.
-    fn begin(&self, now: TimeNs, from: Placement, view: &View) -> Motion {
-        let style = &self.style;
+    fn begin(&mut self, now: TimeNs, from: Placement, view: &View) -> Motion {
+        let style = &self.hand.style;
         let straight = Vector3::zeros();
         let open = |tip_in_scene| Placement {
             tip_in_scene,
@@ -153,8 +82,8 @@ impl Driver {
             ..from
         };
         let jaw = |jaw| Placement { jaw, ..from };
-        let lift_m = self.pad.hole_height_m - view.needle.translation.z;
-        let (to, bow_m, pace) = match self.phase {
+        let lift_m = self.pad.hole_height_m - view.thing.translation.z;
+        let (to, bow_m, pace) = match self.hand.phase {
             Phase::Approach => (open(self.poise_pose(view)), style.bow_m, style.approach),
             Phase::Descend => (open(self.grasp_pose(view)), straight, style.descend),
             Phase::Close => (jaw(style.grip_rad), straight, style.close),
@@ -172,20 +101,12 @@ impl Driver {
         Motion::new(from, to, bow_m, now, pace)
     }
 
-    /// The turn about the drive's centre that brings the needle's point to `angle_rad`.
-    fn turn(&self, now: TimeNs, from: Placement, view: &View, angle_rad: f64) -> Motion {
-        let centre = self.drive_centre();
-        let turn_rad = angle_rad - self.point_rad(view);
-        Motion::swing(from, centre, turn_rad, now, self.style.drive)
-    }
-
-    /// The goal of a phase that follows the needle.
     fn moving_goal(&self, view: &View) -> Option<Pose> {
-        match self.phase {
+        match self.hand.phase {
             Phase::Approach => Some(self.poise_pose(view)),
             Phase::Descend => Some(self.grasp_pose(view)),
-            Phase::Cross if view.both_touch => Some(self.aside(view)),
-            Phase::Near if view.both_touch => Some(self.lined_up(view)),
+            Phase::Cross if view.arm.both_touch => Some(self.aside(view)),
+            Phase::Near if view.arm.both_touch => Some(self.lined_up(view)),
             Phase::Close
             | Phase::Lift
             | Phase::Cross
@@ -198,35 +119,29 @@ impl Driver {
         }
     }
 
-    /// What has happened at this step, if anything.
-    fn event(&mut self, now: TimeNs, motion: &Motion, view: &View) -> Option<Event> {
+    fn event(&self, now: TimeNs, motion: &Motion, view: &View) -> Option<Event> {
         let overdue_s = motion.overdue_s(now);
-        if view.both_touch {
-            self.untouched_steps = 0;
-        } else {
-            self.untouched_steps += 1;
-        }
-        if self.carries() && self.untouched_steps >= LOST_STEPS {
+        if self.carries() && self.hand.has_lost(LOST_STEPS) {
             return Some(Event::Lost);
         }
         let patient = overdue_s > ARRIVED_PATIENCE_S;
-        match self.phase {
+        match self.hand.phase {
             Phase::Approach | Phase::Lift | Phase::Cross | Phase::Retreat => {
                 (overdue_s >= 0.0).then_some(Event::Arrived)
             }
             Phase::Descend => {
-                let there = overdue_s >= 0.0 && settled(motion, &view.tip);
+                let there = overdue_s >= 0.0 && settled(motion, &view.arm.tip);
                 (there || patient).then_some(Event::Arrived)
             }
-            Phase::Close if overdue_s < self.style.settle_s => None,
-            Phase::Close if view.both_touch => Some(if self.is_in_hole(view) {
+            Phase::Close if overdue_s < self.hand.style.settle_s => None,
+            Phase::Close if view.arm.both_touch => Some(if self.is_in_hole(view) {
                 Event::Regripped
             } else {
                 Event::Gripped
             }),
             Phase::Close => (overdue_s > GRIP_PATIENCE_S).then_some(Event::Lost),
             Phase::Near => {
-                let gap = self.lined_up(view).translation.vector - view.tip.translation.vector;
+                let gap = self.lined_up(view).translation.vector - view.arm.tip.translation.vector;
                 let there = overdue_s >= 0.0 && gap.norm() < LINED_UP_M;
                 (there || patient).then_some(Event::Arrived)
             }
@@ -244,15 +159,38 @@ impl Driver {
             Phase::Open => (overdue_s >= REOPEN_S).then_some(Event::Arrived),
         }
     }
+}
+
+impl Driver {
+    /// The script at the start of the episode `seed`.
+    pub(super) fn new(scene: &SuturePad, seed: u64) -> Self {
+        Self {
+            needle: scene.needle,
+            pad: scene.pad,
+            hand: Hand::new(Rng::stream(seed, "expert")),
+        }
+    }
+
+    /// The turn about the drive's centre that brings the needle's point to `angle_rad`.
+    fn turn(&self, now: TimeNs, from: Placement, view: &View, angle_rad: f64) -> Motion {
+        let centre = self.drive_centre();
+        let turn_rad = angle_rad - self.point_rad(view);
+        Motion::swing(from, centre, turn_rad, now, self.hand.style.drive)
+    }
 
     /// The pose in which closing the jaw grips the wire near the middle of its arc.
     fn grasp_pose(&self, view: &View) -> Pose {
-        wire_grasp(&self.needle, &view.needle, self.style.along_m, |_, _| 0.0)
+        wire_grasp(
+            &self.needle,
+            &view.thing,
+            self.hand.style.along_m,
+            |_, _| 0.0,
+        )
     }
 
     /// The pose to wait in above the needle.
     fn poise_pose(&self, view: &View) -> Pose {
-        Translation3::new(0.0, 0.0, self.style.poise_height_m) * self.grasp_pose(view)
+        Translation3::new(0.0, 0.0, self.hand.style.poise_height_m) * self.grasp_pose(view)
     }
 
     /// The centre of the circle that leads through the hole: left of it.
@@ -262,23 +200,23 @@ impl Driver {
 
     /// The pose of the tip that brings the needle before the hole, ready for the drive.
     fn lined_up(&self, view: &View) -> Pose {
-        let yaw_rad = self.style.ready_rad - 0.5 * self.needle.arc_angle_rad;
+        let yaw_rad = self.hand.style.ready_rad - 0.5 * self.needle.arc_angle_rad;
         let wanted = Pose::from_parts(
             self.drive_centre().into(),
             UnitQuaternion::from_axis_angle(&Vector3::z_axis(), yaw_rad),
         );
-        wanted * view.needle.inv_mul(&view.tip)
+        wanted * view.thing.inv_mul(&view.arm.tip)
     }
 
     /// The same, further from the lip.
     fn aside(&self, view: &View) -> Pose {
-        Translation3::new(0.0, -self.style.aside_m, 0.0) * self.lined_up(view)
+        Translation3::new(0.0, -self.hand.style.aside_m, 0.0) * self.lined_up(view)
     }
 
     /// The needle's point.
     fn point(&self, view: &View) -> Point3<f64> {
         let (sin, cos) = (0.5 * self.needle.arc_angle_rad).sin_cos();
-        view.needle * (Point3::new(cos, sin, 0.0) * self.needle.arc_radius_m)
+        view.thing * (Point3::new(cos, sin, 0.0) * self.needle.arc_radius_m)
     }
 
     /// Angle of the needle's point about the drive's centre, from the plane of the lip.
@@ -293,3 +231,6 @@ impl Driver {
         near && point.y > self.pad.lip_front_m
     }
 }
+
+#[cfg(test)]
+mod tests;

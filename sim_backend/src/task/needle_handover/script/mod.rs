@@ -13,21 +13,18 @@ use core::f64::consts::PI;
 use hal::psm::FINGER_M;
 use hal::{Pose, TimeNs, TipTarget};
 
-use super::motion::{Motion, Placement};
-use super::{Script, Wish, arrive, carry};
+use super::NeedleHandover;
+use crate::expert::motion::Placement;
+use crate::expert::play::{ArmView, Part};
+use crate::expert::{Script, Wish, arrive, carry};
 use crate::needle::NeedleShape;
 use crate::organ::OrganShape;
 use crate::rng::Rng;
 use crate::simulation::{ArmScene, SceneState};
-use crate::task::TaskConfig;
-use crate::task::needle_handover::NeedleHandover;
+use crate::world::ArmStart;
 use giver::Giver;
 use style::Style;
 use taker::Taker;
-
-/// A step's share of following a moving needle, m and rad.
-const FOLLOW_STEP_M: f64 = 0.000_8;
-const FOLLOW_STEP_RAD: f64 = 0.04;
 
 /// How long to wait for both fingers after the jaw's motion has ended, s.
 const GRIP_PATIENCE_S: f64 = 0.5;
@@ -55,40 +52,29 @@ pub(super) struct Passer {
     taker: Taker,
 }
 
-/// What both hands have.
-#[derive(Clone, Debug)]
-struct Hand {
-    rng: Rng,
-    style: Style,
-    motion: Option<Motion>,
-    attempts: u32,
-    untouched_steps: u32,
-}
-
-/// What a hand sees of one arm, in the scene frame.
-struct ArmView {
-    tip: Pose,
-    jaw: f64,
-    both_touch: bool,
-}
-
 /// What both hands see, in the scene frame.
-struct View {
+pub(crate) struct View {
     shape: NeedleShape,
     organ: OrganShape,
     needle: Pose,
     presented: Pose,
     giver: ArmView,
     taker: ArmView,
+    /// Whether the giver holds the needle out.
+    offered: bool,
+    /// Whether the giver has let go and is out of the way.
+    given: bool,
+    /// Whether the taker holds the needle.
+    taken: bool,
+    /// Whether the taker waits.
+    idle: bool,
 }
 
 impl Script for Passer {
     fn step(&mut self, now: TimeNs, scene: &SceneState) -> Wish {
         let view = self.view(scene);
-        let (taken, idle) = (self.taker.holds(), self.taker.is_idle());
-        let (offered, given) = (self.giver.presents(), self.giver.is_away());
-        let first = self.giver.step(now, &view, taken, idle);
-        let second = self.taker.step(now, &view, offered, given);
+        let first = self.giver.play(now, &view);
+        let second = self.taker.play(now, &view);
         Wish {
             first: target(&self.bases[0], &first),
             second: Some(target(&self.bases[1], &second)),
@@ -96,7 +82,7 @@ impl Script for Passer {
     }
 
     fn attempts(&self) -> u32 {
-        self.giver.hand.attempts + self.taker.hand.attempts - 1
+        self.giver.hand().attempts() + self.taker.hand().attempts() - 1
     }
 
     fn foresee(&self, scene: &mut SceneState, wish: &Wish) {
@@ -122,14 +108,14 @@ impl Script for Passer {
 }
 
 impl Passer {
-    pub(super) fn new(task: &TaskConfig, scene: &NeedleHandover, seed: u64) -> Self {
-        let hand = |name| Hand::new(Rng::stream(seed, name));
+    /// The script at the start of the episode `seed`.
+    pub(super) fn new(scene: &NeedleHandover, arms: &[ArmStart], seed: u64) -> Self {
         Self {
             shape: scene.needle,
             organ: scene.organ,
-            bases: [task.arms[0].scene_from_rcm, task.arms[1].scene_from_rcm],
-            giver: Giver::new(hand("giver")),
-            taker: Taker::new(hand("taker")),
+            bases: [arms[0].scene_from_rcm, arms[1].scene_from_rcm],
+            giver: Giver::new(Rng::stream(seed, "giver")),
+            taker: Taker::new(Rng::stream(seed, "taker")),
         }
     }
 
@@ -149,46 +135,10 @@ impl Passer {
                 &self.bases[1],
                 scene.second.as_ref().unwrap_or(&scene.first),
             ),
-        }
-    }
-}
-
-impl Hand {
-    fn new(mut rng: Rng) -> Self {
-        let style = Style::draw(&mut rng);
-        Self {
-            rng,
-            style,
-            motion: None,
-            attempts: 1,
-            untouched_steps: 0,
-        }
-    }
-
-    /// A person does not repeat a failed attempt exactly.
-    fn try_again(&mut self) {
-        self.style = Style::draw(&mut self.rng);
-        self.attempts += 1;
-    }
-
-    fn feel(&mut self, both_touch: bool) {
-        self.untouched_steps = if both_touch {
-            0
-        } else {
-            self.untouched_steps + 1
-        };
-    }
-
-    fn follow(&self, motion: &mut Motion, goal: &Pose) {
-        motion.drift_end(goal, FOLLOW_STEP_M, FOLLOW_STEP_RAD);
-    }
-}
-
-impl ArmView {
-    fn placement(&self) -> Placement {
-        Placement {
-            tip_in_scene: self.tip,
-            jaw: self.jaw,
+            offered: self.giver.presents(),
+            given: self.giver.is_away(),
+            taken: self.taker.holds(),
+            idle: self.taker.is_idle(),
         }
     }
 }
@@ -215,3 +165,6 @@ impl View {
 fn target(base: &Pose, placement: &Placement) -> TipTarget {
     TipTarget::new(&base.inv_mul(&placement.tip_in_scene), placement.jaw)
 }
+
+#[cfg(test)]
+mod tests;

@@ -1,5 +1,7 @@
 //! The phases of driving a needle through a hole, and the one function that moves between them.
 
+use crate::expert::play::Stage;
+
 /// What the script is doing.
 ///
 /// | phase    | Arrived  | Gripped | Regripped | Lost | Stuck |
@@ -18,7 +20,7 @@
 ///
 /// An empty cell stays in the phase.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Phase {
+pub(crate) enum Phase {
     /// On the way to above the needle, opening the jaw.
     Approach,
     /// Going down to the needle, jaw open.
@@ -45,7 +47,7 @@ pub(super) enum Phase {
 
 /// What happened in a phase.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Event {
+pub(crate) enum Event {
     /// The motion ended and the arm is where it was to be, or will not get closer.
     Arrived,
     /// Both fingers hold the needle, which is free.
@@ -58,9 +60,12 @@ pub(super) enum Event {
     Stuck,
 }
 
-impl Phase {
-    /// The phase after `event`.
-    pub(super) const fn next(self, event: Event) -> Self {
+impl Stage for Phase {
+    type Event = Event;
+
+    const FIRST: Self = Self::Approach;
+
+    fn next(self, event: Event) -> Self {
         match (self, event) {
             (Self::Approach, Event::Arrived) => Self::Descend,
             (Self::Descend, Event::Arrived) => Self::Close,
@@ -94,6 +99,7 @@ impl Phase {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::expert::play::check_table;
 
     #[test]
     fn documented_table_is_what_happens() {
@@ -113,17 +119,15 @@ mod tests {
             (Open, [Retreat, Open, Open, Open, Open]),
             (Retreat, [Approach, Retreat, Retreat, Retreat, Retreat]),
         ];
-        for (phase, row) in table {
-            let events = [
+        check_table(
+            [
                 Event::Arrived,
                 Event::Gripped,
                 Event::Regripped,
                 Event::Lost,
                 Event::Stuck,
-            ];
-            for (event, expected) in events.into_iter().zip(row) {
-                assert_eq!(phase.next(event), expected, "{phase:?} on {event:?}");
-            }
-        }
+            ],
+            &table,
+        );
     }
 }

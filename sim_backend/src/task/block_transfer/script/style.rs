@@ -3,11 +3,12 @@
 use nalgebra::Vector3;
 
 use crate::expert::motion::Pace;
+use crate::expert::play::Habits;
 use crate::rng::Rng;
 
 /// The habits of one attempt.
 #[derive(Clone, Debug)]
-pub(super) struct Style {
+pub(crate) struct Style {
     /// Pace from anywhere to above the block.
     pub(super) approach: Pace,
     /// Pace around the block: down to it, and up from it once it is placed.
@@ -44,9 +45,8 @@ pub(super) struct Style {
     pub(super) rise_m: f64,
 }
 
-impl Style {
-    /// Draws a style.
-    pub(super) fn draw(rng: &mut Rng) -> Self {
+impl Habits for Style {
+    fn draw(rng: &mut Rng) -> Self {
         let jaw_rate_rad_s = rng.range(1.6, 2.4);
         let pace = |speed_m_s, duration_s_min| Pace {
             speed_m_s,

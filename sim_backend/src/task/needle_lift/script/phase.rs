@@ -1,5 +1,7 @@
 //! The expert's phases and the one function that moves between them.
 
+use crate::expert::play::Stage;
+
 /// What the expert is doing.
 ///
 /// | phase    | Arrived | Gripped | Lost    |
@@ -15,7 +17,7 @@
 ///
 /// An empty cell stays in the phase.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Phase {
+pub(crate) enum Phase {
     /// On the way to above the needle, opening the jaw.
     Approach,
     /// Waiting above the needle.
@@ -36,7 +38,7 @@ pub(super) enum Phase {
 
 /// What happened in a phase.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Event {
+pub(crate) enum Event {
     /// The motion ended and the arm is where it was to be, or will not get closer.
     Arrived,
     /// Both fingers hold the needle.
@@ -45,9 +47,12 @@ pub(super) enum Event {
     Lost,
 }
 
-impl Phase {
-    /// The phase after `event`.
-    pub(super) const fn next(self, event: Event) -> Self {
+impl Stage for Phase {
+    type Event = Event;
+
+    const FIRST: Self = Self::Approach;
+
+    fn next(self, event: Event) -> Self {
         match (self, event) {
             (Self::Approach, Event::Arrived) => Self::Poise,
             (Self::Poise, Event::Arrived) => Self::Descend,
@@ -70,6 +75,7 @@ impl Phase {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::expert::play::check_table;
 
     #[test]
     fn documented_table_is_what_happens() {
@@ -84,11 +90,6 @@ mod tests {
             (Open, [Retreat, Open, Open]),
             (Retreat, [Approach, Retreat, Retreat]),
         ];
-        for (phase, row) in table {
-            let events = [Event::Arrived, Event::Gripped, Event::Lost];
-            for (event, expected) in events.into_iter().zip(row) {
-                assert_eq!(phase.next(event), expected, "{phase:?} on {event:?}");
-            }
-        }
+        check_table([Event::Arrived, Event::Gripped, Event::Lost], &table);
     }
 }

@@ -1,5 +1,7 @@
 //! The phases of a tissue retraction and the one function that moves between them.
 
+use crate::expert::play::Stage;
+
 /// What the script is doing.
 ///
 /// | phase    | Arrived  | Held | Lost |
@@ -14,7 +16,7 @@
 ///
 /// An empty cell stays in the phase.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Phase {
+pub(crate) enum Phase {
     /// On the way to before the free edge, opening the jaw.
     Approach,
     /// Going in, one finger above the flap and one under it.
@@ -33,7 +35,7 @@ pub(super) enum Phase {
 
 /// What happened in a phase.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Event {
+pub(crate) enum Event {
     /// The motion ended and the arm is where it was to be, or will not get closer.
     Arrived,
     /// The jaw holds the flap at the mark.
@@ -42,9 +44,12 @@ pub(super) enum Event {
     Lost,
 }
 
-impl Phase {
-    /// The phase after `event`.
-    pub(super) const fn next(self, event: Event) -> Self {
+impl Stage for Phase {
+    type Event = Event;
+
+    const FIRST: Self = Self::Approach;
+
+    fn next(self, event: Event) -> Self {
         match (self, event) {
             (Self::Approach, Event::Arrived) => Self::Enter,
             (Self::Enter, Event::Arrived) => Self::Close,
@@ -66,6 +71,7 @@ impl Phase {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::expert::play::check_table;
 
     #[test]
     fn documented_table_is_what_happens() {
@@ -79,11 +85,6 @@ mod tests {
             (Open, [Retreat, Open, Open]),
             (Retreat, [Approach, Retreat, Retreat]),
         ];
-        for (phase, row) in table {
-            let events = [Event::Arrived, Event::Held, Event::Lost];
-            for (event, expected) in events.into_iter().zip(row) {
-                assert_eq!(phase.next(event), expected, "{phase:?} on {event:?}");
-            }
-        }
+        check_table([Event::Arrived, Event::Held, Event::Lost], &table);
     }
 }

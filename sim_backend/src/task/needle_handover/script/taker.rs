@@ -3,10 +3,12 @@
 use hal::{Pose, TimeNs};
 use nalgebra::{Translation3, Vector3};
 
-use super::{GRIP_PATIENCE_S, Hand, LOST_STEPS, REOPEN_S, View};
+use super::{GRIP_PATIENCE_S, LOST_STEPS, REOPEN_S, Style, View};
 use crate::expert::hand::{ARRIVED_PATIENCE_S, raised, settled};
 use crate::expert::motion::{Motion, Placement};
+use crate::expert::play::{ArmView, Hand, Part, Stage};
 use crate::expert::wire::wire_hold;
+use crate::rng::Rng;
 
 /// What the taker is doing.
 ///
@@ -24,7 +26,7 @@ use crate::expert::wire::wire_hold;
 ///
 /// An empty cell stays in the phase.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Phase {
+pub(crate) enum Phase {
     /// Waiting for the needle to be presented.
     Wait,
     /// On the way to above the needle, opening the jaw.
@@ -47,7 +49,7 @@ pub(super) enum Phase {
 
 /// What happened in a phase.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Event {
+pub(crate) enum Event {
     /// The needle is presented.
     Offered,
     /// The motion ended and the arm is where it was to be, or will not get closer.
@@ -60,9 +62,12 @@ enum Event {
     Given,
 }
 
-impl Phase {
-    /// The phase after `event`.
-    const fn next(self, event: Event) -> Self {
+impl Stage for Phase {
+    type Event = Event;
+
+    const FIRST: Self = Self::Wait;
+
+    fn next(self, event: Event) -> Self {
         match (self, event) {
             (Self::Wait, Event::Offered) => Self::Approach,
             (Self::Approach, Event::Arrived) => Self::Descend,
@@ -85,59 +90,35 @@ impl Phase {
 /// The taker.
 #[derive(Clone, Debug)]
 pub(super) struct Taker {
-    pub(super) hand: Hand,
-    pub(super) phase: Phase,
+    hand: Hand<Style, Phase>,
 }
 
-impl Taker {
-    pub(super) const fn new(hand: Hand) -> Self {
-        Self {
-            hand,
-            phase: Phase::Wait,
-        }
+impl Part for Taker {
+    type Habits = Style;
+    type Stage = Phase;
+    type View = View;
+
+    fn hand(&self) -> &Hand<Style, Phase> {
+        &self.hand
     }
 
-    /// Whether the needle is in this hand.
-    pub(super) fn holds(&self) -> bool {
-        matches!(self.phase, Phase::Keep | Phase::Take | Phase::Hold)
+    fn hand_mut(&mut self) -> &mut Hand<Style, Phase> {
+        &mut self.hand
     }
 
-    /// Whether this hand waits for the needle.
-    pub(super) fn is_idle(&self) -> bool {
-        self.phase == Phase::Wait
+    fn own(view: &View) -> &ArmView {
+        &view.taker
     }
 
-    /// Where the tip should be at `now`; `offered` if the other hand presents the needle, `given` if it is gone.
-    pub(super) fn step(
-        &mut self,
-        now: TimeNs,
-        view: &View,
-        offered: bool,
-        given: bool,
-    ) -> Placement {
-        let mut motion = match self.hand.motion {
-            Some(motion) => motion,
-            None => self.begin(now, view.taker.placement(), view),
-        };
-        if let Some(goal) = self.moving_goal(view) {
-            self.hand.follow(&mut motion, &goal);
-        }
-        if let Some(event) = self.event(now, &motion, view, offered, given) {
-            let next = self.phase.next(event);
-            if next != self.phase {
-                if matches!(next, Phase::Open) {
-                    self.hand.try_again();
-                }
-                self.phase = next;
-                self.hand.untouched_steps = 0;
-                motion = self.begin(now, motion.at(now), view);
-            }
-        }
-        self.hand.motion = Some(motion);
-        motion.at(now)
+    fn carries(&self) -> bool {
+        self.holds()
     }
 
-    fn begin(&self, now: TimeNs, from: Placement, view: &View) -> Motion {
+    fn tries_again(&self, next: Phase) -> bool {
+        next == Phase::Open
+    }
+
+    fn begin(&mut self, now: TimeNs, from: Placement, view: &View) -> Motion {
         let style = &self.hand.style;
         let straight = Vector3::zeros();
         let open = |tip_in_scene| Placement {
@@ -150,7 +131,7 @@ impl Taker {
             tip_in_scene: Translation3::new(-outwards_m, 0.0, up_m) * from.tip_in_scene,
             ..from
         };
-        let (to, bow_m, pace) = match self.phase {
+        let (to, bow_m, pace) = match self.hand.phase {
             Phase::Wait | Phase::Keep | Phase::Hold => return Motion::rest(from, now, 0.0),
             Phase::Approach => (open(self.poise_pose(view)), style.bow_m, style.approach),
             Phase::Descend => (open(self.grasp_pose(view)), straight, style.descend),
@@ -162,9 +143,8 @@ impl Taker {
         Motion::new(from, to, bow_m, now, pace)
     }
 
-    /// The goal of a phase that follows the needle.
     fn moving_goal(&self, view: &View) -> Option<Pose> {
-        match self.phase {
+        match self.hand.phase {
             Phase::Approach => Some(self.poise_pose(view)),
             Phase::Descend => Some(self.grasp_pose(view)),
             Phase::Wait
@@ -177,21 +157,13 @@ impl Taker {
         }
     }
 
-    fn event(
-        &mut self,
-        now: TimeNs,
-        motion: &Motion,
-        view: &View,
-        offered: bool,
-        given: bool,
-    ) -> Option<Event> {
+    fn event(&self, now: TimeNs, motion: &Motion, view: &View) -> Option<Event> {
         let overdue_s = motion.overdue_s(now);
-        let hand = &mut self.hand;
-        hand.feel(view.taker.both_touch);
-        let lost = hand.untouched_steps >= LOST_STEPS;
-        match self.phase {
-            Phase::Wait => offered.then_some(Event::Offered),
-            Phase::Approach | Phase::Descend if !offered => Some(Event::Lost),
+        let hand = &self.hand;
+        let lost = hand.has_lost(LOST_STEPS);
+        match self.hand.phase {
+            Phase::Wait => view.offered.then_some(Event::Offered),
+            Phase::Approach | Phase::Descend if !view.offered => Some(Event::Lost),
             Phase::Keep | Phase::Take | Phase::Hold if lost => Some(Event::Lost),
             Phase::Approach | Phase::Take | Phase::Retreat => {
                 (overdue_s >= 0.0).then_some(Event::Arrived)
@@ -203,10 +175,29 @@ impl Taker {
             Phase::Close if overdue_s < hand.style.settle_s => None,
             Phase::Close if view.taker.both_touch => Some(Event::Gripped),
             Phase::Close => (overdue_s > GRIP_PATIENCE_S).then_some(Event::Lost),
-            Phase::Keep => given.then_some(Event::Given),
+            Phase::Keep => view.given.then_some(Event::Given),
             Phase::Hold => None,
             Phase::Open => (overdue_s >= REOPEN_S).then_some(Event::Arrived),
         }
+    }
+}
+
+impl Taker {
+    /// A hand whose habits come from `rng`.
+    pub(super) fn new(rng: Rng) -> Self {
+        Self {
+            hand: Hand::new(rng),
+        }
+    }
+
+    /// Whether the needle is in this hand.
+    pub(super) fn holds(&self) -> bool {
+        matches!(self.hand.phase, Phase::Keep | Phase::Take | Phase::Hold)
+    }
+
+    /// Whether this hand waits for the needle.
+    pub(super) fn is_idle(&self) -> bool {
+        self.hand.phase == Phase::Wait
     }
 
     /// The pose in which closing the jaw grips the wire on the side of the needle's blunt end.
@@ -224,6 +215,7 @@ impl Taker {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::expert::play::check_table;
 
     #[test]
     fn documented_table_is_what_happens() {
@@ -239,17 +231,15 @@ mod tests {
             (Open, [Open, Retreat, Open, Open, Open]),
             (Retreat, [Retreat, Wait, Retreat, Retreat, Retreat]),
         ];
-        for (phase, row) in table {
-            let events = [
+        check_table(
+            [
                 Event::Offered,
                 Event::Arrived,
                 Event::Gripped,
                 Event::Lost,
                 Event::Given,
-            ];
-            for (event, expected) in events.into_iter().zip(row) {
-                assert_eq!(phase.next(event), expected, "{phase:?} on {event:?}");
-            }
-        }
+            ],
+            &table,
+        );
     }
 }

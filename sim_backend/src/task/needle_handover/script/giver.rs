@@ -3,10 +3,12 @@
 use hal::{Pose, TimeNs};
 use nalgebra::{Translation3, Vector3};
 
-use super::{GRIP_PATIENCE_S, Hand, LOST_STEPS, REOPEN_S, View};
+use super::{GRIP_PATIENCE_S, LOST_STEPS, REOPEN_S, Style, View};
 use crate::expert::hand::{ARRIVED_PATIENCE_S, raised, settled};
 use crate::expert::motion::{Motion, Placement};
+use crate::expert::play::{ArmView, Hand, Part, Stage};
 use crate::expert::wire::wire_hold;
+use crate::rng::Rng;
 
 /// What the giver is doing.
 ///
@@ -26,7 +28,7 @@ use crate::expert::wire::wire_hold;
 ///
 /// An empty cell stays in the phase.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Phase {
+pub(crate) enum Phase {
     /// On the way to above the needle, opening the jaw.
     Approach,
     /// Going down to the needle, jaw open.
@@ -53,7 +55,7 @@ pub(super) enum Phase {
 
 /// What happened in a phase.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Event {
+pub(crate) enum Event {
     /// The motion ended and the arm is where it was to be, or will not get closer.
     Arrived,
     /// Both fingers hold the needle.
@@ -66,9 +68,12 @@ enum Event {
     Free,
 }
 
-impl Phase {
-    /// The phase after `event`.
-    const fn next(self, event: Event) -> Self {
+impl Stage for Phase {
+    type Event = Event;
+
+    const FIRST: Self = Self::Approach;
+
+    fn next(self, event: Event) -> Self {
         match (self, event) {
             (Self::Approach, Event::Arrived) => Self::Descend,
             (Self::Descend, Event::Arrived) => Self::Close,
@@ -89,58 +94,35 @@ impl Phase {
 /// The giver.
 #[derive(Clone, Debug)]
 pub(super) struct Giver {
-    pub(super) hand: Hand,
-    pub(super) phase: Phase,
+    hand: Hand<Style, Phase>,
 }
 
-impl Giver {
-    pub(super) const fn new(hand: Hand) -> Self {
-        Self {
-            hand,
-            phase: Phase::Approach,
-        }
+impl Part for Giver {
+    type Habits = Style;
+    type Stage = Phase;
+    type View = View;
+
+    fn hand(&self) -> &Hand<Style, Phase> {
+        &self.hand
     }
 
-    /// Whether the needle is held out for the other hand.
-    pub(super) fn presents(&self) -> bool {
-        self.phase == Phase::Present
+    fn hand_mut(&mut self) -> &mut Hand<Style, Phase> {
+        &mut self.hand
     }
 
-    /// Whether the needle is meant to be in this hand alone.
-    pub(super) fn carries(&self) -> bool {
-        matches!(self.phase, Phase::Lift | Phase::Carry | Phase::Present)
+    fn own(view: &View) -> &ArmView {
+        &view.giver
     }
 
-    /// Whether this hand has let go and is out of the way.
-    pub(super) fn is_away(&self) -> bool {
-        self.phase == Phase::Rest
+    fn carries(&self) -> bool {
+        matches!(self.hand.phase, Phase::Lift | Phase::Carry | Phase::Present)
     }
 
-    /// Where the tip should be at `now`; `taken` if the other hand holds the needle, `idle` if it waits.
-    pub(super) fn step(&mut self, now: TimeNs, view: &View, taken: bool, idle: bool) -> Placement {
-        let mut motion = match self.hand.motion {
-            Some(motion) => motion,
-            None => self.begin(now, view.giver.placement(), view),
-        };
-        if let Some(goal) = self.moving_goal(view) {
-            self.hand.follow(&mut motion, &goal);
-        }
-        if let Some(event) = self.event(now, &motion, view, taken, idle) {
-            let next = self.phase.next(event);
-            if next != self.phase {
-                if matches!(next, Phase::Open) || self.phase == Phase::Rest {
-                    self.hand.try_again();
-                }
-                self.phase = next;
-                self.hand.untouched_steps = 0;
-                motion = self.begin(now, motion.at(now), view);
-            }
-        }
-        self.hand.motion = Some(motion);
-        motion.at(now)
+    fn tries_again(&self, next: Phase) -> bool {
+        next == Phase::Open || self.hand.phase == Phase::Rest
     }
 
-    fn begin(&self, now: TimeNs, from: Placement, view: &View) -> Motion {
+    fn begin(&mut self, now: TimeNs, from: Placement, view: &View) -> Motion {
         let style = &self.hand.style;
         let straight = Vector3::zeros();
         let open = |tip_in_scene| Placement {
@@ -154,7 +136,7 @@ impl Giver {
         let jaw = |jaw| Placement { jaw, ..from };
         let [outwards_m, up_m] = style.away_m;
         let away = Translation3::new(outwards_m, 0.0, up_m);
-        let (to, bow_m, pace) = match self.phase {
+        let (to, bow_m, pace) = match self.hand.phase {
             Phase::Approach => (open(self.poise_pose(view)), style.bow_m, style.approach),
             Phase::Descend => (open(self.grasp_pose(view)), straight, style.descend),
             Phase::Close => (jaw(style.grip_rad), straight, style.close),
@@ -168,9 +150,8 @@ impl Giver {
         Motion::new(from, to, bow_m, now, pace)
     }
 
-    /// The goal of a phase that follows the needle.
     fn moving_goal(&self, view: &View) -> Option<Pose> {
-        match self.phase {
+        match self.hand.phase {
             Phase::Approach => Some(self.poise_pose(view)),
             Phase::Descend => Some(self.grasp_pose(view)),
             Phase::Carry if view.giver.both_touch => Some(self.presenting(view)),
@@ -186,20 +167,12 @@ impl Giver {
         }
     }
 
-    fn event(
-        &mut self,
-        now: TimeNs,
-        motion: &Motion,
-        view: &View,
-        taken: bool,
-        idle: bool,
-    ) -> Option<Event> {
+    fn event(&self, now: TimeNs, motion: &Motion, view: &View) -> Option<Event> {
         let overdue_s = motion.overdue_s(now);
-        let hand = &mut self.hand;
-        hand.feel(view.giver.both_touch);
-        let lost = hand.untouched_steps >= LOST_STEPS;
+        let hand = &self.hand;
+        let lost = hand.has_lost(LOST_STEPS);
         let patient = overdue_s > ARRIVED_PATIENCE_S;
-        match self.phase {
+        match self.hand.phase {
             Phase::Lift | Phase::Carry | Phase::Present if lost => Some(Event::Lost),
             Phase::Approach | Phase::Lift | Phase::Withdraw | Phase::Retreat => {
                 (overdue_s >= 0.0).then_some(Event::Arrived)
@@ -211,10 +184,29 @@ impl Giver {
             Phase::Close if overdue_s < hand.style.settle_s => None,
             Phase::Close if view.giver.both_touch => Some(Event::Gripped),
             Phase::Close => (overdue_s > GRIP_PATIENCE_S).then_some(Event::Lost),
-            Phase::Present => taken.then_some(Event::Taken),
-            Phase::Rest => (idle && !taken).then_some(Event::Free),
+            Phase::Present => view.taken.then_some(Event::Taken),
+            Phase::Rest => (view.idle && !view.taken).then_some(Event::Free),
             Phase::Release | Phase::Open => (overdue_s >= REOPEN_S).then_some(Event::Arrived),
         }
+    }
+}
+
+impl Giver {
+    /// A hand whose habits come from `rng`.
+    pub(super) fn new(rng: Rng) -> Self {
+        Self {
+            hand: Hand::new(rng),
+        }
+    }
+
+    /// Whether the needle is held out for the other hand.
+    pub(super) fn presents(&self) -> bool {
+        self.hand.phase == Phase::Present
+    }
+
+    /// Whether this hand has let go and is out of the way.
+    pub(super) fn is_away(&self) -> bool {
+        self.hand.phase == Phase::Rest
     }
 
     /// The pose in which closing the jaw grips the wire on the side of the needle's point.
@@ -239,6 +231,7 @@ impl Giver {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::expert::play::check_table;
 
     #[test]
     fn documented_table_is_what_happens() {
@@ -258,17 +251,15 @@ mod tests {
             (Open, [Retreat, Open, Open, Open, Open]),
             (Retreat, [Approach, Retreat, Retreat, Retreat, Retreat]),
         ];
-        for (phase, row) in table {
-            let events = [
+        check_table(
+            [
                 Event::Arrived,
                 Event::Gripped,
                 Event::Lost,
                 Event::Taken,
                 Event::Free,
-            ];
-            for (event, expected) in events.into_iter().zip(row) {
-                assert_eq!(phase.next(event), expected, "{phase:?} on {event:?}");
-            }
-        }
+            ],
+            &table,
+        );
     }
 }

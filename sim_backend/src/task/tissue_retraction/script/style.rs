@@ -3,11 +3,12 @@
 use nalgebra::Vector3;
 
 use crate::expert::motion::Pace;
+use crate::expert::play::Habits;
 use crate::rng::Rng;
 
 /// The habits of one demonstration, drawn once from its seed.
 #[derive(Clone, Debug)]
-pub(super) struct Style {
+pub(crate) struct Style {
     /// Pace from the start to before the edge.
     pub(super) approach: Pace,
     /// Pace from there over and under the edge.
@@ -41,9 +42,8 @@ pub(super) struct Style {
     pub(super) lean: f64,
 }
 
-impl Style {
-    /// Draws a style.
-    pub(super) fn draw(rng: &mut Rng) -> Self {
+impl Habits for Style {
+    fn draw(rng: &mut Rng) -> Self {
         let jaw_rate_rad_s = rng.range(2.0, 3.0);
         let pace = |speed_m_s, duration_s_min| Pace {
             speed_m_s,
