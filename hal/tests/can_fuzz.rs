@@ -31,8 +31,8 @@ use proptest::test_runner::{FileFailurePersistence, RngSeed, TestError, TestRunn
 
 /// Lives between two looks at how many frames have been thrown.
 const BATCH: u32 = 16;
-/// How often a failure may be tried anew to make it smaller.
-const SHRINK_ITERS: u32 = 20_000;
+/// For how long a failure may be tried anew to make it smaller, ms.
+const SHRINK_MS: u32 = 20_000;
 
 const ARM_SEEDS: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/can_fuzz/seeds-arm.txt");
 const DRIVE_SEEDS: &str = concat!(
@@ -50,7 +50,7 @@ fn runner(seed: u64, file: &'static str) -> TestRunner {
     TestRunner::new(ProptestConfig {
         cases: BATCH,
         rng_seed: RngSeed::Fixed(seed),
-        max_shrink_iters: SHRINK_ITERS,
+        max_shrink_time: SHRINK_MS,
         failure_persistence: Some(Box::new(FileFailurePersistence::Direct(file))),
         ..ProptestConfig::default()
     })

@@ -43,13 +43,13 @@ fn kind(fault: Fault) -> usize {
     }
 }
 
-/// Drives in the middle of their ranges.
-fn network(plan: &ArmPlan) -> Network<IdealMotor> {
+/// Drives at this part of their ranges.
+fn network(plan: &ArmPlan, part: f64) -> Network<IdealMotor> {
     let mut net = Network::new(plan.lines, plan.bit_rate, 64);
     for axis in &plan.axes {
-        let middle = (axis.range.0 + axis.range.1) / 2.0;
+        let place = axis.range.0 + part * (axis.range.1 - axis.range.0);
         let motor = IdealMotor {
-            position_counts: middle * axis.counts_per_unit,
+            position_counts: place * axis.counts_per_unit,
             stuck: false,
         };
         net.add(axis.line, Node::new(axis.node, &axis.drive(0)), motor);
@@ -67,11 +67,12 @@ fn bring_up(noisy: Noisy, plan: &ArmPlan) -> Option<CanArm<Noisy>> {
 pub(crate) fn live(shipped: &ArmPlan, life: &Life, tally: &mut Tally) -> Result<(), String> {
     memory::begin();
     let plan = life.buses.plan(shipped);
-    let noisy = Noisy::new(network(&plan), &plan, life);
+    let part = f64::from(life.place) / 1000.0;
+    let noisy = Noisy::new(network(&plan, part), &plan, life);
     let seen = noisy.seen();
     tally.lives += 1;
     match bring_up(noisy, &plan) {
-        Some(arm) => lead(arm, &plan, tally),
+        Some(arm) => lead(arm, &plan, part, tally),
         None => tally.spoiled += 1,
     }
     let bytes = memory::most();
@@ -88,12 +89,12 @@ pub(crate) fn live(shipped: &ArmPlan, life: &Life, tally: &mut Tally) -> Result<
     seen.wrong.take().map_or(Ok(()), Err)
 }
 
-/// All axes to and fro around the middle of their ranges.
-fn swing(plan: &ArmPlan, now: TimeNs, cycle: u32) -> ArmCommand {
-    let swing = (f64::from(cycle) * 0.02).sin() * 0.05;
+/// All axes to and fro around this part of their ranges, and out of these if it is near an end.
+fn swing(plan: &ArmPlan, part: f64, now: TimeNs, cycle: u32) -> ArmCommand {
+    let part = part + (f64::from(cycle) * 0.02).sin() * 0.05;
     let place = |axis: usize| {
         let (low, high) = plan.axes[axis].range;
-        (low + high) / 2.0 + swing * (high - low)
+        low + part * (high - low)
     };
     ArmCommand {
         stamp: now,
@@ -107,7 +108,7 @@ fn swing(plan: &ArmPlan, now: TimeNs, cycle: u32) -> ArmCommand {
 }
 
 /// A controller that is silent in every seventh cycle.
-fn lead(mut arm: CanArm<Noisy>, plan: &ArmPlan, tally: &mut Tally) {
+fn lead(mut arm: CanArm<Noisy>, plan: &ArmPlan, part: f64, tally: &mut Tally) {
     let seen = arm.bus_mut().seen();
     arm.bus_mut().begin();
     let (mut after, mut cycle) = (0, 0);
@@ -117,7 +118,7 @@ fn lead(mut arm: CanArm<Noisy>, plan: &ArmPlan, tally: &mut Tally) {
         arm.bus_mut().wait(due);
         let now = arm.bus_mut().now();
         cycle += 1;
-        let command = swing(plan, now, cycle);
+        let command = swing(plan, part, now, cycle);
         let before = memory::requests();
         let _ = arm.read(now);
         if cycle % 7 > 0 {

@@ -22,6 +22,8 @@ pub(crate) struct Life {
     pub(crate) buses: Buses,
     /// Whether it begins with the bring-up and not with an enabled arm.
     pub(crate) from_the_start: bool,
+    /// Where in their ranges the axes are at first, and around what they are led, per mille.
+    pub(crate) place: u16,
     /// What happens.
     pub(crate) bursts: Vec<Burst>,
 }
@@ -32,6 +34,7 @@ impl Life {
         Self {
             buses,
             from_the_start: false,
+            place: 500,
             bursts: Vec::new(),
         }
     }
@@ -173,10 +176,13 @@ fn among(mood: Mood, troubles: u32, from_the_start: bool) -> BoxedStrategy<Life>
     let burst = burst.prop_map(|(looks, acts)| Burst { looks, acts });
     let buses =
         prop_oneof![4 => Just(Buses::Roomy), 2 => Just(Buses::Three), 1 => Just(Buses::Shipped)];
-    (buses, vec(burst, 0..=BURSTS_MAX))
-        .prop_map(move |(buses, bursts)| Life {
+    // Often at an end.
+    let place = prop_oneof![2 => Just(500), 2 => 0..=1000_u16, 1 => Just(0), 1 => Just(1000)];
+    (buses, place, vec(burst, 0..=BURSTS_MAX))
+        .prop_map(move |(buses, place, bursts)| Life {
             buses,
             from_the_start,
+            place,
             bursts,
         })
         .boxed()
