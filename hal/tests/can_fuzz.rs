@@ -51,6 +51,7 @@ fn runner(seed: u64, file: &'static str) -> TestRunner {
         cases: BATCH,
         rng_seed: RngSeed::Fixed(seed),
         max_shrink_time: SHRINK_MS,
+        max_shrink_iters: u32::MAX,
         failure_persistence: Some(Box::new(FileFailurePersistence::Direct(file))),
         ..ProptestConfig::default()
     })
@@ -71,7 +72,7 @@ fn hammer<S: Strategy>(
         let test = |value| test(&value).map_err(TestCaseError::fail);
         match runner(seed, file).run(strategy, test) {
             Ok(()) => {}
-            Err(TestError::Fail(why, value)) => panic!("seed {seed}: {why}\n{value:#?}"),
+            Err(TestError::Fail(why, value)) => panic!("seed {seed}: {why}\n{value:?}"),
             Err(TestError::Abort(why)) => panic!("seed {seed}: {why}"),
         }
         if enough() {

@@ -180,9 +180,9 @@ impl Noisy {
             Act::Lose(line, frames) => self.lose[place(line)] = frames,
             Act::Spoil(tampering) => self.spoil.set(Some(tampering)),
             Act::Power(axis, on) => self.net.power(self.watched[usize::from(axis)].node, on),
-            Act::Stuck(axis, stuck) => {
+            Act::Stuck(axis) => {
                 let node = self.watched[usize::from(axis)].node;
-                self.net.motor(node).unwrap().stuck = stuck;
+                self.net.motor(node).unwrap().stuck = true;
             }
             Act::Stall(ms) => self.stall_ms = ms,
             Act::Leap(ms) => self.skew_ns += i64::from(ms) * i64::try_from(MS_NS).unwrap(),
