@@ -70,11 +70,16 @@ fn hammer<S: Strategy>(
     let first = number("TROCAR_FUZZ_SEED", 1);
     for seed in first.. {
         let test = |value| test(&value).map_err(TestCaseError::fail);
-        match runner(seed, file).run(strategy, test) {
-            Ok(()) => {}
-            Err(TestError::Fail(why, value)) => panic!("seed {seed}: {why}\n{value:?}"),
-            Err(TestError::Abort(why)) => panic!("seed {seed}: {why}"),
-        }
+        let failure = match runner(seed, file).run(strategy, test) {
+            Ok(()) => None,
+            Err(TestError::Fail(why, value)) => Some(format!("{why}\n{value:?}")),
+            Err(TestError::Abort(why)) => Some(why.to_string()),
+        };
+        assert!(
+            failure.is_none(),
+            "seed {seed}: {}",
+            failure.unwrap_or_default()
+        );
         if enough() {
             return;
         }
