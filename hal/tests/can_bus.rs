@@ -6,6 +6,7 @@
     reason = "in a test, a failure to set up is a failure"
 )]
 
+use std::fs;
 use std::io::{BufRead as _, BufReader};
 use std::path::PathBuf;
 use std::process::{Command, Stdio};
@@ -26,8 +27,18 @@ const MS: u64 = 1_000_000;
 const COUNTS: f64 = 1e5;
 
 /// A bus carries everybody's frames: one test at a time.
+///
+/// # Panics
+/// Without a CAN interface: where there is no bus no test of it may pass.
 fn alone() -> MutexGuard<'static, ()> {
     static TURN: Mutex<()> = Mutex::new(());
+    let interfaces = fs::read_to_string("/proc/self/net/dev").unwrap();
+    for name in ["vcan0", "vcan1", "vcan2"] {
+        assert!(
+            interfaces.contains(&format!("{name}:")),
+            "there is no CAN interface {name} here: run `make test-can`, or this under .ci/with-vcan, which makes one"
+        );
+    }
     TURN.lock().unwrap_or_else(PoisonError::into_inner)
 }
 

@@ -1,192 +1,157 @@
-//! Arbitrary frames on the bus of a whole arm, master and drives: no panic, no memory without bound and none at all in the
-//! master's cycle, and no axis outside its range or faster than its drive may be.
+//! Arbitrary frames, and the trouble that buses make, against a whole arm with its drives and against a single drive: no panic,
+//! no memory without bound and none at all in the master's cycle, no axis outside its range or faster than its drive may be,
+//! no set-point outside the plan, and nobody who enables himself again.
 //!
-//! `make fuzz-can` throws ten million and more and says what came of them; `TROCAR_FUZZ_FRAMES` sets another number.
+//! What fails is made small, printed, and kept in `can_fuzz/seeds-*.txt`, which every later run begins with. `make fuzz-can`
+//! throws ten million frames at each and says what came of them; `TROCAR_FUZZ_FRAMES` sets another number and
+//! `TROCAR_FUZZ_SEED` another beginning.
 #![expect(
     clippy::unwrap_used,
     reason = "in a test, a failure to set up is a failure"
 )]
 
+#[path = "can_fuzz/arm.rs"]
+mod arm;
+#[path = "can_fuzz/drive.rs"]
+mod drive;
 #[path = "can_fuzz/frames.rs"]
 mod frames;
+#[path = "can_fuzz/life.rs"]
+mod life;
 #[path = "can_fuzz/memory.rs"]
 mod memory;
 #[path = "can_fuzz/noisy.rs"]
 mod noisy;
 
-use hal::can::bus::{IdealMotor, Network};
+use std::cell::RefCell;
+
 use hal::can::master::config::CanConfig;
-use hal::can::master::{ArmPlan, Bus as _, CanArm, Fault, Offline};
-use hal::can::node::Node;
-use hal::{Arm as _, ArmCommand, JointVector, SafeTail};
+use proptest::prelude::*;
+use proptest::test_runner::{FileFailurePersistence, RngSeed, TestError, TestRunner};
 
-use frames::Mood;
-use noisy::{Noisy, Seen};
+/// Lives between two looks at how many frames have been thrown.
+const BATCH: u32 = 16;
+/// For how long a failure may be tried anew to make it smaller, ms.
+const SHRINK_MS: u32 = 20_000;
 
-/// Cycles for which an arm is watched after it has failed.
-const CYCLES_AFTER_FAULT: u32 = 40;
-/// Cycles of an arm that does not fail.
-const CYCLES_MAX: u32 = 600;
+const ARM_SEEDS: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/can_fuzz/seeds-arm.txt");
+const DRIVE_SEEDS: &str = concat!(
+    env!("CARGO_MANIFEST_DIR"),
+    "/tests/can_fuzz/seeds-drive.txt"
+);
 
-/// What came of many lives of an arm.
-#[derive(Debug, Default)]
-struct Tally {
-    seen: Seen,
-    lives: u64,
-    /// Bring-ups that the frames ended.
-    spoiled: u64,
-    cycles: u64,
-    enabled_cycles: u64,
-    faults: [u64; 12],
+fn number(variable: &str, otherwise: u64) -> u64 {
+    let text = std::env::var(variable);
+    text.map_or(otherwise, |text| text.parse().unwrap())
 }
 
-fn kind(fault: Fault) -> usize {
-    match fault {
-        Fault::BusOff { .. } => 0,
-        Fault::Down { .. } => 1,
-        Fault::CannotSend { .. } => 2,
-        Fault::ForeignMaster { .. } => 3,
-        Fault::NodeLost(_) => 4,
-        Fault::Rebooted(_) => 5,
-        Fault::LeftOperational(..) => 6,
-        Fault::Emergency(..) => 7,
-        Fault::Silent(..) => 8,
-        Fault::NotEnabled(..) => 9,
-        Fault::FollowingError(..) => 10,
-        Fault::PowerLost(_) => 11,
-    }
+/// A runner of [`BATCH`] cases that begin with `seed`; failures are kept in `file`.
+fn runner(seed: u64, file: &'static str) -> TestRunner {
+    TestRunner::new(ProptestConfig {
+        cases: BATCH,
+        rng_seed: RngSeed::Fixed(seed),
+        max_shrink_time: SHRINK_MS,
+        max_shrink_iters: u32::MAX,
+        failure_persistence: Some(Box::new(FileFailurePersistence::Direct(file))),
+        ..ProptestConfig::default()
+    })
 }
 
-fn network(plan: &ArmPlan) -> Network<IdealMotor> {
-    let mut net = Network::new(plan.lines, plan.bit_rate, 64);
-    for axis in &plan.axes {
-        let middle = (axis.range.0 + axis.range.1) / 2.0;
-        let motor = IdealMotor {
-            position_counts: middle * axis.counts_per_unit,
-            stuck: false,
+/// Tries batches of what `strategy` gives until `enough` says so.
+///
+/// # Panics
+/// With the smallest failure.
+fn hammer<S: Strategy>(
+    file: &'static str,
+    strategy: &S,
+    test: impl Fn(&S::Value) -> Result<(), String>,
+    enough: impl Fn() -> bool,
+) {
+    let first = number("TROCAR_FUZZ_SEED", 1);
+    for seed in first.. {
+        let test = |value| test(&value).map_err(TestCaseError::fail);
+        let failure = match runner(seed, file).run(strategy, test) {
+            Ok(()) => None,
+            Err(TestError::Fail(why, value)) => Some(format!("{why}\n{value:?}")),
+            Err(TestError::Abort(why)) => Some(why.to_string()),
         };
-        net.add(axis.line, Node::new(axis.node, &axis.drive(0)), motor);
-    }
-    net
-}
-
-/// Brings the arm up, in noise too if it is that kind of life.
-fn bring_up(noisy: Noisy, plan: &ArmPlan) -> Option<CanArm<Noisy>> {
-    let scanned = Offline::new(noisy, plan).unwrap().scan().ok()?;
-    let mapped = scanned.check_identity().ok()?.map().ok()?;
-    mapped.home().ok()?.enable().ok()
-}
-
-/// One life: from silent buses to some time after a fault. Gives the frames back that were thrown.
-fn live(seed: u64, plan: &ArmPlan, tally: &mut Tally) {
-    let mood = Mood::of(seed);
-    let noisy = Noisy::new(network(plan), plan, seed, mood);
-    let seen = noisy.seen();
-    tally.lives += 1;
-    match bring_up(noisy, plan) {
-        Some(arm) => drive(arm, plan, mood, tally),
-        None => tally.spoiled += 1,
-    }
-    tally.seen.add(&seen.borrow());
-}
-
-/// A controller that moves all axes to and fro.
-fn drive(mut arm: CanArm<Noisy>, plan: &ArmPlan, mood: Mood, tally: &mut Tally) {
-    arm.bus_mut().begin(mood);
-    let (mut after, mut cycle) = (0, 0);
-    let mut now = arm.bus_mut().now();
-    while after < CYCLES_AFTER_FAULT && cycle < CYCLES_MAX {
-        now = now.plus_ns(plan.cycle_ns);
-        cycle += 1;
-        arm.bus_mut().wait(now);
-        let swing = (f64::from(cycle) * 0.02).sin() * 0.05;
-        let place = |axis: usize| {
-            let (low, high) = plan.axes[axis].range;
-            (low + high) / 2.0 + swing * (high - low)
-        };
-        let command = ArmCommand {
-            stamp: now,
-            position: JointVector::from_fn(|axis, _| place(axis)),
-            velocity: JointVector::zeros(),
-            acceleration: JointVector::zeros(),
-            jaw_position: place(6),
-            jaw_velocity: 0.0,
-            enabled: true,
-        };
-        let before = memory::requests();
-        let _ = arm.read(now);
-        if cycle % 7 > 0 {
-            let _ = arm.write(&command, &SafeTail::hold(&command));
-        }
-        assert_eq!(memory::requests(), before, "the cycle took memory");
-        tally.cycles += 1;
-        tally.enabled_cycles += u64::from(arm.cycle().is_enabled());
-        after += u32::from(arm.fault().is_some());
-    }
-    if let Some(fault) = arm.fault() {
-        tally.faults[kind(fault)] += 1;
-    }
-}
-
-/// The shipped plan, whose bus is nearly full, and three times as often one that leaves strangers half of the bus.
-fn plan(seed: u64) -> ArmPlan {
-    let config = CanConfig::load(&CanConfig::shipped()).unwrap();
-    let shipped = config.arms[0].plan;
-    let cycle_ns = if (seed / 8).is_multiple_of(4) {
-        shipped.cycle_ns
-    } else {
-        2 * shipped.cycle_ns
-    };
-    ArmPlan {
-        cycle_ns,
-        ..shipped
-    }
-}
-
-/// Lives until `frames` have been thrown; memory must not grow meanwhile.
-fn throw(first_seed: u64, frames: u64) -> Tally {
-    let mut tally = Tally::default();
-    // What a life needs at most is what the first ones, of each kind, have needed, and half of that again.
-    let mut bound = 0;
-    for seed in first_seed.. {
-        let plan = plan(seed);
-        memory::begin();
-        live(seed, &plan, &mut tally);
-        let life = memory::most();
-        if seed < first_seed + 32 {
-            bound = bound.max(life);
-        }
         assert!(
-            life <= bound + bound / 2,
-            "seed {seed}: {life} of {bound} bytes"
+            failure.is_none(),
+            "seed {seed}: {}",
+            failure.unwrap_or_default()
         );
-        if tally.seen.thrown >= frames {
-            break;
+        if enough() {
+            return;
         }
     }
-    tally
+}
+
+fn hammer_arm(frames: u64) -> arm::Tally {
+    let shipped = CanConfig::load(&CanConfig::shipped()).unwrap().arms[0].plan;
+    let mut tally = arm::Tally::default();
+    for buses in [life::Buses::Roomy, life::Buses::Three] {
+        arm::live(&shipped, &life::Life::quiet(buses), &mut tally).unwrap();
+    }
+    let tally = RefCell::new(tally);
+    hammer(
+        ARM_SEEDS,
+        &life::life(),
+        |life| arm::live(&shipped, life, &mut tally.borrow_mut()),
+        || tally.borrow().seen.thrown >= frames,
+    );
+    tally.into_inner()
+}
+
+fn hammer_drive(frames: u64) -> drive::Tally {
+    let mut tally = drive::Tally::default();
+    drive::live(&[], &mut tally).unwrap();
+    let tally = RefCell::new(tally);
+    hammer(
+        DRIVE_SEEDS,
+        &drive::story(),
+        |story| drive::live(story, &mut tally.borrow_mut()),
+        || tally.borrow().thrown >= frames,
+    );
+    tally.into_inner()
 }
 
 #[test]
 fn arbitrary_frames_never_move_an_arm_outside_its_limits_nor_take_memory() {
-    let tally = throw(1, 150_000);
+    let tally = hammer_arm(50_000);
     // It is no test if the arm is never enabled, never moves, or never fails.
     assert!(tally.enabled_cycles > 500, "{tally:?}");
+    assert!(tally.seen.travelled > 1e5, "{tally:?}");
+    assert!(tally.spoiled < tally.lives / 2, "{tally:?}");
+    let kinds = tally.faults.iter().filter(|count| **count > 0).count();
+    assert!(kinds >= 5, "{tally:?}");
+}
+
+#[test]
+fn arbitrary_frames_never_panic_nor_move_the_axis_outside_its_limits() {
+    let tally = hammer_drive(100_000);
+    // It is no test if the axis never moves or never fails.
     assert!(
-        tally.seen.travelled > 1e5 && tally.spoiled < tally.lives,
+        tally.enabled > 10_000 && tally.travelled > 5e4 && tally.faults > 100,
         "{tally:?}"
     );
-    let kinds = tally.faults.iter().filter(|count| **count > 0).count();
-    assert!(kinds >= 3, "{tally:?}");
 }
 
 #[test]
 #[ignore = "ten million frames: make fuzz-can"]
 #[expect(clippy::print_stdout, reason = "figures for a person")]
 fn ten_million_arbitrary_frames_never_move_an_arm_outside_its_limits_nor_take_memory() {
-    let frames = std::env::var("TROCAR_FUZZ_FRAMES");
-    let frames = frames.map_or(10_000_000, |text| text.parse().unwrap());
-    let tally = throw(1_000_000, frames);
+    let frames = number("TROCAR_FUZZ_FRAMES", 10_000_000);
+    let tally = hammer_arm(frames);
     assert!(tally.seen.thrown >= frames);
-    println!("{tally:#?}");
+    println!("arm: {tally:#?}");
+}
+
+#[test]
+#[ignore = "ten million frames: make fuzz-can"]
+#[expect(clippy::print_stdout, reason = "figures for a person")]
+fn ten_million_arbitrary_frames_never_move_the_axis_outside_its_limits() {
+    let frames = number("TROCAR_FUZZ_FRAMES", 10_000_000);
+    let tally = hammer_drive(frames);
+    assert!(tally.thrown >= frames);
+    println!("drive: {tally:#?}");
 }

@@ -8,6 +8,8 @@
 
 #[path = "can_bus/batch.rs"]
 mod batch;
+#[path = "can_bus/bring_up.rs"]
+mod bring_up;
 #[path = "can_bus/drives.rs"]
 mod drives;
 #[path = "can_bus/pair.rs"]

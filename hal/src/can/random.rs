@@ -42,9 +42,4 @@ impl Random {
         let id = u16::from_le_bytes([self.byte(), self.byte()]);
         Frame::new(CanId::truncated(id), self.payload())
     }
-
-    /// One of `choices`.
-    pub(crate) fn pick<T: Copy>(&mut self, choices: &[T]) -> T {
-        choices[usize::try_from(self.below(choices.len() as u64)).unwrap()]
-    }
 }

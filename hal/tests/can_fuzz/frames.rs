@@ -1,90 +1,75 @@
-//! Frames of all kinds, and the numbers that they are made of (splitmix64).
+//! Frames of all kinds, those that mean something more often than others.
 
 use hal::can::{CanId, Frame, Payload};
+use proptest::prelude::*;
+use proptest::sample::select;
+use proptest::strategy::Union;
 
-/// A seeded stream.
-pub(crate) struct Random(u64);
-
-impl Random {
-    pub(crate) fn new(seed: u64) -> Self {
-        Self(seed)
-    }
-
-    pub(crate) fn next(&mut self) -> u64 {
-        self.0 = self.0.wrapping_add(0x9E37_79B9_7F4A_7C15);
-        let mut z = self.0;
-        z = (z ^ (z >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
-        z = (z ^ (z >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
-        z ^ (z >> 31)
-    }
-
-    pub(crate) fn below(&mut self, count: u64) -> u64 {
-        self.next() % count
-    }
-
-    fn pick<T: Copy>(&mut self, choices: &[T]) -> T {
-        choices[usize::try_from(self.below(choices.len() as u64)).unwrap()]
-    }
-
-    /// Arbitrary bytes, half the time eight of them.
-    fn payload(&mut self) -> Payload {
-        let length = if self.below(2) == 0 { 8 } else { self.below(9) };
-        let bytes = self.next().to_le_bytes();
-        Payload::truncated(&bytes[..usize::try_from(length).unwrap()])
-    }
-}
-
-/// What kind of frames a life meets.
+/// What kind of frames an arm meets.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Mood {
-    /// Any identifier, any bytes.
-    Anything,
-    /// Identifiers that mean something to these drives and this master, with bytes that half make sense.
-    Meaning,
-    /// What drives say, in their name: answers, heartbeats, emergencies.
-    Drives,
     /// As `Meaning` but for those that only this arm's master may send and those that say that a drive has failed, so that the
     /// arm lives on among them.
     Bystander,
-    /// As `Meaning`, and during the bring-up too.
-    FromTheStart,
+    /// What drives say, in their name: answers, heartbeats, emergencies.
+    Drives,
+    /// Identifiers that mean something to these drives and this master, with bytes that half make sense.
+    Meaning,
+    /// Any identifier, any bytes.
+    Anything,
 }
 
 impl Mood {
-    /// Each life has its own.
-    pub(crate) fn of(seed: u64) -> Self {
-        match seed % 8 {
-            0 => Self::Anything,
-            1 | 2 => Self::Drives,
-            3 => Self::Meaning,
-            4..=6 => Self::Bystander,
-            _ => Self::FromTheStart,
-        }
-    }
-
-    /// A frame of this mood.
-    pub(crate) fn frame(self, random: &mut Random) -> Frame {
+    /// Its frames.
+    pub(crate) fn frames(self) -> BoxedStrategy<Frame> {
         match self {
-            Self::Anything => {
-                let [low, high, ..] = random.next().to_le_bytes();
-                let id = CanId::truncated(u16::from_le_bytes([low, high]));
-                Frame::new(id, random.payload())
-            }
-            Self::Meaning | Self::FromTheStart => meaning(random),
-            Self::Drives => drive(random),
-            Self::Bystander => bystander(random),
+            Self::Bystander => bystander(),
+            Self::Drives => drive(),
+            Self::Meaning => meaning(),
+            Self::Anything => anything(),
         }
     }
 }
 
-fn frame(id: u16, data: &[u8]) -> Frame {
+pub(crate) fn frame(id: u16, data: &[u8]) -> Frame {
     Frame::new(CanId::truncated(id), Payload::truncated(data))
 }
 
+/// Arbitrary bytes, half the time eight of them.
+pub(crate) fn payload() -> impl Strategy<Value = Payload> {
+    let length = prop_oneof![0..=8_usize, Just(8)];
+    (any::<u64>(), length)
+        .prop_map(|(bytes, length)| Payload::truncated(&bytes.to_le_bytes()[..length]))
+}
+
+/// Any identifier, any bytes.
+pub(crate) fn anything() -> BoxedStrategy<Frame> {
+    (any::<u16>(), payload())
+        .prop_map(|(id, payload)| Frame::new(CanId::truncated(id), payload))
+        .boxed()
+}
+
+/// One of `choices`, or now and then any byte.
+pub(crate) fn mostly(choices: &'static [u8]) -> impl Strategy<Value = u8> {
+    prop_oneof![4 => select(choices), 1 => any::<u8>()]
+}
+
+/// Those of an arm and one that is nobody's.
+fn node() -> impl Strategy<Value = u16> {
+    1..=8_u16
+}
+
+/// Any bytes under one of `bases` and a node.
+fn told(bases: &'static [u16]) -> BoxedStrategy<Frame> {
+    (select(bases), node(), payload())
+        .prop_map(|(base, node, payload)| Frame::new(CanId::truncated(base + node), payload))
+        .boxed()
+}
+
 /// Control words on the way to enabled and from there.
-const CONTROLS: [u8; 8] = [0x00, 0x02, 0x06, 0x07, 0x0F, 0x0F, 0x1F, 0x80];
+pub(crate) const CONTROLS: [u8; 8] = [0x00, 0x02, 0x06, 0x07, 0x0F, 0x0F, 0x1F, 0x80];
 /// Low bytes of status words that code a state, and some that do not.
-const STATES: [u8; 8] = [0x40, 0x21, 0x33, 0x37, 0x37, 0x17, 0x08, 0x03];
+const STATES: [u8; 8] = [0x37, 0x27, 0x40, 0x21, 0x33, 0x17, 0x08, 0x03];
 /// Objects of any drive that matter most, and some that are not there.
 const OBJECTS: [u16; 28] = [
     0x1000, 0x1003, 0x1005, 0x1010, 0x1011, 0x1014, 0x1016, 0x1017, 0x1018, 0x1019, 0x1029, 0x1400,
@@ -92,75 +77,79 @@ const OBJECTS: [u16; 28] = [
     0x6080, 0x6085, 0x60C2, 0x5FFF,
 ];
 
-fn meaning(random: &mut Random) -> Frame {
-    let node = u16::try_from(random.below(8)).unwrap() + 1;
-    let [a, b, c, d, ..] = random.next().to_le_bytes();
-    match random.below(10) {
-        0 => {
-            let command = random.pick(&[0x01, 0x02, 0x80, 0x81, 0x82, a]);
-            frame(0x000, &[command, random.pick(&[0, 1, 3, 7, 9, b])])
-        }
-        1 => {
-            let length = usize::from(random.below(4) == 0);
-            frame(random.pick(&[0x080, 0x100]), &[a][..length])
-        }
-        2..=4 => {
-            let id = random.pick(&[0x200, 0x200, 0x300, 0x400, 0x500]) + node;
-            frame(
-                id,
-                &[
-                    random.pick(&CONTROLS),
-                    0,
-                    a,
-                    b,
-                    c,
-                    random.pick(&[0, 0xFF, d]),
-                ],
-            )
-        }
-        5 | 6 => drive(random),
-        _ => bystander(random),
-    }
+fn meaning() -> BoxedStrategy<Frame> {
+    let nmt = (
+        mostly(&[0x01, 0x02, 0x80, 0x81, 0x82]),
+        mostly(&[0, 1, 3, 7, 9]),
+    );
+    let nmt = nmt.prop_map(|(command, node)| frame(0x000, &[command, node]));
+    let sync = (select(&[0x080, 0x100][..]), any::<u8>(), 0..4_usize);
+    let sync = sync.prop_map(|(id, counter, length)| frame(id, &[counter][..length / 3]));
+    let set_point = (
+        select(&[0x200, 0x200, 0x300, 0x400, 0x500][..]),
+        node(),
+        select(&CONTROLS[..]),
+        any::<[u8; 3]>(),
+        mostly(&[0, 0xFF]),
+    );
+    let set_point = set_point.prop_map(|(base, node, control, [a, b, c], high)| {
+        frame(base + node, &[control, 0, a, b, c, high])
+    });
+    prop_oneof![
+        3 => bystander(),
+        2 => drive(),
+        3 => set_point,
+        1 => sync,
+        1 => nmt,
+    ]
+    .boxed()
 }
 
-fn drive(random: &mut Random) -> Frame {
-    let node = u16::try_from(random.below(8)).unwrap() + 1;
-    let [a, b, c, d, ..] = random.next().to_le_bytes();
-    match random.below(40) {
-        0 => frame(0x080 + node, random.payload().as_slice()),
-        1 => frame(0x700 + node, &[random.pick(&[0, 4, 5, 5, 5, 0x7F, a])]),
-        2..=4 => frame(0x180 + node, random.payload().as_slice()),
-        5 => frame(0x180 + node, &[random.pick(&STATES), c, a, b, 0, 0, d, 0]),
-        // Most of them as good as true, so that the arm lives on.
-        6..=30 => frame(0x180 + node, &[0x37, 0x12, a, b, 0, 0, c, 0]),
-        _ => bystander(random),
-    }
+fn drive() -> BoxedStrategy<Frame> {
+    // Most of them as good as true, so that the arm lives on.
+    let true_answer = (node(), any::<[u8; 3]>());
+    let true_answer = true_answer.prop_map(|(node, [position, more, torque])| {
+        frame(0x180 + node, &[0x37, 0x12, position, more, 0, 0, torque, 0])
+    });
+    let answer = (node(), select(&STATES[..]), any::<[u8; 4]>());
+    let answer = answer.prop_map(|(node, state, [high, a, b, torque])| {
+        frame(0x180 + node, &[state, high, a, b, 0, 0, torque, 0])
+    });
+    let heartbeat = (node(), mostly(&[5, 5, 5, 4, 0, 0x7F]));
+    let heartbeat = heartbeat.prop_map(|(node, state)| frame(0x700 + node, &[state]));
+    prop_oneof![
+        25 => true_answer,
+        9 => bystander(),
+        3 => told(&[0x180]),
+        1 => answer,
+        1 => heartbeat,
+        1 => told(&[0x080]),
+    ]
+    .boxed()
 }
 
-fn bystander(random: &mut Random) -> Frame {
-    let node = u16::try_from(random.below(8)).unwrap() + 1;
-    let [a, b, c, d, ..] = random.next().to_le_bytes();
-    match random.below(8) {
-        // Reads and their segments of any object, with or without sense; writes are not a bystander's.
-        0..=3 => {
-            let command = random.pick(&[0x40, 0x40, 0x60, 0x70, 0x80, 0xA0]);
-            let [low, high] = random.pick(&OBJECTS).to_le_bytes();
-            let sub = random.pick(&[0, 0, 1, 2, 3, b]);
-            // What is written is anything, unless it is read.
-            let data = [command, low, high, sub, random.pick(&[0, 1, 8, c]), d, b, a];
-            frame(0x600 + node, &data)
-        }
-        4 => frame(0x580 + node, random.payload().as_slice()),
-        // The other arm's.
-        5 => {
-            let other = node + 10;
-            let base = random.pick(&[0x080, 0x180, 0x200, 0x580, 0x600, 0x700]);
-            frame(base + other, random.payload().as_slice())
-        }
-        6 => frame(
-            random.pick(&[0x280, 0x380, 0x480]) + node,
-            random.payload().as_slice(),
-        ),
-        _ => frame(0x780 + u16::from(a & 0x7F), random.payload().as_slice()),
-    }
+fn bystander() -> BoxedStrategy<Frame> {
+    // Reads and their segments of any object, with or without sense; writes are not a bystander's. What is written is
+    // anything, unless it is read.
+    let read = (
+        node(),
+        select(&[0x40, 0x40, 0x60, 0x70, 0x80, 0xA0][..]),
+        select(&OBJECTS[..]),
+        mostly(&[0, 0, 1, 2, 3]),
+        mostly(&[0, 1, 8]),
+        any::<[u8; 3]>(),
+    );
+    let read = read.prop_map(|(node, command, object, sub, first, [a, b, c])| {
+        let [low, high] = object.to_le_bytes();
+        frame(0x600 + node, &[command, low, high, sub, first, a, b, c])
+    });
+    let other_arm = told(&[0x08A, 0x18A, 0x20A, 0x58A, 0x60A, 0x70A]);
+    Union::new_weighted(vec![
+        (4, read.boxed()),
+        (1, told(&[0x580])),
+        (1, other_arm),
+        (1, told(&[0x280, 0x380, 0x480])),
+        (1, told(&[0x780, 0x7C0])),
+    ])
+    .boxed()
 }

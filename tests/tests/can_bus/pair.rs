@@ -78,16 +78,26 @@ impl Process {
         assert!(sent.success());
     }
 
-    /// Waits for its end: the exit code and the result.
-    pub(crate) fn end(mut self) -> (Option<i32>, serde_json::Value) {
+    fn code(&mut self) -> Option<i32> {
         let mut code = None;
         until("a process ends", || {
             code = self.child.try_wait().unwrap();
             code.is_some()
         });
+        code.and_then(|status| status.code())
+    }
+
+    /// Waits for its end: the exit code and what it said.
+    pub(crate) fn wait(mut self) -> (Option<i32>, String) {
+        (self.code(), self.said())
+    }
+
+    /// Waits for its end: the exit code and the result.
+    pub(crate) fn end(mut self) -> (Option<i32>, serde_json::Value) {
+        let code = self.code();
         let said = self.said();
         assert!(self.result.exists(), "no result: {said}");
-        (code.and_then(|status| status.code()), json(&self.result))
+        (code, json(&self.result))
     }
 }
 

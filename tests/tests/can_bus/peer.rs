@@ -10,8 +10,18 @@ use runtime::rt::sleep_ns;
 use tests::{Profile, repository, trocar};
 
 /// A bus carries everybody's frames: one test at a time.
+///
+/// # Panics
+/// Without a CAN interface: where there is no bus no test of it may pass.
 pub(crate) fn alone() -> MutexGuard<'static, ()> {
     static TURN: Mutex<()> = Mutex::new(());
+    let interfaces = fs::read_to_string("/proc/self/net/dev").unwrap();
+    for name in ["vcan0", "vcan1", "vcan2"] {
+        assert!(
+            interfaces.contains(&format!("{name}:")),
+            "there is no CAN interface {name} here: run `make test-can`, or this under .ci/with-vcan, which makes one"
+        );
+    }
     TURN.lock().unwrap_or_else(PoisonError::into_inner)
 }
 

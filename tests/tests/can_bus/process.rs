@@ -48,10 +48,8 @@ fn the_needle_is_lifted_over_can() {
     );
 }
 
-#[test]
-#[ignore = "needs a CAN bus: make test-can"]
-fn when_the_run_is_killed_in_mid_motion_the_drives_rest_within_50_ms_and_say_why() {
-    let _turn = alone();
+/// What the drives report when their run has been killed in mid-motion.
+fn killed() -> serde_json::Value {
     let mut pair = Pair::start("can_killed", &[], &[]);
     let run = pair.run("expert");
     pair.drives.await_word("the episode begins");
@@ -59,20 +57,36 @@ fn when_the_run_is_killed_in_mid_motion_the_drives_rest_within_50_ms_and_say_why
     run.signal("-KILL");
     pair.drives.await_word("at rest");
     drop(run);
-    let drives = pair.end();
+    pair.end()
+}
+
+/// Every drive of `drives` stopped by itself for the loss of its master, and rested within 50 ms of its last SYNC; tells
+/// whether no time was left out of these 50 ms.
+fn rested_in_time(drives: &serde_json::Value) -> bool {
     let stops = drives["stops"].as_array().unwrap();
     assert_eq!(stops.len(), 7, "{drives}");
-    let moved = |stop: &serde_json::Value| stop["rest_after_sync_ms"].as_f64() > Some(0.0);
+    let number = |stop: &serde_json::Value, key: &str| stop[key].as_f64().unwrap();
+    let moved = |stop| number(stop, "rest_after_sync_ms") > 0.0;
     assert!(stops.iter().any(moved), "it was in mid-motion: {drives}");
+    let stalled_ms = 1e3 * drives["stalled_s"].as_f64().unwrap();
     for stop in stops {
         let code = stop["code"].as_u64();
         // No SYNC, or no set-point: both are missing since then.
         assert!(matches!(code, Some(0x8700 | 0x8250)), "{stop}");
-        assert!(
-            stop["rest_after_sync_ms"].as_f64().unwrap() <= 50.0,
-            "{stop}"
-        );
+        assert!(number(stop, "stop_after_sync_ms") <= 25.0, "{stop}");
+        assert!(number(stop, "rest_after_sync_ms") <= 50.0, "{stop}");
+        assert!(number(stop, "stalled_ms") <= stalled_ms, "{drives}");
     }
+    stops.iter().all(|stop| number(stop, "stalled_ms") <= 0.0)
+}
+
+#[test]
+#[ignore = "needs a CAN bus: make test-can"]
+fn when_the_run_is_killed_in_mid_motion_the_drives_rest_within_50_ms_and_say_why() {
+    let _turn = alone();
+    // Time that a busy machine keeps from the drives does not pass for them, so one kill must do without.
+    let whole = (0..8).any(|_| rested_in_time(&killed()));
+    assert!(whole, "the drives' process stood still at every kill");
 }
 
 #[test]

@@ -12,6 +12,7 @@ use sim_backend::simulation::Simulation;
 
 use super::bench::{Bench, Listener};
 use super::inject::InjectedFault;
+use super::stalls::Stalls;
 use super::stops::Stop;
 use crate::histogram::Histogram;
 use crate::mailbox::MailboxWriter;
@@ -90,6 +91,7 @@ struct Messenger {
     clock: MonotonicClock,
     shown: MailboxWriter<Shown>,
     told: Producer<Told>,
+    stalls: Stalls,
 }
 
 impl Messenger {
@@ -101,7 +103,11 @@ impl Messenger {
 
 impl Listener for Messenger {
     fn stopped(&mut self, stop: Stop) {
-        self.tell(Told::Stopped(stop));
+        let last_word = stop.sync.unwrap_or(stop.at).0;
+        // A SYNC that came while this process stood still was heard after it.
+        let start = TimeNs(last_word.saturating_sub(TURN_NS_MAX));
+        let stalled_ns = self.stalls.since(start);
+        self.tell(Told::Stopped(Stop { stalled_ns, ..stop }));
     }
 
     fn injected(&mut self, place: usize) {
@@ -153,8 +159,9 @@ impl BusThread<'_> {
             clock,
             shown: self.shown,
             told: self.told,
+            stalls: Stalls::new(),
         };
-        let (mut last, mut now, mut stalled_ns) = (clock.now(), TimeNs(0), 0);
+        let (mut last, mut now) = (clock.now(), TimeNs(0));
         let mut turns = Histogram::new();
         let mut failure = None;
         let cycle_ns = self.can.arms.iter().map(|arm| arm.plan.cycle_ns).min();
@@ -164,7 +171,7 @@ impl BusThread<'_> {
             let gap_ns = wall.since(last);
             let turn_ns = gap_ns.min(TURN_NS_MAX);
             last = wall;
-            stalled_ns += gap_ns - turn_ns;
+            messenger.stalls.note(now, gap_ns - turn_ns);
             now = now.plus_ns(turn_ns);
             station.turn_until(now, TICK_NS, &mut |at, network| {
                 if failure.is_none() {
@@ -196,7 +203,7 @@ impl BusThread<'_> {
         Ok(BusEnd {
             now: network.now(),
             begun: bench.begun(),
-            stalled_ns,
+            stalled_ns: messenger.stalls.total_ns(),
             turns,
             world: bench.world(),
             busy: Bench::busy(network, self.lines),

@@ -16,6 +16,7 @@ mod bus_thread;
 mod coupling;
 mod inject;
 mod show;
+mod stalls;
 mod stops;
 mod summary;
 

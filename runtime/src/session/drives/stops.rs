@@ -66,6 +66,8 @@ pub struct Stop {
     pub sync: Option<TimeNs>,
     /// The last instant at which the axis moved, once it rests; the last SYNC if it did not move then.
     pub rest: Option<TimeNs>,
+    /// Time that did not pass for the drives from just before that SYNC until the rest was seen, ns.
+    pub stalled_ns: u64,
 }
 
 impl Stop {
@@ -168,6 +170,7 @@ impl StopWatch {
                 at: now,
                 sync: node.newest_sync().or(seen.sync),
                 rest: None,
+                stalled_ns: 0,
             });
         }
         seen.follows = follows;
@@ -245,6 +248,7 @@ mod tests {
             at: ms(1020),
             sync: Some(ms(1000)),
             rest: Some(ms(1000 + rest_ms)),
+            stalled_ns: 0,
         }
     }
 

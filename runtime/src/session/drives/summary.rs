@@ -39,6 +39,9 @@ pub struct StopSummary {
     /// How long after the last SYNC the axis was at rest, ms.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub rest_after_sync_ms: Option<f64>,
+    /// Time that did not pass for the drives meanwhile, ms: what `stalled_s` has of this stop. With any the two times above
+    /// are the drives' own and not a real machine's.
+    pub stalled_ms: f64,
 }
 
 impl From<&Stop> for StopSummary {
@@ -60,6 +63,7 @@ impl From<&Stop> for StopSummary {
             at_s: stop.at.seconds(),
             stop_after_sync_ms: after.map(|(stop, _)| ms(stop)),
             rest_after_sync_ms: after.map(|(_, rest)| ms(rest)),
+            stalled_ms: ms(stop.stalled_ns),
         }
     }
 }

@@ -1,7 +1,6 @@
 //! A node on a bench, in virtual time.
 
 mod communication;
-mod fuzz;
 mod motion;
 mod pdo;
 mod sdo;
