@@ -3,6 +3,7 @@
 mod arm;
 mod chain;
 mod config;
+mod contacts;
 mod convert;
 mod drape;
 mod obstacle;

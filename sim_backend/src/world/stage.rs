@@ -63,6 +63,7 @@ pub(super) struct Stage {
     engine: PhysicsWorld,
     instruments: Vec<Instrument>,
     things: Vec<RigidBodyHandle>,
+    merges_contacts: bool,
 }
 
 impl Stage {
@@ -86,6 +87,7 @@ impl Stage {
             engine,
             instruments,
             things,
+            merges_contacts: config.merges_contacts,
         }
     }
 
@@ -95,7 +97,7 @@ impl Stage {
         let before: Vec<Pose> = (0..self.things.len())
             .map(|thing| self.thing_in_scene(thing))
             .collect();
-        let mut recall = Recall::default();
+        let mut recall = Recall::new(self.merges_contacts);
         let mut centres = Vec::with_capacity(self.instruments.len());
         for (instrument, (poses, centre)) in self.instruments.iter_mut().zip(arms) {
             instrument.remember(&mut recall, &self.things, &before);
@@ -171,6 +173,23 @@ impl Stage {
             body.set_linvel(engine_vector(&velocity[0]), true);
             body.set_angvel(engine_vector(&velocity[1]), true);
         }
+    }
+
+    /// Where the contacts of the newest step were solved that an instrument has a part in, for each pair of faces on the
+    /// first one's surface.
+    #[cfg(test)]
+    pub(super) fn instrument_contacts(&self) -> Vec<Vec<Vector3<f64>>> {
+        let pairs = self.engine.narrow_phase.contact_pairs();
+        let pairs = pairs.filter(|pair| {
+            self.is_instrument(pair.collider1) || self.is_instrument(pair.collider2)
+        });
+        let manifolds = pairs.flat_map(|pair| pair.solver_manifolds().iter());
+        manifolds
+            .map(|manifold| {
+                let contacts = manifold.data.solver_contacts.iter();
+                contacts.map(|c| our_vector(c.anchor1)).collect()
+            })
+            .collect()
     }
 
     /// Changes the friction between an arm's fingers and things.

@@ -11,6 +11,7 @@ use rapier3d_f64::geometry::ColliderHandle;
 use rapier3d_f64::math::Pose as EnginePose;
 use rapier3d_f64::pipeline::{ContactModificationContext, ModifiableContacts, PhysicsHooks};
 
+use super::contacts::merge;
 use super::convert::engine_pose;
 
 /// Share of the drift that is asked back in a second, 1/s.
@@ -58,12 +59,21 @@ impl Memory {
 }
 
 /// What the contacts of one step are told.
-#[derive(Default)]
 pub(super) struct Recall {
+    /// Whether contacts at one place are one.
+    merges: bool,
     homings: Vec<(ColliderHandle, RigidBodyHandle, EnginePose)>,
 }
 
 impl Recall {
+    /// Nothing to recall yet; contacts at one place are one if it `merges`.
+    pub(super) const fn new(merges: bool) -> Self {
+        Self {
+            merges,
+            homings: Vec::new(),
+        }
+    }
+
     /// Tells the contacts between `finger` and `thing` what the finger remembers, given both poses at the beginning of
     /// the step.
     pub(super) fn add(
@@ -91,6 +101,9 @@ impl Recall {
 
 impl PhysicsHooks for Recall {
     fn modify_solver_contacts(&self, context: &mut ContactModificationContext<'_>) {
+        if let (true, ModifiableContacts::Rigid(manifold)) = (self.merges, &mut context.contacts) {
+            merge(manifold.solver_contacts);
+        }
         // The engine takes the velocity as one of the first body's surface.
         let (homing, sign) = match (
             self.homing(context.collider1, context.rigid_body2),

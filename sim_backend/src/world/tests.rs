@@ -25,12 +25,18 @@ impl Bench {
     /// Fingers pointing down with their ends `above_m` over the organ's middle; the needle's middle at `needle_x_m`,
     /// `needle_above_m` over the organ.
     fn new(above_m: f64, needle_x_m: f64, needle_above_m: f64) -> Self {
-        Self::with_needle(&HALF_CIRCLE, above_m, needle_x_m, needle_above_m, 0.0)
+        Self::of("needle-lift", above_m, needle_x_m, needle_above_m)
+    }
+
+    /// The same with the physics of `task`.
+    fn of(task: &str, above_m: f64, needle_x_m: f64, needle_above_m: f64) -> Self {
+        let needle = (task, &HALF_CIRCLE);
+        Self::with_needle(needle, above_m, needle_x_m, needle_above_m, 0.0)
     }
 
     /// The same with another needle, whose arc is under the fingers at the angle `along` from its middle.
     fn with_needle(
-        shape: &NeedleShape,
+        (task, shape): (&str, &NeedleShape),
         above_m: f64,
         needle_x_m: f64,
         needle_above_m: f64,
@@ -49,7 +55,7 @@ impl Bench {
         let grasped = Vector3::new(along.cos(), along.sin(), 0.0) * shape.arc_radius_m;
         let centre = middle - lying * grasped;
         let needle = Pose::from_parts(centre.into(), lying);
-        let config = TaskConfig::shipped("needle-lift").world;
+        let config = TaskConfig::shipped(task).world;
         let scenery = Scenery {
             things: vec![Thing::needle(&config, shape, needle)],
             ground: Ground::Organ(BACK_MUSCLE),
@@ -113,7 +119,12 @@ impl Bench {
 
     /// A grasp at mid-arc, lifted 30 mm.
     fn lifted(jaw: f64) -> Self {
-        let mut bench = Self::new(0.01, 0.0, HALF_CIRCLE.wire_radius_m + 1e-4);
+        Self::lifted_in("needle-lift", jaw)
+    }
+
+    /// The same with the physics of `task`.
+    fn lifted_in(task: &str, jaw: f64) -> Self {
+        let mut bench = Self::of(task, 0.01, 0.0, HALF_CIRCLE.wire_radius_m + 1e-4);
         bench.pick_up(jaw);
         bench
     }
@@ -200,7 +211,13 @@ fn friction_holds_a_larger_needle_grasped_askew_and_off_its_middle() {
         (0.0, 0.1, -0.2),
         (0.000_3, -0.3, 0.0),
     ] {
-        let mut bench = Bench::with_needle(&large, 0.01, x_m, large.wire_radius_m + 1e-4, along);
+        let mut bench = Bench::with_needle(
+            ("needle-lift", &large),
+            0.01,
+            x_m,
+            large.wire_radius_m + 1e-4,
+            along,
+        );
         let still = bench.command.position[3];
         bench.run(0.3, |time_s, command, _| {
             command.position[3] = still + roll * time_s / 0.3

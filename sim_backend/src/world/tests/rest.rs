@@ -5,6 +5,7 @@ use core::f64::consts::TAU;
 use hal::psm::FINGER_M;
 use nalgebra::{Point3, Vector3};
 
+use super::energy::NEEDLE_TASKS;
 use super::{Bench, HALF_CIRCLE, OPEN, REACH_M, World, shake};
 use crate::task::TaskConfig;
 use crate::task::block_transfer::BlockTransfer;
@@ -88,23 +89,38 @@ fn a_wire_slips_out_of_the_wedge_of_the_fingers_below_the_angle_of_friction() {
 }
 
 #[test]
+fn a_wire_lies_on_a_finger_at_the_two_ends_of_a_line_and_at_nothing_twice() {
+    let bench = Bench::lifted_in("needle-handover", -0.15);
+    let faces = bench.world.stage.instrument_contacts();
+    assert!(faces.iter().any(|points| points.len() == 2), "{faces:?}");
+    for points in &faces {
+        assert!(points.len() <= 2, "{points:?}");
+        if let [one, other] = points.as_slice() {
+            assert!((one - other).norm() > 1e-6, "{points:?}");
+        }
+    }
+}
+
+#[test]
 fn shaking_turns_a_held_needle_as_little_as_published() {
-    // The best free grip on record for this engine slips 0.22 mm and turns 0.2 degrees; its usual one 2.9 degrees.
-    let mut bench = Bench::lifted(-0.15);
-    let grasped = Point3::new(HALF_CIRCLE.arc_radius_m, 0.0, 0.0);
-    let (slip_m, turn) = shake(&mut bench, &grasped);
-    assert!(slip_m < 2.2e-4, "{slip_m}");
-    assert!(turn < 2.9 * TAU / 360.0, "{turn}");
-    // And nothing of it stays after the shaking but what was stuck anew.
-    let after = bench.needle_in_tip();
-    bench.wait(1.0);
-    let drift = after.inverse() * bench.needle_in_tip();
-    assert!(drift.translation.vector.norm() < 1e-5, "{drift}");
-    bench.jaw(OPEN);
-    bench.wait(0.2);
-    let fallen: Vector3<f64> = bench.world.thing_velocity(0)[0];
-    assert!(
-        bench.middle_in_scene().z < 0.03 || fallen.z < -0.5,
-        "attached"
-    );
+    for task in NEEDLE_TASKS {
+        // The best free grip on record for this engine slips 0.22 mm and turns 0.2 degrees; its usual one 2.9 degrees.
+        let mut bench = Bench::lifted_in(task, -0.15);
+        let grasped = Point3::new(HALF_CIRCLE.arc_radius_m, 0.0, 0.0);
+        let (slip_m, turn) = shake(&mut bench, &grasped);
+        assert!(slip_m < 2.2e-4, "{task}: {slip_m}");
+        assert!(turn < 2.9 * TAU / 360.0, "{task}: {turn}");
+        // And nothing of it stays after the shaking but what was stuck anew.
+        let after = bench.needle_in_tip();
+        bench.wait(1.0);
+        let drift = after.inverse() * bench.needle_in_tip();
+        assert!(drift.translation.vector.norm() < 1e-5, "{task}: {drift}");
+        bench.jaw(OPEN);
+        bench.wait(0.2);
+        let fallen: Vector3<f64> = bench.world.thing_velocity(0)[0];
+        assert!(
+            bench.middle_in_scene().z < 0.03 || fallen.z < -0.5,
+            "{task}: attached"
+        );
+    }
 }
