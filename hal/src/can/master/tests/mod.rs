@@ -7,6 +7,7 @@ mod corrupted;
 mod faults;
 mod fuzz;
 mod motion;
+mod settings;
 mod two_arms;
 
 use super::*;
