@@ -36,6 +36,26 @@ fn bus_off_on_one_of_three_buses_stops_the_axes_on_the_others() {
 }
 
 #[test]
+fn a_second_bus_that_goes_off_or_down_is_not_sent_to_either() {
+    for trouble in [Trouble::BusOff, Trouble::Down] {
+        let mut bench = Bench::on(&plan(3, MS));
+        bench.cycles(50, 0.0004).unwrap();
+        bench.net().bus_off(1, true);
+        let _ = bench.cycles(5, 0.0004);
+        bench.net().trouble(2, trouble);
+        let _ = bench.cycles(2, 0.0);
+        let before = bench.net().wire(2).busy().1;
+        // Three drives' heartbeats in 90 ms, and nothing of ours.
+        let _ = bench.cycles(90, 0.0);
+        assert!(bench.net().wire(2).busy().1 - before < 10, "{trouble:?}");
+        let off = bench.arm.cycle().line_health().map(|health| health.off);
+        assert_eq!(off, [false, true, true]);
+        // The first one is the cause.
+        bench.assert_stopped_for_good("bus 1: our controller is bus-off");
+    }
+}
+
+#[test]
 fn an_interface_that_goes_down_is_a_fault() {
     let mut bench = moving();
     bench.net().trouble(0, Trouble::Down);
@@ -114,7 +134,7 @@ fn a_node_that_is_pulled_is_named_and_the_others_stop() {
     // Its process data are missed before its heartbeat is.
     assert_eq!(
         bench.arm.fault().unwrap().to_string(),
-        "node 5 (axis 4, bus 0): no usable process data for 20 cycles"
+        "node 5 (axis 4, bus 0): no usable process data in time for 20 cycles"
     );
     let _ = bench.cycles(300, 0.0);
     let torques = bench.torques();
