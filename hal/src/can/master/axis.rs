@@ -30,7 +30,8 @@ pub enum Rejected {
 /// How one axis has been heard.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct AxisHealth {
-    /// Cycles without a usable answer in time since the newest that was; 0 when it came in this one.
+    /// Periods by which the SYNC that the newest usable answer belongs to may lie back; 0 when it is the newest one's, and came
+    /// in time.
     pub age_cycles: u32,
     /// Cycles without a usable answer, ever.
     pub missed: u64,
@@ -60,8 +61,12 @@ pub(super) struct Axis {
     answers: u32,
     /// Whether the period of the newest SYNC brought a usable answer.
     kept: bool,
+    /// SYNCs whose answers may still come.
+    owed: u32,
     /// Whether answers and SYNCs may be out of step.
     doubt: bool,
+    /// SYNCs in a row without a usable answer.
+    silent: u32,
     /// Weight of the answers that were not in time, less those that were.
     debt: u32,
     /// The newest answer of an earlier cycle and when it was measured: what this cycle's answers are held against, so that
@@ -83,7 +88,9 @@ impl Axis {
             answered: false,
             answers: 0,
             kept: false,
+            owed: 0,
             doubt: false,
+            silent: 0,
             debt: 0,
             before: None,
         }
@@ -140,15 +147,22 @@ impl Axis {
     }
 
     /// Ends a period that began with a SYNC. A single answer is to that SYNC, unless one went missing before: then it may as
-    /// well be the missing one, and so may all that follow.
+    /// well be the missing one, and so may all that follow. It is not older than that.
     pub(super) fn end_cycle(&mut self) {
         let answers = core::mem::take(&mut self.answers);
         self.kept = core::mem::take(&mut self.answered);
+        self.owed = self.owed.saturating_add(1).saturating_sub(answers);
         if !self.kept {
             self.health.missed += 1;
+            self.silent = self.silent.saturating_add(1);
+            self.age();
             self.not_in_time();
             self.doubt = true;
-        } else if answers > 1 {
+            return;
+        }
+        self.silent = 0;
+        self.health.age_cycles = self.owed;
+        if answers > 1 {
             self.health.late += u64::from(answers - 1);
             self.doubt = true;
         } else if !self.doubt {
@@ -156,41 +170,63 @@ impl Axis {
         }
     }
 
-    fn in_time(&mut self) {
-        self.health.age_cycles = 0;
-        self.debt = self.debt.saturating_sub(1);
-    }
-
-    fn not_in_time(&mut self) {
-        self.health.age_cycles = self.health.age_cycles.saturating_add(1);
-        self.debt = self.debt.saturating_add(MISS_WEIGHT);
-    }
-
-    /// How many cycles in a row without an answer in time would weigh as much as those that there were, since the answers
-    /// that were in time: it grows while those are fewer than three in four.
-    pub(super) const fn debt_cycles(&self) -> u32 {
-        self.debt / MISS_WEIGHT
-    }
-
     /// Whether an answer has come of which only a pause can tell whether it was to the newest SYNC.
     pub(super) const fn asks_for_pause(&self) -> bool {
         self.doubt && self.kept
     }
 
-    /// Ends a period without a SYNC: what came in it was late, and if nothing came the answer before it was in time. Tells
-    /// whether there may be more.
-    pub(super) fn end_pause(&mut self) -> bool {
+    /// Ends a period without a SYNC, the last of `pauses` in a row. What came in it was late; if nothing came, nothing more
+    /// will, and an answer in the SYNC's own period was in time. Tells whether there may be more.
+    pub(super) fn end_pause(&mut self, pauses: u32) -> bool {
         let late = core::mem::take(&mut self.answers);
-        self.answered = false;
+        let usable = core::mem::take(&mut self.answered);
         self.health.late += u64::from(late);
-        self.doubt = late > 0;
-        if self.kept && late > 0 {
-            self.not_in_time();
-            self.kept = false;
-        } else if self.kept {
-            self.in_time();
+        self.owed = if late > 0 {
+            self.owed.saturating_sub(late)
+        } else {
+            0
+        };
+        self.doubt = self.owed > 0;
+        let kept = self.kept;
+        self.kept &= late == 0;
+        match (kept, late > 0) {
+            (true, true) => self.not_in_time(),
+            (true, false) => {
+                self.in_time();
+                self.health.age_cycles = pauses;
+            }
+            (false, _) => {}
         }
-        late > 0
+        if usable {
+            self.silent = 0;
+            self.health.age_cycles = self.owed + pauses;
+        } else if !self.kept {
+            self.age();
+        }
+        self.doubt
+    }
+
+    fn age(&mut self) {
+        self.health.age_cycles = self.health.age_cycles.saturating_add(1);
+    }
+
+    fn in_time(&mut self) {
+        self.debt = self.debt.saturating_sub(1);
+    }
+
+    fn not_in_time(&mut self) {
+        self.debt = self.debt.saturating_add(MISS_WEIGHT);
+    }
+
+    /// SYNCs in a row without a usable answer.
+    pub(super) const fn silent(&self) -> u32 {
+        self.silent
+    }
+
+    /// How many cycles in a row without an answer in time would weigh as much as those that there were, less those with one:
+    /// it grows while these are fewer than three in four.
+    pub(super) const fn debt_cycles(&self) -> u32 {
+        self.debt / MISS_WEIGHT
     }
 
     /// Where it is at `now` if it has gone on as it did, counts.

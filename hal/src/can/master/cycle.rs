@@ -16,12 +16,12 @@ use crate::can::number::seconds;
 use crate::can::{Frame, Outbox, Payload};
 use crate::tail::TAIL_AXES;
 
-/// Cycles without an answer from which on the measurement counts as lost.
+/// Cycles by which an answer may lie back from which on the measurement counts as lost.
 pub const LOST_AFTER: u32 = 3;
-/// Cycles without an answer that are a fault.
+/// Cycles in a row without an answer that are a fault.
 pub const SILENT_AFTER: u32 = 20;
 /// Cycles without an answer in time that are a fault even if each is made up for by less than three that are.
-pub const UNSTEADY_AFTER: u32 = 20;
+pub const UNSTEADY_AFTER: u32 = 30;
 /// Cycles in a row without room to send from which on the arm counts as lost.
 pub const UNSENT_LOST_AFTER: u32 = 2;
 /// Cycles in a row without room to send that are a fault.

@@ -54,7 +54,7 @@ pub enum Fault {
     LeftOperational(Who, NmtState),
     /// The node told an error.
     Emergency(Who, ErrorCode),
-    /// No usable process data in time for too long.
+    /// No usable process data for too long.
     Silent(Who, u32),
     /// Less than three in four of its process data come in time.
     Unsteady(Who),
@@ -147,10 +147,7 @@ impl fmt::Display for Fault {
                 write!(f, "{who}: emergency {:04X}h, {text}", code.0)
             }
             Self::Silent(who, cycles) => {
-                write!(
-                    f,
-                    "{who}: no usable process data in time for {cycles} cycles"
-                )
+                write!(f, "{who}: no usable process data for {cycles} cycles")
             }
             Self::Unsteady(who) => write!(
                 f,

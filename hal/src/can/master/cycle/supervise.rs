@@ -29,7 +29,7 @@ impl Cycle {
                 axis.end_cycle();
                 asks |= axis.asks_for_pause();
             } else {
-                asks |= axis.end_pause();
+                asks |= axis.end_pause(self.pauses);
             }
             self.judge_presence(n, now);
             self.judge_drive(n, now);
@@ -57,7 +57,7 @@ impl Cycle {
 
     fn judge_presence(&mut self, n: usize, now: TimeNs) {
         let who = self.plan.who(n);
-        let silent = self.axes[n].health.age_cycles;
+        let silent = self.axes[n].silent();
         if silent >= SILENT_AFTER {
             self.latch(now, Fault::Silent(who, silent));
         }

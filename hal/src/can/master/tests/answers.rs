@@ -55,9 +55,7 @@ fn one_or_two_missing_answers_are_bridged_three_are_a_lost_measurement() {
 fn twenty_missing_answers_are_a_fault() {
     let (mut bench, outcomes) = disturbed(1000, |_| Tampering::Drop);
     assert_eq!(lost(&outcomes), 17);
-    bench.assert_stopped_for_good(
-        "node 3 (axis 2, bus 0): no usable process data in time for 20 cycles",
-    );
+    bench.assert_stopped_for_good("node 3 (axis 2, bus 0): no usable process data for 20 cycles");
 }
 
 #[test]
@@ -82,7 +80,7 @@ fn short_long_senseless_and_impossible_answers_are_not_believed() {
         let (mut bench, outcomes) = disturbed(1000, kind);
         assert_eq!(lost(&outcomes), 17);
         bench.assert_stopped_for_good(
-            "node 3 (axis 2, bus 0): no usable process data in time for 20 cycles",
+            "node 3 (axis 2, bus 0): no usable process data for 20 cycles",
         );
     }
 }
@@ -110,26 +108,25 @@ fn tardy(periods: f64) -> impl FnMut(&Frame) -> Tampering {
     }
 }
 
+const UNSTEADY: &str =
+    "node 3 (axis 2, bus 0): more than a quarter of its process data is missing or late";
+
 #[test]
-fn answers_that_are_always_late_are_a_lost_measurement_and_then_a_fault() {
-    for periods in [1.0, 1.4, 2.2, 3.0] {
+fn answers_that_are_always_late_are_a_fault_and_none_older_than_five_cycles_is_believed() {
+    for periods in [1.0, 1.4, 2.2, 3.4] {
         let mut bench = moving();
         bench.tamper(tardy(periods));
-        let outcomes: Vec<_> = (0..60).map(|_| bench.cycle(0.0008)).collect();
-        let first = outcomes.iter().position(Result::is_err).unwrap();
-        assert!(first < 8, "{periods}: {first}");
-        assert!(
-            outcomes[first..].iter().all(Result::is_err),
-            "{periods}: {outcomes:?}"
-        );
-        assert!(
-            bench.arm.cycle().axis_health()[2].late > 5,
-            "{periods}: {:?}",
-            bench.arm.cycle().axis_health()[2]
-        );
-        bench.assert_stopped_for_good(
-            "node 3 (axis 2, bus 0): no usable process data in time for 20 cycles",
-        );
+        let before = bench.arm.cycle().axis_health()[2].late;
+        for cycle in 0..60 {
+            let measured = bench.cycle(0.0008);
+            let real = bench.motors()[2];
+            let off = measured.map_or(0.0, |state| (state.position[2] - real).abs());
+            // 0.4 units/s.
+            assert!(off < 5.0 * 0.0008, "{periods}, {cycle}: {off}");
+        }
+        let health = bench.arm.cycle().axis_health()[2];
+        assert!(health.late > before + 10, "{periods}: {health:?}");
+        bench.assert_stopped_for_good(UNSTEADY);
     }
 }
 
@@ -144,14 +141,9 @@ fn a_drive_that_answers_late_from_the_first_beat_on_gives_no_arm_that_runs() {
         homed
             .bus_mut()
             .tamper(Box::new(move |_, _, frame| late(frame)));
-        let Ok(arm) = homed.enable() else {
-            continue;
-        };
-        let mut bench = Bench::of(arm, &plan);
-        let _ = bench.cycles(60, 0.0);
-        bench.assert_stopped_for_good(
-            "node 3 (axis 2, bus 0): no usable process data in time for 20 cycles",
-        );
+        let mut bench = Bench::of(homed.enable().unwrap(), &plan);
+        let _ = bench.cycles(50, 0.0);
+        bench.assert_stopped_for_good(UNSTEADY);
     }
 }
 
@@ -160,20 +152,17 @@ fn a_doubled_answer_does_not_hide_that_all_after_it_are_late() {
     let mut bench = moving();
     let mut count = 0;
     bench.tamper(move |frame| {
-        if !is_answer(frame, 2) {
-            return Tampering::Pass;
-        }
-        count += 1;
+        count += u32::from(is_answer(frame, 2));
         match count {
+            _ if !is_answer(frame, 2) => Tampering::Pass,
+            1 => Tampering::Drop,
             // Two come in this period, as if the late one had come too.
-            1 => Tampering::Repeat,
+            2 => Tampering::Repeat,
             _ => Tampering::Delay(2 * MS),
         }
     });
-    let _ = bench.cycles(60, 0.0008);
-    bench.assert_stopped_for_good(
-        "node 3 (axis 2, bus 0): no usable process data in time for 20 cycles",
-    );
+    let _ = bench.cycles(70, 0.0008);
+    bench.assert_stopped_for_good(UNSTEADY);
 }
 
 #[test]
@@ -243,11 +232,9 @@ fn answers_that_are_missing_too_often_are_a_fault_although_none_is_missing_for_l
             Tampering::Pass
         }
     });
-    let outcomes: Vec<_> = (0..150).map(|_| bench.cycle(0.0)).collect();
+    let outcomes: Vec<_> = (0..200).map(|_| bench.cycle(0.0)).collect();
     assert_eq!(lost(&outcomes), 0);
-    bench.assert_stopped_for_good(
-        "node 3 (axis 2, bus 0): more than a quarter of its process data is missing or late",
-    );
+    bench.assert_stopped_for_good(UNSTEADY);
 }
 
 #[test]

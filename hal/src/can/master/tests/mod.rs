@@ -2,6 +2,7 @@
 
 mod answers;
 mod bringup;
+mod buses;
 mod client;
 mod corrupted;
 mod faults;
