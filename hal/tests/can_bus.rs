@@ -143,12 +143,12 @@ fn node(axis: u8) -> NodeId {
 }
 
 /// Seven axes of drives that say they are `identity`, on a slow beat: python, and every system call inside user-mode
-/// Linux, take their time.
-fn plan(identity: (u32, u32)) -> ArmPlan {
+/// Linux, take their time. Our own drives interpolate for 20 ms at most.
+fn plan(identity: (u32, u32), cycle_ms: u64) -> ArmPlan {
     ArmPlan {
         lines: 1,
         bit_rate: 1_000_000,
-        cycle_ns: 50 * MS,
+        cycle_ns: cycle_ms * MS,
         sync_id: CanId::new(0x80).unwrap(),
         sync_counter: 0,
         master: NodeId::new(127).unwrap(),
@@ -214,8 +214,8 @@ fn emulate(bus: SocketBus<Real>, stop: &AtomicBool) -> [f64; 7] {
 }
 
 /// Brings the drives up and moves all axes from 0 to 0.12; gives the arm, the time, and where axis 3 is measured.
-fn lead(identity: (u32, u32)) -> (CanArm<SocketBus<Real>>, TimeNs, f64) {
-    let plan = plan(identity);
+fn lead(identity: (u32, u32), cycle_ms: u64) -> (CanArm<SocketBus<Real>>, TimeNs, f64) {
+    let plan = plan(identity, cycle_ms);
     let scanned = Offline::new(socket("vcan0"), &plan)
         .unwrap()
         .scan()
@@ -248,7 +248,7 @@ fn lead(identity: (u32, u32)) -> (CanArm<SocketBus<Real>>, TimeNs, f64) {
 fn our_master_leads_our_drives_and_stops_them_at_bus_off() {
     let _turn = alone();
     let drives = Drives::start();
-    let (mut arm, mut at, measured) = lead((0, PRODUCT_CODE));
+    let (mut arm, mut at, measured) = lead((0, PRODUCT_CODE), 20);
     assert!((0.11..0.12).contains(&measured), "{measured}");
     let sent = Command::new("cansend")
         .args(["vcan0", "20000040#0000000000000000"])
@@ -286,7 +286,7 @@ fn our_master_leads_drives_written_in_python() {
     let output = peer.stdout.as_mut().unwrap();
     BufReader::new(output).read_line(&mut line).unwrap();
     assert_eq!(line, "ready\n");
-    let (arm, _, measured) = lead((0, 0x402));
+    let (arm, _, measured) = lead((0, 0x402), 50);
     let _bus = arm.release();
     peer.kill().unwrap();
     peer.wait().unwrap();

@@ -36,7 +36,7 @@ fn kind(fault: Fault) -> usize {
         Fault::Rebooted(_) => 5,
         Fault::LeftOperational(..) => 6,
         Fault::Emergency(..) => 7,
-        Fault::Silent(..) => 8,
+        Fault::Silent(..) | Fault::Unsteady(_) => 8,
         Fault::NotEnabled(..) => 9,
         Fault::FollowingError(..) => 10,
         Fault::PowerLost(_) => 11,

@@ -13,13 +13,30 @@ pub use thread::{
 };
 
 /// How many times slower than the system's the clocks of this process run; 1 unless `TROCAR_SLOW_MOTION` in its environment
-/// says otherwise, up to 100.
+/// says otherwise, a whole number up to 100 ([`check_slow_motion`]).
 ///
 /// For machines that are too slow for a run in real time, such as a kernel inside a kernel: emulated drives and their
 /// controller, slowed down alike, do the same as ever. A real drive does not slow down; it hears no beat in time and stops.
 #[must_use]
 pub fn slow_motion() -> u64 {
     sys::slow_motion()
+}
+
+/// `TROCAR_SLOW_MOTION` in the environment is nothing that clocks can be slowed down by.
+#[derive(Debug, thiserror::Error)]
+#[error("TROCAR_SLOW_MOTION = {value:?} in the environment: allowed are whole numbers in [1, {max}]", max = sys::SLOW_MOTION_MAX)]
+pub struct BadSlowMotion {
+    /// What it is.
+    pub value: String,
+}
+
+/// Whether [`slow_motion`] is what the environment asks for. Without this a value that means nothing counts as 1.
+///
+/// # Errors
+/// [`BadSlowMotion`] with the value.
+pub fn check_slow_motion() -> Result<(), BadSlowMotion> {
+    let wanted = sys::wanted_slow_motion();
+    wanted.map(|_| ()).map_err(|value| BadSlowMotion { value })
 }
 
 /// The system's monotonic clock, slowed down if [`slow_motion`] says so, counted from where it was made.

@@ -13,15 +13,27 @@ const NS_PER_S: u64 = 1_000_000_000;
 /// The variable of the environment that [`slow_motion`] reads.
 pub(super) const SLOW_MOTION: &str = "TROCAR_SLOW_MOTION";
 
-/// How many times slower than the system's all clocks of this process run: a whole number from 1, which it is unless the
-/// environment says otherwise, to 100.
+/// Most that clocks may be slowed down.
+pub(super) const SLOW_MOTION_MAX: u64 = 100;
+
+/// What the environment says of it.
+pub(super) fn wanted_slow_motion() -> Result<u64, String> {
+    std::env::var_os(SLOW_MOTION).map_or(Ok(1), |text| {
+        let text = text.to_string_lossy();
+        parse_slow_motion(&text).ok_or_else(|| text.into_owned())
+    })
+}
+
+fn parse_slow_motion(text: &str) -> Option<u64> {
+    let factor = text.parse().ok()?;
+    (1..=SLOW_MOTION_MAX).contains(&factor).then_some(factor)
+}
+
+/// How many times slower than the system's all clocks of this process run: 1 if the environment says nothing that has a
+/// meaning.
 pub(super) fn slow_motion() -> u64 {
     static FACTOR: OnceLock<u64> = OnceLock::new();
-    *FACTOR.get_or_init(|| {
-        let wanted = std::env::var(SLOW_MOTION).ok();
-        let factor = wanted.and_then(|text| text.parse().ok());
-        factor.unwrap_or(1_u64).clamp(1, 100)
-    })
+    *FACTOR.get_or_init(|| wanted_slow_motion().unwrap_or(1))
 }
 
 /// The monotonic clock, ns since an arbitrary point.
@@ -186,5 +198,20 @@ fn checked(code: libc::c_int) -> io::Result<()> {
         Ok(())
     } else {
         Err(io::Error::last_os_error())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn slow_motion_is_a_whole_number_from_1_to_100_and_nothing_else() {
+        for (text, factor) in [("1", 1), ("6", 6), ("100", 100)] {
+            assert_eq!(parse_slow_motion(text), Some(factor));
+        }
+        for text in ["", "0", "101", "-2", "1.5", "six", " 6", "6x"] {
+            assert_eq!(parse_slow_motion(text), None, "{text:?}");
+        }
     }
 }

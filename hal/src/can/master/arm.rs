@@ -104,7 +104,7 @@ impl<B: Bus> CanArm<B> {
         self.cycle.judge(now);
         // Of the periods that have passed, the controller has taken care of one at most.
         let written = u64::from(core::mem::take(&mut self.written));
-        self.play(now, self.cycle.cycles_since_sync(now) - written);
+        self.play(now, self.cycle.cycles_since_beat(now) - written);
         if !self.sent {
             self.send_set_points(now);
         }
@@ -120,7 +120,7 @@ impl<B: Bus> CanArm<B> {
 
     /// What is known of the arm at `now`.
     fn measured(&self, now: TimeNs) -> Result<ArmState, ArmError> {
-        let since_ns = self.cycle.sync().map_or(0, |sync| now.since(sync));
+        let since_ns = self.cycle.began().map_or(0, |began| now.since(began));
         match (self.cycle.fault(), self.measured) {
             (Some(fault), _) => Err(fault.arm_error()),
             (None, Err(ArmError::MeasurementLost { age_ns })) => Err(ArmError::MeasurementLost {
@@ -168,11 +168,8 @@ impl<B: Bus> CanArm<B> {
 
     /// Sends what is in the outbox, unless that bus is lost.
     fn transmit(&mut self, line: u8) {
-        let lost = matches!(
-            self.cycle.fault(),
-            Some(Fault::BusOff { line: off } | Fault::Down { line: off }) if off == line
-        );
-        if lost {
+        let health = self.cycle.line_health().get(usize::from(line));
+        if health.is_some_and(|health| health.off) {
             // What waits in a queue would leave as soon as the bus is back.
             self.bus.flush(line);
             return;

@@ -13,6 +13,9 @@ pub(super) struct Answer {
     pub(super) torque: i16,
 }
 
+/// A cycle whose answer is not in time weighs as much as so many that are.
+const MISS_WEIGHT: u32 = 3;
+
 /// Why an answer was not taken.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Rejected {
@@ -27,11 +30,12 @@ pub enum Rejected {
 /// How one axis has been heard.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct AxisHealth {
-    /// Cycles since the newest usable answer; 0 when it came in this one.
+    /// Periods by which the SYNC that the newest usable answer belongs to may lie back; 0 when it is the newest one's, and came
+    /// in time.
     pub age_cycles: u32,
     /// Cycles without a usable answer, ever.
     pub missed: u64,
-    /// More than one answer in a cycle: one was late.
+    /// Answers that came when the next SYNC had been due, or twice.
     pub late: u64,
     /// Answers that were not taken, ever.
     pub rejected: u64,
@@ -52,7 +56,19 @@ pub(super) struct Axis {
     pub(super) sent: i32,
     /// The set-point that the drive was on its way to when it measured.
     pub(super) followed: i32,
+    /// Whether a usable answer has come in this period, and how many of any kind.
     answered: bool,
+    answers: u32,
+    /// Whether the period of the newest SYNC brought a usable answer.
+    kept: bool,
+    /// SYNCs whose answers may still come.
+    owed: u32,
+    /// Whether answers and SYNCs may be out of step.
+    doubt: bool,
+    /// SYNCs in a row without a usable answer.
+    silent: u32,
+    /// Weight of the answers that were not in time, less those that were.
+    debt: u32,
     /// The newest answer of an earlier cycle and when it was measured: what this cycle's answers are held against, so that
     /// many in one cycle lead no further than one.
     before: Option<(Answer, TimeNs)>,
@@ -70,6 +86,12 @@ impl Axis {
             sent: 0,
             followed: 0,
             answered: false,
+            answers: 0,
+            kept: false,
+            owed: 0,
+            doubt: false,
+            silent: 0,
+            debt: 0,
             before: None,
         }
     }
@@ -85,14 +107,12 @@ impl Axis {
         if !self.answered {
             self.before = self.newest.map(|newest| (newest, self.sampled));
         }
+        self.answers = self.answers.saturating_add(1);
         let gap_ns = self.before.map_or(0, |(_, sampled)| sync.since(sampled));
         let gap_ns = gap_ns.max(cycle_ns);
         let answer = parse(data).and_then(|answer| self.believe(plan, gap_ns, answer));
         match answer {
             Ok(answer) => {
-                if self.answered {
-                    self.health.late += 1;
-                }
                 if let Some((before, sampled)) = self.before {
                     let way = i64::from(answer.position) - i64::from(before.position);
                     let gap_s = seconds(sync.since(sampled));
@@ -126,14 +146,87 @@ impl Axis {
         }
     }
 
-    /// The cycle is over: counts it if no answer came.
+    /// Ends a period that began with a SYNC. A single answer is to that SYNC, unless one went missing before: then it may as
+    /// well be the missing one, and so may all that follow. It is not older than that.
     pub(super) fn end_cycle(&mut self) {
-        if core::mem::take(&mut self.answered) {
-            self.health.age_cycles = 0;
-        } else {
-            self.health.age_cycles = self.health.age_cycles.saturating_add(1);
+        let answers = core::mem::take(&mut self.answers);
+        self.kept = core::mem::take(&mut self.answered);
+        self.owed = self.owed.saturating_add(1).saturating_sub(answers);
+        if !self.kept {
             self.health.missed += 1;
+            self.silent = self.silent.saturating_add(1);
+            self.age();
+            self.not_in_time();
+            self.doubt = true;
+            return;
         }
+        self.silent = 0;
+        self.health.age_cycles = self.owed;
+        if answers > 1 {
+            self.health.late += u64::from(answers - 1);
+            self.doubt = true;
+        } else if !self.doubt {
+            self.in_time();
+        }
+    }
+
+    /// Whether an answer has come of which only a pause can tell whether it was to the newest SYNC.
+    pub(super) const fn asks_for_pause(&self) -> bool {
+        self.doubt && self.kept
+    }
+
+    /// Ends a period without a SYNC, the last of `pauses` in a row. What came in it was late; if nothing came, nothing more
+    /// will, and an answer in the SYNC's own period was in time. Tells whether there may be more.
+    pub(super) fn end_pause(&mut self, pauses: u32) -> bool {
+        let late = core::mem::take(&mut self.answers);
+        let usable = core::mem::take(&mut self.answered);
+        self.health.late += u64::from(late);
+        self.owed = if late > 0 {
+            self.owed.saturating_sub(late)
+        } else {
+            0
+        };
+        self.doubt = self.owed > 0;
+        let kept = self.kept;
+        self.kept &= late == 0;
+        match (kept, late > 0) {
+            (true, true) => self.not_in_time(),
+            (true, false) => {
+                self.in_time();
+                self.health.age_cycles = pauses;
+            }
+            (false, _) => {}
+        }
+        if usable {
+            self.silent = 0;
+            self.health.age_cycles = self.owed + pauses;
+        } else if !self.kept {
+            self.age();
+        }
+        self.doubt
+    }
+
+    fn age(&mut self) {
+        self.health.age_cycles = self.health.age_cycles.saturating_add(1);
+    }
+
+    fn in_time(&mut self) {
+        self.debt = self.debt.saturating_sub(1);
+    }
+
+    fn not_in_time(&mut self) {
+        self.debt = self.debt.saturating_add(MISS_WEIGHT);
+    }
+
+    /// SYNCs in a row without a usable answer.
+    pub(super) const fn silent(&self) -> u32 {
+        self.silent
+    }
+
+    /// How many cycles in a row without an answer in time would weigh as much as those that there were, less those with one:
+    /// it grows while these are fewer than three in four.
+    pub(super) const fn debt_cycles(&self) -> u32 {
+        self.debt / MISS_WEIGHT
     }
 
     /// Where it is at `now` if it has gone on as it did, counts.

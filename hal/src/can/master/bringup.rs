@@ -6,6 +6,7 @@
 mod configure;
 mod error;
 mod homing;
+mod settings;
 
 use super::arm::CanArm;
 use super::client::{expect, read_number, send};

@@ -7,18 +7,12 @@ use serde::Deserialize;
 use super::plan::{ArmPlan, AxisPlan};
 use super::space::{Axes, Space};
 use crate::can::bus::{Overload, Plan};
-use crate::can::node::AxisConfig;
-use crate::can::number::whole;
 use crate::can::{CanId, NodeId};
 use crate::config::{ConfigError, Source};
 use crate::psm::{
     ACTUATORS, EFFORT_MAX, JAW_MAX, JAW_MIN, POSITION_MAX, POSITION_MIN, VELOCITY_MAX,
 };
 use crate::tail::TAIL_AXES;
-
-/// Seconds in which an emulated drive comes to rest from its greatest speed: a ramp, a quick stop.
-const RAMP_S: f64 = 0.1;
-const QUICK_STOP_S: f64 = 0.02;
 
 /// The file.
 #[derive(Debug, Deserialize)]
@@ -270,32 +264,6 @@ fn extremes(space: Space, low: &Axes, high: &Axes) -> (Axes, Axes) {
         }
     }
     (least, most)
-}
-
-impl AxisPlan {
-    /// An emulated drive for this axis: a tenth beyond its range and speed, so that the master's own limits come first.
-    #[must_use]
-    pub fn drive(&self, serial: u32) -> AxisConfig {
-        let counts = |units: f64| whole(units * self.counts_per_unit);
-        let signed = |count: i64| i32::try_from(count).unwrap_or(i32::MAX);
-        let unsigned = |count: i64| u32::try_from(count).unwrap_or(u32::MAX);
-        let margin = 0.1 * (self.range.1 - self.range.0);
-        let speed = 1.1 * self.speed_max;
-        AxisConfig {
-            serial,
-            identity: self.identity,
-            range: (
-                signed(counts(self.range.0 - margin)),
-                signed(counts(self.range.1 + margin)),
-            ),
-            speed_max: unsigned(counts(speed)),
-            decelerations: (
-                unsigned(counts(speed / RAMP_S)),
-                unsigned(counts(speed / QUICK_STOP_S)),
-            ),
-            following_window: unsigned(counts(self.following_max)),
-        }
-    }
 }
 
 #[cfg(test)]

@@ -1,5 +1,6 @@
 //! What happens between two SYNCs. Hot path: bounded, no allocation, no I/O, no lock.
 
+mod beat;
 mod receive;
 mod supervise;
 
@@ -8,18 +9,19 @@ use super::fault::Fault;
 use super::plan::ArmPlan;
 use super::space::Axes;
 use crate::TimeNs;
+use crate::can::cia301::Cob;
 use crate::can::cia301::cob::PdoNumber;
-use crate::can::cia301::sync::Sync;
-use crate::can::cia301::{Cob, NmtState};
 use crate::can::cia402::{Command, Control, PowerState};
 use crate::can::number::seconds;
 use crate::can::{Frame, Outbox, Payload};
 use crate::tail::TAIL_AXES;
 
-/// Cycles without an answer from which on the measurement counts as lost.
+/// Cycles by which an answer may lie back from which on the measurement counts as lost.
 pub const LOST_AFTER: u32 = 3;
-/// Cycles without an answer that are a fault.
+/// Cycles in a row without an answer that are a fault.
 pub const SILENT_AFTER: u32 = 20;
+/// Cycles without an answer in time that are a fault even if each is made up for by less than three that are.
+pub const UNSTEADY_AFTER: u32 = 30;
 /// Cycles in a row without room to send from which on the arm counts as lost.
 pub const UNSENT_LOST_AFTER: u32 = 2;
 /// Cycles in a row without room to send that are a fault.
@@ -30,6 +32,8 @@ const DEVIATION_CYCLES: u32 = 10;
 const ENABLE_NS: u64 = 2_000_000_000;
 /// How long after a fault the drives hold before they lose their voltage, ns.
 const HOLD_NS: u64 = 500_000_000;
+/// Periods in a row that pass without a SYNC at most, for late answers to come.
+const PAUSES_MAX: u32 = 3;
 /// Buses at most.
 pub const LINES_MAX: usize = 3;
 
@@ -45,6 +49,8 @@ pub enum Goal {
 /// How the buses have been.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct LineHealth {
+    /// Whether our controller has left it, or its interface is gone: nothing is sent to it any more.
+    pub off: bool,
     /// Whether our controller is error passive.
     pub passive: bool,
     /// How often it became so.
@@ -77,6 +83,11 @@ pub struct Cycle {
     /// Stamp of the newest set-points that were taken.
     commanded: Option<TimeNs>,
     sync: Option<TimeNs>,
+    /// When the newest period began, with a SYNC or without.
+    began: Option<TimeNs>,
+    /// Whether the next period begins without a SYNC, and how many in a row have.
+    pause: bool,
+    pauses: u32,
     heartbeat: Option<TimeNs>,
     /// Whether the newest beat goes with a heartbeat.
     alive: bool,
@@ -103,6 +114,9 @@ impl Cycle {
             counter: 0,
             commanded: None,
             sync: None,
+            began: None,
+            pause: false,
+            pauses: 0,
             heartbeat: None,
             alive: false,
         }
@@ -151,6 +165,12 @@ impl Cycle {
     #[must_use]
     pub const fn sync(&self) -> Option<TimeNs> {
         self.sync
+    }
+
+    /// When the newest period began, with a SYNC or without.
+    #[must_use]
+    pub const fn began(&self) -> Option<TimeNs> {
+        self.began
     }
 
     fn latch(&mut self, now: TimeNs, fault: Fault) {
@@ -255,45 +275,6 @@ impl Cycle {
                 Some(command) => command,
                 None => Command::DisableVoltage,
             },
-        }
-    }
-
-    /// Begins the cycle at `now`: the set-points that were sent take effect.
-    pub fn begin(&mut self, now: TimeNs) {
-        for (axis, applied) in self.axes.iter_mut().zip(&mut self.applied) {
-            axis.followed = *applied;
-            *applied = axis.sent;
-        }
-        self.sync = Some(now);
-        let period_ns = u64::from(self.plan.heartbeat_ms) * 1_000_000;
-        self.alive = self
-            .heartbeat
-            .is_none_or(|then| now.since(then) >= period_ns);
-        if self.alive {
-            self.heartbeat = Some(now);
-        }
-        self.counter = if self.counter >= self.plan.sync_counter {
-            1
-        } else {
-            self.counter + 1
-        };
-    }
-
-    /// The beat of this cycle, the same for every bus: SYNC, and the own heartbeat if it is due.
-    pub fn beat(&self, out: &mut Outbox) {
-        let sync = Sync::counted(self.counter)
-            .filter(|_| self.plan.sync_counter != 0)
-            .unwrap_or(Sync::PLAIN);
-        out.push(sync.emit(self.plan.sync_id));
-        if self.alive {
-            out.push(NmtState::Operational.emit(self.plan.master));
-        }
-    }
-
-    /// Notes whether all frames that were handed over in this cycle found room on `line`.
-    pub fn on_sent(&mut self, line: u8, all: bool) {
-        if let Some(health) = self.lines.get_mut(usize::from(line)) {
-            health.short |= !all;
         }
     }
 }

@@ -56,6 +56,8 @@ pub enum Fault {
     Emergency(Who, ErrorCode),
     /// No usable process data for too long.
     Silent(Who, u32),
+    /// Less than three in four of its process data come in time.
+    Unsteady(Who),
     /// The drive is not enabled any more, or did not become so in time.
     NotEnabled(Who, PowerState),
     /// The motor is too far from its set-point, by this many counts.
@@ -78,6 +80,7 @@ impl Fault {
             | Self::LeftOperational(who, _)
             | Self::Emergency(who, _)
             | Self::Silent(who, _)
+            | Self::Unsteady(who)
             | Self::NotEnabled(who, _)
             | Self::FollowingError(who, _)
             | Self::PowerLost(who) => Some(*who),
@@ -95,7 +98,7 @@ impl Fault {
                 ErrorCode::HEARTBEAT
             }
             Self::Emergency(_, code) => *code,
-            Self::Silent(..) => ErrorCode::RPDO_TIMEOUT,
+            Self::Silent(..) | Self::Unsteady(_) => ErrorCode::RPDO_TIMEOUT,
             Self::NotEnabled(..) => ErrorCode::GENERIC,
             Self::FollowingError(..) => ErrorCode::FOLLOWING_ERROR,
             Self::PowerLost(_) => ErrorCode::UNDER_VOLTAGE,
@@ -146,6 +149,10 @@ impl fmt::Display for Fault {
             Self::Silent(who, cycles) => {
                 write!(f, "{who}: no usable process data for {cycles} cycles")
             }
+            Self::Unsteady(who) => write!(
+                f,
+                "{who}: more than a quarter of its process data is missing or late"
+            ),
             Self::NotEnabled(who, state) => write!(f, "{who}: is not enabled but {state:?}"),
             Self::FollowingError(who, counts) => {
                 write!(f, "{who}: {counts} counts away from its set-point")

@@ -10,11 +10,13 @@
 //!
 //! ```text
 //! what                                     noticed by                      reaction
-//! bus-off, interface down                  error frame                     fault at once; that bus is not sent to again
+//! bus-off, restarted, interface down       error frame                     fault at once; that bus is not sent to again
 //! error passive, lost frames               error frame, receive counter    counted and told
 //! no room to send                          short send                      2 cycles lost, 20 cycles fault
 //! answer missing, late, short, senseless   per-axis age                    predicted; 3 cycles lost, 20 cycles fault
-//! or impossibly far (none can be longer)   or, always late by a cycle, not: a PDO carries no number
+//! or impossibly far (none can be longer)
+//! answers missing or late too often        counted against those in time,  more than one in four: fault
+//! or always                                beats that are left out, below
 //! set-point or SYNC short or long          the drive's emergency           fault with the drive's code
 //! set-point or SYNC missing                the drive's own watches         one is bridged; 10 cycles fault
 //! set-point with another target            following error                 fault; no faster than the drive may be
@@ -29,9 +31,16 @@
 //! a second node with a drive's number      the drive's emergency           fault
 //! wrong identity                           bring-up                        no arm
 //! stored offset, unused PDOs that are on   bring-up                        cleared
+//! stored limits, stops, torque, window     bring-up                        written; no arm if a drive keeps less safe ones
 //! controller silent, senseless or leaping  no set-point in reach           the tail is played to rest
 //! own process dead                         the drives' own watches         they stop by themselves
 //! ```
+//!
+//! A process datum does not say which SYNC it answers, so one that is always late by a cycle looks like the next cycle's. But
+//! whoever becomes late, or is so from the first SYNC on, misses a cycle. From then on an answer is taken, but may be as old as
+//! the first SYNC without one; and the next SYNC is left out, which drives bridge. What comes meanwhile was late; if more may
+//! come, up to two more SYNCs are left out. Then answers and SYNCs are in step again. A late answer is known as such if it comes
+//! within four cycles of its SYNC. Once a fault is latched every SYNC is sent.
 
 pub mod arm;
 pub mod axis;

@@ -3,6 +3,8 @@
 use super::fault::Who;
 use super::space::Space;
 use crate::can::bus::{Overload, Plan};
+use crate::can::node::AxisConfig;
+use crate::can::number::whole;
 use crate::can::{CanId, NodeId};
 use crate::tail::TAIL_AXES;
 
@@ -10,6 +12,10 @@ use crate::tail::TAIL_AXES;
 pub const COMMAND_BYTES: u8 = 6;
 /// Data bytes of an answer: status word, actual position, actual torque.
 pub const ANSWER_BYTES: u8 = 8;
+
+/// Seconds in which a drive comes to rest from its greatest speed: a ramp, a quick stop.
+const RAMP_S: f64 = 0.1;
+const QUICK_STOP_S: f64 = 0.02;
 
 /// One axis on a bus. Units are those of its space: rad, or m for the insertion.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -53,6 +59,53 @@ pub struct ArmPlan {
     pub space: Space,
     /// Joints in order and the jaw, or actuators in order.
     pub axes: [AxisPlan; TAIL_AXES],
+}
+
+impl AxisPlan {
+    /// A drive for this axis: a tenth beyond its range and speed, so that the master's own limits come first. The emulated
+    /// ones are so, and bring-up makes others so.
+    #[must_use]
+    pub fn drive(&self, serial: u32) -> AxisConfig {
+        let margin = 0.1 * (self.range.1 - self.range.0);
+        let speed = 1.1 * self.speed_max;
+        AxisConfig {
+            serial,
+            identity: self.identity,
+            range: self.between(self.range.0 - margin, self.range.1 + margin),
+            speed_max: self.magnitude(speed),
+            decelerations: (
+                self.magnitude(speed / RAMP_S),
+                self.magnitude(speed / QUICK_STOP_S),
+            ),
+            following_window: self.magnitude(self.following_max),
+        }
+    }
+
+    /// Its range, counts.
+    #[must_use]
+    pub fn range_counts(&self) -> (i32, i32) {
+        self.between(self.range.0, self.range.1)
+    }
+
+    /// Its greatest speed, counts/s.
+    #[must_use]
+    pub fn speed_counts(&self) -> u32 {
+        self.magnitude(self.speed_max)
+    }
+
+    fn between(&self, low: f64, high: f64) -> (i32, i32) {
+        let signed = |units: f64| {
+            let count = whole(units * self.counts_per_unit);
+            i32::try_from(count).unwrap_or(if count < 0 { i32::MIN } else { i32::MAX })
+        };
+        let (a, b) = (signed(low), signed(high));
+        (a.min(b), a.max(b))
+    }
+
+    fn magnitude(&self, units: f64) -> u32 {
+        let count = whole(units * self.counts_per_unit.abs());
+        u32::try_from(count).unwrap_or(u32::MAX)
+    }
 }
 
 impl ArmPlan {

@@ -38,6 +38,10 @@ fn explain_panics() {
 fn main() -> ExitCode {
     explain_panics();
     let cli = Cli::parse();
+    if let Err(error) = rt::check_slow_motion() {
+        console::error(&error);
+        return ExitCode::from(2);
+    }
     if rt::slow_motion() > 1 {
         console::warning(&format!(
             "TROCAR_SLOW_MOTION: everything takes {} times as long",

@@ -4,10 +4,11 @@ use super::super::client::{read, write};
 use super::super::link::Bus;
 use super::super::plan::ArmPlan;
 use super::BringUpError;
+use super::settings::{differs, hold, is_missing};
 use crate::can::NodeId;
 use crate::can::cia301::cob::{PdoNumber, SYNC_ID};
 use crate::can::cia301::pdo::{MappingEntry, PdoCob, SyncCount, Transmission};
-use crate::can::cia301::{AbortCode, Address, Cob};
+use crate::can::cia301::{Address, Cob};
 use crate::can::cia402::Mode;
 use crate::can::cia402::mode::period_parameter;
 use crate::can::od::index;
@@ -16,17 +17,11 @@ use crate::can::od::index;
 const DEADLINE_CYCLES: u64 = 10;
 /// Least deadline, ms: below that the host's own jitter would stop the arm.
 const DEADLINE_MS_MIN: u64 = 10;
-/// Abort connection: quick stop.
-const QUICK_STOP: u8 = 3;
-/// Shutdown, disabling: ramp first.
-const RAMP: u8 = 1;
-/// Quick stop, fault reaction: fast ramp, then no voltage. A drive whose master is dead must not hold on for good.
-const FAST_RAMP: u8 = 2;
-
-struct Writer<'a, B> {
-    bus: &'a mut B,
-    line: u8,
-    node: NodeId,
+/// Where to write.
+pub(super) struct Writer<'a, B> {
+    pub(super) bus: &'a mut B,
+    pub(super) line: u8,
+    pub(super) node: NodeId,
 }
 
 impl<B: Bus> Writer<'_, B> {
@@ -41,22 +36,24 @@ impl<B: Bus> Writer<'_, B> {
         if found.as_slice() == data {
             Ok(())
         } else {
-            Err(BringUpError::NotTaken {
-                node: self.node,
-                address,
-            })
+            Err(differs(self.node, address, found.as_slice(), data))
         }
     }
 
     /// Writes what not every drive has.
     fn set_if_there(&mut self, address: Address, data: &[u8]) -> Result<(), BringUpError> {
         match self.set(address, data) {
-            Err(BringUpError::Refused { code, .. })
-                if code == AbortCode::NO_OBJECT || code == AbortCode::NO_SUB_INDEX =>
-            {
-                Ok(())
-            }
+            Err(BringUpError::Refused { code, .. }) if is_missing(code) => Ok(()),
             other => other,
+        }
+    }
+
+    /// Writes what may be refused; tells whether there is such an object.
+    pub(super) fn try_put(&mut self, address: Address, data: &[u8]) -> Result<bool, BringUpError> {
+        match self.put(address, data) {
+            Ok(()) => Ok(true),
+            Err(BringUpError::Refused { code, .. }) => Ok(!is_missing(code)),
+            Err(error) => Err(error),
         }
     }
 
@@ -96,18 +93,7 @@ pub(super) fn node<B: Bus>(bus: &mut B, plan: &ArmPlan, axis: usize) -> Result<(
     };
     beat(&mut to, plan)?;
     watches(&mut to, plan)?;
-    for (address, option) in [
-        (index::ABORT_OPTION, QUICK_STOP),
-        (index::QUICK_STOP_OPTION, FAST_RAMP),
-        (index::SHUTDOWN_OPTION, RAMP),
-        (index::DISABLE_OPTION, RAMP),
-        (index::FAULT_OPTION, FAST_RAMP),
-    ] {
-        // CiA 402 leaves these to the drive; each has a default that stops.
-        to.set_if_there(address, &[option, 0])?;
-    }
-    // A drive may have stored one, and would add it to every set-point.
-    to.set_if_there(index::POSITION_OFFSET, &[0; 4])?;
+    hold(&mut to, plan, axis)?;
     silence_others(&mut to)?;
     let command = Cob::ReceivePdo(PdoNumber::FIRST, who.node).id();
     let answer = Cob::TransmitPdo(PdoNumber::FIRST, who.node).id();

@@ -81,13 +81,19 @@ pub enum BringUpError {
         /// The mode.
         mode: Mode,
     },
-    /// A node took a value and has another.
-    #[error("node {node}: {address} was written and does not read back")]
-    NotTaken {
+    /// A node has another value than it was given, and not one that is as safe.
+    #[error("node {node}: {address} is {found}, allowed [{least}, {most}]")]
+    Setting {
         /// The node.
         node: NodeId,
         /// The object.
         address: Address,
+        /// What it has.
+        found: i64,
+        /// The least that it may have.
+        least: i64,
+        /// The most that it may have.
+        most: i64,
     },
     /// The interpolation period cannot be said in 60C2h.
     #[error("a cycle of {cycle_ns} ns has no value in 60C2h")]

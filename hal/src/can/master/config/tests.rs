@@ -1,4 +1,5 @@
 use super::*;
+use crate::can::number::whole;
 
 fn load(from: &str, to: &str) -> Result<CanConfig, ConfigError> {
     let shipped = CanConfig::shipped();

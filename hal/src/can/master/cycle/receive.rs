@@ -23,8 +23,14 @@ impl Cycle {
         };
         match trouble {
             // Whoever restarted the controller, what it missed is not known.
-            Trouble::BusOff | Trouble::Restarted => self.latch(now, Fault::BusOff { line }),
-            Trouble::Down => self.latch(now, Fault::Down { line }),
+            Trouble::BusOff | Trouble::Restarted => {
+                health.off = true;
+                self.latch(now, Fault::BusOff { line });
+            }
+            Trouble::Down => {
+                health.off = true;
+                self.latch(now, Fault::Down { line });
+            }
             Trouble::ErrorPassive => {
                 health.passive = true;
                 health.passives += 1;

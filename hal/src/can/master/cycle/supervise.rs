@@ -3,8 +3,8 @@
 use super::super::fault::Fault;
 use super::super::space::Axes;
 use super::{
-    Cycle, DEVIATION_CYCLES, ENABLE_NS, Goal, LOST_AFTER, SILENT_AFTER, UNSENT_FAULT_AFTER,
-    UNSENT_LOST_AFTER,
+    Cycle, DEVIATION_CYCLES, ENABLE_NS, Goal, LOST_AFTER, PAUSES_MAX, SILENT_AFTER,
+    UNSENT_FAULT_AFTER, UNSENT_LOST_AFTER, UNSTEADY_AFTER,
 };
 use crate::can::cia402::PowerState;
 use crate::can::number::{nanoseconds, real, whole};
@@ -12,17 +12,30 @@ use crate::tail::TAIL_AXES;
 use crate::{ArmError, ArmState, JOINT_COUNT, JointVector, TICK_NS, TimeNs};
 
 impl Cycle {
-    /// Ends the cycle of the newest SYNC: ages, heartbeats, and what the drives said.
+    /// Ends the newest period: ages, heartbeats, and what the drives said. Decides whether the next one is a pause.
+    ///
+    /// A process datum carries no number, so after a missing answer the next one may be the missing one, late, and so may all
+    /// after it. Then a SYNC is left out, which drives bridge: what comes without one is late, and if nothing comes the
+    /// answers are in step again.
     pub fn judge(&mut self, now: TimeNs) {
         self.judge_sending(now);
         if self.sync.is_none() {
             return;
         }
+        let mut asks = false;
         for n in 0..TAIL_AXES {
-            self.axes[n].end_cycle();
+            let axis = &mut self.axes[n];
+            if self.pauses == 0 {
+                axis.end_cycle();
+                asks |= axis.asks_for_pause();
+            } else {
+                asks |= axis.end_pause(self.pauses);
+            }
             self.judge_presence(n, now);
             self.judge_drive(n, now);
         }
+        // Drives that are to stop get their beat whatever they answer.
+        self.pause = asks && self.pauses < PAUSES_MAX && self.fault.is_none();
         if self.goal == Goal::Enabled && self.is_enabled() {
             self.reached = true;
         }
@@ -44,9 +57,12 @@ impl Cycle {
 
     fn judge_presence(&mut self, n: usize, now: TimeNs) {
         let who = self.plan.who(n);
-        let silent = self.axes[n].health.age_cycles;
+        let silent = self.axes[n].silent();
         if silent >= SILENT_AFTER {
             self.latch(now, Fault::Silent(who, silent));
+        }
+        if self.axes[n].debt_cycles() >= UNSTEADY_AFTER {
+            self.latch(now, Fault::Unsteady(who));
         }
         let limit_ns = 3 * u64::from(self.plan.heartbeat_ms) * 1_000_000;
         let heard = self.axes[n].heard;
@@ -144,19 +160,19 @@ impl Cycle {
         }
     }
 
-    /// Whether a SYNC is due at `now`: a quarter of a cycle early at most, and less than a control period, or a controller
+    /// Whether a period is over at `now`: a quarter of a cycle early at most, and less than a control period, or a controller
     /// that is faster than the bus would make the bus faster.
     #[must_use]
     pub fn is_due(&self, now: TimeNs) -> bool {
         let early_ns = (self.plan.cycle_ns / 4).min(TICK_NS / 2);
-        self.sync
-            .is_none_or(|sync| now.since(sync) + early_ns >= self.plan.cycle_ns)
+        self.began
+            .is_none_or(|began| now.since(began) + early_ns >= self.plan.cycle_ns)
     }
 
-    /// Whole cycles that have passed since the newest SYNC, at least one.
+    /// Whole cycles that have passed since the newest period began, at least one.
     #[must_use]
-    pub fn cycles_since_sync(&self, now: TimeNs) -> u64 {
-        let gap_ns = self.sync.map_or(0, |sync| now.since(sync));
+    pub fn cycles_since_beat(&self, now: TimeNs) -> u64 {
+        let gap_ns = self.began.map_or(0, |began| now.since(began));
         let half_ns = nanoseconds(crate::can::number::seconds(self.plan.cycle_ns) / 2.0);
         ((gap_ns + half_ns) / self.plan.cycle_ns.max(1)).max(1)
     }

@@ -75,8 +75,9 @@ fn a_flipped_bit_in_a_set_point_moves_an_axis_no_faster_than_it_may_and_is_a_fau
     // A small one is gone with the next set-point.
     let (bench, off, _) = flipped(3, 0);
     assert!(bench.arm.fault().is_none() && off < 0.003, "{off}");
-    // The drive's greatest speed, 4 units/s, for the two cycles until it is noticed and answered, and a quick stop from it.
-    let (cycle_s, speed, deceleration) = (0.002, 4.0, 200.0);
+    // The drive's greatest speed for the two cycles until it is noticed and answered, and a quick stop from it, both as
+    // bring-up has set them.
+    let (cycle_s, speed, deceleration) = (0.002, 2.2, 110.0);
     let furthest = 2.0 * cycle_s * speed + speed * speed / (2.0 * deceleration);
     for (byte, bit) in [(4, 6), (5, 6), (5, 7)] {
         let (mut bench, off, step) = flipped(byte, bit);

@@ -2,11 +2,13 @@
 
 mod answers;
 mod bringup;
+mod buses;
 mod client;
 mod corrupted;
 mod faults;
 mod fuzz;
 mod motion;
+mod settings;
 mod two_arms;
 
 use super::*;

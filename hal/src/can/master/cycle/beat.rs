@@ -1,0 +1,56 @@
+//! The beat: where a period begins, and what of it was handed to the buses. Hot path: bounded, no allocation, no I/O, no lock.
+
+use super::Cycle;
+use crate::TimeNs;
+use crate::can::Outbox;
+use crate::can::cia301::NmtState;
+use crate::can::cia301::sync::Sync;
+
+impl Cycle {
+    /// Begins the period at `now`: with a SYNC, which puts the set-points that were sent into effect, or as a pause.
+    pub fn begin(&mut self, now: TimeNs) {
+        self.began = Some(now);
+        let period_ns = u64::from(self.plan.heartbeat_ms) * 1_000_000;
+        self.alive = self
+            .heartbeat
+            .is_none_or(|then| now.since(then) >= period_ns);
+        if self.alive {
+            self.heartbeat = Some(now);
+        }
+        if core::mem::take(&mut self.pause) {
+            self.pauses += 1;
+            return;
+        }
+        self.pauses = 0;
+        self.sync = Some(now);
+        for (axis, applied) in self.axes.iter_mut().zip(&mut self.applied) {
+            axis.followed = *applied;
+            *applied = axis.sent;
+        }
+        self.counter = if self.counter >= self.plan.sync_counter {
+            1
+        } else {
+            self.counter + 1
+        };
+    }
+
+    /// The beat of this period, the same for every bus: SYNC unless it is a pause, and the own heartbeat if it is due.
+    pub fn beat(&self, out: &mut Outbox) {
+        let sync = Sync::counted(self.counter)
+            .filter(|_| self.plan.sync_counter != 0)
+            .unwrap_or(Sync::PLAIN);
+        if self.pauses == 0 {
+            out.push(sync.emit(self.plan.sync_id));
+        }
+        if self.alive {
+            out.push(NmtState::Operational.emit(self.plan.master));
+        }
+    }
+
+    /// Notes whether all frames that were handed over in this cycle found room on `line`.
+    pub fn on_sent(&mut self, line: u8, all: bool) {
+        if let Some(health) = self.lines.get_mut(usize::from(line)) {
+            health.short |= !all;
+        }
+    }
+}
