@@ -3,6 +3,7 @@ use super::load::Traffic;
 use super::wire::{Order, QueueFull};
 use super::*;
 use crate::TimeNs;
+use crate::can::master::{Bus as _, Received};
 use crate::can::random::Random;
 use crate::can::{CanId, Frame, Payload};
 
@@ -265,4 +266,24 @@ fn two_with_one_identifier_collide() {
     wire.send(TimeNs(0), b, frame(0x185, &[2])).unwrap();
     assert!(wire.next(TimeNs(1_000_000)).is_some());
     assert_eq!(wire.collisions(), 1);
+}
+
+#[test]
+fn a_frame_that_is_held_back_comes_after_those_that_overtake_it() {
+    let mut network: Network<IdealMotor> = Network::new(1, 1_000_000, 8);
+    let other = network.add_master(8);
+    let (held, quick) = (frame(0x100, &[1]), frame(0x200, &[2]));
+    network.tamper(Box::new(move |_, _, frame| {
+        if *frame == held {
+            Tampering::Delay(300_000)
+        } else {
+            Tampering::Pass
+        }
+    }));
+    assert_eq!(network.send(0, &[held, quick]), 2);
+    // One look at both: they are told apart by when they arrive, not by when somebody looks.
+    network.advance(TimeNs(400_000));
+    let mut came = Vec::new();
+    network.receive_as(other, 0, &mut |received| came.push(received));
+    assert_eq!(came, [quick, held].map(Received::Frame));
 }

@@ -29,17 +29,18 @@ impl<M: Motor> Network<M> {
     fn exchange(&mut self, until: TimeNs) {
         for line in 0..self.lines.len() {
             loop {
-                let late = self.lines[line]
-                    .delayed
-                    .iter()
-                    .position(|(at, _)| *at <= until);
-                if let Some(late) = late {
-                    let (at, delivery) = self.lines[line].delayed.remove(late);
-                    self.now = at.max(self.now);
-                    self.hand_over(line, &delivery);
-                } else if let Some(delivery) = self.lines[line].wire.next(until) {
+                let delayed = self.lines[line].delayed.iter().map(|(at, _)| *at);
+                let due = delayed.min().filter(|at| *at <= until);
+                // What is not delayed and comes earlier comes first.
+                if let Some(delivery) = self.lines[line].wire.next(due.unwrap_or(until)) {
                     self.now = delivery.at;
                     self.arrive(line, delivery);
+                } else if let Some(due) = due {
+                    let delayed = &mut self.lines[line].delayed;
+                    let place = delayed.iter().position(|(at, _)| *at == due);
+                    let (at, delivery) = delayed.remove(place.unwrap_or(0));
+                    self.now = at;
+                    self.hand_over(line, &delivery);
                 } else {
                     break;
                 }
