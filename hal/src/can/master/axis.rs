@@ -65,7 +65,7 @@ pub(super) struct Axis {
     owed: u32,
     /// Whether answers and SYNCs may be out of step.
     doubt: bool,
-    /// SYNCs in a row without a usable answer.
+    /// Periods in a row without a usable answer.
     silent: u32,
     /// Weight of the answers that were not in time, less those that were.
     debt: u32,
@@ -147,11 +147,13 @@ impl Axis {
     }
 
     /// Ends a period that began with a SYNC. A single answer is to that SYNC, unless one went missing before: then it may as
-    /// well be the missing one, and so may all that follow. It is not older than that.
+    /// well be the missing one, and so may all that follow. Answers that nobody owed weigh like one that is missing: they
+    /// hide which SYNC the others belong to.
     pub(super) fn end_cycle(&mut self) {
         let answers = core::mem::take(&mut self.answers);
         self.kept = core::mem::take(&mut self.answered);
-        self.owed = self.owed.saturating_add(1).saturating_sub(answers);
+        let due = self.owed.saturating_add(1);
+        self.owed = due.saturating_sub(answers);
         if !self.kept {
             self.health.missed += 1;
             self.silent = self.silent.saturating_add(1);
@@ -165,6 +167,9 @@ impl Axis {
         if answers > 1 {
             self.health.late += u64::from(answers - 1);
             self.doubt = true;
+            if answers > due {
+                self.not_in_time();
+            }
         } else if !self.doubt {
             self.in_time();
         }
@@ -175,24 +180,28 @@ impl Axis {
         self.doubt && self.kept
     }
 
-    /// Ends a period without a SYNC, the last of `pauses` in a row. What came in it was late; if nothing came, nothing more
-    /// will, and an answer in the SYNC's own period was in time. Tells whether there may be more.
+    /// Ends a period without a SYNC, the last of `pauses` in a row. What came in it was late. If nothing came, and the SYNC's
+    /// own period brought an answer, that was in time and nothing more will come; without one nothing is known. Tells
+    /// whether another pause would tell more.
     pub(super) fn end_pause(&mut self, pauses: u32) -> bool {
         let late = core::mem::take(&mut self.answers);
         let usable = core::mem::take(&mut self.answered);
         self.health.late += u64::from(late);
-        self.owed = if late > 0 {
-            self.owed.saturating_sub(late)
-        } else {
+        let (kept, doubted) = (self.kept, self.doubt);
+        self.owed = if late == 0 && kept {
             0
+        } else {
+            self.owed.saturating_sub(late)
         };
         self.doubt = self.owed > 0;
-        let kept = self.kept;
         self.kept &= late == 0;
         match (kept, late > 0) {
             (true, true) => self.not_in_time(),
             (true, false) => {
-                self.in_time();
+                // Without doubt it was counted at the end of its own period.
+                if doubted {
+                    self.in_time();
+                }
                 self.health.age_cycles = pauses;
             }
             (false, _) => {}
@@ -201,9 +210,10 @@ impl Axis {
             self.silent = 0;
             self.health.age_cycles = self.owed + pauses;
         } else if !self.kept {
+            self.silent = self.silent.saturating_add(u32::from(!kept));
             self.age();
         }
-        self.doubt
+        self.doubt && (kept || late > 0)
     }
 
     fn age(&mut self) {
@@ -218,7 +228,7 @@ impl Axis {
         self.debt = self.debt.saturating_add(MISS_WEIGHT);
     }
 
-    /// SYNCs in a row without a usable answer.
+    /// Periods in a row without a usable answer.
     pub(super) const fn silent(&self) -> u32 {
         self.silent
     }

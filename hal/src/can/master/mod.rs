@@ -40,7 +40,8 @@
 //! whoever becomes late, or is so from the first SYNC on, misses a cycle. From then on an answer is taken, but may be as old as
 //! the first SYNC without one; and the next SYNC is left out, which drives bridge. What comes meanwhile was late; if more may
 //! come, up to two more SYNCs are left out. Then answers and SYNCs are in step again. A late answer is known as such if it comes
-//! within four cycles of its SYNC. Once a fault is latched every SYNC is sent.
+//! within four cycles of its SYNC and answers are about equally late: where that varies by cycles from one to the next, one may
+//! be up to three cycles older than it is told to be. Once a fault is latched every SYNC is sent.
 
 pub mod arm;
 pub mod axis;

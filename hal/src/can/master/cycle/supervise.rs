@@ -34,8 +34,11 @@ impl Cycle {
             self.judge_presence(n, now);
             self.judge_drive(n, now);
         }
-        // Drives that are to stop get their beat whatever they answer.
-        self.pause = asks && self.pauses < PAUSES_MAX && self.fault.is_none();
+        // Drives that are to stop get their beat whatever they answer, and so do those that have waited for one long enough,
+        // as after a stall.
+        let waited_ns = self.sync.map_or(0, |sync| now.since(sync));
+        let patient = 2 * waited_ns <= u64::from(2 * PAUSES_MAX + 1) * self.plan.cycle_ns;
+        self.pause = asks && patient && self.pauses < PAUSES_MAX && self.fault.is_none();
         if self.goal == Goal::Enabled && self.is_enabled() {
             self.reached = true;
         }

@@ -166,6 +166,55 @@ fn a_doubled_answer_does_not_hide_that_all_after_it_are_late() {
 }
 
 #[test]
+fn answers_of_one_axis_that_come_twice_hide_no_other_axis_that_is_late_or_missing() {
+    type Change = fn(u32) -> Tampering;
+    let late: Change = |_| Tampering::Delay(4_400_000);
+    let lossy: Change = |count| {
+        if count % 2 == 0 {
+            Tampering::Drop
+        } else {
+            Tampering::Pass
+        }
+    };
+    for change in [late, lossy] {
+        let mut bench = moving();
+        let mut count = 0;
+        bench.tamper(move |frame| {
+            if is_answer(frame, 1) {
+                return Tampering::Repeat;
+            }
+            count += u32::from(is_answer(frame, 2));
+            if is_answer(frame, 2) {
+                change(count)
+            } else {
+                Tampering::Pass
+            }
+        });
+        let _ = bench.cycles(150, 0.0);
+        let fault = bench.arm.fault();
+        assert!(matches!(fault, Some(Fault::Unsteady(_))), "{fault:?}");
+    }
+}
+
+#[test]
+fn a_beat_is_left_out_for_no_longer_than_drives_bridge_even_when_the_control_thread_stalls() {
+    let mut bench = moving();
+    let mut dropped = false;
+    bench.tamper(move |frame| {
+        if is_answer(frame, 2) && !dropped {
+            dropped = true;
+            Tampering::Drop
+        } else {
+            Tampering::Pass
+        }
+    });
+    let _ = bench.cycle(0.0008);
+    bench.dead_for(12 * MS);
+    let _ = bench.cycle(0.0);
+    assert_eq!(bench.arm.cycle().sync(), Some(bench.now));
+}
+
+#[test]
 fn answers_that_are_lost_now_and_then_are_not_taken_for_late_ones() {
     for every in [4, 5, 10] {
         let mut bench = moving();
