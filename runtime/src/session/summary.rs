@@ -95,6 +95,8 @@ pub struct CanArmSummary {
     pub answers_late: u64,
     /// Answers that could not be believed.
     pub answers_rejected: u64,
+    /// SYNCs that were left out to find out which ones answers belong to.
+    pub syncs_left_out: u64,
     /// Commands that were no numbers or out of reach.
     pub commands_refused: u64,
     /// What stopped the arm, if something did.

@@ -8,6 +8,12 @@ use rapier3d_f64::geometry::SolverContact;
 /// Contacts as close as this are one, m: far below any feature of an instrument, far above rounding.
 const SAME_M: f64 = 1e-6;
 
+/// Whether the point `index` of a manifold is among its `contacts` that are solved.
+pub(super) fn is_solved(contacts: &[SolverContact], index: usize) -> bool {
+    let mut ids = contacts.iter().flat_map(|contact| contact.contact_indices());
+    ids.any(|id| usize::try_from(id) == Ok(index))
+}
+
 /// Drops contacts that lie where an earlier one of the same pair of faces does.
 pub(super) fn merge(contacts: &mut Vec<SolverContact>) {
     let mut kept = 0;

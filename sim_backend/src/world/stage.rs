@@ -10,6 +10,7 @@ use rapier3d_f64::pipeline::PhysicsWorld;
 
 use super::chain::Wrench;
 use super::config::WorldConfig;
+use super::contacts::is_solved;
 use super::convert::{engine_pose, engine_vector, our_pose, our_vector};
 use super::scenery::Scenery;
 use super::solids::{Part, finger, insert_ground, insert_part, insert_thing, wrist};
@@ -263,9 +264,11 @@ impl Stage {
         };
         for manifold in pair.solver_manifolds() {
             let normal = our_vector(manifold.data.normal);
-            for point in &manifold.points {
+            for (index, point) in manifold.points.iter().enumerate() {
                 touch.penetration_m = touch.penetration_m.max(-point.dist);
-                if point.data.impulse > 0.0 {
+                // What is not solved any more keeps the impulse that it had.
+                let solved = is_solved(&manifold.data.solver_contacts, index);
+                if solved && point.data.impulse > 0.0 {
                     let at = our_vector(first.position().transform_point(point.local_p1));
                     let force_n = point.data.impulse * inverse_dt;
                     touch.force_n += force_n;

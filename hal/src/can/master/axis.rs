@@ -48,6 +48,8 @@ pub(super) struct Axis {
     pub(super) heard: Option<TimeNs>,
     /// When the drive measured it: the SYNC that it answers.
     pub(super) sampled: TimeNs,
+    /// The same of the newest answer that could not have been too old.
+    pub(super) trusted: TimeNs,
     /// Counts/s from the last two answers.
     pub(super) velocity: f64,
     /// Set-point, counts.
@@ -81,6 +83,7 @@ impl Axis {
             health: AxisHealth::default(),
             heard: None,
             sampled: TimeNs(0),
+            trusted: TimeNs(0),
             velocity: 0.0,
             target: 0,
             sent: 0,

@@ -88,6 +88,8 @@ pub struct Cycle {
     /// Whether the next period begins without a SYNC, and how many in a row have.
     pause: bool,
     pauses: u32,
+    /// SYNCs left out so far.
+    left_out: u64,
     heartbeat: Option<TimeNs>,
     /// Whether the newest beat goes with a heartbeat.
     alive: bool,
@@ -117,6 +119,7 @@ impl Cycle {
             began: None,
             pause: false,
             pauses: 0,
+            left_out: 0,
             heartbeat: None,
             alive: false,
         }

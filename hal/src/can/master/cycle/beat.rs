@@ -19,6 +19,7 @@ impl Cycle {
         }
         if core::mem::take(&mut self.pause) {
             self.pauses += 1;
+            self.left_out += 1;
             return;
         }
         self.pauses = 0;
@@ -45,6 +46,12 @@ impl Cycle {
         if self.alive {
             out.push(NmtState::Operational.emit(self.plan.master));
         }
+    }
+
+    /// SYNCs that were left out so far, to find out which ones the answers belong to.
+    #[must_use]
+    pub const fn left_out(&self) -> u64 {
+        self.left_out
     }
 
     /// Notes whether all frames that were handed over in this cycle found room on `line`.

@@ -31,6 +31,9 @@ impl Cycle {
             } else {
                 asks |= axis.end_pause(self.pauses);
             }
+            if axis.health.age_cycles < LOST_AFTER {
+                axis.trusted = axis.sampled;
+            }
             self.judge_presence(n, now);
             self.judge_drive(n, now);
         }
@@ -121,7 +124,7 @@ impl Cycle {
         }
         let newest = self.axes.iter().map(|axis| axis.sampled).max();
         let stamp = newest.unwrap_or(now);
-        let oldest = self.axes.iter().map(|axis| axis.sampled).min();
+        let oldest = self.axes.iter().map(|axis| axis.trusted).min();
         let age_ns = now.since(oldest.unwrap_or(TimeNs(0)));
         let lost = self
             .axes

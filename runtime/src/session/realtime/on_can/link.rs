@@ -109,6 +109,7 @@ fn arm_summary(arm: &BusArm, interfaces: &[String], name: &'static str) -> CanAr
         answers_missed: sum(|axis| axis.missed),
         answers_late: sum(|axis| axis.late),
         answers_rejected: sum(|axis| axis.rejected),
+        syncs_left_out: cycle.left_out(),
         commands_refused: arm.refused(),
         fault: fault.map(|fault| fault.to_string()),
         fault_node: fault
