@@ -21,7 +21,7 @@ pub fn files(task: &str) -> Result<TaskFiles, SessionError> {
         TaskError::Unknown { .. }
         | TaskError::NoFolder { .. }
         | TaskError::BadName { .. }
-        | TaskError::NameTaken { .. } => SessionError::BadArgument(error.to_string()),
+        | TaskError::NameTaken { .. } => SessionError::BadArgument(format!("--task: {error}")),
     })
 }
 
