@@ -10,7 +10,9 @@ const SAME_M: f64 = 1e-6;
 
 /// Whether the point `index` of a manifold is among its `contacts` that are solved.
 pub(super) fn is_solved(contacts: &[SolverContact], index: usize) -> bool {
-    let mut ids = contacts.iter().flat_map(|contact| contact.contact_indices());
+    let mut ids = contacts
+        .iter()
+        .flat_map(|contact| contact.contact_indices());
     ids.any(|id| usize::try_from(id) == Ok(index))
 }
 
