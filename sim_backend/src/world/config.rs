@@ -25,7 +25,7 @@ pub struct WorldConfig {
     pub solver_substeps: u32,
     /// Sweeps over all contacts in one sub-step.
     pub solver_sweeps: u32,
-    /// Whether an instrument's contacts at one place are solved as one. That is about a third faster, and needs a stiffer
+    /// Whether an instrument's contacts at one place are solved as one. That is faster, and needs a stiffer
     /// `grip` and more sweeps to hold as well.
     #[serde(default)]
     pub merges_contacts: bool,
