@@ -102,10 +102,9 @@ fn shift(frame: &Tensor, reach: i64, down: i64, right: i64) -> Result<Tensor, Tc
 
 #[cfg(test)]
 mod tests {
-    use super::super::tests::ONE_AT_A_TIME;
+    use super::super::generator;
     use super::{Augmentation, images, points, shift};
     use crate::rng::SplitMix64;
-    use std::sync::PoisonError;
     use tch::{Kind, Tensor};
 
     #[test]
@@ -121,8 +120,7 @@ mod tests {
 
     #[test]
     fn points_are_moved_by_the_noise_and_hidden_ones_are_the_first() {
-        // What is drawn here would be missing in a run beside it.
-        let _alone = ONE_AT_A_TIME.lock().unwrap_or_else(PoisonError::into_inner);
+        let _drawing = generator::seeded(1);
         let clouds = Tensor::arange(2 * 500 * 3, (Kind::Float, tch::Device::Cpu)).view([2, 500, 3]);
         let noisy = Augmentation {
             point_noise_m: 0.5,

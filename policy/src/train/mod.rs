@@ -18,6 +18,7 @@ mod error;
 mod flat;
 mod frame_images;
 mod frame_order;
+mod generator;
 mod options;
 mod plot;
 mod recipes;
@@ -171,14 +172,13 @@ impl Trainer {
         self.device
     }
 
-    /// Sets what the network library keeps for the whole process: threads, seed, and that it may try which kernels are
+    /// Sets what the network library keeps for the whole process: threads, and that it may try which kernels are
     /// the fastest (every step has the same shapes; on the CPU this means nothing).
     fn begin(&self, options: &TrainOptions) {
         tch::set_num_threads(i32::try_from(options.threads.max(1)).unwrap_or(1));
         if self.device.is_cuda() {
             tch::Cuda::cudnn_set_benchmark(true);
         }
-        tch::manual_seed(options.seed.cast_signed());
     }
 
     /// Trains the network `config` on `dataset` from a fresh start.

@@ -5,6 +5,7 @@ use tch::{Kind, TchError, Tensor};
 use super::curve::{CurveRow, LossCurve};
 use super::flat::FlatParameters;
 use super::frame_order::FrameOrder;
+use super::generator;
 use super::options::TrainOptions;
 use super::run_state::RunState;
 use super::{Progress, TrainError, Watch};
@@ -110,9 +111,11 @@ impl Steps<'_> {
     ) -> Result<Tensor, TrainError> {
         let options = self.options;
         let mut random = SplitMix64::named(&format!("train/step/{step}"), options.seed);
-        tch::manual_seed(random.next_u64().cast_signed());
+        let losses = {
+            let _drawing = generator::seeded(random.next_u64());
+            self.learner.losses(frames, &mut random)?
+        };
         let factor = options.lr_factor(step);
-        let losses = self.learner.losses(frames, &mut random)?;
         let lr = [options.lr_backbone * factor, options.lr * factor];
         let norm = flat.step(&losses.total, lr, options)?;
         let Losses { total, l1, kl } = losses;

@@ -128,7 +128,7 @@ pub(super) fn options() -> TrainOptions {
     }
 }
 
-/// The library's random numbers belong to the process: whoever draws from them holds this, or no run repeats itself.
+/// The library's number of threads belongs to the process, and its answers' last bits hang on it: one training at a time.
 pub(super) static ONE_AT_A_TIME: Mutex<()> = Mutex::new(());
 
 fn run(

@@ -13,7 +13,7 @@ use crate::world::{ArmStart, WorldConfig};
 
 /// `[task]`.
 #[derive(Clone, Deserialize)]
-#[serde(deny_unknown_fields)]
+#[serde(deny_unknown_fields, expecting = "a table [task] that has `kind`")]
 pub(super) struct TitleFile {
     /// The kind of scene.
     pub(super) kind: String,

@@ -188,6 +188,18 @@ fn unknown_kind_is_an_error() {
 }
 
 #[test]
+fn a_scene_file_without_a_kind_is_told_where_it_belongs() {
+    let source = Source::embedded("scene.toml", "# of old\ntask = \"needle-lift\"\n");
+    let message = TaskConfig::parse("mine", &source).unwrap_err().to_string();
+    assert!(
+        message.starts_with(
+            "scene.toml:2: task: invalid type: string \"needle-lift\", expected a table [task]"
+        ),
+        "{message}"
+    );
+}
+
+#[test]
 fn needles_can_be_chosen_by_name() {
     let task = TaskConfig::shipped("needle-lift");
     let of = |name: &str| {

@@ -32,8 +32,8 @@ impl From<ViewChoice> for View {
 /// Which scene it is, of those that a task has.
 #[derive(Args, Debug)]
 pub(crate) struct SceneArgs {
-    /// The task's scene instead of the built-in config/tasks/TASK/scene.toml: a changed copy of that file. The arms stay where
-    /// they are; safety limits are not part of it.
+    /// The task's scene instead of the scene.toml in its folder: a changed copy of that file. The arms stay where they are;
+    /// the task's name and safety limits do not change with it.
     #[arg(long, value_name = "FILE")]
     pub(crate) scene: Option<PathBuf>,
     /// The needle, N1 to N5 in needle-lift; N1, which demonstrations are recorded with, if not given.
