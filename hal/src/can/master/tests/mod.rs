@@ -6,6 +6,7 @@ mod buses;
 mod client;
 mod corrupted;
 mod faults;
+mod foreign;
 mod fuzz;
 mod motion;
 mod settings;
