@@ -159,6 +159,7 @@ fn plan(identity: (u32, u32), cycle_ms: u64) -> ArmPlan {
             line: 0,
             identity,
             counts_per_unit: COUNTS,
+            counts_per_turn: 10_000,
             range: (-5.0, 5.0),
             speed_max: 2.0,
             following_max: 0.1,

@@ -1,6 +1,7 @@
 //! Arbitrary frames, and the trouble that buses make, against a whole arm with its drives and against a single drive: no panic,
 //! no memory without bound and none at all in the master's cycle, no axis outside its range or faster than its drive may be,
-//! no set-point outside the plan, and nobody who enables himself again.
+//! no set-point outside the plan, and nobody who enables himself again; no measurement that is more than three cycles older than
+//! it is told to be, no SYNC but in its time or counted as left out, and no motion after a fault.
 //!
 //! What fails is made small, printed, and kept in `can_fuzz/seeds-*.txt`, which every later run begins with. `make fuzz-can`
 //! throws ten million frames at each and says what came of them; `TROCAR_FUZZ_FRAMES` sets another number and
@@ -22,6 +23,10 @@ mod life;
 mod memory;
 #[path = "can_fuzz/noisy.rs"]
 mod noisy;
+#[path = "can_fuzz/promises.rs"]
+mod promises;
+#[path = "can_fuzz/seen.rs"]
+mod seen;
 
 use std::cell::RefCell;
 
@@ -124,6 +129,9 @@ fn arbitrary_frames_never_move_an_arm_outside_its_limits_nor_take_memory() {
     assert!(tally.spoiled < tally.lives / 2, "{tally:?}");
     let kinds = tally.faults.iter().filter(|count| **count > 0).count();
     assert!(kinds >= 5, "{tally:?}");
+    // Nor if what is promised of time is never at stake.
+    assert!(tally.seen.ages > 1000, "{tally:?}");
+    assert!(tally.left_out > 10 && tally.seen.stills > 1000, "{tally:?}");
 }
 
 #[test]

@@ -5,7 +5,7 @@
 Each node answers NMT, sends its boot-up message and heartbeat, serves SDO (expedited, segmented, refused with abort codes), lets its
 PDOs be remapped, and is a drive in cyclic synchronous position mode (and homing method 37): the power state machine, a following
 error that faults, EMCY, fault reset, quick stop, and a fault when SYNC stays away while it is enabled. Its motor follows the target
-exactly, up to the maximum speed of object 6080h. It says "ready" on standard output when it can be spoken to, and ends with its input.
+exactly, up to the speed of object 607Fh, counts/s. It says "ready" on standard output when it can be spoken to, and ends with its input.
 """
 
 import argparse
@@ -253,7 +253,7 @@ class Drive:
 
     def follow(self):
         period_s = self.period_s()
-        reach = round(self.get(0x6080) * period_s)
+        reach = round(self.get(0x607F) * period_s)
         target = self.get(0x607A)
         step = max(-reach, min(reach, target - self.actual))
         self.actual += step

@@ -3,14 +3,17 @@
 use hal::can::bus::{IdealMotor, Network};
 use hal::can::master::{ArmPlan, Bus as _, CanArm, Fault, Offline};
 use hal::can::node::Node;
-use hal::{Arm as _, ArmCommand, JointVector, SafeTail, TimeNs};
+use hal::{Arm as _, ArmCommand, JointVector, SafeTail, TICK_NS, TimeNs};
 
 use crate::life::Life;
 use crate::memory;
-use crate::noisy::{Noisy, Seen};
+use crate::noisy::Noisy;
+use crate::promises::{Beat, Beats, Stamped, stop_ns};
+use crate::seen::Seen;
 
-/// Cycles for which an arm is watched after it has failed, or after everything has happened to it.
-const CYCLES_AFTER: u32 = 40;
+/// Cycles for which an arm is watched after it has come to rest, or after everything has happened to it.
+const CYCLES_AFTER: u64 = 20;
+
 /// What came of many lives.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Tally {
@@ -20,6 +23,9 @@ pub(crate) struct Tally {
     pub(crate) spoiled: u64,
     pub(crate) cycles: u64,
     pub(crate) enabled_cycles: u64,
+    /// SYNCs given and left out.
+    pub(crate) syncs: u64,
+    pub(crate) left_out: u64,
     /// Most bytes that a life held, and those of one in which nothing happens.
     pub(crate) bytes_max: i64,
     pub(crate) bytes_quiet: i64,
@@ -44,7 +50,7 @@ fn kind(fault: Fault) -> usize {
 }
 
 /// Drives at this part of their ranges.
-fn network(plan: &ArmPlan, part: f64) -> Network<IdealMotor> {
+fn network(plan: &ArmPlan, part: f64) -> Network<Stamped> {
     let mut net = Network::new(plan.lines, plan.bit_rate, 64);
     for axis in &plan.axes {
         let place = axis.range.0 + part * (axis.range.1 - axis.range.0);
@@ -52,6 +58,7 @@ fn network(plan: &ArmPlan, part: f64) -> Network<IdealMotor> {
             position_counts: place * axis.counts_per_unit,
             stuck: false,
         };
+        let motor = Stamped::new(motor);
         net.add(axis.line, Node::new(axis.node, &axis.drive(0)), motor);
     }
     net
@@ -72,7 +79,7 @@ pub(crate) fn live(shipped: &ArmPlan, life: &Life, tally: &mut Tally) -> Result<
     let seen = noisy.seen();
     tally.lives += 1;
     match bring_up(noisy, &plan) {
-        Some(arm) => lead(arm, &plan, part, tally),
+        Some(arm) => lead(arm, life, part, tally),
         None => tally.spoiled += 1,
     }
     let bytes = memory::most();
@@ -107,35 +114,51 @@ fn swing(plan: &ArmPlan, part: f64, now: TimeNs, cycle: u32) -> ArmCommand {
     }
 }
 
-/// A controller that is silent in every seventh cycle.
-fn lead(mut arm: CanArm<Noisy>, plan: &ArmPlan, part: f64, tally: &mut Tally) {
+/// A controller that is silent in every seventh cycle, as fast as the bus or faster.
+fn lead(mut arm: CanArm<Noisy>, life: &Life, part: f64, tally: &mut Tally) {
+    let plan = *arm.plan();
     let seen = arm.bus_mut().seen();
     arm.bus_mut().begin();
-    let (mut after, mut cycle) = (0, 0);
-    while after < CYCLES_AFTER && seen.borrow().wrong.is_none() {
+    let pace = u64::from(life.pace).min(plan.cycle_ns / TICK_NS).max(1);
+    let enough = (CYCLES_AFTER + stop_ns(&plan) / plan.cycle_ns) * pace;
+    let (mut after, mut cycle, mut beats) = (0, 0, Beats::default());
+    while after < enough && seen.borrow().wrong.is_none() {
         let stall_ns = arm.bus_mut().take_stall_ns();
-        let due = arm.bus_mut().now().plus_ns(plan.cycle_ns + stall_ns);
+        let period_ns = plan.cycle_ns / pace + stall_ns;
+        let due = arm.bus_mut().now().plus_ns(period_ns);
         arm.bus_mut().wait(due);
         let now = arm.bus_mut().now();
         cycle += 1;
-        let command = swing(plan, part, now, cycle);
+        let command = swing(&plan, part, now, cycle);
+        let beat = Beat::of(&mut arm);
         let before = memory::requests();
-        let _ = arm.read(now);
+        let measured = arm.read(now);
+        let kept = beats.check(&mut arm, &beat, now, measured.as_ref().ok());
         if cycle % 7 > 0 {
             let _ = arm.write(&command, &SafeTail::hold(&command));
         }
         let taken = memory::requests() - before;
-        let bad = seen.borrow().wrong.is_some();
+        let bad = seen.borrow().wrong.is_some() || kept.is_err();
         seen.borrow_mut()
             .must(taken == 0 || bad, || "the cycle took memory".to_owned());
+        if let Err(what) = kept {
+            seen.borrow_mut().must(false, || what);
+        }
         tally.cycles += 1;
         tally.enabled_cycles += u64::from(arm.cycle().is_enabled());
         let over = arm.bus_mut().is_over();
         if arm.fault().is_some() {
             arm.bus_mut().latch();
         }
-        after += u32::from(over || arm.fault().is_some());
+        after += u64::from(over || arm.fault().is_some());
     }
+    tally.syncs += beats.syncs;
+    tally.left_out += beats.left_out;
+    let (ages, _) = arm.bus_mut().ages();
+    let (checked, older_max) = (ages.checked, ages.older_max);
+    let mut seen = seen.borrow_mut();
+    seen.ages += checked;
+    seen.older_max = seen.older_max.max(older_max);
     if let Some(fault) = arm.fault() {
         tally.faults[kind(fault)] += 1;
     }

@@ -24,6 +24,8 @@ pub(crate) struct Life {
     pub(crate) from_the_start: bool,
     /// Where in their ranges the axes are at first, and around what they are led, per mille.
     pub(crate) place: u16,
+    /// How often the controller looks at the arm in a cycle, where it may.
+    pub(crate) pace: u8,
     /// What happens.
     pub(crate) bursts: Vec<Burst>,
 }
@@ -35,6 +37,7 @@ impl Life {
             buses,
             from_the_start: false,
             place: 500,
+            pace: 1,
             bursts: Vec::new(),
         }
     }
@@ -178,11 +181,13 @@ fn among(mood: Mood, troubles: u32, from_the_start: bool) -> BoxedStrategy<Life>
         prop_oneof![4 => Just(Buses::Roomy), 2 => Just(Buses::Three), 1 => Just(Buses::Shipped)];
     // Often at an end.
     let place = prop_oneof![2 => Just(500), 2 => 0..=1000_u16, 1 => Just(0), 1 => Just(1000)];
-    (buses, place, vec(burst, 0..=BURSTS_MAX))
-        .prop_map(move |(buses, place, bursts)| Life {
+    let pace = select(&[1, 1, 1, 2, 4][..]);
+    (buses, place, pace, vec(burst, 0..=BURSTS_MAX))
+        .prop_map(move |(buses, place, pace, bursts)| Life {
             buses,
             from_the_start,
             place,
+            pace,
             bursts,
         })
         .boxed()

@@ -5,67 +5,23 @@ use std::rc::Rc;
 use std::vec::IntoIter;
 
 use hal::TimeNs;
-use hal::can::bus::{IdealMotor, Network, Tampering};
+use hal::can::Frame;
+use hal::can::bus::{Network, Tampering};
 use hal::can::cia301::cob::PdoNumber;
 use hal::can::cia301::{Cob, NmtCommand, nmt};
 use hal::can::cia402::{Command, ControlView};
 use hal::can::master::{ArmPlan, Bus, Received, Trouble};
-use hal::can::{Frame, NodeId};
 
 use crate::life::{Act, Burst, Life};
+use crate::promises::{Ages, Leads, Stamped, answers, leads, stop_ns};
+use crate::seen::{Seen, Watched, note};
 
 /// How often motors are looked at, and bursts may begin, ns.
 const LOOK_NS: u64 = 500_000;
 const MS_NS: u64 = 1_000_000;
 
-/// What was thrown, what moved, and what was wrong.
-#[derive(Clone, Debug, Default)]
-pub(crate) struct Seen {
-    /// Frames that found room on a bus.
-    pub(crate) thrown: u64,
-    /// Things that happened beside them.
-    pub(crate) troubles: u64,
-    /// How far all motors went together, counts.
-    pub(crate) travelled: f64,
-    /// Times at which all motors were looked at.
-    pub(crate) looks: u64,
-    /// Greatest share of its drive's greatest speed that an axis had.
-    pub(crate) speed_share: f64,
-    /// The first thing that must not be.
-    pub(crate) wrong: Option<String>,
-}
-
-impl Seen {
-    pub(crate) fn add(&mut self, other: &Self) {
-        self.thrown += other.thrown;
-        self.troubles += other.troubles;
-        self.travelled += other.travelled;
-        self.looks += other.looks;
-        self.speed_share = self.speed_share.max(other.speed_share);
-    }
-
-    /// Notes what `what` says unless `holds`.
-    pub(crate) fn must(&mut self, holds: bool, what: impl FnOnce() -> String) {
-        if !holds {
-            self.wrong.get_or_insert_with(what);
-        }
-    }
-}
-
-/// An axis, where its motor was, and where its drive last said that it is, counts.
-#[derive(Clone, Copy)]
-struct Watched {
-    node: NodeId,
-    range: (f64, f64),
-    speed_max: f64,
-    before: f64,
-    /// Where the master may send it.
-    planned: (f64, f64),
-    told: Option<i32>,
-}
-
 pub(crate) struct Noisy {
-    net: Network<IdealMotor>,
+    net: Network<Stamped>,
     plan: ArmPlan,
     story: IntoIter<Burst>,
     next: Option<Burst>,
@@ -79,31 +35,23 @@ pub(crate) struct Noisy {
     lose: [u8; 3],
     spoil: Rc<Cell<Option<Tampering>>>,
     watched: [Watched; 7],
-    /// The master knows of a fault.
-    latched: bool,
+    /// Since when the master knows of a fault.
+    latched: Option<TimeNs>,
+    /// SYNCs that the master gave each bus, whether its clock leapt since the newest, and how old what it measured is.
+    syncs: [u64; 3],
+    leapt: bool,
+    ages: Ages,
     seen: Rc<RefCell<Seen>>,
 }
 
 impl Noisy {
-    pub(crate) fn new(mut net: Network<IdealMotor>, plan: &ArmPlan, life: &Life) -> Self {
+    pub(crate) fn new(mut net: Network<Stamped>, plan: &ArmPlan, life: &Life) -> Self {
         let spoil: Rc<Cell<Option<Tampering>>> = Rc::default();
         let spoilt = Rc::clone(&spoil);
         net.tamper(Box::new(move |_, _, _| {
             spoilt.take().unwrap_or(Tampering::Pass)
         }));
-        let watched = plan.axes.map(|axis| {
-            let drive = axis.drive(0);
-            let counts = |units: f64| units * axis.counts_per_unit;
-            let (a, b) = (counts(axis.range.0), counts(axis.range.1));
-            Watched {
-                node: axis.node,
-                range: (drive.range.0.into(), drive.range.1.into()),
-                speed_max: drive.speed_max.into(),
-                before: f64::NAN,
-                planned: (a.min(b) - 1.0, a.max(b) + 1.0),
-                told: None,
-            }
-        });
+        let watched = plan.axes.map(|axis| Watched::of(&axis));
         Self {
             net,
             plan: *plan,
@@ -118,7 +66,10 @@ impl Noisy {
             lose: [0; 3],
             spoil,
             watched,
-            latched: false,
+            latched: None,
+            syncs: [0; 3],
+            leapt: false,
+            ages: Ages::new(),
             seen: Rc::default(),
         }
     }
@@ -140,7 +91,41 @@ impl Noisy {
 
     /// From now on the master may not lead a drive anywhere.
     pub(crate) fn latch(&mut self) {
-        self.latched = true;
+        self.latched.get_or_insert(self.net.now());
+    }
+
+    /// SYNCs that the master gave each bus.
+    pub(crate) const fn syncs(&self) -> [u64; 3] {
+        self.syncs
+    }
+
+    /// Whether the master's clock has leapt since [`Self::forget_leap`].
+    pub(crate) const fn has_leapt(&self) -> bool {
+        self.leapt
+    }
+
+    pub(crate) fn forget_leap(&mut self) {
+        self.leapt = false;
+    }
+
+    /// How old what the master measures is, and the time of the buses.
+    pub(crate) fn ages(&mut self) -> (&mut Ages, TimeNs) {
+        let now = self.net.now();
+        (&mut self.ages, now)
+    }
+
+    /// A stranger says `frame`: what it leads and whose name it takes.
+    fn beware(&mut self, frame: &Frame) {
+        if let Some(axis) = answers(&self.plan, frame) {
+            self.ages.void(axis);
+        }
+        let now = self.net.now();
+        match leads(&self.plan, frame) {
+            Leads::Nobody => {}
+            Leads::Axis(axis) => self.watched[axis].led = now,
+            Leads::AxisForGood(axis) => self.watched[axis].led_for_good = true,
+            Leads::All => self.watched.iter_mut().for_each(|axis| axis.led = now),
+        }
     }
 
     /// How long the master's thread is to stand still, ns.
@@ -171,21 +156,37 @@ impl Noisy {
         self.seen.borrow_mut().troubles += u64::from(!thrown);
         match *act {
             Act::Frame(line, frame) => {
-                let fits = self.net.intrude(on(line), frame);
+                self.beware(&frame);
+                let fits = self.net.intrude(line % self.plan.lines, frame);
                 self.seen.borrow_mut().thrown += u64::from(fits);
             }
             Act::Trouble(line, trouble) => self.net.trouble(on(line), trouble),
             Act::BusOff(line, off) => self.net.bus_off(on(line), off),
             Act::NoRoom(line, times) => self.no_room[place(line)] = times,
             Act::Lose(line, frames) => self.lose[place(line)] = frames,
-            Act::Spoil(tampering) => self.spoil.set(Some(tampering)),
-            Act::Power(axis, on) => self.net.power(self.watched[usize::from(axis)].node, on),
+            Act::Spoil(tampering) => {
+                if let Tampering::Replace(frame) = tampering {
+                    self.beware(&frame);
+                    // Whenever it comes.
+                    self.watched
+                        .iter_mut()
+                        .for_each(|axis| axis.led_for_good = true);
+                }
+                self.spoil.set(Some(tampering));
+            }
+            Act::Power(axis, on) => {
+                self.ages.void(usize::from(axis));
+                self.net.power(self.watched[usize::from(axis)].node, on);
+            }
             Act::Stuck(axis) => {
                 let node = self.watched[usize::from(axis)].node;
-                self.net.motor(node).unwrap().stuck = true;
+                self.net.motor(node).unwrap().ideal.stuck = true;
             }
             Act::Stall(ms) => self.stall_ms = ms,
-            Act::Leap(ms) => self.skew_ns += i64::from(ms) * i64::try_from(MS_NS).unwrap(),
+            Act::Leap(ms) => {
+                self.leapt = true;
+                self.skew_ns += i64::from(ms) * i64::try_from(MS_NS).unwrap();
+            }
         }
     }
 
@@ -194,9 +195,10 @@ impl Noisy {
         let mut seen = self.seen.borrow_mut();
         seen.looks += 1;
         let seconds = TimeNs(passed_ns).seconds();
+        let (now, stop_ns) = (self.net.now(), stop_ns(&self.plan));
         for watched in &mut self.watched {
             let node = watched.node;
-            let position = self.net.motor(node).unwrap().position_counts;
+            let position = self.net.motor(node).unwrap().ideal.position_counts;
             let (low, high) = watched.range;
             seen.must((low..=high).contains(&position), || {
                 format!("node {node} is at {position}, outside {low} to {high}")
@@ -206,6 +208,12 @@ impl Noisy {
                 let reach = watched.speed_max * seconds;
                 seen.must(way <= reach + 1.0, || {
                     format!("node {node} went {way} where {reach} is as far as it can")
+                });
+                let still = self.latched.filter(|_| !watched.led_for_good);
+                let still = still.is_some_and(|at| now.since(at.max(watched.led)) > stop_ns);
+                seen.stills += u64::from(still);
+                seen.must(!still || way <= 1e-6, || {
+                    format!("node {node} moves by {way} long after a fault")
                 });
                 seen.travelled += way;
                 if reach > 10.0 {
@@ -231,13 +239,13 @@ impl Noisy {
                 format!("node {node} is sent to {target}")
             });
             let stops = matches!(command, Command::QuickStop | Command::DisableVoltage);
-            seen.must(stops || !self.latched, || {
+            seen.must(stops || self.latched.is_none(), || {
                 format!("{command:?} for node {node} after a fault")
             });
         }
         let starts = frame.id.raw() == 0
             && matches!(nmt::NmtView(frame.data()).command(), Ok(NmtCommand::Start));
-        seen.must(!(starts && self.latched), || {
+        seen.must(!(starts && self.latched.is_some()), || {
             "drives are started after a fault".to_owned()
         });
     }
@@ -250,6 +258,8 @@ impl Bus for Noisy {
 
     fn send(&mut self, line: u8, frames: &[Frame]) -> usize {
         frames.iter().for_each(|frame| self.check(frame));
+        let beats = frames.iter().filter(|frame| frame.id == self.plan.sync_id);
+        self.syncs[usize::from(line)] += u64::try_from(beats.count()).unwrap();
         let no_room = &mut self.no_room[usize::from(line)];
         let room = if *no_room == 0 {
             frames.len()
@@ -262,6 +272,7 @@ impl Bus for Noisy {
 
     fn receive(&mut self, line: u8, sink: &mut dyn FnMut(Received)) {
         let (lose, watched) = (&mut self.lose[usize::from(line)], &mut self.watched);
+        let (plan, ages, now) = (&self.plan, &mut self.ages, self.net.now());
         let mut lost = 0;
         self.net.receive(line, &mut |received| {
             if let Received::Frame(frame) = received {
@@ -271,6 +282,9 @@ impl Bus for Noisy {
                     return;
                 }
                 note(watched, &frame);
+                if let Some(axis) = answers(plan, &frame) {
+                    ages.on_answer(axis, frame.data(), now);
+                }
             }
             sink(received);
         });
@@ -291,15 +305,5 @@ impl Bus for Noisy {
             self.net.advance(now.plus_ns(left_ns));
             self.look(left_ns);
         }
-    }
-}
-
-/// Where a drive says that it is.
-fn note(watched: &mut [Watched; 7], frame: &Frame) {
-    if let Cob::TransmitPdo(PdoNumber::FIRST, node) = Cob::of(frame.id)
-        && let [_, _, p0, p1, p2, p3, _, _] = *frame.data()
-        && let Some(axis) = watched.iter_mut().find(|axis| axis.node == node)
-    {
-        axis.told = Some(i32::from_le_bytes([p0, p1, p2, p3]));
     }
 }

@@ -82,6 +82,21 @@ pub struct CanBusSummary {
     pub frames_foreign: u64,
 }
 
+impl CanBusSummary {
+    /// What a person should look into, if there is something.
+    #[must_use]
+    pub fn warning(&self) -> Option<String> {
+        let times = self.error_passive;
+        (times > 0).then(|| {
+            format!(
+                "{}: our controller became error passive {times} times, as it counted many errors; the arm went on, but \
+                 look at cable, termination and bit rate",
+                self.interface
+            )
+        })
+    }
+}
+
 /// One arm on CAN.
 #[derive(Clone, Debug, Serialize)]
 pub struct CanArmSummary {
@@ -316,6 +331,23 @@ mod tests {
         assert!(
             low.abs() < 1e-12 && (high - 1.0).abs() < 1e-12,
             "{low} {high}"
+        );
+    }
+
+    #[test]
+    fn a_bus_on_which_our_controller_became_error_passive_is_named_with_what_to_look_at() {
+        let bus = |error_passive| CanBusSummary {
+            interface: "vcan1".to_owned(),
+            planned_per_mille: 900,
+            frames_lost: 0,
+            error_passive,
+            frames_foreign: 0,
+        };
+        assert_eq!(bus(0).warning(), None);
+        let warning = bus(2).warning().unwrap_or_default();
+        assert!(
+            warning.starts_with("vcan1: our controller became error passive 2 times"),
+            "{warning}"
         );
     }
 }

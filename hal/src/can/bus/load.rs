@@ -1,4 +1,9 @@
 //! What a plan of frames costs, and whether a bus can carry it.
+//!
+//! A plan counts what is on the bus in every cycle while all is well: SYNC, a set-point and an answer an axis, heartbeats. It
+//! takes for granted that its nodes say nothing else by themselves, which bring-up sees to (no other PDO, no answer by the clock,
+//! no SYNC and no time stamp of a drive's own), and that nodes which are in no plan are silent. What is said when something is
+//! wrong (emergencies, which are not held up), and what anybody asks a dictionary, has the share that is left over.
 
 use core::fmt;
 

@@ -111,6 +111,7 @@ impl<B: Bus> CanArm<B> {
         self.cycle.begin(now);
         for line in 0..self.plan.lines {
             self.out.clear();
+            self.cycle.withdraw(line, &mut self.out);
             self.cycle.beat(&mut self.out);
             self.transmit(line);
         }

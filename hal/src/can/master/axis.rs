@@ -295,6 +295,7 @@ mod tests {
             line: 0,
             identity: (0, 0),
             counts_per_unit: 100_000.0,
+            counts_per_turn: 10_000,
             range: (-1.0, 1.0),
             speed_max: 1.0,
             following_max: 0.1,

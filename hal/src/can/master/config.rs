@@ -7,6 +7,7 @@ use serde::Deserialize;
 use super::plan::{ArmPlan, AxisPlan};
 use super::space::{Axes, Space};
 use crate::can::bus::{Overload, Plan};
+use crate::can::number::whole;
 use crate::can::{CanId, NodeId};
 use crate::config::{ConfigError, Source};
 use crate::psm::{
@@ -238,6 +239,7 @@ fn template(space: Space, identity: (u32, u32), node: NodeId) -> [AxisPlan; TAIL
             line: 0,
             identity,
             counts_per_unit: motor.gear_ratio * motor.encoder_counts_per_turn / TAU,
+            counts_per_turn: u32::try_from(whole(motor.encoder_counts_per_turn)).unwrap_or(1),
             range: (range_low[axis], range_high[axis]),
             speed_max: speed[axis],
             following_max: motor.trip_error,

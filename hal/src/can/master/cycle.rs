@@ -79,6 +79,8 @@ pub struct Cycle {
     /// Set-points that the newest SYNC put into effect, counts.
     applied: [i32; TAIL_AXES],
     fault: Option<(Fault, TimeNs)>,
+    /// Whether somebody else leads our drives.
+    intruded: bool,
     counter: u8,
     /// Stamp of the newest set-points that were taken.
     commanded: Option<TimeNs>,
@@ -113,6 +115,7 @@ impl Cycle {
             deviates: [0; TAIL_AXES],
             applied: [0; TAIL_AXES],
             fault: None,
+            intruded: false,
             counter: 0,
             commanded: None,
             sync: None,

@@ -26,12 +26,13 @@
 //! not enabled any more                     status word                     fault
 //! following error                          status word, own comparison     fault
 //! power lost                               status word                     fault
-//! somebody else's SYNC, NMT, set-points    their identifiers               fault
-//! or writing over SDO
+//! somebody else's SYNC, NMT, set-points    their identifiers               fault, and drives are taken out of operational
+//! or writing over SDO                                                      in every cycle: they hear no set-points then
 //! a second node with a drive's number      the drive's emergency           fault
 //! wrong identity                           bring-up                        no arm
-//! stored offset, unused PDOs that are on   bring-up                        cleared
+//! stored offset, PDOs, timers, time stamps bring-up                        cleared; no arm if a drive keeps them
 //! stored limits, stops, torque, window     bring-up                        written; no arm if a drive keeps less safe ones
+//! another encoder than planned             bring-up                        no arm
 //! controller silent, senseless or leaping  no set-point in reach           the tail is played to rest
 //! own process dead                         the drives' own watches         they stop by themselves
 //! ```

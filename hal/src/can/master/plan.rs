@@ -3,7 +3,7 @@
 use super::fault::Who;
 use super::space::Space;
 use crate::can::bus::{Overload, Plan};
-use crate::can::node::AxisConfig;
+use crate::can::node::{AxisConfig, turns_a_minute};
 use crate::can::number::whole;
 use crate::can::{CanId, NodeId};
 use crate::tail::TAIL_AXES;
@@ -28,6 +28,8 @@ pub struct AxisPlan {
     pub identity: (u32, u32),
     /// Counts a unit.
     pub counts_per_unit: f64,
+    /// Counts a turn of the motor, 608Fh: CiA 402 has the motor's greatest speed in turns a minute.
+    pub counts_per_turn: u32,
     /// Where it may be sent, units.
     pub range: (f64, f64),
     /// Greatest speed that is believed of it, units/s.
@@ -71,6 +73,7 @@ impl AxisPlan {
         AxisConfig {
             serial,
             identity: self.identity,
+            counts_per_turn: self.counts_per_turn,
             range: self.between(self.range.0 - margin, self.range.1 + margin),
             speed_max: self.magnitude(speed),
             decelerations: (
@@ -91,6 +94,14 @@ impl AxisPlan {
     #[must_use]
     pub fn speed_counts(&self) -> u32 {
         self.magnitude(self.speed_max)
+    }
+
+    /// Least and greatest value that the motor's greatest speed may have in a drive, turns a minute: no less than the axis
+    /// needs, and what [`Self::drive`] allows, to the next whole turn.
+    #[must_use]
+    pub fn turns_min(&self) -> (i64, i64) {
+        let whole = |counts_s: u32| turns_a_minute(counts_s, self.counts_per_turn);
+        (whole(self.speed_counts()), whole(self.drive(0).speed_max))
     }
 
     fn between(&self, low: f64, high: f64) -> (i32, i32) {

@@ -9,9 +9,11 @@ pub struct AxisConfig {
     pub serial: u32,
     /// Vendor and product that it gives itself out for, 1018h:01 and :02.
     pub identity: (u32, u32),
+    /// Counts a turn of the motor, 608Fh.
+    pub counts_per_turn: u32,
     /// Least and greatest position, counts.
     pub range: (i32, i32),
-    /// Greatest speed, counts/s.
+    /// Greatest speed, counts/s, 607Fh. 6080h says the same in whole turns a minute, rounded up.
     pub speed_max: u32,
     /// Deceleration of a ramp and of a quick stop, counts/s².
     pub decelerations: (u32, u32),
@@ -25,6 +27,7 @@ impl Default for AxisConfig {
         Self {
             serial: 0,
             identity: (0, table::PRODUCT_CODE),
+            counts_per_turn: 10_000,
             range: (-1_000_000, 1_000_000),
             speed_max: 1_000_000,
             decelerations: (10_000_000, 50_000_000),
@@ -47,6 +50,10 @@ impl AxisConfig {
         dictionary.restrict(index::LIMIT_MAX, low, high, high);
         let speed = i64::from(config.speed_max).max(1);
         dictionary.restrict(index::SPEED_MAX, 1, speed, speed);
+        let counts = i64::from(config.counts_per_turn).max(1);
+        dictionary.restrict(index::ENCODER_COUNTS, counts, counts, counts);
+        let turns_min = turns_a_minute(config.speed_max, config.counts_per_turn);
+        dictionary.restrict(index::MOTOR_SPEED_MAX, 1, turns_min, turns_min);
         let (ramp, quick) = config.decelerations;
         for (address, value) in [
             (index::DECELERATION, i64::from(ramp).max(1)),
@@ -63,4 +70,10 @@ impl AxisConfig {
         let window = config.following_window.into();
         dictionary.restrict(index::FOLLOWING_WINDOW, 0, window, window);
     }
+}
+
+/// The whole turns a minute of a motor with `counts_per_turn` that are no slower than `counts_s` and at least one.
+pub(in crate::can) fn turns_a_minute(counts_s: u32, counts_per_turn: u32) -> i64 {
+    let (counts_min, turn) = (u64::from(counts_s) * 60, u64::from(counts_per_turn).max(1));
+    i64::try_from(counts_min.div_ceil(turn).max(1)).unwrap_or(i64::MAX)
 }

@@ -108,6 +108,14 @@ pub(super) fn interpolation_ns(dictionary: &Dictionary) -> u64 {
         .clamp(PERIOD_NS.0, PERIOD_NS.1)
 }
 
+/// The greatest speed, counts/s: the lower one of 607Fh and 6080h.
+pub(super) fn speed_max(dictionary: &Dictionary) -> f64 {
+    let get = |address| real(dictionary.get(address));
+    let turn = get(index::ENCODER_COUNTS) / get(index::ENCODER_TURNS);
+    let motor = get(index::MOTOR_SPEED_MAX) / 60.0 * turn;
+    get(index::SPEED_MAX).min(motor)
+}
+
 impl Drive {
     pub(super) const fn state(&self) -> PowerState {
         self.state
@@ -189,8 +197,7 @@ impl Drive {
     fn motor_rests(&mut self, now: TimeNs, dictionary: &Dictionary) -> bool {
         let since = *self.lags_since.get_or_insert(now);
         let speed = self.feedback.velocity_counts_s.abs();
-        let rests = speed * REST_PART <= real(dictionary.get(index::SPEED_MAX))
-            || now.since(since) >= REST_NS_MAX;
+        let rests = speed * REST_PART <= speed_max(dictionary) || now.since(since) >= REST_NS_MAX;
         if rests {
             self.lags_since = None;
         }

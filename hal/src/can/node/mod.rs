@@ -31,6 +31,7 @@ use server::Transfer;
 use watch::Watches;
 
 pub use axis::AxisConfig;
+pub(in crate::can) use axis::turns_a_minute;
 pub use drive::{Demand, Feedback};
 
 /// An emulated drive.

@@ -59,9 +59,26 @@ fn header() -> String {
          ProductNumber={PRODUCT_CODE:#010X}\nRevisionNumber={REVISION:#010X}\nOrderCode=none\n{rates}\
          SimpleBootUpMaster=0\nSimpleBootUpSlave=1\nGranularity=8\nDynamicChannelsSupported=0\n\
          CompactPDO=0\nGroupMessaging=0\nNrOfRXPDO={PDO_COUNT}\nNrOfTXPDO={PDO_COUNT}\nLSS_Supported=0\n\n\
-         [DummyUsage]\n{dummies}\n[Comments]\nLines=0\n\n"
+         [DummyUsage]\n{dummies}\n{}",
+        comments()
     )
     .replace("0X", "0x")
+}
+
+/// What a data sheet has no other place for: units.
+fn comments() -> String {
+    let lines = [
+        "Positions are counts of the encoder: 6062h, 6064h, 6065h, 607Ah to 607Dh, 60B0h, 60F4h.",
+        "Speeds are counts/s: 606Ch, 607Fh. Decelerations are counts/s^2: 6084h, 6085h.",
+        "6080h is in turns of the motor a minute; 608Fh says how many counts a turn has.",
+        "The greatest speed is the lower one of 607Fh and 6080h.",
+        "Torques are per mille of the rated torque: 6072h, 6077h.",
+    ];
+    let numbered: String = (1..)
+        .zip(lines)
+        .map(|(n, line)| format!("Line{n}={line}\n"))
+        .collect();
+    format!("[Comments]\nLines={}\n{numbered}\n", lines.len())
 }
 
 fn list<'a>(text: &mut String, name: &str, objects: impl Iterator<Item = &'a Object>) {

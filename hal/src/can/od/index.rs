@@ -100,11 +100,17 @@ addresses! {
     /// Greatest position to go to, counts.
     LIMIT_MAX = 0x607D, 2;
     /// Greatest speed, counts/s.
-    SPEED_MAX = 0x6080, 0;
+    SPEED_MAX = 0x607F, 0;
+    /// Greatest speed of the motor, turns a minute.
+    MOTOR_SPEED_MAX = 0x6080, 0;
     /// Deceleration of a ramp, counts/s^2.
     DECELERATION = 0x6084, 0;
     /// Deceleration of a quick stop, counts/s^2.
     QUICK_STOP_DECELERATION = 0x6085, 0;
+    /// Counts of the encoder in so many turns of the motor.
+    ENCODER_COUNTS = 0x608F, 1;
+    /// How many turns these are.
+    ENCODER_TURNS = 0x608F, 2;
     /// How to find the reference.
     HOMING_METHOD = 0x6098, 0;
     /// Added to the target position, counts.

@@ -11,7 +11,7 @@ use runtime::session::eval::{self, EvalOptions};
 use runtime::session::realtime::{self, CanOptions, PolicyProcessOptions};
 use runtime::session::record::{self, RecordOptions};
 use runtime::session::run::{self, RunOptions, write_json};
-use runtime::session::summary::RunSummary;
+use runtime::session::summary::{CanBusSummary, RunSummary};
 use runtime::session::training::{self, CameraChoice, NetworkChoice, TrainingOptions};
 use runtime::session::{PolicyChoice, SessionError, Setup, outputs, tasks};
 use runtime::{replay as replaying, verify as verifying};
@@ -183,6 +183,9 @@ fn report_run(summary: &RunSummary) {
             arm.answers_rejected,
             arm.commands_refused
         ));
+        for warning in arm.buses.iter().filter_map(CanBusSummary::warning) {
+            console::warning(&format!("{} on {warning}", arm.arm));
+        }
     }
     console::result(&format!("  command hash: {}", summary.command_hash));
 }

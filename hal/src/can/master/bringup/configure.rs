@@ -1,10 +1,10 @@
 //! What every node is told before it may be operational, in the order that CiA 301 wants.
 
-use super::super::client::{read, write};
+use super::super::client::{read, read_number, write};
 use super::super::link::Bus;
 use super::super::plan::ArmPlan;
 use super::BringUpError;
-use super::settings::{differs, hold, is_missing};
+use super::settings::{Setting, differs, hold, is_missing, keep};
 use crate::can::NodeId;
 use crate::can::cia301::cob::{PdoNumber, SYNC_ID};
 use crate::can::cia301::pdo::{MappingEntry, PdoCob, SyncCount, Transmission};
@@ -17,6 +17,17 @@ use crate::can::od::index;
 const DEADLINE_CYCLES: u64 = 10;
 /// Least deadline, ms: below that the host's own jitter would stop the arm.
 const DEADLINE_MS_MIN: u64 = 10;
+/// PDOs of one direction that CiA 301 gives a logical device of a node, logical devices at most, and PDOs that have an
+/// identifier of their own.
+const PDOS_A_DEVICE: u16 = 64;
+const DEVICES_MAX: u16 = 8;
+const PDOS_NAMED: u16 = 4;
+/// A COB-ID that is not in use, and one whose message the node itself produces (1012h).
+const INVALID: u32 = 1 << 31;
+const PRODUCED: u32 = 1 << 30;
+/// Time stamps, which our own drives do without.
+const TIME_COB: Address = Address::new(0x1012, 0);
+
 /// Where to write.
 pub(super) struct Writer<'a, B> {
     pub(super) bus: &'a mut B,
@@ -57,13 +68,36 @@ impl<B: Bus> Writer<'_, B> {
         }
     }
 
-    /// One PDO: off, mapping, transmission, on.
+    /// Takes a PDO out of use, whatever identifier it has; tells whether there is one. `record` is its sub-index 01h.
+    fn switch_off(&mut self, record: Address) -> Result<bool, BringUpError> {
+        self.change(record, |cob| cob | INVALID)
+    }
+
+    /// Changes a COB-ID, if it is not as it should be; tells whether there is one.
+    fn change(
+        &mut self,
+        address: Address,
+        wanted: impl Fn(u32) -> u32,
+    ) -> Result<bool, BringUpError> {
+        match read_number(self.bus, self.line, self.node, address) {
+            Ok(found) if found == wanted(found) => Ok(true),
+            // Valid ones may change no other bit than that.
+            Ok(found) => self
+                .set(address, &wanted(found).to_le_bytes())
+                .map(|()| true),
+            Err(BringUpError::Refused { code, .. }) if is_missing(code) => Ok(false),
+            Err(error) => Err(error),
+        }
+    }
+
+    /// One PDO that is off: identifier, mapping, transmission, on.
     fn pdo(
         &mut self,
         record: fn(u8, u8) -> Address,
         mapping: fn(u8, u8) -> Address,
         cob: PdoCob,
         objects: &[(Address, u8)],
+        extras: &[Setting],
     ) -> Result<(), BringUpError> {
         let off = PdoCob {
             valid: false,
@@ -79,6 +113,9 @@ impl<B: Bus> Writer<'_, B> {
         self.set(mapping(0, 0), &[count])?;
         let every = Transmission::SyncCyclic(SyncCount::EVERY);
         self.set(record(0, 2), &[every.raw()])?;
+        for setting in extras {
+            keep(self, setting)?;
+        }
         self.set(record(0, 1), &cob.emit().to_le_bytes())
     }
 }
@@ -94,7 +131,7 @@ pub(super) fn node<B: Bus>(bus: &mut B, plan: &ArmPlan, axis: usize) -> Result<(
     beat(&mut to, plan)?;
     watches(&mut to, plan)?;
     hold(&mut to, plan, axis)?;
-    silence_others(&mut to)?;
+    silence(&mut to)?;
     let command = Cob::ReceivePdo(PdoNumber::FIRST, who.node).id();
     let answer = Cob::TransmitPdo(PdoNumber::FIRST, who.node).id();
     let cob = |id, rtr| PdoCob {
@@ -107,6 +144,7 @@ pub(super) fn node<B: Bus>(bus: &mut B, plan: &ArmPlan, axis: usize) -> Result<(
         index::rpdo_mapping,
         cob(command, true),
         &[(index::CONTROL, 16), (index::TARGET, 32)],
+        &[],
     )?;
     to.pdo(
         index::tpdo,
@@ -117,24 +155,34 @@ pub(super) fn node<B: Bus>(bus: &mut B, plan: &ArmPlan, axis: usize) -> Result<(
             (index::POSITION, 32),
             (index::TORQUE, 16),
         ],
+        // An answer is held up by nothing, comes with no event, and with the first SYNC.
+        &[
+            Setting::unsigned(index::tpdo(0, 3), 2, 0),
+            Setting::unsigned(index::tpdo(0, 5), 2, 0),
+            Setting::unsigned(index::tpdo(0, 6), 1, 0),
+        ],
     )?;
     to.set(index::MODE, &Mode::CyclicPosition.raw().to_le_bytes())
 }
 
-/// The PDOs that are not used: a drive may have stored some, as a second way to command it or as load on the bus.
-fn silence_others<B: Bus>(to: &mut Writer<'_, B>) -> Result<(), BringUpError> {
-    for (raw, number) in (1_u8..).map_while(|raw| Some((raw, PdoNumber::new(raw)?))) {
-        let off = |id, rtr| PdoCob {
-            id,
-            valid: false,
-            rtr,
-        };
-        let command = off(Cob::ReceivePdo(number, to.node).id(), true);
-        to.set_if_there(index::rpdo(raw, 1), &command.emit().to_le_bytes())?;
-        let answer = off(Cob::TransmitPdo(number, to.node).id(), false);
-        to.set_if_there(index::tpdo(raw, 1), &answer.emit().to_le_bytes())?;
+/// All that a drive may have stored to be said or heard beside what the plan counts: PDOs, as a second way to command it or as
+/// load on the bus, and time stamps. What is used is put into use afterwards.
+///
+/// The first four PDOs are asked for one by one, the others up to the first that a node lacks, and so for each logical device
+/// that it may have.
+fn silence<B: Bus>(to: &mut Writer<'_, B>) -> Result<(), BringUpError> {
+    for direction in [index::rpdo(0, 1), index::tpdo(0, 1)] {
+        for device in 0..DEVICES_MAX {
+            let first = direction.index + device * PDOS_A_DEVICE;
+            for number in 0..PDOS_A_DEVICE {
+                let there = to.switch_off(Address::new(first + number, 1))?;
+                if !there && (device > 0 || number >= PDOS_NAMED) {
+                    break;
+                }
+            }
+        }
     }
-    Ok(())
+    to.change(TIME_COB, |cob| cob & !PRODUCED).map(|_| ())
 }
 
 /// SYNC and interpolation.

@@ -1,9 +1,10 @@
 //! What of a drive the safety of an arm hangs on: the values that are written, and those that are accepted.
 //!
 //! A drive may have stored anything. Where it refuses a value, or keeps another one, what it has must be as safe; else there
-//! is no arm. Objects that CiA 402 leaves to the drive may be missing. Speeds and decelerations are in counts here.
+//! is no arm. Objects that CiA 402 leaves to the drive may be missing. Speeds and decelerations are in counts here, as the
+//! user-defined units of CiA 402 are if nothing else is defined; only 6080h is in turns of the motor a minute.
 
-use super::super::client::read;
+use super::super::client::{read, read_number};
 use super::super::link::Bus;
 use super::super::plan::{ArmPlan, AxisPlan};
 use super::BringUpError;
@@ -24,16 +25,15 @@ const FOLLOWING_MS: i64 = 10;
 const TORQUE_MAX: i64 = 1000;
 /// How much harder than planned a drive may brake.
 const HARDER_MAX: i64 = 10;
-/// What our own drives do without: direction, greatest speed of profiles, offsets of speed and torque.
+/// What our own drives do without: direction, offsets of speed and torque.
 const POLARITY: Address = Address::new(0x607E, 0);
-const PROFILE_SPEED_MAX: Address = Address::new(0x607F, 0);
 const VELOCITY_OFFSET: Address = Address::new(0x60B1, 0);
 const TORQUE_OFFSET: Address = Address::new(0x60B2, 0);
 /// A COB-ID that is not in use.
 const INVALID: u32 = 1 << 31;
 
 /// An object, the value that it is given, and what else it may be.
-struct Setting {
+pub(super) struct Setting {
     address: Address,
     /// Bytes of the object, and whether it has a sign.
     bytes: usize,
@@ -53,7 +53,7 @@ impl Setting {
         }
     }
 
-    const fn unsigned(address: Address, bytes: usize, value: i64) -> Self {
+    pub(super) const fn unsigned(address: Address, bytes: usize, value: i64) -> Self {
         Self {
             signed: false,
             ..Self::signed(address, bytes, value)
@@ -84,7 +84,8 @@ pub(super) fn hold<B: Bus>(
     plan: &ArmPlan,
     axis: usize,
 ) -> Result<(), BringUpError> {
-    emergencies(to)?;
+    emergencies(to, plan.cycle_ns)?;
+    encoder(to, &plan.axes[axis])?;
     let limits = limits(&plan.axes[axis]);
     // Of two limits the lower one can't be above the upper one, whatever is written first.
     let [_, upper, ..] = &limits;
@@ -112,6 +113,7 @@ const fn options() -> [Setting; 9] {
 
 /// How far, how fast, how strongly, and how hard it brakes.
 fn limits(plan: &AxisPlan) -> [Setting; 9] {
+    let (turns_min, turns_max) = plan.turns_min();
     let drive = plan.drive(0);
     let wide = |(low, high): (i32, i32)| (i64::from(low), i64::from(high));
     let ((low, high), (reach_low, reach_high)) = (wide(plan.range_counts()), wide(drive.range));
@@ -124,7 +126,7 @@ fn limits(plan: &AxisPlan) -> [Setting; 9] {
         Setting::signed(index::LIMIT_MIN, 4, reach_low).allowed(reach_low, low),
         Setting::signed(index::LIMIT_MAX, 4, reach_high).allowed(high, reach_high),
         Setting::unsigned(index::SPEED_MAX, 4, speed).allowed(slowest, speed),
-        Setting::unsigned(PROFILE_SPEED_MAX, 4, speed).allowed(slowest, speed),
+        Setting::unsigned(index::MOTOR_SPEED_MAX, 4, turns_max).allowed(turns_min, turns_max),
         Setting::unsigned(index::DECELERATION, 4, ramp).allowed(ramp, HARDER_MAX * ramp),
         Setting::unsigned(index::QUICK_STOP_DECELERATION, 4, quick)
             .allowed(quick, HARDER_MAX * quick),
@@ -134,8 +136,34 @@ fn limits(plan: &AxisPlan) -> [Setting; 9] {
     ]
 }
 
+/// Compares the counts of a motor turn, if the drive says so many: by them turns become counts, and a drive that counts otherwise
+/// would go to another place.
+fn encoder<B: Bus>(to: &mut Writer<'_, B>, plan: &AxisPlan) -> Result<(), BringUpError> {
+    let (line, node) = (to.line, to.node);
+    let mut ask = |address| match read_number(to.bus, line, node, address) {
+        Ok(number) => Ok(Some(i64::from(number))),
+        Err(BringUpError::Refused { code, .. }) if is_missing(code) => Ok(None),
+        Err(error) => Err(error),
+    };
+    let Some(found) = ask(index::ENCODER_COUNTS)? else {
+        return Ok(());
+    };
+    let turns = ask(index::ENCODER_TURNS)?.unwrap_or(1);
+    let wanted = turns * i64::from(plan.counts_per_turn);
+    if found == wanted && turns > 0 {
+        return Ok(());
+    }
+    Err(BringUpError::Setting {
+        node,
+        address: index::ENCODER_COUNTS,
+        found,
+        least: wanted,
+        most: wanted,
+    })
+}
+
 /// Writes what is wanted, or if that is not taken the other end of what is allowed, and looks at what there is then.
-fn keep<B: Bus>(to: &mut Writer<'_, B>, setting: &Setting) -> Result<(), BringUpError> {
+pub(super) fn keep<B: Bus>(to: &mut Writer<'_, B>, setting: &Setting) -> Result<(), BringUpError> {
     let Setting {
         address,
         bytes,
@@ -166,22 +194,30 @@ fn keep<B: Bus>(to: &mut Writer<'_, B>, setting: &Setting) -> Result<(), BringUp
     })
 }
 
-/// Emergencies come under the identifier that CiA 301 gives them, or nobody would hear them.
-fn emergencies<B: Bus>(to: &mut Writer<'_, B>) -> Result<(), BringUpError> {
+/// Emergencies come under the identifier that CiA 301 gives them, or nobody would hear them, and at once: no later than a cycle
+/// after the one before.
+fn emergencies<B: Bus>(to: &mut Writer<'_, B>, cycle_ns: u64) -> Result<(), BringUpError> {
     let address = index::EMERGENCY_COB;
     let wanted = i64::from(Cob::Emergency(to.node).id().raw());
     let setting = Setting::unsigned(address, 4, wanted);
     match read(to.bus, to.line, to.node, address) {
-        Ok(found) if setting.number(found.as_slice()) == Some(wanted) => return Ok(()),
+        Ok(found) if setting.number(found.as_slice()) == Some(wanted) => {}
         // It may change only while it is not in use.
         Ok(found) => {
             let old = found.as_slice().try_into().map_or(0, u32::from_le_bytes);
             to.try_put(address, &(old | INVALID).to_le_bytes())?;
+            keep(to, &setting)?;
         }
-        Err(BringUpError::Refused { .. }) => return Ok(()),
+        // Where it cannot be set, it is as CiA 301 has it. No other refusal says so.
+        Err(BringUpError::Refused { code, .. })
+            if code == AbortCode::NO_OBJECT || code == AbortCode::NO_DATA => {}
         Err(error) => return Err(error),
     }
-    keep(to, &setting)
+    let cycle_100_us = i64::try_from(cycle_ns / 100_000).unwrap_or(0);
+    keep(
+        to,
+        &Setting::unsigned(index::EMERGENCY_INHIBIT, 2, 0).allowed(0, cycle_100_us),
+    )
 }
 
 /// Whether a refusal means that the drive has no such object.

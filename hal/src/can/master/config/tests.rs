@@ -24,6 +24,30 @@ fn the_shipped_file_has_two_arms_of_which_a_bus_carries_one_at_500_hz() {
     assert_eq!(insertion.drive(0).range.1, whole_i32(0.264 * 771_430.4));
 }
 
+#[test]
+fn the_greatest_speeds_of_the_shipped_motors_have_a_value_in_turns_a_minute() {
+    for space in ["joint", "actuator"] {
+        let config = load("space = \"joint\"", &format!("space = {space:?}")).unwrap();
+        for axis in config.arms[0].plan.axes {
+            let (least, most) = axis.turns_min();
+            assert!(0 < least && least < most, "{least} {most}");
+            // To a turn a minute, what the axis needs and a tenth more.
+            let counts_s = |turns_min: i64| {
+                let turns_min = f64::from(i32::try_from(turns_min).unwrap());
+                turns_min / 60.0 * f64::from(axis.counts_per_turn)
+            };
+            let turn = counts_s(1);
+            let over = counts_s(least) - f64::from(axis.speed_counts());
+            assert!((0.0..turn).contains(&over), "{space}: {over}");
+            let over = counts_s(most) - f64::from(axis.drive(0).speed_max);
+            assert!((0.0..turn).contains(&over), "{space}: {over}");
+        }
+    }
+    // Insertion: 0.2 m/s at 336.6 rad/m.
+    let config = CanConfig::load(&CanConfig::shipped()).unwrap();
+    assert_eq!(config.arms[0].plan.axes[2].turns_min(), (643, 708));
+}
+
 fn whole_i32(value: f64) -> i32 {
     i32::try_from(whole(value)).unwrap()
 }
@@ -71,7 +95,7 @@ fn what_cannot_be_is_named_with_its_place() {
         (
             "\"joint\"\n",
             "\"disc\"\n",
-            "can.toml:9: space = disc is outside {\"joint\", \"actuator\"}",
+            "can.toml:10: space = disc is outside {\"joint\", \"actuator\"}",
         ),
         (
             "[1, 2, 3",

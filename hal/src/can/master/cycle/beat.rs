@@ -3,8 +3,8 @@
 use super::Cycle;
 use crate::TimeNs;
 use crate::can::Outbox;
-use crate::can::cia301::NmtState;
 use crate::can::cia301::sync::Sync;
+use crate::can::cia301::{NmtCommand, NmtState, NmtTarget};
 
 impl Cycle {
     /// Begins the period at `now`: with a SYNC, which puts the set-points that were sent into effect, or as a pause.
@@ -33,6 +33,18 @@ impl Cycle {
         } else {
             self.counter + 1
         };
+    }
+
+    /// Where somebody else leads our drives: the commands that take those on `line` out of operational, in every period. Of two
+    /// set-points before a SYNC the later one counts, so ours could not stop a drive that somebody else goes on to lead; out of
+    /// operational it hears none, and stops by itself.
+    pub fn withdraw(&self, line: u8, out: &mut Outbox) {
+        if !self.intruded {
+            return;
+        }
+        for axis in self.plan.axes.iter().filter(|axis| axis.line == line) {
+            out.push(NmtCommand::EnterPreOperational.emit(NmtTarget::Node(axis.node)));
+        }
     }
 
     /// The beat of this period, the same for every bus: SYNC unless it is a pause, and the own heartbeat if it is due.

@@ -71,6 +71,7 @@ impl Cycle {
             Cob::Sync | Cob::Time | Cob::SdoResponse(_) | Cob::Other(_) => false,
         };
         if foreign {
+            self.intruded = true;
             let id = frame.id;
             self.latch(now, Fault::ForeignMaster { line, id });
         }

@@ -6,10 +6,12 @@ mod buses;
 mod client;
 mod corrupted;
 mod faults;
+mod foreign;
 mod fuzz;
 mod motion;
 mod settings;
 mod two_arms;
+mod unused;
 
 use super::*;
 use crate::can::bus::{IdealMotor, Network, Tampering};
@@ -52,6 +54,7 @@ fn plan(lines: u8, cycle_ns: u64) -> ArmPlan {
             line: line_of(axis),
             identity: (0, PRODUCT_CODE),
             counts_per_unit: COUNTS,
+            counts_per_turn: 10_000,
             range: (-5.0, 5.0),
             speed_max: SPEED,
             following_max: 0.1,

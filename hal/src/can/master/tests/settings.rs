@@ -23,7 +23,7 @@ fn mapped(stored: &[(Address, &[u8])]) -> Net {
 #[test]
 fn limits_and_stops_that_a_drive_has_stored_are_replaced() {
     // Object, what is stored, what it is after bring-up.
-    let cases: [(Address, &[u8], &[u8]); 12] = [
+    let cases: [(Address, &[u8], &[u8]); 14] = [
         // A quick stop and a ramp ten times gentler: 2.2 units/s in 20 ms and in 100 ms are wanted.
         (
             index::QUICK_STOP_DECELERATION,
@@ -47,6 +47,12 @@ fn limits_and_stops_that_a_drive_has_stored_are_replaced() {
             &400_000_u32.to_le_bytes(),
             &220_000_u32.to_le_bytes(),
         ),
+        // The same in turns of the motor a minute, of 10 000 counts each.
+        (
+            index::MOTOR_SPEED_MAX,
+            &2400_u32.to_le_bytes(),
+            &1320_u32.to_le_bytes(),
+        ),
         (index::TORQUE_MAX, &[0xB8, 0x0B], &[0xE8, 0x03]),
         (index::FOLLOWING_TIME, &[0xE8, 0x03], &[10, 0]),
         // A part of the range only.
@@ -61,6 +67,8 @@ fn limits_and_stops_that_a_drive_has_stored_are_replaced() {
             &(0x8000_0083_u32).to_le_bytes(),
             &0x83_u32.to_le_bytes(),
         ),
+        // Or a tenth of a second after the one before.
+        (index::EMERGENCY_INHIBIT, &[0xE8, 0x03], &[0, 0]),
     ];
     let stored = cases.map(|(address, stored, _)| (address, stored));
     let mut net = mapped(&stored);
@@ -142,8 +150,8 @@ fn a_drive_that_keeps_an_unsafe_value_is_refused_with_node_object_value_and_what
         (
             0x6080,
             0,
-            &[0x80, 0x1A, 0x06, 0],
-            "6080:00 is 400000, allowed [200000, 220000]",
+            &[0x60, 0x09, 0, 0],
+            "6080:00 is 2400, allowed [1200, 1320]",
         ),
         (
             0x6072,
@@ -170,6 +178,15 @@ fn a_drive_that_keeps_an_unsafe_value_is_refused_with_node_object_value_and_what
             0,
             &[0x85, 0, 0, 0],
             "1014:00 is 133, allowed [131, 131]",
+        ),
+        // No later than a cycle after the one before.
+        (0x1015, 0, &[21, 0], "1015:00 is 21, allowed [0, 20]"),
+        // Another encoder than planned.
+        (
+            0x608F,
+            1,
+            &[0xA0, 0x0F, 0, 0],
+            "608F:01 is 4000, allowed [10000, 10000]",
         ),
         // What is communication must be as it was written.
         (0x1017, 0, &[0, 0], "1017:00 is 0, allowed [100, 100]"),

@@ -3,7 +3,7 @@
 //! CiA 402-2, clauses 10 (homing) and 12 (cyclic synchronous position); 6007h and 605Eh.
 
 use super::super::motion::Motion;
-use super::{AtRest, Drive, interpolation_ns};
+use super::{AtRest, Drive, interpolation_ns, speed_max};
 use crate::TimeNs;
 use crate::can::cia301::emcy::register;
 use crate::can::cia402::{Command, Event, Mode, PowerState};
@@ -42,7 +42,7 @@ impl Drive {
         let inside = wanted.max(get(index::LIMIT_MIN)).min(get(index::LIMIT_MAX));
         let from = self.motion.at(now).0;
         let period_ns = interpolation_ns(dictionary);
-        let reach = get(index::SPEED_MAX) * seconds(period_ns);
+        let reach = speed_max(dictionary) * seconds(period_ns);
         let to = from + (inside - from).clamp(-reach, reach);
         self.limited = (to - wanted).abs() > 0.5;
         self.short = inside - to;

@@ -1,6 +1,8 @@
 //! A node on a bench, in virtual time.
 
 mod communication;
+mod gaps;
+mod limits;
 mod motion;
 mod pdo;
 mod sdo;
@@ -56,17 +58,25 @@ impl Bench {
     fn wait_ms(&mut self, ms: u64) {
         let end = self.now.plus_ns(ms * MS);
         while self.now < end {
-            self.now = self.now.plus_ns(MS / 2);
-            let demand = self.node.demand(self.now);
-            let position = self.stuck.unwrap_or(demand.position_counts);
-            self.node.feedback(Feedback {
-                position_counts: position,
-                velocity_counts_s: demand.velocity_counts_s,
-                torque_per_mille: 0.0,
-            });
-            self.node.on_time(self.now, &mut self.out);
-            self.collect();
+            self.wait_half();
         }
+    }
+
+    fn wait_half(&mut self) {
+        self.now = self.now.plus_ns(MS / 2);
+        let demand = self.node.demand(self.now);
+        let position = self.stuck.unwrap_or(demand.position_counts);
+        self.node.feedback(Feedback {
+            position_counts: position,
+            velocity_counts_s: demand.velocity_counts_s,
+            torque_per_mille: 0.0,
+        });
+        self.node.on_time(self.now, &mut self.out);
+        self.collect();
+    }
+
+    fn power_state(&self) -> PowerState {
+        self.node.power_state()
     }
 
     fn nmt(&mut self, command: NmtCommand) {

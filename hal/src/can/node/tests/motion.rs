@@ -263,30 +263,3 @@ fn homing_makes_the_present_position_the_home_offset() {
     // The motor did not move.
     assert!(bench.position().abs() < 1e-6);
 }
-
-#[test]
-fn targets_beyond_range_and_speed_are_held_back_and_shown() {
-    let mut bench = Bench::enabled();
-    let mut before = bench.position();
-    for _ in 0..1200 {
-        bench.cycle(0x0F, i32::MAX);
-        assert!(bench.position() - before < 1000.1);
-        before = bench.position();
-    }
-    assert!((before - 1_000_000.0).abs() < 1e-6);
-    assert_ne!(bench.node.dictionary().get(index::STATUS) & 0x0800, 0);
-}
-
-#[test]
-fn a_target_that_the_greatest_speed_cannot_reach_is_a_following_error() {
-    let mut bench = Bench::enabled();
-    bench
-        .write(index::FOLLOWING_WINDOW, &500_u32.to_le_bytes())
-        .unwrap();
-    for _ in 0..60 {
-        bench.cycle(0x0F, 100_000);
-    }
-    assert_eq!(bench.emergencies(), [0x8611]);
-    assert_eq!(bench.node.power_state(), PowerState::Fault);
-    assert!(bench.position() < 30_000.0);
-}

@@ -57,7 +57,8 @@ fn pair(index: u16, name: &str, access: Access) -> Object {
     several(index, name, Shape::Array, subs)
 }
 
-/// 6062h to 6085h: positions, limits and decelerations.
+/// 6062h to 608Fh: positions, limits and decelerations. Positions are counts of the encoder; speeds are counts/s and decelerations
+/// counts/s², but for 6080h, which is in turns of the motor a minute.
 fn motion() -> Vec<Object> {
     vec![
         sent(0x6062, "Position demand value", I32),
@@ -71,7 +72,11 @@ fn motion() -> Vec<Object> {
         pair(0x607B, "Position range limit", ReadOnly),
         set(0x607C, "Home offset", I32, 0),
         pair(0x607D, "Software position limit", ReadWrite),
-        alone(variable(0x6080, "Max motor speed", U32, ReadWrite, 1_000_000).range(1, 0xFFFF_FFFF)),
+        alone(
+            variable(0x607F, "Max profile velocity", U32, ReadWrite, 1_000_000)
+                .range(1, 0xFFFF_FFFF),
+        ),
+        alone(variable(0x6080, "Max motor speed", U32, ReadWrite, 6000).range(1, 0xFFFF_FFFF)),
         alone(
             variable(0x6084, "Profile deceleration", U32, ReadWrite, 10_000_000)
                 .range(1, 0xFFFF_FFFF),
@@ -85,6 +90,15 @@ fn motion() -> Vec<Object> {
                 50_000_000,
             )
             .range(1, 0xFFFF_FFFF),
+        ),
+        several(
+            0x608F,
+            "Position encoder resolution",
+            Shape::Array,
+            vec![
+                sub(0x608F, 1, "Encoder increments", U32, Constant, 10_000),
+                sub(0x608F, 2, "Motor revolutions", U32, Constant, 1),
+            ],
         ),
     ]
 }

@@ -2,12 +2,13 @@
 //! arms' sockets.
 
 use hal::can::master::axis::AxisHealth;
-use hal::can::master::{CanArm, Fault, Space};
+use hal::can::master::{CanArm, Space};
 use hal::can::socket::SocketBus;
 use hal::{ARM_NAMES, Arm as _, ArmState, TimeNs};
 
 use super::super::arm_link::{ArmLink, Measured, Setpoint};
 use super::CanOptions;
+use super::happened::{Happened, Noticed};
 use crate::mailbox::MailboxWriter;
 use crate::per_arm::PerArm;
 use crate::session::can_clock::CanClock;
@@ -16,15 +17,12 @@ use crate::session::summary::{CanArmSummary, CanBusSummary, CanSummary};
 /// An arm of this machine's buses.
 pub(super) type BusArm = CanArm<SocketBus<CanClock>>;
 
-/// Why an arm's drives were stopped, and when that was noticed.
-pub(super) type Noticed = (TimeNs, PerArm<Option<Fault>>);
-
 /// The arms, and who else wants to know of them.
 pub(super) struct CanLink {
     pub(super) arms: PerArm<BusArm>,
     measured: MailboxWriter<PerArm<ArmState>>,
     noticed: MailboxWriter<Noticed>,
-    faults: PerArm<Option<Fault>>,
+    happened: PerArm<Happened>,
 }
 
 impl CanLink {
@@ -33,26 +31,20 @@ impl CanLink {
         measured: MailboxWriter<PerArm<ArmState>>,
         noticed: MailboxWriter<Noticed>,
     ) -> Self {
-        let faults = arms.as_ref().map(|_| None);
+        let happened = arms.as_ref().map(|_| Happened::default());
         Self {
             arms,
             measured,
             noticed,
-            faults,
+            happened,
         }
     }
 
-    /// What has stopped each arm, if anything.
-    pub(super) fn faults(&self) -> PerArm<Option<Fault>> {
-        self.arms.as_ref().map(CanArm::fault)
-    }
-
-    /// The same in words, with the arm's name.
+    /// What has stopped each arm, if something did, in words and with the arm's name.
     pub(super) fn fault_texts(&self) -> Vec<String> {
-        let faults = self.faults();
-        let named = faults.iter().zip(ARM_NAMES);
+        let named = self.arms.iter().zip(ARM_NAMES);
         named
-            .filter_map(|(fault, name)| fault.map(|fault| format!("{name}: {fault}")))
+            .filter_map(|(arm, name)| arm.fault().map(|fault| format!("{name}: {fault}")))
             .collect()
     }
 
@@ -77,10 +69,13 @@ impl CanLink {
     }
 
     fn notice(&mut self, now: TimeNs) {
-        let faults = self.faults();
-        if faults != self.faults {
-            self.faults = faults;
-            self.noticed.put((now, faults));
+        let happened = self.arms.as_ref().map(|arm| Happened {
+            fault: arm.fault(),
+            passives: arm.cycle().line_health().map(|health| health.passives),
+        });
+        if happened != self.happened {
+            self.happened = happened;
+            self.noticed.put((now, happened));
         }
     }
 }

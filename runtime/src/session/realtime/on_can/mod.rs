@@ -13,6 +13,7 @@
 
 mod bring_up;
 mod conclude;
+mod happened;
 mod link;
 mod scene_thread;
 
@@ -41,7 +42,8 @@ use crate::session::source::ChunkSource;
 use crate::session::{PolicyChoice, SessionError, Setup};
 use bring_up::{ReadyArm, await_world, bring_up, check, check_world, failed, uninterrupted};
 use conclude::conclude;
-use link::{CanLink, Noticed};
+use happened::Noticed;
+use link::CanLink;
 use scene_thread::{SceneEnd, SceneThread, arm_reports, frames};
 
 /// Where the arms are and where their world shows itself.
@@ -155,6 +157,7 @@ fn run_threads(
         clock,
         measured,
         noticed,
+        told: None,
         local,
         reports,
         frames: kept,

@@ -12,9 +12,9 @@ use rtrb::Producer;
 
 use super::super::policy_process::arm_names;
 use super::super::signals::{EndsRun, Signals};
-use super::link::Noticed;
+use super::happened::{Happened, Noticed};
 use crate::histogram::Histogram;
-use crate::log::{Level, SideLog};
+use crate::log::SideLog;
 use crate::mailbox::MailboxReader;
 use crate::per_arm::PerArm;
 use crate::rt::{self, MonotonicClock};
@@ -35,6 +35,8 @@ pub(super) struct SceneThread {
     pub(super) clock: MonotonicClock,
     pub(super) measured: MailboxReader<PerArm<ArmState>>,
     pub(super) noticed: MailboxReader<Noticed>,
+    /// What of it is in the log.
+    pub(super) told: Option<PerArm<Happened>>,
     pub(super) local: Option<(ChunkSource, Producer<PerArm<Chunk>>)>,
     /// For a policy process, one an arm.
     pub(super) reports: Vec<Publisher<ArmReport>>,
@@ -92,7 +94,7 @@ impl SceneThread {
         let (mut newest, mut heard, mut begun) = (None, self.clock.now(), None);
         while !signals.stopped() {
             newest = self.measured.take().or(newest);
-            self.tell_faults();
+            self.tell_news();
             self.keep_frames()?;
             if let Some(report) = self.scene.newest()? {
                 heard = self.clock.now();
@@ -123,7 +125,7 @@ impl SceneThread {
             self.keep_alive()?;
             rt::sleep_ns(POLL_NS);
         }
-        self.tell_faults();
+        self.tell_news();
         Ok(end)
     }
 
@@ -159,16 +161,20 @@ impl SceneThread {
         Ok(())
     }
 
-    /// Writes into the log what has stopped an arm.
-    fn tell_faults(&mut self) {
-        let Some((at, faults)) = self.noticed.take() else {
+    /// Writes into the log what has happened to an arm and its buses.
+    fn tell_news(&mut self) {
+        let Some((at, happened)) = self.noticed.take() else {
             return;
         };
-        if let Some(log) = &mut self.log {
-            for (fault, name) in faults.iter().zip(arm_names(faults.count())) {
-                if let Some(fault) = fault {
-                    log.event(at, Level::Error, &format!("{name}: {fault}"));
-                }
+        let told = self.told.replace(happened);
+        let told = told.unwrap_or(happened.map(|_| Happened::default()));
+        let Some(log) = &mut self.log else {
+            return;
+        };
+        let arms = happened.iter().zip(told.iter());
+        for ((now, before), name) in arms.zip(arm_names(happened.count())) {
+            for (level, text) in now.news(before) {
+                log.event(at, level, &format!("{name}: {text}"));
             }
         }
     }

@@ -1,0 +1,56 @@
+//! How far and how fast an axis goes, whatever its target.
+
+use super::*;
+
+#[test]
+fn targets_beyond_range_and_speed_are_held_back_and_shown() {
+    let mut bench = Bench::enabled();
+    let mut before = bench.position();
+    for _ in 0..1200 {
+        bench.cycle(0x0F, i32::MAX);
+        assert!(bench.position() - before < 1000.1);
+        before = bench.position();
+    }
+    assert!((before - 1_000_000.0).abs() < 1e-6);
+    assert_ne!(bench.node.dictionary().get(index::STATUS) & 0x0800, 0);
+}
+
+#[test]
+fn a_target_that_the_greatest_speed_cannot_reach_is_a_following_error() {
+    let mut bench = Bench::enabled();
+    bench
+        .write(index::FOLLOWING_WINDOW, &500_u32.to_le_bytes())
+        .unwrap();
+    for _ in 0..60 {
+        bench.cycle(0x0F, 100_000);
+    }
+    assert_eq!(bench.emergencies(), [0x8611]);
+    assert_eq!(bench.node.power_state(), PowerState::Fault);
+    assert!(bench.position() < 30_000.0);
+}
+
+#[test]
+fn the_lower_one_of_two_greatest_speeds_holds_each_in_its_own_unit() {
+    // A motor of 10 000 counts a turn: 600 turns a minute are 100 counts a millisecond.
+    for (counts_s, turns_min, counts_ms) in [
+        (1_000_000_u32, 600_u32, 100.0),
+        (50_000, 600, 50.0),
+        (50_000, 6000, 50.0),
+        (1_000_000, 6, 1.0),
+    ] {
+        let mut bench = Bench::enabled();
+        bench
+            .write(index::SPEED_MAX, &counts_s.to_le_bytes())
+            .unwrap();
+        bench
+            .write(index::MOTOR_SPEED_MAX, &turns_min.to_le_bytes())
+            .unwrap();
+        bench.cycle(0x0F, 500_000);
+        for _ in 0..20 {
+            let before = bench.position();
+            bench.cycle(0x0F, 500_000);
+            let way = bench.position() - before;
+            assert!((way - counts_ms).abs() < 1e-6, "{turns_min}: {way}");
+        }
+    }
+}

@@ -1,0 +1,76 @@
+//! What happens to an arm on CAN and to its buses, and what the log says of it.
+
+use hal::TimeNs;
+use hal::can::master::Fault;
+use hal::can::master::cycle::LINES_MAX;
+
+use crate::log::Level;
+use crate::per_arm::PerArm;
+
+/// What has happened to an arm so far.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(super) struct Happened {
+    /// What stopped its drives.
+    pub(super) fault: Option<Fault>,
+    /// How often our controller became error passive on each bus.
+    pub(super) passives: [u64; LINES_MAX],
+}
+
+/// The same of all arms, and when the newest of it was noticed.
+pub(super) type Noticed = (TimeNs, PerArm<Happened>);
+
+impl Happened {
+    /// What is new since `before`, for a person. A fault ends the motion; a controller that is error passive still works, and the
+    /// arm goes on.
+    pub(super) fn news(&self, before: &Self) -> Vec<(Level, String)> {
+        let passive = self.passives.iter().zip(before.passives).enumerate();
+        let passive = passive.filter(|(_, (now, then))| **now > *then);
+        let mut news: Vec<_> = passive
+            .map(|(bus, (times, _))| {
+                let text = format!(
+                    "bus {bus}: our controller has become error passive ({times} times so far), the next step is bus-off"
+                );
+                (Level::Warning, text)
+            })
+            .collect();
+        if let Some(fault) = self.fault.filter(|_| before.fault.is_none()) {
+            news.push((Level::Error, fault.to_string()));
+        }
+        news
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn each_time_a_controller_becomes_error_passive_is_a_warning_and_a_fault_is_an_error_once() {
+        let quiet = Happened::default();
+        assert!(quiet.news(&quiet).is_empty());
+        let passive = Happened {
+            passives: [0, 2, 0],
+            ..quiet
+        };
+        let news = passive.news(&quiet);
+        let [(level, text)] = &news[..] else {
+            panic!("{news:?}");
+        };
+        assert_eq!(*level, Level::Warning);
+        assert!(
+            text.starts_with("bus 1: our controller has become error passive (2 times"),
+            "{text}"
+        );
+        assert!(passive.news(&passive).is_empty());
+        let failed = Happened {
+            fault: Some(Fault::BusOff { line: 1 }),
+            passives: [0, 3, 0],
+        };
+        let levels = |news: Vec<(Level, String)>| news.iter().map(|(l, _)| *l).collect::<Vec<_>>();
+        assert_eq!(
+            levels(failed.news(&passive)),
+            [Level::Warning, Level::Error]
+        );
+        assert!(failed.news(&failed).is_empty());
+    }
+}
