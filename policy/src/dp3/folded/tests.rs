@@ -5,7 +5,9 @@ use std::collections::BTreeMap;
 use tch::{Device, Kind, Tensor};
 
 use super::FoldedDp3;
+use super::convolved::By;
 use crate::dp3::{CloudObservation, Dp3, Dp3Config, Dp3Preset};
+use crate::layers::narrow::Processor;
 use crate::parameters::ParameterSource;
 
 /// Of the greatest number in an answer, after all steps of the diffusion.
@@ -42,10 +44,35 @@ fn trained(config: &Dp3Config) -> Dp3 {
     Dp3::new(config.clone(), ParameterSource::given(moved)).unwrap()
 }
 
+/// The same with the nearest numbers of half precision.
+fn halved(network: &Dp3) -> Dp3 {
+    let near = |tensor: &Tensor| tensor.to_kind(Kind::Half).to_kind(Kind::Float);
+    let near: BTreeMap<String, Tensor> = network
+        .parameters()
+        .iter()
+        .map(|(key, tensor)| (key.to_owned(), near(tensor)))
+        .collect();
+    Dp3::new(network.config().clone(), ParameterSource::given(near)).unwrap()
+}
+
+/// By the library, and by our own products with every kind of instructions that there is here.
+fn means() -> Vec<By> {
+    let own = Processor::all().into_iter();
+    let own = own.map(|processor| By::Own(processor, 2));
+    own.chain([By::Library(Kind::Float)]).collect()
+}
+
 #[track_caller]
 fn check(config: &Dp3Config) {
     assert_eq!(config.defect(), None);
-    let network = trained(config);
+    for by in means() {
+        check_network(config, trained(config), by);
+        check_network(config, halved(&trained(config)), by);
+    }
+}
+
+#[track_caller]
+fn check_network(config: &Dp3Config, network: Dp3, by: By) {
     let ramp =
         |count: i64, rate: f64| (Tensor::arange(count, (Kind::Float, Device::Cpu)) * rate).sin();
     let observation = CloudObservation {
@@ -55,17 +82,35 @@ fn check(config: &Dp3Config) {
     let noise = config.start_noise(3, 1).unwrap();
     tch::no_grad(|| {
         let expected = network.infer(&observation, &noise).unwrap();
-        let mut folded = FoldedDp3::new(network, Kind::Float).unwrap();
+        let mut folded = FoldedDp3::computed(network, by).unwrap();
         let first = folded.infer(&observation, &noise).unwrap();
         let scale = expected.abs().max().double_value(&[]);
         let off = (&expected - &first).abs().max().double_value(&[]) / scale;
-        assert!(off <= ROUNDING && scale > 0.1, "off by {off:e} of {scale}");
+        assert!(
+            off <= ROUNDING && scale > 0.1,
+            "{by:?}: off by {off:e} of {scale}"
+        );
         // What it writes into is no part of the next answer.
         let other = config.start_noise(4, 1).unwrap();
         let between = folded.infer(&observation, &other).unwrap();
         assert_ne!(between, first);
         assert_eq!(folded.infer(&observation, &noise).unwrap(), first);
     });
+}
+
+#[test]
+fn single_precision_on_the_cpu_is_computed_by_our_own_products() {
+    let found = Processor::found().is_some();
+    let fastest = By::fastest(Kind::Float, Device::Cpu);
+    assert_eq!(matches!(fastest, By::Own(..)), found);
+    for (kind, device) in [
+        (Kind::BFloat16, Device::Cpu),
+        (Kind::Float, Device::Cuda(0)),
+        (Kind::BFloat16, Device::Cuda(0)),
+    ] {
+        let fastest = By::fastest(kind, device);
+        assert!(matches!(fastest, By::Library(of) if of == kind));
+    }
 }
 
 #[test]
