@@ -44,15 +44,20 @@ fn trained(config: &Dp3Config) -> Dp3 {
     Dp3::new(config.clone(), ParameterSource::given(moved)).unwrap()
 }
 
-/// The same with the nearest numbers of half precision.
-fn halved(network: &Dp3) -> Dp3 {
-    let near = |tensor: &Tensor| tensor.to_kind(Kind::Half).to_kind(Kind::Float);
-    let near: BTreeMap<String, Tensor> = network
-        .parameters()
-        .iter()
-        .map(|(key, tensor)| (key.to_owned(), near(tensor)))
+/// One with the same parameters, or with the nearest numbers of half precision.
+fn again(network: &Dp3, halved: bool) -> Dp3 {
+    let number = |tensor: &Tensor| {
+        if halved {
+            tensor.to_kind(Kind::Half).to_kind(Kind::Float)
+        } else {
+            tensor.shallow_clone()
+        }
+    };
+    let parameters = network.parameters().iter();
+    let parameters: BTreeMap<String, Tensor> = parameters
+        .map(|(key, tensor)| (key.to_owned(), number(tensor)))
         .collect();
-    Dp3::new(network.config().clone(), ParameterSource::given(near)).unwrap()
+    Dp3::new(network.config().clone(), ParameterSource::given(parameters)).unwrap()
 }
 
 /// By the library, and by our own products with every kind of instructions that there is here.
@@ -65,36 +70,38 @@ fn means() -> Vec<By> {
 #[track_caller]
 fn check(config: &Dp3Config) {
     assert_eq!(config.defect(), None);
-    for by in means() {
-        check_network(config, trained(config), by);
-        check_network(config, halved(&trained(config)), by);
+    let network = trained(config);
+    for network in [again(&network, true), network] {
+        check_network(&network);
     }
 }
 
 #[track_caller]
-fn check_network(config: &Dp3Config, network: Dp3, by: By) {
+fn check_network(network: &Dp3) {
     let ramp =
         |count: i64, rate: f64| (Tensor::arange(count, (Kind::Float, Device::Cpu)) * rate).sin();
     let observation = CloudObservation {
         points: &ramp(2 * 50 * 3, 0.7).view([1, 2, 50, 3]),
         state: &ramp(14, 1.3).view([1, 2, 7]),
     };
-    let noise = config.start_noise(3, 1).unwrap();
+    let noise = network.config().start_noise(3, 1).unwrap();
+    let other = network.config().start_noise(4, 1).unwrap();
     tch::no_grad(|| {
         let expected = network.infer(&observation, &noise).unwrap();
-        let mut folded = FoldedDp3::computed(network, by).unwrap();
-        let first = folded.infer(&observation, &noise).unwrap();
         let scale = expected.abs().max().double_value(&[]);
-        let off = (&expected - &first).abs().max().double_value(&[]) / scale;
-        assert!(
-            off <= ROUNDING && scale > 0.1,
-            "{by:?}: off by {off:e} of {scale}"
-        );
-        // What it writes into is no part of the next answer.
-        let other = config.start_noise(4, 1).unwrap();
-        let between = folded.infer(&observation, &other).unwrap();
-        assert_ne!(between, first);
-        assert_eq!(folded.infer(&observation, &noise).unwrap(), first);
+        for by in means() {
+            let mut folded = FoldedDp3::computed(again(network, false), by).unwrap();
+            let first = folded.infer(&observation, &noise).unwrap();
+            let off = (&expected - &first).abs().max().double_value(&[]) / scale;
+            assert!(
+                off <= ROUNDING && scale > 0.1,
+                "{by:?}: off by {off:e} of {scale}"
+            );
+            // What it writes into is no part of the next answer.
+            let between = folded.infer(&observation, &other).unwrap();
+            assert_ne!(between, first);
+            assert_eq!(folded.infer(&observation, &noise).unwrap(), first);
+        }
     });
 }
 

@@ -262,7 +262,11 @@ fn threads_change_no_bit() {
             .iter()
             .enumerate()
             .filter(|(index, _)| index % 11 % 2 == 0);
-        assert!(untouched.clone().all(|(_, number)| *number == 7.0));
+        assert!(
+            untouched
+                .clone()
+                .all(|(_, number)| number.to_bits() == 7.0_f32.to_bits())
+        );
         assert_eq!(untouched.count(), outputs * 6);
         for threads in [2, 3, 100] {
             assert_eq!(answer(threads), one);
