@@ -4,7 +4,8 @@
     strip -o target/peers target/debug/deps/peers-HASH
     python tests/scripts/eager_peers.py target/peers [--device cuda] [--dp3-source FOLDER] [--half-weights]
 
-A debug build does: the network library and the policy crate, which is optimised in it, do the work. The stripped file can be carried to a machine with an accelerator.
+A debug build does: the network library and the policy crate, which is optimised in it, do the work. The stripped file can be
+carried to a machine with an accelerator.
 
 Peers, each named in the table:
 - ACT: LeRobot's own ACTPolicy where lerobot is installed, else a module of this file with the same operations.
