@@ -2,8 +2,8 @@
 //!
 //! `peers FOLDER cpu|cuda THREADS` reads requests from standard input, a line each: `make NETWORK` builds an untrained
 //! network and writes its weights and an observation to FOLDER; `time NETWORK RUNS` answers that often, and leaves the
-//! answer there. Each is acknowledged with a line of JSON. NETWORK may end in `-bf16`, which takes the weights of the one
-//! without. Timed is what the script times of its peers: from a normalised observation on the device to the answer on the
+//! answer there. Each is acknowledged with a line of JSON. NETWORK may end in `-half`: weights that half precision holds, as
+//! those of committed policies; and in `-bf16`, which takes the weights of the one without. Timed is what the script times of its peers: from a normalised observation on the device to the answer on the
 //! host.
 
 #![expect(clippy::print_stdout, reason = "standard output is how it answers")]
@@ -18,7 +18,7 @@ use policy::dp3::{CloudObservation, Dp3, Dp3Config, Dp3Preset, FoldedDp3};
 use policy::parameters::{ParameterSource, Parameters};
 use policy::rng::SplitMix64;
 use runtime::rt::MonotonicClock;
-use tch::{Device, Kind, Tensor};
+use tch::{Device, Kind, TchError, Tensor};
 
 /// Numbers in a state, and in an action.
 const WIDTH: i64 = 7;
@@ -74,10 +74,37 @@ fn write(
     Ok(())
 }
 
-fn act(file: &Path, device: Device, kind: Kind) -> Result<Subject, Box<dyn Error>> {
+/// How a network's weights and its answers are made.
+#[derive(Clone, Copy)]
+struct Way {
+    device: Device,
+    kind: Kind,
+    /// The weights are the nearest numbers of half precision.
+    half: bool,
+}
+
+impl Way {
+    /// Makes `parameters` what they are to be.
+    fn settle(self, parameters: &Parameters) -> Result<(), TchError> {
+        if !self.half {
+            return Ok(());
+        }
+        tch::no_grad(|| {
+            for (_, tensor) in parameters.iter() {
+                let near = tensor.f_to_kind(Kind::Half)?.f_to_kind(Kind::Float)?;
+                tensor.shallow_clone().f_copy_(&near)?;
+            }
+            Ok(())
+        })
+    }
+}
+
+fn act(file: &Path, way: Way) -> Result<Subject, Box<dyn Error>> {
+    let Way { device, kind, .. } = way;
     let camera = ["observation.images.endoscope".to_owned()];
     let config = ActConfig::lerobot_defaults(WIDTH, WIDTH, &camera, SIDE, SIDE);
     let act = Act::new(config, ParameterSource::seeded(1, device))?;
+    way.settle(act.parameters())?;
     let images = numbers("images", &[1, 1, 3, SIDE, SIDE])?;
     let state = numbers("state", &[1, WIDTH])?;
     write(
@@ -90,17 +117,14 @@ fn act(file: &Path, device: Device, kind: Kind) -> Result<Subject, Box<dyn Error
     Ok(Subject::Act(Box::new(folded), inputs))
 }
 
-fn dp3(
-    file: &Path,
-    preset: Dp3Preset,
-    device: Device,
-    kind: Kind,
-) -> Result<Subject, Box<dyn Error>> {
+fn dp3(file: &Path, preset: Dp3Preset, way: Way) -> Result<Subject, Box<dyn Error>> {
+    let Way { device, kind, .. } = way;
     let config = Dp3Config::preset(preset, WIDTH, WIDTH);
     let noise = config.start_noise(1, 1)?;
     let points = numbers("points", &[1, config.n_obs_steps, POINTS, 3])?;
     let state = numbers("state", &[1, config.n_obs_steps, WIDTH])?;
     let dp3 = Dp3::new(config, ParameterSource::seeded(1, device))?;
+    way.settle(dp3.parameters())?;
     let inputs = [("points", &points), ("state", &state), ("noise", &noise)];
     write(file, dp3.parameters(), &inputs)?;
     let folded = FoldedDp3::new(dp3, kind)?;
@@ -114,10 +138,15 @@ fn make(folder: &Path, name: &str, device: Device) -> Result<Subject, Box<dyn Er
         None => (name, Kind::Float),
     };
     let file = folder.join(format!("{plain}.safetensors"));
-    match plain {
-        "act" => act(&file, device, kind),
-        "dp3" => dp3(&file, Dp3Preset::Dp3, device, kind),
-        "simple-dp3" => dp3(&file, Dp3Preset::Simple, device, kind),
+    let (network, half) = match plain.strip_suffix("-half") {
+        Some(network) => (network, true),
+        None => (plain, false),
+    };
+    let way = Way { device, kind, half };
+    match network {
+        "act" => act(&file, way),
+        "dp3" => dp3(&file, Dp3Preset::Dp3, way),
+        "simple-dp3" => dp3(&file, Dp3Preset::Simple, way),
         _ => Err(format!("no network {name}").into()),
     }
 }

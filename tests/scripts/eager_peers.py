@@ -2,9 +2,10 @@
 
     cargo build --locked --workspace --bench peers
     strip -o target/peers target/debug/deps/peers-HASH
-    python tests/scripts/eager_peers.py target/peers [--device cuda] [--dp3-source FOLDER]
+    python tests/scripts/eager_peers.py target/peers [--device cuda] [--dp3-source FOLDER] [--half-weights]
 
-A debug build does: the network library does the work. The stripped file can be carried to a machine with an accelerator.
+A debug build does: the network library and the policy crate, which is optimised in it, do the work. The stripped file can be
+carried to a machine with an accelerator.
 
 Peers, each named in the table:
 - ACT: LeRobot's own ACTPolicy where lerobot is installed, else a module of this file with the same operations.
@@ -13,7 +14,9 @@ Peers, each named in the table:
   U-Net is in another file of theirs and always the module of this file.
 
 Timed, on both sides: from a normalised observation on the device to the answer on the host. Each answer of ours is compared
-with the peer's. Needs torch 2.11; the binary loads that torch's libraries on `--device cuda`, and its own otherwise.
+with the peer's. `--half-weights` gives both sides weights that half precision holds, as those of committed policies are; both
+compute in single precision all the same. Memory is what a side's process has more after its answers than before its network.
+Needs torch 2.11; the binary loads that torch's libraries on `--device cuda`, and its own otherwise.
 """
 
 import argparse
@@ -417,10 +420,20 @@ def row(what, times, base=None):
     print(line, flush=True)
 
 
+def resident(process="self"):
+    """Memory of a process, MB."""
+    for line in pathlib.Path(f"/proc/{process}/status").read_text().splitlines():
+        if line.startswith("VmRSS:"):
+            return int(line.split()[1]) / 1000
+    return math.nan
+
+
 def compare(ours, network, options, device, inputs_on):
     rounds, runs = options.rounds, options.runs
-    ours.ask(f"make {network}")
-    weights, inputs = read(ours.folder / f"{network}.safetensors")
+    our_memory, their_memory = resident(ours.process.pid), resident()
+    made = f"{network}-half" if options.half_weights else network
+    ours.ask(f"make {made}")
+    weights, inputs = read(ours.folder / f"{made}.safetensors")
     if network == "act":
         try:
             if options.plain:
@@ -435,17 +448,20 @@ def compare(ours, network, options, device, inputs_on):
     inputs = {key: inputs_on(value) for key, value in inputs.items()}
     ours_times, their_times = [], []
     for _ in range(rounds):
-        ours_now, our_answer = ours.time(network, runs)
+        ours_now, our_answer = ours.time(made, runs)
         theirs_now, their_answer = time_peer(answer, inputs, runs)
         ours_times += ours_now
         their_times += theirs_now
+    our_memory, their_memory = resident(ours.process.pid) - our_memory, resident() - their_memory
     scale = their_answer.abs().max().item()
     off = (our_answer - their_answer).abs().max().item() / scale
-    print(f"{network}: {len(ours_times)} answers each, ours off by {off:.1e} of the peer's greatest number {scale:.2f}")
+    what = f"{network}, weights that half precision holds" if options.half_weights else network
+    print(f"{what}: {len(ours_times)} answers each, ours off by {off:.1e} of the peer's greatest number {scale:.2f}")
+    print(f"  memory: the peer {their_memory:.0f} MB, ours {our_memory:.0f} MB")
     row(name, their_times)
     row("ours", ours_times, their_times)
     if options.device == "cuda" or options.bf16:
-        half = f"{network}-bf16"
+        half = f"{made}-bf16"
         ours.ask(f"make {half}")
         times = []
         for _ in range(rounds):
@@ -454,7 +470,7 @@ def compare(ours, network, options, device, inputs_on):
         half_off = (half_answer - their_answer).abs().max().item() / scale
         row(f"ours, bf16, off by {half_off:.1e}", times, their_times)
         ours.ask(f"drop {half}")
-    ours.ask(f"drop {network}")
+    ours.ask(f"drop {made}")
     # TF32 convolutions, which are PyTorch's default on CUDA, leave 11 bits on either side.
     if not off < (1e-2 if options.device == "cuda" else 1e-4):
         sys.exit(f"{network}: the answers have nothing to do with each other")
@@ -469,6 +485,7 @@ def main():
     parser.add_argument("--rounds", type=int, default=5, help="turns that each side has")
     parser.add_argument("--runs", type=int, default=6, help="answers in a turn")
     parser.add_argument("--bf16", action="store_true", help="ours in bf16 too, on the CPU; always on cuda")
+    parser.add_argument("--half-weights", action="store_true", help="weights that half precision holds, on both sides")
     parser.add_argument("--plain", action="store_true", help="this file's modules, whatever is installed")
     parser.add_argument("--dp3-source", help="checkout of YanjieZe/3D-Diffusion-Policy")
     options = parser.parse_args()

@@ -4,6 +4,8 @@
 //! building, since inference has few of them, and the part of the observations is the same in all of them. Convolutions over
 //! so few steps are matrix products.
 
+mod convolved;
+mod streamed;
 mod taps;
 #[cfg(test)]
 mod tests;
@@ -15,6 +17,7 @@ use super::config::Dp3Config;
 use super::diffusion::Diffusion;
 use super::encoder::Encoder;
 use super::{CloudObservation, Dp3};
+use convolved::By;
 use unet::FoldedUNet;
 
 /// A DP3 network for inference, one observation at a time.
@@ -33,6 +36,12 @@ impl FoldedDp3 {
     /// # Errors
     /// The network library's.
     pub fn new(dp3: Dp3, kind: Kind) -> Result<Self, TchError> {
+        let by = By::fastest(kind, dp3.unet.device());
+        Self::computed(dp3, by)
+    }
+
+    /// The same with convolutions computed `by` the given means.
+    fn computed(dp3: Dp3, by: By) -> Result<Self, TchError> {
         let Dp3 {
             config,
             encoder,
@@ -41,7 +50,7 @@ impl FoldedDp3 {
             ..
         } = dp3;
         let timesteps = diffusion.timesteps();
-        let unet = tch::no_grad(|| FoldedUNet::new(&unet, &timesteps, config.horizon, kind))?;
+        let unet = tch::no_grad(|| FoldedUNet::new(&unet, &timesteps, config.horizon, by))?;
         Ok(Self {
             config,
             encoder,

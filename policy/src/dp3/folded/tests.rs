@@ -5,7 +5,9 @@ use std::collections::BTreeMap;
 use tch::{Device, Kind, Tensor};
 
 use super::FoldedDp3;
+use super::convolved::By;
 use crate::dp3::{CloudObservation, Dp3, Dp3Config, Dp3Preset};
+use crate::layers::narrow::Processor;
 use crate::parameters::ParameterSource;
 
 /// Of the greatest number in an answer, after all steps of the diffusion.
@@ -42,30 +44,80 @@ fn trained(config: &Dp3Config) -> Dp3 {
     Dp3::new(config.clone(), ParameterSource::given(moved)).unwrap()
 }
 
+/// One with the same parameters, or with the nearest numbers of half precision.
+fn again(network: &Dp3, halved: bool) -> Dp3 {
+    let number = |tensor: &Tensor| {
+        if halved {
+            tensor.to_kind(Kind::Half).to_kind(Kind::Float)
+        } else {
+            tensor.shallow_clone()
+        }
+    };
+    let parameters = network.parameters().iter();
+    let parameters: BTreeMap<String, Tensor> = parameters
+        .map(|(key, tensor)| (key.to_owned(), number(tensor)))
+        .collect();
+    Dp3::new(network.config().clone(), ParameterSource::given(parameters)).unwrap()
+}
+
+/// By the library, and by our own products with every kind of instructions that there is here.
+fn means() -> Vec<By> {
+    let own = Processor::all().into_iter();
+    let own = own.map(|processor| By::Own(processor, 2));
+    own.chain([By::Library(Kind::Float)]).collect()
+}
+
 #[track_caller]
 fn check(config: &Dp3Config) {
     assert_eq!(config.defect(), None);
     let network = trained(config);
+    for network in [again(&network, true), network] {
+        check_network(&network);
+    }
+}
+
+#[track_caller]
+fn check_network(network: &Dp3) {
     let ramp =
         |count: i64, rate: f64| (Tensor::arange(count, (Kind::Float, Device::Cpu)) * rate).sin();
     let observation = CloudObservation {
         points: &ramp(2 * 50 * 3, 0.7).view([1, 2, 50, 3]),
         state: &ramp(14, 1.3).view([1, 2, 7]),
     };
-    let noise = config.start_noise(3, 1).unwrap();
+    let noise = network.config().start_noise(3, 1).unwrap();
+    let other = network.config().start_noise(4, 1).unwrap();
     tch::no_grad(|| {
         let expected = network.infer(&observation, &noise).unwrap();
-        let mut folded = FoldedDp3::new(network, Kind::Float).unwrap();
-        let first = folded.infer(&observation, &noise).unwrap();
         let scale = expected.abs().max().double_value(&[]);
-        let off = (&expected - &first).abs().max().double_value(&[]) / scale;
-        assert!(off <= ROUNDING && scale > 0.1, "off by {off:e} of {scale}");
-        // What it writes into is no part of the next answer.
-        let other = config.start_noise(4, 1).unwrap();
-        let between = folded.infer(&observation, &other).unwrap();
-        assert_ne!(between, first);
-        assert_eq!(folded.infer(&observation, &noise).unwrap(), first);
+        for by in means() {
+            let mut folded = FoldedDp3::computed(again(network, false), by).unwrap();
+            let first = folded.infer(&observation, &noise).unwrap();
+            let off = (&expected - &first).abs().max().double_value(&[]) / scale;
+            assert!(
+                off <= ROUNDING && scale > 0.1,
+                "{by:?}: off by {off:e} of {scale}"
+            );
+            // What it writes into is no part of the next answer.
+            let between = folded.infer(&observation, &other).unwrap();
+            assert_ne!(between, first);
+            assert_eq!(folded.infer(&observation, &noise).unwrap(), first);
+        }
     });
+}
+
+#[test]
+fn single_precision_on_the_cpu_is_computed_by_our_own_products() {
+    let found = Processor::found().is_some();
+    let fastest = By::fastest(Kind::Float, Device::Cpu);
+    assert_eq!(matches!(fastest, By::Own(..)), found);
+    for (kind, device) in [
+        (Kind::BFloat16, Device::Cpu),
+        (Kind::Float, Device::Cuda(0)),
+        (Kind::BFloat16, Device::Cuda(0)),
+    ] {
+        let fastest = By::fastest(kind, device);
+        assert!(matches!(fastest, By::Library(of) if of == kind));
+    }
 }
 
 #[test]

@@ -1,19 +1,21 @@
 //! The U-Net with everything that does not depend on the noisy actions computed beforehand.
 
-use tch::{Kind, TchError, Tensor};
+use tch::{TchError, Tensor};
 
-use super::taps::Taps;
+use super::convolved::{By, Convolved};
+use super::streamed::Workspace;
 use crate::dp3::blocks::{ConvolutionBlock, ResidualBlock};
 use crate::dp3::unet::UNet;
 
 /// The U-Net for the timesteps of inference.
 #[derive(Debug)]
 pub(super) struct FoldedUNet {
-    down: Vec<(Vec<FoldedBlock>, Option<Taps>)>,
+    down: Vec<(Vec<FoldedBlock>, Option<Convolved>)>,
     middle: Vec<FoldedBlock>,
-    up: Vec<(Vec<FoldedBlock>, Taps)>,
-    last: (FoldedConvolution, Taps),
+    up: Vec<(Vec<FoldedBlock>, Convolved)>,
+    last: (FoldedConvolution, Convolved),
     modulation: Modulation,
+    workspace: Workspace,
 }
 
 /// The scales and shifts of all blocks, one beside the other.
@@ -31,7 +33,7 @@ struct Modulation {
 struct Builder<'a> {
     /// Features of the timesteps after Mish, `(timesteps, features)`.
     embedded: &'a Tensor,
-    kind: Kind,
+    by: By,
     of_steps: Vec<Tensor>,
     observed: Vec<Tensor>,
     sizes: Vec<i64>,
@@ -49,24 +51,24 @@ struct FoldedBlock {
 /// Convolution, group normalisation, Mish.
 #[derive(Debug)]
 struct FoldedConvolution {
-    taps: Taps,
+    taps: Convolved,
     norm_weight: Tensor,
     norm_bias: Tensor,
     groups: i64,
 }
 
 impl FoldedUNet {
-    /// For actions of `horizon` steps; convolutions have weights of the precision `kind`.
+    /// For actions of `horizon` steps.
     pub(super) fn new(
         unet: &UNet,
         timesteps: &[i64],
         horizon: i64,
-        kind: Kind,
+        by: By,
     ) -> Result<Self, TchError> {
         let timesteps = Tensor::f_from_slice(timesteps)?.f_to_device(unet.device())?;
         let mut builder = Builder {
             embedded: &unet.embed(&timesteps)?.f_mish()?,
-            kind,
+            by,
             of_steps: Vec::new(),
             observed: Vec::new(),
             sizes: Vec::new(),
@@ -77,7 +79,7 @@ impl FoldedUNet {
             let blocks = builder.blocks(&level.blocks, steps)?;
             let halve = match &level.halve {
                 Some(halve) => {
-                    let taps = Taps::new(halve, None, steps, kind)?;
+                    let taps = Convolved::new(halve, None, steps, by)?;
                     steps = (steps - 1) / 2 + 1;
                     Some(taps)
                 }
@@ -89,7 +91,7 @@ impl FoldedUNet {
         let mut up = Vec::new();
         for level in &unet.up {
             let blocks = builder.blocks(&level.blocks, steps)?;
-            up.push((blocks, Taps::doubling(&level.double, steps, kind)?));
+            up.push((blocks, Convolved::doubling(&level.double, steps, by)?));
             steps *= 2;
         }
         let (block, out) = &unet.last;
@@ -98,10 +100,11 @@ impl FoldedUNet {
             middle,
             up,
             last: (
-                FoldedConvolution::new(block, None, steps, kind)?,
-                Taps::new(out, None, steps, kind)?,
+                FoldedConvolution::new(block, None, steps, by)?,
+                Convolved::new(out, None, steps, by)?,
             ),
             modulation: builder.modulation()?,
+            workspace: Workspace::default(),
         })
     }
 
@@ -126,22 +129,29 @@ impl FoldedUNet {
         noisy: &Tensor,
         modulations: &[Tensor],
     ) -> Result<Tensor, TchError> {
+        let workspace = &mut self.workspace;
         let mut x = noisy.f_transpose(1, 2)?.f_contiguous()?;
         let mut on_the_way = Vec::new();
         for (blocks, halve) in &mut self.down {
-            x = through(blocks, x, modulations)?;
+            x = through(blocks, x, modulations, workspace)?;
             on_the_way.push(x.shallow_clone());
             if let Some(halve) = halve {
-                x = halve.apply(&x)?;
+                x = halve.apply(&x, workspace)?;
             }
         }
-        x = through(&mut self.middle, x, modulations)?;
+        x = through(&mut self.middle, x, modulations, workspace)?;
         for ((blocks, double), beside) in self.up.iter_mut().zip(on_the_way.iter().rev()) {
-            x = through(blocks, Tensor::f_cat(&[&x, beside], 1)?, modulations)?;
-            x = double.apply(&x)?;
+            x = through(
+                blocks,
+                Tensor::f_cat(&[&x, beside], 1)?,
+                modulations,
+                workspace,
+            )?;
+            x = double.apply(&x, workspace)?;
         }
         let (block, out) = &mut self.last;
-        out.apply(&block.apply(&x)?)?.f_transpose(1, 2)
+        out.apply(&block.apply(&x, workspace)?, workspace)?
+            .f_transpose(1, 2)
     }
 }
 
@@ -171,8 +181,8 @@ impl Builder<'_> {
         let place = self.sizes.len();
         self.sizes.extend([channels; 2]);
         Ok(FoldedBlock {
-            first: FoldedConvolution::new(first, block.residual.as_ref(), steps, self.kind)?,
-            second: FoldedConvolution::new(second, None, steps, self.kind)?,
+            first: FoldedConvolution::new(first, block.residual.as_ref(), steps, self.by)?,
+            second: FoldedConvolution::new(second, None, steps, self.by)?,
             place,
         })
     }
@@ -187,12 +197,17 @@ impl Builder<'_> {
 }
 
 impl FoldedBlock {
-    fn apply(&mut self, x: &Tensor, modulations: &[Tensor]) -> Result<Tensor, TchError> {
+    fn apply(
+        &mut self,
+        x: &Tensor,
+        modulations: &[Tensor],
+        workspace: &mut Workspace,
+    ) -> Result<Tensor, TchError> {
         let Some([scale, shift]) = modulations.get(self.place..self.place + 2) else {
             return Err(TchError::Shape("a scale and a shift".to_owned()));
         };
-        let inner = shift.f_addcmul(scale, &self.first.apply(x)?)?;
-        let out = self.second.apply(&inner)?;
+        let inner = shift.f_addcmul(scale, &self.first.apply(x, workspace)?)?;
+        let out = self.second.apply(&inner, workspace)?;
         self.first.taps.add_beside(out, x)
     }
 }
@@ -202,18 +217,18 @@ impl FoldedConvolution {
         block: &ConvolutionBlock,
         beside: Option<&crate::dp3::blocks::Convolution>,
         steps: i64,
-        kind: Kind,
+        by: By,
     ) -> Result<Self, TchError> {
         Ok(Self {
-            taps: Taps::new(&block.convolution, beside, steps, kind)?,
+            taps: Convolved::new(&block.convolution, beside, steps, by)?,
             norm_weight: block.norm_weight.f_detach()?,
             norm_bias: block.norm_bias.f_detach()?,
             groups: block.groups,
         })
     }
 
-    fn apply(&mut self, x: &Tensor) -> Result<Tensor, TchError> {
-        let x = self.taps.apply(x)?;
+    fn apply(&mut self, x: &Tensor, workspace: &mut Workspace) -> Result<Tensor, TchError> {
+        let x = self.taps.apply(x, workspace)?;
         let (weight, bias) = (Some(&self.norm_weight), Some(&self.norm_bias));
         x.f_group_norm(self.groups, weight, bias, 1e-5, true)?
             .f_mish_()
@@ -224,9 +239,10 @@ fn through(
     blocks: &mut [FoldedBlock],
     mut x: Tensor,
     modulations: &[Tensor],
+    workspace: &mut Workspace,
 ) -> Result<Tensor, TchError> {
     for block in blocks {
-        x = block.apply(&x, modulations)?;
+        x = block.apply(&x, modulations, workspace)?;
     }
     Ok(x)
 }

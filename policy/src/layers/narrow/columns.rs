@@ -1,0 +1,106 @@
+//! What weights are multiplied with: few columns, a row at a time beside each other.
+
+use super::Processor;
+
+/// The columns of a product: for each block of columns, for each row, the numbers of the block's columns.
+#[derive(Debug, Default)]
+pub(crate) struct Columns {
+    values: Vec<f32>,
+    rows: usize,
+    count: usize,
+    /// Columns of a block. Where there are no more the numbers are any.
+    width: usize,
+    /// An input with what is around it.
+    around: Vec<f32>,
+}
+
+/// What a convolution sees of each input: for each of its outputs a window.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct Windows {
+    /// Steps of an input.
+    pub(crate) steps: usize,
+    /// Steps of a window.
+    pub(crate) taps: usize,
+    /// Zeros before the first step that the first window sees.
+    pub(crate) before: usize,
+    /// From a window to the next.
+    pub(crate) stride: usize,
+    /// Windows.
+    pub(crate) count: usize,
+}
+
+impl Columns {
+    pub(super) const fn rows(&self) -> usize {
+        self.rows
+    }
+
+    pub(super) const fn count(&self) -> usize {
+        self.count
+    }
+
+    /// Columns of a block.
+    pub(super) const fn width(&self) -> usize {
+        self.width
+    }
+
+    pub(super) const fn blocks(&self) -> usize {
+        self.count.div_ceil(self.width)
+    }
+
+    /// The rows of a block; `WIDTH` is [`Self::width`].
+    pub(super) fn block<const WIDTH: usize>(&self, index: usize) -> &[[f32; WIDTH]] {
+        let size = self.rows * WIDTH;
+        let (rows, _) = self.values[index * size..][..size].as_chunks();
+        rows
+    }
+
+    /// The windows into `x` `(inputs, steps)`: a row for every step of a window of every input, a column for every window.
+    pub(crate) fn set(&mut self, processor: Processor, x: &[f32], windows: Windows) {
+        let Windows {
+            steps, taps, count, ..
+        } = windows;
+        self.rows = x.len() / steps.max(1) * taps;
+        self.count = count;
+        self.width = processor.width(count);
+        self.values.clear();
+        if count == 0 {
+            return;
+        }
+        match self.width {
+            16 => self.fill::<16>(x, windows),
+            8 => self.fill::<8>(x, windows),
+            _ => self.fill::<4>(x, windows),
+        }
+    }
+
+    fn fill<const WIDTH: usize>(&mut self, x: &[f32], windows: Windows) {
+        let Windows {
+            steps,
+            taps,
+            before,
+            stride,
+            ..
+        } = windows;
+        let blocks = self.blocks();
+        self.values.reserve(blocks * self.rows * WIDTH);
+        self.around.clear();
+        // As far as the last window of the last block sees.
+        let seen = (blocks * WIDTH - 1) * stride + taps;
+        self.around.resize(seen.max(before + steps), 0.0);
+        for block in 0..blocks {
+            let first = block * WIDTH * stride;
+            for input in x.chunks_exact(steps) {
+                self.around[before..before + steps].copy_from_slice(input);
+                for tap in 0..taps {
+                    let from = &self.around[first + tap..];
+                    let row: [f32; WIDTH] = if stride == 1 {
+                        from.first_chunk().copied().unwrap_or([0.0; WIDTH])
+                    } else {
+                        std::array::from_fn(|column| from[column * stride])
+                    };
+                    self.values.extend_from_slice(&row);
+                }
+            }
+        }
+    }
+}

@@ -1,0 +1,108 @@
+//! Weights as they lie in memory: in the fewest bits that hold every one of them exactly.
+
+use half::{bf16, f16};
+
+use super::PANEL;
+use super::vectors::Vectors;
+
+/// A row of a panel in half precision, bits.
+#[derive(Clone, Copy, Debug)]
+#[repr(C, align(32))]
+pub(super) struct Half([u16; PANEL]);
+
+/// A row of a panel as the upper halves of numbers in single precision (bfloat16).
+#[derive(Clone, Copy, Debug)]
+#[repr(C, align(32))]
+pub(super) struct Brain([u16; PANEL]);
+
+/// A row of a panel in single precision.
+#[derive(Clone, Copy, Debug)]
+#[repr(C, align(64))]
+pub(super) struct Single([f32; PANEL]);
+
+/// How a row of a panel lies in memory.
+pub(super) trait Stored: Copy + Sync {
+    /// The numbers, if all can be held as they are, to the bit.
+    fn holding(row: &[f32; PANEL]) -> Option<Self>;
+
+    /// The numbers from `part` whole vectors on.
+    fn widened<V: Vectors>(&self, simd: V, part: usize) -> V::f32s;
+}
+
+/// For each panel of outputs, for each row: a number for each output, zeros where there is none.
+#[derive(Debug)]
+pub(super) enum Weights {
+    Half(Vec<Half>),
+    Brain(Vec<Brain>),
+    Single(Vec<Single>),
+}
+
+impl Weights {
+    /// Of `values` `(outputs, rows)`.
+    pub(super) fn new(values: &[f32], rows: usize) -> Self {
+        if let Some(panels) = panels(values, rows) {
+            return Self::Half(panels);
+        }
+        if let Some(panels) = panels(values, rows) {
+            return Self::Brain(panels);
+        }
+        Self::Single(panels(values, rows).unwrap_or_default())
+    }
+}
+
+/// `values` `(outputs, rows)` in panels, if all can be held so.
+pub(super) fn panels<T: Stored>(values: &[f32], rows: usize) -> Option<Vec<T>> {
+    let size = rows * PANEL;
+    let outputs = values.len() / rows.max(1);
+    let mut panels = Vec::with_capacity(outputs.div_ceil(PANEL) * rows);
+    for panel in values.chunks(size.max(1)) {
+        for row in 0..rows {
+            let mut numbers = [0.0; PANEL];
+            for (number, output) in numbers.iter_mut().zip(panel.chunks_exact(rows)) {
+                *number = output[row];
+            }
+            panels.push(T::holding(&numbers)?);
+        }
+    }
+    Some(panels)
+}
+
+impl Stored for Half {
+    fn holding(row: &[f32; PANEL]) -> Option<Self> {
+        let halves = row.map(f16::from_f32);
+        // Finite, since widening by whole numbers knows no others.
+        let same = |(half, number): (&f16, &f32)| {
+            half.is_finite() && half.to_f32().to_bits() == number.to_bits()
+        };
+        let exact = halves.iter().zip(row).all(same);
+        exact.then(|| Self(halves.map(f16::to_bits)))
+    }
+
+    #[inline(always)]
+    fn widened<V: Vectors>(&self, simd: V, part: usize) -> V::f32s {
+        simd.half(&self.0[part * V::F32_LANES..][..V::F32_LANES])
+    }
+}
+
+impl Stored for Brain {
+    fn holding(row: &[f32; PANEL]) -> Option<Self> {
+        let exact = row.iter().all(|number| number.to_bits() << 16 == 0);
+        exact.then(|| Self(row.map(|number| bf16::from_f32(number).to_bits())))
+    }
+
+    #[inline(always)]
+    fn widened<V: Vectors>(&self, simd: V, part: usize) -> V::f32s {
+        simd.brain(&self.0[part * V::F32_LANES..][..V::F32_LANES])
+    }
+}
+
+impl Stored for Single {
+    fn holding(row: &[f32; PANEL]) -> Option<Self> {
+        Some(Self(*row))
+    }
+
+    #[inline(always)]
+    fn widened<V: Vectors>(&self, simd: V, part: usize) -> V::f32s {
+        simd.single(&self.0[part * V::F32_LANES..][..V::F32_LANES])
+    }
+}
