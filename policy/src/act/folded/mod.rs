@@ -47,11 +47,11 @@ impl FoldedAct {
     /// The chunk for an observation, as [`Act::infer`] gives it: `(batch, steps, action)`, normalised, single precision.
     ///
     /// `images` is `(batch, cameras, 3, height, width)`, all of which go through the backbone together; `state` is
-    /// `(batch, state)`.
+    /// `(batch, state)`. What it works in is its own, so it answers one observation at a time.
     ///
     /// # Errors
     /// The network library's, if shapes do not fit.
-    pub fn infer(&self, images: &Tensor, state: &Tensor) -> Result<Tensor, TchError> {
+    pub fn infer(&mut self, images: &Tensor, state: &Tensor) -> Result<Tensor, TchError> {
         let batch = images.size()[0];
         let images = images.f_to_kind(self.kind)?.f_flatten(0, 1)?;
         let features = self.backbone.forward(&images)?;
