@@ -1,7 +1,7 @@
 //! Layers that networks share: linear, layer normalisation, attention, feed-forward. Batch first throughout.
 
 pub(crate) mod folded;
-pub(crate) mod winograd;
+pub(crate) mod planes;
 
 use tch::{Device, Kind, TchError, Tensor};
 

@@ -1,17 +1,53 @@
 //! The backbone with its fixed normalisations inside the convolutions, channels last in memory.
-//!
-//! On the CPU with one thread most convolutions are ours, with fewer multiplications than the library's.
 
 use tch::{Device, Kind, TchError, Tensor};
 
+use super::own_backbone::OwnBackbone;
 use crate::act::resnet::{Block, Conv, NORM_EPS, Norm, ResNet18};
-use crate::layers::winograd::{Plane, Winograd, Workspace};
+use crate::layers::planes::Workspace;
 
+/// The backbone, whichever way is the fastest.
 #[derive(Debug)]
-pub(super) struct FoldedBackbone {
+pub(super) enum FoldedBackbone {
+    /// In convolutions of ours.
+    Own(Box<OwnBackbone>),
+    /// In the network library's.
+    Library(LibraryBackbone),
+}
+
+impl FoldedBackbone {
+    /// For images of `sides`, height and width.
+    pub(super) fn new(
+        backbone: &ResNet18,
+        sides: [usize; 2],
+        kind: Kind,
+    ) -> Result<Self, TchError> {
+        let ours = kind == Kind::Float
+            && backbone.stem.weight.device() == Device::Cpu
+            && tch::get_num_threads() == 1
+            && OwnBackbone::fits(backbone);
+        Ok(match Workspace::find() {
+            Some(workspace) if ours => {
+                Self::Own(Box::new(OwnBackbone::new(backbone, sides, workspace)?))
+            }
+            _ => Self::Library(LibraryBackbone::new(backbone, kind)?),
+        })
+    }
+
+    /// `(n, 3, h, w)` to `(n * h / 32 * w / 32, 512)`, row by row, sizes rounded up.
+    pub(super) fn forward(&mut self, images: &Tensor) -> Result<Tensor, TchError> {
+        match self {
+            Self::Own(backbone) => backbone.forward(images),
+            Self::Library(backbone) => backbone.forward(images),
+        }
+    }
+}
+
+/// The backbone in the network library's convolutions: wherever it computes, in whatever precision, with any normalisation.
+#[derive(Debug)]
+pub(super) struct LibraryBackbone {
     stem: FoldedConv,
     blocks: Vec<FoldedBlock>,
-    workspace: Workspace,
 }
 
 #[derive(Debug)]
@@ -19,13 +55,6 @@ struct FoldedBlock {
     first: FoldedConv,
     second: FoldedConv,
     downsample: Option<FoldedConv>,
-}
-
-/// What goes from layer to layer: of the library, ours, or both.
-#[derive(Default)]
-struct Map {
-    tensor: Option<Tensor>,
-    plane: Option<Plane>,
 }
 
 /// A convolution and what is left of its normalisation.
@@ -36,8 +65,6 @@ struct FoldedConv {
     stride: i64,
     padding: i64,
     group_norm: Option<GroupNorm>,
-    /// The same, followed by a rectifier, for pictures of which it pays.
-    winograd: Option<Winograd>,
 }
 
 #[derive(Debug)]
@@ -47,7 +74,7 @@ struct GroupNorm {
     bias: Tensor,
 }
 
-impl FoldedBackbone {
+impl LibraryBackbone {
     pub(super) fn new(backbone: &ResNet18, kind: Kind) -> Result<Self, TchError> {
         let block = |block: &Block| {
             let downsample = block.downsample.as_ref();
@@ -66,94 +93,30 @@ impl FoldedBackbone {
                 .iter()
                 .map(block)
                 .collect::<Result<_, TchError>>()?,
-            workspace: Workspace::default(),
         })
     }
 
-    /// `(n, 3, h, w)` to `(n * h / 32 * w / 32, 512)`, row by row, sizes rounded up.
-    pub(super) fn forward(&mut self, images: &Tensor) -> Result<Tensor, TchError> {
-        let x = self.stem.forward(images)?;
+    pub(super) fn forward(&self, images: &Tensor) -> Result<Tensor, TchError> {
+        let mut x = self.stem.forward(images)?;
         // The greatest of the rectified is the rectified greatest, of which there are fewer.
-        let mut x = x.f_max_pool2d([3, 3], [2, 2], [1, 1], [1, 1], false)?;
-        let mut x = Map::from(x.f_relu_()?);
+        x = x.f_max_pool2d([3, 3], [2, 2], [1, 1], [1, 1], false)?;
+        x = x.f_relu_()?;
         for block in &self.blocks {
-            x = block.forward(x, &mut self.workspace)?;
+            x = block.forward(x)?;
         }
-        let rows = x.tensor()?.f_permute([0, 2, 3, 1])?.f_flatten(0, 2);
-        x.give_back(&mut self.workspace);
-        rows
-    }
-}
-
-impl From<Tensor> for Map {
-    fn from(tensor: Tensor) -> Self {
-        Self {
-            tensor: Some(tensor),
-            plane: None,
-        }
-    }
-}
-
-impl From<Plane> for Map {
-    fn from(plane: Plane) -> Self {
-        Self {
-            tensor: None,
-            plane: Some(plane),
-        }
-    }
-}
-
-impl Map {
-    fn tensor(&mut self) -> Result<&Tensor, TchError> {
-        let tensor = match (self.tensor.take(), &self.plane) {
-            (Some(tensor), _) => tensor,
-            (None, Some(plane)) => plane.tensor()?,
-            (None, None) => return Err(TchError::Shape("no map".to_owned())),
-        };
-        Ok(self.tensor.insert(tensor))
-    }
-
-    fn plane(&mut self, workspace: &mut Workspace) -> Result<&Plane, TchError> {
-        let plane = match self.plane.take() {
-            Some(plane) => plane,
-            None => workspace.plane_of(self.tensor()?)?,
-        };
-        Ok(self.plane.insert(plane))
-    }
-
-    /// Height and width.
-    fn sides(&self) -> Result<[usize; 2], TchError> {
-        match (&self.tensor, &self.plane) {
-            (_, Some(plane)) => Ok(plane.sides()),
-            (Some(tensor), None) => {
-                let (_, _, height, width) = tensor.size4()?;
-                Ok([height, width].map(|side| usize::try_from(side).unwrap_or(0)))
-            }
-            (None, None) => Ok([0; 2]),
-        }
-    }
-
-    /// Its memory is for others.
-    fn give_back(self, workspace: &mut Workspace) {
-        if let Some(plane) = self.plane {
-            workspace.give_back(plane);
-        }
+        x.f_permute([0, 2, 3, 1])?.f_flatten(0, 2)
     }
 }
 
 impl FoldedBlock {
-    fn forward(&self, mut x: Map, workspace: &mut Workspace) -> Result<Map, TchError> {
-        let mut inner = self.first.rectified(&mut x, None, workspace)?;
-        let mut identity = match &self.downsample {
-            Some(downsample) => Map::from(downsample.forward(x.tensor()?)?),
-            None => std::mem::take(&mut x),
+    fn forward(&self, x: Tensor) -> Result<Tensor, TchError> {
+        let inner = self.first.forward(&x)?.f_relu_()?;
+        let mut inner = self.second.forward(&inner)?;
+        let identity = match &self.downsample {
+            Some(downsample) => downsample.forward(&x)?,
+            None => x,
         };
-        let beside = Some(&mut identity);
-        let out = self.second.rectified(&mut inner, beside, workspace)?;
-        for map in [x, inner, identity] {
-            map.give_back(workspace);
-        }
-        Ok(out)
+        inner.f_add_(&identity)?.f_relu_()
     }
 }
 
@@ -178,18 +141,8 @@ impl FoldedConv {
                 (weight, None, Some(group_norm))
             }
         };
-        let ours = kind == Kind::Float
-            && weight.device() == Device::Cpu
-            && tch::get_num_threads() == 1
-            && weight.size().ends_with(&[3, 3])
-            && conv.stride == 1;
-        let winograd = match &bias {
-            Some(bias) if ours => Some(Winograd::new(&weight, bias)?),
-            _ => None,
-        };
         let last = weight.f_to_kind(kind)?.f_permute([0, 2, 3, 1])?;
         Ok(Self {
-            winograd,
             weight: last.f_contiguous()?.f_permute([0, 3, 1, 2])?,
             bias,
             stride: conv.stride,
@@ -209,27 +162,5 @@ impl FoldedConv {
             }
             None => Ok(x),
         }
-    }
-
-    /// With a rectifier behind it, before which `beside` is added if there is something.
-    fn rectified(
-        &self,
-        x: &mut Map,
-        beside: Option<&mut Map>,
-        workspace: &mut Workspace,
-    ) -> Result<Map, TchError> {
-        if let Some(winograd) = &self.winograd {
-            let [height, width] = x.sides()?;
-            if Winograd::pays(height, width) {
-                let x = x.plane(workspace)?;
-                let beside = beside.map(|beside| beside.plane(workspace)).transpose()?;
-                return Ok(winograd.apply(x, beside, workspace)?.into());
-            }
-        }
-        let mut y = self.forward(x.tensor()?)?;
-        if let Some(beside) = beside {
-            y = y.f_add_(beside.tensor()?)?;
-        }
-        Ok(y.f_relu_()?.into())
     }
 }

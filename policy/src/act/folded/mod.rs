@@ -6,6 +6,7 @@
 //! kept.
 
 mod backbone;
+mod own_backbone;
 #[cfg(test)]
 mod tests;
 mod trunk;
@@ -33,10 +34,13 @@ impl FoldedAct {
     /// The network library's.
     pub fn new(act: &Act, kind: Kind) -> Result<Self, TchError> {
         tch::no_grad(|| {
+            let config = act.config();
+            let sides = [config.image_height, config.image_width];
+            let sides = sides.map(|side| usize::try_from(side).unwrap_or(0));
             let image_weight = act.image_weight.f_flatten(1, 3)?;
             let position = act.image_position.f_squeeze_dim(0)?;
             Ok(Self {
-                backbone: FoldedBackbone::new(&act.backbone, kind)?,
+                backbone: FoldedBackbone::new(&act.backbone, sides, kind)?,
                 image_input: Affine::new(&image_weight, &act.image_bias, kind)?,
                 trunk: FoldedTrunk::new(&act.trunk, Some(&position), kind)?,
                 kind,

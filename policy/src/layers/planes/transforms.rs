@@ -6,7 +6,8 @@ use std::f32::consts::{FRAC_1_SQRT_2, SQRT_2};
 
 use pulp::Simd;
 
-use super::{INPUTS, OUTPUTS, Place, VALUES};
+use super::winograd::{INPUTS, OUTPUTS, Place, VALUES};
+use super::{Ending, load, store};
 
 /// Squares of the points of the interpolation.
 const SQUARES: [f64; 2] = [0.5, 2.0];
@@ -149,23 +150,21 @@ pub(super) fn to_tile<S: Simd>(
     }
 }
 
-/// Products of a tile at `place`, of which `from` is the first and says how far it is to the next, to outputs, with what is
-/// added: the bias of each channel, and what lies beside the output.
+/// Products of a tile at `place`, of which `from` is the first and says how far it is to the next, to outputs.
 #[inline(always)]
 pub(super) fn from_tile<S: Simd>(
     constants: &Constants<S>,
     (from, between): (&[f32], usize),
     place: &Place,
-    (bias, beside): (&[f32], Option<&[f32]>),
+    ending: &Ending<'_>,
     out: &mut [f32],
 ) {
     let simd = constants.simd;
     let zero = simd.splat_f32s(0.0);
-    let channels = bias.len();
+    let channels = ending.bias.len();
     let high = OUTPUTS.min(place.height - place.top);
     let wide = OUTPUTS.min(place.width - place.left);
     for channel in (0..channels).step_by(S::F32_LANES) {
-        let bias = load::<S>(bias, channel);
         let mut columns = [[zero; OUTPUTS]; INPUTS];
         for (column, outputs) in columns.iter_mut().enumerate() {
             let mut along = [zero; INPUTS];
@@ -182,24 +181,8 @@ pub(super) fn from_tile<S: Simd>(
             let outputs = constants.outputs(along);
             for (column, output) in outputs.into_iter().enumerate().take(wide) {
                 let pixel = place.picture + (place.top + row) * place.width + place.left + column;
-                let at = pixel * channels + channel;
-                let mut sum = simd.add_f32s(output, bias);
-                if let Some(beside) = beside {
-                    sum = simd.add_f32s(sum, load::<S>(beside, at));
-                }
-                // In this order what is not a number stays so.
-                store::<S>(out, at, simd.max_f32s(zero, sum));
+                ending.write(simd, output, out, pixel * channels + channel, channel);
             }
         }
     }
-}
-
-#[inline(always)]
-fn load<S: Simd>(from: &[f32], at: usize) -> S::f32s {
-    S::as_simd_f32s(&from[at..at + S::F32_LANES]).0[0]
-}
-
-#[inline(always)]
-fn store<S: Simd>(to: &mut [f32], at: usize, value: S::f32s) {
-    S::as_mut_simd_f32s(&mut to[at..at + S::F32_LANES]).0[0] = value;
 }

@@ -6,49 +6,29 @@
 //! square roots of a half and of two, whose powers are as close to one as four such points allow, so that little is lost to
 //! rounding.
 
-mod product;
-#[cfg(test)]
-mod tests;
-mod transforms;
-
-use pulp::{Arch, Simd, WithSimd};
+use pulp::{Simd, WithSimd};
 use tch::{TchError, Tensor};
 
-use product::{PANEL, Sizes, product, whole_groups};
-use transforms::{Constants, from_tile, kernel_to_tile, to_tile};
+use super::kernel::{PANEL, accumulate};
+use super::transforms::{Constants, from_tile, kernel_to_tile, to_tile};
+use super::{Ending, Plane, Size, Workspace, grow, shape_of};
 
 /// Outputs along a side of a tile.
-const OUTPUTS: usize = 4;
+pub(super) const OUTPUTS: usize = 4;
 
 /// Inputs along a side of a tile.
-const INPUTS: usize = 6;
+pub(super) const INPUTS: usize = 6;
 
 /// Values that a tile has of each channel.
-const VALUES: usize = INPUTS * INPUTS;
+pub(super) const VALUES: usize = INPUTS * INPUTS;
 
 /// Numbers between the tiles of one of the values and those of the next, so that they do not fall on the same cache lines.
 const GAP: usize = 16;
 
-/// Pictures of one size, channels last.
-#[derive(Debug, Default)]
-pub(crate) struct Plane {
-    values: Vec<f32>,
-    size: Size,
-}
-
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-struct Size {
-    pictures: usize,
-    height: usize,
-    width: usize,
-    channels: usize,
-}
+/// Tiles that a product takes at once.
+const GROUP: usize = 8;
 
 impl Size {
-    const fn numbers(self) -> usize {
-        self.pictures * self.height * self.width * self.channels
-    }
-
     const fn tiles(self) -> usize {
         self.pictures * self.height.div_ceil(OUTPUTS) * self.width.div_ceil(OUTPUTS)
     }
@@ -67,14 +47,6 @@ impl Size {
     }
 }
 
-/// Memory that convolutions work in, and planes that are not needed now.
-#[derive(Debug, Default)]
-pub(crate) struct Workspace {
-    tiles: Vec<f32>,
-    products: Vec<f32>,
-    spare: Vec<Plane>,
-}
-
 /// A convolution 3x3 with stride 1, a border of zeros and a rectifier behind it, on the CPU.
 #[derive(Debug)]
 pub(crate) struct Winograd {
@@ -85,81 +57,13 @@ pub(crate) struct Winograd {
     outputs: usize,
 }
 
-impl Plane {
-    /// Height and width.
-    pub(crate) const fn sides(&self) -> [usize; 2] {
-        [self.size.height, self.size.width]
-    }
-
-    /// As `(pictures, channels, height, width)`, channels last in memory.
-    pub(crate) fn tensor(&self) -> Result<Tensor, TchError> {
-        let Size {
-            pictures,
-            height,
-            width,
-            channels,
-        } = self.size;
-        let shape = [pictures, height, width, channels].map(|n| i64::try_from(n).unwrap_or(0));
-        Tensor::f_from_slice(&self.values[..self.size.numbers()])?
-            .f_view(shape)?
-            .f_permute([0, 3, 1, 2])
-    }
-}
-
-impl Workspace {
-    /// A copy of `x` `(pictures, channels, height, width)`.
-    pub(crate) fn plane_of(&mut self, x: &Tensor) -> Result<Plane, TchError> {
-        let shape = x.size();
-        let size = shape.iter().map(|&n| usize::try_from(n).unwrap_or(0));
-        let [pictures, channels, height, width] = size.collect::<Vec<_>>()[..] else {
-            return Err(TchError::Shape(format!("pictures {shape:?}")));
-        };
-        let mut plane = self.plane(Size {
-            pictures,
-            height,
-            width,
-            channels,
-        });
-        let numbers = plane.size.numbers();
-        x.f_permute([0, 2, 3, 1])?
-            .f_contiguous()?
-            .f_copy_data(&mut plane.values, numbers)?;
-        Ok(plane)
-    }
-
-    /// Takes back what is not needed any more.
-    pub(crate) fn give_back(&mut self, plane: Plane) {
-        self.spare.push(plane);
-    }
-
-    /// A plane with whatever numbers.
-    fn plane(&mut self, size: Size) -> Plane {
-        let mut plane = self.spare.pop().unwrap_or_default();
-        plane.size = size;
-        grow(&mut plane.values, size.numbers());
-        plane
-    }
-}
-
-fn grow(memory: &mut Vec<f32>, length: usize) {
-    if memory.len() < length {
-        memory.resize(length, 0.0);
-    }
-}
-
 impl Winograd {
     /// `weight` `(outputs, inputs, 3, 3)` and `bias` `(outputs)`; outputs are a multiple of 32, inputs of 16.
     pub(crate) fn new(weight: &Tensor, bias: &Tensor) -> Result<Self, TchError> {
-        let shape = weight.size();
-        let size = shape.iter().map(|&n| usize::try_from(n).unwrap_or(0));
-        let (outputs, inputs) = match size.collect::<Vec<_>>()[..] {
-            [outputs, inputs, 3, 3]
-                if outputs.is_multiple_of(PANEL) && inputs.is_multiple_of(16) =>
-            {
-                (outputs, inputs)
-            }
-            _ => return Err(TchError::Shape(format!("weight {shape:?}"))),
-        };
+        let [outputs, inputs, high, wide] = shape_of(weight)?;
+        if !outputs.is_multiple_of(PANEL) || !inputs.is_multiple_of(16) || [high, wide] != [3, 3] {
+            return Err(TchError::Shape(format!("weight {:?}", weight.size())));
+        }
         let kernels = Vec::<f32>::try_from(&weight.f_contiguous()?.f_view([-1])?)?;
         let mut tiles = vec![0.0; VALUES * inputs * outputs];
         let (kernels, _) = kernels.as_chunks::<9>();
@@ -196,10 +100,10 @@ impl Winograd {
             channels: self.outputs,
             ..x.size
         };
-        if x.size.channels != self.inputs || beside.is_some_and(|beside| beside.size != size) {
-            let beside = beside.map(|beside| beside.size);
-            return Err(TchError::Shape(format!("{:?} beside {beside:?}", x.size)));
+        if x.size.channels != self.inputs {
+            return Err(TchError::Shape(format!("{:?} into {:?}", x.size, size)));
         }
+        let ending = Ending::new(&self.bias, beside, true, size)?;
         let mut out = workspace.plane(size);
         // More channels need more tiles for each time that the weights are read.
         let block = whole_groups(size.tiles()).min(if self.inputs > 64 { 64 } else { 32 });
@@ -211,10 +115,11 @@ impl Winograd {
             &mut workspace.products,
             VALUES * (block * self.outputs + GAP),
         );
-        Arch::new().dispatch(Work {
+        let vectors = workspace.vectors;
+        vectors.dispatch(Work {
             convolution: self,
             x,
-            beside: beside.map(|beside| beside.values.as_slice()),
+            ending,
             out: &mut out.values,
             block,
             workspace,
@@ -227,7 +132,7 @@ impl Winograd {
 struct Work<'a> {
     convolution: &'a Winograd,
     x: &'a Plane,
-    beside: Option<&'a [f32]>,
+    ending: Ending<'a>,
     out: &'a mut [f32],
     /// Tiles that go through together.
     block: usize,
@@ -239,55 +144,86 @@ impl WithSimd for Work<'_> {
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) {
-        let Winograd {
-            weight,
-            bias,
-            inputs,
-            outputs,
-        } = self.convolution;
         let constants = Constants::new(simd);
+        let &Winograd {
+            inputs, outputs, ..
+        } = self.convolution;
         let map = self.x.size;
         let all = map.tiles();
-        let sizes = Sizes {
-            inputs: *inputs,
-            outputs: *outputs,
-            between_tiles: self.block * inputs + GAP,
-            between_products: self.block * outputs + GAP,
-        };
+        let between_tiles = self.block * inputs + GAP;
+        let between_products = self.block * outputs + GAP;
         let Workspace {
             tiles, products, ..
         } = self.workspace;
         for first in (0..all).step_by(self.block) {
             let count = self.block.min(all - first);
             for index in 0..count {
-                let to = (&mut tiles[index * inputs..], sizes.between_tiles);
-                to_tile(
-                    &constants,
-                    &self.x.values,
-                    &map.place(first + index),
-                    *inputs,
-                    to,
-                );
+                let to = (&mut tiles[index * inputs..], between_tiles);
+                let place = map.place(first + index);
+                to_tile(&constants, &self.x.values, &place, inputs, to);
             }
-            product(simd, weight, tiles, products, count, &sizes);
+            for value in 0..VALUES {
+                let weight = &self.convolution.weight[value * inputs * outputs..];
+                let weight = &weight[..inputs * outputs];
+                let tiles = &tiles[value * between_tiles..];
+                let products = &mut products[value * between_products..];
+                match S::F32_LANES {
+                    16 => product::<S, 8, 2>(simd, weight, tiles, products, count, inputs),
+                    8 => product::<S, 2, 4>(simd, weight, tiles, products, count, inputs),
+                    4 => product::<S, 2, 8>(simd, weight, tiles, products, count, inputs),
+                    _ => product::<S, 1, PANEL>(simd, weight, tiles, products, count, inputs),
+                }
+            }
             for index in 0..count {
-                let from = (&products[index * outputs..], sizes.between_products);
-                let add = (bias.as_slice(), self.beside);
-                from_tile(&constants, from, &map.place(first + index), add, self.out);
+                let from = (&products[index * outputs..], between_products);
+                let place = map.place(first + index);
+                from_tile(&constants, from, &place, &self.ending, self.out);
             }
         }
     }
 }
 
+/// The first `count` of `tiles` `(tiles, inputs)` by `weight` `(panels, inputs, outputs of a panel)`. Tiles are done in groups,
+/// so some more of `products` may be written to.
+#[inline(always)]
+fn product<S: Simd, const ROWS: usize, const VECTORS: usize>(
+    simd: S,
+    weight: &[f32],
+    tiles: &[f32],
+    products: &mut [f32],
+    count: usize,
+    inputs: usize,
+) {
+    let outputs = weight.len() / inputs;
+    for (panel, weight) in weight.chunks_exact(inputs * PANEL).enumerate() {
+        for tile in (0..count).step_by(ROWS) {
+            let tiles = &tiles[tile * inputs..][..ROWS * inputs];
+            let rows = std::array::from_fn(|row| &tiles[row * inputs..][..inputs]);
+            let zeros = [[simd.splat_f32s(0.0); VECTORS]; ROWS];
+            let sums = accumulate(simd, zeros, weight, rows);
+            for (row, sums) in sums.iter().enumerate() {
+                let at = (tile + row) * outputs + panel * PANEL;
+                let (products, _) = S::as_mut_simd_f32s(&mut products[at..][..PANEL]);
+                products[..VECTORS].copy_from_slice(sums);
+            }
+        }
+    }
+}
+
+/// The number of tiles that are computed if `tiles` are asked for.
+const fn whole_groups(tiles: usize) -> usize {
+    tiles.next_multiple_of(GROUP)
+}
+
 /// Where a tile is.
-struct Place {
+pub(super) struct Place {
     /// Pixels before its picture.
-    picture: usize,
+    pub(super) picture: usize,
     /// Its first row of outputs.
-    top: usize,
+    pub(super) top: usize,
     /// Its first column of outputs.
-    left: usize,
+    pub(super) left: usize,
     /// Of the picture.
-    height: usize,
-    width: usize,
+    pub(super) height: usize,
+    pub(super) width: usize,
 }
