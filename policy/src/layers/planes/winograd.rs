@@ -25,6 +25,9 @@ pub(super) const VALUES: usize = INPUTS * INPUTS;
 /// Numbers between the tiles of one of the values and those of the next, so that they do not fall on the same cache lines.
 const GAP: usize = 16;
 
+/// Inputs that are summed on their own before they are added to the others', so that fewer bits are lost.
+const PART: usize = 64;
+
 /// Tiles that a product takes at once.
 const GROUP: usize = 8;
 
@@ -198,13 +201,23 @@ fn product<S: Simd, const ROWS: usize, const VECTORS: usize>(
     for (panel, weight) in weight.chunks_exact(inputs * PANEL).enumerate() {
         for tile in (0..count).step_by(ROWS) {
             let tiles = &tiles[tile * inputs..][..ROWS * inputs];
-            let rows = std::array::from_fn(|row| &tiles[row * inputs..][..inputs]);
-            let zeros = [[simd.splat_f32s(0.0); VECTORS]; ROWS];
-            let sums = accumulate(simd, zeros, weight, rows);
-            for (row, sums) in sums.iter().enumerate() {
-                let at = (tile + row) * outputs + panel * PANEL;
-                let (products, _) = S::as_mut_simd_f32s(&mut products[at..][..PANEL]);
-                products[..VECTORS].copy_from_slice(sums);
+            let products = &mut products[tile * outputs + panel * PANEL..];
+            for (part, weight) in weight.chunks(PART * PANEL).enumerate() {
+                let depth = weight.len() / PANEL;
+                let rows = std::array::from_fn(|row| &tiles[row * inputs + part * PART..][..depth]);
+                let zeros = [[simd.splat_f32s(0.0); VECTORS]; ROWS];
+                let sums = accumulate(simd, zeros, weight, rows);
+                for (row, sums) in sums.iter().enumerate() {
+                    let to = &mut products[row * outputs..][..PANEL];
+                    let (to, _) = S::as_mut_simd_f32s(to);
+                    if part == 0 {
+                        to[..VECTORS].copy_from_slice(sums);
+                    } else {
+                        for (to, sum) in to.iter_mut().zip(sums) {
+                            *to = simd.add_f32s(*to, *sum);
+                        }
+                    }
+                }
             }
         }
     }
