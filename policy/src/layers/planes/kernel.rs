@@ -11,11 +11,8 @@ pub(super) type Sums<S, const ROWS: usize, const VECTORS: usize> =
 
 /// Adds the products of each row's numbers with `weight` `(numbers, outputs of a panel)`, one number after the other.
 ///
-/// As many sums as the processor has registers for, with the weights of a number and one number of a row.
-#[expect(
-    clippy::needless_range_loop,
-    reason = "iterators over the sums keep them in memory instead of in registers"
-)]
+/// As many sums as the processor has registers for, with the weights of a number and one number of a row; iterators over them
+/// would keep them in memory instead.
 #[inline(always)]
 pub(super) fn accumulate<S: Simd, const ROWS: usize, const VECTORS: usize>(
     simd: S,

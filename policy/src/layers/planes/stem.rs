@@ -251,10 +251,6 @@ impl Work<'_> {
 }
 
 /// Adds the products of `ROWS` outputs, from the `first` on, with the taps of one line.
-#[expect(
-    clippy::needless_range_loop,
-    reason = "iterators over the sums keep them in memory instead of in registers"
-)]
 #[inline(always)]
 fn taps<S: Simd, const ROWS: usize, const VECTORS: usize>(
     simd: S,

@@ -7,7 +7,7 @@ use tch::{Device, Kind, TchError, Tensor};
 use super::{Direct, Plane, Size, Stem, Steps, Winograd, Workspace, shape_of};
 use crate::rng::SplitMix64;
 
-/// Of the greatest number in an answer.
+/// Of the greatest number in an answer. Seen here: tiles up to 1.6e-6, taps 6.4e-7, the stem 4.6e-7, the library 5.7e-7.
 const ROUNDING: f64 = 2e-6;
 
 #[expect(
@@ -148,7 +148,6 @@ impl Case {
         let expected = self.expected(Kind::Double);
         let library = off(&self.expected(Kind::Float), &expected);
         let off = off(&ours, &expected);
-        eprintln!("{:?} ours {off:.1e} library {library:.1e}", self.x.size());
         assert!(
             off <= ROUNDING,
             "off by {off:e}, the library by {library:e}"
