@@ -60,7 +60,7 @@ impl ActPolicy {
             .collect::<Result<Vec<u32>, _>>()
             .map_err(|error| Cause::Inconsistent(error.to_string()).in_file(&recipe_file))?;
         let torch = |error: TchError| Cause::Parameter(error.into()).in_file(folder);
-        let policy = Self {
+        let mut policy = Self {
             image_factors,
             images: ImageNormaliser::imagenet(device).map_err(torch)?,
             state: loaded.statistics.state.normaliser(),
@@ -82,7 +82,7 @@ impl ActPolicy {
     }
 
     /// One inference on a black image, so that a network that cannot run fails now, and the first answer is not late.
-    fn warm_up(&self) -> Result<(), TchError> {
+    fn warm_up(&mut self) -> Result<(), TchError> {
         let config = &self.config;
         let cameras = i64::try_from(self.recipe.cameras.len()).unwrap_or(i64::MAX);
         let shape = [1, cameras, config.image_height, config.image_width, 3];
@@ -92,7 +92,7 @@ impl ActPolicy {
     }
 
     /// Image bytes `(1, cameras, height, width, 3)` and the state in SI units to actions in SI units, row-major.
-    fn network(&self, images: &Tensor, state: &Tensor) -> Result<Vec<f32>, TchError> {
+    fn network(&mut self, images: &Tensor, state: &Tensor) -> Result<Vec<f32>, TchError> {
         tch::no_grad(|| {
             let images = self.images.apply(images)?;
             let state = self.state.apply(state)?.f_to_device(self.device)?;

@@ -92,6 +92,26 @@ pub enum ParameterError {
     Torch(#[from] TchError),
 }
 
+impl ParameterError {
+    /// The same of the tensor that `name` makes of the key.
+    pub(crate) fn with_keys(self, name: impl Fn(&str) -> String) -> Self {
+        match self {
+            Self::Missing { key } => Self::Missing { key: name(&key) },
+            Self::Shape {
+                key,
+                expected,
+                actual,
+            } => Self::Shape {
+                key: name(&key),
+                expected,
+                actual,
+            },
+            Self::Unexpected { key } => Self::Unexpected { key: name(&key) },
+            Self::Torch(error) => Self::Torch(error),
+        }
+    }
+}
+
 /// Hands parameters to the layers of a network while it is built, and remembers them by key.
 #[derive(Debug)]
 pub struct ParameterSource {

@@ -14,6 +14,8 @@ mod transformer;
 mod trunk;
 mod vae;
 
+use std::collections::BTreeMap;
+
 use tch::{TchError, Tensor};
 
 pub use config::{ActConfig, ActPreset, BackboneNorm, DecoderOutput, LossDenominator, STATE_DIM};
@@ -26,6 +28,22 @@ pub(crate) use {loss::kl_divergence, vae::VAE_PREFIX};
 
 use crate::parameters::{Init, ParameterError, ParameterSource, Parameters};
 use resnet::{FEATURE_CHANNELS, ResNet18};
+
+const BACKBONE: &str = "model.backbone";
+
+/// What the keys of a backbone's tensors begin with.
+pub(crate) const BACKBONE_PREFIX: &str = "model.backbone.";
+
+/// Refuses tensors that are not exactly those of a backbone with frozen batch normalisation.
+pub(crate) fn check_frozen_backbone(
+    tensors: &BTreeMap<String, Tensor>,
+) -> Result<(), ParameterError> {
+    let shared = tensors.iter();
+    let shared = shared.map(|(key, tensor)| (key.clone(), tensor.shallow_clone()));
+    let mut source = ParameterSource::given(shared.collect());
+    ResNet18::new(&mut source, BACKBONE, BackboneNorm::FrozenBatchNorm)?;
+    source.finish().map(|_| ())
+}
 
 /// An ACT network.
 #[derive(Debug)]
@@ -60,7 +78,7 @@ impl Act {
     pub fn new(config: ActConfig, mut source: ParameterSource) -> Result<Self, ParameterError> {
         let width = config.dim_model;
         let s = &mut source;
-        let backbone = ResNet18::new(s, "model.backbone", config.backbone_norm)?;
+        let backbone = ResNet18::new(s, BACKBONE, config.backbone_norm)?;
         let image_key = "model.encoder_img_feat_input_proj";
         let image_init = Init::fan_in(FEATURE_CHANNELS);
         let image_weight = s.trainable(

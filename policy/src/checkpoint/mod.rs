@@ -4,6 +4,7 @@
 //! `policy_postprocessor.json` name the statistics. Nothing in the folder can run code.
 
 mod act_pc;
+mod backbone;
 #[cfg(test)]
 mod cloud_refusal_tests;
 mod clouds;
@@ -25,6 +26,7 @@ use hal::ARM_NAMES;
 use tch::Device;
 
 pub use act_pc::{ACT_PC_TYPE, ActPcCheckpoint, load_act_pc, save_act_pc};
+pub use backbone::BackboneWeights;
 pub use clouds::CloudStatistics;
 pub use dp3::{DP3_TYPE, Dp3Checkpoint, load_dp3, save_dp3};
 pub use error::{Cause, CheckpointError};

@@ -31,11 +31,22 @@ pub(super) struct Plain {
 
 /// All tensors of `file`.
 pub(super) fn read(file: &Path) -> Result<BTreeMap<String, Plain>, CheckpointError> {
+    read_some(file, |_| true)
+}
+
+/// The tensors of `file` whose key is `wanted`; what the others are does not matter.
+pub(super) fn read_some(
+    file: &Path,
+    wanted: impl Fn(&str) -> bool,
+) -> Result<BTreeMap<String, Plain>, CheckpointError> {
     let bytes = fs::read(file).map_err(|error| Cause::io(error).in_file(file))?;
     let container = SafeTensors::deserialize(&bytes)
         .map_err(|error| Cause::Safetensors(error).in_file(file))?;
     let mut tensors = BTreeMap::new();
     for (key, view) in container.iter() {
+        if !wanted(key) {
+            continue;
+        }
         let values = values_of(&view).ok_or_else(|| {
             Cause::ElementType {
                 key: key.to_owned(),

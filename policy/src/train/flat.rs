@@ -140,6 +140,11 @@ impl FlatParameters {
         Ok(())
     }
 
+    /// The name in a run's state of the parameter `key` that the optimiser leaves alone.
+    pub(super) fn name_of_fixed(key: &str) -> String {
+        format!("fixed.{key}")
+    }
+
     /// What a run's state is made of.
     fn named(&self) -> Vec<(String, &Tensor)> {
         let mut named = vec![
@@ -151,7 +156,7 @@ impl FlatParameters {
             named.push(("average".to_owned(), average));
         }
         for (key, tensor) in &self.fixed {
-            named.push((format!("fixed.{key}"), tensor));
+            named.push((Self::name_of_fixed(key), tensor));
         }
         named
     }

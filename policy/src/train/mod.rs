@@ -9,6 +9,9 @@ mod act_pc;
 #[cfg(test)]
 mod act_pc_tests;
 mod augment;
+mod backbone;
+#[cfg(test)]
+mod backbone_tests;
 mod cloud_set;
 mod curve;
 mod dp3;
@@ -41,7 +44,7 @@ pub use options::{Augmentation, Schedule, TrainOptions, TrainPrecision};
 pub use run_state::RunState;
 
 use crate::act::{Act, ActConfig, Demonstration, LossDenominator, l1_loss, losses};
-use crate::checkpoint::FeatureStatistics;
+use crate::checkpoint::{BackboneWeights, FeatureStatistics};
 use crate::dataset::Dataset;
 use crate::normalise::{ImageNormaliser, Statistics};
 use crate::parameters::ParameterSource;
@@ -149,13 +152,18 @@ pub struct Trained {
 pub struct Trainer {
     device: Device,
     from: Option<RunState>,
+    backbone: Option<BackboneWeights>,
 }
 
 impl Trainer {
     /// A trainer on `device`.
     #[must_use]
     pub const fn new(device: Device) -> Self {
-        Self { device, from: None }
+        Self {
+            device,
+            from: None,
+            backbone: None,
+        }
     }
 
     /// The same, but that a run goes on from `state` instead of starting: on the CPU, and with the same options, dataset and
@@ -205,10 +213,7 @@ impl Trainer {
             let of = dataset.len();
             watch.progress(&Progress::Read { frames, of });
         })?;
-        let fresh = Act::new(
-            config.clone(),
-            ParameterSource::seeded(options.seed, Device::Cpu),
-        )?;
+        let fresh = self.fresh(config, options)?;
         let mut flat = FlatParameters::new(fresh.parameters(), self.device, options)?;
         let working = ParameterSource::given(flat.working_tensors()?);
         let run = Run {

@@ -35,12 +35,12 @@ impl Watch for Stopper {
     }
 }
 
-fn alone() -> MutexGuard<'static, ()> {
+pub(super) fn alone() -> MutexGuard<'static, ()> {
     ONE_AT_A_TIME.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 /// A row of the curve begins before the stop and ends after it.
-fn four_steps(options: TrainOptions) -> TrainOptions {
+pub(super) fn four_steps(options: TrainOptions) -> TrainOptions {
     TrainOptions {
         steps: 4,
         log_every: 3,
@@ -48,7 +48,7 @@ fn four_steps(options: TrainOptions) -> TrainOptions {
     }
 }
 
-fn trainer(state: Option<&Path>) -> Trainer {
+pub(super) fn trainer(state: Option<&Path>) -> Trainer {
     let trainer = Trainer::new(Device::Cpu);
     match state {
         Some(file) => {
@@ -68,10 +68,10 @@ fn same(one: (&Parameters, &LossCurve), other: (&Parameters, &LossCurve)) {
 }
 
 /// A run from a state, or from the start.
-type Run<'a, T> = dyn Fn(Option<&Path>, &mut dyn Watch) -> Result<T, TrainError> + 'a;
+pub(super) type Run<'a, T> = dyn Fn(Option<&Path>, &mut dyn Watch) -> Result<T, TrainError> + 'a;
 
 /// Runs four steps at once, then two and two; `run` takes the state to go on from.
-fn check<T: std::fmt::Debug>(
+pub(super) fn check<T: std::fmt::Debug>(
     folder: &Path,
     run: &Run<'_, T>,
     outcome: fn(&T) -> (&Parameters, &LossCurve),

@@ -128,6 +128,35 @@ pub(super) fn options() -> TrainOptions {
     }
 }
 
+/// What a checkpoint says of a network that was trained on the tiny dataset.
+pub(super) fn recipe(config: &ActConfig) -> Recipe {
+    Recipe {
+        format: checkpoint::RECIPE_FORMAT,
+        arms: 1,
+        action_representation: crate::relative_action::REPRESENTATION.to_owned(),
+        step_ns: 40_000_000,
+        query_every_steps: 4,
+        aggregation: RecommendedAggregation {
+            mode: AggregationName::Ensemble,
+            decay: 0.01,
+        },
+        cameras: vec![RecordedCamera {
+            feature: config.cameras[0].clone(),
+            width: SIDE,
+            height: SIDE,
+        }],
+        preset: ActPreset::Small.into(),
+        variants: Variants {
+            backbone_norm: config.backbone_norm,
+            loss_denominator: config.loss_denominator,
+        },
+        recipe: "test".to_owned(),
+        dataset: DatasetSummary::default(),
+        seed: 1,
+        training: serde_json::Value::Null,
+    }
+}
+
 /// The library's number of threads belongs to the process, and its answers' last bits hang on it: one training at a time.
 pub(super) static ONE_AT_A_TIME: Mutex<()> = Mutex::new(());
 
@@ -186,36 +215,11 @@ fn training_lowers_the_loss_repeats_itself_and_survives_the_disk() {
     assert_ne!(first.curve.rows[0], other.curve.rows[0]);
 
     let folder = folder("disk");
-    let recipe = Recipe {
-        format: checkpoint::RECIPE_FORMAT,
-        arms: 1,
-        action_representation: crate::relative_action::REPRESENTATION.to_owned(),
-        step_ns: 40_000_000,
-        query_every_steps: 4,
-        aggregation: RecommendedAggregation {
-            mode: AggregationName::Ensemble,
-            decay: 0.01,
-        },
-        cameras: vec![RecordedCamera {
-            feature: config().cameras[0].clone(),
-            width: SIDE,
-            height: SIDE,
-        }],
-        preset: ActPreset::Small.into(),
-        variants: Variants {
-            backbone_norm: config().backbone_norm,
-            loss_denominator: config().loss_denominator,
-        },
-        recipe: "test".to_owned(),
-        dataset: DatasetSummary::default(),
-        seed: 1,
-        training: serde_json::Value::Null,
-    };
     checkpoint::save(
         &folder,
         &first.act,
         &first.statistics,
-        &recipe,
+        &recipe(&config()),
         SaveOptions::default(),
     )
     .unwrap();

@@ -25,6 +25,7 @@ pub mod summary;
 pub mod tally;
 pub mod tasks;
 pub mod training;
+mod training_backbone;
 mod training_clouds;
 mod training_recipe;
 mod training_watch;

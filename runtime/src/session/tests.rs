@@ -1,10 +1,11 @@
 //! Sessions of two arms in lockstep: runs, recordings, and networks trained on them.
 
 use std::fs;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use hal::Chunk;
 use nalgebra::Vector3;
+use policy::act::BackboneNorm;
 use policy::dataset::Dataset;
 use sim_backend::simulation::{Rendering, Simulation};
 use tch::Device;
@@ -222,18 +223,17 @@ fn check_demonstration(dataset: &Dataset) {
     assert_ne!(first, dataset.state(dataset.len() - 1, 0).map(f32::to_bits));
 }
 
-#[test]
-fn a_demonstration_of_two_arms_trains_a_network_that_commands_both() {
-    let folder = Scratch::new("session-bimanual");
-    let (data, out) = (folder.0.join("data"), folder.0.join("act"));
-    check_demonstration(&record_one(&data));
-    let options = TrainingOptions {
+/// Two steps of the small network.
+fn training_options(data: PathBuf, out: PathBuf) -> TrainingOptions {
+    TrainingOptions {
         network: NetworkChoice::Act,
         data,
-        out: out.clone(),
+        out,
         cameras: CameraChoice::Multi,
         preset: "small".to_owned(),
         published: false,
+        backbone: BackboneNorm::GroupNorm,
+        backbone_weights: None,
         steps: Some(2),
         batch: Some(2),
         device: Device::Cpu,
@@ -247,7 +247,52 @@ fn a_demonstration_of_two_arms_trains_a_network_that_commands_both() {
         seed: 1,
         save_every: 0,
         command: "train".to_owned(),
+    }
+}
+
+#[test]
+fn a_backbone_that_cannot_be_is_refused_before_anything_is_made() {
+    let folder = Scratch::new("session-backbone");
+    let out = folder.0.join("act");
+    let weights = folder.0.join("resnet18.safetensors");
+    let act = TrainingOptions {
+        backbone: BackboneNorm::FrozenBatchNorm,
+        ..training_options(folder.0.join("data"), out.clone())
     };
+    let dp3 = TrainingOptions {
+        network: NetworkChoice::Dp3,
+        preset: "paper".to_owned(),
+        backbone: BackboneNorm::GroupNorm,
+        backbone_weights: Some(weights.clone()),
+        ..act.clone()
+    };
+    let group = TrainingOptions {
+        network: NetworkChoice::Act,
+        preset: "small".to_owned(),
+        ..dp3.clone()
+    };
+    let absent = TrainingOptions {
+        backbone_weights: Some(weights),
+        ..act.clone()
+    };
+    for (options, reason) in [
+        (act, "name it with --backbone-weights"),
+        (dp3, "act-pc and dp3 have none"),
+        (group, "of --backbone frozen_batch_norm"),
+        (absent, "resnet18.safetensors: file is missing"),
+    ] {
+        let error = train(&options, &mut |_| {}).unwrap_err().to_string();
+        assert!(error.contains(reason), "{error}");
+        assert!(!out.exists());
+    }
+}
+
+#[test]
+fn a_demonstration_of_two_arms_trains_a_network_that_commands_both() {
+    let folder = Scratch::new("session-bimanual");
+    let (data, out) = (folder.0.join("data"), folder.0.join("act"));
+    check_demonstration(&record_one(&data));
+    let options = training_options(data, out.clone());
     assert!(train(&options, &mut |_| {}).unwrap().loss.is_finite());
     let policy = PolicyChoice::Checkpoint(out);
     let file = Scratch::new("session-bimanual-log");

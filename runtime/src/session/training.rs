@@ -2,8 +2,8 @@
 
 use std::path::{Path, PathBuf};
 
-use policy::act::{ActConfig, ActPreset};
-use policy::checkpoint::{self, AggregationName, Precision, SaveOptions, Variants};
+use policy::act::{ActConfig, ActPreset, BackboneNorm};
+use policy::checkpoint::{self, AggregationName, SaveOptions, Variants};
 use policy::dataset::Dataset;
 use policy::train::{
     Augmentation, LossCurve, RunState, TrainError, TrainOptions, TrainPrecision, Trainer,
@@ -14,7 +14,7 @@ use tch::Device;
 use super::cloud_file::cloud_recipe;
 use super::training_recipe::{Made, recipe};
 use super::training_watch::{Pace, Stopwatch, Watcher, read_state, remove_state, write_curve};
-use super::{SessionError, outputs, training_clouds};
+use super::{SessionError, outputs, training_backbone, training_clouds};
 use crate::rt;
 
 /// Policy steps from one query to the next that a trained checkpoint asks for: half a chunk of the small preset, so that a fresh
@@ -57,6 +57,11 @@ pub struct TrainingOptions {
     pub preset: String,
     /// Whether the recipe is the authors' own, which begins from an ImageNet backbone, instead of one that learns from scratch.
     pub published: bool,
+    /// Normalisation layers of ACT's backbone; in options from before there was a choice, group normalisation.
+    #[serde(default = "group_norm")]
+    pub backbone: BackboneNorm,
+    /// What a backbone with frozen batch normalisation starts from: a safetensors file or a policy's folder.
+    pub backbone_weights: Option<PathBuf>,
     /// Optimiser steps, if not the preset's.
     pub steps: Option<u64>,
     /// Samples a step, if not the preset's.
@@ -84,6 +89,10 @@ pub struct TrainingOptions {
     pub save_every: u64,
     /// The command line, for the checkpoint's recipe.
     pub command: String,
+}
+
+const fn group_norm() -> BackboneNorm {
+    BackboneNorm::GroupNorm
 }
 
 /// A device by its name.
@@ -131,6 +140,7 @@ pub fn train(
     on_progress: &mut dyn FnMut(&str),
 ) -> Result<TrainingResult, SessionError> {
     // Whatever is wrong with the options is said before anything is made.
+    training_backbone::check(options)?;
     match options.network {
         NetworkChoice::Act => {
             let preset = parse_preset(&options.preset)?;
@@ -152,9 +162,10 @@ pub fn train(
             cloud_recipe(options.clouds.as_deref(), 1)?;
         }
     }
+    let trainer = training_backbone::trainer(options)?;
     outputs::new_folder(&options.out)?;
     let start = Start {
-        trainer: Trainer::new(options.device),
+        trainer,
         stopwatch: Stopwatch::start(0.0),
     };
     train_from(options, start, on_progress)
@@ -210,7 +221,10 @@ fn train_act(
 ) -> Result<TrainingResult, SessionError> {
     let preset = parse_preset(&options.preset)?;
     let train_options = train_options(options, preset);
-    let config = ActConfig::preset(preset, &cameras(options, dataset)?).for_arms(dataset.arms());
+    let config = ActConfig {
+        backbone_norm: options.backbone,
+        ..ActConfig::preset(preset, &cameras(options, dataset)?).for_arms(dataset.arms())
+    };
     say_size(dataset, train_options.steps, on_progress);
     let mut watcher = Watcher::new(options, stopwatch, on_progress);
     let trained = trainer.run(&config, &train_options, dataset, &mut watcher)?;
@@ -228,7 +242,7 @@ fn train_act(
     };
     let recipe = recipe(options, &train_options, dataset, &made, stopwatch.seconds());
     let save = SaveOptions {
-        precision: Precision::F16,
+        precision: training_backbone::precision(options.backbone),
         inference_only: true,
     };
     checkpoint::save(

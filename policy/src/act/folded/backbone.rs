@@ -1,11 +1,51 @@
 //! The backbone with its fixed normalisations inside the convolutions, channels last in memory.
 
-use tch::{Kind, TchError, Tensor};
+use tch::{Device, Kind, TchError, Tensor};
 
+use super::own_backbone::OwnBackbone;
 use crate::act::resnet::{Block, Conv, NORM_EPS, Norm, ResNet18};
+use crate::layers::planes::Workspace;
 
+/// The backbone, whichever way is the fastest.
 #[derive(Debug)]
-pub(super) struct FoldedBackbone {
+pub(super) enum FoldedBackbone {
+    /// In convolutions of ours.
+    Own(Box<OwnBackbone>),
+    /// In the network library's.
+    Library(LibraryBackbone),
+}
+
+impl FoldedBackbone {
+    /// For images of `sides`, height and width.
+    pub(super) fn new(
+        backbone: &ResNet18,
+        sides: [usize; 2],
+        kind: Kind,
+    ) -> Result<Self, TchError> {
+        let ours = kind == Kind::Float
+            && backbone.stem.weight.device() == Device::Cpu
+            && tch::get_num_threads() == 1
+            && OwnBackbone::fits(backbone);
+        Ok(match Workspace::find() {
+            Some(workspace) if ours => {
+                Self::Own(Box::new(OwnBackbone::new(backbone, sides, workspace)?))
+            }
+            _ => Self::Library(LibraryBackbone::new(backbone, kind)?),
+        })
+    }
+
+    /// `(n, 3, h, w)` to `(n * h / 32 * w / 32, 512)`, row by row, sizes rounded up.
+    pub(super) fn forward(&mut self, images: &Tensor) -> Result<Tensor, TchError> {
+        match self {
+            Self::Own(backbone) => backbone.forward(images),
+            Self::Library(backbone) => backbone.forward(images),
+        }
+    }
+}
+
+/// The backbone in the network library's convolutions: wherever it computes, in whatever precision, with any normalisation.
+#[derive(Debug)]
+pub(super) struct LibraryBackbone {
     stem: FoldedConv,
     blocks: Vec<FoldedBlock>,
 }
@@ -34,7 +74,7 @@ struct GroupNorm {
     bias: Tensor,
 }
 
-impl FoldedBackbone {
+impl LibraryBackbone {
     pub(super) fn new(backbone: &ResNet18, kind: Kind) -> Result<Self, TchError> {
         let block = |block: &Block| {
             let downsample = block.downsample.as_ref();
@@ -56,10 +96,11 @@ impl FoldedBackbone {
         })
     }
 
-    /// `(n, 3, h, w)` to `(n * h / 32 * w / 32, 512)`, row by row, sizes rounded up.
     pub(super) fn forward(&self, images: &Tensor) -> Result<Tensor, TchError> {
-        let mut x = self.stem.forward(images)?.f_relu_()?;
+        let mut x = self.stem.forward(images)?;
+        // The greatest of the rectified is the rectified greatest, of which there are fewer.
         x = x.f_max_pool2d([3, 3], [2, 2], [1, 1], [1, 1], false)?;
+        x = x.f_relu_()?;
         for block in &self.blocks {
             x = block.forward(x)?;
         }

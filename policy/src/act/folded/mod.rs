@@ -6,6 +6,7 @@
 //! kept.
 
 mod backbone;
+mod own_backbone;
 #[cfg(test)]
 mod tests;
 mod trunk;
@@ -33,10 +34,13 @@ impl FoldedAct {
     /// The network library's.
     pub fn new(act: &Act, kind: Kind) -> Result<Self, TchError> {
         tch::no_grad(|| {
+            let config = act.config();
+            let sides = [config.image_height, config.image_width];
+            let sides = sides.map(|side| usize::try_from(side).unwrap_or(0));
             let image_weight = act.image_weight.f_flatten(1, 3)?;
             let position = act.image_position.f_squeeze_dim(0)?;
             Ok(Self {
-                backbone: FoldedBackbone::new(&act.backbone, kind)?,
+                backbone: FoldedBackbone::new(&act.backbone, sides, kind)?,
                 image_input: Affine::new(&image_weight, &act.image_bias, kind)?,
                 trunk: FoldedTrunk::new(&act.trunk, Some(&position), kind)?,
                 kind,
@@ -47,11 +51,11 @@ impl FoldedAct {
     /// The chunk for an observation, as [`Act::infer`] gives it: `(batch, steps, action)`, normalised, single precision.
     ///
     /// `images` is `(batch, cameras, 3, height, width)`, all of which go through the backbone together; `state` is
-    /// `(batch, state)`.
+    /// `(batch, state)`. What it works in is its own, so it answers one observation at a time.
     ///
     /// # Errors
     /// The network library's, if shapes do not fit.
-    pub fn infer(&self, images: &Tensor, state: &Tensor) -> Result<Tensor, TchError> {
+    pub fn infer(&mut self, images: &Tensor, state: &Tensor) -> Result<Tensor, TchError> {
         let batch = images.size()[0];
         let images = images.f_to_kind(self.kind)?.f_flatten(0, 1)?;
         let features = self.backbone.forward(&images)?;

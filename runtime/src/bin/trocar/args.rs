@@ -335,6 +335,16 @@ pub(crate) enum TrainingRecipe {
     Published,
 }
 
+/// The normalisation layers of a backbone.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+#[value(rename_all = "snake_case")]
+pub(crate) enum Backbone {
+    /// Trained with the rest, from random weights. LeRobot does not know it.
+    GroupNorm,
+    /// Batch normalisation whose statistics are fixed, as LeRobot's: starts from --backbone-weights.
+    FrozenBatchNorm,
+}
+
 /// Options of `train`.
 #[derive(Args, Debug)]
 pub(crate) struct TrainArgs {
@@ -353,8 +363,8 @@ pub(crate) struct TrainArgs {
         long,
         value_name = "DIR",
         conflicts_with_all = [
-            "policy", "data", "out", "cameras", "preset", "recipe", "steps", "batch", "device", "episodes",
-            "validation_share", "bf16", "images_on_host", "threads", "augment", "clouds", "save_every", "seed"
+            "policy", "data", "out", "cameras", "preset", "recipe", "backbone", "backbone_weights", "steps", "batch",
+            "device", "episodes", "validation_share", "bf16", "images_on_host", "threads", "augment", "clouds", "save_every", "seed"
         ]
     )]
     pub(crate) resume: Option<PathBuf>,
@@ -373,6 +383,13 @@ pub(crate) struct TrainArgs {
     /// authors' own, meant for an ImageNet backbone. dp3 is always trained as published.
     #[arg(long, value_enum)]
     pub(crate) recipe: Option<TrainingRecipe>,
+    /// Normalisation layers of act's backbone. A policy that LeRobot is to load needs frozen_batch_norm.
+    #[arg(long, value_enum, default_value = "group_norm")]
+    pub(crate) backbone: Backbone,
+    /// What a backbone with frozen_batch_norm starts from: a safetensors file with torchvision's names of ResNet-18, as
+    /// policy/convert/resnet18.py makes one, or the folder of an ACT policy in LeRobot's form.
+    #[arg(long, value_name = "FILE|DIR")]
+    pub(crate) backbone_weights: Option<PathBuf>,
     /// Optimiser steps; the preset's number if not given.
     #[arg(long, value_parser = clap::value_parser!(u64).range(1..))]
     pub(crate) steps: Option<u64>,

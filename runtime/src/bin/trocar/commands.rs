@@ -2,6 +2,7 @@
 
 use std::path::Path;
 
+use policy::act::BackboneNorm;
 use policy::compute::{Arithmetic, Compute};
 use policy::dataset::VideoCodec;
 use runtime::doctor::{self, Probes};
@@ -20,8 +21,9 @@ use sim_backend::task::TaskConfig;
 use tch::Device;
 
 use crate::args::{
-    Backend, Cameras, ComputeArgs, ComputeDevice, DemoArgs, DoctorArgs, EvalArgs, LogArgs, Network,
-    PolicyProcessArgs, Precision, RecordArgs, RunArgs, TrainArgs, TrainingRecipe, Video,
+    Backbone, Backend, Cameras, ComputeArgs, ComputeDevice, DemoArgs, DoctorArgs, EvalArgs,
+    LogArgs, Network, PolicyProcessArgs, Precision, RecordArgs, RunArgs, TrainArgs, TrainingRecipe,
+    Video,
 };
 use crate::console;
 use crate::drives::can_source;
@@ -342,6 +344,11 @@ fn training_options(
             .to_owned()
         }),
         published: args.recipe == Some(TrainingRecipe::Published),
+        backbone: match args.backbone {
+            Backbone::GroupNorm => BackboneNorm::GroupNorm,
+            Backbone::FrozenBatchNorm => BackboneNorm::FrozenBatchNorm,
+        },
+        backbone_weights: args.backbone_weights.clone(),
         steps: args.steps,
         batch: args.batch,
         device: device(args.device)?,

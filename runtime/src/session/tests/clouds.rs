@@ -33,6 +33,8 @@ fn train_simple(data: &Path, out: &Path) -> Result<TrainingResult, SessionError>
         cameras: CameraChoice::Multi,
         preset: "simple".to_owned(),
         published: false,
+        backbone: BackboneNorm::GroupNorm,
+        backbone_weights: None,
         steps: Some(2),
         batch: Some(2),
         device: Device::Cpu,

@@ -1,0 +1,164 @@
+//! Convolutions on the CPU without the network library: channels last, one thread, single precision.
+//!
+//! They are for processors with vectors of at least eight numbers and fused multiply-add; on others, whoever asks uses the
+//! library's. Each number is the same sum in the same order whatever the vectors' width, so processors with AVX2 and with
+//! AVX-512 give the same bits.
+
+mod direct;
+mod kernel;
+mod stem;
+#[cfg(test)]
+mod tests;
+mod transforms;
+mod winograd;
+
+use pulp::{Arch, Simd, WithSimd};
+use tch::{TchError, Tensor};
+
+pub(crate) use direct::{Direct, Steps};
+pub(crate) use stem::Stem;
+pub(crate) use winograd::Winograd;
+
+/// Pictures of one size, channels last.
+#[derive(Debug, Default)]
+pub(crate) struct Plane {
+    values: Vec<f32>,
+    size: Size,
+}
+
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+struct Size {
+    pictures: usize,
+    height: usize,
+    width: usize,
+    channels: usize,
+}
+
+impl Size {
+    const fn numbers(self) -> usize {
+        self.pictures * self.height * self.width * self.channels
+    }
+}
+
+/// The processor's vectors, memory that convolutions work in, and planes that are not needed now.
+#[derive(Debug)]
+pub(crate) struct Workspace {
+    vectors: Arch,
+    tiles: Vec<f32>,
+    products: Vec<f32>,
+    spare: Vec<Plane>,
+}
+
+/// What a convolution adds to each output, and whether a rectifier follows.
+#[derive(Clone, Copy)]
+struct Ending<'a> {
+    /// Of each channel.
+    bias: &'a [f32],
+    /// What lies beside the output.
+    beside: Option<&'a [f32]>,
+    rectified: bool,
+}
+
+impl Plane {
+    /// As `(pixels of all pictures, channels)`, row by row.
+    pub(crate) fn rows(&self) -> Result<Tensor, TchError> {
+        let channels = i64::try_from(self.size.channels).unwrap_or(0);
+        Tensor::f_from_slice(&self.values[..self.size.numbers()])?.f_view([-1, channels])
+    }
+}
+
+impl Workspace {
+    /// Nothing where the processor has no vectors that would be worth it.
+    pub(crate) fn find() -> Option<Self> {
+        struct Lanes;
+        impl WithSimd for Lanes {
+            type Output = usize;
+
+            fn with_simd<S: Simd>(self, _: S) -> usize {
+                S::F32_LANES
+            }
+        }
+        let vectors = Arch::new();
+        (vectors.dispatch(Lanes) >= 8).then(|| Self::of(vectors))
+    }
+
+    const fn of(vectors: Arch) -> Self {
+        Self {
+            vectors,
+            tiles: Vec::new(),
+            products: Vec::new(),
+            spare: Vec::new(),
+        }
+    }
+
+    /// Takes back what is not needed any more.
+    pub(crate) fn give_back(&mut self, plane: Plane) {
+        self.spare.push(plane);
+    }
+
+    /// A plane with whatever numbers.
+    fn plane(&mut self, size: Size) -> Plane {
+        let mut plane = self.spare.pop().unwrap_or_default();
+        plane.size = size;
+        grow(&mut plane.values, size.numbers());
+        plane
+    }
+}
+
+impl<'a> Ending<'a> {
+    /// Refuses what does not lie beside outputs of `size`.
+    fn new(
+        bias: &'a [f32],
+        beside: Option<&'a Plane>,
+        rectified: bool,
+        size: Size,
+    ) -> Result<Self, TchError> {
+        if let Some(beside) = beside.filter(|beside| beside.size != size) {
+            let text = format!("{:?} beside {size:?}", beside.size);
+            return Err(TchError::Shape(text));
+        }
+        Ok(Self {
+            bias,
+            beside: beside.map(|beside| beside.values.as_slice()),
+            rectified,
+        })
+    }
+
+    /// Writes the outputs from `at` on, which are of the channels from `channel` on.
+    #[inline(always)]
+    fn write<S: Simd>(&self, simd: S, sum: S::f32s, out: &mut [f32], at: usize, channel: usize) {
+        let mut sum = simd.add_f32s(sum, load::<S>(self.bias, channel));
+        if let Some(beside) = self.beside {
+            sum = simd.add_f32s(sum, load::<S>(beside, at));
+        }
+        if self.rectified {
+            // In this order what is not a number stays so.
+            sum = simd.max_f32s(simd.splat_f32s(0.0), sum);
+        }
+        store::<S>(out, at, sum);
+    }
+}
+
+fn grow(memory: &mut Vec<f32>, length: usize) {
+    if memory.len() < length {
+        memory.resize(length, 0.0);
+    }
+}
+
+#[inline(always)]
+fn load<S: Simd>(from: &[f32], at: usize) -> S::f32s {
+    S::as_simd_f32s(&from[at..at + S::F32_LANES]).0[0]
+}
+
+#[inline(always)]
+fn store<S: Simd>(to: &mut [f32], at: usize, value: S::f32s) {
+    S::as_mut_simd_f32s(&mut to[at..at + S::F32_LANES]).0[0] = value;
+}
+
+/// The lengths of a tensor's four dimensions.
+fn shape_of(tensor: &Tensor) -> Result<[usize; 4], TchError> {
+    let shape = tensor.size();
+    let lengths = shape.iter().map(|&n| usize::try_from(n).unwrap_or(0));
+    <[usize; 4]>::try_from(lengths.collect::<Vec<_>>())
+        .map_err(|_| TchError::Shape(format!("four dimensions, not {shape:?}")))
+}

@@ -1,0 +1,273 @@
+//! The first layers of a ResNet: 7x7 with stride 2, a rectifier, and the greatest of 3x3 with stride 2.
+//!
+//! A row of the convolution goes through the pooling as soon as its neighbours are there, so that the largest picture of
+//! the network never leaves the second-level cache.
+
+use pulp::{Simd, WithSimd};
+use tch::{TchError, Tensor};
+
+use super::kernel::{PANEL, Sums};
+use super::{Ending, Plane, Size, Workspace, grow, load, shape_of, store};
+
+/// Colours of a picture.
+const COLOURS: usize = 3;
+
+/// Taps along a side.
+const TAPS: usize = 7;
+
+/// Outputs that are computed at once.
+const GROUP: usize = 8;
+
+/// Inputs along a row that as many outputs see.
+const SEEN: usize = 2 * (GROUP - 1) + TAPS;
+
+/// Rows of the convolution that a row of the pooling sees.
+const POOLED: usize = 3;
+
+/// The first layers, on the CPU.
+#[derive(Debug)]
+pub(crate) struct Stem {
+    /// For each panel of outputs: `(colours, taps down, taps across, outputs of a panel)`.
+    weight: Vec<f32>,
+    bias: Vec<f32>,
+}
+
+/// Lengths along the way.
+#[derive(Clone, Copy)]
+struct Lengths {
+    /// Of the convolution's picture.
+    high: usize,
+    wide: usize,
+    /// Columns of it that are computed.
+    columns: usize,
+    /// Of the input with its border.
+    padded_high: usize,
+    padded_wide: usize,
+}
+
+impl Lengths {
+    const fn of(height: usize, width: usize) -> Self {
+        let (high, wide) = (height.div_ceil(2), width.div_ceil(2));
+        let columns = wide.next_multiple_of(GROUP);
+        Self {
+            high,
+            wide,
+            columns,
+            padded_high: 2 * (high - 1) + TAPS,
+            padded_wide: 2 * (columns - 1) + TAPS,
+        }
+    }
+}
+
+impl Stem {
+    /// `weight` `(outputs, 3, 7, 7)` and `bias` `(outputs)`; outputs are a multiple of 32.
+    pub(crate) fn new(weight: &Tensor, bias: &Tensor) -> Result<Self, TchError> {
+        let [outputs, rest @ ..] = shape_of(weight)?;
+        if !outputs.is_multiple_of(PANEL) || rest != [COLOURS, TAPS, TAPS] {
+            return Err(TchError::Shape(format!("weight {:?}", weight.size())));
+        }
+        let panel = i64::try_from(PANEL).unwrap_or(0);
+        let last = weight.f_unflatten(0, [-1, panel])?;
+        let last = last.f_permute([0, 2, 3, 4, 1])?.f_contiguous()?;
+        Ok(Self {
+            weight: Vec::try_from(&last.f_view([-1])?)?,
+            bias: Vec::try_from(bias)?,
+        })
+    }
+
+    /// `images` `(n, 3, h, w)` to a quarter of their size, rounded up.
+    pub(crate) fn apply(
+        &self,
+        images: &Tensor,
+        workspace: &mut Workspace,
+    ) -> Result<Plane, TchError> {
+        let [pictures, colours, height, width] = shape_of(images)?;
+        if colours != COLOURS || pictures * height * width == 0 {
+            return Err(TchError::Shape(format!("images {:?}", images.size())));
+        }
+        let lengths = Lengths::of(height, width);
+        let size = Size {
+            pictures,
+            height: lengths.high.div_ceil(2),
+            width: lengths.wide.div_ceil(2),
+            channels: self.bias.len(),
+        };
+        let mut out = workspace.plane(size);
+        let vectors = workspace.vectors;
+        let Workspace {
+            tiles: padded,
+            products: other,
+            ..
+        } = workspace;
+        let numbers = COLOURS * height * width;
+        grow(other, numbers.max(POOLED * lengths.columns * size.channels));
+        let of_picture = size.height * size.width * size.channels;
+        for (picture, out) in out.values[..size.numbers()]
+            .chunks_exact_mut(of_picture)
+            .enumerate()
+        {
+            let picture = i64::try_from(picture).unwrap_or(0);
+            images
+                .f_select(0, picture)?
+                .f_contiguous()?
+                .f_copy_data(other, numbers)?;
+            pad(&other[..numbers], padded, [height, width], lengths);
+            vectors.dispatch(Work {
+                stem: self,
+                padded,
+                rows: other,
+                lengths,
+                size,
+                out,
+            });
+        }
+        Ok(out)
+    }
+}
+
+/// Copies a picture `(colours, height, width)` into one with a border of zeros.
+fn pad(picture: &[f32], padded: &mut Vec<f32>, [height, width]: [usize; 2], lengths: Lengths) {
+    let Lengths {
+        padded_high,
+        padded_wide,
+        ..
+    } = lengths;
+    let border = TAPS / 2;
+    let numbers = COLOURS * padded_high * padded_wide;
+    grow(padded, numbers);
+    padded[..numbers].fill(0.0);
+    for (index, row) in picture.chunks_exact(width).enumerate() {
+        let (colour, y) = (index / height, index % height);
+        let at = (colour * padded_high + border + y) * padded_wide + border;
+        padded[at..at + width].copy_from_slice(row);
+    }
+}
+
+/// One picture, for whichever vector instructions the processor has.
+struct Work<'a> {
+    stem: &'a Stem,
+    padded: &'a [f32],
+    /// The last rows of the convolution, each at its number's remainder.
+    rows: &'a mut [f32],
+    lengths: Lengths,
+    /// Of the outputs.
+    size: Size,
+    out: &'a mut [f32],
+}
+
+impl WithSimd for Work<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(mut self, simd: S) {
+        let mut computed = 0;
+        for y in 0..self.size.height {
+            let seen = 2 * y + 2;
+            while computed < seen.min(self.lengths.high) {
+                match S::F32_LANES {
+                    16 => self.convolve::<S, 8, 2>(simd, computed),
+                    8 => self.convolve::<S, 2, 4>(simd, computed),
+                    4 => self.convolve::<S, 2, 8>(simd, computed),
+                    _ => self.convolve::<S, 1, PANEL>(simd, computed),
+                }
+                computed += 1;
+            }
+            self.pool(simd, y);
+        }
+    }
+}
+
+impl Work<'_> {
+    /// One row of the convolution, without the bias.
+    #[inline(always)]
+    fn convolve<S: Simd, const ROWS: usize, const VECTORS: usize>(&mut self, simd: S, y: usize) {
+        let Lengths {
+            columns,
+            padded_high,
+            padded_wide,
+            ..
+        } = self.lengths;
+        let channels = self.size.channels;
+        let to = &mut self.rows[y % POOLED * columns * channels..][..columns * channels];
+        let panels = self.stem.weight.chunks_exact(COLOURS * TAPS * TAPS * PANEL);
+        for (panel, weight) in panels.enumerate() {
+            let (weight, _) = weight.as_chunks::<{ TAPS * PANEL }>();
+            for column in (0..columns).step_by(GROUP) {
+                for first in (0..GROUP).step_by(ROWS) {
+                    let mut sums = [[simd.splat_f32s(0.0); VECTORS]; ROWS];
+                    for (line, weight) in weight.iter().enumerate() {
+                        let (colour, tap) = (line / TAPS, line % TAPS);
+                        let at = (colour * padded_high + 2 * y + tap) * padded_wide + 2 * column;
+                        let seen = self.padded[at..].first_chunk().unwrap_or(&[0.0; SEEN]);
+                        sums = taps(simd, sums, weight, seen, first);
+                    }
+                    for (row, sums) in sums.into_iter().enumerate() {
+                        for (vector, sum) in sums.into_iter().enumerate() {
+                            let channel = panel * PANEL + vector * S::F32_LANES;
+                            store::<S>(to, (column + first + row) * channels + channel, sum);
+                        }
+                    }
+                }
+            }
+        }
+    }
+
+    /// A row of the greatest among up to 3x3, with bias and rectifier.
+    #[inline(always)]
+    fn pool<S: Simd>(&mut self, simd: S, y: usize) {
+        let Lengths {
+            high,
+            wide,
+            columns,
+            ..
+        } = self.lengths;
+        let channels = self.size.channels;
+        let ending = Ending {
+            bias: &self.stem.bias,
+            beside: None,
+            rectified: true,
+        };
+        let [above, below] = [(2 * y).saturating_sub(1), high.min(2 * y + 2)];
+        for x in 0..self.size.width {
+            let [left, right] = [(2 * x).saturating_sub(1), wide.min(2 * x + 2)];
+            for channel in (0..channels).step_by(S::F32_LANES) {
+                let mut greatest = simd.splat_f32s(f32::NEG_INFINITY);
+                // Nothing is greater than what is not a number, nor the other way round: a sum remembers it.
+                let mut nothing = simd.splat_f32s(0.0);
+                for row in above..below {
+                    for column in left..right {
+                        let at = (row % POOLED * columns + column) * channels + channel;
+                        let number = load::<S>(self.rows, at);
+                        greatest = simd.max_f32s(greatest, number);
+                        nothing = simd.mul_add_f32s(number, simd.splat_f32s(0.0), nothing);
+                    }
+                }
+                let at = (y * self.size.width + x) * channels + channel;
+                let greatest = simd.add_f32s(greatest, nothing);
+                ending.write(simd, greatest, self.out, at, channel);
+            }
+        }
+    }
+}
+
+/// Adds the products of `ROWS` outputs, from the `first` on, with the taps of one line.
+#[inline(always)]
+fn taps<S: Simd, const ROWS: usize, const VECTORS: usize>(
+    simd: S,
+    mut sums: Sums<S, ROWS, VECTORS>,
+    weight: &[f32; TAPS * PANEL],
+    seen: &[f32; SEEN],
+    first: usize,
+) -> Sums<S, ROWS, VECTORS> {
+    let (weight, _) = pulp::as_arrays::<VECTORS, _>(S::as_simd_f32s(weight).0);
+    for tap in 0..TAPS {
+        for row in 0..ROWS {
+            let number = simd.splat_f32s(seen[2 * (first + row) + tap]);
+            for vector in 0..VECTORS {
+                let sum = sums[row][vector];
+                sums[row][vector] = simd.mul_add_f32s(number, weight[tap][vector], sum);
+            }
+        }
+    }
+    sums
+}

@@ -1,0 +1,242 @@
+//! Convolutions of 3x3 with stride 1 by Winograd's minimal filtering: 36 multiplications for 4x4 outputs instead of 144.
+//!
+//! Pictures lie with their channels last. A tile of 6x6 inputs becomes 36 values by a transform along both directions; each of
+//! the 36 goes through a matrix product over the channels of its own; the transform back gives 4x4 outputs. Tiles go through
+//! all three in blocks that stay in the second-level cache. Points of the interpolation: 0, infinity, and plus or minus the
+//! square roots of a half and of two, whose powers are as close to one as four such points allow, so that little is lost to
+//! rounding.
+
+use pulp::{Simd, WithSimd};
+use tch::{TchError, Tensor};
+
+use super::kernel::{PANEL, accumulate};
+use super::transforms::{Constants, from_tile, kernel_to_tile, to_tile};
+use super::{Ending, Plane, Size, Workspace, grow, shape_of};
+
+/// Outputs along a side of a tile.
+pub(super) const OUTPUTS: usize = 4;
+
+/// Inputs along a side of a tile.
+pub(super) const INPUTS: usize = 6;
+
+/// Values that a tile has of each channel.
+pub(super) const VALUES: usize = INPUTS * INPUTS;
+
+/// Numbers between the tiles of one of the values and those of the next, so that they do not fall on the same cache lines.
+const GAP: usize = 16;
+
+/// Inputs that are summed on their own before they are added to the others', so that fewer bits are lost.
+const PART: usize = 64;
+
+/// Tiles that a product takes at once.
+const GROUP: usize = 8;
+
+impl Size {
+    const fn tiles(self) -> usize {
+        self.pictures * self.height.div_ceil(OUTPUTS) * self.width.div_ceil(OUTPUTS)
+    }
+
+    /// Where the tile `index` is.
+    const fn place(self, index: usize) -> Place {
+        let high = self.height.div_ceil(OUTPUTS);
+        let wide = self.width.div_ceil(OUTPUTS);
+        Place {
+            picture: index / (high * wide) * self.height * self.width,
+            top: index / wide % high * OUTPUTS,
+            left: index % wide * OUTPUTS,
+            height: self.height,
+            width: self.width,
+        }
+    }
+}
+
+/// A convolution 3x3 with stride 1, a border of zeros and a rectifier behind it, on the CPU.
+#[derive(Debug)]
+pub(crate) struct Winograd {
+    /// For each value of a tile, for each panel of outputs: `(inputs, outputs of a panel)`.
+    weight: Vec<f32>,
+    bias: Vec<f32>,
+    inputs: usize,
+    outputs: usize,
+}
+
+impl Winograd {
+    /// `weight` `(outputs, inputs, 3, 3)` and `bias` `(outputs)`; outputs are a multiple of 32, inputs of 16.
+    pub(crate) fn new(weight: &Tensor, bias: &Tensor) -> Result<Self, TchError> {
+        let [outputs, inputs, high, wide] = shape_of(weight)?;
+        if !outputs.is_multiple_of(PANEL) || !inputs.is_multiple_of(16) || [high, wide] != [3, 3] {
+            return Err(TchError::Shape(format!("weight {:?}", weight.size())));
+        }
+        let kernels = Vec::<f32>::try_from(&weight.f_contiguous()?.f_view([-1])?)?;
+        let mut tiles = vec![0.0; VALUES * inputs * outputs];
+        let (kernels, _) = kernels.as_chunks::<9>();
+        for (index, kernel) in kernels.iter().enumerate() {
+            let (output, input) = (index / inputs, index % inputs);
+            let place = (output / PANEL * inputs + input) * PANEL + output % PANEL;
+            for (value, number) in kernel_to_tile(kernel).into_iter().enumerate() {
+                tiles[value * inputs * outputs + place] = number;
+            }
+        }
+        Ok(Self {
+            weight: tiles,
+            bias: Vec::try_from(bias)?,
+            inputs,
+            outputs,
+        })
+    }
+
+    /// Whether pictures of this size need at most half the multiplications of a plain convolution: of few or narrow tiles
+    /// much is thrown away.
+    pub(crate) const fn pays(height: usize, width: usize) -> bool {
+        let tiles = height.div_ceil(OUTPUTS) * width.div_ceil(OUTPUTS);
+        2 * VALUES * whole_groups(tiles) <= 9 * height * width
+    }
+
+    /// The convolution of `x`, plus `beside` if there is something, then the rectifier.
+    pub(crate) fn apply(
+        &self,
+        x: &Plane,
+        beside: Option<&Plane>,
+        workspace: &mut Workspace,
+    ) -> Result<Plane, TchError> {
+        let size = Size {
+            channels: self.outputs,
+            ..x.size
+        };
+        if x.size.channels != self.inputs {
+            return Err(TchError::Shape(format!("{:?} into {:?}", x.size, size)));
+        }
+        let ending = Ending::new(&self.bias, beside, true, size)?;
+        let mut out = workspace.plane(size);
+        // More channels need more tiles for each time that the weights are read.
+        let block = whole_groups(size.tiles()).min(if self.inputs > 64 { 64 } else { 32 });
+        if block == 0 {
+            return Ok(out);
+        }
+        grow(&mut workspace.tiles, VALUES * (block * self.inputs + GAP));
+        grow(
+            &mut workspace.products,
+            VALUES * (block * self.outputs + GAP),
+        );
+        let vectors = workspace.vectors;
+        vectors.dispatch(Work {
+            convolution: self,
+            x,
+            ending,
+            out: &mut out.values,
+            block,
+            workspace,
+        });
+        Ok(out)
+    }
+}
+
+/// One convolution, for whichever vector instructions the processor has.
+struct Work<'a> {
+    convolution: &'a Winograd,
+    x: &'a Plane,
+    ending: Ending<'a>,
+    out: &'a mut [f32],
+    /// Tiles that go through together.
+    block: usize,
+    workspace: &'a mut Workspace,
+}
+
+impl WithSimd for Work<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) {
+        let constants = Constants::new(simd);
+        let &Winograd {
+            inputs, outputs, ..
+        } = self.convolution;
+        let map = self.x.size;
+        let all = map.tiles();
+        let between_tiles = self.block * inputs + GAP;
+        let between_products = self.block * outputs + GAP;
+        let Workspace {
+            tiles, products, ..
+        } = self.workspace;
+        for first in (0..all).step_by(self.block) {
+            let count = self.block.min(all - first);
+            for index in 0..count {
+                let to = (&mut tiles[index * inputs..], between_tiles);
+                let place = map.place(first + index);
+                to_tile(&constants, &self.x.values, &place, inputs, to);
+            }
+            for value in 0..VALUES {
+                let weight = &self.convolution.weight[value * inputs * outputs..];
+                let weight = &weight[..inputs * outputs];
+                let tiles = &tiles[value * between_tiles..];
+                let products = &mut products[value * between_products..];
+                match S::F32_LANES {
+                    16 => product::<S, 8, 2>(simd, weight, tiles, products, count, inputs),
+                    8 => product::<S, 2, 4>(simd, weight, tiles, products, count, inputs),
+                    4 => product::<S, 2, 8>(simd, weight, tiles, products, count, inputs),
+                    _ => product::<S, 1, PANEL>(simd, weight, tiles, products, count, inputs),
+                }
+            }
+            for index in 0..count {
+                let from = (&products[index * outputs..], between_products);
+                let place = map.place(first + index);
+                from_tile(&constants, from, &place, &self.ending, self.out);
+            }
+        }
+    }
+}
+
+/// The first `count` of `tiles` `(tiles, inputs)` by `weight` `(panels, inputs, outputs of a panel)`. Tiles are done in groups,
+/// so some more of `products` may be written to.
+#[inline(always)]
+fn product<S: Simd, const ROWS: usize, const VECTORS: usize>(
+    simd: S,
+    weight: &[f32],
+    tiles: &[f32],
+    products: &mut [f32],
+    count: usize,
+    inputs: usize,
+) {
+    let outputs = weight.len() / inputs;
+    for (panel, weight) in weight.chunks_exact(inputs * PANEL).enumerate() {
+        for tile in (0..count).step_by(ROWS) {
+            let tiles = &tiles[tile * inputs..][..ROWS * inputs];
+            let products = &mut products[tile * outputs + panel * PANEL..];
+            for (part, weight) in weight.chunks(PART * PANEL).enumerate() {
+                let depth = weight.len() / PANEL;
+                let rows = std::array::from_fn(|row| &tiles[row * inputs + part * PART..][..depth]);
+                let zeros = [[simd.splat_f32s(0.0); VECTORS]; ROWS];
+                let sums = accumulate(simd, zeros, weight, rows);
+                for (row, sums) in sums.iter().enumerate() {
+                    let to = &mut products[row * outputs..][..PANEL];
+                    let (to, _) = S::as_mut_simd_f32s(to);
+                    if part == 0 {
+                        to[..VECTORS].copy_from_slice(sums);
+                    } else {
+                        for (to, sum) in to.iter_mut().zip(sums) {
+                            *to = simd.add_f32s(*to, *sum);
+                        }
+                    }
+                }
+            }
+        }
+    }
+}
+
+/// The number of tiles that are computed if `tiles` are asked for.
+const fn whole_groups(tiles: usize) -> usize {
+    tiles.next_multiple_of(GROUP)
+}
+
+/// Where a tile is.
+pub(super) struct Place {
+    /// Pixels before its picture.
+    pub(super) picture: usize,
+    /// Its first row of outputs.
+    pub(super) top: usize,
+    /// Its first column of outputs.
+    pub(super) left: usize,
+    /// Of the picture.
+    pub(super) height: usize,
+    pub(super) width: usize,
+}
