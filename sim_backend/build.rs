@@ -5,6 +5,9 @@ use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 use std::{env, fs};
 
+/// As long as a task's name may be.
+const NAME_BYTES_MAX: usize = 64;
+
 /// What a task's folder must hold.
 const FILES: [&str; 2] = ["scene.toml", "safety.toml"];
 
@@ -15,7 +18,10 @@ fn main() -> Result<(), Box<dyn Error>> {
     let mut folders: Vec<PathBuf> = Vec::new();
     for entry in fs::read_dir(&tasks)? {
         let path = entry?.path();
-        if path.is_dir() {
+        let hidden = path
+            .file_name()
+            .is_some_and(|name| name.as_encoded_bytes().starts_with(b"."));
+        if path.is_dir() && !hidden {
             folders.push(path);
         }
     }

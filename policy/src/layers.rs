@@ -1,11 +1,8 @@
 //! Layers that networks share: linear, layer normalisation, attention, feed-forward. Batch first throughout.
 
 pub(crate) mod folded;
-<<<<<<< HEAD
 pub(crate) mod narrow;
-=======
 pub(crate) mod planes;
->>>>>>> winograd
 
 use tch::{Device, Kind, TchError, Tensor};
 

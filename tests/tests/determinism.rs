@@ -16,6 +16,8 @@ use tests::{Profile, json, scratch, stderr, trocar};
 
 /// Long enough for every expert to be well on its way.
 const TICKS: u64 = 1_200;
+/// Long enough for every expert to have taken hold of something.
+const WATCHED_TICKS: u64 = 3_600;
 /// Images are small, so that there can be as many as there are policy steps.
 const SIDE_PIXELS: u32 = 32;
 /// Names the task and the seed that a process started by the test below is to run.
@@ -97,8 +99,8 @@ fn every_task_is_the_same_twice_in_one_process_and_in_another() {
 #[test]
 fn every_task_is_the_same_with_and_without_cameras() {
     for task in tasks::names() {
-        let seen = digest(task, 3, TICKS, Rendering::On);
-        let unseen = digest(task, 3, TICKS, Rendering::Off);
+        let seen = digest(task, 3, WATCHED_TICKS, Rendering::On);
+        let unseen = digest(task, 3, WATCHED_TICKS, Rendering::Off);
         assert_eq!(seen, unseen, "{task}");
     }
 }

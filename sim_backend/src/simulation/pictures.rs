@@ -132,7 +132,7 @@ fn a_flap_is_drawn_where_it_has_gone() {
     };
     let low_m = mean_depth_m(&flat, instance::MARK);
     let high_m = mean_depth_m(&raised, instance::MARK);
-    // The endoscope looks down at 57 degrees.
+    // The endoscope looks down at 65 degrees.
     assert!(
         (0.012..0.019).contains(&(low_m - high_m)),
         "{low_m} {high_m}"

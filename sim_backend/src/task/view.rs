@@ -86,13 +86,13 @@ impl TaskConfig {
         Ok(self)
     }
 
-    /// The index of the camera with the light guide: the one at the place of the endoscope, which comes first in the file.
+    /// The index of the camera with the light guide: the one at the place of the endoscope, or the first of a task that has none.
     pub(crate) fn light_camera(&self) -> usize {
-        let swapped = match self.view {
-            View::Train | View::View1 => None,
-            View::View2 => self.standing(SIDE).ok(),
+        let there = match self.view {
+            View::Train | View::View1 => ENDOSCOPE,
+            View::View2 => SIDE,
         };
-        swapped.unwrap_or(0)
+        self.standing(there).unwrap_or(0)
     }
 
     /// The index of the camera called `name`, which stands in the scene.

@@ -64,10 +64,13 @@ pub struct BlockTransfer {
     pub success: SuccessConfig,
 }
 
-/// How the block may sit on its peg, which is drawn among all, as is the goal among the others.
+/// Where the block may start, and how it may sit there.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct BlockStart {
+    /// The peg that is the goal, counted from 0 in the board's list; if not given it is drawn as well. The block starts on
+    /// one that is drawn among the others.
+    pub goal_peg: Option<usize>,
     /// Half the range of its uniform turn about the peg, rad.
     pub yaw_rad: f64,
     /// Half the range of its uniform shift in x and y, m.
@@ -97,6 +100,11 @@ fn parse(source: &Source) -> Result<Parsed, ConfigError> {
     file.board.check(source, "board")?;
     file.success.check(source)?;
     source.check_range("block_start.yaw_rad", file.block_start.yaw_rad, 0.0, PI)?;
+    let last_peg = file.board.pegs_m.len() - 1;
+    if let Some(peg) = file.block_start.goal_peg.filter(|&peg| peg > last_peg) {
+        let allowed = format!("[0, {last_peg}]");
+        return Err(source.out_of_range("block_start.goal_peg", &peg.to_string(), &allowed));
+    }
     // The block hangs on its peg, it does not start in it.
     let room_m = file.block.hole_m - file.board.peg_radius_m;
     source.check_range(
@@ -126,8 +134,8 @@ impl BlockTransfer {
     fn pegs(&self, seed: u64) -> [[f64; 2]; 2] {
         let mut rng = Rng::stream(seed, "pegs");
         let count = self.board.pegs_m.len();
-        let start = rng.below(count);
-        let goal = (start + 1 + rng.below(count - 1)) % count;
+        let goal = self.start.goal_peg.unwrap_or_else(|| rng.below(count));
+        let start = (goal + 1 + rng.below(count - 1)) % count;
         [start, goal].map(|peg| self.board.pegs_m[peg])
     }
 

@@ -2,7 +2,7 @@
 
 use super::*;
 use crate::simulation::pictures::{Looks, saturation};
-use crate::task::{Judge, Outcome, Reason, Sight, TaskConfig};
+use crate::task::{Judge, Outcome, Reason, Sight, TaskConfig, TaskFiles};
 use crate::world::{Grasp, World};
 
 fn task() -> TaskConfig {
@@ -15,21 +15,46 @@ fn world(seed: u64) -> World {
     World::new(&task.world, &scenery, &task.arms)
 }
 
-#[test]
-fn every_pair_of_pegs_is_drawn() {
-    let scene = BlockTransfer::shipped();
+/// The pairs of pegs that a thousand episodes have.
+fn pairs(scene: &BlockTransfer) -> Vec<String> {
     let mut pairs: Vec<String> = (0..1000)
         .map(|seed| format!("{:?}", scene.pegs(seed)))
         .collect();
     pairs.sort();
     pairs.dedup();
-    assert_eq!(pairs.len(), 30);
+    pairs
+}
+
+#[test]
+fn the_block_starts_on_every_peg_but_the_goal_which_stays() {
+    let scene = BlockTransfer::shipped();
+    assert_eq!(pairs(&scene).len(), 5);
     for seed in 0..100 {
         let [start, goal] = scene.pegs(seed);
+        assert_eq!(format!("{goal:?}"), "[0.0, 0.015]");
         assert_ne!(format!("{start:?}"), format!("{goal:?}"));
         let block = scene.block_at_start(seed).translation;
         assert!((block.x - start[0]).hypot(block.y - start[1]) < 0.001_5);
     }
+}
+
+#[test]
+fn a_goal_that_is_not_given_is_drawn() {
+    let mut scene = BlockTransfer::shipped();
+    scene.start.goal_peg = None;
+    assert_eq!(pairs(&scene).len(), 30);
+}
+
+#[test]
+fn a_goal_beyond_the_last_peg_is_refused() {
+    let text = TaskFiles::built_in(NAME).unwrap().scene.text().to_owned();
+    let text = text.replace("goal_peg = 4", "goal_peg = 6");
+    let source = Source::embedded("scene.toml", &text);
+    let message = TaskConfig::parse(NAME, &source).unwrap_err().to_string();
+    assert!(
+        message.contains("block_start.goal_peg = 6 is outside [0, 5]"),
+        "{message}"
+    );
 }
 
 #[test]

@@ -106,6 +106,10 @@ struct File {
 fn parse(source: &Source) -> Result<Parsed, ConfigError> {
     let file: File = source.parse()?;
     file.needle.check(source, "needle")?;
+    // It is driven through the hole along its arc.
+    for (index, uneven) in file.needle.uneven.into_iter().enumerate() {
+        source.check_range(&format!("needle.uneven.{index}"), uneven, 0.0, 0.0)?;
+    }
     file.needle_start.check(source, "needle_start")?;
     file.pad.check(source, "pad")?;
     file.success.check(source)?;

@@ -106,3 +106,21 @@ fn a_swap_without_a_side_camera_is_refused() {
     );
     assert!(task.with_view(View::View1).is_ok());
 }
+
+#[test]
+fn the_light_is_at_the_endoscopes_place_wherever_it_stands_in_the_file() {
+    for mut task in tasks() {
+        let lit = |task: &TaskConfig| task.cameras[task.light_camera()].eye_m;
+        let expected = lit(&task);
+        let lens = |task: &TaskConfig| lit(&task.clone().with_view(View::View2).unwrap());
+        let swapped = lens(&task);
+        task.cameras.reverse();
+        assert_eq!(
+            (lit(&task), lens(&task)),
+            (expected, swapped),
+            "{}",
+            task.name
+        );
+        assert_eq!(task.cameras[task.light_camera()].name, "endoscope");
+    }
+}
