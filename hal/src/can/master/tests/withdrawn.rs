@@ -112,10 +112,11 @@ fn the_quick_stop_comes_into_effect_before_the_nodes_are_stopped() {
             (0x000, _) => "NMT",
             (0x080, _) => "SYNC",
             (0x207, [low, high, ..]) => {
-                match ControlView(u16::from_le_bytes([*low, *high])).command() {
-                    Command::QuickStop => "quick stop",
-                    _ => return Tampering::Pass,
+                let word = ControlView(u16::from_le_bytes([*low, *high]));
+                if word.command() != Command::QuickStop {
+                    return Tampering::Pass;
                 }
+                "quick stop"
             }
             _ => return Tampering::Pass,
         };
