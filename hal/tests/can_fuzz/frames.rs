@@ -95,12 +95,25 @@ fn meaning() -> BoxedStrategy<Frame> {
     let set_point = set_point.prop_map(|(base, node, control, [a, b, c], high)| {
         frame(base + node, &[control, 0, a, b, c, high])
     });
+    let download = (
+        node(),
+        select(&[0x2F, 0x2B, 0x23, 0x23, 0x21, 0x00, 0x01, 0xC2][..]),
+        select(&OBJECTS[..]),
+        mostly(&[0, 0, 1, 2, 3]),
+        mostly(&[0, 1, 3, 8]),
+        any::<[u8; 3]>(),
+    );
+    let download = download.prop_map(|(node, command, object, sub, first, [a, b, c])| {
+        let [low, high] = object.to_le_bytes();
+        frame(0x600 + node, &[command, low, high, sub, first, a, b, c])
+    });
     prop_oneof![
         3 => bystander(),
         2 => drive(),
         3 => set_point,
         1 => sync,
         1 => nmt,
+        1 => download,
     ]
     .boxed()
 }

@@ -97,8 +97,7 @@ impl Ages {
     pub(crate) fn on_answer(&mut self, axis: usize, data: &[u8], now: TimeNs) {
         if let [.., low, high] = *data {
             let stamp = u64::from(u16::from_le_bytes([low, high]));
-            let late = self.periods_since(stamp, now) >= LATE_MAX;
-            self.void[axis] |= late && self.periods > PERIODS as u64 / 4;
+            self.void[axis] |= self.periods_since(stamp, now) >= LATE_MAX;
         }
     }
 

@@ -5,8 +5,8 @@ use super::fault::Fault;
 use super::link::Bus;
 use super::plan::ArmPlan;
 use super::space::Axes;
+use crate::can::Outbox;
 use crate::can::cia301::{NmtCommand, NmtTarget};
-use crate::can::{NodeId, Outbox};
 use crate::tail::{TAIL_AXES, TailPlayer};
 use crate::{Arm, ArmCommand, ArmError, ArmState, JOINT_COUNT, SafeTail, TimeNs};
 
@@ -111,8 +111,8 @@ impl<B: Bus> CanArm<B> {
         self.cycle.begin(now);
         for line in 0..self.plan.lines {
             self.out.clear();
-            self.cycle.withdraw(line, &mut self.out);
             self.cycle.beat(&mut self.out);
+            self.cycle.withdraw(line, &mut self.out);
             self.transmit(line);
         }
         self.sent = false;
@@ -189,27 +189,24 @@ impl<B: Bus> CanArm<B> {
         self.sent = true;
     }
 
-    /// Takes every drive out of operational: those that still have torque stop by themselves.
+    /// Stops every node: drives that still have torque stop as 6007h says.
     pub fn shut_down(&mut self) {
         for axis in 0..TAIL_AXES {
             let who = self.plan.who(axis);
             self.out.clear();
-            self.out.push(leave(who.node));
+            let stop = NmtCommand::Stop.emit(NmtTarget::Node(who.node));
+            self.out.push(stop);
             self.transmit(who.line);
         }
     }
 
-    /// Gives the buses back, for a new bring-up, after the operator has cleared the fault. The drives are taken out of
-    /// operational first.
+    /// Gives the buses back, for a new bring-up, after the operator has cleared the fault. The nodes are stopped
+    /// first.
     #[must_use]
     pub fn release(mut self) -> B {
         self.shut_down();
         self.bus
     }
-}
-
-fn leave(node: NodeId) -> crate::can::Frame {
-    NmtCommand::EnterPreOperational.emit(NmtTarget::Node(node))
 }
 
 impl<B: Bus> Arm for CanArm<B> {

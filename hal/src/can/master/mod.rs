@@ -26,8 +26,8 @@
 //! not enabled any more                     status word                     fault
 //! following error                          status word, own comparison     fault
 //! power lost                               status word                     fault
-//! somebody else's SYNC, NMT, set-points    their identifiers               fault, and drives are taken out of operational
-//! or writing over SDO                                                      in every cycle: they hear no set-points then
+//! somebody else's SYNC, NMT, set-points    their identifiers               fault, and the nodes are stopped in every cycle:
+//! or writing over SDO                                                      they hear no set-points; our heartbeat ends
 //! a second node with a drive's number      the drive's emergency           fault
 //! wrong identity                           bring-up                        no arm
 //! stored offset, PDOs, timers, time stamps bring-up                        cleared; no arm if a drive keeps them

@@ -81,6 +81,7 @@ impl AxisPlan {
                 self.magnitude(speed / QUICK_STOP_S),
             ),
             following_window: self.magnitude(self.following_max),
+            ..AxisConfig::default()
         }
     }
 

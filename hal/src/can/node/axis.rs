@@ -19,6 +19,9 @@ pub struct AxisConfig {
     pub decelerations: (u32, u32),
     /// Following error window, counts.
     pub following_window: u32,
+    /// Whether leaving operational for pre-operational counts as a lost connection, too. CiA 402-2 has 6007h act when NMT
+    /// stopped is entered, and says nothing of pre-operational.
+    pub stops_in_pre_operational: bool,
 }
 
 impl Default for AxisConfig {
@@ -32,6 +35,7 @@ impl Default for AxisConfig {
             speed_max: 1_000_000,
             decelerations: (10_000_000, 50_000_000),
             following_window: u32::MAX,
+            stops_in_pre_operational: true,
         }
     }
 }

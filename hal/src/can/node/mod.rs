@@ -207,7 +207,8 @@ impl Node {
         if state == self.state {
             return;
         }
-        if self.state == NmtState::Operational {
+        let counts = state == NmtState::Stopped || self.config.stops_in_pre_operational;
+        if self.state == NmtState::Operational && counts {
             // Without process data nobody leads this axis any more.
             self.lose_connection(now);
         }

@@ -72,6 +72,8 @@ fn comments() -> String {
         "Speeds are counts/s: 606Ch, 607Fh. Decelerations are counts/s^2: 6084h, 6085h.",
         "6080h is in turns of the motor a minute; 608Fh says how many counts a turn has.",
         "The greatest speed is the lower one of 607Fh and 6080h.",
+        "Per axis differ: 1018sub4, 607Bh, 608Fsub1, and presets and bounds of 6065h, 607Dh, 607Fh, 6080h, 6084h, 6085h.",
+        "The defaults given here for those may be beyond an axis's bounds, which then refuses them with 06090031h.",
         "Torques are per mille of the rated torque: 6072h, 6077h.",
     ];
     let numbered: String = (1..)

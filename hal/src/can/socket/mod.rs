@@ -196,6 +196,7 @@ impl RawFrame {
         const RESTARTED: u32 = 0x100;
         const OVERFLOW: u8 = 0x03;
         const PASSIVE: u8 = 0x30;
+        const WARNING: u8 = 0x0C;
         const ACTIVE: u8 = 0x40;
         let mut tell = |trouble| sink(Received::Trouble(trouble));
         if self.id & BUS_OFF != 0 {
@@ -209,7 +210,9 @@ impl RawFrame {
             if state & PASSIVE != 0 {
                 tell(Trouble::ErrorPassive);
             }
-            if state & ACTIVE != 0 {
+            // It becomes less than passive step by step.
+            let recovers = state & (WARNING | ACTIVE) != 0 && state & PASSIVE == 0;
+            if recovers {
                 tell(Trouble::ErrorActive);
             }
             if state & OVERFLOW != 0 {

@@ -42,7 +42,11 @@ fn error_frames_say_what_the_controller_is_like() {
     assert_eq!(troubles(0x004, 0x20), trouble(Trouble::ErrorPassive));
     assert_eq!(troubles(0x004, 0x40), trouble(Trouble::ErrorActive));
     assert_eq!(troubles(0x004, 0x01), trouble(Trouble::Lost(1)));
-    assert_eq!(troubles(0x004, 0x04), [], "a warning");
+    // On the way from passive to active there are warnings.
+    for state in [0x04, 0x08, 0x0C] {
+        assert_eq!(troubles(0x004, state), trouble(Trouble::ErrorActive));
+    }
+    assert_eq!(troubles(0x004, 0x14), trouble(Trouble::ErrorPassive));
     assert_eq!(troubles(0x200, 0), [], "counters");
 }
 

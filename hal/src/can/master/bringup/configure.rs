@@ -22,9 +22,10 @@ const DEADLINE_MS_MIN: u64 = 10;
 const PDOS_A_DEVICE: u16 = 64;
 const DEVICES_MAX: u16 = 8;
 const PDOS_NAMED: u16 = 4;
-/// A COB-ID that is not in use, and one whose message the node itself produces (1012h).
+/// A PDO that is not in use. SYNC and time stamps that the node itself sends, and time stamps that it hears (1005h, 1012h).
 const INVALID: u32 = 1 << 31;
 const PRODUCED: u32 = 1 << 30;
+const CONSUMED: u32 = 1 << 31;
 /// Time stamps, which our own drives do without.
 const TIME_COB: Address = Address::new(0x1012, 0);
 
@@ -182,7 +183,9 @@ fn silence<B: Bus>(to: &mut Writer<'_, B>) -> Result<(), BringUpError> {
             }
         }
     }
-    to.change(TIME_COB, |cob| cob & !PRODUCED).map(|_| ())
+    // The SYNC of another arm may have the identifier that time stamps have by default.
+    to.change(TIME_COB, |cob| cob & !(PRODUCED | CONSUMED))
+        .map(|_| ())
 }
 
 /// SYNC and interpolation.

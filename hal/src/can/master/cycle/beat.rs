@@ -35,19 +35,23 @@ impl Cycle {
         };
     }
 
-    /// Where somebody else leads our drives: the commands that take those on `line` out of operational, in every period. Of two
-    /// set-points before a SYNC the later one counts, so ours could not stop a drive that somebody else goes on to lead; out of
-    /// operational it hears none, and stops by itself.
+    /// Where somebody else leads our drives: the commands that stop the nodes on `line`, in every period. Of two set-points
+    /// before a SYNC the later one counts, so ours could not stop a drive that somebody else goes on to lead; a stopped node
+    /// hears none, and its drive does what 6007h says. (That holds for NMT stopped and not for pre-operational, see CiA 402-2.)
+    ///
+    /// They go after the SYNC, or a quick stop that is to come into effect with it would be lost, and before any set-points: on a
+    /// bus that a stranger's SYNCs have filled with answers those wait, and so does all behind them.
     pub fn withdraw(&self, line: u8, out: &mut Outbox) {
         if !self.intruded {
             return;
         }
         for axis in self.plan.axes.iter().filter(|axis| axis.line == line) {
-            out.push(NmtCommand::EnterPreOperational.emit(NmtTarget::Node(axis.node)));
+            out.push(NmtCommand::Stop.emit(NmtTarget::Node(axis.node)));
         }
     }
 
-    /// The beat of this period, the same for every bus: SYNC unless it is a pause, and the own heartbeat if it is due.
+    /// The beat of this period, the same for every bus: SYNC unless it is a pause, and the own heartbeat if it is due. Where
+    /// somebody else leads our drives there is none: they miss it and stop, should they not hear [`Self::withdraw`].
     pub fn beat(&self, out: &mut Outbox) {
         let sync = Sync::counted(self.counter)
             .filter(|_| self.plan.sync_counter != 0)
@@ -55,7 +59,7 @@ impl Cycle {
         if self.pauses == 0 {
             out.push(sync.emit(self.plan.sync_id));
         }
-        if self.alive {
+        if self.alive && !self.intruded {
             out.push(NmtState::Operational.emit(self.plan.master));
         }
     }

@@ -32,8 +32,9 @@ impl Cycle {
                 self.latch(now, Fault::Down { line });
             }
             Trouble::ErrorPassive => {
+                // Each error in that state is told anew.
+                health.passives += u64::from(!health.passive);
                 health.passive = true;
-                health.passives += 1;
             }
             Trouble::ErrorActive => health.passive = false,
             Trouble::Lost(count) => health.lost += u64::from(count),

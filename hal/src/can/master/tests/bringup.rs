@@ -160,7 +160,7 @@ fn serial_numbers_are_read_and_nothing_has_torque_before_enabling() {
     for axis in 0..TAIL_AXES {
         let node = net.node(node(axis)).unwrap();
         assert!(!node.power_state().has_torque());
-        assert_eq!(node.nmt_state(), NmtState::PreOperational);
+        assert_eq!(node.nmt_state(), NmtState::Stopped);
     }
 }
 

@@ -67,6 +67,7 @@ fn an_interface_that_goes_down_is_a_fault() {
 fn error_passive_and_lost_frames_are_told_and_the_arm_goes_on() {
     let mut bench = moving();
     bench.net().trouble(0, Trouble::ErrorPassive);
+    bench.net().trouble(0, Trouble::ErrorPassive);
     bench.net().trouble(0, Trouble::Lost(3));
     bench.net().trouble(0, Trouble::Foreign);
     assert!(bench.cycle(0.0008).is_ok());

@@ -12,6 +12,7 @@ mod motion;
 mod settings;
 mod two_arms;
 mod unused;
+mod withdrawn;
 
 use super::*;
 use crate::can::bus::{IdealMotor, Network, Tampering};
@@ -63,20 +64,27 @@ fn plan(lines: u8, cycle_ns: u64) -> ArmPlan {
     }
 }
 
-fn drive(axis: usize) -> Node {
-    let config = AxisConfig {
+fn axis_config(axis: usize) -> AxisConfig {
+    AxisConfig {
         serial: u32::try_from(100 + axis).unwrap(),
         range: (-500_000, 500_000),
         speed_max: 400_000,
         decelerations: (10_000_000, 20_000_000),
         following_window: 5_000,
         ..AxisConfig::default()
-    };
-    Node::new(node(axis), &config)
+    }
+}
+
+fn drive(axis: usize) -> Node {
+    Node::new(node(axis), &axis_config(axis))
 }
 
 /// The drives of `plan`, each motor at 0.1 units times its place.
 fn network(plan: &ArmPlan) -> Net {
+    network_of(plan, drive)
+}
+
+fn network_of(plan: &ArmPlan, drive: impl Fn(usize) -> Node) -> Net {
     let mut net = Network::new(plan.lines, plan.bit_rate, 64);
     for (axis, place) in (0..TAIL_AXES).zip(1_u8..) {
         let motor = IdealMotor {
@@ -99,7 +107,11 @@ struct Bench {
 
 impl Bench {
     fn on(plan: &ArmPlan) -> Self {
-        let arm = Offline::new(network(plan), plan)
+        Self::with(network(plan), plan)
+    }
+
+    fn with(net: Net, plan: &ArmPlan) -> Self {
+        let arm = Offline::new(net, plan)
             .unwrap()
             .scan()
             .unwrap()

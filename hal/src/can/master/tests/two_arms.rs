@@ -1,6 +1,7 @@
 //! Two arms on one bus, as the shipped configuration has them: each master hears the other's frames.
 
 use std::cell::RefCell;
+use std::collections::BTreeSet;
 use std::rc::Rc;
 
 use super::super::link::{Bus, Received};
@@ -275,4 +276,25 @@ fn a_fault_of_one_arm_stops_only_its_own_drives() {
     both.live(200 * MS, [true, true]);
     assert_eq!(both.motors(1), rest);
     both.arms[0].borrow().assert_follows();
+}
+
+#[test]
+fn somebody_who_leads_a_drive_of_one_arm_stops_that_arm_alone() {
+    let both = Both::new(&shipped(BOTH_AT_250_HZ));
+    both.live(500 * MS, [true, true]);
+    let stopped: Rc<RefCell<BTreeSet<u8>>> = Rc::default();
+    let noted = Rc::clone(&stopped);
+    both.net.borrow_mut().tamper(Box::new(move |_, _, frame| {
+        if frame.id.raw() == 0 {
+            noted.borrow_mut().insert(frame.data()[1]);
+        }
+        Tampering::Pass
+    }));
+    let stranger = frame(0x203, &[0x0F, 0, 0, 0, 0, 0]);
+    both.net.borrow_mut().intrude(0, stranger);
+    both.live(1_000 * MS, [true, true]);
+    let fault = both.arms[0].borrow().arm.fault();
+    assert!(matches!(fault, Some(Fault::ForeignMaster { .. })));
+    assert_eq!(*stopped.borrow(), (1..=7).collect());
+    both.arms[1].borrow().assert_follows();
 }

@@ -66,7 +66,7 @@ fn pdos_beyond_the_fourth_and_time_stamps_are_taken_out_of_use_as_far_as_a_node_
         ((0x1840, 1), 0x03C6, INVALID | 0x03C6),
         ((0x19C0, 1), 0x03C7, INVALID | 0x03C7),
         // Hears time stamps, and sends them.
-        ((0x1012, 0), 0xC000_0100, 0x8000_0100),
+        ((0x1012, 0), 0xC000_0100, 0x100),
     ];
     let objects: Objects = Rc::default();
     objects

@@ -96,7 +96,7 @@ fn motion() -> Vec<Object> {
             "Position encoder resolution",
             Shape::Array,
             vec![
-                sub(0x608F, 1, "Encoder increments", U32, Constant, 10_000),
+                sub(0x608F, 1, "Encoder increments", U32, ReadOnly, 10_000),
                 sub(0x608F, 2, "Motor revolutions", U32, Constant, 1),
             ],
         ),

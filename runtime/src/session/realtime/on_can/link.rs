@@ -63,7 +63,7 @@ impl CanLink {
         }
     }
 
-    /// Takes the drives out of operational: those that still have torque stop by themselves.
+    /// Stops every node: drives that still have torque stop as 6007h says.
     pub(super) fn shut_down(&mut self) {
         self.arms.iter_mut().for_each(CanArm::shut_down);
     }
