@@ -39,13 +39,10 @@ fn main() -> Result<(), Box<dyn Error>> {
 fn task(folder: &Path) -> Result<String, Box<dyn Error>> {
     let name = folder.file_name().and_then(|name| name.to_str());
     let name = name.ok_or_else(|| format!("{}: no name in UTF-8", folder.display()))?;
-    if !name
-        .chars()
-        .all(|c| c.is_ascii_alphanumeric() || matches!(c, '-' | '_'))
-    {
-        return Err(
-            format!("config/tasks/{name}: a task's name is of letters, digits, - and _").into(),
-        );
+    let letters = |c: char| c.is_ascii_alphanumeric() || matches!(c, '-' | '_');
+    if name.len() > NAME_BYTES_MAX || !name.chars().all(letters) {
+        let allowed = format!("at most {NAME_BYTES_MAX} letters, digits, - and _");
+        return Err(format!("config/tasks/{name}: a task's name is of {allowed}").into());
     }
     let mut code = format!("BuiltIn {{ name: {name:?}, ");
     for file in FILES {
