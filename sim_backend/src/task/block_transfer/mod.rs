@@ -134,8 +134,13 @@ impl BlockTransfer {
     fn pegs(&self, seed: u64) -> [[f64; 2]; 2] {
         let mut rng = Rng::stream(seed, "pegs");
         let count = self.board.pegs_m.len();
-        let goal = self.start.goal_peg.unwrap_or_else(|| rng.below(count));
-        let start = (goal + 1 + rng.below(count - 1)) % count;
+        let another = |peg: usize, rng: &mut Rng| (peg + 1 + rng.below(count - 1)) % count;
+        let [start, goal] = if let Some(goal) = self.start.goal_peg {
+            [another(goal, &mut rng), goal]
+        } else {
+            let start = rng.below(count);
+            [start, another(start, &mut rng)]
+        };
         [start, goal].map(|peg| self.board.pegs_m[peg])
     }
 

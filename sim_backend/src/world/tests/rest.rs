@@ -10,9 +10,10 @@ use super::{Bench, HALF_CIRCLE, OPEN, REACH_M, World, shake};
 use crate::task::TaskConfig;
 use crate::task::block_transfer::BlockTransfer;
 
-/// A world of the block transfer at the start of an episode.
-fn block_on_peg(seed: u64) -> (TaskConfig, World) {
-    let task = TaskConfig::shipped("block-transfer");
+/// A world of the block transfer at the start of an episode, with the block on any of the pegs or beside the `goal`.
+fn block_on_peg(seed: u64, goal: Option<usize>) -> (TaskConfig, World) {
+    let mut task = TaskConfig::shipped("block-transfer");
+    task.scene_mut::<BlockTransfer>().unwrap().start.goal_peg = goal;
     let scenery = task.scene.scenery(&task.world, seed);
     let world = World::new(&task.world, &scenery, &task.arms);
     (task, world)
@@ -21,7 +22,7 @@ fn block_on_peg(seed: u64) -> (TaskConfig, World) {
 #[test]
 fn a_block_on_its_peg_does_not_creep_sink_or_jitter() {
     for seed in 0..3 {
-        let (task, mut world) = block_on_peg(seed);
+        let (task, mut world) = block_on_peg(seed, None);
         let scene: &BlockTransfer = task.scene().unwrap();
         for _ in 0..500 {
             world.step();
@@ -51,6 +52,34 @@ fn a_block_on_its_peg_does_not_creep_sink_or_jitter() {
         );
         assert!(fastest < 1e-5, "jitters at {fastest}");
     }
+}
+
+#[test]
+fn a_block_that_leans_on_its_peg_trembles_by_less_than_a_micrometre_and_goes_nowhere() {
+    // Of the first ten episodes, the one in which block and peg touch.
+    let (_, mut world) = block_on_peg(1, Some(4));
+    let mut go = |steps: u32| {
+        for _ in 0..steps {
+            world.step();
+        }
+        world.thing_in_scene(0)
+    };
+    let rest = go(500);
+    let mut farthest = |steps: u32| {
+        (0..steps).fold((0.0_f64, 0.0_f64), |(far_m, turned), _| {
+            let drift = rest.inverse() * go(1);
+            let far_m = far_m.max(drift.translation.vector.norm());
+            (far_m, turned.max(drift.rotation.angle()))
+        })
+    };
+    let early = farthest(2000);
+    let _ = farthest(3000);
+    let late = farthest(2000);
+    assert!(late.0 < 5e-7 && late.1 < 5e-5, "{late:?}");
+    assert!(
+        late.0 < 1.5 * early.0 && late.1 < 1.5 * early.1,
+        "creeps: {early:?}, {late:?}"
+    );
 }
 
 /// The needle held at the middle of its arc and, for a second, with friction `friction` only: how far that point moves in the
