@@ -7,6 +7,10 @@ use super::pair::{Pair, pass_ms};
 use super::peer::alone;
 use super::{PATIENCE, bus, frame, receive};
 
+/// What a heartbeat says of a stopped node, and the NMT command that lets it answer.
+const STOPPED: u8 = 0x04;
+const ENTER_PRE_OPERATIONAL: u8 = 0x80;
+
 /// A frame by which a stage of the bring-up is known.
 type Stage = fn(&CanDataFrame) -> bool;
 
@@ -40,9 +44,14 @@ fn await_stage(bus: &CanSocket, stage: Stage) {
     }
 }
 
-/// Whether the drive of `node` says that its motor has torque.
+/// Whether the drive of `node` says that its motor has torque. A stopped node answers nobody before it is pre-operational.
 fn has_torque(node: u16) -> bool {
     let bus = bus();
+    if receive(&bus, 0x700 + node).data() == [STOPPED] {
+        let [_, low] = node.to_be_bytes();
+        bus.write_frame(&frame(0x000, &[ENTER_PRE_OPERATIONAL, low]))
+            .unwrap();
+    }
     let read = frame(0x600 + node, &[0x40, 0x41, 0x60, 0, 0, 0, 0, 0]);
     bus.write_frame(&read).unwrap();
     let answer = receive(&bus, 0x580 + node);
