@@ -25,10 +25,6 @@ pub struct WorldConfig {
     pub solver_substeps: u32,
     /// Sweeps over all contacts in one sub-step.
     pub solver_sweeps: u32,
-    /// Whether an instrument's contacts at one place are solved as one. That is faster, and needs a stiffer
-    /// `grip` and more sweeps to hold as well.
-    #[serde(default)]
-    pub merges_contacts: bool,
     /// Size of what is typical here, m. The engine's tolerances (20 mm prediction, 5 mm slop at 1) scale with it.
     pub length_unit_m: f64,
     /// Gravity, m/s², along -z.

@@ -240,9 +240,23 @@ impl World {
             let q = pose.rotation.quaternion().coords;
             let [linear, angular] = self.thing_velocity(thing);
             let t = pose.translation.vector;
+            let (rests, still_s) = self.stage.thing_rest(thing);
             [
-                q.x, q.y, q.z, q.w, t.x, t.y, t.z, linear.x, linear.y, linear.z, angular.x,
-                angular.y, angular.z,
+                q.x,
+                q.y,
+                q.z,
+                q.w,
+                t.x,
+                t.y,
+                t.z,
+                linear.x,
+                linear.y,
+                linear.z,
+                angular.x,
+                angular.y,
+                angular.z,
+                f64::from(u8::from(rests)),
+                still_s,
             ]
         });
         let tissue = self.drape.iter().flat_map(Drape::state);

@@ -26,6 +26,11 @@ pub(super) const WRIST_RADIUS_M: f64 = 0.002_5;
 /// Top of the table that the tissue lies on, m; a needle pushed over the edge stops there.
 const TABLE_HEIGHT_M: f64 = -0.02;
 
+/// A thing that nobody touches rests once no point of it moved by twice this in a second, m/s, for [`REST_S`].
+const REST_M_S: f64 = 1e-5;
+/// How long it lies that still before it rests, s.
+const REST_S: f64 = 0.1;
+
 const INSTRUMENT: Group = Group::GROUP_1;
 const GRIPPED: Group = Group::GROUP_2;
 const GROUND: Group = Group::GROUP_3;
@@ -84,7 +89,11 @@ pub(super) fn engine_shape(shape: &Shape) -> (SharedShape, Pose) {
     }
 }
 
-pub(super) fn insert_thing(engine: &mut PhysicsWorld, thing: &Thing) -> RigidBodyHandle {
+pub(super) fn insert_thing(
+    engine: &mut PhysicsWorld,
+    config: &WorldConfig,
+    thing: &Thing,
+) -> RigidBodyHandle {
     let axes = Pose::from_parts([0.0; 3].into(), thing.axes);
     let properties = MassProperties::with_principal_inertia_frame(
         engine_vector(&thing.centre.coords),
@@ -92,11 +101,12 @@ pub(super) fn insert_thing(engine: &mut PhysicsWorld, thing: &Thing) -> RigidBod
         engine_vector(&thing.inertia),
         engine_pose(&axes).rotation,
     );
-    let body = RigidBodyBuilder::dynamic()
+    let mut body = RigidBodyBuilder::dynamic()
         .pose(engine_pose(&thing.in_scene))
         .additional_mass_properties(properties)
-        .can_sleep(false)
         .build();
+    body.activation_mut().normalized_linear_threshold = REST_M_S / config.length_unit_m;
+    body.activation_mut().time_until_sleep = REST_S;
     let handle = engine.insert_body(body);
     for piece in &thing.pieces {
         engine.insert_collider(collider(piece), Some(handle));

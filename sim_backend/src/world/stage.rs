@@ -64,7 +64,6 @@ pub(super) struct Stage {
     engine: PhysicsWorld,
     instruments: Vec<Instrument>,
     things: Vec<RigidBodyHandle>,
-    merges_contacts: bool,
 }
 
 impl Stage {
@@ -77,7 +76,7 @@ impl Stage {
         let things: Vec<_> = scenery
             .things
             .iter()
-            .map(|thing| insert_thing(&mut engine, thing))
+            .map(|thing| insert_thing(&mut engine, config, thing))
             .collect();
         insert_ground(&mut engine, config, &scenery.ground);
         let instruments = arms
@@ -88,17 +87,17 @@ impl Stage {
             engine,
             instruments,
             things,
-            merges_contacts: config.merges_contacts,
         }
     }
 
-    /// Moves the instruments within one step and lets the things follow. Each arm gives the poses of its parts and the
+    /// Moves the instruments within one step and lets the things follow, except those that lie still with no instrument
+    /// near them: they stay as they are. Each arm gives the poses of its parts and the
     /// point about which moments are then taken.
     pub(super) fn step(&mut self, arms: impl Iterator<Item = (PartPoses, Vector3<f64>)>) {
         let before: Vec<Pose> = (0..self.things.len())
             .map(|thing| self.thing_in_scene(thing))
             .collect();
-        let mut recall = Recall::new(self.merges_contacts);
+        let mut recall = Recall::default();
         let mut centres = Vec::with_capacity(self.instruments.len());
         for (instrument, (poses, centre)) in self.instruments.iter_mut().zip(arms) {
             instrument.remember(&mut recall, &self.things, &before);
@@ -106,6 +105,7 @@ impl Stage {
             centres.push(centre);
         }
         self.engine.step_with_events(&recall, &());
+        self.wake_what_is_near();
         for thing in 0..self.things.len() {
             let pose = self.thing_in_scene(thing);
             for (arm, centre) in centres.iter().enumerate() {
@@ -160,6 +160,15 @@ impl Stage {
         velocity.map_or_else(|| [Vector3::zeros(); 2], |pair| pair.map(our_vector))
     }
 
+    /// Whether a thing lies so still that it is not calculated, and for how long it has been still, s.
+    pub(super) fn thing_rest(&self, thing: usize) -> (bool, f64) {
+        let rest = self.engine.bodies.get(self.things[thing]).map(|body| {
+            let activation = body.activation();
+            (activation.sleeping, activation.time_since_can_sleep)
+        });
+        rest.unwrap_or_default()
+    }
+
     /// Kinetic energy of a thing and its potential energy over the scene's xy-plane, J.
     pub(super) fn energy_j(&self, thing: usize) -> f64 {
         self.engine.bodies.get(self.things[thing]).map_or(0.0, |b| {
@@ -173,6 +182,14 @@ impl Stage {
         if let Some(body) = self.engine.bodies.get_mut(self.things[thing]) {
             body.set_linvel(engine_vector(&velocity[0]), true);
             body.set_angvel(engine_vector(&velocity[1]), true);
+        }
+    }
+
+    /// Lets a thing be calculated for as long again as one that just came to lie still.
+    #[cfg(test)]
+    pub(super) fn wake(&mut self, thing: usize) {
+        if let Some(body) = self.engine.bodies.get_mut(self.things[thing]) {
+            body.wake_up(true);
         }
     }
 
@@ -224,6 +241,20 @@ impl Stage {
         sunk_m
     }
 
+    /// Keeps awake what an instrument may touch: only what lies alone may rest.
+    fn wake_what_is_near(&mut self) {
+        for part in self.instruments.iter().flat_map(|i| &i.parts) {
+            for pair in self.engine.narrow_phase.contact_pairs_with(part.collider) {
+                let other = other_of(pair, part.collider);
+                let parent = self.engine.colliders.get(other).and_then(|c| c.parent());
+                let thing = parent.filter(|body| self.things.contains(body));
+                if let Some(body) = thing.and_then(|thing| self.engine.bodies.get_mut(thing)) {
+                    body.wake_up(true);
+                }
+            }
+        }
+    }
+
     fn is_instrument(&self, collider: ColliderHandle) -> bool {
         let mut parts = self.instruments.iter().flat_map(|i| &i.parts);
         parts.any(|part| part.collider == collider)
@@ -232,11 +263,7 @@ impl Stage {
     fn touch_of(&self, part: ColliderHandle, thing: usize, centre: &Vector3<f64>) -> Touch {
         let mut touch = Touch::NONE;
         for pair in self.engine.narrow_phase.contact_pairs_with(part) {
-            let other = if pair.collider1 == part {
-                pair.collider2
-            } else {
-                pair.collider1
-            };
+            let other = other_of(pair, part);
             let body = self.engine.colliders.get(other).and_then(|c| c.parent());
             if body == Some(self.things[thing]) {
                 self.add_pair(&mut touch, pair, part, centre);
@@ -328,6 +355,14 @@ impl Instrument {
             memory.update(&self.poses[side], in_scene, touches[side].middle());
         }
         self.touches[thing] = touches;
+    }
+}
+
+fn other_of(pair: &ContactPair, one: ColliderHandle) -> ColliderHandle {
+    if pair.collider1 == one {
+        pair.collider2
+    } else {
+        pair.collider1
     }
 }
 

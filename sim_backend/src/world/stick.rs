@@ -59,21 +59,12 @@ impl Memory {
 }
 
 /// What the contacts of one step are told.
+#[derive(Default)]
 pub(super) struct Recall {
-    /// Whether contacts at one place are one.
-    merges: bool,
     homings: Vec<(ColliderHandle, RigidBodyHandle, EnginePose)>,
 }
 
 impl Recall {
-    /// Nothing to recall yet; contacts at one place are one if it `merges`.
-    pub(super) const fn new(merges: bool) -> Self {
-        Self {
-            merges,
-            homings: Vec::new(),
-        }
-    }
-
     /// Tells the contacts between `finger` and `thing` what the finger remembers, given both poses at the beginning of
     /// the step.
     pub(super) fn add(
@@ -101,7 +92,7 @@ impl Recall {
 
 impl PhysicsHooks for Recall {
     fn modify_solver_contacts(&self, context: &mut ContactModificationContext<'_>) {
-        if let (true, ModifiableContacts::Rigid(manifold)) = (self.merges, &mut context.contacts) {
+        if let ModifiableContacts::Rigid(manifold) = &mut context.contacts {
             merge(manifold.solver_contacts);
         }
         // The engine takes the velocity as one of the first body's surface.
