@@ -415,7 +415,9 @@ def row(what, times, base=None):
     wall, last, least, processor = figures(times)
     line = f"  {what:52} {wall:9.2f} {last:9.2f} {least:9.2f} {processor:9.2f}"
     if base:
-        ratio = [theirs / mine for theirs, mine in zip(figures(base), (wall, last, least, processor))]
+        ours = (wall, last, least, processor)
+        # A calling thread may take less than its clock can tell.
+        ratio = [theirs / mine if mine > 0 else math.nan for theirs, mine in zip(figures(base), ours)]
         line += "   times faster: " + " ".join(f"{r:.2f}" for r in ratio)
     print(line, flush=True)
 
