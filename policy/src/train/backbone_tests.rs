@@ -193,6 +193,48 @@ fn what_is_no_resnet_18_is_refused_with_the_tensor() {
 }
 
 #[test]
+fn what_torch_saved_is_refused_with_the_way_to_convert_it() {
+    // An archive, and the pickle that torch wrote before.
+    for start in [
+        &b"PK\x03\x04\0\0\x08\x08resnet18/data.pkl"[..],
+        &b"\x80\x02\x8a\nl\xfc\x9cF\xf9 j\xa8P\x19."[..],
+    ] {
+        let file = file("torch");
+        fs::write(&file, start).unwrap();
+        let error = BackboneWeights::load(&file).unwrap_err().to_string();
+        fs::remove_file(&file).unwrap();
+        let at = file.display();
+        let told = format!("policy/convert/resnet18.py NEW.safetensors --weights {at}`");
+        assert!(
+            error.starts_with(&format!("{at}: ")) && error.contains(&told),
+            "{error}"
+        );
+    }
+    let cut = file("cut");
+    fs::write(&cut, b"no weights at all").unwrap();
+    let error = BackboneWeights::load(&cut).unwrap_err().to_string();
+    fs::remove_file(&cut).unwrap();
+    assert!(error.contains("no intact safetensors file"), "{error}");
+}
+
+#[test]
+fn a_policy_s_file_is_refused_with_its_folder() {
+    let folder = std::env::temp_dir().join(format!("trocar-backbone-{}", std::process::id()));
+    fs::create_dir_all(&folder).unwrap();
+    let act = Act::new(frozen(), ParameterSource::seeded(9, Device::Cpu)).unwrap();
+    let tensors = act.parameters().iter();
+    let tensors = tensors.map(|(key, tensor)| (key.to_owned(), tensor.contiguous()));
+    let file = folder.join("model.safetensors");
+    write(&file, &tensors.collect());
+    let error = BackboneWeights::load(&file).unwrap_err().to_string();
+    let told = format!("name their folder instead: {}", folder.display());
+    assert!(error.ends_with(&told), "{error}");
+    // And that does it.
+    assert!(BackboneWeights::load(&folder).is_ok());
+    fs::remove_dir_all(&folder).unwrap();
+}
+
+#[test]
 fn a_policy_with_group_normalisation_has_no_statistics() {
     let scratch = dataset("backbone-none");
     let act = Act::new(config(), ParameterSource::seeded(9, Device::Cpu)).unwrap();
