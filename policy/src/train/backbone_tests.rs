@@ -6,9 +6,10 @@ use std::path::{Path, PathBuf};
 
 use tch::{Device, Kind, Tensor};
 
+use super::flat::FlatParameters;
 use super::resume_tests::{check, four_steps};
 use super::tests::{config, dataset, options, recipe};
-use super::{Progress, TrainError, TrainOptions, Trainer};
+use super::{Progress, TrainError, TrainOptions, TrainPrecision, Trainer};
 use crate::act::{Act, ActConfig, BackboneNorm};
 use crate::checkpoint::{self, BackboneWeights, SaveOptions};
 use crate::parameters::ParameterSource;
@@ -232,6 +233,36 @@ fn a_policy_s_file_is_refused_with_its_folder() {
     // And that does it.
     assert!(BackboneWeights::load(&folder).is_ok());
     fs::remove_dir_all(&folder).unwrap();
+}
+
+#[test]
+fn in_16_bits_statistics_are_still_those_of_32() {
+    // Of numbers that 16 bits can't hold.
+    let tensors = foreign().into_iter();
+    let backbone: BTreeMap<String, Tensor> = tensors
+        .map(|(name, tensor)| (format!("model.backbone.{name}"), tensor))
+        .collect();
+    let drawn = Act::new(frozen(), ParameterSource::seeded(9, Device::Cpu)).unwrap();
+    let all = drawn.parameters().iter().map(|(key, tensor)| {
+        let given = backbone.get(key).unwrap_or(tensor);
+        (key.to_owned(), given.shallow_clone())
+    });
+    let act = Act::new(frozen(), ParameterSource::given(all.collect())).unwrap();
+    let options = TrainOptions {
+        precision: TrainPrecision::Bf16,
+        ..options()
+    };
+    let flat = FlatParameters::new(act.parameters(), Device::Cpu, &options).unwrap();
+    let working = flat.working_tensors();
+    for (key, tensor) in &working {
+        if act.parameters().is_trainable(key) {
+            assert_eq!(tensor.kind(), Kind::BFloat16, "{key}");
+        } else {
+            assert_eq!(Some(tensor), act.parameters().get(key), "{key}");
+        }
+    }
+    // The network takes them so.
+    assert!(Act::new(frozen(), ParameterSource::given(working)).is_ok());
 }
 
 #[test]
