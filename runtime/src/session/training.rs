@@ -314,6 +314,10 @@ fn train_options(options: &TrainingOptions, preset: ActPreset) -> TrainOptions {
     } else {
         TrainOptions::preset(preset)
     };
+    let base = match options.backbone {
+        BackboneNorm::FrozenBatchNorm => base.for_trained_backbone(),
+        BackboneNorm::GroupNorm => base,
+    };
     let augmentation = if options.augment {
         Augmentation {
             shift_px: 4,
