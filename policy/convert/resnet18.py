@@ -9,9 +9,13 @@ Requirements: torch torchvision safetensors
 """
 
 import argparse
+import sys
 
 import torch
 from safetensors.torch import save_file
+
+# The first and the last tensor of the backbone.
+ENDS = ["conv1.weight", "layer4.1.bn2.running_var"]
 
 
 def main():
@@ -21,6 +25,8 @@ def main():
     options = parser.parse_args()
     if options.weights:
         state = torch.load(options.weights, map_location="cpu", weights_only=True)
+        if not isinstance(state, dict) or not all(isinstance(state.get(key), torch.Tensor) for key in ENDS):
+            sys.exit(f"{options.weights} is not torchvision's ResNet-18: {' and '.join(ENDS)} are not both there")
     else:
         from torchvision.models import ResNet18_Weights, resnet18
 

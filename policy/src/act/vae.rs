@@ -39,14 +39,13 @@ impl VaeEncoder {
         let tokens = config.chunk_size + 2;
         let table = Init::Table(sequence_table(tokens, width));
         let key = |name: &str| format!("{VAE_PREFIX}_{name}");
+        let position = source.fixed(&key("pos_enc"), &[1, tokens, width], &table)?;
+        let class_token =
+            source.trainable(&key("cls_embed.weight"), &[1, width], &Init::Normal(1.0))?;
         Ok(Self {
             encoder: Encoder::new(source, VAE_PREFIX, config.n_vae_encoder_layers, config)?,
-            position: source.fixed(&key("pos_enc"), &[1, tokens, width], &table)?,
-            class_token: source.trainable(
-                &key("cls_embed.weight"),
-                &[1, width],
-                &Init::Normal(1.0),
-            )?,
+            position: position.f_to_kind(class_token.kind())?,
+            class_token,
             state: Linear::new(
                 source,
                 &key("robot_state_input_proj"),

@@ -1,6 +1,8 @@
 //! Trained weights that a backbone with fixed statistics starts from.
 
 use std::collections::BTreeMap;
+use std::fs::File;
+use std::io::Read;
 use std::path::Path;
 
 use tch::{Device, Tensor};
@@ -28,7 +30,7 @@ impl BackboneWeights {
     ///
     /// # Errors
     /// [`CheckpointError`] naming the file and the tensor: one that is missing, left over, of another shape, not finite, or
-    /// a negative variance.
+    /// a negative variance; what to do instead if the file is one of torch's own, or a policy's without its folder.
     pub fn load(path: &Path) -> Result<Self, CheckpointError> {
         let (file, prefix) = if path.is_dir() {
             (path.join(WEIGHTS), BACKBONE_PREFIX)
@@ -40,8 +42,15 @@ impl BackboneWeights {
                 && !key.ends_with(COUNT)
                 && (!prefix.is_empty() || !NOT_OF_THE_BACKBONE.contains(&key))
         };
+        let read = tensors::read_some(&file, wanted).map_err(|error| explained(error, &file))?;
+        let whole = |key: &String| key.starts_with(BACKBONE_PREFIX);
+        if prefix.is_empty() && read.keys().any(whole) {
+            let folder = file.parent().filter(|it| !it.as_os_str().is_empty());
+            let folder = folder.unwrap_or(Path::new("."));
+            return Err(Cause::WholePolicy(folder.to_path_buf()).in_file(&file));
+        }
         let mut tensors = BTreeMap::new();
-        for (key, plain) in tensors::read_some(&file, wanted)? {
+        for (key, plain) in read {
             check_values(&key, &plain).map_err(|cause| cause.in_file(&file))?;
             let tensor = plain
                 .to_tensor(Device::Cpu)
@@ -58,6 +67,21 @@ impl BackboneWeights {
         })?;
         Ok(Self { tensors })
     }
+}
+
+/// The error of reading `file`, or a better one if the file is one of torch's own: an archive, or, of old, a pickle.
+fn explained(error: CheckpointError, file: &Path) -> CheckpointError {
+    const ARCHIVE: &[u8] = b"PK\x03\x04";
+    const PICKLE: &[u8] = b"\x80\x02";
+    if !matches!(error.cause, Cause::Safetensors(_)) {
+        return error;
+    }
+    let mut start = Vec::new();
+    let read = File::open(file).and_then(|it| it.take(4).read_to_end(&mut start));
+    if read.is_ok() && (start.starts_with(ARCHIVE) || start.starts_with(PICKLE)) {
+        return Cause::Pickled(file.to_path_buf()).in_file(file);
+    }
+    error
 }
 
 fn check_values(key: &str, plain: &Plain) -> Result<(), Cause> {

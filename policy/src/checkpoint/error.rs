@@ -29,6 +29,15 @@ pub enum Cause {
     /// It is no safetensors file, or is cut off.
     #[error("no intact safetensors file: {0}")]
     Safetensors(safetensors::SafeTensorError),
+    /// Weights as torch saves them, which only torch reads.
+    #[error(
+        "written by torch.save, which is not read here since it can run code; `python policy/convert/resnet18.py NEW.safetensors \
+         --weights {}` makes a file of it that is", .0.display()
+    )]
+    Pickled(PathBuf),
+    /// Weights of a whole policy where those of a backbone alone should be.
+    #[error("the weights of a whole policy, not of a backbone alone; name their folder instead: {}", .0.display())]
+    WholePolicy(PathBuf),
     /// A tensor has an element type that weights do not have.
     #[error("tensor {key} has element type {kind}, not F16, BF16 or F32")]
     ElementType {

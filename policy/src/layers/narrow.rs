@@ -9,6 +9,7 @@
 mod columns;
 mod kernel;
 #[cfg(test)]
+#[cfg(target_arch = "x86_64")]
 mod tests;
 mod vectors;
 mod weights;
@@ -49,7 +50,7 @@ pub(crate) struct Place {
 }
 
 impl Narrow {
-    /// `matrix` is `(outputs, rows)`, `bias` `(outputs)`.
+    /// `matrix` is `(outputs, rows)`, with a row at least, `bias` `(outputs)`.
     pub(crate) fn new(
         processor: Processor,
         matrix: &Tensor,
@@ -59,7 +60,9 @@ impl Narrow {
         let shape = matrix.size();
         let outputs = i64::try_from(bias.len()).unwrap_or(i64::MAX);
         let rows = match shape.as_slice() {
-            &[of_matrix, rows] if of_matrix == outputs => usize::try_from(rows).unwrap_or(0),
+            &[of_matrix, rows] if of_matrix == outputs && rows > 0 => {
+                usize::try_from(rows).unwrap_or(usize::MAX)
+            }
             _ => {
                 let text = format!("weights {shape:?} of {outputs} outputs");
                 return Err(TchError::Shape(text));
@@ -120,7 +123,7 @@ impl Narrow {
         (place, threads): (Place, usize),
     ) -> Result<(), TchError> {
         let most = size_of_val(panels) / WORTH_A_THREAD;
-        let share = (panels.len() / self.rows.max(1))
+        let share = (panels.len() / self.rows)
             .div_ceil(threads.min(most).max(1))
             .next_multiple_of(TOGETHER);
         let shares = panels

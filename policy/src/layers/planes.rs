@@ -8,6 +8,7 @@ mod direct;
 mod kernel;
 mod stem;
 #[cfg(test)]
+#[cfg(target_arch = "x86_64")]
 mod tests;
 mod transforms;
 mod winograd;
@@ -60,6 +61,15 @@ struct Ending<'a> {
 }
 
 impl Plane {
+    /// Refuses to go into a convolution of other than its channels.
+    fn check_channels(&self, inputs: usize) -> Result<(), TchError> {
+        if self.size.channels == inputs {
+            return Ok(());
+        }
+        let text = format!("{:?} into a convolution of {inputs} channels", self.size);
+        Err(TchError::Shape(text))
+    }
+
     /// As `(pixels of all pictures, channels)`, row by row.
     pub(crate) fn rows(&self) -> Result<Tensor, TchError> {
         let channels = i64::try_from(self.size.channels).unwrap_or(0);
@@ -153,6 +163,16 @@ fn load<S: Simd>(from: &[f32], at: usize) -> S::f32s {
 #[inline(always)]
 fn store<S: Simd>(to: &mut [f32], at: usize, value: S::f32s) {
     S::as_mut_simd_f32s(&mut to[at..at + S::F32_LANES]).0[0] = value;
+}
+
+/// A convolution's bias, one number for each of its `outputs`.
+fn bias_of(bias: &Tensor, outputs: usize) -> Result<Vec<f32>, TchError> {
+    let numbers = Vec::<f32>::try_from(bias)?;
+    if numbers.len() == outputs {
+        return Ok(numbers);
+    }
+    let text = format!("bias {:?} of {outputs} outputs", bias.size());
+    Err(TchError::Shape(text))
 }
 
 /// The lengths of a tensor's four dimensions.

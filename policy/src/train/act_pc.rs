@@ -57,7 +57,7 @@ impl Trainer {
         let source = ParameterSource::seeded(options.seed, Device::Cpu);
         let fresh = ActPc::new(config.clone(), source)?;
         let mut flat = FlatParameters::new(fresh.parameters(), self.device(), options)?;
-        let working = ParameterSource::given(flat.working_tensors()?);
+        let working = ParameterSource::given(flat.working_tensors());
         let statistics = [&set.statistics.state, &set.statistics.action];
         let [states, actions, is_pad] =
             numbers(dataset, &set.rows, steps, statistics, self.device())?;

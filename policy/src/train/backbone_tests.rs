@@ -6,9 +6,10 @@ use std::path::{Path, PathBuf};
 
 use tch::{Device, Kind, Tensor};
 
+use super::flat::FlatParameters;
 use super::resume_tests::{check, four_steps};
 use super::tests::{config, dataset, options, recipe};
-use super::{Progress, TrainError, TrainOptions, Trainer};
+use super::{Progress, TrainError, TrainOptions, TrainPrecision, Trainer};
 use crate::act::{Act, ActConfig, BackboneNorm};
 use crate::checkpoint::{self, BackboneWeights, SaveOptions};
 use crate::parameters::ParameterSource;
@@ -190,6 +191,78 @@ fn what_is_no_resnet_18_is_refused_with_the_tensor() {
         },
         "tensor bn1.bias has element type F64",
     );
+}
+
+#[test]
+fn what_torch_saved_is_refused_with_the_way_to_convert_it() {
+    // An archive, and the pickle that torch wrote before.
+    for start in [
+        &b"PK\x03\x04\0\0\x08\x08resnet18/data.pkl"[..],
+        &b"\x80\x02\x8a\nl\xfc\x9cF\xf9 j\xa8P\x19."[..],
+    ] {
+        let file = file("torch");
+        fs::write(&file, start).unwrap();
+        let error = BackboneWeights::load(&file).unwrap_err().to_string();
+        fs::remove_file(&file).unwrap();
+        let at = file.display();
+        let told = format!("policy/convert/resnet18.py NEW.safetensors --weights {at}`");
+        assert!(
+            error.starts_with(&format!("{at}: ")) && error.contains(&told),
+            "{error}"
+        );
+    }
+    let cut = file("cut");
+    fs::write(&cut, b"no weights at all").unwrap();
+    let error = BackboneWeights::load(&cut).unwrap_err().to_string();
+    fs::remove_file(&cut).unwrap();
+    assert!(error.contains("no intact safetensors file"), "{error}");
+}
+
+#[test]
+fn a_policy_s_file_is_refused_with_its_folder() {
+    let folder = std::env::temp_dir().join(format!("trocar-backbone-{}", std::process::id()));
+    fs::create_dir_all(&folder).unwrap();
+    let act = Act::new(frozen(), ParameterSource::seeded(9, Device::Cpu)).unwrap();
+    let tensors = act.parameters().iter();
+    let tensors = tensors.map(|(key, tensor)| (key.to_owned(), tensor.contiguous()));
+    let file = folder.join("model.safetensors");
+    write(&file, &tensors.collect());
+    let error = BackboneWeights::load(&file).unwrap_err().to_string();
+    let told = format!("name their folder instead: {}", folder.display());
+    assert!(error.ends_with(&told), "{error}");
+    // And that does it.
+    assert!(BackboneWeights::load(&folder).is_ok());
+    fs::remove_dir_all(&folder).unwrap();
+}
+
+#[test]
+fn in_16_bits_statistics_are_still_those_of_32() {
+    // Of numbers that 16 bits can't hold.
+    let tensors = foreign().into_iter();
+    let backbone: BTreeMap<String, Tensor> = tensors
+        .map(|(name, tensor)| (format!("model.backbone.{name}"), tensor))
+        .collect();
+    let drawn = Act::new(frozen(), ParameterSource::seeded(9, Device::Cpu)).unwrap();
+    let all = drawn.parameters().iter().map(|(key, tensor)| {
+        let given = backbone.get(key).unwrap_or(tensor);
+        (key.to_owned(), given.shallow_clone())
+    });
+    let act = Act::new(frozen(), ParameterSource::given(all.collect())).unwrap();
+    let options = TrainOptions {
+        precision: TrainPrecision::Bf16,
+        ..options()
+    };
+    let flat = FlatParameters::new(act.parameters(), Device::Cpu, &options).unwrap();
+    let working = flat.working_tensors();
+    for (key, tensor) in &working {
+        if act.parameters().is_trainable(key) {
+            assert_eq!(tensor.kind(), Kind::BFloat16, "{key}");
+        } else {
+            assert_eq!(Some(tensor), act.parameters().get(key), "{key}");
+        }
+    }
+    // The network takes them so.
+    assert!(Act::new(frozen(), ParameterSource::given(working)).is_ok());
 }
 
 #[test]

@@ -65,7 +65,7 @@ impl Trainer {
         let source = ParameterSource::seeded(options.seed, Device::Cpu);
         let fresh = Dp3::new(config.clone(), source)?;
         let mut flat = FlatParameters::new(fresh.parameters(), self.device(), options)?;
-        let working = ParameterSource::given(flat.working_tensors()?);
+        let working = ParameterSource::given(flat.working_tensors());
         let dp3 = Dp3::new(config.clone(), working)?;
         let run = Run::new(dp3, dataset, &set, (options.augmentation, self.device()))?;
         let statistics = [&set.statistics.state, &set.statistics.action];

@@ -95,17 +95,13 @@ impl FlatParameters {
         Ok(flat)
     }
 
-    /// The tensors that the network should be built from; in single precision they share their memory with these.
-    pub(super) fn working_tensors(&self) -> Result<BTreeMap<String, Tensor>, TchError> {
-        let kind = self.working.kind();
-        let mut tensors = BTreeMap::new();
-        for (key, tensor) in &self.fixed {
-            tensors.insert(key.clone(), tensor.f_to_kind(kind)?);
-        }
-        for (key, leaf) in self.keys.iter().zip(&self.leaves) {
-            tensors.insert(key.clone(), leaf.shallow_clone());
-        }
-        Ok(tensors)
+    /// The tensors that the network should be built from; they share their memory with these. Those that the optimiser leaves
+    /// alone are in single precision whatever the others are.
+    pub(super) fn working_tensors(&self) -> BTreeMap<String, Tensor> {
+        let trained = self.keys.iter().zip(&self.leaves);
+        let all = self.fixed.iter().chain(trained);
+        all.map(|(key, tensor)| (key.clone(), tensor.shallow_clone()))
+            .collect()
     }
 
     /// Where it all is.
@@ -317,7 +313,7 @@ mod tests {
             ..TrainOptions::preset(ActPreset::Small)
         };
         let mut flat = FlatParameters::new(&parameters, Device::Cpu, &options).unwrap();
-        let ours = flat.working_tensors().unwrap();
+        let ours = flat.working_tensors();
 
         let store = nn::VarStore::new(Device::Cpu);
         let filter = store.root().var_copy("filter", &filter);

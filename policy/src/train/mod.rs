@@ -215,7 +215,7 @@ impl Trainer {
         })?;
         let fresh = self.fresh(config, options)?;
         let mut flat = FlatParameters::new(fresh.parameters(), self.device, options)?;
-        let working = ParameterSource::given(flat.working_tensors()?);
+        let working = ParameterSource::given(flat.working_tensors());
         let run = Run {
             act: Act::new(config.clone(), working)?,
             images: ImageNormaliser::imagenet(self.device)?,

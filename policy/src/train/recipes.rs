@@ -7,7 +7,8 @@ use crate::act::ActPreset;
 use crate::dp3::MovingAverage;
 
 impl TrainOptions {
-    /// What suits `preset`. The original's learning rate of 1e-5 is for a pretrained backbone; from scratch it is tenfold.
+    /// What suits `preset` from scratch. The original's learning rates of 1e-5 are for a network whose backbone was trained
+    /// before; here they are tenfold.
     #[must_use]
     pub const fn preset(preset: ActPreset) -> Self {
         let small = Self {
@@ -48,8 +49,8 @@ impl TrainOptions {
         }
     }
 
-    /// `preset`'s recipe as its authors have it, where they say; from an ImageNet backbone, which a training here lacks, so
-    /// that [`Self::preset`] is what learns from scratch.
+    /// `preset`'s recipe as its authors have it, where they say. It is meant for a backbone that was trained on ImageNet
+    /// ([`Trainer::starting_from`](super::Trainer::starting_from)); [`Self::preset`] is what learns from scratch.
     ///
     /// The original's epochs take one frame of every episode: 2000 of them on 50 episodes are these steps.
     #[must_use]
@@ -72,6 +73,16 @@ impl TrainOptions {
             clip_norm,
             ema_decay: 0.0,
             ..Self::preset(preset)
+        }
+    }
+
+    /// The same for a backbone that was trained elsewhere: it moves at the rate that the authors of ACT give it, 1e-5, or
+    /// slower if it did.
+    #[must_use]
+    pub const fn for_trained_backbone(self) -> Self {
+        Self {
+            lr_backbone: self.lr_backbone.min(1e-5),
+            ..self
         }
     }
 
@@ -149,6 +160,12 @@ mod tests {
             numbers(TrainOptions::point_cloud_matters()),
             "batch 16 lr 5e-5 5e-5 beta 0.9 decay 5e-2 clip inf average 0 warm-up 0"
         );
+        let small = TrainOptions::preset(ActPreset::Small).for_trained_backbone();
+        assert_eq!(
+            numbers(small),
+            "batch 64 lr 1e-4 1e-5 beta 0.9 decay 1e-4 clip 10 average 0.999 warm-up 500"
+        );
+        assert_eq!(act.for_trained_backbone(), act);
         let dp3 = TrainOptions::dp3(1000);
         assert_eq!(
             (dp3.schedule, dp3.ema_power.to_bits()),

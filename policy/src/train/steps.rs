@@ -270,7 +270,7 @@ mod tests {
             ..TrainOptions::preset(ActPreset::Small)
         };
         let mut flat = FlatParameters::new(&parameters, Device::Cpu, &options).unwrap();
-        let number = flat.working_tensors().unwrap()["number"].shallow_clone();
+        let number = flat.working_tensors()["number"].shallow_clone();
         let learner = Planted {
             number,
             at: 8,

@@ -21,6 +21,7 @@ use crate::log::{Pressure, Recorder, RunHeader, RunLog, RunOutcome, TickRecord};
 use crate::replay::replay;
 use crate::verify::verify;
 
+mod backbone;
 mod clouds;
 mod latency;
 mod tissue;
@@ -247,43 +248,6 @@ fn training_options(data: PathBuf, out: PathBuf) -> TrainingOptions {
         seed: 1,
         save_every: 0,
         command: "train".to_owned(),
-    }
-}
-
-#[test]
-fn a_backbone_that_cannot_be_is_refused_before_anything_is_made() {
-    let folder = Scratch::new("session-backbone");
-    let out = folder.0.join("act");
-    let weights = folder.0.join("resnet18.safetensors");
-    let act = TrainingOptions {
-        backbone: BackboneNorm::FrozenBatchNorm,
-        ..training_options(folder.0.join("data"), out.clone())
-    };
-    let dp3 = TrainingOptions {
-        network: NetworkChoice::Dp3,
-        preset: "paper".to_owned(),
-        backbone: BackboneNorm::GroupNorm,
-        backbone_weights: Some(weights.clone()),
-        ..act.clone()
-    };
-    let group = TrainingOptions {
-        network: NetworkChoice::Act,
-        preset: "small".to_owned(),
-        ..dp3.clone()
-    };
-    let absent = TrainingOptions {
-        backbone_weights: Some(weights),
-        ..act.clone()
-    };
-    for (options, reason) in [
-        (act, "name it with --backbone-weights"),
-        (dp3, "act-pc and dp3 have none"),
-        (group, "of --backbone frozen_batch_norm"),
-        (absent, "resnet18.safetensors: file is missing"),
-    ] {
-        let error = train(&options, &mut |_| {}).unwrap_err().to_string();
-        assert!(error.contains(reason), "{error}");
-        assert!(!out.exists());
     }
 }
 

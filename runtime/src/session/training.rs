@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use policy::act::{ActConfig, ActPreset, BackboneNorm};
-use policy::checkpoint::{self, AggregationName, SaveOptions, Variants};
+use policy::checkpoint::{self, AggregationName, Variants};
 use policy::dataset::Dataset;
 use policy::train::{
     Augmentation, LossCurve, RunState, TrainError, TrainOptions, TrainPrecision, Trainer,
@@ -241,10 +241,7 @@ fn train_act(
         curve: &trained.curve,
     };
     let recipe = recipe(options, &train_options, dataset, &made, stopwatch.seconds());
-    let save = SaveOptions {
-        precision: training_backbone::precision(options.backbone),
-        inference_only: true,
-    };
+    let save = training_backbone::kept(options.backbone);
     checkpoint::save(
         &options.out,
         &trained.act,
@@ -316,6 +313,10 @@ fn train_options(options: &TrainingOptions, preset: ActPreset) -> TrainOptions {
         TrainOptions::published(preset)
     } else {
         TrainOptions::preset(preset)
+    };
+    let base = match options.backbone {
+        BackboneNorm::FrozenBatchNorm => base.for_trained_backbone(),
+        BackboneNorm::GroupNorm => base,
     };
     let augmentation = if options.augment {
         Augmentation {

@@ -1,7 +1,7 @@
 //! The backbone of an ACT network that is to be trained.
 
 use policy::act::BackboneNorm;
-use policy::checkpoint::{BackboneWeights, Precision};
+use policy::checkpoint::{BackboneWeights, Precision, SaveOptions};
 use policy::train::Trainer;
 
 use super::SessionError;
@@ -37,10 +37,17 @@ pub(super) fn trainer(options: &TrainingOptions) -> Result<Trainer, SessionError
     }
 }
 
-/// How a policy's weights are kept. Half precision has no room for every variance.
-pub(super) const fn precision(backbone: BackboneNorm) -> Precision {
+/// How a policy is kept. One that LeRobot loads is whole, with what only training needs, and in single precision: half
+/// precision has no room for every variance.
+pub(super) const fn kept(backbone: BackboneNorm) -> SaveOptions {
     match backbone {
-        BackboneNorm::FrozenBatchNorm => Precision::F32,
-        BackboneNorm::GroupNorm => Precision::F16,
+        BackboneNorm::FrozenBatchNorm => SaveOptions {
+            precision: Precision::F32,
+            inference_only: false,
+        },
+        BackboneNorm::GroupNorm => SaveOptions {
+            precision: Precision::F16,
+            inference_only: true,
+        },
     }
 }

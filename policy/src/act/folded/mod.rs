@@ -15,7 +15,7 @@ use tch::{Kind, TchError, Tensor};
 
 use super::Act;
 use crate::layers::folded::Affine;
-use backbone::FoldedBackbone;
+use backbone::{By, FoldedBackbone};
 pub(crate) use trunk::{FoldedTrunk, Situated};
 
 /// An ACT network for inference.
@@ -33,6 +33,12 @@ impl FoldedAct {
     /// # Errors
     /// The network library's.
     pub fn new(act: &Act, kind: Kind) -> Result<Self, TchError> {
+        Self::computed(act, By::fastest(&act.backbone, kind))
+    }
+
+    /// The same, whose backbone is computed `by` somebody.
+    fn computed(act: &Act, by: By) -> Result<Self, TchError> {
+        let kind = by.kind();
         tch::no_grad(|| {
             let config = act.config();
             let sides = [config.image_height, config.image_width];
@@ -40,7 +46,7 @@ impl FoldedAct {
             let image_weight = act.image_weight.f_flatten(1, 3)?;
             let position = act.image_position.f_squeeze_dim(0)?;
             Ok(Self {
-                backbone: FoldedBackbone::new(&act.backbone, sides, kind)?,
+                backbone: FoldedBackbone::new(&act.backbone, sides, by)?,
                 image_input: Affine::new(&image_weight, &act.image_bias, kind)?,
                 trunk: FoldedTrunk::new(&act.trunk, Some(&position), kind)?,
                 kind,

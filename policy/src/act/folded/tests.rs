@@ -5,7 +5,10 @@ use std::collections::BTreeMap;
 use tch::{Device, Kind, Tensor};
 
 use super::FoldedAct;
+use super::backbone::By;
+use super::own_backbone::OwnBackbone;
 use crate::act::{Act, ActConfig, BackboneNorm};
+use crate::layers::planes::Workspace;
 use crate::parameters::ParameterSource;
 use crate::rng::SplitMix64;
 
@@ -55,32 +58,33 @@ fn trained(config: &ActConfig) -> Act {
     Act::new(config.clone(), ParameterSource::given(moved)).unwrap()
 }
 
-/// How far the folded network's chunk is from the trained one's, of the greatest number in the latter.
-fn difference(config: &ActConfig, batch: i64) -> f64 {
-    // As policies run; with more threads all convolutions are the library's.
-    tch::set_num_threads(1);
+/// The library's convolutions and, where the network and the processor allow it, our own.
+fn means(act: &Act) -> Vec<By> {
+    let own = OwnBackbone::fits(&act.backbone).then(Workspace::find);
+    let own = own.flatten().map(By::Own);
+    let library = By::Library(Kind::Float);
+    own.into_iter().chain([library]).collect()
+}
+
+/// Every folded network's chunk is the trained one's.
+#[track_caller]
+fn check(config: &ActConfig, batch: i64) {
     let act = trained(config);
-    let mut folded = FoldedAct::new(&act, Kind::Float).unwrap();
     let cameras = i64::try_from(config.cameras.len()).unwrap();
     let images = numbers("images", &[batch, cameras, 3, 64, 96]) * 2.0;
     let state = numbers("state", &[batch, 7]);
-    let (expected, actual) = tch::no_grad(|| {
-        (
-            act.infer(&images, &state).unwrap(),
-            folded.infer(&images, &state).unwrap(),
-        )
-    });
-    assert_eq!(expected.size(), actual.size());
-    assert!(!actual.requires_grad());
+    let expected = tch::no_grad(|| act.infer(&images, &state)).unwrap();
     let scale = expected.abs().max().double_value(&[]);
     assert!(scale > 0.1, "the network says something: {scale}");
-    (expected - actual).abs().max().double_value(&[]) / scale
-}
-
-#[track_caller]
-fn check(config: &ActConfig, batch: i64) {
-    let off = difference(config, batch);
-    assert!(off <= ROUNDING, "off by {off:e}: {config:?}");
+    for by in means(&act) {
+        let way = format!("{by:?}");
+        let mut folded = FoldedAct::computed(&act, by).unwrap();
+        let actual = tch::no_grad(|| folded.infer(&images, &state)).unwrap();
+        assert_eq!(expected.size(), actual.size());
+        assert!(!actual.requires_grad());
+        let off = (&expected - actual).abs().max().double_value(&[]) / scale;
+        assert!(off <= ROUNDING, "off by {off:e}: {way}, {config:?}");
+    }
 }
 
 #[test]
@@ -108,12 +112,29 @@ fn further_decoder_layers_and_early_normalisation_fold_too() {
 }
 
 #[test]
-fn same_observation_gives_same_bits() {
+fn fixed_normalisations_on_one_core_are_computed_by_our_own_convolutions() {
     tch::set_num_threads(1);
+    let found = Workspace::find().is_some();
+    for (norm, kind, own) in [
+        (BackboneNorm::FrozenBatchNorm, Kind::Float, found),
+        (BackboneNorm::FrozenBatchNorm, Kind::BFloat16, false),
+        (BackboneNorm::GroupNorm, Kind::Float, false),
+    ] {
+        let act = trained(&config(norm, 1));
+        let by = By::fastest(&act.backbone, kind);
+        assert_eq!((matches!(by, By::Own(_)), by.kind()), (own, kind));
+    }
+}
+
+#[test]
+fn same_observation_gives_same_bits() {
     let config = config(BackboneNorm::FrozenBatchNorm, 2);
-    let mut folded = FoldedAct::new(&trained(&config), Kind::Float).unwrap();
+    let act = trained(&config);
     let images = numbers("images", &[1, 2, 3, 64, 96]);
     let state = numbers("state", &[1, 7]);
-    let mut ask = || tch::no_grad(|| folded.infer(&images, &state)).unwrap();
-    assert_eq!(ask(), ask());
+    for by in means(&act) {
+        let mut folded = FoldedAct::computed(&act, by).unwrap();
+        let mut ask = || tch::no_grad(|| folded.infer(&images, &state)).unwrap();
+        assert_eq!(ask(), ask());
+    }
 }

@@ -11,6 +11,13 @@ use crate::rng::SplitMix64;
 /// Of the sum of the sizes of what is added up, which rounding goes by.
 const ROUNDING: f64 = 1e-6;
 
+/// All that this processor can be taken for. Where it is none of them, nothing here would be tested.
+fn processors() -> Vec<Processor> {
+    let all = Processor::all();
+    assert!(!all.is_empty(), "the tests need AVX2");
+    all
+}
+
 #[expect(
     clippy::cast_possible_truncation,
     reason = "networks compute in single precision"
@@ -79,7 +86,7 @@ fn check(outputs: usize, rows: usize, count: usize) {
             .matmul(&tensor(&x, [rows, count]).abs())
             + 1.0;
         let mut answers = Vec::new();
-        for processor in Processor::all() {
+        for processor in processors() {
             let answer = product(&narrow(processor, &weights, outputs), &x, count);
             let off = (tensor(&answer, [outputs, count]) - &expected).abs() / &sizes;
             let off = off.max().double_value(&[]);
@@ -119,7 +126,7 @@ fn every_number_of_half_precision_is_widened_exactly() {
         .map(|bits| f16::from_bits(bits).to_f32())
         .filter(|number| number.is_finite())
         .collect();
-    for processor in Processor::all() {
+    for processor in processors() {
         let mut narrow = narrow(processor, &every, every.len());
         narrow.bias.fill(0.0);
         assert!(matches!(narrow.weights, Weights::Half(_)));
@@ -164,7 +171,7 @@ fn weights_lie_in_the_fewest_bits_that_hold_all_of_them() {
 fn check_same_bits(weights: &[f32], rows: usize) {
     let outputs = weights.len() / rows;
     let x = numbers("x", rows * 4);
-    for processor in Processor::all() {
+    for processor in processors() {
         let mut narrow = narrow(processor, weights, outputs);
         assert!(!matches!(narrow.weights, Weights::Single(_)));
         let answer = product(&narrow, &x, 4);
@@ -178,7 +185,7 @@ fn what_is_not_a_number_stays_so_and_stays_alone() {
     let mut weights = halves(&numbers("weights", 40 * 9));
     for odd in [f32::NAN, f32::INFINITY] {
         weights[13 * 9 + 5] = odd;
-        for processor in Processor::all() {
+        for processor in processors() {
             let answer = product(&narrow(processor, &weights, 40), &numbers("x", 9 * 4), 4);
             for (index, number) in answer.iter().enumerate() {
                 assert_eq!(!number.is_finite(), index / 4 == 13, "{index}: {number}");
@@ -189,7 +196,7 @@ fn what_is_not_a_number_stays_so_and_stays_alone() {
 
 #[test]
 fn windows_are_what_a_convolution_sees() {
-    for processor in Processor::all() {
+    for processor in processors() {
         for (steps, taps, before, stride, count) in [
             (4, 5, 2, 1, 4),
             (8, 3, 1, 2, 4),
@@ -243,7 +250,7 @@ fn threads_change_no_bit() {
     let (outputs, rows) = (11 * 16 - 3, 4000);
     let weights = numbers("weights", outputs * rows);
     let x = numbers("x", rows * 5);
-    for processor in Processor::all() {
+    for processor in processors() {
         let narrow = narrow(processor, &weights, outputs);
         let columns = columns(processor, &x, 5);
         let place = Place {
@@ -276,13 +283,14 @@ fn threads_change_no_bit() {
 
 #[test]
 fn misfits_are_refused() {
-    let processors = Processor::all();
-    let Some(&processor) = processors.first() else {
-        return;
-    };
+    let processor = processors()[0];
     let matrix = tensor(&numbers("weights", 32 * 3), [32, 3]);
     let bias = Tensor::from_slice(&numbers("bias", 31));
     assert!(Narrow::new(processor, &matrix, &bias).is_err());
+    let bias = Tensor::from_slice(&numbers("bias", 32));
+    assert!(Narrow::new(processor, &matrix, &bias).is_ok());
+    let empty = tensor(&[], [32, 0]);
+    assert!(Narrow::new(processor, &empty, &bias).is_err());
     let narrow = narrow(processor, &numbers("weights", 32 * 3), 32);
     let place = Place {
         first: 1,

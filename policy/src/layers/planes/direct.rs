@@ -1,10 +1,10 @@
 //! Convolutions tap by tap: of any stride, and of pictures that are too small for tiles.
 
-use pulp::{Simd, WithSimd};
+use pulp::Simd;
 use tch::{TchError, Tensor};
 
-use super::kernel::{PANEL, Sums, accumulate};
-use super::{Ending, Plane, Size, Workspace, shape_of};
+use super::kernel::{InRegisters, PANEL, Sums, Work, accumulate, panels};
+use super::{Ending, Plane, Size, Workspace, bias_of, shape_of};
 
 /// Numbers of an input that a block of rows reads at most, so that it stays in the second-level cache.
 const BLOCK: usize = 1 << 17;
@@ -45,12 +45,9 @@ impl Direct {
             let text = format!("weight {:?} by {steps:?}", weight.size());
             return Err(TchError::Shape(text));
         }
-        let panel = i64::try_from(PANEL).unwrap_or(0);
-        let last = weight.f_unflatten(0, [-1, panel])?;
-        let last = last.f_permute([0, 3, 4, 2, 1])?.f_contiguous()?;
         Ok(Self {
-            weight: Vec::try_from(&last.f_view([-1])?)?,
-            bias: Vec::try_from(bias)?,
+            weight: panels(weight, [0, 3, 4, 2, 1])?,
+            bias: bias_of(bias, outputs)?,
             side,
             steps,
             inputs,
@@ -76,27 +73,25 @@ impl Direct {
             channels: self.bias.len(),
             ..x.size
         };
-        if x.size.channels != self.inputs {
-            return Err(TchError::Shape(format!("{:?} into {self:?}", x.size)));
-        }
+        x.check_channels(self.inputs)?;
         let ending = Ending::new(&self.bias, beside, self.rectified, size)?;
         let mut out = workspace.plane(size);
         if size.numbers() > 0 {
-            workspace.vectors.dispatch(Work {
+            workspace.vectors.dispatch(InRegisters(Taps {
                 convolution: self,
                 x,
                 zeros: &vec![0.0; self.inputs],
                 ending,
                 size,
                 out: &mut out.values,
-            });
+            }));
         }
         Ok(out)
     }
 }
 
-/// One convolution, for whichever vector instructions the processor has.
-struct Work<'a> {
+/// One convolution.
+struct Taps<'a> {
     convolution: &'a Direct,
     x: &'a Plane,
     /// What lies outside of a picture.
@@ -107,23 +102,9 @@ struct Work<'a> {
     out: &'a mut [f32],
 }
 
-impl WithSimd for Work<'_> {
-    type Output = ();
-
+impl Work for Taps<'_> {
     #[inline(always)]
-    fn with_simd<S: Simd>(mut self, simd: S) {
-        match S::F32_LANES {
-            16 => self.blocks::<S, 8, 2>(simd),
-            8 => self.blocks::<S, 2, 4>(simd),
-            4 => self.blocks::<S, 2, 8>(simd),
-            _ => self.blocks::<S, 1, PANEL>(simd),
-        }
-    }
-}
-
-impl Work<'_> {
-    #[inline(always)]
-    fn blocks<S: Simd, const ROWS: usize, const VECTORS: usize>(&mut self, simd: S) {
+    fn run<S: Simd, const ROWS: usize, const VECTORS: usize>(self, simd: S) {
         let Direct {
             weight,
             side,
@@ -154,7 +135,9 @@ impl Work<'_> {
             }
         }
     }
+}
 
+impl Taps<'_> {
     /// The sums over the taps of the pixels from `first` on, row by row; behind the last pixel whatever.
     #[inline(always)]
     fn group<S: Simd, const ROWS: usize, const VECTORS: usize>(

@@ -1,6 +1,7 @@
 //! What all these convolutions come to: some rows of inputs by a panel of weights.
 
-use pulp::Simd;
+use pulp::{Simd, WithSimd};
+use tch::{TchError, Tensor};
 
 /// Outputs whose weights lie side by side.
 pub(super) const PANEL: usize = 32;
@@ -8,6 +9,36 @@ pub(super) const PANEL: usize = 32;
 /// For each row, a panel of outputs as `VECTORS` vectors.
 pub(super) type Sums<S, const ROWS: usize, const VECTORS: usize> =
     [[<S as Simd>::f32s; VECTORS]; ROWS];
+
+/// A convolution of given planes, whose sums the processor's registers should hold.
+pub(super) trait Work {
+    /// All of it, `ROWS` rows by `VECTORS` vectors of sums at once.
+    fn run<S: Simd, const ROWS: usize, const VECTORS: usize>(self, simd: S);
+}
+
+/// Work in whichever registers the processor has.
+pub(super) struct InRegisters<W>(pub(super) W);
+
+impl<W: Work> WithSimd for InRegisters<W> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) {
+        match S::F32_LANES {
+            16 => self.0.run::<S, 8, 2>(simd),
+            8 => self.0.run::<S, 2, 4>(simd),
+            4 => self.0.run::<S, 2, 8>(simd),
+            _ => self.0.run::<S, 1, PANEL>(simd),
+        }
+    }
+}
+
+/// `weight` `(outputs, ..)` with the outputs of a panel last: its dimensions, the outputs in two, in this order.
+pub(super) fn panels(weight: &Tensor, order: [i64; 5]) -> Result<Vec<f32>, TchError> {
+    let panel = i64::try_from(PANEL).unwrap_or(0);
+    let last = weight.f_unflatten(0, [-1, panel])?.f_permute(order)?;
+    Vec::try_from(&last.f_contiguous()?.f_view([-1])?)
+}
 
 /// Adds the products of each row's numbers with `weight` `(numbers, outputs of a panel)`, one number after the other.
 ///

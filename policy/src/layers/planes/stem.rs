@@ -3,11 +3,11 @@
 //! A row of the convolution goes through the pooling as soon as its neighbours are there, so that the largest picture of
 //! the network never leaves the second-level cache.
 
-use pulp::{Simd, WithSimd};
+use pulp::Simd;
 use tch::{TchError, Tensor};
 
-use super::kernel::{PANEL, Sums};
-use super::{Ending, Plane, Size, Workspace, grow, load, shape_of, store};
+use super::kernel::{InRegisters, PANEL, Sums, Work, panels};
+use super::{Ending, Plane, Size, Workspace, bias_of, grow, load, shape_of, store};
 
 /// Colours of a picture.
 const COLOURS: usize = 3;
@@ -66,12 +66,9 @@ impl Stem {
         if !outputs.is_multiple_of(PANEL) || rest != [COLOURS, TAPS, TAPS] {
             return Err(TchError::Shape(format!("weight {:?}", weight.size())));
         }
-        let panel = i64::try_from(PANEL).unwrap_or(0);
-        let last = weight.f_unflatten(0, [-1, panel])?;
-        let last = last.f_permute([0, 2, 3, 4, 1])?.f_contiguous()?;
         Ok(Self {
-            weight: Vec::try_from(&last.f_view([-1])?)?,
-            bias: Vec::try_from(bias)?,
+            weight: panels(weight, [0, 2, 3, 4, 1])?,
+            bias: bias_of(bias, outputs)?,
         })
     }
 
@@ -112,14 +109,14 @@ impl Stem {
                 .f_contiguous()?
                 .f_copy_data(other, numbers)?;
             pad(&other[..numbers], padded, [height, width], lengths);
-            vectors.dispatch(Work {
+            vectors.dispatch(InRegisters(Picture {
                 stem: self,
                 padded,
                 rows: other,
                 lengths,
                 size,
                 out,
-            });
+            }));
         }
         Ok(out)
     }
@@ -143,8 +140,8 @@ fn pad(picture: &[f32], padded: &mut Vec<f32>, [height, width]: [usize; 2], leng
     }
 }
 
-/// One picture, for whichever vector instructions the processor has.
-struct Work<'a> {
+/// One picture.
+struct Picture<'a> {
     stem: &'a Stem,
     padded: &'a [f32],
     /// The last rows of the convolution, each at its number's remainder.
@@ -155,21 +152,14 @@ struct Work<'a> {
     out: &'a mut [f32],
 }
 
-impl WithSimd for Work<'_> {
-    type Output = ();
-
+impl Work for Picture<'_> {
     #[inline(always)]
-    fn with_simd<S: Simd>(mut self, simd: S) {
+    fn run<S: Simd, const ROWS: usize, const VECTORS: usize>(mut self, simd: S) {
         let mut computed = 0;
         for y in 0..self.size.height {
             let seen = 2 * y + 2;
             while computed < seen.min(self.lengths.high) {
-                match S::F32_LANES {
-                    16 => self.convolve::<S, 8, 2>(simd, computed),
-                    8 => self.convolve::<S, 2, 4>(simd, computed),
-                    4 => self.convolve::<S, 2, 8>(simd, computed),
-                    _ => self.convolve::<S, 1, PANEL>(simd, computed),
-                }
+                self.convolve::<S, ROWS, VECTORS>(simd, computed);
                 computed += 1;
             }
             self.pool(simd, y);
@@ -177,7 +167,7 @@ impl WithSimd for Work<'_> {
     }
 }
 
-impl Work<'_> {
+impl Picture<'_> {
     /// One row of the convolution, without the bias.
     #[inline(always)]
     fn convolve<S: Simd, const ROWS: usize, const VECTORS: usize>(&mut self, simd: S, y: usize) {

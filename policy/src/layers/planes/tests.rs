@@ -233,14 +233,30 @@ fn what_is_not_a_number_stays_so() {
 #[test]
 fn shapes_that_do_not_fit_are_refused() {
     let zeros = |shape: &[i64]| Tensor::zeros(shape, (Kind::Float, Device::Cpu));
-    for shape in [[32, 16, 5, 5], [31, 16, 3, 3], [32, 15, 3, 3]] {
+    for shape in [
+        [32, 16, 5, 5],
+        [31, 16, 3, 3],
+        [32, 15, 3, 3],
+        [32, 0, 3, 3],
+    ] {
         assert!(Winograd::new(&zeros(&shape), &zeros(&shape[..1])).is_err());
     }
-    for shape in [[31, 16, 3, 3], [32, 16, 3, 1], [32, 16, 1, 1]] {
+    for shape in [
+        [31, 16, 3, 3],
+        [32, 16, 3, 1],
+        [32, 16, 1, 1],
+        [32, 0, 3, 3],
+    ] {
         assert!(Direct::new(&zeros(&shape), &zeros(&shape[..1]), HALF, true).is_err());
     }
     for shape in [[31, 3, 7, 7], [32, 1, 7, 7], [32, 3, 3, 3]] {
         assert!(Stem::new(&zeros(&shape), &zeros(&shape[..1])).is_err());
+    }
+    for outputs in [31, 33] {
+        let bias = zeros(&[outputs]);
+        assert!(Winograd::new(&zeros(&[32, 16, 3, 3]), &bias).is_err());
+        assert!(Direct::new(&zeros(&[32, 16, 3, 3]), &bias, HALF, true).is_err());
+        assert!(Stem::new(&zeros(&[32, 3, 7, 7]), &bias).is_err());
     }
     let vectors = Workspace::find().unwrap().vectors;
     for way in [Way::Tiles, Way::Taps(HALF)] {
@@ -249,7 +265,9 @@ fn shapes_that_do_not_fit_are_refused() {
         assert!(case.ours(vectors).is_err());
         case.beside = None;
         case.weight = numbers("weight", &[32, 32, 3, 3]);
-        assert!(case.ours(vectors).is_err());
+        let error = case.ours(vectors).unwrap_err().to_string();
+        assert!(error.contains("channels: 16 }") && error.contains("of 32 channels"));
+        assert!(error.len() < 200, "{error}");
     }
     let stem = Case::new(Way::Stem, [1, 3, 8, 8], 32);
     let grey = numbers("x", &[1, 1, 8, 8]);

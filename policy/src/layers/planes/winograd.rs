@@ -6,12 +6,12 @@
 //! square roots of a half and of two, whose powers are as close to one as four such points allow, so that little is lost to
 //! rounding.
 
-use pulp::{Simd, WithSimd};
+use pulp::Simd;
 use tch::{TchError, Tensor};
 
-use super::kernel::{PANEL, accumulate};
+use super::kernel::{InRegisters, PANEL, Work, accumulate};
 use super::transforms::{Constants, from_tile, kernel_to_tile, to_tile};
-use super::{Ending, Plane, Size, Workspace, grow, shape_of};
+use super::{Ending, Plane, Size, Workspace, bias_of, grow, shape_of};
 
 /// Outputs along a side of a tile.
 pub(super) const OUTPUTS: usize = 4;
@@ -64,7 +64,8 @@ impl Winograd {
     /// `weight` `(outputs, inputs, 3, 3)` and `bias` `(outputs)`; outputs are a multiple of 32, inputs of 16.
     pub(crate) fn new(weight: &Tensor, bias: &Tensor) -> Result<Self, TchError> {
         let [outputs, inputs, high, wide] = shape_of(weight)?;
-        if !outputs.is_multiple_of(PANEL) || !inputs.is_multiple_of(16) || [high, wide] != [3, 3] {
+        let fits = outputs.is_multiple_of(PANEL) && inputs.is_multiple_of(16) && inputs > 0;
+        if !fits || [high, wide] != [3, 3] {
             return Err(TchError::Shape(format!("weight {:?}", weight.size())));
         }
         let kernels = Vec::<f32>::try_from(&weight.f_contiguous()?.f_view([-1])?)?;
@@ -79,7 +80,7 @@ impl Winograd {
         }
         Ok(Self {
             weight: tiles,
-            bias: Vec::try_from(bias)?,
+            bias: bias_of(bias, outputs)?,
             inputs,
             outputs,
         })
@@ -103,9 +104,7 @@ impl Winograd {
             channels: self.outputs,
             ..x.size
         };
-        if x.size.channels != self.inputs {
-            return Err(TchError::Shape(format!("{:?} into {:?}", x.size, size)));
-        }
+        x.check_channels(self.inputs)?;
         let ending = Ending::new(&self.bias, beside, true, size)?;
         let mut out = workspace.plane(size);
         // More channels need more tiles for each time that the weights are read.
@@ -119,20 +118,20 @@ impl Winograd {
             VALUES * (block * self.outputs + GAP),
         );
         let vectors = workspace.vectors;
-        vectors.dispatch(Work {
+        vectors.dispatch(InRegisters(Tiles {
             convolution: self,
             x,
             ending,
             out: &mut out.values,
             block,
             workspace,
-        });
+        }));
         Ok(out)
     }
 }
 
-/// One convolution, for whichever vector instructions the processor has.
-struct Work<'a> {
+/// One convolution.
+struct Tiles<'a> {
     convolution: &'a Winograd,
     x: &'a Plane,
     ending: Ending<'a>,
@@ -142,11 +141,9 @@ struct Work<'a> {
     workspace: &'a mut Workspace,
 }
 
-impl WithSimd for Work<'_> {
-    type Output = ();
-
+impl Work for Tiles<'_> {
     #[inline(always)]
-    fn with_simd<S: Simd>(self, simd: S) {
+    fn run<S: Simd, const ROWS: usize, const VECTORS: usize>(self, simd: S) {
         let constants = Constants::new(simd);
         let &Winograd {
             inputs, outputs, ..
@@ -170,12 +167,7 @@ impl WithSimd for Work<'_> {
                 let weight = &weight[..inputs * outputs];
                 let tiles = &tiles[value * between_tiles..];
                 let products = &mut products[value * between_products..];
-                match S::F32_LANES {
-                    16 => product::<S, 8, 2>(simd, weight, tiles, products, count, inputs),
-                    8 => product::<S, 2, 4>(simd, weight, tiles, products, count, inputs),
-                    4 => product::<S, 2, 8>(simd, weight, tiles, products, count, inputs),
-                    _ => product::<S, 1, PANEL>(simd, weight, tiles, products, count, inputs),
-                }
+                product::<S, ROWS, VECTORS>(simd, weight, tiles, products, count, inputs);
             }
             for index in 0..count {
                 let from = (&products[index * outputs..], between_products);

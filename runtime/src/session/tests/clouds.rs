@@ -4,15 +4,18 @@ use super::*;
 use crate::session::SessionError;
 use crate::session::training::TrainingResult;
 
-fn small_lift(policy: &PolicyChoice) -> Setup {
+/// Sides of the camera's images, pixels.
+const SIDE: u32 = 128;
+
+fn small_lift(policy: &PolicyChoice, side: u32) -> Setup {
     let mut setup = Setup::load("needle-lift", None, policy).unwrap();
     for camera in &mut setup.task.cameras {
-        (camera.width, camera.height) = (128, 128);
+        (camera.width, camera.height) = (side, side);
     }
     setup
 }
 
-fn record_lift(out: &Path, depth: bool) -> Dataset {
+pub(super) fn record_lift(out: &Path, depth: bool, side: u32) -> Dataset {
     let options = RecordOptions {
         episodes: 1,
         out: out.to_owned(),
@@ -21,7 +24,8 @@ fn record_lift(out: &Path, depth: bool) -> Dataset {
         depth,
         video: None,
     };
-    record(&small_lift(&PolicyChoice::Expert), &options, &mut |_| {}).unwrap();
+    let setup = small_lift(&PolicyChoice::Expert, side);
+    record(&setup, &options, &mut |_| {}).unwrap();
     Dataset::open(out).unwrap()
 }
 
@@ -56,7 +60,7 @@ fn train_simple(data: &Path, out: &Path) -> Result<TrainingResult, SessionError>
 fn a_demonstration_with_depth_trains_a_diffusion_policy_that_repeats_itself() {
     let folder = Scratch::new("session-clouds");
     let (data, out) = (folder.0.join("data"), folder.0.join("dp3"));
-    let dataset = record_lift(&data, true);
+    let dataset = record_lift(&data, true, SIDE);
     let seen = dataset.depth(0, 0).unwrap();
     assert!(seen.units.iter().any(|&units| units > 0));
     assert!(
@@ -69,7 +73,7 @@ fn a_demonstration_with_depth_trains_a_diffusion_policy_that_repeats_itself() {
     let mut hashes = Vec::new();
     for run in 0..2 {
         let file = Scratch::new(&format!("session-clouds-{run}"));
-        let (end, log) = run_setup(&small_lift(&policy), &policy, 1500, &file);
+        let (end, log) = run_setup(&small_lift(&policy, SIDE), &policy, 1500, &file);
         assert_eq!(end.tally.faults(), None);
         hashes.push(end.tally.command_hash());
         let chunks: Vec<_> = log.ticks().filter_map(|(_, chunks)| chunks.first).collect();
@@ -88,7 +92,7 @@ fn a_demonstration_with_depth_trains_a_diffusion_policy_that_repeats_itself() {
 fn a_recording_without_depth_is_refused_with_what_to_do() {
     let folder = Scratch::new("session-no-depth");
     let (data, out) = (folder.0.join("data"), folder.0.join("dp3"));
-    record_lift(&data, false);
+    record_lift(&data, false, SIDE);
     let error = train_simple(&data, &out).unwrap_err();
     assert!(error.is_bad_input());
     assert!(error.to_string().contains("record with --depth"), "{error}");
