@@ -28,6 +28,7 @@
 //! power lost                               status word                     fault
 //! somebody else's SYNC, NMT, set-points    their identifiers               fault, and the nodes are stopped in every cycle:
 //! or writing over SDO                                                      they hear no set-points; our heartbeat ends
+//! the same during bring-up                 their identifiers               no arm
 //! a second node with a drive's number      the drive's emergency           fault
 //! wrong identity                           bring-up                        no arm
 //! stored offset, PDOs, timers, time stamps bring-up                        cleared; no arm if a drive keeps them
@@ -51,6 +52,7 @@ mod client;
 pub mod config;
 pub mod cycle;
 pub mod fault;
+mod foreign;
 pub mod link;
 pub mod plan;
 pub mod space;

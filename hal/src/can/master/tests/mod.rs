@@ -12,6 +12,7 @@ mod motion;
 mod settings;
 mod two_arms;
 mod unused;
+mod watched;
 mod withdrawn;
 
 use super::*;
