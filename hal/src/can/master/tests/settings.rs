@@ -90,8 +90,11 @@ fn a_drive_that_is_stricter_than_it_must_be_stays_so() {
 
 /// What bring-up says when node 3 answers that an object has `value`, whatever was written.
 fn refused(object: u16, sub: u8, value: &'static [u8]) -> String {
-    let plan = plan(1, 2 * MS);
-    let scanned = Offline::new(network(&plan), &plan).unwrap().scan();
+    refused_by(&plan(1, 2 * MS), object, sub, value)
+}
+
+fn refused_by(plan: &ArmPlan, object: u16, sub: u8, value: &'static [u8]) -> String {
+    let scanned = Offline::new(network(plan), plan).unwrap().scan();
     let mut scanned = scanned.unwrap();
     let [low, high] = object.to_le_bytes();
     let mut reads = false;
@@ -188,9 +191,34 @@ fn a_drive_that_keeps_an_unsafe_value_is_refused_with_node_object_value_and_what
             &[0xA0, 0x0F, 0, 0],
             "608F:01 is 4000, allowed [10000, 10000]",
         ),
+        // Of more turns than there are numbers for, or none.
+        (
+            0x608F,
+            2,
+            &[0xFF; 4],
+            "608F:02 is 4294967295, allowed [1, 429496]",
+        ),
+        (0x608F, 2, &[0; 4], "608F:02 is 0, allowed [1, 429496]"),
+        (
+            0x608F,
+            2,
+            &[3, 0, 0, 0],
+            "608F:01 is 10000, allowed [30000, 30000]",
+        ),
         // What is communication must be as it was written.
         (0x1017, 0, &[0, 0], "1017:00 is 0, allowed [100, 100]"),
     ] {
         assert_eq!(refused(object, sub, value), format!("node 3: {refusal}"));
     }
+}
+
+#[test]
+fn turns_and_counts_whose_product_no_number_holds_are_refused_as_any_others() {
+    let mut plan = plan(1, 2 * MS);
+    plan.axes[2].counts_per_turn = u32::MAX;
+    let refusal = "node 3: 608F:02 is 4294967295, allowed [1, 1]";
+    assert_eq!(refused_by(&plan, 0x608F, 2, &[0xFF; 4]), refusal);
+    plan.axes[2].counts_per_turn = 0;
+    let refusal = "node 3: 608F:02 is 3, allowed [1, 0]";
+    assert_eq!(refused_by(&plan, 0x608F, 2, &[3, 0, 0, 0]), refusal);
 }
