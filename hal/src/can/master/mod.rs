@@ -21,7 +21,7 @@
 //! set-point or SYNC missing                the drive's own watches         one is bridged; 10 cycles fault
 //! set-point with another target            following error                 fault; no faster than the drive may be
 //! heartbeat missing                        three periods                   fault
-//! boot-up or another NMT state             heartbeat                       fault
+//! boot-up or another NMT state             heartbeat                       fault; a node that hears no set-points is stopped
 //! emergency                                its frame                       fault with the drive's code
 //! not enabled any more                     status word                     fault
 //! following error                          status word, own comparison     fault

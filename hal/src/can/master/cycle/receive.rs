@@ -96,13 +96,16 @@ impl Cycle {
 
     fn on_heartbeat(&mut self, axis: usize, now: TimeNs, data: &[u8]) {
         let who = self.plan.who(axis);
-        match NmtState::parse(data) {
-            Ok(NmtState::Operational) => self.axes[axis].heard = Some(now),
-            Ok(NmtState::BootUp) => self.latch(now, Fault::Rebooted(who)),
-            Ok(state @ (NmtState::Stopped | NmtState::PreOperational)) => {
+        let Ok(state) = NmtState::parse(data) else {
+            return;
+        };
+        self.axes[axis].told = Some(state);
+        match state {
+            NmtState::Operational => self.axes[axis].heard = Some(now),
+            NmtState::BootUp => self.latch(now, Fault::Rebooted(who)),
+            NmtState::Stopped | NmtState::PreOperational => {
                 self.latch(now, Fault::LeftOperational(who, state));
             }
-            Err(_) => {}
         }
     }
 }
