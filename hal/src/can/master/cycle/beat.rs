@@ -74,6 +74,12 @@ impl Cycle {
         self.left_out
     }
 
+    /// Whether some frame of the cycle that was judged last found no room on its bus.
+    #[must_use]
+    pub fn is_cramped(&self) -> bool {
+        self.lines.iter().any(|line| line.unsent > 0)
+    }
+
     /// Notes whether all frames that were handed over in this cycle found room on `line`.
     pub fn on_sent(&mut self, line: u8, all: bool) {
         if let Some(health) = self.lines.get_mut(usize::from(line)) {

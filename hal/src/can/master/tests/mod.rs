@@ -5,6 +5,7 @@ mod bringup;
 mod buses;
 mod client;
 mod corrupted;
+mod cramped;
 mod faults;
 mod foreign;
 mod fuzz;
