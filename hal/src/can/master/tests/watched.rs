@@ -102,8 +102,17 @@ struct Course {
 
 /// Bring-up with `what` after our frame number `at`. The drives are looked at half a second later.
 fn course(lines: u8, at: usize, what: impl Fn(&mut Net) + 'static) -> Course {
+    course_of(lines, drive, at, what)
+}
+
+fn course_of(
+    lines: u8,
+    drive: fn(usize) -> Node,
+    at: usize,
+    what: impl Fn(&mut Net) + 'static,
+) -> Course {
     let plan = plan(lines, 2 * MS);
-    let net = Rc::new(RefCell::new(network(&plan)));
+    let net = Rc::new(RefCell::new(network_of(&plan, drive)));
     let sent = Rc::new(RefCell::new(0));
     let bus = Disturbed {
         net: Rc::clone(&net),
@@ -231,9 +240,34 @@ fn trouble_on_a_bus_that_is_not_listened_to_ends_the_bring_up_before_the_nodes_s
     let undisturbed = course(3, NEVER, |_| {});
     let homed = undisturbed.sent[3];
     // The last axis is homed on bus 2; nothing is asked on bus 0 any more.
-    for trouble in [Trouble::BusOff, Trouble::Down] {
+    for trouble in [Trouble::BusOff, Trouble::Restarted, Trouble::Down] {
         let course = course(3, homed - 1, move |net| net.trouble(0, trouble));
         assert_eq!(course.end, Err("bus 0: bus-off or down".to_owned()));
         assert!(course.sent[3] == homed && !course.torques);
     }
+}
+
+#[test]
+fn a_drive_that_does_not_let_go_after_its_reference_is_stopped() {
+    // Pre-operational would not stop it.
+    let stubborn = |axis| {
+        let config = AxisConfig {
+            stops_in_pre_operational: false,
+            ..axis_config(axis)
+        };
+        Node::new(node(axis), &config)
+    };
+    let course = course_of(1, stubborn, 0, |net| {
+        net.tamper(Box::new(|_, _, heard| match heard.data() {
+            // Let go, it is told, and hears that it is to stay enabled.
+            [0x00, rest @ ..] if heard.id.raw() == 0x203 => {
+                let said = [&[0x0F], rest].concat();
+                Tampering::Replace(frame(0x203, &said))
+            }
+            _ => Tampering::Pass,
+        }));
+    });
+    let refusal = "node 3 (axis 2, bus 0): homing failed, status word ";
+    assert!(course.end.unwrap_err().starts_with(refusal));
+    assert!(!course.torques);
 }
