@@ -12,6 +12,8 @@ mod batch;
 mod bring_up;
 #[path = "can_bus/drives.rs"]
 mod drives;
+#[path = "can_bus/heard.rs"]
+mod heard;
 #[path = "can_bus/pair.rs"]
 mod pair;
 #[path = "can_bus/peer.rs"]
@@ -24,15 +26,16 @@ use std::time::Duration;
 
 use socketcan::id::ERR_MASK_ALL;
 use socketcan::{
-    CanDataFrame, CanFrame, CanSocket, EmbeddedFrame as _, Frame as _, Socket as _,
-    SocketOptions as _, StandardId,
+    CanFrame, CanSocket, EmbeddedFrame as _, Frame as _, Socket as _, SocketOptions as _,
+    StandardId,
 };
 use tests::{repository, scratch};
 
+use heard::receive;
 use peer::{Peer, alone, said};
 
 /// Anything takes less time than this: it is how long a test waits for what never comes.
-const PATIENCE: Duration = Duration::from_secs(60);
+const PATIENCE: Duration = Duration::from_secs(240);
 
 fn bus() -> CanSocket {
     CanSocket::open("vcan0").unwrap()
@@ -40,17 +43,6 @@ fn bus() -> CanSocket {
 
 fn frame(id: u16, data: &[u8]) -> CanFrame {
     CanFrame::new(StandardId::new(id).unwrap(), data).unwrap()
-}
-
-/// The next data frame with identifier `id`.
-fn receive(bus: &CanSocket, id: u16) -> CanDataFrame {
-    loop {
-        if let CanFrame::Data(frame) = bus.read_frame_timeout(PATIENCE).unwrap()
-            && frame.raw_id() == u32::from(id)
-        {
-            return frame;
-        }
-    }
 }
 
 #[test]

@@ -1,11 +1,12 @@
 //! Somebody loses patience while a run brings its drives up: nothing has torque afterwards.
 
 use hal::can::cia402::Status;
-use socketcan::{CanDataFrame, CanFrame, CanSocket, EmbeddedFrame as _, Frame as _, Socket as _};
+use socketcan::{CanDataFrame, CanFrame, EmbeddedFrame as _, Frame as _, Socket as _};
 
+use super::heard::{await_frame, receive};
 use super::pair::{Pair, pass_ms};
 use super::peer::alone;
-use super::{PATIENCE, bus, frame, receive};
+use super::{bus, frame};
 
 /// What a heartbeat says of a stopped node, and the NMT command that lets it answer.
 const STOPPED: u8 = 0x04;
@@ -32,16 +33,6 @@ fn enables(frame: &CanDataFrame) -> bool {
 /// Lets the last node go, which has found its reference.
 fn lets_go(frame: &CanDataFrame) -> bool {
     frame.raw_id() == 0x207 && frame.data()[0] == 0x00
-}
-
-fn await_stage(bus: &CanSocket, stage: Stage) {
-    loop {
-        if let CanFrame::Data(frame) = bus.read_frame_timeout(PATIENCE).unwrap()
-            && stage(&frame)
-        {
-            return;
-        }
-    }
 }
 
 /// Whether the drive of `node` says that its motor has torque. A stopped node answers nobody before it is pre-operational.
@@ -80,7 +71,7 @@ fn a_run_that_is_interrupted_while_it_brings_its_drives_up_leaves_them_without_t
     for (signal, name, stage) in stages {
         let bus = bus();
         let run = pair.run("expert");
-        await_stage(&bus, stage);
+        await_frame(&bus, stage);
         run.signal(signal);
         let (code, said) = run.wait();
         assert_eq!(code, Some(1), "{name}: {said}");
@@ -91,8 +82,8 @@ fn a_run_that_is_interrupted_while_it_brings_its_drives_up_leaves_them_without_t
     // Too late for that: the drives come up, and the arm is led to rest and let go.
     let bus = bus();
     let run = pair.run("expert");
-    await_stage(&bus, lets_go);
-    await_stage(&bus, enables);
+    await_frame(&bus, lets_go);
+    await_frame(&bus, enables);
     run.signal("-TERM");
     let (code, result) = run.end();
     assert_eq!(code, Some(1), "{result}");
@@ -109,7 +100,7 @@ fn before_the_drives_are_enabled_an_interrupted_run_never_enables_one() {
     let pair = Pair::start("can_impatient_early", &[], &[]);
     let bus = bus();
     let run = pair.run("noop");
-    await_stage(&bus, maps);
+    await_frame(&bus, maps);
     run.signal("-INT");
     let (code, said) = run.wait();
     assert_eq!(code, Some(1), "{said}");

@@ -11,8 +11,9 @@ use runtime::rt::sleep_ns;
 use socketcan::{CanSocket, EmbeddedFrame as _};
 use tests::{repository, scratch};
 
+use crate::heard::{await_data, receive};
 use crate::peer::{Peer, alone, said};
-use crate::{bus, dissected, receive};
+use crate::{bus, dissected};
 
 /// Counts by which an axis with inertia and friction may be away from the last four targets of a slow master. Of the nodes that
 /// are led the first, which has the least way to go, is one of the wrist's, with few counts a turn and much friction.
@@ -135,15 +136,15 @@ fn cansend_leads_a_drive_and_candump_shows_what_it_says() {
     assert_eq!(taken, [0x60, 0x00, 0x18, 2, 0, 0, 0, 0]);
     // Operational, it answers one: switch-on disabled, with voltage and no quick stop, remote.
     cansend("000#0103");
-    while receive(&bus, 0x703).data() != [5] {}
+    await_data(&bus, 0x703, &[5]);
     let status = answer(&bus, "080#", 0x183);
     assert_eq!(status[..2], [0x70, 0x02]);
     // Stopped, it has no dictionary, and starts again.
     cansend("000#0203");
-    while receive(&bus, 0x703).data() != [4] {}
+    await_data(&bus, 0x703, &[4]);
     cansend("603#4000100000000000");
     cansend("000#8103");
-    while receive(&bus, 0x703).data() != [0] {}
+    await_data(&bus, 0x703, &[0]);
     let _ = drives.interrupt();
     dump.stop();
     let frames = frames(&log);

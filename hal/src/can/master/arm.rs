@@ -105,7 +105,10 @@ impl<B: Bus> CanArm<B> {
         // Of the periods that have passed, the controller has taken care of one at most.
         let written = u64::from(core::mem::take(&mut self.written));
         self.play(now, self.cycle.cycles_since_beat(now) - written);
-        if !self.sent {
+        // Without a SYNC no set-point takes effect, not even one that is a quick stop. Where there was no room for all, it is the
+        // one that must find some.
+        let sync_first = self.cycle.is_cramped();
+        if !self.sent && !sync_first {
             self.send_set_points(now);
         }
         self.cycle.begin(now);
@@ -114,6 +117,9 @@ impl<B: Bus> CanArm<B> {
             self.cycle.beat(&mut self.out);
             self.cycle.withdraw(line, &mut self.out);
             self.transmit(line);
+        }
+        if !self.sent && sync_first {
+            self.send_set_points(now);
         }
         self.sent = false;
         self.measured = self.cycle.state(now);

@@ -2,6 +2,7 @@
 
 use super::plan::{ANSWER_BYTES, AxisPlan};
 use crate::TimeNs;
+use crate::can::cia301::NmtState;
 use crate::can::cia402::Status;
 use crate::can::number::{real, seconds, whole};
 
@@ -46,6 +47,8 @@ pub(super) struct Axis {
     pub(super) newest: Option<Answer>,
     pub(super) health: AxisHealth,
     pub(super) heard: Option<TimeNs>,
+    /// The NMT state that its newest heartbeat told.
+    pub(super) told: Option<NmtState>,
     /// When the drive measured it: the SYNC that it answers.
     pub(super) sampled: TimeNs,
     /// The same of the newest answer that could not have been too old.
@@ -82,6 +85,7 @@ impl Axis {
             newest: None,
             health: AxisHealth::default(),
             heard: None,
+            told: None,
             sampled: TimeNs(0),
             trusted: TimeNs(0),
             velocity: 0.0,

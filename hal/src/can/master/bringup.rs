@@ -4,52 +4,52 @@
 //! [`CanArm`]. Whatever goes wrong ends the bring-up with the node and the cause; nothing is retried.
 
 mod configure;
+mod enable;
 mod error;
 mod homing;
 mod settings;
+mod watched;
 
 use super::arm::CanArm;
 use super::client::{expect, read_number, send};
-use super::cycle::{Cycle, Goal};
+use super::fault::Who;
+use super::foreign::leads;
 use super::link::Bus;
 use super::plan::ArmPlan;
-use crate::TimeNs;
 use crate::can::cia301::{Cob, NmtCommand, NmtState, NmtTarget};
 use crate::can::cia402::Mode;
 use crate::can::od::index;
 use crate::tail::TAIL_AXES;
 
+pub use enable::enable_together;
 pub use error::BringUpError;
+use watched::Watched;
 
 /// How long a node may take to boot up, ns.
 const BOOT_NS: u64 = 2_000_000_000;
 /// How long the bus is listened to before the first word, ns.
 const LISTEN_NS: u64 = 30_000_000;
-/// How long the drives may take to be enabled, ns.
-const ENABLE_NS: u64 = 3_000_000_000;
-/// How long the last words of bring-up may take on the bus, ns.
-const SETTLE_NS: u64 = 10_000_000;
 /// Device profile 402, in the lower half of 1000h.
 const PROFILE_402: u32 = 402;
 
 /// Buses, and nothing known about them.
 #[derive(Debug)]
 pub struct Offline<B> {
-    bus: B,
+    bus: Watched<B>,
     plan: ArmPlan,
 }
 
 /// Every node of the plan is there, in pre-operational, as after power-on.
 #[derive(Debug)]
 pub struct Scanned<B> {
-    bus: B,
+    bus: Watched<B>,
     plan: ArmPlan,
 }
 
 /// Every node is what the plan says.
 #[derive(Debug)]
 pub struct Identified<B> {
-    bus: B,
+    bus: Watched<B>,
     plan: ArmPlan,
     /// Serial numbers in the order of the axes.
     serials: [u32; TAIL_AXES],
@@ -58,14 +58,14 @@ pub struct Identified<B> {
 /// Process data, watches and modes are set and read back.
 #[derive(Debug)]
 pub struct Mapped<B> {
-    bus: B,
+    bus: Watched<B>,
     plan: ArmPlan,
 }
 
 /// Every axis has its reference; no torque.
 #[derive(Debug)]
 pub struct Homed<B> {
-    bus: B,
+    bus: Watched<B>,
     plan: ArmPlan,
 }
 
@@ -76,55 +76,49 @@ impl<B: Bus> Offline<B> {
     /// [`BringUpError::Overload`] if a bus cannot carry its part of the plan; nothing has been said then.
     pub fn new(bus: B, plan: &ArmPlan) -> Result<Self, BringUpError> {
         plan.check_load()?;
-        Ok(Self { bus, plan: *plan })
+        Ok(Self {
+            bus: Watched::new(bus, plan),
+            plan: *plan,
+        })
     }
 
     /// Listens for another master, then resets every node of the plan and waits for it to boot up.
     ///
     /// # Errors
-    /// [`BringUpError`]; a node that is missing is named.
+    /// [`BringUpError`]; a node that is missing is named, and so is what another master said. He is listened for in all that
+    /// follows, too.
     pub fn scan(mut self) -> Result<Scanned<B>, BringUpError> {
         let plan = self.plan;
         for line in 0..plan.lines {
             let heard = expect(&mut self.bus, line, LISTEN_NS, |frame| {
-                let ours = match Cob::of(frame.id) {
-                    Cob::ReceivePdo(_, node) => plan.axis_of(line, node).is_some(),
-                    Cob::Heartbeat(node) => node == plan.master,
-                    Cob::Nmt
-                    | Cob::Sync
-                    | Cob::Time
-                    | Cob::Emergency(_)
-                    | Cob::TransmitPdo(..)
-                    | Cob::SdoResponse(_)
-                    | Cob::SdoRequest(_)
-                    | Cob::Other(_) => false,
-                };
-                (ours || frame.id == plan.sync_id).then_some(*frame)
-            })?;
-            if let Some(frame) = heard {
-                return Err(BringUpError::ForeignMaster { line, frame });
-            }
+                leads(&plan, line, frame).then_some(())
+            });
+            self.bus.judge(heard)?;
         }
         for axis in 0..TAIL_AXES {
-            let who = plan.who(axis);
-            let reset = NmtCommand::ResetNode.emit(NmtTarget::Node(who.node));
-            send(&mut self.bus, who.line, reset)?;
-            let booted = expect(&mut self.bus, who.line, BOOT_NS, |frame| {
-                let boots = frame.id == Cob::Heartbeat(who.node).id()
-                    && NmtState::parse(frame.data()) == Ok(NmtState::BootUp);
-                boots.then_some(())
-            })?;
-            booted.ok_or(BringUpError::Missing(who))?;
+            let booted = reset(&mut self.bus, plan.who(axis));
+            self.bus.judge(booted)?;
         }
         let Self { bus, plan } = self;
         Ok(Scanned { bus, plan })
     }
 }
 
+fn reset<B: Bus>(bus: &mut B, who: Who) -> Result<(), BringUpError> {
+    let reset = NmtCommand::ResetNode.emit(NmtTarget::Node(who.node));
+    send(bus, who.line, reset)?;
+    let booted = expect(bus, who.line, BOOT_NS, |frame| {
+        let boots = frame.id == Cob::Heartbeat(who.node).id()
+            && NmtState::parse(frame.data()) == Ok(NmtState::BootUp);
+        boots.then_some(())
+    })?;
+    booted.ok_or(BringUpError::Missing(who))
+}
+
 impl<B: Bus> Scanned<B> {
     /// The buses.
     pub const fn bus_mut(&mut self) -> &mut B {
-        &mut self.bus
+        &mut self.bus.bus
     }
 
     /// Compares device type, vendor, product and modes of every node with the plan.
@@ -134,39 +128,44 @@ impl<B: Bus> Scanned<B> {
     pub fn check_identity(mut self) -> Result<Identified<B>, BringUpError> {
         let mut serials = [0; TAIL_AXES];
         for (axis, serial) in serials.iter_mut().enumerate() {
-            let who = self.plan.who(axis);
-            let bus = &mut self.bus;
-            let mut read = |address| read_number(bus, who.line, who.node, address);
-            let (vendor, product) = self.plan.axes[axis].identity;
-            for (address, expected, found) in [
-                (
-                    index::DEVICE_TYPE,
-                    PROFILE_402,
-                    read(index::DEVICE_TYPE)? & 0xFFFF,
-                ),
-                (index::VENDOR, vendor, read(index::VENDOR)?),
-                (index::PRODUCT, product, read(index::PRODUCT)?),
-            ] {
-                if found != expected {
-                    return Err(BringUpError::Identity {
-                        who,
-                        address,
-                        expected,
-                        found,
-                    });
-                }
-            }
-            let modes = read(index::SUPPORTED_MODES)?;
-            for mode in [Mode::CyclicPosition, Mode::Homing] {
-                if modes & mode.supported_bit() == 0 {
-                    return Err(BringUpError::Mode { who, mode });
-                }
-            }
-            *serial = read(index::SERIAL)?;
+            let identified = identify(&mut self.bus, &self.plan, axis);
+            *serial = self.bus.judge(identified)?;
         }
         let Self { bus, plan } = self;
         Ok(Identified { bus, plan, serials })
     }
+}
+
+/// The serial number of the drive of `axis`, if it is what the plan says.
+fn identify<B: Bus>(bus: &mut B, plan: &ArmPlan, axis: usize) -> Result<u32, BringUpError> {
+    let who = plan.who(axis);
+    let mut read = |address| read_number(bus, who.line, who.node, address);
+    let (vendor, product) = plan.axes[axis].identity;
+    for (address, expected, found) in [
+        (
+            index::DEVICE_TYPE,
+            PROFILE_402,
+            read(index::DEVICE_TYPE)? & 0xFFFF,
+        ),
+        (index::VENDOR, vendor, read(index::VENDOR)?),
+        (index::PRODUCT, product, read(index::PRODUCT)?),
+    ] {
+        if found != expected {
+            return Err(BringUpError::Identity {
+                who,
+                address,
+                expected,
+                found,
+            });
+        }
+    }
+    let modes = read(index::SUPPORTED_MODES)?;
+    for mode in [Mode::CyclicPosition, Mode::Homing] {
+        if modes & mode.supported_bit() == 0 {
+            return Err(BringUpError::Mode { who, mode });
+        }
+    }
+    read(index::SERIAL)
 }
 
 impl<B: Bus> Identified<B> {
@@ -182,7 +181,8 @@ impl<B: Bus> Identified<B> {
     /// [`BringUpError`] with the node and the object.
     pub fn map(mut self) -> Result<Mapped<B>, BringUpError> {
         for axis in 0..TAIL_AXES {
-            configure::node(&mut self.bus, &self.plan, axis)?;
+            let told = configure::node(&mut self.bus, &self.plan, axis);
+            self.bus.judge(told)?;
         }
         let Self { bus, plan, .. } = self;
         Ok(Mapped { bus, plan })
@@ -198,7 +198,8 @@ impl<B: Bus> Mapped<B> {
     /// [`BringUpError::Homing`] with the node.
     pub fn home(mut self) -> Result<Homed<B>, BringUpError> {
         for axis in 0..TAIL_AXES {
-            homing::home(&mut self.bus, &self.plan, axis)?;
+            let homed = homing::home(&mut self.bus, &self.plan, axis);
+            self.bus.judge(homed)?;
         }
         let Self { bus, plan } = self;
         Ok(Homed { bus, plan })
@@ -208,7 +209,7 @@ impl<B: Bus> Mapped<B> {
 impl<B: Bus> Homed<B> {
     /// The buses.
     pub const fn bus_mut(&mut self) -> &mut B {
-        &mut self.bus
+        &mut self.bus.bus
     }
 
     /// Starts the beat and enables all drives in the same cycle, each where it is.
@@ -221,6 +222,7 @@ impl<B: Bus> Homed<B> {
     }
 
     fn start(&mut self) -> Result<(), BringUpError> {
+        self.bus.drain()?;
         for axis in 0..TAIL_AXES {
             let who = self.plan.who(axis);
             let start = NmtCommand::Start.emit(NmtTarget::Node(who.node));
@@ -228,64 +230,4 @@ impl<B: Bus> Homed<B> {
         }
         Ok(())
     }
-}
-
-/// Starts the beats of several arms and enables all their drives, so that no arm waits without a beat for another one.
-///
-/// # Errors
-/// As [`Homed::enable`], with the place of the arm that failed; no drive of any arm has torque then.
-pub fn enable_together<B: Bus>(
-    mut homed: Vec<Homed<B>>,
-) -> Result<Vec<CanArm<B>>, (usize, BringUpError)> {
-    for (place, arm) in homed.iter_mut().enumerate() {
-        arm.start().map_err(|error| (place, error))?;
-    }
-    let Some(first) = homed.first_mut() else {
-        return Ok(Vec::new());
-    };
-    // Heartbeats from before are not what the cycle should judge by.
-    let start = first.bus.now().plus_ns(SETTLE_NS);
-    first.bus.wait(start);
-    let begin = |Homed { mut bus, plan }: Homed<B>| {
-        for line in 0..plan.lines {
-            bus.receive(line, &mut |_| {});
-        }
-        let mut arm = CanArm::new(bus, &plan, Cycle::new(&plan, start));
-        arm.set_goal(start, Goal::Enabled);
-        arm
-    };
-    let mut arms: Vec<CanArm<B>> = homed.into_iter().map(begin).collect();
-    match turn_until_enabled(&mut arms, start) {
-        Ok(()) => Ok(arms),
-        Err(failed) => {
-            arms.iter_mut().for_each(CanArm::shut_down);
-            Err(failed)
-        }
-    }
-}
-
-fn turn_until_enabled<B: Bus>(
-    arms: &mut [CanArm<B>],
-    start: TimeNs,
-) -> Result<(), (usize, BringUpError)> {
-    let cycle_ns = arms.iter().map(CanArm::cycle_ns).max().unwrap_or(1);
-    let mut at = start;
-    while let Some(slow) = arms.iter().position(|arm| !arm.is_enabled()) {
-        if at.since(start) > ENABLE_NS {
-            return Err((slow, BringUpError::Slow));
-        }
-        at = at.plus_ns(cycle_ns);
-        if let Some(first) = arms.first_mut() {
-            first.bus_mut().wait(at);
-            // Beats that a late process has missed are not made up for: nobody could answer them.
-            at = at.max(first.bus_mut().now());
-        }
-        for (place, arm) in arms.iter_mut().enumerate() {
-            arm.turn(at);
-            if let Some(fault) = arm.fault() {
-                return Err((place, BringUpError::Fault(fault)));
-            }
-        }
-    }
-    Ok(())
 }

@@ -40,7 +40,8 @@ pub(super) fn expect<B: Bus, T>(
                     found = pick(&frame);
                 }
             }
-            Received::Trouble(Trouble::BusOff | Trouble::Down) => off = true,
+            // What a controller that was restarted has missed is not known.
+            Received::Trouble(Trouble::BusOff | Trouble::Restarted | Trouble::Down) => off = true,
             Received::Trouble(_) => {}
         });
         if off {

@@ -11,7 +11,7 @@ use crate::can::number::whole;
 use crate::can::{CanId, NodeId};
 use crate::config::{ConfigError, Source};
 use crate::psm::{
-    ACTUATORS, EFFORT_MAX, JAW_MAX, JAW_MIN, POSITION_MAX, POSITION_MIN, VELOCITY_MAX,
+    ACTUATORS, Actuator, EFFORT_MAX, JAW_MAX, JAW_MIN, POSITION_MAX, POSITION_MIN, VELOCITY_MAX,
 };
 use crate::tail::TAIL_AXES;
 
@@ -190,7 +190,7 @@ fn arm_on_can(
         NodeId::new(raw).ok_or_else(|| source.out_of_range(key, &raw.to_string(), "[1, 127]"))
     };
     let master = node(&key("master_node"), arm.master_node)?;
-    let mut axes = template(space, (file.vendor, file.product), master);
+    let mut axes = template(&ACTUATORS, space, (file.vendor, file.product), master)?;
     for (axis, place) in axes.iter_mut().enumerate() {
         let (nodes, on) = (key(&format!("nodes.{axis}")), key(&format!("lines.{axis}")));
         place.node = node(&nodes, arm.nodes[axis])?;
@@ -223,8 +223,17 @@ fn arm_on_can(
     })
 }
 
-/// The axes of the patient-side manipulator in `space`, with counts of its own encoders.
-fn template(space: Space, identity: (u32, u32), node: NodeId) -> [AxisPlan; TAIL_AXES] {
+/// The axes of a patient-side manipulator with these `motors` in `space`, with counts of its own encoders.
+fn template(
+    motors: &[Actuator; TAIL_AXES],
+    space: Space,
+    identity: (u32, u32),
+    node: NodeId,
+) -> Result<[AxisPlan; TAIL_AXES], ConfigError> {
+    let mut turns = [0; TAIL_AXES];
+    for (axis, turn) in turns.iter_mut().enumerate() {
+        *turn = counts_per_turn(axis, motors[axis].encoder_counts_per_turn)?;
+    }
     let jaw_last = |joints: &[f64], jaw: f64| -> Axes {
         core::array::from_fn(|axis| joints.get(axis).copied().unwrap_or(jaw))
     };
@@ -232,20 +241,32 @@ fn template(space: Space, identity: (u32, u32), node: NodeId) -> [AxisPlan; TAIL
     let high = jaw_last(&POSITION_MAX, JAW_MAX);
     let (range_low, range_high) = extremes(space, &low, &high);
     let (_, speed) = extremes(space, &VELOCITY_MAX.map(|v| -v), &VELOCITY_MAX);
-    core::array::from_fn(|axis| {
-        let motor = &ACTUATORS[axis];
+    Ok(core::array::from_fn(|axis| {
+        let motor = &motors[axis];
         AxisPlan {
             node,
             line: 0,
             identity,
             counts_per_unit: motor.gear_ratio * motor.encoder_counts_per_turn / TAU,
-            counts_per_turn: u32::try_from(whole(motor.encoder_counts_per_turn)).unwrap_or(1),
+            counts_per_turn: turns[axis],
             range: (range_low[axis], range_high[axis]),
             speed_max: speed[axis],
             following_max: motor.trip_error,
             torque_rated: EFFORT_MAX[axis],
         }
-    })
+    }))
+}
+
+/// The encoder counts of a motor turn as 608Fh has them. They are the manipulator's and not the file's.
+fn counts_per_turn(axis: usize, counts: f64) -> Result<u32, ConfigError> {
+    u32::try_from(whole(counts))
+        .ok()
+        .filter(|turn| *turn > 0 && f64::from(*turn).to_bits() == counts.to_bits())
+        .ok_or_else(|| {
+            let key = format!("ACTUATORS.{axis}.encoder_counts_per_turn");
+            let allowed = "whole numbers in [1, 4294967295]";
+            Source::embedded("hal/src/psm.rs", "").out_of_range(&key, &counts.to_string(), allowed)
+        })
 }
 
 /// Least and greatest value of each axis over the box of joints from `low` to `high`: a linear map has them at corners.

@@ -1,6 +1,7 @@
 //! What happens between two SYNCs. Hot path: bounded, no allocation, no I/O, no lock.
 
 mod beat;
+mod command;
 mod receive;
 mod supervise;
 
@@ -9,11 +10,8 @@ use super::fault::Fault;
 use super::plan::ArmPlan;
 use super::space::Axes;
 use crate::TimeNs;
-use crate::can::cia301::Cob;
-use crate::can::cia301::cob::PdoNumber;
-use crate::can::cia402::{Command, Control, PowerState};
+use crate::can::cia402::PowerState;
 use crate::can::number::seconds;
-use crate::can::{Frame, Outbox, Payload};
 use crate::tail::TAIL_AXES;
 
 /// Cycles by which an answer may lie back from which on the measurement counts as lost.
@@ -30,8 +28,6 @@ pub const UNSENT_FAULT_AFTER: u32 = 20;
 const DEVIATION_CYCLES: u32 = 10;
 /// How long the drives may take to become enabled, ns.
 const ENABLE_NS: u64 = 2_000_000_000;
-/// How long after a fault the drives hold before they lose their voltage, ns.
-const HOLD_NS: u64 = 500_000_000;
 /// Periods in a row that pass without a SYNC at most, for late answers to come.
 const PAUSES_MAX: u32 = 3;
 /// Buses at most.
@@ -225,62 +221,5 @@ impl Cycle {
             axis.target = target;
         }
         true
-    }
-
-    /// The set-points for the drives on `line`.
-    pub fn commands(&mut self, now: TimeNs, line: u8, out: &mut Outbox) {
-        let together = self.together();
-        for n in 0..TAIL_AXES {
-            if self.plan.axes[n].line != line {
-                continue;
-            }
-            let command = self.command_for(n, now, together);
-            let axis = &mut self.axes[n];
-            let newest = axis.newest;
-            let follows =
-                newest.is_some_and(|newest| newest.status.state == PowerState::OperationEnabled);
-            // Where a drive that does not follow yet is must be where it starts to.
-            if let Some(newest) = newest.filter(|_| !follows) {
-                axis.target = newest.position;
-            }
-            axis.sent = axis.target;
-            let [a, b] = Control::new(command).emit().to_le_bytes();
-            let [c, d, e, f] = axis.target.to_le_bytes();
-            let id = Cob::ReceivePdo(PdoNumber::FIRST, self.plan.axes[n].node).id();
-            out.push(Frame::new(id, Payload::truncated(&[a, b, c, d, e, f])));
-        }
-    }
-
-    /// Whether all drives are ready to be enabled in the same cycle.
-    fn together(&self) -> bool {
-        self.states().iter().all(|state| {
-            matches!(
-                state,
-                Some(PowerState::SwitchedOn | PowerState::OperationEnabled)
-            )
-        })
-    }
-
-    fn command_for(&self, axis: usize, now: TimeNs, together: bool) -> Command {
-        let Some(newest) = self.axes[axis].newest else {
-            return Command::DisableVoltage;
-        };
-        let state = newest.status.state;
-        if let Some((_, since)) = self.fault {
-            return if now.since(since) < HOLD_NS && state.has_torque() {
-                Command::QuickStop
-            } else {
-                Command::DisableVoltage
-            };
-        }
-        match self.goal {
-            Goal::Disabled if state == PowerState::QuickStopActive => Command::DisableVoltage,
-            Goal::Disabled => Command::Shutdown,
-            Goal::Enabled => match state.towards_enabled() {
-                Some(Command::EnableOperation) if !together => Command::SwitchOn,
-                Some(command) => command,
-                None => Command::DisableVoltage,
-            },
-        }
     }
 }

@@ -21,13 +21,14 @@
 //! set-point or SYNC missing                the drive's own watches         one is bridged; 10 cycles fault
 //! set-point with another target            following error                 fault; no faster than the drive may be
 //! heartbeat missing                        three periods                   fault
-//! boot-up or another NMT state             heartbeat                       fault
+//! boot-up or another NMT state             heartbeat                       fault; a node that hears no set-points is stopped
 //! emergency                                its frame                       fault with the drive's code
 //! not enabled any more                     status word                     fault
 //! following error                          status word, own comparison     fault
 //! power lost                               status word                     fault
 //! somebody else's SYNC, NMT, set-points    their identifiers               fault, and the nodes are stopped in every cycle:
 //! or writing over SDO                                                      they hear no set-points; our heartbeat ends
+//! the same during bring-up                 their identifiers               no arm
 //! a second node with a drive's number      the drive's emergency           fault
 //! wrong identity                           bring-up                        no arm
 //! stored offset, PDOs, timers, time stamps bring-up                        cleared; no arm if a drive keeps them
@@ -43,6 +44,17 @@
 //! come, up to two more SYNCs are left out. Then answers and SYNCs are in step again. A late answer is known as such if it comes
 //! within four cycles of its SYNC and answers are about equally late: where that varies by cycles from one to the next, one may
 //! be up to three cycles older than it is told to be. Once a fault is latched every SYNC is sent.
+//!
+//! What goes before a quick stop. A bus has one queue, the kernel's and then the controller's, in which nothing overtakes and
+//! from which nothing is called back. Set-points, SYNCs and heartbeats are all that is in it when a drive is led: transfers of
+//! objects end with bring-up, each answered or given up, and NMT stops come only after a fault, behind a SYNC. What finds no room
+//! is forgotten; the next cycle's frames are made anew, from what is known then. So what goes before a quick stop is what the
+//! queue already held: no more frames than it has places, which are better few (a cycle has up to 16, with NMT stops). Of a
+//! part that finds room the SYNC is the first, then NMT stops, then the set-points of drives that still follow.
+//!
+//! The head of that queue, too, waits while others have something with a lower identifier. Answers have (181h and up) before
+//! set-points (201h and up), so on a bus that a stranger's SYNCs fill with answers a quick stop waits for as long as they do.
+//! What stops the drives then is NMT stop (000h), once the frames before it are out, and at the latest their own watches.
 
 pub mod arm;
 pub mod axis;
@@ -51,6 +63,7 @@ mod client;
 pub mod config;
 pub mod cycle;
 pub mod fault;
+mod foreign;
 pub mod link;
 pub mod plan;
 pub mod space;

@@ -207,9 +207,15 @@ impl Node {
         if state == self.state {
             return;
         }
-        let counts = state == NmtState::Stopped || self.config.stops_in_pre_operational;
-        if self.state == NmtState::Operational && counts {
-            // Without process data nobody leads this axis any more.
+        // Without process data nobody leads this axis any more.
+        let unled = match (self.state, state) {
+            (NmtState::Operational, NmtState::Stopped) => true,
+            (NmtState::Operational, _) => self.config.stops_in_pre_operational,
+            // It may have kept its torque in pre-operational.
+            (_, NmtState::Stopped) => self.drive.state().has_torque(),
+            _ => false,
+        };
+        if unled {
             self.lose_connection(now);
         }
         self.state = state;

@@ -71,23 +71,27 @@ impl<B: Bus> Writer<'_, B> {
 
     /// Takes a PDO out of use, whatever identifier it has; tells whether there is one. `record` is its sub-index 01h.
     fn switch_off(&mut self, record: Address) -> Result<bool, BringUpError> {
-        self.change(record, |cob| cob | INVALID)
+        self.bits(record, INVALID, INVALID)
     }
 
-    /// Changes a COB-ID, if it is not as it should be; tells whether there is one.
-    fn change(
-        &mut self,
-        address: Address,
-        wanted: impl Fn(u32) -> u32,
-    ) -> Result<bool, BringUpError> {
-        match read_number(self.bus, self.line, self.node, address) {
-            Ok(found) if found == wanted(found) => Ok(true),
-            // Valid ones may change no other bit than that.
-            Ok(found) => self
-                .set(address, &wanted(found).to_le_bytes())
-                .map(|()| true),
-            Err(BringUpError::Refused { code, .. }) if is_missing(code) => Ok(false),
-            Err(error) => Err(error),
+    /// Gives the bits `mask` of a COB-ID the value that they have in `wanted`, and no other bit another one: while it is in use
+    /// those may not change. What a drive makes of them thereafter is its own; they mean nothing then. Tells whether there is
+    /// such an object.
+    fn bits(&mut self, address: Address, mask: u32, wanted: u32) -> Result<bool, BringUpError> {
+        let (line, node) = (self.line, self.node);
+        let found = match read_number(self.bus, line, node, address) {
+            Ok(found) if found & mask == wanted => return Ok(true),
+            Ok(found) => found,
+            Err(BringUpError::Refused { code, .. }) if is_missing(code) => return Ok(false),
+            Err(error) => return Err(error),
+        };
+        let new = (found & !mask | wanted).to_le_bytes();
+        self.put(address, &new)?;
+        let found = read_number(self.bus, line, node, address)?;
+        if found & mask == wanted {
+            Ok(true)
+        } else {
+            Err(differs(node, address, &found.to_le_bytes(), &new))
         }
     }
 
@@ -145,7 +149,7 @@ pub(super) fn node<B: Bus>(bus: &mut B, plan: &ArmPlan, axis: usize) -> Result<(
         index::rpdo_mapping,
         cob(command, true),
         &[(index::CONTROL, 16), (index::TARGET, 32)],
-        &[],
+        &[deadline(plan)],
     )?;
     to.pdo(
         index::tpdo,
@@ -184,14 +188,15 @@ fn silence<B: Bus>(to: &mut Writer<'_, B>) -> Result<(), BringUpError> {
         }
     }
     // The SYNC of another arm may have the identifier that time stamps have by default.
-    to.change(TIME_COB, |cob| cob & !(PRODUCED | CONSUMED))
-        .map(|_| ())
+    to.bits(TIME_COB, PRODUCED | CONSUMED, 0).map(|_| ())
 }
 
 /// SYNC and interpolation.
 fn beat<B: Bus>(to: &mut Writer<'_, B>, plan: &ArmPlan) -> Result<(), BringUpError> {
     let cycle_ns = plan.cycle_ns;
     let (value, exponent) = period_parameter(cycle_ns).ok_or(BringUpError::Period { cycle_ns })?;
+    // Whoever sends the SYNC may not change its identifier meanwhile.
+    to.bits(index::SYNC_COB, PRODUCED, 0)?;
     let cob = u32::from(plan.sync_id.raw());
     if plan.sync_id == SYNC_ID {
         to.set_if_there(index::SYNC_COB, &cob.to_le_bytes())?;
@@ -205,12 +210,16 @@ fn beat<B: Bus>(to: &mut Writer<'_, B>, plan: &ArmPlan) -> Result<(), BringUpErr
     to.set(index::PERIOD_EXPONENT, &exponent.to_le_bytes())
 }
 
-/// Heartbeats both ways, and the deadline of a set-point.
+/// Heartbeats both ways.
 fn watches<B: Bus>(to: &mut Writer<'_, B>, plan: &ArmPlan) -> Result<(), BringUpError> {
     to.set(index::HEARTBEAT, &plan.heartbeat_ms.to_le_bytes())?;
     let [low, high] = plan.heartbeat_ms.saturating_mul(3).to_le_bytes();
-    to.set_if_there(index::CONSUMER, &[low, high, plan.master.raw(), 0])?;
+    to.set_if_there(index::CONSUMER, &[low, high, plan.master.raw(), 0])
+}
+
+/// The deadline of a set-point. Some drives take it only while the PDO is off.
+fn deadline(plan: &ArmPlan) -> Setting {
     let deadline_ms = (DEADLINE_CYCLES * plan.cycle_ns / 1_000_000).max(DEADLINE_MS_MIN);
     let deadline_ms = u16::try_from(deadline_ms).unwrap_or(u16::MAX);
-    to.set_if_there(index::rpdo(0, 5), &deadline_ms.to_le_bytes())
+    Setting::unsigned(index::rpdo(0, 5), 2, deadline_ms.into())
 }

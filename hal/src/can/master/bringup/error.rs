@@ -18,7 +18,7 @@ pub enum BringUpError {
         /// The bus.
         line: u8,
     },
-    /// Our controller left the bus, or the interface is down.
+    /// Our controller left the bus, even if it is back, or the interface is down.
     #[error("bus {line}: bus-off or down")]
     Off {
         /// The bus.

@@ -38,8 +38,12 @@ pub(super) fn home<B: Bus>(bus: &mut B, plan: &ArmPlan, axis: usize) -> Result<(
     let let_go = step(bus, plan, axis, control, position, |status| {
         status.state == PowerState::SwitchOnDisabled
     });
-    let leave = NmtCommand::EnterPreOperational.emit(NmtTarget::Node(node));
-    send(bus, line, leave)?;
+    // One that does not go is stopped: pre-operational takes nobody's torque, see CiA 402-2.
+    let leave = match let_go {
+        Ok(()) => NmtCommand::EnterPreOperational,
+        Err(_) => NmtCommand::Stop,
+    };
+    send(bus, line, leave.emit(NmtTarget::Node(node)))?;
     homed?;
     let_go?;
     write(bus, line, node, index::MODE, &mode(Mode::CyclicPosition))

@@ -149,17 +149,25 @@ fn encoder<B: Bus>(to: &mut Writer<'_, B>, plan: &AxisPlan) -> Result<(), BringU
         return Ok(());
     };
     let turns = ask(index::ENCODER_TURNS)?.unwrap_or(1);
-    let wanted = turns * i64::from(plan.counts_per_turn);
-    if found == wanted && turns > 0 {
-        return Ok(());
-    }
-    Err(BringUpError::Setting {
+    let outside = |address, found, least, most| BringUpError::Setting {
         node,
-        address: index::ENCODER_COUNTS,
+        address,
         found,
-        least: wanted,
-        most: wanted,
-    })
+        least,
+        most,
+    };
+    // Of more turns than that the counts would not fit into their object.
+    let counts = i64::from(plan.counts_per_turn);
+    let turns_max = i64::from(u32::MAX).checked_div(counts).unwrap_or(0);
+    let wanted = turns
+        .checked_mul(counts)
+        .filter(|_| (1..=turns_max).contains(&turns))
+        .ok_or_else(|| outside(index::ENCODER_TURNS, turns, 1, turns_max))?;
+    if found == wanted {
+        Ok(())
+    } else {
+        Err(outside(index::ENCODER_COUNTS, found, wanted, wanted))
+    }
 }
 
 /// Writes what is wanted, or if that is not taken the other end of what is allowed, and looks at what there is then.

@@ -53,6 +53,33 @@ fn whole_i32(value: f64) -> i32 {
 }
 
 #[test]
+fn an_encoder_whose_turn_has_no_whole_counts_gives_no_plan() {
+    let node = NodeId::new(1).unwrap();
+    for counts in [
+        0.0,
+        -0.0,
+        -4000.0,
+        4000.5,
+        1e-9,
+        4_294_967_296.0,
+        f64::NAN,
+        f64::INFINITY,
+    ] {
+        let mut motors = ACTUATORS;
+        motors[2].encoder_counts_per_turn = counts;
+        let error = template(&motors, Space::Joint, (0, 0), node).unwrap_err();
+        let message = format!(
+            "hal/src/psm.rs:1: ACTUATORS.2.encoder_counts_per_turn = {counts} is outside whole numbers in [1, 4294967295]"
+        );
+        assert_eq!(error.to_string(), message);
+    }
+    let mut motors = ACTUATORS;
+    motors[2].encoder_counts_per_turn = 4_294_967_295.0;
+    let axes = template(&motors, Space::Joint, (0, 0), node).unwrap();
+    assert_eq!(axes[2].counts_per_turn, u32::MAX);
+}
+
+#[test]
 fn at_1_khz_an_arm_needs_three_buses() {
     let fast = load("\ncycle_us = 2000", "\ncycle_us = 1000").unwrap();
     let error = fast.check_load(1).unwrap_err().to_string();

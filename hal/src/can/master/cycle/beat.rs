@@ -1,6 +1,6 @@
 //! The beat: where a period begins, and what of it was handed to the buses. Hot path: bounded, no allocation, no I/O, no lock.
 
-use super::Cycle;
+use super::{Axis, Cycle, SILENT_AFTER};
 use crate::TimeNs;
 use crate::can::Outbox;
 use crate::can::cia301::sync::Sync;
@@ -35,18 +35,22 @@ impl Cycle {
         };
     }
 
-    /// Where somebody else leads our drives: the commands that stop the nodes on `line`, in every period. Of two set-points
-    /// before a SYNC the later one counts, so ours could not stop a drive that somebody else goes on to lead; a stopped node
-    /// hears none, and its drive does what 6007h says. (That holds for NMT stopped and not for pre-operational, see CiA 402-2.)
+    /// The commands that stop nodes on `line`, in every period, where set-points do not stop their drives.
+    ///
+    /// Where somebody else leads our drives, all of them: of two set-points before a SYNC the later one counts, so ours could
+    /// not stop a drive that somebody else goes on to lead; a stopped node hears none, and its drive does what 6007h says.
+    /// (That holds for NMT stopped and not for pre-operational, see CiA 402-2.) After any other fault, those that hear no
+    /// set-points or may not: a node that went pre-operational by itself keeps the torque of its drive for as long as it hears
+    /// our heartbeat.
     ///
     /// They go after the SYNC, or a quick stop that is to come into effect with it would be lost, and before any set-points: on a
     /// bus that a stranger's SYNCs have filled with answers those wait, and so does all behind them.
     pub fn withdraw(&self, line: u8, out: &mut Outbox) {
-        if !self.intruded {
-            return;
-        }
-        for axis in self.plan.axes.iter().filter(|axis| axis.line == line) {
-            out.push(NmtCommand::Stop.emit(NmtTarget::Node(axis.node)));
+        for (plan, axis) in self.plan.axes.iter().zip(&self.axes) {
+            let deaf = self.fault.is_some() && is_deaf(axis);
+            if plan.line == line && (self.intruded || deaf) {
+                out.push(NmtCommand::Stop.emit(NmtTarget::Node(plan.node)));
+            }
         }
     }
 
@@ -70,10 +74,26 @@ impl Cycle {
         self.left_out
     }
 
+    /// Whether some frame of the cycle that was judged last found no room on its bus.
+    #[must_use]
+    pub fn is_cramped(&self) -> bool {
+        self.lines.iter().any(|line| line.unsent > 0)
+    }
+
     /// Notes whether all frames that were handed over in this cycle found room on `line`.
     pub fn on_sent(&mut self, line: u8, all: bool) {
         if let Some(health) = self.lines.get_mut(usize::from(line)) {
             health.short |= !all;
         }
+    }
+}
+
+/// Whether a node hears no set-points, as it says itself, or may not, since nothing usable has come from it for too long. One
+/// that says that it is stopped has heard that already.
+fn is_deaf(axis: &Axis) -> bool {
+    match axis.told {
+        Some(NmtState::PreOperational | NmtState::BootUp) => true,
+        Some(NmtState::Stopped) => false,
+        Some(NmtState::Operational) | None => axis.silent() >= SILENT_AFTER,
     }
 }

@@ -1,11 +1,12 @@
 //! What comes from the buses in a cycle. Hot path: bounded, no allocation, no I/O, no lock.
 
 use super::super::fault::Fault;
+use super::super::foreign::leads;
 use super::super::link::{Received, Trouble};
 use super::Cycle;
 use crate::TimeNs;
 use crate::can::cia301::cob::PdoNumber;
-use crate::can::cia301::{Cob, Emergency, NmtState, NmtTarget, nmt};
+use crate::can::cia301::{Cob, Emergency, NmtState};
 use crate::can::{Frame, NodeId};
 
 impl Cycle {
@@ -43,46 +44,36 @@ impl Cycle {
     }
 
     fn on_frame(&mut self, line: u8, now: TimeNs, frame: &Frame) {
+        if leads(&self.plan, line, frame) {
+            self.intruded = true;
+            let id = frame.id;
+            self.latch(now, Fault::ForeignMaster { line, id });
+            return;
+        }
         let axis = |node: NodeId| self.plan.axis_of(line, node);
-        let foreign = match Cob::of(frame.id) {
-            _ if frame.id == self.plan.sync_id => true,
-            Cob::Nmt => self.concerns_us(line, frame),
-            Cob::ReceivePdo(_, node) => axis(node).is_some(),
-            Cob::Heartbeat(node) if node == self.plan.master => true,
+        match Cob::of(frame.id) {
             Cob::Heartbeat(node) => {
                 if let Some(axis) = axis(node) {
                     self.on_heartbeat(axis, now, frame.data());
                 }
-                false
             }
             Cob::TransmitPdo(number, node) => {
                 if let Some(axis) = axis(node).filter(|_| number == PdoNumber::FIRST) {
                     self.on_answer(axis, frame.data());
                 }
-                false
             }
             Cob::Emergency(node) => {
                 if let Some(axis) = axis(node) {
                     self.on_emergency(axis, now, frame.data());
                 }
-                false
             }
-            // We write nothing once the drives are led; whoever does changes what they do behind our back.
-            Cob::SdoRequest(node) => axis(node).is_some() && is_download(frame.data()),
-            Cob::Sync | Cob::Time | Cob::SdoResponse(_) | Cob::Other(_) => false,
-        };
-        if foreign {
-            self.intruded = true;
-            let id = frame.id;
-            self.latch(now, Fault::ForeignMaster { line, id });
-        }
-    }
-
-    fn concerns_us(&self, line: u8, frame: &Frame) -> bool {
-        match nmt::NmtView(frame.data()).target() {
-            Ok(NmtTarget::Node(node)) => self.plan.axis_of(line, node).is_some(),
-            Ok(NmtTarget::All) => true,
-            Err(_) => false,
+            Cob::Nmt
+            | Cob::Sync
+            | Cob::Time
+            | Cob::ReceivePdo(..)
+            | Cob::SdoResponse(_)
+            | Cob::SdoRequest(_)
+            | Cob::Other(_) => {}
         }
     }
 
@@ -105,20 +96,16 @@ impl Cycle {
 
     fn on_heartbeat(&mut self, axis: usize, now: TimeNs, data: &[u8]) {
         let who = self.plan.who(axis);
-        match NmtState::parse(data) {
-            Ok(NmtState::Operational) => self.axes[axis].heard = Some(now),
-            Ok(NmtState::BootUp) => self.latch(now, Fault::Rebooted(who)),
-            Ok(state @ (NmtState::Stopped | NmtState::PreOperational)) => {
+        let Ok(state) = NmtState::parse(data) else {
+            return;
+        };
+        self.axes[axis].told = Some(state);
+        match state {
+            NmtState::Operational => self.axes[axis].heard = Some(now),
+            NmtState::BootUp => self.latch(now, Fault::Rebooted(who)),
+            NmtState::Stopped | NmtState::PreOperational => {
                 self.latch(now, Fault::LeftOperational(who, state));
             }
-            Err(_) => {}
         }
     }
-}
-
-/// Whether an SDO client begins or continues to write: its command specifier (CiA 301, 7.2.4.3) is that of a download segment,
-/// of a download's beginning, or of a block download.
-fn is_download(data: &[u8]) -> bool {
-    data.first()
-        .is_some_and(|command| matches!(command >> 5, 0 | 1 | 6))
 }

@@ -127,22 +127,6 @@ fn another_vendor_profile_or_modes_are_refused() {
 }
 
 #[test]
-fn another_master_is_noticed_before_a_word_is_said() {
-    let plan = plan(1, 2 * MS);
-    let mut net = network(&plan);
-    net.intrude(0, frame(0x203, &[6, 0, 0, 0, 0, 0]));
-    let error = Offline::new(net, &plan)
-        .unwrap()
-        .scan()
-        .map(|_| ())
-        .unwrap_err();
-    assert_eq!(
-        error.to_string(),
-        "bus 0: another master sends 203#060000000000"
-    );
-}
-
-#[test]
 fn serial_numbers_are_read_and_nothing_has_torque_before_enabling() {
     let plan = plan(1, 2 * MS);
     let identified = Offline::new(network(&plan), &plan)

@@ -5,6 +5,7 @@ mod bringup;
 mod buses;
 mod client;
 mod corrupted;
+mod cramped;
 mod faults;
 mod foreign;
 mod fuzz;
@@ -12,6 +13,7 @@ mod motion;
 mod settings;
 mod two_arms;
 mod unused;
+mod watched;
 mod withdrawn;
 
 use super::*;

@@ -90,8 +90,11 @@ fn a_drive_that_is_stricter_than_it_must_be_stays_so() {
 
 /// What bring-up says when node 3 answers that an object has `value`, whatever was written.
 fn refused(object: u16, sub: u8, value: &'static [u8]) -> String {
-    let plan = plan(1, 2 * MS);
-    let scanned = Offline::new(network(&plan), &plan).unwrap().scan();
+    refused_by(&plan(1, 2 * MS), object, sub, value)
+}
+
+fn refused_by(plan: &ArmPlan, object: u16, sub: u8, value: &'static [u8]) -> String {
+    let scanned = Offline::new(network(plan), plan).unwrap().scan();
     let mut scanned = scanned.unwrap();
     let [low, high] = object.to_le_bytes();
     let mut reads = false;
@@ -118,79 +121,107 @@ fn refused(object: u16, sub: u8, value: &'static [u8]) -> String {
     identified.map().map(|_| ()).unwrap_err().to_string()
 }
 
+/// Object, sub-index, what a drive says that it has, and why it is refused then.
+const UNSAFE: [(u16, u8, &[u8], &str); 19] = [
+    (
+        0x6085,
+        0,
+        &[0x40, 0x42, 0x0F, 0],
+        "6085:00 is 1000000, allowed [11000000, 110000000]",
+    ),
+    (0x605A, 0, &[6, 0], "605A:00 is 6, allowed [2, 2]"),
+    (0x6007, 0, &[0, 0], "6007:00 is 0, allowed [3, 3]"),
+    (
+        0x607D,
+        1,
+        &[0, 0, 0, 0x80],
+        "607D:01 is -2147483648, allowed [-600000, -500000]",
+    ),
+    (
+        0x607D,
+        2,
+        &[0xFF, 0xFF, 0xFF, 0x7F],
+        "607D:02 is 2147483647, allowed [500000, 600000]",
+    ),
+    (
+        0x607F,
+        0,
+        &[0x80, 0x1A, 0x06, 0],
+        "607F:00 is 400000, allowed [200000, 220000]",
+    ),
+    (
+        0x6080,
+        0,
+        &[0x60, 0x09, 0, 0],
+        "6080:00 is 2400, allowed [1200, 1320]",
+    ),
+    (
+        0x6072,
+        0,
+        &[0xB8, 0x0B],
+        "6072:00 is 3000, allowed [1, 1000]",
+    ),
+    (
+        0x6065,
+        0,
+        &[0xFF; 4],
+        "6065:00 is 4294967295, allowed [0, 10000]",
+    ),
+    (0x607E, 0, &[0x80], "607E:00 is 128, allowed [0, 0]"),
+    (
+        0x60B1,
+        0,
+        &[0xFE, 0xFF, 0xFF, 0xFF],
+        "60B1:00 is -2, allowed [0, 0]",
+    ),
+    (0x60B2, 0, &[5, 0], "60B2:00 is 5, allowed [0, 0]"),
+    (
+        0x1014,
+        0,
+        &[0x85, 0, 0, 0],
+        "1014:00 is 133, allowed [131, 131]",
+    ),
+    // No later than a cycle after the one before.
+    (0x1015, 0, &[21, 0], "1015:00 is 21, allowed [0, 20]"),
+    // Another encoder than planned.
+    (
+        0x608F,
+        1,
+        &[0xA0, 0x0F, 0, 0],
+        "608F:01 is 4000, allowed [10000, 10000]",
+    ),
+    // Of more turns than there are numbers for, or none.
+    (
+        0x608F,
+        2,
+        &[0xFF; 4],
+        "608F:02 is 4294967295, allowed [1, 429496]",
+    ),
+    (0x608F, 2, &[0; 4], "608F:02 is 0, allowed [1, 429496]"),
+    (
+        0x608F,
+        2,
+        &[3, 0, 0, 0],
+        "608F:01 is 10000, allowed [30000, 30000]",
+    ),
+    // What is communication must be as it was written.
+    (0x1017, 0, &[0, 0], "1017:00 is 0, allowed [100, 100]"),
+];
+
 #[test]
 fn a_drive_that_keeps_an_unsafe_value_is_refused_with_node_object_value_and_what_is_allowed() {
-    for (object, sub, value, refusal) in [
-        (
-            0x6085,
-            0,
-            &[0x40, 0x42, 0x0F, 0][..],
-            "6085:00 is 1000000, allowed [11000000, 110000000]",
-        ),
-        (0x605A, 0, &[6, 0], "605A:00 is 6, allowed [2, 2]"),
-        (0x6007, 0, &[0, 0], "6007:00 is 0, allowed [3, 3]"),
-        (
-            0x607D,
-            1,
-            &[0, 0, 0, 0x80],
-            "607D:01 is -2147483648, allowed [-600000, -500000]",
-        ),
-        (
-            0x607D,
-            2,
-            &[0xFF, 0xFF, 0xFF, 0x7F],
-            "607D:02 is 2147483647, allowed [500000, 600000]",
-        ),
-        (
-            0x607F,
-            0,
-            &[0x80, 0x1A, 0x06, 0],
-            "607F:00 is 400000, allowed [200000, 220000]",
-        ),
-        (
-            0x6080,
-            0,
-            &[0x60, 0x09, 0, 0],
-            "6080:00 is 2400, allowed [1200, 1320]",
-        ),
-        (
-            0x6072,
-            0,
-            &[0xB8, 0x0B],
-            "6072:00 is 3000, allowed [1, 1000]",
-        ),
-        (
-            0x6065,
-            0,
-            &[0xFF; 4],
-            "6065:00 is 4294967295, allowed [0, 10000]",
-        ),
-        (0x607E, 0, &[0x80], "607E:00 is 128, allowed [0, 0]"),
-        (
-            0x60B1,
-            0,
-            &[0xFE, 0xFF, 0xFF, 0xFF],
-            "60B1:00 is -2, allowed [0, 0]",
-        ),
-        (0x60B2, 0, &[5, 0], "60B2:00 is 5, allowed [0, 0]"),
-        (
-            0x1014,
-            0,
-            &[0x85, 0, 0, 0],
-            "1014:00 is 133, allowed [131, 131]",
-        ),
-        // No later than a cycle after the one before.
-        (0x1015, 0, &[21, 0], "1015:00 is 21, allowed [0, 20]"),
-        // Another encoder than planned.
-        (
-            0x608F,
-            1,
-            &[0xA0, 0x0F, 0, 0],
-            "608F:01 is 4000, allowed [10000, 10000]",
-        ),
-        // What is communication must be as it was written.
-        (0x1017, 0, &[0, 0], "1017:00 is 0, allowed [100, 100]"),
-    ] {
+    for (object, sub, value, refusal) in UNSAFE {
         assert_eq!(refused(object, sub, value), format!("node 3: {refusal}"));
     }
+}
+
+#[test]
+fn turns_and_counts_whose_product_no_number_holds_are_refused_as_any_others() {
+    let mut plan = plan(1, 2 * MS);
+    plan.axes[2].counts_per_turn = u32::MAX;
+    let refusal = "node 3: 608F:02 is 4294967295, allowed [1, 1]";
+    assert_eq!(refused_by(&plan, 0x608F, 2, &[0xFF; 4]), refusal);
+    plan.axes[2].counts_per_turn = 0;
+    let refusal = "node 3: 608F:02 is 3, allowed [1, 0]";
+    assert_eq!(refused_by(&plan, 0x608F, 2, &[3, 0, 0, 0]), refusal);
 }

@@ -7,7 +7,7 @@ use std::rc::Rc;
 
 use super::*;
 use crate::can::cia301::AbortCode;
-use crate::can::master::client::write;
+use crate::can::master::client::{read_number, write};
 use crate::can::od::index;
 
 const INVALID: u32 = 1 << 31;
@@ -15,8 +15,19 @@ const INVALID: u32 = 1 << 31;
 type Objects = Rc<RefCell<BTreeMap<(u16, u8), u32>>>;
 type Asked = Rc<RefCell<BTreeSet<(u16, u8)>>>;
 
-/// Gives node 3 COB-IDs that our drives do not have, which keep the standard's rule; notes what it is asked for.
-fn more(objects: &Objects, asked: &Asked) -> impl FnMut(u8, TimeNs, &Frame) -> Tampering + 'static {
+/// What becomes of a COB-ID that is written, from what it was; none if it may not change so.
+type Rule = fn(u32, u32) -> Option<u32>;
+
+/// The standard's: while a PDO is in use, no other bits change than those that say so.
+const STANDARD: Rule =
+    |old, new| (old & INVALID != 0 || (old ^ new) & !(3 << 30) == 0).then_some(new);
+
+/// Gives node 3 COB-IDs that our drives do not have, which keep `rule`; notes what it is asked for.
+fn more(
+    objects: &Objects,
+    asked: &Asked,
+    rule: Rule,
+) -> impl FnMut(u8, TimeNs, &Frame) -> Tampering + 'static {
     let (objects, asked) = (Rc::clone(objects), Rc::clone(asked));
     let mut reply = None;
     move |_, _, f| {
@@ -28,13 +39,11 @@ fn more(objects: &Objects, asked: &Asked) -> impl FnMut(u8, TimeNs, &Frame) -> T
             asked.borrow_mut().insert(place);
             reply = objects.borrow_mut().get_mut(&place).map(|value| {
                 let new = u32::from_le_bytes([a, b, c, d]);
-                let (code, said) = match command {
-                    0x40 => (0x43, *value),
-                    _ if *value & INVALID == 0 && (*value ^ new) & !(3 << 30) != 0 => {
-                        (0x80, AbortCode::VALUE.0)
-                    }
-                    _ => {
-                        *value = new;
+                let (code, said) = match (command, rule(*value, new)) {
+                    (0x40, _) => (0x43, *value),
+                    (_, None) => (0x80, AbortCode::VALUE.0),
+                    (_, Some(kept)) => {
+                        *value = kept;
                         (0x60, 0)
                     }
                 };
@@ -50,6 +59,86 @@ fn more(objects: &Objects, asked: &Asked) -> impl FnMut(u8, TimeNs, &Frame) -> T
             _ => Tampering::Pass,
         }
     }
+}
+
+/// What node 3 makes of `stored` in bring-up, up to where all is set, or why it is refused.
+fn mapped(
+    plan: &ArmPlan,
+    stored: &[((u16, u8), u32)],
+    asked: &Asked,
+    rule: Rule,
+) -> Result<BTreeMap<(u16, u8), u32>, String> {
+    let objects: Objects = Rc::default();
+    objects.borrow_mut().extend(stored.iter().copied());
+    let mut scanned = Offline::new(network(plan), plan).unwrap().scan().unwrap();
+    let tamper = more(&objects, asked, rule);
+    scanned.bus_mut().tamper(Box::new(tamper));
+    let identified = scanned.check_identity().unwrap();
+    identified.map().map_err(|error| error.to_string())?;
+    Ok(objects.take())
+}
+
+#[test]
+fn a_pdo_is_off_whatever_else_a_drive_then_says_of_it_and_one_that_stays_on_is_refused() {
+    let plan = plan(1, 2 * MS);
+    let place = (0x1404, 1);
+    let of = |rule| mapped(&plan, &[(place, 0x345)], &Asked::default(), rule);
+    // Nothing is left but that it is off.
+    let after = of(|_, new| Some(if new & INVALID == 0 { new } else { INVALID }));
+    assert_eq!(after.unwrap()[&place], INVALID);
+    let refusal = "node 3: 1404:01 is 837, allowed [2147484485, 2147484485]";
+    assert_eq!(of(|old, _| Some(old)), Err(refusal.to_owned()));
+}
+
+#[test]
+fn a_drive_that_is_to_send_the_sync_stops_that_before_it_gets_another_identifier() {
+    const SENDS: u32 = 1 << 30;
+    // While it sends, no other bit may change.
+    let rule: Rule = |old, new| (old & SENDS == 0 || (old ^ new) & !SENDS == 0).then_some(new);
+    for (sync_id, stored) in [
+        (0x080, SENDS | 0x100),
+        (0x100, SENDS | 0x080),
+        (0x080, 0x100),
+    ] {
+        let plan = ArmPlan {
+            sync_id: CanId::new(sync_id).unwrap(),
+            ..plan(1, 2 * MS)
+        };
+        let place = (0x1005, 0);
+        let after = mapped(&plan, &[(place, stored)], &Asked::default(), rule);
+        assert_eq!(after.unwrap()[&place], u32::from(sync_id), "{stored:x}");
+    }
+}
+
+#[test]
+fn the_deadline_of_a_set_point_is_set_while_the_pdo_is_off() {
+    let plan = plan(1, 2 * MS);
+    let mut scanned = Offline::new(network(&plan), &plan).unwrap().scan().unwrap();
+    let (mut valid, mut refuses) = (true, false);
+    scanned.bus_mut().tamper(Box::new(move |_, _, f| {
+        match (f.id.raw(), f.data()) {
+            (0x603, [0x23, 0x00, 0x14, 1, .., high]) => valid = high & 0x80 == 0,
+            (0x603, [0x2B, 0x00, 0x14, 5, ..]) => refuses = valid,
+            (0x583, [_, 0x00, 0x14, 5, ..]) if core::mem::take(&mut refuses) => {
+                let [a, b, c, d] = AbortCode::DEVICE_STATE.0.to_le_bytes();
+                return Tampering::Replace(frame(0x583, &[0x80, 0, 0x14, 5, a, b, c, d]));
+            }
+            _ => {}
+        }
+        Tampering::Pass
+    }));
+    let mut homed = scanned
+        .check_identity()
+        .unwrap()
+        .map()
+        .unwrap()
+        .home()
+        .unwrap();
+    // Ten periods.
+    assert_eq!(
+        read_number(homed.bus_mut(), 0, node(2), index::rpdo(0, 5)),
+        Ok(20)
+    );
 }
 
 #[test]
@@ -68,18 +157,11 @@ fn pdos_beyond_the_fourth_and_time_stamps_are_taken_out_of_use_as_far_as_a_node_
         // Hears time stamps, and sends them.
         ((0x1012, 0), 0xC000_0100, 0x100),
     ];
-    let objects: Objects = Rc::default();
-    objects
-        .borrow_mut()
-        .extend(cases.map(|(place, stored, _)| (place, stored)));
     let asked: Asked = Rc::default();
-    let plan = plan(1, 2 * MS);
-    let scanned = Offline::new(network(&plan), &plan).unwrap().scan();
-    let mut scanned = scanned.unwrap();
-    scanned.bus_mut().tamper(Box::new(more(&objects, &asked)));
-    scanned.check_identity().unwrap().map().unwrap();
+    let stored = cases.map(|(place, stored, _)| (place, stored));
+    let after = mapped(&plan(1, 2 * MS), &stored, &asked, STANDARD).unwrap();
     for (place, _, wanted) in cases {
-        assert_eq!(objects.borrow()[&place], wanted, "{place:x?}");
+        assert_eq!(after[&place], wanted, "{place:x?}");
     }
     let asked = asked.borrow();
     let was_asked = |index: u16| asked.contains(&(index, 1));

@@ -6,11 +6,14 @@ use std::rc::Rc;
 
 use super::*;
 use crate::can::cia301::emcy::ErrorCode;
-use crate::can::cia402::{Command, ControlView};
+use crate::can::cia402::{Command, ControlView, PowerState};
 
 /// Moving, with drives that keep to CiA 402 by the letter: of the ways out of operational only NMT stopped stops them.
 fn by_the_letter() -> Bench {
-    let plan = plan(1, 4 * MS);
+    by_the_letter_on(&plan(1, 4 * MS))
+}
+
+fn by_the_letter_on(plan: &ArmPlan) -> Bench {
     let drive = |axis| {
         let config = AxisConfig {
             stops_in_pre_operational: false,
@@ -18,7 +21,7 @@ fn by_the_letter() -> Bench {
         };
         Node::new(node(axis), &config)
     };
-    let mut bench = Bench::with(network_of(&plan, drive), &plan);
+    let mut bench = Bench::with(network_of(plan, drive), plan);
     bench.cycles(50, 0.0008).unwrap();
     bench
 }
@@ -68,16 +71,88 @@ fn a_drive_that_only_nmt_stopped_stops_is_not_led_by_somebody_else() {
     bench.assert_stopped_for_good(told);
 }
 
-#[test]
-fn a_drive_that_pre_operational_does_not_stop_goes_on_which_is_why_it_is_not_the_way() {
-    let mut bench = by_the_letter();
+/// The drive of axis 2 decides to be pre-operational, and nobody has said so.
+fn leave(bench: &mut Bench) {
     let leave = frame(0x000, &[0x80, 3]);
     bench
         .net()
         .poke(node(2), |now, drive, out| drive.on_frame(now, &leave, out));
+}
+
+#[test]
+fn a_drive_that_pre_operational_does_not_stop_goes_on_which_is_why_it_is_not_the_way() {
+    let mut bench = by_the_letter();
+    // It hears nothing but our heartbeat.
+    bench.tamper(|frame| match frame.id.raw() {
+        0x000 => Tampering::Drop,
+        _ => Tampering::Pass,
+    });
+    leave(&mut bench);
+    let _ = bench.cycles(100, 0.0);
+    let others = core::array::from_fn(|axis| axis == 2);
+    assert_eq!(bench.torques(), others);
+}
+
+#[test]
+fn a_node_that_goes_pre_operational_by_itself_is_named_and_told_to_stop_and_the_others_brake() {
+    let plan = ArmPlan {
+        heartbeat_ms: 10,
+        ..plan(1, 4 * MS)
+    };
+    let mut bench = by_the_letter_on(&plan);
+    let told = note_stops(bench.net());
+    leave(&mut bench);
+    let states = |bench: &mut Bench| {
+        core::array::from_fn::<_, TAIL_AXES, _>(|axis| {
+            bench.net().node(node(axis)).unwrap().power_state()
+        })
+    };
+    while bench.arm.fault().is_none() {
+        assert!(told.borrow().is_empty());
+        assert_eq!(states(&mut bench)[2], PowerState::OperationEnabled);
+        let _ = bench.cycle(0.0008);
+    }
+    // A set-point that is sent with this beat, and it.
+    let _ = bench.cycles(2, 0.0008);
     bench.dead_for(4 * MS);
+    for (axis, state) in states(&mut bench).into_iter().enumerate() {
+        assert_ne!(state, PowerState::OperationEnabled, "{axis}");
+    }
+    bench.assert_stopped_for_good("node 3 (axis 2, bus 0): went to PreOperational");
+    // Nobody else was, and it no longer once it had heard.
+    assert_eq!(*told.borrow(), BTreeSet::from([(0, 3)]));
+    told.borrow_mut().clear();
     let _ = bench.cycles(10, 0.0);
-    assert!(bench.torques()[2]);
+    assert!(told.borrow().is_empty());
+}
+
+#[test]
+fn a_node_of_which_nothing_is_heard_any_more_is_told_to_stop() {
+    let mut bench = by_the_letter();
+    let told: Told = Rc::default();
+    let noted = Rc::clone(&told);
+    // Nor why: its heartbeats do not come through.
+    bench.tamper(move |frame| match (frame.id.raw(), frame.data()) {
+        (0x703, _) => Tampering::Drop,
+        (0x000, [0x02, node]) => {
+            noted.borrow_mut().insert((0, *node));
+            Tampering::Pass
+        }
+        _ => Tampering::Pass,
+    });
+    leave(&mut bench);
+    let text = "node 3 (axis 2, bus 0): no usable process data for 20 cycles";
+    let mut cycles = 0;
+    while bench.arm.fault().is_none() {
+        assert!(told.borrow().is_empty() && bench.torques()[2]);
+        let _ = bench.cycle(0.0);
+        cycles += 1;
+    }
+    assert!(cycles < 25, "{cycles}");
+    let _ = bench.cycles(15, 0.0);
+    assert_eq!(bench.torques(), [false; TAIL_AXES]);
+    assert_eq!(*told.borrow(), BTreeSet::from([(0, 3)]));
+    bench.assert_stopped_for_good(text);
 }
 
 #[test]

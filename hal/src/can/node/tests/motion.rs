@@ -183,6 +183,15 @@ fn leaving_operational_stops_the_axis() {
         assert!((way[40] - way[99]).abs() < 1e-9);
         assert!(!bench.node.demand(bench.now).torque);
     }
+    // One that pre-operational does not stop is stopped by what comes after it.
+    let (mut bench, _) = Bench::moving();
+    bench.node.config.stops_in_pre_operational = false;
+    bench.nmt(NmtCommand::EnterPreOperational);
+    let _ = watch(&mut bench, 50);
+    assert!(bench.node.demand(bench.now).torque);
+    bench.nmt(NmtCommand::Stop);
+    let _ = watch(&mut bench, 50);
+    assert!(!bench.node.demand(bench.now).torque);
     let (mut bench, _) = Bench::moving();
     bench.nmt(NmtCommand::ResetNode);
     assert!(!bench.node.demand(bench.now).torque);

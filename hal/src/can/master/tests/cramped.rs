@@ -1,0 +1,98 @@
+//! A send queue with less room than a cycle needs, when drives have to stop.
+
+use super::*;
+use crate::can::cia301::emcy::ErrorCode;
+use crate::can::cia402::PowerState;
+
+/// A bus that takes only so many frames of ours between two waits.
+struct Narrow {
+    net: Net,
+    room: usize,
+    left: usize,
+}
+
+impl Bus for Narrow {
+    fn now(&self) -> TimeNs {
+        self.net.now()
+    }
+
+    fn send(&mut self, line: u8, frames: &[Frame]) -> usize {
+        let count = self.net.send(line, &frames[..frames.len().min(self.left)]);
+        self.left -= count;
+        count
+    }
+
+    fn receive(&mut self, line: u8, sink: &mut dyn FnMut(Received)) {
+        self.net.receive(line, sink);
+    }
+
+    fn flush(&mut self, line: u8) {
+        self.net.flush(line);
+    }
+
+    fn wait(&mut self, until: TimeNs) {
+        self.net.wait(until);
+        self.left = self.room;
+    }
+}
+
+/// Cycles that an arm takes until no drive follows any more, after one of them has failed and since when its queue has taken
+/// `room` frames a cycle. Their own watches would stop the drives after ten at the earliest.
+fn cycles_to_stop(room: usize, controller_lives: bool) -> u32 {
+    let plan = plan(1, 2 * MS);
+    let bus = Narrow {
+        net: network(&plan),
+        room: usize::MAX,
+        left: usize::MAX,
+    };
+    let scanned = Offline::new(bus, &plan).unwrap().scan().unwrap();
+    let mapped = scanned.check_identity().unwrap().map().unwrap();
+    let mut arm = mapped.home().unwrap().enable().unwrap();
+    let mut now = arm.bus_mut().now();
+    for cycle in 0..100 {
+        if cycle == 20 {
+            arm.bus_mut().room = room;
+            arm.bus_mut().net.poke(node(6), |now, drive, out| {
+                drive.fail(now, ErrorCode::OVER_CURRENT, 2, out);
+            });
+        }
+        let mut follows = |axis| {
+            let drive = arm.bus_mut().net.node(node(axis)).unwrap();
+            drive.power_state() == PowerState::OperationEnabled
+        };
+        if !(0..TAIL_AXES).any(&mut follows) {
+            assert!(arm.fault().is_some());
+            return cycle - 20;
+        }
+        now = now.plus_ns(plan.cycle_ns);
+        arm.bus_mut().wait(now);
+        let measured = arm.read(now);
+        // A controller that is told of a fault goes on to say what it said.
+        if controller_lives && (cycle < 20 || measured.is_err()) {
+            let command = ArmCommand {
+                stamp: now,
+                position: JointVector::from_fn(|axis, _| {
+                    0.1 * (1.0 + f64::from(u8::try_from(axis).unwrap()))
+                }),
+                velocity: JointVector::zeros(),
+                acceleration: JointVector::zeros(),
+                jaw_position: 0.7,
+                jaw_velocity: 0.0,
+                enabled: true,
+            };
+            let _ = arm.write(&command, &SafeTail::hold(&command));
+        }
+    }
+    u32::MAX
+}
+
+#[test]
+fn a_queue_with_little_room_takes_the_sync_and_the_quick_stops_of_drives_that_still_follow() {
+    for controller_lives in [true, false] {
+        // Enough, half of it, and next to nothing.
+        for (room, at_most) in [(16, 3), (5, 5), (3, 7)] {
+            let cycles = cycles_to_stop(room, controller_lives);
+            assert!(cycles <= at_most, "{room} {controller_lives}: {cycles}");
+        }
+    }
+}

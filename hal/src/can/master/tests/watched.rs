@@ -1,0 +1,273 @@
+//! Somebody else who leads our drives, and trouble with the bus, while the arm is brought up.
+
+use std::cell::RefCell;
+use std::rc::Rc;
+
+use super::*;
+use crate::can::cia301::emcy::ErrorCode;
+
+/// What only our master may say, and what anybody may.
+fn said() -> ([Frame; 9], [Frame; 8]) {
+    let ours = [
+        frame(0x080, &[]),
+        frame(0x203, &[6, 0, 0, 0, 0, 0]),
+        frame(0x77F, &[5]),
+        // NMT to all, and to node 3.
+        frame(0x000, &[0x80, 0]),
+        frame(0x000, &[0x02, 3]),
+        frame(0x000, &[0x81, 3]),
+        // Writing to its dictionary: a position offset, a segment, a block.
+        frame(0x603, &[0x23, 0xB0, 0x60, 0, 0, 1, 0, 0]),
+        frame(0x603, &[0x01, 1, 2, 3, 4, 5, 6, 7]),
+        frame(0x603, &[0xC2, 0xB0, 0x60, 0, 4, 0, 0, 0]),
+    ];
+    let anybodys = [
+        frame(0x100, &[]),
+        frame(0x20B, &[0x0F, 0, 0, 0, 0, 0]),
+        frame(0x77E, &[5]),
+        frame(0x000, &[0x01, 11]),
+        frame(0x18B, &[0; 8]),
+        frame(0x08B, &[0x10, 0x23, 3, 0, 0, 0, 0, 0]),
+        frame(0x603, &[0x40, 0x64, 0x60, 0, 0, 0, 0, 0]),
+        frame(0x60B, &[0x23, 0xB0, 0x60, 0, 0, 1, 0, 0]),
+    ];
+    (ours, anybodys)
+}
+
+fn refusal(frame: &Frame) -> String {
+    format!("bus 0: another master sends {frame}")
+}
+
+#[test]
+fn another_master_is_noticed_before_a_word_is_said() {
+    let plan = plan(1, 2 * MS);
+    let scan = |heard: &Frame| {
+        let mut net = network(&plan);
+        net.intrude(0, *heard);
+        let scanned = Offline::new(net, &plan).unwrap().scan();
+        scanned.map(|_| ()).map_err(|error| error.to_string())
+    };
+    let (ours, anybodys) = said();
+    for heard in ours {
+        assert_eq!(scan(&heard), Err(refusal(&heard)));
+    }
+    for heard in anybodys {
+        assert_eq!(scan(&heard), Ok(()), "{heard}");
+    }
+}
+
+/// A bus on which something happens once so many frames of ours have been sent.
+struct Disturbed {
+    net: Rc<RefCell<Net>>,
+    sent: Rc<RefCell<usize>>,
+    at: usize,
+    what: Rc<dyn Fn(&mut Net)>,
+}
+
+impl Bus for Disturbed {
+    fn now(&self) -> TimeNs {
+        self.net.borrow().now()
+    }
+
+    fn send(&mut self, line: u8, frames: &[Frame]) -> usize {
+        let mut net = self.net.borrow_mut();
+        let count = net.send(line, frames);
+        let before = *self.sent.borrow();
+        *self.sent.borrow_mut() += count;
+        if (before..before + count).contains(&self.at) {
+            (self.what)(&mut net);
+        }
+        count
+    }
+
+    fn receive(&mut self, line: u8, sink: &mut dyn FnMut(Received)) {
+        self.net.borrow_mut().receive(line, sink);
+    }
+
+    fn flush(&mut self, line: u8) {
+        self.net.borrow_mut().flush(line);
+    }
+
+    fn wait(&mut self, until: TimeNs) {
+        self.net.borrow_mut().advance(until);
+    }
+}
+
+/// How far bring-up comes, and with how many frames of ours after each step.
+struct Course {
+    sent: [usize; 4],
+    end: Result<(), String>,
+    torques: bool,
+}
+
+/// Bring-up with `what` after our frame number `at`. The drives are looked at half a second later.
+fn course(lines: u8, at: usize, what: impl Fn(&mut Net) + 'static) -> Course {
+    course_of(lines, drive, at, what)
+}
+
+fn course_of(
+    lines: u8,
+    drive: fn(usize) -> Node,
+    at: usize,
+    what: impl Fn(&mut Net) + 'static,
+) -> Course {
+    let plan = plan(lines, 2 * MS);
+    let net = Rc::new(RefCell::new(network_of(&plan, drive)));
+    let sent = Rc::new(RefCell::new(0));
+    let bus = Disturbed {
+        net: Rc::clone(&net),
+        sent: Rc::clone(&sent),
+        at,
+        what: Rc::new(what),
+    };
+    let mut after = [0; 4];
+    let mut note = |step: usize| after[step] = *sent.borrow();
+    let steps = || -> Result<(), BringUpError> {
+        let scanned = Offline::new(bus, &plan)?.scan()?;
+        note(0);
+        let identified = scanned.check_identity()?;
+        note(1);
+        let mapped = identified.map()?;
+        note(2);
+        let homed = mapped.home()?;
+        note(3);
+        homed.enable().map(|_| ())
+    };
+    let end = steps().map_err(|error| error.to_string());
+    let mut net = net.borrow_mut();
+    let later = net.now().plus_ns(500 * MS);
+    net.advance(later);
+    let has_torque = |axis| net.node(node(axis)).unwrap().power_state().has_torque();
+    Course {
+        sent: after,
+        end,
+        torques: (0..TAIL_AXES).any(has_torque),
+    }
+}
+
+const NEVER: usize = usize::MAX;
+
+#[test]
+fn another_master_ends_the_bring_up_in_whatever_step_he_is_heard() {
+    let [scanned, identified, mapped, homed] = course(1, NEVER, |_| {}).sent;
+    let (ours, _) = said();
+    // A few frames into each step.
+    for at in [3, scanned + 9, identified + 40, mapped + 20] {
+        // A write of his that a drive refuses, so nothing else ends it.
+        for heard in [ours[7], ours[1]] {
+            let course = course(1, at, move |net| assert!(net.intrude(0, heard)));
+            assert_eq!(course.end, Err(refusal(&heard)), "{at}");
+            assert!(!course.torques);
+            let steps = [scanned, identified, mapped, homed];
+            let done = course.sent.iter().filter(|sent| **sent > 0).count();
+            assert_eq!(done, steps.iter().filter(|end| **end <= at).count(), "{at}");
+        }
+    }
+    // One that resets a node is the cause, not that it then is not as it was set.
+    let reset = frame(0x000, &[0x81, 3]);
+    let course = course(1, mapped + 20, move |net| assert!(net.intrude(0, reset)));
+    assert_eq!(course.end, Err(refusal(&reset)));
+}
+
+#[test]
+fn what_anybody_may_say_and_another_arms_master_does_not_end_it() {
+    let undisturbed = course(1, NEVER, |_| {});
+    assert_eq!(undisturbed.end, Ok(()));
+    let [scanned, .., homed] = undisturbed.sent;
+    for at in [scanned + 9, homed + 6] {
+        let course = course(1, at, |net| {
+            for heard in said().1 {
+                // An answer to a question of his would be taken for one of ours.
+                if heard.id.raw() != 0x603 {
+                    assert!(net.intrude(0, heard));
+                }
+            }
+        });
+        assert_eq!(course.end, Ok(()), "{at}");
+    }
+}
+
+#[test]
+fn what_happens_between_the_start_of_the_nodes_and_the_first_beat_is_a_fault() {
+    type What = fn(&mut Net);
+    let cases: [(What, &str); 7] = [
+        (
+            |net| net.bus_off(1, true),
+            "bus 1: our controller is bus-off",
+        ),
+        (
+            |net| net.trouble(0, Trouble::Down),
+            "bus 0: the interface is down",
+        ),
+        (
+            |net| net.trouble(2, Trouble::Restarted),
+            "bus 2: our controller is bus-off",
+        ),
+        (
+            |net| assert!(net.intrude(1, frame(0x204, &[0x0F, 0, 0, 0, 0, 0]))),
+            "bus 1: somebody else sends 204h, which only this master may",
+        ),
+        (
+            |net| assert!(net.intrude(0, frame(0x603, &[0x01, 1, 2, 3, 4, 5, 6, 7]))),
+            "bus 0: somebody else sends 603h, which only this master may",
+        ),
+        (
+            |net| {
+                net.poke(node(6), |now, drive, out| {
+                    drive.fail(now, ErrorCode::OVER_CURRENT, 2, out);
+                });
+            },
+            "node 7 (axis 6, bus 2): emergency 2310h, continuous over-current",
+        ),
+        (
+            |net| net.poke(node(2), |now, drive, out| drive.power_on(now, out)),
+            "node 3 (axis 2, bus 0): was reset while in use",
+        ),
+    ];
+    let undisturbed = course(3, NEVER, |_| {});
+    assert_eq!(undisturbed.end, Ok(()));
+    // The seventh of them is told to start.
+    let last = undisturbed.sent[3] + 6;
+    for (what, fault) in cases {
+        let course = course(3, last, what);
+        assert_eq!(course.end, Err(fault.to_owned()));
+        assert!(!course.torques, "{fault}");
+    }
+}
+
+#[test]
+fn trouble_on_a_bus_that_is_not_listened_to_ends_the_bring_up_before_the_nodes_start() {
+    let undisturbed = course(3, NEVER, |_| {});
+    let homed = undisturbed.sent[3];
+    // The last axis is homed on bus 2; nothing is asked on bus 0 any more.
+    for trouble in [Trouble::BusOff, Trouble::Restarted, Trouble::Down] {
+        let course = course(3, homed - 1, move |net| net.trouble(0, trouble));
+        assert_eq!(course.end, Err("bus 0: bus-off or down".to_owned()));
+        assert!(course.sent[3] == homed && !course.torques);
+    }
+}
+
+#[test]
+fn a_drive_that_does_not_let_go_after_its_reference_is_stopped() {
+    // Pre-operational would not stop it.
+    let stubborn = |axis| {
+        let config = AxisConfig {
+            stops_in_pre_operational: false,
+            ..axis_config(axis)
+        };
+        Node::new(node(axis), &config)
+    };
+    let course = course_of(1, stubborn, 0, |net| {
+        net.tamper(Box::new(|_, _, heard| match heard.data() {
+            // Let go, it is told, and hears that it is to stay enabled.
+            [0x00, rest @ ..] if heard.id.raw() == 0x203 => {
+                let said = [&[0x0F], rest].concat();
+                Tampering::Replace(frame(0x203, &said))
+            }
+            _ => Tampering::Pass,
+        }));
+    });
+    let refusal = "node 3 (axis 2, bus 0): homing failed, status word ";
+    assert!(course.end.unwrap_err().starts_with(refusal));
+    assert!(!course.torques);
+}
