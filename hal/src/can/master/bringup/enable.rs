@@ -19,8 +19,9 @@ const SETTLE_NS: u64 = 10_000_000;
 pub fn enable_together<B: Bus>(
     mut homed: Vec<Homed<B>>,
 ) -> Result<Vec<CanArm<B>>, (usize, BringUpError)> {
-    for (place, arm) in homed.iter_mut().enumerate() {
-        arm.start().map_err(|error| (place, error))?;
+    if let Some(failed) = start_all(&mut homed) {
+        homed.iter_mut().for_each(|arm| arm.bus.stop());
+        return Err(failed);
     }
     let Some(first) = homed.first_mut() else {
         return Ok(Vec::new());
@@ -35,6 +36,12 @@ pub fn enable_together<B: Bus>(
             Err(failed)
         }
     }
+}
+
+/// Starts the nodes of all arms; the place of the arm that can't be started, if there is one.
+fn start_all<B: Bus>(homed: &mut [Homed<B>]) -> Option<(usize, BringUpError)> {
+    let mut started = homed.iter_mut().enumerate();
+    started.find_map(|(place, arm)| Some((place, arm.start().err()?)))
 }
 
 /// The arm as its beat begins at `start`. What has come since its nodes were told to start is the cycle's to judge, but for

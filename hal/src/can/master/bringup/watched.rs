@@ -7,6 +7,10 @@ use super::super::plan::ArmPlan;
 use super::BringUpError;
 use crate::TimeNs;
 use crate::can::Frame;
+use crate::can::cia301::{Cob, NmtCommand, NmtTarget};
+
+/// First byte of a request to read an object (CiA 301, initiate SDO upload).
+const READ: u8 = 0x40;
 
 /// Buses, and the first frame on them that only the master of the plan may send.
 #[derive(Debug)]
@@ -25,11 +29,23 @@ impl<B: Bus> Watched<B> {
         }
     }
 
-    /// What a step came to, unless somebody else leads our drives: whatever it came to, that is the cause.
-    pub(super) fn judge<T>(&self, step: Result<T, BringUpError>) -> Result<T, BringUpError> {
+    /// What a step came to, unless somebody else leads our drives: whatever it came to, that is the cause, and all nodes are
+    /// stopped, so that they hear no set-points of his.
+    pub(super) fn judge<T>(&mut self, step: Result<T, BringUpError>) -> Result<T, BringUpError> {
         match self.foreign {
-            Some((line, frame)) => Err(BringUpError::ForeignMaster { line, frame }),
+            Some((line, frame)) => {
+                self.stop();
+                Err(BringUpError::ForeignMaster { line, frame })
+            }
             None => step,
+        }
+    }
+
+    /// Tells every node to stop: it hears no set-points then, and its drive does what 6007h says.
+    pub(super) fn stop(&mut self) {
+        for axis in &self.plan.axes {
+            let stop = NmtCommand::Stop.emit(NmtTarget::Node(axis.node));
+            self.bus.send(axis.line, &[stop]);
         }
     }
 
@@ -47,8 +63,11 @@ impl<B: Bus> Bus for Watched<B> {
         self.bus.now()
     }
 
+    /// Once somebody else leads our drives nothing goes out that would change a drive or give it torque.
     fn send(&mut self, line: u8, frames: &[Frame]) -> usize {
-        self.bus.send(line, frames)
+        let harmful = |frame: &Frame| self.foreign.is_some() && !is_harmless(frame);
+        let count = frames.iter().take_while(|frame| !harmful(frame)).count();
+        self.bus.send(line, &frames[..count])
     }
 
     fn receive(&mut self, line: u8, sink: &mut dyn FnMut(Received)) {
@@ -70,5 +89,16 @@ impl<B: Bus> Bus for Watched<B> {
 
     fn wait(&mut self, until: TimeNs) {
         self.bus.wait(until);
+    }
+}
+
+/// Whether a frame of ours neither changes a node's objects nor lets its drive have voltage.
+fn is_harmless(frame: &Frame) -> bool {
+    match Cob::of(frame.id) {
+        // Reading; all else of a client writes or goes on writing.
+        Cob::SdoRequest(_) => frame.data().first() == Some(&READ),
+        // Bit 1 of the control word is "enable voltage".
+        Cob::ReceivePdo(..) => frame.data().first().is_some_and(|low| low & 0b10 == 0),
+        _ => true,
     }
 }

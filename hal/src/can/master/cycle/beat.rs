@@ -88,12 +88,19 @@ impl Cycle {
     }
 }
 
-/// Whether a node hears no set-points, as it says itself, or may not, since nothing usable has come from it for too long. One
+/// After how many cycles a node that says nothing is told again to stop: one without power never answers, and in a queue with
+/// little room the quick stops of the others need the place.
+const STOP_AGAIN: u32 = 8;
+
+/// Whether a node is to be told to stop: it hears no set-points, as it says itself, or may not, since nothing usable has come from it for too long. One
 /// that says that it is stopped has heard that already.
 fn is_deaf(axis: &Axis) -> bool {
     match axis.told {
         Some(NmtState::PreOperational | NmtState::BootUp) => true,
         Some(NmtState::Stopped) => false,
-        Some(NmtState::Operational) | None => axis.silent() >= SILENT_AFTER,
+        Some(NmtState::Operational) | None => {
+            let since = axis.silent().checked_sub(SILENT_AFTER);
+            since.is_some_and(|since| since.is_multiple_of(STOP_AGAIN))
+        }
     }
 }

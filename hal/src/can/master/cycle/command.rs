@@ -1,6 +1,6 @@
 //! What each drive is told in a cycle. Hot path: bounded, no allocation, no I/O, no lock.
 
-use super::{Cycle, Goal};
+use super::{Cycle, Goal, SILENT_AFTER};
 use crate::TimeNs;
 use crate::can::cia301::Cob;
 use crate::can::cia301::cob::PdoNumber;
@@ -20,15 +20,22 @@ enum Urgency {
     Brakes,
     /// Its drive has no torque.
     Free,
+    /// Nothing has come from its node for so long that nothing is known of its drive.
+    Unheard,
+}
+
+impl Urgency {
+    /// From what matters most.
+    const ALL: [Self; 4] = [Self::Follows, Self::Brakes, Self::Free, Self::Unheard];
 }
 
 impl Cycle {
     /// The set-points for the drives on `line`, in the order of the axes. After a fault those that stop a drive that still
-    /// follows come first, then those for drives that brake: a queue with little room takes only the first ones, and the same
-    /// ones in every cycle.
+    /// follows come first, then those for drives that brake, and last those for drives of which nothing is heard: a queue with
+    /// little room takes only the first ones, and the same ones in every cycle.
     pub fn commands(&mut self, now: TimeNs, line: u8, out: &mut Outbox) {
         let together = self.together();
-        for urgency in [Urgency::Follows, Urgency::Brakes, Urgency::Free] {
+        for urgency in Urgency::ALL {
             for n in 0..TAIL_AXES {
                 if self.plan.axes[n].line == line && self.urgency(n) == urgency {
                     out.push(self.set_point(n, now, together));
@@ -41,6 +48,7 @@ impl Cycle {
         let state = self.axes[n].newest.map(|newest| newest.status.state);
         match state {
             _ if self.fault.is_none() => Urgency::Follows,
+            _ if self.axes[n].silent() >= SILENT_AFTER => Urgency::Unheard,
             Some(PowerState::OperationEnabled) => Urgency::Follows,
             Some(state) if state.has_torque() => Urgency::Brakes,
             Some(_) | None => Urgency::Free,

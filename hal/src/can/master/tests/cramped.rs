@@ -9,6 +9,8 @@ struct Narrow {
     net: Net,
     room: usize,
     left: usize,
+    /// What found room.
+    said: Vec<Frame>,
 }
 
 impl Bus for Narrow {
@@ -19,6 +21,7 @@ impl Bus for Narrow {
     fn send(&mut self, line: u8, frames: &[Frame]) -> usize {
         let count = self.net.send(line, &frames[..frames.len().min(self.left)]);
         self.left -= count;
+        self.said.extend(&frames[..count]);
         count
     }
 
@@ -36,18 +39,24 @@ impl Bus for Narrow {
     }
 }
 
+/// An arm whose queue has room for all, yet.
+fn brought_up(plan: &ArmPlan) -> CanArm<Narrow> {
+    let bus = Narrow {
+        net: network(plan),
+        room: usize::MAX,
+        left: usize::MAX,
+        said: Vec::new(),
+    };
+    let scanned = Offline::new(bus, plan).unwrap().scan().unwrap();
+    let mapped = scanned.check_identity().unwrap().map().unwrap();
+    mapped.home().unwrap().enable().unwrap()
+}
+
 /// Cycles that an arm takes until no drive follows any more, after one of them has failed and since when its queue has taken
 /// `room` frames a cycle. Their own watches would stop the drives after ten at the earliest.
 fn cycles_to_stop(room: usize, controller_lives: bool) -> u32 {
     let plan = plan(1, 2 * MS);
-    let bus = Narrow {
-        net: network(&plan),
-        room: usize::MAX,
-        left: usize::MAX,
-    };
-    let scanned = Offline::new(bus, &plan).unwrap().scan().unwrap();
-    let mapped = scanned.check_identity().unwrap().map().unwrap();
-    let mut arm = mapped.home().unwrap().enable().unwrap();
+    let mut arm = brought_up(&plan);
     let mut now = arm.bus_mut().now();
     for cycle in 0..100 {
         if cycle == 20 {
@@ -95,4 +104,35 @@ fn a_queue_with_little_room_takes_the_sync_and_the_quick_stops_of_drives_that_st
             assert!(cycles <= at_most, "{room} {controller_lives}: {cycles}");
         }
     }
+}
+
+#[test]
+fn nodes_without_power_do_not_take_the_room_of_the_others() {
+    let plan = plan(1, 2 * MS);
+    let mut arm = brought_up(&plan);
+    let mut now = arm.bus_mut().now();
+    for cycle in 0..68 {
+        if cycle == 20 {
+            for axis in [0, 1] {
+                arm.bus_mut().net.power(node(axis), false);
+            }
+        }
+        if cycle == 60 {
+            assert!(arm.fault().is_some());
+            arm.bus_mut().room = 3;
+            arm.bus_mut().said.clear();
+        }
+        now = now.plus_ns(plan.cycle_ns);
+        arm.bus_mut().wait(now);
+        let _ = arm.read(now);
+    }
+    let all = core::mem::take(&mut arm.bus_mut().said);
+    let said = |id: u16| {
+        let ids = all.iter().map(|frame| frame.id.raw());
+        ids.filter(|raw| *raw == id).count()
+    };
+    // SYNC in each of the eight cycles but the first, which does not know of the lack of room yet; set-points for the first two
+    // that live in all but the one that repeats the stops.
+    assert_eq!([0x080, 0x203, 0x204].map(said), [7, 7, 7]);
+    assert_eq!([0x000, 0x201, 0x202].map(said), [2, 0, 0]);
 }

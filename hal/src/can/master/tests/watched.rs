@@ -4,6 +4,7 @@ use std::cell::RefCell;
 use std::rc::Rc;
 
 use super::*;
+use crate::can::cia301::NmtState;
 use crate::can::cia301::emcy::ErrorCode;
 
 /// What only our master may say, and what anybody may.
@@ -61,6 +62,8 @@ struct Disturbed {
     net: Rc<RefCell<Net>>,
     sent: Rc<RefCell<usize>>,
     at: usize,
+    /// What of ours went out since, but for the frames of the same moment.
+    after: Rc<RefCell<Vec<Frame>>>,
     what: Rc<dyn Fn(&mut Net)>,
 }
 
@@ -76,6 +79,9 @@ impl Bus for Disturbed {
         *self.sent.borrow_mut() += count;
         if (before..before + count).contains(&self.at) {
             (self.what)(&mut net);
+        }
+        if before > self.at.saturating_add(1) {
+            self.after.borrow_mut().extend(&frames[..count]);
         }
         count
     }
@@ -98,6 +104,10 @@ struct Course {
     sent: [usize; 4],
     end: Result<(), String>,
     torques: bool,
+    /// What of ours went out after what happened.
+    after: Vec<Frame>,
+    /// Whether every node is stopped in the end.
+    stopped: bool,
 }
 
 /// Bring-up with `what` after our frame number `at`. The drives are looked at half a second later.
@@ -114,7 +124,9 @@ fn course_of(
     let plan = plan(lines, 2 * MS);
     let net = Rc::new(RefCell::new(network_of(&plan, drive)));
     let sent = Rc::new(RefCell::new(0));
+    let noted = Rc::default();
     let bus = Disturbed {
+        after: Rc::clone(&noted),
         net: Rc::clone(&net),
         sent: Rc::clone(&sent),
         at,
@@ -142,6 +154,9 @@ fn course_of(
         sent: after,
         end,
         torques: (0..TAIL_AXES).any(has_torque),
+        after: noted.take(),
+        stopped: (0..TAIL_AXES)
+            .all(|axis| net.node(node(axis)).unwrap().nmt_state() == NmtState::Stopped),
     }
 }
 
@@ -157,7 +172,7 @@ fn another_master_ends_the_bring_up_in_whatever_step_he_is_heard() {
         for heard in [ours[7], ours[1]] {
             let course = course(1, at, move |net| assert!(net.intrude(0, heard)));
             assert_eq!(course.end, Err(refusal(&heard)), "{at}");
-            assert!(!course.torques);
+            assert!(!course.torques && course.stopped);
             let steps = [scanned, identified, mapped, homed];
             let done = course.sent.iter().filter(|sent| **sent > 0).count();
             assert_eq!(done, steps.iter().filter(|end| **end <= at).count(), "{at}");
@@ -167,6 +182,26 @@ fn another_master_ends_the_bring_up_in_whatever_step_he_is_heard() {
     let reset = frame(0x000, &[0x81, 3]);
     let course = course(1, mapped + 20, move |net| assert!(net.intrude(0, reset)));
     assert_eq!(course.end, Err(refusal(&reset)));
+}
+
+#[test]
+fn once_another_master_was_heard_no_drive_is_given_torque_or_changed() {
+    let [_, identified, mapped, homed] = course(1, NEVER, |_| {}).sent;
+    let harms = |frame: &Frame| match frame.id.raw() {
+        0x201..=0x207 => frame.data()[0] & 0b10 != 0,
+        0x601..=0x607 => frame.data()[0] != 0x40,
+        _ => false,
+    };
+    let stranger = said().0[1];
+    let mut heard_ours = 0;
+    for at in (identified..homed).step_by(7) {
+        let course = course(1, at, move |net| assert!(net.intrude(0, stranger)));
+        assert_eq!(course.end, Err(refusal(&stranger)), "{at} of {mapped}");
+        let harmful: Vec<_> = course.after.iter().filter(|frame| harms(frame)).collect();
+        assert!(harmful.is_empty() && course.stopped, "{at}: {harmful:?}");
+        heard_ours += course.after.len();
+    }
+    assert!(heard_ours > 0);
 }
 
 #[test]
