@@ -231,7 +231,7 @@ impl World {
         self.sunk_m(0)
     }
 
-    /// Digest of every number that decides the future, bit by bit.
+    /// Digest of the numbers that decide the future, bit by bit; what the engine keeps for itself follows from the past.
     #[must_use]
     pub fn state_hash(&self) -> u64 {
         let arms = self.arms.iter().flat_map(ArmUnit::state);

@@ -26,9 +26,10 @@ pub(super) const WRIST_RADIUS_M: f64 = 0.002_5;
 /// Top of the table that the tissue lies on, m; a needle pushed over the edge stops there.
 const TABLE_HEIGHT_M: f64 = -0.02;
 
-/// A thing that nobody touches rests once no point of it moved by twice this in a second, m/s, for [`REST_S`].
+/// A thing near which no instrument is falls asleep once no point of it has moved by twice this in a second, m/s, for
+/// [`REST_S`]; it then stays where it is to the bit until an instrument comes near. A slide slower than that ends there.
 const REST_M_S: f64 = 1e-5;
-/// How long it lies that still before it rests, s.
+/// How long it lies that still before it falls asleep, s.
 const REST_S: f64 = 0.1;
 
 const INSTRUMENT: Group = Group::GROUP_1;

@@ -86,6 +86,7 @@ fn a_needle_that_bounces_never_has_more_energy_than_before() {
             let mut least_j = fall_j;
             let (mut gained_j, mut still_since) = (0.0_f64, 0);
             for step in 0..3000 {
+                world.stage.wake(0);
                 world.step();
                 let energy_j = world.energy_j(0);
                 gained_j = gained_j.max(energy_j - least_j);

@@ -39,6 +39,8 @@ fn a_block_on_its_peg_does_not_creep_sink_or_jitter() {
         );
         let (mut crept_m, mut turned, mut fastest) = (0.0_f64, 0.0_f64, 0.0_f64);
         for _ in 0..5000 {
+            // Asleep it could not creep.
+            world.stage.wake(0);
             world.step();
             let drift = rest.inverse() * world.thing_in_scene(0);
             crept_m = crept_m.max(drift.translation.vector.norm());
@@ -60,6 +62,7 @@ fn a_block_that_leans_on_its_peg_trembles_by_less_than_a_micrometre_and_goes_now
     let (_, mut world) = block_on_peg(1, Some(4));
     let mut go = |steps: u32| {
         for _ in 0..steps {
+            world.stage.wake(0);
             world.step();
         }
         world.thing_in_scene(0)
