@@ -94,11 +94,14 @@ impl<B: Bus> Bus for Watched<B> {
 
 /// Whether a frame of ours neither changes a node's objects nor lets its drive have voltage.
 fn is_harmless(frame: &Frame) -> bool {
+    let first = frame.data().first();
     match Cob::of(frame.id) {
-        // Reading; all else of a client writes or goes on writing.
-        Cob::SdoRequest(_) => frame.data().first() == Some(&READ),
+        // All else of a client writes or goes on writing.
+        Cob::SdoRequest(_) => first == Some(&READ),
         // Bit 1 of the control word is "enable voltage".
-        Cob::ReceivePdo(..) => frame.data().first().is_some_and(|low| low & 0b10 == 0),
-        _ => true,
+        Cob::ReceivePdo(..) => first.is_some_and(|low| low & 0b10 == 0),
+        // A master says these to end it as well; SYNC may have the time stamp's identifier.
+        Cob::Nmt | Cob::Sync | Cob::Time | Cob::Heartbeat(_) => true,
+        Cob::Emergency(_) | Cob::TransmitPdo(..) | Cob::SdoResponse(_) | Cob::Other(_) => false,
     }
 }
