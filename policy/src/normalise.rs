@@ -124,27 +124,33 @@ impl Statistics {
     /// A normaliser on the CPU.
     #[must_use]
     pub fn normaliser(&self) -> Normaliser {
+        let divisors: Vec<f32> = self.std.iter().map(|std| std + EPS).collect();
         Normaliser {
             mean: Tensor::from_slice(&self.mean),
             std: Tensor::from_slice(&self.std),
+            divisor: Tensor::from_slice(&divisors),
         }
     }
 }
+
+/// What LeRobot adds to a deviation before it divides by it (`eps` in the processor's file).
+const EPS: f32 = 1e-8;
 
 /// Takes a feature to mean 0 and deviation 1 over its last dimension, and back.
 #[derive(Debug)]
 pub struct Normaliser {
     mean: Tensor,
     std: Tensor,
+    divisor: Tensor,
 }
 
 impl Normaliser {
-    /// `(x - mean) / std`.
+    /// `(x - mean) / (std + 1e-8)`, as LeRobot's processor does, which has no such term on the way back.
     ///
     /// # Errors
     /// The network library's, if the last dimension does not fit.
     pub fn apply(&self, x: &Tensor) -> Result<Tensor, TchError> {
-        x.f_sub(&self.mean)?.f_div(&self.std)
+        x.f_sub(&self.mean)?.f_div(&self.divisor)
     }
 
     /// `x * std + mean`.
@@ -239,6 +245,22 @@ mod tests {
             .contains("mean")
         );
         assert!(good.defect(2).is_some());
+    }
+
+    #[test]
+    fn a_small_deviation_is_divided_by_as_lerobot_does() {
+        let statistics = Statistics {
+            mean: vec![0.0],
+            std: vec![1e-7],
+            min: vec![],
+            max: vec![],
+        };
+        let normaliser = statistics.normaliser();
+        let apply = |x: f32| {
+            let x = Tensor::from_slice(&[x]);
+            f32::try_from(normaliser.apply(&x).unwrap()).unwrap()
+        };
+        assert!((apply(1.1e-7) - 1.0).abs() < 1e-6);
     }
 
     #[test]

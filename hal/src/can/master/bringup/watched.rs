@@ -1,16 +1,13 @@
 //! The buses while an arm is brought up, under watch: nobody else may lead its drives then either.
 
-use super::super::client::expect;
+use super::super::client::{self, expect};
 use super::super::foreign::leads;
 use super::super::link::{Bus, Received};
 use super::super::plan::ArmPlan;
 use super::BringUpError;
 use crate::TimeNs;
 use crate::can::Frame;
-use crate::can::cia301::{Cob, NmtCommand, NmtTarget};
-
-/// First byte of a request to read an object (CiA 301, initiate SDO upload).
-const READ: u8 = 0x40;
+use crate::can::cia301::{NmtCommand, NmtTarget};
 
 /// Buses, and the first frame on them that only the master of the plan may send.
 #[derive(Debug)]
@@ -18,6 +15,8 @@ pub(super) struct Watched<B> {
     pub(super) bus: B,
     plan: ArmPlan,
     foreign: Option<(u8, Frame)>,
+    /// Whether we have said anything: who was there before us is not disturbed.
+    spoke: bool,
 }
 
 impl<B: Bus> Watched<B> {
@@ -26,35 +25,39 @@ impl<B: Bus> Watched<B> {
             bus,
             plan: *plan,
             foreign: None,
+            spoke: false,
         }
     }
 
-    /// What a step came to, unless somebody else leads our drives: whatever it came to, that is the cause, and all nodes are
-    /// stopped, so that they hear no set-points of his.
+    /// What a step came to, unless somebody else leads our drives: whatever it came to, that is the cause, and all nodes that
+    /// we have begun to set up are stopped.
     pub(super) fn judge<T>(&mut self, step: Result<T, BringUpError>) -> Result<T, BringUpError> {
         match self.foreign {
             Some((line, frame)) => {
-                self.stop();
+                if self.spoke {
+                    self.stop();
+                }
                 Err(BringUpError::ForeignMaster { line, frame })
             }
             None => step,
         }
     }
 
-    /// Tells every node to stop: it hears no set-points then, and its drive does what 6007h says.
+    /// Tells every node to stop: it hears no set-points then, and its drive does what 6007h says. A node whose bus has no room
+    /// in time does not hear it; the others do.
     pub(super) fn stop(&mut self) {
-        for axis in &self.plan.axes {
-            let stop = NmtCommand::Stop.emit(NmtTarget::Node(axis.node));
-            self.bus.send(axis.line, &[stop]);
+        for (line, stop) in stops(&self.plan) {
+            let _ = client::send(&mut self.bus, line, stop);
         }
     }
 
     /// Takes what has come on any bus and nobody waits for any more.
     pub(super) fn drain(&mut self) -> Result<(), BringUpError> {
         for line in 0..self.plan.lines {
-            expect(self, line, 0, |_| None::<()>)?;
+            let taken = expect(self, line, 0, |_| None::<()>);
+            self.judge(taken)?;
         }
-        self.judge(Ok(()))
+        Ok(())
     }
 }
 
@@ -63,15 +66,21 @@ impl<B: Bus> Bus for Watched<B> {
         self.bus.now()
     }
 
-    /// Once somebody else leads our drives nothing goes out that would change a drive or give it torque.
+    /// Once somebody else leads our drives nothing goes out any more, and what waits for an answer gets none.
     fn send(&mut self, line: u8, frames: &[Frame]) -> usize {
-        let harmful = |frame: &Frame| self.foreign.is_some() && !is_harmless(frame);
-        let count = frames.iter().take_while(|frame| !harmful(frame)).count();
-        self.bus.send(line, &frames[..count])
+        if self.foreign.is_some() {
+            return frames.len();
+        }
+        self.spoke = true;
+        self.bus.send(line, frames)
     }
 
+    /// Whoever leads our drives is kept from it at once and not only when the step is judged: one may have torque.
     fn receive(&mut self, line: u8, sink: &mut dyn FnMut(Received)) {
-        let Self { bus, plan, foreign } = self;
+        let was_alone = self.foreign.is_none();
+        let Self {
+            bus, plan, foreign, ..
+        } = self;
         bus.receive(line, &mut |received| {
             if let Received::Frame(frame) = received
                 && foreign.is_none()
@@ -81,6 +90,11 @@ impl<B: Bus> Bus for Watched<B> {
             }
             sink(received);
         });
+        if was_alone && self.foreign.is_some() && self.spoke {
+            for (line, stop) in stops(&self.plan) {
+                self.bus.send(line, &[stop]);
+            }
+        }
     }
 
     fn flush(&mut self, line: u8) {
@@ -92,16 +106,10 @@ impl<B: Bus> Bus for Watched<B> {
     }
 }
 
-/// Whether a frame of ours neither changes a node's objects nor lets its drive have voltage.
-fn is_harmless(frame: &Frame) -> bool {
-    let first = frame.data().first();
-    match Cob::of(frame.id) {
-        // All else of a client writes or goes on writing.
-        Cob::SdoRequest(_) => first == Some(&READ),
-        // Bit 1 of the control word is "enable voltage".
-        Cob::ReceivePdo(..) => first.is_some_and(|low| low & 0b10 == 0),
-        // A master says these to end it as well; SYNC may have the time stamp's identifier.
-        Cob::Nmt | Cob::Sync | Cob::Time | Cob::Heartbeat(_) => true,
-        Cob::Emergency(_) | Cob::TransmitPdo(..) | Cob::SdoResponse(_) | Cob::Other(_) => false,
-    }
+/// The commands that stop all nodes of the plan, each with its bus.
+fn stops(plan: &ArmPlan) -> impl Iterator<Item = (u8, Frame)> {
+    let stop = |node| NmtCommand::Stop.emit(NmtTarget::Node(node));
+    plan.axes
+        .map(|axis| (axis.line, stop(axis.node)))
+        .into_iter()
 }

@@ -35,7 +35,7 @@ impl Cycle {
         };
     }
 
-    /// The commands that stop nodes on `line`, in every period, where set-points do not stop their drives.
+    /// The commands that stop nodes on `line`, in this period, where set-points do not stop their drives.
     ///
     /// Where somebody else leads our drives, all of them: of two set-points before a SYNC the later one counts, so ours could
     /// not stop a drive that somebody else goes on to lead; a stopped node hears none, and its drive does what 6007h says.
@@ -46,8 +46,8 @@ impl Cycle {
     /// They go after the SYNC, or a quick stop that is to come into effect with it would be lost, and before any set-points: on a
     /// bus that a stranger's SYNCs have filled with answers those wait, and so does all behind them.
     pub fn withdraw(&self, line: u8, out: &mut Outbox) {
-        for (plan, axis) in self.plan.axes.iter().zip(&self.axes) {
-            let deaf = self.fault.is_some() && is_deaf(axis);
+        for ((plan, axis), place) in self.plan.axes.iter().zip(&self.axes).zip(0..) {
+            let deaf = self.fault.is_some() && is_deaf(axis, place);
             if plan.line == line && (self.intruded || deaf) {
                 out.push(NmtCommand::Stop.emit(NmtTarget::Node(plan.node)));
             }
@@ -89,18 +89,18 @@ impl Cycle {
 }
 
 /// After how many cycles a node that says nothing is told again to stop: one without power never answers, and in a queue with
-/// little room the quick stops of the others need the place.
+/// little room the quick stops of the others need the place. More than there are axes, so that each has a cycle of its own.
 const STOP_AGAIN: u32 = 8;
 
-/// Whether a node is to be told to stop: it hears no set-points, as it says itself, or may not, since nothing usable has come from it for too long. One
-/// that says that it is stopped has heard that already.
-fn is_deaf(axis: &Axis) -> bool {
+/// Whether the node of the axis at `place` is to be told to stop: it hears no set-points, as it says itself, or may not, since
+/// nothing usable has come from it for too long. One that says that it is stopped has heard that already.
+fn is_deaf(axis: &Axis, place: u32) -> bool {
     match axis.told {
         Some(NmtState::PreOperational | NmtState::BootUp) => true,
         Some(NmtState::Stopped) => false,
         Some(NmtState::Operational) | None => {
             let since = axis.silent().checked_sub(SILENT_AFTER);
-            since.is_some_and(|since| since.is_multiple_of(STOP_AGAIN))
+            since.is_some_and(|since| since % STOP_AGAIN == place)
         }
     }
 }

@@ -131,8 +131,8 @@ fn nodes_without_power_do_not_take_the_room_of_the_others() {
         let ids = all.iter().map(|frame| frame.id.raw());
         ids.filter(|raw| *raw == id).count()
     };
-    // SYNC in each of the eight cycles but the first, which does not know of the lack of room yet; set-points for the first two
-    // that live in all but the one that repeats the stops.
-    assert_eq!([0x080, 0x203, 0x204].map(said), [7, 7, 7]);
+    // SYNC in each of the eight cycles but the first, which does not know of the lack of room yet; the set-point for the first
+    // that lives in each, for the second but in the two cycles that tell a silent node to stop.
+    assert_eq!([0x080, 0x203, 0x204].map(said), [7, 8, 6]);
     assert_eq!([0x000, 0x201, 0x202].map(said), [2, 0, 0]);
 }

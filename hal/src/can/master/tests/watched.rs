@@ -190,6 +190,7 @@ fn once_another_master_was_heard_no_drive_is_given_torque_or_changed() {
     let harms = |frame: &Frame| match frame.id.raw() {
         0x201..=0x207 => frame.data()[0] & 0b10 != 0,
         0x601..=0x607 => frame.data()[0] != 0x40,
+        0x000 => frame.data()[0] != 0x02,
         _ => false,
     };
     let stranger = said().0[1];
@@ -202,6 +203,47 @@ fn once_another_master_was_heard_no_drive_is_given_torque_or_changed() {
         heard_ours += course.after.len();
     }
     assert!(heard_ours > 0);
+}
+
+#[test]
+fn a_drive_that_has_its_reference_when_another_master_is_heard_loses_its_torque_at_once() {
+    let [_, _, mapped, homed] = course(1, NEVER, |_| {}).sent;
+    let his = frame(0x203, &[0x0F, 0, 0, 0, 0, 0]);
+    for at in (mapped..homed).step_by(5) {
+        let seen = Rc::new(RefCell::new(0_u32));
+        let counted = Rc::clone(&seen);
+        let course = course(1, at, move |net| {
+            assert!(net.intrude(0, his));
+            let counted = Rc::clone(&counted);
+            net.tamper(Box::new(move |_, _, heard| {
+                // Set-points and SYNCs of ours that nodes still hear.
+                let led = matches!(heard.id.raw(), 0x201..=0x207 | 0x080) && *heard != his;
+                *counted.borrow_mut() += u32::from(led);
+                Tampering::Pass
+            }));
+        });
+        assert_eq!(course.end, Err(refusal(&his)));
+        assert!(course.stopped && !course.torques);
+        // Those of the moment in which he spoke.
+        assert!(*seen.borrow() <= 2, "{at}: {}", seen.borrow());
+    }
+}
+
+#[test]
+fn a_master_that_was_there_before_us_is_not_disturbed() {
+    let plan = plan(1, 2 * MS);
+    let mut net = network(&plan);
+    let said = Rc::new(RefCell::new(0));
+    let counted = Rc::clone(&said);
+    let his = frame(0x203, &[6, 0, 0, 0, 0, 0]);
+    net.intrude(0, his);
+    net.tamper(Box::new(move |_, _, heard| {
+        *counted.borrow_mut() += u32::from(heard.id.raw() == 0x000);
+        Tampering::Pass
+    }));
+    let scanned = Offline::new(net, &plan).unwrap().scan();
+    let error = scanned.map(|_| ()).unwrap_err().to_string();
+    assert_eq!((error, *said.borrow()), (refusal(&his), 0));
 }
 
 #[test]
