@@ -13,7 +13,7 @@ const MS_NS: u64 = 1_000_000;
 const PATIENCE_NS: u64 = 240_000 * MS_NS;
 
 /// How much slower these processes live, so that a kernel inside a kernel on a busy machine keeps up with their buses.
-const SLOW_MOTION: u64 = 10;
+const SLOW_MOTION: u64 = 15;
 
 /// Lets so many milliseconds of the processes' time pass.
 pub(crate) fn pass_ms(ms: u64) {
