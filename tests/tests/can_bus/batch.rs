@@ -4,11 +4,10 @@ use std::io;
 use std::mem::zeroed;
 use std::os::fd::{AsRawFd as _, RawFd};
 use std::ptr;
-use std::thread;
-use std::time::Duration;
 
 use socketcan::{CanSocket, Socket as _};
 
+use crate::pair::pass_ms;
 use crate::peer::alone;
 
 /// As many as an arm's drives and a SYNC.
@@ -81,7 +80,7 @@ fn one_call_sends_and_one_call_receives_eight_frames() {
     assert_eq!(out.send(sender.as_raw_fd()).unwrap(), COUNT);
     let mut back = Batch::new();
     // The kernel may hand the frames over a little after it took them.
-    thread::sleep(Duration::from_millis(200));
+    pass_ms(20);
     assert_eq!(back.receive(receiver.as_raw_fd()).unwrap(), COUNT);
     for (frame, id) in back.frames.iter().zip(0x201..) {
         assert_eq!((frame.can_id, frame.can_dlc), (id, 6));
