@@ -1,33 +1,41 @@
 #!/usr/bin/env python3
 """Training throughput of ACT beside LeRobot's trainer: the same network, the same batch, samples a second.
 
-    trocar record --task needle-lift --episodes 10 --cameras single --out runs/throughput
-    TORCH_ALLOW_TF32_CUBLAS_OVERRIDE=1 python3 tests/scripts/training_peers.py \\
-        --trocar target/release/trocar --data runs/throughput --preset lerobot --batch 8 --steps 200 --device cuda
+    trocar record --task needle-lift --episodes 2 --cameras single --out runs/throughput
+    python3 tests/scripts/training_peers.py --trocar target/release/trocar --data runs/throughput \\
+        --preset lerobot --batch 8 --device cuda
 
-Requirements: torch (Python 3.10 or newer); with lerobot==0.6.1 installed the peer is LeRobot's own `ACTPolicy` under the
-step of its trainer, and otherwise a plain PyTorch ACT of the same operations, written here; the output says which. The plain
-one has what LeRobot's has: eager layers, attention that asks for its weights, AdamW, a gradient clipped to norm 10, the
-loss read at every step, TF32 and cuDNN's benchmark on.
+Requirements: torch and torchvision (Python 3.10 or newer). With lerobot==0.6.1 (Python 3.12; `lerobot_trainer.py` beside this names
+what it needs) the peer is LeRobot's own trainer: its `ACTPolicy`, its optimiser, its processors, `update_policy` and accelerate.
+Otherwise, or besides with `--plain`, it is a plain PyTorch ACT of the same operations, written here, under the same step: eager
+layers, attention that asks for its weights, AdamW, a gradient clipped to norm 10, the loss read at every step, TF32 and cuDNN's
+benchmark on. The output says which.
 
-Both get their images as bytes that lie ready where they are computed (the peer from one fixed pool of random frames), so that
-decoding, which differs for other reasons, is left out: LeRobot decodes frames in every step. `--loader` adds a row with
-LeRobot's own dataset and DataLoader (4 workers, its default) on the same folder.
+The sides take turns, `--rounds` times. Each gets its images as bytes that lie ready where it computes (the peer from one fixed
+pool of random frames), so that decoding, which differs for other reasons, is left out: LeRobot decodes frames in every step.
+`--loader` adds a row with LeRobot's own dataset and DataLoader (4 workers, its default) on the same folder. Each side's first
+steps are not timed: 50 of trocar's, a fifth of the peer's.
 
-What is the same: sizes of the preset, number of cameras, batch, frames' size, precision (TF32 for the matrix products of
-trocar needs the variable above; on a CPU there is none). What differs and cannot be helped: LeRobot normalises in the
-backbone with frozen statistics, trocar trains GroupNorm; `--norm group` (the default of the plain peer) makes them equal.
-The numbers of parameters are compared with those of the checkpoint that trocar writes.
+What is the same: sizes of the preset, number of cameras, batch, frames' size, precision (float32 with TF32 for matrix products and
+convolutions on CUDA, set for both), and with `--norm frozen` every tensor of the checkpoint: LeRobot's backbone has frozen
+statistics. `--norm group` gives trocar and the plain peer GroupNorm, which is trained, and which trocar's presets have. The
+numbers in the checkpoint that trocar writes are counted and compared with the peer's.
+
+On CUDA the output has the memory too: what `nvidia-smi` says of each process, in the first round, and the most that the peer's
+tensors took in a step. Both hold their frames there, trocar those of its dataset.
 """
 
 import argparse
 import json
 import math
 import os
+import pathlib
+import statistics
 import struct
 import subprocess
 import sys
 import tempfile
+import threading
 import time
 
 import torch
@@ -189,38 +197,14 @@ class PlainAct(nn.Module):
         return l1 + 10 * kl
 
 
-def lerobot_policy(preset, cameras, state, action, side):
-    from lerobot.configs.types import FeatureType, PolicyFeature
-    from lerobot.policies.act.configuration_act import ACTConfig
-    from lerobot.policies.act.modeling_act import ACTPolicy
-
-    chunk, width, heads, hidden, layers, decoders, _ = PRESETS[preset]
-    inputs = {name: PolicyFeature(FeatureType.VISUAL, (3, side, side)) for name in cameras}
-    inputs["observation.state"] = PolicyFeature(FeatureType.STATE, (state,))
-    config = ACTConfig(
-        input_features=inputs,
-        output_features={"action": PolicyFeature(FeatureType.ACTION, (action,))},
-        chunk_size=chunk,
-        n_action_steps=chunk,
-        dim_model=width,
-        n_heads=heads,
-        dim_feedforward=hidden,
-        n_encoder_layers=layers,
-        n_decoder_layers=decoders,
-        pretrained_backbone_weights=None,
-        device="cpu",
-    )
-    return ACTPolicy(config)
-
-
 class Pool:
-    """Frames that lie ready; a batch is normalised on the way, as by both trainers."""
+    """Frames that lie ready; a batch is normalised on the way, as in both trainers."""
 
     def __init__(self, args, info, device):
         chunk = PRESETS[args.preset][0]
         side = PRESETS[args.preset][6]
         frames = 4 * args.batch
-        shape = (frames, len(info["cameras"]), side, side, 3)
+        shape = (frames, len(info["cameras"]), 3, side, side)
         self.images = torch.randint(0, 256, shape, dtype=torch.uint8, device=device)
         self.state = torch.randn(frames, info["state"], device=device)
         self.actions = torch.randn(frames, chunk, info["action"], device=device)
@@ -229,11 +213,19 @@ class Pool:
         self.std = torch.tensor([0.229, 0.224, 0.225], device=device).view(3, 1, 1)
         self.frames, self.batch, self.device = frames, args.batch, device
 
+    def chosen(self):
+        return torch.randint(0, self.frames, (self.batch,), device=self.device)
+
     def draw(self):
-        chosen = torch.randint(0, self.frames, (self.batch,), device=self.device)
-        images = self.images[chosen].movedim(-1, -3).float() / 255
-        images = (images - self.mean) / self.std
+        chosen = self.chosen()
+        images = (self.images[chosen].float() / 255 - self.mean) / self.std
         return images, self.state[chosen], self.actions[chosen], self.padded[chosen]
+
+    def draw_for_lerobot(self, cameras):
+        """As its loader gives them: by name, images in bytes."""
+        chosen = self.chosen()
+        batch = {"observation.state": self.state[chosen], "action": self.actions[chosen], "action_is_pad": self.padded[chosen]}
+        return batch | {name: self.images[chosen, index] for index, name in enumerate(cameras)}
 
 
 def info_of(data):
@@ -252,7 +244,7 @@ def waited(device):
 
 
 def timed(step, steps, batch, device):
-    for _ in range(max(steps // 10, 2)):
+    for _ in range(max(steps // 4, 2)):
         step()
     begun = waited(device)
     for _ in range(steps):
@@ -280,38 +272,31 @@ def optimised(module, backbone, bf16, forward):
     return step
 
 
-def peer_rows(args, info, device):
-    side = PRESETS[args.preset][6]
+def plain_peer(args, info, device):
+    """What to time, and how many numbers trocar's checkpoint of the same network has."""
     pool = Pool(args, info, device)
-    rows = []
-    plain = PlainAct(args.preset, info["state"], info["action"], args.norm).to(device).train()
-    count = sum(p.numel() for p in plain.parameters())
-    inference = count - sum(p.numel() for p in plain.vae.parameters())
-    step = optimised(plain, "backbone", args.bf16, lambda: plain(*pool.draw()))
-    rows.append((f"plain PyTorch ACT, {args.norm} norm, frames ready", timed(step, args.steps, args.batch, device)))
-    del plain, step
-    try:
-        policy = lerobot_policy(args.preset, info["cameras"], info["state"], info["action"], side)
-    except ImportError as missing:
-        print(f"LeRobot is not installed ({missing}): its operations in plain PyTorch stand in for it")
-        return rows, inference
-    policy = policy.to(device).train()
-    policy.config.device = str(device)
+    module = PlainAct(args.preset, info["state"], info["action"], args.norm).to(device).train()
+    count = sum(p.numel() for p in module.parameters())
+    if args.norm == "group":
+        # Kept for inference alone.
+        count -= sum(p.numel() for p in module.vae.parameters())
+    else:
+        count += sum(b.numel() for b in module.buffers()) - module.plane.numel()
+    step = optimised(module, "backbone", args.bf16, lambda: module(*pool.draw()))
+    return {f"plain PyTorch ACT, {args.norm} norm": step}, count
 
-    def forward(batch=None):
-        if batch is None:
-            images, state, actions, padded = pool.draw()
-            batch = {"observation.state": state, "action": actions, "action_is_pad": padded}
-            batch |= {name: images[:, index] for index, name in enumerate(info["cameras"])}
-        return policy.forward(batch)[0]
 
-    step = optimised(policy, "model.backbone", args.bf16, forward)
-    rows.append(("LeRobot's ACTPolicy, frames ready", timed(step, args.steps, args.batch, device)))
+def lerobot_peer(args, info, device, lerobot_trainer, backbone):
+    pool = Pool(args, info, device)
+    trainer = lerobot_trainer.Trainer(PRESETS[args.preset], info, backbone, args.batch, device, args.bf16)
+    drawn = lambda: pool.draw_for_lerobot(info["cameras"])
+    steps = {"LeRobot's trainer: processors and update": lambda: trainer.update(trainer.prepared(drawn()))}
+    ready = trainer.prepared(drawn())
+    steps["LeRobot's update alone, of one batch"] = lambda: trainer.update(ready)
     if args.loader:
         batches = loaded(args, info, device)
-        loader_step = optimised(policy, "model.backbone", args.bf16, lambda: forward(next(batches)))
-        rows.append(("LeRobot's ACTPolicy, its dataset and loader", timed(loader_step, args.steps, args.batch, device)))
-    return rows, inference
+        steps["LeRobot's trainer with its dataset and loader"] = lambda: trainer.update(trainer.preprocessor(next(batches)))
+    return steps, trainer.elements
 
 
 def loaded(args, info, device):
@@ -346,7 +331,60 @@ def elements(file):
     return sum(math.prod(shape) for shape in shapes)
 
 
-def ours(args):
+def untrained_backbone():
+    """ResNet-18 by torchvision's names, without its classifier: random weights, statistics 0 and 1."""
+    from torchvision.models import resnet18
+
+    torch.manual_seed(0)
+    state = resnet18(weights=None).state_dict()
+    return {key: value for key, value in state.items() if not key.startswith("fc.") and not key.endswith("num_batches_tracked")}
+
+
+def environment_of_ours(device):
+    environment = dict(os.environ)
+    if device == "cuda":
+        # As LeRobot's trainer allows it.
+        environment["TORCH_ALLOW_TF32_CUBLAS_OVERRIDE"] = "1"
+        # Built against a libtorch without CUDA, it runs on this one; the linker left out what is not named here.
+        libraries = pathlib.Path(torch.__file__).parent / "lib"
+        others = sorted(libraries.parent.parent.glob("nvidia/*/lib"))
+        environment["LD_LIBRARY_PATH"] = ":".join(map(str, [libraries, *others]))
+        environment["LD_PRELOAD"] = str(libraries / "libtorch_cuda.so")
+    return environment
+
+
+def device_memory(process):
+    """MiB that the device holds for a process, by nvidia-smi; None if it does not name it."""
+    command = ["nvidia-smi", "--query-compute-apps=pid,used_memory", "--format=csv,noheader,nounits"]
+    try:
+        lines = subprocess.run(command, capture_output=True, text=True, check=True).stdout.splitlines()
+        return {int(pid): float(used) for pid, used in (line.split(",") for line in lines)}.get(process)
+    except (OSError, ValueError, subprocess.CalledProcessError):
+        return None
+
+
+class Memory:
+    """The most that the device held for a process, MiB; looked at three times a second, since asking costs time too."""
+
+    def __init__(self, process):
+        self.most, self.ended = None, threading.Event()
+        self.thread = threading.Thread(target=self.watch, args=(process,))
+        self.thread.start()
+
+    def watch(self, process):
+        while not self.ended.wait(0.3):
+            found = device_memory(process)
+            if found is not None:
+                self.most = max(found, self.most or 0.0)
+
+    def end(self):
+        self.ended.set()
+        self.thread.join()
+        return self.most
+
+
+def ours(args, backbone, watched):
+    """Samples a second, the numbers in the checkpoint, and MiB on the device if it is watched and known."""
     with tempfile.TemporaryDirectory() as folder:
         out, result = os.path.join(folder, "act"), os.path.join(folder, "result.json")
         # Rows of the loss curve are every 50 steps, and the rate is counted from the first.
@@ -354,46 +392,121 @@ def ours(args):
         command = [args.trocar, "train", "--policy", "act", "--data", args.data, "--out", out]
         command += ["--preset", args.preset, "--batch", str(args.batch), "--steps", str(steps)]
         command += ["--device", args.device, "--threads", str(args.threads), "--save-every", "0", "--json", result]
+        if args.episodes:
+            command += ["--episodes", str(args.episodes)]
+        if args.norm == "frozen":
+            command += ["--backbone", "frozen_batch_norm", "--backbone-weights", backbone]
         if args.bf16:
             command.append("--bf16")
-        subprocess.run(command, check=True, stderr=subprocess.DEVNULL, stdout=subprocess.DEVNULL)
+        said = os.path.join(folder, "said.txt")
+        with open(said, "w", encoding="utf-8") as stream:
+            process = subprocess.Popen(command, stderr=stream, stdout=stream, env=environment_of_ours(args.device))
+            memory = Memory(process.pid) if watched else None
+            code = process.wait()
+            most = memory.end() if memory else None
+        if code:
+            sys.exit(f"{' '.join(command)}: {code}: {pathlib.Path(said).read_text(encoding='utf-8')[-2000:]}")
         with open(result, encoding="utf-8") as file:
             rate = json.load(file)["samples_per_second"]
-        return rate, elements(os.path.join(out, "model.safetensors"))
+        return rate, elements(os.path.join(out, "model.safetensors")), most
+
+
+def lerobot_or_why_not():
+    try:
+        import lerobot_trainer
+    except Exception as error:  # noqa: BLE001 whatever is wrong with an installation, the plain peer stands in
+        return None, f"LeRobot's trainer is not there ({type(error).__name__}: {error}): its operations in plain PyTorch stand in for it"
+    aside = " and ".join(lerobot_trainer.SET_ASIDE)
+    without = f", without {aside}, which no step uses (packages missing: {', '.join(lerobot_trainer.MISSING)})" if aside else ""
+    return lerobot_trainer, f"LeRobot {lerobot_trainer.VERSION}, its own trainer's step{without}"
+
+
+def peers(args, info, device, lerobot_trainer, backbone):
+    """The peers' steps by their names; and the numbers of the network, by each that has the one that trocar trains."""
+    steps, counts = {}, set()
+    if lerobot_trainer:
+        made, count = lerobot_peer(args, info, device, lerobot_trainer, backbone)
+        steps |= made
+        if args.norm == "frozen":
+            counts.add(count)
+    if args.plain or not lerobot_trainer:
+        made, count = plain_peer(args, info, device)
+        steps |= made
+        counts.add(count)
+    return steps, counts
+
+
+def compare(args, info, lerobot_trainer, folder):
+    device = torch.device(args.device)
+    backbone = untrained_backbone() if args.norm == "frozen" or lerobot_trainer else None
+    backbone_file = os.path.join(folder, "backbone.safetensors")
+    if args.norm == "frozen":
+        from safetensors.torch import save_file
+
+        save_file(backbone, backbone_file)
+    steps, counts = peers(args, info, device, lerobot_trainer, backbone)
+    rates = {name: [] for name in ["trocar", *steps]}
+    memory = {}
+    for turn in range(args.rounds):
+        watched = args.device == "cuda" and turn == 0
+        rate, stored, used = ours(args, backbone_file, watched)
+        if any(stored != count for count in counts):
+            sys.exit(f"not the same network: {stored} numbers in trocar's checkpoint, {sorted(counts)} in the peers'")
+        rates["trocar"].append(rate)
+        if watched:
+            memory["trocar"] = f"{used or math.nan:.0f} MiB of its process"
+        for name, step in steps.items():
+            if watched:
+                torch.cuda.reset_peak_memory_stats()
+            rates[name].append(timed(step, args.steps, args.batch, device))
+            if watched:
+                most, process = torch.cuda.max_memory_allocated() / 2**20, device_memory(os.getpid())
+                memory[name] = f"{process or math.nan:.0f} MiB of its process, {most:.0f} MiB of tensors"
+        print(f"round {turn + 1}: " + ", ".join(f"{name} {values[-1]:.1f}" for name, values in rates.items()), flush=True)
+    same = f"{stored} numbers in trocar's checkpoint"
+    print(f"{same} and in the same network of a peer" if counts else f"{same}; LeRobot's backbone is another one")
+    return rates, memory
 
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("--trocar", default="target/release/trocar")
     parser.add_argument("--data", required=True, help="a dataset recorded by trocar")
+    parser.add_argument("--episodes", type=int, help="its first episodes alone")
     parser.add_argument("--preset", choices=sorted(PRESETS), default="lerobot")
     parser.add_argument("--batch", type=int, default=8)
-    parser.add_argument("--steps", type=int, default=200)
+    parser.add_argument("--steps", type=int, default=200, help="timed steps a round; trocar's to the next 50")
+    parser.add_argument("--rounds", type=int, default=3, help="turns of each side")
     parser.add_argument("--device", choices=["cpu", "cuda"], default="cpu")
     parser.add_argument("--threads", type=int, default=torch.get_num_threads())
-    parser.add_argument("--norm", choices=["group", "frozen"], default="group")
+    parser.add_argument("--norm", choices=["group", "frozen"], help="frozen with LeRobot, group without, if not given")
     parser.add_argument("--bf16", action="store_true")
+    parser.add_argument("--plain", action="store_true", help="plain PyTorch beside LeRobot")
     parser.add_argument("--loader", action="store_true", help="LeRobot with its dataset and loader too")
     args = parser.parse_args()
     torch.set_num_threads(args.threads)
     torch.backends.cudnn.benchmark = True
     torch.backends.cuda.matmul.allow_tf32 = True
-    device = torch.device(args.device)
+    lerobot_trainer, which = lerobot_or_why_not()
+    if args.loader and (not lerobot_trainer or lerobot_trainer.SET_ASIDE):
+        sys.exit(f"--loader: {which}")
+    args.norm = args.norm or ("frozen" if lerobot_trainer else "group")
     info = info_of(args.data)
+    where = torch.cuda.get_device_name() if args.device == "cuda" else f"{args.threads} threads"
     print(
-        f"ACT {args.preset}, {len(info['cameras'])} cameras, batch {args.batch}, "
-        f"{'bf16' if args.bf16 else 'float32'}, {args.device}, torch {torch.__version__}, {args.threads} threads"
+        f"ACT {args.preset}, {args.norm} norm, {len(info['cameras'])} cameras, batch {args.batch}, "
+        f"{'bf16' if args.bf16 else 'float32'}, {args.device} ({where}), torch {torch.__version__}, "
+        f"{args.rounds} rounds of {args.steps} steps"
     )
-    rate, stored = ours(args)
-    rows, inference = peer_rows(args, info, device)
-    # Weights and biases of the normalisations, 4800 channels in all, are no parameters of a frozen peer.
-    frozen = 0 if args.norm == "group" else 2 * 4800
-    if stored != inference + frozen:
-        sys.exit(f"not the same network: {stored} numbers in trocar's checkpoint, {inference} in the peer's")
-    print(f"{stored} parameters at inference in both")
-    print(f"{rate:9.1f} samples/s  trocar")
-    for name, peer in rows:
-        print(f"{peer:9.1f} samples/s  {name} (trocar is {rate / peer:.2f} times as fast)")
+    print(which, flush=True)
+    with tempfile.TemporaryDirectory() as folder:
+        rates, memory = compare(args, info, lerobot_trainer, folder)
+    middle = statistics.median(rates["trocar"])
+    for name, found in rates.items():
+        rate = statistics.median(found)
+        beside = "" if name == "trocar" else f"; trocar is {middle / rate:.2f} times as fast"
+        used = f"; {memory[name]}" if name in memory else ""
+        print(f"{rate:9.1f} samples/s ({min(found):.1f} to {max(found):.1f})  {name}{beside}{used}")
 
 
 if __name__ == "__main__":
