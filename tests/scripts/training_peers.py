@@ -18,14 +18,16 @@ steps are not timed: 50 of trocar's, a fifth of the peer's.
 
 What is the same: sizes of the preset, number of cameras, batch, frames' size, precision (float32 with TF32 for matrix products and
 convolutions on CUDA, set for both), and with `--norm frozen` every tensor of the checkpoint: LeRobot's backbone has frozen
-statistics. `--norm group` gives trocar and the plain peer GroupNorm, which is trained, and which trocar's presets have. The
-numbers in the checkpoint that trocar writes are counted and compared with the peer's.
+statistics, here those of random weights and images. `--norm group` gives trocar and the plain peer GroupNorm, which is trained, and
+which trocar's presets have. The numbers in the checkpoint that trocar writes are counted and compared with the peer's. What is
+not the same: trocar's default recipe keeps a moving average of the weights besides.
 
 On CUDA the output has the memory too: what `nvidia-smi` says of each process, in the first round, and the most that the peer's
 tensors took in a step. Both hold their frames there, trocar those of its dataset.
 """
 
 import argparse
+import functools
 import json
 import math
 import os
@@ -332,11 +334,14 @@ def elements(file):
 
 
 def untrained_backbone():
-    """ResNet-18 by torchvision's names, without its classifier: random weights, statistics 0 and 1."""
+    """ResNet-18 by torchvision's names, without its classifier: random weights, and the statistics of random images."""
     from torchvision.models import resnet18
 
     torch.manual_seed(0)
-    state = resnet18(weights=None).state_dict()
+    network = resnet18(weights=None, norm_layer=functools.partial(nn.BatchNorm2d, momentum=1.0)).train()
+    with torch.no_grad():
+        network(torch.randn(4, 3, 128, 128))
+    state = network.state_dict()
     return {key: value for key, value in state.items() if not key.startswith("fc.") and not key.endswith("num_batches_tracked")}
 
 
@@ -353,29 +358,39 @@ def environment_of_ours(device):
     return environment
 
 
-def device_memory(process):
-    """MiB that the device holds for a process, by nvidia-smi; None if it does not name it."""
-    command = ["nvidia-smi", "--query-compute-apps=pid,used_memory", "--format=csv,noheader,nounits"]
+def asked_smi(query):
+    """Rows of numbers; none if there is no nvidia-smi, or if it has no number to say."""
+    command = ["nvidia-smi", query, "--format=csv,noheader,nounits"]
     try:
         lines = subprocess.run(command, capture_output=True, text=True, check=True).stdout.splitlines()
-        return {int(pid): float(used) for pid, used in (line.split(",") for line in lines)}.get(process)
+        return [[float(number) for number in line.split(",")] for line in lines]
     except (OSError, ValueError, subprocess.CalledProcessError):
-        return None
+        return []
+
+
+def device_in_use():
+    """MiB in use on the first device, whoever uses them."""
+    rows = asked_smi("--query-gpu=memory.used")
+    return rows[0][0] if rows else math.nan
+
+
+def device_memory(process, before):
+    """MiB that the device holds for a process; where it does not name processes, what it holds more than `before`."""
+    named = {int(number): used for number, used in asked_smi("--query-compute-apps=pid,used_memory")}
+    return named[process] if process in named else device_in_use() - before
 
 
 class Memory:
     """The most that the device held for a process, MiB; looked at three times a second, since asking costs time too."""
 
-    def __init__(self, process):
-        self.most, self.ended = None, threading.Event()
-        self.thread = threading.Thread(target=self.watch, args=(process,))
+    def __init__(self, process, before):
+        self.most, self.ended = 0.0, threading.Event()
+        self.thread = threading.Thread(target=self.watch, args=(process, before))
         self.thread.start()
 
-    def watch(self, process):
+    def watch(self, process, before):
         while not self.ended.wait(0.3):
-            found = device_memory(process)
-            if found is not None:
-                self.most = max(found, self.most or 0.0)
+            self.most = max(device_memory(process, before), self.most)
 
     def end(self):
         self.ended.set()
@@ -399,9 +414,10 @@ def ours(args, backbone, watched):
         if args.bf16:
             command.append("--bf16")
         said = os.path.join(folder, "said.txt")
+        before = device_in_use() if watched else math.nan
         with open(said, "w", encoding="utf-8") as stream:
             process = subprocess.Popen(command, stderr=stream, stdout=stream, env=environment_of_ours(args.device))
-            memory = Memory(process.pid) if watched else None
+            memory = Memory(process.pid, before) if watched else None
             code = process.wait()
             most = memory.end() if memory else None
         if code:
@@ -444,24 +460,29 @@ def compare(args, info, lerobot_trainer, folder):
         from safetensors.torch import save_file
 
         save_file(backbone, backbone_file)
+    before = device_in_use() if args.device == "cuda" else math.nan
     steps, counts = peers(args, info, device, lerobot_trainer, backbone)
     rates = {name: [] for name in ["trocar", *steps]}
     memory = {}
+    begun = time.monotonic()
     for turn in range(args.rounds):
+        if turn and args.seconds and (time.monotonic() - begun) * (turn + 1) / turn > args.seconds:
+            print(f"no round {turn + 1}: it would take longer than {args.seconds:.0f} s")
+            break
         watched = args.device == "cuda" and turn == 0
         rate, stored, used = ours(args, backbone_file, watched)
         if any(stored != count for count in counts):
             sys.exit(f"not the same network: {stored} numbers in trocar's checkpoint, {sorted(counts)} in the peers'")
         rates["trocar"].append(rate)
         if watched:
-            memory["trocar"] = f"{used or math.nan:.0f} MiB of its process"
+            memory["trocar"] = f"{used:.0f} MiB of its process"
         for name, step in steps.items():
             if watched:
                 torch.cuda.reset_peak_memory_stats()
             rates[name].append(timed(step, args.steps, args.batch, device))
             if watched:
-                most, process = torch.cuda.max_memory_allocated() / 2**20, device_memory(os.getpid())
-                memory[name] = f"{process or math.nan:.0f} MiB of its process, {most:.0f} MiB of tensors"
+                most, process = torch.cuda.max_memory_allocated() / 2**20, device_memory(os.getpid(), before)
+                memory[name] = f"{process:.0f} MiB of its process, {most:.0f} MiB of tensors"
         print(f"round {turn + 1}: " + ", ".join(f"{name} {values[-1]:.1f}" for name, values in rates.items()), flush=True)
     same = f"{stored} numbers in trocar's checkpoint"
     print(f"{same} and in the same network of a peer" if counts else f"{same}; LeRobot's backbone is another one")
@@ -477,6 +498,7 @@ def main():
     parser.add_argument("--batch", type=int, default=8)
     parser.add_argument("--steps", type=int, default=200, help="timed steps a round; trocar's to the next 50")
     parser.add_argument("--rounds", type=int, default=3, help="turns of each side")
+    parser.add_argument("--seconds", type=float, help="no further round that would end later, from the first one's start")
     parser.add_argument("--device", choices=["cpu", "cuda"], default="cpu")
     parser.add_argument("--threads", type=int, default=torch.get_num_threads())
     parser.add_argument("--norm", choices=["group", "frozen"], help="frozen with LeRobot, group without, if not given")
