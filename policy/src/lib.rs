@@ -16,6 +16,7 @@ pub mod loaded_policy;
 pub mod normalise;
 pub mod parameters;
 pub mod perception;
+mod recorded;
 pub mod relative_action;
 pub mod rng;
 pub mod train;

@@ -15,12 +15,20 @@ use tch::{Kind, TchError, Tensor};
 
 use super::Act;
 use crate::layers::folded::Affine;
+use crate::recorded::Recorded;
 use backbone::{By, FoldedBackbone};
 pub(crate) use trunk::{FoldedTrunk, Situated};
 
 /// An ACT network for inference.
 #[derive(Debug)]
 pub struct FoldedAct {
+    /// Dropped before the network that it repeats.
+    recorded: Recorded,
+    network: Network,
+}
+
+#[derive(Debug)]
+struct Network {
     backbone: FoldedBackbone,
     image_input: Affine,
     trunk: FoldedTrunk,
@@ -46,10 +54,13 @@ impl FoldedAct {
             let image_weight = act.image_weight.f_flatten(1, 3)?;
             let position = act.image_position.f_squeeze_dim(0)?;
             Ok(Self {
-                backbone: FoldedBackbone::new(&act.backbone, sides, by)?,
-                image_input: Affine::new(&image_weight, &act.image_bias, kind)?,
-                trunk: FoldedTrunk::new(&act.trunk, Some(&position), kind)?,
-                kind,
+                recorded: Recorded::default(),
+                network: Network {
+                    backbone: FoldedBackbone::new(&act.backbone, sides, by)?,
+                    image_input: Affine::new(&image_weight, &act.image_bias, kind)?,
+                    trunk: FoldedTrunk::new(&act.trunk, Some(&position), kind)?,
+                    kind,
+                },
             })
         })
     }
@@ -57,11 +68,21 @@ impl FoldedAct {
     /// The chunk for an observation, as [`Act::infer`] gives it: `(batch, steps, action)`, normalised, single precision.
     ///
     /// `images` is `(batch, cameras, 3, height, width)`, all of which go through the backbone together; `state` is
-    /// `(batch, state)`. What it works in is its own, so it answers one observation at a time.
+    /// `(batch, state)`. What it works in is its own, so it answers one observation at a time, and on CUDA an
+    /// answer lies where the next one will: it has to be read before.
     ///
     /// # Errors
     /// The network library's, if shapes do not fit.
     pub fn infer(&mut self, images: &Tensor, state: &Tensor) -> Result<Tensor, TchError> {
+        let network = &mut self.network;
+        self.recorded.answer([images, state], |[images, state]| {
+            network.infer(images, state)
+        })
+    }
+}
+
+impl Network {
+    fn infer(&mut self, images: &Tensor, state: &Tensor) -> Result<Tensor, TchError> {
         let batch = images.size()[0];
         let images = images.f_to_kind(self.kind)?.f_flatten(0, 1)?;
         let features = self.backbone.forward(&images)?;

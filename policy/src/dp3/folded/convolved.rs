@@ -66,7 +66,7 @@ impl Convolved {
         })
     }
 
-    /// `x` is contiguous. The answer is in single precision, whatever the weights have.
+    /// The answer is in single precision, whatever the weights have, and contiguous.
     pub(super) fn apply(
         &mut self,
         x: &Tensor,
@@ -75,6 +75,14 @@ impl Convolved {
         match self {
             Self::Own(streamed) => streamed.apply(x, workspace),
             Self::Library(taps) => taps.apply(x),
+        }
+    }
+
+    /// `x`, made of what [`Self::apply`] answered, after Mish, as the next convolution reads it best.
+    pub(super) fn activated(&self, mut x: Tensor) -> Result<Tensor, TchError> {
+        match self {
+            Self::Own(_) => x.f_mish_(),
+            Self::Library(taps) => taps.activated(x),
         }
     }
 

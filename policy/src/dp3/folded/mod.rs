@@ -17,6 +17,7 @@ use super::config::Dp3Config;
 use super::diffusion::Diffusion;
 use super::encoder::Encoder;
 use super::{CloudObservation, Dp3};
+use crate::recorded::Recorded;
 use convolved::By;
 use unet::FoldedUNet;
 
@@ -24,6 +25,13 @@ use unet::FoldedUNet;
 #[derive(Debug)]
 pub struct FoldedDp3 {
     config: Dp3Config,
+    /// Dropped before the network that it repeats.
+    recorded: Recorded,
+    network: Network,
+}
+
+#[derive(Debug)]
+struct Network {
     encoder: Encoder,
     unet: FoldedUNet,
     diffusion: Diffusion,
@@ -53,9 +61,12 @@ impl FoldedDp3 {
         let unet = tch::no_grad(|| FoldedUNet::new(&unet, &timesteps, config.horizon, by))?;
         Ok(Self {
             config,
-            encoder,
-            unet,
-            diffusion,
+            recorded: Recorded::default(),
+            network: Network {
+                encoder,
+                unet,
+                diffusion,
+            },
         })
     }
 
@@ -81,6 +92,20 @@ impl FoldedDp3 {
             let actual = noise.size();
             return Err(TchError::Shape(format!("noise {actual:?}, not {shape:?}")));
         }
+        let inputs = [observation.points, observation.state, noise];
+        let network = &mut self.network;
+        self.recorded.answer(inputs, |[points, state, noise]| {
+            network.infer(&CloudObservation { points, state }, noise)
+        })
+    }
+}
+
+impl Network {
+    fn infer(
+        &mut self,
+        observation: &CloudObservation<'_>,
+        noise: &Tensor,
+    ) -> Result<Tensor, TchError> {
         let points = observation.points.f_flatten(0, 1)?;
         let state = observation.state.f_flatten(0, 1)?;
         let observed = self.encoder.forward(&points, &state)?.f_view([1, -1])?;

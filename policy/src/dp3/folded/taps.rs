@@ -1,7 +1,8 @@
 //! Convolutions over few steps as one matrix product each: what every step gives to every tap, then the sum over the taps.
 //!
 //! With this few steps a convolution takes as long as reading its weights. Here these lie as the product reads them: on the
-//! CPU in blocks of outputs, each of which is one stretch of memory.
+//! CPU in blocks of outputs, each of which is one stretch of memory; elsewhere, and for few outputs, the inputs of each output
+//! together, and those of each step too.
 
 use tch::{Device, Kind, TchError, Tensor};
 
@@ -10,8 +11,8 @@ use crate::dp3::blocks::{Convolution, Doubling};
 /// A convolution for a fixed number of steps, from `(1, channels, steps)` to `(1, channels, steps)`.
 #[derive(Debug)]
 pub(super) struct Taps {
-    /// `(blocks, inputs, columns of a block)`, without the first dimension if there is one block. The columns are the
-    /// outputs of each tap, one tap after the other, then what is asked for besides.
+    /// `(blocks, inputs, columns of a block)`; without the first dimension if there is one block, whose columns are then
+    /// stretches of memory. The columns are the outputs of each tap, one tap after the other, then what is asked for besides.
     weight: Tensor,
     /// `(blocks, 1, columns of a block)`, or `(columns)`: with the tap that meets a step for every output.
     bias: Tensor,
@@ -211,8 +212,13 @@ impl Taps {
             }
         };
         let bias = layout.blocked(&bias.f_unsqueeze(0)?, kind)?;
+        let mut weight = flat(layout.blocked(&weight, kind)?)?;
+        if one {
+            let columns = weight.f_transpose(0, 1)?.f_contiguous()?;
+            weight = columns.f_transpose(0, 1)?;
+        }
         Ok(Self {
-            weight: flat(layout.blocked(&weight, kind)?)?,
+            weight,
             bias: if one { bias.f_view([-1])? } else { bias },
             written: flat(products.f_narrow(1, around, steps)?)?,
             terms,
@@ -224,31 +230,46 @@ impl Taps {
         })
     }
 
-    /// `x` is contiguous. The answer is in single precision, whatever the weights have.
+    /// The answer is in single precision, whatever the weights have, and contiguous.
     pub(super) fn apply(&mut self, x: &Tensor) -> Result<Tensor, TchError> {
-        let (steps, inputs) = (self.steps, self.inputs);
-        let one = self.weight.dim() == 2;
         // Few calls into the network library: on an accelerator they are what takes the time.
-        let rows = if one {
-            x.f_as_strided([steps, inputs], [1, steps], None)?
-        } else {
-            let blocks = self.weight.size()[0];
-            x.f_as_strided([blocks, steps, inputs], [0, 1, steps], None)?
-        };
+        let rows = x.f_view([self.inputs, self.steps])?.f_transpose(0, 1)?;
         let rows = if self.kind == Kind::Float {
             rows
         } else {
             rows.f_to_kind(self.kind)?
         };
-        let _written = if one {
+        let _written = if self.is_one() {
+            let rows = rows.f_contiguous()?;
             self.bias.f_addmm_out(&self.written, &rows, &self.weight)?
         } else {
+            let blocks = self.weight.size()[0];
+            let rows = rows.f_expand([blocks, self.steps, self.inputs], false)?;
             self.bias
                 .f_baddbmm_out(&self.written, &rows, &self.weight)?
         };
         self.terms
             .f_sum_dim_intlist([-1].as_slice(), false, Kind::Float)?
             .f_view([1, self.outputs, -1])
+    }
+
+    /// `x` after Mish, as convolutions like this one read it.
+    pub(super) fn activated(&self, mut x: Tensor) -> Result<Tensor, TchError> {
+        let size = x.size();
+        match size.as_slice() {
+            &[batch, channels, steps] if self.is_one() => {
+                let strides = [channels * steps, 1, channels];
+                let options = (x.kind(), x.device());
+                let out = Tensor::f_empty_strided([batch, channels, steps], strides, options)?;
+                x.f_mish_out(&out)
+            }
+            _ => x.f_mish_(),
+        }
+    }
+
+    /// Whether the columns are one block.
+    fn is_one(&self) -> bool {
+        self.weight.dim() == 2
     }
 
     /// Adds to `out` what the convolution beside made of what was last applied to; or `x` if there is none.

@@ -230,8 +230,8 @@ impl FoldedConvolution {
     fn apply(&mut self, x: &Tensor, workspace: &mut Workspace) -> Result<Tensor, TchError> {
         let x = self.taps.apply(x, workspace)?;
         let (weight, bias) = (Some(&self.norm_weight), Some(&self.norm_bias));
-        x.f_group_norm(self.groups, weight, bias, 1e-5, true)?
-            .f_mish_()
+        let x = x.f_group_norm(self.groups, weight, bias, 1e-5, true)?;
+        self.taps.activated(x)
     }
 }
 

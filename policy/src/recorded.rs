@@ -1,0 +1,132 @@
+//! Networks whose work on a CUDA device is recorded at the first answer and repeated at each further one.
+//!
+//! A network of many small steps takes as long as telling the device what to do, again and again the same. A recording is told
+//! with one call, and answers as the network does: it is the same work on the same device.
+
+mod graph;
+
+use tch::{Device, TchError, Tensor};
+
+use graph::Graph;
+
+/// What was recorded of a network, if anything.
+#[derive(Debug, Default)]
+pub(crate) enum Recorded {
+    /// No answer was asked for yet.
+    #[default]
+    NotYet,
+    /// There is nothing to be gained, or it can't be done.
+    Never,
+    /// It answers observations of the shapes that it saw.
+    Ready(Recording),
+}
+
+/// A recording with what it reads and writes.
+#[derive(Debug)]
+pub(crate) struct Recording {
+    /// Dropped before what it works in.
+    graph: Graph,
+    inputs: Vec<Tensor>,
+    answer: Tensor,
+}
+
+impl Recorded {
+    /// What `network` answers to `inputs`, all of which are on one device. On CUDA the answer is overwritten by the next one.
+    ///
+    /// `network` must do the same with the device for all inputs of these shapes, read nothing of them back, and keep what it
+    /// works in.
+    ///
+    /// # Errors
+    /// Those of `network`, and the network library's.
+    pub(crate) fn answer<const N: usize>(
+        &mut self,
+        inputs: [&Tensor; N],
+        mut network: impl FnMut([&Tensor; N]) -> Result<Tensor, TchError>,
+    ) -> Result<Tensor, TchError> {
+        if matches!(self, Self::NotYet) {
+            let made = Recording::of(inputs, &mut network)?;
+            *self = made.map_or(Self::Never, Self::Ready);
+        }
+        match self {
+            Self::Ready(recording) if recording.fits(&inputs) => recording.answer(&inputs),
+            Self::NotYet | Self::Never | Self::Ready(_) => network(inputs),
+        }
+    }
+}
+
+impl Recording {
+    /// None where nothing can be recorded.
+    fn of<const N: usize>(
+        inputs: [&Tensor; N],
+        network: &mut impl FnMut([&Tensor; N]) -> Result<Tensor, TchError>,
+    ) -> Result<Option<Self>, TchError> {
+        let Some(Device::Cuda(device)) = inputs.first().map(|input| input.device()) else {
+            return Ok(None);
+        };
+        let Ok(device) = i32::try_from(device) else {
+            return Ok(None);
+        };
+        let own: Vec<Tensor> = inputs
+            .iter()
+            .map(|input| input.f_zeros_like())
+            .collect::<Result<_, _>>()?;
+        let read: [&Tensor; N] = core::array::from_fn(|index| &own[index]);
+        let recorded = Graph::record(device, || network(read))?;
+        Ok(recorded.map(|(graph, answer)| Self {
+            graph,
+            inputs: own,
+            answer,
+        }))
+    }
+
+    fn fits(&self, inputs: &[&Tensor]) -> bool {
+        let own = self.inputs.iter().map(|own| (own.size(), own.device()));
+        own.eq(inputs.iter().map(|input| (input.size(), input.device())))
+    }
+
+    fn answer(&mut self, inputs: &[&Tensor]) -> Result<Tensor, TchError> {
+        for (own, input) in self.inputs.iter_mut().zip(inputs) {
+            own.f_copy_(input)?;
+        }
+        self.graph.replay()?;
+        Ok(self.answer.shallow_clone())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use tch::{Device, Kind, Tensor};
+
+    use super::Recorded;
+
+    /// The device that has graphs, where there is one.
+    fn device() -> Device {
+        Device::cuda_if_available()
+    }
+
+    #[test]
+    fn every_answer_is_that_of_the_network_to_its_own_inputs() {
+        let mut recorded = Recorded::default();
+        let on_device = (Kind::Float, device());
+        let weight = Tensor::arange(12, on_device).sin().view([4, 3]);
+        for (rows, offset) in [(2, 0.0), (2, 0.5), (5, 0.25), (2, -1.0)] {
+            let x = (Tensor::arange(rows * 4, on_device) + offset).view([rows, 4]);
+            let y = x.cos();
+            let answer = recorded.answer([&x, &y], |[x, y]| (x * y).f_mm(&weight));
+            assert_eq!(answer.unwrap(), (&x * &y).mm(&weight), "{rows}, {offset}");
+        }
+        let is_recorded = matches!(recorded, Recorded::Ready(_));
+        assert_eq!(is_recorded, device().is_cuda(), "{recorded:?}");
+    }
+
+    #[test]
+    fn what_the_network_refuses_is_refused_each_time() {
+        let mut recorded = Recorded::default();
+        let x = Tensor::zeros([2, 4], (Kind::Float, device()));
+        for _ in 0..2 {
+            let answer = recorded.answer([&x], |[x]| x.f_mm(x));
+            let error = answer.unwrap_err().to_string();
+            assert!(error.contains("2x4"), "{error}");
+        }
+    }
+}
