@@ -40,6 +40,9 @@ pub(super) fn panels(weight: &Tensor, order: [i64; 5]) -> Result<Vec<f32>, TchEr
     Vec::try_from(&last.f_contiguous()?.f_view([-1])?)
 }
 
+/// Numbers of a row that are taken as one: the processor checks no lengths in between.
+const STRETCH: usize = 8;
+
 /// Adds the products of each row's numbers with `weight` `(numbers, outputs of a panel)`, one number after the other.
 ///
 /// As many sums as the processor has registers for, with the weights of a number and one number of a row; iterators over them
@@ -52,14 +55,37 @@ pub(super) fn accumulate<S: Simd, const ROWS: usize, const VECTORS: usize>(
     rows: [&[f32]; ROWS],
 ) -> Sums<S, ROWS, VECTORS> {
     let (weight, _) = pulp::as_arrays::<VECTORS, _>(S::as_simd_f32s(weight).0);
-    let rows: [&[f32]; ROWS] = std::array::from_fn(|row| &rows[row][..weight.len()]);
-    for (index, weight) in weight.iter().enumerate() {
-        for row in 0..ROWS {
-            let number = simd.splat_f32s(rows[row][index]);
-            for vector in 0..VECTORS {
-                let sum = sums[row][vector];
-                sums[row][vector] = simd.mul_add_f32s(number, weight[vector], sum);
-            }
+    let whole = weight.len() / STRETCH;
+    let (stretches, rest) = weight.as_chunks::<STRETCH>();
+    let numbers: [&[[f32; STRETCH]]; ROWS] =
+        std::array::from_fn(|row| &rows[row].as_chunks().0[..whole]);
+    for (index, weight) in stretches.iter().enumerate() {
+        let numbers: [&[f32; STRETCH]; ROWS] = std::array::from_fn(|row| &numbers[row][index]);
+        for (at, weight) in weight.iter().enumerate() {
+            let numbers = std::array::from_fn(|row| numbers[row][at]);
+            sums = add_products(simd, sums, weight, numbers);
+        }
+    }
+    for (index, weight) in rest.iter().enumerate() {
+        let numbers = std::array::from_fn(|row| rows[row][whole * STRETCH + index]);
+        sums = add_products(simd, sums, weight, numbers);
+    }
+    sums
+}
+
+/// Adds the products of a number of each row with the `weight` of these numbers.
+#[inline(always)]
+fn add_products<S: Simd, const ROWS: usize, const VECTORS: usize>(
+    simd: S,
+    mut sums: Sums<S, ROWS, VECTORS>,
+    weight: &[S::f32s; VECTORS],
+    numbers: [f32; ROWS],
+) -> Sums<S, ROWS, VECTORS> {
+    for row in 0..ROWS {
+        let number = simd.splat_f32s(numbers[row]);
+        for vector in 0..VECTORS {
+            let sum = sums[row][vector];
+            sums[row][vector] = simd.mul_add_f32s(number, weight[vector], sum);
         }
     }
     sums
