@@ -8,6 +8,7 @@ mod enable;
 mod error;
 mod homing;
 mod settings;
+mod step;
 mod watched;
 
 use super::arm::CanArm;
@@ -23,6 +24,7 @@ use crate::tail::TAIL_AXES;
 
 pub use enable::enable_together;
 pub use error::BringUpError;
+pub use step::Step;
 use watched::Watched;
 
 /// How long a node may take to boot up, ns.
@@ -181,6 +183,7 @@ impl<B: Bus> Identified<B> {
     /// [`BringUpError`] with the node and the object.
     pub fn map(mut self) -> Result<Mapped<B>, BringUpError> {
         for axis in 0..TAIL_AXES {
+            self.bus.at(Step::SettingUp(axis));
             let told = configure::node(&mut self.bus, &self.plan, axis);
             self.bus.judge(told)?;
         }
@@ -198,9 +201,11 @@ impl<B: Bus> Mapped<B> {
     /// [`BringUpError::Homing`] with the node.
     pub fn home(mut self) -> Result<Homed<B>, BringUpError> {
         for axis in 0..TAIL_AXES {
+            self.bus.at(Step::Homing(axis));
             let homed = homing::home(&mut self.bus, &self.plan, axis);
             self.bus.judge(homed)?;
         }
+        self.bus.at(Step::Waiting);
         let Self { bus, plan } = self;
         Ok(Homed { bus, plan })
     }

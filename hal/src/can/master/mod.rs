@@ -29,6 +29,8 @@
 //! somebody else's SYNC, NMT, set-points    their identifiers               fault, and the nodes are stopped in every cycle:
 //! or writing over SDO                                                      they hear no set-points; our heartbeat ends
 //! the same during bring-up                 their identifiers               no arm
+//! boot-up or emergency of a drive that is  its frame                       no arm, and the nodes are stopped
+//! set up, before the first beat
 //! a second node with a drive's number      the drive's emergency           fault
 //! wrong identity                           bring-up                        no arm
 //! stored offset, PDOs, timers, time stamps bring-up                        cleared; no arm if a drive keeps them
@@ -69,7 +71,7 @@ pub mod plan;
 pub mod space;
 
 pub use arm::CanArm;
-pub use bringup::{BringUpError, Homed, Offline, enable_together};
+pub use bringup::{BringUpError, Homed, Offline, Step, enable_together};
 pub use config::CanConfig;
 pub use fault::{Fault, Who};
 pub use link::{Bus, Received, Trouble};

@@ -1,7 +1,9 @@
 //! Why an arm did not come up, with the node and the object.
 
 use super::super::fault::{Fault, Who};
+use super::Step;
 use crate::can::bus::Overload;
+use crate::can::cia301::emcy::ErrorCode;
 use crate::can::cia301::{AbortCode, Address};
 use crate::can::cia402::Mode;
 use crate::can::{Frame, NodeId};
@@ -108,6 +110,24 @@ pub enum BringUpError {
         who: Who,
         /// What it says.
         status: u32,
+    },
+    /// A node was reset after it had been set up: it is no more as it was set.
+    #[error("{who}: booted up again, {step}")]
+    Rebooted {
+        /// The node.
+        who: Who,
+        /// When it was heard.
+        step: Step,
+    },
+    /// A node told an error after it had been set up.
+    #[error("{who}: emergency {code}, {step}")]
+    Emergency {
+        /// The node.
+        who: Who,
+        /// What it told.
+        code: ErrorCode,
+        /// When it was heard.
+        step: Step,
     },
     /// The arm failed while it was being enabled.
     #[error("{0}")]

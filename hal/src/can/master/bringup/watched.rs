@@ -1,20 +1,25 @@
-//! The buses while an arm is brought up, under watch: nobody else may lead its drives then either.
+//! The buses while an arm is brought up, under watch: nobody else may lead its drives then either, and what was set up has to
+//! stay so.
 
 use super::super::client::{self, expect};
 use super::super::foreign::leads;
 use super::super::link::{Bus, Received};
 use super::super::plan::ArmPlan;
-use super::BringUpError;
+use super::{BringUpError, Step};
 use crate::TimeNs;
 use crate::can::Frame;
 use crate::can::cia301::{NmtCommand, NmtTarget};
 
-/// Buses, and the first frame on them that only the master of the plan may send.
+/// Buses, and what was heard on them that ends the bring-up.
 #[derive(Debug)]
 pub(super) struct Watched<B> {
     pub(super) bus: B,
     plan: ArmPlan,
+    step: Step,
+    /// The first frame that only the master of the plan may send.
     foreign: Option<(u8, Frame)>,
+    /// The first thing that happened to a node that had been set up.
+    upset: Option<BringUpError>,
     /// Whether we have said anything: who was there before us is not disturbed.
     spoke: bool,
 }
@@ -24,20 +29,31 @@ impl<B: Bus> Watched<B> {
         Self {
             bus,
             plan: *plan,
+            step: Step::Finding,
             foreign: None,
+            upset: None,
             spoke: false,
         }
     }
 
-    /// What a step came to, unless somebody else leads our drives: whatever it came to, that is the cause, and all nodes that
-    /// we have begun to set up are stopped.
+    /// Notes what bring-up is at from now on.
+    pub(super) fn at(&mut self, step: Step) {
+        self.step = step;
+    }
+
+    /// What a step came to, unless somebody else leads our drives or one is no more as it was set up: whatever it came to, that
+    /// is the cause, and all nodes that we have begun to set up are stopped.
     pub(super) fn judge<T>(&mut self, step: Result<T, BringUpError>) -> Result<T, BringUpError> {
-        match self.foreign {
-            Some((line, frame)) => {
+        let foreign = self.foreign.map(|(line, frame)| {
+            // Who leads our drives is the cause of what happens to them.
+            BringUpError::ForeignMaster { line, frame }
+        });
+        match foreign.or_else(|| self.upset.clone()) {
+            Some(cause) => {
                 if self.spoke {
                     self.stop();
                 }
-                Err(BringUpError::ForeignMaster { line, frame })
+                Err(cause)
             }
             None => step,
         }
@@ -79,14 +95,21 @@ impl<B: Bus> Bus for Watched<B> {
     fn receive(&mut self, line: u8, sink: &mut dyn FnMut(Received)) {
         let was_alone = self.foreign.is_none();
         let Self {
-            bus, plan, foreign, ..
+            bus,
+            plan,
+            step,
+            foreign,
+            upset,
+            ..
         } = self;
         bus.receive(line, &mut |received| {
-            if let Received::Frame(frame) = received
-                && foreign.is_none()
-                && leads(plan, line, &frame)
-            {
-                *foreign = Some((line, frame));
+            if let Received::Frame(frame) = received {
+                if foreign.is_none() && leads(plan, line, &frame) {
+                    *foreign = Some((line, frame));
+                }
+                if upset.is_none() {
+                    *upset = step.upset(plan, line, &frame);
+                }
             }
             sink(received);
         });
