@@ -74,10 +74,11 @@ impl Cycle {
         self.left_out
     }
 
-    /// Whether some frame of the cycle that was judged last found no room on its bus.
+    /// Whether some frame for `line` found no room in the cycle that was judged last.
     #[must_use]
-    pub fn is_cramped(&self) -> bool {
-        self.lines.iter().any(|line| line.unsent > 0)
+    pub fn is_cramped(&self, line: u8) -> bool {
+        let health = self.lines.get(usize::from(line));
+        health.is_some_and(|health| health.unsent > 0)
     }
 
     /// Notes whether all frames that were handed over in this cycle found room on `line`.
