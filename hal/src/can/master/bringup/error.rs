@@ -97,6 +97,22 @@ pub enum BringUpError {
         /// The most that it may have.
         most: i64,
     },
+    /// A node has another COB-ID than it was given: a PDO that stays on or off, or goes by another identifier.
+    #[error(
+        "node {node}: {address} is {found:08X}h after {written:08X}h was written, and they may not differ in {mask:08X}h"
+    )]
+    CobId {
+        /// The node.
+        node: NodeId,
+        /// The object.
+        address: Address,
+        /// What it was given.
+        written: u32,
+        /// What it has.
+        found: u32,
+        /// The bits that matter.
+        mask: u32,
+    },
     /// The interpolation period cannot be said in 60C2h.
     #[error("a cycle of {cycle_ns} ns has no value in 60C2h")]
     Period {
