@@ -91,6 +91,8 @@ impl<B: Bus> Offline<B> {
     /// follows, too.
     pub fn scan(mut self) -> Result<Scanned<B>, BringUpError> {
         let plan = self.plan;
+        let before = self.bus.catch_up();
+        self.bus.judge(before)?;
         for line in 0..plan.lines {
             let heard = expect(&mut self.bus, line, LISTEN_NS, |frame| {
                 leads(&plan, line, frame).then_some(())

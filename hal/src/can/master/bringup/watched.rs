@@ -3,12 +3,15 @@
 
 use super::super::client::{self, expect};
 use super::super::foreign::leads;
-use super::super::link::{Bus, Received};
+use super::super::link::{Bus, Received, Trouble};
 use super::super::plan::ArmPlan;
 use super::{BringUpError, Step};
 use crate::TimeNs;
 use crate::can::Frame;
 use crate::can::cia301::{NmtCommand, NmtTarget};
+
+/// How often a bus is looked at for what came before bring-up: one that is never silent ends that, too.
+const LOOKS_MAX: u32 = 16;
 
 /// Buses, and what was heard on them that ends the bring-up.
 #[derive(Debug)]
@@ -65,6 +68,34 @@ impl<B: Bus> Watched<B> {
         for (line, stop) in stops(&self.plan) {
             let _ = client::send(&mut self.bus, line, stop);
         }
+    }
+
+    /// Takes what came before bring-up began. What had become of our controllers then is over if they are back; one that has
+    /// left its bus and was not heard to be back, or whose interface was down, ends it.
+    pub(super) fn catch_up(&mut self) -> Result<(), BringUpError> {
+        for line in 0..self.plan.lines {
+            let (mut off, mut down) = (false, false);
+            for _ in 0..LOOKS_MAX {
+                let mut silent = true;
+                self.receive(line, &mut |received| {
+                    silent = false;
+                    match received {
+                        Received::Trouble(Trouble::BusOff) => off = true,
+                        Received::Trouble(Trouble::Restarted) => off = false,
+                        // The system tells it before what came earlier, and never that it is over.
+                        Received::Trouble(Trouble::Down) => down = true,
+                        Received::Trouble(_) | Received::Frame(_) => {}
+                    }
+                });
+                if silent {
+                    break;
+                }
+            }
+            if off || down {
+                return Err(BringUpError::Off { line });
+            }
+        }
+        Ok(())
     }
 
     /// Takes what has come on any bus and nobody waits for any more.

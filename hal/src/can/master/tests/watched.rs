@@ -322,6 +322,9 @@ fn trouble_on_a_bus_that_is_not_listened_to_ends_the_bring_up_before_the_nodes_s
         assert_eq!(course.end, Err("bus 0: bus-off or down".to_owned()));
         assert!(course.sent[3] == homed && !course.torques);
     }
+    // Even that it is back, once bring-up has begun.
+    let course = course(3, 0, |net| net.trouble(0, Trouble::Restarted));
+    assert_eq!(course.end, Err("bus 0: bus-off or down".to_owned()));
 }
 
 #[test]
