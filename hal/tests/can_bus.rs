@@ -6,6 +6,9 @@
     reason = "in a test, a failure to set up is a failure"
 )]
 
+#[path = "can_bus/direct.rs"]
+mod direct;
+
 use std::fs;
 use std::io::{BufRead as _, BufReader};
 use std::path::PathBuf;
