@@ -235,6 +235,7 @@ impl<B: Bus> Homed<B> {
             let start = NmtCommand::Start.emit(NmtTarget::Node(who.node));
             send(&mut self.bus, who.line, start)?;
         }
-        Ok(())
+        // What came while there was no room.
+        self.bus.judge(Ok(()))
     }
 }

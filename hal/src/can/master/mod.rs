@@ -31,7 +31,7 @@
 //! the same during bring-up                 their identifiers               no arm
 //! boot-up or emergency of a drive that is  its frame                       no arm, and the nodes are stopped
 //! set up, before the first beat
-//! a second node with a drive's number      the drive's emergency           fault
+//! a second node with a drive's number      the drive's emergency           fault; no arm if it was there before
 //! wrong identity                           bring-up                        no arm
 //! stored offset, PDOs, timers, time stamps bring-up                        cleared; no arm if a drive keeps them
 //! stored limits, stops, torque, window     bring-up                        written; no arm if a drive keeps less safe ones

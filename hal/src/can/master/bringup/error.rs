@@ -127,6 +127,14 @@ pub enum BringUpError {
         /// What it says.
         status: u32,
     },
+    /// A drive is in fault when it is to be homed.
+    #[error("{who}: is in fault: {code}")]
+    Faulty {
+        /// The node.
+        who: Who,
+        /// What its object 603Fh says.
+        code: ErrorCode,
+    },
     /// A node was reset after it had been set up: it is no more as it was set.
     #[error("{who}: booted up again, {step}")]
     Rebooted {
@@ -135,7 +143,7 @@ pub enum BringUpError {
         /// When it was heard.
         step: Step,
     },
-    /// A node told an error after it had been set up.
+    /// A node told an error after it had been set up, or at any time that there is another one with its number.
     #[error("{who}: emergency {code}, {step}")]
     Emergency {
         /// The node.

@@ -45,7 +45,7 @@ impl Step {
     ///
     /// A reset undoes what a node was told, so from its first setting on it boots up no more. What it has to tell of the time
     /// before it was set up is its own: of the master that it lost by our reset, of a supply that was not there yet. That an
-    /// error is gone is no error.
+    /// error is gone is no error. But of two nodes with one number nothing that either says can be believed, whenever they tell.
     pub(super) fn upset(self, plan: &ArmPlan, line: u8, frame: &Frame) -> Option<BringUpError> {
         let axis = |node: NodeId| plan.axis_of(line, node);
         match Cob::of(frame.id) {
@@ -55,9 +55,10 @@ impl Step {
                 boots.then(|| self.rebooted(plan.who(axis)))
             }
             Cob::Emergency(node) => {
-                let axis = axis(node).filter(|axis| self.is_set_up(*axis))?;
+                let axis = axis(node)?;
                 let code = Emergency::parse(frame.data()).ok()?.code;
-                (!is_harmless(code)).then(|| self.emergency(plan.who(axis), code))
+                let counts = self.is_set_up(axis) || code == ErrorCode::ID_COLLISION;
+                (counts && !is_harmless(code)).then(|| self.emergency(plan.who(axis), code))
             }
             Cob::Nmt
             | Cob::Sync

@@ -21,7 +21,7 @@ pub(super) struct Watched<B> {
     step: Step,
     /// The first frame that only the master of the plan may send.
     foreign: Option<(u8, Frame)>,
-    /// The first thing that happened to a node that had been set up.
+    /// The first thing that happened to a node and may not have.
     upset: Option<BringUpError>,
     /// Whether we have said anything: who was there before us is not disturbed.
     spoke: bool,
@@ -131,14 +131,15 @@ impl<B: Bus> Bus for Watched<B> {
             step,
             foreign,
             upset,
-            ..
+            spoke,
         } = self;
         bus.receive(line, &mut |received| {
             if let Received::Frame(frame) = received {
                 if foreign.is_none() && leads(plan, line, &frame) {
                     *foreign = Some((line, frame));
                 }
-                if upset.is_none() {
+                // What was said before we said anything is over.
+                if *spoke && upset.is_none() {
                     *upset = step.upset(plan, line, &frame);
                 }
             }

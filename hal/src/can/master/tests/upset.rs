@@ -3,6 +3,7 @@
 use super::watched::{NEVER, course};
 use super::*;
 use crate::can::cia301::emcy::ErrorCode;
+use crate::can::master::bringup::Scanned;
 
 type What = fn(&mut Net);
 
@@ -114,4 +115,34 @@ fn that_all_is_well_that_there_is_no_beat_yet_and_what_other_drives_tell_does_no
     });
     let refusal = format!("{WHO}: emergency 8150h, identifier collision, while axis 6 was homed");
     assert_eq!(course.end, Err(refusal));
+}
+
+#[test]
+fn a_drive_that_is_in_fault_from_the_start_says_why() {
+    let scanned = course(1, NEVER, |_| {}).sent[0];
+    let course = course(1, scanned + 9, fails);
+    let told = format!("{WHO}: is in fault: 2310h, continuous over-current");
+    assert_eq!(course.end, Err(told));
+    assert!(!course.torques);
+}
+
+#[test]
+fn two_nodes_with_one_number_are_no_arm() {
+    let plan = plan(1, 2 * MS);
+    let mut net = network(&plan);
+    net.add(0, drive(2), IdealMotor::default());
+    // They have met before: that is none of ours.
+    net.wait(TimeNs(500 * MS));
+    let scanned = Offline::new(net, &plan).unwrap().scan();
+    let error = scanned
+        .and_then(Scanned::check_identity)
+        .map(|_| ())
+        .unwrap_err();
+    let told = "emergency 8150h, identifier collision, while the nodes were looked for";
+    assert_eq!(error.to_string(), format!("{WHO}: {told}"));
+    // One that told it before we began is by itself now.
+    let mut net = network(&plan);
+    net.intrude(0, frame(0x083, &[0x50, 0x81, 0x11, 0, 0, 0, 0, 0]));
+    net.wait(TimeNs(500 * MS));
+    assert!(Offline::new(net, &plan).unwrap().scan().is_ok());
 }
