@@ -2,6 +2,7 @@
 //! stay so.
 
 use super::super::client::{self, expect};
+use super::super::cycle::LINES_MAX;
 use super::super::foreign::leads;
 use super::super::link::{Bus, Received, Trouble};
 use super::super::plan::ArmPlan;
@@ -25,6 +26,8 @@ pub(super) struct Watched<B> {
     upset: Option<BringUpError>,
     /// Whether we have said anything: who was there before us is not disturbed.
     spoke: bool,
+    /// Whether our controller on each bus is error passive.
+    passive: [bool; LINES_MAX],
 }
 
 impl<B: Bus> Watched<B> {
@@ -36,7 +39,13 @@ impl<B: Bus> Watched<B> {
             foreign: None,
             upset: None,
             spoke: false,
+            passive: [false; LINES_MAX],
         }
+    }
+
+    /// Whether our controller on `line` is error passive, as it said last.
+    pub(super) fn is_passive(&self, line: u8) -> bool {
+        self.passive.get(usize::from(line)) == Some(&true)
     }
 
     /// Notes what bring-up is at from now on.
@@ -132,8 +141,13 @@ impl<B: Bus> Bus for Watched<B> {
             foreign,
             upset,
             spoke,
+            passive,
         } = self;
+        let mut passive = passive.get_mut(usize::from(line));
         bus.receive(line, &mut |received| {
+            if let (Received::Trouble(trouble), Some(passive)) = (received, passive.as_mut()) {
+                **passive = is_passive_after(trouble, **passive);
+            }
             if let Received::Frame(frame) = received {
                 if foreign.is_none() && leads(plan, line, &frame) {
                     *foreign = Some((line, frame));
@@ -158,6 +172,15 @@ impl<B: Bus> Bus for Watched<B> {
 
     fn wait(&mut self, until: TimeNs) {
         self.bus.wait(until);
+    }
+}
+
+/// Whether a controller is error passive once it has told `trouble`.
+const fn is_passive_after(trouble: Trouble, was: bool) -> bool {
+    match trouble {
+        Trouble::ErrorPassive => true,
+        Trouble::ErrorActive | Trouble::Restarted => false,
+        Trouble::BusOff | Trouble::Lost(_) | Trouble::Foreign | Trouble::Down => was,
     }
 }
 
