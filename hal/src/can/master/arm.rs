@@ -185,8 +185,8 @@ impl<B: Bus> CanArm<B> {
             return;
         }
         let frames = self.out.frames();
-        let all = self.bus.send(line, frames) == frames.len();
-        self.cycle.on_sent(line, all);
+        let count = self.bus.send(line, frames);
+        self.cycle.on_sent(line, frames, count);
     }
 
     fn send_set_points(&mut self, line: u8, now: TimeNs) {

@@ -52,7 +52,9 @@
 //! objects end with bring-up, each answered or given up, and NMT stops come only after a fault, behind a SYNC. What finds no room
 //! is forgotten; the next cycle's frames are made anew, from what is known then. So what goes before a quick stop is what the
 //! queue already held: no more frames than it has places, which are better few (a cycle has up to 16, with NMT stops). Of a
-//! part that finds room the SYNC is the first, then NMT stops, then the set-points of drives that still follow.
+//! part that finds room the SYNC is the first, then NMT stops, then the set-points of drives that still follow, and of these the
+//! ones that were told least often: each is told once before one is told twice. None is said again before the SYNC, though that
+//! would mostly save a period: nobody knows how much room there is, and where it takes the place of the SYNC all wait for the next.
 //!
 //! The head of that queue, too, waits while others have something with a lower identifier. Answers have (181h and up) before
 //! set-points (201h and up), so on a bus that a stranger's SYNCs fill with answers a quick stop waits for as long as they do.

@@ -129,9 +129,10 @@ fn no_room_for_20_cycles_is_told_as_such() {
     let mut cycle = cycle::Cycle::new(&plan, TimeNs(0));
     let mut pass = |set_points: bool, count: u32| {
         for _ in 0..count {
-            cycle.on_sent(0, set_points);
+            let frames = [frame(0x201, &[]), frame(0x202, &[])];
+            cycle.on_sent(0, &frames, if set_points { 2 } else { 1 });
             // A SYNC alone finds room more easily; that does not make the cycle whole.
-            cycle.on_sent(0, true);
+            cycle.on_sent(0, &frames[..1], 1);
             cycle.judge(TimeNs(0));
         }
         cycle.fault().map(|fault| fault.to_string())

@@ -99,8 +99,9 @@ fn cycles_to_stop(room: usize, controller_lives: bool) -> u32 {
 #[test]
 fn a_queue_with_little_room_takes_the_sync_and_the_quick_stops_of_drives_that_still_follow() {
     for controller_lives in [true, false] {
-        // Enough, half of it, and next to nothing.
-        for (room, at_most) in [(16, 3), (5, 5), (3, 7)] {
+        // Enough, half of it, and next to nothing: a period for the fault and one for its answer to be heard, and as many as it
+        // takes to tell each of the six once, beside the SYNC.
+        for (room, at_most) in [(16, 3), (6, 4), (4, 4), (3, 5), (2, 8)] {
             let cycles = cycles_to_stop(room, controller_lives);
             assert!(cycles <= at_most, "{room} {controller_lives}: {cycles}");
         }
@@ -176,7 +177,7 @@ fn a_full_bus_has_its_own_sync_first_and_the_set_points_on_the_others_still_come
         there.map(|(_, id)| *id).collect()
     };
     assert_eq!(on(&all, 0), [0x201, 0x202, 0x203, 0x080]);
-    assert_eq!(on(&said, 0), [0x080, 0x201]);
+    assert!(matches!(on(&said, 0)[..], [0x080, 0x201..=0x203]));
     for said in [&all, &said] {
         assert_eq!(on(said, 1), [0x204, 0x205, 0x080]);
         // The one that failed is no hurry.
