@@ -6,6 +6,9 @@
     reason = "in a test, a failure to set up is a failure"
 )]
 
+#[path = "can_bus/direct.rs"]
+mod direct;
+
 use std::fs;
 use std::io::{BufRead as _, BufReader};
 use std::path::PathBuf;
@@ -251,11 +254,12 @@ fn our_master_leads_our_drives_and_stops_them_at_bus_off() {
     let drives = Drives::start();
     let (mut arm, mut at, measured) = lead((0, PRODUCT_CODE), 20);
     assert!((0.11..0.12).contains(&measured), "{measured}");
-    let sent = Command::new("cansend")
-        .args(["vcan0", "20000040#0000000000000000"])
-        .status()
-        .unwrap();
-    assert!(sent.success());
+    let error = |class: &str| {
+        let frame = format!("{class}#0000000000000000");
+        let sent = Command::new("cansend").args(["vcan0", &frame]).status();
+        assert!(sent.unwrap().success());
+    };
+    error("20000040");
     for _ in 0..4 {
         at = at.plus_ns(50 * MS);
         arm.bus_mut().wait(at);
@@ -263,6 +267,10 @@ fn our_master_leads_our_drives_and_stops_them_at_bus_off() {
     }
     assert_eq!(arm.fault(), Some(Fault::BusOff { line: 0 }));
     arm.bus_mut().wait(at.plus_ns(1000 * MS));
+    // That it is back waits in our socket, and a new bring-up knows it for over.
+    error("20000100");
+    let again = Offline::new(arm.release(), &plan((0, PRODUCT_CODE), 20));
+    assert!(again.unwrap().scan().is_ok());
     let motors = drives.finish();
     assert!(
         motors.iter().all(|m| (0.11..0.13).contains(m)),

@@ -3,6 +3,8 @@
 //! CiA 301, section 7.2.7: figure 31 (frame), table 26 (codes); 1001h in table 48 (error register). Codes from CiA 402-2,
 //! table 7, where they concern a drive.
 
+use core::fmt;
+
 use super::Cob;
 use crate::can::frame::exactly;
 use crate::can::{Frame, NodeId, Payload, WireError};
@@ -98,6 +100,13 @@ pub mod register {
 /// An error code of an emergency, which 603Fh repeats.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct ErrorCode(pub u16);
+
+impl fmt::Display for ErrorCode {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let text = self.text().unwrap_or("a code of the drive's own");
+        write!(f, "{:04X}h, {text}", self.0)
+    }
+}
 
 /// Codes with their texts.
 macro_rules! codes {

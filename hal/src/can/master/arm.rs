@@ -105,11 +105,13 @@ impl<B: Bus> CanArm<B> {
         // Of the periods that have passed, the controller has taken care of one at most.
         let written = u64::from(core::mem::take(&mut self.written));
         self.play(now, self.cycle.cycles_since_beat(now) - written);
-        // Without a SYNC no set-point takes effect, not even one that is a quick stop. Where there was no room for all, it is the
-        // one that must find some.
-        let sync_first = self.cycle.is_cramped();
-        if !self.sent && !sync_first {
-            self.send_set_points(now);
+        let sent = core::mem::take(&mut self.sent);
+        // Without a SYNC no set-point takes effect, not even one that is a quick stop. On a bus that had no room for all, it is
+        // the one that must find some.
+        for line in 0..self.plan.lines {
+            if !sent && !self.cycle.is_cramped(line) {
+                self.send_set_points(line, now);
+            }
         }
         self.cycle.begin(now);
         for line in 0..self.plan.lines {
@@ -118,10 +120,11 @@ impl<B: Bus> CanArm<B> {
             self.cycle.withdraw(line, &mut self.out);
             self.transmit(line);
         }
-        if !self.sent && sync_first {
-            self.send_set_points(now);
+        for line in 0..self.plan.lines {
+            if !sent && self.cycle.is_cramped(line) {
+                self.send_set_points(line, now);
+            }
         }
-        self.sent = false;
         self.measured = self.cycle.state(now);
     }
 
@@ -182,17 +185,14 @@ impl<B: Bus> CanArm<B> {
             return;
         }
         let frames = self.out.frames();
-        let all = self.bus.send(line, frames) == frames.len();
-        self.cycle.on_sent(line, all);
+        let count = self.bus.send(line, frames);
+        self.cycle.on_sent(line, frames, count);
     }
 
-    fn send_set_points(&mut self, now: TimeNs) {
-        for line in 0..self.plan.lines {
-            self.out.clear();
-            self.cycle.commands(now, line, &mut self.out);
-            self.transmit(line);
-        }
-        self.sent = true;
+    fn send_set_points(&mut self, line: u8, now: TimeNs) {
+        self.out.clear();
+        self.cycle.commands(now, line, &mut self.out);
+        self.transmit(line);
     }
 
     /// Stops every node: drives that still have torque stop as 6007h says.
@@ -248,7 +248,10 @@ impl<B: Bus> Arm for CanArm<B> {
         // A controller that is faster than the bus: only the newest command before a SYNC is sent.
         let last = self.cycle.is_due(now.plus_ns(self.between_calls_ns));
         if last && !self.sent && self.written {
-            self.send_set_points(now);
+            for line in 0..self.plan.lines {
+                self.send_set_points(line, now);
+            }
+            self.sent = true;
         }
         match self.cycle.fault() {
             Some(fault) => Err(fault.arm_error()),

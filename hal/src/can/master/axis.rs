@@ -59,6 +59,8 @@ pub(super) struct Axis {
     pub(super) target: i32,
     /// The newest set-point that was handed to the bus, counts.
     pub(super) sent: i32,
+    /// Set-points that found room on the bus since the arm failed.
+    pub(super) stops: u32,
     /// The set-point that the drive was on its way to when it measured.
     pub(super) followed: i32,
     /// Whether a usable answer has come in this period, and how many of any kind.
@@ -91,6 +93,7 @@ impl Axis {
             velocity: 0.0,
             target: 0,
             sent: 0,
+            stops: 0,
             followed: 0,
             answered: false,
             answers: 0,

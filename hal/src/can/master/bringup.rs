@@ -8,6 +8,7 @@ mod enable;
 mod error;
 mod homing;
 mod settings;
+mod step;
 mod watched;
 
 use super::arm::CanArm;
@@ -23,6 +24,7 @@ use crate::tail::TAIL_AXES;
 
 pub use enable::enable_together;
 pub use error::BringUpError;
+pub use step::Step;
 use watched::Watched;
 
 /// How long a node may take to boot up, ns.
@@ -89,6 +91,8 @@ impl<B: Bus> Offline<B> {
     /// follows, too.
     pub fn scan(mut self) -> Result<Scanned<B>, BringUpError> {
         let plan = self.plan;
+        let before = self.bus.catch_up();
+        self.bus.judge(before)?;
         for line in 0..plan.lines {
             let heard = expect(&mut self.bus, line, LISTEN_NS, |frame| {
                 leads(&plan, line, frame).then_some(())
@@ -181,6 +185,7 @@ impl<B: Bus> Identified<B> {
     /// [`BringUpError`] with the node and the object.
     pub fn map(mut self) -> Result<Mapped<B>, BringUpError> {
         for axis in 0..TAIL_AXES {
+            self.bus.at(Step::SettingUp(axis));
             let told = configure::node(&mut self.bus, &self.plan, axis);
             self.bus.judge(told)?;
         }
@@ -198,9 +203,11 @@ impl<B: Bus> Mapped<B> {
     /// [`BringUpError::Homing`] with the node.
     pub fn home(mut self) -> Result<Homed<B>, BringUpError> {
         for axis in 0..TAIL_AXES {
+            self.bus.at(Step::Homing(axis));
             let homed = homing::home(&mut self.bus, &self.plan, axis);
             self.bus.judge(homed)?;
         }
+        self.bus.at(Step::Waiting);
         let Self { bus, plan } = self;
         Ok(Homed { bus, plan })
     }
@@ -228,6 +235,7 @@ impl<B: Bus> Homed<B> {
             let start = NmtCommand::Start.emit(NmtTarget::Node(who.node));
             send(&mut self.bus, who.line, start)?;
         }
-        Ok(())
+        // What came while there was no room.
+        self.bus.judge(Ok(()))
     }
 }

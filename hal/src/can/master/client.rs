@@ -12,10 +12,12 @@ const TIMEOUT_NS: u64 = 500_000_000;
 /// How often the bus is looked at meanwhile, ns.
 pub(super) const LOOK_NS: u64 = 500_000;
 
-/// Sends `frame`, waiting for room.
+/// Sends `frame`, waiting for room. What comes meanwhile is nobody's.
 pub(super) fn send<B: Bus>(bus: &mut B, line: u8, frame: Frame) -> Result<(), BringUpError> {
     let end = bus.now().plus_ns(TIMEOUT_NS);
     while bus.send(line, &[frame]) == 0 {
+        // An interface that is down takes nothing, and says so only to who listens.
+        expect(bus, line, 0, |_| None::<()>)?;
         if bus.now() >= end {
             return Err(BringUpError::CannotSend { line });
         }

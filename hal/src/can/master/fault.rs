@@ -142,10 +142,7 @@ impl fmt::Display for Fault {
             Self::NodeLost(who) => write!(f, "{who}: no heartbeat"),
             Self::Rebooted(who) => write!(f, "{who}: was reset while in use"),
             Self::LeftOperational(who, state) => write!(f, "{who}: went to {state:?}"),
-            Self::Emergency(who, code) => {
-                let text = code.text().unwrap_or("a code of the drive's own");
-                write!(f, "{who}: emergency {:04X}h, {text}", code.0)
-            }
+            Self::Emergency(who, code) => write!(f, "{who}: emergency {code}"),
             Self::Silent(who, cycles) => {
                 write!(f, "{who}: no usable process data for {cycles} cycles")
             }

@@ -29,7 +29,9 @@
 //! somebody else's SYNC, NMT, set-points    their identifiers               fault, and the nodes are stopped in every cycle:
 //! or writing over SDO                                                      they hear no set-points; our heartbeat ends
 //! the same during bring-up                 their identifiers               no arm
-//! a second node with a drive's number      the drive's emergency           fault
+//! boot-up or emergency of a drive that is  its frame                       no arm, and the nodes are stopped
+//! set up, before the first beat
+//! a second node with a drive's number      the drive's emergency           fault; no arm if it was there before
 //! wrong identity                           bring-up                        no arm
 //! stored offset, PDOs, timers, time stamps bring-up                        cleared; no arm if a drive keeps them
 //! stored limits, stops, torque, window     bring-up                        written; no arm if a drive keeps less safe ones
@@ -50,7 +52,9 @@
 //! objects end with bring-up, each answered or given up, and NMT stops come only after a fault, behind a SYNC. What finds no room
 //! is forgotten; the next cycle's frames are made anew, from what is known then. So what goes before a quick stop is what the
 //! queue already held: no more frames than it has places, which are better few (a cycle has up to 16, with NMT stops). Of a
-//! part that finds room the SYNC is the first, then NMT stops, then the set-points of drives that still follow.
+//! part that finds room the SYNC is the first, then NMT stops, then the set-points of drives that still follow, and of these the
+//! ones that were told least often: each is told once before one is told twice. None is said again before the SYNC, though that
+//! would mostly save a period: nobody knows how much room there is, and where it takes the place of the SYNC all wait for the next.
 //!
 //! The head of that queue, too, waits while others have something with a lower identifier. Answers have (181h and up) before
 //! set-points (201h and up), so on a bus that a stranger's SYNCs fill with answers a quick stop waits for as long as they do.
@@ -69,7 +73,7 @@ pub mod plan;
 pub mod space;
 
 pub use arm::CanArm;
-pub use bringup::{BringUpError, Homed, Offline, enable_together};
+pub use bringup::{BringUpError, Homed, Offline, Step, enable_together};
 pub use config::CanConfig;
 pub use fault::{Fault, Who};
 pub use link::{Bus, Received, Trouble};

@@ -24,6 +24,9 @@ const DEVICES_MAX: u16 = 8;
 const PDOS_NAMED: u16 = 4;
 /// A PDO that is not in use. SYNC and time stamps that the node itself sends, and time stamps that it hears (1005h, 1012h).
 const INVALID: u32 = 1 << 31;
+/// What makes out a PDO that is in use: that it is, and its identifier of eleven bits. Whether it may be asked for with a remote
+/// frame, which nobody sends, is the drive's own.
+const IN_USE: u32 = INVALID | 1 << 29 | 0x7FF;
 const PRODUCED: u32 = 1 << 30;
 const CONSUMED: u32 = 1 << 31;
 /// Time stamps, which our own drives do without.
@@ -85,13 +88,25 @@ impl<B: Bus> Writer<'_, B> {
             Err(BringUpError::Refused { code, .. }) if is_missing(code) => return Ok(false),
             Err(error) => return Err(error),
         };
-        let new = (found & !mask | wanted).to_le_bytes();
-        self.put(address, &new)?;
-        let found = read_number(self.bus, line, node, address)?;
-        if found & mask == wanted {
-            Ok(true)
+        self.cob(address, mask, found & !mask | wanted)
+            .map(|()| true)
+    }
+
+    /// Writes a COB-ID; the bits `mask` of what there is then have to be as they were written.
+    fn cob(&mut self, address: Address, mask: u32, written: u32) -> Result<(), BringUpError> {
+        self.put(address, &written.to_le_bytes())?;
+        let node = self.node;
+        let found = read_number(self.bus, self.line, node, address)?;
+        if (found ^ written) & mask == 0 {
+            Ok(())
         } else {
-            Err(differs(node, address, &found.to_le_bytes(), &new))
+            Err(BringUpError::CobId {
+                node,
+                address,
+                written,
+                found,
+                mask,
+            })
         }
     }
 
@@ -121,7 +136,7 @@ impl<B: Bus> Writer<'_, B> {
         for setting in extras {
             keep(self, setting)?;
         }
-        self.set(record(0, 1), &cob.emit().to_le_bytes())
+        self.cob(record(0, 1), IN_USE, cob.emit())
     }
 }
 

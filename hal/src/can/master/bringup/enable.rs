@@ -2,7 +2,7 @@
 
 use super::super::arm::CanArm;
 use super::super::cycle::{Cycle, Goal};
-use super::super::link::{Bus, Received};
+use super::super::link::{Bus, Received, Trouble};
 use super::{BringUpError, Homed};
 use crate::TimeNs;
 use crate::can::cia301::{Cob, NmtState};
@@ -45,10 +45,14 @@ fn start_all<B: Bus>(homed: &mut [Homed<B>]) -> Option<(usize, BringUpError)> {
 }
 
 /// The arm as its beat begins at `start`. What has come since its nodes were told to start is the cycle's to judge, but for
-/// heartbeats from before they did.
+/// heartbeats from before they did; and that a controller has become error passive before.
 fn begin<B: Bus>(homed: Homed<B>, start: TimeNs) -> CanArm<B> {
-    let (mut bus, plan) = (homed.bus.bus, homed.plan);
+    let Homed { bus: watched, plan } = homed;
     let mut cycle = Cycle::new(&plan, start);
+    for line in (0..plan.lines).filter(|line| watched.is_passive(*line)) {
+        cycle.on_received(line, start, &Received::Trouble(Trouble::ErrorPassive));
+    }
+    let mut bus = watched.bus;
     for line in 0..plan.lines {
         bus.receive(line, &mut |received| {
             if !is_from_before(&received) {

@@ -1,7 +1,9 @@
 //! Why an arm did not come up, with the node and the object.
 
 use super::super::fault::{Fault, Who};
+use super::Step;
 use crate::can::bus::Overload;
+use crate::can::cia301::emcy::ErrorCode;
 use crate::can::cia301::{AbortCode, Address};
 use crate::can::cia402::Mode;
 use crate::can::{Frame, NodeId};
@@ -95,6 +97,22 @@ pub enum BringUpError {
         /// The most that it may have.
         most: i64,
     },
+    /// A node has another COB-ID than it was given: a PDO that stays on or off, or goes by another identifier.
+    #[error(
+        "node {node}: {address} is {found:08X}h after {written:08X}h was written, and they may not differ in {mask:08X}h"
+    )]
+    CobId {
+        /// The node.
+        node: NodeId,
+        /// The object.
+        address: Address,
+        /// What it was given.
+        written: u32,
+        /// What it has.
+        found: u32,
+        /// The bits that matter.
+        mask: u32,
+    },
     /// The interpolation period cannot be said in 60C2h.
     #[error("a cycle of {cycle_ns} ns has no value in 60C2h")]
     Period {
@@ -108,6 +126,32 @@ pub enum BringUpError {
         who: Who,
         /// What it says.
         status: u32,
+    },
+    /// A drive is in fault when it is to be homed.
+    #[error("{who}: is in fault: {code}")]
+    Faulty {
+        /// The node.
+        who: Who,
+        /// What its object 603Fh says.
+        code: ErrorCode,
+    },
+    /// A node was reset after it had been set up: it is no more as it was set.
+    #[error("{who}: booted up again, {step}")]
+    Rebooted {
+        /// The node.
+        who: Who,
+        /// When it was heard.
+        step: Step,
+    },
+    /// A node told an error after it had been set up, or at any time that there is another one with its number.
+    #[error("{who}: emergency {code}, {step}")]
+    Emergency {
+        /// The node.
+        who: Who,
+        /// What it told.
+        code: ErrorCode,
+        /// When it was heard.
+        step: Step,
     },
     /// The arm failed while it was being enabled.
     #[error("{0}")]

@@ -1,10 +1,12 @@
 //! Homing of one axis, alone on the beat: control words as set-points with a SYNC, status words from its dictionary.
 
 use super::super::client::{LOOK_NS, read_number, send, write};
+use super::super::fault::Who;
 use super::super::link::Bus;
 use super::super::plan::ArmPlan;
 use super::BringUpError;
 use crate::can::cia301::cob::PdoNumber;
+use crate::can::cia301::emcy::ErrorCode;
 use crate::can::cia301::sync::Sync;
 use crate::can::cia301::{AbortCode, Cob, NmtCommand, NmtTarget};
 use crate::can::cia402::{Command, Control, Mode, PowerState, Status};
@@ -104,7 +106,18 @@ fn step<B: Bus>(
             return Ok(());
         }
         if bus.now() >= end {
-            return Err(BringUpError::Homing { who, status });
+            let faulty = parsed.is_some_and(|status| status.state == PowerState::Fault);
+            return Err(faulty
+                .then(|| reason(bus, who))
+                .flatten()
+                .unwrap_or(BringUpError::Homing { who, status }));
         }
     }
+}
+
+/// Why the drive of `who` is in fault, if it says so.
+fn reason<B: Bus>(bus: &mut B, who: Who) -> Option<BringUpError> {
+    let code = read_number(bus, who.line, who.node, index::ERROR_CODE).ok()?;
+    let code = ErrorCode(u16::try_from(code).ok()?);
+    (code != ErrorCode::RESET).then_some(BringUpError::Faulty { who, code })
 }

@@ -2,9 +2,9 @@
 
 use super::{Axis, Cycle, SILENT_AFTER};
 use crate::TimeNs;
-use crate::can::Outbox;
 use crate::can::cia301::sync::Sync;
-use crate::can::cia301::{NmtCommand, NmtState, NmtTarget};
+use crate::can::cia301::{Cob, NmtCommand, NmtState, NmtTarget};
+use crate::can::{Frame, Outbox};
 
 impl Cycle {
     /// Begins the period at `now`: with a SYNC, which puts the set-points that were sent into effect, or as a pause.
@@ -74,16 +74,27 @@ impl Cycle {
         self.left_out
     }
 
-    /// Whether some frame of the cycle that was judged last found no room on its bus.
+    /// Whether some frame for `line` found no room in the cycle that was judged last.
     #[must_use]
-    pub fn is_cramped(&self) -> bool {
-        self.lines.iter().any(|line| line.unsent > 0)
+    pub fn is_cramped(&self, line: u8) -> bool {
+        let health = self.lines.get(usize::from(line));
+        health.is_some_and(|health| health.unsent > 0)
     }
 
-    /// Notes whether all frames that were handed over in this cycle found room on `line`.
-    pub fn on_sent(&mut self, line: u8, all: bool) {
+    /// Notes how many of `frames`, which were handed over for `line`, found room.
+    pub fn on_sent(&mut self, line: u8, frames: &[Frame], count: usize) {
         if let Some(health) = self.lines.get_mut(usize::from(line)) {
-            health.short |= !all;
+            health.short |= count < frames.len();
+        }
+        if self.fault.is_none() {
+            return;
+        }
+        for frame in frames.iter().take(count) {
+            if let Cob::ReceivePdo(_, node) = Cob::of(frame.id)
+                && let Some(axis) = self.plan.axis_of(line, node)
+            {
+                self.axes[axis].stops = self.axes[axis].stops.saturating_add(1);
+            }
         }
     }
 }

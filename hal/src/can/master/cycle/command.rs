@@ -11,8 +11,8 @@ use crate::tail::TAIL_AXES;
 /// How long after a fault the drives hold before they lose their voltage, ns.
 const HOLD_NS: u64 = 500_000_000;
 
-/// How much it matters that a set-point is sent, after a fault.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+/// How much it matters that a set-point is sent, after a fault; from what matters most.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 enum Urgency {
     /// Its drive still follows.
     Follows,
@@ -24,22 +24,23 @@ enum Urgency {
     Unheard,
 }
 
-impl Urgency {
-    /// From what matters most.
-    const ALL: [Self; 4] = [Self::Follows, Self::Brakes, Self::Free, Self::Unheard];
-}
-
 impl Cycle {
     /// The set-points for the drives on `line`, in the order of the axes. After a fault those that stop a drive that still
-    /// follows come first, then those for drives that brake, and last those for drives of which nothing is heard: a queue with
-    /// little room takes only the first ones, and the same ones in every cycle.
+    /// follows come first, and of these the ones that found room least often: what a drive makes of a stop is heard a cycle after
+    /// it was sent, and until then the others go before. Then come those for drives that brake, and last those for drives of
+    /// which nothing is heard: a queue with little room takes only the first ones.
     pub fn commands(&mut self, now: TimeNs, line: u8, out: &mut Outbox) {
         let together = self.together();
-        for urgency in Urgency::ALL {
-            for n in 0..TAIL_AXES {
-                if self.plan.axes[n].line == line && self.urgency(n) == urgency {
-                    out.push(self.set_point(n, now, together));
-                }
+        let mut order: [usize; TAIL_AXES] = core::array::from_fn(|n| n);
+        order.sort_unstable_by_key(|&n| {
+            let urgency = self.urgency(n);
+            let follows = urgency == Urgency::Follows;
+            let stops = if follows { self.axes[n].stops } else { 0 };
+            (urgency, stops, n)
+        });
+        for n in order {
+            if self.plan.axes[n].line == line {
+                out.push(self.set_point(n, now, together));
             }
         }
     }

@@ -200,6 +200,44 @@ fn an_operator_may_bring_the_arm_up_again_after_a_fault() {
     );
 }
 
+/// Buses after bus-off on bus 0 and the fault that it was.
+fn released_after_bus_off() -> Net {
+    let mut bench = Bench::new();
+    bench.net().bus_off(0, true);
+    let _ = bench.cycles(100, 0.0);
+    assert!(matches!(bench.arm.fault(), Some(Fault::BusOff { line: 0 })));
+    bench.arm.release()
+}
+
+#[test]
+fn a_controller_that_was_bus_off_and_is_back_is_no_reason_to_refuse_a_new_bring_up() {
+    let plan = plan(1, 2 * MS);
+    let scan = |net| {
+        let scanned = Offline::new(net, &plan).unwrap().scan();
+        scanned.map_err(|error| error.to_string())
+    };
+    let mut net = released_after_bus_off();
+    net.bus_off(0, false);
+    net.bus_off(0, true);
+    net.bus_off(0, false);
+    let identified = scan(net).unwrap().check_identity().unwrap();
+    let arm = identified.map().unwrap().home().unwrap().enable().unwrap();
+    assert!(arm.cycle().is_enabled());
+    // One that left it again is still off, and of an interface nothing says that it is up again.
+    let off = Err("bus 0: bus-off or down".to_owned());
+    for down in [false, true] {
+        let mut net = released_after_bus_off();
+        net.bus_off(0, false);
+        if down {
+            net.trouble(0, Trouble::Down);
+            net.trouble(0, Trouble::Restarted);
+        } else {
+            net.bus_off(0, true);
+        }
+        assert_eq!(scan(net).map(|_| ()), off);
+    }
+}
+
 #[test]
 fn what_a_drive_has_stored_neither_shifts_it_nor_leaves_a_second_way_to_it() {
     use crate::can::master::client::{read_number, write};

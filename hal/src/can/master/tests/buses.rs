@@ -82,6 +82,24 @@ fn error_passive_and_lost_frames_are_told_and_the_arm_goes_on() {
 }
 
 #[test]
+fn a_controller_that_became_error_passive_during_bring_up_is_told_of_with_the_arm() {
+    for recovers in [false, true] {
+        let plan = plan(3, MS);
+        let mut net = network(&plan);
+        net.trouble(1, Trouble::ErrorPassive);
+        if recovers {
+            net.trouble(1, Trouble::ErrorActive);
+        }
+        let mut bench = Bench::with(net, &plan);
+        assert!(bench.cycles(5, 0.0).is_ok());
+        let health = bench.arm.cycle().line_health();
+        let passive = health.map(|health| (health.passive, health.passives));
+        let (is, times) = (!recovers, u64::from(!recovers));
+        assert_eq!(passive, [(false, 0), (is, times), (false, 0)]);
+    }
+}
+
+#[test]
 fn a_full_send_queue_is_a_lost_arm_and_then_a_fault() {
     let plan = plan(1, 2 * MS);
     let mut bench = Bench::on(&plan);
@@ -111,9 +129,10 @@ fn no_room_for_20_cycles_is_told_as_such() {
     let mut cycle = cycle::Cycle::new(&plan, TimeNs(0));
     let mut pass = |set_points: bool, count: u32| {
         for _ in 0..count {
-            cycle.on_sent(0, set_points);
+            let frames = [frame(0x201, &[]), frame(0x202, &[])];
+            cycle.on_sent(0, &frames, if set_points { 2 } else { 1 });
             // A SYNC alone finds room more easily; that does not make the cycle whole.
-            cycle.on_sent(0, true);
+            cycle.on_sent(0, &frames[..1], 1);
             cycle.judge(TimeNs(0));
         }
         cycle.fault().map(|fault| fault.to_string())

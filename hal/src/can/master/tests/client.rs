@@ -120,3 +120,38 @@ fn a_bus_that_is_off_ends_the_transfer() {
     let error = read(&mut net, 0, node(0), NAME).unwrap_err();
     assert_eq!(error.to_string(), "bus 0: bus-off or down");
 }
+
+/// A bus that takes nothing.
+struct Full(Net);
+
+impl Bus for Full {
+    fn now(&self) -> TimeNs {
+        self.0.now()
+    }
+
+    fn send(&mut self, _line: u8, _frames: &[Frame]) -> usize {
+        0
+    }
+
+    fn receive(&mut self, line: u8, sink: &mut dyn FnMut(Received)) {
+        self.0.receive(line, sink);
+    }
+
+    fn flush(&mut self, _line: u8) {}
+
+    fn wait(&mut self, until: TimeNs) {
+        self.0.wait(until);
+    }
+}
+
+#[test]
+fn a_bus_without_room_is_waited_for_and_one_that_is_down_is_told_at_once() {
+    let mut bus = Full(net());
+    let ask = |bus: &mut Full| read_number(bus, 0, node(0), index::STATUS);
+    assert_eq!(ask(&mut bus), Err(BringUpError::CannotSend { line: 0 }));
+    assert!(bus.now() >= TimeNs(500 * MS));
+    let before = bus.now();
+    bus.0.trouble(0, Trouble::Down);
+    assert_eq!(ask(&mut bus), Err(BringUpError::Off { line: 0 }));
+    assert_eq!(bus.now(), before);
+}

@@ -4,13 +4,13 @@ use super::*;
 use crate::can::cia301::emcy::ErrorCode;
 use crate::can::cia402::PowerState;
 
-/// A bus that takes only so many frames of ours between two waits.
+/// Buses that take only so many frames of ours between two waits.
 struct Narrow {
     net: Net,
-    room: usize,
-    left: usize,
-    /// What found room.
-    said: Vec<Frame>,
+    room: [usize; 3],
+    left: [usize; 3],
+    /// What found room, and on which bus.
+    said: Vec<(u8, Frame)>,
 }
 
 impl Bus for Narrow {
@@ -19,9 +19,10 @@ impl Bus for Narrow {
     }
 
     fn send(&mut self, line: u8, frames: &[Frame]) -> usize {
-        let count = self.net.send(line, &frames[..frames.len().min(self.left)]);
-        self.left -= count;
-        self.said.extend(&frames[..count]);
+        let left = &mut self.left[usize::from(line)];
+        let count = self.net.send(line, &frames[..frames.len().min(*left)]);
+        *left -= count;
+        self.said.extend(frames[..count].iter().map(|f| (line, *f)));
         count
     }
 
@@ -43,8 +44,8 @@ impl Bus for Narrow {
 fn brought_up(plan: &ArmPlan) -> CanArm<Narrow> {
     let bus = Narrow {
         net: network(plan),
-        room: usize::MAX,
-        left: usize::MAX,
+        room: [usize::MAX; 3],
+        left: [usize::MAX; 3],
         said: Vec::new(),
     };
     let scanned = Offline::new(bus, plan).unwrap().scan().unwrap();
@@ -60,7 +61,7 @@ fn cycles_to_stop(room: usize, controller_lives: bool) -> u32 {
     let mut now = arm.bus_mut().now();
     for cycle in 0..100 {
         if cycle == 20 {
-            arm.bus_mut().room = room;
+            arm.bus_mut().room[0] = room;
             arm.bus_mut().net.poke(node(6), |now, drive, out| {
                 drive.fail(now, ErrorCode::OVER_CURRENT, 2, out);
             });
@@ -98,8 +99,9 @@ fn cycles_to_stop(room: usize, controller_lives: bool) -> u32 {
 #[test]
 fn a_queue_with_little_room_takes_the_sync_and_the_quick_stops_of_drives_that_still_follow() {
     for controller_lives in [true, false] {
-        // Enough, half of it, and next to nothing.
-        for (room, at_most) in [(16, 3), (5, 5), (3, 7)] {
+        // Enough, half of it, and next to nothing: a period for the fault and one for its answer to be heard, and as many as it
+        // takes to tell each of the six once, beside the SYNC.
+        for (room, at_most) in [(16, 3), (6, 4), (4, 4), (3, 5), (2, 8)] {
             let cycles = cycles_to_stop(room, controller_lives);
             assert!(cycles <= at_most, "{room} {controller_lives}: {cycles}");
         }
@@ -119,7 +121,7 @@ fn nodes_without_power_do_not_take_the_room_of_the_others() {
         }
         if cycle == 60 {
             assert!(arm.fault().is_some());
-            arm.bus_mut().room = 3;
+            arm.bus_mut().room[0] = 3;
             arm.bus_mut().said.clear();
         }
         now = now.plus_ns(plan.cycle_ns);
@@ -128,11 +130,58 @@ fn nodes_without_power_do_not_take_the_room_of_the_others() {
     }
     let all = core::mem::take(&mut arm.bus_mut().said);
     let said = |id: u16| {
-        let ids = all.iter().map(|frame| frame.id.raw());
+        let ids = all.iter().map(|(_, frame)| frame.id.raw());
         ids.filter(|raw| *raw == id).count()
     };
     // SYNC in each of the eight cycles but the first, which does not know of the lack of room yet; the set-point for the first
     // that lives in each, for the second but in the two cycles that tell a silent node to stop.
     assert_eq!([0x080, 0x203, 0x204].map(said), [7, 8, 6]);
     assert_eq!([0x000, 0x201, 0x202].map(said), [2, 0, 0]);
+}
+
+/// With a silent controller on three buses of which the first has taken `room` frames a cycle for a while, a drive on the last
+/// one fails. What found room in a cycle then, and the cycles until the drives on the second one stop.
+fn on_three_buses(room: usize) -> (Vec<(u8, u16)>, u32) {
+    let plan = plan(3, MS);
+    let mut arm = brought_up(&plan);
+    let mut now = arm.bus_mut().now();
+    let mut said = Vec::new();
+    for cycle in 0..40 {
+        match cycle {
+            10 => arm.bus_mut().room[0] = room,
+            15 => arm.bus_mut().net.poke(node(6), |now, drive, out| {
+                drive.fail(now, ErrorCode::OVER_CURRENT, 2, out);
+            }),
+            _ => {}
+        }
+        let drive = arm.bus_mut().net.node(node(3)).unwrap();
+        if drive.power_state() != PowerState::OperationEnabled {
+            return (said, cycle - 15);
+        }
+        now = now.plus_ns(plan.cycle_ns);
+        arm.bus_mut().wait(now);
+        arm.bus_mut().said.clear();
+        let _ = arm.read(now);
+        let ids = arm.bus_mut().said.iter();
+        said = ids.map(|(line, frame)| (*line, frame.id.raw())).collect();
+    }
+    (said, u32::MAX)
+}
+
+#[test]
+fn a_full_bus_has_its_own_sync_first_and_the_set_points_on_the_others_still_come_before_theirs() {
+    let (all, at_best) = on_three_buses(16);
+    let (said, cycles) = on_three_buses(2);
+    let on = |said: &[(u8, u16)], line| -> Vec<u16> {
+        let there = said.iter().filter(|(at, _)| *at == line);
+        there.map(|(_, id)| *id).collect()
+    };
+    assert_eq!(on(&all, 0), [0x201, 0x202, 0x203, 0x080]);
+    assert!(matches!(on(&said, 0)[..], [0x080, 0x201..=0x203]));
+    for said in [&all, &said] {
+        assert_eq!(on(said, 1), [0x204, 0x205, 0x080]);
+        // The one that failed is no hurry.
+        assert_eq!(on(said, 2), [0x206, 0x207, 0x080]);
+    }
+    assert_eq!(cycles, at_best);
 }

@@ -13,6 +13,7 @@ mod motion;
 mod settings;
 mod two_arms;
 mod unused;
+mod upset;
 mod watched;
 mod withdrawn;
 

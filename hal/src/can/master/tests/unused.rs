@@ -86,8 +86,37 @@ fn a_pdo_is_off_whatever_else_a_drive_then_says_of_it_and_one_that_stays_on_is_r
     // Nothing is left but that it is off.
     let after = of(|_, new| Some(if new & INVALID == 0 { new } else { INVALID }));
     assert_eq!(after.unwrap()[&place], INVALID);
-    let refusal = "node 3: 1404:01 is 837, allowed [2147484485, 2147484485]";
+    let refusal = "node 3: 1404:01 is 00000345h after 80000345h was written, and they may not differ in 80000000h";
     assert_eq!(of(|old, _| Some(old)), Err(refusal.to_owned()));
+}
+
+#[test]
+fn of_a_pdo_that_is_put_into_use_a_drive_may_change_what_nobody_uses_but_not_its_identifier() {
+    const NO_RTR: u32 = 1 << 30;
+    let plan = plan(1, 2 * MS);
+    for (place, id) in [((0x1400, 1), 0x203), ((0x1800, 1), 0x183)] {
+        let of = |rule| mapped(&plan, &[(place, id)], &Asked::default(), rule);
+        // It knows no remote frames, or nothing but.
+        let without = of(|_, new| Some(new | NO_RTR)).unwrap();
+        assert_eq!(without[&place], id | NO_RTR);
+        let with = of(|_, new| Some(new & !NO_RTR)).unwrap();
+        assert_eq!(with[&place], id);
+        // Stays off, has 29 bits, has another identifier.
+        let wrong: [(Rule, u32); 3] = [
+            (|_, new| Some(new | INVALID), id | INVALID),
+            (|_, new| Some(new | 1 << 29), id | 1 << 29),
+            (|_, new| Some(new ^ 1), id ^ 1),
+        ];
+        for (rule, found) in wrong {
+            let written = if id == 0x203 { id } else { id | NO_RTR };
+            let found = found | written & NO_RTR;
+            let refusal = format!(
+                "node 3: {:04X}:01 is {found:08X}h after {written:08X}h was written, and they may not differ in A00007FFh",
+                place.0
+            );
+            assert_eq!(of(rule), Err(refusal));
+        }
+    }
 }
 
 #[test]

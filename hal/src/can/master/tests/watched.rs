@@ -100,18 +100,18 @@ impl Bus for Disturbed {
 }
 
 /// How far bring-up comes, and with how many frames of ours after each step.
-struct Course {
-    sent: [usize; 4],
-    end: Result<(), String>,
-    torques: bool,
+pub(super) struct Course {
+    pub(super) sent: [usize; 4],
+    pub(super) end: Result<(), String>,
+    pub(super) torques: bool,
     /// What of ours went out after what happened.
     after: Vec<Frame>,
     /// Whether every node is stopped in the end.
-    stopped: bool,
+    pub(super) stopped: bool,
 }
 
 /// Bring-up with `what` after our frame number `at`. The drives are looked at half a second later.
-fn course(lines: u8, at: usize, what: impl Fn(&mut Net) + 'static) -> Course {
+pub(super) fn course(lines: u8, at: usize, what: impl Fn(&mut Net) + 'static) -> Course {
     course_of(lines, drive, at, what)
 }
 
@@ -160,7 +160,7 @@ fn course_of(
     }
 }
 
-const NEVER: usize = usize::MAX;
+pub(super) const NEVER: usize = usize::MAX;
 
 #[test]
 fn another_master_ends_the_bring_up_in_whatever_step_he_is_heard() {
@@ -322,6 +322,9 @@ fn trouble_on_a_bus_that_is_not_listened_to_ends_the_bring_up_before_the_nodes_s
         assert_eq!(course.end, Err("bus 0: bus-off or down".to_owned()));
         assert!(course.sent[3] == homed && !course.torques);
     }
+    // Even that it is back, once bring-up has begun.
+    let course = course(3, 0, |net| net.trouble(0, Trouble::Restarted));
+    assert_eq!(course.end, Err("bus 0: bus-off or down".to_owned()));
 }
 
 #[test]

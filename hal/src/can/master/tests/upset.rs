@@ -1,0 +1,148 @@
+//! What happens to a drive while the arm is brought up: what counts is what happens to it after it was set up.
+
+use super::watched::{NEVER, course};
+use super::*;
+use crate::can::cia301::emcy::ErrorCode;
+use crate::can::master::bringup::Scanned;
+
+type What = fn(&mut Net);
+
+/// Node 3, the one of axis 2, has lost and got its power.
+fn reboots(net: &mut Net) {
+    net.poke(node(2), |now, drive, out| drive.power_on(now, out));
+}
+
+fn fails(net: &mut Net) {
+    net.poke(node(2), |now, drive, out| {
+        drive.fail(now, ErrorCode::OVER_CURRENT, 2, out);
+    });
+}
+
+const WHO: &str = "node 3 (axis 2, bus 0)";
+const REBOOTED: &str = "booted up again";
+const FAILED: &str = "emergency 2310h, continuous over-current";
+
+#[test]
+fn a_drive_that_was_set_up_and_is_reset_or_fails_ends_the_bring_up_with_its_cause_and_nothing_has_torque()
+ {
+    let [_, identified, mapped, homed] = course(1, NEVER, |_| {}).sent;
+    let (setting, homing) = ((mapped - identified) / 7, (homed - mapped) / 7);
+    let cases = [
+        (identified + 3 * setting + 9, "while axis 3 was set up"),
+        (identified + 6 * setting + 9, "while axis 6 was set up"),
+        // Of its own reference, and of another one's.
+        (mapped + 2 * homing + homing / 2, "while axis 2 was homed"),
+        (mapped + 5 * homing + homing / 2, "while axis 5 was homed"),
+        (homed - 1, "while axis 6 was homed"),
+    ];
+    for (at, step) in cases {
+        for (what, told) in [(reboots as What, REBOOTED), (fails, FAILED)] {
+            let course = course(1, at, what);
+            assert_eq!(course.end, Err(format!("{WHO}: {told}, {step}")), "{at}");
+            assert!(!course.torques && course.stopped, "{step}");
+        }
+    }
+}
+
+#[test]
+fn a_reset_in_the_middle_of_its_settings_undoes_half_of_them_and_is_noticed() {
+    let [_, identified, mapped, _] = course(1, NEVER, |_| {}).sent;
+    let at = identified + 2 * (mapped - identified) / 7 + 40;
+    let course = course(1, at, reboots);
+    let told = format!("{WHO}: {REBOOTED}, while axis 2 was set up");
+    assert_eq!(course.end, Err(told));
+    assert!(!course.torques && course.stopped);
+}
+
+#[test]
+fn on_a_bus_that_is_not_listened_to_it_is_noticed_before_the_nodes_start() {
+    // The last axis is homed on bus 2; node 3 is on bus 0.
+    let homed = course(3, NEVER, |_| {}).sent[3];
+    for (what, told) in [(reboots as What, REBOOTED), (fails, FAILED)] {
+        let course = course(3, homed - 9, what);
+        let told = format!("{WHO}: {told}, before the first beat");
+        assert_eq!(course.end, Err(told));
+        assert!(!course.torques && course.stopped);
+    }
+}
+
+#[test]
+fn what_a_drive_has_to_tell_of_the_time_before_it_was_set_up_does_not_end_it() {
+    let [scanned, identified, mapped, _] = course(1, NEVER, |_| {}).sent;
+    // That it lost a master whom it had, or has no voltage yet.
+    let tells: [What; 2] = [
+        |net| assert!(net.intrude(0, frame(0x083, &[0x30, 0x81, 0x11, 0, 0, 0, 0, 0]))),
+        |net| assert!(net.intrude(0, frame(0x083, &[0x20, 0x32, 0x05, 0, 0, 0, 0, 0]))),
+    ];
+    let its_own = identified + 2 * (mapped - identified) / 7 + 20;
+    for at in [0, 4, scanned - 1, scanned + 9, identified + 20, its_own] {
+        for tells in tells {
+            assert_eq!(course(1, at, tells).end, Ok(()), "{at}");
+        }
+    }
+    // It boots up again before it has been told anything.
+    for at in [4, scanned - 1, scanned + 9, identified + 20] {
+        assert_eq!(course(1, at, reboots).end, Ok(()), "{at}");
+    }
+}
+
+#[test]
+fn that_all_is_well_that_there_is_no_beat_yet_and_what_other_drives_tell_does_not_end_it() {
+    let [_, _, mapped, homed] = course(1, NEVER, |_| {}).sent;
+    let told = [
+        (0x083, 0x0000_u16),
+        (0x083, 0x8130),
+        (0x083, 0x8250),
+        (0x083, 0x8700),
+        // Of another arm's node.
+        (0x08B, 0x2310),
+    ];
+    for (id, code) in told {
+        let [low, high] = code.to_le_bytes();
+        for at in [mapped + 3, (mapped + homed) / 2, homed - 1] {
+            let course = course(1, at, move |net| {
+                assert!(net.intrude(0, frame(id, &[low, high, 0x11, 0, 0, 0, 0, 0])));
+                assert!(net.intrude(0, frame(0x70B, &[0])));
+                // Too short for an emergency.
+                assert!(net.intrude(0, frame(0x083, &[0x10, 0x23])));
+            });
+            assert_eq!(course.end, Ok(()), "{id:x} {code:x} {at}");
+        }
+    }
+    // All that it tells otherwise does.
+    let course = course(1, homed - 1, |net| {
+        assert!(net.intrude(0, frame(0x083, &[0x50, 0x81, 0x11, 0, 0, 0, 0, 0])));
+    });
+    let refusal = format!("{WHO}: emergency 8150h, identifier collision, while axis 6 was homed");
+    assert_eq!(course.end, Err(refusal));
+}
+
+#[test]
+fn a_drive_that_is_in_fault_from_the_start_says_why() {
+    let scanned = course(1, NEVER, |_| {}).sent[0];
+    let course = course(1, scanned + 9, fails);
+    let told = format!("{WHO}: is in fault: 2310h, continuous over-current");
+    assert_eq!(course.end, Err(told));
+    assert!(!course.torques);
+}
+
+#[test]
+fn two_nodes_with_one_number_are_no_arm() {
+    let plan = plan(1, 2 * MS);
+    let mut net = network(&plan);
+    net.add(0, drive(2), IdealMotor::default());
+    // They have met before: that is none of ours.
+    net.wait(TimeNs(500 * MS));
+    let scanned = Offline::new(net, &plan).unwrap().scan();
+    let error = scanned
+        .and_then(Scanned::check_identity)
+        .map(|_| ())
+        .unwrap_err();
+    let told = "emergency 8150h, identifier collision, while the nodes were looked for";
+    assert_eq!(error.to_string(), format!("{WHO}: {told}"));
+    // One that told it before we began is by itself now.
+    let mut net = network(&plan);
+    net.intrude(0, frame(0x083, &[0x50, 0x81, 0x11, 0, 0, 0, 0, 0]));
+    net.wait(TimeNs(500 * MS));
+    assert!(Offline::new(net, &plan).unwrap().scan().is_ok());
+}
