@@ -110,12 +110,16 @@ impl Statistics {
             ));
         }
         for (axis, (mean, std)) in self.mean.iter().zip(&self.std).enumerate() {
-            if !mean.is_finite() {
-                return Some(format!("mean of dimension {axis} is {mean}"));
+            if !(mean.abs() <= GREATEST) {
+                return Some(format!(
+                    "mean of dimension {axis} is {mean}, outside [-{GREATEST}, {GREATEST}]"
+                ));
             }
             // Below this, single precision cannot tell a deviation from none.
-            if !(std.is_finite() && *std > 1e-8) {
-                return Some(format!("deviation of dimension {axis} is {std}"));
+            if !(*std > 1e-8 && *std <= GREATEST) {
+                return Some(format!(
+                    "deviation of dimension {axis} is {std}, outside (1e-8, {GREATEST}]"
+                ));
             }
         }
         None
@@ -132,6 +136,9 @@ impl Statistics {
         }
     }
 }
+
+/// No joint, tip or jaw has been, or could be, as many metres or radians away.
+const GREATEST: f32 = 100.0;
 
 /// What LeRobot adds to a deviation before it divides by it (`eps` in the processor's file).
 const EPS: f32 = 1e-8;

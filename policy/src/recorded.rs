@@ -44,11 +44,13 @@ impl Recorded {
         mut network: impl FnMut([&Tensor; N]) -> Result<Tensor, TchError>,
     ) -> Result<Tensor, TchError> {
         if matches!(self, Self::NotYet) {
-            let made = Recording::of(inputs, &mut network)?;
+            let made = tch::no_grad(|| Recording::of(inputs, &mut network))?;
             *self = made.map_or(Self::Never, Self::Ready);
         }
         match self {
-            Self::Ready(recording) if recording.fits(&inputs) => recording.answer(&inputs),
+            Self::Ready(recording) if recording.fits(&inputs) => {
+                tch::no_grad(|| recording.answer(&inputs))
+            }
             Self::NotYet | Self::Never | Self::Ready(_) => network(inputs),
         }
     }
@@ -80,8 +82,9 @@ impl Recording {
     }
 
     fn fits(&self, inputs: &[&Tensor]) -> bool {
-        let own = self.inputs.iter().map(|own| (own.size(), own.device()));
-        own.eq(inputs.iter().map(|input| (input.size(), input.device())))
+        let form = |tensor: &Tensor| (tensor.size(), tensor.kind(), tensor.device());
+        let own = self.inputs.iter().map(form);
+        own.eq(inputs.iter().map(|input| form(input)))
     }
 
     fn answer(&mut self, inputs: &[&Tensor]) -> Result<Tensor, TchError> {

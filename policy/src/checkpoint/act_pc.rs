@@ -114,5 +114,6 @@ fn check(config: &ActPcFile, recipe: &Recipe) -> Result<(), Cause> {
         let defect = format!("chunk_size = {steps} is outside [1, {CHUNK_STEPS_MAX}]");
         return Err(Cause::Config(defect));
     }
+    super::check_query(recipe, steps)?;
     check_joints(recipe.arms, network.act.state_dim, network.act.action_dim)
 }

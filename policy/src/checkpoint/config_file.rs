@@ -33,6 +33,10 @@ impl Feature {
             shape: shape.to_vec(),
         }
     }
+
+    pub(super) fn shape(&self) -> &[i64] {
+        &self.shape
+    }
 }
 
 /// The fields that make the network. Others are LeRobot's business and pass unread.
@@ -48,6 +52,7 @@ struct ConfigFile {
     replace_final_stride_with_dilation: Value,
     feedforward_activation: String,
     chunk_size: i64,
+    n_action_steps: Option<i64>,
     pre_norm: bool,
     dim_model: i64,
     n_heads: i64,
@@ -216,6 +221,14 @@ fn check_supported(file: &ConfigFile) -> Result<(), Cause> {
     if file.kind != "act" {
         return Err(Cause::PolicyType {
             actual: file.kind.clone(),
+        });
+    }
+    let played = file.n_action_steps.unwrap_or(1);
+    if file.chunk_size > 0 && !(1..=file.chunk_size).contains(&played) {
+        return Err(Cause::Unsupported {
+            field: "n_action_steps".to_owned(),
+            value: played.to_string(),
+            expected: format!("1 to chunk_size, {}", file.chunk_size),
         });
     }
     Ok(())

@@ -129,5 +129,6 @@ fn check(config: &Dp3File, recipe: &Recipe) -> Result<(), Cause> {
         let defect = format!("{steps} steps of a chunk are outside [1, {CHUNK_STEPS_MAX}]");
         return Err(Cause::Config(defect));
     }
+    super::check_query(recipe, steps)?;
     super::check_joints(recipe.arms, network.state_dim, network.action_dim)
 }

@@ -11,6 +11,8 @@ mod clouds;
 mod config_file;
 mod dp3;
 mod error;
+#[cfg(test)]
+mod processor_refusal_tests;
 mod processors;
 mod recipe;
 #[cfg(test)]
@@ -47,6 +49,9 @@ use tensors::Plain;
 const CONFIG: &str = "config.json";
 const WEIGHTS: &str = "model.safetensors";
 const RECIPE: &str = "trocar.json";
+
+/// Times between two steps of a chunk, ns: 1 kHz to one in ten seconds.
+const STEP_NS: std::ops::RangeInclusive<u64> = 1_000_000..=10_000_000_000;
 
 /// How weights are stored.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -121,6 +126,9 @@ pub fn load(folder: &Path, device: Device) -> Result<Checkpoint, CheckpointError
     let config = config_file::read(&text, variants, cameras.as_deref())
         .map_err(|cause| cause.in_file(&config_path))?;
     check_widths(&config, recipe.as_ref()).map_err(|cause| cause.in_file(&config_path))?;
+    if let Some(recipe) = &recipe {
+        check_query(recipe, config.chunk_size).map_err(|cause| cause.in_file(&config_path))?;
+    }
     let statistics = processors::read(folder, &config)?;
     let weights_path = folder.join(WEIGHTS);
     let in_weights = |cause: Cause| cause.in_file(&weights_path);
@@ -179,6 +187,17 @@ fn check_numbers(
         }
     }
     Ok(())
+}
+
+/// A chunk must last until the policy is asked again.
+fn check_query(recipe: &Recipe, steps: i64) -> Result<(), Cause> {
+    if i64::from(recipe.query_every_steps) <= steps {
+        return Ok(());
+    }
+    Err(Cause::Inconsistent(format!(
+        "query_every_steps = {} in {RECIPE}, but a chunk has {steps} steps",
+        recipe.query_every_steps
+    )))
 }
 
 /// The kind of the policy in `folder`, by its `config.json`; none if the file is not there or does not say it.
@@ -248,8 +267,9 @@ pub fn load_recipe(folder: &Path) -> Result<Option<Recipe>, CheckpointError> {
         let allowed = format!("1 to {}", ARM_NAMES.len());
         return unsupported("arms", recipe.arms.to_string(), allowed);
     }
-    if recipe.step_ns == 0 {
-        return unsupported("step_ns", "0".to_owned(), "a positive time".to_owned());
+    if !STEP_NS.contains(&recipe.step_ns) {
+        let allowed = format!("{} to {}", STEP_NS.start(), STEP_NS.end());
+        return unsupported("step_ns", recipe.step_ns.to_string(), allowed);
     }
     if recipe.query_every_steps == 0 {
         return unsupported("query_every_steps", "0".to_owned(), "1 or more".to_owned());

@@ -16,6 +16,9 @@ const POSTPROCESSOR: &str = "policy_postprocessor.json";
 const BEFORE: &str = "policy_preprocessor_step_3_normalizer_processor.safetensors";
 const AFTER: &str = "policy_postprocessor_step_0_unnormalizer_processor.safetensors";
 
+/// What is added to a deviation before it divides.
+const EPS: f64 = 1e-8;
+
 /// Statistics of what goes in and what comes out.
 #[derive(Clone, Debug, PartialEq)]
 pub struct FeatureStatistics {
@@ -35,7 +38,7 @@ pub(super) fn write(
     let mut all = inputs.clone();
     all.extend(outputs.clone());
     let norm =
-        |features: Value| json!({"eps": 1e-8, "features": features, "norm_map": normalisation()});
+        |features: Value| json!({"eps": EPS, "features": features, "norm_map": normalisation()});
     let device = json!({"registry_name": "device_processor", "config": {"device": "cpu", "float_dtype": null}});
     let before = json!({"name": "policy_preprocessor", "steps": [
         {"registry_name": "rename_observations_processor", "config": {"rename_map": {}}},
@@ -105,8 +108,8 @@ pub(super) fn read(
     folder: &Path,
     config: &ActConfig,
 ) -> Result<FeatureStatistics, CheckpointError> {
-    let (before_file, before) = state_of(folder, PREPROCESSOR, "normalizer_processor")?;
-    let (after_file, after) = state_of(folder, POSTPROCESSOR, "unnormalizer_processor")?;
+    let (before_file, before) = state_of(folder, PREPROCESSOR, "normalizer_processor", config)?;
+    let (after_file, after) = state_of(folder, POSTPROCESSOR, "unnormalizer_processor", config)?;
     for camera in &config.cameras {
         check_image(&before, camera).map_err(|cause| cause.in_file(&before_file))?;
     }
@@ -120,13 +123,21 @@ pub(super) fn read(
 
 type StateFile = (std::path::PathBuf, BTreeMap<String, Plain>);
 
-/// The statistics file of the step `registry_name` in the processor file `name`.
-fn state_of(folder: &Path, name: &str, registry_name: &str) -> Result<StateFile, CheckpointError> {
+/// The statistics file of the step `registry_name` in the processor file `name`, which must do what is done here.
+fn state_of(
+    folder: &Path,
+    name: &str,
+    registry_name: &str,
+    config: &ActConfig,
+) -> Result<StateFile, CheckpointError> {
     let file = folder.join(name);
     let text = std::fs::read_to_string(&file).map_err(|error| Cause::io(error).in_file(&file))?;
     let document: Value =
         serde_json::from_str(&text).map_err(|error| Cause::Json(error).in_file(&file))?;
     let steps = document["steps"].as_array();
+    for step in steps.into_iter().flatten() {
+        check_step(step, config).map_err(|cause| cause.in_file(&file))?;
+    }
     let step = steps.and_then(|steps| {
         steps
             .iter()
@@ -146,6 +157,41 @@ fn state_of(folder: &Path, name: &str, registry_name: &str) -> Result<StateFile,
     let state_file = folder.join(state_name);
     let values = tensors::read(&state_file)?;
     Ok((state_file, values))
+}
+
+/// What LeRobot reads of a step must be what is done here: no features of other names, means and deviations with the usual
+/// epsilon, shapes as in `config`.
+fn check_step(step: &Value, config: &ActConfig) -> Result<(), Cause> {
+    let of_step = &step["config"];
+    let unsupported = |field: String, value: &Value, expected: &Value| Cause::Unsupported {
+        field,
+        value: value.to_string(),
+        expected: expected.to_string(),
+    };
+    let renamed = &of_step["rename_map"];
+    if renamed.as_object().is_some_and(|names| !names.is_empty()) {
+        return Err(unsupported("rename_map".to_owned(), renamed, &json!({})));
+    }
+    let modes = of_step["norm_map"].as_object();
+    for (kind, mode) in modes.into_iter().flatten() {
+        let expected = &normalisation()[kind];
+        if !expected.is_null() && mode != expected {
+            return Err(unsupported(format!("norm_map.{kind}"), mode, expected));
+        }
+    }
+    let eps = &of_step["eps"];
+    if !eps.is_null() && eps.as_f64().is_none_or(|eps| (eps - EPS).abs() > 1e-12) {
+        return Err(unsupported("eps".to_owned(), eps, &json!(EPS)));
+    }
+    for (name, feature) in features(config).into_iter().flatten() {
+        let (found, expected) = (&of_step["features"][&name]["shape"], feature.shape());
+        if !found.is_null() && *found != json!(expected) {
+            return Err(Cause::Inconsistent(format!(
+                "{name} has shape {found}, but {expected:?} in config.json"
+            )));
+        }
+    }
+    Ok(())
 }
 
 pub(super) fn statistics(

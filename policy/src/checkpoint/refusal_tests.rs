@@ -31,7 +31,7 @@ fn expect(folder: &Path, file: &str, reason: &str) {
 }
 
 /// A whole checkpoint, as small as it gets.
-fn whole(test: &str) -> PathBuf {
+pub(super) fn whole(test: &str) -> PathBuf {
     let options = SaveOptions {
         precision: Precision::F16,
         inference_only: true,
@@ -40,7 +40,7 @@ fn whole(test: &str) -> PathBuf {
 }
 
 /// The folder with one piece of text in one file replaced is refused; then the file is put back.
-fn refused_with(folder: &Path, file: &str, from: &str, to: &str, reason: &str) {
+pub(super) fn refused_with(folder: &Path, file: &str, from: &str, to: &str, reason: &str) {
     let path = folder.join(file);
     let text = fs::read(&path).unwrap();
     edit(folder, file, from, to);
@@ -105,6 +105,13 @@ fn cameras_that_do_not_fit_are_refused() {
     refused_with("config.json", size, width, "image width = 16");
     // The network could be built, but the frames are no multiple of its pictures.
     edit(&folder, "config.json", size, "96,\n        96");
+    let inside = "64,\n              64";
+    edit(
+        &folder,
+        "policy_preprocessor.json",
+        inside,
+        "96,\n              96",
+    );
     let error = ActPolicy::load(&folder, Device::Cpu).expect_err("128 is no multiple of 96");
     assert!(error.to_string().contains("no whole multiple"), "{error}");
 }

@@ -8,19 +8,26 @@
 
 use std::ffi::{CStr, c_int, c_void};
 use std::fmt;
-use std::ptr;
-use std::sync::OnceLock;
+use std::ptr::{self, NonNull};
+use std::sync::{Mutex, MutexGuard, OnceLock, PoisonError};
 
 use tch::TchError;
 
 type Stream = *mut c_void;
 
-/// `cudaStreamCaptureModeThreadLocal`: what other threads do meanwhile neither enters the recording nor spoils it.
+/// `cudaStreamCaptureModeThreadLocal`: what other threads do meanwhile does not enter the recording.
 const THIS_THREAD: c_int = 1;
 /// `cudaStreamCaptureStatusActive`.
 const RECORDING: c_int = 1;
 /// Words for an `at::cuda::CUDAGraph`, which takes fewer than fifty.
 const OBJECT_WORDS: usize = 128;
+
+/// libtorch keeps a list of all recordings without a lock, and whoever waits for the whole device spoils those under way: they
+/// are made and dropped one at a time.
+fn one_at_a_time() -> MutexGuard<'static, ()> {
+    static ONE: Mutex<()> = Mutex::new(());
+    ONE.lock().unwrap_or_else(PoisonError::into_inner)
+}
 
 /// What is needed of the two libraries. `object` is memory of [`OBJECT_WORDS`].
 #[derive(Clone, Copy)]
@@ -41,6 +48,10 @@ struct Functions {
     stream_from_pool: unsafe extern "C" fn(high: bool, device: i32, stream: *mut Stream) -> i32,
     /// `torch_set_current_cuda_stream(void* stream, int32_t device)`.
     set_stream: unsafe extern "C" fn(stream: Stream, device: i32) -> i32,
+    /// `cudaGetDevice(int*)`.
+    device: unsafe extern "C" fn(device: *mut c_int) -> c_int,
+    /// `cudaGetLastError()`, which also forgets it.
+    last_error: unsafe extern "C" fn() -> c_int,
     /// `cudaDeviceSynchronize()`.
     synchronize: unsafe extern "C" fn() -> c_int,
     /// `cudaStreamIsCapturing(cudaStream_t, cudaStreamCaptureStatus*)`.
@@ -70,7 +81,7 @@ impl Functions {
     /// None where the libraries have no CUDA, or not all of it.
     #[expect(
         clippy::multiple_unsafe_ops_per_block,
-        reason = "twelve times the same for the same reason"
+        reason = "the same for each, for the same reason"
     )]
     fn found() -> Option<Self> {
         static FOUND: OnceLock<Option<Functions>> = OnceLock::new();
@@ -90,6 +101,8 @@ impl Functions {
                     current_stream: function(c"aoti_torch_get_current_cuda_stream")?,
                     stream_from_pool: function(c"torch_get_cuda_stream_from_pool")?,
                     set_stream: function(c"torch_set_current_cuda_stream")?,
+                    device: function(c"cudaGetDevice")?,
+                    last_error: function(c"cudaGetLastError")?,
                     synchronize: function(c"cudaDeviceSynchronize")?,
                     status: function(c"cudaStreamIsCapturing")?,
                     abandon: function(c"cudaStreamEndCapture")?,
@@ -99,6 +112,15 @@ impl Functions {
         })
     }
 
+    /// Whether `device` is this thread's current one, the only one that libtorch records.
+    fn is_current(self, device: i32) -> bool {
+        let mut current = -1;
+        // SAFETY: it writes to a variable of ours.
+        let code = unsafe { (self.device)(&raw mut current) };
+        code == 0 && current == device
+    }
+
+    /// The thread's current stream on `device`.
     fn stream(self, device: i32) -> Result<Stream, TchError> {
         let mut stream = ptr::null_mut();
         // SAFETY: it writes to a variable of ours.
@@ -125,8 +147,8 @@ fn checked(what: &str, code: c_int) -> Result<(), TchError> {
 /// What a device was told to do, to be told again with one call. The memory that it works in is its own.
 pub(super) struct Graph {
     functions: Functions,
-    /// The `at::cuda::CUDAGraph`, which must not move.
-    object: Box<[u64; OBJECT_WORDS]>,
+    /// The `at::cuda::CUDAGraph`, of which libtorch keeps the address.
+    object: NonNull<u64>,
     executable: *mut c_void,
     device: i32,
 }
@@ -175,12 +197,14 @@ impl Aside {
         code == 0 && status == RECORDING
     }
 
-    /// Lets go of a recording that failed.
+    /// Lets go of a recording that failed, and of its error, which the next call of libtorch would take for its own.
     fn abandon(&self) {
         let mut nothing = ptr::null_mut();
         // SAFETY: the stream lives as long as the process; the graph is a variable of ours. What it answers is of no use: the
         // recording is lost anyway.
         let _code = unsafe { (self.functions.abandon)(self.stream, &raw mut nothing) };
+        // SAFETY: it takes nothing.
+        let _forgotten = unsafe { (self.functions.last_error)() };
     }
 }
 
@@ -193,38 +217,38 @@ impl Drop for Aside {
 
 impl Graph {
     /// What `work` has `device` do, and what it answered, which each [`Self::replay`] overwrites. None if the libraries here
-    /// have no CUDA, or can't record this work. `work` runs twice before, so that what the libraries set up at first is done.
+    /// have no CUDA, `device` is not the thread's current one, or this work can't be recorded. `work` runs twice before, so that
+    /// what the libraries set up at first is done.
     ///
     /// libtorch's own exceptions end the process here: no answer was asked for yet, and nothing moves.
     pub(super) fn record<T>(
         device: i32,
         mut work: impl FnMut() -> Result<T, TchError>,
     ) -> Result<Option<(Self, T)>, TchError> {
-        let Some(functions) = Functions::found() else {
+        let Some(functions) = Functions::found().filter(|found| found.is_current(device)) else {
             return Ok(None);
         };
+        let _alone = one_at_a_time();
         let aside = Aside::new(functions, device)?;
         for _ in 0..2 {
             let _answer = work()?;
         }
         functions.synchronise()?;
-        let mut object = Box::new([0; OBJECT_WORDS]);
-        let place = object.as_mut_ptr();
-        // SAFETY: the memory is more than the object needs, aligned to words, and never moves.
-        unsafe { (functions.create)(place, false) };
+        let object = NonNull::from(Box::leak(Box::new([0_u64; OBJECT_WORDS]))).cast::<u64>();
+        // SAFETY: the memory is more than the object needs, and aligned to words.
+        unsafe { (functions.create)(object.as_ptr(), false) };
         // SAFETY: the object was made; the current stream is not the default one.
-        unsafe { (functions.begin)(place, 0, 0, THIS_THREAD) };
+        unsafe { (functions.begin)(object.as_ptr(), 0, 0, THIS_THREAD) };
         let (Ok(answer), true) = (work(), aside.is_recording()) else {
-            aside.abandon();
             // libtorch still knows the object, and its destructor would ask for the end of a recording that there is not: it
-            // stays for as long as the process.
-            let _kept = Box::leak(object);
+            // stays for as long as the process. Random numbers on the device are not to be had any more.
+            aside.abandon();
             return Ok(None);
         };
         // SAFETY: it is recording.
-        unsafe { (functions.end)(place) };
+        unsafe { (functions.end)(object.as_ptr()) };
         // SAFETY: the recording has ended.
-        let executable = unsafe { (functions.executable)(place) };
+        let executable = unsafe { (functions.executable)(object.as_ptr()) };
         let graph = Self {
             functions,
             object,
@@ -246,9 +270,12 @@ impl Graph {
 
 impl Drop for Graph {
     fn drop(&mut self) {
+        let _alone = one_at_a_time();
         // What it was told to do may not be done yet; if the device fails there is nothing to wait for.
         let _done = self.functions.synchronise();
         // SAFETY: the object was made, and is used no more.
-        unsafe { (self.functions.destroy)(self.object.as_mut_ptr()) };
+        unsafe { (self.functions.destroy)(self.object.as_ptr()) };
+        // SAFETY: the memory came from a box of this form, and nothing points to it any more.
+        drop(unsafe { Box::from_raw(self.object.cast::<[u64; OBJECT_WORDS]>().as_ptr()) });
     }
 }

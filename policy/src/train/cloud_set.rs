@@ -41,7 +41,7 @@ impl CloudSet {
     ) -> Result<Self, TrainError> {
         check_depth(dataset)?;
         let episodes = dataset.episodes();
-        let (trained, held_out) = episode_split(episodes, options.validation_share);
+        let (trained, held_out) = episode_split(episodes, options.validation_share)?;
         let rows: Vec<ChunkRow> = episodes
             .iter()
             .flat_map(|episode| {

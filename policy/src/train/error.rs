@@ -26,10 +26,12 @@ pub enum TrainError {
     Image(#[from] ImageError),
     /// A part of the loss, or the gradient, is NaN or infinite.
     #[error(
-        "the {term} is {value} at step {step}: lower the learning rate or the gradient's greatest norm"
+        "the {term} is {value} at step {step}: look for absurd numbers in the dataset, or take lower learning rates, as ACT's \
+         recipe `published` has"
     )]
     Diverged {
-        /// The first step with such a number, counted from 1; it is noticed at the next row of the loss curve.
+        /// The first step with such a number, counted from 1; it is noticed at the next row of the loss curve, or before the state
+        /// is kept.
         step: u64,
         /// The first such number of that step: `l1`, `kl`, `loss` or `gradient`.
         term: &'static str,

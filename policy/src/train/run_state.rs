@@ -78,6 +78,12 @@ impl RunState {
             let bytes = Vec::<u8>::try_from(tensor).map_err(|error| refuse(error.to_string()))?;
             String::from_utf8(bytes).map_err(|error| refuse(error.to_string()))
         };
+        for (key, tensor) in &tensors {
+            let finite = tensor.f_isfinite().and_then(|all| all.f_all());
+            if !matches!(finite.and_then(|all| bool::try_from(all)), Ok(true)) {
+                return Err(refuse(format!("{key} has a number that is not finite")));
+            }
+        }
         let step = Vec::<i64>::try_from(&step).map_err(|error| refuse(error.to_string()))?;
         let step = step.first().and_then(|&step| u64::try_from(step).ok());
         Ok(Self {

@@ -90,6 +90,7 @@ impl Steps<'_> {
             }
             let stop = watch.wants_stop();
             if stop || (options.save_every > 0 && done.is_multiple_of(options.save_every)) {
+                check_finite(done, &since_row)?;
                 let state = self.state(done, flat, &curve, &since_row)?;
                 watch.keep(state)?;
             }
@@ -173,6 +174,18 @@ fn rows_of(kept: Option<&Tensor>, flat: &FlatParameters) -> Result<Vec<Tensor>, 
     })
 }
 
+/// A state from which nobody could go on is not to take the place of a good one.
+fn check_finite(done: u64, since_row: &[Tensor]) -> Result<(), TrainError> {
+    if since_row.is_empty() {
+        return Ok(());
+    }
+    let all = Tensor::f_stack(since_row, 0)?;
+    match bool::try_from(all.f_isfinite()?.f_all()?)? {
+        true => Ok(()),
+        false => Err(diverged(done, &all)?),
+    }
+}
+
 /// Which step and which term was the first that is no number, among `all` `(steps, 4)` up to step `done`.
 fn diverged(done: u64, all: &Tensor) -> Result<TrainError, TchError> {
     let rows = Vec::<f64>::try_from(&all.f_to_kind(Kind::Double)?.f_reshape([-1])?)?;
@@ -223,7 +236,7 @@ mod tests {
     use crate::act::ActPreset;
     use crate::parameters::{Init, ParameterSource};
     use crate::rng::SplitMix64;
-    use crate::train::{Progress, TrainError, TrainOptions};
+    use crate::train::{Progress, RunState, TrainError, TrainOptions, Watch};
     use std::cell::Cell;
     use tch::{Device, Kind, TchError, Tensor};
 
@@ -259,7 +272,29 @@ mod tests {
         }
     }
 
+    /// Remembers after which steps the state was kept.
+    #[derive(Default)]
+    struct Kept(Vec<u64>);
+
+    impl Watch for Kept {
+        fn progress(&mut self, _progress: &Progress) {}
+
+        fn keep(&mut self, state: RunState) -> Result<(), TrainError> {
+            self.0.push(state.step);
+            Ok(())
+        }
+    }
+
     fn run(term: &'static str, planted: f64) -> Result<(), TrainError> {
+        kept_by(term, planted, 0).1
+    }
+
+    /// The steps after which the state was kept, one in `save_every`, and how the run ended.
+    fn kept_by(
+        term: &'static str,
+        planted: f64,
+        save_every: u64,
+    ) -> (Vec<u64>, Result<(), TrainError>) {
         let mut source = ParameterSource::seeded(2, Device::Cpu);
         let start = Init::Constant(1.0);
         let _ = source.trainable("number", &[1], &start).unwrap();
@@ -267,6 +302,7 @@ mod tests {
         let options = TrainOptions {
             steps: 10,
             log_every: 5,
+            save_every,
             ..TrainOptions::preset(ActPreset::Small)
         };
         let mut flat = FlatParameters::new(&parameters, Device::Cpu, &options).unwrap();
@@ -287,9 +323,19 @@ mod tests {
             },
             run: String::new(),
         };
-        steps
-            .take(&mut flat, None, &mut |_: &Progress| ())
-            .map(drop)
+        let mut kept = Kept::default();
+        let end = steps.take(&mut flat, None, &mut kept).map(drop);
+        (kept.0, end)
+    }
+
+    #[test]
+    fn a_state_from_which_nobody_could_go_on_is_not_kept() {
+        let (kept, end) = kept_by("none of them", 0.0, 3);
+        assert!(end.is_ok());
+        assert_eq!(kept, [3, 6, 9]);
+        let (kept, end) = kept_by("l1", f64::NAN, 3);
+        let diverged = matches!(end, Err(TrainError::Diverged { step: 8, .. }));
+        assert!(diverged && kept == [3, 6], "{end:?}, {kept:?}");
     }
 
     #[test]

@@ -47,7 +47,7 @@ impl TrainingSet {
         on_read: &mut dyn FnMut(usize),
     ) -> Result<Self, TrainError> {
         let episodes = dataset.episodes();
-        let (trained, held_out) = episode_split(episodes, options.validation_share);
+        let (trained, held_out) = episode_split(episodes, options.validation_share)?;
         let steps = usize::try_from(config.chunk_size).unwrap_or(0);
         let rows: Vec<ChunkRow> = episodes
             .iter()
@@ -105,16 +105,24 @@ pub(super) fn send(tensor: &Tensor, device: Device) -> Result<Tensor, TchError> 
 }
 
 /// The frames of the episodes that are trained on, and those of the last ones, which are held out.
+///
+/// # Errors
+/// [`TrainError::Dataset`] if some are to be held out and there is one episode alone.
 pub(super) fn episode_split(
     episodes: &[Episode],
     validation_share: f64,
-) -> (Vec<usize>, Vec<usize>) {
+) -> Result<(Vec<usize>, Vec<usize>), TrainError> {
+    if validation_share > 0.0 && episodes.len() == 1 {
+        return Err(TrainError::Dataset(format!(
+            "validation_share = {validation_share} of one episode: two or more are needed"
+        )));
+    }
     let (trained, held_out) = episodes.split_at(split_at(episodes.len(), validation_share));
     let frames = |episodes: &[Episode]| episodes.iter().flat_map(Episode::frames).collect();
-    (frames(trained), frames(held_out))
+    Ok((frames(trained), frames(held_out)))
 }
 
-/// How many of `episodes` are trained on: at least one.
+/// How many of `episodes` are trained on: at least one, and not all if a share is to be held out.
 #[expect(
     clippy::cast_possible_truncation,
     clippy::cast_sign_loss,
@@ -122,7 +130,8 @@ pub(super) fn episode_split(
 )]
 #[expect(clippy::cast_precision_loss, reason = "episodes are few")]
 fn split_at(episodes: usize, validation_share: f64) -> usize {
-    let held_out = (episodes as f64 * validation_share).round() as usize;
+    let asked = (episodes as f64 * validation_share).round() as usize;
+    let held_out = asked.max(usize::from(validation_share > 0.0));
     episodes.saturating_sub(held_out).max(1).min(episodes)
 }
 
@@ -237,4 +246,23 @@ pub(super) fn numbers(
         chunks.f_to_device(device)?,
         is_pad.f_to_device(device)?,
     ])
+}
+
+#[cfg(test)]
+mod tests {
+    use super::split_at;
+
+    #[test]
+    fn a_share_holds_out_at_least_one_episode_and_never_all() {
+        for (episodes, share, trained) in [
+            (10, 0.0, 10),
+            (10, 0.2, 8),
+            (2, 0.2, 1),
+            (3, 0.01, 2),
+            (2, 0.9, 1),
+            (1, 0.0, 1),
+        ] {
+            assert_eq!(split_at(episodes, share), trained, "{share} of {episodes}");
+        }
+    }
 }

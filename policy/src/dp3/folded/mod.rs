@@ -78,7 +78,8 @@ impl FoldedDp3 {
 
     /// The actions that `noise` leads to, as [`Dp3::infer`] gives them, for one observation: `(1, horizon, action)`.
     ///
-    /// It writes into tensors of its own, so one answer has to be finished before the next is asked for.
+    /// It writes into tensors of its own, so one answer has to be finished before the next is asked for, and on CUDA an answer
+    /// lies where the next one will: it has to be read before.
     ///
     /// # Errors
     /// The network library's, if shapes do not fit.
