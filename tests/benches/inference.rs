@@ -1,4 +1,4 @@
-//! One answer of an ACT policy: a 512x512 frame in, a chunk out, on one core.
+//! One answer of an ACT policy: frames of 512x512 in, a chunk out, on one core.
 
 #![expect(
     clippy::expect_used,
@@ -27,13 +27,16 @@ use runtime::session::demo::COMMITTED_POLICY;
 use runtime::session::source::{NETWORK_LATENCY_TICKS, STEP_NS};
 use tch::Device;
 
-const CAMERA: &str = "observation.images.endoscope";
+/// One camera, and as many as `--cameras multi` has with one arm.
+const CAMERAS: [&str; 3] = ["endoscope", "wrist_psm1", "side"];
 const SIDE_PIXELS: u32 = 512;
 const RUNS: u32 = 20;
 
-/// Saves an untrained network of the preset `small`, which takes as long as a trained one.
-fn save_untrained(folder: &Path) -> Result<(), Box<dyn Error>> {
-    let config = ActConfig::preset(ActPreset::Small, &[CAMERA.to_owned()]);
+/// Saves an untrained network of the preset `small` with some cameras, which takes as long as a trained one.
+fn save_untrained(folder: &Path, cameras: &[&str]) -> Result<(), Box<dyn Error>> {
+    let feature = |camera: &&str| format!("observation.images.{camera}");
+    let cameras: Vec<String> = cameras.iter().map(feature).collect();
+    let config = ActConfig::preset(ActPreset::Small, &cameras);
     let spread = |std: f32| Statistics {
         mean: vec![0.0; 7],
         std: vec![std; 7],
@@ -54,11 +57,14 @@ fn save_untrained(folder: &Path) -> Result<(), Box<dyn Error>> {
             mode: AggregationName::Ensemble,
             decay: 0.01,
         },
-        cameras: vec![RecordedCamera {
-            feature: CAMERA.to_owned(),
-            width: SIDE_PIXELS,
-            height: SIDE_PIXELS,
-        }],
+        cameras: cameras
+            .into_iter()
+            .map(|feature| RecordedCamera {
+                feature,
+                width: SIDE_PIXELS,
+                height: SIDE_PIXELS,
+            })
+            .collect(),
         preset: ActPreset::Small.into(),
         variants: Variants {
             backbone_norm: config.backbone_norm,
@@ -136,10 +142,15 @@ fn infer(criterion: &mut Criterion, name: &str, folder: &Path) -> Result<(), Box
 fn main() -> Result<(), Box<dyn Error>> {
     let mut criterion = support::criterion();
     let untrained = std::env::temp_dir().join(format!("trocar-bench-{}", std::process::id()));
-    save_untrained(&untrained)?;
-    let result = infer(&mut criterion, "small, untrained", &untrained);
-    std::fs::remove_dir_all(&untrained)?;
-    result?;
+    for (name, cameras) in [
+        ("small, untrained", 1),
+        ("small, untrained, three cameras", CAMERAS.len()),
+    ] {
+        save_untrained(&untrained, &CAMERAS[..cameras])?;
+        let result = infer(&mut criterion, name, &untrained);
+        std::fs::remove_dir_all(&untrained)?;
+        result?;
+    }
     let committed = tests::repository().join(COMMITTED_POLICY);
     if committed.join("config.json").exists() {
         infer(&mut criterion, "as committed", &committed)?;
