@@ -8,6 +8,8 @@
 
 #[path = "can_bus/direct.rs"]
 mod direct;
+#[path = "can_bus/two_arms.rs"]
+mod two_arms;
 
 use std::fs;
 use std::io::{BufRead as _, BufReader};
@@ -171,7 +173,7 @@ fn plan(identity: (u32, u32), cycle_ms: u64) -> ArmPlan {
     }
 }
 
-/// Seven emulated drives on the first bus in a thread of their own.
+/// Emulated drives, seven for each arm, on the first bus in a thread of their own.
 struct Drives {
     stop: Arc<AtomicBool>,
     thread: JoinHandle<[f64; 7]>,
@@ -179,11 +181,16 @@ struct Drives {
 
 impl Drives {
     fn start() -> Self {
+        Self::of_arms(&[0])
+    }
+
+    /// Drives of arms whose nodes begin behind the given numbers.
+    fn of_arms(arms: &'static [u8]) -> Self {
         let stop = Arc::new(AtomicBool::new(false));
         let told = Arc::clone(&stop);
         // The socket is there before anybody is told that the drives are.
         let bus = socket("vcan0");
-        let thread = thread::spawn(move || emulate(bus, &told));
+        let thread = thread::spawn(move || emulate(bus, arms, &told));
         Self { stop, thread }
     }
 
@@ -194,9 +201,12 @@ impl Drives {
     }
 }
 
-fn emulate(bus: SocketBus<Real>, stop: &AtomicBool) -> [f64; 7] {
+fn emulate(bus: SocketBus<Real>, arms: &[u8], stop: &AtomicBool) -> [f64; 7] {
     let mut net: Network<IdealMotor> = Network::new(1, 1_000_000, 1000);
-    for axis in 0..7 {
+    for axis in arms
+        .iter()
+        .flat_map(|arm| (0..7).map(move |axis| arm + axis))
+    {
         let config = AxisConfig {
             range: (-500_000, 500_000),
             speed_max: 400_000,

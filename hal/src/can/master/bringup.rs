@@ -219,6 +219,16 @@ impl<B: Bus> Homed<B> {
         &mut self.bus.bus
     }
 
+    /// Hears what has come: to be called all the time while another arm on the same bus is brought up, of whose frames a socket
+    /// keeps a few hundred and drops the rest, those of this arm's nodes with them.
+    ///
+    /// # Errors
+    /// What may not have happened to an arm that waits: another master, a node that booted up again or told an error. All nodes
+    /// of this arm are stopped then.
+    pub fn listen(&mut self) -> Result<(), BringUpError> {
+        self.bus.drain()
+    }
+
     /// Starts the beat and enables all drives in the same cycle, each where it is.
     ///
     /// # Errors

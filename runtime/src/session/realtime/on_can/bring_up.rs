@@ -1,7 +1,10 @@
 //! What comes before the first beat: what is wrong without any bus, the world, and the way of the drives to where they may be
 //! enabled.
 
-use hal::can::master::{CanConfig, Homed, Offline};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::thread;
+
+use hal::can::master::{ArmPlan, BringUpError, CanConfig, Homed, Offline};
 use hal::can::socket::SocketBus;
 use hal::topic::{SceneReport, Subscriber, Verdict};
 use hal::{ARM_NAMES, TICK_NS};
@@ -86,23 +89,77 @@ pub(super) fn check_world(
     }
 }
 
-/// Leads the drives of all arms to where they may be enabled.
+/// Leads the drives of all arms to where they may be enabled, one arm after the other.
 pub(super) fn bring_up(
     can: &CanOptions,
     buses: Vec<SocketBus<CanClock>>,
 ) -> Result<Vec<ReadyArm>, SessionError> {
-    let arms = buses.into_iter().zip(&can.config.arms).enumerate();
-    let ready = arms.map(|(index, (bus, arm))| {
+    let mut ready = Vec::new();
+    for (index, (bus, arm)) in buses.into_iter().zip(&can.config.arms).enumerate() {
         uninterrupted()?;
-        let mapped = Offline::new(bus, &arm.plan)
-            .and_then(Offline::scan)
-            .and_then(|scanned| scanned.check_identity())
-            .and_then(|identified| identified.map())
-            .map_err(|error| failed(can, index, &error))?;
-        uninterrupted()?;
-        mapped.home().map_err(|error| failed(can, index, &error))
-    });
-    ready.collect()
+        let home = || home(bus, &arm.plan).map_err(|error| error.in_arm(can, index));
+        let homed = while_listening(can, &mut ready, home)?;
+        ready.push(homed);
+    }
+    Ok(ready)
+}
+
+/// Why an arm did not get its references.
+enum NotHomed {
+    Interrupted(SessionError),
+    Failed(BringUpError),
+}
+
+impl NotHomed {
+    fn in_arm(self, can: &CanOptions, index: usize) -> SessionError {
+        match self {
+            Self::Interrupted(error) => error,
+            Self::Failed(error) => failed(can, index, &error),
+        }
+    }
+}
+
+/// Leads the drives of one arm to where they may be enabled.
+fn home(bus: SocketBus<CanClock>, plan: &ArmPlan) -> Result<ReadyArm, NotHomed> {
+    let mapped = Offline::new(bus, plan)
+        .and_then(Offline::scan)
+        .and_then(|scanned| scanned.check_identity())
+        .and_then(|identified| identified.map())
+        .map_err(NotHomed::Failed)?;
+    uninterrupted().map_err(NotHomed::Interrupted)?;
+    mapped.home().map_err(NotHomed::Failed)
+}
+
+/// Does `work`, and meanwhile hears what comes for the arms that are `ready`.
+fn while_listening<T>(
+    can: &CanOptions,
+    ready: &mut [ReadyArm],
+    work: impl FnOnce() -> Result<T, SessionError>,
+) -> Result<T, SessionError> {
+    if ready.is_empty() {
+        return work();
+    }
+    let done = AtomicBool::new(false);
+    thread::scope(|scope| {
+        let listener = scope.spawn(|| listen(can, ready, &done));
+        let result = work();
+        done.store(true, Ordering::Relaxed);
+        let heard = listener.join();
+        let value = result?;
+        heard.unwrap_or_else(|_| Err(SessionError::RealTime("a listener panicked".to_owned())))?;
+        Ok(value)
+    })
+}
+
+/// Hears what comes for the arms that are `ready` until the work is `done`.
+fn listen(can: &CanOptions, ready: &mut [ReadyArm], done: &AtomicBool) -> Result<(), SessionError> {
+    while !done.load(Ordering::Relaxed) {
+        for (index, arm) in ready.iter_mut().enumerate() {
+            arm.listen().map_err(|error| failed(can, index, &error))?;
+        }
+        rt::sleep_ns(POLL_NS);
+    }
+    Ok(())
 }
 
 /// Whoever interrupts a run before its drives have torque does not want them to get it.
