@@ -185,7 +185,7 @@ impl<B: Bus> Identified<B> {
     /// [`BringUpError`] with the node and the object.
     pub fn map(mut self) -> Result<Mapped<B>, BringUpError> {
         for axis in 0..TAIL_AXES {
-            self.bus.at(Step::SettingUp(axis));
+            self.bus.enter(Step::SettingUp(axis))?;
             let told = configure::node(&mut self.bus, &self.plan, axis);
             self.bus.judge(told)?;
         }
@@ -203,11 +203,11 @@ impl<B: Bus> Mapped<B> {
     /// [`BringUpError::Homing`] with the node.
     pub fn home(mut self) -> Result<Homed<B>, BringUpError> {
         for axis in 0..TAIL_AXES {
-            self.bus.at(Step::Homing(axis));
+            self.bus.enter(Step::Homing(axis))?;
             let homed = homing::home(&mut self.bus, &self.plan, axis);
             self.bus.judge(homed)?;
         }
-        self.bus.at(Step::Waiting);
+        self.bus.enter(Step::Waiting)?;
         let Self { bus, plan } = self;
         Ok(Homed { bus, plan })
     }

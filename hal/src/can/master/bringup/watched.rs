@@ -48,9 +48,11 @@ impl<B: Bus> Watched<B> {
         self.passive.get(usize::from(line)) == Some(&true)
     }
 
-    /// Notes what bring-up is at from now on.
-    pub(super) fn at(&mut self, step: Step) {
+    /// Notes what bring-up is at from now on. What came before, on whatever bus, is judged by what it was at then.
+    pub(super) fn enter(&mut self, step: Step) -> Result<(), BringUpError> {
+        self.drain()?;
         self.step = step;
+        Ok(())
     }
 
     /// What a step came to, unless somebody else leads our drives or one is no more as it was set up: whatever it came to, that

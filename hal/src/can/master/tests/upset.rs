@@ -60,7 +60,7 @@ fn on_a_bus_that_is_not_listened_to_it_is_noticed_before_the_nodes_start() {
     let homed = course(3, NEVER, |_| {}).sent[3];
     for (what, told) in [(reboots as What, REBOOTED), (fails, FAILED)] {
         let course = course(3, homed - 9, what);
-        let told = format!("{WHO}: {told}, before the first beat");
+        let told = format!("{WHO}: {told}, while axis 6 was homed");
         assert_eq!(course.end, Err(told));
         assert!(!course.torques && course.stopped);
     }
@@ -84,6 +84,26 @@ fn what_a_drive_has_to_tell_of_the_time_before_it_was_set_up_does_not_end_it() {
     for at in [4, scanned - 1, scanned + 9, identified + 20] {
         assert_eq!(course(1, at, reboots).end, Ok(()), "{at}");
     }
+}
+
+#[test]
+fn what_comes_on_a_bus_that_is_not_listened_to_is_judged_by_when_it_came() {
+    let [_, identified, mapped, _] = course(3, NEVER, |_| {}).sent;
+    // Nodes 4 and 6 are the first ones of buses 1 and 2, and nothing is asked there yet.
+    for at in [identified + 5, identified + 2 * (mapped - identified) / 7] {
+        for axis in 3..TAIL_AXES {
+            let course = course(3, at, move |net| {
+                net.poke(node(axis), |now, drive, out| drive.power_on(now, out));
+            });
+            assert_eq!(course.end, Ok(()), "node {} at {at}", axis + 1);
+        }
+    }
+    // The first one of bus 0 was set up by then; it is named when bus 1 has been listened to for a while.
+    let at = identified + 4 * (mapped - identified) / 7;
+    let course = course(3, at, reboots);
+    let told = format!("{WHO}: {REBOOTED}, while axis 4 was set up");
+    assert_eq!(course.end, Err(told));
+    assert!(!course.torques && course.stopped);
 }
 
 #[test]
