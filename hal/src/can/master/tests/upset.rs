@@ -138,6 +138,23 @@ fn that_all_is_well_that_there_is_no_beat_yet_and_what_other_drives_tell_does_no
 }
 
 #[test]
+fn that_there_is_no_beat_yet_is_no_fault_between_the_start_of_the_nodes_and_the_beat_and_one_after_it()
+ {
+    let homed = course(1, NEVER, |_| {}).sent[3];
+    for code in [0x8130_u16, 0x8250, 0x8700] {
+        let [low, high] = code.to_le_bytes();
+        let told = frame(0x083, &[low, high, 0x11, 0, 0, 0, 0, 0]);
+        // The first node is told to start, the last one, and one of the first beats.
+        for (at, is_fault) in [(0, false), (6, false), (25, true)] {
+            let course = course(1, homed + at, move |net| assert!(net.intrude(0, told)));
+            let name = ErrorCode(code);
+            let fault = is_fault.then(|| format!("{WHO}: emergency {name}"));
+            assert_eq!(course.end.err(), fault, "{code:x} {at}");
+        }
+    }
+}
+
+#[test]
 fn a_drive_that_is_in_fault_from_the_start_says_why() {
     let scanned = course(1, NEVER, |_| {}).sent[0];
     let course = course(1, scanned + 9, fails);
