@@ -3,7 +3,7 @@
 use super::super::fault::{Fault, Who};
 use super::Step;
 use crate::can::bus::Overload;
-use crate::can::cia301::emcy::ErrorCode;
+use crate::can::cia301::emcy::{ErrorCode, ErrorRegister};
 use crate::can::cia301::{AbortCode, Address};
 use crate::can::cia402::Mode;
 use crate::can::{Frame, NodeId};
@@ -134,6 +134,28 @@ pub enum BringUpError {
         who: Who,
         /// What its object 603Fh says.
         code: ErrorCode,
+    },
+    /// A node still has an error before the first beat that is none of the communication.
+    #[error("{who}: has an error before the first beat, its 1001h says {register}")]
+    Unsound {
+        /// The node.
+        who: Who,
+        /// What it says.
+        register: ErrorRegister,
+    },
+    /// A node has no more what it was told, and nobody heard that it was reset.
+    #[error(
+        "{who}: {address} is {found:#x} and was set to {expected:#x}: it must have been reset unnoticed"
+    )]
+    Forgotten {
+        /// The node.
+        who: Who,
+        /// The object.
+        address: Address,
+        /// What it was given.
+        expected: u32,
+        /// What it has.
+        found: u32,
     },
     /// A node was reset after it had been set up: it is no more as it was set.
     #[error("{who}: booted up again, {step}")]
