@@ -26,6 +26,16 @@ pub enum BringUpError {
         /// The bus.
         line: u8,
     },
+    /// Frames were lost between the bus and us since we have said something: what they said is not known.
+    #[error("bus {line}: {count} frames were lost before they were read, {step}")]
+    FramesLost {
+        /// The bus.
+        line: u8,
+        /// How many, when it was told first.
+        count: u32,
+        /// When it was told.
+        step: Step,
+    },
     /// Somebody else leads these nodes.
     #[error("bus {line}: another master sends {frame}")]
     ForeignMaster {

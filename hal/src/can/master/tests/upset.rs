@@ -247,6 +247,32 @@ fn what_happens_while_the_nodes_are_asked_once_more_ends_it_on_whatever_bus() {
 }
 
 #[test]
+fn frames_that_are_lost_before_they_are_read_end_it_once_we_have_said_something() {
+    let [scanned, identified, mapped, homed] = course(3, NEVER, |_| {}).sent;
+    let cases = [
+        (2, 0, "while the nodes were looked for"),
+        (scanned + 9, 0, "while the nodes were looked for"),
+        (identified + 40, 0, "while axis 0 was set up"),
+        // On a bus that is not listened to.
+        (identified + 40, 2, "while axis 0 was set up"),
+        (mapped + 5, 0, "while axis 0 was homed"),
+        (homed - 1, 1, "while axis 6 was homed"),
+        (homed + 3, 0, "before the first beat"),
+    ];
+    for (at, line, step) in cases {
+        let course = course(3, at, move |net| net.trouble(line, Trouble::Lost(5)));
+        let told = format!("bus {line}: 5 frames were lost before they were read, {step}");
+        assert_eq!(course.end, Err(told), "{at}");
+        assert!(!course.torques && course.stopped);
+    }
+    // Before our first word they are none of ours.
+    let plan = plan(3, 2 * MS);
+    let mut net = network(&plan);
+    net.trouble(1, Trouble::Lost(5));
+    assert!(Offline::new(net, &plan).unwrap().scan().is_ok());
+}
+
+#[test]
 fn two_nodes_with_one_number_are_no_arm() {
     let plan = plan(1, 2 * MS);
     let mut net = network(&plan);
