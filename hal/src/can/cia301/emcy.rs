@@ -97,6 +97,33 @@ pub mod register {
     pub const VENDOR: u8 = 1 << 7;
 }
 
+/// The error register, 1001h, as [`register`] has its bits.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct ErrorRegister(pub u8);
+
+/// Bits of the error register with their names.
+const BITS: [(u8, &str); 8] = [
+    (register::GENERIC, "generic"),
+    (register::CURRENT, "current"),
+    (register::VOLTAGE, "voltage"),
+    (register::TEMPERATURE, "temperature"),
+    (register::COMMUNICATION, "communication"),
+    (register::PROFILE, "device profile"),
+    (1 << 6, "reserved"),
+    (register::VENDOR, "manufacturer"),
+];
+
+impl fmt::Display for ErrorRegister {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{:02X}h", self.0)?;
+        let set = BITS.iter().filter(|(bit, _)| self.0 & bit != 0);
+        for ((_, name), before) in set.zip([": "].into_iter().chain(core::iter::repeat(", "))) {
+            write!(f, "{before}{name}")?;
+        }
+        Ok(())
+    }
+}
+
 /// An error code of an emergency, which 603Fh repeats.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct ErrorCode(pub u16);

@@ -61,6 +61,8 @@ pub(super) struct Axis {
     pub(super) sent: i32,
     /// Set-points that found room on the bus since the arm failed.
     pub(super) stops: u32,
+    /// Commands to its node to stop that found room on the bus.
+    pub(super) withdrawn: u32,
     /// The set-point that the drive was on its way to when it measured.
     pub(super) followed: i32,
     /// Whether a usable answer has come in this period, and how many of any kind.
@@ -94,6 +96,7 @@ impl Axis {
             target: 0,
             sent: 0,
             stops: 0,
+            withdrawn: 0,
             followed: 0,
             answered: false,
             answers: 0,

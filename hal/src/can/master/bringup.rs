@@ -3,6 +3,7 @@
 //! [`Offline::scan`] → [`Scanned::check_identity`] → [`Identified::map`] → [`Mapped::home`] → [`Homed::enable`] →
 //! [`CanArm`]. Whatever goes wrong ends the bring-up with the node and the cause; nothing is retried.
 
+mod check;
 mod configure;
 mod enable;
 mod error;
@@ -69,6 +70,8 @@ pub struct Mapped<B> {
 pub struct Homed<B> {
     bus: Watched<B>,
     plan: ArmPlan,
+    /// Where each drive was told that its reference is, counts; none if it cannot be told.
+    homes: [Option<u32>; TAIL_AXES],
 }
 
 impl<B: Bus> Offline<B> {
@@ -185,7 +188,7 @@ impl<B: Bus> Identified<B> {
     /// [`BringUpError`] with the node and the object.
     pub fn map(mut self) -> Result<Mapped<B>, BringUpError> {
         for axis in 0..TAIL_AXES {
-            self.bus.at(Step::SettingUp(axis));
+            self.bus.enter(Step::SettingUp(axis))?;
             let told = configure::node(&mut self.bus, &self.plan, axis);
             self.bus.judge(told)?;
         }
@@ -202,14 +205,15 @@ impl<B: Bus> Mapped<B> {
     /// # Errors
     /// [`BringUpError::Homing`] with the node.
     pub fn home(mut self) -> Result<Homed<B>, BringUpError> {
-        for axis in 0..TAIL_AXES {
-            self.bus.at(Step::Homing(axis));
+        let mut homes = [None; TAIL_AXES];
+        for (axis, home) in homes.iter_mut().enumerate() {
+            self.bus.enter(Step::Homing(axis))?;
             let homed = homing::home(&mut self.bus, &self.plan, axis);
-            self.bus.judge(homed)?;
+            *home = self.bus.judge(homed)?;
         }
-        self.bus.at(Step::Waiting);
+        self.bus.enter(Step::Waiting)?;
         let Self { bus, plan } = self;
-        Ok(Homed { bus, plan })
+        Ok(Homed { bus, plan, homes })
     }
 }
 
@@ -229,13 +233,22 @@ impl<B: Bus> Homed<B> {
         self.bus.drain()
     }
 
-    /// Starts the beat and enables all drives in the same cycle, each where it is.
+    /// Asks every drive once more, starts the beat, and enables all drives in the same cycle, each where it is.
     ///
     /// # Errors
-    /// [`BringUpError::Fault`] if a drive fails meanwhile; it and the others then have no torque.
+    /// [`BringUpError::Unsound`] or [`BringUpError::Forgotten`] for a drive that is no more as it was set up,
+    /// [`BringUpError::Fault`] if one fails meanwhile; it and the others then have no torque.
     pub fn enable(self) -> Result<CanArm<B>, BringUpError> {
         let mut arms = enable_together(vec![self]).map_err(|(_, error)| error)?;
         arms.pop().ok_or(BringUpError::Slow)
+    }
+
+    /// Asks every node whether it is still as it was set up.
+    fn check(&mut self) -> Result<(), BringUpError> {
+        let Self { bus, plan, homes } = self;
+        let mut nodes = homes.iter().enumerate();
+        let checked = nodes.try_for_each(|(axis, home)| check::node(bus, plan, axis, *home));
+        bus.judge(checked)
     }
 
     fn start(&mut self) -> Result<(), BringUpError> {

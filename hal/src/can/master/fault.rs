@@ -115,6 +115,18 @@ impl Fault {
     }
 }
 
+/// Whether a drive may say `code` before there is a beat: that it is well, or that it misses what only the beat brings. Homing
+/// gives it SYNCs and set-points as fast as it answers, and no heartbeat.
+pub(super) const fn is_harmless(code: ErrorCode) -> bool {
+    matches!(
+        code,
+        ErrorCode::RESET
+            | ErrorCode::HEARTBEAT
+            | ErrorCode::RPDO_TIMEOUT
+            | ErrorCode::SYNC_CONTROLLER
+    )
+}
+
 impl fmt::Display for Who {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(

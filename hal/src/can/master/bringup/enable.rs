@@ -38,16 +38,21 @@ pub fn enable_together<B: Bus>(
     }
 }
 
-/// Starts the nodes of all arms; the place of the arm that can't be started, if there is one.
+/// Asks the nodes of all arms, and starts them if none has an objection: once started they should not wait for a beat. The place
+/// of the arm that can't be started, if there is one.
 fn start_all<B: Bus>(homed: &mut [Homed<B>]) -> Option<(usize, BringUpError)> {
-    let mut started = homed.iter_mut().enumerate();
-    started.find_map(|(place, arm)| Some((place, arm.start().err()?)))
+    [Homed::check, Homed::start].into_iter().find_map(|step| {
+        let mut arms = homed.iter_mut().enumerate();
+        arms.find_map(|(place, arm)| Some((place, step(arm).err()?)))
+    })
 }
 
 /// The arm as its beat begins at `start`. What has come since its nodes were told to start is the cycle's to judge, but for
 /// heartbeats from before they did; and that a controller has become error passive before.
 fn begin<B: Bus>(homed: Homed<B>, start: TimeNs) -> CanArm<B> {
-    let Homed { bus: watched, plan } = homed;
+    let Homed {
+        bus: watched, plan, ..
+    } = homed;
     let mut cycle = Cycle::new(&plan, start);
     for line in (0..plan.lines).filter(|line| watched.is_passive(*line)) {
         cycle.on_received(line, start, &Received::Trouble(Trouble::ErrorPassive));

@@ -3,7 +3,7 @@
 use super::super::fault::{Fault, Who};
 use super::Step;
 use crate::can::bus::Overload;
-use crate::can::cia301::emcy::ErrorCode;
+use crate::can::cia301::emcy::{ErrorCode, ErrorRegister};
 use crate::can::cia301::{AbortCode, Address};
 use crate::can::cia402::Mode;
 use crate::can::{Frame, NodeId};
@@ -25,6 +25,16 @@ pub enum BringUpError {
     Off {
         /// The bus.
         line: u8,
+    },
+    /// Frames were lost between the bus and us since we have said something: what they said is not known.
+    #[error("bus {line}: {count} frames were lost before they were read, {step}")]
+    FramesLost {
+        /// The bus.
+        line: u8,
+        /// How many, when it was told first.
+        count: u32,
+        /// When it was told.
+        step: Step,
     },
     /// Somebody else leads these nodes.
     #[error("bus {line}: another master sends {frame}")]
@@ -134,6 +144,28 @@ pub enum BringUpError {
         who: Who,
         /// What its object 603Fh says.
         code: ErrorCode,
+    },
+    /// A node still has an error before the first beat that is none of the communication.
+    #[error("{who}: has an error before the first beat, its 1001h says {register}")]
+    Unsound {
+        /// The node.
+        who: Who,
+        /// What it says.
+        register: ErrorRegister,
+    },
+    /// A node has no more what it was told, and nobody heard that it was reset.
+    #[error(
+        "{who}: {address} is {found:#x} and was set to {expected:#x}: it must have been reset unnoticed"
+    )]
+    Forgotten {
+        /// The node.
+        who: Who,
+        /// The object.
+        address: Address,
+        /// What it was given.
+        expected: u32,
+        /// What it has.
+        found: u32,
     },
     /// A node was reset after it had been set up: it is no more as it was set.
     #[error("{who}: booted up again, {step}")]

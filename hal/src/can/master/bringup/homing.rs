@@ -18,17 +18,24 @@ const STEP_NS: u64 = 1_000_000_000;
 /// Method 37: the present position is the reference.
 const PRESENT_POSITION: i8 = 37;
 
-/// Gives `axis` the position that its absolute encoder says.
-pub(super) fn home<B: Bus>(bus: &mut B, plan: &ArmPlan, axis: usize) -> Result<(), BringUpError> {
+/// Gives `axis` the position that its absolute encoder says; its home offset then, none if it has no such object.
+pub(super) fn home<B: Bus>(
+    bus: &mut B,
+    plan: &ArmPlan,
+    axis: usize,
+) -> Result<Option<u32>, BringUpError> {
     let who = plan.who(axis);
     let (line, node) = (who.line, who.node);
     let position = read_number(bus, line, node, index::POSITION)?;
-    match write(bus, line, node, index::HOME_OFFSET, &position.to_le_bytes()) {
+    let told = match write(bus, line, node, index::HOME_OFFSET, &position.to_le_bytes()) {
         // A drive without a home offset calls its reference zero, which is right if it stands there.
         Err(BringUpError::Refused { code, .. })
-            if code == AbortCode::NO_OBJECT && position == 0 => {}
-        other => other?,
-    }
+            if code == AbortCode::NO_OBJECT && position == 0 =>
+        {
+            None
+        }
+        other => other.map(|()| Some(position))?,
+    };
     let method = PRESENT_POSITION.to_le_bytes();
     write(bus, line, node, index::HOMING_METHOD, &method)?;
     let mode = |mode: Mode| mode.raw().to_le_bytes();
@@ -48,7 +55,8 @@ pub(super) fn home<B: Bus>(bus: &mut B, plan: &ArmPlan, axis: usize) -> Result<(
     send(bus, line, leave.emit(NmtTarget::Node(node)))?;
     homed?;
     let_go?;
-    write(bus, line, node, index::MODE, &mode(Mode::CyclicPosition))
+    write(bus, line, node, index::MODE, &mode(Mode::CyclicPosition))?;
+    Ok(told)
 }
 
 fn reference<B: Bus>(

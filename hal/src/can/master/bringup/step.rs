@@ -2,7 +2,7 @@
 
 use core::fmt;
 
-use super::super::fault::Who;
+use super::super::fault::{Who, is_harmless};
 use super::super::plan::ArmPlan;
 use super::BringUpError;
 use crate::can::cia301::emcy::ErrorCode;
@@ -82,18 +82,6 @@ impl Step {
             step: self,
         }
     }
-}
-
-/// Whether a drive may say `code` before there is a beat: that it is well, or that it misses what only the beat brings. Homing
-/// gives it SYNCs and set-points as fast as it answers, and no heartbeat.
-const fn is_harmless(code: ErrorCode) -> bool {
-    matches!(
-        code,
-        ErrorCode::RESET
-            | ErrorCode::HEARTBEAT
-            | ErrorCode::RPDO_TIMEOUT
-            | ErrorCode::SYNC_CONTROLLER
-    )
 }
 
 impl fmt::Display for Step {

@@ -22,7 +22,7 @@ pub(super) struct Watched<B> {
     step: Step,
     /// The first frame that only the master of the plan may send.
     foreign: Option<(u8, Frame)>,
-    /// The first thing that happened to a node and may not have.
+    /// The first thing that happened to a node and may not have, or that may have been missed.
     upset: Option<BringUpError>,
     /// Whether we have said anything: who was there before us is not disturbed.
     spoke: bool,
@@ -48,9 +48,11 @@ impl<B: Bus> Watched<B> {
         self.passive.get(usize::from(line)) == Some(&true)
     }
 
-    /// Notes what bring-up is at from now on.
-    pub(super) fn at(&mut self, step: Step) {
+    /// Notes what bring-up is at from now on. What came before, on whatever bus, is judged by what it was at then.
+    pub(super) fn enter(&mut self, step: Step) -> Result<(), BringUpError> {
+        self.drain()?;
         self.step = step;
+        Ok(())
     }
 
     /// What a step came to, unless somebody else leads our drives or one is no more as it was set up: whatever it came to, that
@@ -156,6 +158,12 @@ impl<B: Bus> Bus for Watched<B> {
                 if *spoke && upset.is_none() {
                     *upset = step.upset(plan, line, &frame);
                 }
+            }
+            if let Received::Trouble(Trouble::Lost(count)) = received
+                && *spoke
+            {
+                let step = *step;
+                upset.get_or_insert(BringUpError::FramesLost { line, count, step });
             }
             sink(received);
         });

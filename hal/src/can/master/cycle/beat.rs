@@ -2,9 +2,11 @@
 
 use super::{Axis, Cycle, SILENT_AFTER};
 use crate::TimeNs;
+use crate::can::cia301::nmt::NmtView;
 use crate::can::cia301::sync::Sync;
 use crate::can::cia301::{Cob, NmtCommand, NmtState, NmtTarget};
 use crate::can::{Frame, Outbox};
+use crate::tail::TAIL_AXES;
 
 impl Cycle {
     /// Begins the period at `now`: with a SYNC, which puts the set-points that were sent into effect, or as a pause.
@@ -44,10 +46,15 @@ impl Cycle {
     /// our heartbeat.
     ///
     /// They go after the SYNC, or a quick stop that is to come into effect with it would be lost, and before any set-points: on a
-    /// bus that a stranger's SYNCs have filled with answers those wait, and so does all behind them.
+    /// bus that a stranger's SYNCs have filled with answers those wait, and so does all behind them. First come those that found
+    /// room least often: somebody may start a node again that we have stopped, so each is told in every cycle, and in a queue with
+    /// little room the last ones would never be.
     pub fn withdraw(&self, line: u8, out: &mut Outbox) {
-        for ((plan, axis), place) in self.plan.axes.iter().zip(&self.axes).zip(0..) {
-            let deaf = self.fault.is_some() && is_deaf(axis, place);
+        let mut order: [usize; TAIL_AXES] = core::array::from_fn(|n| n);
+        order.sort_unstable_by_key(|&n| (self.axes[n].withdrawn, n));
+        for n in order {
+            let plan = &self.plan.axes[n];
+            let deaf = self.fault.is_some() && is_deaf(&self.axes[n], n);
             if plan.line == line && (self.intruded || deaf) {
                 out.push(NmtCommand::Stop.emit(NmtTarget::Node(plan.node)));
             }
@@ -90,10 +97,20 @@ impl Cycle {
             return;
         }
         for frame in frames.iter().take(count) {
-            if let Cob::ReceivePdo(_, node) = Cob::of(frame.id)
-                && let Some(axis) = self.plan.axis_of(line, node)
-            {
-                self.axes[axis].stops = self.axes[axis].stops.saturating_add(1);
+            let nmt = NmtView(frame.data()).target();
+            let (node, withdraws) = match (Cob::of(frame.id), nmt) {
+                (Cob::ReceivePdo(_, node), _) => (node, false),
+                (Cob::Nmt, Ok(NmtTarget::Node(node))) => (node, true),
+                _ => continue,
+            };
+            if let Some(axis) = self.plan.axis_of(line, node) {
+                let axis = &mut self.axes[axis];
+                let count = if withdraws {
+                    &mut axis.withdrawn
+                } else {
+                    &mut axis.stops
+                };
+                *count = count.saturating_add(1);
             }
         }
     }
@@ -105,13 +122,13 @@ const STOP_AGAIN: u32 = 8;
 
 /// Whether the node of the axis at `place` is to be told to stop: it hears no set-points, as it says itself, or may not, since
 /// nothing usable has come from it for too long. One that says that it is stopped has heard that already.
-fn is_deaf(axis: &Axis, place: u32) -> bool {
+fn is_deaf(axis: &Axis, place: usize) -> bool {
     match axis.told {
         Some(NmtState::PreOperational | NmtState::BootUp) => true,
         Some(NmtState::Stopped) => false,
         Some(NmtState::Operational) | None => {
             let since = axis.silent().checked_sub(SILENT_AFTER);
-            since.is_some_and(|since| since % STOP_AGAIN == place)
+            since.is_some_and(|since| usize::try_from(since % STOP_AGAIN) == Ok(place))
         }
     }
 }

@@ -1,11 +1,12 @@
 //! What comes from the buses in a cycle. Hot path: bounded, no allocation, no I/O, no lock.
 
-use super::super::fault::Fault;
+use super::super::fault::{Fault, is_harmless};
 use super::super::foreign::leads;
 use super::super::link::{Received, Trouble};
 use super::Cycle;
 use crate::TimeNs;
 use crate::can::cia301::cob::PdoNumber;
+use crate::can::cia301::emcy::ErrorCode;
 use crate::can::cia301::{Cob, Emergency, NmtState};
 use crate::can::{Frame, NodeId};
 
@@ -86,11 +87,14 @@ impl Cycle {
     }
 
     fn on_emergency(&mut self, axis: usize, now: TimeNs, data: &[u8]) {
-        if let Ok(emergency) = Emergency::parse(data)
-            && emergency.code.0 != 0
-        {
+        let Ok(Emergency { code, .. }) = Emergency::parse(data) else {
+            return;
+        };
+        // Before our first beat a drive may miss it, as it may during bring-up.
+        let missed = self.began.is_none() && is_harmless(code);
+        if code != ErrorCode::RESET && !missed {
             let who = self.plan.who(axis);
-            self.latch(now, Fault::Emergency(who, emergency.code));
+            self.latch(now, Fault::Emergency(who, code));
         }
     }
 

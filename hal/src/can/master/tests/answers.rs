@@ -10,6 +10,9 @@ fn disturbed(
     change: impl Fn(&Frame) -> Tampering + 'static,
 ) -> (Bench, Vec<Result<ArmState, ArmError>>) {
     let mut bench = moving();
+    // A heartbeat that holds up a SYNC makes its axis seem slower or faster, and what is bridged goes on at that speed.
+    let mut speed = || bench.cycle(0.0008).unwrap().velocity[2];
+    assert!((0..10).any(|_| (speed() - 0.4).abs() < 1e-6));
     let mut left = count;
     bench.tamper(move |frame| {
         if is_answer(frame, 2) && left > 0 {

@@ -1,5 +1,7 @@
 //! A send queue with less room than a cycle needs, when drives have to stop.
 
+use std::collections::BTreeSet;
+
 use super::*;
 use crate::can::cia301::emcy::ErrorCode;
 use crate::can::cia402::PowerState;
@@ -184,4 +186,49 @@ fn a_full_bus_has_its_own_sync_first_and_the_set_points_on_the_others_still_come
         assert_eq!(on(said, 2), [0x206, 0x207, 0x080]);
     }
     assert_eq!(cycles, at_best);
+}
+
+/// Cycles until each drive is no longer enabled, with a stranger who leads the last node with a beat of his own and a queue that
+/// takes `room` frames a cycle, and whom of the nodes we told to stop within 50 cycles.
+fn led_by_another(room: usize) -> ([u32; TAIL_AXES], BTreeSet<u8>) {
+    let plan = plan(1, 2 * MS);
+    let mut arm = brought_up(&plan);
+    let mut now = arm.bus_mut().now();
+    arm.bus_mut().room[0] = room;
+    let (mut rest, mut told) = ([u32::MAX; TAIL_AXES], BTreeSet::new());
+    for cycle in 0..50 {
+        let net = &mut arm.bus_mut().net;
+        let ahead = net.motor(node(6)).unwrap().position_counts + 100.0;
+        let [a, b, c, d] = i32::try_from(crate::can::number::whole(ahead))
+            .unwrap()
+            .to_le_bytes();
+        assert!(net.intrude(0, frame(0x207, &[0x0F, 0, a, b, c, d])));
+        assert!(net.intrude(0, frame(0x080, &[])));
+        now = now.plus_ns(plan.cycle_ns);
+        arm.bus_mut().wait(now);
+        arm.bus_mut().said.clear();
+        let _ = arm.read(now);
+        let stops = arm.bus_mut().said.iter().filter(|(_, f)| f.id.raw() == 0);
+        told.extend(stops.map(|(_, stop)| stop.data()[1]));
+        for (axis, rest) in rest.iter_mut().enumerate() {
+            let drive = arm.bus_mut().net.node(node(axis)).unwrap();
+            if drive.power_state() != PowerState::OperationEnabled {
+                *rest = (*rest).min(cycle);
+            }
+        }
+    }
+    (rest, told)
+}
+
+#[test]
+fn in_a_queue_with_little_room_every_node_that_somebody_else_may_lead_is_told_to_stop() {
+    // As many cycles as it takes to tell each of the seven once, beside the SYNC, and three for the first to be heard.
+    for (room, at_most) in [(16, 4), (6, 5), (5, 5), (4, 6), (3, 7), (2, 10)] {
+        let (rest, told) = led_by_another(room);
+        assert_eq!(told, (1..=7).collect(), "{room}");
+        assert!(
+            rest.iter().all(|cycles| *cycles <= at_most),
+            "{room}: {rest:?}"
+        );
+    }
 }

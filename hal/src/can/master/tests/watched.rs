@@ -160,6 +160,9 @@ fn course_of(
     }
 }
 
+/// Questions to the nodes between the last reference and their start.
+pub(super) const QUESTIONS: usize = 4 * TAIL_AXES;
+
 pub(super) const NEVER: usize = usize::MAX;
 
 #[test]
@@ -251,7 +254,7 @@ fn what_anybody_may_say_and_another_arms_master_does_not_end_it() {
     let undisturbed = course(1, NEVER, |_| {});
     assert_eq!(undisturbed.end, Ok(()));
     let [scanned, .., homed] = undisturbed.sent;
-    for at in [scanned + 9, homed + 6] {
+    for at in [scanned + 9, homed + QUESTIONS + 6] {
         let course = course(1, at, |net| {
             for heard in said().1 {
                 // An answer to a question of his would be taken for one of ours.
@@ -304,7 +307,7 @@ fn what_happens_between_the_start_of_the_nodes_and_the_first_beat_is_a_fault() {
     let undisturbed = course(3, NEVER, |_| {});
     assert_eq!(undisturbed.end, Ok(()));
     // The seventh of them is told to start.
-    let last = undisturbed.sent[3] + 6;
+    let last = undisturbed.sent[3] + QUESTIONS + 6;
     for (what, fault) in cases {
         let course = course(3, last, what);
         assert_eq!(course.end, Err(fault.to_owned()));
@@ -318,9 +321,12 @@ fn trouble_on_a_bus_that_is_not_listened_to_ends_the_bring_up_before_the_nodes_s
     let homed = undisturbed.sent[3];
     // The last axis is homed on bus 2; nothing is asked on bus 0 any more.
     for trouble in [Trouble::BusOff, Trouble::Restarted, Trouble::Down] {
+        let asked = course(3, homed + QUESTIONS - 2, move |net| net.trouble(0, trouble));
+        assert_eq!(asked.end, Err("bus 0: bus-off or down".to_owned()));
+        assert!(asked.sent[3] == homed && !asked.torques);
         let course = course(3, homed - 1, move |net| net.trouble(0, trouble));
         assert_eq!(course.end, Err("bus 0: bus-off or down".to_owned()));
-        assert!(course.sent[3] == homed && !course.torques);
+        assert!(course.sent[3] == 0 && !course.torques, "{trouble:?}");
     }
     // Even that it is back, once bring-up has begun.
     let course = course(3, 0, |net| net.trouble(0, Trouble::Restarted));
