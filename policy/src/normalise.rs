@@ -110,7 +110,7 @@ impl Statistics {
             ));
         }
         for (axis, (mean, std)) in self.mean.iter().zip(&self.std).enumerate() {
-            if !(mean.abs() <= GREATEST) {
+            if !mean.is_finite() || mean.abs() > GREATEST {
                 return Some(format!(
                     "mean of dimension {axis} is {mean}, outside [-{GREATEST}, {GREATEST}]"
                 ));

@@ -80,7 +80,7 @@ impl RunState {
         };
         for (key, tensor) in &tensors {
             let finite = tensor.f_isfinite().and_then(|all| all.f_all());
-            if !matches!(finite.and_then(|all| bool::try_from(all)), Ok(true)) {
+            if !matches!(finite.and_then(bool::try_from), Ok(true)) {
                 return Err(refuse(format!("{key} has a number that is not finite")));
             }
         }
