@@ -103,6 +103,8 @@ impl<B: Bus> Offline<B> {
             self.bus.judge(heard)?;
         }
         for axis in 0..TAIL_AXES {
+            // Who boots up by himself meanwhile has not heard our reset.
+            self.bus.drain()?;
             let booted = reset(&mut self.bus, plan.who(axis));
             self.bus.judge(booted)?;
         }

@@ -31,6 +31,9 @@
 //! the same during bring-up                 their identifiers               no arm
 //! boot-up or emergency of a drive that is  its frame                       no arm, and the nodes are stopped
 //! set up, before the first beat
+//! frames lost since we have spoken, before  receive counter                 no arm, and the nodes are stopped
+//! the nodes start
+//! an error of before, a restart unheard    bring-up asks before the start  no arm, and the nodes are stopped
 //! a second node with a drive's number      the drive's emergency           fault; no arm if it was there before
 //! wrong identity                           bring-up                        no arm
 //! stored offset, PDOs, timers, time stamps bring-up                        cleared; no arm if a drive keeps them

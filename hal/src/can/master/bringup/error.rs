@@ -138,7 +138,7 @@ pub enum BringUpError {
         status: u32,
     },
     /// A drive is in fault when it is to be homed.
-    #[error("{who}: is in fault: {code}")]
+    #[error("{who}: is in fault: {code}; bring-up resets no faults")]
     Faulty {
         /// The node.
         who: Who,

@@ -93,9 +93,7 @@ impl Cycle {
         if let Some(health) = self.lines.get_mut(usize::from(line)) {
             health.short |= count < frames.len();
         }
-        if self.fault.is_none() {
-            return;
-        }
+        let failed = self.fault.is_some();
         for frame in frames.iter().take(count) {
             let nmt = NmtView(frame.data()).target();
             let (node, withdraws) = match (Cob::of(frame.id), nmt) {
@@ -105,12 +103,13 @@ impl Cycle {
             };
             if let Some(axis) = self.plan.axis_of(line, node) {
                 let axis = &mut self.axes[axis];
-                let count = if withdraws {
-                    &mut axis.withdrawn
+                if withdraws {
+                    axis.withdrawn = axis.withdrawn.saturating_add(1);
                 } else {
-                    &mut axis.stops
-                };
-                *count = count.saturating_add(1);
+                    // Nothing changes it between its set-point and this.
+                    axis.sent = axis.target;
+                    axis.stops = axis.stops.saturating_add(u32::from(failed));
+                }
             }
         }
     }

@@ -66,7 +66,6 @@ impl Cycle {
         if let Some(newest) = newest.filter(|_| !follows) {
             axis.target = newest.position;
         }
-        axis.sent = axis.target;
         let [a, b] = Control::new(command).emit().to_le_bytes();
         let [c, d, e, f] = axis.target.to_le_bytes();
         let id = Cob::ReceivePdo(PdoNumber::FIRST, self.plan.axes[n].node).id();

@@ -107,6 +107,22 @@ fn what_comes_on_a_bus_that_is_not_listened_to_is_judged_by_when_it_came() {
 }
 
 #[test]
+fn a_node_that_boots_up_by_itself_has_not_answered_to_our_reset() {
+    let deaf = |net: &mut Net| {
+        net.tamper(Box::new(|_, _, heard| {
+            match (heard.id.raw(), heard.data()) {
+                (0x000, [0x81, 4]) => Tampering::Drop,
+                _ => Tampering::Pass,
+            }
+        }));
+        net.poke(node(3), |now, drive, out| drive.power_on(now, out));
+    };
+    // While the nodes of the first of three buses are reset.
+    let refusal = "node 4 (axis 3, bus 1): does not answer to a reset";
+    assert_eq!(course(3, 1, deaf).end, Err(refusal.to_owned()));
+}
+
+#[test]
 fn that_all_is_well_that_there_is_no_beat_yet_and_what_other_drives_tell_does_not_end_it() {
     let [_, _, mapped, homed] = course(1, NEVER, |_| {}).sent;
     let told = [
@@ -158,7 +174,8 @@ fn that_there_is_no_beat_yet_is_no_fault_between_the_start_of_the_nodes_and_the_
 fn a_drive_that_is_in_fault_from_the_start_says_why() {
     let scanned = course(1, NEVER, |_| {}).sent[0];
     let course = course(1, scanned + 9, fails);
-    let told = format!("{WHO}: is in fault: 2310h, continuous over-current");
+    let told =
+        format!("{WHO}: is in fault: 2310h, continuous over-current; bring-up resets no faults");
     assert_eq!(course.end, Err(told));
     assert!(!course.torques);
 }
