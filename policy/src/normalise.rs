@@ -128,7 +128,11 @@ impl Statistics {
     /// A normaliser on the CPU.
     #[must_use]
     pub fn normaliser(&self) -> Normaliser {
-        let divisors: Vec<f32> = self.std.iter().map(|std| std + EPS).collect();
+        #[expect(
+            clippy::cast_possible_truncation,
+            reason = "statistics are in single precision"
+        )]
+        let divisors: Vec<f32> = self.std.iter().map(|std| std + EPS as f32).collect();
         Normaliser {
             mean: Tensor::from_slice(&self.mean),
             std: Tensor::from_slice(&self.std),
@@ -141,7 +145,7 @@ impl Statistics {
 const GREATEST: f32 = 100.0;
 
 /// What LeRobot adds to a deviation before it divides by it (`eps` in the processor's file).
-const EPS: f32 = 1e-8;
+pub(crate) const EPS: f64 = 1e-8;
 
 /// Takes a feature to mean 0 and deviation 1 over its last dimension, and back.
 #[derive(Debug)]

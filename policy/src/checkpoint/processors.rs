@@ -9,15 +9,12 @@ use super::config_file::{features, normalisation};
 use super::error::{Cause, CheckpointError};
 use super::tensors::{self, Plain, Precision, replace};
 use crate::act::ActConfig;
-use crate::normalise::{IMAGENET_MEAN, IMAGENET_STD, Statistics};
+use crate::normalise::{EPS, IMAGENET_MEAN, IMAGENET_STD, Statistics};
 
 const PREPROCESSOR: &str = "policy_preprocessor.json";
 const POSTPROCESSOR: &str = "policy_postprocessor.json";
 const BEFORE: &str = "policy_preprocessor_step_3_normalizer_processor.safetensors";
 const AFTER: &str = "policy_postprocessor_step_0_unnormalizer_processor.safetensors";
-
-/// What is added to a deviation before it divides.
-const EPS: f64 = 1e-8;
 
 /// Statistics of what goes in and what comes out.
 #[derive(Clone, Debug, PartialEq)]
