@@ -1,8 +1,14 @@
 //! Layers that networks share: linear, layer normalisation, attention, feed-forward. Batch first throughout.
 
+pub(crate) mod affine;
+mod aligned;
 pub(crate) mod folded;
+mod kernel;
+pub(crate) mod matrix;
+mod memory;
 pub(crate) mod narrow;
 pub(crate) mod planes;
+pub(crate) mod vectors;
 
 use tch::{Device, Kind, TchError, Tensor};
 

@@ -9,7 +9,7 @@ use super::ActPc;
 use super::clouds::Clouds;
 use super::tokens::{PointTokens, pick, space_position};
 use crate::act::{FoldedTrunk, Situated};
-use crate::layers::folded::Affine;
+use crate::layers::affine::{Affine, By};
 
 /// An ACT-PC network for inference.
 #[derive(Debug)]
@@ -34,6 +34,15 @@ impl FoldedActPc {
     /// # Errors
     /// The network library's.
     pub fn new(network: &ActPc, kind: Kind) -> Result<Self, TchError> {
+        Self::computed(
+            network,
+            By::fastest(network.tokens.mix.weight.device(), kind),
+        )
+    }
+
+    /// The same, computed `by` somebody.
+    fn computed(network: &ActPc, by: By) -> Result<Self, TchError> {
+        let kind = by.kind();
         tch::no_grad(|| {
             let PointTokens {
                 point_net,
@@ -45,19 +54,19 @@ impl FoldedActPc {
             let layers = point_net.layers.iter().map(|(mix, norm)| {
                 let fixed = norm.fixed()?;
                 let weight = mix.weight.f_mul(&fixed.scale.f_unsqueeze(1)?)?;
-                Affine::new(&weight, &fixed.shift, kind)
+                Affine::new(&weight, &fixed.shift, by)
             });
             let fixed = norm.fixed()?;
             let weight = mix.weight.f_mul(&fixed.scale.f_unsqueeze(1)?)?;
             let nothing = fixed.shift.f_zeros_like()?;
             Ok(Self {
                 point_net: layers.collect::<Result<_, _>>()?,
-                mix: Affine::new(&weight, &nothing, kind)?,
-                centre: Affine::new(&weight.f_narrow(1, 0, 3)?, &nothing, kind)?,
+                mix: Affine::new(&weight, &nothing, by)?,
+                centre: Affine::new(&weight.f_narrow(1, 0, 3)?, &nothing, by)?,
                 shift: fixed.shift.f_detach()?.f_to_kind(kind)?,
                 pre_sample: *pre_sample,
                 width: *width,
-                trunk: FoldedTrunk::new(&network.trunk, None, kind)?,
+                trunk: FoldedTrunk::new(&network.trunk, None, by)?,
                 kind,
             })
         })
@@ -130,27 +139,39 @@ mod tests {
     use super::FoldedActPc;
     use crate::act_pc::Clouds;
     use crate::act_pc::tests::{cloud, config, network};
+    use crate::layers::affine::By;
+    use crate::layers::vectors::Processor;
 
     #[test]
     fn folding_changes_nothing_but_rounding() {
-        for pre_sample in [false, true] {
-            let config = config(pre_sample);
-            let network = network(&config);
-            let folded = FoldedActPc::new(&network, Kind::Float).unwrap();
-            let (first, second) = (cloud(1), cloud(2));
-            let clouds = Clouds::new(&[&first, &second], &config, Device::Cpu).unwrap();
-            let state = Tensor::arange(14, (Kind::Float, Device::Cpu)).sin();
-            let state = state.view([2, 7]);
-            let (expected, actual) = tch::no_grad(|| {
-                (
-                    network.infer(&clouds, &state).unwrap(),
-                    folded.infer(&clouds, &state).unwrap(),
-                )
-            });
-            assert_eq!(expected.size(), actual.size());
-            let scale = expected.abs().max().double_value(&[]);
-            let off = (expected - actual).abs().max().double_value(&[]) / scale;
-            assert!(off <= 3e-6 && scale > 0.1, "off by {off:e} of {scale}");
+        let own = Processor::found().map(By::Own);
+        for by in own.into_iter().chain([By::Library(Kind::Float)]) {
+            check(by, false);
+            check(by, true);
         }
+    }
+
+    #[track_caller]
+    fn check(by: By, pre_sample: bool) {
+        let config = config(pre_sample);
+        let network = network(&config);
+        let folded = FoldedActPc::computed(&network, by).unwrap();
+        let (first, second) = (cloud(1), cloud(2));
+        let clouds = Clouds::new(&[&first, &second], &config, Device::Cpu).unwrap();
+        let state = Tensor::arange(14, (Kind::Float, Device::Cpu)).sin();
+        let state = state.view([2, 7]);
+        let (expected, actual) = tch::no_grad(|| {
+            (
+                network.infer(&clouds, &state).unwrap(),
+                folded.infer(&clouds, &state).unwrap(),
+            )
+        });
+        assert_eq!(expected.size(), actual.size());
+        let scale = expected.abs().max().double_value(&[]);
+        let off = (expected - actual).abs().max().double_value(&[]) / scale;
+        assert!(
+            off <= 3e-6 && scale > 0.1,
+            "off by {off:e} of {scale}: {by:?}"
+        );
     }
 }

@@ -1,69 +1,28 @@
 //! Layers as inference runs them: made once from trained ones, with the same answers but for rounding.
 //!
-//! Matrices lie with their inputs first, so that the product reads them as they are. What positions add to a projection is
-//! part of its bias, since a projection is linear. Values are `(rows, width)`, a row for every token of every observation.
+//! What positions add to a projection is part of its bias, since a projection is linear. Values are `(rows, width)`, a row for
+//! every token of every observation.
 
-use tch::{Kind, TchError, Tensor};
+use tch::{TchError, Tensor};
 
-use super::{Attention, Linear};
-
-/// A linear layer whose bias may differ from row to row.
-#[derive(Debug)]
-pub(crate) struct Affine {
-    /// `(inputs, outputs)`.
-    weight: Tensor,
-    /// `(outputs)` or `(rows of one observation, outputs)`.
-    bias: Tensor,
-}
-
-impl Affine {
-    /// `weight` `(outputs, inputs)` and `bias` in the precision `kind`.
-    pub(crate) fn new(weight: &Tensor, bias: &Tensor, kind: Kind) -> Result<Self, TchError> {
-        let weight = weight.f_detach()?.f_to_kind(kind)?;
-        Ok(Self {
-            weight: weight.f_transpose(0, 1)?.f_contiguous()?,
-            bias: bias.f_detach()?.f_to_kind(kind)?.f_contiguous()?,
-        })
-    }
-
-    pub(crate) fn of(linear: &Linear, kind: Kind) -> Result<Self, TchError> {
-        Self::new(&linear.weight, &linear.bias, kind)
-    }
-
-    pub(crate) fn forward(&self, x: &Tensor) -> Result<Tensor, TchError> {
-        self.bias_of(x)?.f_addmm(x, &self.weight)
-    }
-
-    /// Followed by a rectifier.
-    pub(crate) fn rectified(&self, x: &Tensor) -> Result<Tensor, TchError> {
-        // tch 0.24 hands the flag of the fused `_addmm_activation` to the parameter `beta`, so two steps.
-        self.forward(x)?.f_relu_()
-    }
-
-    /// Outputs from `first` on, `count` of them.
-    fn part(&self, x: &Tensor, first: i64, count: i64) -> Result<Tensor, TchError> {
-        let bias = self.bias_of(x)?.f_narrow(-1, first, count)?;
-        bias.f_addmm(x, &self.weight.f_narrow(1, first, count)?)
-    }
-
-    /// The bias as often as there are observations.
-    fn bias_of(&self, x: &Tensor) -> Result<Tensor, TchError> {
-        let rows = x.size()[0];
-        match self.bias.size().as_slice() {
-            &[own, _] if own != rows => self.bias.f_repeat([rows / own.max(1), 1]),
-            _ => Ok(self.bias.shallow_clone()),
-        }
-    }
-}
+use super::Attention;
+use super::affine::{Affine, By};
 
 /// Attention of tokens to each other.
 #[derive(Debug)]
 pub(crate) struct SelfAttention {
-    /// To queries, keys and values, one beside the other.
-    input: Affine,
+    input: Projections,
     output: Affine,
-    width: i64,
     heads: i64,
+}
+
+/// To what sees the places of tokens and to what does not, one beside the other.
+#[derive(Debug)]
+enum Projections {
+    /// Places are always the same and part of the bias.
+    Together(Affine),
+    /// Places come with the tokens.
+    Apart { placed: Affine, values: Affine },
 }
 
 /// What attention needs to know about its input.
@@ -80,41 +39,71 @@ impl SelfAttention {
     pub(crate) fn new(
         attention: &Attention,
         position: Option<&Tensor>,
-        kind: Kind,
+        by: By,
     ) -> Result<Self, TchError> {
-        let Attention { width, heads, .. } = *attention;
-        let bias = match position {
-            Some(position) => {
-                placed_bias(attention, position, &[(0, true), (1, true), (2, false)])?
-            }
-            None => attention.in_bias.shallow_clone(),
-        };
         Ok(Self {
-            input: Affine::new(&attention.in_weight, &bias, kind)?,
-            output: Affine::new(&attention.out_weight, &attention.out_bias, kind)?,
-            width,
-            heads,
+            input: Projections::new(attention, position, 0, by)?,
+            output: Affine::new(&attention.out_weight, &attention.out_bias, by)?,
+            heads: attention.heads,
         })
     }
 
     pub(crate) fn forward(&self, x: &Tensor, rows: Rows<'_>) -> Result<Tensor, TchError> {
-        let width = self.width;
-        let [q, k, v] = if let Some(position) = rows.position {
-            let located = self.input.part(&x.f_add(position)?, 0, 2 * width)?;
-            let values = self.input.part(x, 2 * width, width)?;
-            [
-                located.f_narrow(1, 0, width)?,
-                located.f_narrow(1, width, width)?,
-                values,
-            ]
-        } else {
-            let all = self.input.forward(x)?;
-            let part = |index: i64| all.f_narrow(1, index * width, width);
-            [part(0)?, part(1)?, part(2)?]
+        let parts = self.input.apply(x, rows)?;
+        let [q, k, v] = parts.as_slice() else {
+            return Err(TchError::Shape(format!("{} projections", parts.len())));
         };
         let split = |x: &Tensor| split_heads(x, rows.batch, self.heads);
-        let mixed = mix(&split(&q)?, &split(&k)?, &split(&v)?)?;
-        self.output.forward(&mixed)
+        self.output
+            .forward(&mix(&split(q)?, &split(k)?, &split(v)?)?)
+    }
+}
+
+impl Projections {
+    /// The parts of the packed projection from `first` on: 0 queries, 1 keys, 2 values. The last sees no places.
+    fn new(
+        attention: &Attention,
+        position: Option<&Tensor>,
+        first: i64,
+        by: By,
+    ) -> Result<Self, TchError> {
+        let width = attention.width;
+        let layer = |first: i64, end: i64, bias: &Tensor| {
+            let weight = attention
+                .in_weight
+                .f_narrow(0, first * width, (end - first) * width)?;
+            Affine::new(&weight, bias, by)
+        };
+        let Some(position) = position else {
+            let bias = |first: i64, end: i64| {
+                attention
+                    .in_bias
+                    .f_narrow(0, first * width, (end - first) * width)
+            };
+            return Ok(Self::Apart {
+                placed: layer(first, 2, &bias(first, 2)?)?,
+                values: layer(2, 3, &bias(2, 3)?)?,
+            });
+        };
+        let parts: Vec<(i64, bool)> = (first..3).map(|part| (part, part < 2)).collect();
+        let bias = placed_bias(attention, position, &parts)?;
+        Ok(Self::Together(layer(first, 3, &bias)?))
+    }
+
+    /// Each part for `x` `(rows, width)`.
+    fn apply(&self, x: &Tensor, rows: Rows<'_>) -> Result<Vec<Tensor>, TchError> {
+        let width = x.size().last().copied().unwrap_or(0);
+        let split = |x: &Tensor| x.f_split(width, 1);
+        match (self, rows.position) {
+            (Self::Together(all), None) => split(&all.forward(x)?),
+            (Self::Apart { placed, values }, Some(position)) => {
+                let mut parts = split(&placed.forward(&x.f_add(position)?)?)?;
+                parts.push(values.forward(x)?);
+                Ok(parts)
+            }
+            (Self::Together(_), Some(_)) => Err(TchError::Shape("places twice".to_owned())),
+            (Self::Apart { .. }, None) => Err(TchError::Shape("tokens without places".to_owned())),
+        }
     }
 }
 
@@ -123,10 +112,9 @@ impl SelfAttention {
 pub(crate) struct CrossAttention {
     /// To queries; their places are part of the bias.
     query: Affine,
-    /// To keys and values, one beside the other.
-    memory: Affine,
+    /// To keys and values.
+    memory: Projections,
     output: Affine,
-    width: i64,
     heads: i64,
 }
 
@@ -136,21 +124,15 @@ impl CrossAttention {
         attention: &Attention,
         queries: &Tensor,
         position: Option<&Tensor>,
-        kind: Kind,
+        by: By,
     ) -> Result<Self, TchError> {
-        let Attention { width, heads, .. } = *attention;
-        let query = placed_bias(attention, queries, &[(0, true)])?;
-        let memory = match position {
-            Some(position) => placed_bias(attention, position, &[(1, true), (2, false)])?,
-            None => attention.in_bias.f_narrow(0, width, 2 * width)?,
-        };
-        let weight = |first: i64, count: i64| attention.in_weight.f_narrow(0, first, count);
+        let weight = attention.in_weight.f_narrow(0, 0, attention.width)?;
+        let bias = placed_bias(attention, queries, &[(0, true)])?;
         Ok(Self {
-            query: Affine::new(&weight(0, width)?, &query, kind)?,
-            memory: Affine::new(&weight(width, 2 * width)?, &memory, kind)?,
-            output: Affine::new(&attention.out_weight, &attention.out_bias, kind)?,
-            width,
-            heads,
+            query: Affine::new(&weight, &bias, by)?,
+            memory: Projections::new(attention, position, 1, by)?,
+            output: Affine::new(&attention.out_weight, &attention.out_bias, by)?,
+            heads: attention.heads,
         })
     }
 
@@ -166,20 +148,12 @@ impl CrossAttention {
         memory: &Tensor,
         rows: Rows<'_>,
     ) -> Result<Tensor, TchError> {
-        let width = self.width;
-        let [k, v] = if let Some(position) = rows.position {
-            let located = memory.f_add(position)?;
-            [
-                self.memory.part(&located, 0, width)?,
-                self.memory.part(memory, width, width)?,
-            ]
-        } else {
-            let all = self.memory.forward(memory)?;
-            [all.f_narrow(1, 0, width)?, all.f_narrow(1, width, width)?]
+        let parts = self.memory.apply(memory, rows)?;
+        let [k, v] = parts.as_slice() else {
+            return Err(TchError::Shape(format!("{} projections", parts.len())));
         };
         let split = |x: &Tensor| split_heads(x, rows.batch, self.heads);
-        self.output
-            .forward(&mix(queries, &split(&k)?, &split(&v)?)?)
+        self.output.forward(&mix(queries, &split(k)?, &split(v)?)?)
     }
 }
 

@@ -11,16 +11,15 @@ mod kernel;
 #[cfg(test)]
 #[cfg(target_arch = "x86_64")]
 mod tests;
-mod vectors;
 mod weights;
 
 use std::thread;
 
 use tch::{TchError, Tensor};
 
+use super::vectors::Processor;
 pub(crate) use columns::{Columns, Windows};
-use kernel::To;
-pub(crate) use vectors::Processor;
+use kernel::{Product, To};
 use weights::{Brain, Half, Single, Stored, Weights};
 
 /// Outputs that lie beside each other.
@@ -137,12 +136,22 @@ impl Narrow {
                 if own.is_none() {
                     own = Some((panels, to));
                 } else {
-                    let work = move || self.processor.run(panels, columns, to);
+                    let work = move || {
+                        self.processor.run(Product {
+                            panels,
+                            columns,
+                            to,
+                        })
+                    };
                     thread::Builder::new().spawn_scoped(scope, work)?;
                 }
             }
             if let Some((panels, to)) = own {
-                self.processor.run(panels, columns, to);
+                self.processor.run(Product {
+                    panels,
+                    columns,
+                    to,
+                });
             }
             Ok(())
         })

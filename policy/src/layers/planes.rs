@@ -5,7 +5,6 @@
 //! AVX-512 give the same bits.
 
 mod direct;
-mod kernel;
 mod stem;
 #[cfg(test)]
 #[cfg(target_arch = "x86_64")]
@@ -13,8 +12,11 @@ mod tests;
 mod transforms;
 mod winograd;
 
-use pulp::{Arch, Simd, WithSimd};
+use pulp::Simd;
 use tch::{TchError, Tensor};
+
+use super::aligned::Aligned;
+use super::vectors::Processor;
 
 pub(crate) use direct::{Direct, Steps};
 pub(crate) use stem::Stem;
@@ -23,7 +25,7 @@ pub(crate) use winograd::Winograd;
 /// Pictures of one size, channels last.
 #[derive(Debug, Default)]
 pub(crate) struct Plane {
-    values: Vec<f32>,
+    values: Aligned,
     size: Size,
 }
 
@@ -41,12 +43,12 @@ impl Size {
     }
 }
 
-/// The processor's vectors, memory that convolutions work in, and planes that are not needed now.
+/// The processor, memory that convolutions work in, and planes that are not needed now.
 #[derive(Debug)]
 pub(crate) struct Workspace {
-    vectors: Arch,
-    tiles: Vec<f32>,
-    products: Vec<f32>,
+    processor: Processor,
+    tiles: Aligned,
+    products: Aligned,
     spare: Vec<Plane>,
 }
 
@@ -78,25 +80,11 @@ impl Plane {
 }
 
 impl Workspace {
-    /// Nothing where the processor has no vectors that would be worth it.
-    pub(crate) fn find() -> Option<Self> {
-        struct Lanes;
-        impl WithSimd for Lanes {
-            type Output = usize;
-
-            fn with_simd<S: Simd>(self, _: S) -> usize {
-                S::F32_LANES
-            }
-        }
-        let vectors = Arch::new();
-        (vectors.dispatch(Lanes) >= 8).then(|| Self::of(vectors))
-    }
-
-    const fn of(vectors: Arch) -> Self {
+    pub(crate) fn of(processor: Processor) -> Self {
         Self {
-            vectors,
-            tiles: Vec::new(),
-            products: Vec::new(),
+            processor,
+            tiles: Aligned::default(),
+            products: Aligned::default(),
             spare: Vec::new(),
         }
     }
@@ -110,7 +98,7 @@ impl Workspace {
     fn plane(&mut self, size: Size) -> Plane {
         let mut plane = self.spare.pop().unwrap_or_default();
         plane.size = size;
-        grow(&mut plane.values, size.numbers());
+        plane.values.grow(size.numbers());
         plane
     }
 }
@@ -129,7 +117,7 @@ impl<'a> Ending<'a> {
         }
         Ok(Self {
             bias,
-            beside: beside.map(|beside| beside.values.as_slice()),
+            beside: beside.map(|beside| &*beside.values),
             rectified,
         })
     }
@@ -146,12 +134,6 @@ impl<'a> Ending<'a> {
             sum = simd.max_f32s(simd.splat_f32s(0.0), sum);
         }
         store::<S>(out, at, sum);
-    }
-}
-
-fn grow(memory: &mut Vec<f32>, length: usize) {
-    if memory.len() < length {
-        memory.resize(length, 0.0);
     }
 }
 

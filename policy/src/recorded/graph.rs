@@ -1,5 +1,6 @@
 //! CUDA graphs by the functions of libtorch 2.11 and of the CUDA runtime that are found in the running process: the libtorch
-//! that a program was linked with need not have CUDA. All unsafe code of this crate is here.
+//! that a program was linked with need not have CUDA. But for a look at tensors' numbers (`layers/memory.rs`) all unsafe
+//! code of this crate is here.
 
 #![expect(
     unsafe_code,

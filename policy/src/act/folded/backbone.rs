@@ -1,41 +1,10 @@
 //! The backbone with its fixed normalisations inside the convolutions, channels last in memory.
 
-use tch::{Device, Kind, TchError, Tensor};
+use tch::{Kind, TchError, Tensor};
 
 use super::own_backbone::OwnBackbone;
 use crate::act::resnet::{Block, Conv, NORM_EPS, Norm, ResNet18};
-use crate::layers::planes::Workspace;
-
-/// Whose convolutions compute.
-#[derive(Debug)]
-pub(super) enum By {
-    /// Ours: in single precision on the CPU, with one thread, where all normalisations are fixed.
-    Own(Workspace),
-    /// The network library's, in the precision that is given.
-    Library(Kind),
-}
-
-impl By {
-    /// The fastest for `backbone` where it is and with so many threads as there are now.
-    pub(super) fn fastest(backbone: &ResNet18, kind: Kind) -> Self {
-        let ours = kind == Kind::Float
-            && backbone.stem.weight.device() == Device::Cpu
-            && tch::get_num_threads() == 1
-            && OwnBackbone::fits(backbone);
-        match Workspace::find() {
-            Some(workspace) if ours => Self::Own(workspace),
-            _ => Self::Library(kind),
-        }
-    }
-
-    /// The precision that it computes in.
-    pub(super) const fn kind(&self) -> Kind {
-        match self {
-            Self::Own(_) => Kind::Float,
-            Self::Library(kind) => *kind,
-        }
-    }
-}
+use crate::layers::affine::By;
 
 /// The backbone for inference.
 #[derive(Debug)]
@@ -47,13 +16,15 @@ pub(super) enum FoldedBackbone {
 }
 
 impl FoldedBackbone {
-    /// For images of `sides`, height and width.
+    /// For images of `sides`, height and width. Where not all normalisations are fixed the library computes.
     pub(super) fn new(backbone: &ResNet18, sides: [usize; 2], by: By) -> Result<Self, TchError> {
         Ok(match by {
-            By::Own(workspace) => {
-                Self::Own(Box::new(OwnBackbone::new(backbone, sides, workspace)?))
+            By::Own(processor) if OwnBackbone::fits(backbone) => {
+                Self::Own(Box::new(OwnBackbone::new(backbone, sides, processor)?))
             }
-            By::Library(kind) => Self::Library(LibraryBackbone::new(backbone, kind)?),
+            By::Own(_) | By::Library(_) => {
+                Self::Library(LibraryBackbone::new(backbone, by.kind())?)
+            }
         })
     }
 

@@ -14,9 +14,9 @@ mod trunk;
 use tch::{Kind, TchError, Tensor};
 
 use super::Act;
-use crate::layers::folded::Affine;
+use crate::layers::affine::{Affine, By};
 use crate::recorded::Recorded;
-use backbone::{By, FoldedBackbone};
+use backbone::FoldedBackbone;
 pub(crate) use trunk::{FoldedTrunk, Situated};
 
 /// An ACT network for inference.
@@ -41,12 +41,11 @@ impl FoldedAct {
     /// # Errors
     /// The network library's.
     pub fn new(act: &Act, kind: Kind) -> Result<Self, TchError> {
-        Self::computed(act, By::fastest(&act.backbone, kind))
+        Self::computed(act, By::fastest(act.backbone.stem.weight.device(), kind))
     }
 
-    /// The same, whose backbone is computed `by` somebody.
+    /// The same, computed `by` somebody.
     fn computed(act: &Act, by: By) -> Result<Self, TchError> {
-        let kind = by.kind();
         tch::no_grad(|| {
             let config = act.config();
             let sides = [config.image_height, config.image_width];
@@ -57,9 +56,9 @@ impl FoldedAct {
                 recorded: Recorded::default(),
                 network: Network {
                     backbone: FoldedBackbone::new(&act.backbone, sides, by)?,
-                    image_input: Affine::new(&image_weight, &act.image_bias, kind)?,
-                    trunk: FoldedTrunk::new(&act.trunk, Some(&position), kind)?,
-                    kind,
+                    image_input: Affine::new(&image_weight, &act.image_bias, by)?,
+                    trunk: FoldedTrunk::new(&act.trunk, Some(&position), by)?,
+                    kind: by.kind(),
                 },
             })
         })

@@ -4,6 +4,7 @@ use tch::{TchError, Tensor};
 
 use crate::act::resnet::{Block, Conv, Norm, ResNet18};
 use crate::layers::planes::{Direct, Plane, Stem, Steps, Winograd, Workspace};
+use crate::layers::vectors::Processor;
 
 /// The backbone and the memory that it works in.
 #[derive(Debug)]
@@ -43,7 +44,7 @@ impl OwnBackbone {
     pub(super) fn new(
         backbone: &ResNet18,
         sides: [usize; 2],
-        workspace: Workspace,
+        processor: Processor,
     ) -> Result<Self, TchError> {
         let (weight, bias) = folded(&backbone.stem)?;
         // After the stem, and after its pooling.
@@ -56,7 +57,7 @@ impl OwnBackbone {
         Ok(Self {
             stem: Stem::new(&weight, &bias)?,
             blocks,
-            workspace,
+            workspace: Workspace::of(processor),
         })
     }
 

@@ -5,10 +5,10 @@ use std::collections::BTreeMap;
 use tch::{Device, Kind, Tensor};
 
 use super::FoldedAct;
-use super::backbone::By;
 use super::own_backbone::OwnBackbone;
 use crate::act::{Act, ActConfig, BackboneNorm};
-use crate::layers::planes::Workspace;
+use crate::layers::affine::By;
+use crate::layers::vectors::Processor;
 use crate::parameters::ParameterSource;
 use crate::rng::SplitMix64;
 
@@ -58,12 +58,10 @@ fn trained(config: &ActConfig) -> Act {
     Act::new(config.clone(), ParameterSource::given(moved)).unwrap()
 }
 
-/// The library's convolutions and, where the network and the processor allow it, our own.
-fn means(act: &Act) -> Vec<By> {
-    let own = OwnBackbone::fits(&act.backbone).then(Workspace::find);
-    let own = own.flatten().map(By::Own);
-    let library = By::Library(Kind::Float);
-    own.into_iter().chain([library]).collect()
+/// The library and, where the processor allows it, code of ours.
+fn means() -> Vec<By> {
+    let own = Processor::found().map(By::Own);
+    own.into_iter().chain([By::Library(Kind::Float)]).collect()
 }
 
 /// Every folded network's chunk is the trained one's.
@@ -76,7 +74,7 @@ fn check(config: &ActConfig, batch: i64) {
     let expected = tch::no_grad(|| act.infer(&images, &state)).unwrap();
     let scale = expected.abs().max().double_value(&[]);
     assert!(scale > 0.1, "the network says something: {scale}");
-    for by in means(&act) {
+    for by in means() {
         let way = format!("{by:?}");
         let mut folded = FoldedAct::computed(&act, by).unwrap();
         let actual = tch::no_grad(|| folded.infer(&images, &state)).unwrap();
@@ -112,17 +110,24 @@ fn further_decoder_layers_and_early_normalisation_fold_too() {
 }
 
 #[test]
-fn fixed_normalisations_on_one_core_are_computed_by_our_own_convolutions() {
+fn one_core_computes_with_code_of_ours() {
     tch::set_num_threads(1);
-    let found = Workspace::find().is_some();
-    for (norm, kind, own) in [
-        (BackboneNorm::FrozenBatchNorm, Kind::Float, found),
-        (BackboneNorm::FrozenBatchNorm, Kind::BFloat16, false),
-        (BackboneNorm::GroupNorm, Kind::Float, false),
+    for (kind, own) in [
+        (Kind::Float, Processor::found().is_some()),
+        (Kind::BFloat16, false),
     ] {
-        let act = trained(&config(norm, 1));
-        let by = By::fastest(&act.backbone, kind);
+        let by = By::fastest(Device::Cpu, kind);
         assert_eq!((matches!(by, By::Own(_)), by.kind()), (own, kind));
+    }
+}
+
+#[test]
+fn only_fixed_normalisations_go_into_convolutions_of_ours() {
+    for (norm, fits) in [
+        (BackboneNorm::FrozenBatchNorm, true),
+        (BackboneNorm::GroupNorm, false),
+    ] {
+        assert_eq!(OwnBackbone::fits(&trained(&config(norm, 1)).backbone), fits);
     }
 }
 
@@ -132,7 +137,7 @@ fn same_observation_gives_same_bits() {
     let act = trained(&config);
     let images = numbers("images", &[1, 2, 3, 64, 96]);
     let state = numbers("state", &[1, 7]);
-    for by in means(&act) {
+    for by in means() {
         let mut folded = FoldedAct::computed(&act, by).unwrap();
         let mut ask = || tch::no_grad(|| folded.infer(&images, &state)).unwrap();
         assert_eq!(ask(), ask());

@@ -4,7 +4,8 @@ use tch::{Kind, TchError, Tensor};
 
 use crate::act::transformer::{DecoderLayer, EncoderLayer, residual};
 use crate::act::trunk::Trunk;
-use crate::layers::folded::{Affine, CrossAttention, Rows, SelfAttention};
+use crate::layers::affine::{Affine, By};
+use crate::layers::folded::{CrossAttention, Rows, SelfAttention};
 use crate::layers::{FeedForward, LayerNorm};
 
 /// A transformer with latent zero.
@@ -60,7 +61,7 @@ enum Start {
     },
     /// The steps look at each other.
     Computed {
-        attention: SelfAttention,
+        attention: Box<SelfAttention>,
         norm: LayerNorm,
     },
 }
@@ -73,24 +74,21 @@ struct FoldedFeedForward {
 
 impl FoldedTrunk {
     /// `position` `(tokens, width)` of what is seen, if it is always the same.
-    pub(crate) fn new(
-        trunk: &Trunk,
-        position: Option<&Tensor>,
-        kind: Kind,
-    ) -> Result<Self, TchError> {
+    pub(crate) fn new(trunk: &Trunk, position: Option<&Tensor>, by: By) -> Result<Self, TchError> {
+        let kind = by.kind();
         let leading = trunk.token_position.f_detach()?;
         let position = match position {
             Some(seen) => Some(Tensor::f_cat(&[&leading, seen], 0)?),
             None => None,
         };
         let layers = trunk.encoder.layers.iter();
-        let encoder = layers.map(|layer| FoldedEncoderLayer::new(layer, position.as_ref(), kind));
+        let encoder = layers.map(|layer| FoldedEncoderLayer::new(layer, position.as_ref(), by));
         let queries = trunk.step_queries.f_detach()?;
         let zeros = queries.f_zeros_like()?;
         let mut decoder = Vec::new();
         for layer in &trunk.decoder.layers {
             let start = decoder.is_empty().then_some(&zeros);
-            let folded = FoldedDecoderLayer::new(layer, &queries, start, position.as_ref(), kind)?;
+            let folded = FoldedDecoderLayer::new(layer, &queries, start, position.as_ref(), by)?;
             decoder.push(folded);
         }
         let norm = trunk.encoder.norm.as_ref();
@@ -106,9 +104,9 @@ impl FoldedTrunk {
                 .f_detach()?
                 .f_to_kind(kind)?
                 .f_view([1, 1, -1])?,
-            state_input: Affine::of(&trunk.state_input, kind)?,
+            state_input: Affine::of(&trunk.state_input, by)?,
             leading_position: leading.f_to_kind(kind)?,
-            action_head: Affine::of(&trunk.action_head, kind)?,
+            action_head: Affine::of(&trunk.action_head, by)?,
         })
     }
 
@@ -152,11 +150,12 @@ impl FoldedTrunk {
 }
 
 impl FoldedEncoderLayer {
-    fn new(layer: &EncoderLayer, position: Option<&Tensor>, kind: Kind) -> Result<Self, TchError> {
+    fn new(layer: &EncoderLayer, position: Option<&Tensor>, by: By) -> Result<Self, TchError> {
         let [first, second] = &layer.norms;
+        let kind = by.kind();
         Ok(Self {
-            attention: SelfAttention::new(&layer.attention, position, kind)?,
-            feed_forward: FoldedFeedForward::new(&layer.feed_forward, kind)?,
+            attention: SelfAttention::new(&layer.attention, position, by)?,
+            feed_forward: FoldedFeedForward::new(&layer.feed_forward, by)?,
             norms: [first.of_kind(kind)?, second.of_kind(kind)?],
             pre_norm: layer.pre_norm,
         })
@@ -179,10 +178,11 @@ impl FoldedDecoderLayer {
         queries: &Tensor,
         zeros: Option<&Tensor>,
         position: Option<&Tensor>,
-        kind: Kind,
+        by: By,
     ) -> Result<Self, TchError> {
         let cross = &layer.cross_attention;
         let [first, second, third] = &layer.norms;
+        let kind = by.kind();
         let start = match zeros {
             Some(zeros) => {
                 let batched = |x: &Tensor| x.f_unsqueeze(0);
@@ -195,21 +195,25 @@ impl FoldedDecoderLayer {
                     x.shallow_clone()
                 };
                 // In the precision of training, whatever `kind` is.
-                let exact = CrossAttention::new(cross, queries, None, x.kind())?;
+                let exact = CrossAttention::new(cross, queries, None, By::Library(x.kind()))?;
                 Start::Known {
                     queries: exact.queries(&asking, 1)?.f_detach()?.f_to_kind(kind)?,
                     x: x.f_detach()?.f_to_kind(kind)?,
                 }
             }
             None => Start::Computed {
-                attention: SelfAttention::new(&layer.self_attention, Some(queries), kind)?,
+                attention: Box::new(SelfAttention::new(
+                    &layer.self_attention,
+                    Some(queries),
+                    by,
+                )?),
                 norm: first.of_kind(kind)?,
             },
         };
         Ok(Self {
             start,
-            cross_attention: CrossAttention::new(cross, queries, position, kind)?,
-            feed_forward: FoldedFeedForward::new(&layer.feed_forward, kind)?,
+            cross_attention: CrossAttention::new(cross, queries, position, by)?,
+            feed_forward: FoldedFeedForward::new(&layer.feed_forward, by)?,
             norms: [second.of_kind(kind)?, third.of_kind(kind)?],
             pre_norm: layer.pre_norm,
         })
@@ -259,10 +263,10 @@ impl FoldedDecoderLayer {
 }
 
 impl FoldedFeedForward {
-    fn new(layer: &FeedForward, kind: Kind) -> Result<Self, TchError> {
+    fn new(layer: &FeedForward, by: By) -> Result<Self, TchError> {
         Ok(Self {
-            widen: Affine::of(&layer.widen, kind)?,
-            narrow: Affine::of(&layer.narrow, kind)?,
+            widen: Affine::of(&layer.widen, by)?,
+            narrow: Affine::of(&layer.narrow, by)?,
         })
     }
 

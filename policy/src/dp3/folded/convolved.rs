@@ -6,7 +6,7 @@ use tch::{Device, Kind, TchError, Tensor};
 use super::streamed::{Streamed, Workspace};
 use super::taps::Taps;
 use crate::dp3::blocks::{Convolution, Doubling};
-use crate::layers::narrow::Processor;
+use crate::layers::vectors::Processor;
 
 /// By what convolutions are computed.
 #[derive(Clone, Copy, Debug)]

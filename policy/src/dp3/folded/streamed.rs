@@ -3,7 +3,8 @@
 use tch::{TchError, Tensor};
 
 use crate::dp3::blocks::{Convolution, Doubling};
-use crate::layers::narrow::{Columns, Narrow, Place, Processor, Windows};
+use crate::layers::narrow::{Columns, Narrow, Place, Windows};
+use crate::layers::vectors::Processor;
 
 /// A convolution for a fixed number of steps, from `(1, channels, steps)` to `(1, channels, steps)`.
 #[derive(Debug)]

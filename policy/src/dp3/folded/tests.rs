@@ -7,7 +7,7 @@ use tch::{Device, Kind, Tensor};
 use super::FoldedDp3;
 use super::convolved::By;
 use crate::dp3::{CloudObservation, Dp3, Dp3Config, Dp3Preset};
-use crate::layers::narrow::Processor;
+use crate::layers::vectors::Processor;
 use crate::parameters::ParameterSource;
 
 /// Of the greatest number in an answer, after all steps of the diffusion.

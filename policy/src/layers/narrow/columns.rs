@@ -1,6 +1,6 @@
 //! What weights are multiplied with: few columns, a row at a time beside each other.
 
-use super::Processor;
+use crate::layers::vectors::Processor;
 
 /// The columns of a product: for each block of columns, for each row, the numbers of the block's columns.
 #[derive(Debug, Default)]
@@ -61,7 +61,7 @@ impl Columns {
         } = windows;
         self.rows = x.len() / steps.max(1) * taps;
         self.count = count;
-        self.width = processor.width(count);
+        self.width = width(processor, count);
         self.values.clear();
         if count == 0 {
             return;
@@ -102,5 +102,14 @@ impl Columns {
                 }
             }
         }
+    }
+}
+
+/// Of `count` columns, how many a block takes: as many as the processor has registers for.
+const fn width(processor: Processor, count: usize) -> usize {
+    match (processor.lanes(), count) {
+        (16, 9..) => 16,
+        (16, 5..) => 8,
+        _ => 4,
     }
 }

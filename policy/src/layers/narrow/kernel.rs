@@ -1,9 +1,9 @@
 //! The product itself.
 
 use super::columns::Columns;
-use super::vectors::Vectors;
 use super::weights::Stored;
 use super::{PANEL, Place};
+use crate::layers::vectors::{Vectors, Work};
 
 /// How far ahead memory is asked for, bytes, as measured.
 const AHEAD: usize = 2048;
@@ -19,9 +19,33 @@ pub(super) struct To<'a> {
     pub(super) place: Place,
 }
 
+/// All of `panels` by `columns`.
+pub(super) struct Product<'a, T> {
+    pub(super) panels: &'a [T],
+    pub(super) columns: &'a Columns,
+    pub(super) to: To<'a>,
+}
+
+impl<T: Stored> Work for Product<'_, T> {
+    #[inline(always)]
+    fn run<V: Vectors>(self, simd: V) {
+        let Self {
+            panels,
+            columns,
+            to,
+        } = self;
+        match (V::F32_LANES, columns.width()) {
+            (16, 16) => product::<V, T, 1, 16, 1>(simd, panels, columns, to),
+            (16, 8) => product::<V, T, 1, 8, 2>(simd, panels, columns, to),
+            (16, _) => product::<V, T, 1, 4, 4>(simd, panels, columns, to),
+            _ => product::<V, T, 2, 4, 1>(simd, panels, columns, to),
+        }
+    }
+}
+
 /// All of `panels`, `PANELS` at a time, by `columns` in blocks of `COLUMNS`; a panel is `VECTORS` vectors wide.
 #[inline(always)]
-pub(super) fn product<
+fn product<
     V: Vectors,
     T: Stored,
     const VECTORS: usize,

@@ -5,7 +5,8 @@ use half::f16;
 use tch::{Kind, Tensor};
 
 use super::weights::{Weights, panels};
-use super::{Columns, Narrow, Place, Processor, Windows};
+use super::{Columns, Narrow, Place, Windows};
+use crate::layers::vectors::Processor;
 use crate::rng::SplitMix64;
 
 /// Of the sum of the sizes of what is added up, which rounding goes by.

@@ -3,7 +3,7 @@
 use half::{bf16, f16};
 
 use super::PANEL;
-use super::vectors::Vectors;
+use crate::layers::vectors::Vectors;
 
 /// A row of a panel in half precision, bits.
 #[derive(Clone, Copy, Debug)]

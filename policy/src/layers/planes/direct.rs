@@ -1,10 +1,11 @@
 //! Convolutions tap by tap: of any stride, and of pictures that are too small for tiles.
 
-use pulp::Simd;
 use tch::{TchError, Tensor};
 
-use super::kernel::{InRegisters, PANEL, Sums, Work, accumulate, panels};
 use super::{Ending, Plane, Size, Workspace, bias_of, shape_of};
+use crate::layers::aligned::Aligned;
+use crate::layers::kernel::{InRegisters, PANEL, Summing, Sums, accumulate, panels};
+use crate::layers::vectors::Vectors;
 
 /// Numbers of an input that a block of rows reads at most, so that it stays in the second-level cache.
 const BLOCK: usize = 1 << 17;
@@ -22,7 +23,7 @@ pub(crate) struct Steps {
 #[derive(Debug)]
 pub(crate) struct Direct {
     /// For each panel of outputs, for each tap: `(inputs, outputs of a panel)`.
-    weight: Vec<f32>,
+    weight: Aligned,
     bias: Vec<f32>,
     /// Taps along a side.
     side: usize,
@@ -46,7 +47,7 @@ impl Direct {
             return Err(TchError::Shape(text));
         }
         Ok(Self {
-            weight: panels(weight, [0, 3, 4, 2, 1])?,
+            weight: Aligned::of(&panels(weight, &[0, 3, 4, 2, 1])?),
             bias: bias_of(bias, outputs)?,
             side,
             steps,
@@ -77,7 +78,7 @@ impl Direct {
         let ending = Ending::new(&self.bias, beside, self.rectified, size)?;
         let mut out = workspace.plane(size);
         if size.numbers() > 0 {
-            workspace.vectors.dispatch(InRegisters(Taps {
+            workspace.processor.run(InRegisters(Taps {
                 convolution: self,
                 x,
                 zeros: &vec![0.0; self.inputs],
@@ -102,9 +103,9 @@ struct Taps<'a> {
     out: &'a mut [f32],
 }
 
-impl Work for Taps<'_> {
+impl Summing for Taps<'_> {
     #[inline(always)]
-    fn run<S: Simd, const ROWS: usize, const VECTORS: usize>(self, simd: S) {
+    fn run<V: Vectors, const ROWS: usize, const VECTORS: usize>(self, simd: V) {
         let Direct {
             weight,
             side,
@@ -121,11 +122,11 @@ impl Work for Taps<'_> {
                 let panels = weight.chunks_exact(side * side * inputs * PANEL);
                 for (panel, weight) in panels.enumerate() {
                     for pixel in (first..end).step_by(ROWS) {
-                        let sums = self.group::<S, ROWS, VECTORS>(simd, weight, picture, pixel);
+                        let sums = self.group::<V, ROWS, VECTORS>(simd, weight, picture, pixel);
                         for (pixel, sums) in (pixel..end).zip(sums) {
                             let at = (picture * pixels + pixel) * self.size.channels;
                             for (vector, sum) in sums.into_iter().enumerate() {
-                                let channel = panel * PANEL + vector * S::F32_LANES;
+                                let channel = panel * PANEL + vector * V::F32_LANES;
                                 let ending = &self.ending;
                                 ending.write(simd, sum, self.out, at + channel, channel);
                             }
@@ -140,13 +141,13 @@ impl Work for Taps<'_> {
 impl Taps<'_> {
     /// The sums over the taps of the pixels from `first` on, row by row; behind the last pixel whatever.
     #[inline(always)]
-    fn group<S: Simd, const ROWS: usize, const VECTORS: usize>(
+    fn group<V: Vectors, const ROWS: usize, const VECTORS: usize>(
         &self,
-        simd: S,
+        simd: V,
         weight: &[f32],
         picture: usize,
         first: usize,
-    ) -> Sums<S, ROWS, VECTORS> {
+    ) -> Sums<V, ROWS, VECTORS> {
         let Direct {
             side,
             steps,
@@ -171,7 +172,7 @@ impl Taps<'_> {
             for (row, place) in rows.iter_mut().zip(places) {
                 *row = self.pixel(picture, [place[0] + tap[0], place[1] + tap[1]]);
             }
-            sums = accumulate(simd, sums, weight, rows);
+            sums = accumulate(simd, sums, weight, rows, &[]);
         }
         sums
     }

@@ -6,17 +6,16 @@
 use pulp::Simd;
 use tch::{TchError, Tensor};
 
-use super::kernel::{InRegisters, PANEL, Sums, Work, panels};
-use super::{Ending, Plane, Size, Workspace, bias_of, grow, load, shape_of, store};
+use super::{Ending, Plane, Size, Workspace, bias_of, load, shape_of, store};
+use crate::layers::aligned::Aligned;
+use crate::layers::kernel::{GROUP, InRegisters, PANEL, Summing, Sums, panels};
+use crate::layers::vectors::Vectors;
 
 /// Colours of a picture.
 const COLOURS: usize = 3;
 
 /// Taps along a side.
 const TAPS: usize = 7;
-
-/// Outputs that are computed at once.
-const GROUP: usize = 8;
 
 /// Inputs along a row that as many outputs see.
 const SEEN: usize = 2 * (GROUP - 1) + TAPS;
@@ -28,7 +27,7 @@ const POOLED: usize = 3;
 #[derive(Debug)]
 pub(crate) struct Stem {
     /// For each panel of outputs: `(colours, taps down, taps across, outputs of a panel)`.
-    weight: Vec<f32>,
+    weight: Aligned,
     bias: Vec<f32>,
 }
 
@@ -67,7 +66,7 @@ impl Stem {
             return Err(TchError::Shape(format!("weight {:?}", weight.size())));
         }
         Ok(Self {
-            weight: panels(weight, [0, 2, 3, 4, 1])?,
+            weight: Aligned::of(&panels(weight, &[0, 2, 3, 4, 1])?),
             bias: bias_of(bias, outputs)?,
         })
     }
@@ -90,14 +89,14 @@ impl Stem {
             channels: self.bias.len(),
         };
         let mut out = workspace.plane(size);
-        let vectors = workspace.vectors;
+        let processor = workspace.processor;
         let Workspace {
             tiles: padded,
             products: other,
             ..
         } = workspace;
         let numbers = COLOURS * height * width;
-        grow(other, numbers.max(POOLED * lengths.columns * size.channels));
+        other.grow(numbers.max(POOLED * lengths.columns * size.channels));
         let of_picture = size.height * size.width * size.channels;
         for (picture, out) in out.values[..size.numbers()]
             .chunks_exact_mut(of_picture)
@@ -109,7 +108,7 @@ impl Stem {
                 .f_contiguous()?
                 .f_copy_data(other, numbers)?;
             pad(&other[..numbers], padded, [height, width], lengths);
-            vectors.dispatch(InRegisters(Picture {
+            processor.run(InRegisters(Picture {
                 stem: self,
                 padded,
                 rows: other,
@@ -123,7 +122,7 @@ impl Stem {
 }
 
 /// Copies a picture `(colours, height, width)` into one with a border of zeros.
-fn pad(picture: &[f32], padded: &mut Vec<f32>, [height, width]: [usize; 2], lengths: Lengths) {
+fn pad(picture: &[f32], padded: &mut Aligned, [height, width]: [usize; 2], lengths: Lengths) {
     let Lengths {
         padded_high,
         padded_wide,
@@ -131,7 +130,7 @@ fn pad(picture: &[f32], padded: &mut Vec<f32>, [height, width]: [usize; 2], leng
     } = lengths;
     let border = TAPS / 2;
     let numbers = COLOURS * padded_high * padded_wide;
-    grow(padded, numbers);
+    padded.grow(numbers);
     padded[..numbers].fill(0.0);
     for (index, row) in picture.chunks_exact(width).enumerate() {
         let (colour, y) = (index / height, index % height);
@@ -152,14 +151,14 @@ struct Picture<'a> {
     out: &'a mut [f32],
 }
 
-impl Work for Picture<'_> {
+impl Summing for Picture<'_> {
     #[inline(always)]
-    fn run<S: Simd, const ROWS: usize, const VECTORS: usize>(mut self, simd: S) {
+    fn run<V: Vectors, const ROWS: usize, const VECTORS: usize>(mut self, simd: V) {
         let mut computed = 0;
         for y in 0..self.size.height {
             let seen = 2 * y + 2;
             while computed < seen.min(self.lengths.high) {
-                self.convolve::<S, ROWS, VECTORS>(simd, computed);
+                self.convolve::<V, ROWS, VECTORS>(simd, computed);
                 computed += 1;
             }
             self.pool(simd, y);

@@ -1,10 +1,10 @@
 //! The same numbers as the library's plain convolutions in double precision, to rounding, whatever the vectors' width.
 
-use pulp::Arch;
-use pulp::x86::V3;
 use tch::{Device, Kind, TchError, Tensor};
 
 use super::{Direct, Plane, Size, Stem, Steps, Winograd, Workspace, shape_of};
+use crate::layers::aligned::Aligned;
+use crate::layers::vectors::Processor;
 use crate::rng::SplitMix64;
 
 /// Of the greatest number in an answer. Seen here: tiles up to 1.6e-6, taps 6.4e-7, the stem 4.6e-7, the library 5.7e-7.
@@ -26,7 +26,7 @@ fn plane_of(x: &Tensor) -> Plane {
     let [pictures, channels, height, width] = shape_of(x).unwrap();
     let last = x.permute([0, 2, 3, 1]).contiguous().view([-1]);
     Plane {
-        values: Vec::try_from(&last).unwrap(),
+        values: Aligned::of(&Vec::<f32>::try_from(&last).unwrap()),
         size: Size {
             pictures,
             height,
@@ -117,8 +117,8 @@ impl Case {
         }
     }
 
-    fn ours(&self, vectors: Arch) -> Result<Tensor, TchError> {
-        let mut workspace = Workspace::of(vectors);
+    fn ours(&self, processor: Processor) -> Result<Tensor, TchError> {
+        let mut workspace = Workspace::of(processor);
         // What is left of others is no part of an answer.
         let other = self.apply(&self.x.full_like(f64::NAN), &mut workspace)?;
         workspace.give_back(other);
@@ -143,8 +143,8 @@ impl Case {
 
     #[track_caller]
     fn check(&self) {
-        let vectors = Workspace::find().expect("the tests need AVX2").vectors;
-        let ours = self.ours(vectors).unwrap();
+        let processor = Processor::found().expect("the tests need AVX2");
+        let ours = self.ours(processor).unwrap();
         let expected = self.expected(Kind::Double);
         let library = off(&self.expected(Kind::Float), &expected);
         let off = off(&ours, &expected);
@@ -152,8 +152,13 @@ impl Case {
             off <= ROUNDING,
             "off by {off:e}, the library by {library:e}"
         );
-        let narrow = Arch::V3(V3::try_new().expect("the tests need AVX2"));
-        assert_eq!(self.ours(narrow).unwrap(), ours, "AVX2 gives other bits");
+        for processor in Processor::all() {
+            assert_eq!(
+                self.ours(processor).unwrap(),
+                ours,
+                "{processor:?} gives other bits"
+            );
+        }
     }
 }
 
@@ -213,7 +218,7 @@ fn the_first_layers_of_any_size() {
 
 #[test]
 fn what_is_not_a_number_stays_so() {
-    let vectors = Workspace::find().unwrap().vectors;
+    let processor = Processor::found().unwrap();
     for (way, channels) in [
         (Way::Tiles, 16),
         (Way::Taps(SAME), 16),
@@ -225,7 +230,7 @@ fn what_is_not_a_number_stays_so() {
         // Within reach of the kernel in the library's way, and perhaps further in ours.
         let expected = case.expected(Kind::Float).isnan();
         assert!(bool::try_from(expected.any()).unwrap());
-        let seen = case.ours(vectors).unwrap().isnan();
+        let seen = case.ours(processor).unwrap().isnan();
         assert_eq!(seen.logical_and(&expected), expected);
     }
 }
@@ -258,20 +263,20 @@ fn shapes_that_do_not_fit_are_refused() {
         assert!(Direct::new(&zeros(&[32, 16, 3, 3]), &bias, HALF, true).is_err());
         assert!(Stem::new(&zeros(&[32, 3, 7, 7]), &bias).is_err());
     }
-    let vectors = Workspace::find().unwrap().vectors;
+    let processor = Processor::found().unwrap();
     for way in [Way::Tiles, Way::Taps(HALF)] {
         let mut case = Case::new(way, [1, 16, 8, 8], 32);
         case.beside = Some(numbers("beside", &[1, 32, 8, 9]));
-        assert!(case.ours(vectors).is_err());
+        assert!(case.ours(processor).is_err());
         case.beside = None;
         case.weight = numbers("weight", &[32, 32, 3, 3]);
-        let error = case.ours(vectors).unwrap_err().to_string();
+        let error = case.ours(processor).unwrap_err().to_string();
         assert!(error.contains("channels: 16 }") && error.contains("of 32 channels"));
         assert!(error.len() < 200, "{error}");
     }
     let stem = Case::new(Way::Stem, [1, 3, 8, 8], 32);
     let grey = numbers("x", &[1, 1, 8, 8]);
-    assert!(stem.apply(&grey, &mut Workspace::of(vectors)).is_err());
+    assert!(stem.apply(&grey, &mut Workspace::of(processor)).is_err());
 }
 
 #[test]

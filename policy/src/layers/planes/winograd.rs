@@ -6,12 +6,13 @@
 //! square roots of a half and of two, whose powers are as close to one as four such points allow, so that little is lost to
 //! rounding.
 
-use pulp::Simd;
 use tch::{TchError, Tensor};
 
-use super::kernel::{InRegisters, PANEL, Work, accumulate};
 use super::transforms::{Constants, from_tile, kernel_to_tile, to_tile};
-use super::{Ending, Plane, Size, Workspace, bias_of, grow, shape_of};
+use super::{Ending, Plane, Size, Workspace, bias_of, shape_of};
+use crate::layers::aligned::Aligned;
+use crate::layers::kernel::{GROUP, InRegisters, PANEL, Summing, accumulate, share};
+use crate::layers::vectors::Vectors;
 
 /// Outputs along a side of a tile.
 pub(super) const OUTPUTS: usize = 4;
@@ -26,10 +27,7 @@ pub(super) const VALUES: usize = INPUTS * INPUTS;
 const GAP: usize = 16;
 
 /// Inputs that are summed on their own before they are added to the others', so that fewer bits are lost.
-const PART: usize = 64;
-
-/// Tiles that a product takes at once.
-const GROUP: usize = 8;
+const PART: usize = 128;
 
 impl Size {
     const fn tiles(self) -> usize {
@@ -54,7 +52,7 @@ impl Size {
 #[derive(Debug)]
 pub(crate) struct Winograd {
     /// For each value of a tile, for each panel of outputs: `(inputs, outputs of a panel)`.
-    weight: Vec<f32>,
+    weight: Aligned,
     bias: Vec<f32>,
     inputs: usize,
     outputs: usize,
@@ -69,7 +67,7 @@ impl Winograd {
             return Err(TchError::Shape(format!("weight {:?}", weight.size())));
         }
         let kernels = Vec::<f32>::try_from(&weight.f_contiguous()?.f_view([-1])?)?;
-        let mut tiles = vec![0.0; VALUES * inputs * outputs];
+        let mut tiles = Aligned::zeros(VALUES * inputs * outputs);
         let (kernels, _) = kernels.as_chunks::<9>();
         for (index, kernel) in kernels.iter().enumerate() {
             let (output, input) = (index / inputs, index % inputs);
@@ -112,13 +110,12 @@ impl Winograd {
         if block == 0 {
             return Ok(out);
         }
-        grow(&mut workspace.tiles, VALUES * (block * self.inputs + GAP));
-        grow(
-            &mut workspace.products,
-            VALUES * (block * self.outputs + GAP),
-        );
-        let vectors = workspace.vectors;
-        vectors.dispatch(InRegisters(Tiles {
+        workspace.tiles.grow(VALUES * (block * self.inputs + GAP));
+        workspace
+            .products
+            .grow(VALUES * (block * self.outputs + GAP));
+        let processor = workspace.processor;
+        processor.run(InRegisters(Tiles {
             convolution: self,
             x,
             ending,
@@ -141,9 +138,9 @@ struct Tiles<'a> {
     workspace: &'a mut Workspace,
 }
 
-impl Work for Tiles<'_> {
+impl Summing for Tiles<'_> {
     #[inline(always)]
-    fn run<S: Simd, const ROWS: usize, const VECTORS: usize>(self, simd: S) {
+    fn run<V: Vectors, const ROWS: usize, const VECTORS: usize>(self, simd: V) {
         let constants = Constants::new(simd);
         let &Winograd {
             inputs, outputs, ..
@@ -164,10 +161,10 @@ impl Work for Tiles<'_> {
             }
             for value in 0..VALUES {
                 let weight = &self.convolution.weight[value * inputs * outputs..];
-                let weight = &weight[..inputs * outputs];
                 let tiles = &tiles[value * between_tiles..];
                 let products = &mut products[value * between_products..];
-                product::<S, ROWS, VECTORS>(simd, weight, tiles, products, count, inputs);
+                let lengths = [count, inputs, outputs];
+                product::<V, ROWS, VECTORS>(simd, weight, tiles, products, lengths);
             }
             for index in 0..count {
                 let from = (&products[index * outputs..], between_products);
@@ -178,30 +175,34 @@ impl Work for Tiles<'_> {
     }
 }
 
-/// The first `count` of `tiles` `(tiles, inputs)` by `weight` `(panels, inputs, outputs of a panel)`. Tiles are done in groups,
-/// so some more of `products` may be written to.
+/// The first `count` of `tiles` `(tiles, inputs)` by the first panels of `weight` `(panels, inputs, outputs of a panel)`. Tiles
+/// are done in groups, so some more of `products` may be written to.
 #[inline(always)]
-fn product<S: Simd, const ROWS: usize, const VECTORS: usize>(
-    simd: S,
+fn product<V: Vectors, const ROWS: usize, const VECTORS: usize>(
+    simd: V,
     weight: &[f32],
     tiles: &[f32],
     products: &mut [f32],
-    count: usize,
-    inputs: usize,
+    [count, inputs, outputs]: [usize; 3],
 ) {
-    let outputs = weight.len() / inputs;
-    for (panel, weight) in weight.chunks_exact(inputs * PANEL).enumerate() {
-        for tile in (0..count).step_by(ROWS) {
-            let tiles = &tiles[tile * inputs..][..ROWS * inputs];
-            let products = &mut products[tile * outputs + panel * PANEL..];
+    let (groups, parts) = (count.div_ceil(ROWS), inputs.div_ceil(PART));
+    let size = inputs * PANEL;
+    for panel in 0..outputs / PANEL {
+        let (weight, rest) = weight[panel * size..].split_at(size);
+        // What comes next is far away: while this panel is used, each group brings a part of it nearer.
+        let next = &rest[..rest.len().min(size)];
+        for group in 0..groups {
+            let tiles = &tiles[group * ROWS * inputs..][..ROWS * inputs];
+            let products = &mut products[group * ROWS * outputs + panel * PANEL..];
             for (part, weight) in weight.chunks(PART * PANEL).enumerate() {
                 let depth = weight.len() / PANEL;
                 let rows = std::array::from_fn(|row| &tiles[row * inputs + part * PART..][..depth]);
                 let zeros = [[simd.splat_f32s(0.0); VECTORS]; ROWS];
-                let sums = accumulate(simd, zeros, weight, rows);
+                let ahead = share(next, group * parts + part, groups * parts);
+                let sums = accumulate(simd, zeros, weight, rows, ahead);
                 for (row, sums) in sums.iter().enumerate() {
                     let to = &mut products[row * outputs..][..PANEL];
-                    let (to, _) = S::as_mut_simd_f32s(to);
+                    let (to, _) = V::as_mut_simd_f32s(to);
                     if part == 0 {
                         to[..VECTORS].copy_from_slice(sums);
                     } else {

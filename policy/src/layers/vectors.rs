@@ -2,7 +2,7 @@
 
 use pulp::Simd;
 
-/// A processor's vectors.
+/// A processor's vectors: eight numbers in single precision or 16, and multiplications fused with additions.
 pub(super) trait Vectors: Simd {
     /// Numbers in single precision.
     fn single(self, from: &[f32]) -> Self::f32s;
@@ -15,6 +15,14 @@ pub(super) trait Vectors: Simd {
 
     /// Asks for the memory `bytes` after `at`, without waiting for it; it may be anybody's.
     fn fetch<T>(self, at: &T, bytes: usize);
+
+    /// Asks for the memory at `at` to be brought to the second-level cache, without waiting for it.
+    fn fetch_near<T>(self, at: &T);
+}
+
+/// Something that is done with a processor's vectors.
+pub(super) trait Work {
+    fn run<V: Vectors>(self, simd: V);
 }
 
 #[cfg(target_arch = "x86_64")]
@@ -22,13 +30,13 @@ mod x86 {
     use pulp::x86::{V3, V4};
     use pulp::{Simd, cast};
 
-    use super::Vectors;
-    use crate::layers::narrow::columns::Columns;
-    use crate::layers::narrow::kernel::{To, product};
-    use crate::layers::narrow::weights::Stored;
+    use super::{Vectors, Work};
 
     /// Into all levels of cache.
     const TO_ALL: i32 = 3;
+
+    /// Into the second level and those below.
+    const TO_SECOND: i32 = 2;
 
     /// A processor whose vector instructions are known here.
     #[derive(Clone, Copy, Debug)]
@@ -54,33 +62,24 @@ mod x86 {
             wide.into_iter().chain(narrow).collect()
         }
 
-        /// Of `count` columns, how many a block takes: as many as the processor has registers for.
-        pub(crate) const fn width(self, count: usize) -> usize {
+        /// Numbers of a vector.
+        pub(in crate::layers) const fn lanes(self) -> usize {
             match self {
-                Self::V4(_) if count > 8 => 16,
-                Self::V4(_) if count > 4 => 8,
-                Self::V4(_) | Self::V3(_) => 4,
+                Self::V4(_) => 16,
+                Self::V3(_) => 8,
             }
         }
 
-        pub(in crate::layers::narrow) fn run<T: Stored>(
-            self,
-            panels: &[T],
-            columns: &Columns,
-            to: To<'_>,
-        ) {
+        /// Does `work` with the vectors of this one.
+        pub(in crate::layers) fn run<W: Work>(self, work: W) {
             match self {
                 Self::V4(simd) => simd.vectorize(
                     #[inline(always)]
-                    || match columns.width() {
-                        16 => product::<V4, T, 1, 16, 1>(simd, panels, columns, to),
-                        8 => product::<V4, T, 1, 8, 2>(simd, panels, columns, to),
-                        _ => product::<V4, T, 1, 4, 4>(simd, panels, columns, to),
-                    },
+                    || work.run(simd),
                 ),
                 Self::V3(simd) => simd.vectorize(
                     #[inline(always)]
-                    || product::<V3, T, 2, 4, 1>(simd, panels, columns, to),
+                    || work.run(simd),
                 ),
             }
         }
@@ -115,6 +114,12 @@ mod x86 {
         fn fetch<T>(self, at: &T, bytes: usize) {
             let at = core::ptr::from_ref(at).cast::<i8>();
             self.sse._mm_prefetch::<TO_ALL>(at.wrapping_add(bytes));
+        }
+
+        #[inline(always)]
+        fn fetch_near<T>(self, at: &T) {
+            let at = core::ptr::from_ref(at).cast::<i8>();
+            self.sse._mm_prefetch::<TO_SECOND>(at);
         }
     }
 
@@ -154,6 +159,12 @@ mod x86 {
             let at = core::ptr::from_ref(at).cast::<i8>();
             self.sse._mm_prefetch::<TO_ALL>(at.wrapping_add(bytes));
         }
+
+        #[inline(always)]
+        fn fetch_near<T>(self, at: &T) {
+            let at = core::ptr::from_ref(at).cast::<i8>();
+            self.sse._mm_prefetch::<TO_SECOND>(at);
+        }
     }
 }
 
@@ -163,9 +174,7 @@ pub(crate) use x86::Processor;
 /// Processors of other kinds use the network library.
 #[cfg(not(target_arch = "x86_64"))]
 mod other {
-    use crate::layers::narrow::columns::Columns;
-    use crate::layers::narrow::kernel::To;
-    use crate::layers::narrow::weights::Stored;
+    use super::Work;
 
     #[derive(Clone, Copy, Debug)]
     pub(crate) enum Processor {}
@@ -180,11 +189,11 @@ mod other {
             Vec::new()
         }
 
-        pub(crate) const fn width(self, _: usize) -> usize {
+        pub(in crate::layers) const fn lanes(self) -> usize {
             match self {}
         }
 
-        pub(in crate::layers::narrow) fn run<T: Stored>(self, _: &[T], _: &Columns, _: To<'_>) {
+        pub(in crate::layers) fn run<W: Work>(self, _: W) {
             match self {}
         }
     }

@@ -1,7 +1,9 @@
-//! What all these convolutions come to: some rows of inputs by a panel of weights.
+//! What convolutions of pictures and linear layers come to: some rows of inputs by a panel of weights.
 
-use pulp::{Simd, WithSimd};
+use pulp::Simd;
 use tch::{TchError, Tensor};
+
+use super::vectors::{Vectors, Work};
 
 /// Outputs whose weights lie side by side.
 pub(super) const PANEL: usize = 32;
@@ -10,56 +12,75 @@ pub(super) const PANEL: usize = 32;
 pub(super) type Sums<S, const ROWS: usize, const VECTORS: usize> =
     [[<S as Simd>::f32s; VECTORS]; ROWS];
 
-/// A convolution of given planes, whose sums the processor's registers should hold.
-pub(super) trait Work {
+/// Rows that are done at once at most.
+pub(super) const GROUP: usize = 8;
+
+/// Work whose sums the processor's registers should hold.
+pub(super) trait Summing {
     /// All of it, `ROWS` rows by `VECTORS` vectors of sums at once.
-    fn run<S: Simd, const ROWS: usize, const VECTORS: usize>(self, simd: S);
+    fn run<V: Vectors, const ROWS: usize, const VECTORS: usize>(self, simd: V);
 }
 
 /// Work in whichever registers the processor has.
 pub(super) struct InRegisters<W>(pub(super) W);
 
-impl<W: Work> WithSimd for InRegisters<W> {
-    type Output = ();
-
+impl<W: Summing> Work for InRegisters<W> {
     #[inline(always)]
-    fn with_simd<S: Simd>(self, simd: S) {
-        match S::F32_LANES {
-            16 => self.0.run::<S, 8, 2>(simd),
-            8 => self.0.run::<S, 2, 4>(simd),
-            4 => self.0.run::<S, 2, 8>(simd),
-            _ => self.0.run::<S, 1, PANEL>(simd),
+    fn run<V: Vectors>(self, simd: V) {
+        match V::F32_LANES {
+            16 => self.0.run::<V, GROUP, 2>(simd),
+            _ => self.0.run::<V, 2, 4>(simd),
         }
     }
 }
 
 /// `weight` `(outputs, ..)` with the outputs of a panel last: its dimensions, the outputs in two, in this order.
-pub(super) fn panels(weight: &Tensor, order: [i64; 5]) -> Result<Vec<f32>, TchError> {
+pub(super) fn panels(weight: &Tensor, order: &[i64]) -> Result<Vec<f32>, TchError> {
     let panel = i64::try_from(PANEL).unwrap_or(0);
     let last = weight.f_unflatten(0, [-1, panel])?.f_permute(order)?;
     Vec::try_from(&last.f_contiguous()?.f_view([-1])?)
 }
 
+/// The part `index` of `count` parts of `all`, in whole lines; the last ones may be smaller or nothing.
+#[inline(always)]
+pub(super) fn share(all: &[f32], index: usize, count: usize) -> &[f32] {
+    let size = all.len().div_ceil(count.max(1)).next_multiple_of(LINE);
+    all.chunks(size.max(1)).nth(index).unwrap_or_default()
+}
+
 /// Numbers of a row that are taken as one: the processor checks no lengths in between.
 const STRETCH: usize = 8;
 
-/// Adds the products of each row's numbers with `weight` `(numbers, outputs of a panel)`, one number after the other.
+/// Numbers that memory is brought to a cache by.
+const LINE: usize = 16;
+
+/// Adds the products of each row's numbers with `weight` `(numbers, outputs of a panel)`, one number after the other. Meanwhile the
+/// numbers `ahead` are brought near.
 ///
 /// As many sums as the processor has registers for, with the weights of a number and one number of a row; iterators over them
 /// would keep them in memory instead.
 #[inline(always)]
-pub(super) fn accumulate<S: Simd, const ROWS: usize, const VECTORS: usize>(
-    simd: S,
-    mut sums: Sums<S, ROWS, VECTORS>,
+pub(super) fn accumulate<V: Vectors, const ROWS: usize, const VECTORS: usize>(
+    simd: V,
+    mut sums: Sums<V, ROWS, VECTORS>,
     weight: &[f32],
     rows: [&[f32]; ROWS],
-) -> Sums<S, ROWS, VECTORS> {
-    let (weight, _) = pulp::as_arrays::<VECTORS, _>(S::as_simd_f32s(weight).0);
+    mut ahead: &[f32],
+) -> Sums<V, ROWS, VECTORS> {
+    let (weight, _) = pulp::as_arrays::<VECTORS, _>(V::as_simd_f32s(weight).0);
     let whole = weight.len() / STRETCH;
     let (stretches, rest) = weight.as_chunks::<STRETCH>();
     let numbers: [&[[f32; STRETCH]]; ROWS] =
         std::array::from_fn(|row| &rows[row].as_chunks().0[..whole]);
+    let lines = ahead.len().div_ceil(whole.max(1)).next_multiple_of(LINE);
     for (index, weight) in stretches.iter().enumerate() {
+        if !ahead.is_empty() {
+            let (now, later) = ahead.split_at(lines.min(ahead.len()));
+            for line in now.iter().step_by(LINE) {
+                simd.fetch_near(line);
+            }
+            ahead = later;
+        }
         let numbers: [&[f32; STRETCH]; ROWS] = std::array::from_fn(|row| &numbers[row][index]);
         for (at, weight) in weight.iter().enumerate() {
             let numbers = std::array::from_fn(|row| numbers[row][at]);

@@ -1,0 +1,240 @@
+//! Products of rows with a matrix of weights on the CPU without the network library: one thread, single precision.
+//!
+//! The weights lie in the order in which they are read, so that none is put in order at each answer, and bias and rectifier come
+//! with the last sums. Each number is the same sum in the same order whatever the processor's vectors: sums over parts of the
+//! inputs, added up one after the other.
+
+use tch::{TchError, Tensor};
+
+use super::aligned::Aligned;
+use super::kernel::{InRegisters, PANEL, Summing, Sums, accumulate, panels, share};
+use super::memory;
+use super::vectors::{Processor, Vectors};
+
+/// Inputs whose weights of a panel go by while the sums of all rows are collected.
+const DEPTH: usize = 512;
+
+/// Inputs that are summed on their own before they are added to the others', so that fewer bits are lost.
+const PART: usize = 256;
+
+/// Rows whose inputs stay in the second-level cache.
+const ROWS_AT_ONCE: usize = 264;
+
+/// So few rows are done on their own.
+const FEW: usize = 2;
+
+/// A matrix `(inputs, outputs)`.
+#[derive(Debug)]
+pub(crate) struct Matrix {
+    processor: Processor,
+    /// For each [`DEPTH`] inputs, for each panel of outputs: `(inputs, outputs of a panel)`.
+    weight: Aligned,
+    inputs: usize,
+    outputs: usize,
+}
+
+/// What is added to each output, and whether a rectifier follows.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct After<'a> {
+    /// `(outputs)`, or `(rows, outputs)` of as many rows as often as they go into all.
+    pub(crate) bias: &'a [f32],
+    pub(crate) rectified: bool,
+}
+
+impl Matrix {
+    /// Whether `weight` `(outputs, inputs)` is of whole panels.
+    pub(crate) fn fits(weight: &Tensor) -> bool {
+        let panel = i64::try_from(PANEL).unwrap_or(i64::MAX);
+        matches!(weight.size().as_slice(), &[outputs, inputs] if inputs > 0 && outputs > 0 && outputs % panel == 0)
+    }
+
+    /// `weight` is `(outputs, inputs)`.
+    pub(crate) fn new(processor: Processor, weight: &Tensor) -> Result<Self, TchError> {
+        let shape = weight.size();
+        let &[outputs, inputs] = shape.as_slice() else {
+            return Err(TchError::Shape(format!("weight {shape:?}")));
+        };
+        if !Self::fits(weight) {
+            return Err(TchError::Shape(format!("weight {shape:?}")));
+        }
+        let length = |side: i64| usize::try_from(side).unwrap_or(0);
+        let mut numbers = Vec::with_capacity(length(outputs) * length(inputs));
+        for first in (0..inputs).step_by(DEPTH) {
+            let depth = (inputs - first).min(i64::try_from(DEPTH).unwrap_or(i64::MAX));
+            let part = weight.f_narrow(1, first, depth)?;
+            numbers.extend(panels(&part, &[0, 2, 1])?);
+        }
+        Ok(Self {
+            processor,
+            weight: Aligned::of(&numbers),
+            inputs: length(inputs),
+            outputs: length(outputs),
+        })
+    }
+
+    /// `x` `(rows, inputs)`, contiguous, by the matrix, and what comes after it: `(rows, outputs)`.
+    pub(crate) fn apply(&self, x: &Tensor, after: After<'_>) -> Result<Tensor, TchError> {
+        let shape = x.size();
+        let length = |side: i64| usize::try_from(side).unwrap_or(0);
+        let rows = match shape.as_slice() {
+            &[rows, inputs] if length(inputs) == self.inputs => length(rows),
+            _ => {
+                let text = format!("{shape:?} into {} inputs", self.inputs);
+                return Err(TchError::Shape(text));
+            }
+        };
+        let bias_rows = after.bias.len() / self.outputs;
+        let whole = bias_rows > 0 && bias_rows * self.outputs == after.bias.len();
+        if !whole || !rows.is_multiple_of(bias_rows) {
+            let text = format!("bias of {} for {rows} rows", after.bias.len());
+            return Err(TchError::Shape(text));
+        }
+        let x = memory::numbers(x)?;
+        memory::filled([rows, self.outputs], |out| {
+            if rows > 0 {
+                self.processor.run(InRegisters(Product {
+                    matrix: self,
+                    x,
+                    after,
+                    out,
+                }));
+            }
+        })
+    }
+}
+
+/// One product.
+struct Product<'a> {
+    matrix: &'a Matrix,
+    x: &'a [f32],
+    after: After<'a>,
+    out: &'a mut [f32],
+}
+
+impl Summing for Product<'_> {
+    #[inline(always)]
+    fn run<V: Vectors, const ROWS: usize, const VECTORS: usize>(mut self, simd: V) {
+        let &Matrix {
+            ref weight,
+            inputs,
+            outputs,
+            ..
+        } = self.matrix;
+        let rows = self.x.len() / inputs;
+        for block in (0..rows).step_by(ROWS_AT_ONCE) {
+            let end = rows.min(block + ROWS_AT_ONCE);
+            let groups = (end - block).div_ceil(ROWS);
+            for first in (0..inputs).step_by(DEPTH) {
+                let depth = DEPTH.min(inputs - first);
+                let size = depth * PANEL;
+                for panel in 0..outputs / PANEL {
+                    let at = first * outputs + panel * size;
+                    let (weight, rest) = weight[at..].split_at(size);
+                    let next = &rest[..rest.len().min(size)];
+                    for group in 0..groups {
+                        let place = Place {
+                            row: block + group * ROWS,
+                            end,
+                            input: first,
+                            panel,
+                        };
+                        let ahead = share(next, group, groups);
+                        if place.row + FEW < place.end {
+                            self.group::<V, ROWS, VECTORS>(simd, weight, &place, ahead);
+                        } else {
+                            self.group::<V, FEW, VECTORS>(simd, weight, &place, ahead);
+                        }
+                    }
+                }
+            }
+        }
+    }
+}
+
+/// Where in a product some rows are.
+struct Place {
+    row: usize,
+    /// One behind the last row that counts.
+    end: usize,
+    input: usize,
+    panel: usize,
+}
+
+impl Product<'_> {
+    /// Some rows by the `weight` of a panel.
+    #[inline(always)]
+    fn group<V: Vectors, const ROWS: usize, const VECTORS: usize>(
+        &mut self,
+        simd: V,
+        weight: &[f32],
+        place: &Place,
+        ahead: &[f32],
+    ) {
+        let inputs = self.matrix.inputs;
+        for (part, weight) in weight.chunks(PART * PANEL).enumerate() {
+            let depth = weight.len() / PANEL;
+            let input = place.input + part * PART;
+            // Behind the last row it is that one again.
+            let rows = std::array::from_fn(|row| {
+                let row = (place.row + row).min(place.end - 1);
+                &self.x[row * inputs + input..][..depth]
+            });
+            let zeros = [[simd.splat_f32s(0.0); VECTORS]; ROWS];
+            let ahead = if part == 0 { ahead } else { &[] };
+            let sums = accumulate(simd, zeros, weight, rows, ahead);
+            self.put(simd, &sums, place, [input, input + depth]);
+        }
+    }
+
+    /// Adds the sums over the inputs from `first` to before `end` to the outputs.
+    #[inline(always)]
+    fn put<V: Vectors, const ROWS: usize, const VECTORS: usize>(
+        &mut self,
+        simd: V,
+        sums: &Sums<V, ROWS, VECTORS>,
+        place: &Place,
+        [first, end]: [usize; 2],
+    ) {
+        let &Matrix {
+            inputs, outputs, ..
+        } = self.matrix;
+        let column = place.panel * PANEL;
+        for (row, sums) in (place.row..place.end).zip(sums) {
+            let at = row * outputs + column;
+            let (out, _) = V::as_mut_simd_f32s(&mut self.out[at..at + PANEL]);
+            for (out, sum) in out.iter_mut().zip(sums) {
+                *out = if first == 0 {
+                    *sum
+                } else {
+                    simd.add_f32s(*out, *sum)
+                };
+            }
+            if end == inputs {
+                self.finish(simd, row, column);
+            }
+        }
+    }
+
+    /// What comes after the sums of a panel of a row.
+    #[inline(always)]
+    fn finish<V: Vectors>(&mut self, simd: V, row: usize, column: usize) {
+        let outputs = self.matrix.outputs;
+        let After { bias, rectified } = self.after;
+        let bias = &bias[row * outputs % bias.len() + column..][..PANEL];
+        let (bias, _) = V::as_simd_f32s(bias);
+        let (out, _) = V::as_mut_simd_f32s(&mut self.out[row * outputs + column..][..PANEL]);
+        for (out, bias) in out.iter_mut().zip(bias) {
+            let sum = simd.add_f32s(*out, *bias);
+            // In this order what is not a number stays so.
+            *out = if rectified {
+                simd.max_f32s(simd.splat_f32s(0.0), sum)
+            } else {
+                sum
+            };
+        }
+    }
+}
+
+#[cfg(test)]
+#[cfg(target_arch = "x86_64")]
+mod tests;

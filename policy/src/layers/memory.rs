@@ -1,0 +1,46 @@
+//! The numbers of the network library's tensors, where they are.
+
+#![expect(unsafe_code, reason = "the library has no safe way to them but a copy")]
+
+use std::slice;
+
+use tch::{Device, Kind, TchError, Tensor};
+
+/// The numbers of `tensor`, which is contiguous, on the CPU and in single precision.
+pub(super) fn numbers(tensor: &Tensor) -> Result<&[f32], TchError> {
+    check(tensor)?;
+    let count = tensor.numel();
+    if count == 0 {
+        return Ok(&[]);
+    }
+    // SAFETY: a contiguous tensor of `count` numbers in single precision has them one after the other from `data_ptr` on, aligned,
+    // as long as it lives. Nothing here writes to a tensor that somebody else may see: `filled` gives its tensor away
+    // only after it is filled, and layers apply to tensors that nobody changes meanwhile.
+    Ok(unsafe { slice::from_raw_parts(tensor.data_ptr().cast::<f32>(), count) })
+}
+
+/// A new tensor of two dimensions, filled by `fill`, which writes every number.
+pub(super) fn filled(shape: [usize; 2], fill: impl FnOnce(&mut [f32])) -> Result<Tensor, TchError> {
+    let sides = shape.map(|side| i64::try_from(side).unwrap_or(i64::MAX));
+    let tensor = Tensor::f_empty(sides, (Kind::Float, Device::Cpu))?;
+    check(&tensor)?;
+    let count = tensor.numel();
+    if count > 0 {
+        // SAFETY: as above, and nobody else has this tensor yet. Its memory comes from the library's allocator, so its bytes are
+        // whatever they are, and any bytes are a number.
+        fill(unsafe { slice::from_raw_parts_mut(tensor.data_ptr().cast::<f32>(), count) });
+    }
+    Ok(tensor)
+}
+
+fn check(tensor: &Tensor) -> Result<(), TchError> {
+    let fits = tensor.device() == Device::Cpu
+        && tensor.kind() == Kind::Float
+        && !tensor.is_sparse()
+        && tensor.is_contiguous();
+    if fits {
+        return Ok(());
+    }
+    let text = format!("{tensor:?} is not contiguous, on the CPU and in single precision");
+    Err(TchError::Kind(text))
+}
