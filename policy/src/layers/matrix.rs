@@ -11,11 +11,9 @@ use super::kernel::{InRegisters, PANEL, Summing, Sums, accumulate, panels, share
 use super::memory;
 use super::vectors::{Processor, Vectors};
 
-/// Inputs whose weights of a panel go by while the sums of all rows are collected.
+/// Inputs that are summed on their own before they are added to the others', so that fewer bits are lost and the weights of a panel
+/// stay in the second-level cache.
 const DEPTH: usize = 512;
-
-/// Inputs that are summed on their own before they are added to the others', so that fewer bits are lost.
-const PART: usize = 256;
 
 /// Rows whose inputs stay in the second-level cache.
 const ROWS_AT_ONCE: usize = 264;
@@ -171,29 +169,25 @@ impl Product<'_> {
         ahead: &[f32],
     ) {
         let inputs = self.matrix.inputs;
-        for (part, weight) in weight.chunks(PART * PANEL).enumerate() {
-            let depth = weight.len() / PANEL;
-            let input = place.input + part * PART;
-            // Behind the last row it is that one again.
-            let rows = std::array::from_fn(|row| {
-                let row = (place.row + row).min(place.end - 1);
-                &self.x[row * inputs + input..][..depth]
-            });
-            let zeros = [[simd.splat_f32s(0.0); VECTORS]; ROWS];
-            let ahead = if part == 0 { ahead } else { &[] };
-            let sums = accumulate(simd, zeros, weight, rows, ahead);
-            self.put(simd, &sums, place, [input, input + depth]);
-        }
+        let depth = weight.len() / PANEL;
+        // Behind the last row it is that one again.
+        let rows = std::array::from_fn(|row| {
+            let row = (place.row + row).min(place.end - 1);
+            &self.x[row * inputs + place.input..][..depth]
+        });
+        let zeros = [[simd.splat_f32s(0.0); VECTORS]; ROWS];
+        let sums = accumulate(simd, zeros, weight, rows, ahead);
+        self.put(simd, &sums, place, place.input + depth);
     }
 
-    /// Adds the sums over the inputs from `first` to before `end` to the outputs.
+    /// Adds the sums over the inputs from the place's to before `end` to the outputs.
     #[inline(always)]
     fn put<V: Vectors, const ROWS: usize, const VECTORS: usize>(
         &mut self,
         simd: V,
         sums: &Sums<V, ROWS, VECTORS>,
         place: &Place,
-        [first, end]: [usize; 2],
+        end: usize,
     ) {
         let &Matrix {
             inputs, outputs, ..
@@ -203,7 +197,7 @@ impl Product<'_> {
             let at = row * outputs + column;
             let (out, _) = V::as_mut_simd_f32s(&mut self.out[at..at + PANEL]);
             for (out, sum) in out.iter_mut().zip(sums) {
-                *out = if first == 0 {
+                *out = if place.input == 0 {
                     *sum
                 } else {
                     simd.add_f32s(*out, *sum)

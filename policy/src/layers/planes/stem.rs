@@ -131,11 +131,20 @@ fn pad(picture: &[f32], padded: &mut Aligned, [height, width]: [usize; 2], lengt
     let border = TAPS / 2;
     let numbers = COLOURS * padded_high * padded_wide;
     padded.grow(numbers);
-    padded[..numbers].fill(0.0);
-    for (index, row) in picture.chunks_exact(width).enumerate() {
-        let (colour, y) = (index / height, index % height);
-        let at = (colour * padded_high + border + y) * padded_wide + border;
-        padded[at..at + width].copy_from_slice(row);
+    let rows = padded[..numbers].chunks_exact_mut(padded_wide);
+    for (index, to) in rows.enumerate() {
+        let (colour, y) = (index / padded_high, index % padded_high);
+        // Above the picture it is greater than any.
+        let y = y.wrapping_sub(border);
+        if y >= height {
+            to.fill(0.0);
+            continue;
+        }
+        let (before, to) = to.split_at_mut(border);
+        let (within, behind) = to.split_at_mut(width);
+        before.fill(0.0);
+        within.copy_from_slice(&picture[(colour * height + y) * width..][..width]);
+        behind.fill(0.0);
     }
 }
 
