@@ -69,7 +69,14 @@ fn damage(whole: &[u8], file: &Path, options: &ImportOptions, share: u64) {
     within_memory(|| {
         let mut refused = 0_u32;
         for seed in seeds(share) {
-            fs::write(file, damaged(whole, seed)).unwrap();
+            // Each kind of damage alone, and up to three times one after another.
+            let mut bytes = damaged(whole, seed);
+            for again in 0..seed % 3 {
+                if !bytes.is_empty() {
+                    bytes = damaged(&bytes, seed ^ ((again + 1) << 32));
+                }
+            }
+            fs::write(file, bytes).unwrap();
             refused += u32::from(judge(options, &format!("seed {seed}")));
         }
         assert!(refused > 0, "nothing was refused: is anything damaged?");
@@ -83,6 +90,44 @@ fn a_damaged_episode_of_act_is_imported_or_refused_by_name() {
     let source = folder.path().to_owned();
     let options = options(Layout::Act, source, folder.path().join("out"));
     damage(&by_h5py("act/episode_0.hdf5"), &file, &options, 2);
+}
+
+#[test]
+fn an_extent_that_the_file_can_not_hold_is_refused_before_memory_is_asked_for() {
+    let folder = Folder::new("hdf5-extent");
+    let file = folder.path().join("episode_0.hdf5");
+    let source = folder.path().to_owned();
+    let options = options(Layout::Act, source, folder.path().join("out"));
+    let whole = by_h5py("act/episode_0.hdf5");
+    let extents = |extents: &[u64]| -> Vec<u8> {
+        extents.iter().flat_map(|side| side.to_le_bytes()).collect()
+    };
+    within_memory(|| {
+        for (from, to) in [
+            ([4, 7].as_slice(), [1 << 40, 7].as_slice()),
+            (&[4, 7], &[u64::MAX, 7]),
+            (&[4, 7], &[1 << 20, 14]),
+            (&[4, 6, 8, 3], &[4, 1 << 12, 1 << 12, 3]),
+            (&[4, 6, 8, 3], &[4, 1 << 62, 1 << 62, 3]),
+        ] {
+            let (from, to) = (extents(from), extents(to));
+            let mut bytes = whole.clone();
+            let places = whole.windows(from.len()).enumerate();
+            let places: Vec<usize> = places
+                .filter(|(_, window)| *window == from)
+                .map(|(at, _)| at)
+                .collect();
+            assert!(!places.is_empty());
+            for at in places {
+                bytes[at..at + to.len()].copy_from_slice(&to);
+            }
+            fs::write(&file, bytes).unwrap();
+            let error = import(&options, &mut |_, _| {}).unwrap_err();
+            let text = told(&error);
+            let reason = "expected what a file of 6440 bytes can hold";
+            assert!(text.contains(reason), "{text}");
+        }
+    });
 }
 
 #[test]

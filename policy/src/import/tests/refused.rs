@@ -4,6 +4,8 @@ use std::error::Error;
 use std::fs;
 use std::path::Path;
 
+use hdf5_pure::ScaleOffset;
+
 use super::demo::{Episode, Folder, HEIGHT, WIDTH, act, by_h5py, robomimic};
 use crate::dataset::Dataset;
 use crate::import::{ImportOptions, import};
@@ -113,6 +115,18 @@ fn frames_that_are_missing_or_of_another_size_name_their_place() {
             episode.camera.1.truncate(3);
         },
         &["observations/images/top has the shape [4, 6, 8], expected (steps, height, width, 3)"],
+    );
+    spoilt(
+        "filter",
+        |episode| {
+            episode.stored = |dataset, shape| {
+                if shape.len() == 4 {
+                    dataset.with_chunks(shape);
+                    dataset.with_scale_offset(ScaleOffset::Integer(0));
+                }
+            };
+        },
+        &["observations/images/top went through the filters [6], expected gzip (1) or lzf (32000)"],
     );
     spoilt(
         "no-jpeg",
