@@ -443,7 +443,9 @@ def refuse_hdf5(work, same):
     }
     for name, (path, change, reason) in cases.items():
         folder = work / f"bad_{name}"
-        shutil.copytree(work / "act_hdf5", folder)
+        folder.mkdir()
+        for episode in ("episode_0.hdf5", "episode_1.hdf5"):
+            shutil.copy(work / "act_hdf5" / episode, folder / episode)
         with h5py.File(folder / "episode_0.hdf5", "r+") as file:
             other = change(file[path][:])
             del file[path]

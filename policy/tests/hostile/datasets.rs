@@ -76,10 +76,25 @@ pub(crate) fn files(folder: &Path) -> Vec<PathBuf> {
     found
 }
 
-/// Reads all that can be read.
+/// Reads all that can be read. What comes is finite, and its episodes follow one another.
 pub(crate) fn read(dir: &Path) -> Result<(), DatasetError> {
     let dataset = Dataset::open(dir)?;
+    let mut next = 0;
+    for episode in dataset.episodes() {
+        assert_eq!(episode.start, next, "{}", dir.display());
+        next += episode.len;
+    }
+    assert_eq!(dataset.len(), next, "{}", dir.display());
     for frame in 0..dataset.len() {
+        let state = dataset.state(frame, 0).map(f64::from);
+        let numbers = [
+            &state[..],
+            &dataset.tip_pose(frame, 0),
+            &dataset.action(frame, 0),
+        ]
+        .concat();
+        let finite = numbers.iter().all(|number| number.is_finite());
+        assert!(finite, "{}, frame {frame}: {numbers:?}", dir.display());
         for camera in 0..dataset.camera_names().len() {
             dataset.image_rgb(frame, camera)?;
             dataset.depth(frame, camera)?;
