@@ -139,8 +139,9 @@ impl Recording {
             .widened(&dataset)
             .map_err(|error| self.unreadable(name, error))?;
         let Some(values) = values else {
-            let found = format!("is of {:?}", dataset.dtype());
-            return Err(self.mismatch(name, found, "32- or 64-bit numbers, or whole ones"));
+            let found = format!("is of {}", kind(dataset.dtype()));
+            let expected = "floats of 32 or 64 bits, or integers of up to 32";
+            return Err(self.mismatch(name, found, expected));
         };
         if let Some(place) = values.iter().position(|value| !value.is_finite()) {
             return Err(ImportError::NotFinite {
@@ -204,6 +205,18 @@ impl Recording {
 fn all<T: H5Type + Copy + Into<f64>>(dataset: &Dataset) -> Result<Vec<f64>, Error> {
     let values = dataset.read_array::<T>()?;
     Ok(values.iter().map(|&value| value.into()).collect())
+}
+
+/// What `dtype` is called.
+pub(super) fn kind(dtype: &Datatype) -> String {
+    if let Datatype::FloatingPoint { size, .. } = dtype {
+        return format!("float{}", 8 * u32::from(*size));
+    }
+    if let Datatype::FixedPoint { size, signed, .. } = dtype {
+        let unsigned = if *signed { "" } else { "u" };
+        return format!("{unsigned}int{}", 8 * u32::from(*size));
+    }
+    "another type than numbers".to_owned()
 }
 
 /// Whether the library found nothing of that name, rather than something that it can't read.

@@ -7,7 +7,7 @@ use hdf5_reader::{Dataset, Datatype, SliceInfo, SliceInfoElem};
 use image::{ImageFormat, ImageReader, Limits};
 
 use super::ImportError;
-use super::file::{READ_MAX, Recording};
+use super::file::{READ_MAX, Recording, kind};
 use crate::dataset::SIDE_MAX;
 
 /// One camera's frames.
@@ -43,7 +43,7 @@ impl<'a> Pictures<'a> {
             }
         );
         if !byte {
-            return Err(refuse(format!("is of {:?}", dataset.dtype()), "uint8"));
+            return Err(refuse(format!("is of {}", kind(dataset.dtype())), "uint8"));
         }
         let shape = dataset.shape();
         let side = |extent: u64| {

@@ -174,6 +174,15 @@ fn deltas_and_missing_names_are_refused() {
         &other,
         &["episode_0.hdf5: observations/images/wrist is missing"],
     );
+    let numbers = ImportOptions {
+        images: vec!["observations/qpos".to_owned()],
+        action_joints: Some("observations/qpos".to_owned()),
+        ..options.clone()
+    };
+    refused(
+        &numbers,
+        &["episode_0.hdf5: observations/qpos is of float64, expected uint8"],
+    );
     let both = ImportOptions {
         action_joints: Some("action".to_owned()),
         ..pose
