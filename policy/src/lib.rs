@@ -11,6 +11,7 @@ pub mod dp3;
 pub mod dp3_policy;
 pub mod ensemble;
 pub mod images;
+pub mod import;
 mod layers;
 pub mod loaded_policy;
 pub mod normalise;

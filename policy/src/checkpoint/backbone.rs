@@ -30,7 +30,8 @@ impl BackboneWeights {
     ///
     /// # Errors
     /// [`CheckpointError`] naming the file and the tensor: one that is missing, left over, of another shape, not finite, or
-    /// a negative variance; what to do instead if the file is one of torch's own, or a policy's without its folder.
+    /// a negative variance; what to do instead if the file is one of torch's own, a policy's without its folder, or of a backbone
+    /// with group normalisation.
     pub fn load(path: &Path) -> Result<Self, CheckpointError> {
         let (file, prefix) = if path.is_dir() {
             (path.join(WEIGHTS), BACKBONE_PREFIX)
@@ -48,6 +49,10 @@ impl BackboneWeights {
             let folder = file.parent().filter(|it| !it.as_os_str().is_empty());
             let folder = folder.unwrap_or(Path::new("."));
             return Err(Cause::WholePolicy(folder.to_path_buf()).in_file(&file));
+        }
+        let has = |part: &str| read.keys().any(|key| key.ends_with(part));
+        if has("bn1.weight") && !has(".running_mean") && !has(".running_var") {
+            return Err(Cause::GroupNormalised.in_file(&file));
         }
         let mut tensors = BTreeMap::new();
         for (key, plain) in read {

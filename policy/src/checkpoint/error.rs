@@ -38,6 +38,12 @@ pub enum Cause {
     /// Weights of a whole policy where those of a backbone alone should be.
     #[error("the weights of a whole policy, not of a backbone alone; name their folder instead: {}", .0.display())]
     WholePolicy(PathBuf),
+    /// A backbone without the statistics that a frozen one has.
+    #[error(
+        "a backbone with group normalisation, which learns from scratch; expected one with frozen batch normalisation, that is \
+         with running_mean and running_var: torchvision's ResNet-18, or an ACT policy in LeRobot's form"
+    )]
+    GroupNormalised,
     /// A tensor has an element type that weights do not have.
     #[error("tensor {key} has element type {kind}, not F16, BF16 or F32")]
     ElementType {

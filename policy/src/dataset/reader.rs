@@ -33,7 +33,7 @@ impl Dataset {
     ///
     /// # Errors
     /// A [`DatasetError`] that names the file: one that is missing, damaged, cut off, of another version of the format,
-    /// or without a column of the right width.
+    /// without a column of the right width, or with a number that is not finite.
     pub fn open(dir: &Path) -> Result<Self, DatasetError> {
         Self::open_first(dir, None)
     }
@@ -218,7 +218,7 @@ impl Dataset {
                 let rows = row..row.saturating_add(listed.len);
                 check_episode(&table, listed, next, file.episode_index.get(rows.clone()))?;
                 row = rows.end;
-                file.append(&mut self.rows, self.tables.len(), rows);
+                file.append(&mut self.rows, (self.tables.len(), &table), rows)?;
                 self.episodes.push(Episode {
                     index: listed.index,
                     start: next,

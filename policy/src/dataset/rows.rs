@@ -52,14 +52,39 @@ impl FileRows {
         Ok(file)
     }
 
-    pub(super) fn append(&self, rows: &mut Rows, table: usize, range: std::ops::Range<usize>) {
+    /// Adds the rows `range`, which are finite, out of `file`, the dataset's `table`th.
+    pub(super) fn append(
+        &self,
+        rows: &mut Rows,
+        (table, file): (usize, &Table),
+        range: std::ops::Range<usize>,
+    ) -> Result<(), DatasetError> {
         let of_arms = self.arms * range.start..self.arms * range.end;
+        for (name, bad) in [
+            (STATE, not_finite(&self.state[of_arms.clone()])),
+            (TIP_POSE, not_finite(&self.tip_pose[of_arms.clone()])),
+            (ACTION, not_finite(&self.action[of_arms.clone()])),
+        ] {
+            if let Some((vector, value)) = bad {
+                let row = range.start + vector / self.arms.max(1);
+                let what = format!("{name} in row {row}");
+                return Err(file.mismatch(&what, value.to_string(), "finite".to_owned()));
+            }
+        }
         rows.state.extend_from_slice(&self.state[of_arms.clone()]);
         rows.tip_pose
             .extend_from_slice(&self.tip_pose[of_arms.clone()]);
         rows.action.extend_from_slice(&self.action[of_arms]);
         rows.place.extend(range.map(|row| Place { table, row }));
+        Ok(())
     }
+}
+
+/// The first number that is NaN or infinite, and the vector that has it.
+fn not_finite<const N: usize>(vectors: &[[f64; N]]) -> Option<(usize, f64)> {
+    let mut numbers = vectors.as_flattened().iter().copied().enumerate();
+    let (place, value) = numbers.find(|(_, value)| !value.is_finite())?;
+    Some((place / N, value))
 }
 
 /// An episode has to lie where the table of episodes says, and nowhere else.

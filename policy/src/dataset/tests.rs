@@ -399,6 +399,29 @@ fn other_versions_features_and_widths_are_refused() {
 }
 
 #[test]
+fn a_number_that_is_not_finite_is_refused_with_its_row() {
+    let folder = Folder::new("not-finite");
+    record(&folder.0).finish().unwrap();
+    let data = meta::data_path(&folder.0, 0, 0);
+    let whole = fs::read(&data).unwrap();
+    let number = arm(2, 0).tip_pose[1].to_le_bytes();
+    let places = whole.windows(8).enumerate();
+    let places: Vec<usize> = places
+        .filter(|(_, window)| *window == number)
+        .map(|(at, _)| at)
+        .collect();
+    assert!(!places.is_empty(), "numbers are stored as they are");
+    let mut bytes = whole;
+    for at in places {
+        bytes[at..at + 8].copy_from_slice(&f64::NEG_INFINITY.to_le_bytes());
+    }
+    fs::write(&data, bytes).unwrap();
+    let message = error_of(&folder.0);
+    let reason = "file-000.parquet: observation.tip_pose in row 2 is -inf, expected finite";
+    assert!(message.contains(reason), "{message}");
+}
+
+#[test]
 fn data_that_disagrees_with_the_description_is_refused() {
     let folder = Folder::new("disagree");
     record(&folder.0).finish().unwrap();

@@ -2,6 +2,11 @@
 
 use serde::{Deserialize, Serialize};
 
+/// Samples that a step may have: more than any device has room for, and few enough to be counted.
+const BATCH_MAX: usize = 1 << 16;
+/// Threads that may be asked for.
+const THREADS_MAX: usize = 1024;
+
 /// Number format of the forward and backward pass; the master copy of the weights is always single precision.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
@@ -138,6 +143,14 @@ impl TrainOptions {
                 return Some(format!("{name} = {value} is outside [{low}, {high}]"));
             }
         }
+        for (name, value, most) in [
+            ("batch", self.batch, BATCH_MAX),
+            ("threads", self.threads, THREADS_MAX),
+        ] {
+            if value > most {
+                return Some(format!("{name} = {value} is outside [1, {most}]"));
+            }
+        }
         let positive = [
             ("batch", self.batch == 0),
             ("steps", self.steps == 0),
@@ -237,11 +250,25 @@ mod tests {
             .unwrap()
             .starts_with("lr =")
         );
-        assert!(
-            TrainOptions { batch: 0, ..good }
-                .defect()
-                .unwrap()
-                .starts_with("batch")
-        );
+        for (options, defect) in [
+            (TrainOptions { batch: 0, ..good }, "batch = 0"),
+            (
+                TrainOptions {
+                    batch: usize::MAX,
+                    ..good
+                },
+                "batch = 18446744073709551615 is outside [1, 65536]",
+            ),
+            (
+                TrainOptions {
+                    threads: 1 << 40,
+                    ..good
+                },
+                "threads = 1099511627776 is outside [1, 1024]",
+            ),
+        ] {
+            let found = options.defect().unwrap();
+            assert!(found.starts_with(defect), "{found}");
+        }
     }
 }

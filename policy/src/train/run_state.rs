@@ -5,7 +5,7 @@
 
 use std::collections::BTreeMap;
 use std::fs;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use tch::{Device, Kind, TchError, Tensor};
 
@@ -35,6 +35,8 @@ pub struct RunState {
     pub(super) since_row: Option<Tensor>,
     /// Parameters, moments and averages by name.
     pub(super) tensors: BTreeMap<String, Tensor>,
+    /// Where it was read; empty of a state that was not.
+    pub(super) file: PathBuf,
 }
 
 impl RunState {
@@ -86,14 +88,50 @@ impl RunState {
         }
         let step = Vec::<i64>::try_from(&step).map_err(|error| refuse(error.to_string()))?;
         let step = step.first().and_then(|&step| u64::try_from(step).ok());
-        Ok(Self {
+        let state = Self {
             step: step.ok_or_else(|| refuse(format!("{STEP} is not what it should be")))?,
             about: text(&about)?,
             run: text(&run)?,
             curve: curve_of(&curve).map_err(|error| refuse(error.to_string()))?,
             since_row: tensors.remove(SINCE_ROW),
             tensors,
+            file: file.to_owned(),
+        };
+        state
+            .defect()
+            .map_or(Ok(state), |defect| Err(refuse(defect)))
+    }
+
+    /// Why curve, steps and the losses since the curve's last row are not of one run.
+    fn defect(&self) -> Option<String> {
+        let mut last = 0;
+        for row in &self.curve.rows {
+            if row.step <= last || row.step > self.step {
+                let (row, step) = (row.step, self.step);
+                return Some(format!(
+                    "{CURVE} has a row at step {row} after {last}, of {step}"
+                ));
+            }
+            last = row.step;
+            let numbers = [row.loss, row.l1, row.kl, row.gradient_norm, row.lr];
+            if !numbers.iter().all(|number| number.is_finite()) {
+                return Some(format!("{CURVE} has a number that is not finite"));
+            }
+        }
+        let expected = [i64::try_from(self.step - last).unwrap_or(i64::MAX), 4];
+        let found = self.since_row.as_ref().map_or(vec![0, 4], Tensor::size);
+        let float = self
+            .since_row
+            .as_ref()
+            .is_none_or(|it| it.kind() == Kind::Float);
+        (found != expected || !float).then(|| {
+            format!("{SINCE_ROW} has the shape {found:?}, expected {expected:?} of floats")
         })
+    }
+
+    /// The error that this state can't be gone on with.
+    fn refused(&self, reason: &str) -> TrainError {
+        TrainError::State(format!("{}: {reason}", self.file.display()))
     }
 
     fn all(&self) -> Result<BTreeMap<String, Tensor>, TchError> {
@@ -130,15 +168,19 @@ impl RunState {
             Some(tensor) if tensor.size() == like.size() && tensor.kind() == like.kind() => {
                 Ok(tensor.f_to_device(like.device())?)
             }
-            Some(_) => Err(TrainError::State(format!("{key} is of another network"))),
-            None => Err(TrainError::State(format!("there is no {key}"))),
+            Some(_) => Err(self.refused(&format!("{key} is of another network"))),
+            None => Err(self.refused(&format!("there is no {key}"))),
         }
     }
 
-    /// Refuses to go on as the run `run` what was begun as another.
-    pub(super) fn check(&self, run: &str) -> Result<(), TrainError> {
+    /// Refuses to go on as the run `run` of `steps` what was begun as another, or is at its end.
+    pub(super) fn check(&self, run: &str, steps: u64) -> Result<(), TrainError> {
         if self.run == run {
-            return Ok(());
+            if (1..steps).contains(&self.step) {
+                return Ok(());
+            }
+            let reason = format!("is at step {}, expected 1 to {}", self.step, steps - 1);
+            return Err(self.refused(&reason));
         }
         let fields = |text: &str| {
             serde_json::from_str::<serde_json::Map<String, serde_json::Value>>(text)
@@ -149,7 +191,7 @@ impl RunState {
             .iter()
             .find(|(key, value)| begun.get(*key) != Some(value));
         let what = differs.map_or("format", |(key, _)| key.as_str());
-        Err(TrainError::State(format!(
+        Err(self.refused(&format!(
             "the run was begun with another {what}, and would not be the same run"
         )))
     }

@@ -1,5 +1,7 @@
 //! The steps of a run, whatever the network: batches, optimiser, loss curve, end when the loss is NaN.
 
+use std::path::PathBuf;
+
 use tch::{Kind, TchError, Tensor};
 
 use super::curve::{CurveRow, LossCurve};
@@ -64,7 +66,7 @@ impl Steps<'_> {
         let mut since_row = Vec::new();
         let mut first = 0;
         if let Some(state) = from {
-            state.check(&self.run)?;
+            state.check(&self.run, options.steps)?;
             flat.resume(state)?;
             curve.rows.clone_from(&state.curve.rows);
             since_row = rows_of(state.since_row.as_ref(), flat)?;
@@ -163,6 +165,7 @@ impl Steps<'_> {
                 Some(Tensor::f_stack(since_row, 0)?)
             },
             tensors: flat.state()?,
+            file: PathBuf::new(),
         })
     }
 }

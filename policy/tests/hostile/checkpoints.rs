@@ -24,7 +24,7 @@ const FILES: [&str; 4] = [
     "trocar.json",
 ];
 
-fn recipe() -> Recipe {
+pub(crate) fn recipe() -> Recipe {
     Recipe {
         format: RECIPE_FORMAT,
         arms: 1,
@@ -49,6 +49,17 @@ fn recipe() -> Recipe {
     }
 }
 
+pub(crate) fn cloud() -> CloudRecipe {
+    CloudRecipe {
+        frame: CloudFrame::Scene,
+        crop_m: None,
+        dropped_instances: vec![0],
+        voxel_m: None,
+        points: 32,
+        padding: Padding::FirstPoint,
+    }
+}
+
 fn save(folder: &Path) {
     let config = Dp3Config {
         down_dims: vec![8, 16],
@@ -56,14 +67,6 @@ fn save(folder: &Path) {
         ..Dp3Config::preset(Dp3Preset::Simple, 7, 7)
     };
     let network = Dp3::new(config, ParameterSource::seeded(1, Device::Cpu)).unwrap();
-    let cloud = CloudRecipe {
-        frame: CloudFrame::Scene,
-        crop_m: None,
-        dropped_instances: vec![0],
-        voxel_m: None,
-        points: 32,
-        padding: Padding::FirstPoint,
-    };
     let of = |scale: f32| Statistics {
         mean: vec![0.0; 7],
         std: vec![scale; 7],
@@ -78,7 +81,7 @@ fn save(folder: &Path) {
     save_dp3(
         folder,
         &network,
-        &cloud,
+        &cloud(),
         &statistics,
         &recipe(),
         Precision::F32,
@@ -87,7 +90,7 @@ fn save(folder: &Path) {
 }
 
 /// A refusal names a file of the folder.
-fn check(error: &CheckpointError, folder: &Path, case: &str) {
+pub(crate) fn check(error: &CheckpointError, folder: &Path, case: &str) {
     let text = told(error);
     assert!(error.file.starts_with(folder), "{case}: {text}");
     assert!(text.len() < 2000, "{case}: {} bytes of reason", text.len());

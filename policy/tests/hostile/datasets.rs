@@ -14,7 +14,7 @@ use crate::{Folder, seeds, told, within_memory};
 
 const SIDE: u32 = 8;
 
-fn record(dir: &Path, camera: &str) {
+pub(crate) fn record(dir: &Path, camera: &str) {
     record_with(dir, camera, None);
 }
 
@@ -42,8 +42,8 @@ fn record_with(dir: &Path, camera: &str, video: Option<VideoCodec>) {
             };
             let rgb: Vec<u8> = (0..192).map(|at: u8| at.wrapping_mul(frame + 3)).collect();
             let depth = DepthFrame {
-                units: &[u16::from(frame) * 900; 64],
-                instance: &[frame; 64],
+                units: &[u16::from(frame + 1) * 900; 64],
+                instance: &[frame + 1; 64],
                 camera_in_scene: [0.5; 7],
             };
             let frame = FrameRecord {
@@ -59,7 +59,7 @@ fn record_with(dir: &Path, camera: &str, video: Option<VideoCodec>) {
 }
 
 /// Every file below `folder`, in order.
-fn files(folder: &Path) -> Vec<PathBuf> {
+pub(crate) fn files(folder: &Path) -> Vec<PathBuf> {
     let mut found = Vec::new();
     let mut entries: Vec<PathBuf> = fs::read_dir(folder)
         .unwrap()
@@ -76,10 +76,25 @@ fn files(folder: &Path) -> Vec<PathBuf> {
     found
 }
 
-/// Reads all that can be read.
-fn read(dir: &Path) -> Result<(), DatasetError> {
+/// Reads all that can be read. What comes is finite, and its episodes follow one another.
+pub(crate) fn read(dir: &Path) -> Result<(), DatasetError> {
     let dataset = Dataset::open(dir)?;
+    let mut next = 0;
+    for episode in dataset.episodes() {
+        assert_eq!(episode.start, next, "{}", dir.display());
+        next += episode.len;
+    }
+    assert_eq!(dataset.len(), next, "{}", dir.display());
     for frame in 0..dataset.len() {
+        let state = dataset.state(frame, 0).map(f64::from);
+        let numbers = [
+            &state[..],
+            &dataset.tip_pose(frame, 0),
+            &dataset.action(frame, 0),
+        ]
+        .concat();
+        let finite = numbers.iter().all(|number| number.is_finite());
+        assert!(finite, "{}, frame {frame}: {numbers:?}", dir.display());
         for camera in 0..dataset.camera_names().len() {
             dataset.image_rgb(frame, camera)?;
             dataset.depth(frame, camera)?;
@@ -88,7 +103,7 @@ fn read(dir: &Path) -> Result<(), DatasetError> {
     Ok(())
 }
 
-fn check(error: &DatasetError, dir: &Path, case: &str) {
+pub(crate) fn check(error: &DatasetError, dir: &Path, case: &str) {
     let text = told(error);
     let place = dir.display().to_string();
     assert!(text.contains(&place), "{case}: no file is named: {text}");

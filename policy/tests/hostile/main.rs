@@ -6,12 +6,18 @@
 
 #![expect(
     clippy::unwrap_used,
+    clippy::expect_used,
     reason = "a test fails by panicking, its helpers too"
 )]
 
 mod checkpoints;
 mod damage;
 mod datasets;
+mod digits;
+mod hdf5;
+mod networks;
+mod old_datasets;
+mod resume;
 
 use std::fs;
 use std::path::{Path, PathBuf};

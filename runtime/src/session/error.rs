@@ -19,6 +19,9 @@ pub enum SessionError {
     /// The dataset can't be used.
     #[error(transparent)]
     Dataset(#[from] policy::dataset::DatasetError),
+    /// The demonstrations can't be imported.
+    #[error(transparent)]
+    Import(#[from] policy::import::ImportError),
     /// Training failed.
     #[error(transparent)]
     Train(#[from] TrainError),
@@ -124,6 +127,7 @@ impl SessionError {
             Self::Config(_)
             | Self::Checkpoint(_)
             | Self::Dataset(_)
+            | Self::Import(_)
             | Self::Replay(_)
             | Self::Verify(_)
             | Self::CutLog { .. }

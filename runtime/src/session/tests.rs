@@ -24,6 +24,7 @@ use crate::verify::verify;
 mod backbone;
 mod clouds;
 mod latency;
+mod state;
 mod tissue;
 
 /// Writes the log of an episode without looking at it.

@@ -140,7 +140,23 @@ pub fn train(
     on_progress: &mut dyn FnMut(&str),
 ) -> Result<TrainingResult, SessionError> {
     // Whatever is wrong with the options is said before anything is made.
+    check(options)?;
+    let trainer = training_backbone::trainer(options)?;
+    outputs::new_folder(&options.out)?;
+    let start = Start {
+        trainer,
+        stopwatch: Stopwatch::start(0.0),
+    };
+    train_from(options, start, on_progress)
+}
+
+/// Refuses options that can't be, of the command line and of a state that may be damaged alike.
+pub(super) fn check(options: &TrainingOptions) -> Result<(), SessionError> {
     training_backbone::check(options)?;
+    if options.device.is_cuda() && !tch::Cuda::is_available() {
+        let defect = "--device cuda: this libtorch sees no CUDA device";
+        return Err(SessionError::BadArgument(defect.to_owned()));
+    }
     match options.network {
         NetworkChoice::Act => {
             let preset = parse_preset(&options.preset)?;
@@ -162,13 +178,7 @@ pub fn train(
             cloud_recipe(options.clouds.as_deref(), 1)?;
         }
     }
-    let trainer = training_backbone::trainer(options)?;
-    outputs::new_folder(&options.out)?;
-    let start = Start {
-        trainer,
-        stopwatch: Stopwatch::start(0.0),
-    };
-    train_from(options, start, on_progress)
+    Ok(())
 }
 
 /// Goes on with the training whose state is in the checkpoint's folder `folder`, with the options that it was begun with.
@@ -181,6 +191,7 @@ pub fn resume(
     on_progress: &mut dyn FnMut(&str),
 ) -> Result<TrainingResult, SessionError> {
     let (state, options, seconds): (RunState, _, _) = read_state(folder)?;
+    check(&options)?;
     let start = Start {
         trainer: Trainer::new(options.device).resuming(state),
         stopwatch: Stopwatch::start(seconds),

@@ -10,6 +10,7 @@ use runtime::session::drives::DEFAULT_TOPICS;
 use runtime::session::tasks;
 
 use crate::drives::DrivesArgs;
+use crate::import::ImportArgs;
 use crate::scene_args::SceneArgs;
 use crate::sheet::SheetArgs;
 
@@ -59,6 +60,11 @@ pub(crate) enum Verb {
         after_help = "Example: trocar record --task needle-lift --episodes 50 --source expert --cameras multi --out runs/demos"
     )]
     Record(RecordArgs),
+    /// Make a LeRobot v3 dataset of demonstrations in HDF5, in ACT's or robomimic's layout.
+    #[command(
+        after_help = "Example: trocar import act FOLDER --fps 25 --task \"Lift the needle\" --out runs/demos\n         trocar import robomimic FILE.hdf5 --fps 25 --task \"Lift the needle\" --out runs/demos --joints obs/joint_pos --images obs/endoscope_image --action-pose actions\n\nWhat can't be told from the files is refused: deltas as actions, another number of joints, joints outside of the arm's limits (degrees, a normalised gripper), numbers that are not finite, frames that are missing."
+    )]
+    Import(ImportArgs),
     /// Train a policy on a dataset.
     #[command(
         after_help = "Example: trocar train --policy act --data runs/demos --out runs/act --steps 10000 --device cuda"

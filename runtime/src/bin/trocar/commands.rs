@@ -61,6 +61,13 @@ fn compute(args: &ComputeArgs) -> Result<Compute, SessionError> {
     })
 }
 
+pub(crate) const fn codec(video: Video) -> VideoCodec {
+    match video {
+        Video::H264 => VideoCodec::H264,
+        Video::Av1 => VideoCodec::Av1,
+    }
+}
+
 /// Says so if the policy does another task than that of its demonstrations: that may be meant, so that it is no error.
 fn warn_of_transfer(setup: &Setup) {
     if let Some(reason) = setup.transfer_note() {
@@ -257,10 +264,7 @@ pub(crate) fn record(args: &RecordArgs) -> Done {
         seed: args.seed,
         jobs: args.jobs,
         depth: args.depth,
-        video: args.video.map(|video| match video {
-            Video::H264 => VideoCodec::H264,
-            Video::Av1 => VideoCodec::Av1,
-        }),
+        video: args.video.map(codec),
     };
     let bar = console::progress(args.episodes as u64, "episodes");
     let summary = record::record(&setup, &options, &mut |attempt| {

@@ -6,6 +6,7 @@ mod args;
 mod commands;
 mod console;
 mod drives;
+mod import;
 mod scene_args;
 mod sheet;
 
@@ -52,6 +53,7 @@ fn main() -> ExitCode {
         Verb::Run(args) => commands::run(args),
         Verb::Eval(args) => commands::eval(args),
         Verb::Record(args) => commands::record(args),
+        Verb::Import(args) => import::import(args),
         Verb::Train(args) => commands::train(args),
         Verb::Replay(args) => commands::replay(args),
         Verb::Verify(args) => commands::verify(args),

@@ -1,0 +1,194 @@
+//! The import: all episodes are looked at, then each is written.
+
+use serde::Serialize;
+
+use super::arms::Arms;
+use super::file::Recording;
+use super::pictures::Pictures;
+use super::source::{EpisodeAt, cameras, episodes};
+use super::{ImportError, ImportOptions, Layout};
+use crate::dataset::{CameraSpec, DatasetSpec, DatasetWriter, FrameRecord};
+
+/// What was imported.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+pub struct ImportSummary {
+    /// Arms of the robot.
+    pub arms: usize,
+    /// The cameras, in the dataset's order.
+    pub cameras: Vec<String>,
+    /// Episodes in the dataset.
+    pub episodes: usize,
+    /// Frames in them.
+    pub frames: usize,
+}
+
+/// Where the numbers are within an episode.
+pub(super) struct Names {
+    pub(super) joints: String,
+    pub(super) action: Action,
+}
+
+/// What was commanded.
+pub(super) enum Action {
+    /// Joints and jaw.
+    Joints(String),
+    /// Tip pose and jaw.
+    Pose(String),
+}
+
+impl Action {
+    pub(super) fn name(&self) -> &str {
+        match self {
+            Self::Joints(name) | Self::Pose(name) => name,
+        }
+    }
+}
+
+impl Names {
+    /// The options' names, or those that ACT's layout has.
+    fn of(options: &ImportOptions) -> Result<Self, ImportError> {
+        let refuse = |text: &str| Err(ImportError::Options(text.to_owned()));
+        let act = options.layout == Layout::Act;
+        let joints = options.joints.clone();
+        let joints = joints.or_else(|| act.then(|| "observations/qpos".to_owned()));
+        let action = match (&options.action_joints, &options.action_pose) {
+            (Some(_), Some(_)) => {
+                return refuse(
+                    "--action-joints and --action-pose: one of them is needed, not both",
+                );
+            }
+            (Some(name), None) => Some(Action::Joints(name.clone())),
+            (None, Some(name)) => Some(Action::Pose(name.clone())),
+            (None, None) => act.then(|| Action::Joints("action".to_owned())),
+        };
+        match (joints, action) {
+            (Some(joints), Some(action)) if act || !options.images.is_empty() => {
+                Ok(Self { joints, action })
+            }
+            _ => refuse(
+                "robomimic's names differ from file to file: --joints, --images, and --action-joints or --action-pose are needed",
+            ),
+        }
+    }
+}
+
+/// What every episode must be like: arms and cameras.
+#[derive(PartialEq)]
+struct Shape {
+    arms: usize,
+    cameras: Vec<CameraSpec>,
+}
+
+impl Shape {
+    fn told(&self) -> String {
+        let cameras: Vec<String> = self.cameras.iter().map(told).collect();
+        format!("has {} arms and cameras {}", self.arms, cameras.join(", "))
+    }
+}
+
+fn told(camera: &CameraSpec) -> String {
+    format!("{} ({} x {})", camera.name, camera.width, camera.height)
+}
+
+/// Writes all episodes of `options.source` as the dataset `options.out`. `done` is told after each how many there are of how
+/// many.
+///
+/// # Errors
+/// An [`ImportError`] that names the file, the dataset in it, the step and what would do. What an episode's tables and the sizes
+/// of its frames can show is found before anything is written; after a frame that can't be read the episodes before it stay.
+pub fn import(
+    options: &ImportOptions,
+    done: &mut dyn FnMut(usize, usize),
+) -> Result<ImportSummary, ImportError> {
+    let names = Names::of(options)?;
+    let episodes = episodes(options)?;
+    let shape = survey(options, &names, &episodes)?;
+    let spec = DatasetSpec {
+        fps: options.fps,
+        robot_type: match shape.arms {
+            1 => "dvrk_psm",
+            _ => "bi_dvrk_psm",
+        }
+        .to_owned(),
+        arms: shape.arms,
+        task: options.task.clone(),
+        cameras: shape.cameras,
+    };
+    let mut writer = DatasetWriter::create_with(&options.out, &spec, options.video)?;
+    for (index, episode) in episodes.iter().enumerate() {
+        let recording = episode.open()?;
+        copy(&recording, options, &names, &spec, &mut writer)?;
+        done(index + 1, episodes.len());
+    }
+    let totals = writer.finish()?;
+    Ok(ImportSummary {
+        arms: spec.arms,
+        cameras: spec.cameras.into_iter().map(|camera| camera.name).collect(),
+        episodes: totals.episodes,
+        frames: totals.frames,
+    })
+}
+
+/// Looks at all that can be judged without reading every frame.
+fn survey(
+    options: &ImportOptions,
+    names: &Names,
+    episodes: &[EpisodeAt],
+) -> Result<Shape, ImportError> {
+    let mut first: Option<Shape> = None;
+    for episode in episodes {
+        let recording = episode.open()?;
+        let arms = Arms::read(&recording, names, &options.chain)?;
+        let mut found = Vec::new();
+        for (name, path) in cameras(&recording, options)? {
+            let (width, height) = Pictures::open(&recording, &path, arms.steps)?.size()?;
+            found.push(CameraSpec {
+                name,
+                width,
+                height,
+                depth: None,
+            });
+        }
+        let shape = Shape {
+            arms: arms.count,
+            cameras: found,
+        };
+        match &first {
+            None => first = Some(shape),
+            Some(first) if *first == shape => {}
+            Some(first) => {
+                let expected = format!("what the first episode {}", first.told());
+                return Err(recording.mismatch("the episode", shape.told(), expected));
+            }
+        }
+    }
+    first.ok_or_else(|| ImportError::Options("there is no episode".to_owned()))
+}
+
+fn copy(
+    recording: &Recording,
+    options: &ImportOptions,
+    names: &Names,
+    spec: &DatasetSpec,
+    writer: &mut DatasetWriter,
+) -> Result<(), ImportError> {
+    let arms = Arms::read(recording, names, &options.chain)?;
+    let paths = cameras(recording, options)?;
+    let mut pictures = Vec::new();
+    for ((_, path), camera) in paths.iter().zip(&spec.cameras) {
+        let size = (camera.width, camera.height);
+        pictures.push((Pictures::open(recording, path, arms.steps)?, size));
+    }
+    for (step, arms) in arms.by_step().enumerate() {
+        let images: Result<Vec<&[u8]>, ImportError> = pictures
+            .iter_mut()
+            .map(|(pictures, size)| pictures.rgb(step, *size))
+            .collect();
+        writer.push_frame(&FrameRecord {
+            arms,
+            images: &images?,
+            depth: &[],
+        })?;
+    }
+    Ok(writer.end_episode()?)
+}
