@@ -36,7 +36,7 @@ impl FoldedActPc {
     pub fn new(network: &ActPc, kind: Kind) -> Result<Self, TchError> {
         Self::computed(
             network,
-            By::fastest(network.tokens.mix.weight.device(), kind),
+            By::fastest(kind, network.tokens.mix.weight.device()),
         )
     }
 
@@ -137,8 +137,8 @@ mod tests {
     use tch::{Device, Kind, Tensor};
 
     use super::FoldedActPc;
-    use crate::act_pc::Clouds;
     use crate::act_pc::tests::{cloud, config, network};
+    use crate::act_pc::{ActPcConfig, Clouds};
     use crate::layers::affine::By;
     use crate::layers::vectors::Processor;
 
@@ -146,18 +146,20 @@ mod tests {
     fn folding_changes_nothing_but_rounding() {
         let own = Processor::found().map(By::Own);
         for by in own.into_iter().chain([By::Library(Kind::Float)]) {
-            check(by, false);
-            check(by, true);
+            check(by, &config(false));
+            check(by, &config(true));
+            let mut several = config(false);
+            several.act.n_decoder_layers = 2;
+            check(by, &several);
         }
     }
 
     #[track_caller]
-    fn check(by: By, pre_sample: bool) {
-        let config = config(pre_sample);
-        let network = network(&config);
+    fn check(by: By, config: &ActPcConfig) {
+        let network = network(config);
         let folded = FoldedActPc::computed(&network, by).unwrap();
         let (first, second) = (cloud(1), cloud(2));
-        let clouds = Clouds::new(&[&first, &second], &config, Device::Cpu).unwrap();
+        let clouds = Clouds::new(&[&first, &second], config, Device::Cpu).unwrap();
         let state = Tensor::arange(14, (Kind::Float, Device::Cpu)).sin();
         let state = state.view([2, 7]);
         let (expected, actual) = tch::no_grad(|| {

@@ -17,7 +17,7 @@ pub(super) fn config(pre_sample: bool) -> ActPcConfig {
         act: ActConfig {
             chunk_size: 6,
             dim_model: if pre_sample { 512 } else { 64 },
-            dim_feedforward: 48,
+            dim_feedforward: 64,
             n_encoder_layers: 1,
             n_vae_encoder_layers: 1,
             dropout: 0.0,

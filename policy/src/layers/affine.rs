@@ -3,6 +3,7 @@
 use tch::{Device, Kind, TchError, Tensor};
 
 use super::Linear;
+use super::aligned::Aligned;
 use super::matrix::{After, Matrix};
 use super::vectors::Processor;
 
@@ -17,8 +18,12 @@ pub(crate) enum By {
 
 impl By {
     /// The fastest on `device`, with so many threads as there are now.
-    pub(crate) fn fastest(device: Device, kind: Kind) -> Self {
-        let ours = kind == Kind::Float && device == Device::Cpu && tch::get_num_threads() == 1;
+    pub(crate) fn fastest(kind: Kind, device: Device) -> Self {
+        Self::with_threads(kind, device, tch::get_num_threads())
+    }
+
+    fn with_threads(kind: Kind, device: Device, threads: i32) -> Self {
+        let ours = kind == Kind::Float && device == Device::Cpu && threads == 1;
         match Processor::found() {
             Some(processor) if ours => Self::Own(processor),
             _ => Self::Library(kind),
@@ -40,7 +45,7 @@ pub(crate) enum Affine {
     Own {
         matrix: Matrix,
         /// `(outputs)` or `(rows of one observation, outputs)`.
-        bias: Vec<f32>,
+        bias: Aligned,
     },
     Library {
         /// `(inputs, outputs)`, so that the product reads it as it is.
@@ -54,10 +59,14 @@ impl Affine {
     /// `weight` `(outputs, inputs)`; `bias` is `(outputs)` or `(rows of one observation, outputs)`.
     pub(crate) fn new(weight: &Tensor, bias: &Tensor, by: By) -> Result<Self, TchError> {
         let (weight, bias) = (weight.f_detach()?, bias.f_detach()?.f_contiguous()?);
+        if bias.size().last() != weight.size().first() {
+            let text = format!("bias {:?} of weight {:?}", bias.size(), weight.size());
+            return Err(TchError::Shape(text));
+        }
         match by {
             By::Own(processor) if Matrix::fits(&weight) => Ok(Self::Own {
                 matrix: Matrix::new(processor, &weight)?,
-                bias: Vec::try_from(&bias.f_view([-1])?)?,
+                bias: Aligned::of(&Vec::<f32>::try_from(&bias.f_view([-1])?)?),
             }),
             By::Own(_) | By::Library(_) => Ok(Self::Library {
                 weight: weight
@@ -103,5 +112,60 @@ fn bias_of(bias: &Tensor, x: &Tensor) -> Result<Tensor, TchError> {
     match bias.size().as_slice() {
         &[own, _] if own != rows => bias.f_repeat([rows / own.max(1), 1]),
         _ => Ok(bias.shallow_clone()),
+    }
+}
+
+#[cfg(test)]
+#[cfg(target_arch = "x86_64")]
+mod tests {
+    use tch::{Device, Kind, Tensor};
+
+    use super::{Affine, By};
+    use crate::layers::vectors::Processor;
+
+    fn zeros(shape: &[i64]) -> Tensor {
+        Tensor::zeros(shape, (Kind::Float, Device::Cpu))
+    }
+
+    #[test]
+    fn one_core_in_single_precision_computes_with_code_of_ours() {
+        assert!(Processor::found().is_some(), "the tests need AVX2");
+        for (kind, device, threads, own) in [
+            (Kind::Float, Device::Cpu, 1, true),
+            (Kind::Float, Device::Cpu, 2, false),
+            (Kind::Float, Device::Cuda(0), 1, false),
+            (Kind::BFloat16, Device::Cpu, 1, false),
+        ] {
+            let by = By::with_threads(kind, device, threads);
+            assert_eq!((matches!(by, By::Own(_)), by.kind()), (own, kind));
+        }
+    }
+
+    #[test]
+    fn whole_panels_of_outputs_are_code_of_ours() {
+        let own = By::with_threads(Kind::Float, Device::Cpu, 1);
+        for (by, outputs, expected) in [
+            (own, 32, true),
+            (own, 7, false),
+            (By::Library(Kind::Float), 32, false),
+        ] {
+            let layer = Affine::new(&zeros(&[outputs, 5]), &zeros(&[outputs]), by).unwrap();
+            assert_eq!(matches!(layer, Affine::Own { .. }), expected, "{layer:?}");
+        }
+    }
+
+    #[test]
+    fn a_bias_of_other_outputs_is_refused() {
+        for by in [
+            By::with_threads(Kind::Float, Device::Cpu, 1),
+            By::Library(Kind::Float),
+        ] {
+            for bias in [&[31_i64] as &[i64], &[4, 64], &[0]] {
+                assert!(
+                    Affine::new(&zeros(&[32, 5]), &zeros(bias), by).is_err(),
+                    "{bias:?}"
+                );
+            }
+        }
     }
 }

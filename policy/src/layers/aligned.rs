@@ -1,13 +1,14 @@
 //! Numbers in memory as vector instructions like them.
 
+use std::fmt;
 use std::ops::{Deref, DerefMut};
 
 /// Bytes that memory is read by; a vector that lies across two such lines takes twice the reading.
 const LINE: usize = 64;
 
 /// Numbers that begin with a line of memory.
-#[derive(Debug, Default)]
-pub(super) struct Aligned {
+#[derive(Default)]
+pub(crate) struct Aligned {
     /// With some numbers more, since a line need not begin where an allocation does.
     memory: Vec<f32>,
     first: usize,
@@ -16,7 +17,7 @@ pub(super) struct Aligned {
 
 impl Aligned {
     /// `length` zeros.
-    pub(super) fn zeros(length: usize) -> Self {
+    pub(crate) fn zeros(length: usize) -> Self {
         let memory = vec![0.0; length + LINE / size_of::<f32>() - 1];
         // Of a vector as long as this one at most; none where it can't be told.
         let first = memory.as_ptr().align_offset(LINE);
@@ -29,17 +30,24 @@ impl Aligned {
     }
 
     /// The same numbers.
-    pub(super) fn of(numbers: &[f32]) -> Self {
+    pub(crate) fn of(numbers: &[f32]) -> Self {
         let mut aligned = Self::zeros(numbers.len());
         aligned.copy_from_slice(numbers);
         aligned
     }
 
     /// At least `length` numbers, whatever they are.
-    pub(super) fn grow(&mut self, length: usize) {
+    pub(crate) fn grow(&mut self, length: usize) {
         if self.len() < length {
             *self = Self::zeros(length);
         }
+    }
+}
+
+/// Without the numbers, of which there may be millions.
+impl fmt::Debug for Aligned {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(formatter, "{} numbers", self.length)
     }
 }
 

@@ -111,3 +111,19 @@ fn add_products<S: Simd, const ROWS: usize, const VECTORS: usize>(
     }
     sums
 }
+
+#[cfg(test)]
+mod tests {
+    use super::share;
+
+    #[test]
+    fn shares_are_all_of_it_in_order() {
+        let all: Vec<f32> = (0_u8..=250).map(f32::from).collect();
+        for length in [0, 1, 15, 16, 17, 100, 251] {
+            for count in [1, 2, 3, 16, 40] {
+                let parts = (0..count).map(|index| share(&all[..length], index, count));
+                assert_eq!(parts.collect::<Vec<_>>().concat(), &all[..length]);
+            }
+        }
+    }
+}

@@ -89,14 +89,12 @@ impl Matrix {
         }
         let x = memory::numbers(x)?;
         memory::filled([rows, self.outputs], |out| {
-            if rows > 0 {
-                self.processor.run(InRegisters(Product {
-                    matrix: self,
-                    x,
-                    after,
-                    out,
-                }));
-            }
+            self.processor.run(InRegisters(Product {
+                matrix: self,
+                x,
+                after,
+                out,
+            }));
         })
     }
 }
@@ -127,7 +125,10 @@ impl Summing for Product<'_> {
                 let size = depth * PANEL;
                 for panel in 0..outputs / PANEL {
                     let at = first * outputs + panel * size;
-                    let (weight, rest) = weight[at..].split_at(size);
+                    let (panel_weight, mut rest) = weight[at..].split_at(size);
+                    if rest.is_empty() && end < rows {
+                        rest = weight;
+                    }
                     let next = &rest[..rest.len().min(size)];
                     for group in 0..groups {
                         let place = Place {
@@ -138,9 +139,9 @@ impl Summing for Product<'_> {
                         };
                         let ahead = share(next, group, groups);
                         if place.row + FEW < place.end {
-                            self.group::<V, ROWS, VECTORS>(simd, weight, &place, ahead);
+                            self.group::<V, ROWS, VECTORS>(simd, panel_weight, &place, ahead);
                         } else {
-                            self.group::<V, FEW, VECTORS>(simd, weight, &place, ahead);
+                            self.group::<V, FEW, VECTORS>(simd, panel_weight, &place, ahead);
                         }
                     }
                 }

@@ -6,7 +6,8 @@ use std::slice;
 
 use tch::{Device, Kind, TchError, Tensor};
 
-/// The numbers of `tensor`, which is contiguous, on the CPU and in single precision.
+/// The numbers of `tensor`, which is contiguous, on the CPU and in single precision. Nobody may change them meanwhile, not by another
+/// tensor that shares them either; a gradient ends here.
 pub(super) fn numbers(tensor: &Tensor) -> Result<&[f32], TchError> {
     check(tensor)?;
     let count = tensor.numel();
@@ -19,15 +20,15 @@ pub(super) fn numbers(tensor: &Tensor) -> Result<&[f32], TchError> {
     Ok(unsafe { slice::from_raw_parts(tensor.data_ptr().cast::<f32>(), count) })
 }
 
-/// A new tensor of two dimensions, filled by `fill`, which writes every number.
+/// A new tensor of two dimensions, filled by `fill`, which writes every number before it reads it.
 pub(super) fn filled(shape: [usize; 2], fill: impl FnOnce(&mut [f32])) -> Result<Tensor, TchError> {
     let sides = shape.map(|side| i64::try_from(side).unwrap_or(i64::MAX));
     let tensor = Tensor::f_empty(sides, (Kind::Float, Device::Cpu))?;
     check(&tensor)?;
     let count = tensor.numel();
     if count > 0 {
-        // SAFETY: as above, and nobody else has this tensor yet. Its memory comes from the library's allocator, so its bytes are
-        // whatever they are, and any bytes are a number.
+        // SAFETY: as above, and nobody else has this tensor yet. Its memory is another language's, which this one takes for
+        // written, and any bytes are a number.
         fill(unsafe { slice::from_raw_parts_mut(tensor.data_ptr().cast::<f32>(), count) });
     }
     Ok(tensor)

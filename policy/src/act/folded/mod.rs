@@ -41,7 +41,7 @@ impl FoldedAct {
     /// # Errors
     /// The network library's.
     pub fn new(act: &Act, kind: Kind) -> Result<Self, TchError> {
-        Self::computed(act, By::fastest(act.backbone.stem.weight.device(), kind))
+        Self::computed(act, By::fastest(kind, act.backbone.stem.weight.device()))
     }
 
     /// The same, computed `by` somebody.

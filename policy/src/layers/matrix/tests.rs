@@ -92,6 +92,15 @@ fn rows_have_the_bias_of_their_place() {
 }
 
 #[test]
+fn rows_may_lie_within_those_of_another() {
+    let [x, weight] = [numbers("x", &[9, 16]), numbers("weight", &[32, 16])];
+    let bias = numbers("bias", &[32]);
+    let whole = apply(processors()[0], [&x, &weight, &bias], false);
+    let part = apply(processors()[0], [&x.narrow(0, 3, 4), &weight, &bias], false);
+    assert_eq!(part, whole.narrow(0, 3, 4));
+}
+
+#[test]
 fn no_rows_give_none() {
     let empty = numbers("x", &[0, 8]);
     let weight = numbers("weight", &[32, 8]);
