@@ -303,11 +303,11 @@ def legacy_case(work):
 
 
 def jpeg_rows(images):
-    """As act-plus-plus has them: a row each, padded to the same length."""
+    """As act-plus-plus has them: a row each, padded to the same length, red and blue swapped by an encoder that takes blue first."""
     rows = []
     for image in images:
         file = io.BytesIO()
-        Image.fromarray(image).save(file, "JPEG", quality=50)
+        Image.fromarray(np.ascontiguousarray(image[..., ::-1])).save(file, "JPEG", quality=50)
         rows.append(np.frombuffer(file.getvalue(), np.uint8))
     longest = max(map(len, rows))
     return np.stack([np.pad(row, (0, longest - len(row))) for row in rows]), np.array([[len(row) for row in rows]])
@@ -415,7 +415,7 @@ def hdf5_case(work, demos):
         report(f"{name} -> LeRobot, actions", difference, 0.0)
     imported("act", work / "act_jpeg", *same, work / "from_jpeg")
     images = dumped(work / "from_jpeg", "from_jpeg")["observation.images.endoscope"]
-    decoded = [np.asarray(Image.open(io.BytesIO(row.tobytes()))) for row in jpeg_rows(recorded["observation.images.endoscope"].numpy())[0]]
+    decoded = [np.asarray(Image.open(io.BytesIO(row.tobytes())))[..., ::-1] for row in jpeg_rows(recorded["observation.images.endoscope"].numpy())[0]]
     # Two decoders round differently, most where they enlarge colour.
     difference = (images.double() - torch.from_numpy(np.stack(decoded)).double()).abs()
     report("JPEG, of 255, mean difference to Pillow", difference.mean().item(), 0.2)

@@ -52,7 +52,7 @@ mod writer;
 pub use depth::{DepthFrame, RecordedDepth};
 pub use error::DatasetError;
 pub use guard::file_being_read;
-pub(crate) use png::SIDE_MAX;
+pub use png::SIDE_MAX;
 pub use png::{decode_rgb, encode_rgb};
 pub use reader::Dataset;
 pub use video::VideoCodec;

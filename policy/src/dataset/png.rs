@@ -9,7 +9,7 @@ use image::{
 };
 
 /// Pixels that a side of an image may have.
-pub(crate) const SIDE_MAX: u32 = 8192;
+pub const SIDE_MAX: u32 = 8192;
 
 /// Encodes 8-bit RGB, row-major, `3 * width * height` bytes.
 ///

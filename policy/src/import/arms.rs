@@ -12,6 +12,8 @@ use crate::dataset::{ACTION_WIDTH, ArmFrame, STATE_WIDTH};
 
 /// A recording's noise at a limit, rad (m).
 const SLACK: f64 = 0.02;
+/// How far from its RCM a tip can be on any axis, m.
+const REACH_M: f64 = 1.0;
 /// By how much the length of a quaternion may differ from 1: rounding to single precision, twice.
 const UNIT_TOLERANCE: f64 = 1e-3;
 
@@ -128,6 +130,24 @@ fn joints_of(recording: &Recording, name: &str) -> Result<Numbers, ImportError> 
 fn poses_of(recording: &Recording, name: &str) -> Result<Numbers, ImportError> {
     let numbers = of_arms(recording, name, ACTION_WIDTH)?;
     for (index, row) in numbers.values.chunks_exact(ACTION_WIDTH).enumerate() {
+        let jaw = JAW_MIN - SLACK..=JAW_MAX + SLACK;
+        let within = row[..3].iter().all(|along| along.abs() <= REACH_M);
+        if !within || !jaw.contains(&row[7]) {
+            let arms = numbers.width / ACTION_WIDTH;
+            let found = format!(
+                "of arm {} is at {:.4e}, {:.4e}, {:.4e} with the jaw at {:.4e} in step {}",
+                index % arms + 1,
+                row[0],
+                row[1],
+                row[2],
+                row[7],
+                index / arms
+            );
+            let expected = format!(
+                "positions in m within [-{REACH_M}, {REACH_M}] and the jaw in rad within [{JAW_MIN:.3}, {JAW_MAX:.3}]"
+            );
+            return Err(recording.mismatch(name, found, expected));
+        }
         let length = row[3..7].iter().map(|part| part * part).sum::<f64>().sqrt();
         if (length - 1.0).abs() > UNIT_TOLERANCE {
             let arms = numbers.width / ACTION_WIDTH;

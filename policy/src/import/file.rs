@@ -4,13 +4,24 @@ use std::path::Path;
 use std::sync::Arc;
 
 use hdf5_reader::error::Error;
-use hdf5_reader::{Dataset, Datatype, FileStorage, H5Type, Hdf5File, OpenOptions};
+use hdf5_reader::{
+    Dataset, Datatype, ExternalLinkResolver, FileStorage, H5Type, Hdf5File, OpenOptions,
+};
 
 use super::ImportError;
 use super::filters::{self, CHUNK_MAX};
 
 /// Bytes that one reading may give.
 pub(super) const READ_MAX: usize = 256 << 20;
+
+/// Steps of an episode at most: several hours.
+const STEPS_MAX: u64 = 1_000_000;
+
+/// Numbers of a step at most.
+const WIDTH_MAX: u64 = 64;
+
+/// Chunks that are read at once at most; the reader keeps a list of them.
+const CHUNKS_MAX: u64 = 1 << 18;
 
 /// How many times a file's own size its data can be: what gzip can do at most.
 const EXPANSION_MAX: u64 = 1032;
@@ -23,6 +34,16 @@ pub(super) struct Recording {
     pub(super) place: String,
     /// What the episode's names begin with.
     prefix: String,
+}
+
+/// What a link to another file leads to: nothing that is imported, and nothing that is left out without a word.
+struct NotFollowed;
+
+impl ExternalLinkResolver for NotFollowed {
+    fn resolve_external_link(&self, filename: &str) -> Result<Option<Hdf5File>, Error> {
+        let text = format!("a link leads to the file {filename:?}; it has to be copied in");
+        Err(Error::InvalidData(text))
+    }
 }
 
 /// A table of numbers, row after row.
@@ -59,6 +80,7 @@ impl Recording {
         let storage = Arc::new(FileStorage::open(path).map_err(refuse)?);
         let options = OpenOptions::default()
             .with_filter_registry(filters::registry())
+            .with_external_link_resolver(Arc::new(NotFollowed))
             .with_max_chunk_bytes(CHUNK_MAX)
             .with_max_read_bytes(READ_MAX);
         let file = Hdf5File::from_storage_with_options(storage, options).map_err(refuse)?;
@@ -124,16 +146,51 @@ impl Recording {
         Ok(dataset)
     }
 
+    /// Refuses a `dataset` of which `steps` read at once are in more pieces than fit into memory.
+    pub(super) fn check_chunks(
+        &self,
+        name: &str,
+        dataset: &Dataset,
+        steps: u64,
+    ) -> Result<(), ImportError> {
+        let Some(chunks) = dataset.chunks() else {
+            return Ok(());
+        };
+        let extents = dataset
+            .shape()
+            .iter()
+            .enumerate()
+            .map(|(axis, &extent)| match axis {
+                0 => steps.min(extent),
+                _ => extent,
+            });
+        let pieces = extents
+            .zip(&chunks)
+            .try_fold(1_u64, |pieces, (extent, &chunk)| {
+                pieces.checked_mul(extent.div_ceil(u64::from(chunk.max(1))))
+            });
+        if pieces.is_some_and(|pieces| pieces <= CHUNKS_MAX) {
+            return Ok(());
+        }
+        let found = format!("of shape {:?} is in chunks of {chunks:?}", dataset.shape());
+        let expected = format!("larger ones, so that {steps} steps are in at most {CHUNKS_MAX}");
+        Err(self.mismatch(name, found, expected))
+    }
+
     /// The dataset `name`, (steps, numbers) and finite.
     pub(super) fn numbers(&self, name: &str) -> Result<Numbers, ImportError> {
         let dataset = self.dataset(name)?;
         let width = match dataset.shape() {
-            &[steps, width] if steps > 0 && width > 0 => usize::try_from(width).ok(),
+            &[steps @ 1..=STEPS_MAX, width @ 1..=WIDTH_MAX] => {
+                self.check_chunks(name, &dataset, steps)?;
+                usize::try_from(width).ok()
+            }
             _ => None,
         };
         let Some(width) = width else {
             let found = format!("has the shape {:?}", dataset.shape());
-            return Err(self.mismatch(name, found, "(steps, numbers)"));
+            let expected = format!("(steps, numbers), of at most {STEPS_MAX} and {WIDTH_MAX}");
+            return Err(self.mismatch(name, found, expected));
         };
         let values = self
             .widened(&dataset)

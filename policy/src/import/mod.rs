@@ -3,7 +3,8 @@
 //! ```text
 //! act        FOLDER/episode_0.hdf5 ...   observations/qpos and action (steps, 7 an arm): six joint positions (rad, insertion m)
 //!                                        and the jaw (rad); observations/images/CAMERA (steps, height, width, 3), or JPEG, a row
-//!                                        each and padded to the same length, as act-plus-plus has them
+//!                                        each and padded to the same length, as act-plus-plus has them: with
+//!                                        red and blue the other way round, so that its own reading puts them right
 //! robomimic  FILE, data/demo_0 ...       joints, images and actions by the names that the options give them
 //! ```
 //!
@@ -14,7 +15,7 @@
 //!
 //! All episodes are looked at before the first is written. An import that is cut off keeps whole episodes, as
 //! [`DatasetWriter`](crate::dataset::DatasetWriter) does. HDF5 is read by a library without C, links that lead out of the file
-//! are not followed, and what a damaged file can have it allocate is bounded.
+//! are refused, and what a damaged file can have it allocate is bounded.
 
 mod arms;
 mod chain;
@@ -69,6 +70,8 @@ pub struct ImportOptions {
     pub action_pose: Option<String>,
     /// Cameras' frames within an episode; with ACT's layout all of its cameras if empty.
     pub images: Vec<String>,
+    /// Width and height that frames are brought to, pixels, each 1 to [`SIDE_MAX`](crate::dataset::SIDE_MAX); as they are if not given.
+    pub size: Option<(u32, u32)>,
     /// The arm's chain from the RCM to its last joint.
     pub chain: [DhRow; JOINT_COUNT],
     /// Keep colour as video.

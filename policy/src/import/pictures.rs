@@ -4,11 +4,22 @@ use std::io::Cursor;
 
 use hdf5_reader::error::Error;
 use hdf5_reader::{Dataset, Datatype, SliceInfo, SliceInfoElem};
+use image::imageops::{self, FilterType};
 use image::{ImageFormat, ImageReader, Limits};
 
 use super::ImportError;
 use super::file::{READ_MAX, Recording, kind};
 use crate::dataset::SIDE_MAX;
+
+/// What becomes of frames as they are stored.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Form {
+    /// Red and blue of JPEG are the other way round: act-plus-plus hands red, green, blue to an encoder that takes blue, green,
+    /// red.
+    pub(super) swapped: bool,
+    /// Width and height that frames are brought to.
+    pub(super) resized: Option<(u32, u32)>,
+}
 
 /// One camera's frames.
 pub(super) struct Pictures<'a> {
@@ -17,6 +28,7 @@ pub(super) struct Pictures<'a> {
     dataset: Dataset,
     /// Width and height, unless it takes a decoded frame to know.
     stored: Option<(u32, u32)>,
+    form: Form,
     row_bytes: usize,
     /// Steps that are read together: those of one chunk, which are unpacked together.
     window_steps: usize,
@@ -31,6 +43,7 @@ impl<'a> Pictures<'a> {
         recording: &'a Recording,
         name: &'a str,
         steps: usize,
+        form: Form,
     ) -> Result<Self, ImportError> {
         let dataset = recording.dataset(name)?;
         let refuse = |found: String, expected: &str| recording.mismatch(name, found, expected);
@@ -73,12 +86,15 @@ impl<'a> Pictures<'a> {
             .chunks()
             .and_then(|extents| extents.first().copied());
         let window_steps = chunk.map_or(1, |steps| steps as usize);
+        let window_steps = window_steps.clamp(1, (READ_MAX / row_bytes).max(1));
+        recording.check_chunks(name, &dataset, window_steps as u64)?;
         Ok(Self {
             recording,
             name,
             stored,
+            form,
             row_bytes,
-            window_steps: window_steps.clamp(1, (READ_MAX / row_bytes).max(1)),
+            window_steps,
             window_start: 0,
             window: Vec::new(),
             decoded: Vec::new(),
@@ -86,12 +102,13 @@ impl<'a> Pictures<'a> {
         })
     }
 
-    /// Width and height of the first frame, pixels.
+    /// Width and height of the first frame, pixels, as the dataset will have it.
     pub(super) fn size(&mut self) -> Result<(u32, u32), ImportError> {
-        match self.stored {
-            Some(size) => Ok(size),
-            None => Ok(self.decode(0)?.dimensions()),
-        }
+        let stored = match self.stored {
+            Some(size) => size,
+            None => self.decode(0)?.dimensions(),
+        };
+        Ok(self.form.resized.unwrap_or(stored))
     }
 
     /// RGB of `step`, which must be `size`.
@@ -105,6 +122,9 @@ impl<'a> Pictures<'a> {
                 found
             }
         };
+        if let Some(size) = self.form.resized {
+            return self.resized(step, found, size);
+        }
         if found != size {
             let found = format!("is {} x {} in step {step}", found.0, found.1);
             let expected = format!("{} x {} as before", size.0, size.1);
@@ -114,6 +134,28 @@ impl<'a> Pictures<'a> {
             Some(_) => self.row(step),
             None => Ok(&self.decoded),
         }
+    }
+
+    /// The frame of `step`, which is of `from`, brought to `size`.
+    fn resized(
+        &mut self,
+        step: usize,
+        from: (u32, u32),
+        size: (u32, u32),
+    ) -> Result<&[u8], ImportError> {
+        let whole = match self.stored {
+            Some(_) => self.row(step)?.to_vec(),
+            None => std::mem::take(&mut self.decoded),
+        };
+        let (recording, name) = (self.recording, self.name);
+        let image = image::RgbImage::from_raw(from.0, from.1, whole);
+        let image = image.ok_or_else(|| {
+            let short = Error::InvalidData(format!("step {step} is cut off"));
+            recording.unreadable(name, short)
+        })?;
+        let image = imageops::resize(&image, size.0, size.1, FilterType::Triangle);
+        self.decoded = image.into_raw();
+        Ok(&self.decoded)
     }
 
     fn decode(&mut self, step: usize) -> Result<image::RgbImage, ImportError> {
@@ -130,7 +172,13 @@ impl<'a> Pictures<'a> {
             step,
             source,
         })?;
-        Ok(image.into_rgb8())
+        let mut image = image.into_rgb8();
+        if self.form.swapped {
+            for pixel in image.pixels_mut() {
+                pixel.0.reverse();
+            }
+        }
+        Ok(image)
     }
 
     /// The bytes of `step` as they are stored.

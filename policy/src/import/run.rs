@@ -4,7 +4,7 @@ use serde::Serialize;
 
 use super::arms::Arms;
 use super::file::Recording;
-use super::pictures::Pictures;
+use super::pictures::{Form, Pictures};
 use super::source::{EpisodeAt, cameras, episodes};
 use super::{ImportError, ImportOptions, Layout};
 use crate::dataset::{CameraSpec, DatasetSpec, DatasetWriter, FrameRecord};
@@ -44,10 +44,22 @@ impl Action {
     }
 }
 
+impl ImportOptions {
+    fn form(&self) -> Form {
+        Form {
+            swapped: self.layout == Layout::Act,
+            resized: self.size,
+        }
+    }
+}
+
 impl Names {
     /// The options' names, or those that ACT's layout has.
     fn of(options: &ImportOptions) -> Result<Self, ImportError> {
         let refuse = |text: &str| Err(ImportError::Options(text.to_owned()));
+        if options.task.trim().is_empty() {
+            return refuse("--task: what the demonstrations show, in words, is needed");
+        }
         let act = options.layout == Layout::Act;
         let joints = options.joints.clone();
         let joints = joints.or_else(|| act.then(|| "observations/qpos".to_owned()));
@@ -141,7 +153,8 @@ fn survey(
         let arms = Arms::read(&recording, names, &options.chain)?;
         let mut found = Vec::new();
         for (name, path) in cameras(&recording, options)? {
-            let (width, height) = Pictures::open(&recording, &path, arms.steps)?.size()?;
+            let (width, height) =
+                Pictures::open(&recording, &path, arms.steps, options.form())?.size()?;
             found.push(CameraSpec {
                 name,
                 width,
@@ -177,7 +190,10 @@ fn copy(
     let mut pictures = Vec::new();
     for ((_, path), camera) in paths.iter().zip(&spec.cameras) {
         let size = (camera.width, camera.height);
-        pictures.push((Pictures::open(recording, path, arms.steps)?, size));
+        pictures.push((
+            Pictures::open(recording, path, arms.steps, options.form())?,
+            size,
+        ));
     }
     for (step, arms) in arms.by_step().enumerate() {
         let images: Result<Vec<&[u8]>, ImportError> = pictures

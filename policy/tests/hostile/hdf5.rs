@@ -33,6 +33,7 @@ fn options(layout: Layout, source: PathBuf, out: PathBuf) -> ImportOptions {
         images: named("obs/scope_image").into_iter().collect(),
         chain: psm::DH,
         video: None,
+        size: None,
     }
 }
 

@@ -13,7 +13,9 @@ use tch::Device;
 
 use super::cloud_file::cloud_recipe;
 use super::training_recipe::{Made, recipe};
-use super::training_watch::{Pace, Stopwatch, Watcher, read_state, remove_state, write_curve};
+use super::training_watch::{
+    Pace, STATE_FILE, Stopwatch, Watcher, read_state, remove_state, write_curve,
+};
 use super::{SessionError, outputs, training_backbone, training_clouds};
 use crate::rt;
 
@@ -191,7 +193,10 @@ pub fn resume(
     on_progress: &mut dyn FnMut(&str),
 ) -> Result<TrainingResult, SessionError> {
     let (state, options, seconds): (RunState, _, _) = read_state(folder)?;
-    check(&options)?;
+    check(&options).map_err(|error| {
+        let file = folder.join(STATE_FILE);
+        SessionError::BadArgument(format!("{}: its options: {error}", file.display()))
+    })?;
     let start = Start {
         trainer: Trainer::new(options.device).resuming(state),
         stopwatch: Stopwatch::start(seconds),

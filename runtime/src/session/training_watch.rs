@@ -12,7 +12,7 @@ use super::training::TrainingOptions;
 use crate::rt::{self, MonotonicClock};
 
 /// The state of a training that is not at its end, in the checkpoint's folder.
-const STATE_FILE: &str = "training_state.safetensors";
+pub(super) const STATE_FILE: &str = "training_state.safetensors";
 
 /// What a state remembers for the one who resumes it.
 #[derive(Debug, Serialize, Deserialize)]

@@ -74,6 +74,7 @@ pub(super) fn act(source: &Path, out: &Path) -> ImportOptions {
         images: Vec::new(),
         chain: psm::DH,
         video: None,
+        size: None,
     }
 }
 

@@ -10,7 +10,7 @@ use image::codecs::jpeg::JpegEncoder;
 use super::demo::{Episode, Folder, act, by_h5py, image, joint, robomimic};
 use crate::dataset::Dataset;
 use crate::import::chain::tip_in_rcm;
-use crate::import::{ImportSummary, import, read_chain};
+use crate::import::{ImportOptions, ImportSummary, import, read_chain};
 
 #[expect(clippy::cast_possible_truncation, reason = "as a dataset stores it")]
 fn narrow(value: f64) -> f32 {
@@ -137,13 +137,18 @@ fn every_kind_of_storage_comes_in_alike() {
 }
 
 #[test]
-fn jpeg_in_padded_rows_comes_in_as_it_decodes() {
+fn jpeg_in_padded_rows_comes_in_with_red_and_blue_put_right() {
     let folder = Folder::new("jpeg");
     let encoded: Vec<Vec<u8>> = (0..4)
         .map(|step| {
             let mut jpeg = Vec::new();
+            // As by an encoder that takes blue first.
+            let mut blue_first = image(step);
+            for pixel in blue_first.chunks_exact_mut(3) {
+                pixel.reverse();
+            }
             JpegEncoder::new_with_quality(&mut jpeg, 90)
-                .encode(&image(step), 8, 6, ExtendedColorType::Rgb8)
+                .encode(&blue_first, 8, 6, ExtendedColorType::Rgb8)
                 .unwrap();
             jpeg
         })
@@ -161,7 +166,10 @@ fn jpeg_in_padded_rows_comes_in_as_it_decodes() {
     import(&act(&folder.0, &out), &mut |_, _| {}).unwrap();
     let dataset = Dataset::open(&out).unwrap();
     for (step, jpeg) in encoded.iter().enumerate() {
-        let expected = image::load_from_memory(jpeg).unwrap().into_rgb8();
+        let mut expected = image::load_from_memory(jpeg).unwrap().into_rgb8();
+        for pixel in expected.pixels_mut() {
+            pixel.0.reverse();
+        }
         let found = dataset.image_rgb(step, 0).unwrap();
         assert_eq!(found, expected, "step {step}");
         let differences = found.as_raw().iter().zip(image(step));
@@ -245,5 +253,34 @@ fn another_arm_has_another_chain() {
     assert!(
         message.contains("row 1: 1000000000 is outside"),
         "{message}"
+    );
+}
+
+#[test]
+fn frames_are_brought_to_the_size_that_is_asked_for() {
+    let folder = Folder::new("resized");
+    let mut episode = Episode::new(3, 1);
+    // Of one colour above and another below, so that half the size is of the same two.
+    let row = |level: u8| vec![level; 8 * 3 * 3];
+    let picture = [row(40), row(200)].concat();
+    episode.camera = (picture.repeat(3), vec![3, 6, 8, 3]);
+    episode.write(&folder.0.join("episode_0.hdf5"));
+    let out = folder.0.join("out");
+    let options = ImportOptions {
+        size: Some((4, 2)),
+        ..act(&folder.0, &out)
+    };
+    import(&options, &mut |_, _| {}).unwrap();
+    let dataset = Dataset::open(&out).unwrap();
+    let found = dataset.image_rgb(2, 0).unwrap();
+    assert_eq!(found.dimensions(), (4, 2));
+    let (above, below) = found.as_raw().split_at(12);
+    assert!(
+        above.iter().all(|level| (40..=60).contains(level)),
+        "{above:?}"
+    );
+    assert!(
+        below.iter().all(|level| (180..=200).contains(level)),
+        "{below:?}"
     );
 }

@@ -274,3 +274,61 @@ fn an_episode_that_breaks_off_leaves_those_before_it() {
     assert_eq!(lengths, [4]);
     assert!(dataset.image_rgb(3, 0).is_ok());
 }
+
+#[test]
+fn demonstrations_of_nothing_are_refused() {
+    let folder = Folder::new("nameless");
+    Episode::new(3, 1).write(&folder.0.join("episode_0.hdf5"));
+    let nameless = ImportOptions {
+        task: " ".to_owned(),
+        ..act(&folder.0, &folder.0.join("out"))
+    };
+    refused(&nameless, &["--task"]);
+}
+
+#[test]
+fn poses_in_other_units_are_refused() {
+    let folder = Folder::new("units");
+    let path = folder.0.join("episode_0.hdf5");
+    let pose = [0.01, 0.02, -0.15, 1.0, 0.0, 0.0, 0.0, 0.5];
+    let options = ImportOptions {
+        action_pose: Some("action".to_owned()),
+        ..act(&folder.0, &folder.0.join("out"))
+    };
+    for (place, value, told) in [
+        (2, -150.0, "-1.5000e2 with the jaw at 5.0000e-1 in step 1"),
+        (0, 1e39, "is at 1.0000e39"),
+        (7, 30.0, "with the jaw at 3.0000e1 in step 1"),
+    ] {
+        let mut rows = pose.repeat(3);
+        rows[8 + place] = value;
+        let mut episode = Episode::new(3, 1);
+        episode.action = (rows, vec![3, 8]);
+        episode.write(&path);
+        let range = "within [-1, 1] and the jaw in rad within";
+        refused(&options, &["action of arm 1 is at", told, range]);
+    }
+    let mut episode = Episode::new(3, 1);
+    episode.action = (pose.repeat(3), vec![3, 8]);
+    episode.write(&path);
+    assert!(import(&options, &mut |_, _| {}).is_ok());
+}
+
+#[test]
+fn what_is_in_too_many_pieces_is_refused() {
+    let folder = Folder::new("pieces");
+    let mut episode = Episode::new(2, 1);
+    let side = 600;
+    episode.camera = (vec![0; 2 * side * side * 3], vec![2, 600, 600, 3]);
+    episode.stored = |data, shape| {
+        if shape.len() == 4 {
+            data.with_chunks(&[1, 1, 1, 1]);
+        }
+    };
+    episode.write(&folder.0.join("episode_0.hdf5"));
+    let options = act(&folder.0, &folder.0.join("out"));
+    refused(
+        &options,
+        &["is in chunks of [1, 1, 1, 1]", "at most 262144"],
+    );
+}

@@ -5,6 +5,7 @@ use std::path::PathBuf;
 use clap::{Args, ValueEnum};
 
 use hal::psm;
+use policy::dataset::SIDE_MAX;
 use policy::import::{ImportOptions, Layout, import as import_demonstrations, read_chain};
 use runtime::session::run::write_json;
 use runtime::session::{SessionError, outputs};
@@ -59,6 +60,10 @@ pub(crate) struct ImportArgs {
     /// arm than a patient-side manipulator with a Large Needle Driver.
     #[arg(long, value_name = "FILE")]
     pub(crate) dh: Option<PathBuf>,
+    /// Bring frames to this size, such as 512x512, without keeping their proportions. Networks take sizes that are a whole
+    /// multiple of their own: train's small preset 256x256, lerobot and paper 512x512.
+    #[arg(long, value_name = "WIDTHxHEIGHT", value_parser = size)]
+    pub(crate) resize: Option<(u32, u32)>,
     /// Keep colour as video instead of as PNG: far smaller, but pictures come back close, not the same. Needs
     /// ffmpeg 5.1 or newer, here and where the dataset is read.
     #[arg(long, value_enum, value_name = "CODEC")]
@@ -68,10 +73,33 @@ pub(crate) struct ImportArgs {
     pub(crate) json: Option<PathBuf>,
 }
 
+/// `WIDTHxHEIGHT`.
+fn size(text: &str) -> Result<(u32, u32), String> {
+    let sides = text.split_once('x').and_then(|(width, height)| {
+        let side = |text: &str| {
+            let side = text.parse::<u32>().ok();
+            side.filter(|side| (1..=SIDE_MAX).contains(side))
+        };
+        side(width).zip(side(height))
+    });
+    sides.ok_or_else(|| format!("a width and a height of 1 to {SIDE_MAX}, such as 512x512"))
+}
+
 pub(crate) fn import(args: &ImportArgs) -> Done {
     let source = ("the demonstrations", Some(args.source.as_path()));
     let out = ("--out", Some(args.out.as_path()));
     let dh = ("--dh", args.dh.as_deref());
+    if let Some(path) = args.json.as_deref().filter(|path| path.exists()) {
+        let folder = path.canonicalize().ok();
+        let among = args.source.canonicalize().ok();
+        if folder
+            .zip(among)
+            .is_some_and(|(file, among)| file.starts_with(among))
+        {
+            let text = format!("--json {}: exists among the demonstrations", path.display());
+            return Err(SessionError::BadArgument(text));
+        }
+    }
     outputs::check(&[("--json", args.json.as_deref())], &[source, out, dh])?;
     outputs::new_folder(&args.out)?;
     let options = ImportOptions {
@@ -87,6 +115,7 @@ pub(crate) fn import(args: &ImportArgs) -> Done {
         action_joints: args.action_joints.clone(),
         action_pose: args.action_pose.clone(),
         images: args.images.clone(),
+        size: args.resize,
         chain: match &args.dh {
             None => psm::DH,
             Some(path) => read_chain(path).map_err(SessionError::from)?,

@@ -60,6 +60,33 @@ fn write_state(folder: &Path, about: &str) {
 }
 
 #[test]
+fn options_of_a_state_are_checked_before_anything_is_read() {
+    let folder = Scratch::new("session-state-options");
+    let options = training_options(folder.0.join("no-data"), folder.0.clone());
+    for (key, value) in [
+        ("threads", serde_json::json!(5000)),
+        ("batch", serde_json::json!(70_000)),
+        ("validation_share", serde_json::json!(0.95)),
+    ] {
+        let mut wrong = serde_json::json!(options);
+        assert!(wrong.get(key).is_some(), "{key}");
+        wrong[key] = value;
+        let about = serde_json::json!({"options": wrong, "seconds": 12.5}).to_string();
+        write_state(&folder.0, &about);
+        let error = resume(&folder.0, &mut |_| {}).unwrap_err();
+        let mut message = error.to_string();
+        if let Some(cause) = std::error::Error::source(&error) {
+            message = format!("{message}: {cause}");
+        }
+        assert!(
+            message.contains(key) && !message.contains("no-data"),
+            "{message}"
+        );
+        assert!(message.contains("training_state.safetensors"), "{message}");
+    }
+}
+
+#[test]
 fn every_number_that_a_state_remembers_may_be_wrong() {
     let folder = Scratch::new("session-state");
     let options = training_options(folder.0.join("no-data"), folder.0.clone());
