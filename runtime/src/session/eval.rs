@@ -43,6 +43,7 @@ pub fn evaluate(
     parallel::in_order(
         options.trials,
         options.jobs,
+        usize::MAX,
         || TrialWorker::new(setup, options).map(TrialWorker::into_job),
         &mut |_, trial| {
             on_trial(&trial);

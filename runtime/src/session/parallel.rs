@@ -1,8 +1,7 @@
 //! Independent jobs on several threads, their results in order.
 
 use std::collections::BTreeMap;
-use std::sync::Mutex;
-use std::sync::mpsc;
+use std::sync::{Condvar, Mutex, PoisonError, mpsc};
 use std::thread;
 
 /// No more threads than this are started, however many are asked for.
@@ -11,14 +10,16 @@ const THREADS_MAX: usize = 1024;
 /// Runs `work(index)` for every index below `count` on `threads` threads and hands the results to `consume` in order of
 /// the index, as soon as each is next.
 ///
-/// Every thread gets a worker of its own from `make_worker`. There are no more threads than jobs. An error ends the work
-/// when its turn comes, after the results before it.
+/// Every thread gets a worker of its own from `make_worker`. There are no more threads than jobs, and no job is begun before the
+/// one that lies `ahead` jobs before it is consumed, so that no more than `ahead` are under way or wait for their turn. An error
+/// ends the work when its turn comes, after the results before it.
 ///
 /// # Errors
 /// The first error of a worker or of `consume`, by index; or the first of `make_worker`, as soon as it arrives.
 pub fn in_order<W, T, E>(
     count: usize,
     threads: usize,
+    ahead: usize,
     make_worker: impl Fn() -> Result<W, E> + Sync,
     consume: &mut dyn FnMut(usize, T) -> Result<(), E>,
 ) -> Result<(), E>
@@ -28,12 +29,13 @@ where
     E: Send,
 {
     let next = Mutex::new(0..count);
+    let turn = Turn::new(ahead.max(1));
     let threads = threads.min(THREADS_MAX).clamp(1, count.max(1));
     let (sender, receiver) = mpsc::sync_channel(2 * threads);
     thread::scope(|scope| {
         for _ in 0..threads {
             let sender = sender.clone();
-            let (next, make_worker) = (&next, &make_worker);
+            let (next, turn, make_worker) = (&next, &turn, &make_worker);
             scope.spawn(move || {
                 let mut worker = match make_worker() {
                     Ok(worker) => worker,
@@ -46,6 +48,9 @@ where
                 loop {
                     let job = next.lock().ok().and_then(|mut jobs| jobs.next());
                     let Some(index) = job else { return };
+                    if !turn.wait(index) {
+                        return;
+                    }
                     if sender.send(Ok((index, worker(index)))).is_err() {
                         return;
                     }
@@ -53,17 +58,61 @@ where
             });
         }
         drop(sender);
-        collect(receiver, consume)
+        let _ending = Ending(&turn);
+        collect(receiver, consume, &turn)
     })
+}
+
+/// How far the results are.
+struct Turn {
+    /// The index of the first that is not consumed; none when nobody consumes any more.
+    expected: Mutex<Option<usize>>,
+    changed: Condvar,
+    ahead: usize,
+}
+
+impl Turn {
+    const fn new(ahead: usize) -> Self {
+        Self {
+            expected: Mutex::new(Some(0)),
+            changed: Condvar::new(),
+            ahead,
+        }
+    }
+
+    /// Waits until the job `index` may begin; false if it need not any more.
+    fn wait(&self, index: usize) -> bool {
+        let expected = self.expected.lock().unwrap_or_else(PoisonError::into_inner);
+        let too_early = |expected: &mut Option<usize>| {
+            expected.is_some_and(|expected| index - expected.min(index) >= self.ahead)
+        };
+        let expected = self.changed.wait_while(expected, too_early);
+        expected.unwrap_or_else(PoisonError::into_inner).is_some()
+    }
+
+    fn set(&self, expected: Option<usize>) {
+        *self.expected.lock().unwrap_or_else(PoisonError::into_inner) = expected;
+        self.changed.notify_all();
+    }
+}
+
+/// Lets nobody wait any longer, however the work ends.
+struct Ending<'a>(&'a Turn);
+
+impl Drop for Ending<'_> {
+    fn drop(&mut self) {
+        self.0.set(None);
+    }
 }
 
 /// A job's index and its result; or why a thread has no worker.
 type Arrival<T, E> = Result<(usize, Result<T, E>), E>;
 
-/// Puts results that arrive in any order back into order. Returning drops the receiver, which ends the workers.
+/// Puts results that arrive in any order back into order, and tells `turn`. Returning drops the receiver, which ends the workers.
 fn collect<T, E>(
     receiver: mpsc::Receiver<Arrival<T, E>>,
     consume: &mut dyn FnMut(usize, T) -> Result<(), E>,
+    turn: &Turn,
 ) -> Result<(), E> {
     let mut waiting = BTreeMap::new();
     let mut expected = 0;
@@ -73,6 +122,7 @@ fn collect<T, E>(
         while let Some(result) = waiting.remove(&expected) {
             consume(expected, result?)?;
             expected += 1;
+            turn.set(Some(expected));
         }
     }
     Ok(())
@@ -89,6 +139,7 @@ mod tests {
             in_order(
                 40,
                 threads,
+                usize::MAX,
                 || Ok::<_, ()>(|index: usize| Ok(index * index)),
                 &mut |index, square| {
                     seen.push((index, square));
@@ -106,6 +157,7 @@ mod tests {
             let mut seen = 0;
             in_order(
                 count,
+                usize::MAX,
                 usize::MAX,
                 || Ok::<_, ()>(|index: usize| Ok(index)),
                 &mut |_, _| {
@@ -125,6 +177,7 @@ mod tests {
         let result = in_order(
             3,
             2,
+            usize::MAX,
             || {
                 Ok(|index: usize| {
                     if index != 1 {
@@ -143,6 +196,7 @@ mod tests {
         let result = in_order(
             5,
             2,
+            1,
             || Err::<fn(usize) -> Result<(), &'static str>, _>("no worker"),
             &mut |_, ()| Ok(()),
         );
@@ -150,9 +204,42 @@ mod tests {
     }
 
     #[test]
+    fn no_job_is_begun_far_ahead_of_what_is_consumed() {
+        for (threads, ahead) in [(4, 1), (4, 2), (3, 3), (2, 5)] {
+            let consumed = std::sync::atomic::AtomicUsize::new(0);
+            let farthest = std::sync::atomic::AtomicUsize::new(0);
+            let order = std::sync::atomic::Ordering::SeqCst;
+            in_order(
+                60,
+                threads,
+                ahead,
+                || {
+                    Ok::<_, ()>(|index: usize| {
+                        farthest.fetch_max(index - consumed.load(order).min(index), order);
+                        Ok(index)
+                    })
+                },
+                &mut |index, _| {
+                    // Slower than the work, so that threads would run ahead.
+                    for _ in 0..200 {
+                        thread::yield_now();
+                    }
+                    consumed.store(index + 1, order);
+                    Ok(())
+                },
+            )
+            .unwrap();
+            let farthest = farthest.into_inner();
+            assert!(farthest < ahead, "{farthest} of {ahead}");
+            assert_eq!(consumed.into_inner(), 60);
+        }
+    }
+
+    #[test]
     fn an_error_ends_the_work() {
         let result = in_order(
             1000,
+            2,
             2,
             || Ok(|index: usize| if index == 7 { Err("seven") } else { Ok(index) }),
             &mut |_, _| Ok(()),

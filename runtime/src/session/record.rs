@@ -111,6 +111,8 @@ pub fn record(
         parallel::in_order(
             wanted,
             options.jobs,
+            // What is cut off loses no more than these.
+            options.jobs,
             || Ok(demonstrator(setup, first, options.depth)),
             &mut |index, demo: Demonstration| {
                 let success = matches!(demo.outcome, Outcome::Success);

@@ -286,8 +286,8 @@ pub(crate) struct RecordArgs {
     /// Seed of the first attempt; attempt i has seed + i, which wraps around past 2^64 - 1.
     #[arg(long, default_value_t = 0)]
     pub(crate) seed: u64,
-    /// Episodes at a time. They are written in order: a recording that is cut off loses those in progress, and those that wait
-    /// for an earlier one.
+    /// Episodes at a time. They are written in order: a recording that is cut off loses no more than these, which are in progress
+    /// or wait for an earlier one.
     #[arg(long, default_value_t = 1, value_parser = threads())]
     pub(crate) jobs: usize,
     /// The scene.
