@@ -8,6 +8,9 @@ pub(crate) mod matrix;
 mod memory;
 pub(crate) mod narrow;
 pub(crate) mod planes;
+#[cfg(test)]
+#[cfg(target_arch = "x86_64")]
+mod seeded;
 pub(crate) mod vectors;
 
 use tch::{Device, Kind, TchError, Tensor};

@@ -2,6 +2,12 @@
 
 use pulp::Simd;
 
+/// Into all levels of cache.
+const TO_ALL: i32 = 3;
+
+/// Into the second level and those below.
+const TO_SECOND: i32 = 2;
+
 /// A processor's vectors: eight numbers in single precision or 16, and multiplications fused with additions.
 pub(super) trait Vectors: Simd {
     /// Numbers in single precision.
@@ -13,11 +19,21 @@ pub(super) trait Vectors: Simd {
     /// Upper halves of numbers in single precision, with zeros as their lower halves.
     fn brain(self, from: &[u16]) -> Self::f32s;
 
-    /// Asks for the memory `bytes` after `at`, without waiting for it; it may be anybody's.
-    fn fetch<T>(self, at: &T, bytes: usize);
+    /// Asks for the memory at `at` to be brought to the named levels of cache, without waiting for it; it may be anybody's.
+    fn ask<const LEVELS: i32>(self, at: *const i8);
 
-    /// Asks for the memory at `at` to be brought to the second-level cache, without waiting for it.
-    fn fetch_near<T>(self, at: &T);
+    /// Asks for the memory `bytes` after `at`.
+    #[inline(always)]
+    fn fetch<T>(self, at: &T, bytes: usize) {
+        let at = core::ptr::from_ref(at).cast::<i8>();
+        self.ask::<TO_ALL>(at.wrapping_add(bytes));
+    }
+
+    /// Asks for the memory at `at` to be brought to the second-level cache.
+    #[inline(always)]
+    fn fetch_near<T>(self, at: &T) {
+        self.ask::<TO_SECOND>(core::ptr::from_ref(at).cast());
+    }
 }
 
 /// Something that is done with a processor's vectors.
@@ -31,12 +47,6 @@ mod x86 {
     use pulp::{Simd, cast};
 
     use super::{Vectors, Work};
-
-    /// Into all levels of cache.
-    const TO_ALL: i32 = 3;
-
-    /// Into the second level and those below.
-    const TO_SECOND: i32 = 2;
 
     /// A processor whose vector instructions are known here.
     #[derive(Clone, Copy, Debug)]
@@ -111,15 +121,8 @@ mod x86 {
         }
 
         #[inline(always)]
-        fn fetch<T>(self, at: &T, bytes: usize) {
-            let at = core::ptr::from_ref(at).cast::<i8>();
-            self.sse._mm_prefetch::<TO_ALL>(at.wrapping_add(bytes));
-        }
-
-        #[inline(always)]
-        fn fetch_near<T>(self, at: &T) {
-            let at = core::ptr::from_ref(at).cast::<i8>();
-            self.sse._mm_prefetch::<TO_SECOND>(at);
+        fn ask<const LEVELS: i32>(self, at: *const i8) {
+            self.sse._mm_prefetch::<LEVELS>(at);
         }
     }
 
@@ -155,15 +158,8 @@ mod x86 {
         }
 
         #[inline(always)]
-        fn fetch<T>(self, at: &T, bytes: usize) {
-            let at = core::ptr::from_ref(at).cast::<i8>();
-            self.sse._mm_prefetch::<TO_ALL>(at.wrapping_add(bytes));
-        }
-
-        #[inline(always)]
-        fn fetch_near<T>(self, at: &T) {
-            let at = core::ptr::from_ref(at).cast::<i8>();
-            self.sse._mm_prefetch::<TO_SECOND>(at);
+        fn ask<const LEVELS: i32>(self, at: *const i8) {
+            self.sse._mm_prefetch::<LEVELS>(at);
         }
     }
 }

@@ -3,23 +3,11 @@
 use tch::{Kind, Tensor};
 
 use super::{After, Matrix};
+use crate::layers::seeded::numbers;
 use crate::layers::vectors::Processor;
-use crate::rng::SplitMix64;
 
 /// Of the sum of the sizes of what is added up, which rounding goes by.
 const ROUNDING: f64 = 1e-6;
-
-#[expect(
-    clippy::cast_possible_truncation,
-    reason = "networks compute in single precision"
-)]
-fn numbers(name: &str, shape: &[i64]) -> Tensor {
-    let mut random = SplitMix64::named(name, 7);
-    let values: Vec<f32> = (0..shape.iter().product::<i64>())
-        .map(|_| random.signed_unit() as f32)
-        .collect();
-    Tensor::from_slice(&values).view(shape)
-}
 
 fn list(tensor: &Tensor) -> Vec<f32> {
     Vec::try_from(tensor.view([-1])).unwrap()

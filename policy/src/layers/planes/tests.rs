@@ -4,23 +4,11 @@ use tch::{Device, Kind, TchError, Tensor};
 
 use super::{Direct, Plane, Size, Stem, Steps, Winograd, Workspace, shape_of};
 use crate::layers::aligned::Aligned;
+use crate::layers::seeded::numbers;
 use crate::layers::vectors::Processor;
-use crate::rng::SplitMix64;
 
 /// Of the greatest number in an answer. Seen here: tiles up to 1.6e-6, taps 7.7e-7, the stem 4.6e-7, the library 5.7e-7.
 const ROUNDING: f64 = 2e-6;
-
-#[expect(
-    clippy::cast_possible_truncation,
-    reason = "networks compute in single precision"
-)]
-fn numbers(name: &str, shape: &[i64]) -> Tensor {
-    let mut random = SplitMix64::named(name, 7);
-    let values: Vec<f32> = (0..shape.iter().product::<i64>())
-        .map(|_| random.signed_unit() as f32)
-        .collect();
-    Tensor::from_slice(&values).view(shape)
-}
 
 fn plane_of(x: &Tensor) -> Plane {
     let [pictures, channels, height, width] = shape_of(x).unwrap();
