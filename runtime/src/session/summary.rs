@@ -221,6 +221,8 @@ pub struct TrialSummary {
     pub seed: u64,
     /// Whether the task was done.
     pub success: bool,
+    /// Whether the simulation was at fault: the trial says nothing of the policy.
+    pub invalid: bool,
     /// Why it ended.
     pub reason: String,
     /// Simulated time, s.
@@ -254,7 +256,9 @@ pub struct EvalSummary {
     pub trials: usize,
     /// How many of them succeeded.
     pub successes: usize,
-    /// `successes / trials`.
+    /// In how many the simulation was at fault: they count neither way.
+    pub invalid: usize,
+    /// `successes / (trials - invalid)`.
     pub rate: f64,
     /// Wilson's 95 % interval of the rate.
     pub wilson95: [f64; 2],
@@ -275,7 +279,8 @@ impl EvalSummary {
     ) -> Self {
         let trials = episodes.len();
         let successes = episodes.iter().filter(|episode| episode.success).count();
-        let (rate, wilson95) = wilson_interval(successes, trials);
+        let invalid = episodes.iter().filter(|episode| episode.invalid).count();
+        let (rate, wilson95) = wilson_interval(successes, trials - invalid);
         Self {
             task: task.to_owned(),
             view: view.to_owned(),
@@ -285,6 +290,7 @@ impl EvalSummary {
             trained_on: None,
             trials,
             successes,
+            invalid,
             rate,
             wilson95,
             episodes,

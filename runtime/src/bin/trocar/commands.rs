@@ -233,11 +233,15 @@ pub(crate) fn eval(args: &EvalArgs) -> Done {
     })?;
     bar.finish_and_clear();
     console::result(&format!(
-        "{}, {}: {} of {} succeeded, rate {:.2} [{:.2}, {:.2}]",
+        "{}, {}: {} of {} succeeded{}, rate {:.2} [{:.2}, {:.2}]",
         summary.task,
         summary.policy,
         summary.successes,
         summary.trials,
+        match summary.invalid {
+            0 => String::new(),
+            invalid => format!(", {invalid} invalid (the simulation was at fault)"),
+        },
         summary.rate,
         summary.wilson95[0],
         summary.wilson95[1]
