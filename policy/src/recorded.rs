@@ -1,12 +1,16 @@
 //! Networks whose work on a CUDA device is recorded at the first answer and repeated at each further one.
 //!
 //! A network of many small steps takes as long as telling the device what to do, again and again the same. A recording is told
-//! with one call, and answers as the network does: it is the same work on the same device.
+//! with one call, and answers as the network does: it is the same work on the same device. A training's steps are recorded
+//! likewise, after a few that were not.
 
+mod aside;
+mod functions;
 mod graph;
 
 use tch::{Device, TchError, Tensor};
 
+use aside::Aside;
 use graph::Graph;
 
 /// What was recorded of a network, if anything.
@@ -56,6 +60,41 @@ impl Recorded {
     }
 }
 
+/// Work on a CUDA device that is going to be recorded: what the libraries set up at first must be done while this lives.
+#[derive(Debug)]
+pub(crate) struct Recorder(Aside);
+
+impl Recorder {
+    /// None if `device` is not the thread's current CUDA device, or the libraries here have no CUDA.
+    pub(crate) fn begin(device: Device) -> Result<Option<Self>, TchError> {
+        let Device::Cuda(device) = device else {
+            return Ok(None);
+        };
+        let Ok(device) = i32::try_from(device) else {
+            return Ok(None);
+        };
+        Ok(Aside::of(device)?.map(Self))
+    }
+
+    /// Records what `work` does with tensors like `inputs`; nothing of it is done yet. The error says why it can't be recorded.
+    pub(crate) fn record(
+        self,
+        inputs: &[Tensor],
+        work: impl FnOnce(&[Tensor]) -> Result<Tensor, TchError>,
+    ) -> Result<Recording, TchError> {
+        let own: Vec<Tensor> = inputs
+            .iter()
+            .map(Tensor::f_zeros_like)
+            .collect::<Result<_, _>>()?;
+        let (graph, answer) = Graph::recorded_on(&self.0, || work(&own))?;
+        Ok(Recording {
+            graph,
+            inputs: own,
+            answer,
+        })
+    }
+}
+
 impl Recording {
     /// None where nothing can be recorded.
     fn of<const N: usize>(
@@ -85,6 +124,16 @@ impl Recording {
         let form = |tensor: &Tensor| (tensor.size(), tensor.kind(), tensor.device());
         let own = self.inputs.iter().map(form);
         own.eq(inputs.iter().map(|input| form(input)))
+    }
+
+    /// A copy of what the recorded work answers to `inputs`, which must be of the shapes that it was recorded with; it draws
+    /// random numbers on from where the generator stands.
+    pub(crate) fn drawn_answer(&mut self, inputs: &[Tensor]) -> Result<Tensor, TchError> {
+        for (own, input) in self.inputs.iter_mut().zip(inputs) {
+            own.f_copy_(input)?;
+        }
+        self.graph.replay_drawing();
+        self.answer.f_detach_copy()
     }
 
     fn answer(&mut self, inputs: &[&Tensor]) -> Result<Tensor, TchError> {
