@@ -11,6 +11,7 @@ mod graph;
 use tch::{Device, TchError, Tensor};
 
 use aside::Aside;
+pub(crate) use functions::sleep_while_waiting;
 use graph::Graph;
 
 /// What was recorded of a network, if anything.
@@ -149,7 +150,7 @@ impl Recording {
 mod tests {
     use tch::{Device, Kind, Tensor};
 
-    use super::Recorded;
+    use super::{Recorded, Recorder};
 
     /// The device that has graphs, where there is one.
     fn device() -> Device {
@@ -180,5 +181,55 @@ mod tests {
             let error = answer.unwrap_err().to_string();
             assert!(error.contains("2x4"), "{error}");
         }
+    }
+
+    /// Numbers drawn on the device by `work`, after the same seed.
+    fn drawn(work: impl FnOnce() -> Tensor) -> Vec<f32> {
+        tch::manual_seed(3);
+        Vec::<f32>::try_from(work().to_device(Device::Cpu)).unwrap()
+    }
+
+    #[test]
+    fn what_is_drawn_hangs_on_the_seed_and_not_on_whether_it_was_recorded() {
+        let on_device = (Kind::Float, device());
+        let plus = |x: &Tensor| Ok(Tensor::f_rand([1000], on_device)?.f_add(x)?);
+        let one = Tensor::ones([1], on_device);
+        let Some(recorder) = Recorder::begin(device()).unwrap() else {
+            assert!(!device().is_cuda());
+            return;
+        };
+        for _ in 0..2 {
+            let _warm = plus(&one).unwrap();
+        }
+        let inputs = [one.shallow_clone()];
+        let mut recording = recorder.record(&inputs, |inputs| plus(&inputs[0])).unwrap();
+        let told = drawn(|| plus(&one).unwrap());
+        let recorded = drawn(|| recording.drawn_answer(&inputs).unwrap());
+        assert_eq!(told, recorded);
+        let next = recording.drawn_answer(&inputs).unwrap();
+        assert_ne!(Vec::<f32>::try_from(next.to_device(Device::Cpu)).unwrap(), told);
+    }
+
+    #[test]
+    fn what_waits_for_the_device_is_not_recorded_and_numbers_are_drawn_as_before() {
+        let on_device = (Kind::Float, device());
+        let wanted = drawn(|| Tensor::rand([100], on_device));
+        let Some(recorder) = Recorder::begin(device()).unwrap() else {
+            return;
+        };
+        let one = [Tensor::ones([1], on_device)];
+        let error = recorder.record(&one, |inputs| {
+            let noise = Tensor::f_rand([1], on_device)?;
+            let read = inputs[0].f_double_value(&[0])?;
+            noise.f_add_scalar(read)
+        });
+        assert!(error.is_err(), "{error:?}");
+        assert_eq!(drawn(|| Tensor::rand([100], on_device)), wanted);
+        let recorder = Recorder::begin(device()).unwrap().unwrap();
+        let wrong = recorder.record(&one, |inputs| inputs[0].f_view([3]));
+        assert!(wrong.is_err(), "{wrong:?}");
+        assert_eq!(drawn(|| Tensor::rand([100], on_device)), wanted);
+        let recorder = Recorder::begin(device()).unwrap().unwrap();
+        assert!(recorder.record(&one, |inputs| inputs[0].f_sin()).is_ok());
     }
 }

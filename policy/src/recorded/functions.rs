@@ -64,6 +64,19 @@ unsafe fn function<F: Copy>(name: &CStr) -> Option<F> {
     Some(unsafe { std::mem::transmute_copy(&found) })
 }
 
+/// Has threads that wait for a device sleep instead of asking it over and over, if there is CUDA here.
+pub(crate) fn sleep_while_waiting() {
+    /// `cudaDeviceScheduleBlockingSync`.
+    const SLEEPING: u32 = 4;
+    type SetFlags = unsafe extern "C" fn(flags: u32) -> c_int;
+    // SAFETY: this is the type in CUDA's header.
+    let Some(set_flags) = (unsafe { function::<SetFlags>(c"cudaSetDeviceFlags") }) else {
+        return;
+    };
+    // SAFETY: it takes a number. If it is refused, threads wait as they did.
+    let _code = unsafe { set_flags(SLEEPING) };
+}
+
 impl Functions {
     /// None where the libraries have no CUDA, or not all of it.
     #[expect(

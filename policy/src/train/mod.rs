@@ -51,6 +51,7 @@ use crate::dataset::Dataset;
 use crate::normalise::{ImageNormaliser, Statistics};
 use crate::parameters::ParameterSource;
 use crate::perception::CloudRecipe;
+use crate::recorded::sleep_while_waiting;
 use crate::rng::SplitMix64;
 use flat::FlatParameters;
 use steps::{Learner, Losses, Split, Steps};
@@ -188,10 +189,11 @@ impl Trainer {
     }
 
     /// Sets what the network library keeps for the whole process: threads, and that it may try which kernels are
-    /// the fastest (every step has the same shapes; on the CPU this means nothing).
+    /// the fastest (every step has the same shapes; on the CPU this means nothing). Waiting takes no core from other trainings.
     fn begin(&self, options: &TrainOptions) {
         tch::set_num_threads(i32::try_from(options.threads.max(1)).unwrap_or(1));
         if self.device.is_cuda() {
+            sleep_while_waiting();
             tch::Cuda::cudnn_set_benchmark(true);
         }
     }
