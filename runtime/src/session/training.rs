@@ -83,6 +83,9 @@ pub struct TrainingOptions {
     pub clouds: Option<PathBuf>,
     /// Keep images in the host's memory instead of the device's.
     pub images_on_host: bool,
+    /// Tell an accelerator each operation of every step instead of repeating a recorded step.
+    #[serde(default)]
+    pub eager: bool,
     /// Threads that decode images, and compute on the CPU.
     pub threads: usize,
     /// Everything random hangs on this.
@@ -356,6 +359,7 @@ fn train_options(options: &TrainingOptions, preset: ActPreset) -> TrainOptions {
         validation_share: options.validation_share,
         augmentation,
         images_on_host: options.images_on_host,
+        eager: options.eager,
         save_every: options.save_every,
         threads: options.threads,
         seed: options.seed,
