@@ -164,8 +164,10 @@ mod tests {
         let drawn = drawn(500, &options, &mut SplitMix64::new(4)).unwrap();
         let drawn = Vec::<f32>::try_from(drawn.view([-1])).unwrap();
         let (rows, _) = drawn.as_chunks::<4>();
-        let pixels: std::collections::BTreeSet<i32> =
-            rows.iter().flat_map(|row| [row[0] as i32, row[1] as i32]).collect();
+        let pixels: std::collections::BTreeSet<i32> = rows
+            .iter()
+            .flat_map(|row| [row[0] as i32, row[1] as i32])
+            .collect();
         assert!(pixels.into_iter().eq(-3..=3));
         for (column, range) in [(2, 0.2), (3, 0.1)] {
             let most = rows.iter().map(|row| row[column].abs()).fold(0.0, f32::max);
@@ -217,7 +219,10 @@ mod tests {
         let frame = Tensor::ones([2, 1, 4, 4, 3], (Kind::Float, tch::Device::Cpu));
         let none = Augmentation::default();
         let drawn = drawn(2, &none, &mut SplitMix64::new(1)).unwrap();
-        assert_eq!(drawn, Tensor::zeros([2, 4], (Kind::Float, tch::Device::Cpu)));
+        assert_eq!(
+            drawn,
+            Tensor::zeros([2, 4], (Kind::Float, tch::Device::Cpu))
+        );
         let same = shifted(frame.shallow_clone(), &none, &drawn).unwrap();
         assert_eq!(coloured(same, &none, &drawn).unwrap(), frame);
     }
