@@ -2,6 +2,8 @@
 
 pub(crate) mod by_hand;
 #[cfg(test)]
+mod by_hand_tests;
+#[cfg(test)]
 mod tests;
 
 use tch::{Kind, TchError, Tensor};
@@ -212,7 +214,9 @@ impl Conv {
                 let weight = self.weight.f_mul(&scale.f_view([-1, 1, 1, 1])?)?;
                 convolved(&weight, Some(&shift.f_view([-1])?))
             }
-            norm => norm.forward(&convolved(&self.weight, None)?),
+            norm @ (Norm::Frozen { .. } | Norm::Group { .. }) => {
+                norm.forward(&convolved(&self.weight, None)?)
+            }
         }
     }
 }

@@ -27,86 +27,108 @@ fn off(found: &Tensor, wanted: &Tensor) -> f64 {
     (found - wanted).abs().max().double_value(&[]) / greatest
 }
 
-/// One normalisation, grouped or fixed, as it stands in a block.
-fn check([images, channels, high, wide]: [i64; 4], grouped: bool, identity: bool, pooled: bool) {
-    let device = Device::cuda_if_available();
-    if !device.is_cuda() {
-        return;
+/// One normalisation as it stands in a block.
+#[derive(Clone, Copy, Debug)]
+struct Case {
+    /// Images, channels, rows, columns.
+    size: [i64; 4],
+    grouped: bool,
+    identity: bool,
+    pooled: bool,
+}
+
+/// What goes into it: images, scale, bias, identity.
+type Given = [Tensor; 4];
+
+impl Case {
+    fn given(self) -> Given {
+        let channels = &self.size[1..2];
+        let images = |offset| last(&numbers(&self.size, offset));
+        [
+            images(0.0),
+            numbers(channels, 1.0),
+            numbers(channels, 2.0),
+            images(3.0),
+        ]
     }
-    let kernels = Kernels::new(device).unwrap();
-    let x = last(&numbers(&[images, channels, high, wide], 0.0));
-    let (scale, bias) = (numbers(&[channels], 1.0), numbers(&[channels], 2.0));
-    let beside = last(&numbers(&[images, channels, high, wide], 3.0));
-    let exact = |tensor: &Tensor| {
-        tensor
-            .to_kind(Kind::Double)
-            .detach()
-            .set_requires_grad(true)
-    };
-    let leaves = [exact(&x), exact(&scale), exact(&bias), exact(&beside)];
-    let [x_leaf, scale_leaf, bias_leaf, beside_leaf] = &leaves;
-    let mut z = if grouped {
-        x_leaf.group_norm(
-            channels / 16,
-            Some(scale_leaf),
-            Some(bias_leaf),
-            1e-5,
-            false,
-        )
-    } else {
-        x_leaf * scale_leaf.view([1, -1, 1, 1]) + bias_leaf.view([1, -1, 1, 1])
-    };
-    if identity {
-        z = &z + beside_leaf;
+
+    /// The answer by the library in double precision, a gradient for it, and the gradients of what is given.
+    fn by_the_library(self, given: &Given) -> (Tensor, Tensor, Vec<Tensor>) {
+        let leaves = given.each_ref().map(|tensor| {
+            let tensor = tensor.to_kind(Kind::Double);
+            tensor.detach().set_requires_grad(true)
+        });
+        let [x, scale, bias, beside] = &leaves;
+        let mut z = if self.grouped {
+            x.group_norm(self.size[1] / 16, Some(scale), Some(bias), 1e-5, false)
+        } else {
+            x * scale.view([1, -1, 1, 1]) + bias.view([1, -1, 1, 1])
+        };
+        if self.identity {
+            z = &z + beside;
+        }
+        if self.pooled {
+            z = z.max_pool2d([3, 3], [2, 2], [1, 1], [1, 1], false);
+        }
+        let answer = z.relu();
+        let gradient = last(&numbers(&answer.size(), 4.0));
+        let total = (&answer * &gradient.to_kind(Kind::Double)).sum(Kind::Double);
+        let leaves = &leaves[..if self.identity { 4 } else { 3 }];
+        let gradients = Tensor::run_backward(&[total], leaves, false, false);
+        (answer, gradient, gradients)
     }
-    if pooled {
-        z = z.max_pool2d([3, 3], [2, 2], [1, 1], [1, 1], false);
+
+    /// The answer by the kernels, and the gradients that there are of what is given.
+    fn by_the_kernels(
+        self,
+        kernels: &Kernels,
+        [x, scale, bias, beside]: &Given,
+        gradient: &Tensor,
+    ) -> (Tensor, [Option<Tensor>; 4]) {
+        let affine = if self.grouped {
+            Affine::Group(scale, bias)
+        } else {
+            Affine::Fixed(scale, bias)
+        };
+        let (answer, of_x, of_affine, of_identity) = if self.pooled {
+            let kept = kernels.pooled(x.shallow_clone(), &affine).unwrap();
+            let back = kernels.pooled_backward(gradient, &kept, &affine);
+            let (of_x, of_affine) = back.unwrap();
+            (kept.0, of_x, of_affine, None)
+        } else {
+            let beside = self.identity.then_some(beside);
+            let there = kernels.forward(x.shallow_clone(), &affine, beside, true);
+            let (answer, kept) = there.unwrap();
+            let seen = self.identity.then_some(&answer);
+            let back = kernels.backward(gradient, &kept, &affine, seen, true);
+            let (of_x, of_affine, of_identity) = back.unwrap();
+            (answer, of_x, of_affine, of_identity)
+        };
+        let (of_scale, of_bias) = of_affine.unzip();
+        (answer, [Some(of_x), of_scale, of_bias, of_identity])
     }
-    let wanted = z.relu();
-    let gradient = last(&numbers(&wanted.size(), 4.0));
-    let total = (&wanted * &gradient.to_kind(Kind::Double)).sum(Kind::Double);
-    let wanted_gradients = Tensor::run_backward(
-        &[total],
-        &leaves[..if identity { 4 } else { 3 }],
-        false,
-        false,
-    );
-    let affine = if grouped {
-        Affine::Group(&scale, &bias)
-    } else {
-        Affine::Fixed(&scale, &bias)
-    };
-    let (answer, of_x, of_affine, of_identity) = if pooled {
-        let kept = kernels.pooled(x, &affine).unwrap();
-        let (of_x, of_affine) = kernels.pooled_backward(&gradient, &kept, &affine).unwrap();
-        (kept.0, of_x, of_affine, None)
-    } else {
-        let beside = identity.then_some(&beside);
-        let (answer, kept) = kernels.forward(x, &affine, beside, true).unwrap();
-        let seen = identity.then_some(&answer);
-        let (of_x, of_affine, of_identity) = kernels
-            .backward(&gradient, &kept, &affine, seen, true)
-            .unwrap();
-        (answer, of_x, of_affine, of_identity)
-    };
-    let mut found = vec![
-        (answer, wanted),
-        (of_x, wanted_gradients[0].shallow_clone()),
-    ];
-    if let Some((of_scale, of_bias)) = of_affine {
-        found.push((of_scale, wanted_gradients[1].shallow_clone()));
-        found.push((of_bias, wanted_gradients[2].shallow_clone()));
-    }
-    assert_eq!(of_identity.is_some(), identity);
-    if let Some(of_identity) = of_identity {
-        found.push((of_identity, wanted_gradients[3].shallow_clone()));
-    }
-    for (index, (found, wanted)) in found.iter().enumerate() {
-        let off = off(found, wanted);
+
+    fn check(self) {
+        let device = Device::cuda_if_available();
+        if !device.is_cuda() {
+            return;
+        }
+        let (kernels, given) = (Kernels::new(device).unwrap(), self.given());
+        let (wanted, gradient, wanted_gradients) = self.by_the_library(&given);
+        let (answer, gradients) = self.by_the_kernels(&kernels, &given, &gradient);
         assert!(
-            off < 6e-3,
-            "{channels} {high} x {wide} {grouped} {identity} {pooled}: {index} is off by {off}"
+            off(&answer, &wanted) < 6e-3,
+            "{self:?}: {}",
+            off(&answer, &wanted)
         );
+        let there = gradients.each_ref().map(Option::is_some);
+        assert_eq!(there, [true, self.grouped, self.grouped, self.identity]);
+        for (index, found) in gradients.iter().enumerate() {
+            if let Some(found) = found {
+                let off = off(found, &wanted_gradients[index]);
+                assert!(off < 6e-3, "{self:?}: gradient {index} is off by {off}");
+            }
+        }
     }
 }
 
@@ -114,11 +136,25 @@ fn check([images, channels, high, wide]: [i64; 4], grouped: bool, identity: bool
 fn normalisations_are_those_of_the_library_forward_and_back() {
     for grouped in [true, false] {
         for (channels, side) in [(64, 33), (128, 16), (256, 8), (512, 5)] {
-            check([3, channels, side, side + 1], grouped, false, false);
-            check([3, channels, side, side + 1], grouped, true, false);
+            for identity in [false, true] {
+                Case {
+                    size: [3, channels, side, side + 1],
+                    grouped,
+                    identity,
+                    pooled: false,
+                }
+                .check();
+            }
         }
-        check([5, 64, 32, 32], grouped, false, true);
-        check([2, 64, 33, 31], grouped, false, true);
+        for size in [[5, 64, 32, 32], [2, 64, 33, 31]] {
+            Case {
+                size,
+                grouped,
+                identity: false,
+                pooled: true,
+            }
+            .check();
+        }
     }
 }
 

@@ -8,11 +8,18 @@
 
 use std::ffi::{CStr, c_int, c_void};
 use std::ptr;
-use std::sync::OnceLock;
+use std::sync::{Mutex, MutexGuard, OnceLock, PoisonError};
 
 use tch::{Device, TchError};
 
 pub(crate) type Stream = *mut c_void;
+
+/// libtorch keeps a list of all recordings without a lock, and whoever waits for the whole device spoils those under way: they
+/// are made and dropped one at a time.
+pub(super) fn one_at_a_time() -> MutexGuard<'static, ()> {
+    static ONE: Mutex<()> = Mutex::new(());
+    ONE.lock().unwrap_or_else(PoisonError::into_inner)
+}
 
 /// The functions. `object` is memory of [`OBJECT_WORDS`](super::graph::OBJECT_WORDS).
 #[derive(Clone, Copy, Debug)]
