@@ -40,9 +40,14 @@ struct Seen {
 
 impl Seen {
     fn new(device: Device) -> Self {
-        let waves = |count, pace: f64| (Tensor::arange(count, (Kind::Double, device)) * pace).sin();
-        let images = waves(4 * 3 * 96 * 64, 0.37).view([4, 3, 96, 64]);
-        let gradient = waves(4 * 512 * 6, 0.73).view([4, 512, 3, 2]);
+        // Without a pattern: of equal patches, all would be off by the same rounding.
+        let drawn = |count, offset: f64| {
+            let places = Tensor::arange(count, (Kind::Double, device)) * 12.9898 + offset;
+            let numbers = places.sin() * 43_758.545;
+            (&numbers - numbers.floor() - 0.5) * 3.4
+        };
+        let images = drawn(4 * 3 * 96 * 64, 0.0).view([4, 3, 96, 64]);
+        let gradient = drawn(4 * 512 * 6, 1.0).view([4, 512, 3, 2]);
         Self {
             images: channels_last(&images.to_kind(Kind::BFloat16)).unwrap(),
             gradient: gradient.to_kind(Kind::BFloat16),
@@ -129,7 +134,7 @@ fn training_by_hand_finds_the_gradients_that_the_library_finds() {
         let sum = |all: &[f64]| all.iter().sum::<f64>();
         let most = |all: &[f64]| all.iter().copied().fold(0.0, f64::max);
         assert!(
-            sum(&own) < 1.2 * sum(&library) && most(&own) < 2.0 * most(&library),
+            sum(&own) < 1.3 * sum(&library) && most(&own) < 2.0 * most(&library),
             "{norm:?}: {own:?}, the library {library:?}"
         );
     }
