@@ -20,10 +20,10 @@ pool of random frames), so that decoding, which differs for other reasons, is le
 `--loader` adds a row with LeRobot's own dataset and DataLoader (4 workers, its default) on the same folder. Each side's first
 steps are not timed: 50 of trocar's, a fifth of the peer's.
 
-What is the same: sizes of the preset, number of cameras, batch, frames' size, and with `--norm frozen` every tensor of the checkpoint: LeRobot's backbone has frozen
-statistics, here those of random weights and images. `--norm group` gives trocar and the plain peer GroupNorm, which is trained, and
-which trocar's presets have. The numbers in the checkpoint that trocar writes are counted and compared with the peer's. What is
-not the same: trocar's default recipe keeps a moving average of the weights besides.
+What is the same: sizes of the preset, number of cameras, batch, frames' size, and with `--norm frozen` every tensor of the
+checkpoint: LeRobot's backbone has frozen statistics, here those of random weights and images. `--norm group` gives trocar and the
+plain peer GroupNorm, which is trained, and which trocar's presets have. The numbers in the checkpoint that trocar writes are
+counted and compared with the peer's. What is not the same: trocar's default recipe keeps a moving average of the weights besides.
 
 On CUDA the output has the memory too: what `nvidia-smi` says of each process, of trocar's in a run of its own, and the most that the
 peer's tensors took in a step. Both hold their frames there, trocar those of its dataset.
