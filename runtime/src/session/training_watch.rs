@@ -164,8 +164,8 @@ impl Pace {
             Progress::Unseen { frames, of } => format!(
                 "in {frames} of {of} frames nothing wanted is in view: their clouds lie at the origin"
             ),
-            Progress::NotRecorded { ref reason } => {
-                format!("steps can't be recorded, so that they take longer: {reason}")
+            Progress::Slower { ref reason } => {
+                format!("steps take longer than they could: {reason}")
             }
             Progress::Row { steps, row } => {
                 let (step, since) = *self.first.get_or_insert((row.step, seconds));
