@@ -32,8 +32,8 @@ of=${SLURM_ARRAY_TASK_COUNT:?this is an array job: sbatch --array=1-N}
 child=$!
 requeue=no
 # Slurm sends USR1 three minutes before the time limit: trainings then keep their state.
-trap 'requeue=yes; kill -INT "$child" 2>/dev/null' USR1
-trap 'kill -INT "$child" 2>/dev/null' INT TERM
+trap 'requeue=yes; kill -TERM "$child" 2>/dev/null' USR1
+trap 'kill -TERM "$child" 2>/dev/null' INT TERM
 code=0
 while :; do
     wait "$child" && code=0 || code=$?

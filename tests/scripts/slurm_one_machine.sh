@@ -6,7 +6,7 @@
 set -euo pipefail
 cd "$(dirname "$0")/../.."
 root=$PWD
-export TROCAR="$root/target/release/trocar"
+export TROCAR="${TROCAR:-$root/target/release/trocar}"
 [ -x "$TROCAR" ] || { echo "slurm: $TROCAR is missing: make build" >&2; exit 1; }
 [ "$(id -u)" = 0 ] || { echo 'slurm: needs root: it starts munged, slurmctld and slurmd' >&2; exit 1; }
 
@@ -87,16 +87,19 @@ submit() {
     sbatch --parsable --array=1-2 --cpus-per-task=1 --mem=0 --time=00:30:00 "$root/config/cluster/slurm-array.sh" tiny.toml "$work/array"
 }
 job=$(submit)
-say "array $job: waiting until a training has a state, then one task is queued again as a preemption would"
+say "array $job: once a training has a state, one task is told of its time limit, the other is preempted; both go on"
 for _ in $(seq 3000); do
     ls array/training/*/checkpoint/training_state.safetensors >/dev/null 2>&1 && break
     sleep 0.1
 done
-scontrol requeue "${job}_1" || say 'task 1 had ended already'
+scancel --batch --signal=USR1 "${job}_1" || say 'task 1 had ended already'
+scontrol requeue "${job}_2" || say 'task 2 had ended already'
 while squeue -h -j "$job" 2>/dev/null | grep -q .; do
     # A requeued task waits two minutes unless it is told not to.
-    scontrol release "${job}_1" 2>/dev/null || true
-    scontrol update JobId="${job}_1" StartTime=now 2>/dev/null || true
+    for task in 1 2; do
+        scontrol release "${job}_$task" 2>/dev/null || true
+        scontrol update JobId="${job}_$task" StartTime=now 2>/dev/null || true
+    done
     sleep 1
 done
 cat trocar-study-"${job}"_*.log

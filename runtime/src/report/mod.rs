@@ -1,5 +1,7 @@
 //! Reports of studies: one page with every table beside the published figures, curves, comparisons, losses, times and hashes.
 
+mod causes;
+pub mod compare;
 pub mod document;
 pub mod html;
 pub mod load;
@@ -18,10 +20,11 @@ use std::path::{Path, PathBuf};
 use serde::Serialize;
 
 use crate::study::StudyError;
-use crate::study::store::{write_json, write_whole};
+use crate::study::files::{write_json, write_whole};
+use compare::Comparison;
 use load::Results;
 use statistics::Score;
-use tables::{Comparison, Table};
+use tables::Table;
 
 /// The figures of a report, for scripts: the same for the same cells, wherever and in how many shards they were made.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -114,7 +117,7 @@ fn figures(results: &Results) -> Figures {
         total: page::total(results),
         comparisons: tables
             .iter()
-            .map(|table| tables::comparisons(results, table))
+            .map(|table| compare::comparisons(results, table))
             .collect(),
         tables,
     }

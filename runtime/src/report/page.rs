@@ -7,6 +7,7 @@ use super::making::{costs, provenance, training_curves};
 use super::rates::{compared, curves, rates, reasons};
 use super::statistics::Score;
 use super::tables::{self, Table};
+use super::{causes, compare};
 use crate::study::job::Kind;
 use crate::study::plan::GridRecord;
 
@@ -63,7 +64,7 @@ fn section(results: &Results, table: &Table) -> Vec<Block> {
     blocks.push(paragraph(how(grid)));
     blocks.push(rates(&results.study, table));
     blocks.extend(curves(&results.study, table));
-    let comparisons = tables::comparisons(results, table);
+    let comparisons = compare::comparisons(results, table);
     if !comparisons.is_empty() {
         let count = comparisons.len();
         blocks.push(Block::Details(
@@ -73,7 +74,7 @@ fn section(results: &Results, table: &Table) -> Vec<Block> {
             vec![compared(&results.study, table, &comparisons)],
         ));
     }
-    let losses = tables::losses(results, table);
+    let losses = causes::losses(results, table);
     if !losses.is_empty() {
         blocks.push(Block::Details(
             "Why trials were lost".to_owned(),

@@ -1,8 +1,9 @@
 //! The tables and curves of success rates, comparisons and reasons.
 
+use super::compare::Comparison;
 use super::document::{Block, Inline, TableCell, Tone, plain};
 use super::plots::{Plot, Series};
-use super::tables::{Comparison, Place, Row, Table};
+use super::tables::{Place, Row, Table};
 use crate::study::axis::Axis;
 use crate::study::plan::StudyRecord;
 

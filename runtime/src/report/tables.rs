@@ -1,11 +1,9 @@
 //! The tables of a report: success rates at the places of a grid, beside published ones.
 
-use std::collections::BTreeMap;
-
 use serde::Serialize;
 
 use super::load::{Evaluation, Results};
-use super::statistics::{Pairs, Score, holm};
+use super::statistics::Score;
 use crate::study::axis::{AXES, Axis, Coordinates};
 use crate::study::plan::{Entry, GridRecord, StudyRecord};
 
@@ -44,23 +42,6 @@ pub struct Table {
     pub columns: Vec<String>,
     /// Its rows.
     pub rows: Vec<Row>,
-}
-
-/// Two columns of a row, compared by trials of the same seed.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct Comparison {
-    /// The row.
-    pub row: Vec<String>,
-    /// The first column.
-    pub first: String,
-    /// The second column.
-    pub second: String,
-    /// Pairs of trials.
-    pub pairs: Pairs,
-    /// McNemar's exact test.
-    pub p: f64,
-    /// The same, corrected by Holm's method for the number of comparisons in the table.
-    pub p_holm: f64,
 }
 
 /// The tables of `results`, in the order of their grids.
@@ -195,76 +176,6 @@ fn published(grid: &GridRecord, at: &Coordinates) -> Option<f64> {
     found.map(|rate| rate.rate)
 }
 
-/// Every two columns of every row in which both have trials of the same seeds.
-#[must_use]
-pub fn comparisons(results: &Results, table: &Table) -> Vec<Comparison> {
-    let mut found = Vec::new();
-    for row in &table.rows {
-        for (index, first) in row.places.iter().enumerate() {
-            for (offset, second) in row.places[index + 1..].iter().enumerate() {
-                let (Some(one), Some(other)) = (first, second) else {
-                    continue;
-                };
-                let pairs = pairs(results, table, &one.at, &other.at);
-                if pairs == Pairs::default() {
-                    continue;
-                }
-                found.push(Comparison {
-                    row: row.labels.clone(),
-                    first: table.columns[index].clone(),
-                    second: table.columns[index + 1 + offset].clone(),
-                    pairs,
-                    p: pairs.mcnemar(),
-                    p_holm: 1.0,
-                });
-            }
-        }
-    }
-    let corrected = holm(
-        &found
-            .iter()
-            .map(|comparison| comparison.p)
-            .collect::<Vec<_>>(),
-    );
-    for (comparison, p) in found.iter_mut().zip(corrected) {
-        comparison.p_holm = p;
-    }
-    found
-}
-
-/// Trials at two places that have the same seed and, of what is trained, come from the same training seed.
-fn pairs(results: &Results, table: &Table, one: &Coordinates, other: &Coordinates) -> Pairs {
-    let of = |at: &Coordinates| {
-        let mut trials = BTreeMap::new();
-        for entry in entries_of(&results.study, &table.grid) {
-            let evaluation = results
-                .evaluations
-                .get(&entry.evaluation)
-                .filter(|_| entry.at == *at);
-            for trial in evaluation
-                .into_iter()
-                .flat_map(|evaluation| &evaluation.trials)
-            {
-                if !trial.invalid {
-                    trials.insert((entry.training_seed, trial.seed), trial.success);
-                }
-            }
-        }
-        trials
-    };
-    let (ours, theirs) = (of(one), of(other));
-    let untrained = |seed: u64| theirs.get(&(None, seed));
-    let mut pairs = Pairs::default();
-    for ((training, seed), success) in &ours {
-        // The expert has no training seed: each training is compared with the same trials of it.
-        let partner = theirs.get(&(*training, *seed)).or_else(|| untrained(*seed));
-        if let Some(partner) = partner {
-            pairs.add(*success, *partner);
-        }
-    }
-    pairs
-}
-
 impl Table {
     /// Mean rates of each column over the rows, ours and the published; none where a row is missing.
     #[must_use]
@@ -281,73 +192,5 @@ impl Table {
                 (mean(ours), mean(published))
             })
             .collect()
-    }
-}
-
-/// Why trials were lost: reasons without their numbers, with how often each column had it.
-#[must_use]
-pub fn losses(results: &Results, table: &Table) -> Vec<(String, Vec<usize>)> {
-    let mut counts: BTreeMap<String, Vec<usize>> = BTreeMap::new();
-    for entry in entries_of(&results.study, &table.grid) {
-        let column = table
-            .columns
-            .iter()
-            .position(|name| *name == entry.at.on(table.grid.columns));
-        let (Some(column), Some(evaluation)) = (column, results.evaluations.get(&entry.evaluation))
-        else {
-            continue;
-        };
-        for trial in &evaluation.trials {
-            if trial.success && !trial.invalid {
-                continue;
-            }
-            let kind = if trial.invalid { "invalid: " } else { "" };
-            let reason = format!("{kind}{}", without_numbers(&trial.reason));
-            let row = counts
-                .entry(reason)
-                .or_insert_with(|| vec![0; table.columns.len()]);
-            row[column] += 1;
-        }
-    }
-    let mut losses: Vec<_> = counts.into_iter().collect();
-    losses.sort_by_key(|(_, counts)| core::cmp::Reverse(counts.iter().sum::<usize>()));
-    losses
-}
-
-/// `reason` with an ellipsis for every number, so that reasons that differ in a measured value alone are one.
-fn without_numbers(reason: &str) -> String {
-    let mut text = String::new();
-    let mut in_number = false;
-    let mut previous = ' ';
-    for c in reason.chars() {
-        let digit = c.is_ascii_digit() && (in_number || !previous.is_ascii_alphanumeric());
-        let inner = in_number && (c == '.' || c.is_ascii_digit());
-        if digit || inner {
-            if !in_number {
-                text.push('…');
-            }
-            in_number = true;
-        } else {
-            in_number = false;
-            text.push(c);
-        }
-        previous = c;
-    }
-    text
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn reasons_that_differ_in_a_number_alone_are_one() {
-        let plain = without_numbers("psm1 sank 0.73 mm into what it lies on");
-        assert_eq!(plain, "psm1 sank … mm into what it lies on");
-        assert_eq!(
-            plain,
-            without_numbers("psm1 sank 12 mm into what it lies on")
-        );
-        assert_eq!(without_numbers("time"), "time");
     }
 }

@@ -5,9 +5,8 @@ use std::io;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, ExitStatus, Stdio};
 
-use rustix::process::{Pid, Signal};
-
 use super::commands::Arguments;
+use crate::rt;
 
 /// Tells a child the process that started it.
 pub const PARENT_VARIABLE: &str = "TROCAR_STUDY_PARENT";
@@ -91,11 +90,8 @@ impl Running {
 
     /// Asks it to end: a training keeps its state, a recording its episodes.
     pub fn interrupt(&self) {
-        let id = i32::try_from(self.child.id()).ok().and_then(Pid::from_raw);
-        if let Some(id) = id {
-            // It may just have ended.
-            let _gone = rustix::process::kill_process(id, Signal::INT);
-        }
+        // It may just have ended.
+        let _gone = rt::interrupt_process(self.child.id());
     }
 
     fn told(&self, status: ExitStatus) -> String {
@@ -125,15 +121,9 @@ fn peak_memory(id: u32) -> Option<u64> {
 /// # Errors
 /// The system's; or if the parent is gone already.
 pub fn end_with_parent() -> io::Result<()> {
-    let Some(parent) = std::env::var_os(PARENT_VARIABLE) else {
-        return Ok(());
-    };
-    rustix::process::set_parent_process_death_signal(Some(Signal::INT))?;
-    let here = rustix::process::getppid().map(|id| id.as_raw_nonzero().to_string());
-    if here.as_deref() == parent.to_str() {
-        return Ok(());
+    match std::env::var(PARENT_VARIABLE).map(|parent| parent.parse()) {
+        Ok(Ok(parent)) => rt::end_with_parent(parent),
+        Ok(Err(error)) => Err(io::Error::other(format!("{PARENT_VARIABLE}: {error}"))),
+        Err(_) => Ok(()),
     }
-    Err(io::Error::other(
-        "the study that started this process is gone",
-    ))
 }

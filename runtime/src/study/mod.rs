@@ -12,6 +12,7 @@ mod error;
 pub mod estimate;
 mod expand;
 pub mod file;
+pub mod files;
 pub mod gpu;
 pub mod job;
 mod materials;

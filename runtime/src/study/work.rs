@@ -252,7 +252,7 @@ fn executed_otherwise(
             std::os::unix::fs::symlink(entry.path(), link).map_err(failed)?;
         }
     }
-    super::store::write_json(&to.join("trocar.json"), &recipe)
+    super::files::write_json(&to.join("trocar.json"), &recipe)
 }
 
 fn rename(from: &Path, to: &Path) -> Result<(), StudyError> {
