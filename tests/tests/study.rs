@@ -30,7 +30,7 @@ fn a_study_that_is_none_is_refused_before_anything_is_made() {
         (
             "key",
             EXPERT.replace("trials = 2", "trails = 2"),
-            "study.toml:11: grid",
+            "study.toml:10: unknown field `trails`",
         ),
         (
             "cell",

@@ -20,7 +20,7 @@ td.number { text-align: right; } td div + div { font-size: 0.86em; } small { col
 td.reached strong { color: var(--good); } td.below strong { color: var(--bad); }
 figure { display: inline-block; margin: 0.5rem 1rem 0.5rem 0; max-width: 100%; vertical-align: top; } figure svg, figure img { max-width: 100%; height: auto; display: block; color: var(--ink); }
 figcaption { color: var(--faint); font-size: 0.88em; } summary { cursor: pointer; } details { margin: 0.4rem 0; }
-@media print { body { max-width: none; padding: 0; font-size: 10pt; } figure, tr { break-inside: avoid; } h2, h3 { break-after: avoid; } .table { overflow: visible; } }
+@media print { body { max-width: none; padding: 0; font-size: 10pt; } figure, tr { break-inside: avoid; } h2, h3 { break-after: avoid; } details::details-content { content-visibility: visible; block-size: auto; } .table { overflow: visible; } }
 ";
 
 /// Only what is in the page itself may be shown.

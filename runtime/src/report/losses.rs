@@ -55,7 +55,7 @@ pub(super) fn losses_of_trials(results: &Results, from: &Path) -> Vec<Block> {
     let head = [
         Block::Heading(2, "Lost trials".to_owned()),
         paragraph(
-            "Strips run from a trial's beginning to its end. Logs open in Foxglove; `trocar replay` and `trocar verify` read them.",
+            "Strips run from a trial's beginning to its end. Logs open in Foxglove; trocar replay and trocar verify read them.",
         ),
     ];
     head.into_iter().chain(blocks).collect()

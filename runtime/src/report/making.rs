@@ -223,7 +223,7 @@ pub(super) fn provenance(results: &Results) -> Vec<Block> {
     vec![
         Block::Heading(2, "Versions and hashes".to_owned()),
         Block::Table {
-            head: vec![String::new(), String::new()],
+            head: ["what", "value"].map(str::to_owned).to_vec(),
             rows: vec![
                 row("grid", study.grid.to_string()),
                 row("program in addresses", study.code.clone()),

@@ -77,6 +77,15 @@ impl Plot {
         Some(themed(&svg))
     }
 
+    /// Different places to the right.
+    fn places(&self) -> usize {
+        let points = self.series.iter().flat_map(|series| &series.points);
+        let mut places: Vec<f64> = points.map(|point| point.0).collect();
+        places.sort_by(f64::total_cmp);
+        places.dedup_by(|a, b| a.total_cmp(b).is_eq());
+        places.len()
+    }
+
     /// Rates from 0 to 1, with intervals.
     fn draw_rates(
         &self,
@@ -95,6 +104,7 @@ impl Plot {
             .x_desc(self.x.as_str())
             .y_desc(self.y.as_str())
             .y_labels(6)
+            .x_labels(self.places().clamp(2, 10))
             .y_label_formatter(&|value: &f64| format!("{value:.1}"))
             .x_label_formatter(&|value: &f64| short(*value))
             .light_line_style(TRANSPARENT)
@@ -147,6 +157,7 @@ impl Plot {
             .x_desc(self.x.as_str())
             .y_desc(self.y.as_str())
             .x_labels(6)
+            .y_labels(5)
             .y_label_formatter(&|value: &f64| short(*value))
             .x_label_formatter(&|value: &f64| short(*value))
             .light_line_style(TRANSPARENT)
@@ -156,6 +167,11 @@ impl Plot {
         let mut named = Vec::new();
         for series in &self.series {
             let style = ShapeStyle::from(&colour(series)).stroke_width(1);
+            // A line of one point is none.
+            if series.points.len() == 1 {
+                let points = series.points.iter();
+                chart.draw_series(points.map(|point| Circle::new(*point, 3, style.filled())))?;
+            }
             let line = chart.draw_series(LineSeries::new(series.points.iter().copied(), style))?;
             if !named.contains(&series.colour) {
                 named.push(series.colour);

@@ -22,7 +22,8 @@ pub(super) fn rates(study: &StudyRecord, table: &Table) -> Block {
         );
         rows.push(row);
     }
-    if table.rows.len() > 1 {
+    // Over a curve's points a mean says nothing.
+    if table.rows.len() > 1 && table.grid.curve.is_none() {
         let mut row = vec![TableCell::default(); table.row_axes.len()];
         if let Some(first) = row.first_mut() {
             *first = TableCell::text("mean");

@@ -104,7 +104,8 @@ fn the_papers_studies_are_one_grid_that_shares_its_cells() {
 fn fewer_demonstrations_are_the_first_of_one_recording() {
     let plan = plan(TINY);
     assert_eq!(count(&plan, Kind::Training), 5);
-    assert_eq!(count(&plan, Kind::Recording), 4);
+    // Both networks learn from the same clouds.
+    assert_eq!(count(&plan, Kind::Recording), 2);
     for cell in &plan.cells {
         if let Job::Recording(job) = &cell.job {
             assert_eq!(job.episodes, 2, "{}", cell.label);
@@ -243,7 +244,7 @@ fn what_is_wrong_with_a_file_is_told_with_line_and_key() {
             "grid.0.trials = 0 is outside [1, 1000000]",
         ),
         (
-            "rate = 0.68",
+            "rate = 0.70",
             "rate = 68",
             "grid.0.published.rates.0.rate = 68 is outside [0, 1]",
         ),
