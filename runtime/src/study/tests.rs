@@ -231,6 +231,19 @@ fn what_is_wrong_with_a_file_is_told_with_line_and_key() {
         error.contains("grid.0.networks = dp4") && error.contains("act, dp3, expert"),
         "{error}"
     );
+    let grids = TINY.find("[[grid]]").unwrap();
+    let error = plan_with(&TINY[..grids], "code").unwrap_err();
+    assert!(
+        error.is_bad_input()
+            && error
+                .to_string()
+                .contains("grid = [] is outside one [[grid]] or more"),
+        "{error}"
+    );
+}
+
+#[test]
+fn a_value_outside_of_its_range_is_told_with_the_range() {
     for (from, to, told) in [
         (
             "demonstrations = [2]",
@@ -278,15 +291,6 @@ fn what_is_wrong_with_a_file_is_told_with_line_and_key() {
         let error = refused(from, to);
         assert!(error.contains(told), "{error}");
     }
-    let grids = TINY.find("[[grid]]").unwrap();
-    let error = plan_with(&TINY[..grids], "code").unwrap_err();
-    assert!(
-        error.is_bad_input()
-            && error
-                .to_string()
-                .contains("grid = [] is outside one [[grid]] or more"),
-        "{error}"
-    );
 }
 
 #[test]
@@ -351,7 +355,7 @@ fn done(store: &Store) -> Address {
 fn damage(store: &Store, address: &Address) -> String {
     match store.state(Kind::Evaluation, address) {
         State::Damaged(reason) => reason,
-        other => panic!("{other:?}"),
+        other @ (State::Missing | State::Begun | State::Done(_)) => panic!("{other:?}"),
     }
 }
 

@@ -7,7 +7,7 @@ use std::process::{Command, Output};
 use tests::{Profile, repository, stderr, trocar};
 
 /// `trocar study study.toml` in `folder`.
-pub fn study(folder: &Path, options: &[&str]) -> Command {
+pub(crate) fn study(folder: &Path, options: &[&str]) -> Command {
     let mut command = trocar(Profile::Release);
     command
         .current_dir(folder)
@@ -17,14 +17,14 @@ pub fn study(folder: &Path, options: &[&str]) -> Command {
 }
 
 /// `trocar report` in `folder`.
-pub fn report(folder: &Path, arguments: &[&str]) -> Command {
+pub(crate) fn report(folder: &Path, arguments: &[&str]) -> Command {
     let mut command = trocar(Profile::Release);
     command.current_dir(folder).arg("report").args(arguments);
     command
 }
 
 /// Runs `command` with the command line of `of`, which must succeed.
-pub fn run(of: &Command) -> Output {
+pub(crate) fn run(of: &Command) -> Output {
     let output = again(of).output().unwrap();
     assert!(
         output.status.success(),
@@ -36,7 +36,7 @@ pub fn run(of: &Command) -> Output {
 }
 
 /// Runs it, expects exit code 2, and gives the message.
-pub fn refused(of: &Command) -> String {
+pub(crate) fn refused(of: &Command) -> String {
     let output = again(of).output().unwrap();
     assert_eq!(
         output.status.code(),
@@ -59,12 +59,12 @@ fn again(of: &Command) -> Command {
 }
 
 /// What it wrote to standard output.
-pub fn stdout(output: &Output) -> String {
+pub(crate) fn stdout(output: &Output) -> String {
     String::from_utf8_lossy(&output.stdout).into_owned()
 }
 
 /// The folders of a study's cells of one kind.
-pub fn cell_folders(results: &Path, kind: &str) -> Vec<PathBuf> {
+pub(crate) fn cell_folders(results: &Path, kind: &str) -> Vec<PathBuf> {
     let entries = fs::read_dir(results.join(kind)).unwrap();
     let mut folders: Vec<PathBuf> = entries.map(|entry| entry.unwrap().path()).collect();
     folders.sort();
@@ -72,7 +72,7 @@ pub fn cell_folders(results: &Path, kind: &str) -> Vec<PathBuf> {
 }
 
 /// The committed tiny study with small pictures, as `study.toml` in `folder`.
-pub fn tiny(folder: &Path) -> PathBuf {
+pub(crate) fn tiny(folder: &Path) -> PathBuf {
     let config = repository().join("config");
     let mut text = fs::read_to_string(config.join("studies/tiny.toml")).unwrap();
     for task in ["needle-lift", "block-transfer"] {

@@ -165,9 +165,7 @@ fn in_the_browser(folder: &Path, page: &str) -> (String, String) {
         .arg(format!("file://{}", folder.join(page).display()))
         .current_dir(folder)
         .output()
-        .unwrap_or_else(|error| {
-            panic!("chromium: {error}: run `make test-study`, which installs it")
-        });
+        .expect("`make test-study` installs chromium");
     (stdout(&output), stderr(&output))
 }
 
