@@ -70,6 +70,9 @@ pub enum SessionError {
     /// An argument makes no sense.
     #[error("{0}")]
     BadArgument(String),
+    /// A signal asked for the end.
+    #[error("interrupted")]
+    Interrupted,
     /// A result could not be written.
     #[error("{path}: cannot be written: {reason}")]
     Output {
@@ -143,6 +146,7 @@ impl SessionError {
                 | TrainError::State(_) => true,
                 TrainError::Diverged { .. }
                 | TrainError::Stopped { .. }
+                | TrainError::Watch(_)
                 | TrainError::Parameter(_)
                 | TrainError::Torch(_) => false,
             },
@@ -154,6 +158,7 @@ impl SessionError {
             | Self::Interface { .. }
             | Self::BringUp { .. }
             | Self::Output { .. }
+            | Self::Interrupted
             | Self::RealTime(_) => false,
         }
     }

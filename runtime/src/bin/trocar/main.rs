@@ -6,9 +6,11 @@ mod args;
 mod commands;
 mod console;
 mod drives;
+mod eval;
 mod import;
 mod scene_args;
 mod sheet;
+mod train;
 
 use std::process::ExitCode;
 
@@ -51,10 +53,10 @@ fn main() -> ExitCode {
     }
     let result = match &cli.verb {
         Verb::Run(args) => commands::run(args),
-        Verb::Eval(args) => commands::eval(args),
+        Verb::Eval(args) => eval::eval(args),
         Verb::Record(args) => commands::record(args),
         Verb::Import(args) => import::import(args),
-        Verb::Train(args) => commands::train(args),
+        Verb::Train(args) => train::train(args),
         Verb::Replay(args) => commands::replay(args),
         Verb::Verify(args) => commands::verify(args),
         Verb::Drives(args) => drives::drives(args),
