@@ -148,9 +148,12 @@ impl Attention {
         allowed: Option<&Tensor>,
         dropout: f64,
     ) -> Result<Tensor, TchError> {
-        let q = self.project(query, 0)?;
-        let k = self.project(key, 1)?;
-        let v = self.project(value, 2)?;
+        // In one go: the gradient of a part alone would be one of the whole.
+        let weights = self.in_weight.f_chunk(3, 0)?;
+        let biases = self.in_bias.f_chunk(3, 0)?;
+        let q = self.project(query, &weights[0], &biases[0])?;
+        let k = self.project(key, &weights[1], &biases[1])?;
+        let v = self.project(value, &weights[2], &biases[2])?;
         let mixed = Tensor::f_scaled_dot_product_attention(
             &q, &k, &v, allowed, dropout, false, None, false,
         )?;
@@ -160,11 +163,9 @@ impl Attention {
         joined.f_linear(&self.out_weight, Some(&self.out_bias))
     }
 
-    /// Part 0 (queries), 1 (keys) or 2 (values) of the packed projection, split into heads.
-    fn project(&self, x: &Tensor, part: i64) -> Result<Tensor, TchError> {
-        let weight = self.in_weight.f_narrow(0, part * self.width, self.width)?;
-        let bias = self.in_bias.f_narrow(0, part * self.width, self.width)?;
-        let projected = x.f_linear(&weight, Some(&bias))?;
+    /// `x` projected and split into heads.
+    fn project(&self, x: &Tensor, weight: &Tensor, bias: &Tensor) -> Result<Tensor, TchError> {
+        let projected = x.f_linear(weight, Some(bias))?;
         projected
             .f_view([x.size()[0], -1, self.heads, self.width / self.heads])?
             .f_transpose(1, 2)

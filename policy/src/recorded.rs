@@ -1,12 +1,17 @@
 //! Networks whose work on a CUDA device is recorded at the first answer and repeated at each further one.
 //!
 //! A network of many small steps takes as long as telling the device what to do, again and again the same. A recording is told
-//! with one call, and answers as the network does: it is the same work on the same device.
+//! with one call, and answers as the network does: it is the same work on the same device. A training's steps are recorded
+//! likewise, after a few that were not.
 
+mod aside;
+mod functions;
 mod graph;
 
 use tch::{Device, TchError, Tensor};
 
+use aside::Aside;
+pub(crate) use functions::sleep_while_waiting;
 use graph::Graph;
 
 /// What was recorded of a network, if anything.
@@ -56,6 +61,41 @@ impl Recorded {
     }
 }
 
+/// Work on a CUDA device that is going to be recorded: what the libraries set up at first must be done while this lives.
+#[derive(Debug)]
+pub(crate) struct Recorder(Aside);
+
+impl Recorder {
+    /// None if `device` is not the thread's current CUDA device, or the libraries here have no CUDA.
+    pub(crate) fn begin(device: Device) -> Result<Option<Self>, TchError> {
+        let Device::Cuda(device) = device else {
+            return Ok(None);
+        };
+        let Ok(device) = i32::try_from(device) else {
+            return Ok(None);
+        };
+        Ok(Aside::of(device)?.map(Self))
+    }
+
+    /// Records what `work` does with tensors like `inputs`; nothing of it is done yet. The error says why it can't be recorded.
+    pub(crate) fn record(
+        self,
+        inputs: &[Tensor],
+        work: impl FnOnce(&[Tensor]) -> Result<Tensor, TchError>,
+    ) -> Result<Recording, TchError> {
+        let own: Vec<Tensor> = inputs
+            .iter()
+            .map(Tensor::f_zeros_like)
+            .collect::<Result<_, _>>()?;
+        let (graph, answer) = Graph::recorded_on(&self.0, || work(&own))?;
+        Ok(Recording {
+            graph,
+            inputs: own,
+            answer,
+        })
+    }
+}
+
 impl Recording {
     /// None where nothing can be recorded.
     fn of<const N: usize>(
@@ -87,6 +127,16 @@ impl Recording {
         own.eq(inputs.iter().map(|input| form(input)))
     }
 
+    /// A copy of what the recorded work answers to `inputs`, which must be of the shapes that it was recorded with; it draws
+    /// random numbers on from where the generator stands.
+    pub(crate) fn drawn_answer(&mut self, inputs: &[Tensor]) -> Result<Tensor, TchError> {
+        for (own, input) in self.inputs.iter_mut().zip(inputs) {
+            own.f_copy_(input)?;
+        }
+        self.graph.replay_drawing();
+        self.answer.f_detach_copy()
+    }
+
     fn answer(&mut self, inputs: &[&Tensor]) -> Result<Tensor, TchError> {
         for (own, input) in self.inputs.iter_mut().zip(inputs) {
             own.f_copy_(input)?;
@@ -100,7 +150,7 @@ impl Recording {
 mod tests {
     use tch::{Device, Kind, Tensor};
 
-    use super::Recorded;
+    use super::{Recorded, Recorder};
 
     /// The device that has graphs, where there is one.
     fn device() -> Device {
@@ -131,5 +181,55 @@ mod tests {
             let error = answer.unwrap_err().to_string();
             assert!(error.contains("2x4"), "{error}");
         }
+    }
+
+    /// Numbers drawn on the device by `work`, after the same seed.
+    fn drawn(work: impl FnOnce() -> Tensor) -> Vec<f32> {
+        tch::manual_seed(3);
+        Vec::<f32>::try_from(work().to_device(Device::Cpu)).unwrap()
+    }
+
+    #[test]
+    fn what_is_drawn_hangs_on_the_seed_and_not_on_whether_it_was_recorded() {
+        let on_device = (Kind::Float, device());
+        let plus = |x: &Tensor| Ok(Tensor::f_rand([1000], on_device)?.f_add(x)?);
+        let one = Tensor::ones([1], on_device);
+        let Some(recorder) = Recorder::begin(device()).unwrap() else {
+            assert!(!device().is_cuda());
+            return;
+        };
+        for _ in 0..2 {
+            let _warm = plus(&one).unwrap();
+        }
+        let inputs = [one.shallow_clone()];
+        let mut recording = recorder.record(&inputs, |inputs| plus(&inputs[0])).unwrap();
+        let told = drawn(|| plus(&one).unwrap());
+        let recorded = drawn(|| recording.drawn_answer(&inputs).unwrap());
+        assert_eq!(told, recorded);
+        let next = recording.drawn_answer(&inputs).unwrap();
+        assert_ne!(Vec::<f32>::try_from(next.to_device(Device::Cpu)).unwrap(), told);
+    }
+
+    #[test]
+    fn what_waits_for_the_device_is_not_recorded_and_numbers_are_drawn_as_before() {
+        let on_device = (Kind::Float, device());
+        let wanted = drawn(|| Tensor::rand([100], on_device));
+        let Some(recorder) = Recorder::begin(device()).unwrap() else {
+            return;
+        };
+        let one = [Tensor::ones([1], on_device)];
+        let error = recorder.record(&one, |inputs| {
+            let noise = Tensor::f_rand([1], on_device)?;
+            let read = inputs[0].f_double_value(&[0])?;
+            noise.f_add_scalar(read)
+        });
+        assert!(error.is_err(), "{error:?}");
+        assert_eq!(drawn(|| Tensor::rand([100], on_device)), wanted);
+        let recorder = Recorder::begin(device()).unwrap().unwrap();
+        let wrong = recorder.record(&one, |inputs| inputs[0].f_view([3]));
+        assert!(wrong.is_err(), "{wrong:?}");
+        assert_eq!(drawn(|| Tensor::rand([100], on_device)), wanted);
+        let recorder = Recorder::begin(device()).unwrap().unwrap();
+        assert!(recorder.record(&one, |inputs| inputs[0].f_sin()).is_ok());
     }
 }

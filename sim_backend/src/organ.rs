@@ -8,8 +8,6 @@ use hal::config::{ConfigError, Source};
 use nalgebra::{Unit, Vector3};
 use serde::Deserialize;
 
-use crate::needle::ratio;
-
 /// A rectangular patch around the scene's origin whose height is a sum of three waves.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -23,9 +21,6 @@ pub struct OrganShape {
     /// Longest wavelength, m.
     pub wavelength_m: f64,
 }
-
-/// Cells of the grid that contact physics uses: 216 triangles, less than 0.1 mm from the drawn surface.
-const CONTACT_CELLS: [usize; 2] = [12, 9];
 
 /// One wave: share of the amplitude, waves per longest wavelength along x and y, phase.
 const WAVES: [(f64, f64, f64, f64); 3] = [
@@ -75,25 +70,6 @@ impl OrganShape {
     #[must_use]
     pub fn covers(&self, x: f64, y: f64) -> bool {
         x.abs() <= 0.5 * self.length_m && y.abs() <= 0.5 * self.width_m
-    }
-
-    /// Heights on the grid that contact physics uses, rows along y from its lower end, columns along x.
-    pub(crate) fn contact_heights(&self) -> Vec<Vec<f64>> {
-        let row_of = |row| {
-            let height = |column| {
-                let (x, y) = self.grid_point(CONTACT_CELLS, column, row);
-                self.height_m(x, y)
-            };
-            (0..=CONTACT_CELLS[0]).map(height).collect()
-        };
-        (0..=CONTACT_CELLS[1]).map(row_of).collect()
-    }
-
-    fn grid_point(&self, cells: [usize; 2], column: usize, row: usize) -> (f64, f64) {
-        (
-            (ratio(column, cells[0]) - 0.5) * self.length_m,
-            (ratio(row, cells[1]) - 0.5) * self.width_m,
-        )
     }
 
     /// Share, wave numbers along x and y (rad/m) and phase (rad) of every wave at (`x`, `y`).

@@ -131,7 +131,7 @@ impl Simulation {
             cameras.begin_episode(task, seed);
         }
         let scene = &task.scene;
-        let mut world = World::new(&task.world, &scene.scenery(&task.world, seed), &task.arms);
+        let mut world = World::new(&task.world, &scene.scenery(seed), &task.arms);
         for _ in 0..SETTLE_STEPS {
             world.step();
         }

@@ -48,6 +48,7 @@ sys.meta_path.insert(0, Empty())
 
 import lerobot
 from accelerate import Accelerator
+from accelerate.state import AcceleratorState
 from accelerate.utils import DistributedDataParallelKwargs
 from lerobot.configs.types import FeatureType, PolicyFeature
 from lerobot.policies.act.configuration_act import ACTConfig
@@ -103,6 +104,11 @@ class Trainer:
             self.tracker, self.policy, batch, self.optimiser, self.clip, accelerator=self.accelerator
         )
         self.tracker.step()
+
+
+def forget():
+    """Has accelerate forget its precision, which is one for a process: a trainer of another can be made."""
+    AcceleratorState._reset_state(reset_partial_state=True)
 
 
 def act_config(sizes, info, device):

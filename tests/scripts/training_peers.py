@@ -11,13 +11,16 @@ Otherwise, or besides with `--plain`, it is a plain PyTorch ACT of the same oper
 layers, attention that asks for its weights, AdamW, a gradient clipped to norm 10, the loss read at every step, TF32 and cuDNN's
 benchmark on. The output says which.
 
+Both precisions are compared, one after the other: single precision with TF32 for matrix products and convolutions on CUDA, set for
+both sides, and bfloat16, trocar's by `--bf16`, the peer's by its own mixed precision (LeRobot's is accelerate's). On CUDA trocar
+takes its steps recorded, as it does by itself; `--eager` adds a row with steps that the device is told piece by piece.
+
 The sides take turns, `--rounds` times. Each gets its images as bytes that lie ready where it computes (the peer from one fixed
 pool of random frames), so that decoding, which differs for other reasons, is left out: LeRobot decodes frames in every step.
 `--loader` adds a row with LeRobot's own dataset and DataLoader (4 workers, its default) on the same folder. Each side's first
 steps are not timed: 50 of trocar's, a fifth of the peer's.
 
-What is the same: sizes of the preset, number of cameras, batch, frames' size, precision (float32 with TF32 for matrix products and
-convolutions on CUDA, set for both), and with `--norm frozen` every tensor of the checkpoint: LeRobot's backbone has frozen
+What is the same: sizes of the preset, number of cameras, batch, frames' size, and with `--norm frozen` every tensor of the checkpoint: LeRobot's backbone has frozen
 statistics, here those of random weights and images. `--norm group` gives trocar and the plain peer GroupNorm, which is trained, and
 which trocar's presets have. The numbers in the checkpoint that trocar writes are counted and compared with the peer's. What is
 not the same: trocar's default recipe keeps a moving average of the weights besides.
@@ -28,6 +31,7 @@ tensors took in a step. Both hold their frames there, trocar those of its datase
 
 import argparse
 import functools
+import gc
 import json
 import math
 import os
@@ -274,7 +278,7 @@ def optimised(module, backbone, bf16, forward):
     return step
 
 
-def plain_peer(args, info, device):
+def plain_peer(args, bf16, info, device):
     """What to time, and how many numbers trocar's checkpoint of the same network has."""
     pool = Pool(args, info, device)
     module = PlainAct(args.preset, info["state"], info["action"], args.norm).to(device).train()
@@ -284,13 +288,13 @@ def plain_peer(args, info, device):
         count -= sum(p.numel() for p in module.vae.parameters())
     else:
         count += sum(b.numel() for b in module.buffers()) - module.plane.numel()
-    step = optimised(module, "backbone", args.bf16, lambda: module(*pool.draw()))
+    step = optimised(module, "backbone", bf16, lambda: module(*pool.draw()))
     return {f"plain PyTorch ACT, {args.norm} norm": step}, count
 
 
-def lerobot_peer(args, info, device, lerobot_trainer, backbone):
+def lerobot_peer(args, bf16, info, device, lerobot_trainer, backbone):
     pool = Pool(args, info, device)
-    trainer = lerobot_trainer.Trainer(PRESETS[args.preset], info, backbone, args.batch, device, args.bf16)
+    trainer = lerobot_trainer.Trainer(PRESETS[args.preset], info, backbone, args.batch, device, bf16)
     drawn = lambda: pool.draw_for_lerobot(info["cameras"])
     steps = {"LeRobot's trainer: processors and update": lambda: trainer.update(trainer.prepared(drawn()))}
     ready = trainer.prepared(drawn())
@@ -398,8 +402,8 @@ class Memory:
         return self.most
 
 
-def ours(args, backbone, watched):
-    """Samples a second, the numbers in the checkpoint, and MiB on the device if it is watched and known."""
+def ours(args, how, backbone, watched):
+    """Samples a second, the numbers in the checkpoint, and MiB on the device if it is watched and known; `how` are more options."""
     with tempfile.TemporaryDirectory() as folder:
         out, result = os.path.join(folder, "act"), os.path.join(folder, "result.json")
         # Rows of the loss curve are every 50 steps, and the rate is counted from the first.
@@ -411,8 +415,7 @@ def ours(args, backbone, watched):
             command += ["--episodes", str(args.episodes)]
         if args.norm == "frozen":
             command += ["--backbone", "frozen_batch_norm", "--backbone-weights", backbone]
-        if args.bf16:
-            command.append("--bf16")
+        command += how
         said = os.path.join(folder, "said.txt")
         before = device_in_use() if watched else math.nan
         with open(said, "w", encoding="utf-8") as stream:
@@ -437,22 +440,23 @@ def lerobot_or_why_not():
     return lerobot_trainer, f"LeRobot {lerobot_trainer.VERSION}, its own trainer's step{without}"
 
 
-def peers(args, info, device, lerobot_trainer, backbone):
+def peers(args, bf16, info, device, lerobot_trainer, backbone):
     """The peers' steps by their names; and the numbers of the network, by each that has the one that trocar trains."""
     steps, counts = {}, set()
     if lerobot_trainer:
-        made, count = lerobot_peer(args, info, device, lerobot_trainer, backbone)
+        made, count = lerobot_peer(args, bf16, info, device, lerobot_trainer, backbone)
         steps |= made
         if args.norm == "frozen":
             counts.add(count)
     if args.plain or not lerobot_trainer:
-        made, count = plain_peer(args, info, device)
+        made, count = plain_peer(args, bf16, info, device)
         steps |= made
         counts.add(count)
     return steps, counts
 
 
-def compare(args, info, lerobot_trainer, folder):
+def compare(args, bf16, info, lerobot_trainer, folder):
+    """Rates of each side in one precision, and words on the memory of each."""
     device = torch.device(args.device)
     backbone = untrained_backbone() if args.norm == "frozen" or lerobot_trainer else None
     backbone_file = os.path.join(folder, "backbone.safetensors")
@@ -461,8 +465,12 @@ def compare(args, info, lerobot_trainer, folder):
 
         save_file(backbone, backbone_file)
     before = device_in_use() if args.device == "cuda" else math.nan
-    steps, counts = peers(args, info, device, lerobot_trainer, backbone)
-    rates = {name: [] for name in ["trocar", *steps]}
+    steps, counts = peers(args, bf16, info, device, lerobot_trainer, backbone)
+    precision = ["--bf16"] if bf16 else []
+    own = {"trocar": precision}
+    if args.eager:
+        own["trocar --eager"] = [*precision, "--eager"]
+    rates = {name: [] for name in [*own, *steps]}
     memory = {}
     begun = time.monotonic()
     for turn in range(args.rounds):
@@ -470,12 +478,13 @@ def compare(args, info, lerobot_trainer, folder):
             print(f"no round {turn + 1}: it would take longer than {args.seconds:.0f} s")
             break
         watched = args.device == "cuda" and turn == 0
-        rate, stored, used = ours(args, backbone_file, watched)
-        if any(stored != count for count in counts):
-            sys.exit(f"not the same network: {stored} numbers in trocar's checkpoint, {sorted(counts)} in the peers'")
-        rates["trocar"].append(rate)
-        if watched:
-            memory["trocar"] = f"{used:.0f} MiB of its process"
+        for name, how in own.items():
+            rate, stored, used = ours(args, how, backbone_file, watched)
+            if any(stored != count for count in counts):
+                sys.exit(f"not the same network: {stored} numbers in trocar's checkpoint, {sorted(counts)} in the peers'")
+            rates[name].append(rate)
+            if watched:
+                memory[name] = f"{used:.0f} MiB of its process"
         for name, step in steps.items():
             if watched:
                 torch.cuda.reset_peak_memory_stats()
@@ -487,6 +496,15 @@ def compare(args, info, lerobot_trainer, folder):
     same = f"{stored} numbers in trocar's checkpoint"
     print(f"{same} and in the same network of a peer" if counts else f"{same}; LeRobot's backbone is another one")
     return rates, memory
+
+
+def told(rates, memory):
+    middle = statistics.median(rates["trocar"])
+    for name, found in rates.items():
+        rate = statistics.median(found)
+        beside = "" if name == "trocar" else f"; trocar is {middle / rate:.2f} times as fast"
+        used = f"; {memory[name]}" if name in memory else ""
+        print(f"{rate:9.1f} samples/s ({min(found):.1f} to {max(found):.1f})  {name}{beside}{used}", flush=True)
 
 
 def main():
@@ -502,7 +520,10 @@ def main():
     parser.add_argument("--device", choices=["cpu", "cuda"], default="cpu")
     parser.add_argument("--threads", type=int, default=torch.get_num_threads())
     parser.add_argument("--norm", choices=["group", "frozen"], help="frozen with LeRobot, group without, if not given")
-    parser.add_argument("--bf16", action="store_true")
+    parser.add_argument(
+        "--precision", choices=["float32", "bfloat16", "both"], default="both", help="on the CPU both is float32 alone"
+    )
+    parser.add_argument("--eager", action="store_true", help="on CUDA, a row with trocar's steps told piece by piece")
     parser.add_argument("--plain", action="store_true", help="plain PyTorch beside LeRobot")
     parser.add_argument("--loader", action="store_true", help="LeRobot with its dataset and loader too")
     args = parser.parse_args()
@@ -517,18 +538,20 @@ def main():
     where = torch.cuda.get_device_name() if args.device == "cuda" else f"{args.threads} threads"
     print(
         f"ACT {args.preset}, {args.norm} norm, {len(info['cameras'])} cameras, batch {args.batch}, "
-        f"{'bf16' if args.bf16 else 'float32'}, {args.device} ({where}), torch {torch.__version__}, "
-        f"{args.rounds} rounds of {args.steps} steps"
+        f"{args.device} ({where}), torch {torch.__version__}, {args.rounds} rounds of {args.steps} steps"
     )
     print(which, flush=True)
-    with tempfile.TemporaryDirectory() as folder:
-        rates, memory = compare(args, info, lerobot_trainer, folder)
-    middle = statistics.median(rates["trocar"])
-    for name, found in rates.items():
-        rate = statistics.median(found)
-        beside = "" if name == "trocar" else f"; trocar is {middle / rate:.2f} times as fast"
-        used = f"; {memory[name]}" if name in memory else ""
-        print(f"{rate:9.1f} samples/s ({min(found):.1f} to {max(found):.1f})  {name}{beside}{used}")
+    precisions = ["float32", "bfloat16"] if args.precision == "both" else [args.precision]
+    if args.device == "cpu" and args.precision == "both":
+        precisions = ["float32"]
+    for precision in precisions:
+        print(f"{precision}:", flush=True)
+        with tempfile.TemporaryDirectory() as folder:
+            told(*compare(args, precision == "bfloat16", info, lerobot_trainer, folder))
+        if lerobot_trainer:
+            lerobot_trainer.forget()
+        gc.collect()
+        torch.cuda.empty_cache()
 
 
 if __name__ == "__main__":

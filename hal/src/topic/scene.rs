@@ -126,6 +126,8 @@ pub enum Verdict {
     Success,
     /// The episode is lost; the report's reason says why.
     Failure,
+    /// The simulation was at fault: the episode says nothing.
+    Invalid,
 }
 
 /// The true state of a scene at a policy step.
@@ -172,6 +174,7 @@ impl SceneReport {
             Verdict::Running => 1,
             Verdict::Success => 2,
             Verdict::Failure => 3,
+            Verdict::Invalid => 4,
         }
     }
 
@@ -182,6 +185,7 @@ impl SceneReport {
             0 => Verdict::Waiting,
             1 => Verdict::Running,
             2 => Verdict::Success,
+            4 => Verdict::Invalid,
             _ => Verdict::Failure,
         }
     }
@@ -210,6 +214,7 @@ mod tests {
             Verdict::Running,
             Verdict::Success,
             Verdict::Failure,
+            Verdict::Invalid,
         ] {
             let report = SceneReport {
                 code: SceneReport::code_of(verdict),

@@ -155,9 +155,8 @@ struct Batch {
 }
 
 impl Run {
-    fn batch(&self, frames: &[usize]) -> Result<Batch, TchError> {
-        let frames = index_tensor(frames, self.states.device())?;
-        let of = |tensor: &Tensor| tensor.f_index_select(0, &frames);
+    fn batch(&self, indices: &Tensor) -> Result<Batch, TchError> {
+        let of = |tensor: &Tensor| tensor.f_index_select(0, indices);
         Ok(Batch {
             clouds: Clouds {
                 points: of(&self.clouds.points)?,
@@ -172,8 +171,12 @@ impl Run {
 }
 
 impl Learner for Run {
-    fn losses(&self, frames: &[usize], _random: &mut SplitMix64) -> Result<Losses, TchError> {
-        let mut batch = self.batch(frames)?;
+    fn inputs(&self, frames: &[usize], _random: &mut SplitMix64) -> Result<Vec<Tensor>, TchError> {
+        Ok(vec![index_tensor(frames, self.states.device())?])
+    }
+
+    fn losses(&self, inputs: &[Tensor]) -> Result<Losses, TchError> {
+        let mut batch = self.batch(&inputs[0])?;
         // A hidden point may be a token's centre, so that all stay.
         let points = batch.clouds.points.shallow_clone();
         batch.clouds.points = augment::points(points, &self.augmentation, None, false)?;
@@ -203,7 +206,7 @@ impl Learner for Run {
     }
 
     fn error(&self, frames: &[usize]) -> Result<f64, TchError> {
-        let batch = self.batch(frames)?;
+        let batch = self.batch(&index_tensor(frames, self.states.device())?)?;
         let predicted = self.network.infer(&batch.clouds, &batch.state)?;
         let denominator = LossDenominator::Valid;
         l1_loss(denominator, &predicted, &batch.actions, &batch.is_pad)?.f_double_value(&[])

@@ -5,46 +5,83 @@ use tch::{Kind, TchError, Tensor};
 use super::options::Augmentation;
 use crate::rng::SplitMix64;
 
-/// `images` `(batch, cameras, 3, height, width)`, normalised, each frame changed by its own draw.
-pub(super) fn images(
-    images: Tensor,
+/// What is drawn for `batch` frames, for [`shifted`] and [`coloured`]: `(batch, 4)`, pixels down and right, and the changes of
+/// brightness and contrast. On the CPU.
+#[expect(
+    clippy::cast_possible_truncation,
+    reason = "networks compute in single precision"
+)]
+pub(super) fn drawn(
+    batch: usize,
     options: &Augmentation,
     random: &mut SplitMix64,
 ) -> Result<Tensor, TchError> {
-    let batch = images.size()[0];
-    let mut images = images;
+    let mut drawn = vec![[0.0_f32; 4]; batch];
     if options.shift_px > 0 {
-        let mut shifted = Vec::new();
-        for index in 0..batch {
-            let [down, right] =
-                [0, 1].map(|_| i64::from(options.shift_px) - span(random, options.shift_px));
-            shifted.push(shift(
-                &images.f_select(0, index)?,
-                i64::from(options.shift_px),
-                down,
-                right,
-            )?);
+        for row in &mut drawn {
+            for pixels in &mut row[..2] {
+                *pixels = options.shift_px as f32 - span(random, options.shift_px);
+            }
         }
-        images = Tensor::f_stack(&shifted, 0)?;
     }
     if options.brightness > 0.0 || options.contrast > 0.0 {
-        let mut draw = |range: f64| -> Result<Tensor, TchError> {
-            let draws: Vec<f64> = (0..batch).map(|_| range * random.signed_unit()).collect();
-            let column = Tensor::f_from_slice(&draws)?
-                .f_to_kind(Kind::Float)?
-                .f_to_device(images.device())?;
-            column.f_view([batch, 1, 1, 1, 1])
-        };
-        let (brightness, contrast) = (draw(options.brightness)?, draw(options.contrast)?);
-        let mean = images.f_mean_dim([1, 2, 3, 4].as_slice(), true, Kind::Float)?;
-        // A normalised image spans about four units, so a share of one unit times four is a share of the range.
-        let stretched = images
-            .f_sub(&mean)?
-            .f_mul(&contrast.f_add_scalar(1.0)?)?
-            .f_add(&mean)?;
-        images = stretched.f_add(&brightness.f_mul_scalar(4.0)?)?;
+        for (column, range) in [(2, options.brightness), (3, options.contrast)] {
+            for row in &mut drawn {
+                row[column] = (range * random.signed_unit()) as f32;
+            }
+        }
     }
-    Ok(images)
+    Tensor::f_from_slice(drawn.as_flattened())?.f_view([-1, 4])
+}
+
+/// `images` `(batch, cameras, height, width, channels)`, each frame moved by its own draw, its edges repeated.
+pub(super) fn shifted(
+    images: Tensor,
+    options: &Augmentation,
+    drawn: &Tensor,
+) -> Result<Tensor, TchError> {
+    let size = images.size();
+    let &[batch, cameras, high, wide, channels] = size.as_slice() else {
+        return Err(TchError::Shape(format!("images of shape {size:?}")));
+    };
+    if options.shift_px == 0 {
+        return Ok(images);
+    }
+    // Where the pixels of a row or of a column come from.
+    let source = |column: i64, side: i64| {
+        let place = Tensor::f_arange(side, (Kind::Int64, images.device()))?;
+        let moved = drawn.f_narrow(1, column, 1)?.f_to_kind(Kind::Int64)?;
+        place.f_sub(&moved)?.f_clamp(0, side - 1)
+    };
+    let rows = source(0, high)?.f_mul_scalar(wide)?.f_unsqueeze(-1)?;
+    let pixels = rows
+        .f_add(&source(1, wide)?.f_unsqueeze(1)?)?
+        .f_view([batch, 1, high * wide, 1])?
+        .f_expand([batch, cameras, high * wide, channels], false)?;
+    images
+        .f_view([batch, cameras, high * wide, channels])?
+        .f_gather(2, &pixels, false)?
+        .f_view(size.as_slice())
+}
+
+/// `images` `(batch, cameras, 3, height, width)`, normalised, each frame with its own draw's brightness and contrast.
+pub(super) fn coloured(
+    images: Tensor,
+    options: &Augmentation,
+    drawn: &Tensor,
+) -> Result<Tensor, TchError> {
+    if options.brightness <= 0.0 && options.contrast <= 0.0 {
+        return Ok(images);
+    }
+    let column = |index| drawn.f_narrow(1, index, 1)?.f_view([-1, 1, 1, 1, 1]);
+    let (brightness, contrast) = (column(2)?, column(3)?);
+    let mean = images.f_mean_dim([1, 2, 3, 4].as_slice(), true, Kind::Float)?;
+    // A normalised image spans about four units, so a share of one unit times four is a share of the range.
+    let stretched = images
+        .f_sub(&mean)?
+        .f_mul(&contrast.f_add_scalar(1.0)?)?
+        .f_add(&mean)?;
+    stretched.f_add(&brightness.f_mul_scalar(4.0)?)
 }
 
 /// `state` with the noise that the options ask for.
@@ -87,35 +124,53 @@ pub(super) fn points(
     Ok(points)
 }
 
-fn span(random: &mut SplitMix64, reach: u32) -> i64 {
-    i64::try_from(random.below(2 * reach as usize + 1)).unwrap_or(0)
-}
-
-/// One frame `(cameras, 3, height, width)` moved by up to `reach` pixels, its edges repeated.
-fn shift(frame: &Tensor, reach: i64, down: i64, right: i64) -> Result<Tensor, TchError> {
-    let size = frame.size();
-    let padded = frame.f_replication_pad2d([reach; 4])?;
-    padded
-        .f_narrow(2, reach - down, size[2])?
-        .f_narrow(3, reach - right, size[3])
+fn span(random: &mut SplitMix64, reach: u32) -> f32 {
+    u16::try_from(random.below(2 * reach as usize + 1)).map_or(0.0, f32::from)
 }
 
 #[cfg(test)]
 mod tests {
     use super::super::generator;
-    use super::{Augmentation, images, points, shift};
+    use super::{Augmentation, coloured, drawn, points, shifted};
     use crate::rng::SplitMix64;
     use tch::{Kind, Tensor};
 
     #[test]
-    fn a_shift_moves_pixels_and_repeats_edges() {
-        let frame = Tensor::arange(9, (Kind::Float, tch::Device::Cpu)).view([1, 1, 3, 3]);
-        let moved = shift(&frame, 1, 1, 0).unwrap();
-        let expected = [0.0, 1.0, 2.0, 0.0, 1.0, 2.0, 3.0, 4.0, 5.0];
+    fn a_shift_moves_each_frame_s_pixels_and_repeats_edges() {
+        let frame = Tensor::arange(18, (Kind::Float, tch::Device::Cpu)).view([2, 1, 3, 3, 1]);
+        let draws = Tensor::from_slice(&[1.0_f32, 0.0, 0.0, 0.0, 0.0, -2.0, 0.0, 0.0]);
+        let options = Augmentation {
+            shift_px: 2,
+            ..Augmentation::default()
+        };
+        let moved = shifted(frame, &options, &draws.view([2, 4])).unwrap();
+        assert_eq!(moved.size(), [2, 1, 3, 3, 1]);
+        let down = [0.0, 1.0, 2.0, 0.0, 1.0, 2.0, 3.0, 4.0, 5.0];
+        let left = [11.0, 11.0, 11.0, 14.0, 14.0, 14.0, 17.0, 17.0, 17.0];
         assert_eq!(
             Vec::<f32>::try_from(moved.flatten(0, -1)).unwrap(),
-            expected
+            [down, left].as_flattened()
         );
+    }
+
+    #[test]
+    fn draws_are_whole_pixels_and_shares_within_their_ranges() {
+        let options = Augmentation {
+            shift_px: 3,
+            brightness: 0.2,
+            contrast: 0.1,
+            ..Augmentation::default()
+        };
+        let drawn = drawn(500, &options, &mut SplitMix64::new(4)).unwrap();
+        let drawn = Vec::<f32>::try_from(drawn.view([-1])).unwrap();
+        let (rows, _) = drawn.as_chunks::<4>();
+        let pixels: std::collections::BTreeSet<i32> =
+            rows.iter().flat_map(|row| [row[0] as i32, row[1] as i32]).collect();
+        assert!(pixels.into_iter().eq(-3..=3));
+        for (column, range) in [(2, 0.2), (3, 0.1)] {
+            let most = rows.iter().map(|row| row[column].abs()).fold(0.0, f32::max);
+            assert!((0.9 * range..=range).contains(&most), "{most} of {range}");
+        }
     }
 
     #[test]
@@ -159,13 +214,11 @@ mod tests {
 
     #[test]
     fn without_options_nothing_changes() {
-        let frame = Tensor::ones([2, 1, 3, 4, 4], (Kind::Float, tch::Device::Cpu));
-        let same = images(
-            frame.shallow_clone(),
-            &Augmentation::default(),
-            &mut SplitMix64::new(1),
-        )
-        .unwrap();
-        assert_eq!(same, frame);
+        let frame = Tensor::ones([2, 1, 4, 4, 3], (Kind::Float, tch::Device::Cpu));
+        let none = Augmentation::default();
+        let drawn = drawn(2, &none, &mut SplitMix64::new(1)).unwrap();
+        assert_eq!(drawn, Tensor::zeros([2, 4], (Kind::Float, tch::Device::Cpu)));
+        let same = shifted(frame.shallow_clone(), &none, &drawn).unwrap();
+        assert_eq!(coloured(same, &none, &drawn).unwrap(), frame);
     }
 }

@@ -174,23 +174,26 @@ impl Run {
         })
     }
 
-    /// Points and states that are observed at `frames`, and the actions from there.
-    fn batch(&self, frames: &[usize]) -> Result<[Tensor; 3], TchError> {
-        let frames = index_tensor(frames, self.device)?;
-        let observed = self.observed.f_index_select(0, &frames)?;
+    /// Points and states that are observed at the frames `indices`, and the actions from there.
+    fn batch(&self, indices: &Tensor) -> Result<[Tensor; 3], TchError> {
+        let observed = self.observed.f_index_select(0, indices)?;
         let shape = observed.size();
         let flat = observed.f_view([-1])?;
         let points = self.points.f_index_select(0, &flat)?;
         let points = points.f_view([shape[0], shape[1], -1, 3])?;
         let states = self.states.f_index_select(0, &flat)?;
         let states = states.f_view([shape[0], shape[1], -1])?;
-        Ok([points, states, self.actions.f_index_select(0, &frames)?])
+        Ok([points, states, self.actions.f_index_select(0, indices)?])
     }
 }
 
 impl Learner for Run {
-    fn losses(&self, frames: &[usize], _random: &mut SplitMix64) -> Result<Losses, TchError> {
-        let [points, states, actions] = self.batch(frames)?;
+    fn inputs(&self, frames: &[usize], _random: &mut SplitMix64) -> Result<Vec<Tensor>, TchError> {
+        Ok(vec![index_tensor(frames, self.device)?])
+    }
+
+    fn losses(&self, inputs: &[Tensor]) -> Result<Losses, TchError> {
+        let [points, states, actions] = self.batch(&inputs[0])?;
         let points = augment::points(points, &self.augmentation, Some(&self.metre), true)?;
         let states = augment::state(states, &self.augmentation)?;
         let observation = CloudObservation {
@@ -210,7 +213,8 @@ impl Learner for Run {
     }
 
     fn error(&self, frames: &[usize]) -> Result<f64, TchError> {
-        let [points, states, actions] = self.batch(frames)?;
+        let indices = index_tensor(frames, self.device)?;
+        let [points, states, actions] = self.batch(&indices)?;
         let observation = CloudObservation {
             points: &points,
             state: &states,

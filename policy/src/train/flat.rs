@@ -1,19 +1,73 @@
 //! All trained parameters in one long tensor, with AdamW, clipping and the moving average over it.
 //!
-//! The network holds views of the long tensor, so one step is a dozen operations whatever the number of layers.
+//! The network holds views of the long tensor, so one step is a dozen operations whatever the number of layers, and fewer on an
+//! accelerator.
 
 use std::collections::BTreeMap;
 
 use tch::{Device, Kind, TchError, Tensor};
 
 use super::TrainError;
+use super::fused::{AdamW, Moved};
 use super::options::{TrainOptions, TrainPrecision};
 use super::run_state::RunState;
+use super::training_set::send;
 use crate::dp3::MovingAverage;
 use crate::parameters::Parameters;
 
 const BETA_2: f64 = 0.999;
 const EPS: f64 = 1e-8;
+
+/// What of an update is another one at every step.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Rates {
+    /// Steps with this one.
+    steps: u32,
+    /// Learning rates of the backbone and of the rest.
+    lr: [f64; 2],
+    /// How much of the moving average stays.
+    average: f64,
+}
+
+impl Rates {
+    /// Numbers of [`Self::sent`].
+    const NUMBERS: usize = 4;
+
+    /// Those of step `steps`, from 1, with the learning rates `lr` of the backbone and of the rest.
+    pub(super) fn of(steps: u64, lr: [f64; 2], options: &TrainOptions) -> Self {
+        let steps = u32::try_from(steps).unwrap_or(u32::MAX);
+        let exponent = f64::from(steps);
+        // Young averages must not remember the initial weights.
+        let young = if options.ema_power > 0.0 {
+            MovingAverage::decay_with(u64::from(steps) - 1, options.ema_power)
+        } else {
+            (1.0 + exponent) / (10.0 + exponent)
+        };
+        Self {
+            steps,
+            lr,
+            average: options.ema_decay.min(young),
+        }
+    }
+
+    /// The same on `device`, for [`FlatParameters::fused_step`].
+    #[expect(
+        clippy::cast_possible_truncation,
+        reason = "the optimiser computes in single precision"
+    )]
+    pub(super) fn sent(self, device: Device) -> Result<Tensor, TchError> {
+        let numbers: [f64; Self::NUMBERS] = [
+            self.lr[0],
+            self.lr[1],
+            f64::from(self.steps),
+            1.0 - self.average,
+        ];
+        send(
+            &Tensor::f_from_slice(&numbers.map(|number| number as f32))?,
+            device,
+        )
+    }
+}
 
 /// The trained parameters and the state of their optimiser.
 #[derive(Debug)]
@@ -31,7 +85,6 @@ pub(super) struct FlatParameters {
     average: Option<Tensor>,
     /// What the optimiser leaves alone, in single precision: tables, and statistics that move with what is seen.
     fixed: BTreeMap<String, Tensor>,
-    steps: u32,
 }
 
 impl FlatParameters {
@@ -72,7 +125,6 @@ impl FlatParameters {
             master,
             working,
             fixed: BTreeMap::new(),
-            steps: 0,
         };
         let shapes: Vec<Vec<i64>> = backbone
             .iter()
@@ -127,13 +179,9 @@ impl FlatParameters {
                     .shallow_clone()
                     .f_copy_(&state.tensor(&name, tensor)?)?;
             }
-            if self.working.kind() != self.master.kind() {
-                self.working.f_copy_(&self.master)?;
-            }
+            self.round()?;
             Ok::<(), TrainError>(())
-        })?;
-        self.steps = u32::try_from(state.step).unwrap_or(u32::MAX);
-        Ok(())
+        })
     }
 
     /// The name in a run's state of the parameter `key` that the optimiser leaves alone.
@@ -176,49 +224,70 @@ impl FlatParameters {
         Ok(tensors)
     }
 
-    /// One step of AdamW down the gradient of `loss`; `lr` is that of the backbone and of the rest. Returns the norm of
-    /// the gradient before clipping, still on the device.
+    /// One step of AdamW down the gradient of `loss`. Returns the norm of the gradient before clipping, still on the device.
     pub(super) fn step(
         &mut self,
         loss: &Tensor,
-        lr: [f64; 2],
+        rates: Rates,
         options: &TrainOptions,
     ) -> Result<Tensor, TchError> {
         let gradients = Tensor::f_run_backward(&[loss], &self.leaves, false, false)?;
         tch::no_grad(|| {
-            let mut flats = Vec::with_capacity(gradients.len());
-            for (gradient, leaf) in gradients.iter().zip(&self.leaves) {
-                flats.push(if gradient.defined() {
-                    flatten(gradient)?
-                } else {
-                    flatten(&leaf.f_zeros_like()?)?
-                });
-            }
-            let gradient = Tensor::f_cat(&flats, 0)?.f_to_kind(Kind::Float)?;
-            let norm = gradient.f_norm()?;
-            let gradient = if options.clip_norm.is_finite() {
-                let shrink = norm
-                    .f_add_scalar(1e-6)?
-                    .f_reciprocal()?
-                    .f_mul_scalar(options.clip_norm)?;
-                gradient.f_mul(&shrink.f_clamp_max(1.0)?)?
-            } else {
-                gradient
-            };
-            self.adam_w(&gradient, lr, options)?;
+            let (gradient, norm) = self.clipped(&gradients, options)?;
+            self.adam_w(&gradient, rates, options)?;
             Ok(norm)
         })
+    }
+
+    /// The same in fewer operations, all of them the same at every step: the `rates` are those that were [`Rates::sent`].
+    pub(super) fn fused_step(
+        &mut self,
+        loss: &Tensor,
+        rates: &Tensor,
+        options: &TrainOptions,
+    ) -> Result<Tensor, TchError> {
+        let gradients = Tensor::f_run_backward(&[loss], &self.leaves, false, false)?;
+        tch::no_grad(|| {
+            let (gradient, norm) = self.clipped(&gradients, options)?;
+            self.fused_adam_w(&gradient, rates, options)?;
+            Ok(norm)
+        })
+    }
+
+    /// The gradients as one, shortened if that is asked for, and its norm before.
+    fn clipped(
+        &self,
+        gradients: &[Tensor],
+        options: &TrainOptions,
+    ) -> Result<(Tensor, Tensor), TchError> {
+        let mut flats = Vec::with_capacity(gradients.len());
+        for (gradient, leaf) in gradients.iter().zip(&self.leaves) {
+            flats.push(if gradient.defined() {
+                flatten(gradient)?
+            } else {
+                flatten(&leaf.f_zeros_like()?)?
+            });
+        }
+        let mut gradient = Tensor::f_cat(&flats, 0)?.f_to_kind(Kind::Float)?;
+        let norm = gradient.f_norm()?;
+        if options.clip_norm.is_finite() {
+            let shrink = norm
+                .f_add_scalar(1e-6)?
+                .f_reciprocal()?
+                .f_mul_scalar(options.clip_norm)?;
+            let _ = gradient.f_mul_(&shrink.f_clamp_max(1.0)?)?;
+        }
+        Ok((gradient, norm))
     }
 
     /// Loshchilov and Hutter 2019, algorithm 2.
     fn adam_w(
         &mut self,
         gradient: &Tensor,
-        lr: [f64; 2],
+        rates: Rates,
         options: &TrainOptions,
     ) -> Result<(), TchError> {
-        self.steps = self.steps.saturating_add(1);
-        let exponent = f64::from(self.steps);
+        let exponent = f64::from(rates.steps);
         let (bias_1, bias_2) = (
             1.0 - options.beta_1.powf(exponent),
             1.0 - BETA_2.powf(exponent),
@@ -233,30 +302,65 @@ impl FlatParameters {
             .f_sqrt()?
             .f_add_scalar(EPS)?;
         let update = self.first_moment.f_div(&root)?.f_div_scalar(bias_1)?;
-        let total = self.master.size()[0];
-        let groups = [
-            (0, self.backbone_length),
-            (self.backbone_length, total - self.backbone_length),
-        ];
-        for ((start, length), lr) in groups.into_iter().zip(lr) {
+        for ((start, length), lr) in self.groups().into_iter().zip(rates.lr) {
             let mut part = self.master.f_narrow(0, start, length)?;
             let _ = part.f_mul_scalar_(1.0 - lr * options.weight_decay)?;
             let _ = part.f_sub_(&update.f_narrow(0, start, length)?.f_mul_scalar(lr)?)?;
         }
-        if options.precision == TrainPrecision::Bf16 {
-            self.working.f_copy_(&self.master)?;
-        }
+        self.round()?;
         if let Some(average) = &mut self.average {
-            // Young averages must not remember the initial weights.
-            let young = if options.ema_power > 0.0 {
-                MovingAverage::decay_with(u64::from(self.steps) - 1, options.ema_power)
-            } else {
-                (1.0 + exponent) / (10.0 + exponent)
-            };
-            let decay = options.ema_decay.min(young);
-            let _ = average.f_lerp_(&self.master, 1.0 - decay)?;
+            let _ = average.f_lerp_(&self.master, 1.0 - rates.average)?;
         }
         Ok(())
+    }
+
+    /// The same by the library's own.
+    fn fused_adam_w(
+        &mut self,
+        gradient: &Tensor,
+        rates: &Tensor,
+        options: &TrainOptions,
+    ) -> Result<(), TchError> {
+        let adam_w = AdamW {
+            beta_1: options.beta_1,
+            beta_2: BETA_2,
+            weight_decay: options.weight_decay,
+            eps: EPS,
+        };
+        let step = rates.f_select(0, 2)?;
+        for (group, (start, length)) in (0..).zip(self.groups()) {
+            let moved = Moved {
+                parameters: &self.master.f_narrow(0, start, length)?,
+                gradient: &gradient.f_narrow(0, start, length)?,
+                first_moment: &self.first_moment.f_narrow(0, start, length)?,
+                second_moment: &self.second_moment.f_narrow(0, start, length)?,
+            };
+            if length > 0 {
+                adam_w.step(&moved, &step, &rates.f_select(0, group)?)?;
+            }
+        }
+        self.round()?;
+        if let Some(average) = &mut self.average {
+            let _ = average.f_lerp_tensor_(&self.master, &rates.f_select(0, 3)?)?;
+        }
+        Ok(())
+    }
+
+    /// Start and length of what has a learning rate of its own: the backbone, and the rest.
+    fn groups(&self) -> [(i64, i64); 2] {
+        let total = self.master.size()[0];
+        [
+            (0, self.backbone_length),
+            (self.backbone_length, total - self.backbone_length),
+        ]
+    }
+
+    /// What the network computes with is the truth again, in its own precision.
+    fn round(&mut self) -> Result<(), TchError> {
+        if self.working.kind() == self.master.kind() {
+            return Ok(());
+        }
+        self.working.f_copy_(&self.master)
     }
 }
 
@@ -285,7 +389,7 @@ fn length(flats: &[Tensor]) -> i64 {
 
 #[cfg(test)]
 mod tests {
-    use super::FlatParameters;
+    use super::{FlatParameters, Rates};
     use crate::act::ActPreset;
     use crate::parameters::{Init, ParameterSource};
     use crate::train::TrainOptions;
@@ -328,12 +432,13 @@ mod tests {
         let loss = |filter: &Tensor, matrix: &Tensor| {
             filter.sin().sum(Kind::Float) * matrix.square().sum(Kind::Float)
         };
-        for _ in 0..5 {
+        for step in 1..=5 {
             let own = loss(
                 &ours["model.backbone.conv1.weight"],
                 &ours["model.head.weight"],
             );
-            let _ = flat.step(&own, [0.01, 0.01], &options).unwrap();
+            let rates = Rates::of(step, [0.01, 0.01], &options);
+            let _ = flat.step(&own, rates, &options).unwrap();
             optimiser.backward_step(&loss(&filter, &matrix));
         }
         let worst = (&ours["model.backbone.conv1.weight"] - &filter)
@@ -346,5 +451,52 @@ mod tests {
             .max()
             .double_value(&[]);
         assert!(worst < 1e-6, "{worst}");
+    }
+
+    /// Two like networks with another learning rate for each of their two parts.
+    fn pair(options: &TrainOptions) -> [FlatParameters; 2] {
+        [0, 1].map(|_| {
+            let mut source = ParameterSource::seeded(7, Device::Cpu);
+            for (key, shape) in [
+                ("model.backbone.conv1.weight", &[8, 3, 3, 3][..]),
+                ("model.head.weight", &[33, 5]),
+            ] {
+                let _ = source
+                    .trainable(key, shape, &Init::Normal(1.0))
+                    .unwrap();
+            }
+            let parameters = source.finish().unwrap();
+            FlatParameters::new(&parameters, Device::Cpu, options).unwrap()
+        })
+    }
+
+    #[test]
+    fn a_fused_step_is_a_step() {
+        let options = TrainOptions {
+            weight_decay: 0.05,
+            clip_norm: 3.0,
+            ema_decay: 0.9,
+            ..TrainOptions::preset(ActPreset::Small)
+        };
+        let [mut plain, mut fused] = pair(&options);
+        let loss = |flat: &FlatParameters| {
+            let tensors = flat.working_tensors();
+            let sines = tensors.values().map(|tensor| tensor.sin().square().sum(Kind::Float));
+            sines.reduce(|one, other| one * other).unwrap()
+        };
+        for step in 1..=20 {
+            let rates = Rates::of(step, [0.02, 0.003], &options);
+            let one = plain.step(&loss(&plain), rates, &options).unwrap();
+            let rates = rates.sent(Device::Cpu).unwrap();
+            let other = fused.fused_step(&loss(&fused), &rates, &options).unwrap();
+            let [one, other] = [one, other].map(|norm| norm.double_value(&[]));
+            assert!(one > 3.0 && (one - other).abs() < 1e-3 * one, "{one}, {other}");
+        }
+        let start = &pair(&options)[0];
+        for (((name, one), (_, other)), (_, start)) in plain.named().into_iter().zip(fused.named()).zip(start.named()) {
+            let apart = (one - other).abs().max().double_value(&[]);
+            let moved = (one - start).abs().max().double_value(&[]);
+            assert!(apart < 2e-4 * moved, "{name}: {apart} apart after {moved}");
+        }
     }
 }

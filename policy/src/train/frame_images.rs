@@ -109,11 +109,26 @@ impl FrameImages {
         }
     }
 
-    /// The images of `frames` on the training device, where `indices` has them too.
-    pub(super) fn batch(&self, frames: &[usize], indices: &Tensor) -> Result<Tensor, TchError> {
+    /// The images of `frames` on their way to the training device, if they are not there.
+    pub(super) fn sent(&self, frames: &[usize]) -> Result<Option<Tensor>, TchError> {
         match self {
-            Self::Resident(images) => images.f_index_select(0, indices),
-            Self::Streamed(stream) => stream.batch(frames),
+            Self::Resident(_) => Ok(None),
+            Self::Streamed(stream) => stream.batch(frames).map(Some),
+        }
+    }
+
+    /// The images of the frames `indices` on the training device, or those that were [`Self::sent`].
+    pub(super) fn batch(
+        &self,
+        indices: &Tensor,
+        sent: Option<&Tensor>,
+    ) -> Result<Tensor, TchError> {
+        match (self, sent) {
+            (_, Some(sent)) => Ok(sent.shallow_clone()),
+            (Self::Resident(images), None) => images.f_index_select(0, indices),
+            (Self::Streamed(_), None) => {
+                Err(TchError::Torch("no images were sent to the device".to_owned()))
+            }
         }
     }
 }

@@ -21,6 +21,7 @@ mod error;
 mod flat;
 mod frame_images;
 mod frame_order;
+mod fused;
 mod generator;
 mod options;
 mod plot;
@@ -29,6 +30,7 @@ mod recipes;
 mod resume_tests;
 mod run_state;
 mod steps;
+mod told;
 #[cfg(test)]
 mod tests;
 mod training_set;
@@ -49,13 +51,14 @@ use crate::dataset::Dataset;
 use crate::normalise::{ImageNormaliser, Statistics};
 use crate::parameters::ParameterSource;
 use crate::perception::CloudRecipe;
+use crate::recorded::sleep_while_waiting;
 use crate::rng::SplitMix64;
 use flat::FlatParameters;
 use steps::{Learner, Losses, Split, Steps};
-use training_set::{Batch, TrainingSet};
+use training_set::{TrainingSet, index_tensor, send};
 
 /// Where a run stands.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Debug)]
 pub enum Progress {
     /// Frames are being decoded.
     Read {
@@ -86,6 +89,11 @@ pub enum Progress {
         steps: u64,
         /// What is minimised, of this step alone.
         loss: f64,
+    },
+    /// On an accelerator each operation of a step is told piece by piece, since steps could not be recorded.
+    NotRecorded {
+        /// Why not.
+        reason: String,
     },
     /// A row of the loss curve is there.
     Row {
@@ -253,10 +261,11 @@ impl Trainer {
     }
 
     /// Sets what the network library keeps for the whole process: threads, and that it may try which kernels are
-    /// the fastest (every step has the same shapes; on the CPU this means nothing).
+    /// the fastest (every step has the same shapes; on the CPU this means nothing). Waiting takes no core from other trainings.
     fn begin(&self, options: &TrainOptions) {
         tch::set_num_threads(i32::try_from(options.threads.max(1)).unwrap_or(1));
         if self.device.is_cuda() {
+            sleep_while_waiting();
             tch::Cuda::cudnn_set_benchmark(true);
         }
     }
@@ -358,12 +367,24 @@ impl Learner for Run<'_> {
         self.set.images.announce(frames);
     }
 
-    fn losses(&self, frames: &[usize], random: &mut SplitMix64) -> Result<Losses, TchError> {
-        let batch: Batch = self.set.batch(frames)?;
-        let config = self.act.config();
-        let images = self.images.apply(&batch.images)?;
-        let images = augment::images(images, &self.options.augmentation, random)?;
-        let state = augment::state(batch.state.shallow_clone(), &self.options.augmentation)?;
+    /// Indices, what is drawn for the images, and the images that the device has not.
+    fn inputs(&self, frames: &[usize], random: &mut SplitMix64) -> Result<Vec<Tensor>, TchError> {
+        let drawn = augment::drawn(frames.len(), &self.options.augmentation, random)?;
+        let indices = index_tensor(frames, self.set.device())?;
+        let mut inputs = vec![indices, send(&drawn, self.set.device())?];
+        inputs.extend(self.set.images.sent(frames)?);
+        Ok(inputs)
+    }
+
+    fn losses(&self, inputs: &[Tensor]) -> Result<Losses, TchError> {
+        let [indices, drawn, sent @ ..] = inputs else {
+            return Err(TchError::Shape(format!("{} inputs", inputs.len())));
+        };
+        let batch = self.set.batch(indices, sent.first())?;
+        let (config, augmentation) = (self.act.config(), &self.options.augmentation);
+        let bytes = augment::shifted(batch.images, augmentation, drawn)?;
+        let images = augment::coloured(self.images.apply(&bytes)?, augmentation, drawn)?;
+        let state = augment::state(batch.state, augmentation)?;
         let noise = Tensor::f_randn(
             [state.size()[0], config.latent_dim],
             (Kind::Float, state.device()),
@@ -389,7 +410,9 @@ impl Learner for Run<'_> {
     }
 
     fn error(&self, frames: &[usize]) -> Result<f64, TchError> {
-        let batch = self.set.batch(frames)?;
+        let indices = index_tensor(frames, self.set.device())?;
+        let sent = self.set.images.sent(frames)?;
+        let batch = self.set.batch(&indices, sent.as_ref())?;
         let images = self.images.apply(&batch.images)?;
         let predicted = self.act.infer(&images, &batch.state)?;
         let l1 = l1_loss(

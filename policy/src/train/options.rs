@@ -88,6 +88,9 @@ pub struct TrainOptions {
     pub augmentation: Augmentation,
     /// Keep the images in the host's memory and send each step's ahead of it, for what the device has no room for.
     pub images_on_host: bool,
+    /// Tell an accelerator each operation of every step, instead of recording a step after the first few and repeating it.
+    #[serde(skip)]
+    pub eager: bool,
     /// Threads that decode images, and that compute if training is on the CPU.
     pub threads: usize,
     /// The seed of everything random.

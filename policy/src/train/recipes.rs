@@ -36,6 +36,7 @@ impl TrainOptions {
                 point_dropout: 0.0,
             },
             images_on_host: false,
+            eager: false,
             threads: 2,
             seed: 1000,
         };

@@ -5,11 +5,12 @@ use std::path::PathBuf;
 use tch::{Kind, TchError, Tensor};
 
 use super::curve::{CurveRow, LossCurve};
-use super::flat::FlatParameters;
+use super::flat::{FlatParameters, Rates};
 use super::frame_order::FrameOrder;
 use super::generator;
 use super::options::TrainOptions;
 use super::run_state::RunState;
+use super::told::Told;
 use super::{AnyTrained, Progress, TrainError, Watch};
 use crate::rng::SplitMix64;
 
@@ -18,8 +19,14 @@ pub(super) trait Learner {
     /// What the step after the next one is going to be about, so that it can be fetched meanwhile.
     fn announce(&self, _frames: &[usize]) {}
 
-    /// The loss over `frames`, and its two parts for the curve: error of the actions, divergence.
-    fn losses(&self, frames: &[usize], random: &mut SplitMix64) -> Result<Losses, TchError>;
+    /// All that a step hangs on but the weights and the network library's random numbers, where the network is; of one form at
+    /// every step.
+    fn inputs(&self, frames: &[usize], random: &mut SplitMix64) -> Result<Vec<Tensor>, TchError>;
+
+    /// The loss over the frames of `inputs`, and its two parts for the curve: error of the actions, divergence.
+    ///
+    /// An accelerator is told the same at every step, and nothing is read back from it: this may be recorded.
+    fn losses(&self, inputs: &[Tensor]) -> Result<Losses, TchError>;
 
     /// Mean absolute error of the normalised actions over `frames`, as inference sees them.
     fn error(&self, frames: &[usize]) -> Result<f64, TchError>;
@@ -30,6 +37,14 @@ pub(super) struct Losses {
     pub(super) total: Tensor,
     pub(super) l1: Tensor,
     pub(super) kl: Tensor,
+}
+
+impl Losses {
+    /// The loss, its parts and the `norm` of its gradient, as [`TERMS`] has them.
+    fn with(&self, norm: &Tensor) -> Result<Tensor, TchError> {
+        let [total, l1, kl] = [&self.total, &self.l1, &self.kl].map(Tensor::f_detach);
+        Tensor::f_stack(&[total?, l1?, kl?, norm.shallow_clone()], 0)
+    }
 }
 
 /// The frames trained on, and those held out.
@@ -83,12 +98,13 @@ impl Steps<'_> {
             self.offer(first, flat, (&curve, &since_row), watch)?;
         }
         let mut next = order.of_step(first, options.batch);
+        let mut told = Told::new(options, flat.device(), watch)?;
         for step in first..options.steps {
             let frames = next;
             next = order.of_step(step + 1, options.batch);
             self.learner.announce(&next);
             // Not waited for.
-            since_row.push(self.step(step, &frames, flat)?);
+            since_row.push(self.step(step, &frames, flat, (&mut told, watch))?);
             let done = step + 1;
             if let Some(last) = since_row.last()
                 && watch.wants_step(done)
@@ -142,19 +158,34 @@ impl Steps<'_> {
         step: u64,
         frames: &[usize],
         flat: &mut FlatParameters,
+        (told, watch): (&mut Told, &mut dyn Watch),
     ) -> Result<Tensor, TrainError> {
         let options = self.options;
         let mut random = SplitMix64::named(&format!("train/step/{step}"), options.seed);
-        let losses = {
-            let _drawing = generator::seeded(random.next_u64());
-            self.learner.losses(frames, &mut random)?
-        };
+        let seed = random.next_u64();
+        let mut inputs = self.learner.inputs(frames, &mut random)?;
         let factor = options.lr_factor(step);
         let lr = [options.lr_backbone * factor, options.lr * factor];
-        let norm = flat.step(&losses.total, lr, options)?;
-        let Losses { total, l1, kl } = losses;
-        let parts = [total.f_detach()?, l1.f_detach()?, kl.f_detach()?, norm];
-        Ok(Tensor::f_stack(&parts, 0)?)
+        let rates = Rates::of(step + 1, lr, options);
+        if !flat.device().is_cuda() {
+            let losses = {
+                let _drawing = generator::seeded(seed);
+                self.learner.losses(&inputs)?
+            };
+            let norm = flat.step(&losses.total, rates, options)?;
+            return Ok(losses.with(&norm)?);
+        }
+        inputs.push(rates.sent(flat.device())?);
+        let _drawing = generator::seeded(seed);
+        let mut work = |inputs: &[Tensor]| {
+            let Some((rates, inputs)) = inputs.split_last() else {
+                return Err(TchError::Shape("no inputs".to_owned()));
+            };
+            let losses = self.learner.losses(inputs)?;
+            let norm = flat.fused_step(&losses.total, rates, options)?;
+            losses.with(&norm)
+        };
+        told.step(&inputs, &mut work, watch)
     }
 
     /// The row of the curve after `done` steps: the means of what was lost `since_row`.
@@ -284,7 +315,11 @@ mod tests {
     }
 
     impl Learner for Planted {
-        fn losses(&self, _frames: &[usize], _random: &mut SplitMix64) -> Result<Losses, TchError> {
+        fn inputs(&self, _: &[usize], _: &mut SplitMix64) -> Result<Vec<Tensor>, TchError> {
+            Ok(Vec::new())
+        }
+
+        fn losses(&self, _inputs: &[Tensor]) -> Result<Losses, TchError> {
             self.step.set(self.step.get() + 1);
             let pick = |term, good: &Tensor| {
                 if term == self.term && self.step.get() == self.at {

@@ -78,14 +78,18 @@ impl TrainingSet {
         })
     }
 
-    /// The given frames.
-    pub(super) fn batch(&self, frames: &[usize]) -> Result<Batch, TchError> {
-        let indices = index_tensor(frames, self.states.device())?;
+    /// Where all but the images is.
+    pub(super) fn device(&self) -> Device {
+        self.states.device()
+    }
+
+    /// The frames of [`index_tensor`] `indices`, with what [`FrameImages::sent`] of them.
+    pub(super) fn batch(&self, indices: &Tensor, sent: Option<&Tensor>) -> Result<Batch, TchError> {
         Ok(Batch {
-            images: self.images.batch(frames, &indices)?,
-            state: self.states.f_index_select(0, &indices)?,
-            actions: self.chunks.f_index_select(0, &indices)?,
-            is_pad: self.is_pad.f_index_select(0, &indices)?,
+            images: self.images.batch(indices, sent)?,
+            state: self.states.f_index_select(0, indices)?,
+            actions: self.chunks.f_index_select(0, indices)?,
+            is_pad: self.is_pad.f_index_select(0, indices)?,
         })
     }
 }

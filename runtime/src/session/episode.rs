@@ -342,7 +342,7 @@ pub fn reason(outcome: &Outcome, tally: &Tally) -> String {
     match (outcome, tally.faults()) {
         (Outcome::Success, _) => "success".to_owned(),
         (_, Some(faults)) => faults,
-        (Outcome::Failure(reason), None) => reason.to_string(),
+        (Outcome::Failure(_) | Outcome::Invalid(_), None) => outcome.to_string(),
         (Outcome::Running, None) => "tick limit".to_owned(),
     }
 }

@@ -154,6 +154,7 @@ impl<'a> TrialWorker<'a> {
         Ok(TrialSummary {
             seed,
             success: matches!(end.outcome, Outcome::Success),
+            invalid: matches!(end.outcome, Outcome::Invalid(_)),
             reason: end.reason(),
             seconds: hal::TimeNs::from_tick(end.tally.ticks()).seconds(),
             command_hash: end.tally.command_hash(),

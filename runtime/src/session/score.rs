@@ -11,6 +11,8 @@ pub struct Score {
     pub successes: usize,
     /// Trials that were lost.
     pub failures: usize,
+    /// Trials that say nothing, since the simulation was at fault.
+    pub invalid: usize,
 }
 
 impl Score {
@@ -26,7 +28,9 @@ impl Score {
 
     /// Counts one more trial.
     pub const fn add(&mut self, trial: &TrialSummary) {
-        if trial.success {
+        if trial.invalid {
+            self.invalid += 1;
+        } else if trial.success {
             self.successes += 1;
         } else {
             self.failures += 1;
@@ -55,13 +59,13 @@ impl Score {
 impl fmt::Display for Score {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let [low, high] = self.wilson95();
-        write!(
-            f,
-            "{} of {} succeeded, rate {:.2} [{low:.2}, {high:.2}]",
-            self.successes,
-            self.trials(),
-            self.rate()
-        )
+        let all = self.trials() + self.invalid;
+        write!(f, "{} of {all} succeeded", self.successes)?;
+        if self.invalid > 0 {
+            let invalid = self.invalid;
+            write!(f, ", {invalid} invalid (the simulation was at fault)")?;
+        }
+        write!(f, ", rate {:.2} [{low:.2}, {high:.2}]", self.rate())
     }
 }
 
@@ -107,7 +111,21 @@ mod tests {
         Score {
             successes,
             failures,
+            invalid: 0,
         }
+    }
+
+    #[test]
+    fn what_is_invalid_does_not_count_for_the_rate() {
+        let score = Score {
+            invalid: 2,
+            ..score(3, 1)
+        };
+        assert_eq!(score.trials(), 4);
+        assert_eq!(
+            score.to_string(),
+            "3 of 6 succeeded, 2 invalid (the simulation was at fault), rate 0.75 [0.30, 0.95]"
+        );
     }
 
     #[test]

@@ -223,6 +223,8 @@ pub struct TrialSummary {
     pub seed: u64,
     /// Whether the task was done.
     pub success: bool,
+    /// Whether the simulation was at fault: the trial says nothing of the policy.
+    pub invalid: bool,
     /// Why it ended.
     pub reason: String,
     /// Simulated time, s.
@@ -266,7 +268,9 @@ pub struct EvalSummary {
     pub trials: usize,
     /// How many of them succeeded.
     pub successes: usize,
-    /// `successes / trials`.
+    /// In how many the simulation was at fault: they count neither way.
+    pub invalid: usize,
+    /// `successes / (trials - invalid)`.
     pub rate: f64,
     /// Wilson's 95 % interval of the rate.
     pub wilson95: [f64; 2],
@@ -295,8 +299,9 @@ impl EvalSummary {
             trained_on: None,
             trials_asked: episodes.len(),
             interrupted: false,
-            trials: score.trials(),
+            trials: episodes.len(),
             successes: score.successes,
+            invalid: score.invalid,
             rate: score.rate(),
             wilson95: score.wilson95(),
             episodes,

@@ -245,6 +245,7 @@ fn training_options(data: PathBuf, out: PathBuf) -> TrainingOptions {
         augment: false,
         clouds: None,
         images_on_host: false,
+        eager: false,
         threads: 2,
         seed: 1,
         save_every: 0,

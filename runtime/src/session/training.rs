@@ -276,6 +276,7 @@ fn train_options(options: &TrainingOptions, preset: ActPreset) -> TrainOptions {
         validation_share: options.validation_share,
         augmentation,
         images_on_host: options.images_on_host,
+        eager: options.eager,
         save_every: options.save_every,
         threads: options.threads,
         seed: options.seed,

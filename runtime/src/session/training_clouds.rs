@@ -92,6 +92,7 @@ pub(super) fn dp3_options(
         augmentation: augmentation(options),
         validation_share: options.validation_share,
         save_every: options.save_every,
+        eager: options.eager,
         threads: options.threads,
         seed: options.seed,
         ..TrainOptions::dp3(options.steps.unwrap_or(published as u64))
@@ -155,6 +156,7 @@ pub(super) fn act_pc_options(
         augmentation: augmentation(options),
         validation_share: options.validation_share,
         save_every: options.save_every,
+        eager: options.eager,
         threads: options.threads,
         seed: options.seed,
         ..base

@@ -68,6 +68,9 @@ pub struct TrainingOptions {
     pub clouds: Option<PathBuf>,
     /// Keep images in the host's memory instead of the device's.
     pub images_on_host: bool,
+    /// Tell an accelerator each operation of every step instead of repeating a recorded step.
+    #[serde(default)]
+    pub eager: bool,
     /// Threads that decode images, and compute on the CPU.
     pub threads: usize,
     /// Everything random hangs on this.

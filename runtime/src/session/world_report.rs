@@ -33,9 +33,10 @@ pub(super) fn report(
         Some(Outcome::Running) => Verdict::Running,
         Some(Outcome::Success) => Verdict::Success,
         Some(Outcome::Failure(_)) => Verdict::Failure,
+        Some(Outcome::Invalid(_)) => Verdict::Invalid,
     };
     let reason = match &state.outcome {
-        Some(Outcome::Failure(reason)) => Line::new(&reason.to_string()),
+        Some(Outcome::Failure(reason) | Outcome::Invalid(reason)) => Line::new(&reason.to_string()),
         _ => Line::default(),
     };
     let tissue = state.tissue.unwrap_or_default();

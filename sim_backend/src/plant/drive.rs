@@ -50,6 +50,17 @@ struct Shares {
     actuator: AxisVector,
 }
 
+/// The drives in a sub-step, without dry friction and contacts; actuators in order.
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) struct FreeDrives {
+    /// Velocity at the end, rad/s (m/s).
+    pub(crate) velocity: AxisVector,
+    /// Inertia with viscous friction over the sub-step, kg m² (kg).
+    pub(crate) inertia: AxisVector,
+    /// Velocity that dry friction takes at most, rad/s (m/s).
+    pub(crate) stuck: AxisVector,
+}
+
 /// The arm's drives, each a motor with gear, encoder and controller.
 ///
 /// Before the first command it holds the position it was made with.
@@ -198,6 +209,29 @@ impl Plant {
     }
 
     fn substep(&mut self, load: &Load, step_s: f64) {
+        let free = self.begin(load, step_s);
+        let velocity = core::array::from_fn(|axis| {
+            let dragged = free.velocity[axis];
+            (dragged.abs() - free.stuck[axis])
+                .max(0.0)
+                .copysign(dragged)
+        });
+        self.finish(&velocity, step_s);
+    }
+
+    /// How many sub-steps a millisecond has.
+    pub(crate) const fn substeps(&self) -> u32 {
+        self.config.substeps
+    }
+
+    /// Actuator velocities now, rad/s (m/s).
+    pub(crate) const fn actuator_velocities(&self) -> &AxisVector {
+        &self.velocity
+    }
+
+    /// Begins a sub-step of `step_s`: lets the joint controllers work, and says where that leads but for dry friction and
+    /// contacts.
+    pub(crate) fn begin(&mut self, load: &Load, step_s: f64) -> FreeDrives {
         self.effort = if self.enabled {
             self.controller()
         } else {
@@ -212,15 +246,24 @@ impl Plant {
         outside[JOINT_COUNT] -=
             (load.squeeze_damping * rate[JOINT_COUNT]).clamp(-squeezed, squeezed);
         let outside = actuator_efforts(&outside);
+        let mut free = FreeDrives::default();
         for (axis, outside) in outside.iter().enumerate() {
             let per_inertia = step_s / self.config.inertia[axis];
             let pushed = self.velocity[axis] + per_inertia * (self.effort[axis] + outside);
             // Both frictions implicitly: they stop the axis, never reverse it.
-            let dragged = pushed / (1.0 + per_inertia * self.config.viscous[axis]);
-            let stuck = per_inertia * self.config.coulomb[axis];
-            let moving = (dragged.abs() - stuck).max(0.0).copysign(dragged);
-            self.velocity[axis] = moving;
-            self.position[axis] += step_s * moving;
+            let drag = 1.0 + per_inertia * self.config.viscous[axis];
+            free.velocity[axis] = pushed / drag;
+            free.inertia[axis] = self.config.inertia[axis] * drag;
+            free.stuck[axis] = per_inertia * self.config.coulomb[axis];
+        }
+        free
+    }
+
+    /// Ends a sub-step of `step_s` with the actuators at `velocity`.
+    pub(crate) fn finish(&mut self, velocity: &AxisVector, step_s: f64) {
+        self.velocity = *velocity;
+        for (position, velocity) in self.position.iter_mut().zip(velocity) {
+            *position += step_s * velocity;
         }
     }
 

@@ -6,6 +6,7 @@ mod drive;
 
 pub use config::PlantConfig;
 pub use coupling::{actuator_efforts, actuator_positions, joint_efforts, joint_positions};
+pub(crate) use drive::FreeDrives;
 pub use drive::{AXIS_COUNT, AxisVector, DriveSetpoint, Load, Plant};
 
 #[cfg(test)]

@@ -105,7 +105,7 @@ pub struct TaskConfig {
 /// What is particular to a kind of scene. Everything that is drawn at random hangs on `seed`.
 pub(crate) trait TaskScene: Any + CloneScene + Debug + Send + Sync {
     /// Things at their places, and the ground.
-    fn scenery(&self, world: &WorldConfig, seed: u64) -> Scenery;
+    fn scenery(&self, seed: u64) -> Scenery;
 
     /// The place where something is to be brought, scene frame, if the task has one.
     fn goal(&self, seed: u64) -> Option<Pose>;

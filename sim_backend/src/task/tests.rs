@@ -153,7 +153,7 @@ fn every_task_ships_with_a_valid_scene_of_its_name() {
         assert_eq!(task.name, name);
         assert!((1..=ARMS_MAX).contains(&task.arms.len()));
         let scene = &task.scene;
-        let scenery = scene.scenery(&task.world, 1);
+        let scenery = scene.scenery(1);
         let handled = scenery.things.len() + usize::from(scenery.flap.is_some());
         assert!((1..=THINGS_MAX).contains(&handled));
         let poses = scene.visual_poses(&[Pose::identity(); THINGS_MAX], &Pose::identity());
@@ -232,7 +232,7 @@ fn judged(
 ) -> Option<Outcome> {
     let task = TaskConfig::shipped(name);
     let scene = &task.scene;
-    let thing = scene.scenery(&task.world, 1).things.first()?.in_scene;
+    let thing = scene.scenery(1).things.first()?.in_scene;
     let grasp = Grasp {
         left_force_n: force_n,
         right_force_n: 0.0,
@@ -240,11 +240,7 @@ fn judged(
         penetration_m,
     };
     let mut judge = Judge::new(scene.monitor(1), task.time_limit_s);
-    let mut sight = Sight::of(&World::new(
-        &task.world,
-        &scene.scenery(&task.world, 1),
-        &task.arms,
-    ));
+    let mut sight = Sight::of(&World::new(&task.world, &scene.scenery(1), &task.arms));
     sight.thing_in_scene = thing;
     sight.grasps = vec![grasp; task.arms.len()];
     for &energy_j in energies_j {
@@ -272,7 +268,7 @@ fn every_thing_can_be_crushed_but_not_by_a_solvers_hiccup() {
 }
 
 #[test]
-fn no_thing_may_gain_energy_that_nobody_gave_it() {
+fn energy_from_nowhere_makes_every_trial_invalid() {
     for name in TaskConfig::names() {
         let shown = |energies_j: &[Option<f64>]| judged(name, 0.0, 0.0, energies_j);
         let Some(outcome) = shown(&[Some(0.01), Some(0.005), Some(0.02)]) else {
@@ -280,7 +276,7 @@ fn no_thing_may_gain_energy_that_nobody_gave_it() {
             continue;
         };
         assert!(
-            matches!(outcome, Outcome::Failure(Reason::Gained { energy_j, .. }) if (energy_j - 0.015).abs() < 1e-12),
+            matches!(outcome, Outcome::Invalid(Reason::Gained { energy_j, .. }) if (energy_j - 0.015).abs() < 1e-12),
             "{name}: {outcome}"
         );
         // Falling loses energy, and what a hand lifts gains it from the hand.
@@ -292,14 +288,14 @@ fn no_thing_may_gain_energy_that_nobody_gave_it() {
 }
 
 #[test]
-fn fingers_inside_a_thing_lose_every_task() {
+fn fingers_inside_a_thing_make_every_trial_invalid() {
     for name in TaskConfig::names() {
         let Some(outcome) = judged(name, 0.0, 0.005, &[None; 25]) else {
             assert_eq!(TaskConfig::shipped(name).kind, FLAP);
             continue;
         };
         assert!(
-            matches!(outcome, Outcome::Failure(Reason::Penetration { .. })),
+            matches!(outcome, Outcome::Invalid(Reason::Penetration { .. })),
             "{name}: {outcome}"
         );
     }

@@ -40,7 +40,7 @@ pub struct RetractionConfig {
     pub squeeze_n_max: f64,
     /// Largest stretch (0.3 is three tenths longer than at rest).
     pub stretch_max: f64,
-    /// Overlap of an instrument with the tissue's thickness, m; deeper is a fault of the physics, not a grasp.
+    /// Overlap of an instrument with the tissue's thickness, m; deeper is a fault of the simulation.
     pub depth_m_max: f64,
     /// How deep the tissue may be pressed into what it lies on, m.
     pub ground_depth_m_max: f64,
@@ -116,6 +116,24 @@ impl fmt::Display for Retraction {
             Self::Running => f.write_str("running"),
             Self::Success => f.write_str("flap grasped at the mark, lifted and held"),
             Self::Failure(failure) => failure.fmt(f),
+        }
+    }
+}
+
+impl RetractionFailure {
+    /// Whether the simulation is at fault, not who leads the instrument.
+    #[must_use]
+    pub const fn is_of_the_simulation(self) -> bool {
+        match self {
+            Self::Sunk { .. } | Self::Slowed { .. } | Self::OutOfRange => true,
+            Self::BesideMark { .. }
+            | Self::TooHard { .. }
+            | Self::Squeezed { .. }
+            | Self::SlippedOut
+            | Self::Overstretched { .. }
+            | Self::Torn
+            | Self::PressedIn { .. }
+            | Self::Flung { .. } => false,
         }
     }
 }

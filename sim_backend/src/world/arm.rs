@@ -1,15 +1,15 @@
 //! One arm of a world: drives, links, and what pushes at them.
 
+use hal::psm::{DH, FINGER_M, JAW_MAX};
 use hal::{ArmCommand, ArmState, JOINT_COUNT, JointVector, Pose, TimeNs};
 use nalgebra::{Point3, Vector3};
 
 use super::chain::{Chain, Wrench};
 use super::config::WorldConfig;
-use super::obstacle::Obstacles;
-use super::press::{self, SoftGround};
-use super::scenery::Ground;
-use super::stage::{PartPoses, Touch};
-use crate::plant::{AXIS_COUNT, AxisVector, DriveSetpoint, Load, Plant};
+use super::contact::DIRECTIONS;
+use crate::plant::{
+    AXIS_COUNT, AxisVector, DriveSetpoint, FreeDrives, Load, Plant, actuator_efforts,
+};
 use crate::tissue::{JawInput, PAD_MIDDLE_M};
 
 /// Where an arm stands and how it starts.
@@ -38,22 +38,18 @@ pub struct ArmBodies {
     pub tip: Pose,
 }
 
+/// Poses of the instrument's moving parts, in the order left finger, right finger, wrist.
+pub(super) type PartPoses = [Pose; 3];
+
+/// The wrist among the parts; the fingers come before it.
+const WRIST: usize = 2;
+
 /// Drives and links of one arm.
 pub(super) struct ArmUnit {
     scene_from_rcm: Pose,
     plant: Plant,
     pub(super) chain: Chain,
-    pressing: Pressing,
-    parts: PartPoses,
     load: Load,
-    ground_force_n: f64,
-}
-
-/// Sample points of the instrument that soft ground presses at, for each part.
-struct Pressing {
-    left: [Point3<f64>; 5],
-    right: [Point3<f64>; 5],
-    wrist: [Point3<f64>; 2],
 }
 
 impl ArmUnit {
@@ -62,14 +58,11 @@ impl ArmUnit {
         Self {
             scene_from_rcm: start.scene_from_rcm,
             plant: Plant::new(&config.plant, &start.joints, start.jaw),
-            pressing: Pressing::new(&chain, start.jaw),
-            parts: part_poses(&chain, start.jaw),
             load: Load {
                 efforts: [0.0; AXIS_COUNT],
                 squeeze_damping: config.squeeze_damping_n_m_s,
             },
             chain,
-            ground_force_n: 0.0,
         }
     }
 
@@ -90,14 +83,97 @@ impl ArmUnit {
         self.plant.setpoint()
     }
 
-    /// Lets the drives work for one millisecond.
+    /// Lets the drives work for one millisecond in which nothing rigid is touched.
     pub(super) fn drive(&mut self) {
         self.plant.step(&self.load);
+        self.follow();
+    }
+
+    /// Brings the links to where the drives are.
+    pub(super) fn follow(&mut self) {
         let joints = self.plant.joints();
         self.chain = Chain::new(
             &self.scene_from_rcm,
             &JointVector::from_column_slice(&joints[..JOINT_COUNT]),
         );
+    }
+
+    /// Actuator velocities now.
+    pub(super) const fn velocities(&self) -> &AxisVector {
+        self.plant.actuator_velocities()
+    }
+
+    /// How many sub-steps a millisecond has.
+    pub(super) const fn substeps(&self) -> u32 {
+        self.plant.substeps()
+    }
+
+    /// Bound on the speed of any point of fingers and wrist, m/s.
+    pub(super) fn tip_speed_m_s(&self) -> f64 {
+        let rates = self.plant.joint_velocities();
+        let tip = self.chain.tip.translation.vector;
+        let links = self.chain.frames.iter().zip(&rates).enumerate();
+        let links = links.map(|(joint, (frame, rate))| {
+            if DH[joint].prismatic {
+                rate.abs()
+            } else {
+                rate.abs() * ((tip - frame.translation.vector).norm() + FINGER_M)
+            }
+        });
+        links.sum::<f64>() + rates[JOINT_COUNT].abs() * FINGER_M
+    }
+
+    /// Begins a sub-step; see [`Plant::begin`].
+    pub(super) fn begin(&mut self, step_s: f64) -> FreeDrives {
+        self.plant.begin(&self.load, step_s)
+    }
+
+    /// Ends a sub-step; see [`Plant::finish`].
+    pub(super) fn finish(&mut self, velocity: &AxisVector, step_s: f64) {
+        self.plant.finish(velocity, step_s);
+    }
+
+    /// Velocity of `point` (scene frame) of a part along each axis of `frame`, and its angular velocity about the first one, a
+    /// row each, for each actuator's velocity.
+    pub(super) fn jacobian(
+        &self,
+        part: usize,
+        point: &Vector3<f64>,
+        frame: &[Vector3<f64>; 3],
+    ) -> [AxisVector; DIRECTIONS] {
+        let mut joints = [[0.0; AXIS_COUNT]; DIRECTIONS];
+        let mut set = |joint: usize, linear: &Vector3<f64>, angular: &Vector3<f64>| {
+            for (row, axis) in joints.iter_mut().zip(frame) {
+                row[joint] = linear.dot(axis);
+            }
+            joints[DIRECTIONS - 1][joint] = angular.dot(&frame[0]);
+        };
+        let carried_by = if part == WRIST {
+            JOINT_COUNT - 1
+        } else {
+            JOINT_COUNT
+        };
+        for (joint, link) in self.chain.frames.iter().enumerate().take(carried_by) {
+            let axis = link.rotation * Vector3::z();
+            if DH[joint].prismatic {
+                set(joint, &axis, &Vector3::zeros());
+            } else {
+                set(
+                    joint,
+                    &axis.cross(&(point - link.translation.vector)),
+                    &axis,
+                );
+            }
+        }
+        // Beyond its range the jaw's drive moves on, but the fingers do not.
+        if part != WRIST && (0.0..=JAW_MAX).contains(&self.jaw()) {
+            let turn = if part == 0 { -0.5 } else { 0.5 };
+            let hinge = self.chain.tip.rotation * Vector3::x() * turn;
+            let arm = point - self.chain.tip.translation.vector;
+            set(JOINT_COUNT, &hinge.cross(&arm), &hinge);
+        }
+        // Velocities go through the coupling as efforts go back.
+        joints.map(|row| actuator_efforts(&row))
     }
 
     /// Where the parts are now.
@@ -128,63 +204,14 @@ impl ArmUnit {
         }
     }
 
-    /// Sum of the forces with which hard ground pushed at the parts in the newest step, N.
-    pub(super) const fn ground_force_n(&self) -> f64 {
-        self.ground_force_n
-    }
-
     /// Every number that decides the future, for hashing.
     pub(super) fn state(&self) -> impl Iterator<Item = f64> + '_ {
         self.plant.state().chain(self.load.efforts)
     }
 
-    /// Takes in what pushes at the instrument; it reaches the drives in the next millisecond.
-    pub(super) fn feel<'a>(
-        &mut self,
-        config: &WorldConfig,
-        ground: &Ground,
-        obstacles: &Obstacles,
-        touches: impl Iterator<Item = &'a [Touch; 3]>,
-        drape: Option<[Wrench; 3]>,
-    ) {
-        let mut wrenches = match ground {
-            Ground::Organ(organ) => self.pressed(config, organ),
-            Ground::Bed(bed) => self.pressed(config, bed),
-            Ground::Solids(_) => self.pushed(config, obstacles),
-        };
-        for (wrench, pull) in wrenches.iter_mut().zip(drape.iter().flatten()) {
-            wrench.add(pull);
-        }
-        for touch in touches {
-            for (wrench, touch) in wrenches.iter_mut().zip(touch) {
-                wrench.add(&touch.wrench);
-            }
-        }
-        self.load.efforts = self.efforts(&wrenches);
-    }
-
-    fn pressed(&mut self, config: &WorldConfig, ground: &impl SoftGround) -> [Wrench; 3] {
-        let centre = self.chain.tip.translation.vector;
-        let now = Pressing::new(&self.chain, self.jaw());
-        let before = core::mem::replace(&mut self.pressing, now);
-        let press = |points: &[Point3<f64>], before: &[Point3<f64>]| {
-            press::pressed(&config.press, ground, points, before, &centre)
-        };
-        [
-            press(&self.pressing.left, &before.left),
-            press(&self.pressing.right, &before.right),
-            press(&self.pressing.wrist, &before.wrist),
-        ]
-    }
-
-    fn pushed(&mut self, config: &WorldConfig, obstacles: &Obstacles) -> [Wrench; 3] {
-        let centre = self.chain.tip.translation.vector;
-        let now = self.part_poses();
-        let before = core::mem::replace(&mut self.parts, now);
-        let pushes =
-            [0, 1, 2].map(|part| obstacles.push(&config.press, part, &now, &before, &centre));
-        self.ground_force_n = pushes.iter().map(|push| push.force_n).sum();
-        pushes.map(|push| push.wrench)
+    /// Takes in what a flap does to left finger, right finger and wrist; it reaches the drives in the next millisecond.
+    pub(super) fn feel(&mut self, wrenches: &[Wrench; 3]) {
+        self.load.efforts = self.efforts(wrenches);
     }
 
     /// Joint efforts, jaw last, of wrenches on left finger, right finger and wrist.
@@ -207,16 +234,6 @@ impl ArmUnit {
 
     fn jaw(&self) -> f64 {
         self.plant.joints()[JOINT_COUNT]
-    }
-}
-
-impl Pressing {
-    fn new(chain: &Chain, jaw: f64) -> Self {
-        Self {
-            left: press::finger_points(&chain.finger(jaw, 1.0), 1.0),
-            right: press::finger_points(&chain.finger(jaw, -1.0), -1.0),
-            wrist: press::wrist_points(&chain.frames[4], &chain.tip),
-        }
     }
 }
 

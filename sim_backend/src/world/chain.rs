@@ -1,7 +1,5 @@
 //! The simulator's own kinematics: the rows of the arm's table multiplied out, one frame a joint.
 
-use core::f64::consts::FRAC_PI_2;
-
 use hal::psm::{DH, DhRow, JAW_MAX, TIP_FROM_WRIST_YAW};
 use hal::{JOINT_COUNT, JointVector, Pose};
 use nalgebra::{Matrix3, Rotation3, Translation3, UnitQuaternion, Vector3};
@@ -25,20 +23,6 @@ pub(crate) struct Wrench {
 }
 
 impl Wrench {
-    pub(crate) const fn zero() -> Self {
-        let none = Vector3::new(0.0, 0.0, 0.0);
-        Self {
-            force: none,
-            moment: none,
-        }
-    }
-
-    /// Adds `force` acting at `arm` from the point that moments are taken about.
-    pub(crate) fn push(&mut self, arm: &Vector3<f64>, force: &Vector3<f64>) {
-        self.force += force;
-        self.moment += arm.cross(force);
-    }
-
     pub(crate) fn add(&mut self, other: &Self) {
         self.force += other.force;
         self.moment += other.moment;
@@ -98,11 +82,6 @@ fn tip_from_last() -> UnitQuaternion<f64> {
     let [a, b, c] = TIP_FROM_WRIST_YAW;
     let rows = Matrix3::new(a[0], a[1], a[2], b[0], b[1], b[2], c[0], c[1], c[2]);
     UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(rows))
-}
-
-/// Rotation that lays a capsule or field made along y onto z.
-pub(crate) fn z_from_y() -> UnitQuaternion<f64> {
-    UnitQuaternion::from_axis_angle(&Vector3::x_axis(), FRAC_PI_2)
 }
 
 #[cfg(test)]

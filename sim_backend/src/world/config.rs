@@ -9,50 +9,38 @@ use crate::plant::PlantConfig;
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct WorldConfig {
-    /// The drives.
+    /// The drives, and into how many sub-steps they cut a millisecond: contacts are solved together with them.
     pub plant: PlantConfig,
     /// Contact between the instrument and things.
     pub grip: Surface,
     /// Contact between things and the ground.
-    pub tissue: Surface,
-    /// How the ground pushes back at the instrument.
-    pub press: Press,
-    /// Damping of the jaw while it squeezes something, N m s/rad: what finger pads, hinge and cables lose. Without it
-    /// a jaw at its effort limit, whose controller then damps nothing, bounces on the wire.
+    pub ground: Surface,
+    /// Contact between the instrument and the ground.
+    pub press: Surface,
+    /// Damping of the jaw while it squeezes a flap, N m s/rad: what finger pads, hinge and cables lose. Without it
+    /// a jaw at its effort limit, whose controller then damps nothing, bounces on the flap.
     pub squeeze_damping_n_m_s: f64,
-    /// Solver sub-steps in one millisecond. More are not better by themselves: stiffness is resolved a sub-step at a
-    /// time, so tune it together with `grip.frequency_hz`.
-    pub solver_substeps: u32,
-    /// Sweeps over all contacts in one sub-step.
-    pub solver_sweeps: u32,
-    /// Size of what is typical here, m. The engine's tolerances (20 mm prediction, 5 mm slop at 1) scale with it.
-    pub length_unit_m: f64,
     /// Gravity, m/s², along -z.
     pub gravity_m_s2: f64,
 }
 
-/// One kind of contact of a thing.
+/// A pair of surfaces. A contact is a spring with a damper that pushes and never pulls, and Coulomb friction.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Surface {
-    /// Stiffness as the frequency at which the thing's mass swings on the contact, Hz.
-    pub frequency_hz: f64,
-    /// Damping ratio of that swing.
-    pub damping_ratio: f64,
-    /// Coulomb friction.
-    pub friction: f64,
-}
-
-/// Ground under the instrument: springs with friction, which give way instead of stopping the tool dead.
-#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct Press {
-    /// Stiffness at each of the instrument's sample points, or where it overlaps a solid, N/m.
+    /// Stiffness of each contact point, N/m.
+    ///
+    /// On solids a face is met in up to four points; 1e6 gives 0.02 mm under 20 N. On soft ground each of the
+    /// instrument's sample points (four at a finger's end, one on its back, two on the wrist) and each of a needle's nine
+    /// is a point.
     pub stiffness_n_m: f64,
-    /// Damping there while it sinks in, N s/m.
+    /// Damping of each contact point, N s/m. What was pressed in comes back no faster than depth times stiffness over
+    /// damping.
     pub damping_n_s_m: f64,
     /// Coulomb friction.
     pub friction: f64,
+    /// Radius at which spin about the normal rubs, m: 0 for a point.
+    pub patch_m: f64,
 }
 
 impl WorldConfig {
@@ -62,68 +50,26 @@ impl WorldConfig {
     /// [`ConfigError::OutOfRange`].
     pub fn check(&self, source: &Source, key: &str) -> Result<(), ConfigError> {
         self.plant.check(source, &format!("{key}.plant"))?;
-        for (name, surface) in [("grip", &self.grip), ("tissue", &self.tissue)] {
-            source.check_range(
-                &format!("{key}.{name}.frequency_hz"),
-                surface.frequency_hz,
-                20.0,
-                2000.0,
-            )?;
-            source.check_range(
-                &format!("{key}.{name}.damping_ratio"),
-                surface.damping_ratio,
-                0.2,
-                20.0,
-            )?;
-            source.check_range(
-                &format!("{key}.{name}.friction"),
-                surface.friction,
-                0.0,
-                2.0,
-            )?;
+        let check = |name: &str, value, low, high| {
+            source.check_range(&format!("{key}.{name}"), value, low, high)
+        };
+        for (name, surface) in [
+            ("grip", &self.grip),
+            ("ground", &self.ground),
+            ("press", &self.press),
+        ] {
+            let of = |field| format!("{name}.{field}");
+            check(&of("stiffness_n_m"), surface.stiffness_n_m, 10.0, 1e7)?;
+            check(&of("damping_n_s_m"), surface.damping_n_s_m, 0.0, 1e4)?;
+            check(&of("friction"), surface.friction, 0.0, 2.0)?;
+            check(&of("patch_m"), surface.patch_m, 0.0, 0.01)?;
         }
-        source.check_range(
-            &format!("{key}.press.stiffness_n_m"),
-            self.press.stiffness_n_m,
-            10.0,
-            4000.0,
-        )?;
-        source.check_range(
-            &format!("{key}.press.damping_n_s_m"),
-            self.press.damping_n_s_m,
-            0.0,
-            20.0,
-        )?;
-        source.check_range(
-            &format!("{key}.press.friction"),
-            self.press.friction,
-            0.0,
-            2.0,
-        )?;
-        source.check_range(
-            &format!("{key}.squeeze_damping_n_m_s"),
+        check(
+            "squeeze_damping_n_m_s",
             self.squeeze_damping_n_m_s,
             0.0,
             0.1,
         )?;
-        source.check_range(
-            &format!("{key}.solver_substeps"),
-            f64::from(self.solver_substeps),
-            1.0,
-            32.0,
-        )?;
-        source.check_range(
-            &format!("{key}.solver_sweeps"),
-            f64::from(self.solver_sweeps),
-            1.0,
-            16.0,
-        )?;
-        source.check_range(
-            &format!("{key}.length_unit_m"),
-            self.length_unit_m,
-            0.001,
-            0.1,
-        )?;
-        source.check_range(&format!("{key}.gravity_m_s2"), self.gravity_m_s2, 0.0, 20.0)
+        check("gravity_m_s2", self.gravity_m_s2, 0.0, 20.0)
     }
 }

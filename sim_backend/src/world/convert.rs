@@ -1,7 +1,7 @@
 //! The border to the physics engine's own maths types.
 
 use hal::Pose;
-use nalgebra::{Quaternion, Translation3, UnitQuaternion, Vector3};
+use nalgebra::Vector3;
 use rapier3d_f64::math::{Pose as EnginePose, Rotation as EngineRotation, Vector as EngineVector};
 
 pub(super) fn engine_vector(v: &Vector3<f64>) -> EngineVector {
@@ -18,10 +18,4 @@ pub(super) fn engine_pose(pose: &Pose) -> EnginePose {
 
 pub(super) fn our_vector(v: EngineVector) -> Vector3<f64> {
     Vector3::new(v.x, v.y, v.z)
-}
-
-pub(super) fn our_pose(pose: &EnginePose) -> Pose {
-    let q = pose.rotation;
-    let rotation = UnitQuaternion::new_normalize(Quaternion::new(q.w, q.x, q.y, q.z));
-    Pose::from_parts(Translation3::from(our_vector(pose.translation)), rotation)
 }

@@ -3,15 +3,17 @@
 mod arm;
 mod chain;
 mod config;
-mod contacts;
+mod contact;
 mod convert;
+mod detect;
 mod drape;
-mod obstacle;
-mod press;
+mod newton;
 mod scenery;
-mod solids;
+mod shapes;
+mod soft;
 mod stage;
 mod stick;
+mod thing;
 
 use hal::{ArmCommand, ArmState, Pose, TimeNs};
 use nalgebra::Vector3;
@@ -22,24 +24,20 @@ use crate::plant::DriveSetpoint;
 use crate::tissue::Tissue;
 use arm::ArmUnit;
 use drape::Drape;
-use obstacle::Obstacles;
 use stage::{Stage, TOUCH_N};
 
 pub use arm::{ArmBodies, ArmStart};
-pub use config::{Press, Surface, WorldConfig};
+pub use config::{Surface, WorldConfig};
 pub use scenery::{Flap, Ground, Meets, Piece, Scenery, Shape, Thing};
-pub(crate) use solids::FINGER_THICKNESS_M;
+pub(crate) use shapes::FINGER_THICKNESS_M;
 
 /// Arms over things on some ground.
 ///
-/// The instruments' parts go where the drives take them and push things out of their way; what things and ground push
-/// back reaches the drives as joint efforts in the next millisecond. The drives' reflected inertia is thousands of
-/// times a thing's mass, which is what makes that exchange stable. Nothing ever attaches a thing: it is held by
-/// friction or not at all.
+/// Drives, things and the contacts between instruments, things and ground are solved together, in every sub-step of a
+/// millisecond: an instrument that meets something is held up by it as far as its drives give way. (Only a flap's pull
+/// reaches the drives a millisecond later; it is soft.) Nothing ever attaches a thing: it is held by friction or not at
+/// all.
 pub struct World {
-    config: WorldConfig,
-    ground: Ground,
-    obstacles: Obstacles,
     arms: Vec<ArmUnit>,
     stage: Stage,
     drape: Option<Drape>,
@@ -67,17 +65,9 @@ impl World {
             .iter()
             .map(|start| ArmUnit::new(config, start))
             .collect();
-        let parts: Vec<_> = arms.iter().map(ArmUnit::part_poses).collect();
-        let solids = match &scenery.ground {
-            Ground::Organ(_) | Ground::Bed(_) => &[],
-            Ground::Solids(solids) => solids.as_slice(),
-        };
         let flap = scenery.flap.as_ref();
         Self {
-            config: *config,
-            ground: scenery.ground.clone(),
-            obstacles: Obstacles::new(solids),
-            stage: Stage::new(config, scenery, &parts),
+            stage: Stage::new(config, scenery, arms.len()),
             drape: flap.map(|flap| Drape::new(flap, &scenery.ground, &arms)),
             arms,
         }
@@ -113,21 +103,12 @@ impl World {
 
     /// Advances exactly one millisecond.
     pub fn step(&mut self) {
-        for arm in &mut self.arms {
-            arm.drive();
-        }
-        let parts = self
-            .arms
-            .iter()
-            .map(|arm| (arm.part_poses(), arm.chain.tip.translation.vector));
-        self.stage.step(parts);
+        self.stage.step(&mut self.arms);
         if let Some(drape) = &mut self.drape {
             drape.step(&self.arms);
-        }
-        for (index, arm) in self.arms.iter_mut().enumerate() {
-            let touches = self.stage.touches(index);
-            let drape = self.drape.as_ref().map(|drape| drape.wrenches(index));
-            arm.feel(&self.config, &self.ground, &self.obstacles, touches, drape);
+            for (index, arm) in self.arms.iter_mut().enumerate() {
+                arm.feel(&drape.wrenches(index));
+            }
         }
     }
 
@@ -140,13 +121,13 @@ impl World {
     /// True pose of a thing's frame in the scene.
     #[must_use]
     pub fn thing_in_scene(&self, thing: usize) -> Pose {
-        self.stage.thing_in_scene(thing)
+        self.stage.thing(thing).pose
     }
 
     /// Linear (m/s, of the centre of mass) and angular velocity (rad/s) of a thing in the scene.
     #[must_use]
     pub fn thing_velocity(&self, thing: usize) -> [Vector3<f64>; 2] {
-        self.stage.thing_velocity(thing)
+        self.stage.thing(thing).velocity
     }
 
     /// Kinetic energy of a thing and its potential energy over the scene's xy-plane, J.
@@ -180,10 +161,16 @@ impl World {
         self.arms[arm].bodies()
     }
 
-    /// Sum of the forces with which hard ground pushed back at an arm's instrument in the newest step, N; 0 on an organ.
+    /// Sum of the normal forces with which the ground pushed back at an arm's instrument in the newest step, N.
     #[must_use]
     pub fn ground_force_n(&self, arm: usize) -> f64 {
-        self.arms[arm].ground_force_n()
+        self.stage.ground_force_n(arm)
+    }
+
+    /// Sum of the normal forces with which the ground pushed back at a thing in the newest step, N; its weight is in it.
+    #[must_use]
+    pub fn thing_ground_force_n(&self, thing: usize) -> f64 {
+        self.stage.thing_ground_force_n(thing)
     }
 
     /// What the fingers of an arm felt of a thing in the newest step.
@@ -231,34 +218,11 @@ impl World {
         self.sunk_m(0)
     }
 
-    /// Digest of the numbers that decide the future, bit by bit; what the engine keeps for itself follows from the past.
+    /// Digest of all numbers that decide the future, bit by bit.
     #[must_use]
     pub fn state_hash(&self) -> u64 {
         let arms = self.arms.iter().flat_map(ArmUnit::state);
-        let things = (0..self.thing_count()).flat_map(|thing| {
-            let pose = self.thing_in_scene(thing);
-            let q = pose.rotation.quaternion().coords;
-            let [linear, angular] = self.thing_velocity(thing);
-            let t = pose.translation.vector;
-            let (rests, still_s) = self.stage.thing_rest(thing);
-            [
-                q.x,
-                q.y,
-                q.z,
-                q.w,
-                t.x,
-                t.y,
-                t.z,
-                linear.x,
-                linear.y,
-                linear.z,
-                angular.x,
-                angular.y,
-                angular.z,
-                f64::from(u8::from(rests)),
-                still_s,
-            ]
-        });
+        let things = (0..self.thing_count()).flat_map(|thing| self.stage.thing(thing).state());
         let tissue = self.drape.iter().flat_map(Drape::state);
         let rigid = arms.chain(self.stage.memory_numbers()).chain(things);
         let numbers = rigid.chain(tissue);

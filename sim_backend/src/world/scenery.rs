@@ -3,7 +3,6 @@
 use hal::Pose;
 use nalgebra::{Point3, UnitQuaternion, Vector3};
 
-use super::config::WorldConfig;
 use crate::needle::{NeedleShape, ratio};
 use crate::organ::OrganShape;
 use crate::tissue::{self, TissueConfig};
@@ -50,8 +49,6 @@ pub struct Thing {
 pub struct Piece {
     /// Its shape, in the thing's frame.
     pub shape: Shape,
-    /// Coulomb friction.
-    pub friction: f64,
     /// What it touches.
     pub meets: Meets,
 }
@@ -95,8 +92,6 @@ pub enum Shape {
     },
     /// The convex hull of points.
     Hull(Vec<Point3<f64>>),
-    /// Several convex shapes that meet others as one: of their contacts with one face four at most are solved.
-    Joined(Vec<Shape>),
 }
 
 /// What does not move.
@@ -104,7 +99,7 @@ pub enum Shape {
 pub enum Ground {
     /// A soft organ on a table. The instrument sinks into it against springs.
     Organ(OrganShape),
-    /// Hard convex solids in the scene frame. The instrument meets them with a little give.
+    /// Hard convex solids in the scene frame.
     Solids(Vec<Shape>),
     /// A soft organ with a rim, for a flap to lie on. The instrument sinks into it against springs; things fall through.
     Bed(tissue::Ground),
@@ -122,29 +117,20 @@ const NEEDLE_BEADS: usize = 9;
 impl Thing {
     /// A needle as a chain of capsules for fingers and hard ground alike.
     #[must_use]
-    pub fn bare_needle(config: &WorldConfig, shape: &NeedleShape, in_scene: Pose) -> Self {
-        let mut needle = Self::needle(config, shape, in_scene);
+    pub fn bare_needle(shape: &NeedleShape, in_scene: Pose) -> Self {
+        let mut needle = Self::needle(shape, in_scene);
         needle
             .pieces
             .retain(|piece| piece.meets == Meets::Instrument);
-        needle.on_hard_ground(config.grip.friction);
+        for piece in &mut needle.pieces {
+            piece.meets = Meets::Both;
+        }
         needle
-    }
-
-    /// Lets the ground meet all pieces as one: a solver that is given dozens of contacts on one face spends its time on them,
-    /// and four carry the thing as well.
-    pub fn on_hard_ground(&mut self, friction: f64) {
-        let shapes = self.pieces.iter().map(|piece| piece.shape.clone());
-        self.pieces.push(Piece {
-            shape: Shape::Joined(shapes.collect()),
-            friction,
-            meets: Meets::Ground,
-        });
     }
 
     /// A needle as a chain of capsules for the fingers and of balls for the tissue.
     #[must_use]
-    pub fn needle(config: &WorldConfig, shape: &NeedleShape, in_scene: Pose) -> Self {
+    pub fn needle(shape: &NeedleShape, in_scene: Pose) -> Self {
         let mass = shape.mass_properties();
         let points = shape.centre_line(capsule_count(shape) + 1);
         let radius_m = shape.wire_radius_m;
@@ -154,7 +140,6 @@ impl Thing {
                 to: pair[1],
                 radius_m,
             },
-            friction: config.grip.friction,
             meets: Meets::Instrument,
         });
         let beads = shape
@@ -162,7 +147,6 @@ impl Thing {
             .into_iter()
             .map(|centre| Piece {
                 shape: Shape::Ball { centre, radius_m },
-                friction: config.tissue.friction,
                 meets: Meets::Ground,
             });
         Self {

@@ -1,129 +1,162 @@
-//! The physics engine's side of the world: steps it, and reads what the instruments feel.
+//! A millisecond of the rigid world: finds contacts, and solves drives, things and contacts together in every sub-step.
+//!
+//! What is near nothing is not solved: an arm in the air is its drives alone, and a thing that lies still sleeps.
 
-use hal::Pose;
+mod find;
+mod rows;
+mod taken;
+
 use nalgebra::{Point3, Vector3};
-use rapier3d_f64::dynamics::{
-    FrictionModel, IntegrationParameters, RigidBodyHandle, SpringCoefficients,
-};
-use rapier3d_f64::geometry::{ColliderHandle, ContactPair};
-use rapier3d_f64::pipeline::PhysicsWorld;
 
-use super::chain::Wrench;
-use super::config::WorldConfig;
-use super::contacts::is_solved;
-use super::convert::{engine_pose, engine_vector, our_pose, our_vector};
-use super::scenery::Scenery;
-use super::solids::{Part, finger, insert_ground, insert_part, insert_thing, wrist};
-use super::stick::{Memory, Recall};
+use super::arm::{ArmUnit, PartPoses};
+use super::config::{Surface, WorldConfig};
+use super::contact::{Contact, Row, Side, THING_DOF};
+use super::detect::Detector;
+use super::newton::{Axis, Masses, Newton};
+use super::scenery::{Ground, Meets, Scenery};
+use super::shapes::{Body, instrument, sample_points};
+use super::stick::Memory;
+use super::thing::Moving;
+use crate::plant::AXIS_COUNT;
 
-/// Least force that counts as touching, N.
-pub(super) const TOUCH_N: f64 = 1e-3;
+pub(super) use taken::{TOUCH_N, Touch};
 
-/// What one part of the instrument feels of one thing.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct Touch {
-    /// Force and moment about the tip frame's origin, on the part.
-    pub(super) wrench: Wrench,
-    /// Sum of the normal forces, N.
-    pub(super) force_n: f64,
-    /// Deepest overlap, m.
-    pub(super) penetration_m: f64,
-    /// Sum of the contact points weighed by their forces, N m; the force's share is the middle of the touch.
-    weighed_points: Vector3<f64>,
-}
+/// Length of a step, s.
+const STEP_S: f64 = 1e-3;
+const PARTS: usize = 3;
 
-impl Touch {
-    const NONE: Self = Self {
-        wrench: Wrench::zero(),
-        force_n: 0.0,
-        penetration_m: 0.0,
-        weighed_points: Vector3::new(0.0, 0.0, 0.0),
-    };
-
-    /// The middle of the touch in the scene, if there is one.
-    fn middle(&self) -> Option<Point3<f64>> {
-        (self.force_n > TOUCH_N).then(|| Point3::from(self.weighed_points / self.force_n))
-    }
-}
-
-/// Poses of the instrument's moving parts for one step, in the order left finger, right finger, wrist.
-pub(super) type PartPoses = [Pose; 3];
-
-/// The instrument of one arm in the engine.
+/// What one arm's instrument knows of the things and the ground.
 struct Instrument {
-    parts: [Part; 3],
-    poses: PartPoses,
     /// What left and right finger remember of each thing.
     memories: Vec<[Memory; 2]>,
     /// What the parts felt of each thing in the newest step, in the order of [`PartPoses`].
-    touches: Vec<[Touch; 3]>,
+    touches: Vec<[Touch; PARTS]>,
+    /// Sum of the normal forces of the ground on the parts in the newest step, N.
+    ground_n: f64,
+    /// Deepest overlap of a part and the ground, m.
+    ground_m: f64,
 }
 
-/// The engine with everything in it.
+/// A thing with what it meets others with.
+struct ThingOnStage {
+    moving: Moving,
+    pieces: Vec<(Body, Meets)>,
+    /// Sum of the normal forces of the ground in the newest step, N.
+    ground_n: f64,
+    /// Deepest overlap with the ground, m.
+    ground_m: f64,
+}
+
+/// Everything rigid but the arms' drives.
 pub(super) struct Stage {
-    engine: PhysicsWorld,
+    grip: Surface,
+    ground_surface: Surface,
+    press: Surface,
+    gravity: Vector3<f64>,
+    ground: Ground,
+    solids: Vec<Body>,
+    parts: [Body; PARTS],
+    samples: [Vec<Point3<f64>>; PARTS],
     instruments: Vec<Instrument>,
-    things: Vec<RigidBodyHandle>,
+    things: Vec<ThingOnStage>,
+    detector: Detector,
+    contacts: Vec<Contact>,
+    rows: Vec<Row>,
+    masses: Masses,
+    newton: Newton,
 }
 
 impl Stage {
-    /// The things, the ground and one instrument for each of `arms`.
-    pub(super) fn new(config: &WorldConfig, scenery: &Scenery, arms: &[PartPoses]) -> Self {
-        let mut engine = PhysicsWorld::new();
-        engine.gravity = engine_vector(&Vector3::new(0.0, 0.0, -config.gravity_m_s2));
-        engine.integration_parameters = parameters(config);
-        // The order of insertion is part of the physics: things, ground, instruments.
-        let things: Vec<_> = scenery
-            .things
-            .iter()
-            .map(|thing| insert_thing(&mut engine, config, thing))
-            .collect();
-        insert_ground(&mut engine, config, &scenery.ground);
-        let instruments = arms
-            .iter()
-            .map(|poses| Instrument::new(&mut engine, config, poses, things.len()))
-            .collect();
+    /// The things, the ground and one instrument for each of `arm_count` arms.
+    pub(super) fn new(config: &WorldConfig, scenery: &Scenery, arm_count: usize) -> Self {
+        let solids = match &scenery.ground {
+            Ground::Organ(_) | Ground::Bed(_) => Vec::new(),
+            Ground::Solids(solids) => solids.iter().map(Body::of).collect(),
+        };
+        let things = scenery.things.iter().map(|thing| ThingOnStage {
+            moving: Moving::new(thing),
+            pieces: thing
+                .pieces
+                .iter()
+                .map(|piece| (Body::of(&piece.shape), piece.meets))
+                .collect(),
+            ground_n: 0.0,
+            ground_m: 0.0,
+        });
+        let things: Vec<_> = things.collect();
+        let instruments = (0..arm_count).map(|_| Instrument {
+            memories: vec![[Memory::default(); 2]; things.len()],
+            touches: vec![[Touch::NONE; PARTS]; things.len()],
+            ground_n: 0.0,
+            ground_m: 0.0,
+        });
         Self {
-            engine,
-            instruments,
+            grip: config.grip,
+            ground_surface: config.ground,
+            press: config.press,
+            gravity: Vector3::new(0.0, 0.0, -config.gravity_m_s2),
+            ground: scenery.ground.clone(),
+            solids,
+            parts: instrument(),
+            samples: core::array::from_fn(sample_points),
+            instruments: instruments.collect(),
             things,
+            detector: Detector::default(),
+            contacts: Vec::new(),
+            rows: Vec::new(),
+            masses: Masses::default(),
+            newton: Newton::default(),
         }
     }
 
-    /// Moves the instruments within one step and lets the things follow, except those that lie still with no instrument
-    /// near them: they stay as they are. Each arm gives the poses of its parts and the
-    /// point about which moments are then taken.
-    pub(super) fn step(&mut self, arms: impl Iterator<Item = (PartPoses, Vector3<f64>)>) {
-        let before: Vec<Pose> = (0..self.things.len())
-            .map(|thing| self.thing_in_scene(thing))
+    /// Advances one millisecond, drives included.
+    pub(super) fn step(&mut self, arms: &mut [ArmUnit]) {
+        let poses: Vec<PartPoses> = arms.iter().map(ArmUnit::part_poses).collect();
+        self.find_contacts(arms, &poses);
+        let coupled: Vec<usize> = (0..arms.len())
+            .filter(|&arm| self.touches_arm(arm))
             .collect();
-        let mut recall = Recall::default();
-        let mut centres = Vec::with_capacity(self.instruments.len());
-        for (instrument, (poses, centre)) in self.instruments.iter_mut().zip(arms) {
-            instrument.remember(&mut recall, &self.things, &before);
-            instrument.go(&mut self.engine, &poses);
-            centres.push(centre);
-        }
-        self.engine.step_with_events(&recall, &());
-        self.wake_what_is_near();
-        for thing in 0..self.things.len() {
-            let pose = self.thing_in_scene(thing);
-            for (arm, centre) in centres.iter().enumerate() {
-                let parts = self.instruments[arm].parts.each_ref();
-                let touches = parts.map(|part| self.touch_of(part.collider, thing, centre));
-                self.instruments[arm].take_in(thing, &pose, touches);
+        for (index, arm) in arms.iter_mut().enumerate() {
+            if !coupled.contains(&index) {
+                arm.drive();
             }
         }
-    }
-
-    /// What the parts of an arm felt of each thing in the newest step.
-    pub(super) fn touches(&self, arm: usize) -> impl Iterator<Item = &[Touch; 3]> {
-        self.instruments[arm].touches.iter()
+        let awake: Vec<usize> = (0..self.things.len())
+            .filter(|&thing| !self.things[thing].moving.is_asleep())
+            .collect();
+        if !(coupled.is_empty() && awake.is_empty()) {
+            self.solve(arms, &coupled, &awake);
+        }
+        for &arm in &coupled {
+            arms[arm].follow();
+        }
+        self.take_in(arms);
     }
 
     /// What the parts of an arm felt of one thing in the newest step.
-    pub(super) fn touch(&self, arm: usize, thing: usize) -> &[Touch; 3] {
+    pub(super) fn touch(&self, arm: usize, thing: usize) -> &[Touch; PARTS] {
         &self.instruments[arm].touches[thing]
+    }
+
+    /// Sum of the normal forces of the ground on the parts of an arm in the newest step, N.
+    pub(super) fn ground_force_n(&self, arm: usize) -> f64 {
+        self.instruments[arm].ground_n
+    }
+
+    /// Deepest overlap of a part of an arm's instrument and the ground in the newest step, m.
+    #[cfg(test)]
+    pub(super) fn part_sunk_m(&self, arm: usize) -> f64 {
+        self.instruments[arm].ground_m
+    }
+
+    /// Sum of the normal forces of the ground on a thing in the newest step, N.
+    pub(super) fn thing_ground_force_n(&self, thing: usize) -> f64 {
+        self.things[thing].ground_n
+    }
+
+    /// Deepest overlap of a thing and the ground.
+    pub(super) fn sunk_m(&self, thing: usize) -> f64 {
+        self.things[thing].ground_m
     }
 
     /// Where the fingers remember the things, for hashing.
@@ -143,248 +176,100 @@ impl Stage {
         self.things.len()
     }
 
-    pub(super) fn thing_in_scene(&self, thing: usize) -> Pose {
-        self.engine
-            .bodies
-            .get(self.things[thing])
-            .map_or_else(Pose::identity, |body| our_pose(body.position()))
-    }
-
-    /// Linear and angular velocity of a thing.
-    pub(super) fn thing_velocity(&self, thing: usize) -> [Vector3<f64>; 2] {
-        let velocity = self
-            .engine
-            .bodies
-            .get(self.things[thing])
-            .map(|body| [body.linvel(), body.angvel()]);
-        velocity.map_or_else(|| [Vector3::zeros(); 2], |pair| pair.map(our_vector))
-    }
-
-    /// Whether a thing lies so still that it is not calculated, and for how long it has been still, s.
-    pub(super) fn thing_rest(&self, thing: usize) -> (bool, f64) {
-        let rest = self.engine.bodies.get(self.things[thing]).map(|body| {
-            let activation = body.activation();
-            (activation.sleeping, activation.time_since_can_sleep)
-        });
-        rest.unwrap_or_default()
+    /// A thing in motion.
+    pub(super) fn thing(&self, thing: usize) -> &Moving {
+        &self.things[thing].moving
     }
 
     /// Kinetic energy of a thing and its potential energy over the scene's xy-plane, J.
     pub(super) fn energy_j(&self, thing: usize) -> f64 {
-        self.engine.bodies.get(self.things[thing]).map_or(0.0, |b| {
-            b.kinetic_energy() - b.mass() * self.engine.gravity.dot(b.center_of_mass())
-        })
+        self.things[thing].moving.energy_j(-self.gravity.z)
     }
 
     /// Throws a thing: linear velocity of its centre of mass, m/s, and angular velocity, rad/s.
     #[cfg(test)]
     pub(super) fn throw(&mut self, thing: usize, velocity: &[Vector3<f64>; 2]) {
-        if let Some(body) = self.engine.bodies.get_mut(self.things[thing]) {
-            body.set_linvel(engine_vector(&velocity[0]), true);
-            body.set_angvel(engine_vector(&velocity[1]), true);
-        }
+        self.things[thing].moving.velocity = *velocity;
+        self.wake(thing);
     }
 
     /// Lets a thing be calculated for as long again as one that just came to lie still.
     #[cfg(test)]
     pub(super) fn wake(&mut self, thing: usize) {
-        if let Some(body) = self.engine.bodies.get_mut(self.things[thing]) {
-            body.wake_up(true);
-        }
+        self.things[thing].moving.wake();
     }
 
-    /// Where the contacts of the newest step were solved that an instrument has a part in, for each pair of faces on the
-    /// first one's surface.
+    /// The contacts of the newest step.
     #[cfg(test)]
-    pub(super) fn instrument_contacts(&self) -> Vec<Vec<Vector3<f64>>> {
-        let pairs = self.engine.narrow_phase.contact_pairs();
-        let pairs = pairs.filter(|pair| {
-            self.is_instrument(pair.collider1) || self.is_instrument(pair.collider2)
-        });
-        let manifolds = pairs.flat_map(|pair| pair.solver_manifolds().iter());
-        manifolds
-            .map(|manifold| {
-                let contacts = manifold.data.solver_contacts.iter();
-                contacts.map(|c| our_vector(c.anchor1)).collect()
-            })
-            .collect()
+    pub(super) fn contacts(&self) -> &[Contact] {
+        &self.contacts
     }
 
-    /// Changes the friction between an arm's fingers and things.
+    /// Changes the friction between instruments and things.
     #[cfg(test)]
-    pub(super) fn set_grip_friction(&mut self, arm: usize, friction: f64) {
-        use rapier3d_f64::dynamics::CoefficientCombineRule;
-        for part in &self.instruments[arm].parts {
-            if let Some(collider) = self.engine.colliders.get_mut(part.collider) {
-                collider.set_friction(friction);
-                collider.set_friction_combine_rule(CoefficientCombineRule::Min);
+    pub(super) const fn set_grip_friction(&mut self, friction: f64) {
+        self.grip.friction = friction;
+    }
+
+    fn touches_arm(&self, arm: usize) -> bool {
+        self.contacts.iter().any(|contact| {
+            let mut sides = contact.sides.iter();
+            sides.any(|side| matches!(side, Side::Part { arm: of, .. } if *of == arm))
+        })
+    }
+
+    /// Solves the sub-steps of the arms `coupled` and the things `awake`.
+    fn solve(&mut self, arms: &mut [ArmUnit], coupled: &[usize], awake: &[usize]) {
+        let inertias: Vec<_> = awake
+            .iter()
+            .map(|&thing| self.things[thing].moving.inertia_in_scene())
+            .collect();
+        let substeps = arms.first().map_or(SUBSTEPS_ALONE, ArmUnit::substeps);
+        let step_s = STEP_S / f64::from(substeps);
+        let drives = AXIS_COUNT * coupled.len();
+        for substep in 0..substeps {
+            self.masses.drives.clear();
+            for &arm in coupled {
+                let free = arms[arm].begin(step_s);
+                self.masses.drives.extend((0..AXIS_COUNT).map(|axis| Axis {
+                    free: free.velocity[axis],
+                    inertia: free.inertia[axis],
+                    dry: free.stuck[axis] * free.inertia[axis],
+                }));
             }
-        }
-    }
-
-    /// Deepest overlap of a thing and the ground.
-    pub(super) fn sunk_m(&self, thing: usize) -> f64 {
-        let Some(body) = self.engine.bodies.get(self.things[thing]) else {
-            return 0.0;
-        };
-        let mut sunk_m: f64 = 0.0;
-        for &collider in body.colliders() {
-            for pair in self.engine.narrow_phase.contact_pairs_with(collider) {
-                if self.is_instrument(pair.collider1) || self.is_instrument(pair.collider2) {
-                    continue;
-                }
-                for point in pair.manifolds().iter().flat_map(|m| &m.points) {
-                    sunk_m = sunk_m.max(-point.dist);
-                }
+            self.masses.things.clear();
+            for (&thing, inertia) in awake.iter().zip(&inertias) {
+                let moving = &self.things[thing].moving;
+                let free = moving.free(inertia, &self.gravity, step_s);
+                self.masses.things.push(free);
             }
-        }
-        sunk_m
-    }
-
-    /// Keeps awake what an instrument may touch: only what lies alone may rest.
-    fn wake_what_is_near(&mut self) {
-        for part in self.instruments.iter().flat_map(|i| &i.parts) {
-            for pair in self.engine.narrow_phase.contact_pairs_with(part.collider) {
-                let other = other_of(pair, part.collider);
-                let parent = self.engine.colliders.get(other).and_then(|c| c.parent());
-                let thing = parent.filter(|body| self.things.contains(body));
-                if let Some(body) = thing.and_then(|thing| self.engine.bodies.get_mut(thing)) {
-                    body.wake_up(true);
-                }
+            if substep == 0 {
+                self.make_rows(arms, (coupled, awake), &inertias);
             }
-        }
-    }
-
-    fn is_instrument(&self, collider: ColliderHandle) -> bool {
-        let mut parts = self.instruments.iter().flat_map(|i| &i.parts);
-        parts.any(|part| part.collider == collider)
-    }
-
-    fn touch_of(&self, part: ColliderHandle, thing: usize, centre: &Vector3<f64>) -> Touch {
-        let mut touch = Touch::NONE;
-        for pair in self.engine.narrow_phase.contact_pairs_with(part) {
-            let other = other_of(pair, part);
-            let body = self.engine.colliders.get(other).and_then(|c| c.parent());
-            if body == Some(self.things[thing]) {
-                self.add_pair(&mut touch, pair, part, centre);
+            let velocity = &mut self.newton.velocity;
+            velocity.clear();
+            for &arm in coupled {
+                velocity.extend_from_slice(arms[arm].velocities());
             }
-        }
-        touch
-    }
-
-    fn add_pair(
-        &self,
-        touch: &mut Touch,
-        pair: &ContactPair,
-        part: ColliderHandle,
-        centre: &Vector3<f64>,
-    ) {
-        let Some(first) = self.engine.colliders.get(pair.collider1) else {
-            return;
-        };
-        let inverse_dt = self.engine.integration_parameters.inv_dt();
-        // Normals point from the first collider to the second; a contact pushes them apart.
-        let sign = if pair.collider1 == part {
-            -inverse_dt
-        } else {
-            inverse_dt
-        };
-        for manifold in pair.solver_manifolds() {
-            let normal = our_vector(manifold.data.normal);
-            for (index, point) in manifold.points.iter().enumerate() {
-                touch.penetration_m = touch.penetration_m.max(-point.dist);
-                // What is not solved any more keeps the impulse that it had.
-                let solved = is_solved(&manifold.data.solver_contacts, index);
-                if solved && point.data.impulse > 0.0 {
-                    let at = our_vector(first.position().transform_point(point.local_p1));
-                    let force_n = point.data.impulse * inverse_dt;
-                    touch.force_n += force_n;
-                    touch.weighed_points += at * force_n;
-                    touch
-                        .wrench
-                        .push(&(at - centre), &(normal * (sign * point.data.impulse)));
-                }
+            for &thing in awake {
+                let [linear, angular] = &self.things[thing].moving.velocity;
+                velocity.extend_from_slice(linear.as_slice());
+                velocity.extend_from_slice(angular.as_slice());
+            }
+            self.newton.solve(&self.masses, &mut self.rows, step_s);
+            let found = &self.newton.velocity;
+            for (slot, &arm) in coupled.iter().enumerate() {
+                let at = AXIS_COUNT * slot;
+                let velocity = core::array::from_fn(|axis| found[at + axis]);
+                arms[arm].finish(&velocity, step_s);
+            }
+            for (slot, &thing) in awake.iter().enumerate() {
+                let at = drives + THING_DOF * slot;
+                self.things[thing].moving.advance(&found[at..], step_s);
             }
         }
     }
 }
 
-impl Instrument {
-    fn new(
-        engine: &mut PhysicsWorld,
-        config: &WorldConfig,
-        poses: &PartPoses,
-        thing_count: usize,
-    ) -> Self {
-        let shapes = [finger(1.0), finger(-1.0), wrist()];
-        let mut index = 0;
-        let parts = shapes.map(|shape| {
-            let part = insert_part(engine, config, shape, &poses[index]);
-            index += 1;
-            part
-        });
-        Self {
-            parts,
-            poses: *poses,
-            memories: vec![[Memory::default(); 2]; thing_count],
-            touches: vec![[Touch::NONE; 3]; thing_count],
-        }
-    }
-
-    /// Tells the step's contacts where the fingers, still at the last step's poses, remember the things.
-    fn remember(&self, recall: &mut Recall, things: &[RigidBodyHandle], in_scene: &[Pose]) {
-        for ((memories, &thing), pose) in self.memories.iter().zip(things).zip(in_scene) {
-            for (side, memory) in memories.iter().enumerate() {
-                let finger = (self.parts[side].collider, &self.poses[side]);
-                recall.add(finger, (thing, pose), memory);
-            }
-        }
-    }
-
-    fn go(&mut self, engine: &mut PhysicsWorld, poses: &PartPoses) {
-        for (part, pose) in self.parts.iter().zip(poses) {
-            if let Some(body) = engine.bodies.get_mut(part.body) {
-                body.set_next_kinematic_position(engine_pose(pose));
-            }
-        }
-        self.poses = *poses;
-    }
-
-    fn take_in(&mut self, thing: usize, in_scene: &Pose, touches: [Touch; 3]) {
-        for (side, memory) in self.memories[thing].iter_mut().enumerate() {
-            memory.update(&self.poses[side], in_scene, touches[side].middle());
-        }
-        self.touches[thing] = touches;
-    }
-}
-
-fn other_of(pair: &ContactPair, one: ColliderHandle) -> ColliderHandle {
-    if pair.collider1 == one {
-        pair.collider2
-    } else {
-        pair.collider1
-    }
-}
-
-fn parameters(config: &WorldConfig) -> IntegrationParameters {
-    IntegrationParameters {
-        dt: 1e-3,
-        min_ccd_dt: 1e-5,
-        contact_softness: SpringCoefficients::new(
-            config.grip.frequency_hz,
-            config.grip.damping_ratio,
-        ),
-        static_contact_softness: SpringCoefficients::new(
-            config.tissue.frequency_hz,
-            config.tissue.damping_ratio,
-        ),
-        length_unit: config.length_unit_m,
-        num_solver_iterations: config.solver_substeps as usize,
-        num_internal_pgs_iterations: config.solver_sweeps as usize,
-        // A grasp is not a pile of crates: contacts are found anew every step, and friction acts in every pass.
-        contact_recycling: false,
-        friction_in_bias_pass: true,
-        friction_model: FrictionModel::Coulomb,
-        ..IntegrationParameters::default()
-    }
-}
+/// Sub-steps of a world without arms.
+const SUBSTEPS_ALONE: u32 = 4;

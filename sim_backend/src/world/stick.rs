@@ -1,18 +1,12 @@
 //! Static friction with a memory: the fingers know where a thing stuck to them.
 //!
-//! The engine's friction stops sliding speed but forgets the place, so what its sweeps leave unsolved adds up to a
-//! creep. Here a finger that touches a thing remembers its pose in its own frame, and asks the friction
-//! constraint at every contact point to creep back there instead of standing still. The request goes through the same
-//! Coulomb cone as all friction: a pull beyond it slides, and the memory slides along.
+//! A friction cone stops sliding speed but forgets the place, so what regularisation lets slip adds up to a creep. Here a
+//! finger that touches a thing remembers its pose in its own frame, and friction at every contact point aims at
+//! going back there instead of standing still. It goes through the same Coulomb cone: a pull beyond it slides,
+//! and the memory slides along.
 
 use hal::Pose;
-use rapier3d_f64::dynamics::RigidBodyHandle;
-use rapier3d_f64::geometry::ColliderHandle;
-use rapier3d_f64::math::Pose as EnginePose;
-use rapier3d_f64::pipeline::{ContactModificationContext, ModifiableContacts, PhysicsHooks};
-
-use super::contacts::merge;
-use super::convert::engine_pose;
+use nalgebra::{Point3, Vector3};
 
 /// Share of the drift that is asked back in a second, 1/s.
 const RETURN_RATE: f64 = 100.0;
@@ -33,7 +27,7 @@ impl Memory {
         &mut self,
         finger: &Pose,
         thing: &Pose,
-        point_in_scene: Option<nalgebra::Point3<f64>>,
+        point_in_scene: Option<Point3<f64>>,
     ) {
         let Some(point) = point_in_scene else {
             self.finger_from_thing = None;
@@ -52,66 +46,23 @@ impl Memory {
     }
 
     /// The motion in the scene that takes the thing from where it is to where it stuck.
-    fn homing(&self, finger: &Pose, thing: &Pose) -> Option<EnginePose> {
-        self.finger_from_thing
-            .map(|stuck| engine_pose(&(finger * stuck * thing.inverse())))
-    }
-}
-
-/// What the contacts of one step are told.
-#[derive(Default)]
-pub(super) struct Recall {
-    homings: Vec<(ColliderHandle, RigidBodyHandle, EnginePose)>,
-}
-
-impl Recall {
-    /// Tells the contacts between `finger` and `thing` what the finger remembers, given both poses at the beginning of
-    /// the step.
-    pub(super) fn add(
-        &mut self,
-        finger: (ColliderHandle, &Pose),
-        thing: (RigidBodyHandle, &Pose),
-        memory: &Memory,
-    ) {
-        if let Some(homing) = memory.homing(finger.1, thing.1) {
-            self.homings.push((finger.0, thing.0, homing));
-        }
-    }
-
-    fn homing(
+    /// Velocity that brings the thing's `point` (scene frame) back to where it stuck to the finger, along the surface with
+    /// `normal`, m/s; and the spin about the normal that turns it back, rad/s.
+    pub(super) fn homing(
         &self,
-        finger: ColliderHandle,
-        thing: Option<RigidBodyHandle>,
-    ) -> Option<&EnginePose> {
-        self.homings
-            .iter()
-            .find(|(collider, body, _)| *collider == finger && Some(*body) == thing)
-            .map(|(_, _, homing)| homing)
-    }
-}
-
-impl PhysicsHooks for Recall {
-    fn modify_solver_contacts(&self, context: &mut ContactModificationContext<'_>) {
-        if let ModifiableContacts::Rigid(manifold) = &mut context.contacts {
-            merge(manifold.solver_contacts);
-        }
-        // The engine takes the velocity as one of the first body's surface.
-        let (homing, sign) = match (
-            self.homing(context.collider1, context.rigid_body2),
-            self.homing(context.collider2, context.rigid_body1),
-        ) {
-            (Some(homing), _) => (homing, RETURN_RATE),
-            (None, Some(homing)) => (homing, -RETURN_RATE),
-            (None, None) => return,
+        (finger, thing): (&Pose, &Pose),
+        point: &Vector3<f64>,
+        normal: &Vector3<f64>,
+    ) -> (Vector3<f64>, f64) {
+        let Some(stuck) = &self.finger_from_thing else {
+            return (Vector3::zeros(), 0.0);
         };
-        let ModifiableContacts::Rigid(manifold) = &mut context.contacts else {
-            return;
-        };
-        let normal = *manifold.normal;
-        for contact in manifold.solver_contacts.iter_mut() {
-            let point = (contact.anchor1 + contact.anchor2) * 0.5;
-            let back = homing.transform_point(point) - point;
-            contact.tangent_velocity = (back - normal * back.dot(normal)) * sign;
-        }
+        let home = finger * stuck * thing.inverse();
+        let back = (home * Point3::from(*point)).coords - point;
+        let spin = home.rotation.scaled_axis().dot(normal);
+        (
+            (back - normal * back.dot(normal)) * RETURN_RATE,
+            spin * RETURN_RATE,
+        )
     }
 }

@@ -391,7 +391,7 @@ pub(crate) struct TrainArgs {
         value_name = "DIR",
         conflicts_with_all = [
             "policy", "data", "out", "cameras", "preset", "recipe", "backbone", "backbone_weights", "steps", "batch",
-            "device", "episodes", "validation_share", "bf16", "images_on_host", "threads", "augment", "clouds", "save_every", "seed", "eval_every"
+            "device", "episodes", "validation_share", "bf16", "images_on_host", "eager", "threads", "augment", "clouds", "save_every", "seed", "eval_every"
         ]
     )]
     pub(crate) resume: Option<PathBuf>,
@@ -457,6 +457,9 @@ pub(crate) struct TrainArgs {
     /// Keep decoded images in the host's memory and send each step's ahead of it, when the device has no room for all.
     #[arg(long)]
     pub(crate) images_on_host: bool,
+    /// Tell a CUDA device each operation of every step, instead of recording a step and repeating it: slower.
+    #[arg(long)]
+    pub(crate) eager: bool,
     /// Threads that decode images, and compute on the CPU.
     #[arg(long, default_value_t = 2, value_parser = threads())]
     pub(crate) threads: usize,

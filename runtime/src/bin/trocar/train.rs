@@ -110,6 +110,7 @@ fn training_options(
         augment: args.augment,
         clouds: args.clouds.clone(),
         images_on_host: args.images_on_host,
+        eager: args.eager,
         seed: args.seed,
         save_every: args.save_every,
         eval: args.eval_every.map(|every| TrainingEval {

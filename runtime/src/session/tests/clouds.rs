@@ -48,6 +48,7 @@ fn train_simple(data: &Path, out: &Path) -> Result<TrainingResult, SessionError>
         augment: false,
         clouds: None,
         images_on_host: false,
+        eager: false,
         threads: 2,
         seed: 1,
         save_every: 0,

@@ -36,6 +36,7 @@ fn settle(evaluations: &mut Evaluations, step: u64, successes: usize) {
     let score = Score {
         successes,
         failures: 10 - successes,
+        invalid: 0,
     };
     evaluations
         .settle(&part, Evaluation::of(step, score))

@@ -158,13 +158,12 @@ impl BlockTransfer {
 }
 
 impl TaskScene for BlockTransfer {
-    fn scenery(&self, world: &WorldConfig, seed: u64) -> Scenery {
+    fn scenery(&self, seed: u64) -> Scenery {
         let pieces = self.block.pieces().map(|ends| Piece {
             shape: Shape::Hull(ends.into_iter().flatten().collect()),
-            friction: world.grip.friction,
-            meets: Meets::Instrument,
+            meets: Meets::Both,
         });
-        let mut block = Thing {
+        let block = Thing {
             in_scene: self.block_at_start(seed),
             mass_kg: self.block.mass_kg,
             centre: Point3::origin(),
@@ -172,7 +171,6 @@ impl TaskScene for BlockTransfer {
             axes: UnitQuaternion::identity(),
             pieces: pieces.into(),
         };
-        block.on_hard_ground(world.grip.friction);
         Scenery {
             things: vec![block],
             ground: Ground::Solids(self.board.solids()),

@@ -7,7 +7,7 @@ use serde::Deserialize;
 
 use super::{BlockTransfer, BoardShape};
 use crate::block::BlockShape;
-use crate::task::judge::{Limits, Watch, lasts, seconds};
+use crate::task::judge::{Limits, PressLimit, PressWatch, Watch, seconds};
 use crate::task::{Monitor, Outcome, Reason, Sight};
 
 /// What counts as a moved block, and what ends the episode at once.
@@ -28,18 +28,18 @@ pub struct SuccessConfig {
     pub away_m: f64,
     /// How long all this must hold without a break, s.
     pub hold_s: f64,
-    /// Depth by which the fingers may sink into the block, m; deeper is a fault of the physics, not a grasp.
+    /// Depth by which the fingers may sink into the block, m; deeper is a fault of the simulation.
     pub penetration_m_max: f64,
-    /// Depth by which the block may sink into board and pegs, m.
+    /// Depth by which the block may sink into board and pegs, m; deeper is a fault of the simulation.
     pub sunk_m_max: f64,
-    /// Force with which the board may push back at the instrument, N.
-    pub press_n_max: f64,
     /// Speed of a corner of the block above which it counts as thrown, m/s.
     pub block_speed_m_s_max: f64,
     /// Force of one finger on the block above which it counts as crushed, N.
     pub block_force_n_max: f64,
-    /// Energy that the block may gain while no instrument touches it, J: more is a fault of the physics.
+    /// Energy that the block may gain while no instrument touches it, J: more is a fault of the simulation.
     pub block_gain_j_max: f64,
+    /// How hard the ground may be pressed.
+    pub press: PressLimit,
 }
 
 impl SuccessConfig {
@@ -56,15 +56,16 @@ impl SuccessConfig {
         check("hold_s", self.hold_s, 0.05, 10.0)?;
         check("penetration_m_max", self.penetration_m_max, 0.000_01, 0.01)?;
         check("sunk_m_max", self.sunk_m_max, 0.000_01, 0.01)?;
-        check("press_n_max", self.press_n_max, 0.1, 100.0)?;
         check("block_speed_m_s_max", self.block_speed_m_s_max, 0.05, 10.0)?;
         check("block_force_n_max", self.block_force_n_max, 0.1, 100.0)?;
-        check("block_gain_j_max", self.block_gain_j_max, 1e-7, 0.01)
+        check("block_gain_j_max", self.block_gain_j_max, 1e-7, 0.01)?;
+        self.press.check(source)
     }
 
     const fn limits(&self) -> Limits {
         Limits {
             penetration_m: self.penetration_m_max,
+            sunk_m: Some(self.sunk_m_max),
             speed_m_s: self.block_speed_m_s_max,
             force_n: self.block_force_n_max,
             gain_j: self.block_gain_j_max,
@@ -82,8 +83,7 @@ pub(super) struct SuccessMonitor {
     before: Option<Pose>,
     cleared: bool,
     held_steps: u64,
-    sunk_steps: usize,
-    pressed_steps: usize,
+    press: PressWatch,
     watch: Watch,
 }
 
@@ -100,38 +100,26 @@ impl SuccessMonitor {
             before: None,
             cleared: false,
             held_steps: 0,
-            sunk_steps: 0,
-            pressed_steps: 0,
+            press: PressWatch::new("board", config.press),
             watch: Watch::new("block", config.limits()),
             config,
         }
     }
 
-    fn failure(&mut self, sight: &Sight) -> Option<Reason> {
+    fn end(&mut self, sight: &Sight) -> Option<Outcome> {
         let corner = sight.thing_in_scene * self.corner;
-        if let Some(reason) = self.watch.failure(&corner, sight) {
-            return Some(reason);
+        if let Some(end) = self.watch.end(&corner, sight) {
+            return Some(end);
         }
-        if lasts(&mut self.sunk_steps, sight.sunk_m > self.config.sunk_m_max) {
-            let depth_m = sight.sunk_m;
-            return Some(Reason::Sunk {
-                thing: "block",
-                depth_m,
-            });
-        }
-        let force_n = sight.ground_force_n;
-        if lasts(&mut self.pressed_steps, force_n > self.config.press_n_max) {
-            return Some(Reason::Pressed {
-                ground: "board",
-                force_n,
-            });
+        if let Some(reason) = self.press.failure(sight) {
+            return Some(Outcome::Failure(reason));
         }
         let middle = sight.thing_in_scene.translation;
         let fallen = !self.board.covers(middle.x, middle.y) || middle.z < 0.0;
-        fallen.then_some(Reason::Fallen {
+        fallen.then_some(Outcome::Failure(Reason::Fallen {
             thing: "block",
             ground: "board",
-        })
+        }))
     }
 
     /// Whether the whole block is above the pegs in the grip of both fingers.
@@ -181,8 +169,8 @@ impl SuccessMonitor {
 
 impl Monitor for SuccessMonitor {
     fn observe(&mut self, sight: &Sight) -> Outcome {
-        if let Some(reason) = self.failure(sight) {
-            return Outcome::Failure(reason);
+        if let Some(end) = self.end(sight) {
+            return end;
         }
         let speed_m_s = self.speed_m_s(&sight.thing_in_scene);
         self.cleared |= self.is_clear(sight);

@@ -11,7 +11,7 @@ fn task() -> TaskConfig {
 
 fn world(seed: u64) -> World {
     let task = task();
-    let scenery = task.scene.scenery(&task.world, seed);
+    let scenery = task.scene.scenery(seed);
     World::new(&task.world, &scenery, &task.arms)
 }
 
@@ -78,23 +78,24 @@ fn block_rests_on_the_board_around_its_peg() {
 }
 
 #[test]
-fn tool_that_is_driven_into_the_board_gives_way_and_fails() {
+fn tool_that_is_driven_into_the_board_is_held_up_and_fails() {
     let task = task();
     let mut simulation =
         crate::simulation::Simulation::new(&task, 0, crate::simulation::Rendering::Off).unwrap();
     let mut down = crate::expert::closed_loop::hold(&task);
-    for tick in 0..3000 {
+    for tick in 0..4000 {
         down.position[2] = (0.100 + 3e-5 * f64::from(tick)).min(0.16);
         hal::Arm::write(&mut simulation, &down, &hal::SafeTail::hold(&down)).unwrap();
         simulation.step();
     }
     let outcome = simulation.outcome();
     assert!(
-        matches!(outcome, Outcome::Failure(Reason::Pressed { force_n, .. }) if force_n > 10.0),
+        matches!(outcome, Outcome::Failure(Reason::Pressed { force_n, seconds, .. }) if force_n > 8.0 && seconds > 2.0),
         "{outcome}"
     );
     let tip = task.arms[0].scene_from_rcm * simulation.scene_state().first.tip_in_rcm;
-    assert!(tip.translation.z > 0.005, "{}", tip.translation);
+    // The control point is a finger above the ends of the fingers, which stand on the board.
+    assert!(tip.translation.z > 0.0097, "{}", tip.translation);
 }
 
 /// A monitor of an episode, and sights to show it.

@@ -102,10 +102,10 @@ fn parse(source: &Source) -> Result<Parsed, ConfigError> {
 }
 
 impl TaskScene for NeedleHandover {
-    fn scenery(&self, world: &WorldConfig, seed: u64) -> Scenery {
+    fn scenery(&self, seed: u64) -> Scenery {
         let in_scene = self.start.draw(seed, &self.needle, &self.organ);
         Scenery {
-            things: vec![Thing::needle(world, &self.needle, in_scene)],
+            things: vec![Thing::needle(&self.needle, in_scene)],
             ground: Ground::Organ(self.organ),
             flap: None,
         }

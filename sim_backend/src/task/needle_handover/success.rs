@@ -8,7 +8,7 @@ use serde::Deserialize;
 use super::NeedleHandover;
 use crate::needle::NeedleShape;
 use crate::organ::OrganShape;
-use crate::task::judge::{Limits, Watch, seconds};
+use crate::task::judge::{Limits, PressLimit, PressWatch, Watch, seconds};
 use crate::task::{Monitor, Outcome, Reason, Sight};
 use crate::world::Grasp;
 
@@ -29,16 +29,18 @@ pub struct SuccessConfig {
     pub away_m: f64,
     /// How long the left arm alone must hold the needle up, s.
     pub hold_s: f64,
-    /// Depth by which the fingers may sink into the needle, m; deeper is a fault of the physics, not a grasp.
+    /// Depth by which the fingers may sink into the needle, m; deeper is a fault of the simulation.
     pub penetration_m_max: f64,
     /// Speed of the middle of the needle's arc above which the needle counts as thrown, m/s.
     pub needle_speed_m_s_max: f64,
     /// Force of one finger on the needle above which it counts as crushed, N.
     pub needle_force_n_max: f64,
-    /// Energy that the needle may gain while no instrument touches it, J: more is a fault of the physics.
+    /// Energy that the needle may gain while no instrument touches it, J: more is a fault of the simulation.
     pub needle_gain_j_max: f64,
     /// Depth below the organ's surface at which the middle of the needle's arc counts as fallen off, m.
     pub sink_m_max: f64,
+    /// How hard the ground may be pressed.
+    pub press: PressLimit,
 }
 
 /// Points on the wire at which its clearance is measured.
@@ -59,12 +61,14 @@ impl SuccessConfig {
         check("needle_speed_m_s_max", speed, 0.05, 10.0)?;
         check("sink_m_max", self.sink_m_max, 0.001, 0.1)?;
         check("needle_force_n_max", self.needle_force_n_max, 0.1, 100.0)?;
-        check("needle_gain_j_max", self.needle_gain_j_max, 1e-7, 0.01)
+        check("needle_gain_j_max", self.needle_gain_j_max, 1e-7, 0.01)?;
+        self.press.check(source)
     }
 
     const fn limits(&self) -> Limits {
         Limits {
             penetration_m: self.penetration_m_max,
+            sunk_m: None,
             speed_m_s: self.needle_speed_m_s_max,
             force_n: self.needle_force_n_max,
             gain_j: self.needle_gain_j_max,
@@ -83,6 +87,7 @@ pub(super) struct SuccessMonitor {
     /// For how long no arm has had it between its fingers.
     loose_steps: u64,
     held_steps: u64,
+    press: PressWatch,
     watch: Watch,
 }
 
@@ -98,22 +103,26 @@ impl SuccessMonitor {
             given: false,
             loose_steps: 0,
             held_steps: 0,
+            press: PressWatch::new("organ", config.press),
             watch: Watch::new("needle", config.limits()),
             config,
         }
     }
 
-    fn failure(&mut self, sight: &Sight) -> Option<Reason> {
+    fn end(&mut self, sight: &Sight) -> Option<Outcome> {
         let middle = sight.thing_in_scene * self.wire[WIRE_POINTS / 2];
-        if let Some(reason) = self.watch.failure(&middle, sight) {
-            return Some(reason);
+        if let Some(end) = self.watch.end(&middle, sight) {
+            return Some(end);
+        }
+        if let Some(reason) = self.press.failure(sight) {
+            return Some(Outcome::Failure(reason));
         }
         let height_m = middle.z - self.organ.height_m(middle.x, middle.y);
         let fallen = !self.organ.covers(middle.x, middle.y) || height_m < -self.config.sink_m_max;
-        fallen.then_some(Reason::Fallen {
+        fallen.then_some(Outcome::Failure(Reason::Fallen {
             thing: "needle",
             ground: "organ",
-        })
+        }))
     }
 
     /// Whether `holder` alone holds the needle, clear of the organ.
@@ -143,8 +152,8 @@ impl SuccessMonitor {
 
 impl Monitor for SuccessMonitor {
     fn observe(&mut self, sight: &Sight) -> Outcome {
-        if let Some(reason) = self.failure(sight) {
-            return Outcome::Failure(reason);
+        if let Some(end) = self.end(sight) {
+            return end;
         }
         let needle = &sight.thing_in_scene;
         let (giver, taker) = (&sight.grasps[0], &sight.grasps[1]);

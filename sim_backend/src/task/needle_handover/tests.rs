@@ -69,7 +69,7 @@ impl Bench {
 fn both_shafts_point_at_the_scene_from_their_sides() {
     let task = TaskConfig::shipped(NAME);
     let scene = NeedleHandover::shipped();
-    let world = World::new(&task.world, &scene.scenery(&task.world, 0), &task.arms);
+    let world = World::new(&task.world, &scene.scenery(0), &task.arms);
     for (arm, side) in [(0, 1.0), (1, -1.0)] {
         let base = task.arms[arm].scene_from_rcm;
         let down = base.rotation * -Vector3::z();

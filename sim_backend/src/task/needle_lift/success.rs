@@ -7,7 +7,7 @@ use serde::Deserialize;
 
 use crate::needle::NeedleShape;
 use crate::organ::OrganShape;
-use crate::task::judge::{Limits, Watch, seconds};
+use crate::task::judge::{Limits, PressLimit, PressWatch, Watch, seconds};
 use crate::task::{Monitor, Outcome, Reason, Sight};
 use crate::world::Grasp;
 
@@ -23,16 +23,18 @@ pub struct SuccessConfig {
     pub grip_force_n_min: f64,
     /// Free space between the whole wire and the organ, m.
     pub clearance_m: f64,
-    /// Depth by which the fingers may sink into the needle, m; deeper is a fault of the physics, not a grasp.
+    /// Depth by which the fingers may sink into the needle, m; deeper is a fault of the simulation.
     pub penetration_m_max: f64,
     /// Speed of the middle of the needle's arc above which the needle counts as thrown, m/s.
     pub needle_speed_m_s_max: f64,
     /// Force of one finger on the needle above which it counts as crushed, N.
     pub needle_force_n_max: f64,
-    /// Energy that the needle may gain while no instrument touches it, J: more is a fault of the physics.
+    /// Energy that the needle may gain while no instrument touches it, J: more is a fault of the simulation.
     pub needle_gain_j_max: f64,
     /// Depth below the organ's surface at which the middle of the needle's arc counts as fallen off, m.
     pub sink_m_max: f64,
+    /// How hard the ground may be pressed.
+    pub press: PressLimit,
 }
 
 impl SuccessConfig {
@@ -53,12 +55,14 @@ impl SuccessConfig {
         )?;
         check("sink_m_max", self.sink_m_max, 0.001, 0.1)?;
         check("needle_force_n_max", self.needle_force_n_max, 0.1, 100.0)?;
-        check("needle_gain_j_max", self.needle_gain_j_max, 1e-7, 0.01)
+        check("needle_gain_j_max", self.needle_gain_j_max, 1e-7, 0.01)?;
+        self.press.check(source)
     }
 
     const fn limits(&self) -> Limits {
         Limits {
             penetration_m: self.penetration_m_max,
+            sunk_m: None,
             speed_m_s: self.needle_speed_m_s_max,
             force_n: self.needle_force_n_max,
             gain_j: self.needle_gain_j_max,
@@ -78,6 +82,7 @@ pub(super) struct SuccessMonitor {
     wire_radius_m: f64,
     organ: OrganShape,
     held_steps: u64,
+    press: PressWatch,
     watch: Watch,
 }
 
@@ -91,6 +96,7 @@ impl SuccessMonitor {
             wire_radius_m: needle.wire_radius_m,
             organ: *organ,
             held_steps: 0,
+            press: PressWatch::new("organ", config.press),
             watch: Watch::new("needle", config.limits()),
         }
     }
@@ -122,7 +128,10 @@ impl Monitor for SuccessMonitor {
     fn observe(&mut self, sight: &Sight) -> Outcome {
         let grasp = &sight.grasps[0];
         let middle = sight.thing_in_scene * self.middle;
-        if let Some(reason) = self.watch.failure(&middle, sight) {
+        if let Some(end) = self.watch.end(&middle, sight) {
+            return end;
+        }
+        if let Some(reason) = self.press.failure(sight) {
             return Outcome::Failure(reason);
         }
         if self.off_organ(&middle) {

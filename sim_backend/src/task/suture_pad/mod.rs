@@ -156,10 +156,10 @@ impl PadStart {
 }
 
 impl TaskScene for SuturePad {
-    fn scenery(&self, world: &WorldConfig, seed: u64) -> Scenery {
+    fn scenery(&self, seed: u64) -> Scenery {
         let in_scene = self.start.draw(seed, &self.needle);
         Scenery {
-            things: vec![Thing::bare_needle(world, &self.needle, in_scene)],
+            things: vec![Thing::bare_needle(&self.needle, in_scene)],
             ground: Ground::Solids(self.pad.solids()),
             flap: None,
         }

@@ -6,7 +6,7 @@ use nalgebra::Point3;
 use serde::Deserialize;
 
 use super::{PadShape, SuturePad};
-use crate::task::judge::{Limits, Watch, lasts, seconds};
+use crate::task::judge::{Limits, PressLimit, PressWatch, Watch, seconds};
 use crate::task::{Monitor, Outcome, Reason, Sight};
 
 /// What counts as a needle through the hole, and what ends the episode at once.
@@ -17,18 +17,18 @@ pub struct SuccessConfig {
     pub through_m: f64,
     /// How long the needle must stay so without a break, s.
     pub hold_s: f64,
-    /// Depth by which the fingers may sink into the needle, m; deeper is a fault of the physics, not a grasp.
+    /// Depth by which the fingers may sink into the needle, m; deeper is a fault of the simulation.
     pub penetration_m_max: f64,
-    /// Depth by which the needle may sink into the pad, m: a needle that is forced through is no needle in the hole.
+    /// Depth by which the needle may sink into the pad, m; deeper is a fault of the simulation.
     pub sunk_m_max: f64,
-    /// Force with which the pad may push back at the instrument, N.
-    pub press_n_max: f64,
     /// Speed of the needle's point above which the needle counts as thrown, m/s.
     pub needle_speed_m_s_max: f64,
     /// Force of one finger on the needle above which it counts as crushed, N.
     pub needle_force_n_max: f64,
-    /// Energy that the needle may gain while no instrument touches it, J: more is a fault of the physics.
+    /// Energy that the needle may gain while no instrument touches it, J: more is a fault of the simulation.
     pub needle_gain_j_max: f64,
+    /// How hard the ground may be pressed.
+    pub press: PressLimit,
 }
 
 /// Points on the wire at which its way through the hole is followed: 0.6 mm apart.
@@ -43,16 +43,17 @@ impl SuccessConfig {
         check("hold_s", self.hold_s, 0.05, 10.0)?;
         check("penetration_m_max", self.penetration_m_max, 0.000_01, 0.01)?;
         check("sunk_m_max", self.sunk_m_max, 0.000_01, 0.01)?;
-        check("press_n_max", self.press_n_max, 0.1, 100.0)?;
         let speed = self.needle_speed_m_s_max;
         check("needle_speed_m_s_max", speed, 0.05, 10.0)?;
         check("needle_force_n_max", self.needle_force_n_max, 0.1, 100.0)?;
-        check("needle_gain_j_max", self.needle_gain_j_max, 1e-7, 0.01)
+        check("needle_gain_j_max", self.needle_gain_j_max, 1e-7, 0.01)?;
+        self.press.check(source)
     }
 
     const fn limits(&self) -> Limits {
         Limits {
             penetration_m: self.penetration_m_max,
+            sunk_m: Some(self.sunk_m_max),
             speed_m_s: self.needle_speed_m_s_max,
             force_n: self.needle_force_n_max,
             gain_j: self.needle_gain_j_max,
@@ -67,8 +68,7 @@ pub(super) struct SuccessMonitor {
     /// The wire in the needle frame, its point last.
     wire: Vec<Point3<f64>>,
     held_steps: u64,
-    sunk_steps: usize,
-    pressed_steps: usize,
+    press: PressWatch,
     watch: Watch,
 }
 
@@ -80,34 +80,26 @@ impl SuccessMonitor {
             pad: scene.pad,
             wire: scene.needle.centre_line(WIRE_POINTS),
             held_steps: 0,
-            sunk_steps: 0,
-            pressed_steps: 0,
+            press: PressWatch::new("pad", config.press),
             watch: Watch::new("needle", config.limits()),
             config,
         }
     }
 
-    fn failure(&mut self, sight: &Sight) -> Option<Reason> {
+    fn end(&mut self, sight: &Sight) -> Option<Outcome> {
         let point = sight.thing_in_scene * self.wire[WIRE_POINTS - 1];
-        if let Some(reason) = self.watch.failure(&point, sight) {
-            return Some(reason);
+        if let Some(end) = self.watch.end(&point, sight) {
+            return Some(end);
         }
-        let depth_m = sight.sunk_m;
-        if lasts(&mut self.sunk_steps, depth_m > self.config.sunk_m_max) {
-            let thing = "needle";
-            return Some(Reason::Sunk { thing, depth_m });
-        }
-        let force_n = sight.ground_force_n;
-        if lasts(&mut self.pressed_steps, force_n > self.config.press_n_max) {
-            let ground = "pad";
-            return Some(Reason::Pressed { ground, force_n });
+        if let Some(reason) = self.press.failure(sight) {
+            return Some(Outcome::Failure(reason));
         }
         let middle = sight.thing_in_scene * self.wire[WIRE_POINTS / 2];
         let fallen = !self.pad.covers(middle.x, middle.y) || middle.z < 0.0;
-        fallen.then_some(Reason::Fallen {
+        fallen.then_some(Outcome::Failure(Reason::Fallen {
             thing: "needle",
             ground: "pad",
-        })
+        }))
     }
 
     /// Whether the wire leads from before the lip through the hole to its point behind the lip.
@@ -138,8 +130,8 @@ impl SuccessMonitor {
 
 impl Monitor for SuccessMonitor {
     fn observe(&mut self, sight: &Sight) -> Outcome {
-        if let Some(reason) = self.failure(sight) {
-            return Outcome::Failure(reason);
+        if let Some(end) = self.end(sight) {
+            return end;
         }
         let through = self.is_through(&sight.thing_in_scene);
         self.held_steps = if through { self.held_steps + 1 } else { 0 };

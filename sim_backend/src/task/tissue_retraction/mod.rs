@@ -116,7 +116,7 @@ fn parse(source: &Source) -> Result<Parsed, ConfigError> {
 }
 
 impl TaskScene for TissueRetraction {
-    fn scenery(&self, _world: &WorldConfig, seed: u64) -> Scenery {
+    fn scenery(&self, seed: u64) -> Scenery {
         Scenery {
             things: Vec::new(),
             ground: Ground::Bed(self.liver.ground()),

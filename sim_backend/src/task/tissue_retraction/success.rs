@@ -25,6 +25,9 @@ impl Monitor for SuccessMonitor {
         match self.flap.state() {
             Retraction::Running => Outcome::Running,
             Retraction::Success => Outcome::Success,
+            Retraction::Failure(failure) if failure.is_of_the_simulation() => {
+                Outcome::Invalid(Reason::Tissue(failure))
+            }
             Retraction::Failure(failure) => Outcome::Failure(Reason::Tissue(failure)),
         }
     }

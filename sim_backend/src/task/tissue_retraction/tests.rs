@@ -17,7 +17,7 @@ fn task() -> TaskConfig {
 /// The world of the episode `seed`, the arm's jaw open around the free edge at the mark.
 fn around_the_edge(task: &TaskConfig, seed: u64) -> World {
     let scene = TissueRetraction::shipped();
-    let scenery = scene.scenery(&task.world, seed);
+    let scenery = scene.scenery(seed);
     let far = World::new(&task.world, &scenery, &task.arms);
     let mark = far.subject_in_scene().translation;
     let mut arm = task.arms[0];
@@ -83,7 +83,7 @@ fn a_closing_jaw_takes_the_flap_and_is_stopped_by_it() {
 fn the_mark_is_what_the_task_is_about() {
     let task = task();
     let scene = TissueRetraction::shipped();
-    let world = World::new(&task.world, &scene.scenery(&task.world, 2), &task.arms);
+    let world = World::new(&task.world, &scene.scenery(2), &task.arms);
     assert_eq!(world.thing_count(), 0);
     let mark = world.subject_in_scene();
     let edge_m = scene.tissue.edge_m[1] - scene.tissue.depth_m;
@@ -112,9 +112,8 @@ fn the_state_of_the_flap_is_in_the_hash() {
     squeeze(&mut first, &joints, 0.1, 200);
     squeeze(&mut second, &joints, 0.1, 200);
     assert_eq!(first.state_hash(), second.state_hash());
-    let untouched = |scene: &TissueRetraction, seed| {
-        World::new(&task.world, &scene.scenery(&task.world, seed), &task.arms)
-    };
+    let untouched =
+        |scene: &TissueRetraction, seed| World::new(&task.world, &scene.scenery(seed), &task.arms);
     let mut scene = TissueRetraction::shipped();
     let other = untouched(&scene, 6);
     // Untouched flaps differ by nothing but the mark, which is no state.

@@ -18,9 +18,9 @@ fn config(task: &str) -> WorldConfig {
 /// A needle alone in the world over `ground`, at rest at `in_scene`.
 fn alone(config: &WorldConfig, ground: Ground, in_scene: Pose) -> World {
     let needle = if matches!(ground, Ground::Solids(_)) {
-        Thing::bare_needle(config, &HALF_CIRCLE, in_scene)
+        Thing::bare_needle(&HALF_CIRCLE, in_scene)
     } else {
-        Thing::needle(config, &HALF_CIRCLE, in_scene)
+        Thing::needle(&HALF_CIRCLE, in_scene)
     };
     let scenery = Scenery {
         things: vec![needle],
@@ -58,7 +58,7 @@ fn a_needle_falls_as_a_stone_does() {
         world.step();
         let time_s = 1e-3 * f64::from(step);
         let fallen = from - centre(&world);
-        let substep_s = 1e-3 / f64::from(config.solver_substeps);
+        let substep_s = 1e-3 / f64::from(config.plant.substeps);
         // Velocity first, then place: half a sub-step further than in continuous time.
         let expected = 0.5 * g * time_s * (time_s + substep_s);
         assert!((fallen - Vector3::z() * expected).norm() < 1e-9, "{fallen}");

@@ -9,12 +9,13 @@ use super::energy::NEEDLE_TASKS;
 use super::{Bench, HALF_CIRCLE, OPEN, REACH_M, World, shake};
 use crate::task::TaskConfig;
 use crate::task::block_transfer::BlockTransfer;
+use crate::world::contact::{Contact, Side};
 
 /// A world of the block transfer at the start of an episode, with the block on any of the pegs or beside the `goal`.
 fn block_on_peg(seed: u64, goal: Option<usize>) -> (TaskConfig, World) {
     let mut task = TaskConfig::shipped("block-transfer");
     task.scene_mut::<BlockTransfer>().unwrap().start.goal_peg = goal;
-    let scenery = task.scene.scenery(&task.world, seed);
+    let scenery = task.scene.scenery(seed);
     let world = World::new(&task.world, &scenery, &task.arms);
     (task, world)
 }
@@ -28,9 +29,9 @@ fn a_block_on_its_peg_does_not_creep_sink_or_jitter() {
             world.step();
         }
         let rest = world.thing_in_scene(0);
-        // Springs of this frequency under the whole weight: g / (2 pi f)^2, and the engine leaves a margin of its own.
-        let natural = TAU * task.world.tissue.frequency_hz;
-        let give_m = task.world.gravity_m_s2 / (natural * natural);
+        // The whole weight on one of four points, at most.
+        let give_m =
+            scene.block.mass_kg * task.world.gravity_m_s2 / task.world.ground.stiffness_n_m;
         let height_m = 0.5 * scene.block.height_m - rest.translation.z;
         assert!(
             world.sunk_m(0) < 2.0 * give_m && height_m.abs() < give_m,
@@ -80,7 +81,7 @@ fn a_block_that_leans_on_its_peg_trembles_by_less_than_a_micrometre_and_goes_now
     let late = farthest(2000);
     assert!(late.0 < 5e-7 && late.1 < 5e-5, "{late:?}");
     assert!(
-        late.0 < 1.5 * early.0 && late.1 < 1.5 * early.1,
+        late.0 < 1.5 * early.0 + 1e-9 && late.1 < 1.5 * early.1 + 1e-7,
         "creeps: {early:?}, {late:?}"
     );
 }
@@ -91,7 +92,7 @@ fn held_by(friction: f64) -> (f64, f64, f64) {
     let mut bench = Bench::lifted(-0.15);
     let held = bench.needle_in_tip();
     let grasp = bench.world.grasp(0, 0);
-    bench.world.stage.set_grip_friction(0, friction);
+    bench.world.stage.set_grip_friction(friction);
     let middle = Point3::new(HALF_CIRCLE.arc_radius_m, 0.0, 0.0);
     let (mut slip_m, mut turn) = (0.0_f64, 0.0_f64);
     bench.run(1.0, |_, _, world| {
@@ -123,7 +124,18 @@ fn a_wire_slips_out_of_the_wedge_of_the_fingers_below_the_angle_of_friction() {
 #[test]
 fn a_wire_lies_on_a_finger_at_the_two_ends_of_a_line_and_at_nothing_twice() {
     let bench = Bench::lifted_in("needle-handover", -0.15);
-    let faces = bench.world.stage.instrument_contacts();
+    let contacts = bench.world.stage.contacts();
+    let faces = [0, 1].map(|finger| {
+        let of = |contact: &&Contact| {
+            let side = Side::Part {
+                arm: 0,
+                part: finger,
+            };
+            contact.sides[0] == side && contact.gap_m < 0.0
+        };
+        let points = contacts.iter().filter(of).map(|contact| contact.point);
+        points.collect::<Vec<_>>()
+    });
     assert!(faces.iter().any(|points| points.len() == 2), "{faces:?}");
     for points in &faces {
         assert!(points.len() <= 2, "{points:?}");

@@ -6,7 +6,7 @@ use nalgebra::Vector3;
 const LYING: f64 = HALF_CIRCLE.wire_radius_m + 1e-4;
 
 fn sleeping(world: &World) -> bool {
-    world.stage.thing_rest(0).0
+    world.stage.thing(0).is_asleep()
 }
 
 fn sleeps(bench: &Bench) -> bool {

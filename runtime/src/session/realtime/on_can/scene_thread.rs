@@ -99,7 +99,7 @@ impl SceneThread {
             if let Some(report) = self.scene.newest()? {
                 heard = self.clock.now();
                 end.tissue = tissue(&report);
-                let decided = matches!(end.verdict, Verdict::Success | Verdict::Failure);
+                let decided = matches!(end.verdict, Verdict::Success | Verdict::Failure | Verdict::Invalid);
                 if !decided {
                     end.verdict = report.verdict();
                     end.reason = report.reason.text();
@@ -113,7 +113,7 @@ impl SceneThread {
                             self.observe(step, &report, &states, &mut end.inference)?;
                         }
                     }
-                    Verdict::Success | Verdict::Failure => signals.end_run(),
+                    Verdict::Success | Verdict::Failure | Verdict::Invalid => signals.end_run(),
                 }
             } else if self.clock.now().since(heard) > SILENCE_NS_MAX && !signals.done() {
                 end.reason = format!(

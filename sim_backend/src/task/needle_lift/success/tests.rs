@@ -161,7 +161,7 @@ fn thrown_needle_is_a_failure() {
 }
 
 #[test]
-fn grip_that_sinks_into_the_needle_is_a_failure() {
+fn grip_that_sinks_into_the_needle_is_invalid() {
     let deep = Grasp {
         penetration_m: 0.001,
         ..FIRM
@@ -170,7 +170,7 @@ fn grip_that_sinks_into_the_needle_is_a_failure() {
     assert_eq!(bench.hold(0.0, 0.015, &deep), Outcome::Running);
     assert_eq!(
         bench.hold(0.0, 0.010, &deep),
-        Outcome::Failure(Reason::Penetration {
+        Outcome::Invalid(Reason::Penetration {
             thing: "needle",
             depth_m: 0.001
         })
@@ -188,6 +188,6 @@ fn needle_off_the_organ_is_a_failure() {
     bench.show(Pose::translation(f64::NAN, 0.0, 0.0), &FIRM);
     assert_eq!(
         bench.judge.outcome(),
-        Outcome::Failure(Reason::NotFinite { thing: "needle" })
+        Outcome::Invalid(Reason::NotFinite { thing: "needle" })
     );
 }

@@ -1,0 +1,169 @@
+//! Where instruments, things and ground meet in a step, and what wakes.
+
+use nalgebra::Vector3;
+use rapier3d_f64::math::Pose as EnginePose;
+
+use super::{PARTS, Stage};
+use crate::world::arm::{ArmUnit, PartPoses};
+use crate::world::config::Surface;
+use crate::world::contact::{Contact, Side};
+use crate::world::convert::{engine_pose, our_vector};
+use crate::world::detect::{First, Found};
+use crate::world::scenery::Meets;
+use crate::world::shapes::WRIST_RADIUS_M;
+use crate::world::soft;
+
+/// Distance at which surfaces that stand still are looked at, m.
+const REACH_M: f64 = 3e-4;
+/// Time for which surfaces that move are looked at beforehand, s.
+const REACH_S: f64 = 2e-3;
+/// Distance of an instrument at which a thing wakes, m.
+const WAKE_M: f64 = 2e-3;
+
+impl Stage {
+    /// Finds the contacts of a step, and wakes things that an instrument is near.
+    pub(super) fn find_contacts(&mut self, arms: &[ArmUnit], poses: &[PartPoses]) {
+        self.contacts.clear();
+        let speeds: Vec<f64> = arms.iter().map(ArmUnit::tip_speed_m_s).collect();
+        for thing in 0..self.things.len() {
+            let near = self.meet_instruments(thing, poses, &speeds);
+            let moving = &mut self.things[thing].moving;
+            if near {
+                moving.wake();
+            }
+            if !moving.is_asleep() {
+                self.meet_ground(thing);
+            }
+        }
+        for (arm, parts) in poses.iter().enumerate() {
+            self.press_ground(arm, parts, REACH_M + REACH_S * speeds[arm]);
+        }
+    }
+
+    /// Contacts of a thing and the instruments; whether one of these is near.
+    fn meet_instruments(&mut self, index: usize, poses: &[PartPoses], speeds: &[f64]) -> bool {
+        let Self {
+            things,
+            parts,
+            detector,
+            contacts,
+            instruments,
+            ..
+        } = self;
+        let thing = &things[index];
+        let pose = thing.moving.pose;
+        let carrier = engine_pose(&pose);
+        let mut is_near = false;
+        for (arm, part_poses) in poses.iter().enumerate() {
+            let reach_m = REACH_M + REACH_S * (speeds[arm] + thing.moving.speed_m_s());
+            let wake_m = reach_m.max(WAKE_M);
+            for (part, body) in parts.iter().enumerate() {
+                let first = First::new(body, &engine_pose(&part_poses[part]));
+                let relative = first.relative(&carrier);
+                detector.clear();
+                for (piece, meets) in &thing.pieces {
+                    if *meets == Meets::Ground {
+                        continue;
+                    }
+                    let centre = relative.transform_point(piece.centre);
+                    if first.is_near(centre, piece.radius_m + wake_m) {
+                        is_near = true;
+                        detector.pair(&first, piece, &relative, reach_m);
+                    }
+                }
+                detector.reduce();
+                let memory = instruments[arm].memories[index].get(part);
+                for found in &detector.found {
+                    let mut contact = contact(
+                        [Side::Part { arm, part }, Side::Thing(index)],
+                        found,
+                        &self.grip,
+                    );
+                    if let Some(memory) = memory {
+                        let poses = (&part_poses[part], &pose);
+                        (contact.homing, contact.spin) =
+                            memory.homing(poses, &found.point, &found.normal);
+                    }
+                    contacts.push(contact);
+                }
+            }
+        }
+        is_near
+    }
+
+    /// Contacts of a thing and the ground.
+    fn meet_ground(&mut self, index: usize) {
+        let thing = &self.things[index];
+        let pose = thing.moving.pose;
+        let carrier = engine_pose(&pose);
+        let reach_m = REACH_M + REACH_S * thing.moving.speed_m_s();
+        let sides = [Side::Ground, Side::Thing(index)];
+        self.detector.clear();
+        for solid in &self.solids {
+            let first = First::new(solid, &EnginePose::IDENTITY);
+            let relative = first.relative(&carrier);
+            for (piece, meets) in &thing.pieces {
+                if *meets != Meets::Instrument {
+                    self.detector.pair(&first, piece, &relative, reach_m);
+                }
+            }
+        }
+        self.detector.reduce();
+        if self.solids.is_empty() {
+            for (piece, meets) in &thing.pieces {
+                if *meets != Meets::Instrument {
+                    let centre = our_vector(carrier.transform_point(piece.centre));
+                    let met = soft::meet(&self.ground, &centre, piece.radius_m, reach_m);
+                    self.detector.found.extend(met);
+                }
+            }
+        }
+        let found = self.detector.found.iter();
+        self.contacts
+            .extend(found.map(|found| contact(sides, found, &self.ground_surface)));
+    }
+
+    /// Contacts of an instrument and the ground.
+    fn press_ground(&mut self, arm: usize, poses: &PartPoses, reach_m: f64) {
+        for (part, pose) in poses.iter().enumerate() {
+            let sides = [Side::Ground, Side::Part { arm, part }];
+            self.detector.clear();
+            if self.solids.is_empty() {
+                let radius_m = if part == PARTS - 1 {
+                    WRIST_RADIUS_M
+                } else {
+                    0.0
+                };
+                let points = self.samples[part].iter();
+                let met = points.filter_map(|point| {
+                    soft::meet(&self.ground, &(pose * point).coords, radius_m, reach_m)
+                });
+                self.detector.found.extend(met);
+            } else {
+                let carrier = engine_pose(pose);
+                for solid in &self.solids {
+                    let first = First::new(solid, &EnginePose::IDENTITY);
+                    let relative = first.relative(&carrier);
+                    self.detector
+                        .pair(&first, &self.parts[part], &relative, reach_m);
+                }
+                self.detector.reduce();
+            }
+            let found = self.detector.found.iter();
+            self.contacts
+                .extend(found.map(|found| contact(sides, found, &self.press)));
+        }
+    }
+}
+
+fn contact(sides: [Side; 2], found: &Found, surface: &Surface) -> Contact {
+    Contact {
+        sides,
+        point: found.point,
+        normal: found.normal,
+        gap_m: found.gap_m,
+        surface: *surface,
+        homing: Vector3::zeros(),
+        spin: 0.0,
+    }
+}
