@@ -8,7 +8,7 @@ use super::flat::FlatParameters;
 use super::options::{Augmentation, TrainOptions, TrainPrecision};
 use super::steps::{Learner, Losses, Split, Steps};
 use super::training_set::{index_tensor, numbers};
-use super::{LossCurve, TrainError, Trainer, Watch, check_arms, run_of};
+use super::{AnyTrained, LossCurve, TrainError, Trainer, Watch, check_arms, run_of};
 use crate::act::{Demonstration, LossDenominator, l1_loss};
 use crate::act_pc::{ActPc, ActPcConfig, Clouds, CloudsError};
 use crate::checkpoint::CloudStatistics;
@@ -69,6 +69,16 @@ impl Trainer {
             is_pad,
             augmentation: options.augmentation,
         };
+        let trained = |flat: &FlatParameters, curve: LossCurve| {
+            // The statistics of the normalisations are those of the network that was trained.
+            let averaged = ParameterSource::given(flat.averaged_tensors()?);
+            Ok::<_, TrainError>(TrainedActPc {
+                network: ActPc::new(config.clone(), averaged)?,
+                frames: set.trained.len(),
+                statistics: set.statistics.clone(),
+                curve,
+            })
+        };
         let steps = Steps {
             learner: &run,
             options,
@@ -77,16 +87,10 @@ impl Trainer {
                 held_out: &set.held_out,
             },
             run: run_of(config, Some(cloud), options, &set.trained, statistics),
+            so_far: &|flat, curve| Ok(AnyTrained::ActPc(trained(flat, curve)?.into())),
         };
         let curve = steps.take(&mut flat, self.from.as_ref(), watch)?;
-        // The statistics of the normalisations are those of the network that was trained.
-        let averaged = flat.averaged_tensors()?;
-        Ok(TrainedActPc {
-            network: ActPc::new(config.clone(), ParameterSource::given(averaged))?,
-            frames: set.trained.len(),
-            statistics: set.statistics,
-            curve,
-        })
+        trained(&flat, curve)
     }
 }
 

@@ -10,7 +10,7 @@ use super::flat::FlatParameters;
 use super::options::{Augmentation, TrainOptions, TrainPrecision};
 use super::steps::{Learner, Losses, Split, Steps};
 use super::training_set::{index_tensor, raw_numbers};
-use super::{LossCurve, TrainError, Trainer, Watch, run_of};
+use super::{AnyTrained, LossCurve, TrainError, Trainer, Watch, run_of};
 use crate::checkpoint::CloudStatistics;
 use crate::dataset::Dataset;
 use crate::dp3::{CloudObservation, Dp3, Dp3Config, LimitsError, LimitsNormaliser};
@@ -69,6 +69,15 @@ impl Trainer {
         let dp3 = Dp3::new(config.clone(), working)?;
         let run = Run::new(dp3, dataset, &set, (options.augmentation, self.device()))?;
         let statistics = [&set.statistics.state, &set.statistics.action];
+        let trained = |flat: &FlatParameters, curve: LossCurve| {
+            let averaged = ParameterSource::given(flat.averaged_tensors()?);
+            Ok::<_, TrainError>(TrainedDp3 {
+                dp3: Dp3::new(config.clone(), averaged)?,
+                frames: set.trained.len(),
+                statistics: set.statistics.clone(),
+                curve,
+            })
+        };
         let steps = Steps {
             learner: &run,
             options,
@@ -77,15 +86,10 @@ impl Trainer {
                 held_out: &set.held_out,
             },
             run: run_of(config, Some(cloud), options, &set.trained, statistics),
+            so_far: &|flat, curve| Ok(AnyTrained::Dp3(trained(flat, curve)?.into())),
         };
         let curve = steps.take(&mut flat, self.from.as_ref(), watch)?;
-        let averaged = ParameterSource::given(flat.averaged_tensors()?);
-        Ok(TrainedDp3 {
-            dp3: Dp3::new(config.clone(), averaged)?,
-            frames: set.trained.len(),
-            statistics: set.statistics,
-            curve,
-        })
+        trained(&flat, curve)
     }
 }
 

@@ -44,6 +44,9 @@ pub enum TrainError {
         /// Steps taken.
         step: u64,
     },
+    /// Whoever watches the run failed at what it does beside it.
+    #[error("{0}")]
+    Watch(String),
     /// The state of an earlier run can't be written, read or gone on with.
     #[error("{0}")]
     State(String),

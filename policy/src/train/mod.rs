@@ -74,6 +74,22 @@ pub enum Progress {
         /// Frames of the dataset.
         of: usize,
     },
+    /// The steps begin.
+    Begin {
+        /// Steps taken before, by the run that this one goes on with.
+        step: u64,
+        /// Steps of the whole run.
+        steps: u64,
+    },
+    /// A step was taken that somebody wants to hear of: see [`Watch::wants_step`].
+    Step {
+        /// Steps done.
+        step: u64,
+        /// Steps of the whole run.
+        steps: u64,
+        /// What is minimised, of this step alone.
+        loss: f64,
+    },
     /// Steps take longer than they could.
     Slower {
         /// Why.
@@ -92,6 +108,29 @@ pub enum Progress {
 pub trait Watch {
     /// Hears where the run stands.
     fn progress(&mut self, progress: &Progress);
+
+    /// Whether it wants to hear of the step after which `step` are done; asked after every step. Its loss is then waited for,
+    /// which holds up a device whose work is queued ahead.
+    fn wants_step(&mut self, step: u64) -> bool {
+        let _unwanted = step;
+        false
+    }
+
+    /// Whether it wants the network as it is after `step` steps; asked after every step, and where a run is gone on with.
+    fn wants_network(&mut self, step: u64) -> bool {
+        let _unwanted = step;
+        false
+    }
+
+    /// Gets what the run would come to if it ended after `step` steps. The run goes on to the same bits whatever is done with it,
+    /// provided that the network library's number of threads is left as it was.
+    ///
+    /// # Errors
+    /// Whatever is to end the run.
+    fn network(&mut self, step: u64, trained: AnyTrained) -> Result<(), TrainError> {
+        drop((step, trained));
+        Ok(())
+    }
 
     /// Whether the run should keep its state and stop; asked after every step.
     fn wants_stop(&mut self) -> bool {
@@ -153,6 +192,39 @@ pub struct Trained {
     pub curve: LossCurve,
     /// Frames trained on.
     pub frames: usize,
+}
+
+/// The outcome of a run of any network.
+#[derive(Debug)]
+pub enum AnyTrained {
+    /// ACT.
+    Act(Box<Trained>),
+    /// ACT-PC.
+    ActPc(Box<TrainedActPc>),
+    /// DP3.
+    Dp3(Box<TrainedDp3>),
+}
+
+impl AnyTrained {
+    /// The losses along the way.
+    #[must_use]
+    pub const fn curve(&self) -> &LossCurve {
+        match self {
+            Self::Act(trained) => &trained.curve,
+            Self::ActPc(trained) => &trained.curve,
+            Self::Dp3(trained) => &trained.curve,
+        }
+    }
+
+    /// Frames trained on.
+    #[must_use]
+    pub const fn frames(&self) -> usize {
+        match self {
+            Self::Act(trained) => trained.frames,
+            Self::ActPc(trained) => trained.frames,
+            Self::Dp3(trained) => trained.frames,
+        }
+    }
 }
 
 /// Trains networks on one device.
@@ -248,6 +320,15 @@ impl Trainer {
             set: &set,
         };
         let statistics = [&set.statistics.state, &set.statistics.action];
+        let trained = |flat: &FlatParameters, curve: LossCurve| {
+            let averaged = ParameterSource::given(flat.averaged_tensors()?);
+            Ok::<_, TrainError>(Trained {
+                act: Act::new(config.clone(), averaged)?,
+                frames: set.trained.len(),
+                statistics: set.statistics.clone(),
+                curve,
+            })
+        };
         let steps = Steps {
             learner: &run,
             options,
@@ -256,16 +337,10 @@ impl Trainer {
                 held_out: &set.held_out,
             },
             run: run_of(config, None, options, &set.trained, statistics),
+            so_far: &|flat, curve| Ok(AnyTrained::Act(trained(flat, curve)?.into())),
         };
         let curve = steps.take(&mut flat, self.from.as_ref(), watch)?;
-        let averaged = ParameterSource::given(flat.averaged_tensors()?);
-        let act = Act::new(config.clone(), averaged)?;
-        Ok(Trained {
-            act,
-            frames: set.trained.len(),
-            statistics: set.statistics,
-            curve,
-        })
+        trained(&flat, curve)
     }
 }
 

@@ -11,7 +11,7 @@ use super::generator;
 use super::options::TrainOptions;
 use super::run_state::RunState;
 use super::told::Told;
-use super::{Progress, TrainError, Watch};
+use super::{AnyTrained, Progress, TrainError, Watch};
 use crate::rng::SplitMix64;
 
 /// A network in training, with the data that it learns from.
@@ -75,7 +75,12 @@ pub(super) struct Steps<'a> {
     pub(super) split: Split<'a>,
     /// What must be the same when the run goes on another time, as JSON.
     pub(super) run: String,
+    /// What the run would come to if it ended now.
+    pub(super) so_far: &'a SoFar<'a>,
 }
+
+/// The outcome of a run with these parameters and this curve.
+type SoFar<'a> = dyn Fn(&FlatParameters, LossCurve) -> Result<AnyTrained, TrainError> + 'a;
 
 impl Steps<'_> {
     /// Takes the steps that are left, all of them or those after `from`'s; `watch` hears of every row of the loss curve
@@ -98,6 +103,11 @@ impl Steps<'_> {
             since_row = rows_of(state.since_row.as_ref(), flat)?;
             first = state.step;
         }
+        let steps = options.steps;
+        watch.progress(&Progress::Begin { step: first, steps });
+        if first > 0 {
+            self.offer(first, flat, (&curve, &since_row), watch)?;
+        }
         let mut next = order.of_step(first, options.batch);
         let mut told = Told::new(options, flat.device(), watch)?;
         for step in first..options.steps {
@@ -107,13 +117,19 @@ impl Steps<'_> {
             // Not waited for.
             since_row.push(self.step(step, &frames, flat, (&mut told, &mut *watch))?);
             let done = step + 1;
+            if let Some(last) = since_row.last()
+                && watch.wants_step(done)
+            {
+                let (step, loss) = (done, last.f_double_value(&[0])?);
+                watch.progress(&Progress::Step { step, steps, loss });
+            }
             if done.is_multiple_of(options.log_every) || done == options.steps {
                 let row = self.row(done, &since_row)?;
                 since_row.clear();
                 curve.rows.push(row);
-                let steps = options.steps;
                 watch.progress(&Progress::Row { steps, row });
             }
+            self.offer(done, flat, (&curve, &since_row), watch)?;
             if done == options.steps {
                 break;
             }
@@ -128,6 +144,21 @@ impl Steps<'_> {
             }
         }
         Ok(curve)
+    }
+
+    /// Shows `watch` what the run would come to after `done` steps, if it wants that.
+    fn offer(
+        &self,
+        done: u64,
+        flat: &FlatParameters,
+        (curve, since_row): (&LossCurve, &[Tensor]),
+        watch: &mut dyn Watch,
+    ) -> Result<(), TrainError> {
+        if !watch.wants_network(done) {
+            return Ok(());
+        }
+        check_finite(done, since_row)?;
+        watch.network(done, (self.so_far)(flat, curve.clone())?)
     }
 
     /// One step: the loss, its parts and the norm of the gradient, on the device.
@@ -373,6 +404,7 @@ mod tests {
                 held_out: &[],
             },
             run: String::new(),
+            so_far: &|_, _| Err(TrainError::Empty),
         };
         let mut kept = Kept::default();
         let end = steps.take(&mut flat, None, &mut kept).map(drop);

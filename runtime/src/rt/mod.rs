@@ -87,6 +87,12 @@ impl Default for MonotonicClock {
     }
 }
 
+/// What the calendar says, as seconds since 1970: for people and for files that other programs read, never for a duration.
+#[must_use]
+pub fn unix_seconds() -> f64 {
+    sys::unix_seconds()
+}
+
 /// Sleeps for `duration_ns` at least; for threads that poll, never for the control thread.
 pub fn sleep_ns(duration_ns: u64) {
     sys::sleep_until_ns(sys::monotonic_ns().saturating_add(duration_ns));

@@ -41,6 +41,19 @@ pub(super) fn monotonic_ns() -> u64 {
     system_ns() / slow_motion()
 }
 
+/// Time since 1970, s; for people and for files that other programs read.
+pub(super) fn unix_seconds() -> f64 {
+    let mut now = libc::timespec {
+        tv_sec: 0,
+        tv_nsec: 0,
+    };
+    // SAFETY: `now` is a live timespec. The call cannot fail for this clock on Linux.
+    unsafe { libc::clock_gettime(libc::CLOCK_REALTIME, &raw mut now) };
+    #[expect(clippy::cast_precision_loss, reason = "seconds stay far below 2^52")]
+    let seconds = now.tv_sec as f64;
+    seconds + f64::from(i32::try_from(now.tv_nsec).unwrap_or(0)) * 1e-9
+}
+
 fn system_ns() -> u64 {
     let mut now = libc::timespec {
         tv_sec: 0,

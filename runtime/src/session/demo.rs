@@ -1,29 +1,29 @@
-//! The demonstration: the committed policy lifts a needle through every stage, and a person can look at it.
+//! The demonstration: the committed policy of a task through every stage, and a person can look at it.
 
 use std::path::{Path, PathBuf};
 
 use tch::Device;
 
+use super::pictures::STEP_MS;
 use super::realtime::run_realtime;
 use super::run::{RunOptions, run_lockstep, write_json};
 use super::summary::RunSummary;
-use super::{PolicyChoice, SessionError, Setup};
+use super::{PolicyChoice, SessionError, Setup, policies, tasks};
 use crate::log::RunLog;
 use crate::replay::{ReplayResult, replay};
 use crate::verify::{VerifyResult, verify};
 
-/// The committed policy.
+/// The committed policy of the needle lift.
 pub const COMMITTED_POLICY: &str = "config/policies/needle-lift/act-small";
-
-/// Time between two pictures of the animation.
-const STEP_MS: u32 = 40;
 
 /// What to show.
 #[derive(Clone, Debug)]
 pub struct DemoOptions {
     /// Where the logs and the pictures go.
     pub out: PathBuf,
-    /// The policy; the committed one if not given.
+    /// The task: a built-in one's name or the path of a folder.
+    pub task: String,
+    /// The policy; the committed one of the task if not given.
     pub policy: Option<String>,
     /// Everything random hangs on this.
     pub seed: u64,
@@ -51,7 +51,7 @@ pub struct DemoResult {
     pub files: Vec<PathBuf>,
 }
 
-/// Runs the needle lift in lockstep and in real time, writes both logs, the summaries, and pictures of the lockstep run.
+/// Runs the task in lockstep and in real time, writes both logs, the summaries, and pictures of the lockstep run.
 /// `on_progress` hears what comes next.
 ///
 /// # Errors
@@ -60,8 +60,13 @@ pub fn run(
     options: &DemoOptions,
     on_progress: &mut dyn FnMut(&str),
 ) -> Result<DemoResult, SessionError> {
-    let policy = PolicyChoice::parse(options.policy.as_deref().unwrap_or(COMMITTED_POLICY));
-    let setup = Setup::load("needle-lift", None, &policy)?;
+    let policy = match &options.policy {
+        Some(policy) => PolicyChoice::parse(policy),
+        None => {
+            PolicyChoice::Checkpoint(policies::recommended(&tasks::files(&options.task)?.name)?)
+        }
+    };
+    let setup = Setup::load(&options.task, None, &policy)?;
     let file = |name: &str| options.out.join(name);
     let files: Vec<PathBuf> = [
         "run.mcap",

@@ -1,6 +1,7 @@
 //! One episode in lockstep: virtual time, everything in one thread, bit for bit the same each time.
 
 use hal::{Arm, ArmError, ArmState, CameraFrame, Chunk, FrameRef, SeenArm, TimeNs};
+use sim_backend::cameras::SceneSnapshot;
 use sim_backend::simulation::Simulation;
 use sim_backend::task::Outcome;
 
@@ -32,6 +33,8 @@ pub struct StepView<'a> {
     pub frames: &'a [CameraFrame],
     /// The answer, a chunk for each arm, if the policy was asked.
     pub answer: Option<&'a PerArm<Chunk>>,
+    /// Where everything is, for pictures that are made later.
+    pub snapshot: &'a SceneSnapshot,
 }
 
 /// Looks on while an episode runs: a log, a dataset, pictures.
@@ -59,6 +62,11 @@ pub trait Watcher {
     /// A control period.
     fn tick(&mut self, record: &TickRecord) {
         let _unwatched = record;
+    }
+
+    /// Whether the episode is to be abandoned; asked before every policy step.
+    fn wants_stop(&self) -> bool {
+        false
     }
 }
 
@@ -93,7 +101,8 @@ impl Episode<'_> {
     /// Runs to the task's verdict or the tick limit.
     ///
     /// # Errors
-    /// From the simulation, the policy or the watcher; [`SessionError::BadArgument`] if the simulation has other arms than the
+    /// From the simulation, the policy or the watcher; [`SessionError::Interrupted`] if the watcher wants to stop;
+    /// [`SessionError::BadArgument`] if the simulation has other arms than the
     /// controller.
     pub fn run(
         mut self,
@@ -107,6 +116,9 @@ impl Episode<'_> {
         for tick in 0..plan.tick_limit {
             let now = TimeNs::from_tick(tick);
             let measured = self.read(now)?;
+            if tick % STEP_TICKS == 0 && watcher.wants_stop() {
+                return Err(SessionError::Interrupted);
+            }
             if let (Some(arms), 0) = (seen(&measured), tick % STEP_TICKS) {
                 let step = tick / STEP_TICKS;
                 let answer = self.policy_step(step, &arms, &mut cameras, watcher, clock)?;
@@ -215,6 +227,7 @@ impl Episode<'_> {
             arms,
             frames,
             answer: answer.as_ref().map(|(chunks, _)| chunks),
+            snapshot: &self.simulation.snapshot(),
         })?;
         Ok(answer)
     }

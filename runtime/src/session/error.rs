@@ -73,6 +73,9 @@ pub enum SessionError {
     /// An argument makes no sense.
     #[error("{0}")]
     BadArgument(String),
+    /// A signal asked for the end.
+    #[error("interrupted")]
+    Interrupted,
     /// A result could not be written.
     #[error("{path}: cannot be written: {reason}")]
     Output {
@@ -153,6 +156,7 @@ impl SessionError {
                 | TrainError::State(_) => true,
                 TrainError::Diverged { .. }
                 | TrainError::Stopped { .. }
+                | TrainError::Watch(_)
                 | TrainError::Parameter(_)
                 | TrainError::Torch(_) => false,
             },
@@ -164,6 +168,7 @@ impl SessionError {
             | Self::Interface { .. }
             | Self::BringUp { .. }
             | Self::Output { .. }
+            | Self::Interrupted
             | Self::RealTime(_) => false,
         }
     }

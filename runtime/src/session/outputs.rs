@@ -35,12 +35,12 @@ pub fn check(
     Ok(())
 }
 
-/// Makes the folder `path`, or takes an empty one, and checks that files can be written into it.
+/// Makes the folder `path` that `option` names, or takes an empty one, and checks that files can be written into it.
 ///
 /// # Errors
 /// [`SessionError::BadArgument`] if it is a file, is not empty or can't be written.
-pub fn new_folder(path: &Path) -> Result<(), SessionError> {
-    let refuse = |reason: &str| refused("--out", path, reason);
+pub fn new_folder(option: &str, path: &Path) -> Result<(), SessionError> {
+    let refuse = |reason: &str| refused(option, path, reason);
     if path.exists() && !path.is_dir() {
         return Err(refuse("exists and is no folder"));
     }
@@ -139,14 +139,14 @@ mod tests {
         let file = folder.join("file");
         fs::write(&file, "").unwrap();
         assert!(check(&[("--json", Some(&file.join("below")))], &[]).is_err());
-        assert!(new_folder(&file).is_err() && new_folder(&folder).is_err());
+        assert!(new_folder("--out", &file).is_err() && new_folder("--out", &folder).is_err());
     }
 
     #[test]
     fn a_new_or_an_empty_folder_is_taken_and_stays_empty() {
         let folder = scratch("empty");
-        new_folder(&folder).unwrap();
-        new_folder(&folder.join("new")).unwrap();
+        new_folder("--out", &folder).unwrap();
+        new_folder("--out", &folder.join("new")).unwrap();
         assert_eq!(fs::read_dir(folder.join("new")).unwrap().count(), 0);
     }
 }

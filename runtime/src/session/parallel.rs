@@ -28,6 +28,26 @@ where
     T: Send,
     E: Send,
 {
+    in_order_until(count, threads, ahead, &|| false, make_worker, consume)
+}
+
+/// The same, but that no job is begun any more once `stop` says so.
+///
+/// # Errors
+/// As [`in_order`].
+pub fn in_order_until<W, T, E>(
+    count: usize,
+    threads: usize,
+    ahead: usize,
+    stop: &(dyn Fn() -> bool + Sync),
+    make_worker: impl Fn() -> Result<W, E> + Sync,
+    consume: &mut dyn FnMut(usize, T) -> Result<(), E>,
+) -> Result<(), E>
+where
+    W: FnMut(usize) -> Result<T, E>,
+    T: Send,
+    E: Send,
+{
     let next = Mutex::new(0..count);
     let turn = Turn::new(ahead.max(1));
     let threads = threads.min(THREADS_MAX).clamp(1, count.max(1));
@@ -45,7 +65,7 @@ where
                         return;
                     }
                 };
-                loop {
+                while !stop() {
                     let job = next.lock().ok().and_then(|mut jobs| jobs.next());
                     let Some(index) = job else { return };
                     if !turn.wait(index) {
@@ -131,6 +151,30 @@ fn collect<T, E>(
 #[cfg(test)]
 mod tests {
     use super::*;
+    use std::sync::atomic::{AtomicBool, Ordering};
+
+    #[test]
+    fn once_stopped_no_job_is_begun() {
+        let stop = AtomicBool::new(false);
+        let mut seen = Vec::new();
+        in_order_until(
+            usize::MAX,
+            3,
+            usize::MAX,
+            &|| stop.load(Ordering::Acquire),
+            || Ok::<_, ()>(Ok),
+            &mut |index, result: usize| {
+                assert_eq!(index, result);
+                seen.push(index);
+                stop.store(index >= 10, Ordering::Release);
+                Ok(())
+            },
+        )
+        .unwrap();
+        // Those that were under way are not lost.
+        assert!((11..100).contains(&seen.len()), "{}", seen.len());
+        assert!(seen.iter().copied().eq(0..seen.len()));
+    }
 
     #[test]
     fn results_come_in_order_from_any_number_of_threads() {

@@ -17,6 +17,9 @@ pub struct Pictures {
     frames: Vec<RgbImage>,
 }
 
+/// Time between two policy steps, which is that between two pictures of an animation, ms.
+pub const STEP_MS: u32 = 40;
+
 /// Width of one picture, pixels.
 const WIDTH: u32 = 256;
 

@@ -82,7 +82,7 @@ pub fn record(
     options: &RecordOptions,
     on_attempt: &mut dyn FnMut(&Attempt),
 ) -> Result<RecordSummary, SessionError> {
-    outputs::new_folder(&options.out)?;
+    outputs::new_folder("--out", &options.out)?;
     let spec = dataset_spec(setup, options.depth);
     let mut writer = DatasetWriter::create_with(&options.out, &spec, options.video)?;
     let mut summary = RecordSummary {

@@ -5,6 +5,8 @@ use core::fmt;
 use serde::Serialize;
 use sim_backend::tissue::TissueExtremes;
 
+use super::score::Score;
+
 /// Percentiles of a duration.
 #[derive(Clone, Copy, Debug, Default, Serialize)]
 pub struct TickUs {
@@ -232,6 +234,12 @@ pub struct TrialSummary {
     /// Present in tasks with a soft tissue.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub tissue: Option<TissueSummary>,
+    /// Its log, if that was kept.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub log: Option<String>,
+    /// Its animation, if that was kept.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub pictures: Option<String>,
 }
 
 /// An evaluation over many trials.
@@ -252,7 +260,11 @@ pub struct EvalSummary {
     /// The task of the demonstrations that a checkpoint was trained on, if it tells.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub trained_on: Option<String>,
-    /// How many trials.
+    /// How many trials were asked for.
+    pub trials_asked: usize,
+    /// Whether a signal ended the evaluation before all of them were done.
+    pub interrupted: bool,
+    /// How many were done.
     pub trials: usize,
     /// How many of them succeeded.
     pub successes: usize,
@@ -267,8 +279,8 @@ pub struct EvalSummary {
 }
 
 impl EvalSummary {
-    /// Sums up `episodes` of a task with that needle, if it has a choice, seen from `view`; the scene is the built-in one and
-    /// the policy was not trained, unless the caller says otherwise.
+    /// Sums up `episodes` of a task with that needle, if it has a choice, seen from `view`; the scene is the built-in one,
+    /// the policy was not trained, and all trials were done, unless the caller says otherwise.
     #[must_use]
     pub fn new(
         task: &str,
@@ -277,10 +289,7 @@ impl EvalSummary {
         policy: &str,
         episodes: Vec<TrialSummary>,
     ) -> Self {
-        let trials = episodes.len();
-        let successes = episodes.iter().filter(|episode| episode.success).count();
-        let invalid = episodes.iter().filter(|episode| episode.invalid).count();
-        let (rate, wilson95) = wilson_interval(successes, trials - invalid);
+        let score = Score::of(&episodes);
         Self {
             task: task.to_owned(),
             view: view.to_owned(),
@@ -288,13 +297,21 @@ impl EvalSummary {
             scene: None,
             policy: policy.to_owned(),
             trained_on: None,
-            trials,
-            successes,
-            invalid,
-            rate,
-            wilson95,
+            trials_asked: episodes.len(),
+            interrupted: false,
+            trials: episodes.len(),
+            successes: score.successes,
+            invalid: score.invalid,
+            rate: score.rate(),
+            wilson95: score.wilson95(),
             episodes,
         }
+    }
+
+    /// The trials counted.
+    #[must_use]
+    pub fn score(&self) -> Score {
+        Score::of(&self.episodes)
     }
 }
 

@@ -249,6 +249,7 @@ fn training_options(data: PathBuf, out: PathBuf) -> TrainingOptions {
         threads: 2,
         seed: 1,
         save_every: 0,
+        eval: None,
         command: "train".to_owned(),
     }
 }

@@ -1,20 +1,21 @@
 //! Training a policy on a dataset.
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use policy::act::{ActConfig, ActPreset, BackboneNorm};
-use policy::checkpoint::{self, AggregationName, Variants};
+use policy::checkpoint::{AggregationName, Variants};
 use policy::dataset::Dataset;
-use policy::train::{
-    Augmentation, LossCurve, RunState, TrainError, TrainOptions, TrainPrecision, Trainer,
-};
-use serde::{Deserialize, Serialize};
-use tch::Device;
+use policy::train::{AnyTrained, Augmentation, TrainError, TrainOptions, TrainPrecision, Trainer};
+use serde::Serialize;
 
 use super::cloud_file::cloud_recipe;
-use super::training_recipe::{Made, recipe};
+use super::training_eval::{Evaluation, Evaluations};
+pub use super::training_news::{OnNews, TrainingNews};
+pub use super::training_options::{CameraChoice, NetworkChoice, TrainingOptions};
+use super::training_recipe::Made;
+use super::training_save::Saver;
 use super::training_watch::{
-    Pace, STATE_FILE, Stopwatch, Watcher, read_state, remove_state, write_curve,
+    STATE_FILE, Stopwatch, Watcher, read_state, remove_state, write_curve,
 };
 use super::{SessionError, outputs, training_backbone, training_clouds};
 use crate::rt;
@@ -22,101 +23,6 @@ use crate::rt;
 /// Policy steps from one query to the next that a trained checkpoint asks for: half a chunk of the small preset, so that a fresh
 /// one is there when the last ends.
 const QUERY_EVERY_STEPS: u32 = 25;
-
-/// Which of the dataset's cameras the network sees.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub enum CameraChoice {
-    /// The only one; a dataset with several is refused.
-    Single,
-    /// All of them.
-    Multi,
-}
-
-/// Which network is trained.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub enum NetworkChoice {
-    /// ACT, from colour images.
-    Act,
-    /// ACT-PC, from point clouds.
-    ActPc,
-    /// DP3, from point clouds.
-    Dp3,
-}
-
-/// What to train.
-#[derive(Clone, Debug, Serialize, Deserialize)]
-pub struct TrainingOptions {
-    /// The network.
-    pub network: NetworkChoice,
-    /// The dataset's directory.
-    pub data: PathBuf,
-    /// The checkpoint's directory; a new or an empty one.
-    pub out: PathBuf,
-    /// Which cameras the network sees.
-    pub cameras: CameraChoice,
-    /// Sizes and recipe: `small`, `paper` or `lerobot`; of DP3, `paper` or `simple`; of ACT-PC, `small`,
-    /// `paper` or `pcm`.
-    pub preset: String,
-    /// Whether the recipe is the authors' own, which begins from an ImageNet backbone, instead of one that learns from scratch.
-    pub published: bool,
-    /// Normalisation layers of ACT's backbone; in options from before there was a choice, group normalisation.
-    #[serde(default = "group_norm")]
-    pub backbone: BackboneNorm,
-    /// What a backbone with frozen batch normalisation starts from: a safetensors file or a policy's folder.
-    pub backbone_weights: Option<PathBuf>,
-    /// Optimiser steps, if not the preset's.
-    pub steps: Option<u64>,
-    /// Samples a step, if not the preset's.
-    pub batch: Option<usize>,
-    /// Where to compute.
-    #[serde(with = "device_name")]
-    pub device: Device,
-    /// Compute in 16 bits; for accelerators.
-    pub bf16: bool,
-    /// Use only the first episodes.
-    pub episodes: Option<usize>,
-    /// Share of the episodes held out for validation.
-    pub validation_share: f64,
-    /// Change what is trained on at random: shift and brighten images, move and hide points, disturb states.
-    pub augment: bool,
-    /// What clouds are made of instead of the built-in config/clouds.toml.
-    pub clouds: Option<PathBuf>,
-    /// Keep images in the host's memory instead of the device's.
-    pub images_on_host: bool,
-    /// Tell an accelerator each operation of every step instead of repeating a recorded step.
-    #[serde(default)]
-    pub eager: bool,
-    /// Threads that decode images, and compute on the CPU.
-    pub threads: usize,
-    /// Everything random hangs on this.
-    pub seed: u64,
-    /// Steps between two times that the state is kept, from which the training can go on; 0 is never.
-    pub save_every: u64,
-    /// The command line, for the checkpoint's recipe.
-    pub command: String,
-}
-
-const fn group_norm() -> BackboneNorm {
-    BackboneNorm::GroupNorm
-}
-
-/// A device by its name.
-mod device_name {
-    use serde::{Deserialize, Deserializer, Serializer, de};
-    use tch::Device;
-
-    pub(super) fn serialize<S: Serializer>(device: &Device, to: S) -> Result<S::Ok, S::Error> {
-        to.serialize_str(if device.is_cuda() { "cuda" } else { "cpu" })
-    }
-
-    pub(super) fn deserialize<'de, D: Deserializer<'de>>(from: D) -> Result<Device, D::Error> {
-        match String::deserialize(from)?.as_str() {
-            "cpu" => Ok(Device::Cpu),
-            "cuda" => Ok(Device::Cuda(0)),
-            other => Err(de::Error::custom(format!("device {other:?}"))),
-        }
-    }
-}
 
 /// What training came to.
 #[derive(Clone, Copy, Debug, Serialize)]
@@ -129,11 +35,18 @@ pub struct TrainingResult {
     pub validation_l1: Option<f64>,
     /// Time it took, s.
     pub seconds: f64,
-    /// Samples that went through a second, from the first row of the loss curve to the last; unknown of one row.
+    /// Samples that went through a second, from the first row of the loss curve to the last, without evaluations; unknown of one
+    /// row.
     pub samples_per_second: Option<f64>,
+    /// Evaluations along the way.
+    pub evaluations: usize,
+    /// The best of them, whose weights are in the folder [`BEST`](super::training_eval::BEST) of the checkpoint's.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub best: Option<Evaluation>,
 }
 
-/// Trains, and writes the checkpoint and its loss curve (`loss.csv`).
+/// Trains, and writes the checkpoint, its loss curve (`loss.csv`), the same for TensorBoard, and if asked evaluations along the way
+/// (`evaluations.csv`) and the weights that did best in them (`best/`).
 ///
 /// SIGINT, SIGTERM and SIGHUP make it keep its state and stop after the step at hand.
 ///
@@ -142,17 +55,18 @@ pub struct TrainingResult {
 /// dataset, the training or the file system; [`TrainError::Stopped`].
 pub fn train(
     options: &TrainingOptions,
-    on_progress: &mut dyn FnMut(&str),
+    on_news: &mut OnNews<'_>,
 ) -> Result<TrainingResult, SessionError> {
     // Whatever is wrong with the options is said before anything is made.
     check(options)?;
     let trainer = training_backbone::trainer(options)?;
-    outputs::new_folder(&options.out)?;
+    outputs::new_folder("--out", &options.out)?;
     let start = Start {
         trainer,
         stopwatch: Stopwatch::start(0.0),
+        evaluations: Vec::new(),
     };
-    train_from(options, start, on_progress)
+    train_from(options, start, on_news)
 }
 
 /// Refuses options that can't be, of the command line and of a state that may be damaged alike.
@@ -191,42 +105,41 @@ pub(super) fn check(options: &TrainingOptions) -> Result<(), SessionError> {
 /// # Errors
 /// [`SessionError::BadArgument`] if there is no state; otherwise those of [`train`], and [`TrainError::State`] if the
 /// dataset is another one now.
-pub fn resume(
-    folder: &Path,
-    on_progress: &mut dyn FnMut(&str),
-) -> Result<TrainingResult, SessionError> {
-    let (state, options, seconds): (RunState, _, _) = read_state(folder)?;
+pub fn resume(folder: &Path, on_news: &mut OnNews<'_>) -> Result<TrainingResult, SessionError> {
+    let (state, about) = read_state(folder)?;
+    let options = about.options;
     check(&options).map_err(|error| {
         let file = folder.join(STATE_FILE);
         SessionError::BadArgument(format!("{}: its options: {error}", file.display()))
     })?;
     let start = Start {
         trainer: Trainer::new(options.device).resuming(state),
-        stopwatch: Stopwatch::start(seconds),
+        stopwatch: Stopwatch::start(about.seconds),
+        evaluations: about.evaluations,
     };
-    train_from(&options, start, on_progress)
+    train_from(&options, start, on_news)
 }
 
 /// Where a training starts from.
 pub(super) struct Start {
     pub(super) trainer: Trainer,
     pub(super) stopwatch: Stopwatch,
+    /// Those that were done before it was stopped.
+    pub(super) evaluations: Vec<Evaluation>,
 }
 
 fn train_from(
     options: &TrainingOptions,
     start: Start,
-    on_progress: &mut dyn FnMut(&str),
+    on_news: &mut OnNews<'_>,
 ) -> Result<TrainingResult, SessionError> {
     rt::catch_interrupts()
         .map_err(|error| SessionError::RealTime(format!("signals can't be caught: {error}")))?;
     let dataset = Dataset::open_first(&options.data, options.episodes)?;
     let result = match options.network {
-        NetworkChoice::Act => train_act(options, &dataset, &start, on_progress),
-        NetworkChoice::ActPc => {
-            training_clouds::train_act_pc(options, &dataset, &start, on_progress)
-        }
-        NetworkChoice::Dp3 => training_clouds::train_dp3(options, &dataset, &start, on_progress),
+        NetworkChoice::Act => train_act(options, &dataset, &start, on_news),
+        NetworkChoice::ActPc => training_clouds::train_act_pc(options, &dataset, &start, on_news),
+        NetworkChoice::Dp3 => training_clouds::train_dp3(options, &dataset, &start, on_news),
     }?;
     remove_state(&options.out)?;
     Ok(result)
@@ -235,8 +148,8 @@ fn train_from(
 fn train_act(
     options: &TrainingOptions,
     dataset: &Dataset,
-    Start { trainer, stopwatch }: &Start,
-    on_progress: &mut dyn FnMut(&str),
+    start: &Start,
+    on_news: &mut OnNews<'_>,
 ) -> Result<TrainingResult, SessionError> {
     let preset = parse_preset(&options.preset)?;
     let train_options = train_options(options, preset);
@@ -244,56 +157,60 @@ fn train_act(
         backbone_norm: options.backbone,
         ..ActConfig::preset(preset, &cameras(options, dataset)?).for_arms(dataset.arms())
     };
-    say_size(dataset, train_options.steps, on_progress);
-    let mut watcher = Watcher::new(options, stopwatch, on_progress);
-    let trained = trainer.run(&config, &train_options, dataset, &mut watcher)?;
-    let pace = watcher.pace;
-    let made = Made {
-        preset: preset.into(),
-        variants: Variants {
-            backbone_norm: config.backbone_norm,
-            loss_denominator: config.loss_denominator,
+    let saver = Saver {
+        options,
+        train_options,
+        dataset,
+        stopwatch: start.stopwatch,
+        made: Made {
+            preset: preset.into(),
+            variants: Variants {
+                backbone_norm: config.backbone_norm,
+                loss_denominator: config.loss_denominator,
+            },
+            query_every_steps: QUERY_EVERY_STEPS,
+            aggregation: AggregationName::WholeChunk,
         },
-        query_every_steps: QUERY_EVERY_STEPS,
-        aggregation: AggregationName::WholeChunk,
-        frames: trained.frames,
-        curve: &trained.curve,
+        cloud: None,
     };
-    let recipe = recipe(options, &train_options, dataset, &made, stopwatch.seconds());
-    let save = training_backbone::kept(options.backbone);
-    checkpoint::save(
-        &options.out,
-        &trained.act,
-        &trained.statistics,
-        &recipe,
-        save,
-    )?;
-    write_curve(&options.out, &trained.curve)?;
-    Ok(result(&train_options, &trained.curve, (pace, stopwatch)))
+    conduct(&saver, start, on_news, &mut |watcher| {
+        let trained = start
+            .trainer
+            .run(&config, &train_options, dataset, watcher)?;
+        Ok(AnyTrained::Act(trained.into()))
+    })
 }
 
-pub(super) fn say_size(dataset: &Dataset, steps: u64, on_progress: &mut dyn FnMut(&str)) {
-    on_progress(&format!(
+/// Runs a training, watched, and writes its checkpoint and its loss curve.
+pub(super) fn conduct(
+    saver: &Saver<'_>,
+    start: &Start,
+    on_news: &mut OnNews<'_>,
+    run: &mut dyn FnMut(&mut Watcher<'_>) -> Result<AnyTrained, TrainError>,
+) -> Result<TrainingResult, SessionError> {
+    let (dataset, steps) = (saver.dataset, saver.train_options.steps);
+    let evaluations = Evaluations::new(saver.options, dataset, start.evaluations.clone())?;
+    on_news(&TrainingNews::Note(&format!(
         "{} episodes, {} frames; {steps} steps",
         dataset.episodes().len(),
         dataset.len(),
-    ));
-}
-
-/// What a training came to, at its `pace`.
-pub(super) fn result(
-    train_options: &TrainOptions,
-    curve: &LossCurve,
-    (pace, stopwatch): (Pace, &Stopwatch),
-) -> TrainingResult {
-    let last = curve.last();
-    TrainingResult {
-        steps: train_options.steps,
+    )));
+    let mut watcher = Watcher::new(saver, evaluations, on_news);
+    let trained = run(&mut watcher)?;
+    let out = &saver.options.out;
+    saver.save(out, &trained)?;
+    write_curve(out, trained.curve())?;
+    let last = trained.curve().last();
+    let evaluations = watcher.evaluations.as_ref();
+    Ok(TrainingResult {
+        steps,
         loss: last.map_or(f64::NAN, |row| row.loss),
         validation_l1: last.and_then(|row| row.validation_l1),
-        seconds: stopwatch.seconds(),
-        samples_per_second: pace.samples_per_second(train_options.batch),
-    }
+        seconds: start.stopwatch.seconds(),
+        samples_per_second: watcher.pace.samples_per_second(),
+        evaluations: evaluations.map_or(0, |all| all.rows().len()),
+        best: evaluations.and_then(Evaluations::best),
+    })
 }
 
 /// The features of the cameras that the network sees.

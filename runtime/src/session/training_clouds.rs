@@ -2,17 +2,17 @@
 
 use policy::act::{ActPreset, BackboneNorm};
 use policy::act_pc::{ActPcConfig, ActPcPreset};
-use policy::checkpoint::{self, AggregationName, Precision, Variants};
+use policy::checkpoint::{AggregationName, Variants};
 use policy::dataset::Dataset;
 use policy::dp3::{Dp3Config, Dp3Preset};
 use policy::relative_action::RELATIVE_ACTION_DIM;
-use policy::train::{Augmentation, TrainError, TrainOptions, TrainPrecision};
+use policy::train::{AnyTrained, Augmentation, TrainError, TrainOptions, TrainPrecision};
 
 use super::SessionError;
 use super::cloud_file::cloud_recipe;
-use super::training::{Start, TrainingOptions, TrainingResult, cameras, result, say_size};
-use super::training_recipe::{Made, recipe};
-use super::training_watch::{Watcher, write_curve};
+use super::training::{OnNews, Start, TrainingOptions, TrainingResult, cameras, conduct};
+use super::training_recipe::Made;
+use super::training_save::Saver;
 
 /// Points in a cloud, of the published real tasks.
 const POINTS: usize = 1024;
@@ -34,8 +34,8 @@ const CLOUD_AUGMENTATION: Augmentation = Augmentation {
 pub(super) fn train_dp3(
     options: &TrainingOptions,
     dataset: &Dataset,
-    Start { trainer, stopwatch }: &Start,
-    on_progress: &mut dyn FnMut(&str),
+    start: &Start,
+    on_news: &mut OnNews<'_>,
 ) -> Result<TrainingResult, SessionError> {
     let preset = dp3_preset(&options.preset)?;
     // Both choices of cameras are checked as for images.
@@ -44,33 +44,27 @@ pub(super) fn train_dp3(
     let config = Dp3Config::preset(preset, numbers, numbers);
     let train_options = dp3_options(options, dataset.len())?;
     let cloud = cloud_recipe(options.clouds.as_deref(), POINTS)?;
-    say_size(dataset, train_options.steps, on_progress);
-    let mut watcher = Watcher::new(options, stopwatch, on_progress);
-    let trained = trainer.run_dp3(&config, &cloud, &train_options, dataset, &mut watcher)?;
-    let pace = watcher.pace;
-    let made = Made {
-        preset: preset.into(),
-        variants: Variants {
-            backbone_norm: BackboneNorm::default(),
-            ..Variants::default()
+    let saver = Saver {
+        options,
+        train_options,
+        dataset,
+        stopwatch: start.stopwatch,
+        made: Made {
+            preset: preset.into(),
+            variants: Variants {
+                backbone_norm: BackboneNorm::default(),
+                ..Variants::default()
+            },
+            query_every_steps: u32::try_from(config.n_action_steps).unwrap_or(1),
+            aggregation: AggregationName::Newest,
         },
-        query_every_steps: u32::try_from(config.n_action_steps).unwrap_or(1),
-        aggregation: AggregationName::Newest,
-        frames: trained.frames,
-        curve: &trained.curve,
+        cloud: Some(cloud.clone()),
     };
-    let recipe = recipe(options, &train_options, dataset, &made, stopwatch.seconds());
-    let (out, precision) = (&options.out, Precision::F16);
-    checkpoint::save_dp3(
-        out,
-        &trained.dp3,
-        &cloud,
-        &trained.statistics,
-        &recipe,
-        precision,
-    )?;
-    write_curve(out, &trained.curve)?;
-    Ok(result(&train_options, &trained.curve, (pace, stopwatch)))
+    conduct(&saver, start, on_news, &mut |watcher| {
+        let trainer = &start.trainer;
+        let trained = trainer.run_dp3(&config, &cloud, &train_options, dataset, watcher)?;
+        Ok(AnyTrained::Dp3(trained.into()))
+    })
 }
 
 /// Reads the name of a DP3 network.
@@ -177,8 +171,8 @@ pub(super) fn act_pc_options(
 pub(super) fn train_act_pc(
     options: &TrainingOptions,
     dataset: &Dataset,
-    Start { trainer, stopwatch }: &Start,
-    on_progress: &mut dyn FnMut(&str),
+    start: &Start,
+    on_news: &mut OnNews<'_>,
 ) -> Result<TrainingResult, SessionError> {
     let (preset, train_options) = act_pc_options(options)?;
     let config = ActPcConfig::preset(preset, &cameras(options, dataset)?);
@@ -189,31 +183,25 @@ pub(super) fn train_act_pc(
         points: i64::try_from(cloud.points).unwrap_or(i64::MAX),
         ..config
     };
-    say_size(dataset, train_options.steps, on_progress);
-    let mut watcher = Watcher::new(options, stopwatch, on_progress);
-    let trained = trainer.run_act_pc(&config, &cloud, &train_options, dataset, &mut watcher)?;
-    let pace = watcher.pace;
-    let made = Made {
-        preset: preset.into(),
-        variants: Variants {
-            backbone_norm: BackboneNorm::default(),
-            loss_denominator: config.act.loss_denominator,
+    let saver = Saver {
+        options,
+        train_options,
+        dataset,
+        stopwatch: start.stopwatch,
+        made: Made {
+            preset: preset.into(),
+            variants: Variants {
+                backbone_norm: BackboneNorm::default(),
+                loss_denominator: config.act.loss_denominator,
+            },
+            query_every_steps: u32::try_from(config.act.chunk_size / 2).unwrap_or(1),
+            aggregation: AggregationName::WholeChunk,
         },
-        query_every_steps: u32::try_from(config.act.chunk_size / 2).unwrap_or(1),
-        aggregation: AggregationName::WholeChunk,
-        frames: trained.frames,
-        curve: &trained.curve,
+        cloud: Some(cloud.clone()),
     };
-    let recipe = recipe(options, &train_options, dataset, &made, stopwatch.seconds());
-    let (out, precision) = (&options.out, Precision::F16);
-    checkpoint::save_act_pc(
-        out,
-        &trained.network,
-        &cloud,
-        &trained.statistics,
-        &recipe,
-        precision,
-    )?;
-    write_curve(out, &trained.curve)?;
-    Ok(result(&train_options, &trained.curve, (pace, stopwatch)))
+    conduct(&saver, start, on_news, &mut |watcher| {
+        let trainer = &start.trainer;
+        let trained = trainer.run_act_pc(&config, &cloud, &train_options, dataset, watcher)?;
+        Ok(AnyTrained::ActPc(trained.into()))
+    })
 }

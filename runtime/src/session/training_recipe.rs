@@ -4,30 +4,28 @@ use policy::checkpoint::{
     AggregationName, DatasetSummary, PolicyPreset, RECIPE_FORMAT, Recipe, RecommendedAggregation,
     RecordedCamera, Variants,
 };
-use policy::dataset::Dataset;
 use policy::relative_action::REPRESENTATION;
-use policy::train::{LossCurve, TrainOptions};
+use policy::train::AnyTrained;
 
 use super::source::STEP_NS;
-use super::training::TrainingOptions;
+use super::training_save::Saver;
 
-/// What is particular about the network that was trained.
-pub(super) struct Made<'a> {
+/// What is particular about the network that is trained.
+pub(super) struct Made {
     pub(super) preset: PolicyPreset,
     pub(super) variants: Variants,
     pub(super) query_every_steps: u32,
     pub(super) aggregation: AggregationName,
-    pub(super) frames: usize,
-    pub(super) curve: &'a LossCurve,
 }
 
-pub(super) fn recipe(
-    options: &TrainingOptions,
-    train_options: &TrainOptions,
-    dataset: &Dataset,
-    made: &Made<'_>,
-    seconds: f64,
-) -> Recipe {
+pub(super) fn recipe(saver: &Saver<'_>, trained: &AnyTrained) -> Recipe {
+    let Saver {
+        options,
+        train_options,
+        dataset,
+        made,
+        ..
+    } = saver;
     let spec = dataset.spec();
     let cameras = spec
         .cameras
@@ -61,9 +59,9 @@ pub(super) fn recipe(
         seed: options.seed,
         training: serde_json::json!({
             "options": train_options,
-            "frames": made.frames,
-            "seconds": seconds,
-            "final": made.curve.last().map(|row| serde_json::json!({"loss": row.loss, "l1": row.l1, "kl": row.kl})),
+            "frames": trained.frames(),
+            "seconds": saver.stopwatch.seconds(),
+            "final": trained.curve().last().map(|row| serde_json::json!({"loss": row.loss, "l1": row.l1, "kl": row.kl})),
         }),
     }
 }

@@ -25,6 +25,14 @@ fn threads() -> RangedU64ValueParser<usize> {
     RangedU64ValueParser::new().range(1..=1024)
 }
 
+/// A number from 0 to 1.
+fn share(text: &str) -> Result<f64, String> {
+    match text.parse() {
+        Ok(share) if (0.0..=1.0).contains(&share) => Ok(share),
+        _ => Err("expected a number in [0, 1]".to_owned()),
+    }
+}
+
 /// A delay in ms.
 fn delay() -> RangedU64ValueParser<u64> {
     RangedU64ValueParser::new().range(0..=10_000)
@@ -53,7 +61,7 @@ pub(crate) enum Verb {
     Run(RunArgs),
     /// Run many seeded trials in lockstep and report the success rate.
     #[command(
-        after_help = "Example: trocar eval --task needle-lift --policy expert --trials 50 --jobs 2\n         trocar eval --task needle-lift --policy runs/act --needle N3 --view view1 --json runs/eval.json"
+        after_help = "Example: trocar eval --task needle-lift --policy expert --trials 50 --jobs 2\n         trocar eval --task needle-lift --policy runs/act --needle N3 --view view1 --json runs/eval.json\n         trocar eval --task needle-lift --policy runs/act --min-rate 0.95 --keep failures runs/lost\n\nCtrl-C (SIGINT), SIGTERM and SIGHUP abandon the trials in progress; what was done is written (\"interrupted\": true), and the exit code is 1. A second one ends the program at once. Otherwise the exit code is 0 once all trials are done, whatever the rate, unless --min-rate or --min-wilson asks for more."
     )]
     Eval(EvalArgs),
     /// Record demonstrations as a LeRobot v3 dataset.
@@ -68,7 +76,7 @@ pub(crate) enum Verb {
     Import(ImportArgs),
     /// Train a policy on a dataset.
     #[command(
-        after_help = "Example: trocar train --policy act --data runs/demos --out runs/act --steps 10000 --device cuda"
+        after_help = "Example: trocar train --policy act --data runs/demos --out runs/act --steps 10000 --device cuda\n         trocar train --policy act --data runs/demos --out runs/act --eval-every 1000 --eval-trials 20 --eval-jobs 4\n         tensorboard --logdir runs\n\nLosses are in loss.csv, loss.svg and TensorBoard's event files, all in OUT. Ctrl-C keeps the state and ends with exit code 1; --resume OUT goes on."
     )]
     Train(TrainArgs),
     /// Run a study: a grid of recordings, trainings and evaluations, of which what is done is not done again.
@@ -95,8 +103,10 @@ pub(crate) enum Verb {
     /// Show what this machine offers: scheduling, memory locking, CAN, GPU, shared memory.
     #[command(after_help = "Example: trocar doctor")]
     Doctor(DoctorArgs),
-    /// Run the committed needle-lift policy and write its log and pictures.
-    #[command(after_help = "Example: trocar demo --out runs/demo")]
+    /// Run the committed policy of a task and write its log and pictures.
+    #[command(
+        after_help = "Example: trocar demo --task needle-lift --out runs/demo\n\nThe policy is the one in config/policies/TASK/, seen from the repository's root."
+    )]
     Demo(DemoArgs),
     /// Draw what every camera of every task sees in the middle of an expert's episode, in colour, depth and ids, as one PNG.
     #[command(after_help = "Example: trocar sheet --out runs/tasks.png --seed 7 --width 192")]
@@ -249,9 +259,19 @@ pub(crate) struct EvalArgs {
     /// Controller configuration instead of the built-in config/control.toml.
     #[arg(long, value_name = "FILE")]
     pub(crate) config: Option<PathBuf>,
-    /// Write the result as JSON; parent folders are made.
+    /// Write the result as JSON, also when the evaluation is interrupted; parent folders are made.
     #[arg(long, value_name = "FILE")]
     pub(crate) json: Option<PathBuf>,
+    /// Exit with 1 if the success rate is below this, 0 to 1.
+    #[arg(long, value_name = "RATE", value_parser = share)]
+    pub(crate) min_rate: Option<f64>,
+    /// Exit with 1 if the lower end of Wilson's 95 % interval of the success rate is below this, 0 to 1. With 50 of 50 it is 0.928.
+    #[arg(long, value_name = "RATE", value_parser = share)]
+    pub(crate) min_wilson: Option<f64>,
+    /// Keep log and animation of trials, those that were lost or all, as seed-SEED.mcap and seed-SEED.gif in a new or an empty
+    /// folder.
+    #[arg(long, num_args = 2, value_names = ["failures|all", "DIR"])]
+    pub(crate) keep: Vec<PathBuf>,
     /// Delay from observation to chunk, ms, up to 10000.
     #[arg(long, value_name = "MS", value_parser = delay())]
     pub(crate) latency_ms: Option<u64>,
@@ -382,7 +402,7 @@ pub(crate) struct TrainArgs {
         value_name = "DIR",
         conflicts_with_all = [
             "policy", "data", "out", "cameras", "preset", "recipe", "backbone", "backbone_weights", "steps", "batch",
-            "device", "episodes", "validation_share", "bf16", "images_on_host", "eager", "threads", "augment", "clouds", "save_every", "seed"
+            "device", "episodes", "validation_share", "bf16", "images_on_host", "eager", "threads", "augment", "clouds", "save_every", "seed", "eval_every"
         ]
     )]
     pub(crate) resume: Option<PathBuf>,
@@ -390,6 +410,25 @@ pub(crate) struct TrainArgs {
     /// training is interrupted.
     #[arg(long, value_name = "STEPS", default_value_t = 10_000)]
     pub(crate) save_every: u64,
+    /// Evaluate the weights every so many steps, and after the last one. Those that do best are kept in OUT/best, a checkpoint of
+    /// its own (of equals the later); OUT itself gets the last ones. OUT/evaluations.csv has all.
+    #[arg(long, value_name = "STEPS", value_parser = clap::value_parser!(u64).range(1..))]
+    pub(crate) eval_every: Option<u64>,
+    /// The task of these evaluations, a built-in one by name, or the path of a folder; the dataset's if not given.
+    #[arg(long, value_parser = TaskParser, requires = "eval_every")]
+    pub(crate) eval_task: Option<String>,
+    /// Trials of an evaluation.
+    #[arg(long, default_value_t = 20, value_parser = count(), requires = "eval_every")]
+    pub(crate) eval_trials: usize,
+    /// Seed of their first trial. Choose others than those of the trials that are reported in the end, such as eval's.
+    #[arg(long, default_value_t = 2_000_000, requires = "eval_every")]
+    pub(crate) eval_seed: u64,
+    /// Trials at a time.
+    #[arg(long, default_value_t = 1, value_parser = threads(), requires = "eval_every")]
+    pub(crate) eval_jobs: usize,
+    /// Their delay from observation to chunk, ms, up to 10000.
+    #[arg(long, value_name = "MS", value_parser = delay(), requires = "eval_every")]
+    pub(crate) eval_latency_ms: Option<u64>,
     /// Which of the dataset's cameras the network sees.
     #[arg(long, value_enum, default_value = "multi")]
     pub(crate) cameras: Cameras,
@@ -471,10 +510,13 @@ pub(crate) struct DoctorArgs {
 /// Options of `demo`.
 #[derive(Args, Debug)]
 pub(crate) struct DemoArgs {
+    /// The task: a built-in one by name, or the path of a folder with scene.toml and safety.toml.
+    #[arg(long, value_parser = TaskParser, default_value = "needle-lift")]
+    pub(crate) task: String,
     /// Where the log and the pictures go.
     #[arg(long, default_value = "runs/demo")]
     pub(crate) out: PathBuf,
-    /// The policy; by default the committed one.
+    /// The policy; by default the committed one of the task.
     #[arg(long)]
     pub(crate) policy: Option<String>,
     /// Everything random hangs on this.

@@ -1,19 +1,14 @@
 //! The verbs: arguments in, library calls, results out. `Ok(false)` means that the job failed.
 
-use std::path::Path;
-
-use policy::act::BackboneNorm;
 use policy::compute::{Arithmetic, Compute};
 use policy::dataset::VideoCodec;
 use runtime::doctor::{self, Probes};
 use runtime::log::RunLog;
 use runtime::session::demo::{self, DemoOptions};
-use runtime::session::eval::{self, EvalOptions};
 use runtime::session::realtime::{self, CanOptions, PolicyProcessOptions};
 use runtime::session::record::{self, RecordOptions};
 use runtime::session::run::{self, RunOptions, write_json};
 use runtime::session::summary::{CanBusSummary, RunSummary};
-use runtime::session::training::{self, CameraChoice, NetworkChoice, TrainingOptions};
 use runtime::session::{PolicyChoice, SessionError, Setup, outputs, tasks};
 use runtime::{replay as replaying, verify as verifying};
 use sim_backend::cameras::SceneCameras;
@@ -21,9 +16,8 @@ use sim_backend::task::TaskConfig;
 use tch::Device;
 
 use crate::args::{
-    Backbone, Backend, Cameras, ComputeArgs, ComputeDevice, DemoArgs, DoctorArgs, EvalArgs,
-    LogArgs, Network, PolicyProcessArgs, Precision, RecordArgs, RunArgs, TrainArgs, TrainingRecipe,
-    Video,
+    Backend, ComputeArgs, ComputeDevice, DemoArgs, DoctorArgs, LogArgs, PolicyProcessArgs,
+    Precision, RecordArgs, RunArgs, Video,
 };
 use crate::console;
 use crate::drives::can_source;
@@ -31,7 +25,7 @@ use crate::scene_args::of_task;
 
 pub(crate) type Done = Result<bool, SessionError>;
 
-fn device(choice: ComputeDevice) -> Result<Device, SessionError> {
+pub(crate) fn device(choice: ComputeDevice) -> Result<Device, SessionError> {
     match choice {
         ComputeDevice::Cpu => Ok(Device::Cpu),
         ComputeDevice::Cuda if tch::Cuda::is_available() => Ok(Device::Cuda(0)),
@@ -42,7 +36,7 @@ fn device(choice: ComputeDevice) -> Result<Device, SessionError> {
 }
 
 /// Leaves a core to the control, if there are two.
-fn compute(args: &ComputeArgs) -> Result<Compute, SessionError> {
+pub(crate) fn compute(args: &ComputeArgs) -> Result<Compute, SessionError> {
     let cores = std::thread::available_parallelism().map_or(1, usize::from);
     let most = cores.saturating_sub(1).max(1);
     if args.threads > most {
@@ -69,7 +63,7 @@ pub(crate) const fn codec(video: Video) -> VideoCodec {
 }
 
 /// Says so if the policy does another task than that of its demonstrations: that may be meant, so that it is no error.
-fn warn_of_transfer(setup: &Setup) {
+pub(crate) fn warn_of_transfer(setup: &Setup) {
     if let Some(reason) = setup.transfer_note() {
         console::warning(&reason);
     }
@@ -199,59 +193,6 @@ fn report_run(summary: &RunSummary) {
     console::result(&format!("  command hash: {}", summary.command_hash));
 }
 
-pub(crate) fn eval(args: &EvalArgs) -> Done {
-    let config = ("--config", args.config.as_deref());
-    let scene = ("--scene", args.scene.scene.as_deref());
-    let task = tasks::paths(&args.task);
-    let mut read = vec![config, scene];
-    read.extend(of_task(&task));
-    outputs::check(&[("--json", args.json.as_deref())], &read)?;
-    let policy = PolicyChoice::parse(&args.policy);
-    let setup = Setup::load(&args.task, args.config.as_deref(), &policy)?
-        .with_scene(&args.scene.options(None))?;
-    warn_of_transfer(&setup);
-    let options = EvalOptions {
-        policy,
-        trials: args.trials,
-        seed: args.seed,
-        jobs: args.jobs,
-        latency_ms: args.latency_ms,
-        latency_jitter_ms: args.latency_jitter_ms,
-        compute: compute(&args.compute)?,
-    };
-    let bar = console::progress(args.trials as u64, "trials");
-    let summary = eval::evaluate(&setup, &options, &mut |trial| {
-        if !trial.success {
-            bar.suspend(|| {
-                console::note(&format!(
-                    "seed {}: {} after {:.2} s",
-                    trial.seed, trial.reason, trial.seconds
-                ))
-            });
-        }
-        bar.inc(1);
-    })?;
-    bar.finish_and_clear();
-    console::result(&format!(
-        "{}, {}: {} of {} succeeded{}, rate {:.2} [{:.2}, {:.2}]",
-        summary.task,
-        summary.policy,
-        summary.successes,
-        summary.trials,
-        match summary.invalid {
-            0 => String::new(),
-            invalid => format!(", {invalid} invalid (the simulation was at fault)"),
-        },
-        summary.rate,
-        summary.wilson95[0],
-        summary.wilson95[1]
-    ));
-    if let Some(path) = &args.json {
-        write_json(path, &summary)?;
-    }
-    Ok(true)
-}
-
 pub(crate) fn record(args: &RecordArgs) -> Done {
     let config = ("--config", args.config.as_deref());
     let scene = ("--scene", args.scene.scene.as_deref());
@@ -294,84 +235,6 @@ pub(crate) fn record(args: &RecordArgs) -> Done {
         write_json(path, &summary)?;
     }
     Ok(true)
-}
-
-pub(crate) fn train(args: &TrainArgs) -> Done {
-    let data = ("--data", args.data.as_deref());
-    let out = ("--out", args.out.as_deref());
-    outputs::check(&[("--json", args.json.as_deref())], &[data, out])?;
-    let mut say = |line: &str| console::note(line);
-    let (result, out) = match (&args.resume, &args.policy, &args.data, &args.out) {
-        (Some(folder), ..) => (training::resume(folder, &mut say)?, folder),
-        (None, Some(policy), Some(data), Some(out)) => {
-            let options = training_options(args, *policy, data, out)?;
-            (training::train(&options, &mut say)?, out)
-        }
-        // The parser asks for these before.
-        _ => return Err(missing_options()),
-    };
-    console::result(&format!(
-        "trained {} steps, final loss {:.5}, {}",
-        result.steps,
-        result.loss,
-        out.display()
-    ));
-    if let Some(path) = &args.json {
-        write_json(path, &result)?;
-    }
-    Ok(true)
-}
-
-fn missing_options() -> SessionError {
-    SessionError::BadArgument("--policy, --data and --out are needed, or --resume".to_owned())
-}
-
-fn training_options(
-    args: &TrainArgs,
-    network: Network,
-    data: &Path,
-    out: &Path,
-) -> Result<TrainingOptions, SessionError> {
-    Ok(TrainingOptions {
-        network: match network {
-            Network::Act => NetworkChoice::Act,
-            Network::ActPc => NetworkChoice::ActPc,
-            Network::Dp3 => NetworkChoice::Dp3,
-        },
-        data: data.to_owned(),
-        out: out.to_owned(),
-        cameras: match args.cameras {
-            Cameras::Single => CameraChoice::Single,
-            Cameras::Multi => CameraChoice::Multi,
-        },
-        preset: args.preset.clone().unwrap_or_else(|| {
-            match network {
-                Network::Act | Network::ActPc => "small",
-                Network::Dp3 => "paper",
-            }
-            .to_owned()
-        }),
-        published: args.recipe == Some(TrainingRecipe::Published),
-        backbone: match args.backbone {
-            Backbone::GroupNorm => BackboneNorm::GroupNorm,
-            Backbone::FrozenBatchNorm => BackboneNorm::FrozenBatchNorm,
-        },
-        backbone_weights: args.backbone_weights.clone(),
-        steps: args.steps,
-        batch: args.batch,
-        device: device(args.device)?,
-        episodes: args.episodes,
-        bf16: args.bf16,
-        validation_share: args.validation_share,
-        threads: args.threads,
-        augment: args.augment,
-        clouds: args.clouds.clone(),
-        images_on_host: args.images_on_host,
-        eager: args.eager,
-        seed: args.seed,
-        save_every: args.save_every,
-        command: std::env::args().skip(1).collect::<Vec<_>>().join(" "),
-    })
 }
 
 pub(crate) fn replay(args: &LogArgs) -> Done {
@@ -461,6 +324,7 @@ pub(crate) fn doctor(args: &DoctorArgs) -> Done {
 
 pub(crate) fn demo(args: &DemoArgs) -> Done {
     let options = DemoOptions {
+        task: args.task.clone(),
         out: args.out.clone(),
         policy: args.policy.clone(),
         seed: args.seed,

@@ -6,8 +6,9 @@
 )]
 
 use std::error::Error;
+use std::time::Duration;
 
-use indicatif::{ProgressBar, ProgressStyle};
+use indicatif::{HumanDuration, ProgressBar, ProgressStyle};
 
 /// A line of result.
 pub(crate) fn result(line: &str) {
@@ -33,6 +34,23 @@ pub(crate) fn error(error: &dyn Error) {
         source = cause.source();
     }
     eprintln!();
+}
+
+/// A duration in two units.
+pub(crate) fn duration(seconds: f64) -> String {
+    let duration = Duration::try_from_secs_f64(seconds).unwrap_or(Duration::MAX);
+    HumanDuration(Duration::from_secs(duration.as_secs())).to_string()
+}
+
+/// A progress bar that tells the time that is left itself, as `{msg}` of its steps tells other things; hidden when standard error
+/// is no terminal.
+pub(crate) fn bar(what: &'static str) -> ProgressBar {
+    let bar = ProgressBar::new(0);
+    if let Ok(style) = ProgressStyle::with_template("{bar:30} {pos}/{len} {msg}") {
+        bar.set_style(style);
+    }
+    bar.set_message(what);
+    bar
 }
 
 /// A progress bar over `total` steps of `what`; hidden when standard error is no terminal.

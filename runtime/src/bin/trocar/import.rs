@@ -101,7 +101,7 @@ pub(crate) fn import(args: &ImportArgs) -> Done {
         }
     }
     outputs::check(&[("--json", args.json.as_deref())], &[source, out, dh])?;
-    outputs::new_folder(&args.out)?;
+    outputs::new_folder("--out", &args.out)?;
     let options = ImportOptions {
         layout: match args.layout {
             Source::Act => Layout::Act,

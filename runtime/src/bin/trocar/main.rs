@@ -6,10 +6,12 @@ mod args;
 mod commands;
 mod console;
 mod drives;
+mod eval;
 mod import;
 mod scene_args;
 mod sheet;
 mod study;
+mod train;
 
 use std::process::ExitCode;
 
@@ -56,10 +58,10 @@ fn main() -> ExitCode {
     }
     let result = match &cli.verb {
         Verb::Run(args) => commands::run(args),
-        Verb::Eval(args) => commands::eval(args),
+        Verb::Eval(args) => eval::eval(args),
         Verb::Record(args) => commands::record(args),
         Verb::Import(args) => import::import(args),
-        Verb::Train(args) => commands::train(args),
+        Verb::Train(args) => train::train(args),
         Verb::Study(args) => study::study(args),
         Verb::Report(args) => study::report(args),
         Verb::Replay(args) => commands::replay(args),

@@ -1,8 +1,8 @@
 //! Policies that see point clouds: recorded, trained, run in lockstep.
 
 use super::*;
-use crate::session::SessionError;
 use crate::session::training::TrainingResult;
+use crate::session::{SessionError, tensorboard};
 
 /// Sides of the camera's images, pixels.
 const SIDE: u32 = 128;
@@ -52,6 +52,7 @@ fn train_simple(data: &Path, out: &Path) -> Result<TrainingResult, SessionError>
         threads: 2,
         seed: 1,
         save_every: 0,
+        eval: None,
         command: "train".to_owned(),
     };
     train(&options, &mut |_| {})
@@ -68,7 +69,16 @@ fn a_demonstration_with_depth_trains_a_diffusion_policy_that_repeats_itself() {
         [2, 4, 5].iter().all(|id| seen.instance.contains(id)),
         "needle, wrist and jaw"
     );
-    assert!(train_simple(&data, &out).unwrap().loss.is_finite());
+    let loss = train_simple(&data, &out).unwrap().loss;
+    assert!(loss.is_finite());
+    let scalars = tensorboard::tests::scalars(&out);
+    let [(step, value)] = scalars["train/loss"][..] else {
+        panic!("{scalars:?}");
+    };
+    assert_eq!(step, 2);
+    assert!((f64::from(value) - loss).abs() < 1e-6 * loss, "{value}");
+    let rate = scalars["train/samples_per_second"][0].1;
+    assert!(rate > 0.0, "{rate}");
 
     let policy = PolicyChoice::Checkpoint(out);
     let mut hashes = Vec::new();

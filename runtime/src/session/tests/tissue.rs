@@ -21,8 +21,9 @@ fn evaluated(
         latency_ms: None,
         latency_jitter_ms: 0,
         compute: Device::Cpu.into(),
+        keep: None,
     };
-    let summary = evaluate(&setup, &options, &mut |_| {}).unwrap();
+    let summary = evaluate(&setup, &options, &|| false, &mut |_| {}).unwrap();
     serde_json::to_value(&summary).unwrap()
 }
 

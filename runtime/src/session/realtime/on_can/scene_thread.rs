@@ -99,7 +99,10 @@ impl SceneThread {
             if let Some(report) = self.scene.newest()? {
                 heard = self.clock.now();
                 end.tissue = tissue(&report);
-                let decided = matches!(end.verdict, Verdict::Success | Verdict::Failure | Verdict::Invalid);
+                let decided = matches!(
+                    end.verdict,
+                    Verdict::Success | Verdict::Failure | Verdict::Invalid
+                );
                 if !decided {
                     end.verdict = report.verdict();
                     end.reason = report.reason.text();
