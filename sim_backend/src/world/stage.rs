@@ -177,7 +177,6 @@ impl Stage {
     }
 
     /// Throws a thing: linear velocity of its centre of mass, m/s, and angular velocity, rad/s.
-    #[cfg(test)]
     pub(super) fn throw(&mut self, thing: usize, velocity: &[Vector3<f64>; 2]) {
         if let Some(body) = self.engine.bodies.get_mut(self.things[thing]) {
             body.set_linvel(engine_vector(&velocity[0]), true);
