@@ -16,6 +16,7 @@ pub mod parallel;
 pub mod pictures;
 pub mod realtime;
 pub mod record;
+pub mod record_notes;
 pub mod run;
 pub mod scene_options;
 pub mod setup;

@@ -208,7 +208,7 @@ pub(crate) fn eval(args: &EvalArgs) -> Done {
     outputs::check(&[("--json", args.json.as_deref())], &read)?;
     let policy = PolicyChoice::parse(&args.policy);
     let setup = Setup::load(&args.task, args.config.as_deref(), &policy)?
-        .with_scene(&args.scene.options(None))?;
+        .with_scene(&args.vary.add_to(args.scene.options(None)))?;
     warn_of_transfer(&setup);
     let options = EvalOptions {
         policy,
@@ -257,8 +257,9 @@ pub(crate) fn record(args: &RecordArgs) -> Done {
     read.extend(of_task(&task));
     outputs::check(&[("--json", args.json.as_deref())], &read)?;
     let setup = Setup::load(&args.task, args.config.as_deref(), &PolicyChoice::Expert)?
-        .with_scene(&args.scene.options(Some(&args.cameras)))?;
+        .with_scene(&args.vary.add_to(args.scene.options(Some(&args.cameras))))?;
     let options = RecordOptions {
+        disturb: args.disturb,
         episodes: args.episodes,
         out: args.out.clone(),
         seed: args.seed,
@@ -286,6 +287,12 @@ pub(crate) fn record(args: &RecordArgs) -> Done {
         summary.steps,
         args.out.display()
     ));
+    if let Some(disturbed) = &summary.disturbed {
+        console::result(&format!(
+            "disturbed: {} of {} kept, {} with another attempt at a grasp",
+            disturbed.kept, disturbed.attempts, disturbed.retried
+        ));
+    }
     if let Some(path) = &args.json {
         write_json(path, &summary)?;
     }
