@@ -8,9 +8,10 @@ use nalgebra::{Point3, Vector3};
 
 use crate::render::{Camera, Light, Planes, RenderError, Renderer, look_at};
 use crate::simulation::SimulationError;
-use crate::task::{ARMS_MAX, CameraConfig, THINGS_MAX, TaskConfig, TaskScene};
+use crate::task::{ARMS_MAX, CameraConfig, Look, THINGS_MAX, TaskConfig, TaskScene};
 use crate::task::{scene_poses, scene_visuals};
 use crate::tissue::FlapSnapshot;
+use crate::visual::{Mesh, instance};
 use crate::world::ArmBodies;
 use flap::DrawnFlap;
 
@@ -39,6 +40,12 @@ pub struct SceneCameras {
     flap: Option<DrawnFlap>,
     /// The endoscope: all cameras see in its light.
     endoscope: usize,
+    /// How that differs from the scene file in this episode, if it does.
+    look: Option<Look>,
+    /// Names of the visuals.
+    visuals: Vec<&'static str>,
+    /// Visuals of this episode whose shape the renderer does not have yet.
+    reshaped: Vec<(usize, Mesh)>,
 }
 
 /// A camera and what carries it.
@@ -66,10 +73,14 @@ impl SceneCameras {
             views,
             flap: DrawnFlap::new(&*task.scene, &visuals),
             endoscope: task.light_camera(),
+            look: None,
+            visuals: visuals.iter().map(|visual| visual.name).collect(),
+            reshaped: Vec::new(),
         })
     }
 
-    /// Puts the cameras where `task` has them in the episode `seed`: its view may move them anew in each.
+    /// Puts the cameras where `task` has them in the episode `seed`, and shows its needle in its light: its view and what it
+    /// varies may be others in each.
     pub fn begin_episode(&mut self, task: &TaskConfig, seed: u64) {
         let placed = |camera: &CameraConfig| {
             let mut view = View::new(camera);
@@ -78,6 +89,19 @@ impl SceneCameras {
         };
         self.views = task.cameras.iter().map(placed).collect();
         self.endoscope = task.light_camera();
+        let drawn = task.drawn(seed);
+        if drawn.needle.is_some() {
+            self.scene = task.scene_of(seed);
+            let visuals = self.scene.visuals().into_iter().enumerate();
+            let needles = visuals.filter(|(_, visual)| visual.instance == instance::NEEDLE);
+            self.reshaped = needles
+                .map(|(index, visual)| (index, visual.mesh))
+                .collect();
+        }
+        self.look = drawn.light;
+        let looks = self.look.iter();
+        let tints = looks.flat_map(|look| look.tints_of(&self.visuals));
+        self.renderer.tint(tints);
     }
 
     /// How many cameras there are.
@@ -191,8 +215,11 @@ impl SceneCameras {
         Ok(())
     }
 
-    /// Gives the flap the shape that it has in `snapshot`.
+    /// Gives the needle the shape of this episode, and the flap the one that it has in `snapshot`.
     fn bend(&mut self, snapshot: &SceneSnapshot) -> Result<(), RenderError> {
+        for (index, mesh) in self.reshaped.drain(..) {
+            self.renderer.reshape(index, &mesh)?;
+        }
         match (&mut self.flap, &snapshot.flap) {
             (Some(drawn), Some(flap)) => drawn.bend(flap, &mut self.renderer),
             _ => Ok(()),
@@ -212,7 +239,8 @@ impl SceneCameras {
 
     /// The light of the endoscope, in which all cameras see.
     fn light(&self, snapshot: &SceneSnapshot) -> Result<Light, SimulationError> {
-        Ok(Light::beside(&self.placed(self.endoscope, snapshot)?))
+        let light = Light::beside(&self.placed(self.endoscope, snapshot)?);
+        Ok(self.look.as_ref().map_or(light, |look| look.lit(&light)))
     }
 
     fn view(&self, camera: usize) -> Result<&View, SimulationError> {

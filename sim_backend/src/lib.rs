@@ -2,6 +2,7 @@
 
 pub mod block;
 pub mod cameras;
+pub mod disturbance;
 pub mod expert;
 pub mod needle;
 pub mod organ;

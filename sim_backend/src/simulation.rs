@@ -4,6 +4,8 @@
 //! simulation is its first arm too. Same task, seed and commands give the same bits. If the driver falls silent an arm
 //! finishes alone the stop that came with the last command.
 
+mod nudge;
+
 use hal::tail::TailPlayer;
 use hal::{Arm, ArmCommand, ArmError, ArmState, CameraFrame, Pose, SafeTail, TICK_NS, TimeNs};
 
@@ -13,6 +15,7 @@ use crate::render::RenderError;
 use crate::task::{ARMS_MAX, Judge, Outcome, Sight, THINGS_MAX, TaskConfig};
 use crate::tissue::{FlapSnapshot, TissueExtremes};
 use crate::world::{Grasp, World};
+pub use nudge::Nudge;
 
 /// Whether an episode can be looked at.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -86,6 +89,7 @@ pub struct Simulation {
     tails: Vec<TailPlayer>,
     extremes: TissueExtremes,
     cameras: Option<SceneCameras>,
+    nudge: Option<Nudge>,
     frames: u64,
     stamp: TimeNs,
 }
@@ -130,7 +134,7 @@ impl Simulation {
         if let Some(cameras) = &mut cameras {
             cameras.begin_episode(task, seed);
         }
-        let scene = &task.scene;
+        let scene = task.scene_of(seed);
         let mut world = World::new(&task.world, &scene.scenery(seed), &task.arms);
         for _ in 0..SETTLE_STEPS {
             world.step();
@@ -143,6 +147,7 @@ impl Simulation {
             tails: vec![TailPlayer::new(TICK_NS); task.arms.len()],
             extremes: TissueExtremes::default(),
             cameras,
+            nudge: None,
             frames: 0,
             stamp: TimeNs(0),
         }
@@ -170,6 +175,7 @@ impl Simulation {
                 self.world.command(arm, &setpoint);
             }
         }
+        self.continue_nudge();
         self.world.step();
         if let Some(tissue) = self.world.tissue() {
             self.extremes.observe(tissue.report());

@@ -307,3 +307,32 @@ fn checkpoint_for_a_camera_that_the_task_lacks_is_refused() {
         "{message}"
     );
 }
+
+#[test]
+fn disturbances_and_variations_that_cannot_be_are_refused() {
+    let folder = scratch("refused-variations");
+    let out = folder.join("demos").display().to_string();
+    let record = |task: &str, options: &[&str]| {
+        let fixed = ["record", "--task", task, "--episodes", "1", "--out", &out];
+        refused(&[&fixed[..], options].concat())
+    };
+    for share in ["0", "1.5", "NaN", "half"] {
+        let message = record("needle-lift", &["--disturb", share]);
+        assert!(message.contains("above 0, up to 1"), "{message}");
+    }
+    let message = record("needle-lift", &["--vary", "colours"]);
+    assert!(message.contains("needles, views, light"), "{message}");
+    let message = record("suture-pad", &["--vary", "light,needles"]);
+    assert!(
+        message.contains(
+            "--vary needles: suture-pad has no choice of needles; it can vary views, light"
+        ),
+        "{message}"
+    );
+    let message = record("needle-lift", &["--vary", "views", "--view", "view1"]);
+    assert!(
+        message.contains("--view chooses one for all episodes"),
+        "{message}"
+    );
+    assert!(!Path::new(&out).exists());
+}

@@ -106,7 +106,7 @@ struct TaskLine {
 }
 
 /// A JSON value a line, empty lines left out.
-fn read_lines<T: DeserializeOwned>(path: &Path) -> Result<Vec<T>, DatasetError> {
+pub(super) fn read_lines<T: DeserializeOwned>(path: &Path) -> Result<Vec<T>, DatasetError> {
     let mut reader = BufReader::new(File::open(path).map_err(io_error(path))?);
     let mut values = Vec::new();
     let mut line = Vec::new();

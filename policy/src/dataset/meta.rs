@@ -63,6 +63,7 @@ pub(super) fn info(
     video: Option<VideoCodec>,
     episodes: usize,
     frames: usize,
+    recording: Option<serde_json::Value>,
 ) -> Info {
     Info {
         codebase_version: VERSION.to_owned(),
@@ -80,6 +81,7 @@ pub(super) fn info(
             "videos/{video_key}/chunk-{chunk_index:03d}/file-{file_index:03d}.mp4".to_owned()
         }),
         features: schema::features(spec, video),
+        trocar: recording,
     }
 }
 

@@ -7,6 +7,7 @@
 //! meta/episodes/chunk-000/file-000.parquet    where each episode's rows are
 //! data/chunk-000/file-000.parquet             one row a frame, images as PNG bytes
 //! videos/FEATURE/chunk-000/file-000.mp4       instead of the PNG, where the camera is kept as video
+//! meta/trocar_episodes.jsonl                  how each episode came about, if the recorder says so; see [`Notes`]
 //! ```
 //!
 //! Datasets of v2.0 and v2.1 are read too. Video goes through the system's ffmpeg and loses some of the picture; depth and
@@ -32,6 +33,7 @@ mod error;
 mod guard;
 mod layout;
 mod meta;
+mod notes;
 mod pages;
 mod png;
 mod reader;
@@ -52,6 +54,7 @@ mod writer;
 pub use depth::{DepthFrame, RecordedDepth};
 pub use error::DatasetError;
 pub use guard::file_being_read;
+pub use notes::Notes;
 pub use png::SIDE_MAX;
 pub use png::{decode_rgb, encode_rgb};
 pub use reader::Dataset;

@@ -56,6 +56,9 @@ pub(super) struct Info {
         deserialize_with = "deserialize_in_order"
     )]
     pub(super) features: Vec<(String, Feature)>,
+    // Ours alone.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(super) trocar: Option<Value>,
 }
 
 /// One entry of `features`.

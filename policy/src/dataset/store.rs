@@ -36,6 +36,25 @@ pub(super) fn write_json<T: serde::Serialize>(path: &Path, value: &T) -> Result<
     })
 }
 
+/// Writes `values` as JSON, a line each.
+pub(super) fn write_lines<T: serde::Serialize>(
+    path: &Path,
+    values: &[T],
+) -> Result<(), DatasetError> {
+    let mut text = Vec::new();
+    for value in values {
+        serde_json::to_writer(&mut text, value).map_err(|source| DatasetError::Json {
+            path: path.to_owned(),
+            source,
+        })?;
+        text.push(b'\n');
+    }
+    replace(path, |mut file| {
+        file.write_all(&text).map_err(io_error(path))?;
+        Ok(file)
+    })
+}
+
 /// Writes the batches as one row group.
 pub(super) fn write_parquet(
     path: &Path,

@@ -18,6 +18,7 @@ use super::{
     encoder::Encoder,
     episode::{Pending, columns, index_value, timestamp_s},
     meta::{self, CHUNK_SIZE, EpisodeRow},
+    notes::Notes,
     pages::data_properties,
     png::encode_rgb,
     schema::{self, ACTION, CAMERA_POSE_PREFIX, STATE, TIMESTAMP, TIP_POSE, image_feature},
@@ -55,6 +56,7 @@ pub struct DatasetWriter {
     column_stats: Vec<(String, ColumnStats)>,
     image_stats: Vec<ImageStats>,
     pending: Pending,
+    notes: Notes,
     /// The videos of the episode in progress, by camera.
     encoders: Vec<Encoder>,
 }
@@ -104,11 +106,21 @@ impl DatasetWriter {
                 .collect(),
             image_stats: vec![ImageStats::new(); spec.cameras.len()],
             pending: Pending::new(spec),
+            notes: Notes::default(),
             encoders: Vec::new(),
         };
         meta::write_task(dir, &spec.task)?;
         writer.commit()?;
         Ok(writer)
+    }
+
+    /// Says in `info.json` how the whole recording came about.
+    ///
+    /// # Errors
+    /// What the file system says.
+    pub fn describe(&mut self, recording: Value) -> Result<(), DatasetError> {
+        self.notes.recording = Some(recording);
+        self.commit()
     }
 
     /// Adds a frame to the episode in progress; encodes its images.
@@ -178,6 +190,20 @@ impl DatasetWriter {
         self.frame_count += len;
         self.add_stats(&row, &pending);
         self.commit()
+    }
+
+    /// [`Self::end_episode`], saying how the episode came about: `note`, an object.
+    ///
+    /// # Errors
+    /// Those of [`Self::end_episode`].
+    pub fn end_episode_with(&mut self, note: Value) -> Result<(), DatasetError> {
+        let index = self.episodes.len();
+        self.notes.add(index, note);
+        let ended = self.end_episode();
+        if self.episodes.len() == index {
+            self.notes.episodes.pop();
+        }
+        ended
     }
 
     /// Forgets the episode in progress.
@@ -319,7 +345,9 @@ impl DatasetWriter {
         let (task, fps) = (&self.spec.task, self.spec.fps);
         meta::write_episodes(&self.dir, task, fps, &videos, &self.episodes)?;
         let (episodes, frames) = (self.episodes.len(), self.frame_count);
-        let info = meta::info(&self.spec, self.video, episodes, frames);
+        self.notes.write_episodes(&self.dir)?;
+        let recording = self.notes.recording.clone();
+        let info = meta::info(&self.spec, self.video, episodes, frames, recording);
         meta::write_info(&self.dir, &info)
     }
 }

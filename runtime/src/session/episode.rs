@@ -2,6 +2,7 @@
 
 use hal::{Arm, ArmError, ArmState, CameraFrame, Chunk, FrameRef, SeenArm, TimeNs};
 use sim_backend::cameras::SceneSnapshot;
+use sim_backend::disturbance::Disturber;
 use sim_backend::simulation::Simulation;
 use sim_backend::task::Outcome;
 
@@ -104,10 +105,20 @@ impl Episode<'_> {
     /// From the simulation, the policy or the watcher; [`SessionError::Interrupted`] if the watcher wants to stop;
     /// [`SessionError::BadArgument`] if the simulation has other arms than the
     /// controller.
-    pub fn run(
+    pub fn run(self, plan: &Plan, watcher: &mut dyn Watcher) -> Result<EpisodeEnd, SessionError> {
+        self.run_disturbed(plan, watcher, None)
+    }
+
+    /// The same, in which `disturber`, if there is one, decides what is executed of what the expert answers. The watcher sees
+    /// the answers themselves at policy steps, and as chunks what the controller consumed.
+    ///
+    /// # Errors
+    /// Those of [`Self::run`].
+    pub fn run_disturbed(
         mut self,
         plan: &Plan,
         watcher: &mut dyn Watcher,
+        mut disturber: Option<&mut Disturber>,
     ) -> Result<EpisodeEnd, SessionError> {
         let clock = MonotonicClock::new();
         let mut cameras = Cameras::choose(self.source, watcher, self.simulation)?;
@@ -123,7 +134,11 @@ impl Episode<'_> {
                 let step = tick / STEP_TICKS;
                 let answer = self.policy_step(step, &arms, &mut cameras, watcher, clock)?;
                 if let Some((chunks, inference_ns)) = answer {
-                    let latency_ticks = deliveries.send(tick, chunks);
+                    let executed = match &mut disturber {
+                        Some(disturber) => self.disturbed(now, &chunks, disturber)?,
+                        None => chunks,
+                    };
+                    let latency_ticks = deliveries.send(tick, executed);
                     tally.query(inference_ns, latency_ticks * hal::TICK_NS);
                 }
             }
@@ -148,6 +163,19 @@ impl Episode<'_> {
             tally,
             tissue: self.simulation.tissue_extremes().map(TissueSummary::from),
         }
+    }
+
+    /// What is executed of what the expert wants.
+    fn disturbed(
+        &mut self,
+        now: TimeNs,
+        wanted: &PerArm<Chunk>,
+        disturber: &mut Disturber,
+    ) -> Result<PerArm<Chunk>, SessionError> {
+        let wanted: Vec<Chunk> = wanted.iter().copied().collect();
+        let activities = self.source.activities();
+        let executed = disturber.step(now, activities, &wanted, self.simulation);
+        PerArm::collect(executed).ok_or_else(|| other_arms(self.controller))
     }
 
     /// What each arm measured.

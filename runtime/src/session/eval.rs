@@ -77,6 +77,8 @@ pub fn evaluate(
     );
     Ok(EvalSummary {
         scene: setup.scene_file.clone(),
+        needle: setup.needle().map(str::to_owned),
+        varied: setup.task.varied.clone(),
         trained_on: setup.trained_on.clone(),
         trials_asked: options.trials,
         interrupted,

@@ -18,6 +18,7 @@ pub mod pictures;
 pub mod policies;
 pub mod realtime;
 pub mod record;
+pub mod record_notes;
 pub mod run;
 pub mod scene_options;
 pub mod score;

@@ -10,12 +10,16 @@ use policy::dataset::{
 use policy::perception::depth_units;
 use serde::Serialize;
 use sim_backend::cameras::SceneCameras;
+use sim_backend::disturbance::Disturber;
 use sim_backend::simulation::{Rendering, Simulation};
-use sim_backend::task::Outcome;
+use sim_backend::task::{Outcome, Variation};
 use tch::Device;
 
 use super::episode::{Episode, Plan, StepView, Watcher};
 use super::latency::Latency;
+use super::record_notes::{
+    DISTURBED_TIME_FACTOR, DisturbedCounts, EpisodeNote, recording_note, value,
+};
 use super::source::{PolicyChoice, STEP_NS};
 use super::{SessionError, Setup, outputs, parallel};
 
@@ -34,6 +38,8 @@ pub struct RecordOptions {
     pub depth: bool,
     /// Keep colour as video, which loses some of it, instead of as PNG.
     pub video: Option<VideoCodec>,
+    /// The share of demonstrations that is disturbed, if any is.
+    pub disturb: Option<f64>,
 }
 
 /// What became of one attempt.
@@ -47,6 +53,10 @@ pub struct Attempt {
     pub reason: String,
     /// Policy steps.
     pub steps: usize,
+    /// How often it was disturbed.
+    pub disturbances: usize,
+    /// Grasps that the expert tried.
+    pub grasps: u32,
 }
 
 /// What was recorded.
@@ -56,9 +66,15 @@ pub struct RecordSummary {
     pub task: String,
     /// From where the cameras looked: `train`, `view1` or `view2`.
     pub view: String,
-    /// The needle, in a task that has a choice.
+    /// The needle, in a task that has a choice, unless each episode has its own.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub needle: Option<String>,
+    /// What was drawn anew for each episode.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub varied: Vec<Variation>,
+    /// What became of the disturbed demonstrations, if some were to be.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub disturbed: Option<DisturbedCounts>,
     /// The scene file, if it was not the built-in one.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub scene: Option<String>,
@@ -70,6 +86,24 @@ pub struct RecordSummary {
     pub steps: usize,
     /// Every attempt, in the order of its seed's index.
     pub attempts: Vec<Attempt>,
+}
+
+impl RecordSummary {
+    /// Of a recording that has nothing yet.
+    fn new(setup: &Setup, options: &RecordOptions) -> Self {
+        Self {
+            task: setup.task_name.clone(),
+            view: setup.task.view.name().to_owned(),
+            needle: setup.needle().map(str::to_owned),
+            varied: setup.task.varied.clone(),
+            disturbed: options.disturb.map(|_| DisturbedCounts::default()),
+            scene: setup.scene_file.clone(),
+            cameras: setup.cameras_with(Vec::new()),
+            episodes: 0,
+            steps: 0,
+            attempts: Vec::new(),
+        }
+    }
 }
 
 /// Records until enough attempts have succeeded; failed ones are reported and not kept.
@@ -85,16 +119,12 @@ pub fn record(
     outputs::new_folder("--out", &options.out)?;
     let spec = dataset_spec(setup, options.depth);
     let mut writer = DatasetWriter::create_with(&options.out, &spec, options.video)?;
-    let mut summary = RecordSummary {
-        task: setup.task_name.clone(),
-        view: setup.task.view.name().to_owned(),
-        needle: setup.task.needle().map(str::to_owned),
-        scene: setup.scene_file.clone(),
-        cameras: setup.cameras_with(Vec::new()),
-        episodes: 0,
-        steps: 0,
-        attempts: Vec::new(),
-    };
+    let described = recording_note(setup, options)?;
+    let noted = described.is_some();
+    if let Some(description) = described {
+        writer.describe(description)?;
+    }
+    let mut summary = RecordSummary::new(setup, options);
     let mut attempts: u64 = 0;
     let attempts_max = (options.episodes as u64)
         .saturating_mul(4)
@@ -113,20 +143,22 @@ pub fn record(
             options.jobs,
             // What is cut off loses no more than these.
             options.jobs,
-            || Ok(demonstrator(setup, first, options.depth)),
-            &mut |index, demo: Demonstration| {
-                let success = matches!(demo.outcome, Outcome::Success);
-                if success {
-                    store(&mut writer, &demo)?;
+            || Ok(demonstrator(setup, first, options)),
+            &mut |_, demo: Demonstration| {
+                let attempt = demo.attempt();
+                if attempt.kept {
+                    push_frames(&mut writer, &demo)?;
+                    if noted {
+                        writer.end_episode_with(value(options, &demo.note)?)?;
+                    } else {
+                        writer.end_episode()?;
+                    }
                     summary.episodes += 1;
                     summary.steps += demo.frames.len();
                 }
-                let attempt = Attempt {
-                    seed: first.wrapping_add(index as u64),
-                    kept: success,
-                    reason: demo.reason,
-                    steps: demo.frames.len(),
-                };
+                if let Some(disturbed) = &mut summary.disturbed {
+                    disturbed.add(&attempt);
+                }
                 on_attempt(&attempt);
                 summary.attempts.push(attempt);
                 Ok(())
@@ -181,6 +213,20 @@ struct Demonstration {
     outcome: Outcome,
     reason: String,
     frames: Vec<StoredFrame>,
+    note: EpisodeNote,
+}
+
+impl Demonstration {
+    fn attempt(&self) -> Attempt {
+        Attempt {
+            seed: self.note.seed,
+            kept: matches!(self.outcome, Outcome::Success),
+            reason: self.reason.clone(),
+            steps: self.frames.len(),
+            disturbances: self.note.disturbances.as_ref().map_or(0, Vec::len),
+            grasps: self.note.grasps,
+        }
+    }
 }
 
 struct StoredFrame {
@@ -207,7 +253,7 @@ impl StoredDepth {
     }
 }
 
-fn store(writer: &mut DatasetWriter, demo: &Demonstration) -> Result<(), SessionError> {
+fn push_frames(writer: &mut DatasetWriter, demo: &Demonstration) -> Result<(), SessionError> {
     for frame in &demo.frames {
         let images: Vec<&[u8]> = frame.images.iter().map(Vec::as_slice).collect();
         let depth: Vec<DepthFrame<'_>> = frame
@@ -225,41 +271,56 @@ fn store(writer: &mut DatasetWriter, demo: &Demonstration) -> Result<(), Session
             depth: &depth,
         })?;
     }
-    Ok(writer.end_episode()?)
+    Ok(())
 }
 
 /// The job of one thread: the demonstration of `first + index`.
 fn demonstrator(
     setup: &Setup,
     first: u64,
-    depth: bool,
+    options: &RecordOptions,
 ) -> impl FnMut(usize) -> Result<Demonstration, SessionError> {
     let mut cameras: Option<SceneCameras> = None;
     move |index| {
         let seed = first.wrapping_add(index as u64);
+        let share = options.disturb.unwrap_or(0.0);
+        let mut disturber = Disturber::draw(&setup.task, seed, share);
+        let time_factor = if disturber.is_some() {
+            DISTURBED_TIME_FACTOR
+        } else {
+            1
+        };
+        let mut task = setup.task.clone();
+        task.time_limit_s *= f64::from(time_factor);
         let mut simulation = match cameras.take() {
-            Some(cameras) => Simulation::with_cameras(&setup.task, seed, cameras),
-            None => Simulation::new(&setup.task, seed, Rendering::On)?,
+            Some(cameras) => Simulation::with_cameras(&task, seed, cameras),
+            None => Simulation::new(&task, seed, Rendering::On)?,
         };
         let mut source = setup.source(&PolicyChoice::Expert, seed, Device::Cpu)?;
         let mut controller = setup.controller()?;
         let mut diary = Diary {
             cameras: setup.cameras_with(Vec::new()),
-            depth,
+            depth: options.depth,
             frames: Vec::new(),
         };
         let plan = Plan {
             latency: Latency::fixed(source.latency_ticks()),
-            tick_limit: setup.tick_limit(),
+            tick_limit: setup.tick_limit() * u64::from(time_factor),
         };
         let episode = Episode {
             simulation: &mut simulation,
             controller: &mut controller,
             source: &mut source,
         };
-        let end = episode.run(&plan, &mut diary)?;
+        let end = episode.run_disturbed(&plan, &mut diary, disturber.as_mut())?;
         cameras = simulation.into_cameras();
         Ok(Demonstration {
+            note: EpisodeNote {
+                seed,
+                grasps: source.attempts(),
+                drawn: task.drawn(seed),
+                disturbances: disturber.map(|it| it.happened().to_vec()),
+            },
             reason: end.reason(),
             outcome: end.outcome,
             frames: diary.frames,

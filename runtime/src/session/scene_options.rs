@@ -3,7 +3,7 @@
 
 use std::path::PathBuf;
 
-use sim_backend::task::{CameraConfig, Mount, View};
+use sim_backend::task::{CameraConfig, Mount, Variation, View};
 
 use super::{SessionError, Setup};
 
@@ -27,6 +27,8 @@ pub struct SceneOptions {
     pub needle: Option<String>,
     /// From where the cameras look.
     pub view: View,
+    /// What is drawn anew for each episode.
+    pub varied: Vec<Variation>,
     /// Whose frames are kept.
     pub cameras: Option<CameraSet>,
 }
@@ -60,8 +62,8 @@ impl Setup {
     /// The same setup with these choices.
     ///
     /// # Errors
-    /// [`SessionError::BadArgument`] for a needle or a camera that the task has not, and for a view that its cameras can't
-    /// give; those of [`Self::with_scene_file`].
+    /// [`SessionError::BadArgument`] for a needle or a camera that the task has not, for a view that its cameras can't
+    /// give, and for what can't be varied; those of [`Self::with_scene_file`].
     pub fn with_scene(mut self, options: &SceneOptions) -> Result<Self, SessionError> {
         let refused = |reason: String| SessionError::BadArgument(reason);
         if let Some(path) = &options.file {
@@ -75,6 +77,7 @@ impl Setup {
             let view = options.view.name();
             refused(format!("--view {view}: {error}"))
         })?;
+        self = self.with_variations(options)?;
         let Some(set) = &options.cameras else {
             return Ok(self);
         };
@@ -93,6 +96,28 @@ impl Setup {
             }
         }
         self.kept_cameras = Some(names);
+        Ok(self)
+    }
+
+    fn with_variations(mut self, options: &SceneOptions) -> Result<Self, SessionError> {
+        let varies = |variation| options.varied.contains(&variation);
+        let chosen = [
+            (Variation::Needles, "--needle", options.needle.is_some()),
+            (Variation::Views, "--view", options.view != View::Train),
+        ];
+        for (variation, option, is_given) in chosen {
+            if is_given && varies(variation) {
+                let name = variation.name();
+                return Err(SessionError::BadArgument(format!(
+                    "--vary {name}: {option} chooses one for all episodes; give either"
+                )));
+            }
+        }
+        let varied = self.task.with_variations(&options.varied);
+        self.task = varied.map_err(|error| {
+            let name = error.variation.name();
+            SessionError::BadArgument(format!("--vary {name}: {error}"))
+        })?;
         Ok(self)
     }
 
@@ -189,5 +214,39 @@ mod tests {
         );
         options.cameras = Some(CameraSet::parse("side,side"));
         assert!(setup("needle-lift", &options).unwrap_err().is_bad_input());
+    }
+
+    #[test]
+    fn what_a_task_cannot_vary_is_refused_with_what_it_can() {
+        let vary = |task: &str, varied: &[Variation], view, needle: Option<&str>| {
+            let options = SceneOptions {
+                varied: varied.to_vec(),
+                view,
+                needle: needle.map(str::to_owned),
+                ..SceneOptions::default()
+            };
+            setup(task, &options).map_err(|error| {
+                assert!(error.is_bad_input());
+                error.to_string()
+            })
+        };
+        let all = Variation::ALL;
+        let varied = vary("needle-lift", &all, View::Train, None).unwrap();
+        assert_eq!(
+            (varied.task.varied, varied.task.view),
+            (all.to_vec(), View::View1)
+        );
+        assert_eq!(
+            vary("suture-pad", &all, View::Train, None).unwrap_err(),
+            "--vary needles: suture-pad has no choice of needles; it can vary views, light"
+        );
+        assert_eq!(
+            vary("needle-lift", &all, View::View2, None).unwrap_err(),
+            "--vary views: --view chooses one for all episodes; give either"
+        );
+        assert_eq!(
+            vary("needle-lift", &all, View::Train, Some("N2")).unwrap_err(),
+            "--vary needles: --needle chooses one for all episodes; give either"
+        );
     }
 }

@@ -8,7 +8,7 @@ use policy::compute::Compute;
 use policy::loaded_policy::LoadedPolicy;
 use sim_backend::expert::Expert;
 use sim_backend::rng::Rng;
-use sim_backend::task::TaskConfig;
+use sim_backend::task::{TaskConfig, Variation};
 
 use super::SessionError;
 use super::source::{ChunkSource, PolicyChoice};
@@ -121,6 +121,13 @@ impl Setup {
                 self.task_name
             )
         })
+    }
+
+    /// The needle of all episodes, in a task that has a choice; none if each has its own.
+    #[must_use]
+    pub fn needle(&self) -> Option<&str> {
+        let own = self.task.varied.contains(&Variation::Needles);
+        self.task.needle().filter(|_| !own)
     }
 
     /// Names of the task's cameras.

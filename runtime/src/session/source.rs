@@ -5,9 +5,10 @@ use std::path::PathBuf;
 use hal::{ArmState, Chunk, FrameRef, Observation, Policy, SeenArm, TimeNs, TipTarget};
 use nalgebra::{Translation3, Vector3};
 use policy::loaded_policy::LoadedPolicy;
-use sim_backend::expert::Expert;
+use sim_backend::expert::{Activity, Expert};
 use sim_backend::rng::Rng;
 use sim_backend::simulation::SceneState;
+use sim_backend::task::ARMS_MAX;
 
 use super::SessionError;
 use crate::kinematics;
@@ -139,6 +140,26 @@ impl ChunkSource {
             Self::Expert { .. } | Self::Noop { .. } => 1,
             Self::Random { .. } => 5,
             Self::Network(network) => u64::from(network.recipe().query_every_steps),
+        }
+    }
+
+    /// What each arm is doing, as far as the source tells: the expert does.
+    #[must_use]
+    pub fn activities(&self) -> [Activity; ARMS_MAX] {
+        match self {
+            Self::Expert { expert, .. } => expert.activities(),
+            Self::Noop { .. } | Self::Random { .. } | Self::Network(_) => {
+                [Activity::Other; ARMS_MAX]
+            }
+        }
+    }
+
+    /// Grasps that the expert has tried, the present one included; 0 of any other source.
+    #[must_use]
+    pub fn attempts(&self) -> u32 {
+        match self {
+            Self::Expert { expert, .. } => expert.attempts(),
+            Self::Noop { .. } | Self::Random { .. } | Self::Network(_) => 0,
         }
     }
 

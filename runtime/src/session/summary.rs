@@ -3,6 +3,7 @@
 use core::fmt;
 
 use serde::Serialize;
+use sim_backend::task::Variation;
 use sim_backend::tissue::TissueExtremes;
 
 use super::score::Score;
@@ -249,9 +250,12 @@ pub struct EvalSummary {
     pub task: String,
     /// From where the cameras looked: `train`, `view1` or `view2`.
     pub view: String,
-    /// The needle, in a task that has a choice.
+    /// The needle, in a task that has a choice, unless each trial has its own.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub needle: Option<String>,
+    /// What was drawn anew for each trial.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub varied: Vec<Variation>,
     /// The scene file, if it was not the built-in one.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub scene: Option<String>,
@@ -294,6 +298,7 @@ impl EvalSummary {
             task: task.to_owned(),
             view: view.to_owned(),
             needle: needle.map(str::to_owned),
+            varied: Vec::new(),
             scene: None,
             policy: policy.to_owned(),
             trained_on: None,

@@ -23,6 +23,7 @@ use crate::verify::verify;
 
 mod backbone;
 mod clouds;
+mod disturbed;
 mod latency;
 mod state;
 mod tissue;
@@ -199,6 +200,7 @@ fn record_one(out: &Path) -> Dataset {
         jobs: 1,
         depth: false,
         video: None,
+        disturb: None,
     };
     let setup = small_handover(&PolicyChoice::Expert);
     let summary = record(&setup, &options, &mut |_| {}).unwrap();

@@ -50,6 +50,7 @@ fn check_one(
         file: task.scene.clone(),
         needle: needle.map(str::to_owned),
         view: view_named(view),
+        varied: Vec::new(),
         cameras: cameras.map(CameraSet::parse),
     };
     let setup = Setup::load(&task.argument, None, &PolicyChoice::Expert);

@@ -2,9 +2,10 @@
 
 use hal::{Pose, TimeNs, TipTarget};
 
-use super::play::{ArmView, Part};
+use super::play::{Activity, ArmView, Part};
 use super::{Script, Wish, arrive, carry};
 use crate::simulation::SceneState;
+use crate::task::ARMS_MAX;
 use crate::world::ArmStart;
 
 /// What the hand sees, in the scene frame.
@@ -55,6 +56,10 @@ impl<P: Part<View = View>> Script for Alone<P> {
 
     fn attempts(&self) -> u32 {
         self.part.hand().attempts()
+    }
+
+    fn activities(&self) -> [Activity; ARMS_MAX] {
+        [self.part.activity(), Activity::Other]
     }
 
     fn foresee(&self, scene: &mut SceneState, wish: &Wish) {

@@ -6,6 +6,7 @@ use hal::{Arm, ArmCommand, ArmState, Chunk, JointVector, Pose, SafeTail, TimeNs,
 use nalgebra::{Matrix3, Matrix6, Rotation3, Translation3, UnitQuaternion, Vector3, Vector6};
 
 use super::Expert;
+use crate::disturbance::Disturber;
 use crate::simulation::{Rendering, Simulation};
 use crate::task::{Outcome, Reason, TaskConfig};
 
@@ -73,7 +74,17 @@ pub(crate) struct Episode {
 pub(crate) fn run(
     task: &TaskConfig,
     seed: u64,
+    disturb: impl FnMut(f64, &mut ArmCommand),
+) -> Episode {
+    run_with(task, seed, disturb, &mut None)
+}
+
+/// The same, in which `disturber` changes what is executed.
+pub(crate) fn run_with(
+    task: &TaskConfig,
+    seed: u64,
     mut disturb: impl FnMut(f64, &mut ArmCommand),
+    disturber: &mut Option<Disturber>,
 ) -> Episode {
     let mut simulation = Simulation::new(task, seed, Rendering::Off).expect("simulation");
     let mut expert = Expert::new(task, seed);
@@ -83,8 +94,11 @@ pub(crate) fn run(
     let mut tick = 0;
     while simulation.outcome() == Outcome::Running {
         let now = TimeNs::from_tick(tick);
-        let chunks = expert.chunks(now, &simulation.scene_state(), tick / 40 + 1);
+        let mut chunks = expert.chunks(now, &simulation.scene_state(), tick / 40 + 1);
         attempts = expert.attempts();
+        if let Some(disturber) = disturber {
+            chunks = disturber.step(now, expert.activities(), &chunks, &mut simulation);
+        }
         for chunk in &chunks {
             let targets = chunk.valid_targets();
             let (from, to) = (targets[0].tip_in_rcm(), targets[1].tip_in_rcm());

@@ -16,6 +16,8 @@ use core::fmt::Debug;
 
 use hal::{Chunk, TimeNs, TipTarget};
 
+pub use play::Activity;
+
 use crate::simulation::{ArmScene, SceneState};
 use crate::task::{ARMS_MAX, TaskConfig};
 
@@ -46,6 +48,9 @@ pub(crate) trait Script: Clone + Debug + Send + 'static {
     /// Attempts at a grasp begun so far, the present one included.
     fn attempts(&self) -> u32;
 
+    /// What each arm is doing.
+    fn activities(&self) -> [Activity; ARMS_MAX];
+
     /// Changes `scene` to what it would be after `wish` if the arms kept up.
     fn foresee(&self, scene: &mut SceneState, wish: &Wish);
 }
@@ -57,6 +62,9 @@ pub(crate) trait AnyScript: Debug + Send {
 
     /// Attempts at a grasp begun so far, the present one included.
     fn attempts(&self) -> u32;
+
+    /// What each arm is doing.
+    fn activities(&self) -> [Activity; ARMS_MAX];
 }
 
 impl<S: Script> AnyScript for S {
@@ -78,6 +86,10 @@ impl<S: Script> AnyScript for S {
     fn attempts(&self) -> u32 {
         Script::attempts(self)
     }
+
+    fn activities(&self) -> [Activity; ARMS_MAX] {
+        Script::activities(self)
+    }
 }
 
 impl Expert {
@@ -85,7 +97,7 @@ impl Expert {
     #[must_use]
     pub fn new(task: &TaskConfig, seed: u64) -> Self {
         Self {
-            script: task.scene.expert(&task.arms, seed),
+            script: task.scene_of(seed).expert(&task.arms, seed),
         }
     }
 
@@ -115,6 +127,12 @@ impl Expert {
     #[must_use]
     pub fn attempts(&self) -> u32 {
         self.script.attempts()
+    }
+
+    /// What each arm was doing at the last step; an arm that the task lacks does [`Activity::Other`].
+    #[must_use]
+    pub fn activities(&self) -> [Activity; ARMS_MAX] {
+        self.script.activities()
     }
 }
 

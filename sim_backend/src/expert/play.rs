@@ -11,6 +11,10 @@ use crate::rng::Rng;
 const FOLLOW_STEP_M: f64 = 0.000_8;
 const FOLLOW_STEP_RAD: f64 = 0.04;
 
+/// Distance between the measured tip and where it was meant to be beyond which another attempt begins at the measured one, m;
+/// without a disturbance it stays far below.
+const OFF_M: f64 = 0.002_5;
+
 /// What a hand does at a time.
 pub(crate) trait Stage: Copy + Debug + PartialEq + Send + 'static {
     /// What may happen meanwhile.
@@ -21,6 +25,22 @@ pub(crate) trait Stage: Copy + Debug + PartialEq + Send + 'static {
 
     /// What it does after `event`.
     fn next(self, event: Self::Event) -> Self;
+}
+
+/// What a hand is doing, as far as a disturbance must know.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Activity {
+    /// On the way to the thing, in the air, with nothing in the hand.
+    Reach,
+    /// Going in and closing the jaw.
+    Grasp,
+    /// Lifting the thing off what it lies on.
+    Lift,
+    /// Carrying it through the air.
+    Carry,
+    /// Anything else, where a push may do harm or nothing is to be learned from it.
+    #[default]
+    Other,
 }
 
 /// How one attempt differs from the next: what a person would do a little differently each time.
@@ -94,6 +114,9 @@ pub(crate) trait Part: Clone + Debug + Send + 'static {
     /// Whether the thing is meant to be in the jaw.
     fn carries(&self) -> bool;
 
+    /// What the present phase amounts to.
+    fn activity(&self) -> Activity;
+
     /// Whether going on to `next` is another attempt.
     fn tries_again(&self, next: Self::Stage) -> bool;
 
@@ -130,8 +153,12 @@ pub(crate) trait Part: Clone + Debug + Send + 'static {
         if let Some(event) = self.event(now, &motion, view) {
             let next = self.hand().phase.next(event);
             if next != self.hand().phase {
+                let mut from = motion.at(now);
+                if self.tries_again(next) && is_off(&from, &own.tip) {
+                    from.tip_in_scene = own.tip;
+                }
                 self.enter(next);
-                motion = self.begin(now, motion.at(now), view);
+                motion = self.begin(now, from, view);
             }
         }
         self.hand_mut().motion = Some(motion);
@@ -150,6 +177,12 @@ pub(crate) trait Part: Clone + Debug + Send + 'static {
         hand.phase = next;
         hand.untouched_steps = 0;
     }
+}
+
+/// Whether the hand at `tip` was kept from where it was meant to be.
+fn is_off(meant: &Placement, tip: &Pose) -> bool {
+    let gap = meant.tip_in_scene.translation.vector - tip.translation.vector;
+    gap.norm() > OFF_M
 }
 
 /// Checks that `table` is what happens: a row a phase, in it the phase after each of `events`.

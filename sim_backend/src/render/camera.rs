@@ -31,6 +31,8 @@ pub struct Light {
     pub reference_distance_m: f64,
     /// Brightness of the light that tissue all around throws back.
     pub ambient: f64,
+    /// Share by which all light has more red and less blue; less red and more blue below 0.
+    pub warmth: f64,
 }
 
 /// Where the light guide ends beside the lens of an endoscope, camera frame, m. At the lens itself no shadow would be
@@ -62,6 +64,7 @@ impl Default for Light {
             intensity: 3.0,
             reference_distance_m: 0.12,
             ambient: 0.20,
+            warmth: 0.0,
         }
     }
 }
@@ -137,11 +140,12 @@ impl Light {
             .all(|v| v.is_finite());
         let cone = self.cone_half_angle_rad > 0.0
             && self.cone_half_angle_rad < core::f64::consts::FRAC_PI_2;
-        if finite && cone && numbers.iter().all(|v| *v >= 0.0) {
+        let warm = self.warmth.abs() <= 1.0;
+        if finite && cone && warm && numbers.iter().all(|v| *v >= 0.0) {
             Ok(())
         } else {
             Err(RenderError::Light(
-                "brightness and distance must be finite and not negative, the cone in (0, pi/2)",
+                "brightness and distance must be finite and not negative, the cone in (0, pi/2), the warmth in [-1, 1]",
             ))
         }
     }

@@ -137,9 +137,10 @@ fn encoded(x: vec3f) -> vec3f {
     return select(1.055 * pow(x, vec3f(1.0 / 2.4)) - 0.055, 12.92 * x, x < vec3f(0.0031308));
 }
 
-// Filmic response: a toe, a middle grey that stays where it is, a long shoulder. The three numbers were fitted to
+// In the colour of the light. Filmic response: a toe, a middle grey that stays where it is, a long shoulder. The three numbers were fitted to
 // 0.02 -> 0.012, 0.18 -> 0.20, 1 -> 0.72, 4 -> 0.935, with the ends fixed at 0 and 1.
 fn exposed(linear: vec3f) -> vec4f {
-    let x = max(linear, vec3f(0.0));
+    let coloured = linear * vec3f(1.0 + frame.warmth, 1.0, 1.0 - frame.warmth);
+    let x = max(coloured, vec3f(0.0));
     return vec4f(encoded(x * (x + 0.0593) / (x * (x + 0.3833) + 0.1126)), 1.0);
 }

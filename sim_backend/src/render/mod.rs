@@ -146,6 +146,12 @@ impl Renderer {
         self.scene.reshape(&self.gpu.queue, index, mesh)
     }
 
+    /// Multiplies the linear RGB of the visuals by `tints`, in their order, for all following images; those beyond the last one
+    /// have the colours that they came with.
+    pub fn tint(&mut self, tints: impl IntoIterator<Item = [f32; 3]>) {
+        self.scene.tint(tints);
+    }
+
     /// Takes one image: `poses` are the visuals' poses in the scene frame, in their order.
     ///
     /// Fills colour, depth, ids, intrinsics and camera pose of `frame` and resizes its buffers if they do not fit;

@@ -119,7 +119,7 @@ impl<'a> Eye<'a> {
             Some(view) => {
                 put_matrix(bytes, &view.camera.clip_from_camera());
                 self.write_light(view.shadow_map_px, bytes);
-                view.write(&self.eye_from_scene, bytes);
+                view.write(&self.eye_from_scene, self.light, bytes);
             }
         }
         bytes.resize(end, 0);
@@ -143,13 +143,14 @@ impl<'a> Eye<'a> {
 }
 
 impl View<'_> {
-    fn write(&self, camera_from_scene: &Isometry3<f64>, bytes: &mut Vec<u8>) {
+    fn write(&self, camera_from_scene: &Isometry3<f64>, light: &Light, bytes: &mut Vec<u8>) {
         let (lens, behind) = (&self.camera.intrinsics, &self.backdrop.material);
         let up = camera_from_scene * Vector3::z();
         put_f64(bytes, &[up.x, up.y, up.z, self.backdrop.floor_m]);
         put(bytes, &self.backdrop.bounce);
         put(bytes, &[self.backdrop_layer, behind.roughness]);
-        put(bytes, &[behind.wetness, self.backdrop.walls, 0.0]);
+        put(bytes, &[behind.wetness, self.backdrop.walls]);
+        put_f64(bytes, &[light.warmth]);
         put_f64(bytes, &[lens.cx, lens.cy, 1.0 / lens.fx, 1.0 / lens.fy]);
         put_matrix(bytes, &self.camera.camera_in_scene.to_homogeneous());
     }

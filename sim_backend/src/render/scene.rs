@@ -25,6 +25,7 @@ struct Part {
     radius_m: f64,
     material: Material,
     layer: f32,
+    tint: [f32; 3],
     instance: u8,
 }
 
@@ -125,6 +126,14 @@ impl Scene {
         Ok(())
     }
 
+    /// Multiplies the colours of the visuals by `tints`, in their order; of those beyond the last tint by nothing.
+    pub(super) fn tint(&mut self, tints: impl IntoIterator<Item = [f32; 3]>) {
+        let tints = tints.into_iter().chain(core::iter::repeat([1.0; 3]));
+        for (part, tint) in self.parts.iter_mut().zip(tints) {
+            part.tint = tint;
+        }
+    }
+
     /// How many objects there are.
     pub(super) const fn part_count(&self) -> usize {
         self.parts.len()
@@ -207,6 +216,7 @@ impl Part {
             radius_m,
             material: visual.material,
             layer,
+            tint: [1.0; 3],
             instance: visual.instance,
         }
     }
@@ -224,11 +234,9 @@ impl Part {
                 surface.detail,
                 f32::from(self.instance),
                 self.layer,
-                0.0,
-                0.0,
-                0.0,
             ],
         );
+        put(bytes, &self.tint);
     }
 }
 

@@ -29,7 +29,8 @@ struct Frame {
     backdrop_roughness: f32,
     backdrop_wetness: f32,
     backdrop_walls: f32,
-    unused: f32,
+    // Share by which the light has more red and less blue.
+    warmth: f32,
     // Principal point, pixels, and one over the focal lengths.
     lens: vec4f,
     scene_from_camera: mat4x4f,
@@ -45,9 +46,10 @@ struct Object {
     instance: f32,
     // Where its pattern lies among the painted ones.
     layer: f32,
-    unused_0: f32,
-    unused_1: f32,
-    unused_2: f32,
+    // Factors of its colour.
+    tint_red: f32,
+    tint_green: f32,
+    tint_blue: f32,
 }
 
 @group(0) @binding(0) var<uniform> frame: Frame;

@@ -5,6 +5,11 @@ fn rotated(object: Object, v: vec3f) -> vec3f {
     return (object.camera_from_object * vec4f(v, 0.0)).xyz;
 }
 
+// What `object` throws back of each colour where it would be `colour` without a tint.
+fn tinted(object: Object, colour: vec3f) -> vec3f {
+    return colour * vec3f(object.tint_red, object.tint_green, object.tint_blue);
+}
+
 // Slopes of flesh (xy) and film (zw) along the pattern's axes.
 fn slopes(at: vec2f, layer: i32, blur: f32) -> vec4f {
     return 2.0 * textureSampleBias(relief_map, pattern_sampler, at, layer, blur) - 1.0;
@@ -34,7 +39,7 @@ fn patterned_fragment(in: Varying) -> @location(0) vec4f {
         s.normal = rotated(object, tilted(n, slope.xy));
         s.film_normal = rotated(object, tilted(n, slope.zw));
     }
-    s.base_colour = painted.rgb;
+    s.base_colour = tinted(object, painted.rgb);
     s.roughness = object.roughness;
     s.wetness = object.wetness;
     s.open = painted.a;
@@ -49,7 +54,7 @@ fn smooth_fragment(in: Varying) -> @location(0) vec4f {
     s.mesh_normal = rotated(object, normalize(in.object_normal));
     s.normal = s.mesh_normal;
     s.film_normal = s.mesh_normal;
-    s.base_colour = object.base_colour;
+    s.base_colour = tinted(object, object.base_colour);
     s.metallic = object.metallic;
     s.roughness = object.roughness;
     s.wetness = object.wetness;
@@ -65,7 +70,7 @@ fn brushed_fragment(in: Varying) -> @location(0) vec4f {
     var s: Surface;
     s.mesh_normal = rotated(object, n);
     s.normal = s.mesh_normal;
-    s.base_colour = object.base_colour;
+    s.base_colour = tinted(object, object.base_colour);
     s.roughness = object.roughness;
     if FULL {
         let p = in.object_position;
@@ -76,7 +81,7 @@ fn brushed_fragment(in: Varying) -> @location(0) vec4f {
         let tilt = 0.10 * object.detail * groove * (axis - n * n.z);
         s.normal = rotated(object, normalize(n + tilt));
         s.roughness = object.roughness * (1.0 + 0.5 * object.detail * smudge);
-        s.base_colour = object.base_colour * (1.0 - 0.25 * object.detail * (0.5 + smudge));
+        s.base_colour = s.base_colour * (1.0 - 0.25 * object.detail * (0.5 + smudge));
     }
     s.film_normal = s.normal;
     s.metallic = object.metallic;

@@ -105,6 +105,7 @@ impl CommonFile {
             shading: self.rendering.shading(source)?,
             cameras: self.camera,
             view: View::Train,
+            varied: Vec::new(),
             time_limit_s: self.episode.time_limit_s,
             scene,
         })

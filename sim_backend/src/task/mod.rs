@@ -19,6 +19,7 @@ pub mod needle_lift;
 mod needle_start;
 pub mod suture_pad;
 pub mod tissue_retraction;
+mod variation;
 mod view;
 mod visuals;
 
@@ -33,6 +34,7 @@ pub use files::{SAFETY_FILE, SCENE_FILE, TaskError, TaskFiles};
 pub(crate) use judge::{Judge, Monitor, Sight};
 pub use judge::{Outcome, Reason};
 pub use needle_start::NeedleStart;
+pub use variation::{CannotVary, Drawn, Look, Variation};
 pub use view::{NoSuchView, VIEW1_SHIFT_M, VIEW1_TURN_RAD, View};
 pub(crate) use visuals::{scene_poses, scene_visuals};
 
@@ -94,6 +96,8 @@ pub struct TaskConfig {
     pub cameras: Vec<CameraConfig>,
     /// How the cameras stand against the file; see [`Self::with_view`].
     pub view: View,
+    /// What is drawn anew for each episode; see [`Self::with_variations`].
+    pub varied: Vec<Variation>,
     /// How much work goes into pictures.
     pub shading: Shading,
     /// When the episode ends without success, s.
@@ -119,6 +123,11 @@ pub(crate) trait TaskScene: Any + CloneScene + Debug + Send + Sync {
     /// The name of the needle, if there is a choice.
     fn needle(&self) -> Option<&str> {
         None
+    }
+
+    /// The names of all needles, if there is a choice.
+    fn needles(&self) -> Vec<String> {
+        Vec::new()
     }
 
     /// Takes the needle `name`, or answers with those that can be chosen.

@@ -130,6 +130,15 @@ impl World {
         self.stage.thing(thing).velocity
     }
 
+    /// Makes a thing slide along the ground, as a tug at a thread would: sets its velocity along the scene's x and y, m/s, and
+    /// about z, rad/s, and leaves the rest of its motion as it is.
+    pub fn nudge(&mut self, thing: usize, velocity_m_s: [f64; 2], turn_rad_s: f64) {
+        let [mut linear, mut angular] = self.thing_velocity(thing);
+        [linear.x, linear.y] = velocity_m_s;
+        angular.z = turn_rad_s;
+        self.stage.throw(thing, &[linear, angular]);
+    }
+
     /// Kinetic energy of a thing and its potential energy over the scene's xy-plane, J.
     #[must_use]
     pub fn energy_j(&self, thing: usize) -> f64 {

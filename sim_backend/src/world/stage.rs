@@ -187,10 +187,10 @@ impl Stage {
     }
 
     /// Throws a thing: linear velocity of its centre of mass, m/s, and angular velocity, rad/s.
-    #[cfg(test)]
     pub(super) fn throw(&mut self, thing: usize, velocity: &[Vector3<f64>; 2]) {
-        self.things[thing].moving.velocity = *velocity;
-        self.wake(thing);
+        let moving = &mut self.things[thing].moving;
+        moving.velocity = *velocity;
+        moving.wake();
     }
 
     /// Lets a thing be calculated for as long again as one that just came to lie still.

@@ -11,7 +11,7 @@ use runtime::session::tasks;
 
 use crate::drives::DrivesArgs;
 use crate::import::ImportArgs;
-use crate::scene_args::SceneArgs;
+use crate::scene_args::{SceneArgs, VaryArgs};
 use crate::sheet::SheetArgs;
 use crate::study::{ReportArgs, StudyArgs};
 
@@ -36,6 +36,13 @@ fn share(text: &str) -> Result<f64, String> {
 /// A delay in ms.
 fn delay() -> RangedU64ValueParser<u64> {
     RangedU64ValueParser::new().range(0..=10_000)
+}
+
+/// A share that is not 0.
+fn share(text: &str) -> Result<f64, String> {
+    let share: Option<f64> = text.parse().ok();
+    let share = share.filter(|share| *share > 0.0 && *share <= 1.0);
+    share.ok_or_else(|| "a share is a number above 0, up to 1".to_owned())
 }
 
 /// Runs learned policies on a surgical robot arm, safely and in real time.
@@ -66,7 +73,7 @@ pub(crate) enum Verb {
     Eval(EvalArgs),
     /// Record demonstrations as a LeRobot v3 dataset.
     #[command(
-        after_help = "Example: trocar record --task needle-lift --episodes 50 --source expert --cameras multi --out runs/demos"
+        after_help = "Example: trocar record --task needle-lift --episodes 50 --source expert --cameras multi --out runs/demos\n         trocar record --task needle-lift --episodes 200 --disturb 0.5 --vary needles,views,light --jobs 2 --out runs/varied"
     )]
     Record(RecordArgs),
     /// Make a LeRobot v3 dataset of demonstrations in HDF5, in ACT's or robomimic's layout.
@@ -256,6 +263,9 @@ pub(crate) struct EvalArgs {
     /// The scene.
     #[command(flatten)]
     pub(crate) scene: SceneArgs,
+    /// What differs from episode to episode.
+    #[command(flatten)]
+    pub(crate) vary: VaryArgs,
     /// Controller configuration instead of the built-in config/control.toml.
     #[arg(long, value_name = "FILE")]
     pub(crate) config: Option<PathBuf>,
@@ -324,6 +334,14 @@ pub(crate) struct RecordArgs {
     /// The scene.
     #[command(flatten)]
     pub(crate) scene: SceneArgs,
+    /// What differs from episode to episode.
+    #[command(flatten)]
+    pub(crate) vary: VaryArgs,
+    /// Disturb this share of the demonstrations, above 0, up to 1 (0.5 if no number is given): the hand is led off its way, falls
+    /// short, lets go of the thing, or the thing slides away, and the expert recovers. What is recorded as the action is what the
+    /// expert wants, not what was done to it. They may take twice the task's time limit.
+    #[arg(long, value_name = "SHARE", num_args = 0..=1, default_missing_value = "0.5", value_parser = share)]
+    pub(crate) disturb: Option<f64>,
     /// Cameras whose frames are recorded: `single` (the one that the paper gives the task's policies), `multi` (that one and
     /// the wrists), or names with commas between them. A camera that is not named is not drawn.
     #[arg(long, value_name = "single|multi|NAMES", default_value = "endoscope")]

@@ -202,8 +202,9 @@ pub(crate) fn record(args: &RecordArgs) -> Done {
     read.extend(of_task(&task));
     outputs::check(&[("--json", args.json.as_deref())], &read)?;
     let setup = Setup::load(&args.task, args.config.as_deref(), &PolicyChoice::Expert)?
-        .with_scene(&args.scene.options(Some(&args.cameras)))?;
+        .with_scene(&args.vary.add_to(args.scene.options(Some(&args.cameras))))?;
     let options = RecordOptions {
+        disturb: args.disturb,
         episodes: args.episodes,
         out: args.out.clone(),
         seed: args.seed,
@@ -231,6 +232,12 @@ pub(crate) fn record(args: &RecordArgs) -> Done {
         summary.steps,
         args.out.display()
     ));
+    if let Some(disturbed) = &summary.disturbed {
+        console::result(&format!(
+            "disturbed: {} of {} kept, {} with another attempt at a grasp",
+            disturbed.kept, disturbed.attempts, disturbed.retried
+        ));
+    }
     if let Some(path) = &args.json {
         write_json(path, &summary)?;
     }

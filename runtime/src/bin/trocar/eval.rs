@@ -26,7 +26,7 @@ pub(crate) fn eval(args: &EvalArgs) -> Done {
     outputs::check(&[("--json", args.json.as_deref())], &read)?;
     let policy = PolicyChoice::parse(&args.policy);
     let setup = Setup::load(&args.task, args.config.as_deref(), &policy)?
-        .with_scene(&args.scene.options(None))?;
+        .with_scene(&args.vary.add_to(args.scene.options(None)))?;
     warn_of_transfer(&setup);
     let options = EvalOptions {
         policy,

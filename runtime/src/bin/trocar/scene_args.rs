@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use clap::{Args, ValueEnum};
 
 use runtime::session::scene_options::{CameraSet, SceneOptions};
-use sim_backend::task::View;
+use sim_backend::task::{Variation, View};
 
 /// From where the cameras look.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
@@ -44,6 +44,47 @@ pub(crate) struct SceneArgs {
     pub(crate) view: ViewChoice,
 }
 
+/// What is drawn anew for each episode.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub(crate) enum VaryChoice {
+    /// The needle: one of N1 to N5, each as likely. Of needle-lift only.
+    Needles,
+    /// Where endoscope and side camera stand: as with --view view1.
+    Views,
+    /// The light guide's place (2 cm along the lens' axes) and direction (7 degrees), its brightness and that of the light from
+    /// all around (0.63 to 1.6 times), the colour of the light (about 5100 K to 9000 K), and colours of things (0.8 to 1.25
+    /// times, and 10 % a channel).
+    Light,
+}
+
+impl From<VaryChoice> for Variation {
+    fn from(choice: VaryChoice) -> Self {
+        match choice {
+            VaryChoice::Needles => Self::Needles,
+            VaryChoice::Views => Self::Views,
+            VaryChoice::Light => Self::Light,
+        }
+    }
+}
+
+/// What is drawn anew for each episode, by its seed.
+#[derive(Args, Debug)]
+pub(crate) struct VaryArgs {
+    /// Draw these anew for each episode, by its seed, beyond where things lie; several with commas between them.
+    #[arg(long, value_enum, value_delimiter = ',', value_name = "WHAT,...")]
+    pub(crate) vary: Vec<VaryChoice>,
+}
+
+impl VaryArgs {
+    /// `options` with this.
+    pub(crate) fn add_to(&self, options: SceneOptions) -> SceneOptions {
+        SceneOptions {
+            varied: self.vary.iter().map(|&choice| choice.into()).collect(),
+            ..options
+        }
+    }
+}
+
 /// The files at `paths`, which a task is read from, as what results must not take the place of.
 pub(crate) fn of_task(paths: &[PathBuf]) -> impl Iterator<Item = (&'static str, Option<&Path>)> {
     paths.iter().map(|path| ("--task", Some(path.as_path())))
@@ -56,6 +97,7 @@ impl SceneArgs {
             file: self.scene.clone(),
             needle: self.needle.clone(),
             view: self.view.into(),
+            varied: Vec::new(),
             cameras: cameras.map(CameraSet::parse),
         }
     }

@@ -23,6 +23,7 @@ pub(super) fn record_lift(out: &Path, depth: bool, side: u32) -> Dataset {
         jobs: 1,
         depth,
         video: None,
+        disturb: None,
     };
     let setup = small_lift(&PolicyChoice::Expert, side);
     record(&setup, &options, &mut |_| {}).unwrap();

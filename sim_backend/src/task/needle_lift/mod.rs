@@ -146,9 +146,13 @@ impl TaskScene for NeedleLift {
         Some(&self.needle_name)
     }
 
+    fn needles(&self) -> Vec<String> {
+        self.needles.keys().cloned().collect()
+    }
+
     fn choose_needle(&mut self, name: &str) -> Result<(), Vec<String>> {
         let Some(&needle) = self.needles.get(name) else {
-            return Err(self.needles.keys().cloned().collect());
+            return Err(self.needles());
         };
         self.needle = needle;
         name.clone_into(&mut self.needle_name);

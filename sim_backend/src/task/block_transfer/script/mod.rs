@@ -15,7 +15,7 @@ use super::BlockTransfer;
 use crate::expert::alone::View;
 use crate::expert::hand::{ARRIVED_PATIENCE_S, raised, settled};
 use crate::expert::motion::{Motion, Placement};
-use crate::expert::play::{ArmView, Hand, Part};
+use crate::expert::play::{Activity, ArmView, Hand, Part};
 use crate::rng::Rng;
 use grip::{Grip, Gripping};
 use phase::{Event, Phase};
@@ -69,6 +69,21 @@ impl Part for Mover {
 
     fn carries(&self) -> bool {
         matches!(self.hand.phase, Phase::Lift | Phase::Carry | Phase::Lower)
+    }
+
+    fn activity(&self) -> Activity {
+        match self.hand.phase {
+            Phase::Approach => Activity::Reach,
+            Phase::Descend | Phase::Close => Activity::Grasp,
+            Phase::Lift => Activity::Lift,
+            Phase::Carry => Activity::Carry,
+            Phase::Lower
+            | Phase::Release
+            | Phase::Rise
+            | Phase::Rest
+            | Phase::Open
+            | Phase::Retreat => Activity::Other,
+        }
     }
 
     fn tries_again(&self, next: Phase) -> bool {

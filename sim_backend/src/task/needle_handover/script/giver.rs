@@ -6,7 +6,7 @@ use nalgebra::{Translation3, Vector3};
 use super::{GRIP_PATIENCE_S, LOST_STEPS, REOPEN_S, Style, View};
 use crate::expert::hand::{ARRIVED_PATIENCE_S, raised, settled};
 use crate::expert::motion::{Motion, Placement};
-use crate::expert::play::{ArmView, Hand, Part, Stage};
+use crate::expert::play::{Activity, ArmView, Hand, Part, Stage};
 use crate::expert::wire::wire_hold;
 use crate::rng::Rng;
 
@@ -116,6 +116,21 @@ impl Part for Giver {
 
     fn carries(&self) -> bool {
         matches!(self.hand.phase, Phase::Lift | Phase::Carry | Phase::Present)
+    }
+
+    fn activity(&self) -> Activity {
+        match self.hand.phase {
+            Phase::Approach => Activity::Reach,
+            Phase::Descend | Phase::Close => Activity::Grasp,
+            Phase::Lift => Activity::Lift,
+            Phase::Carry => Activity::Carry,
+            Phase::Present
+            | Phase::Release
+            | Phase::Withdraw
+            | Phase::Rest
+            | Phase::Open
+            | Phase::Retreat => Activity::Other,
+        }
     }
 
     fn tries_again(&self, next: Phase) -> bool {

@@ -15,12 +15,13 @@ use hal::{Pose, TimeNs, TipTarget};
 
 use super::NeedleHandover;
 use crate::expert::motion::Placement;
-use crate::expert::play::{ArmView, Part};
+use crate::expert::play::{Activity, ArmView, Part};
 use crate::expert::{Script, Wish, arrive, carry};
 use crate::needle::NeedleShape;
 use crate::organ::OrganShape;
 use crate::rng::Rng;
 use crate::simulation::{ArmScene, SceneState};
+use crate::task::ARMS_MAX;
 use crate::world::ArmStart;
 use giver::Giver;
 use style::Style;
@@ -83,6 +84,10 @@ impl Script for Passer {
 
     fn attempts(&self) -> u32 {
         self.giver.hand().attempts() + self.taker.hand().attempts() - 1
+    }
+
+    fn activities(&self) -> [Activity; ARMS_MAX] {
+        [self.giver.activity(), self.taker.activity()]
     }
 
     fn foresee(&self, scene: &mut SceneState, wish: &Wish) {

@@ -12,7 +12,7 @@ use super::NeedleLift;
 use crate::expert::alone::View;
 use crate::expert::hand::{ARRIVED_PATIENCE_S, raised, settled};
 use crate::expert::motion::{Motion, Placement};
-use crate::expert::play::{ArmView, Hand, Part};
+use crate::expert::play::{Activity, ArmView, Hand, Part};
 use crate::expert::wire::wire_grasp;
 use crate::needle::NeedleShape;
 use crate::organ::OrganShape;
@@ -61,6 +61,15 @@ impl Part for Lifter {
 
     fn carries(&self) -> bool {
         false
+    }
+
+    fn activity(&self) -> Activity {
+        match self.hand.phase {
+            Phase::Approach | Phase::Poise => Activity::Reach,
+            Phase::Descend | Phase::Close => Activity::Grasp,
+            Phase::Lift => Activity::Lift,
+            Phase::Hold | Phase::Open | Phase::Retreat => Activity::Other,
+        }
     }
 
     fn tries_again(&self, next: Phase) -> bool {

@@ -14,7 +14,7 @@ use super::{PadShape, SuturePad};
 use crate::expert::alone::View;
 use crate::expert::hand::{ARRIVED_PATIENCE_S, raised, settled};
 use crate::expert::motion::{Motion, Placement};
-use crate::expert::play::{ArmView, Hand, Part};
+use crate::expert::play::{Activity, ArmView, Hand, Part};
 use crate::expert::wire::wire_grasp;
 use crate::needle::NeedleShape;
 use crate::rng::Rng;
@@ -64,6 +64,21 @@ impl Part for Driver {
     fn carries(&self) -> bool {
         use Phase::{Back, Cross, Drive, Hold, Lift, Near};
         matches!(self.hand.phase, Lift | Cross | Near | Drive | Back | Hold)
+    }
+
+    fn activity(&self) -> Activity {
+        match self.hand.phase {
+            Phase::Approach => Activity::Reach,
+            Phase::Descend | Phase::Close => Activity::Grasp,
+            Phase::Lift => Activity::Lift,
+            Phase::Cross => Activity::Carry,
+            Phase::Near
+            | Phase::Drive
+            | Phase::Back
+            | Phase::Hold
+            | Phase::Open
+            | Phase::Retreat => Activity::Other,
+        }
     }
 
     fn tries_again(&self, next: Phase) -> bool {

@@ -14,7 +14,7 @@ use super::TissueRetraction;
 use crate::expert::alone::View;
 use crate::expert::hand::{ARRIVED_PATIENCE_S, settled};
 use crate::expert::motion::{Motion, Placement};
-use crate::expert::play::{ArmView, Hand, Part};
+use crate::expert::play::{Activity, ArmView, Hand, Part};
 use crate::rng::Rng;
 use phase::{Event, Phase};
 use style::Style;
@@ -63,6 +63,15 @@ impl Part for Retractor {
 
     fn carries(&self) -> bool {
         matches!(self.hand.phase, Phase::Lift | Phase::Hold)
+    }
+
+    fn activity(&self) -> Activity {
+        match self.hand.phase {
+            Phase::Approach => Activity::Reach,
+            Phase::Enter | Phase::Close => Activity::Grasp,
+            Phase::Lift => Activity::Lift,
+            Phase::Hold | Phase::Open | Phase::Retreat => Activity::Other,
+        }
     }
 
     fn tries_again(&self, next: Phase) -> bool {
