@@ -1,5 +1,5 @@
 # Two commands do everything on a fresh machine: `make demo` and `make test`.
-.PHONY: demo test test-adversary test-golden test-can adversary fuzz-can build setup setup-can bench clean
+.PHONY: demo test test-adversary test-golden test-can test-study test-slurm adversary fuzz-can build setup setup-can setup-browser bench clean
 
 TROCAR := $(or $(CARGO_TARGET_DIR),target)/release/trocar
 
@@ -20,6 +20,7 @@ test: build
 	cargo test --locked --workspace
 	$(MAKE) test-adversary
 	$(MAKE) test-can
+	$(MAKE) test-study
 
 # Adversaries, planted faults and scenarios for the safety chain: too long for a debug build.
 test-adversary: setup
@@ -30,6 +31,14 @@ test-adversary: setup
 test-can: setup setup-can
 	cargo build --locked -p runtime
 	cargo test --locked --workspace --test can_bus --config 'target."cfg(all())".runner="$(CURDIR)/.ci/with-vcan"' -- --ignored
+
+# A tiny study interrupted, killed, gone on with, in two shards, reported, its page opened in a browser.
+test-study: build setup-browser
+	cargo test --locked --workspace --test study -- --include-ignored
+
+# The Slurm array script on a cluster of this one machine: installs slurm-wlm, needs root, and is no part of `make test`.
+test-slurm: build
+	tests/scripts/slurm_one_machine.sh
 
 # The networks against the numbers of the reference implementations in TROCAR_GOLDEN, or in tests/golden/policies.json.
 test-golden: setup
@@ -55,6 +64,10 @@ setup:
 # Only the CAN tests need what this installs.
 setup-can:
 	@.ci/setup-can.sh
+
+# Only the tests of reports need what this installs.
+setup-browser:
+	@.ci/setup-browser.sh
 
 clean:
 	cargo clean

@@ -11,7 +11,7 @@ mod graph;
 use tch::{Device, TchError, Tensor};
 
 use aside::Aside;
-pub(crate) use functions::sleep_while_waiting;
+pub(crate) use functions::{sleep_while_waiting, stream_of};
 use graph::Graph;
 
 /// What was recorded of a network, if anything.
@@ -148,9 +148,10 @@ impl Recording {
 
 #[cfg(test)]
 mod tests {
-    use tch::{Device, Kind, Tensor};
+    use tch::{Device, Kind, TchError, Tensor};
 
     use super::{Recorded, Recorder};
+    use crate::train::generator::seeded;
 
     /// The device that has graphs, where there is one.
     fn device() -> Device {
@@ -185,51 +186,61 @@ mod tests {
 
     /// Numbers drawn on the device by `work`, after the same seed.
     fn drawn(work: impl FnOnce() -> Tensor) -> Vec<f32> {
-        tch::manual_seed(3);
+        let _drawing = seeded(3);
         Vec::<f32>::try_from(work().to_device(Device::Cpu)).unwrap()
     }
 
     #[test]
     fn what_is_drawn_hangs_on_the_seed_and_not_on_whether_it_was_recorded() {
         let on_device = (Kind::Float, device());
-        let plus = |x: &Tensor| Ok(Tensor::f_rand([1000], on_device)?.f_add(x)?);
-        let one = Tensor::ones([1], on_device);
-        let Some(recorder) = Recorder::begin(device()).unwrap() else {
-            assert!(!device().is_cuda());
+        if !device().is_cuda() {
+            assert!(Recorder::begin(device()).unwrap().is_none());
             return;
-        };
-        for _ in 0..2 {
-            let _warm = plus(&one).unwrap();
         }
+        let plus = |x: &Tensor| Tensor::f_rand([1000], on_device)?.f_add(x);
+        let one = Tensor::ones([1], on_device);
         let inputs = [one.shallow_clone()];
-        let mut recording = recorder.record(&inputs, |inputs| plus(&inputs[0])).unwrap();
+        let mut recording = {
+            let _drawing = seeded(1);
+            let recorder = Recorder::begin(device()).unwrap().unwrap();
+            for _ in 0..2 {
+                let _warm = plus(&one).unwrap();
+            }
+            let recorded = recorder.record(&inputs, |inputs| plus(&inputs[0]));
+            recorded.unwrap()
+        };
         let told = drawn(|| plus(&one).unwrap());
         let recorded = drawn(|| recording.drawn_answer(&inputs).unwrap());
         assert_eq!(told, recorded);
-        let next = recording.drawn_answer(&inputs).unwrap();
-        assert_ne!(Vec::<f32>::try_from(next.to_device(Device::Cpu)).unwrap(), told);
+        // The second of two without a seed between them.
+        let next = drawn(|| {
+            let _first = recording.drawn_answer(&inputs).unwrap();
+            recording.drawn_answer(&inputs).unwrap()
+        });
+        assert_ne!(next, told);
     }
 
     #[test]
     fn what_waits_for_the_device_is_not_recorded_and_numbers_are_drawn_as_before() {
+        if !device().is_cuda() {
+            return;
+        }
         let on_device = (Kind::Float, device());
         let wanted = drawn(|| Tensor::rand([100], on_device));
-        let Some(recorder) = Recorder::begin(device()).unwrap() else {
-            return;
-        };
         let one = [Tensor::ones([1], on_device)];
-        let error = recorder.record(&one, |inputs| {
+        let recorded = |work: &dyn Fn(&Tensor) -> Result<Tensor, TchError>| {
+            let _drawing = seeded(1);
+            let recorder = Recorder::begin(device()).unwrap().unwrap();
+            recorder.record(&one, |inputs| work(&inputs[0])).map(drop)
+        };
+        let waits = recorded(&|one| {
             let noise = Tensor::f_rand([1], on_device)?;
-            let read = inputs[0].f_double_value(&[0])?;
-            noise.f_add_scalar(read)
+            noise.f_add_scalar(one.f_double_value(&[0])?)
         });
-        assert!(error.is_err(), "{error:?}");
+        assert!(waits.is_err());
         assert_eq!(drawn(|| Tensor::rand([100], on_device)), wanted);
-        let recorder = Recorder::begin(device()).unwrap().unwrap();
-        let wrong = recorder.record(&one, |inputs| inputs[0].f_view([3]));
-        assert!(wrong.is_err(), "{wrong:?}");
+        assert!(recorded(&|one| one.f_view([3])).is_err());
         assert_eq!(drawn(|| Tensor::rand([100], on_device)), wanted);
-        let recorder = Recorder::begin(device()).unwrap().unwrap();
-        assert!(recorder.record(&one, |inputs| inputs[0].f_sin()).is_ok());
+        recorded(&Tensor::f_sin).unwrap();
     }
 }

@@ -8,6 +8,8 @@ pub mod log;
 pub mod mailbox;
 pub mod per_arm;
 pub mod replay;
+pub mod report;
 pub mod rt;
 pub mod session;
+pub mod study;
 pub mod verify;

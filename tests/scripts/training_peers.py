@@ -20,13 +20,13 @@ pool of random frames), so that decoding, which differs for other reasons, is le
 `--loader` adds a row with LeRobot's own dataset and DataLoader (4 workers, its default) on the same folder. Each side's first
 steps are not timed: 50 of trocar's, a fifth of the peer's.
 
-What is the same: sizes of the preset, number of cameras, batch, frames' size, and with `--norm frozen` every tensor of the checkpoint: LeRobot's backbone has frozen
-statistics, here those of random weights and images. `--norm group` gives trocar and the plain peer GroupNorm, which is trained, and
-which trocar's presets have. The numbers in the checkpoint that trocar writes are counted and compared with the peer's. What is
-not the same: trocar's default recipe keeps a moving average of the weights besides.
+What is the same: sizes of the preset, number of cameras, batch, frames' size, and with `--norm frozen` every tensor of the
+checkpoint: LeRobot's backbone has frozen statistics, here those of random weights and images. `--norm group` gives trocar and the
+plain peer GroupNorm, which is trained, and which trocar's presets have. The numbers in the checkpoint that trocar writes are
+counted and compared with the peer's. What is not the same: trocar's default recipe keeps a moving average of the weights besides.
 
-On CUDA the output has the memory too: what `nvidia-smi` says of each process, in the first round, and the most that the peer's
-tensors took in a step. Both hold their frames there, trocar those of its dataset.
+On CUDA the output has the memory too: what `nvidia-smi` says of each process, of trocar's in a run of its own, and the most that the
+peer's tensors took in a step. Both hold their frames there, trocar those of its dataset.
 """
 
 import argparse
@@ -402,12 +402,13 @@ class Memory:
         return self.most
 
 
-def ours(args, how, backbone, watched):
+def ours(args, how, backbone, watched=False):
     """Samples a second, the numbers in the checkpoint, and MiB on the device if it is watched and known; `how` are more options."""
     with tempfile.TemporaryDirectory() as folder:
         out, result = os.path.join(folder, "act"), os.path.join(folder, "result.json")
-        # Rows of the loss curve are every 50 steps, and the rate is counted from the first.
-        steps = 50 * max(math.ceil(args.steps / 50), 1) + 50
+        # Rows of the loss curve are every 50 steps, and the rate is counted from the first. Whoever asks for the memory holds up
+        # the device, so that a run that is watched is not timed.
+        steps = 100 if watched else 50 * max(math.ceil(args.steps / 50), 1) + 50
         command = [args.trocar, "train", "--policy", "act", "--data", args.data, "--out", out]
         command += ["--preset", args.preset, "--batch", str(args.batch), "--steps", str(steps)]
         command += ["--device", args.device, "--threads", str(args.threads), "--save-every", "0", "--json", result]
@@ -479,12 +480,13 @@ def compare(args, bf16, info, lerobot_trainer, folder):
             break
         watched = args.device == "cuda" and turn == 0
         for name, how in own.items():
-            rate, stored, used = ours(args, how, backbone_file, watched)
+            if watched:
+                *_, used = ours(args, how, backbone_file, watched)
+                memory[name] = f"{used:.0f} MiB of its process"
+            rate, stored, _ = ours(args, how, backbone_file)
             if any(stored != count for count in counts):
                 sys.exit(f"not the same network: {stored} numbers in trocar's checkpoint, {sorted(counts)} in the peers'")
             rates[name].append(rate)
-            if watched:
-                memory[name] = f"{used:.0f} MiB of its process"
         for name, step in steps.items():
             if watched:
                 torch.cuda.reset_peak_memory_stats()
@@ -514,7 +516,7 @@ def main():
     parser.add_argument("--episodes", type=int, help="its first episodes alone")
     parser.add_argument("--preset", choices=sorted(PRESETS), default="lerobot")
     parser.add_argument("--batch", type=int, default=8)
-    parser.add_argument("--steps", type=int, default=200, help="timed steps a round; trocar's to the next 50")
+    parser.add_argument("--steps", type=int, default=200, help="timed steps a round; trocar's to the next 50, and more are better: it is quick")
     parser.add_argument("--rounds", type=int, default=3, help="turns of each side")
     parser.add_argument("--seconds", type=float, help="no further round that would end later, from the first one's start")
     parser.add_argument("--device", choices=["cpu", "cuda"], default="cpu")

@@ -22,10 +22,12 @@ pub use config::{ActConfig, ActPreset, BackboneNorm, DecoderOutput, LossDenomina
 pub use folded::FoldedAct;
 pub(crate) use folded::{FoldedTrunk, Situated};
 pub use loss::{ActionError, Losses, action_loss, l1_loss, losses};
+pub(crate) use resnet::by_hand::KeptPass;
 pub(crate) use trunk::{Seen, Trunk};
 pub use vae::LatentDistribution;
 pub(crate) use {loss::kl_divergence, vae::VAE_PREFIX};
 
+use crate::kernels::Kernels;
 use crate::parameters::{Init, ParameterError, ParameterSource, Parameters};
 use resnet::{FEATURE_CHANNELS, ResNet18};
 
@@ -142,6 +144,41 @@ impl Act {
         self.trunk.train(&self.seen(&tokens), state, demonstration)
     }
 
+    /// What the backbone makes of `images` for [`Self::train_on`], outside of the library's own bookkeeping.
+    pub(crate) fn features_by_hand(
+        &self,
+        kernels: &Kernels,
+        images: &Tensor,
+    ) -> Result<(Tensor, KeptPass), TchError> {
+        tch::no_grad(|| {
+            let images = images
+                .f_to_kind(self.image_weight.kind())?
+                .f_flatten(0, 1)?;
+            self.backbone.forward_by_hand(kernels, &images)
+        })
+    }
+
+    /// The backbone's parameters with their gradients, given that of its features.
+    pub(crate) fn features_back_by_hand(
+        &self,
+        kernels: &Kernels,
+        gradient: &Tensor,
+        kept: &KeptPass,
+    ) -> Result<Vec<(Tensor, Tensor)>, TchError> {
+        tch::no_grad(|| self.backbone.backward_by_hand(kernels, gradient, kept))
+    }
+
+    /// As [`Self::train`], from what the backbone made of the images.
+    pub(crate) fn train_on(
+        &self,
+        features: &Tensor,
+        state: &Tensor,
+        demonstration: &Demonstration<'_>,
+    ) -> Result<(Tensor, Option<LatentDistribution>), TchError> {
+        let tokens = self.feature_tokens(features, state.size()[0])?;
+        self.trunk.train(&self.seen(&tokens), state, demonstration)
+    }
+
     const fn seen<'a>(&'a self, tokens: &'a Tensor) -> Seen<'a> {
         Seen {
             tokens,
@@ -154,6 +191,11 @@ impl Act {
         let batch = images.size()[0];
         let images = images.f_to_kind(self.image_weight.kind())?;
         let features = self.backbone.forward(&images.f_flatten(0, 1)?)?;
+        self.feature_tokens(&features, batch)
+    }
+
+    /// `(batch * cameras, channels, rows, columns)` to `(batch, cameras * rows * columns, width)`.
+    fn feature_tokens(&self, features: &Tensor, batch: i64) -> Result<Tensor, TchError> {
         let tokens = features.f_conv2d(
             &self.image_weight,
             Some(&self.image_bias),

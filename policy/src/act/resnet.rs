@@ -1,5 +1,8 @@
 //! ResNet-18 without its head: images to feature maps at a 32nd of their size, 512 channels.
 
+pub(crate) mod by_hand;
+#[cfg(test)]
+mod by_hand_tests;
 #[cfg(test)]
 mod tests;
 
@@ -59,8 +62,10 @@ impl ResNet18 {
 
     /// `(n, 3, h, w)` to `(n, 512, h / 32, w / 32)`, sizes rounded up.
     pub(super) fn forward(&self, images: &Tensor) -> Result<Tensor, TchError> {
-        let x = self.stem.forward(images)?.f_relu()?;
-        let mut x = x.f_max_pool2d([3, 3], [2, 2], [1, 1], [1, 1], false)?;
+        // The rectifier after the maximum does the same, to a quarter as many numbers.
+        let x = self.stem.forward(images)?;
+        let x = x.f_max_pool2d([3, 3], [2, 2], [1, 1], [1, 1], false)?;
+        let mut x = x.f_relu()?;
         for block in &self.blocks {
             x = block.forward(&x)?;
         }
@@ -199,9 +204,20 @@ impl Conv {
     }
 
     fn forward(&self, x: &Tensor) -> Result<Tensor, TchError> {
-        let (stride, padding) = ([self.stride; 2], [self.padding; 2]);
-        self.norm
-            .forward(&x.f_conv2d::<&Tensor>(&self.weight, None, stride, padding, [1, 1], 1)?)
+        let convolved = |weight: &Tensor, shift: Option<&Tensor>| {
+            let (stride, padding) = ([self.stride; 2], [self.padding; 2]);
+            x.f_conv2d(weight, shift, stride, padding, [1, 1], 1)
+        };
+        match &self.norm {
+            // An accelerator waits for memory, which the filters take less of than the images.
+            Norm::Frozen { scale, shift } if x.device().is_cuda() => {
+                let weight = self.weight.f_mul(&scale.f_view([-1, 1, 1, 1])?)?;
+                convolved(&weight, Some(&shift.f_view([-1])?))
+            }
+            norm @ (Norm::Frozen { .. } | Norm::Group { .. }) => {
+                norm.forward(&convolved(&self.weight, None)?)
+            }
+        }
     }
 }
 

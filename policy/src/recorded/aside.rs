@@ -10,7 +10,7 @@ use std::ptr;
 
 use tch::TchError;
 
-use super::functions::{Functions, Stream, checked};
+use super::functions::{Functions, Stream, checked, one_at_a_time};
 
 /// `cudaStreamCaptureStatusActive`.
 const RECORDING: c_int = 1;
@@ -39,7 +39,10 @@ impl Aside {
         // SAFETY: it writes to a variable of ours.
         let code = unsafe { (functions.stream_from_pool)(false, device, &raw mut stream) };
         checked("a stream of libtorch's pool", code)?;
-        functions.synchronise()?;
+        {
+            let _alone = one_at_a_time();
+            functions.synchronise()?;
+        }
         // SAFETY: the stream is libtorch's own, of this device.
         let code = unsafe { (functions.set_stream)(stream, device) };
         checked("a stream of its own", code)?;
@@ -72,7 +75,10 @@ impl Aside {
 impl Drop for Aside {
     fn drop(&mut self) {
         // Streams do not wait for each other; if the device fails there is nothing to wait for.
-        let _done = self.functions.synchronise();
+        {
+            let _alone = one_at_a_time();
+            let _done = self.functions.synchronise();
+        }
         // SAFETY: the stream that was current before. It fails only if there is no such device.
         let _code = unsafe { (self.functions.set_stream)(self.before, self.device) };
     }

@@ -8,11 +8,18 @@
 
 use std::ffi::{CStr, c_int, c_void};
 use std::ptr;
-use std::sync::OnceLock;
+use std::sync::{Mutex, MutexGuard, OnceLock, PoisonError};
 
-use tch::TchError;
+use tch::{Device, TchError};
 
-pub(super) type Stream = *mut c_void;
+pub(crate) type Stream = *mut c_void;
+
+/// libtorch keeps a list of all recordings without a lock, and whoever waits for the whole device spoils those under way: they
+/// are made and dropped one at a time.
+pub(super) fn one_at_a_time() -> MutexGuard<'static, ()> {
+    static ONE: Mutex<()> = Mutex::new(());
+    ONE.lock().unwrap_or_else(PoisonError::into_inner)
+}
 
 /// The functions. `object` is memory of [`OBJECT_WORDS`](super::graph::OBJECT_WORDS).
 #[derive(Clone, Copy, Debug)]
@@ -22,7 +29,8 @@ pub(super) struct Functions {
     /// `CUDAGraph::~CUDAGraph()`.
     pub(super) destroy: unsafe extern "C-unwind" fn(object: *mut u64),
     /// `capture_begin(MempoolId_t, cudaStreamCaptureMode)`; the id is a pair of numbers, and zeros ask for memory of its own.
-    pub(super) begin: unsafe extern "C-unwind" fn(object: *mut u64, pool: u64, of: u64, mode: c_int),
+    pub(super) begin:
+        unsafe extern "C-unwind" fn(object: *mut u64, pool: u64, of: u64, mode: c_int),
     /// `capture_end()`, which also makes it ready to be launched.
     pub(super) end: unsafe extern "C-unwind" fn(object: *mut u64),
     /// `replay()`: has the generator of random numbers draw on from its seed, and launches.
@@ -32,7 +40,8 @@ pub(super) struct Functions {
     /// `aoti_torch_get_current_cuda_stream(int32_t device, void** stream)`.
     pub(super) current_stream: unsafe extern "C" fn(device: i32, stream: *mut Stream) -> i32,
     /// `torch_get_cuda_stream_from_pool(bool high_priority, int32_t device, void** stream)`.
-    pub(super) stream_from_pool: unsafe extern "C" fn(high: bool, device: i32, stream: *mut Stream) -> i32,
+    pub(super) stream_from_pool:
+        unsafe extern "C" fn(high: bool, device: i32, stream: *mut Stream) -> i32,
     /// `torch_set_current_cuda_stream(void* stream, int32_t device)`.
     pub(super) set_stream: unsafe extern "C" fn(stream: Stream, device: i32) -> i32,
     /// `cudaGetDevice(int*)`.
@@ -62,6 +71,16 @@ unsafe fn function<F: Copy>(name: &CStr) -> Option<F> {
     }
     // SAFETY: both are pointers of one size, and the caller vouches for the type.
     Some(unsafe { std::mem::transmute_copy(&found) })
+}
+
+/// The thread's current stream on `device`.
+pub(crate) fn stream_of(device: Device) -> Result<Stream, TchError> {
+    let missing = || TchError::Torch("the libraries here have no CUDA".to_owned());
+    let Device::Cuda(device) = device else {
+        return Err(missing());
+    };
+    let device = i32::try_from(device).unwrap_or(i32::MAX);
+    Functions::found().ok_or_else(missing)?.stream(device)
 }
 
 /// Has threads that wait for a device sleep instead of asking it over and over, if there is CUDA here.

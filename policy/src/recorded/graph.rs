@@ -9,24 +9,16 @@
 use std::ffi::{c_int, c_void};
 use std::fmt;
 use std::ptr::NonNull;
-use std::sync::{Mutex, MutexGuard, PoisonError};
 
-use tch::TchError;
+use tch::{Device, Kind, TchError, Tensor};
 
 use super::aside::Aside;
-use super::functions::{Functions, checked};
+use super::functions::{Functions, checked, one_at_a_time};
 
 /// `cudaStreamCaptureModeThreadLocal`: what other threads do meanwhile does not enter the recording.
 const THIS_THREAD: c_int = 1;
 /// Words for an `at::cuda::CUDAGraph`, which takes fewer than fifty.
 pub(super) const OBJECT_WORDS: usize = 128;
-
-/// libtorch keeps a list of all recordings without a lock, and whoever waits for the whole device spoils those under way: they
-/// are made and dropped one at a time.
-fn one_at_a_time() -> MutexGuard<'static, ()> {
-    static ONE: Mutex<()> = Mutex::new(());
-    ONE.lock().unwrap_or_else(PoisonError::into_inner)
-}
 
 /// What a device was told to do, to be told again with one call. The memory that it works in is its own.
 pub(super) struct Graph {
@@ -114,6 +106,9 @@ impl Graph {
         unsafe { (functions.create)(object.as_mut_ptr(), false) };
         // SAFETY: the object was made; the current stream is not the default one.
         unsafe { (functions.begin)(object.as_mut_ptr(), 0, 0, THIS_THREAD) };
+        // An empty one is warned of.
+        let device = Device::Cuda(usize::try_from(aside.device).unwrap_or(0));
+        let _something = Tensor::f_zeros([1], (Kind::Float, device));
         // SAFETY: it is recording: nothing was done that could have ended it.
         unsafe { (functions.end)(object.as_mut_ptr()) };
         // SAFETY: the object was made, and is used no more.

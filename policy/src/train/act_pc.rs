@@ -175,7 +175,7 @@ impl Learner for Run {
         Ok(vec![index_tensor(frames, self.states.device())?])
     }
 
-    fn losses(&self, inputs: &[Tensor]) -> Result<Losses, TchError> {
+    fn losses(&self, inputs: &[Tensor]) -> Result<Losses<'_>, TchError> {
         let mut batch = self.batch(&inputs[0])?;
         // A hidden point may be a token's centre, so that all stay.
         let points = batch.clouds.points.shallow_clone();
@@ -202,6 +202,7 @@ impl Learner for Run {
             total: parts.total,
             l1: parts.action,
             kl: parts.kl,
+            below: None,
         })
     }
 

@@ -18,9 +18,10 @@ pub(super) fn drawn(
 ) -> Result<Tensor, TchError> {
     let mut drawn = vec![[0.0_f32; 4]; batch];
     if options.shift_px > 0 {
+        let most = u16::try_from(options.shift_px).unwrap_or(u16::MAX);
         for row in &mut drawn {
             for pixels in &mut row[..2] {
-                *pixels = options.shift_px as f32 - span(random, options.shift_px);
+                *pixels = f32::from(most) - span(random, options.shift_px);
             }
         }
     }
@@ -164,9 +165,12 @@ mod tests {
         let drawn = drawn(500, &options, &mut SplitMix64::new(4)).unwrap();
         let drawn = Vec::<f32>::try_from(drawn.view([-1])).unwrap();
         let (rows, _) = drawn.as_chunks::<4>();
-        let pixels: std::collections::BTreeSet<i32> =
-            rows.iter().flat_map(|row| [row[0] as i32, row[1] as i32]).collect();
-        assert!(pixels.into_iter().eq(-3..=3));
+        let pixels = rows.iter().flat_map(|row| [row[0], row[1]]);
+        let found: std::collections::BTreeSet<String> =
+            pixels.map(|pixels| pixels.to_string()).collect();
+        let all: std::collections::BTreeSet<String> =
+            (-3..=3).map(|pixels: i8| pixels.to_string()).collect();
+        assert_eq!(found, all);
         for (column, range) in [(2, 0.2), (3, 0.1)] {
             let most = rows.iter().map(|row| row[column].abs()).fold(0.0, f32::max);
             assert!((0.9 * range..=range).contains(&most), "{most} of {range}");
@@ -217,7 +221,10 @@ mod tests {
         let frame = Tensor::ones([2, 1, 4, 4, 3], (Kind::Float, tch::Device::Cpu));
         let none = Augmentation::default();
         let drawn = drawn(2, &none, &mut SplitMix64::new(1)).unwrap();
-        assert_eq!(drawn, Tensor::zeros([2, 4], (Kind::Float, tch::Device::Cpu)));
+        assert_eq!(
+            drawn,
+            Tensor::zeros([2, 4], (Kind::Float, tch::Device::Cpu))
+        );
         let same = shifted(frame.shallow_clone(), &none, &drawn).unwrap();
         assert_eq!(coloured(same, &none, &drawn).unwrap(), frame);
     }

@@ -192,7 +192,7 @@ impl Learner for Run {
         Ok(vec![index_tensor(frames, self.device)?])
     }
 
-    fn losses(&self, inputs: &[Tensor]) -> Result<Losses, TchError> {
+    fn losses(&self, inputs: &[Tensor]) -> Result<Losses<'_>, TchError> {
         let [points, states, actions] = self.batch(&inputs[0])?;
         let points = augment::points(points, &self.augmentation, Some(&self.metre), true)?;
         let states = augment::state(states, &self.augmentation)?;
@@ -209,6 +209,7 @@ impl Learner for Run {
             l1: total.f_detach()?,
             kl: total.f_zeros_like()?.f_detach()?,
             total,
+            below: None,
         })
     }
 

@@ -8,15 +8,20 @@ use std::collections::BTreeMap;
 use tch::{Device, Kind, TchError, Tensor};
 
 use super::TrainError;
-use super::fused::{AdamW, Moved};
 use super::options::{TrainOptions, TrainPrecision};
 use super::run_state::RunState;
+use super::steps::Below;
 use super::training_set::send;
+use crate::act::BACKBONE_PREFIX;
+use crate::by_name::{AdamW, Moved, copy_all};
 use crate::dp3::MovingAverage;
 use crate::parameters::Parameters;
 
 const BETA_2: f64 = 0.999;
 const EPS: f64 = 1e-8;
+
+/// On an accelerator every parameter begins at a multiple of so many elements: kernels read 16 bytes at once, or are slow.
+const ALIGNED: i64 = 64;
 
 /// What of an update is another one at every step.
 #[derive(Clone, Copy, Debug)]
@@ -77,9 +82,13 @@ pub(super) struct FlatParameters {
     /// What the network computes with: the master itself, or its copy in half precision.
     working: Tensor,
     leaves: Vec<Tensor>,
+    /// Where each leaf begins; what is between them is zero.
+    starts: Vec<i64>,
     keys: Vec<String>,
     /// Elements of the backbone; they come first.
     backbone_length: i64,
+    /// In single precision, for an accelerator.
+    gradient: Option<Tensor>,
     first_moment: Tensor,
     second_moment: Tensor,
     average: Option<Tensor>,
@@ -94,13 +103,35 @@ impl FlatParameters {
         device: Device,
         options: &TrainOptions,
     ) -> Result<Self, TchError> {
+        let aligned = if device.is_cuda() { ALIGNED } else { 1 };
+        Self::laid(parameters, (device, aligned), options)
+    }
+
+    /// The same, each beginning at a multiple of `aligned` elements.
+    fn laid(
+        parameters: &Parameters,
+        (device, aligned): (Device, i64),
+        options: &TrainOptions,
+    ) -> Result<Self, TchError> {
         let (backbone, rest): (Vec<_>, Vec<_>) = parameters
             .iter()
             .filter(|(key, _)| parameters.is_trainable(key))
-            .partition(|(key, _)| key.starts_with("model.backbone."));
-        let mut flats = Vec::new();
-        for (_, tensor) in backbone.iter().chain(&rest) {
-            flats.push(flatten(tensor)?.f_to_device(device)?);
+            .partition(|(key, _)| key.starts_with(BACKBONE_PREFIX));
+        let (mut flats, mut starts, mut length) = (Vec::new(), Vec::new(), 0);
+        let mut backbone_length = 0;
+        for (index, (_, tensor)) in backbone.iter().chain(&rest).enumerate() {
+            let flat = flatten(tensor)?.f_to_device(device)?;
+            let between = flat.size()[0].unsigned_abs().wrapping_neg() % aligned.unsigned_abs();
+            let between = i64::try_from(between).unwrap_or(0);
+            starts.push(length);
+            length += flat.size()[0] + between;
+            flats.push(flat);
+            if between > 0 {
+                flats.push(Tensor::f_zeros([between], (Kind::Float, device))?);
+            }
+            if index < backbone.len() {
+                backbone_length = length;
+            }
         }
         let master = Tensor::f_cat(&flats, 0)?;
         let working = match options.precision {
@@ -115,34 +146,29 @@ impl FlatParameters {
             } else {
                 None
             },
-            backbone_length: length(&flats[..backbone.len()]),
+            gradient: None,
+            backbone_length,
             keys: backbone
                 .iter()
                 .chain(&rest)
                 .map(|(key, _)| (*key).to_owned())
                 .collect(),
             leaves: Vec::new(),
+            starts,
             master,
             working,
             fixed: BTreeMap::new(),
         };
-        let shapes: Vec<Vec<i64>> = backbone
-            .iter()
-            .chain(&rest)
-            .map(|(_, tensor)| tensor.size())
-            .collect();
         for (key, tensor) in parameters.iter() {
             if !parameters.is_trainable(key) {
                 let own = tensor.f_to_device(device)?.f_detach_copy()?;
                 flat.fixed.insert(key.to_owned(), own);
             }
         }
-        let mut start = 0;
-        for shape in &shapes {
-            let view = unflatten(&flat.working, start, shape)?;
+        for ((_, tensor), &start) in backbone.iter().chain(&rest).zip(&flat.starts) {
+            let view = unflatten(&flat.working, start, &tensor.size())?;
             flat.leaves
                 .push(view.f_detach()?.f_set_requires_grad(true)?);
-            start += shape.iter().product::<i64>();
         }
         Ok(flat)
     }
@@ -164,8 +190,13 @@ impl FlatParameters {
     /// Copies of everything that a run needs to go on, by name.
     pub(super) fn state(&self) -> Result<BTreeMap<String, Tensor>, TchError> {
         let mut state = BTreeMap::new();
-        for (name, tensor) in self.named() {
-            state.insert(name, tensor.f_detach_copy()?.f_to_device(Device::Cpu)?);
+        for (name, tensor, is_flat) in self.named() {
+            let own = if is_flat {
+                Tensor::f_cat(&self.parts(tensor)?, 0)?
+            } else {
+                tensor.f_detach_copy()?
+            };
+            state.insert(name, own.f_to_device(Device::Cpu)?);
         }
         Ok(state)
     }
@@ -173,15 +204,34 @@ impl FlatParameters {
     /// Goes on from the state that [`Self::state`] of a like run was.
     pub(super) fn resume(&mut self, state: &RunState) -> Result<(), TrainError> {
         tch::no_grad(|| {
-            for (name, tensor) in self.named() {
-                // The copy shares its memory with the network's tensors.
-                tensor
-                    .shallow_clone()
-                    .f_copy_(&state.tensor(&name, tensor)?)?;
+            for (name, tensor, is_flat) in self.named() {
+                // The copies share their memory with the network's tensors.
+                if is_flat {
+                    let parts = self.parts(tensor)?;
+                    let kept = state.tensor(&name, &Tensor::f_cat(&parts, 0)?)?;
+                    let lengths: Vec<i64> = parts.iter().map(|part| part.size()[0]).collect();
+                    for (mut part, kept) in parts.into_iter().zip(kept.f_split_sizes(lengths, 0)?) {
+                        part.f_copy_(&kept)?;
+                    }
+                } else {
+                    let kept = state.tensor(&name, tensor)?;
+                    tensor.shallow_clone().f_copy_(&kept)?;
+                }
             }
             self.round()?;
             Ok::<(), TrainError>(())
         })
+    }
+
+    /// The leaves' parts of `flat`, each as long as its leaf.
+    fn parts(&self, flat: &Tensor) -> Result<Vec<Tensor>, TchError> {
+        let leaves = self.leaves.iter().zip(&self.starts);
+        leaves
+            .map(|(leaf, &start)| {
+                let length = leaf.size().iter().product::<i64>();
+                flat.f_narrow(0, start, length)
+            })
+            .collect()
     }
 
     /// The name in a run's state of the parameter `key` that the optimiser leaves alone.
@@ -189,18 +239,18 @@ impl FlatParameters {
         format!("fixed.{key}")
     }
 
-    /// What a run's state is made of.
-    fn named(&self) -> Vec<(String, &Tensor)> {
+    /// What a run's state is made of, and whether it is of the leaves, one after another.
+    fn named(&self) -> Vec<(String, &Tensor, bool)> {
         let mut named = vec![
-            ("master".to_owned(), &self.master),
-            ("first_moment".to_owned(), &self.first_moment),
-            ("second_moment".to_owned(), &self.second_moment),
+            ("master".to_owned(), &self.master, true),
+            ("first_moment".to_owned(), &self.first_moment, true),
+            ("second_moment".to_owned(), &self.second_moment, true),
         ];
         if let Some(average) = &self.average {
-            named.push(("average".to_owned(), average));
+            named.push(("average".to_owned(), average, true));
         }
         for (key, tensor) in &self.fixed {
-            named.push((Self::name_of_fixed(key), tensor));
+            named.push((Self::name_of_fixed(key), tensor, false));
         }
         named
     }
@@ -212,14 +262,11 @@ impl FlatParameters {
         for (key, tensor) in &self.fixed {
             tensors.insert(key.clone(), tensor.f_detach_copy()?);
         }
-        let mut start = 0;
-        for (key, leaf) in self.keys.iter().zip(&self.leaves) {
-            let shape = leaf.size();
-            let length = shape.iter().product::<i64>();
+        let parts = self.parts(source)?;
+        for ((key, leaf), part) in self.keys.iter().zip(&self.leaves).zip(parts) {
             // A copy of its own lies in memory as a loaded one does, so that kernels round the same way.
-            let own = source.f_narrow(0, start, length)?.f_add_scalar(0.0)?;
-            tensors.insert(key.clone(), unflatten(&own, 0, &shape)?);
-            start += length;
+            let own = part.f_add_scalar(0.0)?;
+            tensors.insert(key.clone(), unflatten(&own, 0, &leaf.size())?);
         }
         Ok(tensors)
     }
@@ -233,33 +280,56 @@ impl FlatParameters {
     ) -> Result<Tensor, TchError> {
         let gradients = Tensor::f_run_backward(&[loss], &self.leaves, false, false)?;
         tch::no_grad(|| {
-            let (gradient, norm) = self.clipped(&gradients, options)?;
+            let gradient = self.joined(&gradients)?;
+            let norm = clip(&gradient, options)?;
             self.adam_w(&gradient, rates, options)?;
             Ok(norm)
         })
+    }
+
+    /// The gradients of the leaves, with those of the backbone from what knows them.
+    fn gradients_with(&self, loss: &Tensor, below: Below<'_>) -> Result<Vec<Tensor>, TchError> {
+        let known = self
+            .keys
+            .iter()
+            .position(|key| !key.starts_with(BACKBONE_PREFIX));
+        let (backbone, rest) = self.leaves.split_at(known.unwrap_or(self.leaves.len()));
+        let above: Vec<&Tensor> = rest.iter().chain([&below.gave]).collect();
+        let mut gradients = Tensor::f_run_backward(&[loss], &above, false, false)?;
+        let Some(of_given) = gradients.pop() else {
+            return Err(TchError::Torch("no gradients".to_owned()));
+        };
+        let found = (below.back)(&of_given)?;
+        let of = |leaf: &Tensor| {
+            let same = |(parameter, _): &&(Tensor, Tensor)| parameter.data_ptr() == leaf.data_ptr();
+            let found = found.iter().find(same);
+            found.map_or_else(Tensor::new, |(_, gradient)| gradient.shallow_clone())
+        };
+        Ok(backbone.iter().map(of).chain(gradients).collect())
     }
 
     /// The same in fewer operations, all of them the same at every step: the `rates` are those that were [`Rates::sent`].
     pub(super) fn fused_step(
         &mut self,
         loss: &Tensor,
+        below: Option<Below<'_>>,
         rates: &Tensor,
         options: &TrainOptions,
     ) -> Result<Tensor, TchError> {
-        let gradients = Tensor::f_run_backward(&[loss], &self.leaves, false, false)?;
+        let gradients = match below {
+            None => Tensor::f_run_backward(&[loss], &self.leaves, false, false)?,
+            Some(below) => self.gradients_with(loss, below)?,
+        };
         tch::no_grad(|| {
-            let (gradient, norm) = self.clipped(&gradients, options)?;
+            let gradient = self.gathered(&gradients)?;
+            let norm = clip(&gradient, options)?;
             self.fused_adam_w(&gradient, rates, options)?;
             Ok(norm)
         })
     }
 
-    /// The gradients as one, shortened if that is asked for, and its norm before.
-    fn clipped(
-        &self,
-        gradients: &[Tensor],
-        options: &TrainOptions,
-    ) -> Result<(Tensor, Tensor), TchError> {
+    /// The gradients as one in single precision, where nothing is between them.
+    fn joined(&self, gradients: &[Tensor]) -> Result<Tensor, TchError> {
         let mut flats = Vec::with_capacity(gradients.len());
         for (gradient, leaf) in gradients.iter().zip(&self.leaves) {
             flats.push(if gradient.defined() {
@@ -268,16 +338,26 @@ impl FlatParameters {
                 flatten(&leaf.f_zeros_like()?)?
             });
         }
-        let mut gradient = Tensor::f_cat(&flats, 0)?.f_to_kind(Kind::Float)?;
-        let norm = gradient.f_norm()?;
-        if options.clip_norm.is_finite() {
-            let shrink = norm
-                .f_add_scalar(1e-6)?
-                .f_reciprocal()?
-                .f_mul_scalar(options.clip_norm)?;
-            let _ = gradient.f_mul_(&shrink.f_clamp_max(1.0)?)?;
+        Tensor::f_cat(&flats, 0)?.f_to_kind(Kind::Float)
+    }
+
+    /// The same in one piece of work, in memory of its own.
+    fn gathered(&mut self, gradients: &[Tensor]) -> Result<Tensor, TchError> {
+        let all = match &self.gradient {
+            Some(all) => all.shallow_clone(),
+            None => self.master.f_zeros_like()?,
+        };
+        let (mut from, mut to) = (Vec::new(), Vec::new());
+        for (gradient, part) in gradients.iter().zip(self.parts(&all)?) {
+            // What the loss does not hang on stays zero.
+            if gradient.defined() {
+                from.push(flatten(gradient)?);
+                to.push(part);
+            }
         }
-        Ok((gradient, norm))
+        copy_all(&to, &from)?;
+        self.gradient = Some(all.shallow_clone());
+        Ok(all)
     }
 
     /// Loshchilov and Hutter 2019, algorithm 2.
@@ -364,6 +444,19 @@ impl FlatParameters {
     }
 }
 
+/// Shortens `gradient` if that is asked for; returns its norm before.
+fn clip(gradient: &Tensor, options: &TrainOptions) -> Result<Tensor, TchError> {
+    let norm = gradient.f_norm()?;
+    if options.clip_norm.is_finite() {
+        let shrink = norm
+            .f_add_scalar(1e-6)?
+            .f_reciprocal()?
+            .f_mul_scalar(options.clip_norm)?;
+        let _ = gradient.shallow_clone().f_mul_(&shrink.f_clamp_max(1.0)?)?;
+    }
+    Ok(norm)
+}
+
 /// Filters are stored with their channels last, which is what convolutions like best.
 fn flatten(tensor: &Tensor) -> Result<Tensor, TchError> {
     if tensor.dim() == 4 {
@@ -383,16 +476,12 @@ fn unflatten(flat: &Tensor, start: i64, shape: &[i64]) -> Result<Tensor, TchErro
     }
 }
 
-fn length(flats: &[Tensor]) -> i64 {
-    flats.iter().map(|flat| flat.size()[0]).sum()
-}
-
 #[cfg(test)]
 mod tests {
     use super::{FlatParameters, Rates};
     use crate::act::ActPreset;
     use crate::parameters::{Init, ParameterSource};
-    use crate::train::TrainOptions;
+    use crate::train::{RunState, TrainOptions};
     use tch::nn::{self, OptimizerConfig};
     use tch::{Device, Kind, Tensor};
 
@@ -453,20 +542,18 @@ mod tests {
         assert!(worst < 1e-6, "{worst}");
     }
 
-    /// Two like networks with another learning rate for each of their two parts.
+    /// Two like networks of two parts; the second one's parameters lie apart.
     fn pair(options: &TrainOptions) -> [FlatParameters; 2] {
-        [0, 1].map(|_| {
+        [1, 64].map(|aligned| {
             let mut source = ParameterSource::seeded(7, Device::Cpu);
             for (key, shape) in [
                 ("model.backbone.conv1.weight", &[8, 3, 3, 3][..]),
                 ("model.head.weight", &[33, 5]),
             ] {
-                let _ = source
-                    .trainable(key, shape, &Init::Normal(1.0))
-                    .unwrap();
+                let _ = source.trainable(key, shape, &Init::Normal(1.0)).unwrap();
             }
             let parameters = source.finish().unwrap();
-            FlatParameters::new(&parameters, Device::Cpu, options).unwrap()
+            FlatParameters::laid(&parameters, (Device::Cpu, aligned), options).unwrap()
         })
     }
 
@@ -481,22 +568,41 @@ mod tests {
         let [mut plain, mut fused] = pair(&options);
         let loss = |flat: &FlatParameters| {
             let tensors = flat.working_tensors();
-            let sines = tensors.values().map(|tensor| tensor.sin().square().sum(Kind::Float));
+            let sines = tensors
+                .values()
+                .map(|tensor| tensor.sin().square().sum(Kind::Float));
             sines.reduce(|one, other| one * other).unwrap()
         };
         for step in 1..=20 {
             let rates = Rates::of(step, [0.02, 0.003], &options);
             let one = plain.step(&loss(&plain), rates, &options).unwrap();
             let rates = rates.sent(Device::Cpu).unwrap();
-            let other = fused.fused_step(&loss(&fused), &rates, &options).unwrap();
+            let other = fused
+                .fused_step(&loss(&fused), None, &rates, &options)
+                .unwrap();
             let [one, other] = [one, other].map(|norm| norm.double_value(&[]));
-            assert!(one > 3.0 && (one - other).abs() < 1e-3 * one, "{one}, {other}");
+            assert!(
+                one > 3.0 && (one - other).abs() < 1e-3 * one,
+                "{one}, {other}"
+            );
         }
-        let start = &pair(&options)[0];
-        for (((name, one), (_, other)), (_, start)) in plain.named().into_iter().zip(fused.named()).zip(start.named()) {
+        let [start, mut resumed] = pair(&options);
+        let [start, one, other] = [&start, &plain, &fused].map(|flat| flat.state().unwrap());
+        assert_eq!(one.len(), 4);
+        for (name, one) in &one {
+            let other = &other[name];
             let apart = (one - other).abs().max().double_value(&[]);
-            let moved = (one - start).abs().max().double_value(&[]);
+            let moved = (one - &start[name]).abs().max().double_value(&[]);
             assert!(apart < 2e-4 * moved, "{name}: {apart} apart after {moved}");
         }
+        // A state says nothing of where parameters lie.
+        resumed
+            .resume(&RunState::of(plain.state().unwrap()))
+            .unwrap();
+        let tensors = resumed.state().unwrap();
+        assert!(one.iter().all(|(name, one)| tensors[name] == *one));
+        let averaged = resumed.averaged_tensors().unwrap();
+        let wanted = plain.averaged_tensors().unwrap();
+        assert!(wanted.iter().all(|(key, wanted)| averaged[key] == *wanted));
     }
 }

@@ -126,9 +126,9 @@ impl FrameImages {
         match (self, sent) {
             (_, Some(sent)) => Ok(sent.shallow_clone()),
             (Self::Resident(images), None) => images.f_index_select(0, indices),
-            (Self::Streamed(_), None) => {
-                Err(TchError::Torch("no images were sent to the device".to_owned()))
-            }
+            (Self::Streamed(_), None) => Err(TchError::Torch(
+                "no images were sent to the device".to_owned(),
+            )),
         }
     }
 }

@@ -9,7 +9,7 @@ static GENERATOR: Mutex<()> = Mutex::new(());
 
 /// Seeds the process's generator, which is the caller's while the answer lives.
 #[must_use = "others may draw as soon as this is dropped"]
-pub(super) fn seeded(seed: u64) -> MutexGuard<'static, ()> {
+pub(crate) fn seeded(seed: u64) -> MutexGuard<'static, ()> {
     let drawing = GENERATOR.lock().unwrap_or_else(PoisonError::into_inner);
     tch::manual_seed(seed.cast_signed());
     drawing

@@ -21,8 +21,7 @@ mod error;
 mod flat;
 mod frame_images;
 mod frame_order;
-mod fused;
-mod generator;
+pub(crate) mod generator;
 mod options;
 mod plot;
 mod recipes;
@@ -30,9 +29,9 @@ mod recipes;
 mod resume_tests;
 mod run_state;
 mod steps;
-mod told;
 #[cfg(test)]
 mod tests;
+mod told;
 mod training_set;
 
 use serde::Serialize;
@@ -48,13 +47,14 @@ pub use run_state::RunState;
 use crate::act::{Act, ActConfig, Demonstration, LossDenominator, l1_loss, losses};
 use crate::checkpoint::{BackboneWeights, FeatureStatistics};
 use crate::dataset::Dataset;
+use crate::kernels::Kernels;
 use crate::normalise::{ImageNormaliser, Statistics};
 use crate::parameters::ParameterSource;
 use crate::perception::CloudRecipe;
 use crate::recorded::sleep_while_waiting;
 use crate::rng::SplitMix64;
 use flat::FlatParameters;
-use steps::{Learner, Losses, Split, Steps};
+use steps::{Back, Below, Learner, Losses, Split, Steps};
 use training_set::{TrainingSet, index_tensor, send};
 
 /// Where a run stands.
@@ -90,9 +90,9 @@ pub enum Progress {
         /// What is minimised, of this step alone.
         loss: f64,
     },
-    /// On an accelerator each operation of a step is told piece by piece, since steps could not be recorded.
-    NotRecorded {
-        /// Why not.
+    /// Steps take longer than they could.
+    Slower {
+        /// Why.
         reason: String,
     },
     /// A row of the loss curve is there.
@@ -270,6 +270,21 @@ impl Trainer {
         }
     }
 
+    /// Kernels of our own for the backbone, where there are some.
+    fn kernels(&self, options: &TrainOptions, watch: &mut dyn Watch) -> Option<Kernels> {
+        if !self.device.is_cuda() || options.precision != TrainPrecision::Bf16 {
+            return None;
+        }
+        match Kernels::new(self.device) {
+            Ok(kernels) => Some(kernels),
+            Err(error) => {
+                let reason = error.to_string();
+                watch.progress(&Progress::Slower { reason });
+                None
+            }
+        }
+    }
+
     /// Trains the network `config` on `dataset` from a fresh start.
     ///
     /// Cameras of the configuration must be the dataset's, in its order, and its widths those of the dataset's arms.
@@ -300,6 +315,7 @@ impl Trainer {
         let run = Run {
             act: Act::new(config.clone(), working)?,
             images: ImageNormaliser::imagenet(self.device)?,
+            kernels: self.kernels(options, watch),
             options,
             set: &set,
         };
@@ -358,6 +374,7 @@ fn check_arms(config: &ActConfig, arms: usize) -> Result<(), TrainError> {
 struct Run<'a> {
     act: Act,
     images: ImageNormaliser,
+    kernels: Option<Kernels>,
     options: &'a TrainOptions,
     set: &'a TrainingSet,
 }
@@ -376,7 +393,7 @@ impl Learner for Run<'_> {
         Ok(inputs)
     }
 
-    fn losses(&self, inputs: &[Tensor]) -> Result<Losses, TchError> {
+    fn losses(&self, inputs: &[Tensor]) -> Result<Losses<'_>, TchError> {
         let [indices, drawn, sent @ ..] = inputs else {
             return Err(TchError::Shape(format!("{} inputs", inputs.len())));
         };
@@ -394,7 +411,21 @@ impl Learner for Run<'_> {
             is_pad: &batch.is_pad,
             noise: &noise,
         };
-        let (predicted, latent) = self.act.train(&images, &state, &demonstration)?;
+        let (predicted, latent, below) = match &self.kernels {
+            None => {
+                let (predicted, latent) = self.act.train(&images, &state, &demonstration)?;
+                (predicted, latent, None)
+            }
+            Some(kernels) => {
+                let (features, kept) = self.act.features_by_hand(kernels, &images)?;
+                let gave = features.f_detach()?.f_set_requires_grad(true)?;
+                let (predicted, latent) = self.act.train_on(&gave, &state, &demonstration)?;
+                let back: Back<'_> = Box::new(move |gradient| {
+                    self.act.features_back_by_hand(kernels, gradient, &kept)
+                });
+                (predicted, latent, Some(Below { gave, back }))
+            }
+        };
         let parts = losses(
             config,
             &predicted,
@@ -406,6 +437,7 @@ impl Learner for Run<'_> {
             total: parts.total,
             l1: parts.l1,
             kl: parts.kl,
+            below,
         })
     }
 

@@ -156,6 +156,20 @@ impl RunState {
         Ok(all)
     }
 
+    /// One that has `tensors` alone.
+    #[cfg(test)]
+    pub(super) fn of(tensors: BTreeMap<String, Tensor>) -> Self {
+        Self {
+            step: 1,
+            about: String::new(),
+            run: String::new(),
+            curve: LossCurve::default(),
+            since_row: None,
+            tensors,
+            file: PathBuf::new(),
+        }
+    }
+
     /// The losses so far.
     #[must_use]
     pub const fn curve(&self) -> &LossCurve {

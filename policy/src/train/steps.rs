@@ -26,20 +26,31 @@ pub(super) trait Learner {
     /// The loss over the frames of `inputs`, and its two parts for the curve: error of the actions, divergence.
     ///
     /// An accelerator is told the same at every step, and nothing is read back from it: this may be recorded.
-    fn losses(&self, inputs: &[Tensor]) -> Result<Losses, TchError>;
+    fn losses(&self, inputs: &[Tensor]) -> Result<Losses<'_>, TchError>;
 
     /// Mean absolute error of the normalised actions over `frames`, as inference sees them.
     fn error(&self, frames: &[usize]) -> Result<f64, TchError>;
 }
 
 /// What a step minimises, and its parts.
-pub(super) struct Losses {
+pub(super) struct Losses<'a> {
     pub(super) total: Tensor,
     pub(super) l1: Tensor,
     pub(super) kl: Tensor,
+    pub(super) below: Option<Below<'a>>,
 }
 
-impl Losses {
+/// A part of the network that the library's own bookkeeping does not know.
+pub(super) struct Below<'a> {
+    /// What it gave to the rest.
+    pub(super) gave: Tensor,
+    /// Its parameters with their gradients, given that of what it gave.
+    pub(super) back: Back<'a>,
+}
+
+pub(super) type Back<'a> = Box<dyn FnOnce(&Tensor) -> Result<Vec<(Tensor, Tensor)>, TchError> + 'a>;
+
+impl Losses<'_> {
     /// The loss, its parts and the `norm` of its gradient, as [`TERMS`] has them.
     fn with(&self, norm: &Tensor) -> Result<Tensor, TchError> {
         let [total, l1, kl] = [&self.total, &self.l1, &self.kl].map(Tensor::f_detach);
@@ -104,7 +115,7 @@ impl Steps<'_> {
             next = order.of_step(step + 1, options.batch);
             self.learner.announce(&next);
             // Not waited for.
-            since_row.push(self.step(step, &frames, flat, (&mut told, watch))?);
+            since_row.push(self.step(step, &frames, flat, (&mut told, &mut *watch))?);
             let done = step + 1;
             if let Some(last) = since_row.last()
                 && watch.wants_step(done)
@@ -181,8 +192,9 @@ impl Steps<'_> {
             let Some((rates, inputs)) = inputs.split_last() else {
                 return Err(TchError::Shape("no inputs".to_owned()));
             };
-            let losses = self.learner.losses(inputs)?;
-            let norm = flat.fused_step(&losses.total, rates, options)?;
+            let mut losses = self.learner.losses(inputs)?;
+            let below = losses.below.take();
+            let norm = flat.fused_step(&losses.total, below, rates, options)?;
             losses.with(&norm)
         };
         told.step(&inputs, &mut work, watch)
@@ -319,7 +331,7 @@ mod tests {
             Ok(Vec::new())
         }
 
-        fn losses(&self, _inputs: &[Tensor]) -> Result<Losses, TchError> {
+        fn losses(&self, _inputs: &[Tensor]) -> Result<Losses<'_>, TchError> {
             self.step.set(self.step.get() + 1);
             let pick = |term, good: &Tensor| {
                 if term == self.term && self.step.get() == self.at {
@@ -333,6 +345,7 @@ mod tests {
                 l1: pick("l1", &total.f_detach()?)?,
                 kl: pick("kl", &total.f_detach()?)?,
                 total,
+                below: None,
             })
         }
 

@@ -35,8 +35,8 @@ impl Told {
         if let Some(recorder) = Recorder::begin(device)? {
             return Ok(Self::WarmingUp(recorder, WARM_UP_STEPS));
         }
-        let reason = "the libraries here can't record".to_owned();
-        watch.progress(&Progress::NotRecorded { reason });
+        let reason = "the libraries here can't record steps".to_owned();
+        watch.progress(&Progress::Slower { reason });
         Ok(Self::PieceByPiece)
     }
 
@@ -53,8 +53,8 @@ impl Told {
             Self::WarmingUp(recorder, 0) => match recorder.record(inputs, &mut *work) {
                 Ok(recording) => Self::Recorded(recording),
                 Err(error) => {
-                    let reason = error.to_string();
-                    watch.progress(&Progress::NotRecorded { reason });
+                    let reason = format!("they can't be recorded: {error}");
+                    watch.progress(&Progress::Slower { reason });
                     Self::PieceByPiece
                 }
             },

@@ -7,7 +7,10 @@ mod thread;
 use hal::TimeNs;
 
 pub use periodic::{Periodic, Wake};
-pub use sys::{MemoryLockLimit, can_lock_bytes, catch_interrupts, interrupted, memory_lock_limit};
+pub use sys::{
+    MemoryLockLimit, can_lock_bytes, catch_interrupts, end_with_parent, interrupt_process,
+    interrupted, memory_lock_limit,
+};
 pub use thread::{
     Grant, RtOptions, RtRefused, RtReport, ThreadFaults, configure_thread, thread_faults,
 };

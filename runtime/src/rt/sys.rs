@@ -206,6 +206,31 @@ pub fn interrupted() -> bool {
     INTERRUPTED.load(Ordering::Acquire)
 }
 
+/// Sends SIGINT to the process `id`.
+///
+/// # Errors
+/// The system's, such as that there is no such process.
+pub fn interrupt_process(id: u32) -> io::Result<()> {
+    let id = libc::pid_t::try_from(id).map_err(io::Error::other)?;
+    // SAFETY: the call takes no pointers.
+    checked(unsafe { libc::kill(id, libc::SIGINT) })
+}
+
+/// Makes this process get SIGINT when the thread that started it ends, however that happens.
+///
+/// # Errors
+/// The system's; or if `parent` is not the parent any more, which ended before this call.
+pub fn end_with_parent(parent: u32) -> io::Result<()> {
+    // SAFETY: the call takes a number besides the option.
+    checked(unsafe { libc::prctl(libc::PR_SET_PDEATHSIG, libc::SIGINT) })?;
+    if std::os::unix::process::parent_id() == parent {
+        return Ok(());
+    }
+    Err(io::Error::other(
+        "the process that started this one is gone",
+    ))
+}
+
 fn checked(code: libc::c_int) -> io::Result<()> {
     if code == 0 {
         Ok(())

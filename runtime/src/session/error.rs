@@ -67,6 +67,9 @@ pub enum SessionError {
         /// All attempts.
         attempts: u64,
     },
+    /// A study can't be planned, run or reported.
+    #[error(transparent)]
+    Study(Box<crate::study::StudyError>),
     /// An argument makes no sense.
     #[error("{0}")]
     BadArgument(String),
@@ -112,6 +115,12 @@ pub enum SessionError {
     RealTime(String),
 }
 
+impl From<crate::study::StudyError> for SessionError {
+    fn from(error: crate::study::StudyError) -> Self {
+        Self::Study(Box::new(error))
+    }
+}
+
 impl SessionError {
     /// An output error for `path`.
     #[must_use]
@@ -127,6 +136,7 @@ impl SessionError {
     pub const fn is_bad_input(&self) -> bool {
         match self {
             Self::Log(error) => error.is_bad_input(),
+            Self::Study(error) => error.is_bad_input(),
             Self::Config(_)
             | Self::Checkpoint(_)
             | Self::Dataset(_)

@@ -237,9 +237,9 @@ impl Watch for Watcher<'_> {
             Progress::Unseen { frames, of } => self.note(&format!(
                 "in {frames} of {of} frames nothing wanted is in view: their clouds lie at the origin"
             )),
-            Progress::NotRecorded { ref reason } => self.note(&format!(
-                "steps can't be recorded, so that they take longer: {reason}"
-            )),
+            Progress::Slower { ref reason } => {
+                self.note(&format!("steps take longer than they could: {reason}"));
+            }
             Progress::Begin { step, .. } => self.begin(step, seconds),
             Progress::Step { step, steps, loss } => {
                 self.told_s = Some(seconds);

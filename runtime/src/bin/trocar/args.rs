@@ -13,6 +13,7 @@ use crate::drives::DrivesArgs;
 use crate::import::ImportArgs;
 use crate::scene_args::SceneArgs;
 use crate::sheet::SheetArgs;
+use crate::study::{ReportArgs, StudyArgs};
 
 /// A count that is not 0.
 fn count() -> RangedU64ValueParser<usize> {
@@ -78,6 +79,16 @@ pub(crate) enum Verb {
         after_help = "Example: trocar train --policy act --data runs/demos --out runs/act --steps 10000 --device cuda\n         trocar train --policy act --data runs/demos --out runs/act --eval-every 1000 --eval-trials 20 --eval-jobs 4\n         tensorboard --logdir runs\n\nLosses are in loss.csv, loss.svg and TensorBoard's event files, all in OUT. Ctrl-C keeps the state and ends with exit code 1; --resume OUT goes on."
     )]
     Train(TrainArgs),
+    /// Run a study: a grid of recordings, trainings and evaluations, of which what is done is not done again.
+    #[command(
+        after_help = "Example: trocar study config/studies/sufia-bc.toml --dry-run\n         trocar study config/studies/sufia-bc.toml --out runs/sufia-bc\n         trocar study config/studies/sufia-bc.toml --out /shared/sufia-bc --shard 3/8\n\nIt can be cut off at any time: the same command goes on. What a cell's verb says is in its folder's log.txt. Exit code: 0 if all is done, 1 if a cell failed or it was interrupted, 2 for bad input, such as a result that was changed since it was made."
+    )]
+    Study(StudyArgs),
+    /// Make one page of a study: every table beside the published figures, comparisons, curves, losses, times and hashes.
+    #[command(
+        after_help = "Example: trocar report runs/sufia-bc --out runs/sufia-bc.html\n         trocar report runs/shard-1 runs/shard-2 --out runs/sufia-bc.md --json runs/sufia-bc.json"
+    )]
+    Report(ReportArgs),
     /// Recompute every command of a log from its inputs; exit 0 only if all are bit-identical.
     #[command(after_help = "Example: trocar replay runs/a.mcap")]
     Replay(LogArgs),

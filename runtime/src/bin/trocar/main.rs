@@ -10,6 +10,7 @@ mod eval;
 mod import;
 mod scene_args;
 mod sheet;
+mod study;
 mod train;
 
 use std::process::ExitCode;
@@ -40,6 +41,10 @@ fn explain_panics() {
 
 fn main() -> ExitCode {
     explain_panics();
+    if let Err(error) = runtime::study::child::end_with_parent() {
+        console::error(&error);
+        return ExitCode::from(1);
+    }
     let cli = Cli::parse();
     if let Err(error) = rt::check_slow_motion() {
         console::error(&error);
@@ -57,6 +62,8 @@ fn main() -> ExitCode {
         Verb::Record(args) => commands::record(args),
         Verb::Import(args) => import::import(args),
         Verb::Train(args) => train::train(args),
+        Verb::Study(args) => study::study(args),
+        Verb::Report(args) => study::report(args),
         Verb::Replay(args) => commands::replay(args),
         Verb::Verify(args) => commands::verify(args),
         Verb::Drives(args) => drives::drives(args),

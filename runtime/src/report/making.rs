@@ -1,0 +1,249 @@
+//! How the results of a study were made: training curves, time and memory, programs and hashes.
+
+use std::collections::BTreeSet;
+
+use super::document::{Block, Inline, TableCell, paragraph};
+use super::load::{Made, Results};
+use super::plots::{Plot, Series};
+use crate::study::axis::Axis;
+use crate::study::estimate::in_words;
+use crate::study::job::Kind;
+
+/// The losses of every network's trainings, a colour a task.
+pub(super) fn training_curves(results: &Results) -> Vec<Block> {
+    let study = &results.study;
+    let (mut networks, mut tasks): (Vec<&String>, Vec<&String>) = (Vec::new(), Vec::new());
+    for entry in study
+        .entries
+        .iter()
+        .filter(|entry| entry.training.is_some())
+    {
+        for (list, name) in [
+            (&mut networks, &entry.at.network),
+            (&mut tasks, &entry.at.task),
+        ] {
+            if !list.contains(&name) {
+                list.push(name);
+            }
+        }
+    }
+    let mut blocks = Vec::new();
+    for network in networks {
+        let mut seen = BTreeSet::new();
+        let mut series = Vec::new();
+        for entry in study
+            .entries
+            .iter()
+            .filter(|entry| entry.at.network == *network)
+        {
+            let Some(address) = entry
+                .training
+                .as_ref()
+                .filter(|address| seen.insert((*address).clone()))
+            else {
+                continue;
+            };
+            let Some(training) = results.trainings.get(address) else {
+                continue;
+            };
+            series.push(Series {
+                name: study.title_of(Axis::Task, &entry.at.task),
+                colour: tasks
+                    .iter()
+                    .position(|task| **task == entry.at.task)
+                    .unwrap_or(0),
+                points: training
+                    .curve
+                    .iter()
+                    .map(|row| (row.step, row.loss))
+                    .collect(),
+                intervals: Vec::new(),
+            });
+        }
+        let (title, count) = (study.title_of(Axis::Network, network), series.len());
+        let plot = Plot {
+            title,
+            x: "step".to_owned(),
+            y: "loss".to_owned(),
+            logarithmic: true,
+            series,
+        };
+        let described = format!("{}: loss of {count} trainings, a colour a task", plot.title);
+        blocks.extend(plot.svg().map(|svg| Block::Plot {
+            title: described,
+            svg,
+        }));
+    }
+    if !blocks.is_empty() {
+        blocks.insert(0, Block::Heading(2, "Training curves".to_owned()));
+    }
+    blocks
+}
+
+/// Time and memory, by what was made.
+pub(super) fn costs(results: &Results) -> Vec<Block> {
+    let study = &results.study;
+    let mut groups: Vec<(Kind, String, Vec<&Made>)> = Vec::new();
+    let mut seen = BTreeSet::new();
+    for entry in &study.entries {
+        let network = study.title_of(Axis::Network, &entry.at.network);
+        let task = study.title_of(Axis::Task, &entry.at.task);
+        let recording = entry
+            .recording
+            .as_ref()
+            .and_then(|address| results.recordings.get(address));
+        let training = entry
+            .training
+            .as_ref()
+            .and_then(|address| results.trainings.get(address));
+        let evaluation = results.evaluations.get(&entry.evaluation);
+        let found = [
+            (Kind::Recording, task, recording),
+            (
+                Kind::Training,
+                network.clone(),
+                training.map(|training| &training.made),
+            ),
+            (
+                Kind::Evaluation,
+                network,
+                evaluation.map(|evaluation| &evaluation.made),
+            ),
+        ];
+        for (kind, name, made) in found {
+            let Some(made) = made.filter(|made| seen.insert(made.manifest.address.clone())) else {
+                continue;
+            };
+            match groups.iter_mut().find(|(k, n, _)| *k == kind && *n == name) {
+                Some((_, _, list)) => list.push(made),
+                None => groups.push((kind, name, vec![made])),
+            }
+        }
+    }
+    groups.sort_by_key(|(kind, _, _)| *kind);
+    if groups.is_empty() {
+        return Vec::new();
+    }
+    let head = [
+        "",
+        "of",
+        "cells",
+        "time each, median",
+        "time in all",
+        "memory",
+        "memory on the GPU",
+        "GPU",
+    ];
+    let rows = groups
+        .iter()
+        .map(|(kind, name, made)| cost(*kind, name, made))
+        .collect();
+    vec![
+        Block::Heading(2, "Time and memory".to_owned()),
+        paragraph(
+            "Time is that of a cell's own process, beside whatever else ran on the machine; memory is the greatest of any cell.",
+        ),
+        Block::Table {
+            head: head.map(str::to_owned).to_vec(),
+            rows,
+        },
+    ]
+}
+
+fn cost(kind: Kind, name: &str, made: &[&Made]) -> Vec<TableCell> {
+    let mut seconds: Vec<f64> = made.iter().map(|made| made.manifest.seconds).collect();
+    seconds.sort_by(f64::total_cmp);
+    let greatest = |of: fn(&Made) -> Option<u64>| made.iter().filter_map(|made| of(made)).max();
+    let mut gpus: Vec<&str> = made
+        .iter()
+        .filter_map(|made| made.manifest.gpu.as_deref())
+        .collect();
+    gpus.sort_unstable();
+    gpus.dedup();
+    vec![
+        TableCell::text(kind.as_str()),
+        TableCell::text(name),
+        TableCell::number(made.len().to_string()),
+        TableCell::number(in_words(seconds[seconds.len() / 2])),
+        TableCell::number(in_words(seconds.iter().sum())),
+        TableCell::number(memory(greatest(|made| made.manifest.memory_bytes))),
+        TableCell::number(memory(greatest(|made| made.manifest.gpu_memory_bytes))),
+        TableCell::text(gpus.join(", ")),
+    ]
+}
+
+#[expect(clippy::cast_precision_loss, reason = "to a tenth of a GB")]
+fn memory(bytes: Option<u64>) -> String {
+    bytes.map_or_else(String::new, |bytes| format!("{:.1} GB", bytes as f64 / 1e9))
+}
+
+/// Programs, machines, addresses, and the file that the study came from.
+pub(super) fn provenance(results: &Results) -> Vec<Block> {
+    let study = &results.study;
+    let all = || {
+        let trainings = results.trainings.values().map(|training| &training.made);
+        let evaluations = results
+            .evaluations
+            .values()
+            .map(|evaluation| &evaluation.made);
+        results
+            .recordings
+            .values()
+            .chain(trainings)
+            .chain(evaluations)
+    };
+    let distinct = |of: fn(&Made) -> String| {
+        let mut found: Vec<String> = all().map(of).collect();
+        found.sort_unstable();
+        found.dedup();
+        found.join(", ")
+    };
+    let row = |name: &str, value: String| {
+        vec![
+            TableCell::text(name),
+            TableCell {
+                lines: vec![vec![Inline::Code(value)]],
+                ..TableCell::default()
+            },
+        ]
+    };
+    let mut cells = Vec::new();
+    for (address, cell) in &study.cells {
+        let made = all().find(|made| made.manifest.address == *address);
+        cells.push(vec![
+            TableCell::text(cell.kind.as_str()),
+            TableCell {
+                lines: vec![vec![Inline::Code(address.to_string())]],
+                ..TableCell::default()
+            },
+            TableCell::text(cell.label.clone()),
+            TableCell::text(made.map_or("not there", |_| "done")),
+        ]);
+    }
+    vec![
+        Block::Heading(2, "Versions and hashes".to_owned()),
+        Block::Table {
+            head: ["what", "value"].map(str::to_owned).to_vec(),
+            rows: vec![
+                row("grid", study.grid.to_string()),
+                row("program in addresses", study.code.clone()),
+                row(
+                    "executables (SHA-256)",
+                    distinct(|made| made.manifest.executable_sha256.clone()),
+                ),
+                row("machines", distinct(|made| made.manifest.host.clone())),
+            ],
+        },
+        Block::Details(
+            format!("All {} cells with their addresses", study.cells.len()),
+            vec![Block::Table {
+                head: ["", "address", "what", "state"].map(str::to_owned).to_vec(),
+                rows: cells,
+            }],
+        ),
+        Block::Details(
+            "The study's file".to_owned(),
+            vec![Block::Verbatim(study.text.clone())],
+        ),
+    ]
+}

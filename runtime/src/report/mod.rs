@@ -1,0 +1,124 @@
+//! Reports of studies: one page with every table beside the published figures, curves, comparisons, losses, times and hashes.
+
+mod causes;
+pub mod compare;
+pub mod document;
+pub mod html;
+pub mod load;
+mod losses;
+mod making;
+pub mod markdown;
+mod page;
+pub mod plots;
+mod rates;
+pub mod statistics;
+mod strips;
+pub mod tables;
+
+use std::path::{Path, PathBuf};
+
+use serde::Serialize;
+
+use crate::study::StudyError;
+use crate::study::files::{write_json, write_whole};
+use compare::Comparison;
+use load::Results;
+use statistics::Score;
+use tables::Table;
+
+/// The figures of a report, for scripts: the same for the same cells, wherever and in how many shards they were made.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Figures {
+    /// The study's title.
+    pub title: String,
+    /// The address of its evaluations together.
+    pub grid: String,
+    /// Evaluations that are done, and all.
+    pub evaluations: [usize; 2],
+    /// All trials.
+    pub total: Score,
+    /// The tables.
+    pub tables: Vec<Table>,
+    /// Two by two, of each table.
+    pub comparisons: Vec<Vec<Comparison>>,
+}
+
+/// A report that was written.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Written {
+    /// Its files.
+    pub files: Vec<PathBuf>,
+    /// Evaluations that are done, and all.
+    pub evaluations: [usize; 2],
+    /// What is not what was written, with the reason.
+    pub damaged: Vec<String>,
+}
+
+/// Reads the study in `folders` and writes its report to `out`, `.html` or `.md`, and its figures to `json`.
+///
+/// # Errors
+/// [`StudyError`] if a folder is no study's or of another grid, or `out` can't be written or is of another kind.
+pub fn write(folders: &[PathBuf], out: &Path, json: Option<&Path>) -> Result<Written, StudyError> {
+    let kind = out
+        .extension()
+        .and_then(|kind| kind.to_str())
+        .unwrap_or_default();
+    if !["html", "md"].contains(&kind) {
+        let reason = "a report is FILE.html or FILE.md";
+        return Err(StudyError::BadArgument(format!(
+            "--out {}: {reason}",
+            out.display()
+        )));
+    }
+    let results = Results::read(folders)?;
+    let blocks = page::blocks(&results, &folder_of(out));
+    let mut files = vec![out.to_owned()];
+    if kind == "html" {
+        write_whole(out, html::page(&results.study.title, &blocks).as_bytes())?;
+    } else {
+        let stem = out.file_stem().unwrap_or_default().to_string_lossy();
+        let folder = format!("{stem}_files");
+        let (text, attachments) = markdown::text(&blocks, &folder);
+        for attachment in attachments {
+            let path = out.with_file_name(&folder).join(attachment.name);
+            write_whole(&path, &attachment.bytes)?;
+            files.push(path);
+        }
+        write_whole(out, text.as_bytes())?;
+    }
+    let figures = figures(&results);
+    if let Some(path) = json {
+        write_json(path, &figures)?;
+        files.push(path.to_owned());
+    }
+    Ok(Written {
+        files,
+        evaluations: figures.evaluations,
+        damaged: results.damaged,
+    })
+}
+
+/// The folder of `file`, absolute if the system tells where we are, as the folders of results are made too.
+fn folder_of(file: &Path) -> PathBuf {
+    let parent = file.parent().unwrap_or_else(|| Path::new(""));
+    std::path::absolute(parent.join(".")).unwrap_or_else(|_| parent.to_owned())
+}
+
+fn figures(results: &Results) -> Figures {
+    let tables = tables::tables(results);
+    let evaluations = results.study.cells.values();
+    let all = evaluations
+        .filter(|cell| cell.kind == crate::study::job::Kind::Evaluation)
+        .count();
+    Figures {
+        title: results.study.title.clone(),
+        grid: results.study.grid.to_string(),
+        evaluations: [results.evaluations.len(), all],
+        total: page::total(results),
+        comparisons: tables
+            .iter()
+            .map(|table| compare::comparisons(results, table))
+            .collect(),
+        tables,
+    }
+}

@@ -1,0 +1,138 @@
+//! Addresses: the SHA-256 of everything that makes a cell, and of the files that it consists of.
+
+use std::fs::File;
+use std::io::{self, Read};
+use std::path::Path;
+
+use serde::{Deserialize, Serialize};
+use sha2::{Digest, Sha256};
+
+/// Hexadecimal digits of an address.
+const DIGITS: usize = 20;
+
+/// The address of a cell: the same inputs give the same, any other input another.
+#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+#[serde(transparent)]
+pub struct Address(String);
+
+impl Address {
+    /// The address of what `recipe` says.
+    ///
+    /// The recipe is hashed as JSON with sorted keys, so that the order of a struct's fields does not matter.
+    #[must_use]
+    pub fn of(recipe: &serde_json::Value) -> Self {
+        let mut hash = Sha256::new();
+        add(&mut hash, recipe);
+        Self(hexadecimal(hash)[..DIGITS].to_owned())
+    }
+
+    /// As text: 20 hexadecimal digits.
+    #[must_use]
+    pub fn as_str(&self) -> &str {
+        &self.0
+    }
+
+    /// The first digits, for lines that people read.
+    #[must_use]
+    pub fn short(&self) -> &str {
+        self.0.get(..8).unwrap_or(&self.0)
+    }
+}
+
+impl std::fmt::Display for Address {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(&self.0)
+    }
+}
+
+/// Adds `value` in a form in which no two values look the same.
+fn add(hash: &mut Sha256, value: &serde_json::Value) {
+    match value {
+        serde_json::Value::Object(fields) => {
+            let mut sorted: Vec<_> = fields.iter().collect();
+            sorted.sort_by_key(|(key, _)| key.as_str());
+            hash.update(b"{");
+            for (key, value) in sorted {
+                add_text(hash, key);
+                add(hash, value);
+            }
+            hash.update(b"}");
+        }
+        serde_json::Value::Array(items) => {
+            hash.update(b"[");
+            for item in items {
+                add(hash, item);
+            }
+            hash.update(b"]");
+        }
+        serde_json::Value::String(text) => add_text(hash, text),
+        serde_json::Value::Null | serde_json::Value::Bool(_) | serde_json::Value::Number(_) => {
+            hash.update(value.to_string());
+            hash.update(b";");
+        }
+    }
+}
+
+fn add_text(hash: &mut Sha256, text: &str) {
+    hash.update(format!("\"{}:", text.len()));
+    hash.update(text);
+}
+
+fn hexadecimal(hash: Sha256) -> String {
+    format!("{:x}", hash.finalize())
+}
+
+/// SHA-256 of `text`, hexadecimal.
+#[must_use]
+pub fn hash_text(text: &str) -> String {
+    let mut hash = Sha256::new();
+    hash.update(text);
+    hexadecimal(hash)
+}
+
+/// SHA-256 of the file at `path`, hexadecimal.
+///
+/// # Errors
+/// The system's.
+pub fn hash_file(path: &Path) -> io::Result<String> {
+    let mut file = File::open(path)?;
+    let mut hash = Sha256::new();
+    let mut buffer = vec![0_u8; 1 << 20];
+    loop {
+        let count = file.read(&mut buffer)?;
+        if count == 0 {
+            return Ok(hexadecimal(hash));
+        }
+        hash.update(&buffer[..count]);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use serde_json::json;
+
+    use super::*;
+
+    #[test]
+    fn hashes_match_the_published_test_vectors() {
+        // FIPS 180-2, appendix B.1.
+        let expected = "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad";
+        assert_eq!(hash_text("abc"), expected);
+    }
+
+    #[test]
+    fn order_of_keys_does_not_matter_and_every_value_does() {
+        let one = Address::of(&json!({"a": 1, "b": ["x", null]}));
+        assert_eq!(one, Address::of(&json!({"b": ["x", null], "a": 1})));
+        assert_eq!(one.as_str().len(), DIGITS);
+        for other in [
+            json!({"a": 2, "b": ["x", null]}),
+            json!({"a": 1, "b": ["x"]}),
+            json!({"a": 1, "b": "x"}),
+            json!({"a": "1", "b": ["x", null]}),
+            json!({"ab": 1, "": ["x", null]}),
+        ] {
+            assert_ne!(one, Address::of(&other), "{other}");
+        }
+    }
+}

@@ -1,0 +1,222 @@
+//! Whether a study's file makes sense, beyond its form.
+
+use std::collections::BTreeSet;
+
+use hal::config::{ConfigError, Source};
+
+use super::file::{
+    GridSection, NetworkSection, PolicyKind, RunSection, StudyFile, TrainingSection,
+};
+
+/// Longest name of a task, a network, a recording, an execution mode or a grid.
+const NAME_BYTES_MAX: usize = 64;
+
+impl StudyFile {
+    /// Checks what was read from `source`.
+    ///
+    /// # Errors
+    /// [`ConfigError`] naming file, line and key.
+    pub(super) fn check(&self, source: &Source) -> Result<(), ConfigError> {
+        check_counts(&self.run, &self.training, source)?;
+        let names = [
+            ("task", self.task.keys().collect::<Vec<_>>()),
+            ("network", self.network.keys().collect()),
+            ("recording", self.recording.keys().collect()),
+            ("execution", self.execution.keys().collect()),
+        ];
+        for (table, names) in names {
+            for name in names {
+                check_name(&format!("{table}.{name}"), name, source)?;
+            }
+        }
+        for (name, network) in &self.network {
+            self.check_network(name, network, source)?;
+        }
+        if self.grid.is_empty() {
+            return Err(source.out_of_range("grid", "[]", "one [[grid]] or more"));
+        }
+        let mut seen = BTreeSet::new();
+        for (index, grid) in self.grid.iter().enumerate() {
+            let key = format!("grid.{index}.name");
+            check_name(&key, &grid.name, source)?;
+            if !seen.insert(&grid.name) {
+                return Err(source.out_of_range(&key, &grid.name, "names that no other grid has"));
+            }
+            self.check_grid(index, grid, source)?;
+        }
+        Ok(())
+    }
+
+    fn check_network(
+        &self,
+        name: &str,
+        network: &NetworkSection,
+        source: &Source,
+    ) -> Result<(), ConfigError> {
+        let key = |key: &str| format!("network.{name}.{key}");
+        let is_checkpoint = network.policy == PolicyKind::Checkpoint;
+        if network.checkpoint.is_some() != is_checkpoint {
+            let value = network.checkpoint.as_deref().unwrap_or("none");
+            let allowed = "a folder for policy = \"checkpoint\", and nothing for others";
+            return Err(source.out_of_range(&key("checkpoint"), value, allowed));
+        }
+        if network.policy.is_trained() && network.cameras.is_none() {
+            let allowed = "single, multi or cameras' names, for a policy that is trained";
+            return Err(source.out_of_range(&key("cameras"), "none", allowed));
+        }
+        for task in network.task_steps.keys() {
+            if !self.task.contains_key(task) {
+                let allowed = format!("the study's tasks: {}", joined(self.task.keys()));
+                return Err(source.out_of_range(&key("task_steps"), task, &allowed));
+            }
+        }
+        let numbers = network
+            .steps
+            .into_iter()
+            .chain(network.task_steps.values().copied());
+        if numbers
+            .chain(network.batch.map(|batch| batch as u64))
+            .any(|number| number == 0)
+        {
+            return Err(source.out_of_range(&key("steps"), "0", "1 or more, as is batch"));
+        }
+        Ok(())
+    }
+
+    fn check_grid(
+        &self,
+        index: usize,
+        grid: &GridSection,
+        source: &Source,
+    ) -> Result<(), ConfigError> {
+        let at = |key: &str| format!("grid.{index}.{key}");
+        check_list(&at("tasks"), &grid.tasks, self.task.keys(), source)?;
+        check_list(&at("networks"), &grid.networks, self.network.keys(), source)?;
+        check_known(
+            &at("recordings"),
+            &grid.recordings,
+            self.recording.keys(),
+            source,
+        )?;
+        check_known(
+            &at("executions"),
+            &grid.executions,
+            self.execution.keys(),
+            source,
+        )?;
+        check_distinct(&at("needles"), &grid.needles, source)?;
+        check_distinct(&at("demonstrations"), &grid.demonstrations, source)?;
+        check_distinct(&at("training_seeds"), &grid.training_seeds, source)?;
+        let views = ["train", "view1", "view2"].map(str::to_owned);
+        check_known(&at("views"), &grid.views, views.iter(), source)?;
+        let trained = |name: &String| {
+            self.network
+                .get(name)
+                .is_some_and(|n| n.policy.is_trained())
+        };
+        if grid.networks.iter().any(trained) {
+            let needed = "one or more, since networks of this grid are trained";
+            for (key, empty) in [
+                ("recordings", grid.recordings.is_empty()),
+                ("demonstrations", grid.demonstrations.is_empty()),
+                ("training_seeds", grid.training_seeds.is_empty()),
+            ] {
+                if empty {
+                    return Err(source.out_of_range(&at(key), "[]", needed));
+                }
+            }
+        }
+        if grid.demonstrations.contains(&0) {
+            return Err(source.out_of_range(&at("demonstrations"), "0", "[1, 1000000]"));
+        }
+        if grid.trials == 0 || grid.trials > 1_000_000 {
+            let trials = grid.trials.to_string();
+            return Err(source.out_of_range(&at("trials"), &trials, "[1, 1000000]"));
+        }
+        if grid.first_seed.checked_add(grid.trials as u64).is_none() {
+            let seed = grid.first_seed.to_string();
+            return Err(source.out_of_range(&at("first_seed"), &seed, "[0, 2^64 - trials)"));
+        }
+        for (number, rate) in grid.published.iter().flat_map(|p| &p.rates).enumerate() {
+            let key = at(&format!("published.rates.{number}.rate"));
+            source.check_range(&key, rate.rate, 0.0, 1.0)?;
+        }
+        Ok(())
+    }
+}
+
+fn check_counts(
+    run: &RunSection,
+    training: &TrainingSection,
+    source: &Source,
+) -> Result<(), ConfigError> {
+    for (key, value) in [
+        ("run.trainings_per_gpu", run.trainings_per_gpu),
+        ("run.evaluations_per_gpu", run.evaluations_per_gpu),
+        ("run.record_jobs", run.record_jobs),
+        ("run.eval_jobs", run.eval_jobs),
+        ("training.threads", training.threads),
+    ] {
+        if !(1..=1024).contains(&value) {
+            return Err(source.out_of_range(key, &value.to_string(), "[1, 1024]"));
+        }
+    }
+    Ok(())
+}
+
+fn check_name(key: &str, name: &str, source: &Source) -> Result<(), ConfigError> {
+    let plain = |c: char| c.is_ascii_alphanumeric() || c == '-' || c == '_';
+    if (1..=NAME_BYTES_MAX).contains(&name.len()) && name.chars().all(plain) {
+        return Ok(());
+    }
+    let allowed = format!("1 to {NAME_BYTES_MAX} plain letters, digits, - and _");
+    Err(source.out_of_range(key, name, &allowed))
+}
+
+/// `names` must not be empty, be distinct, and be among `known`.
+fn check_list<'a>(
+    key: &str,
+    names: &[String],
+    known: impl Iterator<Item = &'a String>,
+    source: &Source,
+) -> Result<(), ConfigError> {
+    if names.is_empty() {
+        return Err(source.out_of_range(key, "[]", "one or more: a grid without cells is none"));
+    }
+    check_known(key, names, known, source)
+}
+
+fn check_known<'a>(
+    key: &str,
+    names: &[String],
+    known: impl Iterator<Item = &'a String>,
+    source: &Source,
+) -> Result<(), ConfigError> {
+    check_distinct(key, names, source)?;
+    let known: Vec<&String> = known.collect();
+    match names.iter().find(|name| !known.contains(name)) {
+        None => Ok(()),
+        Some(name) => {
+            let allowed = format!("what this file has: {}", joined(known.into_iter()));
+            Err(source.out_of_range(key, name, &allowed))
+        }
+    }
+}
+
+fn check_distinct<T: PartialEq + std::fmt::Display>(
+    key: &str,
+    values: &[T],
+    source: &Source,
+) -> Result<(), ConfigError> {
+    for (index, value) in values.iter().enumerate() {
+        if values[..index].contains(value) {
+            let value = format!("{value} twice");
+            return Err(source.out_of_range(key, &value, "a list of different values"));
+        }
+    }
+    Ok(())
+}
+
+fn joined<'a>(names: impl Iterator<Item = &'a String>) -> String {
+    names.map(String::as_str).collect::<Vec<_>>().join(", ")
+}

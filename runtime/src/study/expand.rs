@@ -1,0 +1,353 @@
+//! From a study's file to its cells.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use super::StudyError;
+use super::address::Address;
+use super::axis::{Axis, Coordinates};
+use super::file::{GridSection, NetworkSection, PolicyKind, StudyFile};
+use super::job::{EvaluationJob, Job, Kind, PolicyInput, RecordingJob, TaskInput, TrainingJob};
+use super::materials::Materials;
+use super::places::{cell_record, evaluation_label, grid_record, places, titles};
+use super::plan::{Cell, Entry, Plan, STUDY_FORMAT, StudyRecord};
+
+/// Options that the study itself gives to its cells.
+const TAKEN: [&str; 20] = [
+    "--task",
+    "--out",
+    "--data",
+    "--json",
+    "--episodes",
+    "--seed",
+    "--jobs",
+    "--resume",
+    "--cameras",
+    "--depth",
+    "--source",
+    "--scene",
+    "--policy",
+    "--preset",
+    "--steps",
+    "--batch",
+    "--device",
+    "--threads",
+    "--save-every",
+    "--view",
+];
+
+/// The cells of `file`, whose text is `text`.
+///
+/// # Errors
+/// [`StudyError::BadCell`] and [`StudyError::Overlap`].
+pub fn expand(file: &StudyFile, text: &str, materials: &Materials) -> Result<Plan, StudyError> {
+    let mut expansion = Expansion {
+        file,
+        materials,
+        cells: BTreeMap::new(),
+        order: Vec::new(),
+        entries: Vec::new(),
+    };
+    expansion.check_options()?;
+    for grid in &file.grid {
+        expansion.grid(grid)?;
+    }
+    expansion.check_overlap()?;
+    expansion.plan(text)
+}
+
+struct Expansion<'a> {
+    file: &'a StudyFile,
+    materials: &'a Materials,
+    cells: BTreeMap<Address, Cell>,
+    /// Addresses in the order in which they were met.
+    order: Vec<Address>,
+    entries: Vec<Entry>,
+}
+
+impl Expansion<'_> {
+    fn check_options(&self) -> Result<(), StudyError> {
+        let networks = self
+            .file
+            .network
+            .iter()
+            .map(|(name, n)| (format!("network.{name}.options"), &n.options));
+        let recordings = self
+            .file
+            .recording
+            .iter()
+            .map(|(name, r)| (format!("recording.{name}.options"), &r.options));
+        for (key, options) in networks.chain(recordings) {
+            let taken = options.iter().find(|option| {
+                let name = option.split('=').next().unwrap_or(option);
+                TAKEN.contains(&name)
+            });
+            if let Some(option) = taken {
+                let reason = format!("{option} is the study's own to give");
+                return Err(self.materials.bad(&key, reason));
+            }
+        }
+        Ok(())
+    }
+
+    fn grid(&mut self, grid: &GridSection) -> Result<(), StudyError> {
+        for at in places(self.file, grid) {
+            let Some(network) = self.file.network.get(&at.network) else {
+                continue;
+            };
+            if network.policy.is_trained() {
+                for &seed in &grid.training_seeds {
+                    self.trained(grid, &at, network, seed)?;
+                }
+            } else {
+                let policy = self.untrained(&at.network, network)?;
+                let evaluation = self.evaluation(grid, &at, policy)?;
+                self.entries.push(Entry {
+                    grid: grid.name.clone(),
+                    at,
+                    training_seed: None,
+                    evaluation,
+                    training: None,
+                    recording: None,
+                });
+            }
+        }
+        Ok(())
+    }
+
+    fn untrained(&self, name: &str, network: &NetworkSection) -> Result<PolicyInput, StudyError> {
+        if network.policy != PolicyKind::Checkpoint {
+            return Ok(PolicyInput::Named(network.policy.as_str()));
+        }
+        let found = self.materials.checkpoints.get(name);
+        let (sha256, folder) = found.cloned().ok_or_else(|| {
+            self.materials
+                .bad(&format!("network.{name}"), "no checkpoint")
+        })?;
+        Ok(PolicyInput::Checkpoint { sha256, folder })
+    }
+
+    fn trained(
+        &mut self,
+        grid: &GridSection,
+        at: &Coordinates,
+        network: &NetworkSection,
+        seed: u64,
+    ) -> Result<(), StudyError> {
+        let demonstrations = at.demonstrations.unwrap_or_default();
+        let recording = self.recording(at, network, demonstrations)?;
+        let mut files = self.materials.files(&network.options)?;
+        if network.policy.needs_depth() {
+            files.extend(self.materials.clouds(&network.options));
+        }
+        let shared = &self.file.training;
+        let job = TrainingJob {
+            code: self.materials.code.clone(),
+            recording: recording.clone(),
+            demonstrations,
+            policy: network.policy.as_str(),
+            preset: network.preset.clone(),
+            steps: network.task_steps.get(&at.task).copied().or(network.steps),
+            batch: network.batch,
+            augment: network.augment,
+            bf16: network.bf16,
+            options: network.options.clone(),
+            files,
+            device: shared.device,
+            threads: shared.threads,
+            seed,
+            save_every: shared.save_every,
+        };
+        let recorded = at.on(Axis::Recording);
+        let label = format!(
+            "{}, {}, {demonstrations} of {recorded}, seed {seed}",
+            at.task, at.network
+        );
+        let training = self.add(label, Job::Training(job))?;
+        let policy = PolicyInput::Training(training.clone());
+        let evaluation = self.evaluation_of(grid, at, policy, Some(seed))?;
+        self.entries.push(Entry {
+            grid: grid.name.clone(),
+            at: at.clone(),
+            training_seed: Some(seed),
+            evaluation,
+            training: Some(training),
+            recording: Some(recording),
+        });
+        Ok(())
+    }
+
+    fn recording(
+        &mut self,
+        at: &Coordinates,
+        network: &NetworkSection,
+        demonstrations: usize,
+    ) -> Result<Address, StudyError> {
+        let name = at.on(Axis::Recording);
+        let key = format!("recording.{name}");
+        let section = self.file.recording.get(&name);
+        let section = section.ok_or_else(|| self.materials.bad(&key, "there is none"))?;
+        let mut options = Vec::new();
+        if let Some(share) = section.disturb {
+            options.extend(["--disturb".to_owned(), share.to_string()]);
+        }
+        if !section.vary.is_empty() {
+            options.extend(["--vary".to_owned(), section.vary.join(",")]);
+        }
+        options.extend(section.options.iter().cloned());
+        let cameras = network.cameras.clone().unwrap_or_default();
+        let depth = network.policy.needs_depth();
+        let with_depth = if depth { " with depth" } else { "" };
+        let label = format!("{}, {cameras} camera(s){with_depth}, {name}", at.task);
+        let job = RecordingJob {
+            code: self.materials.code.clone(),
+            task: self.task(&at.task)?,
+            cameras,
+            depth,
+            seed: section.seed,
+            files: self.materials.files(&options)?,
+            options,
+            episodes: demonstrations,
+        };
+        let address = self.add(label, Job::Recording(job))?;
+        // Fewer demonstrations are the first ones of more.
+        if let Some(Cell {
+            job: Job::Recording(job),
+            ..
+        }) = self.cells.get_mut(&address)
+        {
+            job.episodes = job.episodes.max(demonstrations);
+        }
+        Ok(address)
+    }
+
+    fn task(&self, name: &str) -> Result<TaskInput, StudyError> {
+        let task = self.materials.tasks.get(name).cloned();
+        task.ok_or_else(|| self.materials.bad(&format!("task.{name}"), "there is none"))
+    }
+
+    fn evaluation(
+        &mut self,
+        grid: &GridSection,
+        at: &Coordinates,
+        policy: PolicyInput,
+    ) -> Result<Address, StudyError> {
+        self.evaluation_of(grid, at, policy, None)
+    }
+
+    fn evaluation_of(
+        &mut self,
+        grid: &GridSection,
+        at: &Coordinates,
+        policy: PolicyInput,
+        seed: Option<u64>,
+    ) -> Result<Address, StudyError> {
+        let execution = at
+            .execution
+            .as_ref()
+            .and_then(|name| self.file.execution.get(name));
+        let execution = execution.cloned().unwrap_or_default();
+        if execution.changes_checkpoint() && matches!(policy, PolicyInput::Named(_)) {
+            let reason = format!(
+                "{} has no chunks that an execution mode could change",
+                at.network
+            );
+            return Err(self.materials.bad(&format!("grid {}", grid.name), reason));
+        }
+        let job = EvaluationJob {
+            code: self.materials.code.clone(),
+            task: self.task(&at.task)?,
+            policy,
+            needle: at.needle.clone(),
+            view: at.view.clone(),
+            execution,
+            trials: grid.trials,
+            first_seed: grid.first_seed,
+            device: self.file.evaluation.device,
+            precision: self.file.evaluation.precision,
+        };
+        let label = evaluation_label(grid, at, seed);
+        self.add(label, Job::Evaluation(job))
+    }
+
+    /// Adds a cell, if there is none like it.
+    fn add(&mut self, label: String, job: Job) -> Result<Address, StudyError> {
+        let recipe = job
+            .recipe()
+            .map_err(|error| self.materials.bad(&label, error.to_string()))?;
+        let address = Address::of(&recipe);
+        if !self.cells.contains_key(&address) {
+            self.order.push(address.clone());
+            let cell = Cell {
+                address: address.clone(),
+                label,
+                job,
+            };
+            self.cells.insert(address.clone(), cell);
+        }
+        Ok(address)
+    }
+
+    /// No policy may be evaluated on seeds that its demonstrations may have.
+    fn check_overlap(&self) -> Result<(), StudyError> {
+        for entry in &self.entries {
+            let recording = entry
+                .recording
+                .as_ref()
+                .and_then(|address| self.cells.get(address));
+            let Some(Cell {
+                job: Job::Recording(job),
+                ..
+            }) = recording
+            else {
+                continue;
+            };
+            let Some(grid) = self.file.grid.iter().find(|grid| grid.name == entry.grid) else {
+                continue;
+            };
+            // `record` gives up after 4 n + 20 attempts, the last of which may come n at a time.
+            let attempts = (job.episodes as u64).saturating_mul(5).saturating_add(20);
+            let (first, end) = (job.seed, job.seed.saturating_add(attempts));
+            let trials_end = grid.first_seed.saturating_add(grid.trials as u64);
+            if first < trials_end && grid.first_seed < end || end == u64::MAX {
+                return Err(StudyError::Overlap {
+                    path: self.materials.path.clone(),
+                    grid: grid.name.clone(),
+                    recording: entry.at.on(Axis::Recording),
+                    trials: format!("{} to {}", grid.first_seed, trials_end - 1),
+                    recorded: format!("{first} to {}", end - 1),
+                });
+            }
+        }
+        Ok(())
+    }
+
+    fn plan(self, text: &str) -> Result<Plan, StudyError> {
+        let addresses: BTreeSet<&Address> =
+            self.entries.iter().map(|entry| &entry.evaluation).collect();
+        // How many demonstrations there are to be is part of the grid, though of no recording's address.
+        let grid = Address::of(&serde_json::json!({ "evaluations": addresses }));
+        let mut cells: Vec<Cell> = Vec::new();
+        for kind in Kind::ALL {
+            let of_kind = self
+                .order
+                .iter()
+                .filter_map(|address| self.cells.get(address));
+            cells.extend(of_kind.filter(|cell| cell.job.kind() == kind).cloned());
+        }
+        let record = StudyRecord {
+            format: STUDY_FORMAT,
+            title: self.file.title.clone(),
+            grid,
+            code: self.materials.code.clone(),
+            text: text.to_owned(),
+            grids: self.file.grid.iter().map(grid_record).collect(),
+            entries: self.entries,
+            cells: cells
+                .iter()
+                .map(|cell| (cell.address.clone(), cell_record(cell)))
+                .collect(),
+            titles: titles(self.file),
+        };
+        Ok(Plan { cells, record })
+    }
+}

@@ -1,0 +1,71 @@
+//! What verbs report, as far as a study looks at it.
+
+use std::path::Path;
+
+use serde::Deserialize;
+
+use super::job::Job;
+
+#[derive(Deserialize)]
+struct Recorded {
+    episodes: usize,
+}
+
+#[derive(Deserialize)]
+struct Trained {
+    steps: u64,
+}
+
+#[derive(Deserialize)]
+struct Evaluated {
+    trials: usize,
+    successes: usize,
+    episodes: Vec<Trial>,
+}
+
+#[derive(Deserialize)]
+struct Trial {
+    seed: u64,
+}
+
+/// Checks that the result at `path` is what `job` asked for.
+///
+/// # Errors
+/// What is wrong with it.
+pub(super) fn check(job: &Job, path: &Path) -> Result<(), String> {
+    let told = |error: &dyn std::fmt::Display| format!("{}: {error}", path.display());
+    let text = std::fs::read_to_string(path).map_err(|error| told(&error))?;
+    match job {
+        Job::Recording(job) => {
+            let found: Recorded = serde_json::from_str(&text).map_err(|error| told(&error))?;
+            if found.episodes != job.episodes {
+                let (found, asked) = (found.episodes, job.episodes);
+                return Err(told(&format!("{found} demonstrations in place of {asked}")));
+            }
+        }
+        Job::Training(job) => {
+            let found: Trained = serde_json::from_str(&text).map_err(|error| told(&error))?;
+            if job.steps.is_some_and(|steps| steps != found.steps) {
+                return Err(told(&format!(
+                    "{} steps in place of {:?}",
+                    found.steps, job.steps
+                )));
+            }
+        }
+        Job::Evaluation(job) => {
+            let found: Evaluated = serde_json::from_str(&text).map_err(|error| told(&error))?;
+            let seeds = (0..job.trials as u64).map(|index| job.first_seed.wrapping_add(index));
+            if !found.episodes.iter().map(|trial| trial.seed).eq(seeds) || found.trials > job.trials
+            {
+                let (found, asked) = (found.episodes.len(), job.trials);
+                return Err(told(&format!(
+                    "{found} trials in place of {asked}, or other seeds"
+                )));
+            }
+            if found.successes > found.trials {
+                return Err(told(&"more successes than trials"));
+            }
+        }
+    }
+    Ok(())
+}

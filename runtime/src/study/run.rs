@@ -1,0 +1,241 @@
+//! Runs a study: starts every cell whose inputs are done, as many at a time as the machine has room for.
+
+mod begin;
+mod end;
+mod tell;
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::fs::File;
+
+use hal::TimeNs;
+
+use super::StudyError;
+use super::address::Address;
+use super::child::Running;
+use super::commands::Begin;
+use super::estimate::Durations;
+use super::gpu::{self, MemoryWatch};
+use super::plan::{Cell, Plan};
+use super::schedule::{Grant, Machine, Pool};
+use super::store::Attempts;
+use super::work::Workshop;
+use crate::rt::{self, MonotonicClock};
+
+/// Time between two looks at the children.
+const LOOK_NS: u64 = 50_000_000;
+
+/// Time after which a cell that somebody else works on is looked at again.
+const ELSEWHERE_NS: u64 = 1_000_000_000;
+
+/// What became of a study, or of a shard of it.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Outcome {
+    /// Cells that were done before.
+    pub found: usize,
+    /// Cells that this run made.
+    pub made: usize,
+    /// Cells that failed, with the reason.
+    pub failed: Vec<(String, String)>,
+    /// Cells that are not what was written, with the reason.
+    pub damaged: Vec<(String, String)>,
+    /// Cells that need one of those.
+    pub skipped: usize,
+    /// Whether it was interrupted.
+    pub interrupted: bool,
+}
+
+/// How a cell of a run stands.
+#[derive(Clone, Debug, PartialEq)]
+enum Status {
+    Waiting,
+    /// Somebody else works on it, or on what it needs; to be looked at again.
+    Elsewhere(TimeNs),
+    Running,
+    Done,
+    Failed,
+    Skipped,
+}
+
+struct Work {
+    cell: usize,
+    running: Running,
+    grant: Grant,
+    lock: File,
+    _input: Option<File>,
+    begun: TimeNs,
+    before: Attempts,
+    command: Vec<String>,
+    begin: Begin,
+}
+
+/// Runs the cells of `part`.
+///
+/// # Errors
+/// [`StudyError::Io`] if the study's folder can't be used.
+pub fn run(
+    plan: &Plan,
+    part: &BTreeSet<Address>,
+    workshop: &Workshop<'_>,
+    machine: &Machine,
+    say: &mut dyn FnMut(&str),
+) -> Result<Outcome, StudyError> {
+    let mut runner = Runner::new(plan, part, workshop, machine, say);
+    runner.run()?;
+    Ok(runner.outcome)
+}
+
+struct Runner<'a> {
+    cells: Vec<&'a Cell>,
+    places: BTreeMap<&'a Address, usize>,
+    status: Vec<Status>,
+    workshop: &'a Workshop<'a>,
+    machine: &'a Machine,
+    pool: Pool,
+    gpu_names: BTreeMap<String, String>,
+    memory: MemoryWatch,
+    running: Vec<Work>,
+    durations: Durations,
+    clock: MonotonicClock,
+    outcome: Outcome,
+    say: &'a mut dyn FnMut(&str),
+}
+
+impl<'a> Runner<'a> {
+    fn new(
+        plan: &'a Plan,
+        part: &BTreeSet<Address>,
+        workshop: &'a Workshop<'a>,
+        machine: &'a Machine,
+        say: &'a mut dyn FnMut(&str),
+    ) -> Self {
+        let cells: Vec<&Cell> = plan
+            .cells
+            .iter()
+            .filter(|cell| part.contains(&cell.address))
+            .collect();
+        let needs_gpu = cells.iter().any(|cell| cell.job.on_gpu());
+        Self {
+            places: cells
+                .iter()
+                .enumerate()
+                .map(|(index, cell)| (&cell.address, index))
+                .collect(),
+            status: vec![Status::Waiting; cells.len()],
+            cells,
+            workshop,
+            machine,
+            pool: Pool::new(machine),
+            gpu_names: if needs_gpu {
+                gpu::names()
+            } else {
+                BTreeMap::new()
+            },
+            memory: MemoryWatch::default(),
+            running: Vec::new(),
+            durations: Durations::default(),
+            clock: MonotonicClock::new(),
+            outcome: Outcome::default(),
+            say,
+        }
+    }
+
+    fn run(&mut self) -> Result<(), StudyError> {
+        loop {
+            if rt::interrupted() && !self.outcome.interrupted {
+                self.outcome.interrupted = true;
+                (self.say)(
+                    "interrupted: what runs is asked to end; run the same command again to go on",
+                );
+                for job in &self.running {
+                    job.running.interrupt();
+                }
+            }
+            self.poll()?;
+            if !self.outcome.interrupted {
+                self.start()?;
+            }
+            let waits = self
+                .status
+                .iter()
+                .any(|status| matches!(status, Status::Waiting | Status::Elsewhere(_)));
+            if self.running.is_empty() && (self.outcome.interrupted || !waits) {
+                return Ok(());
+            }
+            rt::sleep_ns(LOOK_NS);
+        }
+    }
+
+    /// Starts what can be started.
+    fn start(&mut self) -> Result<(), StudyError> {
+        let now = self.clock.now();
+        for index in 0..self.cells.len() {
+            match self.status[index] {
+                Status::Waiting => {}
+                Status::Elsewhere(until) if now >= until => {}
+                Status::Elsewhere(_)
+                | Status::Running
+                | Status::Done
+                | Status::Failed
+                | Status::Skipped => continue,
+            }
+            match self.inputs(index) {
+                Inputs::Missing => continue,
+                Inputs::Lost(input) => {
+                    self.status[index] = Status::Skipped;
+                    self.outcome.skipped += 1;
+                    let reason = format!("skipped: it needs {input}");
+                    self.tell(index, &reason);
+                    continue;
+                }
+                Inputs::Done => {}
+            }
+            // A wide cell waits for room; narrower ones behind it would keep it waiting for ever.
+            if self.begin(index)? == Begun::NoCores {
+                break;
+            }
+        }
+        Ok(())
+    }
+
+    fn inputs(&self, index: usize) -> Inputs {
+        let mut inputs = Inputs::Done;
+        for address in self.cells[index].job.inputs() {
+            let Some(&input) = self.places.get(&address) else {
+                continue;
+            };
+            match self.status[input] {
+                Status::Done => {}
+                Status::Failed | Status::Skipped => {
+                    let cell = self.cells[input];
+                    let kind = cell.job.kind().as_str();
+                    return Inputs::Lost(format!(
+                        "{kind} {} ({})",
+                        cell.address.short(),
+                        cell.label
+                    ));
+                }
+                Status::Waiting | Status::Elsewhere(_) | Status::Running => {
+                    inputs = Inputs::Missing
+                }
+            }
+        }
+        inputs
+    }
+}
+
+/// How what a cell needs stands.
+enum Inputs {
+    Done,
+    Missing,
+    Lost(String),
+}
+
+/// What became of an attempt to begin a cell.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Begun {
+    Running,
+    Settled,
+    Elsewhere,
+    NoCores,
+    NoGpu,
+}

@@ -1,0 +1,158 @@
+//! Begins cells.
+
+use std::fs::File;
+
+use super::super::StudyError;
+use super::super::child::Running;
+use super::super::commands::{Arguments, Begin};
+use super::super::estimate::Class;
+use super::super::job::{Job, Kind};
+use super::super::schedule::{Busy, Grant, Need};
+use super::super::store::{Attempts, State};
+use super::super::work::{Start, Took, told};
+use super::{Begun, ELSEWHERE_NS, Runner, Status, Work};
+
+/// Locks of a cell that is begun.
+struct Held {
+    /// Its own.
+    lock: File,
+    /// Its part in that of the recording that it reads.
+    input: Option<File>,
+}
+
+impl Runner<'_> {
+    /// Begins a cell, unless it is done, or there is no room for it.
+    pub(super) fn begin(&mut self, index: usize) -> Result<Begun, StudyError> {
+        let cell = self.cells[index];
+        if self.settled(index) {
+            return Ok(Begun::Settled);
+        }
+        let need = Need::of(&cell.job, self.workshop.file, self.machine.cores);
+        let grant = match self.pool.take(need) {
+            Ok(grant) => grant,
+            Err(Busy::Cores) => return Ok(Begun::NoCores),
+            Err(Busy::Gpu) => return Ok(Begun::NoGpu),
+        };
+        let begun = self.begin_with(index, &grant)?;
+        if begun != Begun::Running {
+            self.pool.give(&grant);
+        }
+        Ok(begun)
+    }
+
+    /// Whether nothing is left to do for a cell, as its folder says.
+    pub(super) fn settled(&mut self, index: usize) -> bool {
+        let cell = self.cells[index];
+        match self.workshop.store.state(cell.job.kind(), &cell.address) {
+            State::Missing | State::Begun => false,
+            State::Done(manifest) => {
+                if let (Job::Recording(job), Some(episodes)) = (&cell.job, manifest.episodes)
+                    && episodes < job.episodes
+                {
+                    return false;
+                }
+                self.durations.add(Class::of(&cell.job), manifest.seconds);
+                self.status[index] = Status::Done;
+                self.outcome.found += 1;
+                true
+            }
+            State::Damaged(reason) => {
+                self.tell(index, &format!("damaged: {reason}"));
+                self.status[index] = Status::Failed;
+                self.outcome.damaged.push((self.name(index), reason));
+                true
+            }
+        }
+    }
+
+    fn begin_with(&mut self, index: usize, grant: &Grant) -> Result<Begun, StudyError> {
+        let cell = self.cells[index];
+        let (kind, address) = (cell.job.kind(), &cell.address);
+        let store = self.workshop.store;
+        let later = Status::Elsewhere(self.clock.now().plus_ns(ELSEWHERE_NS));
+        let Some(lock) = store.lock(kind, address)? else {
+            self.status[index] = later;
+            return Ok(Begun::Elsewhere);
+        };
+        // Somebody may have done it between the first look and the lock.
+        if self.settled(index) {
+            return Ok(Begun::Settled);
+        }
+        let mut input = None;
+        if let Job::Training(job) = &cell.job {
+            input = store.lock_to_read(Kind::Recording, &job.recording)?;
+            if input.is_none() {
+                self.status[index] = later;
+                return Ok(Begun::Elsewhere);
+            }
+        }
+        let before = store.attempts(kind, address);
+        let attempts = Attempts {
+            count: before.count + 1,
+            ..before
+        };
+        store.keep_attempts(kind, address, attempts)?;
+        let held = Held { lock, input };
+        match self.workshop.prepare(cell) {
+            Ok(Start::Run(arguments, begin)) => {
+                let line = (arguments, begin);
+                return Ok(self.launch(index, line, attempts, held, grant));
+            }
+            Ok(Start::Found) => {
+                let took = Took {
+                    command: Vec::new(),
+                    gpu: None,
+                    attempts: before,
+                    ended: None,
+                    gpu_memory_bytes: None,
+                };
+                self.end(index, took);
+            }
+            Err(error) => self.fail(index, &error.to_string()),
+        }
+        Ok(Begun::Settled)
+    }
+
+    /// Starts a cell's verb.
+    fn launch(
+        &mut self,
+        index: usize,
+        (arguments, begin): (Arguments, Begin),
+        before: Attempts,
+        Held { lock, input }: Held,
+        grant: &Grant,
+    ) -> Begun {
+        let cell = self.cells[index];
+        let gpu = self.pool.gpu_name(grant);
+        let folder = self.workshop.store.cell(cell.job.kind(), &cell.address);
+        let executable = &self.workshop.executable;
+        match Running::start(executable, &arguments, gpu, &lock, &folder.join("log.txt")) {
+            Err(error) => {
+                self.fail(index, &format!("{}: {error}", executable.display()));
+                Begun::Settled
+            }
+            Ok(running) => {
+                let how = if begin == Begin::Resumed {
+                    "goes on"
+                } else {
+                    "begun"
+                };
+                let on = gpu.map_or_else(String::new, |gpu| format!(" on GPU {gpu}"));
+                self.status[index] = Status::Running;
+                self.running.push(Work {
+                    cell: index,
+                    running,
+                    grant: grant.clone(),
+                    lock,
+                    _input: input,
+                    begun: self.clock.now(),
+                    before,
+                    command: told(arguments.as_slice()),
+                    begin,
+                });
+                self.tell(index, &format!("{how}{on}"));
+                Begun::Running
+            }
+        }
+    }
+}

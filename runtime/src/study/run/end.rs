@@ -1,0 +1,114 @@
+//! Takes care of cells whose verbs have ended.
+
+use hal::TimeNs;
+
+use super::super::StudyError;
+use super::super::child::Ended;
+use super::super::commands::Begin;
+use super::super::estimate::{Class, in_words};
+use super::super::job::Kind;
+use super::super::store::Attempts;
+use super::super::work::Took;
+use super::{Runner, Status, Work};
+
+impl Runner<'_> {
+    /// Takes care of children that have ended.
+    pub(super) fn poll(&mut self) -> Result<(), StudyError> {
+        if self
+            .running
+            .iter()
+            .any(|job| self.cells[job.cell].job.on_gpu())
+        {
+            self.memory.look(self.clock.now());
+        }
+        let mut still = Vec::new();
+        for mut job in std::mem::take(&mut self.running) {
+            let polled = job.running.poll();
+            match polled {
+                Ok(None) => still.push(job),
+                Ok(Some(ended)) => self.ended(job, ended)?,
+                Err(error) => {
+                    self.pool.give(&job.grant);
+                    self.fail(job.cell, &error.to_string());
+                }
+            }
+        }
+        self.running.append(&mut still);
+        Ok(())
+    }
+
+    fn ended(&mut self, job: Work, ended: Ended) -> Result<(), StudyError> {
+        let cell = self.cells[job.cell];
+        let seconds = TimeNs(self.clock.now().since(job.begun)).seconds();
+        let attempts = Attempts {
+            seconds: job.before.seconds + seconds,
+            ..job.before
+        };
+        self.workshop
+            .store
+            .keep_attempts(cell.job.kind(), &cell.address, attempts)?;
+        let gpu = self.pool.gpu_name(&job.grant).map(|gpu| {
+            self.gpu_names
+                .get(gpu)
+                .cloned()
+                .unwrap_or_else(|| gpu.to_owned())
+        });
+        let gpu_memory_bytes = self.memory.take(job.running.id());
+        self.pool.give(&job.grant);
+        let (success, told) = (ended.success, ended.told.clone());
+        if success {
+            let command = job.command;
+            self.end(
+                job.cell,
+                Took {
+                    command,
+                    gpu,
+                    attempts,
+                    ended: Some(ended),
+                    gpu_memory_bytes,
+                },
+            );
+        } else if self.outcome.interrupted {
+            self.status[job.cell] = Status::Waiting;
+            self.tell(job.cell, "interrupted");
+        } else if job.begin == Begin::Resumed && cell.job.kind() == Kind::Training {
+            self.tell(
+                job.cell,
+                &format!("can't go on from its state and begins anew: {told}"),
+            );
+            self.workshop.forget_training(&cell.address)?;
+            self.status[job.cell] = Status::Waiting;
+        } else {
+            self.fail(job.cell, &told);
+        }
+        // Not only closed: a child of the child may still hold it.
+        let _unlocked = job.lock.unlock();
+        Ok(())
+    }
+
+    /// A verb has done its part of a cell.
+    pub(super) fn end(&mut self, index: usize, took: Took) {
+        let cell = self.cells[index];
+        match self.workshop.finish(cell, took) {
+            Ok(manifest) => {
+                self.status[index] = Status::Done;
+                self.outcome.made += 1;
+                self.durations.add(Class::of(&cell.job), manifest.seconds);
+                let left = self.left();
+                self.tell(
+                    index,
+                    &format!("done in {}{left}", in_words(manifest.seconds)),
+                );
+            }
+            Err(reason) => self.fail(index, &reason),
+        }
+    }
+
+    pub(super) fn fail(&mut self, index: usize, reason: &str) {
+        self.status[index] = Status::Failed;
+        self.tell(index, &format!("failed: {reason}"));
+        self.outcome
+            .failed
+            .push((self.name(index), reason.to_owned()));
+    }
+}

@@ -1,0 +1,63 @@
+//! What is said of a run.
+
+use hal::TimeNs;
+
+use super::super::estimate::{Class, Left, in_words, time_left};
+use super::super::schedule::{Need, at_a_time};
+use super::{Runner, Status};
+
+impl Runner<'_> {
+    pub(super) fn name(&self, index: usize) -> String {
+        let cell = self.cells[index];
+        format!(
+            "{} {} ({})",
+            cell.job.kind().as_str(),
+            cell.address.short(),
+            cell.label
+        )
+    }
+
+    /// The time that is left, in words.
+    pub(super) fn left(&self) -> String {
+        let now = self.clock.now();
+        let mut left = Vec::new();
+        for (index, cell) in self.cells.iter().enumerate() {
+            let ran = match self.status[index] {
+                Status::Waiting | Status::Elsewhere(_) => 0.0,
+                Status::Running => self
+                    .running
+                    .iter()
+                    .find(|job| job.cell == index)
+                    .map_or(0.0, |job| TimeNs(now.since(job.begun)).seconds()),
+                Status::Done | Status::Failed | Status::Skipped => continue,
+            };
+            let need = Need::of(&cell.job, self.workshop.file, self.machine.cores);
+            #[expect(clippy::cast_precision_loss, reason = "a few hundred at most")]
+            let at_a_time = at_a_time(need, self.machine) as f64;
+            left.push(Left {
+                class: Class::of(&cell.job),
+                ran,
+                at_a_time,
+            });
+        }
+        if left.is_empty() {
+            return String::new();
+        }
+        let (seconds, whole) = time_left(&left, &self.durations);
+        let about = if whole { "about" } else { "more than" };
+        format!("; {} left, {about} {}", left.len(), in_words(seconds))
+    }
+
+    pub(super) fn tell(&mut self, index: usize, what: &str) {
+        let cell = self.cells[index];
+        let ended =
+            |status: &Status| matches!(status, Status::Done | Status::Failed | Status::Skipped);
+        let count = self.status.iter().filter(|status| ended(status)).count();
+        let (kind, short, label) = (cell.job.kind().as_str(), cell.address.short(), &cell.label);
+        let line = format!(
+            "[{count}/{}] {kind} {short} {label}: {what}",
+            self.cells.len()
+        );
+        (self.say)(&line);
+    }
+}

@@ -1,0 +1,204 @@
+//! What of a machine a cell takes, and whether it is free.
+
+use super::file::{RunSection, StudyFile};
+use super::job::{Job, Kind};
+
+/// A GPU as shares, which trainings and evaluations take.
+const WHOLE_GPU: usize = 1_000_000;
+
+/// What a machine has for a study.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Machine {
+    /// Cores.
+    pub cores: usize,
+    /// GPUs, by the names that `CUDA_VISIBLE_DEVICES` takes.
+    pub gpus: Vec<String>,
+}
+
+/// What a cell takes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Need {
+    /// Cores.
+    pub cores: usize,
+    /// Shares of one GPU.
+    pub gpu: usize,
+}
+
+impl Need {
+    /// Of `job`, on a machine with `cores`.
+    #[must_use]
+    pub fn of(job: &Job, file: &StudyFile, cores: usize) -> Self {
+        let run = &file.run;
+        let wanted = match job {
+            Job::Recording(job) => run.record_jobs.min(job.episodes.max(1)),
+            // The GPU computes; the threads decode images first.
+            Job::Training(_) if job.on_gpu() => 1,
+            Job::Training(job) => job.threads,
+            Job::Evaluation(job) => run.eval_jobs.min(job.trials),
+        };
+        Self {
+            cores: wanted.clamp(1, cores.max(1)),
+            gpu: if job.on_gpu() {
+                gpu_share(job.kind(), run)
+            } else {
+                0
+            },
+        }
+    }
+}
+
+const fn gpu_share(kind: Kind, run: &RunSection) -> usize {
+    match kind {
+        Kind::Recording => 0,
+        Kind::Training => WHOLE_GPU / run.trainings_per_gpu,
+        Kind::Evaluation => WHOLE_GPU / run.evaluations_per_gpu,
+    }
+}
+
+/// How many cells of such a need run at a time.
+#[must_use]
+pub fn at_a_time(need: Need, machine: &Machine) -> usize {
+    let by_cores = machine.cores.max(1) / need.cores.max(1);
+    if need.gpu == 0 {
+        return by_cores.max(1);
+    }
+    by_cores
+        .min(machine.gpus.len() * (WHOLE_GPU / need.gpu))
+        .max(1)
+}
+
+/// What was taken for a cell.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Grant {
+    need: Need,
+    /// Which GPU.
+    gpu: Option<usize>,
+}
+
+/// What is free.
+#[derive(Clone, Debug)]
+pub struct Pool {
+    cores: usize,
+    gpus: Vec<(String, usize)>,
+}
+
+/// Why something is not to be had now.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Busy {
+    /// Too few cores are free.
+    Cores,
+    /// No GPU has room.
+    Gpu,
+}
+
+impl Pool {
+    /// All of `machine`.
+    #[must_use]
+    pub fn new(machine: &Machine) -> Self {
+        Self {
+            cores: machine.cores.max(1),
+            gpus: machine
+                .gpus
+                .iter()
+                .map(|gpu| (gpu.clone(), WHOLE_GPU))
+                .collect(),
+        }
+    }
+
+    /// Takes `need`, from the GPU with the most room.
+    ///
+    /// # Errors
+    /// [`Busy`], and nothing was taken.
+    pub fn take(&mut self, need: Need) -> Result<Grant, Busy> {
+        if need.cores > self.cores {
+            return Err(Busy::Cores);
+        }
+        let mut gpu = None;
+        if need.gpu > 0 {
+            let roomy = self.gpus.iter_mut().enumerate().rev();
+            let (index, (_, free)) = roomy.max_by_key(|(_, (_, free))| *free).ok_or(Busy::Gpu)?;
+            *free = free.checked_sub(need.gpu).ok_or(Busy::Gpu)?;
+            gpu = Some(index);
+        }
+        self.cores -= need.cores;
+        Ok(Grant { need, gpu })
+    }
+
+    /// Gives back what was taken.
+    pub fn give(&mut self, grant: &Grant) {
+        self.cores += grant.need.cores;
+        let gpu = grant.gpu.and_then(|index| self.gpus.get_mut(index));
+        if let Some((_, free)) = gpu {
+            *free += grant.need.gpu;
+        }
+    }
+
+    /// The name of the GPU of `grant`.
+    #[must_use]
+    pub fn gpu_name(&self, grant: &Grant) -> Option<&str> {
+        let gpu = grant.gpu.and_then(|index| self.gpus.get(index))?;
+        Some(&gpu.0)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn machine() -> Machine {
+        Machine {
+            cores: 8,
+            gpus: vec!["0".to_owned(), "1".to_owned()],
+        }
+    }
+
+    #[test]
+    fn trainings_spread_over_gpus_and_share_them() {
+        let mut pool = Pool::new(&machine());
+        let need = Need {
+            cores: 1,
+            gpu: WHOLE_GPU / 3,
+        };
+        let grants: Vec<Grant> = (0..6).map(|_| pool.take(need).unwrap()).collect();
+        let names: Vec<_> = grants
+            .iter()
+            .map(|grant| pool.gpu_name(grant).unwrap())
+            .collect();
+        assert_eq!(names, ["0", "1", "0", "1", "0", "1"]);
+        assert_eq!(pool.take(need), Err(Busy::Gpu));
+        assert_eq!(at_a_time(need, &machine()), 6);
+        pool.give(&grants[3]);
+        let again = pool.take(need).unwrap();
+        assert_eq!(pool.gpu_name(&again), Some("1"));
+    }
+
+    #[test]
+    fn what_is_not_free_is_not_taken() {
+        let mut pool = Pool::new(&machine());
+        let wide = pool.take(Need { cores: 6, gpu: 0 }).unwrap();
+        assert_eq!(pool.take(Need { cores: 3, gpu: 0 }), Err(Busy::Cores));
+        let narrow = pool
+            .take(Need {
+                cores: 2,
+                gpu: WHOLE_GPU,
+            })
+            .unwrap();
+        pool.give(&wide);
+        pool.give(&narrow);
+        assert!(
+            pool.take(Need {
+                cores: 8,
+                gpu: WHOLE_GPU
+            })
+            .is_ok()
+        );
+        let none = Machine {
+            cores: 1,
+            gpus: Vec::new(),
+        };
+        assert_eq!(
+            Pool::new(&none).take(Need { cores: 1, gpu: 1 }),
+            Err(Busy::Gpu)
+        );
+    }
+}

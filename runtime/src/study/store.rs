@@ -1,0 +1,265 @@
+//! A study's folder: a folder a cell, with what made it, what it is, and whether it is whole.
+//!
+//! ```text
+//! DIR/study.json                      the grid and its tables
+//! DIR/recording/ADDRESS/cell.json     written last, when the cell is done: its recipe, its files, what it took
+//!                       result.json   what the verb reported
+//!                       log.txt       what the verb said
+//!                       data/         the dataset; of a training checkpoint/, of an evaluation kept/
+//!                       lock          held while somebody works on the cell
+//! ```
+
+use std::fs::{self, File, OpenOptions, TryLockError};
+use std::path::{Path, PathBuf};
+
+use serde::{Deserialize, Serialize};
+
+use super::StudyError;
+use super::address::Address;
+use super::files::{FileRecord, difference, files_of, write_json};
+use super::job::Kind;
+use super::plan::{STUDY_FORMAT, StudyRecord};
+
+/// `cell.json`: a cell that is done.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Manifest {
+    /// Version of this form.
+    pub format: u32,
+    /// Its address.
+    pub address: Address,
+    /// What it is, for people.
+    pub label: String,
+    /// Everything that its address is of.
+    pub recipe: serde_json::Value,
+    /// The command line.
+    pub command: Vec<String>,
+    /// The executable's hash, of which an address may know no more than a label.
+    pub executable_sha256: String,
+    /// The machine.
+    pub host: String,
+    /// The GPU that it was given, if any.
+    pub gpu: Option<String>,
+    /// Time that the verb took, all attempts together, s.
+    pub seconds: f64,
+    /// Greatest memory of the process, bytes.
+    pub memory_bytes: Option<u64>,
+    /// Greatest memory of the process on its GPU, bytes.
+    pub gpu_memory_bytes: Option<u64>,
+    /// Attempts that it took.
+    pub attempts: u32,
+    /// Demonstrations, of a recording.
+    pub episodes: Option<usize>,
+    /// Its files.
+    pub files: Vec<FileRecord>,
+}
+
+/// [`Manifest::format`] of this program.
+pub const MANIFEST_FORMAT: u32 = 1;
+
+/// How a cell stands.
+#[derive(Clone, Debug, PartialEq)]
+pub enum State {
+    /// Nothing is there.
+    Missing,
+    /// It was begun and not ended.
+    Begun,
+    /// It is done.
+    Done(Box<Manifest>),
+    /// Something is there that is not what was written.
+    Damaged(String),
+}
+
+/// The folder of a study.
+#[derive(Clone, Debug)]
+pub struct Store {
+    root: PathBuf,
+}
+
+/// What was done to a cell before it was done: kept beside it, so that time adds up over attempts.
+#[derive(Clone, Copy, Debug, Default, Serialize, Deserialize)]
+pub struct Attempts {
+    /// How many.
+    pub count: u32,
+    /// Time that they took, s.
+    pub seconds: f64,
+}
+
+impl Store {
+    /// The folder `root`.
+    #[must_use]
+    pub const fn new(root: PathBuf) -> Self {
+        Self { root }
+    }
+
+    /// The folder.
+    #[must_use]
+    pub fn root(&self) -> &Path {
+        &self.root
+    }
+
+    /// The folder of a cell.
+    #[must_use]
+    pub fn cell(&self, kind: Kind, address: &Address) -> PathBuf {
+        self.root.join(kind.as_str()).join(address.as_str())
+    }
+
+    /// Where a cell keeps what it is.
+    #[must_use]
+    pub fn product(&self, kind: Kind, address: &Address) -> PathBuf {
+        let name = match kind {
+            Kind::Recording => "data",
+            Kind::Training => "checkpoint",
+            Kind::Evaluation => "kept",
+        };
+        self.cell(kind, address).join(name)
+    }
+
+    /// Where a cell keeps its verb's result.
+    #[must_use]
+    pub fn result(&self, kind: Kind, address: &Address) -> PathBuf {
+        self.cell(kind, address).join("result.json")
+    }
+
+    /// How a cell stands. Of its files only lengths and times are looked at, and contents where the time is another.
+    #[must_use]
+    pub fn state(&self, kind: Kind, address: &Address) -> State {
+        let folder = self.cell(kind, address);
+        let manifest = folder.join("cell.json");
+        let text = match fs::read_to_string(&manifest) {
+            Ok(text) => text,
+            Err(error) if error.kind() == std::io::ErrorKind::NotFound => {
+                let begun = folder.join("attempts.json").exists();
+                return if begun { State::Begun } else { State::Missing };
+            }
+            Err(error) => return State::Damaged(format!("{}: {error}", manifest.display())),
+        };
+        let read: Manifest = match serde_json::from_str(&text) {
+            Ok(read) => read,
+            Err(error) => {
+                return State::Damaged(format!(
+                    "{}: cut off or changed: {error}",
+                    manifest.display()
+                ));
+            }
+        };
+        if read.format != MANIFEST_FORMAT || read.address != *address {
+            return State::Damaged(format!(
+                "{}: is of cell {}",
+                manifest.display(),
+                read.address
+            ));
+        }
+        match read.files.iter().find_map(|file| difference(&folder, file)) {
+            Some(difference) => State::Damaged(difference),
+            None => State::Done(Box::new(read)),
+        }
+    }
+
+    /// Takes a cell's lock, if nobody else has it.
+    ///
+    /// # Errors
+    /// [`StudyError::Io`].
+    pub fn lock(&self, kind: Kind, address: &Address) -> Result<Option<File>, StudyError> {
+        let file = self.lock_file(kind, address)?;
+        let path = self.cell(kind, address);
+        match file.try_lock() {
+            Ok(()) => Ok(Some(file)),
+            Err(TryLockError::WouldBlock) => Ok(None),
+            Err(TryLockError::Error(error)) => Err(StudyError::io(&path, error)),
+        }
+    }
+
+    /// Takes part in a cell's lock, beside others who only read it, if nobody changes it.
+    ///
+    /// # Errors
+    /// [`StudyError::Io`].
+    pub fn lock_to_read(&self, kind: Kind, address: &Address) -> Result<Option<File>, StudyError> {
+        let file = self.lock_file(kind, address)?;
+        let path = self.cell(kind, address);
+        match file.try_lock_shared() {
+            Ok(()) => Ok(Some(file)),
+            Err(TryLockError::WouldBlock) => Ok(None),
+            Err(TryLockError::Error(error)) => Err(StudyError::io(&path, error)),
+        }
+    }
+
+    fn lock_file(&self, kind: Kind, address: &Address) -> Result<File, StudyError> {
+        let folder = self.cell(kind, address);
+        fs::create_dir_all(&folder).map_err(|error| StudyError::io(&folder, error))?;
+        let path = folder.join("lock");
+        let mut options = OpenOptions::new();
+        let opened = options
+            .create(true)
+            .truncate(false)
+            .read(true)
+            .write(true)
+            .open(&path);
+        opened.map_err(|error| StudyError::io(&path, error))
+    }
+
+    /// What was done to a cell so far.
+    #[must_use]
+    pub fn attempts(&self, kind: Kind, address: &Address) -> Attempts {
+        let text = fs::read_to_string(self.cell(kind, address).join("attempts.json"));
+        let read = text.ok().and_then(|text| serde_json::from_str(&text).ok());
+        read.unwrap_or_default()
+    }
+
+    /// Keeps what was done to a cell so far.
+    ///
+    /// # Errors
+    /// [`StudyError::Io`].
+    pub fn keep_attempts(
+        &self,
+        kind: Kind,
+        address: &Address,
+        attempts: Attempts,
+    ) -> Result<(), StudyError> {
+        write_json(&self.cell(kind, address).join("attempts.json"), &attempts)
+    }
+
+    /// Writes what makes a cell done.
+    ///
+    /// # Errors
+    /// [`StudyError::Io`].
+    pub fn finish(&self, kind: Kind, mut manifest: Manifest) -> Result<(), StudyError> {
+        let folder = self.cell(kind, &manifest.address);
+        manifest.files = files_of(&folder)?;
+        write_json(&folder.join("cell.json"), &manifest)
+    }
+
+    /// What the folder remembers of its study, if there is one.
+    ///
+    /// # Errors
+    /// [`StudyError::Damaged`] or [`StudyError::Io`].
+    pub fn study(&self) -> Result<Option<StudyRecord>, StudyError> {
+        let path = self.root.join("study.json");
+        let text = match fs::read_to_string(&path) {
+            Ok(text) => text,
+            Err(error) if error.kind() == std::io::ErrorKind::NotFound => return Ok(None),
+            Err(error) => return Err(StudyError::io(&path, error)),
+        };
+        let damaged = |reason: String| StudyError::Damaged {
+            path: path.clone(),
+            reason,
+            remedy: "`trocar study` writes it anew once it is moved away",
+        };
+        let read: StudyRecord = serde_json::from_str(&text)
+            .map_err(|error| damaged(format!("cut off or changed: {error}")))?;
+        if read.format != STUDY_FORMAT {
+            return Err(damaged(format!(
+                "format {} is not this program's",
+                read.format
+            )));
+        }
+        Ok(Some(read))
+    }
+
+    /// Remembers the study.
+    ///
+    /// # Errors
+    /// [`StudyError::Io`].
+    pub fn keep_study(&self, record: &StudyRecord) -> Result<(), StudyError> {
+        write_json(&self.root.join("study.json"), record)
+    }
+}
