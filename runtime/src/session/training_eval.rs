@@ -248,11 +248,12 @@ impl Evaluations {
 /// The task must have the arms and the cameras of the dataset.
 fn check_task(task: &str, dataset: &Dataset) -> Result<(), SessionError> {
     let refuse = |reason: String| SessionError::BadArgument(format!("--eval-task: {reason}"));
-    let setup = Setup::load(task, None, &PolicyChoice::Expert).map_err(|error| match error {
-        SessionError::BadArgument(reason) => {
+    let setup = Setup::load(task, None, &PolicyChoice::Expert).map_err(|error| {
+        if let SessionError::BadArgument(reason) = error {
             refuse(reason.trim_start_matches("--task: ").to_owned())
+        } else {
+            error
         }
-        error => error,
     })?;
     let arms = (dataset.arms(), setup.task.arms.len());
     if arms.0 != arms.1 {

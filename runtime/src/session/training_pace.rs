@@ -237,13 +237,13 @@ mod tests {
         let mut pace = Pace::new(1);
         pace.begin(0, 0.0);
         let mut last = at(&mut pace, 1, 5.0);
-        for step in 2..=100 {
-            last = at(&mut pace, step, 5.0 * step as f64);
+        for step in 2..=100_u32 {
+            last = at(&mut pace, step.into(), 5.0 * f64::from(step));
         }
         assert!((last.samples_per_second.unwrap() - 0.2).abs() < 1e-9);
         // Four times as fast from here.
-        for step in 101..=400 {
-            last = at(&mut pace, step, 500.0 + (step - 100) as f64 * 1.25);
+        for step in 101..=400_u32 {
+            last = at(&mut pace, step.into(), 500.0 + f64::from(step - 100) * 1.25);
         }
         assert!((last.samples_per_second.unwrap() - 0.8).abs() < 0.01);
     }
@@ -286,8 +286,8 @@ mod tests {
         // Less than a day.
         let mut pace = Pace::new(8);
         pace.begin(0, 0.0);
-        for step in 1..100 {
-            assert_eq!(long(&mut pace, step, step as f64 * 0.8), None);
+        for step in 1..100_u32 {
+            assert_eq!(long(&mut pace, step.into(), f64::from(step) * 0.8), None);
         }
     }
 }

@@ -73,7 +73,6 @@ fn recovers(name: &str, seeds: Range<u64>, least: usize) {
         "{name}, seeds {seeds:?}: {done} done, {retried} of them with another grasp; kinds, and those in losses: {kinds:?}; {failures:#?}"
     );
     assert!(done >= least, "{report}");
-    println!("{report}");
 }
 
 #[test]

@@ -39,7 +39,7 @@ fn delay() -> RangedU64ValueParser<u64> {
 }
 
 /// A share that is not 0.
-fn share(text: &str) -> Result<f64, String> {
+fn share_above_0(text: &str) -> Result<f64, String> {
     let share: Option<f64> = text.parse().ok();
     let share = share.filter(|share| *share > 0.0 && *share <= 1.0);
     share.ok_or_else(|| "a share is a number above 0, up to 1".to_owned())
@@ -340,7 +340,7 @@ pub(crate) struct RecordArgs {
     /// Disturb this share of the demonstrations, above 0, up to 1 (0.5 if no number is given): the hand is led off its way, falls
     /// short, lets go of the thing, or the thing slides away, and the expert recovers. What is recorded as the action is what the
     /// expert wants, not what was done to it. They may take twice the task's time limit.
-    #[arg(long, value_name = "SHARE", num_args = 0..=1, default_missing_value = "0.5", value_parser = share)]
+    #[arg(long, value_name = "SHARE", num_args = 0..=1, default_missing_value = "0.5", value_parser = share_above_0)]
     pub(crate) disturb: Option<f64>,
     /// Cameras whose frames are recorded: `single` (the one that the paper gives the task's policies), `multi` (that one and
     /// the wrists), or names with commas between them. A camera that is not named is not drawn.

@@ -116,6 +116,7 @@ fn a_plain_recording_says_nothing_and_is_as_it_was() {
     }
 }
 
+#[expect(clippy::print_stdout, reason = "figures of a long test")]
 /// How many of `seeds` the expert of `task` succeeds in, all disturbed, with the controller that a session has and without
 /// cameras.
 fn successes(task: &str, seeds: std::ops::Range<u64>) -> usize {
