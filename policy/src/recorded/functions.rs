@@ -28,7 +28,7 @@ pub(super) struct Functions {
     pub(super) create: unsafe extern "C-unwind" fn(object: *mut u64, keep: bool),
     /// `CUDAGraph::~CUDAGraph()`.
     pub(super) destroy: unsafe extern "C-unwind" fn(object: *mut u64),
-    /// `capture_begin(MempoolId_t, cudaStreamCaptureMode)`; the id is a pair of numbers, and zeros ask for memory of its own.
+    /// `capture_begin(MempoolId_t, cudaStreamCaptureMode)`; the id is a pair of numbers, and zeros allocate a pool of its own.
     pub(super) begin:
         unsafe extern "C-unwind" fn(object: *mut u64, pool: u64, of: u64, mode: c_int),
     /// `capture_end()`, which also makes it ready to be launched.

@@ -81,7 +81,7 @@ pub enum Progress {
         /// Steps of the whole run.
         steps: u64,
     },
-    /// A step was taken that somebody wants to hear of: see [`Watch::wants_step`].
+    /// A step was taken that the watcher wants to hear of: see [`Watch::wants_step`].
     Step {
         /// Steps done.
         step: u64,

@@ -48,7 +48,7 @@ pub struct Outcome {
 #[derive(Clone, Debug, PartialEq)]
 enum Status {
     Waiting,
-    /// Somebody else works on it, or on what it needs; to be looked at again.
+    /// Another process works on it, or on what it needs; to be looked at again.
     Elsewhere(TimeNs),
     Running,
     Done,
