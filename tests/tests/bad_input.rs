@@ -187,7 +187,6 @@ fn training_with_impossible_options_is_refused() {
         ("--validation-share", "2"),
         ("--validation-share", "nan"),
         ("--preset", "huge"),
-        ("--cameras", "three"),
     ] {
         let message = training_refused(&data, &out, &[option, value]);
         let name = option.trim_start_matches("--").replace('-', "_");

@@ -22,6 +22,7 @@ pub use config::{ActConfig, ActPreset, BackboneNorm, DecoderOutput, LossDenomina
 pub use folded::FoldedAct;
 pub(crate) use folded::{FoldedTrunk, Situated};
 pub use loss::{ActionError, Losses, action_loss, l1_loss, losses};
+pub(crate) use resnet::STAGES;
 pub(crate) use resnet::by_hand::KeptPass;
 pub(crate) use trunk::{Seen, Trunk};
 pub use vae::LatentDistribution;
@@ -29,7 +30,7 @@ pub(crate) use {loss::kl_divergence, vae::VAE_PREFIX};
 
 use crate::kernels::Kernels;
 use crate::parameters::{Init, ParameterError, ParameterSource, Parameters};
-use resnet::{FEATURE_CHANNELS, ResNet18};
+use resnet::ResNet18;
 
 const BACKBONE: &str = "model.backbone";
 
@@ -43,7 +44,7 @@ pub(crate) fn check_frozen_backbone(
     let shared = tensors.iter();
     let shared = shared.map(|(key, tensor)| (key.clone(), tensor.shallow_clone()));
     let mut source = ParameterSource::given(shared.collect());
-    ResNet18::new(&mut source, BACKBONE, BackboneNorm::FrozenBatchNorm)?;
+    ResNet18::new(&mut source, BACKBONE, BackboneNorm::FrozenBatchNorm, STAGES)?;
     source.finish().map(|_| ())
 }
 
@@ -80,12 +81,13 @@ impl Act {
     pub fn new(config: ActConfig, mut source: ParameterSource) -> Result<Self, ParameterError> {
         let width = config.dim_model;
         let s = &mut source;
-        let backbone = ResNet18::new(s, BACKBONE, config.backbone_norm)?;
+        let backbone = ResNet18::new(s, BACKBONE, config.backbone_norm, config.backbone_stages)?;
+        let channels = ResNet18::feature_channels(config.backbone_stages);
         let image_key = "model.encoder_img_feat_input_proj";
-        let image_init = Init::fan_in(FEATURE_CHANNELS);
+        let image_init = Init::fan_in(channels);
         let image_weight = s.trainable(
             &format!("{image_key}.weight"),
-            &[width, FEATURE_CHANNELS, 1, 1],
+            &[width, channels, 1, 1],
             &image_init,
         )?;
         let image_bias = s.trainable(&format!("{image_key}.bias"), &[width], &image_init)?;
@@ -211,8 +213,9 @@ impl Act {
 
 /// Positions of all image tokens, every camera the same: `(cameras * rows * columns, width)`.
 fn image_position(config: &ActConfig) -> Result<Tensor, TchError> {
-    let high = ResNet18::feature_side(config.image_height);
-    let wide = ResNet18::feature_side(config.image_width);
+    let stages = config.backbone_stages;
+    let high = ResNet18::feature_side(config.image_height, stages);
+    let wide = ResNet18::feature_side(config.image_width, stages);
     let table = position::plane_table(high, wide, config.dim_model);
     let cameras = i64::try_from(config.cameras.len()).unwrap_or(i64::MAX);
     Tensor::f_from_slice(&table)?

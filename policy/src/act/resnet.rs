@@ -1,4 +1,5 @@
-//! ResNet-18 without its head: images to feature maps at a 32nd of their size, 512 channels.
+//! ResNet-18 without its head: images to feature maps, at a 32nd of their size and with 512 channels where all four stages are
+//! built, at a 16th and with 256 where three are.
 
 pub(crate) mod by_hand;
 #[cfg(test)]
@@ -11,11 +12,11 @@ use tch::{Kind, TchError, Tensor};
 use super::config::BackboneNorm;
 use crate::parameters::{Init, ParameterError, ParameterSource};
 
-/// Channels of the feature map.
-pub(super) const FEATURE_CHANNELS: i64 = 512;
-
 /// Output channels of the four stages.
 const STAGE_CHANNELS: [i64; 4] = [64, 128, 256, 512];
+
+/// All of them.
+pub(crate) const STAGES: usize = STAGE_CHANNELS.len();
 
 /// Channels that one group of a group normalisation holds.
 const CHANNELS_PER_GROUP: i64 = 16;
@@ -34,6 +35,7 @@ impl ResNet18 {
         source: &mut ParameterSource,
         prefix: &str,
         norm: BackboneNorm,
+        stages: usize,
     ) -> Result<Self, ParameterError> {
         let stem_keys = [format!("{prefix}.conv1"), format!("{prefix}.bn1")];
         let stem = Conv::new(
@@ -49,7 +51,7 @@ impl ResNet18 {
         )?;
         let mut blocks = Vec::new();
         let mut inputs = 64;
-        for (stage, outputs) in STAGE_CHANNELS.into_iter().enumerate() {
+        for (stage, outputs) in STAGE_CHANNELS.into_iter().enumerate().take(stages) {
             for index in 0..2 {
                 let key = format!("{prefix}.layer{}.{index}", stage + 1);
                 let stride = if stage > 0 && index == 0 { 2 } else { 1 };
@@ -60,7 +62,7 @@ impl ResNet18 {
         Ok(Self { stem, blocks })
     }
 
-    /// `(n, 3, h, w)` to `(n, 512, h / 32, w / 32)`, sizes rounded up.
+    /// `(n, 3, h, w)` to `(n, channels, h / 2^(stages + 1), w / 2^(stages + 1))`, sizes rounded up.
     pub(super) fn forward(&self, images: &Tensor) -> Result<Tensor, TchError> {
         // The rectifier after the maximum does the same, to a quarter as many numbers.
         let x = self.stem.forward(images)?;
@@ -72,11 +74,16 @@ impl ResNet18 {
         Ok(x)
     }
 
-    /// Side of the feature map for an image side of `pixels`: five halvings, each rounded up.
-    pub(super) const fn feature_side(pixels: i64) -> i64 {
+    /// Channels of the feature map.
+    pub(super) fn feature_channels(stages: usize) -> i64 {
+        STAGE_CHANNELS[stages.clamp(1, STAGES) - 1]
+    }
+
+    /// Side of the feature map for an image side of `pixels`: a halving a stage and one before, each rounded up.
+    pub(super) const fn feature_side(pixels: i64, stages: usize) -> i64 {
         let mut side = pixels;
         let mut halvings = 0;
-        while halvings < 5 {
+        while halvings < stages + 1 {
             side = (side + 1) / 2;
             halvings += 1;
         }

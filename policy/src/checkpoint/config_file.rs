@@ -7,7 +7,7 @@ use serde_json::{Value, json};
 
 use super::error::Cause;
 use super::recipe::Variants;
-use crate::act::{ActConfig, BackboneNorm};
+use crate::act::{ActConfig, BackboneNorm, STAGES};
 
 const STATE: &str = "observation.state";
 const ACTION: &str = "action";
@@ -17,6 +17,8 @@ const RESNET: &str = "resnet18";
 /// The one whose group normalisation LeRobot does not have. Its keys are the other's but for two that LeRobot can do
 /// without, so the name has to be one that LeRobot refuses: under its own it would load the weights and answer nonsense.
 const GROUP_NORM_RESNET: &str = "group_norm_resnet18";
+/// What follows either name where the last stages are left out, and their number; LeRobot refuses these too.
+const STAGES_SUFFIX: &str = "_stages";
 
 /// Kind and shape of a feature.
 #[derive(Clone, Debug, Serialize, Deserialize)]
@@ -105,10 +107,7 @@ pub(super) fn write(config: &ActConfig) -> Value {
         "chunk_size": config.chunk_size,
         "n_action_steps": config.chunk_size,
         "normalization_mapping": normalisation(),
-        "vision_backbone": match config.backbone_norm {
-            BackboneNorm::FrozenBatchNorm => RESNET,
-            BackboneNorm::GroupNorm => GROUP_NORM_RESNET,
-        },
+        "vision_backbone": backbone_name(config),
         "pretrained_backbone_weights": null,
         "replace_final_stride_with_dilation": 0,
         "pre_norm": config.pre_norm,
@@ -146,7 +145,7 @@ pub(super) fn read(
     }
     let file: ConfigFile = serde_json::from_value(document).map_err(Cause::Json)?;
     check_supported(&file)?;
-    let backbone_norm = backbone_norm(&file, variants, camera_order.is_some())?;
+    let (backbone_norm, backbone_stages) = backbone(&file, variants, camera_order.is_some())?;
     let (height, width, named) = image_features(&file)?;
     let cameras = match camera_order {
         Some(order) => {
@@ -177,6 +176,7 @@ pub(super) fn read(
         decoder_output: crate::act::DecoderOutput::Last,
         loss_denominator: variants.loss_denominator,
         backbone_norm,
+        backbone_stages,
         state_dim: width_of(&file.input_features, STATE)?,
         action_dim: width_of(&file.output_features, ACTION)?,
         cameras,
@@ -234,26 +234,54 @@ fn check_supported(file: &ConfigFile) -> Result<(), Cause> {
     Ok(())
 }
 
-/// The backbone's normalisation by its name and, where there is one, by the recipe. Files from before the second name
-/// have the first, and only the recipe tells.
-fn backbone_norm(
+/// `resnet18`, `group_norm_resnet18`, or either with `_stages3` behind it.
+fn backbone_name(config: &ActConfig) -> String {
+    let name = match config.backbone_norm {
+        BackboneNorm::FrozenBatchNorm => RESNET,
+        BackboneNorm::GroupNorm => GROUP_NORM_RESNET,
+    };
+    let stages = config.backbone_stages;
+    if stages == STAGES {
+        name.to_owned()
+    } else {
+        format!("{name}{STAGES_SUFFIX}{stages}")
+    }
+}
+
+/// The backbone's normalisation by its name and, where there is one, by the recipe, and its stages. Files from before the
+/// second name have the first, and only the recipe tells.
+fn backbone(
     file: &ConfigFile,
     variants: Variants,
     has_recipe: bool,
-) -> Result<BackboneNorm, Cause> {
-    match (file.vision_backbone.as_str(), variants.backbone_norm) {
-        (RESNET, norm) => Ok(norm),
+) -> Result<(BackboneNorm, usize), Cause> {
+    let unknown = || Cause::Unsupported {
+        field: "vision_backbone".to_owned(),
+        value: file.vision_backbone.clone(),
+        expected: format!(
+            "{RESNET} or {GROUP_NORM_RESNET}, or one of them with {STAGES_SUFFIX}1 to {STAGES_SUFFIX}{} behind it",
+            STAGES - 1
+        ),
+    };
+    let (name, stages) = match file.vision_backbone.split_once(STAGES_SUFFIX) {
+        None => (file.vision_backbone.as_str(), STAGES),
+        Some((name, stages)) => {
+            let stages = stages.parse().map_err(|_| unknown())?;
+            (name, stages)
+        }
+    };
+    if !(1..=STAGES).contains(&stages) {
+        return Err(unknown());
+    }
+    match (name, variants.backbone_norm) {
+        (RESNET, norm) => Ok((norm, stages)),
         (GROUP_NORM_RESNET, norm) if has_recipe && norm != BackboneNorm::GroupNorm => {
             Err(Cause::Inconsistent(format!(
-                "vision_backbone = {GROUP_NORM_RESNET}, but the recipe's backbone_norm is another"
+                "vision_backbone = {name}, but the recipe's backbone_norm is another"
             )))
         }
-        (GROUP_NORM_RESNET, _) => Ok(BackboneNorm::GroupNorm),
-        (other, _) => Err(Cause::Unsupported {
-            field: "vision_backbone".to_owned(),
-            value: other.to_owned(),
-            expected: format!("{RESNET} or {GROUP_NORM_RESNET}"),
-        }),
+        (GROUP_NORM_RESNET, _) => Ok((BackboneNorm::GroupNorm, stages)),
+        _ => Err(unknown()),
     }
 }
 

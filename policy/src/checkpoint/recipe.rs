@@ -38,6 +38,8 @@ pub struct RecordedCamera {
 pub enum PolicyPreset {
     /// [`ActPreset::Small`].
     Small,
+    /// [`ActPreset::Compact`].
+    Compact,
     /// [`ActPreset::Paper`].
     Paper,
     /// [`ActPreset::Lerobot`].
@@ -58,6 +60,7 @@ impl From<ActPreset> for PolicyPreset {
     fn from(preset: ActPreset) -> Self {
         match preset {
             ActPreset::Small => Self::Small,
+            ActPreset::Compact => Self::Compact,
             ActPreset::Paper => Self::Paper,
             ActPreset::Lerobot => Self::Lerobot,
         }

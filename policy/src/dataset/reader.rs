@@ -43,8 +43,31 @@ impl Dataset {
     /// # Errors
     /// Those of [`Dataset::open`]; and [`DatasetError::Mismatch`] if there are fewer.
     pub fn open_first(dir: &Path, episodes: Option<usize>) -> Result<Self, DatasetError> {
+        Self::open_part(dir, episodes, None)
+    }
+
+    /// The same with some `cameras` alone, in their order, or all.
+    ///
+    /// # Errors
+    /// Those of [`Dataset::open_first`]; and [`DatasetError::Mismatch`] if there is no such camera.
+    pub fn open_part(
+        dir: &Path,
+        episodes: Option<usize>,
+        cameras: Option<&[String]>,
+    ) -> Result<Self, DatasetError> {
         let info = meta::read_info(dir)?;
-        let spec = read_spec(dir, &info)?;
+        let mut spec = read_spec(dir, &info)?;
+        if let Some(cameras) = cameras {
+            spec.cameras = chosen(&spec.cameras, cameras).map_err(|name| {
+                let what = "a camera";
+                mismatch(
+                    meta::info_path(dir),
+                    what,
+                    names(&spec.cameras).join(", "),
+                    name,
+                )
+            })?;
+        }
         let videos = video_features(&info);
         let mut listed = layout::read_episodes(dir, &info, &videos)?;
         let wanted = episodes.unwrap_or(info.total_episodes);
@@ -60,11 +83,7 @@ impl Dataset {
         }
         // What is listed beyond the total was being written when the recording was cut off.
         listed.truncate(wanted);
-        let camera_names: Vec<String> = spec
-            .cameras
-            .iter()
-            .map(|camera| camera.name.clone())
-            .collect();
+        let camera_names = names(&spec.cameras);
         let mut dataset = Self {
             videos: open_videos(&camera_names, &videos, &listed, spec.fps)?,
             camera_names,
@@ -75,6 +94,15 @@ impl Dataset {
         };
         dataset.load(&listed)?;
         Ok(dataset)
+    }
+
+    /// Names of the cameras of the dataset in the folder `dir`: first the one that its task gives policies of a single camera.
+    ///
+    /// # Errors
+    /// A [`DatasetError`] if its description can't be read.
+    pub fn cameras_in(dir: &Path) -> Result<Vec<String>, DatasetError> {
+        let info = meta::read_info(dir)?;
+        Ok(names(&read_spec(dir, &info)?.cameras))
     }
 
     /// What the dataset is of.
@@ -230,6 +258,19 @@ impl Dataset {
         }
         Ok(())
     }
+}
+
+fn names(cameras: &[CameraSpec]) -> Vec<String> {
+    cameras.iter().map(|camera| camera.name.clone()).collect()
+}
+
+/// Those of `all` cameras that `wanted` names; the error is a name that none has.
+fn chosen(all: &[CameraSpec], wanted: &[String]) -> Result<Vec<CameraSpec>, String> {
+    let find = |name: &String| {
+        let found = all.iter().find(|camera| camera.name == *name);
+        found.cloned().ok_or_else(|| name.clone())
+    };
+    wanted.iter().map(find).collect()
 }
 
 /// Looks at the videos of the `listed` episodes; `features` are the cameras' that are kept so, in the order of the listing.

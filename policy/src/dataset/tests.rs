@@ -191,6 +191,27 @@ fn first_episodes_can_be_opened_alone() {
 }
 
 #[test]
+fn some_cameras_can_be_opened_alone() {
+    let folder = Folder::new("cameras");
+    record(&folder.0).finish().unwrap();
+    let all = Dataset::cameras_in(&folder.0).unwrap();
+    assert_eq!(all.len(), 2);
+    let last = &all[1..];
+    let dataset = Dataset::open_part(&folder.0, None, Some(last)).unwrap();
+    assert_eq!(dataset.camera_names(), last);
+    let size = spec().cameras[1].image_size_bytes();
+    let rgb = dataset.image_rgb(7, 0).unwrap();
+    assert_eq!(rgb.into_raw(), image(7, size));
+    let none = ["nose".to_owned()];
+    let refused = Dataset::open_part(&folder.0, None, Some(&none));
+    let message = refused.unwrap_err().to_string();
+    assert!(
+        message.contains("nose") && message.contains(&all[1]),
+        "{message}"
+    );
+}
+
+#[test]
 fn writer_dropped_in_an_episode_leaves_the_finished_ones() {
     let folder = Folder::new("dropped");
     let mut writer = record(&folder.0);

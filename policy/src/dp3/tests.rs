@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 
 use tch::{Device, Kind, Tensor};
 
+use super::blocks::Convolution;
 use super::{CloudObservation, Dp3, Dp3Config, Dp3Preset};
 use crate::parameters::ParameterSource;
 
@@ -43,6 +44,23 @@ fn shapes(config: &Dp3Config) -> BTreeMap<String, Vec<i64>> {
     entries
         .map(|(key, tensor)| (key.to_owned(), tensor.size()))
         .collect()
+}
+
+#[test]
+fn a_convolution_is_a_product_of_matrices() {
+    for (kernel, stride, steps) in [(5, 1, 4), (3, 2, 8), (1, 1, 4)] {
+        let mut source = ParameterSource::seeded(7, Device::Cpu);
+        let convolution = Convolution::new(&mut source, "c", [6, 10], kernel, stride).unwrap();
+        let places = Tensor::arange(2 * 6 * steps, (Kind::Float, Device::Cpu));
+        let x = (places * 0.7_f64).sin().view([2, 6, steps]);
+        let found = [
+            convolution.forward(&x).unwrap(),
+            convolution.product(&x).unwrap(),
+        ];
+        assert_eq!(found[0].size(), found[1].size());
+        let off = (&found[0] - &found[1]).abs().max().double_value(&[]);
+        assert!(off < 1e-6, "{kernel}, {stride}: {off}");
+    }
 }
 
 #[test]

@@ -41,7 +41,7 @@ impl TrainOptions {
             seed: 1000,
         };
         match preset {
-            ActPreset::Small => small,
+            ActPreset::Small | ActPreset::Compact => small,
             ActPreset::Paper | ActPreset::Lerobot => Self {
                 steps: 40_000,
                 batch: 32,
@@ -57,11 +57,11 @@ impl TrainOptions {
     #[must_use]
     pub const fn published(preset: ActPreset) -> Self {
         let steps = match preset {
-            ActPreset::Paper | ActPreset::Small => 10_000,
+            ActPreset::Paper | ActPreset::Small | ActPreset::Compact => 10_000,
             ActPreset::Lerobot => 100_000,
         };
         let clip_norm = match preset {
-            ActPreset::Paper | ActPreset::Small => f64::INFINITY,
+            ActPreset::Paper | ActPreset::Small | ActPreset::Compact => f64::INFINITY,
             ActPreset::Lerobot => 10.0,
         };
         Self {

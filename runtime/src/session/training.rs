@@ -24,6 +24,16 @@ use crate::rt;
 /// one is there when the last ends.
 const QUERY_EVERY_STEPS: u32 = 25;
 
+/// What `--augment` does to images and states.
+const IMAGE_AUGMENTATION: Augmentation = Augmentation {
+    shift_px: 4,
+    brightness: 0.15,
+    contrast: 0.15,
+    state_noise: 0.02,
+    point_noise_m: 0.0,
+    point_dropout: 0.0,
+};
+
 /// What training came to.
 #[derive(Clone, Copy, Debug, Serialize)]
 pub struct TrainingResult {
@@ -135,7 +145,7 @@ fn train_from(
 ) -> Result<TrainingResult, SessionError> {
     rt::catch_interrupts()
         .map_err(|error| SessionError::RealTime(format!("signals can't be caught: {error}")))?;
-    let dataset = Dataset::open_first(&options.data, options.episodes)?;
+    let dataset = open(options)?;
     let result = match options.network {
         NetworkChoice::Act => train_act(options, &dataset, &start, on_news),
         NetworkChoice::ActPc => training_clouds::train_act_pc(options, &dataset, &start, on_news),
@@ -155,7 +165,7 @@ fn train_act(
     let train_options = train_options(options, preset);
     let config = ActConfig {
         backbone_norm: options.backbone,
-        ..ActConfig::preset(preset, &cameras(options, dataset)?).for_arms(dataset.arms())
+        ..ActConfig::preset(preset, &cameras(dataset)).for_arms(dataset.arms())
     };
     let saver = Saver {
         options,
@@ -168,7 +178,7 @@ fn train_act(
                 backbone_norm: config.backbone_norm,
                 loss_denominator: config.loss_denominator,
             },
-            query_every_steps: QUERY_EVERY_STEPS,
+            query_every_steps: query_every(options, QUERY_EVERY_STEPS, config.chunk_size)?,
             aggregation: AggregationName::WholeChunk,
         },
         cloud: None,
@@ -213,34 +223,70 @@ pub(super) fn conduct(
     })
 }
 
-/// The features of the cameras that the network sees.
-pub(super) fn cameras(
-    options: &TrainingOptions,
-    dataset: &Dataset,
-) -> Result<Vec<String>, SessionError> {
-    let names = dataset.camera_names();
-    if options.cameras == CameraChoice::Single && names.len() > 1 {
-        return Err(SessionError::BadArgument(format!(
-            "--cameras single: {} has {} cameras ({}), and a network is trained on all of its dataset's cameras",
-            options.data.display(),
-            names.len(),
-            names.join(", ")
-        )));
-    }
-    Ok(names
-        .iter()
+/// The features of the dataset's cameras, which are those that the network sees.
+pub(super) fn cameras(dataset: &Dataset) -> Vec<String> {
+    let names = dataset.camera_names().iter();
+    names
         .map(|name| format!("observation.images.{name}"))
-        .collect())
+        .collect()
+}
+
+/// The dataset, as the network sees it.
+fn open(options: &TrainingOptions) -> Result<Dataset, SessionError> {
+    let (data, choice) = (&options.data, &options.cameras);
+    let chosen = choice
+        .among(&Dataset::cameras_in(data)?)
+        .map_err(|defect| {
+            SessionError::BadArgument(format!("--cameras, {}: {defect}", data.display()))
+        })?;
+    Ok(Dataset::open_part(data, options.episodes, Some(&chosen))?)
 }
 
 fn parse_preset(name: &str) -> Result<ActPreset, SessionError> {
     match name {
         "small" => Ok(ActPreset::Small),
+        "compact" => Ok(ActPreset::Compact),
         "paper" => Ok(ActPreset::Paper),
         "lerobot" => Ok(ActPreset::Lerobot),
         unknown => Err(SessionError::BadArgument(format!(
-            "--preset {unknown}: of act, small, paper or lerobot"
+            "--preset {unknown}: of act, small, compact, paper or lerobot"
         ))),
+    }
+}
+
+/// Policy steps between queries: the user's number, which a chunk of `steps` must last for, or `usual`.
+pub(super) fn query_every(
+    options: &TrainingOptions,
+    usual: u32,
+    steps: i64,
+) -> Result<u32, SessionError> {
+    let every = options.query_every.unwrap_or(usual);
+    if i64::from(every) <= steps {
+        return Ok(every);
+    }
+    Err(SessionError::BadArgument(format!(
+        "--query-every {every}: a chunk of this network has {steps} steps"
+    )))
+}
+
+/// `base` with the learning rate that the user wants, and `augmentation` as they want it.
+pub(super) fn as_wanted(
+    options: &TrainingOptions,
+    base: TrainOptions,
+    augmentation: Augmentation,
+) -> TrainOptions {
+    let lr = options.lr.unwrap_or(base.lr);
+    // One that was trained before is slower than the rest, and stays so.
+    let together = base.lr_backbone >= base.lr;
+    TrainOptions {
+        lr,
+        lr_backbone: if together { lr } else { base.lr_backbone },
+        augmentation: Augmentation {
+            shift_px: options.shift_px.unwrap_or(augmentation.shift_px),
+            state_noise: options.state_noise.unwrap_or(augmentation.state_noise),
+            ..augmentation
+        },
+        ..base
     }
 }
 
@@ -255,16 +301,11 @@ fn train_options(options: &TrainingOptions, preset: ActPreset) -> TrainOptions {
         BackboneNorm::GroupNorm => base,
     };
     let augmentation = if options.augment {
-        Augmentation {
-            shift_px: 4,
-            brightness: 0.15,
-            contrast: 0.15,
-            state_noise: 0.02,
-            ..base.augmentation
-        }
+        IMAGE_AUGMENTATION
     } else {
         base.augmentation
     };
+    let base = as_wanted(options, base, augmentation);
     TrainOptions {
         steps: options.steps.unwrap_or(base.steps),
         batch: options.batch.unwrap_or(base.batch),
@@ -274,7 +315,6 @@ fn train_options(options: &TrainingOptions, preset: ActPreset) -> TrainOptions {
             base.precision
         },
         validation_share: options.validation_share,
-        augmentation,
         images_on_host: options.images_on_host,
         eager: options.eager,
         save_every: options.save_every,

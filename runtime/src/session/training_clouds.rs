@@ -10,7 +10,9 @@ use policy::train::{AnyTrained, Augmentation, TrainError, TrainOptions, TrainPre
 
 use super::SessionError;
 use super::cloud_file::cloud_recipe;
-use super::training::{OnNews, Start, TrainingOptions, TrainingResult, cameras, conduct};
+use super::training::{
+    OnNews, Start, TrainingOptions, TrainingResult, as_wanted, cameras, conduct, query_every,
+};
 use super::training_recipe::Made;
 use super::training_save::Saver;
 
@@ -38,8 +40,6 @@ pub(super) fn train_dp3(
     on_news: &mut OnNews<'_>,
 ) -> Result<TrainingResult, SessionError> {
     let preset = dp3_preset(&options.preset)?;
-    // Both choices of cameras are checked as for images.
-    cameras(options, dataset)?;
     let numbers = i64::try_from(RELATIVE_ACTION_DIM * dataset.arms()).unwrap_or(i64::MAX);
     let config = Dp3Config::preset(preset, numbers, numbers);
     let train_options = dp3_options(options, dataset.len())?;
@@ -55,7 +55,11 @@ pub(super) fn train_dp3(
                 backbone_norm: BackboneNorm::default(),
                 ..Variants::default()
             },
-            query_every_steps: u32::try_from(config.n_action_steps).unwrap_or(1),
+            query_every_steps: query_every(
+                options,
+                u32::try_from(config.n_action_steps).unwrap_or(1),
+                config.n_action_steps,
+            )?,
             aggregation: AggregationName::Newest,
         },
         cloud: Some(cloud.clone()),
@@ -86,16 +90,16 @@ pub(super) fn dp3_options(
     refuse_images(options, "dp3")?;
     let batch = options.batch.unwrap_or(TrainOptions::dp3(1).batch);
     let published = DP3_EPOCHS.saturating_mul(frames.div_ceil(batch.max(1)));
+    let published = TrainOptions::dp3(options.steps.unwrap_or(published as u64));
     let train_options = TrainOptions {
         batch,
         precision: TrainPrecision::F32,
-        augmentation: augmentation(options),
         validation_share: options.validation_share,
         save_every: options.save_every,
         eager: options.eager,
         threads: options.threads,
         seed: options.seed,
-        ..TrainOptions::dp3(options.steps.unwrap_or(published as u64))
+        ..as_wanted(options, published, augmentation(options))
     };
     match train_options.defect() {
         Some(defect) => Err(TrainError::Options(defect).into()),
@@ -119,6 +123,11 @@ fn refuse_images(options: &TrainingOptions, network: &str) -> Result<(), Session
         (
             "--images-on-host",
             options.images_on_host,
+            "it sees no images",
+        ),
+        (
+            "--shift-px",
+            options.shift_px.is_some(),
             "it sees no images",
         ),
     ];
@@ -153,13 +162,12 @@ pub(super) fn act_pc_options(
     let train_options = TrainOptions {
         steps: options.steps.unwrap_or(base.steps),
         batch: options.batch.unwrap_or(base.batch),
-        augmentation: augmentation(options),
         validation_share: options.validation_share,
         save_every: options.save_every,
         eager: options.eager,
         threads: options.threads,
         seed: options.seed,
-        ..base
+        ..as_wanted(options, base, augmentation(options))
     };
     match train_options.defect() {
         Some(defect) => Err(TrainError::Options(defect).into()),
@@ -175,7 +183,7 @@ pub(super) fn train_act_pc(
     on_news: &mut OnNews<'_>,
 ) -> Result<TrainingResult, SessionError> {
     let (preset, train_options) = act_pc_options(options)?;
-    let config = ActPcConfig::preset(preset, &cameras(options, dataset)?);
+    let config = ActPcConfig::preset(preset, &cameras(dataset));
     let points = usize::try_from(config.points).unwrap_or(0);
     let cloud = cloud_recipe(options.clouds.as_deref(), points)?;
     let config = ActPcConfig {
@@ -194,7 +202,11 @@ pub(super) fn train_act_pc(
                 backbone_norm: BackboneNorm::default(),
                 loss_denominator: config.act.loss_denominator,
             },
-            query_every_steps: u32::try_from(config.act.chunk_size / 2).unwrap_or(1),
+            query_every_steps: query_every(
+                options,
+                u32::try_from(config.act.chunk_size / 2).unwrap_or(1),
+                config.act.chunk_size,
+            )?,
             aggregation: AggregationName::WholeChunk,
         },
         cloud: Some(cloud.clone()),

@@ -9,12 +9,48 @@ use tch::Device;
 use super::training_eval::TrainingEval;
 
 /// Which of the dataset's cameras the network sees.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum CameraChoice {
-    /// The only one; a dataset with several is refused.
+    /// The first: the one that the task gives policies of a single camera.
     Single,
     /// All of them.
     Multi,
+    /// These, in this order.
+    Named(Vec<String>),
+}
+
+impl CameraChoice {
+    /// Reads `single`, `multi`, or names with commas between them.
+    #[must_use]
+    pub fn of(text: &str) -> Self {
+        match text {
+            "single" => Self::Single,
+            "multi" => Self::Multi,
+            names => Self::Named(names.split(',').map(str::to_owned).collect()),
+        }
+    }
+
+    /// Those of the dataset's cameras `all` that the network sees.
+    pub(super) fn among(&self, all: &[String]) -> Result<Vec<String>, String> {
+        match self {
+            Self::Single => Ok(all.iter().take(1).cloned().collect()),
+            Self::Multi => Ok(all.to_vec()),
+            Self::Named(names) => {
+                for (index, name) in names.iter().enumerate() {
+                    if !all.contains(name) {
+                        let all = all.join(", ");
+                        return Err(format!(
+                            "{name}: there is no such camera; the dataset has {all}"
+                        ));
+                    }
+                    if names[..index].contains(name) {
+                        return Err(format!("{name} is named twice"));
+                    }
+                }
+                Ok(names.clone())
+            }
+        }
+    }
 }
 
 /// Which network is trained.
@@ -64,6 +100,18 @@ pub struct TrainingOptions {
     pub validation_share: f64,
     /// Change what is trained on at random: shift and brighten images, move and hide points, disturb states.
     pub augment: bool,
+    /// Policy steps from one query to the next that the checkpoint recommends, if not the network's usual number.
+    #[serde(default)]
+    pub query_every: Option<u32>,
+    /// Learning rate of everything but a backbone that was trained before, if not the recipe's.
+    #[serde(default)]
+    pub lr: Option<f64>,
+    /// Greatest shift of an image, pixels of the network's, if not what `augment` says.
+    #[serde(default)]
+    pub shift_px: Option<u32>,
+    /// Standard deviation of noise on the normalised state, if not what `augment` says.
+    #[serde(default)]
+    pub state_noise: Option<f64>,
     /// What clouds are made of instead of the built-in config/clouds.toml.
     pub clouds: Option<PathBuf>,
     /// Keep images in the host's memory instead of the device's.
@@ -103,5 +151,21 @@ mod device_name {
             "cuda" => Ok(Device::Cuda(0)),
             other => Err(de::Error::custom(format!("device {other:?}"))),
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::CameraChoice;
+
+    #[test]
+    fn a_network_sees_some_of_the_cameras_or_all() {
+        let all = ["side", "wrist"].map(str::to_owned);
+        let among = |text: &str| CameraChoice::of(text).among(&all);
+        assert_eq!(among("single").unwrap(), ["side"]);
+        assert_eq!(among("multi").unwrap(), ["side", "wrist"]);
+        assert_eq!(among("wrist,side").unwrap(), ["wrist", "side"]);
+        assert!(among("nose").unwrap_err().contains("side, wrist"));
+        assert!(among("side,side").unwrap_err().contains("named twice"));
     }
 }

@@ -153,6 +153,7 @@ fn train(job: &TrainingJob, places: &Places, begin: Begin) -> Arguments {
         .path("--data", &data)
         .path("--out", &places.product)
         .option("--episodes", job.demonstrations)
+        .optional("--cameras", job.cameras.as_ref())
         .optional("--preset", job.preset.as_ref())
         .optional("--steps", job.steps)
         .optional("--batch", job.batch)

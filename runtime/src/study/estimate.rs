@@ -20,8 +20,8 @@ impl Class {
             Job::Recording(job) => format!("{} {} {}", job.task.task, job.cameras, job.depth),
             Job::Training(job) => {
                 format!(
-                    "{} {:?} {:?} {:?}",
-                    job.policy, job.preset, job.steps, job.batch
+                    "{} {:?} {:?} {:?} {:?}",
+                    job.policy, job.cameras, job.preset, job.steps, job.batch
                 )
             }
             Job::Evaluation(job) => {

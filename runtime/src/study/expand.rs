@@ -134,7 +134,7 @@ impl Expansion<'_> {
         seed: u64,
     ) -> Result<(), StudyError> {
         let demonstrations = at.demonstrations.unwrap_or_default();
-        let recording = self.recording(at, network, demonstrations)?;
+        let (recording, cameras) = self.recording(at, network, demonstrations)?;
         let mut files = self.materials.files(&network.options)?;
         if network.policy.needs_depth() {
             files.extend(self.materials.clouds(&network.options));
@@ -145,6 +145,7 @@ impl Expansion<'_> {
             recording: recording.clone(),
             demonstrations,
             policy: network.policy.as_str(),
+            cameras,
             preset: network.preset.clone(),
             steps: network.task_steps.get(&at.task).copied().or(network.steps),
             batch: network.batch,
@@ -176,12 +177,13 @@ impl Expansion<'_> {
         Ok(())
     }
 
+    /// The recording, and those of its cameras that the network sees, if not all.
     fn recording(
         &mut self,
         at: &Coordinates,
         network: &NetworkSection,
         demonstrations: usize,
-    ) -> Result<Address, StudyError> {
+    ) -> Result<(Address, Option<String>), StudyError> {
         let name = at.on(Axis::Recording);
         let key = format!("recording.{name}");
         let section = self.file.recording.get(&name);
@@ -194,8 +196,12 @@ impl Expansion<'_> {
             options.extend(["--vary".to_owned(), section.vary.join(",")]);
         }
         options.extend(section.options.iter().cloned());
-        let cameras = network.cameras.clone().unwrap_or_default();
-        let depth = network.policy.needs_depth();
+        let seen = network.cameras.clone().unwrap_or_default();
+        let (cameras, seen) = match &section.cameras {
+            Some(recorded) => (recorded.clone(), Some(seen)),
+            None => (seen, None),
+        };
+        let depth = section.depth || network.policy.needs_depth();
         let with_depth = if depth { " with depth" } else { "" };
         let label = format!("{}, {cameras} camera(s){with_depth}, {name}", at.task);
         let job = RecordingJob {
@@ -217,7 +223,7 @@ impl Expansion<'_> {
         {
             job.episodes = job.episodes.max(demonstrations);
         }
-        Ok(address)
+        Ok((address, seen))
     }
 
     fn task(&self, name: &str) -> Result<TaskInput, StudyError> {

@@ -254,6 +254,12 @@ pub struct RecordingSection {
     pub title: Option<String>,
     /// Seed of the first attempt.
     pub seed: u64,
+    /// Cameras that are recorded, of which each network sees its own: one recording for all of them. If not given, there is one for
+    /// each network's cameras.
+    pub cameras: Option<String>,
+    /// Whether depth is recorded, whoever needs it: likewise.
+    #[serde(default)]
+    pub depth: bool,
     /// Share of the demonstrations that are disturbed, with the expert's recovery (`record --disturb`).
     pub disturb: Option<f64>,
     /// What is randomised: `needles`, `views`, `light` (`record --vary`).

@@ -87,6 +87,9 @@ pub struct TrainingJob {
     pub demonstrations: usize,
     /// The network.
     pub policy: &'static str,
+    /// Those of the recording's cameras that it sees, if not all.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub cameras: Option<String>,
     /// Sizes and recipe.
     pub preset: Option<String>,
     /// Optimiser steps.

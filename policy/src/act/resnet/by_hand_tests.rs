@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use tch::{Device, Kind, Tensor};
 
 use super::by_hand::channels_last;
-use super::{BackboneNorm, ResNet18};
+use super::{BackboneNorm, ResNet18, STAGES};
 use crate::kernels::Kernels;
 use crate::parameters::{ParameterSource, Parameters};
 
@@ -29,7 +29,13 @@ fn rounded(parameters: &Parameters, kind: Kind, device: Device) -> BTreeMap<Stri
 fn built(tensors: &BTreeMap<String, Tensor>, norm: BackboneNorm) -> ResNet18 {
     let shared = tensors.iter();
     let shared = shared.map(|(key, tensor)| (key.clone(), tensor.shallow_clone()));
-    ResNet18::new(&mut ParameterSource::given(shared.collect()), "b", norm).unwrap()
+    ResNet18::new(
+        &mut ParameterSource::given(shared.collect()),
+        "b",
+        norm,
+        STAGES,
+    )
+    .unwrap()
 }
 
 /// What went in, and the gradient of what comes out.
@@ -114,7 +120,7 @@ fn training_by_hand_finds_the_gradients_that_the_library_finds() {
     let (kernels, seen) = (Kernels::new(device).unwrap(), Seen::new(device));
     for norm in [BackboneNorm::GroupNorm, BackboneNorm::FrozenBatchNorm] {
         let mut source = ParameterSource::seeded(1, Device::Cpu);
-        let _ = ResNet18::new(&mut source, "b", norm).unwrap();
+        let _ = ResNet18::new(&mut source, "b", norm, STAGES).unwrap();
         let parameters = source.finish().unwrap();
         let exact = rounded(&parameters, Kind::Double, device);
         let half = rounded(&parameters, Kind::BFloat16, device);

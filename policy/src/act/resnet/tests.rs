@@ -4,20 +4,21 @@ use std::collections::BTreeMap;
 
 use tch::{Device, Kind, Tensor};
 
-use super::{BackboneNorm, Conv, ConvShape, FEATURE_CHANNELS, NORM_EPS, ResNet18};
+use super::{BackboneNorm, Conv, ConvShape, NORM_EPS, ResNet18, STAGES};
 use crate::parameters::ParameterSource;
 
 #[test]
 fn feature_map_has_the_foretold_size() {
     for norm in [BackboneNorm::GroupNorm, BackboneNorm::FrozenBatchNorm] {
-        let mut source = ParameterSource::seeded(1, Device::Cpu);
-        let backbone = ResNet18::new(&mut source, "model.backbone", norm).unwrap();
-        let images = Tensor::zeros([1, 3, 70, 96], (Kind::Float, Device::Cpu));
-        let (high, wide) = (ResNet18::feature_side(70), ResNet18::feature_side(96));
-        assert_eq!(
-            backbone.forward(&images).unwrap().size(),
-            [1, FEATURE_CHANNELS, high, wide]
-        );
+        for (stages, expected) in [(STAGES, [1, 512, 3, 3]), (3, [1, 256, 5, 6])] {
+            let mut source = ParameterSource::seeded(1, Device::Cpu);
+            let backbone = ResNet18::new(&mut source, "model.backbone", norm, stages).unwrap();
+            let images = Tensor::zeros([1, 3, 70, 96], (Kind::Float, Device::Cpu));
+            let [high, wide] = [70, 96].map(|side| ResNet18::feature_side(side, stages));
+            let foretold = [1, ResNet18::feature_channels(stages), high, wide];
+            assert_eq!(foretold, expected);
+            assert_eq!(backbone.forward(&images).unwrap().size(), expected);
+        }
     }
 }
 

@@ -373,15 +373,6 @@ pub(crate) enum Network {
     Dp3,
 }
 
-/// Cameras that a network sees.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-pub(crate) enum Cameras {
-    /// The only one; a dataset with several is refused.
-    Single,
-    /// All of the dataset's cameras.
-    Multi,
-}
-
 /// Whose learning rates a training has.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub(crate) enum TrainingRecipe {
@@ -420,7 +411,7 @@ pub(crate) struct TrainArgs {
         value_name = "DIR",
         conflicts_with_all = [
             "policy", "data", "out", "cameras", "preset", "recipe", "backbone", "backbone_weights", "steps", "batch",
-            "device", "episodes", "validation_share", "bf16", "images_on_host", "eager", "threads", "augment", "clouds", "save_every", "seed", "eval_every"
+            "device", "episodes", "validation_share", "bf16", "images_on_host", "eager", "threads", "augment", "query_every", "lr", "shift_px", "state_noise", "clouds", "save_every", "seed", "eval_every"
         ]
     )]
     pub(crate) resume: Option<PathBuf>,
@@ -447,12 +438,13 @@ pub(crate) struct TrainArgs {
     /// Their delay from observation to chunk, ms, up to 10000.
     #[arg(long, value_name = "MS", value_parser = delay(), requires = "eval_every")]
     pub(crate) eval_latency_ms: Option<u64>,
-    /// Which of the dataset's cameras the network sees.
-    #[arg(long, value_enum, default_value = "multi")]
-    pub(crate) cameras: Cameras,
-    /// Sizes and recipe: of act, small (the default), paper or lerobot; of act-pc, small (the default), paper
+    /// Which of the dataset's cameras the network sees: `single` (the first, which the task gives policies of a single camera),
+    /// `multi` (all), or names with commas between them.
+    #[arg(long, value_name = "single|multi|NAMES", default_value = "multi")]
+    pub(crate) cameras: String,
+    /// Sizes and recipe: of act, small (the default), compact, paper or lerobot; of act-pc, small (the default), paper
     /// or pcm; of dp3, paper (the default) or simple.
-    #[arg(long, value_parser = ["small", "paper", "lerobot", "pcm", "simple"])]
+    #[arg(long, value_parser = ["small", "compact", "paper", "lerobot", "pcm", "simple"])]
     pub(crate) preset: Option<String>,
     /// Learning rates, batch, schedule and averaging of act and act-pc: what learns from scratch (the default), or the
     /// authors' own, meant for an ImageNet backbone. dp3 is always trained as published.
@@ -492,9 +484,24 @@ pub(crate) struct TrainArgs {
     /// Threads that decode images, and compute on the CPU.
     #[arg(long, default_value_t = 2, value_parser = threads())]
     pub(crate) threads: usize,
-    /// Change at random what is trained on: images are shifted and brightened, points moved and hidden, states disturbed.
+    /// Change at random what is trained on: images are shifted (by up to 4 pixels) and brightened, points moved and hidden, states
+    /// disturbed (0.02 of their standard deviation).
     #[arg(long)]
     pub(crate) augment: bool,
+    /// Policy steps from one query to the next, which the checkpoint recommends to `run` and `eval`: 25 of act and half a chunk of
+    /// act-pc if not given, of dp3 as many as it predicts.
+    #[arg(long, value_name = "STEPS", value_parser = clap::value_parser!(u32).range(1..))]
+    pub(crate) query_every: Option<u32>,
+    /// Learning rate at its greatest, in place of the recipe's; a backbone that was trained before keeps its own.
+    #[arg(long, value_name = "RATE")]
+    pub(crate) lr: Option<f64>,
+    /// Greatest shift of an image, pixels of the network's image, in place of --augment's. A shift hides where in the picture a thing
+    /// is, so that less of it leaves more precise policies where cameras stand still.
+    #[arg(long, value_name = "PIXELS", value_parser = clap::value_parser!(u32).range(0..=64))]
+    pub(crate) shift_px: Option<u32>,
+    /// Standard deviation of the noise on states, in their own standard deviations, in place of --augment's.
+    #[arg(long, value_name = "STD")]
+    pub(crate) state_noise: Option<f64>,
     /// What point clouds are made of (box, instances, number of points) instead of the built-in config/clouds.toml.
     #[arg(long, value_name = "FILE")]
     pub(crate) clouds: Option<PathBuf>,

@@ -13,7 +13,7 @@ use runtime::session::training_eval::{BEST, TrainingEval};
 use runtime::session::training_pace::Standing;
 use runtime::session::{SessionError, outputs, tasks};
 
-use crate::args::{Backbone, Cameras, Network, TrainArgs, TrainingRecipe};
+use crate::args::{Backbone, Network, TrainArgs, TrainingRecipe};
 use crate::commands::{Done, device};
 use crate::console;
 use crate::scene_args::of_task;
@@ -83,10 +83,7 @@ fn training_options(
         },
         data: data.to_owned(),
         out: out.to_owned(),
-        cameras: match args.cameras {
-            Cameras::Single => CameraChoice::Single,
-            Cameras::Multi => CameraChoice::Multi,
-        },
+        cameras: CameraChoice::of(&args.cameras),
         preset: args.preset.clone().unwrap_or_else(|| {
             match network {
                 Network::Act | Network::ActPc => "small",
@@ -108,6 +105,10 @@ fn training_options(
         validation_share: args.validation_share,
         threads: args.threads,
         augment: args.augment,
+        query_every: args.query_every,
+        lr: args.lr,
+        shift_px: args.shift_px,
+        state_noise: args.state_noise,
         clouds: args.clouds.clone(),
         images_on_host: args.images_on_host,
         eager: args.eager,
