@@ -14,6 +14,9 @@ use crate::world::FINGER_THICKNESS_M;
 /// Room that a finger takes in the hole, beyond its thickness, because it stands a little aslant, m.
 const SLANT_M: f64 = 0.000_4;
 
+/// Room that it shall have beyond that, m.
+const SPARE_M: f64 = 0.000_5;
+
 /// Which wall is gripped: its side of the block, 0 to 2.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) struct Grip {
@@ -27,27 +30,36 @@ pub(super) struct Gripping<'a> {
 }
 
 impl Gripping<'_> {
-    /// The grip of this attempt: `before` if there is one, else the wall with most room for a finger inside, each side
-    /// looking better than it is by its `liking_m`.
-    pub(super) fn choose(
-        &self,
-        before: Option<Grip>,
-        liking_m: &[f64; 3],
-        block_in_scene: &Pose,
-    ) -> Grip {
+    /// The grip of this attempt: `before` if there is one, else of the walls that the peg leaves room for a finger at the one that
+    /// turns the wrist least; where there is no such wall, the one with most room.
+    pub(super) fn choose(&self, before: Option<Grip>, block_in_scene: &Pose) -> Grip {
         if let Some(grip) = before {
             return grip;
         }
         let peg = self.peg_in(block_in_scene);
-        let mut best = (Grip::default(), f64::NEG_INFINITY);
-        for (side, liking_m) in (0..3).zip(liking_m) {
-            let inside = peg.map_or(0.0, |peg| self.block.side_normal(side).dot(&peg));
-            let score = liking_m - inside;
-            if score > best.1 {
-                best = (Grip { side }, score);
-            }
+        let spare_m = |grip: Grip| {
+            let inside = peg.map_or(0.0, |peg| self.block.side_normal(grip.side).dot(&peg));
+            let room_m = self.block.hole_m - self.board.peg_radius_m - inside;
+            (room_m - FINGER_THICKNESS_M - SLANT_M - SPARE_M).min(0.0)
+        };
+        let turn_rad = |grip| self.turn_rad(grip, block_in_scene).abs();
+        let better = |a: &Grip, b: &Grip| {
+            let by_room = spare_m(*b).total_cmp(&spare_m(*a));
+            by_room.then(turn_rad(*a).total_cmp(&turn_rad(*b)))
+        };
+        let grips = (0..3).map(|side| Grip { side });
+        grips.min_by(better).unwrap_or_default()
+    }
+
+    /// How far the wrist turns from its home to lay the jaw across a wall: of the two ways, the nearer.
+    fn turn_rad(&self, grip: Grip, block_in_scene: &Pose) -> f64 {
+        let outwards = block_in_scene * self.block.side_normal(grip.side);
+        let yaw = outwards.y.atan2(outwards.x);
+        if yaw.abs() > FRAC_PI_2 {
+            yaw - PI.copysign(yaw)
+        } else {
+            yaw
         }
-        best.0
     }
 
     /// The pose of the control point in which closing the jaw grips the wall `along_m` beside its middle, the finger
@@ -66,12 +78,7 @@ impl Gripping<'_> {
         let up = (block_in_scene * Vector3::z()).z.signum();
         let top = Vector3::z() * (0.5 * self.block.height_m * up);
         let wall = block_in_scene * Point3::from(normal * middle_m + along + top);
-        let outwards = block_in_scene * normal;
-        // Of the two ways to lay the jaw across the wall, the one nearer to the home rotation.
-        let mut yaw = outwards.y.atan2(outwards.x);
-        if yaw.abs() > FRAC_PI_2 {
-            yaw -= PI.copysign(yaw);
-        }
+        let yaw = self.turn_rad(grip, block_in_scene);
         let turn = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), yaw);
         Pose::from_parts(
             Translation3::new(wall.x, wall.y, wall.z + FINGER_M - depth_m),

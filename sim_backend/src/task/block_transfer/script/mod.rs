@@ -1,6 +1,6 @@
 //! Block transfer: grips a wall of the block from above, one finger in the hole, and moves it to the goal peg.
 //!
-//! It takes the wall that the peg leaves most room at, keeps the block upright and its hole over the goal on the way,
+//! It takes the wall that turns the wrist least where the peg leaves room for a finger, keeps the block upright and its hole over the goal on the way,
 //! goes up again if the block does not go down, and starts over when the fingers closed on nothing, the block slipped
 //! out, or it was let go beside the peg.
 
@@ -93,9 +93,7 @@ impl Part for Mover {
     fn begin(&mut self, now: TimeNs, from: Placement, view: &View) -> Motion {
         // Another approach may take another wall.
         let before = self.grip.filter(|_| self.hand.phase != Phase::Approach);
-        let grip = self
-            .gripping()
-            .choose(before, &self.hand.style.liking_m, &view.thing);
+        let grip = self.gripping().choose(before, &view.thing);
         self.grip = Some(grip);
         let style = &self.hand.style;
         let straight = Vector3::zeros();

@@ -25,8 +25,6 @@ pub(crate) struct Style {
     pub(super) bow_m: Vector3<f64>,
     /// Sideways bow of the way to the goal, m.
     pub(super) detour_m: Vector3<f64>,
-    /// How much better each of the block's sides looks than it is, m.
-    pub(super) liking_m: [f64; 3],
     /// Distance of the grasp from the middle of the side, along the side, m.
     pub(super) along_m: f64,
     /// How far the fingers reach below the block's top, m.
@@ -70,10 +68,9 @@ impl Habits for Style {
                 rng.range(-0.004, 0.004),
                 rng.range(0.0, 0.003),
             ),
-            liking_m: [0, 1, 2].map(|_| rng.range(0.0, 0.000_4)),
             along_m: rng.range(-0.000_4, 0.000_4),
             depth_m: rng.range(0.003_4, 0.004_2),
-            open_rad: rng.range(0.26, 0.30),
+            open_rad: rng.range(0.21, 0.24),
             grip_rad: rng.range(-0.18, -0.13),
             settle_s: rng.range(0.08, 0.2),
             clear_m: rng.range(0.003, 0.006),
