@@ -114,8 +114,8 @@ impl Part for Mover {
             Phase::Carry => (held(self.over_goal(view)), style.detour_m, style.carry),
             Phase::Lower => (held(self.on_goal(view)), straight, style.lower),
             Phase::Release | Phase::Open => (jaw(style.open_rad), straight, style.close),
-            Phase::Rise => (raised(from, style.rise_m), straight, style.descend),
-            Phase::Retreat => (raised(from, self.retreat_m(&from)), straight, style.descend),
+            Phase::Rise => (raised(from, style.rise_m), straight, style.lower),
+            Phase::Retreat => (raised(from, self.retreat_m(&from)), straight, style.lower),
             Phase::Rest => return Motion::rest(from, now, REST_S),
         };
         Motion::new(from, to, bow_m, now, pace)
@@ -145,7 +145,8 @@ impl Part for Mover {
         }
         let patient = overdue_s > ARRIVED_PATIENCE_S;
         match self.hand.phase {
-            Phase::Approach | Phase::Lift | Phase::Rise | Phase::Retreat => {
+            Phase::Approach => (overdue_s >= self.hand.style.aim_s).then_some(Event::Arrived),
+            Phase::Lift | Phase::Rise | Phase::Retreat => {
                 (overdue_s >= 0.0).then_some(Event::Arrived)
             }
             Phase::Descend => {

@@ -11,13 +11,15 @@ use crate::rng::Rng;
 pub(crate) struct Style {
     /// Pace from anywhere to above the block.
     pub(super) approach: Pace,
-    /// Pace around the block: down to it, and up from it once it is placed.
+    /// Time that the block is looked at before the way down to it, s.
+    pub(super) aim_s: f64,
+    /// Pace down to the block.
     pub(super) descend: Pace,
     /// Pace of the jaw around the wall.
     pub(super) close: Pace,
     /// Pace with the block up and across.
     pub(super) carry: Pace,
-    /// Pace with the block down.
+    /// Pace with the block down, and of the hand up again.
     pub(super) lower: Pace,
     /// Height of the end of the approach above the grasp, m.
     pub(super) poise_height_m: f64,
@@ -53,7 +55,8 @@ impl Habits for Style {
         };
         Self {
             approach: pace(rng.range(0.036, 0.050), 0.9),
-            descend: pace(rng.range(0.016, 0.024), 0.5),
+            aim_s: rng.range(0.3, 0.6),
+            descend: pace(rng.range(0.010, 0.014), 0.8),
             close: pace(0.02, rng.range(0.40, 0.60)),
             carry: pace(rng.range(0.028, 0.042), 0.8),
             lower: pace(rng.range(0.016, 0.024), 0.8),
