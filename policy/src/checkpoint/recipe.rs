@@ -116,9 +116,9 @@ pub struct RecommendedAggregation {
 pub enum AggregationName {
     /// ACT's temporal ensembling.
     Ensemble,
-    /// Each chunk is played to its end.
+    /// Each chunk is played to its end, then the newest one.
     WholeChunk,
-    /// The newest chunk wins at once.
+    /// Receding horizon: the newest chunk takes over as soon as it arrives, and is left for the next one.
     Newest,
 }
 

@@ -23,7 +23,7 @@ pub enum Aggregation {
     },
     /// Each chunk to its end, then the newest one.
     WholeChunk,
-    /// The newest chunk alone.
+    /// Receding horizon: the newest chunk alone, from when it arrives.
     Newest,
 }
 

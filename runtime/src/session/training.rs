@@ -179,7 +179,7 @@ fn train_act(
                 loss_denominator: config.loss_denominator,
             },
             query_every_steps: query_every(options, QUERY_EVERY_STEPS, config.chunk_size)?,
-            aggregation: AggregationName::WholeChunk,
+            aggregation: AggregationName::Newest,
         },
         cloud: None,
     };

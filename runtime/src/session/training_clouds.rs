@@ -207,7 +207,7 @@ pub(super) fn train_act_pc(
                 u32::try_from(config.act.chunk_size / 2).unwrap_or(1),
                 config.act.chunk_size,
             )?,
-            aggregation: AggregationName::WholeChunk,
+            aggregation: AggregationName::Newest,
         },
         cloud: Some(cloud.clone()),
     };
