@@ -1,15 +1,15 @@
-//! The control runtime: kinematics, aggregation, safety, real-time loop, log, replay, and the `trocar` binary.
+//! The control runtime: real-time loop, log, replay, sessions, and the `trocar` binary, around the tick of [`trocar_control`].
 
-pub mod control;
 pub mod doctor;
 pub mod histogram;
-pub mod kinematics;
 pub mod log;
 pub mod mailbox;
-pub mod per_arm;
 pub mod replay;
 pub mod report;
 pub mod rt;
 pub mod session;
 pub mod study;
 pub mod verify;
+
+pub use trocar_control as control;
+pub use trocar_control::{kinematics, per_arm};

@@ -19,7 +19,7 @@ use runtime::kinematics::forward;
 use runtime::rt::{Grant, MonotonicClock, RtOptions, configure_thread};
 
 /// Two arms that reach towards each other.
-const HANDOVER: &str = include_str!("../../runtime/src/control/tests/scenes/handover.toml");
+const HANDOVER: &str = include_str!("../../runtime/control/src/tests/scenes/handover.toml");
 /// Ticks from one chunk to the next.
 const STEP_TICKS: u64 = 40;
 /// Steps in a chunk; with one every step, as many chunks cover each instant.

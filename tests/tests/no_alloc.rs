@@ -78,7 +78,7 @@ fn one_arm() -> Result<ControlConfig, Box<dyn Error>> {
 }
 
 fn two_arms() -> Result<ControlConfig, Box<dyn Error>> {
-    let text = include_str!("../../runtime/src/control/tests/scenes/handover.toml");
+    let text = include_str!("../../runtime/control/src/tests/scenes/handover.toml");
     Ok(ControlConfig::load(
         &ControlConfig::default_control(),
         &Source::embedded("handover.toml", text),

@@ -1,12 +1,5 @@
 //! The checker on runs of the real controller, honest and doctored.
 
-mod distances;
-mod motion;
-mod pair;
-mod recovery;
-mod scene;
-mod space;
-mod tails;
 mod torque;
 mod two_arms;
 

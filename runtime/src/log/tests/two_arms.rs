@@ -12,7 +12,7 @@ use crate::control::{AnyController, ControlConfig, OperatorEvent, TickInput};
 use crate::log::{Loss, RunOutcome};
 use crate::per_arm::PerArm;
 
-const SCENE: &str = include_str!("../../control/tests/scenes/handover.toml");
+const SCENE: &str = include_str!("../../../control/src/tests/scenes/handover.toml");
 
 /// Where both arms start.
 fn start() -> JointVector {

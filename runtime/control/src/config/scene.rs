@@ -1,0 +1,346 @@
+//! A task's `safety.toml`: arms, margins and forbidden regions, from the scene's frame into each arm's.
+
+use hal::Pose;
+use hal::config::{ConfigError, Source, number_text};
+use hal::psm::{EFFORT_MAX, SHAFT_RADIUS_M};
+use nalgebra::{Rotation3, Translation3, UnitQuaternion, Vector3};
+
+use super::{ArmConfig, BetweenArms, FORBIDDEN_MAX, Margins};
+use crate::motion::JAW;
+use crate::region::{Block, Region, Shape};
+use crate::schema::{ArmTable, RegionTable, SafetyFile};
+
+/// Farthest that anything in a scene may be from its origin, m.
+const SCENE_M: f64 = 1.0;
+
+/// What a task's file says, checked.
+pub(super) struct Scene {
+    pub(super) arms: Vec<ArmConfig>,
+    pub(super) margins: Margins,
+    pub(super) between_arms: Option<BetweenArms>,
+    pub(super) jaw_closing_effort_n_m_max: f64,
+}
+
+pub(super) fn scene(source: &Source) -> Result<Scene, ConfigError> {
+    let file: SafetyFile = source.parse()?;
+    let effort = file.jaw.closing_effort_n_m_max;
+    source.check_range("jaw.closing_effort_n_m_max", effort, 0.001, EFFORT_MAX[JAW])?;
+    let regions = regions(source, &file.forbidden)?;
+    let mut arms = Vec::with_capacity(file.arm.len());
+    for (index, table) in file.arm.iter().enumerate() {
+        arms.push(arm(source, index, table, &regions)?);
+    }
+    let margins = margins(source, &file)?;
+    let between_arms = between_arms(source, &file)?;
+    if let ([first, second], Some(between)) = (arms.as_slice(), &between_arms) {
+        check_pair(source, first, second, between, &margins)?;
+    }
+    check_entries(source, &arms, &margins)?;
+    Ok(Scene {
+        margins,
+        between_arms,
+        arms,
+        jaw_closing_effort_n_m_max: effort,
+    })
+}
+
+fn margins(source: &Source, file: &SafetyFile) -> Result<Margins, ConfigError> {
+    let margins = &file.margins;
+    source.check_range("margins.guard_m", margins.guard_m, 1e-4, 0.02)?;
+    source.check_range("margins.filter_m", margins.filter_m, margins.guard_m, 0.02)?;
+    source.check_range("margins.recovery_m", margins.recovery_m, 1e-5, 0.001)?;
+    Ok(Margins {
+        filter_m: margins.filter_m,
+        guard_m: margins.guard_m,
+        recovery_m: margins.recovery_m,
+    })
+}
+
+fn between_arms(source: &Source, file: &SafetyFile) -> Result<Option<BetweenArms>, ConfigError> {
+    let count = file.arm.len();
+    if !(1..=2).contains(&count) {
+        return Err(source.out_of_range("arm", &count.to_string(), "one arm or two"));
+    }
+    let Some(table) = &file.between_arms else {
+        if count == 2 {
+            return Err(source.out_of_range(
+                "between_arms",
+                "missing",
+                "a table where there are two arms",
+            ));
+        }
+        return Ok(None);
+    };
+    for (key, gap_m) in [
+        ("shaft_to_shaft_m", table.shaft_to_shaft_m),
+        ("tip_to_shaft_m", table.tip_to_shaft_m),
+    ] {
+        source.check_range(&format!("between_arms.{key}"), gap_m, 0.0, 0.1)?;
+    }
+    Ok(Some(BetweenArms {
+        shaft_to_shaft_m: table.shaft_to_shaft_m,
+        tip_to_shaft_m: table.tip_to_shaft_m,
+    }))
+}
+
+/// Two arms must be told apart, and enter so far apart that their shafts can be.
+fn check_pair(
+    source: &Source,
+    first: &ArmConfig,
+    second: &ArmConfig,
+    between: &BetweenArms,
+    margins: &Margins,
+) -> Result<(), ConfigError> {
+    if first.name == second.name {
+        return Err(source.out_of_range("arm.1.name", &second.name, "a name of its own"));
+    }
+    let apart = second.scene_from_rcm.translation.vector - first.scene_from_rcm.translation.vector;
+    let least_m = between.shaft_to_shaft_m + 2.0 * SHAFT_RADIUS_M + margins.filter_m;
+    if apart.norm() > least_m {
+        return Ok(());
+    }
+    let found = format!("{} m from arm.0's", number_text(apart.norm()));
+    let allowed = format!("more than {} m", number_text(least_m));
+    Err(source.out_of_range("arm.1.rcm_in_scene_m", &found, &allowed))
+}
+
+/// A shaft cannot leave its remote centre, so no region may reach there.
+fn check_entries(
+    source: &Source,
+    arms: &[ArmConfig],
+    margins: &Margins,
+) -> Result<(), ConfigError> {
+    let least_m = SHAFT_RADIUS_M + margins.filter_m;
+    for (arm, config) in arms.iter().enumerate() {
+        for (index, region) in config.forbidden.iter().enumerate() {
+            let distance_m = region
+                .shape
+                .distance_m(&Vector3::zeros(), &Vector3::zeros());
+            if distance_m <= least_m {
+                let found = format!(
+                    "{:?} is {} m from the remote centre of arm.{arm}",
+                    region.name,
+                    number_text(distance_m)
+                );
+                let allowed = format!("more than {} m", number_text(least_m));
+                let key = format!("forbidden.{index}");
+                return Err(source.out_of_range(&key, &found, &allowed));
+            }
+        }
+    }
+    Ok(())
+}
+
+fn arm(
+    source: &Source,
+    index: usize,
+    table: &ArmTable,
+    regions_in_scene: &[Region],
+) -> Result<ArmConfig, ConfigError> {
+    let key = |name: &str| format!("arm.{index}.{name}");
+    if table.name.is_empty() {
+        return Err(source.out_of_range(&key("name"), "empty", "a name"));
+    }
+    let (low, high) = (table.workspace_min_m, table.workspace_max_m);
+    for axis in 0..3 {
+        let place_m = table.rcm_in_scene_m[axis];
+        source.check_range(&key("rcm_in_scene_m"), place_m, -SCENE_M, SCENE_M)?;
+        let angle = table.rcm_in_scene_rpy_rad[axis];
+        source.check_range(&key("rcm_in_scene_rpy_rad"), angle, -3.15, 3.15)?;
+        source.check_range(&key("workspace_min_m"), low[axis], -SCENE_M, SCENE_M)?;
+        let least = low[axis] + 0.01;
+        source.check_range(&key("workspace_max_m"), high[axis], least, SCENE_M)?;
+    }
+    let [roll, pitch, yaw] = table.rcm_in_scene_rpy_rad;
+    let scene_from_rcm = Pose::from_parts(
+        Translation3::from(table.rcm_in_scene_m),
+        UnitQuaternion::from_euler_angles(roll, pitch, yaw),
+    );
+    let rcm_from_scene = scene_from_rcm.inverse();
+    let (low, high) = (Vector3::from(low), Vector3::from(high));
+    Ok(ArmConfig {
+        name: table.name.clone(),
+        scene_from_rcm,
+        workspace: Block {
+            center_m: (low + high) / 2.0,
+            half_m: (high - low) / 2.0,
+            axes: Rotation3::identity(),
+        }
+        .moved(&rcm_from_scene),
+        forbidden: regions_in_scene
+            .iter()
+            .map(|region| Region {
+                name: region.name.clone(),
+                shape: region.shape.moved(&rcm_from_scene),
+            })
+            .collect(),
+    })
+}
+
+fn regions(source: &Source, tables: &[RegionTable]) -> Result<Vec<Region>, ConfigError> {
+    if tables.len() > FORBIDDEN_MAX {
+        return Err(source.out_of_range(
+            "forbidden",
+            &tables.len().to_string(),
+            &format!("at most {FORBIDDEN_MAX} regions"),
+        ));
+    }
+    let mut regions = Vec::with_capacity(tables.len());
+    for (index, table) in tables.iter().enumerate() {
+        regions.push(region(source, index, table)?);
+    }
+    Ok(regions)
+}
+
+fn region(source: &Source, index: usize, table: &RegionTable) -> Result<Region, ConfigError> {
+    let key = |name: &str| format!("forbidden.{index}.{name}");
+    let place = |name: &str, values: [f64; 3]| -> Result<Vector3<f64>, ConfigError> {
+        for value in values {
+            source.check_range(&key(name), value, -SCENE_M, SCENE_M)?;
+        }
+        Ok(Vector3::from(values))
+    };
+    let length = |name: &str, value: f64| source.check_range(&key(name), value, 0.001, 1.0);
+    let (name, shape) = match table {
+        RegionTable::Sphere {
+            name,
+            center_m,
+            radius_m,
+        } => {
+            length("radius_m", *radius_m)?;
+            let center_m = place("center_m", *center_m)?;
+            let radius_m = *radius_m;
+            (name, Shape::Sphere { center_m, radius_m })
+        }
+        RegionTable::Capsule {
+            name,
+            from_m,
+            to_m,
+            radius_m,
+        } => {
+            length("radius_m", *radius_m)?;
+            let shape = Shape::Capsule {
+                from_m: place("from_m", *from_m)?,
+                to_m: place("to_m", *to_m)?,
+                radius_m: *radius_m,
+            };
+            (name, shape)
+        }
+        RegionTable::HalfSpace {
+            name,
+            point_m,
+            normal,
+        } => {
+            let point_m = place("point_m", *point_m)?;
+            let normal = place("normal", *normal)?;
+            // Written by hand, so a thousandth off is meant to be a unit vector.
+            source.check_range(&key("normal"), normal.norm(), 0.999, 1.001)?;
+            let normal = normal.normalize();
+            (name, Shape::HalfSpace { point_m, normal })
+        }
+        RegionTable::Box {
+            name,
+            center_m,
+            size_m,
+            rpy_rad,
+        } => {
+            for size in *size_m {
+                length("size_m", size)?;
+            }
+            for angle in *rpy_rad {
+                source.check_range(&key("rpy_rad"), angle, -3.15, 3.15)?;
+            }
+            let [roll, pitch, yaw] = *rpy_rad;
+            let block = Block {
+                center_m: place("center_m", *center_m)?,
+                half_m: Vector3::from(*size_m) / 2.0,
+                axes: Rotation3::from_euler_angles(roll, pitch, yaw),
+            };
+            (name, Shape::Box(block))
+        }
+    };
+    Ok(Region {
+        name: name.clone(),
+        shape,
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use crate::config::ControlConfig;
+    use crate::rows::tests::TWO_ARMS;
+    use hal::config::Source;
+
+    /// What is said to the two-armed scene with one text replaced.
+    fn message(from: &str, to: &str) -> String {
+        let changed = TWO_ARMS.replacen(from, to, 1);
+        assert_ne!(changed, TWO_ARMS, "{from}");
+        let source = Source::embedded("safety.toml", &changed);
+        ControlConfig::load(&ControlConfig::default_control(), &source)
+            .map_or_else(|error| error.to_string(), |_| "loaded".to_owned())
+    }
+
+    #[test]
+    fn what_no_two_arms_can_keep_is_refused() {
+        let base = "rcm_in_scene_m = [-0.06, 0.0, 0.15]";
+        let same = message(base, "rcm_in_scene_m = [0.06, 0.0, 0.15]");
+        assert!(
+            same.contains("arm.1.rcm_in_scene_m = 0 m from arm.0's"),
+            "{same}"
+        );
+        let near = message(base, "rcm_in_scene_m = [0.052, 0.0, 0.15]");
+        assert!(near.contains("outside more than 0.0115 m"), "{near}");
+        assert!(message("name = \"psm2\"", "name = \"psm1\"").contains("arm.1.name"));
+        let alone = message("[between_arms]", "[[forbidden]]\nname = \"x\"\n[nonsense]");
+        assert!(!alone.contains("loaded"), "{alone}");
+    }
+
+    #[test]
+    fn a_region_about_a_remote_centre_is_refused() {
+        let said = message(
+            "center_m = [0.0, 0.05, 0.0]",
+            "center_m = [0.06, 0.005, 0.155]",
+        );
+        assert!(
+            said.contains("forbidden.0") && said.contains("arm.0"),
+            "{said}"
+        );
+        let said = message("point_m = [0.0, 0.0, -0.01]", "point_m = [0.0, 0.0, 0.146]");
+        assert!(said.contains("forbidden.2"), "{said}");
+    }
+
+    #[test]
+    fn regions_that_are_none_are_refused() {
+        for (from, to, key) in [
+            (
+                "normal = [0.0, 0.0, 1.0]",
+                "normal = [0.0, 0.0, 0.0]",
+                "forbidden.2.normal",
+            ),
+            (
+                "normal = [0.0, 0.0, 1.0]",
+                "normal = [0.0, 0.0, 2.0]",
+                "forbidden.2.normal",
+            ),
+            ("radius_m = 0.006", "radius_m = 0.0", "forbidden.1.radius_m"),
+            ("radius_m = 0.006", "radius_m = nan", "forbidden.1.radius_m"),
+            (
+                "size_m = [0.03, 0.02, 0.04]",
+                "size_m = [0.03, -0.02, 0.04]",
+                "forbidden.3.size_m",
+            ),
+            ("shape = \"box\"", "shape = \"cone\"", "cone"),
+            (
+                "rpy_rad = [0.2, -0.3, 0.5]",
+                "rpy = [0.2, -0.3, 0.5]",
+                "rpy",
+            ),
+        ] {
+            let said = message(from, to);
+            assert!(said.contains(key), "{to}: {said}");
+        }
+        // A capsule whose ends meet is a sphere.
+        let ball = message("to_m = [0.05, -0.05, 0.03]", "to_m = [-0.04, -0.04, 0.01]");
+        assert_eq!(ball, "loaded");
+    }
+}

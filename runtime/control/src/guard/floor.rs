@@ -1,0 +1,36 @@
+//! What must be kept from a boundary. Hot path: bounded, no allocation, no I/O, no lock.
+
+use crate::config::Margins;
+
+/// The rule by which a boundary moves to an arm that was enabled beyond it, and comes back with it.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Floor {
+    margin_m: f64,
+    recovery_m: f64,
+}
+
+impl Floor {
+    pub(super) const fn new(margins: &Margins) -> Self {
+        Self {
+            margin_m: margins.guard_m,
+            recovery_m: margins.recovery_m,
+        }
+    }
+
+    /// What an arm that has the clearance `h` must keep, m; never more than `h`.
+    pub(super) fn below(&self, h: f64) -> f64 {
+        // Stops are bounded from below, so a boundary right at the arm would let it move neither on nor back.
+        let behind = (h - self.recovery_m).min(self.margin_m);
+        if h < 0.0 { behind } else { behind.max(0.0) }
+    }
+
+    /// What an arm keeps that was enabled well within its boundaries, m.
+    pub(super) const fn margin_m(&self) -> f64 {
+        self.margin_m
+    }
+
+    /// A clearance from which on it does not matter what it is, m.
+    pub(super) fn enough_m(&self) -> f64 {
+        self.margin_m + self.recovery_m
+    }
+}
