@@ -1,6 +1,7 @@
 //! Camera frames: colour, metric depth and instance ids, with the camera that took them.
 
-use iceoryx2::prelude::ZeroCopySend;
+use iceoryx2_bb_derive_macros::ZeroCopySend;
+use iceoryx2_bb_elementary_traits::zero_copy_send::ZeroCopySend;
 
 use crate::{Pose, TimeNs};
 

@@ -1,6 +1,7 @@
 //! A chunk: what a policy wants the tip to do over the next steps.
 
-use iceoryx2::prelude::ZeroCopySend;
+use iceoryx2_bb_derive_macros::ZeroCopySend;
+use iceoryx2_bb_elementary_traits::zero_copy_send::ZeroCopySend;
 use nalgebra::{Quaternion, Translation3, UnitQuaternion};
 
 use crate::{Pose, TimeNs};

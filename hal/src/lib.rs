@@ -15,7 +15,6 @@ pub mod policy;
 pub mod psm;
 pub mod tail;
 pub mod time;
-pub mod topic;
 
 pub use arm::{ARM_NAMES, Arm, ArmCommand, ArmError, ArmState};
 pub use camera::{CameraFrame, FrameRef, Intrinsics};

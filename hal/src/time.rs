@@ -1,6 +1,7 @@
 //! Time as an argument: whole nanoseconds since the start of a run.
 
-use iceoryx2::prelude::ZeroCopySend;
+use iceoryx2_bb_derive_macros::ZeroCopySend;
+use iceoryx2_bb_elementary_traits::zero_copy_send::ZeroCopySend;
 use serde::{Deserialize, Serialize};
 
 /// One control period at 1 kHz, in nanoseconds.

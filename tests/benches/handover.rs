@@ -13,10 +13,10 @@ use std::sync::mpsc::{Receiver, channel};
 use std::thread::{self, JoinHandle};
 
 use criterion::Criterion;
-use hal::topic::{CameraTopic, FrameHeader, FrameLoan, TopicNode};
 use hal::{Intrinsics, Pose, TimeNs};
 use runtime::histogram::Histogram;
 use runtime::rt::MonotonicClock;
+use trocar_topics::{CameraTopic, FrameHeader, FrameLoan, TopicNode};
 
 const SIDE_PIXELS: u32 = 512;
 /// Colour, depth and instance ids of one pixel.

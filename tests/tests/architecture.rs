@@ -1,4 +1,5 @@
-//! ARCHITECTURE.md says what is: the files, modules and tests that it names exist, and the absences that it states hold.
+//! ARCHITECTURE.md and runtime/SAFETY.md say what is: the files, modules and tests that they name exist, and the absences that the
+//! former states hold.
 
 #![expect(
     clippy::expect_used,
@@ -42,8 +43,9 @@ const fn member(
     }
 }
 
-const MEMBERS: [Member; 6] = [
+const MEMBERS: [Member; 7] = [
     member("hal", "hal", &[]),
+    member("hal/topics", "trocar-topics", &["hal"]),
     member("policy", "policy", &["hal"]),
     member("sim_backend", "sim_backend", &["hal"]),
     member("runtime/control", "trocar-control", &["hal"]),
@@ -56,6 +58,7 @@ const MEMBERS: [Member; 6] = [
             "policy",
             "sim_backend",
             "trocar-control",
+            "trocar-topics",
             "trocar-verify",
         ],
     ),
@@ -79,6 +82,10 @@ fn read(path: &Path) -> String {
 
 fn document() -> String {
     read(&repository().join("ARCHITECTURE.md"))
+}
+
+fn safety() -> String {
+    read(&repository().join("runtime/SAFETY.md"))
 }
 
 /// The lines of `text` from `heading` to the next heading of the same rank, without fenced blocks.
@@ -206,7 +213,7 @@ fn readme(member: &Member) -> Option<String> {
 
 #[test]
 fn the_safety_table_names_files_and_tests_that_exist() {
-    let text = document();
+    let text = safety();
     let rows = safety_rows(&text).len();
     assert!(rows >= 12, "{rows} rows");
     let defects = safety_defects(&text, &all_tests());
@@ -216,7 +223,7 @@ fn the_safety_table_names_files_and_tests_that_exist() {
 #[test]
 fn a_doctored_safety_table_is_caught() {
     let tests = all_tests();
-    let text = document();
+    let text = safety();
     let doctored = [
         ("`a_good_chunk_is_accepted_once`", "`a_good_chunk_is_used`"),
         ("`runtime/control/src/mode.rs`", "`runtime/src/mode.rs`"),
@@ -254,16 +261,17 @@ fn the_map_names_paths_that_exist_and_every_module() {
 }
 
 #[test]
-fn every_path_in_the_document_exists() {
-    let text = document();
-    let headings: Vec<&str> = text
-        .lines()
-        .filter(|line| line.starts_with("## "))
-        .collect();
-    assert!(headings.len() >= 6, "{headings:?}");
-    for heading in headings {
-        for path in paths(&section(&text, heading)) {
-            assert!(repository().join(path).exists(), "{heading}: no {path}");
+fn every_path_in_the_documents_exists() {
+    for (text, sections) in [(document(), 5), (safety(), 3)] {
+        let headings: Vec<&str> = text
+            .lines()
+            .filter(|line| line.starts_with("## "))
+            .collect();
+        assert!(headings.len() >= sections, "{headings:?}");
+        for heading in headings {
+            for path in paths(&section(&text, heading)) {
+                assert!(repository().join(path).exists(), "{heading}: no {path}");
+            }
         }
     }
 }

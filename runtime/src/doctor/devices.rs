@@ -3,8 +3,8 @@
 use std::fs;
 use std::path::Path;
 
-use hal::topic::{SHARED_MEMORY_DIR, shared_memory_space};
 use socketcan::{CanSocket, Socket as _};
+use trocar_topics::{SHARED_MEMORY_DIR, shared_memory_space};
 
 use super::{Finding, Probe, Status};
 

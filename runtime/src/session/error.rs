@@ -86,7 +86,7 @@ pub enum SessionError {
     },
     /// A topic failed.
     #[error(transparent)]
-    Topic(#[from] hal::topic::TopicError),
+    Topic(#[from] trocar_topics::TopicError),
     /// A CAN interface cannot be used.
     #[error("{name}: {reason}; {remedy}")]
     Interface {

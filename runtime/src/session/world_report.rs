@@ -1,11 +1,11 @@
 //! The scene of a world as it travels between processes: what the simulator knows, as plain numbers and back.
 
 use hal::TimeNs;
-use hal::topic::{Line, Place, SceneArm, SceneReport, SceneTissue, Verdict};
 use sim_backend::simulation::{ArmScene, SceneState};
 use sim_backend::task::Outcome;
 use sim_backend::tissue::TissueExtremes;
 use sim_backend::world::Grasp;
+use trocar_topics::{Line, Place, SceneArm, SceneReport, SceneTissue, Verdict};
 
 use super::summary::TissueSummary;
 

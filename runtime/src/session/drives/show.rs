@@ -1,13 +1,13 @@
 //! What a world shows to other processes: its scene and the verdict, and what its cameras see.
 
 use hal::ARM_NAMES;
-use hal::topic::{
-    CameraTopic, FrameHeader, FramePublisher, Publisher, SceneReport, SceneTopic, TopicError,
-    TopicNode,
-};
 use sim_backend::cameras::{SceneCameras, SceneSnapshot};
 use sim_backend::render::Planes;
 use sim_backend::task::Outcome;
+use trocar_topics::{
+    CameraTopic, FrameHeader, FramePublisher, Publisher, SceneReport, SceneTopic, TopicError,
+    TopicNode,
+};
 
 use super::DrivesOptions;
 use super::bus_thread::Shown;

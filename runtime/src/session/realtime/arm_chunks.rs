@@ -1,7 +1,7 @@
 //! The answers of a policy process, put together again from the topics of the arms.
 
 use hal::Chunk;
-use hal::topic::{ChunkTopic, Subscriber, TopicNode};
+use trocar_topics::{ChunkTopic, Subscriber, TopicNode};
 
 use super::policy_process::arm_names;
 use crate::per_arm::PerArm;

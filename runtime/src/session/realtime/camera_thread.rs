@@ -1,11 +1,11 @@
 //! The cameras in a real-time run: snapshots in, frames rendered straight into shared memory, pictures and log.
 
-use hal::topic::{
-    ArmReport, ArmStateTopic, CameraTopic, FrameHeader, FramePublisher, Publisher, TopicNode,
-};
 use hal::{CameraFrame, SeenArm};
 use sim_backend::cameras::{SceneCameras, SceneSnapshot};
 use sim_backend::render::Planes;
+use trocar_topics::{
+    ArmReport, ArmStateTopic, CameraTopic, FrameHeader, FramePublisher, Publisher, TopicNode,
+};
 
 use super::policy_process::arm_names;
 use super::signals::{EndsRun, Signals};

@@ -6,14 +6,14 @@ use std::os::unix::process::CommandExt as _;
 use std::path::Path;
 use std::process::{self, Child, Command, Stdio};
 
-use hal::topic::{
-    PolicyStage, PolicyStatus, PolicyStatusTopic, Publisher, RunCommand, RunControl,
-    RunControlTopic, Subscriber, TopicNode,
-};
 use hal::{Chunk, PolicyError, TimeNs};
 use policy::compute::{Arithmetic, Compute};
 use policy::loaded_policy::LoadedPolicy;
 use tch::Device;
+use trocar_topics::{
+    PolicyStage, PolicyStatus, PolicyStatusTopic, Publisher, RunCommand, RunControl,
+    RunControlTopic, Subscriber, TopicNode,
+};
 
 use super::arm_chunks::ArmChunks;
 use super::policy_process::FIRST_ARM;

@@ -3,14 +3,14 @@
 use std::os::unix::process::parent_id;
 use std::path::PathBuf;
 
-use hal::topic::{
+use hal::{ARM_NAMES, Chunk, FrameRef, Observation, Policy, SeenArm, TimeNs};
+use policy::compute::Compute;
+use policy::loaded_policy::LoadedPolicy;
+use trocar_topics::{
     ArmReport, ArmStateTopic, CameraTopic, ChunkTopic, FrameSubscriber, FrameView, PolicyStage,
     PolicyStatus, PolicyStatusTopic, Publisher, RunCommand, RunControl, RunControlTopic,
     Subscriber, TopicNode,
 };
-use hal::{ARM_NAMES, Chunk, FrameRef, Observation, Policy, SeenArm, TimeNs};
-use policy::compute::Compute;
-use policy::loaded_policy::LoadedPolicy;
 
 use crate::rt::{self, MonotonicClock};
 use crate::session::SessionError;

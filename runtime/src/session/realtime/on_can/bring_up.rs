@@ -6,8 +6,8 @@ use std::thread;
 
 use hal::can::master::{ArmPlan, BringUpError, CanConfig, Homed, Offline};
 use hal::can::socket::SocketBus;
-use hal::topic::{SceneReport, Subscriber, Verdict};
 use hal::{ARM_NAMES, TICK_NS};
+use trocar_topics::{SceneReport, Subscriber, Verdict};
 
 use super::CanOptions;
 use crate::rt::{self, MonotonicClock};

@@ -1,6 +1,6 @@
 //! The end of a run over CAN: why it ended, and what it adds up to.
 
-use hal::topic::Verdict;
+use trocar_topics::Verdict;
 
 use super::super::control_thread::ControlEnd;
 use super::super::labels;

@@ -22,9 +22,9 @@ use std::thread;
 
 use hal::can::master::{CanConfig, enable_together};
 use hal::config::Source;
-use hal::topic::{SceneReport, SceneTopic, Subscriber, TopicNode};
 use hal::{ARM_NAMES, ArmState, Chunk, TICK_NS};
 use rtrb::{Consumer, Producer, RingBuffer};
+use trocar_topics::{SceneReport, SceneTopic, Subscriber, TopicNode};
 
 use super::child::PolicyChild;
 use super::control_thread::{ControlEnd, ControlThread};

@@ -3,12 +3,12 @@
 
 use std::sync::Arc;
 
-use hal::topic::{
+use hal::{ArmState, CameraFrame, Chunk, Intrinsics, SeenArm, TimeNs};
+use rtrb::Producer;
+use trocar_topics::{
     ArmReport, ArmStateTopic, CameraTopic, FrameSubscriber, Publisher, SceneReport, Subscriber,
     TopicNode, Verdict,
 };
-use hal::{ArmState, CameraFrame, Chunk, Intrinsics, SeenArm, TimeNs};
-use rtrb::Producer;
 
 use super::super::policy_process::arm_names;
 use super::super::signals::{EndsRun, Signals};

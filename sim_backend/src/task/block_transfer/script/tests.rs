@@ -32,7 +32,7 @@ fn still_arm_does_not_move_the_block() {
 #[test]
 fn expert_takes_the_block_again_after_the_jaw_let_go() {
     // Whatever it wants, the jaw opens for a moment just after the block has left the board.
-    recovers(&task(), 40.0, 4.2..4.4, 0.28);
+    recovers(&task(), 40.0, 5.2..5.4, 0.28);
 }
 
 #[test]

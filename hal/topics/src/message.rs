@@ -6,7 +6,7 @@ use iceoryx2::prelude::ZeroCopySend;
 use nalgebra::{Quaternion, Translation3, UnitQuaternion};
 
 use super::Message;
-use crate::{ArmState, JOINT_COUNT, JointVector, Pose, TimeNs};
+use hal::{ArmState, JOINT_COUNT, JointVector, Pose, TimeNs};
 
 /// The measured arm at a policy step, with its tip pose.
 #[derive(Clone, Copy, Debug, PartialEq, ZeroCopySend)]

@@ -1,12 +1,4 @@
-//! Zero-copy topics between the processes of one run, over iceoryx2.
-//!
-//! Every topic has one writer and carries the newest value only: a slow reader misses values and never delays the
-//! writer. A reader that comes late gets the newest value once the writer has published or called
-//! [`Publisher::keep_alive`]. Names begin with `trocar/RUN_ID/`, so that two runs on one machine do not meet; within one
-//! process a topic works the same. Ports may move between threads.
-//!
-//! Publishing and receiving open connections inline when a peer appears or goes (up to milliseconds), so the control
-//! thread never touches a topic: a neighbouring thread does and hands values over.
+#![doc = include_str!("../README.md")]
 
 mod error;
 mod frame;
@@ -27,7 +19,7 @@ pub use scene::{Line, Place, SCENE_ARMS_MAX, SceneArm, SceneReport, SceneTissue,
 pub use shm::{SHARED_MEMORY_DIR, SharedMemorySpace, shared_memory_space};
 
 /// Chunks, from the policy process to the control process; one topic an arm.
-pub type ChunkTopic = Topic<crate::Chunk>;
+pub type ChunkTopic = Topic<hal::Chunk>;
 
 /// The measured arm, from the control process to the policy process; one topic an arm.
 pub type ArmStateTopic = Topic<ArmReport>;

@@ -7,7 +7,7 @@ use iceoryx2::prelude::ZeroCopySend;
 
 use super::Message;
 use super::message::{pose, xyzw};
-use crate::{Pose, TimeNs};
+use hal::{Pose, TimeNs};
 
 /// Arms that a scene can have.
 pub const SCENE_ARMS_MAX: usize = 2;

@@ -8,7 +8,7 @@ use super::{
     ArmReport, ArmStateTopic, CameraTopic, ChunkTopic, FrameHeader, PolicyStage, PolicyStatus,
     PolicyStatusTopic, RunCommand, RunControl, RunControlTopic, TopicError, TopicNode,
 };
-use crate::{ArmState, CameraFrame, Chunk, Intrinsics, JointVector, Pose, TimeNs, TipTarget};
+use hal::{ArmState, CameraFrame, Chunk, Intrinsics, JointVector, Pose, TimeNs, TipTarget};
 
 /// A run of its own for each test, so that they can go side by side.
 fn node(test: &str) -> TopicNode {

@@ -16,8 +16,8 @@ use iceoryx2::sample_mut::SampleMut;
 use super::message::{pose, xyzw};
 use super::node::{LOANED_MAX, Service};
 use super::{TopicError, TopicNode};
-use crate::camera::{CameraFrame, FrameRef, Intrinsics};
-use crate::{Pose, TimeNs};
+use hal::camera::{CameraFrame, FrameRef, Intrinsics};
+use hal::{Pose, TimeNs};
 
 /// Words of data a pixel: 4 bytes of depth, 3 of colour, 1 of instance id.
 const WORDS_PER_PIXEL: usize = 2;

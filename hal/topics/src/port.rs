@@ -10,7 +10,7 @@ use iceoryx2::prelude::ZeroCopySend;
 
 use super::node::{LOANED_MAX, Service};
 use super::{TopicError, TopicNode};
-use crate::Chunk;
+use hal::Chunk;
 
 /// A message that can lie in shared memory as it is: `repr(C)`, no pointers, every bit pattern a value.
 pub trait Message: Copy + Debug + ZeroCopySend + 'static {
