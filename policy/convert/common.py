@@ -205,7 +205,7 @@ def write_recipe(folder, options, source, preset, cameras, size, state_dim, step
         "action_representation": options.actions,
         "step_ns": 1_000_000_000 // options.fps,
         "query_every_steps": options.query_every or max(1, steps // 2),
-        "aggregation": {"mode": "whole_chunk", "decay": 0.01},
+        "aggregation": {"mode": "newest", "decay": 0.01},
         "cameras": [{"feature": camera, "width": width, "height": height} for camera in cameras],
         "preset": preset,
         "variants": variants,

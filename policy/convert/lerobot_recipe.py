@@ -81,7 +81,7 @@ def main():
         "action_representation": options.actions,
         "step_ns": 1_000_000_000 // options.fps,
         "query_every_steps": options.query_every or max(1, config["chunk_size"] // 2),
-        "aggregation": {"mode": "whole_chunk", "decay": 0.01},
+        "aggregation": {"mode": "newest", "decay": 0.01},
         "cameras": [{"feature": name, "width": size(shape)[0], "height": size(shape)[1]} for name, shape in cameras.items()],
         "preset": "lerobot",
         "variants": {"backbone_norm": "frozen_batch_norm", "loss_denominator": "valid"},

@@ -187,6 +187,10 @@ fn training_with_impossible_options_is_refused() {
         ("--validation-share", "2"),
         ("--validation-share", "nan"),
         ("--preset", "huge"),
+        ("--lr", "nan"),
+        ("--state-noise", "-1"),
+        ("--query-every", "80"),
+        ("--cameras", "nose"),
     ] {
         let message = training_refused(&data, &out, &[option, value]);
         let name = option.trim_start_matches("--").replace('-', "_");

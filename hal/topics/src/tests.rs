@@ -346,7 +346,7 @@ fn start_peer(run: &str) -> (Child, BufReader<std::process::ChildStdout>) {
     let mut child = Command::new(env::current_exe().unwrap())
         .args([
             "--exact",
-            "topic::tests::plays_the_policy_process",
+            "tests::plays_the_policy_process",
             "--nocapture",
             "--test-threads=1",
         ])

@@ -14,7 +14,7 @@ use super::episode::{Episode, EpisodeEnd, Plan, Watcher};
 use super::latency::Latency;
 use super::record::{RecordOptions, record};
 use super::tally::RunLabels;
-use super::training::{CameraChoice, NetworkChoice, TrainingOptions, train};
+use super::training::{CameraChoice, NetworkChoice, TrainingOptions, train, train_options};
 use super::{PolicyChoice, Setup};
 use crate::log::tests::Scratch;
 use crate::log::{Pressure, Recorder, RunHeader, RunLog, RunOutcome, TickRecord};

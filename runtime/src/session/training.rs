@@ -275,12 +275,9 @@ pub(super) fn as_wanted(
     base: TrainOptions,
     augmentation: Augmentation,
 ) -> TrainOptions {
-    let lr = options.lr.unwrap_or(base.lr);
-    // One that was trained before is slower than the rest, and stays so.
-    let together = base.lr_backbone >= base.lr;
     TrainOptions {
-        lr,
-        lr_backbone: if together { lr } else { base.lr_backbone },
+        lr: options.lr.unwrap_or(base.lr),
+        lr_backbone: options.lr.unwrap_or(base.lr_backbone),
         augmentation: Augmentation {
             shift_px: options.shift_px.unwrap_or(augmentation.shift_px),
             state_noise: options.state_noise.unwrap_or(augmentation.state_noise),
@@ -290,15 +287,11 @@ pub(super) fn as_wanted(
     }
 }
 
-fn train_options(options: &TrainingOptions, preset: ActPreset) -> TrainOptions {
+pub(super) fn train_options(options: &TrainingOptions, preset: ActPreset) -> TrainOptions {
     let base = if options.published {
         TrainOptions::published(preset)
     } else {
         TrainOptions::preset(preset)
-    };
-    let base = match options.backbone {
-        BackboneNorm::FrozenBatchNorm => base.for_trained_backbone(),
-        BackboneNorm::GroupNorm => base,
     };
     let augmentation = if options.augment {
         IMAGE_AUGMENTATION
@@ -306,6 +299,10 @@ fn train_options(options: &TrainingOptions, preset: ActPreset) -> TrainOptions {
         base.augmentation
     };
     let base = as_wanted(options, base, augmentation);
+    let base = match options.backbone {
+        BackboneNorm::FrozenBatchNorm => base.for_trained_backbone(),
+        BackboneNorm::GroupNorm => base,
+    };
     TrainOptions {
         steps: options.steps.unwrap_or(base.steps),
         batch: options.batch.unwrap_or(base.batch),

@@ -11,7 +11,7 @@ use super::training_eval::TrainingEval;
 /// Which of the dataset's cameras the network sees.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum CameraChoice {
-    /// The first: the one that the task gives policies of a single camera.
+    /// The dataset's first; of recordings with `--cameras single` or `multi` the one that the paper gives policies of a single camera.
     Single,
     /// All of them.
     Multi,

@@ -438,7 +438,7 @@ pub(crate) struct TrainArgs {
     /// Their delay from observation to chunk, ms, up to 10000.
     #[arg(long, value_name = "MS", value_parser = delay(), requires = "eval_every")]
     pub(crate) eval_latency_ms: Option<u64>,
-    /// Which of the dataset's cameras the network sees: `single` (the first, which the task gives policies of a single camera),
+    /// Which of the dataset's cameras the network sees: `single` (its first; of recordings with `single` or `multi` the paper's),
     /// `multi` (all), or names with commas between them.
     #[arg(long, value_name = "single|multi|NAMES", default_value = "multi")]
     pub(crate) cameras: String,

@@ -144,3 +144,24 @@ fn a_policy_of_lerobot_s_kind_is_kept_whole_and_to_the_bit() {
     assert_eq!(rates, [Some(1e-4), Some(1e-5)]);
     fs::remove_dir_all(&folder.0).unwrap();
 }
+
+#[test]
+fn a_wanted_learning_rate_leaves_a_trained_backbone_slow() {
+    let rates = |backbone, published, lr| {
+        let options = TrainingOptions {
+            backbone,
+            published,
+            lr,
+            ..training_options(PathBuf::new(), PathBuf::new())
+        };
+        let options = train_options(&options, ActPreset::Small);
+        (options.lr, options.lr_backbone)
+    };
+    let (group, frozen) = (BackboneNorm::GroupNorm, BackboneNorm::FrozenBatchNorm);
+    assert_eq!(rates(group, false, None), (1e-4, 1e-4));
+    assert_eq!(rates(group, false, Some(3e-4)), (3e-4, 3e-4));
+    for published in [false, true] {
+        assert_eq!(rates(frozen, published, Some(3e-4)), (3e-4, 1e-5));
+        assert_eq!(rates(frozen, published, Some(2e-6)), (2e-6, 2e-6));
+    }
+}
