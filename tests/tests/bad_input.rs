@@ -188,9 +188,7 @@ fn training_with_impossible_options_is_refused() {
         ("--validation-share", "nan"),
         ("--preset", "huge"),
         ("--lr", "nan"),
-        ("--state-noise", "-1"),
-        ("--query-every", "80"),
-        ("--cameras", "nose"),
+        ("--state-noise", "nan"),
     ] {
         let message = training_refused(&data, &out, &[option, value]);
         let name = option.trim_start_matches("--").replace('-', "_");

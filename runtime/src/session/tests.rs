@@ -14,7 +14,9 @@ use super::episode::{Episode, EpisodeEnd, Plan, Watcher};
 use super::latency::Latency;
 use super::record::{RecordOptions, record};
 use super::tally::RunLabels;
-use super::training::{CameraChoice, NetworkChoice, TrainingOptions, train, train_options};
+use super::training::{
+    CameraChoice, NetworkChoice, TrainingOptions, query_every, train, train_options,
+};
 use super::{PolicyChoice, Setup};
 use crate::log::tests::Scratch;
 use crate::log::{Pressure, Recorder, RunHeader, RunLog, RunOutcome, TickRecord};
@@ -258,6 +260,18 @@ fn training_options(data: PathBuf, out: PathBuf) -> TrainingOptions {
         eval: None,
         command: "train".to_owned(),
     }
+}
+
+#[test]
+fn a_query_interval_longer_than_a_chunk_is_refused() {
+    let wants = |query_every| TrainingOptions {
+        query_every,
+        ..training_options(PathBuf::new(), PathBuf::new())
+    };
+    assert_eq!(query_every(&wants(None), 25, 50).unwrap(), 25);
+    assert_eq!(query_every(&wants(Some(50)), 25, 50).unwrap(), 50);
+    let error = query_every(&wants(Some(51)), 25, 50).unwrap_err();
+    assert!(error.to_string().contains("--query-every 51"), "{error}");
 }
 
 #[test]
