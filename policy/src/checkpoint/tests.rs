@@ -481,6 +481,46 @@ fn a_backbone_that_lerobot_lacks_has_a_name_that_lerobot_refuses() {
 }
 
 #[test]
+fn fewer_stages_come_back_and_impossible_numbers_are_refused() {
+    let folder = folder("stages");
+    let config = ActConfig {
+        backbone_stages: 3,
+        ..config()
+    };
+    let act = Act::new(config.clone(), ParameterSource::seeded(3, Device::Cpu)).unwrap();
+    let recipe = recipe(&config);
+    save(
+        &folder,
+        &act,
+        &statistics(),
+        &recipe,
+        SaveOptions::default(),
+    )
+    .unwrap();
+    let loaded = load(&folder, Device::Cpu).unwrap();
+    let read = loaded.act.config();
+    assert_eq!(
+        (read.backbone_stages, read.backbone_norm),
+        (3, config.backbone_norm)
+    );
+    let mut before = "_stages3".to_owned();
+    for number in ["0", "9", "X", "-1"] {
+        let now = format!("_stages{number}");
+        edit(&folder, "config.json", &before, &now);
+        let message = refused(&folder).to_string();
+        assert!(
+            message.contains("vision_backbone") && message.contains(&now),
+            "{message}"
+        );
+        before = now;
+    }
+    // All stages want weights that are not there.
+    edit(&folder, "config.json", &before, "");
+    let message = refused(&folder).to_string();
+    assert!(message.contains("layer4"), "{message}");
+}
+
+#[test]
 fn unknown_types_and_variants_are_refused() {
     let folder = saved("variants", SaveOptions::default());
     edit(
