@@ -92,10 +92,13 @@ pub(super) fn recipe(config: &ActConfig) -> Recipe {
 }
 
 pub(super) fn saved(name: &str, options: SaveOptions) -> PathBuf {
+    saved_network(name, &config(), options)
+}
+
+fn saved_network(name: &str, config: &ActConfig, options: SaveOptions) -> PathBuf {
     let folder = folder(name);
-    let config = config();
     let act = Act::new(config.clone(), ParameterSource::seeded(3, Device::Cpu)).unwrap();
-    save(&folder, &act, &statistics(), &recipe(&config), options).unwrap();
+    save(&folder, &act, &statistics(), &recipe(config), options).unwrap();
     folder
 }
 
@@ -482,21 +485,11 @@ fn a_backbone_that_lerobot_lacks_has_a_name_that_lerobot_refuses() {
 
 #[test]
 fn fewer_stages_come_back_and_impossible_numbers_are_refused() {
-    let folder = folder("stages");
     let config = ActConfig {
         backbone_stages: 3,
         ..config()
     };
-    let act = Act::new(config.clone(), ParameterSource::seeded(3, Device::Cpu)).unwrap();
-    let recipe = recipe(&config);
-    save(
-        &folder,
-        &act,
-        &statistics(),
-        &recipe,
-        SaveOptions::default(),
-    )
-    .unwrap();
+    let folder = saved_network("stages", &config, SaveOptions::default());
     let loaded = load(&folder, Device::Cpu).unwrap();
     let read = loaded.act.config();
     assert_eq!(

@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use policy::act::{ActConfig, ActPreset, BackboneNorm};
-use policy::checkpoint::{AggregationName, Variants};
+use policy::checkpoint::Variants;
 use policy::dataset::Dataset;
 use policy::train::{AnyTrained, Augmentation, TrainError, TrainOptions, TrainPrecision, Trainer};
 use serde::Serialize;
@@ -179,7 +179,6 @@ fn train_act(
                 loss_denominator: config.loss_denominator,
             },
             query_every_steps: query_every(options, QUERY_EVERY_STEPS, config.chunk_size)?,
-            aggregation: AggregationName::Newest,
         },
         cloud: None,
     };

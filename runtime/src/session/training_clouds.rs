@@ -2,7 +2,7 @@
 
 use policy::act::{ActPreset, BackboneNorm};
 use policy::act_pc::{ActPcConfig, ActPcPreset};
-use policy::checkpoint::{AggregationName, Variants};
+use policy::checkpoint::Variants;
 use policy::dataset::Dataset;
 use policy::dp3::{Dp3Config, Dp3Preset};
 use policy::relative_action::RELATIVE_ACTION_DIM;
@@ -60,7 +60,6 @@ pub(super) fn train_dp3(
                 u32::try_from(config.n_action_steps).unwrap_or(1),
                 config.n_action_steps,
             )?,
-            aggregation: AggregationName::Newest,
         },
         cloud: Some(cloud.clone()),
     };
@@ -207,7 +206,6 @@ pub(super) fn train_act_pc(
                 u32::try_from(config.act.chunk_size / 2).unwrap_or(1),
                 config.act.chunk_size,
             )?,
-            aggregation: AggregationName::Newest,
         },
         cloud: Some(cloud.clone()),
     };

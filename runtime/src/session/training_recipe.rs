@@ -15,7 +15,6 @@ pub(super) struct Made {
     pub(super) preset: PolicyPreset,
     pub(super) variants: Variants,
     pub(super) query_every_steps: u32,
-    pub(super) aggregation: AggregationName,
 }
 
 pub(super) fn recipe(saver: &Saver<'_>, trained: &AnyTrained) -> Recipe {
@@ -43,7 +42,7 @@ pub(super) fn recipe(saver: &Saver<'_>, trained: &AnyTrained) -> Recipe {
         step_ns: STEP_NS,
         query_every_steps: made.query_every_steps,
         aggregation: RecommendedAggregation {
-            mode: made.aggregation,
+            mode: AggregationName::Newest,
             decay: 0.01,
         },
         cameras,

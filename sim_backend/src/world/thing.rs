@@ -10,7 +10,7 @@ use super::shapes::Body;
 
 /// A thing near which no instrument is falls asleep once no point of it has been faster than this, m/s, for [`REST_S`]; it
 /// then stays where it is to the bit until an instrument comes near. A slide slower than that ends there.
-const REST_M_S: f64 = 2e-5;
+pub(super) const REST_M_S: f64 = 2e-5;
 /// How long it lies that still before it falls asleep, s.
 const REST_S: f64 = 0.1;
 

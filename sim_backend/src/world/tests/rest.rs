@@ -10,6 +10,7 @@ use super::{Bench, HALF_CIRCLE, OPEN, REACH_M, World, shake};
 use crate::task::TaskConfig;
 use crate::task::block_transfer::BlockTransfer;
 use crate::world::contact::{Contact, Side};
+use crate::world::thing::REST_M_S;
 
 /// A world of the block transfer at the start of an episode, with the block on any of the pegs or beside the `goal`.
 fn block_on_peg(seed: u64, goal: Option<usize>) -> (TaskConfig, World) {
@@ -54,7 +55,7 @@ fn a_block_on_its_peg_does_not_creep_sink_or_jitter() {
             "creeps {crept_m}, {turned}"
         );
         // Slow enough to fall asleep.
-        assert!(fastest < 2e-5, "jitters at {fastest}");
+        assert!(fastest < REST_M_S, "jitters at {fastest}");
     }
 }
 
