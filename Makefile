@@ -48,7 +48,7 @@ adversary: setup
 
 # Ten million arbitrary frames on the bus of an arm, and as many at a single drive, with figures.
 fuzz-can:
-	cargo test --locked --release -p hal --test can_fuzz -- --ignored --nocapture
+	cargo test --locked --release -p trocar-drives --test can_fuzz -- --ignored --nocapture
 
 build: setup
 	cargo build --locked --release -p runtime

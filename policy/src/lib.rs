@@ -1,4 +1,4 @@
-//! Learned policies: perception, networks, checkpoints, datasets, training.
+#![doc = include_str!("../README.md")]
 
 pub mod act;
 pub mod act_pc;
@@ -21,5 +21,4 @@ pub mod parameters;
 pub mod perception;
 mod recorded;
 pub mod relative_action;
-pub mod rng;
 pub mod train;

@@ -4,7 +4,7 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use tch::{Device, Kind, TchError, Tensor};
 
-use crate::rng::SplitMix64;
+use hal::random::SplitMix64;
 
 /// How a parameter starts when nothing is loaded.
 #[derive(Clone, Debug)]

@@ -132,7 +132,7 @@ mod tests {
     use hal::{ArmState, JointVector, Observation, SeenArm, TimeNs};
 
     use super::{absolute_chunks, absolute_target, pose_from_numbers, relative_action};
-    use crate::rng::SplitMix64;
+    use hal::random::SplitMix64;
 
     #[test]
     fn each_arm_gets_its_own_chunk_relative_to_its_own_tip() {

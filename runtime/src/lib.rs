@@ -1,4 +1,4 @@
-//! The control runtime: real-time loop, log, replay, sessions, and the `trocar` binary, around the tick of [`trocar_control`].
+#![doc = include_str!("../README.md")]
 
 pub mod doctor;
 pub mod histogram;

@@ -1,4 +1,4 @@
-//! The simulated arm and the tasks: plant, contact physics, renderer, scripted experts.
+#![doc = include_str!("../README.md")]
 
 pub mod block;
 pub mod cameras;

@@ -1,5 +1,7 @@
 //! Seeded random numbers: the same seed and stream name give the same numbers on every machine.
 
+use hal::random::SplitMix64;
+
 /// Generator xoshiro256++ (Blackman and Vigna, "Scrambled linear pseudorandom number generators", 2021), its state
 /// filled by `SplitMix64` as its authors recommend.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -11,9 +13,9 @@ impl Rng {
     /// The generator of `seed`.
     #[must_use]
     pub fn new(seed: u64) -> Self {
-        let mut mixer = seed;
+        let mut mixer = SplitMix64::new(seed);
         Self {
-            state: std::array::from_fn(|_| split_mix(&mut mixer)),
+            state: std::array::from_fn(|_| mixer.next_u64()),
         }
     }
 
@@ -27,8 +29,7 @@ impl Rng {
         let hash = name.bytes().fold(0xcbf2_9ce4_8422_2325_u64, |hash, byte| {
             (hash ^ u64::from(byte)).wrapping_mul(0x0100_0000_01b3)
         });
-        let mut mixer = seed;
-        Self::new(split_mix(&mut mixer) ^ hash)
+        Self::new(SplitMix64::new(seed).next_u64() ^ hash)
     }
 
     /// The next 64 random bits.
@@ -70,15 +71,6 @@ impl Rng {
     }
 }
 
-/// One step of `SplitMix64` (Steele, Lea and Flood, OOPSLA 2014).
-fn split_mix(state: &mut u64) -> u64 {
-    *state = state.wrapping_add(0x9e37_79b9_7f4a_7c15);
-    let mut z = *state;
-    z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-    z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-    z ^ (z >> 31)
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -86,9 +78,9 @@ mod tests {
     #[test]
     fn known_outputs_of_both_algorithms() {
         // First words of SplitMix64 from 1234567 and of xoshiro256++ from state 1, 2, 3, 4, as published with them.
-        let mut mixer = 1_234_567;
-        assert_eq!(split_mix(&mut mixer), 6_457_827_717_110_365_317);
-        assert_eq!(split_mix(&mut mixer), 3_203_168_211_198_807_973);
+        let mut mixer = SplitMix64::new(1_234_567);
+        assert_eq!(mixer.next_u64(), 6_457_827_717_110_365_317);
+        assert_eq!(mixer.next_u64(), 3_203_168_211_198_807_973);
         let mut rng = Rng {
             state: [1, 2, 3, 4],
         };

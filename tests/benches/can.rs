@@ -3,20 +3,22 @@
 mod support;
 
 use core::hint::black_box;
+use hal::random::SplitMix64;
 use std::error::Error;
 
 use criterion::Criterion;
-use hal::can::bus::bits::least;
-use hal::can::bus::{IdealMotor, Network};
-use hal::can::cia301::sdo::{Request, Response};
-use hal::can::cia301::{Cob, Emergency, NmtState};
-use hal::can::cia402::{Control, Status};
-use hal::can::master::config::CanConfig;
-use hal::can::master::{ArmPlan, Bus as _, CanArm, Offline};
-use hal::can::node::{Node, Outbox};
-use hal::can::{CanId, Frame, Payload};
 use hal::{Arm as _, ArmCommand, JointVector, SafeTail, TimeNs};
 use runtime::rt::MonotonicClock;
+use trocar_canopen::Outbox;
+use trocar_canopen::bus_load::bits::least;
+use trocar_canopen::cia301::sdo::{Request, Response};
+use trocar_canopen::cia301::{Cob, Emergency, NmtState};
+use trocar_canopen::cia402::{Control, Status};
+use trocar_canopen::master::config::CanConfig;
+use trocar_canopen::master::{ArmPlan, Bus as _, CanArm, Offline};
+use trocar_canopen::{CanId, Frame, Payload};
+use trocar_drives::node::{AxisConfig, Node};
+use trocar_drives::{IdealMotor, Network};
 
 /// Cycles, and thousands of frames, that percentiles are taken over.
 const CYCLES: u32 = 20_000;
@@ -37,7 +39,7 @@ impl Rig {
     fn new(plan: &ArmPlan) -> Result<Self, Box<dyn Error>> {
         let mut net = Net::new(plan.lines, plan.bit_rate, 64);
         for axis in &plan.axes {
-            let node = Node::new(axis.node, &axis.drive(0));
+            let node = Node::new(axis.node, &AxisConfig::of(axis, 0));
             net.add(axis.line, node, IdealMotor::default());
         }
         let scanned = Offline::new(net, plan)?.scan()?;
@@ -115,19 +117,15 @@ fn frame_rate(criterion: &mut Criterion, name: &str, buses: u32, mut work: impl 
     );
 }
 
-/// A thousand arbitrary frames (splitmix64).
+/// A thousand arbitrary frames.
 fn frames() -> Vec<Frame> {
-    let mut state = 1_u64;
-    let mut next = || {
-        state = state.wrapping_add(0x9E37_79B9_7F4A_7C15);
-        let z = (state ^ (state >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
-        (z ^ (z >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB)
-    };
+    let mut random = SplitMix64::new(1);
+    let mut next = || random.next_u64().to_le_bytes();
     (0..1000)
         .map(|_| {
-            let [low, high, ..] = next().to_le_bytes();
+            let [low, high, ..] = next();
             let id = CanId::truncated(u16::from_le_bytes([low, high]));
-            Frame::new(id, Payload::full(next().to_le_bytes()))
+            Frame::new(id, Payload::full(next()))
         })
         .collect()
 }
@@ -152,7 +150,7 @@ fn codecs(criterion: &mut Criterion, config: &CanConfig) {
         black_box(frames.iter().map(decode).fold(0, u32::wrapping_add));
     });
     let axis = config.arms[0].plan.axes[0];
-    let mut node = Node::new(axis.node, &axis.drive(0));
+    let mut node = Node::new(axis.node, &AxisConfig::of(&axis, 0));
     let mut out = Outbox::default();
     node.power_on(TimeNs(0), &mut out);
     frame_rate(criterion, "can/emulated drive, 1000 frames", 1, || {

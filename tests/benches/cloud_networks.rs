@@ -14,11 +14,11 @@ use std::hint::black_box;
 
 use criterion::Criterion;
 use hal::TimeNs;
+use hal::random::SplitMix64;
 use policy::act_pc::{ActPc, ActPcConfig, ActPcPreset, Clouds, FoldedActPc};
 use policy::dp3::{CloudObservation, Dp3, Dp3Config, Dp3Preset, FoldedDp3};
 use policy::parameters::ParameterSource;
 use policy::perception::Point;
-use policy::rng::SplitMix64;
 use runtime::rt::MonotonicClock;
 use runtime::session::source::STEP_NS;
 use tch::{Device, Kind, Tensor};

@@ -13,10 +13,10 @@ use std::error::Error;
 use std::io::BufRead;
 use std::path::{Path, PathBuf};
 
+use hal::random::SplitMix64;
 use policy::act::{Act, ActConfig, FoldedAct};
 use policy::dp3::{CloudObservation, Dp3, Dp3Config, Dp3Preset, FoldedDp3};
 use policy::parameters::{ParameterSource, Parameters};
-use policy::rng::SplitMix64;
 use runtime::rt::MonotonicClock;
 use tch::{Device, Kind, TchError, Tensor};
 

@@ -1,9 +1,9 @@
 //! The controller's aggregation by due time against ACT's published ensembling by count of steps: on answers that come every
 //! step, on time, they are the same.
 
+use hal::random::SplitMix64;
 use hal::{Chunk, TimeNs, TipTarget};
 use policy::ensemble::TemporalEnsemble;
-use policy::rng::SplitMix64;
 use runtime::control::aggregate::{Aggregation, Aggregator};
 
 const ROWS: usize = 12;

@@ -1,25 +1,11 @@
 //! Tests of the safe tail.
 
 use super::{AxisPoint, AxisTail, SafeTail, TAIL_AXES, TailPhase, TailPlayer};
+use crate::random::SplitMix64;
 use crate::{TICK_NS, TimeNs};
 
-/// SplitMix64, even numbers in a range.
-struct Random(u64);
-
-impl Random {
-    fn between(&mut self, low: f64, high: f64) -> f64 {
-        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
-        let mut bits = self.0;
-        bits = (bits ^ (bits >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-        bits = (bits ^ (bits >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-        bits ^= bits >> 31;
-        let high_bits = u32::try_from(bits >> 32).unwrap();
-        low + (high - low) * f64::from(high_bits) / f64::from(u32::MAX)
-    }
-}
-
 /// Phases of any length and jerk, backwards from rest, so that they are a stop.
-fn random_stop(random: &mut Random) -> AxisTail {
+fn random_stop(random: &mut SplitMix64) -> AxisTail {
     let phases = [(); 3].map(|()| TailPhase {
         duration_s: random.between(-0.02, 0.12).max(0.0),
         jerk: random.between(-800.0, 800.0),
@@ -34,7 +20,7 @@ fn random_stop(random: &mut Random) -> AxisTail {
     AxisTail { start, phases }
 }
 
-fn random_tail(random: &mut Random, stamp: TimeNs) -> SafeTail {
+fn random_tail(random: &mut SplitMix64, stamp: TimeNs) -> SafeTail {
     SafeTail {
         stamp,
         axes: [(); TAIL_AXES].map(|()| random_stop(random)),
@@ -53,7 +39,7 @@ fn distance(one: &AxisPoint, other: &AxisPoint) -> [f64; 3] {
 #[test]
 fn every_point_is_the_one_found_by_dense_integration() {
     const STEPS: u32 = 10_000;
-    let mut random = Random(1);
+    let mut random = SplitMix64::new(1);
     for case in 0..50 {
         let tail = random_stop(&mut random);
         let mut state = tail.start;
@@ -84,7 +70,7 @@ fn every_point_is_the_one_found_by_dense_integration() {
 
 #[test]
 fn knots_are_passed_without_a_jump() {
-    let mut random = Random(2);
+    let mut random = SplitMix64::new(2);
     for case in 0..1_000 {
         let tail = random_stop(&mut random);
         let mut knot_s = 0.0;
@@ -103,7 +89,7 @@ fn knots_are_passed_without_a_jump() {
 
 #[test]
 fn rest_comes_with_the_last_phase_and_stays() {
-    let mut random = Random(3);
+    let mut random = SplitMix64::new(3);
     for case in 0..1_000 {
         let tail = random_stop(&mut random);
         let end = tail.end();
@@ -132,7 +118,7 @@ fn rest_comes_with_the_last_phase_and_stays() {
 
 #[test]
 fn first_setpoint_is_the_start_bit_for_bit() {
-    let mut random = Random(4);
+    let mut random = SplitMix64::new(4);
     for case in 0..200 {
         let mut tail = random_tail(&mut random, TimeNs(7 * TICK_NS));
         for axis in &mut tail.axes {
@@ -171,7 +157,7 @@ fn first_setpoint_is_the_start_bit_for_bit() {
 
 #[test]
 fn arm_rests_when_its_slowest_axis_does() {
-    let mut random = Random(5);
+    let mut random = SplitMix64::new(5);
     for _ in 0..200 {
         let stamp = TimeNs(1_000 * TICK_NS);
         let tail = random_tail(&mut random, stamp);
@@ -197,7 +183,7 @@ fn arm_rests_when_its_slowest_axis_does() {
 
 #[test]
 fn remainder_is_the_same_stop() {
-    let mut random = Random(6);
+    let mut random = SplitMix64::new(6);
     for case in 0..500 {
         let tail = random_stop(&mut random);
         let played_s = random.between(0.0, 0.4);
@@ -218,7 +204,7 @@ fn remainder_is_the_same_stop() {
 
 #[test]
 fn points_ahead_are_the_setpoints_of_the_coming_periods() {
-    let mut random = Random(7);
+    let mut random = SplitMix64::new(7);
     let stamp = TimeNs(3 * TICK_NS);
     let tail = random_tail(&mut random, stamp);
     let now = stamp.plus_ns(TICK_NS);
@@ -252,7 +238,7 @@ fn resting_arm_stays_as_it_is_and_a_disabled_one_stays_disabled() {
 
 #[test]
 fn before_the_start_is_the_start() {
-    let tail = random_stop(&mut Random(9));
+    let tail = random_stop(&mut SplitMix64::new(9));
     for time_s in [-0.0, -1e-9, -1.0, f64::NEG_INFINITY, f64::NAN] {
         assert_eq!(tail.at(time_s), tail.start, "{time_s}");
         assert_eq!(tail.remainder(time_s), tail, "{time_s}");
@@ -304,7 +290,7 @@ fn any_number_that_is_not_finite_is_found() {
 
 #[test]
 fn player_goes_on_by_a_period_for_every_period_of_silence() {
-    let mut random = Random(8);
+    let mut random = SplitMix64::new(8);
     let mut player = TailPlayer::new(TICK_NS);
     assert_eq!(player.next_period(), None);
     for tick in [10, 20] {

@@ -8,7 +8,7 @@ use super::{ActPc, ActPcConfig, ActPcPreset, Clouds, CloudsError};
 use crate::act::{ActConfig, Demonstration};
 use crate::parameters::ParameterSource;
 use crate::perception::Point;
-use crate::rng::SplitMix64;
+use hal::random::SplitMix64;
 
 pub(super) fn config(pre_sample: bool) -> ActPcConfig {
     let cameras = ["observation.images.endoscope".to_owned()];

@@ -27,8 +27,8 @@ pub use folded::FoldedDp3;
 pub use limits::{LimitsError, LimitsNormaliser};
 
 use crate::parameters::{ParameterError, ParameterSource, Parameters};
-use crate::rng::SplitMix64;
 use encoder::Encoder;
+use hal::random::SplitMix64;
 use unet::UNet;
 
 /// A DP3 network.

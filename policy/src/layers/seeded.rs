@@ -2,7 +2,7 @@
 
 use tch::Tensor;
 
-use crate::rng::SplitMix64;
+use hal::random::SplitMix64;
 
 /// Numbers between -1 and 1, always the same of a name.
 #[expect(

@@ -15,7 +15,7 @@ use crate::checkpoint::CloudStatistics;
 use crate::dataset::Dataset;
 use crate::parameters::ParameterSource;
 use crate::perception::{CloudRecipe, Point};
-use crate::rng::SplitMix64;
+use hal::random::SplitMix64;
 
 /// The outcome of a run.
 #[derive(Debug)]

@@ -3,7 +3,7 @@
 use tch::{Kind, TchError, Tensor};
 
 use super::options::Augmentation;
-use crate::rng::SplitMix64;
+use hal::random::SplitMix64;
 
 /// What is drawn for `batch` frames, for [`shifted`] and [`coloured`]: `(batch, 4)`, pixels down and right, and the changes of
 /// brightness and contrast. On the CPU.
@@ -133,7 +133,7 @@ fn span(random: &mut SplitMix64, reach: u32) -> f32 {
 mod tests {
     use super::super::generator;
     use super::{Augmentation, coloured, drawn, points, shifted};
-    use crate::rng::SplitMix64;
+    use hal::random::SplitMix64;
     use tch::{Kind, Tensor};
 
     #[test]

@@ -17,7 +17,7 @@ use crate::dp3::{CloudObservation, Dp3, Dp3Config, LimitsError, LimitsNormaliser
 use crate::parameters::ParameterSource;
 use crate::perception::CloudRecipe;
 use crate::relative_action::RELATIVE_ACTION_DIM;
-use crate::rng::SplitMix64;
+use hal::random::SplitMix64;
 
 /// The outcome of a run.
 #[derive(Debug)]

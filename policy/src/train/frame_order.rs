@@ -1,6 +1,6 @@
 //! Which frames a step trains on.
 
-use crate::rng::SplitMix64;
+use hal::random::SplitMix64;
 
 /// Frames in random order, each once before any comes again.
 ///

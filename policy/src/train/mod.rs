@@ -52,8 +52,8 @@ use crate::normalise::{ImageNormaliser, Statistics};
 use crate::parameters::ParameterSource;
 use crate::perception::CloudRecipe;
 use crate::recorded::sleep_while_waiting;
-use crate::rng::SplitMix64;
 use flat::FlatParameters;
+use hal::random::SplitMix64;
 use steps::{Back, Below, Learner, Losses, Split, Steps};
 use training_set::{TrainingSet, index_tensor, send};
 

@@ -12,7 +12,7 @@ use super::options::TrainOptions;
 use super::run_state::RunState;
 use super::told::Told;
 use super::{AnyTrained, Progress, TrainError, Watch};
-use crate::rng::SplitMix64;
+use hal::random::SplitMix64;
 
 /// A network in training, with the data that it learns from.
 pub(super) trait Learner {
@@ -312,8 +312,8 @@ mod tests {
     use super::{FlatParameters, Learner, Losses, Split, Steps};
     use crate::act::ActPreset;
     use crate::parameters::{Init, ParameterSource};
-    use crate::rng::SplitMix64;
     use crate::train::{Progress, RunState, TrainError, TrainOptions, Watch};
+    use hal::random::SplitMix64;
     use std::cell::Cell;
     use tch::{Device, Kind, TchError, Tensor};
 

@@ -1,6 +1,6 @@
 //! Damage to the bytes of a file, drawn from a seed.
 
-use policy::rng::SplitMix64;
+use hal::random::SplitMix64;
 
 /// Numbers that lengths and counts are fond of going wrong at.
 const ODD: [u64; 8] = [

@@ -185,8 +185,8 @@ impl Stance {
 mod tests {
     use super::{LINKS, Link, Stance};
     use crate::motion::{AXES, JAW, MotionState};
-    use crate::random::SplitMix64;
     use hal::psm::{FINGER_M, POSITION_MAX, POSITION_MIN};
+    use hal::random::SplitMix64;
 
     fn random_state(random: &mut SplitMix64) -> MotionState {
         let position = core::array::from_fn(|axis| match axis {

@@ -28,8 +28,6 @@ pub mod tracking;
 pub mod viability;
 
 #[cfg(test)]
-pub(crate) mod random;
-#[cfg(test)]
 pub(crate) mod sabotage;
 #[cfg(test)]
 mod tests;

@@ -3,9 +3,9 @@
 use super::filter::Filtered;
 use super::guard::{Decision, Request};
 use super::motion::MotionState;
-use super::random::SplitMix64;
 use super::rows::Rows;
 use super::rows::planted::RowFault;
+use hal::random::SplitMix64;
 
 /// What is broken.
 #[derive(Debug, Default)]

@@ -25,7 +25,7 @@ pub fn viable_speed(distance: f64, acceleration: f64, jerk: f64) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::{stop_distance, viable_speed};
-    use crate::random::SplitMix64;
+    use hal::random::SplitMix64;
 
     #[test]
     fn stop_distances_are_the_measured_ones() {

@@ -1,7 +1,7 @@
 //! The runtime's clock, lent to CAN buses.
 
 use hal::TimeNs;
-use hal::can::socket::Clock;
+use trocar_canopen::socket::Clock;
 
 use crate::rt::MonotonicClock;
 

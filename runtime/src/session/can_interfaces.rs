@@ -3,8 +3,8 @@
 use std::fs;
 use std::path::Path;
 
-use hal::can::socket::SocketBus;
 use socketcan::{CanErrorFrame, CanSocket, Socket as _};
+use trocar_canopen::socket::SocketBus;
 
 use super::SessionError;
 use super::can_clock::CanClock;

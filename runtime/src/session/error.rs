@@ -99,7 +99,7 @@ pub enum SessionError {
     },
     /// The plan is more than a CAN bus can carry.
     #[error("{0}")]
-    Overload(hal::can::bus::Overload),
+    Overload(trocar_canopen::bus_load::Overload),
     /// The drives of an arm did not come up.
     #[error("{arm} on {interfaces}: {reason}")]
     BringUp {

@@ -1,7 +1,7 @@
 //! Somebody loses patience while a run brings its drives up: nothing has torque afterwards.
 
-use hal::can::cia402::Status;
 use socketcan::{CanDataFrame, CanFrame, EmbeddedFrame as _, Frame as _, Socket as _};
+use trocar_canopen::cia402::Status;
 
 use super::heard::{await_frame, receive};
 use super::pair::{Pair, pass_ms};

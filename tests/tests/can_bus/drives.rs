@@ -3,13 +3,13 @@
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-use hal::can::bus::bits::exact;
-use hal::can::master::CanConfig;
-use hal::can::{CanId, Frame, Payload};
 use hal::config::Source;
 use runtime::rt::sleep_ns;
 use socketcan::{CanSocket, EmbeddedFrame as _};
 use tests::{repository, scratch};
+use trocar_canopen::bus_load::bits::exact;
+use trocar_canopen::master::CanConfig;
+use trocar_canopen::{CanId, Frame, Payload};
 
 use crate::heard::{await_data, receive};
 use crate::peer::{Peer, alone, said};

@@ -1,14 +1,14 @@
 //! An arm on buses in memory, with emulated drives.
 
-use hal::can::bus::{IdealMotor, Network, Tampering};
-use hal::can::cia301::emcy::ErrorCode;
-use hal::can::cia301::{Cob, emcy};
-use hal::can::master::config::CanConfig;
-use hal::can::master::{ArmPlan, Bus as _, CanArm, Offline, Space};
-use hal::can::node::Node;
 use hal::config::Source;
 use hal::psm::HOME_INSERTION_M;
 use hal::{Arm, TimeNs};
+use trocar_canopen::cia301::emcy::ErrorCode;
+use trocar_canopen::cia301::{Cob, emcy};
+use trocar_canopen::master::config::CanConfig;
+use trocar_canopen::master::{ArmPlan, Bus as _, CanArm, Offline, Space};
+use trocar_drives::node::{AxisConfig, Node};
+use trocar_drives::{IdealMotor, Network, Tampering};
 
 use crate::rig::{Axes, Nature, Rig};
 
@@ -51,7 +51,11 @@ pub(crate) fn network(plan: &ArmPlan) -> Net {
             position_counts: units * axis.counts_per_unit,
             stuck: false,
         };
-        net.add(axis.line, Node::new(axis.node, &axis.drive(0)), motor);
+        net.add(
+            axis.line,
+            Node::new(axis.node, &AxisConfig::of(axis, 0)),
+            motor,
+        );
     }
     net
 }

@@ -2,12 +2,12 @@
 
 use std::error::Error;
 
-use hal::can::bus::{IdealMotor, Network};
-use hal::can::cia301::emcy::ErrorCode;
-use hal::can::master::config::CanConfig;
-use hal::can::master::{Bus as _, CanArm, Offline};
-use hal::can::node::Node;
 use hal::{Arm as _, ArmCommand, JointVector, SafeTail};
+use trocar_canopen::cia301::emcy::ErrorCode;
+use trocar_canopen::master::config::CanConfig;
+use trocar_canopen::master::{Bus as _, CanArm, Offline};
+use trocar_drives::node::{AxisConfig, Node};
+use trocar_drives::{IdealMotor, Network};
 
 use super::REQUESTS;
 
@@ -18,7 +18,7 @@ fn arm() -> Result<(CanArm<Net>, u64), Box<dyn Error>> {
     let plan = config.arms[0].plan;
     let mut net = Net::new(plan.lines, plan.bit_rate, 64);
     for axis in &plan.axes {
-        let node = Node::new(axis.node, &axis.drive(0));
+        let node = Node::new(axis.node, &AxisConfig::of(axis, 0));
         net.add(axis.line, node, IdealMotor::default());
     }
     let scanned = Offline::new(net, &plan)?.scan()?;
@@ -36,7 +36,7 @@ fn the_can_arm_takes_no_memory_in_its_cycle() -> Result<(), Box<dyn Error>> {
         // The buses in memory are not what is looked at.
         arm.bus_mut().wait(now);
         if n == 300 {
-            let node = hal::can::NodeId::new(3).ok_or("a node")?;
+            let node = trocar_canopen::NodeId::new(3).ok_or("a node")?;
             arm.bus_mut().poke(node, |now, drive, out| {
                 drive.fail(now, ErrorCode::OVER_CURRENT, 2, out);
             });

@@ -10,7 +10,7 @@ use crate::act::{Act, ActConfig, BackboneNorm};
 use crate::layers::affine::By;
 use crate::layers::vectors::Processor;
 use crate::parameters::ParameterSource;
-use crate::rng::SplitMix64;
+use hal::random::SplitMix64;
 
 /// Of the greatest number in a chunk.
 const ROUNDING: f64 = 3e-6;

@@ -7,7 +7,7 @@ use tch::{Kind, Tensor};
 use super::weights::{Weights, panels};
 use super::{Columns, Narrow, Place, Windows};
 use crate::layers::vectors::Processor;
-use crate::rng::SplitMix64;
+use hal::random::SplitMix64;
 
 /// Of the sum of the sizes of what is added up, which rounding goes by.
 const ROUNDING: f64 = 1e-6;

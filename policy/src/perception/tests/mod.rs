@@ -4,7 +4,7 @@ mod drawn;
 mod frames;
 mod sampling;
 
-use crate::rng::SplitMix64;
+use hal::random::SplitMix64;
 
 use super::Point;
 

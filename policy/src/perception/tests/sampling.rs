@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use super::{between, scattered};
 use crate::perception::{PerceptionError, Point, farthest_points, nearest_points, thin};
-use crate::rng::SplitMix64;
+use hal::random::SplitMix64;
 
 fn squared(a: &Point, b: &Point) -> f32 {
     let [x, y, z]: Point = core::array::from_fn(|axis| a[axis] - b[axis]);

@@ -1,8 +1,8 @@
 //! Distances against dense sampling and against the shapes' own definitions.
 
 use super::{between_segments, fraction_nearest};
-use crate::random::SplitMix64;
 use crate::region::{Block, Shape};
+use hal::random::SplitMix64;
 use nalgebra::{Rotation3, Vector3};
 
 type Point = Vector3<f64>;

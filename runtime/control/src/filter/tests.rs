@@ -5,11 +5,11 @@ use crate::active_set::VARIABLES_MAX;
 use crate::config::ControlConfig;
 use crate::instrument::Stance;
 use crate::motion::{AXES, JAW, MotionState};
-use crate::random::SplitMix64;
 use crate::report::QpOutcome;
 use crate::rows::tests::{fill, two_arms};
 use crate::rows::{RowInput, Rows, Velocities};
 use crate::second_opinion::compare;
+use hal::random::SplitMix64;
 
 /// Arms in or near the workspace, in motion, with what the filter is asked.
 struct Case {

@@ -13,10 +13,10 @@ use super::sweep::Sample;
 use super::{Decision, Guard, Request};
 use crate::config::{BetweenArms, ControlConfig};
 use crate::motion::{AXES, Axes, JAW, MotionState};
-use crate::random::SplitMix64;
 use crate::region::{Block, Region, Shape};
 use crate::smoother::Smoother;
 use hal::Pose;
+use hal::random::SplitMix64;
 use nalgebra::{Rotation3, Translation3, UnitQuaternion, Vector3};
 
 const TICK_S: f64 = 1e-3;

@@ -7,7 +7,7 @@ use hal::{JOINT_COUNT, JointVector, Pose};
 use nalgebra::{Isometry3, Matrix3, Quaternion, Rotation3, Translation3, UnitQuaternion, Vector3};
 
 use super::{Frames, IkError, forward, inverse, inverse_clamped, jacobian};
-use crate::random::SplitMix64;
+use hal::random::SplitMix64;
 
 fn random_joints(random: &mut SplitMix64, insertion_min_m: f64) -> JointVector {
     let mut joints = JointVector::zeros();

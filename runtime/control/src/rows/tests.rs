@@ -5,8 +5,8 @@ use crate::active_set::VARIABLES_MAX;
 use crate::config::ControlConfig;
 use crate::instrument::Stance;
 use crate::motion::{AXES, MotionState};
-use crate::random::SplitMix64;
 use hal::config::Source;
+use hal::random::SplitMix64;
 
 /// Two arms whose workspaces overlap, and a region of every shape.
 pub(crate) const TWO_ARMS: &str = include_str!("two_arms.toml");

@@ -2,7 +2,7 @@
 
 use rsruckig::prelude as port;
 
-use crate::random::SplitMix64;
+use hal::random::SplitMix64;
 
 const DOFS: usize = 3;
 

@@ -3,8 +3,8 @@
 use super::Smoother;
 use crate::config::ControlConfig;
 use crate::motion::{AXES, AxisLimits, MotionState};
-use crate::random::SplitMix64;
 use crate::stop::Stop;
+use hal::random::SplitMix64;
 
 const TICK_S: f64 = 1e-3;
 

@@ -2,8 +2,8 @@
 
 use super::AxisStop;
 use crate::motion::AxisLimits;
-use crate::random::SplitMix64;
 use crate::viability::stop_distance;
+use hal::random::SplitMix64;
 
 fn random_case(random: &mut SplitMix64) -> (AxisLimits, f64, f64) {
     let limits = AxisLimits {

@@ -4,11 +4,11 @@ use std::path::PathBuf;
 
 use clap::Args;
 
-use hal::can::master::CanConfig;
 use hal::config::Source;
 use runtime::session::drives::{DEFAULT_TOPICS, DrivesOptions, InjectedFault, run_drives};
 use runtime::session::run::write_json;
 use runtime::session::{PolicyChoice, SessionError, Setup, outputs, tasks};
+use trocar_canopen::master::CanConfig;
 
 use crate::args::TaskParser;
 use crate::commands::Done;

@@ -1,11 +1,11 @@
 //! The drives of all arms with the world that they move, in a time of their own.
 
-use hal::can::bus::{Network, Terminal};
-use hal::can::master::CanConfig;
-use hal::can::node::Node;
-use hal::can::{Frame, NodeId, Payload};
 use hal::{Arm as _, TimeNs};
 use sim_backend::simulation::Simulation;
+use trocar_canopen::master::CanConfig;
+use trocar_canopen::{Frame, NodeId, Payload};
+use trocar_drives::node::{AxisConfig, Node};
+use trocar_drives::{Network, Terminal};
 
 use super::coupling::Coupling;
 use super::inject::{FaultKind, InjectedFault, Injector, Outside};
@@ -99,7 +99,7 @@ impl Bench {
                 let line = u8::try_from(line.unwrap_or(0)).unwrap_or(0);
                 let serial =
                     100 * u32::try_from(index + 1).unwrap_or(0) + u32::from(plan.node.raw());
-                let mut drive = plan.drive(serial);
+                let mut drive = AxisConfig::of(plan, serial);
                 let lies = |fault: &InjectedFault| {
                     fault.kind == FaultKind::WrongIdentity && fault.node == plan.node
                 };

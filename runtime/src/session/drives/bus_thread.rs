@@ -2,13 +2,13 @@
 
 use std::sync::atomic::{AtomicBool, Ordering};
 
-use hal::can::bus::Station;
-use hal::can::master::{Bus as _, CanConfig};
-use hal::can::socket::SocketBus;
 use hal::{TICK_NS, TimeNs};
 use rtrb::Producer;
 use sim_backend::cameras::SceneSnapshot;
 use sim_backend::simulation::Simulation;
+use trocar_canopen::master::{Bus as _, CanConfig};
+use trocar_canopen::socket::SocketBus;
+use trocar_drives::Station;
 
 use super::bench::{Bench, Listener};
 use super::inject::InjectedFault;

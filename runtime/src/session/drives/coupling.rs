@@ -3,12 +3,12 @@
 //! A drive counts, in the space of the plan; the plant knows joints, or actuators behind the cable coupling. Each drive has
 //! torque of its own: an axis without it is limp, as the plant has it, whatever the others do.
 
-use hal::can::bus::{Network, Terminal};
-use hal::can::master::{ArmPlan, Space};
-use hal::can::node::{Demand, Feedback};
 use hal::tail::TAIL_AXES;
 use hal::{ArmState, JOINT_COUNT};
 use sim_backend::plant::{AxisVector, DriveSetpoint, actuator_efforts};
+use trocar_canopen::master::{ArmPlan, Space};
+use trocar_drives::node::{Demand, Feedback};
+use trocar_drives::{Network, Terminal};
 
 /// One arm's drives and its plant.
 #[derive(Clone, Debug)]
@@ -97,11 +97,12 @@ impl Coupling {
 
 #[cfg(test)]
 mod tests {
-    use hal::can::master::CanConfig;
-    use hal::can::node::Node;
     use hal::{Arm as _, TimeNs};
     use sim_backend::simulation::{Rendering, Simulation};
     use sim_backend::task::TaskConfig;
+    use trocar_canopen::master::CanConfig;
+    use trocar_drives::AxisConfig;
+    use trocar_drives::node::Node;
 
     use super::*;
 
@@ -116,7 +117,7 @@ mod tests {
         let feedback = coupling.feedback(state);
         for (axis, feedback) in feedback.into_iter().enumerate() {
             let axis = &coupling.plan().axes[axis];
-            let node = Node::new(axis.node, &axis.drive(1));
+            let node = Node::new(axis.node, &AxisConfig::of(axis, 1));
             network.add(0, node, Terminal::new(feedback));
         }
         network

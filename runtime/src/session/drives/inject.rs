@@ -6,10 +6,10 @@ use core::fmt;
 use std::cell::RefCell;
 use std::rc::Rc;
 
-use hal::can::bus::{Network, Tampering, Terminal};
-use hal::can::cia301::Cob;
-use hal::can::cia301::emcy::{ErrorCode, register};
-use hal::can::{Frame, NodeId, Payload};
+use trocar_canopen::cia301::Cob;
+use trocar_canopen::cia301::emcy::{ErrorCode, register};
+use trocar_canopen::{Frame, NodeId, Payload};
+use trocar_drives::{Network, Tampering, Terminal};
 
 pub use parse::BadFault;
 

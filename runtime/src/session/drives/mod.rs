@@ -24,9 +24,9 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread;
 
 use hal::TimeNs;
-use hal::can::master::CanConfig;
 use rtrb::{Consumer, RingBuffer};
 use sim_backend::simulation::{Rendering, Simulation};
+use trocar_canopen::master::CanConfig;
 
 pub use inject::{BadFault, FaultKind, InjectedFault};
 pub use stops::{Stop, StopCause};

@@ -2,16 +2,16 @@
 
 use core::fmt;
 
-use hal::can::NodeId;
-use hal::can::bus::{Network, Terminal};
-use hal::can::cia301::NmtState;
-use hal::can::cia301::emcy::ErrorCode;
-use hal::can::cia402::{Command, ControlView, PowerState};
-use hal::can::master::ArmPlan;
-use hal::can::node::Node;
-use hal::can::od::index;
 use hal::tail::TAIL_AXES;
 use hal::{ARM_NAMES, TimeNs};
+use trocar_canopen::NodeId;
+use trocar_canopen::cia301::NmtState;
+use trocar_canopen::cia301::emcy::ErrorCode;
+use trocar_canopen::cia402::{Command, ControlView, PowerState};
+use trocar_canopen::index;
+use trocar_canopen::master::ArmPlan;
+use trocar_drives::node::Node;
+use trocar_drives::{Network, Terminal};
 
 /// An axis slower than this share of its greatest speed rests.
 const REST_SHARE: f64 = 0.01;

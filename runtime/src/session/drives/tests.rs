@@ -1,14 +1,14 @@
 //! Drives, their world and a master with the real controller in one thread and in virtual time: what the processes do over
 //! real buses, without the machine's own delays.
 
-use hal::can::bus::{Network, Terminal};
-use hal::can::cia301::emcy::ErrorCode;
-use hal::can::master::{Bus, CanArm, CanConfig, Offline, Received, Space};
-use hal::can::{Frame, NodeId};
 use hal::{Arm as _, Chunk, TICK_NS, TimeNs};
 use sim_backend::expert::Expert;
 use sim_backend::simulation::{Rendering, Simulation};
 use sim_backend::task::Outcome;
+use trocar_canopen::cia301::emcy::ErrorCode;
+use trocar_canopen::master::{Bus, CanArm, CanConfig, Offline, Received, Space};
+use trocar_canopen::{Frame, NodeId};
+use trocar_drives::{Network, Terminal};
 
 use super::bench::{Bench, Listener};
 use super::inject::InjectedFault;

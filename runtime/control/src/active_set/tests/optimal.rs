@@ -3,7 +3,7 @@
 use super::super::method::Method;
 use super::super::{ActiveSet, VARIABLES_MAX};
 use super::problem::{Problem, Recipe, dot};
-use crate::random::SplitMix64;
+use hal::random::SplitMix64;
 
 const CASES: u32 = 1000;
 

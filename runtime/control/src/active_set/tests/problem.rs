@@ -6,7 +6,7 @@ use clarabel::solver::{
 };
 
 use super::super::{ActiveSet, Cone, Failure, LinearRow, Solution, VARIABLES_MAX};
-use crate::random::SplitMix64;
+use hal::random::SplitMix64;
 
 /// Variables of one arm.
 pub(super) const ARM: usize = 7;

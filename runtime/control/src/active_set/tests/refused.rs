@@ -2,7 +2,7 @@
 
 use super::super::{ActiveSet, Failure, LinearRow, ROWS_MAX, VARIABLES_MAX};
 use super::problem::{ARM, ITERATIONS_MAX, Problem, Recipe, vector};
-use crate::random::SplitMix64;
+use hal::random::SplitMix64;
 
 const RECIPE: Recipe = Recipe {
     arms: 1,

@@ -2,7 +2,7 @@
 
 use super::super::{ActiveSet, VARIABLES_MAX};
 use super::problem::{ARM, Problem, Recipe};
-use crate::random::SplitMix64;
+use hal::random::SplitMix64;
 
 const RECIPE: Recipe = Recipe {
     arms: 2,

@@ -100,7 +100,7 @@ fn highest_position(x: f64, y: f64) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::{highest_position, highest_velocity};
-    use crate::random::SplitMix64;
+    use hal::random::SplitMix64;
 
     /// What a jerk of `pieces` equal spans does to acceleration, velocity and position in a time of 1.
     fn effect(pieces: &[f64]) -> [f64; 3] {

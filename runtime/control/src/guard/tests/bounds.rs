@@ -7,8 +7,8 @@ use crate::guard::clearance::Boundaries;
 use crate::guard::sweep::{INTERVALS, Sample, travel_m};
 use crate::instrument::LINKS;
 use crate::motion::{AXES, JAW, MotionState};
-use crate::random::SplitMix64;
 use crate::stop::Stop;
+use hal::random::SplitMix64;
 
 const ALL: [bool; CLEARANCES] = [true; CLEARANCES];
 

@@ -5,7 +5,7 @@ mod range;
 use super::super::Smoother;
 use crate::config::ControlConfig;
 use crate::motion::{AXES, Axes, AxisLimits, MotionState};
-use crate::random::SplitMix64;
+use hal::random::SplitMix64;
 
 const TICK_S: f64 = 1e-3;
 

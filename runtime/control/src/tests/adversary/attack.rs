@@ -5,9 +5,9 @@ use super::judge::Judge;
 use super::kinds::{Kind, View, below};
 use super::rig::{Rig, Scene};
 use super::trouble::Trouble;
-use crate::random::SplitMix64;
 use crate::sabotage::Garbage;
 use crate::{QpOutcome, TickOutput, second_opinion};
+use hal::random::SplitMix64;
 
 /// Every so many commands the tail is followed to rest, more seldom in a long attack; primes, so that they meet every phase
 /// of what is periodic.

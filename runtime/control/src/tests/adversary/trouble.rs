@@ -3,8 +3,8 @@
 use hal::{ArmError, ArmState, JOINT_COUNT};
 
 use super::kinds::{below, ticks};
-use crate::random::SplitMix64;
 use crate::{OperatingState, OperatorEvent};
+use hal::random::SplitMix64;
 
 /// Trouble for one arm. Whatever happens, the arm is enabled again sooner or later.
 #[derive(Debug, Default)]

@@ -7,9 +7,9 @@ use hal::joints::INSERTION;
 
 use crate::config::ControlConfig;
 use crate::motion::{AXES, Axes};
-use crate::random::SplitMix64;
 use crate::region::Shape;
 use crate::rows::Velocities;
+use hal::random::SplitMix64;
 
 /// Tries to find a place near a boundary.
 const TRIES: u32 = 60;

@@ -6,8 +6,8 @@ use nalgebra::Vector3;
 
 use super::{follow, home_m, target};
 use crate::QpOutcome;
-use crate::random::SplitMix64;
 use crate::tests::adversary::rig::{Rig, Scene};
+use hal::random::SplitMix64;
 
 /// A smooth motion near home that breaks nothing: a few sines.
 #[derive(Clone, Copy)]

@@ -3,11 +3,11 @@
 use super::super::adversary::kinds::below;
 use crate::instrument::Stance;
 use crate::motion::{AXES, AxisLimits, MotionState};
-use crate::random::SplitMix64;
 use crate::rows::{RowInput, Rows};
 use crate::smoother::Smoother;
 use crate::stop::AxisStop;
 use crate::tests::adversary::rig::Scene;
+use hal::random::SplitMix64;
 
 const TICK_S: f64 = 1e-3;
 

@@ -2,8 +2,8 @@
 
 use core::str::FromStr;
 
-use hal::can::NodeId;
-use hal::can::cia301::emcy::ErrorCode;
+use trocar_canopen::NodeId;
+use trocar_canopen::cia301::emcy::ErrorCode;
 
 use super::{FaultKind, InjectedFault};
 

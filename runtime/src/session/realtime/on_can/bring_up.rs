@@ -4,9 +4,9 @@
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread;
 
-use hal::can::master::{ArmPlan, BringUpError, CanConfig, Homed, Offline};
-use hal::can::socket::SocketBus;
 use hal::{ARM_NAMES, TICK_NS};
+use trocar_canopen::master::{ArmPlan, BringUpError, CanConfig, Homed, Offline};
+use trocar_canopen::socket::SocketBus;
 use trocar_topics::{SceneReport, Subscriber, Verdict};
 
 use super::CanOptions;

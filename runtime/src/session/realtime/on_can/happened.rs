@@ -1,8 +1,8 @@
 //! What happens to an arm on CAN and to its buses, and what the log says of it.
 
 use hal::TimeNs;
-use hal::can::master::Fault;
-use hal::can::master::cycle::LINES_MAX;
+use trocar_canopen::master::Fault;
+use trocar_canopen::master::cycle::LINES_MAX;
 
 use crate::log::Level;
 use crate::per_arm::PerArm;

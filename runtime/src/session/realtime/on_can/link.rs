@@ -1,10 +1,10 @@
 //! Arms on CAN as the control thread reaches them. Hot path: bounded, no allocation, no lock; its system calls are the
 //! arms' sockets.
 
-use hal::can::master::axis::AxisHealth;
-use hal::can::master::{CanArm, Space};
-use hal::can::socket::SocketBus;
 use hal::{ARM_NAMES, Arm as _, ArmState, TimeNs};
+use trocar_canopen::master::axis::AxisHealth;
+use trocar_canopen::master::{CanArm, Space};
+use trocar_canopen::socket::SocketBus;
 
 use super::super::arm_link::{ArmLink, Measured, Setpoint};
 use super::CanOptions;

@@ -20,10 +20,10 @@ mod scene_thread;
 use std::sync::Arc;
 use std::thread;
 
-use hal::can::master::{CanConfig, enable_together};
 use hal::config::Source;
 use hal::{ARM_NAMES, ArmState, Chunk, TICK_NS};
 use rtrb::{Consumer, Producer, RingBuffer};
+use trocar_canopen::master::{CanConfig, enable_together};
 use trocar_topics::{SceneReport, SceneTopic, Subscriber, TopicNode};
 
 use super::child::PolicyChild;

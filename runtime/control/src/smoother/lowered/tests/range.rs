@@ -2,9 +2,9 @@
 
 use super::{TICK_S, at_rest, axes, axis_of, lowered, random_target};
 use crate::motion::{AXES, Axes, AxisLimits, MotionState};
-use crate::random::SplitMix64;
 use crate::smoother::Smoother;
 use crate::stop::AxisStop;
+use hal::random::SplitMix64;
 
 /// A target that is wild, but zero where the full-limit stop after one more tick towards it would leave the range.
 fn shielded(

@@ -4,7 +4,7 @@ use hal::chunk::CHUNK_STEPS_MAX;
 use hal::{Chunk, TICK_NS};
 
 use super::{Adversary, View, chunk, ticks, wild_target};
-use crate::random::SplitMix64;
+use hal::random::SplitMix64;
 
 /// Two corners, one after the other, each for 1 to 500 ms.
 #[derive(Default)]

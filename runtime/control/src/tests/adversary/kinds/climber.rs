@@ -7,7 +7,7 @@ use super::super::rig::axes_of;
 use super::{Adversary, View, below, hold, ticks};
 use crate::kinematics::forward;
 use crate::motion::{Axes, JAW};
-use crate::random::SplitMix64;
+use hal::random::SplitMix64;
 
 /// Climbs towards one boundary for a while, then towards another, most often the nearest.
 #[derive(Default)]

@@ -6,7 +6,7 @@ use nalgebra::{Translation3, UnitQuaternion, Vector3};
 
 use super::{Adversary, View, chunk, ticks};
 use crate::kinematics::forward;
-use crate::random::SplitMix64;
+use hal::random::SplitMix64;
 
 /// A straight line at 2 to 40 mm/s from where the arm is through a corner of the workspace, with a slow turn into the wrist's
 /// corner.

@@ -4,7 +4,7 @@ use hal::chunk::CHUNK_STEPS_MAX;
 use hal::{Chunk, TICK_NS, TipTarget};
 
 use super::{Adversary, View, below, chunk, good_target, hold, ticks, wild_target};
-use crate::random::SplitMix64;
+use hal::random::SplitMix64;
 
 /// Spikes in a good motion, another wild target every tick, or a new chunk every tick.
 #[derive(Default)]

@@ -5,7 +5,7 @@ use hal::{Chunk, TimeNs};
 use nalgebra::Vector3;
 
 use super::{Adversary, View, below, good_chunk, ticks};
-use crate::random::SplitMix64;
+use hal::random::SplitMix64;
 
 /// Chunks on their way.
 #[derive(Default)]

@@ -14,7 +14,7 @@ use nalgebra::{Translation3, UnitQuaternion, Vector3};
 use super::rig::home;
 use crate::config::ControlConfig;
 use crate::kinematics::forward;
-use crate::random::SplitMix64;
+use hal::random::SplitMix64;
 
 /// A policy step.
 pub(super) const STEP_NS: u64 = 40 * TICK_NS;

@@ -3,7 +3,7 @@
 use hal::{Chunk, TimeNs};
 
 use super::{Adversary, View, below, good_chunk, ticks};
-use crate::random::SplitMix64;
+use hal::random::SplitMix64;
 
 const NUMBERS: [f64; 12] = [
     f64::NAN,

@@ -4,7 +4,7 @@ use hal::chunk::CHUNK_STEPS_MAX;
 use hal::{Chunk, TICK_NS, TimeNs};
 
 use super::{Adversary, View, below, chunk, ticks, wild_target};
-use crate::random::SplitMix64;
+use hal::random::SplitMix64;
 
 /// Each chunk of another kind of malice.
 #[derive(Default)]

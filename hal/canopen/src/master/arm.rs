@@ -1,0 +1,261 @@
+//! An arm on a bus behind the trait that every backend implements.
+
+use super::cycle::{Cycle, Goal};
+use super::fault::Fault;
+use super::link::Bus;
+use super::plan::ArmPlan;
+use super::space::Axes;
+use crate::Outbox;
+use crate::cia301::{NmtCommand, NmtTarget};
+use hal::tail::{TAIL_AXES, TailPlayer};
+use hal::{Arm, ArmCommand, ArmError, ArmState, JOINT_COUNT, SafeTail, TimeNs};
+
+/// Most periods of a stop that are made up for at once.
+const CATCH_UP_MAX: u64 = 1000;
+
+/// Seven drives on one to three buses.
+///
+/// [`Arm::read`] takes what has come, and where a SYNC is due sends it; the answers to it are what is read from the next SYNC
+/// on, so a measurement is one cycle old. [`Arm::write`] sends the set-points, which the next SYNC puts into effect. A
+/// cycle without a new command is one of the tail. A controller may be faster than the bus by a whole factor; between two SYNCs
+/// it reads the same measurement again, since half of the answers would have to be guessed. After a [`Fault`] the drives stop, and nothing enables them
+/// again but a new [`Offline`](super::Offline).
+#[derive(Debug)]
+pub struct CanArm<B> {
+    bus: B,
+    plan: ArmPlan,
+    cycle: Cycle,
+    player: TailPlayer,
+    /// Whether the controller gave a command since the last SYNC.
+    written: bool,
+    /// Whether the set-points of this cycle are on their way.
+    sent: bool,
+    /// The newest call of [`Arm::read`], and the time between the last two, ns.
+    called: Option<TimeNs>,
+    between_calls_ns: u64,
+    /// The arm as it was at the newest SYNC.
+    measured: Result<ArmState, ArmError>,
+    /// Commands whose set-points were no numbers or out of reach.
+    refused: u64,
+    out: Outbox,
+}
+
+impl<B: Bus> CanArm<B> {
+    pub(super) fn new(bus: B, plan: &ArmPlan, cycle: Cycle) -> Self {
+        Self {
+            bus,
+            plan: *plan,
+            cycle,
+            player: TailPlayer::new(plan.cycle_ns),
+            written: false,
+            sent: false,
+            called: None,
+            between_calls_ns: plan.cycle_ns,
+            measured: Err(ArmError::MeasurementLost { age_ns: 0 }),
+            refused: 0,
+            out: Outbox::default(),
+        }
+    }
+
+    /// The latched fault.
+    #[must_use]
+    pub fn fault(&self) -> Option<Fault> {
+        self.cycle.fault()
+    }
+
+    /// The state of the cycle: health of axes and buses.
+    #[must_use]
+    pub const fn cycle(&self) -> &Cycle {
+        &self.cycle
+    }
+
+    /// What it was brought up with.
+    #[must_use]
+    pub const fn plan(&self) -> &ArmPlan {
+        &self.plan
+    }
+
+    pub(super) const fn cycle_ns(&self) -> u64 {
+        self.plan.cycle_ns
+    }
+
+    /// Commands that were no numbers or out of reach; the tail was played instead.
+    #[must_use]
+    pub const fn refused(&self) -> u64 {
+        self.refused
+    }
+
+    /// The buses.
+    pub const fn bus_mut(&mut self) -> &mut B {
+        &mut self.bus
+    }
+
+    pub(super) fn set_goal(&mut self, now: TimeNs, goal: Goal) {
+        self.cycle.set_goal(now, goal);
+    }
+
+    pub(super) fn is_enabled(&self) -> bool {
+        self.cycle.is_enabled()
+    }
+
+    /// Ends a cycle and begins the next one: judges, stands in for a silent controller, and gives the beat.
+    pub(super) fn turn(&mut self, now: TimeNs) {
+        self.receive(now);
+        self.cycle.judge(now);
+        // Of the periods that have passed, the controller has taken care of one at most.
+        let written = u64::from(core::mem::take(&mut self.written));
+        self.play(now, self.cycle.cycles_since_beat(now) - written);
+        let sent = core::mem::take(&mut self.sent);
+        // Without a SYNC no set-point takes effect, not even one that is a quick stop. On a bus that had no room for all, it is
+        // the one that must find some.
+        for line in 0..self.plan.lines {
+            if !sent && !self.cycle.is_cramped(line) {
+                self.send_set_points(line, now);
+            }
+        }
+        self.cycle.begin(now);
+        for line in 0..self.plan.lines {
+            self.out.clear();
+            self.cycle.beat(&mut self.out);
+            self.cycle.withdraw(line, &mut self.out);
+            self.transmit(line);
+        }
+        for line in 0..self.plan.lines {
+            if !sent && self.cycle.is_cramped(line) {
+                self.send_set_points(line, now);
+            }
+        }
+        self.measured = self.cycle.state(now);
+    }
+
+    /// What is known of the arm at `now`.
+    fn measured(&self, now: TimeNs) -> Result<ArmState, ArmError> {
+        let since_ns = self.cycle.began().map_or(0, |began| now.since(began));
+        match (self.cycle.fault(), self.measured) {
+            (Some(fault), _) => Err(fault.arm_error()),
+            (None, Err(ArmError::MeasurementLost { age_ns })) => Err(ArmError::MeasurementLost {
+                age_ns: age_ns.saturating_add(since_ns),
+            }),
+            (None, measured) => measured,
+        }
+    }
+
+    /// The tail's set-points for `periods` without a command, of which the last one counts. It may let go, never enable.
+    fn play(&mut self, now: TimeNs, periods: u64) {
+        for _ in 0..periods.min(CATCH_UP_MAX) {
+            if let Some(command) = self.player.next_period() {
+                self.take(&command);
+                if !command.enabled {
+                    self.cycle.set_goal(now, Goal::Disabled);
+                }
+            }
+        }
+    }
+
+    /// Takes a command's set-points; tells whether they can be gone to.
+    fn take(&mut self, command: &ArmCommand) -> bool {
+        let joints: Axes = core::array::from_fn(|axis| {
+            if axis < JOINT_COUNT {
+                command.position[axis]
+            } else {
+                command.jaw_position
+            }
+        });
+        let units = self.plan.space.from_joints(&joints);
+        self.cycle.set_targets(command.stamp, &units)
+    }
+
+    fn receive(&mut self, now: TimeNs) {
+        let Self {
+            bus, plan, cycle, ..
+        } = self;
+        for line in 0..plan.lines {
+            bus.receive(line, &mut |received| {
+                cycle.on_received(line, now, &received)
+            });
+        }
+    }
+
+    /// Sends what is in the outbox, unless that bus is lost.
+    fn transmit(&mut self, line: u8) {
+        let health = self.cycle.line_health().get(usize::from(line));
+        if health.is_some_and(|health| health.off) {
+            // What waits in a queue would leave as soon as the bus is back.
+            self.bus.flush(line);
+            return;
+        }
+        let frames = self.out.frames();
+        let count = self.bus.send(line, frames);
+        self.cycle.on_sent(line, frames, count);
+    }
+
+    fn send_set_points(&mut self, line: u8, now: TimeNs) {
+        self.out.clear();
+        self.cycle.commands(now, line, &mut self.out);
+        self.transmit(line);
+    }
+
+    /// Stops every node: drives that still have torque stop as 6007h says.
+    pub fn shut_down(&mut self) {
+        for axis in 0..TAIL_AXES {
+            let who = self.plan.who(axis);
+            self.out.clear();
+            let stop = NmtCommand::Stop.emit(NmtTarget::Node(who.node));
+            self.out.push(stop);
+            self.transmit(who.line);
+        }
+    }
+
+    /// Gives the buses back, for a new bring-up, after the operator has cleared the fault. The nodes are stopped
+    /// first.
+    #[must_use]
+    pub fn release(mut self) -> B {
+        self.shut_down();
+        self.bus
+    }
+}
+
+impl<B: Bus> Arm for CanArm<B> {
+    fn read(&mut self, now: TimeNs) -> Result<ArmState, ArmError> {
+        let before = self.called.replace(now);
+        if let Some(before) = before.filter(|before| *before < now) {
+            self.between_calls_ns = now.since(before);
+        }
+        if self.cycle.is_due(now) {
+            self.turn(now);
+        } else {
+            self.receive(now);
+        }
+        self.measured(now)
+    }
+
+    fn write(&mut self, command: &ArmCommand, tail: &SafeTail) -> Result<(), ArmError> {
+        let now = command.stamp;
+        if command.is_finite() && tail.is_finite() && self.take(command) {
+            self.player.write(command, tail);
+            // The player asks at the SYNC whether this period had its command; this one had.
+            let _ = self.player.next_period();
+            self.written = true;
+            let goal = if command.enabled {
+                Goal::Enabled
+            } else {
+                Goal::Disabled
+            };
+            self.cycle.set_goal(now, goal);
+        } else {
+            self.refused += 1;
+        }
+        // A controller that is faster than the bus: only the newest command before a SYNC is sent.
+        let last = self.cycle.is_due(now.plus_ns(self.between_calls_ns));
+        if last && !self.sent && self.written {
+            for line in 0..self.plan.lines {
+                self.send_set_points(line, now);
+            }
+            self.sent = true;
+        }
+        match self.cycle.fault() {
+            Some(fault) => Err(fault.arm_error()),
+            None => Ok(()),
+        }
+    }
+}

@@ -1,0 +1,342 @@
+//! What the master knows of one axis. Hot path: bounded, no allocation, no I/O, no lock.
+
+use super::plan::{ANSWER_BYTES, AxisPlan};
+use crate::cia301::NmtState;
+use crate::cia402::Status;
+use crate::number::{real, seconds, whole};
+use hal::TimeNs;
+
+/// What a drive said in one answer.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Answer {
+    pub(super) status: Status,
+    pub(super) position: i32,
+    pub(super) torque: i16,
+}
+
+/// A cycle whose answer is not in time weighs as much as so many that are.
+const MISS_WEIGHT: u32 = 3;
+
+/// Why an answer was not taken.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Rejected {
+    /// Not eight bytes.
+    Length,
+    /// The status word codes no state.
+    Status,
+    /// The axis cannot have come there since the last answer.
+    Jump,
+}
+
+/// How one axis has been heard.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct AxisHealth {
+    /// Periods by which the SYNC that the newest usable answer belongs to may lie back; 0 when it is the newest one's, and came
+    /// in time.
+    pub age_cycles: u32,
+    /// Cycles without a usable answer, ever.
+    pub missed: u64,
+    /// Answers that came when the next SYNC had been due, or twice.
+    pub late: u64,
+    /// Answers that were not taken, ever.
+    pub rejected: u64,
+}
+
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Axis {
+    pub(super) newest: Option<Answer>,
+    pub(super) health: AxisHealth,
+    pub(super) heard: Option<TimeNs>,
+    /// The NMT state that its newest heartbeat told.
+    pub(super) told: Option<NmtState>,
+    /// When the drive measured it: the SYNC that it answers.
+    pub(super) sampled: TimeNs,
+    /// The same of the newest answer that could not have been too old.
+    pub(super) trusted: TimeNs,
+    /// Counts/s from the last two answers.
+    pub(super) velocity: f64,
+    /// Set-point, counts.
+    pub(super) target: i32,
+    /// The newest set-point that was handed to the bus, counts.
+    pub(super) sent: i32,
+    /// Set-points that found room on the bus since the arm failed.
+    pub(super) stops: u32,
+    /// Commands to its node to stop that found room on the bus.
+    pub(super) withdrawn: u32,
+    /// The set-point that the drive was on its way to when it measured.
+    pub(super) followed: i32,
+    /// Whether a usable answer has come in this period, and how many of any kind.
+    answered: bool,
+    answers: u32,
+    /// Whether the period of the newest SYNC brought a usable answer.
+    kept: bool,
+    /// SYNCs whose answers may still come.
+    owed: u32,
+    /// Whether answers and SYNCs may be out of step.
+    doubt: bool,
+    /// Periods in a row without a usable answer.
+    silent: u32,
+    /// Weight of the answers that were not in time, less those that were.
+    debt: u32,
+    /// The newest answer of an earlier cycle and when it was measured: what this cycle's answers are held against, so that
+    /// many in one cycle lead no further than one.
+    before: Option<(Answer, TimeNs)>,
+}
+
+impl Axis {
+    pub(super) fn new() -> Self {
+        Self {
+            newest: None,
+            health: AxisHealth::default(),
+            heard: None,
+            told: None,
+            sampled: TimeNs(0),
+            trusted: TimeNs(0),
+            velocity: 0.0,
+            target: 0,
+            sent: 0,
+            stops: 0,
+            withdrawn: 0,
+            followed: 0,
+            answered: false,
+            answers: 0,
+            kept: false,
+            owed: 0,
+            doubt: false,
+            silent: 0,
+            debt: 0,
+            before: None,
+        }
+    }
+
+    /// Takes an answer to the SYNC of `sync`.
+    pub(super) fn on_answer(
+        &mut self,
+        plan: &AxisPlan,
+        cycle_ns: u64,
+        sync: TimeNs,
+        data: &[u8],
+    ) -> Result<Answer, Rejected> {
+        if !self.answered {
+            self.before = self.newest.map(|newest| (newest, self.sampled));
+        }
+        self.answers = self.answers.saturating_add(1);
+        let gap_ns = self.before.map_or(0, |(_, sampled)| sync.since(sampled));
+        let gap_ns = gap_ns.max(cycle_ns);
+        let answer = parse(data).and_then(|answer| self.believe(plan, gap_ns, answer));
+        match answer {
+            Ok(answer) => {
+                if let Some((before, sampled)) = self.before {
+                    let way = i64::from(answer.position) - i64::from(before.position);
+                    let gap_s = seconds(sync.since(sampled));
+                    if gap_s > 0.0 {
+                        self.velocity = real(way) / gap_s;
+                    }
+                }
+                self.answered = true;
+                self.newest = Some(answer);
+                self.sampled = sync;
+                Ok(answer)
+            }
+            Err(rejected) => {
+                self.health.rejected += 1;
+                Err(rejected)
+            }
+        }
+    }
+
+    /// Refuses places that the axis cannot have reached, with half again its greatest speed and a little for rounding.
+    fn believe(&self, plan: &AxisPlan, gap_ns: u64, answer: Answer) -> Result<Answer, Rejected> {
+        let Some((before, _)) = self.before else {
+            return Ok(answer);
+        };
+        let reach = 1.5 * plan.speed_max * plan.counts_per_unit.abs() * seconds(gap_ns) + 10.0;
+        let way = real((i64::from(answer.position) - i64::from(before.position)).abs());
+        if way <= reach {
+            Ok(answer)
+        } else {
+            Err(Rejected::Jump)
+        }
+    }
+
+    /// Ends a period that began with a SYNC. A single answer is to that SYNC, unless one went missing before: then it may as
+    /// well be the missing one, and so may all that follow. Answers that nobody owed weigh like one that is missing: they
+    /// hide which SYNC the others belong to.
+    pub(super) fn end_cycle(&mut self) {
+        let answers = core::mem::take(&mut self.answers);
+        self.kept = core::mem::take(&mut self.answered);
+        let due = self.owed.saturating_add(1);
+        self.owed = due.saturating_sub(answers);
+        if !self.kept {
+            self.health.missed += 1;
+            self.silent = self.silent.saturating_add(1);
+            self.age();
+            self.not_in_time();
+            self.doubt = true;
+            return;
+        }
+        self.silent = 0;
+        self.health.age_cycles = self.owed;
+        if answers > 1 {
+            self.health.late += u64::from(answers - 1);
+            self.doubt = true;
+            if answers > due {
+                self.not_in_time();
+            }
+        } else if !self.doubt {
+            self.in_time();
+        }
+    }
+
+    /// Whether an answer has come of which only a pause can tell whether it was to the newest SYNC.
+    pub(super) const fn asks_for_pause(&self) -> bool {
+        self.doubt && self.kept
+    }
+
+    /// Ends a period without a SYNC, the last of `pauses` in a row. What came in it was late. If nothing came, and the SYNC's
+    /// own period brought an answer, that was in time and nothing more will come; without one nothing is known. Tells
+    /// whether another pause would tell more.
+    pub(super) fn end_pause(&mut self, pauses: u32) -> bool {
+        let late = core::mem::take(&mut self.answers);
+        let usable = core::mem::take(&mut self.answered);
+        self.health.late += u64::from(late);
+        let (kept, doubted) = (self.kept, self.doubt);
+        self.owed = if late == 0 && kept {
+            0
+        } else {
+            self.owed.saturating_sub(late)
+        };
+        self.doubt = self.owed > 0;
+        self.kept &= late == 0;
+        match (kept, late > 0) {
+            (true, true) => self.not_in_time(),
+            (true, false) => {
+                // Without doubt it was counted at the end of its own period.
+                if doubted {
+                    self.in_time();
+                }
+                self.health.age_cycles = pauses;
+            }
+            (false, _) => {}
+        }
+        if usable {
+            self.silent = 0;
+            self.health.age_cycles = self.owed + pauses;
+        } else if !self.kept {
+            self.silent = self.silent.saturating_add(u32::from(!kept));
+            self.age();
+        }
+        self.doubt && (kept || late > 0)
+    }
+
+    fn age(&mut self) {
+        self.health.age_cycles = self.health.age_cycles.saturating_add(1);
+    }
+
+    fn in_time(&mut self) {
+        self.debt = self.debt.saturating_sub(1);
+    }
+
+    fn not_in_time(&mut self) {
+        self.debt = self.debt.saturating_add(MISS_WEIGHT);
+    }
+
+    /// Periods in a row without a usable answer.
+    pub(super) const fn silent(&self) -> u32 {
+        self.silent
+    }
+
+    /// How many cycles in a row without an answer in time would weigh as much as those that there were, less those with one:
+    /// it grows while these are fewer than three in four.
+    pub(super) const fn debt_cycles(&self) -> u32 {
+        self.debt / MISS_WEIGHT
+    }
+
+    /// Where it is at `now` if it has gone on as it did, counts.
+    pub(super) fn predicted(&self, now: TimeNs) -> Option<f64> {
+        let newest = self.newest?;
+        let ahead = self.velocity * seconds(now.since(self.sampled));
+        Some(f64::from(newest.position) + ahead)
+    }
+
+    /// How far it is from the set-point that it was following, counts.
+    pub(super) fn deviation(&self) -> u32 {
+        self.newest.map_or(0, |newest| {
+            let way = i64::from(newest.position) - i64::from(self.followed);
+            u32::try_from(way.unsigned_abs()).unwrap_or(u32::MAX)
+        })
+    }
+}
+
+fn parse(data: &[u8]) -> Result<Answer, Rejected> {
+    if data.len() != usize::from(ANSWER_BYTES) {
+        return Err(Rejected::Length);
+    }
+    let [s0, s1, p0, p1, p2, p3, t0, t1] =
+        <[u8; 8]>::try_from(data).map_err(|_| Rejected::Length)?;
+    let status = u16::from_le_bytes([s0, s1]);
+    Ok(Answer {
+        status: Status::parse(status).map_err(|_| Rejected::Status)?,
+        position: i32::from_le_bytes([p0, p1, p2, p3]),
+        torque: i16::from_le_bytes([t0, t1]),
+    })
+}
+
+/// `units` in counts, inside the axis's range; none if it is no number.
+pub(super) fn counts(plan: &AxisPlan, units: f64) -> Option<i32> {
+    if !units.is_finite() {
+        return None;
+    }
+    let inside = units.max(plan.range.0).min(plan.range.1);
+    i32::try_from(whole(inside * plan.counts_per_unit)).ok()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::NodeId;
+
+    const CYCLE_NS: u64 = 2_000_000;
+
+    #[test]
+    fn many_answers_in_a_cycle_lead_no_further_than_one() {
+        let plan = AxisPlan {
+            node: NodeId::new(3).unwrap(),
+            line: 0,
+            identity: (0, 0),
+            counts_per_unit: 100_000.0,
+            counts_per_turn: 10_000,
+            range: (-1.0, 1.0),
+            speed_max: 1.0,
+            following_max: 0.1,
+            torque_rated: 1.0,
+        };
+        let answer = |position: i32| {
+            let mut data = [0x37, 0x02, 0, 0, 0, 0, 0, 0];
+            data[2..6].copy_from_slice(&position.to_le_bytes());
+            data
+        };
+        // 1.5 times the greatest speed over a cycle, and 10 counts.
+        let reach = 310;
+        let mut axis = Axis::new();
+        let mut sync = TimeNs(CYCLE_NS);
+        let hear = |axis: &mut Axis, sync, position| {
+            axis.on_answer(&plan, CYCLE_NS, sync, &answer(position))
+        };
+        assert!(hear(&mut axis, sync, 0).is_ok());
+        axis.end_cycle();
+        sync = sync.plus_ns(CYCLE_NS);
+        assert!(hear(&mut axis, sync, reach).is_ok());
+        for step in 2..30 {
+            let far = hear(&mut axis, sync, step * reach);
+            assert_eq!(far, Err(Rejected::Jump), "{step}");
+        }
+        assert_eq!(axis.newest.unwrap().position, reach);
+        assert!((axis.velocity - 155_000.0).abs() < 1.0, "{}", axis.velocity);
+        // The last of several that can be is taken, and the next cycle starts from it.
+        assert!(hear(&mut axis, sync, 100).is_ok());
+        axis.end_cycle();
+        sync = sync.plus_ns(CYCLE_NS);
+        assert!(hear(&mut axis, sync, 100 + reach).is_ok());
+    }
+}

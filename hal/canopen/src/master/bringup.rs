@@ -1,0 +1,266 @@
+//! The way from silent buses to an enabled arm, a type a step: each has only the next one.
+//!
+//! [`Offline::scan`] → [`Scanned::check_identity`] → [`Identified::map`] → [`Mapped::home`] → [`Homed::enable`] →
+//! [`CanArm`]. Whatever goes wrong ends the bring-up with the node and the cause; nothing is retried.
+
+mod check;
+mod configure;
+mod enable;
+mod error;
+mod homing;
+mod settings;
+mod step;
+mod watched;
+
+use super::arm::CanArm;
+use super::client::{expect, read_number, send};
+use super::fault::Who;
+use super::foreign::leads;
+use super::link::Bus;
+use super::plan::ArmPlan;
+use crate::cia301::{Cob, NmtCommand, NmtState, NmtTarget};
+use crate::cia402::Mode;
+use crate::index;
+use hal::tail::TAIL_AXES;
+
+pub use enable::enable_together;
+pub use error::BringUpError;
+pub use step::Step;
+use watched::Watched;
+
+/// How long a node may take to boot up, ns.
+const BOOT_NS: u64 = 2_000_000_000;
+/// How long the bus is listened to before the first word, ns.
+const LISTEN_NS: u64 = 30_000_000;
+/// Device profile 402, in the lower half of 1000h.
+const PROFILE_402: u32 = 402;
+
+/// Buses, and nothing known about them.
+#[derive(Debug)]
+pub struct Offline<B> {
+    bus: Watched<B>,
+    plan: ArmPlan,
+}
+
+/// Every node of the plan is there, in pre-operational, as after power-on.
+#[derive(Debug)]
+pub struct Scanned<B> {
+    bus: Watched<B>,
+    plan: ArmPlan,
+}
+
+/// Every node is what the plan says.
+#[derive(Debug)]
+pub struct Identified<B> {
+    bus: Watched<B>,
+    plan: ArmPlan,
+    /// Serial numbers in the order of the axes.
+    serials: [u32; TAIL_AXES],
+}
+
+/// Process data, watches and modes are set and read back.
+#[derive(Debug)]
+pub struct Mapped<B> {
+    bus: Watched<B>,
+    plan: ArmPlan,
+}
+
+/// Every axis has its reference; no torque.
+#[derive(Debug)]
+pub struct Homed<B> {
+    bus: Watched<B>,
+    plan: ArmPlan,
+    /// Where each drive was told that its reference is, counts; none if it cannot be told.
+    homes: [Option<u32>; TAIL_AXES],
+}
+
+impl<B: Bus> Offline<B> {
+    /// An arm on `bus`.
+    ///
+    /// # Errors
+    /// [`BringUpError::Overload`] if a bus cannot carry its part of the plan; nothing has been said then.
+    pub fn new(bus: B, plan: &ArmPlan) -> Result<Self, BringUpError> {
+        plan.check_load()?;
+        Ok(Self {
+            bus: Watched::new(bus, plan),
+            plan: *plan,
+        })
+    }
+
+    /// Listens for another master, then resets every node of the plan and waits for it to boot up.
+    ///
+    /// # Errors
+    /// [`BringUpError`]; a node that is missing is named, and so is what another master said. He is listened for in all that
+    /// follows, too.
+    pub fn scan(mut self) -> Result<Scanned<B>, BringUpError> {
+        let plan = self.plan;
+        let before = self.bus.catch_up();
+        self.bus.judge(before)?;
+        for line in 0..plan.lines {
+            let heard = expect(&mut self.bus, line, LISTEN_NS, |frame| {
+                leads(&plan, line, frame).then_some(())
+            });
+            self.bus.judge(heard)?;
+        }
+        for axis in 0..TAIL_AXES {
+            // Who boots up by himself meanwhile has not heard our reset.
+            self.bus.drain()?;
+            let booted = reset(&mut self.bus, plan.who(axis));
+            self.bus.judge(booted)?;
+        }
+        let Self { bus, plan } = self;
+        Ok(Scanned { bus, plan })
+    }
+}
+
+fn reset<B: Bus>(bus: &mut B, who: Who) -> Result<(), BringUpError> {
+    let reset = NmtCommand::ResetNode.emit(NmtTarget::Node(who.node));
+    send(bus, who.line, reset)?;
+    let booted = expect(bus, who.line, BOOT_NS, |frame| {
+        let boots = frame.id == Cob::Heartbeat(who.node).id()
+            && NmtState::parse(frame.data()) == Ok(NmtState::BootUp);
+        boots.then_some(())
+    })?;
+    booted.ok_or(BringUpError::Missing(who))
+}
+
+impl<B: Bus> Scanned<B> {
+    /// The buses.
+    pub const fn bus_mut(&mut self) -> &mut B {
+        &mut self.bus.bus
+    }
+
+    /// Compares device type, vendor, product and modes of every node with the plan.
+    ///
+    /// # Errors
+    /// [`BringUpError::Identity`] or [`BringUpError::Mode`] for the first that differs.
+    pub fn check_identity(mut self) -> Result<Identified<B>, BringUpError> {
+        let mut serials = [0; TAIL_AXES];
+        for (axis, serial) in serials.iter_mut().enumerate() {
+            let identified = identify(&mut self.bus, &self.plan, axis);
+            *serial = self.bus.judge(identified)?;
+        }
+        let Self { bus, plan } = self;
+        Ok(Identified { bus, plan, serials })
+    }
+}
+
+/// The serial number of the drive of `axis`, if it is what the plan says.
+fn identify<B: Bus>(bus: &mut B, plan: &ArmPlan, axis: usize) -> Result<u32, BringUpError> {
+    let who = plan.who(axis);
+    let mut read = |address| read_number(bus, who.line, who.node, address);
+    let (vendor, product) = plan.axes[axis].identity;
+    for (address, expected, found) in [
+        (
+            index::DEVICE_TYPE,
+            PROFILE_402,
+            read(index::DEVICE_TYPE)? & 0xFFFF,
+        ),
+        (index::VENDOR, vendor, read(index::VENDOR)?),
+        (index::PRODUCT, product, read(index::PRODUCT)?),
+    ] {
+        if found != expected {
+            return Err(BringUpError::Identity {
+                who,
+                address,
+                expected,
+                found,
+            });
+        }
+    }
+    let modes = read(index::SUPPORTED_MODES)?;
+    for mode in [Mode::CyclicPosition, Mode::Homing] {
+        if modes & mode.supported_bit() == 0 {
+            return Err(BringUpError::Mode { who, mode });
+        }
+    }
+    read(index::SERIAL)
+}
+
+impl<B: Bus> Identified<B> {
+    /// Serial numbers of the drives, in the order of the axes.
+    #[must_use]
+    pub const fn serials(&self) -> &[u32; TAIL_AXES] {
+        &self.serials
+    }
+
+    /// Sets process data, watches and reactions of every node, and reads them back.
+    ///
+    /// # Errors
+    /// [`BringUpError`] with the node and the object.
+    pub fn map(mut self) -> Result<Mapped<B>, BringUpError> {
+        for axis in 0..TAIL_AXES {
+            self.bus.enter(Step::SettingUp(axis))?;
+            let told = configure::node(&mut self.bus, &self.plan, axis);
+            self.bus.judge(told)?;
+        }
+        let Self { bus, plan, .. } = self;
+        Ok(Mapped { bus, plan })
+    }
+}
+
+impl<B: Bus> Mapped<B> {
+    /// Gives every axis its reference: where its absolute encoder says that it is.
+    ///
+    /// Axis after axis is enabled for it and let go again. No axis moves.
+    ///
+    /// # Errors
+    /// [`BringUpError::Homing`] with the node.
+    pub fn home(mut self) -> Result<Homed<B>, BringUpError> {
+        let mut homes = [None; TAIL_AXES];
+        for (axis, home) in homes.iter_mut().enumerate() {
+            self.bus.enter(Step::Homing(axis))?;
+            let homed = homing::home(&mut self.bus, &self.plan, axis);
+            *home = self.bus.judge(homed)?;
+        }
+        self.bus.enter(Step::Waiting)?;
+        let Self { bus, plan } = self;
+        Ok(Homed { bus, plan, homes })
+    }
+}
+
+impl<B: Bus> Homed<B> {
+    /// The buses.
+    pub const fn bus_mut(&mut self) -> &mut B {
+        &mut self.bus.bus
+    }
+
+    /// Hears what has come: to be called all the time while another arm on the same bus is brought up, of whose frames a socket
+    /// keeps a few hundred and drops the rest, those of this arm's nodes with them.
+    ///
+    /// # Errors
+    /// What may not have happened to an arm that waits: another master, a node that booted up again or told an error. All nodes
+    /// of this arm are stopped then.
+    pub fn listen(&mut self) -> Result<(), BringUpError> {
+        self.bus.drain()
+    }
+
+    /// Asks every drive once more, starts the beat, and enables all drives in the same cycle, each where it is.
+    ///
+    /// # Errors
+    /// [`BringUpError::Unsound`] or [`BringUpError::Forgotten`] for a drive that is no more as it was set up,
+    /// [`BringUpError::Fault`] if one fails meanwhile; it and the others then have no torque.
+    pub fn enable(self) -> Result<CanArm<B>, BringUpError> {
+        let mut arms = enable_together(vec![self]).map_err(|(_, error)| error)?;
+        arms.pop().ok_or(BringUpError::Slow)
+    }
+
+    /// Asks every node whether it is still as it was set up.
+    fn check(&mut self) -> Result<(), BringUpError> {
+        let Self { bus, plan, homes } = self;
+        let mut nodes = homes.iter().enumerate();
+        let checked = nodes.try_for_each(|(axis, home)| check::node(bus, plan, axis, *home));
+        bus.judge(checked)
+    }
+
+    fn start(&mut self) -> Result<(), BringUpError> {
+        self.bus.drain()?;
+        for axis in 0..TAIL_AXES {
+            let who = self.plan.who(axis);
+            let start = NmtCommand::Start.emit(NmtTarget::Node(who.node));
+            send(&mut self.bus, who.line, start)?;
+        }
+        // What came while there was no room.
+        self.bus.judge(Ok(()))
+    }
+}

@@ -1,0 +1,240 @@
+//! What every node is told before it may be operational, in the order that CiA 301 wants.
+
+use super::super::client::{read, read_number, write};
+use super::super::link::Bus;
+use super::super::plan::ArmPlan;
+use super::BringUpError;
+use super::settings::{Setting, differs, hold, is_missing, keep};
+use crate::NodeId;
+use crate::cia301::cob::{PdoNumber, SYNC_ID};
+use crate::cia301::pdo::{MappingEntry, PdoCob, SyncCount, Transmission};
+use crate::cia301::{Address, Cob};
+use crate::cia402::Mode;
+use crate::cia402::mode::period_parameter;
+use crate::index;
+
+/// Periods of the beat after which a set-point is overdue.
+const DEADLINE_CYCLES: u64 = 10;
+/// Least deadline, ms: below that the host's own jitter would stop the arm.
+const DEADLINE_MS_MIN: u64 = 10;
+/// PDOs of one direction that CiA 301 gives a logical device of a node, logical devices at most, and PDOs that have an
+/// identifier of their own.
+const PDOS_A_DEVICE: u16 = 64;
+const DEVICES_MAX: u16 = 8;
+const PDOS_NAMED: u16 = 4;
+/// A PDO that is not in use. SYNC and time stamps that the node itself sends, and time stamps that it hears (1005h, 1012h).
+const INVALID: u32 = 1 << 31;
+/// What makes out a PDO that is in use: that it is, and its identifier of eleven bits. Whether it may be asked for with a remote
+/// frame, which nobody sends, is the drive's own.
+const IN_USE: u32 = INVALID | 1 << 29 | 0x7FF;
+const PRODUCED: u32 = 1 << 30;
+const CONSUMED: u32 = 1 << 31;
+/// Time stamps, which our own drives do without.
+const TIME_COB: Address = Address::new(0x1012, 0);
+
+/// Where to write.
+pub(super) struct Writer<'a, B> {
+    pub(super) bus: &'a mut B,
+    pub(super) line: u8,
+    pub(super) node: NodeId,
+}
+
+impl<B: Bus> Writer<'_, B> {
+    fn put(&mut self, address: Address, data: &[u8]) -> Result<(), BringUpError> {
+        write(self.bus, self.line, self.node, address, data)
+    }
+
+    /// Writes and compares.
+    fn set(&mut self, address: Address, data: &[u8]) -> Result<(), BringUpError> {
+        self.put(address, data)?;
+        let found = read(self.bus, self.line, self.node, address)?;
+        if found.as_slice() == data {
+            Ok(())
+        } else {
+            Err(differs(self.node, address, found.as_slice(), data))
+        }
+    }
+
+    /// Writes what not every drive has.
+    fn set_if_there(&mut self, address: Address, data: &[u8]) -> Result<(), BringUpError> {
+        match self.set(address, data) {
+            Err(BringUpError::Refused { code, .. }) if is_missing(code) => Ok(()),
+            other => other,
+        }
+    }
+
+    /// Writes what may be refused; tells whether there is such an object.
+    pub(super) fn try_put(&mut self, address: Address, data: &[u8]) -> Result<bool, BringUpError> {
+        match self.put(address, data) {
+            Ok(()) => Ok(true),
+            Err(BringUpError::Refused { code, .. }) => Ok(!is_missing(code)),
+            Err(error) => Err(error),
+        }
+    }
+
+    /// Takes a PDO out of use, whatever identifier it has; tells whether there is one. `record` is its sub-index 01h.
+    fn switch_off(&mut self, record: Address) -> Result<bool, BringUpError> {
+        self.bits(record, INVALID, INVALID)
+    }
+
+    /// Gives the bits `mask` of a COB-ID the value that they have in `wanted`, and no other bit another one: while it is in use
+    /// those may not change. What a drive makes of them thereafter is its own; they mean nothing then. Tells whether there is
+    /// such an object.
+    fn bits(&mut self, address: Address, mask: u32, wanted: u32) -> Result<bool, BringUpError> {
+        let (line, node) = (self.line, self.node);
+        let found = match read_number(self.bus, line, node, address) {
+            Ok(found) if found & mask == wanted => return Ok(true),
+            Ok(found) => found,
+            Err(BringUpError::Refused { code, .. }) if is_missing(code) => return Ok(false),
+            Err(error) => return Err(error),
+        };
+        self.cob(address, mask, found & !mask | wanted)
+            .map(|()| true)
+    }
+
+    /// Writes a COB-ID; the bits `mask` of what there is then have to be as they were written.
+    fn cob(&mut self, address: Address, mask: u32, written: u32) -> Result<(), BringUpError> {
+        self.put(address, &written.to_le_bytes())?;
+        let node = self.node;
+        let found = read_number(self.bus, self.line, node, address)?;
+        if (found ^ written) & mask == 0 {
+            Ok(())
+        } else {
+            Err(BringUpError::CobId {
+                node,
+                address,
+                written,
+                found,
+                mask,
+            })
+        }
+    }
+
+    /// One PDO that is off: identifier, mapping, transmission, on.
+    fn pdo(
+        &mut self,
+        record: fn(u8, u8) -> Address,
+        mapping: fn(u8, u8) -> Address,
+        cob: PdoCob,
+        objects: &[(Address, u8)],
+        extras: &[Setting],
+    ) -> Result<(), BringUpError> {
+        let off = PdoCob {
+            valid: false,
+            ..cob
+        };
+        self.put(record(0, 1), &off.emit().to_le_bytes())?;
+        self.set(mapping(0, 0), &[0])?;
+        for (n, &(address, bits)) in (1_u8..).zip(objects) {
+            let entry = MappingEntry { address, bits };
+            self.set(mapping(0, n), &entry.emit().to_le_bytes())?;
+        }
+        let count = u8::try_from(objects.len()).unwrap_or(u8::MAX);
+        self.set(mapping(0, 0), &[count])?;
+        let every = Transmission::SyncCyclic(SyncCount::EVERY);
+        self.set(record(0, 2), &[every.raw()])?;
+        for setting in extras {
+            keep(self, setting)?;
+        }
+        self.cob(record(0, 1), IN_USE, cob.emit())
+    }
+}
+
+/// Tells the node of `axis` everything.
+pub(super) fn node<B: Bus>(bus: &mut B, plan: &ArmPlan, axis: usize) -> Result<(), BringUpError> {
+    let who = plan.who(axis);
+    let mut to = Writer {
+        bus,
+        line: who.line,
+        node: who.node,
+    };
+    beat(&mut to, plan)?;
+    watches(&mut to, plan)?;
+    hold(&mut to, plan, axis)?;
+    silence(&mut to)?;
+    let command = Cob::ReceivePdo(PdoNumber::FIRST, who.node).id();
+    let answer = Cob::TransmitPdo(PdoNumber::FIRST, who.node).id();
+    let cob = |id, rtr| PdoCob {
+        id,
+        valid: true,
+        rtr,
+    };
+    to.pdo(
+        index::rpdo,
+        index::rpdo_mapping,
+        cob(command, true),
+        &[(index::CONTROL, 16), (index::TARGET, 32)],
+        &[deadline(plan)],
+    )?;
+    to.pdo(
+        index::tpdo,
+        index::tpdo_mapping,
+        cob(answer, false),
+        &[
+            (index::STATUS, 16),
+            (index::POSITION, 32),
+            (index::TORQUE, 16),
+        ],
+        // An answer is held up by nothing, comes with no event, and with the first SYNC.
+        &[
+            Setting::unsigned(index::tpdo(0, 3), 2, 0),
+            Setting::unsigned(index::tpdo(0, 5), 2, 0),
+            Setting::unsigned(index::tpdo(0, 6), 1, 0),
+        ],
+    )?;
+    to.set(index::MODE, &Mode::CyclicPosition.raw().to_le_bytes())
+}
+
+/// All that a drive may have stored to be said or heard beside what the plan counts: PDOs, as a second way to command it or as
+/// load on the bus, and time stamps. What is used is put into use afterwards.
+///
+/// The first four PDOs are asked for one by one, the others up to the first that a node lacks, and so for each logical device
+/// that it may have.
+fn silence<B: Bus>(to: &mut Writer<'_, B>) -> Result<(), BringUpError> {
+    for direction in [index::rpdo(0, 1), index::tpdo(0, 1)] {
+        for device in 0..DEVICES_MAX {
+            let first = direction.index + device * PDOS_A_DEVICE;
+            for number in 0..PDOS_A_DEVICE {
+                let there = to.switch_off(Address::new(first + number, 1))?;
+                if !there && (device > 0 || number >= PDOS_NAMED) {
+                    break;
+                }
+            }
+        }
+    }
+    // The SYNC of another arm may have the identifier that time stamps have by default.
+    to.bits(TIME_COB, PRODUCED | CONSUMED, 0).map(|_| ())
+}
+
+/// SYNC and interpolation.
+fn beat<B: Bus>(to: &mut Writer<'_, B>, plan: &ArmPlan) -> Result<(), BringUpError> {
+    let cycle_ns = plan.cycle_ns;
+    let (value, exponent) = period_parameter(cycle_ns).ok_or(BringUpError::Period { cycle_ns })?;
+    // Whoever sends the SYNC may not change its identifier meanwhile.
+    to.bits(index::SYNC_COB, PRODUCED, 0)?;
+    let cob = u32::from(plan.sync_id.raw());
+    if plan.sync_id == SYNC_ID {
+        to.set_if_there(index::SYNC_COB, &cob.to_le_bytes())?;
+    } else {
+        to.set(index::SYNC_COB, &cob.to_le_bytes())?;
+    }
+    // The counter may change only while there is no period.
+    to.set_if_there(index::SYNC_PERIOD, &[0; 4])?;
+    to.set_if_there(index::SYNC_COUNTER, &[plan.sync_counter])?;
+    to.set(index::PERIOD_VALUE, &[value])?;
+    to.set(index::PERIOD_EXPONENT, &exponent.to_le_bytes())
+}
+
+/// Heartbeats both ways.
+fn watches<B: Bus>(to: &mut Writer<'_, B>, plan: &ArmPlan) -> Result<(), BringUpError> {
+    to.set(index::HEARTBEAT, &plan.heartbeat_ms.to_le_bytes())?;
+    let [low, high] = plan.heartbeat_ms.saturating_mul(3).to_le_bytes();
+    to.set_if_there(index::CONSUMER, &[low, high, plan.master.raw(), 0])
+}
+
+/// The deadline of a set-point. Some drives take it only while the PDO is off.
+fn deadline(plan: &ArmPlan) -> Setting {
+    let deadline_ms = (DEADLINE_CYCLES * plan.cycle_ns / 1_000_000).max(DEADLINE_MS_MIN);
+    let deadline_ms = u16::try_from(deadline_ms).unwrap_or(u16::MAX);
+    Setting::unsigned(index::rpdo(0, 5), 2, deadline_ms.into())
+}

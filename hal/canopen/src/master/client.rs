@@ -1,0 +1,199 @@
+//! The SDO client of bring-up: one transfer at a time, with a time limit.
+
+use super::bringup::BringUpError;
+use super::link::{Bus, Received, Trouble};
+use crate::bytes::Bytes;
+use crate::cia301::sdo::{Content, Expedited, Request, Response, Segment};
+use crate::cia301::{AbortCode, Address, Cob};
+use crate::{Frame, NodeId};
+
+/// How long a node may take to answer, ns.
+const TIMEOUT_NS: u64 = 500_000_000;
+/// How often the bus is looked at meanwhile, ns.
+pub(super) const LOOK_NS: u64 = 500_000;
+
+/// Sends `frame`, waiting for room. What comes meanwhile is nobody's.
+pub(super) fn send<B: Bus>(bus: &mut B, line: u8, frame: Frame) -> Result<(), BringUpError> {
+    let end = bus.now().plus_ns(TIMEOUT_NS);
+    while bus.send(line, &[frame]) == 0 {
+        // An interface that is down takes nothing, and says so only to who listens.
+        expect(bus, line, 0, |_| None::<()>)?;
+        if bus.now() >= end {
+            return Err(BringUpError::CannotSend { line });
+        }
+        bus.wait(bus.now().plus_ns(LOOK_NS));
+    }
+    Ok(())
+}
+
+/// What `pick` finds among the frames of `line` within `limit_ns`; none if nothing came.
+pub(super) fn expect<B: Bus, T>(
+    bus: &mut B,
+    line: u8,
+    limit_ns: u64,
+    mut pick: impl FnMut(&Frame) -> Option<T>,
+) -> Result<Option<T>, BringUpError> {
+    let end = bus.now().plus_ns(limit_ns);
+    loop {
+        let (mut found, mut off) = (None, false);
+        bus.receive(line, &mut |received| match received {
+            Received::Frame(frame) => {
+                if found.is_none() {
+                    found = pick(&frame);
+                }
+            }
+            // What a controller that was restarted has missed is not known.
+            Received::Trouble(Trouble::BusOff | Trouble::Restarted | Trouble::Down) => off = true,
+            Received::Trouble(_) => {}
+        });
+        if off {
+            return Err(BringUpError::Off { line });
+        }
+        if found.is_some() {
+            return Ok(found);
+        }
+        if bus.now() >= end {
+            return Ok(None);
+        }
+        bus.wait(bus.now().plus_ns(LOOK_NS));
+    }
+}
+
+fn call<B: Bus>(
+    bus: &mut B,
+    line: u8,
+    node: NodeId,
+    address: Address,
+    request: Request,
+) -> Result<Response, BringUpError> {
+    send(
+        bus,
+        line,
+        Frame::new(Cob::SdoRequest(node).id(), request.emit()),
+    )?;
+    let answer = expect(bus, line, TIMEOUT_NS, |frame| {
+        (frame.id == Cob::SdoResponse(node).id())
+            .then(|| Response::parse(frame.data()).ok())
+            .flatten()
+    })?;
+    match answer {
+        Some(Response::Abort(_, code)) => Err(BringUpError::Refused {
+            node,
+            address,
+            code,
+        }),
+        Some(answer) => Ok(answer),
+        None => {
+            let abort = Request::Abort(address, AbortCode::TIMEOUT);
+            send(
+                bus,
+                line,
+                Frame::new(Cob::SdoRequest(node).id(), abort.emit()),
+            )?;
+            Err(BringUpError::NoAnswer { node, address })
+        }
+    }
+}
+
+/// Reads an object, in segments if need be.
+///
+/// # Errors
+/// [`BringUpError`]: the node does not answer, refuses or answers nonsense; the bus is off or takes no frame.
+pub fn read<B: Bus>(
+    bus: &mut B,
+    line: u8,
+    node: NodeId,
+    address: Address,
+) -> Result<Bytes, BringUpError> {
+    let confused = BringUpError::Confused { node, address };
+    match call(bus, line, node, address, Request::Upload(address))? {
+        Response::Upload(at, Content::Expedited(data)) if at == address => {
+            Ok(Bytes::truncated(data.data()))
+        }
+        Response::Upload(at, Content::Segmented(_)) if at == address => {
+            let (mut all, mut toggle) = (Bytes::truncated(&[]), false);
+            loop {
+                let request = Request::UploadSegment(toggle);
+                let Response::UploadSegment(segment) = call(bus, line, node, address, request)?
+                else {
+                    return Err(confused);
+                };
+                if segment.toggle() != toggle || !all.extend(segment.data()) {
+                    return Err(confused);
+                }
+                if segment.is_last() {
+                    return Ok(all);
+                }
+                // Or a node could go on for ever.
+                if segment.data().is_empty() {
+                    return Err(confused);
+                }
+                toggle = !toggle;
+            }
+        }
+        Response::Download(_)
+        | Response::DownloadSegment(_)
+        | Response::Upload(..)
+        | Response::UploadSegment(_)
+        | Response::Abort(..) => Err(confused),
+    }
+}
+
+/// Reads a number of up to four bytes, unsigned.
+///
+/// # Errors
+/// [`BringUpError`]: the node does not answer, refuses or answers nonsense; the bus is off or takes no frame.
+pub fn read_number<B: Bus>(
+    bus: &mut B,
+    line: u8,
+    node: NodeId,
+    address: Address,
+) -> Result<u32, BringUpError> {
+    let data = read(bus, line, node, address)?;
+    let mut bytes = [0; 4];
+    let length = data.as_slice().len();
+    if length == 0 || length > bytes.len() {
+        return Err(BringUpError::Confused { node, address });
+    }
+    bytes[..length].copy_from_slice(data.as_slice());
+    Ok(u32::from_le_bytes(bytes))
+}
+
+/// Writes an object, in segments if it has more than four bytes.
+///
+/// # Errors
+/// [`BringUpError`]: the node does not answer, refuses or answers nonsense; the bus is off or takes no frame.
+pub fn write<B: Bus>(
+    bus: &mut B,
+    line: u8,
+    node: NodeId,
+    address: Address,
+    data: &[u8],
+) -> Result<(), BringUpError> {
+    let confused = BringUpError::Confused { node, address };
+    if let Some(short) = Expedited::new(data) {
+        let request = Request::Download(address, Content::Expedited(short));
+        let answer = call(bus, line, node, address, request)?;
+        return if answer == Response::Download(address) {
+            Ok(())
+        } else {
+            Err(confused)
+        };
+    }
+    let size = u32::try_from(data.len()).ok();
+    let request = Request::Download(address, Content::Segmented(size));
+    call(bus, line, node, address, request)?;
+    let (mut rest, mut toggle) = (data, false);
+    loop {
+        let segment = Segment::first_of(rest, toggle);
+        let request = Request::DownloadSegment(segment);
+        if call(bus, line, node, address, request)? != Response::DownloadSegment(toggle) {
+            return Err(confused);
+        }
+        if segment.is_last() {
+            return Ok(());
+        }
+        rest = &rest[segment.data().len()..];
+        toggle = !toggle;
+    }
+}

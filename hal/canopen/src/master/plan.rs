@@ -1,0 +1,172 @@
+//! Which node drives which axis on which bus, and how fast.
+
+use super::fault::Who;
+use super::space::Space;
+use crate::bus_load::{Overload, Plan};
+use crate::number::{turns_a_minute, whole};
+use crate::{CanId, NodeId};
+use hal::tail::TAIL_AXES;
+
+/// Data bytes of a set-point: control word and target position.
+pub const COMMAND_BYTES: u8 = 6;
+/// Data bytes of an answer: status word, actual position, actual torque.
+pub const ANSWER_BYTES: u8 = 8;
+
+/// Seconds in which a drive comes to rest from its greatest speed: a ramp, a quick stop.
+const RAMP_S: f64 = 0.1;
+const QUICK_STOP_S: f64 = 0.02;
+
+/// One axis on a bus. Units are those of its space: rad, or m for the insertion.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct AxisPlan {
+    /// Its node.
+    pub node: NodeId,
+    /// The bus, from 0.
+    pub line: u8,
+    /// Vendor and product that the node must say it is; 1018h:01 and :02.
+    pub identity: (u32, u32),
+    /// Counts a unit.
+    pub counts_per_unit: f64,
+    /// Counts a turn of the motor, 608Fh: CiA 402 has the motor's greatest speed in turns a minute.
+    pub counts_per_turn: u32,
+    /// Where it may be sent, units.
+    pub range: (f64, f64),
+    /// Greatest speed that is believed of it, units/s.
+    pub speed_max: f64,
+    /// Distance from the set-point that is a fault, units.
+    pub following_max: f64,
+    /// Torque at 1000 per mille, N m (N).
+    pub torque_rated: f64,
+}
+
+/// The limits that a drive keeps by itself, in counts of its encoder: bring-up writes them, and emulated drives have them from
+/// the beginning.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct AxisSettings {
+    /// Least and greatest position, counts; 607Dh.
+    pub range: (i32, i32),
+    /// Greatest speed, counts/s; 607Fh.
+    pub speed_max: u32,
+    /// Deceleration of a ramp (6084h) and of a quick stop (6085h), counts/s².
+    pub decelerations: (u32, u32),
+    /// Following error window, counts; 6065h.
+    pub following_window: u32,
+}
+
+/// An arm on one to three buses.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ArmPlan {
+    /// Buses.
+    pub lines: u8,
+    /// Bits a second on each.
+    pub bit_rate: u32,
+    /// Time between two SYNCs, ns; a whole number of 100 us.
+    pub cycle_ns: u64,
+    /// Identifier of the SYNC. Two arms on one bus need two.
+    pub sync_id: CanId,
+    /// Greatest value of the SYNC's counter, 2 to 240, or 0 for none.
+    pub sync_counter: u8,
+    /// Number under which the master's own heartbeat goes out.
+    pub master: NodeId,
+    /// Time between two heartbeats, of master and drives, ms.
+    pub heartbeat_ms: u16,
+    /// What the drives' positions mean.
+    pub space: Space,
+    /// Joints in order and the jaw, or actuators in order.
+    pub axes: [AxisPlan; TAIL_AXES],
+}
+
+impl AxisPlan {
+    /// What its drive has to keep by itself: a tenth beyond its range and speed, so that the master's own limits come first.
+    #[must_use]
+    pub fn settings(&self) -> AxisSettings {
+        let margin = 0.1 * (self.range.1 - self.range.0);
+        let speed = 1.1 * self.speed_max;
+        AxisSettings {
+            range: self.between(self.range.0 - margin, self.range.1 + margin),
+            speed_max: self.magnitude(speed),
+            decelerations: (
+                self.magnitude(speed / RAMP_S),
+                self.magnitude(speed / QUICK_STOP_S),
+            ),
+            following_window: self.magnitude(self.following_max),
+        }
+    }
+
+    /// Its range, counts.
+    #[must_use]
+    pub fn range_counts(&self) -> (i32, i32) {
+        self.between(self.range.0, self.range.1)
+    }
+
+    /// Its greatest speed, counts/s.
+    #[must_use]
+    pub fn speed_counts(&self) -> u32 {
+        self.magnitude(self.speed_max)
+    }
+
+    /// Least and greatest value that the motor's greatest speed may have in a drive, turns a minute: no less than the axis
+    /// needs, and what [`Self::settings`] allow, to the next whole turn.
+    #[must_use]
+    pub fn turns_min(&self) -> (i64, i64) {
+        let whole = |counts_s: u32| turns_a_minute(counts_s, self.counts_per_turn);
+        (whole(self.speed_counts()), whole(self.settings().speed_max))
+    }
+
+    fn between(&self, low: f64, high: f64) -> (i32, i32) {
+        let signed = |units: f64| {
+            let count = whole(units * self.counts_per_unit);
+            i32::try_from(count).unwrap_or(if count < 0 { i32::MIN } else { i32::MAX })
+        };
+        let (a, b) = (signed(low), signed(high));
+        (a.min(b), a.max(b))
+    }
+
+    fn magnitude(&self, units: f64) -> u32 {
+        let count = whole(units * self.counts_per_unit.abs());
+        u32::try_from(count).unwrap_or(u32::MAX)
+    }
+}
+
+impl ArmPlan {
+    /// The axis `axis` with its node.
+    #[must_use]
+    pub fn who(&self, axis: usize) -> Who {
+        let plan = &self.axes[axis];
+        Who {
+            axis: u8::try_from(axis).unwrap_or(u8::MAX),
+            node: plan.node,
+            line: plan.line,
+        }
+    }
+
+    /// Which axis `node` on `line` drives.
+    #[must_use]
+    pub fn axis_of(&self, line: u8, node: NodeId) -> Option<usize> {
+        self.axes
+            .iter()
+            .position(|axis| axis.line == line && axis.node == node)
+    }
+
+    /// What `line` has to carry, with this arm alone on it.
+    #[must_use]
+    pub fn traffic(&self, line: u8) -> Plan {
+        let axes = self.axes.iter().filter(|axis| axis.line == line).count();
+        let axes = u32::try_from(axes).unwrap_or(u32::MAX);
+        let bytes = (COMMAND_BYTES, ANSWER_BYTES);
+        let mut plan = Plan::cyclic(line, self.bit_rate, self.cycle_ns, axes, bytes);
+        if self.sync_counter != 0 {
+            plan.traffic[0].data_bytes = 1;
+        }
+        plan.heartbeats = (axes + 1, u64::from(self.heartbeat_ms) * 1_000_000);
+        plan
+    }
+
+    /// Whether each bus can carry its part.
+    ///
+    /// # Errors
+    /// [`Overload`] with the arithmetic.
+    pub fn check_load(&self) -> Result<(), Overload> {
+        (0..self.lines).try_for_each(|line| self.traffic(line).check().map(|_| ()))
+    }
+}

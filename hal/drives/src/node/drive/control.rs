@@ -1,0 +1,96 @@
+//! What the control word does: power states, stops on the way out of them, halt.
+//!
+//! CiA 402-2, clause 8, and the option codes 605Ah to 605Dh.
+
+use super::{AtRest, Drive};
+use crate::dictionary::Dictionary;
+use hal::TimeNs;
+use trocar_canopen::cia402::{Command, ControlView, Event, Mode, PowerState};
+use trocar_canopen::index;
+
+impl Drive {
+    /// Takes the control word; tells whether it reset a fault.
+    pub(in super::super) fn on_control(&mut self, now: TimeNs, dictionary: &Dictionary) -> bool {
+        let raw = u16::try_from(dictionary.get(index::CONTROL)).unwrap_or(0);
+        let before = ControlView(core::mem::replace(&mut self.control, raw));
+        let word = ControlView(raw);
+        if word.fault_reset() && !before.fault_reset() && self.state == PowerState::Fault {
+            self.register = 0;
+            self.event(Event::FaultReset);
+            return true;
+        }
+        let command = word.command();
+        let enabling = matches!(command, Command::SwitchOn | Command::EnableOperation);
+        if !(word.fault_reset() && enabling) {
+            self.command(now, command, dictionary);
+        }
+        if self.state == PowerState::OperationEnabled {
+            self.halt(now, word.halt(), dictionary);
+            let started = word.mode_bits() & 1 == 1 && before.mode_bits() & 1 == 0;
+            if self.mode == Mode::Homing && started {
+                self.home(dictionary);
+            }
+        }
+        false
+    }
+
+    pub(super) fn command(&mut self, now: TimeNs, command: Command, dictionary: &Dictionary) {
+        let option = |address| dictionary.get(address);
+        let ramp = Some(option(index::DECELERATION));
+        let quick = Some(option(index::QUICK_STOP_DECELERATION));
+        let event = Event::Command(command);
+        match (self.state, command) {
+            (PowerState::OperationEnabled, Command::QuickStop) => {
+                self.event(event);
+                self.rearmed = false;
+                let done = AtRest::Send(Event::QuickStopDone);
+                match option(index::QUICK_STOP_OPTION) {
+                    0 => self.brake(now, None, done),
+                    1 => self.brake(now, ramp, done),
+                    5 => self.brake(now, ramp, AtRest::Stay),
+                    6 => self.brake(now, quick, AtRest::Stay),
+                    _ => self.brake(now, quick, done),
+                }
+            }
+            (PowerState::OperationEnabled, Command::Shutdown | Command::SwitchOn) => {
+                let address = if command == Command::Shutdown {
+                    index::SHUTDOWN_OPTION
+                } else {
+                    index::DISABLE_OPTION
+                };
+                // A stop that is under way for the same reason goes on.
+                if self.at_rest != AtRest::Send(event) {
+                    let deceleration = ramp.filter(|_| option(address) == 1);
+                    self.brake(now, deceleration, AtRest::Send(event));
+                }
+            }
+            (PowerState::QuickStopActive, Command::EnableOperation) => {
+                let stays = matches!(option(index::QUICK_STOP_OPTION), 5 | 6);
+                if stays && self.rearmed && self.motion.rests(now) {
+                    self.event(event);
+                }
+            }
+            (PowerState::OperationEnabled, Command::EnableOperation) => {
+                // Called back from a ramp to switched-on: it stays enabled.
+                self.at_rest = AtRest::Stay;
+            }
+            _ => {
+                self.rearmed = true;
+                self.event(event);
+            }
+        }
+    }
+
+    fn halt(&mut self, now: TimeNs, halt: bool, dictionary: &Dictionary) {
+        if halt && !self.halted {
+            let quick = dictionary.get(index::HALT_OPTION) == 2;
+            let address = if quick {
+                index::QUICK_STOP_DECELERATION
+            } else {
+                index::DECELERATION
+            };
+            self.brake(now, Some(dictionary.get(address)), AtRest::Stay);
+        }
+        self.halted = halt;
+    }
+}

@@ -1,0 +1,83 @@
+//! What a drive says of itself, and its own watch over the motor.
+//!
+//! CiA 402-2: table 31 (status word), 6065h and 6066h (following error).
+
+use super::{AtRest, Drive};
+use crate::dictionary::Dictionary;
+use hal::TimeNs;
+use trocar_canopen::cia402::{Mode, PowerState, Status};
+use trocar_canopen::index;
+use trocar_canopen::number::{real, whole};
+
+impl Drive {
+    /// How far the motor is from where it was told to be, be it slow itself or held back by its greatest speed.
+    fn deviation(&self, now: TimeNs) -> f64 {
+        self.motion.at(now).0 + self.short - self.actual()
+    }
+
+    fn deviates(&self, now: TimeNs, dictionary: &Dictionary) -> bool {
+        let window = dictionary.get(index::FOLLOWING_WINDOW);
+        self.state.has_torque()
+            && window < i64::from(u32::MAX)
+            && self.deviation(now).abs() > real(window)
+    }
+
+    /// Whether the motor has been too far from its demand for too long.
+    pub(in super::super) fn leaves_its_window(
+        &mut self,
+        now: TimeNs,
+        dictionary: &Dictionary,
+    ) -> bool {
+        if !self.deviates(now, dictionary) {
+            self.deviates_since = None;
+            return false;
+        }
+        let since = *self.deviates_since.get_or_insert(now);
+        let limit_ms = u64::try_from(dictionary.get(index::FOLLOWING_TIME)).unwrap_or(0);
+        now.since(since) >= limit_ms * 1_000_000
+    }
+
+    /// Writes down what the drive says of itself.
+    pub(in super::super) fn report(
+        &mut self,
+        now: TimeNs,
+        remote: bool,
+        warning: bool,
+        dictionary: &mut Dictionary,
+    ) {
+        let (demand, _) = self.motion.at(now);
+        let homing = self.mode == Mode::Homing;
+        let rests = self.motion.rests(now);
+        let enabled = self.state == PowerState::OperationEnabled;
+        let status = Status {
+            state: self.state,
+            voltage: true,
+            warning,
+            remote,
+            target_reached: rests && (homing || self.halted),
+            internal_limit: self.limited && self.follows_sync(),
+            follows: if homing {
+                self.homed
+            } else {
+                self.follows_sync() && !self.halted && self.at_rest == AtRest::Stay
+            },
+            deviation: !homing && self.deviates(now, dictionary),
+        };
+        let deviation = if enabled { self.deviation(now) } else { 0.0 };
+        let actual = self.actual();
+        let inputs = i64::from(actual <= real(dictionary.get(index::RANGE_MIN)))
+            | i64::from(actual >= real(dictionary.get(index::RANGE_MAX))) << 1;
+        for (address, value) in [
+            (index::STATUS, i64::from(status.emit())),
+            (index::MODE_DISPLAY, i64::from(self.mode.raw())),
+            (index::POSITION_DEMAND, whole(demand)),
+            (index::POSITION, whole(actual)),
+            (index::VELOCITY, whole(self.feedback.velocity_counts_s)),
+            (index::TORQUE, whole(self.feedback.torque_per_mille)),
+            (index::FOLLOWING_ERROR, whole(deviation)),
+            (index::INPUTS, inputs),
+        ] {
+            dictionary.set(address, value);
+        }
+    }
+}

@@ -1,0 +1,221 @@
+//! The server of the object dictionary: expedited and segmented transfers, one at a time.
+//!
+//! CiA 301, section 7.2.4.
+
+use super::{Node, Outbox};
+use hal::TimeNs;
+use trocar_canopen::Frame;
+use trocar_canopen::bytes::Bytes;
+use trocar_canopen::cia301::sdo::{Content, Expedited, Request, Response, SdoView, Segment};
+use trocar_canopen::cia301::{AbortCode, Address, Cob};
+
+/// How long a client may think between two segments, ns.
+const TIMEOUT_NS: u64 = 1_000_000_000;
+
+/// The transfer under way. A new one supersedes it.
+#[derive(Clone, Copy, Debug)]
+pub(super) enum Transfer {
+    /// None.
+    Idle,
+    /// The client reads.
+    Upload {
+        address: Address,
+        data: Bytes,
+        sent: usize,
+        toggle: bool,
+        since: TimeNs,
+    },
+    /// The client writes.
+    Download {
+        address: Address,
+        data: Bytes,
+        size: Option<u32>,
+        toggle: bool,
+        since: TimeNs,
+    },
+}
+
+impl Node {
+    pub(super) fn on_sdo(&mut self, now: TimeNs, data: &[u8], out: &mut Outbox) {
+        let view = SdoView(data);
+        let answer = match Request::parse(data) {
+            Ok(request) => self.answer(now, request, out),
+            Err(_) => match view.address() {
+                // Too short to answer.
+                Err(_) => return,
+                Ok(address) => {
+                    self.transfer = Transfer::Idle;
+                    Some(Response::Abort(address, AbortCode::COMMAND))
+                }
+            },
+        };
+        if let Some(answer) = answer {
+            self.respond(answer, out);
+        }
+    }
+
+    fn respond(&self, response: Response, out: &mut Outbox) {
+        let id = Cob::SdoResponse(self.id).id();
+        out.push(Frame::new(id, response.emit()));
+    }
+
+    fn answer(&mut self, now: TimeNs, request: Request, out: &mut Outbox) -> Option<Response> {
+        match request {
+            Request::Abort(..) => {
+                self.transfer = Transfer::Idle;
+                None
+            }
+            Request::Upload(address) => Some(self.begin_upload(now, address)),
+            Request::UploadSegment(toggle) => Some(self.upload_segment(now, toggle)),
+            Request::Download(address, content) => {
+                Some(self.begin_download(now, address, content, out))
+            }
+            Request::DownloadSegment(segment) => Some(self.download_segment(now, &segment, out)),
+        }
+    }
+
+    fn begin_upload(&mut self, now: TimeNs, address: Address) -> Response {
+        self.transfer = Transfer::Idle;
+        let data = match self.dictionary.read(address) {
+            Ok(data) => data,
+            Err(code) => return Response::Abort(address, code),
+        };
+        if let Some(short) = Expedited::new(data.as_slice()) {
+            return Response::Upload(address, Content::Expedited(short));
+        }
+        let size = u32::try_from(data.as_slice().len()).unwrap_or(0);
+        self.transfer = Transfer::Upload {
+            address,
+            data,
+            sent: 0,
+            toggle: false,
+            since: now,
+        };
+        Response::Upload(address, Content::Segmented(Some(size)))
+    }
+
+    fn upload_segment(&mut self, now: TimeNs, toggle: bool) -> Response {
+        let Transfer::Upload {
+            address,
+            data,
+            sent,
+            toggle: expected,
+            ..
+        } = self.transfer
+        else {
+            return self.abort(AbortCode::COMMAND);
+        };
+        if toggle != expected {
+            return self.abort(AbortCode::TOGGLE);
+        }
+        let segment = Segment::first_of(&data.as_slice()[sent..], toggle);
+        self.transfer = if segment.is_last() {
+            Transfer::Idle
+        } else {
+            Transfer::Upload {
+                address,
+                data,
+                sent: sent + segment.data().len(),
+                toggle: !toggle,
+                since: now,
+            }
+        };
+        Response::UploadSegment(segment)
+    }
+
+    fn begin_download(
+        &mut self,
+        now: TimeNs,
+        address: Address,
+        content: Content,
+        out: &mut Outbox,
+    ) -> Response {
+        self.transfer = Transfer::Idle;
+        match content {
+            Content::Expedited(data) => {
+                // Without a size, all four bytes came and the object says how many it wants.
+                let own = self.dictionary.read(address);
+                let length = own.map_or(4, |own| own.as_slice().len());
+                let data = match data.data() {
+                    all if data.is_sized() => all,
+                    all => &all[..length.min(all.len())],
+                };
+                match self.store(now, address, data, out) {
+                    Ok(()) => Response::Download(address),
+                    Err(code) => Response::Abort(address, code),
+                }
+            }
+            Content::Segmented(size) => {
+                self.transfer = Transfer::Download {
+                    address,
+                    data: Bytes::truncated(&[]),
+                    size,
+                    toggle: false,
+                    since: now,
+                };
+                Response::Download(address)
+            }
+        }
+    }
+
+    fn download_segment(&mut self, now: TimeNs, segment: &Segment, out: &mut Outbox) -> Response {
+        let Transfer::Download {
+            address,
+            mut data,
+            size,
+            toggle,
+            ..
+        } = self.transfer
+        else {
+            return self.abort(AbortCode::COMMAND);
+        };
+        if segment.toggle() != toggle {
+            return self.abort(AbortCode::TOGGLE);
+        }
+        if !data.extend(segment.data()) {
+            return self.abort(AbortCode::TOO_LONG);
+        }
+        self.transfer = Transfer::Download {
+            address,
+            data,
+            size,
+            toggle: !toggle,
+            since: now,
+        };
+        if !segment.is_last() {
+            return Response::DownloadSegment(toggle);
+        }
+        if size.is_some_and(|size| usize::try_from(size) != Ok(data.as_slice().len())) {
+            return self.abort(AbortCode::LENGTH);
+        }
+        match self.store(now, address, data.as_slice(), out) {
+            Ok(()) => {
+                self.transfer = Transfer::Idle;
+                Response::DownloadSegment(toggle)
+            }
+            Err(code) => self.abort(code),
+        }
+    }
+
+    /// Ends the transfer with `code`.
+    fn abort(&mut self, code: AbortCode) -> Response {
+        let address = match self.transfer {
+            Transfer::Idle => Address::new(0, 0),
+            Transfer::Upload { address, .. } | Transfer::Download { address, .. } => address,
+        };
+        self.transfer = Transfer::Idle;
+        Response::Abort(address, code)
+    }
+
+    /// Gives up a transfer whose client has fallen silent.
+    pub(super) fn server_timeout(&mut self, now: TimeNs, out: &mut Outbox) {
+        let since = match self.transfer {
+            Transfer::Idle => return,
+            Transfer::Upload { since, .. } | Transfer::Download { since, .. } => since,
+        };
+        if now.since(since) > TIMEOUT_NS {
+            let abort = self.abort(AbortCode::TIMEOUT);
+            self.respond(abort, out);
+        }
+    }
+}

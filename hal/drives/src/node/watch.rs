@@ -1,0 +1,161 @@
+//! What a node does by the clock: its own heartbeat, and the watch over those that lead it.
+//!
+//! CiA 301: 1016h and 1017h (heartbeats), 1400h:05 (deadline of an RPDO), 1029h (error behaviour). The watch over the SYNC
+//! is the vendor's: after 2000h periods without one the axis stops.
+
+use super::alarm::Alarm;
+use super::{Node, Outbox};
+use crate::dictionary::Dictionary;
+use crate::dictionary::table::CONSUMER_COUNT;
+use hal::TimeNs;
+use trocar_canopen::NodeId;
+use trocar_canopen::cia301::{Address, NmtState};
+use trocar_canopen::index;
+
+const MS: u64 = 1_000_000;
+
+/// Last signs of life.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Watches {
+    heartbeat_due: Option<TimeNs>,
+    heard: [Option<TimeNs>; CONSUMER_COUNT as usize],
+    silent: [bool; CONSUMER_COUNT as usize],
+    sync: Option<TimeNs>,
+}
+
+impl Watches {
+    /// The own heartbeat's next time.
+    pub(super) fn schedule_heartbeat(&mut self, now: TimeNs, dictionary: &Dictionary) {
+        let period_ns = milliseconds(dictionary.get(index::HEARTBEAT));
+        self.heartbeat_due = (period_ns > 0).then(|| now.plus_ns(period_ns));
+    }
+
+    /// The newest SYNC since the watch over it began.
+    pub(super) const fn newest_sync(&self) -> Option<TimeNs> {
+        self.sync
+    }
+
+    /// A SYNC came.
+    pub(super) fn on_sync(&mut self, now: TimeNs) {
+        self.sync = Some(now);
+    }
+
+    /// Watches over the SYNC begin anew.
+    pub(super) fn restart(&mut self) {
+        self.sync = None;
+    }
+
+    /// Watches over heartbeats begin anew.
+    pub(super) fn forget_heartbeats(&mut self) {
+        self.heard = Default::default();
+        self.silent = Default::default();
+    }
+}
+
+fn milliseconds(value: i64) -> u64 {
+    u64::try_from(value).unwrap_or(0) * MS
+}
+
+/// Node and time of an entry of 1016h; none if it is not in use.
+pub(super) fn consumer(raw: i64) -> Option<(NodeId, u64)> {
+    let [low, high, node, _] = u32::try_from(raw).ok()?.to_le_bytes();
+    let time_ns = u64::from(u16::from_le_bytes([low, high])) * MS;
+    NodeId::new(node)
+        .filter(|_| time_ns > 0)
+        .map(|node| (node, time_ns))
+}
+
+fn watched(n: u8) -> Address {
+    Address::new(0x1016, n + 1)
+}
+
+impl Node {
+    pub(super) fn heartbeat_if_due(&mut self, now: TimeNs, out: &mut Outbox) {
+        if self.watches.heartbeat_due.is_some_and(|due| now >= due) {
+            out.push(self.state.emit(self.id));
+            self.watches.schedule_heartbeat(now, &self.dictionary);
+        }
+    }
+
+    pub(super) fn on_heartbeat(&mut self, now: TimeNs, node: NodeId, data: &[u8]) {
+        if NmtState::parse(data).is_err() {
+            return;
+        }
+        for n in 0..CONSUMER_COUNT {
+            let entry = consumer(self.dictionary.get(watched(n)));
+            if entry.is_some_and(|(watched, _)| watched == node) {
+                self.watches.heard[usize::from(n)] = Some(now);
+                self.watches.silent[usize::from(n)] = false;
+            }
+        }
+    }
+
+    /// Notices who is silent.
+    pub(super) fn watch(&mut self, now: TimeNs, out: &mut Outbox) {
+        self.watch_heartbeats(now, out);
+        if self.state == NmtState::Operational {
+            self.watch_sync(now, out);
+            self.watch_rpdos(now, out);
+        }
+    }
+
+    fn watch_heartbeats(&mut self, now: TimeNs, out: &mut Outbox) {
+        for n in 0..CONSUMER_COUNT {
+            let place = usize::from(n);
+            let (Some((_, time_ns)), Some(heard)) = (
+                consumer(self.dictionary.get(watched(n))),
+                self.watches.heard[place],
+            ) else {
+                continue;
+            };
+            if !self.watches.silent[place] && now.since(heard) > time_ns {
+                self.watches.silent[place] = true;
+                self.alarm(now, Alarm::Heartbeat, out);
+                self.lose_connection(now);
+                self.communication_error(now);
+            }
+        }
+        if !self.watches.silent.contains(&true) {
+            self.resolve(now, Alarm::Heartbeat, out);
+        }
+    }
+
+    /// The NMT state that 1029h asks for.
+    fn communication_error(&mut self, now: TimeNs) {
+        let operational = self.state == NmtState::Operational;
+        match self.dictionary.get(index::ERROR_BEHAVIOUR) {
+            0 if operational => self.enter(now, NmtState::PreOperational),
+            2 => self.enter(now, NmtState::Stopped),
+            _ => {}
+        }
+    }
+
+    fn watch_sync(&mut self, now: TimeNs, out: &mut Outbox) {
+        let Some(last) = self.watches.sync.filter(|_| self.drive.follows_sync()) else {
+            return;
+        };
+        let periods = u64::try_from(self.dictionary.get(index::SYNC_LOSS)).unwrap_or(0);
+        let period_ns = super::drive::interpolation_ns(&self.dictionary);
+        if now.since(last) > periods * period_ns {
+            self.alarm(now, Alarm::SyncLoss, out);
+            self.lose_connection(now);
+        }
+    }
+
+    fn watch_rpdos(&mut self, now: TimeNs, out: &mut Outbox) {
+        let mut overdue = false;
+        for n in 0..4_u8 {
+            let deadline_ns = milliseconds(self.dictionary.get(index::rpdo(n, 5)));
+            let last = self.receive[usize::from(n)].last;
+            overdue |= deadline_ns > 0 && last.is_some_and(|last| now.since(last) > deadline_ns);
+        }
+        if overdue {
+            if !self.alarms.is_active(Alarm::RpdoTimeout) {
+                self.alarm(now, Alarm::RpdoTimeout, out);
+                self.lose_connection(now);
+            }
+        } else {
+            self.resolve(now, Alarm::RpdoTimeout, out);
+        }
+    }
+}

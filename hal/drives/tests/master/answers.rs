@@ -1,0 +1,311 @@
+use std::cell::Cell;
+use std::rc::Rc;
+
+use super::faults::{is_answer, moving};
+use super::*;
+
+/// What becomes of `count` answers of axis 2, and what the arm says in the cycles after.
+fn disturbed(
+    count: u32,
+    change: impl Fn(&Frame) -> Tampering + 'static,
+) -> (Bench, Vec<Result<ArmState, ArmError>>) {
+    let mut bench = moving();
+    // A heartbeat that holds up a SYNC makes its axis seem slower or faster, and what is bridged goes on at that speed.
+    let mut speed = || bench.cycle(0.0008).unwrap().velocity[2];
+    assert!((0..10).any(|_| (speed() - 0.4).abs() < 1e-6));
+    let mut left = count;
+    bench.tamper(move |frame| {
+        if is_answer(frame, 2) && left > 0 {
+            left -= 1;
+            change(frame)
+        } else {
+            Tampering::Pass
+        }
+    });
+    let outcomes = (0..30).map(|_| bench.cycle(0.0008)).collect();
+    (bench, outcomes)
+}
+
+fn lost(outcomes: &[Result<ArmState, ArmError>]) -> usize {
+    let is_lost = |o: &&Result<_, _>| matches!(o, Err(ArmError::MeasurementLost { .. }));
+    outcomes.iter().filter(is_lost).count()
+}
+
+#[test]
+fn one_or_two_missing_answers_are_bridged_three_are_a_lost_measurement() {
+    let (bench, outcomes) = disturbed(2, |_| Tampering::Drop);
+    assert!(outcomes.iter().all(Result::is_ok));
+    // 0.4 units/s, whenever a measurement is of a later instant than the one before.
+    let off = |w: &[Result<ArmState, ArmError>]| {
+        let (before, after) = (w[0].unwrap(), w[1].unwrap());
+        let wanted = 0.4 * (after.stamp.seconds() - before.stamp.seconds());
+        (after.position[2] - before.position[2] - wanted).abs()
+    };
+    assert!(
+        outcomes.windows(2).all(|w| off(w) < 4e-5),
+        "{:?}",
+        outcomes.windows(2).map(off).collect::<Vec<_>>()
+    );
+    let health = bench.arm.cycle().axis_health()[2];
+    assert_eq!((health.missed, health.late, health.age_cycles), (2, 0, 0));
+    let (bench, outcomes) = disturbed(3, |_| Tampering::Drop);
+    // After the third cycle, and after the one whose answer may be out of step; then the pause shows that it is not.
+    assert_eq!(lost(&outcomes), 2);
+    assert!(outcomes[29].is_ok() && bench.arm.fault().is_none());
+}
+
+#[test]
+fn twenty_missing_answers_are_a_fault() {
+    let (mut bench, outcomes) = disturbed(1000, |_| Tampering::Drop);
+    assert_eq!(lost(&outcomes), 17);
+    bench.assert_stopped_for_good("node 3 (axis 2, bus 0): no usable process data for 20 cycles");
+}
+
+#[test]
+fn short_long_senseless_and_impossible_answers_are_not_believed() {
+    let cut = |f: &Frame| Tampering::Replace(frame(f.id.raw(), &f.data()[..7]));
+    let empty = |f: &Frame| Tampering::Replace(frame(f.id.raw(), &[]));
+    let status = |f: &Frame| {
+        let mut data = f.data().to_vec();
+        data[0] = 0x03;
+        Tampering::Replace(frame(f.id.raw(), &data))
+    };
+    let jump = |f: &Frame| {
+        let mut data = f.data().to_vec();
+        data[4] ^= 0x40;
+        Tampering::Replace(frame(f.id.raw(), &data))
+    };
+    let kinds: [fn(&Frame) -> Tampering; 4] = [cut, empty, status, jump];
+    for kind in kinds {
+        let (bench, outcomes) = disturbed(2, kind);
+        assert!(outcomes.iter().all(Result::is_ok));
+        assert_eq!(bench.arm.cycle().axis_health()[2].rejected, 2);
+        let (mut bench, outcomes) = disturbed(1000, kind);
+        assert_eq!(lost(&outcomes), 17);
+        bench.assert_stopped_for_good(
+            "node 3 (axis 2, bus 0): no usable process data for 20 cycles",
+        );
+    }
+}
+
+#[test]
+fn late_and_doubled_answers_are_counted() {
+    let (bench, outcomes) = disturbed(1, |_| Tampering::Delay(2 * MS));
+    assert!(outcomes.iter().all(Result::is_ok));
+    let health = bench.arm.cycle().axis_health()[2];
+    assert_eq!((health.missed, health.late), (1, 1));
+    let (bench, outcomes) = disturbed(1, |_| Tampering::Repeat);
+    assert!(outcomes.iter().all(Result::is_ok));
+    assert_eq!(bench.arm.cycle().axis_health()[2].late, 1);
+}
+
+/// Answers of axis 2 that each come so much later, in periods of the beat, from bring-up on or in mid-motion.
+fn tardy(periods: f64) -> impl FnMut(&Frame) -> Tampering {
+    let late_ns = trocar_canopen::number::nanoseconds(periods * 0.002);
+    move |frame| {
+        if is_answer(frame, 2) {
+            Tampering::Delay(late_ns)
+        } else {
+            Tampering::Pass
+        }
+    }
+}
+
+const UNSTEADY: &str =
+    "node 3 (axis 2, bus 0): more than a quarter of its process data is missing or late";
+
+#[test]
+fn answers_that_are_always_late_are_a_fault_and_none_older_than_five_cycles_is_believed() {
+    for periods in [1.0, 1.4, 2.2, 3.4] {
+        let mut bench = moving();
+        bench.tamper(tardy(periods));
+        let before = bench.arm.cycle().axis_health()[2].late;
+        for cycle in 0..60 {
+            let measured = bench.cycle(0.0008);
+            let real = bench.motors()[2];
+            let off = measured.map_or(0.0, |state| (state.position[2] - real).abs());
+            // 0.4 units/s.
+            assert!(off < 5.0 * 0.0008, "{periods}, {cycle}: {off}");
+        }
+        let health = bench.arm.cycle().axis_health()[2];
+        assert!(health.late > before + 10, "{periods}: {health:?}");
+        bench.assert_stopped_for_good(UNSTEADY);
+    }
+}
+
+#[test]
+fn a_drive_that_answers_late_from_the_first_beat_on_gives_no_arm_that_runs() {
+    for periods in [1.0, 2.2] {
+        let plan = plan(1, 2 * MS);
+        let homed = Offline::new(network(&plan), &plan).unwrap().scan().unwrap();
+        let homed = homed.check_identity().unwrap().map().unwrap();
+        let mut homed = homed.home().unwrap();
+        let mut late = tardy(periods);
+        homed
+            .bus_mut()
+            .tamper(Box::new(move |_, _, frame| late(frame)));
+        let mut bench = Bench::of(homed.enable().unwrap(), &plan);
+        let _ = bench.cycles(50, 0.0);
+        bench.assert_stopped_for_good(UNSTEADY);
+    }
+}
+
+#[test]
+fn a_doubled_answer_does_not_hide_that_all_after_it_are_late() {
+    let mut bench = moving();
+    let mut count = 0;
+    bench.tamper(move |frame| {
+        count += u32::from(is_answer(frame, 2));
+        match count {
+            _ if !is_answer(frame, 2) => Tampering::Pass,
+            1 => Tampering::Drop,
+            // Two come in this period, as if the late one had come too.
+            2 => Tampering::Repeat,
+            _ => Tampering::Delay(2 * MS),
+        }
+    });
+    let _ = bench.cycles(70, 0.0008);
+    bench.assert_stopped_for_good(UNSTEADY);
+}
+
+#[test]
+fn answers_of_one_axis_that_come_twice_hide_no_other_axis_that_is_late_or_missing() {
+    type Change = fn(u32) -> Tampering;
+    let late: Change = |_| Tampering::Delay(4_400_000);
+    let lossy: Change = |count| {
+        if count % 2 == 0 {
+            Tampering::Drop
+        } else {
+            Tampering::Pass
+        }
+    };
+    for change in [late, lossy] {
+        let mut bench = moving();
+        let mut count = 0;
+        bench.tamper(move |frame| {
+            if is_answer(frame, 1) {
+                return Tampering::Repeat;
+            }
+            count += u32::from(is_answer(frame, 2));
+            if is_answer(frame, 2) {
+                change(count)
+            } else {
+                Tampering::Pass
+            }
+        });
+        let _ = bench.cycles(150, 0.0);
+        let fault = bench.arm.fault();
+        assert!(matches!(fault, Some(Fault::Unsteady(_))), "{fault:?}");
+    }
+}
+
+#[test]
+fn a_beat_is_left_out_for_no_longer_than_drives_bridge_even_when_the_control_thread_stalls() {
+    let mut bench = moving();
+    let mut dropped = false;
+    bench.tamper(move |frame| {
+        if is_answer(frame, 2) && !dropped {
+            dropped = true;
+            Tampering::Drop
+        } else {
+            Tampering::Pass
+        }
+    });
+    let _ = bench.cycle(0.0008);
+    bench.dead_for(12 * MS);
+    let _ = bench.cycle(0.0);
+    assert_eq!(bench.arm.cycle().sync(), Some(bench.now));
+}
+
+#[test]
+fn answers_that_are_lost_now_and_then_are_not_taken_for_late_ones() {
+    for every in [4, 5, 10] {
+        let mut bench = moving();
+        let mut count = 0;
+        bench.tamper(move |frame| {
+            count += u32::from(is_answer(frame, 2));
+            if is_answer(frame, 2) && count % every == 0 {
+                Tampering::Drop
+            } else {
+                Tampering::Pass
+            }
+        });
+        for cycle in 0..200 {
+            assert!(bench.cycle(0.0008).is_ok(), "{every}: {cycle}");
+        }
+        let health = bench.arm.cycle().axis_health();
+        assert!(health[2].missed > 10 && health[2].late == 0, "{health:?}");
+        let before = bench.arm.cycle().sync().unwrap();
+        bench.net().leave_alone();
+        let _ = bench.cycles(100, 0.0008);
+        // In step again, and no beat is left out any more.
+        let after = bench.arm.cycle().sync().unwrap();
+        assert!(after.since(before) >= 99 * bench.cycle_ns);
+        assert_eq!(bench.arm.cycle().axis_health()[2].age_cycles, 0);
+    }
+}
+
+/// How many SYNCs are heard in 20 cycles when the first answer of axis 2 is changed.
+fn beats(change: fn(&Frame) -> Tampering) -> u32 {
+    let mut bench = moving();
+    let heard = Rc::new(Cell::new(0));
+    let count = Rc::clone(&heard);
+    let mut changed = false;
+    bench.tamper(move |frame| {
+        count.set(count.get() + u32::from(frame.id.raw() == 0x080));
+        if is_answer(frame, 2) && !changed {
+            changed = true;
+            change(frame)
+        } else {
+            Tampering::Pass
+        }
+    });
+    let _ = bench.cycles(20, 0.0008);
+    heard.get()
+}
+
+#[test]
+fn one_beat_is_left_out_for_an_answer_that_was_late_lost_or_doubled() {
+    assert_eq!(beats(|_| Tampering::Pass), 20);
+    assert_eq!(beats(|_| Tampering::Drop), 19);
+    assert_eq!(beats(|_| Tampering::Repeat), 19);
+    assert_eq!(beats(|_| Tampering::Delay(2 * MS)), 19);
+}
+
+#[test]
+fn answers_that_are_missing_too_often_are_a_fault_although_none_is_missing_for_long() {
+    let mut bench = moving();
+    let mut count = 0;
+    bench.tamper(move |frame| {
+        count += u32::from(is_answer(frame, 2));
+        if is_answer(frame, 2) && count % 2 == 0 {
+            Tampering::Drop
+        } else {
+            Tampering::Pass
+        }
+    });
+    let outcomes: Vec<_> = (0..200).map(|_| bench.cycle(0.0)).collect();
+    assert_eq!(lost(&outcomes), 0);
+    bench.assert_stopped_for_good(UNSTEADY);
+}
+
+#[test]
+fn drives_that_are_to_stop_get_every_beat() {
+    let mut bench = Bench::on(&plan(3, MS));
+    bench.net().bus_off(2, true);
+    let _ = bench.cycles(2, 0.0);
+    let mut lost = 0;
+    bench.tamper(move |frame| {
+        lost += u32::from(is_answer(frame, 0));
+        if is_answer(frame, 0) && lost % 2 == 0 {
+            Tampering::Drop
+        } else {
+            Tampering::Pass
+        }
+    });
+    for _ in 0..30 {
+        let before = bench.arm.cycle().sync();
+        let _ = bench.cycle(0.0);
+        assert_ne!(bench.arm.cycle().sync(), before);
+    }
+}

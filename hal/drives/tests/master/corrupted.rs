@@ -1,0 +1,174 @@
+//! What becomes of an arm when the frames to its drives are other ones than were sent.
+
+use super::faults::moving;
+use super::*;
+use trocar_canopen::cia301::NmtState;
+
+/// Changes the next `count` frames under `id`.
+fn change(bench: &mut Bench, id: u16, count: u32, to: impl Fn(&Frame) -> Tampering + 'static) {
+    let mut left = count;
+    bench.tamper(move |frame| {
+        if frame.id.raw() == id && left > 0 {
+            left -= 1;
+            to(frame)
+        } else {
+            Tampering::Pass
+        }
+    });
+}
+
+fn resized(frame: &Frame, length: usize) -> Tampering {
+    let mut data = frame.data().to_vec();
+    data.resize(length, 0);
+    Tampering::Replace(super::frame(frame.id.raw(), &data))
+}
+
+#[test]
+fn a_short_or_long_set_point_is_told_by_its_drive_and_is_a_fault() {
+    for (length, fault) in [
+        (5, "emergency 8210h, PDO too short for its mapping"),
+        (0, "emergency 8210h, PDO too short for its mapping"),
+        (8, "emergency 8220h, PDO longer than its mapping"),
+    ] {
+        let mut bench = moving();
+        change(&mut bench, 0x203, 1, move |frame| resized(frame, length));
+        let _ = bench.cycles(3, 0.0008);
+        bench.assert_stopped_for_good(&format!("node 3 (axis 2, bus 0): {fault}"));
+    }
+}
+
+#[test]
+fn a_sync_of_the_wrong_length_is_told_by_a_drive_and_is_a_fault() {
+    let mut bench = moving();
+    change(&mut bench, 0x080, 1, |frame| resized(frame, 1));
+    let _ = bench.cycles(3, 0.0008);
+    let fault = bench.arm.fault().unwrap();
+    assert_eq!(fault.code().0, 0x8240, "{fault}");
+    bench.assert_stopped_for_good(&fault.to_string());
+}
+
+/// Flips a bit of the next set-point's target; gives the arm, how far axis 2 was from its way at most, and how far it went
+/// in a cycle.
+fn flipped(byte: usize, bit: u8) -> (Bench, f64, f64) {
+    let mut bench = moving();
+    change(&mut bench, 0x203, 1, move |frame| {
+        let mut data = frame.data().to_vec();
+        data[byte] ^= 1 << bit;
+        Tampering::Replace(super::frame(frame.id.raw(), &data))
+    });
+    let (mut off, mut step): (f64, f64) = (0.0, 0.0);
+    let mut before = bench.motors();
+    for _ in 0..20 {
+        let _ = bench.cycle(0.0008);
+        let motors = bench.motors();
+        // The others are the measure of where it should be.
+        let apart = motors[2] - motors[1] - (bench.position[2] - bench.position[1]);
+        off = off.max(apart.abs());
+        step = step.max((motors[2] - before[2]).abs());
+        before = motors;
+    }
+    (bench, off, step)
+}
+
+#[test]
+fn a_flipped_bit_in_a_set_point_moves_an_axis_no_faster_than_it_may_and_is_a_fault() {
+    // A small one is gone with the next set-point.
+    let (bench, off, _) = flipped(3, 0);
+    assert!(bench.arm.fault().is_none() && off < 0.003, "{off}");
+    // The drive's greatest speed for the two cycles until it is noticed and answered, and a quick stop from it, both as
+    // bring-up has set them.
+    let (cycle_s, speed, deceleration) = (0.002, 2.2, 110.0);
+    let furthest = 2.0 * cycle_s * speed + speed * speed / (2.0 * deceleration);
+    for (byte, bit) in [(4, 6), (5, 6), (5, 7)] {
+        let (mut bench, off, step) = flipped(byte, bit);
+        assert!(step < speed * cycle_s + 1e-6, "{step} in a cycle");
+        assert!(off < furthest, "{off} of {furthest}");
+        let fault = bench.arm.fault().unwrap();
+        assert!(
+            matches!(fault, Fault::FollowingError(who, _) if who.axis == 2),
+            "{fault}"
+        );
+        bench.assert_stopped_for_good(&fault.to_string());
+    }
+}
+
+#[test]
+fn a_flipped_bit_in_a_control_word_is_a_fault_or_nothing() {
+    for bit in 0..16 {
+        let mut bench = moving();
+        change(&mut bench, 0x203, 1, move |frame| {
+            let mut data = frame.data().to_vec();
+            data[bit / 8] ^= 1 << (bit % 8);
+            Tampering::Replace(super::frame(frame.id.raw(), &data))
+        });
+        let outcome = bench.cycles(20, 0.0008);
+        // Without voltage or with a quick stop the drive is no longer enabled. The other commands begin a ramp, from which the
+        // next set-point calls it back; the other bits mean nothing to a drive that follows.
+        match (bit, bench.arm.fault()) {
+            (1..=2, Some(Fault::NotEnabled(who, _))) => {
+                assert_eq!(who.axis, 2, "bit {bit}");
+                let fault = bench.arm.fault().unwrap().to_string();
+                bench.assert_stopped_for_good(&fault);
+            }
+            (0 | 3.., None) => assert!(outcome.is_ok()),
+            (_, fault) => panic!("bit {bit}: {fault:?}"),
+        }
+    }
+}
+
+#[test]
+fn a_single_set_point_sync_or_both_may_be_lost_late_or_doubled() {
+    for id in [0x203, 0x080] {
+        for what in [Tampering::Drop, Tampering::Delay(MS), Tampering::Repeat] {
+            let mut bench = moving();
+            change(&mut bench, id, 1, move |_| what);
+            for _ in 0..20 {
+                assert!(bench.cycle(0.0008).is_ok(), "{id:03X} {what:?}");
+            }
+            let state = bench.cycle(0.0008).unwrap();
+            for axis in 0..6 {
+                let behind = (bench.position[axis] - state.position[axis]) / 0.0008;
+                assert!((2.0..4.0).contains(&behind), "{id:03X} {what:?}: {behind}");
+            }
+        }
+    }
+}
+
+#[test]
+fn a_second_node_with_a_drives_number_is_a_fault() {
+    let mut bench = moving();
+    let beat = NmtState::Operational.emit(node(2));
+    bench.net().intrude(0, beat);
+    let _ = bench.cycles(2, 0.0008);
+    let fault = bench.arm.fault().unwrap();
+    assert_eq!(fault.who().map(|who| who.axis), Some(2));
+    assert_eq!(fault.code().0, 0x8150, "{fault}");
+    bench.assert_stopped_for_good(&fault.to_string());
+}
+
+#[test]
+fn an_emergency_that_says_all_is_well_is_none() {
+    let mut bench = moving();
+    bench.net().intrude(0, frame(0x083, &[0; 8]));
+    // And one that is too short says nothing.
+    bench.net().intrude(0, frame(0x084, &[0x10, 0x23]));
+    assert!(bench.cycles(5, 0.0008).is_ok());
+    assert!(bench.arm.fault().is_none());
+}
+
+#[test]
+fn answers_that_change_places_are_believed_only_as_far_as_an_axis_can_go() {
+    let mut bench = moving();
+    // What axis 0 says arrives as what axis 6 says, and the other way round; they are far from each other.
+    bench.tamper(|f| match f.id.raw() {
+        0x181 => Tampering::Replace(frame(0x187, f.data())),
+        0x187 => Tampering::Replace(frame(0x181, f.data())),
+        _ => Tampering::Pass,
+    });
+    let outcomes: Vec<_> = (0..40).map(|_| bench.cycle(0.0)).collect();
+    let lost = |o: &&Result<ArmState, ArmError>| matches!(o, Err(ArmError::MeasurementLost { .. }));
+    assert!(outcomes.iter().filter(lost).count() > 5, "{outcomes:?}");
+    let health = bench.arm.cycle().axis_health();
+    assert!(health[0].rejected >= 20 && health[6].rejected >= 20);
+    bench.assert_stopped_for_good("node 1 (axis 0, bus 0): no usable process data for 20 cycles");
+}

@@ -1,0 +1,311 @@
+//! What happens to a drive while the arm is brought up: what counts is what happens to it after it was set up.
+
+use super::watched::{Course, NEVER, QUESTIONS, course};
+use super::*;
+use trocar_canopen::cia301::emcy::ErrorCode;
+use trocar_canopen::master::bringup::Scanned;
+
+type What = fn(&mut Net);
+
+/// Node 3, the one of axis 2, has lost and got its power.
+fn reboots(net: &mut Net) {
+    net.poke(node(2), |now, drive, out| drive.power_on(now, out));
+}
+
+fn fails(net: &mut Net) {
+    net.poke(node(2), |now, drive, out| {
+        drive.fail(now, ErrorCode::OVER_CURRENT, 2, out);
+    });
+}
+
+const WHO: &str = "node 3 (axis 2, bus 0)";
+const REBOOTED: &str = "booted up again";
+const FAILED: &str = "emergency 2310h, continuous over-current";
+
+#[test]
+fn a_drive_that_was_set_up_and_is_reset_or_fails_ends_the_bring_up_with_its_cause_and_nothing_has_torque()
+ {
+    let [_, identified, mapped, homed] = course(1, NEVER, |_| {}).sent;
+    let (setting, homing) = ((mapped - identified) / 7, (homed - mapped) / 7);
+    let cases = [
+        (identified + 3 * setting + 9, "while axis 3 was set up"),
+        (identified + 6 * setting + 9, "while axis 6 was set up"),
+        // Of its own reference, and of another one's.
+        (mapped + 2 * homing + homing / 2, "while axis 2 was homed"),
+        (mapped + 5 * homing + homing / 2, "while axis 5 was homed"),
+        (homed - 1, "while axis 6 was homed"),
+    ];
+    for (at, step) in cases {
+        for (what, told) in [(reboots as What, REBOOTED), (fails, FAILED)] {
+            let course = course(1, at, what);
+            assert_eq!(course.end, Err(format!("{WHO}: {told}, {step}")), "{at}");
+            assert!(!course.torques && course.stopped, "{step}");
+        }
+    }
+}
+
+#[test]
+fn a_reset_in_the_middle_of_its_settings_undoes_half_of_them_and_is_noticed() {
+    let [_, identified, mapped, _] = course(1, NEVER, |_| {}).sent;
+    let at = identified + 2 * (mapped - identified) / 7 + 40;
+    let course = course(1, at, reboots);
+    let told = format!("{WHO}: {REBOOTED}, while axis 2 was set up");
+    assert_eq!(course.end, Err(told));
+    assert!(!course.torques && course.stopped);
+}
+
+#[test]
+fn on_a_bus_that_is_not_listened_to_it_is_noticed_before_the_nodes_start() {
+    // The last axis is homed on bus 2; node 3 is on bus 0.
+    let homed = course(3, NEVER, |_| {}).sent[3];
+    for (what, told) in [(reboots as What, REBOOTED), (fails, FAILED)] {
+        let course = course(3, homed - 9, what);
+        let told = format!("{WHO}: {told}, while axis 6 was homed");
+        assert_eq!(course.end, Err(told));
+        assert!(!course.torques && course.stopped);
+    }
+}
+
+#[test]
+fn what_a_drive_has_to_tell_of_the_time_before_it_was_set_up_does_not_end_it() {
+    let [scanned, identified, mapped, _] = course(1, NEVER, |_| {}).sent;
+    // That it lost a master whom it had, or has no voltage yet.
+    let tells: [What; 2] = [
+        |net| assert!(net.intrude(0, frame(0x083, &[0x30, 0x81, 0x11, 0, 0, 0, 0, 0]))),
+        |net| assert!(net.intrude(0, frame(0x083, &[0x20, 0x32, 0x05, 0, 0, 0, 0, 0]))),
+    ];
+    let its_own = identified + 2 * (mapped - identified) / 7 + 20;
+    for at in [0, 4, scanned - 1, scanned + 9, identified + 20, its_own] {
+        for tells in tells {
+            assert_eq!(course(1, at, tells).end, Ok(()), "{at}");
+        }
+    }
+    // It boots up again before it has been told anything.
+    for at in [4, scanned - 1, scanned + 9, identified + 20] {
+        assert_eq!(course(1, at, reboots).end, Ok(()), "{at}");
+    }
+}
+
+#[test]
+fn what_comes_on_a_bus_that_is_not_listened_to_is_judged_by_when_it_came() {
+    let [_, identified, mapped, _] = course(3, NEVER, |_| {}).sent;
+    // Nodes 4 and 6 are the first ones of buses 1 and 2, and nothing is asked there yet.
+    for at in [identified + 5, identified + 2 * (mapped - identified) / 7] {
+        for axis in 3..TAIL_AXES {
+            let course = course(3, at, move |net| {
+                net.poke(node(axis), |now, drive, out| drive.power_on(now, out));
+            });
+            assert_eq!(course.end, Ok(()), "node {} at {at}", axis + 1);
+        }
+    }
+    // The first one of bus 0 was set up by then; it is named when bus 1 has been listened to for a while.
+    let at = identified + 4 * (mapped - identified) / 7;
+    let course = course(3, at, reboots);
+    let told = format!("{WHO}: {REBOOTED}, while axis 4 was set up");
+    assert_eq!(course.end, Err(told));
+    assert!(!course.torques && course.stopped);
+}
+
+#[test]
+fn a_node_that_boots_up_by_itself_has_not_answered_to_our_reset() {
+    let deaf = |net: &mut Net| {
+        net.tamper(Box::new(|_, _, heard| {
+            match (heard.id.raw(), heard.data()) {
+                (0x000, [0x81, 4]) => Tampering::Drop,
+                _ => Tampering::Pass,
+            }
+        }));
+        net.poke(node(3), |now, drive, out| drive.power_on(now, out));
+    };
+    // While the nodes of the first of three buses are reset.
+    let refusal = "node 4 (axis 3, bus 1): does not answer to a reset";
+    assert_eq!(course(3, 1, deaf).end, Err(refusal.to_owned()));
+}
+
+#[test]
+fn that_all_is_well_that_there_is_no_beat_yet_and_what_other_drives_tell_does_not_end_it() {
+    let [_, _, mapped, homed] = course(1, NEVER, |_| {}).sent;
+    let told = [
+        (0x083, 0x0000_u16),
+        (0x083, 0x8130),
+        (0x083, 0x8250),
+        (0x083, 0x8700),
+        // Of another arm's node.
+        (0x08B, 0x2310),
+    ];
+    for (id, code) in told {
+        let [low, high] = code.to_le_bytes();
+        for at in [mapped + 3, (mapped + homed) / 2, homed - 1] {
+            let course = course(1, at, move |net| {
+                assert!(net.intrude(0, frame(id, &[low, high, 0x11, 0, 0, 0, 0, 0])));
+                assert!(net.intrude(0, frame(0x70B, &[0])));
+                // Too short for an emergency.
+                assert!(net.intrude(0, frame(0x083, &[0x10, 0x23])));
+            });
+            assert_eq!(course.end, Ok(()), "{id:x} {code:x} {at}");
+        }
+    }
+    // All that it tells otherwise does.
+    let course = course(1, homed - 1, |net| {
+        assert!(net.intrude(0, frame(0x083, &[0x50, 0x81, 0x11, 0, 0, 0, 0, 0])));
+    });
+    let refusal = format!("{WHO}: emergency 8150h, identifier collision, while axis 6 was homed");
+    assert_eq!(course.end, Err(refusal));
+}
+
+#[test]
+fn that_there_is_no_beat_yet_is_no_fault_between_the_start_of_the_nodes_and_the_beat_and_one_after_it()
+ {
+    let started = course(1, NEVER, |_| {}).sent[3] + QUESTIONS;
+    for code in [0x8130_u16, 0x8250, 0x8700] {
+        let [low, high] = code.to_le_bytes();
+        let told = frame(0x083, &[low, high, 0x11, 0, 0, 0, 0, 0]);
+        // The first node is told to start, the last one, and one of the first beats.
+        for (at, is_fault) in [(0, false), (6, false), (25, true)] {
+            let course = course(1, started + at, move |net| assert!(net.intrude(0, told)));
+            let name = ErrorCode(code);
+            let fault = is_fault.then(|| format!("{WHO}: emergency {name}"));
+            assert_eq!(course.end.err(), fault, "{code:x} {at}");
+        }
+    }
+}
+
+#[test]
+fn a_drive_that_is_in_fault_from_the_start_says_why() {
+    let scanned = course(1, NEVER, |_| {}).sent[0];
+    let course = course(1, scanned + 9, fails);
+    let told =
+        format!("{WHO}: is in fault: 2310h, continuous over-current; bring-up resets no faults");
+    assert_eq!(course.end, Err(told));
+    assert!(!course.torques);
+}
+
+/// Once homed, the answers of node 3 about an object are these bytes.
+fn answering(at: usize, asked: [u8; 3], data: [u8; 4]) -> Course {
+    course(1, at, move |net| {
+        net.tamper(Box::new(move |_, _, heard| match heard.data() {
+            [kind @ 0x43..=0x4F, rest @ ..] if heard.id.raw() == 0x583 && rest[..3] == asked => {
+                let answer = [&[*kind], &asked[..], &data[..]].concat();
+                Tampering::Replace(frame(0x583, &answer))
+            }
+            _ => Tampering::Pass,
+        }));
+    })
+}
+
+#[test]
+fn a_drive_that_has_an_error_which_it_told_before_it_counted_gets_no_torque() {
+    let homed = course(1, NEVER, |_| {}).sent[3];
+    let errors = [
+        (0x21_u8, "21h: generic, device profile"),
+        (0x02, "02h: current"),
+        (0x1D, "1Dh: generic, voltage, temperature, communication"),
+        (0xC1, "C1h: generic, reserved, manufacturer"),
+    ];
+    for (register, text) in errors {
+        let course = answering(homed - 1, [0x01, 0x10, 0], [register, 0, 0, 0]);
+        let told = "has an error before the first beat, its 1001h says";
+        assert_eq!(course.end, Err(format!("{WHO}: {told} {text}")));
+        assert!(!course.torques && course.stopped);
+    }
+    // That it misses the beat.
+    for register in [0x00, 0x01, 0x11] {
+        let course = answering(homed - 1, [0x01, 0x10, 0], [register, 0, 0, 0]);
+        assert_eq!(course.end, Ok(()), "{register:x}");
+    }
+}
+
+#[test]
+fn a_restart_of_which_nobody_has_heard_is_noticed_by_what_it_undoes() {
+    let homed = course(1, NEVER, |_| {}).sent[3];
+    let unheard = |net: &mut Net| {
+        net.tamper(Box::new(|_, _, heard| match heard.id.raw() {
+            0x703 => Tampering::Drop,
+            _ => Tampering::Pass,
+        }));
+    };
+    let resets: [What; 2] = [reboots, |net| {
+        let reset = frame(0x000, &[0x82, 3]);
+        net.poke(node(2), |now, drive, out| drive.on_frame(now, &reset, out));
+    }];
+    let forgotten = |object: &str, found: u32, told: u32| {
+        let values = format!("{object} is {found:#x} and was set to {told:#x}");
+        Err(format!(
+            "{WHO}: {values}: it must have been reset unnoticed"
+        ))
+    };
+    for resets in resets {
+        let course = course(1, homed - 1, move |net| {
+            unheard(net);
+            resets(net);
+        });
+        assert_eq!(course.end, forgotten("1017:00", 0, 100));
+        assert!(!course.torques && course.stopped);
+    }
+    // One that has stored its heartbeat.
+    let course = answering(homed - 1, [0x60, 0x60, 0], [0; 4]);
+    assert_eq!(course.end, forgotten("6060:00", 0, 8));
+    // And its mode: 0.3 units are 30 000 counts.
+    let course = answering(homed - 1, [0x7C, 0x60, 0], [0; 4]);
+    assert_eq!(course.end, forgotten("607C:00", 0, 30_000));
+    assert!(!course.torques && course.stopped);
+}
+
+#[test]
+fn what_happens_while_the_nodes_are_asked_once_more_ends_it_on_whatever_bus() {
+    let homed = course(3, NEVER, |_| {}).sent[3];
+    // Node 3 has answered; the last node, on another bus, is asked.
+    for (what, told) in [(reboots as What, REBOOTED), (fails, FAILED)] {
+        let course = course(3, homed + QUESTIONS - 2, what);
+        let told = format!("{WHO}: {told}, before the first beat");
+        assert_eq!(course.end, Err(told));
+        assert!(course.sent[3] == homed && !course.torques && course.stopped);
+    }
+}
+
+#[test]
+fn frames_that_are_lost_before_they_are_read_end_it_once_we_have_said_something() {
+    let [scanned, identified, mapped, homed] = course(3, NEVER, |_| {}).sent;
+    let cases = [
+        (2, 0, "while the nodes were looked for"),
+        (scanned + 9, 0, "while the nodes were looked for"),
+        (identified + 40, 0, "while axis 0 was set up"),
+        // On a bus that is not listened to.
+        (identified + 40, 2, "while axis 0 was set up"),
+        (mapped + 5, 0, "while axis 0 was homed"),
+        (homed - 1, 1, "while axis 6 was homed"),
+        (homed + 3, 0, "before the first beat"),
+    ];
+    for (at, line, step) in cases {
+        let course = course(3, at, move |net| net.trouble(line, Trouble::Lost(5)));
+        let told = format!("bus {line}: 5 frames were lost before they were read, {step}");
+        assert_eq!(course.end, Err(told), "{at}");
+        assert!(!course.torques && course.stopped);
+    }
+    // Before our first word they are none of ours.
+    let plan = plan(3, 2 * MS);
+    let mut net = network(&plan);
+    net.trouble(1, Trouble::Lost(5));
+    assert!(Offline::new(net, &plan).unwrap().scan().is_ok());
+}
+
+#[test]
+fn two_nodes_with_one_number_are_no_arm() {
+    let plan = plan(1, 2 * MS);
+    let mut net = network(&plan);
+    net.add(0, drive(2), IdealMotor::default());
+    // They have met before: that is none of ours.
+    net.wait(TimeNs(500 * MS));
+    let scanned = Offline::new(net, &plan).unwrap().scan();
+    let error = scanned
+        .and_then(Scanned::check_identity)
+        .map(|_| ())
+        .unwrap_err();
+    let told = "emergency 8150h, identifier collision, while the nodes were looked for";
+    assert_eq!(error.to_string(), format!("{WHO}: {told}"));
+    // One that told it before we began is by itself now.
+    let mut net = network(&plan);
+    net.intrude(0, frame(0x083, &[0x50, 0x81, 0x11, 0, 0, 0, 0, 0]));
+    net.wait(TimeNs(500 * MS));
+    assert!(Offline::new(net, &plan).unwrap().scan().is_ok());
+}

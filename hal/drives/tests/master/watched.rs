@@ -1,0 +1,359 @@
+//! Somebody else who leads our drives, and trouble with the bus, while the arm is brought up.
+
+use std::cell::RefCell;
+use std::rc::Rc;
+
+use super::*;
+use trocar_canopen::cia301::NmtState;
+use trocar_canopen::cia301::emcy::ErrorCode;
+
+/// What only our master may say, and what anybody may.
+fn said() -> ([Frame; 9], [Frame; 8]) {
+    let ours = [
+        frame(0x080, &[]),
+        frame(0x203, &[6, 0, 0, 0, 0, 0]),
+        frame(0x77F, &[5]),
+        // NMT to all, and to node 3.
+        frame(0x000, &[0x80, 0]),
+        frame(0x000, &[0x02, 3]),
+        frame(0x000, &[0x81, 3]),
+        // Writing to its dictionary: a position offset, a segment, a block.
+        frame(0x603, &[0x23, 0xB0, 0x60, 0, 0, 1, 0, 0]),
+        frame(0x603, &[0x01, 1, 2, 3, 4, 5, 6, 7]),
+        frame(0x603, &[0xC2, 0xB0, 0x60, 0, 4, 0, 0, 0]),
+    ];
+    let anybodys = [
+        frame(0x100, &[]),
+        frame(0x20B, &[0x0F, 0, 0, 0, 0, 0]),
+        frame(0x77E, &[5]),
+        frame(0x000, &[0x01, 11]),
+        frame(0x18B, &[0; 8]),
+        frame(0x08B, &[0x10, 0x23, 3, 0, 0, 0, 0, 0]),
+        frame(0x603, &[0x40, 0x64, 0x60, 0, 0, 0, 0, 0]),
+        frame(0x60B, &[0x23, 0xB0, 0x60, 0, 0, 1, 0, 0]),
+    ];
+    (ours, anybodys)
+}
+
+fn refusal(frame: &Frame) -> String {
+    format!("bus 0: another master sends {frame}")
+}
+
+#[test]
+fn another_master_is_noticed_before_a_word_is_said() {
+    let plan = plan(1, 2 * MS);
+    let scan = |heard: &Frame| {
+        let mut net = network(&plan);
+        net.intrude(0, *heard);
+        let scanned = Offline::new(net, &plan).unwrap().scan();
+        scanned.map(|_| ()).map_err(|error| error.to_string())
+    };
+    let (ours, anybodys) = said();
+    for heard in ours {
+        assert_eq!(scan(&heard), Err(refusal(&heard)));
+    }
+    for heard in anybodys {
+        assert_eq!(scan(&heard), Ok(()), "{heard}");
+    }
+}
+
+/// A bus on which something happens once so many frames of ours have been sent.
+struct Disturbed {
+    net: Rc<RefCell<Net>>,
+    sent: Rc<RefCell<usize>>,
+    at: usize,
+    /// What of ours went out since, but for the frames of the same moment.
+    after: Rc<RefCell<Vec<Frame>>>,
+    what: Rc<dyn Fn(&mut Net)>,
+}
+
+impl Bus for Disturbed {
+    fn now(&self) -> TimeNs {
+        self.net.borrow().now()
+    }
+
+    fn send(&mut self, line: u8, frames: &[Frame]) -> usize {
+        let mut net = self.net.borrow_mut();
+        let count = net.send(line, frames);
+        let before = *self.sent.borrow();
+        *self.sent.borrow_mut() += count;
+        if (before..before + count).contains(&self.at) {
+            (self.what)(&mut net);
+        }
+        if before > self.at.saturating_add(1) {
+            self.after.borrow_mut().extend(&frames[..count]);
+        }
+        count
+    }
+
+    fn receive(&mut self, line: u8, sink: &mut dyn FnMut(Received)) {
+        self.net.borrow_mut().receive(line, sink);
+    }
+
+    fn flush(&mut self, line: u8) {
+        self.net.borrow_mut().flush(line);
+    }
+
+    fn wait(&mut self, until: TimeNs) {
+        self.net.borrow_mut().advance(until);
+    }
+}
+
+/// How far bring-up comes, and with how many frames of ours after each step.
+pub(super) struct Course {
+    pub(super) sent: [usize; 4],
+    pub(super) end: Result<(), String>,
+    pub(super) torques: bool,
+    /// What of ours went out after what happened.
+    after: Vec<Frame>,
+    /// Whether every node is stopped in the end.
+    pub(super) stopped: bool,
+}
+
+/// Bring-up with `what` after our frame number `at`. The drives are looked at half a second later.
+pub(super) fn course(lines: u8, at: usize, what: impl Fn(&mut Net) + 'static) -> Course {
+    course_of(lines, drive, at, what)
+}
+
+fn course_of(
+    lines: u8,
+    drive: fn(usize) -> Node,
+    at: usize,
+    what: impl Fn(&mut Net) + 'static,
+) -> Course {
+    let plan = plan(lines, 2 * MS);
+    let net = Rc::new(RefCell::new(network_of(&plan, drive)));
+    let sent = Rc::new(RefCell::new(0));
+    let noted = Rc::default();
+    let bus = Disturbed {
+        after: Rc::clone(&noted),
+        net: Rc::clone(&net),
+        sent: Rc::clone(&sent),
+        at,
+        what: Rc::new(what),
+    };
+    let mut after = [0; 4];
+    let mut note = |step: usize| after[step] = *sent.borrow();
+    let steps = || -> Result<(), BringUpError> {
+        let scanned = Offline::new(bus, &plan)?.scan()?;
+        note(0);
+        let identified = scanned.check_identity()?;
+        note(1);
+        let mapped = identified.map()?;
+        note(2);
+        let homed = mapped.home()?;
+        note(3);
+        homed.enable().map(|_| ())
+    };
+    let end = steps().map_err(|error| error.to_string());
+    let mut net = net.borrow_mut();
+    let later = net.now().plus_ns(500 * MS);
+    net.advance(later);
+    let has_torque = |axis| net.node(node(axis)).unwrap().power_state().has_torque();
+    Course {
+        sent: after,
+        end,
+        torques: (0..TAIL_AXES).any(has_torque),
+        after: noted.take(),
+        stopped: (0..TAIL_AXES)
+            .all(|axis| net.node(node(axis)).unwrap().nmt_state() == NmtState::Stopped),
+    }
+}
+
+/// Questions to the nodes between the last reference and their start.
+pub(super) const QUESTIONS: usize = 4 * TAIL_AXES;
+
+pub(super) const NEVER: usize = usize::MAX;
+
+#[test]
+fn another_master_ends_the_bring_up_in_whatever_step_he_is_heard() {
+    let [scanned, identified, mapped, homed] = course(1, NEVER, |_| {}).sent;
+    let (ours, _) = said();
+    // A few frames into each step.
+    for at in [3, scanned + 9, identified + 40, mapped + 20] {
+        // A write of his that a drive refuses, so nothing else ends it.
+        for heard in [ours[7], ours[1]] {
+            let course = course(1, at, move |net| assert!(net.intrude(0, heard)));
+            assert_eq!(course.end, Err(refusal(&heard)), "{at}");
+            assert!(!course.torques && course.stopped);
+            let steps = [scanned, identified, mapped, homed];
+            let done = course.sent.iter().filter(|sent| **sent > 0).count();
+            assert_eq!(done, steps.iter().filter(|end| **end <= at).count(), "{at}");
+        }
+    }
+    // One that resets a node is the cause, not that it then is not as it was set.
+    let reset = frame(0x000, &[0x81, 3]);
+    let course = course(1, mapped + 20, move |net| assert!(net.intrude(0, reset)));
+    assert_eq!(course.end, Err(refusal(&reset)));
+}
+
+#[test]
+fn once_another_master_was_heard_no_drive_is_given_torque_or_changed() {
+    let [_, identified, mapped, homed] = course(1, NEVER, |_| {}).sent;
+    let harms = |frame: &Frame| match frame.id.raw() {
+        0x201..=0x207 => frame.data()[0] & 0b10 != 0,
+        0x601..=0x607 => frame.data()[0] != 0x40,
+        0x000 => frame.data()[0] != 0x02,
+        _ => false,
+    };
+    let stranger = said().0[1];
+    let mut heard_ours = 0;
+    for at in (identified..homed).step_by(7) {
+        let course = course(1, at, move |net| assert!(net.intrude(0, stranger)));
+        assert_eq!(course.end, Err(refusal(&stranger)), "{at} of {mapped}");
+        let harmful: Vec<_> = course.after.iter().filter(|frame| harms(frame)).collect();
+        assert!(harmful.is_empty() && course.stopped, "{at}: {harmful:?}");
+        heard_ours += course.after.len();
+    }
+    assert!(heard_ours > 0);
+}
+
+#[test]
+fn a_drive_that_has_its_reference_when_another_master_is_heard_loses_its_torque_at_once() {
+    let [_, _, mapped, homed] = course(1, NEVER, |_| {}).sent;
+    let his = frame(0x203, &[0x0F, 0, 0, 0, 0, 0]);
+    for at in (mapped..homed).step_by(5) {
+        let seen = Rc::new(RefCell::new(0_u32));
+        let counted = Rc::clone(&seen);
+        let course = course(1, at, move |net| {
+            assert!(net.intrude(0, his));
+            let counted = Rc::clone(&counted);
+            net.tamper(Box::new(move |_, _, heard| {
+                // Set-points and SYNCs of ours that nodes still hear.
+                let led = matches!(heard.id.raw(), 0x201..=0x207 | 0x080) && *heard != his;
+                *counted.borrow_mut() += u32::from(led);
+                Tampering::Pass
+            }));
+        });
+        assert_eq!(course.end, Err(refusal(&his)));
+        assert!(course.stopped && !course.torques);
+        // Those of the moment in which he spoke.
+        assert!(*seen.borrow() <= 2, "{at}: {}", seen.borrow());
+    }
+}
+
+#[test]
+fn a_master_that_was_there_before_us_is_not_disturbed() {
+    let plan = plan(1, 2 * MS);
+    let mut net = network(&plan);
+    let said = Rc::new(RefCell::new(0));
+    let counted = Rc::clone(&said);
+    let his = frame(0x203, &[6, 0, 0, 0, 0, 0]);
+    net.intrude(0, his);
+    net.tamper(Box::new(move |_, _, heard| {
+        *counted.borrow_mut() += u32::from(heard.id.raw() == 0x000);
+        Tampering::Pass
+    }));
+    let scanned = Offline::new(net, &plan).unwrap().scan();
+    let error = scanned.map(|_| ()).unwrap_err().to_string();
+    assert_eq!((error, *said.borrow()), (refusal(&his), 0));
+}
+
+#[test]
+fn what_anybody_may_say_and_another_arms_master_does_not_end_it() {
+    let undisturbed = course(1, NEVER, |_| {});
+    assert_eq!(undisturbed.end, Ok(()));
+    let [scanned, .., homed] = undisturbed.sent;
+    for at in [scanned + 9, homed + QUESTIONS + 6] {
+        let course = course(1, at, |net| {
+            for heard in said().1 {
+                // An answer to a question of his would be taken for one of ours.
+                if heard.id.raw() != 0x603 {
+                    assert!(net.intrude(0, heard));
+                }
+            }
+        });
+        assert_eq!(course.end, Ok(()), "{at}");
+    }
+}
+
+#[test]
+fn what_happens_between_the_start_of_the_nodes_and_the_first_beat_is_a_fault() {
+    type What = fn(&mut Net);
+    let cases: [(What, &str); 7] = [
+        (
+            |net| net.bus_off(1, true),
+            "bus 1: our controller is bus-off",
+        ),
+        (
+            |net| net.trouble(0, Trouble::Down),
+            "bus 0: the interface is down",
+        ),
+        (
+            |net| net.trouble(2, Trouble::Restarted),
+            "bus 2: our controller is bus-off",
+        ),
+        (
+            |net| assert!(net.intrude(1, frame(0x204, &[0x0F, 0, 0, 0, 0, 0]))),
+            "bus 1: somebody else sends 204h, which only this master may",
+        ),
+        (
+            |net| assert!(net.intrude(0, frame(0x603, &[0x01, 1, 2, 3, 4, 5, 6, 7]))),
+            "bus 0: somebody else sends 603h, which only this master may",
+        ),
+        (
+            |net| {
+                net.poke(node(6), |now, drive, out| {
+                    drive.fail(now, ErrorCode::OVER_CURRENT, 2, out);
+                });
+            },
+            "node 7 (axis 6, bus 2): emergency 2310h, continuous over-current",
+        ),
+        (
+            |net| net.poke(node(2), |now, drive, out| drive.power_on(now, out)),
+            "node 3 (axis 2, bus 0): was reset while in use",
+        ),
+    ];
+    let undisturbed = course(3, NEVER, |_| {});
+    assert_eq!(undisturbed.end, Ok(()));
+    // The seventh of them is told to start.
+    let last = undisturbed.sent[3] + QUESTIONS + 6;
+    for (what, fault) in cases {
+        let course = course(3, last, what);
+        assert_eq!(course.end, Err(fault.to_owned()));
+        assert!(!course.torques, "{fault}");
+    }
+}
+
+#[test]
+fn trouble_on_a_bus_that_is_not_listened_to_ends_the_bring_up_before_the_nodes_start() {
+    let undisturbed = course(3, NEVER, |_| {});
+    let homed = undisturbed.sent[3];
+    // The last axis is homed on bus 2; nothing is asked on bus 0 any more.
+    for trouble in [Trouble::BusOff, Trouble::Restarted, Trouble::Down] {
+        let asked = course(3, homed + QUESTIONS - 2, move |net| net.trouble(0, trouble));
+        assert_eq!(asked.end, Err("bus 0: bus-off or down".to_owned()));
+        assert!(asked.sent[3] == homed && !asked.torques);
+        let course = course(3, homed - 1, move |net| net.trouble(0, trouble));
+        assert_eq!(course.end, Err("bus 0: bus-off or down".to_owned()));
+        assert!(course.sent[3] == 0 && !course.torques, "{trouble:?}");
+    }
+    // Even that it is back, once bring-up has begun.
+    let course = course(3, 0, |net| net.trouble(0, Trouble::Restarted));
+    assert_eq!(course.end, Err("bus 0: bus-off or down".to_owned()));
+}
+
+#[test]
+fn a_drive_that_does_not_let_go_after_its_reference_is_stopped() {
+    // Pre-operational would not stop it.
+    let stubborn = |axis| {
+        let config = AxisConfig {
+            stops_in_pre_operational: false,
+            ..axis_config(axis)
+        };
+        Node::new(node(axis), &config)
+    };
+    let course = course_of(1, stubborn, 0, |net| {
+        net.tamper(Box::new(|_, _, heard| match heard.data() {
+            // Let go, it is told, and hears that it is to stay enabled.
+            [0x00, rest @ ..] if heard.id.raw() == 0x203 => {
+                let said = [&[0x0F], rest].concat();
+                Tampering::Replace(frame(0x203, &said))
+            }
+            _ => Tampering::Pass,
+        }));
+    });
+    let refusal = "node 3 (axis 2, bus 0): homing failed, status word ";
+    assert!(course.end.unwrap_err().starts_with(refusal));
+    assert!(!course.torques);
+}
