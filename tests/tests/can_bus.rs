@@ -20,6 +20,8 @@ mod pair;
 mod peer;
 #[path = "can_bus/process.rs"]
 mod process;
+#[path = "can_bus/robot.rs"]
+mod robot;
 
 use std::process::Command;
 use std::time::Duration;

@@ -120,6 +120,61 @@ fn options_that_do_not_go_together_are_refused() {
 }
 
 #[test]
+fn a_robot_needs_limits_a_bus_and_a_policy_that_sees_no_simulator() {
+    let safety = repository().join("config/tasks/needle-lift/safety.toml");
+    let safety = safety.to_str().unwrap();
+    let on_can = ["run", "--backend", "can", "--safety"];
+    for (arguments, reason) in [
+        (vec!["run", "--policy", "noop"], "--task"),
+        (
+            vec!["run", "--policy", "noop", "--safety", safety],
+            "--safety needs --backend can: the simulator runs tasks",
+        ),
+        (
+            [&on_can[..], &[safety, "--policy", "expert"]].concat(),
+            "--policy expert: it sees the simulator's scene and needs a --task",
+        ),
+        (
+            [&on_can[..], &["nolimits.toml", "--policy", "noop"]].concat(),
+            "nolimits.toml",
+        ),
+        (
+            [&on_can[..], &[safety, "--policy", "noop", "--seconds", "0"]].concat(),
+            "expected a number in [0.1, 86400]",
+        ),
+        (
+            [
+                &on_can[..],
+                &[safety, "--policy", "noop", "--task", "needle-lift"],
+            ]
+            .concat(),
+            "cannot be used with",
+        ),
+        (
+            vec![
+                "run",
+                "--task",
+                "needle-lift",
+                "--policy",
+                "noop",
+                "--seconds",
+                "3",
+            ],
+            "cannot be used with",
+        ),
+        (
+            vec!["drives", "--no-world", "--task", "needle-lift"],
+            "cannot be used with",
+        ),
+        (vec!["drives", "--no-world", "3"], "3"),
+    ] {
+        let (code, told) = refused(&run(&arguments));
+        assert_eq!(code, Some(2), "{arguments:?}: {told}");
+        assert!(told.contains(reason), "{arguments:?}: {told}");
+    }
+}
+
+#[test]
 fn an_interface_that_is_not_there_is_named_with_what_to_do() {
     let file = config("can_refusals_interface", &[("\"vcan0\"", "\"nocan7\"")]);
     let file = file.to_str().unwrap();

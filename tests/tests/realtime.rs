@@ -183,7 +183,7 @@ fn checked_log(path: &Path, result: &serde_json::Value) -> RunLog {
     let verified = verify(&log).unwrap();
     assert!(verified.ok, "{:?}", verified.violations);
     let outcome = log.outcome.clone().unwrap();
-    assert_eq!(result["success"].as_bool(), Some(outcome.success));
+    assert_eq!(result["success"].as_bool(), outcome.success);
     assert_eq!(result["reason"].as_str(), Some(outcome.reason.as_str()));
     assert_eq!(
         result["command_hash"].as_str(),

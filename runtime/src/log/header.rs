@@ -26,8 +26,8 @@ pub struct RunHeader {
 /// How a run ended; written after the last tick.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct RunOutcome {
-    /// Whether the task was done.
-    pub success: bool,
+    /// Whether the task was done; none of a robot that has no task.
+    pub success: Option<bool>,
     /// Why the run ended.
     pub reason: String,
     /// Hash over the bits of every command, as the run reported it.
@@ -162,7 +162,9 @@ impl Closing {
             .collect();
         map.insert(INPUT_HASH.to_owned(), format!("{:016x}", self.input_hash));
         if let Some(outcome) = &self.outcome {
-            map.insert("success".to_owned(), outcome.success.to_string());
+            if let Some(success) = outcome.success {
+                map.insert("success".to_owned(), success.to_string());
+            }
             map.insert("reason".to_owned(), outcome.reason.clone());
             map.insert("command_hash".to_owned(), outcome.command_hash.clone());
         }
@@ -193,9 +195,9 @@ impl Closing {
             frames_dropped,
             events_dropped,
         };
-        let outcome = map.get("success").map(|success| RunOutcome {
-            success: success == "true",
-            reason: map.get("reason").cloned().unwrap_or_default(),
+        let outcome = map.get("reason").map(|reason| RunOutcome {
+            success: map.get("success").map(|success| success == "true"),
+            reason: reason.clone(),
             command_hash: map.get("command_hash").cloned().unwrap_or_default(),
         });
         let input_hash = u64::from_str_radix(map.get(INPUT_HASH)?, 16).ok()?;

@@ -242,7 +242,7 @@ impl Episode<'_> {
             let query = Query {
                 arms: *arms,
                 frames: &frames,
-                scene: &scene,
+                scene: Some(&scene),
             };
             let before = clock.now();
             let chunks = self.source.answer(&query)?;

@@ -119,7 +119,7 @@ impl<'a> Keeper<'a> {
             recorder.event(last, Level::Info, &tissue.to_string());
         }
         recorder.finish(Some(&RunOutcome {
-            success: matches!(end.outcome, Outcome::Success),
+            success: Some(matches!(end.outcome, Outcome::Success)),
             reason: end.reason(),
             command_hash: end.tally.command_hash(),
         }))?;

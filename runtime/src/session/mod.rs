@@ -19,6 +19,7 @@ pub mod policies;
 pub mod realtime;
 pub mod record;
 pub mod record_notes;
+pub mod robot;
 pub mod run;
 pub mod scene_options;
 pub mod score;
@@ -45,5 +46,6 @@ mod world_report;
 mod tests;
 
 pub use error::SessionError;
+pub use robot::Robot;
 pub use setup::Setup;
 pub use source::PolicyChoice;

@@ -49,6 +49,8 @@ impl RunOptions {
 /// What a run leaves behind.
 #[derive(Debug)]
 pub struct RunResult {
+    /// Whether the task was done; of a robot without a task, whether the run ended as it was asked to.
+    pub ok: bool,
     /// The summary.
     pub summary: RunSummary,
     /// Frames of the first camera, empty unless asked for.
@@ -105,7 +107,7 @@ pub fn run_lockstep(setup: &Setup, options: &RunOptions) -> Result<RunResult, Se
             recorder.event(last, Level::Info, &tissue.to_string());
         }
         let outcome = RunOutcome {
-            success,
+            success: Some(success),
             reason: reason.clone(),
             command_hash: end.tally.command_hash(),
         };
@@ -119,11 +121,12 @@ pub fn run_lockstep(setup: &Setup, options: &RunOptions) -> Result<RunResult, Se
         policy: &options.policy.name(),
         trained_on: setup.trained_on.as_deref(),
         seed: options.seed,
-        success,
+        success: Some(success),
         reason: &reason,
         tissue: end.tissue,
     };
     Ok(RunResult {
+        ok: success,
         summary: end.tally.summary(&labels, None),
         pictures: watcher.pictures.unwrap_or_default(),
     })
@@ -138,32 +141,31 @@ pub fn open_log(
     options: &RunOptions,
     lockstep: bool,
 ) -> Result<Option<Recorder>, SessionError> {
-    let Some(path) = &options.log else {
+    let header = header(setup, options, lockstep);
+    open_log_with(&header, options.log.as_deref())
+}
+
+/// Opens a log that begins with `header` at `path`, if there is to be one.
+///
+/// # Errors
+/// [`SessionError::Log`] or [`SessionError::Output`].
+pub(super) fn open_log_with(
+    header: &RunHeader,
+    path: Option<&Path>,
+) -> Result<Option<Recorder>, SessionError> {
+    let Some(path) = path else {
         return Ok(None);
     };
     pictures::create_parent(path)?;
-    let pressure = if lockstep {
+    let pressure = if header.lockstep {
         Pressure::Block
     } else {
         Pressure::Drop
     };
-    Ok(Some(Recorder::create(
-        path,
-        &header(setup, options, lockstep),
-        pressure,
-    )?))
+    Ok(Some(Recorder::create(path, header, pressure)?))
 }
 
 fn header(setup: &Setup, options: &RunOptions, lockstep: bool) -> RunHeader {
-    let versions = [
-        ("trocar", env!("CARGO_PKG_VERSION")),
-        ("libtorch", LIBTORCH_VERSION),
-    ];
-    let texts = [
-        ("control.toml", &setup.texts.control),
-        ("safety.toml", &setup.texts.safety),
-        ("scene.toml", &setup.texts.scene),
-    ];
     RunHeader {
         task: setup.task_name.clone(),
         policy: options.policy.name(),
@@ -171,15 +173,20 @@ fn header(setup: &Setup, options: &RunOptions, lockstep: bool) -> RunHeader {
         lockstep,
         view: setup.task.view.name().to_owned(),
         needle: setup.task.needle().map(str::to_owned),
-        versions: versions
-            .map(|(name, version)| (name.to_owned(), version.to_owned()))
-            .into(),
-        texts: texts
-            .into_iter()
-            .chain(setup.texts.can.as_ref().map(|text| ("can.toml", text)))
-            .map(|(name, text)| (name.to_owned(), text.clone()))
-            .collect::<BTreeMap<_, _>>(),
+        versions: versions(),
+        texts: setup.texts.by_name(),
     }
+}
+
+/// What is running.
+pub(super) fn versions() -> BTreeMap<String, String> {
+    let versions = [
+        ("trocar", env!("CARGO_PKG_VERSION")),
+        ("libtorch", LIBTORCH_VERSION),
+    ];
+    versions
+        .map(|(name, version)| (name.to_owned(), version.to_owned()))
+        .into()
 }
 
 /// Writes the log and keeps pictures, each if asked to.

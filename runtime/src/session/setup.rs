@@ -1,5 +1,6 @@
 //! A task with its scene, its limits and the controller's settings, read once and checked once.
 
+use std::collections::BTreeMap;
 use std::path::Path;
 
 use hal::config::Source;
@@ -7,7 +8,6 @@ use policy::checkpoint::{Recipe, load_recipe};
 use policy::compute::Compute;
 use policy::loaded_policy::LoadedPolicy;
 use sim_backend::expert::Expert;
-use sim_backend::rng::Rng;
 use sim_backend::task::{TaskConfig, Variation};
 
 use super::SessionError;
@@ -41,10 +41,27 @@ pub struct Texts {
     pub control: String,
     /// The task's limits.
     pub safety: String,
-    /// The task's scene.
-    pub scene: String,
+    /// The task's scene, if there is a task.
+    pub scene: Option<String>,
     /// Nodes and buses, if the arms are on CAN.
     pub can: Option<String>,
+}
+
+impl Texts {
+    /// Them by the names of their files, as a log has them.
+    #[must_use]
+    pub fn by_name(&self) -> BTreeMap<String, String> {
+        let texts = [
+            ("control.toml", Some(&self.control)),
+            ("safety.toml", Some(&self.safety)),
+            ("scene.toml", self.scene.as_ref()),
+            ("can.toml", self.can.as_ref()),
+        ];
+        texts
+            .into_iter()
+            .filter_map(|(name, text)| Some((name.to_owned(), text?.clone())))
+            .collect()
+    }
 }
 
 impl Setup {
@@ -81,7 +98,7 @@ impl Setup {
             texts: Texts {
                 control: control.text().to_owned(),
                 safety: files.safety.text().to_owned(),
-                scene: files.scene.text().to_owned(),
+                scene: Some(files.scene.text().to_owned()),
                 can: None,
             },
             task_name: files.name,
@@ -106,7 +123,7 @@ impl Setup {
         }
         check_bases(&task, &scene, &self.control)?;
         self.task = task;
-        scene.text().clone_into(&mut self.texts.scene);
+        self.texts.scene = Some(scene.text().to_owned());
         self.scene_file = Some(path);
         Ok(self)
     }
@@ -158,23 +175,8 @@ impl Setup {
         folder: &Path,
         compute: impl Into<Compute>,
     ) -> Result<LoadedPolicy, SessionError> {
-        // Before the weights: they would only take time.
-        if let Some(recipe) = load_recipe(folder)? {
-            self.check_arms(folder, recipe.arms)?;
-        }
-        Ok(LoadedPolicy::load(folder, compute)?)
-    }
-
-    fn check_arms(&self, folder: &Path, commanded: usize) -> Result<(), SessionError> {
-        let count = self.task.arms.len();
-        if count == commanded {
-            return Ok(());
-        }
-        Err(SessionError::BadArgument(format!(
-            "policy {}: trocar.json: arms = {commanded}, task {} has {count}",
-            folder.display(),
-            self.task_name
-        )))
+        let whose = format!("task {}", self.task_name);
+        network(folder, compute, self.task.arms.len(), &whose)
     }
 
     /// The source of chunks that the user asked for.
@@ -192,15 +194,8 @@ impl Setup {
                 expert: Box::new(Expert::new(&self.task, seed)),
                 sequence: 0,
             },
-            PolicyChoice::Noop => ChunkSource::Noop {
-                held: None,
-                sequence: 0,
-            },
-            PolicyChoice::Random => ChunkSource::Random {
-                home: None,
-                rng: Rng::stream(seed, "random policy"),
-                sequence: 0,
-            },
+            PolicyChoice::Noop => ChunkSource::noop(),
+            PolicyChoice::Random => ChunkSource::random(seed),
             PolicyChoice::Checkpoint(path) => {
                 ChunkSource::Network(Box::new(self.network(path, compute)?))
             }
@@ -218,6 +213,24 @@ impl Setup {
         let limit = (self.task.time_limit_s * 1e3) as u64;
         limit + 2000
     }
+}
+
+/// The network in `folder`, which must command the `arms` arms that `whose` (a task, a file) has.
+pub(super) fn network(
+    folder: &Path,
+    compute: impl Into<Compute>,
+    arms: usize,
+    whose: &str,
+) -> Result<LoadedPolicy, SessionError> {
+    // Before the weights: they would only take time.
+    let commanded = load_recipe(folder)?.map(|recipe| recipe.arms);
+    if let Some(commanded) = commanded.filter(|commanded| *commanded != arms) {
+        return Err(SessionError::BadArgument(format!(
+            "policy {}: trocar.json: arms = {commanded}, {whose} has {arms}",
+            folder.display()
+        )));
+    }
+    Ok(LoadedPolicy::load(folder, compute)?)
 }
 
 /// The scene, which came from `source`, and the safety limits must speak of the same arms at the same places.
@@ -256,7 +269,7 @@ fn check_bases(
 }
 
 /// The built-in settings, with the aggregation that the checkpoint recommends.
-fn built_in_control(recipe: Option<&Recipe>) -> Result<Source, SessionError> {
+pub(super) fn built_in_control(recipe: Option<&Recipe>) -> Result<Source, SessionError> {
     let built_in = ControlConfig::default_control();
     let Some(recommended) = recipe.map(|recipe| &recipe.aggregation) else {
         return Ok(built_in);

@@ -90,8 +90,8 @@ pub struct Query<'a> {
     pub arms: PerArm<SeenArm>,
     /// Frames of the cameras in [`ChunkSource::cameras`].
     pub frames: &'a [FrameRef<'a>],
-    /// The true state of the scene.
-    pub scene: &'a SceneState,
+    /// The true state of the scene, of which a robot knows nothing.
+    pub scene: Option<&'a SceneState>,
 }
 
 /// A source of chunks.
@@ -124,6 +124,25 @@ pub enum ChunkSource {
 }
 
 impl ChunkSource {
+    /// One that holds still.
+    #[must_use]
+    pub const fn noop() -> Self {
+        Self::Noop {
+            held: None,
+            sequence: 0,
+        }
+    }
+
+    /// One that moves at random, by `seed`.
+    #[must_use]
+    pub fn random(seed: u64) -> Self {
+        Self::Random {
+            home: None,
+            rng: Rng::stream(seed, "random policy"),
+            sequence: 0,
+        }
+    }
+
     /// Names of the cameras whose frames a query needs.
     #[must_use]
     pub fn cameras(&self) -> Vec<String> {
@@ -208,7 +227,10 @@ impl ChunkSource {
         match self {
             Self::Expert { expert, sequence } => {
                 *sequence += 1;
-                per_arm(expert.chunks(now, query.scene, *sequence))
+                let scene = query.scene.ok_or_else(|| {
+                    SessionError::BadArgument("the expert needs a scene to see".to_owned())
+                })?;
+                per_arm(expert.chunks(now, scene, *sequence))
             }
             Self::Noop { held, sequence } => {
                 *sequence += 1;

@@ -176,9 +176,11 @@ impl fmt::Display for TissueSummary {
 /// One run.
 #[derive(Clone, Debug, Serialize)]
 pub struct RunSummary {
-    /// Task name.
+    /// Task name; absent in a run of a robot without one.
+    #[serde(skip_serializing_if = "String::is_empty")]
     pub task: String,
-    /// From where the cameras looked: `train`, `view1` or `view2`.
+    /// From where the cameras looked: `train`, `view1` or `view2`; absent without a task.
+    #[serde(skip_serializing_if = "String::is_empty")]
     pub view: String,
     /// The needle, in a task that has a choice.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -190,8 +192,9 @@ pub struct RunSummary {
     pub policy: PolicyCounts,
     /// The seed that everything random hangs on.
     pub seed: u64,
-    /// Whether the task was done.
-    pub success: bool,
+    /// Whether the task was done; absent without a task.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub success: Option<bool>,
     /// Why the run ended.
     pub reason: String,
     /// Simulated or real time that passed, s.

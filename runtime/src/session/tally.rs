@@ -43,8 +43,8 @@ pub struct RunLabels<'a> {
     pub trained_on: Option<&'a str>,
     /// The seed.
     pub seed: u64,
-    /// Whether the task was done.
-    pub success: bool,
+    /// Whether the task was done, if there is one.
+    pub success: Option<bool>,
     /// Why the run ended.
     pub reason: &'a str,
     /// What a soft tissue went through, if the task has one.

@@ -38,6 +38,14 @@ fn delay() -> RangedU64ValueParser<u64> {
     RangedU64ValueParser::new().range(0..=10_000)
 }
 
+/// A time in s.
+fn seconds(text: &str) -> Result<f64, String> {
+    match text.parse() {
+        Ok(seconds) if (0.1..=86_400.0).contains(&seconds) => Ok(seconds),
+        _ => Err("expected a number in [0.1, 86400]".to_owned()),
+    }
+}
+
 /// A share that is not 0.
 fn share_above_0(text: &str) -> Result<f64, String> {
     let share: Option<f64> = text.parse().ok();
@@ -61,9 +69,9 @@ pub(crate) struct Cli {
 /// The verbs.
 #[derive(Debug, Subcommand)]
 pub(crate) enum Verb {
-    /// Run one episode of a task, in real time or in lockstep.
+    /// Run one episode of a task, in real time or in lockstep, or a robot on CAN without one.
     #[command(
-        after_help = "Example: trocar run --task needle-lift --policy expert --lockstep --seed 7 --log runs/a.mcap"
+        after_help = "Example: trocar run --task needle-lift --policy expert --lockstep --seed 7 --log runs/a.mcap\n         trocar run --backend can --safety limits.toml --policy runs/act --topics cameras --seconds 30 --log runs/robot.mcap"
     )]
     Run(RunArgs),
     /// Run many seeded trials in lockstep and report the success rate.
@@ -170,8 +178,15 @@ pub(crate) enum ComputeDevice {
 #[derive(Args, Debug)]
 pub(crate) struct RunArgs {
     /// The task: a built-in one by name, or the path of a folder with scene.toml and safety.toml.
-    #[arg(long, value_parser = TaskParser)]
-    pub(crate) task: String,
+    #[arg(long, value_parser = TaskParser, required_unless_present = "safety")]
+    pub(crate) task: Option<String>,
+    /// With --backend can: a robot without a task, within the limits of this file, which has the form of a task's safety.toml. There
+    /// is no simulator, no scene and no verdict; cameras are those on the topics --topics. Ends with --seconds, a signal or a fault.
+    #[arg(long, value_name = "FILE", conflicts_with_all = ["task", "lockstep", "scene", "needle"])]
+    pub(crate) safety: Option<PathBuf>,
+    /// With --safety: after how long the run ends, s, up to 86400; if not given, only a signal or a fault ends it.
+    #[arg(long, value_name = "S", requires = "safety", conflicts_with = "task", value_parser = seconds)]
+    pub(crate) seconds: Option<f64>,
     /// `expert`, `noop`, `random`, or a checkpoint's directory.
     #[arg(long)]
     pub(crate) policy: String,
@@ -193,7 +208,7 @@ pub(crate) struct RunArgs {
     /// With --backend can: nodes and interfaces instead of the built-in config/can.toml.
     #[arg(long, value_name = "FILE")]
     pub(crate) can_config: Option<PathBuf>,
-    /// With --backend can: the name of the topics on which the world of the drives shows itself.
+    /// With --backend can: the name of the topics on which the world of the drives, or with --safety cameras, show themselves.
     #[arg(long, value_name = "NAME", default_value = DEFAULT_TOPICS)]
     pub(crate) topics: String,
     /// Write the run's log; parent folders are made.
@@ -558,6 +573,9 @@ pub(crate) struct PolicyProcessArgs {
     /// The process that started this one; this one goes when that one is gone.
     #[arg(long)]
     pub(crate) parent_pid: u32,
+    /// How far a frame may be from the instant of an observation, ms.
+    #[arg(long, default_value_t = 0)]
+    pub(crate) frames_within_ms: u64,
     /// The checkpoint's directory.
     #[arg(long)]
     pub(crate) policy: PathBuf,

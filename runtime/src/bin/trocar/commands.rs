@@ -1,15 +1,17 @@
 //! The verbs: arguments in, library calls, results out. `Ok(false)` means that the job failed.
 
+use std::path::Path;
+
 use policy::compute::{Arithmetic, Compute};
 use policy::dataset::VideoCodec;
 use runtime::doctor::{self, Probes};
 use runtime::log::RunLog;
 use runtime::session::demo::{self, DemoOptions};
-use runtime::session::realtime::{self, CanOptions, PolicyProcessOptions};
+use runtime::session::realtime::{self, CanOptions, PolicyProcessOptions, RobotOptions};
 use runtime::session::record::{self, RecordOptions};
-use runtime::session::run::{self, RunOptions, write_json};
+use runtime::session::run::{self, RunOptions, RunResult, write_json};
 use runtime::session::summary::{CanBusSummary, RunSummary};
-use runtime::session::{PolicyChoice, SessionError, Setup, outputs, tasks};
+use runtime::session::{PolicyChoice, Robot, SessionError, Setup, outputs, tasks};
 use runtime::{replay as replaying, verify as verifying};
 use sim_backend::cameras::SceneCameras;
 use sim_backend::task::TaskConfig;
@@ -76,21 +78,18 @@ pub(crate) fn run(args: &RunArgs) -> Done {
                 .to_owned(),
         ));
     }
-    let log = ("--log", args.log.as_deref());
     let config = ("--config", args.config.as_deref());
     let scene = ("--scene", args.scene.scene.as_deref());
     let can_config = ("--can-config", args.can_config.as_deref());
-    let task = tasks::paths(&args.task);
-    let mut read = vec![config, scene, can_config];
+    let safety = ("--safety", args.safety.as_deref());
+    let task = args.task.as_deref().map_or_else(Vec::new, tasks::paths);
+    let mut read = vec![config, scene, can_config, safety];
     read.extend(of_task(&task));
+    let log = ("--log", args.log.as_deref());
     outputs::check(&[log, ("--json", args.json.as_deref())], &read)?;
     let can = can_options(args)?;
-    let policy = PolicyChoice::parse(&args.policy);
-    let mut setup = Setup::load(&args.task, args.config.as_deref(), &policy)?
-        .with_scene(&args.scene.options(args.cameras.as_deref()))?;
-    warn_of_transfer(&setup);
     let options = RunOptions {
-        policy,
+        policy: PolicyChoice::parse(&args.policy),
         seed: args.seed,
         log: args.log.clone(),
         pictures: false,
@@ -98,19 +97,58 @@ pub(crate) fn run(args: &RunArgs) -> Done {
         latency_jitter_ms: args.latency_jitter_ms,
         compute: compute(&args.compute)?,
     };
-    let result = if let Some((can, text)) = can {
-        setup.texts.can = Some(text);
-        realtime::run_on_can(&setup, &options, &can)?
-    } else if args.lockstep {
-        run::run_lockstep(&setup, &options)?
-    } else {
-        realtime::run_realtime(&setup, &options)?
+    let result = match (&args.task, &args.safety) {
+        (Some(task), _) => run_task(task, args, &options, can)?,
+        (None, Some(safety)) => run_robot(safety, args, &options, can)?,
+        (None, None) => {
+            let reason = "run needs --task, or --safety for a robot without one";
+            return Err(SessionError::BadArgument(reason.to_owned()));
+        }
     };
     report_run(&result.summary);
     if let Some(path) = &args.json {
         write_json(path, &result.summary)?;
     }
-    Ok(result.summary.success)
+    Ok(result.ok)
+}
+
+fn run_task(
+    task: &str,
+    args: &RunArgs,
+    options: &RunOptions,
+    can: Option<(CanOptions, String)>,
+) -> Result<RunResult, SessionError> {
+    let mut setup = Setup::load(task, args.config.as_deref(), &options.policy)?
+        .with_scene(&args.scene.options(args.cameras.as_deref()))?;
+    warn_of_transfer(&setup);
+    match can {
+        Some((can, text)) => {
+            setup.texts.can = Some(text);
+            realtime::run_on_can(&setup, options, &can, &console::note)
+        }
+        None if args.lockstep => run::run_lockstep(&setup, options),
+        None => realtime::run_realtime(&setup, options),
+    }
+}
+
+fn run_robot(
+    safety: &Path,
+    args: &RunArgs,
+    options: &RunOptions,
+    can: Option<(CanOptions, String)>,
+) -> Result<RunResult, SessionError> {
+    let Some((can, text)) = can else {
+        let reason = "--safety needs --backend can: the simulator runs tasks";
+        return Err(SessionError::BadArgument(reason.to_owned()));
+    };
+    let mut robot = Robot::load(safety, args.config.as_deref(), &options.policy)?;
+    robot.texts.can = Some(text);
+    let cameras = args.cameras.iter().flat_map(|names| names.split(','));
+    let asked = RobotOptions {
+        seconds: args.seconds,
+        cameras: cameras.map(str::to_owned).collect(),
+    };
+    realtime::run_robot_on_can(&robot, options, &asked, &can, &console::note)
 }
 
 /// The arms on CAN with the text that says where they are, if that is where the arms are.
@@ -133,15 +171,12 @@ fn can_options(args: &RunArgs) -> Result<Option<(CanOptions, String)>, SessionEr
 }
 
 fn report_run(summary: &RunSummary) {
-    let verdict = if summary.success {
-        "success".to_owned()
-    } else {
-        format!("failure ({})", summary.reason)
+    let verdict = match summary.success {
+        Some(true) => format!("{}: success", summary.task),
+        Some(false) => format!("{}: failure ({})", summary.task, summary.reason),
+        None => summary.reason.clone(),
     };
-    console::result(&format!(
-        "{}: {verdict} after {:.2} s",
-        summary.task, summary.seconds
-    ));
+    console::result(&format!("{verdict} after {:.2} s", summary.seconds));
     console::result(&format!(
         "  controller tick: p50 {:.1} us, p99 {:.1} us, max {:.1} us over {} ticks",
         summary.tick_us.p50, summary.tick_us.p99, summary.tick_us.max, summary.ticks
@@ -362,7 +397,7 @@ pub(crate) fn demo(args: &DemoArgs) -> Done {
     let sound = [&result.lockstep, &result.real_time]
         .iter()
         .all(|shown| shown.replayed.identical && shown.verified.ok);
-    Ok(result.lockstep.summary.success && sound)
+    Ok(result.lockstep.summary.success == Some(true) && sound)
 }
 
 pub(crate) fn policy_process(args: &PolicyProcessArgs) -> Done {
@@ -370,6 +405,7 @@ pub(crate) fn policy_process(args: &PolicyProcessArgs) -> Done {
         run_id: args.run_id.clone(),
         policy: args.policy.clone(),
         compute: compute(&args.compute)?,
+        frames_within_ms: args.frames_within_ms,
         parent: args.parent_pid,
     })?;
     Ok(true)

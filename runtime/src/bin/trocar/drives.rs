@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use clap::Args;
 
 use hal::config::Source;
-use runtime::session::drives::{DEFAULT_TOPICS, DrivesOptions, InjectedFault, run_drives};
+use runtime::session::drives::{DEFAULT_TOPICS, DrivesOptions, InjectedFault, Moved, run_drives};
 use runtime::session::run::write_json;
 use runtime::session::{PolicyChoice, SessionError, Setup, outputs, tasks};
 use trocar_canopen::master::CanConfig;
@@ -24,6 +24,11 @@ pub(crate) struct DrivesArgs {
     /// The task whose arms these are, and whose world they move in: a built-in one by name, or the path of a folder.
     #[arg(long, value_parser = TaskParser, default_value = "needle-lift")]
     pub(crate) task: String,
+    /// Stand in for the real drives of a robot of one arm, or of two: the motors go where they are told, there is no task, no scene
+    /// and no camera.
+    #[arg(long, value_name = "ARMS", num_args = 0..=1, default_missing_value = "1", value_parser = clap::value_parser!(u8).range(1..=2))]
+    #[arg(conflicts_with_all = ["task", "scene", "needle", "cameras", "topics"])]
+    pub(crate) no_world: Option<u8>,
     /// Everything random in the scene hangs on this.
     #[arg(long, default_value_t = 0)]
     pub(crate) seed: u64,
@@ -63,19 +68,28 @@ pub(crate) fn drives(args: &DrivesArgs) -> Done {
     read.extend(of_task(&task));
     outputs::check(&[("--json", args.json.as_deref())], &read)?;
     let can = CanConfig::load(&can_source(args.config.as_ref())?)?;
-    let setup = Setup::load(&args.task, None, &PolicyChoice::Expert)?
-        .with_scene(&args.scene.options(args.cameras.as_deref()))?;
+    let setup;
+    let moved = match args.no_world {
+        Some(arms) => Moved::Arms(usize::from(arms)),
+        None => {
+            setup = Setup::load(&args.task, None, &PolicyChoice::Expert)?
+                .with_scene(&args.scene.options(args.cameras.as_deref()))?;
+            Moved::Task(&setup)
+        }
+    };
     let options = DrivesOptions {
         seed: args.seed,
         topics: args.topics.clone(),
         cameras: args.cameras.is_some(),
         faults: args.fault.clone(),
     };
-    let summary = run_drives(&setup, &can, &options, &mut |line| console::note(line))?;
+    let summary = run_drives(moved, &can, &options, &mut |line| console::note(line))?;
     let stops = summary.stops.len();
     console::result(&format!(
         "{}: {} after {:.2} s of the drives' time; {stops} stops of drives",
-        summary.task, summary.outcome, summary.seconds
+        summary.task.as_deref().unwrap_or("no world"),
+        summary.outcome.as_deref().unwrap_or("ended"),
+        summary.seconds
     ));
     for bus in &summary.buses {
         console::result(&format!(

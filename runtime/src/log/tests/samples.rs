@@ -141,7 +141,7 @@ pub(super) fn header() -> RunHeader {
 
 pub(super) fn outcome() -> RunOutcome {
     RunOutcome {
-        success: true,
+        success: Some(true),
         reason: "success".to_owned(),
         command_hash: "0123456789abcdef".to_owned(),
     }

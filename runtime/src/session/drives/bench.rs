@@ -1,6 +1,7 @@
-//! The drives of all arms with the world that they move, in a time of their own.
+//! The drives of all arms with the world that they move, or with nothing but their motors, in a time of their own.
 
-use hal::{Arm as _, TimeNs};
+use hal::joints::INSERTION;
+use hal::{Arm as _, ArmState, JointVector, TimeNs, psm};
 use sim_backend::simulation::Simulation;
 use trocar_canopen::master::CanConfig;
 use trocar_canopen::{Frame, NodeId, Payload};
@@ -54,16 +55,24 @@ pub(super) trait Listener {
     /// All drives follow: the episode begins.
     fn begun(&mut self, at: TimeNs);
 
-    /// A policy step has passed.
+    /// A policy step has passed in the world.
     fn step(&mut self, sequence: u64, world: &WorldState, simulation: &Simulation);
 
     /// The controllers of all others on this line are off the bus.
     fn bus_off(&mut self, line: u8);
 }
 
+/// An arm at rest where homing leaves it.
+fn at_home() -> ArmState {
+    let mut position = JointVector::zeros();
+    position[INSERTION] = psm::HOME_INSERTION_M;
+    ArmState::at_rest(TimeNs(0), position, 0.0)
+}
+
 /// Arms, their world, and what is injected.
 pub(super) struct Bench {
-    simulation: Simulation,
+    /// What the motors turn; without one each goes where it is told.
+    simulation: Option<Simulation>,
     arms: Vec<Coupling>,
     watches: Vec<StopWatch>,
     injector: Injector,
@@ -71,13 +80,12 @@ pub(super) struct Bench {
 }
 
 impl Bench {
-    /// Puts the drives of the first arms of `can`, as many as `simulation` has, on the lines of their interfaces.
+    /// Puts the drives of the first `count` arms of `can` on the lines of their interfaces; `simulation` has as many, if there is one.
     pub(super) fn new(
-        mut simulation: Simulation,
-        can: &CanConfig,
+        mut simulation: Option<Simulation>,
+        (can, count): (&CanConfig, usize),
         faults: &[InjectedFault],
     ) -> Result<(Self, Network<Terminal>), SessionError> {
-        let count = simulation.arm_count();
         let names = interfaces(can, count);
         let lines = u8::try_from(names.len()).unwrap_or(u8::MAX);
         let plans: Vec<_> = can.arms.iter().take(count).collect();
@@ -88,9 +96,12 @@ impl Bench {
         let (mut arms, mut watches) = (Vec::new(), Vec::new());
         for (index, arm) in plans.into_iter().enumerate() {
             let coupling = Coupling::new(&arm.plan);
-            let state = match simulation.arm(index) {
-                Some(mut simulated) => simulated.read(TimeNs(0))?,
-                None => continue,
+            let state = match &mut simulation {
+                None => at_home(),
+                Some(simulation) => match simulation.arm(index) {
+                    Some(mut simulated) => simulated.read(TimeNs(0))?,
+                    None => continue,
+                },
             };
             for (axis, feedback) in coupling.feedback(&state).into_iter().enumerate() {
                 let plan = &arm.plan.axes[axis];
@@ -134,28 +145,7 @@ impl Bench {
         network: &mut Network<Terminal>,
         listener: &mut dyn Listener,
     ) -> Result<(), SessionError> {
-        for (index, coupling) in self.arms.iter().enumerate() {
-            let setpoint = coupling.setpoint(network);
-            if let Some(mut arm) = self.simulation.arm(index) {
-                arm.lead(&setpoint);
-            }
-        }
-        if self.begun.is_some() {
-            self.simulation.step();
-        } else {
-            self.simulation.wait();
-        }
-        for (index, coupling) in self.arms.iter().enumerate() {
-            let Some(mut arm) = self.simulation.arm(index) else {
-                continue;
-            };
-            let feedback = coupling.feedback(&arm.read(at)?);
-            for (axis, feedback) in coupling.plan().axes.iter().zip(feedback) {
-                if let Some(motor) = network.motor(axis.node) {
-                    motor.feedback = feedback;
-                }
-            }
-        }
+        self.turn_motors(at, network)?;
         for watch in &mut self.watches {
             watch.look(at, network, &mut |stop| listener.stopped(stop));
         }
@@ -167,19 +157,59 @@ impl Bench {
             self.inject(at.since(begun), network, listener);
         }
         let tick = at.tick();
-        if tick.is_multiple_of(STEP_TICKS) {
-            listener.step(tick / STEP_TICKS, &self.world(), &self.simulation);
+        if tick.is_multiple_of(STEP_TICKS)
+            && let (Some(world), Some(simulation)) = (self.world(), &self.simulation)
+        {
+            listener.step(tick / STEP_TICKS, &world, simulation);
         }
         Ok(())
     }
 
-    /// What the world knows of itself.
-    pub(super) fn world(&self) -> WorldState {
-        WorldState {
-            scene: self.simulation.scene_state(),
-            outcome: self.begun.map(|_| self.simulation.outcome()),
-            tissue: self.simulation.tissue_extremes(),
+    /// A millisecond of what the motors turn.
+    fn turn_motors(
+        &mut self,
+        at: TimeNs,
+        network: &mut Network<Terminal>,
+    ) -> Result<(), SessionError> {
+        let Some(simulation) = &mut self.simulation else {
+            for coupling in &self.arms {
+                coupling.turn_freely(network);
+            }
+            return Ok(());
+        };
+        for (index, coupling) in self.arms.iter().enumerate() {
+            let setpoint = coupling.setpoint(network);
+            if let Some(mut arm) = simulation.arm(index) {
+                arm.lead(&setpoint);
+            }
         }
+        if self.begun.is_some() {
+            simulation.step();
+        } else {
+            simulation.wait();
+        }
+        for (index, coupling) in self.arms.iter().enumerate() {
+            let Some(mut arm) = simulation.arm(index) else {
+                continue;
+            };
+            let feedback = coupling.feedback(&arm.read(at)?);
+            for (axis, feedback) in coupling.plan().axes.iter().zip(feedback) {
+                if let Some(motor) = network.motor(axis.node) {
+                    motor.feedback = feedback;
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// What the world knows of itself, if there is one.
+    pub(super) fn world(&self) -> Option<WorldState> {
+        let simulation = self.simulation.as_ref()?;
+        Some(WorldState {
+            scene: simulation.scene_state(),
+            outcome: self.begun.map(|_| simulation.outcome()),
+            tissue: simulation.tissue_extremes(),
+        })
     }
 
     fn inject(

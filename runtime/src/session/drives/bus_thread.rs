@@ -58,8 +58,11 @@ pub(super) enum Told {
 
 /// The thread before it runs.
 pub(super) struct BusThread<'a> {
-    pub(super) simulation: Simulation,
+    /// The world that the drives move, if there is one.
+    pub(super) simulation: Option<Simulation>,
     pub(super) can: &'a CanConfig,
+    /// How many of its arms there are.
+    pub(super) arms: usize,
     pub(super) faults: &'a [InjectedFault],
     pub(super) bus: SocketBus<CanClock>,
     pub(super) lines: u8,
@@ -78,8 +81,8 @@ pub(super) struct BusEnd {
     pub(super) stalled_ns: u64,
     /// How long a look at the buses and the world took.
     pub(super) turns: Histogram,
-    /// How the world stands.
-    pub(super) world: WorldState,
+    /// How the world stands, if there is one.
+    pub(super) world: Option<WorldState>,
     /// How busy each line was, ns, and with how many frames.
     pub(super) busy: Vec<(u64, u64)>,
     /// Frames that found no room.
@@ -153,7 +156,7 @@ impl BusThread<'_> {
             strict: false,
         });
         let clock = MonotonicClock::new();
-        let (mut bench, network) = Bench::new(self.simulation, self.can, self.faults)?;
+        let (mut bench, network) = Bench::new(self.simulation, (self.can, self.arms), self.faults)?;
         let mut station = Station::new(network, self.bus, self.lines);
         let mut messenger = Messenger {
             clock,

@@ -65,6 +65,26 @@ impl Coupling {
         }
     }
 
+    /// Turns each motor to where its drive wants it, if that has torque and the motor is not slack: nothing else is moved.
+    pub(super) fn turn_freely(&self, network: &mut Network<Terminal>) {
+        for (axis, slack) in self.plan.axes.iter().zip(self.slack) {
+            let Some(motor) = network.motor(axis.node) else {
+                continue;
+            };
+            let demand = motor.demand;
+            let turns = demand.torque && !slack;
+            motor.feedback = Feedback {
+                position_counts: if turns {
+                    demand.position_counts
+                } else {
+                    motor.feedback.position_counts
+                },
+                velocity_counts_s: if turns { demand.velocity_counts_s } else { 0.0 },
+                torque_per_mille: 0.0,
+            };
+        }
+    }
+
     /// What the drives' encoders and current sensors say of an arm in `state`.
     pub(super) fn feedback(&self, state: &ArmState) -> [Feedback; TAIL_AXES] {
         let with_jaw = |joints: &hal::JointVector, jaw: f64| -> AxisVector {

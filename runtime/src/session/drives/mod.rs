@@ -1,4 +1,4 @@
-//! Emulated drives on real buses: seven an arm, which move the simulated arms of a task.
+//! Emulated drives on real buses: seven an arm, which move the simulated arms of a task, or nothing but their motors.
 //!
 //! ```text
 //!  buses <──> bus thread (SCHED_FIFO): drives and the time that frames take, and the world every millisecond
@@ -26,6 +26,7 @@ use std::thread;
 use hal::TimeNs;
 use rtrb::{Consumer, RingBuffer};
 use sim_backend::simulation::{Rendering, Simulation};
+use sim_backend::task::Outcome;
 use trocar_canopen::master::CanConfig;
 
 pub use inject::{BadFault, FaultKind, InjectedFault};
@@ -52,6 +53,31 @@ const GATHER_NS: u64 = 100_000_000;
 /// The topics' name unless another one is asked for.
 pub const DEFAULT_TOPICS: &str = "drives";
 
+/// What the drives move.
+#[derive(Clone, Copy, Debug)]
+pub enum Moved<'a> {
+    /// The arms of a task, in its world.
+    Task(&'a Setup),
+    /// So many arms, each motor by itself: they stand in for real drives, and nobody shows a scene.
+    Arms(usize),
+}
+
+impl Moved<'_> {
+    const fn arms(&self) -> usize {
+        match self {
+            Self::Task(setup) => setup.task.arms.len(),
+            Self::Arms(count) => *count,
+        }
+    }
+
+    fn name(&self) -> String {
+        match self {
+            Self::Task(setup) => format!("task {}", setup.task_name),
+            Self::Arms(_) => "--no-world".to_owned(),
+        }
+    }
+}
+
 /// How to run drives.
 #[derive(Clone, Debug)]
 pub struct DrivesOptions {
@@ -65,23 +91,23 @@ pub struct DrivesOptions {
     pub faults: Vec<InjectedFault>,
 }
 
-/// Runs the drives of the task's arms until a signal comes. `say` gets a line when they are there, when the episode begins,
+/// Runs the drives of the arms until a signal comes. `say` gets a line when they are there, when the episode begins,
 /// for whatever stops a drive, and for the verdict.
 ///
 /// # Errors
 /// From the configuration, the buses, the simulation or the topics.
 pub fn run_drives(
-    setup: &Setup,
+    moved: Moved<'_>,
     can: &CanConfig,
     options: &DrivesOptions,
     say: &mut dyn FnMut(&str),
 ) -> Result<DrivesSummary, SessionError> {
-    let arms = setup.task.arms.len();
+    let arms = moved.arms();
     if can.arms.len() < arms {
         return Err(SessionError::BadArgument(format!(
-            "arm: {} arms are on CAN, task {} has {arms}",
+            "arm: {} arms are on CAN, {} has {arms}",
             can.arms.len(),
-            setup.task_name
+            moved.name()
         )));
     }
     bench::check_nodes(can, arms)?;
@@ -90,15 +116,20 @@ pub fn run_drives(
         .map_err(|error| SessionError::RealTime(format!("catching signals failed: {error}")))?;
     let names = bench::interfaces(can, arms);
     let bus = open(&names, MonotonicClock::new())?;
-    let simulation = Simulation::new(&setup.task, options.seed, Rendering::Off)?;
     let (shown_in, shown) = mailbox();
     let (told_in, told) = RingBuffer::new(TOLD);
     let stop = AtomicBool::new(false);
-    let show = Show::open(setup, options, shown, &simulation.snapshot())?;
+    let (mut simulation, mut show) = (None, None);
+    if let Moved::Task(setup) = moved {
+        let world = Simulation::new(&setup.task, options.seed, Rendering::Off)?;
+        show = Some(Show::open(setup, options, shown, &world.snapshot())?);
+        simulation = Some(world);
+    }
     let off = BusOffInjector::open(&names, &options.faults)?;
     let bus_thread = BusThread {
         simulation,
         can,
+        arms,
         faults: &options.faults,
         bus,
         lines: u8::try_from(names.len()).unwrap_or(u8::MAX),
@@ -106,16 +137,17 @@ pub fn run_drives(
         told: told_in,
         stop: &stop,
     };
-    say(&format!(
-        "{}, seed {}: {} on {}; scene on topics {:?}",
-        setup.task_name,
-        options.seed,
-        nodes(can, arms),
-        names.join(" "),
-        options.topics
-    ));
+    let places = format!("{} on {}", nodes(can, arms), names.join(" "));
+    say(&match moved {
+        Moved::Task(setup) => format!(
+            "{}, seed {}: {places}; scene on topics {:?}",
+            setup.task_name, options.seed, options.topics
+        ),
+        Moved::Arms(_) => format!("no world: {places}"),
+    });
     let mut teller = Teller {
         told,
+        has_world: matches!(moved, Moved::Task(_)),
         faults: &options.faults,
         off,
         stops: Vec::new(),
@@ -135,18 +167,20 @@ pub fn run_drives(
     let end = end?;
     shown?;
     teller.turn(true, say)?;
-    Ok(sum_up(setup, options, &names, &end, &teller.stops))
+    Ok(sum_up(moved, options, &names, &end, &teller.stops))
 }
 
 /// What the first thread does until it is time to end.
 fn attend(
-    mut show: Show,
+    mut show: Option<Show>,
     teller: &mut Teller<'_>,
     stop: &AtomicBool,
     say: &mut dyn FnMut(&str),
 ) -> Result<(), SessionError> {
     while !stop.load(Ordering::Acquire) && !rt::interrupted() {
-        show.turn(say)?;
+        if let Some(show) = &mut show {
+            show.turn(say)?;
+        }
         teller.turn(false, say)?;
         rt::sleep_ns(POLL_NS);
     }
@@ -185,6 +219,7 @@ fn nodes(can: &CanConfig, arms: usize) -> String {
 /// Says what the bus thread tells.
 struct Teller<'a> {
     told: Consumer<Told>,
+    has_world: bool,
     faults: &'a [InjectedFault],
     off: BusOffInjector,
     stops: Vec<Stop>,
@@ -200,8 +235,13 @@ impl Teller<'_> {
         while let Ok(told) = self.told.pop() {
             match told {
                 Told::Begun(at) => say(&format!(
-                    "all drives are enabled at {:.3} s: the episode begins",
-                    at.seconds()
+                    "all drives are enabled at {:.3} s{}",
+                    at.seconds(),
+                    if self.has_world {
+                        ": the episode begins"
+                    } else {
+                        ""
+                    }
                 )),
                 Told::Injected(place) => {
                     if let Some(fault) = self.faults.get(place) {
@@ -229,7 +269,7 @@ impl Teller<'_> {
 }
 
 fn sum_up(
-    setup: &Setup,
+    moved: Moved<'_>,
     options: &DrivesOptions,
     names: &[String],
     end: &BusEnd,
@@ -243,18 +283,24 @@ fn sum_up(
         frames: *frames,
         busy_share: *busy_ns as f64 / elapsed_ns as f64,
     });
-    let outcome = end.world.outcome;
+    let outcome = end.world.as_ref().map(|world| world.outcome);
+    let task = match moved {
+        Moved::Task(setup) => Some(setup.task_name.clone()),
+        Moved::Arms(_) => None,
+    };
     DrivesSummary {
-        task: setup.task_name.clone(),
+        task,
         seed: options.seed,
-        arms: setup.task.arms.len(),
+        arms: moved.arms(),
         seconds: end.now.seconds(),
         stalled_s: TimeNs(end.stalled_ns).seconds(),
         turn_us: TickUs::of(&end.turns),
         begun_s: end.begun.map(TimeNs::seconds),
-        success: outcome
-            .is_some_and(|outcome| matches!(outcome, sim_backend::task::Outcome::Success)),
-        outcome: outcome.map_or_else(|| "not begun".to_owned(), |outcome| outcome.to_string()),
+        success: outcome.map(|outcome| matches!(outcome, Some(Outcome::Success))),
+        outcome: outcome.map(|outcome| match outcome {
+            None => "not begun".to_owned(),
+            Some(outcome) => outcome.to_string(),
+        }),
         buses: buses.collect(),
         frames_lost: end.lost,
         stops: stops.iter().map(StopSummary::from).collect(),

@@ -71,8 +71,9 @@ impl From<&Stop> for StopSummary {
 /// A run of drives.
 #[derive(Clone, Debug, Serialize)]
 pub struct DrivesSummary {
-    /// Task name.
-    pub task: String,
+    /// Task name; absent without a world.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub task: Option<String>,
     /// Seed of the scene.
     pub seed: u64,
     /// How many arms.
@@ -85,10 +86,12 @@ pub struct DrivesSummary {
     pub turn_us: TickUs,
     /// When all drives were enabled for the first time, s.
     pub begun_s: Option<f64>,
-    /// Whether the task was done.
-    pub success: bool,
-    /// How the episode stood at the end, in words.
-    pub outcome: String,
+    /// Whether the task was done; absent without a world.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub success: Option<bool>,
+    /// How the episode stood at the end, in words; absent without a world.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub outcome: Option<String>,
     /// The buses.
     pub buses: Vec<BusSummary>,
     /// Frames that found no room, on the emulated wires or in the system.

@@ -114,7 +114,7 @@ impl Rig {
         }
         let faults: Vec<InjectedFault> = faults.iter().map(|text| text.parse().unwrap()).collect();
         let simulation = Simulation::new(&setup.task, 3, Rendering::Off).unwrap();
-        let (bench, network) = Bench::new(simulation, &can, &faults).unwrap();
+        let (bench, network) = Bench::new(Some(simulation), (&can, 1), &faults).unwrap();
         let bus = WorldBus {
             network,
             bench,
@@ -144,7 +144,7 @@ impl Rig {
     }
 
     fn outcome(&mut self) -> Outcome {
-        self.bus().bench.world().outcome.unwrap()
+        self.bus().bench.world().unwrap().outcome.unwrap()
     }
 
     /// One control period, with a chunk of the expert when it is time for one.
@@ -155,7 +155,7 @@ impl Rig {
         let measured = self.arm.read(now);
         let chunk: Option<Chunk> = self.ticks.is_multiple_of(STEP_TICKS).then(|| {
             self.chunks += 1;
-            let scene = self.arm.bus_mut().bench.world().scene;
+            let scene = self.arm.bus_mut().bench.world().unwrap().scene;
             self.expert.chunk(now, &scene, self.chunks)
         });
         let input = TickInput {

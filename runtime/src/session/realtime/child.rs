@@ -35,6 +35,17 @@ const SILENCE_NS_MAX: u64 = 5_000_000_000;
 /// Time between two looks, ns.
 const POLL_NS: u64 = 1_000_000;
 
+/// Where frames come from that another process shows.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Outside<'a> {
+    /// The name of its topics.
+    pub(super) topics: &'a str,
+    /// The run's clock.
+    pub(super) clock: MonotonicClock,
+    /// How far a frame may be from the instant of an observation, ms.
+    pub(super) frames_within_ms: u64,
+}
+
 /// The running policy process. Dropping it ends the process, in peace if it listens.
 pub(super) struct PolicyChild {
     process: Child,
@@ -48,37 +59,35 @@ pub(super) struct PolicyChild {
     queries: u64,
     clock: MonotonicClock,
     /// The run's clock, if the policy's observations have the system's instants.
-    world: Option<MonotonicClock>,
+    outside: Option<MonotonicClock>,
     heard: TimeNs,
 }
 
 impl PolicyChild {
-    /// Starts the process and waits until it has loaded the checkpoint.
+    /// Starts the process and waits until it has loaded the checkpoint in `policy`.
     ///
-    /// The checkpoint is loaded here first: a bad one is refused with its reason before any process or thread is started.
-    /// With `world`, the topics are those of a world in another process, whose instants are the system's.
+    /// It is loaded here first, as `network`: a bad one is refused with its reason before any process or thread is started.
+    /// With `outside`, the frames come on topics of another process, whose instants are the system's.
     pub(super) fn start(
-        setup: &Setup,
+        network: &LoadedPolicy,
         policy: &Path,
         options: &RunOptions,
-        world: Option<(&str, MonotonicClock)>,
+        outside: Option<Outside<'_>>,
     ) -> Result<Self, SessionError> {
-        let network = setup.network(policy, Device::Cpu)?;
-        check_cameras(setup, &network)?;
         let query_every_steps = u64::from(network.recipe().query_every_steps).max(1);
-        let history_steps = hal::Policy::history_steps(&network);
-        let cameras = camera_names(&network);
-        drop(network);
-        let run_id = match world {
-            Some((topics, _)) => topics.to_owned(),
+        let history_steps = hal::Policy::history_steps(network);
+        let cameras = camera_names(network);
+        let run_id = match outside {
+            Some(Outside { topics, .. }) => topics.to_owned(),
             None => fresh_run_id()?,
         };
+        let within_ms = outside.map_or(0, |outside| outside.frames_within_ms);
         let node = TopicNode::join(&run_id)?;
         let control = RunControlTopic::publisher(&node, FIRST_ARM)?;
         let status = PolicyStatusTopic::subscriber(&node, FIRST_ARM)?;
-        let chunks = ArmChunks::open(&node, setup.task.arms.len())?;
+        let chunks = ArmChunks::open(&node, network.recipe().arms)?;
         let mut child = Self {
-            process: spawn(&run_id, policy, options.compute)?,
+            process: spawn(&run_id, policy, options.compute, within_ms)?,
             node,
             control,
             status,
@@ -88,7 +97,7 @@ impl PolicyChild {
             cameras,
             queries: 0,
             clock: MonotonicClock::new(),
-            world: world.map(|(_, clock)| clock),
+            outside: outside.map(|outside| outside.clock),
             heard: TimeNs(0),
         };
         child.wait_until_ready(options.seed)?;
@@ -147,7 +156,7 @@ impl PolicyChild {
     /// The newest answer, a chunk for each arm, if one has come since the last call.
     pub(super) fn newest_chunks(&mut self) -> Result<Option<PerArm<Chunk>>, SessionError> {
         let answer = self.chunks.newest()?;
-        let Some(clock) = &self.world else {
+        let Some(clock) = &self.outside else {
             return Ok(answer);
         };
         Ok(answer.map(|chunks| {
@@ -216,7 +225,7 @@ impl Drop for PolicyChild {
 }
 
 /// The task must have the cameras that the network was trained with.
-fn check_cameras(setup: &Setup, network: &LoadedPolicy) -> Result<(), SessionError> {
+pub(super) fn check_cameras(setup: &Setup, network: &LoadedPolicy) -> Result<(), SessionError> {
     for (index, (name, trained)) in camera_names(network)
         .into_iter()
         .zip(&network.recipe().cameras)
@@ -250,7 +259,12 @@ fn fresh_run_id() -> Result<String, SessionError> {
     Ok(format!("run-{}-{tag}", process::id()))
 }
 
-fn spawn(run_id: &str, policy: &Path, compute: Compute) -> Result<Child, SessionError> {
+fn spawn(
+    run_id: &str,
+    policy: &Path,
+    compute: Compute,
+    frames_within_ms: u64,
+) -> Result<Child, SessionError> {
     let program = env::current_exe().map_err(|error| failed("finding this program", &error))?;
     let device = if compute.device == Device::Cpu {
         "cpu"
@@ -266,6 +280,7 @@ fn spawn(run_id: &str, policy: &Path, compute: Compute) -> Result<Child, Session
         .arg(policy)
         .args(["--device", device, "--precision", precision])
         .args(["--threads", &compute.threads.to_string()])
+        .args(["--frames-within-ms", &frames_within_ms.to_string()])
         // Threads that wait for each other sleep: spinning, they would take cores from the simulation and the control.
         .env("OMP_WAIT_POLICY", "PASSIVE")
         .args(["--parent-pid", &process::id().to_string()])

@@ -31,8 +31,9 @@ use hal::{ArmState, Chunk, TICK_NS};
 use rtrb::RingBuffer;
 use sim_backend::simulation::{Rendering, Simulation};
 use sim_backend::task::Outcome;
+use tch::Device;
 
-pub use on_can::{CanOptions, run_on_can};
+pub use on_can::{CanOptions, RobotOptions, Say, run_on_can, run_robot_on_can};
 pub use policy_process::{PolicyProcessOptions, serve_policy};
 
 use super::run::{RunOptions, RunResult, open_log};
@@ -46,7 +47,7 @@ use crate::per_arm::PerArm;
 use crate::rt::{self, MonotonicClock};
 use arm_link::SimLink;
 use camera_thread::{CameraEnd, CameraThread, Snapshot};
-use child::PolicyChild;
+use child::{PolicyChild, check_cameras};
 use control_thread::{ControlEnd, ControlThread};
 use signals::Signals;
 use simulation_thread::{SimulationEnd, SimulationThread, Snapshots};
@@ -71,7 +72,11 @@ pub fn run_realtime(setup: &Setup, options: &RunOptions) -> Result<RunResult, Se
     rt::catch_interrupts()
         .map_err(|error| SessionError::RealTime(format!("catching signals failed: {error}")))?;
     let mut child = match &options.policy {
-        PolicyChoice::Checkpoint(path) => Some(PolicyChild::start(setup, path, options, None)?),
+        PolicyChoice::Checkpoint(path) => {
+            let network = setup.network(path, Device::Cpu)?;
+            check_cameras(setup, &network)?;
+            Some(PolicyChild::start(&network, path, options, None)?)
+        }
         PolicyChoice::Expert | PolicyChoice::Noop | PolicyChoice::Random => None,
     };
     let source = match child {
@@ -224,7 +229,7 @@ fn conclude(setup: &Setup, options: &RunOptions, ends: Ends) -> Result<RunResult
     let mut log_dropped = control.log_dropped;
     if let Some(log) = ends.log {
         let outcome = RunOutcome {
-            success,
+            success: Some(success),
             reason: reason.clone(),
             command_hash: tally.command_hash(),
         };
@@ -236,7 +241,7 @@ fn conclude(setup: &Setup, options: &RunOptions, ends: Ends) -> Result<RunResult
     tally.inferences(&others.simulation.inference);
     let policy = options.policy.name();
     let labels = RunLabels {
-        success,
+        success: Some(success),
         reason: &reason,
         tissue: others.simulation.tissue.map(TissueSummary::from),
         ..labels(setup, options, &policy)
@@ -248,6 +253,7 @@ fn conclude(setup: &Setup, options: &RunOptions, ends: Ends) -> Result<RunResult
         slow_motion: rt::slow_motion(),
     };
     Ok(RunResult {
+        ok: success,
         summary: tally.summary(&labels, Some(real_time)),
         pictures: others
             .camera

@@ -39,6 +39,8 @@ pub struct PolicyProcessOptions {
     pub policy: PathBuf,
     /// Where and how the network computes.
     pub compute: Compute,
+    /// How far a frame may be from the instant of an observation, ms: 0 where cameras and arms have one clock, as in a simulation.
+    pub frames_within_ms: u64,
     /// The process that started this one, as it knows itself: it may die before this one can look.
     pub parent: u32,
 }
@@ -104,6 +106,8 @@ struct Service {
     network: LoadedPolicy,
     /// Policy steps from one query to the next.
     every_steps: u64,
+    /// How far a frame may be from the instant of an observation, ns.
+    frames_within_ns: u64,
     reports: Vec<Option<ArmReport>>,
     /// The newest frame of each camera.
     views: Vec<Option<FrameView>>,
@@ -130,6 +134,7 @@ impl Service {
             chunks: chunks.collect::<Result<_, _>>()?,
             status: PolicyStatusTopic::publisher(node, FIRST_ARM)?,
             every_steps: u64::from(network.recipe().query_every_steps).max(1),
+            frames_within_ns: options.frames_within_ms * 1_000_000,
             reports: names().map(|_| None).collect(),
             views: cameras.iter().map(|_| None).collect(),
             answered: None,
@@ -181,7 +186,7 @@ impl Service {
             .views
             .iter()
             .flatten()
-            .filter(|view| view.header().stamp == stamp)
+            .filter(|view| view.header().stamp.0.abs_diff(stamp.0) <= self.frames_within_ns)
             .collect();
         if views.len() != self.cameras.len() {
             return Ok(());

@@ -174,7 +174,7 @@ impl SimulationThread {
             let query = Query {
                 arms: *arms,
                 frames: &[],
-                scene: &scene,
+                scene: Some(&scene),
             };
             let clock = MonotonicClock::new();
             let answer = source.answer(&query)?;

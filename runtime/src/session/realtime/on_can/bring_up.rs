@@ -7,16 +7,13 @@ use std::thread;
 use hal::{ARM_NAMES, TICK_NS};
 use trocar_canopen::master::{ArmPlan, BringUpError, CanConfig, Homed, Offline};
 use trocar_canopen::socket::SocketBus;
-use trocar_topics::{SceneReport, Subscriber, Verdict};
+use trocar_topics::{SceneReport, Verdict};
 
 use super::CanOptions;
-use crate::rt::{self, MonotonicClock};
+use crate::rt;
 use crate::session::can_clock::CanClock;
 use crate::session::run::RunOptions;
 use crate::session::{SessionError, Setup};
-
-/// A world shows itself every 40 ms; one that has not done so for this long is not there, ns.
-const WORLD_NS_MAX: u64 = 3_000_000_000;
 
 /// Time between two looks, ns.
 const POLL_NS: u64 = 1_000_000;
@@ -24,14 +21,12 @@ const POLL_NS: u64 = 1_000_000;
 /// An arm that has its references and no torque yet.
 pub(super) type ReadyArm = Homed<SocketBus<CanClock>>;
 
-/// What can be known to be wrong before anything is opened.
-pub(super) fn check(setup: &Setup, can: &CanConfig) -> Result<(), SessionError> {
-    let count = setup.task.arms.len();
+/// What can be known to be wrong before anything is opened: `whose` (a task, a file) has `count` arms.
+pub(super) fn check(whose: &str, count: usize, can: &CanConfig) -> Result<(), SessionError> {
     if can.arms.len() < count {
         return Err(SessionError::BadArgument(format!(
-            "arm: {} arms are on CAN, task {} has {count}",
-            can.arms.len(),
-            setup.task_name
+            "arm: {} arms are on CAN, {whose} has {count}",
+            can.arms.len()
         )));
     }
     for arm in &can.arms[..count] {
@@ -44,25 +39,6 @@ pub(super) fn check(setup: &Setup, can: &CanConfig) -> Result<(), SessionError> 
         }
     }
     can.check_load(count).map_err(SessionError::Overload)
-}
-
-/// Waits for the first sight of the world.
-pub(super) fn await_world(
-    scene: &Subscriber<SceneReport>,
-    topics: &str,
-    clock: MonotonicClock,
-) -> Result<SceneReport, SessionError> {
-    let end = clock.now().plus_ns(WORLD_NS_MAX);
-    while clock.now() < end {
-        uninterrupted()?;
-        if let Some(report) = scene.newest()? {
-            return Ok(report);
-        }
-        rt::sleep_ns(POLL_NS);
-    }
-    Err(SessionError::RealTime(format!(
-        "nobody shows a scene on topics {topics:?}: start `trocar drives` first, or name its topics with --topics"
-    )))
 }
 
 /// The world must be the one that is meant, and not be used up.

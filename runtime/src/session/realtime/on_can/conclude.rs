@@ -3,74 +3,135 @@
 use trocar_topics::Verdict;
 
 use super::super::control_thread::ControlEnd;
-use super::super::labels;
-use super::super::watch::Watched;
+use super::super::watch::{INTERRUPTED, Watched};
 use super::link::CanLink;
+use super::robot_thread::RobotEnd;
 use super::scene_thread::SceneEnd;
 use super::{CanOptions, Ends};
+use crate::histogram::Histogram;
 use crate::log::RunOutcome;
 use crate::rt;
+use crate::session::SessionError;
 use crate::session::pictures::Pictures;
-use crate::session::run::{RunOptions, RunResult};
-use crate::session::summary::RealTimeCounts;
+use crate::session::run::RunResult;
+use crate::session::summary::{RealTimeCounts, TissueSummary};
 use crate::session::tally::RunLabels;
-use crate::session::{SessionError, Setup};
 
-/// Why the run ended, and whether that is a success.
-fn verdict(watched: &Watched, scene: &SceneEnd, control: &ControlEnd<CanLink>) -> (bool, String) {
-    let faults = control.link.fault_texts();
-    if scene.verdict == Verdict::Success {
-        (true, "success".to_owned())
-    } else if let Some(reason) = &watched.ended_by {
-        (false, reason.clone())
-    } else if !faults.is_empty() {
-        (false, format!("fault: {}", faults.join("; ")))
-    } else {
-        let reason = control.tally.faults();
-        (false, reason.unwrap_or_else(|| scene.reason.clone()))
+/// How a run ended.
+pub(super) struct Ended {
+    /// Whether the task was done, if there was one.
+    success: Option<bool>,
+    /// Whether the program did its job.
+    ok: bool,
+    reason: String,
+}
+
+/// What an observing thread leaves behind.
+pub(super) trait Seen {
+    /// Why the run ended, if nothing else ended it before.
+    fn ended(&self, watched: &Watched, control: &ControlEnd<CanLink>) -> Ended;
+
+    /// How long the local policy took for its chunks.
+    fn inference(&self) -> &Histogram;
+
+    /// What a soft tissue went through.
+    fn tissue(&self) -> Option<TissueSummary> {
+        None
     }
 }
 
-/// Closes the log, whatever happened, and sums up.
-pub(super) fn conclude(
-    setup: &Setup,
-    options: &RunOptions,
+/// What the drives or the controller report, if one of them ended the run.
+fn fault(control: &ControlEnd<CanLink>) -> Option<String> {
+    let faults = control.link.fault_texts();
+    if faults.is_empty() {
+        control.tally.faults()
+    } else {
+        Some(format!("fault: {}", faults.join("; ")))
+    }
+}
+
+impl Seen for SceneEnd {
+    fn ended(&self, watched: &Watched, control: &ControlEnd<CanLink>) -> Ended {
+        let success = self.verdict == Verdict::Success;
+        let reason = if success {
+            "success".to_owned()
+        } else {
+            let before = watched.ended_by.clone().or_else(|| fault(control));
+            before.unwrap_or_else(|| self.reason.clone())
+        };
+        Ended {
+            success: Some(success),
+            ok: success,
+            reason,
+        }
+    }
+
+    fn inference(&self) -> &Histogram {
+        &self.inference
+    }
+
+    fn tissue(&self) -> Option<TissueSummary> {
+        self.tissue
+    }
+}
+
+impl Seen for RobotEnd {
+    fn ended(&self, watched: &Watched, control: &ControlEnd<CanLink>) -> Ended {
+        let interrupted = watched.ended_by.as_deref() == Some(INTERRUPTED);
+        let fault = fault(control);
+        Ended {
+            success: None,
+            ok: fault.is_none() && (self.as_asked || interrupted),
+            reason: fault
+                .or_else(|| watched.ended_by.clone())
+                .or_else(|| self.ended_by.clone())
+                .unwrap_or_else(|| "the control thread has stopped".to_owned()),
+        }
+    }
+
+    fn inference(&self) -> &Histogram {
+        &self.inference
+    }
+}
+
+/// Closes the log, whatever happened, and sums up; `labels` say nothing of how it went yet.
+pub(super) fn conclude<T: Seen>(
+    ends: Ends<T>,
+    labels: RunLabels<'_>,
     can: &CanOptions,
-    ends: Ends,
 ) -> Result<RunResult, SessionError> {
     let Ends {
         control,
         watched,
-        scene,
+        seen,
         log,
     } = ends;
-    let all = control.and_then(|control| Ok((control, watched?, scene?)));
-    let (mut control, watched, scene) = match all {
+    let all = control.and_then(|control| Ok((control, watched?, seen?)));
+    let (mut control, watched, seen) = match all {
         Ok(all) => all,
         Err(error) => {
             log.map(|log| log.finish(None)).transpose()?;
             return Err(error);
         }
     };
-    let (success, reason) = verdict(&watched, &scene, &control);
+    let ended = seen.ended(&watched, &control);
     let mut log_dropped = control.log_dropped;
     if let Some(log) = log {
         let outcome = RunOutcome {
-            success,
-            reason: reason.clone(),
+            success: ended.success,
+            reason: ended.reason.clone(),
             command_hash: control.tally.command_hash(),
         };
         let counts = log.finish(Some(&outcome))?;
         log_dropped += counts.frames_dropped + counts.events_dropped;
     }
     control.tally.inferences(&watched.inference);
-    control.tally.inferences(&scene.inference);
-    let policy = options.policy.name();
+    control.tally.inferences(seen.inference());
     let labels = RunLabels {
-        success,
-        reason: &reason,
-        tissue: scene.tissue,
-        ..labels(setup, options, &policy)
+        success: ended.success,
+        reason: &ended.reason,
+        tissue: seen.tissue(),
+        ..labels
     };
     let real_time = RealTimeCounts {
         overruns: control.skipped,
@@ -81,6 +142,7 @@ pub(super) fn conclude(
     let mut summary = control.tally.summary(&labels, Some(real_time));
     summary.can = Some(control.link.summary(can));
     Ok(RunResult {
+        ok: ended.ok,
         summary,
         pictures: Pictures::default(),
     })

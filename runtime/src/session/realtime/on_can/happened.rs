@@ -4,7 +4,9 @@ use hal::TimeNs;
 use trocar_canopen::master::Fault;
 use trocar_canopen::master::cycle::LINES_MAX;
 
-use crate::log::Level;
+use super::super::policy_process::arm_names;
+use crate::log::{Level, SideLog};
+use crate::mailbox::MailboxReader;
 use crate::per_arm::PerArm;
 
 /// What has happened to an arm so far.
@@ -37,6 +39,40 @@ impl Happened {
             news.push((Level::Error, fault.to_string()));
         }
         news
+    }
+}
+
+/// What is news of it for the log.
+pub(super) struct News {
+    noticed: MailboxReader<Noticed>,
+    /// What of it is in the log.
+    told: Option<PerArm<Happened>>,
+}
+
+impl News {
+    pub(super) const fn new(noticed: MailboxReader<Noticed>) -> Self {
+        Self {
+            noticed,
+            told: None,
+        }
+    }
+
+    /// Writes into the log what has happened to an arm and its buses.
+    pub(super) fn tell(&mut self, log: Option<&mut SideLog>) {
+        let Some((at, happened)) = self.noticed.take() else {
+            return;
+        };
+        let told = self.told.replace(happened);
+        let told = told.unwrap_or(happened.map(|_| Happened::default()));
+        let Some(log) = log else {
+            return;
+        };
+        let arms = happened.iter().zip(told.iter());
+        for ((now, before), name) in arms.zip(arm_names(happened.count())) {
+            for (level, text) in now.news(before) {
+                log.event(at, level, &format!("{name}: {text}"));
+            }
+        }
     }
 }
 

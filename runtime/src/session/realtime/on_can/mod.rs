@@ -1,20 +1,26 @@
-//! A real-time run of arms on CAN: the same controller, with drives on buses as its arms and the world in another process.
+//! A real-time run of arms on CAN: the same controller, with drives on buses as its arms.
 //!
 //! ```text
 //!  buses <── SYNC, set-points, answers ──> control thread (1 kHz, SCHED_FIFO) ── ticks ──> log thread
 //!                                            ▲ chunks       │ measured, faults
 //!                                            │              ▼
-//!  world's topics ── scene, verdict ──> scene thread ── arm ──> policy process ── chunks ──> first thread
-//!                └── frames ───────────────────────────────────────▲
+//!  topics ── frames; scene, verdict ──> observing thread ── arm ──> policy process ── chunks ──> first thread
+//!      └── frames ────────────────────────────────────────────────────▲
 //! ```
 //!
-//! The bring-up ends in the control thread, which must not let the beat stop from then on. A fault of any drive or bus stops
-//! all drives of its arm and ends the run; nothing enables them again but a new run.
+//! Of a task, the world is in another process (`trocar drives`), which shows its scene and its verdict: [`run_on_can`]. A robot has
+//! none: [`run_robot_on_can`] needs limits, drives and, if its policy looks at some, cameras on topics, whoever publishes them.
+//!
+//! What is waited for before the drives get torque is named on the terminal, and not for ever. The bring-up ends in the control
+//! thread, which must not let the beat stop from then on. A fault of any drive or bus stops all drives of its arm and ends the run;
+//! nothing enables them again but a new run.
 
+mod awaited;
 mod bring_up;
 mod conclude;
 mod happened;
 mod link;
+mod robot_thread;
 mod scene_thread;
 
 use std::sync::Arc;
@@ -23,36 +29,55 @@ use std::thread;
 use hal::config::Source;
 use hal::{ARM_NAMES, ArmState, Chunk, TICK_NS};
 use rtrb::{Consumer, Producer, RingBuffer};
+use tch::Device;
 use trocar_canopen::master::{CanConfig, enable_together};
-use trocar_topics::{SceneReport, SceneTopic, Subscriber, TopicNode};
+use trocar_canopen::socket::SocketBus;
+use trocar_topics::{SceneTopic, TopicNode};
 
-use super::child::PolicyChild;
+use super::child::{Outside, PolicyChild, check_cameras};
 use super::control_thread::{ControlEnd, ControlThread};
 use super::signals::{Signals, StopsAll};
 use super::watch::{Watched, watch};
-use super::{CHUNK_QUEUE, joined};
+use super::{CHUNK_QUEUE, joined, labels};
 use crate::control::AnyController;
-use crate::log::{LogFile, TickLog};
-use crate::mailbox::{MailboxWriter, mailbox};
+use crate::log::{LogFile, Recorder, SideLog, TickLog};
+use crate::mailbox::{MailboxReader, MailboxWriter, mailbox};
 use crate::per_arm::PerArm;
 use crate::rt::{self, MonotonicClock};
+use crate::session::can_clock::CanClock;
 use crate::session::can_interfaces;
-use crate::session::run::{RunOptions, RunResult, open_log};
-use crate::session::source::ChunkSource;
-use crate::session::{PolicyChoice, SessionError, Setup};
-use bring_up::{ReadyArm, await_world, bring_up, check, check_world, failed, uninterrupted};
+use crate::session::run::{RunOptions, RunResult, open_log, open_log_with};
+use crate::session::source::{ChunkSource, camera_names};
+use crate::session::tally::RunLabels;
+use crate::session::{PolicyChoice, Robot, SessionError, Setup};
+use bring_up::{ReadyArm, bring_up, check, check_world, failed, uninterrupted};
 use conclude::conclude;
-use happened::Noticed;
+use happened::{News, Noticed};
 use link::CanLink;
-use scene_thread::{SceneEnd, SceneThread, arm_reports, frames};
+use robot_thread::RobotThread;
+use scene_thread::{SceneThread, arm_reports, frames};
 
-/// Where the arms are and where their world shows itself.
+pub use awaited::Say;
+
+/// How far a frame may be from the instant of an observation where cameras have clocks of their own, ms: a policy step.
+const FRAMES_WITHIN_MS: u64 = 40;
+
+/// Where the arms are and where their world, or their cameras, show themselves.
 #[derive(Clone, Debug)]
 pub struct CanOptions {
     /// Nodes and buses.
     pub config: CanConfig,
-    /// The name of the world's topics.
+    /// The name of the topics of the world, or of the cameras.
     pub topics: String,
+}
+
+/// What a run without a task is asked.
+#[derive(Clone, Debug, Default)]
+pub struct RobotOptions {
+    /// After how long it ends, s; never by itself if not given.
+    pub seconds: Option<f64>,
+    /// Cameras whose frames the log keeps besides those that the policy sees.
+    pub cameras: Vec<String>,
 }
 
 impl CanOptions {
@@ -69,6 +94,19 @@ impl CanOptions {
     }
 }
 
+/// Opens the buses of the first `count` arms.
+fn open_buses(
+    can: &CanOptions,
+    count: usize,
+    clock: MonotonicClock,
+) -> Result<Vec<SocketBus<CanClock>>, SessionError> {
+    rt::catch_interrupts()
+        .map_err(|error| SessionError::RealTime(format!("catching signals failed: {error}")))?;
+    let arms = can.config.arms.iter().take(count);
+    let buses = arms.map(|arm| can_interfaces::open(&arm.interfaces, clock));
+    buses.collect()
+}
+
 /// Runs one episode with the task's arms on CAN.
 ///
 /// SIGINT, SIGTERM and SIGHUP bring the arms to rest and end the run as failed, with the reason `interrupted`.
@@ -79,139 +117,151 @@ pub fn run_on_can(
     setup: &Setup,
     options: &RunOptions,
     can: &CanOptions,
+    say: Say<'_>,
 ) -> Result<RunResult, SessionError> {
-    check(setup, &can.config)?;
-    rt::catch_interrupts()
-        .map_err(|error| SessionError::RealTime(format!("catching signals failed: {error}")))?;
-    let clock = MonotonicClock::new();
     let count = setup.task.arms.len();
-    let arms = can.config.arms.iter().take(count);
-    let buses = arms.map(|arm| can_interfaces::open(&arm.interfaces, clock));
-    let buses: Vec<_> = buses.collect::<Result<_, _>>()?;
+    check(&format!("task {}", setup.task_name), count, &can.config)?;
+    let clock = MonotonicClock::new();
+    let buses = open_buses(can, count, clock)?;
     let node = TopicNode::join(&can.topics)?;
     let scene = SceneTopic::subscriber(&node, ARM_NAMES[0])?;
-    let waiting = await_world(&scene, &can.topics, clock)?;
+    let waiting = awaited::world(&scene, &can.topics, say)?;
     check_world(&waiting, setup, options, &can.topics)?;
     let mut child = match &options.policy {
         PolicyChoice::Checkpoint(path) => {
-            let world = Some((can.topics.as_str(), clock));
-            Some(PolicyChild::start(setup, path, options, world)?)
+            let network = setup.network(path, Device::Cpu)?;
+            check_cameras(setup, &network)?;
+            let outside = Outside {
+                topics: &can.topics,
+                clock,
+                frames_within_ms: 0,
+            };
+            Some(PolicyChild::start(&network, path, options, Some(outside))?)
         }
         PolicyChoice::Expert | PolicyChoice::Noop | PolicyChoice::Random => None,
     };
     let ready = bring_up(can, buses)?;
-    let parts = Parts {
-        clock,
-        node: &node,
-        scene,
-    };
-    let ends = run_threads(setup, options, can, parts, child.as_mut(), ready)?;
-    conclude(setup, options, can, ends)
-}
-
-struct Parts<'a> {
-    clock: MonotonicClock,
-    node: &'a TopicNode,
-    scene: Subscriber<SceneReport>,
-}
-
-/// What the threads give back.
-struct Ends {
-    control: Result<ControlEnd<CanLink>, SessionError>,
-    watched: Result<Watched, SessionError>,
-    scene: Result<SceneEnd, SessionError>,
-    log: Option<LogFile>,
-}
-
-fn run_threads(
-    setup: &Setup,
-    options: &RunOptions,
-    can: &CanOptions,
-    parts: Parts<'_>,
-    child: Option<&mut PolicyChild>,
-    ready: Vec<ReadyArm>,
-) -> Result<Ends, SessionError> {
-    let Parts { clock, node, scene } = parts;
-    let (chunk_in, chunks) = RingBuffer::<PerArm<Chunk>>::new(CHUNK_QUEUE);
-    let (measured_in, measured) = mailbox();
-    let (noticed_in, noticed) = mailbox();
-    let signals = Arc::new(Signals::default());
-    let reports = match &child {
-        Some(_) => arm_reports(node, setup)?,
-        None => Vec::new(),
-    };
-    let (local, remote) = local_or_remote(setup, options, child, chunk_in)?;
-    let (tick_log, side_log, log) = match open_log(setup, options, false)? {
-        Some(recorder) => {
-            let (ticks, side, file) = recorder.split();
-            (Some(ticks), Some(side), Some(file))
+    let recorder = open_log(setup, options, false)?;
+    let wires = Wires::new(recorder, clock);
+    let (mut local, mut remote, reports) =
+        (None, None, arm_reports(&node, count, child.is_some())?);
+    match child.as_mut() {
+        Some(child) => remote = Some((child, wires.chunk_in)),
+        None => {
+            let source = setup.source(&options.policy, options.seed, options.compute)?;
+            local = Some((source, wires.chunk_in));
         }
-        None => (None, None, None),
-    };
-    let kept = match &side_log {
-        Some(_) => frames(node, setup.cameras_with(Vec::new()))?,
+    }
+    let seen = wires.seen;
+    let kept = match &seen.log {
+        Some(_) => frames(&node, setup.cameras_with(Vec::new()))?,
         None => Vec::new(),
     };
     let scene_thread = SceneThread {
         scene,
-        clock,
-        measured,
-        noticed,
-        told: None,
+        seen,
         local,
         reports,
         frames: kept,
-        log: side_log,
-        signals: Arc::clone(&signals),
     };
     let enabling = Enabling {
         can,
         ready,
         controller: setup.controller()?,
-        measured: measured_in,
-        noticed: noticed_in,
-        chunks,
-        log: tick_log,
-        signals: Arc::clone(&signals),
-        clock,
+        wires: wires.control,
     };
-    Ok(thread::scope(|scope| {
-        let control = scope.spawn(move || enabling.run());
-        let scene = scope.spawn(move || scene_thread.run());
-        let watched = watch(remote, &signals);
-        Ends {
-            control: joined(control).and_then(|end| end),
-            scene: joined(scene).and_then(|end| end),
-            watched,
-            log,
-        }
-    }))
+    let ends = run_threads(enabling, remote, wires.log, || scene_thread.run());
+    let policy = options.policy.name();
+    conclude(ends, labels(setup, options, &policy), can)
 }
 
-/// A policy of this process with the queue for its chunks, or of another process.
-type Local = Option<(ChunkSource, Producer<PerArm<Chunk>>)>;
-type Remote<'a> = Option<(&'a mut PolicyChild, Producer<PerArm<Chunk>>)>;
-
-fn local_or_remote<'a>(
-    setup: &Setup,
+/// Runs a robot on CAN: no task, no scene and no verdict, until the time is up, a signal comes, or a fault.
+///
+/// SIGINT, SIGTERM and SIGHUP bring the arms to rest.
+///
+/// # Errors
+/// From the configuration, the buses and their drives, the cameras' topics, the policy or the log.
+pub fn run_robot_on_can(
+    robot: &Robot,
     options: &RunOptions,
-    child: Option<&'a mut PolicyChild>,
-    chunks: Producer<PerArm<Chunk>>,
-) -> Result<(Local, Remote<'a>), SessionError> {
-    match child {
-        Some(child) => Ok((None, Some((child, chunks)))),
-        None => {
-            let source = setup.source(&options.policy, options.seed, options.compute)?;
-            Ok((Some((source, chunks)), None))
+    asked: &RobotOptions,
+    can: &CanOptions,
+    say: Say<'_>,
+) -> Result<RunResult, SessionError> {
+    let count = robot.arms();
+    check(&robot.safety_file, count, &can.config)?;
+    let clock = MonotonicClock::new();
+    let buses = open_buses(can, count, clock)?;
+    let node = TopicNode::join(&can.topics)?;
+    let network = match &options.policy {
+        PolicyChoice::Checkpoint(path) => Some((robot.network(path, Device::Cpu)?, path)),
+        PolicyChoice::Expert | PolicyChoice::Noop | PolicyChoice::Random => None,
+    };
+    let looked_at = network.iter().flat_map(|(network, _)| {
+        let sizes = network.recipe().cameras.iter();
+        let sizes = sizes.map(|camera| Some((camera.width, camera.height)));
+        camera_names(network).into_iter().zip(sizes)
+    });
+    let mut wanted: Vec<_> = looked_at.collect();
+    let looked_at = wanted.len();
+    for name in &asked.cameras {
+        if wanted.iter().all(|(known, _)| known != name) {
+            wanted.push((name.clone(), None));
         }
     }
+    let cameras = awaited::cameras(&node, &wanted, &can.topics, say)?;
+    let mut child = match &network {
+        Some((network, path)) => {
+            let outside = Outside {
+                topics: &can.topics,
+                clock,
+                frames_within_ms: FRAMES_WITHIN_MS,
+            };
+            Some(PolicyChild::start(network, path, options, Some(outside))?)
+        }
+        None => None,
+    };
+    drop(network);
+    let ready = bring_up(can, buses)?;
+    let recorder = open_log_with(&robot.header(options), options.log.as_deref())?;
+    let wires = Wires::new(recorder, clock);
+    let reports = arm_reports(&node, count, child.is_some())?;
+    let (mut local, mut remote) = (None, None);
+    match child.as_mut() {
+        Some(child) => remote = Some((child, wires.chunk_in)),
+        None => {
+            let source = Robot::source(&options.policy, options.seed);
+            local = source.map(|source| (source, wires.chunk_in));
+        }
+    }
+    let robot_thread = RobotThread::new(wires.seen, local, reports, (cameras, looked_at), asked);
+    let enabling = Enabling {
+        can,
+        ready,
+        controller: robot.controller()?,
+        wires: wires.control,
+    };
+    let ends = run_threads(enabling, remote, wires.log, || robot_thread.run());
+    let policy = options.policy.name();
+    let labels = RunLabels {
+        policy: &policy,
+        trained_on: robot.trained_on.as_deref(),
+        seed: options.seed,
+        ..RunLabels::default()
+    };
+    conclude(ends, labels, can)
 }
 
-/// The control thread before its arms have torque.
-struct Enabling<'a> {
-    can: &'a CanOptions,
-    ready: Vec<ReadyArm>,
-    controller: AnyController,
+/// What leads from one thread to the others.
+struct Wires {
+    control: ControlWires,
+    seen: SeenWires,
+    chunk_in: Producer<PerArm<Chunk>>,
+    log: Option<LogFile>,
+}
+
+/// The control thread's ends.
+struct ControlWires {
     measured: MailboxWriter<PerArm<ArmState>>,
     noticed: MailboxWriter<Noticed>,
     chunks: Consumer<PerArm<Chunk>>,
@@ -220,10 +270,103 @@ struct Enabling<'a> {
     clock: MonotonicClock,
 }
 
+/// The ends of whoever observes the arms for the policy.
+struct SeenWires {
+    measured: MailboxReader<PerArm<ArmState>>,
+    news: News,
+    log: Option<SideLog>,
+    signals: Arc<Signals>,
+    clock: MonotonicClock,
+}
+
+impl Wires {
+    fn new(recorder: Option<Recorder>, clock: MonotonicClock) -> Self {
+        let (chunk_in, chunks) = RingBuffer::<PerArm<Chunk>>::new(CHUNK_QUEUE);
+        let (measured_in, measured) = mailbox();
+        let (noticed_in, noticed) = mailbox();
+        let signals = Arc::new(Signals::default());
+        let (tick_log, side_log, log) = match recorder {
+            Some(recorder) => {
+                let (ticks, side, file) = recorder.split();
+                (Some(ticks), Some(side), Some(file))
+            }
+            None => (None, None, None),
+        };
+        Self {
+            control: ControlWires {
+                measured: measured_in,
+                noticed: noticed_in,
+                chunks,
+                log: tick_log,
+                signals: Arc::clone(&signals),
+                clock,
+            },
+            seen: SeenWires {
+                measured,
+                news: News::new(noticed),
+                log: side_log,
+                signals,
+                clock,
+            },
+            chunk_in,
+            log,
+        }
+    }
+}
+
+/// What the threads give back; `T` is that of the observing one.
+struct Ends<T> {
+    control: Result<ControlEnd<CanLink>, SessionError>,
+    watched: Result<Watched, SessionError>,
+    seen: Result<T, SessionError>,
+    log: Option<LogFile>,
+}
+
+/// A policy of this process with the queue for its chunks, or of another process.
+type Local = Option<(ChunkSource, Producer<PerArm<Chunk>>)>;
+type Remote<'a> = Option<(&'a mut PolicyChild, Producer<PerArm<Chunk>>)>;
+
+/// Controls the arms in one thread, observes them in another, and looks after the policy process in this one.
+fn run_threads<T: Send>(
+    enabling: Enabling<'_>,
+    remote: Remote<'_>,
+    log: Option<LogFile>,
+    observe: impl FnOnce() -> Result<T, SessionError> + Send,
+) -> Ends<T> {
+    let signals = Arc::clone(&enabling.wires.signals);
+    thread::scope(|scope| {
+        let control = scope.spawn(move || enabling.run());
+        let seen = scope.spawn(observe);
+        let watched = watch(remote, &signals);
+        Ends {
+            control: joined(control).and_then(|end| end),
+            seen: joined(seen).and_then(|end| end),
+            watched,
+            log,
+        }
+    })
+}
+
+/// The control thread before its arms have torque.
+struct Enabling<'a> {
+    can: &'a CanOptions,
+    ready: Vec<ReadyArm>,
+    controller: AnyController,
+    wires: ControlWires,
+}
+
 impl Enabling<'_> {
     /// Enables all drives and controls them until the run is over, which leaves them without torque.
     fn run(self) -> Result<ControlEnd<CanLink>, SessionError> {
-        let _stops = StopsAll(&self.signals);
+        let ControlWires {
+            measured,
+            noticed,
+            chunks,
+            log,
+            signals,
+            clock,
+        } = self.wires;
+        let _stops = StopsAll(&signals);
         uninterrupted()?;
         let arms =
             enable_together(self.ready).map_err(|(arm, error)| failed(self.can, arm, &error))?;
@@ -232,14 +375,14 @@ impl Enabling<'_> {
         };
         let control = ControlThread {
             controller: self.controller,
-            link: CanLink::new(arms, self.measured, self.noticed),
-            chunks: self.chunks,
-            log: self.log,
-            signals: Arc::clone(&self.signals),
+            link: CanLink::new(arms, measured, noticed),
+            chunks,
+            log,
+            signals: Arc::clone(&signals),
         };
         // The beat goes on at once.
-        let first = self.clock.now().plus_ns(TICK_NS);
-        let mut end = control.run(self.clock, first);
+        let first = clock.now().plus_ns(TICK_NS);
+        let mut end = control.run(clock, first);
         end.link.shut_down();
         Ok(end)
     }

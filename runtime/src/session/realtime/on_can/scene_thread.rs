@@ -3,25 +3,23 @@
 
 use std::sync::Arc;
 
-use hal::{ArmState, CameraFrame, Chunk, Intrinsics, SeenArm, TimeNs};
-use rtrb::Producer;
+use hal::{ArmState, CameraFrame, Intrinsics, SeenArm, TimeNs};
 use trocar_topics::{
-    ArmReport, ArmStateTopic, CameraTopic, FrameSubscriber, Publisher, SceneReport, Subscriber,
+    ArmReport, ArmStateTopic, CameraTopic, FrameView, Publisher, SceneReport, Subscriber,
     TopicNode, Verdict,
 };
 
 use super::super::policy_process::arm_names;
-use super::super::signals::{EndsRun, Signals};
-use super::happened::{Happened, Noticed};
+use super::super::signals::EndsRun;
+use super::awaited::Camera;
+use super::{Local, SeenWires};
 use crate::histogram::Histogram;
-use crate::log::SideLog;
-use crate::mailbox::MailboxReader;
 use crate::per_arm::PerArm;
 use crate::rt::{self, MonotonicClock};
-use crate::session::source::{ChunkSource, Query, seen_arm};
+use crate::session::SessionError;
+use crate::session::source::{Query, seen_arm};
 use crate::session::summary::TissueSummary;
 use crate::session::world_report::{scene_state, tissue};
-use crate::session::{SessionError, Setup};
 
 /// Time between two looks, ns; the world speaks every 40 ms.
 const POLL_NS: u64 = 3_000_000;
@@ -29,21 +27,18 @@ const POLL_NS: u64 = 3_000_000;
 /// A world that says nothing for this long is gone, ns.
 const SILENCE_NS_MAX: u64 = 2_000_000_000;
 
+/// A world's episode begins when all its drives are enabled. One that has not begun this long after ours are is another one, ns.
+const BEGIN_NS_MAX: u64 = 3_000_000_000;
+
 /// The thread before it runs.
 pub(super) struct SceneThread {
     pub(super) scene: Subscriber<SceneReport>,
-    pub(super) clock: MonotonicClock,
-    pub(super) measured: MailboxReader<PerArm<ArmState>>,
-    pub(super) noticed: MailboxReader<Noticed>,
-    /// What of it is in the log.
-    pub(super) told: Option<PerArm<Happened>>,
-    pub(super) local: Option<(ChunkSource, Producer<PerArm<Chunk>>)>,
+    pub(super) seen: SeenWires,
+    pub(super) local: Local,
     /// For a policy process, one an arm.
     pub(super) reports: Vec<Publisher<ArmReport>>,
     /// For the log.
-    pub(super) frames: Vec<(String, FrameSubscriber)>,
-    pub(super) log: Option<SideLog>,
-    pub(super) signals: Arc<Signals>,
+    pub(super) frames: Vec<Camera>,
 }
 
 /// What it leaves behind.
@@ -58,21 +53,19 @@ pub(super) struct SceneEnd {
     pub(super) tissue: Option<TissueSummary>,
 }
 
-/// The topics for a policy process with the arms of `setup`.
+/// The topics on which a policy process hears of `count` arms, if there is one.
 pub(super) fn arm_reports(
     node: &TopicNode,
-    setup: &Setup,
+    count: usize,
+    has_process: bool,
 ) -> Result<Vec<Publisher<ArmReport>>, SessionError> {
-    let names = arm_names(setup.task.arms.len());
+    let names = arm_names(if has_process { count } else { 0 });
     let reports = names.map(|arm| ArmStateTopic::publisher(node, arm));
     Ok(reports.collect::<Result<_, _>>()?)
 }
 
 /// The frames of the cameras `names`, should the world show them.
-pub(super) fn frames(
-    node: &TopicNode,
-    names: Vec<String>,
-) -> Result<Vec<(String, FrameSubscriber)>, SessionError> {
+pub(super) fn frames(node: &TopicNode, names: Vec<String>) -> Result<Vec<Camera>, SessionError> {
     let open = |name: String| {
         let topic = CameraTopic::subscriber(node, &name)?;
         Ok((name, topic))
@@ -83,7 +76,7 @@ pub(super) fn frames(
 impl SceneThread {
     /// Runs until the control thread has stopped; says so when the task has its verdict or the world is gone.
     pub(super) fn run(mut self) -> Result<SceneEnd, SessionError> {
-        let signals = Arc::clone(&self.signals);
+        let signals = Arc::clone(&self.seen.signals);
         let _ends = EndsRun(&signals);
         let mut end = SceneEnd {
             verdict: Verdict::Waiting,
@@ -91,13 +84,14 @@ impl SceneThread {
             inference: Histogram::new(),
             tissue: None,
         };
-        let (mut newest, mut heard, mut begun) = (None, self.clock.now(), None);
+        let (mut newest, mut heard, mut begun) = (None, self.seen.clock.now(), None);
+        let mut enabled = None;
         while !signals.stopped() {
-            newest = self.measured.take().or(newest);
-            self.tell_news();
+            newest = self.seen.measured.take().or(newest);
+            self.seen.news.tell(self.seen.log.as_mut());
             self.keep_frames()?;
             if let Some(report) = self.scene.newest()? {
-                heard = self.clock.now();
+                heard = self.seen.clock.now();
                 end.tissue = tissue(&report);
                 let decided = matches!(
                     end.verdict,
@@ -108,7 +102,17 @@ impl SceneThread {
                     end.reason = report.reason.text();
                 }
                 match end.verdict {
-                    Verdict::Waiting => {}
+                    Verdict::Waiting => {
+                        // There are measurements once the drives are enabled.
+                        let since = newest.map_or(heard, |_| *enabled.get_or_insert(heard));
+                        if heard.since(since) > BEGIN_NS_MAX && !signals.done() {
+                            end.reason = format!(
+                                "the world has not begun its episode {} s after our drives were enabled: are they its own?",
+                                BEGIN_NS_MAX / 1_000_000_000
+                            );
+                            signals.end_run();
+                        }
+                    }
                     Verdict::Running => {
                         let first = *begun.get_or_insert(report.sequence);
                         let step = report.sequence.saturating_sub(first);
@@ -118,7 +122,7 @@ impl SceneThread {
                     }
                     Verdict::Success | Verdict::Failure | Verdict::Invalid => signals.end_run(),
                 }
-            } else if self.clock.now().since(heard) > SILENCE_NS_MAX && !signals.done() {
+            } else if self.seen.clock.now().since(heard) > SILENCE_NS_MAX && !signals.done() {
                 end.reason = format!(
                     "the world has shown nothing for {} s",
                     SILENCE_NS_MAX / 1_000_000_000
@@ -128,7 +132,7 @@ impl SceneThread {
             self.keep_alive()?;
             rt::sleep_ns(POLL_NS);
         }
-        self.tell_news();
+        self.seen.news.tell(self.seen.log.as_mut());
         Ok(end)
     }
 
@@ -145,7 +149,7 @@ impl SceneThread {
             let seen = seen_at(state, report.stamp);
             topic.publish(&ArmReport::new(step, &seen.state, &seen.tip_in_rcm))?;
         }
-        let observed_at = self.clock.from_system(report.stamp);
+        let observed_at = self.seen.clock.from_system(report.stamp);
         if let Some((source, chunks)) = &mut self.local
             && step.is_multiple_of(source.query_every_steps())
         {
@@ -153,7 +157,7 @@ impl SceneThread {
             let query = Query {
                 arms: states.map(|state| seen_at(&state, observed_at)),
                 frames: &[],
-                scene: &scene,
+                scene: Some(&scene),
             };
             let clock = MonotonicClock::new();
             let answer = source.answer(&query)?;
@@ -164,35 +168,14 @@ impl SceneThread {
         Ok(())
     }
 
-    /// Writes into the log what has happened to an arm and its buses.
-    fn tell_news(&mut self) {
-        let Some((at, happened)) = self.noticed.take() else {
-            return;
-        };
-        let told = self.told.replace(happened);
-        let told = told.unwrap_or(happened.map(|_| Happened::default()));
-        let Some(log) = &mut self.log else {
-            return;
-        };
-        let arms = happened.iter().zip(told.iter());
-        for ((now, before), name) in arms.zip(arm_names(happened.count())) {
-            for (level, text) in now.news(before) {
-                log.event(at, level, &format!("{name}: {text}"));
-            }
-        }
-    }
-
     /// Hands frames that have come to the log.
     fn keep_frames(&mut self) -> Result<(), SessionError> {
-        let Some(log) = &mut self.log else {
+        let Some(log) = &mut self.seen.log else {
             return Ok(());
         };
         for (name, topic) in &mut self.frames {
             if let Some(view) = topic.newest()? {
-                let mut frame = CameraFrame::blank(Intrinsics::default());
-                view.to_frame(&mut frame);
-                frame.stamp = self.clock.from_system(frame.stamp);
-                log.frame(name, &frame);
+                log.frame(name, &logged(&view, &self.seen.clock));
             }
         }
         Ok(())
@@ -207,7 +190,15 @@ impl SceneThread {
     }
 }
 
+/// A frame of another process as this run's log has it.
+pub(super) fn logged(view: &FrameView, clock: &MonotonicClock) -> CameraFrame {
+    let mut frame = CameraFrame::blank(Intrinsics::default());
+    view.to_frame(&mut frame);
+    frame.stamp = clock.from_system(frame.stamp);
+    frame
+}
+
 /// An arm in `state` as a policy sees it at `stamp`.
-fn seen_at(state: &ArmState, stamp: TimeNs) -> SeenArm {
+pub(super) fn seen_at(state: &ArmState, stamp: TimeNs) -> SeenArm {
     seen_arm(&ArmState { stamp, ..*state })
 }

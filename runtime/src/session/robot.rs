@@ -1,0 +1,118 @@
+//! A robot as a session sees it: limits and settings, and neither task nor scene nor verdict.
+
+use std::path::Path;
+
+use hal::config::Source;
+use policy::checkpoint::load_recipe;
+use policy::compute::Compute;
+use policy::loaded_policy::LoadedPolicy;
+
+use super::SessionError;
+use super::run::{RunOptions, versions};
+use super::setup::{Texts, built_in_control, network};
+use super::source::{ChunkSource, PolicyChoice};
+use crate::control::{AnyController, ControlConfig};
+use crate::log::RunHeader;
+
+/// Everything that a run without a task is configured by.
+#[derive(Clone, Debug)]
+pub struct Robot {
+    /// The controller.
+    pub control: ControlConfig,
+    /// The texts it came from, for the log.
+    pub texts: Texts,
+    /// Where the limits were read.
+    pub safety_file: String,
+    /// The task of the demonstrations that the policy was trained on, if it is a checkpoint that tells.
+    pub trained_on: Option<String>,
+}
+
+impl Robot {
+    /// Reads limits from the file `safety` (the form of a task's `safety.toml`) and the controller's settings from `control`, or
+    /// takes the built-in ones.
+    ///
+    /// # Errors
+    /// [`SessionError::Config`], [`SessionError::Checkpoint`], or [`SessionError::BadArgument`] for a policy that is neither a name
+    /// nor a folder, and for the expert, which needs a scene.
+    pub fn load(
+        safety: &Path,
+        control: Option<&Path>,
+        policy: &PolicyChoice,
+    ) -> Result<Self, SessionError> {
+        policy.check_exists()?;
+        let recipe = match policy {
+            PolicyChoice::Checkpoint(folder) => load_recipe(folder)?,
+            PolicyChoice::Noop | PolicyChoice::Random => None,
+            PolicyChoice::Expert => {
+                let reason = "--policy expert: it sees the simulator's scene and needs a --task";
+                return Err(SessionError::BadArgument(reason.to_owned()));
+            }
+        };
+        let control = match control {
+            Some(path) => Source::read(&path.display().to_string())?,
+            None => built_in_control(recipe.as_ref())?,
+        };
+        let safety_file = safety.display().to_string();
+        let safety = Source::read(&safety_file)?;
+        Ok(Self {
+            control: ControlConfig::load(&control, &safety)?,
+            texts: Texts {
+                control: control.text().to_owned(),
+                safety: safety.text().to_owned(),
+                scene: None,
+                can: None,
+            },
+            safety_file,
+            trained_on: recipe.map(|recipe| recipe.dataset.task),
+        })
+    }
+
+    /// How many arms it has.
+    #[must_use]
+    pub fn arms(&self) -> usize {
+        self.control.arms.len()
+    }
+
+    /// A fresh controller of all its arms.
+    ///
+    /// # Errors
+    /// [`SessionError::BadArgument`] if the configuration can't be turned into one.
+    pub fn controller(&self) -> Result<AnyController, SessionError> {
+        AnyController::new(&self.control)
+            .map_err(|error| SessionError::BadArgument(error.to_string()))
+    }
+
+    /// The network in `folder`.
+    ///
+    /// # Errors
+    /// [`SessionError::Checkpoint`], or [`SessionError::BadArgument`] if it is for another number of arms.
+    pub fn network(
+        &self,
+        folder: &Path,
+        compute: impl Into<Compute>,
+    ) -> Result<LoadedPolicy, SessionError> {
+        network(folder, compute, self.arms(), &self.safety_file)
+    }
+
+    /// What answers in this process: a policy that sees nothing but the arms. None of a checkpoint, which has a process of its own.
+    #[must_use]
+    pub fn source(choice: &PolicyChoice, seed: u64) -> Option<ChunkSource> {
+        match choice {
+            PolicyChoice::Noop => Some(ChunkSource::noop()),
+            PolicyChoice::Random => Some(ChunkSource::random(seed)),
+            PolicyChoice::Expert | PolicyChoice::Checkpoint(_) => None,
+        }
+    }
+
+    /// How a log of it begins.
+    #[must_use]
+    pub fn header(&self, options: &RunOptions) -> RunHeader {
+        RunHeader {
+            policy: options.policy.name(),
+            seed: options.seed,
+            versions: versions(),
+            texts: self.texts.by_name(),
+            ..RunHeader::default()
+        }
+    }
+}

@@ -1,0 +1,74 @@
+//! A robot without a simulator: `trocar run --safety`, with `trocar drives --no-world` in the place of its drives.
+
+use runtime::log::RunLog;
+use runtime::replay::replay;
+use runtime::verify::verify;
+use tests::{Profile, repository, scratch, trocar};
+
+use super::pair::Process;
+use super::peer::{alone, said};
+
+#[test]
+#[ignore = "needs a CAN bus: make test-can"]
+fn a_robot_without_a_simulator_runs_within_its_limits_until_its_time_is_up() {
+    let _turn = alone();
+    let folder = scratch("can_robot");
+    let mut drives = Process::start(&folder, "drives", &["drives", "--no-world"]);
+    drives.await_word("no world: psm1 is nodes 1 2 3 4 5 6 7");
+    let log = folder.join("run.mcap");
+    let safety = repository().join("config/tasks/needle-lift/safety.toml");
+    let arguments = ["run", "--backend", "can", "--policy", "random"];
+    let files = [
+        "--safety",
+        safety.to_str().unwrap(),
+        "--log",
+        log.to_str().unwrap(),
+    ];
+    let arguments = [&arguments[..], &files, &["--seconds", "1.5"]].concat();
+    let (code, run) = Process::start(&folder, "run", &arguments).end();
+    assert_eq!(code, Some(0), "{run}");
+    assert_eq!(run["reason"], "the 1.5 s are over", "{run}");
+    for absent in ["task", "success", "view"] {
+        assert!(run.get(absent).is_none(), "{run}");
+    }
+    assert!(run["policy"]["queries"].as_u64() > Some(5), "{run}");
+    let log = RunLog::open(&log).unwrap();
+    assert_eq!(
+        (log.header.task.as_str(), log.text("scene.toml")),
+        ("", None)
+    );
+    assert_eq!(
+        log.outcome.as_ref().map(|outcome| outcome.success),
+        Some(None)
+    );
+    let verified = verify(&log).unwrap();
+    assert!(verified.ok, "{:?}", verified.violations.first());
+    assert!(replay(&log).unwrap().identical);
+    drives.signal("-INT");
+    let (code, drives) = drives.end();
+    assert_eq!(code, Some(0), "{drives}");
+    assert!(drives["begun_s"].as_f64().is_some(), "{drives}");
+    assert!(drives.get("outcome").is_none(), "{drives}");
+}
+
+#[test]
+#[ignore = "needs a CAN bus: make test-can"]
+fn a_camera_that_shows_nothing_is_named_and_no_drive_is_spoken_to() {
+    let _turn = alone();
+    let policy = repository().join("config/policies/needle-lift/act-small");
+    let safety = repository().join("config/tasks/needle-lift/safety.toml");
+    let output = trocar(Profile::Debug)
+        .args(["run", "--backend", "can", "--topics", "can_robot_blind"])
+        .args(["--policy", policy.to_str().unwrap()])
+        .args(["--safety", safety.to_str().unwrap()])
+        .output()
+        .unwrap();
+    let told = said(&output);
+    assert_eq!(output.status.code(), Some(1), "{told}");
+    let waits = "waiting for a frame of camera endoscope on topics \"can_robot_blind\", for 10 s at most; no drive has torque";
+    assert!(told.contains(waits), "{told}");
+    assert!(
+        told.contains("camera endoscope has shown no frame on topics \"can_robot_blind\" for 10 s"),
+        "{told}"
+    );
+}
