@@ -169,7 +169,7 @@ impl Results {
         let mut reasons = Vec::new();
         for store in stores {
             let manifest = match store.state(kind, address) {
-                State::Done(manifest) => *manifest,
+                State::Done(manifest) | State::Bare(manifest) => *manifest,
                 State::Damaged(reason) => {
                     reasons.push(reason);
                     continue;

@@ -15,6 +15,7 @@ use super::child::Running;
 use super::commands::Begin;
 use super::estimate::Durations;
 use super::gpu::{self, MemoryWatch};
+use super::job::Kind;
 use super::plan::{Cell, Plan};
 use super::schedule::{Grant, Machine, Pool};
 use super::store::Attempts;
@@ -86,6 +87,8 @@ pub fn run(
 
 struct Runner<'a> {
     cells: Vec<&'a Cell>,
+    /// Places among them in the order in which they are begun if they can be: what is nearest to a result is first.
+    order: Vec<usize>,
     places: BTreeMap<&'a Address, usize>,
     status: Vec<Status>,
     workshop: &'a Workshop<'a>,
@@ -113,6 +116,12 @@ impl<'a> Runner<'a> {
             .iter()
             .filter(|cell| part.contains(&cell.address))
             .collect();
+        let mut order: Vec<usize> = (0..cells.len()).collect();
+        order.sort_by_key(|&index| match cells[index].job.kind() {
+            Kind::Evaluation => 0,
+            Kind::Training => 1,
+            Kind::Recording => 2,
+        });
         let needs_gpu = cells.iter().any(|cell| cell.job.on_gpu());
         Self {
             places: cells
@@ -120,6 +129,7 @@ impl<'a> Runner<'a> {
                 .enumerate()
                 .map(|(index, cell)| (&cell.address, index))
                 .collect(),
+            order,
             status: vec![Status::Waiting; cells.len()],
             cells,
             workshop,
@@ -168,7 +178,8 @@ impl<'a> Runner<'a> {
     /// Starts what can be started.
     fn start(&mut self) -> Result<(), StudyError> {
         let now = self.clock.now();
-        for index in 0..self.cells.len() {
+        for place in 0..self.order.len() {
+            let index = self.order[place];
             match self.status[index] {
                 Status::Waiting => {}
                 Status::Elsewhere(until) if now >= until => {}

@@ -3,7 +3,7 @@
 use super::file::{RunSection, StudyFile};
 use super::job::{Job, Kind};
 
-/// A GPU as shares, which trainings and evaluations take.
+/// A GPU as shares. Trainings have one such whole, and evaluations another, so that none waits for the others' end.
 const WHOLE_GPU: usize = 1_000_000;
 
 /// What a machine has for a study.
@@ -22,6 +22,17 @@ pub struct Need {
     pub cores: usize,
     /// Shares of one GPU.
     pub gpu: usize,
+    /// Of which whole.
+    pub of: Whole,
+}
+
+/// Whose share of a GPU it is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Whole {
+    /// Trainings'.
+    Trainings,
+    /// Evaluations'.
+    Evaluations,
 }
 
 impl Need {
@@ -42,6 +53,10 @@ impl Need {
                 gpu_share(job.kind(), run)
             } else {
                 0
+            },
+            of: match job.kind() {
+                Kind::Recording | Kind::Training => Whole::Trainings,
+                Kind::Evaluation => Whole::Evaluations,
             },
         }
     }
@@ -79,7 +94,8 @@ pub struct Grant {
 #[derive(Clone, Debug)]
 pub struct Pool {
     cores: usize,
-    gpus: Vec<(String, usize)>,
+    /// By name, free shares of trainings and of evaluations.
+    gpus: Vec<(String, [usize; 2])>,
 }
 
 /// Why something is not to be had now.
@@ -100,7 +116,7 @@ impl Pool {
             gpus: machine
                 .gpus
                 .iter()
-                .map(|gpu| (gpu.clone(), WHOLE_GPU))
+                .map(|gpu| (gpu.clone(), [WHOLE_GPU; 2]))
                 .collect(),
         }
     }
@@ -116,8 +132,10 @@ impl Pool {
         let mut gpu = None;
         if need.gpu > 0 {
             let roomy = self.gpus.iter_mut().enumerate().rev();
-            let (index, (_, free)) = roomy.max_by_key(|(_, (_, free))| *free).ok_or(Busy::Gpu)?;
-            *free = free.checked_sub(need.gpu).ok_or(Busy::Gpu)?;
+            let of = need.of as usize;
+            let roomiest = roomy.max_by_key(|(_, (_, free))| free[of]);
+            let (index, (_, free)) = roomiest.ok_or(Busy::Gpu)?;
+            free[of] = free[of].checked_sub(need.gpu).ok_or(Busy::Gpu)?;
             gpu = Some(index);
         }
         self.cores -= need.cores;
@@ -129,7 +147,7 @@ impl Pool {
         self.cores += grant.need.cores;
         let gpu = grant.gpu.and_then(|index| self.gpus.get_mut(index));
         if let Some((_, free)) = gpu {
-            *free += grant.need.gpu;
+            free[grant.need.of as usize] += grant.need.gpu;
         }
     }
 
@@ -152,13 +170,18 @@ mod tests {
         }
     }
 
+    fn need(cores: usize, gpu: usize) -> Need {
+        Need {
+            cores,
+            gpu,
+            of: Whole::Trainings,
+        }
+    }
+
     #[test]
     fn trainings_spread_over_gpus_and_share_them() {
         let mut pool = Pool::new(&machine());
-        let need = Need {
-            cores: 1,
-            gpu: WHOLE_GPU / 3,
-        };
+        let need = need(1, WHOLE_GPU / 3);
         let grants: Vec<Grant> = (0..6).map(|_| pool.take(need).unwrap()).collect();
         let names: Vec<_> = grants
             .iter()
@@ -167,6 +190,13 @@ mod tests {
         assert_eq!(names, ["0", "1", "0", "1", "0", "1"]);
         assert_eq!(pool.take(need), Err(Busy::Gpu));
         assert_eq!(at_a_time(need, &machine()), 6);
+        // Evaluations do not wait for them.
+        let evaluation = Need {
+            cores: 1,
+            gpu: WHOLE_GPU,
+            of: Whole::Evaluations,
+        };
+        assert!(pool.clone().take(evaluation).is_ok());
         pool.give(&grants[3]);
         let again = pool.take(need).unwrap();
         assert_eq!(pool.gpu_name(&again), Some("1"));
@@ -175,30 +205,16 @@ mod tests {
     #[test]
     fn what_is_not_free_is_not_taken() {
         let mut pool = Pool::new(&machine());
-        let wide = pool.take(Need { cores: 6, gpu: 0 }).unwrap();
-        assert_eq!(pool.take(Need { cores: 3, gpu: 0 }), Err(Busy::Cores));
-        let narrow = pool
-            .take(Need {
-                cores: 2,
-                gpu: WHOLE_GPU,
-            })
-            .unwrap();
+        let wide = pool.take(need(6, 0)).unwrap();
+        assert_eq!(pool.take(need(3, 0)), Err(Busy::Cores));
+        let narrow = pool.take(need(2, WHOLE_GPU)).unwrap();
         pool.give(&wide);
         pool.give(&narrow);
-        assert!(
-            pool.take(Need {
-                cores: 8,
-                gpu: WHOLE_GPU
-            })
-            .is_ok()
-        );
+        assert!(pool.take(need(8, WHOLE_GPU)).is_ok());
         let none = Machine {
             cores: 1,
             gpus: Vec::new(),
         };
-        assert_eq!(
-            Pool::new(&none).take(Need { cores: 1, gpu: 1 }),
-            Err(Busy::Gpu)
-        );
+        assert_eq!(Pool::new(&none).take(need(1, 1)), Err(Busy::Gpu));
     }
 }

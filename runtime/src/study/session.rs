@@ -117,6 +117,12 @@ impl Study {
                     lines.push(line(kind, address.short(), &cell.label, "done"));
                     continue;
                 }
+                State::Bare(_) => {
+                    done += 1;
+                    let state = "done, without what it made";
+                    lines.push(line(kind, address.short(), &cell.label, state));
+                    continue;
+                }
                 State::Damaged(reason) => {
                     damaged += 1;
                     format!("damaged: {reason}")

@@ -65,6 +65,8 @@ pub enum State {
     Begun,
     /// It is done.
     Done(Box<Manifest>),
+    /// It is done, and some of what it made (a dataset, weights, logs) is not here any more; its result is.
+    Bare(Box<Manifest>),
     /// Something is there that is not what was written.
     Damaged(String),
 }
@@ -82,6 +84,15 @@ pub struct Attempts {
     pub count: u32,
     /// Time that they took, s.
     pub seconds: f64,
+}
+
+/// The folder, below its own, of what a cell makes.
+const fn product_name(kind: Kind) -> &'static str {
+    match kind {
+        Kind::Recording => "data",
+        Kind::Training => "checkpoint",
+        Kind::Evaluation => "kept",
+    }
 }
 
 impl Store {
@@ -106,12 +117,7 @@ impl Store {
     /// Where a cell keeps what it is.
     #[must_use]
     pub fn product(&self, kind: Kind, address: &Address) -> PathBuf {
-        let name = match kind {
-            Kind::Recording => "data",
-            Kind::Training => "checkpoint",
-            Kind::Evaluation => "kept",
-        };
-        self.cell(kind, address).join(name)
+        self.cell(kind, address).join(product_name(kind))
     }
 
     /// Where a cell keeps its verb's result.
@@ -149,10 +155,29 @@ impl Store {
                 read.address
             ));
         }
-        match read.files.iter().find_map(|file| difference(&folder, file)) {
+        let made = product_name(kind);
+        let is_gone =
+            |file: &&FileRecord| file.path.starts_with(made) && !folder.join(&file.path).exists();
+        let here = read.files.iter().filter(|file| !is_gone(file));
+        match here.into_iter().find_map(|file| difference(&folder, file)) {
             Some(difference) => State::Damaged(difference),
+            None if read.files.iter().any(|file| is_gone(&file)) => State::Bare(Box::new(read)),
             None => State::Done(Box::new(read)),
         }
+    }
+
+    /// Takes away what says that a cell is done, so that it is made anew. The caller holds its lock.
+    ///
+    /// # Errors
+    /// [`StudyError::Io`].
+    pub fn forget(&self, kind: Kind, address: &Address) -> Result<(), StudyError> {
+        for path in [
+            self.cell(kind, address).join("cell.json"),
+            self.result(kind, address),
+        ] {
+            fs::remove_file(&path).map_err(|error| StudyError::io(&path, error))?;
+        }
+        Ok(())
     }
 
     /// Takes a cell's lock, if nobody else has it.

@@ -355,7 +355,9 @@ fn done(store: &Store) -> Address {
 fn damage(store: &Store, address: &Address) -> String {
     match store.state(Kind::Evaluation, address) {
         State::Damaged(reason) => reason,
-        other @ (State::Missing | State::Begun | State::Done(_)) => panic!("{other:?}"),
+        other @ (State::Missing | State::Begun | State::Done(_) | State::Bare(_)) => {
+            panic!("{other:?}")
+        }
     }
 }
 
@@ -402,6 +404,27 @@ fn a_cell_is_done_only_as_long_as_its_files_are_what_they_were() {
     let text = fs::read(&manifest).unwrap();
     fs::write(&manifest, &text[..text.len() / 2]).unwrap();
     assert!(damage(&store, &address).contains("cell.json: cut off or changed"));
+}
+
+#[test]
+fn a_cells_result_outlives_what_it_made() {
+    let store = Store::new(scratch("bare"));
+    let address = Address::of(&serde_json::json!("cell"));
+    let kept = store.product(Kind::Evaluation, &address);
+    fs::create_dir_all(&kept).unwrap();
+    fs::write(kept.join("seed-1.gif"), "strip").unwrap();
+    fs::write(kept.join("seed-1.mcap"), "log").unwrap();
+    assert_eq!(done(&store), address);
+    fs::remove_file(kept.join("seed-1.mcap")).unwrap();
+    let state = || store.state(Kind::Evaluation, &address);
+    assert!(matches!(state(), State::Bare(_)), "{:?}", state());
+    // What is here has to be what was written.
+    fs::write(kept.join("seed-1.gif"), "other").unwrap();
+    assert!(damage(&store, &address).contains("seed-1.gif"));
+    fs::remove_dir_all(&kept).unwrap();
+    assert!(matches!(state(), State::Bare(_)));
+    fs::remove_file(store.result(Kind::Evaluation, &address)).unwrap();
+    assert!(damage(&store, &address).contains("result.json"));
 }
 
 #[test]

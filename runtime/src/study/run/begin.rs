@@ -45,7 +45,8 @@ impl Runner<'_> {
         let cell = self.cells[index];
         match self.workshop.store.state(cell.job.kind(), &cell.address) {
             State::Missing | State::Begun => false,
-            State::Done(manifest) => {
+            State::Bare(_) if self.is_wanted(index) => false,
+            State::Done(manifest) | State::Bare(manifest) => {
                 if let (Job::Recording(job), Some(episodes)) = (&cell.job, manifest.episodes)
                     && episodes < job.episodes
                 {
@@ -65,6 +66,24 @@ impl Runner<'_> {
         }
     }
 
+    /// Whether what a cell made is needed by another one that is not done.
+    fn is_wanted(&self, index: usize) -> bool {
+        let address = &self.cells[index].address;
+        let needs_it = |cell: &&super::super::plan::Cell| cell.job.inputs().contains(address);
+        let mut needing = self
+            .cells
+            .iter()
+            .enumerate()
+            .filter(|(_, cell)| needs_it(cell));
+        needing.any(|(other, cell)| {
+            match self.workshop.store.state(cell.job.kind(), &cell.address) {
+                State::Done(_) => false,
+                State::Bare(_) => self.is_wanted(other),
+                State::Missing | State::Begun | State::Damaged(_) => true,
+            }
+        })
+    }
+
     fn begin_with(&mut self, index: usize, grant: &Grant) -> Result<Begun, StudyError> {
         let cell = self.cells[index];
         let (kind, address) = (cell.job.kind(), &cell.address);
@@ -77,6 +96,9 @@ impl Runner<'_> {
         // Somebody may have done it between the first look and the lock.
         if self.settled(index) {
             return Ok(Begun::Settled);
+        }
+        if let State::Bare(_) = store.state(kind, address) {
+            store.forget(kind, address)?;
         }
         let mut input = None;
         if let Job::Training(job) = &cell.job {
