@@ -105,7 +105,10 @@ impl<'a> TrialWorker<'a> {
             PolicyChoice::Checkpoint(_) => {
                 Some(setup.source(&options.policy, options.seed, options.compute)?)
             }
-            PolicyChoice::Expert | PolicyChoice::Noop | PolicyChoice::Random => None,
+            PolicyChoice::Expert
+            | PolicyChoice::Noop
+            | PolicyChoice::Random
+            | PolicyChoice::Own(_) => None,
         };
         Ok(Self {
             setup,
@@ -149,7 +152,7 @@ impl<'a> TrialWorker<'a> {
         let end = episode.run(&plan, &mut watcher)?;
         self.cameras = simulation.into_cameras();
         let kept = self.finish(seed, watcher.keeper, &end, &source)?;
-        if matches!(source, ChunkSource::Network(_)) {
+        if matches!(source, ChunkSource::Policy(_)) {
             self.network = Some(source);
         }
         let name = |of: fn(&Kept) -> &PathBuf| kept.as_ref().map(|it| of(it).display().to_string());
@@ -168,9 +171,9 @@ impl<'a> TrialWorker<'a> {
 
     /// The policy at the start of the trial `seed`.
     fn source(&mut self, seed: u64) -> Result<ChunkSource, SessionError> {
-        if let Some(ChunkSource::Network(mut network)) = self.network.take() {
-            hal::Policy::reset(network.as_mut(), seed);
-            return Ok(ChunkSource::Network(network));
+        if let Some(mut network) = self.network.take() {
+            network.reset(seed);
+            return Ok(network);
         }
         self.setup
             .source(&self.options.policy, seed, self.options.compute)

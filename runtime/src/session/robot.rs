@@ -42,7 +42,7 @@ impl Robot {
         policy.check_exists()?;
         let recipe = match policy {
             PolicyChoice::Checkpoint(folder) => load_recipe(folder)?,
-            PolicyChoice::Noop | PolicyChoice::Random => None,
+            PolicyChoice::Noop | PolicyChoice::Random | PolicyChoice::Own(_) => None,
             PolicyChoice::Expert => {
                 let reason = "--policy expert: it sees the simulator's scene and needs a --task";
                 return Err(SessionError::BadArgument(reason.to_owned()));
@@ -100,7 +100,7 @@ impl Robot {
         match choice {
             PolicyChoice::Noop => Some(ChunkSource::noop()),
             PolicyChoice::Random => Some(ChunkSource::random(seed)),
-            PolicyChoice::Expert | PolicyChoice::Checkpoint(_) => None,
+            PolicyChoice::Expert | PolicyChoice::Checkpoint(_) | PolicyChoice::Own(_) => None,
         }
     }
 

@@ -11,7 +11,7 @@ use sim_backend::task::Outcome;
 use super::episode::{Episode, Plan, StepView, Watcher};
 use super::latency::Latency;
 use super::pictures::Pictures;
-use super::source::PolicyChoice;
+use super::source::{ChunkSource, PolicyChoice};
 use super::summary::RunSummary;
 use super::tally::RunLabels;
 use super::{SessionError, Setup, pictures};
@@ -62,10 +62,20 @@ pub struct RunResult {
 /// # Errors
 /// From the configuration, the policy, the simulation or the log.
 pub fn run_lockstep(setup: &Setup, options: &RunOptions) -> Result<RunResult, SessionError> {
-    let mut source = setup.source(&options.policy, options.seed, options.compute)?;
-    if let super::source::ChunkSource::Network(network) = &mut source {
-        hal::Policy::reset(network.as_mut(), options.seed);
-    }
+    let source = setup.source(&options.policy, options.seed, options.compute)?;
+    run_lockstep_with(setup, options, source)
+}
+
+/// The same with a policy of the caller's, [`ChunkSource::policy`]; that of `options` only names it.
+///
+/// # Errors
+/// From the configuration, the policy, the simulation or the log.
+pub fn run_lockstep_with(
+    setup: &Setup,
+    options: &RunOptions,
+    mut source: ChunkSource,
+) -> Result<RunResult, SessionError> {
+    source.reset(options.seed);
     let needs_frames = options.wants_frames() || !source.cameras().is_empty();
     let rendering = if needs_frames {
         Rendering::On

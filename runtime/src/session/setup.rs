@@ -82,7 +82,10 @@ impl Setup {
         let files = tasks::files(task)?;
         let recipe = match policy {
             PolicyChoice::Checkpoint(folder) => load_recipe(folder)?,
-            PolicyChoice::Expert | PolicyChoice::Noop | PolicyChoice::Random => None,
+            PolicyChoice::Expert
+            | PolicyChoice::Noop
+            | PolicyChoice::Random
+            | PolicyChoice::Own(_) => None,
         };
         let control = match control {
             Some(path) => Source::read(&path.display().to_string())?,
@@ -196,8 +199,11 @@ impl Setup {
             },
             PolicyChoice::Noop => ChunkSource::noop(),
             PolicyChoice::Random => ChunkSource::random(seed),
-            PolicyChoice::Checkpoint(path) => {
-                ChunkSource::Network(Box::new(self.network(path, compute)?))
+            PolicyChoice::Checkpoint(path) => ChunkSource::network(self.network(path, compute)?),
+            PolicyChoice::Own(name) => {
+                return Err(SessionError::BadArgument(format!(
+                    "policy {name} has to be handed in, as ChunkSource::policy"
+                )));
             }
         })
     }

@@ -34,6 +34,8 @@ pub enum PolicyChoice {
     Random,
     /// A trained checkpoint.
     Checkpoint(PathBuf),
+    /// One that the caller hands in, as [`ChunkSource::policy`], by this name.
+    Own(String),
 }
 
 impl PolicyChoice {
@@ -58,7 +60,7 @@ impl PolicyChoice {
                 "policy {}: there is no such folder; a policy is expert, noop, random or a checkpoint's folder",
                 path.display()
             ))),
-            Self::Checkpoint(_) | Self::Expert | Self::Noop | Self::Random => Ok(()),
+            Self::Checkpoint(_) | Self::Expert | Self::Noop | Self::Random | Self::Own(_) => Ok(()),
         }
     }
 
@@ -70,6 +72,7 @@ impl PolicyChoice {
             Self::Noop => "noop".to_owned(),
             Self::Random => "random".to_owned(),
             Self::Checkpoint(path) => path.display().to_string(),
+            Self::Own(name) => name.clone(),
         }
     }
 }
@@ -119,11 +122,48 @@ pub enum ChunkSource {
         /// Chunks so far.
         sequence: u64,
     },
-    /// A trained network.
-    Network(Box<LoadedPolicy>),
+    /// A policy that sees the arms and cameras: a trained network, or anyone's.
+    Policy(Observer),
+}
+
+/// A policy with what it has to be shown, and when.
+pub struct Observer {
+    policy: Box<dyn Policy + Send>,
+    cameras: Vec<String>,
+    query_every_steps: u64,
 }
 
 impl ChunkSource {
+    /// A policy that looks through `cameras` (names of the task's) and is asked every `query_every_steps` policy steps of 40 ms, at
+    /// least each step.
+    #[must_use]
+    pub fn policy(
+        policy: Box<dyn Policy + Send>,
+        cameras: Vec<String>,
+        query_every_steps: u64,
+    ) -> Self {
+        Self::Policy(Observer {
+            policy,
+            cameras,
+            query_every_steps: query_every_steps.max(1),
+        })
+    }
+
+    /// A trained network.
+    #[must_use]
+    pub fn network(network: LoadedPolicy) -> Self {
+        let every = u64::from(network.recipe().query_every_steps);
+        let cameras = camera_names(&network);
+        Self::policy(Box::new(network), cameras, every)
+    }
+
+    /// Forgets the past; everything random afterwards hangs on `seed`. What is made with its seed is not changed.
+    pub fn reset(&mut self, seed: u64) {
+        if let Self::Policy(observer) = self {
+            observer.policy.reset(seed);
+        }
+    }
+
     /// One that holds still.
     #[must_use]
     pub const fn noop() -> Self {
@@ -148,7 +188,7 @@ impl ChunkSource {
     pub fn cameras(&self) -> Vec<String> {
         match self {
             Self::Expert { .. } | Self::Noop { .. } | Self::Random { .. } => Vec::new(),
-            Self::Network(network) => camera_names(network),
+            Self::Policy(observer) => observer.cameras.clone(),
         }
     }
 
@@ -158,7 +198,7 @@ impl ChunkSource {
         match self {
             Self::Expert { .. } | Self::Noop { .. } => 1,
             Self::Random { .. } => 5,
-            Self::Network(network) => u64::from(network.recipe().query_every_steps),
+            Self::Policy(observer) => observer.query_every_steps,
         }
     }
 
@@ -167,7 +207,7 @@ impl ChunkSource {
     pub fn activities(&self) -> [Activity; ARMS_MAX] {
         match self {
             Self::Expert { expert, .. } => expert.activities(),
-            Self::Noop { .. } | Self::Random { .. } | Self::Network(_) => {
+            Self::Noop { .. } | Self::Random { .. } | Self::Policy(_) => {
                 [Activity::Other; ARMS_MAX]
             }
         }
@@ -178,7 +218,7 @@ impl ChunkSource {
     pub fn attempts(&self) -> u32 {
         match self {
             Self::Expert { expert, .. } => expert.attempts(),
-            Self::Noop { .. } | Self::Random { .. } | Self::Network(_) => 0,
+            Self::Noop { .. } | Self::Random { .. } | Self::Policy(_) => 0,
         }
     }
 
@@ -187,7 +227,7 @@ impl ChunkSource {
     pub fn history_steps(&self) -> u64 {
         match self {
             Self::Expert { .. } | Self::Noop { .. } | Self::Random { .. } => 0,
-            Self::Network(network) => network.history_steps(),
+            Self::Policy(observer) => observer.policy.history_steps(),
         }
     }
 
@@ -200,10 +240,10 @@ impl ChunkSource {
         arms: &PerArm<SeenArm>,
         frames: &[FrameRef<'_>],
     ) -> Result<(), SessionError> {
-        if let Self::Network(network) = self {
+        if let Self::Policy(observer) = self {
             let arms: Vec<SeenArm> = arms.iter().copied().collect();
             let arms = &arms;
-            network.observe(&Observation { arms, frames })?;
+            observer.policy.observe(&Observation { arms, frames })?;
         }
         Ok(())
     }
@@ -213,7 +253,7 @@ impl ChunkSource {
     pub fn latency_ticks(&self) -> u64 {
         match self {
             Self::Expert { .. } | Self::Noop { .. } | Self::Random { .. } => 0,
-            Self::Network(_) => NETWORK_LATENCY_TICKS,
+            Self::Policy(_) => NETWORK_LATENCY_TICKS,
         }
     }
 
@@ -246,13 +286,13 @@ impl ChunkSource {
                 let home = *home.get_or_insert(here);
                 Ok(home.map(|home| wander(now, *sequence, &home, rng)))
             }
-            Self::Network(network) => {
+            Self::Policy(observer) => {
                 let arms: Vec<SeenArm> = query.arms.iter().copied().collect();
                 let observation = Observation {
                     arms: &arms,
                     frames: query.frames,
                 };
-                per_arm(network.infer(&observation)?)
+                per_arm(observer.policy.infer(&observation)?)
             }
         }
     }

@@ -68,7 +68,7 @@ fn run_setup(
     };
     let mut logger = Logger(Recorder::create(&file.0, &header, Pressure::Block).unwrap());
     let rendering = match policy {
-        PolicyChoice::Checkpoint(_) => Rendering::On,
+        PolicyChoice::Checkpoint(_) | PolicyChoice::Own(_) => Rendering::On,
         PolicyChoice::Expert | PolicyChoice::Noop | PolicyChoice::Random => Rendering::Off,
     };
     let episode = Episode {
@@ -115,9 +115,10 @@ fn two_arms_run_replay_and_verify_under_every_policy_without_a_network() {
         let moved = [path_m(0) > 0.01, path_m(1) > 0.01];
         let expected = match policy {
             PolicyChoice::Noop => [false, false],
-            PolicyChoice::Expert | PolicyChoice::Random | PolicyChoice::Checkpoint(_) => {
-                [true, true]
-            }
+            PolicyChoice::Expert
+            | PolicyChoice::Random
+            | PolicyChoice::Checkpoint(_)
+            | PolicyChoice::Own(_) => [true, true],
         };
         assert_eq!(moved, expected, "{name}");
         let chunks = log

@@ -77,7 +77,9 @@ pub fn run_realtime(setup: &Setup, options: &RunOptions) -> Result<RunResult, Se
             check_cameras(setup, &network)?;
             Some(PolicyChild::start(&network, path, options, None)?)
         }
-        PolicyChoice::Expert | PolicyChoice::Noop | PolicyChoice::Random => None,
+        PolicyChoice::Expert | PolicyChoice::Noop | PolicyChoice::Random | PolicyChoice::Own(_) => {
+            None
+        }
     };
     let source = match child {
         Some(_) => None,

@@ -138,7 +138,9 @@ pub fn run_on_can(
             };
             Some(PolicyChild::start(&network, path, options, Some(outside))?)
         }
-        PolicyChoice::Expert | PolicyChoice::Noop | PolicyChoice::Random => None,
+        PolicyChoice::Expert | PolicyChoice::Noop | PolicyChoice::Random | PolicyChoice::Own(_) => {
+            None
+        }
     };
     let ready = bring_up(can, buses)?;
     let recorder = open_log(setup, options, false)?;
@@ -195,7 +197,9 @@ pub fn run_robot_on_can(
     let node = TopicNode::join(&can.topics)?;
     let network = match &options.policy {
         PolicyChoice::Checkpoint(path) => Some((robot.network(path, Device::Cpu)?, path)),
-        PolicyChoice::Expert | PolicyChoice::Noop | PolicyChoice::Random => None,
+        PolicyChoice::Expert | PolicyChoice::Noop | PolicyChoice::Random | PolicyChoice::Own(_) => {
+            None
+        }
     };
     let looked_at = network.iter().flat_map(|(network, _)| {
         let sizes = network.recipe().cameras.iter();
