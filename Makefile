@@ -1,5 +1,5 @@
 # Two commands do everything on a fresh machine: `make demo` and `make test`.
-.PHONY: demo test test-adversary test-golden test-can test-study test-slurm adversary fuzz-can build setup setup-can setup-browser bench clean
+.PHONY: demo test check test-adversary test-golden test-can test-study test-slurm adversary fuzz-can build setup setup-can setup-browser bench clean
 
 TROCAR := $(or $(CARGO_TARGET_DIR),target)/release/trocar
 
@@ -20,6 +20,10 @@ test: build
 	cargo test --locked --workspace
 	$(MAKE) test-can
 	$(MAKE) test-study
+
+# Format, lints and unit tests of the crates that differ from HEAD: for the time while you work.
+check: setup
+	.ci/check
 
 # Adversaries, planted faults and scenarios for the safety chain, alone; part of the workspace's tests.
 test-adversary: setup

@@ -2,7 +2,7 @@
 //!
 //! [`plan`] says which node drives what, [`config`] reads it from `config/can.toml`. [`bringup`] is the way to an enabled arm,
 //! a type a step; [`cycle`] is what happens between two SYNCs, without clock or socket; [`arm`] makes a
-//! [`hal::Arm`](hal::Arm) of it. [`link`] is the seam to the buses.
+//! [`hal::Arm`] of it. [`link`] is the seam to the buses.
 //!
 //! What the master does about what can go wrong. "Lost" means that [`CanArm`] reports a lost measurement,
 //! whereupon the controller plays its verified stop; "fault" means that every drive that still hears us gets a quick stop,
