@@ -32,7 +32,7 @@ test-adversary: setup
 # What needs a CAN bus, where there is one: in user-mode Linux if this machine's kernel has none. Without either, this fails.
 test-can: setup setup-can
 	cargo build --locked -p runtime
-	cargo test --locked --workspace --test can_bus --config 'target."cfg(all())".runner="$(CURDIR)/.ci/with-vcan"' -- --ignored
+	cargo test --locked --workspace --test can_bus --config 'target."cfg(all())".runner=["$(CURDIR)/.ci/with-vcan","--time-limit","1500"]' -- --ignored
 
 # A tiny study interrupted, killed, gone on with, in two shards, reported, its page opened in a browser.
 test-study: build setup-browser

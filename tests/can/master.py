@@ -291,8 +291,11 @@ def quick_stop(nodes, cycle):
 
 def following_error(node, others, cycle):
     heard = len(node.emcy.log)
-    node.rpdo[1][0x607A].raw = node.sdo[0x6064].raw + 4 * node.sdo[0x6065].raw
-    wait_for(lambda: node.state == "FAULT", f"a jump of the target leaves node {node.id} in {node.state}")
+    window = node.sdo[0x6065].raw
+    node.sdo[0x6065].raw = 1
+    node.rpdo[1][0x607A].raw = node.sdo[0x6064].raw + 4 * window
+    wait_for(lambda: node.state == "FAULT", f"a motor that lags behind a jump leaves node {node.id} in {node.state}")
+    node.sdo[0x6065].raw = window
     wait_for(lambda: len(node.emcy.log) > heard, "no EMCY tells of the fault")
     code = node.emcy.log[heard].code
     check(code == EMCY_FOLLOWING_ERROR, f"the EMCY says {code:04X}h")

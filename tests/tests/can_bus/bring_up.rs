@@ -54,7 +54,7 @@ fn assert_no_torque(stage: &str) {
     for _ in 0..2 {
         let torque: Vec<u16> = (1..=7).filter(|node| has_torque(*node)).collect();
         assert_eq!(torque, [0; 0], "{stage}");
-        pass_ms(300);
+        pass_ms(100);
     }
 }
 
@@ -62,7 +62,7 @@ fn assert_no_torque(stage: &str) {
 #[ignore = "needs a CAN bus: make test-can"]
 fn a_run_that_is_interrupted_while_it_brings_its_drives_up_leaves_them_without_torque() {
     let _turn = alone();
-    let pair = Pair::start("can_impatient", &[], &[]);
+    let pair = Pair::talking("can_impatient");
     let stages: [(&str, &str, Stage); 3] = [
         ("-INT", "identity", identifies),
         ("-TERM", "mapping", maps),
@@ -79,7 +79,13 @@ fn a_run_that_is_interrupted_while_it_brings_its_drives_up_leaves_them_without_t
         assert!(said.contains(why), "{name}: {said}");
         assert_no_torque(name);
     }
-    // Too late for that: the drives come up, and the arm is led to rest and let go.
+}
+
+#[test]
+#[ignore = "needs a CAN bus: make test-can"]
+fn a_run_that_is_interrupted_while_its_drives_are_enabled_leads_them_to_rest_and_lets_go() {
+    let _turn = alone();
+    let pair = Pair::start("can_impatient_late", &[], &[]);
     let bus = bus();
     let run = pair.run("expert");
     await_frame(&bus, lets_go);
@@ -97,7 +103,7 @@ fn a_run_that_is_interrupted_while_it_brings_its_drives_up_leaves_them_without_t
 #[ignore = "needs a CAN bus: make test-can"]
 fn before_the_drives_are_enabled_an_interrupted_run_never_enables_one() {
     let _turn = alone();
-    let pair = Pair::start("can_impatient_early", &[], &[]);
+    let pair = Pair::talking("can_impatient_early");
     let bus = bus();
     let run = pair.run("noop");
     await_frame(&bus, maps);

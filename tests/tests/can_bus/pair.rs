@@ -15,6 +15,9 @@ const PATIENCE_NS: u64 = 240_000 * MS_NS;
 /// How much slower these processes live, so that a kernel inside a kernel on a busy machine keeps up with their buses.
 const SLOW_MOTION: u64 = 15;
 
+/// The same of processes that only ask and answer, without a beat.
+const SLOW_TALK: u64 = 5;
+
 /// Lets so many milliseconds of the processes' time pass.
 pub(crate) fn pass_ms(ms: u64) {
     sleep_ns(ms * MS_NS * SLOW_MOTION);
@@ -37,10 +40,14 @@ pub(crate) struct Process {
 
 impl Process {
     pub(crate) fn start(folder: &Path, name: &str, arguments: &[&str]) -> Self {
+        Self::slowed(SLOW_MOTION, folder, name, arguments)
+    }
+
+    fn slowed(times: u64, folder: &Path, name: &str, arguments: &[&str]) -> Self {
         let said = folder.join(format!("{name}.txt"));
         let result = folder.join(format!("{name}.json"));
         let child = trocar(Profile::Debug)
-            .env("TROCAR_SLOW_MOTION", SLOW_MOTION.to_string())
+            .env("TROCAR_SLOW_MOTION", times.to_string())
             .args(arguments)
             .arg("--json")
             .arg(&result)
@@ -112,12 +119,22 @@ impl Drop for Process {
 pub(crate) struct Pair {
     folder: PathBuf,
     config: String,
+    slow_motion: u64,
     pub(crate) drives: Process,
 }
 
 impl Pair {
     /// Drives whose nodes and buses are the shipped ones after `changes`.
     pub(crate) fn start(test: &str, changes: &[(&str, &str)], faults: &[&str]) -> Self {
+        Self::slowed(SLOW_MOTION, test, changes, faults)
+    }
+
+    /// The shipped drives, for runs that end before there is a beat.
+    pub(crate) fn talking(test: &str) -> Self {
+        Self::slowed(SLOW_TALK, test, &[], &[])
+    }
+
+    fn slowed(slow_motion: u64, test: &str, changes: &[(&str, &str)], faults: &[&str]) -> Self {
         let folder = scratch(test);
         let mut text = fs::read_to_string(repository().join("config/can.toml")).unwrap();
         for (from, to) in changes {
@@ -131,11 +148,12 @@ impl Pair {
         for fault in faults {
             arguments.extend(["--fault", fault]);
         }
-        let mut drives = Process::start(&folder, "drives", &arguments);
+        let mut drives = Process::slowed(slow_motion, &folder, "drives", &arguments);
         drives.await_word("psm1 is nodes 1 2 3 4 5 6 7");
         Self {
             folder,
             config,
+            slow_motion,
             drives,
         }
     }
@@ -159,7 +177,7 @@ impl Pair {
             "--log",
             log.to_str().unwrap(),
         ];
-        Process::start(&self.folder, "run", &arguments)
+        Process::slowed(self.slow_motion, &self.folder, "run", &arguments)
     }
 
     pub(crate) fn log(&self) -> PathBuf {

@@ -188,4 +188,20 @@ impl PowerState {
             Self::NotReady | Self::FaultReaction | Self::Fault => None,
         }
     }
+
+    /// What a master says next to take a drive in this state down to switch-on disabled, one confirmed state at a time: operation
+    /// disabled (0007h), shut down (0006h), no voltage (0000h).
+    #[must_use]
+    pub const fn towards_disabled(self) -> Command {
+        match self {
+            Self::OperationEnabled => Command::SwitchOn,
+            Self::SwitchedOn => Command::Shutdown,
+            Self::NotReady
+            | Self::SwitchOnDisabled
+            | Self::ReadyToSwitchOn
+            | Self::QuickStopActive
+            | Self::FaultReaction
+            | Self::Fault => Command::DisableVoltage,
+        }
+    }
 }

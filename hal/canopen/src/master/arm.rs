@@ -13,6 +13,10 @@ use hal::{Arm, ArmCommand, ArmError, ArmState, JOINT_COUNT, SafeTail, TimeNs};
 /// Most periods of a stop that are made up for at once.
 const CATCH_UP_MAX: u64 = 1000;
 
+/// How long drives may take to stop and to lose their torque, ns, and cycles for what they are told of it meanwhile.
+const TAKE_DOWN_NS: u64 = 300_000_000;
+const TAKE_DOWN_CYCLES: u64 = 20;
+
 /// Seven drives on one to three buses.
 ///
 /// [`Arm::read`] takes what has come, and where a SYNC is due sends it; the answers to it are what is read from the next SYNC
@@ -193,6 +197,26 @@ impl<B: Bus> CanArm<B> {
         self.out.clear();
         self.cycle.commands(now, line, &mut self.out);
         self.transmit(line);
+    }
+
+    /// Takes the drives down, an exchange of the cycle that is due at `now`: operation disabled (0007h), after the brake's time shut down
+    /// (0006h), no voltage (0000h), each state confirmed by the drive. Tells whether every drive that is heard is down; to be called once a
+    /// control period until it is, or [`Self::take_down_ns`] have passed, and [`Self::shut_down`] thereafter. After a fault the drives stop
+    /// first, as in every cycle after it.
+    pub fn take_down(&mut self, now: TimeNs) -> bool {
+        self.cycle.set_goal(now, Goal::Disabled);
+        if self.cycle.is_due(now) {
+            self.turn(now);
+        } else {
+            self.receive(now);
+        }
+        self.cycle.is_down()
+    }
+
+    /// How long [`Self::take_down`] may take: the longest stop of a drive, its brake, and a few cycles for each state.
+    #[must_use]
+    pub const fn take_down_ns(&self) -> u64 {
+        TAKE_DOWN_NS + self.plan.brake_ns + TAKE_DOWN_CYCLES * self.plan.cycle_ns
     }
 
     /// Stops every node: drives that still have torque stop as 6007h says.

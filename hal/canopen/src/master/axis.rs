@@ -1,5 +1,7 @@
 //! What the master knows of one axis. Hot path: bounded, no allocation, no I/O, no lock.
 
+use core::fmt;
+
 use super::plan::{ANSWER_BYTES, AxisPlan};
 use crate::cia301::NmtState;
 use crate::cia402::Status;
@@ -20,12 +22,24 @@ const MISS_WEIGHT: u32 = 3;
 /// Why an answer was not taken.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Rejected {
-    /// Not eight bytes.
-    Length,
+    /// So many bytes and not eight.
+    Length(usize),
     /// The status word codes no state.
     Status,
     /// The axis cannot have come there since the last answer.
     Jump,
+}
+
+impl fmt::Display for Rejected {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Length(bytes) => {
+                write!(f, "process data of {bytes} bytes instead of {ANSWER_BYTES}")
+            }
+            Self::Status => f.write_str("a status word that codes no state"),
+            Self::Jump => f.write_str("a position that the axis cannot have reached"),
+        }
+    }
 }
 
 /// How one axis has been heard.
@@ -65,6 +79,10 @@ pub(super) struct Axis {
     pub(super) withdrawn: u32,
     /// The set-point that the drive was on its way to when it measured.
     pub(super) followed: i32,
+    /// Since when it is switched on and its operation disabled, on the way down.
+    pub(super) idle: Option<TimeNs>,
+    /// Why the newest answer of a period without a usable one was not taken; none if none came.
+    pub(super) refused: Option<Rejected>,
     /// Whether a usable answer has come in this period, and how many of any kind.
     answered: bool,
     answers: u32,
@@ -98,6 +116,8 @@ impl Axis {
             stops: 0,
             withdrawn: 0,
             followed: 0,
+            idle: None,
+            refused: None,
             answered: false,
             answers: 0,
             kept: false,
@@ -134,12 +154,14 @@ impl Axis {
                     }
                 }
                 self.answered = true;
+                self.refused = None;
                 self.newest = Some(answer);
                 self.sampled = sync;
                 Ok(answer)
             }
             Err(rejected) => {
                 self.health.rejected += 1;
+                self.refused = Some(rejected);
                 Err(rejected)
             }
         }
@@ -167,6 +189,9 @@ impl Axis {
         self.kept = core::mem::take(&mut self.answered);
         let due = self.owed.saturating_add(1);
         self.owed = due.saturating_sub(answers);
+        if answers == 0 {
+            self.refused = None;
+        }
         if !self.kept {
             self.health.missed += 1;
             self.silent = self.silent.saturating_add(1);
@@ -259,6 +284,11 @@ impl Axis {
         Some(f64::from(newest.position) + ahead)
     }
 
+    /// Whether its brake may still be closing, for which its drive stays switched on.
+    pub(super) fn brakes(&self, now: TimeNs, brake_ns: u64) -> bool {
+        self.idle.is_some_and(|idle| now.since(idle) < brake_ns)
+    }
+
     /// How far it is from the set-point that it was following, counts.
     pub(super) fn deviation(&self) -> u32 {
         self.newest.map_or(0, |newest| {
@@ -270,10 +300,10 @@ impl Axis {
 
 fn parse(data: &[u8]) -> Result<Answer, Rejected> {
     if data.len() != usize::from(ANSWER_BYTES) {
-        return Err(Rejected::Length);
+        return Err(Rejected::Length(data.len()));
     }
     let [s0, s1, p0, p1, p2, p3, t0, t1] =
-        <[u8; 8]>::try_from(data).map_err(|_| Rejected::Length)?;
+        <[u8; 8]>::try_from(data).map_err(|_| Rejected::Length(data.len()))?;
     let status = u16::from_le_bytes([s0, s1]);
     Ok(Answer {
         status: Status::parse(status).map_err(|_| Rejected::Status)?,

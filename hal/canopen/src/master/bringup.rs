@@ -12,6 +12,8 @@ mod settings;
 mod step;
 mod watched;
 
+use std::sync::mpsc::Sender;
+
 use super::arm::CanArm;
 use super::client::{expect, read_number, send};
 use super::fault::Who;
@@ -85,6 +87,13 @@ impl<B: Bus> Offline<B> {
             bus: Watched::new(bus, plan),
             plan: *plan,
         })
+    }
+
+    /// Tells `steps` what bring-up is at, from setting up the first node on until all is done but the beat: a slow bus takes its time.
+    #[must_use]
+    pub fn telling(mut self, steps: Sender<Step>) -> Self {
+        self.bus.steps = Some(steps);
+        self
     }
 
     /// Listens for another master, then resets every node of the plan and waits for it to boot up.

@@ -23,6 +23,8 @@ struct File {
     cycle_us: u32,
     space: String,
     heartbeat_ms: u16,
+    #[serde(default)]
+    brake_ms: u16,
     vendor: u32,
     product: u32,
     arm: Vec<ArmFile>,
@@ -78,6 +80,7 @@ impl CanConfig {
             return Err(source.out_of_range("cycle_us", &value, "whole hundreds"));
         }
         range("heartbeat_ms", file.heartbeat_ms.into(), 10, 2000)?;
+        range("brake_ms", file.brake_ms.into(), 0, 2000)?;
         let space = match file.space.as_str() {
             "joint" => Space::Joint,
             "actuator" => Space::Actuator,
@@ -214,6 +217,7 @@ fn arm_on_can(
         sync_counter: 0,
         master,
         heartbeat_ms: file.heartbeat_ms,
+        brake_ns: u64::from(file.brake_ms) * 1_000_000,
         space,
         axes,
     };

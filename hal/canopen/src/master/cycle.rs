@@ -163,6 +163,21 @@ impl Cycle {
             .all(|state| *state == Some(PowerState::OperationEnabled))
     }
 
+    /// Whether no drive that is heard is on its way down any more.
+    #[must_use]
+    pub fn is_down(&self) -> bool {
+        self.axes.iter().all(|axis| {
+            let state = axis.newest.map(|newest| newest.status.state);
+            axis.silent() >= SILENT_AFTER
+                || matches!(
+                    state,
+                    None | Some(
+                        PowerState::NotReady | PowerState::SwitchOnDisabled | PowerState::Fault
+                    )
+                )
+        })
+    }
+
     /// The newest SYNC.
     #[must_use]
     pub const fn sync(&self) -> Option<TimeNs> {

@@ -2,6 +2,7 @@
 
 use core::fmt;
 
+use super::axis::Rejected;
 use crate::cia301::NmtState;
 use crate::cia301::emcy::ErrorCode;
 use crate::cia402::PowerState;
@@ -54,8 +55,10 @@ pub enum Fault {
     LeftOperational(Who, NmtState),
     /// The node told an error.
     Emergency(Who, ErrorCode),
-    /// No usable process data for too long.
+    /// No process data for so many cycles.
     Silent(Who, u32),
+    /// Process data that can't be used for so many cycles, and what is wrong with it.
+    Unusable(Who, Rejected, u32),
     /// Less than three in four of its process data come in time.
     Unsteady(Who),
     /// The drive is not enabled any more, or did not become so in time.
@@ -80,6 +83,7 @@ impl Fault {
             | Self::LeftOperational(who, _)
             | Self::Emergency(who, _)
             | Self::Silent(who, _)
+            | Self::Unusable(who, ..)
             | Self::Unsteady(who)
             | Self::NotEnabled(who, _)
             | Self::FollowingError(who, _)
@@ -98,7 +102,7 @@ impl Fault {
                 ErrorCode::HEARTBEAT
             }
             Self::Emergency(_, code) => *code,
-            Self::Silent(..) | Self::Unsteady(_) => ErrorCode::RPDO_TIMEOUT,
+            Self::Silent(..) | Self::Unusable(..) | Self::Unsteady(_) => ErrorCode::RPDO_TIMEOUT,
             Self::NotEnabled(..) => ErrorCode::GENERIC,
             Self::FollowingError(..) => ErrorCode::FOLLOWING_ERROR,
             Self::PowerLost(_) => ErrorCode::UNDER_VOLTAGE,
@@ -156,7 +160,10 @@ impl fmt::Display for Fault {
             Self::LeftOperational(who, state) => write!(f, "{who}: went to {state:?}"),
             Self::Emergency(who, code) => write!(f, "{who}: emergency {code}"),
             Self::Silent(who, cycles) => {
-                write!(f, "{who}: no usable process data for {cycles} cycles")
+                write!(f, "{who}: no process data for {cycles} cycles")
+            }
+            Self::Unusable(who, rejected, cycles) => {
+                write!(f, "{who}: {rejected}, for {cycles} cycles")
             }
             Self::Unsteady(who) => write!(
                 f,

@@ -70,6 +70,8 @@ pub struct ArmPlan {
     pub master: NodeId,
     /// Time between two heartbeats, of master and drives, ms.
     pub heartbeat_ms: u16,
+    /// How long a drive's brake takes to close: for so long it stays switched on when it is taken down, ns.
+    pub brake_ns: u64,
     /// What the drives' positions mean.
     pub space: Space,
     /// Joints in order and the jaw, or actuators in order.
@@ -77,13 +79,13 @@ pub struct ArmPlan {
 }
 
 impl AxisPlan {
-    /// What its drive has to keep by itself: a tenth beyond its range and speed, so that the master's own limits come first.
+    /// What its drive has to keep by itself: its range, which ends at the mechanical stops, and a tenth more than its speed, so that the
+    /// master's own limit comes first.
     #[must_use]
     pub fn settings(&self) -> AxisSettings {
-        let margin = 0.1 * (self.range.1 - self.range.0);
         let speed = 1.1 * self.speed_max;
         AxisSettings {
-            range: self.between(self.range.0 - margin, self.range.1 + margin),
+            range: self.range_counts(),
             speed_max: self.magnitude(speed),
             decelerations: (
                 self.magnitude(speed / RAMP_S),
@@ -91,12 +93,6 @@ impl AxisPlan {
             ),
             following_window: self.magnitude(self.following_max),
         }
-    }
-
-    /// Its range, counts.
-    #[must_use]
-    pub fn range_counts(&self) -> (i32, i32) {
-        self.between(self.range.0, self.range.1)
     }
 
     /// Its greatest speed, counts/s.
@@ -113,12 +109,14 @@ impl AxisPlan {
         (whole(self.speed_counts()), whole(self.settings().speed_max))
     }
 
-    fn between(&self, low: f64, high: f64) -> (i32, i32) {
+    /// Its range, counts.
+    #[must_use]
+    pub fn range_counts(&self) -> (i32, i32) {
         let signed = |units: f64| {
             let count = whole(units * self.counts_per_unit);
             i32::try_from(count).unwrap_or(if count < 0 { i32::MIN } else { i32::MAX })
         };
-        let (a, b) = (signed(low), signed(high));
+        let (a, b) = (signed(self.range.0), signed(self.range.1));
         (a.min(b), a.max(b))
     }
 

@@ -72,8 +72,6 @@ pub(super) struct Drive {
     rearmed: bool,
     halted: bool,
     limited: bool,
-    /// How much of the way to the newest target the greatest speed left over, counts.
-    short: f64,
     deviates_since: Option<TimeNs>,
     register: u8,
 }
@@ -93,7 +91,6 @@ impl Default for Drive {
             rearmed: false,
             halted: false,
             limited: false,
-            short: 0.0,
             deviates_since: None,
             register: 0,
         }
@@ -216,7 +213,6 @@ impl Drive {
             self.halted = false;
         }
         self.deviates_since = None;
-        self.short = 0.0;
     }
 
     /// Brakes with `deceleration`; what `after` says comes at rest, or at once without braking.
@@ -225,7 +221,6 @@ impl Drive {
         match deceleration {
             Some(deceleration) => {
                 self.motion = self.motion.stopped(now, real(deceleration));
-                self.short = 0.0;
                 self.at_rest = after;
             }
             None => {

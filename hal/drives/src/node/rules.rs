@@ -18,8 +18,10 @@ const SAVE: i64 = 0x6576_6173;
 const LOAD: i64 = 0x6461_6F6C;
 /// This node makes the SYNC.
 const SYNC_PRODUCER: i64 = 1 << 30;
-/// Bits of a COB-ID without the valid bit.
-const IDENTIFIER: i64 = 0x7FFF_FFFF;
+/// Bit 31 of a COB-ID: not in use.
+const INVALID: i64 = 1 << 31;
+/// Bits of a COB-ID that may change only while it is not in use. Bit 30 (no remote frames) may at any time: Lely's dcfgen clears it.
+const IDENTIFIER: i64 = 0x3FFF_FFFF;
 
 impl Node {
     /// Writes an object, as a client or process data ask, if it may be written now.
@@ -121,8 +123,7 @@ impl Node {
     /// A COB-ID may change only while its valid bit (31) is set to "invalid", before or by the change.
     fn unchanged_while_valid(&self, address: Address, number: i64) -> Result<(), AbortCode> {
         let old = self.dictionary.get(address);
-        let valid = old & !IDENTIFIER == 0;
-        if valid && old & IDENTIFIER != number & IDENTIFIER {
+        if old & INVALID == 0 && old & IDENTIFIER != number & IDENTIFIER {
             return Err(AbortCode::VALUE);
         }
         Ok(())
@@ -130,7 +131,7 @@ impl Node {
 
     fn communication(&self, address: Address, sub: u8, number: i64) -> Result<(), AbortCode> {
         let cob = Address::new(address.index, 1);
-        let valid = self.dictionary.get(cob) & !IDENTIFIER == 0;
+        let valid = self.dictionary.get(cob) & INVALID == 0;
         match sub {
             1 => {
                 self.unchanged_while_valid(address, number)?;
@@ -164,7 +165,7 @@ impl Node {
         direction: Mapping,
     ) -> Result<(), AbortCode> {
         let cob = Address::new(communication + (record & 3), 1);
-        if self.dictionary.get(cob) & !IDENTIFIER == 0 {
+        if self.dictionary.get(cob) & INVALID == 0 {
             return Err(AbortCode::DEVICE_STATE);
         }
         if sub == 0 {

@@ -8,6 +8,7 @@ use trocar_canopen::Frame;
 use trocar_canopen::bytes::Bytes;
 use trocar_canopen::cia301::sdo::{Content, Expedited, Request, Response, SdoView, Segment};
 use trocar_canopen::cia301::{AbortCode, Address, Cob};
+use trocar_canopen::index;
 
 /// How long a client may think between two segments, ns.
 const TIMEOUT_NS: u64 = 1_000_000_000;
@@ -76,7 +77,11 @@ impl Node {
 
     fn begin_upload(&mut self, now: TimeNs, address: Address) -> Response {
         self.transfer = Transfer::Idle;
-        let data = match self.dictionary.read(address) {
+        let read = match self.dictionary.read(address) {
+            Ok(_) if self.is_no_error_yet(address) => Err(AbortCode::NO_DATA),
+            other => other,
+        };
+        let data = match read {
             Ok(data) => data,
             Err(code) => return Response::Abort(address, code),
         };
@@ -92,6 +97,12 @@ impl Node {
             since: now,
         };
         Response::Upload(address, Content::Segmented(Some(size)))
+    }
+
+    /// Whether `address` is an entry of the error history (1003h) that is empty.
+    fn is_no_error_yet(&self, address: Address) -> bool {
+        let errors = index::ERROR_COUNT;
+        address.index == errors.index && i64::from(address.sub) > self.dictionary.get(errors)
     }
 
     fn upload_segment(&mut self, now: TimeNs, toggle: bool) -> Response {

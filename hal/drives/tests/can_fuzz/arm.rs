@@ -43,7 +43,7 @@ fn kind(fault: Fault) -> usize {
         Fault::Rebooted(_) => 5,
         Fault::LeftOperational(..) => 6,
         Fault::Emergency(..) => 7,
-        Fault::Silent(..) | Fault::Unsteady(_) => 8,
+        Fault::Silent(..) | Fault::Unusable(..) | Fault::Unsteady(_) => 8,
         Fault::NotEnabled(..) => 9,
         Fault::FollowingError(..) => 10,
         Fault::PowerLost(_) => 11,
@@ -56,7 +56,8 @@ fn network(plan: &ArmPlan, part: f64) -> Network<Stamped> {
     for axis in &plan.axes {
         let place = axis.range.0 + part * (axis.range.1 - axis.range.0);
         let motor = IdealMotor {
-            position_counts: place * axis.counts_per_unit,
+            // A whole count, as a drive tells it: the ends of a range are none.
+            position_counts: (place * axis.counts_per_unit).trunc(),
             stuck: false,
         };
         let motor = Stamped::new(motor);

@@ -58,7 +58,7 @@ fn one_or_two_missing_answers_are_bridged_three_are_a_lost_measurement() {
 fn twenty_missing_answers_are_a_fault() {
     let (mut bench, outcomes) = disturbed(1000, |_| Tampering::Drop);
     assert_eq!(lost(&outcomes), 17);
-    bench.assert_stopped_for_good("node 3 (axis 2, bus 0): no usable process data for 20 cycles");
+    bench.assert_stopped_for_good("node 3 (axis 2, bus 0): no process data for 20 cycles");
 }
 
 #[test]
@@ -75,16 +75,20 @@ fn short_long_senseless_and_impossible_answers_are_not_believed() {
         data[4] ^= 0x40;
         Tampering::Replace(frame(f.id.raw(), &data))
     };
-    let kinds: [fn(&Frame) -> Tampering; 4] = [cut, empty, status, jump];
-    for kind in kinds {
+    let kinds: [(fn(&Frame) -> Tampering, &str); 4] = [
+        (cut, "process data of 7 bytes instead of 8"),
+        (empty, "process data of 0 bytes instead of 8"),
+        (status, "a status word that codes no state"),
+        (jump, "a position that the axis cannot have reached"),
+    ];
+    for (kind, why) in kinds {
         let (bench, outcomes) = disturbed(2, kind);
         assert!(outcomes.iter().all(Result::is_ok));
         assert_eq!(bench.arm.cycle().axis_health()[2].rejected, 2);
         let (mut bench, outcomes) = disturbed(1000, kind);
         assert_eq!(lost(&outcomes), 17);
-        bench.assert_stopped_for_good(
-            "node 3 (axis 2, bus 0): no usable process data for 20 cycles",
-        );
+        let fault = format!("node 3 (axis 2, bus 0): {why}, for 20 cycles");
+        bench.assert_stopped_for_good(&fault);
     }
 }
 

@@ -20,7 +20,7 @@ fn a_node_that_is_pulled_is_named_and_the_others_stop() {
     // Its process data are missed before its heartbeat is.
     assert_eq!(
         bench.arm.fault().unwrap().to_string(),
-        "node 5 (axis 4, bus 0): no usable process data for 20 cycles"
+        "node 5 (axis 4, bus 0): no process data for 20 cycles"
     );
     let _ = bench.cycles(300, 0.0);
     let torques = bench.torques();

@@ -57,6 +57,7 @@ fn plan(lines: u8, cycle_ns: u64) -> ArmPlan {
         sync_counter: 0,
         master: NodeId::new(127).unwrap(),
         heartbeat_ms: 100,
+        brake_ns: 0,
         space: Space::Joint,
         axes: core::array::from_fn(|axis| AxisPlan {
             node: node(axis),

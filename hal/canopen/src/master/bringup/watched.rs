@@ -1,6 +1,8 @@
 //! The buses while an arm is brought up, under watch: nobody else may lead its drives then either, and what was set up has to
 //! stay so.
 
+use std::sync::mpsc::Sender;
+
 use super::super::client::{self, expect};
 use super::super::cycle::LINES_MAX;
 use super::super::foreign::leads;
@@ -28,10 +30,12 @@ pub(super) struct Watched<B> {
     spoke: bool,
     /// Whether our controller on each bus is error passive.
     passive: [bool; LINES_MAX],
+    /// Who wants to know what it is at.
+    pub(super) steps: Option<Sender<Step>>,
 }
 
 impl<B: Bus> Watched<B> {
-    pub(super) const fn new(bus: B, plan: &ArmPlan) -> Self {
+    pub(super) fn new(bus: B, plan: &ArmPlan) -> Self {
         Self {
             bus,
             plan: *plan,
@@ -40,6 +44,7 @@ impl<B: Bus> Watched<B> {
             upset: None,
             spoke: false,
             passive: [false; LINES_MAX],
+            steps: None,
         }
     }
 
@@ -52,6 +57,13 @@ impl<B: Bus> Watched<B> {
     pub(super) fn enter(&mut self, step: Step) -> Result<(), BringUpError> {
         self.drain()?;
         self.step = step;
+        if let Some(steps) = &self.steps {
+            // Whoever does not listen any more does not want to know.
+            let _ = steps.send(step);
+        }
+        if step == Step::Waiting {
+            self.steps = None;
+        }
         Ok(())
     }
 
@@ -144,6 +156,7 @@ impl<B: Bus> Bus for Watched<B> {
             upset,
             spoke,
             passive,
+            steps: _,
         } = self;
         let mut passive = passive.get_mut(usize::from(line));
         bus.receive(line, &mut |received| {

@@ -21,7 +21,7 @@ fn the_shipped_file_has_two_arms_of_which_a_bus_carries_one_at_500_hz() {
     // Encoder counts of the insertion: 336.6 rad/m of 14 400 counts a turn.
     let insertion = &config.arms[0].plan.axes[2];
     assert!((insertion.counts_per_unit - 771_430.4).abs() < 0.1);
-    assert_eq!(insertion.settings().range.1, whole_i32(0.264 * 771_430.4));
+    assert_eq!(insertion.settings().range.1, whole_i32(0.240 * 771_430.4));
 }
 
 #[test]

@@ -95,8 +95,8 @@ impl Cycle {
             };
         }
         match self.goal {
-            Goal::Disabled if state == PowerState::QuickStopActive => Command::DisableVoltage,
-            Goal::Disabled => Command::Shutdown,
+            Goal::Disabled if self.axes[axis].brakes(now, self.plan.brake_ns) => Command::SwitchOn,
+            Goal::Disabled => state.towards_disabled(),
             Goal::Enabled => match state.towards_enabled() {
                 Some(Command::EnableOperation) if !together => Command::SwitchOn,
                 Some(command) => command,

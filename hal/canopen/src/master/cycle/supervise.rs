@@ -65,7 +65,11 @@ impl Cycle {
         let who = self.plan.who(n);
         let silent = self.axes[n].silent();
         if silent >= SILENT_AFTER {
-            self.latch(now, Fault::Silent(who, silent));
+            let fault = match self.axes[n].refused {
+                Some(rejected) => Fault::Unusable(who, rejected, silent),
+                None => Fault::Silent(who, silent),
+            };
+            self.latch(now, fault);
         }
         if self.axes[n].debt_cycles() >= UNSTEADY_AFTER {
             self.latch(now, Fault::Unsteady(who));
@@ -101,6 +105,8 @@ impl Cycle {
             // A drive that says why in an emergency has done so before its status word changed.
             self.latch(now, Fault::NotEnabled(who, status.state));
         }
+        let idle = self.goal == Goal::Disabled && status.state == PowerState::SwitchedOn;
+        self.axes[n].idle = idle.then(|| self.axes[n].idle.unwrap_or(now));
         let plan = &self.plan.axes[n];
         let limit = whole(plan.following_max * plan.counts_per_unit.abs());
         let deviation = self.axes[n].deviation();

@@ -46,7 +46,6 @@ impl Drive {
         let reach = speed_max(dictionary) * seconds(period_ns);
         let to = from + (inside - from).clamp(-reach, reach);
         self.limited = (to - wanted).abs() > 0.5;
-        self.short = inside - to;
         self.motion = Motion::Line {
             start: now,
             from,

@@ -5,14 +5,14 @@
 use super::{AtRest, Drive};
 use crate::dictionary::Dictionary;
 use hal::TimeNs;
-use trocar_canopen::cia402::{Mode, PowerState, Status};
+use trocar_canopen::cia402::{Mode, Status};
 use trocar_canopen::index;
 use trocar_canopen::number::{real, whole};
 
 impl Drive {
-    /// How far the motor is from where it was told to be, be it slow itself or held back by its greatest speed.
+    /// How far the motor is from its demand: 6062h less 6064h.
     fn deviation(&self, now: TimeNs) -> f64 {
-        self.motion.at(now).0 + self.short - self.actual()
+        self.motion.at(now).0 - self.actual()
     }
 
     fn deviates(&self, now: TimeNs, dictionary: &Dictionary) -> bool {
@@ -48,7 +48,6 @@ impl Drive {
         let (demand, _) = self.motion.at(now);
         let homing = self.mode == Mode::Homing;
         let rests = self.motion.rests(now);
-        let enabled = self.state == PowerState::OperationEnabled;
         let status = Status {
             state: self.state,
             voltage: true,
@@ -63,18 +62,18 @@ impl Drive {
             },
             deviation: !homing && self.deviates(now, dictionary),
         };
-        let deviation = if enabled { self.deviation(now) } else { 0.0 };
         let actual = self.actual();
+        let (demand, position) = (whole(demand), whole(actual));
         let inputs = i64::from(actual <= real(dictionary.get(index::RANGE_MIN)))
             | i64::from(actual >= real(dictionary.get(index::RANGE_MAX))) << 1;
         for (address, value) in [
             (index::STATUS, i64::from(status.emit())),
             (index::MODE_DISPLAY, i64::from(self.mode.raw())),
-            (index::POSITION_DEMAND, whole(demand)),
-            (index::POSITION, whole(actual)),
+            (index::POSITION_DEMAND, demand),
+            (index::POSITION, position),
             (index::VELOCITY, whole(self.feedback.velocity_counts_s)),
             (index::TORQUE, whole(self.feedback.torque_per_mille)),
-            (index::FOLLOWING_ERROR, whole(deviation)),
+            (index::FOLLOWING_ERROR, demand - position),
             (index::INPUTS, inputs),
         ] {
             dictionary.set(address, value);

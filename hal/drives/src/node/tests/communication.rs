@@ -59,7 +59,11 @@ fn a_heartbeat_is_watched_from_the_first_one_on() {
     assert_eq!(bench.read(Address::new(0x1003, 0)), 1);
     assert_eq!(bench.read(Address::new(0x1003, 1)), 0x8130);
     assert_eq!(bench.write(Address::new(0x1003, 0), &[0]), Ok(()));
-    assert_eq!(bench.read(Address::new(0x1003, 1)), 0);
+    assert_eq!(bench.read(Address::new(0x1003, 0)), 0);
+    assert_eq!(
+        bench.try_read(Address::new(0x1003, 1)),
+        Err(AbortCode::NO_DATA)
+    );
 }
 
 #[test]

@@ -101,12 +101,17 @@ impl Bench {
     }
 
     fn read(&mut self, address: Address) -> i64 {
+        self.try_read(address).unwrap()
+    }
+
+    fn try_read(&mut self, address: Address) -> Result<i64, AbortCode> {
         match self.request(Request::Upload(address)) {
             Some(Response::Upload(_, Content::Expedited(data))) => {
                 let mut bytes = [0; 8];
                 bytes[..data.data().len()].copy_from_slice(data.data());
-                i64::from_le_bytes(bytes)
+                Ok(i64::from_le_bytes(bytes))
             }
+            Some(Response::Abort(at, code)) if at == address => Err(code),
             other => panic!("{other:?}"),
         }
     }

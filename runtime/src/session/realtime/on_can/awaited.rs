@@ -13,7 +13,7 @@ const WORLD_NS_MAX: u64 = 3_000_000_000;
 const CAMERA_NS_MAX: u64 = 10_000_000_000;
 
 /// Whoever waits for longer wants to know for what, ns.
-const PATIENCE_NS: u64 = 500_000_000;
+pub(super) const PATIENCE_NS: u64 = 500_000_000;
 
 /// Time between two looks, ns.
 const POLL_NS: u64 = 1_000_000;

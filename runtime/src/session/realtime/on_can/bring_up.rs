@@ -2,15 +2,18 @@
 //! enabled.
 
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
 use std::thread;
+use std::time::Duration;
 
-use hal::{ARM_NAMES, TICK_NS};
-use trocar_canopen::master::{ArmPlan, BringUpError, CanConfig, Homed, Offline};
+use hal::{ARM_NAMES, TICK_NS, TimeNs};
+use trocar_canopen::master::{ArmPlan, BringUpError, CanConfig, Homed, Offline, Step};
 use trocar_canopen::socket::SocketBus;
 use trocar_topics::{SceneReport, Verdict};
 
 use super::CanOptions;
-use crate::rt;
+use super::awaited::{PATIENCE_NS, Say};
+use crate::rt::{self, MonotonicClock};
 use crate::session::can_clock::CanClock;
 use crate::session::run::RunOptions;
 use crate::session::{SessionError, Setup};
@@ -65,16 +68,21 @@ pub(super) fn check_world(
     }
 }
 
-/// Leads the drives of all arms to where they may be enabled, one arm after the other.
+/// Time between two lines about the same arm, ns.
+const LINES_NS: u64 = 1_000_000_000;
+
+/// Leads the drives of all arms to where they may be enabled, one arm after the other, and says what it is at if that takes long.
 pub(super) fn bring_up(
     can: &CanOptions,
     buses: Vec<SocketBus<CanClock>>,
+    say: Say<'_>,
 ) -> Result<Vec<ReadyArm>, SessionError> {
     let mut ready = Vec::new();
     for (index, (bus, arm)) in buses.into_iter().zip(&can.config.arms).enumerate() {
         uninterrupted()?;
-        let home = || home(bus, &arm.plan).map_err(|error| error.in_arm(can, index));
-        let homed = while_listening(can, &mut ready, home)?;
+        let home = |steps| home(bus, &arm.plan, steps).map_err(|error| error.in_arm(can, index));
+        let name = ARM_NAMES.get(index).copied().unwrap_or("arm");
+        let homed = while_listening(can, &mut ready, || narrated(name, say, home))?;
         ready.push(homed);
     }
     Ok(ready)
@@ -96,14 +104,45 @@ impl NotHomed {
 }
 
 /// Leads the drives of one arm to where they may be enabled.
-fn home(bus: SocketBus<CanClock>, plan: &ArmPlan) -> Result<ReadyArm, NotHomed> {
+fn home(
+    bus: SocketBus<CanClock>,
+    plan: &ArmPlan,
+    steps: Sender<Step>,
+) -> Result<ReadyArm, NotHomed> {
     let mapped = Offline::new(bus, plan)
+        .map(|offline| offline.telling(steps))
         .and_then(Offline::scan)
         .and_then(|scanned| scanned.check_identity())
         .and_then(|identified| identified.map())
         .map_err(NotHomed::Failed)?;
     uninterrupted().map_err(NotHomed::Interrupted)?;
     mapped.home().map_err(NotHomed::Failed)
+}
+
+/// Does `work`, and meanwhile says of the arm `name` what it is at.
+fn narrated<T>(name: &str, say: Say<'_>, work: impl FnOnce(Sender<Step>) -> T) -> T {
+    let (steps, told) = channel();
+    thread::scope(|scope| {
+        scope.spawn(move || narrate(name, &told, say));
+        work(steps)
+    })
+}
+
+/// Says, at first after a little and then once a second, what bring-up is at, until that is over.
+fn narrate(name: &str, told: &Receiver<Step>, say: Say<'_>) {
+    let clock = MonotonicClock::new();
+    let (mut step, mut next) = (Step::Finding, TimeNs(PATIENCE_NS));
+    loop {
+        let wait = Duration::from_nanos(next.since(clock.now()));
+        match told.recv_timeout(wait) {
+            Ok(newest) => step = newest,
+            Err(RecvTimeoutError::Timeout) => {
+                say(&format!("{name}: bringing up its drives, {}", step.doing()));
+                next = next.plus_ns(LINES_NS);
+            }
+            Err(RecvTimeoutError::Disconnected) => return,
+        }
+    }
 }
 
 /// Does `work`, and meanwhile hears what comes for the arms that are `ready`.

@@ -1,7 +1,7 @@
 //! Arms on CAN as the control thread reaches them. Hot path: bounded, no allocation, no lock; its system calls are the
 //! arms' sockets.
 
-use hal::{ARM_NAMES, Arm as _, ArmState, TimeNs};
+use hal::{ARM_NAMES, Arm as _, ArmState, TICK_NS, TimeNs};
 use trocar_canopen::master::axis::AxisHealth;
 use trocar_canopen::master::{CanArm, Space};
 use trocar_canopen::socket::SocketBus;
@@ -11,6 +11,7 @@ use super::CanOptions;
 use super::happened::{Happened, Noticed};
 use crate::mailbox::MailboxWriter;
 use crate::per_arm::PerArm;
+use crate::rt::{MonotonicClock, Periodic};
 use crate::session::can_clock::CanClock;
 use crate::session::summary::{CanArmSummary, CanBusSummary, CanSummary};
 
@@ -63,8 +64,20 @@ impl CanLink {
         }
     }
 
-    /// Stops every node: drives that still have torque stop as 6007h says.
-    pub(super) fn shut_down(&mut self) {
+    /// Takes all drives down through the states of CiA 402, all arms at once, and stops their nodes.
+    pub(super) fn take_down(&mut self, clock: MonotonicClock) {
+        let first = clock.now().plus_ns(TICK_NS);
+        let longest_ns = self.arms.iter().map(CanArm::take_down_ns).max();
+        let end = first.plus_ns(longest_ns.unwrap_or(0));
+        let mut periodic = Periodic::new(clock, first, TICK_NS);
+        loop {
+            let now = periodic.wait().due;
+            let down = self.arms.iter_mut().map(|arm| arm.take_down(now));
+            // Each arm has its turn, whether the ones before it are down or not.
+            if down.fold(true, |all, one| all & one) || now >= end {
+                break;
+            }
+        }
         self.arms.iter_mut().for_each(CanArm::shut_down);
     }
 

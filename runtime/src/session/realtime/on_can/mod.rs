@@ -142,7 +142,7 @@ pub fn run_on_can(
             None
         }
     };
-    let ready = bring_up(can, buses)?;
+    let ready = bring_up(can, buses, say)?;
     let recorder = open_log(setup, options, false)?;
     let wires = Wires::new(recorder, clock);
     let (mut local, mut remote, reports) =
@@ -226,7 +226,7 @@ pub fn run_robot_on_can(
         None => None,
     };
     drop(network);
-    let ready = bring_up(can, buses)?;
+    let ready = bring_up(can, buses, say)?;
     let recorder = open_log_with(&robot.header(options), options.log.as_deref())?;
     let wires = Wires::new(recorder, clock);
     let reports = arm_reports(&node, count, child.is_some())?;
@@ -387,7 +387,7 @@ impl Enabling<'_> {
         // The beat goes on at once.
         let first = clock.now().plus_ns(TICK_NS);
         let mut end = control.run(clock, first);
-        end.link.shut_down();
+        end.link.take_down(clock);
         Ok(end)
     }
 }
