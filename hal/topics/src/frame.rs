@@ -27,7 +27,7 @@ const WORDS_PER_PIXEL: usize = 2;
 #[repr(C)]
 #[type_name("trocar/frame_header/1")]
 pub struct FrameHeader {
-    /// When it was taken.
+    /// When it was exposed, by the system's `CLOCK_MONOTONIC`, ns, which all processes of a machine share (slowed down alike in slow motion).
     pub stamp: TimeNs,
     /// Count of frames from this camera.
     pub sequence: u64,

@@ -8,6 +8,7 @@ use policy::compute::Compute;
 use policy::loaded_policy::LoadedPolicy;
 
 use super::SessionError;
+use super::changes::{Changes, ConfigFile};
 use super::run::{RunOptions, versions};
 use super::setup::{Texts, built_in_control, network};
 use super::source::{ChunkSource, PolicyChoice};
@@ -29,7 +30,7 @@ pub struct Robot {
 
 impl Robot {
     /// Reads limits from the file `safety` (the form of a task's `safety.toml`) and the controller's settings from `control`, or
-    /// takes the built-in ones.
+    /// takes the built-in ones, with `changes` over both.
     ///
     /// # Errors
     /// [`SessionError::Config`], [`SessionError::Checkpoint`], or [`SessionError::BadArgument`] for a policy that is neither a name
@@ -38,6 +39,7 @@ impl Robot {
         safety: &Path,
         control: Option<&Path>,
         policy: &PolicyChoice,
+        changes: &Changes,
     ) -> Result<Self, SessionError> {
         policy.check_exists()?;
         let recipe = match policy {
@@ -52,8 +54,9 @@ impl Robot {
             Some(path) => Source::read(&path.display().to_string())?,
             None => built_in_control(recipe.as_ref())?,
         };
+        let control = changes.apply(ConfigFile::Control, control)?;
         let safety_file = safety.display().to_string();
-        let safety = Source::read(&safety_file)?;
+        let safety = changes.apply(ConfigFile::Safety, Source::read(&safety_file)?)?;
         Ok(Self {
             control: ControlConfig::load(&control, &safety)?,
             texts: Texts {
@@ -94,13 +97,21 @@ impl Robot {
         network(folder, compute, self.arms(), &self.safety_file)
     }
 
-    /// What answers in this process: a policy that sees nothing but the arms. None of a checkpoint, which has a process of its own.
-    #[must_use]
-    pub fn source(choice: &PolicyChoice, seed: u64) -> Option<ChunkSource> {
+    /// What answers in this process: a policy that sees nothing but the arms.
+    ///
+    /// # Errors
+    /// [`SessionError::BadArgument`] for any other: the expert needs a scene, a checkpoint has a process of its own, and one's own policy
+    /// is handed to a run in lockstep.
+    pub fn source(choice: &PolicyChoice, seed: u64) -> Result<ChunkSource, SessionError> {
         match choice {
-            PolicyChoice::Noop => Some(ChunkSource::noop()),
-            PolicyChoice::Random => Some(ChunkSource::random(seed)),
-            PolicyChoice::Expert | PolicyChoice::Checkpoint(_) | PolicyChoice::Own(_) => None,
+            PolicyChoice::Noop => Ok(ChunkSource::noop()),
+            PolicyChoice::Random => Ok(ChunkSource::random(seed)),
+            PolicyChoice::Expert | PolicyChoice::Checkpoint(_) | PolicyChoice::Own(_) => {
+                let name = choice.name();
+                Err(SessionError::BadArgument(format!(
+                    "policy {name}: without a task the policies of this process are noop and random"
+                )))
+            }
         }
     }
 

@@ -292,7 +292,14 @@ impl ChunkSource {
                     arms: &arms,
                     frames: query.frames,
                 };
-                per_arm(observer.policy.infer(&observation)?)
+                let chunks = observer.policy.infer(&observation)?;
+                let (said, arms) = (chunks.len(), arms.len());
+                if said != arms {
+                    return Err(SessionError::BadArgument(format!(
+                        "the policy answers with {said} chunks for {arms} arms: one for each is wanted"
+                    )));
+                }
+                per_arm(chunks)
             }
         }
     }

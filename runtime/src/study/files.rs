@@ -23,7 +23,14 @@ pub struct FileRecord {
 }
 
 /// Files that are not part of what a cell is.
-const OWN_FILES: [&str; 4] = ["cell.json", "attempts.json", "lock", "log.txt"];
+const OWN_FILES: [&str; 6] = [
+    "cell.json",
+    "cell.json.old",
+    "result.json.old",
+    "attempts.json",
+    "lock",
+    "log.txt",
+];
 
 /// Every file below a cell's folder, by path.
 pub(super) fn files_of(folder: &Path) -> Result<Vec<FileRecord>, StudyError> {

@@ -191,6 +191,8 @@ impl<'a> Runner<'a> {
             }
             match self.inputs(index) {
                 Inputs::Missing => continue,
+                // What is done needs nothing any more.
+                Inputs::Lost(_) if self.settled(index) => continue,
                 Inputs::Lost(input) => {
                     self.status[index] = Status::Skipped;
                     self.outcome.skipped += 1;

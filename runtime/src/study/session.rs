@@ -7,7 +7,7 @@ use super::estimate::{Class, Durations, Left, in_words, time_left};
 use super::file::StudyFile;
 use super::job::{Job, Kind};
 use super::materials::{Materials, code_of};
-use super::plan::{Plan, Shard};
+use super::plan::{Cell, Plan, Shard};
 use super::run::{self, Outcome};
 use super::schedule::{Machine, Need, at_a_time};
 use super::store::{State, Store};
@@ -102,12 +102,13 @@ impl Study {
         let mut durations = Durations::default();
         let mut left = Vec::new();
         let (mut done, mut begun, mut damaged) = (0, 0, 0);
-        let of_part = self
+        let of_part: Vec<&Cell> = self
             .plan
             .cells
             .iter()
-            .filter(|cell| part.contains(&cell.address));
-        for cell in of_part {
+            .filter(|cell| part.contains(&cell.address))
+            .collect();
+        for &cell in &of_part {
             let (kind, address) = (cell.job.kind(), &cell.address);
             let class = Class::of(&cell.job);
             let state = match self.store.state(kind, address) {
@@ -117,7 +118,11 @@ impl Study {
                     lines.push(line(kind, address.short(), &cell.label, "done"));
                     continue;
                 }
-                State::Bare(_) => {
+                State::Bare(manifest)
+                    if is_enough(&cell.job, manifest.episodes)
+                        && !self.store.is_wanted(cell, &of_part) =>
+                {
+                    durations.add(class, manifest.seconds);
                     done += 1;
                     let state = "done, without what it made";
                     lines.push(line(kind, address.short(), &cell.label, state));
@@ -133,6 +138,7 @@ impl Study {
                         manifest.episodes.unwrap_or(0)
                     )
                 }
+                State::Bare(_) => "to do again: what it made is gone and needed".to_owned(),
                 State::Begun => {
                     begun += 1;
                     "begun".to_owned()

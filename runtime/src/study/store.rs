@@ -18,7 +18,7 @@ use super::StudyError;
 use super::address::Address;
 use super::files::{FileRecord, difference, files_of, write_json};
 use super::job::Kind;
-use super::plan::{STUDY_FORMAT, StudyRecord};
+use super::plan::{Cell, STUDY_FORMAT, StudyRecord};
 
 /// `cell.json`: a cell that is done.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -85,6 +85,12 @@ pub struct Attempts {
     /// Time that they took, s.
     pub seconds: f64,
 }
+
+/// What says that a cell is done, and where it lies while the cell is made anew.
+const ASIDE: [(&str, &str); 2] = [
+    ("cell.json", "cell.json.old"),
+    ("result.json", "result.json.old"),
+];
 
 /// The folder, below its own, of what a cell makes.
 const fn product_name(kind: Kind) -> &'static str {
@@ -166,16 +172,53 @@ impl Store {
         }
     }
 
-    /// Takes away what says that a cell is done, so that it is made anew. The caller holds its lock.
+    /// Whether what `cell` made is needed by another one of `cells` that is to be made.
+    #[must_use]
+    pub fn is_wanted(&self, cell: &Cell, cells: &[&Cell]) -> bool {
+        let needing = cells
+            .iter()
+            .filter(|other| other.job.inputs().contains(&cell.address));
+        needing
+            .into_iter()
+            .any(|other| match self.state(other.job.kind(), &other.address) {
+                State::Done(_) | State::Damaged(_) => false,
+                State::Bare(_) => self.is_wanted(other, cells),
+                State::Missing | State::Begun => true,
+            })
+    }
+
+    /// Lays what says that a cell is done aside, so that it is made anew; until it is, [`Self::put_back`] undoes it. The caller holds
+    /// its lock.
     ///
     /// # Errors
     /// [`StudyError::Io`].
-    pub fn forget(&self, kind: Kind, address: &Address) -> Result<(), StudyError> {
-        for path in [
-            self.cell(kind, address).join("cell.json"),
-            self.result(kind, address),
-        ] {
-            fs::remove_file(&path).map_err(|error| StudyError::io(&path, error))?;
+    pub fn set_aside(&self, kind: Kind, address: &Address) -> Result<(), StudyError> {
+        let folder = self.cell(kind, address);
+        // What says that it is done goes first and comes back last.
+        for (name, aside) in ASIDE {
+            let from = folder.join(name);
+            fs::rename(&from, folder.join(aside)).map_err(|error| StudyError::io(&from, error))?;
+        }
+        Ok(())
+    }
+
+    /// Lays what was laid aside back in its place, unless the cell was made anew meanwhile. The caller holds its lock.
+    ///
+    /// # Errors
+    /// [`StudyError::Io`].
+    pub fn put_back(&self, kind: Kind, address: &Address) -> Result<(), StudyError> {
+        let folder = self.cell(kind, address);
+        if folder.join("cell.json").exists() {
+            return Ok(());
+        }
+        for (name, aside) in ASIDE.into_iter().rev() {
+            let from = folder.join(aside);
+            match fs::rename(&from, folder.join(name)) {
+                Err(error) if error.kind() != std::io::ErrorKind::NotFound => {
+                    return Err(StudyError::io(&from, error));
+                }
+                Err(_) | Ok(()) => {}
+            }
         }
         Ok(())
     }
@@ -250,7 +293,12 @@ impl Store {
     pub fn finish(&self, kind: Kind, mut manifest: Manifest) -> Result<(), StudyError> {
         let folder = self.cell(kind, &manifest.address);
         manifest.files = files_of(&folder)?;
-        write_json(&folder.join("cell.json"), &manifest)
+        write_json(&folder.join("cell.json"), &manifest)?;
+        for (_, aside) in ASIDE {
+            // What is left of it means nothing beside the new one.
+            let _gone = fs::remove_file(folder.join(aside));
+        }
+        Ok(())
     }
 
     /// What the folder remembers of its study, if there is one.

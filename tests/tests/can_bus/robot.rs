@@ -1,5 +1,7 @@
 //! A robot without a simulator: `trocar run --safety`, with `trocar drives --no-world` in the place of its drives.
 
+use std::fs;
+
 use runtime::log::RunLog;
 use runtime::replay::replay;
 use runtime::verify::verify;
@@ -71,4 +73,35 @@ fn a_camera_that_shows_nothing_is_named_and_no_drive_is_spoken_to() {
         told.contains("camera endoscope has shown no frame on topics \"can_robot_blind\" for 10 s"),
         "{told}"
     );
+}
+
+#[test]
+#[ignore = "needs a CAN bus: make test-can"]
+fn a_world_whose_own_drives_nobody_enables_ends_the_run_with_its_reason() {
+    let _turn = alone();
+    let folder = scratch("can_other_world");
+    let shipped = fs::read_to_string(repository().join("config/can.toml")).unwrap();
+    let other = folder.join("can.toml");
+    fs::write(&other, shipped.replace("vcan0", "vcan1")).unwrap();
+    let other = other.to_str().unwrap();
+    let topics = ["--topics", "can_other_world"];
+    let mut world = Process::start(&folder, "world", &[&["drives"], &topics[..]].concat());
+    let no_world = ["drives", "--no-world", "--config", other];
+    let mut drives = Process::start(&folder, "drives", &no_world);
+    world.await_word("psm1 is nodes 1 2 3 4 5 6 7");
+    drives.await_word("no world: psm1 is nodes 1 2 3 4 5 6 7");
+    let run = ["run", "--task", "needle-lift", "--policy", "expert"];
+    let on = ["--backend", "can", "--can-config", other];
+    let mut run = Process::start(&folder, "run", &[&run[..], &on, &topics].concat());
+    run.await_word("waiting for the world to begin its episode, for 3 s at most");
+    let (code, run) = run.end();
+    assert_eq!(code, Some(1), "{run}");
+    let reason = run["reason"].as_str().unwrap();
+    assert!(
+        reason.starts_with("the world has not begun its episode 3 s after our drives were enabled"),
+        "{run}"
+    );
+    world.signal("-INT");
+    drives.signal("-INT");
+    assert_eq!(drives.end().0, Some(0));
 }

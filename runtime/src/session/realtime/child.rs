@@ -16,11 +16,12 @@ use trocar_topics::{
 };
 
 use super::arm_chunks::ArmChunks;
+use super::on_can::{PATIENCE_NS, Say};
 use super::policy_process::FIRST_ARM;
 use crate::per_arm::PerArm;
 use crate::rt::{self, MonotonicClock};
 use crate::session::run::RunOptions;
-use crate::session::source::camera_names;
+use crate::session::source::{STEP_NS, camera_names};
 use crate::session::{SessionError, Setup};
 
 /// The process has this long to load its weights, ns.
@@ -31,6 +32,9 @@ const EXIT_NS_MAX: u64 = 3_000_000_000;
 
 /// A process that says nothing for this long hangs, ns. Far beyond any inference.
 const SILENCE_NS_MAX: u64 = 5_000_000_000;
+
+/// A process that lives and answers no observation for this long, and a query's interval, answers none any more, ns.
+const ANSWER_NS_MAX: u64 = 10_000_000_000;
 
 /// Time between two looks, ns.
 const POLL_NS: u64 = 1_000_000;
@@ -61,6 +65,8 @@ pub(super) struct PolicyChild {
     /// The run's clock, if the policy's observations have the system's instants.
     outside: Option<MonotonicClock>,
     heard: TimeNs,
+    /// When it last answered, or was first asked for its answers.
+    answered: Option<TimeNs>,
 }
 
 impl PolicyChild {
@@ -73,6 +79,7 @@ impl PolicyChild {
         policy: &Path,
         options: &RunOptions,
         outside: Option<Outside<'_>>,
+        say: Say<'_>,
     ) -> Result<Self, SessionError> {
         let query_every_steps = u64::from(network.recipe().query_every_steps).max(1);
         let history_steps = hal::Policy::history_steps(network);
@@ -99,12 +106,14 @@ impl PolicyChild {
             clock: MonotonicClock::new(),
             outside: outside.map(|outside| outside.clock),
             heard: TimeNs(0),
+            answered: None,
         };
-        child.wait_until_ready(options.seed)?;
+        child.wait_until_ready(options.seed, say)?;
         Ok(child)
     }
 
-    fn wait_until_ready(&mut self, seed: u64) -> Result<(), SessionError> {
+    fn wait_until_ready(&mut self, seed: u64, say: Say<'_>) -> Result<(), SessionError> {
+        let mut said = false;
         self.control
             .publish(&RunControl::new(TimeNs(0), 1, RunCommand::Run { seed }))?;
         while self.clock.now().0 < LOAD_NS_MAX {
@@ -123,6 +132,13 @@ impl PolicyChild {
             if rt::interrupted() {
                 return Err(SessionError::RealTime(
                     "interrupted before the run began".to_owned(),
+                ));
+            }
+            if !said && self.clock.now().0 > PATIENCE_NS {
+                said = true;
+                say(&format!(
+                    "waiting for the policy process to load its weights, for {} s at most; no drive has torque",
+                    LOAD_NS_MAX / 1_000_000_000
                 ));
             }
             self.control.keep_alive()?;
@@ -156,6 +172,9 @@ impl PolicyChild {
     /// The newest answer, a chunk for each arm, if one has come since the last call.
     pub(super) fn newest_chunks(&mut self) -> Result<Option<PerArm<Chunk>>, SessionError> {
         let answer = self.chunks.newest()?;
+        if answer.is_some() || self.answered.is_none() {
+            self.answered = Some(self.clock.now());
+        }
         let Some(clock) = &self.outside else {
             return Ok(answer);
         };
@@ -183,11 +202,20 @@ impl PolicyChild {
         if let Ok(Some(exit)) = self.process.try_wait() {
             return Some(format!("the policy process ended: {exit}"));
         }
-        let silence_ns = self.clock.now().since(self.heard);
-        (silence_ns > SILENCE_NS_MAX).then(|| {
+        let now = self.clock.now();
+        let seconds = |ns: u64| ns / 1_000_000_000;
+        let silence_ns = now.since(self.heard);
+        if silence_ns > SILENCE_NS_MAX {
+            let silence_s = seconds(silence_ns);
+            return Some(format!(
+                "the policy process has been silent for {silence_s} s"
+            ));
+        }
+        let unanswered_ns = self.answered.map_or(0, |answered| now.since(answered));
+        (unanswered_ns > ANSWER_NS_MAX + self.query_every_steps * STEP_NS).then(|| {
+            let unanswered_s = seconds(unanswered_ns);
             format!(
-                "the policy process has been silent for {} s",
-                silence_ns / 1_000_000_000
+                "the policy has answered nothing for {unanswered_s} s: it sees no arms and frames of one instant"
             )
         })
     }

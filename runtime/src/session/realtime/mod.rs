@@ -75,7 +75,7 @@ pub fn run_realtime(setup: &Setup, options: &RunOptions) -> Result<RunResult, Se
         PolicyChoice::Checkpoint(path) => {
             let network = setup.network(path, Device::Cpu)?;
             check_cameras(setup, &network)?;
-            Some(PolicyChild::start(&network, path, options, None)?)
+            Some(PolicyChild::start(&network, path, options, None, &|_| ())?)
         }
         PolicyChoice::Expert | PolicyChoice::Noop | PolicyChoice::Random | PolicyChoice::Own(_) => {
             None

@@ -39,7 +39,7 @@ pub struct PolicyProcessOptions {
     pub policy: PathBuf,
     /// Where and how the network computes.
     pub compute: Compute,
-    /// How far a frame may be from the instant of an observation, ms: 0 where cameras and arms have one clock, as in a simulation.
+    /// How far a frame of any camera but the first may be from the instant of an observation, which is the first one's, ms: 0 where cameras and arms have one clock, as in a simulation.
     pub frames_within_ms: u64,
     /// The process that started this one, as it knows itself: it may die before this one can look.
     pub parent: u32,
@@ -106,7 +106,7 @@ struct Service {
     network: LoadedPolicy,
     /// Policy steps from one query to the next.
     every_steps: u64,
-    /// How far a frame may be from the instant of an observation, ns.
+    /// How far a frame of any camera but the first may be from the instant of an observation, ns.
     frames_within_ns: u64,
     reports: Vec<Option<ArmReport>>,
     /// The newest frame of each camera.
@@ -186,7 +186,17 @@ impl Service {
             .views
             .iter()
             .flatten()
-            .filter(|view| view.header().stamp.0.abs_diff(stamp.0) <= self.frames_within_ns)
+            .enumerate()
+            .filter(|(index, view)| {
+                // The arms were measured when the first camera took its frame.
+                let within_ns = if *index == 0 {
+                    0
+                } else {
+                    self.frames_within_ns
+                };
+                view.header().stamp.0.abs_diff(stamp.0) <= within_ns
+            })
+            .map(|(_, view)| view)
             .collect();
         if views.len() != self.cameras.len() {
             return Ok(());

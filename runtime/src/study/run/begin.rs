@@ -45,7 +45,7 @@ impl Runner<'_> {
         let cell = self.cells[index];
         match self.workshop.store.state(cell.job.kind(), &cell.address) {
             State::Missing | State::Begun => false,
-            State::Bare(_) if self.is_wanted(index) => false,
+            State::Bare(_) if self.workshop.store.is_wanted(cell, &self.cells) => false,
             State::Done(manifest) | State::Bare(manifest) => {
                 if let (Job::Recording(job), Some(episodes)) = (&cell.job, manifest.episodes)
                     && episodes < job.episodes
@@ -66,24 +66,6 @@ impl Runner<'_> {
         }
     }
 
-    /// Whether what a cell made is needed by another one that is not done.
-    fn is_wanted(&self, index: usize) -> bool {
-        let address = &self.cells[index].address;
-        let needs_it = |cell: &&super::super::plan::Cell| cell.job.inputs().contains(address);
-        let mut needing = self
-            .cells
-            .iter()
-            .enumerate()
-            .filter(|(_, cell)| needs_it(cell));
-        needing.any(|(other, cell)| {
-            match self.workshop.store.state(cell.job.kind(), &cell.address) {
-                State::Done(_) => false,
-                State::Bare(_) => self.is_wanted(other),
-                State::Missing | State::Begun | State::Damaged(_) => true,
-            }
-        })
-    }
-
     fn begin_with(&mut self, index: usize, grant: &Grant) -> Result<Begun, StudyError> {
         let cell = self.cells[index];
         let (kind, address) = (cell.job.kind(), &cell.address);
@@ -93,12 +75,11 @@ impl Runner<'_> {
             self.status[index] = later;
             return Ok(Begun::Elsewhere);
         };
+        // Whoever made it anew may have been killed.
+        store.put_back(kind, address)?;
         // Somebody may have done it between the first look and the lock.
         if self.settled(index) {
             return Ok(Begun::Settled);
-        }
-        if let State::Bare(_) = store.state(kind, address) {
-            store.forget(kind, address)?;
         }
         let mut input = None;
         if let Job::Training(job) = &cell.job {
@@ -107,6 +88,9 @@ impl Runner<'_> {
                 self.status[index] = later;
                 return Ok(Begun::Elsewhere);
             }
+        }
+        if let State::Bare(_) = store.state(kind, address) {
+            store.set_aside(kind, address)?;
         }
         let before = store.attempts(kind, address);
         let attempts = Attempts {
@@ -130,7 +114,10 @@ impl Runner<'_> {
                 };
                 self.end(index, took);
             }
-            Err(error) => self.fail(index, &error.to_string()),
+            Err(error) => {
+                store.put_back(kind, address)?;
+                self.fail(index, &error.to_string());
+            }
         }
         Ok(Begun::Settled)
     }

@@ -81,6 +81,9 @@ impl Runner<'_> {
         } else {
             self.fail(job.cell, &told);
         }
+        self.workshop
+            .store
+            .put_back(cell.job.kind(), &cell.address)?;
         // Not only closed: a child of the child may still hold it.
         let _unlocked = job.lock.unlock();
         Ok(())

@@ -5,15 +5,22 @@ use trocar_topics::{CameraTopic, FrameSubscriber, SceneReport, Subscriber, Topic
 use super::bring_up::uninterrupted;
 use crate::rt::{self, MonotonicClock};
 use crate::session::SessionError;
+use hal::TimeNs;
 
 /// A world shows itself every 40 ms; one that has not done so for this long is not there, ns.
 const WORLD_NS_MAX: u64 = 3_000_000_000;
+
+/// A frame that was taken longer ago, or is from further ahead, is none of now, ns.
+const FRAME_NS_MAX: u64 = 500_000_000;
+
+/// A camera that has been seen shows its next frame in this time, ns.
+const NEXT_FRAME_NS_MAX: u64 = 2_000_000_000;
 
 /// A camera may be switched on after the run was started, ns.
 const CAMERA_NS_MAX: u64 = 10_000_000_000;
 
 /// Whoever waits for longer wants to know for what, ns.
-pub(super) const PATIENCE_NS: u64 = 500_000_000;
+pub(in super::super) const PATIENCE_NS: u64 = 500_000_000;
 
 /// Time between two looks, ns.
 const POLL_NS: u64 = 1_000_000;
@@ -64,10 +71,72 @@ pub(super) fn world(
 /// A camera by name, with the frames that it shows.
 pub(super) type Camera = (String, FrameSubscriber);
 
-/// Waits for a frame of each of the cameras `wanted`, which must have the size that is asked for, if any is.
+/// How far from now a frame was taken.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Taken {
+    /// Just now.
+    Live,
+    /// So many seconds ago.
+    Ago(f64),
+    /// So many seconds from now.
+    Ahead(f64),
+}
+
+impl Taken {
+    /// Of a frame with the system's `stamp`, at `now` by the same clock.
+    fn at(stamp: TimeNs, now: TimeNs) -> Self {
+        let (ago, ahead) = (now.since(stamp), stamp.since(now));
+        match (ago.max(ahead) > FRAME_NS_MAX, ago > 0) {
+            (false, _) => Self::Live,
+            (true, true) => Self::Ago(TimeNs(ago).seconds()),
+            (true, false) => Self::Ahead(TimeNs(ahead).seconds()),
+        }
+    }
+}
+
+/// What a camera showed whose frames are not of now.
+fn untimely(name: &str, topics: &str, taken: Taken) -> String {
+    let when = match taken {
+        Taken::Live => return format!("camera {name} on topics {topics:?}"),
+        Taken::Ago(seconds) => format!("{seconds:.1} s old"),
+        Taken::Ahead(seconds) => format!("stamped {seconds:.1} s ahead"),
+    };
+    format!(
+        "frames of camera {name} on topics {topics:?} are {when}: it has to show new ones, with the time of their exposure on \
+         CLOCK_MONOTONIC, in ns"
+    )
+}
+
+/// Waits for the next frame of now of each of `cameras`, which have been seen before.
+pub(super) fn still_there(
+    cameras: &mut [Camera],
+    clock: MonotonicClock,
+    topics: &str,
+    say: Say<'_>,
+) -> Result<(), SessionError> {
+    for (name, topic) in cameras {
+        let what = format!("the next frame of camera {name} on topics {topics:?}");
+        let lacking = format!(
+            "camera {name} on topics {topics:?} has shown nothing for {} s",
+            NEXT_FRAME_NS_MAX / 1_000_000_000
+        );
+        await_it(&what, &lacking, NEXT_FRAME_NS_MAX, say, || {
+            let frame = topic.newest()?;
+            let now = clock.to_system(clock.now());
+            Ok(frame.and_then(|view| {
+                let taken = Taken::at(view.header().stamp, now);
+                (taken == Taken::Live).then_some(())
+            }))
+        })?;
+    }
+    Ok(())
+}
+
+/// Waits for a frame of now of each of the cameras `wanted`, which must have the size that is asked for, if any is. `clock` is the run's.
 pub(super) fn cameras(
     node: &TopicNode,
     wanted: &[(String, Option<(u32, u32)>)],
+    clock: MonotonicClock,
     topics: &str,
     say: Say<'_>,
 ) -> Result<Vec<Camera>, SessionError> {
@@ -76,14 +145,25 @@ pub(super) fn cameras(
         let mut topic = CameraTopic::subscriber(node, name)?;
         let what = format!("a frame of camera {name} on topics {topics:?}");
         let lacking = format!(
-            "camera {name} has shown no frame on topics {topics:?} for {} s: start whoever publishes it, or name its topics with \
-             --topics",
+            "camera {name} has shown no frame on topics {topics:?} for {} s: start whoever publishes it (`trocar drives --cameras {name}` \
+             of a simulated world), or name its topics with --topics",
             CAMERA_NS_MAX / 1_000_000_000
         );
+        let mut stale = None;
         let lens = await_it(&what, &lacking, CAMERA_NS_MAX, say, || {
-            let frame = topic.newest()?;
-            Ok(frame.map(|view| view.header().intrinsics))
-        })?;
+            let Some(view) = topic.newest()? else {
+                return Ok(None);
+            };
+            let taken = Taken::at(view.header().stamp, clock.to_system(clock.now()));
+            stale = (taken != Taken::Live).then_some(taken);
+            Ok(stale.is_none().then_some(view.header().intrinsics))
+        });
+        let lens = match (lens, stale) {
+            (Err(SessionError::RealTime(_)), Some(taken)) => {
+                return Err(SessionError::RealTime(untimely(name, topics, taken)));
+            }
+            (lens, _) => lens?,
+        };
         let shown = (lens.width, lens.height);
         if let Some((width, height)) = size.filter(|size| *size != shown) {
             return Err(SessionError::BadArgument(format!(
@@ -119,6 +199,21 @@ mod tests {
         let said = lines.into_inner().unwrap();
         let named = "waiting for a camera, for 1 s at most; no drive has torque";
         assert_eq!(said, [named]);
+    }
+
+    #[test]
+    fn a_frame_of_now_is_neither_old_nor_ahead() {
+        let s = |tenths: u64| TimeNs(tenths * 100_000_000);
+        let at = |stamp| Taken::at(s(stamp), s(1000));
+        assert_eq!([at(1000), at(996), at(1004)], [Taken::Live; 3]);
+        assert_eq!(at(0), Taken::Ago(100.0));
+        assert_eq!(at(1010), Taken::Ahead(1.0));
+        let said = untimely("left", "lab", at(0));
+        assert!(
+            said.contains("left on topics \"lab\" are 100.0 s old"),
+            "{said}"
+        );
+        assert!(said.contains("CLOCK_MONOTONIC"), "{said}");
     }
 
     #[test]

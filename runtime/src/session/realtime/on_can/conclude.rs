@@ -106,6 +106,18 @@ pub(super) fn conclude<T: Seen>(
         seen,
         log,
     } = ends;
+    // Why nothing was enabled is known to whoever ended the run before.
+    let control = match (control, &watched, &seen) {
+        (
+            Err(_),
+            Ok(Watched {
+                ended_by: Some(cause),
+                ..
+            }),
+            _,
+        ) => Err(SessionError::RealTime(cause.clone())),
+        (control, ..) => control,
+    };
     let all = control.and_then(|control| Ok((control, watched?, seen?)));
     let (mut control, watched, seen) = match all {
         Ok(all) => all,

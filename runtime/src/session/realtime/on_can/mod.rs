@@ -28,6 +28,7 @@ use std::thread;
 
 use hal::config::Source;
 use hal::{ARM_NAMES, ArmState, Chunk, TICK_NS};
+use policy::loaded_policy::LoadedPolicy;
 use rtrb::{Consumer, Producer, RingBuffer};
 use tch::Device;
 use trocar_canopen::master::{CanConfig, enable_together};
@@ -57,6 +58,7 @@ use link::CanLink;
 use robot_thread::RobotThread;
 use scene_thread::{SceneThread, arm_reports, frames};
 
+pub(super) use awaited::PATIENCE_NS;
 pub use awaited::Say;
 
 /// How far a frame may be from the instant of an observation where cameras have clocks of their own, ms: a policy step.
@@ -127,39 +129,39 @@ pub fn run_on_can(
     let scene = SceneTopic::subscriber(&node, ARM_NAMES[0])?;
     let waiting = awaited::world(&scene, &can.topics, say)?;
     check_world(&waiting, setup, options, &can.topics)?;
-    let mut child = match &options.policy {
+    let mut cameras = Vec::new();
+    let (mut child, mut local) = match &options.policy {
         PolicyChoice::Checkpoint(path) => {
             let network = setup.network(path, Device::Cpu)?;
             check_cameras(setup, &network)?;
+            cameras = awaited::cameras(&node, &looked_at(&network), clock, &can.topics, say)?;
             let outside = Outside {
                 topics: &can.topics,
                 clock,
                 frames_within_ms: 0,
             };
-            Some(PolicyChild::start(&network, path, options, Some(outside))?)
+            let child = PolicyChild::start(&network, path, options, Some(outside), say)?;
+            (Some(child), None)
         }
         PolicyChoice::Expert | PolicyChoice::Noop | PolicyChoice::Random | PolicyChoice::Own(_) => {
-            None
+            let source = setup.source(&options.policy, options.seed, options.compute)?;
+            (None, Some(source))
         }
     };
     let ready = bring_up(can, buses, say)?;
+    awaited::still_there(&mut cameras, clock, &can.topics, say)?;
+    drop(cameras);
     let recorder = open_log(setup, options, false)?;
     let wires = Wires::new(recorder, clock);
-    let (mut local, mut remote, reports) =
-        (None, None, arm_reports(&node, count, child.is_some())?);
-    match child.as_mut() {
-        Some(child) => remote = Some((child, wires.chunk_in)),
-        None => {
-            let source = setup.source(&options.policy, options.seed, options.compute)?;
-            local = Some((source, wires.chunk_in));
-        }
-    }
+    let reports = arm_reports(&node, count, child.is_some())?;
+    let (local, remote) = wired(local.take(), child.as_mut(), wires.chunk_in);
     let seen = wires.seen;
     let kept = match &seen.log {
         Some(_) => frames(&node, setup.cameras_with(Vec::new()))?,
         None => Vec::new(),
     };
     let scene_thread = SceneThread {
+        say,
         scene,
         seen,
         local,
@@ -195,25 +197,23 @@ pub fn run_robot_on_can(
     let clock = MonotonicClock::new();
     let buses = open_buses(can, count, clock)?;
     let node = TopicNode::join(&can.topics)?;
-    let network = match &options.policy {
-        PolicyChoice::Checkpoint(path) => Some((robot.network(path, Device::Cpu)?, path)),
+    let (network, mut local) = match &options.policy {
+        PolicyChoice::Checkpoint(path) => (Some((robot.network(path, Device::Cpu)?, path)), None),
         PolicyChoice::Expert | PolicyChoice::Noop | PolicyChoice::Random | PolicyChoice::Own(_) => {
-            None
+            (None, Some(Robot::source(&options.policy, options.seed)?))
         }
     };
-    let looked_at = network.iter().flat_map(|(network, _)| {
-        let sizes = network.recipe().cameras.iter();
-        let sizes = sizes.map(|camera| Some((camera.width, camera.height)));
-        camera_names(network).into_iter().zip(sizes)
-    });
-    let mut wanted: Vec<_> = looked_at.collect();
-    let looked_at = wanted.len();
+    let mut wanted: Vec<_> = network
+        .iter()
+        .flat_map(|(network, _)| looked_at(network))
+        .collect();
+    let seen_by_policy = wanted.len();
     for name in &asked.cameras {
         if wanted.iter().all(|(known, _)| known != name) {
             wanted.push((name.clone(), None));
         }
     }
-    let cameras = awaited::cameras(&node, &wanted, &can.topics, say)?;
+    let mut cameras = awaited::cameras(&node, &wanted, clock, &can.topics, say)?;
     let mut child = match &network {
         Some((network, path)) => {
             let outside = Outside {
@@ -221,24 +221,20 @@ pub fn run_robot_on_can(
                 clock,
                 frames_within_ms: FRAMES_WITHIN_MS,
             };
-            Some(PolicyChild::start(network, path, options, Some(outside))?)
+            let outside = Some(outside);
+            Some(PolicyChild::start(network, path, options, outside, say)?)
         }
         None => None,
     };
     drop(network);
     let ready = bring_up(can, buses, say)?;
+    awaited::still_there(&mut cameras, clock, &can.topics, say)?;
     let recorder = open_log_with(&robot.header(options), options.log.as_deref())?;
     let wires = Wires::new(recorder, clock);
     let reports = arm_reports(&node, count, child.is_some())?;
-    let (mut local, mut remote) = (None, None);
-    match child.as_mut() {
-        Some(child) => remote = Some((child, wires.chunk_in)),
-        None => {
-            let source = Robot::source(&options.policy, options.seed);
-            local = source.map(|source| (source, wires.chunk_in));
-        }
-    }
-    let robot_thread = RobotThread::new(wires.seen, local, reports, (cameras, looked_at), asked);
+    let (local, remote) = wired(local.take(), child.as_mut(), wires.chunk_in);
+    let cameras = (cameras, seen_by_policy);
+    let robot_thread = RobotThread::new(wires.seen, local, reports, cameras, asked);
     let enabling = Enabling {
         can,
         ready,
@@ -330,6 +326,25 @@ struct Ends<T> {
 type Local = Option<(ChunkSource, Producer<PerArm<Chunk>>)>;
 type Remote<'a> = Option<(&'a mut PolicyChild, Producer<PerArm<Chunk>>)>;
 
+/// The cameras that `network` looks through, with their sizes in pixels.
+fn looked_at(network: &LoadedPolicy) -> Vec<(String, Option<(u32, u32)>)> {
+    let sizes = network.recipe().cameras.iter();
+    let sizes = sizes.map(|camera| Some((camera.width, camera.height)));
+    camera_names(network).into_iter().zip(sizes).collect()
+}
+
+/// Gives the queue for chunks to whoever answers: a source of this process, or the policy process.
+fn wired(
+    source: Option<ChunkSource>,
+    child: Option<&mut PolicyChild>,
+    chunk_in: Producer<PerArm<Chunk>>,
+) -> (Local, Remote<'_>) {
+    match child {
+        Some(child) => (None, Some((child, chunk_in))),
+        None => (source.map(|source| (source, chunk_in)), None),
+    }
+}
+
 /// Controls the arms in one thread, observes them in another, and looks after the policy process in this one.
 fn run_threads<T: Send>(
     enabling: Enabling<'_>,
@@ -372,6 +387,10 @@ impl Enabling<'_> {
         } = self.wires;
         let _stops = StopsAll(&signals);
         uninterrupted()?;
+        if signals.done() {
+            let what = "the run ended before the drives were enabled";
+            return Err(SessionError::RealTime(what.to_owned()));
+        }
         let arms =
             enable_together(self.ready).map_err(|(arm, error)| failed(self.can, arm, &error))?;
         let Some(arms) = PerArm::collect(arms) else {

@@ -31,9 +31,10 @@ pub(super) struct RobotThread {
     local: Local,
     /// For a policy process, one an arm.
     reports: Vec<Publisher<ArmReport>>,
-    /// The policy's first, of which there are `looked_at`.
+    /// Those that the policy looks through first.
     cameras: Vec<Camera>,
-    looked_at: usize,
+    /// When each camera that the policy looks through last showed something, by the run's clock.
+    shown: Vec<TimeNs>,
     /// After how long it ends, ns.
     limit_ns: Option<u64>,
     past: Past,
@@ -92,7 +93,7 @@ impl RobotThread {
             local,
             reports,
             cameras,
-            looked_at,
+            shown: vec![TimeNs(0); looked_at],
             limit_ns,
             past: Past::default(),
         }
@@ -107,7 +108,8 @@ impl RobotThread {
             as_asked: false,
             inference: Histogram::new(),
         };
-        let (mut first, mut observed, mut shown) = (None, None, self.seen.clock.now());
+        let (mut first, mut observed): (_, Option<(TimeNs, u64)>) = (None, None);
+        self.shown.fill(self.seen.clock.now());
         while !signals.stopped() {
             self.seen.news.tell(self.seen.log.as_mut());
             let now = self.seen.clock.now();
@@ -118,37 +120,45 @@ impl RobotThread {
             let begun = first.or_else(|| self.past.begins());
             if let Some(begun) = begun {
                 first = Some(begun);
-                let at = if self.looked_at > 0 { frame } else { Some(now) };
+                let at = if self.shown.is_empty() {
+                    Some(now)
+                } else {
+                    frame
+                };
                 let step = at
                     .filter(|at| *at >= begun)
                     .map(|at| at.since(begun) / STEP_NS);
                 if let (Some(at), Some(step)) = (at, step)
-                    && observed.is_none_or(|last| last < step)
+                    && observed.is_none_or(|(last, _)| last < at)
                     && !signals.done()
                 {
-                    (observed, shown) = (Some(step), now);
-                    self.observe(step, at, &mut end.inference)?;
+                    let fresh = observed.is_none_or(|(_, last)| last < step);
+                    observed = Some((at, step));
+                    self.report(step, at)?;
+                    if fresh {
+                        self.ask(step, at, &mut end.inference)?;
+                    }
                 }
                 let up = self
                     .limit_ns
                     .is_some_and(|limit_ns| now.since(begun) >= limit_ns);
-                let blind = self.looked_at > 0 && now.since(shown) > SILENCE_NS_MAX;
-                if (up || blind) && !signals.done() {
+                let blind = self.gone(now);
+                if (up || blind.is_some()) && !signals.done() {
                     end.as_asked = up;
-                    end.ended_by = Some(if up {
-                        let limit_s = self.limit_ns.map_or(0.0, |ns| TimeNs(ns).seconds());
-                        format!("the {limit_s} s are over")
-                    } else {
-                        format!(
-                            "camera {} has shown nothing for {} s",
-                            self.cameras.first().map_or("", |(name, _)| name),
+                    end.ended_by = Some(match blind.filter(|_| !up) {
+                        Some(name) => format!(
+                            "camera {name} has shown nothing for {} s",
                             SILENCE_NS_MAX / 1_000_000_000
-                        )
+                        ),
+                        None => {
+                            let limit_s = self.limit_ns.map_or(0.0, |ns| TimeNs(ns).seconds());
+                            format!("the {limit_s} s are over")
+                        }
                     });
                     signals.end_run();
                 }
             } else {
-                shown = now;
+                self.shown.fill(now);
             }
             for report in &self.reports {
                 report.keep_alive()?;
@@ -159,6 +169,13 @@ impl RobotThread {
         Ok(end)
     }
 
+    /// The name of a camera that the policy looks through and that has shown nothing for too long at `now`.
+    fn gone(&self, now: TimeNs) -> Option<&str> {
+        let mut cameras = self.cameras.iter().zip(&self.shown);
+        let gone = cameras.find(|(_, shown)| now.since(**shown) > SILENCE_NS_MAX);
+        gone.map(|((name, _), _)| name.as_str())
+    }
+
     /// Keeps what cameras show in the log; when the newest frame of the policy's first camera was taken, if there is a new one.
     fn newest_frame(&mut self) -> Result<Option<TimeNs>, SessionError> {
         let mut taken = None;
@@ -166,8 +183,17 @@ impl RobotThread {
             let Some(view) = topic.newest()? else {
                 continue;
             };
+            let now = self.seen.clock.now();
+            let stamp = self.seen.clock.from_system(view.header().stamp);
+            // One from ahead would be the newest for ever.
+            if stamp > now.plus_ns(STEP_NS) {
+                continue;
+            }
+            if let Some(shown) = self.shown.get_mut(index) {
+                *shown = now;
+            }
             if index == 0 {
-                taken = Some(self.seen.clock.from_system(view.header().stamp));
+                taken = Some(stamp);
             }
             if let Some(log) = &mut self.seen.log {
                 log.frame(name, &logged(&view, &self.seen.clock));
@@ -176,13 +202,8 @@ impl RobotThread {
         Ok(taken)
     }
 
-    /// A policy step: the arms as they were `at` that instant.
-    fn observe(
-        &mut self,
-        step: u64,
-        at: TimeNs,
-        inference: &mut Histogram,
-    ) -> Result<(), SessionError> {
+    /// Tells a policy process where the arms were `at` the instant of a frame, which it needs to go with that frame.
+    fn report(&self, step: u64, at: TimeNs) -> Result<(), SessionError> {
         let Some(states) = self.past.at(at) else {
             return Ok(());
         };
@@ -191,6 +212,19 @@ impl RobotThread {
             let seen = seen_at(state, stamp);
             topic.publish(&ArmReport::new(step, &seen.state, &seen.tip_in_rcm))?;
         }
+        Ok(())
+    }
+
+    /// A policy step of a policy of this process: the arms as they were `at` that instant.
+    fn ask(
+        &mut self,
+        step: u64,
+        at: TimeNs,
+        inference: &mut Histogram,
+    ) -> Result<(), SessionError> {
+        let Some(states) = self.past.at(at) else {
+            return Ok(());
+        };
         if let Some((source, chunks)) = &mut self.local
             && step.is_multiple_of(source.query_every_steps())
         {

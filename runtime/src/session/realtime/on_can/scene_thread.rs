@@ -11,7 +11,7 @@ use trocar_topics::{
 
 use super::super::policy_process::arm_names;
 use super::super::signals::EndsRun;
-use super::awaited::Camera;
+use super::awaited::{Camera, PATIENCE_NS, Say};
 use super::{Local, SeenWires};
 use crate::histogram::Histogram;
 use crate::per_arm::PerArm;
@@ -31,7 +31,9 @@ const SILENCE_NS_MAX: u64 = 2_000_000_000;
 const BEGIN_NS_MAX: u64 = 3_000_000_000;
 
 /// The thread before it runs.
-pub(super) struct SceneThread {
+pub(super) struct SceneThread<'a> {
+    /// Says what is waited for.
+    pub(super) say: Say<'a>,
     pub(super) scene: Subscriber<SceneReport>,
     pub(super) seen: SeenWires,
     pub(super) local: Local,
@@ -73,7 +75,7 @@ pub(super) fn frames(node: &TopicNode, names: Vec<String>) -> Result<Vec<Camera>
     names.into_iter().map(open).collect()
 }
 
-impl SceneThread {
+impl SceneThread<'_> {
     /// Runs until the control thread has stopped; says so when the task has its verdict or the world is gone.
     pub(super) fn run(mut self) -> Result<SceneEnd, SessionError> {
         let signals = Arc::clone(&self.seen.signals);
@@ -85,7 +87,7 @@ impl SceneThread {
             tissue: None,
         };
         let (mut newest, mut heard, mut begun) = (None, self.seen.clock.now(), None);
-        let mut enabled = None;
+        let (mut enabled, mut told, mut ended) = (None, false, false);
         while !signals.stopped() {
             newest = self.seen.measured.take().or(newest);
             self.seen.news.tell(self.seen.log.as_mut());
@@ -97,7 +99,8 @@ impl SceneThread {
                     end.verdict,
                     Verdict::Success | Verdict::Failure | Verdict::Invalid
                 );
-                if !decided {
+                // What ended the run from here is its reason, whatever the world says meanwhile.
+                if !decided && !ended {
                     end.verdict = report.verdict();
                     end.reason = report.reason.text();
                 }
@@ -105,7 +108,16 @@ impl SceneThread {
                     Verdict::Waiting => {
                         // There are measurements once the drives are enabled.
                         let since = newest.map_or(heard, |_| *enabled.get_or_insert(heard));
-                        if heard.since(since) > BEGIN_NS_MAX && !signals.done() {
+                        let waited_ns = heard.since(since);
+                        if waited_ns > PATIENCE_NS && !told {
+                            told = true;
+                            (self.say)(&format!(
+                                "the drives are enabled; waiting for the world to begin its episode, for {} s at most",
+                                BEGIN_NS_MAX / 1_000_000_000
+                            ));
+                        }
+                        if waited_ns > BEGIN_NS_MAX && !signals.done() {
+                            ended = true;
                             end.reason = format!(
                                 "the world has not begun its episode {} s after our drives were enabled: are they its own?",
                                 BEGIN_NS_MAX / 1_000_000_000
@@ -123,6 +135,7 @@ impl SceneThread {
                     Verdict::Success | Verdict::Failure | Verdict::Invalid => signals.end_run(),
                 }
             } else if self.seen.clock.now().since(heard) > SILENCE_NS_MAX && !signals.done() {
+                ended = true;
                 end.reason = format!(
                     "the world has shown nothing for {} s",
                     SILENCE_NS_MAX / 1_000_000_000
