@@ -50,6 +50,16 @@ pub enum ConfigError {
         /// The allowed range as text.
         allowed: String,
     },
+    /// A key that is to be changed is not in the text.
+    #[error("{path} has no key {key}; there {} {known}", if .known.contains(", ") { "are" } else { "is" })]
+    NoKey {
+        /// The file.
+        path: String,
+        /// Dotted key.
+        key: String,
+        /// Keys at the place where it goes wrong.
+        known: String,
+    },
 }
 
 impl Source {
@@ -75,6 +85,40 @@ impl Source {
             path: path.to_owned(),
             text: text.to_owned(),
         }
+    }
+
+    /// The same text with `value` at the dotted `key`, which must be in it already; lines stay where they are. A value that is no TOML
+    /// is taken for a string.
+    ///
+    /// # Errors
+    /// [`ConfigError::NoKey`] if the text has no such value, [`ConfigError::Malformed`] if it is no TOML.
+    pub fn with(&self, key: &str, value: &str) -> Result<Self, ConfigError> {
+        let document = DeTable::parse(&self.text).map_err(|error| ConfigError::Malformed {
+            path: self.path.clone(),
+            line: error.span().map_or(1, |span| self.line_at(span.start)),
+            message: error.message().to_owned(),
+        })?;
+        let no_key = |known: Vec<String>| ConfigError::NoKey {
+            path: self.path.clone(),
+            key: key.to_owned(),
+            known: known.join(", "),
+        };
+        let table = DeValue::Table(document.get_ref().clone());
+        let (mut here, mut at) = (&table, 0..0);
+        for part in key.split('.') {
+            let next = child(here, part).ok_or_else(|| no_key(children(here)))?;
+            (here, at) = (next.get_ref(), next.span());
+        }
+        if let DeValue::Table(_) = here {
+            let inside = children(here).into_iter();
+            return Err(no_key(inside.map(|name| format!("{key}.{name}")).collect()));
+        }
+        let mut text = self.text.clone();
+        text.replace_range(at, &as_toml(value));
+        Ok(Self {
+            path: format!("{} with {key} = {value}", self.path),
+            text,
+        })
     }
 
     /// The text itself, for the log.
@@ -164,22 +208,50 @@ impl Source {
         };
         loop {
             offset = offset.max(here.span().start);
-            let next = parts.next().and_then(|part| match here.get_ref() {
-                DeValue::Table(table) => table.get(part),
-                DeValue::Array(array) => {
-                    part.parse().ok().and_then(|index: usize| array.get(index))
-                }
-                DeValue::String(_)
-                | DeValue::Integer(_)
-                | DeValue::Float(_)
-                | DeValue::Boolean(_)
-                | DeValue::Datetime(_) => None,
-            });
+            let next = parts.next().and_then(|part| child(here.get_ref(), part));
             let Some(next) = next else {
                 return self.line_at(offset);
             };
             here = next;
         }
+    }
+}
+
+/// What `part`, a key or an index, names in `value`.
+fn child<'a, 'i>(value: &'a DeValue<'i>, part: &str) -> Option<&'a Spanned<DeValue<'i>>> {
+    match value {
+        DeValue::Table(table) => table.get(part),
+        DeValue::Array(array) => part.parse().ok().and_then(|index: usize| array.get(index)),
+        DeValue::String(_)
+        | DeValue::Integer(_)
+        | DeValue::Float(_)
+        | DeValue::Boolean(_)
+        | DeValue::Datetime(_) => None,
+    }
+}
+
+/// What can follow `value` in a dotted key.
+fn children(value: &DeValue<'_>) -> Vec<String> {
+    match value {
+        DeValue::Table(table) => table.keys().map(|key| key.get_ref().to_string()).collect(),
+        DeValue::Array(array) => (0..array.len()).map(|index| index.to_string()).collect(),
+        DeValue::String(_)
+        | DeValue::Integer(_)
+        | DeValue::Float(_)
+        | DeValue::Boolean(_)
+        | DeValue::Datetime(_) => vec!["none in it".to_owned()],
+    }
+}
+
+/// `value` if it is one TOML value in one line, else a string of it.
+fn as_toml(value: &str) -> String {
+    let alone = format!("value = {value}");
+    let is_one = !value.contains(['\n', '#'])
+        && DeTable::parse(&alone).is_ok_and(|table| table.get_ref().len() == 1);
+    if is_one {
+        value.to_owned()
+    } else {
+        toml::Value::String(value.to_owned()).to_string()
     }
 }
 
@@ -280,6 +352,64 @@ mod tests {
             refused("regions = []\nlimits = { speed_m_s = [] }\n")
                 .starts_with("c.toml:2: limits.speed_m_s: invalid type"),
         );
+    }
+
+    #[test]
+    fn a_value_is_changed_where_it_is_and_nothing_else() {
+        let text = "# speeds\na = 1\n[limits] # two\nspeed_m_s = 0.25 # slow\nspaces = [1, [2, 3]]\n[[arm]]\nname = \"x\"\n";
+        let source = Source::embedded("c.toml", text);
+        let set =
+            |key: &str, value: &str| source.with(key, value).map(|with| with.text().to_owned());
+        let replaced = |from: &str, to: &str| text.replace(from, to);
+        assert_eq!(
+            set("limits.speed_m_s", "0.5").unwrap(),
+            replaced("0.25", "0.5")
+        );
+        assert_eq!(
+            set("limits.spaces.1.0", "7").unwrap(),
+            replaced("[2, 3]", "[7, 3]")
+        );
+        assert_eq!(
+            set("limits.spaces", "[]").unwrap(),
+            replaced("[1, [2, 3]]", "[]")
+        );
+        assert_eq!(
+            set("arm.0.name", "left").unwrap(),
+            replaced("\"x\"", "\"left\"")
+        );
+        // Neither a second key nor a comment can be smuggled in.
+        let smuggled = set("a", "2\nb = 3").unwrap();
+        assert!(
+            smuggled.contains("a = \"\"\"") || smuggled.contains("a = \"2\\nb"),
+            "{smuggled}"
+        );
+        let with = source.with("limits.speed_m_s", "9").unwrap();
+        let refused = with
+            .check_range("limits.speed_m_s", 9.0, 0.0, 1.0)
+            .unwrap_err();
+        assert_eq!(
+            refused.to_string(),
+            "c.toml with limits.speed_m_s = 9:4: limits.speed_m_s = 9 is outside [0, 1]"
+        );
+    }
+
+    #[test]
+    fn a_key_that_is_not_there_is_refused_with_those_that_are() {
+        let source = Source::embedded("c.toml", "a = 1\n[limits]\nspeed = 2\nforce = 3\n");
+        let refused = |key| source.with(key, "1").unwrap_err().to_string();
+        assert_eq!(
+            refused("limit.speed"),
+            "c.toml has no key limit.speed; there are a, limits"
+        );
+        assert_eq!(
+            refused("limits.sped"),
+            "c.toml has no key limits.sped; there are force, speed"
+        );
+        assert_eq!(
+            refused("limits"),
+            "c.toml has no key limits; there are limits.force, limits.speed"
+        );
+        assert_eq!(refused("a.b"), "c.toml has no key a.b; there is none in it");
     }
 
     #[test]

@@ -38,11 +38,11 @@ impl ActPolicy {
         let (device, kind) = (compute.device, compute.prepare(folder)?);
         let recipe_file = folder.join("trocar.json");
         if folder.is_dir() && !recipe_file.exists() {
-            return Err(Cause::Missing.in_file(&recipe_file));
+            return Err(Cause::NoRecipe.in_file(&recipe_file));
         }
         let loaded = checkpoint::load(folder, device)?;
         let Some(recipe) = loaded.recipe else {
-            return Err(Cause::Missing.in_file(&recipe_file));
+            return Err(Cause::NoRecipe.in_file(&recipe_file));
         };
         let config = loaded.act.config();
         if usize::try_from(config.chunk_size).unwrap_or(usize::MAX) > CHUNK_STEPS_MAX {

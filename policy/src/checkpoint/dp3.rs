@@ -77,7 +77,7 @@ pub fn save_dp3(
 /// [`CheckpointError`] naming the file and what is wrong with it.
 pub fn load_dp3(folder: &Path, device: Device) -> Result<Dp3Checkpoint, CheckpointError> {
     let recipe_file = folder.join(RECIPE);
-    let recipe = load_recipe(folder)?.ok_or_else(|| Cause::Missing.in_file(&recipe_file))?;
+    let recipe = load_recipe(folder)?.ok_or_else(|| Cause::NoRecipe.in_file(&recipe_file))?;
     let file = folder.join(CONFIG);
     let text = std::fs::read_to_string(&file).map_err(|error| Cause::io(error).in_file(&file))?;
     let config: Dp3File =

@@ -20,6 +20,12 @@ pub enum Cause {
     /// It is not there.
     #[error("file is missing")]
     Missing,
+    /// It is not there, as in folders of LeRobot's own.
+    #[error(
+        "file is missing: it says what the actions mean and how fast they follow each other; `python policy/convert/lerobot_recipe.py \
+         FOLDER --actions absolute_pose --fps 25` writes it for a policy that LeRobot trained"
+    )]
+    NoRecipe,
     /// It cannot be read or written.
     #[error("{0}")]
     Io(std::io::Error),

@@ -21,6 +21,8 @@ use super::{
 #[derive(Debug)]
 pub struct Dataset {
     spec: DatasetSpec,
+    /// The simulator's task, if its recording says so.
+    simulated: Option<String>,
     camera_names: Vec<String>,
     episodes: Vec<Episode>,
     rows: Rows,
@@ -84,10 +86,13 @@ impl Dataset {
         // What is listed beyond the total was being written when the recording was cut off.
         listed.truncate(wanted);
         let camera_names = names(&spec.cameras);
+        let noted = info.trocar.as_ref().and_then(|note| note["task"].as_str());
+        let simulated = noted.map(str::to_owned);
         let mut dataset = Self {
             videos: open_videos(&camera_names, &videos, &listed, spec.fps)?,
             camera_names,
             spec,
+            simulated,
             episodes: Vec::new(),
             rows: Rows::default(),
             tables: Vec::new(),
@@ -109,6 +114,12 @@ impl Dataset {
     #[must_use]
     pub const fn spec(&self) -> &DatasetSpec {
         &self.spec
+    }
+
+    /// The name of the simulator's task, if its recording notes one beside an instruction in words; else what LeRobot's `task` says.
+    #[must_use]
+    pub fn task(&self) -> &str {
+        self.simulated.as_deref().unwrap_or(&self.spec.task)
     }
 
     /// Frames a second.

@@ -40,6 +40,10 @@ pub(super) fn shared_memory() -> Finding {
     )
 }
 
+/// What helps where the kernel has no CAN sockets.
+pub(crate) const NO_CAN_REMEDY: &str =
+    "load the modules can, can_raw and vcan; without kernel support use the simulated arm";
+
 pub(super) fn can() -> Finding {
     let interfaces = can_interfaces(Path::new("/sys/class/net"));
     // Index 0 stands for all interfaces, so this asks only whether the kernel knows CAN.
@@ -60,7 +64,7 @@ pub(super) fn can() -> Finding {
             "can",
             Status::Missing,
             format!("no CAN sockets: {error}"),
-            "load the modules can, can_raw and vcan; without kernel support use the simulated arm",
+            NO_CAN_REMEDY,
         ),
     }
 }

@@ -1,6 +1,8 @@
 //! `trocar doctor`: what this machine offers, what that means for a run, and what would help.
 
 mod devices;
+
+pub(crate) use devices::NO_CAN_REMEDY;
 mod realtime;
 
 use core::fmt;

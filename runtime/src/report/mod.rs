@@ -15,10 +15,12 @@ pub mod statistics;
 mod strips;
 pub mod tables;
 
+use std::io::Write as _;
 use std::path::{Path, PathBuf};
 
 use serde::Serialize;
 
+use crate::session::outputs::is_standard_output;
 use crate::study::StudyError;
 use crate::study::files::{write_json, write_whole};
 use compare::Comparison;
@@ -88,7 +90,14 @@ pub fn write(folders: &[PathBuf], out: &Path, json: Option<&Path>) -> Result<Wri
     }
     let figures = figures(&results);
     if let Some(path) = json {
-        write_json(path, &figures)?;
+        if is_standard_output(path) {
+            let text = serde_json::to_string_pretty(&figures);
+            let text = text.map_err(|error| StudyError::io(path, error))?;
+            let written = writeln!(std::io::stdout(), "{text}");
+            written.map_err(|error| StudyError::io(path, error))?;
+        } else {
+            write_json(path, &figures)?;
+        }
         files.push(path.to_owned());
     }
     Ok(Written {

@@ -42,6 +42,12 @@ pub fn check_slow_motion() -> Result<(), BadSlowMotion> {
     wanted.map(|_| ()).map_err(|value| BadSlowMotion { value })
 }
 
+/// Gives this process and its children a folder for XDG_RUNTIME_DIR if it has none: each renderer of Mesa's would complain otherwise,
+/// though it shows no window. To be called first of all, before there is a second thread.
+pub fn quieten_mesa() {
+    sys::set_unset_environment("XDG_RUNTIME_DIR", "/tmp");
+}
+
 /// The system's monotonic clock, slowed down if [`slow_motion`] says so, counted from where it was made.
 #[derive(Clone, Copy, Debug)]
 pub struct MonotonicClock {

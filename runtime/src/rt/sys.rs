@@ -36,6 +36,16 @@ pub(super) fn slow_motion() -> u64 {
     *FACTOR.get_or_init(|| wanted_slow_motion().unwrap_or(1))
 }
 
+/// Gives a variable of the environment that is not set a value.
+///
+/// Nobody else may read or write the environment meanwhile: the caller is the process' only thread.
+pub(super) fn set_unset_environment(name: &str, value: &str) {
+    if std::env::var_os(name).is_none() {
+        // SAFETY: the caller is the only thread, as it says.
+        unsafe { std::env::set_var(name, value) };
+    }
+}
+
 /// The monotonic clock, ns since an arbitrary point.
 pub(super) fn monotonic_ns() -> u64 {
     system_ns() / slow_motion()

@@ -9,6 +9,7 @@ use trocar_canopen::socket::SocketBus;
 use super::SessionError;
 use super::can_clock::CanClock;
 use super::drives::{FaultKind, InjectedFault};
+use crate::doctor::NO_CAN_REMEDY;
 use crate::rt::MonotonicClock;
 
 /// Opens the interfaces `names`, line 0 first.
@@ -19,6 +20,14 @@ pub(super) fn open(
     names: &[String],
     clock: MonotonicClock,
 ) -> Result<SocketBus<CanClock>, SessionError> {
+    // Index 0 stands for all interfaces, so this asks only whether the kernel knows CAN.
+    if let (Err(error), Some(name)) = (CanSocket::open_iface(0), names.first()) {
+        return Err(SessionError::Interface {
+            name: name.clone(),
+            reason: format!("there are no CAN sockets: {error}"),
+            remedy: NO_CAN_REMEDY.to_owned(),
+        });
+    }
     for name in names {
         if is_down(Path::new("/sys/class/net"), name) {
             return Err(SessionError::Interface {
@@ -105,9 +114,15 @@ mod tests {
     fn an_interface_that_is_not_there_is_named_with_what_to_do() {
         let names = ["nocan7".to_owned()];
         let error = open(&names, MonotonicClock::new()).unwrap_err().to_string();
+        let (reason, remedy) = match CanSocket::open_iface(0) {
+            Ok(_) => (
+                "cannot be opened as a CAN interface: ",
+                "ip link add dev nocan7 type vcan",
+            ),
+            Err(_) => ("there are no CAN sockets: ", NO_CAN_REMEDY),
+        };
         assert!(
-            error.starts_with("nocan7: cannot be opened as a CAN interface: ")
-                && error.contains("ip link add dev nocan7 type vcan"),
+            error.starts_with(&format!("nocan7: {reason}")) && error.contains(remedy),
             "{error}"
         );
     }

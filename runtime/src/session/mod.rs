@@ -4,6 +4,7 @@
 
 mod can_clock;
 mod can_interfaces;
+pub mod changes;
 mod cloud_file;
 pub mod demo;
 pub mod drives;

@@ -23,7 +23,9 @@ pub fn check(
         }
     }
     for (option, path) in written {
-        let Some(path) = path else { continue };
+        let Some(path) = path.filter(|path| !is_standard_output(path)) else {
+            continue;
+        };
         pictures::create_parent(path).map_err(|error| refused(option, path, &error.to_string()))?;
         let identity = identity(path);
         if let Some((other, _)) = seen.iter().find(|(_, other)| *other == identity) {
@@ -33,6 +35,12 @@ pub fn check(
         seen.push((option, identity));
     }
     Ok(())
+}
+
+/// Whether `path` stands for standard output.
+#[must_use]
+pub fn is_standard_output(path: &Path) -> bool {
+    path == Path::new("-")
 }
 
 /// Makes the folder `path` that `option` names, or takes an empty one, and checks that files can be written into it.

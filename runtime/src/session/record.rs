@@ -40,6 +40,8 @@ pub struct RecordOptions {
     pub video: Option<VideoCodec>,
     /// The share of demonstrations that is disturbed, if any is.
     pub disturb: Option<f64>,
+    /// What the demonstrations do in words, as the dataset's `task`; the task's name if not given.
+    pub instruction: Option<String>,
 }
 
 /// What became of one attempt.
@@ -117,7 +119,7 @@ pub fn record(
     on_attempt: &mut dyn FnMut(&Attempt),
 ) -> Result<RecordSummary, SessionError> {
     outputs::new_folder("--out", &options.out)?;
-    let spec = dataset_spec(setup, options.depth);
+    let spec = dataset_spec(setup, options);
     let mut writer = DatasetWriter::create_with(&options.out, &spec, options.video)?;
     let described = recording_note(setup, options)?;
     let noted = described.is_some();
@@ -170,7 +172,7 @@ pub fn record(
     Ok(summary)
 }
 
-fn dataset_spec(setup: &Setup, depth: bool) -> DatasetSpec {
+fn dataset_spec(setup: &Setup, options: &RecordOptions) -> DatasetSpec {
     let names = setup.cameras_with(Vec::new());
     let cameras = names
         .iter()
@@ -185,7 +187,7 @@ fn dataset_spec(setup: &Setup, depth: bool) -> DatasetSpec {
             name: camera.name.clone(),
             width: camera.intrinsics().width,
             height: camera.intrinsics().height,
-            depth: depth.then(|| camera.intrinsics()),
+            depth: options.depth.then(|| camera.intrinsics()),
         })
         .collect();
     #[expect(clippy::cast_possible_truncation, reason = "25 steps a second")]
@@ -194,7 +196,10 @@ fn dataset_spec(setup: &Setup, depth: bool) -> DatasetSpec {
         fps,
         robot_type: robot_type(setup.task.arms.len()).to_owned(),
         arms: setup.task.arms.len(),
-        task: setup.task_name.clone(),
+        task: options
+            .instruction
+            .clone()
+            .unwrap_or_else(|| setup.task_name.clone()),
         cameras,
     }
 }

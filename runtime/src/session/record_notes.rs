@@ -71,12 +71,13 @@ impl DisturbedCounts {
     }
 }
 
-/// What is said of the recording as a whole; nothing if it is of the plain kind.
+/// What is said of the recording as a whole, the task's name among it; nothing if it is of the plain kind.
 pub(super) fn recording_note(
     setup: &Setup,
     options: &RecordOptions,
 ) -> Result<Option<Value>, SessionError> {
-    if options.disturb.is_none() && setup.task.varied.is_empty() {
+    let plain = options.disturb.is_none() && options.instruction.is_none();
+    if plain && setup.task.varied.is_empty() {
         return Ok(None);
     }
     let note = RecordingNote {

@@ -1,6 +1,7 @@
 //! One run in lockstep, with its log, its pictures and its summary.
 
 use std::collections::BTreeMap;
+use std::io::Write as _;
 use std::path::{Path, PathBuf};
 
 use hal::{Chunk, TimeNs};
@@ -14,7 +15,7 @@ use super::pictures::Pictures;
 use super::source::{ChunkSource, PolicyChoice};
 use super::summary::RunSummary;
 use super::tally::RunLabels;
-use super::{SessionError, Setup, pictures};
+use super::{SessionError, Setup, outputs, pictures};
 use crate::log::{Level, Pressure, Recorder, RunHeader, RunOutcome, TickRecord};
 
 /// The libtorch that the program was built with.
@@ -236,13 +237,17 @@ impl Watcher for RunWatcher {
     }
 }
 
-/// Writes `value` as pretty JSON.
+/// Writes `value` as pretty JSON, to standard output if `path` is `-`.
 ///
 /// # Errors
 /// [`SessionError::Output`].
 pub fn write_json(path: &Path, value: &impl serde::Serialize) -> Result<(), SessionError> {
-    pictures::create_parent(path)?;
     let text =
         serde_json::to_string_pretty(value).map_err(|error| SessionError::output(path, error))?;
+    if outputs::is_standard_output(path) {
+        let written = writeln!(std::io::stdout(), "{text}");
+        return written.map_err(|error| SessionError::output(path, error));
+    }
+    pictures::create_parent(path)?;
     std::fs::write(path, text + "\n").map_err(|error| SessionError::output(path, error))
 }

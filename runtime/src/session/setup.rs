@@ -11,6 +11,7 @@ use sim_backend::expert::Expert;
 use sim_backend::task::{TaskConfig, Variation};
 
 use super::SessionError;
+use super::changes::{Changes, ConfigFile};
 use super::source::{ChunkSource, PolicyChoice};
 use super::tasks;
 use crate::control::{AnyController, ControlConfig};
@@ -32,6 +33,8 @@ pub struct Setup {
     pub kept_cameras: Option<Vec<String>>,
     /// The task of the demonstrations that the policy was trained on, if it is a checkpoint that tells.
     pub trained_on: Option<String>,
+    /// Values in the place of those of the files.
+    pub changes: Changes,
 }
 
 /// Effective configuration texts.
@@ -78,8 +81,23 @@ impl Setup {
         control: Option<&Path>,
         policy: &PolicyChoice,
     ) -> Result<Self, SessionError> {
+        Self::load_with(task, control, policy, Changes::default())
+    }
+
+    /// The same with `changes` over all files.
+    ///
+    /// # Errors
+    /// As [`Self::load`].
+    pub fn load_with(
+        task: &str,
+        control: Option<&Path>,
+        policy: &PolicyChoice,
+        changes: Changes,
+    ) -> Result<Self, SessionError> {
         policy.check_exists()?;
-        let files = tasks::files(task)?;
+        let mut files = tasks::files(task)?;
+        files.scene = changes.apply(ConfigFile::Scene, files.scene)?;
+        files.safety = changes.apply(ConfigFile::Safety, files.safety)?;
         let recipe = match policy {
             PolicyChoice::Checkpoint(folder) => load_recipe(folder)?,
             PolicyChoice::Expert
@@ -91,6 +109,7 @@ impl Setup {
             Some(path) => Source::read(&path.display().to_string())?,
             None => built_in_control(recipe.as_ref())?,
         };
+        let control = changes.apply(ConfigFile::Control, control)?;
         let task_config = files.config()?;
         let control_config = ControlConfig::load(&control, &files.safety)?;
         check_bases(&task_config, &files.scene, &control_config)?;
@@ -108,6 +127,7 @@ impl Setup {
             scene_file: scene_file.map(|path| path.display().to_string()),
             kept_cameras: None,
             trained_on: recipe.map(|recipe| recipe.dataset.task),
+            changes,
         })
     }
 
@@ -118,7 +138,9 @@ impl Setup {
     /// [`SessionError::Config`], naming file, line and key.
     pub fn with_scene_file(mut self, path: &Path) -> Result<Self, SessionError> {
         let path = path.display().to_string();
-        let scene = Source::read(&path)?;
+        let scene = self
+            .changes
+            .apply(ConfigFile::Scene, Source::read(&path)?)?;
         let task = TaskConfig::parse(&self.task_name, &scene)?;
         if task.kind != self.task.kind {
             let asked = format!("{}, as is task {}", self.task.kind, self.task_name);

@@ -204,6 +204,7 @@ fn record_one(out: &Path) -> Dataset {
         depth: false,
         video: None,
         disturb: None,
+        instruction: None,
     };
     let setup = small_handover(&PolicyChoice::Expert);
     let summary = record(&setup, &options, &mut |_| {}).unwrap();

@@ -102,8 +102,8 @@ impl Evaluations {
         let Some(plan) = options.eval.clone() else {
             return Ok(None);
         };
-        let recorded = &dataset.spec().task;
-        let task = plan.task.clone().unwrap_or_else(|| recorded.clone());
+        let recorded = dataset.task();
+        let task = plan.task.clone().unwrap_or_else(|| recorded.to_owned());
         check_task(&task, dataset)?;
         let out = options.out.clone();
         let evaluations = Self {

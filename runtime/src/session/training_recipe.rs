@@ -50,7 +50,7 @@ pub(super) fn recipe(saver: &Saver<'_>, trained: &AnyTrained) -> Recipe {
         variants: made.variants,
         recipe: format!("trocar {}", options.command),
         dataset: DatasetSummary {
-            task: spec.task.clone(),
+            task: dataset.task().to_owned(),
             episodes: dataset.episodes().len(),
             frames: dataset.len(),
             fps: spec.fps,

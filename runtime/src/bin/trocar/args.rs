@@ -1,11 +1,15 @@
 //! The command line as it is typed; nothing is read or checked beyond its form.
 
 use std::ffi::OsStr;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
-use clap::builder::{PossibleValue, RangedU64ValueParser, StringValueParser, TypedValueParser};
+use clap::builder::{
+    NonEmptyStringValueParser, PossibleValue, RangedU64ValueParser, StringValueParser,
+    TypedValueParser,
+};
 use clap::{Arg, Args, Command, Parser, Subcommand, ValueEnum};
 
+use runtime::session::changes::Change;
 use runtime::session::drives::DEFAULT_TOPICS;
 use runtime::session::tasks;
 
@@ -126,9 +130,106 @@ pub(crate) enum Verb {
     /// Draw what every camera of every task sees in the middle of an expert's episode, in colour, depth and ids, as one PNG.
     #[command(after_help = "Example: trocar sheet --out runs/tasks.png --seed 7 --width 192")]
     Sheet(SheetArgs),
+    /// Show what a command would be configured by.
+    #[command(subcommand)]
+    Config(ConfigVerb),
+    /// Print the completions of a shell for this command line.
+    #[command(
+        after_help = "Example: trocar completions bash > ~/.local/share/bash-completion/completions/trocar\n         trocar completions zsh > ~/.zfunc/_trocar\n         trocar completions fish > ~/.config/fish/completions/trocar.fish"
+    )]
+    Completions(CompletionsArgs),
+    /// Write the man pages of this command and its verbs into a folder.
+    #[command(after_help = "Example: trocar man runs/man && man runs/man/trocar-run.1")]
+    Man(ManArgs),
     /// The policy's own process in a real-time run; started by `run`.
     #[command(hide = true)]
     PolicyProcess(PolicyProcessArgs),
+}
+
+impl Verb {
+    /// Where its result goes as JSON.
+    pub(crate) fn json(&self) -> Option<&Path> {
+        let json = match self {
+            Self::Run(args) => &args.json,
+            Self::Eval(args) => &args.json,
+            Self::Record(args) => &args.json,
+            Self::Import(args) => &args.json,
+            Self::Train(args) => &args.json,
+            Self::Report(args) => &args.json,
+            Self::Replay(args) | Self::Verify(args) => &args.json,
+            Self::Drives(args) => &args.json,
+            Self::Doctor(args) => &args.json,
+            Self::Study(_)
+            | Self::Demo(_)
+            | Self::Sheet(_)
+            | Self::Config(_)
+            | Self::Completions(_)
+            | Self::Man(_)
+            | Self::PolicyProcess(_) => &None,
+        };
+        json.as_deref()
+    }
+}
+
+/// What to do with the configuration.
+#[derive(Debug, Subcommand)]
+pub(crate) enum ConfigVerb {
+    /// Print a file as a run would read it: built in or given, with the policy's recommendation and every --set.
+    #[command(
+        after_help = "Example: trocar config show control\n         trocar config show scene --task suture-pad\n         trocar config show can --set can.cycle_us=4000 > can.toml"
+    )]
+    Show(ShowArgs),
+}
+
+/// Options of `config show`.
+#[derive(Args, Debug)]
+pub(crate) struct ShowArgs {
+    /// The file.
+    #[arg(value_enum)]
+    pub(crate) file: ShownFile,
+    /// The task: a built-in one by name, or the path of a folder with scene.toml and safety.toml.
+    #[arg(long, value_parser = TaskParser, default_value = "needle-lift")]
+    pub(crate) task: String,
+    /// The policy, of which a checkpoint may recommend how its chunks are aggregated.
+    #[arg(long, default_value = "expert")]
+    pub(crate) policy: String,
+    /// Controller configuration instead of the built-in one.
+    #[arg(long, value_name = "FILE")]
+    pub(crate) config: Option<PathBuf>,
+    /// Nodes and interfaces instead of the built-in ones.
+    #[arg(long, value_name = "FILE")]
+    pub(crate) can_config: Option<PathBuf>,
+    /// A value in the place of a file's, as the last layer. May be given several times.
+    #[arg(long, value_name = "FILE.KEY=VALUE")]
+    pub(crate) set: Vec<Change>,
+}
+
+/// A configuration file.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub(crate) enum ShownFile {
+    /// The controller's settings.
+    Control,
+    /// The task's limits.
+    Safety,
+    /// The task's scene.
+    Scene,
+    /// Nodes and buses.
+    Can,
+}
+
+/// Options of `completions`.
+#[derive(Args, Debug)]
+pub(crate) struct CompletionsArgs {
+    /// The shell.
+    #[arg(value_enum)]
+    pub(crate) shell: clap_complete::Shell,
+}
+
+/// Options of `man`.
+#[derive(Args, Debug)]
+pub(crate) struct ManArgs {
+    /// The folder, which is made.
+    pub(crate) out: PathBuf,
 }
 
 /// A task: the name of a built-in one or the path of a folder. Which of them there are is seen when one is loaded.
@@ -178,11 +279,12 @@ pub(crate) enum ComputeDevice {
 #[derive(Args, Debug)]
 pub(crate) struct RunArgs {
     /// The task: a built-in one by name, or the path of a folder with scene.toml and safety.toml.
-    #[arg(long, value_parser = TaskParser, required_unless_present = "safety")]
+    #[arg(long, value_parser = TaskParser)]
     pub(crate) task: Option<String>,
     /// With --backend can: a robot without a task, within the limits of this file, which has the form of a task's safety.toml. There
     /// is no simulator, no scene and no verdict; cameras are those on the topics --topics. Ends with --seconds, a signal or a fault.
-    #[arg(long, value_name = "FILE", conflicts_with_all = ["task", "lockstep", "scene", "needle"])]
+    #[arg(long, value_name = "FILE")]
+    #[arg(conflicts_with_all = ["task", "lockstep", "scene", "needle", "view", "latency_ms", "latency_jitter_ms"])]
     pub(crate) safety: Option<PathBuf>,
     /// With --safety: after how long the run ends, s, up to 86400; if not given, only a signal or a fault ends it.
     #[arg(long, value_name = "S", requires = "safety", conflicts_with = "task", value_parser = seconds)]
@@ -205,6 +307,10 @@ pub(crate) struct RunArgs {
     /// Controller configuration instead of the built-in config/control.toml.
     #[arg(long, value_name = "FILE")]
     pub(crate) config: Option<PathBuf>,
+    /// A value in the place of a file's, as the last layer: FILE.KEY=VALUE, where FILE is control, safety, scene or can. May be given
+    /// several times.
+    #[arg(long, value_name = "FILE.KEY=VALUE")]
+    pub(crate) set: Vec<Change>,
     /// With --backend can: nodes and interfaces instead of the built-in config/can.toml.
     #[arg(long, value_name = "FILE")]
     pub(crate) can_config: Option<PathBuf>,
@@ -216,10 +322,10 @@ pub(crate) struct RunArgs {
     pub(crate) log: Option<PathBuf>,
     /// Cameras whose frames the log keeps besides those that the policy sees: `single` (the one that the paper gives the
     /// task's policies), `multi` (that one and the wrists), or names with commas between them. If there is neither:
-    /// endoscope.
+    /// endoscope. With --safety: names of cameras on the topics, none if not given.
     #[arg(long, value_name = "single|multi|NAMES", requires = "log")]
     pub(crate) cameras: Option<String>,
-    /// Write the result as JSON; parent folders are made.
+    /// Write the result as JSON, to standard output if it is `-`; parent folders are made.
     #[arg(long, value_name = "FILE")]
     pub(crate) json: Option<PathBuf>,
     /// Delay from observation to chunk in lockstep, ms, up to 10000.
@@ -284,7 +390,11 @@ pub(crate) struct EvalArgs {
     /// Controller configuration instead of the built-in config/control.toml.
     #[arg(long, value_name = "FILE")]
     pub(crate) config: Option<PathBuf>,
-    /// Write the result as JSON, also when the evaluation is interrupted; parent folders are made.
+    /// A value in the place of a file's, as the last layer: FILE.KEY=VALUE, where FILE is control, safety, scene or can. May be given
+    /// several times.
+    #[arg(long, value_name = "FILE.KEY=VALUE")]
+    pub(crate) set: Vec<Change>,
+    /// Write the result as JSON, also when the evaluation is interrupted, to standard output if it is `-`; parent folders are made.
     #[arg(long, value_name = "FILE")]
     pub(crate) json: Option<PathBuf>,
     /// Exit with 1 if the success rate is below this, 0 to 1.
@@ -357,6 +467,9 @@ pub(crate) struct RecordArgs {
     /// expert wants, not what was done to it. They may take twice the task's time limit.
     #[arg(long, value_name = "SHARE", num_args = 0..=1, default_missing_value = "0.5", value_parser = share_above_0)]
     pub(crate) disturb: Option<f64>,
+    /// What the demonstrations do in words, for policies that read it: the dataset's `task`, in the place of the task's name.
+    #[arg(long, value_name = "TEXT", value_parser = NonEmptyStringValueParser::new())]
+    pub(crate) instruction: Option<String>,
     /// Cameras whose frames are recorded: `single` (the one that the paper gives the task's policies), `multi` (that one and
     /// the wrists), or names with commas between them. A camera that is not named is not drawn.
     #[arg(long, value_name = "single|multi|NAMES", default_value = "endoscope")]
@@ -372,7 +485,11 @@ pub(crate) struct RecordArgs {
     /// Controller configuration instead of the built-in config/control.toml.
     #[arg(long, value_name = "FILE")]
     pub(crate) config: Option<PathBuf>,
-    /// Write what was recorded, attempt by attempt, as JSON; parent folders are made.
+    /// A value in the place of a file's, as the last layer: FILE.KEY=VALUE, where FILE is control, safety, scene or can. May be given
+    /// several times.
+    #[arg(long, value_name = "FILE.KEY=VALUE")]
+    pub(crate) set: Vec<Change>,
+    /// Write what was recorded, attempt by attempt, as JSON, to standard output if it is `-`; parent folders are made.
     #[arg(long, value_name = "FILE")]
     pub(crate) json: Option<PathBuf>,
 }
@@ -523,7 +640,7 @@ pub(crate) struct TrainArgs {
     /// Everything random hangs on this.
     #[arg(long, default_value_t = 0)]
     pub(crate) seed: u64,
-    /// Write the result as JSON; parent folders are made.
+    /// Write the result as JSON, to standard output if it is `-`; parent folders are made.
     #[arg(long, value_name = "FILE")]
     pub(crate) json: Option<PathBuf>,
 }
@@ -534,7 +651,7 @@ pub(crate) struct LogArgs {
     /// The log.
     #[arg(value_name = "FILE.mcap")]
     pub(crate) file: PathBuf,
-    /// Write the result as JSON; parent folders are made.
+    /// Write the result as JSON, to standard output if it is `-`; parent folders are made.
     #[arg(long, value_name = "FILE")]
     pub(crate) json: Option<PathBuf>,
 }
@@ -542,7 +659,7 @@ pub(crate) struct LogArgs {
 /// Options of `doctor`.
 #[derive(Args, Debug)]
 pub(crate) struct DoctorArgs {
-    /// Write the findings as JSON; parent folders are made.
+    /// Write the findings as JSON, to standard output if it is `-`; parent folders are made.
     #[arg(long, value_name = "FILE")]
     pub(crate) json: Option<PathBuf>,
 }

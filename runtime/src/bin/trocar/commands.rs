@@ -6,6 +6,7 @@ use policy::compute::{Arithmetic, Compute};
 use policy::dataset::VideoCodec;
 use runtime::doctor::{self, Probes};
 use runtime::log::RunLog;
+use runtime::session::changes::{Change, Changes, ConfigFile};
 use runtime::session::demo::{self, DemoOptions};
 use runtime::session::realtime::{self, CanOptions, PolicyProcessOptions, RobotOptions};
 use runtime::session::record::{self, RecordOptions};
@@ -64,6 +65,16 @@ pub(crate) const fn codec(video: Video) -> VideoCodec {
     }
 }
 
+/// The files that a task is configured by.
+const TASK_FILES: [ConfigFile; 3] = [ConfigFile::Control, ConfigFile::Safety, ConfigFile::Scene];
+
+/// What is to be changed in a task's files.
+pub(crate) fn task_changes(set: &[Change]) -> Result<Changes, SessionError> {
+    let changes = Changes(set.to_owned());
+    changes.only(&TASK_FILES)?;
+    Ok(changes)
+}
+
 /// Says so if the policy does another task than that of its demonstrations: that may be meant, so that it is no error.
 pub(crate) fn warn_of_transfer(setup: &Setup) {
     if let Some(reason) = setup.transfer_note() {
@@ -101,7 +112,8 @@ pub(crate) fn run(args: &RunArgs) -> Done {
         (Some(task), _) => run_task(task, args, &options, can)?,
         (None, Some(safety)) => run_robot(safety, args, &options, can)?,
         (None, None) => {
-            let reason = "run needs --task, or --safety for a robot without one";
+            let reason =
+                "run needs --task NAME, or for a robot without one --backend can --safety FILE";
             return Err(SessionError::BadArgument(reason.to_owned()));
         }
     };
@@ -118,7 +130,11 @@ fn run_task(
     options: &RunOptions,
     can: Option<(CanOptions, String)>,
 ) -> Result<RunResult, SessionError> {
-    let mut setup = Setup::load(task, args.config.as_deref(), &options.policy)?
+    let changes = Changes(args.set.clone());
+    if can.is_none() {
+        changes.only(&TASK_FILES)?;
+    }
+    let mut setup = Setup::load_with(task, args.config.as_deref(), &options.policy, changes)?
         .with_scene(&args.scene.options(args.cameras.as_deref()))?;
     warn_of_transfer(&setup);
     match can {
@@ -141,7 +157,14 @@ fn run_robot(
         let reason = "--safety needs --backend can: the simulator runs tasks";
         return Err(SessionError::BadArgument(reason.to_owned()));
     };
-    let mut robot = Robot::load(safety, args.config.as_deref(), &options.policy)?;
+    if let Some(word @ ("single" | "multi")) = args.cameras.as_deref() {
+        return Err(SessionError::BadArgument(format!(
+            "--cameras {word} is of a task's cameras; with --safety name those on the topics"
+        )));
+    }
+    let changes = Changes(args.set.clone());
+    changes.only(&[ConfigFile::Control, ConfigFile::Safety, ConfigFile::Can])?;
+    let mut robot = Robot::load(safety, args.config.as_deref(), &options.policy, &changes)?;
     robot.texts.can = Some(text);
     let cameras = args.cameras.iter().flat_map(|names| names.split(','));
     let asked = RobotOptions {
@@ -165,6 +188,7 @@ fn can_options(args: &RunArgs) -> Result<Option<(CanOptions, String)>, SessionEr
         )),
         Backend::Can => {
             let source = can_source(args.can_config.as_ref())?;
+            let source = Changes(args.set.clone()).apply(ConfigFile::Can, source)?;
             CanOptions::load(&source, &args.topics).map(Some)
         }
     }
@@ -236,7 +260,9 @@ pub(crate) fn record(args: &RecordArgs) -> Done {
     let mut read = vec![config, scene, out];
     read.extend(of_task(&task));
     outputs::check(&[("--json", args.json.as_deref())], &read)?;
-    let setup = Setup::load(&args.task, args.config.as_deref(), &PolicyChoice::Expert)?
+    let changes = task_changes(&args.set)?;
+    let expert = PolicyChoice::Expert;
+    let setup = Setup::load_with(&args.task, args.config.as_deref(), &expert, changes)?
         .with_scene(&args.vary.add_to(args.scene.options(Some(&args.cameras))))?;
     let options = RecordOptions {
         disturb: args.disturb,
@@ -246,6 +272,7 @@ pub(crate) fn record(args: &RecordArgs) -> Done {
         jobs: args.jobs,
         depth: args.depth,
         video: args.video.map(codec),
+        instruction: args.instruction.clone(),
     };
     let bar = console::progress(args.episodes as u64, "episodes");
     let summary = record::record(&setup, &options, &mut |attempt| {

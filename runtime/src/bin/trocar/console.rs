@@ -6,13 +6,31 @@
 )]
 
 use std::error::Error;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
 use indicatif::{HumanDuration, ProgressBar, ProgressStyle};
 
+/// Whether standard output is for JSON alone.
+static JSON_ON_STDOUT: AtomicBool = AtomicBool::new(false);
+
+/// From now on lines of result go to standard error: standard output is for JSON.
+pub(crate) fn leave_stdout_to_json() {
+    JSON_ON_STDOUT.store(true, Ordering::Relaxed);
+}
+
 /// A line of result.
 pub(crate) fn result(line: &str) {
-    println!("{line}");
+    if JSON_ON_STDOUT.load(Ordering::Relaxed) {
+        eprintln!("{line}");
+    } else {
+        println!("{line}");
+    }
+}
+
+/// A text that is the result itself, as it is.
+pub(crate) fn text(text: &str) {
+    print!("{text}");
 }
 
 /// A line of information.

@@ -5,6 +5,7 @@ use std::path::PathBuf;
 use clap::Args;
 
 use hal::config::Source;
+use runtime::session::changes::{Change, Changes, ConfigFile};
 use runtime::session::drives::{DEFAULT_TOPICS, DrivesOptions, InjectedFault, Moved, run_drives};
 use runtime::session::run::write_json;
 use runtime::session::{PolicyChoice, SessionError, Setup, outputs, tasks};
@@ -27,7 +28,7 @@ pub(crate) struct DrivesArgs {
     /// Stand in for the real drives of a robot of one arm, or of two: the motors go where they are told, there is no task, no scene
     /// and no camera.
     #[arg(long, value_name = "ARMS", num_args = 0..=1, default_missing_value = "1", value_parser = clap::value_parser!(u8).range(1..=2))]
-    #[arg(conflicts_with_all = ["task", "scene", "needle", "cameras", "topics"])]
+    #[arg(conflicts_with_all = ["task", "scene", "needle", "view", "cameras", "topics", "seed"])]
     pub(crate) no_world: Option<u8>,
     /// Everything random in the scene hangs on this.
     #[arg(long, default_value_t = 0)]
@@ -47,7 +48,11 @@ pub(crate) struct DrivesArgs {
     /// wrong-identity, bus-off, foreign-master. May be given several times.
     #[arg(long, value_name = "kind=KIND,node=N,...")]
     pub(crate) fault: Vec<InjectedFault>,
-    /// Write what happened as JSON at the end; parent folders are made.
+    /// A value in the place of a file's, as the last layer: FILE.KEY=VALUE, where FILE is control, safety, scene or can. May be given
+    /// several times.
+    #[arg(long, value_name = "FILE.KEY=VALUE")]
+    pub(crate) set: Vec<Change>,
+    /// Write what happened as JSON at the end, to standard output if it is `-`; parent folders are made.
     #[arg(long, value_name = "FILE")]
     pub(crate) json: Option<PathBuf>,
 }
@@ -67,12 +72,17 @@ pub(crate) fn drives(args: &DrivesArgs) -> Done {
     let mut read = vec![config, scene];
     read.extend(of_task(&task));
     outputs::check(&[("--json", args.json.as_deref())], &read)?;
-    let can = CanConfig::load(&can_source(args.config.as_ref())?)?;
+    let changes = Changes(args.set.clone());
+    let can = changes.apply(ConfigFile::Can, can_source(args.config.as_ref())?)?;
+    let can = CanConfig::load(&can)?;
     let setup;
     let moved = match args.no_world {
-        Some(arms) => Moved::Arms(usize::from(arms)),
+        Some(arms) => {
+            changes.only(&[ConfigFile::Can])?;
+            Moved::Arms(usize::from(arms))
+        }
         None => {
-            setup = Setup::load(&args.task, None, &PolicyChoice::Expert)?
+            setup = Setup::load_with(&args.task, None, &PolicyChoice::Expert, changes)?
                 .with_scene(&args.scene.options(args.cameras.as_deref()))?;
             Moved::Task(&setup)
         }

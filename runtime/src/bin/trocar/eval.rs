@@ -11,7 +11,7 @@ use runtime::session::summary::TrialSummary;
 use runtime::session::{PolicyChoice, SessionError, Setup, outputs, tasks};
 
 use crate::args::EvalArgs;
-use crate::commands::{Done, compute, warn_of_transfer};
+use crate::commands::{Done, compute, task_changes, warn_of_transfer};
 use crate::console;
 use crate::scene_args::of_task;
 
@@ -25,7 +25,8 @@ pub(crate) fn eval(args: &EvalArgs) -> Done {
     read.extend(of_task(&task));
     outputs::check(&[("--json", args.json.as_deref())], &read)?;
     let policy = PolicyChoice::parse(&args.policy);
-    let setup = Setup::load(&args.task, args.config.as_deref(), &policy)?
+    let changes = task_changes(&args.set)?;
+    let setup = Setup::load_with(&args.task, args.config.as_deref(), &policy, changes)?
         .with_scene(&args.vary.add_to(args.scene.options(None)))?;
     warn_of_transfer(&setup);
     let options = EvalOptions {

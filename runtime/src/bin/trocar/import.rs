@@ -68,7 +68,7 @@ pub(crate) struct ImportArgs {
     /// ffmpeg 5.1 or newer, here and where the dataset is read.
     #[arg(long, value_enum, value_name = "CODEC")]
     pub(crate) video: Option<Video>,
-    /// Write what was imported as JSON; parent folders are made.
+    /// Write what was imported as JSON, to standard output if it is `-`; parent folders are made.
     #[arg(long, value_name = "FILE")]
     pub(crate) json: Option<PathBuf>,
 }

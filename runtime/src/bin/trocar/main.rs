@@ -2,6 +2,7 @@
 //!
 //! Exit codes: 0 done, 1 failed at its job, 2 bad usage or bad input.
 
+mod about;
 mod args;
 mod commands;
 mod console;
@@ -18,6 +19,7 @@ use std::process::ExitCode;
 use clap::Parser;
 
 use runtime::rt;
+use runtime::session::outputs;
 
 use args::{Cli, Verb};
 
@@ -40,6 +42,7 @@ fn explain_panics() {
 }
 
 fn main() -> ExitCode {
+    rt::quieten_mesa();
     explain_panics();
     if let Err(error) = runtime::study::child::end_with_parent() {
         console::error(&error);
@@ -56,6 +59,9 @@ fn main() -> ExitCode {
             rt::slow_motion()
         ));
     }
+    if cli.verb.json().is_some_and(outputs::is_standard_output) {
+        console::leave_stdout_to_json();
+    }
     let result = match &cli.verb {
         Verb::Run(args) => commands::run(args),
         Verb::Eval(args) => eval::eval(args),
@@ -70,6 +76,9 @@ fn main() -> ExitCode {
         Verb::Doctor(args) => commands::doctor(args),
         Verb::Demo(args) => commands::demo(args),
         Verb::Sheet(args) => sheet::sheet(args),
+        Verb::Config(verb) => about::config(verb),
+        Verb::Completions(args) => about::completions(args),
+        Verb::Man(args) => about::man(args),
         Verb::PolicyProcess(args) => commands::policy_process(args),
     };
     match result {

@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use clap::Args;
 
 use runtime::session::sheet::{self, SheetOptions};
-use runtime::session::{outputs, tasks};
+use runtime::session::{SessionError, outputs, tasks};
 
 use crate::args::TaskParser;
 use crate::commands::Done;
@@ -53,6 +53,10 @@ pub(crate) fn sheet(args: &SheetArgs) -> Done {
         .collect();
     let mut read = vec![scene];
     read.extend(of_task(&paths));
+    if args.out.extension().is_none_or(|kind| kind != "png") {
+        let reason = format!("--out {}: a sheet is FILE.png", args.out.display());
+        return Err(SessionError::BadArgument(reason));
+    }
     outputs::check(&[("--out", Some(args.out.as_path()))], &read)?;
     let options = SheetOptions {
         tasks: if args.task.is_empty() {

@@ -147,7 +147,7 @@ pub(crate) struct ReportArgs {
     /// The report: one HTML file, or Markdown with its pictures in a folder beside it. Parent folders are made.
     #[arg(long, value_name = "FILE.html|FILE.md")]
     pub(crate) out: PathBuf,
-    /// Write the figures of its tables as JSON; parent folders are made.
+    /// Write the figures of its tables as JSON, to standard output if it is `-`; parent folders are made.
     #[arg(long, value_name = "FILE")]
     pub(crate) json: Option<PathBuf>,
 }

@@ -24,6 +24,7 @@ pub(super) fn record_lift(out: &Path, depth: bool, side: u32) -> Dataset {
         depth,
         video: None,
         disturb: None,
+        instruction: None,
     };
     let setup = small_lift(&PolicyChoice::Expert, side);
     record(&setup, &options, &mut |_| {}).unwrap();

@@ -33,6 +33,7 @@ fn options(out: &Path, disturb: Option<f64>) -> RecordOptions {
         depth: false,
         video: None,
         disturb,
+        instruction: None,
     }
 }
 

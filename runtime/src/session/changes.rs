@@ -1,0 +1,150 @@
+//! Single values in the place of those of configuration files: `--set FILE.KEY=VALUE`, the last layer over what is built in and over
+//! files that are given.
+
+use core::fmt;
+use core::str::FromStr;
+
+use hal::config::{ConfigError, Source};
+
+use super::SessionError;
+
+/// A configuration file.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ConfigFile {
+    /// The controller's settings.
+    Control,
+    /// The task's, or the robot's, limits.
+    Safety,
+    /// The task's scene.
+    Scene,
+    /// Nodes and buses.
+    Can,
+}
+
+impl ConfigFile {
+    /// All of them.
+    pub const ALL: [Self; 4] = [Self::Control, Self::Safety, Self::Scene, Self::Can];
+
+    /// The first part of a changed key, and the file's name without its ending.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Control => "control",
+            Self::Safety => "safety",
+            Self::Scene => "scene",
+            Self::Can => "can",
+        }
+    }
+}
+
+/// A value for a key of a file.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Change {
+    file: ConfigFile,
+    key: String,
+    value: String,
+}
+
+impl fmt::Display for Change {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}.{}={}", self.file.name(), self.key, self.value)
+    }
+}
+
+impl FromStr for Change {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let parts = text
+            .split_once('=')
+            .and_then(|(key, value)| key.trim().split_once('.').map(|key| (key, value.trim())));
+        let Some(((file, key), value)) = parts else {
+            return Err(
+                "expected FILE.KEY=VALUE, such as control.aggregation.decay=0.02".to_owned(),
+            );
+        };
+        let known = ConfigFile::ALL
+            .into_iter()
+            .find(|known| known.name() == file);
+        let file = known.ok_or_else(|| {
+            let names = ConfigFile::ALL.map(ConfigFile::name).join(", ");
+            format!("there is no configuration file {file:?}; there are {names}")
+        })?;
+        Ok(Self {
+            file,
+            key: key.to_owned(),
+            value: value.to_owned(),
+        })
+    }
+}
+
+/// Values in the order in which they were given: of two for one key the last one counts.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Changes(pub Vec<Change>);
+
+impl Changes {
+    /// `source`, which is `file`, with what is to be changed in it.
+    ///
+    /// # Errors
+    /// [`ConfigError::NoKey`] with the keys that there are.
+    pub fn apply(&self, file: ConfigFile, source: Source) -> Result<Source, ConfigError> {
+        let mut changed = source;
+        for change in self.0.iter().filter(|change| change.file == file) {
+            changed = changed.with(&change.key, &change.value)?;
+        }
+        Ok(changed)
+    }
+
+    /// Refuses a change of a file that is not among those that are `read`.
+    ///
+    /// # Errors
+    /// [`SessionError::BadArgument`].
+    pub fn only(&self, read: &[ConfigFile]) -> Result<(), SessionError> {
+        match self.0.iter().find(|change| !read.contains(&change.file)) {
+            None => Ok(()),
+            Some(change) => {
+                let names: Vec<&str> = read.iter().map(|file| file.name()).collect();
+                Err(SessionError::BadArgument(format!(
+                    "--set {change}: no {}.toml is read here, only {}",
+                    change.file.name(),
+                    names.join(", ")
+                )))
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_last_change_of_a_key_counts_and_other_files_stay() {
+        let changes = ["can.cycle_us=4000", "can.cycle_us = 1000", "scene.a=1"];
+        let changes = Changes(changes.map(|text| text.parse().unwrap()).into());
+        let source = |text| Source::embedded("f.toml", text);
+        let can = changes.apply(ConfigFile::Can, source("cycle_us = 2000\n"));
+        assert_eq!(can.unwrap().text(), "cycle_us = 1000\n");
+        let control = changes.apply(ConfigFile::Control, source("cycle_us = 2000\n"));
+        assert_eq!(control.unwrap().text(), "cycle_us = 2000\n");
+        let refused = changes.only(&[ConfigFile::Can, ConfigFile::Control]);
+        assert_eq!(
+            refused.unwrap_err().to_string(),
+            "--set scene.a=1: no scene.toml is read here, only can, control"
+        );
+    }
+
+    #[test]
+    fn what_is_no_change_is_refused_with_its_form() {
+        for text in ["control", "control.a", "a=1", "=", ""] {
+            assert!(
+                text.parse::<Change>()
+                    .unwrap_err()
+                    .contains("FILE.KEY=VALUE"),
+                "{text}"
+            );
+        }
+        let refused = "controls.a=1".parse::<Change>().unwrap_err();
+        assert!(refused.contains("control, safety, scene, can"), "{refused}");
+    }
+}

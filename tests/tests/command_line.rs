@@ -1,0 +1,262 @@
+//! What the command line says of itself and of its configuration, and where it puts results.
+
+#![expect(
+    clippy::unwrap_used,
+    reason = "in a test, a failure to set up is a failure"
+)]
+
+use std::fs;
+use std::io::Write as _;
+use std::process::{Command, Output, Stdio};
+
+use tests::{Profile, repository, scratch, trocar};
+
+fn run(arguments: &[&str]) -> Output {
+    trocar(Profile::Debug).args(arguments).output().unwrap()
+}
+
+fn text(bytes: &[u8]) -> String {
+    String::from_utf8(bytes.to_vec()).unwrap()
+}
+
+/// Standard output of a command that succeeds.
+fn printed(arguments: &[&str]) -> String {
+    let output = run(arguments);
+    assert!(output.status.success(), "{}", text(&output.stderr));
+    text(&output.stdout)
+}
+
+/// What a command says that refuses its arguments.
+fn refused(arguments: &[&str]) -> String {
+    let output = run(arguments);
+    assert_eq!(output.status.code(), Some(2), "{arguments:?}");
+    assert!(output.stdout.is_empty(), "{}", text(&output.stdout));
+    text(&output.stderr)
+}
+
+#[test]
+fn the_configuration_is_shown_with_every_layer_and_is_one_that_can_be_read_again() {
+    let folder = scratch("command_line_config");
+    let plain = printed(&["config", "show", "control"]);
+    let set = ["--set", "control.limits.tip_speed_m_s=0.05"];
+    let changed = printed(&[&["config", "show", "control"], &set[..]].concat());
+    let lines = plain.lines().zip(changed.lines());
+    let differing: Vec<_> = lines.filter(|(before, after)| before != after).collect();
+    assert_eq!(
+        differing,
+        [("tip_speed_m_s = 0.08", "tip_speed_m_s = 0.05")]
+    );
+    let file = folder.join("control.toml");
+    fs::write(&file, &changed).unwrap();
+    let again = printed(&[
+        "config",
+        "show",
+        "control",
+        "--config",
+        file.to_str().unwrap(),
+    ]);
+    assert_eq!(again, changed);
+    for (name, file) in [
+        ("safety", "config/tasks/suture-pad/safety.toml"),
+        ("scene", "config/tasks/suture-pad/scene.toml"),
+        ("can", "config/can.toml"),
+    ] {
+        let shown = printed(&["config", "show", name, "--task", "suture-pad"]);
+        assert_eq!(shown, fs::read_to_string(repository().join(file)).unwrap());
+    }
+}
+
+#[test]
+fn a_set_value_changes_the_run_as_a_changed_file_would_and_is_in_its_log() {
+    let folder = scratch("command_line_set");
+    let log = folder.join("a.mcap");
+    let run = [
+        "run",
+        "--task",
+        "needle-lift",
+        "--policy",
+        "noop",
+        "--lockstep",
+    ];
+    let set = [
+        "--set",
+        "scene.episode.time_limit_s=2",
+        "--set",
+        "safety.forbidden.0.name=artery",
+    ];
+    let output = run_with(&run, &set, &["--log", log.to_str().unwrap(), "--json", "-"]);
+    assert_eq!(output.status.code(), Some(1), "{}", text(&output.stderr));
+    let result: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
+    let seconds = result["seconds"].as_f64().unwrap();
+    assert!((1.9..2.1).contains(&seconds), "{result}");
+    let log = runtime::log::RunLog::open(&log).unwrap();
+    let scene = log.text("scene.toml").unwrap();
+    assert!(scene.contains("time_limit_s = 2\n"), "{scene}");
+    let safety = log.text("safety.toml").unwrap();
+    assert!(safety.contains("name = \"artery\""), "{safety}");
+}
+
+fn run_with(run_arguments: &[&str], set: &[&str], more: &[&str]) -> Output {
+    run(&[run_arguments, set, more].concat())
+}
+
+#[test]
+fn a_value_that_cannot_be_set_is_refused_with_what_can() {
+    let run = [
+        "run",
+        "--task",
+        "needle-lift",
+        "--policy",
+        "noop",
+        "--lockstep",
+        "--set",
+    ];
+    for (set, why) in [
+        (
+            "control.limits.tip_sped=1",
+            "has no key limits.tip_sped; there are",
+        ),
+        (
+            "control.limits.tip_speed_m_s=9",
+            "limits.tip_speed_m_s = 9 is outside",
+        ),
+        (
+            "can.cycle_us=4000",
+            "no can.toml is read here, only control, safety, scene",
+        ),
+        ("cycle_us", "FILE.KEY=VALUE"),
+        ("robot.a=1", "there are control, safety, scene, can"),
+    ] {
+        let told = refused(&[&run[..], &[set]].concat());
+        assert!(told.contains(why), "{set}: {told}");
+    }
+}
+
+#[test]
+fn with_json_on_standard_output_nothing_else_is_there() {
+    let arguments = [
+        "eval",
+        "--task",
+        "needle-lift",
+        "--policy",
+        "noop",
+        "--trials",
+        "1",
+    ];
+    let output = run(&[&arguments[..], &["--json", "-"]].concat());
+    let result: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
+    assert_eq!(result["trials"], 1);
+    assert!(text(&output.stderr).contains("needle-lift, noop: "));
+    assert!(!std::path::Path::new("-").exists());
+}
+
+#[test]
+fn completions_are_scripts_of_their_shells_and_know_the_tasks() {
+    for shell in ["bash", "zsh", "fish"] {
+        let script = printed(&["completions", shell]);
+        for word in [
+            "needle-handover",
+            "verify",
+            "--lockstep".trim_start_matches('-'),
+        ] {
+            assert!(script.contains(word), "{shell}: {word}");
+        }
+    }
+    let mut bash = Command::new("bash")
+        .arg("-n")
+        .stdin(Stdio::piped())
+        .spawn()
+        .unwrap();
+    let script = printed(&["completions", "bash"]);
+    let mut input = bash.stdin.take().unwrap();
+    input.write_all(script.as_bytes()).unwrap();
+    drop(input);
+    assert!(bash.wait().unwrap().success());
+}
+
+#[test]
+fn there_is_a_man_page_for_each_verb() {
+    let folder = scratch("command_line_man");
+    printed(&["man", folder.to_str().unwrap()]);
+    let page = |name: &str| fs::read_to_string(folder.join(name)).unwrap();
+    assert!(page("trocar.1").contains("trocar\\-run"));
+    for verb in [
+        "run",
+        "eval",
+        "record",
+        "train",
+        "drives",
+        "replay",
+        "config-show",
+    ] {
+        assert!(
+            page(&format!("trocar-{verb}.1")).starts_with(".ie"),
+            "{verb}"
+        );
+    }
+}
+
+#[test]
+fn an_instruction_is_the_datasets_task_and_the_simulators_is_kept_beside_it() {
+    let folder = scratch("command_line_instruction").join("demos");
+    let words = "Pick the needle up and hold it.";
+    let recorded = run(&[
+        "record",
+        "--task",
+        "needle-lift",
+        "--episodes",
+        "1",
+        "--source",
+        "expert",
+        "--set",
+        "scene.rendering.shading=plain",
+        "--instruction",
+        words,
+        "--out",
+        folder.to_str().unwrap(),
+    ]);
+    assert!(recorded.status.success(), "{}", text(&recorded.stderr));
+    let dataset = policy::dataset::Dataset::open(&folder).unwrap();
+    assert_eq!(dataset.spec().task, words);
+    assert_eq!(dataset.task(), "needle-lift");
+}
+
+#[test]
+fn what_would_fail_late_is_refused_at_once_with_what_helps() {
+    let folder = scratch("command_line_refusals");
+    let sheet = folder.join("sheet.xyz");
+    let told = refused(&["sheet", "--out", sheet.to_str().unwrap()]);
+    assert!(told.contains("a sheet is FILE.png"), "{told}");
+    fs::write(folder.join("config.json"), "{\"type\": \"act\"}").unwrap();
+    let folder = folder.to_str().unwrap();
+    let told = refused(&[
+        "eval",
+        "--task",
+        "needle-lift",
+        "--trials",
+        "1",
+        "--policy",
+        folder,
+    ]);
+    assert!(
+        told.contains("trocar.json: file is missing") && told.contains("lerobot_recipe.py"),
+        "{told}"
+    );
+    let told = refused(&["run", "--policy", "noop"]);
+    assert!(
+        told.contains("--task NAME") && told.contains("--safety FILE"),
+        "{told}"
+    );
+    let told = refused(&[
+        "run",
+        "--policy",
+        "noop",
+        "--backend",
+        "can",
+        "--safety",
+        "a.toml",
+        "--view",
+        "view2",
+    ]);
+    assert!(told.contains("--view"), "{told}");
+}
