@@ -1,5 +1,5 @@
 # Two commands do everything on a fresh machine: `make demo` and `make test`.
-.PHONY: demo test check test-adversary test-golden test-can test-study test-slurm adversary fuzz-can build setup setup-can setup-browser bench clean
+.PHONY: demo dist test-dist test check test-adversary test-golden test-can test-study test-slurm adversary fuzz-can build setup setup-can setup-browser bench clean
 
 TROCAR := $(or $(CARGO_TARGET_DIR),target)/release/trocar
 
@@ -53,6 +53,14 @@ adversary: setup
 # Ten million arbitrary frames on the bus of an arm, and as many at a single drive, with figures.
 fuzz-can:
 	cargo test --locked --release -p trocar-drives --test can_fuzz -- --ignored --nocapture
+
+# An archive that runs from wherever it is unpacked, and Debian packages, in target/dist.
+dist: build
+	.ci/dist
+
+# What `make dist` made, in a bare Debian root as an unprivileged user: needs root and a Debian mirror, and is no part of `make test`.
+test-dist: dist
+	tests/scripts/dist_in_bare_debian.sh
 
 build: setup
 	cargo build --locked --release -p runtime

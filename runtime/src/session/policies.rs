@@ -1,12 +1,43 @@
-//! Committed policies: a folder a task below `config/policies/`, and in it the one policy that is recommended for the task.
+//! Committed policies: a folder a task, and in it the one policy that is recommended for the task. They are found from any folder: in the
+//! repository whose root this is or whose `target` the program is in, or beside the program that was installed.
 
+use std::env;
 use std::fs;
-use std::path::{Path, PathBuf};
+use std::path::{Component, Path, PathBuf};
 
 use super::SessionError;
 
-/// Where committed policies are, from the repository's root.
+/// Where committed policies are in the repository.
 pub const FOLDER: &str = "config/policies";
+
+/// Where they are beside `bin/trocar` once it is installed.
+const INSTALLED: &str = "share/trocar/policies";
+
+/// The folder of committed policies, if there is one.
+fn root() -> Option<PathBuf> {
+    let here = PathBuf::from(FOLDER);
+    if here.is_dir() {
+        return Some(here);
+    }
+    let program = env::current_exe().ok()?.canonicalize().ok()?;
+    // Of PREFIX/bin/trocar, and of REPOSITORY/target/PROFILE/trocar.
+    let mut above = program.ancestors().skip(2);
+    let prefix = above.next()?.join(INSTALLED);
+    let repository = above.next().map(|folder| folder.join(FOLDER));
+    let beside = [Some(prefix), repository].into_iter().flatten();
+    beside.into_iter().find(|folder| folder.is_dir())
+}
+
+/// The committed policy that `name` names, as `needle-lift/act-small` or with `config/policies/` before it, if there is one.
+pub(super) fn named(name: &str) -> Option<PathBuf> {
+    let name = Path::new(name);
+    let name = name.strip_prefix(FOLDER).unwrap_or(name);
+    let is_plain = name
+        .components()
+        .all(|part| matches!(part, Component::Normal(_)));
+    let folder = root()?.join(name);
+    (is_plain && folder.join(CHECKPOINT_FILE).is_file()).then_some(folder)
+}
 
 /// What a checkpoint's folder has.
 const CHECKPOINT_FILE: &str = "config.json";
@@ -16,14 +47,14 @@ const CHECKPOINT_FILE: &str = "config.json";
 /// # Errors
 /// [`SessionError::BadArgument`] if there is none or more than one, with the tasks that have one.
 pub fn recommended(task: &str) -> Result<PathBuf, SessionError> {
-    recommended_in(Path::new(FOLDER), task)
+    recommended_in(&root().unwrap_or_else(|| FOLDER.into()), task)
 }
 
 fn recommended_in(root: &Path, task: &str) -> Result<PathBuf, SessionError> {
     let refuse = |reason: String| Err(SessionError::BadArgument(reason));
     if !root.is_dir() {
         return refuse(format!(
-            "{}: there is no such folder here: run this in the repository's root, or name a policy with --policy",
+            "{}: there is no such folder here, nor beside the program: name a policy with --policy",
             root.display()
         ));
     }
@@ -101,7 +132,7 @@ mod tests {
             assert!(error.is_bad_input());
             error.to_string()
         };
-        assert!(refusal("lift").contains("repository's root"));
+        assert!(refusal("lift").contains("beside the program"));
         fs::create_dir_all(root.join("lift/notes")).unwrap();
         assert!(refusal("lift").contains("no task has one"));
         for policy in ["lift/act", "sew/act", "sew/dp3"] {

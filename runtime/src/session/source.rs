@@ -1,6 +1,6 @@
 //! Where chunks come from: the scripted expert, a network, or one of the two policies that must never succeed.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use hal::{ArmState, Chunk, FrameRef, Observation, Policy, SeenArm, TimeNs, TipTarget};
 use nalgebra::{Translation3, Vector3};
@@ -10,7 +10,7 @@ use sim_backend::rng::Rng;
 use sim_backend::simulation::SceneState;
 use sim_backend::task::ARMS_MAX;
 
-use super::SessionError;
+use super::{SessionError, policies};
 use crate::kinematics;
 use crate::per_arm::PerArm;
 
@@ -39,14 +39,15 @@ pub enum PolicyChoice {
 }
 
 impl PolicyChoice {
-    /// Reads `expert`, `noop`, `random`, or else a directory.
+    /// Reads `expert`, `noop`, `random`, or else a directory, or the name of a committed policy such as `needle-lift/act-small`.
     #[must_use]
     pub fn parse(text: &str) -> Self {
         match text {
             "expert" => Self::Expert,
             "noop" => Self::Noop,
             "random" => Self::Random,
-            directory => Self::Checkpoint(PathBuf::from(directory)),
+            directory if Path::new(directory).is_dir() => Self::Checkpoint(directory.into()),
+            name => Self::Checkpoint(policies::named(name).unwrap_or_else(|| name.into())),
         }
     }
 

@@ -124,7 +124,7 @@ pub(crate) enum Verb {
     Doctor(DoctorArgs),
     /// Run the committed policy of a task and write its log and pictures.
     #[command(
-        after_help = "Example: trocar demo --task needle-lift --out runs/demo\n\nThe policy is the one in config/policies/TASK/, seen from the repository's root."
+        after_help = "Example: trocar demo --task needle-lift --out runs/demo\n\nThe policy is the committed one of the task: in config/policies/TASK/ of the repository, or as it was installed."
     )]
     Demo(DemoArgs),
     /// Draw what every camera of every task sees in the middle of an expert's episode, in colour, depth and ids, as one PNG.
