@@ -163,7 +163,9 @@ pub enum ArmError {
 impl fmt::Display for ArmError {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            Self::MeasurementLost { age_ns } => write!(f, "no measurement for {age_ns} ns"),
+            Self::MeasurementLost { age_ns } => {
+                write!(f, "no measurement for {:.4} s", TimeNs(*age_ns).seconds())
+            }
             Self::DriveFault { axis, code } => {
                 write!(f, "drive of axis {axis} reports fault {code:#06x}")
             }

@@ -260,3 +260,170 @@ fn what_would_fail_late_is_refused_at_once_with_what_helps() {
     ]);
     assert!(told.contains("--view"), "{told}");
 }
+
+const SHORT: [&str; 8] = [
+    "run",
+    "--task",
+    "needle-lift",
+    "--policy",
+    "noop",
+    "--lockstep",
+    "--set",
+    "scene.episode.time_limit_s=1",
+];
+
+#[test]
+fn a_standard_output_that_is_full_or_closed_loses_no_result() {
+    let folder = scratch("command_line_stdout");
+    let file = folder.join("a.json");
+    let full = fs::OpenOptions::new()
+        .write(true)
+        .open("/dev/full")
+        .unwrap();
+    let mut command = trocar(Profile::Debug);
+    command.args(SHORT).arg("--json").arg(&file).stdout(full);
+    let output = command.output().unwrap();
+    let told = text(&output.stderr);
+    assert_eq!(output.status.code(), Some(1), "{told}");
+    assert!(told.contains("standard output can't be written"), "{told}");
+    assert_eq!(tests::json(&file)["task"], "needle-lift");
+    // A reader that has gone away.
+    let (reader, writer) = std::io::pipe().unwrap();
+    drop(reader);
+    let mut command = trocar(Profile::Debug);
+    let file = folder.join("b.json");
+    command.args(SHORT).arg("--json").arg(&file).stdout(writer);
+    let output = command.output().unwrap();
+    assert!(!text(&output.stderr).contains("panicked"));
+    assert_eq!(tests::json(&file)["task"], "needle-lift");
+}
+
+#[test]
+fn a_log_that_cannot_be_written_ends_in_an_error_and_loses_no_result() {
+    let folder = scratch("command_line_full");
+    let (log, file) = (folder.join("a.mcap"), folder.join("a.json"));
+    // No file may be larger than 60 KiB, which a write then tells as an error.
+    let limited = "trap '' XFSZ; ulimit -f 60; exec \"$@\"";
+    let output = Command::new("bash")
+        .args(["-c", limited, "limited"])
+        .arg(trocar(Profile::Debug).get_program())
+        .args(SHORT)
+        .arg("--log")
+        .arg(&log)
+        .arg("--json")
+        .arg(&file)
+        .output()
+        .unwrap();
+    let told = text(&output.stderr);
+    assert_eq!(output.status.code(), Some(1), "{told}");
+    assert!(
+        told.contains("a.mcap: the log could not be written"),
+        "{told}"
+    );
+    assert!(text(&output.stdout).contains("command hash"), "{told}");
+    assert_eq!(tests::json(&file)["task"], "needle-lift");
+}
+
+#[test]
+fn of_a_cut_log_no_result_says_that_it_is_well() {
+    let folder = scratch("command_line_cut");
+    let (whole, cut) = (folder.join("a.mcap"), folder.join("cut.mcap"));
+    let file = folder.join("result.json");
+    let log = ["--log", whole.to_str().unwrap()];
+    run(&[&SHORT[..], &log].concat());
+    let bytes = fs::read(&whole).unwrap();
+    let more = ["--json", file.to_str().unwrap()];
+    let told = run(&[&["verify", whole.to_str().unwrap()], &more[..]].concat());
+    assert!(told.status.success(), "{}", text(&told.stderr));
+    assert_eq!(tests::json(&file)["ok"], true);
+    for share in [2, 5, 9] {
+        fs::write(&cut, &bytes[..bytes.len() * share / 10]).unwrap();
+        for verb in ["verify", "replay"] {
+            fs::write(&file, "{\"ok\": true, \"identical\": true}").unwrap();
+            refused_with_output(&[&[verb, cut.to_str().unwrap()], &more[..]].concat());
+            if file.exists() {
+                assert_ne!(tests::json(&file)["ok"], true, "{verb} of {share} tenths");
+            }
+        }
+    }
+}
+
+/// As [`refused`], of a verb that prints what there is before.
+fn refused_with_output(arguments: &[&str]) {
+    let output = run(arguments);
+    let told = text(&output.stderr);
+    assert_eq!(output.status.code(), Some(2), "{arguments:?}: {told}");
+}
+
+#[test]
+fn an_input_is_neither_overwritten_through_a_link_nor_read_without_end() {
+    let folder = scratch("command_line_links");
+    let (config, link) = (folder.join("control.toml"), folder.join("link.json"));
+    fs::copy(repository().join("config/control.toml"), &config).unwrap();
+    fs::hard_link(&config, &link).unwrap();
+    let [config, link] = [config.to_str().unwrap(), link.to_str().unwrap()];
+    let told = refused(&[&SHORT[..], &["--config", config, "--json", link]].concat());
+    assert!(told.contains("--config names the same"), "{told}");
+    let pipe = folder.join("pipe");
+    assert!(
+        Command::new("mkfifo")
+            .arg(&pipe)
+            .status()
+            .unwrap()
+            .success()
+    );
+    for endless in [pipe.to_str().unwrap(), "/dev/zero"] {
+        let told = refused(&[&SHORT[..], &["--config", endless]].concat());
+        assert!(told.contains("not a file"), "{told}");
+    }
+    let large = folder.join("large.toml");
+    fs::write(&large, " ".repeat(1 << 21)).unwrap();
+    let told = refused(&[&SHORT[..], &["--config", large.to_str().unwrap()]].concat());
+    assert!(told.contains("a configuration at most 1048576"), "{told}");
+}
+
+/// A run that is signalled `after` each of these pauses, ms; its exit code and its result.
+fn interrupted(run: &[&str], name: &str, after: &[u64]) -> (Option<i32>, serde_json::Value) {
+    let folder = scratch(name);
+    let (log, result) = (folder.join("a.mcap"), folder.join("a.json"));
+    let mut command = trocar(Profile::Debug);
+    command
+        .args(run)
+        .arg("--log")
+        .arg(&log)
+        .arg("--json")
+        .arg(&result);
+    let mut child = command.stdout(Stdio::null()).spawn().unwrap();
+    for pause in after {
+        std::thread::sleep(std::time::Duration::from_millis(*pause));
+        let id = child.id().to_string();
+        Command::new("kill").args(["-INT", &id]).status().unwrap();
+    }
+    let code = child.wait().unwrap().code();
+    let log = runtime::log::RunLog::open(&log).unwrap();
+    assert!(log.cut().is_none(), "{:?}", log.cut());
+    assert_eq!(log.outcome.as_ref().unwrap().reason, "interrupted");
+    assert!(runtime::verify::verify(&log).unwrap().ok);
+    (code, tests::json(&result))
+}
+
+#[test]
+fn a_run_in_lockstep_that_is_interrupted_closes_its_log() {
+    let run = [
+        "run",
+        "--task",
+        "needle-handover",
+        "--policy",
+        "noop",
+        "--lockstep",
+    ];
+    let (code, result) = interrupted(&run, "command_line_lockstep", &[2500]);
+    assert_eq!((code, &result["reason"]), (Some(1), &"interrupted".into()));
+}
+
+#[test]
+fn two_signals_at_once_lead_the_arm_to_rest_as_one_does() {
+    let run = ["run", "--task", "needle-lift", "--policy", "random"];
+    let (code, result) = interrupted(&run, "command_line_twice", &[3000, 20]);
+    assert_eq!((code, &result["reason"]), (Some(1), &"interrupted".into()));
+}

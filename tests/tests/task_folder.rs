@@ -139,7 +139,7 @@ fn what_is_no_task_is_refused_by_every_verb() {
     let scratch = scratch("task-refused");
     let empty = scratch.join("empty");
     fs::create_dir_all(&empty).unwrap();
-    let (empty, out) = (text(&empty), text(&scratch.join("out")));
+    let (empty, out) = (text(&empty), text(&scratch.join("out.png")));
     let verbs: [&[&str]; 5] = [
         &["run", "--policy", "expert", "--lockstep", "--task"],
         &["eval", "--policy", "expert", "--task"],

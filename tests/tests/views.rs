@@ -185,7 +185,7 @@ fn needle_view_and_camera_that_a_task_has_not_are_refused() {
 
 #[test]
 fn sheet_of_a_strange_size_moment_or_place_is_refused() {
-    let file = scratch("bad-sheet").join("file");
+    let file = scratch("bad-sheet").join("file.png");
     fs::write(&file, "a file").unwrap();
     let (file, below) = (file.display().to_string(), file.join("sheet.png"));
     let below = below.display().to_string();

@@ -8,8 +8,8 @@ use hal::TimeNs;
 
 pub use periodic::{Periodic, Wake};
 pub use sys::{
-    MemoryLockLimit, can_lock_bytes, catch_interrupts, end_with_parent, interrupt_process,
-    interrupted, memory_lock_limit,
+    MemoryLockLimit, arms_rest, can_lock_bytes, catch_interrupts, catch_interrupts_in_motion,
+    end_with_parent, interrupt_process, interrupted, memory_lock_limit,
 };
 pub use thread::{
     Grant, RtOptions, RtRefused, RtReport, ThreadFaults, configure_thread, thread_faults,

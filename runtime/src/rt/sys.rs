@@ -6,7 +6,7 @@
 
 use std::io;
 use std::sync::OnceLock;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::{AtomicU32, Ordering};
 
 const NS_PER_S: u64 = 1_000_000_000;
 
@@ -184,12 +184,20 @@ pub fn can_lock_bytes(bytes: usize) -> io::Result<()> {
     checked(unsafe { libc::munlock(memory.as_ptr().cast(), memory.len()) })
 }
 
-/// Whether a signal has asked the process to end.
-static INTERRUPTED: AtomicBool = AtomicBool::new(false);
+/// How many signals have asked the process to end, and how many of those are wishes: one more ends it at once.
+static INTERRUPTS: AtomicU32 = AtomicU32::new(0);
+static WISHES: AtomicU32 = AtomicU32::new(1);
 
-/// Runs inside the signal: nothing but an atomic store is allowed there.
-extern "C" fn note_interrupt(_signal: libc::c_int) {
-    INTERRUPTED.store(true, Ordering::Release);
+/// Runs inside the signal: nothing but atomics and what POSIX calls async-signal-safe is allowed there.
+extern "C" fn note_interrupt(signal: libc::c_int) {
+    let before = INTERRUPTS.fetch_add(1, Ordering::AcqRel);
+    if before >= WISHES.load(Ordering::Acquire) {
+        // SAFETY: both calls are async-signal-safe; the signal strikes when this handler returns.
+        unsafe {
+            libc::signal(signal, libc::SIG_DFL);
+            libc::raise(signal);
+        }
+    }
 }
 
 /// Makes the next SIGINT, SIGTERM or SIGHUP a wish that [`interrupted`] tells of; a second one ends the process at once.
@@ -197,13 +205,33 @@ extern "C" fn note_interrupt(_signal: libc::c_int) {
 /// # Errors
 /// The system's.
 pub fn catch_interrupts() -> io::Result<()> {
-    INTERRUPTED.store(false, Ordering::Release);
+    WISHES.store(1, Ordering::Release);
+    catch()
+}
+
+/// As [`catch_interrupts`] while arms move: wrappers such as `timeout` and terminals may send a signal twice, so that a second one is a
+/// wish too and only a third ends the process at once, until [`arms_rest`].
+///
+/// # Errors
+/// The system's.
+pub fn catch_interrupts_in_motion() -> io::Result<()> {
+    WISHES.store(2, Ordering::Release);
+    catch()
+}
+
+/// From now on the next signal ends the process at once, if one has come before.
+pub fn arms_rest() {
+    WISHES.store(1, Ordering::Release);
+}
+
+fn catch() -> io::Result<()> {
+    INTERRUPTS.store(0, Ordering::Release);
     for signal in [libc::SIGINT, libc::SIGTERM, libc::SIGHUP] {
         // SAFETY: sigaction is integers, a mask and an optional function, for which zero is a value.
         let mut action: libc::sigaction = unsafe { core::mem::zeroed() };
         let handler: extern "C" fn(libc::c_int) = note_interrupt;
         action.sa_sigaction = handler as libc::sighandler_t;
-        action.sa_flags = libc::SA_RESTART | libc::SA_RESETHAND;
+        action.sa_flags = libc::SA_RESTART;
         // SAFETY: `action` is live, and its handler does only what a handler may.
         checked(unsafe { libc::sigaction(signal, &raw const action, core::ptr::null_mut()) })?;
     }
@@ -213,7 +241,7 @@ pub fn catch_interrupts() -> io::Result<()> {
 /// Whether one of those signals has come since [`catch_interrupts`].
 #[must_use]
 pub fn interrupted() -> bool {
-    INTERRUPTED.load(Ordering::Acquire)
+    INTERRUPTS.load(Ordering::Acquire) > 0
 }
 
 /// Sends SIGINT to the process `id`.

@@ -69,6 +69,11 @@ pub trait Watcher {
     fn wants_stop(&self) -> bool {
         false
     }
+
+    /// Whether the episode is to end here, unfinished, with all that there is of it; asked before every policy step.
+    fn wants_end(&self) -> bool {
+        false
+    }
 }
 
 /// A watcher that wants nothing.
@@ -129,6 +134,9 @@ impl Episode<'_> {
             let measured = self.read(now)?;
             if tick % STEP_TICKS == 0 && watcher.wants_stop() {
                 return Err(SessionError::Interrupted);
+            }
+            if tick % STEP_TICKS == 0 && tick > 0 && watcher.wants_end() {
+                break;
             }
             if let (Some(arms), 0) = (seen(&measured), tick % STEP_TICKS) {
                 let step = tick / STEP_TICKS;

@@ -1,6 +1,7 @@
 //! Where results go, checked before the work that they cost.
 
 use std::fs::{self, OpenOptions};
+use std::os::unix::fs::MetadataExt as _;
 use std::path::{Path, PathBuf};
 
 use super::{SessionError, pictures};
@@ -28,7 +29,8 @@ pub fn check(
         };
         pictures::create_parent(path).map_err(|error| refused(option, path, &error.to_string()))?;
         let identity = identity(path);
-        if let Some((other, _)) = seen.iter().find(|(_, other)| *other == identity) {
+        let same = |other: &PathBuf| *other == identity || is_same_file(other, &identity);
+        if let Some((other, _)) = seen.iter().find(|(_, other)| same(other)) {
             return Err(refused(option, path, &format!("{other} names the same")));
         }
         probe(path).map_err(|error| refused(option, path, &unwritable(&error)))?;
@@ -81,6 +83,15 @@ fn identity(path: &Path) -> PathBuf {
         (Ok(parent), Some(name)) => parent.join(name),
         _ => path.to_path_buf(),
     }
+}
+
+/// Whether two paths are links to one file.
+fn is_same_file(one: &Path, other: &Path) -> bool {
+    let inode = |path: &Path| {
+        let found = fs::metadata(path).ok()?;
+        found.is_file().then(|| (found.dev(), found.ino()))
+    };
+    inode(one).is_some_and(|found| inode(other) == Some(found))
 }
 
 /// Opens `path` for writing and leaves everything as it was. Pipes and devices are left alone: opening one may wait.

@@ -16,10 +16,14 @@ use super::source::{ChunkSource, PolicyChoice};
 use super::summary::RunSummary;
 use super::tally::RunLabels;
 use super::{SessionError, Setup, outputs, pictures};
-use crate::log::{Level, Pressure, Recorder, RunHeader, RunOutcome, TickRecord};
+use crate::log::{Level, LogError, Pressure, Recorder, RunHeader, RunOutcome, TickRecord};
+use crate::rt;
 
 /// The libtorch that the program was built with.
 pub const LIBTORCH_VERSION: &str = env!("LIBTORCH_VERSION");
+
+/// The reason of a run that a signal ended.
+pub(super) const INTERRUPTED: &str = "interrupted";
 
 /// How to run.
 #[derive(Clone, Debug)]
@@ -56,6 +60,8 @@ pub struct RunResult {
     pub summary: RunSummary,
     /// Frames of the first camera, empty unless asked for.
     pub pictures: Pictures,
+    /// Why the log is not whole, if it is not.
+    pub log_failure: Option<LogError>,
 }
 
 /// Runs one episode in lockstep.
@@ -110,8 +116,14 @@ pub fn run_lockstep_with(
         source: &mut source,
     };
     let end = episode.run(&plan, &mut watcher)?;
-    let reason = end.reason();
+    let interrupted = matches!(end.outcome, Outcome::Running) && rt::interrupted();
+    let reason = if interrupted {
+        INTERRUPTED.to_owned()
+    } else {
+        end.reason()
+    };
     let success = matches!(end.outcome, Outcome::Success);
+    let mut log_failure = None;
     if let Some(mut recorder) = watcher.recorder {
         if let Some(tissue) = &end.tissue {
             let last = TimeNs::from_tick(end.tally.ticks());
@@ -122,7 +134,7 @@ pub fn run_lockstep_with(
             reason: reason.clone(),
             command_hash: end.tally.command_hash(),
         };
-        recorder.finish(Some(&outcome))?;
+        log_failure = recorder.finish(Some(&outcome)).err();
     }
     let labels = RunLabels {
         task: &setup.task_name,
@@ -140,6 +152,7 @@ pub fn run_lockstep_with(
         ok: success,
         summary: end.tally.summary(&labels, None),
         pictures: watcher.pictures.unwrap_or_default(),
+        log_failure,
     })
 }
 
@@ -228,6 +241,10 @@ impl Watcher for RunWatcher {
         if let Some(recorder) = &mut self.recorder {
             recorder.chunk(arm, chunk);
         }
+    }
+
+    fn wants_end(&self) -> bool {
+        rt::interrupted()
     }
 
     fn tick(&mut self, record: &TickRecord) {

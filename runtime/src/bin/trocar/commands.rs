@@ -13,7 +13,7 @@ use runtime::session::record::{self, RecordOptions};
 use runtime::session::run::{self, RunOptions, RunResult, write_json};
 use runtime::session::summary::{CanBusSummary, RunSummary};
 use runtime::session::{PolicyChoice, Robot, SessionError, Setup, outputs, tasks};
-use runtime::{replay as replaying, verify as verifying};
+use runtime::{replay as replaying, rt, verify as verifying};
 use sim_backend::cameras::SceneCameras;
 use sim_backend::task::TaskConfig;
 use tch::Device;
@@ -121,7 +121,10 @@ pub(crate) fn run(args: &RunArgs) -> Done {
     if let Some(path) = &args.json {
         write_json(path, &result.summary)?;
     }
-    Ok(result.ok)
+    match result.log_failure {
+        Some(error) => Err(error.into()),
+        None => Ok(result.ok),
+    }
 }
 
 fn run_task(
@@ -142,7 +145,12 @@ fn run_task(
             setup.texts.can = Some(text);
             realtime::run_on_can(&setup, options, &can, &console::note)
         }
-        None if args.lockstep => run::run_lockstep(&setup, options),
+        None if args.lockstep => {
+            rt::catch_interrupts().map_err(|error| {
+                SessionError::RealTime(format!("signals can't be caught: {error}"))
+            })?;
+            run::run_lockstep(&setup, options)
+        }
         None => realtime::run_realtime(&setup, options),
     }
 }
@@ -308,6 +316,7 @@ pub(crate) fn record(args: &RecordArgs) -> Done {
 
 pub(crate) fn replay(args: &LogArgs) -> Done {
     check_result(args)?;
+    forget_result(args)?;
     let log = RunLog::open(&args.file)?;
     let result = replaying::replay(&log)?;
     match &result.first_difference {
@@ -324,8 +333,11 @@ pub(crate) fn replay(args: &LogArgs) -> Done {
 
 pub(crate) fn verify(args: &LogArgs) -> Done {
     check_result(args)?;
+    forget_result(args)?;
     let log = RunLog::open(&args.file)?;
-    let result = verifying::verify(&log)?;
+    let mut result = verifying::verify(&log)?;
+    // Nobody knows what the part was that is not there.
+    result.ok &= log.cut().is_none();
     console::result(&format!(
         "{}: {} ticks, {} violations",
         if result.ok { "ok" } else { "not ok" },
@@ -346,6 +358,15 @@ pub(crate) fn verify(args: &LogArgs) -> Done {
 fn check_result(args: &LogArgs) -> Result<(), SessionError> {
     let log = ("the log", Some(args.file.as_path()));
     outputs::check(&[("--json", args.json.as_deref())], &[log])
+}
+
+/// A result of before must not be taken for that of a log that can't be read.
+fn forget_result(args: &LogArgs) -> Result<(), SessionError> {
+    let Some(path) = args.json.as_deref().filter(|path| path.is_file()) else {
+        return Ok(());
+    };
+    let gone = std::fs::remove_file(path);
+    gone.map_err(|error| SessionError::BadArgument(format!("--json {}: {error}", path.display())))
 }
 
 /// An incomplete log is bad input, even though what is there was used.

@@ -1,11 +1,6 @@
 //! What a person at the terminal reads: results on standard output, messages and progress on standard error.
-#![expect(
-    clippy::print_stdout,
-    clippy::print_stderr,
-    reason = "this is the program's console"
-)]
-
 use std::error::Error;
+use std::io::{ErrorKind, Write as _};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
@@ -13,6 +8,9 @@ use indicatif::{HumanDuration, ProgressBar, ProgressStyle};
 
 /// Whether standard output is for JSON alone.
 static JSON_ON_STDOUT: AtomicBool = AtomicBool::new(false);
+
+/// Whether standard output could not be written.
+static STDOUT_FAILED: AtomicBool = AtomicBool::new(false);
 
 /// From now on lines of result go to standard error: standard output is for JSON.
 pub(crate) fn leave_stdout_to_json() {
@@ -22,36 +20,53 @@ pub(crate) fn leave_stdout_to_json() {
 /// A line of result.
 pub(crate) fn result(line: &str) {
     if JSON_ON_STDOUT.load(Ordering::Relaxed) {
-        eprintln!("{line}");
+        note(line);
     } else {
-        println!("{line}");
+        text(&format!("{line}\n"));
     }
 }
 
 /// A text that is the result itself, as it is.
 pub(crate) fn text(text: &str) {
-    print!("{text}");
+    let mut out = std::io::stdout().lock();
+    let written = out.write_all(text.as_bytes()).and_then(|()| out.flush());
+    // Whoever closes it does not want to read on; a full disk is told, and ends nothing that is still to be done.
+    if written.is_err_and(|error| error.kind() != ErrorKind::BrokenPipe)
+        && !STDOUT_FAILED.swap(true, Ordering::Relaxed)
+    {
+        warning("standard output can't be written");
+    }
+}
+
+/// Whether something that was printed was lost.
+pub(crate) fn stdout_failed() -> bool {
+    STDOUT_FAILED.load(Ordering::Relaxed)
 }
 
 /// A line of information.
 pub(crate) fn note(line: &str) {
-    eprintln!("{line}");
+    tell(&format!("{line}\n"));
+}
+
+/// What is told on standard error; if that is closed, nobody is there to be told.
+fn tell(text: &str) {
+    let _told = std::io::stderr().write_all(text.as_bytes());
 }
 
 /// A line about what is allowed but may not be meant.
 pub(crate) fn warning(line: &str) {
-    eprintln!("trocar: warning: {line}");
+    tell(&format!("trocar: warning: {line}\n"));
 }
 
 /// The error and everything behind it.
 pub(crate) fn error(error: &dyn Error) {
-    eprint!("trocar: error: {error}");
+    let mut text = format!("trocar: error: {error}");
     let mut source = error.source();
     while let Some(cause) = source {
-        eprint!(": {cause}");
+        text += &format!(": {cause}");
         source = cause.source();
     }
-    eprintln!();
+    tell(&(text + "\n"));
 }
 
 /// A duration in two units.

@@ -82,8 +82,8 @@ fn main() -> ExitCode {
         Verb::PolicyProcess(args) => commands::policy_process(args),
     };
     match result {
-        Ok(true) => ExitCode::SUCCESS,
-        Ok(false) => ExitCode::from(1),
+        Ok(true) if !console::stdout_failed() => ExitCode::SUCCESS,
+        Ok(_) => ExitCode::from(1),
         Err(error) => {
             console::error(&error);
             ExitCode::from(if error.is_bad_input() { 2 } else { 1 })

@@ -64,12 +64,13 @@ const START_NS: u64 = 20_000_000;
 
 /// Runs one episode in real time against the simulated arms.
 ///
-/// SIGINT, SIGTERM and SIGHUP bring the arms to rest and end the run as failed, with the reason `interrupted`.
+/// SIGINT, SIGTERM and SIGHUP bring the arms to rest and end the run as failed, with the reason `interrupted`; until they rest it takes three
+/// to end the process at once.
 ///
 /// # Errors
 /// From the configuration, the policy, the simulation, the topics or the log.
 pub fn run_realtime(setup: &Setup, options: &RunOptions) -> Result<RunResult, SessionError> {
-    rt::catch_interrupts()
+    rt::catch_interrupts_in_motion()
         .map_err(|error| SessionError::RealTime(format!("catching signals failed: {error}")))?;
     let mut child = match &options.policy {
         PolicyChoice::Checkpoint(path) => {
@@ -229,14 +230,17 @@ fn conclude(setup: &Setup, options: &RunOptions, ends: Ends) -> Result<RunResult
     let mut tally = control.tally;
     let (success, reason) = verdict(&ends.others, &tally);
     let mut log_dropped = control.log_dropped;
+    let mut log_failure = None;
     if let Some(log) = ends.log {
         let outcome = RunOutcome {
             success: Some(success),
             reason: reason.clone(),
             command_hash: tally.command_hash(),
         };
-        let counts = log.finish(Some(&outcome))?;
-        log_dropped += counts.frames_dropped + counts.events_dropped;
+        match log.finish(Some(&outcome)) {
+            Ok(counts) => log_dropped += counts.frames_dropped + counts.events_dropped,
+            Err(error) => log_failure = Some(error),
+        }
     }
     let others = ends.others?;
     tally.inferences(&others.watched.inference);
@@ -261,6 +265,7 @@ fn conclude(setup: &Setup, options: &RunOptions, ends: Ends) -> Result<RunResult
             .camera
             .and_then(|camera| camera.pictures)
             .unwrap_or_default(),
+        log_failure,
     })
 }
 

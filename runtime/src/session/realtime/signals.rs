@@ -2,6 +2,8 @@
 
 use std::sync::atomic::{AtomicBool, Ordering};
 
+use crate::rt;
+
 /// The flags.
 #[derive(Debug, Default)]
 pub(super) struct Signals {
@@ -44,6 +46,7 @@ impl Drop for StopsAll<'_> {
     fn drop(&mut self) {
         self.0.end_run();
         self.0.stopped.store(true, Ordering::Release);
+        rt::arms_rest();
     }
 }
 

@@ -9,13 +9,11 @@ use crate::histogram::Histogram;
 use crate::per_arm::PerArm;
 use crate::rt;
 use crate::session::SessionError;
+use crate::session::run::INTERRUPTED;
 
 /// Time between two looks, ns: at a policy process, and at the signals alone.
 const POLL_NS: u64 = 1_000_000;
 const IDLE_NS: u64 = 10_000_000;
-
-/// What ended a run that a signal ended.
-pub(super) const INTERRUPTED: &str = "interrupted";
 
 /// What was seen.
 pub(super) struct Watched {

@@ -3,7 +3,7 @@
 use trocar_topics::Verdict;
 
 use super::super::control_thread::ControlEnd;
-use super::super::watch::{INTERRUPTED, Watched};
+use super::super::watch::Watched;
 use super::link::CanLink;
 use super::robot_thread::RobotEnd;
 use super::scene_thread::SceneEnd;
@@ -13,7 +13,7 @@ use crate::log::RunOutcome;
 use crate::rt;
 use crate::session::SessionError;
 use crate::session::pictures::Pictures;
-use crate::session::run::RunResult;
+use crate::session::run::{INTERRUPTED, RunResult};
 use crate::session::summary::{RealTimeCounts, TissueSummary};
 use crate::session::tally::RunLabels;
 
@@ -128,14 +128,17 @@ pub(super) fn conclude<T: Seen>(
     };
     let ended = seen.ended(&watched, &control);
     let mut log_dropped = control.log_dropped;
+    let mut log_failure = None;
     if let Some(log) = log {
         let outcome = RunOutcome {
             success: ended.success,
             reason: ended.reason.clone(),
             command_hash: control.tally.command_hash(),
         };
-        let counts = log.finish(Some(&outcome))?;
-        log_dropped += counts.frames_dropped + counts.events_dropped;
+        match log.finish(Some(&outcome)) {
+            Ok(counts) => log_dropped += counts.frames_dropped + counts.events_dropped,
+            Err(error) => log_failure = Some(error),
+        }
     }
     control.tally.inferences(&watched.inference);
     control.tally.inferences(seen.inference());
@@ -157,5 +160,6 @@ pub(super) fn conclude<T: Seen>(
         ok: ended.ok,
         summary,
         pictures: Pictures::default(),
+        log_failure,
     })
 }

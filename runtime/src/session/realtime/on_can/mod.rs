@@ -102,7 +102,7 @@ fn open_buses(
     count: usize,
     clock: MonotonicClock,
 ) -> Result<Vec<SocketBus<CanClock>>, SessionError> {
-    rt::catch_interrupts()
+    rt::catch_interrupts_in_motion()
         .map_err(|error| SessionError::RealTime(format!("catching signals failed: {error}")))?;
     let arms = can.config.arms.iter().take(count);
     let buses = arms.map(|arm| can_interfaces::open(&arm.interfaces, clock));
