@@ -9,7 +9,9 @@ use std::fs;
 use std::path::Path;
 use std::process::Output;
 
-use tests::{Profile, json, scratch, stderr, trocar};
+use runtime::log::RunLog;
+use runtime::verify::verify;
+use tests::{Profile, json, repository, scratch, stderr, trocar};
 
 /// Runs the expert in lockstep and gives the result.
 fn run(profile: Profile, folder: &Path, seed: u64, log: Option<&Path>) -> serde_json::Value {
@@ -126,5 +128,42 @@ fn a_log_replays_verifies_and_catches_tampering() {
             ticks > 500 && ticks < result["ticks"].as_u64().unwrap(),
             "{name}: {ticks}"
         );
+    }
+}
+
+#[test]
+fn an_arm_that_is_enabled_within_a_forbidden_region_only_comes_out_as_verify_sees_it() {
+    let folder = scratch("enabled_within").join("task");
+    fs::create_dir_all(&folder).unwrap();
+    let shipped = repository().join("config/tasks/needle-lift");
+    fs::copy(shipped.join("scene.toml"), folder.join("scene.toml")).unwrap();
+    let limits = fs::read_to_string(shipped.join("safety.toml")).unwrap();
+    let regions = [
+        "shape = \"sphere\"\ncenter_m = [0.0, 0.0, 0.045]\nradius_m = 0.02\n",
+        "shape = \"half_space\"\npoint_m = [0.0, 0.0, 0.06]\nnormal = [0.0, 0.0, 1.0]\n",
+        "shape = \"box\"\ncenter_m = [0.005, 0.0, 0.05]\nsize_m = [0.04, 0.03, 0.03]\nrpy_rad = [0.0, 0.0, 0.3]\n",
+    ];
+    for (region, seed) in regions.iter().zip(["950100", "950101", "950102"]) {
+        let text = format!("{limits}\n[[forbidden]]\nname = \"start\"\n{region}");
+        fs::write(folder.join("safety.toml"), text).unwrap();
+        let log = folder.join("run.mcap");
+        let output = trocar(Profile::Debug)
+            .args(["run", "--policy", "random", "--lockstep", "--seed", seed])
+            .args(["--set", "scene.episode.time_limit_s=4"])
+            .arg("--task")
+            .arg(&folder)
+            .arg("--log")
+            .arg(&log)
+            .output()
+            .unwrap();
+        assert_eq!(output.status.code(), Some(1), "{}", stderr(&output));
+        let verified = verify(&RunLog::open(&log).unwrap()).unwrap();
+        let first = verified.violations.first();
+        assert!(
+            verified.ok,
+            "{region}: {} of {first:?}",
+            verified.violations.len()
+        );
+        assert!(verified.ticks > 3900, "{region}");
     }
 }

@@ -115,10 +115,17 @@ impl ArmGuard {
         }
     }
 
-    /// The next state of the stop that is held.
+    /// The next state of the stop that is held. Boundaries close in behind it as behind any command.
     pub(super) fn play(&mut self) -> MotionState {
         self.played_s += self.tick_s;
-        self.held.stop.at(self.played_s)
+        let state = self.held.stop.at(self.played_s);
+        if self.floors.iter().any(|floor| *floor < 0.0) {
+            let sample = Sample::new(&state, &self.boundaries, &[true; CLEARANCES]);
+            for (floor, &h) in self.floors.iter_mut().zip(&sample.clearances) {
+                *floor = floor.max(self.floor.behind(h));
+            }
+        }
+        state
     }
 
     /// The stop that is held, and how much of it has been played, s.
@@ -174,27 +181,30 @@ impl ArmGuard {
         let stop = self.fresh.stop;
         let mut before = Sample::new(&stop.at(0.0), &self.boundaries, &[true; CLEARANCES]);
         self.required = core::array::from_fn(|index| {
-            let (floor, h) = (self.floors[index], before.clearances[index]);
-            if h < 0.0 {
-                floor.max(self.floor.below(h))
-            } else {
-                floor
-            }
+            self.floors[index].max(self.floor.behind(before.clearances[index]))
         });
         let travel_m = travel_m(before.wrist_distance_m, &self.fresh.ranges);
         let wanted = self.look_for(&before.clearances, &travel_m);
         let gap_s = stop.duration_s() / f64::from(INTERVALS);
         self.fresh.sweep.begin(&before.instrument, gap_s, travel_m);
+        // A stop that comes back from beyond a boundary does not go out again before its end.
+        let mut closing = self.required;
+        let beyond = closing.iter().any(|required| *required < 0.0);
         // An arm at rest is where it is; the interval that is left checks the one sample.
         let intervals = if gap_s > 0.0 { INTERVALS } else { 1 };
         for index in 1..=intervals {
             let state = stop.at(gap_s * f64::from(index));
             let after = Sample::new(&state, &self.boundaries, &wanted);
             let bounds = Bounds::new(&self.axes, &stop, &before, &after, gap_s);
-            if !self.interval_keeps(&before, &after, &bounds, &wanted) {
+            if !self.interval_keeps(&before, &after, &bounds, &wanted, &closing) {
                 return false;
             }
             self.fresh.sweep.push(&after.instrument, &bounds);
+            if beyond {
+                for (closing, &h) in closing.iter_mut().zip(&after.clearances) {
+                    *closing = closing.max(self.floor.behind(h));
+                }
+            }
             before = after;
         }
         if let Some(frame) = &self.scene_from_rcm {
@@ -226,6 +236,7 @@ impl ArmGuard {
         after: &Sample,
         bounds: &Bounds,
         wanted: &Wanted,
+        closing: &Clearances,
     ) -> bool {
         let instruments = (&before.instrument, &after.instrument);
         for (index, _) in wanted.iter().enumerate().filter(|(_, wanted)| **wanted) {
@@ -236,7 +247,7 @@ impl ArmGuard {
                 .lowest_between(index, h, instruments, bounds, enough_m);
             #[cfg(test)]
             let low = self.pad(Padding::Clearance, h.0.min(h.1), low);
-            let keeps = low >= self.required[index];
+            let keeps = low >= closing[index];
             #[cfg(test)]
             let keeps = self.judge(Check::Clearance(index), keeps);
             if !keeps {

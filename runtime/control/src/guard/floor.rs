@@ -2,6 +2,9 @@
 
 use crate::config::Margins;
 
+/// Who is no further beyond a boundary than this has come out: another's arithmetic may have him at either side, m.
+const OUT_M: f64 = 5e-7;
+
 /// The rule by which a boundary moves to an arm that was enabled beyond it, and comes back with it.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Floor {
@@ -22,6 +25,11 @@ impl Floor {
         // Stops are bounded from below, so a boundary right at the arm would let it move neither on nor back.
         let behind = (h - self.recovery_m).min(self.margin_m);
         if h < 0.0 { behind } else { behind.max(0.0) }
+    }
+
+    /// What an arm that was beyond a boundary, and has come back to the clearance `h`, must keep from now on, m: it closes in behind it.
+    pub(super) fn behind(&self, h: f64) -> f64 {
+        if h > -OUT_M { -OUT_M } else { self.below(h) }
     }
 
     /// What an arm keeps that was enabled well within its boundaries, m.
