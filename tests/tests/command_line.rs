@@ -395,7 +395,7 @@ fn interrupted(run: &[&str], name: &str, after: &[u64]) -> (Option<i32>, serde_j
         .arg(&result);
     let mut child = command.stdout(Stdio::null()).spawn().unwrap();
     for pause in after {
-        std::thread::sleep(std::time::Duration::from_millis(*pause));
+        runtime::rt::sleep_ns(pause * 1_000_000);
         let id = child.id().to_string();
         Command::new("kill").args(["-INT", &id]).status().unwrap();
     }

@@ -192,11 +192,10 @@ static WISHES: AtomicU32 = AtomicU32::new(1);
 extern "C" fn note_interrupt(signal: libc::c_int) {
     let before = INTERRUPTS.fetch_add(1, Ordering::AcqRel);
     if before >= WISHES.load(Ordering::Acquire) {
-        // SAFETY: both calls are async-signal-safe; the signal strikes when this handler returns.
-        unsafe {
-            libc::signal(signal, libc::SIG_DFL);
-            libc::raise(signal);
-        }
+        // SAFETY: the call is async-signal-safe and takes no pointers.
+        unsafe { libc::signal(signal, libc::SIG_DFL) };
+        // SAFETY: the same; the signal strikes when this handler returns.
+        unsafe { libc::raise(signal) };
     }
 }
 

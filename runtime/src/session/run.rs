@@ -9,7 +9,7 @@ use policy::compute::Compute;
 use sim_backend::simulation::{Rendering, Simulation};
 use sim_backend::task::Outcome;
 
-use super::episode::{Episode, Plan, StepView, Watcher};
+use super::episode::{Episode, EpisodeEnd, Plan, StepView, Watcher};
 use super::latency::Latency;
 use super::pictures::Pictures;
 use super::source::{ChunkSource, PolicyChoice};
@@ -116,12 +116,7 @@ pub fn run_lockstep_with(
         source: &mut source,
     };
     let end = episode.run(&plan, &mut watcher)?;
-    let interrupted = matches!(end.outcome, Outcome::Running) && rt::interrupted();
-    let reason = if interrupted {
-        INTERRUPTED.to_owned()
-    } else {
-        end.reason()
-    };
+    let reason = reason_of(&end);
     let success = matches!(end.outcome, Outcome::Success);
     let mut log_failure = None;
     if let Some(mut recorder) = watcher.recorder {
@@ -154,6 +149,15 @@ pub fn run_lockstep_with(
         pictures: watcher.pictures.unwrap_or_default(),
         log_failure,
     })
+}
+
+/// Why a run in lockstep ended: a signal comes before the limit of ticks.
+fn reason_of(end: &EpisodeEnd) -> String {
+    if matches!(end.outcome, Outcome::Running) && rt::interrupted() {
+        INTERRUPTED.to_owned()
+    } else {
+        end.reason()
+    }
 }
 
 /// Opens the log that `options` ask for; a lockstep log loses nothing, a real-time log never waits.

@@ -102,12 +102,8 @@ impl Study {
         let mut durations = Durations::default();
         let mut left = Vec::new();
         let (mut done, mut begun, mut damaged) = (0, 0, 0);
-        let of_part: Vec<&Cell> = self
-            .plan
-            .cells
-            .iter()
-            .filter(|cell| part.contains(&cell.address))
-            .collect();
+        let cells = self.plan.cells.iter();
+        let of_part: Vec<&Cell> = cells.filter(|cell| part.contains(&cell.address)).collect();
         for &cell in &of_part {
             let (kind, address) = (cell.job.kind(), &cell.address);
             let class = Class::of(&cell.job);

@@ -75,7 +75,8 @@ fn short_long_senseless_and_impossible_answers_are_not_believed() {
         data[4] ^= 0x40;
         Tampering::Replace(frame(f.id.raw(), &data))
     };
-    let kinds: [(fn(&Frame) -> Tampering, &str); 4] = [
+    type Tamper = fn(&Frame) -> Tampering;
+    let kinds: [(Tamper, &str); 4] = [
         (cut, "process data of 7 bytes instead of 8"),
         (empty, "process data of 0 bytes instead of 8"),
         (status, "a status word that codes no state"),
