@@ -126,7 +126,12 @@ impl Source {
             let next = child(here, part).ok_or_else(|| no_key(children(here)))?;
             (here, at) = (next.get_ref(), next.span());
         }
-        if let DeValue::Table(_) = here {
+        // A table, or several under headers of their own, is no value that stands in one place.
+        let in_place = self
+            .text
+            .get(at.clone())
+            .is_some_and(|text| DeTable::parse(&format!("value = {text}")).is_ok());
+        if matches!(here, DeValue::Table(_)) || !in_place {
             let inside = children(here).into_iter();
             return Err(no_key(inside.map(|name| format!("{key}.{name}")).collect()));
         }
@@ -260,11 +265,14 @@ fn children(value: &DeValue<'_>) -> Vec<String> {
     }
 }
 
-/// `value` if it is one TOML value in one line, else a string of it.
+/// `value` if it is one TOML value in one line, without a comment, else a string of it.
 fn as_toml(value: &str) -> String {
     let alone = format!("value = {value}");
-    let is_one = !value.contains(['\n', '#'])
-        && DeTable::parse(&alone).is_ok_and(|table| table.get_ref().len() == 1);
+    let is_one = !value.contains('\n')
+        && DeTable::parse(&alone).is_ok_and(|table| {
+            let all = table.get_ref().get("value");
+            table.get_ref().len() == 1 && all.is_some_and(|all| all.span().end == alone.len())
+        });
     if is_one {
         value.to_owned()
     } else {
@@ -394,6 +402,10 @@ mod tests {
             set("arm.0.name", "left").unwrap(),
             replaced("\"x\"", "\"left\"")
         );
+        let hash = set("arm.0.name", "\"a # b\"").unwrap();
+        assert_eq!(hash, replaced("\"x\"", "\"a # b\""));
+        assert!(source.with("arm", "[]").is_err());
+        assert!(source.with("arm.0", "{}").is_err());
         // Neither a second key nor a comment can be smuggled in.
         let smuggled = set("a", "2\nb = 3").unwrap();
         assert!(

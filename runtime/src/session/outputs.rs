@@ -24,7 +24,8 @@ pub fn check(
         }
     }
     for (option, path) in written {
-        let Some(path) = path.filter(|path| !is_standard_output(path)) else {
+        let to_stdout = |path: &Path| *option == "--json" && is_standard_output(path);
+        let Some(path) = path.filter(|path| !to_stdout(path)) else {
             continue;
         };
         pictures::create_parent(path).map_err(|error| refused(option, path, &error.to_string()))?;

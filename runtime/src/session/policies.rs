@@ -13,19 +13,21 @@ pub const FOLDER: &str = "config/policies";
 /// Where they are beside `bin/trocar` once it is installed.
 const INSTALLED: &str = "share/trocar/policies";
 
-/// The folder of committed policies, if there is one.
-fn root() -> Option<PathBuf> {
-    let here = PathBuf::from(FOLDER);
-    if here.is_dir() {
-        return Some(here);
-    }
+/// The folders of committed policies that there are, those here first.
+fn roots() -> Vec<PathBuf> {
+    let mut folders = vec![PathBuf::from(FOLDER)];
+    folders.extend(beside_the_program().unwrap_or_default());
+    folders.retain(|folder| folder.is_dir());
+    folders
+}
+
+fn beside_the_program() -> Option<Vec<PathBuf>> {
     let program = env::current_exe().ok()?.canonicalize().ok()?;
     // Of PREFIX/bin/trocar, and of REPOSITORY/target/PROFILE/trocar.
     let mut above = program.ancestors().skip(2);
     let prefix = above.next()?.join(INSTALLED);
     let repository = above.next().map(|folder| folder.join(FOLDER));
-    let beside = [Some(prefix), repository].into_iter().flatten();
-    beside.into_iter().find(|folder| folder.is_dir())
+    Some([Some(prefix), repository].into_iter().flatten().collect())
 }
 
 /// The committed policy that `name` names, as `needle-lift/act-small` or with `config/policies/` before it, if there is one.
@@ -35,8 +37,8 @@ pub(super) fn named(name: &str) -> Option<PathBuf> {
     let is_plain = name
         .components()
         .all(|part| matches!(part, Component::Normal(_)));
-    let folder = root()?.join(name);
-    (is_plain && folder.join(CHECKPOINT_FILE).is_file()).then_some(folder)
+    let mut folders = roots().into_iter().map(|root| root.join(name));
+    folders.find(|folder| is_plain && folder.join(CHECKPOINT_FILE).is_file())
 }
 
 /// What a checkpoint's folder has.
@@ -47,7 +49,12 @@ const CHECKPOINT_FILE: &str = "config.json";
 /// # Errors
 /// [`SessionError::BadArgument`] if there is none or more than one, with the tasks that have one.
 pub fn recommended(task: &str) -> Result<PathBuf, SessionError> {
-    recommended_in(&root().unwrap_or_else(|| FOLDER.into()), task)
+    let roots = roots();
+    let with_one = roots
+        .iter()
+        .find(|root| !checkpoints(&root.join(task)).is_empty());
+    let root = with_one.or_else(|| roots.first());
+    recommended_in(root.map_or(Path::new(FOLDER), PathBuf::as_path), task)
 }
 
 fn recommended_in(root: &Path, task: &str) -> Result<PathBuf, SessionError> {

@@ -202,13 +202,14 @@ impl Store {
         Ok(())
     }
 
-    /// Lays what was laid aside back in its place, unless the cell was made anew meanwhile. The caller holds its lock.
+    /// Lays what was laid aside back in its place, unless the cell was made anew meanwhile, or what it makes is there in part: that is
+    /// gone on with. The caller holds its lock.
     ///
     /// # Errors
     /// [`StudyError::Io`].
     pub fn put_back(&self, kind: Kind, address: &Address) -> Result<(), StudyError> {
         let folder = self.cell(kind, address);
-        if folder.join("cell.json").exists() {
+        if folder.join("cell.json").exists() || self.product(kind, address).exists() {
             return Ok(());
         }
         for (name, aside) in ASIDE.into_iter().rev() {

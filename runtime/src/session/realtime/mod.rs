@@ -49,7 +49,7 @@ use arm_link::SimLink;
 use camera_thread::{CameraEnd, CameraThread, Snapshot};
 use child::{PolicyChild, check_cameras};
 use control_thread::{ControlEnd, ControlThread};
-use signals::Signals;
+use signals::{Moving, Signals};
 use simulation_thread::{SimulationEnd, SimulationThread, Snapshots};
 use watch::{Watched, watch};
 
@@ -162,6 +162,7 @@ fn run_threads(
     let first = clock.now().plus_ns(START_NS);
     thread::scope(|scope| {
         let control = scope.spawn(move || {
+            let _moving = Moving;
             // Half a period after the simulation, to see this period's measurement.
             control_thread.run(clock, first.plus_ns(TICK_NS / 2))
         });

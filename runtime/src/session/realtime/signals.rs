@@ -46,6 +46,14 @@ impl Drop for StopsAll<'_> {
     fn drop(&mut self) {
         self.0.end_run();
         self.0.stopped.store(true, Ordering::Release);
+    }
+}
+
+/// Held as long as arms may move: when it goes, for whatever reason, the next signal may end the process at once.
+pub(super) struct Moving;
+
+impl Drop for Moving {
+    fn drop(&mut self) {
         rt::arms_rest();
     }
 }

@@ -114,10 +114,7 @@ impl Runner<'_> {
                 };
                 self.end(index, took);
             }
-            Err(error) => {
-                store.put_back(kind, address)?;
-                self.fail(index, &error.to_string());
-            }
+            Err(error) => self.fail(index, &error.to_string()),
         }
         Ok(Begun::Settled)
     }

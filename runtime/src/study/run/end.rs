@@ -108,6 +108,9 @@ impl Runner<'_> {
     }
 
     pub(super) fn fail(&mut self, index: usize, reason: &str) {
+        let cell = self.cells[index];
+        // Whatever is wrong with the folder is told when it is used next.
+        let _kept = self.workshop.store.put_back(cell.job.kind(), &cell.address);
         self.status[index] = Status::Failed;
         self.tell(index, &format!("failed: {reason}"));
         self.outcome

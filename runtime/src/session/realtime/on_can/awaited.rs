@@ -5,13 +5,17 @@ use trocar_topics::{CameraTopic, FrameSubscriber, SceneReport, Subscriber, Topic
 use super::bring_up::uninterrupted;
 use crate::rt::{self, MonotonicClock};
 use crate::session::SessionError;
+use crate::session::source::STEP_NS;
 use hal::TimeNs;
 
 /// A world shows itself every 40 ms; one that has not done so for this long is not there, ns.
 const WORLD_NS_MAX: u64 = 3_000_000_000;
 
-/// A frame that was taken longer ago, or is from further ahead, is none of now, ns.
-const FRAME_NS_MAX: u64 = 500_000_000;
+/// A frame that was taken longer ago is none of now, ns.
+pub(super) const FRAME_NS_MAX: u64 = 500_000_000;
+
+/// How far from ahead a frame may be, ns: a policy step.
+pub(super) const AHEAD_NS_MAX: u64 = STEP_NS;
 
 /// A camera that has been seen shows its next frame in this time, ns.
 const NEXT_FRAME_NS_MAX: u64 = 2_000_000_000;
@@ -86,7 +90,7 @@ impl Taken {
     /// Of a frame with the system's `stamp`, at `now` by the same clock.
     fn at(stamp: TimeNs, now: TimeNs) -> Self {
         let (ago, ahead) = (now.since(stamp), stamp.since(now));
-        match (ago.max(ahead) > FRAME_NS_MAX, ago > 0) {
+        match (ago > FRAME_NS_MAX || ahead > AHEAD_NS_MAX, ago > 0) {
             (false, _) => Self::Live,
             (true, true) => Self::Ago(TimeNs(ago).seconds()),
             (true, false) => Self::Ahead(TimeNs(ahead).seconds()),
@@ -205,7 +209,9 @@ mod tests {
     fn a_frame_of_now_is_neither_old_nor_ahead() {
         let s = |tenths: u64| TimeNs(tenths * 100_000_000);
         let at = |stamp| Taken::at(s(stamp), s(1000));
-        assert_eq!([at(1000), at(996), at(1004)], [Taken::Live; 3]);
+        assert_eq!([at(1000), at(996)], [Taken::Live; 2]);
+        let ahead = Taken::at(s(1000).plus_ns(AHEAD_NS_MAX), s(1000));
+        assert_eq!(ahead, Taken::Live);
         assert_eq!(at(0), Taken::Ago(100.0));
         assert_eq!(at(1010), Taken::Ahead(1.0));
         let said = untimely("left", "lab", at(0));

@@ -107,16 +107,15 @@ pub(super) fn conclude<T: Seen>(
         log,
     } = ends;
     // Why nothing was enabled is known to whoever ended the run before.
-    let control = match (control, &watched, &seen) {
+    let control = match (control, &watched) {
         (
-            Err(_),
+            Err(SessionError::Interrupted),
             Ok(Watched {
                 ended_by: Some(cause),
                 ..
             }),
-            _,
         ) => Err(SessionError::RealTime(cause.clone())),
-        (control, ..) => control,
+        (control, _) => control,
     };
     let all = control.and_then(|control| Ok((control, watched?, seen?)));
     let (mut control, watched, seen) = match all {

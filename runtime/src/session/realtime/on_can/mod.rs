@@ -37,7 +37,7 @@ use trocar_topics::{SceneTopic, TopicNode};
 
 use super::child::{Outside, PolicyChild, check_cameras};
 use super::control_thread::{ControlEnd, ControlThread};
-use super::signals::{Signals, StopsAll};
+use super::signals::{Moving, Signals, StopsAll};
 use super::watch::{Watched, watch};
 use super::{CHUNK_QUEUE, joined, labels};
 use crate::control::AnyController;
@@ -385,11 +385,12 @@ impl Enabling<'_> {
             signals,
             clock,
         } = self.wires;
+        // Until the drives are taken down.
+        let _moving = Moving;
         let _stops = StopsAll(&signals);
         uninterrupted()?;
         if signals.done() {
-            let what = "the run ended before the drives were enabled";
-            return Err(SessionError::RealTime(what.to_owned()));
+            return Err(SessionError::Interrupted);
         }
         let arms =
             enable_together(self.ready).map_err(|(arm, error)| failed(self.can, arm, &error))?;

@@ -7,7 +7,7 @@ use hal::{ArmState, TimeNs};
 use trocar_topics::{ArmReport, Publisher};
 
 use super::super::signals::EndsRun;
-use super::awaited::Camera;
+use super::awaited::{AHEAD_NS_MAX, Camera, FRAME_NS_MAX};
 use super::scene_thread::{logged, seen_at};
 use super::{Local, RobotOptions, SeenWires};
 use crate::histogram::Histogram;
@@ -19,11 +19,14 @@ use crate::session::source::{Query, STEP_NS};
 /// Time between two looks, ns.
 const POLL_NS: u64 = 2_000_000;
 
-/// A camera that shows nothing for this long is gone, ns.
+/// A camera that shows nothing for this long, or nothing but old frames, is gone, ns.
 const SILENCE_NS_MAX: u64 = 2_000_000_000;
 
+/// How far a measurement may be from the instant that it stands for, ns.
+const NEAR_NS: u64 = 20_000_000;
+
 /// Looks whose measurements are kept: more than a camera's frame takes to come.
-const KEPT: usize = 256;
+const KEPT: usize = 512;
 
 /// The thread before it runs.
 pub(super) struct RobotThread {
@@ -62,10 +65,11 @@ impl Past {
         self.0.push_back((at, states));
     }
 
-    /// What was measured closest to `at`.
+    /// What was measured at `at`, if it is known.
     fn at(&self, at: TimeNs) -> Option<&PerArm<ArmState>> {
         let nearest = self.0.iter().min_by_key(|(then, _)| then.0.abs_diff(at.0));
-        nearest.map(|(_, states)| states)
+        let near = nearest.filter(|(then, _)| then.0.abs_diff(at.0) <= NEAR_NS);
+        near.map(|(_, states)| states)
     }
 
     /// When the first was measured that is still known.
@@ -186,10 +190,13 @@ impl RobotThread {
             let now = self.seen.clock.now();
             let stamp = self.seen.clock.from_system(view.header().stamp);
             // One from ahead would be the newest for ever.
-            if stamp > now.plus_ns(STEP_NS) {
+            if stamp > now.plus_ns(AHEAD_NS_MAX) {
                 continue;
             }
-            if let Some(shown) = self.shown.get_mut(index) {
+            // A camera that lags shows nothing of now.
+            if let Some(shown) = self.shown.get_mut(index)
+                && now.since(stamp) <= FRAME_NS_MAX
+            {
                 *shown = now;
             }
             if index == 0 {
@@ -257,14 +264,16 @@ mod tests {
             first: ArmState::at_rest(TimeNs(ms * 1_000_000), JointVector::zeros(), jaw),
             second: None,
         };
-        for ms in 0..400_u32 {
+        for ms in 0..800_u32 {
             let states = state(u64::from(ms), f64::from(ms));
             past.add(states.first.stamp, states);
         }
         let jaw_at = |ns: u64| past.at(TimeNs(ns)).unwrap().first.jaw_position;
         assert_eq!(jaw_at(300_400_000).to_bits(), 300_f64.to_bits());
-        // What came before those that are kept is taken for the oldest, what is to come for the newest.
-        assert_eq!(jaw_at(0).to_bits(), 144_f64.to_bits());
-        assert_eq!(jaw_at(u64::MAX).to_bits(), 399_f64.to_bits());
+        assert_eq!(jaw_at(819_000_000).to_bits(), 799_f64.to_bits());
+        // What came before those that are kept, or is to come, is not known.
+        for ns in [0, 267_000_000, 820_000_000, u64::MAX] {
+            assert!(past.at(TimeNs(ns)).is_none(), "{ns}");
+        }
     }
 }
