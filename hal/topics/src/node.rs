@@ -6,8 +6,8 @@ use core::time::Duration;
 use iceoryx2::port::publisher::PublisherCreateError;
 use iceoryx2::port::subscriber::SubscriberCreateError;
 use iceoryx2::prelude::{
-    Config, FileName, IceoryxSend, LogLevel, Node, NodeBuilder, SemanticString, ServiceName,
-    SignalHandlingMode, ZeroCopySend, set_log_level,
+    CallbackProgression, Config, FileName, IceoryxSend, LogLevel, Node, NodeBuilder,
+    SemanticString, ServiceName, SignalHandlingMode, ZeroCopySend, set_log_level,
 };
 use iceoryx2::service::builder::publish_subscribe::{
     PublishSubscribeCreateError as CreateError, PublishSubscribeOpenError as OpenError,
@@ -84,6 +84,35 @@ impl TopicNode {
         self.node
             .blocking_cleanup_dead_nodes(CLEANUP_TIMEOUT)
             .cleanups
+    }
+
+    /// Frees what `process` still holds, which is about to die or has just died; `false` if it lives longer than `within`.
+    ///
+    /// A process that is killed is no longer its children's parent some time before the last of its threads lets go of its
+    /// locks, by which the transport knows the living from the dead: one look at that moment finds nobody dead.
+    pub fn remove_dying(&self, process: u32, within: Duration) -> bool {
+        let tries = within.as_millis() / RETRY_PAUSE.as_millis();
+        for _ in 0..=tries {
+            self.remove_dead();
+            if !self.has_node_of(process) {
+                return true;
+            }
+            if self.node.wait(RETRY_PAUSE).is_err() {
+                break;
+            }
+        }
+        false
+    }
+
+    /// Whether `process` takes part, alive or dead.
+    fn has_node_of(&self, process: u32) -> bool {
+        let mut found = false;
+        let listed = Node::<Service>::list(self.node.config(), |state| {
+            let pid = state.node_id().pid::<Service>();
+            found |= pid.is_ok_and(|pid| u32::try_from(pid.value()) == Ok(process));
+            CallbackProgression::Continue
+        });
+        found || listed.is_err()
     }
 
     /// The full service name of `topic`.

@@ -438,7 +438,11 @@ fn two_processes_exchange_frames_and_chunks_and_a_killed_one_is_replaced() {
         "{taken}"
     );
 
+    // One that lives is waited for and then left alone; one that is killed is waited for until it has let go.
+    let moment = core::time::Duration::from_millis(20);
+    assert!(!node.remove_dying(peer.id(), moment));
     peer.kill().unwrap();
+    assert!(node.remove_dying(peer.id(), 1000 * moment));
     peer.wait().unwrap();
     let (mut successor, mut out) = start_peer(&run);
     exchange(&mut frames, &mut successor, &mut out, 3);

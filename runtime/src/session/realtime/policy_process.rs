@@ -2,6 +2,7 @@
 
 use std::os::unix::process::parent_id;
 use std::path::PathBuf;
+use std::time::Duration;
 
 use hal::{ARM_NAMES, Chunk, FrameRef, Observation, Policy, SeenArm, TimeNs};
 use policy::compute::Compute;
@@ -29,6 +30,9 @@ const POLL_NS: u64 = 1_000_000;
 
 /// Silence after which a sign of life is given all the same, in looks.
 const STATUS_EVERY_POLLS: u64 = 50;
+
+/// How long a killed parent may take to be gone: with a big memory, tens of milliseconds.
+const DYING_MAX: Duration = Duration::from_secs(5);
 
 /// What the process is started with.
 #[derive(Clone, Debug)]
@@ -59,8 +63,8 @@ pub fn serve_policy(options: &PolicyProcessOptions) -> Result<(), SessionError> 
         Ok(())
     };
     if !parent_lives() {
-        // It could not tidy up.
-        node.remove_dead();
+        // It could not tidy up. What is left of it after this time, the next run removes.
+        let _gone = node.remove_dying(options.parent, DYING_MAX);
     }
     served
 }
