@@ -16,7 +16,7 @@ demo: build
 
 # Everything that can fail for a reason in this tree; the release binary is part of it, since debug and release must agree.
 test: build
-	cargo build --locked -p runtime
+	cargo build --locked -p trocar
 	cargo test --locked --workspace
 	$(MAKE) test-can
 	$(MAKE) test-study
@@ -31,7 +31,7 @@ test-adversary: setup
 
 # What needs a CAN bus, where there is one: in user-mode Linux if this machine's kernel has none. Without either, this fails.
 test-can: setup setup-can
-	cargo build --locked -p runtime
+	cargo build --locked -p trocar
 	cargo test --locked --workspace --test can_bus --config 'target."cfg(all())".runner=["$(CURDIR)/.ci/with-vcan","--time-limit","1500"]' -- --ignored
 
 # A tiny study interrupted, killed, gone on with, in two shards, reported, its page opened in a browser.
@@ -63,7 +63,7 @@ test-dist: dist
 	tests/scripts/dist_in_bare_debian.sh
 
 build: setup
-	cargo build --locked --release -p runtime
+	cargo build --locked --release -p trocar
 
 bench: setup
 	cargo bench --locked -p tests

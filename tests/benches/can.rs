@@ -8,7 +8,7 @@ use std::error::Error;
 
 use criterion::Criterion;
 use hal::{Arm as _, ArmCommand, JointVector, SafeTail, TimeNs};
-use runtime::rt::MonotonicClock;
+use trocar::rt::MonotonicClock;
 use trocar_canopen::Outbox;
 use trocar_canopen::bus_load::bits::least;
 use trocar_canopen::cia301::sdo::{Request, Response};

@@ -14,8 +14,8 @@ use std::thread::{self, JoinHandle};
 
 use criterion::Criterion;
 use hal::{Intrinsics, Pose, TimeNs};
-use runtime::histogram::Histogram;
-use runtime::rt::MonotonicClock;
+use trocar::histogram::Histogram;
+use trocar::rt::MonotonicClock;
 use trocar_topics::{CameraTopic, FrameHeader, FrameLoan, TopicNode};
 
 const SIDE_PIXELS: u32 = 512;

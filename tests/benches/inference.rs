@@ -12,20 +12,20 @@ use std::path::Path;
 
 use criterion::Criterion;
 use hal::{ArmState, CameraFrame, Intrinsics, JointVector, Observation, Policy, SeenArm, TimeNs};
-use policy::act::{Act, ActConfig, ActPreset};
-use policy::act_policy::ActPolicy;
-use policy::checkpoint::{
+use tch::Device;
+use trocar::rt::MonotonicClock;
+use trocar::session::demo::COMMITTED_POLICY;
+use trocar::session::source::{NETWORK_LATENCY_TICKS, STEP_NS};
+use trocar_control::kinematics::forward;
+use trocar_data::relative_action::REPRESENTATION;
+use trocar_nets::act::{Act, ActConfig, ActPreset};
+use trocar_nets::act_policy::ActPolicy;
+use trocar_nets::checkpoint::{
     AggregationName, DatasetSummary, FeatureStatistics, RECIPE_FORMAT, Recipe,
     RecommendedAggregation, RecordedCamera, SaveOptions, Variants, save,
 };
-use policy::normalise::Statistics;
-use policy::parameters::ParameterSource;
-use policy::relative_action::REPRESENTATION;
-use runtime::kinematics::forward;
-use runtime::rt::MonotonicClock;
-use runtime::session::demo::COMMITTED_POLICY;
-use runtime::session::source::{NETWORK_LATENCY_TICKS, STEP_NS};
-use tch::Device;
+use trocar_nets::normalise::Statistics;
+use trocar_nets::parameters::ParameterSource;
 
 /// One camera, and as many as `--cameras multi` has with one arm.
 const CAMERAS: [&str; 3] = ["endoscope", "wrist_psm1", "side"];

@@ -14,11 +14,11 @@ use std::io::BufRead;
 use std::path::{Path, PathBuf};
 
 use hal::random::SplitMix64;
-use policy::act::{Act, ActConfig, FoldedAct};
-use policy::dp3::{CloudObservation, Dp3, Dp3Config, Dp3Preset, FoldedDp3};
-use policy::parameters::{ParameterSource, Parameters};
-use runtime::rt::MonotonicClock;
 use tch::{Device, Kind, TchError, Tensor};
+use trocar::rt::MonotonicClock;
+use trocar_nets::act::{Act, ActConfig, FoldedAct};
+use trocar_nets::dp3::{CloudObservation, Dp3, Dp3Config, Dp3Preset, FoldedDp3};
+use trocar_nets::parameters::{ParameterSource, Parameters};
 
 /// Numbers in a state, and in an action.
 const WIDTH: i64 = 7;

@@ -13,12 +13,12 @@ use std::hint::black_box;
 use criterion::Criterion;
 use hal::{CameraFrame, Intrinsics, Pose, TimeNs};
 use nalgebra::{Translation3, UnitQuaternion};
-use policy::perception::{
+use tch::{Device, Kind, Tensor};
+use trocar::rt::MonotonicClock;
+use trocar_data::perception::{
     CloudFrame, CloudOptions, CropBox, InstanceSet, Padding, Point, back_project, farthest_points,
     point_cloud,
 };
-use runtime::rt::MonotonicClock;
-use tch::{Device, Kind, Tensor};
 
 const SIDE_PIXELS: u32 = 512;
 const RUNS: u32 = 20;

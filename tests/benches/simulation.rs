@@ -11,17 +11,17 @@ use std::error::Error;
 
 use criterion::Criterion;
 use hal::{Arm, ArmCommand, CameraFrame, SafeTail, TimeNs};
-use runtime::histogram::Histogram;
-use runtime::log::TickRecord;
-use runtime::rt::{Grant, MonotonicClock, RtOptions, configure_thread};
-use runtime::session::episode::{Episode, EpisodeEnd, Nobody, Plan, Watcher};
-use runtime::session::source::STEP_NS;
-use runtime::session::{PolicyChoice, SessionError, Setup, tasks};
-use sim_backend::cameras::SceneCameras;
-use sim_backend::simulation::{Rendering, Simulation};
-use sim_backend::task::Outcome;
-use sim_backend::task::needle_lift::NeedleLift;
 use tch::Device;
+use trocar::histogram::Histogram;
+use trocar::rt::{Grant, MonotonicClock, RtOptions, configure_thread};
+use trocar::session::episode::{Episode, EpisodeEnd, Nobody, Plan, Watcher};
+use trocar::session::source::STEP_NS;
+use trocar::session::{PolicyChoice, SessionError, Setup, tasks};
+use trocar_log::TickRecord;
+use trocar_tasks::cameras::SceneCameras;
+use trocar_tasks::simulation::{Rendering, Simulation};
+use trocar_tasks::task::Outcome;
+use trocar_tasks::task::needle_lift::NeedleLift;
 
 const SEED: u64 = 1;
 const STEPS: u32 = 20_000;
@@ -53,7 +53,7 @@ fn run_expert(
         source: &mut setup.source(&PolicyChoice::Expert, seed, Device::Cpu)?,
     };
     let plan = Plan {
-        latency: runtime::session::latency::Latency::fixed(0),
+        latency: trocar::session::latency::Latency::fixed(0),
         tick_limit,
     };
     episode.run(&plan, watcher)

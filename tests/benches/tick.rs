@@ -10,13 +10,11 @@ use criterion::Criterion;
 use hal::config::Source;
 use hal::{ArmState, Chunk, JointVector, Pose, TICK_NS, TimeNs, TipTarget};
 use nalgebra::{Translation3, UnitQuaternion, Vector3};
-use runtime::control::aggregate::Aggregation;
-use runtime::control::{
-    ControlConfig, Controller, OperatorEvent, QpOutcome, TickInput, TickOutput,
-};
-use runtime::histogram::Histogram;
-use runtime::kinematics::forward;
-use runtime::rt::{Grant, MonotonicClock, RtOptions, configure_thread};
+use trocar::histogram::Histogram;
+use trocar::rt::{Grant, MonotonicClock, RtOptions, configure_thread};
+use trocar_control::aggregate::Aggregation;
+use trocar_control::kinematics::forward;
+use trocar_control::{ControlConfig, Controller, OperatorEvent, QpOutcome, TickInput, TickOutput};
 
 /// Two arms that reach towards each other.
 const HANDOVER: &str = include_str!("../../runtime/control/src/tests/scenes/handover.toml");

@@ -8,7 +8,7 @@ Requirements: those of lerobot_round_trip.py, and einops diffusers omegaconf dil
 
 ACT_SOURCE and DP3_SOURCE are checkouts of tonyzhaozh/act (742c753) and YanjieZe/3D-Diffusion-Policy (47385d9); none of their code is
 here. Each case builds the authors' own network with random weights, saves it as their training does, converts the file, and
-compares what the authors' code answers to a random observation with what ours answers (the ignored test in `policy/tests/peer.rs`).
+compares what the authors' code answers to a random observation with what ours answers (the ignored test in `policy/train/tests/peer.rs`).
 
   act      seven decoder layers, two cameras, 14 numbers of state and action: two arms
   dp3      SimpleDP3 and, at a quarter of its width, DP3; in the file `model` and `ema_model` have different weights

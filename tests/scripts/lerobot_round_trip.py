@@ -8,7 +8,7 @@ Requirements: Python 3.12, lerobot==0.6.1 torch==2.11.0 torchvision==0.26.0, and
 
 Everything is made anew in the given folder: two demonstrations by `trocar record` (or those of --demos), two checkpoints that we
 train on them for two steps, a checkpoint and two datasets that LeRobot saves. Our side of each comparison is the ignored test in
-`policy/tests/peer.rs`, which this script starts. It prints how far the two sides are apart, and fails beyond the tolerances below.
+`policy/train/tests/peer.rs`, which this script starts. It prints how far the two sides are apart, and fails beyond the tolerances below.
 
   ours -> theirs   LeRobot loads what we trained (strictly: no key may be missing or left over), with its own processors, and
                    gives our chunk

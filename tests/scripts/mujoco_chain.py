@@ -3,7 +3,7 @@
 
 Requirements: mujoco==4.0.0 numpy==2.4.6 (Python 3.11 or newer)
 
-    TROCAR_CHAIN_DUMP=$PWD/target/ours.toml cargo test -p sim_backend --lib world::tests::mujoco
+    TROCAR_CHAIN_DUMP=$PWD/target/ours.toml cargo test -p trocar-world --lib world::tests::mujoco
     python tests/scripts/mujoco_chain.py target/ours.toml tests/golden/mujoco_chain.toml
 
 The first command writes the parameters and what our side does with them; this script reads nothing else of ours. It makes a

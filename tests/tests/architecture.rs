@@ -43,27 +43,48 @@ const fn member(
     }
 }
 
-const MEMBERS: [Member; 9] = [
+const MEMBERS: [Member; 14] = [
     member("hal", "hal", &[]),
     member("hal/topics", "trocar-topics", &["hal"]),
     member("hal/canopen", "trocar-canopen", &["hal"]),
     member("hal/drives", "trocar-drives", &["hal", "trocar-canopen"]),
-    member("policy", "policy", &["hal"]),
-    member("sim_backend", "sim_backend", &["hal"]),
+    member("policy/data", "trocar-data", &["hal"]),
+    member("policy/nets", "trocar-nets", &["hal", "trocar-data"]),
+    member(
+        "policy/train",
+        "trocar-train",
+        &["hal", "trocar-data", "trocar-nets"],
+    ),
+    member("sim_backend/world", "trocar-world", &["hal"]),
+    member("sim_backend/render", "trocar-render", &["hal"]),
+    member(
+        "sim_backend/tasks",
+        "trocar-tasks",
+        &["hal", "trocar-render", "trocar-world"],
+    ),
     member("runtime/control", "trocar-control", &["hal"]),
     member("runtime/verify", "trocar-verify", &["hal"]),
     member(
-        "runtime",
-        "runtime",
+        "runtime/log",
+        "trocar-log",
+        &["hal", "trocar-control", "trocar-verify"],
+    ),
+    member(
+        "runtime/app",
+        "trocar",
         &[
             "hal",
-            "policy",
-            "sim_backend",
             "trocar-canopen",
             "trocar-control",
+            "trocar-data",
             "trocar-drives",
+            "trocar-log",
+            "trocar-nets",
+            "trocar-render",
+            "trocar-tasks",
             "trocar-topics",
-            "trocar-verify",
+            "trocar-train",
+            "trocar-world",
         ],
     ),
 ];
@@ -229,7 +250,7 @@ fn a_doctored_safety_table_is_caught() {
     let text = safety();
     let doctored = [
         ("`a_good_chunk_is_accepted_once`", "`a_good_chunk_is_used`"),
-        ("`runtime/control/src/mode.rs`", "`runtime/src/mode.rs`"),
+        ("`runtime/control/src/mode.rs`", "`runtime/app/src/mode.rs`"),
         ("`runtime/control/src/mode.rs`", "the mode machine"),
         // A function that is none of the tests.
         ("`a_fault_is_left_only_by_clearing_it`", "`safety_rows`"),

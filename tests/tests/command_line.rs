@@ -89,7 +89,7 @@ fn a_set_value_changes_the_run_as_a_changed_file_would_and_is_in_its_log() {
     let result: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
     let seconds = result["seconds"].as_f64().unwrap();
     assert!((1.9..2.1).contains(&seconds), "{result}");
-    let log = runtime::log::RunLog::open(&log).unwrap();
+    let log = trocar_log::RunLog::open(&log).unwrap();
     let scene = log.text("scene.toml").unwrap();
     assert!(scene.contains("time_limit_s = 2\n"), "{scene}");
     let safety = log.text("safety.toml").unwrap();
@@ -216,7 +216,7 @@ fn an_instruction_is_the_datasets_task_and_the_simulators_is_kept_beside_it() {
         folder.to_str().unwrap(),
     ]);
     assert!(recorded.status.success(), "{}", text(&recorded.stderr));
-    let dataset = policy::dataset::Dataset::open(&folder).unwrap();
+    let dataset = trocar_data::dataset::Dataset::open(&folder).unwrap();
     assert_eq!(dataset.spec().task, words);
     assert_eq!(dataset.task(), "needle-lift");
 }
@@ -395,15 +395,15 @@ fn interrupted(run: &[&str], name: &str, after: &[u64]) -> (Option<i32>, serde_j
         .arg(&result);
     let mut child = command.stdout(Stdio::null()).spawn().unwrap();
     for pause in after {
-        runtime::rt::sleep_ns(pause * 1_000_000);
+        trocar::rt::sleep_ns(pause * 1_000_000);
         let id = child.id().to_string();
         Command::new("kill").args(["-INT", &id]).status().unwrap();
     }
     let code = child.wait().unwrap().code();
-    let log = runtime::log::RunLog::open(&log).unwrap();
+    let log = trocar_log::RunLog::open(&log).unwrap();
     assert!(log.cut().is_none(), "{:?}", log.cut());
     assert_eq!(log.outcome.as_ref().unwrap().reason, "interrupted");
-    assert!(runtime::verify::verify(&log).unwrap().ok);
+    assert!(trocar_log::verify::verify(&log).unwrap().ok);
     (code, tests::json(&result))
 }
 

@@ -7,12 +7,12 @@
 
 use std::process::Command;
 
-use runtime::session::episode::{Episode, Nobody, Plan, Watcher};
-use runtime::session::tasks;
-use runtime::session::{PolicyChoice, Setup};
-use sim_backend::simulation::{Rendering, Simulation};
 use tch::Device;
 use tests::{Profile, json, scratch, stderr, trocar};
+use trocar::session::episode::{Episode, Nobody, Plan, Watcher};
+use trocar::session::tasks;
+use trocar::session::{PolicyChoice, Setup};
+use trocar_tasks::simulation::{Rendering, Simulation};
 
 /// Long enough for every expert to be well on its way.
 const TICKS: u64 = 1_200;
@@ -49,7 +49,7 @@ fn digest(task: &str, seed: u64, ticks: u64, rendering: Rendering) -> String {
             .unwrap(),
     };
     let plan = Plan {
-        latency: runtime::session::latency::Latency::fixed(0),
+        latency: trocar::session::latency::Latency::fixed(0),
         tick_limit: ticks,
     };
     let end = match rendering {

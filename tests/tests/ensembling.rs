@@ -3,8 +3,8 @@
 
 use hal::random::SplitMix64;
 use hal::{Chunk, TimeNs, TipTarget};
-use policy::ensemble::TemporalEnsemble;
-use runtime::control::aggregate::{Aggregation, Aggregator};
+use trocar_control::aggregate::{Aggregation, Aggregator};
+use trocar_nets::ensemble::TemporalEnsemble;
 
 const ROWS: usize = 12;
 const STEP_NS: u64 = 40_000_000;

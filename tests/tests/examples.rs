@@ -7,7 +7,7 @@
 
 #[path = "../../runtime/control/examples/own_arm.rs"]
 mod own_arm;
-#[path = "../../runtime/examples/own_policy.rs"]
+#[path = "../../runtime/app/examples/own_policy.rs"]
 mod own_policy;
 
 #[test]

@@ -10,13 +10,13 @@ use std::path::Path;
 use std::process::Output;
 
 use hal::{JointVector, TipTarget};
-use policy::dataset::Dataset;
-use runtime::kinematics::forward;
 use tests::{Profile, json, repository, scratch, stderr, trocar};
+use trocar_control::kinematics::forward;
+use trocar_data::dataset::Dataset;
 
 /// Imports the folder or file `source` of those that h5py wrote.
 fn import(layout: &str, source: &str, out: &Path, more: &[&str]) -> Output {
-    let source = repository().join("policy/tests/hdf5").join(source);
+    let source = repository().join("policy/data/tests/hdf5").join(source);
     trocar(Profile::Debug)
         .args(["import", layout])
         .arg(source)

@@ -9,9 +9,9 @@ use std::fs;
 use std::path::Path;
 use std::process::Output;
 
-use runtime::log::RunLog;
-use runtime::verify::verify;
 use tests::{Profile, json, repository, scratch, stderr, trocar};
+use trocar_log::RunLog;
+use trocar_log::verify::verify;
 
 /// Runs the expert in lockstep and gives the result.
 fn run(profile: Profile, folder: &Path, seed: u64, log: Option<&Path>) -> serde_json::Value {

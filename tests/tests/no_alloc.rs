@@ -10,10 +10,10 @@ use std::error::Error;
 use hal::config::Source;
 use hal::{ArmError, ArmState, Chunk, JointVector, Pose, TimeNs, TipTarget};
 use nalgebra::Translation3;
-use runtime::control::{
+use trocar_control::kinematics::forward;
+use trocar_control::{
     ControlConfig, Controller, Fault, OperatorEvent, QpOutcome, TickInput, TickOutput,
 };
-use runtime::kinematics::forward;
 
 /// The system allocator, counting what the current thread asks of it.
 struct Counting;

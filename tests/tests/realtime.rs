@@ -15,11 +15,11 @@ use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
-use runtime::log::RunLog;
-use runtime::replay::replay;
-use runtime::rt::{MonotonicClock, sleep_ns};
-use runtime::verify::verify;
 use tests::{Profile, json, scratch, trocar};
+use trocar::rt::{MonotonicClock, sleep_ns};
+use trocar_log::RunLog;
+use trocar_log::replay::replay;
+use trocar_log::verify::verify;
 
 const CHECKPOINT: &str = "config/policies/needle-lift/act-small";
 

@@ -8,8 +8,8 @@
 use std::path::{Path, PathBuf};
 use std::process::Stdio;
 
-use policy::dataset::Dataset;
 use tests::{Profile, repository, scratch, trocar};
+use trocar_data::dataset::Dataset;
 
 /// Episodes that the dataset's commit record counts; none while it is not there.
 fn committed(dir: &Path) -> u64 {

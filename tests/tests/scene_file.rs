@@ -10,8 +10,8 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::Output;
 
-use runtime::log::RunLog;
 use tests::{Profile, json, repository, scratch, stderr, trocar};
+use trocar_log::RunLog;
 
 const COMMITTED: &str = "config/policies/needle-lift/act-small";
 

@@ -9,9 +9,9 @@
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use policy::dataset::Dataset;
-use runtime::log::RunLog;
 use tests::{Profile, json, repository, scratch, stderr, trocar};
+use trocar_data::dataset::Dataset;
+use trocar_log::RunLog;
 
 /// Runs `trocar`, expects `code`, and gives what it said on standard error.
 fn ends_with(code: i32, arguments: &[&str]) -> String {

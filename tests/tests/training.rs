@@ -11,8 +11,10 @@ use std::path::Path;
 use std::process::{Child, Command, Stdio};
 
 use hal::Intrinsics;
-use policy::dataset::{ArmFrame, CameraSpec, DatasetSpec, DatasetWriter, DepthFrame, FrameRecord};
 use tests::{Profile, json, repository, scratch, stderr, trocar};
+use trocar_data::dataset::{
+    ArmFrame, CameraSpec, DatasetSpec, DatasetWriter, DepthFrame, FrameRecord,
+};
 
 const SIDE: u32 = 16;
 const PIXELS: usize = (SIDE * SIDE) as usize;

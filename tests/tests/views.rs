@@ -8,8 +8,8 @@
 use std::fs;
 use std::path::Path;
 
-use runtime::log::RunLog;
 use tests::{Profile, json, scratch, stderr, trocar};
+use trocar_log::RunLog;
 
 /// Runs `trocar`, expects success, and gives what it printed.
 fn done(arguments: &[&str]) -> String {

@@ -28,10 +28,13 @@ use trocar_canopen::socket::{Clock, SocketBus};
 use trocar_canopen::{CanId, Frame, NodeId, Payload};
 use trocar_drives::dictionary::table::PRODUCT_CODE;
 use trocar_drives::node::{AxisConfig, Node};
-use trocar_drives::{IdealMotor, Network, Station};
+use trocar_drives::{Demand, Feedback, Motor, Network, Station};
 
 const MS: u64 = 1_000_000;
 const COUNTS: f64 = 1e5;
+
+/// What the drives may ask of their motors, counts/s.
+const SPEED_MAX: u32 = 400_000;
 
 /// A bus carries everybody's frames: one test at a time.
 ///
@@ -181,7 +184,7 @@ fn plan(identity: (u32, u32), cycle_ms: u64) -> ArmPlan {
 /// Emulated drives, seven for each arm, on the first bus in a thread of their own.
 struct Drives {
     stop: Arc<AtomicBool>,
-    thread: JoinHandle<[f64; 7]>,
+    thread: Option<JoinHandle<[f64; 7]>>,
 }
 
 impl Drives {
@@ -195,30 +198,62 @@ impl Drives {
         let told = Arc::clone(&stop);
         // The socket is there before anybody is told that the drives are.
         let bus = socket("vcan0");
-        let thread = thread::spawn(move || emulate(bus, arms, &told));
+        let thread = Some(thread::spawn(move || emulate(bus, arms, &told)));
         Self { stop, thread }
     }
 
     /// Ends them, and tells where their motors are.
-    fn finish(self) -> [f64; 7] {
+    fn finish(mut self) -> [f64; 7] {
         self.stop.store(true, Ordering::Relaxed);
-        self.thread.join().unwrap()
+        self.thread.take().unwrap().join().unwrap()
+    }
+}
+
+impl Drop for Drives {
+    /// Of a test that fails nobody is left on the bus.
+    fn drop(&mut self) {
+        self.stop.store(true, Ordering::Relaxed);
+        if let Some(thread) = self.thread.take() {
+            let _failed = thread.join();
+        }
+    }
+}
+
+/// Follows its demand at no more than three quarters of the speed that the drives may ask for.
+#[derive(Clone, Copy, Default)]
+struct SlowMotor {
+    position_counts: f64,
+}
+
+impl Motor for SlowMotor {
+    fn step(&mut self, step_ns: u64, demand: &Demand) -> Feedback {
+        let step_s = TimeNs(step_ns).seconds();
+        let before = self.position_counts;
+        if demand.torque {
+            let reach = 0.75 * f64::from(SPEED_MAX) * step_s;
+            self.position_counts += (demand.position_counts - before).clamp(-reach, reach);
+        }
+        Feedback {
+            position_counts: self.position_counts,
+            velocity_counts_s: (self.position_counts - before) / step_s,
+            torque_per_mille: 0.0,
+        }
     }
 }
 
 fn emulate(bus: SocketBus<Real>, arms: &[u8], stop: &AtomicBool) -> [f64; 7] {
-    let mut net: Network<IdealMotor> = Network::new(1, 1_000_000, 1000);
+    let mut net: Network<SlowMotor> = Network::new(1, 1_000_000, 1000);
     for axis in arms
         .iter()
         .flat_map(|arm| (0..7).map(move |axis| arm + axis))
     {
         let config = AxisConfig {
             range: (-500_000, 500_000),
-            speed_max: 400_000,
+            speed_max: SPEED_MAX,
             following_window: 5_000,
             ..AxisConfig::default()
         };
-        net.add(0, Node::new(node(axis), &config), IdealMotor::default());
+        net.add(0, Node::new(node(axis), &config), SlowMotor::default());
     }
     let mut station = Station::new(net, bus, 1);
     while !stop.load(Ordering::Relaxed) {

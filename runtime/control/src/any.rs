@@ -5,7 +5,7 @@ use super::controller::{Controller, ControllerError};
 use super::filter::Problem;
 use super::report::{TickInput, TickOutput};
 use super::rows::Velocities;
-use crate::per_arm::PerArm;
+use hal::PerArm;
 
 /// A controller of one arm or of two.
 #[derive(Debug)]

@@ -15,7 +15,6 @@ pub mod instrument;
 pub mod kinematics;
 pub mod mode;
 pub mod motion;
-pub mod per_arm;
 pub mod region;
 pub mod report;
 pub mod rows;

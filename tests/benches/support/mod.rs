@@ -4,7 +4,7 @@ use std::fs;
 use std::time::Duration;
 
 use criterion::Criterion;
-use runtime::histogram::Histogram;
+use trocar::histogram::Histogram;
 
 /// Criterion, set for benches that end within seconds; the command line may change it.
 ///

@@ -4,9 +4,9 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 
 use hal::config::Source;
-use runtime::rt::sleep_ns;
 use socketcan::{CanSocket, EmbeddedFrame as _};
 use tests::{repository, scratch};
+use trocar::rt::sleep_ns;
 use trocar_canopen::bus_load::bits::exact;
 use trocar_canopen::master::CanConfig;
 use trocar_canopen::{CanId, Frame, Payload};

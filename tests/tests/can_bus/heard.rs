@@ -3,8 +3,8 @@
 use std::io;
 use std::time::Duration;
 
-use runtime::rt::MonotonicClock;
 use socketcan::{CanDataFrame, CanFrame, CanSocket, EmbeddedFrame as _, Frame as _, Socket as _};
+use trocar::rt::MonotonicClock;
 
 use super::{PATIENCE, frame};
 

@@ -4,8 +4,8 @@ use std::fs::{self, File};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 
-use runtime::rt::{MonotonicClock, sleep_ns};
 use tests::{Profile, json, repository, scratch, trocar};
+use trocar::rt::{MonotonicClock, sleep_ns};
 
 const MS_NS: u64 = 1_000_000;
 

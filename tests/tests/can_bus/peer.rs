@@ -6,8 +6,8 @@ use std::path::Path;
 use std::process::{Child, ChildStderr, Command, Output, Stdio};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
-use runtime::rt::sleep_ns;
 use tests::{Profile, repository, trocar};
+use trocar::rt::sleep_ns;
 
 /// A bus carries everybody's frames: one test at a time.
 ///

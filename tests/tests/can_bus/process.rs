@@ -1,9 +1,9 @@
 //! `trocar drives` and `trocar run --backend can`, two processes on a bus.
 
-use runtime::log::RunLog;
-use runtime::replay::replay;
-use runtime::verify::verify;
 use tests::scratch;
+use trocar_log::RunLog;
+use trocar_log::replay::replay;
+use trocar_log::verify::verify;
 
 use super::pair::{Pair, Process, pass_ms};
 use super::peer::alone;

@@ -2,10 +2,10 @@
 
 use std::fs;
 
-use runtime::log::RunLog;
-use runtime::replay::replay;
-use runtime::verify::verify;
 use tests::{Profile, repository, scratch, trocar};
+use trocar_log::RunLog;
+use trocar_log::replay::replay;
+use trocar_log::verify::verify;
 
 use super::pair::Process;
 use super::peer::{alone, said};

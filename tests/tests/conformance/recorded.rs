@@ -5,13 +5,13 @@ use std::collections::VecDeque;
 use std::rc::Rc;
 use std::sync::atomic::{AtomicU32, Ordering};
 
+use hal::PerArm;
 use hal::tail::TAIL_AXES;
 use hal::{Arm, ArmCommand, ArmError, ArmState, SafeTail, TimeNs};
-use runtime::control::{Mode, OperatingState, QpOutcome, TickReport};
-use runtime::log::{ArmRecord, Pressure, Recorder, RunHeader, RunLog, TickRecord, TickTiming};
-use runtime::per_arm::PerArm;
-use runtime::replay::RecordedArm;
 use tests::scratch;
+use trocar_control::{Mode, OperatingState, QpOutcome, TickReport};
+use trocar_log::replay::RecordedArm;
+use trocar_log::{ArmRecord, Pressure, Recorder, RunHeader, RunLog, TickRecord, TickTiming};
 
 use crate::rig::{Make, Nature, Rig};
 

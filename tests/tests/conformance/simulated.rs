@@ -1,8 +1,8 @@
 //! The arm of a simulated episode.
 
 use hal::{Arm, TimeNs};
-use sim_backend::simulation::{Rendering, Simulation};
-use sim_backend::task::TaskConfig;
+use trocar_tasks::simulation::{Rendering, Simulation};
+use trocar_tasks::task::TaskConfig;
 
 use crate::rig::{Nature, Rig};
 

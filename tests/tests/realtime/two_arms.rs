@@ -2,17 +2,17 @@
 
 use std::path::{Path, PathBuf};
 
-use policy::act::{Act, ActConfig, ActPreset};
-use policy::checkpoint::{
+use tch::Device;
+use tests::{Profile, scratch, stderr, trocar};
+use trocar_data::relative_action::REPRESENTATION;
+use trocar_log::RunLog;
+use trocar_nets::act::{Act, ActConfig, ActPreset};
+use trocar_nets::checkpoint::{
     AggregationName, DatasetSummary, FeatureStatistics, RECIPE_FORMAT, Recipe,
     RecommendedAggregation, RecordedCamera, SaveOptions, Variants, save,
 };
-use policy::normalise::Statistics;
-use policy::parameters::ParameterSource;
-use policy::relative_action::REPRESENTATION;
-use runtime::log::RunLog;
-use tch::Device;
-use tests::{Profile, scratch, stderr, trocar};
+use trocar_nets::normalise::Statistics;
+use trocar_nets::parameters::ParameterSource;
 
 use super::{CHECKPOINT, Run, alone, checked_log, expect_a_stop, expect_nothing_left, send};
 

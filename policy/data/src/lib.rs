@@ -1,0 +1,6 @@
+#![doc = include_str!("../README.md")]
+
+pub mod dataset;
+pub mod import;
+pub mod perception;
+pub mod relative_action;

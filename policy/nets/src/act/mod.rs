@@ -1,0 +1,234 @@
+//! ACT: action chunking with transformers (Zhao et al. 2023), with LeRobot's parameter names.
+//!
+//! Inputs and outputs are normalised; nothing in here knows units. Tokens of the encoder: the latent, the state, then
+//! the image tokens, camera after camera, row by row.
+//!
+//! Source: reference note on policies, sections 2 and 3; checked against golden numbers in `tests/golden/`.
+
+mod config;
+mod folded;
+mod loss;
+mod position;
+mod resnet;
+mod transformer;
+mod trunk;
+mod vae;
+
+use std::collections::BTreeMap;
+
+use tch::{TchError, Tensor};
+
+pub use config::{ActConfig, ActPreset, BackboneNorm, DecoderOutput, LossDenominator, STATE_DIM};
+pub use folded::FoldedAct;
+pub(crate) use folded::{FoldedTrunk, Situated};
+pub use loss::{ActionError, Losses, action_loss, l1_loss, losses};
+pub(crate) use resnet::STAGES;
+pub use resnet::by_hand::KeptPass;
+pub(crate) use trunk::{Seen, Trunk};
+pub use vae::LatentDistribution;
+pub(crate) use {loss::kl_divergence, vae::VAE_PREFIX};
+
+use crate::kernels::Kernels;
+use crate::parameters::{Init, ParameterError, ParameterSource, Parameters};
+use resnet::ResNet18;
+
+const BACKBONE: &str = "model.backbone";
+
+/// What the keys of a backbone's tensors begin with.
+pub const BACKBONE_PREFIX: &str = "model.backbone.";
+
+/// Refuses tensors that are not exactly those of a backbone with frozen batch normalisation.
+pub(crate) fn check_frozen_backbone(
+    tensors: &BTreeMap<String, Tensor>,
+) -> Result<(), ParameterError> {
+    let shared = tensors.iter();
+    let shared = shared.map(|(key, tensor)| (key.clone(), tensor.shallow_clone()));
+    let mut source = ParameterSource::given(shared.collect());
+    ResNet18::new(&mut source, BACKBONE, BackboneNorm::FrozenBatchNorm, STAGES)?;
+    source.finish().map(|_| ())
+}
+
+/// An ACT network.
+#[derive(Debug)]
+pub struct Act {
+    config: ActConfig,
+    backbone: ResNet18,
+    image_weight: Tensor,
+    image_bias: Tensor,
+    image_position: Tensor,
+    trunk: Trunk,
+    parameters: Parameters,
+}
+
+/// A demonstrated chunk, normalised, as training shows it to the network.
+#[derive(Clone, Copy, Debug)]
+pub struct Demonstration<'a> {
+    /// `(batch, steps, action)`.
+    pub actions: &'a Tensor,
+    /// `(batch, steps)`, true where the episode had ended.
+    pub is_pad: &'a Tensor,
+    /// Standard normal numbers `(batch, latent)` that pick the latent.
+    pub noise: &'a Tensor,
+}
+
+impl Act {
+    /// Builds the network of `config` from `source`.
+    ///
+    /// The variational encoder is left out if the source has nothing of it; the network can then infer but not train.
+    ///
+    /// # Errors
+    /// [`ParameterError`] if a tensor is missing, left over or of another shape.
+    pub fn new(config: ActConfig, mut source: ParameterSource) -> Result<Self, ParameterError> {
+        let width = config.dim_model;
+        let s = &mut source;
+        let backbone = ResNet18::new(s, BACKBONE, config.backbone_norm, config.backbone_stages)?;
+        let channels = ResNet18::feature_channels(config.backbone_stages);
+        let image_key = "model.encoder_img_feat_input_proj";
+        let image_init = Init::fan_in(channels);
+        let image_weight = s.trainable(
+            &format!("{image_key}.weight"),
+            &[width, channels, 1, 1],
+            &image_init,
+        )?;
+        let image_bias = s.trainable(&format!("{image_key}.bias"), &[width], &image_init)?;
+        let trunk = Trunk::new(s, &config)?;
+        let image_position = image_position(&config)?
+            .f_to_device(image_weight.device())?
+            .f_to_kind(image_weight.kind())?
+            .f_unsqueeze(0)?;
+        Ok(Self {
+            backbone,
+            image_weight,
+            image_bias,
+            image_position,
+            trunk,
+            parameters: source.finish()?,
+            config,
+        })
+    }
+
+    /// What the network was built from.
+    #[must_use]
+    pub const fn config(&self) -> &ActConfig {
+        &self.config
+    }
+
+    /// Its tensors by key.
+    #[must_use]
+    pub const fn parameters(&self) -> &Parameters {
+        &self.parameters
+    }
+
+    /// The chunk for an observation, latent zero, no dropout: `(batch, steps, action)`, normalised.
+    ///
+    /// `images` is `(batch, cameras, 3, height, width)`, `state` `(batch, state)`.
+    ///
+    /// # Errors
+    /// The network library's, if shapes do not fit.
+    pub fn infer(&self, images: &Tensor, state: &Tensor) -> Result<Tensor, TchError> {
+        let tokens = self.image_tokens(images)?;
+        self.trunk.infer(&self.seen(&tokens), state)
+    }
+
+    /// The chunk that training compares with the demonstration, and the latent's distribution.
+    ///
+    /// Without a variational encoder the latent is zero.
+    ///
+    /// # Errors
+    /// The network library's, if shapes do not fit.
+    pub fn train(
+        &self,
+        images: &Tensor,
+        state: &Tensor,
+        demonstration: &Demonstration<'_>,
+    ) -> Result<(Tensor, Option<LatentDistribution>), TchError> {
+        let tokens = self.image_tokens(images)?;
+        self.trunk.train(&self.seen(&tokens), state, demonstration)
+    }
+
+    /// What the backbone makes of `images` for [`Self::train_on`], outside of the library's own bookkeeping, and what
+    /// [`Self::features_back_by_hand`] needs of it.
+    ///
+    /// # Errors
+    /// The network library's, if shapes do not fit or the parameters have not 16 bits.
+    pub fn features_by_hand(
+        &self,
+        kernels: &Kernels,
+        images: &Tensor,
+    ) -> Result<(Tensor, KeptPass), TchError> {
+        tch::no_grad(|| {
+            let images = images
+                .f_to_kind(self.image_weight.kind())?
+                .f_flatten(0, 1)?;
+            self.backbone.forward_by_hand(kernels, &images)
+        })
+    }
+
+    /// The backbone's parameters with their gradients, given that of its features.
+    ///
+    /// # Errors
+    /// The network library's, if shapes do not fit.
+    pub fn features_back_by_hand(
+        &self,
+        kernels: &Kernels,
+        gradient: &Tensor,
+        kept: &KeptPass,
+    ) -> Result<Vec<(Tensor, Tensor)>, TchError> {
+        tch::no_grad(|| self.backbone.backward_by_hand(kernels, gradient, kept))
+    }
+
+    /// As [`Self::train`], from what the backbone made of the images.
+    ///
+    /// # Errors
+    /// The network library's, if shapes do not fit.
+    pub fn train_on(
+        &self,
+        features: &Tensor,
+        state: &Tensor,
+        demonstration: &Demonstration<'_>,
+    ) -> Result<(Tensor, Option<LatentDistribution>), TchError> {
+        let tokens = self.feature_tokens(features, state.size()[0])?;
+        self.trunk.train(&self.seen(&tokens), state, demonstration)
+    }
+
+    const fn seen<'a>(&'a self, tokens: &'a Tensor) -> Seen<'a> {
+        Seen {
+            tokens,
+            position: &self.image_position,
+        }
+    }
+
+    /// `(batch, cameras, 3, height, width)` to `(batch, cameras * rows * columns, width)`.
+    fn image_tokens(&self, images: &Tensor) -> Result<Tensor, TchError> {
+        let batch = images.size()[0];
+        let images = images.f_to_kind(self.image_weight.kind())?;
+        let features = self.backbone.forward(&images.f_flatten(0, 1)?)?;
+        self.feature_tokens(&features, batch)
+    }
+
+    /// `(batch * cameras, channels, rows, columns)` to `(batch, cameras * rows * columns, width)`.
+    fn feature_tokens(&self, features: &Tensor, batch: i64) -> Result<Tensor, TchError> {
+        let tokens = features.f_conv2d(
+            &self.image_weight,
+            Some(&self.image_bias),
+            [1, 1],
+            [0, 0],
+            [1, 1],
+            1,
+        )?;
+        let rows = tokens.f_flatten(2, 3)?.f_transpose(1, 2)?;
+        rows.f_reshape([batch, -1, self.config.dim_model])
+    }
+}
+
+/// Positions of all image tokens, every camera the same: `(cameras * rows * columns, width)`.
+fn image_position(config: &ActConfig) -> Result<Tensor, TchError> {
+    let stages = config.backbone_stages;
+    let high = ResNet18::feature_side(config.image_height, stages);
+    let wide = ResNet18::feature_side(config.image_width, stages);
+    let table = position::plane_table(high, wide, config.dim_model);
+    let cameras = i64::try_from(config.cameras.len()).unwrap_or(i64::MAX);
+    Tensor::f_from_slice(&table)?
+        .f_view([high * wide, config.dim_model])?
+        .f_repeat([cameras, 1])
+}

@@ -1,0 +1,115 @@
+//! A trained ACT-PC network as a policy: what depth cameras see and arm states in, a chunk for each arm out.
+
+use std::path::Path;
+
+use hal::{Chunk, Observation, Policy, PolicyError};
+use tch::{Device, TchError, Tensor};
+
+use crate::act_pc::{ActPcConfig, Clouds, CloudsError, FoldedActPc};
+use crate::act_policy::state_numbers;
+use crate::checkpoint::{Cause, CheckpointError, Recipe, load_act_pc};
+use crate::compute::Compute;
+use crate::dp3_policy::check_frames;
+use crate::normalise::Normaliser;
+use trocar_data::perception::{CloudRecipe, Point};
+use trocar_data::relative_action::absolute_chunks;
+
+/// An ACT-PC policy that was loaded from a folder.
+#[derive(Debug)]
+pub struct ActPcPolicy {
+    config: ActPcConfig,
+    network: FoldedActPc,
+    device: Device,
+    recipe: Recipe,
+    cloud: CloudRecipe,
+    state: Normaliser,
+    action: Normaliser,
+    sequence: u64,
+}
+
+impl ActPcPolicy {
+    /// Loads the policy in `folder` and runs it once. The threads of `compute` become those of the whole process.
+    ///
+    /// # Errors
+    /// [`CheckpointError`] naming the file and what is wrong with it.
+    pub fn load(folder: &Path, compute: impl Into<Compute>) -> Result<Self, CheckpointError> {
+        let compute = compute.into();
+        let (device, kind) = (compute.device, compute.prepare(folder)?);
+        let loaded = load_act_pc(folder, device)?;
+        let network = FoldedActPc::new(&loaded.network, kind)
+            .map_err(|error| Cause::Parameter(error.into()).in_file(folder))?;
+        let policy = Self {
+            state: loaded.statistics.state.normaliser(),
+            action: loaded.statistics.action.normaliser(),
+            config: loaded.network.config().clone(),
+            network,
+            device,
+            recipe: loaded.recipe,
+            cloud: loaded.cloud,
+            sequence: 0,
+        };
+        let dims = usize::try_from(policy.config.act.state_dim).unwrap_or(0);
+        let nothing = vec![[0.0; 3]; policy.cloud.points];
+        policy
+            .actions(&nothing, &vec![0.0; dims])
+            .map_err(|error| Cause::Inconsistent(error.to_string()).in_file(folder))?;
+        Ok(policy)
+    }
+
+    /// What the policy says of itself: cameras, step, how often to ask it.
+    #[must_use]
+    pub const fn recipe(&self) -> &Recipe {
+        &self.recipe
+    }
+
+    /// How its clouds are made.
+    #[must_use]
+    pub const fn cloud(&self) -> &CloudRecipe {
+        &self.cloud
+    }
+
+    /// A cloud in metres and the state in SI units to actions in SI units, row-major.
+    fn actions(&self, cloud: &[Point], state: &[f32]) -> Result<Vec<f32>, CloudsError> {
+        let clouds = Clouds::new(&[cloud], &self.config, self.device)?;
+        let actions = tch::no_grad(|| {
+            let state = Tensor::f_from_slice(state)?.f_unsqueeze(0)?;
+            let state = self.state.apply(&state)?.f_to_device(self.device)?;
+            let chunk = self.network.infer(&clouds, &state)?;
+            let chunk = self.action.invert(&chunk.f_to_device(Device::Cpu)?)?;
+            Vec::<f32>::try_from(&chunk.f_reshape([-1])?)
+        });
+        actions.map_err(|error: TchError| error.into())
+    }
+}
+
+impl Policy for ActPcPolicy {
+    fn reset(&mut self, _seed: u64) {
+        // Inference draws nothing at random: the latent is zero.
+        self.sequence = 0;
+    }
+
+    fn infer(&mut self, observation: &Observation<'_>) -> Result<Vec<Chunk>, PolicyError> {
+        let (expected, actual) = (self.recipe.arms, observation.arms.len());
+        if expected != actual {
+            return Err(PolicyError::ArmCount { expected, actual });
+        }
+        check_frames(&self.recipe.cameras, observation.frames)?;
+        let cloud = self
+            .cloud
+            .cloud(observation.frames)
+            .map_err(|error| PolicyError::Inference(format!("point cloud: {error}")))?;
+        let arms = observation.arms.iter();
+        let state: Vec<f32> = arms.flat_map(|arm| state_numbers(&arm.state)).collect();
+        let actions = self
+            .actions(&cloud, &state)
+            .map_err(|error| PolicyError::Inference(error.to_string()))?;
+        if !actions.iter().all(|value| value.is_finite()) {
+            return Err(PolicyError::Inference(
+                "the network answered with a number that is not finite".to_owned(),
+            ));
+        }
+        self.sequence += 1;
+        let (sequence, step_ns) = (self.sequence, self.recipe.step_ns);
+        Ok(absolute_chunks(observation, &actions, sequence, step_ns))
+    }
+}

@@ -1,0 +1,547 @@
+//! What is saved comes back, and what is damaged is refused by name.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use hal::{
+    ArmState, CameraFrame, Intrinsics, JointVector, Observation, Policy, PolicyError, Pose,
+    SeenArm, TimeNs,
+};
+use tch::Device;
+
+use super::{
+    AggregationName, Cause, CheckpointError, DatasetSummary, FeatureStatistics, Precision, Recipe,
+    RecommendedAggregation, RecordedCamera, SaveOptions, Variants, load, save,
+};
+use crate::act::{Act, ActConfig, ActPreset, BackboneNorm};
+use crate::act_policy::ActPolicy;
+use crate::normalise::Statistics;
+use crate::parameters::ParameterSource;
+
+const CAMERA: &str = "observation.images.endoscope";
+
+pub(super) fn folder(name: &str) -> PathBuf {
+    let folder =
+        std::env::temp_dir().join(format!("trocar-checkpoint-{name}-{}", std::process::id()));
+    let _ = fs::remove_dir_all(&folder);
+    folder
+}
+
+pub(super) fn config() -> ActConfig {
+    let base = ActConfig::preset(ActPreset::Small, &[CAMERA.to_owned()]);
+    ActConfig {
+        chunk_size: 5,
+        dim_model: 32,
+        n_heads: 4,
+        dim_feedforward: 64,
+        n_encoder_layers: 1,
+        n_vae_encoder_layers: 1,
+        image_height: 64,
+        image_width: 64,
+        ..base
+    }
+}
+
+pub(super) fn statistics() -> FeatureStatistics {
+    let of = |scale: f32| Statistics {
+        mean: vec![0.1 * scale; 7],
+        std: vec![scale; 7],
+        min: vec![],
+        max: vec![],
+    };
+    FeatureStatistics {
+        state: of(0.5),
+        action: of(0.002),
+    }
+}
+
+/// An arm at rest at `jaw`, 10 cm down.
+pub(super) fn arm(jaw: f64) -> SeenArm {
+    SeenArm {
+        state: ArmState::at_rest(TimeNs(7), JointVector::zeros(), jaw),
+        tip_in_rcm: Pose::translation(0.0, 0.0, -0.1),
+    }
+}
+
+pub(super) fn recipe(config: &ActConfig) -> Recipe {
+    Recipe {
+        format: super::RECIPE_FORMAT,
+        arms: 1,
+        action_representation: trocar_data::relative_action::REPRESENTATION.to_owned(),
+        step_ns: 40_000_000,
+        query_every_steps: 5,
+        aggregation: RecommendedAggregation {
+            mode: AggregationName::WholeChunk,
+            decay: 0.0,
+        },
+        cameras: vec![RecordedCamera {
+            feature: CAMERA.to_owned(),
+            width: 128,
+            height: 128,
+        }],
+        preset: ActPreset::Small.into(),
+        variants: Variants {
+            backbone_norm: config.backbone_norm,
+            loss_denominator: config.loss_denominator,
+        },
+        recipe: "test".to_owned(),
+        dataset: DatasetSummary::default(),
+        seed: 1,
+        training: serde_json::Value::Null,
+    }
+}
+
+pub(super) fn saved(name: &str, options: SaveOptions) -> PathBuf {
+    saved_network(name, &config(), options)
+}
+
+fn saved_network(name: &str, config: &ActConfig, options: SaveOptions) -> PathBuf {
+    let folder = folder(name);
+    let act = Act::new(config.clone(), ParameterSource::seeded(3, Device::Cpu)).unwrap();
+    save(&folder, &act, &statistics(), &recipe(config), options).unwrap();
+    folder
+}
+
+pub(super) fn refused(folder: &Path) -> CheckpointError {
+    load(folder, Device::Cpu).expect_err("the damage must be noticed")
+}
+
+pub(super) fn edit(folder: &Path, file: &str, from: &str, to: &str) {
+    let path = folder.join(file);
+    let text = fs::read_to_string(&path).unwrap();
+    assert!(text.contains(from), "{file} has no {from}");
+    fs::write(&path, text.replace(from, to)).unwrap();
+}
+
+pub(super) fn frame() -> CameraFrame {
+    let mut frame = CameraFrame::blank(Intrinsics::from_vertical_fov(128, 128, 1.0));
+    for (index, byte) in frame.colour.iter_mut().enumerate() {
+        *byte = u8::try_from(index * 7 % 251).unwrap();
+    }
+    frame
+}
+
+#[test]
+fn a_policy_answers_the_same_after_a_second_loading() {
+    let folder = saved("again", SaveOptions::default());
+    let frame = frame();
+    let frames = [frame.as_frame()];
+    let observation = Observation {
+        arms: &[arm(0.2)],
+        frames: &frames,
+    };
+    let answer = || {
+        let mut policy = ActPolicy::load(&folder, Device::Cpu).unwrap();
+        let [chunk] = policy.infer(&observation).unwrap()[..] else {
+            panic!("one arm, one chunk");
+        };
+        chunk
+    };
+    let (first, second) = (answer(), answer());
+    assert_eq!(first, second);
+    assert_eq!(
+        (first.len, first.step_ns, first.observed_at),
+        (5, 40_000_000, TimeNs(7))
+    );
+    // The mean action is 0.2 mm and the deviation 2 mm, so targets stay near the tip.
+    assert!(
+        first
+            .valid_targets()
+            .iter()
+            .all(|target| (target.position_m[2] + 0.1).abs() < 0.05)
+    );
+    fs::remove_dir_all(&folder).unwrap();
+}
+
+#[test]
+fn half_precision_without_the_variational_encoder_is_close() {
+    let full = load(&saved("full", SaveOptions::default()), Device::Cpu).unwrap();
+    let options = SaveOptions {
+        precision: Precision::F16,
+        inference_only: true,
+    };
+    let half_folder = saved("half", options);
+    let half = load(&half_folder, Device::Cpu).unwrap();
+    assert!(
+        half.act
+            .parameters()
+            .iter()
+            .all(|(key, _)| !key.contains("vae"))
+    );
+    let images = tch::Tensor::ones([1, 1, 3, 64, 64], (tch::Kind::Float, Device::Cpu));
+    let state = tch::Tensor::ones([1, 7], (tch::Kind::Float, Device::Cpu));
+    let difference =
+        full.act.infer(&images, &state).unwrap() - half.act.infer(&images, &state).unwrap();
+    let worst = difference.abs().max().double_value(&[]);
+    assert!(worst > 0.0 && worst < 0.01, "{worst}");
+}
+
+#[test]
+fn frames_of_another_size_or_number_are_refused() {
+    let folder = saved("frames", SaveOptions::default());
+    let mut policy = ActPolicy::load(&folder, Device::Cpu).unwrap();
+    let arms = [arm(0.0)];
+    let small = CameraFrame::blank(Intrinsics::from_vertical_fov(64, 64, 1.0));
+    let frames = [small.as_frame()];
+    let size = policy
+        .infer(&Observation {
+            arms: &arms,
+            frames: &frames,
+        })
+        .unwrap_err();
+    assert!(size.to_string().contains("expects 128x128"), "{size}");
+    let count = policy
+        .infer(&Observation {
+            arms: &arms,
+            frames: &[],
+        })
+        .unwrap_err();
+    assert!(count.to_string().contains("expects 1 camera"), "{count}");
+}
+
+#[test]
+fn missing_files_are_named() {
+    for file in [
+        "config.json",
+        "model.safetensors",
+        "policy_preprocessor.json",
+        "policy_postprocessor.json",
+    ] {
+        let folder = saved("missing", SaveOptions::default());
+        fs::remove_file(folder.join(file)).unwrap();
+        let error = refused(&folder);
+        assert!(
+            matches!(error.cause, Cause::Missing) && error.file.ends_with(file),
+            "{error}"
+        );
+    }
+    let folder = saved("missing-recipe", SaveOptions::default());
+    fs::remove_file(folder.join("trocar.json")).unwrap();
+    let error = ActPolicy::load(&folder, Device::Cpu).expect_err("nothing says what actions mean");
+    assert!(error.file.ends_with("trocar.json"), "{error}");
+}
+
+#[test]
+fn truncated_weights_are_refused_at_every_length() {
+    let folder = saved(
+        "truncated",
+        SaveOptions {
+            precision: Precision::F16,
+            inference_only: true,
+        },
+    );
+    let file = folder.join("model.safetensors");
+    let bytes = fs::read(&file).unwrap();
+    for length in [0, 4, 8, 100, bytes.len() / 2, bytes.len() - 1] {
+        fs::write(&file, &bytes[..length]).unwrap();
+        let error = refused(&folder);
+        assert!(
+            matches!(error.cause, Cause::Safetensors(_)) && error.file == file,
+            "{length}: {error}"
+        );
+    }
+}
+
+#[test]
+fn weights_that_do_not_fit_the_architecture_are_named() {
+    let folder = saved("misfit", SaveOptions::default());
+    edit(
+        &folder,
+        "config.json",
+        "\"dim_feedforward\": 64",
+        "\"dim_feedforward\": 128",
+    );
+    let error = refused(&folder).to_string();
+    assert!(
+        error.contains("model.safetensors") && error.contains("linear1"),
+        "{error}"
+    );
+    edit(
+        &folder,
+        "config.json",
+        "\"dim_feedforward\": 128",
+        "\"dim_feedforward\": 64",
+    );
+    edit(
+        &folder,
+        "config.json",
+        "\"n_encoder_layers\": 1",
+        "\"n_encoder_layers\": 2",
+    );
+    let error = refused(&folder).to_string();
+    assert!(
+        error.contains("model.encoder.layers.1") && error.contains("missing"),
+        "{error}"
+    );
+}
+
+#[test]
+fn another_number_of_joints_is_refused() {
+    let folder = folder("joints");
+    let config = ActConfig {
+        state_dim: 9,
+        ..config()
+    };
+    let act = Act::new(config.clone(), ParameterSource::seeded(3, Device::Cpu)).unwrap();
+    save(
+        &folder,
+        &act,
+        &statistics(),
+        &recipe(&config),
+        SaveOptions::default(),
+    )
+    .unwrap();
+    let error = refused(&folder);
+    assert!(
+        matches!(
+            error.cause,
+            Cause::JointCount {
+                actual: 9,
+                expected: 7,
+                ..
+            }
+        ),
+        "{error}"
+    );
+}
+
+/// A policy of two arms. Its second arm's actions are a hundred times the first's.
+fn saved_for_two(name: &str) -> PathBuf {
+    let folder = folder(name);
+    let config = config().for_arms(2);
+    let act = Act::new(config.clone(), ParameterSource::seeded(3, Device::Cpu)).unwrap();
+    let one = statistics();
+    let far = Statistics {
+        std: vec![0.2; 7],
+        ..one.action.clone()
+    };
+    let statistics = FeatureStatistics {
+        state: Statistics::joined(&[one.state.clone(), one.state]),
+        action: Statistics::joined(&[one.action, far]),
+    };
+    let recipe = Recipe {
+        arms: 2,
+        ..recipe(&config)
+    };
+    save(&folder, &act, &statistics, &recipe, SaveOptions::default()).unwrap();
+    folder
+}
+
+#[test]
+fn a_policy_of_two_arms_answers_with_a_chunk_for_each() {
+    let folder = saved_for_two("two-arms");
+    let config: serde_json::Value =
+        serde_json::from_slice(&fs::read(folder.join("config.json")).unwrap()).unwrap();
+    for (side, feature) in [
+        ("input_features", "observation.state"),
+        ("output_features", "action"),
+    ] {
+        assert_eq!(config[side][feature]["shape"], serde_json::json!([14]));
+    }
+    let mut policy = ActPolicy::load(&folder, Device::Cpu).unwrap();
+    assert_eq!(policy.recipe().arms, 2);
+    let frame = frame();
+    let frames = [frame.as_frame()];
+    let far = SeenArm {
+        tip_in_rcm: Pose::translation(0.0, 0.0, -0.2),
+        ..arm(0.3)
+    };
+    let ask = |arms: &[SeenArm], policy: &mut ActPolicy| {
+        policy.infer(&Observation {
+            arms,
+            frames: &frames,
+        })
+    };
+    let chunks = ask(&[arm(0.2), far], &mut policy).unwrap();
+    assert_eq!(chunks.len(), 2);
+    for chunk in &chunks {
+        assert_eq!(
+            (chunk.observed_at, chunk.sequence, chunk.len),
+            (TimeNs(7), 1, 5)
+        );
+    }
+    let worst = |index: usize, z: f64| {
+        let targets = chunks[index].valid_targets().iter();
+        targets.fold(0.0_f64, |worst, target| {
+            worst.max((target.position_m[2] - z).abs())
+        })
+    };
+    let worst = [worst(0, -0.1), worst(1, -0.2)];
+    assert!(worst[0] < 0.02 && worst[1] > worst[0], "{worst:?}");
+    // What the second arm measures goes in as well.
+    let again = ask(&[arm(0.2), arm(-0.3)], &mut policy).unwrap();
+    assert_eq!(again[0].sequence, 2);
+    assert_ne!(again[0].targets, chunks[0].targets);
+
+    for arms in [&[][..], &[arm(0.2)], &[arm(0.2); 3]] {
+        let error = ask(arms, &mut policy).unwrap_err();
+        assert!(
+            matches!(error, PolicyError::ArmCount { expected: 2, actual } if actual == arms.len()),
+            "{error}"
+        );
+    }
+}
+
+#[test]
+fn a_recipe_says_for_how_many_arms_and_the_network_must_agree() {
+    // Those from before there could be two do not say it.
+    let folder = saved("arms", SaveOptions::default());
+    edit(&folder, "trocar.json", "\"arms\": 1,", "");
+    let old = load(&folder, Device::Cpu).unwrap();
+    assert_eq!(old.recipe.unwrap().arms, 1);
+
+    for (arms, expected) in [
+        ("2", "observation.state has 7 numbers, expected 14"),
+        ("0", "arms = 0 is not supported, expected 1 to 2"),
+        ("3", "arms = 3 is not supported, expected 1 to 2"),
+    ] {
+        let folder = saved("arms", SaveOptions::default());
+        edit(
+            &folder,
+            "trocar.json",
+            "\"arms\": 1",
+            &format!("\"arms\": {arms}"),
+        );
+        let message = refused(&folder).to_string();
+        assert!(message.contains(expected), "{message}");
+    }
+    let folder = saved_for_two("arms-two");
+    edit(&folder, "trocar.json", "\"arms\": 2", "\"arms\": 1");
+    let message = refused(&folder).to_string();
+    assert!(
+        message.contains("observation.state has 14 numbers, expected 7"),
+        "{message}"
+    );
+}
+
+#[test]
+fn useless_statistics_are_refused() {
+    let config = config();
+    let act = Act::new(config.clone(), ParameterSource::seeded(3, Device::Cpu)).unwrap();
+    for bad in [0.0, f32::NAN, f32::INFINITY, -1.0] {
+        let folder = folder("statistics");
+        let mut statistics = statistics();
+        statistics.action.std[3] = bad;
+        save(
+            &folder,
+            &act,
+            &statistics,
+            &recipe(&config),
+            SaveOptions::default(),
+        )
+        .unwrap();
+        let error = refused(&folder);
+        assert!(
+            matches!(&error.cause, Cause::Statistics { feature, .. } if feature == "action"),
+            "{error}"
+        );
+    }
+    let folder = folder("no-statistics");
+    let mut statistics = statistics();
+    statistics.state.mean.clear();
+    save(
+        &folder,
+        &act,
+        &statistics,
+        &recipe(&config),
+        SaveOptions::default(),
+    )
+    .unwrap();
+    assert!(
+        refused(&folder)
+            .to_string()
+            .contains("observation.state: mean is missing")
+    );
+}
+
+#[test]
+fn a_backbone_that_lerobot_lacks_has_a_name_that_lerobot_refuses() {
+    let folder = saved("backbone", SaveOptions::default());
+    let name = |folder: &Path| {
+        let text = fs::read(folder.join("config.json")).unwrap();
+        let config: serde_json::Value = serde_json::from_slice(&text).unwrap();
+        config["vision_backbone"].as_str().unwrap().to_owned()
+    };
+    assert!(!name(&folder).starts_with("resnet"));
+    // The name alone says it, and a recipe of before the name was there says it as well.
+    let norm = |folder: &Path| {
+        load(folder, Device::Cpu)
+            .unwrap()
+            .act
+            .config()
+            .backbone_norm
+    };
+    fs::rename(folder.join("trocar.json"), folder.join("aside")).unwrap();
+    assert_eq!(norm(&folder), BackboneNorm::GroupNorm);
+    fs::rename(folder.join("aside"), folder.join("trocar.json")).unwrap();
+    edit(&folder, "config.json", "group_norm_resnet18", "resnet18");
+    assert_eq!(norm(&folder), BackboneNorm::GroupNorm);
+
+    let folder = saved("backbone", SaveOptions::default());
+    edit(&folder, "trocar.json", "group_norm", "frozen_batch_norm");
+    let message = refused(&folder).to_string();
+    assert!(message.contains("backbone_norm is another"), "{message}");
+}
+
+#[test]
+fn fewer_stages_come_back_and_impossible_numbers_are_refused() {
+    let config = ActConfig {
+        backbone_stages: 3,
+        ..config()
+    };
+    let folder = saved_network("stages", &config, SaveOptions::default());
+    let loaded = load(&folder, Device::Cpu).unwrap();
+    let read = loaded.act.config();
+    assert_eq!(
+        (read.backbone_stages, read.backbone_norm),
+        (3, config.backbone_norm)
+    );
+    let mut before = "_stages3".to_owned();
+    for number in ["0", "9", "X", "-1"] {
+        let now = format!("_stages{number}");
+        edit(&folder, "config.json", &before, &now);
+        let message = refused(&folder).to_string();
+        assert!(
+            message.contains("vision_backbone") && message.contains(&now),
+            "{message}"
+        );
+        before = now;
+    }
+    // All stages want weights that are not there.
+    edit(&folder, "config.json", &before, "");
+    let message = refused(&folder).to_string();
+    assert!(message.contains("layer4"), "{message}");
+}
+
+#[test]
+fn unknown_types_and_variants_are_refused() {
+    let folder = saved("variants", SaveOptions::default());
+    edit(
+        &folder,
+        "config.json",
+        "\"type\": \"act\"",
+        "\"type\": \"diffusion\"",
+    );
+    assert!(
+        matches!(refused(&folder).cause, Cause::PolicyType { actual } if actual == "diffusion")
+    );
+    let folder = saved("variants", SaveOptions::default());
+    edit(&folder, "config.json", "group_norm_resnet18", "resnet50");
+    assert!(
+        matches!(refused(&folder).cause, Cause::Unsupported { field, .. } if field == "vision_backbone")
+    );
+    let folder = saved("variants", SaveOptions::default());
+    edit(&folder, "trocar.json", "group_norm", "weight_norm");
+    assert!(refused(&folder).to_string().contains("weight_norm"));
+    let folder = saved("variants", SaveOptions::default());
+    edit(&folder, "trocar.json", "observation_relative", "joints");
+    assert!(
+        refused(&folder)
+            .to_string()
+            .contains("action_representation")
+    );
+    let folder = saved("variants", SaveOptions::default());
+    edit(&folder, "trocar.json", "\"width\": 128", "\"width\": 100");
+    let error = ActPolicy::load(&folder, Device::Cpu).expect_err("100 is no multiple of 64");
+    assert!(error.to_string().contains("no whole multiple"), "{error}");
+}

@@ -1,0 +1,246 @@
+//! A trained DP3 network as a policy: what depth cameras saw lately and arm states in, a chunk for each arm out.
+
+use std::collections::VecDeque;
+use std::path::Path;
+
+use hal::{Chunk, FrameRef, Observation, Policy, PolicyError, TimeNs};
+use tch::{Device, TchError, Tensor};
+
+use crate::act_policy::state_numbers;
+use crate::checkpoint::{Cause, CheckpointError, Recipe, RecordedCamera, load_dp3};
+use crate::compute::Compute;
+use crate::dp3::{CloudObservation, Dp3Config, FoldedDp3, LimitsNormaliser};
+use trocar_data::perception::{CloudRecipe, Point};
+use trocar_data::relative_action::absolute_chunks;
+
+/// A DP3 policy that was loaded from a folder.
+///
+/// It sees as many observations as its configuration says, a policy step apart; of one that is missing, the next newer
+/// one takes the place, as in training at the beginning of an episode.
+#[derive(Debug)]
+pub struct Dp3Policy {
+    config: Dp3Config,
+    dp3: FoldedDp3,
+    device: Device,
+    recipe: Recipe,
+    cloud: CloudRecipe,
+    points: LimitsNormaliser,
+    state: LimitsNormaliser,
+    action: LimitsNormaliser,
+    /// Oldest first.
+    seen: VecDeque<Seen>,
+    seed: u64,
+    sequence: u64,
+}
+
+/// One observation as the network wants it, in SI units.
+#[derive(Clone, Debug)]
+struct Seen {
+    stamp: TimeNs,
+    cloud: Vec<Point>,
+    state: Vec<f32>,
+}
+
+/// What the network is asked about: observations, the oldest first.
+struct Asked {
+    points: Vec<Point>,
+    states: Vec<f32>,
+}
+
+impl Asked {
+    fn about(history: &[&Seen]) -> Self {
+        let clouds = history.iter().flat_map(|seen| &seen.cloud);
+        let states = history.iter().flat_map(|seen| &seen.state);
+        Self {
+            points: clouds.copied().collect(),
+            states: states.copied().collect(),
+        }
+    }
+}
+
+impl Dp3Policy {
+    /// Loads the policy in `folder` and runs it once. The threads of `compute` become those of the whole process.
+    ///
+    /// # Errors
+    /// [`CheckpointError`] naming the file and what is wrong with it.
+    pub fn load(folder: &Path, compute: impl Into<Compute>) -> Result<Self, CheckpointError> {
+        let compute = compute.into();
+        let (device, kind) = (compute.device, compute.prepare(folder)?);
+        let loaded = load_dp3(folder, device)?;
+        let torch = |error: TchError| Cause::Parameter(error.into()).in_file(folder);
+        let mut policy = Self {
+            config: loaded.dp3.config().clone(),
+            points: loaded.points.to_device(device).map_err(torch)?,
+            state: loaded.state.to_device(device).map_err(torch)?,
+            action: loaded.action,
+            dp3: FoldedDp3::new(loaded.dp3, kind).map_err(torch)?,
+            recipe: loaded.recipe,
+            cloud: loaded.cloud,
+            device,
+            seen: VecDeque::new(),
+            seed: 0,
+            sequence: 0,
+        };
+        let nothing = Seen {
+            stamp: TimeNs(0),
+            cloud: vec![[0.0; 3]; policy.cloud.points],
+            state: vec![0.0; usize::try_from(policy.config.state_dim).unwrap_or(0)],
+        };
+        let asked = Asked::about(&vec![&nothing; policy.observations()]);
+        policy.network(&asked, 0).map_err(torch)?;
+        Ok(policy)
+    }
+
+    /// What the policy says of itself: cameras, step, how often to ask it.
+    #[must_use]
+    pub const fn recipe(&self) -> &Recipe {
+        &self.recipe
+    }
+
+    /// How its clouds are made.
+    #[must_use]
+    pub const fn cloud(&self) -> &CloudRecipe {
+        &self.cloud
+    }
+
+    /// Observations that the network sees, a policy step apart.
+    #[must_use]
+    pub fn observations(&self) -> usize {
+        usize::try_from(self.config.n_obs_steps).unwrap_or(1)
+    }
+
+    /// The actions that answer `asked`, from the newest observation on; in SI units, row-major.
+    fn network(&mut self, asked: &Asked, answer: u64) -> Result<Vec<f32>, TchError> {
+        let config = &self.config;
+        let shape = [1, config.n_obs_steps, -1, 3];
+        let on_device = |numbers: &[f32], shape: &[i64]| {
+            Tensor::f_from_slice(numbers)?
+                .f_view(shape)?
+                .f_to_device(self.device)
+        };
+        tch::no_grad(|| {
+            let points = on_device(asked.points.as_flattened(), &shape)?;
+            let states = [1, config.n_obs_steps, config.state_dim];
+            let states = on_device(&asked.states, &states)?;
+            let (points, state) = (self.points.apply(&points)?, self.state.apply(&states)?);
+            let observation = CloudObservation {
+                points: &points,
+                state: &state,
+            };
+            let noise = config.start_noise(self.seed, answer)?;
+            let actions = self
+                .dp3
+                .infer(&observation, &noise.f_to_device(self.device)?)?
+                .f_to_device(Device::Cpu)?;
+            // All that is left of the horizon: the later steps bridge the time to the next answer.
+            let first = config.n_obs_steps - 1;
+            let actions = actions.f_narrow(1, first, config.horizon - first)?;
+            Vec::<f32>::try_from(&self.action.invert(&actions)?.f_reshape([-1])?)
+        })
+    }
+
+    /// What the network wants of `observation`.
+    fn look(&self, observation: &Observation<'_>) -> Result<Seen, PolicyError> {
+        let (expected, actual) = (self.recipe.arms, observation.arms.len());
+        if expected != actual {
+            return Err(PolicyError::ArmCount { expected, actual });
+        }
+        check_frames(&self.recipe.cameras, observation.frames)?;
+        let cloud = self
+            .cloud
+            .cloud(observation.frames)
+            .map_err(|error| PolicyError::Inference(format!("point cloud: {error}")))?;
+        let arms = observation.arms.iter();
+        Ok(Seen {
+            stamp: observation
+                .arms
+                .first()
+                .map_or(TimeNs(0), |arm| arm.state.stamp),
+            cloud,
+            state: arms.flat_map(|arm| state_numbers(&arm.state)).collect(),
+        })
+    }
+
+    fn remember(&mut self, seen: Seen) {
+        self.seen.retain(|other| other.stamp < seen.stamp);
+        self.seen.push_back(seen);
+        while self.seen.len() > self.observations() {
+            let _forgotten = self.seen.pop_front();
+        }
+    }
+
+    /// The remembered observations at the newest one's time and whole steps before, oldest first.
+    fn history(&self) -> Vec<&Seen> {
+        let mut history = Vec::new();
+        let Some(mut newest) = self.seen.back() else {
+            return history;
+        };
+        let now = newest.stamp.0;
+        for steps in 0..self.observations() as u64 {
+            let due = now.saturating_sub(steps.saturating_mul(self.recipe.step_ns));
+            let near = |seen: &&Seen| seen.stamp.0.abs_diff(due) <= self.recipe.step_ns / 2;
+            newest = self.seen.iter().find(near).unwrap_or(newest);
+            history.push(newest);
+        }
+        history.reverse();
+        history
+    }
+}
+
+/// The frames must be those of `cameras`, of their sizes.
+pub(crate) fn check_frames(
+    cameras: &[RecordedCamera],
+    frames: &[FrameRef<'_>],
+) -> Result<(), PolicyError> {
+    let (expected, actual) = (cameras.len(), frames.len());
+    if expected != actual {
+        return Err(PolicyError::CameraCount { expected, actual });
+    }
+    for (camera, (frame, expected)) in frames.iter().zip(cameras).enumerate() {
+        let (width, height) = (frame.intrinsics.width, frame.intrinsics.height);
+        if (width, height) != (expected.width, expected.height) {
+            return Err(PolicyError::ImageSize {
+                camera,
+                expected_width: expected.width,
+                expected_height: expected.height,
+                width,
+                height,
+            });
+        }
+    }
+    Ok(())
+}
+
+impl Policy for Dp3Policy {
+    fn reset(&mut self, seed: u64) {
+        self.seed = seed;
+        self.sequence = 0;
+        self.seen.clear();
+    }
+
+    fn history_steps(&self) -> u64 {
+        self.observations().saturating_sub(1) as u64
+    }
+
+    fn observe(&mut self, observation: &Observation<'_>) -> Result<(), PolicyError> {
+        let seen = self.look(observation)?;
+        self.remember(seen);
+        Ok(())
+    }
+
+    fn infer(&mut self, observation: &Observation<'_>) -> Result<Vec<Chunk>, PolicyError> {
+        self.observe(observation)?;
+        let asked = Asked::about(&self.history());
+        let actions = self
+            .network(&asked, self.sequence)
+            .map_err(|error| PolicyError::Inference(error.to_string()))?;
+        if !actions.iter().all(|value| value.is_finite()) {
+            return Err(PolicyError::Inference(
+                "the network answered with a number that is not finite".to_owned(),
+            ));
+        }
+        self.sequence += 1;
+        let (sequence, step_ns) = (self.sequence, self.recipe.step_ns);
+        Ok(absolute_chunks(observation, &actions, sequence, step_ns))
+    }
+}

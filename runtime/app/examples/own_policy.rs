@@ -1,0 +1,91 @@
+//! A policy of one's own in the simulator: anything that answers an observation with a chunk.
+//!
+//! ```sh
+//! cargo run --release --example own_policy
+//! ```
+//!
+//! This one moves the tip on a circle of 1 cm and looks at no camera. It lifts no needle; what it wants passes the same filter, smoother
+//! and guard as anybody's.
+
+use hal::{Chunk, Observation, Policy, PolicyError, TipTarget};
+use nalgebra::Translation3;
+use tch::Device;
+use trocar::session::run::{RunOptions, RunResult, run_lockstep_with};
+use trocar::session::source::{ChunkSource, STEP_NS};
+use trocar::session::{PolicyChoice, SessionError, Setup};
+
+/// Radius of the circle, m, and policy steps of 40 ms for a round.
+const RADIUS_M: f64 = 0.01;
+const ROUND_STEPS: u32 = 50;
+
+/// Policy steps of a chunk, and from one query to the next.
+const CHUNK_STEPS: u32 = 10;
+const QUERY_EVERY_STEPS: u64 = 5;
+
+/// Moves each arm's tip on a circle through where it saw it first.
+#[derive(Debug, Default)]
+struct Circles {
+    home: Vec<TipTarget>,
+    chunks: u64,
+}
+
+impl Policy for Circles {
+    fn reset(&mut self, _seed: u64) {
+        *self = Self::default();
+    }
+
+    fn infer(&mut self, observation: &Observation<'_>) -> Result<Vec<Chunk>, PolicyError> {
+        if self.home.is_empty() {
+            self.home = observation.arms.iter().map(|arm| arm.here()).collect();
+        }
+        let begun = u32::try_from(self.chunks * QUERY_EVERY_STEPS).unwrap_or(0);
+        self.chunks += 1;
+        let on_circle = |home: &TipTarget, step: u32| {
+            let share = f64::from(begun + step) / f64::from(ROUND_STEPS);
+            let (sine, cosine) = (core::f64::consts::TAU * share).sin_cos();
+            let away = Translation3::new(RADIUS_M * (cosine - 1.0), RADIUS_M * sine, 0.0);
+            TipTarget::new(&(away * home.tip_in_rcm()), home.jaw)
+        };
+        let arms = observation.arms.iter().zip(&self.home);
+        let chunks = arms.map(|(arm, home)| {
+            let targets: Vec<TipTarget> =
+                (0..CHUNK_STEPS).map(|step| on_circle(home, step)).collect();
+            Chunk::new(arm.state.stamp, self.chunks, STEP_NS, &targets)
+        });
+        Ok(chunks.collect())
+    }
+}
+
+/// Runs an episode of needle lift in lockstep.
+///
+/// # Errors
+/// From the configuration or the simulation.
+pub fn run() -> Result<RunResult, SessionError> {
+    let policy = PolicyChoice::Own("circles".to_owned());
+    let setup = Setup::load("needle-lift", None, &policy)?;
+    let options = RunOptions {
+        policy,
+        seed: 7,
+        log: None,
+        pictures: false,
+        latency_ms: Some(40),
+        latency_jitter_ms: 0,
+        compute: Device::Cpu.into(),
+    };
+    let source = ChunkSource::policy(Box::<Circles>::default(), Vec::new(), QUERY_EVERY_STEPS);
+    run_lockstep_with(&setup, &options, source)
+}
+
+#[expect(clippy::print_stdout, reason = "an example tells what it does")]
+fn main() -> Result<(), SessionError> {
+    let summary = run()?.summary;
+    println!(
+        "{}: {} after {:.2} s, {} chunks, {} refused",
+        summary.policy.name,
+        summary.reason,
+        summary.seconds,
+        summary.policy.queries,
+        summary.policy.refused
+    );
+    Ok(())
+}

@@ -1,0 +1,702 @@
+//! The command line as it is typed; nothing is read or checked beyond its form.
+
+use std::ffi::OsStr;
+use std::path::{Path, PathBuf};
+
+use clap::builder::{
+    NonEmptyStringValueParser, PossibleValue, RangedU64ValueParser, StringValueParser,
+    TypedValueParser,
+};
+use clap::{Arg, Args, Command, Parser, Subcommand, ValueEnum};
+
+use trocar::session::changes::Change;
+use trocar::session::drives::DEFAULT_TOPICS;
+use trocar::session::tasks;
+
+use crate::drives::DrivesArgs;
+use crate::import::ImportArgs;
+use crate::scene_args::{SceneArgs, VaryArgs};
+use crate::sheet::SheetArgs;
+use crate::study::{ReportArgs, StudyArgs};
+
+/// A count that is not 0.
+fn count() -> RangedU64ValueParser<usize> {
+    RangedU64ValueParser::new().range(1..)
+}
+
+/// A number of threads.
+fn threads() -> RangedU64ValueParser<usize> {
+    RangedU64ValueParser::new().range(1..=1024)
+}
+
+/// A number from 0 to 1.
+fn share(text: &str) -> Result<f64, String> {
+    match text.parse() {
+        Ok(share) if (0.0..=1.0).contains(&share) => Ok(share),
+        _ => Err("expected a number in [0, 1]".to_owned()),
+    }
+}
+
+/// A delay in ms.
+fn delay() -> RangedU64ValueParser<u64> {
+    RangedU64ValueParser::new().range(0..=10_000)
+}
+
+/// A time in s.
+fn seconds(text: &str) -> Result<f64, String> {
+    match text.parse() {
+        Ok(seconds) if (0.1..=86_400.0).contains(&seconds) => Ok(seconds),
+        _ => Err("expected a number in [0.1, 86400]".to_owned()),
+    }
+}
+
+/// A share that is not 0.
+fn share_above_0(text: &str) -> Result<f64, String> {
+    let share: Option<f64> = text.parse().ok();
+    let share = share.filter(|share| *share > 0.0 && *share <= 1.0);
+    share.ok_or_else(|| "a share is a number above 0, up to 1".to_owned())
+}
+
+/// Runs learned policies on a surgical robot arm, safely and in real time.
+#[derive(Debug, Parser)]
+#[command(
+    name = "trocar",
+    version,
+    after_help = "Examples:\n  trocar run --task needle-lift --policy expert --lockstep\n  trocar eval --task needle-lift --policy config/policies/needle-lift/act-small --trials 50"
+)]
+pub(crate) struct Cli {
+    /// What to do.
+    #[command(subcommand)]
+    pub(crate) verb: Verb,
+}
+
+/// The verbs.
+#[derive(Debug, Subcommand)]
+pub(crate) enum Verb {
+    /// Run one episode of a task, in real time or in lockstep, or a robot on CAN without one.
+    #[command(
+        after_help = "Example: trocar run --task needle-lift --policy expert --lockstep --seed 7 --log runs/a.mcap\n         trocar run --backend can --safety limits.toml --policy runs/act --topics cameras --seconds 30 --log runs/robot.mcap"
+    )]
+    Run(RunArgs),
+    /// Run many seeded trials in lockstep and report the success rate.
+    #[command(
+        after_help = "Example: trocar eval --task needle-lift --policy expert --trials 50 --jobs 2\n         trocar eval --task needle-lift --policy runs/act --needle N3 --view view1 --json runs/eval.json\n         trocar eval --task needle-lift --policy runs/act --min-rate 0.95 --keep failures runs/lost\n\nCtrl-C (SIGINT), SIGTERM and SIGHUP abandon the trials in progress; what was done is written (\"interrupted\": true), and the exit code is 1. A second one ends the program at once. Otherwise the exit code is 0 once all trials are done, whatever the rate, unless --min-rate or --min-wilson asks for more."
+    )]
+    Eval(EvalArgs),
+    /// Record demonstrations as a LeRobot v3 dataset.
+    #[command(
+        after_help = "Example: trocar record --task needle-lift --episodes 50 --source expert --cameras multi --out runs/demos\n         trocar record --task needle-lift --episodes 200 --disturb 0.5 --vary needles,views,light --jobs 2 --out runs/varied"
+    )]
+    Record(RecordArgs),
+    /// Make a LeRobot v3 dataset of demonstrations in HDF5, in ACT's or robomimic's layout.
+    #[command(
+        after_help = "Example: trocar import act FOLDER --fps 25 --task \"Lift the needle\" --out runs/demos\n         trocar import robomimic FILE.hdf5 --fps 25 --task \"Lift the needle\" --out runs/demos --joints obs/joint_pos --images obs/endoscope_image --action-pose actions\n\nWhat can't be told from the files is refused: deltas as actions, another number of joints, joints outside of the arm's limits (degrees, a normalised gripper), numbers that are not finite, frames that are missing."
+    )]
+    Import(ImportArgs),
+    /// Train a policy on a dataset.
+    #[command(
+        after_help = "Example: trocar train --policy act --data runs/demos --out runs/act --steps 10000 --device cuda\n         trocar train --policy act --data runs/demos --out runs/act --eval-every 1000 --eval-trials 20 --eval-jobs 4\n         tensorboard --logdir runs\n\nLosses are in loss.csv, loss.svg and TensorBoard's event files, all in OUT. Ctrl-C keeps the state and ends with exit code 1; --resume OUT goes on."
+    )]
+    Train(TrainArgs),
+    /// Run a study: a grid of recordings, trainings and evaluations, of which what is done is not done again.
+    #[command(
+        after_help = "Example: trocar study config/studies/sufia-bc.toml --dry-run\n         trocar study config/studies/sufia-bc.toml --out runs/sufia-bc\n         trocar study config/studies/sufia-bc.toml --out /shared/sufia-bc --shard 3/8\n\nIt can be cut off at any time: the same command goes on. What a cell's verb says is in its folder's log.txt. Exit code: 0 if all is done, 1 if a cell failed or it was interrupted, 2 for bad input, such as a result that was changed since it was made."
+    )]
+    Study(StudyArgs),
+    /// Make one page of a study: every table beside the published figures, comparisons, curves, losses, times and hashes.
+    #[command(
+        after_help = "Example: trocar report runs/sufia-bc --out runs/sufia-bc.html\n         trocar report runs/shard-1 runs/shard-2 --out runs/sufia-bc.md --json runs/sufia-bc.json"
+    )]
+    Report(ReportArgs),
+    /// Recompute every command of a log from its inputs; exit 0 only if all are bit-identical.
+    #[command(after_help = "Example: trocar replay runs/a.mcap")]
+    Replay(LogArgs),
+    /// Check a log's commands against its limits, independently of the controller.
+    #[command(after_help = "Example: trocar verify runs/a.mcap")]
+    Verify(LogArgs),
+    /// Be seven emulated CiA 402 drives an arm, on CAN interfaces such as vcan, that move the simulated arms of a task.
+    #[command(
+        after_help = "Example: trocar drives --task needle-lift --seed 7\n         trocar drives --config runs/can.toml --fault kind=pull,node=3,at=2s --json runs/drives.json"
+    )]
+    Drives(DrivesArgs),
+    /// Show what this machine offers: scheduling, memory locking, CAN, GPU, shared memory.
+    #[command(after_help = "Example: trocar doctor")]
+    Doctor(DoctorArgs),
+    /// Run the committed policy of a task and write its log and pictures.
+    #[command(
+        after_help = "Example: trocar demo --task needle-lift --out runs/demo\n\nThe policy is the committed one of the task: in config/policies/TASK/ of the repository, or as it was installed."
+    )]
+    Demo(DemoArgs),
+    /// Draw what every camera of every task sees in the middle of an expert's episode, in colour, depth and ids, as one PNG.
+    #[command(after_help = "Example: trocar sheet --out runs/tasks.png --seed 7 --width 192")]
+    Sheet(SheetArgs),
+    /// Show what a command would be configured by.
+    #[command(subcommand)]
+    Config(ConfigVerb),
+    /// Print the completions of a shell for this command line.
+    #[command(
+        after_help = "Example: trocar completions bash > ~/.local/share/bash-completion/completions/trocar\n         trocar completions zsh > ~/.zfunc/_trocar\n         trocar completions fish > ~/.config/fish/completions/trocar.fish"
+    )]
+    Completions(CompletionsArgs),
+    /// Write the man pages of this command and its verbs into a folder.
+    #[command(after_help = "Example: trocar man runs/man && man runs/man/trocar-run.1")]
+    Man(ManArgs),
+    /// The policy's own process in a real-time run; started by `run`.
+    #[command(hide = true)]
+    PolicyProcess(PolicyProcessArgs),
+}
+
+impl Verb {
+    /// Where its result goes as JSON.
+    pub(crate) fn json(&self) -> Option<&Path> {
+        let json = match self {
+            Self::Run(args) => &args.json,
+            Self::Eval(args) => &args.json,
+            Self::Record(args) => &args.json,
+            Self::Import(args) => &args.json,
+            Self::Train(args) => &args.json,
+            Self::Report(args) => &args.json,
+            Self::Replay(args) | Self::Verify(args) => &args.json,
+            Self::Drives(args) => &args.json,
+            Self::Doctor(args) => &args.json,
+            Self::Study(_)
+            | Self::Demo(_)
+            | Self::Sheet(_)
+            | Self::Config(_)
+            | Self::Completions(_)
+            | Self::Man(_)
+            | Self::PolicyProcess(_) => &None,
+        };
+        json.as_deref()
+    }
+}
+
+/// What to do with the configuration.
+#[derive(Debug, Subcommand)]
+pub(crate) enum ConfigVerb {
+    /// Print a file as a run would read it: built in or given, with the policy's recommendation and every --set.
+    #[command(
+        after_help = "Example: trocar config show control\n         trocar config show scene --task suture-pad\n         trocar config show can --set can.cycle_us=4000 > can.toml"
+    )]
+    Show(ShowArgs),
+}
+
+/// Options of `config show`.
+#[derive(Args, Debug)]
+pub(crate) struct ShowArgs {
+    /// The file.
+    #[arg(value_enum)]
+    pub(crate) file: ShownFile,
+    /// The task: a built-in one by name, or the path of a folder with scene.toml and safety.toml.
+    #[arg(long, value_parser = TaskParser, default_value = "needle-lift")]
+    pub(crate) task: String,
+    /// The policy, of which a checkpoint may recommend how its chunks are aggregated.
+    #[arg(long, default_value = "expert")]
+    pub(crate) policy: String,
+    /// Controller configuration instead of the built-in one.
+    #[arg(long, value_name = "FILE")]
+    pub(crate) config: Option<PathBuf>,
+    /// Nodes and interfaces instead of the built-in ones.
+    #[arg(long, value_name = "FILE")]
+    pub(crate) can_config: Option<PathBuf>,
+    /// A value in the place of a file's, as the last layer. May be given several times.
+    #[arg(long, value_name = "FILE.KEY=VALUE")]
+    pub(crate) set: Vec<Change>,
+}
+
+/// A configuration file.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub(crate) enum ShownFile {
+    /// The controller's settings.
+    Control,
+    /// The task's limits.
+    Safety,
+    /// The task's scene.
+    Scene,
+    /// Nodes and buses.
+    Can,
+}
+
+/// Options of `completions`.
+#[derive(Args, Debug)]
+pub(crate) struct CompletionsArgs {
+    /// The shell.
+    #[arg(value_enum)]
+    pub(crate) shell: clap_complete::Shell,
+}
+
+/// Options of `man`.
+#[derive(Args, Debug)]
+pub(crate) struct ManArgs {
+    /// The folder, which is made.
+    pub(crate) out: PathBuf,
+}
+
+/// A task: the name of a built-in one or the path of a folder. Which of them there are is seen when one is loaded.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct TaskParser;
+
+impl TypedValueParser for TaskParser {
+    type Value = String;
+
+    fn parse_ref(
+        &self,
+        command: &Command,
+        option: Option<&Arg>,
+        value: &OsStr,
+    ) -> Result<String, clap::Error> {
+        StringValueParser::new().parse_ref(command, option, value)
+    }
+
+    /// For the help and for shells.
+    fn possible_values(&self) -> Option<Box<dyn Iterator<Item = PossibleValue> + '_>> {
+        let folder = PossibleValue::new("FOLDER").help("a folder with scene.toml and safety.toml");
+        Some(Box::new(
+            tasks::names().map(PossibleValue::new).chain([folder]),
+        ))
+    }
+}
+
+/// Which arm is driven.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub(crate) enum Backend {
+    /// The simulated arm.
+    Sim,
+    /// Drives on CAN, such as those of `trocar drives`.
+    Can,
+}
+
+/// Where a network computes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub(crate) enum ComputeDevice {
+    /// The processor.
+    Cpu,
+    /// The first CUDA device.
+    Cuda,
+}
+
+/// Options of `run`.
+#[derive(Args, Debug)]
+pub(crate) struct RunArgs {
+    /// The task: a built-in one by name, or the path of a folder with scene.toml and safety.toml.
+    #[arg(long, value_parser = TaskParser)]
+    pub(crate) task: Option<String>,
+    /// With --backend can: a robot without a task, within the limits of this file, which has the form of a task's safety.toml. There
+    /// is no simulator, no scene and no verdict; cameras are those on the topics --topics. Ends with --seconds, a signal or a fault.
+    #[arg(long, value_name = "FILE")]
+    #[arg(conflicts_with_all = ["task", "lockstep", "scene", "needle", "view", "latency_ms", "latency_jitter_ms"])]
+    pub(crate) safety: Option<PathBuf>,
+    /// With --safety: after how long the run ends, s, up to 86400; if not given, only a signal or a fault ends it.
+    #[arg(long, value_name = "S", requires = "safety", conflicts_with = "task", value_parser = seconds)]
+    pub(crate) seconds: Option<f64>,
+    /// `expert`, `noop`, `random`, or a checkpoint's directory.
+    #[arg(long)]
+    pub(crate) policy: String,
+    /// The arm.
+    #[arg(long, value_enum, default_value = "sim")]
+    pub(crate) backend: Backend,
+    /// Run as fast as it goes, on virtual time, bit for bit the same each time.
+    #[arg(long)]
+    pub(crate) lockstep: bool,
+    /// Everything random hangs on this.
+    #[arg(long, default_value_t = 0)]
+    pub(crate) seed: u64,
+    /// The scene.
+    #[command(flatten)]
+    pub(crate) scene: SceneArgs,
+    /// Controller configuration instead of the built-in config/control.toml.
+    #[arg(long, value_name = "FILE")]
+    pub(crate) config: Option<PathBuf>,
+    /// A value in the place of a file's, as the last layer: FILE.KEY=VALUE, where FILE is control, safety, scene or can. May be given
+    /// several times.
+    #[arg(long, value_name = "FILE.KEY=VALUE")]
+    pub(crate) set: Vec<Change>,
+    /// With --backend can: nodes and interfaces instead of the built-in config/can.toml.
+    #[arg(long, value_name = "FILE")]
+    pub(crate) can_config: Option<PathBuf>,
+    /// With --backend can: the name of the topics on which the world of the drives, or with --safety cameras, show themselves.
+    #[arg(long, value_name = "NAME", default_value = DEFAULT_TOPICS)]
+    pub(crate) topics: String,
+    /// Write the run's log; parent folders are made.
+    #[arg(long, value_name = "FILE.mcap")]
+    pub(crate) log: Option<PathBuf>,
+    /// Cameras whose frames the log keeps besides those that the policy sees: `single` (the one that the paper gives the
+    /// task's policies), `multi` (that one and the wrists), or names with commas between them. If there is neither:
+    /// endoscope. With --safety: names of cameras on the topics, none if not given.
+    #[arg(long, value_name = "single|multi|NAMES", requires = "log")]
+    pub(crate) cameras: Option<String>,
+    /// Write the result as JSON, to standard output if it is `-`; parent folders are made.
+    #[arg(long, value_name = "FILE")]
+    pub(crate) json: Option<PathBuf>,
+    /// Delay from observation to chunk in lockstep, ms, up to 10000.
+    #[arg(long, value_name = "MS", value_parser = delay())]
+    pub(crate) latency_ms: Option<u64>,
+    /// What may come on top of it, evenly from nothing to this, drawn for each chunk by the seed, ms, up to 10000.
+    #[arg(long, value_name = "MS", default_value_t = 0, value_parser = delay())]
+    pub(crate) latency_jitter_ms: u64,
+    /// Where and how the network computes.
+    #[command(flatten)]
+    pub(crate) compute: ComputeArgs,
+}
+
+/// Where and how a network computes.
+#[derive(Args, Clone, Copy, Debug)]
+pub(crate) struct ComputeArgs {
+    /// Where the network computes.
+    #[arg(long, value_enum, default_value = "cpu")]
+    pub(crate) device: ComputeDevice,
+    /// In which numbers the network computes: bf16 is faster and less exact, on CUDA only.
+    #[arg(long, value_enum, default_value = "f32")]
+    pub(crate) precision: Precision,
+    /// Threads of the network on the CPU, at most one fewer than there are cores: one is the control's. Another number may
+    /// give other bits.
+    #[arg(long, default_value_t = 1, value_parser = threads())]
+    pub(crate) threads: usize,
+}
+
+/// In which numbers a network computes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub(crate) enum Precision {
+    /// Single precision.
+    F32,
+    /// 8 significant bits.
+    Bf16,
+}
+
+/// Options of `eval`.
+#[derive(Args, Debug)]
+pub(crate) struct EvalArgs {
+    /// The task: a built-in one by name, or the path of a folder with scene.toml and safety.toml.
+    #[arg(long, value_parser = TaskParser)]
+    pub(crate) task: String,
+    /// `expert`, `noop`, `random`, or a checkpoint's directory.
+    #[arg(long)]
+    pub(crate) policy: String,
+    /// How many trials.
+    #[arg(long, default_value_t = 50, value_parser = count())]
+    pub(crate) trials: usize,
+    /// Seed of the first trial; trial i has seed + i, which wraps around past 2^64 - 1.
+    #[arg(long, default_value_t = 1_000_000)]
+    pub(crate) seed: u64,
+    /// Trials at a time.
+    #[arg(long, default_value_t = 1, value_parser = threads())]
+    pub(crate) jobs: usize,
+    /// The scene.
+    #[command(flatten)]
+    pub(crate) scene: SceneArgs,
+    /// What differs from episode to episode.
+    #[command(flatten)]
+    pub(crate) vary: VaryArgs,
+    /// Controller configuration instead of the built-in config/control.toml.
+    #[arg(long, value_name = "FILE")]
+    pub(crate) config: Option<PathBuf>,
+    /// A value in the place of a file's, as the last layer: FILE.KEY=VALUE, where FILE is control, safety, scene or can. May be given
+    /// several times.
+    #[arg(long, value_name = "FILE.KEY=VALUE")]
+    pub(crate) set: Vec<Change>,
+    /// Write the result as JSON, also when the evaluation is interrupted, to standard output if it is `-`; parent folders are made.
+    #[arg(long, value_name = "FILE")]
+    pub(crate) json: Option<PathBuf>,
+    /// Exit with 1 if the success rate is below this, 0 to 1.
+    #[arg(long, value_name = "RATE", value_parser = share)]
+    pub(crate) min_rate: Option<f64>,
+    /// Exit with 1 if the lower end of Wilson's 95 % interval of the success rate is below this, 0 to 1. With 50 of 50 it is 0.928.
+    #[arg(long, value_name = "RATE", value_parser = share)]
+    pub(crate) min_wilson: Option<f64>,
+    /// Keep log and animation of trials, those that were lost or all, as seed-SEED.mcap and seed-SEED.gif in a new or an empty
+    /// folder.
+    #[arg(long, num_args = 2, value_names = ["failures|all", "DIR"])]
+    pub(crate) keep: Vec<PathBuf>,
+    /// Delay from observation to chunk, ms, up to 10000.
+    #[arg(long, value_name = "MS", value_parser = delay())]
+    pub(crate) latency_ms: Option<u64>,
+    /// What may come on top of it, evenly from nothing to this, drawn for each chunk by the seed, ms, up to 10000.
+    #[arg(long, value_name = "MS", default_value_t = 0, value_parser = delay())]
+    pub(crate) latency_jitter_ms: u64,
+    /// Where and how the network computes.
+    #[command(flatten)]
+    pub(crate) compute: ComputeArgs,
+}
+
+/// Who demonstrates.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub(crate) enum Demonstrator {
+    /// The task's scripted expert.
+    Expert,
+}
+
+/// How video is compressed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub(crate) enum Video {
+    /// H.264, which encodes fast.
+    H264,
+    /// AV1, which is smaller; LeRobot's choice.
+    Av1,
+}
+
+/// Options of `record`.
+#[derive(Args, Debug)]
+pub(crate) struct RecordArgs {
+    /// The task: a built-in one by name, or the path of a folder with scene.toml and safety.toml.
+    #[arg(long, value_parser = TaskParser)]
+    pub(crate) task: String,
+    /// How many successful episodes to record.
+    #[arg(long, value_parser = count())]
+    pub(crate) episodes: usize,
+    /// Who demonstrates.
+    #[arg(long, value_enum, default_value = "expert")]
+    pub(crate) source: Demonstrator,
+    /// The dataset's directory; a new or an empty one.
+    #[arg(long)]
+    pub(crate) out: PathBuf,
+    /// Seed of the first attempt; attempt i has seed + i, which wraps around past 2^64 - 1.
+    #[arg(long, default_value_t = 0)]
+    pub(crate) seed: u64,
+    /// Episodes at a time. They are written in order: a recording that is cut off loses no more than these, which are in progress
+    /// or wait for an earlier one.
+    #[arg(long, default_value_t = 1, value_parser = threads())]
+    pub(crate) jobs: usize,
+    /// The scene.
+    #[command(flatten)]
+    pub(crate) scene: SceneArgs,
+    /// What differs from episode to episode.
+    #[command(flatten)]
+    pub(crate) vary: VaryArgs,
+    /// Disturb this share of the demonstrations, above 0, up to 1 (0.5 if no number is given): the hand is led off its way, falls
+    /// short, lets go of the thing, or the thing slides away, and the expert recovers. What is recorded as the action is what the
+    /// expert wants, not what was done to it. They may take twice the task's time limit.
+    #[arg(long, value_name = "SHARE", num_args = 0..=1, default_missing_value = "0.5", value_parser = share_above_0)]
+    pub(crate) disturb: Option<f64>,
+    /// What the demonstrations do in words, for policies that read it: the dataset's `task`, in the place of the task's name.
+    #[arg(long, value_name = "TEXT", value_parser = NonEmptyStringValueParser::new())]
+    pub(crate) instruction: Option<String>,
+    /// Cameras whose frames are recorded: `single` (the one that the paper gives the task's policies), `multi` (that one and
+    /// the wrists), or names with commas between them. A camera that is not named is not drawn.
+    #[arg(long, value_name = "single|multi|NAMES", default_value = "endoscope")]
+    pub(crate) cameras: String,
+    /// Keep colour as video instead of as PNG: far smaller, but pictures come back close, not the same. Needs
+    /// ffmpeg 5.1 or newer, here and where the dataset is read.
+    #[arg(long, value_enum, value_name = "CODEC")]
+    pub(crate) video: Option<Video>,
+    /// Keep depth (rounded to 0.02 mm, up to 1.31 m) and instance ids of these cameras too, which point clouds are made
+    /// from.
+    #[arg(long)]
+    pub(crate) depth: bool,
+    /// Controller configuration instead of the built-in config/control.toml.
+    #[arg(long, value_name = "FILE")]
+    pub(crate) config: Option<PathBuf>,
+    /// A value in the place of a file's, as the last layer: FILE.KEY=VALUE, where FILE is control, safety, scene or can. May be given
+    /// several times.
+    #[arg(long, value_name = "FILE.KEY=VALUE")]
+    pub(crate) set: Vec<Change>,
+    /// Write what was recorded, attempt by attempt, as JSON, to standard output if it is `-`; parent folders are made.
+    #[arg(long, value_name = "FILE")]
+    pub(crate) json: Option<PathBuf>,
+}
+
+/// Networks that can be trained.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub(crate) enum Network {
+    /// Action chunking with transformers, from images.
+    Act,
+    /// Action chunking from point clouds; the dataset must be recorded with --depth.
+    ActPc,
+    /// Diffusion from point clouds; the dataset must be recorded with --depth.
+    Dp3,
+}
+
+/// Whose learning rates a training has.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub(crate) enum TrainingRecipe {
+    /// What learns from scratch.
+    Scratch,
+    /// The authors' own.
+    Published,
+}
+
+/// The normalisation layers of a backbone.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+#[value(rename_all = "snake_case")]
+pub(crate) enum Backbone {
+    /// Trained with the rest, from random weights. LeRobot does not know it.
+    GroupNorm,
+    /// Batch normalisation whose statistics are fixed, as LeRobot's: starts from --backbone-weights.
+    FrozenBatchNorm,
+}
+
+/// Options of `train`.
+#[derive(Args, Debug)]
+pub(crate) struct TrainArgs {
+    /// The network.
+    #[arg(long, value_enum, required_unless_present = "resume")]
+    pub(crate) policy: Option<Network>,
+    /// The dataset's directory.
+    #[arg(long, required_unless_present = "resume")]
+    pub(crate) data: Option<PathBuf>,
+    /// The checkpoint's directory; a new or an empty one.
+    #[arg(long, required_unless_present = "resume")]
+    pub(crate) out: Option<PathBuf>,
+    /// Go on with the training whose state is in this directory, with the options that it was begun with; --json alone may
+    /// go with it.
+    #[arg(
+        long,
+        value_name = "DIR",
+        conflicts_with_all = [
+            "policy", "data", "out", "cameras", "preset", "recipe", "backbone", "backbone_weights", "steps", "batch",
+            "device", "episodes", "validation_share", "bf16", "images_on_host", "eager", "threads", "augment", "query_every", "lr", "shift_px", "state_noise", "clouds", "save_every", "seed", "eval_every"
+        ]
+    )]
+    pub(crate) resume: Option<PathBuf>,
+    /// Steps between two times that the state is kept, from which --resume goes on; 0 is never. It is kept too when the
+    /// training is interrupted.
+    #[arg(long, value_name = "STEPS", default_value_t = 10_000)]
+    pub(crate) save_every: u64,
+    /// Evaluate the weights every so many steps, and after the last one. Those that do best are kept in OUT/best, a checkpoint of
+    /// its own (of equals the later); OUT itself gets the last ones. OUT/evaluations.csv has all.
+    #[arg(long, value_name = "STEPS", value_parser = clap::value_parser!(u64).range(1..))]
+    pub(crate) eval_every: Option<u64>,
+    /// The task of these evaluations, a built-in one by name, or the path of a folder; the dataset's if not given.
+    #[arg(long, value_parser = TaskParser, requires = "eval_every")]
+    pub(crate) eval_task: Option<String>,
+    /// Trials of an evaluation.
+    #[arg(long, default_value_t = 20, value_parser = count(), requires = "eval_every")]
+    pub(crate) eval_trials: usize,
+    /// Seed of their first trial. Choose others than those of the trials that are reported in the end, such as eval's.
+    #[arg(long, default_value_t = 2_000_000, requires = "eval_every")]
+    pub(crate) eval_seed: u64,
+    /// Trials at a time.
+    #[arg(long, default_value_t = 1, value_parser = threads(), requires = "eval_every")]
+    pub(crate) eval_jobs: usize,
+    /// Their delay from observation to chunk, ms, up to 10000.
+    #[arg(long, value_name = "MS", value_parser = delay(), requires = "eval_every")]
+    pub(crate) eval_latency_ms: Option<u64>,
+    /// Which of the dataset's cameras the network sees: `single` (its first; of recordings with `single` or `multi` the paper's),
+    /// `multi` (all), or names with commas between them.
+    #[arg(long, value_name = "single|multi|NAMES", default_value = "multi")]
+    pub(crate) cameras: String,
+    /// Sizes and recipe: of act, small (the default), compact, paper or lerobot; of act-pc, small (the default), paper
+    /// or pcm; of dp3, paper (the default) or simple.
+    #[arg(long, value_parser = ["small", "compact", "paper", "lerobot", "pcm", "simple"])]
+    pub(crate) preset: Option<String>,
+    /// Learning rates, batch, schedule and averaging of act and act-pc: what learns from scratch (the default), or the
+    /// authors' own, meant for an ImageNet backbone. dp3 is always trained as published.
+    #[arg(long, value_enum)]
+    pub(crate) recipe: Option<TrainingRecipe>,
+    /// Normalisation layers of act's backbone. A policy that LeRobot is to load needs frozen_batch_norm.
+    #[arg(long, value_enum, default_value = "group_norm")]
+    pub(crate) backbone: Backbone,
+    /// What a backbone with frozen_batch_norm starts from: a safetensors file with torchvision's names of ResNet-18, as
+    /// policy/convert/resnet18.py makes one, or the folder of an ACT policy in LeRobot's form.
+    #[arg(long, value_name = "FILE|DIR")]
+    pub(crate) backbone_weights: Option<PathBuf>,
+    /// Optimiser steps; the preset's number if not given.
+    #[arg(long, value_parser = clap::value_parser!(u64).range(1..))]
+    pub(crate) steps: Option<u64>,
+    /// Samples a step; the preset's number if not given.
+    #[arg(long, value_parser = count())]
+    pub(crate) batch: Option<usize>,
+    /// Where the network computes.
+    #[arg(long, value_enum, default_value = "cpu")]
+    pub(crate) device: ComputeDevice,
+    /// Use only the first episodes.
+    #[arg(long, value_parser = count())]
+    pub(crate) episodes: Option<usize>,
+    /// Share of the episodes, the last ones, that is held out for validation; 0 to 0.9.
+    #[arg(long, default_value_t = 0.0)]
+    pub(crate) validation_share: f64,
+    /// Compute in 16 bits (bfloat16); for accelerators.
+    #[arg(long)]
+    pub(crate) bf16: bool,
+    /// Keep decoded images in the host's memory and send each step's ahead of it, when the device has no room for all.
+    #[arg(long)]
+    pub(crate) images_on_host: bool,
+    /// Tell a CUDA device each operation of every step, instead of recording a step and repeating it: slower.
+    #[arg(long)]
+    pub(crate) eager: bool,
+    /// Threads that decode images, and compute on the CPU.
+    #[arg(long, default_value_t = 2, value_parser = threads())]
+    pub(crate) threads: usize,
+    /// Change at random what is trained on: images are shifted (by up to 4 pixels) and brightened, points moved and hidden, states
+    /// disturbed (0.02 of their standard deviation).
+    #[arg(long)]
+    pub(crate) augment: bool,
+    /// Policy steps from one query to the next, which the checkpoint recommends to `run` and `eval`: 25 of act and half a chunk of
+    /// act-pc if not given, of dp3 as many as it predicts.
+    #[arg(long, value_name = "STEPS", value_parser = clap::value_parser!(u32).range(1..))]
+    pub(crate) query_every: Option<u32>,
+    /// Learning rate at its greatest, in place of the recipe's; a backbone that was trained before keeps its own.
+    #[arg(long, value_name = "RATE")]
+    pub(crate) lr: Option<f64>,
+    /// Greatest shift of an image, pixels of the network's image, in place of --augment's. A shift hides where in the picture a thing
+    /// is, so that less of it leaves more precise policies where cameras stand still.
+    #[arg(long, value_name = "PIXELS", value_parser = clap::value_parser!(u32).range(0..=64))]
+    pub(crate) shift_px: Option<u32>,
+    /// Standard deviation of the noise on states, in their own standard deviations, in place of --augment's.
+    #[arg(long, value_name = "STD")]
+    pub(crate) state_noise: Option<f64>,
+    /// What point clouds are made of (box, instances, number of points) instead of the built-in config/clouds.toml.
+    #[arg(long, value_name = "FILE")]
+    pub(crate) clouds: Option<PathBuf>,
+    /// Everything random hangs on this.
+    #[arg(long, default_value_t = 0)]
+    pub(crate) seed: u64,
+    /// Write the result as JSON, to standard output if it is `-`; parent folders are made.
+    #[arg(long, value_name = "FILE")]
+    pub(crate) json: Option<PathBuf>,
+}
+
+/// Options of the verbs that read a log.
+#[derive(Args, Debug)]
+pub(crate) struct LogArgs {
+    /// The log.
+    #[arg(value_name = "FILE.mcap")]
+    pub(crate) file: PathBuf,
+    /// Write the result as JSON, to standard output if it is `-`; parent folders are made.
+    #[arg(long, value_name = "FILE")]
+    pub(crate) json: Option<PathBuf>,
+}
+
+/// Options of `doctor`.
+#[derive(Args, Debug)]
+pub(crate) struct DoctorArgs {
+    /// Write the findings as JSON, to standard output if it is `-`; parent folders are made.
+    #[arg(long, value_name = "FILE")]
+    pub(crate) json: Option<PathBuf>,
+}
+
+/// Options of `demo`.
+#[derive(Args, Debug)]
+pub(crate) struct DemoArgs {
+    /// The task: a built-in one by name, or the path of a folder with scene.toml and safety.toml.
+    #[arg(long, value_parser = TaskParser, default_value = "needle-lift")]
+    pub(crate) task: String,
+    /// Where the log and the pictures go.
+    #[arg(long, default_value = "runs/demo")]
+    pub(crate) out: PathBuf,
+    /// The policy; by default the committed one of the task.
+    #[arg(long)]
+    pub(crate) policy: Option<String>,
+    /// Everything random hangs on this.
+    #[arg(long, default_value_t = 1_000_000)]
+    pub(crate) seed: u64,
+}
+
+/// Options of the hidden policy process.
+#[derive(Args, Debug)]
+pub(crate) struct PolicyProcessArgs {
+    /// Names the run's topics.
+    #[arg(long)]
+    pub(crate) run_id: String,
+    /// The process that started this one; this one goes when that one is gone.
+    #[arg(long)]
+    pub(crate) parent_pid: u32,
+    /// How far a frame may be from the instant of an observation, ms.
+    #[arg(long, default_value_t = 0)]
+    pub(crate) frames_within_ms: u64,
+    /// The checkpoint's directory.
+    #[arg(long)]
+    pub(crate) policy: PathBuf,
+    /// Where and how the network computes.
+    #[command(flatten)]
+    pub(crate) compute: ComputeArgs,
+}

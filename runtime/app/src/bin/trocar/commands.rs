@@ -1,0 +1,461 @@
+//! The verbs: arguments in, library calls, results out. `Ok(false)` means that the job failed.
+
+use std::path::Path;
+
+use tch::Device;
+use trocar::doctor::{self, Probes};
+use trocar::rt;
+use trocar::session::changes::{Change, Changes, ConfigFile};
+use trocar::session::demo::{self, DemoOptions};
+use trocar::session::realtime::{self, CanOptions, PolicyProcessOptions, RobotOptions};
+use trocar::session::record::{self, RecordOptions};
+use trocar::session::run::{self, RunOptions, RunResult, write_json};
+use trocar::session::summary::{CanBusSummary, RunSummary};
+use trocar::session::{PolicyChoice, Robot, SessionError, Setup, outputs, tasks};
+use trocar_data::dataset::VideoCodec;
+use trocar_log::RunLog;
+use trocar_log::{replay as replaying, verify as verifying};
+use trocar_nets::compute::{Arithmetic, Compute};
+use trocar_tasks::cameras::SceneCameras;
+use trocar_tasks::task::TaskConfig;
+
+use crate::args::{
+    Backend, ComputeArgs, ComputeDevice, DemoArgs, DoctorArgs, LogArgs, PolicyProcessArgs,
+    Precision, RecordArgs, RunArgs, Video,
+};
+use crate::console;
+use crate::drives::can_source;
+use crate::scene_args::of_task;
+
+pub(crate) type Done = Result<bool, SessionError>;
+
+pub(crate) fn device(choice: ComputeDevice) -> Result<Device, SessionError> {
+    match choice {
+        ComputeDevice::Cpu => Ok(Device::Cpu),
+        ComputeDevice::Cuda if tch::Cuda::is_available() => Ok(Device::Cuda(0)),
+        ComputeDevice::Cuda => Err(SessionError::BadArgument(
+            "--device cuda: this libtorch sees no CUDA device".to_owned(),
+        )),
+    }
+}
+
+/// Leaves a core to the control, if there are two.
+pub(crate) fn compute(args: &ComputeArgs) -> Result<Compute, SessionError> {
+    let cores = std::thread::available_parallelism().map_or(1, usize::from);
+    let most = cores.saturating_sub(1).max(1);
+    if args.threads > most {
+        return Err(SessionError::BadArgument(format!(
+            "--threads {}: this machine has {cores} cores, of which the network can have 1 to {most}",
+            args.threads
+        )));
+    }
+    Ok(Compute {
+        device: device(args.device)?,
+        arithmetic: match args.precision {
+            Precision::F32 => Arithmetic::F32,
+            Precision::Bf16 => Arithmetic::Bf16,
+        },
+        threads: args.threads,
+    })
+}
+
+pub(crate) const fn codec(video: Video) -> VideoCodec {
+    match video {
+        Video::H264 => VideoCodec::H264,
+        Video::Av1 => VideoCodec::Av1,
+    }
+}
+
+/// The files that a task is configured by.
+const TASK_FILES: [ConfigFile; 3] = [ConfigFile::Control, ConfigFile::Safety, ConfigFile::Scene];
+
+/// What is to be changed in a task's files.
+pub(crate) fn task_changes(set: &[Change]) -> Result<Changes, SessionError> {
+    let changes = Changes(set.to_owned());
+    changes.only(&TASK_FILES)?;
+    Ok(changes)
+}
+
+/// Says so if the policy does another task than that of its demonstrations: that may be meant, so that it is no error.
+pub(crate) fn warn_of_transfer(setup: &Setup) {
+    if let Some(reason) = setup.transfer_note() {
+        console::warning(&reason);
+    }
+}
+
+pub(crate) fn run(args: &RunArgs) -> Done {
+    if (args.latency_ms.is_some() || args.latency_jitter_ms > 0) && !args.lockstep {
+        return Err(SessionError::BadArgument(
+            "--latency-ms and --latency-jitter-ms need --lockstep: in real time a chunk comes when it comes"
+                .to_owned(),
+        ));
+    }
+    let config = ("--config", args.config.as_deref());
+    let scene = ("--scene", args.scene.scene.as_deref());
+    let can_config = ("--can-config", args.can_config.as_deref());
+    let safety = ("--safety", args.safety.as_deref());
+    let task = args.task.as_deref().map_or_else(Vec::new, tasks::paths);
+    let mut read = vec![config, scene, can_config, safety];
+    read.extend(of_task(&task));
+    let log = ("--log", args.log.as_deref());
+    outputs::check(&[log, ("--json", args.json.as_deref())], &read)?;
+    let can = can_options(args)?;
+    let options = RunOptions {
+        policy: PolicyChoice::parse(&args.policy),
+        seed: args.seed,
+        log: args.log.clone(),
+        pictures: false,
+        latency_ms: args.latency_ms,
+        latency_jitter_ms: args.latency_jitter_ms,
+        compute: compute(&args.compute)?,
+    };
+    let result = match (&args.task, &args.safety) {
+        (Some(task), _) => run_task(task, args, &options, can)?,
+        (None, Some(safety)) => run_robot(safety, args, &options, can)?,
+        (None, None) => {
+            let reason =
+                "run needs --task NAME, or for a robot without one --backend can --safety FILE";
+            return Err(SessionError::BadArgument(reason.to_owned()));
+        }
+    };
+    report_run(&result.summary);
+    if let Some(path) = &args.json {
+        write_json(path, &result.summary)?;
+    }
+    match result.log_failure {
+        Some(error) => Err(error.into()),
+        None => Ok(result.ok),
+    }
+}
+
+fn run_task(
+    task: &str,
+    args: &RunArgs,
+    options: &RunOptions,
+    can: Option<(CanOptions, String)>,
+) -> Result<RunResult, SessionError> {
+    let changes = Changes(args.set.clone());
+    if can.is_none() {
+        changes.only(&TASK_FILES)?;
+    }
+    let mut setup = Setup::load_with(task, args.config.as_deref(), &options.policy, changes)?
+        .with_scene(&args.scene.options(args.cameras.as_deref()))?;
+    warn_of_transfer(&setup);
+    match can {
+        Some((can, text)) => {
+            setup.texts.can = Some(text);
+            realtime::run_on_can(&setup, options, &can, &console::note)
+        }
+        None if args.lockstep => {
+            rt::catch_interrupts().map_err(|error| {
+                SessionError::RealTime(format!("signals can't be caught: {error}"))
+            })?;
+            run::run_lockstep(&setup, options)
+        }
+        None => realtime::run_realtime(&setup, options),
+    }
+}
+
+fn run_robot(
+    safety: &Path,
+    args: &RunArgs,
+    options: &RunOptions,
+    can: Option<(CanOptions, String)>,
+) -> Result<RunResult, SessionError> {
+    let Some((can, text)) = can else {
+        let reason = "--safety needs --backend can: the simulator runs tasks";
+        return Err(SessionError::BadArgument(reason.to_owned()));
+    };
+    if let Some(word @ ("single" | "multi")) = args.cameras.as_deref() {
+        return Err(SessionError::BadArgument(format!(
+            "--cameras {word} is of a task's cameras; with --safety name those on the topics"
+        )));
+    }
+    let changes = Changes(args.set.clone());
+    changes.only(&[ConfigFile::Control, ConfigFile::Safety, ConfigFile::Can])?;
+    let mut robot = Robot::load(safety, args.config.as_deref(), &options.policy, &changes)?;
+    robot.texts.can = Some(text);
+    let cameras = args.cameras.iter().flat_map(|names| names.split(','));
+    let asked = RobotOptions {
+        seconds: args.seconds,
+        cameras: cameras.map(str::to_owned).collect(),
+    };
+    realtime::run_robot_on_can(&robot, options, &asked, &can, &console::note)
+}
+
+/// The arms on CAN with the text that says where they are, if that is where the arms are.
+fn can_options(args: &RunArgs) -> Result<Option<(CanOptions, String)>, SessionError> {
+    match args.backend {
+        Backend::Sim => match &args.can_config {
+            None => Ok(None),
+            Some(_) => Err(SessionError::BadArgument(
+                "--can-config needs --backend can".to_owned(),
+            )),
+        },
+        Backend::Can if args.lockstep => Err(SessionError::BadArgument(
+            "--lockstep needs --backend sim: drives on a bus have a time of their own".to_owned(),
+        )),
+        Backend::Can => {
+            let source = can_source(args.can_config.as_ref())?;
+            let source = Changes(args.set.clone()).apply(ConfigFile::Can, source)?;
+            CanOptions::load(&source, &args.topics).map(Some)
+        }
+    }
+}
+
+fn report_run(summary: &RunSummary) {
+    let verdict = match summary.success {
+        Some(true) => format!("{}: success", summary.task),
+        Some(false) => format!("{}: failure ({})", summary.task, summary.reason),
+        None => summary.reason.clone(),
+    };
+    console::result(&format!("{verdict} after {:.2} s", summary.seconds));
+    console::result(&format!(
+        "  controller tick: p50 {:.1} us, p99 {:.1} us, max {:.1} us over {} ticks",
+        summary.tick_us.p50, summary.tick_us.p99, summary.tick_us.max, summary.ticks
+    ));
+    console::result(&format!(
+        "  safety QP: passed {}, solved {}, failed {}; guard interventions: {}",
+        summary.qp.passed, summary.qp.solved, summary.qp.failed, summary.guard_interventions
+    ));
+    console::result(&format!(
+        "  policy: {} queries, {} refused chunks, observation to chunk p50 {:.1} ms, p99 {:.1} ms, inference p50 {:.1} ms",
+        summary.policy.queries,
+        summary.policy.refused,
+        summary.policy.latency_ms.p50,
+        summary.policy.latency_ms.p99,
+        summary.policy.inference_ms.p50,
+    ));
+    if let Some(real_time) = &summary.real_time {
+        console::result(&format!(
+            "  real time: {} skipped periods, wake-up p99 {:.0} us, {} log records dropped",
+            real_time.overruns, real_time.wake_p99_us, real_time.log_dropped
+        ));
+    }
+    for arm in summary.can.iter().flat_map(|can| &can.arms) {
+        let buses: Vec<String> = arm
+            .buses
+            .iter()
+            .map(|bus| {
+                format!(
+                    "{} {}.{} %",
+                    bus.interface,
+                    bus.planned_per_mille / 10,
+                    bus.planned_per_mille % 10
+                )
+            })
+            .collect();
+        console::result(&format!(
+            "  {} on {}: {} answers missed, {} late, {} rejected, {} commands refused",
+            arm.arm,
+            buses.join(", "),
+            arm.answers_missed,
+            arm.answers_late,
+            arm.answers_rejected,
+            arm.commands_refused
+        ));
+        for warning in arm.buses.iter().filter_map(CanBusSummary::warning) {
+            console::warning(&format!("{} on {warning}", arm.arm));
+        }
+    }
+    console::result(&format!("  command hash: {}", summary.command_hash));
+}
+
+pub(crate) fn record(args: &RecordArgs) -> Done {
+    let config = ("--config", args.config.as_deref());
+    let scene = ("--scene", args.scene.scene.as_deref());
+    let out = ("--out", Some(args.out.as_path()));
+    let task = tasks::paths(&args.task);
+    let mut read = vec![config, scene, out];
+    read.extend(of_task(&task));
+    outputs::check(&[("--json", args.json.as_deref())], &read)?;
+    let changes = task_changes(&args.set)?;
+    let expert = PolicyChoice::Expert;
+    let setup = Setup::load_with(&args.task, args.config.as_deref(), &expert, changes)?
+        .with_scene(&args.vary.add_to(args.scene.options(Some(&args.cameras))))?;
+    let options = RecordOptions {
+        disturb: args.disturb,
+        episodes: args.episodes,
+        out: args.out.clone(),
+        seed: args.seed,
+        jobs: args.jobs,
+        depth: args.depth,
+        video: args.video.map(codec),
+        instruction: args.instruction.clone(),
+    };
+    let bar = console::progress(args.episodes as u64, "episodes");
+    let summary = record::record(&setup, &options, &mut |attempt| {
+        if attempt.kept {
+            bar.inc(1);
+        } else {
+            bar.suspend(|| {
+                console::note(&format!(
+                    "seed {}: not kept: {}",
+                    attempt.seed, attempt.reason
+                ))
+            });
+        }
+    })?;
+    bar.finish_and_clear();
+    console::result(&format!(
+        "{} episodes, {} steps in {}",
+        summary.episodes,
+        summary.steps,
+        args.out.display()
+    ));
+    if let Some(disturbed) = &summary.disturbed {
+        console::result(&format!(
+            "disturbed: {} of {} kept, {} with another attempt at a grasp",
+            disturbed.kept, disturbed.attempts, disturbed.retried
+        ));
+    }
+    if let Some(path) = &args.json {
+        write_json(path, &summary)?;
+    }
+    Ok(true)
+}
+
+pub(crate) fn replay(args: &LogArgs) -> Done {
+    check_result(args)?;
+    forget_result(args)?;
+    let log = RunLog::open(&args.file)?;
+    let result = replaying::replay(&log)?;
+    match &result.first_difference {
+        None if result.identical => console::result(&format!("identical: {} ticks", result.ticks)),
+        None => console::result(&format!("not identical after {} ticks", result.ticks)),
+        Some(difference) => console::result(&format!("differs: {difference}")),
+    }
+    if let Some(path) = &args.json {
+        write_json(path, &result)?;
+    }
+    refuse_cut(&log, args)?;
+    Ok(result.identical)
+}
+
+pub(crate) fn verify(args: &LogArgs) -> Done {
+    check_result(args)?;
+    forget_result(args)?;
+    let log = RunLog::open(&args.file)?;
+    let mut result = verifying::verify(&log)?;
+    // Nobody knows what the part was that is not there.
+    result.ok &= log.cut().is_none();
+    console::result(&format!(
+        "{}: {} ticks, {} violations",
+        if result.ok { "ok" } else { "not ok" },
+        result.ticks,
+        result.violations.len()
+    ));
+    for violation in result.violations.iter().take(10) {
+        console::result(&format!("  {violation}"));
+    }
+    if let Some(path) = &args.json {
+        write_json(path, &result)?;
+    }
+    refuse_cut(&log, args)?;
+    Ok(result.ok)
+}
+
+/// The result must not take the place of the log.
+fn check_result(args: &LogArgs) -> Result<(), SessionError> {
+    let log = ("the log", Some(args.file.as_path()));
+    outputs::check(&[("--json", args.json.as_deref())], &[log])
+}
+
+/// A result of before must not be taken for that of a log that can't be read.
+fn forget_result(args: &LogArgs) -> Result<(), SessionError> {
+    let Some(path) = args.json.as_deref().filter(|path| path.is_file()) else {
+        return Ok(());
+    };
+    let gone = std::fs::remove_file(path);
+    gone.map_err(|error| SessionError::BadArgument(format!("--json {}: {error}", path.display())))
+}
+
+/// An incomplete log is bad input, even though what is there was used.
+fn refuse_cut(log: &RunLog, args: &LogArgs) -> Result<(), SessionError> {
+    let Some(reason) = log.cut() else {
+        return Ok(());
+    };
+    Err(SessionError::CutLog {
+        path: args.file.display().to_string(),
+        reason: reason.to_owned(),
+    })
+}
+
+/// The device that the renderer really opens.
+fn graphics() -> Result<String, String> {
+    let task = TaskConfig::built_in("needle-lift").map_err(|error| error.to_string())?;
+    let cameras = SceneCameras::new(&task).map_err(|error| error.to_string())?;
+    Ok(cameras.adapter_name().to_owned())
+}
+
+/// The network library that this program is linked with, and its accelerators.
+#[expect(
+    clippy::unnecessary_wraps,
+    reason = "a probe may fail; this one can't be here if it did"
+)]
+fn networks() -> Result<String, String> {
+    let version = trocar::session::run::LIBTORCH_VERSION;
+    Ok(format!(
+        "libtorch {version}, {} CUDA devices",
+        tch::Cuda::device_count()
+    ))
+}
+
+pub(crate) fn doctor(args: &DoctorArgs) -> Done {
+    let findings = doctor::examine(&Probes {
+        graphics: &graphics,
+        networks: &networks,
+    });
+    console::result(doctor::table(&findings).trim_end());
+    if let Some(path) = &args.json {
+        write_json(path, &findings)?;
+    }
+    Ok(true)
+}
+
+pub(crate) fn demo(args: &DemoArgs) -> Done {
+    let options = DemoOptions {
+        task: args.task.clone(),
+        out: args.out.clone(),
+        policy: args.policy.clone(),
+        seed: args.seed,
+    };
+    let result = demo::run(&options, &mut |line| console::note(line))?;
+    for (name, shown) in [
+        ("lockstep", &result.lockstep),
+        ("real time", &result.real_time),
+    ] {
+        console::result(&format!("\n{name}:"));
+        report_run(&shown.summary);
+        console::result(&format!(
+            "  log: replay {}, verify found {} violations in {} ticks",
+            if shown.replayed.identical {
+                "identical"
+            } else {
+                "differs"
+            },
+            shown.verified.violations.len(),
+            shown.verified.ticks
+        ));
+    }
+    console::result("");
+    for file in &result.files {
+        console::result(&format!("wrote {}", file.display()));
+    }
+    // The real-time run depends on the machine and is reported as it went; the lockstep run must succeed.
+    let sound = [&result.lockstep, &result.real_time]
+        .iter()
+        .all(|shown| shown.replayed.identical && shown.verified.ok);
+    Ok(result.lockstep.summary.success == Some(true) && sound)
+}
+
+pub(crate) fn policy_process(args: &PolicyProcessArgs) -> Done {
+    realtime::serve_policy(&PolicyProcessOptions {
+        run_id: args.run_id.clone(),
+        policy: args.policy.clone(),
+        compute: compute(&args.compute)?,
+        frames_within_ms: args.frames_within_ms,
+        parent: args.parent_pid,
+    })?;
+    Ok(true)
+}

@@ -1,0 +1,137 @@
+//! `trocar eval`: trials in lockstep, their rate as exit code, and progress that a person or a log can follow.
+
+use indicatif::ProgressBar;
+
+use trocar::rt;
+use trocar::session::eval::{self, EvalOptions};
+use trocar::session::keep::{Keep, KeepChoice};
+use trocar::session::run::write_json;
+use trocar::session::score::{Demand, Score};
+use trocar::session::summary::TrialSummary;
+use trocar::session::{PolicyChoice, SessionError, Setup, outputs, tasks};
+
+use crate::args::EvalArgs;
+use crate::commands::{Done, compute, task_changes, warn_of_transfer};
+use crate::console;
+use crate::scene_args::of_task;
+
+pub(crate) fn eval(args: &EvalArgs) -> Done {
+    let keep = keep(args)?;
+    let config = ("--config", args.config.as_deref());
+    let scene = ("--scene", args.scene.scene.as_deref());
+    let kept = ("--keep", keep.as_ref().map(|keep| keep.folder.as_path()));
+    let task = tasks::paths(&args.task);
+    let mut read = vec![config, scene, kept];
+    read.extend(of_task(&task));
+    outputs::check(&[("--json", args.json.as_deref())], &read)?;
+    let policy = PolicyChoice::parse(&args.policy);
+    let changes = task_changes(&args.set)?;
+    let setup = Setup::load_with(&args.task, args.config.as_deref(), &policy, changes)?
+        .with_scene(&args.vary.add_to(args.scene.options(None)))?;
+    warn_of_transfer(&setup);
+    let options = EvalOptions {
+        policy,
+        trials: args.trials,
+        seed: args.seed,
+        jobs: args.jobs,
+        latency_ms: args.latency_ms,
+        latency_jitter_ms: args.latency_jitter_ms,
+        compute: compute(&args.compute)?,
+        keep,
+    };
+    rt::catch_interrupts()
+        .map_err(|error| SessionError::RealTime(format!("signals can't be caught: {error}")))?;
+    let mut progress = Progress::new(args.trials);
+    let summary = eval::evaluate(&setup, &options, &rt::interrupted, &mut |trial| {
+        progress.trial(trial);
+    })?;
+    progress.bar.finish_and_clear();
+    let score = summary.score();
+    console::result(&format!("{}, {}: {score}", summary.task, summary.policy));
+    if let Some(path) = &args.json {
+        write_json(path, &summary)?;
+    }
+    if summary.interrupted {
+        let (done, asked) = (summary.episodes.len(), summary.trials_asked);
+        console::note(&format!(
+            "trocar: interrupted: {done} of {asked} trials were done"
+        ));
+    }
+    let demand = Demand {
+        rate: args.min_rate,
+        wilson: args.min_wilson,
+    };
+    let unmet = demand.unmet(score);
+    if let Some(unmet) = &unmet {
+        console::note(&format!("trocar: {unmet}"));
+    }
+    Ok(!summary.interrupted && unmet.is_none())
+}
+
+/// Which trials are to be kept, as it was typed.
+fn keep(args: &EvalArgs) -> Result<Option<Keep>, SessionError> {
+    let (choice, folder) = match &args.keep[..] {
+        [] => return Ok(None),
+        [choice, folder] => (choice, folder),
+        _ => {
+            let reason = "--keep: given twice".to_owned();
+            return Err(SessionError::BadArgument(reason));
+        }
+    };
+    let choice = match choice.to_str() {
+        Some("failures") => KeepChoice::Failures,
+        Some("all") => KeepChoice::All,
+        _ => {
+            let reason = format!(
+                "--keep {}: expected failures or all, then a folder",
+                choice.display()
+            );
+            return Err(SessionError::BadArgument(reason));
+        }
+    };
+    let folder = folder.clone();
+    Ok(Some(Keep { choice, folder }))
+}
+
+/// Says how far an evaluation is: a bar on a terminal, elsewhere a line a trial.
+struct Progress {
+    bar: ProgressBar,
+    asked: usize,
+    score: Score,
+    done: usize,
+}
+
+impl Progress {
+    fn new(asked: usize) -> Self {
+        Self {
+            bar: console::progress(asked as u64, "trials"),
+            asked,
+            score: Score::default(),
+            done: 0,
+        }
+    }
+
+    fn trial(&mut self, trial: &TrialSummary) {
+        self.done += 1;
+        self.score.add(trial);
+        let rate = self.score.rate();
+        let TrialSummary {
+            seed,
+            reason,
+            seconds,
+            ..
+        } = trial;
+        if self.bar.is_hidden() {
+            let (done, asked) = (self.done, self.asked);
+            console::note(&format!(
+                "trial {done} of {asked}, seed {seed}: {reason} after {seconds:.2} s; rate {rate:.2}"
+            ));
+        } else if !trial.success {
+            self.bar.suspend(|| {
+                console::note(&format!("seed {seed}: {reason} after {seconds:.2} s"));
+            });
+        }
+        self.bar.set_message(format!("trials, rate {rate:.2}"));
+        self.bar.inc(1);
+    }
+}

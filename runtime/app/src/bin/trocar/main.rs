@@ -1,0 +1,92 @@
+//! The `trocar` command: reads the command line, calls the library, and turns the result into an exit code.
+//!
+//! Exit codes: 0 done, 1 failed at its job, 2 bad usage or bad input.
+
+mod about;
+mod args;
+mod commands;
+mod console;
+mod drives;
+mod eval;
+mod import;
+mod scene_args;
+mod sheet;
+mod study;
+mod train;
+
+use std::process::ExitCode;
+
+use clap::Parser;
+
+use trocar::rt;
+use trocar::session::outputs;
+
+use args::{Cli, Verb};
+
+/// A dataset's file that its reader panics at is bad input, not a defect of this program: the file is named, also where a
+/// panic ends the program at once.
+fn explain_panics() {
+    let before = std::panic::take_hook();
+    std::panic::set_hook(Box::new(move |panic| {
+        let Some(file) = trocar_data::dataset::file_being_read() else {
+            return before(panic);
+        };
+        if cfg!(panic = "abort") {
+            let file = file.display();
+            console::note(&format!(
+                "trocar: error: {file}: not a whole parquet file: its parts contradict each other"
+            ));
+            std::process::exit(2);
+        }
+    }));
+}
+
+fn main() -> ExitCode {
+    rt::quieten_mesa();
+    explain_panics();
+    if let Err(error) = trocar::study::child::end_with_parent() {
+        console::error(&error);
+        return ExitCode::from(1);
+    }
+    let cli = Cli::parse();
+    if let Err(error) = rt::check_slow_motion() {
+        console::error(&error);
+        return ExitCode::from(2);
+    }
+    if rt::slow_motion() > 1 {
+        console::warning(&format!(
+            "TROCAR_SLOW_MOTION: everything takes {} times as long",
+            rt::slow_motion()
+        ));
+    }
+    if cli.verb.json().is_some_and(outputs::is_standard_output) {
+        console::leave_stdout_to_json();
+    }
+    let result = match &cli.verb {
+        Verb::Run(args) => commands::run(args),
+        Verb::Eval(args) => eval::eval(args),
+        Verb::Record(args) => commands::record(args),
+        Verb::Import(args) => import::import(args),
+        Verb::Train(args) => train::train(args),
+        Verb::Study(args) => study::study(args),
+        Verb::Report(args) => study::report(args),
+        Verb::Replay(args) => commands::replay(args),
+        Verb::Verify(args) => commands::verify(args),
+        Verb::Drives(args) => drives::drives(args),
+        Verb::Doctor(args) => commands::doctor(args),
+        Verb::Demo(args) => commands::demo(args),
+        Verb::Sheet(args) => sheet::sheet(args),
+        Verb::Config(verb) => about::config(verb),
+        Verb::Completions(args) => about::completions(args),
+        Verb::Man(args) => about::man(args),
+        Verb::PolicyProcess(args) => commands::policy_process(args),
+    };
+    match result {
+        Ok(true) if !console::stdout_failed() => ExitCode::SUCCESS,
+        Ok(_) => ExitCode::from(1),
+        Err(error) => {
+            console::error(&error);
+            ExitCode::from(if error.is_bad_input() { 2 } else { 1 })
+        }
+    }
+}

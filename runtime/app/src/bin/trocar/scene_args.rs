@@ -1,0 +1,104 @@
+//! The options that choose a scene among those that a task has.
+
+use std::path::{Path, PathBuf};
+
+use clap::{Args, ValueEnum};
+
+use trocar::session::scene_options::{CameraSet, SceneOptions};
+use trocar_tasks::task::{Variation, View};
+
+/// From where the cameras look.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub(crate) enum ViewChoice {
+    /// As in the scene file, where demonstrations are recorded.
+    Train,
+    /// Endoscope and side camera shifted along each of their axes by up to 1 cm and turned about each by up to 5 degrees,
+    /// uniformly, by the episode's seed.
+    View1,
+    /// Endoscope and side camera swapped.
+    View2,
+}
+
+impl From<ViewChoice> for View {
+    fn from(choice: ViewChoice) -> Self {
+        match choice {
+            ViewChoice::Train => Self::Train,
+            ViewChoice::View1 => Self::View1,
+            ViewChoice::View2 => Self::View2,
+        }
+    }
+}
+
+/// Which scene it is, of those that a task has.
+#[derive(Args, Debug)]
+pub(crate) struct SceneArgs {
+    /// The task's scene instead of the scene.toml in its folder: a changed copy of that file. The arms stay where they are;
+    /// the task's name and safety limits do not change with it.
+    #[arg(long, value_name = "FILE")]
+    pub(crate) scene: Option<PathBuf>,
+    /// The needle, N1 to N5 in needle-lift; N1, which demonstrations are recorded with, if not given.
+    #[arg(long, value_name = "NAME")]
+    pub(crate) needle: Option<String>,
+    /// From where the cameras look; wrist cameras stay as they are.
+    #[arg(long, value_enum, default_value = "train")]
+    pub(crate) view: ViewChoice,
+}
+
+/// What is drawn anew for each episode.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub(crate) enum VaryChoice {
+    /// The needle: one of N1 to N5, each as likely. Of needle-lift only.
+    Needles,
+    /// Where endoscope and side camera stand: as with --view view1.
+    Views,
+    /// The light guide's place (2 cm along the lens' axes) and direction (7 degrees), its brightness and that of the light from
+    /// all around (0.63 to 1.6 times), the colour of the light (about 5100 K to 9000 K), and colours of things (0.8 to 1.25
+    /// times, and 10 % a channel).
+    Light,
+}
+
+impl From<VaryChoice> for Variation {
+    fn from(choice: VaryChoice) -> Self {
+        match choice {
+            VaryChoice::Needles => Self::Needles,
+            VaryChoice::Views => Self::Views,
+            VaryChoice::Light => Self::Light,
+        }
+    }
+}
+
+/// What is drawn anew for each episode, by its seed.
+#[derive(Args, Debug)]
+pub(crate) struct VaryArgs {
+    /// Draw these anew for each episode, by its seed, beyond where things lie; several with commas between them.
+    #[arg(long, value_enum, value_delimiter = ',', value_name = "WHAT,...")]
+    pub(crate) vary: Vec<VaryChoice>,
+}
+
+impl VaryArgs {
+    /// `options` with this.
+    pub(crate) fn add_to(&self, options: SceneOptions) -> SceneOptions {
+        SceneOptions {
+            varied: self.vary.iter().map(|&choice| choice.into()).collect(),
+            ..options
+        }
+    }
+}
+
+/// The files at `paths`, which a task is read from, as what results must not take the place of.
+pub(crate) fn of_task(paths: &[PathBuf]) -> impl Iterator<Item = (&'static str, Option<&Path>)> {
+    paths.iter().map(|path| ("--task", Some(path.as_path())))
+}
+
+impl SceneArgs {
+    /// The choices, with `cameras` for those whose frames are kept.
+    pub(crate) fn options(&self, cameras: Option<&str>) -> SceneOptions {
+        SceneOptions {
+            file: self.scene.clone(),
+            needle: self.needle.clone(),
+            view: self.view.into(),
+            varied: Vec::new(),
+            cameras: cameras.map(CameraSet::parse),
+        }
+    }
+}

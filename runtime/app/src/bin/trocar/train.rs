@@ -1,0 +1,205 @@
+//! `trocar train`: what is trained, and progress that a person or a log can follow.
+
+use std::path::Path;
+
+use indicatif::ProgressBar;
+use trocar::rt::MonotonicClock;
+use trocar::session::run::write_json;
+use trocar::session::training::{
+    self, CameraChoice, NetworkChoice, TrainingNews, TrainingOptions, TrainingResult,
+};
+use trocar::session::training_eval::{BEST, TrainingEval};
+use trocar::session::training_pace::Standing;
+use trocar::session::{SessionError, outputs, tasks};
+use trocar_nets::act::BackboneNorm;
+
+use crate::args::{Backbone, Network, TrainArgs, TrainingRecipe};
+use crate::commands::{Done, device};
+use crate::console;
+use crate::scene_args::of_task;
+
+pub(crate) fn train(args: &TrainArgs) -> Done {
+    let data = ("--data", args.data.as_deref());
+    let out = ("--out", args.out.as_deref());
+    let task = args.eval_task.as_deref().map(tasks::paths);
+    let task = task.unwrap_or_default();
+    let mut read = vec![data, out];
+    read.extend(of_task(&task));
+    outputs::check(&[("--json", args.json.as_deref())], &read)?;
+    let mut progress = Progress::new();
+    let mut on_news = |news: &TrainingNews<'_>| progress.news(news);
+    let (result, out) = match (&args.resume, &args.policy, &args.data, &args.out) {
+        (Some(folder), ..) => (training::resume(folder, &mut on_news), folder),
+        (None, Some(policy), Some(data), Some(out)) => {
+            let options = training_options(args, *policy, data, out)?;
+            (training::train(&options, &mut on_news), out)
+        }
+        // The parser asks for these before.
+        _ => return Err(missing_options()),
+    };
+    progress.bar.finish_and_clear();
+    let result = result?;
+    report(&result, out);
+    if let Some(path) = &args.json {
+        write_json(path, &result)?;
+    }
+    Ok(true)
+}
+
+fn report(result: &TrainingResult, out: &Path) {
+    console::result(&format!(
+        "trained {} steps, final loss {:.5}, {}",
+        result.steps,
+        result.loss,
+        out.display()
+    ));
+    if let Some(best) = &result.best {
+        console::result(&format!(
+            "best of {} evaluations: {} of {} trials after {} steps, {}",
+            result.evaluations,
+            best.successes,
+            best.trials,
+            best.step,
+            out.join(BEST).display()
+        ));
+    }
+}
+
+fn missing_options() -> SessionError {
+    SessionError::BadArgument("--policy, --data and --out are needed, or --resume".to_owned())
+}
+
+fn training_options(
+    args: &TrainArgs,
+    network: Network,
+    data: &Path,
+    out: &Path,
+) -> Result<TrainingOptions, SessionError> {
+    Ok(TrainingOptions {
+        network: match network {
+            Network::Act => NetworkChoice::Act,
+            Network::ActPc => NetworkChoice::ActPc,
+            Network::Dp3 => NetworkChoice::Dp3,
+        },
+        data: data.to_owned(),
+        out: out.to_owned(),
+        cameras: CameraChoice::of(&args.cameras),
+        preset: args.preset.clone().unwrap_or_else(|| {
+            match network {
+                Network::Act | Network::ActPc => "small",
+                Network::Dp3 => "paper",
+            }
+            .to_owned()
+        }),
+        published: args.recipe == Some(TrainingRecipe::Published),
+        backbone: match args.backbone {
+            Backbone::GroupNorm => BackboneNorm::GroupNorm,
+            Backbone::FrozenBatchNorm => BackboneNorm::FrozenBatchNorm,
+        },
+        backbone_weights: args.backbone_weights.clone(),
+        steps: args.steps,
+        batch: args.batch,
+        device: device(args.device)?,
+        episodes: args.episodes,
+        bf16: args.bf16,
+        validation_share: args.validation_share,
+        threads: args.threads,
+        augment: args.augment,
+        query_every: args.query_every,
+        lr: args.lr,
+        shift_px: args.shift_px,
+        state_noise: args.state_noise,
+        clouds: args.clouds.clone(),
+        images_on_host: args.images_on_host,
+        eager: args.eager,
+        seed: args.seed,
+        save_every: args.save_every,
+        eval: args.eval_every.map(|every| TrainingEval {
+            every,
+            task: args.eval_task.clone(),
+            trials: args.eval_trials,
+            seed: args.eval_seed,
+            jobs: args.eval_jobs,
+            latency_ms: args.eval_latency_ms,
+        }),
+        command: std::env::args().skip(1).collect::<Vec<_>>().join(" "),
+    })
+}
+
+/// Time between two lines where there is no terminal, s.
+const LINE_EVERY_S: f64 = 5.0;
+
+/// Says how far a training is: a bar on a terminal, elsewhere a line every few seconds.
+struct Progress {
+    bar: ProgressBar,
+    clock: MonotonicClock,
+    /// When the last line was written, s.
+    line_s: Option<f64>,
+}
+
+impl Progress {
+    fn new() -> Self {
+        Self {
+            bar: console::bar("frames decoded"),
+            clock: MonotonicClock::new(),
+            line_s: None,
+        }
+    }
+
+    fn news(&mut self, news: &TrainingNews<'_>) {
+        match *news {
+            TrainingNews::Note(line) => self.bar.suspend(|| console::note(line)),
+            TrainingNews::Warning(line) => self.bar.suspend(|| console::warning(line)),
+            TrainingNews::Reading {
+                frames,
+                of,
+                seconds,
+            } => {
+                if self.bar.is_hidden() {
+                    let line = format!("{frames} of {of} frames decoded; {seconds:.0} s");
+                    console::note(&line);
+                }
+                self.at(frames as u64, of as u64);
+            }
+            TrainingNews::Standing(standing) => self.standing(standing),
+            TrainingNews::Evaluating {
+                step,
+                trials,
+                of,
+                score,
+            } => {
+                let rate = score.rate();
+                self.bar.set_message(format!(
+                    "evaluating step {step}, trial {trials} of {of}, rate {rate:.2}"
+                ));
+            }
+        }
+    }
+
+    fn standing(&mut self, standing: &Standing) {
+        if self.bar.is_hidden() {
+            let now = self.clock.now().seconds();
+            let due = self.line_s.is_none_or(|last| now - last >= LINE_EVERY_S);
+            let ends = standing.row.is_some() && standing.step == standing.steps;
+            if due || ends {
+                self.line_s = Some(now);
+                console::note(&standing.to_string());
+            }
+            return;
+        }
+        let rate = standing
+            .samples_per_second
+            .map_or_else(String::new, |rate| format!(", {rate:.1} samples/s"));
+        let left = standing.seconds_left.map_or_else(String::new, |left| {
+            format!(", {} left", console::duration(left))
+        });
+        self.bar
+            .set_message(format!("loss {:.4}{rate}{left}", standing.loss));
+        self.at(standing.step, standing.steps);
+    }
+
+    fn at(&self, position: u64, length: u64) {
+        self.bar.set_length(length);
+        self.bar.set_position(position);
+    }
+}

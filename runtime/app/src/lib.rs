@@ -1,0 +1,10 @@
+#![doc = include_str!("../README.md")]
+
+pub mod doctor;
+pub mod histogram;
+pub mod mailbox;
+pub mod report;
+mod rig;
+pub mod rt;
+pub mod session;
+pub mod study;

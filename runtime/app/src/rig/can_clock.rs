@@ -1,0 +1,20 @@
+//! The runtime's clock, lent to CAN buses.
+
+use hal::TimeNs;
+use trocar_canopen::socket::Clock;
+
+use crate::rt::MonotonicClock;
+
+/// A monotonic clock for the master or the drives of a bus.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct CanClock(pub(crate) MonotonicClock);
+
+impl Clock for CanClock {
+    fn now(&self) -> TimeNs {
+        self.0.now()
+    }
+
+    fn wait(&mut self, until: TimeNs) {
+        self.0.wait_until(until);
+    }
+}

@@ -1,0 +1,56 @@
+//! Simulated arms in lockstep: a period begins when the step before it is computed.
+
+use hal::{Arm as _, Measured, PerArm, Period, Rig, Setpoint, TimeNs};
+use trocar_tasks::simulation::Simulation;
+
+/// The arms of a simulation, and its clock.
+pub(crate) struct LockstepRig<'a> {
+    pub(crate) simulation: &'a mut Simulation,
+    tick: u64,
+}
+
+impl<'a> LockstepRig<'a> {
+    /// Before the first period.
+    pub(crate) const fn new(simulation: &'a mut Simulation) -> Self {
+        Self {
+            simulation,
+            tick: 0,
+        }
+    }
+
+    fn read(&mut self, now: TimeNs) -> Option<PerArm<Measured>> {
+        let arms = 0..self.simulation.arm_count();
+        PerArm::collect(arms.filter_map(|arm| Some(self.simulation.arm(arm)?.read(now))))
+    }
+}
+
+impl Rig for LockstepRig<'_> {
+    fn exchange(&mut self, setpoints: Option<&PerArm<Setpoint>>) -> Period {
+        let mut refused = [None; hal::ARMS_MAX];
+        if let Some(setpoints) = setpoints {
+            for ((index, (command, tail)), refused) in
+                setpoints.iter().enumerate().zip(&mut refused)
+            {
+                if let Some(mut arm) = self.simulation.arm(index) {
+                    *refused = arm.write(command, tail).err();
+                }
+            }
+            self.simulation.step();
+            self.tick += 1;
+        }
+        let now = TimeNs::from_tick(self.tick);
+        let mut refused = refused.into_iter();
+        let measured = self.read(now).map(|arms| {
+            arms.map(|measured| match refused.next().flatten() {
+                Some(error) => Err(error),
+                None => measured,
+            })
+        });
+        Period {
+            now,
+            late_ns: 0,
+            skipped: 0,
+            measured,
+        }
+    }
+}

@@ -1,0 +1,47 @@
+//! The rigs: simulated arms in lockstep, simulated arms in another thread, drives on CAN; and the controller's tick in all of them.
+//!
+//! A session's loop is the same for all: [`hal::Rig::exchange`], [`control`], again.
+
+pub(crate) mod can;
+pub(crate) mod can_clock;
+pub(crate) mod lockstep;
+pub(crate) mod threads;
+
+use hal::{Chunk, Measured, PerArm, Period, Setpoint};
+use trocar_control::{AnyController, OperatorEvent, TickInput};
+use trocar_log::{TickRecord, TickTiming};
+
+use crate::rt::MonotonicClock;
+
+/// The controller's tick in `period`: what the log keeps of it, and the set-points that answer it. Nothing if there are other arms than
+/// the controller's. Hot path: bounded, no allocation, no I/O.
+pub(crate) fn control(
+    controller: &mut AnyController,
+    period: &Period,
+    measured: PerArm<Measured>,
+    chunks: Option<&PerArm<Chunk>>,
+    operator: Option<OperatorEvent>,
+    clock: MonotonicClock,
+) -> Option<(TickRecord, PerArm<Setpoint>)> {
+    let now = period.now;
+    let mut newest = chunks.into_iter().flat_map(PerArm::iter);
+    let inputs = measured.map(|measured| TickInput {
+        now,
+        measured,
+        chunk: newest.next(),
+        operator,
+    });
+    let before = clock.now();
+    let outputs = controller.tick(&inputs);
+    let compute_ns = clock.now().since(before);
+    let outputs = outputs?;
+    let timing = TickTiming {
+        wake_ns: period.late_ns,
+        compute_ns,
+    };
+    let setpoints = outputs.map(|output| (output.command, output.tail));
+    Some((
+        TickRecord::new(now.tick(), inputs, outputs, timing),
+        setpoints,
+    ))
+}

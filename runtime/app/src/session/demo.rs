@@ -1,0 +1,117 @@
+//! The demonstration: the committed policy of a task through every stage, and a person can look at it.
+
+use std::path::{Path, PathBuf};
+
+use tch::Device;
+
+use super::pictures::STEP_MS;
+use super::realtime::run_realtime;
+use super::run::{RunOptions, run_lockstep, write_json};
+use super::summary::RunSummary;
+use super::{PolicyChoice, SessionError, Setup, policies, tasks};
+use trocar_log::RunLog;
+use trocar_log::replay::{ReplayResult, replay};
+use trocar_log::verify::{VerifyResult, verify};
+
+/// The committed policy of the needle lift.
+pub const COMMITTED_POLICY: &str = "config/policies/needle-lift/act-small";
+
+/// What to show.
+#[derive(Clone, Debug)]
+pub struct DemoOptions {
+    /// Where the logs and the pictures go.
+    pub out: PathBuf,
+    /// The task: a built-in one's name or the path of a folder.
+    pub task: String,
+    /// The policy; the committed one of the task if not given.
+    pub policy: Option<String>,
+    /// Everything random hangs on this.
+    pub seed: u64,
+}
+
+/// One run of the demonstration, its log read again.
+#[derive(Debug)]
+pub struct Shown {
+    /// The run's summary.
+    pub summary: RunSummary,
+    /// Every command recomputed from the log.
+    pub replayed: ReplayResult,
+    /// Every command checked against the limits in the log.
+    pub verified: VerifyResult,
+}
+
+/// What was shown.
+#[derive(Debug)]
+pub struct DemoResult {
+    /// In lockstep: the same each time.
+    pub lockstep: Shown,
+    /// In real time, the network in its own process: as the machine allows.
+    pub real_time: Shown,
+    /// The files that were written.
+    pub files: Vec<PathBuf>,
+}
+
+/// Runs the task in lockstep and in real time, writes both logs, the summaries, and pictures of the lockstep run.
+/// `on_progress` hears what comes next.
+///
+/// # Errors
+/// As of the runs and of reading their logs.
+pub fn run(
+    options: &DemoOptions,
+    on_progress: &mut dyn FnMut(&str),
+) -> Result<DemoResult, SessionError> {
+    let policy = match &options.policy {
+        Some(policy) => PolicyChoice::parse(policy),
+        None => {
+            PolicyChoice::Checkpoint(policies::recommended(&tasks::files(&options.task)?.name)?)
+        }
+    };
+    let setup = Setup::load(&options.task, None, &policy)?;
+    let file = |name: &str| options.out.join(name);
+    let files: Vec<PathBuf> = [
+        "run.mcap",
+        "run.json",
+        "strip.png",
+        "run.gif",
+        "realtime.mcap",
+        "realtime.json",
+    ]
+    .map(file)
+    .into();
+    let run_options = |log: &Path, pictures: bool| RunOptions {
+        policy: policy.clone(),
+        seed: options.seed,
+        log: Some(log.to_path_buf()),
+        pictures,
+        latency_ms: None,
+        latency_jitter_ms: 0,
+        compute: Device::Cpu.into(),
+    };
+    on_progress(&format!(
+        "1 of 2: {} with {} in lockstep, as fast as it goes",
+        setup.task_name,
+        policy.name()
+    ));
+    let lockstep = run_lockstep(&setup, &run_options(&files[0], true))?;
+    write_json(&files[1], &lockstep.summary)?;
+    lockstep.pictures.write_strip(&files[2], 4, 2)?;
+    lockstep.pictures.write_gif(&files[3], STEP_MS)?;
+    on_progress("2 of 2: the same in real time, the network in its own process");
+    let real_time = run_realtime(&setup, &run_options(&files[4], false))?;
+    write_json(&files[5], &real_time.summary)?;
+    Ok(DemoResult {
+        lockstep: examine(lockstep.summary, &files[0])?,
+        real_time: examine(real_time.summary, &files[4])?,
+        files,
+    })
+}
+
+/// Reads the log of a run again, recomputes its commands and checks them.
+fn examine(summary: RunSummary, log: &Path) -> Result<Shown, SessionError> {
+    let log = RunLog::open(log)?;
+    Ok(Shown {
+        summary,
+        replayed: replay(&log)?,
+        verified: verify(&log)?,
+    })
+}

@@ -1,0 +1,255 @@
+//! The drives of all arms with the world that they move, or with nothing but their motors, in a time of their own.
+
+use hal::joints::INSERTION;
+use hal::{Arm as _, ArmState, JointVector, TimeNs, psm};
+use trocar_canopen::master::CanConfig;
+use trocar_canopen::{Frame, NodeId, Payload};
+use trocar_drives::node::{AxisConfig, Node};
+use trocar_drives::{Network, Terminal};
+use trocar_tasks::simulation::Simulation;
+
+use super::coupling::Coupling;
+use super::inject::{FaultKind, InjectedFault, Injector, Outside};
+use super::stops::{Stop, StopWatch};
+use crate::session::SessionError;
+use crate::session::source::STEP_TICKS;
+use crate::session::world_report::WorldState;
+
+/// Frames that wait for a bus on their way in from outside.
+const QUEUE: usize = 256;
+
+/// The interfaces of the first `arms` arms, each once: line 0 of the network first.
+pub(super) fn interfaces(can: &CanConfig, arms: usize) -> Vec<String> {
+    let mut names: Vec<String> = Vec::new();
+    for name in can.arms.iter().take(arms).flat_map(|arm| &arm.interfaces) {
+        if !names.contains(name) {
+            names.push(name.clone());
+        }
+    }
+    names
+}
+
+/// Checks that no node stands for two axes.
+pub(super) fn check_nodes(can: &CanConfig, arms: usize) -> Result<(), SessionError> {
+    let mut seen: Vec<NodeId> = Vec::new();
+    for axis in can.arms.iter().take(arms).flat_map(|arm| &arm.plan.axes) {
+        if seen.contains(&axis.node) {
+            return Err(SessionError::BadArgument(format!(
+                "node {} is of two arms; `trocar drives` needs a number of its own for each drive",
+                axis.node
+            )));
+        }
+        seen.push(axis.node);
+    }
+    Ok(())
+}
+
+/// What is told to those outside.
+pub(super) trait Listener {
+    /// A drive has stopped and rests.
+    fn stopped(&mut self, stop: Stop);
+
+    /// The fault at this place has begun.
+    fn injected(&mut self, place: usize);
+
+    /// All drives follow: the episode begins.
+    fn begun(&mut self, at: TimeNs);
+
+    /// A policy step has passed in the world.
+    fn step(&mut self, sequence: u64, world: &WorldState, simulation: &Simulation);
+
+    /// The controllers of all others on this line are off the bus.
+    fn bus_off(&mut self, line: u8);
+}
+
+/// An arm at rest where homing leaves it.
+fn at_home() -> ArmState {
+    let mut position = JointVector::zeros();
+    position[INSERTION] = psm::HOME_INSERTION_M;
+    ArmState::at_rest(TimeNs(0), position, 0.0)
+}
+
+/// Arms, their world, and what is injected.
+pub(super) struct Bench {
+    /// What the motors turn; without one each goes where it is told.
+    simulation: Option<Simulation>,
+    arms: Vec<Coupling>,
+    watches: Vec<StopWatch>,
+    injector: Injector,
+    begun: Option<TimeNs>,
+}
+
+impl Bench {
+    /// Puts the drives of the first `count` arms of `can` on the lines of their interfaces; `simulation` has as many, if there is one.
+    pub(super) fn new(
+        mut simulation: Option<Simulation>,
+        (can, count): (&CanConfig, usize),
+        faults: &[InjectedFault],
+    ) -> Result<(Self, Network<Terminal>), SessionError> {
+        let names = interfaces(can, count);
+        let lines = u8::try_from(names.len()).unwrap_or(u8::MAX);
+        let plans: Vec<_> = can.arms.iter().take(count).collect();
+        let (bit_rate, cycle_ns) = plans
+            .first()
+            .map_or((1, 1), |arm| (arm.plan.bit_rate, arm.plan.cycle_ns));
+        let mut network = Network::new(lines, bit_rate, QUEUE);
+        let (mut arms, mut watches) = (Vec::new(), Vec::new());
+        for (index, arm) in plans.into_iter().enumerate() {
+            let coupling = Coupling::new(&arm.plan);
+            let state = match &mut simulation {
+                None => at_home(),
+                Some(simulation) => match simulation.arm(index) {
+                    Some(mut simulated) => simulated.read(TimeNs(0))?,
+                    None => continue,
+                },
+            };
+            for (axis, feedback) in coupling.feedback(&state).into_iter().enumerate() {
+                let plan = &arm.plan.axes[axis];
+                let interface = &arm.interfaces[usize::from(plan.line)];
+                let line = names.iter().position(|name| name == interface);
+                let line = u8::try_from(line.unwrap_or(0)).unwrap_or(0);
+                let serial =
+                    100 * u32::try_from(index + 1).unwrap_or(0) + u32::from(plan.node.raw());
+                let mut drive = AxisConfig::of(plan, serial);
+                let lies = |fault: &InjectedFault| {
+                    fault.kind == FaultKind::WrongIdentity && fault.node == plan.node
+                };
+                if faults.iter().any(lies) {
+                    drive.identity.1 = drive.identity.1.wrapping_add(1);
+                }
+                network.add(line, Node::new(plan.node, &drive), Terminal::new(feedback));
+            }
+            watches.push(StopWatch::new(index, &arm.plan));
+            arms.push(coupling);
+        }
+        let injector = Injector::new(faults, cycle_ns, &mut network);
+        let bench = Self {
+            simulation,
+            arms,
+            watches,
+            injector,
+            begun: None,
+        };
+        Ok((bench, network))
+    }
+
+    /// When all drives followed for the first time.
+    pub(super) const fn begun(&self) -> Option<TimeNs> {
+        self.begun
+    }
+
+    /// A millisecond of the world, which is over at `at`.
+    pub(super) fn step(
+        &mut self,
+        at: TimeNs,
+        network: &mut Network<Terminal>,
+        listener: &mut dyn Listener,
+    ) -> Result<(), SessionError> {
+        self.turn_motors(at, network)?;
+        for watch in &mut self.watches {
+            watch.look(at, network, &mut |stop| listener.stopped(stop));
+        }
+        if self.begun.is_none() && self.watches.iter().all(StopWatch::all_follow) {
+            self.begun = Some(at);
+            listener.begun(at);
+        }
+        if let Some(begun) = self.begun {
+            self.inject(at.since(begun), network, listener);
+        }
+        let tick = at.tick();
+        if tick.is_multiple_of(STEP_TICKS)
+            && let (Some(world), Some(simulation)) = (self.world(), &self.simulation)
+        {
+            listener.step(tick / STEP_TICKS, &world, simulation);
+        }
+        Ok(())
+    }
+
+    /// A millisecond of what the motors turn.
+    fn turn_motors(
+        &mut self,
+        at: TimeNs,
+        network: &mut Network<Terminal>,
+    ) -> Result<(), SessionError> {
+        let Some(simulation) = &mut self.simulation else {
+            for coupling in &self.arms {
+                coupling.turn_freely(network);
+            }
+            return Ok(());
+        };
+        for (index, coupling) in self.arms.iter().enumerate() {
+            let setpoint = coupling.setpoint(network);
+            if let Some(mut arm) = simulation.arm(index) {
+                arm.lead(&setpoint);
+            }
+        }
+        if self.begun.is_some() {
+            simulation.step();
+        } else {
+            simulation.wait();
+        }
+        for (index, coupling) in self.arms.iter().enumerate() {
+            let Some(mut arm) = simulation.arm(index) else {
+                continue;
+            };
+            let feedback = coupling.feedback(&arm.read(at)?);
+            for (axis, feedback) in coupling.plan().axes.iter().zip(feedback) {
+                if let Some(motor) = network.motor(axis.node) {
+                    motor.feedback = feedback;
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// What the world knows of itself, if there is one.
+    pub(super) fn world(&self) -> Option<WorldState> {
+        let simulation = self.simulation.as_ref()?;
+        Some(WorldState {
+            scene: simulation.scene_state(),
+            outcome: self.begun.map(|_| simulation.outcome()),
+            tissue: simulation.tissue_extremes(),
+        })
+    }
+
+    fn inject(
+        &mut self,
+        since_ns: u64,
+        network: &mut Network<Terminal>,
+        listener: &mut dyn Listener,
+    ) {
+        let Self { arms, injector, .. } = self;
+        let mut off = None;
+        let mut outside = |what, network: &mut Network<Terminal>| match what {
+            Outside::Slack(node, slack) => {
+                for arm in arms.iter_mut() {
+                    let axis = arm.plan().axes.iter().position(|axis| axis.node == node);
+                    if let Some(axis) = axis {
+                        arm.set_slack(axis, slack);
+                    }
+                }
+            }
+            Outside::BusOff(node) => off = network.line_of(node),
+            Outside::ForeignMaster(node) => {
+                let led = |arm: &&Coupling| arm.plan().axes.iter().any(|axis| axis.node == node);
+                let (arm, line) = (arms.iter().find(led), network.line_of(node));
+                if let (Some(arm), Some(line)) = (arm, line) {
+                    let sync = Frame::new(arm.plan().sync_id, Payload::EMPTY);
+                    network.intrude(line, sync);
+                }
+            }
+        };
+        let begun = injector.turn(since_ns, network, &mut outside);
+        if let Some(line) = off {
+            listener.bus_off(line);
+        }
+        if let Some(place) = begun {
+            listener.injected(place);
+        }
+    }
+
+    /// How busy each line has been, ns and frames.
+    pub(super) fn busy(network: &Network<Terminal>, lines: u8) -> Vec<(u64, u64)> {
+        (0..lines).map(|line| network.wire(line).busy()).collect()
+    }
+}

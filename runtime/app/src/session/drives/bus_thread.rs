@@ -1,0 +1,216 @@
+//! The thread that keeps emulated drives and their world going, in step with the clock on the wall.
+
+use std::sync::atomic::{AtomicBool, Ordering};
+
+use hal::{TICK_NS, TimeNs};
+use rtrb::Producer;
+use trocar_canopen::master::{Bus as _, CanConfig};
+use trocar_canopen::socket::SocketBus;
+use trocar_drives::Station;
+use trocar_tasks::scene::SceneSnapshot;
+use trocar_tasks::simulation::Simulation;
+
+use super::bench::{Bench, Listener};
+use super::inject::InjectedFault;
+use super::stalls::Stalls;
+use super::stops::Stop;
+use crate::histogram::Histogram;
+use crate::mailbox::MailboxWriter;
+use crate::rig::can_clock::CanClock;
+use crate::rt::{MonotonicClock, RtOptions, configure_thread, sleep_ns, slow_motion};
+use crate::session::SessionError;
+use crate::session::world_report::WorldState;
+
+/// Priority under `SCHED_FIFO`: below a control thread's.
+const PRIORITY: u8 = 70;
+
+/// The drives are looked after at least this often, ns.
+const TURN_NS: u64 = 1_000_000;
+
+/// When the master has spoken, its drives are looked after this part of its cycle later at the latest.
+const SOON: u64 = 4;
+
+/// Time from one look to the next at least, unless something comes, ns.
+const WAIT_NS_MIN: u64 = 20_000;
+
+/// The longest time that passes for the drives at once, ns. What this thread was kept from its work for beyond that does not
+/// pass for them at all: no real drive stands still because a computer is busy.
+const TURN_NS_MAX: u64 = 5_000_000;
+
+/// What one instant of the world looks like.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Shown {
+    /// On the system's clock.
+    pub(super) stamp: TimeNs,
+    pub(super) sequence: u64,
+    pub(super) world: WorldState,
+    pub(super) snapshot: SceneSnapshot,
+}
+
+/// What there is to tell.
+#[derive(Clone, Copy, Debug)]
+pub(super) enum Told {
+    Begun(TimeNs),
+    Stopped(Stop),
+    Injected(usize),
+    BusOff(u8),
+}
+
+/// The thread before it runs.
+pub(super) struct BusThread<'a> {
+    /// The world that the drives move, if there is one.
+    pub(super) simulation: Option<Simulation>,
+    pub(super) can: &'a CanConfig,
+    /// How many of its arms there are.
+    pub(super) arms: usize,
+    pub(super) faults: &'a [InjectedFault],
+    pub(super) bus: SocketBus<CanClock>,
+    pub(super) lines: u8,
+    pub(super) shown: MailboxWriter<Shown>,
+    pub(super) told: Producer<Told>,
+    pub(super) stop: &'a AtomicBool,
+}
+
+/// What it leaves behind.
+pub(super) struct BusEnd {
+    /// The drives' time at the end.
+    pub(super) now: TimeNs,
+    /// When the episode began, in it.
+    pub(super) begun: Option<TimeNs>,
+    /// Time that did not pass for the drives, ns.
+    pub(super) stalled_ns: u64,
+    /// How long a look at the buses and the world took.
+    pub(super) turns: Histogram,
+    /// How the world stands, if there is one.
+    pub(super) world: Option<WorldState>,
+    /// How busy each line was, ns, and with how many frames.
+    pub(super) busy: Vec<(u64, u64)>,
+    /// Frames that found no room.
+    pub(super) lost: u64,
+}
+
+/// Hands on what the bench tells.
+struct Messenger {
+    clock: MonotonicClock,
+    shown: MailboxWriter<Shown>,
+    told: Producer<Told>,
+    stalls: Stalls,
+}
+
+impl Messenger {
+    fn tell(&mut self, what: Told) {
+        // Full only if nobody reads, and then nobody wants to know.
+        let _gone = self.told.push(what);
+    }
+}
+
+impl Listener for Messenger {
+    fn stopped(&mut self, stop: Stop) {
+        let last_word = stop.sync.unwrap_or(stop.at).0;
+        // A SYNC that came while this process stood still was heard after it.
+        let start = TimeNs(last_word.saturating_sub(TURN_NS_MAX));
+        let stalled_ns = self.stalls.since(start);
+        self.tell(Told::Stopped(Stop { stalled_ns, ..stop }));
+    }
+
+    fn injected(&mut self, place: usize) {
+        self.tell(Told::Injected(place));
+    }
+
+    fn begun(&mut self, at: TimeNs) {
+        self.tell(Told::Begun(at));
+    }
+
+    fn step(&mut self, sequence: u64, world: &WorldState, simulation: &Simulation) {
+        self.shown.put(Shown {
+            stamp: self.clock.to_system(self.clock.now()),
+            sequence,
+            world: *world,
+            snapshot: simulation.snapshot(),
+        });
+    }
+
+    fn bus_off(&mut self, line: u8) {
+        self.tell(Told::BusOff(line));
+    }
+}
+
+/// Held by this thread: when it ends for whatever reason, so does the process.
+struct EndsAll<'a>(&'a AtomicBool);
+
+impl Drop for EndsAll<'_> {
+    fn drop(&mut self) {
+        self.0.store(true, Ordering::Release);
+    }
+}
+
+impl BusThread<'_> {
+    /// Runs until it is told to stop.
+    pub(super) fn run(self) -> Result<BusEnd, SessionError> {
+        let _ends = EndsAll(self.stop);
+        // Not strict: without it the drives are only less punctual.
+        let _granted = configure_thread(&RtOptions {
+            priority: Some(PRIORITY),
+            cpu: None,
+            lock_memory: false,
+            strict: false,
+        });
+        let clock = MonotonicClock::new();
+        let (mut bench, network) = Bench::new(self.simulation, (self.can, self.arms), self.faults)?;
+        let mut station = Station::new(network, self.bus, self.lines);
+        let mut messenger = Messenger {
+            clock,
+            shown: self.shown,
+            told: self.told,
+            stalls: Stalls::new(),
+        };
+        let (mut last, mut now) = (clock.now(), TimeNs(0));
+        let mut turns = Histogram::new();
+        let mut failure = None;
+        let cycle_ns = self.can.arms.iter().map(|arm| arm.plan.cycle_ns).min();
+        let soon_ns = cycle_ns.unwrap_or(TICK_NS) / SOON;
+        while !self.stop.load(Ordering::Acquire) && failure.is_none() {
+            let wall = clock.now();
+            let gap_ns = wall.since(last);
+            let turn_ns = gap_ns.min(TURN_NS_MAX);
+            last = wall;
+            messenger.stalls.note(now, gap_ns - turn_ns);
+            now = now.plus_ns(turn_ns);
+            station.turn_until(now, TICK_NS, &mut |at, network| {
+                if failure.is_none() {
+                    failure = bench.step(at, network, &mut messenger).err();
+                }
+            });
+            let network = station.network_mut();
+            // Their words leave together when the last of them has had its time on the wire.
+            let next = match (network.silent_at(), network.hears()) {
+                (Some(at), _) => at,
+                (None, true) => now.plus_ns(soon_ns),
+                (None, false) => now.plus_ns(TURN_NS),
+            };
+            let wait_ns = next.since(now).clamp(WAIT_NS_MIN, TURN_NS);
+            let spent_ns = clock.now().since(wall);
+            turns.record(spent_ns);
+            let left_ns = wait_ns.saturating_sub(spent_ns).max(WAIT_NS_MIN);
+            let bus = station.bus_mut();
+            if !bus.wait_for_frames(left_ns * slow_motion()) {
+                // An interface in trouble would wake us again and again.
+                sleep_ns(left_ns);
+            }
+        }
+        if let Some(failure) = failure {
+            return Err(failure);
+        }
+        let lost = station.lost();
+        let network = station.network_mut();
+        Ok(BusEnd {
+            now: network.now(),
+            begun: bench.begun(),
+            stalled_ns: messenger.stalls.total_ns(),
+            turns,
+            world: bench.world(),
+            busy: Bench::busy(network, self.lines),
+            lost,
+        })
+    }
+}

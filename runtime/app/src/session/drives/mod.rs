@@ -1,0 +1,311 @@
+//! Emulated drives on real buses: seven an arm, which move the simulated arms of a task, or nothing but their motors.
+//!
+//! ```text
+//!  buses <──> bus thread (SCHED_FIFO): drives and the time that frames take, and the world every millisecond
+//!                  │ snapshots, what happened
+//!                  ▼
+//!             first thread: scene, verdict and camera frames on topics; a line for whatever stopped a drive
+//! ```
+//!
+//! To whoever leads them they are nodes on a bus and nothing else. The topics are for those who look at the world: scripted
+//! experts, cameras, and whoever wants to know how the task went. The episode begins when all drives of all arms are
+//! enabled for the first time; before that nothing is judged.
+
+mod bench;
+mod bus_thread;
+mod coupling;
+mod inject;
+mod show;
+mod stalls;
+mod stops;
+mod summary;
+
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::thread;
+
+use hal::TimeNs;
+use rtrb::{Consumer, RingBuffer};
+use trocar_canopen::master::CanConfig;
+use trocar_tasks::simulation::{Rendering, Simulation};
+use trocar_tasks::task::Outcome;
+
+pub use inject::{BadFault, FaultKind, InjectedFault};
+pub use stops::{Stop, StopCause};
+pub use summary::{BusSummary, DrivesSummary, StopSummary};
+
+use super::can_interfaces::{BusOffInjector, open};
+use super::summary::TickUs;
+use super::{SessionError, Setup};
+use crate::mailbox::mailbox;
+use crate::rt::{self, MonotonicClock};
+use bus_thread::{BusEnd, BusThread, Told};
+use show::Show;
+
+/// Time between two looks of the first thread, ns; the world is shown every 40 ms.
+const POLL_NS: u64 = 5_000_000;
+
+/// Things that may wait to be told.
+const TOLD: usize = 256;
+
+/// Stops that belong together are told together, so long after the first, ns.
+const GATHER_NS: u64 = 100_000_000;
+
+/// The topics' name unless another one is asked for.
+pub const DEFAULT_TOPICS: &str = "drives";
+
+/// What the drives move.
+#[derive(Clone, Copy, Debug)]
+pub enum Moved<'a> {
+    /// The arms of a task, in its world.
+    Task(&'a Setup),
+    /// So many arms, each motor by itself: they stand in for real drives, and nobody shows a scene.
+    Arms(usize),
+}
+
+impl Moved<'_> {
+    const fn arms(&self) -> usize {
+        match self {
+            Self::Task(setup) => setup.task.arms.len(),
+            Self::Arms(count) => *count,
+        }
+    }
+
+    fn name(&self) -> String {
+        match self {
+            Self::Task(setup) => format!("task {}", setup.task_name),
+            Self::Arms(_) => "--no-world".to_owned(),
+        }
+    }
+}
+
+/// How to run drives.
+#[derive(Clone, Debug)]
+pub struct DrivesOptions {
+    /// Everything random in the scene hangs on this.
+    pub seed: u64,
+    /// Names the topics.
+    pub topics: String,
+    /// Whether the cameras that the setup keeps are drawn and published.
+    pub cameras: bool,
+    /// What goes wrong on purpose.
+    pub faults: Vec<InjectedFault>,
+}
+
+/// Runs the drives of the arms until a signal comes. `say` gets a line when they are there, when the episode begins,
+/// for whatever stops a drive, and for the verdict.
+///
+/// # Errors
+/// From the configuration, the buses, the simulation or the topics.
+pub fn run_drives(
+    moved: Moved<'_>,
+    can: &CanConfig,
+    options: &DrivesOptions,
+    say: &mut dyn FnMut(&str),
+) -> Result<DrivesSummary, SessionError> {
+    let arms = moved.arms();
+    if can.arms.len() < arms {
+        return Err(SessionError::BadArgument(format!(
+            "arm: {} arms are on CAN, {} has {arms}",
+            can.arms.len(),
+            moved.name()
+        )));
+    }
+    bench::check_nodes(can, arms)?;
+    check_faults(can, arms, &options.faults)?;
+    rt::catch_interrupts()
+        .map_err(|error| SessionError::RealTime(format!("catching signals failed: {error}")))?;
+    let names = bench::interfaces(can, arms);
+    let bus = open(&names, MonotonicClock::new())?;
+    let (shown_in, shown) = mailbox();
+    let (told_in, told) = RingBuffer::new(TOLD);
+    let stop = AtomicBool::new(false);
+    let (mut simulation, mut show) = (None, None);
+    if let Moved::Task(setup) = moved {
+        let world = Simulation::new(&setup.task, options.seed, Rendering::Off)?;
+        show = Some(Show::open(setup, options, shown, &world.snapshot())?);
+        simulation = Some(world);
+    }
+    let off = BusOffInjector::open(&names, &options.faults)?;
+    let bus_thread = BusThread {
+        simulation,
+        can,
+        arms,
+        faults: &options.faults,
+        bus,
+        lines: u8::try_from(names.len()).unwrap_or(u8::MAX),
+        shown: shown_in,
+        told: told_in,
+        stop: &stop,
+    };
+    let places = format!("{} on {}", nodes(can, arms), names.join(" "));
+    say(&match moved {
+        Moved::Task(setup) => format!(
+            "{}, seed {}: {places}; scene on topics {:?}",
+            setup.task_name, options.seed, options.topics
+        ),
+        Moved::Arms(_) => format!("no world: {places}"),
+    });
+    let mut teller = Teller {
+        told,
+        has_world: matches!(moved, Moved::Task(_)),
+        faults: &options.faults,
+        off,
+        stops: Vec::new(),
+        fresh: Vec::new(),
+        first: TimeNs(0),
+        clock: MonotonicClock::new(),
+    };
+    let (end, shown) = thread::scope(|scope| {
+        let bus = scope.spawn(move || bus_thread.run());
+        let shown = attend(show, &mut teller, &stop, say);
+        stop.store(true, Ordering::Release);
+        let end = bus
+            .join()
+            .map_err(|_| SessionError::RealTime("the bus thread has panicked".to_owned()));
+        (end.and_then(|end| end), shown)
+    });
+    let end = end?;
+    shown?;
+    teller.turn(true, say)?;
+    Ok(sum_up(moved, options, &names, &end, &teller.stops))
+}
+
+/// What the first thread does until it is time to end.
+fn attend(
+    mut show: Option<Show>,
+    teller: &mut Teller<'_>,
+    stop: &AtomicBool,
+    say: &mut dyn FnMut(&str),
+) -> Result<(), SessionError> {
+    while !stop.load(Ordering::Acquire) && !rt::interrupted() {
+        if let Some(show) = &mut show {
+            show.turn(say)?;
+        }
+        teller.turn(false, say)?;
+        rt::sleep_ns(POLL_NS);
+    }
+    Ok(())
+}
+
+/// A fault must be of a drive that is there.
+fn check_faults(
+    can: &CanConfig,
+    arms: usize,
+    faults: &[InjectedFault],
+) -> Result<(), SessionError> {
+    let all = || can.arms.iter().take(arms).flat_map(|arm| &arm.plan.axes);
+    for fault in faults {
+        if !all().any(|axis| axis.node == fault.node) {
+            let nodes: Vec<String> = all().map(|axis| axis.node.to_string()).collect();
+            return Err(SessionError::BadArgument(format!(
+                "--fault {fault}: there is no such node; there are {}",
+                nodes.join(" ")
+            )));
+        }
+    }
+    Ok(())
+}
+
+/// The nodes of each arm in words.
+fn nodes(can: &CanConfig, arms: usize) -> String {
+    let arms = can.arms.iter().take(arms).zip(hal::ARM_NAMES);
+    let arms = arms.map(|(arm, name)| {
+        let nodes: Vec<String> = arm.plan.axes.iter().map(|a| a.node.to_string()).collect();
+        format!("{name} is nodes {}", nodes.join(" "))
+    });
+    arms.collect::<Vec<_>>().join(", ")
+}
+
+/// Says what the bus thread tells.
+struct Teller<'a> {
+    told: Consumer<Told>,
+    has_world: bool,
+    faults: &'a [InjectedFault],
+    off: BusOffInjector,
+    stops: Vec<Stop>,
+    /// Stops that have not been said yet.
+    fresh: Vec<Stop>,
+    first: TimeNs,
+    clock: MonotonicClock,
+}
+
+impl Teller<'_> {
+    /// Says what is to be said now, or all of it if this is the end.
+    fn turn(&mut self, end: bool, say: &mut dyn FnMut(&str)) -> Result<(), SessionError> {
+        while let Ok(told) = self.told.pop() {
+            match told {
+                Told::Begun(at) => say(&format!(
+                    "all drives are enabled at {:.3} s{}",
+                    at.seconds(),
+                    if self.has_world {
+                        ": the episode begins"
+                    } else {
+                        ""
+                    }
+                )),
+                Told::Injected(place) => {
+                    if let Some(fault) = self.faults.get(place) {
+                        say(&format!("fault: {fault}"));
+                    }
+                }
+                Told::BusOff(line) => self.off.send(line)?,
+                Told::Stopped(stop) => {
+                    if self.fresh.is_empty() {
+                        self.first = self.clock.now();
+                    }
+                    self.fresh.push(stop);
+                }
+            }
+        }
+        let due = self.clock.now().since(self.first) > GATHER_NS;
+        if due || end {
+            for line in stops::lines(&self.fresh) {
+                say(&line);
+            }
+            self.stops.append(&mut self.fresh);
+        }
+        Ok(())
+    }
+}
+
+fn sum_up(
+    moved: Moved<'_>,
+    options: &DrivesOptions,
+    names: &[String],
+    end: &BusEnd,
+    stops: &[Stop],
+) -> DrivesSummary {
+    let elapsed_ns = end.now.0.max(1);
+    let buses = names.iter().zip(&end.busy);
+    #[expect(clippy::cast_precision_loss, reason = "a share of a run's time")]
+    let buses = buses.map(|(interface, (busy_ns, frames))| BusSummary {
+        interface: interface.clone(),
+        frames: *frames,
+        busy_share: *busy_ns as f64 / elapsed_ns as f64,
+    });
+    let outcome = end.world.as_ref().map(|world| world.outcome);
+    let task = match moved {
+        Moved::Task(setup) => Some(setup.task_name.clone()),
+        Moved::Arms(_) => None,
+    };
+    DrivesSummary {
+        task,
+        seed: options.seed,
+        arms: moved.arms(),
+        seconds: end.now.seconds(),
+        stalled_s: TimeNs(end.stalled_ns).seconds(),
+        turn_us: TickUs::of(&end.turns),
+        begun_s: end.begun.map(TimeNs::seconds),
+        success: outcome.map(|outcome| matches!(outcome, Some(Outcome::Success))),
+        outcome: outcome.map(|outcome| match outcome {
+            None => "not begun".to_owned(),
+            Some(outcome) => outcome.to_string(),
+        }),
+        buses: buses.collect(),
+        frames_lost: end.lost,
+        stops: stops.iter().map(StopSummary::from).collect(),
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,123 @@
+//! What a world shows to other processes: its scene and the verdict, and what its cameras see.
+
+use hal::ARM_NAMES;
+use trocar_render::Planes;
+use trocar_tasks::cameras::SceneCameras;
+use trocar_tasks::scene::SceneSnapshot;
+use trocar_tasks::task::Outcome;
+use trocar_topics::{
+    CameraTopic, FrameHeader, FramePublisher, Publisher, SceneReport, SceneTopic, TopicError,
+    TopicNode,
+};
+
+use super::DrivesOptions;
+use super::bus_thread::Shown;
+use crate::mailbox::MailboxReader;
+use crate::session::world_report::report;
+use crate::session::{SessionError, Setup};
+
+/// The topics of a world.
+pub(super) struct Show {
+    /// Kept for as long as the topics live.
+    _node: TopicNode,
+    task: String,
+    seed: u64,
+    scene: Publisher<SceneReport>,
+    cameras: Option<SceneCameras>,
+    /// Cameras that are published, by index, with their topics.
+    views: Vec<(usize, FramePublisher)>,
+    shown: MailboxReader<Shown>,
+    decided: bool,
+}
+
+impl Show {
+    /// Opens the topics, and the renderer if there are cameras to draw; draws `start` once, since the first image takes far
+    /// longer than the others.
+    pub(super) fn open(
+        setup: &Setup,
+        options: &DrivesOptions,
+        shown: MailboxReader<Shown>,
+        start: &SceneSnapshot,
+    ) -> Result<Self, SessionError> {
+        let node = TopicNode::join(&options.topics)?;
+        let scene = SceneTopic::publisher(&node, ARM_NAMES[0]).map_err(|error| {
+            if matches!(error, TopicError::AlreadyPublished { .. }) {
+                return SessionError::BadArgument(format!(
+                    "--topics {}: another `trocar drives` shows its scene there",
+                    options.topics
+                ));
+            }
+            SessionError::Topic(error)
+        })?;
+        let mut cameras = None;
+        let mut views = Vec::new();
+        if options.cameras {
+            let mut opened = SceneCameras::new(&setup.task)?;
+            opened.begin_episode(&setup.task, options.seed);
+            let names = setup.cameras_with(Vec::new());
+            let wanted: Vec<usize> = names.iter().filter_map(|name| opened.find(name)).collect();
+            for camera in wanted {
+                let pixels = opened.intrinsics(camera)?.pixel_count();
+                let publisher = CameraTopic::publisher(&node, opened.name(camera)?, pixels)?;
+                let mut frame = opened.blank_frame(camera)?;
+                opened.render(camera, start, &mut frame)?;
+                views.push((camera, publisher));
+            }
+            cameras = Some(opened);
+        }
+        Ok(Self {
+            _node: node,
+            task: setup.task_name.clone(),
+            seed: options.seed,
+            scene,
+            cameras,
+            views,
+            shown,
+            decided: false,
+        })
+    }
+
+    /// Publishes the newest instant, if there is a new one, and says the verdict once.
+    pub(super) fn turn(&mut self, say: &mut dyn FnMut(&str)) -> Result<(), SessionError> {
+        let Some(shown) = self.shown.take() else {
+            self.scene.keep_alive()?;
+            for (_, publisher) in &self.views {
+                publisher.keep_alive()?;
+            }
+            return Ok(());
+        };
+        let about = (self.task.as_str(), self.seed);
+        let told = report(shown.stamp, shown.sequence, about, &shown.world);
+        self.scene.publish(&told)?;
+        self.draw(&shown)?;
+        if let Some(outcome) = shown.world.outcome
+            && !matches!(outcome, Outcome::Running)
+            && !self.decided
+        {
+            self.decided = true;
+            say(&format!("verdict: {outcome}"));
+        }
+        Ok(())
+    }
+
+    fn draw(&mut self, shown: &Shown) -> Result<(), SessionError> {
+        let Some(cameras) = &mut self.cameras else {
+            return Ok(());
+        };
+        for (camera, publisher) in &self.views {
+            let pose = cameras.pose(*camera, &shown.snapshot)?;
+            let lens = cameras.intrinsics(*camera)?;
+            let header = FrameHeader::new(shown.stamp, shown.sequence, lens, &pose);
+            let mut loan = publisher.loan(&header)?;
+            let (colour, depth_m, instance) = loan.planes();
+            let planes = Planes {
+                colour,
+                depth_m,
+                instance,
+            };
+            cameras.render_into(*camera, &shown.snapshot, planes)?;
+            loan.send()?;
+        }
+        Ok(())
+    }
+}

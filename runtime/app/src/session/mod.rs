@@ -1,0 +1,51 @@
+//! Sessions: what the command line's verbs do with an arm, a controller and a policy.
+//!
+//! This is the one place where the simulator, the policies and the controller meet.
+
+mod can_interfaces;
+pub mod changes;
+mod cloud_file;
+pub mod demo;
+pub mod drives;
+pub mod episode;
+pub mod error;
+pub mod eval;
+pub mod keep;
+pub mod latency;
+pub mod outputs;
+pub mod parallel;
+pub mod pictures;
+pub mod policies;
+pub mod realtime;
+pub mod record;
+pub mod record_notes;
+pub mod robot;
+pub mod run;
+pub mod scene_options;
+pub mod score;
+pub mod setup;
+pub mod sheet;
+pub mod source;
+pub mod summary;
+pub mod tally;
+pub mod tasks;
+mod tensorboard;
+pub mod training;
+mod training_backbone;
+mod training_clouds;
+pub mod training_eval;
+mod training_news;
+mod training_options;
+pub mod training_pace;
+mod training_recipe;
+mod training_save;
+mod training_watch;
+mod world_report;
+
+#[cfg(test)]
+mod tests;
+
+pub use error::SessionError;
+pub use robot::Robot;
+pub use setup::Setup;
+pub use source::PolicyChoice;

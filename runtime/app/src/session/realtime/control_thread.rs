@@ -1,0 +1,172 @@
+//! The control thread of a real-time run: exchange with the rig, tick, once a period.
+
+use std::sync::Arc;
+
+use hal::{Chunk, Measured, PerArm, Period, Rig, Setpoint};
+use rtrb::Consumer;
+use trocar_control::{AnyController, OperatorEvent};
+use trocar_log::{TickLog, TickRecord};
+
+use super::signals::{Signals, StopsAll};
+use crate::histogram::Histogram;
+use crate::rig;
+use crate::rt::{MonotonicClock, RtOptions, configure_thread};
+use crate::session::tally::Tally;
+
+/// Periods that the arms get to come to rest after the verdict: more than twice the longest stop.
+const REST_TICKS: u64 = 500;
+
+/// Priority of the control thread under `SCHED_FIFO`.
+const PRIORITY: u8 = 80;
+
+/// The control thread before it runs.
+pub(super) struct ControlThread<R> {
+    pub(super) controller: AnyController,
+    pub(super) rig: R,
+    pub(super) chunks: Consumer<PerArm<Chunk>>,
+    pub(super) log: Option<TickLog>,
+    pub(super) signals: Arc<Signals>,
+}
+
+/// What it leaves behind.
+pub(super) struct ControlEnd<R> {
+    pub(super) rig: R,
+    pub(super) tally: Tally,
+    pub(super) skipped: u64,
+    pub(super) wake_p99_us: f64,
+    pub(super) log_dropped: u64,
+}
+
+impl<R: Rig> ControlThread<R> {
+    /// Runs until the arms rest after the verdict, or after a fault of any, which it does not recover from by itself.
+    pub(super) fn run(mut self, clock: MonotonicClock) -> ControlEnd<R> {
+        let signals = Arc::clone(&self.signals);
+        let _stops = StopsAll(&signals);
+        let options = RtOptions {
+            priority: Some(PRIORITY),
+            cpu: None,
+            lock_memory: false,
+            strict: false,
+        };
+        // Not strict, so a refusal is only reported; `trocar doctor` tells what to change.
+        let _granted = configure_thread(&options);
+        let mut wakes = Histogram::new();
+        let mut tally = Tally::default();
+        let mut rest_ticks = 0;
+        let mut skipped = 0;
+        let mut paused = false;
+        let mut setpoints = None;
+        while rest_ticks < REST_TICKS {
+            let period = self.rig.exchange(setpoints.take().as_ref());
+            skipped += period.skipped;
+            wakes.record(period.late_ns);
+            let done = signals.done();
+            rest_ticks += u64::from(done);
+            let Some(measured) = period.measured else {
+                continue;
+            };
+            let operator = if tally.ticks() == 0 {
+                Some(OperatorEvent::Enable)
+            } else {
+                (done && !paused).then_some(OperatorEvent::Pause)
+            };
+            paused |= operator == Some(OperatorEvent::Pause);
+            let ticked = self.tick(&period, measured, operator, &mut tally, clock);
+            let Some((record, answer)) = ticked else {
+                break;
+            };
+            setpoints = Some(answer);
+            tally.tick(&record);
+            if let Some(log) = &mut self.log {
+                log.tick(&record);
+            }
+            if record.has_fault() {
+                signals.end_run();
+            }
+        }
+        // The arms hear of every command that the log has.
+        self.rig.exchange(setpoints.as_ref());
+        let log_dropped = self.log.as_ref().map_or(0, TickLog::dropped);
+        #[expect(clippy::cast_precision_loss, reason = "a delay is exact in f64")]
+        let wake_p99_us = wakes.percentile(0.99) as f64 * 1e-3;
+        ControlEnd {
+            rig: self.rig,
+            tally,
+            skipped,
+            wake_p99_us,
+            log_dropped,
+        }
+    }
+
+    /// The controller's tick with the chunks that have come; none if there are other arms than the controller's, which `Setup` rules
+    /// out.
+    fn tick(
+        &mut self,
+        period: &Period,
+        measured: PerArm<Measured>,
+        operator: Option<OperatorEvent>,
+        tally: &mut Tally,
+        clock: MonotonicClock,
+    ) -> Option<(TickRecord, PerArm<Setpoint>)> {
+        let waits = |chunks: &PerArm<Chunk>| is_ahead(&chunks.first, period);
+        let chunks = if self.chunks.peek().is_ok_and(waits) {
+            None
+        } else {
+            self.chunks.pop().ok()
+        };
+        if let Some(chunks) = &chunks {
+            tally.delivery(period.now.since(chunks.first.observed_at));
+            if let Some(log) = &mut self.log {
+                for (arm, chunk) in chunks.iter().enumerate() {
+                    log.chunk(arm, chunk);
+                }
+            }
+        }
+        let controller = &mut self.controller;
+        rig::control(
+            controller,
+            period,
+            measured,
+            chunks.as_ref(),
+            operator,
+            clock,
+        )
+    }
+}
+
+/// Whether `chunk` was observed after the period of a thread that woke late, though not after it woke.
+///
+/// The next period takes it. One from beyond the clock is nonsense, for the gate to refuse.
+const fn is_ahead(chunk: &Chunk, period: &Period) -> bool {
+    let woke = period.now.plus_ns(period.late_ns);
+    period.now.0 < chunk.observed_at.0 && chunk.observed_at.0 <= woke.0
+}
+
+#[cfg(test)]
+mod tests {
+    use hal::{TICK_NS, TimeNs};
+
+    use super::*;
+
+    #[test]
+    fn only_an_observation_that_a_late_thread_slept_past_is_waited_for() {
+        let period = Period {
+            now: TimeNs(50 * TICK_NS),
+            late_ns: 3 * TICK_NS,
+            skipped: 0,
+            measured: None,
+        };
+        let woke = period.now.plus_ns(period.late_ns);
+        for (observed_at, expected) in [
+            (period.now.0 - 1, false),
+            (period.now.0, false),
+            (period.now.0 + TICK_NS / 2, true),
+            (woke.0, true),
+            (woke.0 + 1, false),
+            (u64::MAX, false),
+        ] {
+            let chunk = Chunk::new(TimeNs(observed_at), 1, TICK_NS, &[]);
+            assert_eq!(is_ahead(&chunk, &period), expected, "{observed_at}");
+        }
+    }
+}

@@ -1,0 +1,99 @@
+//! What happens to an arm on CAN and to its buses, and what the log says of it.
+
+use super::super::policy_process::arm_names;
+use crate::mailbox::MailboxReader;
+use crate::rig::can::{Happened, Noticed};
+use hal::PerArm;
+use trocar_log::{Level, SideLog};
+
+impl Happened {
+    /// What is new since `before`, for a person. A fault ends the motion; a controller that is error passive still works, and the
+    /// arm goes on.
+    fn news(&self, before: &Self) -> Vec<(Level, String)> {
+        let passive = self.passives.iter().zip(before.passives).enumerate();
+        let passive = passive.filter(|(_, (now, then))| **now > *then);
+        let mut news: Vec<_> = passive
+            .map(|(bus, (times, _))| {
+                let text = format!(
+                    "bus {bus}: our controller has become error passive ({times} times so far), the next step is bus-off"
+                );
+                (Level::Warning, text)
+            })
+            .collect();
+        if let Some(fault) = self.fault.filter(|_| before.fault.is_none()) {
+            news.push((Level::Error, fault.to_string()));
+        }
+        news
+    }
+}
+
+/// What is news of it for the log.
+pub(super) struct News {
+    noticed: MailboxReader<Noticed>,
+    /// What of it is in the log.
+    told: Option<PerArm<Happened>>,
+}
+
+impl News {
+    pub(super) const fn new(noticed: MailboxReader<Noticed>) -> Self {
+        Self {
+            noticed,
+            told: None,
+        }
+    }
+
+    /// Writes into the log what has happened to an arm and its buses.
+    pub(super) fn tell(&mut self, log: Option<&mut SideLog>) {
+        let Some((at, happened)) = self.noticed.take() else {
+            return;
+        };
+        let told = self.told.replace(happened);
+        let told = told.unwrap_or(happened.map(|_| Happened::default()));
+        let Some(log) = log else {
+            return;
+        };
+        let arms = happened.iter().zip(told.iter());
+        for ((now, before), name) in arms.zip(arm_names(happened.count())) {
+            for (level, text) in now.news(before) {
+                log.event(at, level, &format!("{name}: {text}"));
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use trocar_canopen::master::Fault;
+
+    use super::*;
+
+    #[test]
+    fn each_time_a_controller_becomes_error_passive_is_a_warning_and_a_fault_is_an_error_once() {
+        let quiet = Happened::default();
+        assert!(quiet.news(&quiet).is_empty());
+        let passive = Happened {
+            passives: [0, 2, 0],
+            ..quiet
+        };
+        let news = passive.news(&quiet);
+        let [(level, text)] = &news[..] else {
+            panic!("{news:?}");
+        };
+        assert_eq!(*level, Level::Warning);
+        assert!(
+            text.starts_with("bus 1: our controller has become error passive (2 times"),
+            "{text}"
+        );
+        assert!(passive.news(&passive).is_empty());
+        let failed = Happened {
+            fault: Some(Fault::BusOff { line: 1 }),
+            passives: [0, 3, 0],
+        };
+        let levels = |news: Vec<(Level, String)>| news.iter().map(|(l, _)| *l).collect::<Vec<_>>();
+        assert_eq!(
+            levels(failed.news(&passive)),
+            [Level::Warning, Level::Error]
+        );
+        assert!(failed.news(&failed).is_empty());
+    }
+}

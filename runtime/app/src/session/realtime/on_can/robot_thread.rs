@@ -1,0 +1,279 @@
+//! What a policy sees of a robot: the arms as they were when a camera took its frame, or every policy step if it looks at none.
+
+use std::collections::VecDeque;
+use std::sync::Arc;
+
+use hal::{ArmState, TimeNs};
+use trocar_topics::{ArmReport, Publisher};
+
+use super::super::signals::EndsRun;
+use super::awaited::{AHEAD_NS_MAX, Camera, FRAME_NS_MAX};
+use super::scene_thread::{logged, seen_at};
+use super::{Local, RobotOptions, SeenWires};
+use crate::histogram::Histogram;
+use crate::rt;
+use crate::session::SessionError;
+use crate::session::source::{Query, STEP_NS};
+use hal::PerArm;
+
+/// Time between two looks, ns.
+const POLL_NS: u64 = 2_000_000;
+
+/// A camera that shows nothing for this long, or nothing but old frames, is gone, ns.
+const SILENCE_NS_MAX: u64 = 2_000_000_000;
+
+/// How far a measurement may be from the instant that it stands for, ns.
+const NEAR_NS: u64 = 20_000_000;
+
+/// Looks whose measurements are kept: more than a camera's frame takes to come.
+const KEPT: usize = 512;
+
+/// The thread before it runs.
+pub(super) struct RobotThread {
+    seen: SeenWires,
+    local: Local,
+    /// For a policy process, one an arm.
+    reports: Vec<Publisher<ArmReport>>,
+    /// Those that the policy looks through first.
+    cameras: Vec<Camera>,
+    /// When each camera that the policy looks through last showed something, by the run's clock.
+    shown: Vec<TimeNs>,
+    /// After how long it ends, ns.
+    limit_ns: Option<u64>,
+    past: Past,
+}
+
+/// What it leaves behind.
+pub(super) struct RobotEnd {
+    /// Why the run was ended from here, if it was: the time was up, or a camera was gone.
+    pub(super) ended_by: Option<String>,
+    /// Whether that was what was asked.
+    pub(super) as_asked: bool,
+    /// How long the local policy took for its chunks.
+    pub(super) inference: Histogram,
+}
+
+/// Where the arms were, newest last.
+#[derive(Debug, Default)]
+struct Past(VecDeque<(TimeNs, PerArm<ArmState>)>);
+
+impl Past {
+    fn add(&mut self, at: TimeNs, states: PerArm<ArmState>) {
+        if self.0.len() == KEPT {
+            self.0.pop_front();
+        }
+        self.0.push_back((at, states));
+    }
+
+    /// What was measured at `at`, if it is known.
+    fn at(&self, at: TimeNs) -> Option<&PerArm<ArmState>> {
+        let nearest = self.0.iter().min_by_key(|(then, _)| then.0.abs_diff(at.0));
+        let near = nearest.filter(|(then, _)| then.0.abs_diff(at.0) <= NEAR_NS);
+        near.map(|(_, states)| states)
+    }
+
+    /// When the first was measured that is still known.
+    fn begins(&self) -> Option<TimeNs> {
+        self.0.front().map(|(at, _)| *at)
+    }
+}
+
+impl RobotThread {
+    pub(super) fn new(
+        seen: SeenWires,
+        local: Local,
+        reports: Vec<Publisher<ArmReport>>,
+        (cameras, looked_at): (Vec<Camera>, usize),
+        asked: &RobotOptions,
+    ) -> Self {
+        #[expect(
+            clippy::cast_possible_truncation,
+            clippy::cast_sign_loss,
+            reason = "checked to be a time of some days at most"
+        )]
+        let limit_ns = asked.seconds.map(|seconds| (seconds * 1e9) as u64);
+        Self {
+            seen,
+            local,
+            reports,
+            cameras,
+            shown: vec![TimeNs(0); looked_at],
+            limit_ns,
+            past: Past::default(),
+        }
+    }
+
+    /// Runs until the control thread has stopped; ends the run when the time is up or a camera that the policy needs is gone.
+    pub(super) fn run(mut self) -> Result<RobotEnd, SessionError> {
+        let signals = Arc::clone(&self.seen.signals);
+        let _ends = EndsRun(&signals);
+        let mut end = RobotEnd {
+            ended_by: None,
+            as_asked: false,
+            inference: Histogram::new(),
+        };
+        let (mut first, mut observed): (_, Option<(TimeNs, u64)>) = (None, None);
+        self.shown.fill(self.seen.clock.now());
+        while !signals.stopped() {
+            self.seen.news.tell(self.seen.log.as_mut());
+            let now = self.seen.clock.now();
+            if let Some(states) = self.seen.measured.take() {
+                self.past.add(states.first.stamp, states);
+            }
+            let frame = self.newest_frame()?;
+            let begun = first.or_else(|| self.past.begins());
+            if let Some(begun) = begun {
+                first = Some(begun);
+                let at = if self.shown.is_empty() {
+                    Some(now)
+                } else {
+                    frame
+                };
+                let step = at
+                    .filter(|at| *at >= begun)
+                    .map(|at| at.since(begun) / STEP_NS);
+                if let (Some(at), Some(step)) = (at, step)
+                    && observed.is_none_or(|(last, _)| last < at)
+                    && !signals.done()
+                {
+                    let fresh = observed.is_none_or(|(_, last)| last < step);
+                    observed = Some((at, step));
+                    self.report(step, at)?;
+                    if fresh {
+                        self.ask(step, at, &mut end.inference)?;
+                    }
+                }
+                let up = self
+                    .limit_ns
+                    .is_some_and(|limit_ns| now.since(begun) >= limit_ns);
+                let blind = self.gone(now);
+                if (up || blind.is_some()) && !signals.done() {
+                    end.as_asked = up;
+                    end.ended_by = Some(match blind.filter(|_| !up) {
+                        Some(name) => format!(
+                            "camera {name} has shown nothing for {} s",
+                            SILENCE_NS_MAX / 1_000_000_000
+                        ),
+                        None => {
+                            let limit_s = self.limit_ns.map_or(0.0, |ns| TimeNs(ns).seconds());
+                            format!("the {limit_s} s are over")
+                        }
+                    });
+                    signals.end_run();
+                }
+            } else {
+                self.shown.fill(now);
+            }
+            for report in &self.reports {
+                report.keep_alive()?;
+            }
+            rt::sleep_ns(POLL_NS);
+        }
+        self.seen.news.tell(self.seen.log.as_mut());
+        Ok(end)
+    }
+
+    /// The name of a camera that the policy looks through and that has shown nothing for too long at `now`.
+    fn gone(&self, now: TimeNs) -> Option<&str> {
+        let mut cameras = self.cameras.iter().zip(&self.shown);
+        let gone = cameras.find(|(_, shown)| now.since(**shown) > SILENCE_NS_MAX);
+        gone.map(|((name, _), _)| name.as_str())
+    }
+
+    /// Keeps what cameras show in the log; when the newest frame of the policy's first camera was taken, if there is a new one.
+    fn newest_frame(&mut self) -> Result<Option<TimeNs>, SessionError> {
+        let mut taken = None;
+        for (index, (name, topic)) in self.cameras.iter_mut().enumerate() {
+            let Some(view) = topic.newest()? else {
+                continue;
+            };
+            let now = self.seen.clock.now();
+            let stamp = self.seen.clock.from_system(view.header().stamp);
+            // One from ahead would be the newest for ever.
+            if stamp > now.plus_ns(AHEAD_NS_MAX) {
+                continue;
+            }
+            // A camera that lags shows nothing of now.
+            if let Some(shown) = self.shown.get_mut(index)
+                && now.since(stamp) <= FRAME_NS_MAX
+            {
+                *shown = now;
+            }
+            if index == 0 {
+                taken = Some(stamp);
+            }
+            if let Some(log) = &mut self.seen.log {
+                log.frame(name, &logged(&view, &self.seen.clock));
+            }
+        }
+        Ok(taken)
+    }
+
+    /// Tells a policy process where the arms were `at` the instant of a frame, which it needs to go with that frame.
+    fn report(&self, step: u64, at: TimeNs) -> Result<(), SessionError> {
+        let Some(states) = self.past.at(at) else {
+            return Ok(());
+        };
+        let stamp = self.seen.clock.to_system(at);
+        for (topic, state) in self.reports.iter().zip(states.iter()) {
+            let seen = seen_at(state, stamp);
+            topic.publish(&ArmReport::new(step, &seen.state, &seen.tip_in_rcm))?;
+        }
+        Ok(())
+    }
+
+    /// A policy step of a policy of this process: the arms as they were `at` that instant.
+    fn ask(
+        &mut self,
+        step: u64,
+        at: TimeNs,
+        inference: &mut Histogram,
+    ) -> Result<(), SessionError> {
+        let Some(states) = self.past.at(at) else {
+            return Ok(());
+        };
+        if let Some((source, chunks)) = &mut self.local
+            && step.is_multiple_of(source.query_every_steps())
+        {
+            let query = Query {
+                arms: states.map(|state| seen_at(&state, at)),
+                frames: &[],
+                scene: None,
+            };
+            let before = self.seen.clock.now();
+            let answer = source.answer(&query)?;
+            inference.record(self.seen.clock.now().since(before));
+            // The control thread takes one a tick; a full queue means that it is gone.
+            let _gone = chunks.push(answer);
+        }
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use hal::JointVector;
+
+    use super::*;
+
+    #[test]
+    fn the_arms_are_seen_where_they_were_when_the_frame_was_taken() {
+        let mut past = Past::default();
+        assert!(past.at(TimeNs(0)).is_none());
+        let state = |ms: u64, jaw| PerArm {
+            first: ArmState::at_rest(TimeNs(ms * 1_000_000), JointVector::zeros(), jaw),
+            second: None,
+        };
+        for ms in 0..800_u32 {
+            let states = state(u64::from(ms), f64::from(ms));
+            past.add(states.first.stamp, states);
+        }
+        let jaw_at = |ns: u64| past.at(TimeNs(ns)).unwrap().first.jaw_position;
+        assert_eq!(jaw_at(300_400_000).to_bits(), 300_f64.to_bits());
+        assert_eq!(jaw_at(819_000_000).to_bits(), 799_f64.to_bits());
+        // What came before those that are kept, or is to come, is not known.
+        for ns in [0, 267_000_000, 820_000_000, u64::MAX] {
+            assert!(past.at(TimeNs(ns)).is_none(), "{ns}");
+        }
+    }
+}

@@ -1,0 +1,217 @@
+//! The world of arms on CAN, which is in another process: its scene for the local policies, the arms' states for a policy
+//! process, its frames for the log, and its verdict.
+
+use std::sync::Arc;
+
+use hal::{ArmState, CameraFrame, Intrinsics, SeenArm, TimeNs};
+use trocar_topics::{
+    ArmReport, ArmStateTopic, CameraTopic, FrameView, Publisher, SceneReport, Subscriber,
+    TopicNode, Verdict,
+};
+
+use super::super::policy_process::arm_names;
+use super::super::signals::EndsRun;
+use super::awaited::{Camera, PATIENCE_NS, Say};
+use super::{Local, SeenWires};
+use crate::histogram::Histogram;
+use crate::rt::{self, MonotonicClock};
+use crate::session::SessionError;
+use crate::session::source::{Query, seen_arm};
+use crate::session::summary::TissueSummary;
+use crate::session::world_report::{scene_state, tissue};
+use hal::PerArm;
+
+/// Time between two looks, ns; the world speaks every 40 ms.
+const POLL_NS: u64 = 3_000_000;
+
+/// A world that says nothing for this long is gone, ns.
+const SILENCE_NS_MAX: u64 = 2_000_000_000;
+
+/// A world's episode begins when all its drives are enabled. One that has not begun this long after ours are is another one, ns.
+const BEGIN_NS_MAX: u64 = 3_000_000_000;
+
+/// The thread before it runs.
+pub(super) struct SceneThread<'a> {
+    /// Says what is waited for.
+    pub(super) say: Say<'a>,
+    pub(super) scene: Subscriber<SceneReport>,
+    pub(super) seen: SeenWires,
+    pub(super) local: Local,
+    /// For a policy process, one an arm.
+    pub(super) reports: Vec<Publisher<ArmReport>>,
+    /// For the log.
+    pub(super) frames: Vec<Camera>,
+}
+
+/// What it leaves behind.
+pub(super) struct SceneEnd {
+    /// The world's verdict.
+    pub(super) verdict: Verdict,
+    /// Why the episode was lost, or why there was no verdict.
+    pub(super) reason: String,
+    /// How long the local policy took for its chunks.
+    pub(super) inference: Histogram,
+    /// What a soft tissue went through, if the task has one.
+    pub(super) tissue: Option<TissueSummary>,
+}
+
+/// The topics on which a policy process hears of `count` arms, if there is one.
+pub(super) fn arm_reports(
+    node: &TopicNode,
+    count: usize,
+    has_process: bool,
+) -> Result<Vec<Publisher<ArmReport>>, SessionError> {
+    let names = arm_names(if has_process { count } else { 0 });
+    let reports = names.map(|arm| ArmStateTopic::publisher(node, arm));
+    Ok(reports.collect::<Result<_, _>>()?)
+}
+
+/// The frames of the cameras `names`, should the world show them.
+pub(super) fn frames(node: &TopicNode, names: Vec<String>) -> Result<Vec<Camera>, SessionError> {
+    let open = |name: String| {
+        let topic = CameraTopic::subscriber(node, &name)?;
+        Ok((name, topic))
+    };
+    names.into_iter().map(open).collect()
+}
+
+impl SceneThread<'_> {
+    /// Runs until the control thread has stopped; says so when the task has its verdict or the world is gone.
+    pub(super) fn run(mut self) -> Result<SceneEnd, SessionError> {
+        let signals = Arc::clone(&self.seen.signals);
+        let _ends = EndsRun(&signals);
+        let mut end = SceneEnd {
+            verdict: Verdict::Waiting,
+            reason: "tick limit".to_owned(),
+            inference: Histogram::new(),
+            tissue: None,
+        };
+        let (mut newest, mut heard, mut begun) = (None, self.seen.clock.now(), None);
+        let (mut enabled, mut told, mut ended) = (None, false, false);
+        while !signals.stopped() {
+            newest = self.seen.measured.take().or(newest);
+            self.seen.news.tell(self.seen.log.as_mut());
+            self.keep_frames()?;
+            if let Some(report) = self.scene.newest()? {
+                heard = self.seen.clock.now();
+                end.tissue = tissue(&report);
+                let decided = matches!(
+                    end.verdict,
+                    Verdict::Success | Verdict::Failure | Verdict::Invalid
+                );
+                // What ended the run from here is its reason, whatever the world says meanwhile.
+                if !decided && !ended {
+                    end.verdict = report.verdict();
+                    end.reason = report.reason.text();
+                }
+                match end.verdict {
+                    Verdict::Waiting => {
+                        // There are measurements once the drives are enabled.
+                        let since = newest.map_or(heard, |_| *enabled.get_or_insert(heard));
+                        let waited_ns = heard.since(since);
+                        if waited_ns > PATIENCE_NS && !told {
+                            told = true;
+                            (self.say)(&format!(
+                                "the drives are enabled; waiting for the world to begin its episode, for {} s at most",
+                                BEGIN_NS_MAX / 1_000_000_000
+                            ));
+                        }
+                        if waited_ns > BEGIN_NS_MAX && !signals.done() {
+                            ended = true;
+                            end.reason = format!(
+                                "the world has not begun its episode {} s after our drives were enabled: are they its own?",
+                                BEGIN_NS_MAX / 1_000_000_000
+                            );
+                            signals.end_run();
+                        }
+                    }
+                    Verdict::Running => {
+                        let first = *begun.get_or_insert(report.sequence);
+                        let step = report.sequence.saturating_sub(first);
+                        if let Some(states) = newest.filter(|_| !signals.done()) {
+                            self.observe(step, &report, &states, &mut end.inference)?;
+                        }
+                    }
+                    Verdict::Success | Verdict::Failure | Verdict::Invalid => signals.end_run(),
+                }
+            } else if self.seen.clock.now().since(heard) > SILENCE_NS_MAX && !signals.done() {
+                ended = true;
+                end.reason = format!(
+                    "the world has shown nothing for {} s",
+                    SILENCE_NS_MAX / 1_000_000_000
+                );
+                signals.end_run();
+            }
+            self.keep_alive()?;
+            rt::sleep_ns(POLL_NS);
+        }
+        self.seen.news.tell(self.seen.log.as_mut());
+        Ok(end)
+    }
+
+    /// A policy step: the arms as they are now belong to the scene that was just shown.
+    fn observe(
+        &mut self,
+        step: u64,
+        report: &SceneReport,
+        states: &PerArm<ArmState>,
+        inference: &mut Histogram,
+    ) -> Result<(), SessionError> {
+        for (topic, state) in self.reports.iter().zip(states.iter()) {
+            // The policy process looks for the frames of the same instant, which is the system's.
+            let seen = seen_at(state, report.stamp);
+            topic.publish(&ArmReport::new(step, &seen.state, &seen.tip_in_rcm))?;
+        }
+        let observed_at = self.seen.clock.from_system(report.stamp);
+        if let Some((source, chunks)) = &mut self.local
+            && step.is_multiple_of(source.query_every_steps())
+        {
+            let scene = scene_state(report);
+            let query = Query {
+                arms: states.map(|state| seen_at(&state, observed_at)),
+                frames: &[],
+                scene: Some(&scene),
+            };
+            let clock = MonotonicClock::new();
+            let answer = source.answer(&query)?;
+            inference.record(clock.now().0);
+            // The control thread takes one a tick; a full queue means that it is gone.
+            let _gone = chunks.push(answer);
+        }
+        Ok(())
+    }
+
+    /// Hands frames that have come to the log.
+    fn keep_frames(&mut self) -> Result<(), SessionError> {
+        let Some(log) = &mut self.seen.log else {
+            return Ok(());
+        };
+        for (name, topic) in &mut self.frames {
+            if let Some(view) = topic.newest()? {
+                log.frame(name, &logged(&view, &self.seen.clock));
+            }
+        }
+        Ok(())
+    }
+
+    /// Lets a policy process that has just come connect.
+    fn keep_alive(&self) -> Result<(), SessionError> {
+        for report in &self.reports {
+            report.keep_alive()?;
+        }
+        Ok(())
+    }
+}
+
+/// A frame of another process as this run's log has it.
+pub(super) fn logged(view: &FrameView, clock: &MonotonicClock) -> CameraFrame {
+    let mut frame = CameraFrame::blank(Intrinsics::default());
+    view.to_frame(&mut frame);
+    frame.stamp = clock.from_system(frame.stamp);
+    frame
+}
+
+/// An arm in `state` as a policy sees it at `stamp`.
+pub(super) fn seen_at(state: &ArmState, stamp: TimeNs) -> SeenArm {
+    seen_arm(&ArmState { stamp, ..*state })
+}

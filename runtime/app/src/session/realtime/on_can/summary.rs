@@ -1,0 +1,57 @@
+//! What a run's result says of drives and buses.
+
+use hal::ARM_NAMES;
+use trocar_canopen::master::Space;
+use trocar_canopen::master::axis::AxisHealth;
+
+use super::CanOptions;
+use crate::rig::can::{BusArm, CanRig};
+use crate::session::summary::{CanArmSummary, CanBusSummary, CanSummary};
+
+/// How the drives of `rig` and their buses have been.
+pub(super) fn summary(rig: &CanRig, can: &CanOptions) -> CanSummary {
+    let arms = rig.arms.iter().zip(&can.config.arms).zip(ARM_NAMES);
+    let arms: Vec<CanArmSummary> = arms
+        .map(|((arm, place), name)| arm_summary(arm, &place.interfaces, name))
+        .collect();
+    let first = rig.arms.first.plan();
+    CanSummary {
+        cycle_us: first.cycle_ns / 1000,
+        bit_rate_bit_s: first.bit_rate,
+        actuator_space: first.space == Space::Actuator,
+        arms,
+    }
+}
+
+fn arm_summary(arm: &BusArm, interfaces: &[String], name: &'static str) -> CanArmSummary {
+    let (plan, cycle) = (arm.plan(), arm.cycle());
+    let health = cycle.axis_health();
+    let sum = |count: fn(&AxisHealth) -> u64| health.iter().map(count).sum();
+    let fault = arm.fault();
+    let lines = cycle
+        .line_health()
+        .iter()
+        .zip(0..plan.lines)
+        .zip(interfaces);
+    CanArmSummary {
+        arm: name,
+        buses: lines
+            .map(|((health, line), interface)| CanBusSummary {
+                interface: interface.clone(),
+                planned_per_mille: plan.traffic(line).load().per_mille(),
+                frames_lost: health.lost,
+                error_passive: health.passives,
+                frames_foreign: health.foreign,
+            })
+            .collect(),
+        answers_missed: sum(|axis| axis.missed),
+        answers_late: sum(|axis| axis.late),
+        answers_rejected: sum(|axis| axis.rejected),
+        syncs_left_out: cycle.left_out(),
+        commands_refused: arm.refused(),
+        fault: fault.map(|fault| fault.to_string()),
+        fault_node: fault
+            .and_then(|fault| fault.who())
+            .map(|who| who.node.raw()),
+    }
+}

@@ -1,0 +1,214 @@
+//! The simulated arms in a real-time run: one step a millisecond, and the local policies that look at its scene.
+
+use std::sync::Arc;
+
+use hal::{Arm, ArmState, Chunk, PerArm, SeenArm, Setpoint, TICK_NS, TimeNs};
+use rtrb::{Consumer, Producer};
+use trocar_tasks::simulation::Simulation;
+use trocar_tasks::task::Outcome;
+use trocar_world::tissue::TissueExtremes;
+
+use super::camera_thread::Snapshot;
+use super::signals::{EndsRun, Signals};
+use crate::histogram::Histogram;
+use crate::mailbox::MailboxWriter;
+use crate::rt::{MonotonicClock, Periodic, RtOptions, configure_thread};
+use crate::session::SessionError;
+use crate::session::source::{ChunkSource, Query, STEP_TICKS, precedes_query, seen_arm};
+
+/// Priority under `SCHED_FIFO`, below the control thread's: the arms that this thread stands for never wait for a core.
+const PRIORITY: u8 = 70;
+
+/// Steps from one frame for the log or the pictures to the next. Drawing in software takes half a core at every step.
+const FRAME_EVERY_STEPS: u64 = 5;
+
+/// Snapshots for the cameras, and when to take them.
+pub(super) struct Snapshots {
+    pub(super) to: MailboxWriter<Snapshot>,
+    /// Steps from one query of the policy to the next, if the policy looks through the cameras.
+    pub(super) query_every_steps: Option<u64>,
+    /// Steps before a query that it wants to have observed too.
+    pub(super) history_steps: u64,
+    /// Whether the log or somebody else wants frames in between.
+    pub(super) frames: bool,
+}
+
+impl Snapshots {
+    fn wanted(&self, step: u64) -> bool {
+        self.query_every_steps.is_some_and(|every| {
+            step.is_multiple_of(every) || precedes_query(step, every, self.history_steps)
+        }) || self.frames && step.is_multiple_of(FRAME_EVERY_STEPS)
+    }
+}
+
+/// The simulation thread before it runs.
+pub(super) struct SimulationThread {
+    pub(super) simulation: Simulation,
+    pub(super) measured: MailboxWriter<PerArm<ArmState>>,
+    /// Every command, in order: a thread that makes up for missed milliseconds needs those of then.
+    pub(super) commands: Consumer<PerArm<Setpoint>>,
+    pub(super) snapshots: Option<Snapshots>,
+    pub(super) local: Option<(ChunkSource, Producer<PerArm<Chunk>>)>,
+    pub(super) signals: Arc<Signals>,
+}
+
+/// What it leaves behind.
+pub(super) struct SimulationEnd {
+    pub(super) outcome: Outcome,
+    /// How long the local policy took for its chunks.
+    pub(super) inference: Histogram,
+    /// What a soft tissue went through, if the task has one.
+    pub(super) tissue: Option<TissueExtremes>,
+}
+
+impl SimulationThread {
+    /// Runs until the control thread has stopped; says so when the task has its verdict.
+    pub(super) fn run(
+        mut self,
+        clock: MonotonicClock,
+        first: TimeNs,
+    ) -> Result<SimulationEnd, SessionError> {
+        let signals = Arc::clone(&self.signals);
+        let _ends = EndsRun(&signals);
+        // Not strict: without it the arm is only less punctual.
+        let _granted = configure_thread(&RtOptions {
+            priority: Some(PRIORITY),
+            cpu: None,
+            lock_memory: false,
+            strict: false,
+        });
+        let mut periodic = Periodic::new(clock, first, TICK_NS);
+        let mut end = SimulationEnd {
+            outcome: Outcome::Running,
+            inference: Histogram::new(),
+            tissue: None,
+        };
+        while !signals.stopped() {
+            let wake = periodic.wait();
+            // After a late wake-up the missed milliseconds are made up for, so that simulated time stays real time.
+            for late in (0..=wake.skipped).rev() {
+                if signals.stopped() {
+                    break;
+                }
+                let now = TimeNs(wake.due.0.saturating_sub(late * TICK_NS));
+                self.command(late, now)?;
+                self.step(wake.index.saturating_sub(late), now, &mut end.inference)?;
+                if matches!(end.outcome, Outcome::Running) {
+                    end.outcome = self.simulation.outcome();
+                }
+            }
+            if !matches!(end.outcome, Outcome::Running) {
+                signals.end_run();
+            }
+        }
+        end.tissue = self.simulation.tissue_extremes();
+        Ok(end)
+    }
+
+    /// Hands over the newest commands that are for the step at `now`, which is `late` steps behind; without them the arms
+    /// play the last ones' tails.
+    fn command(&mut self, late: u64, now: TimeNs) -> Result<(), SessionError> {
+        let mut newest = None;
+        while let Ok(commands) = self.commands.peek()
+            && is_due(commands.first.0.stamp, late, now)
+        {
+            newest = self.commands.pop().ok();
+        }
+        for (index, (command, tail)) in newest.iter().flat_map(PerArm::iter).enumerate() {
+            if let Some(mut arm) = self.simulation.arm(index) {
+                arm.write(command, tail)?;
+            }
+        }
+        Ok(())
+    }
+
+    fn step(
+        &mut self,
+        tick: u64,
+        now: TimeNs,
+        inference: &mut Histogram,
+    ) -> Result<(), SessionError> {
+        self.simulation.step();
+        let states = self.read(now)?;
+        self.measured.put(states);
+        if tick.is_multiple_of(STEP_TICKS) && !self.signals.done() {
+            let arms = states.map(|state| seen_arm(&state));
+            self.observe(tick / STEP_TICKS, &arms, inference)?;
+        }
+        Ok(())
+    }
+
+    /// What each arm measures.
+    fn read(&mut self, now: TimeNs) -> Result<PerArm<ArmState>, SessionError> {
+        let first = self.simulation.read(now)?;
+        let second = self.simulation.arm(1).map(|mut arm| arm.read(now));
+        Ok(PerArm {
+            first,
+            second: second.transpose()?,
+        })
+    }
+
+    /// A policy step: a snapshot for the cameras, and chunks if the policy is a local one.
+    fn observe(
+        &mut self,
+        step: u64,
+        arms: &PerArm<SeenArm>,
+        inference: &mut Histogram,
+    ) -> Result<(), SessionError> {
+        if let Some(snapshots) = &mut self.snapshots
+            && snapshots.wanted(step)
+        {
+            // A camera that is still busy takes the newest when it is done.
+            snapshots.to.put(Snapshot {
+                step,
+                arms: *arms,
+                scene: self.simulation.snapshot(),
+            });
+        }
+        if let Some((source, chunks)) = &mut self.local
+            && step.is_multiple_of(source.query_every_steps())
+        {
+            let scene = self.simulation.scene_state();
+            let query = Query {
+                arms: *arms,
+                frames: &[],
+                scene: Some(&scene),
+            };
+            let clock = MonotonicClock::new();
+            let answer = source.answer(&query)?;
+            inference.record(clock.now().0);
+            // The control thread takes one a tick; a full queue means that it is gone.
+            let _gone = chunks.push(answer);
+        }
+        Ok(())
+    }
+}
+
+/// Whether the step at `now`, which is `late` steps behind, follows the command of `stamp`.
+///
+/// A thread that makes up for missed milliseconds does not move the arm before its time. The step that is not behind
+/// takes whatever there is.
+const fn is_due(stamp: TimeNs, late: u64, now: TimeNs) -> bool {
+    late == 0 || stamp.0 <= now.0
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn steps_that_make_up_for_missed_ones_follow_no_command_from_after_them() {
+        let stamp = TimeNs(10 * TICK_NS + TICK_NS / 2);
+        for (late, tick, expected) in [
+            (3, 9, false),
+            (2, 10, false),
+            (1, 11, true),
+            (0, 12, true),
+            (0, 10, true),
+        ] {
+            let now = TimeNs::from_tick(tick);
+            assert_eq!(is_due(stamp, late, now), expected, "{late} behind {tick}");
+        }
+        assert!(is_due(stamp, 1, stamp));
+    }
+}

@@ -1,0 +1,381 @@
+//! Demonstrations: episodes of the expert, written as a LeRobot v3 dataset.
+
+use std::path::PathBuf;
+
+use hal::{CameraFrame, Chunk, SeenArm, TipTarget};
+use serde::Serialize;
+use tch::Device;
+use trocar_data::dataset::{
+    ArmFrame, CameraSpec, DatasetSpec, DatasetWriter, DepthFrame, FrameRecord, VideoCodec,
+};
+use trocar_data::perception::depth_units;
+use trocar_nets::act_policy::state_numbers;
+use trocar_tasks::cameras::SceneCameras;
+use trocar_tasks::disturbance::Disturber;
+use trocar_tasks::simulation::{Rendering, Simulation};
+use trocar_tasks::task::{Outcome, Variation};
+
+use super::episode::{Episode, Plan, StepView, Watcher};
+use super::latency::Latency;
+use super::record_notes::{
+    DISTURBED_TIME_FACTOR, DisturbedCounts, EpisodeNote, recording_note, value,
+};
+use super::source::{PolicyChoice, STEP_NS};
+use super::{SessionError, Setup, outputs, parallel};
+
+/// What to record.
+#[derive(Clone, Debug)]
+pub struct RecordOptions {
+    /// How many successful episodes.
+    pub episodes: usize,
+    /// The dataset's directory; a new or an empty one.
+    pub out: PathBuf,
+    /// Seed of the first attempt; attempt i has `seed + i`, which wraps.
+    pub seed: u64,
+    /// Episodes at a time.
+    pub jobs: usize,
+    /// Keep depth and instance ids of every camera too.
+    pub depth: bool,
+    /// Keep colour as video, which loses some of it, instead of as PNG.
+    pub video: Option<VideoCodec>,
+    /// The share of demonstrations that is disturbed, if any is.
+    pub disturb: Option<f64>,
+    /// What the demonstrations do in words, as the dataset's `task`; the task's name if not given.
+    pub instruction: Option<String>,
+}
+
+/// What became of one attempt.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+pub struct Attempt {
+    /// Its seed.
+    pub seed: u64,
+    /// Whether it was kept.
+    pub kept: bool,
+    /// How it ended.
+    pub reason: String,
+    /// Policy steps.
+    pub steps: usize,
+    /// How often it was disturbed.
+    pub disturbances: usize,
+    /// Grasps that the expert tried.
+    pub grasps: u32,
+}
+
+/// What was recorded.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+pub struct RecordSummary {
+    /// Task name.
+    pub task: String,
+    /// From where the cameras looked: `train`, `view1` or `view2`.
+    pub view: String,
+    /// The needle, in a task that has a choice, unless each episode has its own.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub needle: Option<String>,
+    /// What was drawn anew for each episode.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub varied: Vec<Variation>,
+    /// What became of the disturbed demonstrations, if some were to be.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub disturbed: Option<DisturbedCounts>,
+    /// The scene file, if it was not the built-in one.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub scene: Option<String>,
+    /// The cameras whose frames are in the dataset.
+    pub cameras: Vec<String>,
+    /// Episodes in the dataset.
+    pub episodes: usize,
+    /// Policy steps in them.
+    pub steps: usize,
+    /// Every attempt, in the order of its seed's index.
+    pub attempts: Vec<Attempt>,
+}
+
+impl RecordSummary {
+    /// Of a recording that has nothing yet.
+    fn new(setup: &Setup, options: &RecordOptions) -> Self {
+        Self {
+            task: setup.task_name.clone(),
+            view: setup.task.view.name().to_owned(),
+            needle: setup.needle().map(str::to_owned),
+            varied: setup.task.varied.clone(),
+            disturbed: options.disturb.map(|_| DisturbedCounts::default()),
+            scene: setup.scene_file.clone(),
+            cameras: setup.cameras_with(Vec::new()),
+            episodes: 0,
+            steps: 0,
+            attempts: Vec::new(),
+        }
+    }
+}
+
+/// Records until enough attempts have succeeded; failed ones are reported and not kept.
+///
+/// # Errors
+/// From the simulation or the dataset; [`SessionError::BadArgument`] if the folder is not empty;
+/// [`SessionError::Unproductive`] if the expert fails far too often.
+pub fn record(
+    setup: &Setup,
+    options: &RecordOptions,
+    on_attempt: &mut dyn FnMut(&Attempt),
+) -> Result<RecordSummary, SessionError> {
+    outputs::new_folder("--out", &options.out)?;
+    let spec = dataset_spec(setup, options);
+    let mut writer = DatasetWriter::create_with(&options.out, &spec, options.video)?;
+    let described = recording_note(setup, options)?;
+    let noted = described.is_some();
+    if let Some(description) = described {
+        writer.describe(description)?;
+    }
+    let mut summary = RecordSummary::new(setup, options);
+    let mut attempts: u64 = 0;
+    let attempts_max = (options.episodes as u64)
+        .saturating_mul(4)
+        .saturating_add(20);
+    while summary.episodes < options.episodes {
+        if attempts >= attempts_max {
+            return Err(SessionError::Unproductive {
+                kept: summary.episodes,
+                attempts,
+            });
+        }
+        let wanted = options.episodes - summary.episodes;
+        let first = options.seed.wrapping_add(attempts);
+        parallel::in_order(
+            wanted,
+            options.jobs,
+            // What is cut off loses no more than these.
+            options.jobs,
+            || Ok(demonstrator(setup, first, options)),
+            &mut |_, demo: Demonstration| {
+                let attempt = demo.attempt();
+                if attempt.kept {
+                    push_frames(&mut writer, &demo)?;
+                    if noted {
+                        writer.end_episode_with(value(options, &demo.note)?)?;
+                    } else {
+                        writer.end_episode()?;
+                    }
+                    summary.episodes += 1;
+                    summary.steps += demo.frames.len();
+                }
+                if let Some(disturbed) = &mut summary.disturbed {
+                    disturbed.add(&attempt);
+                }
+                on_attempt(&attempt);
+                summary.attempts.push(attempt);
+                Ok(())
+            },
+        )?;
+        attempts = attempts.saturating_add(wanted as u64);
+    }
+    writer.finish()?;
+    Ok(summary)
+}
+
+fn dataset_spec(setup: &Setup, options: &RecordOptions) -> DatasetSpec {
+    let names = setup.cameras_with(Vec::new());
+    let cameras = names
+        .iter()
+        .filter_map(|name| {
+            setup
+                .task
+                .cameras
+                .iter()
+                .find(|camera| camera.name == *name)
+        })
+        .map(|camera| CameraSpec {
+            name: camera.name.clone(),
+            width: camera.intrinsics().width,
+            height: camera.intrinsics().height,
+            depth: options.depth.then(|| camera.intrinsics()),
+        })
+        .collect();
+    #[expect(clippy::cast_possible_truncation, reason = "25 steps a second")]
+    let fps = (1_000_000_000 / STEP_NS) as u32;
+    DatasetSpec {
+        fps,
+        robot_type: robot_type(setup.task.arms.len()).to_owned(),
+        arms: setup.task.arms.len(),
+        task: options
+            .instruction
+            .clone()
+            .unwrap_or_else(|| setup.task_name.clone()),
+        cameras,
+    }
+}
+
+/// The robot's name: LeRobot puts `bi_` before that of an arm of which there are two.
+const fn robot_type(arms: usize) -> &'static str {
+    if arms == 1 {
+        "dvrk_psm_sim"
+    } else {
+        "bi_dvrk_psm_sim"
+    }
+}
+
+/// One episode in memory.
+struct Demonstration {
+    outcome: Outcome,
+    reason: String,
+    frames: Vec<StoredFrame>,
+    note: EpisodeNote,
+}
+
+impl Demonstration {
+    fn attempt(&self) -> Attempt {
+        Attempt {
+            seed: self.note.seed,
+            kept: matches!(self.outcome, Outcome::Success),
+            reason: self.reason.clone(),
+            steps: self.frames.len(),
+            disturbances: self.note.disturbances.as_ref().map_or(0, Vec::len),
+            grasps: self.note.grasps,
+        }
+    }
+}
+
+struct StoredFrame {
+    arms: Vec<ArmFrame>,
+    images: Vec<Vec<u8>>,
+    /// Of every camera, or none.
+    depth: Vec<StoredDepth>,
+}
+
+struct StoredDepth {
+    units: Vec<u16>,
+    instance: Vec<u8>,
+    camera_in_scene: [f64; 7],
+}
+
+impl StoredDepth {
+    fn of(frame: &CameraFrame) -> Self {
+        let depths = frame.depth_m.iter();
+        Self {
+            units: depths.map(|&depth_m| depth_units(depth_m)).collect(),
+            instance: frame.instance.clone(),
+            camera_in_scene: TipTarget::new(&frame.camera_in_scene, 0.0).pose_numbers(),
+        }
+    }
+}
+
+fn push_frames(writer: &mut DatasetWriter, demo: &Demonstration) -> Result<(), SessionError> {
+    for frame in &demo.frames {
+        let images: Vec<&[u8]> = frame.images.iter().map(Vec::as_slice).collect();
+        let depth: Vec<DepthFrame<'_>> = frame
+            .depth
+            .iter()
+            .map(|depth| DepthFrame {
+                units: &depth.units,
+                instance: &depth.instance,
+                camera_in_scene: depth.camera_in_scene,
+            })
+            .collect();
+        writer.push_frame(&FrameRecord {
+            arms: &frame.arms,
+            images: &images,
+            depth: &depth,
+        })?;
+    }
+    Ok(())
+}
+
+/// The job of one thread: the demonstration of `first + index`.
+fn demonstrator(
+    setup: &Setup,
+    first: u64,
+    options: &RecordOptions,
+) -> impl FnMut(usize) -> Result<Demonstration, SessionError> {
+    let mut cameras: Option<SceneCameras> = None;
+    move |index| {
+        let seed = first.wrapping_add(index as u64);
+        let share = options.disturb.unwrap_or(0.0);
+        let mut disturber = Disturber::draw(&setup.task, seed, share);
+        let time_factor = if disturber.is_some() {
+            DISTURBED_TIME_FACTOR
+        } else {
+            1
+        };
+        let mut task = setup.task.clone();
+        task.time_limit_s *= f64::from(time_factor);
+        let mut simulation = match cameras.take() {
+            Some(cameras) => Simulation::with_cameras(&task, seed, cameras),
+            None => Simulation::new(&task, seed, Rendering::On)?,
+        };
+        let mut source = setup.source(&PolicyChoice::Expert, seed, Device::Cpu)?;
+        let mut controller = setup.controller()?;
+        let mut diary = Diary {
+            cameras: setup.cameras_with(Vec::new()),
+            depth: options.depth,
+            frames: Vec::new(),
+        };
+        let plan = Plan {
+            latency: Latency::fixed(source.latency_ticks()),
+            tick_limit: setup.tick_limit() * u64::from(time_factor),
+        };
+        let episode = Episode {
+            simulation: &mut simulation,
+            controller: &mut controller,
+            source: &mut source,
+        };
+        let end = episode.run_disturbed(&plan, &mut diary, disturber.as_mut())?;
+        cameras = simulation.into_cameras();
+        Ok(Demonstration {
+            note: EpisodeNote {
+                seed,
+                grasps: source.attempts(),
+                drawn: task.drawn(seed),
+                disturbances: disturber.map(|it| it.happened().to_vec()),
+            },
+            reason: end.reason(),
+            outcome: end.outcome,
+            frames: diary.frames,
+        })
+    }
+}
+
+/// Writes down every policy step of the expert.
+struct Diary {
+    cameras: Vec<String>,
+    depth: bool,
+    frames: Vec<StoredFrame>,
+}
+
+impl Watcher for Diary {
+    fn cameras(&self) -> Vec<String> {
+        self.cameras.clone()
+    }
+
+    fn step(&mut self, view: &StepView<'_>) -> Result<(), SessionError> {
+        let Some(chunks) = view.answer else {
+            return Ok(());
+        };
+        let arms = view.arms.iter().zip(chunks.iter());
+        let arms: Option<Vec<ArmFrame>> = arms.map(|(arm, chunk)| arm_frame(arm, chunk)).collect();
+        let Some(arms) = arms else { return Ok(()) };
+        self.frames.push(StoredFrame {
+            arms,
+            images: view
+                .frames
+                .iter()
+                .map(|frame| frame.colour.clone())
+                .collect(),
+            depth: if self.depth {
+                view.frames.iter().map(StoredDepth::of).collect()
+            } else {
+                Vec::new()
+            },
+        });
+        Ok(())
+    }
+}
+
+/// What an arm measured and the first target that it was given for it, if there is one.
+fn arm_frame(arm: &SeenArm, chunk: &Chunk) -> Option<ArmFrame> {
+    let target = chunk.valid_targets().first()?;
+    let [x, y, z, i, j, k, w] = target.pose_numbers();
+    Some(ArmFrame {
+        state: state_numbers(&arm.state),
+        tip_pose: arm.here().pose_numbers(),
+        action: [x, y, z, i, j, k, w, target.jaw],
+    })
+}

@@ -1,0 +1,102 @@
+//! What a recording says of how it came about: in the dataset's metadata and in the result.
+
+use serde::Serialize;
+use serde_json::Value;
+use trocar_tasks::disturbance::Disturbance;
+use trocar_tasks::task::{Drawn, Variation};
+
+use super::record::{Attempt, RecordOptions};
+use super::{SessionError, Setup};
+
+/// By how much longer a disturbed demonstration may take than the task allows.
+pub const DISTURBED_TIME_FACTOR: u32 = 2;
+
+/// How a recording was made, if it was disturbed or varied.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+struct RecordingNote<'a> {
+    trocar: &'static str,
+    task: &'a str,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    scene: Option<&'a str>,
+    view: &'static str,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    needle: Option<&'a str>,
+    seed: u64,
+    varied: &'a [Variation],
+    #[serde(skip_serializing_if = "Option::is_none")]
+    disturb: Option<DisturbNote>,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+struct DisturbNote {
+    share: f64,
+    time_limit_s: f64,
+}
+
+/// How one demonstration came about.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub(super) struct EpisodeNote {
+    pub(super) seed: u64,
+    /// Grasps that the expert tried.
+    pub(super) grasps: u32,
+    #[serde(flatten)]
+    pub(super) drawn: Drawn,
+    /// None at all if it was not to be disturbed.
+    pub(super) disturbances: Option<Vec<Disturbance>>,
+}
+
+/// What became of the demonstrations that were disturbed.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+pub struct DisturbedCounts {
+    /// How many there were.
+    pub attempts: usize,
+    /// How many succeeded, and so were kept.
+    pub kept: usize,
+    /// In how many of those the expert tried more than one grasp.
+    pub retried: usize,
+}
+
+impl DisturbedCounts {
+    pub(super) const fn add(&mut self, attempt: &Attempt) {
+        if attempt.disturbances == 0 {
+            return;
+        }
+        self.attempts += 1;
+        if attempt.kept {
+            self.kept += 1;
+            if attempt.grasps > 1 {
+                self.retried += 1;
+            }
+        }
+    }
+}
+
+/// What is said of the recording as a whole, the task's name among it; nothing if it is of the plain kind.
+pub(super) fn recording_note(
+    setup: &Setup,
+    options: &RecordOptions,
+) -> Result<Option<Value>, SessionError> {
+    let plain = options.disturb.is_none() && options.instruction.is_none();
+    if plain && setup.task.varied.is_empty() {
+        return Ok(None);
+    }
+    let note = RecordingNote {
+        trocar: env!("CARGO_PKG_VERSION"),
+        task: &setup.task_name,
+        scene: setup.scene_file.as_deref(),
+        view: setup.task.view.name(),
+        needle: setup.needle(),
+        seed: options.seed,
+        varied: &setup.task.varied,
+        disturb: options.disturb.map(|share| DisturbNote {
+            share,
+            time_limit_s: setup.task.time_limit_s * f64::from(DISTURBED_TIME_FACTOR),
+        }),
+    };
+    value(options, &note).map(Some)
+}
+
+/// `note` as the dataset takes it.
+pub(super) fn value(options: &RecordOptions, note: &impl Serialize) -> Result<Value, SessionError> {
+    serde_json::to_value(note).map_err(|error| SessionError::output(&options.out, error))
+}

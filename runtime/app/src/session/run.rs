@@ -1,0 +1,274 @@
+//! One run in lockstep, with its log, its pictures and its summary.
+
+use std::collections::BTreeMap;
+use std::io::Write as _;
+use std::path::{Path, PathBuf};
+
+use hal::{Chunk, TimeNs};
+use trocar_nets::compute::Compute;
+use trocar_tasks::simulation::{Rendering, Simulation};
+use trocar_tasks::task::Outcome;
+
+use super::episode::{Episode, EpisodeEnd, Plan, StepView, Watcher};
+use super::latency::Latency;
+use super::pictures::Pictures;
+use super::source::{ChunkSource, PolicyChoice};
+use super::summary::RunSummary;
+use super::tally::RunLabels;
+use super::{SessionError, Setup, outputs, pictures};
+use crate::rt;
+use trocar_log::{Level, LogError, Pressure, Recorder, RunHeader, RunOutcome, TickRecord};
+
+/// The libtorch that the program was built with.
+pub const LIBTORCH_VERSION: &str = env!("LIBTORCH_VERSION");
+
+/// The reason of a run that a signal ended.
+pub(super) const INTERRUPTED: &str = "interrupted";
+
+/// How to run.
+#[derive(Clone, Debug)]
+pub struct RunOptions {
+    /// The policy.
+    pub policy: PolicyChoice,
+    /// Everything random hangs on this.
+    pub seed: u64,
+    /// Where the log goes, if anywhere. A log holds frames even if the policy needs none: see [`Setup::cameras_with`].
+    pub log: Option<PathBuf>,
+    /// Whether to keep pictures of the run for [`RunResult::pictures`].
+    pub pictures: bool,
+    /// Delay from observation to chunk, ms; the policy's own if not given.
+    pub latency_ms: Option<u64>,
+    /// What may come on top of it, evenly from nothing to this, drawn for each chunk by the seed, ms.
+    pub latency_jitter_ms: u64,
+    /// Where and how the network computes.
+    pub compute: Compute,
+}
+
+impl RunOptions {
+    /// Whether anybody but the policy wants frames.
+    pub(super) const fn wants_frames(&self) -> bool {
+        self.pictures || self.log.is_some()
+    }
+}
+
+/// What a run leaves behind.
+#[derive(Debug)]
+pub struct RunResult {
+    /// Whether the task was done; of a robot without a task, whether the run ended as it was asked to.
+    pub ok: bool,
+    /// The summary.
+    pub summary: RunSummary,
+    /// Frames of the first camera, empty unless asked for.
+    pub pictures: Pictures,
+    /// Why the log is not whole, if it is not.
+    pub log_failure: Option<LogError>,
+}
+
+/// Runs one episode in lockstep.
+///
+/// # Errors
+/// From the configuration, the policy, the simulation or the log.
+pub fn run_lockstep(setup: &Setup, options: &RunOptions) -> Result<RunResult, SessionError> {
+    let source = setup.source(&options.policy, options.seed, options.compute)?;
+    run_lockstep_with(setup, options, source)
+}
+
+/// The same with a policy of the caller's, [`ChunkSource::policy`]; that of `options` only names it.
+///
+/// # Errors
+/// From the configuration, the policy, the simulation or the log.
+pub fn run_lockstep_with(
+    setup: &Setup,
+    options: &RunOptions,
+    mut source: ChunkSource,
+) -> Result<RunResult, SessionError> {
+    source.reset(options.seed);
+    let needs_frames = options.wants_frames() || !source.cameras().is_empty();
+    let rendering = if needs_frames {
+        Rendering::On
+    } else {
+        Rendering::Off
+    };
+    let mut simulation = Simulation::new(&setup.task, options.seed, rendering)?;
+    let mut controller = setup.controller()?;
+    let cameras = if options.wants_frames() {
+        setup.cameras_with(source.cameras())
+    } else {
+        Vec::new()
+    };
+    let recorder = open_log(setup, options, true)?;
+    let mut watcher = RunWatcher {
+        recorder,
+        cameras,
+        pictures: options.pictures.then(Pictures::default),
+    };
+    let plan = Plan {
+        latency: Latency {
+            ticks: options.latency_ms.unwrap_or_else(|| source.latency_ticks()),
+            jitter_ticks: options.latency_jitter_ms,
+            seed: options.seed,
+        },
+        tick_limit: setup.tick_limit(),
+    };
+    let episode = Episode {
+        simulation: &mut simulation,
+        controller: &mut controller,
+        source: &mut source,
+    };
+    let end = episode.run(&plan, &mut watcher)?;
+    let reason = reason_of(&end);
+    let success = matches!(end.outcome, Outcome::Success);
+    let mut log_failure = None;
+    if let Some(mut recorder) = watcher.recorder {
+        if let Some(tissue) = &end.tissue {
+            let last = TimeNs::from_tick(end.tally.ticks());
+            recorder.event(last, Level::Info, &tissue.to_string());
+        }
+        let outcome = RunOutcome {
+            success: Some(success),
+            reason: reason.clone(),
+            command_hash: end.tally.command_hash(),
+        };
+        log_failure = recorder.finish(Some(&outcome)).err();
+    }
+    let labels = RunLabels {
+        task: &setup.task_name,
+        view: setup.task.view.name(),
+        needle: setup.task.needle(),
+        scene: setup.scene_file.as_deref(),
+        policy: &options.policy.name(),
+        trained_on: setup.trained_on.as_deref(),
+        seed: options.seed,
+        success: Some(success),
+        reason: &reason,
+        tissue: end.tissue,
+    };
+    Ok(RunResult {
+        ok: success,
+        summary: end.tally.summary(&labels, None),
+        pictures: watcher.pictures.unwrap_or_default(),
+        log_failure,
+    })
+}
+
+/// Why a run in lockstep ended: a signal comes before the limit of ticks.
+fn reason_of(end: &EpisodeEnd) -> String {
+    if matches!(end.outcome, Outcome::Running) && rt::interrupted() {
+        INTERRUPTED.to_owned()
+    } else {
+        end.reason()
+    }
+}
+
+/// Opens the log that `options` ask for; a lockstep log loses nothing, a real-time log never waits.
+///
+/// # Errors
+/// [`SessionError::Log`] or [`SessionError::Output`].
+pub fn open_log(
+    setup: &Setup,
+    options: &RunOptions,
+    lockstep: bool,
+) -> Result<Option<Recorder>, SessionError> {
+    let header = header(setup, options, lockstep);
+    open_log_with(&header, options.log.as_deref())
+}
+
+/// Opens a log that begins with `header` at `path`, if there is to be one.
+///
+/// # Errors
+/// [`SessionError::Log`] or [`SessionError::Output`].
+pub(super) fn open_log_with(
+    header: &RunHeader,
+    path: Option<&Path>,
+) -> Result<Option<Recorder>, SessionError> {
+    let Some(path) = path else {
+        return Ok(None);
+    };
+    pictures::create_parent(path)?;
+    let pressure = if header.lockstep {
+        Pressure::Block
+    } else {
+        Pressure::Drop
+    };
+    Ok(Some(Recorder::create(path, header, pressure)?))
+}
+
+fn header(setup: &Setup, options: &RunOptions, lockstep: bool) -> RunHeader {
+    RunHeader {
+        task: setup.task_name.clone(),
+        policy: options.policy.name(),
+        seed: options.seed,
+        lockstep,
+        view: setup.task.view.name().to_owned(),
+        needle: setup.task.needle().map(str::to_owned),
+        versions: versions(),
+        texts: setup.texts.by_name(),
+    }
+}
+
+/// What is running.
+pub(super) fn versions() -> BTreeMap<String, String> {
+    let versions = [
+        ("trocar", env!("CARGO_PKG_VERSION")),
+        ("libtorch", LIBTORCH_VERSION),
+    ];
+    versions
+        .map(|(name, version)| (name.to_owned(), version.to_owned()))
+        .into()
+}
+
+/// Writes the log and keeps pictures, each if asked to.
+struct RunWatcher {
+    recorder: Option<Recorder>,
+    cameras: Vec<String>,
+    pictures: Option<Pictures>,
+}
+
+impl Watcher for RunWatcher {
+    fn cameras(&self) -> Vec<String> {
+        self.cameras.clone()
+    }
+
+    fn step(&mut self, view: &StepView<'_>) -> Result<(), SessionError> {
+        for (index, frame) in view.frames.iter().enumerate() {
+            if let (Some(recorder), Some(name)) = (&mut self.recorder, self.cameras.get(index)) {
+                recorder.frame(name, frame);
+            }
+            if let (Some(pictures), 0) = (&mut self.pictures, index) {
+                pictures.push(frame);
+            }
+        }
+        Ok(())
+    }
+
+    fn chunk(&mut self, arm: usize, chunk: &Chunk) {
+        if let Some(recorder) = &mut self.recorder {
+            recorder.chunk(arm, chunk);
+        }
+    }
+
+    fn wants_end(&self) -> bool {
+        rt::interrupted()
+    }
+
+    fn tick(&mut self, record: &TickRecord) {
+        if let Some(recorder) = &mut self.recorder {
+            recorder.tick(record);
+        }
+    }
+}
+
+/// Writes `value` as pretty JSON, to standard output if `path` is `-`.
+///
+/// # Errors
+/// [`SessionError::Output`].
+pub fn write_json(path: &Path, value: &impl serde::Serialize) -> Result<(), SessionError> {
+    let text =
+        serde_json::to_string_pretty(value).map_err(|error| SessionError::output(path, error))?;
+    if outputs::is_standard_output(path) {
+        let written = writeln!(std::io::stdout(), "{text}");
+        return written.map_err(|error| SessionError::output(path, error));
+    }
+    pictures::create_parent(path)?;
+    std::fs::write(path, text + "\n").map_err(|error| SessionError::output(path, error))
+}

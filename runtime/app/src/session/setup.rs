@@ -1,0 +1,317 @@
+//! A task with its scene, its limits and the controller's settings, read once and checked once.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+
+use hal::config::Source;
+use trocar_nets::checkpoint::{Recipe, load_recipe};
+use trocar_nets::compute::Compute;
+use trocar_nets::loaded_policy::LoadedPolicy;
+use trocar_tasks::expert::Expert;
+use trocar_tasks::task::{TaskConfig, Variation};
+
+use super::SessionError;
+use super::changes::{Changes, ConfigFile};
+use super::source::{ChunkSource, PolicyChoice};
+use super::tasks;
+use trocar_control::{AnyController, ControlConfig};
+
+/// Everything that a session is configured by.
+#[derive(Clone, Debug)]
+pub struct Setup {
+    /// Task name.
+    pub task_name: String,
+    /// The scene.
+    pub task: TaskConfig,
+    /// The controller.
+    pub control: ControlConfig,
+    /// The texts they came from, for the log.
+    pub texts: Texts,
+    /// The scene file, if it is not a built-in one.
+    pub scene_file: Option<String>,
+    /// Cameras whose frames were asked for; see [`Self::cameras_with`].
+    pub kept_cameras: Option<Vec<String>>,
+    /// The task of the demonstrations that the policy was trained on, if it is a checkpoint that tells.
+    pub trained_on: Option<String>,
+    /// Values in the place of those of the files.
+    pub changes: Changes,
+}
+
+/// Effective configuration texts.
+#[derive(Clone, Debug)]
+pub struct Texts {
+    /// The controller's settings.
+    pub control: String,
+    /// The task's limits.
+    pub safety: String,
+    /// The task's scene, if there is a task.
+    pub scene: Option<String>,
+    /// Nodes and buses, if the arms are on CAN.
+    pub can: Option<String>,
+}
+
+impl Texts {
+    /// Them by the names of their files, as a log has them.
+    #[must_use]
+    pub fn by_name(&self) -> BTreeMap<String, String> {
+        let texts = [
+            ("control.toml", Some(&self.control)),
+            ("safety.toml", Some(&self.safety)),
+            ("scene.toml", self.scene.as_ref()),
+            ("can.toml", self.can.as_ref()),
+        ];
+        texts
+            .into_iter()
+            .filter_map(|(name, text)| Some((name.to_owned(), text?.clone())))
+            .collect()
+    }
+}
+
+impl Setup {
+    /// The configuration of `task`, a built-in one's name or the path of a folder, with the controller's settings from
+    /// `control` if given.
+    ///
+    /// Without `control`, a checkpoint's own recommendation decides how its chunks are aggregated.
+    ///
+    /// # Errors
+    /// [`SessionError::Config`], [`SessionError::Checkpoint`], or [`SessionError::BadArgument`] for an unknown task or a
+    /// policy that is neither a name nor a folder.
+    pub fn load(
+        task: &str,
+        control: Option<&Path>,
+        policy: &PolicyChoice,
+    ) -> Result<Self, SessionError> {
+        Self::load_with(task, control, policy, Changes::default())
+    }
+
+    /// The same with `changes` over all files.
+    ///
+    /// # Errors
+    /// As [`Self::load`].
+    pub fn load_with(
+        task: &str,
+        control: Option<&Path>,
+        policy: &PolicyChoice,
+        changes: Changes,
+    ) -> Result<Self, SessionError> {
+        policy.check_exists()?;
+        let mut files = tasks::files(task)?;
+        files.scene = changes.apply(ConfigFile::Scene, files.scene)?;
+        files.safety = changes.apply(ConfigFile::Safety, files.safety)?;
+        let recipe = match policy {
+            PolicyChoice::Checkpoint(folder) => load_recipe(folder)?,
+            PolicyChoice::Expert
+            | PolicyChoice::Noop
+            | PolicyChoice::Random
+            | PolicyChoice::Own(_) => None,
+        };
+        let control = match control {
+            Some(path) => Source::read(&path.display().to_string())?,
+            None => built_in_control(recipe.as_ref())?,
+        };
+        let control = changes.apply(ConfigFile::Control, control)?;
+        let task_config = files.config()?;
+        let control_config = ControlConfig::load(&control, &files.safety)?;
+        check_bases(&task_config, &files.scene, &control_config)?;
+        let scene_file = tasks::paths(task).into_iter().next();
+        Ok(Self {
+            task: task_config,
+            control: control_config,
+            texts: Texts {
+                control: control.text().to_owned(),
+                safety: files.safety.text().to_owned(),
+                scene: Some(files.scene.text().to_owned()),
+                can: None,
+            },
+            task_name: files.name,
+            scene_file: scene_file.map(|path| path.display().to_string()),
+            kept_cameras: None,
+            trained_on: recipe.map(|recipe| recipe.dataset.task),
+            changes,
+        })
+    }
+
+    /// The same setup with the scene of the file `path`, which must be of the same kind and have its arms at the same
+    /// places. The task's name and its safety limits stay.
+    ///
+    /// # Errors
+    /// [`SessionError::Config`], naming file, line and key.
+    pub fn with_scene_file(mut self, path: &Path) -> Result<Self, SessionError> {
+        let path = path.display().to_string();
+        let scene = self
+            .changes
+            .apply(ConfigFile::Scene, Source::read(&path)?)?;
+        let task = TaskConfig::parse(&self.task_name, &scene)?;
+        if task.kind != self.task.kind {
+            let asked = format!("{}, as is task {}", self.task.kind, self.task_name);
+            return Err(scene.out_of_range("task.kind", task.kind, &asked).into());
+        }
+        check_bases(&task, &scene, &self.control)?;
+        self.task = task;
+        self.texts.scene = Some(scene.text().to_owned());
+        self.scene_file = Some(path);
+        Ok(self)
+    }
+
+    /// What a person should know before a policy does another task than that of its demonstrations; none if it does not.
+    #[must_use]
+    pub fn transfer_note(&self) -> Option<String> {
+        let trained_on = self.trained_on.as_ref()?;
+        (*trained_on != self.task_name).then(|| {
+            format!(
+                "the policy was trained on task {trained_on}, not on {}",
+                self.task_name
+            )
+        })
+    }
+
+    /// The needle of all episodes, in a task that has a choice; none if each has its own.
+    #[must_use]
+    pub fn needle(&self) -> Option<&str> {
+        let own = self.task.varied.contains(&Variation::Needles);
+        self.task.needle().filter(|_| !own)
+    }
+
+    /// Names of the task's cameras.
+    #[must_use]
+    pub fn camera_names(&self) -> Vec<String> {
+        self.task
+            .cameras
+            .iter()
+            .map(|camera| camera.name.clone())
+            .collect()
+    }
+
+    /// A fresh controller of all arms of the task.
+    ///
+    /// # Errors
+    /// [`SessionError::BadArgument`] if the configuration can't be turned into one.
+    pub fn controller(&self) -> Result<AnyController, SessionError> {
+        AnyController::new(&self.control)
+            .map_err(|error| SessionError::BadArgument(error.to_string()))
+    }
+
+    /// The network in `folder`, computing as `compute` says.
+    ///
+    /// # Errors
+    /// [`SessionError::Checkpoint`], or [`SessionError::BadArgument`] if it is for another number of arms than the task's.
+    pub fn network(
+        &self,
+        folder: &Path,
+        compute: impl Into<Compute>,
+    ) -> Result<LoadedPolicy, SessionError> {
+        let whose = format!("task {}", self.task_name);
+        network(folder, compute, self.task.arms.len(), &whose)
+    }
+
+    /// The source of chunks that the user asked for.
+    ///
+    /// # Errors
+    /// Those of [`Self::network`].
+    pub fn source(
+        &self,
+        choice: &PolicyChoice,
+        seed: u64,
+        compute: impl Into<Compute>,
+    ) -> Result<ChunkSource, SessionError> {
+        Ok(match choice {
+            PolicyChoice::Expert => ChunkSource::Expert {
+                expert: Box::new(Expert::new(&self.task, seed)),
+                sequence: 0,
+            },
+            PolicyChoice::Noop => ChunkSource::noop(),
+            PolicyChoice::Random => ChunkSource::random(seed),
+            PolicyChoice::Checkpoint(path) => ChunkSource::network(self.network(path, compute)?),
+            PolicyChoice::Own(name) => {
+                return Err(SessionError::BadArgument(format!(
+                    "policy {name} has to be handed in, as ChunkSource::policy"
+                )));
+            }
+        })
+    }
+
+    /// Control periods after which an episode is given up; the task's own time limit comes first.
+    #[must_use]
+    pub fn tick_limit(&self) -> u64 {
+        #[expect(
+            clippy::cast_possible_truncation,
+            clippy::cast_sign_loss,
+            reason = "the limit is checked to lie in 1 to 600 s"
+        )]
+        let limit = (self.task.time_limit_s * 1e3) as u64;
+        limit + 2000
+    }
+}
+
+/// The network in `folder`, which must command the `arms` arms that `whose` (a task, a file) has.
+pub(super) fn network(
+    folder: &Path,
+    compute: impl Into<Compute>,
+    arms: usize,
+    whose: &str,
+) -> Result<LoadedPolicy, SessionError> {
+    // Before the weights: they would only take time.
+    let commanded = load_recipe(folder)?.map(|recipe| recipe.arms);
+    if let Some(commanded) = commanded.filter(|commanded| *commanded != arms) {
+        return Err(SessionError::BadArgument(format!(
+            "policy {}: trocar.json: arms = {commanded}, {whose} has {arms}",
+            folder.display()
+        )));
+    }
+    Ok(LoadedPolicy::load(folder, compute)?)
+}
+
+/// The scene, which came from `source`, and the safety limits must speak of the same arms at the same places.
+fn check_bases(
+    task: &TaskConfig,
+    source: &Source,
+    control: &ControlConfig,
+) -> Result<(), SessionError> {
+    let counts = (control.arms.len(), task.arms.len());
+    if counts.0 != counts.1 {
+        let (found, allowed) = (counts.1.to_string(), counts.0.to_string());
+        let allowed = format!("the {allowed} of the task's safety.toml");
+        return Err(source.out_of_range("arm", &found, &allowed).into());
+    }
+    for (index, (arm, start)) in control.arms.iter().zip(&task.arms).enumerate() {
+        let (limits, scene) = (arm.scene_from_rcm, start.scene_from_rcm);
+        let off = scene.inverse() * limits;
+        let differs = |key: &str, [found, expected]: [[f64; 3]; 2]| {
+            let allowed = format!("what safety.toml says, {expected:.6?}");
+            source.out_of_range(
+                &format!("arm.{index}.{key}"),
+                &format!("{found:.6?}"),
+                &allowed,
+            )
+        };
+        if off.translation.vector.norm() >= 1e-6 {
+            let places = [scene, limits].map(|pose| pose.translation.vector.into());
+            return Err(differs("rcm_in_scene_m", places).into());
+        }
+        if off.rotation.angle() >= 1e-6 {
+            let turns = [scene, limits].map(|pose| pose.rotation.euler_angles().into());
+            return Err(differs("rcm_in_scene_rpy_rad", turns).into());
+        }
+    }
+    Ok(())
+}
+
+/// The built-in settings, with the aggregation that the checkpoint recommends.
+pub(super) fn built_in_control(recipe: Option<&Recipe>) -> Result<Source, SessionError> {
+    let built_in = ControlConfig::default_control();
+    let Some(recommended) = recipe.map(|recipe| &recipe.aggregation) else {
+        return Ok(built_in);
+    };
+    let mut control: toml::Table = built_in.parse()?;
+    if let Some(aggregation) = control
+        .get_mut("aggregation")
+        .and_then(toml::Value::as_table_mut)
+    {
+        aggregation.insert("mode".to_owned(), recommended.mode.as_str().into());
+        aggregation.insert("decay".to_owned(), recommended.decay.into());
+    }
+    Ok(Source::embedded(
+        "config/control.toml with the policy's aggregation",
+        &control.to_string(),
+    ))
+}

@@ -1,0 +1,354 @@
+//! Where chunks come from: the scripted expert, a network, or one of the two policies that must never succeed.
+
+use std::path::{Path, PathBuf};
+
+use hal::{ARMS_MAX, ArmState, Chunk, FrameRef, Observation, Policy, SeenArm, TimeNs, TipTarget};
+use nalgebra::{Translation3, Vector3};
+use trocar_nets::loaded_policy::LoadedPolicy;
+use trocar_tasks::expert::{Activity, Expert};
+
+use trocar_tasks::scene::SceneState;
+use trocar_world::rng::Rng;
+
+use super::{SessionError, policies};
+use hal::PerArm;
+use trocar_control::kinematics;
+
+/// Control periods in one policy step.
+pub const STEP_TICKS: u64 = 40;
+
+/// Ticks from an observation to a network's chunk in lockstep: about what it takes in real time on two shared cores.
+pub const NETWORK_LATENCY_TICKS: u64 = 4 * STEP_TICKS;
+
+/// One policy step, ns.
+pub const STEP_NS: u64 = STEP_TICKS * hal::TICK_NS;
+
+/// Which policy the user asked for.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum PolicyChoice {
+    /// The task's scripted expert, which sees the scene's state.
+    Expert,
+    /// Holds still.
+    Noop,
+    /// Moves at random.
+    Random,
+    /// A trained checkpoint.
+    Checkpoint(PathBuf),
+    /// One that the caller hands in, as [`ChunkSource::policy`], by this name.
+    Own(String),
+}
+
+impl PolicyChoice {
+    /// Reads `expert`, `noop`, `random`, or else a directory, or the name of a committed policy such as `needle-lift/act-small`.
+    #[must_use]
+    pub fn parse(text: &str) -> Self {
+        match text {
+            "expert" => Self::Expert,
+            "noop" => Self::Noop,
+            "random" => Self::Random,
+            directory if Path::new(directory).is_dir() => Self::Checkpoint(directory.into()),
+            name => Self::Checkpoint(policies::named(name).unwrap_or_else(|| name.into())),
+        }
+    }
+
+    /// Checks that a checkpoint's folder is there.
+    ///
+    /// # Errors
+    /// [`SessionError::BadArgument`], which says what a policy can be.
+    pub fn check_exists(&self) -> Result<(), SessionError> {
+        match self {
+            Self::Checkpoint(path) if !path.is_dir() => Err(SessionError::BadArgument(format!(
+                "policy {}: there is no such folder; a policy is expert, noop, random or a checkpoint's folder",
+                path.display()
+            ))),
+            Self::Checkpoint(_) | Self::Expert | Self::Noop | Self::Random | Self::Own(_) => Ok(()),
+        }
+    }
+
+    /// The name used in results.
+    #[must_use]
+    pub fn name(&self) -> String {
+        match self {
+            Self::Expert => "expert".to_owned(),
+            Self::Noop => "noop".to_owned(),
+            Self::Random => "random".to_owned(),
+            Self::Checkpoint(path) => path.display().to_string(),
+            Self::Own(name) => name.clone(),
+        }
+    }
+}
+
+/// An arm that measured `state`, as a policy sees it.
+#[must_use]
+pub fn seen_arm(state: &ArmState) -> SeenArm {
+    SeenArm {
+        state: *state,
+        tip_in_rcm: kinematics::forward(&state.position),
+    }
+}
+
+/// What a source may look at. Only the expert looks at `scene`.
+#[derive(Clone, Copy, Debug)]
+pub struct Query<'a> {
+    /// The measured arms.
+    pub arms: PerArm<SeenArm>,
+    /// Frames of the cameras in [`ChunkSource::cameras`].
+    pub frames: &'a [FrameRef<'a>],
+    /// The true state of the scene, of which a robot knows nothing.
+    pub scene: Option<&'a SceneState>,
+}
+
+/// A source of chunks.
+pub enum ChunkSource {
+    /// The scripted expert.
+    Expert {
+        /// The expert itself.
+        expert: Box<Expert>,
+        /// Chunks so far.
+        sequence: u64,
+    },
+    /// Holds the pose that it saw first of each arm.
+    Noop {
+        /// These poses and jaw angles.
+        held: Option<PerArm<TipTarget>>,
+        /// Chunks so far.
+        sequence: u64,
+    },
+    /// Wanders around the pose that it saw first of each arm.
+    Random {
+        /// These poses and jaw angles.
+        home: Option<PerArm<TipTarget>>,
+        /// The dice.
+        rng: Rng,
+        /// Chunks so far.
+        sequence: u64,
+    },
+    /// A policy that sees the arms and cameras: a trained network, or anyone's.
+    Policy(Observer),
+}
+
+/// A policy with what it has to be shown, and when.
+pub struct Observer {
+    policy: Box<dyn Policy + Send>,
+    cameras: Vec<String>,
+    query_every_steps: u64,
+}
+
+impl ChunkSource {
+    /// A policy that looks through `cameras` (names of the task's) and is asked every `query_every_steps` policy steps of 40 ms, at
+    /// least each step.
+    #[must_use]
+    pub fn policy(
+        policy: Box<dyn Policy + Send>,
+        cameras: Vec<String>,
+        query_every_steps: u64,
+    ) -> Self {
+        Self::Policy(Observer {
+            policy,
+            cameras,
+            query_every_steps: query_every_steps.max(1),
+        })
+    }
+
+    /// A trained network.
+    #[must_use]
+    pub fn network(network: LoadedPolicy) -> Self {
+        let every = u64::from(network.recipe().query_every_steps);
+        let cameras = camera_names(&network);
+        Self::policy(Box::new(network), cameras, every)
+    }
+
+    /// Forgets the past; everything random afterwards hangs on `seed`. What is made with its seed is not changed.
+    pub fn reset(&mut self, seed: u64) {
+        if let Self::Policy(observer) = self {
+            observer.policy.reset(seed);
+        }
+    }
+
+    /// One that holds still.
+    #[must_use]
+    pub const fn noop() -> Self {
+        Self::Noop {
+            held: None,
+            sequence: 0,
+        }
+    }
+
+    /// One that moves at random, by `seed`.
+    #[must_use]
+    pub fn random(seed: u64) -> Self {
+        Self::Random {
+            home: None,
+            rng: Rng::stream(seed, "random policy"),
+            sequence: 0,
+        }
+    }
+
+    /// Names of the cameras whose frames a query needs.
+    #[must_use]
+    pub fn cameras(&self) -> Vec<String> {
+        match self {
+            Self::Expert { .. } | Self::Noop { .. } | Self::Random { .. } => Vec::new(),
+            Self::Policy(observer) => observer.cameras.clone(),
+        }
+    }
+
+    /// Policy steps from one query to the next.
+    #[must_use]
+    pub fn query_every_steps(&self) -> u64 {
+        match self {
+            Self::Expert { .. } | Self::Noop { .. } => 1,
+            Self::Random { .. } => 5,
+            Self::Policy(observer) => observer.query_every_steps,
+        }
+    }
+
+    /// What each arm is doing, as far as the source tells: the expert does.
+    #[must_use]
+    pub fn activities(&self) -> [Activity; ARMS_MAX] {
+        match self {
+            Self::Expert { expert, .. } => expert.activities(),
+            Self::Noop { .. } | Self::Random { .. } | Self::Policy(_) => {
+                [Activity::Other; ARMS_MAX]
+            }
+        }
+    }
+
+    /// Grasps that the expert has tried, the present one included; 0 of any other source.
+    #[must_use]
+    pub fn attempts(&self) -> u32 {
+        match self {
+            Self::Expert { expert, .. } => expert.attempts(),
+            Self::Noop { .. } | Self::Random { .. } | Self::Policy(_) => 0,
+        }
+    }
+
+    /// Policy steps before a query that it wants to have observed too.
+    #[must_use]
+    pub fn history_steps(&self) -> u64 {
+        match self {
+            Self::Expert { .. } | Self::Noop { .. } | Self::Random { .. } => 0,
+            Self::Policy(observer) => observer.policy.history_steps(),
+        }
+    }
+
+    /// Shows it what comes before its next query.
+    ///
+    /// # Errors
+    /// Whatever the network reports.
+    pub fn observe(
+        &mut self,
+        arms: &PerArm<SeenArm>,
+        frames: &[FrameRef<'_>],
+    ) -> Result<(), SessionError> {
+        if let Self::Policy(observer) = self {
+            let arms: Vec<SeenArm> = arms.iter().copied().collect();
+            let arms = &arms;
+            observer.policy.observe(&Observation { arms, frames })?;
+        }
+        Ok(())
+    }
+
+    /// Ticks from observation to delivery in lockstep, unless the user says otherwise.
+    #[must_use]
+    pub fn latency_ticks(&self) -> u64 {
+        match self {
+            Self::Expert { .. } | Self::Noop { .. } | Self::Random { .. } => 0,
+            Self::Policy(_) => NETWORK_LATENCY_TICKS,
+        }
+    }
+
+    /// The chunks that answer `query`, one for each arm.
+    ///
+    /// # Errors
+    /// Whatever the network reports; [`SessionError::BadArgument`] if the policy commands no arm.
+    pub fn answer(&mut self, query: &Query<'_>) -> Result<PerArm<Chunk>, SessionError> {
+        let now = query.arms.first.state.stamp;
+        let here = query.arms.map(|arm| arm.here());
+        match self {
+            Self::Expert { expert, sequence } => {
+                *sequence += 1;
+                let scene = query.scene.ok_or_else(|| {
+                    SessionError::BadArgument("the expert needs a scene to see".to_owned())
+                })?;
+                per_arm(expert.chunks(now, scene, *sequence))
+            }
+            Self::Noop { held, sequence } => {
+                *sequence += 1;
+                let held = *held.get_or_insert(here);
+                Ok(held.map(|target| Chunk::new(now, *sequence, STEP_NS, &[target; 2])))
+            }
+            Self::Random {
+                home,
+                rng,
+                sequence,
+            } => {
+                *sequence += 1;
+                let home = *home.get_or_insert(here);
+                Ok(home.map(|home| wander(now, *sequence, &home, rng)))
+            }
+            Self::Policy(observer) => {
+                let arms: Vec<SeenArm> = query.arms.iter().copied().collect();
+                let observation = Observation {
+                    arms: &arms,
+                    frames: query.frames,
+                };
+                let chunks = observer.policy.infer(&observation)?;
+                let (said, arms) = (chunks.len(), arms.len());
+                if said != arms {
+                    return Err(SessionError::BadArgument(format!(
+                        "the policy answers with {said} chunks for {arms} arms: one for each is wanted"
+                    )));
+                }
+                per_arm(chunks)
+            }
+        }
+    }
+}
+
+fn per_arm(chunks: Vec<Chunk>) -> Result<PerArm<Chunk>, SessionError> {
+    PerArm::collect(chunks)
+        .ok_or_else(|| SessionError::BadArgument("the policy commands no arm".to_owned()))
+}
+
+/// Whether a policy that is asked every `every` steps wants to have seen the step `step` too, which is no query's.
+#[must_use]
+pub const fn precedes_query(step: u64, every: u64, history_steps: u64) -> bool {
+    let since = step % every;
+    since != 0 && every - since <= history_steps
+}
+
+/// Names of the cameras that `network` looks through: LeRobot's feature names without their common beginning.
+#[must_use]
+pub fn camera_names(network: &LoadedPolicy) -> Vec<String> {
+    let name = |feature: &str| {
+        feature
+            .strip_prefix("observation.images.")
+            .unwrap_or(feature)
+            .to_owned()
+    };
+    network
+        .recipe()
+        .cameras
+        .iter()
+        .map(|camera| name(&camera.feature))
+        .collect()
+}
+
+/// A straight stretch to a random place within 4 cm of `home`, the jaw anywhere.
+fn wander(now: TimeNs, sequence: u64, home: &TipTarget, rng: &mut Rng) -> Chunk {
+    const STEPS: u32 = 15;
+    const REACH_M: f64 = 0.04;
+    let mut draw = || rng.range(-REACH_M, REACH_M);
+    let offset = Vector3::new(draw(), draw(), draw());
+    let jaw = rng.range(-0.2, 1.0);
+    let home_in_rcm = home.tip_in_rcm();
+    let targets: Vec<TipTarget> = (0..STEPS)
+        .map(|step| {
+            let share = f64::from(step) / f64::from(STEPS);
+            let moved = Translation3::from(offset * share) * home_in_rcm;
+            TipTarget::new(&moved, jaw)
+        })
+        .collect();
+    Chunk::new(now, sequence, STEP_NS, &targets)
+}

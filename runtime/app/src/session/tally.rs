@@ -1,0 +1,250 @@
+//! Counts and percentiles of one run, from its tick records.
+
+use hal::ARM_NAMES;
+
+use super::summary::{
+    LatencyMs, PolicyCounts, QpCounts, RealTimeCounts, RunSummary, TickUs, TissueSummary,
+};
+use crate::histogram::Histogram;
+use hal::PerArm;
+use trocar_control::{CommandHash, Fault, QpOutcome, TickReport};
+use trocar_log::TickRecord;
+
+/// What a run adds up to.
+#[derive(Debug, Default)]
+pub struct Tally {
+    ticks: u64,
+    hash: CommandHash,
+    compute: Histogram,
+    latency: Histogram,
+    inference: Histogram,
+    qp: QpCounts,
+    guard_interventions: u64,
+    queries: u64,
+    refused: u64,
+    /// Each arm's fault in the first tick that had any.
+    faults: Option<PerArm<Option<Fault>>>,
+}
+
+/// What the tally can't know.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct RunLabels<'a> {
+    /// Task name.
+    pub task: &'a str,
+    /// From where the cameras looked.
+    pub view: &'a str,
+    /// The needle, in a task that has a choice.
+    pub needle: Option<&'a str>,
+    /// The scene file, if it was not the built-in one.
+    pub scene: Option<&'a str>,
+    /// Policy name.
+    pub policy: &'a str,
+    /// The task that the policy was trained on, if it tells.
+    pub trained_on: Option<&'a str>,
+    /// The seed.
+    pub seed: u64,
+    /// Whether the task was done, if there is one.
+    pub success: Option<bool>,
+    /// Why the run ended.
+    pub reason: &'a str,
+    /// What a soft tissue went through, if the task has one.
+    pub tissue: Option<TissueSummary>,
+}
+
+impl Tally {
+    /// Counts one control period.
+    pub fn tick(&mut self, record: &TickRecord) {
+        self.ticks += 1;
+        self.compute.record(record.timing.compute_ns);
+        for arm in record.arms.iter() {
+            self.hash.add(&arm.command);
+            let gate = arm.report.gate;
+            self.refused += u64::from(gate.is_some_and(|verdict| !verdict.is_accepted()));
+        }
+        if self.faults.is_none() && record.has_fault() {
+            self.faults = Some(record.arms.map(|arm| arm.report.fault));
+        }
+        // One problem for all arms; one that follows nothing has no part in it.
+        let any = |what: fn(&TickReport) -> bool| record.arms.iter().any(|arm| what(&arm.report));
+        if any(|report| report.qp == QpOutcome::Failed) {
+            self.qp.failed += 1;
+        } else if any(|report| matches!(report.qp, QpOutcome::Solved { .. })) {
+            self.qp.solved += 1;
+        } else {
+            self.qp.passed += 1;
+        }
+        self.guard_interventions += u64::from(any(|report| report.guard_intervened));
+    }
+
+    /// Counts one answered observation: how long the policy took, and how long until its chunk was there.
+    pub fn query(&mut self, inference_ns: u64, latency_ns: u64) {
+        self.queries += 1;
+        self.inference.record(inference_ns);
+        self.latency.record(latency_ns);
+    }
+
+    /// Counts one chunk that came from another process, so long after its observation.
+    pub fn delivery(&mut self, latency_ns: u64) {
+        self.queries += 1;
+        self.latency.record(latency_ns);
+    }
+
+    /// Adds what another thread or process measured of the policy's own computing.
+    pub fn inferences(&mut self, inference: &Histogram) {
+        self.inference.merge(inference);
+    }
+
+    /// Control periods so far.
+    #[must_use]
+    pub const fn ticks(&self) -> u64 {
+        self.ticks
+    }
+
+    /// What was wrong when something first was, in words; of two arms, also whose fault it was.
+    #[must_use]
+    pub fn faults(&self) -> Option<String> {
+        let faults = self.faults.as_ref()?;
+        let alone = faults.count() == 1;
+        let told = faults.iter().zip(ARM_NAMES).filter_map(|(fault, name)| {
+            let fault = fault.as_ref()?;
+            Some(if alone {
+                format!("fault: {fault}")
+            } else {
+                format!("fault of {name}: {fault}")
+            })
+        });
+        Some(told.collect::<Vec<_>>().join("; "))
+    }
+
+    /// The hash of all commands so far, hexadecimal.
+    #[must_use]
+    pub fn command_hash(&self) -> String {
+        format!("{:016x}", self.hash.value())
+    }
+
+    /// The summary.
+    #[must_use]
+    pub fn summary(&self, labels: &RunLabels<'_>, real_time: Option<RealTimeCounts>) -> RunSummary {
+        let skipped = real_time.map_or(0, |counts| counts.overruns);
+        RunSummary {
+            task: labels.task.to_owned(),
+            view: labels.view.to_owned(),
+            needle: labels.needle.map(str::to_owned),
+            scene: labels.scene.map(str::to_owned),
+            policy: PolicyCounts {
+                name: labels.policy.to_owned(),
+                trained_on: labels.trained_on.map(str::to_owned),
+                queries: self.queries,
+                refused: self.refused,
+                latency_ms: milliseconds(&self.latency),
+                inference_ms: milliseconds(&self.inference),
+            },
+            seed: labels.seed,
+            success: labels.success,
+            reason: labels.reason.to_owned(),
+            seconds: scaled((self.ticks + skipped) * hal::TICK_NS, 1e-9),
+            ticks: self.ticks,
+            command_hash: self.command_hash(),
+            tick_us: TickUs::of(&self.compute),
+            qp: self.qp,
+            guard_interventions: self.guard_interventions,
+            real_time,
+            can: None,
+            tissue: labels.tissue,
+        }
+    }
+}
+
+impl TickUs {
+    /// The percentiles of `histogram`, which holds ns.
+    pub(super) fn of(histogram: &Histogram) -> Self {
+        Self {
+            p50: scaled(histogram.percentile(0.50), 1e-3),
+            p99: scaled(histogram.percentile(0.99), 1e-3),
+            max: scaled(histogram.max(), 1e-3),
+        }
+    }
+}
+
+fn milliseconds(histogram: &Histogram) -> LatencyMs {
+    LatencyMs {
+        p50: scaled(histogram.percentile(0.50), 1e-6),
+        p99: scaled(histogram.percentile(0.99), 1e-6),
+    }
+}
+
+#[expect(
+    clippy::cast_precision_loss,
+    reason = "durations of a run are exact in f64"
+)]
+fn scaled(ns: u64, unit: f64) -> f64 {
+    ns as f64 * unit
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::session::{PolicyChoice, Setup};
+    use hal::{ArmState, JointVector, TimeNs};
+    use trocar_control::TickInput;
+    use trocar_log::TickTiming;
+
+    /// A tick of two arms that nobody has enabled.
+    fn two_arms() -> TickRecord {
+        let setup = Setup::load("needle-handover", None, &PolicyChoice::Noop).unwrap();
+        let mut controller = setup.controller().unwrap();
+        let home = JointVector::new(0.0, 0.0, hal::psm::HOME_INSERTION_M, 0.0, 0.0, 0.0);
+        let input = || TickInput {
+            now: TimeNs(0),
+            measured: Ok(ArmState::at_rest(TimeNs(0), home, 0.4)),
+            chunk: None,
+            operator: None,
+        };
+        let inputs = PerArm::two(input(), input());
+        let outputs = controller.tick(&inputs).unwrap();
+        TickRecord::new(0, inputs, outputs, TickTiming::default())
+    }
+
+    #[test]
+    fn a_fault_is_told_in_words_and_of_two_arms_with_its_arm() {
+        let untroubled = two_arms();
+        let fault = Fault::TrackingError {
+            joint: 2,
+            error: 0.25,
+        };
+        let told = |faults: [Option<Fault>; 2], arms: usize| {
+            let [first, second] = faults;
+            let mut record = untroubled;
+            record.arms.first.report.fault = first;
+            record.arms.second = record.arms.second.filter(|_| arms == 2);
+            if let Some(arm) = &mut record.arms.second {
+                arm.report.fault = second;
+            }
+            let mut tally = Tally::default();
+            tally.tick(&untroubled);
+            tally.tick(&record);
+            // What comes after the first is not its cause.
+            record.arms.first.report.fault = Some(Fault::MeasurementNotFinite);
+            if first.or(second).is_some() {
+                tally.tick(&record);
+            }
+            tally.faults()
+        };
+        let words = "insertion is 0.2500 away from its command";
+        assert_eq!(told([None, None], 2), None);
+        assert_eq!(
+            told([Some(fault), None], 1),
+            Some(format!("fault: {words}"))
+        );
+        for (faults, expected) in [
+            ([Some(fault), None], format!("fault of psm1: {words}")),
+            ([None, Some(fault)], format!("fault of psm2: {words}")),
+            (
+                [Some(fault); 2],
+                format!("fault of psm1: {words}; fault of psm2: {words}"),
+            ),
+        ] {
+            assert_eq!(told(faults, 2), Some(expected));
+        }
+    }
+}

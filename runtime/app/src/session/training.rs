@@ -1,0 +1,321 @@
+//! Training a policy on a dataset.
+
+use std::path::Path;
+
+use serde::Serialize;
+use trocar_data::dataset::Dataset;
+use trocar_nets::act::{ActConfig, ActPreset, BackboneNorm};
+use trocar_nets::checkpoint::Variants;
+use trocar_train::{AnyTrained, Augmentation, TrainError, TrainOptions, TrainPrecision, Trainer};
+
+use super::cloud_file::cloud_recipe;
+use super::training_eval::{Evaluation, Evaluations};
+pub use super::training_news::{OnNews, TrainingNews};
+pub use super::training_options::{CameraChoice, NetworkChoice, TrainingOptions};
+use super::training_recipe::Made;
+use super::training_save::Saver;
+use super::training_watch::{
+    STATE_FILE, Stopwatch, Watcher, read_state, remove_state, write_curve,
+};
+use super::{SessionError, outputs, training_backbone, training_clouds};
+use crate::rt;
+
+/// Policy steps from one query to the next that a trained checkpoint asks for: half a chunk of the small preset, so that a fresh
+/// one is there when the last ends.
+const QUERY_EVERY_STEPS: u32 = 25;
+
+/// What `--augment` does to images and states.
+const IMAGE_AUGMENTATION: Augmentation = Augmentation {
+    shift_px: 4,
+    brightness: 0.15,
+    contrast: 0.15,
+    state_noise: 0.02,
+    point_noise_m: 0.0,
+    point_dropout: 0.0,
+};
+
+/// What training came to.
+#[derive(Clone, Copy, Debug, Serialize)]
+pub struct TrainingResult {
+    /// Optimiser steps taken.
+    pub steps: u64,
+    /// Total loss over the last row of the loss curve.
+    pub loss: f64,
+    /// Mean absolute error on held-out episodes, normalised, if there were any.
+    pub validation_l1: Option<f64>,
+    /// Time it took, s.
+    pub seconds: f64,
+    /// Samples that went through a second, from the first row of the loss curve to the last, without evaluations; unknown of one
+    /// row.
+    pub samples_per_second: Option<f64>,
+    /// Evaluations along the way.
+    pub evaluations: usize,
+    /// The best of them, whose weights are in the folder [`BEST`](super::training_eval::BEST) of the checkpoint's.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub best: Option<Evaluation>,
+}
+
+/// Trains, and writes the checkpoint, its loss curve (`loss.csv`), the same for TensorBoard, and if asked evaluations along the way
+/// (`evaluations.csv`) and the weights that did best in them (`best/`).
+///
+/// SIGINT, SIGTERM and SIGHUP make it keep its state and stop after the step at hand.
+///
+/// # Errors
+/// [`SessionError::BadArgument`] if the checkpoint's folder is not empty or can't be written, before any work; from the
+/// dataset, the training or the file system; [`TrainError::Stopped`].
+pub fn train(
+    options: &TrainingOptions,
+    on_news: &mut OnNews<'_>,
+) -> Result<TrainingResult, SessionError> {
+    // Whatever is wrong with the options is said before anything is made.
+    check(options)?;
+    let trainer = training_backbone::trainer(options)?;
+    outputs::new_folder("--out", &options.out)?;
+    let start = Start {
+        trainer,
+        stopwatch: Stopwatch::start(0.0),
+        evaluations: Vec::new(),
+    };
+    train_from(options, start, on_news)
+}
+
+/// Refuses options that can't be, of the command line and of a state that may be damaged alike.
+pub(super) fn check(options: &TrainingOptions) -> Result<(), SessionError> {
+    training_backbone::check(options)?;
+    if options.device.is_cuda() && !tch::Cuda::is_available() {
+        let defect = "--device cuda: this libtorch sees no CUDA device";
+        return Err(SessionError::BadArgument(defect.to_owned()));
+    }
+    match options.network {
+        NetworkChoice::Act => {
+            let preset = parse_preset(&options.preset)?;
+            if let Some(defect) = train_options(options, preset).defect() {
+                return Err(TrainError::Options(defect).into());
+            }
+            if options.clouds.is_some() {
+                let defect = "--clouds: act sees images; of act-pc and dp3";
+                return Err(SessionError::BadArgument(defect.to_owned()));
+            }
+        }
+        NetworkChoice::ActPc => {
+            training_clouds::act_pc_options(options)?;
+            cloud_recipe(options.clouds.as_deref(), 1)?;
+        }
+        NetworkChoice::Dp3 => {
+            training_clouds::dp3_preset(&options.preset)?;
+            training_clouds::dp3_options(options, 1)?;
+            cloud_recipe(options.clouds.as_deref(), 1)?;
+        }
+    }
+    Ok(())
+}
+
+/// Goes on with the training whose state is in the checkpoint's folder `folder`, with the options that it was begun with.
+///
+/// # Errors
+/// [`SessionError::BadArgument`] if there is no state; otherwise those of [`train`], and [`TrainError::State`] if the
+/// dataset is another one now.
+pub fn resume(folder: &Path, on_news: &mut OnNews<'_>) -> Result<TrainingResult, SessionError> {
+    let (state, about) = read_state(folder)?;
+    let options = about.options;
+    check(&options).map_err(|error| {
+        let file = folder.join(STATE_FILE);
+        SessionError::BadArgument(format!("{}: its options: {error}", file.display()))
+    })?;
+    let start = Start {
+        trainer: Trainer::new(options.device).resuming(state),
+        stopwatch: Stopwatch::start(about.seconds),
+        evaluations: about.evaluations,
+    };
+    train_from(&options, start, on_news)
+}
+
+/// Where a training starts from.
+pub(super) struct Start {
+    pub(super) trainer: Trainer,
+    pub(super) stopwatch: Stopwatch,
+    /// Those that were done before it was stopped.
+    pub(super) evaluations: Vec<Evaluation>,
+}
+
+fn train_from(
+    options: &TrainingOptions,
+    start: Start,
+    on_news: &mut OnNews<'_>,
+) -> Result<TrainingResult, SessionError> {
+    rt::catch_interrupts()
+        .map_err(|error| SessionError::RealTime(format!("signals can't be caught: {error}")))?;
+    let dataset = open(options)?;
+    let result = match options.network {
+        NetworkChoice::Act => train_act(options, &dataset, &start, on_news),
+        NetworkChoice::ActPc => training_clouds::train_act_pc(options, &dataset, &start, on_news),
+        NetworkChoice::Dp3 => training_clouds::train_dp3(options, &dataset, &start, on_news),
+    }?;
+    remove_state(&options.out)?;
+    Ok(result)
+}
+
+fn train_act(
+    options: &TrainingOptions,
+    dataset: &Dataset,
+    start: &Start,
+    on_news: &mut OnNews<'_>,
+) -> Result<TrainingResult, SessionError> {
+    let preset = parse_preset(&options.preset)?;
+    let train_options = train_options(options, preset);
+    let config = ActConfig {
+        backbone_norm: options.backbone,
+        ..ActConfig::preset(preset, &cameras(dataset)).for_arms(dataset.arms())
+    };
+    let saver = Saver {
+        options,
+        train_options,
+        dataset,
+        stopwatch: start.stopwatch,
+        made: Made {
+            preset: preset.into(),
+            variants: Variants {
+                backbone_norm: config.backbone_norm,
+                loss_denominator: config.loss_denominator,
+            },
+            query_every_steps: query_every(options, QUERY_EVERY_STEPS, config.chunk_size)?,
+        },
+        cloud: None,
+    };
+    conduct(&saver, start, on_news, &mut |watcher| {
+        let trained = start
+            .trainer
+            .run(&config, &train_options, dataset, watcher)?;
+        Ok(AnyTrained::Act(trained.into()))
+    })
+}
+
+/// Runs a training, watched, and writes its checkpoint and its loss curve.
+pub(super) fn conduct(
+    saver: &Saver<'_>,
+    start: &Start,
+    on_news: &mut OnNews<'_>,
+    run: &mut dyn FnMut(&mut Watcher<'_>) -> Result<AnyTrained, TrainError>,
+) -> Result<TrainingResult, SessionError> {
+    let (dataset, steps) = (saver.dataset, saver.train_options.steps);
+    let evaluations = Evaluations::new(saver.options, dataset, start.evaluations.clone())?;
+    on_news(&TrainingNews::Note(&format!(
+        "{} episodes, {} frames; {steps} steps",
+        dataset.episodes().len(),
+        dataset.len(),
+    )));
+    let mut watcher = Watcher::new(saver, evaluations, on_news);
+    let trained = run(&mut watcher)?;
+    let out = &saver.options.out;
+    saver.save(out, &trained)?;
+    write_curve(out, trained.curve())?;
+    let last = trained.curve().last();
+    let evaluations = watcher.evaluations.as_ref();
+    Ok(TrainingResult {
+        steps,
+        loss: last.map_or(f64::NAN, |row| row.loss),
+        validation_l1: last.and_then(|row| row.validation_l1),
+        seconds: start.stopwatch.seconds(),
+        samples_per_second: watcher.pace.samples_per_second(),
+        evaluations: evaluations.map_or(0, |all| all.rows().len()),
+        best: evaluations.and_then(Evaluations::best),
+    })
+}
+
+/// The features of the dataset's cameras, which are those that the network sees.
+pub(super) fn cameras(dataset: &Dataset) -> Vec<String> {
+    let names = dataset.camera_names().iter();
+    names
+        .map(|name| format!("observation.images.{name}"))
+        .collect()
+}
+
+/// The dataset, as the network sees it.
+fn open(options: &TrainingOptions) -> Result<Dataset, SessionError> {
+    let (data, choice) = (&options.data, &options.cameras);
+    let chosen = choice
+        .among(&Dataset::cameras_in(data)?)
+        .map_err(|defect| {
+            SessionError::BadArgument(format!("--cameras, {}: {defect}", data.display()))
+        })?;
+    Ok(Dataset::open_part(data, options.episodes, Some(&chosen))?)
+}
+
+fn parse_preset(name: &str) -> Result<ActPreset, SessionError> {
+    match name {
+        "small" => Ok(ActPreset::Small),
+        "compact" => Ok(ActPreset::Compact),
+        "paper" => Ok(ActPreset::Paper),
+        "lerobot" => Ok(ActPreset::Lerobot),
+        unknown => Err(SessionError::BadArgument(format!(
+            "--preset {unknown}: of act, small, compact, paper or lerobot"
+        ))),
+    }
+}
+
+/// Policy steps between queries: the user's number, which a chunk of `steps` must last for, or `usual`.
+pub(super) fn query_every(
+    options: &TrainingOptions,
+    usual: u32,
+    steps: i64,
+) -> Result<u32, SessionError> {
+    let every = options.query_every.unwrap_or(usual);
+    if i64::from(every) <= steps {
+        return Ok(every);
+    }
+    Err(SessionError::BadArgument(format!(
+        "--query-every {every}: a chunk of this network has {steps} steps"
+    )))
+}
+
+/// `base` with the learning rate that the user wants, and `augmentation` as they want it.
+pub(super) fn as_wanted(
+    options: &TrainingOptions,
+    base: TrainOptions,
+    augmentation: Augmentation,
+) -> TrainOptions {
+    TrainOptions {
+        lr: options.lr.unwrap_or(base.lr),
+        lr_backbone: options.lr.unwrap_or(base.lr_backbone),
+        augmentation: Augmentation {
+            shift_px: options.shift_px.unwrap_or(augmentation.shift_px),
+            state_noise: options.state_noise.unwrap_or(augmentation.state_noise),
+            ..augmentation
+        },
+        ..base
+    }
+}
+
+pub(super) fn train_options(options: &TrainingOptions, preset: ActPreset) -> TrainOptions {
+    let base = if options.published {
+        TrainOptions::published(preset)
+    } else {
+        TrainOptions::preset(preset)
+    };
+    let augmentation = if options.augment {
+        IMAGE_AUGMENTATION
+    } else {
+        base.augmentation
+    };
+    let base = as_wanted(options, base, augmentation);
+    let base = match options.backbone {
+        BackboneNorm::FrozenBatchNorm => base.for_trained_backbone(),
+        BackboneNorm::GroupNorm => base,
+    };
+    TrainOptions {
+        steps: options.steps.unwrap_or(base.steps),
+        batch: options.batch.unwrap_or(base.batch),
+        precision: if options.bf16 {
+            TrainPrecision::Bf16
+        } else {
+            base.precision
+        },
+        validation_share: options.validation_share,
+        images_on_host: options.images_on_host,
+        eager: options.eager,
+        save_every: options.save_every,
+        threads: options.threads,
+        seed: options.seed,
+        ..base
+    }
+}

@@ -1,0 +1,217 @@
+//! Training of the policies that see point clouds.
+
+use trocar_data::dataset::Dataset;
+use trocar_data::relative_action::RELATIVE_ACTION_DIM;
+use trocar_nets::act::{ActPreset, BackboneNorm};
+use trocar_nets::act_pc::{ActPcConfig, ActPcPreset};
+use trocar_nets::checkpoint::Variants;
+use trocar_nets::dp3::{Dp3Config, Dp3Preset};
+use trocar_train::{AnyTrained, Augmentation, TrainError, TrainOptions, TrainPrecision};
+
+use super::SessionError;
+use super::cloud_file::cloud_recipe;
+use super::training::{
+    OnNews, Start, TrainingOptions, TrainingResult, as_wanted, cameras, conduct, query_every,
+};
+use super::training_recipe::Made;
+use super::training_save::Saver;
+
+/// Points in a cloud, of the published real tasks.
+const POINTS: usize = 1024;
+
+/// Times that DP3's published recipe sees every frame.
+const DP3_EPOCHS: usize = 3000;
+
+/// What `--augment` does to clouds: a depth camera's noise, a tenth of the points hidden, and the state as for images.
+const CLOUD_AUGMENTATION: Augmentation = Augmentation {
+    shift_px: 0,
+    brightness: 0.0,
+    contrast: 0.0,
+    state_noise: 0.02,
+    point_noise_m: 0.0003,
+    point_dropout: 0.1,
+};
+
+/// Trains DP3 or SimpleDP3 and writes the checkpoint and its loss curve.
+pub(super) fn train_dp3(
+    options: &TrainingOptions,
+    dataset: &Dataset,
+    start: &Start,
+    on_news: &mut OnNews<'_>,
+) -> Result<TrainingResult, SessionError> {
+    let preset = dp3_preset(&options.preset)?;
+    let numbers = i64::try_from(RELATIVE_ACTION_DIM * dataset.arms()).unwrap_or(i64::MAX);
+    let config = Dp3Config::preset(preset, numbers, numbers);
+    let train_options = dp3_options(options, dataset.len())?;
+    let cloud = cloud_recipe(options.clouds.as_deref(), POINTS)?;
+    let saver = Saver {
+        options,
+        train_options,
+        dataset,
+        stopwatch: start.stopwatch,
+        made: Made {
+            preset: preset.into(),
+            variants: Variants {
+                backbone_norm: BackboneNorm::default(),
+                ..Variants::default()
+            },
+            query_every_steps: query_every(
+                options,
+                u32::try_from(config.n_action_steps).unwrap_or(1),
+                config.n_action_steps,
+            )?,
+        },
+        cloud: Some(cloud.clone()),
+    };
+    conduct(&saver, start, on_news, &mut |watcher| {
+        let trainer = &start.trainer;
+        let trained = trainer.run_dp3(&config, &cloud, &train_options, dataset, watcher)?;
+        Ok(AnyTrained::Dp3(trained.into()))
+    })
+}
+
+/// Reads the name of a DP3 network.
+pub(super) fn dp3_preset(name: &str) -> Result<Dp3Preset, SessionError> {
+    match name {
+        "paper" => Ok(Dp3Preset::Dp3),
+        "simple" => Ok(Dp3Preset::Simple),
+        unknown => Err(SessionError::BadArgument(format!(
+            "--preset {unknown}: of dp3, paper or simple"
+        ))),
+    }
+}
+
+/// The published recipe with what the user wants otherwise, for a dataset of `frames`.
+pub(super) fn dp3_options(
+    options: &TrainingOptions,
+    frames: usize,
+) -> Result<TrainOptions, SessionError> {
+    refuse_images(options, "dp3")?;
+    let batch = options.batch.unwrap_or(TrainOptions::dp3(1).batch);
+    let published = DP3_EPOCHS.saturating_mul(frames.div_ceil(batch.max(1)));
+    let published = TrainOptions::dp3(options.steps.unwrap_or(published as u64));
+    let train_options = TrainOptions {
+        batch,
+        precision: TrainPrecision::F32,
+        validation_share: options.validation_share,
+        save_every: options.save_every,
+        eager: options.eager,
+        threads: options.threads,
+        seed: options.seed,
+        ..as_wanted(options, published, augmentation(options))
+    };
+    match train_options.defect() {
+        Some(defect) => Err(TrainError::Options(defect).into()),
+        None => Ok(train_options),
+    }
+}
+
+fn augmentation(options: &TrainingOptions) -> Augmentation {
+    if options.augment {
+        CLOUD_AUGMENTATION
+    } else {
+        Augmentation::default()
+    }
+}
+
+/// What there is for images only, with the reason.
+fn refuse_images(options: &TrainingOptions, network: &str) -> Result<(), SessionError> {
+    let precision = "it is trained in single precision, as published";
+    let refused = [
+        ("--bf16", options.bf16, precision),
+        (
+            "--images-on-host",
+            options.images_on_host,
+            "it sees no images",
+        ),
+        (
+            "--shift-px",
+            options.shift_px.is_some(),
+            "it sees no images",
+        ),
+    ];
+    match refused.iter().find(|(_, asked, _)| *asked) {
+        None => Ok(()),
+        Some((name, _, reason)) => Err(SessionError::BadArgument(format!(
+            "{name}: not of {network}: {reason}"
+        ))),
+    }
+}
+
+/// The named ACT-PC network, and ACT's recipe of its size with what the user wants otherwise.
+pub(super) fn act_pc_options(
+    options: &TrainingOptions,
+) -> Result<(ActPcPreset, TrainOptions), SessionError> {
+    refuse_images(options, "act-pc")?;
+    let (preset, base) = match options.preset.as_str() {
+        "small" => (ActPcPreset::Small, ActPreset::Small),
+        "paper" => (ActPcPreset::Paper, ActPreset::Paper),
+        "pcm" => (ActPcPreset::PointCloudMatters, ActPreset::Paper),
+        unknown => {
+            return Err(SessionError::BadArgument(format!(
+                "--preset {unknown}: of act-pc, small, paper or pcm"
+            )));
+        }
+    };
+    let base = match (options.published, preset) {
+        (false, _) => TrainOptions::preset(base),
+        (true, ActPcPreset::PointCloudMatters) => TrainOptions::point_cloud_matters(),
+        (true, ActPcPreset::Paper | ActPcPreset::Small) => TrainOptions::published(base),
+    };
+    let train_options = TrainOptions {
+        steps: options.steps.unwrap_or(base.steps),
+        batch: options.batch.unwrap_or(base.batch),
+        validation_share: options.validation_share,
+        save_every: options.save_every,
+        eager: options.eager,
+        threads: options.threads,
+        seed: options.seed,
+        ..as_wanted(options, base, augmentation(options))
+    };
+    match train_options.defect() {
+        Some(defect) => Err(TrainError::Options(defect).into()),
+        None => Ok((preset, train_options)),
+    }
+}
+
+/// Trains ACT-PC and writes the checkpoint and its loss curve.
+pub(super) fn train_act_pc(
+    options: &TrainingOptions,
+    dataset: &Dataset,
+    start: &Start,
+    on_news: &mut OnNews<'_>,
+) -> Result<TrainingResult, SessionError> {
+    let (preset, train_options) = act_pc_options(options)?;
+    let config = ActPcConfig::preset(preset, &cameras(dataset));
+    let points = usize::try_from(config.points).unwrap_or(0);
+    let cloud = cloud_recipe(options.clouds.as_deref(), points)?;
+    let config = ActPcConfig {
+        act: config.act.for_arms(dataset.arms()),
+        points: i64::try_from(cloud.points).unwrap_or(i64::MAX),
+        ..config
+    };
+    let saver = Saver {
+        options,
+        train_options,
+        dataset,
+        stopwatch: start.stopwatch,
+        made: Made {
+            preset: preset.into(),
+            variants: Variants {
+                backbone_norm: BackboneNorm::default(),
+                loss_denominator: config.act.loss_denominator,
+            },
+            query_every_steps: query_every(
+                options,
+                u32::try_from(config.act.chunk_size / 2).unwrap_or(1),
+                config.act.chunk_size,
+            )?,
+        },
+        cloud: Some(cloud.clone()),
+    };
+    conduct(&saver, start, on_news, &mut |watcher| {
+        let trainer = &start.trainer;
+        let trained = trainer.run_act_pc(&config, &cloud, &train_options, dataset, watcher)?;
+        Ok(AnyTrained::ActPc(trained.into()))
+    })
+}

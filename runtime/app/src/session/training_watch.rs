@@ -1,0 +1,302 @@
+//! What goes on beside a training: what is said of it, how long it takes, and the state from which it can go on.
+
+use std::path::Path;
+use std::{fs, io};
+
+use hal::TimeNs;
+use serde::{Deserialize, Serialize};
+use trocar_train::{AnyTrained, CurveRow, LossCurve, Progress, RunState, TrainError, Watch};
+
+use super::SessionError;
+use super::tensorboard::EventFile;
+use super::training::TrainingOptions;
+use super::training_eval::{BEST, Evaluation, Evaluations};
+use super::training_news::{OnNews, TrainingNews};
+use super::training_pace::Pace;
+use super::training_save::Saver;
+use crate::rt::{self, MonotonicClock};
+
+/// The state of a training that is not at its end, in the checkpoint's folder.
+pub(super) const STATE_FILE: &str = "training_state.safetensors";
+
+/// What a state remembers for the one who resumes it.
+#[derive(Debug, Serialize, Deserialize)]
+pub(super) struct About {
+    pub(super) options: TrainingOptions,
+    /// Time that the training has taken, s.
+    pub(super) seconds: f64,
+    /// Evaluations that are done.
+    #[serde(default)]
+    pub(super) evaluations: Vec<Evaluation>,
+}
+
+/// Reads the state in `folder` and what it remembers.
+///
+/// # Errors
+/// [`SessionError::BadArgument`] if there is no such state, and if it is damaged.
+pub(super) fn read_state(folder: &Path) -> Result<(RunState, About), SessionError> {
+    let file = folder.join(STATE_FILE);
+    let refuse = |reason: &str| {
+        let reason = format!("--resume {}: {reason}", folder.display());
+        SessionError::BadArgument(reason)
+    };
+    if !file.is_file() {
+        return Err(refuse(&format!("has no {STATE_FILE} to go on from")));
+    }
+    let state = RunState::read(&file)?;
+    let about: About = serde_json::from_str(&state.about).map_err(|error| {
+        refuse(&format!(
+            "{STATE_FILE} was not written by this program: {error}"
+        ))
+    })?;
+    let options = TrainingOptions {
+        out: folder.to_owned(),
+        ..about.options.clone()
+    };
+    Ok((state, About { options, ..about }))
+}
+
+/// Takes the state away once there is nothing to go on with.
+pub(super) fn remove_state(folder: &Path) -> Result<(), SessionError> {
+    let file = folder.join(STATE_FILE);
+    if !file.is_file() {
+        return Ok(());
+    }
+    fs::remove_file(&file).map_err(|error| SessionError::output(&file, error))
+}
+
+/// How long a training has taken.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Stopwatch {
+    clock: MonotonicClock,
+    begun: TimeNs,
+    /// What it took before it was stopped the last time, s.
+    before: f64,
+}
+
+impl Stopwatch {
+    /// One that has run for `before` seconds.
+    pub(super) fn start(before: f64) -> Self {
+        let clock = MonotonicClock::new();
+        let begun = clock.now();
+        Self {
+            clock,
+            begun,
+            before,
+        }
+    }
+
+    /// Time since the start, s.
+    pub(super) fn seconds(&self) -> f64 {
+        self.before + TimeNs(self.clock.now().since(self.begun)).seconds()
+    }
+}
+
+/// Time between two steps that are told of, s. Telling waits for the device.
+const TELL_EVERY_S: f64 = 0.5;
+
+/// Tells of a training, here and to TensorBoard, evaluates it, keeps its state in its folder, and stops it when the user asks for
+/// that.
+pub(super) struct Watcher<'a> {
+    saver: &'a Saver<'a>,
+    pub(super) evaluations: Option<Evaluations>,
+    on_news: &'a mut OnNews<'a>,
+    pub(super) pace: Pace,
+    events: Option<EventFile>,
+    /// When a step was told of the last time, s.
+    told_s: Option<f64>,
+}
+
+impl<'a> Watcher<'a> {
+    pub(super) fn new(
+        saver: &'a Saver<'a>,
+        evaluations: Option<Evaluations>,
+        on_news: &'a mut OnNews<'a>,
+    ) -> Self {
+        Self {
+            saver,
+            evaluations,
+            on_news,
+            pace: Pace::new(saver.train_options.batch),
+            events: None,
+            told_s: None,
+        }
+    }
+
+    fn out(&self) -> &'a Path {
+        &self.saver.options.out
+    }
+
+    fn note(&mut self, line: &str) {
+        (self.on_news)(&TrainingNews::Note(line));
+    }
+
+    fn begin(&mut self, step: u64, seconds: f64) {
+        self.pace.begin(step, seconds);
+        match EventFile::create(self.out(), step, rt::unix_seconds()) {
+            Ok(events) => self.events = Some(events),
+            Err(error) => self.no_events(&error),
+        }
+    }
+
+    /// A training is worth more than its curves.
+    fn no_events(&mut self, error: &io::Error) {
+        self.events = None;
+        let folder = self.out().display();
+        let line = format!("{folder}: nothing more is written for TensorBoard: {error}");
+        (self.on_news)(&TrainingNews::Warning(&line));
+    }
+
+    fn scalars(&mut self, step: u64, scalars: &[(&str, f64)]) {
+        let Some(events) = &mut self.events else {
+            return;
+        };
+        if let Err(error) = events.scalars(step, rt::unix_seconds(), scalars) {
+            self.no_events(&error);
+        }
+    }
+
+    fn standing(&mut self, step: (u64, u64), loss: (f64, Option<CurveRow>), seconds: f64) {
+        let evaluations = self.evaluations.as_ref();
+        let left = evaluations.map_or(0, |all| all.left(step.0, step.1));
+        let standing = self.pace.standing(step, loss, seconds, left);
+        if let Some(row) = &standing.row {
+            let mut scalars = vec![
+                ("train/loss", row.loss),
+                ("train/l1", row.l1),
+                ("train/kl", row.kl),
+                ("train/gradient_norm", row.gradient_norm),
+                ("train/learning_rate", row.lr),
+            ];
+            let rate = standing.samples_per_second;
+            scalars.extend(rate.map(|rate| ("train/samples_per_second", rate)));
+            scalars.extend(row.validation_l1.map(|l1| ("validation/l1", l1)));
+            self.scalars(row.step, &scalars);
+        }
+        (self.on_news)(&TrainingNews::Standing(&standing));
+        if let Some(line) = self.pace.warning(&standing) {
+            (self.on_news)(&TrainingNews::Warning(&line));
+        }
+    }
+
+    /// Evaluates what was trained, and says how it did.
+    fn evaluate(&mut self, step: u64, trained: &AnyTrained) -> Result<(), SessionError> {
+        let (saver, before) = (self.saver, self.saver.stopwatch.seconds());
+        let Some(evaluations) = &mut self.evaluations else {
+            return Ok(());
+        };
+        let on_news = &mut *self.on_news;
+        let row = evaluations.run(
+            step,
+            &|folder| saver.save(folder, trained),
+            &mut |step, trials, of, score| {
+                on_news(&TrainingNews::Evaluating {
+                    step,
+                    trials,
+                    of,
+                    score,
+                });
+            },
+        )?;
+        let best = evaluations.best();
+        let seconds = saver.stopwatch.seconds() - before;
+        self.pace.aside(seconds);
+        let Some(row) = row else {
+            self.note(&format!(
+                "step {step}: the evaluation was interrupted and does not count"
+            ));
+            return Ok(());
+        };
+        self.scalars(step, &[("evaluation/success_rate", row.rate)]);
+        let kept = if best == Some(row) {
+            format!(
+                "; the best so far, kept in {}",
+                self.out().join(BEST).display()
+            )
+        } else {
+            String::new()
+        };
+        let [low, high] = row.wilson95;
+        self.note(&format!(
+            "step {step}: {} of {} trials succeeded, rate {:.2} [{low:.2}, {high:.2}], in {seconds:.0} s{kept}",
+            row.successes, row.trials, row.rate
+        ));
+        Ok(())
+    }
+}
+
+impl Watch for Watcher<'_> {
+    fn progress(&mut self, progress: &Progress) {
+        let seconds = self.saver.stopwatch.seconds();
+        match *progress {
+            Progress::Read { frames, of } => (self.on_news)(&TrainingNews::Reading {
+                frames,
+                of,
+                seconds,
+            }),
+            Progress::Unseen { frames, of } => self.note(&format!(
+                "in {frames} of {of} frames nothing wanted is in view: their clouds lie at the origin"
+            )),
+            Progress::Slower { ref reason } => {
+                self.note(&format!("steps take longer than they could: {reason}"));
+            }
+            Progress::Begin { step, .. } => self.begin(step, seconds),
+            Progress::Step { step, steps, loss } => {
+                self.told_s = Some(seconds);
+                self.standing((step, steps), (loss, None), seconds);
+            }
+            Progress::Row { steps, row } => {
+                self.standing((row.step, steps), (row.loss, Some(row)), seconds);
+            }
+        }
+    }
+
+    fn wants_step(&mut self, _step: u64) -> bool {
+        let now = self.saver.stopwatch.seconds();
+        self.told_s.is_none_or(|told| now - told >= TELL_EVERY_S)
+    }
+
+    fn wants_network(&mut self, step: u64) -> bool {
+        let steps = self.saver.train_options.steps;
+        let evaluations = self.evaluations.as_ref();
+        evaluations.is_some_and(|all| all.wants(step, steps)) && !rt::interrupted()
+    }
+
+    fn network(&mut self, step: u64, trained: AnyTrained) -> Result<(), TrainError> {
+        self.evaluate(step, &trained)
+            .map_err(|error| TrainError::Watch(format!("evaluation after step {step}: {error}")))
+    }
+
+    fn wants_stop(&mut self) -> bool {
+        rt::interrupted()
+    }
+
+    fn keep(&mut self, mut state: RunState) -> Result<(), TrainError> {
+        let failed = |error: &dyn std::fmt::Display| TrainError::State(error.to_string());
+        let evaluations = self.evaluations.as_ref().map(Evaluations::rows);
+        let about = About {
+            options: self.saver.options.clone(),
+            seconds: self.saver.stopwatch.seconds(),
+            evaluations: evaluations.unwrap_or_default().to_vec(),
+        };
+        state.about = serde_json::to_string(&about).map_err(|error| failed(&error))?;
+        let out = self.out();
+        state.write(&out.join(STATE_FILE))?;
+        write_curve(out, state.curve()).map_err(|error| failed(&error))?;
+        self.note(&format!(
+            "step {}: state kept; `trocar train --resume {}` goes on from there",
+            state.step,
+            out.display()
+        ));
+        Ok(())
+    }
+}
+
+/// Writes the losses as a table (`loss.csv`) and as a picture (`loss.svg`).
+pub(super) fn write_curve(folder: &Path, curve: &LossCurve) -> Result<(), SessionError> {
+    for (name, text) in [("loss.csv", curve.to_csv()), ("loss.svg", curve.to_svg())] {
+        let path = folder.join(name);
+        fs::write(&path, text).map_err(|error| SessionError::output(&path, error))?;
+    }
+    Ok(())
+}

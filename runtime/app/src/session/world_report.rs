@@ -1,0 +1,146 @@
+//! The scene of a world as it travels between processes: what the simulator knows, as plain numbers and back.
+
+use hal::TimeNs;
+use trocar_tasks::scene::{ArmScene, SceneState};
+use trocar_tasks::task::Outcome;
+use trocar_topics::{Line, Place, SceneArm, SceneReport, SceneTissue, Verdict};
+use trocar_world::Grasp;
+use trocar_world::tissue::TissueExtremes;
+
+use super::summary::TissueSummary;
+
+/// What a world knows of itself at one instant.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct WorldState {
+    /// The scene.
+    pub(super) scene: SceneState,
+    /// How the episode stands, once it has begun.
+    pub(super) outcome: Option<Outcome>,
+    /// What a soft tissue went through, if there is one.
+    pub(super) tissue: Option<TissueExtremes>,
+}
+
+/// The report of `state` at `stamp` on the system's clock, the step `sequence` of the episode `seed` of `task`.
+pub(super) fn report(
+    stamp: TimeNs,
+    sequence: u64,
+    (task, seed): (&str, u64),
+    state: &WorldState,
+) -> SceneReport {
+    let second = state.scene.second.as_ref();
+    let verdict = match &state.outcome {
+        None => Verdict::Waiting,
+        Some(Outcome::Running) => Verdict::Running,
+        Some(Outcome::Success) => Verdict::Success,
+        Some(Outcome::Failure(_)) => Verdict::Failure,
+        Some(Outcome::Invalid(_)) => Verdict::Invalid,
+    };
+    let reason = match &state.outcome {
+        Some(Outcome::Failure(reason) | Outcome::Invalid(reason)) => Line::new(&reason.to_string()),
+        _ => Line::default(),
+    };
+    let tissue = state.tissue.unwrap_or_default();
+    SceneReport {
+        stamp,
+        sequence,
+        task: Line::new(task),
+        seed,
+        arm_count: if second.is_some() { 2 } else { 1 },
+        arms: [
+            scene_arm(&state.scene.first),
+            second.map(scene_arm).unwrap_or_default(),
+        ],
+        has_goal: u64::from(state.scene.goal_in_scene.is_some()),
+        goal_in_scene: state
+            .scene
+            .goal_in_scene
+            .as_ref()
+            .map(Place::new)
+            .unwrap_or_default(),
+        has_tissue: u64::from(state.tissue.is_some()),
+        tissue: SceneTissue {
+            force_n: tissue.force_n,
+            squeeze_n: tissue.squeeze_n,
+            stretch: tissue.stretch,
+            mark_rise_m: tissue.mark_rise_m,
+        },
+        code: SceneReport::code_of(verdict),
+        reason,
+    }
+}
+
+fn scene_arm(arm: &ArmScene) -> SceneArm {
+    SceneArm {
+        tip_in_rcm: Place::new(&arm.tip_in_rcm),
+        thing_in_rcm: Place::new(&arm.thing_in_rcm),
+        jaw: arm.jaw,
+        finger_force_n: [arm.grasp.left_force_n, arm.grasp.right_force_n],
+        penetration_m: arm.grasp.penetration_m,
+        held: u64::from(arm.grasp.both_touch),
+    }
+}
+
+/// The scene that `report` tells of, as experts see it.
+pub(super) fn scene_state(report: &SceneReport) -> SceneState {
+    let arm = |arm: &SceneArm| ArmScene {
+        tip_in_rcm: arm.tip_in_rcm.pose(),
+        thing_in_rcm: arm.thing_in_rcm.pose(),
+        jaw: arm.jaw,
+        grasp: Grasp {
+            left_force_n: arm.finger_force_n[0],
+            right_force_n: arm.finger_force_n[1],
+            both_touch: arm.held != 0,
+            penetration_m: arm.penetration_m,
+        },
+    };
+    SceneState {
+        first: arm(&report.arms[0]),
+        second: (report.arm_count > 1).then(|| arm(&report.arms[1])),
+        goal_in_scene: (report.has_goal != 0).then(|| report.goal_in_scene.pose()),
+    }
+}
+
+/// What the tissue of `report` went through, if there is one.
+pub(super) fn tissue(report: &SceneReport) -> Option<TissueSummary> {
+    (report.has_tissue != 0).then_some(TissueSummary {
+        force_n_max: report.tissue.force_n,
+        squeeze_n_max: report.tissue.squeeze_n,
+        stretch_max: report.tissue.stretch,
+        mark_rise_m_max: report.tissue.mark_rise_m,
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use trocar_tasks::simulation::{Rendering, Simulation};
+    use trocar_tasks::task::TaskConfig;
+
+    use super::*;
+
+    #[test]
+    fn a_scene_comes_back_bit_for_bit() {
+        for name in TaskConfig::names() {
+            let task = TaskConfig::built_in(name).unwrap();
+            let simulation = Simulation::new(&task, 5, Rendering::Off).unwrap();
+            let state = WorldState {
+                scene: simulation.scene_state(),
+                outcome: Some(simulation.outcome()),
+                tissue: simulation.tissue_extremes(),
+            };
+            let told = report(TimeNs(7), 3, (name, 5), &state);
+            assert_eq!(
+                format!("{:?}", scene_state(&told)),
+                format!("{:?}", state.scene)
+            );
+            assert_eq!((told.task.text().as_str(), told.seed), (name, 5));
+            assert_eq!(told.verdict(), Verdict::Running);
+            assert_eq!(tissue(&told).is_some(), task.kind == "tissue-retraction");
+            let waiting = WorldState {
+                outcome: None,
+                ..state
+            };
+            let told = report(TimeNs(7), 3, (name, 5), &waiting);
+            assert_eq!(told.verdict(), Verdict::Waiting);
+        }
+    }
+}

@@ -1,0 +1,275 @@
+//! A cell's work: from what it begins, with which command line, and what makes it done.
+
+use std::ffi::OsString;
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use super::address::Address;
+use super::child::Ended;
+use super::commands::{Abilities, Arguments, Begin, CommandLine, Places, command_line};
+use super::file::{ExecutionSection, StudyFile};
+use super::job::{Job, Kind, PolicyInput};
+use super::plan::Cell;
+use super::store::{Attempts, MANIFEST_FORMAT, Manifest, Store};
+use super::{StudyError, result};
+
+/// The state that a training which is not at its end keeps in its checkpoint's folder.
+const TRAINING_STATE: &str = "training_state.safetensors";
+
+/// What all cells of a run have in common.
+#[derive(Debug)]
+pub struct Workshop<'a> {
+    /// The study's folder.
+    pub store: &'a Store,
+    /// The study's file.
+    pub file: &'a StudyFile,
+    /// The program.
+    pub executable: PathBuf,
+    /// Its hash.
+    pub executable_sha256: String,
+    /// The machine's name.
+    pub host: String,
+    /// What its verbs can do.
+    pub abilities: Abilities,
+}
+
+/// How a cell is begun.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Start {
+    /// Its verb has done everything; only the manifest is missing.
+    Found,
+    /// With this command line.
+    Run(Arguments, Begin),
+}
+
+/// What a cell took.
+#[derive(Clone, Debug)]
+pub struct Took {
+    /// The command line.
+    pub command: Vec<String>,
+    /// The GPU.
+    pub gpu: Option<String>,
+    /// All attempts.
+    pub attempts: Attempts,
+    /// How the verb ended; none if it was found ended.
+    pub ended: Option<Ended>,
+    /// Greatest memory on the GPU, bytes.
+    pub gpu_memory_bytes: Option<u64>,
+}
+
+impl Workshop<'_> {
+    /// Checks with `line` that every cell's command line is one.
+    ///
+    /// # Errors
+    /// [`StudyError::BadCell`] with the parser's reason.
+    pub fn check(
+        &self,
+        cells: &[Cell],
+        path: &str,
+        line: &dyn CommandLine,
+    ) -> Result<(), StudyError> {
+        for cell in cells {
+            let places = self.places(cell);
+            let job = &cell.job;
+            let arguments = command_line(job, &places, &self.file.run, Begin::New, self.abilities);
+            line.check(arguments.as_slice())
+                .map_err(|reason| StudyError::BadCell {
+                    path: path.to_owned(),
+                    cell: format!("{} {}", job.kind().as_str(), cell.label),
+                    reason,
+                })?;
+        }
+        Ok(())
+    }
+
+    /// Where a cell's files are while it is made.
+    fn places(&self, cell: &Cell) -> Places {
+        let (kind, address) = (cell.job.kind(), &cell.address);
+        let folder = self.store.cell(kind, address);
+        Places {
+            product: match kind {
+                Kind::Recording => folder.join("data.part"),
+                Kind::Training | Kind::Evaluation => self.store.product(kind, address),
+            },
+            result: self.store.result(kind, address),
+            input: self.input(&cell.job, &folder),
+        }
+    }
+
+    fn input(&self, job: &Job, folder: &Path) -> Option<PathBuf> {
+        match job {
+            Job::Recording(_) => None,
+            Job::Training(job) => Some(self.store.product(Kind::Recording, &job.recording)),
+            Job::Evaluation(job) if job.execution.changes_checkpoint() => {
+                Some(folder.join("policy"))
+            }
+            Job::Evaluation(job) => self.checkpoint(&job.policy),
+        }
+    }
+
+    fn checkpoint(&self, policy: &PolicyInput) -> Option<PathBuf> {
+        match policy {
+            PolicyInput::Training(address) => Some(self.store.product(Kind::Training, address)),
+            PolicyInput::Checkpoint { folder, .. } => Some(folder.clone()),
+            PolicyInput::Named(_) => None,
+        }
+    }
+
+    /// Makes a cell ready to be begun or gone on with. The caller holds its lock.
+    ///
+    /// # Errors
+    /// What failed.
+    pub fn prepare(&self, cell: &Cell) -> Result<Start, StudyError> {
+        let places = self.places(cell);
+        let folder = self.store.cell(cell.job.kind(), &cell.address);
+        let whole = result::check(&cell.job, &places.result).is_ok();
+        let state = places.product.join(TRAINING_STATE);
+        let begin = match &cell.job {
+            Job::Recording(_) => {
+                let done = self.store.product(Kind::Recording, &cell.address);
+                if whole && (done.exists() || places.product.exists()) {
+                    return Ok(Start::Found);
+                }
+                // More demonstrations than there are: what is there is their beginning.
+                remove(&folder.join("cell.json"))?;
+                if done.exists() && !places.product.exists() {
+                    rename(&done, &places.product)?;
+                }
+                if self.abilities.record_resume && places.product.exists() {
+                    Begin::Resumed
+                } else {
+                    Begin::New
+                }
+            }
+            Job::Training(_) if state.is_file() => Begin::Resumed,
+            Job::Training(_) if whole => return Ok(Start::Found),
+            Job::Evaluation(_) if whole => return Ok(Start::Found),
+            Job::Training(_) | Job::Evaluation(_) => Begin::New,
+        };
+        remove(&places.result)?;
+        if begin == Begin::New {
+            remove(&places.product)?;
+        }
+        if let Job::Evaluation(job) = &cell.job
+            && let (true, Some(from)) = (
+                job.execution.changes_checkpoint(),
+                self.checkpoint(&job.policy),
+            )
+        {
+            let policy = folder.join("policy");
+            remove(&policy)?;
+            executed_otherwise(&from, &policy, &job.execution)?;
+        }
+        let arguments = command_line(&cell.job, &places, &self.file.run, begin, self.abilities);
+        Ok(Start::Run(arguments, begin))
+    }
+
+    /// Takes away what a resumed training can't go on from, so that it begins anew.
+    ///
+    /// # Errors
+    /// [`StudyError::Io`].
+    pub fn forget_training(&self, address: &Address) -> Result<(), StudyError> {
+        remove(&self.store.product(Kind::Training, address))
+    }
+
+    /// Checks what a verb has made, and writes what makes the cell done.
+    ///
+    /// # Errors
+    /// What is wrong with it.
+    pub fn finish(&self, cell: &Cell, took: Took) -> Result<Manifest, String> {
+        let places = self.places(cell);
+        result::check(&cell.job, &places.result)?;
+        let mut episodes = None;
+        if let Job::Recording(job) = &cell.job {
+            episodes = Some(job.episodes);
+            let done = self.store.product(Kind::Recording, &cell.address);
+            if places.product.exists() {
+                remove(&done).map_err(|error| error.to_string())?;
+                rename(&places.product, &done).map_err(|error| error.to_string())?;
+            }
+        }
+        let recipe = cell.job.recipe().map_err(|error| error.to_string())?;
+        let manifest = Manifest {
+            format: MANIFEST_FORMAT,
+            address: cell.address.clone(),
+            label: cell.label.clone(),
+            recipe,
+            command: took.command,
+            executable_sha256: self.executable_sha256.clone(),
+            host: self.host.clone(),
+            gpu: took.gpu,
+            seconds: took.attempts.seconds,
+            memory_bytes: took.ended.and_then(|ended| ended.memory_bytes),
+            gpu_memory_bytes: took.gpu_memory_bytes,
+            attempts: took.attempts.count,
+            episodes,
+            files: Vec::new(),
+        };
+        let finished = self.store.finish(cell.job.kind(), manifest.clone());
+        finished.map_err(|error| error.to_string())?;
+        Ok(manifest)
+    }
+}
+
+/// A command line as text.
+#[must_use]
+pub fn told(arguments: &[OsString]) -> Vec<String> {
+    let text = |argument: &OsString| argument.to_string_lossy().into_owned();
+    arguments.iter().map(text).collect()
+}
+
+/// A checkpoint like the one in `from` whose chunks are executed as `execution` says: its files by link, but for
+/// `trocar.json`.
+fn executed_otherwise(
+    from: &Path,
+    to: &Path,
+    execution: &ExecutionSection,
+) -> Result<(), StudyError> {
+    let recipe = trocar_nets::checkpoint::load_recipe(from);
+    let recipe = recipe.map_err(|error| StudyError::io(from, error))?;
+    let Some(mut recipe) = recipe else {
+        let reason = "has no trocar.json, in which an execution mode could be changed";
+        return Err(StudyError::io(from, reason));
+    };
+    if let Some(mode) = execution.mode {
+        recipe.aggregation.mode = mode;
+    }
+    if let Some(decay) = execution.decay {
+        recipe.aggregation.decay = decay;
+    }
+    if let Some(steps) = execution.query_every_steps {
+        recipe.query_every_steps = steps;
+    }
+    let failed = |error: std::io::Error| StudyError::io(to, error);
+    fs::create_dir_all(to).map_err(failed)?;
+    let whole = from
+        .canonicalize()
+        .map_err(|error| StudyError::io(from, error))?;
+    for entry in fs::read_dir(&whole).map_err(failed)? {
+        let entry = entry.map_err(failed)?;
+        if entry.file_name() != "trocar.json" {
+            let link = to.join(entry.file_name());
+            std::os::unix::fs::symlink(entry.path(), link).map_err(failed)?;
+        }
+    }
+    super::files::write_json(&to.join("trocar.json"), &recipe)
+}
+
+fn rename(from: &Path, to: &Path) -> Result<(), StudyError> {
+    fs::rename(from, to).map_err(|error| StudyError::io(from, error))
+}
+
+/// Takes away a file or a folder, if it is there.
+fn remove(path: &Path) -> Result<(), StudyError> {
+    let gone = match fs::symlink_metadata(path) {
+        Err(error) => Err(error),
+        Ok(found) if found.is_dir() => fs::remove_dir_all(path),
+        Ok(_) => fs::remove_file(path),
+    };
+    match gone {
+        Err(error) if error.kind() != std::io::ErrorKind::NotFound => {
+            Err(StudyError::io(path, error))
+        }
+        Err(_) | Ok(()) => Ok(()),
+    }
+}

@@ -1,0 +1,194 @@
+//! The writer thread: takes records from the queues and puts them into the file.
+
+use std::fs::File;
+use std::io::BufWriter;
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::mpsc::Receiver;
+use std::thread;
+use std::time::Duration;
+
+use hal::{Chunk, TimeNs};
+use rtrb::Consumer;
+
+use super::camera::FrameItem;
+use super::error::LogError;
+use super::header::{Closing, LogCounts, RunOutcome};
+use super::record::TickRecord;
+use super::recorder::Level;
+use super::writer::LogWriter;
+use hal::PerArm;
+use trocar_control::InputHash;
+
+/// Pause of the writer thread when it has caught up.
+const IDLE: Duration = Duration::from_millis(2);
+
+/// A tick on its way.
+pub(super) struct TickItem {
+    pub(super) record: u64,
+    /// The record of each arm's chunk.
+    pub(super) chunk_records: PerArm<Option<u64>>,
+    pub(super) tick: TickRecord,
+}
+
+/// A chunk on its way.
+pub(super) struct ChunkItem {
+    pub(super) record: u64,
+    pub(super) arm: usize,
+    pub(super) chunk: Chunk,
+}
+
+/// An event or a frame on its way.
+pub(super) enum SideItem {
+    Event {
+        at: TimeNs,
+        level: Level,
+        text: String,
+    },
+    Frame(Box<FrameItem>),
+}
+
+/// What all ends of the queues know.
+pub(super) struct Shared {
+    pub(super) stop: AtomicBool,
+    pub(super) ticks_dropped: AtomicU64,
+    pub(super) chunks_dropped: AtomicU64,
+    pub(super) frames_dropped: AtomicU64,
+    pub(super) events_dropped: AtomicU64,
+    /// Hash of all inputs that were handed over, dropped ones included.
+    pub(super) input_hash: AtomicU64,
+}
+
+impl Default for Shared {
+    fn default() -> Self {
+        Self {
+            stop: AtomicBool::new(false),
+            ticks_dropped: AtomicU64::new(0),
+            chunks_dropped: AtomicU64::new(0),
+            frames_dropped: AtomicU64::new(0),
+            events_dropped: AtomicU64::new(0),
+            input_hash: AtomicU64::new(InputHash::new().value()),
+        }
+    }
+}
+
+/// The writer thread.
+pub(super) struct Drain {
+    pub(super) path: PathBuf,
+    pub(super) writer: LogWriter<BufWriter<File>>,
+    pub(super) ticks: Consumer<TickItem>,
+    pub(super) chunks: Consumer<ChunkItem>,
+    pub(super) side: Consumer<SideItem>,
+    pub(super) outcome: Receiver<RunOutcome>,
+    pub(super) shared: Arc<Shared>,
+    pub(super) counts: LogCounts,
+    pub(super) failure: Option<LogError>,
+}
+
+impl Drain {
+    /// Writes until told to stop or until nobody is left to listen to.
+    pub(super) fn run(mut self) -> Result<LogCounts, LogError> {
+        loop {
+            // Read before draining: whatever was handed over before it was set is then still written.
+            let stop = self.shared.stop.load(Ordering::Acquire) || self.is_alone();
+            let mut idle = true;
+            while let Ok(item) = self.ticks.pop() {
+                idle = false;
+                self.write_tick(&item);
+            }
+            // One at a time: compressing a frame takes a while, and ticks must not pile up behind a row of them.
+            while let Ok(item) = self.side.pop() {
+                idle = false;
+                self.write_side(item);
+                if !stop {
+                    break;
+                }
+            }
+            if stop {
+                return self.close();
+            }
+            if idle {
+                thread::park_timeout(IDLE);
+            }
+        }
+    }
+
+    /// Whether nobody is left who could hand over anything: no queue's other end, and no [`super::recorder::LogFile`], which
+    /// brings the outcome.
+    fn is_alone(&self) -> bool {
+        self.ticks.is_abandoned()
+            && self.side.is_abandoned()
+            && Arc::strong_count(&self.shared) == 1
+    }
+
+    fn write_tick(&mut self, item: &TickItem) {
+        // Chunks of ticks that were dropped come out here as well: they are written, under their own number.
+        let newest = item.chunk_records.iter().copied().flatten().max();
+        while let Some(wanted) = newest
+            && let Ok(head) = self.chunks.peek().map(|head| head.record)
+            && head <= wanted
+        {
+            if let Ok(chunk) = self.chunks.pop() {
+                let result = self.writer.chunk(&chunk, item.tick.now);
+                self.counts.chunks += 1;
+                self.note(result);
+            }
+        }
+        let result = self.writer.tick(item);
+        self.counts.ticks += 1;
+        self.note(result);
+    }
+
+    fn write_side(&mut self, item: SideItem) {
+        match item {
+            SideItem::Event { at, level, text } => {
+                let result = self.writer.event(at, level, text);
+                self.note(result);
+            }
+            SideItem::Frame(frame) => match frame.encode() {
+                Ok(encoded) => {
+                    let result = self.writer.frame(frame.name(), frame.stamp(), &encoded);
+                    self.counts.frames += 1;
+                    self.note(result);
+                }
+                Err(error) => {
+                    self.failure.get_or_insert(error);
+                }
+            },
+        }
+    }
+
+    /// Keeps the first failure; the queues are still emptied, so that nobody waits for ever.
+    fn note(&mut self, result: mcap::McapResult<()>) {
+        if let Err(source) = result {
+            self.failure.get_or_insert_with(|| LogError::Write {
+                path: self.path.clone(),
+                source,
+            });
+        }
+    }
+
+    fn close(mut self) -> Result<LogCounts, LogError> {
+        let dropped = |count: &AtomicU64| count.load(Ordering::Relaxed);
+        self.counts.ticks_dropped = dropped(&self.shared.ticks_dropped);
+        self.counts.chunks_dropped = dropped(&self.shared.chunks_dropped);
+        self.counts.frames_dropped = dropped(&self.shared.frames_dropped);
+        self.counts.events_dropped = dropped(&self.shared.events_dropped);
+        let closing = Closing {
+            outcome: self.outcome.try_recv().ok(),
+            counts: self.counts,
+            input_hash: self.shared.input_hash.load(Ordering::Relaxed),
+        };
+        if let Some(failure) = self.failure {
+            return Err(failure);
+        }
+        self.writer
+            .finish(&closing)
+            .map_err(|source| LogError::Write {
+                path: self.path,
+                source,
+            })?;
+        Ok(self.counts)
+    }
+}

@@ -1,0 +1,157 @@
+//! The log's own messages, in JSON.
+
+use hal::chunk::CHUNK_STEPS_MAX;
+use hal::{ArmError, Chunk, TimeNs, TipTarget};
+use serde::{Deserialize, Serialize};
+
+use super::exact::Exact;
+use super::safety::numbers;
+use trocar_control::OperatorEvent;
+
+/// `/policy/chunk`.
+#[derive(Debug, Serialize, Deserialize)]
+pub(super) struct ChunkMessage {
+    pub(super) record: u64,
+    sequence: u64,
+    observed_at_ns: u64,
+    step_ns: u64,
+    len: u32,
+    reserved: u32,
+    targets: Vec<[Exact; 8]>,
+}
+
+impl ChunkMessage {
+    /// A chunk as the log's number `record`. Targets past its length, which mean nothing, are left out.
+    pub(super) fn new(record: u64, chunk: &Chunk) -> Self {
+        Self {
+            record,
+            sequence: chunk.sequence,
+            observed_at_ns: chunk.observed_at.0,
+            step_ns: chunk.step_ns,
+            len: chunk.len,
+            reserved: chunk.reserved,
+            targets: chunk.valid_targets().iter().map(numbers).collect(),
+        }
+    }
+
+    /// The chunk; `None` if there are more targets than a chunk holds.
+    pub(super) fn chunk(&self) -> Option<Chunk> {
+        if self.targets.len() > CHUNK_STEPS_MAX {
+            return None;
+        }
+        let targets: Vec<_> = self
+            .targets
+            .iter()
+            .map(|&[x, y, z, qx, qy, qz, qw, jaw]| TipTarget {
+                position_m: [x.0, y.0, z.0],
+                rotation_xyzw: [qx.0, qy.0, qz.0, qw.0],
+                jaw: jaw.0,
+            })
+            .collect();
+        let mut chunk = Chunk::new(
+            TimeNs(self.observed_at_ns),
+            self.sequence,
+            self.step_ns,
+            &targets,
+        );
+        chunk.len = self.len;
+        chunk.reserved = self.reserved;
+        Some(chunk)
+    }
+}
+
+/// `/timing`.
+#[derive(Debug, Serialize, Deserialize)]
+pub(super) struct TimingMessage {
+    pub(super) tick: u64,
+    pub(super) period_ns: u64,
+    pub(super) wake_ns: u64,
+    pub(super) compute_ns: u64,
+}
+
+/// `/psm1/tick`, one for each arm.
+#[derive(Debug, Serialize, Deserialize)]
+pub(super) struct TickMessage {
+    pub(super) record: u64,
+    pub(super) tick: u64,
+    pub(super) now_ns: u64,
+    pub(super) error: Option<ErrorMessage>,
+    pub(super) operator: Option<OperatorMessage>,
+    pub(super) chunk: Option<ChunkRef>,
+    pub(super) enabled: bool,
+}
+
+/// Which chunk a tick was given.
+#[derive(Clone, Copy, Debug, Serialize, Deserialize)]
+pub(super) struct ChunkRef {
+    pub(super) sequence: u64,
+    /// Number of the chunk's own message; `None` if the queue was full.
+    pub(super) record: Option<u64>,
+}
+
+/// Why nothing was measured.
+#[derive(Clone, Copy, Debug, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub(super) enum ErrorMessage {
+    MeasurementLost { age_ns: u64 },
+    DriveFault { axis: u8, code: u16 },
+    EndOfRecording,
+}
+
+impl From<ArmError> for ErrorMessage {
+    fn from(error: ArmError) -> Self {
+        match error {
+            ArmError::MeasurementLost { age_ns } => Self::MeasurementLost { age_ns },
+            ArmError::DriveFault { axis, code } => Self::DriveFault { axis, code },
+            ArmError::EndOfRecording => Self::EndOfRecording,
+        }
+    }
+}
+
+impl From<ErrorMessage> for ArmError {
+    fn from(message: ErrorMessage) -> Self {
+        match message {
+            ErrorMessage::MeasurementLost { age_ns } => Self::MeasurementLost { age_ns },
+            ErrorMessage::DriveFault { axis, code } => Self::DriveFault { axis, code },
+            ErrorMessage::EndOfRecording => Self::EndOfRecording,
+        }
+    }
+}
+
+/// What the operator asked for.
+#[derive(Clone, Copy, Debug, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub(super) enum OperatorMessage {
+    Enable,
+    Disable,
+    Pause,
+    Resume,
+    Clear,
+    Speed { percent: u8 },
+}
+
+impl From<OperatorEvent> for OperatorMessage {
+    fn from(event: OperatorEvent) -> Self {
+        match event {
+            OperatorEvent::Enable => Self::Enable,
+            OperatorEvent::Disable => Self::Disable,
+            OperatorEvent::Pause => Self::Pause,
+            OperatorEvent::Resume => Self::Resume,
+            OperatorEvent::Clear => Self::Clear,
+            OperatorEvent::Speed { percent } => Self::Speed { percent },
+        }
+    }
+}
+
+impl From<OperatorMessage> for OperatorEvent {
+    fn from(message: OperatorMessage) -> Self {
+        match message {
+            OperatorMessage::Enable => Self::Enable,
+            OperatorMessage::Disable => Self::Disable,
+            OperatorMessage::Pause => Self::Pause,
+            OperatorMessage::Resume => Self::Resume,
+            OperatorMessage::Clear => Self::Clear,
+            OperatorMessage::Speed { percent } => Self::Speed { percent },
+        }
+    }
+}

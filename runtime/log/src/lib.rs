@@ -1,0 +1,29 @@
+#![doc = include_str!("../README.md")]
+
+mod camera;
+mod container;
+mod descriptor;
+mod drain;
+mod error;
+mod exact;
+mod header;
+mod joints;
+mod json;
+mod messages;
+mod read;
+mod record;
+mod recorder;
+pub mod replay;
+mod safety;
+mod topic;
+pub mod verify;
+mod writer;
+
+#[cfg(test)]
+mod tests;
+
+pub use error::LogError;
+pub use header::{LogCounts, RunHeader, RunOutcome};
+pub use read::{Loss, RunLog};
+pub use record::{ArmRecord, LoggedArm, LoggedTick, TickRecord, TickTiming};
+pub use recorder::{Level, LogFile, Pressure, Recorder, SideLog, TickLog};

@@ -1,0 +1,327 @@
+//! Hands records from the control thread to the writer thread, without ever blocking a real-time loop.
+//!
+//! Two bounded wait-free queues carry ticks and chunks, a third one what other threads have to say. Under
+//! [`Pressure::Drop`] a full queue costs the record, which is counted and shows in the file as a gap in the record
+//! numbers; under [`Pressure::Block`] the caller waits.
+
+use std::fs::File;
+use std::io::BufWriter;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::atomic::Ordering;
+use std::sync::mpsc::{self, SyncSender};
+use std::thread::{self, JoinHandle, Thread};
+
+use hal::{CameraFrame, Chunk, TimeNs};
+use rtrb::{Producer, PushError, RingBuffer};
+
+use super::camera::FrameItem;
+use super::drain::{ChunkItem, Drain, Shared, SideItem, TickItem};
+use super::error::LogError;
+use super::header::{LogCounts, RunHeader, RunOutcome};
+use super::record::TickRecord;
+use super::writer::LogWriter;
+use hal::ARMS_MAX;
+use trocar_control::InputHash;
+
+/// What happens when a queue is full.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Pressure {
+    /// The record is dropped and counted: for real-time runs.
+    Drop,
+    /// The caller waits, and nothing is lost: for lockstep.
+    Block,
+}
+
+/// How bad an event is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Level {
+    /// Worth knowing.
+    Info,
+    /// Worth a look.
+    Warning,
+    /// Something failed.
+    Error,
+}
+
+impl Level {
+    /// The number of the level in `foxglove.Log`.
+    pub(super) const fn number(self) -> i32 {
+        match self {
+            Self::Info => 2,
+            Self::Warning => 3,
+            Self::Error => 4,
+        }
+    }
+}
+
+/// Ticks that the queue holds: four seconds at 1 kHz.
+const TICKS: usize = 4096;
+/// Chunks that the queue holds.
+const CHUNKS: usize = 64;
+/// Frames and events that the queue holds.
+const SIDE_ITEMS: usize = 64;
+
+/// One end of a queue to the writer thread.
+struct Feed<T> {
+    queue: Producer<T>,
+    pressure: Pressure,
+    writer: Thread,
+}
+
+impl<T> Feed<T> {
+    /// Whether the writer will get `item`. Never blocks under [`Pressure::Drop`].
+    fn push(&mut self, mut item: T) -> bool {
+        loop {
+            match self.queue.push(item) {
+                Ok(()) => return true,
+                Err(PushError::Full(back)) => item = back,
+            }
+            if self.pressure == Pressure::Drop || self.queue.is_abandoned() {
+                return false;
+            }
+            self.writer.unpark();
+            thread::yield_now();
+        }
+    }
+}
+
+/// The control thread's end of the log. It neither allocates nor, under [`Pressure::Drop`], waits.
+pub struct TickLog {
+    ticks: Feed<TickItem>,
+    chunks: Feed<ChunkItem>,
+    shared: Arc<Shared>,
+    tick_count: u64,
+    chunk_count: u64,
+    /// Each arm's chunk for the coming tick.
+    pending_chunks: [Option<u64>; ARMS_MAX],
+    inputs: InputHash,
+}
+
+impl TickLog {
+    /// Hands over one tick; to be called in every tick, after [`Self::chunk`].
+    pub fn tick(&mut self, tick: &TickRecord) {
+        let mut chunks = core::mem::take(&mut self.pending_chunks).into_iter();
+        let item = TickItem {
+            record: self.tick_count,
+            chunk_records: tick.arms.as_ref().map(|_| chunks.next().flatten()),
+            tick: *tick,
+        };
+        self.tick_count += 1;
+        for arm in tick.arms.iter() {
+            self.inputs.tick(tick.now, &arm.measured, arm.operator);
+        }
+        let hash = self.inputs.value();
+        self.shared.input_hash.store(hash, Ordering::Relaxed);
+        if !self.ticks.push(item) {
+            self.shared.ticks_dropped.fetch_add(1, Ordering::Relaxed);
+        }
+    }
+
+    /// Hands over the chunk that the controller is given for the arm `arm` in the coming tick, the first arm's first.
+    pub fn chunk(&mut self, arm: usize, chunk: &Chunk) {
+        let record = self.chunk_count;
+        self.chunk_count += 1;
+        self.inputs.chunk(arm, chunk);
+        let item = ChunkItem {
+            record,
+            arm,
+            chunk: *chunk,
+        };
+        let pending = self.pending_chunks.get_mut(arm);
+        let pushed = pending.is_some() && self.chunks.push(item);
+        if !pushed {
+            self.shared.chunks_dropped.fetch_add(1, Ordering::Relaxed);
+        }
+        if let Some(pending) = pending {
+            *pending = pushed.then_some(record);
+        }
+    }
+
+    /// Ticks and chunks dropped so far.
+    #[must_use]
+    pub fn dropped(&self) -> u64 {
+        self.shared.ticks_dropped.load(Ordering::Relaxed)
+            + self.shared.chunks_dropped.load(Ordering::Relaxed)
+    }
+}
+
+/// The other threads' end of the log; it allocates.
+pub struct SideLog {
+    queue: Feed<SideItem>,
+    shared: Arc<Shared>,
+}
+
+impl SideLog {
+    /// Writes a line of text.
+    pub fn event(&mut self, at: TimeNs, level: Level, text: &str) {
+        if !self.queue.push(SideItem::Event {
+            at,
+            level,
+            text: text.to_owned(),
+        }) {
+            self.shared.events_dropped.fetch_add(1, Ordering::Relaxed);
+        }
+    }
+
+    /// Writes a camera's colour image, with its lens, under `/camera/<name>`.
+    pub fn frame(&mut self, name: &str, frame: &CameraFrame) {
+        if self.queue.pressure == Pressure::Drop && self.queue.queue.is_full() {
+            // Saves the copy.
+            self.shared.frames_dropped.fetch_add(1, Ordering::Relaxed);
+        } else if !self
+            .queue
+            .push(SideItem::Frame(Box::new(FrameItem::new(name, frame))))
+        {
+            self.shared.frames_dropped.fetch_add(1, Ordering::Relaxed);
+        }
+    }
+}
+
+/// The file and the thread that writes it.
+pub struct LogFile {
+    path: PathBuf,
+    shared: Arc<Shared>,
+    thread: JoinHandle<Result<LogCounts, LogError>>,
+    outcome: SyncSender<RunOutcome>,
+}
+
+impl LogFile {
+    /// Writes everything that was handed over, then `outcome` if there is one, and closes the file.
+    ///
+    /// Drop or idle the other two ends first: what they hand over afterwards may be lost.
+    ///
+    /// # Errors
+    /// [`LogError`] when anything could not be written.
+    pub fn finish(self, outcome: Option<&RunOutcome>) -> Result<LogCounts, LogError> {
+        let Self {
+            path,
+            shared,
+            thread,
+            outcome: sender,
+        } = self;
+        if let Some(outcome) = outcome {
+            // There is room for one; if the writer has died, `join` says so.
+            let _delivered = sender.try_send(outcome.clone());
+        }
+        shared.stop.store(true, Ordering::Release);
+        thread.thread().unpark();
+        thread.join().unwrap_or(Err(LogError::WriterDied { path }))
+    }
+}
+
+/// A log being written, for callers that do everything in one thread.
+pub struct Recorder {
+    ticks: TickLog,
+    side: SideLog,
+    file: LogFile,
+}
+
+impl Recorder {
+    /// Creates the file at `path` and starts its writer thread.
+    ///
+    /// Call this before raising the caller's scheduling priority, which the thread would inherit. If the recorder is
+    /// dropped without [`Self::finish`], the file is closed without an outcome.
+    ///
+    /// # Errors
+    /// [`LogError`] when the file cannot be created or the header not be written.
+    pub fn create(path: &Path, run: &RunHeader, pressure: Pressure) -> Result<Self, LogError> {
+        let io = |source| LogError::Create {
+            path: path.to_owned(),
+            source,
+        };
+        let sink = BufWriter::new(File::create(path).map_err(io)?);
+        let writer = LogWriter::new(sink, run).map_err(|source| LogError::Write {
+            path: path.to_owned(),
+            source,
+        })?;
+        let (tick_end, ticks) = RingBuffer::new(TICKS);
+        let (chunk_end, chunks) = RingBuffer::new(CHUNKS);
+        let (side_end, side) = RingBuffer::new(SIDE_ITEMS);
+        let shared = Arc::new(Shared::default());
+        let (outcome_sender, outcome) = mpsc::sync_channel(1);
+        let drain = Drain {
+            path: path.to_owned(),
+            writer,
+            ticks,
+            chunks,
+            side,
+            outcome,
+            shared: Arc::clone(&shared),
+            counts: LogCounts::default(),
+            failure: None,
+        };
+        let thread = thread::Builder::new()
+            .name("log".to_owned())
+            .spawn(|| drain.run())
+            .map_err(io)?;
+        let writer = thread.thread().clone();
+        Ok(Self {
+            ticks: TickLog {
+                ticks: Feed {
+                    queue: tick_end,
+                    pressure,
+                    writer: writer.clone(),
+                },
+                chunks: Feed {
+                    queue: chunk_end,
+                    pressure,
+                    writer: writer.clone(),
+                },
+                shared: Arc::clone(&shared),
+                tick_count: 0,
+                chunk_count: 0,
+                pending_chunks: [None; ARMS_MAX],
+                inputs: InputHash::new(),
+            },
+            side: SideLog {
+                queue: Feed {
+                    queue: side_end,
+                    pressure,
+                    writer,
+                },
+                shared: Arc::clone(&shared),
+            },
+            file: LogFile {
+                path: path.to_owned(),
+                shared,
+                thread,
+                outcome: outcome_sender,
+            },
+        })
+    }
+
+    /// See [`TickLog::tick`].
+    pub fn tick(&mut self, tick: &TickRecord) {
+        self.ticks.tick(tick);
+    }
+
+    /// See [`TickLog::chunk`].
+    pub fn chunk(&mut self, arm: usize, chunk: &Chunk) {
+        self.ticks.chunk(arm, chunk);
+    }
+
+    /// See [`SideLog::event`].
+    pub fn event(&mut self, at: TimeNs, level: Level, text: &str) {
+        self.side.event(at, level, text);
+    }
+
+    /// See [`SideLog::frame`].
+    pub fn frame(&mut self, name: &str, frame: &CameraFrame) {
+        self.side.frame(name, frame);
+    }
+
+    /// Takes the recorder apart, one end for each thread.
+    #[must_use]
+    pub fn split(self) -> (TickLog, SideLog, LogFile) {
+        (self.ticks, self.side, self.file)
+    }
+
+    /// See [`LogFile::finish`].
+    ///
+    /// # Errors
+    /// [`LogError`] when anything could not be written.
+    pub fn finish(self, outcome: Option<&RunOutcome>) -> Result<LogCounts, LogError> {
+        self.file.finish(outcome)
+    }
+}

@@ -1,0 +1,340 @@
+//! Recomputes every command of a logged run from its recorded inputs and compares bit for bit; and its arms, to be read
+//! again by another controller.
+
+mod arm;
+
+use core::fmt;
+
+use hal::config::{ConfigError, Source};
+use hal::joints::JOINT_NAMES;
+use hal::{ArmCommand, Chunk};
+use serde::Serialize;
+
+use crate::{LoggedTick, Loss, RunLog};
+use hal::PerArm;
+use trocar_control::second_opinion;
+use trocar_control::{
+    AnyController, CommandHash, ControlConfig, InputHash, QpOutcome, TickInput, TickOutput,
+};
+
+pub use arm::RecordedArm;
+
+/// What a replay found.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct ReplayResult {
+    /// Whether every command in the log was recomputed bit for bit, and nothing that the controller saw is missing.
+    pub identical: bool,
+    /// Ticks that were recomputed, up to the first difference.
+    pub ticks: u64,
+    /// Whether the log's own hash over the inputs could be compared; a cut log has none, so that an input that no command
+    /// shows may have changed.
+    pub inputs_checked: bool,
+    /// Where the replay left the log.
+    pub first_difference: Option<Difference>,
+    /// What Clarabel says to the filter's answers.
+    pub second_opinion: SecondOpinion,
+    /// Why the log ends before its end, if it does; the rest of the result is about what comes before.
+    pub cut: Option<String>,
+}
+
+/// How the filter's answers compare with Clarabel's at a tolerance of 1e-10.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+pub struct SecondOpinion {
+    /// Problems that were solved again.
+    pub problems: u64,
+    /// Of these, problems that Clarabel did not solve to that tolerance.
+    pub unsolved: u64,
+    /// Largest difference of a velocity, in units of the axis's limit.
+    pub largest_difference: f64,
+}
+
+impl SecondOpinion {
+    fn ask(&mut self, controller: &AnyController) {
+        let problem = controller.problem();
+        self.problems += 1;
+        match second_opinion::compare(problem, controller.solution()) {
+            Some(comparison) => {
+                self.largest_difference = self.largest_difference.max(comparison.change);
+            }
+            None => self.unsolved += 1,
+        }
+    }
+}
+
+/// The first thing that the log and its replay disagree on.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+pub struct Difference {
+    /// The tick.
+    pub tick: u64,
+    /// What differs: `position.yaw`, `stamp`, `enabled`, `command_hash`; `inputs` where only their hash shows it; `arms` where
+    /// their number does; or `log` where the logger lost an input. Where there are two arms, the arm's name comes first:
+    /// `psm2.position.yaw`.
+    pub what: String,
+    /// In the log.
+    pub logged: String,
+    /// As recomputed.
+    pub computed: String,
+}
+
+impl fmt::Display for Difference {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self {
+            tick,
+            what,
+            logged,
+            computed,
+        } = self;
+        write!(
+            f,
+            "tick {tick}: {what}: logged {logged}, computed {computed}"
+        )
+    }
+}
+
+/// Why a log cannot be replayed.
+#[derive(Debug, thiserror::Error)]
+pub enum ReplayError {
+    /// A configuration text is missing.
+    #[error("the log does not hold {file}, without which there is no controller")]
+    NoConfiguration {
+        /// Its name.
+        file: &'static str,
+    },
+    /// A configuration text is wrong.
+    #[error("in the log: {0}")]
+    Configuration(ConfigError),
+    /// The controller cannot be built.
+    #[error("the logged configuration makes no controller: {0}")]
+    Controller(String),
+    /// There is nothing to compare.
+    #[error("the log holds no tick")]
+    Empty,
+    /// There is no such arm in it.
+    #[error("the log has no arm {index}, counted from 0")]
+    NoArm {
+        /// The one asked for.
+        index: usize,
+    },
+}
+
+impl From<ConfigError> for ReplayError {
+    fn from(error: ConfigError) -> Self {
+        Self::Configuration(error)
+    }
+}
+
+/// Recomputes every command of `log` from its inputs.
+///
+/// # Errors
+/// [`ReplayError`] when the log does not say how the controller was configured or holds no tick.
+pub fn replay(log: &RunLog) -> Result<ReplayResult, ReplayError> {
+    let config = ControlConfig::load(&text(log, "control.toml")?, &text(log, "safety.toml")?)?;
+    let mut run = Recomputed::new(&config)?;
+    if log.tick_count() == 0 {
+        return Err(ReplayError::Empty);
+    }
+    let mut ticks = 0;
+    let mut last = 0;
+    let mut found = None;
+    for (position, (logged, chunks)) in log.ticks().enumerate() {
+        found = lost_before(log, position, logged.tick).or_else(|| run.tick(logged, &chunks));
+        if found.is_some() {
+            break;
+        }
+        ticks += 1;
+        last = logged.tick;
+    }
+    let went_through = found.is_none();
+    let first_difference = found
+        .or_else(|| lost_before(log, log.tick_count(), last))
+        .or_else(|| other_inputs(log, last, run.inputs))
+        .or_else(|| other_hash(log, last, run.hash));
+    Ok(ReplayResult {
+        identical: first_difference.is_none(),
+        ticks,
+        inputs_checked: went_through && log.input_hash.is_some(),
+        first_difference,
+        second_opinion: run.second_opinion,
+        cut: log.cut().map(str::to_owned),
+    })
+}
+
+/// The run as it is computed again.
+struct Recomputed {
+    controller: AnyController,
+    /// What stands before the names of each arm's numbers.
+    prefixes: Vec<String>,
+    hash: CommandHash,
+    inputs: InputHash,
+    second_opinion: SecondOpinion,
+}
+
+impl Recomputed {
+    fn new(config: &ControlConfig) -> Result<Self, ReplayError> {
+        let controller = AnyController::new(config)
+            .map_err(|error| ReplayError::Controller(error.to_string()))?;
+        let alone = controller.arm_count() == 1;
+        let prefix = |name: &str| {
+            if alone {
+                String::new()
+            } else {
+                format!("{name}.")
+            }
+        };
+        Ok(Self {
+            prefixes: config.arms.iter().map(|arm| prefix(&arm.name)).collect(),
+            controller,
+            hash: CommandHash::new(),
+            inputs: InputHash::new(),
+            second_opinion: SecondOpinion::default(),
+        })
+    }
+
+    /// Recomputes one tick of all arms and compares.
+    fn tick(&mut self, logged: &LoggedTick, chunks: &PerArm<Option<&Chunk>>) -> Option<Difference> {
+        for (index, chunk) in chunks.iter().enumerate() {
+            if let Some(chunk) = chunk {
+                self.inputs.chunk(index, chunk);
+            }
+        }
+        for arm in logged.arms.iter() {
+            self.inputs.tick(logged.now, &arm.measured, arm.operator);
+        }
+        let given = logged.arms.as_ref().zip(*chunks);
+        let outputs = self.controller.tick(&given.map(|(arm, chunk)| TickInput {
+            now: logged.now,
+            measured: arm.measured,
+            chunk,
+            operator: arm.operator,
+        }));
+        let Some(outputs) = outputs else {
+            return Some(Difference {
+                tick: logged.tick,
+                what: "arms".to_owned(),
+                logged: logged.arms.count().to_string(),
+                computed: self.controller.arm_count().to_string(),
+            });
+        };
+        let solved = |output: &TickOutput| matches!(output.report.qp, QpOutcome::Solved { .. });
+        if outputs.iter().any(solved) {
+            self.second_opinion.ask(&self.controller);
+        }
+        for output in outputs.iter() {
+            self.hash.add(&output.command);
+        }
+        let mut pairs = logged.arms.iter().zip(outputs.iter()).zip(&self.prefixes);
+        pairs.find_map(|((arm, output), prefix)| {
+            let found = difference(logged.tick, &arm.command, &output.command)?;
+            Some(Difference {
+                what: format!("{prefix}{}", found.what),
+                ..found
+            })
+        })
+    }
+}
+
+fn text(log: &RunLog, file: &'static str) -> Result<Source, ReplayError> {
+    let text = log
+        .text(file)
+        .ok_or(ReplayError::NoConfiguration { file })?;
+    Ok(Source::embedded(file, text))
+}
+
+/// What the logger lost just before the tick at `position`, or of it.
+fn lost_before(log: &RunLog, position: usize, tick: u64) -> Option<Difference> {
+    let logged = log.losses.iter().find_map(|loss| match *loss {
+        Loss::Ticks {
+            position: at,
+            count,
+        } if at == position => Some(format!("{count} ticks dropped by the logger")),
+        Loss::Chunk { tick: of } if of == tick && position < log.tick_count() => {
+            Some("the chunk dropped by the logger".to_owned())
+        }
+        Loss::Ticks { .. } | Loss::Chunk { .. } => None,
+    })?;
+    Some(Difference {
+        tick,
+        what: "log".to_owned(),
+        logged,
+        computed: "nothing, for want of it".to_owned(),
+    })
+}
+
+/// Compares the hash over the inputs that was taken while the controller ran: a bit may change in an input without
+/// changing any command.
+fn other_inputs(log: &RunLog, tick: u64, hash: InputHash) -> Option<Difference> {
+    let logged = log.input_hash?;
+    let computed = hash.value();
+    (logged != computed).then(|| Difference {
+        tick,
+        what: "inputs".to_owned(),
+        logged: format!("{logged:016x}"),
+        computed: format!("{computed:016x}"),
+    })
+}
+
+/// Compares the hash that the run reported, which the log's own ticks must add up to.
+fn other_hash(log: &RunLog, tick: u64, hash: CommandHash) -> Option<Difference> {
+    let logged = &log.outcome.as_ref()?.command_hash;
+    let computed = format!("{:016x}", hash.value());
+    (*logged != computed).then(|| Difference {
+        tick,
+        what: "command_hash".to_owned(),
+        logged: logged.clone(),
+        computed,
+    })
+}
+
+fn difference(tick: u64, logged: &ArmCommand, computed: &ArmCommand) -> Option<Difference> {
+    let found = |what: String, logged: String, computed: String| {
+        Some(Difference {
+            tick,
+            what,
+            logged,
+            computed,
+        })
+    };
+    if logged.stamp != computed.stamp {
+        return found(
+            "stamp".to_owned(),
+            logged.stamp.0.to_string(),
+            computed.stamp.0.to_string(),
+        );
+    }
+    if logged.enabled != computed.enabled {
+        return found(
+            "enabled".to_owned(),
+            logged.enabled.to_string(),
+            computed.enabled.to_string(),
+        );
+    }
+    let (what, logged, computed) =
+        numbers(logged)
+            .zip(numbers(computed))
+            .find_map(|((what, logged), (_, computed))| {
+                (logged.to_bits() != computed.to_bits()).then_some((what, logged, computed))
+            })?;
+    found(what, format!("{logged:?}"), format!("{computed:?}"))
+}
+
+/// Every number of a command and its name.
+fn numbers(command: &ArmCommand) -> impl Iterator<Item = (String, f64)> {
+    let vectors = [
+        ("position", command.position),
+        ("velocity", command.velocity),
+        ("acceleration", command.acceleration),
+    ];
+    let joints = vectors.into_iter().flat_map(|(what, vector)| {
+        JOINT_NAMES
+            .into_iter()
+            .enumerate()
+            .map(move |(index, joint)| (format!("{what}.{joint}"), vector[index]))
+    });
+    joints.chain([
+        ("position.jaw".to_owned(), command.jaw_position),
+        ("velocity.jaw".to_owned(), command.jaw_velocity),
+    ])
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,436 @@
+//! The log as a whole: what goes in comes out bit for bit, whatever happens to the file.
+
+mod samples;
+pub(crate) mod two_arms;
+
+use std::path::PathBuf;
+
+use hal::{ArmError, ArmState, CameraFrame, Chunk, Intrinsics, JointVector, TimeNs, TipTarget};
+
+use super::{
+    ArmRecord, LogCounts, LogError, Loss, Pressure, Recorder, RunHeader, RunLog, TickRecord,
+    TickTiming,
+};
+use hal::PerArm;
+use trocar_control::OperatorEvent;
+
+use samples::{assert_same, chunk, chunk_bits, header, outcome, record, write};
+
+/// A file in the temporary folder, removed at the end.
+pub(crate) struct Scratch(pub(crate) PathBuf);
+
+impl Scratch {
+    pub(crate) fn new(name: &str) -> Self {
+        Self(std::env::temp_dir().join(format!("trocar-{}-{name}.mcap", std::process::id())))
+    }
+}
+
+impl Drop for Scratch {
+    fn drop(&mut self) {
+        let _gone = std::fs::remove_file(&self.0);
+    }
+}
+
+#[test]
+fn everything_that_goes_in_comes_out_bit_for_bit() {
+    let (file, _) = write("round-trip", 500);
+    let log = RunLog::open(&file.0).unwrap();
+    assert_eq!(log.header, header());
+    assert_eq!(log.outcome, Some(outcome()));
+    assert_eq!(
+        log.counts,
+        Some(LogCounts {
+            ticks: 500,
+            chunks: 13,
+            ..LogCounts::default()
+        })
+    );
+    assert_eq!((log.cut(), log.losses.as_slice()), (None, [].as_slice()));
+    assert_eq!(log.tick_count(), 500);
+    for ((logged, given), tick) in log.ticks().zip(0..) {
+        assert_same(logged, &record(tick));
+        let expected = (tick % 40 == 1).then_some(tick);
+        assert_eq!(logged.arms.first.chunk_sequence, expected);
+        assert_eq!(
+            given.first.map(chunk_bits),
+            expected.map(|tick| chunk_bits(&chunk(tick)))
+        );
+    }
+}
+
+#[test]
+fn a_chunk_of_impossible_length_keeps_it() {
+    let file = Scratch::new("impossible");
+    let mut recorder = Recorder::create(&file.0, &header(), Pressure::Block).unwrap();
+    let mut wrong = chunk(1);
+    wrong.len = 4000;
+    wrong.reserved = 9;
+    recorder.chunk(0, &wrong);
+    let mut record = record(0);
+    record.arms.first.chunk_sequence = Some(1);
+    recorder.tick(&record);
+    recorder.finish(None).unwrap();
+    let log = RunLog::open(&file.0).unwrap();
+    let (_, given) = log.ticks().next().unwrap();
+    let given = given.first.unwrap();
+    assert_eq!(
+        (given.len, given.reserved, given.valid_targets().len()),
+        (4000, 9, 0)
+    );
+}
+
+#[test]
+fn a_cut_file_is_readable_up_to_the_cut() {
+    let (file, bytes) = write("cut", 600);
+    let full = RunLog::from_bytes(&file.0, &bytes).unwrap();
+    let mut best = 0;
+    let mut unreadable = 0;
+    for length in (0..bytes.len())
+        .step_by(97)
+        .chain(bytes.len() - 40..bytes.len())
+    {
+        match RunLog::from_bytes(&file.0, &bytes[..length]) {
+            Ok(log) => {
+                assert!(log.cut().is_some(), "{length} of {} bytes", bytes.len());
+                for ((logged, _), tick) in log.ticks().zip(0..) {
+                    assert_same(logged, &record(tick));
+                }
+                best = best.max(log.tick_count());
+            }
+            Err(LogError::NotOurs { .. }) => unreadable += 1,
+            Err(other) => panic!("{length} bytes: {other}"),
+        }
+    }
+    assert_eq!(best, full.tick_count());
+    assert!(unreadable < 20, "{unreadable} cuts lost the header");
+}
+
+#[test]
+fn a_file_cut_between_two_records_says_so() {
+    let (file, bytes) = write("cut-between", 80);
+    let reason = |length: usize| {
+        let log = RunLog::from_bytes(&file.0, &bytes[..length]).unwrap();
+        log.cut().unwrap().to_owned()
+    };
+    // The message of a cut inside a record tells where it begins.
+    let inside = reason(bytes.len() / 2);
+    let (_, begin) = inside.rsplit_once(' ').unwrap();
+    assert!(
+        inside.contains("inside the record that begins at"),
+        "{inside}"
+    );
+    let begin = begin.parse().unwrap();
+    assert_eq!(
+        reason(begin),
+        format!("the file ends at byte {begin}, before the end of the data")
+    );
+}
+
+#[test]
+fn only_a_file_that_was_read_is_bad_input() {
+    let path = PathBuf::from("/nonexistent/a.mcap");
+    assert!(RunLog::open(&path).unwrap_err().is_bad_input());
+    let Err(error) = Recorder::create(&path, &header(), Pressure::Block) else {
+        panic!("a folder that does not exist")
+    };
+    assert!(!error.is_bad_input(), "{error}");
+    let reason = std::error::Error::source(&error).unwrap().to_string();
+    assert!(!error.to_string().contains(&reason), "{error}");
+}
+
+#[test]
+fn a_crash_loses_less_than_a_third_of_a_second() {
+    let file = Scratch::new("crash");
+    let mut recorder = Recorder::create(&file.0, &header(), Pressure::Block).unwrap();
+    for tick in 0..1000 {
+        recorder.tick(&record(tick));
+    }
+    let deadline = 20_000;
+    let mut readable = 0;
+    // The writer thread needs a moment; nothing is closed.
+    for _ in 0..deadline {
+        readable = RunLog::open(&file.0).map_or(0, |log| log.tick_count());
+        if readable > 700 {
+            break;
+        }
+        std::thread::yield_now();
+    }
+    assert!(readable > 700, "{readable} of 1000 ticks are in the file");
+    recorder.finish(None).unwrap();
+}
+
+#[test]
+fn any_flipped_bit_is_noticed() {
+    let (file, bytes) = write("flip", 80);
+    let (mut damaged, mut cut) = (0, 0);
+    for index in (0..bytes.len()).step_by(11) {
+        let mut bytes = bytes.clone();
+        bytes[index] ^= 1 << (index % 8);
+        match RunLog::from_bytes(&file.0, &bytes) {
+            Ok(log) => {
+                assert!(log.cut().is_some(), "bit in byte {index} went unnoticed");
+                cut += 1;
+            }
+            Err(_) => damaged += 1,
+        }
+    }
+    assert!(damaged > 10 * cut, "{damaged} damaged, {cut} cut");
+}
+
+#[test]
+fn damage_names_the_place() {
+    let (file, mut bytes) = write("place", 80);
+    let middle = bytes.len() / 3;
+    bytes[middle] ^= 4;
+    let error = RunLog::from_bytes(&file.0, &bytes).unwrap_err();
+    let LogError::Damaged { offset, .. } = error else {
+        panic!("{error}")
+    };
+    assert!(
+        offset < middle
+            && error
+                .to_string()
+                .contains(&format!("damaged at byte {offset}")),
+        "{error}"
+    );
+}
+
+#[test]
+fn other_files_are_refused_with_a_reason() {
+    let path = PathBuf::from("x.mcap");
+    let text = RunLog::from_bytes(&path, b"PNG and so on").unwrap_err();
+    assert!(matches!(text, LogError::NotMcap { .. }), "{text}");
+    let empty = RunLog::from_bytes(&path, b"").unwrap_err();
+    assert!(matches!(empty, LogError::NotOurs { .. }), "{empty}");
+    let mut foreign = std::io::Cursor::new(Vec::new());
+    mcap::Writer::new(&mut foreign).unwrap().finish().unwrap();
+    let foreign = RunLog::from_bytes(&path, foreign.get_ref()).unwrap_err();
+    assert!(
+        foreign.to_string().contains("`run` is missing"),
+        "{foreign}"
+    );
+    let absent = RunLog::open(&PathBuf::from("/nonexistent/a.mcap")).unwrap_err();
+    assert!(matches!(absent, LogError::Read { .. }), "{absent}");
+}
+
+#[test]
+fn what_was_dropped_is_counted_and_named() {
+    let file = Scratch::new("drop");
+    let mut recorder = Recorder::create(&file.0, &header(), Pressure::Drop).unwrap();
+    // Far more than the queue holds, faster than any writer.
+    let ticks = 60_000;
+    for tick in 0..ticks {
+        let mut record = record(tick);
+        record.arms.first.chunk_sequence = (tick % 10 == 0).then(|| {
+            recorder.chunk(0, &chunk(tick));
+            tick
+        });
+        recorder.tick(&record);
+    }
+    let counts = recorder.finish(None).unwrap();
+    assert!(
+        counts.ticks_dropped > 0 && counts.chunks_dropped > 0,
+        "{counts:?}"
+    );
+    assert_eq!(counts.ticks + counts.ticks_dropped, ticks);
+    let log = RunLog::open(&file.0).unwrap();
+    let lost: u64 = log
+        .losses
+        .iter()
+        .map(|loss| {
+            if let Loss::Ticks { count, .. } = loss {
+                *count
+            } else {
+                0
+            }
+        })
+        .sum();
+    assert_eq!(lost, counts.ticks_dropped);
+    assert!(
+        log.losses
+            .iter()
+            .any(|loss| matches!(loss, Loss::Chunk { .. }))
+    );
+    for (logged, given) in log.ticks() {
+        assert_same(logged, &record(logged.tick));
+        let wanted = logged.arms.first.chunk_sequence;
+        assert!(
+            given
+                .first
+                .is_none_or(|given| Some(given.sequence) == wanted)
+        );
+    }
+}
+
+#[test]
+fn the_outcome_is_written_though_the_other_ends_are_long_gone() {
+    let file = Scratch::new("late-outcome");
+    let recorder = Recorder::create(&file.0, &header(), Pressure::Drop).unwrap();
+    let (mut ticks, side, log_file) = recorder.split();
+    ticks.tick(&record(0));
+    drop((ticks, side));
+    // Ten times as long as the writer thread takes to look again.
+    std::thread::park_timeout(std::time::Duration::from_millis(20));
+    log_file.finish(Some(&outcome())).unwrap();
+    let log = RunLog::open(&file.0).unwrap();
+    assert_eq!(
+        (log.outcome.clone(), log.tick_count()),
+        (Some(outcome()), 1)
+    );
+}
+
+#[test]
+fn frames_become_png_images_with_their_lens() {
+    use prost::Message;
+
+    let file = Scratch::new("frames");
+    let mut recorder = Recorder::create(&file.0, &header(), Pressure::Block).unwrap();
+    let mut frame = CameraFrame::blank(Intrinsics::from_vertical_fov(16, 8, 0.9));
+    for (pixel, value) in frame.colour.iter_mut().zip((0..=255).cycle()) {
+        *pixel = value;
+    }
+    frame.camera_in_scene = hal::Pose::translation(0.1, -0.2, 0.3);
+    recorder.frame("endoscope", &frame);
+    recorder.tick(&record(0));
+    assert_eq!(recorder.finish(None).unwrap().frames, 1);
+    let bytes = std::fs::read(&file.0).unwrap();
+    let mut seen = 0;
+    for message in mcap::MessageStream::new(&bytes).unwrap() {
+        let message = message.unwrap();
+        if message.channel.topic == "/camera/endoscope" {
+            let shown = super::messages::CompressedImage::decode(&message.data[..]).unwrap();
+            let decoded = image::load_from_memory(&shown.data).unwrap().into_rgb8();
+            assert_eq!(decoded.as_raw(), &frame.colour);
+            seen += 1;
+        }
+        if message.channel.topic == "/camera/endoscope/calibration" {
+            let lens = super::messages::CameraCalibration::decode(&message.data[..]).unwrap();
+            assert_eq!(
+                (lens.width, lens.height, lens.k.len(), lens.p.len()),
+                (16, 8, 9, 12)
+            );
+            seen += 1;
+        }
+        if message.channel.topic == "/camera/endoscope/pose" {
+            let told = super::messages::PoseInFrame::decode(&message.data[..]).unwrap();
+            assert_eq!(told.frame_id, "scene");
+            assert_eq!(told.pose, Some((&frame.camera_in_scene).into()));
+            seen += 1;
+        }
+    }
+    assert_eq!(seen, 3);
+}
+
+#[test]
+fn a_frame_whose_pixels_are_missing_fails_the_log_but_not_the_run() {
+    let file = Scratch::new("bad-frame");
+    let mut recorder = Recorder::create(&file.0, &header(), Pressure::Block).unwrap();
+    let mut frame = CameraFrame::blank(Intrinsics::from_vertical_fov(16, 8, 0.9));
+    frame.colour.pop();
+    recorder.frame("endoscope", &frame);
+    recorder.tick(&record(0));
+    let error = recorder.finish(None).unwrap_err();
+    assert!(error.to_string().contains("383 bytes"), "{error}");
+}
+
+/// The chunk that [`run_controller`] hands over under this sequence, four times a second.
+pub(crate) fn chunk_of_run(sequence: u64) -> Chunk {
+    let mut joints = JointVector::zeros();
+    joints[2] = hal::psm::HOME_INSERTION_M;
+    let home = crate::verify::tip_in_rcm(&joints);
+    let targets: Vec<_> = (0..50_u32)
+        .map(|k| {
+            let reach =
+                0.0004 * f64::from(k) + 0.004 * f64::from(u32::try_from(sequence % 3).unwrap());
+            let tip = nalgebra::Translation3::new(reach, -0.5 * reach, 0.2 * reach) * home;
+            TipTarget::new(&tip, 0.3 + 0.005 * f64::from(k))
+        })
+        .collect();
+    Chunk::new(
+        TimeNs(sequence * 250_000_000 - 230_000_000),
+        sequence,
+        40_000_000,
+        &targets,
+    )
+}
+
+/// Runs the real controller on an arm that follows perfectly, for `ticks` ticks.
+pub(crate) fn run_controller(ticks: u64) -> (Vec<TickRecord>, RunHeader) {
+    run_with_operator(ticks, |tick| (tick == 1).then_some(OperatorEvent::Enable))
+}
+
+/// As [`run_controller`], with another operator.
+pub(crate) fn run_with_operator(
+    ticks: u64,
+    operator: impl Fn(u64) -> Option<OperatorEvent>,
+) -> (Vec<TickRecord>, RunHeader) {
+    run_disturbed(ticks, operator, |_, state| Ok(state))
+}
+
+/// As [`run_with_operator`], with something between the arm and its measurement.
+pub(crate) fn run_disturbed(
+    ticks: u64,
+    operator: impl Fn(u64) -> Option<OperatorEvent>,
+    measure: impl Fn(u64, ArmState) -> Result<ArmState, ArmError>,
+) -> (Vec<TickRecord>, RunHeader) {
+    use trocar_control::{ControlConfig, Controller, TickInput};
+
+    let (control, safety) = (
+        ControlConfig::default_control(),
+        ControlConfig::needle_lift_safety(),
+    );
+    let config = ControlConfig::load(&control, &safety).unwrap();
+    let mut controller = Controller::new(&config).unwrap();
+    let mut position =
+        JointVector::new(0.013, -0.021, hal::psm::HOME_INSERTION_M, 0.1, 0.05, -0.07);
+    let mut jaw = 0.4;
+    let mut records = Vec::new();
+    for tick in 0..ticks {
+        let now = TimeNs::from_tick(tick);
+        let measured = measure(tick, ArmState::at_rest(now, position, jaw));
+        let operator = operator(tick);
+        let chunk = (tick % 250 == 20).then(|| chunk_of_run(tick / 250 + 1));
+        let output = controller.tick(&TickInput {
+            now,
+            measured,
+            chunk: chunk.as_ref(),
+            operator,
+        });
+        position = output.command.position;
+        jaw = output.command.jaw_position;
+        records.push(TickRecord {
+            tick,
+            now,
+            arms: PerArm::one(ArmRecord {
+                measured,
+                operator,
+                chunk_sequence: chunk.map(|chunk| chunk.sequence),
+                command: output.command,
+                report: output.report,
+            }),
+            timing: TickTiming::default(),
+        });
+    }
+    let moved = (position - records[0].arms.first.command.position).norm();
+    assert!(ticks < 500 || moved > 0.01, "the arm hardly moved: {moved}");
+    let texts = [
+        ("control.toml", control.text()),
+        ("safety.toml", safety.text()),
+    ];
+    let texts = texts
+        .map(|(name, text)| (name.to_owned(), text.to_owned()))
+        .into();
+    (records, RunHeader { texts, ..header() })
+}
+
+/// Writes the records of [`run_controller`] with their chunks.
+pub(crate) fn write_records(file: &Scratch, records: &[TickRecord], header: &RunHeader) {
+    let mut recorder = Recorder::create(&file.0, header, Pressure::Block).unwrap();
+    for record in records {
+        if let Some(sequence) = record.arms.first.chunk_sequence {
+            recorder.chunk(0, &chunk_of_run(sequence));
+        }
+        recorder.tick(record);
+    }
+    recorder.finish(None).unwrap();
+}

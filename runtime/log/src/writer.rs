@@ -1,0 +1,283 @@
+//! Writes records into an MCAP file; runs on the writer thread.
+
+use std::collections::BTreeMap;
+use std::io::{Seek, Write};
+
+use hal::TimeNs;
+use mcap::records::{MessageHeader, Metadata};
+use mcap::{McapResult, WriteOptions, Writer};
+use prost::{EncodeError, Message};
+use serde::Serialize;
+
+use super::drain::{ChunkItem, TickItem};
+use super::header::{self, Closing, RunHeader};
+use super::joints::JointMessages;
+use super::json::{
+    ChunkMessage, ChunkRef, ErrorMessage, OperatorMessage, TickMessage, TimingMessage,
+};
+use super::messages::{Log, PoseInFrame, Timestamp};
+use super::record::{ArmRecord, TickRecord};
+use super::safety::SafetyMessage;
+use super::topic::{self, Schema, TOPIC_COUNT, Topic};
+use super::{Level, camera};
+use hal::ARMS_MAX;
+
+/// Frame of each arm's measured tip pose.
+const RCM_FRAMES: [&str; ARMS_MAX] = ["psm1_rcm", "psm2_rcm"];
+
+/// A crash loses at most this much log time.
+const FLUSH_NS: u64 = 250_000_000;
+
+/// Bytes after which a chunk of the file is closed before its time; only cameras reach it.
+const FILE_CHUNK_BYTES: u64 = 1 << 20;
+
+/// The open file.
+pub(super) struct LogWriter<W: Write + Seek> {
+    writer: Writer<W>,
+    /// Each arm's channels; another arm than the first has them from its first message on.
+    channels: Vec<[u16; TOPIC_COUNT]>,
+    cameras: BTreeMap<String, camera::Channels>,
+    sequences: BTreeMap<u16, u32>,
+    joints: JointMessages,
+    buffer: Vec<u8>,
+    previous_now: TimeNs,
+    flushed_at: TimeNs,
+}
+
+impl<W: Write + Seek> LogWriter<W> {
+    /// Starts a file and writes the run's header into it.
+    pub(super) fn new(sink: W, run: &RunHeader) -> McapResult<Self> {
+        let mut writer = WriteOptions::new()
+            .profile("")
+            .library(concat!("trocar ", env!("CARGO_PKG_VERSION")))
+            .chunk_size(Some(FILE_CHUNK_BYTES))
+            // A chunk reaches the file whole or not at all, so that a cut file ends between two of them.
+            .disable_seeking(true)
+            .compression_level(1)
+            .compression_threads(0)
+            .create(sink)?;
+        for (name, metadata) in run.to_metadata() {
+            writer.write_metadata(&Metadata {
+                name: name.to_owned(),
+                metadata,
+            })?;
+        }
+        let channels = vec![topic::add_channels(&mut writer, 0)?];
+        writer.flush()?;
+        Ok(Self {
+            writer,
+            channels,
+            cameras: BTreeMap::new(),
+            sequences: BTreeMap::new(),
+            joints: JointMessages::new(),
+            buffer: Vec::new(),
+            previous_now: TimeNs(0),
+            flushed_at: TimeNs(0),
+        })
+    }
+
+    /// Writes all messages of one tick. The first arm comes last: its tick message says that the tick is complete.
+    pub(super) fn tick(&mut self, item: &TickItem) -> McapResult<()> {
+        let tick = &item.tick;
+        if let Some(second) = &tick.arms.second {
+            self.arm(1, tick, second)?;
+            self.rest(1, item, second)?;
+        }
+        self.arm(0, tick, &tick.arms.first)?;
+        let timing = TimingMessage {
+            tick: tick.tick,
+            period_ns: tick.now.since(self.previous_now),
+            wake_ns: tick.timing.wake_ns,
+            compute_ns: tick.timing.compute_ns,
+        };
+        self.json(Topic::Timing, 0, tick.now, &timing)?;
+        self.rest(0, item, &tick.arms.first)?;
+        self.previous_now = tick.now;
+        if tick.now.since(self.flushed_at) >= FLUSH_NS {
+            self.flushed_at = tick.now;
+            self.writer.flush()?;
+        }
+        Ok(())
+    }
+
+    /// Writes what the arm `index` measured, what it was told and how that came about.
+    fn arm(&mut self, index: usize, tick: &TickRecord, arm: &ArmRecord) -> McapResult<()> {
+        let measured = arm.measured.as_ref().ok();
+        self.joints.set_measured(measured);
+        self.joints.set_command(&arm.command);
+        if let Some(state) = measured {
+            self.protobuf(Topic::MeasuredJs, index, tick.now, |joints, buffer| {
+                joints.measured.encode(buffer)
+            })?;
+            if state.is_finite() {
+                let tip = measured_tip(RCM_FRAMES[index], state);
+                self.protobuf(Topic::MeasuredCp, index, tick.now, |_, buffer| {
+                    tip.encode(buffer)
+                })?;
+            }
+        }
+        self.protobuf(Topic::Jaw, index, tick.now, |joints, buffer| {
+            joints.jaw.encode(buffer)
+        })?;
+        self.protobuf(Topic::SetpointJs, index, tick.now, |joints, buffer| {
+            joints.setpoint.encode(buffer)
+        })?;
+        let safety = SafetyMessage::new(tick.tick, &arm.report);
+        self.json(Topic::Safety, index, tick.now, &safety)
+    }
+
+    /// Writes the rest of what the controller was given for the arm `index`.
+    fn rest(&mut self, index: usize, item: &TickItem, arm: &ArmRecord) -> McapResult<()> {
+        let record = item.chunk_records.get(index).copied().flatten();
+        let rest = TickMessage {
+            record: item.record,
+            tick: item.tick.tick,
+            now_ns: item.tick.now.0,
+            error: arm.measured.err().map(ErrorMessage::from),
+            operator: arm.operator.map(OperatorMessage::from),
+            chunk: arm
+                .chunk_sequence
+                .map(|sequence| ChunkRef { sequence, record }),
+            enabled: arm.command.enabled,
+        };
+        self.json(Topic::Tick, index, item.tick.now, &rest)
+    }
+
+    /// Writes a chunk that the controller was given at `now`, before the tick that names it.
+    pub(super) fn chunk(&mut self, item: &ChunkItem, now: TimeNs) -> McapResult<()> {
+        let message = ChunkMessage::new(item.record, &item.chunk);
+        self.json(Topic::Chunk, item.arm, now, &message)
+    }
+
+    /// Writes a line of text.
+    pub(super) fn event(&mut self, at: TimeNs, level: Level, text: String) -> McapResult<()> {
+        let log = Log {
+            timestamp: Some(Timestamp::new(at)),
+            level: level.number(),
+            message: text,
+            name: "trocar".to_owned(),
+            ..Log::default()
+        };
+        self.protobuf(Topic::Events, 0, at, |_, buffer| log.encode(buffer))
+    }
+
+    /// Writes a camera's image, lens and pose.
+    pub(super) fn frame(
+        &mut self,
+        name: &str,
+        at: TimeNs,
+        frame: &camera::Encoded,
+    ) -> McapResult<()> {
+        let channels = if let Some(&known) = self.cameras.get(name) {
+            known
+        } else {
+            let image = format!("/camera/{name}");
+            let lens = format!("/camera/{name}/calibration");
+            let pose = format!("/camera/{name}/pose");
+            let new = camera::Channels {
+                image: topic::add_channel(
+                    &mut self.writer,
+                    &image,
+                    Schema::Protobuf("foxglove.CompressedImage"),
+                )?,
+                lens: topic::add_channel(
+                    &mut self.writer,
+                    &lens,
+                    Schema::Protobuf("foxglove.CameraCalibration"),
+                )?,
+                pose: topic::add_channel(
+                    &mut self.writer,
+                    &pose,
+                    Schema::Protobuf("foxglove.PoseInFrame"),
+                )?,
+            };
+            self.cameras.insert(name.to_owned(), new);
+            new
+        };
+        self.buffer.clear();
+        frame
+            .lens
+            .encode(&mut self.buffer)
+            .map_err(std::io::Error::from)?;
+        self.put(channels.lens, at)?;
+        self.buffer.clear();
+        frame
+            .pose
+            .encode(&mut self.buffer)
+            .map_err(std::io::Error::from)?;
+        self.put(channels.pose, at)?;
+        self.buffer.clear();
+        frame
+            .image
+            .encode(&mut self.buffer)
+            .map_err(std::io::Error::from)?;
+        self.put(channels.image, at)
+    }
+
+    /// Writes the outcome and closes the file.
+    pub(super) fn finish(mut self, closing: &Closing) -> McapResult<()> {
+        let metadata = closing.to_metadata();
+        self.writer.write_metadata(&Metadata {
+            name: header::OUTCOME.to_owned(),
+            metadata,
+        })?;
+        self.writer.finish()?;
+        self.writer.into_inner().flush()?;
+        Ok(())
+    }
+
+    fn protobuf(
+        &mut self,
+        topic: Topic,
+        arm: usize,
+        now: TimeNs,
+        encode: impl FnOnce(&JointMessages, &mut Vec<u8>) -> Result<(), EncodeError>,
+    ) -> McapResult<()> {
+        self.buffer.clear();
+        encode(&self.joints, &mut self.buffer).map_err(std::io::Error::from)?;
+        let channel = self.channel(topic, arm)?;
+        self.put(channel, now)
+    }
+
+    fn json(
+        &mut self,
+        topic: Topic,
+        arm: usize,
+        now: TimeNs,
+        message: &impl Serialize,
+    ) -> McapResult<()> {
+        self.buffer.clear();
+        serde_json::to_writer(&mut self.buffer, message).map_err(std::io::Error::from)?;
+        let channel = self.channel(topic, arm)?;
+        self.put(channel, now)
+    }
+
+    fn channel(&mut self, topic: Topic, arm: usize) -> McapResult<u16> {
+        while self.channels.len() <= arm {
+            let channels = topic::add_channels(&mut self.writer, self.channels.len())?;
+            self.channels.push(channels);
+        }
+        Ok(self.channels[arm][topic as usize])
+    }
+
+    fn put(&mut self, channel_id: u16, now: TimeNs) -> McapResult<()> {
+        let sequence = self.sequences.entry(channel_id).or_insert(0);
+        let header = MessageHeader {
+            channel_id,
+            sequence: *sequence,
+            log_time: now.0,
+            publish_time: now.0,
+        };
+        *sequence = sequence.wrapping_add(1);
+        self.writer.write_to_known_channel(&header, &self.buffer)
+    }
+}
+
+fn measured_tip(frame: &str, state: &hal::ArmState) -> PoseInFrame {
+    let tip = crate::verify::tip_in_rcm(&state.position);
+    PoseInFrame {
+        timestamp: Some(Timestamp::new(state.stamp)),
+        frame_id: frame.to_owned(),
+        pose: Some((&tip).into()),
+    }
+}

@@ -1,0 +1,297 @@
+//! The off-screen renderer: colour, metric depth and instance ids of a scene, as an endoscope sees it.
+//!
+//! It runs on any Vulkan device; a software rasteriser is enough. Coordinates go to the device relative to the camera, so
+//! that single precision is never spent on where the camera is. Ids and depth come from a pass of their own, with one
+//! sample a pixel, so that no way of shading touches them. What surfaces look like is in `bake.wgsl` (patterns, painted
+//! once), `surface.wgsl` and `light.wgsl`. On one device and driver the same inputs give the same bytes.
+
+mod bake;
+mod camera;
+mod error;
+mod gpu;
+mod maps;
+mod pipelines;
+mod records;
+mod scene;
+mod station;
+mod targets;
+
+use std::sync::{Mutex, PoisonError};
+
+use hal::{CameraFrame, Intrinsics, Mesh, Pose};
+
+pub use camera::{Camera, Light, look_at};
+pub use error::RenderError;
+
+use crate::visual::{Backdrop, Visual};
+use bake::Paints;
+use gpu::Gpu;
+use pipelines::{Pipelines, SHADOW_MAP_PX};
+use records::{Eye, Records, View};
+use scene::Scene;
+use station::{Station, Stations};
+
+/// Renderers are opened one after the other: a driver may hang when several threads do it at the same time.
+static OPENING: Mutex<()> = Mutex::new(());
+
+/// The buffers of one image.
+#[derive(Debug)]
+pub struct Planes<'a> {
+    /// sRGB bytes, 3 a pixel.
+    pub colour: &'a mut [u8],
+    /// Distance along the camera's z axis, metres; 0 where nothing was hit.
+    pub depth_m: &'a mut [f32],
+    /// Instance id of what was hit; 0 is background.
+    pub instance: &'a mut [u8],
+}
+
+impl Planes<'_> {
+    fn check(&self, intrinsics: &Intrinsics) -> Result<(), RenderError> {
+        let pixels = intrinsics.pixel_count();
+        if (self.colour.len(), self.depth_m.len(), self.instance.len())
+            == (3 * pixels, pixels, pixels)
+        {
+            return Ok(());
+        }
+        Err(RenderError::Buffers { pixels })
+    }
+}
+
+/// How much work goes into colours; depth and ids do not depend on it.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Shading {
+    /// Shadows, surroundings mirrored in metal and fluid, relief.
+    #[default]
+    Full,
+    /// The same with edges smoothed over the pixel, which a software rasteriser takes nearly twice as long for.
+    Fine,
+    /// Painted colours in the same light without any of these, for about half the cost.
+    Plain,
+}
+
+/// Draws one fixed set of visuals, which may move and bend, from any number of cameras.
+pub struct Renderer {
+    gpu: Gpu,
+    scene: Scene,
+    pipelines: Pipelines,
+    light: Records,
+    stations: Stations,
+    backdrop: Backdrop,
+    backdrop_layer: f32,
+    shading: Shading,
+}
+
+impl Renderer {
+    /// Opens the best Vulkan device of the machine, a software one if there is no other, and uploads the meshes. Behind
+    /// them is the inside of a body.
+    ///
+    /// The loader's own variables, `VK_DRIVER_FILES` and the like, decide which devices there are.
+    ///
+    /// # Errors
+    /// No usable device, or a mesh that can't be drawn.
+    pub fn new(visuals: &[Visual]) -> Result<Self, RenderError> {
+        Self::with_backdrop(visuals, &Backdrop::CAVITY, Shading::default())
+    }
+
+    /// The same with something else behind and a choice of shading.
+    ///
+    /// # Errors
+    /// As [`Self::new`].
+    pub fn with_backdrop(
+        visuals: &[Visual],
+        backdrop: &Backdrop,
+        shading: Shading,
+    ) -> Result<Self, RenderError> {
+        let _turn = OPENING.lock().unwrap_or_else(PoisonError::into_inner);
+        let gpu = Gpu::open()?;
+        let things = visuals.iter().map(|visual| &visual.material);
+        let materials = things.chain([&backdrop.material]);
+        let paints = Paints::new(&gpu.device, &gpu.queue, materials);
+        let scene = Scene::upload(&gpu.device, visuals, &paints)?;
+        let pipelines = Pipelines::new(&gpu.device, &paints, shading);
+        let light = Records::new(&gpu.device, &pipelines.records, scene.part_count());
+        gpu.finish()?;
+        Ok(Self {
+            gpu,
+            scene,
+            pipelines,
+            light,
+            stations: Stations::default(),
+            backdrop: *backdrop,
+            backdrop_layer: paints.layer(&backdrop.material),
+            shading,
+        })
+    }
+
+    /// Name of the device and its driver.
+    #[must_use]
+    pub fn adapter_name(&self) -> &str {
+        &self.gpu.name
+    }
+
+    /// Chooses how much work goes into the colours of the following images.
+    pub fn set_shading(&mut self, shading: Shading) {
+        if self.shading != shading {
+            self.shading = shading;
+            self.pipelines.set_shading(&self.gpu.device, shading);
+        }
+    }
+
+    /// Bends the visual `index`: its vertices go to where `mesh` has them, for all following images. The triangles stay what
+    /// they were; those of `mesh` are not looked at.
+    ///
+    /// # Errors
+    /// No such visual, or another number of vertices.
+    pub fn reshape(&mut self, index: usize, mesh: &Mesh) -> Result<(), RenderError> {
+        self.scene.reshape(&self.gpu.queue, index, mesh)
+    }
+
+    /// Multiplies the linear RGB of the visuals by `tints`, in their order, for all following images; those beyond the last one
+    /// have the colours that they came with.
+    pub fn tint(&mut self, tints: impl IntoIterator<Item = [f32; 3]>) {
+        self.scene.tint(tints);
+    }
+
+    /// Takes one image: `poses` are the visuals' poses in the scene frame, in their order.
+    ///
+    /// Fills colour, depth, ids, intrinsics and camera pose of `frame` and resizes its buffers if they do not fit;
+    /// stamp and sequence stay the caller's. After an error the frame's content is unspecified.
+    ///
+    /// # Errors
+    /// An image size, camera, light or number of poses that can't be, or a failing device.
+    pub fn render(
+        &mut self,
+        poses: &[Pose],
+        camera: &Camera,
+        light: &Light,
+        frame: &mut CameraFrame,
+    ) -> Result<(), RenderError> {
+        self.render_all(poses, light, &mut [(*camera, frame)])
+    }
+
+    /// Takes an image from each of several cameras at the same instant, the same as one by one, but without waiting for
+    /// one before the next is begun, and with one shadow map for all.
+    ///
+    /// # Errors
+    /// As [`Self::render`]; then the content of all frames is unspecified.
+    pub fn render_all(
+        &mut self,
+        poses: &[Pose],
+        light: &Light,
+        shots: &mut [(Camera, &mut CameraFrame)],
+    ) -> Result<(), RenderError> {
+        let mut views = Vec::with_capacity(shots.len());
+        for (camera, frame) in shots {
+            camera.check(self.gpu.size_px_max)?;
+            let pixels = camera.intrinsics.pixel_count();
+            frame.colour.resize(3 * pixels, 0);
+            frame.instance.resize(pixels, 0);
+            frame.depth_m.resize(pixels, 0.0);
+            frame.intrinsics = camera.intrinsics;
+            frame.camera_in_scene = camera.camera_in_scene;
+            let planes = Planes {
+                colour: &mut frame.colour,
+                depth_m: &mut frame.depth_m,
+                instance: &mut frame.instance,
+            };
+            views.push((*camera, planes));
+        }
+        self.render_all_into(poses, light, &mut views)
+    }
+
+    /// Takes one image straight into the caller's buffers: `width * height` pixels, row-major from the top left.
+    ///
+    /// # Errors
+    /// As [`Self::render`], and buffers of another size.
+    pub fn render_into(
+        &mut self,
+        poses: &[Pose],
+        camera: &Camera,
+        light: &Light,
+        planes: Planes<'_>,
+    ) -> Result<(), RenderError> {
+        self.render_all_into(poses, light, &mut [(*camera, planes)])
+    }
+
+    /// [`Self::render_all`] straight into the callers' buffers.
+    ///
+    /// # Errors
+    /// As [`Self::render_into`].
+    pub fn render_all_into(
+        &mut self,
+        poses: &[Pose],
+        light: &Light,
+        views: &mut [(Camera, Planes<'_>)],
+    ) -> Result<(), RenderError> {
+        light.check()?;
+        for (camera, planes) in &*views {
+            camera.check(self.gpu.size_px_max)?;
+            planes.check(&camera.intrinsics)?;
+        }
+        let lenses = views.iter().map(|(camera, _)| &camera.intrinsics);
+        let parts = self.scene.part_count();
+        let room = (&self.pipelines.records, parts, self.shading);
+        self.stations.fit(&self.gpu.device, room, lenses);
+        let mut submissions = Vec::with_capacity(views.len());
+        for (index, (camera, _)) in views.iter().enumerate() {
+            submissions.push(self.submit(poses, light, camera, index)?);
+        }
+        let stations = self.stations.iter();
+        for ((station, submission), (_, planes)) in stations.zip(submissions).zip(views) {
+            station.targets.read(&self.gpu, submission, planes)?;
+        }
+        Ok(())
+    }
+
+    /// Begins the image of one camera at its station; the first one's submission draws the shadow map for all.
+    fn submit(
+        &mut self,
+        poses: &[Pose],
+        light: &Light,
+        camera: &Camera,
+        index: usize,
+    ) -> Result<wgpu::SubmissionIndex, RenderError> {
+        let Some(station) = self.stations.get(index) else {
+            return Err(RenderError::Gpu("no room for the image".to_owned()));
+        };
+        let queue = &self.gpu.queue;
+        let mut encoder = self
+            .gpu
+            .device
+            .create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
+        if index == 0 && self.shading != Shading::Plain {
+            self.scene
+                .place(queue, &self.light, poses, &Eye::light(light))?;
+            self.pipelines
+                .draw_shadow_map(&mut encoder, &self.scene, &self.light);
+        }
+        let eye = Eye::camera(
+            light,
+            View {
+                camera,
+                backdrop: &self.backdrop,
+                backdrop_layer: self.backdrop_layer,
+                shadow_map_px: SHADOW_MAP_PX,
+            },
+        );
+        let Station { targets, records } = station;
+        self.scene.place(queue, records, poses, &eye)?;
+        self.pipelines.draw_labels(
+            &mut targets.begin_labels(&mut encoder),
+            &self.scene,
+            records,
+        );
+        self.pipelines.draw_colour(
+            &mut targets.begin_colour(&mut encoder),
+            &self.scene,
+            records,
+        );
+        targets.copy(&mut encoder);
+        let submission = queue.submit([encoder.finish()]);
+        targets.ask();
+        Ok(submission)
+    }
+}
+
+#[cfg(test)]
+mod tests;

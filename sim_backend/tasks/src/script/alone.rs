@@ -1,0 +1,72 @@
+//! The script of a task that has one arm.
+
+use hal::{Pose, TimeNs, TipTarget};
+use trocar_world::ArmStart;
+
+use super::play::{Activity, ArmView, Part};
+use super::{Script, Wish, arrive, carry};
+use crate::scene::SceneState;
+use hal::ARMS_MAX;
+
+/// What the hand sees, in the scene frame.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct View {
+    pub(crate) arm: ArmView,
+    /// What the task is about.
+    pub(crate) thing: Pose,
+    /// Where something is to be brought, if the task has such a place.
+    pub(crate) goal: Pose,
+}
+
+/// A script with a single hand.
+#[derive(Clone, Debug)]
+pub(crate) struct Alone<P> {
+    part: P,
+    scene_from_rcm: Pose,
+}
+
+impl<P> Alone<P> {
+    /// The script of `part`, which the first of `arms` plays.
+    pub(crate) const fn new(part: P, arms: &[ArmStart]) -> Self {
+        Self {
+            part,
+            scene_from_rcm: arms[0].scene_from_rcm,
+        }
+    }
+}
+
+impl<P: Part<View = View>> Script for Alone<P> {
+    fn step(&mut self, now: TimeNs, scene: &SceneState) -> Wish {
+        let view = View {
+            arm: ArmView {
+                tip: self.scene_from_rcm * scene.first.tip_in_rcm,
+                jaw: scene.first.jaw,
+                both_touch: scene.first.grasp.both_touch,
+            },
+            thing: self.scene_from_rcm * scene.first.thing_in_rcm,
+            goal: scene.goal_in_scene.unwrap_or_else(Pose::identity),
+        };
+        let placement = self.part.play(now, &view);
+        let tip_in_rcm = self.scene_from_rcm.inv_mul(&placement.tip_in_scene);
+        Wish {
+            first: TipTarget::new(&tip_in_rcm, placement.jaw),
+            second: None,
+        }
+    }
+
+    fn attempts(&self) -> u32 {
+        self.part.hand().attempts()
+    }
+
+    fn activities(&self) -> [Activity; ARMS_MAX] {
+        [self.part.activity(), Activity::Other]
+    }
+
+    fn foresee(&self, scene: &mut SceneState, wish: &Wish) {
+        if self.part.carries() && scene.first.grasp.both_touch {
+            carry(&mut scene.first, &wish.first);
+        } else {
+            arrive(&mut scene.first, &wish.first);
+        }
+    }
+}

@@ -1,0 +1,193 @@
+//! Decides whether the block has been moved, and catches what would only look like it.
+
+use hal::Pose;
+use hal::config::{ConfigError, Source};
+use nalgebra::{Point3, Vector3};
+use serde::Deserialize;
+use trocar_world::block::BlockShape;
+
+use super::{BlockTransfer, BoardShape};
+use crate::task::judge::{Limits, PressLimit, PressWatch, Watch, seconds};
+use crate::task::{Monitor, Outcome, Reason, Sight};
+
+/// What counts as a moved block, and what ends the episode at once.
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct SuccessConfig {
+    /// How far above the pegs' tops the whole block must have been, held by both fingers, m.
+    pub clear_m: f64,
+    /// Distance of the goal peg from the block's axis, at both ends of the block, m.
+    pub around_m: f64,
+    /// How far from its resting height the block may be, m.
+    pub height_m: f64,
+    /// Tilt of the block's axis, rad.
+    pub tilt_rad: f64,
+    /// Speed of any point of the block, m/s.
+    pub speed_m_s: f64,
+    /// Distance of the control point from the middle of the block, m; no finger may touch it.
+    pub away_m: f64,
+    /// How long all this must hold without a break, s.
+    pub hold_s: f64,
+    /// Depth by which the fingers may sink into the block, m; deeper is a fault of the simulation.
+    pub penetration_m_max: f64,
+    /// Depth by which the block may sink into board and pegs, m; deeper is a fault of the simulation.
+    pub sunk_m_max: f64,
+    /// Speed of a corner of the block above which it counts as thrown, m/s.
+    pub block_speed_m_s_max: f64,
+    /// Force of one finger on the block above which it counts as crushed, N.
+    pub block_force_n_max: f64,
+    /// Energy that the block may gain while no instrument touches it, J: more is a fault of the simulation.
+    pub block_gain_j_max: f64,
+    /// How hard the ground may be pressed.
+    pub press: PressLimit,
+}
+
+impl SuccessConfig {
+    pub(super) fn check(&self, source: &Source) -> Result<(), ConfigError> {
+        let check = |key: &str, value, low, high| {
+            source.check_range(&format!("success.{key}"), value, low, high)
+        };
+        check("clear_m", self.clear_m, 0.0, 0.02)?;
+        check("around_m", self.around_m, 0.000_5, 0.01)?;
+        check("height_m", self.height_m, 0.000_1, 0.005)?;
+        check("tilt_rad", self.tilt_rad, 0.01, 0.5)?;
+        check("speed_m_s", self.speed_m_s, 0.000_1, 0.1)?;
+        check("away_m", self.away_m, 0.0, 0.05)?;
+        check("hold_s", self.hold_s, 0.05, 10.0)?;
+        check("penetration_m_max", self.penetration_m_max, 0.000_01, 0.01)?;
+        check("sunk_m_max", self.sunk_m_max, 0.000_01, 0.01)?;
+        check("block_speed_m_s_max", self.block_speed_m_s_max, 0.05, 10.0)?;
+        check("block_force_n_max", self.block_force_n_max, 0.1, 100.0)?;
+        check("block_gain_j_max", self.block_gain_j_max, 1e-7, 0.01)?;
+        self.press.check(source)
+    }
+
+    const fn limits(&self) -> Limits {
+        Limits {
+            penetration_m: self.penetration_m_max,
+            sunk_m: Some(self.sunk_m_max),
+            speed_m_s: self.block_speed_m_s_max,
+            force_n: self.block_force_n_max,
+            gain_j: self.block_gain_j_max,
+        }
+    }
+}
+
+/// Watches the block.
+pub(super) struct SuccessMonitor {
+    config: SuccessConfig,
+    block: BlockShape,
+    board: BoardShape,
+    goal: [f64; 2],
+    corner: Point3<f64>,
+    before: Option<Pose>,
+    cleared: bool,
+    held_steps: u64,
+    press: PressWatch,
+    watch: Watch,
+}
+
+impl SuccessMonitor {
+    /// A monitor at the start of an episode whose goal is the peg at `goal`.
+    pub(super) fn new(scene: &BlockTransfer, goal: [f64; 2]) -> Self {
+        let config = scene.success.clone();
+        let block = scene.block;
+        Self {
+            block,
+            board: scene.board,
+            goal,
+            corner: Point3::new(block.corner_m, 0.0, 0.5 * block.height_m),
+            before: None,
+            cleared: false,
+            held_steps: 0,
+            press: PressWatch::new("board", config.press),
+            watch: Watch::new("block", config.limits()),
+            config,
+        }
+    }
+
+    fn end(&mut self, sight: &Sight) -> Option<Outcome> {
+        let corner = sight.thing_in_scene * self.corner;
+        if let Some(end) = self.watch.end(&corner, sight) {
+            return Some(end);
+        }
+        if let Some(reason) = self.press.failure(sight) {
+            return Some(Outcome::Failure(reason));
+        }
+        let middle = sight.thing_in_scene.translation;
+        let fallen = !self.board.covers(middle.x, middle.y) || middle.z < 0.0;
+        fallen.then_some(Outcome::Failure(Reason::Fallen {
+            thing: "block",
+            ground: "board",
+        }))
+    }
+
+    /// Whether the whole block is above the pegs in the grip of both fingers.
+    fn is_clear(&self, sight: &Sight) -> bool {
+        let ends = self.block.pieces().into_iter().flatten().flatten();
+        let lowest = ends
+            .map(|point| (sight.thing_in_scene * point).z)
+            .fold(f64::INFINITY, f64::min);
+        sight.grasps[0].both_touch && lowest >= self.board.peg_height_m + self.config.clear_m
+    }
+
+    /// Whether the block sits on the goal peg and nobody touches it.
+    fn is_placed(&self, sight: &Sight, speed_m_s: f64) -> bool {
+        let pose = &sight.thing_in_scene;
+        let half = 0.5 * self.block.height_m;
+        let around = [-half, half].into_iter().all(|z| {
+            let end = pose * Point3::new(0.0, 0.0, z);
+            (end.x - self.goal[0]).hypot(end.y - self.goal[1]) <= self.config.around_m
+        });
+        let up = (pose * Vector3::z()).z.clamp(-1.0, 1.0).acos();
+        // A prism is as well placed upside down.
+        let tilt_rad = up.min(core::f64::consts::PI - up);
+        let grasp = &sight.grasps[0];
+        let touched = grasp.left_force_n > 0.0 || grasp.right_force_n > 0.0;
+        let away_m = (sight.tips_in_scene[0].translation.vector - pose.translation.vector).norm();
+        around
+            && (pose.translation.z - half).abs() <= self.config.height_m
+            && tilt_rad <= self.config.tilt_rad
+            && speed_m_s <= self.config.speed_m_s
+            && !touched
+            && away_m >= self.config.away_m
+    }
+
+    /// Highest speed of the block's ends since the last step.
+    fn speed_m_s(&mut self, pose: &Pose) -> f64 {
+        let Some(before) = self.before.replace(*pose) else {
+            return f64::INFINITY;
+        };
+        let z = 0.5 * self.block.height_m;
+        let points = [self.corner, Point3::new(-self.block.side_m, 0.0, -z)];
+        points
+            .into_iter()
+            .map(|point| (pose * point - before * point).norm() * 1e3)
+            .fold(0.0, f64::max)
+    }
+}
+
+impl Monitor for SuccessMonitor {
+    fn observe(&mut self, sight: &Sight) -> Outcome {
+        if let Some(end) = self.end(sight) {
+            return end;
+        }
+        let speed_m_s = self.speed_m_s(&sight.thing_in_scene);
+        self.cleared |= self.is_clear(sight);
+        let held = self.cleared && self.is_placed(sight, speed_m_s);
+        self.held_steps = if held { self.held_steps + 1 } else { 0 };
+        if seconds(self.held_steps) >= self.config.hold_s {
+            Outcome::Success
+        } else {
+            Outcome::Running
+        }
+    }
+
+    fn missing(&self) -> &'static str {
+        if self.cleared {
+            "block not on the goal peg"
+        } else {
+            "block not lifted clear of the pegs"
+        }
+    }
+}

@@ -1,0 +1,445 @@
+//! Verdicts: what a task's monitor sees, what it can say, and what it shares with the others.
+
+use core::fmt;
+use std::collections::VecDeque;
+
+use hal::Pose;
+use hal::config::{ConfigError, Source};
+use nalgebra::Point3;
+use serde::Deserialize;
+use trocar_world::tissue::{RetractionFailure, TissueReport};
+use trocar_world::{Grasp, World};
+
+/// How an episode stands.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Outcome {
+    /// Not decided yet.
+    Running,
+    /// The task is done.
+    Success,
+    /// The episode is lost.
+    Failure(Reason),
+    /// The simulation, not the policy, is at fault: the trial says nothing.
+    Invalid(Reason),
+}
+
+/// Why an episode was lost. `thing` is what the task is about.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Reason {
+    /// Time ran out.
+    TimeLimit {
+        /// What has not happened.
+        missing: &'static str,
+        /// The limit, s.
+        limit_s: f64,
+    },
+    /// The fingers sank into the thing.
+    Penetration {
+        /// What.
+        thing: &'static str,
+        /// How deep, m.
+        depth_m: f64,
+    },
+    /// The fingers squeezed the thing harder than it stands.
+    Squeezed {
+        /// What.
+        thing: &'static str,
+        /// How hard one finger pressed, N.
+        force_n: f64,
+    },
+    /// The thing gained energy that nobody gave it.
+    Gained {
+        /// What.
+        thing: &'static str,
+        /// How much, J.
+        energy_j: f64,
+    },
+    /// The thing sank into what it lies on.
+    Sunk {
+        /// What.
+        thing: &'static str,
+        /// How deep, m.
+        depth_m: f64,
+    },
+    /// The thing moved faster than careful hands move it.
+    Thrown {
+        /// What.
+        thing: &'static str,
+        /// How fast, m/s.
+        speed_m_s: f64,
+    },
+    /// The thing fell off what it belongs on.
+    Fallen {
+        /// What.
+        thing: &'static str,
+        /// Off what.
+        ground: &'static str,
+    },
+    /// The ground was pressed too hard for too long.
+    Pressed {
+        /// What was pressed.
+        ground: &'static str,
+        /// How hard in the end, N.
+        force_n: f64,
+        /// For how long, s.
+        seconds: f64,
+    },
+    /// The flap was not retracted as it should be.
+    Tissue(RetractionFailure),
+    /// The thing's pose is no number any more.
+    NotFinite {
+        /// What.
+        thing: &'static str,
+    },
+}
+
+impl fmt::Display for Outcome {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Running => f.write_str("running"),
+            Self::Success => f.write_str("success"),
+            Self::Failure(reason) => reason.fmt(f),
+            Self::Invalid(reason) => write!(f, "invalid: {reason}"),
+        }
+    }
+}
+
+impl fmt::Display for Reason {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::TimeLimit { missing, limit_s } => write!(f, "{missing} within {limit_s} s"),
+            Self::Penetration { thing, depth_m } => {
+                write!(f, "fingers sank {:.2} mm into the {thing}", depth_m * 1e3)
+            }
+            Self::Squeezed { thing, force_n } => {
+                write!(f, "{thing} squeezed with {force_n:.1} N")
+            }
+            Self::Gained { thing, energy_j } => {
+                let energy_uj = energy_j * 1e6;
+                write!(f, "{thing} gained {energy_uj:.0} uJ from nowhere")
+            }
+            Self::Sunk { thing, depth_m } => {
+                let depth_mm = depth_m * 1e3;
+                write!(f, "{thing} sank {depth_mm:.2} mm into what it lies on")
+            }
+            Self::Thrown { thing, speed_m_s } => write!(f, "{thing} thrown at {speed_m_s:.2} m/s"),
+            Self::Fallen { thing, ground } => write!(f, "{thing} fell off the {ground}"),
+            Self::Pressed {
+                ground,
+                force_n,
+                seconds,
+            } => {
+                write!(
+                    f,
+                    "pressed on the {ground} with {force_n:.1} N, too hard for {seconds:.1} s"
+                )
+            }
+            Self::Tissue(failure) => failure.fmt(f),
+            Self::NotFinite { thing } => write!(f, "{thing} pose is not finite"),
+        }
+    }
+}
+
+/// What a monitor sees of one millisecond.
+#[derive(Clone, Debug)]
+pub(crate) struct Sight {
+    /// What the task is about, scene frame: a thing, or the mark on a flap.
+    pub(crate) thing_in_scene: Pose,
+    /// How each arm holds it.
+    pub(crate) grasps: Vec<Grasp>,
+    /// Tip of each arm, scene frame.
+    pub(crate) tips_in_scene: Vec<Pose>,
+    /// Deepest overlap of the thing and the ground, m.
+    pub(crate) sunk_m: f64,
+    /// Sum of the forces that press on the ground, of instruments and of what they press down, N.
+    pub(crate) ground_force_n: f64,
+    /// What the flap says of itself, if there is one.
+    pub(crate) tissue: Option<TissueReport>,
+    /// Kinetic and potential energy of the thing, J, while no part of an instrument touches it.
+    pub(crate) free_energy_j: Option<f64>,
+}
+
+impl Sight {
+    pub(crate) fn of(world: &World) -> Self {
+        let arms = 0..world.arm_count();
+        let is_free = world.thing_count() > 0 && arms.clone().all(|arm| !world.is_touched(arm, 0));
+        Self {
+            thing_in_scene: world.subject_in_scene(),
+            grasps: arms.clone().map(|arm| world.subject_grasp(arm)).collect(),
+            tips_in_scene: arms.clone().map(|arm| world.tip_in_scene(arm)).collect(),
+            sunk_m: world.subject_sunk_m(),
+            ground_force_n: arms.map(|arm| world.ground_force_n(arm)).sum::<f64>()
+                + (0..world.thing_count())
+                    .map(|thing| world.thing_ground_force_n(thing))
+                    .sum::<f64>(),
+            tissue: world.tissue().map(|tissue| *tissue.report()),
+            free_energy_j: is_free.then(|| world.energy_j(0)),
+        }
+    }
+}
+
+/// Watches one episode of one task, 1000 times a second.
+pub(crate) trait Monitor: Send {
+    /// Takes in the state after one millisecond. After success or failure it is not asked again.
+    fn observe(&mut self, sight: &Sight) -> Outcome;
+
+    /// What has not happened as long as there is no success, in words.
+    fn missing(&self) -> &'static str;
+}
+
+/// A monitor with the clock.
+pub(crate) struct Judge {
+    monitor: Box<dyn Monitor>,
+    limit_s: f64,
+    steps: u64,
+    outcome: Outcome,
+}
+
+impl Judge {
+    /// A judge at the start of an episode.
+    pub(crate) fn new(monitor: Box<dyn Monitor>, limit_s: f64) -> Self {
+        Self {
+            monitor,
+            limit_s,
+            steps: 0,
+            outcome: Outcome::Running,
+        }
+    }
+
+    /// How the episode stands; once decided it stays.
+    pub(crate) const fn outcome(&self) -> Outcome {
+        self.outcome
+    }
+
+    /// Takes in the state after one millisecond.
+    pub(crate) fn observe(&mut self, sight: &Sight) {
+        if self.outcome != Outcome::Running {
+            return;
+        }
+        self.steps += 1;
+        self.outcome = self.monitor.observe(sight);
+        if self.outcome == Outcome::Running && seconds(self.steps) >= self.limit_s {
+            self.outcome = Outcome::Failure(Reason::TimeLimit {
+                missing: self.monitor.missing(),
+                limit_s: self.limit_s,
+            });
+        }
+    }
+}
+
+/// Length of one observation, s.
+const STEP_S: f64 = 1e-3;
+
+/// Time over which speed and overlaps are judged, steps: one step alone may be a solver's hiccup.
+const JUDGED_STEPS: usize = 20;
+
+/// A count of observations as time, s.
+#[expect(
+    clippy::cast_precision_loss,
+    reason = "episodes are far shorter than 2^53 steps"
+)]
+pub(super) fn seconds(steps: u64) -> f64 {
+    steps as f64 * STEP_S
+}
+
+/// Counts how long something has been so; true once it has lasted.
+pub(super) fn lasts(steps: &mut usize, is_so: bool) -> bool {
+    *steps = if is_so { *steps + 1 } else { 0 };
+    *steps >= JUDGED_STEPS
+}
+
+/// Share of a limit below which a force must fall to count as let go of: at the limit itself one tick decides nothing.
+const LET_GO: f64 = 0.8;
+
+/// How hard the ground may be pressed.
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct PressLimit {
+    /// Force, N: instruments and what they press down together.
+    pub force_n_max: f64,
+    /// How long it may be above that, s; it ends once the force falls below four fifths of the limit.
+    pub seconds_max: f64,
+}
+
+impl PressLimit {
+    pub(super) fn check(&self, source: &Source) -> Result<(), ConfigError> {
+        source.check_range("success.press.force_n_max", self.force_n_max, 0.1, 100.0)?;
+        source.check_range("success.press.seconds_max", self.seconds_max, 0.02, 10.0)
+    }
+}
+
+/// Watches how hard the ground is pressed.
+#[derive(Clone, Debug)]
+pub(super) struct PressWatch {
+    ground: &'static str,
+    limit: PressLimit,
+    steps: u64,
+}
+
+impl PressWatch {
+    pub(super) const fn new(ground: &'static str, limit: PressLimit) -> Self {
+        Self {
+            ground,
+            limit,
+            steps: 0,
+        }
+    }
+
+    /// Takes in a step; says what is wrong once it has lasted.
+    pub(super) fn failure(&mut self, sight: &Sight) -> Option<Reason> {
+        let force_n = sight.ground_force_n;
+        let is_pressed = if self.steps == 0 {
+            force_n > self.limit.force_n_max
+        } else {
+            force_n > LET_GO * self.limit.force_n_max
+        };
+        self.steps = if is_pressed { self.steps + 1 } else { 0 };
+        let seconds = seconds(self.steps);
+        (seconds > self.limit.seconds_max).then_some(Reason::Pressed {
+            ground: self.ground,
+            force_n,
+            seconds,
+        })
+    }
+}
+
+/// What no handled thing may go beyond.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Limits {
+    /// Depth by which fingers may sink into it, m; deeper is a fault of the simulation.
+    pub(super) penetration_m: f64,
+    /// Depth by which it may sink into hard ground, m; likewise. None on soft ground.
+    pub(super) sunk_m: Option<f64>,
+    /// Speed of the point that is watched, m/s.
+    pub(super) speed_m_s: f64,
+    /// Force of one finger, N.
+    pub(super) force_n: f64,
+    /// Energy that it may gain while no instrument touches it, J: what the ground's give returns. More is a fault of the
+    /// simulation.
+    pub(super) gain_j: f64,
+}
+
+/// The checks that every handled thing passes. Crushing and throwing lose the episode; sinking in, energy from nowhere and what
+/// is not finite make it invalid.
+#[derive(Clone, Debug)]
+pub(super) struct Watch {
+    thing: &'static str,
+    limits: Limits,
+    deep_steps: usize,
+    sunk_steps: usize,
+    hard_steps: usize,
+    least_energy_j: f64,
+    points: VecDeque<Point3<f64>>,
+}
+
+impl Watch {
+    pub(super) fn new(thing: &'static str, limits: Limits) -> Self {
+        Self {
+            thing,
+            limits,
+            deep_steps: 0,
+            sunk_steps: 0,
+            hard_steps: 0,
+            least_energy_j: f64::INFINITY,
+            points: VecDeque::with_capacity(JUDGED_STEPS + 1),
+        }
+    }
+
+    /// How the episode ends by what is wrong with a thing, one of whose points is at `point`.
+    pub(super) fn end(&mut self, point: &Point3<f64>, sight: &Sight) -> Option<Outcome> {
+        let fault = self.fault(point, sight).map(Outcome::Invalid);
+        fault.or_else(|| self.failure(point, sight).map(Outcome::Failure))
+    }
+
+    /// What is wrong with the simulation.
+    fn fault(&mut self, point: &Point3<f64>, sight: &Sight) -> Option<Reason> {
+        let thing = self.thing;
+        if !point.coords.iter().all(|x| x.is_finite()) {
+            return Some(Reason::NotFinite { thing });
+        }
+        let depths_m = sight.grasps.iter().map(|grasp| grasp.penetration_m);
+        let depth_m = depths_m.fold(0.0, f64::max);
+        if lasts(&mut self.deep_steps, depth_m > self.limits.penetration_m) {
+            return Some(Reason::Penetration { thing, depth_m });
+        }
+        let depth_m = sight.sunk_m;
+        let is_sunk = self.limits.sunk_m.is_some_and(|most_m| depth_m > most_m);
+        if lasts(&mut self.sunk_steps, is_sunk) {
+            return Some(Reason::Sunk { thing, depth_m });
+        }
+        let energy_j = self.gain_j(sight.free_energy_j);
+        (energy_j > self.limits.gain_j).then_some(Reason::Gained { thing, energy_j })
+    }
+
+    /// What harms the thing.
+    fn failure(&mut self, point: &Point3<f64>, sight: &Sight) -> Option<Reason> {
+        let thing = self.thing;
+        let most = |of: fn(&Grasp) -> f64| sight.grasps.iter().map(of).fold(0.0, f64::max);
+        let force_n = most(|grasp| grasp.left_force_n.max(grasp.right_force_n));
+        if lasts(&mut self.hard_steps, force_n > self.limits.force_n) {
+            return Some(Reason::Squeezed { thing, force_n });
+        }
+        self.points.push_back(*point);
+        if self.points.len() > JUDGED_STEPS {
+            let before = self.points.pop_front()?;
+            let speed_m_s = (point - before).norm() / seconds(JUDGED_STEPS as u64);
+            if speed_m_s > self.limits.speed_m_s {
+                return Some(Reason::Thrown { thing, speed_m_s });
+            }
+        }
+        None
+    }
+
+    /// How far the energy is above its least value since an instrument last touched the thing.
+    fn gain_j(&mut self, free_energy_j: Option<f64>) -> f64 {
+        let Some(energy_j) = free_energy_j else {
+            self.least_energy_j = f64::INFINITY;
+            return 0.0;
+        };
+        self.least_energy_j = self.least_energy_j.min(energy_j);
+        energy_j - self.least_energy_j
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::task::TaskConfig;
+
+    const LIMIT: PressLimit = PressLimit {
+        force_n_max: 6.0,
+        seconds_max: 0.5,
+    };
+
+    /// Shows each force for its number of steps; gives the step at which the press had lasted too long.
+    fn pressed(parts: &[(f64, usize)]) -> Option<usize> {
+        let task = TaskConfig::shipped("needle-lift");
+        let mut sight = Sight::of(&World::new(&task.world, &task.scene.scenery(0), &task.arms));
+        let mut watch = PressWatch::new("organ", LIMIT);
+        let forces = parts
+            .iter()
+            .flat_map(|&(force_n, steps)| core::iter::repeat_n(force_n, steps));
+        forces.enumerate().find_map(|(step, force_n)| {
+            sight.ground_force_n = force_n;
+            watch.failure(&sight).map(|_| step + 1)
+        })
+    }
+
+    #[test]
+    fn a_press_counts_once_it_has_lasted() {
+        assert_eq!(pressed(&[(6.1, 500)]), None);
+        assert_eq!(pressed(&[(6.1, 501)]), Some(501));
+        assert_eq!(pressed(&[(5.9, 5000)]), None);
+    }
+
+    #[test]
+    fn a_peak_decides_nothing_and_a_dip_excuses_nothing() {
+        // Peaks with rest between them never add up.
+        assert_eq!(
+            pressed(&[(50.0, 400), (1.0, 1), (50.0, 400), (1.0, 1)]),
+            None
+        );
+        // What trembles about the limit does.
+        assert_eq!(pressed(&[(6.1, 300), (5.5, 10), (6.1, 300)]), Some(501));
+    }
+}

@@ -1,0 +1,280 @@
+//! The hand that takes the needle from the organ and presents it.
+
+use hal::{Pose, TimeNs};
+use nalgebra::{Translation3, Vector3};
+use trocar_world::rng::Rng;
+
+use super::{GRIP_PATIENCE_S, LOST_STEPS, REOPEN_S, Style, View};
+use crate::script::hand::{ARRIVED_PATIENCE_S, raised, settled};
+use crate::script::motion::{Motion, Placement};
+use crate::script::play::{Activity, ArmView, Hand, Part, Stage};
+use crate::script::wire::wire_hold;
+
+/// What the giver is doing.
+///
+/// | phase    | Arrived  | Gripped | Lost | Taken   | Free     |
+/// |----------|----------|---------|------|---------|----------|
+/// | Approach | Descend  |         |      |         |          |
+/// | Descend  | Close    |         |      |         |          |
+/// | Close    |          | Lift    | Open |         |          |
+/// | Lift     | Carry    |         | Open |         |          |
+/// | Carry    | Present  |         | Open |         |          |
+/// | Present  |          |         | Open | Release |          |
+/// | Release  | Withdraw |         |      |         |          |
+/// | Withdraw | Rest     |         |      |         |          |
+/// | Rest     |          |         |      |         | Approach |
+/// | Open     | Retreat  |         |      |         |          |
+/// | Retreat  | Approach |         |      |         |          |
+///
+/// An empty cell stays in the phase.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Phase {
+    /// On the way to above the needle, opening the jaw.
+    Approach,
+    /// Going down to the needle, jaw open.
+    Descend,
+    /// Closing the jaw and waiting for a grip.
+    Close,
+    /// Lifting the needle off the organ.
+    Lift,
+    /// Carrying it to where it is presented.
+    Carry,
+    /// Holding it there.
+    Present,
+    /// Opening the jaw: the other hand has it.
+    Release,
+    /// Going up and outwards.
+    Withdraw,
+    /// Staying there.
+    Rest,
+    /// Opening the jaw after a missed or lost grip.
+    Open,
+    /// Rising before another attempt.
+    Retreat,
+}
+
+/// What happened in a phase.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Event {
+    /// The motion ended and the arm is where it was to be, or will not get closer.
+    Arrived,
+    /// Both fingers hold the needle.
+    Gripped,
+    /// The fingers closed on nothing, or the needle slipped out.
+    Lost,
+    /// The other hand holds the needle too.
+    Taken,
+    /// Nobody holds the needle, and the other hand waits.
+    Free,
+}
+
+impl Stage for Phase {
+    type Event = Event;
+
+    const FIRST: Self = Self::Approach;
+
+    fn next(self, event: Event) -> Self {
+        match (self, event) {
+            (Self::Approach, Event::Arrived) => Self::Descend,
+            (Self::Descend, Event::Arrived) => Self::Close,
+            (Self::Close, Event::Gripped) => Self::Lift,
+            (Self::Lift, Event::Arrived) => Self::Carry,
+            (Self::Carry, Event::Arrived) => Self::Present,
+            (Self::Present, Event::Taken) => Self::Release,
+            (Self::Release, Event::Arrived) => Self::Withdraw,
+            (Self::Withdraw, Event::Arrived) => Self::Rest,
+            (Self::Close | Self::Lift | Self::Carry | Self::Present, Event::Lost) => Self::Open,
+            (Self::Open, Event::Arrived) => Self::Retreat,
+            (Self::Retreat, Event::Arrived) | (Self::Rest, Event::Free) => Self::Approach,
+            (_, Event::Arrived | Event::Gripped | Event::Lost | Event::Taken | Event::Free) => self,
+        }
+    }
+}
+
+/// The giver.
+#[derive(Clone, Debug)]
+pub(super) struct Giver {
+    hand: Hand<Style, Phase>,
+}
+
+impl Part for Giver {
+    type Habits = Style;
+    type Stage = Phase;
+    type View = View;
+
+    fn hand(&self) -> &Hand<Style, Phase> {
+        &self.hand
+    }
+
+    fn hand_mut(&mut self) -> &mut Hand<Style, Phase> {
+        &mut self.hand
+    }
+
+    fn own(view: &View) -> &ArmView {
+        &view.giver
+    }
+
+    fn carries(&self) -> bool {
+        matches!(self.hand.phase, Phase::Lift | Phase::Carry | Phase::Present)
+    }
+
+    fn activity(&self) -> Activity {
+        match self.hand.phase {
+            Phase::Approach => Activity::Reach,
+            Phase::Descend | Phase::Close => Activity::Grasp,
+            Phase::Lift => Activity::Lift,
+            Phase::Carry => Activity::Carry,
+            Phase::Present
+            | Phase::Release
+            | Phase::Withdraw
+            | Phase::Rest
+            | Phase::Open
+            | Phase::Retreat => Activity::Other,
+        }
+    }
+
+    fn tries_again(&self, next: Phase) -> bool {
+        next == Phase::Open || self.hand.phase == Phase::Rest
+    }
+
+    fn begin(&mut self, now: TimeNs, from: Placement, view: &View) -> Motion {
+        let style = &self.hand.style;
+        let straight = Vector3::zeros();
+        let open = |tip_in_scene| Placement {
+            tip_in_scene,
+            jaw: style.open_rad,
+        };
+        let held = |tip_in_scene| Placement {
+            tip_in_scene,
+            ..from
+        };
+        let jaw = |jaw| Placement { jaw, ..from };
+        let [outwards_m, up_m] = style.away_m;
+        let away = Translation3::new(outwards_m, 0.0, up_m);
+        let (to, bow_m, pace) = match self.hand.phase {
+            Phase::Approach => (open(self.poise_pose(view)), style.bow_m, style.approach),
+            Phase::Descend => (open(self.grasp_pose(view)), straight, style.descend),
+            Phase::Close => (jaw(style.grip_rad), straight, style.close),
+            Phase::Lift => (raised(from, 0.012), straight, style.carry),
+            Phase::Carry => (held(self.presenting(view)), straight, style.carry),
+            Phase::Present | Phase::Rest => return Motion::rest(from, now, 0.0),
+            Phase::Release | Phase::Open => (jaw(style.open_rad), straight, style.close),
+            Phase::Withdraw => (held(away * from.tip_in_scene), straight, style.descend),
+            Phase::Retreat => (raised(from, style.poise_height_m), straight, style.descend),
+        };
+        Motion::new(from, to, bow_m, now, pace)
+    }
+
+    fn moving_goal(&self, view: &View) -> Option<Pose> {
+        match self.hand.phase {
+            Phase::Approach => Some(self.poise_pose(view)),
+            Phase::Descend => Some(self.grasp_pose(view)),
+            Phase::Carry if view.giver.both_touch => Some(self.presenting(view)),
+            Phase::Close
+            | Phase::Lift
+            | Phase::Carry
+            | Phase::Present
+            | Phase::Release
+            | Phase::Withdraw
+            | Phase::Rest
+            | Phase::Open
+            | Phase::Retreat => None,
+        }
+    }
+
+    fn event(&self, now: TimeNs, motion: &Motion, view: &View) -> Option<Event> {
+        let overdue_s = motion.overdue_s(now);
+        let hand = &self.hand;
+        let lost = hand.has_lost(LOST_STEPS);
+        let patient = overdue_s > ARRIVED_PATIENCE_S;
+        match self.hand.phase {
+            Phase::Lift | Phase::Carry | Phase::Present if lost => Some(Event::Lost),
+            Phase::Approach | Phase::Lift | Phase::Withdraw | Phase::Retreat => {
+                (overdue_s >= 0.0).then_some(Event::Arrived)
+            }
+            Phase::Descend | Phase::Carry => {
+                let there = overdue_s >= 0.0 && settled(motion, &view.giver.tip);
+                (there || patient).then_some(Event::Arrived)
+            }
+            Phase::Close if overdue_s < hand.style.settle_s => None,
+            Phase::Close if view.giver.both_touch => Some(Event::Gripped),
+            Phase::Close => (overdue_s > GRIP_PATIENCE_S).then_some(Event::Lost),
+            Phase::Present => view.taken.then_some(Event::Taken),
+            Phase::Rest => (view.idle && !view.taken).then_some(Event::Free),
+            Phase::Release | Phase::Open => (overdue_s >= REOPEN_S).then_some(Event::Arrived),
+        }
+    }
+}
+
+impl Giver {
+    /// A hand whose habits come from `rng`.
+    pub(super) fn new(rng: Rng) -> Self {
+        Self {
+            hand: Hand::new(rng),
+        }
+    }
+
+    /// Whether the needle is held out for the other hand.
+    pub(super) fn presents(&self) -> bool {
+        self.hand.phase == Phase::Present
+    }
+
+    /// Whether this hand has let go and is out of the way.
+    pub(super) fn is_away(&self) -> bool {
+        self.hand.phase == Phase::Rest
+    }
+
+    /// The pose in which closing the jaw grips the wire on the side of the needle's point.
+    fn grasp_pose(&self, view: &View) -> Pose {
+        let style = &self.hand.style;
+        let hold = wire_hold(&view.shape, &view.needle, style.angle_rad, 0.0);
+        view.above_organ(&hold)
+    }
+
+    /// The pose to wait in above the needle.
+    fn poise_pose(&self, view: &View) -> Pose {
+        Translation3::new(0.0, 0.0, self.hand.style.poise_height_m) * self.grasp_pose(view)
+    }
+
+    /// The pose of the tip that brings the needle to where it is presented.
+    fn presenting(&self, view: &View) -> Pose {
+        let wanted = Translation3::from(self.hand.style.presented_m) * view.presented;
+        wanted * view.needle.inv_mul(&view.giver.tip)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::script::play::check_table;
+
+    #[test]
+    fn documented_table_is_what_happens() {
+        use Phase::{
+            Approach, Carry, Close, Descend, Lift, Open, Present, Release, Rest, Retreat, Withdraw,
+        };
+        let table = [
+            (Approach, [Descend, Approach, Approach, Approach, Approach]),
+            (Descend, [Close, Descend, Descend, Descend, Descend]),
+            (Close, [Close, Lift, Open, Close, Close]),
+            (Lift, [Carry, Lift, Open, Lift, Lift]),
+            (Carry, [Present, Carry, Open, Carry, Carry]),
+            (Present, [Present, Present, Open, Release, Present]),
+            (Release, [Withdraw, Release, Release, Release, Release]),
+            (Withdraw, [Rest, Withdraw, Withdraw, Withdraw, Withdraw]),
+            (Rest, [Rest, Rest, Rest, Rest, Approach]),
+            (Open, [Retreat, Open, Open, Open, Open]),
+            (Retreat, [Approach, Retreat, Retreat, Retreat, Retreat]),
+        ];
+        check_table(
+            [
+                Event::Arrived,
+                Event::Gripped,
+                Event::Lost,
+                Event::Taken,
+                Event::Free,
+            ],
+            &table,
+        );
+    }
+}

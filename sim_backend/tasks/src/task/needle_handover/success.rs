@@ -1,0 +1,185 @@
+//! Decides whether the needle has changed hands, and catches what would only look like it.
+
+use hal::Pose;
+use hal::config::{ConfigError, Source};
+use nalgebra::Point3;
+use serde::Deserialize;
+use trocar_world::Grasp;
+use trocar_world::needle::NeedleShape;
+use trocar_world::organ::OrganShape;
+
+use super::NeedleHandover;
+use crate::task::judge::{Limits, PressLimit, PressWatch, Watch, seconds};
+use crate::task::{Monitor, Outcome, Reason, Sight};
+
+/// How long the needle may be between no arm's fingers before it counts as dropped, s: contacts flicker.
+const LOOSE_S: f64 = 0.02;
+
+/// What counts as a handed-over needle, and what ends the episode at once.
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct SuccessConfig {
+    /// Free space between the whole wire and the organ, m, in either arm's hand.
+    pub clearance_m: f64,
+    /// Force that each finger of the holding arm must put on the needle, N.
+    pub grip_force_n_min: f64,
+    /// How long the right arm alone must have held the needle up, s.
+    pub given_s: f64,
+    /// Distance of the right arm's control point from the whole wire at the end, m.
+    pub away_m: f64,
+    /// How long the left arm alone must hold the needle up, s.
+    pub hold_s: f64,
+    /// Depth by which the fingers may sink into the needle, m; deeper is a fault of the simulation.
+    pub penetration_m_max: f64,
+    /// Speed of the middle of the needle's arc above which the needle counts as thrown, m/s.
+    pub needle_speed_m_s_max: f64,
+    /// Force of one finger on the needle above which it counts as crushed, N.
+    pub needle_force_n_max: f64,
+    /// Energy that the needle may gain while no instrument touches it, J: more is a fault of the simulation.
+    pub needle_gain_j_max: f64,
+    /// Depth below the organ's surface at which the middle of the needle's arc counts as fallen off, m.
+    pub sink_m_max: f64,
+    /// How hard the ground may be pressed.
+    pub press: PressLimit,
+}
+
+/// Points on the wire at which its clearance is measured.
+const WIRE_POINTS: usize = 25;
+
+impl SuccessConfig {
+    pub(super) fn check(&self, source: &Source) -> Result<(), ConfigError> {
+        let check = |key: &str, value, low, high| {
+            source.check_range(&format!("success.{key}"), value, low, high)
+        };
+        check("clearance_m", self.clearance_m, 0.0, 0.05)?;
+        check("grip_force_n_min", self.grip_force_n_min, 0.0, 10.0)?;
+        check("given_s", self.given_s, 0.05, 10.0)?;
+        check("away_m", self.away_m, 0.0, 0.1)?;
+        check("hold_s", self.hold_s, 0.05, 10.0)?;
+        check("penetration_m_max", self.penetration_m_max, 0.000_01, 0.01)?;
+        let speed = self.needle_speed_m_s_max;
+        check("needle_speed_m_s_max", speed, 0.05, 10.0)?;
+        check("sink_m_max", self.sink_m_max, 0.001, 0.1)?;
+        check("needle_force_n_max", self.needle_force_n_max, 0.1, 100.0)?;
+        check("needle_gain_j_max", self.needle_gain_j_max, 1e-7, 0.01)?;
+        self.press.check(source)
+    }
+
+    const fn limits(&self) -> Limits {
+        Limits {
+            penetration_m: self.penetration_m_max,
+            sunk_m: None,
+            speed_m_s: self.needle_speed_m_s_max,
+            force_n: self.needle_force_n_max,
+            gain_j: self.needle_gain_j_max,
+        }
+    }
+}
+
+/// Watches the needle.
+pub(super) struct SuccessMonitor {
+    config: SuccessConfig,
+    needle: NeedleShape,
+    organ: OrganShape,
+    wire: Vec<Point3<f64>>,
+    given_steps: u64,
+    given: bool,
+    /// For how long no arm has had it between its fingers.
+    loose_steps: u64,
+    held_steps: u64,
+    press: PressWatch,
+    watch: Watch,
+}
+
+impl SuccessMonitor {
+    /// A monitor at the start of an episode.
+    pub(super) fn new(scene: &NeedleHandover) -> Self {
+        let config = scene.success.clone();
+        Self {
+            needle: scene.needle,
+            organ: scene.organ,
+            wire: scene.needle.centre_line(WIRE_POINTS),
+            given_steps: 0,
+            given: false,
+            loose_steps: 0,
+            held_steps: 0,
+            press: PressWatch::new("organ", config.press),
+            watch: Watch::new("needle", config.limits()),
+            config,
+        }
+    }
+
+    fn end(&mut self, sight: &Sight) -> Option<Outcome> {
+        let middle = sight.thing_in_scene * self.wire[WIRE_POINTS / 2];
+        if let Some(end) = self.watch.end(&middle, sight) {
+            return Some(end);
+        }
+        if let Some(reason) = self.press.failure(sight) {
+            return Some(Outcome::Failure(reason));
+        }
+        let height_m = middle.z - self.organ.height_m(middle.x, middle.y);
+        let fallen = !self.organ.covers(middle.x, middle.y) || height_m < -self.config.sink_m_max;
+        fallen.then_some(Outcome::Failure(Reason::Fallen {
+            thing: "needle",
+            ground: "organ",
+        }))
+    }
+
+    /// Whether `holder` alone holds the needle, clear of the organ.
+    fn is_held(&self, needle_in_scene: &Pose, holder: &Grasp, other: &Grasp) -> bool {
+        let force_n = holder.left_force_n.min(holder.right_force_n);
+        let alone = other.left_force_n <= 0.0 && other.right_force_n <= 0.0;
+        let clearances_m = self.wire.iter().map(|point| {
+            let point = needle_in_scene * point;
+            point.z - self.organ.height_m(point.x, point.y) - self.needle.wire_radius_m
+        });
+        alone
+            && holder.both_touch
+            && force_n >= self.config.grip_force_n_min
+            && clearances_m.fold(f64::INFINITY, f64::min) >= self.config.clearance_m
+    }
+
+    /// Whether the giver's hand is away from the wire.
+    fn is_away(&self, needle_in_scene: &Pose, giver_tip: &Pose) -> bool {
+        let tip = Point3::from(giver_tip.translation.vector);
+        let distances_m = self
+            .wire
+            .iter()
+            .map(|point| (needle_in_scene * point - tip).norm());
+        distances_m.fold(f64::INFINITY, f64::min) >= self.config.away_m
+    }
+}
+
+impl Monitor for SuccessMonitor {
+    fn observe(&mut self, sight: &Sight) -> Outcome {
+        if let Some(end) = self.end(sight) {
+            return end;
+        }
+        let needle = &sight.thing_in_scene;
+        let (giver, taker) = (&sight.grasps[0], &sight.grasps[1]);
+        let giving = self.is_held(needle, giver, taker);
+        self.given_steps = if giving { self.given_steps + 1 } else { 0 };
+        self.given |= seconds(self.given_steps) >= self.config.given_s;
+        // A needle that was let fall has to be lifted and given again.
+        let loose = !giver.both_touch && !taker.both_touch;
+        self.loose_steps = if loose { self.loose_steps + 1 } else { 0 };
+        self.given &= seconds(self.loose_steps) < LOOSE_S;
+        let taken = self.given
+            && self.is_held(needle, taker, giver)
+            && self.is_away(needle, &sight.tips_in_scene[0]);
+        self.held_steps = if taken { self.held_steps + 1 } else { 0 };
+        if seconds(self.held_steps) >= self.config.hold_s {
+            Outcome::Success
+        } else {
+            Outcome::Running
+        }
+    }
+
+    fn missing(&self) -> &'static str {
+        if self.given {
+            "needle not taken away"
+        } else {
+            "needle not lifted"
+        }
+    }
+}

@@ -1,0 +1,177 @@
+//! Needle lift: one arm grasps a suture needle that lies on an organ, lifts it and holds it up.
+
+mod script;
+mod success;
+
+use std::collections::BTreeMap;
+
+use hal::Pose;
+use hal::config::{ConfigError, Source};
+use serde::Deserialize;
+use trocar_render::visual::{Visual, instance};
+use trocar_world::needle::NeedleShape;
+use trocar_world::organ::OrganShape;
+use trocar_world::{ArmStart, Ground, Scenery, Thing, WorldConfig};
+
+use script::Lifter;
+pub use success::SuccessConfig;
+use success::SuccessMonitor;
+
+use super::common::{ArmFile, CommonFile, EpisodeFile, RenderingFile, TitleFile};
+use super::visuals::{MUSCLE, NEEDLE_STEEL};
+use super::{CameraConfig, Kind, Monitor, NeedleStart, Parsed, TaskScene};
+use crate::script::AnyScript;
+use crate::script::alone::Alone;
+
+/// The name by which scene files know this kind of scene.
+pub const NAME: &str = "needle-lift";
+
+/// The needle that demonstrations are recorded with.
+pub const TRAINED: &str = "N1";
+
+pub(super) const KIND: Kind = Kind {
+    name: NAME,
+    arms: 1,
+    parts: &[],
+    parse,
+};
+
+/// The scene of a needle lift.
+#[derive(Clone, Debug)]
+pub struct NeedleLift {
+    /// The needle of this episode: one of `needles`, the trained one unless another was chosen.
+    pub needle: NeedleShape,
+    /// The name of that one.
+    pub needle_name: String,
+    /// All needles by name.
+    pub needles: BTreeMap<String, NeedleShape>,
+    /// Where the needle may lie at the start.
+    pub start: NeedleStart,
+    /// What the needle lies on.
+    pub organ: OrganShape,
+    /// What counts as success.
+    pub success: SuccessConfig,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct File {
+    #[serde(rename = "task")]
+    _task: TitleFile,
+    episode: EpisodeFile,
+    arm: Vec<ArmFile>,
+    needle: BTreeMap<String, NeedleShape>,
+    needle_start: NeedleStart,
+    organ: OrganShape,
+    world: WorldConfig,
+    camera: Vec<CameraConfig>,
+    #[serde(default)]
+    rendering: RenderingFile,
+    success: SuccessConfig,
+}
+
+fn parse(source: &Source) -> Result<Parsed, ConfigError> {
+    let file: File = source.parse()?;
+    for (name, needle) in &file.needle {
+        needle.check(source, &format!("needle.{name}"))?;
+    }
+    let Some(&trained) = file.needle.get(TRAINED) else {
+        return Err(source.out_of_range("needle", "no such needle", TRAINED));
+    };
+    file.needle_start.check(source)?;
+    file.organ.check(source, "organ")?;
+    file.success.check(source)?;
+    let common = CommonFile {
+        arm: file.arm,
+        world: file.world,
+        camera: file.camera,
+        rendering: file.rendering,
+        episode: file.episode,
+    };
+    let scene = NeedleLift {
+        needle: trained,
+        needle_name: TRAINED.to_owned(),
+        needles: file.needle,
+        start: file.needle_start,
+        organ: file.organ,
+        success: file.success,
+    };
+    Ok((common, Box::new(scene)))
+}
+
+impl TaskScene for NeedleLift {
+    fn scenery(&self, seed: u64) -> Scenery {
+        let in_scene = self.start.draw(seed, &self.needle, &self.organ);
+        Scenery {
+            things: vec![Thing::needle(&self.needle, in_scene)],
+            ground: Ground::Organ(self.organ),
+            flap: None,
+        }
+    }
+
+    fn goal(&self, _seed: u64) -> Option<Pose> {
+        None
+    }
+
+    fn monitor(&self, _seed: u64) -> Box<dyn Monitor> {
+        Box::new(SuccessMonitor::new(
+            &self.success,
+            &self.needle,
+            &self.organ,
+        ))
+    }
+
+    fn expert(&self, arms: &[ArmStart], seed: u64) -> Box<dyn AnyScript> {
+        Box::new(Alone::new(Lifter::new(self, seed), arms))
+    }
+
+    fn visuals(&self) -> Vec<Visual> {
+        vec![
+            Visual {
+                name: "organ",
+                mesh: self.organ.mesh(),
+                material: MUSCLE,
+                instance: instance::ORGAN,
+            },
+            Visual {
+                name: "needle",
+                mesh: self.needle.mesh(),
+                material: NEEDLE_STEEL,
+                instance: instance::NEEDLE,
+            },
+        ]
+    }
+
+    fn needle(&self) -> Option<&str> {
+        Some(&self.needle_name)
+    }
+
+    fn needles(&self) -> Vec<String> {
+        self.needles.keys().cloned().collect()
+    }
+
+    fn choose_needle(&mut self, name: &str) -> Result<(), Vec<String>> {
+        let Some(&needle) = self.needles.get(name) else {
+            return Err(self.needles());
+        };
+        self.needle = needle;
+        name.clone_into(&mut self.needle_name);
+        Ok(())
+    }
+
+    fn visual_poses(&self, things: &[Pose], _goal: &Pose) -> Vec<Pose> {
+        vec![Pose::identity(), things[0]]
+    }
+}
+
+#[cfg(test)]
+impl NeedleLift {
+    /// The scene as it ships.
+    pub(crate) fn shipped() -> Self {
+        let task = super::TaskConfig::shipped(NAME);
+        task.scene::<Self>().unwrap().clone()
+    }
+}
+
+#[cfg(test)]
+mod tests;

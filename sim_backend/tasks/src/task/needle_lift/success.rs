@@ -1,0 +1,158 @@
+//! Decides whether the needle has been lifted, and catches what would only look like it.
+
+use hal::Pose;
+use hal::config::{ConfigError, Source};
+use nalgebra::Point3;
+use serde::Deserialize;
+use trocar_world::Grasp;
+use trocar_world::needle::NeedleShape;
+use trocar_world::organ::OrganShape;
+
+use crate::task::judge::{Limits, PressLimit, PressWatch, Watch, seconds};
+use crate::task::{Monitor, Outcome, Reason, Sight};
+
+/// What counts as a lifted needle, and what ends the episode at once.
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct SuccessConfig {
+    /// Height of the middle of the needle's arc above the organ, m.
+    pub lift_height_m: f64,
+    /// How long the needle must be held up without a break, s.
+    pub hold_s: f64,
+    /// Force that each finger must put on the needle, N.
+    pub grip_force_n_min: f64,
+    /// Free space between the whole wire and the organ, m.
+    pub clearance_m: f64,
+    /// Depth by which the fingers may sink into the needle, m; deeper is a fault of the simulation.
+    pub penetration_m_max: f64,
+    /// Speed of the middle of the needle's arc above which the needle counts as thrown, m/s.
+    pub needle_speed_m_s_max: f64,
+    /// Force of one finger on the needle above which it counts as crushed, N.
+    pub needle_force_n_max: f64,
+    /// Energy that the needle may gain while no instrument touches it, J: more is a fault of the simulation.
+    pub needle_gain_j_max: f64,
+    /// Depth below the organ's surface at which the middle of the needle's arc counts as fallen off, m.
+    pub sink_m_max: f64,
+    /// How hard the ground may be pressed.
+    pub press: PressLimit,
+}
+
+impl SuccessConfig {
+    pub(super) fn check(&self, source: &Source) -> Result<(), ConfigError> {
+        let check = |key: &str, value, low, high| {
+            source.check_range(&format!("success.{key}"), value, low, high)
+        };
+        check("lift_height_m", self.lift_height_m, 0.005, 0.1)?;
+        check("hold_s", self.hold_s, 0.05, 10.0)?;
+        check("grip_force_n_min", self.grip_force_n_min, 0.0, 10.0)?;
+        check("clearance_m", self.clearance_m, 0.0, 0.05)?;
+        check("penetration_m_max", self.penetration_m_max, 0.000_01, 0.01)?;
+        check(
+            "needle_speed_m_s_max",
+            self.needle_speed_m_s_max,
+            0.05,
+            10.0,
+        )?;
+        check("sink_m_max", self.sink_m_max, 0.001, 0.1)?;
+        check("needle_force_n_max", self.needle_force_n_max, 0.1, 100.0)?;
+        check("needle_gain_j_max", self.needle_gain_j_max, 1e-7, 0.01)?;
+        self.press.check(source)
+    }
+
+    const fn limits(&self) -> Limits {
+        Limits {
+            penetration_m: self.penetration_m_max,
+            sunk_m: None,
+            speed_m_s: self.needle_speed_m_s_max,
+            force_n: self.needle_force_n_max,
+            gain_j: self.needle_gain_j_max,
+        }
+    }
+}
+
+/// Points on the wire at which its clearance is measured.
+const WIRE_POINTS: usize = 13;
+
+/// Watches the needle.
+#[derive(Clone, Debug)]
+pub(super) struct SuccessMonitor {
+    config: SuccessConfig,
+    middle: Point3<f64>,
+    wire: Vec<Point3<f64>>,
+    wire_radius_m: f64,
+    organ: OrganShape,
+    held_steps: u64,
+    press: PressWatch,
+    watch: Watch,
+}
+
+impl SuccessMonitor {
+    /// A monitor at the start of an episode.
+    pub(super) fn new(config: &SuccessConfig, needle: &NeedleShape, organ: &OrganShape) -> Self {
+        Self {
+            config: config.clone(),
+            middle: Point3::new(needle.arc_radius_m, 0.0, 0.0),
+            wire: needle.centre_line(WIRE_POINTS),
+            wire_radius_m: needle.wire_radius_m,
+            organ: *organ,
+            held_steps: 0,
+            press: PressWatch::new("organ", config.press),
+            watch: Watch::new("needle", config.limits()),
+        }
+    }
+
+    fn held(&self, needle_in_scene: &Pose, middle: &Point3<f64>, grasp: &Grasp) -> bool {
+        let raised =
+            middle.z - self.organ.height_m(middle.x, middle.y) >= self.config.lift_height_m;
+        let force_n = grasp.left_force_n.min(grasp.right_force_n);
+        let gripped = grasp.both_touch && force_n >= self.config.grip_force_n_min;
+        raised && gripped && self.clearance_m(needle_in_scene) >= self.config.clearance_m
+    }
+
+    fn off_organ(&self, middle: &Point3<f64>) -> bool {
+        let height_m = middle.z - self.organ.height_m(middle.x, middle.y);
+        !self.organ.covers(middle.x, middle.y) || height_m < -self.config.sink_m_max
+    }
+
+    /// Free space between the wire and the organ at its lowest point, m.
+    fn clearance_m(&self, needle_in_scene: &Pose) -> f64 {
+        self.wire
+            .iter()
+            .map(|point| needle_in_scene * point)
+            .map(|point| point.z - self.organ.height_m(point.x, point.y) - self.wire_radius_m)
+            .fold(f64::INFINITY, f64::min)
+    }
+}
+
+impl Monitor for SuccessMonitor {
+    fn observe(&mut self, sight: &Sight) -> Outcome {
+        let grasp = &sight.grasps[0];
+        let middle = sight.thing_in_scene * self.middle;
+        if let Some(end) = self.watch.end(&middle, sight) {
+            return end;
+        }
+        if let Some(reason) = self.press.failure(sight) {
+            return Outcome::Failure(reason);
+        }
+        if self.off_organ(&middle) {
+            return Outcome::Failure(Reason::Fallen {
+                thing: "needle",
+                ground: "organ",
+            });
+        }
+        let held = self.held(&sight.thing_in_scene, &middle, grasp);
+        self.held_steps = if held { self.held_steps + 1 } else { 0 };
+        if seconds(self.held_steps) >= self.config.hold_s {
+            Outcome::Success
+        } else {
+            Outcome::Running
+        }
+    }
+
+    fn missing(&self) -> &'static str {
+        "needle not lifted"
+    }
+}
+
+#[cfg(test)]
+mod tests;

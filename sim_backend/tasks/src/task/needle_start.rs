@@ -1,0 +1,140 @@
+//! Where the needle lies when an episode begins.
+
+use core::f64::consts::PI;
+
+use hal::Pose;
+use hal::config::{ConfigError, Source};
+use nalgebra::{Matrix3, Rotation3, Translation3, UnitQuaternion, Vector3};
+use serde::Deserialize;
+use trocar_world::needle::NeedleShape;
+use trocar_world::organ::OrganShape;
+use trocar_world::rng::Rng;
+
+/// The region that the needle is drawn from; the paper's is 2.5 cm by 1 cm either way, at one yaw.
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct NeedleStart {
+    /// Middle of the region in which the middle of the needle's arc lies, scene x and y, m.
+    pub centre_m: [f64; 2],
+    /// Half the size of the region along scene x and y, m.
+    pub range_m: [f64; 2],
+    /// Rotation of the needle about the organ's normal, rad; at 0 its arc bulges towards +x.
+    pub yaw_rad: f64,
+    /// Half the range of a uniform error of the yaw, rad.
+    pub yaw_jitter_rad: f64,
+}
+
+/// How far above the organ the needle is let go, m: it must not start inside.
+const DROP_M: f64 = 0.000_1;
+
+impl NeedleStart {
+    /// The needle's pose at the start of the episode `seed`, just above the organ and flat on it.
+    #[must_use]
+    pub fn draw(&self, seed: u64, needle: &NeedleShape, organ: &OrganShape) -> Pose {
+        let mut rng = Rng::stream(seed, "needle");
+        let middle_x = self.centre_m[0] + rng.range(-self.range_m[0], self.range_m[0]);
+        let middle_y = self.centre_m[1] + rng.range(-self.range_m[1], self.range_m[1]);
+        let yaw = self.yaw_rad + rng.range(-self.yaw_jitter_rad, self.yaw_jitter_rad);
+        let x = middle_x - needle.arc_radius_m * yaw.cos();
+        let y = middle_y - needle.arc_radius_m * yaw.sin();
+        flat_on(organ, needle, x, y, yaw)
+    }
+
+    /// Checks every number.
+    pub(super) fn check(&self, source: &Source) -> Result<(), ConfigError> {
+        for axis in 0..2 {
+            source.check_range(
+                &format!("needle_start.centre_m.{axis}"),
+                self.centre_m[axis],
+                -0.05,
+                0.05,
+            )?;
+            source.check_range(
+                &format!("needle_start.range_m.{axis}"),
+                self.range_m[axis],
+                0.0,
+                0.05,
+            )?;
+        }
+        source.check_range("needle_start.yaw_rad", self.yaw_rad, -PI, PI)?;
+        source.check_range("needle_start.yaw_jitter_rad", self.yaw_jitter_rad, 0.0, PI)
+    }
+}
+
+/// The pose in which a needle centred over `x` and `y` lies along the organ's slope without touching it.
+fn flat_on(organ: &OrganShape, needle: &NeedleShape, x: f64, y: f64, yaw: f64) -> Pose {
+    let normal = organ.normal(x, y).into_inner();
+    let ahead = Vector3::new(yaw.cos(), yaw.sin(), 0.0);
+    let across = normal.cross(&ahead).normalize();
+    let columns = Matrix3::from_columns(&[across.cross(&normal), across, normal]);
+    let rotation = UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(columns));
+    let resting = Pose::from_parts(Translation3::new(x, y, organ.height_m(x, y)), rotation);
+    // Lift until the deepest point of the wire is clear.
+    let lift_m = needle
+        .centre_line(25)
+        .into_iter()
+        .map(|point| resting * point)
+        .map(|point| organ.height_m(point.x, point.y) + needle.wire_radius_m + DROP_M - point.z)
+        .fold(f64::NEG_INFINITY, f64::max);
+    Translation3::new(0.0, 0.0, lift_m) * resting
+}
+
+#[cfg(test)]
+mod tests {
+    use nalgebra::Point3;
+
+    use crate::task::needle_lift::NeedleLift;
+
+    fn middles(task: &NeedleLift, seeds: core::ops::Range<u64>) -> Vec<Point3<f64>> {
+        let middle = Point3::new(task.needle.arc_radius_m, 0.0, 0.0);
+        seeds
+            .map(|seed| task.start.draw(seed, &task.needle, &task.organ) * middle)
+            .collect()
+    }
+
+    #[test]
+    fn start_covers_its_region_and_stays_in_it() {
+        let task = NeedleLift::shipped();
+        let start = &task.start;
+        let middles = middles(&task, 0..2000);
+        for axis in 0..2 {
+            let (centre, range) = (start.centre_m[axis], start.range_m[axis]);
+            let shares: Vec<f64> = middles
+                .iter()
+                .map(|middle| (middle[axis] - centre) / range)
+                .collect();
+            // The slope of the organ moves the middle of a tilted needle by a few tenths of a millimetre.
+            assert!(
+                shares.iter().all(|share| share.abs() < 1.06),
+                "axis {axis} leaves its range"
+            );
+            assert!(
+                shares.iter().any(|share| *share > 0.97)
+                    && shares.iter().any(|share| *share < -0.97)
+            );
+            let mean = shares.iter().sum::<f64>() / 2000.0;
+            assert!(mean.abs() < 0.06, "axis {axis} is off centre by {mean}");
+        }
+    }
+
+    #[test]
+    fn same_seed_gives_the_same_start_bit_for_bit() {
+        let task = NeedleLift::shipped();
+        assert_eq!(middles(&task, 5..9), middles(&task, 5..9));
+        assert_ne!(middles(&task, 5..6), middles(&task, 6..7));
+    }
+
+    #[test]
+    fn wire_starts_clear_of_the_organ_and_close_to_it() {
+        let task = NeedleLift::shipped();
+        for seed in 0..50 {
+            let pose = task.start.draw(seed, &task.needle, &task.organ);
+            let gaps = task.needle.centre_line(41).into_iter().map(|point| {
+                let point = pose * point;
+                point.z - task.organ.height_m(point.x, point.y) - task.needle.wire_radius_m
+            });
+            let lowest = gaps.fold(f64::INFINITY, f64::min);
+            assert!((0.0..0.000_3).contains(&lowest), "seed {seed}: {lowest}");
+        }
+    }
+}

@@ -1,0 +1,186 @@
+//! Tissue retraction: one arm grasps a flap of skin on a liver at a red mark near its free edge, lifts it and holds it up.
+
+mod liver;
+mod script;
+mod success;
+
+use hal::Pose;
+use hal::config::{ConfigError, Source};
+use serde::Deserialize;
+use trocar_render::visual::{Backdrop, Material, Pattern, Visual, instance};
+use trocar_world::tissue::{NODES_MAX, Patch, RetractionConfig, TissueConfig};
+use trocar_world::{ArmStart, Flap, Ground, Scenery, WorldConfig};
+
+pub use liver::LiverShape;
+use script::Retractor;
+use success::SuccessMonitor;
+
+use super::common::{ArmFile, CommonFile, EpisodeFile, RenderingFile, TitleFile};
+use super::visuals::{LIVER, MUSCLE};
+use super::{CameraConfig, Kind, Monitor, Parsed, TaskScene};
+use crate::script::AnyScript;
+use crate::script::alone::Alone;
+
+/// The name by which scene files know this kind of scene.
+pub const NAME: &str = "tissue-retraction";
+
+pub(super) const KIND: Kind = Kind {
+    name: NAME,
+    arms: 1,
+    parts: &[],
+    parse,
+};
+
+/// Skin without blood.
+const SKIN: Material = Material {
+    base_colour: [0.52, 0.25, 0.18],
+    metallic: 0.0,
+    roughness: 0.5,
+    wetness: 0.35,
+    detail: 0.35,
+    pattern: Pattern::Skin,
+};
+/// Ink.
+const RED: Material = Material {
+    base_colour: [0.72, 0.012, 0.012],
+    metallic: 0.0,
+    roughness: 0.6,
+    wetness: 0.0,
+    detail: 0.0,
+    pattern: Pattern::Smooth,
+};
+
+/// The scene of a tissue retraction.
+#[derive(Clone, Debug)]
+pub struct TissueRetraction {
+    /// The flap and its mark.
+    pub tissue: TissueConfig,
+    /// Radius of the mark as it is drawn, m.
+    pub mark_radius_m: f64,
+    /// What the flap lies on.
+    pub liver: LiverShape,
+    /// What counts as success.
+    pub success: RetractionConfig,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct File {
+    #[serde(rename = "task")]
+    _task: TitleFile,
+    episode: EpisodeFile,
+    arm: Vec<ArmFile>,
+    liver: LiverShape,
+    tissue: TissueConfig,
+    look: Look,
+    world: WorldConfig,
+    camera: Vec<CameraConfig>,
+    #[serde(default)]
+    rendering: RenderingFile,
+    success: RetractionConfig,
+}
+
+/// `[look]`.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Look {
+    mark_radius_m: f64,
+}
+
+fn parse(source: &Source) -> Result<Parsed, ConfigError> {
+    let file: File = source.parse()?;
+    file.liver.check(source, "liver")?;
+    file.tissue.check(source, "tissue")?;
+    let [columns, rows] = file.tissue.cells.map(|cells| cells + 1);
+    if columns * rows > NODES_MAX {
+        let found = format!("{columns} x {rows} nodes");
+        let allowed = format!("cells of at most {NODES_MAX} nodes");
+        return Err(source.out_of_range("tissue.cells", &found, &allowed));
+    }
+    source.check_range("look.mark_radius_m", file.look.mark_radius_m, 0.000_2, 0.01)?;
+    file.success.check(source, "success")?;
+    let common = CommonFile {
+        arm: file.arm,
+        world: file.world,
+        camera: file.camera,
+        rendering: file.rendering,
+        episode: file.episode,
+    };
+    let scene = TissueRetraction {
+        tissue: file.tissue,
+        mark_radius_m: file.look.mark_radius_m,
+        liver: file.liver,
+        success: file.success,
+    };
+    Ok((common, Box::new(scene)))
+}
+
+impl TaskScene for TissueRetraction {
+    fn scenery(&self, seed: u64) -> Scenery {
+        Scenery {
+            things: Vec::new(),
+            ground: Ground::Bed(self.liver.ground()),
+            flap: Some(Flap {
+                config: self.tissue.clone(),
+                seed,
+            }),
+        }
+    }
+
+    fn goal(&self, _seed: u64) -> Option<Pose> {
+        None
+    }
+
+    fn monitor(&self, _seed: u64) -> Box<dyn Monitor> {
+        Box::new(SuccessMonitor::new(&self.success))
+    }
+
+    fn expert(&self, arms: &[ArmStart], seed: u64) -> Box<dyn AnyScript> {
+        Box::new(Alone::new(Retractor::new(self, seed), arms))
+    }
+
+    fn visuals(&self) -> Vec<Visual> {
+        let flap = self.tissue.surface();
+        let mark = Patch::new(&flap, [0.0; 2], self.mark_radius_m);
+        let visual = |name, mesh, material, instance| Visual {
+            name,
+            mesh,
+            material,
+            instance,
+        };
+        vec![
+            visual("liver", self.liver.mesh(), LIVER, instance::ORGAN),
+            visual("body", self.liver.floor(), MUSCLE, instance::ORGAN),
+            visual("flap", flap.mesh().clone(), SKIN, instance::TISSUE),
+            visual("mark", mark.mesh().clone(), RED, instance::MARK),
+        ]
+    }
+
+    fn backdrop(&self) -> Backdrop {
+        Backdrop {
+            bounce: [0.20, 0.045, 0.03],
+            ..Backdrop::CAVITY
+        }
+    }
+
+    fn visual_poses(&self, _things: &[Pose], _goal: &Pose) -> Vec<Pose> {
+        // The flap's vertices are in the scene frame.
+        vec![Pose::identity(); 4]
+    }
+
+    fn flap(&self) -> Option<(&TissueConfig, f64)> {
+        Some((&self.tissue, self.mark_radius_m))
+    }
+}
+
+#[cfg(test)]
+impl TissueRetraction {
+    /// The scene as it ships.
+    pub(crate) fn shipped() -> Self {
+        let task = super::TaskConfig::shipped(NAME);
+        task.scene::<Self>().unwrap().clone()
+    }
+}
+
+#[cfg(test)]
+mod tests;

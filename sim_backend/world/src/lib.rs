@@ -1,0 +1,17 @@
+#![doc = include_str!("../README.md")]
+
+pub mod block;
+pub mod needle;
+pub mod organ;
+pub mod plant;
+pub mod rng;
+pub mod tissue;
+mod world;
+
+#[cfg(test)]
+mod shipped;
+
+pub use world::{
+    ArmBodies, ArmStart, FINGER_THICKNESS_M, Flap, Grasp, Ground, Meets, Piece, REST_M_S, Scenery,
+    Shape, Surface, Thing, World, WorldConfig,
+};
