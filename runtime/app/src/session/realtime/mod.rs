@@ -131,13 +131,12 @@ fn run_threads(
         }
         None => (None, None, None),
     };
-    let wanted = |to| Snapshots {
-        to,
+    let snapshots = camera_thread.as_ref().map(|_| Snapshots {
+        to: snapshot_in,
         query_every_steps: child.as_deref().map(PolicyChild::query_every_steps),
         history_steps: child.as_deref().map_or(0, PolicyChild::history_steps),
         frames: options.wants_frames(),
-    };
-    let snapshots = camera_thread.is_some().then(|| wanted(snapshot_in));
+    });
     let (local, remote) = match source {
         Some(source) => (Some((source, chunk_in)), None),
         None => (None, child.map(|child| (child, chunk_in))),
