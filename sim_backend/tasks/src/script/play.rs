@@ -15,16 +15,43 @@ const FOLLOW_STEP_RAD: f64 = 0.04;
 /// without a disturbance it stays far below.
 const OFF_M: f64 = 0.002_5;
 
-/// What a hand does at a time.
+/// What a hand does at a time: a state of its part's state machine.
 pub(crate) trait Stage: Copy + Debug + PartialEq + Send + 'static {
-    /// What may happen meanwhile.
-    type Event: Copy + Debug;
-
     /// What a hand begins with.
     const FIRST: Self;
 
+    /// Every transition: from a stage, upon an event, to another stage. Upon any other event a hand stays in its stage.
+    const TRANSITIONS: &'static [(Self, Event, Self)];
+
     /// What it does after `event`.
-    fn next(self, event: Self::Event) -> Self;
+    fn next(self, event: Event) -> Self {
+        let mut transitions = Self::TRANSITIONS.iter();
+        let found = transitions.find(|(from, upon, _)| (*from, *upon) == (self, event));
+        found.map_or(self, |(_, _, to)| *to)
+    }
+}
+
+/// What happens to a hand in a stage.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Event {
+    /// The motion has ended and the arm is where it was to be, or will not get closer.
+    Arrived,
+    /// The jaw holds the thing where it should.
+    Gripped,
+    /// The jaw holds the needle, whose point is in the hole.
+    Regripped,
+    /// The jaw has closed on nothing or at the wrong place, the thing has slipped out, or is not where it should be.
+    Lost,
+    /// The thing does not move on.
+    Stuck,
+    /// The other hand presents the needle.
+    Offered,
+    /// The other hand holds the needle too.
+    Taken,
+    /// The other hand has let go and is gone.
+    Given,
+    /// Nobody holds the needle, and the other hand waits.
+    Free,
 }
 
 /// What a hand is doing, as far as a disturbance must know.
@@ -132,7 +159,7 @@ pub(crate) trait Part: Clone + Debug + Send + 'static {
         now: TimeNs,
         motion: &Motion,
         view: &Self::View,
-    ) -> Option<<Self::Stage as Stage>::Event>;
+    ) -> Option<Event>;
 
     /// Where the tip should be at `now`; to be asked every step.
     fn play(&mut self, now: TimeNs, view: &Self::View) -> Placement {
@@ -185,12 +212,29 @@ fn is_off(meant: &Placement, tip: &Pose) -> bool {
     gap.norm() > OFF_M
 }
 
-/// Checks that `table` is what happens: a row a phase, in it the phase after each of `events`.
+/// Checks a state machine: no event leads two ways, none stays where it is, and each stage is reached and has a way on, but for
+/// `last`.
 #[cfg(test)]
-pub(crate) fn check_table<S: Stage, const N: usize>(events: [S::Event; N], table: &[(S, [S; N])]) {
-    for &(phase, row) in table {
-        for (event, expected) in events.into_iter().zip(row) {
-            assert_eq!(phase.next(event), expected, "{phase:?} on {event:?}");
+pub(crate) fn check_transitions<S: Stage>(last: Option<S>) {
+    let mut reached = vec![S::FIRST];
+    for (index, &(from, event, to)) in S::TRANSITIONS.iter().enumerate() {
+        assert_ne!(from, to, "{from:?} upon {event:?}");
+        let others = S::TRANSITIONS[index + 1..].iter();
+        let mut others = others.map(|&(from, event, _)| (from, event));
+        assert!(
+            others.all(|other| other != (from, event)),
+            "{from:?} upon {event:?} leads two ways"
+        );
+        assert_eq!(from.next(event), to);
+        if !reached.contains(&to) {
+            reached.push(to);
         }
+    }
+    for &(from, ..) in S::TRANSITIONS {
+        assert!(reached.contains(&from), "{from:?} is never reached");
+    }
+    for stage in reached {
+        let goes_on = S::TRANSITIONS.iter().any(|&(from, ..)| from == stage);
+        assert_eq!(goes_on, Some(stage) != last, "{stage:?}");
     }
 }

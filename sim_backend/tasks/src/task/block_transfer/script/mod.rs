@@ -16,9 +16,9 @@ use super::BlockTransfer;
 use crate::script::alone::View;
 use crate::script::hand::{ARRIVED_PATIENCE_S, raised, settled};
 use crate::script::motion::{Motion, Placement};
-use crate::script::play::{Activity, ArmView, Hand, Part};
+use crate::script::play::{Activity, ArmView, Event, Hand, Part};
 use grip::{Grip, Gripping};
-use phase::{Event, Phase};
+use phase::Phase;
 use style::Style;
 
 /// How far the block may be from its place when a carrying motion ends, m.

@@ -7,26 +7,10 @@ use trocar_world::rng::Rng;
 use super::{GRIP_PATIENCE_S, LOST_STEPS, REOPEN_S, Style, View};
 use crate::script::hand::{ARRIVED_PATIENCE_S, raised, settled};
 use crate::script::motion::{Motion, Placement};
-use crate::script::play::{Activity, ArmView, Hand, Part, Stage};
+use crate::script::play::{Activity, ArmView, Event, Hand, Part, Stage};
 use crate::script::wire::wire_hold;
 
 /// What the giver is doing.
-///
-/// | phase    | Arrived  | Gripped | Lost | Taken   | Free     |
-/// |----------|----------|---------|------|---------|----------|
-/// | Approach | Descend  |         |      |         |          |
-/// | Descend  | Close    |         |      |         |          |
-/// | Close    |          | Lift    | Open |         |          |
-/// | Lift     | Carry    |         | Open |         |          |
-/// | Carry    | Present  |         | Open |         |          |
-/// | Present  |          |         | Open | Release |          |
-/// | Release  | Withdraw |         |      |         |          |
-/// | Withdraw | Rest     |         |      |         |          |
-/// | Rest     |          |         |      |         | Approach |
-/// | Open     | Retreat  |         |      |         |          |
-/// | Retreat  | Approach |         |      |         |          |
-///
-/// An empty cell stays in the phase.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Phase {
     /// On the way to above the needle, opening the jaw.
@@ -53,42 +37,26 @@ pub(crate) enum Phase {
     Retreat,
 }
 
-/// What happened in a phase.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Event {
-    /// The motion ended and the arm is where it was to be, or will not get closer.
-    Arrived,
-    /// Both fingers hold the needle.
-    Gripped,
-    /// The fingers closed on nothing, or the needle slipped out.
-    Lost,
-    /// The other hand holds the needle too.
-    Taken,
-    /// Nobody holds the needle, and the other hand waits.
-    Free,
-}
-
 impl Stage for Phase {
-    type Event = Event;
-
     const FIRST: Self = Self::Approach;
 
-    fn next(self, event: Event) -> Self {
-        match (self, event) {
-            (Self::Approach, Event::Arrived) => Self::Descend,
-            (Self::Descend, Event::Arrived) => Self::Close,
-            (Self::Close, Event::Gripped) => Self::Lift,
-            (Self::Lift, Event::Arrived) => Self::Carry,
-            (Self::Carry, Event::Arrived) => Self::Present,
-            (Self::Present, Event::Taken) => Self::Release,
-            (Self::Release, Event::Arrived) => Self::Withdraw,
-            (Self::Withdraw, Event::Arrived) => Self::Rest,
-            (Self::Close | Self::Lift | Self::Carry | Self::Present, Event::Lost) => Self::Open,
-            (Self::Open, Event::Arrived) => Self::Retreat,
-            (Self::Retreat, Event::Arrived) | (Self::Rest, Event::Free) => Self::Approach,
-            (_, Event::Arrived | Event::Gripped | Event::Lost | Event::Taken | Event::Free) => self,
-        }
-    }
+    const TRANSITIONS: &'static [(Self, Event, Self)] = &[
+        (Self::Approach, Event::Arrived, Self::Descend),
+        (Self::Descend, Event::Arrived, Self::Close),
+        (Self::Close, Event::Gripped, Self::Lift),
+        (Self::Close, Event::Lost, Self::Open),
+        (Self::Lift, Event::Arrived, Self::Carry),
+        (Self::Lift, Event::Lost, Self::Open),
+        (Self::Carry, Event::Arrived, Self::Present),
+        (Self::Carry, Event::Lost, Self::Open),
+        (Self::Present, Event::Lost, Self::Open),
+        (Self::Present, Event::Taken, Self::Release),
+        (Self::Release, Event::Arrived, Self::Withdraw),
+        (Self::Withdraw, Event::Arrived, Self::Rest),
+        (Self::Rest, Event::Free, Self::Approach),
+        (Self::Open, Event::Arrived, Self::Retreat),
+        (Self::Retreat, Event::Arrived, Self::Approach),
+    ];
 }
 
 /// The giver.
@@ -246,35 +214,10 @@ impl Giver {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::script::play::check_table;
+    use crate::script::play::check_transitions;
 
     #[test]
-    fn documented_table_is_what_happens() {
-        use Phase::{
-            Approach, Carry, Close, Descend, Lift, Open, Present, Release, Rest, Retreat, Withdraw,
-        };
-        let table = [
-            (Approach, [Descend, Approach, Approach, Approach, Approach]),
-            (Descend, [Close, Descend, Descend, Descend, Descend]),
-            (Close, [Close, Lift, Open, Close, Close]),
-            (Lift, [Carry, Lift, Open, Lift, Lift]),
-            (Carry, [Present, Carry, Open, Carry, Carry]),
-            (Present, [Present, Present, Open, Release, Present]),
-            (Release, [Withdraw, Release, Release, Release, Release]),
-            (Withdraw, [Rest, Withdraw, Withdraw, Withdraw, Withdraw]),
-            (Rest, [Rest, Rest, Rest, Rest, Approach]),
-            (Open, [Retreat, Open, Open, Open, Open]),
-            (Retreat, [Approach, Retreat, Retreat, Retreat, Retreat]),
-        ];
-        check_table(
-            [
-                Event::Arrived,
-                Event::Gripped,
-                Event::Lost,
-                Event::Taken,
-                Event::Free,
-            ],
-            &table,
-        );
+    fn transitions_are_whole() {
+        check_transitions(None::<Phase>);
     }
 }

@@ -15,9 +15,9 @@ use super::NeedleLift;
 use crate::script::alone::View;
 use crate::script::hand::{ARRIVED_PATIENCE_S, raised, settled};
 use crate::script::motion::{Motion, Placement};
-use crate::script::play::{Activity, ArmView, Hand, Part};
+use crate::script::play::{Activity, ArmView, Event, Hand, Part};
 use crate::script::wire::wire_grasp;
-use phase::{Event, Phase};
+use phase::Phase;
 use style::Style;
 
 /// How long to wait for both fingers after the jaw's motion has ended, s.

@@ -15,8 +15,8 @@ use super::TissueRetraction;
 use crate::script::alone::View;
 use crate::script::hand::{ARRIVED_PATIENCE_S, settled};
 use crate::script::motion::{Motion, Placement};
-use crate::script::play::{Activity, ArmView, Hand, Part};
-use phase::{Event, Phase};
+use crate::script::play::{Activity, ArmView, Event, Hand, Part};
+use phase::Phase;
 use style::Style;
 
 /// How far the mark may be from the middle of the fingers along their hinge for the grasp to be right, m.
@@ -129,7 +129,7 @@ impl Part for Retractor {
             // Tissue held at the wrong place is let go at once.
             Phase::Close if view.arm.both_touch && !is_at_mark(view) => Some(Event::Lost),
             Phase::Close if overdue_s < self.hand.style.settle_s => None,
-            Phase::Close if view.arm.both_touch => Some(Event::Held),
+            Phase::Close if view.arm.both_touch => Some(Event::Gripped),
             Phase::Close => (overdue_s > HOLD_PATIENCE_S).then_some(Event::Lost),
             Phase::Lift | Phase::Hold if self.hand.has_lost(LOST_STEPS) => Some(Event::Lost),
             Phase::Lift => (overdue_s >= 0.0).then_some(Event::Arrived),

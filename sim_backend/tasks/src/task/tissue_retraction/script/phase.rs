@@ -1,20 +1,8 @@
-//! The phases of a tissue retraction and the one function that moves between them.
+//! The phases of a tissue retraction and the transitions between them.
 
-use crate::script::play::Stage;
+use crate::script::play::{Event, Stage};
 
 /// What the script is doing.
-///
-/// | phase    | Arrived  | Held | Lost |
-/// |----------|----------|------|------|
-/// | Approach | Enter    |      |      |
-/// | Enter    | Close    |      |      |
-/// | Close    |          | Lift | Open |
-/// | Lift     | Hold     |      | Open |
-/// | Hold     |          |      | Open |
-/// | Open     | Retreat  |      |      |
-/// | Retreat  | Approach |      |      |
-///
-/// An empty cell stays in the phase.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Phase {
     /// On the way to before the free edge, opening the jaw.
@@ -33,58 +21,29 @@ pub(crate) enum Phase {
     Retreat,
 }
 
-/// What happened in a phase.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Event {
-    /// The motion ended and the arm is where it was to be, or will not get closer.
-    Arrived,
-    /// The jaw holds the flap at the mark.
-    Held,
-    /// The jaw closed on nothing or beside the mark, or the flap slipped out.
-    Lost,
-}
-
 impl Stage for Phase {
-    type Event = Event;
-
     const FIRST: Self = Self::Approach;
 
-    fn next(self, event: Event) -> Self {
-        match (self, event) {
-            (Self::Approach, Event::Arrived) => Self::Enter,
-            (Self::Enter, Event::Arrived) => Self::Close,
-            (Self::Close, Event::Held) => Self::Lift,
-            (Self::Lift, Event::Arrived) => Self::Hold,
-            (Self::Close | Self::Lift | Self::Hold, Event::Lost) => Self::Open,
-            (Self::Open, Event::Arrived) => Self::Retreat,
-            (Self::Retreat, Event::Arrived) => Self::Approach,
-            (Self::Close | Self::Hold, Event::Arrived)
-            | (
-                Self::Approach | Self::Enter | Self::Open | Self::Retreat,
-                Event::Held | Event::Lost,
-            )
-            | (Self::Lift | Self::Hold, Event::Held) => self,
-        }
-    }
+    const TRANSITIONS: &'static [(Self, Event, Self)] = &[
+        (Self::Approach, Event::Arrived, Self::Enter),
+        (Self::Enter, Event::Arrived, Self::Close),
+        (Self::Close, Event::Gripped, Self::Lift),
+        (Self::Close, Event::Lost, Self::Open),
+        (Self::Lift, Event::Arrived, Self::Hold),
+        (Self::Lift, Event::Lost, Self::Open),
+        (Self::Hold, Event::Lost, Self::Open),
+        (Self::Open, Event::Arrived, Self::Retreat),
+        (Self::Retreat, Event::Arrived, Self::Approach),
+    ];
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::script::play::check_table;
+    use crate::script::play::check_transitions;
 
     #[test]
-    fn documented_table_is_what_happens() {
-        use Phase::{Approach, Close, Enter, Hold, Lift, Open, Retreat};
-        let table = [
-            (Approach, [Enter, Approach, Approach]),
-            (Enter, [Close, Enter, Enter]),
-            (Close, [Close, Lift, Open]),
-            (Lift, [Hold, Lift, Open]),
-            (Hold, [Hold, Hold, Open]),
-            (Open, [Retreat, Open, Open]),
-            (Retreat, [Approach, Retreat, Retreat]),
-        ];
-        check_table([Event::Arrived, Event::Held, Event::Lost], &table);
+    fn transitions_are_whole() {
+        check_transitions(None::<Phase>);
     }
 }
