@@ -23,4 +23,4 @@ pub use per_arm::{ARMS_MAX, PerArm};
 pub use policy::{Observation, Policy, PolicyError, SeenArm};
 pub use rig::{Measured, Period, Rig, Setpoint};
 pub use tail::SafeTail;
-pub use time::{TICK_NS, TimeNs};
+pub use time::{TICK_NS, TICK_S, TimeNs};

@@ -7,6 +7,9 @@ use serde::{Deserialize, Serialize};
 /// One control period at 1 kHz, in nanoseconds.
 pub const TICK_NS: u64 = 1_000_000;
 
+/// The same, s.
+pub const TICK_S: f64 = 1e-3;
+
 /// A point in time, in nanoseconds since the run began.
 ///
 /// In lockstep it is the tick counter times [`TICK_NS`]; in a real-time run the driver supplies it. Nothing else reads

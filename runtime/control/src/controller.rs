@@ -1,7 +1,7 @@
 //! The tick: measured arms and newest chunks in, commands out. Hot path: bounded, no allocation, no I/O, no clock, no lock.
 
 use hal::tail::{AxisPoint, AxisTail, SafeTail, TailPhase};
-use hal::{JointVector, Pose, TICK_NS, TimeNs};
+use hal::{JointVector, Pose, TICK_NS, TICK_S, TimeNs};
 
 use super::arm_control::{ArmControl, Plan};
 use super::config::ControlConfig;
@@ -15,9 +15,6 @@ use super::rows::{RowInput, Rows, Velocities};
 use super::smoother::Smoother;
 use super::stop::Remainder;
 use crate::kinematics::forward;
-
-/// One tick, s.
-const TICK_S: f64 = 1e-3;
 
 /// The controller of one arm or of two that share a scene: aggregate, inverse kinematics, filter, smoother, guard.
 ///

@@ -1,5 +1,6 @@
 //! The sections of the configuration files, each checked against its ranges.
 
+use hal::TICK_S;
 use hal::config::{ConfigError, Source, number_text};
 use hal::joints::INSERTION;
 use hal::psm::{FINGER_M, JAW_MAX, JAW_MIN, POSITION_MAX, POSITION_MIN, VELOCITY_MAX};
@@ -10,9 +11,6 @@ use crate::gate::GateLimits;
 use crate::motion::{AXES, AxisLimits, JAW};
 use crate::schema::{AggregationMode, ControlFile, LinearAxis, RotaryAxis};
 use crate::stop::AxisStop;
-
-/// One tick, s.
-const TICK_S: f64 = 1e-3;
 
 /// The longest that an axis may take to come to rest, s: what waits for a stop counts on it.
 const STOP_S_MAX: f64 = 0.4;

@@ -15,11 +15,9 @@ use crate::config::{BetweenArms, ControlConfig};
 use crate::motion::{AXES, Axes, JAW, MotionState};
 use crate::region::{Block, Region, Shape};
 use crate::smoother::Smoother;
-use hal::Pose;
 use hal::random::SplitMix64;
+use hal::{Pose, TICK_S};
 use nalgebra::{Rotation3, Translation3, UnitQuaternion, Vector3};
-
-const TICK_S: f64 = 1e-3;
 
 fn config() -> ControlConfig {
     ControlConfig::load(

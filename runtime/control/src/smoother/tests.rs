@@ -4,9 +4,8 @@ use super::Smoother;
 use crate::config::ControlConfig;
 use crate::motion::{AXES, AxisLimits, MotionState};
 use crate::stop::Stop;
+use hal::TICK_S;
 use hal::random::SplitMix64;
-
-const TICK_S: f64 = 1e-3;
 
 fn at_rest() -> MotionState {
     MotionState {

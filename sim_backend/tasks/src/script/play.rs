@@ -154,12 +154,7 @@ pub(crate) trait Part: Clone + Debug + Send + 'static {
     fn moving_goal(&self, view: &Self::View) -> Option<Pose>;
 
     /// What has happened at this step, if anything.
-    fn event(
-        &self,
-        now: TimeNs,
-        motion: &Motion,
-        view: &Self::View,
-    ) -> Option<Event>;
+    fn event(&self, now: TimeNs, motion: &Motion, view: &Self::View) -> Option<Event>;
 
     /// Where the tip should be at `now`; to be asked every step.
     fn play(&mut self, now: TimeNs, view: &Self::View) -> Placement {

@@ -5,9 +5,8 @@ mod range;
 use super::super::Smoother;
 use crate::config::ControlConfig;
 use crate::motion::{AXES, Axes, AxisLimits, MotionState};
+use hal::TICK_S;
 use hal::random::SplitMix64;
-
-const TICK_S: f64 = 1e-3;
 
 /// Rounding allowed on a velocity, relative to the full limit.
 const VELOCITY_TOLERANCE: f64 = 1e-11;

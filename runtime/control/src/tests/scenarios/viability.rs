@@ -7,9 +7,8 @@ use crate::rows::{RowInput, Rows};
 use crate::smoother::Smoother;
 use crate::stop::AxisStop;
 use crate::tests::adversary::rig::Scene;
+use hal::TICK_S;
 use hal::random::SplitMix64;
-
-const TICK_S: f64 = 1e-3;
 
 /// Worst of many steps.
 #[derive(Clone, Copy, Debug, Default)]
