@@ -154,7 +154,7 @@ fn node(axis: u8) -> NodeId {
     NodeId::new(axis + 1).unwrap()
 }
 
-/// Seven axes of drives that say they are `identity`, on a slow beat: python, and every system call inside user-mode
+/// Seven axes of drives that say they are `identity`, on a slow SYNC: python, and every system call inside user-mode
 /// Linux, take their time. Our own drives interpolate for 20 ms at most.
 fn plan(identity: (u32, u32), cycle_ms: u64) -> ArmPlan {
     ArmPlan {

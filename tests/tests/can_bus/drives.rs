@@ -176,7 +176,7 @@ fn parsed(text: &str) -> Frame {
     Frame::new(id, Payload::new(&bytes).unwrap())
 }
 
-/// The shipped nodes on a beat that a busy machine keeps up with.
+/// The shipped nodes on a SYNC that a busy machine keeps up with.
 fn slow_config(folder: &Path) -> (PathBuf, CanConfig) {
     let file = folder.join("can.toml");
     let text = std::fs::read_to_string(repository().join("config/can.toml")).unwrap();

@@ -15,7 +15,7 @@ const PATIENCE_NS: u64 = 240_000 * MS_NS;
 /// How much slower these processes live, so that a kernel inside a kernel on a busy machine keeps up with their buses.
 const SLOW_MOTION: u64 = 15;
 
-/// The same of processes that only ask and answer, without a beat.
+/// The same of processes that only ask and answer, without a SYNC.
 const SLOW_TALK: u64 = 5;
 
 /// Lets so many milliseconds of the processes' time pass.
@@ -129,7 +129,7 @@ impl Pair {
         Self::slowed(SLOW_MOTION, test, changes, faults)
     }
 
-    /// The shipped drives, for runs that end before there is a beat.
+    /// The shipped drives, for runs that end before there is a SYNC.
     pub(crate) fn talking(test: &str) -> Self {
         Self::slowed(SLOW_TALK, test, &[], &[])
     }

@@ -196,6 +196,6 @@ codes! {
     FOLLOWING_ERROR = 0x8611, "following error";
     /// The homing procedure failed.
     HOMING = 0x8613, "homing error";
-    /// The drive lost the beat of its SYNC.
+    /// The drive misses its SYNC.
     SYNC_CONTROLLER = 0x8700, "SYNC lost";
 }

@@ -1,4 +1,4 @@
-//! Synchronisation: the beat of the process data, with or without a counter.
+//! SYNC, which synchronises process data, with or without a counter.
 //!
 //! CiA 301, section 7.2.5.3, figures 26 and 27; 1019h in table 62.
 

@@ -102,30 +102,30 @@ impl<B: Bus> CanArm<B> {
         self.cycle.is_enabled()
     }
 
-    /// Ends a cycle and begins the next one: judges, stands in for a silent controller, and gives the beat.
+    /// Ends a cycle and begins the next one: judges, stands in for a silent controller, and sends SYNC.
     pub(super) fn turn(&mut self, now: TimeNs) {
         self.receive(now);
         self.cycle.judge(now);
         // Of the periods that have passed, the controller has taken care of one at most.
         let written = u64::from(core::mem::take(&mut self.written));
-        self.play(now, self.cycle.cycles_since_beat(now) - written);
+        self.play(now, self.cycle.cycles_since_sync(now) - written);
         let sent = core::mem::take(&mut self.sent);
         // Without a SYNC no set-point takes effect, not even one that is a quick stop. On a bus that had no room for all, it is
         // the one that must find some.
         for line in 0..self.plan.lines {
-            if !sent && !self.cycle.is_cramped(line) {
+            if !sent && !self.cycle.is_transmit_queue_full(line) {
                 self.send_set_points(line, now);
             }
         }
         self.cycle.begin(now);
         for line in 0..self.plan.lines {
             self.out.clear();
-            self.cycle.beat(&mut self.out);
-            self.cycle.withdraw(line, &mut self.out);
+            self.cycle.emit_sync(&mut self.out);
+            self.cycle.stop_nodes(line, &mut self.out);
             self.transmit(line);
         }
         for line in 0..self.plan.lines {
-            if !sent && self.cycle.is_cramped(line) {
+            if !sent && self.cycle.is_transmit_queue_full(line) {
                 self.send_set_points(line, now);
             }
         }

@@ -2,6 +2,7 @@
 
 use core::fmt;
 
+use super::answers::Answers;
 use super::plan::{ANSWER_BYTES, AxisPlan};
 use crate::cia301::NmtState;
 use crate::cia402::Status;
@@ -61,8 +62,8 @@ pub(super) struct Axis {
     pub(super) newest: Option<Answer>,
     pub(super) health: AxisHealth,
     pub(super) heard: Option<TimeNs>,
-    /// The NMT state that its newest heartbeat told.
-    pub(super) told: Option<NmtState>,
+    /// The NMT state that its newest heartbeat reported.
+    pub(super) nmt_state: Option<NmtState>,
     /// When the drive measured it: the SYNC that it answers.
     pub(super) sampled: TimeNs,
     /// The same of the newest answer that could not have been too old.
@@ -73,10 +74,10 @@ pub(super) struct Axis {
     pub(super) target: i32,
     /// The newest set-point that was handed to the bus, counts.
     pub(super) sent: i32,
-    /// Set-points that found room on the bus since the arm failed.
-    pub(super) stops: u32,
-    /// Commands to its node to stop that found room on the bus.
-    pub(super) withdrawn: u32,
+    /// Set-points that found room in the transmit queue since the fault.
+    pub(super) stops_sent: u32,
+    /// NMT stop commands to its node that found room in the transmit queue.
+    pub(super) nmt_stops_sent: u32,
     /// The set-point that the drive was on its way to when it measured.
     pub(super) followed: i32,
     /// Since when it is switched on and its operation disabled, on the way down.
@@ -84,18 +85,16 @@ pub(super) struct Axis {
     /// Why the newest answer of a period without a usable one was not taken; none if none came.
     pub(super) refused: Option<Rejected>,
     /// Whether a usable answer has come in this period, and how many of any kind.
-    answered: bool,
-    answers: u32,
-    /// Whether the period of the newest SYNC brought a usable answer.
-    kept: bool,
+    usable: bool,
+    count: u32,
+    /// Which SYNC the newest answer belongs to.
+    answers: Answers,
     /// SYNCs whose answers may still come.
-    owed: u32,
-    /// Whether answers and SYNCs may be out of step.
-    doubt: bool,
+    outstanding: u32,
     /// Periods in a row without a usable answer.
     silent: u32,
     /// Weight of the answers that were not in time, less those that were.
-    debt: u32,
+    unsteadiness: u32,
     /// The newest answer of an earlier cycle and when it was measured: what this cycle's answers are held against, so that
     /// many in one cycle lead no further than one.
     before: Option<(Answer, TimeNs)>,
@@ -107,24 +106,23 @@ impl Axis {
             newest: None,
             health: AxisHealth::default(),
             heard: None,
-            told: None,
+            nmt_state: None,
             sampled: TimeNs(0),
             trusted: TimeNs(0),
             velocity: 0.0,
             target: 0,
             sent: 0,
-            stops: 0,
-            withdrawn: 0,
+            stops_sent: 0,
+            nmt_stops_sent: 0,
             followed: 0,
             idle: None,
             refused: None,
-            answered: false,
-            answers: 0,
-            kept: false,
-            owed: 0,
-            doubt: false,
+            usable: false,
+            count: 0,
+            answers: Answers::Late,
+            outstanding: 0,
             silent: 0,
-            debt: 0,
+            unsteadiness: 0,
             before: None,
         }
     }
@@ -137,10 +135,10 @@ impl Axis {
         sync: TimeNs,
         data: &[u8],
     ) -> Result<Answer, Rejected> {
-        if !self.answered {
+        if !self.usable {
             self.before = self.newest.map(|newest| (newest, self.sampled));
         }
-        self.answers = self.answers.saturating_add(1);
+        self.count = self.count.saturating_add(1);
         let gap_ns = self.before.map_or(0, |(_, sampled)| sync.since(sampled));
         let gap_ns = gap_ns.max(cycle_ns);
         let answer = parse(data).and_then(|answer| self.believe(plan, gap_ns, answer));
@@ -153,7 +151,7 @@ impl Axis {
                         self.velocity = real(way) / gap_s;
                     }
                 }
-                self.answered = true;
+                self.usable = true;
                 self.refused = None;
                 self.newest = Some(answer);
                 self.sampled = sync;
@@ -181,77 +179,73 @@ impl Axis {
         }
     }
 
-    /// Ends a period that began with a SYNC. A single answer is to that SYNC, unless one went missing before: then it may as
-    /// well be the missing one, and so may all that follow. Answers that nobody owed weigh like one that is missing: they
-    /// hide which SYNC the others belong to.
+    /// Ends a period that began with a SYNC. More answers than SYNCs were outstanding weigh like one that is missing: they hide
+    /// which SYNC the others belong to.
     pub(super) fn end_cycle(&mut self) {
-        let answers = core::mem::take(&mut self.answers);
-        self.kept = core::mem::take(&mut self.answered);
-        let due = self.owed.saturating_add(1);
-        self.owed = due.saturating_sub(answers);
-        if answers == 0 {
+        let count = core::mem::take(&mut self.count);
+        let usable = core::mem::take(&mut self.usable);
+        let due = self.outstanding.saturating_add(1);
+        self.outstanding = due.saturating_sub(count);
+        self.answers = self.answers.after_cycle(count, usable);
+        if count == 0 {
             self.refused = None;
         }
-        if !self.kept {
+        if !usable {
             self.health.missed += 1;
             self.silent = self.silent.saturating_add(1);
             self.age();
             self.not_in_time();
-            self.doubt = true;
             return;
         }
         self.silent = 0;
-        self.health.age_cycles = self.owed;
-        if answers > 1 {
-            self.health.late += u64::from(answers - 1);
-            self.doubt = true;
-            if answers > due {
+        self.health.age_cycles = self.outstanding;
+        if count > 1 {
+            self.health.late += u64::from(count - 1);
+            if count > due {
                 self.not_in_time();
             }
-        } else if !self.doubt {
+        } else if self.answers == Answers::InStep {
             self.in_time();
         }
     }
 
-    /// Whether an answer has come of which only a pause can tell whether it was to the newest SYNC.
-    pub(super) const fn asks_for_pause(&self) -> bool {
-        self.doubt && self.kept
+    /// Whether only a pause can tell which SYNC the newest answer was to.
+    pub(super) fn asks_for_pause(&self) -> bool {
+        self.answers == Answers::Ambiguous
     }
 
-    /// Ends a period without a SYNC, the last of `pauses` in a row. What came in it was late. If nothing came, and the SYNC's
-    /// own period brought an answer, that was in time and nothing more will come; without one nothing is known. Tells
-    /// whether another pause would tell more.
+    /// Ends a pause, the last of `pauses` in a row. Tells whether another one would tell more.
     pub(super) fn end_pause(&mut self, pauses: u32) -> bool {
-        let late = core::mem::take(&mut self.answers);
-        let usable = core::mem::take(&mut self.answered);
+        let late = core::mem::take(&mut self.count);
+        let usable = core::mem::take(&mut self.usable);
         self.health.late += u64::from(late);
-        let (kept, doubted) = (self.kept, self.doubt);
-        self.owed = if late == 0 && kept {
+        let before = self.answers;
+        let had_answer = before.has_answer();
+        self.outstanding = if late == 0 && had_answer {
             0
         } else {
-            self.owed.saturating_sub(late)
+            self.outstanding.saturating_sub(late)
         };
-        self.doubt = self.owed > 0;
-        self.kept &= late == 0;
-        match (kept, late > 0) {
-            (true, true) => self.not_in_time(),
-            (true, false) => {
-                // Without doubt it was counted at the end of its own period.
-                if doubted {
+        self.answers = before.after_pause(late, self.outstanding);
+        if had_answer {
+            if late > 0 {
+                self.not_in_time();
+            } else {
+                // One that was in step has been counted at the end of its own period.
+                if before == Answers::Ambiguous {
                     self.in_time();
                 }
                 self.health.age_cycles = pauses;
             }
-            (false, _) => {}
         }
         if usable {
             self.silent = 0;
-            self.health.age_cycles = self.owed + pauses;
-        } else if !self.kept {
-            self.silent = self.silent.saturating_add(u32::from(!kept));
+            self.health.age_cycles = self.outstanding + pauses;
+        } else if !self.answers.has_answer() {
+            self.silent = self.silent.saturating_add(u32::from(!had_answer));
             self.age();
         }
-        self.doubt && (kept || late > 0)
+        self.answers.may_be_out_of_step() && (had_answer || late > 0)
     }
 
     fn age(&mut self) {
@@ -259,11 +253,11 @@ impl Axis {
     }
 
     fn in_time(&mut self) {
-        self.debt = self.debt.saturating_sub(1);
+        self.unsteadiness = self.unsteadiness.saturating_sub(1);
     }
 
     fn not_in_time(&mut self) {
-        self.debt = self.debt.saturating_add(MISS_WEIGHT);
+        self.unsteadiness = self.unsteadiness.saturating_add(MISS_WEIGHT);
     }
 
     /// Periods in a row without a usable answer.
@@ -273,8 +267,8 @@ impl Axis {
 
     /// How many cycles in a row without an answer in time would weigh as much as those that there were, less those with one:
     /// it grows while these are fewer than three in four.
-    pub(super) const fn debt_cycles(&self) -> u32 {
-        self.debt / MISS_WEIGHT
+    pub(super) const fn unsteady_cycles(&self) -> u32 {
+        self.unsteadiness / MISS_WEIGHT
     }
 
     /// Where it is at `now` if it has gone on as it did, counts.

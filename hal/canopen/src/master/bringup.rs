@@ -89,7 +89,7 @@ impl<B: Bus> Offline<B> {
         })
     }
 
-    /// Tells `steps` what bring-up is at, from setting up the first node on until all is done but the beat: a slow bus takes its time.
+    /// Tells `steps` what bring-up is at, from setting up the first node on until all is done but the SYNC: a slow bus takes its time.
     #[must_use]
     pub fn telling(mut self, steps: Sender<Step>) -> Self {
         self.bus.steps = Some(steps);
@@ -244,7 +244,7 @@ impl<B: Bus> Homed<B> {
         self.bus.drain()
     }
 
-    /// Asks every drive once more, starts the beat, and enables all drives in the same cycle, each where it is.
+    /// Asks every drive once more, starts the SYNC, and enables all drives in the same cycle, each where it is.
     ///
     /// # Errors
     /// [`BringUpError::Unsound`] or [`BringUpError::Forgotten`] for a drive that is no more as it was set up,

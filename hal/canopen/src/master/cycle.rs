@@ -1,9 +1,9 @@
 //! What happens between two SYNCs. Hot path: bounded, no allocation, no I/O, no lock.
 
-mod beat;
 mod command;
 mod receive;
 mod supervise;
+mod sync;
 
 use super::axis::{Axis, AxisHealth, counts};
 use super::fault::Fault;
@@ -76,7 +76,7 @@ pub struct Cycle {
     applied: [i32; TAIL_AXES],
     fault: Option<(Fault, TimeNs)>,
     /// Whether somebody else leads our drives.
-    intruded: bool,
+    second_master: bool,
     counter: u8,
     /// Stamp of the newest set-points that were taken.
     commanded: Option<TimeNs>,
@@ -89,7 +89,7 @@ pub struct Cycle {
     /// SYNCs left out so far.
     left_out: u64,
     heartbeat: Option<TimeNs>,
-    /// Whether the newest beat goes with a heartbeat.
+    /// Whether the newest SYNC goes with a heartbeat.
     alive: bool,
 }
 
@@ -111,7 +111,7 @@ impl Cycle {
             deviates: [0; TAIL_AXES],
             applied: [0; TAIL_AXES],
             fault: None,
-            intruded: false,
+            second_master: false,
             counter: 0,
             commanded: None,
             sync: None,

@@ -1,4 +1,4 @@
-//! The master of an arm: it finds its drives, leads them to where they may be enabled, and keeps the beat.
+//! The master of an arm: it finds its drives, brings them to where they may be enabled, and sends SYNC.
 //!
 //! [`plan`] says which node drives what, [`config`] reads it from `config/can.toml`. [`bringup`] is the way to an enabled arm,
 //! a type a step; [`cycle`] is what happens between two SYNCs, without clock or socket; [`arm`] makes a
@@ -16,7 +16,7 @@
 //! answer missing, late, short, senseless   per-axis age                    predicted; 3 cycles lost, 20 cycles fault
 //! or impossibly far (none can be longer)
 //! answers missing or late too often        counted against those in time,  more than one in four: fault
-//! or always                                beats that are left out, below
+//! or always                                SYNCs that are left out, below
 //! set-point or SYNC short or long          the drive's emergency           fault with the drive's code
 //! set-point or SYNC missing                the drive's own watches         one is bridged; 10 cycles fault
 //! set-point with another target            following error                 fault; no faster than the drive may be
@@ -30,7 +30,7 @@
 //! or writing over SDO                                                      they hear no set-points; our heartbeat ends
 //! the same during bring-up                 their identifiers               no arm
 //! boot-up or emergency of a drive that is  its frame                       no arm, and the nodes are stopped
-//! set up, before the first beat
+//! set up, before the first SYNC
 //! frames lost since we have spoken, before  receive counter                 no arm, and the nodes are stopped
 //! the nodes start
 //! an error of before, a restart unheard    bring-up asks before the start  no arm, and the nodes are stopped
@@ -63,6 +63,7 @@
 //! set-points (201h and up), so on a bus that a stranger's SYNCs fill with answers a quick stop waits for as long as they do.
 //! What stops the drives then is NMT stop (000h), once the frames before it are out, and at the latest their own watches.
 
+mod answers;
 pub mod arm;
 pub mod axis;
 pub mod bringup;

@@ -123,7 +123,7 @@ impl Drive {
         self.register
     }
 
-    /// Whether it moves by the SYNC's beat.
+    /// Whether its motion is synchronised: cyclic modes.
     pub(super) fn follows_sync(&self) -> bool {
         self.state == PowerState::OperationEnabled && self.mode == Mode::CyclicPosition
     }

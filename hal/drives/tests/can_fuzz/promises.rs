@@ -144,7 +144,7 @@ fn stamp_of(per_mille: f64) -> u64 {
     per_mille.round() as u64
 }
 
-/// The beat before a look at the arm.
+/// The SYNC before a look at the arm.
 pub(crate) struct Beat {
     began: Option<TimeNs>,
     sync: Option<TimeNs>,

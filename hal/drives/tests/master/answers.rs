@@ -104,7 +104,7 @@ fn late_and_doubled_answers_are_counted() {
     assert_eq!(bench.arm.cycle().axis_health()[2].late, 1);
 }
 
-/// Answers of axis 2 that each come so much later, in periods of the beat, from bring-up on or in mid-motion.
+/// Answers of axis 2 that each come so much later, in periods of the SYNC, from bring-up on or in mid-motion.
 fn tardy(periods: f64) -> impl FnMut(&Frame) -> Tampering {
     let late_ns = trocar_canopen::number::nanoseconds(periods * 0.002);
     move |frame| {
@@ -139,7 +139,7 @@ fn answers_that_are_always_late_are_a_fault_and_none_older_than_five_cycles_is_b
 }
 
 #[test]
-fn a_drive_that_answers_late_from_the_first_beat_on_gives_no_arm_that_runs() {
+fn a_drive_that_answers_late_from_the_first_sync_on_gives_no_arm_that_runs() {
     for periods in [1.0, 2.2] {
         let plan = plan(1, 2 * MS);
         let homed = Offline::new(network(&plan), &plan).unwrap().scan().unwrap();
@@ -205,7 +205,7 @@ fn answers_of_one_axis_that_come_twice_hide_no_other_axis_that_is_late_or_missin
 }
 
 #[test]
-fn a_beat_is_left_out_for_no_longer_than_drives_bridge_even_when_the_control_thread_stalls() {
+fn a_sync_is_left_out_for_no_longer_than_drives_bridge_even_when_the_control_thread_stalls() {
     let mut bench = moving();
     let mut dropped = false;
     bench.tamper(move |frame| {
@@ -243,7 +243,7 @@ fn answers_that_are_lost_now_and_then_are_not_taken_for_late_ones() {
         let before = bench.arm.cycle().sync().unwrap();
         bench.net().leave_alone();
         let _ = bench.cycles(100, 0.0008);
-        // In step again, and no beat is left out any more.
+        // In step again, and no SYNC is left out any more.
         let after = bench.arm.cycle().sync().unwrap();
         assert!(after.since(before) >= 99 * bench.cycle_ns);
         assert_eq!(bench.arm.cycle().axis_health()[2].age_cycles, 0);
@@ -270,7 +270,7 @@ fn beats(change: fn(&Frame) -> Tampering) -> u32 {
 }
 
 #[test]
-fn one_beat_is_left_out_for_an_answer_that_was_late_lost_or_doubled() {
+fn one_sync_is_left_out_for_an_answer_that_was_late_lost_or_doubled() {
     assert_eq!(beats(|_| Tampering::Pass), 20);
     assert_eq!(beats(|_| Tampering::Drop), 19);
     assert_eq!(beats(|_| Tampering::Repeat), 19);
@@ -295,7 +295,7 @@ fn answers_that_are_missing_too_often_are_a_fault_although_none_is_missing_for_l
 }
 
 #[test]
-fn drives_that_are_to_stop_get_every_beat() {
+fn drives_that_are_to_stop_get_every_sync() {
     let mut bench = Bench::on(&plan(3, MS));
     bench.net().bus_off(2, true);
     let _ = bench.cycles(2, 0.0);

@@ -188,7 +188,7 @@ fn a_full_bus_has_its_own_sync_first_and_the_set_points_on_the_others_still_come
     assert_eq!(cycles, at_best);
 }
 
-/// Cycles until each drive is no longer enabled, with a stranger who leads the last node with a beat of his own and a queue that
+/// Cycles until each drive is no longer enabled, with a stranger who leads the last node with a SYNC of his own and a queue that
 /// takes `room` frames a cycle, and whom of the nodes we told to stop within 50 cycles.
 fn led_by_another(room: usize) -> ([u32; TAIL_AXES], BTreeSet<u8>) {
     let plan = plan(1, 2 * MS);

@@ -197,7 +197,7 @@ fn when_the_process_dies_every_drive_rests_within_50_ms_of_the_last_sync() {
 }
 
 #[test]
-fn a_beat_may_count_and_may_have_another_identifier() {
+fn a_sync_may_count_and_may_have_another_identifier() {
     for (id, counter) in [(0x80, 10), (0x100, 0), (0x100, 240)] {
         let mut plan = plan(1, 2 * MS);
         plan.sync_id = CanId::new(id).unwrap();
@@ -206,7 +206,7 @@ fn a_beat_may_count_and_may_have_another_identifier() {
         let state = bench.cycles(300, 0.0004).unwrap();
         assert!((state.position[0] - 0.1 - 300.0 * 0.0004).abs() < 0.002);
         assert!(bench.arm.fault().is_none());
-        // A beat that is not this arm's is nobody's business.
+        // A SYNC that is not this arm's is nobody's business.
         let other = if id == 0x80 { 0x100 } else { 0x080 };
         bench.net().intrude(0, frame(other, &[]));
         assert!(bench.cycles(20, 0.0).is_ok());

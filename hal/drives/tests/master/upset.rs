@@ -123,7 +123,7 @@ fn a_node_that_boots_up_by_itself_has_not_answered_to_our_reset() {
 }
 
 #[test]
-fn that_all_is_well_that_there_is_no_beat_yet_and_what_other_drives_tell_does_not_end_it() {
+fn that_all_is_well_that_there_is_no_sync_yet_and_what_other_drives_tell_does_not_end_it() {
     let [_, _, mapped, homed] = course(1, NEVER, |_| {}).sent;
     let told = [
         (0x083, 0x0000_u16),
@@ -154,13 +154,13 @@ fn that_all_is_well_that_there_is_no_beat_yet_and_what_other_drives_tell_does_no
 }
 
 #[test]
-fn that_there_is_no_beat_yet_is_no_fault_between_the_start_of_the_nodes_and_the_beat_and_one_after_it()
+fn that_there_is_no_sync_yet_is_no_fault_between_the_start_of_the_nodes_and_the_sync_and_one_after_it()
  {
     let started = course(1, NEVER, |_| {}).sent[3] + QUESTIONS;
     for code in [0x8130_u16, 0x8250, 0x8700] {
         let [low, high] = code.to_le_bytes();
         let told = frame(0x083, &[low, high, 0x11, 0, 0, 0, 0, 0]);
-        // The first node is told to start, the last one, and one of the first beats.
+        // The first node is told to start, the last one, and one of the first SYNCs.
         for (at, is_fault) in [(0, false), (6, false), (25, true)] {
             let course = course(1, started + at, move |net| assert!(net.intrude(0, told)));
             let name = ErrorCode(code);
@@ -204,11 +204,11 @@ fn a_drive_that_has_an_error_which_it_told_before_it_counted_gets_no_torque() {
     ];
     for (register, text) in errors {
         let course = answering(homed - 1, [0x01, 0x10, 0], [register, 0, 0, 0]);
-        let told = "has an error before the first beat, its 1001h says";
+        let told = "has an error before the first SYNC, its 1001h says";
         assert_eq!(course.end, Err(format!("{WHO}: {told} {text}")));
         assert!(!course.torques && course.stopped);
     }
-    // That it misses the beat.
+    // That it misses the SYNC.
     for register in [0x00, 0x01, 0x11] {
         let course = answering(homed - 1, [0x01, 0x10, 0], [register, 0, 0, 0]);
         assert_eq!(course.end, Ok(()), "{register:x}");
@@ -257,7 +257,7 @@ fn what_happens_while_the_nodes_are_asked_once_more_ends_it_on_whatever_bus() {
     // Node 3 has answered; the last node, on another bus, is asked.
     for (what, told) in [(reboots as What, REBOOTED), (fails, FAILED)] {
         let course = course(3, homed + QUESTIONS - 2, what);
-        let told = format!("{WHO}: {told}, before the first beat");
+        let told = format!("{WHO}: {told}, before the first SYNC");
         assert_eq!(course.end, Err(told));
         assert!(course.sent[3] == homed && !course.torques && course.stopped);
     }
@@ -274,7 +274,7 @@ fn frames_that_are_lost_before_they_are_read_end_it_once_we_have_said_something(
         (identified + 40, 2, "while axis 0 was set up"),
         (mapped + 5, 0, "while axis 0 was homed"),
         (homed - 1, 1, "while axis 6 was homed"),
-        (homed + 3, 0, "before the first beat"),
+        (homed + 3, 0, "before the first SYNC"),
     ];
     for (at, line, step) in cases {
         let course = course(3, at, move |net| net.trouble(line, Trouble::Lost(5)));

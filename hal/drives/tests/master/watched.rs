@@ -268,7 +268,7 @@ fn what_anybody_may_say_and_another_arms_master_does_not_end_it() {
 }
 
 #[test]
-fn what_happens_between_the_start_of_the_nodes_and_the_first_beat_is_a_fault() {
+fn what_happens_between_the_start_of_the_nodes_and_the_first_sync_is_a_fault() {
     type What = fn(&mut Net);
     let cases: [(What, &str); 7] = [
         (

@@ -26,7 +26,7 @@ fn by_the_letter_on(plan: &ArmPlan) -> Bench {
     bench
 }
 
-/// Cycles in which a stranger enables node 3 anew, with a beat of its own, and leads it on from where it is.
+/// Cycles in which a stranger enables node 3 anew, with a SYNC of its own, and leads it on from where it is.
 fn led(bench: &mut Bench, cycles: u32) {
     for _ in 0..cycles {
         let target = bench.motors()[2] * COUNTS + 100.0;
@@ -113,7 +113,7 @@ fn a_node_that_goes_pre_operational_by_itself_is_named_and_told_to_stop_and_the_
         assert_eq!(states(&mut bench)[2], PowerState::OperationEnabled);
         let _ = bench.cycle(0.0008);
     }
-    // A set-point that is sent with this beat, and it.
+    // A set-point that is sent with this SYNC, and it.
     let _ = bench.cycles(2, 0.0008);
     bench.dead_for(4 * MS);
     for (axis, state) in states(&mut bench).into_iter().enumerate() {
@@ -199,7 +199,7 @@ fn the_quick_stop_comes_into_effect_before_the_nodes_are_stopped() {
         noted.borrow_mut().push(what);
         Tampering::Pass
     });
-    // The controller is silent, so set-points leave with the beat.
+    // The controller is silent, so set-points leave with the SYNC.
     let _ = bench.read();
     bench.net().intrude(0, frame(0x77F, &[5]));
     let _ = bench.read();

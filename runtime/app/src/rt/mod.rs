@@ -19,7 +19,7 @@ pub use thread::{
 /// says otherwise, a whole number up to 100 ([`check_slow_motion`]).
 ///
 /// For machines that are too slow for a run in real time, such as a kernel inside a kernel: emulated drives and their
-/// controller, slowed down alike, do the same as ever. A real drive does not slow down; it hears no beat in time and stops.
+/// controller, slowed down alike, do the same as ever. A real drive does not slow down; it hears no SYNC in time and stops.
 #[must_use]
 pub fn slow_motion() -> u64 {
     sys::slow_motion()

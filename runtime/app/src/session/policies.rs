@@ -118,7 +118,7 @@ mod tests {
 
     #[test]
     fn each_committed_policy_is_the_only_one_of_its_task() {
-        let root = Path::new("../config/policies");
+        let root = Path::new("../../config/policies");
         let names: Vec<&str> = tasks::names().collect();
         let committed = super::tasks(root);
         assert!(committed.contains(&"needle-lift".to_owned()));

@@ -63,7 +63,7 @@ mod tests {
                 (name, name)
             );
             assert_eq!(setup.scene_file, None);
-            let path = format!("../config/tasks/{name}/safety.toml");
+            let path = format!("../../config/tasks/{name}/safety.toml");
             assert_eq!(setup.texts.safety, std::fs::read_to_string(path).unwrap());
         }
         let error = files("no-such-task").unwrap_err();
@@ -74,7 +74,7 @@ mod tests {
 
     #[test]
     fn the_folder_of_a_built_in_task_is_that_task() {
-        let folder = "../config/tasks/suture-pad";
+        let folder = "../../config/tasks/suture-pad";
         let setup = Setup::load(folder, None, &PolicyChoice::Expert).unwrap();
         let built_in = Setup::load("suture-pad", None, &PolicyChoice::Expert).unwrap();
         assert_eq!(setup.task_name, "suture-pad");

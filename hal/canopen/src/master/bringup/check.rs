@@ -1,4 +1,4 @@
-//! The last questions to every node before its drive gets a beat: whether anything is wrong with it, and whether it still has
+//! The last questions to every node before its drive gets a SYNC: whether anything is wrong with it, and whether it still has
 //! what it was told.
 //!
 //! What a node says by itself may be lost, or was said before it counted; and it is said once. What it answers can't be missed.
@@ -11,7 +11,7 @@ use crate::cia301::emcy::{ErrorRegister, register};
 use crate::cia402::Mode;
 use crate::index;
 
-/// Bits of 1001h that a sound drive may have: that there is something, and that it concerns the communication. Until the beat
+/// Bits of 1001h that a sound drive may have: that there is something, and that it concerns the communication. Until the SYNC
 /// comes it misses heartbeat, SYNC, and set-points.
 const SOUND: u8 = register::GENERIC | register::COMMUNICATION;
 

@@ -13,7 +13,7 @@ use crate::cia402::Mode;
 use crate::cia402::mode::period_parameter;
 use crate::index;
 
-/// Periods of the beat after which a set-point is overdue.
+/// Periods of the SYNC after which a set-point is overdue.
 const DEADLINE_CYCLES: u64 = 10;
 /// Least deadline, ms: below that the host's own jitter would stop the arm.
 const DEADLINE_MS_MIN: u64 = 10;
@@ -148,7 +148,7 @@ pub(super) fn node<B: Bus>(bus: &mut B, plan: &ArmPlan, axis: usize) -> Result<(
         line: who.line,
         node: who.node,
     };
-    beat(&mut to, plan)?;
+    sync_objects(&mut to, plan)?;
     watches(&mut to, plan)?;
     hold(&mut to, plan, axis)?;
     silence(&mut to)?;
@@ -207,7 +207,7 @@ fn silence<B: Bus>(to: &mut Writer<'_, B>) -> Result<(), BringUpError> {
 }
 
 /// SYNC and interpolation.
-fn beat<B: Bus>(to: &mut Writer<'_, B>, plan: &ArmPlan) -> Result<(), BringUpError> {
+fn sync_objects<B: Bus>(to: &mut Writer<'_, B>, plan: &ArmPlan) -> Result<(), BringUpError> {
     let cycle_ns = plan.cycle_ns;
     let (value, exponent) = period_parameter(cycle_ns).ok_or(BringUpError::Period { cycle_ns })?;
     // Whoever sends the SYNC may not change its identifier meanwhile.

@@ -1,4 +1,4 @@
-//! The last step of bring-up: the beat begins, and all drives are enabled in the same cycle.
+//! The last step of bring-up: the SYNC begins, and all drives are enabled in the same cycle.
 
 use super::super::arm::CanArm;
 use super::super::cycle::{Cycle, Goal};
@@ -12,7 +12,7 @@ const ENABLE_NS: u64 = 3_000_000_000;
 /// How long the last words of bring-up may take on the bus, ns.
 const SETTLE_NS: u64 = 10_000_000;
 
-/// Starts the beats of several arms and enables all their drives, so that no arm waits without a beat for another one.
+/// Starts the SYNCs of several arms and enables all their drives, so that no arm waits without a SYNC for another one.
 ///
 /// # Errors
 /// As [`Homed::enable`], with the place of the arm that failed; no drive of any arm has torque then.
@@ -38,7 +38,7 @@ pub fn enable_together<B: Bus>(
     }
 }
 
-/// Asks the nodes of all arms, and starts them if none has an objection: once started they should not wait for a beat. The place
+/// Asks the nodes of all arms, and starts them if none has an objection: once started they should not wait for a SYNC. The place
 /// of the arm that can't be started, if there is one.
 fn start_all<B: Bus>(homed: &mut [Homed<B>]) -> Option<(usize, BringUpError)> {
     [Homed::check, Homed::start].into_iter().find_map(|step| {
@@ -47,7 +47,7 @@ fn start_all<B: Bus>(homed: &mut [Homed<B>]) -> Option<(usize, BringUpError)> {
     })
 }
 
-/// The arm as its beat begins at `start`. What has come since its nodes were told to start is the cycle's to judge, but for
+/// The arm as its SYNC begins at `start`. What has come since its nodes were told to start is the cycle's to judge, but for
 /// heartbeats from before they did; and that a controller has become error passive before.
 fn begin<B: Bus>(homed: Homed<B>, start: TimeNs) -> CanArm<B> {
     let Homed {

@@ -145,8 +145,8 @@ pub enum BringUpError {
         /// What its object 603Fh says.
         code: ErrorCode,
     },
-    /// A node still has an error before the first beat that is none of the communication.
-    #[error("{who}: has an error before the first beat, its 1001h says {register}")]
+    /// A node still has an error before the first SYNC that is none of the communication.
+    #[error("{who}: has an error before the first SYNC, its 1001h says {register}")]
     Unsound {
         /// The node.
         who: Who,

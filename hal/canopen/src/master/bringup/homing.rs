@@ -1,4 +1,4 @@
-//! Homing of one axis, alone on the beat: control words as set-points with a SYNC, status words from its dictionary.
+//! Homing of one axis: control words as set-points with a SYNC, status words from its dictionary.
 
 use super::super::client::{LOOK_NS, read_number, send, write};
 use super::super::fault::Who;
@@ -99,12 +99,12 @@ fn step<B: Bus>(
     let [c, d, e, f] = target.to_le_bytes();
     let id = Cob::ReceivePdo(PdoNumber::FIRST, node).id();
     let set_point = Frame::new(id, Payload::truncated(&[a, b, c, d, e, f]));
-    let beat = Sync::counted(1).filter(|_| plan.sync_counter != 0);
-    let beat = beat.unwrap_or(Sync::PLAIN).emit(plan.sync_id);
+    let sync = Sync::counted(1).filter(|_| plan.sync_counter != 0);
+    let sync = sync.unwrap_or(Sync::PLAIN).emit(plan.sync_id);
     let end = bus.now().plus_ns(STEP_NS);
     loop {
         send(bus, line, set_point)?;
-        send(bus, line, beat)?;
+        send(bus, line, sync)?;
         bus.wait(bus.now().plus_ns(LOOK_NS));
         let status = read_number(bus, line, node, index::STATUS)?;
         let parsed = u16::try_from(status)

@@ -18,7 +18,7 @@ pub enum Step {
     SettingUp(usize),
     /// The axis gets its reference.
     Homing(usize),
-    /// All is done but the beat.
+    /// All is done but the SYNC.
     Waiting,
 }
 
@@ -30,7 +30,7 @@ impl Step {
             Self::Finding => "looking for its nodes".to_owned(),
             Self::SettingUp(axis) => format!("setting up axis {axis}"),
             Self::Homing(axis) => format!("homing axis {axis}"),
-            Self::Waiting => "waiting for the first beat".to_owned(),
+            Self::Waiting => "waiting for the first SYNC".to_owned(),
         }
     }
 
@@ -101,7 +101,7 @@ impl fmt::Display for Step {
             Self::Finding => f.write_str("while the nodes were looked for"),
             Self::SettingUp(axis) => write!(f, "while axis {axis} was set up"),
             Self::Homing(axis) => write!(f, "while axis {axis} was homed"),
-            Self::Waiting => f.write_str("before the first beat"),
+            Self::Waiting => f.write_str("before the first SYNC"),
         }
     }
 }

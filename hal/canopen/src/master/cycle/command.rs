@@ -35,7 +35,7 @@ impl Cycle {
         order.sort_unstable_by_key(|&n| {
             let urgency = self.urgency(n);
             let follows = urgency == Urgency::Follows;
-            let stops = if follows { self.axes[n].stops } else { 0 };
+            let stops = if follows { self.axes[n].stops_sent } else { 0 };
             (urgency, stops, n)
         });
         for n in order {

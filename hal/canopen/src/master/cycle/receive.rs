@@ -46,7 +46,7 @@ impl Cycle {
 
     fn on_frame(&mut self, line: u8, now: TimeNs, frame: &Frame) {
         if leads(&self.plan, line, frame) {
-            self.intruded = true;
+            self.second_master = true;
             let id = frame.id;
             self.latch(now, Fault::ForeignMaster { line, id });
             return;
@@ -90,7 +90,7 @@ impl Cycle {
         let Ok(Emergency { code, .. }) = Emergency::parse(data) else {
             return;
         };
-        // Before our first beat a drive may miss it, as it may during bring-up.
+        // Before our first SYNC a drive may miss it, as it may during bring-up.
         let missed = self.began.is_none() && is_harmless(code);
         if code != ErrorCode::RESET && !missed {
             let who = self.plan.who(axis);
@@ -103,7 +103,7 @@ impl Cycle {
         let Ok(state) = NmtState::parse(data) else {
             return;
         };
-        self.axes[axis].told = Some(state);
+        self.axes[axis].nmt_state = Some(state);
         match state {
             NmtState::Operational => self.axes[axis].heard = Some(now),
             NmtState::BootUp => self.latch(now, Fault::Rebooted(who)),

@@ -37,7 +37,7 @@ impl Cycle {
             self.judge_presence(n, now);
             self.judge_drive(n, now);
         }
-        // Drives that are to stop get their beat whatever they answer, and so do those that have waited for one long enough,
+        // Drives that are to stop get their SYNC whatever they answer, and so do those that have waited for one long enough,
         // as after a stall.
         let waited_ns = self.sync.map_or(0, |sync| now.since(sync));
         let patient = 2 * waited_ns <= u64::from(2 * PAUSES_MAX + 1) * self.plan.cycle_ns;
@@ -71,7 +71,7 @@ impl Cycle {
             };
             self.latch(now, fault);
         }
-        if self.axes[n].debt_cycles() >= UNSTEADY_AFTER {
+        if self.axes[n].unsteady_cycles() >= UNSTEADY_AFTER {
             self.latch(now, Fault::Unsteady(who));
         }
         let limit_ns = 3 * u64::from(self.plan.heartbeat_ms) * 1_000_000;
@@ -183,7 +183,7 @@ impl Cycle {
 
     /// Whole cycles that have passed since the newest period began, at least one.
     #[must_use]
-    pub fn cycles_since_beat(&self, now: TimeNs) -> u64 {
+    pub fn cycles_since_sync(&self, now: TimeNs) -> u64 {
         let gap_ns = self.began.map_or(0, |began| now.since(began));
         let half_ns = nanoseconds(crate::number::seconds(self.plan.cycle_ns) / 2.0);
         ((gap_ns + half_ns) / self.plan.cycle_ns.max(1)).max(1)

@@ -1,4 +1,4 @@
-//! What a drive follows: its reference, the mode, the beat, and what it does when it is left alone or fails.
+//! What a drive follows: its reference, the mode, the SYNC, and what it does when it is left alone or fails.
 //!
 //! CiA 402-2, clauses 10 (homing) and 12 (cyclic synchronous position); 6007h and 605Eh.
 
@@ -33,7 +33,7 @@ impl Drive {
         }
     }
 
-    /// A beat: the newest target becomes the end of a line.
+    /// A SYNC: the newest target becomes the end of a line.
     pub(in super::super) fn on_sync(&mut self, now: TimeNs, dictionary: &Dictionary) {
         if !self.follows_sync() || self.halted || self.at_rest != AtRest::Stay {
             return;

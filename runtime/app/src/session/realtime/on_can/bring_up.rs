@@ -1,4 +1,4 @@
-//! What comes before the first beat: what is wrong without any bus, the world, and the way of the drives to where they may be
+//! What comes before the first SYNC: what is wrong without any bus, the world, and the way of the drives to where they may be
 //! enabled.
 
 use std::sync::atomic::{AtomicBool, Ordering};

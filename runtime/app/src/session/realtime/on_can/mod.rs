@@ -12,7 +12,7 @@
 //! none: [`run_robot_on_can`] needs limits, drives and, if its policy looks at some, cameras on topics, whoever publishes them.
 //!
 //! What is waited for before the drives get torque is named on the terminal, and not for ever. The bring-up ends in the control
-//! thread, which must not let the beat stop from then on. A fault of any drive or bus stops all drives of its arm and ends the run;
+//! thread, which must not let the SYNC stop from then on. A fault of any drive or bus stops all drives of its arm and ends the run;
 //! nothing enables them again but a new run.
 
 mod awaited;
@@ -397,7 +397,7 @@ impl Enabling<'_> {
         let Some(arms) = PerArm::collect(arms) else {
             return Err(SessionError::BadArgument("there is no arm".to_owned()));
         };
-        // The beat goes on at once.
+        // The SYNC goes on at once.
         let periodic = Periodic::new(clock, clock.now().plus_ns(TICK_NS), TICK_NS);
         let control = ControlThread {
             controller: self.controller,

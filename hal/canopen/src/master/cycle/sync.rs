@@ -1,4 +1,4 @@
-//! The beat: where a period begins, and what of it was handed to the buses. Hot path: bounded, no allocation, no I/O, no lock.
+//! The begin of a period: SYNC, heartbeat, NMT stop, and what of it was handed to the buses. Hot path: bounded, no allocation, no I/O, no lock.
 
 use super::{Axis, Cycle, SILENT_AFTER};
 use crate::cia301::nmt::NmtView;
@@ -49,28 +49,28 @@ impl Cycle {
     /// bus that a stranger's SYNCs have filled with answers those wait, and so does all behind them. First come those that found
     /// room least often: somebody may start a node again that we have stopped, so each is told in every cycle, and in a queue with
     /// little room the last ones would never be.
-    pub fn withdraw(&self, line: u8, out: &mut Outbox) {
+    pub fn stop_nodes(&self, line: u8, out: &mut Outbox) {
         let mut order: [usize; TAIL_AXES] = core::array::from_fn(|n| n);
-        order.sort_unstable_by_key(|&n| (self.axes[n].withdrawn, n));
+        order.sort_unstable_by_key(|&n| (self.axes[n].nmt_stops_sent, n));
         for n in order {
             let plan = &self.plan.axes[n];
-            let deaf = self.fault.is_some() && is_deaf(&self.axes[n], n);
-            if plan.line == line && (self.intruded || deaf) {
+            let unheard = self.fault.is_some() && hears_no_set_points(&self.axes[n], n);
+            if plan.line == line && (self.second_master || unheard) {
                 out.push(NmtCommand::Stop.emit(NmtTarget::Node(plan.node)));
             }
         }
     }
 
-    /// The beat of this period, the same for every bus: SYNC unless it is a pause, and the own heartbeat if it is due. Where
-    /// somebody else leads our drives there is none: they miss it and stop, should they not hear [`Self::withdraw`].
-    pub fn beat(&self, out: &mut Outbox) {
+    /// What begins this period, the same for every bus: SYNC unless it is a pause, and the own heartbeat if it is due. Where
+    /// somebody else leads our drives there is none: they miss it and stop, should they not hear [`Self::stop_nodes`].
+    pub fn emit_sync(&self, out: &mut Outbox) {
         let sync = Sync::counted(self.counter)
             .filter(|_| self.plan.sync_counter != 0)
             .unwrap_or(Sync::PLAIN);
         if self.pauses == 0 {
             out.push(sync.emit(self.plan.sync_id));
         }
-        if self.alive && !self.intruded {
+        if self.alive && !self.second_master {
             out.push(NmtState::Operational.emit(self.plan.master));
         }
     }
@@ -83,7 +83,7 @@ impl Cycle {
 
     /// Whether some frame for `line` found no room in the cycle that was judged last.
     #[must_use]
-    pub fn is_cramped(&self, line: u8) -> bool {
+    pub fn is_transmit_queue_full(&self, line: u8) -> bool {
         let health = self.lines.get(usize::from(line));
         health.is_some_and(|health| health.unsent > 0)
     }
@@ -96,19 +96,19 @@ impl Cycle {
         let failed = self.fault.is_some();
         for frame in frames.iter().take(count) {
             let nmt = NmtView(frame.data()).target();
-            let (node, withdraws) = match (Cob::of(frame.id), nmt) {
+            let (node, stops_node) = match (Cob::of(frame.id), nmt) {
                 (Cob::ReceivePdo(_, node), _) => (node, false),
                 (Cob::Nmt, Ok(NmtTarget::Node(node))) => (node, true),
                 _ => continue,
             };
             if let Some(axis) = self.plan.axis_of(line, node) {
                 let axis = &mut self.axes[axis];
-                if withdraws {
-                    axis.withdrawn = axis.withdrawn.saturating_add(1);
+                if stops_node {
+                    axis.nmt_stops_sent = axis.nmt_stops_sent.saturating_add(1);
                 } else {
                     // Nothing changes it between its set-point and this.
                     axis.sent = axis.target;
-                    axis.stops = axis.stops.saturating_add(u32::from(failed));
+                    axis.stops_sent = axis.stops_sent.saturating_add(u32::from(failed));
                 }
             }
         }
@@ -121,8 +121,8 @@ const STOP_AGAIN: u32 = 8;
 
 /// Whether the node of the axis at `place` is to be told to stop: it hears no set-points, as it says itself, or may not, since
 /// nothing usable has come from it for too long. One that says that it is stopped has heard that already.
-fn is_deaf(axis: &Axis, place: usize) -> bool {
-    match axis.told {
+fn hears_no_set_points(axis: &Axis, place: usize) -> bool {
+    match axis.nmt_state {
         Some(NmtState::PreOperational | NmtState::BootUp) => true,
         Some(NmtState::Stopped) => false,
         Some(NmtState::Operational) | None => {

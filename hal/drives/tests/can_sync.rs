@@ -1,4 +1,4 @@
-//! The beat of a master whose thread was kept from running: one SYNC a cycle, and none for the cycles that were missed.
+//! A master whose thread was kept from running: one SYNC a cycle, and none for the cycles that were missed.
 #![expect(
     clippy::unwrap_used,
     reason = "in a test, a failure to set up is a failure"
@@ -93,7 +93,7 @@ fn tick(arm: &mut CanArm<Noting>, now: &mut TimeNs, ticks: u64) {
 fn after_a_stall_there_is_one_sync_a_cycle_and_none_for_those_that_were_missed() {
     let plan = CanConfig::load(&CanConfig::shipped()).unwrap().arms[0].plan;
     let cycle_ns = plan.cycle_ns;
-    // The odd ones end between two beats.
+    // The odd ones end between two SYNCs.
     for stall_us in [3_000, 8_000, 13_400, 14_999, 17_000, 80_000, 1_000_700] {
         let mut arm = enabled(&plan);
         let mut now = arm.bus_mut().now();
