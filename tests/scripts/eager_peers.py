@@ -4,7 +4,7 @@
     strip -o target/peers target/debug/deps/peers-HASH
     python tests/scripts/eager_peers.py target/peers [--device cuda] [--dp3-source FOLDER] [--half-weights]
 
-A debug build does: the network library and the policy crate, which is optimised in it, do the work. The stripped file can be
+A debug build does: the network library and trocar-nets, which is optimised in it, do the work. The stripped file can be
 carried to a machine with an accelerator.
 
 Peers, each named in the table:

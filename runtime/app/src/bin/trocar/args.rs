@@ -90,7 +90,7 @@ pub(crate) enum Verb {
     Record(RecordArgs),
     /// Make a LeRobot v3 dataset of demonstrations in HDF5, in ACT's or robomimic's layout.
     #[command(
-        after_help = "Example: trocar import act FOLDER --fps 25 --task \"Lift the needle\" --out runs/demos\n         trocar import robomimic FILE.hdf5 --fps 25 --task \"Lift the needle\" --out runs/demos --joints obs/joint_pos --images obs/endoscope_image --action-pose actions\n\nWhat can't be told from the files is refused: deltas as actions, another number of joints, joints outside of the arm's limits (degrees, a normalised gripper), numbers that are not finite, frames that are missing."
+        after_help = "Example: trocar import act FOLDER --fps 25 --task \"Lift the needle\" --out runs/demos\n         trocar import robomimic FILE.hdf5 --fps 25 --task \"Lift the needle\" --out runs/demos --joints obs/joint_pos --images obs/endoscope_image --action-pose actions\n\nAmbiguous input is refused: deltas as actions, another number of joints, joints outside of the arm's limits (degrees, a normalised gripper), non-finite numbers, frames that are missing."
     )]
     Import(ImportArgs),
     /// Train a policy on a dataset.
@@ -98,7 +98,7 @@ pub(crate) enum Verb {
         after_help = "Example: trocar train --policy act --data runs/demos --out runs/act --steps 10000 --device cuda\n         trocar train --policy act --data runs/demos --out runs/act --eval-every 1000 --eval-trials 20 --eval-jobs 4\n         tensorboard --logdir runs\n\nLosses are in loss.csv, loss.svg and TensorBoard's event files, all in OUT. Ctrl-C keeps the state and ends with exit code 1; --resume OUT goes on."
     )]
     Train(TrainArgs),
-    /// Run a study: a grid of recordings, trainings and evaluations, of which what is done is not done again.
+    /// Run a study: a grid of recordings, trainings and evaluations; completed cells are skipped.
     #[command(
         after_help = "Example: trocar study config/studies/sufia-bc.toml --dry-run\n         trocar study config/studies/sufia-bc.toml --out runs/sufia-bc\n         trocar study config/studies/sufia-bc.toml --out /shared/sufia-bc --shard 3/8\n\nIt can be cut off at any time: the same command goes on. What a cell's verb says is in its folder's log.txt. Exit code: 0 if all is done, 1 if a cell failed or it was interrupted, 2 for bad input, such as a result that was changed since it was made."
     )]
@@ -114,7 +114,7 @@ pub(crate) enum Verb {
     /// Check a log's commands against its limits, independently of the controller.
     #[command(after_help = "Example: trocar verify runs/a.mcap")]
     Verify(LogArgs),
-    /// Be seven emulated CiA 402 drives an arm, on CAN interfaces such as vcan, that move the simulated arms of a task.
+    /// Emulate seven CiA 402 drives an arm, on CAN interfaces such as vcan, coupled to the simulated arms of a task.
     #[command(
         after_help = "Example: trocar drives --task needle-lift --seed 7\n         trocar drives --config runs/can.toml --fault kind=pull,node=3,at=2s --json runs/drives.json"
     )]
@@ -130,7 +130,7 @@ pub(crate) enum Verb {
     /// Draw what every camera of every task sees in the middle of an expert's episode, in colour, depth and ids, as one PNG.
     #[command(after_help = "Example: trocar sheet --out runs/tasks.png --seed 7 --width 192")]
     Sheet(SheetArgs),
-    /// Show what a command would be configured by.
+    /// Print the effective configuration of a command.
     #[command(subcommand)]
     Config(ConfigVerb),
     /// Print the completions of a shell for this command line.
@@ -199,7 +199,7 @@ pub(crate) struct ShowArgs {
     /// Nodes and interfaces instead of the built-in ones.
     #[arg(long, value_name = "FILE")]
     pub(crate) can_config: Option<PathBuf>,
-    /// A value in the place of a file's, as the last layer. May be given several times.
+    /// Override one configuration value. May be given several times.
     #[arg(long, value_name = "FILE.KEY=VALUE")]
     pub(crate) set: Vec<Change>,
 }
@@ -295,10 +295,10 @@ pub(crate) struct RunArgs {
     /// The arm.
     #[arg(long, value_enum, default_value = "sim")]
     pub(crate) backend: Backend,
-    /// Run as fast as it goes, on virtual time, bit for bit the same each time.
+    /// Lockstep: virtual time, as fast as it goes, bit-reproducible.
     #[arg(long)]
     pub(crate) lockstep: bool,
-    /// Everything random hangs on this.
+    /// Random seed: the same seed gives the same run.
     #[arg(long, default_value_t = 0)]
     pub(crate) seed: u64,
     /// The scene.
@@ -307,14 +307,14 @@ pub(crate) struct RunArgs {
     /// Controller configuration instead of the built-in config/control.toml.
     #[arg(long, value_name = "FILE")]
     pub(crate) config: Option<PathBuf>,
-    /// A value in the place of a file's, as the last layer: FILE.KEY=VALUE, where FILE is control, safety, scene or can. May be given
-    /// several times.
+    /// Override one configuration value: FILE.KEY=VALUE, where FILE is control, safety, scene or can. May be given several
+    /// times.
     #[arg(long, value_name = "FILE.KEY=VALUE")]
     pub(crate) set: Vec<Change>,
     /// With --backend can: nodes and interfaces instead of the built-in config/can.toml.
     #[arg(long, value_name = "FILE")]
     pub(crate) can_config: Option<PathBuf>,
-    /// With --backend can: the name of the topics on which the world of the drives, or with --safety cameras, show themselves.
+    /// With --backend can: the name of the topics that the emulated scene, or with --safety the cameras, publish on.
     #[arg(long, value_name = "NAME", default_value = DEFAULT_TOPICS)]
     pub(crate) topics: String,
     /// Write the run's log; parent folders are made.
@@ -331,7 +331,7 @@ pub(crate) struct RunArgs {
     /// Delay from observation to chunk in lockstep, ms, up to 10000.
     #[arg(long, value_name = "MS", value_parser = delay())]
     pub(crate) latency_ms: Option<u64>,
-    /// What may come on top of it, evenly from nothing to this, drawn for each chunk by the seed, ms, up to 10000.
+    /// Uniform latency jitter, 0 to this, drawn for each chunk from the seed, ms, up to 10000.
     #[arg(long, value_name = "MS", default_value_t = 0, value_parser = delay())]
     pub(crate) latency_jitter_ms: u64,
     /// Where and how the network computes.
@@ -345,7 +345,7 @@ pub(crate) struct ComputeArgs {
     /// Where the network computes.
     #[arg(long, value_enum, default_value = "cpu")]
     pub(crate) device: ComputeDevice,
-    /// In which numbers the network computes: bf16 is faster and less exact, on CUDA only.
+    /// Numeric precision: bf16 is faster and less exact, on CUDA only.
     #[arg(long, value_enum, default_value = "f32")]
     pub(crate) precision: Precision,
     /// Threads of the network on the CPU, at most one fewer than there are cores: one is the control's. Another number may
@@ -390,8 +390,8 @@ pub(crate) struct EvalArgs {
     /// Controller configuration instead of the built-in config/control.toml.
     #[arg(long, value_name = "FILE")]
     pub(crate) config: Option<PathBuf>,
-    /// A value in the place of a file's, as the last layer: FILE.KEY=VALUE, where FILE is control, safety, scene or can. May be given
-    /// several times.
+    /// Override one configuration value: FILE.KEY=VALUE, where FILE is control, safety, scene or can. May be given several
+    /// times.
     #[arg(long, value_name = "FILE.KEY=VALUE")]
     pub(crate) set: Vec<Change>,
     /// Write the result as JSON, also when the evaluation is interrupted, to standard output if it is `-`; parent folders are made.
@@ -410,7 +410,7 @@ pub(crate) struct EvalArgs {
     /// Delay from observation to chunk, ms, up to 10000.
     #[arg(long, value_name = "MS", value_parser = delay())]
     pub(crate) latency_ms: Option<u64>,
-    /// What may come on top of it, evenly from nothing to this, drawn for each chunk by the seed, ms, up to 10000.
+    /// Uniform latency jitter, 0 to this, drawn for each chunk from the seed, ms, up to 10000.
     #[arg(long, value_name = "MS", default_value_t = 0, value_parser = delay())]
     pub(crate) latency_jitter_ms: u64,
     /// Where and how the network computes.
@@ -418,7 +418,7 @@ pub(crate) struct EvalArgs {
     pub(crate) compute: ComputeArgs,
 }
 
-/// Who demonstrates.
+/// Source of the demonstrations.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub(crate) enum Demonstrator {
     /// The task's scripted expert.
@@ -443,7 +443,7 @@ pub(crate) struct RecordArgs {
     /// How many successful episodes to record.
     #[arg(long, value_parser = count())]
     pub(crate) episodes: usize,
-    /// Who demonstrates.
+    /// Source of the demonstrations.
     #[arg(long, value_enum, default_value = "expert")]
     pub(crate) source: Demonstrator,
     /// The dataset's directory; a new or an empty one.
@@ -462,9 +462,9 @@ pub(crate) struct RecordArgs {
     /// What differs from episode to episode.
     #[command(flatten)]
     pub(crate) vary: VaryArgs,
-    /// Disturb this share of the demonstrations, above 0, up to 1 (0.5 if no number is given): the hand is led off its way, falls
-    /// short, lets go of the thing, or the thing slides away, and the expert recovers. What is recorded as the action is what the
-    /// expert wants, not what was done to it. They may take twice the task's time limit.
+    /// Disturb this share of the demonstrations, above 0, up to 1 (0.5 if no number is given): offset commands, missed
+    /// grasps, slips, or the thing slides away, and the expert recovers. The recorded action is the expert's, not the disturbed
+    /// one. They may take twice the task's time limit.
     #[arg(long, value_name = "SHARE", num_args = 0..=1, default_missing_value = "0.5", value_parser = share_above_0)]
     pub(crate) disturb: Option<f64>,
     /// What the demonstrations do in words, for policies that read it: the dataset's `task`, in the place of the task's name.
@@ -474,7 +474,7 @@ pub(crate) struct RecordArgs {
     /// the wrists), or names with commas between them. A camera that is not named is not drawn.
     #[arg(long, value_name = "single|multi|NAMES", default_value = "endoscope")]
     pub(crate) cameras: String,
-    /// Keep colour as video instead of as PNG: far smaller, but pictures come back close, not the same. Needs
+    /// Keep colour as video instead of as PNG: far smaller, but lossy. Needs
     /// ffmpeg 5.1 or newer, here and where the dataset is read.
     #[arg(long, value_enum, value_name = "CODEC")]
     pub(crate) video: Option<Video>,
@@ -485,8 +485,8 @@ pub(crate) struct RecordArgs {
     /// Controller configuration instead of the built-in config/control.toml.
     #[arg(long, value_name = "FILE")]
     pub(crate) config: Option<PathBuf>,
-    /// A value in the place of a file's, as the last layer: FILE.KEY=VALUE, where FILE is control, safety, scene or can. May be given
-    /// several times.
+    /// Override one configuration value: FILE.KEY=VALUE, where FILE is control, safety, scene or can. May be given several
+    /// times.
     #[arg(long, value_name = "FILE.KEY=VALUE")]
     pub(crate) set: Vec<Change>,
     /// Write what was recorded, attempt by attempt, as JSON, to standard output if it is `-`; parent folders are made.
@@ -505,7 +505,7 @@ pub(crate) enum Network {
     Dp3,
 }
 
-/// Whose learning rates a training has.
+/// Hyperparameters: learning rates and schedules.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub(crate) enum TrainingRecipe {
     /// What learns from scratch.
@@ -536,8 +536,8 @@ pub(crate) struct TrainArgs {
     /// The checkpoint's directory; a new or an empty one.
     #[arg(long, required_unless_present = "resume")]
     pub(crate) out: Option<PathBuf>,
-    /// Go on with the training whose state is in this directory, with the options that it was begun with; --json alone may
-    /// go with it.
+    /// Resume the training whose state is in this directory, with the options that it was begun with; only --json may go
+    /// with it.
     #[arg(
         long,
         value_name = "DIR",
@@ -547,12 +547,12 @@ pub(crate) struct TrainArgs {
         ]
     )]
     pub(crate) resume: Option<PathBuf>,
-    /// Steps between two times that the state is kept, from which --resume goes on; 0 is never. It is kept too when the
-    /// training is interrupted.
+    /// Checkpoint interval, steps: --resume goes on from the newest; 0 is never. An interrupted training keeps one
+    /// too.
     #[arg(long, value_name = "STEPS", default_value_t = 10_000)]
     pub(crate) save_every: u64,
     /// Evaluate the weights every so many steps, and after the last one. Those that do best are kept in OUT/best, a checkpoint of
-    /// its own (of equals the later); OUT itself gets the last ones. OUT/evaluations.csv has all.
+    /// its own (ties: the later ones); OUT itself gets the last ones. OUT/evaluations.csv has all.
     #[arg(long, value_name = "STEPS", value_parser = clap::value_parser!(u64).range(1..))]
     pub(crate) eval_every: Option<u64>,
     /// The task of these evaluations, a built-in one by name, or the path of a folder; the dataset's if not given.
@@ -585,7 +585,7 @@ pub(crate) struct TrainArgs {
     /// Normalisation layers of act's backbone. A policy that LeRobot is to load needs frozen_batch_norm.
     #[arg(long, value_enum, default_value = "group_norm")]
     pub(crate) backbone: Backbone,
-    /// What a backbone with frozen_batch_norm starts from: a safetensors file with torchvision's names of ResNet-18, as
+    /// Pretrained weights for a backbone with frozen_batch_norm: a safetensors file with torchvision's names of ResNet-18, as
     /// policy/convert/resnet18.py makes one, or the folder of an ACT policy in LeRobot's form.
     #[arg(long, value_name = "FILE|DIR")]
     pub(crate) backbone_weights: Option<PathBuf>,
@@ -601,7 +601,7 @@ pub(crate) struct TrainArgs {
     /// Use only the first episodes.
     #[arg(long, value_parser = count())]
     pub(crate) episodes: Option<usize>,
-    /// Share of the episodes, the last ones, that is held out for validation; 0 to 0.9.
+    /// Validation split: the share of the episodes, the last ones, that is held out; 0 to 0.9.
     #[arg(long, default_value_t = 0.0)]
     pub(crate) validation_share: f64,
     /// Compute in 16 bits (bfloat16); for accelerators.
@@ -610,25 +610,25 @@ pub(crate) struct TrainArgs {
     /// Keep decoded images in the host's memory and send each step's ahead of it, when the device has no room for all.
     #[arg(long)]
     pub(crate) images_on_host: bool,
-    /// Tell a CUDA device each operation of every step, instead of recording a step and repeating it: slower.
+    /// Run every step eagerly on CUDA instead of replaying a captured CUDA graph: slower.
     #[arg(long)]
     pub(crate) eager: bool,
     /// Threads that decode images, and compute on the CPU.
     #[arg(long, default_value_t = 2, value_parser = threads())]
     pub(crate) threads: usize,
-    /// Change at random what is trained on: images are shifted (by up to 4 pixels) and brightened, points moved and hidden, states
-    /// disturbed (0.02 of their standard deviation).
+    /// Data augmentation: random shift of images (up to 4 pixels), brightness, jitter and dropout of points, noise on states (0.02 of
+    /// their standard deviation).
     #[arg(long)]
     pub(crate) augment: bool,
-    /// Policy steps from one query to the next, which the checkpoint recommends to `run` and `eval`: 25 of act and half a chunk of
+    /// Query interval in policy steps (LeRobot's n_action_steps), which the checkpoint recommends to `run` and `eval`: 25 of act and half a chunk of
     /// act-pc if not given, of dp3 as many as it predicts.
     #[arg(long, value_name = "STEPS", value_parser = clap::value_parser!(u32).range(1..))]
     pub(crate) query_every: Option<u32>,
-    /// Learning rate at its greatest, in place of the recipe's; a backbone that was trained before keeps its own.
+    /// Peak learning rate, in place of the recipe's; a pretrained backbone keeps its own.
     #[arg(long, value_name = "RATE")]
     pub(crate) lr: Option<f64>,
-    /// Greatest shift of an image, pixels of the network's image, in place of --augment's. A shift hides where in the picture a thing
-    /// is, so that less of it leaves more precise policies where cameras stand still.
+    /// Maximum random shift of an image, pixels of the network's image, in place of --augment's. Less of it leaves more precise
+    /// policies where cameras stand still.
     #[arg(long, value_name = "PIXELS", value_parser = clap::value_parser!(u32).range(0..=64))]
     pub(crate) shift_px: Option<u32>,
     /// Standard deviation of the noise on states, in their own standard deviations, in place of --augment's.
@@ -637,7 +637,7 @@ pub(crate) struct TrainArgs {
     /// What point clouds are made of (box, instances, number of points) instead of the built-in config/clouds.toml.
     #[arg(long, value_name = "FILE")]
     pub(crate) clouds: Option<PathBuf>,
-    /// Everything random hangs on this.
+    /// Random seed: the same seed gives the same run.
     #[arg(long, default_value_t = 0)]
     pub(crate) seed: u64,
     /// Write the result as JSON, to standard output if it is `-`; parent folders are made.
@@ -676,7 +676,7 @@ pub(crate) struct DemoArgs {
     /// The policy; by default the committed one of the task.
     #[arg(long)]
     pub(crate) policy: Option<String>,
-    /// Everything random hangs on this.
+    /// Random seed: the same seed gives the same run.
     #[arg(long, default_value_t = 1_000_000)]
     pub(crate) seed: u64,
 }

@@ -64,7 +64,7 @@ pub(crate) struct ImportArgs {
     /// multiple of their own: train's small preset 256x256, lerobot and paper 512x512.
     #[arg(long, value_name = "WIDTHxHEIGHT", value_parser = size)]
     pub(crate) resize: Option<(u32, u32)>,
-    /// Keep colour as video instead of as PNG: far smaller, but pictures come back close, not the same. Needs
+    /// Keep colour as video instead of as PNG: far smaller, but lossy. Needs
     /// ffmpeg 5.1 or newer, here and where the dataset is read.
     #[arg(long, value_enum, value_name = "CODEC")]
     pub(crate) video: Option<Video>,

@@ -44,7 +44,7 @@ pub(crate) struct SceneArgs {
     pub(crate) view: ViewChoice,
 }
 
-/// What is drawn anew for each episode.
+/// Domain randomisation.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub(crate) enum VaryChoice {
     /// The needle: one of N1 to N5, each as likely. Of needle-lift only.
@@ -67,10 +67,10 @@ impl From<VaryChoice> for Variation {
     }
 }
 
-/// What is drawn anew for each episode, by its seed.
+/// Domain randomisation, drawn for each episode from its seed.
 #[derive(Args, Debug)]
 pub(crate) struct VaryArgs {
-    /// Draw these anew for each episode, by its seed, beyond where things lie; several with commas between them.
+    /// Domain randomisation for each episode, from its seed, beyond where things lie; several with commas between them.
     #[arg(long, value_enum, value_delimiter = ',', value_name = "WHAT,...")]
     pub(crate) vary: Vec<VaryChoice>,
 }

@@ -33,7 +33,7 @@ pub(crate) struct SheetArgs {
     /// The scene.
     #[command(flatten)]
     pub(crate) scene: SceneArgs,
-    /// Everything random hangs on this.
+    /// Random seed: the same seed gives the same run.
     #[arg(long, default_value_t = 0)]
     pub(crate) seed: u64,
     /// Width of one picture, pixels.

@@ -39,8 +39,8 @@ pub(crate) struct StudyArgs {
     /// given.
     #[arg(long, value_name = "LIST")]
     pub(crate) gpus: Option<String>,
-    /// What stands for the program in the addresses of cells. If not given, that is the executable's hash: after any change of
-    /// it everything is made anew. With a label you vouch that all programs of that label give the same.
+    /// A label that stands for the program in the cells' hashes. If not given, the executable's hash does: after any change of
+    /// it everything is made anew. With a label you vouch that all programs of that label give the same results.
     #[arg(long, value_name = "LABEL")]
     pub(crate) code: Option<String>,
 }
