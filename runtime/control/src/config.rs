@@ -108,7 +108,7 @@ impl ControlConfig {
     pub fn default_control() -> Source {
         Source::embedded(
             "config/control.toml",
-            include_str!("../../../config/control.toml"),
+            include_str!("../control.toml"),
         )
     }
 
@@ -117,7 +117,7 @@ impl ControlConfig {
     pub fn needle_lift_safety() -> Source {
         Source::embedded(
             "config/tasks/needle-lift/safety.toml",
-            include_str!("../../../config/tasks/needle-lift/safety.toml"),
+            include_str!("../safety.toml"),
         )
     }
 

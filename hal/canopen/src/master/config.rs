@@ -60,7 +60,7 @@ impl CanConfig {
     /// The file in the repository.
     #[must_use]
     pub fn shipped() -> Source {
-        let text = include_str!("../../../../config/can.toml");
+        let text = include_str!("../../can.toml");
         Source::embedded("config/can.toml", text)
     }
 
