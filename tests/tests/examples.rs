@@ -9,6 +9,13 @@
 mod own_arm;
 #[path = "../../runtime/app/examples/own_policy.rs"]
 mod own_policy;
+#[path = "../../runtime/app/examples/own_robot.rs"]
+mod own_robot;
+
+use tests::{repository, scratch};
+use trocar_log::RunLog;
+use trocar_log::replay::replay;
+use trocar_log::verify::verify;
 
 #[test]
 fn an_own_arm_is_led_to_its_target() {
@@ -24,4 +31,31 @@ fn an_own_policy_is_asked_and_its_chunks_are_taken() {
     assert_eq!((result.ok, summary.success), (false, Some(false)));
     assert!(summary.policy.queries > 50, "{summary:?}");
     assert_eq!(summary.policy.refused, 0, "{summary:?}");
+}
+
+#[test]
+fn an_own_robot_runs_in_real_time_and_its_log_replays_and_verifies() {
+    let log = scratch("own-robot").join("run.mcap");
+    let safety = repository().join("config/tasks/needle-lift/safety.toml");
+    let result = own_robot::run(&safety, log.clone()).unwrap();
+    let summary = result.summary;
+    assert!(result.ok, "{summary:?}");
+    assert_eq!(
+        (summary.reason.as_str(), summary.success),
+        ("the 2 s are over", None)
+    );
+    assert!(summary.policy.queries > 5, "{summary:?}");
+    let log = RunLog::open(&log).unwrap();
+    assert!(replay(&log).unwrap().identical);
+    assert!(verify(&log).unwrap().ok);
+    // The tip has gone 1 cm to the side, give or take the lag.
+    let place = |tick: Option<&trocar_log::LoggedTick>| {
+        let measured = tick.unwrap().arms.first.measured.unwrap();
+        trocar_control::kinematics::forward(&measured.position)
+            .translation
+            .vector
+    };
+    let ticks: Vec<_> = log.ticks().map(|(tick, _)| tick).collect();
+    let way = place(ticks.last().copied()) - place(ticks.first().copied());
+    assert!((way.norm() - 0.01).abs() < 5e-4, "{way}");
 }

@@ -106,10 +106,7 @@ impl ControlConfig {
     /// The defaults of the controller that are built into the program.
     #[must_use]
     pub fn default_control() -> Source {
-        Source::embedded(
-            "config/control.toml",
-            include_str!("../control.toml"),
-        )
+        Source::embedded("config/control.toml", include_str!("../control.toml"))
     }
 
     /// The boundaries of needle lift that are built into the program.

@@ -7,6 +7,7 @@ use trocar_canopen::master::cycle::LINES_MAX;
 use trocar_canopen::master::{CanArm, Fault};
 use trocar_canopen::socket::SocketBus;
 
+use super::all_measured;
 use super::can_clock::CanClock;
 use crate::mailbox::MailboxWriter;
 use crate::rt::{MonotonicClock, Periodic};
@@ -84,12 +85,8 @@ impl CanRig {
             second: second.as_mut().map(|arm| arm.read(now)),
         };
         self.notice(now);
-        let second = match measured.second {
-            None => Some(None),
-            Some(state) => state.ok().map(Some),
-        };
-        if let (Ok(first), Some(second)) = (measured.first, second) {
-            self.measured.put(PerArm { first, second });
+        if let Some(states) = all_measured(&measured) {
+            self.measured.put(states);
         }
         measured
     }

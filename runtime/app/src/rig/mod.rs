@@ -7,7 +7,7 @@ pub(crate) mod can_clock;
 pub(crate) mod lockstep;
 pub(crate) mod threads;
 
-use hal::{Chunk, Measured, PerArm, Period, Setpoint};
+use hal::{ArmState, Chunk, Measured, PerArm, Period, Setpoint};
 use trocar_control::{AnyController, OperatorEvent, TickInput};
 use trocar_log::{TickRecord, TickTiming};
 
@@ -44,4 +44,14 @@ pub(crate) fn control(
         TickRecord::new(now.tick(), inputs, outputs, timing),
         setpoints,
     ))
+}
+
+/// What all arms measured, if none of them failed to.
+pub(crate) fn all_measured(measured: &PerArm<Measured>) -> Option<PerArm<ArmState>> {
+    let second = match measured.second {
+        None => None,
+        Some(state) => Some(state.ok()?),
+    };
+    let first = measured.first.ok()?;
+    Some(PerArm { first, second })
 }

@@ -32,7 +32,7 @@ use tch::Device;
 use trocar_tasks::simulation::{Rendering, Simulation};
 use trocar_tasks::task::Outcome;
 
-pub use on_can::{CanOptions, RobotOptions, Say, run_on_can, run_robot_on_can};
+pub use on_can::{CanOptions, RobotOptions, Say, run_on_can, run_rig, run_robot_on_can};
 pub use policy_process::{PolicyProcessOptions, serve_policy};
 
 use super::run::{RunOptions, RunResult, open_log};

@@ -16,7 +16,7 @@ use crate::session::pictures::Pictures;
 use crate::session::run::{INTERRUPTED, RunResult};
 use crate::session::summary::{RealTimeCounts, TissueSummary};
 use crate::session::tally::RunLabels;
-use trocar_log::RunOutcome;
+use trocar_log::{LogFile, RunOutcome};
 
 /// How a run ended.
 pub(super) struct Ended {
@@ -78,20 +78,24 @@ impl Seen for SceneEnd {
 
 impl Seen for RobotEnd {
     fn ended(&self, watched: &Watched, control: &ControlEnd<CanRig>) -> Ended {
-        let interrupted = watched.ended_by.as_deref() == Some(INTERRUPTED);
-        let fault = fault(control);
-        Ended {
-            success: None,
-            ok: fault.is_none() && (self.as_asked || interrupted),
-            reason: fault
-                .or_else(|| watched.ended_by.clone())
-                .or_else(|| self.ended_by.clone())
-                .unwrap_or_else(|| "the control thread has stopped".to_owned()),
-        }
+        robot_ended(self, watched, fault(control))
     }
 
     fn inference(&self) -> &Histogram {
         &self.inference
+    }
+}
+
+/// Why a robot's run ended: a fault comes before what else ended it.
+pub(super) fn robot_ended(end: &RobotEnd, watched: &Watched, fault: Option<String>) -> Ended {
+    let interrupted = watched.ended_by.as_deref() == Some(INTERRUPTED);
+    Ended {
+        success: None,
+        ok: fault.is_none() && (end.as_asked || interrupted),
+        reason: fault
+            .or_else(|| watched.ended_by.clone())
+            .or_else(|| end.ended_by.clone())
+            .unwrap_or_else(|| "the control thread has stopped".to_owned()),
     }
 }
 
@@ -127,6 +131,25 @@ pub(super) fn conclude<T: Seen>(
         }
     };
     let ended = seen.ended(&watched, &control);
+    control.tally.inferences(&watched.inference);
+    control.tally.inferences(seen.inference());
+    let labels = RunLabels {
+        tissue: seen.tissue(),
+        ..labels
+    };
+    let drives = summary(&control.rig, can);
+    let mut result = closed(&control, &ended, labels, log);
+    result.summary.can = Some(drives);
+    Ok(result)
+}
+
+/// Closes the log of a run that has come to its end, and sums up.
+pub(super) fn closed<R>(
+    control: &ControlEnd<R>,
+    ended: &Ended,
+    labels: RunLabels<'_>,
+    log: Option<LogFile>,
+) -> RunResult {
     let mut log_dropped = control.log_dropped;
     let mut log_failure = None;
     if let Some(log) = log {
@@ -140,12 +163,9 @@ pub(super) fn conclude<T: Seen>(
             Err(error) => log_failure = Some(error),
         }
     }
-    control.tally.inferences(&watched.inference);
-    control.tally.inferences(seen.inference());
     let labels = RunLabels {
         success: ended.success,
         reason: &ended.reason,
-        tissue: seen.tissue(),
         ..labels
     };
     let real_time = RealTimeCounts {
@@ -154,12 +174,10 @@ pub(super) fn conclude<T: Seen>(
         log_dropped,
         slow_motion: rt::slow_motion(),
     };
-    let mut result = control.tally.summary(&labels, Some(real_time));
-    result.can = Some(summary(&control.rig, can));
-    Ok(RunResult {
+    RunResult {
         ok: ended.ok,
-        summary: result,
+        summary: control.tally.summary(&labels, Some(real_time)),
         pictures: Pictures::default(),
         log_failure,
-    })
+    }
 }

@@ -19,6 +19,7 @@ mod awaited;
 mod bring_up;
 mod conclude;
 mod happened;
+mod own_rig;
 mod robot_thread;
 mod scene_thread;
 mod summary;
@@ -60,6 +61,7 @@ use trocar_log::{LogFile, Recorder, SideLog, TickLog};
 
 pub(super) use awaited::PATIENCE_NS;
 pub use awaited::Say;
+pub use own_rig::run_rig;
 
 /// How far a frame may be from the instant of an observation where cameras have clocks of their own, ms: a policy step.
 const FRAMES_WITHIN_MS: u64 = 40;

@@ -1,0 +1,145 @@
+//! A robot of one's own with a policy of one's own, in real time: whatever can be measured and told where to be, once a millisecond.
+//!
+//! ```sh
+//! cargo run --release -p trocar --example own_robot
+//! ```
+//!
+//! This one follows its command with a lag of 5 ms; a real one would talk to its drives in `exchange`. What the policy wants passes the same
+//! filter, smoother and guard as anybody's, under the limits of `config/tasks/needle-lift/safety.toml`, and the run is in a log that
+//! `trocar verify` and `trocar replay` take.
+
+use std::path::{Path, PathBuf};
+
+use hal::tail::TailPlayer;
+use hal::{
+    ArmCommand, ArmState, Chunk, JointVector, Observation, PerArm, Period, Policy, PolicyError,
+    Rig, Setpoint, TICK_NS, TICK_S, TimeNs, TipTarget,
+};
+use nalgebra::Translation3;
+use tch::Device;
+use trocar::rt::{MonotonicClock, Periodic};
+use trocar::session::changes::Changes;
+use trocar::session::realtime::{RobotOptions, run_rig};
+use trocar::session::run::{RunOptions, RunResult};
+use trocar::session::source::{ChunkSource, STEP_NS};
+use trocar::session::{PolicyChoice, Robot, SessionError};
+
+/// How much of the way to its command the arm goes in a period: a lag of 5 ms.
+const SHARE: f64 = 0.2;
+
+/// Until the threads are up, ns.
+const START_NS: u64 = 20_000_000;
+
+/// One arm that lags behind its command.
+struct Lagging {
+    state: ArmState,
+    command: Option<ArmCommand>,
+    player: TailPlayer,
+    periodic: Periodic,
+}
+
+impl Lagging {
+    fn new(clock: MonotonicClock) -> Self {
+        let home = JointVector::from([0.0, 0.0, 0.12, 0.0, 0.0, 0.0]);
+        Self {
+            state: ArmState::at_rest(TimeNs(0), home, 0.2),
+            command: None,
+            player: TailPlayer::new(TICK_NS),
+            periodic: Periodic::new(clock, clock.now().plus_ns(START_NS), TICK_NS),
+        }
+    }
+
+    /// A period of the arm: the command of this period, or what is left of the last one's tail.
+    fn step(&mut self) {
+        self.command = self.player.next_period().or(self.command);
+        if let Some(command) = &self.command {
+            let moved = (command.position - self.state.position) * SHARE;
+            self.state.position += moved;
+            self.state.velocity = moved / TICK_S;
+            self.state.jaw_position += (command.jaw_position - self.state.jaw_position) * SHARE;
+        }
+    }
+}
+
+impl Rig for Lagging {
+    fn exchange(&mut self, setpoints: Option<&PerArm<Setpoint>>) -> Period {
+        if let Some(setpoints) = setpoints {
+            let (command, tail) = &setpoints.first;
+            self.player.write(command, tail);
+            self.command = Some(*command);
+        }
+        let wake = self.periodic.wait();
+        for _ in 0..=wake.skipped {
+            self.step();
+        }
+        self.state.stamp = wake.due;
+        wake.period(Some(PerArm::one(Ok(self.state))))
+    }
+}
+
+/// Moves the tip 1 cm to the side of where it saw it first.
+#[derive(Default)]
+struct Aside {
+    wanted: Option<TipTarget>,
+    chunks: u64,
+}
+
+impl Policy for Aside {
+    fn reset(&mut self, _seed: u64) {
+        *self = Self::default();
+    }
+
+    fn infer(&mut self, observation: &Observation<'_>) -> Result<Vec<Chunk>, PolicyError> {
+        self.chunks += 1;
+        let chunks = observation.arms.iter().map(|arm| {
+            let wanted = self.wanted.get_or_insert_with(|| {
+                let aside = Translation3::new(0.01, 0.0, 0.0) * arm.tip_in_rcm;
+                TipTarget::new(&aside, arm.state.jaw_position)
+            });
+            Chunk::new(arm.state.stamp, self.chunks, STEP_NS, &[*wanted; 20])
+        });
+        Ok(chunks.collect())
+    }
+}
+
+/// Runs it for 2 s, with a log at `log`; `safety` are the robot's limits.
+///
+/// # Errors
+/// From the configuration or the log.
+pub fn run(safety: &Path, log: PathBuf) -> Result<RunResult, SessionError> {
+    let policy = PolicyChoice::Own("aside".to_owned());
+    let robot = Robot::load(safety, None, &policy, &Changes::default())?;
+    let options = RunOptions {
+        policy,
+        seed: 0,
+        log: Some(log),
+        pictures: false,
+        latency_ms: None,
+        latency_jitter_ms: 0,
+        compute: Device::Cpu.into(),
+    };
+    let asked = RobotOptions {
+        seconds: Some(2.0),
+        cameras: Vec::new(),
+    };
+    let source = ChunkSource::policy(Box::<Aside>::default(), Vec::new(), 5);
+    let clock = MonotonicClock::new();
+    run_rig(
+        &robot,
+        (Lagging::new(clock), clock),
+        source,
+        &options,
+        &asked,
+    )
+}
+
+#[expect(clippy::print_stdout, reason = "an example tells what it does")]
+fn main() -> Result<(), SessionError> {
+    let safety = Path::new("config/tasks/needle-lift/safety.toml");
+    let summary = run(safety, "runs/own_robot.mcap".into())?.summary;
+    println!(
+        "{}: {} after {:.2} s, {} chunks, log in runs/own_robot.mcap",
+        summary.policy.name, summary.reason, summary.seconds, summary.policy.queries
+    );
+    Ok(())
+}
