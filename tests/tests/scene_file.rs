@@ -74,6 +74,32 @@ fn a_run_in_a_changed_scene_keeps_its_text_and_can_be_replayed_and_verified() {
 }
 
 #[test]
+fn a_set_value_is_for_the_scene_that_is_in_effect_and_for_no_other() {
+    let folder = scratch("own-scene-set");
+    let renamed = ("[needle.N5]", "[needle.mine]");
+    let scene = changed("needle-lift", &folder, &[SHORT, PLAIN, renamed]);
+    let log = folder.join("run.mcap");
+    let paths = [&scene, &log].map(|path| path.display().to_string());
+    let task = ["run", "--task", "needle-lift", "--policy", "noop"];
+    let with_scene = ["--lockstep", "--scene", &paths[0], "--set"];
+    let run = [&task[..], &with_scene[..]].concat();
+    let mine = ["scene.needle.mine.mass_kg=0.001", "--log", &paths[1]];
+    ends_with(1, &[&run[..], &mine[..]].concat());
+    let header = RunLog::open(&log).unwrap().header;
+    let text = fs::read_to_string(&scene).unwrap();
+    let (before, own) = text.split_once("[needle.mine]").unwrap();
+    let own = own.replacen("mass_kg = 0.0015", "mass_kg = 0.001", 1);
+    let expected = format!("{before}[needle.mine]{own}");
+    assert_eq!(header.texts.get("scene.toml"), Some(&expected));
+    // What only the task's own scene has is none of its keys.
+    let message = ends_with(2, &[&run[..], &["scene.needle.N5.mass_kg=0.001"]].concat());
+    assert!(
+        message.contains("mine.toml") && message.contains("has no key needle.N5"),
+        "{message}"
+    );
+}
+
+#[test]
 fn a_sheet_of_a_plain_scene_is_another_picture_and_needs_one_task() {
     let folder = scratch("plain-sheet");
     let scene = changed("needle-lift", &folder, &[PLAIN]);

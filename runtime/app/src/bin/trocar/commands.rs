@@ -138,8 +138,9 @@ fn run_task(
     if can.is_none() {
         changes.only(&TASK_FILES)?;
     }
-    let mut setup = Setup::load_with(task, args.config.as_deref(), &options.policy, changes)?
-        .with_scene(&args.scene.options(args.cameras.as_deref()))?;
+    let scene = args.scene.options(args.cameras.as_deref());
+    let config = args.config.as_deref();
+    let mut setup = Setup::load_with(task, config, &options.policy, &scene, changes)?;
     warn_of_transfer(&setup);
     match can {
         Some((can, text)) => {
@@ -271,8 +272,8 @@ pub(crate) fn record(args: &RecordArgs) -> Done {
     outputs::check(&[("--json", args.json.as_deref())], &read)?;
     let changes = task_changes(&args.set)?;
     let expert = PolicyChoice::Expert;
-    let setup = Setup::load_with(&args.task, args.config.as_deref(), &expert, changes)?
-        .with_scene(&args.vary.add_to(args.scene.options(Some(&args.cameras))))?;
+    let scene = args.vary.add_to(args.scene.options(Some(&args.cameras)));
+    let setup = Setup::load_with(&args.task, config.1, &expert, &scene, changes)?;
     let options = RecordOptions {
         disturb: args.disturb,
         episodes: args.episodes,
