@@ -220,11 +220,22 @@ fn a_scene_that_is_not_the_tasks_is_refused_with_file_line_and_key() {
     assert_eq!(fs::read_to_string(scene).unwrap(), text);
 }
 
+/// What `sha256sum` says of a file of the repository.
+fn sha256(file: &str) -> String {
+    let mut sum = std::process::Command::new("sha256sum");
+    let output = sum.arg(repository().join(file)).output().unwrap();
+    let told = String::from_utf8(output.stdout).unwrap();
+    told.split_once(' ').unwrap().0.to_owned()
+}
+
 #[test]
-fn a_policy_of_another_task_runs_with_a_warning() {
+fn a_policy_of_another_task_runs_with_a_warning_and_is_known_by_its_weights() {
     let folder = scratch("transfer");
     let result = folder.join("result.json");
     let path = result.display().to_string();
+    let log = folder.join("run.mcap");
+    let log_path = log.display().to_string();
+    let weights = sha256(&format!("{COMMITTED}/model.safetensors"));
     for (task, other) in [("tissue-retraction", true), ("needle-lift", false)] {
         let scene = changed(task, &folder, &[("time_limit_s", "time_limit_s = 1.0")]);
         let scene = scene.display().to_string();
@@ -235,14 +246,20 @@ fn a_policy_of_another_task_runs_with_a_warning() {
             format!("trocar: warning: the policy was trained on task needle-lift, not on {task}\n");
         assert_eq!(said.contains(&warning), other, "{said}");
         assert_eq!(said.contains("warning"), other, "{said}");
-        assert_eq!(json(&result)["trained_on"], "needle-lift");
-        let run = ["run", "--lockstep", "--json", &path];
+        let told = json(&result);
+        assert_eq!(told["trained_on"], "needle-lift");
+        assert_eq!(told["weights_sha256"], weights.as_str());
+        let run = ["run", "--lockstep", "--json", &path, "--log", &log_path];
         let said = ends_with(1, &[&run[..], &choice[..]].concat());
         assert_eq!(
             said.matches("warning").count(),
             usize::from(other),
             "{said}"
         );
-        assert_eq!(json(&result)["policy"]["trained_on"], "needle-lift");
+        let policy = &json(&result)["policy"];
+        assert_eq!(policy["trained_on"], "needle-lift");
+        assert_eq!(policy["weights_sha256"], weights.as_str());
+        let versions = RunLog::open(&log).unwrap().header.versions;
+        assert_eq!(versions.get("weights_sha256"), Some(&weights));
     }
 }

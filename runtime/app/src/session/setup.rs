@@ -34,6 +34,8 @@ pub struct Setup {
     pub kept_cameras: Option<Vec<String>>,
     /// The task of the demonstrations that the policy was trained on, if it is a checkpoint that tells.
     pub trained_on: Option<String>,
+    /// SHA-256 of the policy's weights, if it is a checkpoint: what results and logs know them by.
+    pub weights_sha256: Option<String>,
     /// Values in the place of those of the files.
     pub changes: Changes,
 }
@@ -146,6 +148,7 @@ impl Setup {
             scene_file: scene_file.map(|path| path.display().to_string()),
             kept_cameras: None,
             trained_on: recipe.map(|recipe| recipe.dataset.task),
+            weights_sha256: policy.weights_sha256()?,
             changes,
         })
     }

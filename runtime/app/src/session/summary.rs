@@ -47,6 +47,9 @@ pub struct PolicyCounts {
     /// The task of the demonstrations that a checkpoint was trained on, if it tells.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub trained_on: Option<String>,
+    /// SHA-256 of a checkpoint's `model.safetensors`, hexadecimal: its folder may hold other weights later.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub weights_sha256: Option<String>,
     /// Observations that were answered.
     pub queries: u64,
     /// Chunks that the input gate refused.
@@ -267,6 +270,9 @@ pub struct EvalSummary {
     /// The task of the demonstrations that a checkpoint was trained on, if it tells.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub trained_on: Option<String>,
+    /// SHA-256 of a checkpoint's `model.safetensors`, hexadecimal: its folder may hold other weights later.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub weights_sha256: Option<String>,
     /// How many trials were asked for.
     pub trials_asked: usize,
     /// Whether a signal ended the evaluation before all of them were done.
@@ -305,6 +311,7 @@ impl EvalSummary {
             scene: None,
             policy: policy.to_owned(),
             trained_on: None,
+            weights_sha256: None,
             trials_asked: episodes.len(),
             interrupted: false,
             trials: episodes.len(),

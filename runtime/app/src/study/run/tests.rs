@@ -51,7 +51,7 @@ train)
     ;;
 eval)
     [ -f "$policy/model.safetensors" ] || exit 1
-    echo '{"trials": 1, "successes": 1, "episodes": [{"seed": 1000}]}' >"$json"
+    echo '{"trials": 1, "successes": 1, "episodes": [{"seed": 1000}], "weights_sha256": "ab12"}' >"$json"
     ;;
 esac
 "#;
@@ -201,6 +201,11 @@ fn a_training_made_anew_that_is_interrupted_keeps_its_earlier_result_and_goes_on
         "one training in two attempts"
     );
     assert!(matches!(state(), State::Done(_)), "{:?}", state());
+    let evaluated = whole.store.state(Kind::Evaluation, &evaluation);
+    let State::Done(evaluated) = evaluated else {
+        panic!("{evaluated:?}");
+    };
+    assert_eq!(evaluated.weights_sha256.as_deref(), Some("ab12"));
     assert!(!cell.join("cell.json.old").exists() && !cell.join("result.json.old").exists());
 }
 
