@@ -77,6 +77,7 @@ fn a_second_interrupt_while_drives_are_taken_down_leaves_out_no_state() {
     assert_eq!(run["reason"], "interrupted", "{run}");
     let arm = &run["can"]["arms"][0];
     assert!(arm["fault"].is_null(), "{run}");
+    assert_eq!(arm["confirmed_down"], true, "{run}");
     assert_taken_down(&capture);
     let drives = pair.end();
     let stops = drives["stops"].as_array().unwrap();

@@ -120,10 +120,27 @@ pub struct CanArmSummary {
     pub syncs_left_out: u64,
     /// Commands that were no numbers or out of reach.
     pub commands_refused: u64,
+    /// Whether each of its drives that was heard said at the end that it has no torque any more, before its node was stopped.
+    pub confirmed_down: bool,
     /// What stopped the arm, if something did.
     pub fault: Option<String>,
     /// The node that it was, if it was one.
     pub fault_node: Option<u8>,
+}
+
+impl CanArmSummary {
+    /// What a person should know before going near the arm, if there is something that its fault does not say.
+    #[must_use]
+    pub fn warning(&self) -> Option<String> {
+        let unexplained = !self.confirmed_down && self.fault.is_none();
+        unexplained.then(|| {
+            format!(
+                "{}: its drives have not confirmed that they are down, and their nodes were stopped; take the arm to have torque until \
+                 its power is off",
+                self.arm
+            )
+        })
+    }
 }
 
 /// Arms on CAN.
@@ -369,6 +386,32 @@ mod tests {
         assert!(
             low.abs() < 1e-12 && (high - 1.0).abs() < 1e-12,
             "{low} {high}"
+        );
+    }
+
+    #[test]
+    fn an_arm_whose_drives_are_not_known_to_be_down_is_named_unless_its_fault_is() {
+        let arm = |confirmed_down, fault: Option<&str>| CanArmSummary {
+            arm: "psm2",
+            buses: Vec::new(),
+            answers_missed: 0,
+            answers_late: 0,
+            answers_rejected: 0,
+            syncs_left_out: 0,
+            commands_refused: 0,
+            confirmed_down,
+            fault: fault.map(str::to_owned),
+            fault_node: None,
+        };
+        assert_eq!(arm(true, None).warning(), None);
+        assert_eq!(
+            arm(false, Some("bus 0: our controller is bus-off")).warning(),
+            None
+        );
+        let warning = arm(false, None).warning().unwrap_or_default();
+        assert!(
+            warning.starts_with("psm2: its drives have not confirmed that they are down"),
+            "{warning}"
         );
     }
 

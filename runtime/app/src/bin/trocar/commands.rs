@@ -258,6 +258,9 @@ fn report_run(summary: &RunSummary) {
         for warning in arm.buses.iter().filter_map(CanBusSummary::warning) {
             console::warning(&format!("{} on {warning}", arm.arm));
         }
+        if let Some(warning) = arm.warning() {
+            console::warning(&warning);
+        }
     }
     console::result(&format!("  command hash: {}", summary.command_hash));
 }
