@@ -40,7 +40,7 @@ check_rust() {
     [ "$(printf '%s\n1.95\n' "$have" | sort -V | head -1)" = 1.95 ] || die "Rust $have is too old: 1.95 or newer is needed (rustup update)"
 }
 
-# The wheels are zip files; only the libraries and headers of the CPU build are taken out of them.
+# The wheels are zip files; only the libraries and headers of the CPU build are taken out of them, and licences, which `make dist` packs.
 unpack_libtorch() {
     python3 - "$1" "$2" "$torch_version" <<'PYTHON'
 import pathlib, shutil, sys, zipfile
@@ -54,7 +54,8 @@ for wheel in sorted(wheels.glob("*.whl")):
             path = pathlib.PurePosixPath(member.filename)
             wanted = path.parts[:2] == ("torch", "include") or (
                 path.parts[:2] == ("torch", "lib") and path.name not in unwanted
-                and not path.name.startswith("libtorch_cuda")) or path.name in ("libcudart.so.13", "libcupti.so.13")
+                and not path.name.startswith("libtorch_cuda")) or path.name in ("libcudart.so.13", "libcupti.so.13") or (
+                path.parts[0].endswith(".dist-info") and path.name.lower().startswith(("license", "notice")))
             if wanted and not member.is_dir():
                 target = out / path
                 target.parent.mkdir(parents=True, exist_ok=True)

@@ -41,6 +41,8 @@ say 'the packages'
 inside sh -c 'DEBIAN_FRONTEND=noninteractive apt-get install -y -qq --no-install-recommends /home/somebody/*.deb >/dev/null'
 as_user sh -c 'cd && trocar demo --out package && trocar demo --task suture-pad --out pad && trocar eval --task needle-lift --policy needle-lift/act-small --trials 1 --json - >eval.json'
 as_user sh -c 'cd && trocar verify package/run.mcap && grep -q "\"successes\": 1" eval.json'
+inside grep -q PyTorch /usr/share/doc/trocar/copyright
+inside test -s /usr/share/doc/trocar-policies/copyright
 inside test -e /usr/share/man/man1/trocar-run.1 -a -e /lib/systemd/system/trocar@.service
 inside apt-get purge -y -qq trocar trocar-policies >/dev/null
 ! inside test -e /usr/lib/trocar -o -e /usr/bin/trocar

@@ -22,6 +22,8 @@ mod peer;
 mod process;
 #[path = "can_bus/robot.rs"]
 mod robot;
+#[path = "can_bus/take_down.rs"]
+mod take_down;
 
 use std::process::Command;
 use std::time::Duration;

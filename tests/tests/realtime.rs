@@ -305,7 +305,9 @@ fn a_policy_whose_parent_is_killed_goes_and_cleans_up_and_the_log_is_good_up_to_
     assert!(log.cut().is_some() && log.tick_count() > 100);
     let replayed = replay(&log).unwrap();
     assert!(replayed.identical, "{:?}", replayed.first_difference);
-    assert!(verify(&log).unwrap().ok);
+    let verified = verify(&log).unwrap();
+    let found = (verified.ok, verified.violation_count);
+    assert_eq!(found, (false, 0), "what is there is good, but not whole");
 }
 
 #[test]

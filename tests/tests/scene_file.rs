@@ -74,6 +74,32 @@ fn a_run_in_a_changed_scene_keeps_its_text_and_can_be_replayed_and_verified() {
 }
 
 #[test]
+fn a_set_value_is_for_the_scene_that_is_in_effect_and_for_no_other() {
+    let folder = scratch("own-scene-set");
+    let renamed = ("[needle.N5]", "[needle.mine]");
+    let scene = changed("needle-lift", &folder, &[SHORT, PLAIN, renamed]);
+    let log = folder.join("run.mcap");
+    let paths = [&scene, &log].map(|path| path.display().to_string());
+    let task = ["run", "--task", "needle-lift", "--policy", "noop"];
+    let with_scene = ["--lockstep", "--scene", &paths[0], "--set"];
+    let run = [&task[..], &with_scene[..]].concat();
+    let mine = ["scene.needle.mine.mass_kg=0.001", "--log", &paths[1]];
+    ends_with(1, &[&run[..], &mine[..]].concat());
+    let header = RunLog::open(&log).unwrap().header;
+    let text = fs::read_to_string(&scene).unwrap();
+    let (before, own) = text.split_once("[needle.mine]").unwrap();
+    let own = own.replacen("mass_kg = 0.0015", "mass_kg = 0.001", 1);
+    let expected = format!("{before}[needle.mine]{own}");
+    assert_eq!(header.texts.get("scene.toml"), Some(&expected));
+    // What only the task's own scene has is none of its keys.
+    let message = ends_with(2, &[&run[..], &["scene.needle.N5.mass_kg=0.001"]].concat());
+    assert!(
+        message.contains("mine.toml") && message.contains("has no key needle.N5"),
+        "{message}"
+    );
+}
+
+#[test]
 fn a_sheet_of_a_plain_scene_is_another_picture_and_needs_one_task() {
     let folder = scratch("plain-sheet");
     let scene = changed("needle-lift", &folder, &[PLAIN]);
@@ -194,11 +220,22 @@ fn a_scene_that_is_not_the_tasks_is_refused_with_file_line_and_key() {
     assert_eq!(fs::read_to_string(scene).unwrap(), text);
 }
 
+/// What `sha256sum` says of a file of the repository.
+fn sha256(file: &str) -> String {
+    let mut sum = std::process::Command::new("sha256sum");
+    let output = sum.arg(repository().join(file)).output().unwrap();
+    let told = String::from_utf8(output.stdout).unwrap();
+    told.split_once(' ').unwrap().0.to_owned()
+}
+
 #[test]
-fn a_policy_of_another_task_runs_with_a_warning() {
+fn a_policy_of_another_task_runs_with_a_warning_and_is_known_by_its_weights() {
     let folder = scratch("transfer");
     let result = folder.join("result.json");
     let path = result.display().to_string();
+    let log = folder.join("run.mcap");
+    let log_path = log.display().to_string();
+    let weights = sha256(&format!("{COMMITTED}/model.safetensors"));
     for (task, other) in [("tissue-retraction", true), ("needle-lift", false)] {
         let scene = changed(task, &folder, &[("time_limit_s", "time_limit_s = 1.0")]);
         let scene = scene.display().to_string();
@@ -209,14 +246,20 @@ fn a_policy_of_another_task_runs_with_a_warning() {
             format!("trocar: warning: the policy was trained on task needle-lift, not on {task}\n");
         assert_eq!(said.contains(&warning), other, "{said}");
         assert_eq!(said.contains("warning"), other, "{said}");
-        assert_eq!(json(&result)["trained_on"], "needle-lift");
-        let run = ["run", "--lockstep", "--json", &path];
+        let told = json(&result);
+        assert_eq!(told["trained_on"], "needle-lift");
+        assert_eq!(told["weights_sha256"], weights.as_str());
+        let run = ["run", "--lockstep", "--json", &path, "--log", &log_path];
         let said = ends_with(1, &[&run[..], &choice[..]].concat());
         assert_eq!(
             said.matches("warning").count(),
             usize::from(other),
             "{said}"
         );
-        assert_eq!(json(&result)["policy"]["trained_on"], "needle-lift");
+        let policy = &json(&result)["policy"];
+        assert_eq!(policy["trained_on"], "needle-lift");
+        assert_eq!(policy["weights_sha256"], weights.as_str());
+        let versions = RunLog::open(&log).unwrap().header.versions;
+        assert_eq!(versions.get("weights_sha256"), Some(&weights));
     }
 }

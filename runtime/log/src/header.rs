@@ -17,7 +17,7 @@ pub struct RunHeader {
     pub view: String,
     /// The needle, in a task that has a choice.
     pub needle: Option<String>,
-    /// What was running: program, libraries, commit; name to version.
+    /// What was running: program, libraries, commit; name to version. Of a checkpoint `weights_sha256`, the SHA-256 of its weights.
     pub versions: BTreeMap<String, String>,
     /// The effective configuration; file name (`control.toml`) to text.
     pub texts: BTreeMap<String, String>,

@@ -30,7 +30,7 @@ pub use stream::Stream;
 /// What the check found.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct VerifyResult {
-    /// Whether no limit was broken.
+    /// Whether no limit was broken, in a log that is whole: nobody knows what was in a part that is not there.
     pub ok: bool,
     /// Ticks that were checked.
     pub ticks: u64,

@@ -47,7 +47,8 @@ use trocar_data::relative_action::{
 };
 
 const CONFIG: &str = "config.json";
-const WEIGHTS: &str = "model.safetensors";
+/// The file of the weights in a checkpoint's folder.
+pub const WEIGHTS: &str = "model.safetensors";
 const RECIPE: &str = "trocar.json";
 
 /// Times between two steps of a chunk, ns: 1 kHz to one in ten seconds.

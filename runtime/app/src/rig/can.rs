@@ -21,6 +21,8 @@ pub(crate) struct CanRig {
     measured: MailboxWriter<PerArm<ArmState>>,
     noticed: MailboxWriter<Noticed>,
     happened: PerArm<Happened>,
+    /// Whether the drives of each arm, the ones that are heard, were confirmed without torque when they were taken down.
+    pub(crate) confirmed_down: PerArm<bool>,
     periodic: Periodic,
 }
 
@@ -45,6 +47,7 @@ impl CanRig {
     ) -> Self {
         let happened = arms.as_ref().map(|_| Happened::default());
         Self {
+            confirmed_down: arms.as_ref().map(|_| false),
             arms,
             measured,
             noticed,
@@ -69,9 +72,11 @@ impl CanRig {
         let mut periodic = Periodic::new(clock, first, TICK_NS);
         loop {
             let now = periodic.wait().due;
-            let down = self.arms.iter_mut().map(|arm| arm.take_down(now));
             // Each arm has its turn, whether the ones before it are down or not.
-            if down.fold(true, |all, one| all & one) || now >= end {
+            for (arm, down) in self.arms.iter_mut().zip(self.confirmed_down.iter_mut()) {
+                *down = arm.take_down(now);
+            }
+            if self.confirmed_down.iter().all(|down| *down) || now >= end {
                 break;
             }
         }

@@ -6,7 +6,7 @@ use tch::Device;
 
 use super::pictures::STEP_MS;
 use super::realtime::run_realtime;
-use super::run::{RunOptions, run_lockstep, write_json};
+use super::run::{RunOptions, RunResult, run_lockstep, write_json};
 use super::summary::RunSummary;
 use super::{PolicyChoice, SessionError, Setup, policies, tasks};
 use trocar_log::RunLog;
@@ -55,7 +55,7 @@ pub struct DemoResult {
 /// `on_progress` hears what comes next.
 ///
 /// # Errors
-/// As of the runs and of reading their logs.
+/// As of the runs and of reading their logs; [`SessionError::Log`] if one of them could not be written whole.
 pub fn run(
     options: &DemoOptions,
     on_progress: &mut dyn FnMut(&str),
@@ -100,18 +100,53 @@ pub fn run(
     let real_time = run_realtime(&setup, &run_options(&files[4], false))?;
     write_json(&files[5], &real_time.summary)?;
     Ok(DemoResult {
-        lockstep: examine(lockstep.summary, &files[0])?,
-        real_time: examine(real_time.summary, &files[4])?,
+        lockstep: examine(lockstep, &files[0])?,
+        real_time: examine(real_time, &files[4])?,
         files,
     })
 }
 
 /// Reads the log of a run again, recomputes its commands and checks them.
-fn examine(summary: RunSummary, log: &Path) -> Result<Shown, SessionError> {
+fn examine(result: RunResult, log: &Path) -> Result<Shown, SessionError> {
+    if let Some(failure) = result.log_failure {
+        return Err(failure.into());
+    }
     let log = RunLog::open(log)?;
     Ok(Shown {
-        summary,
+        summary: result.summary,
         replayed: replay(&log)?,
         verified: verify(&log)?,
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use trocar_log::LogError;
+
+    use super::*;
+
+    #[test]
+    fn a_run_whose_log_is_not_whole_is_an_error_that_says_so() {
+        let mut setup = Setup::load("needle-lift", None, &PolicyChoice::Noop).unwrap();
+        setup.task.time_limit_s = 0.1;
+        let options = RunOptions {
+            policy: PolicyChoice::Noop,
+            seed: 0,
+            log: None,
+            pictures: false,
+            latency_ms: None,
+            latency_jitter_ms: 0,
+            compute: Device::Cpu.into(),
+        };
+        let log = PathBuf::from("run.mcap");
+        let failure = LogError::WriterDied { path: log.clone() };
+        let told = failure.to_string();
+        let result = RunResult {
+            log_failure: Some(failure),
+            ..run_lockstep(&setup, &options).unwrap()
+        };
+        let error = examine(result, &log).unwrap_err();
+        assert_eq!(error.to_string(), told);
+        assert!(!error.is_bad_input());
+    }
 }

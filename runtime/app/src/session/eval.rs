@@ -80,6 +80,7 @@ pub fn evaluate(
         needle: setup.needle().map(str::to_owned),
         varied: setup.task.varied.clone(),
         trained_on: setup.trained_on.clone(),
+        weights_sha256: setup.weights_sha256.clone(),
         trials_asked: options.trials,
         interrupted,
         ..summary

@@ -26,6 +26,8 @@ pub struct Robot {
     pub safety_file: String,
     /// The task of the demonstrations that the policy was trained on, if it is a checkpoint that tells.
     pub trained_on: Option<String>,
+    /// SHA-256 of the policy's weights, if it is a checkpoint.
+    pub weights_sha256: Option<String>,
 }
 
 impl Robot {
@@ -67,6 +69,7 @@ impl Robot {
             },
             safety_file,
             trained_on: recipe.map(|recipe| recipe.dataset.task),
+            weights_sha256: policy.weights_sha256()?,
         })
     }
 
@@ -121,7 +124,7 @@ impl Robot {
         RunHeader {
             policy: options.policy.name(),
             seed: options.seed,
-            versions: versions(),
+            versions: versions(self.weights_sha256.as_deref()),
             texts: self.texts.by_name(),
             ..RunHeader::default()
         }

@@ -138,6 +138,7 @@ pub fn run_lockstep_with(
         scene: setup.scene_file.as_deref(),
         policy: &options.policy.name(),
         trained_on: setup.trained_on.as_deref(),
+        weights_sha256: setup.weights_sha256.as_deref(),
         seed: options.seed,
         success: Some(success),
         reason: &reason,
@@ -201,20 +202,22 @@ fn header(setup: &Setup, options: &RunOptions, lockstep: bool) -> RunHeader {
         lockstep,
         view: setup.task.view.name().to_owned(),
         needle: setup.task.needle().map(str::to_owned),
-        versions: versions(),
+        versions: versions(setup.weights_sha256.as_deref()),
         texts: setup.texts.by_name(),
     }
 }
 
-/// What is running.
-pub(super) fn versions() -> BTreeMap<String, String> {
+/// What is running: program and library by version, a checkpoint's weights by their SHA-256.
+pub(super) fn versions(weights_sha256: Option<&str>) -> BTreeMap<String, String> {
     let versions = [
-        ("trocar", env!("CARGO_PKG_VERSION")),
-        ("libtorch", LIBTORCH_VERSION),
+        ("trocar", Some(env!("CARGO_PKG_VERSION"))),
+        ("libtorch", Some(LIBTORCH_VERSION)),
+        ("weights_sha256", weights_sha256),
     ];
     versions
-        .map(|(name, version)| (name.to_owned(), version.to_owned()))
-        .into()
+        .into_iter()
+        .filter_map(|(name, version)| Some((name.to_owned(), version?.to_owned())))
+        .collect()
 }
 
 /// Writes the log and keeps pictures, each if asked to.

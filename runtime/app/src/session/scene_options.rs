@@ -65,10 +65,15 @@ impl Setup {
     /// [`SessionError::BadArgument`] for a needle or a camera that the task has not, for a view that its cameras can't
     /// give, and for what can't be varied; those of [`Self::with_scene_file`].
     pub fn with_scene(mut self, options: &SceneOptions) -> Result<Self, SessionError> {
-        let refused = |reason: String| SessionError::BadArgument(reason);
         if let Some(path) = &options.file {
             self = self.with_scene_file(path)?;
         }
+        self.with_choices(options)
+    }
+
+    /// The same setup with what `options` choose of the scene that it has.
+    pub(super) fn with_choices(mut self, options: &SceneOptions) -> Result<Self, SessionError> {
+        let refused = |reason: String| SessionError::BadArgument(reason);
         if let Some(needle) = &options.needle {
             let changed = self.task.with_needle(needle);
             self.task = changed.map_err(|error| refused(format!("--needle {needle}: {error}")))?;

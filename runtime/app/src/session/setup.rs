@@ -12,6 +12,7 @@ use trocar_tasks::task::{TaskConfig, Variation};
 
 use super::SessionError;
 use super::changes::{Changes, ConfigFile};
+use super::scene_options::SceneOptions;
 use super::source::{ChunkSource, PolicyChoice};
 use super::tasks;
 use trocar_control::{AnyController, ControlConfig};
@@ -33,6 +34,8 @@ pub struct Setup {
     pub kept_cameras: Option<Vec<String>>,
     /// The task of the demonstrations that the policy was trained on, if it is a checkpoint that tells.
     pub trained_on: Option<String>,
+    /// SHA-256 of the policy's weights, if it is a checkpoint: what results and logs know them by.
+    pub weights_sha256: Option<String>,
     /// Values in the place of those of the files.
     pub changes: Changes,
 }
@@ -81,22 +84,33 @@ impl Setup {
         control: Option<&Path>,
         policy: &PolicyChoice,
     ) -> Result<Self, SessionError> {
-        Self::load_with(task, control, policy, Changes::default())
+        Self::read(task, control, policy, None, Changes::default())
     }
 
-    /// The same with `changes` over all files.
+    /// The same with the choices of `scene`, and with `changes` over the files that are in effect: of two scenes the chosen one.
     ///
     /// # Errors
-    /// As [`Self::load`].
+    /// As [`Self::load`] and [`Self::with_scene`].
     pub fn load_with(
         task: &str,
         control: Option<&Path>,
         policy: &PolicyChoice,
+        scene: &SceneOptions,
+        changes: Changes,
+    ) -> Result<Self, SessionError> {
+        Self::read(task, control, policy, scene.file.as_deref(), changes)?.with_choices(scene)
+    }
+
+    /// Reads all files, with the scene of `scene_file` in the place of the task's own if there is one.
+    fn read(
+        task: &str,
+        control: Option<&Path>,
+        policy: &PolicyChoice,
+        scene_file: Option<&Path>,
         changes: Changes,
     ) -> Result<Self, SessionError> {
         policy.check_exists()?;
         let mut files = tasks::files(task)?;
-        files.scene = changes.apply(ConfigFile::Scene, files.scene)?;
         files.safety = changes.apply(ConfigFile::Safety, files.safety)?;
         let recipe = match policy {
             PolicyChoice::Checkpoint(folder) => load_recipe(folder)?,
@@ -110,23 +124,31 @@ impl Setup {
             None => built_in_control(recipe.as_ref())?,
         };
         let control = changes.apply(ConfigFile::Control, control)?;
-        let task_config = files.config()?;
         let control_config = ControlConfig::load(&control, &files.safety)?;
-        check_bases(&task_config, &files.scene, &control_config)?;
-        let scene_file = tasks::paths(task).into_iter().next();
+        let (scene, task_config) = match scene_file {
+            None => {
+                files.scene = changes.apply(ConfigFile::Scene, files.scene)?;
+                (files.scene.clone(), files.config()?)
+            }
+            Some(path) => other_scene(path, &files.name, files.config()?.kind, &changes)?,
+        };
+        check_bases(&task_config, &scene, &control_config)?;
+        let scene_file = scene_file.map(Path::to_path_buf);
+        let scene_file = scene_file.or_else(|| tasks::paths(task).into_iter().next());
         Ok(Self {
             task: task_config,
             control: control_config,
             texts: Texts {
                 control: control.text().to_owned(),
                 safety: files.safety.text().to_owned(),
-                scene: Some(files.scene.text().to_owned()),
+                scene: Some(scene.text().to_owned()),
                 can: None,
             },
             task_name: files.name,
             scene_file: scene_file.map(|path| path.display().to_string()),
             kept_cameras: None,
             trained_on: recipe.map(|recipe| recipe.dataset.task),
+            weights_sha256: policy.weights_sha256()?,
             changes,
         })
     }
@@ -137,19 +159,11 @@ impl Setup {
     /// # Errors
     /// [`SessionError::Config`], naming file, line and key.
     pub fn with_scene_file(mut self, path: &Path) -> Result<Self, SessionError> {
-        let path = path.display().to_string();
-        let scene = self
-            .changes
-            .apply(ConfigFile::Scene, Source::read(&path)?)?;
-        let task = TaskConfig::parse(&self.task_name, &scene)?;
-        if task.kind != self.task.kind {
-            let asked = format!("{}, as is task {}", self.task.kind, self.task_name);
-            return Err(scene.out_of_range("task.kind", task.kind, &asked).into());
-        }
+        let (scene, task) = other_scene(path, &self.task_name, self.task.kind, &self.changes)?;
         check_bases(&task, &scene, &self.control)?;
         self.task = task;
         self.texts.scene = Some(scene.text().to_owned());
-        self.scene_file = Some(path);
+        self.scene_file = Some(path.display().to_string());
         Ok(self)
     }
 
@@ -259,6 +273,23 @@ pub(super) fn network(
         )));
     }
     Ok(LoadedPolicy::load(folder, compute)?)
+}
+
+/// The scene of the file `path` for `task`, changed as asked; it must be of the `kind` that the task's own is of.
+fn other_scene(
+    path: &Path,
+    task: &str,
+    kind: &str,
+    changes: &Changes,
+) -> Result<(Source, TaskConfig), SessionError> {
+    let source = Source::read(&path.display().to_string())?;
+    let scene = changes.apply(ConfigFile::Scene, source)?;
+    let config = TaskConfig::parse(task, &scene)?;
+    if config.kind != kind {
+        let asked = format!("{kind}, as is task {task}");
+        return Err(scene.out_of_range("task.kind", config.kind, &asked).into());
+    }
+    Ok((scene, config))
 }
 
 /// The scene, which came from `source`, and the safety limits must speak of the same arms at the same places.

@@ -4,6 +4,7 @@ use std::path::{Path, PathBuf};
 
 use hal::{ARMS_MAX, ArmState, Chunk, FrameRef, Observation, Policy, SeenArm, TimeNs, TipTarget};
 use nalgebra::{Translation3, Vector3};
+use trocar_nets::checkpoint::WEIGHTS;
 use trocar_nets::loaded_policy::LoadedPolicy;
 use trocar_tasks::expert::{Activity, Expert};
 
@@ -11,6 +12,7 @@ use trocar_tasks::scene::SceneState;
 use trocar_world::rng::Rng;
 
 use super::{SessionError, policies};
+use crate::study::address::hash_file;
 use hal::PerArm;
 use trocar_control::kinematics;
 
@@ -62,6 +64,25 @@ impl PolicyChoice {
                 path.display()
             ))),
             Self::Checkpoint(_) | Self::Expert | Self::Noop | Self::Random | Self::Own(_) => Ok(()),
+        }
+    }
+
+    /// SHA-256 of a checkpoint's weights, hexadecimal; none of another policy, and none if there is no such file.
+    ///
+    /// # Errors
+    /// [`SessionError::BadArgument`] if the file can't be read.
+    pub fn weights_sha256(&self) -> Result<Option<String>, SessionError> {
+        let Self::Checkpoint(folder) = self else {
+            return Ok(None);
+        };
+        let file = folder.join(WEIGHTS);
+        match hash_file(&file) {
+            Ok(hash) => Ok(Some(hash)),
+            Err(error) if error.kind() == std::io::ErrorKind::NotFound => Ok(None),
+            Err(error) => Err(SessionError::BadArgument(format!(
+                "policy {}: {error}",
+                file.display()
+            ))),
         }
     }
 

@@ -47,6 +47,9 @@ pub struct PolicyCounts {
     /// The task of the demonstrations that a checkpoint was trained on, if it tells.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub trained_on: Option<String>,
+    /// SHA-256 of a checkpoint's `model.safetensors`, hexadecimal: its folder may hold other weights later.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub weights_sha256: Option<String>,
     /// Observations that were answered.
     pub queries: u64,
     /// Chunks that the input gate refused.
@@ -117,10 +120,27 @@ pub struct CanArmSummary {
     pub syncs_left_out: u64,
     /// Commands that were no numbers or out of reach.
     pub commands_refused: u64,
+    /// Whether each of its drives that was heard said at the end that it has no torque any more, before its node was stopped.
+    pub confirmed_down: bool,
     /// What stopped the arm, if something did.
     pub fault: Option<String>,
     /// The node that it was, if it was one.
     pub fault_node: Option<u8>,
+}
+
+impl CanArmSummary {
+    /// What a person should know before going near the arm, if there is something that its fault does not say.
+    #[must_use]
+    pub fn warning(&self) -> Option<String> {
+        let unexplained = !self.confirmed_down && self.fault.is_none();
+        unexplained.then(|| {
+            format!(
+                "{}: its drives have not confirmed that they are down, and their nodes were stopped; take the arm to have torque until \
+                 its power is off",
+                self.arm
+            )
+        })
+    }
 }
 
 /// Arms on CAN.
@@ -267,6 +287,9 @@ pub struct EvalSummary {
     /// The task of the demonstrations that a checkpoint was trained on, if it tells.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub trained_on: Option<String>,
+    /// SHA-256 of a checkpoint's `model.safetensors`, hexadecimal: its folder may hold other weights later.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub weights_sha256: Option<String>,
     /// How many trials were asked for.
     pub trials_asked: usize,
     /// Whether a signal ended the evaluation before all of them were done.
@@ -305,6 +328,7 @@ impl EvalSummary {
             scene: None,
             policy: policy.to_owned(),
             trained_on: None,
+            weights_sha256: None,
             trials_asked: episodes.len(),
             interrupted: false,
             trials: episodes.len(),
@@ -362,6 +386,32 @@ mod tests {
         assert!(
             low.abs() < 1e-12 && (high - 1.0).abs() < 1e-12,
             "{low} {high}"
+        );
+    }
+
+    #[test]
+    fn an_arm_whose_drives_are_not_known_to_be_down_is_named_unless_its_fault_is() {
+        let arm = |confirmed_down, fault: Option<&str>| CanArmSummary {
+            arm: "psm2",
+            buses: Vec::new(),
+            answers_missed: 0,
+            answers_late: 0,
+            answers_rejected: 0,
+            syncs_left_out: 0,
+            commands_refused: 0,
+            confirmed_down,
+            fault: fault.map(str::to_owned),
+            fault_node: None,
+        };
+        assert_eq!(arm(true, None).warning(), None);
+        assert_eq!(
+            arm(false, Some("bus 0: our controller is bus-off")).warning(),
+            None
+        );
+        let warning = arm(false, None).warning().unwrap_or_default();
+        assert!(
+            warning.starts_with("psm2: its drives have not confirmed that they are down"),
+            "{warning}"
         );
     }
 

@@ -41,6 +41,8 @@ pub struct RunLabels<'a> {
     pub policy: &'a str,
     /// The task that the policy was trained on, if it tells.
     pub trained_on: Option<&'a str>,
+    /// SHA-256 of the policy's weights, if it has some.
+    pub weights_sha256: Option<&'a str>,
     /// The seed.
     pub seed: u64,
     /// Whether the task was done, if there is one.
@@ -134,6 +136,7 @@ impl Tally {
             policy: PolicyCounts {
                 name: labels.policy.to_owned(),
                 trained_on: labels.trained_on.map(str::to_owned),
+                weights_sha256: labels.weights_sha256.map(str::to_owned),
                 queries: self.queries,
                 refused: self.refused,
                 latency_ms: milliseconds(&self.latency),

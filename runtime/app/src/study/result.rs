@@ -21,6 +21,8 @@ struct Evaluated {
     trials: usize,
     successes: usize,
     episodes: Vec<Trial>,
+    #[serde(default)]
+    weights_sha256: Option<String>,
 }
 
 #[derive(Deserialize)]
@@ -28,11 +30,11 @@ struct Trial {
     seed: u64,
 }
 
-/// Checks that the result at `path` is what `job` asked for.
+/// Checks that the result at `path` is what `job` asked for; gives the hash of the weights that it is of, if it tells.
 ///
 /// # Errors
 /// What is wrong with it.
-pub(super) fn check(job: &Job, path: &Path) -> Result<(), String> {
+pub(super) fn check(job: &Job, path: &Path) -> Result<Option<String>, String> {
     let told = |error: &dyn std::fmt::Display| format!("{}: {error}", path.display());
     let text = std::fs::read_to_string(path).map_err(|error| told(&error))?;
     match job {
@@ -65,7 +67,8 @@ pub(super) fn check(job: &Job, path: &Path) -> Result<(), String> {
             if found.successes > found.trials {
                 return Err(told(&"more successes than trials"));
             }
+            return Ok(found.weights_sha256);
         }
     }
-    Ok(())
+    Ok(None)
 }

@@ -3,6 +3,8 @@
 mod begin;
 mod end;
 mod tell;
+#[cfg(test)]
+mod tests;
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs::File;

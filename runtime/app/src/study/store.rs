@@ -49,6 +49,9 @@ pub struct Manifest {
     pub attempts: u32,
     /// Demonstrations, of a recording.
     pub episodes: Option<usize>,
+    /// SHA-256 of the weights that were evaluated, of an evaluation that tells.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub weights_sha256: Option<String>,
     /// Its files.
     pub files: Vec<FileRecord>,
 }

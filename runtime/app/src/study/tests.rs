@@ -346,6 +346,7 @@ fn done(store: &Store) -> Address {
         gpu_memory_bytes: None,
         attempts: 1,
         episodes: None,
+        weights_sha256: None,
         files: Vec::new(),
     };
     store.finish(Kind::Evaluation, manifest).unwrap();

@@ -178,7 +178,7 @@ impl Workshop<'_> {
     /// What is wrong with it.
     pub fn finish(&self, cell: &Cell, took: Took) -> Result<Manifest, String> {
         let places = self.places(cell);
-        result::check(&cell.job, &places.result)?;
+        let weights_sha256 = result::check(&cell.job, &places.result)?;
         let mut episodes = None;
         if let Job::Recording(job) = &cell.job {
             episodes = Some(job.episodes);
@@ -203,6 +203,7 @@ impl Workshop<'_> {
             gpu_memory_bytes: took.gpu_memory_bytes,
             attempts: took.attempts.count,
             episodes,
+            weights_sha256,
             files: Vec::new(),
         };
         let finished = self.store.finish(cell.job.kind(), manifest.clone());

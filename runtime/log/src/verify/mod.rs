@@ -18,6 +18,8 @@ use crate::{Loss, RunLog};
 /// arm without velocity; they get torque at rest where the arm was measured, and lose it at rest. The gaps between two arms. The
 /// commands must add up to the hash that the run reported. Every tick must have each arm of the log's `safety.toml`, in its order.
 ///
+/// Of a log that was cut off, what is there is checked, and the result is not [`VerifyResult::ok`] whatever was found.
+///
 /// # Errors
 /// [`VerifyError`] when the log does not say what the limits are.
 pub fn verify(log: &RunLog) -> Result<VerifyResult, VerifyError> {
@@ -61,7 +63,7 @@ pub fn verify(log: &RunLog) -> Result<VerifyResult, VerifyError> {
         stream.other_hash();
     }
     Ok(VerifyResult {
-        ok: stream.violation_count() == 0,
+        ok: stream.violation_count() == 0 && log.cut().is_none(),
         ticks,
         skipped_periods: stream.skipped_periods(),
         violation_count: stream.violation_count(),

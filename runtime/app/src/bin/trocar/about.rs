@@ -6,6 +6,7 @@ use clap::CommandFactory as _;
 use trocar_canopen::master::CanConfig;
 
 use trocar::session::changes::{Changes, ConfigFile};
+use trocar::session::scene_options::SceneOptions;
 use trocar::session::{PolicyChoice, SessionError, Setup};
 
 use crate::args::{Cli, CompletionsArgs, ConfigVerb, ManArgs, ShowArgs, ShownFile};
@@ -30,7 +31,8 @@ fn show(args: &ShowArgs) -> Done {
     }
     changes.only(&[ConfigFile::Control, ConfigFile::Safety, ConfigFile::Scene])?;
     let policy = PolicyChoice::parse(&args.policy);
-    let setup = Setup::load_with(&args.task, args.config.as_deref(), &policy, changes)?;
+    let (config, scene) = (args.config.as_deref(), SceneOptions::default());
+    let setup = Setup::load_with(&args.task, config, &policy, &scene, changes)?;
     console::text(match args.file {
         ShownFile::Control => &setup.texts.control,
         ShownFile::Safety => &setup.texts.safety,

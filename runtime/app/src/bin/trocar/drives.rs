@@ -82,8 +82,9 @@ pub(crate) fn drives(args: &DrivesArgs) -> Done {
             Moved::Arms(usize::from(arms))
         }
         None => {
-            setup = Setup::load_with(&args.task, None, &PolicyChoice::Expert, changes)?
-                .with_scene(&args.scene.options(args.cameras.as_deref()))?;
+            let scene = args.scene.options(args.cameras.as_deref());
+            let expert = PolicyChoice::Expert;
+            setup = Setup::load_with(&args.task, None, &expert, &scene, changes)?;
             Moved::Task(&setup)
         }
     };

@@ -26,8 +26,8 @@ pub(crate) fn eval(args: &EvalArgs) -> Done {
     outputs::check(&[("--json", args.json.as_deref())], &read)?;
     let policy = PolicyChoice::parse(&args.policy);
     let changes = task_changes(&args.set)?;
-    let setup = Setup::load_with(&args.task, args.config.as_deref(), &policy, changes)?
-        .with_scene(&args.vary.add_to(args.scene.options(None)))?;
+    let scene = args.vary.add_to(args.scene.options(None));
+    let setup = Setup::load_with(&args.task, config.1, &policy, &scene, changes)?;
     warn_of_transfer(&setup);
     let options = EvalOptions {
         policy,

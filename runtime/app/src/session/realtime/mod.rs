@@ -278,6 +278,7 @@ fn labels<'a>(setup: &'a Setup, options: &RunOptions, policy: &'a str) -> RunLab
         scene: setup.scene_file.as_deref(),
         policy,
         trained_on: setup.trained_on.as_deref(),
+        weights_sha256: setup.weights_sha256.as_deref(),
         seed: options.seed,
         ..RunLabels::default()
     }

@@ -248,6 +248,7 @@ pub fn run_robot_on_can(
     let labels = RunLabels {
         policy: &policy,
         trained_on: robot.trained_on.as_deref(),
+        weights_sha256: robot.weights_sha256.as_deref(),
         seed: options.seed,
         ..RunLabels::default()
     };

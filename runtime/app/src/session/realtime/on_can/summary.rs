@@ -10,9 +10,13 @@ use crate::session::summary::{CanArmSummary, CanBusSummary, CanSummary};
 
 /// How the drives of `rig` and their buses have been.
 pub(super) fn summary(rig: &CanRig, can: &CanOptions) -> CanSummary {
-    let arms = rig.arms.iter().zip(&can.config.arms).zip(ARM_NAMES);
+    let arms = rig.arms.iter().zip(rig.confirmed_down.iter());
+    let arms = arms.zip(&can.config.arms).zip(ARM_NAMES);
     let arms: Vec<CanArmSummary> = arms
-        .map(|((arm, place), name)| arm_summary(arm, &place.interfaces, name))
+        .map(|(((arm, down), place), name)| CanArmSummary {
+            confirmed_down: *down,
+            ..arm_summary(arm, &place.interfaces, name)
+        })
         .collect();
     let first = rig.arms.first.plan();
     CanSummary {
@@ -49,6 +53,7 @@ fn arm_summary(arm: &BusArm, interfaces: &[String], name: &'static str) -> CanAr
         answers_rejected: sum(|axis| axis.rejected),
         syncs_left_out: cycle.left_out(),
         commands_refused: arm.refused(),
+        confirmed_down: false,
         fault: fault.map(|fault| fault.to_string()),
         fault_node: fault
             .and_then(|fault| fault.who())
