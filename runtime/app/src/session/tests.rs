@@ -156,7 +156,7 @@ fn the_same_seed_gives_the_same_hash_of_both_arms() {
 /// A checkpoint of one arm.
 const COMMITTED: &str = concat!(
     env!("CARGO_MANIFEST_DIR"),
-    "/../config/policies/needle-lift/act-small"
+    "/../../config/policies/needle-lift/act-small"
 );
 
 #[test]
