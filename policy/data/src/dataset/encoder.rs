@@ -3,6 +3,7 @@
 use std::{
     fs::{self, File},
     io::Write,
+    os::unix::process::CommandExt,
     path::{Path, PathBuf},
     process::{Child, Stdio},
     thread::JoinHandle,
@@ -48,6 +49,8 @@ impl Encoder {
             .args(["-pix_fmt", "yuv420p", "-f", "mp4"])
             .arg(url(&partial));
         command.stdin(Stdio::piped()).stdout(Stdio::null());
+        // Ctrl-C on the terminal is for who records: what is begun here is finished.
+        command.process_group(0);
         let mut child = spawn(command, path)?;
         let errors = child.stderr.take();
         let errors = errors.map(|errors| std::thread::spawn(move || reason_in(errors)));

@@ -20,6 +20,30 @@ pub enum DatasetError {
         /// The folder.
         path: PathBuf,
     },
+    /// There is no recording to go on with.
+    #[error("{path}: is no dataset that a recording could go on with: it has no meta/info.json")]
+    NoRecording {
+        /// The folder.
+        path: PathBuf,
+    },
+    /// A recording can't go on as another one.
+    #[error("{path}: was recorded with {what} {recorded}, now {asked} is asked for")]
+    Differs {
+        /// The folder.
+        path: PathBuf,
+        /// The part of the specification.
+        what: String,
+        /// What it was.
+        recorded: String,
+        /// What it is to be.
+        asked: String,
+    },
+    /// Two recordings at once would spoil each other.
+    #[error("{path}: another recording is writing there")]
+    Busy {
+        /// The folder.
+        path: PathBuf,
+    },
     /// A JSON file that is damaged, or lacks a key.
     #[error("{path}: malformed")]
     Json {

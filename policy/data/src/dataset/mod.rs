@@ -7,7 +7,8 @@
 //! meta/episodes/chunk-000/file-000.parquet    where each episode's rows are
 //! data/chunk-000/file-000.parquet             one row a frame, images as PNG bytes
 //! videos/FEATURE/chunk-000/file-000.mp4       instead of the PNG, where the camera is kept as video
-//! meta/trocar_episodes.jsonl                  how each episode came about, if the recorder says so; see [`Notes`]
+//! meta/trocar_recording.json                  the recording's options, if the recorder says so; see [`Notes`]
+//! meta/trocar_episodes.jsonl                  how each episode came about, likewise
 //! ```
 //!
 //! Datasets of v2.0 and v2.1 are read too. Video goes through the system's ffmpeg and loses some of the picture; depth and
@@ -21,7 +22,7 @@
 //! `observation.camera_pose.NAME`, where the camera was in the scene. Its lens stands in the depth feature's `info`.
 //!
 //! [`DatasetWriter`] records, [`Dataset`] reads. A recording that is cut off loses the episode in progress and nothing
-//! else. Every file is replaced by renaming, never written in place.
+//! else. Every file is replaced by renaming, never written in place. [`DatasetWriter::resume`] goes on with it.
 
 mod check;
 mod depth;
@@ -37,6 +38,8 @@ mod notes;
 mod pages;
 mod png;
 mod reader;
+#[cfg(test)]
+mod resume_tests;
 mod rows;
 mod schema;
 mod segments;

@@ -1,23 +1,34 @@
 //! What a recorder says of how a dataset came about, beyond what LeRobot's format has room for.
 //!
 //! ```text
-//! meta/info.json, key "trocar"     the options of the recording; LeRobot ignores the key, with a warning
+//! meta/info.json, key "trocar"     how the recording differs from a plain one; LeRobot ignores the key, with a warning
+//! meta/trocar_recording.json       every option of the recording, which one that goes on with it must have too
 //! meta/trocar_episodes.jsonl       a line an episode: episode_index, and what was particular to it
 //! ```
 //!
-//! A dataset without such notes has neither.
+//! A dataset without such notes has none of them; LeRobot does not look at the files.
 
-use std::path::{Path, PathBuf};
+use std::{
+    fs, io,
+    path::{Path, PathBuf},
+};
 
 use serde_json::Value;
 
-use super::{DatasetError, layout::read_lines, meta, store::write_lines};
+use super::{
+    DatasetError,
+    layout::read_lines,
+    meta,
+    store::{io_error, write_json, write_lines},
+};
 
 /// What is said of a dataset.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Notes {
-    /// Of the recording as a whole.
+    /// Of the recording as a whole, where LeRobot's users see it.
     pub recording: Option<Value>,
+    /// The options of the recording, all of them.
+    pub options: Option<Value>,
     /// Of episodes, in their order; each has its `episode_index`.
     pub episodes: Vec<Value>,
 }
@@ -43,8 +54,17 @@ impl Notes {
         episodes.retain(counts);
         Ok(Self {
             recording: info.trocar,
+            options: read_options(dir)?,
             episodes,
         })
+    }
+
+    /// Writes the options of the recording, if they are told.
+    pub(super) fn write_options(&self, dir: &Path) -> Result<(), DatasetError> {
+        match &self.options {
+            Some(options) => write_json(&options_path(dir), options),
+            None => Ok(()),
+        }
     }
 
     /// Adds what `note`, an object, says of the episode `index`.
@@ -57,13 +77,34 @@ impl Notes {
         self.episodes.push(Value::Object(line));
     }
 
-    /// Writes what is said of episodes, if anything is.
+    /// Writes what is said of episodes; if nothing is, there is no file.
     pub(super) fn write_episodes(&self, dir: &Path) -> Result<(), DatasetError> {
-        if self.episodes.is_empty() {
-            return Ok(());
+        let path = path(dir);
+        if !self.episodes.is_empty() {
+            return write_lines(&path, &self.episodes);
         }
-        write_lines(&path(dir), &self.episodes)
+        match fs::remove_file(&path) {
+            Err(error) if error.kind() != io::ErrorKind::NotFound => Err(io_error(&path)(error)),
+            Err(_) | Ok(()) => Ok(()),
+        }
     }
+}
+
+fn read_options(dir: &Path) -> Result<Option<Value>, DatasetError> {
+    let path = options_path(dir);
+    let text = match fs::read(&path) {
+        Ok(text) => text,
+        Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(None),
+        Err(error) => return Err(io_error(&path)(error)),
+    };
+    let options = serde_json::from_slice(&text);
+    options
+        .map(Some)
+        .map_err(|source| DatasetError::Json { path, source })
+}
+
+fn options_path(dir: &Path) -> PathBuf {
+    dir.join("meta/trocar_recording.json")
 }
 
 fn path(dir: &Path) -> PathBuf {
@@ -127,6 +168,7 @@ mod tests {
         let folder = Folder::new("read");
         let mut writer = folder.writer();
         writer.describe(json!({"disturb": 0.5})).unwrap();
+        writer.keep_options(json!({"seed": 3})).unwrap();
         for seed in 3..5 {
             push(&mut writer);
             writer.end_episode_with(json!({"seed": seed})).unwrap();
@@ -134,6 +176,7 @@ mod tests {
         writer.finish().unwrap();
         let notes = Notes::read(&folder.0).unwrap();
         assert_eq!(notes.recording, Some(json!({"disturb": 0.5})));
+        assert_eq!(notes.options, Some(json!({"seed": 3})));
         let expected = [3, 4].map(|seed| json!({"episode_index": seed - 3, "seed": seed}));
         assert_eq!(notes.episodes, expected);
         assert_eq!(Dataset::open(&folder.0).unwrap().len(), 2);
@@ -146,7 +189,7 @@ mod tests {
         push(&mut writer);
         writer.end_episode().unwrap();
         assert_eq!(Notes::read(&folder.0).unwrap(), Notes::default());
-        assert!(!path(&folder.0).exists());
+        assert!(!path(&folder.0).exists() && !options_path(&folder.0).exists());
         let info = fs::read_to_string(folder.0.join("meta/info.json")).unwrap();
         assert!(!info.contains("trocar"), "{info}");
     }

@@ -11,7 +11,7 @@ use super::{
     meta,
     png::decode_rgb,
     rows::{FileRows, Place, Rows, check_episode},
-    schema::image_feature,
+    schema::{CAMERA_POSE_PREFIX, image_feature},
     segments::{VideoCamera, VideoFrames},
     spec::{mismatch, read_spec, video_features},
     table::Table,
@@ -235,6 +235,19 @@ impl Dataset {
     pub fn depth(&self, frame: usize, camera: usize) -> Result<RecordedDepth, DatasetError> {
         let Place { table, row } = self.rows.place[frame];
         depth::read(&self.tables[table], &self.spec.cameras[camera], row)
+    }
+
+    /// Where a camera that keeps depth was in each frame of an episode, in a dataset with a file an episode.
+    pub(super) fn camera_poses(
+        &self,
+        episode: Episode,
+        camera: &str,
+    ) -> Result<Vec<[f64; TIP_POSE_WIDTH]>, DatasetError> {
+        let name = format!("{CAMERA_POSE_PREFIX}{camera}");
+        let table = &self.tables[self.rows.place[episode.start].table];
+        let poses = table.vectors(&name, 1)?;
+        table.check_rows(&name, poses.len(), episode.len)?;
+        Ok(poses)
     }
 
     /// Loads the rows of `listed`, which are in order and begin with the first row of each file.

@@ -62,7 +62,7 @@ pub(super) struct Info {
 }
 
 /// One entry of `features`.
-#[derive(Clone, Debug, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub(super) struct Feature {
     pub(super) dtype: String,
     pub(super) shape: Vec<usize>,

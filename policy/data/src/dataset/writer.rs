@@ -1,7 +1,9 @@
 //! Recording: frames are kept in memory until their episode ends, then the episode is made durable at once.
 
+mod resume;
+
 use std::{
-    fs,
+    fs::{self, File, TryLockError},
     path::{Path, PathBuf},
     sync::Arc,
 };
@@ -33,12 +35,26 @@ const IMAGE_STATS_STRIDE: usize = 10;
 const BATCH_ROWS: usize = 64;
 
 /// How much a recording holds.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Totals {
     /// Finished episodes.
     pub episodes: usize,
     /// Frames in them.
     pub frames: usize,
+}
+
+impl Totals {
+    /// Of the dataset in the folder `dir`, as its description says.
+    ///
+    /// # Errors
+    /// A [`DatasetError`] if that can't be read.
+    pub fn read(dir: &Path) -> Result<Self, DatasetError> {
+        let info = meta::read_info(dir)?;
+        Ok(Self {
+            episodes: info.total_episodes,
+            frames: info.total_frames,
+        })
+    }
 }
 
 /// Records a dataset, an episode at a time.
@@ -59,6 +75,8 @@ pub struct DatasetWriter {
     notes: Notes,
     /// The videos of the episode in progress, by camera.
     encoders: Vec<Encoder>,
+    /// Keeps other recordings out of the folder; none where the file system has no locks.
+    _lock: Option<File>,
 }
 
 impl DatasetWriter {
@@ -81,20 +99,30 @@ impl DatasetWriter {
         spec: &DatasetSpec,
         video: Option<VideoCodec>,
     ) -> Result<Self, DatasetError> {
-        check_spec(spec)?;
-        if video.is_some() {
-            check_video(spec)?;
-        }
+        check(spec, video)?;
         fs::create_dir_all(dir).map_err(io_error(dir))?;
         if fs::read_dir(dir).map_err(io_error(dir))?.next().is_some() {
             return Err(DatasetError::Exists {
                 path: dir.to_owned(),
             });
         }
+        let writer = Self::empty(dir, spec, video)?;
+        meta::write_task(dir, &spec.task)?;
+        writer.commit()?;
+        Ok(writer)
+    }
+
+    /// Without an episode; locks the folder, in which it writes nothing yet.
+    fn empty(
+        dir: &Path,
+        spec: &DatasetSpec,
+        video: Option<VideoCodec>,
+    ) -> Result<Self, DatasetError> {
+        let lock = lock(dir)?;
         let widths = schema::features(spec, video)
             .into_iter()
             .filter(|(_, feature)| feature.dtype != "image" && feature.dtype != "video");
-        let writer = Self {
+        Ok(Self {
             dir: dir.to_owned(),
             spec: spec.clone(),
             video,
@@ -108,10 +136,8 @@ impl DatasetWriter {
             pending: Pending::new(spec),
             notes: Notes::default(),
             encoders: Vec::new(),
-        };
-        meta::write_task(dir, &spec.task)?;
-        writer.commit()?;
-        Ok(writer)
+            _lock: lock,
+        })
     }
 
     /// Says in `info.json` how the whole recording came about.
@@ -121,6 +147,15 @@ impl DatasetWriter {
     pub fn describe(&mut self, recording: Value) -> Result<(), DatasetError> {
         self.notes.recording = Some(recording);
         self.commit()
+    }
+
+    /// Keeps the recording's options, all that one which goes on with it must have too, in a file that LeRobot does not look at.
+    ///
+    /// # Errors
+    /// What the file system says.
+    pub fn keep_options(&mut self, options: Value) -> Result<(), DatasetError> {
+        self.notes.options = Some(options);
+        self.notes.write_options(&self.dir)
     }
 
     /// Adds a frame to the episode in progress; encodes its images.
@@ -161,6 +196,15 @@ impl DatasetWriter {
     #[must_use]
     pub const fn pending_frames(&self) -> usize {
         self.pending.frame_count()
+    }
+
+    /// What is finished.
+    #[must_use]
+    pub const fn totals(&self) -> Totals {
+        Totals {
+            episodes: self.episodes.len(),
+            frames: self.frame_count,
+        }
     }
 
     /// Finishes the episode in progress: once this returns, it survives a power cut.
@@ -218,10 +262,7 @@ impl DatasetWriter {
     /// [`DatasetError::Input`] while an episode is in progress: end or discard it first.
     pub fn finish(self) -> Result<Totals, DatasetError> {
         match self.pending_frames() {
-            0 => Ok(Totals {
-                episodes: self.episodes.len(),
-                frames: self.frame_count,
-            }),
+            0 => Ok(self.totals()),
             count => Err(input(
                 "the episode in progress",
                 &format!("{count} frames long"),
@@ -349,6 +390,30 @@ impl DatasetWriter {
         let recording = self.notes.recording.clone();
         let info = meta::info(&self.spec, self.video, episodes, frames, recording);
         meta::write_info(&self.dir, &info)
+    }
+}
+
+/// Only what can be stored.
+fn check(spec: &DatasetSpec, video: Option<VideoCodec>) -> Result<(), DatasetError> {
+    check_spec(spec)?;
+    match video {
+        Some(_) => check_video(spec),
+        None => Ok(()),
+    }
+}
+
+/// Locks `dir` by its folder `meta`, which is made, until the file is closed.
+fn lock(dir: &Path) -> Result<Option<File>, DatasetError> {
+    let path = dir.join("meta");
+    fs::create_dir_all(&path).map_err(io_error(&path))?;
+    let folder = File::open(&path).map_err(io_error(&path))?;
+    match folder.try_lock() {
+        Ok(()) => Ok(Some(folder)),
+        Err(TryLockError::WouldBlock) => Err(DatasetError::Busy {
+            path: dir.to_owned(),
+        }),
+        // Some network file systems have no locks of folders.
+        Err(TryLockError::Error(_)) => Ok(None),
     }
 }
 

@@ -19,6 +19,7 @@ pub mod policies;
 pub mod realtime;
 pub mod record;
 pub mod record_notes;
+mod record_resume;
 pub mod robot;
 pub mod run;
 pub mod scene_options;

@@ -63,6 +63,30 @@ pub fn new_folder(option: &str, path: &Path) -> Result<(), SessionError> {
     probe(&path.join("writable")).map_err(|error| refuse(&unwritable(&error)))
 }
 
+/// Checks that `path`, which `option` names, is the folder of a dataset and that files can be written into it.
+///
+/// # Errors
+/// [`SessionError::BadArgument`] if it is none or can't be written.
+pub fn dataset_folder(option: &str, path: &Path) -> Result<(), SessionError> {
+    if !has_dataset(path) {
+        let reason = "holds no dataset that a recording could go on with";
+        return Err(refused(option, path, reason));
+    }
+    probe(&path.join("writable")).map_err(|error| refused(option, path, &unwritable(&error)))
+}
+
+/// Whether the folder `path` is a dataset's.
+#[must_use]
+pub fn has_dataset(path: &Path) -> bool {
+    path.join("meta/info.json").is_file()
+}
+
+/// Whether the folder `path` is that of a dataset which says how it was recorded.
+#[must_use]
+pub fn has_recording(path: &Path) -> bool {
+    has_dataset(path) && path.join("meta/trocar_recording.json").is_file()
+}
+
 fn unwritable(error: &std::io::Error) -> String {
     format!("cannot be written: {error}")
 }

@@ -6,7 +6,8 @@ use hal::{CameraFrame, Chunk, SeenArm, TipTarget};
 use serde::Serialize;
 use tch::Device;
 use trocar_data::dataset::{
-    ArmFrame, CameraSpec, DatasetSpec, DatasetWriter, DepthFrame, FrameRecord, VideoCodec,
+    ArmFrame, CameraSpec, DatasetError, DatasetSpec, DatasetWriter, DepthFrame, FrameRecord,
+    Totals, VideoCodec,
 };
 use trocar_data::perception::depth_units;
 use trocar_nets::act_policy::state_numbers;
@@ -17,19 +18,20 @@ use trocar_tasks::task::{Outcome, Variation};
 
 use super::episode::{Episode, Plan, StepView, Watcher};
 use super::latency::Latency;
-use super::record_notes::{
-    DISTURBED_TIME_FACTOR, DisturbedCounts, EpisodeNote, recording_note, value,
-};
+use super::record_notes::{DISTURBED_TIME_FACTOR, DisturbedCounts, EpisodeNote, value};
+use super::record_resume::{Found, begin, look};
 use super::source::{PolicyChoice, STEP_NS};
-use super::{SessionError, Setup, outputs, parallel};
+use super::{SessionError, Setup, parallel};
 
 /// What to record.
 #[derive(Clone, Debug)]
 pub struct RecordOptions {
-    /// How many successful episodes.
+    /// How many successful episodes, with those that are there before.
     pub episodes: usize,
-    /// The dataset's directory; a new or an empty one.
+    /// The dataset's directory; a new or an empty one, unless the recording goes on.
     pub out: PathBuf,
+    /// Go on with the recording that is there, which must have been made with these options.
+    pub resume: bool,
     /// Seed of the first attempt; attempt i has `seed + i`, which wraps.
     pub seed: u64,
     /// Episodes at a time.
@@ -74,7 +76,7 @@ pub struct RecordSummary {
     /// What was drawn anew for each episode.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub varied: Vec<Variation>,
-    /// What became of the disturbed demonstrations, if some were to be.
+    /// What became of the disturbed demonstrations among the attempts, if some were to be.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub disturbed: Option<DisturbedCounts>,
     /// The scene file, if it was not the built-in one.
@@ -84,15 +86,19 @@ pub struct RecordSummary {
     pub cameras: Vec<String>,
     /// Episodes in the dataset.
     pub episodes: usize,
-    /// Policy steps in them.
+    /// How many of them were there before.
+    pub episodes_before: usize,
+    /// Policy steps in all of them.
     pub steps: usize,
-    /// Every attempt, in the order of its seed's index.
+    /// Whether a signal ended the recording before there were as many as asked for.
+    pub interrupted: bool,
+    /// Every attempt that was made now, in the order of its seed's index.
     pub attempts: Vec<Attempt>,
 }
 
 impl RecordSummary {
-    /// Of a recording that has nothing yet.
-    fn new(setup: &Setup, options: &RecordOptions) -> Self {
+    /// Of a recording that has done nothing yet beyond what it `found`.
+    fn new(setup: &Setup, options: &RecordOptions, found: &Found) -> Self {
         Self {
             task: setup.task_name.clone(),
             view: setup.task.view.name().to_owned(),
@@ -101,37 +107,53 @@ impl RecordSummary {
             disturbed: options.disturb.map(|_| DisturbedCounts::default()),
             scene: setup.scene_file.clone(),
             cameras: setup.cameras_with(Vec::new()),
-            episodes: 0,
-            steps: 0,
+            episodes: found.totals.episodes,
+            episodes_before: found.totals.episodes,
+            steps: found.totals.frames,
+            interrupted: false,
             attempts: Vec::new(),
         }
     }
+
+    fn add(&mut self, attempt: Attempt) {
+        if attempt.kept {
+            self.episodes += 1;
+            self.steps += attempt.steps;
+        }
+        if let Some(disturbed) = &mut self.disturbed {
+            disturbed.add(&attempt);
+        }
+        self.attempts.push(attempt);
+    }
 }
 
-/// Records until enough attempts have succeeded; failed ones are reported and not kept.
+/// Records until enough attempts have succeeded; failed ones are reported and not kept. Once `stop` says so, those in progress are
+/// abandoned, and the dataset has what was done.
+///
+/// A recording that goes on comes to the same episodes as one without a break: it begins behind the seed of the last one that is
+/// there. If there are enough already, nothing is touched.
 ///
 /// # Errors
-/// From the simulation or the dataset; [`SessionError::BadArgument`] if the folder is not empty;
+/// From the simulation or the dataset; [`SessionError::BadArgument`] if the folder is not empty, or, to go on, if it holds no
+/// dataset, one that does not say how it was recorded, or one that was recorded with other options;
 /// [`SessionError::Unproductive`] if the expert fails far too often.
 pub fn record(
     setup: &Setup,
     options: &RecordOptions,
+    stop: &(dyn Fn() -> bool + Sync),
     on_attempt: &mut dyn FnMut(&Attempt),
 ) -> Result<RecordSummary, SessionError> {
-    outputs::new_folder("--out", &options.out)?;
-    let spec = dataset_spec(setup, options);
-    let mut writer = DatasetWriter::create_with(&options.out, &spec, options.video)?;
-    let described = recording_note(setup, options)?;
-    let noted = described.is_some();
-    if let Some(description) = described {
-        writer.describe(description)?;
+    let found = look(setup, options)?;
+    let mut summary = RecordSummary::new(setup, options, &found);
+    if options.resume && summary.episodes >= options.episodes {
+        return Ok(summary);
     }
-    let mut summary = RecordSummary::new(setup, options);
-    let mut attempts: u64 = 0;
+    let mut writer = begin(setup, options, &found, &dataset_spec(setup, options))?;
+    let mut attempts = found.attempts;
     let attempts_max = (options.episodes as u64)
         .saturating_mul(4)
         .saturating_add(20);
-    while summary.episodes < options.episodes {
+    while summary.episodes < options.episodes && !summary.interrupted {
         if attempts >= attempts_max {
             return Err(SessionError::Unproductive {
                 kept: summary.episodes,
@@ -140,36 +162,59 @@ pub fn record(
         }
         let wanted = options.episodes - summary.episodes;
         let first = options.seed.wrapping_add(attempts);
-        parallel::in_order(
+        let mut done = 0;
+        parallel::in_order_until(
             wanted,
             options.jobs,
             // What is cut off loses no more than these.
             options.jobs,
-            || Ok(demonstrator(setup, first, options)),
-            &mut |_, demo: Demonstration| {
-                let attempt = demo.attempt();
-                if attempt.kept {
-                    push_frames(&mut writer, &demo)?;
-                    if noted {
-                        writer.end_episode_with(value(options, &demo.note)?)?;
-                    } else {
-                        writer.end_episode()?;
-                    }
-                    summary.episodes += 1;
-                    summary.steps += demo.frames.len();
+            stop,
+            || Ok(demonstrator(setup, first, options, stop)),
+            &mut |index, demo: Option<Demonstration>| {
+                // Behind an abandoned attempt nothing counts: seeds have no gaps.
+                if let Some(demo) = demo.filter(|_| index == done) {
+                    keep(&mut writer, options, &demo)?;
+                    let attempt = demo.attempt();
+                    on_attempt(&attempt);
+                    summary.add(attempt);
+                    done += 1;
                 }
-                if let Some(disturbed) = &mut summary.disturbed {
-                    disturbed.add(&attempt);
-                }
-                on_attempt(&attempt);
-                summary.attempts.push(attempt);
                 Ok(())
             },
         )?;
-        attempts = attempts.saturating_add(wanted as u64);
+        summary.interrupted = done < wanted;
+        attempts = attempts.saturating_add(done as u64);
     }
     writer.finish()?;
     Ok(summary)
+}
+
+/// Writes a demonstration that succeeded.
+fn keep(
+    writer: &mut DatasetWriter,
+    options: &RecordOptions,
+    demo: &Demonstration,
+) -> Result<(), SessionError> {
+    if !demo.succeeded() {
+        return Ok(());
+    }
+    let note = value(options, &demo.note)?;
+    let written = push_frames(writer, demo).and_then(|()| writer.end_episode_with(note));
+    written.map_err(|error| unwritten(options, error))
+}
+
+/// The error that a file could not be written, such as on a full disk; others as they are.
+fn unwritten(options: &RecordOptions, error: DatasetError) -> SessionError {
+    let reason = if let DatasetError::Io { path, source } = &error {
+        format!("{}: {source}", path.display())
+    } else if let DatasetError::Parquet { path, source } = &error {
+        format!("{}: {source}", path.display())
+    } else {
+        return error.into();
+    };
+    let there = Totals::read(&options.out).map_or(0, |there| there.episodes);
+    let reason = format!("{reason}; {there} episodes are there, which --resume goes on with");
+    SessionError::output(&options.out, reason)
 }
 
 fn dataset_spec(setup: &Setup, options: &RecordOptions) -> DatasetSpec {
@@ -222,10 +267,14 @@ struct Demonstration {
 }
 
 impl Demonstration {
+    const fn succeeded(&self) -> bool {
+        matches!(self.outcome, Outcome::Success)
+    }
+
     fn attempt(&self) -> Attempt {
         Attempt {
             seed: self.note.seed,
-            kept: matches!(self.outcome, Outcome::Success),
+            kept: self.succeeded(),
             reason: self.reason.clone(),
             steps: self.frames.len(),
             disturbances: self.note.disturbances.as_ref().map_or(0, Vec::len),
@@ -258,7 +307,7 @@ impl StoredDepth {
     }
 }
 
-fn push_frames(writer: &mut DatasetWriter, demo: &Demonstration) -> Result<(), SessionError> {
+fn push_frames(writer: &mut DatasetWriter, demo: &Demonstration) -> Result<(), DatasetError> {
     for frame in &demo.frames {
         let images: Vec<&[u8]> = frame.images.iter().map(Vec::as_slice).collect();
         let depth: Vec<DepthFrame<'_>> = frame
@@ -279,12 +328,13 @@ fn push_frames(writer: &mut DatasetWriter, demo: &Demonstration) -> Result<(), S
     Ok(())
 }
 
-/// The job of one thread: the demonstration of `first + index`.
+/// The job of one thread: the demonstration of `first + index`; none if it was abandoned because `stop` said so.
 fn demonstrator(
     setup: &Setup,
     first: u64,
     options: &RecordOptions,
-) -> impl FnMut(usize) -> Result<Demonstration, SessionError> {
+    stop: &(dyn Fn() -> bool + Sync),
+) -> impl FnMut(usize) -> Result<Option<Demonstration>, SessionError> {
     let mut cameras: Option<SceneCameras> = None;
     move |index| {
         let seed = first.wrapping_add(index as u64);
@@ -307,6 +357,7 @@ fn demonstrator(
             cameras: setup.cameras_with(Vec::new()),
             depth: options.depth,
             frames: Vec::new(),
+            stop,
         };
         let plan = Plan {
             latency: Latency::fixed(source.latency_ticks()),
@@ -317,9 +368,12 @@ fn demonstrator(
             controller: &mut controller,
             source: &mut source,
         };
-        let end = episode.run_disturbed(&plan, &mut diary, disturber.as_mut())?;
+        let end = match episode.run_disturbed(&plan, &mut diary, disturber.as_mut()) {
+            Err(SessionError::Interrupted) => return Ok(None),
+            end => end?,
+        };
         cameras = simulation.into_cameras();
-        Ok(Demonstration {
+        Ok(Some(Demonstration {
             note: EpisodeNote {
                 seed,
                 grasps: source.attempts(),
@@ -329,18 +383,19 @@ fn demonstrator(
             reason: end.reason(),
             outcome: end.outcome,
             frames: diary.frames,
-        })
+        }))
     }
 }
 
 /// Writes down every policy step of the expert.
-struct Diary {
+struct Diary<'a> {
     cameras: Vec<String>,
     depth: bool,
     frames: Vec<StoredFrame>,
+    stop: &'a (dyn Fn() -> bool + Sync),
 }
 
-impl Watcher for Diary {
+impl Watcher for Diary<'_> {
     fn cameras(&self) -> Vec<String> {
         self.cameras.clone()
     }
@@ -366,6 +421,10 @@ impl Watcher for Diary {
             },
         });
         Ok(())
+    }
+
+    fn wants_stop(&self) -> bool {
+        (self.stop)()
     }
 }
 

@@ -1,15 +1,37 @@
 //! What a recording says of how it came about: in the dataset's metadata and in the result.
 
+use std::collections::BTreeMap;
+
 use serde::Serialize;
 use serde_json::Value;
+use trocar_data::dataset::VideoCodec;
 use trocar_tasks::disturbance::Disturbance;
 use trocar_tasks::task::{Drawn, Variation};
 
 use super::record::{Attempt, RecordOptions};
 use super::{SessionError, Setup};
+use crate::study::address::hash_text;
 
 /// By how much longer a disturbed demonstration may take than the task allows.
 pub const DISTURBED_TIME_FACTOR: u32 = 2;
+
+/// Everything that decides what a recording's episodes are: one that goes on must have it all alike, but for the version.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+struct OptionsNote<'a> {
+    trocar: &'static str,
+    task: &'a str,
+    instruction: Option<&'a str>,
+    seed: u64,
+    cameras: Vec<String>,
+    depth: bool,
+    video: Option<&'static str>,
+    view: &'static str,
+    needle: Option<&'a str>,
+    varied: &'a [Variation],
+    disturb: Option<f64>,
+    /// SHA-256 of the configuration files as they were in effect.
+    files: BTreeMap<String, String>,
+}
 
 /// How a recording was made, if it was disturbed or varied.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -94,6 +116,26 @@ pub(super) fn recording_note(
         }),
     };
     value(options, &note).map(Some)
+}
+
+/// The options of a recording, of whatever kind it is.
+pub(super) fn options_note(setup: &Setup, options: &RecordOptions) -> Result<Value, SessionError> {
+    let texts = setup.texts.by_name().into_iter();
+    let note = OptionsNote {
+        trocar: env!("CARGO_PKG_VERSION"),
+        task: &setup.task_name,
+        instruction: options.instruction.as_deref(),
+        seed: options.seed,
+        cameras: setup.cameras_with(Vec::new()),
+        depth: options.depth,
+        video: options.video.map(VideoCodec::name),
+        view: setup.task.view.name(),
+        needle: setup.needle(),
+        varied: &setup.task.varied,
+        disturb: options.disturb,
+        files: texts.map(|(name, text)| (name, hash_text(&text))).collect(),
+    };
+    value(options, &note)
 }
 
 /// `note` as the dataset takes it.

@@ -26,6 +26,7 @@ mod backbone;
 mod clouds;
 mod disturbed;
 mod latency;
+mod resumed;
 mod state;
 mod tissue;
 
@@ -213,6 +214,7 @@ fn record_one(out: &Path) -> Dataset {
     let options = RecordOptions {
         episodes: 1,
         out: out.to_owned(),
+        resume: false,
         seed: 3,
         jobs: 1,
         depth: false,
@@ -221,7 +223,7 @@ fn record_one(out: &Path) -> Dataset {
         instruction: None,
     };
     let setup = small_handover(&PolicyChoice::Expert);
-    let summary = record(&setup, &options, &mut |_| {}).unwrap();
+    let summary = record(&setup, &options, &|| false, &mut |_| {}).unwrap();
     assert_eq!((summary.episodes, summary.attempts.len()), (1, 1));
     let dataset = Dataset::open(out).unwrap();
     assert_eq!((dataset.len(), dataset.arms()), (summary.steps, 2));

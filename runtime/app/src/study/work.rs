@@ -12,6 +12,7 @@ use super::job::{Job, Kind, PolicyInput};
 use super::plan::Cell;
 use super::store::{Attempts, MANIFEST_FORMAT, Manifest, Store};
 use super::{StudyError, result};
+use crate::session::outputs;
 
 /// The state that a training which is not at its end keeps in its checkpoint's folder.
 const TRAINING_STATE: &str = "training_state.safetensors";
@@ -135,7 +136,7 @@ impl Workshop<'_> {
                 if done.exists() && !places.product.exists() {
                     rename(&done, &places.product)?;
                 }
-                if self.abilities.record_resume && places.product.exists() {
+                if self.abilities.record_resume && outputs::has_recording(&places.product) {
                     Begin::Resumed
                 } else {
                     Begin::New

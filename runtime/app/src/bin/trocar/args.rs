@@ -85,7 +85,7 @@ pub(crate) enum Verb {
     Eval(EvalArgs),
     /// Record demonstrations as a LeRobot v3 dataset.
     #[command(
-        after_help = "Example: trocar record --task needle-lift --episodes 50 --source expert --cameras multi --out runs/demos\n         trocar record --task needle-lift --episodes 200 --disturb 0.5 --vary needles,views,light --jobs 2 --out runs/varied"
+        after_help = "Example: trocar record --task needle-lift --episodes 50 --source expert --cameras multi --out runs/demos\n         trocar record --task needle-lift --episodes 200 --disturb 0.5 --vary needles,views,light --jobs 2 --out runs/varied\n         trocar record --task needle-lift --episodes 100 --source expert --cameras multi --out runs/demos --resume\n\nCtrl-C (SIGINT), SIGTERM and SIGHUP abandon the episodes in progress; what was recorded is a dataset, and the exit code is 1. A second one ends the program at once. The same command with --resume goes on, also after a crash or a full disk, and comes to the same dataset as without the break."
     )]
     Record(RecordArgs),
     /// Make a LeRobot v3 dataset of demonstrations in HDF5, in ACT's or robomimic's layout.
@@ -440,15 +440,19 @@ pub(crate) struct RecordArgs {
     /// The task: a built-in one by name, or the path of a folder with scene.toml and safety.toml.
     #[arg(long, value_parser = TaskParser)]
     pub(crate) task: String,
-    /// How many successful episodes to record.
+    /// How many successful episodes there shall be in the dataset.
     #[arg(long, value_parser = count())]
     pub(crate) episodes: usize,
     /// Source of the demonstrations.
     #[arg(long, value_enum, default_value = "expert")]
     pub(crate) source: Demonstrator,
-    /// The dataset's directory; a new or an empty one.
+    /// The dataset's directory; a new or an empty one, but for --resume.
     #[arg(long)]
     pub(crate) out: PathBuf,
+    /// Go on with the recording in the dataset's directory, until it has that many episodes in all. What it was recorded with must be
+    /// given as it was, its seed too; --jobs and --episodes may be others.
+    #[arg(long)]
+    pub(crate) resume: bool,
     /// Seed of the first attempt; attempt i has seed + i, which wraps around past 2^64 - 1.
     #[arg(long, default_value_t = 0)]
     pub(crate) seed: u64,

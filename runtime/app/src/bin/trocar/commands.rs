@@ -8,7 +8,6 @@ use trocar::rt;
 use trocar::session::changes::{Change, Changes, ConfigFile};
 use trocar::session::demo::{self, DemoOptions};
 use trocar::session::realtime::{self, CanOptions, PolicyProcessOptions, RobotOptions};
-use trocar::session::record::{self, RecordOptions};
 use trocar::session::run::{self, RunOptions, RunResult, write_json};
 use trocar::session::summary::{CanBusSummary, RunSummary};
 use trocar::session::{PolicyChoice, Robot, SessionError, Setup, outputs, tasks};
@@ -21,7 +20,7 @@ use trocar_tasks::task::TaskConfig;
 
 use crate::args::{
     Backend, ComputeArgs, ComputeDevice, DemoArgs, DoctorArgs, LogArgs, PolicyProcessArgs,
-    Precision, RecordArgs, RunArgs, Video,
+    Precision, RunArgs, Video,
 };
 use crate::console;
 use crate::drives::can_source;
@@ -263,60 +262,6 @@ fn report_run(summary: &RunSummary) {
         }
     }
     console::result(&format!("  command hash: {}", summary.command_hash));
-}
-
-pub(crate) fn record(args: &RecordArgs) -> Done {
-    let config = ("--config", args.config.as_deref());
-    let scene = ("--scene", args.scene.scene.as_deref());
-    let out = ("--out", Some(args.out.as_path()));
-    let task = tasks::paths(&args.task);
-    let mut read = vec![config, scene, out];
-    read.extend(of_task(&task));
-    outputs::check(&[("--json", args.json.as_deref())], &read)?;
-    let changes = task_changes(&args.set)?;
-    let expert = PolicyChoice::Expert;
-    let scene = args.vary.add_to(args.scene.options(Some(&args.cameras)));
-    let setup = Setup::load_with(&args.task, config.1, &expert, &scene, changes)?;
-    let options = RecordOptions {
-        disturb: args.disturb,
-        episodes: args.episodes,
-        out: args.out.clone(),
-        seed: args.seed,
-        jobs: args.jobs,
-        depth: args.depth,
-        video: args.video.map(codec),
-        instruction: args.instruction.clone(),
-    };
-    let bar = console::progress(args.episodes as u64, "episodes");
-    let summary = record::record(&setup, &options, &mut |attempt| {
-        if attempt.kept {
-            bar.inc(1);
-        } else {
-            bar.suspend(|| {
-                console::note(&format!(
-                    "seed {}: not kept: {}",
-                    attempt.seed, attempt.reason
-                ))
-            });
-        }
-    })?;
-    bar.finish_and_clear();
-    console::result(&format!(
-        "{} episodes, {} steps in {}",
-        summary.episodes,
-        summary.steps,
-        args.out.display()
-    ));
-    if let Some(disturbed) = &summary.disturbed {
-        console::result(&format!(
-            "disturbed: {} of {} kept, {} with another attempt at a grasp",
-            disturbed.kept, disturbed.attempts, disturbed.retried
-        ));
-    }
-    if let Some(path) = &args.json {
-        write_json(path, &summary)?;
-    }
-    Ok(true)
 }
 
 pub(crate) fn replay(args: &LogArgs) -> Done {

@@ -9,6 +9,7 @@ mod console;
 mod drives;
 mod eval;
 mod import;
+mod record;
 mod scene_args;
 mod sheet;
 mod study;
@@ -65,7 +66,7 @@ fn main() -> ExitCode {
     let result = match &cli.verb {
         Verb::Run(args) => commands::run(args),
         Verb::Eval(args) => eval::eval(args),
-        Verb::Record(args) => commands::record(args),
+        Verb::Record(args) => record::record(args),
         Verb::Import(args) => import::import(args),
         Verb::Train(args) => train::train(args),
         Verb::Study(args) => study::study(args),

@@ -19,6 +19,7 @@ pub(super) fn record_lift(out: &Path, depth: bool, side: u32) -> Dataset {
     let options = RecordOptions {
         episodes: 1,
         out: out.to_owned(),
+        resume: false,
         seed: 3,
         jobs: 1,
         depth,
@@ -27,7 +28,7 @@ pub(super) fn record_lift(out: &Path, depth: bool, side: u32) -> Dataset {
         instruction: None,
     };
     let setup = small_lift(&PolicyChoice::Expert, side);
-    record(&setup, &options, &mut |_| {}).unwrap();
+    record(&setup, &options, &|| false, &mut |_| {}).unwrap();
     Dataset::open(out).unwrap()
 }
 

@@ -11,7 +11,7 @@ use crate::session::record_notes::DISTURBED_TIME_FACTOR;
 use crate::session::scene_options::SceneOptions;
 
 /// The needle lift with small pictures, `varied`.
-fn small_lift(varied: &[Variation]) -> Setup {
+pub(super) fn small_lift(varied: &[Variation]) -> Setup {
     let options = SceneOptions {
         varied: varied.to_vec(),
         ..SceneOptions::default()
@@ -24,10 +24,11 @@ fn small_lift(varied: &[Variation]) -> Setup {
     setup
 }
 
-fn options(out: &Path, disturb: Option<f64>) -> RecordOptions {
+pub(super) fn options(out: &Path, disturb: Option<f64>) -> RecordOptions {
     RecordOptions {
         episodes: 2,
         out: out.to_owned(),
+        resume: false,
         seed: 40,
         jobs: 2,
         depth: false,
@@ -42,7 +43,7 @@ fn a_disturbed_and_varied_recording_says_so() {
     let folder = Scratch::new("session-disturbed");
     let setup = small_lift(&Variation::ALL);
     let options = options(&folder.0, Some(1.0));
-    let summary = record(&setup, &options, &mut |_| {}).unwrap();
+    let summary = record(&setup, &options, &|| false, &mut |_| {}).unwrap();
     assert_eq!((summary.episodes, summary.needle), (2, None));
     let kept: Vec<_> = summary.attempts.iter().filter(|it| it.kept).collect();
     let counts = summary.disturbed.unwrap();
@@ -87,18 +88,20 @@ fn a_disturbed_and_varied_recording_says_so() {
 }
 
 #[test]
-fn a_plain_recording_says_nothing_and_is_as_it_was() {
+fn a_plain_recording_says_nothing_that_lerobot_sees_and_is_as_it_was() {
     let folder = Scratch::new("session-undisturbed");
     let setup = small_lift(&[]);
     let record_in = |name: &str, disturb| {
         let out = folder.0.join(name);
-        let summary = record(&setup, &options(&out, disturb), &mut |_| {}).unwrap();
+        let summary = record(&setup, &options(&out, disturb), &|| false, &mut |_| {}).unwrap();
         (out, summary)
     };
     let (plain, summary) = record_in("plain", None);
     assert_eq!(summary.disturbed, None);
-    assert_eq!(Notes::read(&plain).unwrap(), Notes::default());
-    assert!(!plain.join("meta/trocar_episodes.jsonl").exists());
+    let notes = Notes::read(&plain).unwrap();
+    assert_eq!((notes.recording, notes.episodes.len()), (None, 2));
+    assert_eq!(notes.episodes[0]["seed"], 40);
+    assert_eq!(notes.options.unwrap()["seed"], 40);
     let info = fs::read_to_string(plain.join("meta/info.json")).unwrap();
     assert!(!info.contains("trocar"), "{info}");
     // A share so small that it comes to nothing leaves every number as it is.
