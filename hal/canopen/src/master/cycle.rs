@@ -178,6 +178,16 @@ impl Cycle {
         })
     }
 
+    /// Whether every drive has said that it is down, and none is silent: a silent one may have torque.
+    #[must_use]
+    pub fn is_confirmed_down(&self) -> bool {
+        let heard = self
+            .axes
+            .iter()
+            .all(|axis| axis.newest.is_some() && axis.silent() < SILENT_AFTER);
+        heard && self.is_down()
+    }
+
     /// The newest SYNC.
     #[must_use]
     pub const fn sync(&self) -> Option<TimeNs> {

@@ -21,7 +21,7 @@ pub(crate) struct CanRig {
     measured: MailboxWriter<PerArm<ArmState>>,
     noticed: MailboxWriter<Noticed>,
     happened: PerArm<Happened>,
-    /// Whether the drives of each arm, the ones that are heard, were confirmed without torque when they were taken down.
+    /// Whether each arm's drives have all confirmed that they are without torque, when they were taken down.
     pub(crate) confirmed_down: PerArm<bool>,
     periodic: Periodic,
 }
@@ -72,11 +72,13 @@ impl CanRig {
         let mut periodic = Periodic::new(clock, first, TICK_NS);
         loop {
             let now = periodic.wait().due;
+            let mut all_down = true;
             // Each arm has its turn, whether the ones before it are down or not.
-            for (arm, down) in self.arms.iter_mut().zip(self.confirmed_down.iter_mut()) {
-                *down = arm.take_down(now);
+            for (arm, confirmed) in self.arms.iter_mut().zip(self.confirmed_down.iter_mut()) {
+                all_down &= arm.take_down(now);
+                *confirmed = arm.cycle().is_confirmed_down();
             }
-            if self.confirmed_down.iter().all(|down| *down) || now >= end {
+            if all_down || now >= end {
                 break;
             }
         }

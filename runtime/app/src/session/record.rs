@@ -205,14 +205,17 @@ fn keep(
 
 /// The error that a file could not be written, such as on a full disk; others as they are.
 fn unwritten(options: &RecordOptions, error: DatasetError) -> SessionError {
+    let there = Totals::read(&options.out).map_or(0, |there| there.episodes);
     let reason = if let DatasetError::Io { path, source } = &error {
         format!("{}: {source}", path.display())
     } else if let DatasetError::Parquet { path, source } = &error {
         format!("{}: {source}", path.display())
+    } else if let (DatasetError::Video { .. }, true) = (&error, there > 0) {
+        // Of the first episode it is the encoder that fails, later the disk.
+        error.to_string()
     } else {
         return error.into();
     };
-    let there = Totals::read(&options.out).map_or(0, |there| there.episodes);
     let reason = format!("{reason}; {there} episodes are there, which --resume goes on with");
     SessionError::output(&options.out, reason)
 }

@@ -120,7 +120,7 @@ pub struct CanArmSummary {
     pub syncs_left_out: u64,
     /// Commands that were no numbers or out of reach.
     pub commands_refused: u64,
-    /// Whether each of its drives that was heard said at the end that it has no torque any more, before its node was stopped.
+    /// Whether each of its drives said at the end that it has no torque any more, before its node was stopped.
     pub confirmed_down: bool,
     /// What stopped the arm, if something did.
     pub fault: Option<String>,
@@ -129,11 +129,10 @@ pub struct CanArmSummary {
 }
 
 impl CanArmSummary {
-    /// What a person should know before going near the arm, if there is something that its fault does not say.
+    /// What a person should know before going near the arm, if there is something.
     #[must_use]
     pub fn warning(&self) -> Option<String> {
-        let unexplained = !self.confirmed_down && self.fault.is_none();
-        unexplained.then(|| {
+        (!self.confirmed_down).then(|| {
             format!(
                 "{}: its drives have not confirmed that they are down, and their nodes were stopped; take the arm to have torque until \
                  its power is off",
@@ -390,7 +389,7 @@ mod tests {
     }
 
     #[test]
-    fn an_arm_whose_drives_are_not_known_to_be_down_is_named_unless_its_fault_is() {
+    fn an_arm_whose_drives_are_not_known_to_be_down_is_named() {
         let arm = |confirmed_down, fault: Option<&str>| CanArmSummary {
             arm: "psm2",
             buses: Vec::new(),
@@ -404,15 +403,13 @@ mod tests {
             fault_node: None,
         };
         assert_eq!(arm(true, None).warning(), None);
-        assert_eq!(
-            arm(false, Some("bus 0: our controller is bus-off")).warning(),
-            None
-        );
-        let warning = arm(false, None).warning().unwrap_or_default();
-        assert!(
-            warning.starts_with("psm2: its drives have not confirmed that they are down"),
-            "{warning}"
-        );
+        for fault in [None, Some("bus 0: our controller is bus-off")] {
+            let warning = arm(false, fault).warning().unwrap_or_default();
+            assert!(
+                warning.starts_with("psm2: its drives have not confirmed that they are down"),
+                "{warning}"
+            );
+        }
     }
 
     #[test]

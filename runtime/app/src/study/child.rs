@@ -27,6 +27,8 @@ pub struct Running {
 pub struct Ended {
     /// Whether it exited with code 0.
     pub success: bool,
+    /// Its exit code, unless a signal ended it.
+    pub code: Option<i32>,
     /// How, and its last lines.
     pub told: String,
     /// Its greatest memory, bytes, as far as it was seen.
@@ -83,6 +85,7 @@ impl Running {
         let status = self.child.try_wait()?;
         Ok(status.map(|status| Ended {
             success: status.success(),
+            code: status.code(),
             told: self.told(status),
             memory_bytes: (self.memory_bytes > 0).then_some(self.memory_bytes),
         }))

@@ -165,12 +165,12 @@ impl Workshop<'_> {
         Ok(Start::Run(arguments, begin))
     }
 
-    /// Takes away what a resumed training can't go on from, so that it begins anew.
+    /// Takes away what a resumed training or recording can't go on from, so that it begins anew.
     ///
     /// # Errors
     /// [`StudyError::Io`].
-    pub fn forget_training(&self, address: &Address) -> Result<(), StudyError> {
-        remove(&self.store.product(Kind::Training, address))
+    pub fn forget_product(&self, cell: &Cell) -> Result<(), StudyError> {
+        remove(&self.places(cell).product)
     }
 
     /// Checks what a verb has made, and writes what makes the cell done.

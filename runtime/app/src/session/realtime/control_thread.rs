@@ -37,6 +37,27 @@ pub(super) struct ControlEnd<R> {
     pub(super) log_dropped: u64,
 }
 
+impl<R> ControlEnd<R> {
+    /// The same, after the rig is dropped.
+    pub(super) fn without_rig(self) -> ControlEnd<()> {
+        let Self {
+            rig,
+            tally,
+            skipped,
+            wake_p99_us,
+            log_dropped,
+        } = self;
+        drop(rig);
+        ControlEnd {
+            rig: (),
+            tally,
+            skipped,
+            wake_p99_us,
+            log_dropped,
+        }
+    }
+}
+
 impl<R: Rig> ControlThread<R> {
     /// Runs until the arms rest after the verdict, or after a fault of any, which it does not recover from by itself.
     pub(super) fn run(mut self, clock: MonotonicClock) -> ControlEnd<R> {

@@ -11,6 +11,9 @@ use super::super::store::Attempts;
 use super::super::work::Took;
 use super::{Runner, Status, Work};
 
+/// The exit code of a verb that refuses what it is given.
+const BAD_INPUT: i32 = 2;
+
 impl Runner<'_> {
     /// Takes care of children that have ended.
     pub(super) fn poll(&mut self) -> Result<(), StudyError> {
@@ -56,6 +59,12 @@ impl Runner<'_> {
         let gpu_memory_bytes = self.memory.take(job.running.id());
         self.pool.give(&job.grant);
         let (success, told) = (ended.success, ended.told.clone());
+        // A recording that failed at its job, as on a full disk, is kept; one that is refused is of no use.
+        let useless = match cell.job.kind() {
+            Kind::Training => true,
+            Kind::Recording => ended.code == Some(BAD_INPUT),
+            Kind::Evaluation => false,
+        };
         if success {
             let command = job.command;
             self.end(
@@ -71,12 +80,12 @@ impl Runner<'_> {
         } else if self.outcome.interrupted {
             self.status[job.cell] = Status::Waiting;
             self.tell(job.cell, "interrupted");
-        } else if job.begin == Begin::Resumed && cell.job.kind() == Kind::Training {
+        } else if job.begin == Begin::Resumed && useless {
             self.tell(
                 job.cell,
-                &format!("can't go on from its state and begins anew: {told}"),
+                &format!("can't go on from what is there and begins anew: {told}"),
             );
-            self.workshop.forget_training(&cell.address)?;
+            self.workshop.forget_product(cell)?;
             self.status[job.cell] = Status::Waiting;
         } else {
             self.fail(job.cell, &told);

@@ -112,17 +112,18 @@ pub(super) fn conclude<T: Seen>(
         log,
     } = ends;
     // Why nothing was enabled is known to whoever ended the run before.
-    let control = match (control, &watched) {
+    let all = match (control, watched, seen) {
         (
             Err(SessionError::Interrupted),
             Ok(Watched {
                 ended_by: Some(cause),
                 ..
             }),
-        ) => Err(SessionError::RealTime(cause.clone())),
-        (control, _) => control,
+            _,
+        ) => Err(SessionError::RealTime(cause)),
+        (Err(SessionError::Interrupted), _, Err(error)) => Err(error),
+        (control, watched, seen) => control.and_then(|control| Ok((control, watched?, seen?))),
     };
-    let all = control.and_then(|control| Ok((control, watched?, seen?)));
     let (mut control, watched, seen) = match all {
         Ok(all) => all,
         Err(error) => {

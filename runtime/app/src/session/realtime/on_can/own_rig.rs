@@ -24,30 +24,36 @@ use crate::session::{Robot, SessionError};
 struct Observed<R> {
     rig: R,
     measured: MailboxWriter<PerArm<ArmState>>,
+    /// How many arms it has measured.
+    arms: usize,
 }
 
 impl<R: Rig> Rig for Observed<R> {
     fn exchange(&mut self, setpoints: Option<&PerArm<Setpoint>>) -> Period {
         let period = self.rig.exchange(setpoints);
-        if let Some(states) = period.measured.as_ref().and_then(all_measured) {
-            self.measured.put(states);
+        if let Some(measured) = &period.measured {
+            self.arms = measured.count();
+            if let Some(states) = all_measured(measured) {
+                self.measured.put(states);
+            }
         }
         period
     }
 }
 
 /// Runs a robot behind `rig`, whose periods are 1 ms each on `clock`, with the policy `source`, until the time of `asked` is up, a signal comes,
-/// or a fault. The policy runs in a thread of its own and sees the arms and no camera; `options` name it.
+/// or a fault. The policy runs in a thread of its own, which also looks at the time, and sees the arms and no camera; `options` name it and
+/// give its seed. It has to return: while it does not, its last chunk ends and the arms rest, but the run does not end by time.
 ///
-/// SIGINT, SIGTERM and SIGHUP bring the arms to rest. The rig takes its drives down when it is dropped.
+/// SIGINT, SIGTERM and SIGHUP bring the arms to rest. As soon as they rest the rig is dropped, and takes its drives down.
 ///
 /// # Errors
-/// [`SessionError::BadArgument`] for a policy that looks through cameras, and if the rig has another number of arms than `robot`; those
-/// of the policy and the log.
+/// [`SessionError::BadArgument`] for a policy that looks through cameras or wants a history, and if the rig has another number of arms
+/// than `robot`; those of the policy and the log.
 pub fn run_rig<R: Rig + Send>(
     robot: &Robot,
     (rig, clock): (R, MonotonicClock),
-    source: ChunkSource,
+    mut source: ChunkSource,
     options: &RunOptions,
     asked: &RobotOptions,
 ) -> Result<RunResult, SessionError> {
@@ -57,6 +63,12 @@ pub fn run_rig<R: Rig + Send>(
             "policy {policy} looks through camera {camera}: behind a rig of one's own there is none"
         )));
     }
+    if source.history_steps() > 0 {
+        return Err(SessionError::BadArgument(format!(
+            "policy {policy} wants to observe steps before its queries: behind a rig of one's own it is not shown them"
+        )));
+    }
+    source.reset(options.seed);
     rt::catch_interrupts_in_motion()
         .map_err(|error| SessionError::RealTime(format!("catching signals failed: {error}")))?;
     let recorder = open_log_with(&robot.header(options), options.log.as_deref())?;
@@ -70,7 +82,11 @@ pub fn run_rig<R: Rig + Send>(
     } = wires.control;
     let control_thread = ControlThread {
         controller: robot.controller()?,
-        rig: Observed { rig, measured },
+        rig: Observed {
+            rig,
+            measured,
+            arms: 0,
+        },
         chunks,
         log,
         signals: Arc::clone(&signals),
@@ -79,14 +95,26 @@ pub fn run_rig<R: Rig + Send>(
     let robot_thread = RobotThread::new(wires.seen, local, Vec::new(), (Vec::new(), 0), asked);
     let (control, seen, watched) = thread::scope(|scope| {
         let control = scope.spawn(move || {
+            // Until the drives are taken down.
             let _moving = Moving;
-            control_thread.run(clock)
+            let end = control_thread.run(clock);
+            let arms = end.rig.arms;
+            (end.without_rig(), arms)
         });
         let seen = scope.spawn(|| robot_thread.run());
         let watched = watch(None, &signals);
         (joined(control), joined(seen).and_then(|end| end), watched)
     });
-    let ends = control.and_then(|control| Ok((control, seen?, watched?)));
+    let ends = control.and_then(|(control, arms)| {
+        if arms > 0 && arms != robot.arms() {
+            return Err(SessionError::BadArgument(format!(
+                "the rig has {arms} arms, {} is for {}",
+                robot.safety_file,
+                robot.arms()
+            )));
+        }
+        Ok((control, seen?, watched?))
+    });
     let (mut control, seen, watched) = match ends {
         Ok(ends) => ends,
         Err(error) => {
@@ -99,6 +127,7 @@ pub fn run_rig<R: Rig + Send>(
     let labels = RunLabels {
         policy: &policy,
         trained_on: robot.trained_on.as_deref(),
+        weights_sha256: robot.weights_sha256.as_deref(),
         seed: options.seed,
         ..RunLabels::default()
     };
