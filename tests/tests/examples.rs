@@ -59,3 +59,11 @@ fn an_own_robot_runs_in_real_time_and_its_log_replays_and_verifies() {
     let way = place(ticks.last().copied()) - place(ticks.first().copied());
     assert!((way.norm() - 0.01).abs() < 5e-4, "{way}");
 }
+
+#[test]
+fn a_rig_of_another_number_of_arms_is_refused() {
+    let log = scratch("own-robot-arms").join("run.mcap");
+    let safety = repository().join("config/tasks/needle-handover/safety.toml");
+    let refused = own_robot::run(&safety, log).unwrap_err().to_string();
+    assert!(refused.contains("the rig has 1 arms"), "{refused}");
+}

@@ -4,7 +4,6 @@ use std::ffi::OsString;
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use super::address::Address;
 use super::child::Ended;
 use super::commands::{Abilities, Arguments, Begin, CommandLine, Places, command_line};
 use super::file::{ExecutionSection, StudyFile};

@@ -58,16 +58,7 @@ pub fn run_rig<R: Rig + Send>(
     asked: &RobotOptions,
 ) -> Result<RunResult, SessionError> {
     let policy = options.policy.name();
-    if let Some(camera) = source.cameras().first() {
-        return Err(SessionError::BadArgument(format!(
-            "policy {policy} looks through camera {camera}: behind a rig of one's own there is none"
-        )));
-    }
-    if source.history_steps() > 0 {
-        return Err(SessionError::BadArgument(format!(
-            "policy {policy} wants to observe steps before its queries: behind a rig of one's own it is not shown them"
-        )));
-    }
+    check_policy(&policy, &source)?;
     source.reset(options.seed);
     rt::catch_interrupts_in_motion()
         .map_err(|error| SessionError::RealTime(format!("catching signals failed: {error}")))?;
@@ -132,4 +123,19 @@ pub fn run_rig<R: Rig + Send>(
         ..RunLabels::default()
     };
     Ok(closed(&control, &ended, labels, wires.log))
+}
+
+/// What a policy can't have behind a rig of one's own.
+fn check_policy(policy: &str, source: &ChunkSource) -> Result<(), SessionError> {
+    if let Some(camera) = source.cameras().first() {
+        return Err(SessionError::BadArgument(format!(
+            "policy {policy} looks through camera {camera}: behind a rig of one's own there is none"
+        )));
+    }
+    if source.history_steps() > 0 {
+        return Err(SessionError::BadArgument(format!(
+            "policy {policy} wants to observe steps before its queries: behind a rig of one's own it is not shown them"
+        )));
+    }
+    Ok(())
 }
