@@ -1,4 +1,4 @@
-//! The seam to a robot: what an arm reports, what it is told, and the trait that every backend implements.
+//! The interface to a robot: feedback, command, and the trait that every backend implements.
 
 use core::fmt;
 

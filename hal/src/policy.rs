@@ -1,4 +1,4 @@
-//! The seam to a policy: what it sees, and that it answers with a chunk for each arm.
+//! The interface to a policy: observation in, a chunk for each arm out.
 
 use crate::{ArmState, Chunk, FrameRef, Pose, TipTarget};
 

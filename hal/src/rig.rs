@@ -1,4 +1,4 @@
-//! The seam to whatever stands where the arms are: a simulation, drives on buses, another controller's console.
+//! The interface to all arms of a session with their clock: a simulation, drives on buses, another controller's console.
 
 use crate::{ArmCommand, ArmError, ArmState, PerArm, SafeTail, TimeNs};
 

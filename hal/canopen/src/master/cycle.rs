@@ -75,7 +75,7 @@ pub struct Cycle {
     /// Set-points that the newest SYNC put into effect, counts.
     applied: [i32; TAIL_AXES],
     fault: Option<(Fault, TimeNs)>,
-    /// Whether somebody else leads our drives.
+    /// Whether a second master commands our drives.
     second_master: bool,
     counter: u8,
     /// Stamp of the newest set-points that were taken.

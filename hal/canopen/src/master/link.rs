@@ -1,4 +1,4 @@
-//! The seam between the master and its buses: sockets, or buses in memory.
+//! The interface between the master and its buses: sockets, or buses in memory.
 
 use crate::Frame;
 use hal::TimeNs;

@@ -1,13 +1,10 @@
 //! Drives on CAN, paced by the clock. Hot path: bounded, no allocation, no lock; its system calls are the arms' sockets.
 
-use hal::{
-    ARM_NAMES, Arm as _, ArmState, Measured, PerArm, Period, Rig, Setpoint, TICK_NS, TimeNs,
-};
+use hal::{ARM_NAMES, Arm as _, Measured, PerArm, Period, Rig, Setpoint, TICK_NS, TimeNs};
 use trocar_canopen::master::cycle::LINES_MAX;
 use trocar_canopen::master::{CanArm, Fault};
 use trocar_canopen::socket::SocketBus;
 
-use super::all_measured;
 use super::can_clock::CanClock;
 use crate::mailbox::MailboxWriter;
 use crate::rt::{MonotonicClock, Periodic};
@@ -15,10 +12,9 @@ use crate::rt::{MonotonicClock, Periodic};
 /// An arm of this machine's buses.
 pub(crate) type BusArm = CanArm<SocketBus<CanClock>>;
 
-/// The arms, and who else wants to know of them.
+/// The arms, and who else wants to know what happens to them.
 pub(crate) struct CanRig {
     pub(crate) arms: PerArm<BusArm>,
-    measured: MailboxWriter<PerArm<ArmState>>,
     noticed: MailboxWriter<Noticed>,
     happened: PerArm<Happened>,
     /// Whether each arm's drives have all confirmed that they are without torque, when they were taken down.
@@ -41,7 +37,6 @@ pub(crate) type Noticed = (TimeNs, PerArm<Happened>);
 impl CanRig {
     pub(crate) fn new(
         arms: PerArm<BusArm>,
-        measured: MailboxWriter<PerArm<ArmState>>,
         noticed: MailboxWriter<Noticed>,
         periodic: Periodic,
     ) -> Self {
@@ -49,7 +44,6 @@ impl CanRig {
         Self {
             confirmed_down: arms.as_ref().map(|_| false),
             arms,
-            measured,
             noticed,
             happened,
             periodic,
@@ -92,9 +86,6 @@ impl CanRig {
             second: second.as_mut().map(|arm| arm.read(now)),
         };
         self.notice(now);
-        if let Some(states) = all_measured(&measured) {
-            self.measured.put(states);
-        }
         measured
     }
 

@@ -6,7 +6,8 @@ use trocar_tasks::simulation::Simulation;
 /// The arms of a simulation, and its clock.
 pub(crate) struct LockstepRig<'a> {
     pub(crate) simulation: &'a mut Simulation,
-    tick: u64,
+    /// The newest period, once there is one.
+    tick: Option<u64>,
 }
 
 impl<'a> LockstepRig<'a> {
@@ -14,7 +15,7 @@ impl<'a> LockstepRig<'a> {
     pub(crate) const fn new(simulation: &'a mut Simulation) -> Self {
         Self {
             simulation,
-            tick: 0,
+            tick: None,
         }
     }
 
@@ -27,18 +28,21 @@ impl<'a> LockstepRig<'a> {
 impl Rig for LockstepRig<'_> {
     fn exchange(&mut self, setpoints: Option<&PerArm<Setpoint>>) -> Period {
         let mut refused = [None; hal::ARMS_MAX];
-        if let Some(setpoints) = setpoints {
-            for ((index, (command, tail)), refused) in
-                setpoints.iter().enumerate().zip(&mut refused)
-            {
-                if let Some(mut arm) = self.simulation.arm(index) {
-                    *refused = arm.write(command, tail).err();
-                }
+        let setpoints = setpoints.into_iter().flat_map(PerArm::iter);
+        for ((index, (command, tail)), refused) in setpoints.enumerate().zip(&mut refused) {
+            if let Some(mut arm) = self.simulation.arm(index) {
+                *refused = arm.write(command, tail).err();
             }
-            self.simulation.step();
-            self.tick += 1;
         }
-        let now = TimeNs::from_tick(self.tick);
+        let tick = match self.tick {
+            None => 0,
+            Some(before) => {
+                self.simulation.step();
+                before + 1
+            }
+        };
+        self.tick = Some(tick);
+        let now = TimeNs::from_tick(tick);
         let mut refused = refused.into_iter();
         let measured = self.read(now).map(|arms| {
             arms.map(|measured| match refused.next().flatten() {

@@ -7,10 +7,11 @@ pub(crate) mod can_clock;
 pub(crate) mod lockstep;
 pub(crate) mod threads;
 
-use hal::{ArmState, Chunk, Measured, PerArm, Period, Setpoint};
+use hal::{ArmState, Chunk, Measured, PerArm, Period, Rig, Setpoint};
 use trocar_control::{AnyController, OperatorEvent, TickInput};
 use trocar_log::{TickRecord, TickTiming};
 
+use crate::mailbox::MailboxWriter;
 use crate::rt::MonotonicClock;
 
 /// The controller's tick in `period`: what the log keeps of it, and the set-points that answer it. Nothing if there are other arms than
@@ -46,8 +47,39 @@ pub(crate) fn control(
     ))
 }
 
+/// A rig, and whoever else wants to know what its arms measure.
+pub(crate) struct Observed<R> {
+    pub(crate) rig: R,
+    /// How many arms it has measured.
+    pub(crate) arms: usize,
+    measured: MailboxWriter<PerArm<ArmState>>,
+}
+
+impl<R> Observed<R> {
+    pub(crate) const fn new(rig: R, measured: MailboxWriter<PerArm<ArmState>>) -> Self {
+        Self {
+            rig,
+            arms: 0,
+            measured,
+        }
+    }
+}
+
+impl<R: Rig> Rig for Observed<R> {
+    fn exchange(&mut self, setpoints: Option<&PerArm<Setpoint>>) -> Period {
+        let period = self.rig.exchange(setpoints);
+        if let Some(measured) = &period.measured {
+            self.arms = measured.count();
+            if let Some(states) = all_measured(measured) {
+                self.measured.put(states);
+            }
+        }
+        period
+    }
+}
+
 /// What all arms measured, if none of them failed to.
-pub(crate) fn all_measured(measured: &PerArm<Measured>) -> Option<PerArm<ArmState>> {
+fn all_measured(measured: &PerArm<Measured>) -> Option<PerArm<ArmState>> {
     let second = match measured.second {
         None => None,
         Some(state) => Some(state.ok()?),

@@ -36,7 +36,7 @@ pub enum BringUpError {
         /// When it was told.
         step: Step,
     },
-    /// Somebody else leads these nodes.
+    /// A second master commands these nodes.
     #[error("bus {line}: another master sends {frame}")]
     ForeignMaster {
         /// The bus.

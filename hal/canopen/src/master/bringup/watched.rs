@@ -67,7 +67,7 @@ impl<B: Bus> Watched<B> {
         Ok(())
     }
 
-    /// What a step came to, unless somebody else leads our drives or one is no more as it was set up: whatever it came to, that
+    /// What a step came to, unless a second master commands our drives or one is no more as it was set up: whatever it came to, that
     /// is the cause, and all nodes that we have begun to set up are stopped.
     pub(super) fn judge<T>(&mut self, step: Result<T, BringUpError>) -> Result<T, BringUpError> {
         let foreign = self.foreign.map(|(line, frame)| {
@@ -136,7 +136,7 @@ impl<B: Bus> Bus for Watched<B> {
         self.bus.now()
     }
 
-    /// Once somebody else leads our drives nothing goes out any more, and what waits for an answer gets none.
+    /// Once a second master commands our drives nothing goes out any more, and what waits for an answer gets none.
     fn send(&mut self, line: u8, frames: &[Frame]) -> usize {
         if self.foreign.is_some() {
             return frames.len();

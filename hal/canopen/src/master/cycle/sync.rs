@@ -39,7 +39,7 @@ impl Cycle {
 
     /// The commands that stop nodes on `line`, in this period, where set-points do not stop their drives.
     ///
-    /// Where somebody else leads our drives, all of them: of two set-points before a SYNC the later one counts, so ours could
+    /// Where a second master commands our drives, all of them: of two set-points before a SYNC the later one counts, so ours could
     /// not stop a drive that somebody else goes on to lead; a stopped node hears none, and its drive does what 6007h says.
     /// (That holds for NMT stopped and not for pre-operational, see CiA 402-2.) After any other fault, those that hear no
     /// set-points or may not: a node that went pre-operational by itself keeps the torque of its drive for as long as it hears
@@ -62,7 +62,7 @@ impl Cycle {
     }
 
     /// What begins this period, the same for every bus: SYNC unless it is a pause, and the own heartbeat if it is due. Where
-    /// somebody else leads our drives there is none: they miss it and stop, should they not hear [`Self::stop_nodes`].
+    /// a second master commands our drives there is none: they miss it and stop, should they not hear [`Self::stop_nodes`].
     pub fn emit_sync(&self, out: &mut Outbox) {
         let sync = Sync::counted(self.counter)
             .filter(|_| self.plan.sync_counter != 0)

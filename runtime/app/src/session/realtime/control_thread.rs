@@ -38,8 +38,8 @@ pub(super) struct ControlEnd<R> {
 }
 
 impl<R> ControlEnd<R> {
-    /// The same, after the rig is dropped.
-    pub(super) fn without_rig(self) -> ControlEnd<()> {
+    /// The same, with what `change` makes of the rig.
+    pub(super) fn with_rig<S>(self, change: impl FnOnce(R) -> S) -> ControlEnd<S> {
         let Self {
             rig,
             tally,
@@ -47,9 +47,8 @@ impl<R> ControlEnd<R> {
             wake_p99_us,
             log_dropped,
         } = self;
-        drop(rig);
         ControlEnd {
-            rig: (),
+            rig: change(rig),
             tally,
             skipped,
             wake_p99_us,

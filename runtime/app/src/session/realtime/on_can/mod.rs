@@ -42,6 +42,7 @@ use super::signals::{Moving, Signals, StopsAll};
 use super::watch::{Watched, watch};
 use super::{CHUNK_QUEUE, joined, labels};
 use crate::mailbox::{MailboxReader, MailboxWriter, mailbox};
+use crate::rig::Observed;
 use crate::rig::can::{CanRig, Noticed};
 use crate::rig::can_clock::CanClock;
 use crate::rt::{self, MonotonicClock, Periodic};
@@ -404,12 +405,12 @@ impl Enabling<'_> {
         let periodic = Periodic::new(clock, clock.now().plus_ns(TICK_NS), TICK_NS);
         let control = ControlThread {
             controller: self.controller,
-            rig: CanRig::new(arms, measured, noticed, periodic),
+            rig: Observed::new(CanRig::new(arms, noticed, periodic), measured),
             chunks,
             log,
             signals: Arc::clone(&signals),
         };
-        let mut end = control.run(clock);
+        let mut end = control.run(clock).with_rig(|observed| observed.rig);
         end.rig.take_down(clock);
         Ok(end)
     }

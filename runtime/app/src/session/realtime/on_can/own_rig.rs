@@ -3,7 +3,7 @@
 use std::sync::Arc;
 use std::thread;
 
-use hal::{ArmState, PerArm, Period, Rig, Setpoint};
+use hal::Rig;
 
 use super::super::control_thread::ControlThread;
 use super::super::joined;
@@ -12,34 +12,12 @@ use super::super::watch::watch;
 use super::conclude::{closed, robot_ended};
 use super::robot_thread::RobotThread;
 use super::{ControlWires, RobotOptions, Wires};
-use crate::mailbox::MailboxWriter;
-use crate::rig::all_measured;
+use crate::rig::Observed;
 use crate::rt::{self, MonotonicClock};
 use crate::session::run::{RunOptions, RunResult, open_log_with};
 use crate::session::source::ChunkSource;
 use crate::session::tally::RunLabels;
 use crate::session::{Robot, SessionError};
-
-/// A rig, and whoever else wants to know what its arms measure.
-struct Observed<R> {
-    rig: R,
-    measured: MailboxWriter<PerArm<ArmState>>,
-    /// How many arms it has measured.
-    arms: usize,
-}
-
-impl<R: Rig> Rig for Observed<R> {
-    fn exchange(&mut self, setpoints: Option<&PerArm<Setpoint>>) -> Period {
-        let period = self.rig.exchange(setpoints);
-        if let Some(measured) = &period.measured {
-            self.arms = measured.count();
-            if let Some(states) = all_measured(measured) {
-                self.measured.put(states);
-            }
-        }
-        period
-    }
-}
 
 /// Runs a robot behind `rig`, whose periods are 1 ms each on `clock`, with the policy `source`, until the time of `asked` is up, a signal comes,
 /// or a fault. The policy runs in a thread of its own, which also looks at the time, and sees the arms and no camera; `options` name it and
@@ -73,11 +51,7 @@ pub fn run_rig<R: Rig + Send>(
     } = wires.control;
     let control_thread = ControlThread {
         controller: robot.controller()?,
-        rig: Observed {
-            rig,
-            measured,
-            arms: 0,
-        },
+        rig: Observed::new(rig, measured),
         chunks,
         log,
         signals: Arc::clone(&signals),
@@ -90,7 +64,7 @@ pub fn run_rig<R: Rig + Send>(
             let _moving = Moving;
             let end = control_thread.run(clock);
             let arms = end.rig.arms;
-            (end.without_rig(), arms)
+            (end.with_rig(drop), arms)
         });
         let seen = scope.spawn(|| robot_thread.run());
         let watched = watch(None, &signals);
