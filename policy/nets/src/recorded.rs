@@ -11,8 +11,8 @@ mod graph;
 use tch::{Device, TchError, Tensor};
 
 use aside::Aside;
-pub use functions::sleep_while_waiting;
 pub(crate) use functions::stream_of;
+pub use functions::{allow_tf32_products, sleep_while_waiting};
 use graph::Graph;
 
 /// What was recorded of a network, if anything.

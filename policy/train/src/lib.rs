@@ -49,7 +49,7 @@ use trocar_nets::checkpoint::{BackboneWeights, FeatureStatistics};
 use trocar_nets::kernels::Kernels;
 use trocar_nets::normalise::{ImageNormaliser, Statistics};
 use trocar_nets::parameters::ParameterSource;
-use trocar_nets::recorded::sleep_while_waiting;
+use trocar_nets::recorded::{allow_tf32_products, sleep_while_waiting};
 
 /// Where a run stands.
 #[derive(Clone, Debug)]
@@ -254,12 +254,14 @@ impl Trainer {
         self.device
     }
 
-    /// Sets what the network library keeps for the whole process: threads, and that it may try which kernels are
-    /// the fastest (every step has the same shapes; on the CPU this means nothing). Waiting takes no core from other trainings.
+    /// Sets what the network library keeps for the whole process: threads, and on CUDA that it may try which kernels are
+    /// the fastest (every step has the same shapes) and that matrix products of single precision are TF32, as convolutions are. Waiting
+    /// takes no core from other trainings.
     fn begin(&self, options: &TrainOptions) {
         tch::set_num_threads(i32::try_from(options.threads.max(1)).unwrap_or(1));
         if self.device.is_cuda() {
             sleep_while_waiting();
+            allow_tf32_products();
             tch::Cuda::cudnn_set_benchmark(true);
         }
     }

@@ -11,7 +11,7 @@ const THREADS_MAX: usize = 1024;
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum TrainPrecision {
-    /// 32 bits (cuDNN takes TF32 for convolutions; `TORCH_ALLOW_TF32_CUBLAS_OVERRIDE=1` does so for matrix products).
+    /// 32 bits; on CUDA the factors of convolutions and matrix products are rounded to TF32.
     #[default]
     F32,
     /// 16 bits with the range of 32; for accelerators.

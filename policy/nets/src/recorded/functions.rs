@@ -96,6 +96,24 @@ pub fn sleep_while_waiting() {
     let _code = unsafe { set_flags(SLEEPING) };
 }
 
+/// Has matrix products of single precision on CUDA round their factors to TF32 (10 bits of mantissa; sums stay in single precision), as
+/// cuDNN's convolutions do unasked: for the whole process from now on, and nothing on the CPU.
+pub fn allow_tf32_products() {
+    type GlobalContext = unsafe extern "C-unwind" fn() -> *mut c_void;
+    type Allow = unsafe extern "C-unwind" fn(context: *mut c_void, allow: bool);
+    // SAFETY: `at::globalContext()` answers a reference, which is a pointer; `ATen/Context.h` of libtorch 2.11 has the type.
+    let context = unsafe { function::<GlobalContext>(c"_ZN2at13globalContextEv") };
+    // SAFETY: `at::Context::setAllowTF32CuBLAS(bool)`, of the same header; a method takes its object first.
+    let allow = unsafe { function::<Allow>(c"_ZN2at7Context18setAllowTF32CuBLASEb") };
+    let (Some(context), Some(allow)) = (context, allow) else {
+        return;
+    };
+    // SAFETY: it takes nothing, and what it answers lives as long as the process.
+    let context = unsafe { context() };
+    // SAFETY: the object is libtorch's own.
+    unsafe { allow(context, true) };
+}
+
 impl Functions {
     /// None where the libraries have no CUDA, or not all of it.
     #[expect(

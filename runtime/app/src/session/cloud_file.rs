@@ -107,7 +107,7 @@ mod tests {
         assert_eq!((recipe.points, recipe.crop_m), (1024, None));
         let kept = recipe.options().instances;
         let dropped: Vec<u8> = (0..14).filter(|&id| !kept.contains(id)).collect();
-        assert_eq!(dropped, [0, 1, 3, 6]);
+        assert_eq!(dropped, [0, 1, 3, 6, 12]);
     }
 
     #[test]
