@@ -7,7 +7,7 @@ use tch::{Device, Kind, TchError, Tensor};
 use super::augment;
 use super::cloud_set::CloudSet;
 use super::flat::FlatParameters;
-use super::options::{Augmentation, TrainOptions, TrainPrecision};
+use super::options::{Augmentation, TrainOptions};
 use super::steps::{Learner, Losses, Split, Steps};
 use super::training_set::{index_tensor, raw_numbers};
 use super::{AnyTrained, LossCurve, TrainError, Trainer, Watch, run_of};
@@ -46,10 +46,6 @@ impl Trainer {
         watch: &mut dyn Watch,
     ) -> Result<TrainedDp3, TrainError> {
         if let Some(defect) = options.defect().or_else(|| config.defect()) {
-            return Err(TrainError::Options(defect));
-        }
-        if options.precision != TrainPrecision::F32 {
-            let defect = "DP3 is trained in single precision".to_owned();
             return Err(TrainError::Options(defect));
         }
         check_arms(config, dataset.arms())?;

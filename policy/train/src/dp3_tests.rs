@@ -8,10 +8,10 @@ use hal::{
     ArmState, CameraFrame, FrameRef, Intrinsics, JointVector, Observation, Policy, Pose, SeenArm,
     TimeNs,
 };
-use tch::Device;
+use tch::{Device, Kind};
 
 use super::tests::ONE_AT_A_TIME;
-use super::{Progress, Schedule, TrainError, TrainOptions, TrainedDp3, Trainer};
+use super::{Progress, Schedule, TrainError, TrainOptions, TrainPrecision, TrainedDp3, Trainer};
 use trocar_data::dataset::{
     ArmFrame, CameraSpec, Dataset, DatasetSpec, DatasetWriter, DepthFrame, FrameRecord,
 };
@@ -247,6 +247,35 @@ fn training_lowers_the_loss_repeats_itself_and_survives_the_disk() {
     assert_eq!(both, fresh(3, &[0, 1, 2, 3]), "older steps are not");
     assert_eq!(fresh(3, &[]), fresh(3, &[1]), "a gap is no history");
     fs::remove_dir_all(&folder).unwrap();
+    fs::remove_dir_all(&data).unwrap();
+}
+
+#[test]
+fn sixteen_bits_learn_as_thirty_two_do() {
+    let (data, dataset) = dataset("bf16", Some(lens()));
+    let losses = [TrainPrecision::F32, TrainPrecision::Bf16].map(|precision| {
+        let trained = train(
+            &dataset,
+            &TrainOptions {
+                precision,
+                ..options()
+            },
+        )
+        .unwrap();
+        // What is kept has single precision.
+        let parameters = trained.dp3.parameters();
+        assert!(
+            parameters
+                .iter()
+                .all(|(_, tensor)| tensor.kind() == Kind::Float)
+        );
+        let rows = trained.curve.rows;
+        (rows[0].loss, rows[rows.len() - 1].loss)
+    });
+    let [(start, end), (start_16, end_16)] = losses;
+    assert!((start_16 - start).abs() < 0.02 * start, "{losses:?}");
+    assert!(start_16 != start, "the precision is another: {losses:?}");
+    assert!(end_16 < 0.5 * start_16 && end_16 < 1.5 * end, "{losses:?}");
     fs::remove_dir_all(&data).unwrap();
 }
 

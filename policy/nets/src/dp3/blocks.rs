@@ -86,7 +86,36 @@ impl Doubling {
     }
 
     pub(super) fn forward(&self, x: &Tensor) -> Result<Tensor, TchError> {
+        if x.device().is_cuda() {
+            return self.product(x);
+        }
         x.f_conv_transpose1d(&self.weight, Some(&self.bias), 2, 1, 0, 1, 1)
+    }
+
+    /// The same as one product of matrices: of step `t`, the kernel's places 1 and 2 go to the steps `2 t` and `2 t + 1`, 3 and 0 to the
+    /// even one after and the odd one before.
+    pub(super) fn product(&self, x: &Tensor) -> Result<Tensor, TchError> {
+        let &[batch, channels, steps] = x.size().as_slice() else {
+            return Err(TchError::Shape("steps of three dimensions".to_owned()));
+        };
+        let places = x
+            .f_transpose(1, 2)?
+            .f_matmul(&self.weight.f_view([channels, -1])?)?
+            .f_view([batch, steps, -1, Self::KERNEL])?
+            .f_unbind(-1)?;
+        let [before, even, odd, after] = places.as_slice() else {
+            return Err(TchError::Shape("a kernel of four places".to_owned()));
+        };
+        let (before, after) = (
+            before.f_narrow(1, 1, steps - 1)?,
+            after.f_narrow(1, 0, steps - 1)?,
+        );
+        let even = even.f_add(&after.f_constant_pad_nd([0, 0, 1, 0])?)?;
+        let odd = odd.f_add(&before.f_constant_pad_nd([0, 0, 0, 1])?)?;
+        Tensor::f_stack(&[even, odd], 2)?
+            .f_flatten(1, 2)?
+            .f_add(&self.bias)?
+            .f_transpose(1, 2)
     }
 }
 

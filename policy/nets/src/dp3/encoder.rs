@@ -53,9 +53,10 @@ impl Encoder {
         })
     }
 
-    /// `points` `(observations, points, 3)` and `state` `(observations, state)` to `(observations, features)`.
+    /// `points` `(observations, points, 3)` and `state` `(observations, state)` to `(observations, features)`, in the weights' precision.
     pub(super) fn forward(&self, points: &Tensor, state: &Tensor) -> Result<Tensor, TchError> {
-        let mut x = points.shallow_clone();
+        let kind = self.state[0].weight.kind();
+        let (mut x, state) = (points.f_to_kind(kind)?, &state.f_to_kind(kind)?);
         for (linear, norm) in &self.points {
             x = norm.forward(&linear.forward(&x)?)?.f_relu()?;
         }

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use tch::{Device, Kind, Tensor};
 
-use super::blocks::Convolution;
+use super::blocks::{Convolution, Doubling};
 use super::{CloudObservation, Dp3, Dp3Config, Dp3Preset};
 use crate::parameters::ParameterSource;
 
@@ -44,6 +44,20 @@ fn shapes(config: &Dp3Config) -> BTreeMap<String, Vec<i64>> {
     entries
         .map(|(key, tensor)| (key.to_owned(), tensor.size()))
         .collect()
+}
+
+#[test]
+fn a_doubling_convolution_is_a_product_of_matrices() {
+    let mut source = ParameterSource::seeded(5, Device::Cpu);
+    let doubling = Doubling::new(&mut source, "doubling", 6).unwrap();
+    for steps in [2, 5] {
+        let x = Tensor::arange(3 * 6 * steps, (Kind::Float, Device::Cpu)).sin();
+        let x = x.view([3, 6, steps]);
+        let (doubled, product) = (doubling.forward(&x).unwrap(), doubling.product(&x).unwrap());
+        assert_eq!(product.size(), [3, 6, 2 * steps]);
+        let worst = (doubled - product).abs().max().double_value(&[]);
+        assert!(worst < 1e-5, "{worst}");
+    }
 }
 
 #[test]

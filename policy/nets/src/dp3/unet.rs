@@ -105,11 +105,12 @@ impl UNet {
     pub(super) fn embed(&self, step: &Tensor) -> Result<Tensor, TchError> {
         let [widen, narrow] = &self.step_encoder;
         let embedding = self.step_embedding.f_index_select(0, step)?;
+        let embedding = embedding.f_to_kind(widen.weight.kind())?;
         narrow.forward(&widen.forward(&embedding)?.f_mish()?)
     }
 
     /// The clean actions `(batch, steps, action)` behind `noisy` ones, by the diffusion's `step` (whole numbers,
-    /// `(batch)`) and the observations' features `(batch, features)`.
+    /// `(batch)`) and the observations' features `(batch, features)`; in single precision, whatever the weights have.
     pub(super) fn forward(
         &self,
         noisy: &Tensor,
@@ -117,6 +118,7 @@ impl UNet {
         observed: &Tensor,
     ) -> Result<Tensor, TchError> {
         let embedding = self.embed(step)?;
+        let noisy = noisy.f_to_kind(embedding.kind())?;
         let condition = Tensor::f_cat(&[&embedding, observed], -1)?.f_mish()?;
         let mut x = noisy.f_transpose(1, 2)?;
         let mut on_the_way = Vec::new();
@@ -134,7 +136,8 @@ impl UNet {
             x = double.forward(&x)?;
         }
         let (block, out) = &self.last;
-        out.forward(&block.forward(&x)?)?.f_transpose(1, 2)
+        let clean = out.forward(&block.forward(&x)?)?;
+        clean.f_transpose(1, 2)?.f_to_kind(Kind::Float)
     }
 }
 

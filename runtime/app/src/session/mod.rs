@@ -12,6 +12,7 @@ pub mod error;
 pub mod eval;
 pub mod keep;
 pub mod latency;
+pub mod operator;
 pub mod outputs;
 pub mod parallel;
 pub mod pictures;

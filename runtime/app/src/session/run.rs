@@ -25,6 +25,9 @@ pub const LIBTORCH_VERSION: &str = env!("LIBTORCH_VERSION");
 /// The reason of a run that a signal ended.
 pub(super) const INTERRUPTED: &str = "interrupted";
 
+/// The reason of a run that the operator ended.
+pub(super) const STOPPED: &str = "stopped by the operator";
+
 /// How to run.
 #[derive(Clone, Debug)]
 pub struct RunOptions {

@@ -87,12 +87,16 @@ pub(super) fn dp3_options(
     frames: usize,
 ) -> Result<TrainOptions, SessionError> {
     refuse_images(options, "dp3")?;
+    let precision = match options.bf16 {
+        true => TrainPrecision::Bf16,
+        false => TrainPrecision::F32,
+    };
     let batch = options.batch.unwrap_or(TrainOptions::dp3(1).batch);
     let published = DP3_EPOCHS.saturating_mul(frames.div_ceil(batch.max(1)));
     let published = TrainOptions::dp3(options.steps.unwrap_or(published as u64));
     let train_options = TrainOptions {
         batch,
-        precision: TrainPrecision::F32,
+        precision,
         validation_share: options.validation_share,
         save_every: options.save_every,
         eager: options.eager,
@@ -116,9 +120,7 @@ fn augmentation(options: &TrainingOptions) -> Augmentation {
 
 /// What there is for images only, with the reason.
 fn refuse_images(options: &TrainingOptions, network: &str) -> Result<(), SessionError> {
-    let precision = "it is trained in single precision, as published";
     let refused = [
-        ("--bf16", options.bf16, precision),
         (
             "--images-on-host",
             options.images_on_host,
@@ -143,6 +145,11 @@ pub(super) fn act_pc_options(
     options: &TrainingOptions,
 ) -> Result<(ActPcPreset, TrainOptions), SessionError> {
     refuse_images(options, "act-pc")?;
+    if options.bf16 {
+        return Err(SessionError::BadArgument(
+            "--bf16: not of act-pc: places of neighbours would be rounded by more than they are apart".to_owned(),
+        ));
+    }
     let (preset, base) = match options.preset.as_str() {
         "small" => (ActPcPreset::Small, ActPreset::Small),
         "paper" => (ActPcPreset::Paper, ActPreset::Paper),

@@ -15,6 +15,7 @@ use trocar::session::tasks;
 
 use crate::drives::DrivesArgs;
 use crate::import::ImportArgs;
+use crate::operator::{OperatorArgs, SpeedArgs};
 use crate::scene_args::{SceneArgs, VaryArgs};
 use crate::sheet::SheetArgs;
 use crate::study::{ReportArgs, StudyArgs};
@@ -130,6 +131,35 @@ pub(crate) enum Verb {
     /// Draw what every camera of every task sees in the middle of an expert's episode, in colour, depth and ids, as one PNG.
     #[command(after_help = "Example: trocar sheet --out runs/tasks.png --seed 7 --width 192")]
     Sheet(SheetArgs),
+    /// Show what the arms of a run in real time are doing: operating state, fault.
+    #[command(
+        after_help = "Example: trocar status\n         trocar status --json | jq .arms[0].state\n\nThis and enable, disable, pause, resume, home, clear, speed and stop speak to a run of this user in real time, over a local socket. Exit code 1 if the run says no."
+    )]
+    Status(OperatorArgs),
+    /// Enable the arms of a run: from DISABLED to ENABLED.
+    #[command(after_help = "Example: trocar enable")]
+    Enable(OperatorArgs),
+    /// Disable the arms of a run: they stop, and lose torque.
+    #[command(after_help = "Example: trocar disable")]
+    Disable(OperatorArgs),
+    /// Pause the arms of a run: they stop and hold; the task's time goes on.
+    #[command(after_help = "Example: trocar pause && sleep 2 && trocar resume")]
+    Pause(OperatorArgs),
+    /// Resume a run that was paused.
+    #[command(after_help = "Example: trocar resume")]
+    Resume(OperatorArgs),
+    /// Say whether the arms of a run are homed; drives home during bring-up.
+    #[command(after_help = "Example: trocar home")]
+    Home(OperatorArgs),
+    /// Clear a latched fault: from FAULT to DISABLED.
+    #[command(after_help = "Example: trocar clear && trocar enable")]
+    Clear(OperatorArgs),
+    /// Lower the speed limits of a run to a share of the configured ones, or raise them again.
+    #[command(after_help = "Example: trocar speed 30")]
+    Speed(SpeedArgs),
+    /// End a run: the arms come to rest first. This is no emergency stop.
+    #[command(after_help = "Example: trocar stop --run 4711")]
+    Stop(OperatorArgs),
     /// Print the effective configuration of a command.
     #[command(subcommand)]
     Config(ConfigVerb),
@@ -159,7 +189,16 @@ impl Verb {
             Self::Replay(args) | Self::Verify(args) => &args.json,
             Self::Drives(args) => &args.json,
             Self::Doctor(args) => &args.json,
-            Self::Study(_)
+            Self::Status(_)
+            | Self::Enable(_)
+            | Self::Disable(_)
+            | Self::Pause(_)
+            | Self::Resume(_)
+            | Self::Home(_)
+            | Self::Clear(_)
+            | Self::Speed(_)
+            | Self::Stop(_)
+            | Self::Study(_)
             | Self::Demo(_)
             | Self::Sheet(_)
             | Self::Config(_)

@@ -9,6 +9,7 @@ mod console;
 mod drives;
 mod eval;
 mod import;
+mod operator;
 mod record;
 mod scene_args;
 mod sheet;
@@ -20,9 +21,12 @@ use std::process::ExitCode;
 use clap::Parser;
 
 use trocar::rt;
+use trocar::session::operator::Command;
 use trocar::session::outputs;
+use trocar_control::OperatorEvent;
 
 use args::{Cli, Verb};
+use operator::operate;
 
 /// A dataset's file that its reader panics at is bad input, not a defect of this program: the file is named, also where a
 /// panic ends the program at once.
@@ -77,6 +81,18 @@ fn main() -> ExitCode {
         Verb::Doctor(args) => commands::doctor(args),
         Verb::Demo(args) => commands::demo(args),
         Verb::Sheet(args) => sheet::sheet(args),
+        Verb::Status(args) => operate(Command::Status, args),
+        Verb::Home(args) => operate(Command::Home, args),
+        Verb::Stop(args) => operate(Command::Stop, args),
+        Verb::Enable(args) => operate(Command::Event(OperatorEvent::Enable), args),
+        Verb::Disable(args) => operate(Command::Event(OperatorEvent::Disable), args),
+        Verb::Pause(args) => operate(Command::Event(OperatorEvent::Pause), args),
+        Verb::Resume(args) => operate(Command::Event(OperatorEvent::Resume), args),
+        Verb::Clear(args) => operate(Command::Event(OperatorEvent::Clear), args),
+        Verb::Speed(args) => {
+            let percent = args.percent;
+            operate(Command::Event(OperatorEvent::Speed { percent }), &args.of)
+        }
         Verb::Config(verb) => about::config(verb),
         Verb::Completions(args) => about::completions(args),
         Verb::Man(args) => about::man(args),

@@ -11,6 +11,7 @@ use super::signals::{Signals, StopsAll};
 use crate::histogram::Histogram;
 use crate::rig;
 use crate::rt::{MonotonicClock, RtOptions, configure_thread};
+use crate::session::operator::OperatorPort;
 use crate::session::tally::Tally;
 
 /// Periods that the arms get to come to rest after the verdict: more than twice the longest stop.
@@ -26,6 +27,7 @@ pub(super) struct ControlThread<R> {
     pub(super) chunks: Consumer<PerArm<Chunk>>,
     pub(super) log: Option<TickLog>,
     pub(super) signals: Arc<Signals>,
+    pub(super) operator: OperatorPort,
 }
 
 /// What it leaves behind.
@@ -85,18 +87,19 @@ impl<R: Rig> ControlThread<R> {
             let Some(measured) = period.measured else {
                 continue;
             };
-            let operator = if tally.ticks() == 0 {
-                Some(OperatorEvent::Enable)
-            } else {
-                (done && !paused).then_some(OperatorEvent::Pause)
+            let operator = match (tally.ticks(), done) {
+                (0, _) => Some(OperatorEvent::Enable),
+                (_, true) => (!paused).then_some(OperatorEvent::Pause),
+                (_, false) => self.operator.next(),
             };
-            paused |= operator == Some(OperatorEvent::Pause);
+            paused |= done && operator == Some(OperatorEvent::Pause);
             let ticked = self.tick(&period, measured, operator, &mut tally, clock);
             let Some((record, answer)) = ticked else {
                 break;
             };
             setpoints = Some(answer);
             tally.tick(&record);
+            self.operator.report(&record);
             if let Some(log) = &mut self.log {
                 log.tick(&record);
             }

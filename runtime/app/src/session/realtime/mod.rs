@@ -35,6 +35,7 @@ use trocar_tasks::task::Outcome;
 pub use on_can::{CanOptions, RobotOptions, Say, run_on_can, run_rig, run_robot_on_can};
 pub use policy_process::{PolicyProcessOptions, serve_policy};
 
+use super::operator::{Listener, OperatorPort};
 use super::run::{RunOptions, RunResult, open_log};
 use super::source::{ChunkSource, PolicyChoice};
 use super::summary::{RealTimeCounts, TissueSummary};
@@ -49,7 +50,7 @@ use control_thread::{ControlEnd, ControlThread};
 use hal::PerArm;
 use signals::{Moving, Signals};
 use simulation_thread::{SimulationEnd, SimulationThread, Snapshots};
-use trocar_log::{LogFile, RunOutcome};
+use trocar_log::{LogFile, Recorder, RunOutcome, SideLog, TickLog};
 use watch::{Watched, watch};
 
 /// Chunks that may wait for the control thread.
@@ -124,13 +125,7 @@ fn run_threads(
             CameraThread::new(setup, options, &seen, node, snapshots, &start)
         })
         .transpose()?;
-    let (tick_log, side_log, log) = match open_log(setup, options, false)? {
-        Some(recorder) => {
-            let (ticks, side, file) = recorder.split();
-            (Some(ticks), Some(side), Some(file))
-        }
-        None => (None, None, None),
-    };
+    let (tick_log, side_log, log) = split(open_log(setup, options, false)?);
     let snapshots = camera_thread.as_ref().map(|_| Snapshots {
         to: snapshot_in,
         query_every_steps: child.as_deref().map(PolicyChild::query_every_steps),
@@ -153,14 +148,17 @@ fn run_threads(
     let first = clock.now().plus_ns(START_NS);
     // Half a period after the simulation, to see this period's measurement.
     let periodic = Periodic::new(clock, first.plus_ns(TICK_NS / 2), TICK_NS);
+    let (listener, operator) = listen()?;
     let control_thread = ControlThread {
         controller,
         rig: ThreadsRig::new(measured, commands, periodic),
         chunks,
         log: tick_log,
         signals: Arc::clone(&signals),
+        operator,
     };
     thread::scope(|scope| {
+        scope.spawn(|| listener.serve(scope, &*signals));
         let control = scope.spawn(move || {
             let _moving = Moving;
             control_thread.run(clock)
@@ -180,6 +178,20 @@ fn run_threads(
             log,
         })
     })
+}
+
+/// The ends of a log, if there is one.
+fn split(recorder: Option<Recorder>) -> (Option<TickLog>, Option<SideLog>, Option<LogFile>) {
+    match recorder.map(Recorder::split) {
+        Some((ticks, side, file)) => (Some(ticks), Some(side), Some(file)),
+        None => (None, None, None),
+    }
+}
+
+/// The operator's socket, and the control thread's end of it.
+fn listen() -> Result<(Listener, OperatorPort), SessionError> {
+    Listener::open()
+        .map_err(|error| SessionError::RealTime(format!("the operator's socket: {error}")))
 }
 
 fn others(

@@ -3,6 +3,7 @@
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use crate::rt;
+use crate::session::operator::Served;
 
 /// The flags.
 #[derive(Debug, Default)]
@@ -11,6 +12,8 @@ pub(super) struct Signals {
     done: AtomicBool,
     /// The control thread has ended: everybody else may.
     stopped: AtomicBool,
+    /// The operator has asked for the end.
+    stop_asked: AtomicBool,
 }
 
 impl Signals {
@@ -24,9 +27,24 @@ impl Signals {
         self.done.store(true, Ordering::Release);
     }
 
+    /// Whether the operator wants the run to end.
+    pub(super) fn stop_asked(&self) -> bool {
+        self.stop_asked.load(Ordering::Acquire)
+    }
+
     /// Whether the control thread has ended.
     pub(super) fn stopped(&self) -> bool {
         self.stopped.load(Ordering::Acquire)
+    }
+}
+
+impl Served for Signals {
+    fn stop(&self) {
+        self.stop_asked.store(true, Ordering::Release);
+    }
+
+    fn stopped(&self) -> bool {
+        self.stopped()
     }
 }
 

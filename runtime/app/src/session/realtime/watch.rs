@@ -8,7 +8,7 @@ use super::signals::{EndsRun, Signals};
 use crate::histogram::Histogram;
 use crate::rt;
 use crate::session::SessionError;
-use crate::session::run::INTERRUPTED;
+use crate::session::run::{INTERRUPTED, STOPPED};
 use hal::PerArm;
 
 /// Time between two looks, ns: at a policy process, and at the signals alone.
@@ -49,6 +49,8 @@ pub(super) fn watch(
         if !signals.done() {
             watched.ended_by = if rt::interrupted() {
                 Some(INTERRUPTED.to_owned())
+            } else if signals.stop_asked() {
+                Some(STOPPED.to_owned())
             } else {
                 policy.as_mut().and_then(|(child, _)| child.end())
             };

@@ -13,7 +13,7 @@ use crate::rig::can::CanRig;
 use crate::rt;
 use crate::session::SessionError;
 use crate::session::pictures::Pictures;
-use crate::session::run::{INTERRUPTED, RunResult};
+use crate::session::run::{INTERRUPTED, RunResult, STOPPED};
 use crate::session::summary::{RealTimeCounts, TissueSummary};
 use crate::session::tally::RunLabels;
 use trocar_log::{LogFile, RunOutcome};
@@ -88,10 +88,11 @@ impl Seen for RobotEnd {
 
 /// Why a robot's run ended: a fault comes before what else ended it.
 pub(super) fn robot_ended(end: &RobotEnd, watched: &Watched, fault: Option<String>) -> Ended {
-    let interrupted = watched.ended_by.as_deref() == Some(INTERRUPTED);
+    let by = watched.ended_by.as_deref();
+    let by_a_person = by == Some(INTERRUPTED) || by == Some(STOPPED);
     Ended {
         success: None,
-        ok: fault.is_none() && (end.as_asked || interrupted),
+        ok: fault.is_none() && (end.as_asked || by_a_person),
         reason: fault
             .or_else(|| watched.ended_by.clone())
             .or_else(|| end.ended_by.clone())

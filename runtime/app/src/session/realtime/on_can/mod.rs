@@ -40,13 +40,14 @@ use super::child::{Outside, PolicyChild, check_cameras};
 use super::control_thread::{ControlEnd, ControlThread};
 use super::signals::{Moving, Signals, StopsAll};
 use super::watch::{Watched, watch};
-use super::{CHUNK_QUEUE, joined, labels};
+use super::{CHUNK_QUEUE, joined, labels, listen, split};
 use crate::mailbox::{MailboxReader, MailboxWriter, mailbox};
 use crate::rig::Observed;
 use crate::rig::can::{CanRig, Noticed};
 use crate::rig::can_clock::CanClock;
 use crate::rt::{self, MonotonicClock, Periodic};
 use crate::session::can_interfaces;
+use crate::session::operator::{Listener, OperatorPort};
 use crate::session::run::{RunOptions, RunResult, open_log, open_log_with};
 use crate::session::source::{ChunkSource, camera_names};
 use crate::session::tally::RunLabels;
@@ -155,7 +156,7 @@ pub fn run_on_can(
     awaited::still_there(&mut cameras, clock, &can.topics, say)?;
     drop(cameras);
     let recorder = open_log(setup, options, false)?;
-    let wires = Wires::new(recorder, clock);
+    let wires = Wires::new(recorder, clock)?;
     let reports = arm_reports(&node, count, child.is_some())?;
     let (local, remote) = wired(local.take(), child.as_mut(), wires.chunk_in);
     let seen = wires.seen;
@@ -177,7 +178,8 @@ pub fn run_on_can(
         controller: setup.controller()?,
         wires: wires.control,
     };
-    let ends = run_threads(enabling, remote, wires.log, || scene_thread.run());
+    let outer = (wires.log, wires.listener);
+    let ends = run_threads(enabling, remote, outer, || scene_thread.run());
     let policy = options.policy.name();
     conclude(ends, labels(setup, options, &policy), can)
 }
@@ -233,7 +235,7 @@ pub fn run_robot_on_can(
     let ready = bring_up(can, buses, say)?;
     awaited::still_there(&mut cameras, clock, &can.topics, say)?;
     let recorder = open_log_with(&robot.header(options), options.log.as_deref())?;
-    let wires = Wires::new(recorder, clock);
+    let wires = Wires::new(recorder, clock)?;
     let reports = arm_reports(&node, count, child.is_some())?;
     let (local, remote) = wired(local.take(), child.as_mut(), wires.chunk_in);
     let cameras = (cameras, seen_by_policy);
@@ -244,7 +246,8 @@ pub fn run_robot_on_can(
         controller: robot.controller()?,
         wires: wires.control,
     };
-    let ends = run_threads(enabling, remote, wires.log, || robot_thread.run());
+    let outer = (wires.log, wires.listener);
+    let ends = run_threads(enabling, remote, outer, || robot_thread.run());
     let policy = options.policy.name();
     let labels = RunLabels {
         policy: &policy,
@@ -262,6 +265,7 @@ struct Wires {
     seen: SeenWires,
     chunk_in: Producer<PerArm<Chunk>>,
     log: Option<LogFile>,
+    listener: Listener,
 }
 
 /// The control thread's ends.
@@ -271,6 +275,7 @@ struct ControlWires {
     chunks: Consumer<PerArm<Chunk>>,
     log: Option<TickLog>,
     signals: Arc<Signals>,
+    operator: OperatorPort,
     clock: MonotonicClock,
 }
 
@@ -284,25 +289,21 @@ struct SeenWires {
 }
 
 impl Wires {
-    fn new(recorder: Option<Recorder>, clock: MonotonicClock) -> Self {
+    fn new(recorder: Option<Recorder>, clock: MonotonicClock) -> Result<Self, SessionError> {
         let (chunk_in, chunks) = RingBuffer::<PerArm<Chunk>>::new(CHUNK_QUEUE);
         let (measured_in, measured) = mailbox();
         let (noticed_in, noticed) = mailbox();
         let signals = Arc::new(Signals::default());
-        let (tick_log, side_log, log) = match recorder {
-            Some(recorder) => {
-                let (ticks, side, file) = recorder.split();
-                (Some(ticks), Some(side), Some(file))
-            }
-            None => (None, None, None),
-        };
-        Self {
+        let (listener, operator) = listen()?;
+        let (tick_log, side_log, log) = split(recorder);
+        Ok(Self {
             control: ControlWires {
                 measured: measured_in,
                 noticed: noticed_in,
                 chunks,
                 log: tick_log,
                 signals: Arc::clone(&signals),
+                operator,
                 clock,
             },
             seen: SeenWires {
@@ -314,7 +315,8 @@ impl Wires {
             },
             chunk_in,
             log,
-        }
+            listener,
+        })
     }
 }
 
@@ -353,11 +355,12 @@ fn wired(
 fn run_threads<T: Send>(
     enabling: Enabling<'_>,
     remote: Remote<'_>,
-    log: Option<LogFile>,
+    (log, listener): (Option<LogFile>, Listener),
     observe: impl FnOnce() -> Result<T, SessionError> + Send,
 ) -> Ends<T> {
     let signals = Arc::clone(&enabling.wires.signals);
     thread::scope(|scope| {
+        scope.spawn(|| listener.serve(scope, &*signals));
         let control = scope.spawn(move || enabling.run());
         let seen = scope.spawn(observe);
         let watched = watch(remote, &signals);
@@ -387,6 +390,7 @@ impl Enabling<'_> {
             chunks,
             log,
             signals,
+            operator,
             clock,
         } = self.wires;
         // Until the drives are taken down.
@@ -409,6 +413,7 @@ impl Enabling<'_> {
             chunks,
             log,
             signals: Arc::clone(&signals),
+            operator,
         };
         let mut end = control.run(clock).with_rig(|observed| observed.rig);
         end.rig.take_down(clock);

@@ -41,24 +41,28 @@ pub fn run_rig<R: Rig + Send>(
     rt::catch_interrupts_in_motion()
         .map_err(|error| SessionError::RealTime(format!("catching signals failed: {error}")))?;
     let recorder = open_log_with(&robot.header(options), options.log.as_deref())?;
-    let wires = Wires::new(recorder, clock);
+    let wires = Wires::new(recorder, clock)?;
     let ControlWires {
         measured,
         chunks,
         log,
         signals,
+        operator,
         ..
     } = wires.control;
+    let listener = wires.listener;
     let control_thread = ControlThread {
         controller: robot.controller()?,
         rig: Observed::new(rig, measured),
         chunks,
         log,
         signals: Arc::clone(&signals),
+        operator,
     };
     let local = Some((source, wires.chunk_in));
     let robot_thread = RobotThread::new(wires.seen, local, Vec::new(), (Vec::new(), 0), asked);
     let (control, seen, watched) = thread::scope(|scope| {
+        scope.spawn(|| listener.serve(scope, &*signals));
         let control = scope.spawn(move || {
             // Until the drives are taken down.
             let _moving = Moving;

@@ -1,0 +1,83 @@
+//! The verbs' side: finds the run, says a line, and gives back the answer.
+
+use std::io::{self, BufRead as _, BufReader, Write as _};
+use std::os::unix::net::UnixStream;
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+
+use super::{Command, place};
+use crate::session::SessionError;
+
+/// A run that does not answer for this long hangs.
+const PATIENCE: Duration = Duration::from_secs(5);
+
+/// Which run is asked, and how it answers.
+#[derive(Clone, Debug, Default)]
+pub struct Ask {
+    /// The run, by its process; the only run of this user if not given.
+    pub run: Option<String>,
+    /// Whether the answer is JSON.
+    pub json: bool,
+}
+
+/// Says `command` to a run. Its answer, one line, and whether it is a yes.
+///
+/// # Errors
+/// [`SessionError::BadArgument`] if there is no such run, or more than one to choose from; [`SessionError::RealTime`] if it does not
+/// answer.
+pub fn ask(command: Command, ask: &Ask) -> Result<(String, bool), SessionError> {
+    let folder = place::folder().map_err(|error| {
+        SessionError::RealTime(format!("the folder of this user's runs: {error}"))
+    })?;
+    let socket = find(&folder, ask.run.as_deref())?;
+    let answer = exchange(&socket, command, ask.json)
+        .map_err(|error| SessionError::RealTime(format!("{}: {error}", socket.display())))?;
+    let yes = answer.starts_with("ok") || answer.starts_with("{\"ok\":true");
+    Ok((answer, yes))
+}
+
+fn find(folder: &Path, run: Option<&str>) -> Result<PathBuf, SessionError> {
+    let found = place::listening(folder)
+        .map_err(|error| SessionError::RealTime(format!("{}: {error}", folder.display())))?;
+    if let Some(run) = run {
+        let wanted = place::socket(folder, run);
+        return if found.contains(&wanted) {
+            Ok(wanted)
+        } else {
+            Err(SessionError::BadArgument(format!(
+                "--run {run}: no run in real time of this user is process {run}"
+            )))
+        };
+    }
+    match found.as_slice() {
+        [only] => Ok(only.clone()),
+        [] => Err(SessionError::BadArgument(
+            "no run in real time of this user listens for an operator".to_owned(),
+        )),
+        several => {
+            let names: Vec<_> = several
+                .iter()
+                .filter_map(|path| path.file_stem()?.to_str()?.strip_prefix("run-"))
+                .collect();
+            Err(SessionError::BadArgument(format!(
+                "{} runs of this user listen: choose one with --run {}",
+                several.len(),
+                names.join(" or ")
+            )))
+        }
+    }
+}
+
+fn exchange(socket: &Path, command: Command, json: bool) -> io::Result<String> {
+    let mut stream = UnixStream::connect(socket)?;
+    stream.set_read_timeout(Some(PATIENCE))?;
+    stream.set_write_timeout(Some(PATIENCE))?;
+    let form = if json { " json" } else { "" };
+    stream.write_all(format!("{command}{form}\n").as_bytes())?;
+    let mut answer = String::new();
+    BufReader::new(stream).read_line(&mut answer)?;
+    if answer.is_empty() {
+        return Err(io::Error::other("the run ended without an answer"));
+    }
+    Ok(answer.trim_end().to_owned())
+}

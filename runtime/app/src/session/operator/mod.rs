@@ -1,0 +1,232 @@
+//! The operator: CRTK's commands to a run in real time, over a local socket, one line each, and what its arms are doing.
+//!
+//! `server` listens in the run, `client` is the verbs `trocar status`, `pause` and so on. Both speak this: a line with a command
+//! ([`Command`]), `json` behind it for an answer as JSON; the answer is one line too. The socket is of mode 0600 in a folder of mode 0700:
+//! whoever may use it is the run's own user.
+
+mod client;
+mod place;
+mod server;
+
+use std::fmt;
+use std::str::FromStr;
+
+use hal::{ARM_NAMES, PerArm};
+use serde::Serialize;
+use trocar_control::{Fault, Mode, OperatingState, OperatorEvent};
+use trocar_log::TickRecord;
+
+use crate::mailbox::MailboxWriter;
+
+pub use client::{Ask, ask};
+pub(super) use server::{Listener, Served};
+
+/// What an operator can say.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Command {
+    /// Nothing: what are the arms doing?
+    Status,
+    /// Homing is part of bring-up: whether the arms are homed.
+    Home,
+    /// End the run: the arms come to rest first.
+    Stop,
+    /// Something for the controller.
+    Event(OperatorEvent),
+}
+
+/// A line that is no command.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error(
+    "{0:?} is no command: status, enable, disable, pause, resume, home, clear, stop, or speed PERCENT with 1 to 100, each with json behind it or not"
+)]
+pub struct NoCommand(String);
+
+impl FromStr for Command {
+    type Err = NoCommand;
+
+    fn from_str(line: &str) -> Result<Self, NoCommand> {
+        let mut words = line.split_ascii_whitespace();
+        let command = match (words.next(), words.next(), words.next()) {
+            (Some("status"), None, None) => Self::Status,
+            (Some("home"), None, None) => Self::Home,
+            (Some("stop"), None, None) => Self::Stop,
+            (Some("enable"), None, None) => Self::Event(OperatorEvent::Enable),
+            (Some("disable"), None, None) => Self::Event(OperatorEvent::Disable),
+            (Some("pause"), None, None) => Self::Event(OperatorEvent::Pause),
+            (Some("resume"), None, None) => Self::Event(OperatorEvent::Resume),
+            (Some("clear"), None, None) => Self::Event(OperatorEvent::Clear),
+            (Some("speed"), Some(percent), None) => match percent.parse() {
+                Ok(percent @ 1..=100) => Self::Event(OperatorEvent::Speed { percent }),
+                _ => return Err(NoCommand(line.to_owned())),
+            },
+            _ => return Err(NoCommand(line.to_owned())),
+        };
+        Ok(command)
+    }
+}
+
+impl fmt::Display for Command {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Status => f.write_str("status"),
+            Self::Home => f.write_str("home"),
+            Self::Stop => f.write_str("stop"),
+            Self::Event(OperatorEvent::Enable) => f.write_str("enable"),
+            Self::Event(OperatorEvent::Disable) => f.write_str("disable"),
+            Self::Event(OperatorEvent::Pause) => f.write_str("pause"),
+            Self::Event(OperatorEvent::Resume) => f.write_str("resume"),
+            Self::Event(OperatorEvent::Clear) => f.write_str("clear"),
+            Self::Event(OperatorEvent::Speed { percent }) => write!(f, "speed {percent}"),
+        }
+    }
+}
+
+/// What a run says of itself after a tick. Plain data, so that the control thread hands it over without allocating.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Status {
+    /// Count of the control periods.
+    tick: u64,
+    /// Commands of the operator that the controller has had.
+    handled: u64,
+    arms: PerArm<(Mode, Option<Fault>)>,
+}
+
+impl Status {
+    /// The state in which `event` does nothing, if it does nothing for any arm.
+    fn refuses(&self, event: OperatorEvent) -> Option<OperatingState> {
+        use OperatingState::{Disabled, Enabled, Fault, Paused};
+        let applies = |state: OperatingState| match event {
+            OperatorEvent::Enable => matches!(state, Disabled | Enabled),
+            OperatorEvent::Disable => matches!(state, Disabled | Enabled | Paused),
+            OperatorEvent::Pause | OperatorEvent::Resume => matches!(state, Enabled | Paused),
+            OperatorEvent::Clear => state == Fault,
+            OperatorEvent::Speed { .. } => true,
+        };
+        let states = || self.arms.iter().map(|(mode, _)| mode.state);
+        let applies_to_one = states().any(applies);
+        states().next().filter(|_| !applies_to_one)
+    }
+}
+
+/// The control thread's end: what the operator asks for, and where to say what came of it. Hot path: bounded, no allocation, never waits.
+#[derive(Debug)]
+pub(super) struct OperatorPort {
+    requests: rtrb::Consumer<OperatorEvent>,
+    status: MailboxWriter<Status>,
+    handled: u64,
+}
+
+impl OperatorPort {
+    /// What the operator asks for next, if anything.
+    pub(super) fn next(&mut self) -> Option<OperatorEvent> {
+        let request = self.requests.pop().ok()?;
+        self.handled += 1;
+        Some(request)
+    }
+
+    /// Says what the arms did.
+    pub(super) fn report(&mut self, record: &TickRecord) {
+        let arms = record.arms.map(|arm| (arm.report.mode, arm.report.fault));
+        self.status.put(Status {
+            tick: record.tick,
+            handled: self.handled,
+            arms,
+        });
+    }
+}
+
+/// The answer to a line.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+struct Answer {
+    ok: bool,
+    /// Why not.
+    error: Option<String>,
+    /// Seconds since the run began, of control.
+    seconds: Option<f64>,
+    arms: Vec<ArmAnswer>,
+}
+
+#[derive(Clone, Debug, PartialEq, Serialize)]
+struct ArmAnswer {
+    name: &'static str,
+    /// CRTK's operating state.
+    state: &'static str,
+    homed: bool,
+    busy: bool,
+    fault: Option<String>,
+}
+
+impl Answer {
+    fn of(status: Option<&Status>, error: Option<String>) -> Self {
+        let arms = status.iter().flat_map(|status| status.arms.iter());
+        #[expect(clippy::cast_precision_loss, reason = "ticks of some days")]
+        let seconds = status.map(|status| status.tick as f64 * hal::TICK_S);
+        Self {
+            ok: error.is_none(),
+            error,
+            seconds,
+            arms: ARM_NAMES
+                .iter()
+                .zip(arms)
+                .map(|(&name, (mode, fault))| ArmAnswer {
+                    name,
+                    state: mode.state.name(),
+                    homed: mode.homed,
+                    busy: mode.busy,
+                    fault: fault.map(|fault| fault.to_string()),
+                })
+                .collect(),
+        }
+    }
+}
+
+impl fmt::Display for Answer {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match &self.error {
+            None => f.write_str("ok")?,
+            Some(error) => write!(f, "error: {error}")?,
+        }
+        if let Some(seconds) = self.seconds {
+            write!(f, "; {seconds:.2} s")?;
+        }
+        for arm in &self.arms {
+            write!(f, "; {} {}", arm.name, arm.state)?;
+            f.write_str(if arm.homed { " homed" } else { " not homed" })?;
+            f.write_str(if arm.busy { " moving" } else { "" })?;
+            if let Some(fault) = &arm.fault {
+                write!(f, " ({fault})")?;
+            }
+        }
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{Command, OperatorEvent};
+
+    #[test]
+    fn commands_are_read_as_they_are_written() {
+        for text in [
+            "status", "home", "stop", "enable", "disable", "pause", "resume", "clear", "speed 40",
+        ] {
+            let command: Command = text.parse().unwrap();
+            assert_eq!(command.to_string(), text);
+        }
+        let percent = 100;
+        let full = Command::Event(OperatorEvent::Speed { percent });
+        assert_eq!(" speed  100 ".parse(), Ok(full));
+        for text in [
+            "",
+            "Pause",
+            "speed",
+            "speed 0",
+            "speed 101",
+            "speed 1 2",
+            "pause now",
+        ] {
+            let refused = text.parse::<Command>().unwrap_err();
+            assert!(refused.to_string().contains("is no command: status"));
+        }
+    }
+}
