@@ -166,6 +166,7 @@ fn plan(identity: (u32, u32), cycle_ms: u64) -> ArmPlan {
         master: NodeId::new(127).unwrap(),
         heartbeat_ms: 1000,
         brake_ns: 0,
+        homing: [None; 7],
         space: Space::Joint,
         axes: core::array::from_fn(|axis| AxisPlan {
             node: node(u8::try_from(axis).unwrap()),

@@ -26,14 +26,13 @@ const FAILED: &str = "emergency 2310h, continuous over-current";
 fn a_drive_that_was_set_up_and_is_reset_or_fails_ends_the_bring_up_with_its_cause_and_nothing_has_torque()
  {
     let [_, identified, mapped, homed] = course(1, NEVER, |_| {}).sent;
-    let (setting, homing) = ((mapped - identified) / 7, (homed - mapped) / 7);
+    // It has its settings, and another node lacks its last one.
+    let set_up = mapped - 1;
+    assert!(identified < set_up);
     let cases = [
-        (identified + 3 * setting + 9, "while axis 3 was set up"),
-        (identified + 6 * setting + 9, "while axis 6 was set up"),
-        // Of its own reference, and of another one's.
-        (mapped + 2 * homing + homing / 2, "while axis 2 was homed"),
-        (mapped + 5 * homing + homing / 2, "while axis 5 was homed"),
-        (homed - 1, "while axis 6 was homed"),
+        (set_up, "while the nodes were set up"),
+        ((mapped + homed) / 2, "while the axes were homed"),
+        (homed - 1, "while the axes were homed"),
     ];
     for (at, step) in cases {
         for (what, told) in [(reboots as What, REBOOTED), (fails, FAILED)] {
@@ -47,9 +46,8 @@ fn a_drive_that_was_set_up_and_is_reset_or_fails_ends_the_bring_up_with_its_caus
 #[test]
 fn a_reset_in_the_middle_of_its_settings_undoes_half_of_them_and_is_noticed() {
     let [_, identified, mapped, _] = course(1, NEVER, |_| {}).sent;
-    let at = identified + 2 * (mapped - identified) / 7 + 40;
-    let course = course(1, at, reboots);
-    let told = format!("{WHO}: {REBOOTED}, while axis 2 was set up");
+    let course = course(1, (identified + mapped) / 2, reboots);
+    let told = format!("{WHO}: {REBOOTED}, while the nodes were set up");
     assert_eq!(course.end, Err(told));
     assert!(!course.torques && course.stopped);
 }
@@ -60,7 +58,7 @@ fn on_a_bus_that_is_not_listened_to_it_is_noticed_before_the_nodes_start() {
     let homed = course(3, NEVER, |_| {}).sent[3];
     for (what, told) in [(reboots as What, REBOOTED), (fails, FAILED)] {
         let course = course(3, homed - 9, what);
-        let told = format!("{WHO}: {told}, while axis 6 was homed");
+        let told = format!("{WHO}: {told}, while the axes were homed");
         assert_eq!(course.end, Err(told));
         assert!(!course.torques && course.stopped);
     }
@@ -74,52 +72,51 @@ fn what_a_drive_has_to_tell_of_the_time_before_it_was_set_up_does_not_end_it() {
         |net| assert!(net.intrude(0, frame(0x083, &[0x30, 0x81, 0x11, 0, 0, 0, 0, 0]))),
         |net| assert!(net.intrude(0, frame(0x083, &[0x20, 0x32, 0x05, 0, 0, 0, 0, 0]))),
     ];
-    let its_own = identified + 2 * (mapped - identified) / 7 + 20;
+    let its_own = (identified + mapped) / 2;
     for at in [0, 4, scanned - 1, scanned + 9, identified + 20, its_own] {
         for tells in tells {
             assert_eq!(course(1, at, tells).end, Ok(()), "{at}");
         }
     }
     // It boots up again before it has been told anything.
-    for at in [4, scanned - 1, scanned + 9, identified + 20] {
+    for at in [scanned - 1, scanned + 9, identified - 1] {
         assert_eq!(course(1, at, reboots).end, Ok(()), "{at}");
     }
 }
 
 #[test]
-fn what_comes_on_a_bus_that_is_not_listened_to_is_judged_by_when_it_came() {
+fn reset_on_any_bus_is_noticed_while_nodes_are_set_up() {
     let [_, identified, mapped, _] = course(3, NEVER, |_| {}).sent;
-    // Nodes 4 and 6 are the first ones of buses 1 and 2, and nothing is asked there yet.
-    for at in [identified + 5, identified + 2 * (mapped - identified) / 7] {
-        for axis in 3..TAIL_AXES {
+    for at in [identified + 5, (identified + mapped) / 2] {
+        for axis in [0, 3, 6] {
             let course = course(3, at, move |net| {
                 net.poke(node(axis), |now, drive, out| drive.power_on(now, out));
             });
-            assert_eq!(course.end, Ok(()), "node {} at {at}", axis + 1);
+            let told = format!("{REBOOTED}, while the nodes were set up");
+            let end = course.end.unwrap_err();
+            let name = format!("node {} (axis {axis}, ", axis + 1);
+            assert!(end.starts_with(&name) && end.ends_with(&told), "{end}");
+            assert!(!course.torques && course.stopped);
         }
     }
-    // The first one of bus 0 was set up by then; it is named when bus 1 has been listened to for a while.
-    let at = identified + 4 * (mapped - identified) / 7;
-    let course = course(3, at, reboots);
-    let told = format!("{WHO}: {REBOOTED}, while axis 4 was set up");
-    assert_eq!(course.end, Err(told));
-    assert!(!course.torques && course.stopped);
 }
 
+/// What it said before our reset went out counts for nothing.
 #[test]
-fn a_node_that_boots_up_by_itself_has_not_answered_to_our_reset() {
-    let deaf = |net: &mut Net| {
-        net.tamper(Box::new(|_, _, heard| {
-            match (heard.id.raw(), heard.data()) {
-                (0x000, [0x81, 4]) => Tampering::Drop,
-                _ => Tampering::Pass,
-            }
-        }));
-        net.poke(node(3), |now, drive, out| drive.power_on(now, out));
-    };
-    // While the nodes of the first of three buses are reset.
+fn boot_up_of_before_is_no_answer_to_our_reset() {
+    let plan = plan(3, 2 * MS);
+    let mut net = network(&plan);
+    net.tamper(Box::new(|_, _, heard| {
+        match (heard.id.raw(), heard.data()) {
+            (0x000, [0x81, 4]) => Tampering::Drop,
+            _ => Tampering::Pass,
+        }
+    }));
+    // While the buses are listened to.
+    net.poke(node(3), |now, drive, out| drive.power_on(now, out));
+    let scanned = Offline::new(net, &plan).unwrap().scan();
     let refusal = "node 4 (axis 3, bus 1): does not answer to a reset";
-    assert_eq!(course(3, 1, deaf).end, Err(refusal.to_owned()));
+    assert_eq!(scanned.map(|_| ()).unwrap_err().to_string(), refusal);
 }
 
 #[test]
@@ -149,7 +146,8 @@ fn that_all_is_well_that_there_is_no_sync_yet_and_what_other_drives_tell_does_no
     let course = course(1, homed - 1, |net| {
         assert!(net.intrude(0, frame(0x083, &[0x50, 0x81, 0x11, 0, 0, 0, 0, 0])));
     });
-    let refusal = format!("{WHO}: emergency 8150h, identifier collision, while axis 6 was homed");
+    let refusal =
+        format!("{WHO}: emergency 8150h, identifier collision, while the axes were homed");
     assert_eq!(course.end, Err(refusal));
 }
 
@@ -269,11 +267,11 @@ fn frames_that_are_lost_before_they_are_read_end_it_once_we_have_said_something(
     let cases = [
         (2, 0, "while the nodes were looked for"),
         (scanned + 9, 0, "while the nodes were looked for"),
-        (identified + 40, 0, "while axis 0 was set up"),
+        (identified + 40, 0, "while the nodes were set up"),
         // On a bus that is not listened to.
-        (identified + 40, 2, "while axis 0 was set up"),
-        (mapped + 5, 0, "while axis 0 was homed"),
-        (homed - 1, 1, "while axis 6 was homed"),
+        (identified + 40, 2, "while the nodes were set up"),
+        (mapped + 5, 0, "while the axes were homed"),
+        (homed - 1, 1, "while the axes were homed"),
         (homed + 3, 0, "before the first SYNC"),
     ];
     for (at, line, step) in cases {

@@ -98,6 +98,7 @@ fn a_node_that_goes_pre_operational_by_itself_is_named_and_told_to_stop_and_the_
     let plan = ArmPlan {
         heartbeat_ms: 10,
         brake_ns: 0,
+        homing: [None; TAIL_AXES],
         ..plan(1, 4 * MS)
     };
     let mut bench = by_the_letter_on(&plan);

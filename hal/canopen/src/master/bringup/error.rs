@@ -129,12 +129,38 @@ pub enum BringUpError {
         /// The cycle.
         cycle_ns: u64,
     },
-    /// A drive does not come to a state that homing needs.
+    /// A drive does not reach a state that homing needs.
     #[error("{who}: homing failed, status word {status:#06x}")]
     Homing {
         /// The node.
         who: Who,
         /// What it says.
+        status: u32,
+    },
+    /// A drive does not offer the homing method of the plan, by its 60E3h.
+    #[error("{who}: does not offer homing method {method}")]
+    HomingMethod {
+        /// The node.
+        who: Who,
+        /// 6098h.
+        method: i8,
+    },
+    /// A drive reports a homing error.
+    #[error("{who}: homing error, status word {status:#06x}")]
+    HomingError {
+        /// The node.
+        who: Who,
+        /// Its status word, with bit 13.
+        status: u32,
+    },
+    /// A drive has not found its reference in time.
+    #[error("{who}: homing not complete after {limit_s} s, status word {status:#06x}")]
+    HomingTimeOut {
+        /// The node.
+        who: Who,
+        /// The time limit.
+        limit_s: f64,
+        /// Its status word.
         status: u32,
     },
     /// A drive is in fault when it is to be homed.
