@@ -105,7 +105,7 @@ impl<const ARMS: usize> Rig<ARMS> {
         self.tick([event; ARMS])
     }
 
-    /// One tick, and how often it asked for memory.
+    /// One tick, and how often it allocated.
     fn tick(&mut self, events: [Event<'_>; ARMS]) -> ([TickOutput; ARMS], u64) {
         let now = TimeNs::from_tick(self.tick);
         let inputs: [TickInput<'_>; ARMS] = core::array::from_fn(|arm| {

@@ -40,7 +40,7 @@ pub enum Fault {
         /// Cycles in a row.
         cycles: u32,
     },
-    /// Somebody else says what only this arm's master may say.
+    /// Another node sends what only this arm's master may send.
     ForeignMaster {
         /// Which bus.
         line: u8,
@@ -152,7 +152,7 @@ impl fmt::Display for Fault {
             ),
             Self::ForeignMaster { line, id } => write!(
                 f,
-                "bus {line}: somebody else sends {:03X}h, which only this master may",
+                "bus {line}: another node sends {:03X}h, which only this master may",
                 id.raw()
             ),
             Self::NodeLost(who) => write!(f, "{who}: no heartbeat"),

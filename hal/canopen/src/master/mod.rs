@@ -2,7 +2,7 @@
 //!
 //! [`plan`] says which node drives what, [`config`] reads it from `config/can.toml`. [`bringup`] is the way to an enabled arm,
 //! a type a step; [`cycle`] is what happens between two SYNCs, without clock or socket; [`arm`] makes a
-//! [`hal::Arm`] of it. [`link`] is the seam to the buses.
+//! [`hal::Arm`] of it. [`link`] is the interface to the buses.
 //!
 //! What the master does about what can go wrong. "Lost" means that [`CanArm`] reports a lost measurement,
 //! whereupon the controller plays its verified stop; "fault" means that every drive that still hears us gets a quick stop,
@@ -26,7 +26,7 @@
 //! not enabled any more                     status word                     fault
 //! following error                          status word, own comparison     fault
 //! power lost                               status word                     fault
-//! somebody else's SYNC, NMT, set-points    their identifiers               fault, and the nodes are stopped in every cycle:
+//! another node's SYNC, NMT, set-points      their identifiers               fault, and the nodes are stopped in every cycle:
 //! or writing over SDO                                                      they hear no set-points; our heartbeat ends
 //! the same during bring-up                 their identifiers               no arm
 //! boot-up or emergency of a drive that is  its frame                       no arm, and the nodes are stopped

@@ -29,7 +29,7 @@ pub(super) enum Alarm {
     PdoLength,
     /// An RPDO was too long.
     PdoExcess,
-    /// Somebody else has this node's number.
+    /// Another node has this node's number.
     IdCollision,
 }
 

@@ -22,9 +22,9 @@ const WHO: &str = "node 3 (axis 2, bus 0)";
 const REBOOTED: &str = "booted up again";
 const FAILED: &str = "emergency 2310h, continuous over-current";
 
+/// A drive that was set up and is reset or fails ends the bring up with its cause and nothing has torque.
 #[test]
-fn a_drive_that_was_set_up_and_is_reset_or_fails_ends_the_bring_up_with_its_cause_and_nothing_has_torque()
- {
+fn reset_or_fault_of_a_set_up_drive_ends_the_bring_up() {
     let [_, identified, mapped, homed] = course(1, NEVER, |_| {}).sent;
     // It has its settings, and another node lacks its last one.
     let set_up = mapped - 1;
@@ -43,8 +43,9 @@ fn a_drive_that_was_set_up_and_is_reset_or_fails_ends_the_bring_up_with_its_caus
     }
 }
 
+/// A reset in the middle of its settings undoes half of them and is noticed.
 #[test]
-fn a_reset_in_the_middle_of_its_settings_undoes_half_of_them_and_is_noticed() {
+fn reset_during_bring_up_is_reported() {
     let [_, identified, mapped, _] = course(1, NEVER, |_| {}).sent;
     let course = course(1, (identified + mapped) / 2, reboots);
     let told = format!("{WHO}: {REBOOTED}, while the nodes were set up");
@@ -52,8 +53,9 @@ fn a_reset_in_the_middle_of_its_settings_undoes_half_of_them_and_is_noticed() {
     assert!(!course.torques && course.stopped);
 }
 
+/// On a bus that is not listened to it is noticed before the nodes start.
 #[test]
-fn on_a_bus_that_is_not_listened_to_it_is_noticed_before_the_nodes_start() {
+fn reset_on_another_bus_is_noticed_before_the_start() {
     // The last axis is homed on bus 2; node 3 is on bus 0.
     let homed = course(3, NEVER, |_| {}).sent[3];
     for (what, told) in [(reboots as What, REBOOTED), (fails, FAILED)] {
@@ -64,8 +66,9 @@ fn on_a_bus_that_is_not_listened_to_it_is_noticed_before_the_nodes_start() {
     }
 }
 
+/// What a drive has to tell of the time before it was set up does not end it.
 #[test]
-fn what_a_drive_has_to_tell_of_the_time_before_it_was_set_up_does_not_end_it() {
+fn emergencies_of_before_the_settings_do_not_count() {
     let [scanned, identified, mapped, _] = course(1, NEVER, |_| {}).sent;
     // That it lost a master whom it had, or has no voltage yet.
     let tells: [What; 2] = [
@@ -119,8 +122,9 @@ fn boot_up_of_before_is_no_answer_to_our_reset() {
     assert_eq!(scanned.map(|_| ()).unwrap_err().to_string(), refusal);
 }
 
+/// That all is well that there is no SYNC yet and what other drives tell does not end it.
 #[test]
-fn that_all_is_well_that_there_is_no_sync_yet_and_what_other_drives_tell_does_not_end_it() {
+fn harmless_emergencies_do_not_end_the_bring_up() {
     let [_, _, mapped, homed] = course(1, NEVER, |_| {}).sent;
     let told = [
         (0x083, 0x0000_u16),
@@ -151,9 +155,9 @@ fn that_all_is_well_that_there_is_no_sync_yet_and_what_other_drives_tell_does_no
     assert_eq!(course.end, Err(refusal));
 }
 
+/// That there is no SYNC yet is no fault between the start of the nodes and the SYNC and one after it.
 #[test]
-fn that_there_is_no_sync_yet_is_no_fault_between_the_start_of_the_nodes_and_the_sync_and_one_after_it()
- {
+fn missing_sync_is_a_fault_after_the_first_sync_only() {
     let started = course(1, NEVER, |_| {}).sent[3] + QUESTIONS;
     for code in [0x8130_u16, 0x8250, 0x8700] {
         let [low, high] = code.to_le_bytes();
@@ -191,8 +195,9 @@ fn answering(at: usize, asked: [u8; 3], data: [u8; 4]) -> Course {
     })
 }
 
+/// A drive that has an error which it told before it counted gets no torque.
 #[test]
-fn a_drive_that_has_an_error_which_it_told_before_it_counted_gets_no_torque() {
+fn drive_with_an_earlier_error_gets_no_torque() {
     let homed = course(1, NEVER, |_| {}).sent[3];
     let errors = [
         (0x21_u8, "21h: generic, device profile"),
@@ -213,8 +218,9 @@ fn a_drive_that_has_an_error_which_it_told_before_it_counted_gets_no_torque() {
     }
 }
 
+/// A restart of which nobody has heard is noticed by what it undoes.
 #[test]
-fn a_restart_of_which_nobody_has_heard_is_noticed_by_what_it_undoes() {
+fn unheard_restart_is_noticed_by_its_lost_settings() {
     let homed = course(1, NEVER, |_| {}).sent[3];
     let unheard = |net: &mut Net| {
         net.tamper(Box::new(|_, _, heard| match heard.id.raw() {
@@ -249,8 +255,9 @@ fn a_restart_of_which_nobody_has_heard_is_noticed_by_what_it_undoes() {
     assert!(!course.torques && course.stopped);
 }
 
+/// What happens while the nodes are asked once more ends it on whatever bus.
 #[test]
-fn what_happens_while_the_nodes_are_asked_once_more_ends_it_on_whatever_bus() {
+fn reset_during_the_last_check_ends_the_bring_up() {
     let homed = course(3, NEVER, |_| {}).sent[3];
     // Node 3 has answered; the last node, on another bus, is asked.
     for (what, told) in [(reboots as What, REBOOTED), (fails, FAILED)] {
@@ -261,8 +268,9 @@ fn what_happens_while_the_nodes_are_asked_once_more_ends_it_on_whatever_bus() {
     }
 }
 
+/// Frames that are lost before they are read end it once we have said something.
 #[test]
-fn frames_that_are_lost_before_they_are_read_end_it_once_we_have_said_something() {
+fn lost_frames_end_the_bring_up() {
     let [scanned, identified, mapped, homed] = course(3, NEVER, |_| {}).sent;
     let cases = [
         (2, 0, "while the nodes were looked for"),

@@ -92,7 +92,7 @@ fn turn_until_enabled<B: Bus>(
         at = at.plus_ns(cycle_ns);
         if let Some(first) = arms.first_mut() {
             first.bus_mut().wait(at);
-            // Beats that a late process has missed are not made up for: nobody could answer them.
+            // SYNCs that a late process has missed are not made up for: nobody could answer them.
             at = at.max(first.bus_mut().now());
         }
         for (place, arm) in arms.iter_mut().enumerate() {

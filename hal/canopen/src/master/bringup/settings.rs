@@ -1,4 +1,4 @@
-//! What of a drive the safety of an arm hangs on: the values that are written, and those that are accepted.
+//! What of a drive the safety of an arm depends on: the values that are written, and those that are accepted.
 //!
 //! A drive may have stored anything. Where it refuses a value, or keeps another one, what it has must be as safe; else there
 //! is no arm. Objects that CiA 402 leaves to the drive may be missing. Speeds and decelerations are in counts here, as the

@@ -8,8 +8,9 @@ fn load(from: &str, to: &str) -> Result<CanConfig, ConfigError> {
     CanConfig::load(&Source::embedded("can.toml", &text))
 }
 
+/// The shipped file has two arms of which a bus carries one at 500 Hz.
 #[test]
-fn the_shipped_file_has_two_arms_of_which_a_bus_carries_one_at_500_hz() {
+fn shipped_bus_carries_one_arm_at_500_hz() {
     let config = CanConfig::load(&CanConfig::shipped()).unwrap();
     assert_eq!(config.arms.len(), 2);
     assert_eq!(config.check_load(1), Ok(()));
@@ -24,8 +25,9 @@ fn the_shipped_file_has_two_arms_of_which_a_bus_carries_one_at_500_hz() {
     assert_eq!(insertion.settings().range.1, whole_i32(0.240 * 771_430.4));
 }
 
+/// The greatest speeds of the shipped motors have a value in turns a minute.
 #[test]
-fn the_greatest_speeds_of_the_shipped_motors_have_a_value_in_turns_a_minute() {
+fn motor_speed_limits_fit_turns_a_minute() {
     for space in ["joint", "actuator"] {
         let config = load("space = \"joint\"", &format!("space = {space:?}")).unwrap();
         for axis in config.arms[0].plan.axes {

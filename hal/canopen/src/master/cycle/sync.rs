@@ -40,14 +40,14 @@ impl Cycle {
     /// The commands that stop nodes on `line`, in this period, where set-points do not stop their drives.
     ///
     /// Where a second master commands our drives, all of them: of two set-points before a SYNC the later one counts, so ours could
-    /// not stop a drive that somebody else goes on to lead; a stopped node hears none, and its drive does what 6007h says.
+    /// not stop a drive that another node goes on to command; a stopped node hears none, and its drive does what 6007h says.
     /// (That holds for NMT stopped and not for pre-operational, see CiA 402-2.) After any other fault, those that hear no
     /// set-points or may not: a node that went pre-operational by itself keeps the torque of its drive for as long as it hears
     /// our heartbeat.
     ///
     /// They go after the SYNC, or a quick stop that is to come into effect with it would be lost, and before any set-points: on a
     /// bus that a stranger's SYNCs have filled with answers those wait, and so does all behind them. First come those that found
-    /// room least often: somebody may start a node again that we have stopped, so each is told in every cycle, and in a queue with
+    /// room least often: another node may start a node again that we have stopped, so each is told in every cycle, and in a queue with
     /// little room the last ones would never be.
     pub fn stop_nodes(&self, line: u8, out: &mut Outbox) {
         let mut order: [usize; TAIL_AXES] = core::array::from_fn(|n| n);

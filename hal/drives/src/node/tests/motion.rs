@@ -50,8 +50,9 @@ fn halt_stops_and_stays_enabled() {
     assert!(bench.position() > halted);
 }
 
+/// Silence stops the axis within 50 ms of the last SYNC and it says why.
 #[test]
-fn silence_stops_the_axis_within_50_ms_of_the_last_sync_and_it_says_why() {
+fn silent_master_stops_the_axis_within_50_ms() {
     let (mut bench, _) = Bench::moving();
     // The last SYNC was a millisecond ago.
     let way = watch(&mut bench, 200);
@@ -215,8 +216,9 @@ fn the_abort_option_decides_about_a_lost_master() {
     }
 }
 
+/// A motor that does not follow is a fault that only an edge resets.
 #[test]
-fn a_motor_that_does_not_follow_is_a_fault_that_only_an_edge_resets() {
+fn following_error_is_reset_by_an_edge_only() {
     let (mut bench, mut target) = Bench::moving();
     bench
         .write(index::FOLLOWING_WINDOW, &500_u32.to_le_bytes())
