@@ -78,7 +78,7 @@ pub struct Mapped<B> {
 pub struct Homed<B> {
     bus: Watched<B>,
     plan: ArmPlan,
-    /// Where each drive was told that its reference is, counts; none if it cannot be told.
+    /// The home offset that each drive was given, counts; none if it has no such object.
     homes: homing::Homes,
 }
 
@@ -246,7 +246,7 @@ impl<B: Bus> Homed<B> {
     /// keeps a few hundred and drops the rest, those of this arm's nodes with them.
     ///
     /// # Errors
-    /// What may not have happened to an arm that waits: another master, a node that booted up again or told an error. All nodes
+    /// What may not have happened to an arm that waits: another master, a node that booted up again or sent an emergency. All nodes
     /// of this arm are stopped then.
     pub fn listen(&mut self) -> Result<(), BringUpError> {
         self.bus.drain()

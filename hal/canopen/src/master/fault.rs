@@ -53,7 +53,7 @@ pub enum Fault {
     Rebooted(Who),
     /// The node left operational.
     LeftOperational(Who, NmtState),
-    /// The node told an error.
+    /// The node sent an emergency.
     Emergency(Who, ErrorCode),
     /// No process data for so many cycles.
     Silent(Who, u32),
@@ -109,7 +109,7 @@ impl Fault {
         }
     }
 
-    /// As the controller is told. A fault of a bus is told of the first axis.
+    /// As the controller gets it. A fault of a bus is reported of the first axis.
     #[must_use]
     pub fn arm_error(&self) -> ArmError {
         ArmError::DriveFault {

@@ -1,5 +1,5 @@
 //! The last questions to every node before its drive gets a SYNC: whether anything is wrong with it, and whether it still has
-//! what it was told.
+//! its settings.
 //!
 //! What a node says by itself may be lost, or was said before it counted; and it is said once. What it answers can't be missed.
 
@@ -15,7 +15,7 @@ use crate::index;
 /// comes it misses heartbeat, SYNC, and set-points.
 const SOUND: u8 = register::GENERIC | register::COMMUNICATION;
 
-/// Asks the node of `axis`, whose reference was said to be at `home` if it could be told.
+/// Asks the node of `axis`, which was given the home offset `home` if it has one.
 ///
 /// A restart takes away its heartbeat, its mode, and its reference: of these a drive may have stored one or the other, of the
 /// bus or of the axis, but hardly all.
@@ -33,13 +33,13 @@ pub(super) async fn node<B: Bus>(
         return Err(BringUpError::Unsound { who, register });
     }
     let [mode] = Mode::CyclicPosition.raw().to_le_bytes();
-    let told = [
+    let settings = [
         (index::HEARTBEAT, Some(plan.heartbeat_ms.into())),
         (index::MODE, Some(mode.into())),
         (index::HOME_OFFSET, home),
     ];
-    for (address, told) in told {
-        let Some(expected) = told else {
+    for (address, expected) in settings {
+        let Some(expected) = expected else {
             continue;
         };
         let found = read(address).await?;

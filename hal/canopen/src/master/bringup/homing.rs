@@ -25,7 +25,7 @@ const STEP_NS: u64 = 1_000_000_000;
 /// Method 37: the present position is the reference.
 const PRESENT_POSITION: i8 = 37;
 
-/// Where each drive is told that its reference is, counts; none if it cannot be told.
+/// The home offset that each drive was given, counts; none if it has no such object.
 pub(super) type Homes = [Option<u32>; TAIL_AXES];
 
 /// Homes all axes.

@@ -96,7 +96,7 @@ pub(super) async fn hold<B: Bus>(
     Ok(())
 }
 
-/// How it stops, and that nothing shifts or turns round what it is told.
+/// How it stops, and that nothing shifts or reverses its set-points.
 const fn options() -> [Setting; 9] {
     [
         Setting::signed(index::ABORT_OPTION, 2, QUICK_STOP),

@@ -211,7 +211,7 @@ impl<B: Bus> Bus for Watched<B> {
     }
 }
 
-/// Whether a controller is error passive once it has told `trouble`.
+/// Whether a controller is error passive once it has reported `trouble`.
 const fn is_passive_after(trouble: Trouble, was: bool) -> bool {
     match trouble {
         Trouble::ErrorPassive => true,
