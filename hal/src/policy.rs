@@ -30,7 +30,7 @@ pub struct Observation<'a> {
 
 /// A policy. Answers are a function of the seed and of the observations since the last reset.
 pub trait Policy {
-    /// Forgets the past; everything random afterwards hangs on `seed`.
+    /// Forgets the past; everything random afterwards depends on `seed`.
     fn reset(&mut self, seed: u64);
 
     /// How many policy steps before a query it wants to have observed too; see [`observe`](Self::observe).

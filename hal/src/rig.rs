@@ -29,7 +29,7 @@ pub struct Period {
 pub trait Rig {
     /// Sends the set-points of the period that ends, if it has some, and begins the next one: waits until it is due, and reads.
     ///
-    /// A set-point that can't be sent is told as its arm's next measurement. An arm that is sent none plays the rest of its
+    /// A set-point that can't be sent is reported as its arm's next measurement. An arm that is sent none plays the rest of its
     /// last tail; before the first it holds the position at which it was found.
     fn exchange(&mut self, setpoints: Option<&PerArm<Setpoint>>) -> Period;
 }

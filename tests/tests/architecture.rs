@@ -281,8 +281,9 @@ fn the_map_has_every_crate_and_each_crates_readme_every_module() {
     }
 }
 
+/// A crate's README is its documentation with an example that compiles.
 #[test]
-fn a_crates_readme_is_its_documentation_with_an_example_that_compiles() {
+fn crate_readme_is_its_documentation() {
     for member in MEMBERS {
         let library = repository().join(member.folder).join("src/lib.rs");
         let included = read(&library).starts_with("#![doc = include_str!(\"../README.md\")]");

@@ -155,9 +155,10 @@ fn a_python_node_answers_sdo_requests_in_raw_frames() {
     drive.stop();
 }
 
+/// A Python master and Python drives agree and Wireshark understands them.
 #[test]
 #[ignore = "needs a CAN bus: make test-can"]
-fn a_python_master_and_python_drives_agree_and_wireshark_understands_them() {
+fn python_master_and_python_drives_agree() {
     let _turn = alone();
     let capture = scratch("can_bus").join("capture.log");
     let dump = Peer::logging(&capture);

@@ -42,8 +42,9 @@ const ON_CAN: [&str; 7] = [
     "can",
 ];
 
+/// One kHz for seven axes on one bus is refused with the arithmetic.
 #[test]
-fn one_khz_for_seven_axes_on_one_bus_is_refused_with_the_arithmetic() {
+fn seven_axes_at_1_khz_are_refused_on_one_bus() {
     let file = config(
         "can_refusals_1khz",
         &[("cycle_us = 2000", "cycle_us = 1000")],
@@ -61,8 +62,9 @@ fn one_khz_for_seven_axes_on_one_bus_is_refused_with_the_arithmetic() {
     );
 }
 
+/// Two arms on one bus at 500 Hz are refused and at 250 Hz only lack the bus.
 #[test]
-fn two_arms_on_one_bus_at_500_hz_are_refused_and_at_250_hz_only_lack_the_bus() {
+fn two_arms_on_one_bus_need_250_hz() {
     let arguments = [
         "run",
         "--task",
@@ -92,8 +94,9 @@ fn two_arms_on_one_bus_at_500_hz_are_refused_and_at_250_hz_only_lack_the_bus() {
     assert!(lacks_the_bus(&told), "{told}");
 }
 
+/// A cycle that is no whole number of control periods is refused.
 #[test]
-fn a_cycle_that_is_no_whole_number_of_control_periods_is_refused() {
+fn cycle_of_fractional_control_periods_is_refused() {
     let file = config(
         "can_refusals_cycle",
         &[("cycle_us = 2000", "cycle_us = 2500")],
@@ -119,8 +122,9 @@ fn options_that_do_not_go_together_are_refused() {
     assert!(told.contains("--can-config needs --backend can"), "{told}");
 }
 
+/// A robot needs limits a bus and a policy that sees no simulator.
 #[test]
-fn a_robot_needs_limits_a_bus_and_a_policy_that_sees_no_simulator() {
+fn robot_needs_limits_a_bus_and_a_policy() {
     let safety = repository().join("config/tasks/needle-lift/safety.toml");
     let safety = safety.to_str().unwrap();
     let on_can = ["run", "--backend", "can", "--safety"];

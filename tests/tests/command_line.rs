@@ -34,8 +34,9 @@ fn refused(arguments: &[&str]) -> String {
     text(&output.stderr)
 }
 
+/// The configuration is shown with every layer and is one that can be read again.
 #[test]
-fn the_configuration_is_shown_with_every_layer_and_is_one_that_can_be_read_again() {
+fn shown_configuration_can_be_read_again() {
     let folder = scratch("command_line_config");
     let plain = printed(&["config", "show", "control"]);
     let set = ["--set", "control.limits.tip_speed_m_s=0.05"];
@@ -66,8 +67,9 @@ fn the_configuration_is_shown_with_every_layer_and_is_one_that_can_be_read_again
     }
 }
 
+/// A set value changes the run as a changed file would and is in its log.
 #[test]
-fn a_set_value_changes_the_run_as_a_changed_file_would_and_is_in_its_log() {
+fn set_value_acts_like_a_changed_file() {
     let folder = scratch("command_line_set");
     let log = folder.join("a.mcap");
     let run = [
@@ -196,8 +198,9 @@ fn there_is_a_man_page_for_each_verb() {
     }
 }
 
+/// An instruction is the dataset's task and the simulator's is kept beside it.
 #[test]
-fn an_instruction_is_the_datasets_task_and_the_simulators_is_kept_beside_it() {
+fn instruction_is_the_datasets_task() {
     let folder = scratch("command_line_instruction").join("demos");
     let words = "Pick the needle up and hold it.";
     let recorded = run(&[
@@ -298,8 +301,9 @@ fn a_standard_output_that_is_full_or_closed_loses_no_result() {
     assert_eq!(tests::json(&file)["task"], "needle-lift");
 }
 
+/// A log that cannot be written ends in an error and loses no result.
 #[test]
-fn a_log_that_cannot_be_written_ends_in_an_error_and_loses_no_result() {
+fn unwritable_log_is_an_error_with_its_result() {
     let folder = scratch("command_line_full");
     let (log, file) = (folder.join("a.mcap"), folder.join("a.json"));
     // No file may be larger than 60 KiB, which a write then tells as an error.
@@ -355,8 +359,9 @@ fn refused_with_output(arguments: &[&str]) {
     assert_eq!(output.status.code(), Some(2), "{arguments:?}: {told}");
 }
 
+/// An input is neither overwritten through a link nor read without end.
 #[test]
-fn an_input_is_neither_overwritten_through_a_link_nor_read_without_end() {
+fn inputs_are_not_overwritten_through_links() {
     let folder = scratch("command_line_links");
     let (config, link) = (folder.join("control.toml"), folder.join("link.json"));
     fs::copy(repository().join("config/control.toml"), &config).unwrap();

@@ -7,15 +7,21 @@
 
 #[path = "../../runtime/control/examples/own_arm.rs"]
 mod own_arm;
+#[path = "../../runtime/app/examples/own_camera.rs"]
+mod own_camera;
 #[path = "../../runtime/app/examples/own_policy.rs"]
 mod own_policy;
 #[path = "../../runtime/app/examples/own_robot.rs"]
 mod own_robot;
 
+use std::thread;
+
 use tests::{repository, scratch};
+use trocar::rt::{self, MonotonicClock};
 use trocar_log::RunLog;
 use trocar_log::replay::replay;
 use trocar_log::verify::verify;
+use trocar_topics::{CameraTopic, TopicNode};
 
 #[test]
 fn an_own_arm_is_led_to_its_target() {
@@ -33,8 +39,9 @@ fn an_own_policy_is_asked_and_its_chunks_are_taken() {
     assert_eq!(summary.policy.refused, 0, "{summary:?}");
 }
 
+/// An own robot runs in real time and its log replays and verifies.
 #[test]
-fn an_own_robot_runs_in_real_time_and_its_log_replays_and_verifies() {
+fn own_robot_runs_and_its_log_verifies() {
     let log = scratch("own-robot").join("run.mcap");
     let safety = repository().join("config/tasks/needle-lift/safety.toml");
     let result = own_robot::run(&safety, log.clone()).unwrap();
@@ -66,4 +73,39 @@ fn a_rig_of_another_number_of_arms_is_refused() {
     let safety = repository().join("config/tasks/needle-handover/safety.toml");
     let refused = own_robot::run(&safety, log).unwrap_err().to_string();
     assert!(refused.contains("the rig has 1 arms"), "{refused}");
+}
+
+/// Frames of the example's camera as a run sees them: of the size that it says, stamped with the time of now, each newer than the
+/// one before, and another picture.
+#[test]
+fn an_own_cameras_frames_are_seen_as_they_come() {
+    let topics = format!("own-camera-{}", std::process::id());
+    let node = TopicNode::join(&topics).unwrap();
+    let mut seen = CameraTopic::subscriber(&node, "endoscope").unwrap();
+    let clock = MonotonicClock::new();
+    let camera = thread::spawn(move || own_camera::run(&topics, "endoscope", 100));
+    let mut frames: Vec<(u64, Vec<u8>)> = Vec::new();
+    while frames.len() < 5 {
+        assert!(clock.now().seconds() < 30.0, "{} frames", frames.len());
+        if let Some(view) = seen.newest().unwrap() {
+            let header = *view.header();
+            let now = clock.to_system(clock.now());
+            assert!(header.stamp <= now && now.since(header.stamp) < 30_000_000_000);
+            assert_eq!(
+                (header.intrinsics.width, header.intrinsics.height),
+                (256, 256)
+            );
+            assert_eq!(
+                (view.colour().len(), view.depth_m().len()),
+                (3 << 16, 1 << 16)
+            );
+            frames.push((header.sequence, view.colour().to_vec()));
+        }
+        rt::sleep_ns(1_000_000);
+    }
+    for pair in frames.windows(2) {
+        assert!(pair[0].0 < pair[1].0);
+        assert_ne!(pair[0].1, pair[1].1);
+    }
+    assert_eq!(camera.join().unwrap().unwrap(), 100);
 }

@@ -46,8 +46,9 @@ fn log_command(profile: Profile, name: &str, log: &Path, result: Option<&Path>) 
     command.output().unwrap()
 }
 
+/// One seed gives one hash in debug and release and another seed another.
 #[test]
-fn one_seed_gives_one_hash_in_debug_and_release_and_another_seed_another() {
+fn one_seed_gives_one_hash_in_debug_and_release() {
     let folder = scratch("hashes");
     let debug = run(Profile::Debug, &folder, 3, None);
     let release = run(Profile::Release, &folder, 3, None);
@@ -131,8 +132,9 @@ fn a_log_replays_verifies_and_catches_tampering() {
     }
 }
 
+/// An arm that is enabled within a forbidden region only comes out as verify sees it.
 #[test]
-fn an_arm_that_is_enabled_within_a_forbidden_region_only_comes_out_as_verify_sees_it() {
+fn arm_in_a_forbidden_region_only_comes_out() {
     let folder = scratch("enabled_within").join("task");
     fs::create_dir_all(&folder).unwrap();
     let shipped = repository().join("config/tasks/needle-lift");

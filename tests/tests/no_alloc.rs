@@ -105,7 +105,7 @@ impl<const ARMS: usize> Rig<ARMS> {
         self.tick([event; ARMS])
     }
 
-    /// One tick, and how often it asked for memory.
+    /// One tick, and how often it allocated.
     fn tick(&mut self, events: [Event<'_>; ARMS]) -> ([TickOutput; ARMS], u64) {
         let now = TimeNs::from_tick(self.tick);
         let inputs: [TickInput<'_>; ARMS] = core::array::from_fn(|arm| {
@@ -290,7 +290,7 @@ impl<const ARMS: usize> Rig<ARMS> {
 }
 
 #[test]
-fn one_arm_takes_no_memory() {
+fn one_arm_allocates_nothing() {
     let mut rig = Rig::<1>::new(&one_arm().unwrap()).unwrap();
     let (solved, _) = rig.oscillate([[0.01, 0.0, 0.0], [-0.01, 0.0, 0.0]], 200);
     assert_eq!(solved, 0);
@@ -302,7 +302,7 @@ fn one_arm_takes_no_memory() {
 }
 
 #[test]
-fn two_arms_take_no_memory() {
+fn two_arms_allocate_nothing() {
     let mut rig = Rig::<2>::new(&two_arms().unwrap()).unwrap();
     let (solved, failed) = rig.oscillate([[0.03, 0.0, -0.05], [-0.03, 0.0, -0.05]], 200);
     assert!(solved > 1000 && failed == 0, "{solved} {failed}");
@@ -312,7 +312,7 @@ fn two_arms_take_no_memory() {
 }
 
 #[test]
-fn a_filter_that_fails_takes_no_memory() {
+fn failing_filter_allocates_nothing() {
     let mut config = one_arm().unwrap();
     config.filter.iterations_max = 1;
     let mut rig = Rig::<1>::new(&config).unwrap();

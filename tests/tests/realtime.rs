@@ -208,8 +208,9 @@ fn expect_a_stop(log: &RunLog) {
     }
 }
 
+/// The expert lifts the needle and the log replays and verifies.
 #[test]
-fn the_expert_lifts_the_needle_and_the_log_replays_and_verifies() {
+fn expert_lifts_the_needle_and_the_log_verifies() {
     let _turn = alone();
     // A machine that is busy enough can make any one run fail, but not three.
     let lifted = (1..=3).any(|seed| {
@@ -253,8 +254,9 @@ fn the_network_lifts_the_needle_from_its_own_process() {
     assert!(lifted);
 }
 
+/// A policy process that dies or hangs ends the run with the arm at rest.
 #[test]
-fn a_policy_process_that_dies_or_hangs_ends_the_run_with_the_arm_at_rest() {
+fn dead_or_hung_policy_ends_the_run_at_rest() {
     let _turn = alone();
     for (signal, expected) in [
         ("-KILL", "the policy process ended: signal: 9"),
@@ -292,8 +294,9 @@ fn a_signal_is_a_controlled_stop() {
     }
 }
 
+/// A policy whose parent is killed goes and cleans up and the log is good up to the cut.
 #[test]
-fn a_policy_whose_parent_is_killed_goes_and_cleans_up_and_the_log_is_good_up_to_the_cut() {
+fn killed_parent_ends_the_policy_and_cuts_the_log() {
     let _turn = alone();
     let mut run = Run::start("realtime-killed", CHECKPOINT, 1);
     run.wait_until_under_way();
@@ -310,8 +313,9 @@ fn a_policy_whose_parent_is_killed_goes_and_cleans_up_and_the_log_is_good_up_to_
     assert_eq!(found, (false, 0), "what is there is good, but not whole");
 }
 
+/// A policy whose parent is killed before the run begins goes and cleans up.
 #[test]
-fn a_policy_whose_parent_is_killed_before_the_run_begins_goes_and_cleans_up() {
+fn policy_ends_with_a_parent_killed_before_the_run() {
     let _turn = alone();
     // Before the policy process can look at anything, and while it loads.
     for joined in [false, true] {

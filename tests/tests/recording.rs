@@ -43,8 +43,9 @@ fn small_scene(folder: &Path) -> PathBuf {
     path
 }
 
+/// A killed recording keeps every episode but the one in progress.
 #[test]
-fn a_killed_recording_keeps_every_episode_but_the_one_in_progress() {
+fn killed_recording_loses_one_episode_at_most() {
     let folder = scratch("record-killed");
     let out = folder.join("demos");
     let mut record = trocar(Profile::Debug)
@@ -191,8 +192,9 @@ fn other_recordings_are_refused(folder: &Path, out: &Path) {
     assert!(files(out) == before, "nothing is touched");
 }
 
+/// A recording that was killed and interrupted goes on to the same dataset.
 #[test]
-fn a_recording_that_was_killed_and_interrupted_goes_on_to_the_same_dataset() {
+fn killed_recording_resumes_to_the_same_dataset() {
     let folder = scratch("record-resumed");
     let (cut, whole) = (folder.join("cut"), folder.join("whole"));
     let episodes = killed_interrupted_and_ended(&folder, &cut);

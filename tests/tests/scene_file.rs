@@ -44,8 +44,9 @@ fn changed(task: &str, folder: &Path, changes: &[(&str, &str)]) -> PathBuf {
 const SHORT: (&str, &str) = ("time_limit_s", "time_limit_s = 1.5");
 const PLAIN: (&str, &str) = ("shading", "shading = \"plain\"");
 
+/// A run in a changed scene keeps its text and can be replayed and verified.
 #[test]
-fn a_run_in_a_changed_scene_keeps_its_text_and_can_be_replayed_and_verified() {
+fn run_in_a_changed_scene_replays_and_verifies() {
     let folder = scratch("own-scene");
     let scene = changed("needle-lift", &folder, &[SHORT, PLAIN]);
     let paths = [&scene, &folder.join("run.mcap"), &folder.join("run.json")];
@@ -73,8 +74,9 @@ fn a_run_in_a_changed_scene_keeps_its_text_and_can_be_replayed_and_verified() {
     ends_with(0, &["verify", &log]);
 }
 
+/// A set value is for the scene that is in effect and for no other.
 #[test]
-fn a_set_value_is_for_the_scene_that_is_in_effect_and_for_no_other() {
+fn set_value_changes_the_scene_in_effect_only() {
     let folder = scratch("own-scene-set");
     let renamed = ("[needle.N5]", "[needle.mine]");
     let scene = changed("needle-lift", &folder, &[SHORT, PLAIN, renamed]);
@@ -99,8 +101,9 @@ fn a_set_value_is_for_the_scene_that_is_in_effect_and_for_no_other() {
     );
 }
 
+/// A sheet of a plain scene is another picture and needs one task.
 #[test]
-fn a_sheet_of_a_plain_scene_is_another_picture_and_needs_one_task() {
+fn sheet_of_a_plain_scene_needs_one_task() {
     let folder = scratch("plain-sheet");
     let scene = changed("needle-lift", &folder, &[PLAIN]);
     let scene = scene.display().to_string();
@@ -162,8 +165,9 @@ fn evaluations_and_recordings_take_a_scene_and_tell_it() {
     assert_eq!(json(&result)["scene"], scene.as_str());
 }
 
+/// A scene that is not the task's is refused with file line and key.
 #[test]
-fn a_scene_that_is_not_the_tasks_is_refused_with_file_line_and_key() {
+fn scene_of_another_task_is_refused_by_line() {
     let folder = scratch("wrong-scene");
     let run = ["run", "--policy", "expert", "--lockstep", "--task"];
     let refused = |task: &str, path: &Path| {
@@ -228,8 +232,9 @@ fn sha256(file: &str) -> String {
     told.split_once(' ').unwrap().0.to_owned()
 }
 
+/// A policy of another task runs with a warning and is known by its weights.
 #[test]
-fn a_policy_of_another_task_runs_with_a_warning_and_is_known_by_its_weights() {
+fn policy_of_another_task_runs_with_a_warning() {
     let folder = scratch("transfer");
     let result = folder.join("result.json");
     let path = result.display().to_string();

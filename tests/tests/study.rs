@@ -67,8 +67,9 @@ fn a_study_that_is_none_is_refused_before_anything_is_made() {
     assert!(message.contains("3/2: a shard is i/n"), "{message}");
 }
 
+/// A network that can not be trained so is refused by its own verb.
 #[test]
-fn a_network_that_can_not_be_trained_so_is_refused_by_its_own_verb() {
+fn untrainable_network_is_refused_by_train() {
     let folder = scratch("study-options");
     let tiny = support::tiny(&folder);
     fs::write(
@@ -85,8 +86,9 @@ fn a_network_that_can_not_be_trained_so_is_refused_by_its_own_verb() {
     );
 }
 
+/// What is done is not done again and a cut result is told and kept.
 #[test]
-fn what_is_done_is_not_done_again_and_a_cut_result_is_told_and_kept() {
+fn finished_cells_are_not_run_again() {
     let folder = scratch("study-cut");
     fs::write(folder.join("study.toml"), EXPERT).unwrap();
     let first = run(&study(&folder, &["--out", "results"]));

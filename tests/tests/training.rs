@@ -169,8 +169,9 @@ fn a_training_of_days_is_warned_of() {
     assert_eq!(child.wait().unwrap().code(), Some(1), "{said:?}");
 }
 
+/// Evaluations keep the best weights and change no bit of the training.
 #[test]
-fn evaluations_keep_the_best_weights_and_change_no_bit_of_the_training() {
+fn evaluations_keep_the_best_weights() {
     let folder = scratch("training-evaluated");
     record(&folder.join("data"));
     let plain = train(&folder, "plain").output().unwrap();

@@ -31,8 +31,9 @@ fn png_size(path: &Path) -> [u32; 2] {
 
 const EXPERT: [&str; 5] = ["--task", "needle-lift", "--policy", "expert", "--seed"];
 
+/// Needle and view are in result and log and only the asked camera is.
 #[test]
-fn needle_and_view_are_in_result_and_log_and_only_the_asked_camera_is() {
+fn needle_and_view_are_in_result_and_log() {
     let folder = scratch("needle-and-view");
     let (log, result) = (folder.join("run.mcap"), folder.join("run.json"));
     let paths = [&log, &result].map(|path| path.display().to_string());
@@ -72,8 +73,9 @@ fn needle_and_view_are_in_result_and_log_and_only_the_asked_camera_is() {
     assert!(done(&["verify", &paths[0]]).contains("ok"));
 }
 
+/// Evaluations tell needle and view and only the needle changes the expert's commands.
 #[test]
-fn evaluations_tell_needle_and_view_and_only_the_needle_changes_the_experts_commands() {
+fn evaluation_results_name_needle_and_view() {
     let folder = scratch("evaluated-views");
     let eval = |name: &str, scene: &[&str]| {
         let result = folder.join(name);

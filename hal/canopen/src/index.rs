@@ -113,12 +113,20 @@ addresses! {
     ENCODER_TURNS = 0x608F, 2;
     /// How to find the reference.
     HOMING_METHOD = 0x6098, 0;
+    /// Homing speed towards the switch, counts/s.
+    HOMING_SWITCH_SPEED = 0x6099, 1;
+    /// Homing speed at which the home point is found, counts/s.
+    HOMING_ZERO_SPEED = 0x6099, 2;
+    /// Homing acceleration, counts/s^2.
+    HOMING_ACCELERATION = 0x609A, 0;
     /// Added to the target position, counts.
     POSITION_OFFSET = 0x60B0, 0;
     /// Interpolation period: value.
     PERIOD_VALUE = 0x60C2, 1;
     /// Interpolation period: power of ten, s.
     PERIOD_EXPONENT = 0x60C2, 2;
+    /// How many homing methods the drive offers; sub-index 1 is the first one.
+    HOMING_METHOD_COUNT = 0x60E3, 0;
     /// Following error, counts.
     FOLLOWING_ERROR = 0x60F4, 0;
     /// Limit switches.

@@ -2,13 +2,13 @@
 
 use crate::node::{Demand, Feedback};
 
-/// A motor: goes where it is told, as well as it can.
+/// A motor: follows its demand as well as it can.
 pub trait Motor {
     /// Lets `step_ns` pass under `demand` and tells where the motor is then.
     fn step(&mut self, step_ns: u64, demand: &Demand) -> Feedback;
 }
 
-/// A motor without inertia: always where it should be, unless it is stuck or was never told.
+/// A motor without inertia: always where it should be, unless it is stuck or has had no demand.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct IdealMotor {
     /// Where it is, counts.
@@ -31,14 +31,14 @@ impl Motor for IdealMotor {
     }
 }
 
-/// A motor that turns elsewhere, together with others: what it was told waits here, and so does what became of it.
+/// A motor that turns elsewhere, together with others: its demand waits here, and so does its feedback.
 ///
 /// Seven drives of one arm turn one plant: whoever has that plant looks at the demands, moves it, and leaves the feedback.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Terminal {
     /// The newest demand.
     pub demand: Demand,
-    /// Where the motor is, as the drive will be told from now on.
+    /// Where the motor is, as the drive reads it from now on.
     pub feedback: Feedback,
 }
 

@@ -209,7 +209,7 @@ impl<M: Motor> Network<M> {
         }
     }
 
-    /// Somebody who is neither a drive nor a master of ours sends `frame` on `line`; tells whether it found room.
+    /// A node that is neither a drive nor a master of ours sends `frame` on `line`; tells whether it found room.
     pub fn intrude(&mut self, line: u8, frame: Frame) -> bool {
         let now = self.now;
         let line = &mut self.lines[usize::from(line)];

@@ -158,8 +158,9 @@ mod tests {
         Station::new(network, Outside::default(), 1)
     }
 
+    /// A world moves with its drives at every whole step and never twice.
     #[test]
-    fn a_world_moves_with_its_drives_at_every_whole_step_and_never_twice() {
+    fn world_steps_once_with_its_drives() {
         let mut station = station();
         let mut steps = Vec::new();
         for until_us in [300, 1000, 1000, 1700, 4100] {
@@ -173,8 +174,9 @@ mod tests {
         assert_eq!(steps, [1, 2, 3, 4]);
     }
 
+    /// A drive is where its terminal says and its demand waits there.
     #[test]
-    fn a_drive_is_where_its_terminal_says_and_its_demand_waits_there() {
+    fn drive_reads_feedback_and_leaves_its_demand() {
         let mut station = station();
         let node = NodeId::new(5).unwrap();
         let motor = station.network_mut().motor(node).unwrap();

@@ -268,8 +268,9 @@ fn two_with_one_identifier_collide() {
     assert_eq!(wire.collisions(), 1);
 }
 
+/// A frame that is held back comes after those that overtake it.
 #[test]
-fn a_frame_that_is_held_back_comes_after_those_that_overtake_it() {
+fn delayed_frame_is_overtaken() {
     let mut network: Network<IdealMotor> = Network::new(1, 1_000_000, 8);
     let other = network.add_master(8);
     let (held, quick) = (frame(0x100, &[1]), frame(0x200, &[2]));
@@ -281,7 +282,7 @@ fn a_frame_that_is_held_back_comes_after_those_that_overtake_it() {
         }
     }));
     assert_eq!(network.send(0, &[held, quick]), 2);
-    // One look at both: they are told apart by when they arrive, not by when somebody looks.
+    // One look at both: they are told apart by when they arrive, not by when anything looks.
     network.advance(TimeNs(400_000));
     let mut came = Vec::new();
     network.receive_as(other, 0, &mut |received| came.push(received));

@@ -166,6 +166,7 @@ fn plan(identity: (u32, u32), cycle_ms: u64) -> ArmPlan {
         master: NodeId::new(127).unwrap(),
         heartbeat_ms: 1000,
         brake_ns: 0,
+        homing: [None; 7],
         space: Space::Joint,
         axes: core::array::from_fn(|axis| AxisPlan {
             node: node(u8::try_from(axis).unwrap()),
@@ -352,9 +353,10 @@ fn our_master_leads_drives_written_in_python() {
     assert!((0.11..0.12).contains(&measured), "{measured}");
 }
 
+/// A master written in Python leads our drives by their data sheet and Wireshark agrees.
 #[test]
 #[ignore = "needs a CAN bus: make test-can"]
-fn a_master_written_in_python_leads_our_drives_by_their_data_sheet_and_wireshark_agrees() {
+fn python_master_commands_our_drives_by_their_eds() {
     let _turn = alone();
     let capture = std::env::temp_dir().join(format!("trocar-{}.log", std::process::id()));
     let log = std::fs::File::create(&capture).unwrap();

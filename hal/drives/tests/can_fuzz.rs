@@ -120,8 +120,9 @@ fn hammer_drive(frames: u64) -> drive::Tally {
     tally.into_inner()
 }
 
+/// Arbitrary frames never move an arm outside its limits nor take memory.
 #[test]
-fn arbitrary_frames_never_move_an_arm_outside_its_limits_nor_take_memory() {
+fn fuzzed_arm_keeps_its_limits_and_allocates_nothing() {
     let tally = hammer_arm(50_000);
     // It is no test if the arm is never enabled, never moves, or never fails.
     assert!(tally.enabled_cycles > 500, "{tally:?}");
@@ -134,8 +135,9 @@ fn arbitrary_frames_never_move_an_arm_outside_its_limits_nor_take_memory() {
     assert!(tally.left_out > 10 && tally.seen.stills > 1000, "{tally:?}");
 }
 
+/// Arbitrary frames never panic nor move the axis outside its limits.
 #[test]
-fn arbitrary_frames_never_panic_nor_move_the_axis_outside_its_limits() {
+fn fuzzed_drive_keeps_its_limits_without_a_panic() {
     let tally = hammer_drive(100_000);
     // It is no test if the axis never moves or never fails.
     assert!(
@@ -144,20 +146,22 @@ fn arbitrary_frames_never_panic_nor_move_the_axis_outside_its_limits() {
     );
 }
 
+/// Ten million arbitrary frames never move an arm outside its limits nor take memory.
 #[test]
 #[ignore = "ten million frames: make fuzz-can"]
 #[expect(clippy::print_stdout, reason = "figures for a person")]
-fn ten_million_arbitrary_frames_never_move_an_arm_outside_its_limits_nor_take_memory() {
+fn ten_million_frames_never_move_an_arm_outside_its_limits() {
     let frames = number("TROCAR_FUZZ_FRAMES", 10_000_000);
     let tally = hammer_arm(frames);
     assert!(tally.seen.thrown >= frames);
     println!("arm: {tally:#?}");
 }
 
+/// Ten million arbitrary frames never move the axis outside its limits.
 #[test]
 #[ignore = "ten million frames: make fuzz-can"]
 #[expect(clippy::print_stdout, reason = "figures for a person")]
-fn ten_million_arbitrary_frames_never_move_the_axis_outside_its_limits() {
+fn ten_million_frames_never_move_an_axis_outside_its_limits() {
     let frames = number("TROCAR_FUZZ_FRAMES", 10_000_000);
     let tally = hammer_drive(frames);
     assert!(tally.thrown >= frames);

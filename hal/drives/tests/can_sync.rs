@@ -89,8 +89,9 @@ fn tick(arm: &mut CanArm<Noting>, now: &mut TimeNs, ticks: u64) {
     }
 }
 
+/// After a stall there is one SYNC a cycle and none for those that were missed.
 #[test]
-fn after_a_stall_there_is_one_sync_a_cycle_and_none_for_those_that_were_missed() {
+fn missed_syncs_are_not_made_up_for() {
     let plan = CanConfig::load(&CanConfig::shipped()).unwrap().arms[0].plan;
     let cycle_ns = plan.cycle_ns;
     // The odd ones end between two SYNCs.
@@ -144,8 +145,9 @@ fn busy(plan: &ArmPlan) -> Vec<u64> {
     spent.map(|ns| ns / 1_000_000).collect()
 }
 
+/// The buses of an arm that is led are as busy as the table says.
 #[test]
-fn the_buses_of_an_arm_that_is_led_are_as_busy_as_the_table_says() {
+fn measured_bus_load_matches_the_table() {
     let shipped = CanConfig::load(&CanConfig::shipped()).unwrap().arms[0].plan;
     let within = |per_mille: u64, (low, high): (u64, u64)| {
         // Heartbeats come on top, half a per cent of them.

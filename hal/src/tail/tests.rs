@@ -217,8 +217,9 @@ fn points_ahead_are_the_setpoints_of_the_coming_periods() {
     assert!(far.into_iter().all(|point| point.stamp == TimeNs(u64::MAX)));
 }
 
+/// Resting arm stays as it is and a disabled one stays disabled.
 #[test]
-fn resting_arm_stays_as_it_is_and_a_disabled_one_stays_disabled() {
+fn tail_of_a_resting_arm_holds_it() {
     let positions = [0.1, -0.2, 0.12, 0.3, -0.4, 0.5, 0.6];
     for enabled in [false, true] {
         let tail = SafeTail::at_rest(TimeNs(5), &positions, enabled);

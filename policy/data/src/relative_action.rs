@@ -192,8 +192,9 @@ mod tests {
         }
     }
 
+    /// Translation is in the RCM frame and rotation in the tool frame.
     #[test]
-    fn translation_is_in_the_rcm_frame_and_rotation_in_the_tool_frame() {
+    fn translation_is_in_rcm_and_rotation_in_tool_frame() {
         let half = core::f64::consts::FRAC_1_SQRT_2;
         // The tool is turned by a quarter about the RCM's z.
         let tip = pose_from_numbers(&[0.0, 0.0, 0.0, 0.0, 0.0, half, half]);

@@ -9,6 +9,7 @@ use tch::{Device, Kind, TchError, Tensor};
 use crate::act::{ActConfig, FoldedAct};
 use crate::checkpoint::{self, Cause, CheckpointError, Recipe};
 use crate::compute::Compute;
+use crate::dimension::dimension;
 use crate::images::{area_average, shrink_factor};
 use crate::normalise::{ImageNormaliser, Normaliser};
 use trocar_data::relative_action::chunks_of;
@@ -45,7 +46,7 @@ impl ActPolicy {
             return Err(Cause::NoRecipe.in_file(&recipe_file));
         };
         let config = loaded.act.config();
-        if usize::try_from(config.chunk_size).unwrap_or(usize::MAX) > CHUNK_STEPS_MAX {
+        if !(1..=dimension(CHUNK_STEPS_MAX)).contains(&config.chunk_size) {
             let defect = format!(
                 "chunk_size = {} is outside [1, {CHUNK_STEPS_MAX}]",
                 config.chunk_size
@@ -84,7 +85,7 @@ impl ActPolicy {
     /// One inference on a black image, so that a network that cannot run fails now, and the first answer is not late.
     fn warm_up(&mut self) -> Result<(), TchError> {
         let config = &self.config;
-        let cameras = i64::try_from(self.recipe.cameras.len()).unwrap_or(i64::MAX);
+        let cameras = dimension(self.recipe.cameras.len());
         let shape = [1, cameras, config.image_height, config.image_width, 3];
         let images = Tensor::f_zeros(shape, (Kind::Uint8, self.device))?;
         let state = Tensor::f_zeros([1, config.state_dim], (Kind::Float, Device::Cpu))?;
@@ -131,7 +132,7 @@ impl ActPolicy {
             ));
         }
         let config = &self.config;
-        let count = i64::try_from(frames.len()).unwrap_or(i64::MAX);
+        let count = dimension(frames.len());
         let shape = [1, count, config.image_height, config.image_width, 3];
         let tensor = Tensor::f_from_data_size(&bytes, &shape, Kind::Uint8)
             .and_then(|t| t.f_to_device(self.device));

@@ -21,7 +21,7 @@ mod tests {
     use std::thread;
     use tch::{Device, Kind, Tensor};
 
-    /// Eight times four numbers, somebody else running in between.
+    /// Eight times four numbers, another thread running in between.
     fn drawn(seed: u64) -> Vec<f32> {
         let _drawing = seeded(seed);
         let mut all = Vec::new();

@@ -186,7 +186,7 @@ impl ParameterSource {
         let tensor = match &self.origin {
             Origin::Seed { seed, device } => {
                 let length = shape.iter().product::<i64>();
-                let values = init.draw(key, *seed, usize::try_from(length).unwrap_or(0));
+                let values = init.draw(key, *seed, crate::dimension::length(length));
                 Tensor::f_from_slice(&values)?
                     .f_reshape(shape)?
                     .f_to_device(*device)?

@@ -113,8 +113,9 @@ mod tests {
         assert_eq!((reader.take(), reader.take()), (Some(4), None));
     }
 
+    /// Reader on another thread sees whole values in order and the last one.
     #[test]
-    fn reader_on_another_thread_sees_whole_values_in_order_and_the_last_one() {
+    fn reader_thread_sees_whole_values_in_order() {
         const LAST: u64 = 200_000;
         let (mut writer, mut reader) = mailbox::<[u64; 64]>();
         let writing = std::thread::spawn(move || {

@@ -5,7 +5,7 @@ use hal::{ArmError, ArmState, Chunk, JOINT_COUNT, TICK_NS, TimeNs, TipTarget};
 
 use super::aggregate::Aggregator;
 use super::config::ControlConfig;
-use super::gate::{Gate, Verdict};
+use super::gate::{Gate, GateDecision};
 use super::instrument::Stance;
 use super::mode::{Event, Mode, OperatingState, OperatorEvent, next};
 use super::motion::{AXES, Axes, MotionState};
@@ -43,7 +43,7 @@ pub(super) struct ArmControl {
 /// What an arm would like to do in a tick.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Plan {
-    pub(super) gate: Option<Verdict>,
+    pub(super) gate: Option<GateDecision>,
     pub(super) target: Option<TipTarget>,
     /// Velocity of each axis, rad/s (m/s).
     pub(super) nominal: Axes,
@@ -125,11 +125,11 @@ impl ArmControl {
             return None;
         }
         let error = self.commanded.joints() - arm.position;
-        let joint =
-            (0..JOINT_COUNT).find(|&joint| error[joint].abs() > self.tracking_error_max[joint])?;
+        let mut errors = (0_u8..).zip(error.iter().zip(&self.tracking_error_max));
+        let (joint, (error, _)) = errors.find(|(_, (error, max))| error.abs() > **max)?;
         Some(Fault::TrackingError {
-            joint: u8::try_from(joint).unwrap_or(u8::MAX),
-            error: error[joint],
+            joint,
+            error: *error,
         })
     }
 
@@ -187,7 +187,7 @@ impl ArmControl {
         }
     }
 
-    fn take(&mut self, chunk: &Chunk, now: TimeNs) -> Option<Verdict> {
+    fn take(&mut self, chunk: &Chunk, now: TimeNs) -> Option<GateDecision> {
         let tip = forward(&self.commanded.joints());
         let verdict = self.gate.judge(chunk, now, &tip)?;
         if verdict.is_accepted() {

@@ -19,7 +19,7 @@ use sections::{aggregation, axes, check_fault, check_tick, filter, gate, nanosec
 /// Most forbidden regions of a task.
 pub const FORBIDDEN_MAX: usize = 8;
 
-/// Everything that the controller hangs on, in SI units and the RCM frame.
+/// Everything that the controller depends on, in SI units and the RCM frame.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ControlConfig {
     /// Limits of the joints and the jaw.

@@ -11,7 +11,7 @@ use super::instrument::Stance;
 use super::mode::{Event, Mode, OperatingState, OperatorEvent};
 use super::motion::{AXES, Axes, AxisLimits, MotionState};
 use super::report::{QpOutcome, TickInput, TickOutput, TickReport};
-use super::rows::{RowInput, Rows, Velocities};
+use super::rows::{ARMS_MAX, RowInput, Rows, Velocities};
 use super::smoother::Smoother;
 use super::stop::Remainder;
 use crate::kinematics::forward;
@@ -242,7 +242,8 @@ impl<const ARMS: usize> Controller<ARMS> {
             arm.release();
         }
         let arm = &self.arms[index];
-        let correction = filtered.correction.get(index).copied().unwrap_or(0.0);
+        const { assert!(ARMS <= ARMS_MAX) };
+        let correction = filtered.correction[index];
         TickOutput {
             command: arm.commanded.command(now, arm.powered),
             tail: self.tail(index, now, arm.powered),

@@ -125,12 +125,11 @@ impl Filter {
     }
 
     fn correction(&self, nominal: &Velocities, velocity: &Velocities) -> [f64; ARMS_MAX] {
-        let mut corrections = [0.0; ARMS_MAX];
+        const { assert!(VARIABLES_MAX == ARMS_MAX * AXES) };
+        let mut corrections = [0.0_f64; ARMS_MAX];
         let changes = nominal.iter().zip(velocity).zip(&self.scale);
         for (axis, ((wanted, got), scale)) in changes.enumerate() {
-            if let Some(sum) = corrections.get_mut(axis / AXES) {
-                *sum += ((got - wanted) / scale).powi(2);
-            }
+            corrections[axis / AXES] += ((got - wanted) / scale).powi(2);
         }
         corrections.map(f64::sqrt)
     }
@@ -186,9 +185,7 @@ impl Filter {
                         *entry = cost[(axis, other)];
                     }
                 }
-                if let Some(diagonal) = line.get_mut(first + axis) {
-                    *diagonal += if axis == JAW { 1.0 } else { self.joint_weight };
-                }
+                line[first + axis] += if axis == JAW { 1.0 } else { self.joint_weight };
             }
         }
     }

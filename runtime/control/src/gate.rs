@@ -27,7 +27,7 @@ pub struct GateLimits {
 
 /// What the gate thinks of a chunk.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Verdict {
+pub enum GateDecision {
     /// It is used.
     Accepted,
     /// It carries no target, or more than fit.
@@ -68,7 +68,7 @@ pub enum Verdict {
     Jump,
 }
 
-impl Verdict {
+impl GateDecision {
     /// Whether the chunk is used.
     #[must_use]
     pub fn is_accepted(self) -> bool {
@@ -123,46 +123,46 @@ impl Gate {
         chunk: &Chunk,
         now: TimeNs,
         commanded_tip_in_rcm: &Pose,
-    ) -> Option<Verdict> {
+    ) -> Option<GateDecision> {
         let identity = (chunk.sequence, chunk.observed_at);
         if self.judged == Some(identity) {
             return None;
         }
         self.judged = Some(identity);
-        let verdict = self.verdict(chunk, now, commanded_tip_in_rcm);
-        if verdict.is_accepted() {
+        let decision = self.decision(chunk, now, commanded_tip_in_rcm);
+        if decision.is_accepted() {
             self.accepted = Some(identity);
             self.accepted_count += 1;
         } else {
             self.refused_count += 1;
         }
-        Some(verdict)
+        Some(decision)
     }
 
-    fn verdict(&self, chunk: &Chunk, now: TimeNs, commanded: &Pose) -> Verdict {
+    fn decision(&self, chunk: &Chunk, now: TimeNs, commanded: &Pose) -> GateDecision {
         let targets = chunk.valid_targets();
         if targets.is_empty() {
-            return Verdict::WrongLength { len: chunk.len };
+            return GateDecision::WrongLength { len: chunk.len };
         }
         if !(TICK_NS..=STEP_NS_MAX).contains(&chunk.step_ns) {
-            return Verdict::WrongStep {
+            return GateDecision::WrongStep {
                 step_ns: chunk.step_ns,
             };
         }
         if chunk.observed_at > now {
-            return Verdict::FromTheFuture;
+            return GateDecision::FromTheFuture;
         }
         if let Some((sequence, observed_at)) = self.accepted
             && (chunk.sequence <= sequence || chunk.observed_at < observed_at)
         {
-            return Verdict::OutOfOrder;
+            return GateDecision::OutOfOrder;
         }
         let age_ns = now.since(chunk.observed_at);
         if age_ns > self.limits.age_ns_max || chunk.due(targets.len() - 1) < now {
-            return Verdict::Stale { age_ns };
+            return GateDecision::Stale { age_ns };
         }
-        if let Some(verdict) = self.first_bad_target(targets) {
-            return verdict;
+        if let Some(decision) = self.first_bad_target(targets) {
+            return decision;
         }
         let due =
             usize::try_from(age_ns / chunk.step_ns).map_or(0, |index| index.min(targets.len() - 1));
@@ -170,23 +170,23 @@ impl Gate {
         let away_m = (target.translation.vector - commanded.translation.vector).norm();
         let away_rad = target.rotation.angle_to(&commanded.rotation);
         if away_m > self.limits.jump_m_max || away_rad > self.limits.jump_rad_max {
-            return Verdict::Jump;
+            return GateDecision::Jump;
         }
-        Verdict::Accepted
+        GateDecision::Accepted
     }
 
-    fn first_bad_target(&self, targets: &[TipTarget]) -> Option<Verdict> {
+    fn first_bad_target(&self, targets: &[TipTarget]) -> Option<GateDecision> {
         let mut previous: Option<&TipTarget> = None;
         for (index, target) in (0_u32..).zip(targets) {
             if !is_finite(target) {
-                return Some(Verdict::NotFinite { index });
+                return Some(GateDecision::NotFinite { index });
             }
             let norm = dot(&target.rotation_xyzw, &target.rotation_xyzw).sqrt();
             if (norm - 1.0).abs() > UNIT_TOLERANCE {
-                return Some(Verdict::NotUnit { index });
+                return Some(GateDecision::NotUnit { index });
             }
             if previous.is_some_and(|previous| self.too_far(previous, target)) {
-                return Some(Verdict::StepTooLong { index });
+                return Some(GateDecision::StepTooLong { index });
             }
             previous = Some(target);
         }

@@ -189,8 +189,9 @@ mod tests {
         assert_eq!(hash_of(&command), hash_of(&command));
     }
 
+    /// Every reason for no measurement and every wish hashes differently.
     #[test]
-    fn every_reason_for_no_measurement_and_every_wish_hashes_differently() {
+    fn missing_measurements_and_wishes_hash_differently() {
         let errors = [
             ArmError::MeasurementLost { age_ns: 0 },
             ArmError::MeasurementLost { age_ns: 1 },

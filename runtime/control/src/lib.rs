@@ -34,7 +34,7 @@ mod tests;
 pub use any::AnyController;
 pub use config::ControlConfig;
 pub use controller::{Controller, ControllerError};
-pub use gate::Verdict;
+pub use gate::GateDecision;
 pub use hash::{CommandHash, InputHash};
 pub use mode::{Mode, OperatingState, OperatorEvent};
 pub use report::{Fault, QpOutcome, TickInput, TickOutput, TickReport};

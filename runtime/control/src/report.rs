@@ -5,7 +5,7 @@ use core::fmt;
 use hal::tail::SafeTail;
 use hal::{ArmCommand, ArmError, ArmState, Chunk, TimeNs, TipTarget};
 
-use super::gate::Verdict;
+use super::gate::GateDecision;
 use super::mode::{Mode, OperatorEvent};
 
 /// Everything that a tick may look at.
@@ -38,7 +38,7 @@ pub struct TickReport {
     /// Operating state after the tick.
     pub mode: Mode,
     /// The input gate's verdict if a chunk was handed over that it had not seen.
-    pub gate: Option<Verdict>,
+    pub gate: Option<GateDecision>,
     /// What the safety filter did.
     pub qp: QpOutcome,
     /// Rows of the filter that the filtered velocity touches.

@@ -81,7 +81,7 @@ pub struct Rows {
 }
 
 impl Rows {
-    /// Room for the rows of `config`'s arms; filling them takes no memory.
+    /// Room for the rows of `config`'s arms; filling them allocates nothing.
     #[must_use]
     pub fn new(config: &ControlConfig) -> Self {
         Self {

@@ -161,5 +161,18 @@ pub struct Visual {
     pub instance: u8,
 }
 
+impl Visual {
+    /// What has this shape and surface.
+    #[must_use]
+    pub const fn new(name: &'static str, mesh: Mesh, material: Material, instance: u8) -> Self {
+        Self {
+            name,
+            mesh,
+            material,
+            instance,
+        }
+    }
+}
+
 /// Poses of a scene's visuals in the scene frame, in the visuals' order.
 pub type VisualPoses = Vec<Pose>;

@@ -1,7 +1,7 @@
 //! One episode of a simulated task: arms, things, cameras and the verdict.
 //!
 //! The driver reads and writes each arm as a [`hal::Arm`] and calls [`Simulation::step`] once a control tick; the whole
-//! simulation is its first arm too. Same task, seed and commands give the same bits. If the driver falls silent an arm
+//! simulation is its first arm too. Same task, seed and commands give the same bits. If no command comes any more an arm
 //! finishes alone the stop that came with the last command.
 
 mod nudge;
@@ -259,7 +259,7 @@ impl Arm for SimulatedArm<'_> {
     }
 
     fn write(&mut self, command: &ArmCommand, tail: &SafeTail) -> Result<(), ArmError> {
-        // What is no number would never leave the plant again.
+        // What is not finite would never leave the plant again.
         if command.is_finite() && tail.is_finite() {
             self.simulation.world.command(self.index, command);
             self.simulation.tails[self.index].write(command, tail);

@@ -1,4 +1,4 @@
-//! Somebody loses patience while a run brings its drives up: nothing has torque afterwards.
+//! A run is interrupted while it brings its drives up: nothing has torque afterwards.
 
 use socketcan::{CanDataFrame, CanFrame, EmbeddedFrame as _, Frame as _, Socket as _};
 use trocar_canopen::cia402::Status;
@@ -58,9 +58,10 @@ fn assert_no_torque(stage: &str) {
     }
 }
 
+/// A run that is interrupted while it brings its drives up leaves them without torque.
 #[test]
 #[ignore = "needs a CAN bus: make test-can"]
-fn a_run_that_is_interrupted_while_it_brings_its_drives_up_leaves_them_without_torque() {
+fn interrupted_bring_up_leaves_no_torque() {
     let _turn = alone();
     let pair = Pair::talking("can_impatient");
     let stages: [(&str, &str, Stage); 3] = [
@@ -81,9 +82,10 @@ fn a_run_that_is_interrupted_while_it_brings_its_drives_up_leaves_them_without_t
     }
 }
 
+/// A run that is interrupted while its drives are enabled leads them to rest and lets go.
 #[test]
 #[ignore = "needs a CAN bus: make test-can"]
-fn a_run_that_is_interrupted_while_its_drives_are_enabled_leads_them_to_rest_and_lets_go() {
+fn interrupted_enabling_leaves_no_torque() {
     let _turn = alone();
     let pair = Pair::start("can_impatient_late", &[], &[]);
     let bus = bus();
@@ -99,9 +101,10 @@ fn a_run_that_is_interrupted_while_its_drives_are_enabled_leads_them_to_rest_and
     assert_eq!(drives["success"], false, "{drives}");
 }
 
+/// Before the drives are enabled an interrupted run never enables one.
 #[test]
 #[ignore = "needs a CAN bus: make test-can"]
-fn before_the_drives_are_enabled_an_interrupted_run_never_enables_one() {
+fn interrupted_run_enables_no_drive() {
     let _turn = alone();
     let pair = Pair::talking("can_impatient_early");
     let bus = bus();

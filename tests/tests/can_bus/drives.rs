@@ -90,9 +90,10 @@ fn assert_understood(capture: &Path) {
     }
 }
 
+/// A master in Python leads the drives of the command line and Wireshark agrees.
 #[test]
 #[ignore = "needs a CAN bus: make test-can"]
-fn a_master_in_python_leads_the_drives_of_the_command_line_and_wireshark_agrees() {
+fn python_master_commands_trocar_drives() {
     let _turn = alone();
     let capture = lead("drives_led", "needle-lift", "7,3,1", "7");
     assert_understood(&capture);
@@ -186,9 +187,10 @@ fn slow_config(folder: &Path) -> (PathBuf, CanConfig) {
     (file, config)
 }
 
+/// A run loads its bus as the plan says and Wireshark understands its master.
 #[test]
 #[ignore = "needs a CAN bus: make test-can"]
-fn a_run_loads_its_bus_as_the_plan_says_and_wireshark_understands_its_master() {
+fn bus_load_of_a_run_matches_its_plan() {
     let _turn = alone();
     let folder = scratch("drives_run");
     let (file, config) = slow_config(&folder);

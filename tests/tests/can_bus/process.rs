@@ -81,9 +81,10 @@ fn rested_in_time(drives: &serde_json::Value) -> bool {
     stops.iter().all(|stop| number(stop, "stalled_ms") <= 0.0)
 }
 
+/// When the run is killed in mid motion the drives rest within 50 ms and say why.
 #[test]
 #[ignore = "needs a CAN bus: make test-can"]
-fn when_the_run_is_killed_in_mid_motion_the_drives_rest_within_50_ms_and_say_why() {
+fn drives_rest_within_50_ms_of_a_killed_run() {
     let _turn = alone();
     // Time that a busy machine keeps from the drives does not pass for them, so one kill must do without.
     let whole = (0..8).any(|_| rested_in_time(&killed()));

@@ -10,9 +10,10 @@ use trocar_log::verify::verify;
 use super::pair::Process;
 use super::peer::{alone, said};
 
+/// A robot without a simulator runs within its limits until its time is up.
 #[test]
 #[ignore = "needs a CAN bus: make test-can"]
-fn a_robot_without_a_simulator_runs_within_its_limits_until_its_time_is_up() {
+fn robot_runs_without_a_simulator() {
     let _turn = alone();
     let folder = scratch("can_robot");
     let mut drives = Process::start(&folder, "drives", &["drives", "--no-world"]);
@@ -53,9 +54,10 @@ fn a_robot_without_a_simulator_runs_within_its_limits_until_its_time_is_up() {
     assert!(drives.get("outcome").is_none(), "{drives}");
 }
 
+/// A camera that shows nothing is named and no drive is spoken to.
 #[test]
 #[ignore = "needs a CAN bus: make test-can"]
-fn a_camera_that_shows_nothing_is_named_and_no_drive_is_spoken_to() {
+fn missing_camera_is_named_before_any_drive_is_used() {
     let _turn = alone();
     let policy = repository().join("config/policies/needle-lift/act-small");
     let safety = repository().join("config/tasks/needle-lift/safety.toml");
@@ -75,9 +77,10 @@ fn a_camera_that_shows_nothing_is_named_and_no_drive_is_spoken_to() {
     );
 }
 
+/// A world whose own drives nobody enables ends the run with its reason.
 #[test]
 #[ignore = "needs a CAN bus: make test-can"]
-fn a_world_whose_own_drives_nobody_enables_ends_the_run_with_its_reason() {
+fn world_with_disabled_drives_ends_the_run() {
     let _turn = alone();
     let folder = scratch("can_other_world");
     let shipped = fs::read_to_string(repository().join("config/can.toml")).unwrap();

@@ -52,9 +52,10 @@ fn assert_taken_down(capture: &Path) {
     }
 }
 
+/// A second interrupt while drives are taken down leaves out no state.
 #[test]
 #[ignore = "needs a CAN bus: make test-can"]
-fn a_second_interrupt_while_drives_are_taken_down_leaves_out_no_state() {
+fn second_interrupt_skips_no_state_of_take_down() {
     let _turn = alone();
     let capture = scratch("can_take_down").join("capture.log");
     let pair_changes = [("brake_ms = 0", "brake_ms = 2000")];

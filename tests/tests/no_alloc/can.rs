@@ -27,7 +27,7 @@ fn arm() -> Result<(CanArm<Net>, u64), Box<dyn Error>> {
 }
 
 #[test]
-fn the_can_arm_takes_no_memory_in_its_cycle() -> Result<(), Box<dyn Error>> {
+fn can_arm_allocates_nothing_in_its_cycle() -> Result<(), Box<dyn Error>> {
     let (mut arm, cycle_ns) = arm()?;
     let mut now = arm.bus_mut().now();
     let mut faulted = 0;

@@ -99,8 +99,9 @@ fn answers(log: &RunLog) -> usize {
     count
 }
 
+/// The expert hands the needle over and the log replays and verifies.
 #[test]
-fn the_expert_hands_the_needle_over_and_the_log_replays_and_verifies() {
+fn expert_hands_over_and_the_log_verifies() {
     let _turn = alone();
     // A machine that is busy enough can make any one run fail, but not three.
     let handed_over = (3..=5).any(|seed| {
@@ -119,8 +120,9 @@ fn the_expert_hands_the_needle_over_and_the_log_replays_and_verifies() {
     assert!(handed_over);
 }
 
+/// When the policy of two arms dies or the run is interrupted both stop.
 #[test]
-fn when_the_policy_of_two_arms_dies_or_the_run_is_interrupted_both_stop() {
+fn both_arms_stop_when_their_policy_dies() {
     let _turn = alone();
     let checkpoint = untrained("realtime-two-untrained").display().to_string();
     for (dies, expected) in [
@@ -151,8 +153,9 @@ fn when_the_policy_of_two_arms_dies_or_the_run_is_interrupted_both_stop() {
     }
 }
 
+/// A policy of another number of arms is refused before anything starts.
 #[test]
-fn a_policy_of_another_number_of_arms_is_refused_before_anything_starts() {
+fn policy_of_another_arm_count_is_refused() {
     let two = untrained("realtime-two-refused");
     for (task, policy, expected) in [
         (

@@ -75,7 +75,7 @@ codes! {
     GENERAL = 0x0800_0000, "general error";
     /// Cannot be stored.
     CANNOT_STORE = 0x0800_0020, "data cannot be transferred or stored";
-    /// Somebody at the device has the say.
+    /// The device is under local control.
     LOCAL_CONTROL = 0x0800_0021, "data cannot be stored because of local control";
     /// Not in the state that the device is in.
     DEVICE_STATE = 0x0800_0022, "data cannot be stored in the present device state";

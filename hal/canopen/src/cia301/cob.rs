@@ -52,7 +52,7 @@ pub enum Cob {
     Emergency(NodeId),
     /// What a node says of its process data, 180h, 280h, 380h, 480h + node.
     TransmitPdo(PdoNumber, NodeId),
-    /// What a node is told of its process data, 200h, 300h, 400h, 500h + node.
+    /// Process data to a node, 200h, 300h, 400h, 500h + node.
     ReceivePdo(PdoNumber, NodeId),
     /// Answer of a node's dictionary, 580h + node.
     SdoResponse(NodeId),

@@ -182,7 +182,7 @@ codes! {
     HEARTBEAT = 0x8130, "heartbeat lost";
     /// The controller was bus-off and is back.
     BUS_OFF_RECOVERED = 0x8140, "recovered from bus-off";
-    /// Somebody else has this node's identifier.
+    /// Another node has this node's identifier.
     ID_COLLISION = 0x8150, "identifier collision";
     /// An RPDO is shorter than its mapping.
     PDO_LENGTH = 0x8210, "PDO too short for its mapping";

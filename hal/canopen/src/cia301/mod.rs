@@ -2,7 +2,7 @@
 //! representation that cannot be.
 //!
 //! `parse` takes the bytes of a frame and gives the representation or the [`WireError`](super::WireError) that says what
-//! is wrong; `emit` goes back, and what was emitted parses to the same again. Nothing here takes memory.
+//! is wrong; `emit` goes back, and what was emitted parses to the same again. Nothing here allocates.
 
 pub mod abort;
 pub mod cob;

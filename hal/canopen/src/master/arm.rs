@@ -13,7 +13,7 @@ use hal::{Arm, ArmCommand, ArmError, ArmState, JOINT_COUNT, SafeTail, TimeNs};
 /// Most periods of a stop that are made up for at once.
 const CATCH_UP_MAX: u64 = 1000;
 
-/// How long drives may take to stop and to lose their torque, ns, and cycles for what they are told of it meanwhile.
+/// How long drives may take to stop and to lose their torque, ns, and cycles of set-points for it meanwhile.
 const TAKE_DOWN_NS: u64 = 300_000_000;
 const TAKE_DOWN_CYCLES: u64 = 20;
 

@@ -306,7 +306,7 @@ fn parse(data: &[u8]) -> Result<Answer, Rejected> {
     })
 }
 
-/// `units` in counts, inside the axis's range; none if it is no number.
+/// `units` in counts, inside the axis's range; none if it is not finite.
 pub(super) fn counts(plan: &AxisPlan, units: f64) -> Option<i32> {
     if !units.is_finite() {
         return None;

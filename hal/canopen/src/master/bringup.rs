@@ -7,6 +7,7 @@ mod check;
 mod configure;
 mod enable;
 mod error;
+pub(super) mod exchange;
 mod homing;
 mod settings;
 mod step;
@@ -15,11 +16,12 @@ mod watched;
 use std::sync::mpsc::Sender;
 
 use super::arm::CanArm;
-use super::client::{expect, read_number, send};
+use super::client::{expect, send};
 use super::fault::Who;
 use super::foreign::leads;
 use super::link::Bus;
 use super::plan::ArmPlan;
+use crate::Frame;
 use crate::cia301::{Cob, NmtCommand, NmtState, NmtTarget};
 use crate::cia402::Mode;
 use crate::index;
@@ -28,12 +30,16 @@ use hal::tail::TAIL_AXES;
 pub use enable::enable_together;
 pub use error::BringUpError;
 pub use step::Step;
+
+use exchange::Exchange;
 use watched::Watched;
 
 /// How long a node may take to boot up, ns.
 const BOOT_NS: u64 = 2_000_000_000;
 /// How long the bus is listened to before the first word, ns.
 const LISTEN_NS: u64 = 30_000_000;
+/// All axes.
+const ALL: [usize; TAIL_AXES] = [0, 1, 2, 3, 4, 5, 6];
 /// Device profile 402, in the lower half of 1000h.
 const PROFILE_402: u32 = 402;
 
@@ -72,8 +78,8 @@ pub struct Mapped<B> {
 pub struct Homed<B> {
     bus: Watched<B>,
     plan: ArmPlan,
-    /// Where each drive was told that its reference is, counts; none if it cannot be told.
-    homes: [Option<u32>; TAIL_AXES],
+    /// The home offset that each drive was given, counts; none if it has no such object.
+    homes: homing::Homes,
 }
 
 impl<B: Bus> Offline<B> {
@@ -111,25 +117,24 @@ impl<B: Bus> Offline<B> {
             });
             self.bus.judge(heard)?;
         }
-        for axis in 0..TAIL_AXES {
-            // Who boots up by himself meanwhile has not heard our reset.
-            self.bus.drain()?;
-            let booted = reset(&mut self.bus, plan.who(axis));
-            self.bus.judge(booted)?;
-        }
+        // A node that boots up by itself before has not answered to our reset.
+        self.bus.drain()?;
+        let reset = async |exchange: &Exchange<'_, _>, axis| reset(exchange, plan.who(axis)).await;
+        self.bus.side_by_side(&plan, &ALL, reset)?;
         let Self { bus, plan } = self;
         Ok(Scanned { bus, plan })
     }
 }
 
-fn reset<B: Bus>(bus: &mut B, who: Who) -> Result<(), BringUpError> {
+async fn reset<B: Bus>(exchange: &Exchange<'_, B>, who: Who) -> Result<(), BringUpError> {
     let reset = NmtCommand::ResetNode.emit(NmtTarget::Node(who.node));
-    send(bus, who.line, reset)?;
-    let booted = expect(bus, who.line, BOOT_NS, |frame| {
+    exchange.send(who.line, reset).await?;
+    let boots = |frame: &Frame| {
         let boots = frame.id == Cob::Heartbeat(who.node).id()
             && NmtState::parse(frame.data()) == Ok(NmtState::BootUp);
         boots.then_some(())
-    })?;
+    };
+    let booted = exchange.expect(who.line, BOOT_NS, boots).await?;
     booted.ok_or(BringUpError::Missing(who))
 }
 
@@ -144,29 +149,34 @@ impl<B: Bus> Scanned<B> {
     /// # Errors
     /// [`BringUpError::Identity`] or [`BringUpError::Mode`] for the first that differs.
     pub fn check_identity(mut self) -> Result<Identified<B>, BringUpError> {
+        let plan = self.plan;
+        let identify =
+            async |exchange: &Exchange<'_, _>, axis| identify(exchange, &plan, axis).await;
+        let identified = self.bus.side_by_side(&plan, &ALL, identify)?;
         let mut serials = [0; TAIL_AXES];
-        for (axis, serial) in serials.iter_mut().enumerate() {
-            let identified = identify(&mut self.bus, &self.plan, axis);
-            *serial = self.bus.judge(identified)?;
-        }
+        serials.copy_from_slice(&identified);
         let Self { bus, plan } = self;
         Ok(Identified { bus, plan, serials })
     }
 }
 
 /// The serial number of the drive of `axis`, if it is what the plan says.
-fn identify<B: Bus>(bus: &mut B, plan: &ArmPlan, axis: usize) -> Result<u32, BringUpError> {
+async fn identify<B: Bus>(
+    exchange: &Exchange<'_, B>,
+    plan: &ArmPlan,
+    axis: usize,
+) -> Result<u32, BringUpError> {
     let who = plan.who(axis);
-    let mut read = |address| read_number(bus, who.line, who.node, address);
+    let read = |address| exchange.read_number(who.line, who.node, address);
     let (vendor, product) = plan.axes[axis].identity;
     for (address, expected, found) in [
         (
             index::DEVICE_TYPE,
             PROFILE_402,
-            read(index::DEVICE_TYPE)? & 0xFFFF,
+            read(index::DEVICE_TYPE).await? & 0xFFFF,
         ),
-        (index::VENDOR, vendor, read(index::VENDOR)?),
-        (index::PRODUCT, product, read(index::PRODUCT)?),
+        (index::VENDOR, vendor, read(index::VENDOR).await?),
+        (index::PRODUCT, product, read(index::PRODUCT).await?),
     ] {
         if found != expected {
             return Err(BringUpError::Identity {
@@ -177,13 +187,13 @@ fn identify<B: Bus>(bus: &mut B, plan: &ArmPlan, axis: usize) -> Result<u32, Bri
             });
         }
     }
-    let modes = read(index::SUPPORTED_MODES)?;
+    let modes = read(index::SUPPORTED_MODES).await?;
     for mode in [Mode::CyclicPosition, Mode::Homing] {
         if modes & mode.supported_bit() == 0 {
             return Err(BringUpError::Mode { who, mode });
         }
     }
-    read(index::SERIAL)
+    read(index::SERIAL).await
 }
 
 impl<B: Bus> Identified<B> {
@@ -198,30 +208,28 @@ impl<B: Bus> Identified<B> {
     /// # Errors
     /// [`BringUpError`] with the node and the object.
     pub fn map(mut self) -> Result<Mapped<B>, BringUpError> {
-        for axis in 0..TAIL_AXES {
-            self.bus.enter(Step::SettingUp(axis))?;
-            let told = configure::node(&mut self.bus, &self.plan, axis);
-            self.bus.judge(told)?;
-        }
+        let plan = self.plan;
+        self.bus.enter(Step::SettingUp)?;
+        let set_up = async |exchange: &Exchange<'_, Watched<B>>, axis| {
+            configure::node(exchange, &plan, axis).await?;
+            exchange.with_bus(|bus| bus.note_set_up(axis));
+            Ok(())
+        };
+        self.bus.side_by_side(&plan, &ALL, set_up)?;
         let Self { bus, plan, .. } = self;
         Ok(Mapped { bus, plan })
     }
 }
 
 impl<B: Bus> Mapped<B> {
-    /// Gives every axis its reference: where its absolute encoder says that it is.
+    /// Gives every axis its reference: where its absolute encoder says that it is, or where the homing sequence of its drive finds it.
     ///
-    /// Axis after axis is enabled for it and let go again. No axis moves.
+    /// Drives are enabled for it and let go again. No axis moves but those that the plan has a homing sequence for.
     ///
     /// # Errors
-    /// [`BringUpError::Homing`] with the node.
+    /// [`BringUpError::Homing`], [`BringUpError::HomingError`] or [`BringUpError::HomingTimeOut`] with the node.
     pub fn home(mut self) -> Result<Homed<B>, BringUpError> {
-        let mut homes = [None; TAIL_AXES];
-        for (axis, home) in homes.iter_mut().enumerate() {
-            self.bus.enter(Step::Homing(axis))?;
-            let homed = homing::home(&mut self.bus, &self.plan, axis);
-            *home = self.bus.judge(homed)?;
-        }
+        let homes = homing::home_all(&mut self.bus, &self.plan)?;
         self.bus.enter(Step::Waiting)?;
         let Self { bus, plan } = self;
         Ok(Homed { bus, plan, homes })
@@ -238,7 +246,7 @@ impl<B: Bus> Homed<B> {
     /// keeps a few hundred and drops the rest, those of this arm's nodes with them.
     ///
     /// # Errors
-    /// What may not have happened to an arm that waits: another master, a node that booted up again or told an error. All nodes
+    /// What may not have happened to an arm that waits: another master, a node that booted up again or sent an emergency. All nodes
     /// of this arm are stopped then.
     pub fn listen(&mut self) -> Result<(), BringUpError> {
         self.bus.drain()
@@ -257,9 +265,10 @@ impl<B: Bus> Homed<B> {
     /// Asks every node whether it is still as it was set up.
     fn check(&mut self) -> Result<(), BringUpError> {
         let Self { bus, plan, homes } = self;
-        let mut nodes = homes.iter().enumerate();
-        let checked = nodes.try_for_each(|(axis, home)| check::node(bus, plan, axis, *home));
-        bus.judge(checked)
+        let check = async |exchange: &Exchange<'_, _>, axis: usize| {
+            check::node(exchange, plan, axis, homes[axis]).await
+        };
+        bus.side_by_side(plan, &ALL, check).map(|_| ())
     }
 
     fn start(&mut self) -> Result<(), BringUpError> {

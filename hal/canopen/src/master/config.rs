@@ -4,10 +4,10 @@ use core::f64::consts::TAU;
 
 use serde::Deserialize;
 
-use super::plan::{ArmPlan, AxisPlan};
+use super::plan::{ArmPlan, AxisPlan, HomingPlan};
 use super::space::{Axes, Space};
 use crate::bus_load::{Overload, Plan};
-use crate::number::whole;
+use crate::number::{nanoseconds, whole};
 use crate::{CanId, NodeId};
 use hal::config::{ConfigError, Source};
 use hal::psm::{
@@ -38,6 +38,22 @@ struct ArmFile {
     master_node: u8,
     nodes: [u8; TAIL_AXES],
     lines: [u8; TAIL_AXES],
+    /// Axes whose encoders are not absolute, in the order in which they move.
+    #[serde(default)]
+    homing: Vec<HomingFile>,
+}
+
+/// Units are rad; m for the insertion.
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct HomingFile {
+    axis: usize,
+    method: i8,
+    home_position: f64,
+    switch_speed: f64,
+    zero_speed: f64,
+    acceleration: f64,
+    time_out_s: f64,
 }
 
 /// One arm with the names of its buses.
@@ -209,6 +225,7 @@ fn arm_on_can(
             return Err(source.out_of_range(&key, &value, "numbers that nobody else has"));
         }
     }
+    let homing = homing_sequences(source, n, arm, &axes)?;
     let plan = ArmPlan {
         lines,
         bit_rate: file.bit_rate_bit_s,
@@ -220,11 +237,64 @@ fn arm_on_can(
         brake_ns: u64::from(file.brake_ms) * 1_000_000,
         space,
         axes,
+        homing,
     };
     Ok(ArmOnCan {
         interfaces: arm.interfaces.clone(),
         plan,
     })
+}
+
+/// The homing sequences of an arm, checked against its axes.
+fn homing_sequences(
+    source: &Source,
+    n: usize,
+    arm: &ArmFile,
+    axes: &[AxisPlan; TAIL_AXES],
+) -> Result<[Option<HomingPlan>; TAIL_AXES], ConfigError> {
+    let mut sequences = [None; TAIL_AXES];
+    for (place, file) in arm.homing.iter().enumerate() {
+        let key = |name: &str| format!("arm.{n}.homing.{place}.{name}");
+        let refuse = |name: &str, value: String, allowed: &str| {
+            Err(source.out_of_range(&key(name), &value, allowed))
+        };
+        let twice = arm.homing[..place]
+            .iter()
+            .any(|other| other.axis == file.axis);
+        let axis = axes.get(file.axis).filter(|_| !twice);
+        let (Some(axis), Ok(number)) = (axis, u8::try_from(file.axis)) else {
+            return refuse("axis", file.axis.to_string(), "0 to 6, each axis once");
+        };
+        if !moves(file.method) {
+            let allowed = "[-128, -1], [1, 14], [17, 30], 33 or 34: methods that move the axis";
+            return refuse("method", file.method.to_string(), allowed);
+        }
+        let range = |name: &str, value: f64, low: f64, high: f64| {
+            source.check_range(&key(name), value, low, high)
+        };
+        let (low, high) = axis.range;
+        let slowest = 1.0 / axis.counts_per_unit.abs();
+        range("home_position", file.home_position, low, high)?;
+        range("switch_speed", file.switch_speed, slowest, axis.speed_max)?;
+        range("zero_speed", file.zero_speed, slowest, file.switch_speed)?;
+        range("acceleration", file.acceleration, slowest, 100.0)?;
+        range("time_out_s", file.time_out_s, 1.0, 600.0)?;
+        sequences[place] = Some(HomingPlan {
+            axis: number,
+            method: file.method,
+            home_position: file.home_position,
+            switch_speed: file.switch_speed,
+            zero_speed: file.zero_speed,
+            acceleration: file.acceleration,
+            time_out_ns: nanoseconds(file.time_out_s),
+        });
+    }
+    Ok(sequences)
+}
+
+/// Whether a homing method (CiA 402-2, clause 10) moves the axis; negative ones are the manufacturer's.
+const fn moves(method: i8) -> bool {
+    matches!(method, i8::MIN..=-1 | 1..=14 | 17..=30 | 33 | 34)
 }
 
 /// The axes of a patient-side manipulator with these `motors` in `space`, with counts of its own encoders.

@@ -220,7 +220,7 @@ impl Cycle {
         self.goal
     }
 
-    /// Takes set-points in the drives' units for `stamp`; tells whether they can be gone to. If one is no number, or
+    /// Takes set-points in the drives' units for `stamp`; tells whether they can be gone to. If one is not finite, or
     /// further than twice the axis's greatest speed would bring it, none is taken.
     pub fn set_targets(&mut self, stamp: TimeNs, units: &Axes) -> bool {
         let gap_ns = self.commanded.map_or(0, |before| stamp.since(before));

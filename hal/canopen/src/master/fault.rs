@@ -40,7 +40,7 @@ pub enum Fault {
         /// Cycles in a row.
         cycles: u32,
     },
-    /// Somebody else says what only this arm's master may say.
+    /// Another node sends what only this arm's master may send.
     ForeignMaster {
         /// Which bus.
         line: u8,
@@ -53,7 +53,7 @@ pub enum Fault {
     Rebooted(Who),
     /// The node left operational.
     LeftOperational(Who, NmtState),
-    /// The node told an error.
+    /// The node sent an emergency.
     Emergency(Who, ErrorCode),
     /// No process data for so many cycles.
     Silent(Who, u32),
@@ -109,7 +109,7 @@ impl Fault {
         }
     }
 
-    /// As the controller is told. A fault of a bus is told of the first axis.
+    /// As the controller gets it. A fault of a bus is reported of the first axis.
     #[must_use]
     pub fn arm_error(&self) -> ArmError {
         ArmError::DriveFault {
@@ -152,7 +152,7 @@ impl fmt::Display for Fault {
             ),
             Self::ForeignMaster { line, id } => write!(
                 f,
-                "bus {line}: somebody else sends {:03X}h, which only this master may",
+                "bus {line}: another node sends {:03X}h, which only this master may",
                 id.raw()
             ),
             Self::NodeLost(who) => write!(f, "{who}: no heartbeat"),

@@ -4,7 +4,7 @@ use super::plan::ArmPlan;
 use crate::cia301::{Cob, NmtTarget, nmt};
 use crate::{Frame, NodeId};
 
-/// Whether only the master of `plan` may say `frame`, which somebody else has said on `line`: its SYNC, its heartbeat, network
+/// Whether only the master of `plan` may say `frame`, which another node has sent on `line`: its SYNC, its heartbeat, network
 /// management and set-points for its nodes, and what is written to their dictionaries. Reading these is anybody's.
 pub(super) fn leads(plan: &ArmPlan, line: u8, frame: &Frame) -> bool {
     let ours = |node: NodeId| plan.axis_of(line, node).is_some();

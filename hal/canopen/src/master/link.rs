@@ -6,7 +6,7 @@ use hal::TimeNs;
 /// What comes from a bus.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Received {
-    /// A frame of somebody else.
+    /// A frame that another node sent.
     Frame(Frame),
     /// The controller, or the system around it, is in trouble.
     Trouble(Trouble),

@@ -2,7 +2,7 @@
 //!
 //! [`plan`] says which node drives what, [`config`] reads it from `config/can.toml`. [`bringup`] is the way to an enabled arm,
 //! a type a step; [`cycle`] is what happens between two SYNCs, without clock or socket; [`arm`] makes a
-//! [`hal::Arm`] of it. [`link`] is the seam to the buses.
+//! [`hal::Arm`] of it. [`link`] is the interface to the buses.
 //!
 //! What the master does about what can go wrong. "Lost" means that [`CanArm`] reports a lost measurement,
 //! whereupon the controller plays its verified stop; "fault" means that every drive that still hears us gets a quick stop,
@@ -11,7 +11,7 @@
 //! ```text
 //! what                                     noticed by                      reaction
 //! bus-off, restarted, interface down       error frame                     fault at once; that bus is not sent to again
-//! error passive, lost frames               error frame, receive counter    counted and told
+//! error passive, lost frames               error frame, receive counter    counted and reported
 //! no room to send                          short send                      2 cycles lost, 20 cycles fault
 //! answer missing, late, short, senseless   per-axis age                    predicted; 3 cycles lost, 20 cycles fault
 //! or impossibly far (none can be longer)
@@ -26,7 +26,7 @@
 //! not enabled any more                     status word                     fault
 //! following error                          status word, own comparison     fault
 //! power lost                               status word                     fault
-//! somebody else's SYNC, NMT, set-points    their identifiers               fault, and the nodes are stopped in every cycle:
+//! another node's SYNC, NMT, set-points      their identifiers               fault, and the nodes are stopped in every cycle:
 //! or writing over SDO                                                      they hear no set-points; our heartbeat ends
 //! the same during bring-up                 their identifiers               no arm
 //! boot-up or emergency of a drive that is  its frame                       no arm, and the nodes are stopped
@@ -48,7 +48,7 @@
 //! the first SYNC without one; and the next SYNC is left out, which drives bridge. What comes meanwhile was late; if more may
 //! come, up to two more SYNCs are left out. Then answers and SYNCs are in step again. A late answer is known as such if it comes
 //! within four cycles of its SYNC and answers are about equally late: where that varies by cycles from one to the next, one may
-//! be up to three cycles older than it is told to be. Once a fault is latched every SYNC is sent.
+//! be up to three cycles older than it is reported to be. Once a fault is latched every SYNC is sent.
 //!
 //! What goes before a quick stop. A bus has one queue, the kernel's and then the controller's, in which nothing overtakes and
 //! from which nothing is called back. Set-points, SYNCs and heartbeats are all that is in it when a drive is led: transfers of
@@ -56,7 +56,7 @@
 //! is forgotten; the next cycle's frames are made anew, from what is known then. So what goes before a quick stop is what the
 //! queue already held: no more frames than it has places, which are better few (a cycle has up to 16, with NMT stops). Of a
 //! part that finds room the SYNC is the first, then NMT stops, then the set-points of drives that still follow, and of these the
-//! ones that were told least often: each is told once before one is told twice. None is said again before the SYNC, though that
+//! ones that were sent least often: each is sent once before one is sent twice. None is said again before the SYNC, though that
 //! would mostly save a period: nobody knows how much room there is, and where it takes the place of the SYNC all wait for the next.
 //!
 //! The head of that queue, too, waits while others have something with a lower identifier. Answers have (181h and up) before

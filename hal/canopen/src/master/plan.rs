@@ -39,6 +39,25 @@ pub struct AxisPlan {
     pub torque_rated: f64,
 }
 
+/// A homing sequence of a drive, in which it moves its axis: CiA 402-2, clause 10. Units are those of the axis.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct HomingPlan {
+    /// The axis.
+    pub axis: u8,
+    /// 6098h; a method that moves.
+    pub method: i8,
+    /// The position that the axis has at its home point, units; 607Ch.
+    pub home_position: f64,
+    /// Speed towards the switch, units/s; 6099h:01.
+    pub switch_speed: f64,
+    /// Speed at which the home point is found, units/s; 6099h:02.
+    pub zero_speed: f64,
+    /// Acceleration and deceleration, units/s²; 609Ah.
+    pub acceleration: f64,
+    /// How long it may take, ns.
+    pub time_out_ns: u64,
+}
+
 /// The limits that a drive keeps by itself, in counts of its encoder: bring-up writes them, and emulated drives have them from
 /// the beginning.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -76,6 +95,8 @@ pub struct ArmPlan {
     pub space: Space,
     /// Joints in order and the jaw, or actuators in order.
     pub axes: [AxisPlan; TAIL_AXES],
+    /// Axes that move for their homing, one after the other in this order. All others have absolute encoders.
+    pub homing: [Option<HomingPlan>; TAIL_AXES],
 }
 
 impl AxisPlan {
@@ -112,12 +133,24 @@ impl AxisPlan {
     /// Its range, counts.
     #[must_use]
     pub fn range_counts(&self) -> (i32, i32) {
-        let signed = |units: f64| {
-            let count = whole(units * self.counts_per_unit);
-            i32::try_from(count).unwrap_or(if count < 0 { i32::MIN } else { i32::MAX })
-        };
-        let (a, b) = (signed(self.range.0), signed(self.range.1));
+        let (a, b) = (
+            self.position_counts(self.range.0),
+            self.position_counts(self.range.1),
+        );
         (a.min(b), a.max(b))
+    }
+
+    /// The position `units`, counts.
+    #[must_use]
+    pub fn position_counts(&self, units: f64) -> i32 {
+        let count = whole(units * self.counts_per_unit);
+        i32::try_from(count).unwrap_or(if count < 0 { i32::MIN } else { i32::MAX })
+    }
+
+    /// A speed or an acceleration without a sign, counts/s or counts/s²; at least 1, which CiA 402 takes for the slowest.
+    #[must_use]
+    pub fn rate_counts(&self, units: f64) -> u32 {
+        self.magnitude(units).max(1)
     }
 
     fn magnitude(&self, units: f64) -> u32 {

@@ -51,7 +51,7 @@ struct Line {
     socket: CanSocket,
     /// Frames that this socket missed so far, as the kernel counts.
     missed: u32,
-    /// What sending met, to be told with the next frames.
+    /// What sending met, to be reported with the next frames.
     trouble: Option<Trouble>,
 }
 

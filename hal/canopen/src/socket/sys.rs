@@ -210,8 +210,9 @@ pub(super) fn count_missed(socket: &CanSocket) -> io::Result<()> {
 mod tests {
     use super::*;
 
+    /// A full queue and an interrupted call are no room and nothing else is.
     #[test]
-    fn a_full_queue_and_an_interrupted_call_are_no_room_and_nothing_else_is() {
+    fn only_a_full_queue_or_an_interrupt_is_no_room() {
         let is = |code| is_full(&io::Error::from_raw_os_error(code));
         // ENOBUFS is what an interface's queue says, EAGAIN the socket's own; vcan says neither.
         assert!(is(libc::ENOBUFS) && is(libc::EAGAIN) && is(libc::EINTR));

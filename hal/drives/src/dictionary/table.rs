@@ -19,8 +19,8 @@ pub const MAPPED_MAX: u8 = 8;
 pub const HISTORY_LENGTH: u8 = 8;
 /// Heartbeats that a node can watch.
 pub const CONSUMER_COUNT: u8 = 4;
-/// Homing methods: the present position is the reference.
-pub const HOMING_METHODS: [i64; 2] = [37, 35];
+/// Homing methods: the present position is the reference; the negative limit switch, the positive one.
+pub const HOMING_METHODS: [i64; 4] = [37, 35, 17, 18];
 /// Product code of the emulated drive: "TROC".
 pub const PRODUCT_CODE: u32 = 0x5452_4F43;
 /// Its revision.

@@ -113,7 +113,7 @@ fn the_data_sheet_is_the_dictionary() {
 
 /// The committed file read as what it is, an INI file, by other code than what wrote it.
 #[test]
-fn the_data_sheet_says_of_every_object_what_the_dictionary_does() {
+fn data_sheet_matches_the_dictionary() {
     let text = std::fs::read_to_string(SHEET).unwrap();
     let mut sections: BTreeMap<&str, BTreeMap<&str, &str>> = BTreeMap::new();
     let mut name = "";

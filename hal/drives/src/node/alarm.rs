@@ -29,7 +29,7 @@ pub(super) enum Alarm {
     PdoLength,
     /// An RPDO was too long.
     PdoExcess,
-    /// Somebody else has this node's number.
+    /// Another node has this node's number.
     IdCollision,
 }
 
@@ -51,7 +51,7 @@ impl Alarm {
     }
 }
 
-/// What is wrong, and what waits to be told.
+/// What is wrong, and what waits to be sent.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Alarms {
     active: u8,
@@ -113,7 +113,7 @@ impl Alarms {
 }
 
 impl Node {
-    /// A condition begins: told once, until it is over.
+    /// A condition begins: reported once, until it is over.
     pub(super) fn alarm(&mut self, now: TimeNs, alarm: Alarm, out: &mut Outbox) {
         if self.alarms.active & alarm.bit() != 0 {
             return;

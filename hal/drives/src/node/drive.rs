@@ -5,6 +5,7 @@
 
 mod control;
 mod follow;
+mod homing;
 mod report;
 
 use super::motion::Motion;
@@ -67,6 +68,7 @@ pub(super) struct Drive {
     /// Added to the encoder's counts.
     offset: f64,
     homed: bool,
+    search: Option<homing::Search>,
     control: u16,
     /// Whether something else than "enable operation" was said since the quick stop began.
     rearmed: bool,
@@ -87,6 +89,7 @@ impl Default for Drive {
             feedback: Feedback::default(),
             offset: 0.0,
             homed: false,
+            search: None,
             control: 0,
             rearmed: false,
             halted: false,
@@ -167,7 +170,7 @@ impl Drive {
         }
     }
 
-    /// Lets time pass: ends stops.
+    /// Lets time pass: ends stops, goes on with homing.
     pub(super) fn step(&mut self, now: TimeNs, dictionary: &Dictionary) {
         if !self.state.has_torque() {
             self.settle();
@@ -189,6 +192,7 @@ impl Drive {
         {
             self.command(now, Command::EnableOperation, dictionary);
         }
+        self.search(now, dictionary);
     }
 
     /// Whether the motor, too, has come to rest, or has had its time for it: without torque it would only coast.

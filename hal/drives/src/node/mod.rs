@@ -123,7 +123,7 @@ impl Node {
         self.refresh(now);
     }
 
-    /// Takes a frame that somebody else sent.
+    /// Takes a frame that another node sent.
     pub fn on_frame(&mut self, now: TimeNs, frame: &Frame, out: &mut Outbox) {
         if self.state == NmtState::BootUp {
             return;

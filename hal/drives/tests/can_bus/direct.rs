@@ -16,9 +16,10 @@ fn directly(options: &[&str], command: &str) -> Output {
         .unwrap()
 }
 
+/// Output and exit code are the commands and one that aborts does not go on.
 #[test]
 #[ignore = "needs a CAN bus: make test-can"]
-fn output_and_exit_code_are_the_commands_and_one_that_aborts_does_not_go_on() {
+fn vcan_wrapper_passes_output_and_exit_code_on() {
     let _turn = alone();
     let done = directly(&[], "echo out; echo err >&2; exit 7");
     assert_eq!(done.status.code(), Some(7));

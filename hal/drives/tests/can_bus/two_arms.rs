@@ -31,7 +31,7 @@ fn homed(plan: &ArmPlan) -> Ready {
     mapped.home().unwrap()
 }
 
-/// Brings up the second arm while the first listens, and what the first heard; then somebody says `said`.
+/// Brings up the second arm while the first listens, and what the first heard; then another node sends `said`.
 fn brought_up(said: Option<(u16, &[u8])>) -> (Result<(), BringUpError>, [Ready; 2]) {
     let [first, second] = plans();
     let mut waiting = homed(&first);
@@ -56,9 +56,10 @@ fn brought_up(said: Option<(u16, &[u8])>) -> (Result<(), BringUpError>, [Ready; 
     (heard, [waiting, last])
 }
 
+/// An arm that listens while another comes up misses nothing and both are enabled.
 #[test]
 #[ignore = "needs a CAN bus: make test-can"]
-fn an_arm_that_listens_while_another_comes_up_misses_nothing_and_both_are_enabled() {
+fn waiting_arm_misses_no_frame_and_both_are_enabled() {
     let _turn = alone();
     let drives = Drives::of_arms(&[0, 10]);
     let (heard, mut arms) = brought_up(None);
@@ -75,9 +76,10 @@ fn an_arm_that_listens_while_another_comes_up_misses_nothing_and_both_are_enable
     let _places = drives.finish();
 }
 
+/// A drive that fails or restarts while another arm comes up is heard.
 #[test]
 #[ignore = "needs a CAN bus: make test-can"]
-fn a_drive_that_fails_or_restarts_while_another_arm_comes_up_is_heard() {
+fn drive_fault_is_noticed_while_another_arm_comes_up() {
     let _turn = alone();
     let emergency: &[u8] = &[0x10, 0x23, 0x03, 0, 0, 0, 0, 0];
     for (id, data, text) in [

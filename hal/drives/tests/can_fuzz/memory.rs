@@ -49,7 +49,7 @@ unsafe impl GlobalAlloc for Counting {
 #[global_allocator]
 static ALLOCATOR: Counting = Counting;
 
-/// How often this thread has asked for memory.
+/// How often this thread has allocated.
 pub(crate) fn requests() -> u64 {
     REQUESTS.get()
 }

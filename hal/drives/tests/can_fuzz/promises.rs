@@ -50,7 +50,7 @@ impl Motor for Stamped {
 pub(crate) struct Ages {
     began: [TimeNs; PERIODS],
     periods: u64,
-    /// Somebody else spoke in the drive's name, it lost its power, or its answers came later than can be known.
+    /// Another node spoke in the drive's name, it lost its power, or its answers came later than can be known.
     void: [bool; 7],
     pub(crate) checked: u64,
     /// By how much a measurement was older than told, at most.

@@ -31,8 +31,9 @@ fn lost(outcomes: &[Result<ArmState, ArmError>]) -> usize {
     outcomes.iter().filter(is_lost).count()
 }
 
+/// One or two missing answers are bridged three are a lost measurement.
 #[test]
-fn one_or_two_missing_answers_are_bridged_three_are_a_lost_measurement() {
+fn third_missing_answer_is_a_lost_measurement() {
     let (bench, outcomes) = disturbed(2, |_| Tampering::Drop);
     assert!(outcomes.iter().all(Result::is_ok));
     // 0.4 units/s, whenever a measurement is of a later instant than the one before.
@@ -61,8 +62,9 @@ fn twenty_missing_answers_are_a_fault() {
     bench.assert_stopped_for_good("node 3 (axis 2, bus 0): no process data for 20 cycles");
 }
 
+/// Short long senseless and impossible answers are not believed.
 #[test]
-fn short_long_senseless_and_impossible_answers_are_not_believed() {
+fn malformed_and_impossible_answers_are_rejected() {
     let cut = |f: &Frame| Tampering::Replace(frame(f.id.raw(), &f.data()[..7]));
     let empty = |f: &Frame| Tampering::Replace(frame(f.id.raw(), &[]));
     let status = |f: &Frame| {
@@ -119,8 +121,9 @@ fn tardy(periods: f64) -> impl FnMut(&Frame) -> Tampering {
 const UNSTEADY: &str =
     "node 3 (axis 2, bus 0): more than a quarter of its process data is missing or late";
 
+/// Answers that are always late are a fault and none older than five cycles is believed.
 #[test]
-fn answers_that_are_always_late_are_a_fault_and_none_older_than_five_cycles_is_believed() {
+fn always_late_answers_are_a_fault() {
     for periods in [1.0, 1.4, 2.2, 3.4] {
         let mut bench = moving();
         bench.tamper(tardy(periods));
@@ -138,8 +141,9 @@ fn answers_that_are_always_late_are_a_fault_and_none_older_than_five_cycles_is_b
     }
 }
 
+/// A drive that answers late from the first SYNC on gives no arm that runs.
 #[test]
-fn a_drive_that_answers_late_from_the_first_sync_on_gives_no_arm_that_runs() {
+fn drive_late_from_the_first_sync_gives_no_arm() {
     for periods in [1.0, 2.2] {
         let plan = plan(1, 2 * MS);
         let homed = Offline::new(network(&plan), &plan).unwrap().scan().unwrap();
@@ -173,8 +177,9 @@ fn a_doubled_answer_does_not_hide_that_all_after_it_are_late() {
     bench.assert_stopped_for_good(UNSTEADY);
 }
 
+/// Answers of one axis that come twice hide no other axis that is late or missing.
 #[test]
-fn answers_of_one_axis_that_come_twice_hide_no_other_axis_that_is_late_or_missing() {
+fn duplicate_answers_hide_no_late_axis() {
     type Change = fn(u32) -> Tampering;
     let late: Change = |_| Tampering::Delay(4_400_000);
     let lossy: Change = |count| {
@@ -204,8 +209,9 @@ fn answers_of_one_axis_that_come_twice_hide_no_other_axis_that_is_late_or_missin
     }
 }
 
+/// A SYNC is left out for no longer than drives bridge even when the control thread stalls.
 #[test]
-fn a_sync_is_left_out_for_no_longer_than_drives_bridge_even_when_the_control_thread_stalls() {
+fn left_out_syncs_stay_within_what_drives_bridge() {
     let mut bench = moving();
     let mut dropped = false;
     bench.tamper(move |frame| {
@@ -222,8 +228,9 @@ fn a_sync_is_left_out_for_no_longer_than_drives_bridge_even_when_the_control_thr
     assert_eq!(bench.arm.cycle().sync(), Some(bench.now));
 }
 
+/// Answers that are lost now and then are not taken for late ones.
 #[test]
-fn answers_that_are_lost_now_and_then_are_not_taken_for_late_ones() {
+fn lost_answers_are_not_taken_for_late_ones() {
     for every in [4, 5, 10] {
         let mut bench = moving();
         let mut count = 0;
@@ -269,16 +276,18 @@ fn beats(change: fn(&Frame) -> Tampering) -> u32 {
     heard.get()
 }
 
+/// One SYNC is left out for an answer that was late lost or doubled.
 #[test]
-fn one_sync_is_left_out_for_an_answer_that_was_late_lost_or_doubled() {
+fn one_sync_is_left_out_for_an_ambiguous_answer() {
     assert_eq!(beats(|_| Tampering::Pass), 20);
     assert_eq!(beats(|_| Tampering::Drop), 19);
     assert_eq!(beats(|_| Tampering::Repeat), 19);
     assert_eq!(beats(|_| Tampering::Delay(2 * MS)), 19);
 }
 
+/// Answers that are missing too often are a fault although none is missing for long.
 #[test]
-fn answers_that_are_missing_too_often_are_a_fault_although_none_is_missing_for_long() {
+fn too_many_missing_answers_are_a_fault() {
     let mut bench = moving();
     let mut count = 0;
     bench.tamper(move |frame| {

@@ -2,8 +2,9 @@ use super::*;
 use trocar_canopen::cia301::NmtState;
 use trocar_canopen::cia402::PowerState;
 
+/// Seven axes come up at 500 Hz on one bus and at 1 kHz on three.
 #[test]
-fn seven_axes_come_up_at_500_hz_on_one_bus_and_at_1_khz_on_three() {
+fn seven_axes_come_up_on_one_bus_and_on_three() {
     for plan in [plan(1, 2 * MS), plan(3, MS)] {
         let mut bench = Bench::on(&plan);
         assert!(bench.arm.cycle().is_enabled());
@@ -15,8 +16,9 @@ fn seven_axes_come_up_at_500_hz_on_one_bus_and_at_1_khz_on_three() {
     }
 }
 
+/// Seven axes at 1 kHz on one bus are refused with the arithmetic.
 #[test]
-fn seven_axes_at_1_khz_on_one_bus_are_refused_with_the_arithmetic() {
+fn one_bus_at_1_khz_is_refused_with_the_arithmetic() {
     let plan = plan(1, MS);
     let error = Offline::new(network(&plan), &plan).unwrap_err();
     assert_eq!(
@@ -126,8 +128,9 @@ fn another_vendor_profile_or_modes_are_refused() {
     }
 }
 
+/// Serial numbers are read and nothing has torque before enabling.
 #[test]
-fn serial_numbers_are_read_and_nothing_has_torque_before_enabling() {
+fn no_drive_has_torque_before_enabling() {
     let plan = plan(1, 2 * MS);
     let identified = Offline::new(network(&plan), &plan)
         .unwrap()
@@ -209,8 +212,9 @@ fn released_after_bus_off() -> Net {
     bench.arm.release()
 }
 
+/// A controller that was bus off and is back is no reason to refuse a new bring up.
 #[test]
-fn a_controller_that_was_bus_off_and_is_back_is_no_reason_to_refuse_a_new_bring_up() {
+fn bring_up_accepts_a_controller_back_from_bus_off() {
     let plan = plan(1, 2 * MS);
     let scan = |net| {
         let scanned = Offline::new(net, &plan).unwrap().scan();
@@ -238,8 +242,9 @@ fn a_controller_that_was_bus_off_and_is_back_is_no_reason_to_refuse_a_new_bring_
     }
 }
 
+/// What a drive has stored neither shifts it nor leaves a second way to it.
 #[test]
-fn what_a_drive_has_stored_neither_shifts_it_nor_leaves_a_second_way_to_it() {
+fn stored_offsets_and_pdos_are_cleared() {
     use trocar_canopen::index;
     use trocar_canopen::master::client::{read_number, write};
 

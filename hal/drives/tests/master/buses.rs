@@ -46,8 +46,9 @@ fn a_second_bus_that_goes_off_or_down_is_not_sent_to_either() {
     }
 }
 
+/// A controller that was restarted unnoticed is a fault and not sent to.
 #[test]
-fn a_controller_that_was_restarted_unnoticed_is_a_fault_and_not_sent_to() {
+fn restarted_controller_is_a_fault() {
     let mut bench = moving();
     bench.net().trouble(0, Trouble::Restarted);
     let _ = bench.cycle(0.0008);
@@ -81,8 +82,9 @@ fn error_passive_and_lost_frames_are_told_and_the_arm_goes_on() {
     assert_eq!(health.passives, 1);
 }
 
+/// A controller that became error passive during bring up is told of with the arm.
 #[test]
-fn a_controller_that_became_error_passive_during_bring_up_is_told_of_with_the_arm() {
+fn error_passive_during_bring_up_is_reported() {
     for recovers in [false, true] {
         let plan = plan(3, MS);
         let mut net = network(&plan);
@@ -104,7 +106,7 @@ fn a_full_send_queue_is_a_lost_arm_and_then_a_fault() {
     let plan = plan(1, 2 * MS);
     let mut bench = Bench::on(&plan);
     bench.cycles(50, 0.0008).unwrap();
-    // Somebody who always wins the bus: nothing of ours gets out.
+    // A node that always wins arbitration: nothing of ours gets out.
     let mut outcomes = Vec::new();
     for _ in 0..60 {
         for _ in 0..25 {

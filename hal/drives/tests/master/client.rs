@@ -144,8 +144,9 @@ impl Bus for Full {
     }
 }
 
+/// A bus without room is waited for and one that is down is told at once.
 #[test]
-fn a_bus_without_room_is_waited_for_and_one_that_is_down_is_told_at_once() {
+fn full_bus_is_waited_for_and_a_down_one_is_an_error() {
     let mut bus = Full(net());
     let ask = |bus: &mut Full| read_number(bus, 0, node(0), index::STATUS);
     assert_eq!(ask(&mut bus), Err(BringUpError::CannotSend { line: 0 }));

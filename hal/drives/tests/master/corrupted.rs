@@ -23,8 +23,9 @@ fn resized(frame: &Frame, length: usize) -> Tampering {
     Tampering::Replace(super::frame(frame.id.raw(), &data))
 }
 
+/// A short or long set point is told by its drive and is a fault.
 #[test]
-fn a_short_or_long_set_point_is_told_by_its_drive_and_is_a_fault() {
+fn set_point_of_wrong_length_is_a_fault() {
     for (length, fault) in [
         (5, "emergency 8210h, PDO too short for its mapping"),
         (0, "emergency 8210h, PDO too short for its mapping"),
@@ -37,8 +38,9 @@ fn a_short_or_long_set_point_is_told_by_its_drive_and_is_a_fault() {
     }
 }
 
+/// A SYNC of the wrong length is told by a drive and is a fault.
 #[test]
-fn a_sync_of_the_wrong_length_is_told_by_a_drive_and_is_a_fault() {
+fn sync_of_wrong_length_is_a_fault() {
     let mut bench = moving();
     change(&mut bench, 0x080, 1, |frame| resized(frame, 1));
     let _ = bench.cycles(3, 0.0008);
@@ -71,9 +73,9 @@ fn flipped(count: u32, byte: usize, bit: u8) -> (Bench, f64, f64, f64) {
     (bench, off, last, step)
 }
 
+/// A flipped bit in a set point moves an axis no faster than it may and one that stays is a fault.
 #[test]
-fn a_flipped_bit_in_a_set_point_moves_an_axis_no_faster_than_it_may_and_one_that_stays_is_a_fault()
-{
+fn flipped_target_bit_keeps_the_speed_limit() {
     // A small one is gone with the next set-point.
     let (bench, off, ..) = flipped(1, 3, 0);
     assert!(bench.arm.fault().is_none() && off < 0.003, "{off}");
@@ -162,8 +164,9 @@ fn an_emergency_that_says_all_is_well_is_none() {
     assert!(bench.arm.fault().is_none());
 }
 
+/// Answers that change places are believed only as far as an axis can go.
 #[test]
-fn answers_that_change_places_are_believed_only_as_far_as_an_axis_can_go() {
+fn swapped_answers_are_limited_by_the_axis_speed() {
     let mut bench = moving();
     // What axis 0 says arrives as what axis 6 says, and the other way round; they are far from each other.
     bench.tamper(|f| match f.id.raw() {

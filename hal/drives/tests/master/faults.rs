@@ -106,8 +106,9 @@ fn a_motor_that_does_not_follow_is_a_fault() {
     assert_eq!(bench.torques(), [false; TAIL_AXES]);
 }
 
+/// The master's own comparison catches what a drive does not tell.
 #[test]
-fn the_masters_own_comparison_catches_what_a_drive_does_not_tell() {
+fn master_detects_an_unreported_following_error() {
     let mut bench = moving();
     // A drive that says all is well and stands still.
     let mut first: Option<Vec<u8>> = None;
@@ -176,7 +177,7 @@ fn a_foreign_master_is_a_fault_and_another_arms_is_not() {
         bench.net().intrude(0, frame(id, data));
         let _ = bench.cycles(2, 0.0);
         bench.assert_stopped_for_good(&format!(
-            "bus 0: somebody else sends {id:03X}h, which only this master may"
+            "bus 0: another node sends {id:03X}h, which only this master may"
         ));
     }
     let mut bench = moving();

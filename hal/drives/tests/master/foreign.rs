@@ -1,4 +1,4 @@
-//! Somebody else on the bus who leads our drives, from one set-point to a whole second master.
+//! Another node on the bus that commands our drives, from one set-point to a whole second master.
 
 use super::faults::moving;
 use super::*;
@@ -66,8 +66,9 @@ fn set_point(node: u16, control: u8, target: i32) -> Frame {
     frame(0x200 + node, &[control, 0, a, b, c, d])
 }
 
+/// A set point of somebody else after ours is a fault and however many follow the axis stops.
 #[test]
-fn a_set_point_of_somebody_else_after_ours_is_a_fault_and_however_many_follow_the_axis_stops() {
+fn foreign_set_points_are_a_fault_and_the_axis_stops() {
     // From long before the next SYNC to so short that it is on the wire when the SYNC is due.
     for after_ns in [1_200_000, 1_900_000, 1_999_000] {
         for target in [i32::MAX, 60_000] {
@@ -78,7 +79,7 @@ fn a_set_point_of_somebody_else_after_ours_is_a_fault_and_however_many_follow_th
             shared.cycle(after_ns, &stranger);
             shared.cycle(after_ns, &stranger);
             let fault = shared.bench.arm.fault().map(|fault| fault.to_string());
-            let told = "bus 0: somebody else sends 203h, which only this master may";
+            let told = "bus 0: another node sends 203h, which only this master may";
             assert_eq!(fault.as_deref(), Some(told), "{after_ns} {target}");
             for _ in 0..100 {
                 shared.cycle(after_ns, &stranger);
@@ -110,8 +111,9 @@ fn whole_i32(value: f64) -> i32 {
     i32::try_from(trocar_canopen::number::whole(value)).unwrap()
 }
 
+/// A whole second master leads an axis as far as its drive's limits and no further.
 #[test]
-fn a_whole_second_master_leads_an_axis_as_far_as_its_drives_limits_and_no_further() {
+fn second_master_is_held_by_the_drives_limits() {
     let plan = plan(1, 4 * MS);
     for way in [4000, -4000] {
         let mut shared = Shared::new(Bench::on(&plan));

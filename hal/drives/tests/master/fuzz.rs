@@ -26,8 +26,9 @@ fn throw(seed: u64, cycles: u32) -> u32 {
     lived
 }
 
+/// Arbitrary frames on the bus never panic nor move the arm outside its limits.
 #[test]
-fn arbitrary_frames_on_the_bus_never_panic_nor_move_the_arm_outside_its_limits() {
+fn arbitrary_frames_keep_the_arm_within_its_limits() {
     let lived: u32 = (0..6).map(|seed| throw(seed, 150)).sum();
     // Most end with a fault sooner or later, since many identifiers are the master's own; some do not at once.
     assert!(lived > 30, "{lived}");

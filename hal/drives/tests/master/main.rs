@@ -13,6 +13,7 @@ mod corrupted;
 mod faults;
 mod foreign;
 mod fuzz;
+mod homing;
 mod motion;
 mod settings;
 mod transmit_queue;
@@ -58,6 +59,7 @@ fn plan(lines: u8, cycle_ns: u64) -> ArmPlan {
         master: NodeId::new(127).unwrap(),
         heartbeat_ms: 100,
         brake_ns: 0,
+        homing: [None; TAIL_AXES],
         space: Space::Joint,
         axes: core::array::from_fn(|axis| AxisPlan {
             node: node(axis),

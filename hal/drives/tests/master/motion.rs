@@ -115,8 +115,9 @@ fn a_controller_that_falls_silent_leaves_its_tail_to_be_played() {
     assert_eq!(bench.torques(), [true; TAIL_AXES]);
 }
 
+/// A command of no number is refused and the tail played instead.
 #[test]
-fn a_command_of_no_number_is_refused_and_the_tail_played_instead() {
+fn non_finite_command_plays_the_tail() {
     let mut bench = Bench::new();
     let _ = bench.cycles(10, 0.0);
     let before = bench.motors();
@@ -182,8 +183,9 @@ fn disabling_lets_go_and_only_the_controller_enables_again() {
     assert_eq!(bench.arm.cycle().states(), state);
 }
 
+/// When the process dies every drive rests within 50 ms of the last SYNC.
 #[test]
-fn when_the_process_dies_every_drive_rests_within_50_ms_of_the_last_sync() {
+fn drives_rest_within_50_ms_of_a_dead_process() {
     let mut bench = Bench::new();
     let _ = bench.cycles(200, 0.002);
     let moving = bench.motors();
@@ -213,8 +215,9 @@ fn a_sync_may_count_and_may_have_another_identifier() {
     }
 }
 
+/// A controller twice as fast as the bus sends its newest command.
 #[test]
-fn a_controller_twice_as_fast_as_the_bus_sends_its_newest_command() {
+fn faster_controller_sends_its_newest_command() {
     let mut bench = Bench::new();
     let _ = bench.cycles(5, 0.0);
     bench.cycle_ns = MS;
@@ -231,8 +234,9 @@ fn a_controller_twice_as_fast_as_the_bus_sends_its_newest_command() {
     assert_eq!(bench.arm.cycle().axis_health()[0].missed, 0);
 }
 
+/// A controller that is faster than its bus does not make the bus faster.
 #[test]
-fn a_controller_that_is_faster_than_its_bus_does_not_make_the_bus_faster() {
+fn faster_controller_leaves_the_bus_cycle_as_it_is() {
     for cycle_ms in [1, 2, 4, 8] {
         let mut bench = Bench::on(&plan(3, cycle_ms * MS));
         bench.cycle_ns = MS;
@@ -274,8 +278,9 @@ fn taken_down(plan: &ArmPlan) -> (Vec<PowerState>, Vec<u64>) {
     (states, lasted)
 }
 
+/// At the end each drive is taken down state by state and waits for its brake.
 #[test]
-fn at_the_end_each_drive_is_taken_down_state_by_state_and_waits_for_its_brake() {
+fn take_down_passes_each_state_and_waits_for_the_brake() {
     let down = [
         PowerState::OperationEnabled,
         PowerState::SwitchedOn,
@@ -295,8 +300,9 @@ fn at_the_end_each_drive_is_taken_down_state_by_state_and_waits_for_its_brake() 
     }
 }
 
+/// A node that fell silent is not waited for and the others go down.
 #[test]
-fn a_node_that_fell_silent_is_not_waited_for_and_the_others_go_down() {
+fn take_down_does_not_wait_for_a_silent_node() {
     let mut bench = Bench::new();
     let _ = bench.cycles(50, 0.0005);
     bench.net().power(node(4), false);

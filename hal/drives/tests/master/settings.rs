@@ -208,15 +208,17 @@ const UNSAFE: [(u16, u8, &[u8], &str); 19] = [
     (0x1017, 0, &[0, 0], "1017:00 is 0, allowed [100, 100]"),
 ];
 
+/// A drive that keeps an unsafe value is refused with node object value and what is allowed.
 #[test]
-fn a_drive_that_keeps_an_unsafe_value_is_refused_with_node_object_value_and_what_is_allowed() {
+fn drive_that_keeps_an_unsafe_value_is_refused() {
     for (object, sub, value, refusal) in UNSAFE {
         assert_eq!(refused(object, sub, value), format!("node 3: {refusal}"));
     }
 }
 
+/// Turns and counts whose product no number holds are refused as any others.
 #[test]
-fn turns_and_counts_whose_product_no_number_holds_are_refused_as_any_others() {
+fn overflowing_encoder_resolution_is_refused() {
     let mut plan = plan(1, 2 * MS);
     plan.axes[2].counts_per_turn = u32::MAX;
     let refusal = "node 3: 608F:02 is 4294967295, allowed [1, 1]";

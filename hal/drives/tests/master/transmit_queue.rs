@@ -98,8 +98,9 @@ fn cycles_to_stop(room: usize, controller_lives: bool) -> u32 {
     u32::MAX
 }
 
+/// A queue with little room takes the SYNC and the quick stops of drives that still follow.
 #[test]
-fn a_queue_with_little_room_takes_the_sync_and_the_quick_stops_of_drives_that_still_follow() {
+fn short_queue_takes_sync_and_quick_stops_first() {
     for controller_lives in [true, false] {
         // Enough, half of it, and next to nothing: a period for the fault and one for its answer to be heard, and as many as it
         // takes to tell each of the six once, beside the SYNC.
@@ -170,8 +171,9 @@ fn on_three_buses(room: usize) -> (Vec<(u8, u16)>, u32) {
     (said, u32::MAX)
 }
 
+/// A full bus has its own SYNC first and the set points on the others still come before theirs.
 #[test]
-fn a_full_bus_has_its_own_sync_first_and_the_set_points_on_the_others_still_come_before_theirs() {
+fn full_bus_sends_its_sync_first() {
     let (all, at_best) = on_three_buses(16);
     let (said, cycles) = on_three_buses(2);
     let on = |said: &[(u8, u16)], line| -> Vec<u16> {
@@ -220,8 +222,9 @@ fn led_by_another(room: usize) -> ([u32; TAIL_AXES], BTreeSet<u8>) {
     (rest, told)
 }
 
+/// In a queue with little room every node that somebody else may lead is told to stop.
 #[test]
-fn in_a_queue_with_little_room_every_node_that_somebody_else_may_lead_is_told_to_stop() {
+fn short_queue_still_carries_every_nmt_stop() {
     // As many cycles as it takes to tell each of the seven once, beside the SYNC, and three for the first to be heard.
     for (room, at_most) in [(16, 4), (6, 5), (5, 5), (4, 6), (3, 7), (2, 10)] {
         let (rest, told) = led_by_another(room);
@@ -233,8 +236,9 @@ fn in_a_queue_with_little_room_every_node_that_somebody_else_may_lead_is_told_to
     }
 }
 
+/// A drive whose set points find no room is not blamed for where it stays.
 #[test]
-fn a_drive_whose_set_points_find_no_room_is_not_blamed_for_where_it_stays() {
+fn unsent_set_points_are_no_following_error() {
     // Half a cycle's way.
     let plan = ArmPlan {
         axes: plan(1, 2 * MS).axes.map(|axis| AxisPlan {

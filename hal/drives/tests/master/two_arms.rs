@@ -251,8 +251,9 @@ fn two_arms_at_500_hz_are_refused_with_the_arithmetic() {
     );
 }
 
+/// When one arm's process dies its drives stop and the other arm goes on.
 #[test]
-fn when_one_arms_process_dies_its_drives_stop_and_the_other_arm_goes_on() {
+fn dead_process_stops_only_its_own_arm() {
     let both = Both::new(&shipped(BOTH_AT_250_HZ));
     both.live(500 * MS, [true, true]);
     let last_sync = both.arms[0].borrow().arm.cycle().sync().unwrap();
@@ -283,7 +284,7 @@ fn a_fault_of_one_arm_stops_only_its_own_drives() {
 }
 
 #[test]
-fn somebody_who_leads_a_drive_of_one_arm_stops_that_arm_alone() {
+fn second_master_of_one_arm_stops_that_arm_alone() {
     let both = Both::new(&shipped(BOTH_AT_250_HZ));
     both.live(500 * MS, [true, true]);
     let stopped: Rc<RefCell<BTreeSet<u8>>> = Rc::default();

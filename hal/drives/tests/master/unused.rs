@@ -78,8 +78,9 @@ fn mapped(
     Ok(objects.take())
 }
 
+/// A PDO is off whatever else a drive then says of it and one that stays on is refused.
 #[test]
-fn a_pdo_is_off_whatever_else_a_drive_then_says_of_it_and_one_that_stays_on_is_refused() {
+fn pdo_that_stays_valid_is_refused() {
     let plan = plan(1, 2 * MS);
     let place = (0x1404, 1);
     let of = |rule| mapped(&plan, &[(place, 0x345)], &Asked::default(), rule);
@@ -90,8 +91,9 @@ fn a_pdo_is_off_whatever_else_a_drive_then_says_of_it_and_one_that_stays_on_is_r
     assert_eq!(of(|old, _| Some(old)), Err(refusal.to_owned()));
 }
 
+/// Of a PDO that is put into use a drive may change what nobody uses but not its identifier.
 #[test]
-fn of_a_pdo_that_is_put_into_use_a_drive_may_change_what_nobody_uses_but_not_its_identifier() {
+fn pdo_in_use_keeps_its_identifier() {
     const NO_RTR: u32 = 1 << 30;
     let plan = plan(1, 2 * MS);
     for (place, id) in [((0x1400, 1), 0x203), ((0x1800, 1), 0x183)] {
@@ -119,8 +121,9 @@ fn of_a_pdo_that_is_put_into_use_a_drive_may_change_what_nobody_uses_but_not_its
     }
 }
 
+/// A drive that is to send the SYNC stops that before it gets another identifier.
 #[test]
-fn a_drive_that_is_to_send_the_sync_stops_that_before_it_gets_another_identifier() {
+fn sync_producer_is_stopped_before_its_id_changes() {
     const SENDS: u32 = 1 << 30;
     // While it sends, no other bit may change.
     let rule: Rule = |old, new| (old & SENDS == 0 || (old ^ new) & !SENDS == 0).then_some(new);
@@ -170,8 +173,9 @@ fn the_deadline_of_a_set_point_is_set_while_the_pdo_is_off() {
     );
 }
 
+/// PDOs beyond the fourth and time stamps are taken out of use as far as a node has any.
 #[test]
-fn pdos_beyond_the_fourth_and_time_stamps_are_taken_out_of_use_as_far_as_a_node_has_any() {
+fn further_pdos_and_time_stamps_are_disabled() {
     // Object, what is stored, what it is after bring-up: the identifier stays.
     let cases: [((u16, u8), u32, u32); 8] = [
         ((0x1404, 1), 0x345, INVALID | 0x345),
@@ -276,8 +280,9 @@ fn without_emergency_identifier(code: AbortCode) -> Result<(), String> {
     mapped.map(|_| ()).map_err(|error| error.to_string())
 }
 
+/// Only a drive that lacks the identifier of emergencies may keep it to itself.
 #[test]
-fn only_a_drive_that_lacks_the_identifier_of_emergencies_may_keep_it_to_itself() {
+fn only_a_missing_1014h_may_be_left_alone() {
     for code in [AbortCode::NO_OBJECT, AbortCode::NO_DATA] {
         assert_eq!(without_emergency_identifier(code), Ok(()));
     }

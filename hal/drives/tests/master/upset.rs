@@ -22,18 +22,17 @@ const WHO: &str = "node 3 (axis 2, bus 0)";
 const REBOOTED: &str = "booted up again";
 const FAILED: &str = "emergency 2310h, continuous over-current";
 
+/// A drive that was set up and is reset or fails ends the bring up with its cause and nothing has torque.
 #[test]
-fn a_drive_that_was_set_up_and_is_reset_or_fails_ends_the_bring_up_with_its_cause_and_nothing_has_torque()
- {
+fn reset_or_fault_of_a_set_up_drive_ends_the_bring_up() {
     let [_, identified, mapped, homed] = course(1, NEVER, |_| {}).sent;
-    let (setting, homing) = ((mapped - identified) / 7, (homed - mapped) / 7);
+    // It has its settings, and another node lacks its last one.
+    let set_up = mapped - 1;
+    assert!(identified < set_up);
     let cases = [
-        (identified + 3 * setting + 9, "while axis 3 was set up"),
-        (identified + 6 * setting + 9, "while axis 6 was set up"),
-        // Of its own reference, and of another one's.
-        (mapped + 2 * homing + homing / 2, "while axis 2 was homed"),
-        (mapped + 5 * homing + homing / 2, "while axis 5 was homed"),
-        (homed - 1, "while axis 6 was homed"),
+        (set_up, "while the nodes were set up"),
+        ((mapped + homed) / 2, "while the axes were homed"),
+        (homed - 1, "while the axes were homed"),
     ];
     for (at, step) in cases {
         for (what, told) in [(reboots as What, REBOOTED), (fails, FAILED)] {
@@ -44,86 +43,88 @@ fn a_drive_that_was_set_up_and_is_reset_or_fails_ends_the_bring_up_with_its_caus
     }
 }
 
+/// A reset in the middle of its settings undoes half of them and is noticed.
 #[test]
-fn a_reset_in_the_middle_of_its_settings_undoes_half_of_them_and_is_noticed() {
+fn reset_during_bring_up_is_reported() {
     let [_, identified, mapped, _] = course(1, NEVER, |_| {}).sent;
-    let at = identified + 2 * (mapped - identified) / 7 + 40;
-    let course = course(1, at, reboots);
-    let told = format!("{WHO}: {REBOOTED}, while axis 2 was set up");
+    let course = course(1, (identified + mapped) / 2, reboots);
+    let told = format!("{WHO}: {REBOOTED}, while the nodes were set up");
     assert_eq!(course.end, Err(told));
     assert!(!course.torques && course.stopped);
 }
 
+/// On a bus that is not listened to it is noticed before the nodes start.
 #[test]
-fn on_a_bus_that_is_not_listened_to_it_is_noticed_before_the_nodes_start() {
+fn reset_on_another_bus_is_noticed_before_the_start() {
     // The last axis is homed on bus 2; node 3 is on bus 0.
     let homed = course(3, NEVER, |_| {}).sent[3];
     for (what, told) in [(reboots as What, REBOOTED), (fails, FAILED)] {
         let course = course(3, homed - 9, what);
-        let told = format!("{WHO}: {told}, while axis 6 was homed");
+        let told = format!("{WHO}: {told}, while the axes were homed");
         assert_eq!(course.end, Err(told));
         assert!(!course.torques && course.stopped);
     }
 }
 
+/// What a drive has to tell of the time before it was set up does not end it.
 #[test]
-fn what_a_drive_has_to_tell_of_the_time_before_it_was_set_up_does_not_end_it() {
+fn emergencies_of_before_the_settings_do_not_count() {
     let [scanned, identified, mapped, _] = course(1, NEVER, |_| {}).sent;
     // That it lost a master whom it had, or has no voltage yet.
     let tells: [What; 2] = [
         |net| assert!(net.intrude(0, frame(0x083, &[0x30, 0x81, 0x11, 0, 0, 0, 0, 0]))),
         |net| assert!(net.intrude(0, frame(0x083, &[0x20, 0x32, 0x05, 0, 0, 0, 0, 0]))),
     ];
-    let its_own = identified + 2 * (mapped - identified) / 7 + 20;
+    let its_own = (identified + mapped) / 2;
     for at in [0, 4, scanned - 1, scanned + 9, identified + 20, its_own] {
         for tells in tells {
             assert_eq!(course(1, at, tells).end, Ok(()), "{at}");
         }
     }
     // It boots up again before it has been told anything.
-    for at in [4, scanned - 1, scanned + 9, identified + 20] {
+    for at in [scanned - 1, scanned + 9, identified - 1] {
         assert_eq!(course(1, at, reboots).end, Ok(()), "{at}");
     }
 }
 
 #[test]
-fn what_comes_on_a_bus_that_is_not_listened_to_is_judged_by_when_it_came() {
+fn reset_on_any_bus_is_noticed_while_nodes_are_set_up() {
     let [_, identified, mapped, _] = course(3, NEVER, |_| {}).sent;
-    // Nodes 4 and 6 are the first ones of buses 1 and 2, and nothing is asked there yet.
-    for at in [identified + 5, identified + 2 * (mapped - identified) / 7] {
-        for axis in 3..TAIL_AXES {
+    for at in [identified + 5, (identified + mapped) / 2] {
+        for axis in [0, 3, 6] {
             let course = course(3, at, move |net| {
                 net.poke(node(axis), |now, drive, out| drive.power_on(now, out));
             });
-            assert_eq!(course.end, Ok(()), "node {} at {at}", axis + 1);
+            let told = format!("{REBOOTED}, while the nodes were set up");
+            let end = course.end.unwrap_err();
+            let name = format!("node {} (axis {axis}, ", axis + 1);
+            assert!(end.starts_with(&name) && end.ends_with(&told), "{end}");
+            assert!(!course.torques && course.stopped);
         }
     }
-    // The first one of bus 0 was set up by then; it is named when bus 1 has been listened to for a while.
-    let at = identified + 4 * (mapped - identified) / 7;
-    let course = course(3, at, reboots);
-    let told = format!("{WHO}: {REBOOTED}, while axis 4 was set up");
-    assert_eq!(course.end, Err(told));
-    assert!(!course.torques && course.stopped);
 }
 
+/// What it said before our reset went out counts for nothing.
 #[test]
-fn a_node_that_boots_up_by_itself_has_not_answered_to_our_reset() {
-    let deaf = |net: &mut Net| {
-        net.tamper(Box::new(|_, _, heard| {
-            match (heard.id.raw(), heard.data()) {
-                (0x000, [0x81, 4]) => Tampering::Drop,
-                _ => Tampering::Pass,
-            }
-        }));
-        net.poke(node(3), |now, drive, out| drive.power_on(now, out));
-    };
-    // While the nodes of the first of three buses are reset.
+fn boot_up_of_before_is_no_answer_to_our_reset() {
+    let plan = plan(3, 2 * MS);
+    let mut net = network(&plan);
+    net.tamper(Box::new(|_, _, heard| {
+        match (heard.id.raw(), heard.data()) {
+            (0x000, [0x81, 4]) => Tampering::Drop,
+            _ => Tampering::Pass,
+        }
+    }));
+    // While the buses are listened to.
+    net.poke(node(3), |now, drive, out| drive.power_on(now, out));
+    let scanned = Offline::new(net, &plan).unwrap().scan();
     let refusal = "node 4 (axis 3, bus 1): does not answer to a reset";
-    assert_eq!(course(3, 1, deaf).end, Err(refusal.to_owned()));
+    assert_eq!(scanned.map(|_| ()).unwrap_err().to_string(), refusal);
 }
 
+/// That all is well that there is no SYNC yet and what other drives tell does not end it.
 #[test]
-fn that_all_is_well_that_there_is_no_sync_yet_and_what_other_drives_tell_does_not_end_it() {
+fn harmless_emergencies_do_not_end_the_bring_up() {
     let [_, _, mapped, homed] = course(1, NEVER, |_| {}).sent;
     let told = [
         (0x083, 0x0000_u16),
@@ -149,13 +150,14 @@ fn that_all_is_well_that_there_is_no_sync_yet_and_what_other_drives_tell_does_no
     let course = course(1, homed - 1, |net| {
         assert!(net.intrude(0, frame(0x083, &[0x50, 0x81, 0x11, 0, 0, 0, 0, 0])));
     });
-    let refusal = format!("{WHO}: emergency 8150h, identifier collision, while axis 6 was homed");
+    let refusal =
+        format!("{WHO}: emergency 8150h, identifier collision, while the axes were homed");
     assert_eq!(course.end, Err(refusal));
 }
 
+/// That there is no SYNC yet is no fault between the start of the nodes and the SYNC and one after it.
 #[test]
-fn that_there_is_no_sync_yet_is_no_fault_between_the_start_of_the_nodes_and_the_sync_and_one_after_it()
- {
+fn missing_sync_is_a_fault_after_the_first_sync_only() {
     let started = course(1, NEVER, |_| {}).sent[3] + QUESTIONS;
     for code in [0x8130_u16, 0x8250, 0x8700] {
         let [low, high] = code.to_le_bytes();
@@ -193,8 +195,9 @@ fn answering(at: usize, asked: [u8; 3], data: [u8; 4]) -> Course {
     })
 }
 
+/// A drive that has an error which it told before it counted gets no torque.
 #[test]
-fn a_drive_that_has_an_error_which_it_told_before_it_counted_gets_no_torque() {
+fn drive_with_an_earlier_error_gets_no_torque() {
     let homed = course(1, NEVER, |_| {}).sent[3];
     let errors = [
         (0x21_u8, "21h: generic, device profile"),
@@ -215,8 +218,9 @@ fn a_drive_that_has_an_error_which_it_told_before_it_counted_gets_no_torque() {
     }
 }
 
+/// A restart of which nobody has heard is noticed by what it undoes.
 #[test]
-fn a_restart_of_which_nobody_has_heard_is_noticed_by_what_it_undoes() {
+fn unheard_restart_is_noticed_by_its_lost_settings() {
     let homed = course(1, NEVER, |_| {}).sent[3];
     let unheard = |net: &mut Net| {
         net.tamper(Box::new(|_, _, heard| match heard.id.raw() {
@@ -251,8 +255,9 @@ fn a_restart_of_which_nobody_has_heard_is_noticed_by_what_it_undoes() {
     assert!(!course.torques && course.stopped);
 }
 
+/// What happens while the nodes are asked once more ends it on whatever bus.
 #[test]
-fn what_happens_while_the_nodes_are_asked_once_more_ends_it_on_whatever_bus() {
+fn reset_during_the_last_check_ends_the_bring_up() {
     let homed = course(3, NEVER, |_| {}).sent[3];
     // Node 3 has answered; the last node, on another bus, is asked.
     for (what, told) in [(reboots as What, REBOOTED), (fails, FAILED)] {
@@ -263,17 +268,18 @@ fn what_happens_while_the_nodes_are_asked_once_more_ends_it_on_whatever_bus() {
     }
 }
 
+/// Frames that are lost before they are read end it once we have said something.
 #[test]
-fn frames_that_are_lost_before_they_are_read_end_it_once_we_have_said_something() {
+fn lost_frames_end_the_bring_up() {
     let [scanned, identified, mapped, homed] = course(3, NEVER, |_| {}).sent;
     let cases = [
         (2, 0, "while the nodes were looked for"),
         (scanned + 9, 0, "while the nodes were looked for"),
-        (identified + 40, 0, "while axis 0 was set up"),
+        (identified + 40, 0, "while the nodes were set up"),
         // On a bus that is not listened to.
-        (identified + 40, 2, "while axis 0 was set up"),
-        (mapped + 5, 0, "while axis 0 was homed"),
-        (homed - 1, 1, "while axis 6 was homed"),
+        (identified + 40, 2, "while the nodes were set up"),
+        (mapped + 5, 0, "while the axes were homed"),
+        (homed - 1, 1, "while the axes were homed"),
         (homed + 3, 0, "before the first SYNC"),
     ];
     for (at, line, step) in cases {

@@ -1,4 +1,4 @@
-//! How drives are taken from somebody else who leads them: by NMT, by a heartbeat that ends, and no drives but our own.
+//! How drives are taken from a second master that commands them: by NMT, by a heartbeat that ends, and no drives but our own.
 
 use std::cell::RefCell;
 use std::collections::BTreeSet;
@@ -61,13 +61,14 @@ fn note_stops(net: &mut Net) -> Told {
     told
 }
 
+/// A drive that only NMT stopped stops is not led by somebody else.
 #[test]
-fn a_drive_that_only_nmt_stopped_stops_is_not_led_by_somebody_else() {
+fn drive_stopped_by_nmt_only_has_no_second_master() {
     let mut bench = by_the_letter();
     // Long before it misses a heartbeat.
     led(&mut bench, 25);
     assert_eq!(bench.torques(), [false; TAIL_AXES]);
-    let told = "bus 0: somebody else sends 203h, which only this master may";
+    let told = "bus 0: another node sends 203h, which only this master may";
     bench.assert_stopped_for_good(told);
 }
 
@@ -79,8 +80,9 @@ fn leave(bench: &mut Bench) {
         .poke(node(2), |now, drive, out| drive.on_frame(now, &leave, out));
 }
 
+/// A drive that pre operational does not stop goes on which is why it is not the way.
 #[test]
-fn a_drive_that_pre_operational_does_not_stop_goes_on_which_is_why_it_is_not_the_way() {
+fn pre_operational_stops_not_every_drive() {
     let mut bench = by_the_letter();
     // It hears nothing but our heartbeat.
     bench.tamper(|frame| match frame.id.raw() {
@@ -93,11 +95,13 @@ fn a_drive_that_pre_operational_does_not_stop_goes_on_which_is_why_it_is_not_the
     assert_eq!(bench.torques(), others);
 }
 
+/// A node that goes pre operational by itself is named and told to stop and the others brake.
 #[test]
-fn a_node_that_goes_pre_operational_by_itself_is_named_and_told_to_stop_and_the_others_brake() {
+fn node_leaving_operational_is_named_and_stopped() {
     let plan = ArmPlan {
         heartbeat_ms: 10,
         brake_ns: 0,
+        homing: [None; TAIL_AXES],
         ..plan(1, 4 * MS)
     };
     let mut bench = by_the_letter_on(&plan);
@@ -156,8 +160,9 @@ fn a_node_of_which_nothing_is_heard_any_more_is_told_to_stop() {
     bench.assert_stopped_for_good(text);
 }
 
+/// Where no NMT command is heard our heartbeat falls silent and stops the drives.
 #[test]
-fn where_no_nmt_command_is_heard_our_heartbeat_falls_silent_and_stops_the_drives() {
+fn ended_heartbeat_stops_drives_deaf_to_nmt() {
     let mut bench = by_the_letter();
     bench.tamper(|frame| match frame.id.raw() {
         0x000 => Tampering::Drop,
@@ -171,8 +176,9 @@ fn where_no_nmt_command_is_heard_our_heartbeat_falls_silent_and_stops_the_drives
     assert_eq!(bench.torques(), [false; TAIL_AXES]);
 }
 
+/// The quick stop comes into effect before the nodes are stopped.
 #[test]
-fn the_quick_stop_comes_into_effect_before_the_nodes_are_stopped() {
+fn quick_stop_takes_effect_before_nmt_stop() {
     let mut bench = by_the_letter();
     // Drives that losing their master does not stop.
     for axis in 0..TAIL_AXES {
@@ -224,7 +230,7 @@ fn on_three_buses_each_node_is_stopped_on_its_own() {
 }
 
 #[test]
-fn somebody_else_after_another_fault_gets_no_drive_either() {
+fn second_master_after_a_fault_gets_no_drive() {
     let mut bench = Bench::on(&plan(1, 4 * MS));
     let told = note_stops(bench.net());
     bench.net().poke(node(6), |now, drive, out| {
@@ -241,7 +247,7 @@ fn somebody_else_after_another_fault_gets_no_drive_either() {
 }
 
 #[test]
-fn a_lost_bus_is_not_sent_to_on_account_of_somebody_on_another() {
+fn second_master_on_another_bus_leaves_a_lost_bus_alone() {
     let mut bench = Bench::on(&plan(3, MS));
     bench.net().trouble(1, Trouble::Down);
     let told = note_stops(bench.net());

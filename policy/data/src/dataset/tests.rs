@@ -533,8 +533,9 @@ fn two_arms_are_read_back_as_they_were_written() {
     }
 }
 
+/// One arm's names stand alone and of two each begins with its arm's.
 #[test]
-fn one_arms_names_stand_alone_and_of_two_each_begins_with_its_arms() {
+fn names_of_two_arms_have_a_prefix() {
     let described = |arms: usize| {
         let folder = Folder::new(&format!("names-{arms}"));
         let spec = DatasetSpec { arms, ..spec() };
@@ -572,8 +573,9 @@ fn one_arms_names_stand_alone_and_of_two_each_begins_with_its_arms() {
     }
 }
 
+/// A number of arms that no robot has and vectors that disagree are refused.
 #[test]
-fn a_number_of_arms_that_no_robot_has_and_vectors_that_disagree_are_refused() {
+fn odd_arm_counts_and_vector_lengths_are_refused() {
     for arms in [0, 3] {
         let folder = Folder::new(&format!("arms-{arms}"));
         let spec = DatasetSpec { arms, ..spec() };

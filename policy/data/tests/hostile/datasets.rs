@@ -158,8 +158,9 @@ fn checksum(bytes: &[u8]) -> u32 {
     !sum
 }
 
+/// An image that claims to be huge is refused before memory is asked for.
 #[test]
-fn an_image_that_claims_to_be_huge_is_refused_before_memory_is_asked_for() {
+fn huge_image_is_refused_before_allocation() {
     // A PNG of 60000 x 60000 pixels, of which hardly any are there.
     let mut png = Vec::new();
     let encoder = image::codecs::png::PngEncoder::new(&mut png);

@@ -93,8 +93,9 @@ fn a_damaged_episode_of_act_is_imported_or_refused_by_name() {
     damage(&by_h5py("act/episode_0.hdf5"), &file, &options, 2);
 }
 
+/// An extent that the file can not hold is refused before memory is asked for.
 #[test]
-fn an_extent_that_the_file_can_not_hold_is_refused_before_memory_is_asked_for() {
+fn oversized_extent_is_refused_before_allocation() {
     let folder = Folder::new("hdf5-extent");
     let file = folder.path().join("episode_0.hdf5");
     let source = folder.path().to_owned();

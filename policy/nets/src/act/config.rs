@@ -3,6 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use super::resnet::STAGES;
+use crate::dimension::dimension;
 
 /// Normalisation layers of the backbone.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -145,9 +146,7 @@ impl ActConfig {
     /// The same network with the inputs and outputs of `arms` arms.
     #[must_use]
     pub fn for_arms(self, arms: usize) -> Self {
-        let dim = i64::try_from(arms)
-            .unwrap_or(i64::MAX)
-            .saturating_mul(STATE_DIM);
+        let dim = dimension(arms) * STATE_DIM;
         Self {
             state_dim: dim,
             action_dim: dim,

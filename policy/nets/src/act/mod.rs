@@ -28,6 +28,7 @@ pub(crate) use trunk::{Seen, Trunk};
 pub use vae::LatentDistribution;
 pub(crate) use {loss::kl_divergence, vae::VAE_PREFIX};
 
+use crate::dimension::dimension;
 use crate::kernels::Kernels;
 use crate::parameters::{Init, ParameterError, ParameterSource, Parameters};
 use resnet::ResNet18;
@@ -227,7 +228,7 @@ fn image_position(config: &ActConfig) -> Result<Tensor, TchError> {
     let high = ResNet18::feature_side(config.image_height, stages);
     let wide = ResNet18::feature_side(config.image_width, stages);
     let table = position::plane_table(high, wide, config.dim_model);
-    let cameras = i64::try_from(config.cameras.len()).unwrap_or(i64::MAX);
+    let cameras = dimension(config.cameras.len());
     Tensor::f_from_slice(&table)?
         .f_view([high * wide, config.dim_model])?
         .f_repeat([cameras, 1])

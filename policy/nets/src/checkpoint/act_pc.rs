@@ -15,6 +15,7 @@ use super::tensors::Precision;
 use super::{CONFIG, RECIPE, WEIGHTS, check_joints, load_recipe, processors};
 use crate::act::VAE_PREFIX;
 use crate::act_pc::{ActPc, ActPcConfig};
+use crate::dimension::dimension;
 use crate::parameters::ParameterSource;
 use trocar_data::perception::CloudRecipe;
 use trocar_data::relative_action::RELATIVE_ACTION_DIM;
@@ -110,7 +111,7 @@ fn check(config: &ActPcFile, recipe: &Recipe) -> Result<(), Cause> {
         return Err(Cause::Inconsistent(defect));
     }
     let steps = network.act.chunk_size;
-    if usize::try_from(steps).unwrap_or(usize::MAX) > CHUNK_STEPS_MAX {
+    if !(1..=dimension(CHUNK_STEPS_MAX)).contains(&steps) {
         let defect = format!("chunk_size = {steps} is outside [1, {CHUNK_STEPS_MAX}]");
         return Err(Cause::Config(defect));
     }

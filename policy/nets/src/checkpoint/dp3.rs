@@ -14,6 +14,7 @@ use super::error::{Cause, CheckpointError};
 use super::recipe::Recipe;
 use super::tensors::Precision;
 use super::{CONFIG, RECIPE, load_recipe, processors};
+use crate::dimension::dimension;
 use crate::dp3::{Dp3, Dp3Config, LimitsNormaliser};
 use crate::parameters::ParameterSource;
 use trocar_data::perception::CloudRecipe;
@@ -125,7 +126,7 @@ fn check(config: &Dp3File, recipe: &Recipe) -> Result<(), Cause> {
     }
     super::clouds::check_cloud(&config.cloud, recipe)?;
     let steps = network.horizon - network.n_obs_steps + 1;
-    if usize::try_from(steps).unwrap_or(usize::MAX) > CHUNK_STEPS_MAX {
+    if !(1..=dimension(CHUNK_STEPS_MAX)).contains(&steps) {
         let defect = format!("{steps} steps of a chunk are outside [1, {CHUNK_STEPS_MAX}]");
         return Err(Cause::Config(defect));
     }

@@ -10,8 +10,9 @@ use tch::Device;
 const BEFORE: &str = "policy_preprocessor.json";
 const AFTER: &str = "policy_postprocessor.json";
 
+/// Processors that do something else are refused by file and field.
 #[test]
-fn processors_that_do_something_else_are_refused_by_file_and_field() {
+fn unknown_processor_is_refused_by_file_and_field() {
     let folder = whole("processors");
     for (file, from, to, reason) in [
         (

@@ -167,8 +167,9 @@ fn refused_with_statistics(
     fs::write(&path, bytes).unwrap();
 }
 
+/// Statistics that are missing or of another width are refused by feature.
 #[test]
-fn statistics_that_are_missing_or_of_another_width_are_refused_by_feature() {
+fn bad_statistics_are_refused_by_feature() {
     let folder = whole("statistics");
     for (file, key, feature) in [
         (
@@ -225,8 +226,9 @@ fn processors_without_their_step_are_refused() {
     }
 }
 
+/// Absolute actions are targets as they are and have eight numbers.
 #[test]
-fn absolute_actions_are_targets_as_they_are_and_have_eight_numbers() {
+fn absolute_actions_are_targets_of_eight_numbers() {
     let config = ActConfig {
         action_dim: 8,
         ..config()
@@ -276,8 +278,9 @@ fn absolute_actions_are_targets_as_they_are_and_have_eight_numbers() {
     expect(&folder, "config.json", "action has 8 numbers, expected 7");
 }
 
+/// A policy that LeRobot trained on fourteen joints says what it is for.
 #[test]
-fn a_policy_that_lerobot_trained_on_fourteen_joints_says_what_it_is_for() {
+fn policy_for_fourteen_joints_is_refused_with_its_use() {
     // Without a recipe there is one arm; the widths say that this is not for it.
     let config = config().for_arms(2);
     let act = Act::new(config.clone(), ParameterSource::seeded(3, Device::Cpu)).unwrap();

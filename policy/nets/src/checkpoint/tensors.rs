@@ -10,6 +10,7 @@ use serde::{Deserialize, Serialize};
 use tch::{Device, Kind, TchError, Tensor};
 
 use super::error::{Cause, CheckpointError};
+use crate::dimension::length;
 
 /// Element type of stored weights.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -145,11 +146,7 @@ pub(super) fn replace(file: &Path, bytes: &[u8]) -> Result<(), CheckpointError> 
 impl Plain {
     /// A copy of `tensor`, from wherever it is.
     pub(super) fn from_tensor(tensor: &Tensor) -> Result<Self, TchError> {
-        let shape = tensor
-            .size()
-            .iter()
-            .map(|&side| usize::try_from(side).unwrap_or(0))
-            .collect();
+        let shape = tensor.size().iter().map(|&side| length(side)).collect();
         let flat = tensor
             .f_detach()?
             .f_to_kind(Kind::Float)?

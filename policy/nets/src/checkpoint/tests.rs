@@ -454,8 +454,9 @@ fn useless_statistics_are_refused() {
     );
 }
 
+/// A backbone that LeRobot lacks has a name that LeRobot refuses.
 #[test]
-fn a_backbone_that_lerobot_lacks_has_a_name_that_lerobot_refuses() {
+fn group_norm_backbone_has_a_name_lerobot_refuses() {
     let folder = saved("backbone", SaveOptions::default());
     let name = |folder: &Path| {
         let text = fs::read(folder.join("config.json")).unwrap();

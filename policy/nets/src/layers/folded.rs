@@ -92,7 +92,9 @@ impl Projections {
 
     /// Each part for `x` `(rows, width)`.
     fn apply(&self, x: &Tensor, rows: Rows<'_>) -> Result<Vec<Tensor>, TchError> {
-        let width = x.size().last().copied().unwrap_or(0);
+        let &[_, width] = x.size().as_slice() else {
+            return Err(TchError::Shape(format!("rows of {:?}", x.size())));
+        };
         let split = |x: &Tensor| x.f_split(width, 1);
         match (self, rows.position) {
             (Self::Together(all), None) => split(&all.forward(x)?),

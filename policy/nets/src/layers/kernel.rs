@@ -4,6 +4,7 @@ use pulp::Simd;
 use tch::{TchError, Tensor};
 
 use super::vectors::{Vectors, Work};
+use crate::dimension::dimension;
 
 /// Outputs whose weights lie side by side.
 pub(super) const PANEL: usize = 32;
@@ -36,8 +37,9 @@ impl<W: Summing> Work for InRegisters<W> {
 
 /// `weight` `(outputs, ..)` with the outputs of a panel last: its dimensions, the outputs in two, in this order.
 pub(super) fn panels(weight: &Tensor, order: &[i64]) -> Result<Vec<f32>, TchError> {
-    let panel = i64::try_from(PANEL).unwrap_or(0);
-    let last = weight.f_unflatten(0, [-1, panel])?.f_permute(order)?;
+    let last = weight
+        .f_unflatten(0, [-1, dimension(PANEL)])?
+        .f_permute(order)?;
     Vec::try_from(&last.f_contiguous()?.f_view([-1])?)
 }
 

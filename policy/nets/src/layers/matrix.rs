@@ -10,6 +10,7 @@ use super::aligned::Aligned;
 use super::kernel::{InRegisters, PANEL, Summing, Sums, accumulate, panels, share};
 use super::memory;
 use super::vectors::{Processor, Vectors};
+use crate::dimension::{dimension, length};
 
 /// Inputs that are summed on their own before they are added to the others', so that fewer bits are lost and the weights of a panel
 /// stay in the second-level cache.
@@ -42,8 +43,8 @@ pub(crate) struct After<'a> {
 impl Matrix {
     /// Whether `weight` `(outputs, inputs)` is of whole panels.
     pub(crate) fn fits(weight: &Tensor) -> bool {
-        let panel = i64::try_from(PANEL).unwrap_or(i64::MAX);
-        matches!(weight.size().as_slice(), &[outputs, inputs] if inputs > 0 && outputs > 0 && outputs % panel == 0)
+        const PANEL_OUTPUTS: i64 = dimension(PANEL);
+        matches!(weight.size().as_slice(), &[outputs, inputs] if inputs > 0 && outputs > 0 && outputs % PANEL_OUTPUTS == 0)
     }
 
     /// `weight` is `(outputs, inputs)`.
@@ -55,10 +56,9 @@ impl Matrix {
         if !Self::fits(weight) {
             return Err(TchError::Shape(format!("weight {shape:?}")));
         }
-        let length = |side: i64| usize::try_from(side).unwrap_or(0);
         let mut numbers = Vec::with_capacity(length(outputs) * length(inputs));
         for first in (0..inputs).step_by(DEPTH) {
-            let depth = (inputs - first).min(i64::try_from(DEPTH).unwrap_or(i64::MAX));
+            let depth = (inputs - first).min(dimension(DEPTH));
             let part = weight.f_narrow(1, first, depth)?;
             numbers.extend(panels(&part, &[0, 2, 1])?);
         }
@@ -73,7 +73,6 @@ impl Matrix {
     /// `x` `(rows, inputs)`, contiguous, by the matrix, and what comes after it: `(rows, outputs)`.
     pub(crate) fn apply(&self, x: &Tensor, after: After<'_>) -> Result<Tensor, TchError> {
         let shape = x.size();
-        let length = |side: i64| usize::try_from(side).unwrap_or(0);
         let rows = match shape.as_slice() {
             &[rows, inputs] if length(inputs) == self.inputs => length(rows),
             _ => {

@@ -4,6 +4,7 @@
 
 use std::slice;
 
+use crate::dimension::dimension;
 use tch::{Device, Kind, TchError, Tensor};
 
 /// The numbers of `tensor`, which is contiguous, on the CPU and in single precision. Nobody may change them meanwhile, not by another
@@ -15,14 +16,14 @@ pub(super) fn numbers(tensor: &Tensor) -> Result<&[f32], TchError> {
         return Ok(&[]);
     }
     // SAFETY: a contiguous tensor of `count` numbers in single precision has them one after the other from `data_ptr` on, aligned,
-    // as long as it lives. Nothing here writes to a tensor that somebody else may see: `filled` gives its tensor away
+    // as long as it lives. Nothing here writes to a tensor that anything else may see: `filled` gives its tensor away
     // only after it is filled, and layers apply to tensors that nobody changes meanwhile.
     Ok(unsafe { slice::from_raw_parts(tensor.data_ptr().cast::<f32>(), count) })
 }
 
 /// A new tensor of two dimensions, filled by `fill`, which writes every number before it reads it.
 pub(super) fn filled(shape: [usize; 2], fill: impl FnOnce(&mut [f32])) -> Result<Tensor, TchError> {
-    let sides = shape.map(|side| i64::try_from(side).unwrap_or(i64::MAX));
+    let sides = shape.map(dimension);
     let tensor = Tensor::f_empty(sides, (Kind::Float, Device::Cpu))?;
     check(&tensor)?;
     let count = tensor.numel();

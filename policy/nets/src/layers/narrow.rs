@@ -18,6 +18,7 @@ use std::thread;
 use tch::{TchError, Tensor};
 
 use super::vectors::Processor;
+use crate::dimension::{dimension, length};
 pub(crate) use columns::{Columns, Windows};
 use kernel::{Product, To};
 use weights::{Brain, Half, Single, Stored, Weights};
@@ -57,11 +58,9 @@ impl Narrow {
     ) -> Result<Self, TchError> {
         let bias = Vec::<f32>::try_from(bias)?;
         let shape = matrix.size();
-        let outputs = i64::try_from(bias.len()).unwrap_or(i64::MAX);
+        let outputs = dimension(bias.len());
         let rows = match shape.as_slice() {
-            &[of_matrix, rows] if of_matrix == outputs && rows > 0 => {
-                usize::try_from(rows).unwrap_or(usize::MAX)
-            }
+            &[of_matrix, rows] if of_matrix == outputs && rows > 0 => length(rows),
             _ => {
                 let text = format!("weights {shape:?} of {outputs} outputs");
                 return Err(TchError::Shape(text));

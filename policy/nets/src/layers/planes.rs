@@ -17,6 +17,7 @@ use tch::{TchError, Tensor};
 
 use super::aligned::Aligned;
 use super::vectors::Processor;
+use crate::dimension::{dimension, length};
 
 pub(crate) use direct::{Direct, Steps};
 pub(crate) use stem::Stem;
@@ -74,7 +75,7 @@ impl Plane {
 
     /// As `(pixels of all pictures, channels)`, row by row.
     pub(crate) fn rows(&self) -> Result<Tensor, TchError> {
-        let channels = i64::try_from(self.size.channels).unwrap_or(0);
+        let channels = dimension(self.size.channels);
         Tensor::f_from_slice(&self.values[..self.size.numbers()])?.f_view([-1, channels])
     }
 }
@@ -160,7 +161,7 @@ fn bias_of(bias: &Tensor, outputs: usize) -> Result<Vec<f32>, TchError> {
 /// The lengths of a tensor's four dimensions.
 fn shape_of(tensor: &Tensor) -> Result<[usize; 4], TchError> {
     let shape = tensor.size();
-    let lengths = shape.iter().map(|&n| usize::try_from(n).unwrap_or(0));
+    let lengths = shape.iter().map(|&n| length(n));
     <[usize; 4]>::try_from(lengths.collect::<Vec<_>>())
         .map_err(|_| TchError::Shape(format!("four dimensions, not {shape:?}")))
 }

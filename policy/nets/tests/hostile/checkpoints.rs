@@ -167,8 +167,9 @@ fn headers_that_lie_are_refused_before_memory_is_asked_for() {
     });
 }
 
+/// Numbers of a configuration that ask for too much are refused.
 #[test]
-fn numbers_of_a_configuration_that_ask_for_too_much_are_refused() {
+fn excessive_configuration_numbers_are_refused() {
     let folder = Folder::new("sizes");
     save(folder.path());
     let file = folder.path().join("config.json");

@@ -280,8 +280,9 @@ fn checked(code: libc::c_int) -> io::Result<()> {
 mod tests {
     use super::*;
 
+    /// Slow motion is a whole number from 1 to 100 and nothing else.
     #[test]
-    fn slow_motion_is_a_whole_number_from_1_to_100_and_nothing_else() {
+    fn slow_motion_is_a_whole_number_from_1_to_100() {
         for (text, factor) in [("1", 1), ("6", 6), ("100", 100)] {
             assert_eq!(parse_slow_motion(text), Some(factor));
         }

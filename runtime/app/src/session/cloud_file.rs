@@ -110,8 +110,9 @@ mod tests {
         assert_eq!(dropped, [0, 1, 3, 6, 12]);
     }
 
+    /// Every key is taken and what makes no sense is refused by key.
     #[test]
-    fn every_key_is_taken_and_what_makes_no_sense_is_refused_by_key() {
+    fn cloud_file_keys_are_checked_one_by_one() {
         let good = "frame = \"first_camera\"\ncrop_min_m = [-0.1, -0.1, 0.0]\ncrop_max_m = [0.1, 0.1, 0.2]\n\
                     dropped_instances = [0]\nvoxel_m = 0.002\npoints = 64\npadding = \"origin\"\n";
         let recipe = CloudRecipe {

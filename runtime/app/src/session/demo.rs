@@ -25,7 +25,7 @@ pub struct DemoOptions {
     pub task: String,
     /// The policy; the committed one of the task if not given.
     pub policy: Option<String>,
-    /// Everything random hangs on this.
+    /// Everything random depends on this.
     pub seed: u64,
 }
 

@@ -11,7 +11,7 @@ pub struct Latency {
     pub ticks: u64,
     /// What may come on top, evenly distributed from nothing to this, ticks; every chunk draws its own.
     pub jitter_ticks: u64,
-    /// What the draws hang on.
+    /// What the draws depend on.
     pub seed: u64,
 }
 
@@ -89,8 +89,9 @@ mod tests {
         assert!(arrived.iter().all(|(sent, tick)| tick - sent == 35));
     }
 
+    /// Jitter is drawn by seed stays in its range and nothing overtakes.
     #[test]
-    fn jitter_is_drawn_by_seed_stays_in_its_range_and_nothing_overtakes() {
+    fn jitter_stays_in_range_and_keeps_the_order() {
         let latency = Latency {
             ticks: 30,
             jitter_ticks: 40,

@@ -33,7 +33,7 @@ pub(super) const STOPPED: &str = "stopped by the operator";
 pub struct RunOptions {
     /// The policy.
     pub policy: PolicyChoice,
-    /// Everything random hangs on this.
+    /// Everything random depends on this.
     pub seed: u64,
     /// Where the log goes, if anywhere. A log holds frames even if the policy needs none: see [`Setup::cameras_with`].
     pub log: Option<PathBuf>,

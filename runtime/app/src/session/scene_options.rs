@@ -178,8 +178,9 @@ mod tests {
         );
     }
 
+    /// A policy's cameras come first and only without any the first of the task.
     #[test]
-    fn a_policys_cameras_come_first_and_only_without_any_the_first_of_the_task() {
+    fn cameras_of_the_policy_come_first() {
         let plain = setup("needle-lift", &SceneOptions::default()).unwrap();
         assert_eq!(plain.cameras_with(Vec::new()), ["endoscope"]);
         assert_eq!(plain.cameras_with(vec!["wrist".to_owned()]), ["wrist"]);

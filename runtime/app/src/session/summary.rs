@@ -209,7 +209,7 @@ pub struct RunSummary {
     pub scene: Option<String>,
     /// The policy and what it did.
     pub policy: PolicyCounts,
-    /// The seed that everything random hangs on.
+    /// The seed that everything random depends on.
     pub seed: u64,
     /// Whether the task was done; absent without a task.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -412,8 +412,9 @@ mod tests {
         }
     }
 
+    /// A bus on which our controller became error passive is named with what to look at.
     #[test]
-    fn a_bus_on_which_our_controller_became_error_passive_is_named_with_what_to_look_at() {
+    fn error_passive_bus_is_named_with_advice() {
         let bus = |error_passive| CanBusSummary {
             interface: "vcan1".to_owned(),
             planned_per_mille: 900,

@@ -243,8 +243,9 @@ pub(super) mod tests {
         );
     }
 
+    /// What is written is read and a second file takes another name.
     #[test]
-    fn what_is_written_is_read_and_a_second_file_takes_another_name() {
+    fn written_events_are_read_back() {
         let folder = scratch("round-trip");
         let mut first = EventFile::create(&folder, 0, 1.7e9).unwrap();
         first.scalars(5, 1.7e9, &[("a", 0.5), ("b", -2.0)]).unwrap();

@@ -104,8 +104,9 @@ fn run_setup(
     (end, RunLog::open(&file.0).unwrap())
 }
 
+/// Two arms run replay and verify under every policy without a network.
 #[test]
-fn two_arms_run_replay_and_verify_under_every_policy_without_a_network() {
+fn two_arms_run_replay_and_verify_without_a_network() {
     // The expert's second arm waits for its turn.
     for (policy, ticks) in [
         (PolicyChoice::Expert, 12_000),
@@ -160,8 +161,9 @@ const COMMITTED: &str = concat!(
     "/../../config/policies/needle-lift/act-small"
 );
 
+/// A network of another number of arms is refused with both numbers.
 #[test]
-fn a_network_of_another_number_of_arms_is_refused_with_both_numbers() {
+fn network_of_another_arm_count_is_refused() {
     let folder = Scratch::new("session-arms");
     fs::create_dir_all(&folder.0).unwrap();
     let recipe = Path::new(COMMITTED).join("trocar.json");
@@ -292,8 +294,9 @@ fn a_query_interval_longer_than_a_chunk_is_refused() {
     assert!(error.to_string().contains("--query-every 51"), "{error}");
 }
 
+/// A demonstration of two arms trains a network that commands both.
 #[test]
-fn a_demonstration_of_two_arms_trains_a_network_that_commands_both() {
+fn network_of_two_arms_commands_both() {
     let folder = Scratch::new("session-bimanual");
     let (data, out) = (folder.0.join("data"), folder.0.join("act"));
     check_demonstration(&record_one(&data));

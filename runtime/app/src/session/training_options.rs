@@ -121,7 +121,7 @@ pub struct TrainingOptions {
     pub eager: bool,
     /// Threads that decode images, and compute on the CPU.
     pub threads: usize,
-    /// Everything random hangs on this.
+    /// Everything random depends on this.
     pub seed: u64,
     /// Steps between two times that the state is kept, from which the training can go on; 0 is never.
     pub save_every: u64,

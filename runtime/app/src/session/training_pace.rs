@@ -261,8 +261,9 @@ mod tests {
         assert_eq!(standing.seconds_left, Some(10.0 + 2.0 * 50.0));
     }
 
+    /// A training of more than a day is warned of once and not by its first step.
     #[test]
-    fn a_training_of_more_than_a_day_is_warned_of_once_and_not_by_its_first_step() {
+    fn long_training_is_warned_of_once() {
         let long = |pace: &mut Pace, step: u64, seconds: f64| {
             let standing = pace.standing((step, 100_000), (1.0, None), seconds, 0);
             pace.warning(&standing)

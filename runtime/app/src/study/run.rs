@@ -27,7 +27,7 @@ use crate::rt::{self, MonotonicClock};
 /// Time between two looks at the children.
 const LOOK_NS: u64 = 50_000_000;
 
-/// Time after which a cell that somebody else works on is looked at again.
+/// Time after which a cell that another process works on is looked at again.
 const ELSEWHERE_NS: u64 = 1_000_000_000;
 
 /// What became of a study, or of a shard of it.

@@ -6,7 +6,7 @@
 //!                       result.json   what the verb reported
 //!                       log.txt       what the verb said
 //!                       data/         the dataset; of a training checkpoint/, of an evaluation kept/
-//!                       lock          held while somebody works on the cell
+//!                       lock          held while a process works on the cell
 //! ```
 
 use std::fs::{self, File, OpenOptions, TryLockError};

@@ -127,8 +127,9 @@ fn fewer_demonstrations_are_the_first_of_one_recording() {
     );
 }
 
+/// An address is of everything that makes a cell and of nothing else.
 #[test]
-fn an_address_is_of_everything_that_makes_a_cell_and_of_nothing_else() {
+fn address_covers_all_that_makes_a_cell() {
     let before = plan(TINY);
     let changed = |from: &str, to: &str| {
         assert!(TINY.contains(from), "{from}");
@@ -306,8 +307,9 @@ fn nothing_is_evaluated_on_seeds_of_its_demonstrations() {
     assert!(error.contains("1000 to 1001"), "{error}");
 }
 
+/// Untrained policies stand once whatever is trained beside them.
 #[test]
-fn untrained_policies_stand_once_whatever_is_trained_beside_them() {
+fn untrained_policies_are_listed_once() {
     let plan = plan(&TINY.replacen("demonstrations = [2]", "demonstrations = [1, 2]", 1));
     let expert = |entry: &&super::plan::Entry| entry.at.network == "expert";
     let places: Vec<_> = plan

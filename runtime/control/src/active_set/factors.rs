@@ -155,15 +155,9 @@ impl<const N: usize> Factors<N> {
 
     /// Makes the active row `place` inactive; those behind it move up.
     pub(super) fn remove(&mut self, place: usize) {
-        if place >= self.count {
-            return;
-        }
+        assert!(place < self.count, "no such active row");
+        self.triangle.copy_within(place + 1..self.count, place);
         self.count -= 1;
-        for k in place..self.count {
-            if let Some(next) = self.triangle.get(k + 1) {
-                self.triangle[k] = *next;
-            }
-        }
         self.triangle[self.count] = [0.0; N];
         for j in place..self.count {
             self.rotate(j);
@@ -172,9 +166,7 @@ impl<const N: usize> Factors<N> {
 
     /// Rotates rows `j` and `j + 1` of `R`, and the columns of `J`, so that column `j` ends on the diagonal.
     fn rotate(&mut self, j: usize) {
-        if j + 1 >= N {
-            return;
-        }
+        assert!(j + 1 < N, "the last row has none behind it");
         let (upper, lower) = (self.triangle[j][j], self.triangle[j][j + 1]);
         if lower == 0.0 {
             self.diagonal_inverse[j] = upper.recip();

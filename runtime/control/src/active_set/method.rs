@@ -245,20 +245,16 @@ impl<const N: usize> Method<N> {
     }
 
     pub(super) fn add(&mut self, entering: Active<N>, seen: &Seen<N>) {
-        if self.factors.add(seen)
-            && let Some(place) = self.active.get_mut(self.active_count)
-        {
-            *place = entering;
+        if self.factors.add(seen) {
+            self.active[self.active_count] = entering;
             self.active_count += 1;
         }
     }
 
     pub(super) fn remove(&mut self, place: usize) {
         self.factors.remove(place);
-        if let Some(behind) = self.active.get_mut(place..self.active_count) {
-            behind.rotate_left(1);
-            self.active_count -= 1;
-        }
+        self.active[place..self.active_count].rotate_left(1);
+        self.active_count -= 1;
     }
 
     /// The point and the multipliers anew from the factors, without the rounding of the steps. Returns the least multiplier,

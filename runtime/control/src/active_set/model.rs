@@ -79,10 +79,8 @@ impl<const N: usize> Method<N> {
     fn forces(&self) -> [f64; CONES_MAX] {
         let mut forces = [0.0; CONES_MAX];
         for active in self.active.iter().take(self.active_count) {
-            if let Some(touch) = active.touch
-                && let Some(force) = forces.get_mut(touch.cone)
-            {
-                *force += active.multiplier / touch.gradient;
+            if let Some(touch) = active.touch {
+                forces[touch.cone] += active.multiplier / touch.gradient;
             }
         }
         forces
@@ -95,7 +93,7 @@ impl<const N: usize> Method<N> {
         self.active_count = 0;
         for mut active in actives.into_iter().take(count) {
             if let Some(touch) = active.touch {
-                let Some(cut) = self.cuts.get(touch.cone).copied().flatten() else {
+                let Some(cut) = self.cuts[touch.cone] else {
                     continue;
                 };
                 active.row = cut.row;

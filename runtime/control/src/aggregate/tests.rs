@@ -34,8 +34,9 @@ fn oldest_chunk_weighs_most_and_newest_moves_the_jaw() {
     assert!((blended.position_m[0] - 1.0).abs() < 1e-15);
 }
 
+/// Hundred chunks cover one instant and older ones are forgotten.
 #[test]
-fn hundred_chunks_cover_one_instant_and_older_ones_are_forgotten() {
+fn oldest_of_a_hundred_chunks_are_dropped() {
     let mut aggregator = Aggregator::new(Aggregation::Ensemble { decay: 0.01 });
     for index in 0..300_u32 {
         let observed_at = u64::from(index) * STEP_NS;

@@ -81,8 +81,9 @@ fn segment(random: &mut SplitMix64, shape: &Shape) -> (Point, Point) {
     (from_m, to_m)
 }
 
+/// No sampled point is nearer and the nearest one is where it says.
 #[test]
-fn no_sampled_point_is_nearer_and_the_nearest_one_is_where_it_says() {
+fn nearest_point_is_nearer_than_all_samples() {
     let mut random = SplitMix64::new(71);
     let (mut inside, mut outside) = (0, 0);
     for case in 0..6_000 {

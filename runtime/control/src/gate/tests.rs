@@ -1,6 +1,6 @@
 //! What passes the gate and what does not.
 
-use super::{Gate, GateLimits, Verdict};
+use super::{Gate, GateDecision, GateLimits};
 use hal::{Chunk, Pose, TimeNs, TipTarget};
 
 const LIMITS: GateLimits = GateLimits {
@@ -18,7 +18,7 @@ fn good(sequence: u64) -> Chunk {
     Chunk::new(TimeNs(900_000_000), sequence, STEP_NS, &targets)
 }
 
-fn verdict_after(spoil: impl Fn(&mut Chunk)) -> Verdict {
+fn decision_after(spoil: impl Fn(&mut Chunk)) -> GateDecision {
     let mut gate = Gate::new(LIMITS);
     let mut chunk = good(5);
     spoil(&mut chunk);
@@ -30,12 +30,21 @@ fn verdict_after(spoil: impl Fn(&mut Chunk)) -> Verdict {
 fn a_good_chunk_is_accepted_once() {
     let mut gate = Gate::new(LIMITS);
     let tip = Pose::translation(0.0, 0.0, -0.11);
-    assert_eq!(gate.judge(&good(5), NOW, &tip), Some(Verdict::Accepted));
+    assert_eq!(
+        gate.judge(&good(5), NOW, &tip),
+        Some(GateDecision::Accepted)
+    );
     assert_eq!(gate.judge(&good(5), NOW, &tip), None);
-    assert_eq!(gate.judge(&good(4), NOW, &tip), Some(Verdict::OutOfOrder));
+    assert_eq!(
+        gate.judge(&good(4), NOW, &tip),
+        Some(GateDecision::OutOfOrder)
+    );
     assert_eq!((gate.accepted_count(), gate.refused_count()), (1, 1));
     gate.forget();
-    assert_eq!(gate.judge(&good(1), NOW, &tip), Some(Verdict::Accepted));
+    assert_eq!(
+        gate.judge(&good(1), NOW, &tip),
+        Some(GateDecision::Accepted)
+    );
 }
 
 #[test]
@@ -46,77 +55,80 @@ fn a_refused_sequence_does_not_block_the_next_one() {
     bad.targets[3].jaw = f64::NAN;
     assert_eq!(
         gate.judge(&bad, NOW, &tip),
-        Some(Verdict::NotFinite { index: 3 })
+        Some(GateDecision::NotFinite { index: 3 })
     );
-    assert_eq!(gate.judge(&good(6), NOW, &tip), Some(Verdict::Accepted));
+    assert_eq!(
+        gate.judge(&good(6), NOW, &tip),
+        Some(GateDecision::Accepted)
+    );
 }
 
 #[test]
 fn every_kind_of_nonsense_has_its_verdict() {
     assert_eq!(
-        verdict_after(|c| c.len = 0),
-        Verdict::WrongLength { len: 0 }
+        decision_after(|c| c.len = 0),
+        GateDecision::WrongLength { len: 0 }
     );
     assert_eq!(
-        verdict_after(|c| c.len = 129),
-        Verdict::WrongLength { len: 129 }
+        decision_after(|c| c.len = 129),
+        GateDecision::WrongLength { len: 129 }
     );
     assert_eq!(
-        verdict_after(|c| c.step_ns = 0),
-        Verdict::WrongStep { step_ns: 0 }
+        decision_after(|c| c.step_ns = 0),
+        GateDecision::WrongStep { step_ns: 0 }
     );
     assert_eq!(
-        verdict_after(|c| c.step_ns = u64::MAX),
-        Verdict::WrongStep { step_ns: u64::MAX }
+        decision_after(|c| c.step_ns = u64::MAX),
+        GateDecision::WrongStep { step_ns: u64::MAX }
     );
     assert_eq!(
-        verdict_after(|c| c.observed_at = TimeNs(u64::MAX)),
-        Verdict::FromTheFuture
+        decision_after(|c| c.observed_at = TimeNs(u64::MAX)),
+        GateDecision::FromTheFuture
     );
     assert_eq!(
-        verdict_after(|c| c.len = 2),
-        Verdict::Stale {
+        decision_after(|c| c.len = 2),
+        GateDecision::Stale {
             age_ns: 100_000_000
         }
     );
     assert_eq!(
-        verdict_after(|c| c.targets[7].position_m[1] = f64::INFINITY),
-        Verdict::NotFinite { index: 7 }
+        decision_after(|c| c.targets[7].position_m[1] = f64::INFINITY),
+        GateDecision::NotFinite { index: 7 }
     );
     assert_eq!(
-        verdict_after(|c| c.targets[7].rotation_xyzw = [0.0; 4]),
-        Verdict::NotUnit { index: 7 }
+        decision_after(|c| c.targets[7].rotation_xyzw = [0.0; 4]),
+        GateDecision::NotUnit { index: 7 }
     );
     assert_eq!(
-        verdict_after(|c| c.targets[7].position_m[1] = 0.02),
-        Verdict::StepTooLong { index: 7 }
+        decision_after(|c| c.targets[7].position_m[1] = 0.02),
+        GateDecision::StepTooLong { index: 7 }
     );
     let turned = [1.0, 0.0, 0.0, 0.0];
     assert_eq!(
-        verdict_after(|c| c.targets[9].rotation_xyzw = turned),
-        Verdict::StepTooLong { index: 9 }
+        decision_after(|c| c.targets[9].rotation_xyzw = turned),
+        GateDecision::StepTooLong { index: 9 }
     );
     assert_eq!(
-        verdict_after(|c| c.targets.iter_mut().for_each(|t| t.position_m[0] = 0.06)),
-        Verdict::Jump
+        decision_after(|c| c.targets.iter_mut().for_each(|t| t.position_m[0] = 0.06)),
+        GateDecision::Jump
     );
     assert_eq!(
-        verdict_after(|c| c.targets[100].jaw = f64::NAN),
-        Verdict::Accepted
+        decision_after(|c| c.targets[100].jaw = f64::NAN),
+        GateDecision::Accepted
     );
 }
 
 #[test]
 fn an_old_observation_is_stale() {
     let mut gate = Gate::new(LIMITS);
-    let verdict = gate.judge(
+    let decision = gate.judge(
         &good(1),
         TimeNs(2_900_000_001),
         &Pose::translation(0.0, 0.0, -0.11),
     );
     assert_eq!(
-        verdict,
-        Some(Verdict::Stale {
+        decision,
+        Some(GateDecision::Stale {
             age_ns: 2_000_000_001
         })
     );

@@ -163,8 +163,9 @@ fn inverse_chooses_the_roll_turn_nearest_to_the_hint() {
     );
 }
 
+/// Unreachable poses are refused and clamped poses are within limits.
 #[test]
-fn unreachable_poses_are_refused_and_clamped_poses_are_within_limits() {
+fn unreachable_poses_are_refused_or_clamped() {
     let (low, high) = (
         JointVector::from(POSITION_MIN),
         JointVector::from(POSITION_MAX),

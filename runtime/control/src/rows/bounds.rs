@@ -58,8 +58,9 @@ fn closing_share(effort_n_m: f64, closing_effort_n_m_max: f64) -> f64 {
 mod tests {
     use super::closing_share;
 
+    /// The jaw closes more slowly from four fifths of the effort and stops at all of it.
     #[test]
-    fn the_jaw_closes_more_slowly_from_four_fifths_of_the_effort_and_stops_at_all_of_it() {
+    fn jaw_slows_down_near_its_effort_limit() {
         for (effort, share) in [
             (0.1, 1.0),
             (0.0, 1.0),

@@ -109,8 +109,9 @@ fn every_geometry_row_is_the_rate_of_its_distance() {
     }
 }
 
+/// A slower pace lowers every speed and an arm at rest has none.
 #[test]
-fn a_slower_pace_lowers_every_speed_and_an_arm_at_rest_has_none() {
+fn slower_pace_lowers_every_speed() {
     let config = two_arms();
     let mut random = SplitMix64::new(23);
     let states = [(); 2].map(|()| MotionState {

@@ -39,8 +39,9 @@ fn the_first_commands_are_where_the_arm_is() {
     assert!((output.command.position[0] - 0.123).abs() < 1e-15);
 }
 
+/// A lost measurement stops the arm and holds it until the operator clears.
 #[test]
-fn a_lost_measurement_stops_the_arm_and_holds_it_until_the_operator_clears() {
+fn lost_measurement_stops_until_cleared() {
     let mut bench = moving();
     let error = ArmError::MeasurementLost { age_ns: 5_000_000 };
     let output = bench.step_measuring(Err(error), None, None);
@@ -77,8 +78,9 @@ fn nan_in_the_measurement_is_a_fault() {
     assert!(output.command.position.iter().all(|x| x.is_finite()));
 }
 
+/// An arm that is measured where it cannot be is not enabled there.
 #[test]
-fn an_arm_that_is_measured_where_it_cannot_be_is_not_enabled_there() {
+fn arm_measured_out_of_range_is_not_enabled() {
     for (axis, value) in [(2, 1.39), (2, -0.05), (0, 2.0), (6, 4.0)] {
         let mut bench = Bench::disabled(&config());
         bench.step(None, None);
@@ -142,8 +144,9 @@ fn a_paused_arm_holds_and_goes_on_with_fresh_chunks() {
     assert!(output.report.target.is_some());
 }
 
+/// An arm enabled outside its workspace comes back and never gets further.
 #[test]
-fn an_arm_enabled_outside_its_workspace_comes_back_and_never_gets_further() {
+fn arm_outside_its_workspace_comes_back() {
     let config = config();
     let mut bench = Bench::disabled(&config);
     // The tip 5 mm beyond the ceiling and the insertion short of its range.

@@ -38,15 +38,6 @@ const MUSCLE: Material = Material {
     pattern: Pattern::Muscle,
 };
 
-fn visual(name: &'static str, mesh: Mesh, material: Material, instance: u8) -> Visual {
-    Visual {
-        name,
-        mesh,
-        material,
-        instance,
-    }
-}
-
 fn at(x: f64, y: f64, z: f64) -> Pose {
     Translation3::new(x, y, z).into()
 }
@@ -128,17 +119,17 @@ fn lift_scene() -> (Vec<Visual>, Vec<Pose>) {
     };
     let needle = tube(&arc(0.0095, 0.0, core::f64::consts::PI, 40), &[0.00055], 8);
     let visuals = vec![
-        visual(
+        Visual::new(
             "organ",
             height_field(0.08, 0.08, 34, bumps),
             MUSCLE,
             instance::ORGAN,
         ),
-        visual("needle", needle, NEEDLE, instance::NEEDLE),
-        visual("shaft", shaft(0.15), STEEL, instance::SHAFT),
-        visual("wrist", wrist(), STEEL, instance::WRIST),
-        visual("left finger", finger(Finger::PlusY), STEEL, instance::JAW),
-        visual("right finger", finger(Finger::MinusY), STEEL, instance::JAW),
+        Visual::new("needle", needle, NEEDLE, instance::NEEDLE),
+        Visual::new("shaft", shaft(0.15), STEEL, instance::SHAFT),
+        Visual::new("wrist", wrist(), STEEL, instance::WRIST),
+        Visual::new("left finger", finger(Finger::PlusY), STEEL, instance::JAW),
+        Visual::new("right finger", finger(Finger::MinusY), STEEL, instance::JAW),
     ];
     let turn = |x: f64, y: f64, z: f64| Pose::rotation(Vector3::new(x, y, z));
     let shaft_in_scene =
@@ -169,7 +160,7 @@ fn endoscope(size_px: u32) -> Camera {
 
 #[test]
 fn depth_of_a_plane_is_the_analytic_one() {
-    let plane = visual("plane", height_field(0.5, 0.5, 3, |_, _| 0.0), MUSCLE, 1);
+    let plane = Visual::new("plane", height_field(0.5, 0.5, 3, |_, _| 0.0), MUSCLE, 1);
     let mut renderer = Renderer::new(&[plane]).unwrap();
     let camera = tilted_camera();
     let frame = shoot(&mut renderer, &[at(0.0, 0.0, 0.01)], &camera);
@@ -188,10 +179,12 @@ fn depth_of_a_plane_is_the_analytic_one() {
     );
 }
 
+/// Depth of a ball is the analytic one and nothing is behind it.
 #[test]
-fn depth_of_a_ball_is_the_analytic_one_and_nothing_is_behind_it() {
+fn depth_of_a_ball_is_analytic() {
     let radius = 0.02;
-    let mut renderer = Renderer::new(&[visual("ball", sphere(radius, 128), STEEL, 9)]).unwrap();
+    let mut renderer =
+        Renderer::new(&[Visual::new("ball", sphere(radius, 128), STEEL, 9)]).unwrap();
     let camera = tilted_camera();
     let centre_in_scene = Point3::new(0.01, 0.005, 0.0);
     let frame = shoot(
@@ -237,7 +230,7 @@ fn the_mask_of_a_box_is_exact() {
         near_m: 0.01,
         far_m: 1.0,
     };
-    let block = visual(
+    let block = Visual::new(
         "box",
         cuboid(Vector3::new(0.0123, 0.0077, 0.001)),
         STEEL,
@@ -269,7 +262,7 @@ fn points_of_the_scene_fall_where_the_intrinsics_say() {
     ]
     .map(Point3::from);
     let balls: Vec<_> = (11..15)
-        .map(|id| visual("ball", sphere(0.003, 20), STEEL, id))
+        .map(|id| Visual::new("ball", sphere(0.003, 20), STEEL, id))
         .collect();
     let poses = points.map(|p| at(p.x, p.y, p.z));
     let frame = shoot(&mut Renderer::new(&balls).unwrap(), &poses, &camera);
@@ -315,7 +308,7 @@ fn the_same_scene_gives_the_same_bytes() {
 
 #[test]
 fn a_ball_puts_what_is_behind_it_into_shadow() {
-    let plane = visual(
+    let plane = Visual::new(
         "plane",
         height_field(0.1, 0.1, 3, |_, _| 0.0),
         Material {
@@ -325,7 +318,7 @@ fn a_ball_puts_what_is_behind_it_into_shadow() {
         },
         1,
     );
-    let ball = visual("ball", sphere(0.006, 32), STEEL, 2);
+    let ball = Visual::new("ball", sphere(0.006, 32), STEEL, 2);
     let poses = [Pose::identity(), at(0.0, 0.0, 0.025)];
     let camera = Camera {
         camera_in_scene: look_at(Point3::new(0.0, 0.0, 0.12), Point3::origin(), Vector3::y()),
@@ -361,7 +354,7 @@ fn a_ball_puts_what_is_behind_it_into_shadow() {
 
 #[test]
 fn what_can_not_be_drawn_is_refused() {
-    let good = || visual("box", cuboid(Vector3::new(0.01, 0.01, 0.01)), STEEL, 1);
+    let good = || Visual::new("box", cuboid(Vector3::new(0.01, 0.01, 0.01)), STEEL, 1);
     let mut renderer = Renderer::new(&[good()]).unwrap();
     let mut frame = CameraFrame::blank(endoscope(8).intrinsics);
     let mut attempt = |poses: &[Pose], camera: &Camera, light: &Light| {
@@ -464,8 +457,8 @@ fn a_reshaped_mesh_is_drawn_where_it_went() {
     let board =
         |x: f64| crate::shapes::placed(cuboid(Vector3::new(0.01, 0.01, 0.002)), &at(x, 0.0, 0.0));
     let visuals = [
-        visual("still", board(-0.03), STEEL, 1),
-        visual("bent", board(0.0), STEEL, 2),
+        Visual::new("still", board(-0.03), STEEL, 1),
+        Visual::new("bent", board(0.0), STEEL, 2),
     ];
     let mut renderer = Renderer::new(&visuals).unwrap();
     let poses = [Pose::identity(); 2];
@@ -474,8 +467,11 @@ fn a_reshaped_mesh_is_drawn_where_it_went() {
     renderer.reshape(1, &board(0.02)).unwrap();
     let after = shoot(&mut renderer, &poses, &camera);
     // As if it had been made there.
-    let mut moved =
-        Renderer::new(&[visuals[0].clone(), visual("bent", board(0.02), STEEL, 2)]).unwrap();
+    let mut moved = Renderer::new(&[
+        visuals[0].clone(),
+        Visual::new("bent", board(0.02), STEEL, 2),
+    ])
+    .unwrap();
     let expected = shoot(&mut moved, &poses, &camera);
     assert!(before.instance.contains(&2) && before.instance != after.instance);
     assert_eq!(after.instance, expected.instance);

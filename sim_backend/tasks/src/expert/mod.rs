@@ -16,7 +16,7 @@ pub struct Expert {
 }
 
 impl Expert {
-    /// An expert for `task`; its habits hang on `seed`, apart from the scene's own randomness.
+    /// An expert for `task`; its habits depend on `seed`, apart from the scene's own randomness.
     #[must_use]
     pub fn new(task: &TaskConfig, seed: u64) -> Self {
         Self {

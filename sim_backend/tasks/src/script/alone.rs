@@ -2,8 +2,9 @@
 
 use hal::{Pose, TimeNs, TipTarget};
 use trocar_world::ArmStart;
+use trocar_world::rng::Rng;
 
-use super::play::{Activity, ArmView, Part};
+use super::play::{Activity, ArmView, Hand, Looks, Part};
 use super::{Script, Wish, arrive, carry};
 use crate::scene::SceneState;
 use hal::ARMS_MAX;
@@ -18,18 +19,24 @@ pub(crate) struct View {
     pub(crate) goal: Pose,
 }
 
+impl Looks for View {
+    fn arm(&self) -> &ArmView {
+        &self.arm
+    }
+}
+
 /// A script with a single hand.
 #[derive(Clone, Debug)]
-pub(crate) struct Alone<P> {
-    part: P,
+pub(crate) struct Alone<P: Part> {
+    hand: Hand<P>,
     scene_from_rcm: Pose,
 }
 
-impl<P> Alone<P> {
-    /// The script of `part`, which the first of `arms` plays.
-    pub(crate) const fn new(part: P, arms: &[ArmStart]) -> Self {
+impl<P: Part> Alone<P> {
+    /// The script of `part` in the episode `seed`, which the first of `arms` plays.
+    pub(crate) fn new(part: P, arms: &[ArmStart], seed: u64) -> Self {
         Self {
-            part,
+            hand: Hand::new(part, Rng::stream(seed, "expert")),
             scene_from_rcm: arms[0].scene_from_rcm,
         }
     }
@@ -46,7 +53,7 @@ impl<P: Part<View = View>> Script for Alone<P> {
             thing: self.scene_from_rcm * scene.first.thing_in_rcm,
             goal: scene.goal_in_scene.unwrap_or_else(Pose::identity),
         };
-        let placement = self.part.play(now, &view);
+        let placement = self.hand.play(now, &view);
         let tip_in_rcm = self.scene_from_rcm.inv_mul(&placement.tip_in_scene);
         Wish {
             first: TipTarget::new(&tip_in_rcm, placement.jaw),
@@ -55,15 +62,15 @@ impl<P: Part<View = View>> Script for Alone<P> {
     }
 
     fn attempts(&self) -> u32 {
-        self.part.hand().attempts()
+        self.hand.attempts()
     }
 
     fn activities(&self) -> [Activity; ARMS_MAX] {
-        [self.part.activity(), Activity::Other]
+        [self.hand.activity(), Activity::Other]
     }
 
     fn foresee(&self, scene: &mut SceneState, wish: &Wish) {
-        if self.part.carries() && scene.first.grasp.both_touch {
+        if self.hand.carries() && scene.first.grasp.both_touch {
             carry(&mut scene.first, &wish.first);
         } else {
             arrive(&mut scene.first, &wish.first);

@@ -11,10 +11,7 @@ pub(crate) const ARRIVED_PATIENCE_S: f64 = 0.6;
 
 /// `placement`, higher by `height_m`.
 pub(crate) fn raised(placement: Placement, height_m: f64) -> Placement {
-    Placement {
-        tip_in_scene: Translation3::new(0.0, 0.0, height_m) * placement.tip_in_scene,
-        ..placement
-    }
+    placement.with_tip(Translation3::new(0.0, 0.0, height_m) * placement.tip_in_scene)
 }
 
 /// The tip rotation at home: approach along -z of the scene, jaw opening along x.

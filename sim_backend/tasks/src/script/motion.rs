@@ -10,6 +10,21 @@ pub(crate) struct Placement {
     pub(crate) jaw: f64,
 }
 
+impl Placement {
+    /// The same place with the jaw at `jaw`.
+    pub(crate) fn with_jaw(self, jaw: f64) -> Self {
+        Self { jaw, ..self }
+    }
+
+    /// The same jaw angle at another place.
+    pub(crate) fn with_tip(self, tip_in_scene: Pose) -> Self {
+        Self {
+            tip_in_scene,
+            ..self
+        }
+    }
+}
+
 /// How fast a motion may be.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Pace {

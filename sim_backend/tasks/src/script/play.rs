@@ -15,19 +15,55 @@ const FOLLOW_STEP_RAD: f64 = 0.04;
 /// without a disturbance it stays far below.
 const OFF_M: f64 = 0.002_5;
 
+/// A transition: from a stage, upon an event, to another stage.
+pub(crate) type Transition<S> = (S, Event, S);
+
 /// What a hand does at a time: a state of its part's state machine.
 pub(crate) trait Stage: Copy + Debug + PartialEq + Send + 'static {
     /// What a hand begins with.
     const FIRST: Self;
 
-    /// Every transition: from a stage, upon an event, to another stage. Upon any other event a hand stays in its stage.
-    const TRANSITIONS: &'static [(Self, Event, Self)];
+    /// The transitions of a grasp, which all parts have.
+    const GRASP: [Transition<Self>; 5];
+
+    /// All other transitions. Upon any other event a hand stays in its stage.
+    const TRANSITIONS: &'static [Transition<Self>];
 
     /// What it does after `event`.
     fn next(self, event: Event) -> Self {
-        let mut transitions = Self::TRANSITIONS.iter();
+        let transitions = Self::TRANSITIONS.iter().copied();
+        let mut transitions = Self::GRASP.into_iter().chain(transitions);
         let found = transitions.find(|(from, upon, _)| (*from, *upon) == (self, event));
-        found.map_or(self, |(_, _, to)| *to)
+        found.map_or(self, |(_, _, to)| to)
+    }
+}
+
+/// The stages of a grasp: in to the thing, close, and if that fails open and back to where an attempt begins.
+pub(crate) struct Grasp<S> {
+    /// Going in, jaw open.
+    pub(crate) enter: S,
+    /// Closing the jaw and waiting for a grip.
+    pub(crate) close: S,
+    /// What follows a grip.
+    pub(crate) gripped: S,
+    /// Opening the jaw after a missed grip.
+    pub(crate) open: S,
+    /// Going back out.
+    pub(crate) retreat: S,
+    /// What another attempt begins with.
+    pub(crate) again: S,
+}
+
+impl<S: Copy> Grasp<S> {
+    /// The transitions between them.
+    pub(crate) const fn transitions(&self) -> [Transition<S>; 5] {
+        [
+            (self.enter, Event::Arrived, self.close),
+            (self.close, Event::Gripped, self.gripped),
+            (self.close, Event::Lost, self.open),
+            (self.open, Event::Arrived, self.retreat),
+            (self.retreat, Event::Arrived, self.again),
+        ]
     }
 }
 
@@ -84,25 +120,62 @@ pub(crate) struct ArmView {
     pub(crate) both_touch: bool,
 }
 
-/// What every hand has: its habits, what it is doing, and how that went so far.
+/// What a hand looks at: at its arm among other things.
+pub(crate) trait Looks {
+    /// Its own arm.
+    fn arm(&self) -> &ArmView;
+}
+
+/// A hand that plays a part, with its habits, what it is doing, and how that went so far.
 #[derive(Clone, Debug)]
-pub(crate) struct Hand<H, S> {
+pub(crate) struct Hand<P: Part> {
+    /// What the part knows of its task.
+    pub(crate) part: P,
     rng: Rng,
-    pub(crate) style: H,
-    pub(crate) phase: S,
+    pub(crate) style: P::Habits,
+    pub(crate) phase: P::Stage,
     motion: Option<Motion>,
     attempts: u32,
     untouched_steps: u32,
 }
 
-impl<H: Habits, S: Stage> Hand<H, S> {
+/// What one hand does in the script of a task.
+pub(crate) trait Part: Clone + Debug + Send + Sized + 'static {
+    /// Its habits.
+    type Habits: Habits;
+    /// Its phases.
+    type Stage: Stage;
+    /// What it looks at.
+    type View: Looks;
+
+    /// Whether the thing is meant to be in the jaw.
+    fn carries(hand: &Hand<Self>) -> bool;
+
+    /// What the present phase amounts to.
+    fn activity(hand: &Hand<Self>) -> Activity;
+
+    /// Whether going on to `next` is another attempt.
+    fn tries_again(hand: &Hand<Self>, next: Self::Stage) -> bool;
+
+    /// The motion of the present phase.
+    fn begin(hand: &mut Hand<Self>, now: TimeNs, from: Placement, view: &Self::View) -> Motion;
+
+    /// The goal of a phase that follows something.
+    fn moving_goal(hand: &Hand<Self>, view: &Self::View) -> Option<Pose>;
+
+    /// What has happened at this step, if anything.
+    fn event(hand: &Hand<Self>, now: TimeNs, motion: &Motion, view: &Self::View) -> Option<Event>;
+}
+
+impl<P: Part> Hand<P> {
     /// A hand at the start of an episode.
-    pub(crate) fn new(mut rng: Rng) -> Self {
-        let style = H::draw(&mut rng);
+    pub(crate) fn new(part: P, mut rng: Rng) -> Self {
+        let style = P::Habits::draw(&mut rng);
         Self {
+            part,
             rng,
             style,
-            phase: S::FIRST,
+            phase: P::Stage::FIRST,
             motion: None,
             attempts: 1,
             untouched_steps: 0,
@@ -118,86 +191,60 @@ impl<H: Habits, S: Stage> Hand<H, S> {
     pub(crate) const fn has_lost(&self, steps: u32) -> bool {
         self.untouched_steps >= steps
     }
-}
 
-/// What one hand does in the script of a task.
-pub(crate) trait Part: Clone + Debug + Send + 'static {
-    /// Its habits.
-    type Habits: Habits;
-    /// Its phases.
-    type Stage: Stage;
-    /// What it looks at.
-    type View;
+    /// As [`Part::carries`].
+    pub(crate) fn carries(&self) -> bool {
+        P::carries(self)
+    }
 
-    /// The hand.
-    fn hand(&self) -> &Hand<Self::Habits, Self::Stage>;
-
-    /// The hand.
-    fn hand_mut(&mut self) -> &mut Hand<Self::Habits, Self::Stage>;
-
-    /// Its own arm in `view`.
-    fn own(view: &Self::View) -> &ArmView;
-
-    /// Whether the thing is meant to be in the jaw.
-    fn carries(&self) -> bool;
-
-    /// What the present phase amounts to.
-    fn activity(&self) -> Activity;
-
-    /// Whether going on to `next` is another attempt.
-    fn tries_again(&self, next: Self::Stage) -> bool;
-
-    /// The motion of the present phase.
-    fn begin(&mut self, now: TimeNs, from: Placement, view: &Self::View) -> Motion;
-
-    /// The goal of a phase that follows something.
-    fn moving_goal(&self, view: &Self::View) -> Option<Pose>;
-
-    /// What has happened at this step, if anything.
-    fn event(&self, now: TimeNs, motion: &Motion, view: &Self::View) -> Option<Event>;
+    /// As [`Part::activity`].
+    pub(crate) fn activity(&self) -> Activity {
+        P::activity(self)
+    }
 
     /// Where the tip should be at `now`; to be asked every step.
-    fn play(&mut self, now: TimeNs, view: &Self::View) -> Placement {
-        let own = Self::own(view);
+    pub(crate) fn play(&mut self, now: TimeNs, view: &P::View) -> Placement {
+        let own = view.arm();
         let start = Placement {
             tip_in_scene: own.tip,
             jaw: own.jaw,
         };
-        let mut motion = match self.hand().motion {
+        let mut motion = match self.motion {
             Some(motion) => motion,
-            None => self.begin(now, start, view),
+            None => P::begin(self, now, start, view),
         };
-        if let Some(goal) = self.moving_goal(view) {
+        if let Some(goal) = P::moving_goal(self, view) {
             motion.drift_end(&goal, FOLLOW_STEP_M, FOLLOW_STEP_RAD);
         }
-        let untouched = &mut self.hand_mut().untouched_steps;
-        *untouched = if own.both_touch { 0 } else { *untouched + 1 };
-        if let Some(event) = self.event(now, &motion, view) {
-            let next = self.hand().phase.next(event);
-            if next != self.hand().phase {
+        self.untouched_steps = if own.both_touch {
+            0
+        } else {
+            self.untouched_steps + 1
+        };
+        if let Some(event) = P::event(self, now, &motion, view) {
+            let next = self.phase.next(event);
+            if next != self.phase {
                 let mut from = motion.at(now);
-                if self.tries_again(next) && is_off(&from, &own.tip) {
+                if P::tries_again(self, next) && is_off(&from, &own.tip) {
                     from.tip_in_scene = own.tip;
                 }
                 self.enter(next);
-                motion = self.begin(now, from, view);
+                motion = P::begin(self, now, from, view);
             }
         }
-        self.hand_mut().motion = Some(motion);
+        self.motion = Some(motion);
         motion.at(now)
     }
 
     /// Book-keeping on entering a phase.
-    fn enter(&mut self, next: Self::Stage) {
-        let again = self.tries_again(next);
-        let hand = self.hand_mut();
-        if again {
+    fn enter(&mut self, next: P::Stage) {
+        if P::tries_again(self, next) {
             // A person does not repeat a failed attempt exactly.
-            hand.style = Self::Habits::draw(&mut hand.rng);
-            hand.attempts += 1;
+            self.style = P::Habits::draw(&mut self.rng);
+            self.attempts += 1;
         }
-        hand.phase = next;
-        hand.untouched_steps = 0;
+        self.phase = next;
+        self.untouched_steps = 0;
     }
 }
 
@@ -211,25 +258,29 @@ fn is_off(meant: &Placement, tip: &Pose) -> bool {
 /// `last`.
 #[cfg(test)]
 pub(crate) fn check_transitions<S: Stage>(last: Option<S>) {
+    let transitions = [S::GRASP.as_slice(), S::TRANSITIONS].concat();
     let mut reached = vec![S::FIRST];
-    for (index, &(from, event, to)) in S::TRANSITIONS.iter().enumerate() {
+    // In whatever order they are listed.
+    for _ in &transitions {
+        for &(from, _, to) in &transitions {
+            if reached.contains(&from) && !reached.contains(&to) {
+                reached.push(to);
+            }
+        }
+    }
+    for (index, &(from, event, to)) in transitions.iter().enumerate() {
         assert_ne!(from, to, "{from:?} upon {event:?}");
-        let others = S::TRANSITIONS[index + 1..].iter();
+        let others = transitions[index + 1..].iter();
         let mut others = others.map(|&(from, event, _)| (from, event));
         assert!(
             others.all(|other| other != (from, event)),
             "{from:?} upon {event:?} leads two ways"
         );
         assert_eq!(from.next(event), to);
-        if !reached.contains(&to) {
-            reached.push(to);
-        }
-    }
-    for &(from, ..) in S::TRANSITIONS {
         assert!(reached.contains(&from), "{from:?} is never reached");
     }
     for stage in reached {
-        let goes_on = S::TRANSITIONS.iter().any(|&(from, ..)| from == stage);
+        let goes_on = transitions.iter().any(|&(from, ..)| from == stage);
         assert_eq!(goes_on, Some(stage) != last, "{stage:?}");
     }
 }

@@ -167,8 +167,9 @@ fn wrist_cameras_show_both_fingers_and_what_lies_below() {
     }
 }
 
+/// A new episode moves the cameras of the first view by its seed.
 #[test]
-fn a_new_episode_moves_the_cameras_of_the_first_view_by_its_seed() {
+fn cameras_of_view1_move_by_the_seed() {
     let task = TaskConfig::shipped("needle-lift");
     let moving = task.clone().with_view(View::View1).unwrap();
     let poses = |task: &TaskConfig, seeds: [u64; 2]| {

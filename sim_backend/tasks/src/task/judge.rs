@@ -7,6 +7,7 @@ use hal::Pose;
 use hal::config::{ConfigError, Source};
 use nalgebra::Point3;
 use serde::Deserialize;
+use trocar_world::organ::OrganShape;
 use trocar_world::tissue::{RetractionFailure, TissueReport};
 use trocar_world::{Grasp, World};
 
@@ -86,7 +87,7 @@ pub enum Reason {
     },
     /// The flap was not retracted as it should be.
     Tissue(RetractionFailure),
-    /// The thing's pose is no number any more.
+    /// The thing's pose is not finite any more.
     NotFinite {
         /// What.
         thing: &'static str,
@@ -317,6 +318,91 @@ pub(super) struct Limits {
     /// Energy that it may gain while no instrument touches it, J: what the ground's give returns. More is a fault of the
     /// simulation.
     pub(super) gain_j: f64,
+}
+
+impl Limits {
+    /// Checks them under the keys that `[success]` of a scene file has for `thing`.
+    pub(super) fn check(&self, source: &Source, thing: &str) -> Result<(), ConfigError> {
+        let check = |key: &str, value, low, high| {
+            source.check_range(&format!("success.{key}"), value, low, high)
+        };
+        check("penetration_m_max", self.penetration_m, 0.000_01, 0.01)?;
+        if let Some(sunk_m) = self.sunk_m {
+            check("sunk_m_max", sunk_m, 0.000_01, 0.01)?;
+        }
+        let of_thing = |what: &str| format!("{thing}_{what}");
+        check(&of_thing("speed_m_s_max"), self.speed_m_s, 0.05, 10.0)?;
+        check(&of_thing("force_n_max"), self.force_n, 0.1, 100.0)?;
+        check(&of_thing("gain_j_max"), self.gain_j, 1e-7, 0.01)
+    }
+}
+
+/// What ends the episode of a handled thing, but for its success.
+#[derive(Clone, Debug)]
+pub(super) struct Safeguard {
+    ground: &'static str,
+    watch: Watch,
+    press: PressWatch,
+}
+
+impl Safeguard {
+    /// Of a thing that belongs on `ground`.
+    pub(super) fn new(
+        thing: &'static str,
+        ground: &'static str,
+        limits: Limits,
+        press: PressLimit,
+    ) -> Self {
+        Self {
+            ground,
+            watch: Watch::new(thing, limits),
+            press: PressWatch::new(ground, press),
+        }
+    }
+
+    /// How the episode ends, if it does, with one of the thing's points at `point`. `fallen` tells whether the thing has left its
+    /// ground, and is only asked of a pose that is finite.
+    pub(super) fn end(
+        &mut self,
+        point: &Point3<f64>,
+        sight: &Sight,
+        fallen: impl FnOnce() -> bool,
+    ) -> Option<Outcome> {
+        if let Some(end) = self.watch.end(point, sight) {
+            return Some(end);
+        }
+        if let Some(reason) = self.press.failure(sight) {
+            return Some(Outcome::Failure(reason));
+        }
+        fallen().then_some(Outcome::Failure(Reason::Fallen {
+            thing: self.watch.thing,
+            ground: self.ground,
+        }))
+    }
+}
+
+/// Whether a needle, the middle of whose arc is at `middle`, has fallen off `organ` or below its surface by more than `sink_m`.
+pub(super) fn is_off(organ: &OrganShape, middle: &Point3<f64>, sink_m: f64) -> bool {
+    let height_m = middle.z - organ.height_m(middle.x, middle.y);
+    !organ.covers(middle.x, middle.y) || height_m < -sink_m
+}
+
+/// For how long the goal has been met without a break.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Held {
+    steps: u64,
+}
+
+impl Held {
+    /// Takes in a step: success once the goal has been met for `hold_s`.
+    pub(super) fn outcome(&mut self, is_met: bool, hold_s: f64) -> Outcome {
+        self.steps = if is_met { self.steps + 1 } else { 0 };
+        if seconds(self.steps) >= hold_s {
+            Outcome::Success
+        } else {
+            Outcome::Running
+        }
+    }
 }
 
 /// The checks that every handled thing passes. Crushing and throwing lose the episode; sinking in, energy from nowhere and what

@@ -100,7 +100,7 @@ pub struct TaskConfig {
     pub(crate) scene: Box<dyn TaskScene>,
 }
 
-/// What is particular to a kind of scene. Everything that is drawn at random hangs on `seed`.
+/// What is particular to a kind of scene. Everything that is drawn at random depends on `seed`.
 pub(crate) trait TaskScene: Any + CloneScene + Debug + Send + Sync {
     /// Things at their places, and the ground.
     fn scenery(&self, seed: u64) -> Scenery;

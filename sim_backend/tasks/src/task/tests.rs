@@ -165,8 +165,9 @@ fn every_task_ships_with_a_valid_scene_of_its_name() {
     assert!(TaskFiles::built_in("needle-drop").is_none());
 }
 
+/// Every part that a task shows has a name and an id of its own.
 #[test]
-fn every_part_that_a_task_shows_has_a_name_and_an_id_of_its_own() {
+fn visible_parts_have_unique_names_and_ids() {
     let mut ids: Vec<u8> = parts().map(|part| part.instance).collect();
     for name in TaskConfig::names() {
         for visual in scene_visuals(&TaskConfig::shipped(name)) {

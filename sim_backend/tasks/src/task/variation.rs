@@ -135,7 +135,7 @@ impl Look {
     }
 }
 
-/// What is called alike looks alike; no tint hangs on what else there is.
+/// What is called alike looks alike; no tint depends on what else there is.
 fn tint(seed: u64, name: &str) -> [f32; 3] {
     let mut rng = Rng::stream(seed, &format!("tint {name}"));
     let bright = rng.range(-1.0, 1.0) * BRIGHTNESS_FACTOR.ln();

@@ -22,7 +22,7 @@ pub enum View {
     #[default]
     Train,
     /// Each camera shifted along and turned about its own axes, each by a number that is uniform within
-    /// [`VIEW1_SHIFT_M`] and [`VIEW1_TURN_RAD`] and hangs on the episode's seed and the camera's name.
+    /// [`VIEW1_SHIFT_M`] and [`VIEW1_TURN_RAD`] and depends on the episode's seed and the camera's name.
     View1,
     /// Endoscope and side camera swapped: each has the place and the field of view of the other, and keeps its name.
     View2,
@@ -46,7 +46,7 @@ impl View {
     pub(crate) fn shift(self, camera: &CameraConfig, seed: u64) -> Pose {
         match (self, camera.mount) {
             (Self::View1, Mount::Scene) => {
-                // A stream each, so that no camera's place hangs on what other cameras there are.
+                // A stream each, so that no camera's place depends on what other cameras there are.
                 let mut rng = Rng::stream(seed, &format!("view1 {}", camera.name));
                 let [x, y, z] = [(); 3].map(|()| rng.range(-VIEW1_SHIFT_M, VIEW1_SHIFT_M));
                 let [a, b, c] = [(); 3].map(|()| rng.range(-VIEW1_TURN_RAD, VIEW1_TURN_RAD));

@@ -95,30 +95,10 @@ pub(crate) fn scene_poses(scene: &dyn TaskScene, snapshot: &SceneSnapshot) -> Vi
 
 fn arm_visuals([shaft_id, wrist_id, jaw_id]: [u8; 3]) -> [Visual; 4] {
     [
-        Visual {
-            name: "shaft",
-            mesh: shaft(SHAFT_LENGTH_M),
-            material: SHAFT_COAT,
-            instance: shaft_id,
-        },
-        Visual {
-            name: "wrist",
-            mesh: wrist(),
-            material: TOOL_STEEL,
-            instance: wrist_id,
-        },
-        Visual {
-            name: "left finger",
-            mesh: finger(Finger::PlusY),
-            material: JAW_STEEL,
-            instance: jaw_id,
-        },
-        Visual {
-            name: "right finger",
-            mesh: finger(Finger::MinusY),
-            material: JAW_STEEL,
-            instance: jaw_id,
-        },
+        Visual::new("shaft", shaft(SHAFT_LENGTH_M), SHAFT_COAT, shaft_id),
+        Visual::new("wrist", wrist(), TOOL_STEEL, wrist_id),
+        Visual::new("left finger", finger(Finger::PlusY), JAW_STEEL, jaw_id),
+        Visual::new("right finger", finger(Finger::MinusY), JAW_STEEL, jaw_id),
     ]
 }
 

@@ -119,8 +119,9 @@ fn load_deflects_yaw_by_load_over_gain() {
     );
 }
 
+/// No command drives a motor beyond its current or a joint beyond its effort.
 #[test]
-fn no_command_drives_a_motor_beyond_its_current_or_a_joint_beyond_its_effort() {
+fn motors_keep_their_current_and_effort_limits() {
     let mut plant = plant();
     let far = home() + JointVector::from([1.0, -0.9, 0.1, 3.0, 1.0, -1.0]);
     let mut command = setpoint(far, JointVector::from([9.0, -9.0, 1.0, 50.0, 30.0, -30.0]));

@@ -23,7 +23,7 @@ pub struct Scenery {
 pub struct Flap {
     /// What it is.
     pub config: TissueConfig,
-    /// What its mark hangs on.
+    /// What its mark depends on.
     pub seed: u64,
 }
 

@@ -196,8 +196,9 @@ fn friction_holds_the_needle_through_five_seconds_of_shaking() {
     }
 }
 
+/// Friction holds a larger needle grasped askew and off its middle.
 #[test]
-fn friction_holds_a_larger_needle_grasped_askew_and_off_its_middle() {
+fn friction_holds_a_needle_grasped_askew() {
     let large = NeedleShape {
         arc_radius_m: 0.019_2,
         arc_angle_rad: 3.316,

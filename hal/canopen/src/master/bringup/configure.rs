@@ -1,11 +1,12 @@
-//! What every node is told before it may be operational, in the order that CiA 301 wants.
+//! What is written to every node before it may be operational, in the order that CiA 301 wants.
 
-use super::super::client::{read, read_number, write};
 use super::super::link::Bus;
 use super::super::plan::ArmPlan;
 use super::BringUpError;
+use super::exchange::Exchange;
 use super::settings::{Setting, differs, hold, is_missing, keep};
 use crate::NodeId;
+use crate::bytes::Bytes;
 use crate::cia301::cob::{PdoNumber, SYNC_ID};
 use crate::cia301::pdo::{MappingEntry, PdoCob, SyncCount, Transmission};
 use crate::cia301::{Address, Cob};
@@ -33,21 +34,33 @@ const CONSUMED: u32 = 1 << 31;
 const TIME_COB: Address = Address::new(0x1012, 0);
 
 /// Where to write.
-pub(super) struct Writer<'a, B> {
-    pub(super) bus: &'a mut B,
+pub(super) struct Writer<'a, 'b, B> {
+    pub(super) exchange: &'a Exchange<'b, B>,
     pub(super) line: u8,
     pub(super) node: NodeId,
 }
 
-impl<B: Bus> Writer<'_, B> {
-    fn put(&mut self, address: Address, data: &[u8]) -> Result<(), BringUpError> {
-        write(self.bus, self.line, self.node, address, data)
+impl<B: Bus> Writer<'_, '_, B> {
+    pub(super) async fn read(&self, address: Address) -> Result<Bytes, BringUpError> {
+        self.exchange.read(self.line, self.node, address).await
+    }
+
+    pub(super) async fn read_number(&self, address: Address) -> Result<u32, BringUpError> {
+        self.exchange
+            .read_number(self.line, self.node, address)
+            .await
+    }
+
+    async fn put(&self, address: Address, data: &[u8]) -> Result<(), BringUpError> {
+        self.exchange
+            .write(self.line, self.node, address, data)
+            .await
     }
 
     /// Writes and compares.
-    fn set(&mut self, address: Address, data: &[u8]) -> Result<(), BringUpError> {
-        self.put(address, data)?;
-        let found = read(self.bus, self.line, self.node, address)?;
+    pub(super) async fn set(&self, address: Address, data: &[u8]) -> Result<(), BringUpError> {
+        self.put(address, data).await?;
+        let found = self.read(address).await?;
         if found.as_slice() == data {
             Ok(())
         } else {
@@ -56,16 +69,20 @@ impl<B: Bus> Writer<'_, B> {
     }
 
     /// Writes what not every drive has.
-    fn set_if_there(&mut self, address: Address, data: &[u8]) -> Result<(), BringUpError> {
-        match self.set(address, data) {
+    async fn set_if_there(&self, address: Address, data: &[u8]) -> Result<(), BringUpError> {
+        match self.set(address, data).await {
             Err(BringUpError::Refused { code, .. }) if is_missing(code) => Ok(()),
             other => other,
         }
     }
 
     /// Writes what may be refused; tells whether there is such an object.
-    pub(super) fn try_put(&mut self, address: Address, data: &[u8]) -> Result<bool, BringUpError> {
-        match self.put(address, data) {
+    pub(super) async fn try_put(
+        &self,
+        address: Address,
+        data: &[u8],
+    ) -> Result<bool, BringUpError> {
+        match self.put(address, data).await {
             Ok(()) => Ok(true),
             Err(BringUpError::Refused { code, .. }) => Ok(!is_missing(code)),
             Err(error) => Err(error),
@@ -73,30 +90,29 @@ impl<B: Bus> Writer<'_, B> {
     }
 
     /// Takes a PDO out of use, whatever identifier it has; tells whether there is one. `record` is its sub-index 01h.
-    fn switch_off(&mut self, record: Address) -> Result<bool, BringUpError> {
-        self.bits(record, INVALID, INVALID)
+    async fn switch_off(&self, record: Address) -> Result<bool, BringUpError> {
+        self.bits(record, INVALID, INVALID).await
     }
 
     /// Gives the bits `mask` of a COB-ID the value that they have in `wanted`, and no other bit another one: while it is in use
     /// those may not change. What a drive makes of them thereafter is its own; they mean nothing then. Tells whether there is
     /// such an object.
-    fn bits(&mut self, address: Address, mask: u32, wanted: u32) -> Result<bool, BringUpError> {
-        let (line, node) = (self.line, self.node);
-        let found = match read_number(self.bus, line, node, address) {
+    async fn bits(&self, address: Address, mask: u32, wanted: u32) -> Result<bool, BringUpError> {
+        let found = match self.read_number(address).await {
             Ok(found) if found & mask == wanted => return Ok(true),
             Ok(found) => found,
             Err(BringUpError::Refused { code, .. }) if is_missing(code) => return Ok(false),
             Err(error) => return Err(error),
         };
-        self.cob(address, mask, found & !mask | wanted)
-            .map(|()| true)
+        self.cob(address, mask, found & !mask | wanted).await?;
+        Ok(true)
     }
 
     /// Writes a COB-ID; the bits `mask` of what there is then have to be as they were written.
-    fn cob(&mut self, address: Address, mask: u32, written: u32) -> Result<(), BringUpError> {
-        self.put(address, &written.to_le_bytes())?;
+    async fn cob(&self, address: Address, mask: u32, written: u32) -> Result<(), BringUpError> {
+        self.put(address, &written.to_le_bytes()).await?;
         let node = self.node;
-        let found = read_number(self.bus, self.line, node, address)?;
+        let found = self.read_number(address).await?;
         if (found ^ written) & mask == 0 {
             Ok(())
         } else {
@@ -111,8 +127,8 @@ impl<B: Bus> Writer<'_, B> {
     }
 
     /// One PDO that is off: identifier, mapping, transmission, on.
-    fn pdo(
-        &mut self,
+    async fn pdo(
+        &self,
         record: fn(u8, u8) -> Address,
         mapping: fn(u8, u8) -> Address,
         cob: PdoCob,
@@ -123,35 +139,39 @@ impl<B: Bus> Writer<'_, B> {
             valid: false,
             ..cob
         };
-        self.put(record(0, 1), &off.emit().to_le_bytes())?;
-        self.set(mapping(0, 0), &[0])?;
+        self.put(record(0, 1), &off.emit().to_le_bytes()).await?;
+        self.set(mapping(0, 0), &[0]).await?;
         for (n, &(address, bits)) in (1_u8..).zip(objects) {
             let entry = MappingEntry { address, bits };
-            self.set(mapping(0, n), &entry.emit().to_le_bytes())?;
+            self.set(mapping(0, n), &entry.emit().to_le_bytes()).await?;
         }
         let count = u8::try_from(objects.len()).unwrap_or(u8::MAX);
-        self.set(mapping(0, 0), &[count])?;
+        self.set(mapping(0, 0), &[count]).await?;
         let every = Transmission::SyncCyclic(SyncCount::EVERY);
-        self.set(record(0, 2), &[every.raw()])?;
+        self.set(record(0, 2), &[every.raw()]).await?;
         for setting in extras {
-            keep(self, setting)?;
+            keep(self, setting).await?;
         }
-        self.cob(record(0, 1), IN_USE, cob.emit())
+        self.cob(record(0, 1), IN_USE, cob.emit()).await
     }
 }
 
-/// Tells the node of `axis` everything.
-pub(super) fn node<B: Bus>(bus: &mut B, plan: &ArmPlan, axis: usize) -> Result<(), BringUpError> {
+/// Writes all settings of the node of `axis`.
+pub(super) async fn node<B: Bus>(
+    exchange: &Exchange<'_, B>,
+    plan: &ArmPlan,
+    axis: usize,
+) -> Result<(), BringUpError> {
     let who = plan.who(axis);
-    let mut to = Writer {
-        bus,
+    let to = Writer {
+        exchange,
         line: who.line,
         node: who.node,
     };
-    sync_objects(&mut to, plan)?;
-    watches(&mut to, plan)?;
-    hold(&mut to, plan, axis)?;
-    silence(&mut to)?;
+    sync_objects(&to, plan).await?;
+    watches(&to, plan).await?;
+    hold(&to, plan, axis).await?;
+    silence(&to).await?;
     let command = Cob::ReceivePdo(PdoNumber::FIRST, who.node).id();
     let answer = Cob::TransmitPdo(PdoNumber::FIRST, who.node).id();
     let cob = |id, rtr| PdoCob {
@@ -165,7 +185,8 @@ pub(super) fn node<B: Bus>(bus: &mut B, plan: &ArmPlan, axis: usize) -> Result<(
         cob(command, true),
         &[(index::CONTROL, 16), (index::TARGET, 32)],
         &[deadline(plan)],
-    )?;
+    )
+    .await?;
     to.pdo(
         index::tpdo,
         index::tpdo_mapping,
@@ -181,8 +202,10 @@ pub(super) fn node<B: Bus>(bus: &mut B, plan: &ArmPlan, axis: usize) -> Result<(
             Setting::unsigned(index::tpdo(0, 5), 2, 0),
             Setting::unsigned(index::tpdo(0, 6), 1, 0),
         ],
-    )?;
+    )
+    .await?;
     to.set(index::MODE, &Mode::CyclicPosition.raw().to_le_bytes())
+        .await
 }
 
 /// All that a drive may have stored to be said or heard beside what the plan counts: PDOs, as a second way to command it or as
@@ -190,12 +213,12 @@ pub(super) fn node<B: Bus>(bus: &mut B, plan: &ArmPlan, axis: usize) -> Result<(
 ///
 /// The first four PDOs are asked for one by one, the others up to the first that a node lacks, and so for each logical device
 /// that it may have.
-fn silence<B: Bus>(to: &mut Writer<'_, B>) -> Result<(), BringUpError> {
+async fn silence<B: Bus>(to: &Writer<'_, '_, B>) -> Result<(), BringUpError> {
     for direction in [index::rpdo(0, 1), index::tpdo(0, 1)] {
         for device in 0..DEVICES_MAX {
             let first = direction.index + device * PDOS_A_DEVICE;
             for number in 0..PDOS_A_DEVICE {
-                let there = to.switch_off(Address::new(first + number, 1))?;
+                let there = to.switch_off(Address::new(first + number, 1)).await?;
                 if !there && (device > 0 || number >= PDOS_NAMED) {
                     break;
                 }
@@ -203,33 +226,37 @@ fn silence<B: Bus>(to: &mut Writer<'_, B>) -> Result<(), BringUpError> {
         }
     }
     // The SYNC of another arm may have the identifier that time stamps have by default.
-    to.bits(TIME_COB, PRODUCED | CONSUMED, 0).map(|_| ())
+    to.bits(TIME_COB, PRODUCED | CONSUMED, 0).await.map(|_| ())
 }
 
 /// SYNC and interpolation.
-fn sync_objects<B: Bus>(to: &mut Writer<'_, B>, plan: &ArmPlan) -> Result<(), BringUpError> {
+async fn sync_objects<B: Bus>(to: &Writer<'_, '_, B>, plan: &ArmPlan) -> Result<(), BringUpError> {
     let cycle_ns = plan.cycle_ns;
     let (value, exponent) = period_parameter(cycle_ns).ok_or(BringUpError::Period { cycle_ns })?;
     // Whoever sends the SYNC may not change its identifier meanwhile.
-    to.bits(index::SYNC_COB, PRODUCED, 0)?;
+    to.bits(index::SYNC_COB, PRODUCED, 0).await?;
     let cob = u32::from(plan.sync_id.raw());
     if plan.sync_id == SYNC_ID {
-        to.set_if_there(index::SYNC_COB, &cob.to_le_bytes())?;
+        to.set_if_there(index::SYNC_COB, &cob.to_le_bytes()).await?;
     } else {
-        to.set(index::SYNC_COB, &cob.to_le_bytes())?;
+        to.set(index::SYNC_COB, &cob.to_le_bytes()).await?;
     }
     // The counter may change only while there is no period.
-    to.set_if_there(index::SYNC_PERIOD, &[0; 4])?;
-    to.set_if_there(index::SYNC_COUNTER, &[plan.sync_counter])?;
-    to.set(index::PERIOD_VALUE, &[value])?;
+    to.set_if_there(index::SYNC_PERIOD, &[0; 4]).await?;
+    to.set_if_there(index::SYNC_COUNTER, &[plan.sync_counter])
+        .await?;
+    to.set(index::PERIOD_VALUE, &[value]).await?;
     to.set(index::PERIOD_EXPONENT, &exponent.to_le_bytes())
+        .await
 }
 
 /// Heartbeats both ways.
-fn watches<B: Bus>(to: &mut Writer<'_, B>, plan: &ArmPlan) -> Result<(), BringUpError> {
-    to.set(index::HEARTBEAT, &plan.heartbeat_ms.to_le_bytes())?;
+async fn watches<B: Bus>(to: &Writer<'_, '_, B>, plan: &ArmPlan) -> Result<(), BringUpError> {
+    to.set(index::HEARTBEAT, &plan.heartbeat_ms.to_le_bytes())
+        .await?;
     let [low, high] = plan.heartbeat_ms.saturating_mul(3).to_le_bytes();
     to.set_if_there(index::CONSUMER, &[low, high, plan.master.raw(), 0])
+        .await
 }
 
 /// The deadline of a set-point. Some drives take it only while the PDO is off.

@@ -47,7 +47,7 @@ fn start_all<B: Bus>(homed: &mut [Homed<B>]) -> Option<(usize, BringUpError)> {
     })
 }
 
-/// The arm as its SYNC begins at `start`. What has come since its nodes were told to start is the cycle's to judge, but for
+/// The arm as its SYNC begins at `start`. What has come since its nodes were sent NMT start is the cycle's to judge, but for
 /// heartbeats from before they did; and that a controller has become error passive before.
 fn begin<B: Bus>(homed: Homed<B>, start: TimeNs) -> CanArm<B> {
     let Homed {
@@ -92,7 +92,7 @@ fn turn_until_enabled<B: Bus>(
         at = at.plus_ns(cycle_ns);
         if let Some(first) = arms.first_mut() {
             first.bus_mut().wait(at);
-            // Beats that a late process has missed are not made up for: nobody could answer them.
+            // SYNCs that a late process has missed are not made up for: nobody could answer them.
             at = at.max(first.bus_mut().now());
         }
         for (place, arm) in arms.iter_mut().enumerate() {

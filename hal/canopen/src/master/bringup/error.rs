@@ -31,9 +31,9 @@ pub enum BringUpError {
     FramesLost {
         /// The bus.
         line: u8,
-        /// How many, when it was told first.
+        /// How many, by the first report.
         count: u32,
-        /// When it was told.
+        /// When it was reported.
         step: Step,
     },
     /// A second master commands these nodes.
@@ -44,7 +44,7 @@ pub enum BringUpError {
         /// What was heard.
         frame: Frame,
     },
-    /// A node does not boot up when it is told to.
+    /// A node does not boot up when it is reset.
     #[error("{0}: does not answer to a reset")]
     Missing(Who),
     /// A node does not answer a transfer.
@@ -129,12 +129,38 @@ pub enum BringUpError {
         /// The cycle.
         cycle_ns: u64,
     },
-    /// A drive does not come to a state that homing needs.
+    /// A drive does not reach a state that homing needs.
     #[error("{who}: homing failed, status word {status:#06x}")]
     Homing {
         /// The node.
         who: Who,
         /// What it says.
+        status: u32,
+    },
+    /// A drive does not offer the homing method of the plan, by its 60E3h.
+    #[error("{who}: does not offer homing method {method}")]
+    HomingMethod {
+        /// The node.
+        who: Who,
+        /// 6098h.
+        method: i8,
+    },
+    /// A drive reports a homing error.
+    #[error("{who}: homing error, status word {status:#06x}")]
+    HomingError {
+        /// The node.
+        who: Who,
+        /// Its status word, with bit 13.
+        status: u32,
+    },
+    /// A drive has not found its reference in time.
+    #[error("{who}: homing not complete after {limit_s} s, status word {status:#06x}")]
+    HomingTimeOut {
+        /// The node.
+        who: Who,
+        /// The time limit.
+        limit_s: f64,
+        /// Its status word.
         status: u32,
     },
     /// A drive is in fault when it is to be homed.
@@ -153,7 +179,7 @@ pub enum BringUpError {
         /// What it says.
         register: ErrorRegister,
     },
-    /// A node has no more what it was told, and nobody heard that it was reset.
+    /// A node has lost a setting, and no boot-up was received.
     #[error(
         "{who}: {address} is {found:#x} and was set to {expected:#x}: it must have been reset unnoticed"
     )]
@@ -175,12 +201,12 @@ pub enum BringUpError {
         /// When it was heard.
         step: Step,
     },
-    /// A node told an error after it had been set up, or at any time that there is another one with its number.
+    /// A node sent an emergency after it had been set up, or at any time that there is another one with its number.
     #[error("{who}: emergency {code}, {step}")]
     Emergency {
         /// The node.
         who: Who,
-        /// What it told.
+        /// Its error code.
         code: ErrorCode,
         /// When it was heard.
         step: Step,

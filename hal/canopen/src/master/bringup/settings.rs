@@ -1,10 +1,9 @@
-//! What of a drive the safety of an arm hangs on: the values that are written, and those that are accepted.
+//! What of a drive the safety of an arm depends on: the values that are written, and those that are accepted.
 //!
 //! A drive may have stored anything. Where it refuses a value, or keeps another one, what it has must be as safe; else there
 //! is no arm. Objects that CiA 402 leaves to the drive may be missing. Speeds and decelerations are in counts here, as the
 //! user-defined units of CiA 402 are if nothing else is defined; only 6080h is in turns of the motor a minute.
 
-use super::super::client::{read, read_number};
 use super::super::link::Bus;
 use super::super::plan::{ArmPlan, AxisPlan};
 use super::BringUpError;
@@ -79,24 +78,25 @@ impl Setting {
 }
 
 /// Gives the drive of `axis` everything that is not communication.
-pub(super) fn hold<B: Bus>(
-    to: &mut Writer<'_, B>,
+pub(super) async fn hold<B: Bus>(
+    to: &Writer<'_, '_, B>,
     plan: &ArmPlan,
     axis: usize,
 ) -> Result<(), BringUpError> {
-    emergencies(to, plan.cycle_ns)?;
-    encoder(to, &plan.axes[axis])?;
+    emergencies(to, plan.cycle_ns).await?;
+    encoder(to, &plan.axes[axis]).await?;
     let limits = limits(&plan.axes[axis]);
     // Of two limits the lower one can't be above the upper one, whatever is written first.
     let [_, upper, ..] = &limits;
-    to.try_put(upper.address, &upper.wanted.to_le_bytes()[..upper.bytes])?;
+    to.try_put(upper.address, &upper.wanted.to_le_bytes()[..upper.bytes])
+        .await?;
     for setting in options().iter().chain(&limits) {
-        keep(to, setting)?;
+        keep(to, setting).await?;
     }
     Ok(())
 }
 
-/// How it stops, and that nothing shifts or turns round what it is told.
+/// How it stops, and that nothing shifts or reverses its set-points.
 const fn options() -> [Setting; 9] {
     [
         Setting::signed(index::ABORT_OPTION, 2, QUICK_STOP),
@@ -138,17 +138,17 @@ fn limits(plan: &AxisPlan) -> [Setting; 9] {
 
 /// Compares the counts of a motor turn, if the drive says so many: by them turns become counts, and a drive that counts otherwise
 /// would go to another place.
-fn encoder<B: Bus>(to: &mut Writer<'_, B>, plan: &AxisPlan) -> Result<(), BringUpError> {
-    let (line, node) = (to.line, to.node);
-    let mut ask = |address| match read_number(to.bus, line, node, address) {
+async fn encoder<B: Bus>(to: &Writer<'_, '_, B>, plan: &AxisPlan) -> Result<(), BringUpError> {
+    let node = to.node;
+    let ask = async |address| match to.read_number(address).await {
         Ok(number) => Ok(Some(i64::from(number))),
         Err(BringUpError::Refused { code, .. }) if is_missing(code) => Ok(None),
         Err(error) => Err(error),
     };
-    let Some(found) = ask(index::ENCODER_COUNTS)? else {
+    let Some(found) = ask(index::ENCODER_COUNTS).await? else {
         return Ok(());
     };
-    let turns = ask(index::ENCODER_TURNS)?.unwrap_or(1);
+    let turns = ask(index::ENCODER_TURNS).await?.unwrap_or(1);
     let outside = |address, found, least, most| BringUpError::Setting {
         node,
         address,
@@ -171,7 +171,10 @@ fn encoder<B: Bus>(to: &mut Writer<'_, B>, plan: &AxisPlan) -> Result<(), BringU
 }
 
 /// Writes what is wanted, or if that is not taken the other end of what is allowed, and looks at what there is then.
-pub(super) fn keep<B: Bus>(to: &mut Writer<'_, B>, setting: &Setting) -> Result<(), BringUpError> {
+pub(super) async fn keep<B: Bus>(
+    to: &Writer<'_, '_, B>,
+    setting: &Setting,
+) -> Result<(), BringUpError> {
     let Setting {
         address,
         bytes,
@@ -182,10 +185,10 @@ pub(super) fn keep<B: Bus>(to: &mut Writer<'_, B>, setting: &Setting) -> Result<
     let other = if setting.wanted == least { most } else { least };
     let mut found = setting.wanted;
     for value in [setting.wanted, other] {
-        if !to.try_put(address, &value.to_le_bytes()[..bytes])? {
+        if !to.try_put(address, &value.to_le_bytes()[..bytes]).await? {
             return Ok(());
         }
-        let data = read(to.bus, to.line, node, address)?;
+        let data = to.read(address).await?;
         found = setting
             .number(data.as_slice())
             .ok_or(BringUpError::Confused { node, address })?;
@@ -204,17 +207,17 @@ pub(super) fn keep<B: Bus>(to: &mut Writer<'_, B>, setting: &Setting) -> Result<
 
 /// Emergencies come under the identifier that CiA 301 gives them, or nobody would hear them, and at once: no later than a cycle
 /// after the one before.
-fn emergencies<B: Bus>(to: &mut Writer<'_, B>, cycle_ns: u64) -> Result<(), BringUpError> {
+async fn emergencies<B: Bus>(to: &Writer<'_, '_, B>, cycle_ns: u64) -> Result<(), BringUpError> {
     let address = index::EMERGENCY_COB;
     let wanted = i64::from(Cob::Emergency(to.node).id().raw());
     let setting = Setting::unsigned(address, 4, wanted);
-    match read(to.bus, to.line, to.node, address) {
+    match to.read(address).await {
         Ok(found) if setting.number(found.as_slice()) == Some(wanted) => {}
         // It may change only while it is not in use.
         Ok(found) => {
             let old = found.as_slice().try_into().map_or(0, u32::from_le_bytes);
-            to.try_put(address, &(old | INVALID).to_le_bytes())?;
-            keep(to, &setting)?;
+            to.try_put(address, &(old | INVALID).to_le_bytes()).await?;
+            keep(to, &setting).await?;
         }
         // Where it cannot be set, it is as CiA 301 has it. No other refusal says so.
         Err(BringUpError::Refused { code, .. })
@@ -226,6 +229,7 @@ fn emergencies<B: Bus>(to: &mut Writer<'_, B>, cycle_ns: u64) -> Result<(), Brin
         to,
         &Setting::unsigned(index::EMERGENCY_INHIBIT, 2, 0).allowed(0, cycle_100_us),
     )
+    .await
 }
 
 /// Whether a refusal means that the drive has no such object.

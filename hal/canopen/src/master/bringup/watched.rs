@@ -12,6 +12,7 @@ use super::{BringUpError, Step};
 use crate::Frame;
 use crate::cia301::{NmtCommand, NmtTarget};
 use hal::TimeNs;
+use hal::tail::TAIL_AXES;
 
 /// How often a bus is looked at for what came before bring-up: one that is never silent ends that, too.
 const LOOKS_MAX: u32 = 16;
@@ -26,6 +27,8 @@ pub(super) struct Watched<B> {
     foreign: Option<(u8, Frame)>,
     /// The first thing that happened to a node and may not have, or that may have been missed.
     upset: Option<BringUpError>,
+    /// Axes whose nodes have all their settings.
+    set_up: [bool; TAIL_AXES],
     /// Whether we have said anything: who was there before us is not disturbed.
     spoke: bool,
     /// Whether our controller on each bus is error passive.
@@ -42,6 +45,7 @@ impl<B: Bus> Watched<B> {
             step: Step::Finding,
             foreign: None,
             upset: None,
+            set_up: [false; TAIL_AXES],
             spoke: false,
             passive: [false; LINES_MAX],
             steps: None,
@@ -83,6 +87,16 @@ impl<B: Bus> Watched<B> {
             }
             None => step,
         }
+    }
+
+    /// Whether something has come that ends the bring-up: [`Self::judge`] names it.
+    pub(super) const fn is_upset(&self) -> bool {
+        self.foreign.is_some() || self.upset.is_some()
+    }
+
+    /// Notes that the node of `axis` has all its settings: what it reports from now on counts.
+    pub(super) const fn note_set_up(&mut self, axis: usize) {
+        self.set_up[axis] = true;
     }
 
     /// Tells every node to stop: it hears no set-points then, and its drive does what 6007h says. A node whose bus has no room
@@ -154,6 +168,7 @@ impl<B: Bus> Bus for Watched<B> {
             step,
             foreign,
             upset,
+            set_up,
             spoke,
             passive,
             steps: _,
@@ -169,7 +184,7 @@ impl<B: Bus> Bus for Watched<B> {
                 }
                 // What was said before we said anything is over.
                 if *spoke && upset.is_none() {
-                    *upset = step.upset(plan, line, &frame);
+                    *upset = step.upset(plan, set_up, line, &frame);
                 }
             }
             if let Received::Trouble(Trouble::Lost(count)) = received
@@ -196,7 +211,7 @@ impl<B: Bus> Bus for Watched<B> {
     }
 }
 
-/// Whether a controller is error passive once it has told `trouble`.
+/// Whether a controller is error passive once it has reported `trouble`.
 const fn is_passive_after(trouble: Trouble, was: bool) -> bool {
     match trouble {
         Trouble::ErrorPassive => true,

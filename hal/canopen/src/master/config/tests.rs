@@ -8,8 +8,9 @@ fn load(from: &str, to: &str) -> Result<CanConfig, ConfigError> {
     CanConfig::load(&Source::embedded("can.toml", &text))
 }
 
+/// The shipped file has two arms of which a bus carries one at 500 Hz.
 #[test]
-fn the_shipped_file_has_two_arms_of_which_a_bus_carries_one_at_500_hz() {
+fn shipped_bus_carries_one_arm_at_500_hz() {
     let config = CanConfig::load(&CanConfig::shipped()).unwrap();
     assert_eq!(config.arms.len(), 2);
     assert_eq!(config.check_load(1), Ok(()));
@@ -24,8 +25,9 @@ fn the_shipped_file_has_two_arms_of_which_a_bus_carries_one_at_500_hz() {
     assert_eq!(insertion.settings().range.1, whole_i32(0.240 * 771_430.4));
 }
 
+/// The greatest speeds of the shipped motors have a value in turns a minute.
 #[test]
-fn the_greatest_speeds_of_the_shipped_motors_have_a_value_in_turns_a_minute() {
+fn motor_speed_limits_fit_turns_a_minute() {
     for space in ["joint", "actuator"] {
         let config = load("space = \"joint\"", &format!("space = {space:?}")).unwrap();
         for axis in config.arms[0].plan.axes {
@@ -171,6 +173,83 @@ fn what_cannot_be_is_named_with_its_place() {
         ),
     ] {
         let error = load(from, to).unwrap_err().to_string();
+        assert!(error.contains(message), "{error}");
+    }
+}
+
+/// An arm's homing sequence with one line changed.
+fn homing(from: &str, to: &str) -> Result<CanConfig, ConfigError> {
+    let sequence = "
+[[arm.homing]]
+axis = 2
+method = 17
+home_position = 0.0
+switch_speed = 0.02
+zero_speed = 0.002
+acceleration = 0.2
+time_out_s = 30.0
+";
+    assert!(sequence.contains(from), "{from}");
+    let text = CanConfig::shipped().text().to_owned() + &sequence.replacen(from, to, 1);
+    CanConfig::load(&Source::embedded("can.toml", &text))
+}
+
+#[test]
+fn axes_home_where_they_stand_but_for_those_that_the_file_names() {
+    let config = CanConfig::load(&CanConfig::shipped()).unwrap();
+    assert_eq!(config.arms[0].plan.homing, [None; TAIL_AXES]);
+    // The table belongs to the last arm.
+    let config = homing("axis = 2", "axis = 2").unwrap();
+    let [first, rest @ ..] = config.arms[1].plan.homing;
+    assert_eq!(rest, [None; TAIL_AXES - 1]);
+    let first = first.unwrap();
+    assert_eq!((first.axis, first.method), (2, 17));
+    assert_eq!(first.time_out_ns, 30_000_000_000);
+    let insertion = &config.arms[1].plan.axes[2];
+    assert_eq!(insertion.rate_counts(first.switch_speed), 15_429);
+}
+
+#[test]
+fn homing_sequences_that_cannot_be_are_refused() {
+    for (from, to, message) in [
+        (
+            "axis = 2",
+            "axis = 7",
+            "arm.1.homing.0.axis = 7 is outside 0 to 6",
+        ),
+        (
+            "method = 17",
+            "method = 37",
+            "arm.1.homing.0.method = 37 is outside [-128, -1], [1, 14]",
+        ),
+        (
+            "home_position = 0.0",
+            "home_position = 0.5",
+            "arm.1.homing.0.home_position = 0.5 is outside [0, 0.24]",
+        ),
+        (
+            "switch_speed = 0.02",
+            "switch_speed = 0.3",
+            "switch_speed = 0.3 is outside",
+        ),
+        (
+            "zero_speed = 0.002",
+            "zero_speed = 0.03",
+            "zero_speed = 0.03 is outside",
+        ),
+        (
+            "acceleration = 0.2",
+            "acceleration = 0.0",
+            "acceleration = 0 is outside",
+        ),
+        (
+            "time_out_s = 30.0",
+            "time_out_s = 0.5",
+            "time_out_s = 0.5 is outside [1, 600]",
+        ),
+        ("axis = 2", "axis = 2\nspeed = 1", "unknown field `speed`"),
+    ] {
+        let error = homing(from, to).unwrap_err().to_string();
         assert!(error.contains(message), "{error}");
     }
 }

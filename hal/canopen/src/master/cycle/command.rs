@@ -1,4 +1,4 @@
-//! What each drive is told in a cycle. Hot path: bounded, no allocation, no I/O, no lock.
+//! The set-point of each drive in a cycle. Hot path: bounded, no allocation, no I/O, no lock.
 
 use super::{Cycle, Goal, SILENT_AFTER};
 use crate::cia301::Cob;

@@ -34,7 +34,7 @@ impl Cycle {
                 self.latch(now, Fault::Down { line });
             }
             Trouble::ErrorPassive => {
-                // Each error in that state is told anew.
+                // Each error in that state is reported anew.
                 health.passives += u64::from(!health.passive);
                 health.passive = true;
             }

@@ -112,8 +112,8 @@ impl Cycle {
         let deviation = self.axes[n].deviation();
         let deviates = enabled && self.reached && i64::from(deviation) > limit;
         self.deviates[n] = if deviates { self.deviates[n] + 1 } else { 0 };
-        let told = enabled && self.reached && status.deviation;
-        if told || self.deviates[n] >= DEVIATION_CYCLES {
+        let reported = enabled && self.reached && status.deviation;
+        if reported || self.deviates[n] >= DEVIATION_CYCLES {
             self.latch(now, Fault::FollowingError(who, deviation));
         }
     }

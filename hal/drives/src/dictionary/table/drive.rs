@@ -11,6 +11,7 @@ pub(super) fn objects() -> Vec<Object> {
     let mut all = vendor();
     all.extend(options());
     all.extend(motion());
+    all.extend(homing());
     all.extend(profile());
     all
 }
@@ -103,7 +104,43 @@ fn motion() -> Vec<Object> {
     ]
 }
 
-/// 6098h to 67FFh: homing, cyclic positions and what the drive can do.
+/// 6098h to 609Ah: homing.
+fn homing() -> Vec<Object> {
+    vec![
+        set(0x6098, "Homing method", I8, 37),
+        several(
+            0x6099,
+            "Homing speeds",
+            Shape::Array,
+            vec![
+                sub(
+                    0x6099,
+                    1,
+                    "Speed during search for switch",
+                    U32,
+                    ReadWrite,
+                    10_000,
+                )
+                .range(1, 0xFFFF_FFFF),
+                sub(
+                    0x6099,
+                    2,
+                    "Speed during search for zero",
+                    U32,
+                    ReadWrite,
+                    1_000,
+                )
+                .range(1, 0xFFFF_FFFF),
+            ],
+        ),
+        alone(
+            variable(0x609A, "Homing acceleration", U32, ReadWrite, 1_000_000)
+                .range(1, 0xFFFF_FFFF),
+        ),
+    ]
+}
+
+/// 60B0h to 67FFh: cyclic positions and what the drive can do.
 fn profile() -> Vec<Object> {
     let methods = (1_u8..).zip(HOMING_METHODS).map(|(n, method)| {
         sub(
@@ -117,7 +154,6 @@ fn profile() -> Vec<Object> {
     });
     let modes = Mode::Homing.supported_bit() | Mode::CyclicPosition.supported_bit();
     vec![
-        set(0x6098, "Homing method", I8, 37),
         alone(variable(0x60B0, "Position offset", I32, ReadWrite, 0).mapped(Mapping::Receive)),
         several(
             0x60C2,

@@ -5,7 +5,7 @@
 use super::{AtRest, Drive};
 use crate::dictionary::Dictionary;
 use hal::TimeNs;
-use trocar_canopen::cia402::{Command, ControlView, Event, Mode, PowerState};
+use trocar_canopen::cia402::{Command, ControlView, Event, PowerState};
 use trocar_canopen::index;
 
 impl Drive {
@@ -26,10 +26,8 @@ impl Drive {
         }
         if self.state == PowerState::OperationEnabled {
             self.halt(now, word.halt(), dictionary);
-            let started = word.mode_bits() & 1 == 1 && before.mode_bits() & 1 == 0;
-            if self.mode == Mode::Homing && started {
-                self.home(dictionary);
-            }
+            let bit = |word: ControlView| word.mode_bits() & 1 == 1;
+            self.on_homing_bit(now, bit(before), bit(word), dictionary);
         }
         false
     }

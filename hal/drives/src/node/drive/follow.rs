@@ -1,6 +1,6 @@
-//! What a drive follows: its reference, the mode, the SYNC, and what it does when it is left alone or fails.
+//! What a drive follows: the mode, the SYNC, and what it does when it is left alone or fails.
 //!
-//! CiA 402-2, clauses 10 (homing) and 12 (cyclic synchronous position); 6007h and 605Eh.
+//! CiA 402-2, clause 12 (cyclic synchronous position); 6007h and 605Eh.
 
 use super::super::motion::Motion;
 use super::{AtRest, Drive, interpolation_ns, speed_max};
@@ -12,14 +12,6 @@ use trocar_canopen::index;
 use trocar_canopen::number::{real, seconds};
 
 impl Drive {
-    /// Methods 35 and 37: the present position is where the home offset says.
-    pub(super) fn home(&mut self, dictionary: &Dictionary) {
-        let position = real(dictionary.get(index::HOME_OFFSET));
-        self.offset = position - self.feedback.position_counts;
-        self.motion = Motion::Rest { position };
-        self.homed = true;
-    }
-
     pub(in super::super) fn on_mode(&mut self, now: TimeNs, dictionary: &Dictionary) {
         let raw = i8::try_from(dictionary.get(index::MODE)).unwrap_or(0);
         if let Ok(mode) = Mode::try_from(raw)

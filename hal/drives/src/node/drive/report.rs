@@ -64,8 +64,8 @@ impl Drive {
         };
         let actual = self.actual();
         let (demand, position) = (whole(demand), whole(actual));
-        let inputs = i64::from(actual <= real(dictionary.get(index::RANGE_MIN)))
-            | i64::from(actual >= real(dictionary.get(index::RANGE_MAX))) << 1;
+        let [negative, positive] = self.limit_switches(dictionary);
+        let inputs = i64::from(negative) | i64::from(positive) << 1;
         for (address, value) in [
             (index::STATUS, i64::from(status.emit())),
             (index::MODE_DISPLAY, i64::from(self.mode.raw())),

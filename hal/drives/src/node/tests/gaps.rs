@@ -28,8 +28,9 @@ fn gap(bench: &mut Bench, count: u64, mut target: i32) -> (Vec<f64>, i32) {
     (way, target)
 }
 
+/// A drive bridges three SYNCs that are left out brakes meanwhile and catches up.
 #[test]
-fn a_drive_bridges_three_syncs_that_are_left_out_brakes_meanwhile_and_catches_up() {
+fn drive_bridges_three_missing_syncs_and_catches_up() {
     // The way of the last half millisecond: a quick stop of 50 counts/ms^2 begins after two periods and takes 2 ms.
     for (count, last_step) in [(1, 50.0), (2, 31.25), (3, 6.25)] {
         let (mut bench, target) = Bench::moving();
@@ -63,8 +64,9 @@ fn a_drive_bridges_three_syncs_that_are_left_out_brakes_meanwhile_and_catches_up
     }
 }
 
+/// A gap that is longer than the drive waits stops it and it says why.
 #[test]
-fn a_gap_that_is_longer_than_the_drive_waits_stops_it_and_it_says_why() {
+fn longer_sync_gap_stops_the_drive_with_an_emergency() {
     // 2000h: periods without a SYNC after which it stops; three left out are a gap of four periods.
     for (limit, left_out, stops) in [(3, 3, true), (4, 3, false), (10, 9, false), (10, 10, true)] {
         let (mut bench, target) = Bench::moving();

@@ -15,8 +15,9 @@ fn targets_beyond_range_and_speed_are_held_back_and_shown() {
     assert_ne!(bench.node.dictionary().get(index::STATUS) & 0x0800, 0);
 }
 
+/// A target that the greatest speed cannot reach is a limit and no following error.
 #[test]
-fn a_target_that_the_greatest_speed_cannot_reach_is_a_limit_and_no_following_error() {
+fn unreachable_target_is_an_internal_limit_not_an_error() {
     let mut bench = Bench::enabled();
     bench
         .write(index::FOLLOWING_WINDOW, &500_u32.to_le_bytes())
@@ -33,8 +34,9 @@ fn a_target_that_the_greatest_speed_cannot_reach_is_a_limit_and_no_following_err
     assert_eq!(bench.node.power_state(), PowerState::OperationEnabled);
 }
 
+/// The lower one of two greatest speeds holds each in its own unit.
 #[test]
-fn the_lower_one_of_two_greatest_speeds_holds_each_in_its_own_unit() {
+fn lower_of_607f_and_6080_limits_the_speed() {
     // A motor of 10 000 counts a turn: 600 turns a minute are 100 counts a millisecond.
     for (counts_s, turns_min, counts_ms) in [
         (1_000_000_u32, 600_u32, 100.0),

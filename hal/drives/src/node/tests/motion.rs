@@ -50,8 +50,9 @@ fn halt_stops_and_stays_enabled() {
     assert!(bench.position() > halted);
 }
 
+/// Silence stops the axis within 50 ms of the last SYNC and it says why.
 #[test]
-fn silence_stops_the_axis_within_50_ms_of_the_last_sync_and_it_says_why() {
+fn silent_master_stops_the_axis_within_50_ms() {
     let (mut bench, _) = Bench::moving();
     // The last SYNC was a millisecond ago.
     let way = watch(&mut bench, 200);
@@ -215,8 +216,9 @@ fn the_abort_option_decides_about_a_lost_master() {
     }
 }
 
+/// A motor that does not follow is a fault that only an edge resets.
 #[test]
-fn a_motor_that_does_not_follow_is_a_fault_that_only_an_edge_resets() {
+fn following_error_is_reset_by_an_edge_only() {
     let (mut bench, mut target) = Bench::moving();
     bench
         .write(index::FOLLOWING_WINDOW, &500_u32.to_le_bytes())
@@ -259,7 +261,7 @@ fn homing_makes_the_present_position_the_home_offset() {
         .write(index::HOME_OFFSET, &(-777_i32).to_le_bytes())
         .unwrap();
     assert_eq!(
-        bench.write(index::HOMING_METHOD, &[17]),
+        bench.write(index::HOMING_METHOD, &[19]),
         Err(AbortCode::VALUE)
     );
     bench.write(index::HOMING_METHOD, &[37]).unwrap();
@@ -271,4 +273,66 @@ fn homing_makes_the_present_position_the_home_offset() {
     assert_eq!(bench.node.dictionary().get(index::POSITION), -777);
     // The motor did not move.
     assert!(bench.position().abs() < 1e-6);
+}
+
+/// Methods 17 and 18, with the bits that CiA 402-2 gives the status word: neither attained nor reached on the way, both at the end.
+#[test]
+fn homing_finds_the_end_of_a_limit_switch() {
+    for (method, end) in [(17, -1_000_000.0), (18, 1_000_000.0)] {
+        let mut bench = Bench::enabled();
+        for (address, value) in [
+            (index::HOME_OFFSET, 5_000),
+            (index::HOMING_SWITCH_SPEED, 500_000),
+            (index::HOMING_ZERO_SPEED, 10_000),
+            (index::HOMING_ACCELERATION, 5_000_000),
+        ] {
+            let value: i32 = value;
+            bench.write(address, &value.to_le_bytes()).unwrap();
+        }
+        bench.write(index::HOMING_METHOD, &[method]).unwrap();
+        bench.write(index::MODE, &[6]).unwrap();
+        bench.cycle(0x0F, 0);
+        let status = |bench: &Bench| bench.node.dictionary().get(index::STATUS) & 0x3400;
+        for _ in 0..1000 {
+            bench.cycle(0x1F, 0);
+            assert_eq!(status(&bench) & 0x1000, 0);
+        }
+        let mut cycles = 1000;
+        while status(&bench) != 0x1400 {
+            bench.cycle(0x1F, 0);
+            cycles += 1;
+            assert!(cycles < 4000, "{}", bench.position());
+        }
+        // 2 s of a million counts at 500 000 a second, and back from the switch.
+        assert!(cycles > 2000, "{cycles}");
+        assert!(
+            (bench.position() - end).abs() < 100.0,
+            "{}",
+            bench.position()
+        );
+        let position = bench.node.dictionary().get(index::POSITION);
+        assert!((position - 5_000).abs() < 100, "{position}");
+        let at_rest = bench.position();
+        bench.cycle(0x1F, 0);
+        assert!((bench.position() - at_rest).abs() < 1e-9);
+    }
+}
+
+#[test]
+fn homing_is_interrupted_by_its_bit() {
+    let mut bench = Bench::enabled();
+    bench.write(index::HOMING_METHOD, &[17]).unwrap();
+    bench.write(index::MODE, &[6]).unwrap();
+    for _ in 0..200 {
+        bench.cycle(0x1F, 0);
+    }
+    assert!(bench.position() < -100.0);
+    for _ in 0..20 {
+        bench.cycle(0x0F, 0);
+    }
+    let at_rest = bench.position();
+    bench.cycle(0x0F, 0);
+    assert!((bench.position() - at_rest).abs() < 1e-9);
+    assert_eq!(bench.node.dictionary().get(index::STATUS) & 0x1000, 0);
+    assert_eq!(bench.node.power_state(), PowerState::OperationEnabled);
 }

@@ -90,8 +90,9 @@ fn each_drive_picks_its_slice_of_a_shared_frame() {
     assert_eq!(bench.node.dictionary().get(index::TARGET), 9);
 }
 
+/// A short RPDO is discarded and a long one used and both are told.
 #[test]
-fn a_short_rpdo_is_discarded_and_a_long_one_used_and_both_are_told() {
+fn short_rpdo_is_discarded_and_long_one_truncated() {
     let mut bench = Bench::new();
     bench.map_cyclic();
     bench.nmt(NmtCommand::Start);

@@ -26,8 +26,9 @@ fn points_of_a_tilted_plane_lie_in_it() {
     }
 }
 
+/// Points of a sphere are at its radius and on the camera's side.
 #[test]
-fn points_of_a_sphere_are_at_its_radius_and_on_the_cameras_side() {
+fn sphere_points_are_on_the_visible_side() {
     let (centre, radius) = (Point3::new(0.0, 0.0, 0.01), 0.03);
     let frame = frame(pose(), sphere(centre, radius));
     let points = project(&[frame], CloudFrame::Scene, &EVERYTHING, &ALL).unwrap();
@@ -60,8 +61,9 @@ fn a_point_projects_back_to_the_middle_of_its_pixel() {
     }
 }
 
+/// In the camera's own frame depth is the third coordinate to the bit.
 #[test]
-fn in_the_cameras_own_frame_depth_is_the_third_coordinate_to_the_bit() {
+fn depth_is_z_of_the_camera_frame_to_the_bit() {
     let frame = frame(pose(), plane(Point3::origin(), Vector3::z()));
     let depths = frame.depth_m.clone();
     let points = project(&[frame], CloudFrame::FirstCamera, &EVERYTHING, &ALL).unwrap();
@@ -188,8 +190,9 @@ fn nothing_left_says_where_it_went() {
     ));
 }
 
+/// What is hidden gives a cloud at the origin and a blind sensor none.
 #[test]
-fn what_is_hidden_gives_a_cloud_at_the_origin_and_a_blind_sensor_none() {
+fn empty_cloud_is_padded_and_a_blind_sensor_gives_none() {
     let shown = frame(pose(), plane(Point3::origin(), Vector3::z()));
     let options = CloudOptions {
         frame: CloudFrame::Scene,

@@ -14,6 +14,7 @@ mod trunk;
 use tch::{Kind, TchError, Tensor};
 
 use super::Act;
+use crate::dimension::length;
 use crate::layers::affine::{Affine, By};
 use crate::recorded::Recorded;
 use backbone::FoldedBackbone;
@@ -44,12 +45,12 @@ impl FoldedAct {
         Self::computed(act, By::fastest(kind, act.backbone.stem.weight.device()))
     }
 
-    /// The same, computed `by` somebody.
+    /// The same, computed `by` a backend.
     fn computed(act: &Act, by: By) -> Result<Self, TchError> {
         tch::no_grad(|| {
             let config = act.config();
             let sides = [config.image_height, config.image_width];
-            let sides = sides.map(|side| usize::try_from(side).unwrap_or(0));
+            let sides = sides.map(length);
             let image_weight = act.image_weight.f_flatten(1, 3)?;
             let position = act.image_position.f_squeeze_dim(0)?;
             Ok(Self {

@@ -3,6 +3,7 @@
 use tch::{TchError, Tensor};
 
 use crate::act::resnet::{Block, Conv, Norm, ResNet18};
+use crate::dimension::length;
 use crate::layers::planes::{Direct, Plane, Stem, Steps, Winograd, Workspace};
 use crate::layers::vectors::Processor;
 
@@ -51,7 +52,7 @@ impl OwnBackbone {
         let mut sides = sides.map(|side| side.div_ceil(4));
         let mut blocks = Vec::new();
         for block in &backbone.blocks {
-            sides = sides.map(|side| side.div_ceil(count(block.first.stride).max(1)));
+            sides = sides.map(|side| side.div_ceil(length(block.first.stride).max(1)));
             blocks.push(OwnBlock::new(block, sides)?);
         }
         Ok(Self {
@@ -108,8 +109,8 @@ impl Convolution {
     fn new(conv: &Conv, [height, width]: [usize; 2], rectified: bool) -> Result<Self, TchError> {
         let (weight, bias) = folded(conv)?;
         let steps = Steps {
-            stride: count(conv.stride),
-            padding: count(conv.padding),
+            stride: length(conv.stride),
+            padding: length(conv.padding),
         };
         let tiles = rectified && steps.stride == 1 && Winograd::pays(height, width);
         Ok(if tiles {
@@ -144,8 +145,4 @@ fn folded(conv: &Conv) -> Result<(Tensor, Tensor), TchError> {
             "a normalisation that is not fixed".to_owned(),
         )),
     }
-}
-
-fn count(number: i64) -> usize {
-    usize::try_from(number).unwrap_or(0)
 }

@@ -5,7 +5,7 @@ use super::weights::Stored;
 use super::{PANEL, Place};
 use crate::layers::vectors::{Vectors, Work};
 
-/// How far ahead memory is asked for, bytes, as measured.
+/// Prefetch distance, bytes, as measured.
 const AHEAD: usize = 2048;
 
 /// Bytes that memory is read by.

@@ -7,6 +7,7 @@ use pulp::Simd;
 use tch::{TchError, Tensor};
 
 use super::{Ending, Plane, Size, Workspace, bias_of, load, shape_of, store};
+use crate::dimension::dimension;
 use crate::layers::aligned::Aligned;
 use crate::layers::kernel::{GROUP, InRegisters, PANEL, Summing, Sums, panels};
 use crate::layers::vectors::Vectors;
@@ -102,9 +103,8 @@ impl Stem {
             .chunks_exact_mut(of_picture)
             .enumerate()
         {
-            let picture = i64::try_from(picture).unwrap_or(0);
             images
-                .f_select(0, picture)?
+                .f_select(0, dimension(picture))?
                 .f_contiguous()?
                 .f_copy_data(other, numbers)?;
             pad(&other[..numbers], padded, [height, width], lengths);

@@ -15,6 +15,7 @@ mod scene_args;
 mod sheet;
 mod study;
 mod train;
+mod train_args;
 
 use std::process::ExitCode;
 

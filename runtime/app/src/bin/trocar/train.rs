@@ -13,10 +13,10 @@ use trocar::session::training_pace::Standing;
 use trocar::session::{SessionError, outputs, tasks};
 use trocar_nets::act::BackboneNorm;
 
-use crate::args::{Backbone, Network, TrainArgs, TrainingRecipe};
 use crate::commands::{Done, device};
 use crate::console;
 use crate::scene_args::of_task;
+use crate::train_args::{Backbone, Network, TrainArgs, TrainingRecipe};
 
 pub(crate) fn train(args: &TrainArgs) -> Done {
     let data = ("--data", args.data.as_deref());

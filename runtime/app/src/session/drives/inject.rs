@@ -38,7 +38,7 @@ pub enum FaultKind {
     WrongIdentity,
     /// The controllers of all others on the bus count too many errors and leave it.
     BusOff,
-    /// Somebody else gives the beat on the bus.
+    /// Another node sends SYNC on the bus.
     ForeignMaster,
 }
 
@@ -99,7 +99,7 @@ pub(super) enum Outside {
     Slack(NodeId, bool),
     /// The bus that this node is on tells everybody that their controllers are off.
     BusOff(NodeId),
-    /// Somebody else gives the beat of the arm that this node belongs to.
+    /// Another node sends the SYNC of the arm that this node belongs to.
     ForeignMaster(NodeId),
 }
 

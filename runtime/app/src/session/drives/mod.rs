@@ -81,7 +81,7 @@ impl Moved<'_> {
 /// How to run drives.
 #[derive(Clone, Debug)]
 pub struct DrivesOptions {
-    /// Everything random in the scene hangs on this.
+    /// Everything random in the scene depends on this.
     pub seed: u64,
     /// Names the topics.
     pub topics: String,

@@ -7,7 +7,7 @@ use hal::{ARM_NAMES, TimeNs};
 use trocar_canopen::NodeId;
 use trocar_canopen::cia301::NmtState;
 use trocar_canopen::cia301::emcy::ErrorCode;
-use trocar_canopen::cia402::{Command, ControlView, PowerState};
+use trocar_canopen::cia402::{Command, ControlView, Mode, PowerState};
 use trocar_canopen::index;
 use trocar_canopen::master::ArmPlan;
 use trocar_drives::node::Node;
@@ -153,7 +153,11 @@ impl StopWatch {
         let Some(node) = network.node(plan.node) else {
             return;
         };
-        let follows = powered && node.power_state() == PowerState::OperationEnabled;
+        // A drive that is homed is enabled, too, and has no set-points yet.
+        let mode = node.dictionary().get(index::MODE_DISPLAY);
+        let follows = powered
+            && node.power_state() == PowerState::OperationEnabled
+            && mode == i64::from(Mode::CyclicPosition.raw());
         let seen = &mut self.seen[axis];
         if follows {
             seen.sync = node.newest_sync().or(seen.sync);

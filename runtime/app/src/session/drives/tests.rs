@@ -187,8 +187,9 @@ impl Rig {
     }
 }
 
+/// The needle is lifted over CAN in joint and in actuator space.
 #[test]
-fn the_needle_is_lifted_over_can_in_joint_and_in_actuator_space() {
+fn needle_is_lifted_over_can_in_both_spaces() {
     for space in [Space::Joint, Space::Actuator] {
         let mut rig = Rig::new(space, &[]);
         assert_eq!(
@@ -204,8 +205,9 @@ fn the_needle_is_lifted_over_can_in_joint_and_in_actuator_space() {
     }
 }
 
+/// Whenever the master dies all axes rest within 50 ms of the last SYNC and say why.
 #[test]
-fn whenever_the_master_dies_all_axes_rest_within_50_ms_of_the_last_sync_and_say_why() {
+fn axes_rest_within_50_ms_of_a_dead_master() {
     let moments = [700, 1000, 1500, 2200, 4300];
     let moving = moments.into_iter().filter(|ticks| dies_after(*ticks));
     assert!(moving.count() >= 3, "of these most are in mid-motion");
@@ -265,7 +267,7 @@ fn every_other_injected_fault_stops_the_arm_with_its_cause() {
         ("short", "node 3 (axis 2, bus 0): process data of"),
         ("garbage", "node 3 (axis 2, bus 0): "),
         ("no-heartbeat", "node 3 (axis 2, bus 0): no heartbeat"),
-        ("foreign-master", "bus 0: somebody else sends 080h"),
+        ("foreign-master", "bus 0: another node sends 080h"),
     ] {
         let mut rig = Rig::new(Space::Joint, &[&format!("node=3,at=50ms,kind={kind}")]);
         rig.ticks(600);
@@ -305,8 +307,9 @@ fn a_bus_off_is_for_the_process_to_tell() {
     assert_eq!(rig.bus().notes.off, [0]);
 }
 
+/// An axis whose motor slipped stays behind and the controller notices.
 #[test]
-fn an_axis_whose_motor_slipped_stays_behind_and_the_controller_notices() {
+fn slipped_motor_is_noticed_by_the_controller() {
     let mut rig = Rig::new(Space::Joint, &["kind=slack,node=3,at=0ms"]);
     let outcome = rig.run();
     assert!(

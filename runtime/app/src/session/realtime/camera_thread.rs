@@ -32,14 +32,14 @@ pub(super) struct Snapshot {
 /// The camera thread before it runs.
 pub(super) struct CameraThread {
     cameras: SceneCameras,
-    /// The cameras that somebody wants, by index; publishers and frames are in their order.
+    /// The cameras that are wanted, by index; publishers and frames are in their order.
     wanted: Vec<usize>,
     publishers: Vec<FramePublisher>,
     /// One an arm, if there is a policy process to read them.
     arms: Vec<Publisher<ArmReport>>,
     log: Option<SideLog>,
     snapshots: MailboxReader<Snapshot>,
-    /// Kept only if somebody will look at them.
+    /// Kept only if they will be looked at.
     pictures: Option<Pictures>,
     frames: Vec<CameraFrame>,
 }

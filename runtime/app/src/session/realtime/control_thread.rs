@@ -171,8 +171,9 @@ mod tests {
 
     use super::*;
 
+    /// Only an observation that a late thread slept past is waited for.
     #[test]
-    fn only_an_observation_that_a_late_thread_slept_past_is_waited_for() {
+    fn late_thread_waits_for_the_observation_it_missed() {
         let period = Period {
             now: TimeNs(50 * TICK_NS),
             late_ns: 3 * TICK_NS,

@@ -17,11 +17,14 @@ mod arm_chunks;
 mod camera_thread;
 mod child;
 mod control_thread;
+mod ended;
 mod on_can;
 mod policy_process;
+mod robot;
 mod signals;
 mod simulation_thread;
 mod watch;
+mod wires;
 
 use std::sync::Arc;
 use std::thread;
@@ -32,8 +35,9 @@ use tch::Device;
 use trocar_tasks::simulation::{Rendering, Simulation};
 use trocar_tasks::task::Outcome;
 
-pub use on_can::{CanOptions, RobotOptions, Say, run_on_can, run_rig, run_robot_on_can};
+pub use on_can::{CanOptions, Say, run_on_can, run_robot_on_can};
 pub use policy_process::{PolicyProcessOptions, serve_policy};
+pub use robot::{RobotOptions, run_rig};
 
 use super::operator::{Listener, OperatorPort};
 use super::run::{RunOptions, RunResult, open_log};

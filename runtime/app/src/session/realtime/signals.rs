@@ -80,8 +80,9 @@ impl Drop for Moving {
 mod tests {
     use super::*;
 
+    /// A thread that panics ends the run and the control thread stops all.
     #[test]
-    fn a_thread_that_panics_ends_the_run_and_the_control_thread_stops_all() {
+    fn panicking_thread_ends_the_run() {
         let signals = Signals::default();
         std::thread::scope(|scope| {
             let panicked = scope.spawn(|| {

@@ -29,7 +29,7 @@ pub(super) struct Snapshots {
     pub(super) query_every_steps: Option<u64>,
     /// Steps before a query that it wants to have observed too.
     pub(super) history_steps: u64,
-    /// Whether the log or somebody else wants frames in between.
+    /// Whether the log or a policy wants frames in between.
     pub(super) frames: bool,
 }
 
@@ -196,8 +196,9 @@ const fn is_due(stamp: TimeNs, late: u64, now: TimeNs) -> bool {
 mod tests {
     use super::*;
 
+    /// Steps that make up for missed ones follow no command from after them.
     #[test]
-    fn steps_that_make_up_for_missed_ones_follow_no_command_from_after_them() {
+    fn catch_up_steps_follow_no_later_command() {
         let stamp = TimeNs(10 * TICK_NS + TICK_NS / 2);
         for (late, tick, expected) in [
             (3, 9, false),

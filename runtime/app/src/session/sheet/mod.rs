@@ -173,8 +173,9 @@ mod tests {
         }
     }
 
+    /// A needle goes to the tasks that have a choice and must go to one.
     #[test]
-    fn a_needle_goes_to_the_tasks_that_have_a_choice_and_must_go_to_one() {
+    fn needle_is_for_tasks_with_a_choice() {
         let found = needles(&["block-transfer", "needle-lift"], "N2");
         assert_eq!(found, Ok(vec![None, Some("N2".to_owned())]));
         let error = needles(&["block-transfer", "needle-lift"], "N9").unwrap_err();

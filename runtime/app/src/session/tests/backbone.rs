@@ -12,8 +12,9 @@ use super::*;
 
 const BACKBONE: &str = "model.backbone.";
 
+/// A backbone that cannot be is refused before anything is made.
 #[test]
-fn a_backbone_that_cannot_be_is_refused_before_anything_is_made() {
+fn impossible_backbone_is_refused_first() {
     let folder = Scratch::new("session-backbone");
     let out = folder.0.join("act");
     let weights = folder.0.join("resnet18.safetensors");

@@ -65,8 +65,9 @@ fn train_simple(data: &Path, out: &Path) -> Result<TrainingResult, SessionError>
     train(&options, &mut |_| {})
 }
 
+/// A demonstration with depth trains a diffusion policy that repeats itself.
 #[test]
-fn a_demonstration_with_depth_trains_a_diffusion_policy_that_repeats_itself() {
+fn diffusion_policy_from_depth_repeats_itself() {
     let folder = Scratch::new("session-clouds");
     let (data, out) = (folder.0.join("data"), folder.0.join("dp3"));
     let dataset = record_lift(&data, true, SIDE);

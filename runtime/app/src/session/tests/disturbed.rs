@@ -87,8 +87,9 @@ fn a_disturbed_and_varied_recording_says_so() {
     }
 }
 
+/// A plain recording says nothing that LeRobot sees and is as it was.
 #[test]
-fn a_plain_recording_says_nothing_that_lerobot_sees_and_is_as_it_was() {
+fn plain_recording_stays_as_lerobot_knows_it() {
     let folder = Scratch::new("session-undisturbed");
     let setup = small_lift(&[]);
     let record_in = |name: &str, disturb| {

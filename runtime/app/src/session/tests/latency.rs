@@ -20,8 +20,9 @@ fn late(latency: Latency) -> EpisodeEnd {
         .unwrap()
 }
 
+/// Injected latency and jitter are measured repeat themselves and fault nothing.
 #[test]
-fn injected_latency_and_jitter_are_measured_repeat_themselves_and_fault_nothing() {
+fn injected_latency_repeats_and_causes_no_fault() {
     let prompt = late(Latency::fixed(0));
     let steady = late(Latency::fixed(60));
     let uneven = Latency {

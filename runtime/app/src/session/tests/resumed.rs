@@ -46,8 +46,9 @@ fn record_some(setup: &Setup, options: &RecordOptions, kept: usize) -> RecordSum
     .unwrap()
 }
 
+/// An interrupted recording comes to the same as one without a break.
 #[test]
-fn an_interrupted_recording_comes_to_the_same_as_one_without_a_break() {
+fn resumed_recording_equals_an_unbroken_one() {
     let folder = Scratch::new("session-resumed");
     let setup = small_lift(&[Variation::Light]);
     let whole = RecordOptions {
@@ -188,8 +189,9 @@ fn scenes_that_are_refused(made: &RecordOptions) {
     );
 }
 
+/// A dataset that does not say how it was made is not gone on with.
 #[test]
-fn a_dataset_that_does_not_say_how_it_was_made_is_not_gone_on_with() {
+fn dataset_without_its_options_is_not_resumed() {
     let folder = Scratch::new("session-silent");
     let setup = small_lift(&[]);
     let made = RecordOptions {

@@ -27,8 +27,9 @@ fn evaluated(
     serde_json::to_value(&summary).unwrap()
 }
 
+/// Expert retracts the flap through the whole chain and the tissue is reported.
 #[test]
-fn expert_retracts_the_flap_through_the_whole_chain_and_the_tissue_is_reported() {
+fn expert_retracts_the_flap_and_reports_the_tissue() {
     let result = evaluated("tissue-retraction", PolicyChoice::Expert, 1, None);
     assert_eq!(result["successes"], 1, "{result}");
     let tissue = &result["episodes"][0]["tissue"];

@@ -77,7 +77,7 @@ impl Runner<'_> {
         };
         // Whoever made it anew may have been killed.
         store.put_back(kind, address)?;
-        // Somebody may have done it between the first look and the lock.
+        // Another process may have done it between the first look and the lock.
         if self.settled(index) {
             return Ok(Begun::Settled);
         }

@@ -159,8 +159,9 @@ fn turn_until(runner: &mut Runner<'_>, is_so: impl Fn(&Runner<'_>) -> bool) {
     panic!("it never is");
 }
 
+/// A training made anew that is interrupted keeps its earlier result and goes on.
 #[test]
-fn a_training_made_anew_that_is_interrupted_keeps_its_earlier_result_and_goes_on() {
+fn interrupted_retraining_keeps_the_earlier_result() {
     let folder = folder("anew");
     let whole = Whole::new(&folder);
     whole.ends(3);
@@ -209,8 +210,9 @@ fn a_training_made_anew_that_is_interrupted_keeps_its_earlier_result_and_goes_on
     assert!(!cell.join("cell.json.old").exists() && !cell.join("result.json.old").exists());
 }
 
+/// A training made anew that is interrupted before it kept anything is done as before.
 #[test]
-fn a_training_made_anew_that_is_interrupted_before_it_kept_anything_is_done_as_before() {
+fn retraining_interrupted_at_once_starts_again() {
     let folder = folder("bare");
     let whole = Whole::new(&folder);
     whole.ends(3);

@@ -165,8 +165,9 @@ fn axis_of(state: &MotionState, axis: usize) -> (f64, f64, f64) {
     )
 }
 
+/// Velocity acceleration and jerk come down without an overshoot.
 #[test]
-fn velocity_acceleration_and_jerk_come_down_without_an_overshoot() {
+fn lowered_limits_are_reached_without_overshoot() {
     let built = wide_axes();
     let mut random = SplitMix64::new(41);
     for round in 0..200 {
@@ -225,8 +226,9 @@ fn outside(built: &AxisLimits, limits: &AxisLimits, random: &mut SplitMix64) -> 
     }
 }
 
+/// Motion that the guard left outside the lower limits settles too.
 #[test]
-fn motion_that_the_guard_left_outside_the_lower_limits_settles_too() {
+fn motion_outside_lowered_limits_settles() {
     let built = wide_axes();
     let mut random = SplitMix64::new(45);
     for round in 0..400 {

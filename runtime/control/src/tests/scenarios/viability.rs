@@ -72,8 +72,9 @@ fn extreme_jerks(limits: &AxisLimits, seed: u64, steps: u64) -> Excess {
     excess
 }
 
+/// Five million extreme jerks an axis keep every axis in its range.
 #[test]
-fn five_million_extreme_jerks_an_axis_keep_every_axis_in_its_range() {
+fn extreme_jerks_keep_every_axis_in_range() {
     let config = Scene::crowded().config;
     let steps = 5_000_000;
     for (axis, limits) in config.axes.iter().enumerate() {
@@ -156,8 +157,9 @@ fn extreme_velocities(seed: u64, ticks: u64) -> [Excess; AXES] {
     excesses
 }
 
+/// Five million steps at the filter's bounds keep every axis in its range.
 #[test]
-fn five_million_steps_at_the_filters_bounds_keep_every_axis_in_its_range() {
+fn steps_at_the_bounds_keep_every_axis_in_range() {
     let ticks = 715_000;
     let excesses = extreme_velocities(701, ticks);
     for (axis, excess) in excesses.iter().enumerate() {

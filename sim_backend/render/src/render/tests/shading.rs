@@ -17,8 +17,8 @@ fn a_camera_beside_sees_the_shadow_that_the_endoscope_casts() {
         wetness: 0.0,
         ..MUSCLE
     };
-    let plane = || visual("plane", height_field(0.1, 0.1, 3, |_, _| 0.0), plain, 1);
-    let ball = visual("ball", sphere(0.006, 32), STEEL, 2);
+    let plane = || Visual::new("plane", height_field(0.1, 0.1, 3, |_, _| 0.0), plain, 1);
+    let ball = Visual::new("ball", sphere(0.006, 32), STEEL, 2);
     let overhead = Camera {
         camera_in_scene: look_at(Point3::new(0.0, 0.0, 0.12), Point3::origin(), Vector3::y()),
         ..endoscope(64)
@@ -68,7 +68,7 @@ fn a_camera_beside_sees_the_shadow_that_the_endoscope_casts() {
 
 #[test]
 fn a_pattern_goes_where_its_surface_goes() {
-    let patch = visual("patch", height_field(0.06, 0.06, 8, |_, _| 0.0), MUSCLE, 1);
+    let patch = Visual::new("patch", height_field(0.06, 0.06, 8, |_, _| 0.0), MUSCLE, 1);
     let mut renderer = Renderer::new(&[patch]).unwrap();
     let shift = at(0.037, -0.011, 0.0);
     let camera = Camera {
@@ -111,8 +111,8 @@ fn edges_are_smooth_in_colour_and_sharp_in_ids() {
         ..white
     };
     let scene = [
-        visual("box", cuboid(Vector3::new(0.01, 0.01, 0.001)), white, 200),
-        visual("wall", cuboid(Vector3::new(0.2, 0.2, 0.001)), dark, 100),
+        Visual::new("box", cuboid(Vector3::new(0.01, 0.01, 0.001)), white, 200),
+        Visual::new("wall", cuboid(Vector3::new(0.2, 0.2, 0.001)), dark, 100),
     ];
     let mut renderer = Renderer::new(&scene).unwrap();
     let camera = Camera {

@@ -189,36 +189,29 @@ impl TaskScene for BlockTransfer {
     }
 
     fn expert(&self, arms: &[ArmStart], seed: u64) -> Box<dyn AnyScript> {
-        Box::new(Alone::new(Mover::new(self, seed), arms))
+        Box::new(Alone::new(Mover::new(self), arms, seed))
     }
 
     fn visuals(&self) -> Vec<Visual> {
         let mut visuals = vec![
-            Visual {
-                name: "board",
-                mesh: self.board.mesh(),
-                material: paint([0.26, 0.27, 0.28]),
-                instance: instance::ORGAN,
-            },
-            Visual {
-                name: "block",
-                mesh: self.block.mesh(),
-                material: paint([0.02, 0.11, 0.48]),
-                instance: BLOCK,
-            },
-            Visual {
-                name: "goal peg",
-                mesh: self.board.peg_mesh(),
-                material: paint([0.85, 0.06, 0.30]),
-                instance: GOAL_PEG,
-            },
+            Visual::new(
+                "board",
+                self.board.mesh(),
+                paint([0.26, 0.27, 0.28]),
+                instance::ORGAN,
+            ),
+            Visual::new("block", self.block.mesh(), paint([0.02, 0.11, 0.48]), BLOCK),
+            Visual::new(
+                "goal peg",
+                self.board.peg_mesh(),
+                paint([0.85, 0.06, 0.30]),
+                GOAL_PEG,
+            ),
         ];
-        visuals.extend((1..self.board.pegs_m.len()).map(|_| Visual {
-            name: "peg",
-            mesh: self.board.peg_mesh(),
-            material: paint([0.62, 0.61, 0.56]),
-            instance: PEG,
-        }));
+        visuals
+            .extend((1..self.board.pegs_m.len()).map(|_| {
+                Visual::new("peg", self.board.peg_mesh(), paint([0.62, 0.61, 0.56]), PEG)
+            }));
         visuals
     }
 

@@ -7,8 +7,8 @@ use serde::Deserialize;
 use trocar_world::block::BlockShape;
 
 use super::{BlockTransfer, BoardShape};
-use crate::task::judge::{Limits, PressLimit, PressWatch, Watch, seconds};
-use crate::task::{Monitor, Outcome, Reason, Sight};
+use crate::task::judge::{Held, Limits, PressLimit, Safeguard};
+use crate::task::{Monitor, Outcome, Sight};
 
 /// What counts as a moved block, and what ends the episode at once.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
@@ -54,11 +54,7 @@ impl SuccessConfig {
         check("speed_m_s", self.speed_m_s, 0.000_1, 0.1)?;
         check("away_m", self.away_m, 0.0, 0.05)?;
         check("hold_s", self.hold_s, 0.05, 10.0)?;
-        check("penetration_m_max", self.penetration_m_max, 0.000_01, 0.01)?;
-        check("sunk_m_max", self.sunk_m_max, 0.000_01, 0.01)?;
-        check("block_speed_m_s_max", self.block_speed_m_s_max, 0.05, 10.0)?;
-        check("block_force_n_max", self.block_force_n_max, 0.1, 100.0)?;
-        check("block_gain_j_max", self.block_gain_j_max, 1e-7, 0.01)?;
+        self.limits().check(source, "block")?;
         self.press.check(source)
     }
 
@@ -82,9 +78,8 @@ pub(super) struct SuccessMonitor {
     corner: Point3<f64>,
     before: Option<Pose>,
     cleared: bool,
-    held_steps: u64,
-    press: PressWatch,
-    watch: Watch,
+    held: Held,
+    safeguard: Safeguard,
 }
 
 impl SuccessMonitor {
@@ -99,27 +94,18 @@ impl SuccessMonitor {
             corner: Point3::new(block.corner_m, 0.0, 0.5 * block.height_m),
             before: None,
             cleared: false,
-            held_steps: 0,
-            press: PressWatch::new("board", config.press),
-            watch: Watch::new("block", config.limits()),
+            held: Held::default(),
+            safeguard: Safeguard::new("block", "board", config.limits(), config.press),
             config,
         }
     }
 
     fn end(&mut self, sight: &Sight) -> Option<Outcome> {
         let corner = sight.thing_in_scene * self.corner;
-        if let Some(end) = self.watch.end(&corner, sight) {
-            return Some(end);
-        }
-        if let Some(reason) = self.press.failure(sight) {
-            return Some(Outcome::Failure(reason));
-        }
         let middle = sight.thing_in_scene.translation;
-        let fallen = !self.board.covers(middle.x, middle.y) || middle.z < 0.0;
-        fallen.then_some(Outcome::Failure(Reason::Fallen {
-            thing: "block",
-            ground: "board",
-        }))
+        let board = &self.board;
+        let fallen = || !board.covers(middle.x, middle.y) || middle.z < 0.0;
+        self.safeguard.end(&corner, sight, fallen)
     }
 
     /// Whether the whole block is above the pegs in the grip of both fingers.
@@ -175,12 +161,7 @@ impl Monitor for SuccessMonitor {
         let speed_m_s = self.speed_m_s(&sight.thing_in_scene);
         self.cleared |= self.is_clear(sight);
         let held = self.cleared && self.is_placed(sight, speed_m_s);
-        self.held_steps = if held { self.held_steps + 1 } else { 0 };
-        if seconds(self.held_steps) >= self.config.hold_s {
-            Outcome::Success
-        } else {
-            Outcome::Running
-        }
+        self.held.outcome(held, self.config.hold_s)
     }
 
     fn missing(&self) -> &'static str {

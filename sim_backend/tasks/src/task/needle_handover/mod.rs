@@ -127,18 +127,8 @@ impl TaskScene for NeedleHandover {
 
     fn visuals(&self) -> Vec<Visual> {
         vec![
-            Visual {
-                name: "liver",
-                mesh: self.organ.lobed_mesh(),
-                material: LIVER,
-                instance: instance::ORGAN,
-            },
-            Visual {
-                name: "needle",
-                mesh: self.needle.mesh(),
-                material: NEEDLE_STEEL,
-                instance: instance::NEEDLE,
-            },
+            Visual::new("liver", self.organ.lobed_mesh(), LIVER, instance::ORGAN),
+            Visual::new("needle", self.needle.mesh(), NEEDLE_STEEL, instance::NEEDLE),
         ]
     }
 

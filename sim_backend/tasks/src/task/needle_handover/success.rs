@@ -9,8 +9,8 @@ use trocar_world::needle::NeedleShape;
 use trocar_world::organ::OrganShape;
 
 use super::NeedleHandover;
-use crate::task::judge::{Limits, PressLimit, PressWatch, Watch, seconds};
-use crate::task::{Monitor, Outcome, Reason, Sight};
+use crate::task::judge::{Held, Limits, PressLimit, Safeguard, is_off, seconds};
+use crate::task::{Monitor, Outcome, Sight};
 
 /// How long the needle may be between no arm's fingers before it counts as dropped, s: contacts flicker.
 const LOOSE_S: f64 = 0.02;
@@ -56,12 +56,8 @@ impl SuccessConfig {
         check("given_s", self.given_s, 0.05, 10.0)?;
         check("away_m", self.away_m, 0.0, 0.1)?;
         check("hold_s", self.hold_s, 0.05, 10.0)?;
-        check("penetration_m_max", self.penetration_m_max, 0.000_01, 0.01)?;
-        let speed = self.needle_speed_m_s_max;
-        check("needle_speed_m_s_max", speed, 0.05, 10.0)?;
         check("sink_m_max", self.sink_m_max, 0.001, 0.1)?;
-        check("needle_force_n_max", self.needle_force_n_max, 0.1, 100.0)?;
-        check("needle_gain_j_max", self.needle_gain_j_max, 1e-7, 0.01)?;
+        self.limits().check(source, "needle")?;
         self.press.check(source)
     }
 
@@ -86,9 +82,8 @@ pub(super) struct SuccessMonitor {
     given: bool,
     /// For how long no arm has had it between its fingers.
     loose_steps: u64,
-    held_steps: u64,
-    press: PressWatch,
-    watch: Watch,
+    held: Held,
+    safeguard: Safeguard,
 }
 
 impl SuccessMonitor {
@@ -102,27 +97,17 @@ impl SuccessMonitor {
             given_steps: 0,
             given: false,
             loose_steps: 0,
-            held_steps: 0,
-            press: PressWatch::new("organ", config.press),
-            watch: Watch::new("needle", config.limits()),
+            held: Held::default(),
+            safeguard: Safeguard::new("needle", "organ", config.limits(), config.press),
             config,
         }
     }
 
     fn end(&mut self, sight: &Sight) -> Option<Outcome> {
         let middle = sight.thing_in_scene * self.wire[WIRE_POINTS / 2];
-        if let Some(end) = self.watch.end(&middle, sight) {
-            return Some(end);
-        }
-        if let Some(reason) = self.press.failure(sight) {
-            return Some(Outcome::Failure(reason));
-        }
-        let height_m = middle.z - self.organ.height_m(middle.x, middle.y);
-        let fallen = !self.organ.covers(middle.x, middle.y) || height_m < -self.config.sink_m_max;
-        fallen.then_some(Outcome::Failure(Reason::Fallen {
-            thing: "needle",
-            ground: "organ",
-        }))
+        let (organ, sink_m) = (&self.organ, self.config.sink_m_max);
+        let fallen = || is_off(organ, &middle, sink_m);
+        self.safeguard.end(&middle, sight, fallen)
     }
 
     /// Whether `holder` alone holds the needle, clear of the organ.
@@ -167,12 +152,7 @@ impl Monitor for SuccessMonitor {
         let taken = self.given
             && self.is_held(needle, taker, giver)
             && self.is_away(needle, &sight.tips_in_scene[0]);
-        self.held_steps = if taken { self.held_steps + 1 } else { 0 };
-        if seconds(self.held_steps) >= self.config.hold_s {
-            Outcome::Success
-        } else {
-            Outcome::Running
-        }
+        self.held.outcome(taken, self.config.hold_s)
     }
 
     fn missing(&self) -> &'static str {

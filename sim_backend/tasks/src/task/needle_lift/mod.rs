@@ -122,23 +122,13 @@ impl TaskScene for NeedleLift {
     }
 
     fn expert(&self, arms: &[ArmStart], seed: u64) -> Box<dyn AnyScript> {
-        Box::new(Alone::new(Lifter::new(self, seed), arms))
+        Box::new(Alone::new(Lifter::new(self), arms, seed))
     }
 
     fn visuals(&self) -> Vec<Visual> {
         vec![
-            Visual {
-                name: "organ",
-                mesh: self.organ.mesh(),
-                material: MUSCLE,
-                instance: instance::ORGAN,
-            },
-            Visual {
-                name: "needle",
-                mesh: self.needle.mesh(),
-                material: NEEDLE_STEEL,
-                instance: instance::NEEDLE,
-            },
+            Visual::new("organ", self.organ.mesh(), MUSCLE, instance::ORGAN),
+            Visual::new("needle", self.needle.mesh(), NEEDLE_STEEL, instance::NEEDLE),
         ]
     }
 

@@ -8,8 +8,8 @@ use trocar_world::Grasp;
 use trocar_world::needle::NeedleShape;
 use trocar_world::organ::OrganShape;
 
-use crate::task::judge::{Limits, PressLimit, PressWatch, Watch, seconds};
-use crate::task::{Monitor, Outcome, Reason, Sight};
+use crate::task::judge::{Held, Limits, PressLimit, Safeguard, is_off};
+use crate::task::{Monitor, Outcome, Sight};
 
 /// What counts as a lifted needle, and what ends the episode at once.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
@@ -46,16 +46,8 @@ impl SuccessConfig {
         check("hold_s", self.hold_s, 0.05, 10.0)?;
         check("grip_force_n_min", self.grip_force_n_min, 0.0, 10.0)?;
         check("clearance_m", self.clearance_m, 0.0, 0.05)?;
-        check("penetration_m_max", self.penetration_m_max, 0.000_01, 0.01)?;
-        check(
-            "needle_speed_m_s_max",
-            self.needle_speed_m_s_max,
-            0.05,
-            10.0,
-        )?;
         check("sink_m_max", self.sink_m_max, 0.001, 0.1)?;
-        check("needle_force_n_max", self.needle_force_n_max, 0.1, 100.0)?;
-        check("needle_gain_j_max", self.needle_gain_j_max, 1e-7, 0.01)?;
+        self.limits().check(source, "needle")?;
         self.press.check(source)
     }
 
@@ -81,9 +73,8 @@ pub(super) struct SuccessMonitor {
     wire: Vec<Point3<f64>>,
     wire_radius_m: f64,
     organ: OrganShape,
-    held_steps: u64,
-    press: PressWatch,
-    watch: Watch,
+    held: Held,
+    safeguard: Safeguard,
 }
 
 impl SuccessMonitor {
@@ -95,9 +86,8 @@ impl SuccessMonitor {
             wire: needle.centre_line(WIRE_POINTS),
             wire_radius_m: needle.wire_radius_m,
             organ: *organ,
-            held_steps: 0,
-            press: PressWatch::new("organ", config.press),
-            watch: Watch::new("needle", config.limits()),
+            held: Held::default(),
+            safeguard: Safeguard::new("needle", "organ", config.limits(), config.press),
         }
     }
 
@@ -107,11 +97,6 @@ impl SuccessMonitor {
         let force_n = grasp.left_force_n.min(grasp.right_force_n);
         let gripped = grasp.both_touch && force_n >= self.config.grip_force_n_min;
         raised && gripped && self.clearance_m(needle_in_scene) >= self.config.clearance_m
-    }
-
-    fn off_organ(&self, middle: &Point3<f64>) -> bool {
-        let height_m = middle.z - self.organ.height_m(middle.x, middle.y);
-        !self.organ.covers(middle.x, middle.y) || height_m < -self.config.sink_m_max
     }
 
     /// Free space between the wire and the organ at its lowest point, m.
@@ -128,25 +113,13 @@ impl Monitor for SuccessMonitor {
     fn observe(&mut self, sight: &Sight) -> Outcome {
         let grasp = &sight.grasps[0];
         let middle = sight.thing_in_scene * self.middle;
-        if let Some(end) = self.watch.end(&middle, sight) {
+        let (organ, sink_m) = (&self.organ, self.config.sink_m_max);
+        let fallen = || is_off(organ, &middle, sink_m);
+        if let Some(end) = self.safeguard.end(&middle, sight, fallen) {
             return end;
         }
-        if let Some(reason) = self.press.failure(sight) {
-            return Outcome::Failure(reason);
-        }
-        if self.off_organ(&middle) {
-            return Outcome::Failure(Reason::Fallen {
-                thing: "needle",
-                ground: "organ",
-            });
-        }
         let held = self.held(&sight.thing_in_scene, &middle, grasp);
-        self.held_steps = if held { self.held_steps + 1 } else { 0 };
-        if seconds(self.held_steps) >= self.config.hold_s {
-            Outcome::Success
-        } else {
-            Outcome::Running
-        }
+        self.held.outcome(held, self.config.hold_s)
     }
 
     fn missing(&self) -> &'static str {

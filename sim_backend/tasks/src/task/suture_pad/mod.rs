@@ -177,24 +177,14 @@ impl TaskScene for SuturePad {
     }
 
     fn expert(&self, arms: &[ArmStart], seed: u64) -> Box<dyn AnyScript> {
-        Box::new(Alone::new(Driver::new(self, seed), arms))
+        Box::new(Alone::new(Driver::new(self), arms, seed))
     }
 
     fn visuals(&self) -> Vec<Visual> {
         let layers = LAYERS.into_iter().zip(self.pad.meshes());
-        let needle = Visual {
-            name: "needle",
-            mesh: self.needle.mesh(),
-            material: NEEDLE_STEEL,
-            instance: instance::NEEDLE,
-        };
+        let needle = Visual::new("needle", self.needle.mesh(), NEEDLE_STEEL, instance::NEEDLE);
         layers
-            .map(|((name, material), mesh)| Visual {
-                name,
-                mesh,
-                material,
-                instance: instance::ORGAN,
-            })
+            .map(|((name, material), mesh)| Visual::new(name, mesh, material, instance::ORGAN))
             .chain([needle])
             .collect()
     }

@@ -6,8 +6,8 @@ use nalgebra::Point3;
 use serde::Deserialize;
 
 use super::{PadShape, SuturePad};
-use crate::task::judge::{Limits, PressLimit, PressWatch, Watch, seconds};
-use crate::task::{Monitor, Outcome, Reason, Sight};
+use crate::task::judge::{Held, Limits, PressLimit, Safeguard};
+use crate::task::{Monitor, Outcome, Sight};
 
 /// What counts as a needle through the hole, and what ends the episode at once.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
@@ -41,12 +41,7 @@ impl SuccessConfig {
         };
         check("through_m", self.through_m, 0.001, 0.03)?;
         check("hold_s", self.hold_s, 0.05, 10.0)?;
-        check("penetration_m_max", self.penetration_m_max, 0.000_01, 0.01)?;
-        check("sunk_m_max", self.sunk_m_max, 0.000_01, 0.01)?;
-        let speed = self.needle_speed_m_s_max;
-        check("needle_speed_m_s_max", speed, 0.05, 10.0)?;
-        check("needle_force_n_max", self.needle_force_n_max, 0.1, 100.0)?;
-        check("needle_gain_j_max", self.needle_gain_j_max, 1e-7, 0.01)?;
+        self.limits().check(source, "needle")?;
         self.press.check(source)
     }
 
@@ -67,9 +62,8 @@ pub(super) struct SuccessMonitor {
     pad: PadShape,
     /// The wire in the needle frame, its point last.
     wire: Vec<Point3<f64>>,
-    held_steps: u64,
-    press: PressWatch,
-    watch: Watch,
+    held: Held,
+    safeguard: Safeguard,
 }
 
 impl SuccessMonitor {
@@ -79,27 +73,18 @@ impl SuccessMonitor {
         Self {
             pad: scene.pad,
             wire: scene.needle.centre_line(WIRE_POINTS),
-            held_steps: 0,
-            press: PressWatch::new("pad", config.press),
-            watch: Watch::new("needle", config.limits()),
+            held: Held::default(),
+            safeguard: Safeguard::new("needle", "pad", config.limits(), config.press),
             config,
         }
     }
 
     fn end(&mut self, sight: &Sight) -> Option<Outcome> {
         let point = sight.thing_in_scene * self.wire[WIRE_POINTS - 1];
-        if let Some(end) = self.watch.end(&point, sight) {
-            return Some(end);
-        }
-        if let Some(reason) = self.press.failure(sight) {
-            return Some(Outcome::Failure(reason));
-        }
         let middle = sight.thing_in_scene * self.wire[WIRE_POINTS / 2];
-        let fallen = !self.pad.covers(middle.x, middle.y) || middle.z < 0.0;
-        fallen.then_some(Outcome::Failure(Reason::Fallen {
-            thing: "needle",
-            ground: "pad",
-        }))
+        let pad = &self.pad;
+        let fallen = || !pad.covers(middle.x, middle.y) || middle.z < 0.0;
+        self.safeguard.end(&point, sight, fallen)
     }
 
     /// Whether the wire leads from before the lip through the hole to its point behind the lip.
@@ -134,12 +119,7 @@ impl Monitor for SuccessMonitor {
             return end;
         }
         let through = self.is_through(&sight.thing_in_scene);
-        self.held_steps = if through { self.held_steps + 1 } else { 0 };
-        if seconds(self.held_steps) >= self.config.hold_s {
-            Outcome::Success
-        } else {
-            Outcome::Running
-        }
+        self.held.outcome(through, self.config.hold_s)
     }
 
     fn missing(&self) -> &'static str {

@@ -136,23 +136,17 @@ impl TaskScene for TissueRetraction {
     }
 
     fn expert(&self, arms: &[ArmStart], seed: u64) -> Box<dyn AnyScript> {
-        Box::new(Alone::new(Retractor::new(self, seed), arms))
+        Box::new(Alone::new(Retractor::new(self), arms, seed))
     }
 
     fn visuals(&self) -> Vec<Visual> {
         let flap = self.tissue.surface();
         let mark = Patch::new(&flap, [0.0; 2], self.mark_radius_m);
-        let visual = |name, mesh, material, instance| Visual {
-            name,
-            mesh,
-            material,
-            instance,
-        };
         vec![
-            visual("liver", self.liver.mesh(), LIVER, instance::ORGAN),
-            visual("body", self.liver.floor(), MUSCLE, instance::ORGAN),
-            visual("flap", flap.mesh().clone(), SKIN, instance::TISSUE),
-            visual("mark", mark.mesh().clone(), RED, instance::MARK),
+            Visual::new("liver", self.liver.mesh(), LIVER, instance::ORGAN),
+            Visual::new("body", self.liver.floor(), MUSCLE, instance::ORGAN),
+            Visual::new("flap", flap.mesh().clone(), SKIN, instance::TISSUE),
+            Visual::new("mark", mark.mesh().clone(), RED, instance::MARK),
         ]
     }
 

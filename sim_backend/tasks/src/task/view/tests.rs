@@ -107,8 +107,9 @@ fn a_swap_without_a_side_camera_is_refused() {
     assert!(task.with_view(View::View1).is_ok());
 }
 
+/// The light is at the endoscope's place wherever it stands in the file.
 #[test]
-fn the_light_is_at_the_endoscopes_place_wherever_it_stands_in_the_file() {
+fn light_is_at_the_endoscope() {
     for mut task in tasks() {
         let lit = |task: &TaskConfig| task.cameras[task.light_camera()].eye_m;
         let expected = lit(&task);

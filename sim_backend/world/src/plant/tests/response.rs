@@ -156,8 +156,9 @@ fn rise_and_overshoot_are_those_of_a_second_order_system() {
     }
 }
 
+/// What is left of a step is within coulomb friction over the gain.
 #[test]
-fn what_is_left_of_a_step_is_within_coulomb_friction_over_the_gain() {
+fn step_error_is_within_friction_over_gain() {
     let config = shipped();
     for axis in 0..AXIS_COUNT {
         let found = stepped(&config, axis, 1500);

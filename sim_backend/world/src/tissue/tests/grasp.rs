@@ -6,8 +6,9 @@ use nalgebra::{Translation3, UnitQuaternion, Vector3};
 use super::{OPEN_RAD, Puppet, down, flap_config, grasped, jaw, organ_ground};
 use crate::tissue::{Ground, JawReport, Tissue};
 
+/// Closing on the mark takes the area between the pads and lifts it.
 #[test]
-fn closing_on_the_mark_takes_the_area_between_the_pads_and_lifts_it() {
+fn closing_on_the_mark_grasps_the_tissue() {
     let mut puppet = grasped(&flap_config());
     let grasp = puppet.tissue.report().grasp.unwrap();
     // The pads are 3 mm wide and 6 mm over the edge.
@@ -128,8 +129,9 @@ fn the_wrist_pushes_too() {
     assert!(felt.grasp.is_none());
 }
 
+/// Closing beside the tissue or on too little of it takes nothing.
 #[test]
-fn closing_beside_the_tissue_or_on_too_little_of_it_takes_nothing() {
+fn closing_beside_the_tissue_grasps_nothing() {
     let config = flap_config();
     for (over_m, aside_m) in [(-0.004, 0.0), (0.001_2, 0.0), (0.006, 0.06)] {
         let mut puppet = Puppet::at_edge(&config, over_m, aside_m);
@@ -143,8 +145,9 @@ fn closing_beside_the_tissue_or_on_too_little_of_it_takes_nothing() {
     }
 }
 
+/// Nothing is taken without grip or by a jaw that was shut before.
 #[test]
-fn nothing_is_taken_without_grip_or_by_a_jaw_that_was_shut_before() {
+fn shut_jaw_grasps_nothing() {
     let config = flap_config();
     let mut puppet = Puppet::at_edge(&config, 0.006, 0.0);
     puppet.close(0.1);
@@ -155,8 +158,9 @@ fn nothing_is_taken_without_grip_or_by_a_jaw_that_was_shut_before() {
     assert!(puppet.tissue.report().grasp.is_none());
 }
 
+/// Tissue slips out at the break force and is not taken again until the jaw opens.
 #[test]
-fn tissue_slips_out_at_the_break_force_and_is_not_taken_again_until_the_jaw_opens() {
+fn tissue_slips_out_at_the_break_force() {
     let config = flap_config();
     let mut puppet = grasped(&flap_config());
     let mut last_n = 0.0;

@@ -121,8 +121,9 @@ fn cantilever_sags_by_rho_g_a_l_to_the_4_over_8_e_i() {
     assert!((-0.05..0.0).contains(&curling), "{curling}");
 }
 
+/// Bar under a known pull tells Young's modulus and Poisson's ratio.
 #[test]
-fn bar_under_a_known_pull_tells_youngs_modulus_and_poissons_ratio() {
+fn pulled_bar_has_its_youngs_modulus() {
     let (material, size_m, cells) = (rubber(), [0.06, 0.012], [20, 4]);
     let mut sheet = strip(cells, size_m, &material, Vector3::zeros(), 0);
     // Held at one end only along x, but for its middle, so that it contracts freely.

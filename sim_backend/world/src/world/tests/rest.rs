@@ -26,8 +26,9 @@ fn held_by(friction: f64) -> (f64, f64, f64) {
     (slip_m, turn, grasp.left_force_n.min(grasp.right_force_n))
 }
 
+/// A wire slips out of the wedge of the fingers below the angle of friction.
 #[test]
-fn a_wire_slips_out_of_the_wedge_of_the_fingers_below_the_angle_of_friction() {
+fn wire_slips_out_below_the_friction_angle() {
     // The hinge is a finger's length away, so the faces stand at the angle at which they touch the wire on both sides, and
     // drive it out unless friction exceeds its tangent. Besides, the needle's weight pulls, and turns it about the wire, since
     // its centre of mass is beside it; half of both falls on each finger.
@@ -44,8 +45,9 @@ fn a_wire_slips_out_of_the_wedge_of_the_fingers_below_the_angle_of_friction() {
     assert!(turn < 0.02, "turns at 1.4 of {critical}: {turn} rad");
 }
 
+/// A wire lies on a finger at the two ends of a line and at nothing twice.
 #[test]
-fn a_wire_lies_on_a_finger_at_the_two_ends_of_a_line_and_at_nothing_twice() {
+fn wire_on_a_finger_has_two_contacts() {
     let bench = Bench::lifted_in("needle-handover", -0.15);
     let contacts = bench.world.stage.contacts();
     let faces = [0, 1].map(|finger| {

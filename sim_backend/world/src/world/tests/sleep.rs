@@ -13,8 +13,9 @@ fn sleeps(bench: &Bench) -> bool {
     sleeping(&bench.world)
 }
 
+/// A needle that lies alone falls asleep and keeps its place to the bit.
 #[test]
-fn a_needle_that_lies_alone_falls_asleep_and_keeps_its_place_to_the_bit() {
+fn sleeping_needle_keeps_its_pose_to_the_bit() {
     let mut bench = Bench::new(0.06, 0.01, LYING);
     assert!(!sleeps(&bench));
     bench.wait(3.0);

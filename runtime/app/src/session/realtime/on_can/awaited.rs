@@ -12,10 +12,10 @@ use hal::TimeNs;
 const WORLD_NS_MAX: u64 = 3_000_000_000;
 
 /// A frame that was taken longer ago is none of now, ns.
-pub(super) const FRAME_NS_MAX: u64 = 500_000_000;
+pub(in super::super) const FRAME_NS_MAX: u64 = 500_000_000;
 
 /// How far from ahead a frame may be, ns: a policy step.
-pub(super) const AHEAD_NS_MAX: u64 = STEP_NS;
+pub(in super::super) const AHEAD_NS_MAX: u64 = STEP_NS;
 
 /// A camera that has been seen shows its next frame in this time, ns.
 const NEXT_FRAME_NS_MAX: u64 = 2_000_000_000;
@@ -73,7 +73,7 @@ pub(super) fn world(
 }
 
 /// A camera by name, with the frames that it shows.
-pub(super) type Camera = (String, FrameSubscriber);
+pub(in super::super) type Camera = (String, FrameSubscriber);
 
 /// How far from now a frame was taken.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -28,14 +28,14 @@ impl Happened {
 }
 
 /// What is news of it for the log.
-pub(super) struct News {
+pub(in super::super) struct News {
     noticed: MailboxReader<Noticed>,
     /// What of it is in the log.
     told: Option<PerArm<Happened>>,
 }
 
 impl News {
-    pub(super) const fn new(noticed: MailboxReader<Noticed>) -> Self {
+    pub(in super::super) const fn new(noticed: MailboxReader<Noticed>) -> Self {
         Self {
             noticed,
             told: None,
@@ -43,7 +43,7 @@ impl News {
     }
 
     /// Writes into the log what has happened to an arm and its buses.
-    pub(super) fn tell(&mut self, log: Option<&mut SideLog>) {
+    pub(in super::super) fn tell(&mut self, log: Option<&mut SideLog>) {
         let Some((at, happened)) = self.noticed.take() else {
             return;
         };
@@ -67,8 +67,9 @@ mod tests {
 
     use super::*;
 
+    /// Each time a controller becomes error passive is a warning and a fault is an error once.
     #[test]
-    fn each_time_a_controller_becomes_error_passive_is_a_warning_and_a_fault_is_an_error_once() {
+    fn error_passive_is_a_warning_and_a_fault_one_error() {
         let quiet = Happened::default();
         assert!(quiet.news(&quiet).is_empty());
         let passive = Happened {

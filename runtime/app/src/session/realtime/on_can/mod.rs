@@ -19,8 +19,6 @@ mod awaited;
 mod bring_up;
 mod conclude;
 mod happened;
-mod own_rig;
-mod robot_thread;
 mod scene_thread;
 mod summary;
 
@@ -28,8 +26,8 @@ use std::sync::Arc;
 use std::thread;
 
 use hal::config::Source;
-use hal::{ARM_NAMES, ArmState, Chunk, TICK_NS};
-use rtrb::{Consumer, Producer, RingBuffer};
+use hal::{ARM_NAMES, Chunk, TICK_NS};
+use rtrb::Producer;
 use tch::Device;
 use trocar_canopen::master::{CanConfig, enable_together};
 use trocar_canopen::socket::SocketBus;
@@ -38,16 +36,17 @@ use trocar_topics::{SceneTopic, TopicNode};
 
 use super::child::{Outside, PolicyChild, check_cameras};
 use super::control_thread::{ControlEnd, ControlThread};
-use super::signals::{Moving, Signals, StopsAll};
+use super::robot::{RobotOptions, RobotThread};
+use super::signals::{Moving, StopsAll};
 use super::watch::{Watched, watch};
-use super::{CHUNK_QUEUE, joined, labels, listen, split};
-use crate::mailbox::{MailboxReader, MailboxWriter, mailbox};
+use super::wires::{ControlWires, Local, Wires};
+use super::{joined, labels};
 use crate::rig::Observed;
-use crate::rig::can::{CanRig, Noticed};
+use crate::rig::can::CanRig;
 use crate::rig::can_clock::CanClock;
 use crate::rt::{self, MonotonicClock, Periodic};
 use crate::session::can_interfaces;
-use crate::session::operator::{Listener, OperatorPort};
+use crate::session::operator::Listener;
 use crate::session::run::{RunOptions, RunResult, open_log, open_log_with};
 use crate::session::source::{ChunkSource, camera_names};
 use crate::session::tally::RunLabels;
@@ -55,15 +54,14 @@ use crate::session::{PolicyChoice, Robot, SessionError, Setup};
 use bring_up::{ReadyArm, bring_up, check, check_world, failed, uninterrupted};
 use conclude::conclude;
 use hal::PerArm;
-use happened::News;
-use robot_thread::RobotThread;
 use scene_thread::{SceneThread, arm_reports, frames};
 use trocar_control::AnyController;
-use trocar_log::{LogFile, Recorder, SideLog, TickLog};
+use trocar_log::LogFile;
 
-pub(super) use awaited::PATIENCE_NS;
 pub use awaited::Say;
-pub use own_rig::run_rig;
+pub(super) use awaited::{AHEAD_NS_MAX, Camera, FRAME_NS_MAX, PATIENCE_NS};
+pub(super) use happened::News;
+pub(super) use scene_thread::{logged, seen_at};
 
 /// How far a frame may be from the instant of an observation where cameras have clocks of their own, ms: a policy step.
 const FRAMES_WITHIN_MS: u64 = 40;
@@ -75,15 +73,6 @@ pub struct CanOptions {
     pub config: CanConfig,
     /// The name of the topics of the world, or of the cameras.
     pub topics: String,
-}
-
-/// What a run without a task is asked.
-#[derive(Clone, Debug, Default)]
-pub struct RobotOptions {
-    /// After how long it ends, s; never by itself if not given.
-    pub seconds: Option<f64>,
-    /// Cameras whose frames the log keeps besides those that the policy sees.
-    pub cameras: Vec<String>,
 }
 
 impl CanOptions {
@@ -259,67 +248,6 @@ pub fn run_robot_on_can(
     conclude(ends, labels, can)
 }
 
-/// What leads from one thread to the others.
-struct Wires {
-    control: ControlWires,
-    seen: SeenWires,
-    chunk_in: Producer<PerArm<Chunk>>,
-    log: Option<LogFile>,
-    listener: Listener,
-}
-
-/// The control thread's ends.
-struct ControlWires {
-    measured: MailboxWriter<PerArm<ArmState>>,
-    noticed: MailboxWriter<Noticed>,
-    chunks: Consumer<PerArm<Chunk>>,
-    log: Option<TickLog>,
-    signals: Arc<Signals>,
-    operator: OperatorPort,
-    clock: MonotonicClock,
-}
-
-/// The ends of whoever observes the arms for the policy.
-struct SeenWires {
-    measured: MailboxReader<PerArm<ArmState>>,
-    news: News,
-    log: Option<SideLog>,
-    signals: Arc<Signals>,
-    clock: MonotonicClock,
-}
-
-impl Wires {
-    fn new(recorder: Option<Recorder>, clock: MonotonicClock) -> Result<Self, SessionError> {
-        let (chunk_in, chunks) = RingBuffer::<PerArm<Chunk>>::new(CHUNK_QUEUE);
-        let (measured_in, measured) = mailbox();
-        let (noticed_in, noticed) = mailbox();
-        let signals = Arc::new(Signals::default());
-        let (listener, operator) = listen()?;
-        let (tick_log, side_log, log) = split(recorder);
-        Ok(Self {
-            control: ControlWires {
-                measured: measured_in,
-                noticed: noticed_in,
-                chunks,
-                log: tick_log,
-                signals: Arc::clone(&signals),
-                operator,
-                clock,
-            },
-            seen: SeenWires {
-                measured,
-                news: News::new(noticed),
-                log: side_log,
-                signals,
-                clock,
-            },
-            chunk_in,
-            log,
-            listener,
-        })
-    }
-}
-
 /// What the threads give back; `T` is that of the observing one.
 struct Ends<T> {
     control: Result<ControlEnd<CanRig>, SessionError>,
@@ -328,8 +256,7 @@ struct Ends<T> {
     log: Option<LogFile>,
 }
 
-/// A policy of this process with the queue for its chunks, or of another process.
-type Local = Option<(ChunkSource, Producer<PerArm<Chunk>>)>;
+/// A policy of another process with the queue for its chunks.
 type Remote<'a> = Option<(&'a mut PolicyChild, Producer<PerArm<Chunk>>)>;
 
 /// The cameras that `network` looks through, with their sizes in pixels.

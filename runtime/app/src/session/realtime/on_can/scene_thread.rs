@@ -11,8 +11,8 @@ use trocar_topics::{
 
 use super::super::policy_process::arm_names;
 use super::super::signals::EndsRun;
+use super::super::wires::{Local, SeenWires};
 use super::awaited::{Camera, PATIENCE_NS, Say};
-use super::{Local, SeenWires};
 use crate::histogram::Histogram;
 use crate::rt::{self, MonotonicClock};
 use crate::session::SessionError;
@@ -204,7 +204,7 @@ impl SceneThread<'_> {
 }
 
 /// A frame of another process as this run's log has it.
-pub(super) fn logged(view: &FrameView, clock: &MonotonicClock) -> CameraFrame {
+pub(in super::super) fn logged(view: &FrameView, clock: &MonotonicClock) -> CameraFrame {
     let mut frame = CameraFrame::blank(Intrinsics::default());
     view.to_frame(&mut frame);
     frame.stamp = clock.from_system(frame.stamp);
@@ -212,6 +212,6 @@ pub(super) fn logged(view: &FrameView, clock: &MonotonicClock) -> CameraFrame {
 }
 
 /// An arm in `state` as a policy sees it at `stamp`.
-pub(super) fn seen_at(state: &ArmState, stamp: TimeNs) -> SeenArm {
+pub(in super::super) fn seen_at(state: &ArmState, stamp: TimeNs) -> SeenArm {
     seen_arm(&ArmState { stamp, ..*state })
 }

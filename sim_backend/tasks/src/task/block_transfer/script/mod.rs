@@ -10,13 +10,12 @@ mod style;
 
 use hal::{Pose, TimeNs};
 use nalgebra::{Translation3, Vector3};
-use trocar_world::rng::Rng;
 
 use super::BlockTransfer;
 use crate::script::alone::View;
 use crate::script::hand::{ARRIVED_PATIENCE_S, raised, settled};
 use crate::script::motion::{Motion, Placement};
-use crate::script::play::{Activity, ArmView, Event, Hand, Part};
+use crate::script::play::{Activity, Event, Hand, Part};
 use grip::{Grip, Gripping};
 use phase::Phase;
 use style::Style;
@@ -47,7 +46,6 @@ const OVER_PEGS_M: f64 = hal::psm::FINGER_M + 0.004;
 pub(super) struct Mover {
     task: BlockTransfer,
     grip: Option<Grip>,
-    hand: Hand<Style, Phase>,
 }
 
 impl Part for Mover {
@@ -55,24 +53,12 @@ impl Part for Mover {
     type Stage = Phase;
     type View = View;
 
-    fn hand(&self) -> &Hand<Style, Phase> {
-        &self.hand
+    fn carries(hand: &Hand<Self>) -> bool {
+        matches!(hand.phase, Phase::Lift | Phase::Carry | Phase::Lower)
     }
 
-    fn hand_mut(&mut self) -> &mut Hand<Style, Phase> {
-        &mut self.hand
-    }
-
-    fn own(view: &View) -> &ArmView {
-        &view.arm
-    }
-
-    fn carries(&self) -> bool {
-        matches!(self.hand.phase, Phase::Lift | Phase::Carry | Phase::Lower)
-    }
-
-    fn activity(&self) -> Activity {
-        match self.hand.phase {
+    fn activity(hand: &Hand<Self>) -> Activity {
+        match hand.phase {
             Phase::Approach => Activity::Reach,
             Phase::Descend | Phase::Close => Activity::Grasp,
             Phase::Lift => Activity::Lift,
@@ -86,46 +72,40 @@ impl Part for Mover {
         }
     }
 
-    fn tries_again(&self, next: Phase) -> bool {
-        next == Phase::Open || self.hand.phase == Phase::Rest
+    fn tries_again(hand: &Hand<Self>, next: Phase) -> bool {
+        next == Phase::Open || hand.phase == Phase::Rest
     }
 
-    fn begin(&mut self, now: TimeNs, from: Placement, view: &View) -> Motion {
+    fn begin(hand: &mut Hand<Self>, now: TimeNs, from: Placement, view: &View) -> Motion {
         // Another approach may take another wall.
-        let before = self.grip.filter(|_| self.hand.phase != Phase::Approach);
-        let grip = self.gripping().choose(before, &view.thing);
-        self.grip = Some(grip);
-        let style = &self.hand.style;
+        let before = hand.part.grip.filter(|_| hand.phase != Phase::Approach);
+        let grip = hand.gripping().choose(before, &view.thing);
+        hand.part.grip = Some(grip);
+        let style = &hand.style;
         let straight = Vector3::zeros();
-        let open = |tip_in_scene| Placement {
-            tip_in_scene,
-            jaw: style.open_rad,
-        };
-        let held = |tip_in_scene| Placement {
-            tip_in_scene,
-            ..from
-        };
-        let jaw = |jaw| Placement { jaw, ..from };
-        let (to, bow_m, pace) = match self.hand.phase {
-            Phase::Approach => (open(self.poise_pose(view)), style.bow_m, style.approach),
-            Phase::Descend => (open(self.grasp_pose(view)), straight, style.descend),
+        let open = |tip| from.with_tip(tip).with_jaw(style.open_rad);
+        let held = |tip_in_scene| from.with_tip(tip_in_scene);
+        let jaw = |jaw| from.with_jaw(jaw);
+        let (to, bow_m, pace) = match hand.phase {
+            Phase::Approach => (open(hand.poise_pose(view)), style.bow_m, style.approach),
+            Phase::Descend => (open(hand.grasp_pose(view)), straight, style.descend),
             Phase::Close => (jaw(style.grip_rad), straight, style.close),
-            Phase::Lift => (raised(from, self.lift_m(view)), straight, style.carry),
-            Phase::Carry => (held(self.over_goal(view)), style.detour_m, style.carry),
-            Phase::Lower => (held(self.on_goal(view)), straight, style.lower),
+            Phase::Lift => (raised(from, hand.lift_m(view)), straight, style.carry),
+            Phase::Carry => (held(hand.over_goal(view)), style.detour_m, style.carry),
+            Phase::Lower => (held(hand.on_goal(view)), straight, style.lower),
             Phase::Release | Phase::Open => (jaw(style.open_rad), straight, style.close),
             Phase::Rise => (raised(from, style.rise_m), straight, style.lower),
-            Phase::Retreat => (raised(from, self.retreat_m(&from)), straight, style.lower),
+            Phase::Retreat => (raised(from, hand.retreat_m(&from)), straight, style.lower),
             Phase::Rest => return Motion::rest(from, now, REST_S),
         };
         Motion::new(from, to, bow_m, now, pace)
     }
 
-    fn moving_goal(&self, view: &View) -> Option<Pose> {
-        match self.hand.phase {
-            Phase::Approach => Some(self.poise_pose(view)),
-            Phase::Descend => Some(self.grasp_pose(view)),
-            Phase::Carry if view.arm.both_touch => Some(self.over_goal(view)),
+    fn moving_goal(hand: &Hand<Self>, view: &View) -> Option<Pose> {
+        match hand.phase {
+            Phase::Approach => Some(hand.poise_pose(view)),
+            Phase::Descend => Some(hand.grasp_pose(view)),
+            Phase::Carry if view.arm.both_touch => Some(hand.over_goal(view)),
             Phase::Close
             | Phase::Lift
             | Phase::Carry
@@ -138,14 +118,14 @@ impl Part for Mover {
         }
     }
 
-    fn event(&self, now: TimeNs, motion: &Motion, view: &View) -> Option<Event> {
+    fn event(hand: &Hand<Self>, now: TimeNs, motion: &Motion, view: &View) -> Option<Event> {
         let overdue_s = motion.overdue_s(now);
-        if self.carries() && self.hand.has_lost(LOST_STEPS) {
+        if hand.carries() && hand.has_lost(LOST_STEPS) {
             return Some(Event::Lost);
         }
         let patient = overdue_s > ARRIVED_PATIENCE_S;
-        match self.hand.phase {
-            Phase::Approach => (overdue_s >= self.hand.style.aim_s).then_some(Event::Arrived),
+        match hand.phase {
+            Phase::Approach => (overdue_s >= hand.style.aim_s).then_some(Event::Arrived),
             Phase::Lift | Phase::Rise | Phase::Retreat => {
                 (overdue_s >= 0.0).then_some(Event::Arrived)
             }
@@ -153,15 +133,15 @@ impl Part for Mover {
                 let there = overdue_s >= 0.0 && settled(motion, &view.arm.tip);
                 (there || patient).then_some(Event::Arrived)
             }
-            Phase::Close if overdue_s < self.hand.style.settle_s => None,
+            Phase::Close if overdue_s < hand.style.settle_s => None,
             Phase::Close if view.arm.both_touch => Some(Event::Gripped),
             Phase::Close => (overdue_s > GRIP_PATIENCE_S).then_some(Event::Lost),
             Phase::Carry => {
-                let gap_m = self.carried_gap_m(view);
+                let gap_m = hand.carried_gap_m(view);
                 ((overdue_s >= 0.0 && gap_m < CARRIED_M) || patient).then_some(Event::Arrived)
             }
             Phase::Lower if overdue_s < 0.1 => None,
-            Phase::Lower => Some(if self.bottom_m(view) > self.hand.style.drop_m + STUCK_M {
+            Phase::Lower => Some(if hand.bottom_m(view) > hand.style.drop_m + STUCK_M {
                 Event::Stuck
             } else {
                 Event::Arrived
@@ -173,47 +153,48 @@ impl Part for Mover {
 }
 
 impl Mover {
-    /// The script at the start of the episode `seed`.
-    pub(super) fn new(scene: &BlockTransfer, seed: u64) -> Self {
+    /// The part in the script of a scene.
+    pub(super) fn new(scene: &BlockTransfer) -> Self {
         Self {
             task: scene.clone(),
             grip: None,
-            hand: Hand::new(Rng::stream(seed, "expert")),
         }
     }
+}
 
+impl Hand<Mover> {
     fn gripping(&self) -> Gripping<'_> {
         Gripping {
-            block: &self.task.block,
-            board: &self.task.board,
+            block: &self.part.task.block,
+            board: &self.part.task.board,
         }
     }
 
     /// The pose in which closing the jaw grips the chosen wall.
     fn grasp_pose(&self, view: &View) -> Pose {
-        let grip = self.grip.unwrap_or_default();
-        let (along_m, depth_m) = (self.hand.style.along_m, self.hand.style.depth_m);
+        let grip = self.part.grip.unwrap_or_default();
+        let (along_m, depth_m) = (self.style.along_m, self.style.depth_m);
         self.gripping()
             .tip_pose(grip, &view.thing, along_m, depth_m)
     }
 
     /// The pose to wait in above the block.
     fn poise_pose(&self, view: &View) -> Pose {
-        Translation3::new(0.0, 0.0, self.hand.style.poise_height_m) * self.grasp_pose(view)
+        Translation3::new(0.0, 0.0, self.style.poise_height_m) * self.grasp_pose(view)
     }
 
     /// The pose of the tip that brings the block upright over the goal.
     fn over_goal(&self, view: &View) -> Pose {
-        self.bringing(view, self.task.board.peg_height_m + self.hand.style.clear_m)
+        self.bringing(view, self.part.task.board.peg_height_m + self.style.clear_m)
     }
 
     /// The pose of the tip that brings the block down around the goal.
     fn on_goal(&self, view: &View) -> Pose {
-        self.bringing(view, self.hand.style.drop_m)
+        self.bringing(view, self.style.drop_m)
     }
 
     fn bringing(&self, view: &View, bottom_m: f64) -> Pose {
-        let grip = self.grip.unwrap_or_default();
+        let grip = self.part.grip.unwrap_or_default();
         let wanted =
             self.gripping()
                 .placed(grip, &view.thing, &view.goal.translation.vector, bottom_m);
@@ -228,19 +209,19 @@ impl Mover {
 
     /// Height of the block's lower end above the board.
     fn bottom_m(&self, view: &View) -> f64 {
-        view.thing.translation.z - 0.5 * self.task.block.height_m
+        view.thing.translation.z - 0.5 * self.part.task.block.height_m
     }
 
     /// How far to lift the block.
     fn lift_m(&self, view: &View) -> f64 {
-        let height_m = self.task.board.peg_height_m + self.hand.style.clear_m;
+        let height_m = self.part.task.board.peg_height_m + self.style.clear_m;
         (height_m - self.bottom_m(view)).max(0.001)
     }
 
     /// How far to rise for the fingers to pass over the pegs.
     fn retreat_m(&self, from: &Placement) -> f64 {
-        let height_m = self.task.board.peg_height_m + OVER_PEGS_M;
-        (height_m - from.tip_in_scene.translation.z).max(self.hand.style.poise_height_m)
+        let height_m = self.part.task.board.peg_height_m + OVER_PEGS_M;
+        (height_m - from.tip_in_scene.translation.z).max(self.style.poise_height_m)
     }
 }
 

@@ -1,6 +1,6 @@
 //! The phases of a block transfer and the transitions between them.
 
-use crate::script::play::{Event, Stage};
+use crate::script::play::{Event, Grasp, Stage, Transition};
 
 /// What the script is doing.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -32,11 +32,18 @@ pub(crate) enum Phase {
 impl Stage for Phase {
     const FIRST: Self = Self::Approach;
 
-    const TRANSITIONS: &'static [(Self, Event, Self)] = &[
+    const GRASP: [Transition<Self>; 5] = Grasp {
+        enter: Self::Descend,
+        close: Self::Close,
+        gripped: Self::Lift,
+        open: Self::Open,
+        retreat: Self::Retreat,
+        again: Self::Approach,
+    }
+    .transitions();
+
+    const TRANSITIONS: &'static [Transition<Self>] = &[
         (Self::Approach, Event::Arrived, Self::Descend),
-        (Self::Descend, Event::Arrived, Self::Close),
-        (Self::Close, Event::Gripped, Self::Lift),
-        (Self::Close, Event::Lost, Self::Open),
         (Self::Lift, Event::Arrived, Self::Carry),
         (Self::Lift, Event::Lost, Self::Open),
         (Self::Carry, Event::Arrived, Self::Lower),
@@ -47,8 +54,6 @@ impl Stage for Phase {
         (Self::Release, Event::Arrived, Self::Rise),
         (Self::Rise, Event::Arrived, Self::Rest),
         (Self::Rest, Event::Lost, Self::Approach),
-        (Self::Open, Event::Arrived, Self::Retreat),
-        (Self::Retreat, Event::Arrived, Self::Approach),
     ];
 }
 

@@ -52,8 +52,9 @@ fn a_block_on_its_peg_does_not_creep_sink_or_jitter() {
     }
 }
 
+/// A block that leans on its peg trembles by less than a micrometre and goes nowhere.
 #[test]
-fn a_block_that_leans_on_its_peg_trembles_by_less_than_a_micrometre_and_goes_nowhere() {
+fn leaning_block_rests_within_a_micrometre() {
     // Of the first ten episodes, the one in which block and peg touch.
     let (_, mut world) = block_on_peg(1, Some(4));
     let mut go = |steps: u32| {

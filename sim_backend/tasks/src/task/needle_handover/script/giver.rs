@@ -2,12 +2,11 @@
 
 use hal::{Pose, TimeNs};
 use nalgebra::{Translation3, Vector3};
-use trocar_world::rng::Rng;
 
 use super::{GRIP_PATIENCE_S, LOST_STEPS, REOPEN_S, Style, View};
 use crate::script::hand::{ARRIVED_PATIENCE_S, raised, settled};
 use crate::script::motion::{Motion, Placement};
-use crate::script::play::{Activity, ArmView, Event, Hand, Part, Stage};
+use crate::script::play::{Activity, Event, Grasp, Hand, Part, Stage, Transition};
 use crate::script::wire::wire_hold;
 
 /// What the giver is doing.
@@ -40,11 +39,18 @@ pub(crate) enum Phase {
 impl Stage for Phase {
     const FIRST: Self = Self::Approach;
 
-    const TRANSITIONS: &'static [(Self, Event, Self)] = &[
+    const GRASP: [Transition<Self>; 5] = Grasp {
+        enter: Self::Descend,
+        close: Self::Close,
+        gripped: Self::Lift,
+        open: Self::Open,
+        retreat: Self::Retreat,
+        again: Self::Approach,
+    }
+    .transitions();
+
+    const TRANSITIONS: &'static [Transition<Self>] = &[
         (Self::Approach, Event::Arrived, Self::Descend),
-        (Self::Descend, Event::Arrived, Self::Close),
-        (Self::Close, Event::Gripped, Self::Lift),
-        (Self::Close, Event::Lost, Self::Open),
         (Self::Lift, Event::Arrived, Self::Carry),
         (Self::Lift, Event::Lost, Self::Open),
         (Self::Carry, Event::Arrived, Self::Present),
@@ -54,40 +60,24 @@ impl Stage for Phase {
         (Self::Release, Event::Arrived, Self::Withdraw),
         (Self::Withdraw, Event::Arrived, Self::Rest),
         (Self::Rest, Event::Free, Self::Approach),
-        (Self::Open, Event::Arrived, Self::Retreat),
-        (Self::Retreat, Event::Arrived, Self::Approach),
     ];
 }
 
 /// The giver.
 #[derive(Clone, Debug)]
-pub(super) struct Giver {
-    hand: Hand<Style, Phase>,
-}
+pub(super) struct Giver;
 
 impl Part for Giver {
     type Habits = Style;
     type Stage = Phase;
     type View = View;
 
-    fn hand(&self) -> &Hand<Style, Phase> {
-        &self.hand
+    fn carries(hand: &Hand<Self>) -> bool {
+        matches!(hand.phase, Phase::Lift | Phase::Carry | Phase::Present)
     }
 
-    fn hand_mut(&mut self) -> &mut Hand<Style, Phase> {
-        &mut self.hand
-    }
-
-    fn own(view: &View) -> &ArmView {
-        &view.giver
-    }
-
-    fn carries(&self) -> bool {
-        matches!(self.hand.phase, Phase::Lift | Phase::Carry | Phase::Present)
-    }
-
-    fn activity(&self) -> Activity {
-        match self.hand.phase {
+    fn activity(hand: &Hand<Self>) -> Activity {
+        match hand.phase {
             Phase::Approach => Activity::Reach,
             Phase::Descend | Phase::Close => Activity::Grasp,
             Phase::Lift => Activity::Lift,
@@ -101,30 +91,24 @@ impl Part for Giver {
         }
     }
 
-    fn tries_again(&self, next: Phase) -> bool {
-        next == Phase::Open || self.hand.phase == Phase::Rest
+    fn tries_again(hand: &Hand<Self>, next: Phase) -> bool {
+        next == Phase::Open || hand.phase == Phase::Rest
     }
 
-    fn begin(&mut self, now: TimeNs, from: Placement, view: &View) -> Motion {
-        let style = &self.hand.style;
+    fn begin(hand: &mut Hand<Self>, now: TimeNs, from: Placement, view: &View) -> Motion {
+        let style = &hand.style;
         let straight = Vector3::zeros();
-        let open = |tip_in_scene| Placement {
-            tip_in_scene,
-            jaw: style.open_rad,
-        };
-        let held = |tip_in_scene| Placement {
-            tip_in_scene,
-            ..from
-        };
-        let jaw = |jaw| Placement { jaw, ..from };
+        let open = |tip| from.with_tip(tip).with_jaw(style.open_rad);
+        let held = |tip_in_scene| from.with_tip(tip_in_scene);
+        let jaw = |jaw| from.with_jaw(jaw);
         let [outwards_m, up_m] = style.away_m;
         let away = Translation3::new(outwards_m, 0.0, up_m);
-        let (to, bow_m, pace) = match self.hand.phase {
-            Phase::Approach => (open(self.poise_pose(view)), style.bow_m, style.approach),
-            Phase::Descend => (open(self.grasp_pose(view)), straight, style.descend),
+        let (to, bow_m, pace) = match hand.phase {
+            Phase::Approach => (open(hand.poise_pose(view)), style.bow_m, style.approach),
+            Phase::Descend => (open(hand.grasp_pose(view)), straight, style.descend),
             Phase::Close => (jaw(style.grip_rad), straight, style.close),
             Phase::Lift => (raised(from, 0.012), straight, style.carry),
-            Phase::Carry => (held(self.presenting(view)), straight, style.carry),
+            Phase::Carry => (held(hand.presenting(view)), straight, style.carry),
             Phase::Present | Phase::Rest => return Motion::rest(from, now, 0.0),
             Phase::Release | Phase::Open => (jaw(style.open_rad), straight, style.close),
             Phase::Withdraw => (held(away * from.tip_in_scene), straight, style.descend),
@@ -133,11 +117,11 @@ impl Part for Giver {
         Motion::new(from, to, bow_m, now, pace)
     }
 
-    fn moving_goal(&self, view: &View) -> Option<Pose> {
-        match self.hand.phase {
-            Phase::Approach => Some(self.poise_pose(view)),
-            Phase::Descend => Some(self.grasp_pose(view)),
-            Phase::Carry if view.giver.both_touch => Some(self.presenting(view)),
+    fn moving_goal(hand: &Hand<Self>, view: &View) -> Option<Pose> {
+        match hand.phase {
+            Phase::Approach => Some(hand.poise_pose(view)),
+            Phase::Descend => Some(hand.grasp_pose(view)),
+            Phase::Carry if view.arm.both_touch => Some(hand.presenting(view)),
             Phase::Close
             | Phase::Lift
             | Phase::Carry
@@ -150,22 +134,21 @@ impl Part for Giver {
         }
     }
 
-    fn event(&self, now: TimeNs, motion: &Motion, view: &View) -> Option<Event> {
+    fn event(hand: &Hand<Self>, now: TimeNs, motion: &Motion, view: &View) -> Option<Event> {
         let overdue_s = motion.overdue_s(now);
-        let hand = &self.hand;
         let lost = hand.has_lost(LOST_STEPS);
         let patient = overdue_s > ARRIVED_PATIENCE_S;
-        match self.hand.phase {
+        match hand.phase {
             Phase::Lift | Phase::Carry | Phase::Present if lost => Some(Event::Lost),
             Phase::Approach | Phase::Lift | Phase::Withdraw | Phase::Retreat => {
                 (overdue_s >= 0.0).then_some(Event::Arrived)
             }
             Phase::Descend | Phase::Carry => {
-                let there = overdue_s >= 0.0 && settled(motion, &view.giver.tip);
+                let there = overdue_s >= 0.0 && settled(motion, &view.arm.tip);
                 (there || patient).then_some(Event::Arrived)
             }
             Phase::Close if overdue_s < hand.style.settle_s => None,
-            Phase::Close if view.giver.both_touch => Some(Event::Gripped),
+            Phase::Close if view.arm.both_touch => Some(Event::Gripped),
             Phase::Close => (overdue_s > GRIP_PATIENCE_S).then_some(Event::Lost),
             Phase::Present => view.taken.then_some(Event::Taken),
             Phase::Rest => (view.idle && !view.taken).then_some(Event::Free),
@@ -174,40 +157,33 @@ impl Part for Giver {
     }
 }
 
-impl Giver {
-    /// A hand whose habits come from `rng`.
-    pub(super) fn new(rng: Rng) -> Self {
-        Self {
-            hand: Hand::new(rng),
-        }
-    }
-
+impl Hand<Giver> {
     /// Whether the needle is held out for the other hand.
     pub(super) fn presents(&self) -> bool {
-        self.hand.phase == Phase::Present
+        self.phase == Phase::Present
     }
 
     /// Whether this hand has let go and is out of the way.
     pub(super) fn is_away(&self) -> bool {
-        self.hand.phase == Phase::Rest
+        self.phase == Phase::Rest
     }
 
     /// The pose in which closing the jaw grips the wire on the side of the needle's point.
     fn grasp_pose(&self, view: &View) -> Pose {
-        let style = &self.hand.style;
+        let style = &self.style;
         let hold = wire_hold(&view.shape, &view.needle, style.angle_rad, 0.0);
         view.above_organ(&hold)
     }
 
     /// The pose to wait in above the needle.
     fn poise_pose(&self, view: &View) -> Pose {
-        Translation3::new(0.0, 0.0, self.hand.style.poise_height_m) * self.grasp_pose(view)
+        Translation3::new(0.0, 0.0, self.style.poise_height_m) * self.grasp_pose(view)
     }
 
     /// The pose of the tip that brings the needle to where it is presented.
     fn presenting(&self, view: &View) -> Pose {
-        let wanted = Translation3::from(self.hand.style.presented_m) * view.presented;
-        wanted * view.needle.inv_mul(&view.giver.tip)
+        let wanted = Translation3::from(self.style.presented_m) * view.presented;
+        wanted * view.needle.inv_mul(&view.arm.tip)
     }
 }
 

@@ -20,7 +20,7 @@ use trocar_world::rng::Rng;
 use super::NeedleHandover;
 use crate::scene::{ArmScene, SceneState};
 use crate::script::motion::Placement;
-use crate::script::play::{Activity, ArmView, Part};
+use crate::script::play::{Activity, ArmView, Hand, Looks};
 use crate::script::{Script, Wish, arrive, carry};
 use giver::Giver;
 use hal::ARMS_MAX;
@@ -49,18 +49,19 @@ pub(super) struct Passer {
     shape: NeedleShape,
     organ: OrganShape,
     bases: [Pose; 2],
-    giver: Giver,
-    taker: Taker,
+    giver: Hand<Giver>,
+    taker: Hand<Taker>,
 }
 
-/// What both hands see, in the scene frame.
+/// What a hand sees, in the scene frame.
+#[derive(Clone, Copy)]
 pub(crate) struct View {
     shape: NeedleShape,
     organ: OrganShape,
     needle: Pose,
     presented: Pose,
-    giver: ArmView,
-    taker: ArmView,
+    /// The arm of the hand that looks.
+    arm: ArmView,
     /// Whether the giver holds the needle out.
     offered: bool,
     /// Whether the giver has let go and is out of the way.
@@ -73,9 +74,9 @@ pub(crate) struct View {
 
 impl Script for Passer {
     fn step(&mut self, now: TimeNs, scene: &SceneState) -> Wish {
-        let view = self.view(scene);
-        let first = self.giver.play(now, &view);
-        let second = self.taker.play(now, &view);
+        let [giver, taker] = self.views(scene);
+        let first = self.giver.play(now, &giver);
+        let second = self.taker.play(now, &taker);
         Wish {
             first: target(&self.bases[0], &first),
             second: Some(target(&self.bases[1], &second)),
@@ -83,7 +84,7 @@ impl Script for Passer {
     }
 
     fn attempts(&self) -> u32 {
-        self.giver.hand().attempts() + self.taker.hand().attempts() - 1
+        self.giver.attempts() + self.taker.attempts() - 1
     }
 
     fn activities(&self) -> [Activity; ARMS_MAX] {
@@ -119,32 +120,36 @@ impl Passer {
             shape: scene.needle,
             organ: scene.organ,
             bases: [arms[0].scene_from_rcm, arms[1].scene_from_rcm],
-            giver: Giver::new(Rng::stream(seed, "giver")),
-            taker: Taker::new(Rng::stream(seed, "taker")),
+            giver: Hand::new(Giver, Rng::stream(seed, "giver")),
+            taker: Hand::new(Taker, Rng::stream(seed, "taker")),
         }
     }
 
-    fn view(&self, scene: &SceneState) -> View {
-        let arm = |base: &Pose, arm: &ArmScene| ArmView {
-            tip: base * arm.tip_in_rcm,
-            jaw: arm.jaw,
-            both_touch: arm.grasp.both_touch,
-        };
-        View {
+    /// What giver and taker see at one instant.
+    fn views(&self, scene: &SceneState) -> [View; 2] {
+        let arms = [&scene.first, scene.second.as_ref().unwrap_or(&scene.first)];
+        let view = |arm: &ArmScene, base: &Pose| View {
             shape: self.shape,
             organ: self.organ,
             needle: self.bases[0] * scene.first.thing_in_rcm,
             presented: scene.goal_in_scene.unwrap_or_else(Pose::identity),
-            giver: arm(&self.bases[0], &scene.first),
-            taker: arm(
-                &self.bases[1],
-                scene.second.as_ref().unwrap_or(&scene.first),
-            ),
+            arm: ArmView {
+                tip: base * arm.tip_in_rcm,
+                jaw: arm.jaw,
+                both_touch: arm.grasp.both_touch,
+            },
             offered: self.giver.presents(),
             given: self.giver.is_away(),
             taken: self.taker.holds(),
             idle: self.taker.is_idle(),
-        }
+        };
+        [0, 1].map(|hand| view(arms[hand], &self.bases[hand]))
+    }
+}
+
+impl Looks for View {
+    fn arm(&self) -> &ArmView {
+        &self.arm
     }
 }
 

@@ -2,12 +2,11 @@
 
 use hal::{Pose, TimeNs};
 use nalgebra::{Translation3, Vector3};
-use trocar_world::rng::Rng;
 
 use super::{GRIP_PATIENCE_S, LOST_STEPS, REOPEN_S, Style, View};
 use crate::script::hand::{ARRIVED_PATIENCE_S, raised, settled};
 use crate::script::motion::{Motion, Placement};
-use crate::script::play::{Activity, ArmView, Event, Hand, Part, Stage};
+use crate::script::play::{Activity, Event, Grasp, Hand, Part, Stage, Transition};
 use crate::script::wire::wire_hold;
 
 /// What the taker is doing.
@@ -36,53 +35,44 @@ pub(crate) enum Phase {
 impl Stage for Phase {
     const FIRST: Self = Self::Wait;
 
-    const TRANSITIONS: &'static [(Self, Event, Self)] = &[
+    const GRASP: [Transition<Self>; 5] = Grasp {
+        enter: Self::Descend,
+        close: Self::Close,
+        gripped: Self::Keep,
+        open: Self::Open,
+        retreat: Self::Retreat,
+        again: Self::Wait,
+    }
+    .transitions();
+
+    const TRANSITIONS: &'static [Transition<Self>] = &[
         (Self::Wait, Event::Offered, Self::Approach),
         (Self::Approach, Event::Arrived, Self::Descend),
         (Self::Approach, Event::Lost, Self::Retreat),
-        (Self::Descend, Event::Arrived, Self::Close),
         (Self::Descend, Event::Lost, Self::Retreat),
-        (Self::Close, Event::Gripped, Self::Keep),
-        (Self::Close, Event::Lost, Self::Open),
         (Self::Keep, Event::Lost, Self::Open),
         (Self::Keep, Event::Given, Self::Take),
         (Self::Take, Event::Arrived, Self::Hold),
         (Self::Take, Event::Lost, Self::Open),
         (Self::Hold, Event::Lost, Self::Open),
-        (Self::Open, Event::Arrived, Self::Retreat),
-        (Self::Retreat, Event::Arrived, Self::Wait),
     ];
 }
 
 /// The taker.
 #[derive(Clone, Debug)]
-pub(super) struct Taker {
-    hand: Hand<Style, Phase>,
-}
+pub(super) struct Taker;
 
 impl Part for Taker {
     type Habits = Style;
     type Stage = Phase;
     type View = View;
 
-    fn hand(&self) -> &Hand<Style, Phase> {
-        &self.hand
+    fn carries(hand: &Hand<Self>) -> bool {
+        hand.holds()
     }
 
-    fn hand_mut(&mut self) -> &mut Hand<Style, Phase> {
-        &mut self.hand
-    }
-
-    fn own(view: &View) -> &ArmView {
-        &view.taker
-    }
-
-    fn carries(&self) -> bool {
-        self.holds()
-    }
-
-    fn activity(&self) -> Activity {
-        match self.hand.phase {
+    fn activity(hand: &Hand<Self>) -> Activity {
+        match hand.phase {
             Phase::Approach => Activity::Reach,
             Phase::Descend | Phase::Close => Activity::Grasp,
             Phase::Take => Activity::Carry,
@@ -92,27 +82,22 @@ impl Part for Taker {
         }
     }
 
-    fn tries_again(&self, next: Phase) -> bool {
+    fn tries_again(_hand: &Hand<Self>, next: Phase) -> bool {
         next == Phase::Open
     }
 
-    fn begin(&mut self, now: TimeNs, from: Placement, view: &View) -> Motion {
-        let style = &self.hand.style;
+    fn begin(hand: &mut Hand<Self>, now: TimeNs, from: Placement, view: &View) -> Motion {
+        let style = &hand.style;
         let straight = Vector3::zeros();
-        let open = |tip_in_scene| Placement {
-            tip_in_scene,
-            jaw: style.open_rad,
-        };
-        let jaw = |jaw| Placement { jaw, ..from };
+        let open = |tip| from.with_tip(tip).with_jaw(style.open_rad);
+        let jaw = |jaw| from.with_jaw(jaw);
         let [outwards_m, up_m] = style.away_m;
-        let taken = Placement {
-            tip_in_scene: Translation3::new(-outwards_m, 0.0, up_m) * from.tip_in_scene,
-            ..from
-        };
-        let (to, bow_m, pace) = match self.hand.phase {
+        let away = Translation3::new(-outwards_m, 0.0, up_m);
+        let taken = from.with_tip(away * from.tip_in_scene);
+        let (to, bow_m, pace) = match hand.phase {
             Phase::Wait | Phase::Keep | Phase::Hold => return Motion::rest(from, now, 0.0),
-            Phase::Approach => (open(self.poise_pose(view)), style.bow_m, style.approach),
-            Phase::Descend => (open(self.grasp_pose(view)), straight, style.descend),
+            Phase::Approach => (open(hand.poise_pose(view)), style.bow_m, style.approach),
+            Phase::Descend => (open(hand.grasp_pose(view)), straight, style.descend),
             Phase::Close => (jaw(style.grip_rad), straight, style.close),
             Phase::Take => (taken, straight, style.carry),
             Phase::Open => (jaw(style.open_rad), straight, style.close),
@@ -121,10 +106,10 @@ impl Part for Taker {
         Motion::new(from, to, bow_m, now, pace)
     }
 
-    fn moving_goal(&self, view: &View) -> Option<Pose> {
-        match self.hand.phase {
-            Phase::Approach => Some(self.poise_pose(view)),
-            Phase::Descend => Some(self.grasp_pose(view)),
+    fn moving_goal(hand: &Hand<Self>, view: &View) -> Option<Pose> {
+        match hand.phase {
+            Phase::Approach => Some(hand.poise_pose(view)),
+            Phase::Descend => Some(hand.grasp_pose(view)),
             Phase::Wait
             | Phase::Close
             | Phase::Keep
@@ -135,11 +120,10 @@ impl Part for Taker {
         }
     }
 
-    fn event(&self, now: TimeNs, motion: &Motion, view: &View) -> Option<Event> {
+    fn event(hand: &Hand<Self>, now: TimeNs, motion: &Motion, view: &View) -> Option<Event> {
         let overdue_s = motion.overdue_s(now);
-        let hand = &self.hand;
         let lost = hand.has_lost(LOST_STEPS);
-        match self.hand.phase {
+        match hand.phase {
             Phase::Wait => view.offered.then_some(Event::Offered),
             Phase::Approach | Phase::Descend if !view.offered => Some(Event::Lost),
             Phase::Keep | Phase::Take | Phase::Hold if lost => Some(Event::Lost),
@@ -147,11 +131,11 @@ impl Part for Taker {
                 (overdue_s >= 0.0).then_some(Event::Arrived)
             }
             Phase::Descend => {
-                let there = overdue_s >= 0.0 && settled(motion, &view.taker.tip);
+                let there = overdue_s >= 0.0 && settled(motion, &view.arm.tip);
                 (there || overdue_s > ARRIVED_PATIENCE_S).then_some(Event::Arrived)
             }
             Phase::Close if overdue_s < hand.style.settle_s => None,
-            Phase::Close if view.taker.both_touch => Some(Event::Gripped),
+            Phase::Close if view.arm.both_touch => Some(Event::Gripped),
             Phase::Close => (overdue_s > GRIP_PATIENCE_S).then_some(Event::Lost),
             Phase::Keep => view.given.then_some(Event::Given),
             Phase::Hold => None,
@@ -160,33 +144,26 @@ impl Part for Taker {
     }
 }
 
-impl Taker {
-    /// A hand whose habits come from `rng`.
-    pub(super) fn new(rng: Rng) -> Self {
-        Self {
-            hand: Hand::new(rng),
-        }
-    }
-
+impl Hand<Taker> {
     /// Whether the needle is in this hand.
     pub(super) fn holds(&self) -> bool {
-        matches!(self.hand.phase, Phase::Keep | Phase::Take | Phase::Hold)
+        matches!(self.phase, Phase::Keep | Phase::Take | Phase::Hold)
     }
 
     /// Whether this hand waits for the needle.
     pub(super) fn is_idle(&self) -> bool {
-        self.hand.phase == Phase::Wait
+        self.phase == Phase::Wait
     }
 
     /// The pose in which closing the jaw grips the wire on the side of the needle's blunt end.
     fn grasp_pose(&self, view: &View) -> Pose {
-        let style = &self.hand.style;
+        let style = &self.style;
         wire_hold(&view.shape, &view.needle, -style.angle_rad, style.beyond_m)
     }
 
     /// The pose to wait in above the needle.
     fn poise_pose(&self, view: &View) -> Pose {
-        Translation3::new(0.0, 0.0, self.hand.style.poise_height_m) * self.grasp_pose(view)
+        Translation3::new(0.0, 0.0, self.style.poise_height_m) * self.grasp_pose(view)
     }
 }
 

@@ -1,6 +1,6 @@
 //! The expert's phases and the transitions between them.
 
-use crate::script::play::{Event, Stage};
+use crate::script::play::{Event, Grasp, Stage, Transition};
 
 /// What the expert is doing.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -26,17 +26,22 @@ pub(crate) enum Phase {
 impl Stage for Phase {
     const FIRST: Self = Self::Approach;
 
-    const TRANSITIONS: &'static [(Self, Event, Self)] = &[
+    const GRASP: [Transition<Self>; 5] = Grasp {
+        enter: Self::Descend,
+        close: Self::Close,
+        gripped: Self::Lift,
+        open: Self::Open,
+        retreat: Self::Retreat,
+        again: Self::Approach,
+    }
+    .transitions();
+
+    const TRANSITIONS: &'static [Transition<Self>] = &[
         (Self::Approach, Event::Arrived, Self::Poise),
         (Self::Poise, Event::Arrived, Self::Descend),
-        (Self::Descend, Event::Arrived, Self::Close),
-        (Self::Close, Event::Gripped, Self::Lift),
-        (Self::Close, Event::Lost, Self::Open),
         (Self::Lift, Event::Arrived, Self::Hold),
         (Self::Lift, Event::Lost, Self::Open),
         (Self::Hold, Event::Lost, Self::Open),
-        (Self::Open, Event::Arrived, Self::Retreat),
-        (Self::Retreat, Event::Arrived, Self::Approach),
     ];
 }
 

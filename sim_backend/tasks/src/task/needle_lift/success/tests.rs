@@ -3,8 +3,8 @@
 use nalgebra::{Translation3, UnitQuaternion, Vector3};
 
 use super::*;
-use crate::task::Judge;
 use crate::task::needle_lift::NeedleLift;
+use crate::task::{Judge, Reason};
 
 const NO_GRASP: Grasp = Grasp {
     left_force_n: 0.0,

@@ -9,13 +9,12 @@ mod style;
 use hal::psm::FINGER_M;
 use hal::{Pose, TimeNs};
 use nalgebra::{Matrix3, Rotation3, Translation3, UnitQuaternion, Vector3};
-use trocar_world::rng::Rng;
 
 use super::TissueRetraction;
 use crate::script::alone::View;
 use crate::script::hand::{ARRIVED_PATIENCE_S, settled};
 use crate::script::motion::{Motion, Placement};
-use crate::script::play::{Activity, ArmView, Event, Hand, Part};
+use crate::script::play::{Activity, Event, Hand, Part};
 use phase::Phase;
 use style::Style;
 
@@ -41,7 +40,6 @@ pub(super) struct Retractor {
     inset_m: f64,
     /// How far to lift at least, m.
     lift_m_min: f64,
-    hand: Hand<Style, Phase>,
 }
 
 impl Part for Retractor {
@@ -49,24 +47,12 @@ impl Part for Retractor {
     type Stage = Phase;
     type View = View;
 
-    fn hand(&self) -> &Hand<Style, Phase> {
-        &self.hand
+    fn carries(hand: &Hand<Self>) -> bool {
+        matches!(hand.phase, Phase::Lift | Phase::Hold)
     }
 
-    fn hand_mut(&mut self) -> &mut Hand<Style, Phase> {
-        &mut self.hand
-    }
-
-    fn own(view: &View) -> &ArmView {
-        &view.arm
-    }
-
-    fn carries(&self) -> bool {
-        matches!(self.hand.phase, Phase::Lift | Phase::Hold)
-    }
-
-    fn activity(&self) -> Activity {
-        match self.hand.phase {
+    fn activity(hand: &Hand<Self>) -> Activity {
+        match hand.phase {
             Phase::Approach => Activity::Reach,
             Phase::Enter | Phase::Close => Activity::Grasp,
             Phase::Lift => Activity::Lift,
@@ -74,31 +60,28 @@ impl Part for Retractor {
         }
     }
 
-    fn tries_again(&self, next: Phase) -> bool {
+    fn tries_again(_hand: &Hand<Self>, next: Phase) -> bool {
         next == Phase::Open
     }
 
-    fn begin(&mut self, now: TimeNs, from: Placement, view: &View) -> Motion {
-        let style = &self.hand.style;
+    fn begin(hand: &mut Hand<Self>, now: TimeNs, from: Placement, view: &View) -> Motion {
+        let style = &hand.style;
         let straight = Vector3::zeros();
-        let open = |tip_in_scene| Placement {
-            tip_in_scene,
-            jaw: style.open_rad,
-        };
-        let jaw = |jaw| Placement { jaw, ..from };
-        let (to, bow_m, pace) = match self.hand.phase {
-            Phase::Approach => (open(self.poise_pose(view)), style.bow_m, style.approach),
-            Phase::Enter => (open(self.grasp_pose(view)), straight, style.enter),
+        let open = |tip| from.with_tip(tip).with_jaw(style.open_rad);
+        let jaw = |jaw| from.with_jaw(jaw);
+        let (to, bow_m, pace) = match hand.phase {
+            Phase::Approach => (open(hand.poise_pose(view)), style.bow_m, style.approach),
+            Phase::Enter => (open(hand.grasp_pose(view)), straight, style.enter),
             Phase::Close => (jaw(style.grip_rad), straight, style.close),
             Phase::Lift => {
                 let inward = from.tip_in_scene.rotation * Vector3::z();
                 let way = Vector3::z() + Vector3::new(inward.x, inward.y, 0.0) * style.lean;
-                let lift = Translation3::from(way * style.lift_height_m.max(self.lift_m_min));
-                let to = Placement {
-                    tip_in_scene: lift * from.tip_in_scene,
-                    ..from
-                };
-                (to, straight, style.lift)
+                let lift = Translation3::from(way * style.lift_height_m.max(hand.part.lift_m_min));
+                (
+                    from.with_tip(lift * from.tip_in_scene),
+                    straight,
+                    style.lift,
+                )
             }
             Phase::Hold => return Motion::rest(from, now, 0.0),
             Phase::Open => (jaw(style.open_rad), straight, style.close),
@@ -110,17 +93,17 @@ impl Part for Retractor {
         Motion::new(from, to, bow_m, now, pace)
     }
 
-    fn moving_goal(&self, view: &View) -> Option<Pose> {
-        match self.hand.phase {
-            Phase::Approach => Some(self.poise_pose(view)),
-            Phase::Enter => Some(self.grasp_pose(view)),
+    fn moving_goal(hand: &Hand<Self>, view: &View) -> Option<Pose> {
+        match hand.phase {
+            Phase::Approach => Some(hand.poise_pose(view)),
+            Phase::Enter => Some(hand.grasp_pose(view)),
             Phase::Close | Phase::Lift | Phase::Hold | Phase::Open | Phase::Retreat => None,
         }
     }
 
-    fn event(&self, now: TimeNs, motion: &Motion, view: &View) -> Option<Event> {
+    fn event(hand: &Hand<Self>, now: TimeNs, motion: &Motion, view: &View) -> Option<Event> {
         let overdue_s = motion.overdue_s(now);
-        match self.hand.phase {
+        match hand.phase {
             Phase::Approach | Phase::Retreat => (overdue_s >= 0.0).then_some(Event::Arrived),
             Phase::Enter => {
                 let settled = settled(motion, &view.arm.tip) || overdue_s > ARRIVED_PATIENCE_S;
@@ -128,10 +111,10 @@ impl Part for Retractor {
             }
             // Tissue held at the wrong place is let go at once.
             Phase::Close if view.arm.both_touch && !is_at_mark(view) => Some(Event::Lost),
-            Phase::Close if overdue_s < self.hand.style.settle_s => None,
+            Phase::Close if overdue_s < hand.style.settle_s => None,
             Phase::Close if view.arm.both_touch => Some(Event::Gripped),
             Phase::Close => (overdue_s > HOLD_PATIENCE_S).then_some(Event::Lost),
-            Phase::Lift | Phase::Hold if self.hand.has_lost(LOST_STEPS) => Some(Event::Lost),
+            Phase::Lift | Phase::Hold if hand.has_lost(LOST_STEPS) => Some(Event::Lost),
             Phase::Lift => (overdue_s >= 0.0).then_some(Event::Arrived),
             Phase::Hold => None,
             Phase::Open => (overdue_s >= REOPEN_S).then_some(Event::Arrived),
@@ -140,21 +123,22 @@ impl Part for Retractor {
 }
 
 impl Retractor {
-    /// The script at the start of the episode `seed`.
-    pub(super) fn new(scene: &TissueRetraction, seed: u64) -> Self {
+    /// The part in the script of a scene.
+    pub(super) fn new(scene: &TissueRetraction) -> Self {
         Self {
             thickness_m: scene.tissue.material.thickness_m,
             inset_m: scene.tissue.mark.inset_m,
             lift_m_min: scene.success.lift_height_m + SPARE_LIFT_M,
-            hand: Hand::new(Rng::stream(seed, "expert")),
         }
     }
+}
 
+impl Hand<Retractor> {
     /// The pose to wait in before the edge.
     fn poise_pose(&self, view: &View) -> Pose {
-        Translation3::from(self.hand.style.poise_offset_m)
+        Translation3::from(self.style.poise_offset_m)
             * self.grasp_pose(view)
-            * Translation3::new(0.0, 0.0, -self.hand.style.poise_m)
+            * Translation3::new(0.0, 0.0, -self.style.poise_m)
     }
 
     /// The pose in which closing the jaw takes the edge at the mark: it points across the edge from outside, its hinge
@@ -165,15 +149,15 @@ impl Retractor {
         // A flap that hangs straight down has no direction to come from; then from the front.
         let inward = level.try_normalize(0.2).unwrap_or_else(Vector3::y);
         let hinge = inward.cross(&Vector3::z());
-        let (sin, cos) = self.hand.style.tilt_rad.sin_cos();
+        let (sin, cos) = self.style.tilt_rad.sin_cos();
         let pointing = inward * cos - Vector3::z() * sin;
         let axes = Matrix3::from_columns(&[hinge, pointing.cross(&hinge), pointing]);
         let rotation =
             UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(axes));
         let middle = view.thing.translation.vector
-            - view.thing.rotation * Vector3::z() * (0.5 * self.thickness_m);
-        let past_mark_m = (2.0 * self.hand.style.over - 1.0) * self.inset_m;
-        let ends = middle + inward * past_mark_m + hinge * self.hand.style.along_m;
+            - view.thing.rotation * Vector3::z() * (0.5 * self.part.thickness_m);
+        let past_mark_m = (2.0 * self.style.over - 1.0) * self.part.inset_m;
+        let ends = middle + inward * past_mark_m + hinge * self.style.along_m;
         Pose::from_parts((ends - pointing * FINGER_M).into(), rotation)
     }
 }

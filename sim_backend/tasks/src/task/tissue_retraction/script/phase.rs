@@ -1,6 +1,6 @@
 //! The phases of a tissue retraction and the transitions between them.
 
-use crate::script::play::{Event, Stage};
+use crate::script::play::{Event, Grasp, Stage, Transition};
 
 /// What the script is doing.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -24,16 +24,21 @@ pub(crate) enum Phase {
 impl Stage for Phase {
     const FIRST: Self = Self::Approach;
 
-    const TRANSITIONS: &'static [(Self, Event, Self)] = &[
+    const GRASP: [Transition<Self>; 5] = Grasp {
+        enter: Self::Enter,
+        close: Self::Close,
+        gripped: Self::Lift,
+        open: Self::Open,
+        retreat: Self::Retreat,
+        again: Self::Approach,
+    }
+    .transitions();
+
+    const TRANSITIONS: &'static [Transition<Self>] = &[
         (Self::Approach, Event::Arrived, Self::Enter),
-        (Self::Enter, Event::Arrived, Self::Close),
-        (Self::Close, Event::Gripped, Self::Lift),
-        (Self::Close, Event::Lost, Self::Open),
         (Self::Lift, Event::Arrived, Self::Hold),
         (Self::Lift, Event::Lost, Self::Open),
         (Self::Hold, Event::Lost, Self::Open),
-        (Self::Open, Event::Arrived, Self::Retreat),
-        (Self::Retreat, Event::Arrived, Self::Approach),
     ];
 }
 

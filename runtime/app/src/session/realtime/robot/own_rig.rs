@@ -6,12 +6,12 @@ use std::thread;
 use hal::Rig;
 
 use super::super::control_thread::ControlThread;
+use super::super::ended::closed;
 use super::super::joined;
 use super::super::signals::Moving;
 use super::super::watch::watch;
-use super::conclude::{closed, robot_ended};
-use super::robot_thread::RobotThread;
-use super::{ControlWires, RobotOptions, Wires};
+use super::super::wires::{ControlWires, Wires};
+use super::{RobotOptions, RobotThread, robot_ended};
 use crate::rig::Observed;
 use crate::rt::{self, MonotonicClock};
 use crate::session::run::{RunOptions, RunResult, open_log_with};

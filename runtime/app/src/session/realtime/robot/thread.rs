@@ -6,10 +6,10 @@ use std::sync::Arc;
 use hal::{ArmState, TimeNs};
 use trocar_topics::{ArmReport, Publisher};
 
+use super::super::on_can::{AHEAD_NS_MAX, Camera, FRAME_NS_MAX, logged, seen_at};
 use super::super::signals::EndsRun;
-use super::awaited::{AHEAD_NS_MAX, Camera, FRAME_NS_MAX};
-use super::scene_thread::{logged, seen_at};
-use super::{Local, RobotOptions, SeenWires};
+use super::super::wires::{Local, SeenWires};
+use super::RobotOptions;
 use crate::histogram::Histogram;
 use crate::rt;
 use crate::session::SessionError;
@@ -29,7 +29,7 @@ const NEAR_NS: u64 = 20_000_000;
 const KEPT: usize = 512;
 
 /// The thread before it runs.
-pub(super) struct RobotThread {
+pub(in super::super) struct RobotThread {
     seen: SeenWires,
     local: Local,
     /// For a policy process, one an arm.
@@ -44,13 +44,13 @@ pub(super) struct RobotThread {
 }
 
 /// What it leaves behind.
-pub(super) struct RobotEnd {
+pub(in super::super) struct RobotEnd {
     /// Why the run was ended from here, if it was: the time was up, or a camera was gone.
-    pub(super) ended_by: Option<String>,
+    pub(in super::super) ended_by: Option<String>,
     /// Whether that was what was asked.
-    pub(super) as_asked: bool,
+    pub(in super::super) as_asked: bool,
     /// How long the local policy took for its chunks.
-    pub(super) inference: Histogram,
+    pub(in super::super) inference: Histogram,
 }
 
 /// Where the arms were, newest last.
@@ -79,7 +79,7 @@ impl Past {
 }
 
 impl RobotThread {
-    pub(super) fn new(
+    pub(in super::super) fn new(
         seen: SeenWires,
         local: Local,
         reports: Vec<Publisher<ArmReport>>,
@@ -104,7 +104,7 @@ impl RobotThread {
     }
 
     /// Runs until the control thread has stopped; ends the run when the time is up or a camera that the policy needs is gone.
-    pub(super) fn run(mut self) -> Result<RobotEnd, SessionError> {
+    pub(in super::super) fn run(mut self) -> Result<RobotEnd, SessionError> {
         let signals = Arc::clone(&self.seen.signals);
         let _ends = EndsRun(&signals);
         let mut end = RobotEnd {

@@ -1,0 +1,35 @@
+//! A robot in real time: limits and a policy, neither task nor verdict. Its arms are behind anyone's rig ([`run_rig`]) or on CAN
+//! ([`run_robot_on_can`](super::run_robot_on_can)).
+
+mod own_rig;
+mod thread;
+
+pub use own_rig::run_rig;
+pub(super) use thread::{RobotEnd, RobotThread};
+
+use super::ended::Ended;
+use super::watch::Watched;
+use crate::session::run::{INTERRUPTED, STOPPED};
+
+/// What a run without a task is asked.
+#[derive(Clone, Debug, Default)]
+pub struct RobotOptions {
+    /// After how long it ends, s; never by itself if not given.
+    pub seconds: Option<f64>,
+    /// Cameras whose frames the log keeps besides those that the policy sees.
+    pub cameras: Vec<String>,
+}
+
+/// Why a robot's run ended: a fault comes before what else ended it.
+pub(super) fn robot_ended(end: &RobotEnd, watched: &Watched, fault: Option<String>) -> Ended {
+    let by = watched.ended_by.as_deref();
+    let by_a_person = by == Some(INTERRUPTED) || by == Some(STOPPED);
+    Ended {
+        success: None,
+        ok: fault.is_none() && (end.as_asked || by_a_person),
+        reason: fault
+            .or_else(|| watched.ended_by.clone())
+            .or_else(|| end.ended_by.clone())
+            .unwrap_or_else(|| "the control thread has stopped".to_owned()),
+    }
+}

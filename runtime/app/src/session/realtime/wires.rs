@@ -1,0 +1,86 @@
+//! Queues and mailboxes between the threads of a run without a simulation in its process.
+
+use std::sync::Arc;
+
+use hal::{ArmState, Chunk, PerArm};
+use rtrb::{Consumer, Producer, RingBuffer};
+use trocar_log::{LogFile, Recorder, SideLog, TickLog};
+
+use super::on_can::News;
+use super::signals::Signals;
+use super::{CHUNK_QUEUE, listen, split};
+use crate::mailbox::{MailboxReader, MailboxWriter, mailbox};
+use crate::rig::can::Noticed;
+use crate::rt::MonotonicClock;
+use crate::session::SessionError;
+use crate::session::operator::{Listener, OperatorPort};
+use crate::session::source::ChunkSource;
+
+/// A policy of this process with the queue for its chunks.
+pub(super) type Local = Option<(ChunkSource, Producer<PerArm<Chunk>>)>;
+
+/// What leads from one thread to the others.
+pub(super) struct Wires {
+    pub(super) control: ControlWires,
+    pub(super) seen: SeenWires,
+    pub(super) chunk_in: Producer<PerArm<Chunk>>,
+    pub(super) log: Option<LogFile>,
+    pub(super) listener: Listener,
+}
+
+/// The control thread's ends.
+pub(super) struct ControlWires {
+    pub(super) measured: MailboxWriter<PerArm<ArmState>>,
+    pub(super) noticed: MailboxWriter<Noticed>,
+    pub(super) chunks: Consumer<PerArm<Chunk>>,
+    pub(super) log: Option<TickLog>,
+    pub(super) signals: Arc<Signals>,
+    pub(super) operator: OperatorPort,
+    pub(super) clock: MonotonicClock,
+}
+
+/// The ends of whoever observes the arms for the policy.
+pub(super) struct SeenWires {
+    pub(super) measured: MailboxReader<PerArm<ArmState>>,
+    pub(super) news: News,
+    pub(super) log: Option<SideLog>,
+    pub(super) signals: Arc<Signals>,
+    pub(super) clock: MonotonicClock,
+}
+
+impl Wires {
+    /// # Errors
+    /// If the operator's socket can't be opened.
+    pub(super) fn new(
+        recorder: Option<Recorder>,
+        clock: MonotonicClock,
+    ) -> Result<Self, SessionError> {
+        let (chunk_in, chunks) = RingBuffer::<PerArm<Chunk>>::new(CHUNK_QUEUE);
+        let (measured_in, measured) = mailbox();
+        let (noticed_in, noticed) = mailbox();
+        let signals = Arc::new(Signals::default());
+        let (listener, operator) = listen()?;
+        let (tick_log, side_log, log) = split(recorder);
+        Ok(Self {
+            control: ControlWires {
+                measured: measured_in,
+                noticed: noticed_in,
+                chunks,
+                log: tick_log,
+                signals: Arc::clone(&signals),
+                operator,
+                clock,
+            },
+            seen: SeenWires {
+                measured,
+                news: News::new(noticed),
+                log: side_log,
+                signals,
+                clock,
+            },
+            chunk_in,
+            log,
+            listener,
+        })
+    }
+}
