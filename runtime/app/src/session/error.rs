@@ -124,10 +124,10 @@ impl From<crate::study::StudyError> for SessionError {
 
 impl From<PolicyError> for SessionError {
     fn from(error: PolicyError) -> Self {
-        match error {
-            PolicyError::Interrupted => Self::Interrupted,
-            other => Self::Policy(other),
+        if matches!(error, PolicyError::Interrupted) {
+            return Self::Interrupted;
         }
+        Self::Policy(error)
     }
 }
 

@@ -509,3 +509,6 @@ impl Policy for ExternalPolicy {
         Ok(chunks)
     }
 }
+
+#[cfg(test)]
+mod tests;

@@ -72,10 +72,10 @@ impl PolicyChoice {
     /// The same for the job `index` of `jobs`: of external policies each has its own.
     #[must_use]
     pub fn of_job(&self, index: usize, jobs: usize) -> Self {
-        match self {
-            Self::External(choice) => Self::External(choice.of_job(index, jobs)),
-            other => other.clone(),
+        if let Self::External(choice) = self {
+            return Self::External(choice.of_job(index, jobs));
         }
+        self.clone()
     }
 
     /// Checks that a checkpoint's folder is there, and that an external policy's name can be one of topics.

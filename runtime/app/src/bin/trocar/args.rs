@@ -4,8 +4,8 @@ use std::ffi::OsStr;
 use std::path::{Path, PathBuf};
 
 use clap::builder::{
-    NonEmptyStringValueParser, PossibleValue, RangedU64ValueParser, StringValueParser,
-    TypedValueParser,
+    NonEmptyStringValueParser, PossibleValue, RangedI64ValueParser, RangedU64ValueParser,
+    StringValueParser, TypedValueParser,
 };
 use clap::{Arg, Args, Command, Parser, Subcommand, ValueEnum};
 
@@ -41,6 +41,11 @@ fn share(text: &str) -> Result<f64, String> {
 /// A delay in ms.
 fn delay() -> RangedU64ValueParser<u64> {
     RangedU64ValueParser::new().range(0..=10_000)
+}
+
+/// A side of an image, pixels.
+fn pixels() -> RangedI64ValueParser<u32> {
+    RangedI64ValueParser::new().range(16..=2048)
 }
 
 /// A time-out in s.
@@ -715,6 +720,12 @@ pub(crate) struct EnvironmentArgs {
     /// How long it may take to appear, to reset and to answer, s, up to 86400.
     #[arg(long, value_name = "S", default_value_t = 86_400, value_parser = within())]
     pub(crate) policy_timeout: u64,
+    /// Height of all images, pixels, instead of the scene's; the vertical field of view stays.
+    #[arg(long, value_name = "PIXELS", requires = "image_width", value_parser = pixels())]
+    pub(crate) image_height: Option<u32>,
+    /// Width of all images, pixels.
+    #[arg(long, value_name = "PIXELS", requires = "image_height", value_parser = pixels())]
+    pub(crate) image_width: Option<u32>,
     /// The scene.
     #[command(flatten)]
     pub(crate) scene: SceneArgs,

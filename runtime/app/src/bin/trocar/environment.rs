@@ -21,7 +21,13 @@ pub(crate) fn environment(args: &EnvironmentArgs) -> Done {
     let policy = PolicyChoice::External(choice.clone());
     let changes = task_changes(&args.set)?;
     let scene = args.vary.add_to(args.scene.options(None));
-    let setup = Setup::load_with(&args.task, args.config.as_deref(), &policy, &scene, changes)?;
+    let config = args.config.as_deref();
+    let mut setup = Setup::load_with(&args.task, config, &policy, &scene, changes)?;
+    if let (Some(height), Some(width)) = (args.image_height, args.image_width) {
+        for camera in &mut setup.task.cameras {
+            (camera.height, camera.width) = (height, width);
+        }
+    }
     let mut seeds = std::io::stdin().lock().lines().map(|line| {
         let line = line.map_err(|error| refused(&error.to_string()))?;
         let seed = line.trim().parse();

@@ -68,7 +68,7 @@ struct OwnProcess {
 enum Peer {
     Own(OwnProcess),
     /// Somebody else's, which is told to stop and left to itself.
-    External(ExternalLink),
+    External(Box<ExternalLink>),
 }
 
 impl Peer {
@@ -218,7 +218,7 @@ impl PolicyChild {
             query_every_steps: link.hello.query_every_steps,
             history_steps: link.hello.history_steps,
             cameras: link.cameras.clone(),
-            peer: Peer::External(link),
+            peer: Peer::External(Box::new(link)),
             queries: 0,
             clock: MonotonicClock::new(),
             outside: outside.map(|outside| outside.clock),
