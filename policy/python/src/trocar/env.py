@@ -87,8 +87,9 @@ class TrocarEnv(gym.Env[dict[str, Any], NDArray[Any]]):
     ) -> None:
         """An environment of `task`, a built-in one or a folder (then with its number of `arms`).
 
-        `image_size` is the height and the width of the images that the task's cameras take, `options` are further ones of ``trocar eval``
-        that choose a scene: ``--scene``, ``--needle``, ``--view``, ``--set``; with a scene of ``shading = "plain"`` images take less time.
+        `image_size` is the height and the width of all images, 16 to 2048 pixels. `options` are further ones of ``trocar eval`` that choose
+        a scene: ``--scene``, ``--needle``, ``--view``, ``--vary``, ``--config``, ``--set``. Images take less time if they are small, and with
+        ``--set scene.rendering.shading=plain``.
         """
         if control not in ("relative", "absolute"):
             raise ValueError(f"control = {control!r}: allowed are 'relative' and 'absolute'")
@@ -107,14 +108,14 @@ class TrocarEnv(gym.Env[dict[str, Any], NDArray[Any]]):
             self._seen.append(render_camera)
         self._relative = control == "relative"
         self._binary = find_binary(binary)
-        self._options = list(options)
+        height, width = image_size
+        self._options = ["--image-height", str(height), "--image-width", str(width), *options]
         self._child: _Child | None = None
         self._peer: Peer | None = None
         self._observation: Observation | None = None
         self._pending = False
         self._picture: NDArray[np.uint8] | None = None
         self.action_space = cast("spaces.Space[NDArray[Any]]", _action_space(count, self._relative))
-        height, width = image_size
         parts: dict[str, spaces.Space[Any]] = {
             "joints": spaces.Box(-np.inf, np.inf, (count, JOINT_COUNT), np.float64),
             "jaw": spaces.Box(-np.inf, np.inf, (count,), np.float64),
@@ -234,6 +235,7 @@ class _Child:
     def __init__(self, binary: str, task: str, name: str, options: Sequence[str]) -> None:
         self._said: IO[bytes] = tempfile.TemporaryFile()
         command = [binary, "environment", "--task", task, "--topics", name, *options]
+        # The learner may think for longer than any time-out; if it dies, that is noticed.
         self._process = subprocess.Popen(
             command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=self._said, bufsize=0
         )
@@ -297,7 +299,11 @@ def make(task: str = "needle-lift", **kwargs: Any) -> TrocarEnv:
 
 
 def register() -> None:
-    """Registers the built-in tasks with Gymnasium, as ``trocar/needle-lift-v0`` and so on; found by its entry points."""
+    """Registers the built-in tasks with Gymnasium, as ``trocar/needle-lift-v0`` and so on; importing this module does."""
     for task in TASKS:
-        if f"trocar/{task}-v0" not in gym.registry and f"{task}-v0" not in gym.registry:
-            gym.register(id=f"{task}-v0", entry_point="trocar.env:TrocarEnv", kwargs={"task": task})
+        name = f"trocar/{task}-v0"
+        if name not in gym.registry:
+            gym.register(id=name, entry_point="trocar.env:TrocarEnv", kwargs={"task": task})
+
+
+register()
