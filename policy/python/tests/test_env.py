@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
@@ -58,6 +59,19 @@ def test_the_checker_finds_nothing_in_pictures(make: Any) -> None:
     picture = env.render()
     assert picture is not None and picture.shape == (48, 64, 3) and picture.std() > 5
     np.testing.assert_array_equal(picture, observation["endoscope"])
+
+
+def test_lerobots_layout_has_the_numbers_of_a_dataset(make: Any) -> None:
+    seen = dict(cameras=["endoscope"], image_size=(32, 32), options=PLAIN, control="absolute")
+    env = make(layout="lerobot", **seen)
+    check_env(env, skip_render_check=True)
+    observation, _ = env.reset(seed=4)
+    named, _ = make(**seen).reset(seed=4)
+    state = [*named["joints"][0], named["jaw"][0]]
+    np.testing.assert_array_equal(observation["agent_pos"], np.array(state, np.float32))
+    np.testing.assert_array_equal(observation["pixels"]["endoscope"], named["endoscope"])
+    with pytest.raises(ValueError, match="layout = 'flat'"):
+        make(layout="flat")
 
 
 def test_the_same_seed_and_actions_give_the_same_episode(make: Any) -> None:
@@ -134,3 +148,22 @@ def test_a_session_that_cannot_begin_says_why(make: Any) -> None:
         env.reset(seed=0)
     with pytest.raises(ValueError, match="how many arms"):
         make("a/folder")
+
+
+def test_the_experts_targets_lift_the_needle_for_a_reward(
+    make: Any, session: Callable[..., Any], tmp_path: Path
+) -> None:
+    log = tmp_path / "expert.mcap"
+    expert = ["--policy", "expert", "--lockstep", "--seed", "7", "--log", str(log)]
+    assert session("run", "--task", "needle-lift", *expert, *PLAIN).end()[0] == 0
+    targets = [chunk[1] for chunk in trocar.read_log(log, ["/policy/chunk"])["/policy/chunk"]["targets"]]
+    env = make(control="absolute", seconds=12.0)
+    env.reset(seed=7)
+    rewards = []
+    for target in targets + [targets[-1]] * 50:
+        _, reward, terminated, truncated, info = env.step(np.array(target))
+        rewards.append(reward)
+        if terminated or truncated:
+            break
+    assert terminated and not truncated and info["success"] and info["reason"] == "success"
+    assert rewards[-1] == 1.0 and not any(rewards[:-1])

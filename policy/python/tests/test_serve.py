@@ -300,6 +300,31 @@ def test_a_failure_in_real_time_ends_the_run_by_name(name: str, session: Callabl
     assert "the weights are gone" in out + err and name in out + err
 
 
+@pytest.mark.parametrize(
+    ("does", "said"),
+    [("time.sleep(60)", "has been silent for"), ("os._exit(3)", "ended")],
+    ids=["sleeps", "exits"],
+)
+def test_a_policy_that_hangs_or_dies_in_real_time_is_named(
+    does: str, said: str, name: str, session: Callable[..., Any], beside: Callable[..., Any]
+) -> None:
+    policy = ["--policy", f"external:{name}", "--policy-timeout", "6"]
+    running = session("run", "--task", "needle-lift", *policy, *short(60.0))
+    gone = beside(
+        f"""
+        import os, time, trocar
+        class Gone:
+            def infer(self, observation):
+                {does}
+        trocar.serve(Gone(), "{name}")
+        """
+    )
+    code, out, err = running.end(50)
+    assert code == 1
+    assert said in out + err and f'"{name}"' in out + err and "Gone" in out + err
+    assert gone.poll() is None or "exit" in does
+
+
 def test_a_name_that_is_none_is_bad_usage(session: Callable[..., Any]) -> None:
     code, _, err = session("eval", "--task", "needle-lift", "--policy", "external:a/b").end()
     assert code == 2 and "'a/b' cannot name a topic" in err

@@ -66,7 +66,8 @@ class TrocarEnv(gym.Env[dict[str, Any], NDArray[Any]]):
     controller lets through: gate, safety filter, smoother and guard are those of every run.
 
     An observation has ``joints`` (rad, insertion m), ``jaw`` (rad) and ``tip`` (x, y, z in m, quaternion x, y, z, w) of each arm, and an
-    image of each of `cameras`. The reward is 1 in the step in which the task is done, and 0 otherwise. The verdict terminates an episode,
+    image of each of `cameras`. With ``layout="lerobot"`` it has LeRobot's keys instead, with the numbers of Trocar's datasets: ``agent_pos``
+    (joints and jaw of each arm) and ``pixels`` by camera; absolute actions are then what such a dataset's ``action`` holds. The reward is 1 in the step in which the task is done, and 0 otherwise. The verdict terminates an episode,
     the task's time limit truncates it; ``info`` then has ``success``, ``reason``, ``seconds`` and ``command_hash``.
     """
 
@@ -78,6 +79,7 @@ class TrocarEnv(gym.Env[dict[str, Any], NDArray[Any]]):
         *,
         cameras: Sequence[str] = (),
         control: str = "relative",
+        layout: str = "named",
         render_mode: str | None = None,
         render_camera: str = "endoscope",
         image_size: tuple[int, int] = (512, 512),
@@ -93,6 +95,8 @@ class TrocarEnv(gym.Env[dict[str, Any], NDArray[Any]]):
         """
         if control not in ("relative", "absolute"):
             raise ValueError(f"control = {control!r}: allowed are 'relative' and 'absolute'")
+        if layout not in ("named", "lerobot"):
+            raise ValueError(f"layout = {layout!r}: allowed are 'named' and 'lerobot'")
         if render_mode not in (None, "rgb_array"):
             raise ValueError(f"render_mode = {render_mode!r}: allowed are None and 'rgb_array'")
         count = arms if arms is not None else TASKS.get(task)
@@ -107,6 +111,7 @@ class TrocarEnv(gym.Env[dict[str, Any], NDArray[Any]]):
         if render_mode is not None and render_camera not in self._seen:
             self._seen.append(render_camera)
         self._relative = control == "relative"
+        self._lerobot = layout == "lerobot"
         self._binary = find_binary(binary)
         height, width = image_size
         self._options = ["--image-height", str(height), "--image-width", str(width), *options]
@@ -116,18 +121,25 @@ class TrocarEnv(gym.Env[dict[str, Any], NDArray[Any]]):
         self._pending = False
         self._picture: NDArray[np.uint8] | None = None
         self.action_space = cast("spaces.Space[NDArray[Any]]", _action_space(count, self._relative))
-        parts: dict[str, spaces.Space[Any]] = {
-            "joints": spaces.Box(-np.inf, np.inf, (count, JOINT_COUNT), np.float64),
-            "jaw": spaces.Box(-np.inf, np.inf, (count,), np.float64),
-            "tip": spaces.Box(-np.inf, np.inf, (count, 7), np.float64),
-        }
-        for camera in self._cameras:
-            parts[camera] = spaces.Box(0, 255, (height, width, 3), np.uint8)
+        image = spaces.Box(0, 255, (height, width, 3), np.uint8)
+        images: dict[str, spaces.Space[Any]] = {camera: image for camera in self._cameras}
+        parts: dict[str, spaces.Space[Any]]
+        if self._lerobot:
+            parts = {"agent_pos": spaces.Box(-np.inf, np.inf, (count * (JOINT_COUNT + 1),), np.float32)}
+            if images:
+                parts["pixels"] = spaces.Dict(images)
+        else:
+            parts = {
+                "joints": spaces.Box(-np.inf, np.inf, (count, JOINT_COUNT), np.float64),
+                "jaw": spaces.Box(-np.inf, np.inf, (count,), np.float64),
+                "tip": spaces.Box(-np.inf, np.inf, (count, 7), np.float64),
+                **images,
+            }
         self.observation_space = cast("spaces.Space[dict[str, Any]]", spaces.Dict(parts))
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
+    ) -> tuple[dict[str, Any], dict[str, Any]]:
         """Begins an episode: that of `seed`, or the next one that follows from the last seed."""
         super().reset(seed=seed)
         episode = seed if seed is not None else int(self.np_random.integers(2**31))
@@ -145,7 +157,7 @@ class TrocarEnv(gym.Env[dict[str, Any], NDArray[Any]]):
 
     def step(
         self, action: NDArray[np.float32]
-    ) -> tuple[dict[str, NDArray[Any]], float, bool, bool, dict[str, Any]]:
+    ) -> tuple[dict[str, Any], float, bool, bool, dict[str, Any]]:
         """Goes on by 40 ms towards `action`."""
         if not self._pending or self._peer is None or self._child is None or self._observation is None:
             raise RuntimeError("the episode is over or has not begun: call reset first")
@@ -163,6 +175,7 @@ class TrocarEnv(gym.Env[dict[str, Any], NDArray[Any]]):
         self._pending = False
         late = bool(end["time_limit"])
         info = {key: end[key] for key in ("seed", "success", "invalid", "reason", "seconds", "command_hash")}
+        info["is_success"] = end["success"]
         return self._seen_now(), float(end["success"]), not late, late, info
 
     def render(self) -> NDArray[np.uint8] | None:
@@ -207,9 +220,15 @@ class TrocarEnv(gym.Env[dict[str, Any], NDArray[Any]]):
             kept = self._images.get(self._render_camera)
             self._picture = frames[self._render_camera].colour.copy() if kept is None else kept
 
-    def _seen_now(self) -> dict[str, NDArray[Any]]:
+    def _seen_now(self) -> dict[str, Any]:
         assert self._observation is not None
         arms = self._observation.arms
+        if self._lerobot:
+            state = np.concatenate([np.append(arm.joints, arm.jaw) for arm in arms])
+            seen: dict[str, Any] = {"agent_pos": state.astype(np.float32)}
+            if self._images:
+                seen["pixels"] = dict(self._images)
+            return seen
         return {
             "joints": np.array([arm.joints for arm in arms]),
             "jaw": np.array([arm.jaw for arm in arms]),
