@@ -109,6 +109,14 @@ impl Peer {
         }
     }
 
+    /// How long it may answer nothing, ns, besides a query's interval.
+    fn answer_ns_max(&self) -> u64 {
+        match self {
+            Self::Own(_) => ANSWER_NS_MAX,
+            Self::External(link) => link.within_ns.max(ANSWER_NS_MAX),
+        }
+    }
+
     /// What it is called where a run ends with it.
     fn who(&self) -> String {
         match self {
@@ -350,11 +358,18 @@ impl PolicyChild {
             return Some(format!("{who} has been silent for {silence_s} s"));
         }
         let unanswered_ns = self.answered.map_or(0, |answered| now.since(answered));
-        (unanswered_ns > ANSWER_NS_MAX + self.query_every_steps * STEP_NS).then(|| {
+        let limit_ns = self.peer.answer_ns_max() + self.query_every_steps * STEP_NS;
+        (unanswered_ns > limit_ns).then(|| {
             let unanswered_s = seconds(unanswered_ns);
-            format!(
-                "the policy has answered nothing for {unanswered_s} s: it sees no arms and frames of one instant"
-            )
+            match &self.peer {
+                Peer::Own(_) => format!(
+                    "the policy has answered nothing for {unanswered_s} s: it sees no arms and frames of one instant"
+                ),
+                Peer::External(_) => {
+                    let who = self.peer.who();
+                    format!("{who} lives and has answered nothing for {unanswered_s} s")
+                }
+            }
         })
     }
 }
