@@ -328,3 +328,17 @@ def test_a_policy_that_hangs_or_dies_in_real_time_is_named(
 def test_a_name_that_is_none_is_bad_usage(session: Callable[..., Any]) -> None:
     code, _, err = session("eval", "--task", "needle-lift", "--policy", "external:a/b").end()
     assert code == 2 and "'a/b' cannot name a topic" in err
+
+
+def test_what_gets_past_the_package_is_refused_by_the_gate(name: str, session: Callable[..., Any]) -> None:
+    running = session("run", "--task", "needle-lift", "--lockstep", "--policy", f"external:{name}", "--json", "-", *short())
+    peer = trocar.Peer(name, query_every=5)
+    while not isinstance(event := peer.wait(), trocar.Ended):
+        if isinstance(event, trocar.Begins):
+            peer.ready()
+        elif isinstance(event, trocar.Asked):
+            peer.answer([np.full((3, trocar.ABSOLUTE), np.nan)])
+    code, out, err = running.end()
+    summary = json.loads(out)
+    assert code == 1 and "within 1 s" in summary["reason"], err
+    assert summary["policy"]["refused"] == summary["policy"]["queries"] == 5
