@@ -1,7 +1,9 @@
 # Two commands do everything on a fresh machine: `make demo` and `make test`.
-.PHONY: demo dist test-dist test check test-adversary test-golden test-can test-study test-slurm adversary fuzz-can build setup setup-can setup-browser bench clean
+.PHONY: demo dist test-dist test check test-adversary test-golden test-can test-python test-study test-slurm adversary fuzz-can build setup setup-can setup-browser setup-python bench clean
 
 TROCAR := $(or $(CARGO_TARGET_DIR),target)/release/trocar
+DEBUG_TROCAR := $(or $(CARGO_TARGET_DIR),target)/debug/trocar
+PYTHON := $(CURDIR)/target/python/bin/python
 
 # Set but empty means not set; cargo would take it for a folder.
 ifeq ($(strip $(LIBTORCH)),)
@@ -19,6 +21,7 @@ test: build
 	cargo build --locked -p trocar
 	cargo test --locked --workspace
 	$(MAKE) test-can
+	$(MAKE) test-python
 	$(MAKE) test-study
 
 # Format, lints and unit tests of the crates that differ from HEAD: for the time while you work.
@@ -33,6 +36,12 @@ test-adversary: setup
 test-can: setup setup-can
 	cargo build --locked -p trocar
 	cargo test --locked --workspace --test can_bus --config 'target."cfg(all())".runner=["$(CURDIR)/.ci/with-vcan","--time-limit","1500"]' -- --ignored
+
+# The Python package: types, and its policies and environments against the debug binary, in a virtual environment in target/python.
+test-python: setup setup-python
+	cargo build --locked -p trocar
+	cd policy/python && $(PYTHON) -m mypy --cache-dir $(CURDIR)/target/mypy
+	cd policy/python && TROCAR=$(abspath $(DEBUG_TROCAR)) $(PYTHON) -B -m pytest -q -p no:cacheprovider
 
 # A tiny study interrupted, killed, gone on with, in two shards, reported, its page opened in a browser.
 test-study: build setup-browser
@@ -78,6 +87,10 @@ setup-can:
 # Only the tests of reports need what this installs.
 setup-browser:
 	@.ci/setup-browser.sh
+
+# Only the tests of the Python package need what this installs.
+setup-python:
+	@.ci/setup-python.sh
 
 clean:
 	cargo clean

@@ -92,4 +92,21 @@ pub enum PolicyError {
     /// The network library failed.
     #[error("inference failed: {0}")]
     Inference(String),
+    /// A policy in another process did not answer, or said something that can't be used.
+    #[error("external policy {name:?}: {reason}")]
+    External {
+        /// The name of its topics.
+        name: String,
+        /// Why.
+        reason: String,
+    },
+    /// A policy in another process wants no more of the episode.
+    #[error("external policy {name:?} abandoned the episode")]
+    Abandoned {
+        /// The name of its topics.
+        name: String,
+    },
+    /// A signal came while the policy was waited for.
+    #[error("interrupted")]
+    Interrupted,
 }

@@ -1,6 +1,7 @@
 #![doc = include_str!("../README.md")]
 
 mod error;
+mod external;
 mod frame;
 mod message;
 mod node;
@@ -11,9 +12,10 @@ mod shm;
 mod tests;
 
 pub use error::TopicError;
+pub use external::{POLICY_CAMERAS_MAX, PolicyHello, PolicyReply, Reply, SessionHello};
 pub use frame::{CameraTopic, FrameHeader, FrameLoan, FramePublisher, FrameSubscriber, FrameView};
 pub use message::{ArmReport, PolicyStage, PolicyStatus, RunCommand, RunControl};
-pub use node::TopicNode;
+pub use node::{TopicNode, check_run_id};
 pub use port::{Message, Publisher, Subscriber, Topic};
 pub use scene::{Line, Place, SCENE_ARMS_MAX, SceneArm, SceneReport, SceneTissue, Verdict};
 pub use shm::{SHARED_MEMORY_DIR, SharedMemorySpace, shared_memory_space};
@@ -32,3 +34,12 @@ pub type SceneTopic = Topic<SceneReport>;
 
 /// How the policy process is doing; one topic a process, under the first of its arms.
 pub type PolicyStatusTopic = Topic<PolicyStatus>;
+
+/// Who an external policy is; one topic a policy, under the first of its arms.
+pub type PolicyHelloTopic = Topic<PolicyHello>;
+
+/// Who asks an external policy; one topic a session, under the first of its arms.
+pub type SessionHelloTopic = Topic<SessionHello>;
+
+/// What an external policy made of an observation; one topic a policy, under the first of its arms.
+pub type PolicyReplyTopic = Topic<PolicyReply>;

@@ -3,6 +3,7 @@
 use core::fmt::Debug;
 use core::time::Duration;
 
+use iceoryx2::node::NodeState;
 use iceoryx2::port::publisher::PublisherCreateError;
 use iceoryx2::port::subscriber::SubscriberCreateError;
 use iceoryx2::prelude::{
@@ -113,6 +114,19 @@ impl TopicNode {
             CallbackProgression::Continue
         });
         found || listed.is_err()
+    }
+
+    /// Whether a node of `process` is alive; also if that can't be told.
+    #[must_use]
+    pub fn is_alive(&self, process: u64) -> bool {
+        let mut alive = false;
+        let listed = Node::<Service>::list(self.node.config(), |state| {
+            let dead = matches!(state, NodeState::Dead(_));
+            let pid = state.node_id().pid::<Service>();
+            alive |= !dead && pid.is_ok_and(|pid| u64::try_from(pid.value()) == Ok(process));
+            CallbackProgression::Continue
+        });
+        alive || listed.is_err()
     }
 
     /// The full service name of `topic`.
@@ -250,6 +264,14 @@ fn transport_config(run_id: &str) -> Result<Config, TopicError> {
     config.global.prefix = FileName::new(b"trocar_")
         .map_err(|error| TopicError::transport(run_id, "naming files", &format!("{error:?}")))?;
     Ok(config)
+}
+
+/// Checks that `run_id` can name a run.
+///
+/// # Errors
+/// [`TopicError::BadName`].
+pub fn check_run_id(run_id: &str) -> Result<(), TopicError> {
+    check_name(run_id, false)
 }
 
 fn check_name(name: &str, with_parts: bool) -> Result<(), TopicError> {

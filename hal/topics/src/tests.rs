@@ -4,9 +4,12 @@ use std::env;
 use std::io::{BufRead, BufReader, Write};
 use std::process::{Child, Command, Stdio};
 
+use iceoryx2::prelude::ZeroCopySend;
+
 use super::{
-    ArmReport, ArmStateTopic, CameraTopic, ChunkTopic, FrameHeader, PolicyStage, PolicyStatus,
-    PolicyStatusTopic, RunCommand, RunControl, RunControlTopic, TopicError, TopicNode,
+    ArmReport, ArmStateTopic, CameraTopic, ChunkTopic, FrameHeader, Message, PolicyHello,
+    PolicyHelloTopic, PolicyStage, PolicyStatus, PolicyStatusTopic, RunCommand, RunControl,
+    RunControlTopic, Topic, TopicError, TopicNode,
 };
 use hal::{ArmState, CameraFrame, Chunk, Intrinsics, JointVector, Pose, TimeNs, TipTarget};
 
@@ -452,4 +455,24 @@ fn two_processes_exchange_frames_and_chunks_and_a_killed_one_is_replaced() {
     );
     drop(successor.stdin.take());
     assert!(successor.wait().unwrap().success());
+}
+
+/// A hello of a later version.
+#[derive(Clone, Copy, Debug, ZeroCopySend)]
+#[repr(C)]
+#[type_name("trocar/policy_hello/2")]
+struct LaterHello(PolicyHello);
+
+impl Message for LaterHello {
+    const TOPIC: &'static str = PolicyHello::TOPIC;
+}
+
+#[test]
+fn a_message_of_another_version_is_refused_by_its_topic() {
+    let node = node("versions");
+    let _later = Topic::<LaterHello>::publisher(&node, "psm1").unwrap();
+    let error = PolicyHelloTopic::subscriber(&node, "psm1").unwrap_err();
+    assert!(matches!(error, TopicError::OtherType { .. }), "{error}");
+    let named = format!("trocar/{}/psm1/policy_hello", run_id("versions"));
+    assert!(error.to_string().contains(&named), "{error}");
 }

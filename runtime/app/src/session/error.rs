@@ -5,6 +5,7 @@ use std::path::Path;
 
 use hal::config::ConfigError;
 use hal::{ArmError, PolicyError};
+use trocar_topics::TopicError;
 use trocar_train::TrainError;
 
 /// Everything that ends a session early.
@@ -47,7 +48,7 @@ pub enum SessionError {
     Simulation(#[from] trocar_tasks::SimulationError),
     /// The policy failed.
     #[error(transparent)]
-    Policy(#[from] PolicyError),
+    Policy(PolicyError),
     /// The arm failed.
     #[error(transparent)]
     Arm(#[from] ArmError),
@@ -121,6 +122,15 @@ impl From<crate::study::StudyError> for SessionError {
     }
 }
 
+impl From<PolicyError> for SessionError {
+    fn from(error: PolicyError) -> Self {
+        if matches!(error, PolicyError::Interrupted) {
+            return Self::Interrupted;
+        }
+        Self::Policy(error)
+    }
+}
+
 impl SessionError {
     /// An output error for `path`.
     #[must_use]
@@ -137,6 +147,7 @@ impl SessionError {
         match self {
             Self::Log(error) => error.is_bad_input(),
             Self::Study(error) => error.is_bad_input(),
+            Self::Topic(error) => matches!(error, TopicError::BadName { .. }),
             Self::Config(_)
             | Self::Checkpoint(_)
             | Self::Dataset(_)
@@ -162,7 +173,6 @@ impl SessionError {
             },
             Self::Unproductive { .. }
             | Self::Simulation(_)
-            | Self::Topic(_)
             | Self::Policy(_)
             | Self::Arm(_)
             | Self::Interface { .. }

@@ -1,6 +1,7 @@
 //! Many seeded trials in lockstep.
 
 use std::path::PathBuf;
+use std::sync::atomic::{AtomicUsize, Ordering};
 
 use hal::Chunk;
 use trocar_nets::compute::Compute;
@@ -53,12 +54,16 @@ pub fn evaluate(
         outputs::new_folder("--keep", &keep.folder)?;
     }
     let mut episodes = Vec::new();
+    let workers = AtomicUsize::new(0);
     parallel::in_order_until(
         options.trials,
         options.jobs,
         usize::MAX,
         stop,
-        || TrialWorker::new(setup, options, stop).map(TrialWorker::into_job),
+        || {
+            let index = workers.fetch_add(1, Ordering::Relaxed);
+            TrialWorker::new(setup, options, stop, index).map(TrialWorker::into_job)
+        },
         &mut |_, trial: Option<TrialSummary>| {
             if let Some(trial) = trial {
                 on_trial(&trial);
@@ -87,7 +92,8 @@ pub fn evaluate(
     })
 }
 
-/// What one thread keeps from trial to trial: the network and the cameras, which are slow to make.
+/// What one thread keeps from trial to trial: the network, or the connection to an external policy, and the cameras, which are slow to
+/// make.
 struct TrialWorker<'a> {
     setup: &'a Setup,
     options: &'a EvalOptions,
@@ -101,10 +107,14 @@ impl<'a> TrialWorker<'a> {
         setup: &'a Setup,
         options: &'a EvalOptions,
         stop: &'a (dyn Fn() -> bool + Sync),
+        index: usize,
     ) -> Result<Self, SessionError> {
         let network = match options.policy {
-            PolicyChoice::Checkpoint(_) => {
-                Some(setup.source(&options.policy, options.seed, options.compute)?)
+            PolicyChoice::Checkpoint(_) | PolicyChoice::External(_) => {
+                let policy = options
+                    .policy
+                    .of_job(index, options.jobs.min(options.trials));
+                Some(setup.source(&policy, options.seed, options.compute)?)
             }
             PolicyChoice::Expert
             | PolicyChoice::Noop
@@ -175,6 +185,10 @@ impl<'a> TrialWorker<'a> {
         if let Some(mut network) = self.network.take() {
             network.reset(seed);
             return Ok(network);
+        }
+        if matches!(self.options.policy, PolicyChoice::External(_)) {
+            // An earlier trial of this thread has failed, which ends the evaluation; nobody is waited for again.
+            return Err(SessionError::Interrupted);
         }
         self.setup
             .source(&self.options.policy, seed, self.options.compute)

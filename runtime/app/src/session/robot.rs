@@ -46,7 +46,10 @@ impl Robot {
         policy.check_exists()?;
         let recipe = match policy {
             PolicyChoice::Checkpoint(folder) => load_recipe(folder)?,
-            PolicyChoice::Noop | PolicyChoice::Random | PolicyChoice::Own(_) => None,
+            PolicyChoice::Noop
+            | PolicyChoice::Random
+            | PolicyChoice::Own(_)
+            | PolicyChoice::External(_) => None,
             PolicyChoice::Expert => {
                 let reason = "--policy expert: it sees the simulator's scene and needs a --task";
                 return Err(SessionError::BadArgument(reason.to_owned()));
@@ -109,7 +112,10 @@ impl Robot {
         match choice {
             PolicyChoice::Noop => Ok(ChunkSource::noop()),
             PolicyChoice::Random => Ok(ChunkSource::random(seed)),
-            PolicyChoice::Expert | PolicyChoice::Checkpoint(_) | PolicyChoice::Own(_) => {
+            PolicyChoice::Expert
+            | PolicyChoice::Checkpoint(_)
+            | PolicyChoice::Own(_)
+            | PolicyChoice::External(_) => {
                 let name = choice.name();
                 Err(SessionError::BadArgument(format!(
                     "policy {name}: without a task the policies of this process are noop and random"

@@ -12,6 +12,7 @@ use trocar_tasks::task::{TaskConfig, Variation};
 
 use super::SessionError;
 use super::changes::{Changes, ConfigFile};
+use super::external::ExternalPolicy;
 use super::scene_options::SceneOptions;
 use super::source::{ChunkSource, PolicyChoice};
 use super::tasks;
@@ -117,7 +118,8 @@ impl Setup {
             PolicyChoice::Expert
             | PolicyChoice::Noop
             | PolicyChoice::Random
-            | PolicyChoice::Own(_) => None,
+            | PolicyChoice::Own(_)
+            | PolicyChoice::External(_) => None,
         };
         let control = match control {
             Some(path) => Source::read(&path.display().to_string())?,
@@ -218,10 +220,10 @@ impl Setup {
         network(folder, compute, self.task.arms.len(), &whose)
     }
 
-    /// The source of chunks that the user asked for.
+    /// The source of chunks that the user asked for; an external policy in lockstep.
     ///
     /// # Errors
-    /// Those of [`Self::network`].
+    /// Those of [`Self::network`] and of [`ExternalPolicy::connect`].
     pub fn source(
         &self,
         choice: &PolicyChoice,
@@ -236,6 +238,9 @@ impl Setup {
             PolicyChoice::Noop => ChunkSource::noop(),
             PolicyChoice::Random => ChunkSource::random(seed),
             PolicyChoice::Checkpoint(path) => ChunkSource::network(self.network(path, compute)?),
+            PolicyChoice::External(choice) => {
+                ChunkSource::external(ExternalPolicy::connect(choice, self)?)
+            }
             PolicyChoice::Own(name) => {
                 return Err(SessionError::BadArgument(format!(
                     "policy {name} has to be handed in, as ChunkSource::policy"

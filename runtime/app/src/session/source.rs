@@ -11,6 +11,7 @@ use trocar_tasks::expert::{Activity, Expert};
 use trocar_tasks::scene::SceneState;
 use trocar_world::rng::Rng;
 
+use super::external::{self, ExternalChoice, ExternalPolicy};
 use super::{SessionError, policies};
 use crate::study::address::hash_file;
 use hal::PerArm;
@@ -38,31 +39,56 @@ pub enum PolicyChoice {
     Checkpoint(PathBuf),
     /// One that the caller hands in, as [`ChunkSource::policy`], by this name.
     Own(String),
+    /// One in another process, over topics.
+    External(ExternalChoice),
 }
 
 impl PolicyChoice {
-    /// Reads `expert`, `noop`, `random`, or else a directory, or the name of a committed policy such as `needle-lift/act-small`.
+    /// Reads `expert`, `noop`, `random`, `external`, `external:NAME`, or else a directory, or the name of a committed policy such as `needle-lift/act-small`.
     #[must_use]
     pub fn parse(text: &str) -> Self {
         match text {
             "expert" => Self::Expert,
             "noop" => Self::Noop,
             "random" => Self::Random,
+            external::DEFAULT_NAME => Self::External(ExternalChoice::new(None)),
             directory if Path::new(directory).is_dir() => Self::Checkpoint(directory.into()),
-            name => Self::Checkpoint(policies::named(name).unwrap_or_else(|| name.into())),
+            name => match name.strip_prefix("external:") {
+                Some(topics) => Self::External(ExternalChoice::new(Some(topics))),
+                None => Self::Checkpoint(policies::named(name).unwrap_or_else(|| name.into())),
+            },
         }
     }
 
-    /// Checks that a checkpoint's folder is there.
+    /// The same, in which an external policy may take `within_s` seconds to appear, to reset and to answer.
+    #[must_use]
+    pub fn within_s(mut self, within_s: u64) -> Self {
+        if let Self::External(choice) = &mut self {
+            choice.within_s = within_s;
+        }
+        self
+    }
+
+    /// The same for the job `index` of `jobs`: of external policies each has its own.
+    #[must_use]
+    pub fn of_job(&self, index: usize, jobs: usize) -> Self {
+        if let Self::External(choice) = self {
+            return Self::External(choice.of_job(index, jobs));
+        }
+        self.clone()
+    }
+
+    /// Checks that a checkpoint's folder is there, and that an external policy's name can be one of topics.
     ///
     /// # Errors
-    /// [`SessionError::BadArgument`], which says what a policy can be.
+    /// [`SessionError::BadArgument`], which says what a policy can be; [`SessionError::Topic`].
     pub fn check_exists(&self) -> Result<(), SessionError> {
         match self {
             Self::Checkpoint(path) if !path.is_dir() => Err(SessionError::BadArgument(format!(
-                "policy {}: there is no such folder; a policy is expert, noop, random or a checkpoint's folder",
+                "policy {}: there is no such folder; a policy is expert, noop, random, external or a checkpoint's folder",
                 path.display()
             ))),
+            Self::External(choice) => Ok(choice.check()?),
             Self::Checkpoint(_) | Self::Expert | Self::Noop | Self::Random | Self::Own(_) => Ok(()),
         }
     }
@@ -95,6 +121,10 @@ impl PolicyChoice {
             Self::Random => "random".to_owned(),
             Self::Checkpoint(path) => path.display().to_string(),
             Self::Own(name) => name.clone(),
+            Self::External(choice) => match &choice.name {
+                Some(name) => format!("external:{name}"),
+                None => external::DEFAULT_NAME.to_owned(),
+            },
         }
     }
 }
@@ -169,6 +199,13 @@ impl ChunkSource {
             cameras,
             query_every_steps: query_every_steps.max(1),
         })
+    }
+
+    /// A policy in another process.
+    #[must_use]
+    pub fn external(policy: ExternalPolicy) -> Self {
+        let (cameras, every) = (policy.cameras(), policy.query_every_steps());
+        Self::policy(Box::new(policy), cameras, every)
     }
 
     /// A trained network.

@@ -83,7 +83,9 @@ fn run_setup(
     };
     let mut logger = Logger(Recorder::create(&file.0, &header, Pressure::Block).unwrap());
     let rendering = match policy {
-        PolicyChoice::Checkpoint(_) | PolicyChoice::Own(_) => Rendering::On,
+        PolicyChoice::Checkpoint(_) | PolicyChoice::Own(_) | PolicyChoice::External(_) => {
+            Rendering::On
+        }
         PolicyChoice::Expert | PolicyChoice::Noop | PolicyChoice::Random => Rendering::Off,
     };
     let episode = Episode {
@@ -134,7 +136,8 @@ fn two_arms_run_replay_and_verify_without_a_network() {
             PolicyChoice::Expert
             | PolicyChoice::Random
             | PolicyChoice::Checkpoint(_)
-            | PolicyChoice::Own(_) => [true, true],
+            | PolicyChoice::Own(_)
+            | PolicyChoice::External(_) => [true, true],
         };
         assert_eq!(moved, expected, "{name}");
         let chunks = log

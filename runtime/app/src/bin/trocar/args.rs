@@ -4,13 +4,14 @@ use std::ffi::OsStr;
 use std::path::{Path, PathBuf};
 
 use clap::builder::{
-    NonEmptyStringValueParser, PossibleValue, RangedU64ValueParser, StringValueParser,
-    TypedValueParser,
+    NonEmptyStringValueParser, PossibleValue, RangedI64ValueParser, RangedU64ValueParser,
+    StringValueParser, TypedValueParser,
 };
 use clap::{Arg, Args, Command, Parser, Subcommand, ValueEnum};
 
 use trocar::session::changes::Change;
 use trocar::session::drives::DEFAULT_TOPICS;
+use trocar::session::external::DEFAULT_WITHIN_S;
 use trocar::session::tasks;
 
 use crate::drives::DrivesArgs;
@@ -42,6 +43,16 @@ fn share(text: &str) -> Result<f64, String> {
 /// A delay in ms.
 pub(crate) fn delay() -> RangedU64ValueParser<u64> {
     RangedU64ValueParser::new().range(0..=10_000)
+}
+
+/// A side of an image, pixels.
+fn pixels() -> RangedI64ValueParser<u32> {
+    RangedI64ValueParser::new().range(16..=2048)
+}
+
+/// A time-out in s.
+fn within() -> RangedU64ValueParser<u64> {
+    RangedU64ValueParser::new().range(1..=86_400)
 }
 
 /// A time in s.
@@ -175,6 +186,9 @@ pub(crate) enum Verb {
     /// The policy's own process in a real-time run; started by `run`.
     #[command(hide = true)]
     PolicyProcess(PolicyProcessArgs),
+    /// Episodes whose seeds come on standard input, in lockstep with an external policy; started by the Python package's environments.
+    #[command(hide = true)]
+    Environment(EnvironmentArgs),
 }
 
 impl Verb {
@@ -205,7 +219,8 @@ impl Verb {
             | Self::Config(_)
             | Self::Completions(_)
             | Self::Man(_)
-            | Self::PolicyProcess(_) => &None,
+            | Self::PolicyProcess(_)
+            | Self::Environment(_) => &None,
         };
         json.as_deref()
     }
@@ -329,9 +344,13 @@ pub(crate) struct RunArgs {
     /// With --safety: after how long the run ends, s, up to 86400; if not given, only a signal or a fault ends it.
     #[arg(long, value_name = "S", requires = "safety", conflicts_with = "task", value_parser = seconds)]
     pub(crate) seconds: Option<f64>,
-    /// `expert`, `noop`, `random`, or a checkpoint's directory.
+    /// `expert`, `noop`, `random`, a checkpoint's directory, or `external`: a process of yours on the topics `external`, or on others with
+    /// `external:NAME`, such as one of the Python package in policy/python.
     #[arg(long)]
     pub(crate) policy: String,
+    /// How long an external policy may take to appear, to reset and to answer, s, up to 86400.
+    #[arg(long, value_name = "S", default_value_t = DEFAULT_WITHIN_S, value_parser = within())]
+    pub(crate) policy_timeout: u64,
     /// The arm.
     #[arg(long, value_enum, default_value = "sim")]
     pub(crate) backend: Backend,
@@ -409,9 +428,13 @@ pub(crate) struct EvalArgs {
     /// The task: a built-in one by name, or the path of a folder with scene.toml and safety.toml.
     #[arg(long, value_parser = TaskParser)]
     pub(crate) task: String,
-    /// `expert`, `noop`, `random`, or a checkpoint's directory.
+    /// `expert`, `noop`, `random`, a checkpoint's directory, or `external`: a process of yours on the topics `external`, or on others with
+    /// `external:NAME`, such as one of the Python package in policy/python. With --jobs N: one a job, on `NAME-1` to `NAME-N`.
     #[arg(long)]
     pub(crate) policy: String,
+    /// How long an external policy may take to appear, to reset and to answer, s, up to 86400.
+    #[arg(long, value_name = "S", default_value_t = DEFAULT_WITHIN_S, value_parser = within())]
+    pub(crate) policy_timeout: u64,
     /// How many trials.
     #[arg(long, default_value_t = 50, value_parser = count())]
     pub(crate) trials: usize,
@@ -572,6 +595,38 @@ pub(crate) struct DemoArgs {
     /// Random seed: the same seed gives the same run.
     #[arg(long, default_value_t = 1_000_000)]
     pub(crate) seed: u64,
+}
+
+/// Options of the hidden environment.
+#[derive(Args, Debug)]
+pub(crate) struct EnvironmentArgs {
+    /// The task: a built-in one by name, or the path of a folder with scene.toml and safety.toml.
+    #[arg(long, value_parser = TaskParser)]
+    pub(crate) task: String,
+    /// The name of the topics that the policy is on.
+    #[arg(long)]
+    pub(crate) topics: String,
+    /// How long it may take to appear, to reset and to answer, s, up to 86400.
+    #[arg(long, value_name = "S", default_value_t = 86_400, value_parser = within())]
+    pub(crate) policy_timeout: u64,
+    /// Height of all images, pixels, instead of the scene's; the vertical field of view stays.
+    #[arg(long, value_name = "PIXELS", requires = "image_width", value_parser = pixels())]
+    pub(crate) image_height: Option<u32>,
+    /// Width of all images, pixels.
+    #[arg(long, value_name = "PIXELS", requires = "image_height", value_parser = pixels())]
+    pub(crate) image_width: Option<u32>,
+    /// The scene.
+    #[command(flatten)]
+    pub(crate) scene: SceneArgs,
+    /// What differs from episode to episode.
+    #[command(flatten)]
+    pub(crate) vary: VaryArgs,
+    /// Controller configuration instead of the built-in config/control.toml.
+    #[arg(long, value_name = "FILE")]
+    pub(crate) config: Option<PathBuf>,
+    /// Override one configuration value.
+    #[arg(long, value_name = "FILE.KEY=VALUE")]
+    pub(crate) set: Vec<Change>,
 }
 
 /// Options of the hidden policy process.

@@ -75,6 +75,19 @@ pub(crate) fn task_changes(set: &[Change]) -> Result<Changes, SessionError> {
     Ok(changes)
 }
 
+/// Says what is waited for if the policy is in another process.
+pub(crate) fn note_awaited(policy: &PolicyChoice, jobs: usize) {
+    if let PolicyChoice::External(choice) = policy {
+        for index in 0..jobs {
+            let choice = choice.of_job(index, jobs);
+            let (topics, within_s) = (choice.topics(), choice.within_s);
+            console::note(&format!(
+                "trocar: waits for an external policy on topics {topics:?}, for {within_s} s at most"
+            ));
+        }
+    }
+}
+
 /// Says so if the policy does another task than that of its demonstrations: that may be meant, so that it is no error.
 pub(crate) fn warn_of_transfer(setup: &Setup) {
     if let Some(reason) = setup.transfer_note() {
@@ -99,8 +112,11 @@ pub(crate) fn run(args: &RunArgs) -> Done {
     let log = ("--log", args.log.as_deref());
     outputs::check(&[log, ("--json", args.json.as_deref())], &read)?;
     let can = can_options(args)?;
+    let policy = PolicyChoice::parse(&args.policy).within_s(args.policy_timeout);
+    policy.check_exists()?;
+    note_awaited(&policy, 1);
     let options = RunOptions {
-        policy: PolicyChoice::parse(&args.policy),
+        policy,
         seed: args.seed,
         log: args.log.clone(),
         pictures: false,

@@ -11,7 +11,7 @@ use trocar::session::summary::TrialSummary;
 use trocar::session::{PolicyChoice, SessionError, Setup, outputs, tasks};
 
 use crate::args::EvalArgs;
-use crate::commands::{Done, compute, task_changes, warn_of_transfer};
+use crate::commands::{Done, compute, note_awaited, task_changes, warn_of_transfer};
 use crate::console;
 use crate::scene_args::of_task;
 
@@ -24,11 +24,13 @@ pub(crate) fn eval(args: &EvalArgs) -> Done {
     let mut read = vec![config, scene, kept];
     read.extend(of_task(&task));
     outputs::check(&[("--json", args.json.as_deref())], &read)?;
-    let policy = PolicyChoice::parse(&args.policy);
+    let policy = PolicyChoice::parse(&args.policy).within_s(args.policy_timeout);
+    policy.check_exists()?;
     let changes = task_changes(&args.set)?;
     let scene = args.vary.add_to(args.scene.options(None));
     let setup = Setup::load_with(&args.task, config.1, &policy, &scene, changes)?;
     warn_of_transfer(&setup);
+    note_awaited(&policy, args.jobs.min(args.trials));
     let options = EvalOptions {
         policy,
         trials: args.trials,

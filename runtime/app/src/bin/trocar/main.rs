@@ -7,6 +7,7 @@ mod args;
 mod commands;
 mod console;
 mod drives;
+mod environment;
 mod eval;
 mod import;
 mod operator;
@@ -98,6 +99,7 @@ fn main() -> ExitCode {
         Verb::Completions(args) => about::completions(args),
         Verb::Man(args) => about::man(args),
         Verb::PolicyProcess(args) => commands::policy_process(args),
+        Verb::Environment(args) => environment::environment(args),
     };
     match result {
         Ok(true) if !console::stdout_failed() => ExitCode::SUCCESS,

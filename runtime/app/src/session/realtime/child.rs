@@ -11,7 +11,7 @@ use tch::Device;
 use trocar_nets::compute::{Arithmetic, Compute};
 use trocar_nets::loaded_policy::LoadedPolicy;
 use trocar_topics::{
-    PolicyStage, PolicyStatus, PolicyStatusTopic, Publisher, RunCommand, RunControl,
+    PolicyStage, PolicyStatus, PolicyStatusTopic, Publisher, Reply, RunCommand, RunControl,
     RunControlTopic, Subscriber, TopicNode,
 };
 
@@ -19,6 +19,7 @@ use super::arm_chunks::ArmChunks;
 use super::on_can::{PATIENCE_NS, Say};
 use super::policy_process::FIRST_ARM;
 use crate::rt::{self, MonotonicClock};
+use crate::session::external::ExternalLink;
 use crate::session::run::RunOptions;
 use crate::session::source::{STEP_NS, camera_names};
 use crate::session::{SessionError, Setup};
@@ -39,6 +40,9 @@ const ANSWER_NS_MAX: u64 = 10_000_000_000;
 /// Time between two looks, ns.
 const POLL_NS: u64 = 1_000_000;
 
+/// Time between two looks at whether an external policy is there, ns.
+const LOOK_EVERY_NS: u64 = 20_000_000;
+
 /// Where frames come from that another process shows.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Outside<'a> {
@@ -50,12 +54,101 @@ pub(super) struct Outside<'a> {
     pub(super) frames_within_ms: u64,
 }
 
-/// The running policy process. Dropping it ends the process, in peace if it listens.
-pub(super) struct PolicyChild {
+/// A process that was started here. Dropping it ends it, in peace if it listens.
+struct OwnProcess {
     process: Child,
     node: TopicNode,
     control: Publisher<RunControl>,
     status: Subscriber<PolicyStatus>,
+    /// While it loads it does not.
+    listens: bool,
+}
+
+/// Whose process it is.
+enum Peer {
+    Own(OwnProcess),
+    /// Somebody else's, which is told to stop and left to itself.
+    External(Box<ExternalLink>),
+}
+
+impl Peer {
+    const fn node(&self) -> &TopicNode {
+        match self {
+            Self::Own(own) => &own.node,
+            Self::External(link) => &link.node,
+        }
+    }
+
+    const fn control(&self) -> &Publisher<RunControl> {
+        match self {
+            Self::Own(own) => &own.control,
+            Self::External(link) => &link.control,
+        }
+    }
+
+    const fn status(&self) -> &Subscriber<PolicyStatus> {
+        match self {
+            Self::Own(own) => &own.status,
+            Self::External(link) => &link.status,
+        }
+    }
+
+    /// The number of the run's episode.
+    const fn episode(&self) -> u64 {
+        match self {
+            Self::Own(_) => 1,
+            Self::External(link) => link.session + 1,
+        }
+    }
+
+    /// How long it may say nothing, ns.
+    fn silence_ns_max(&self) -> u64 {
+        match self {
+            Self::Own(_) => SILENCE_NS_MAX,
+            Self::External(link) => link.within_ns.max(SILENCE_NS_MAX),
+        }
+    }
+
+    /// How long it may answer nothing, ns, besides a query's interval.
+    fn answer_ns_max(&self) -> u64 {
+        match self {
+            Self::Own(_) => ANSWER_NS_MAX,
+            Self::External(link) => link.within_ns.max(ANSWER_NS_MAX),
+        }
+    }
+
+    /// What it is called where a run ends with it.
+    fn who(&self) -> String {
+        match self {
+            Self::Own(_) => "the policy process".to_owned(),
+            Self::External(link) => format!("external policy {:?}, {},", link.name, link.who()),
+        }
+    }
+
+    /// Why it says no more, if so.
+    fn ended(&mut self) -> Result<Option<String>, SessionError> {
+        match self {
+            Self::Own(own) => {
+                let exit = own.process.try_wait().ok().flatten();
+                Ok(exit.map(|exit| format!("the policy process ended: {exit}")))
+            }
+            Self::External(link) => {
+                if let Some(reply) = link.replies.newest()?
+                    && reply.episode == link.session + 1
+                    && reply.what() == Reply::Failed
+                {
+                    let reason = format!("{} failed: {}", link.who(), reply.text.text());
+                    return Ok(Some(link.failed(reason).to_string()));
+                }
+                Ok(link.gone().map(|reason| link.failed(reason).to_string()))
+            }
+        }
+    }
+}
+
+/// The running policy process.
+pub(super) struct PolicyChild {
+    peer: Peer,
     chunks: ArmChunks,
     query_every_steps: u64,
     history_steps: u64,
@@ -67,6 +160,8 @@ pub(super) struct PolicyChild {
     heard: TimeNs,
     /// When it last answered, or was first asked for its answers.
     answered: Option<TimeNs>,
+    /// When it was last looked at whether its process is there.
+    looked: TimeNs,
 }
 
 impl PolicyChild {
@@ -93,11 +188,15 @@ impl PolicyChild {
         let control = RunControlTopic::publisher(&node, FIRST_ARM)?;
         let status = PolicyStatusTopic::subscriber(&node, FIRST_ARM)?;
         let chunks = ArmChunks::open(&node, network.recipe().arms)?;
-        let mut child = Self {
+        let own = OwnProcess {
             process: spawn(&run_id, policy, options.compute, within_ms)?,
             node,
             control,
             status,
+            listens: false,
+        };
+        let mut child = Self {
+            peer: Peer::Own(own),
             chunks,
             query_every_steps,
             history_steps,
@@ -107,27 +206,61 @@ impl PolicyChild {
             outside: outside.map(|outside| outside.clock),
             heard: TimeNs(0),
             answered: None,
+            looked: TimeNs(0),
         };
-        child.wait_until_ready(options.seed, say)?;
+        child.wait_until_ready(options.seed, LOAD_NS_MAX, say)?;
         Ok(child)
     }
 
-    fn wait_until_ready(&mut self, seed: u64, say: Say<'_>) -> Result<(), SessionError> {
+    /// Waits until the external policy behind `link`, of `arms` arms, is ready.
+    pub(super) fn external(
+        link: ExternalLink,
+        arms: usize,
+        seed: u64,
+        outside: Option<Outside<'_>>,
+        say: Say<'_>,
+    ) -> Result<Self, SessionError> {
+        let within_ns = link.within_ns;
+        let mut child = Self {
+            chunks: ArmChunks::open(&link.node, arms)?,
+            query_every_steps: link.hello.query_every_steps,
+            history_steps: link.hello.history_steps,
+            cameras: link.cameras.clone(),
+            peer: Peer::External(Box::new(link)),
+            queries: 0,
+            clock: MonotonicClock::new(),
+            outside: outside.map(|outside| outside.clock),
+            heard: TimeNs(0),
+            answered: None,
+            looked: TimeNs(0),
+        };
+        child.wait_until_ready(seed, within_ns, say)?;
+        Ok(child)
+    }
+
+    fn wait_until_ready(
+        &mut self,
+        seed: u64,
+        within_ns: u64,
+        say: Say<'_>,
+    ) -> Result<(), SessionError> {
         let mut said = false;
-        self.control
-            .publish(&RunControl::new(TimeNs(0), 1, RunCommand::Run { seed }))?;
-        while self.clock.now().0 < LOAD_NS_MAX {
-            if let Some(status) = self.status.newest()?
+        let episode = self.peer.episode();
+        let run = RunControl::new(TimeNs(0), episode, RunCommand::Run { seed });
+        self.peer.control().publish(&run)?;
+        while self.clock.now().0 < within_ns {
+            if let Some(status) = self.peer.status().newest()?
                 && status.stage() == PolicyStage::Ready
-                && status.episode == 1
+                && status.episode == episode
             {
                 self.heard = self.clock.now();
+                if let Peer::Own(own) = &mut self.peer {
+                    own.listens = true;
+                }
                 return Ok(());
             }
-            if let Ok(Some(exit)) = self.process.try_wait() {
-                return Err(SessionError::RealTime(format!(
-                    "the policy process ended while loading: {exit}"
-                )));
+            if let Some(reason) = self.ended()? {
+                return Err(SessionError::RealTime(format!("{reason}, while loading")));
             }
             if rt::interrupted() {
                 return Err(SessionError::RealTime(
@@ -137,16 +270,29 @@ impl PolicyChild {
             if !said && self.clock.now().0 > PATIENCE_NS {
                 said = true;
                 say(&format!(
-                    "waiting for the policy process to load its weights, for {} s at most; no drive has torque",
-                    LOAD_NS_MAX / 1_000_000_000
+                    "waiting for {} to load its weights, for {} s at most; no drive has torque",
+                    self.peer.who(),
+                    within_ns / 1_000_000_000
                 ));
             }
-            self.control.keep_alive()?;
+            self.peer.control().keep_alive()?;
             rt::sleep_ns(POLL_NS);
         }
-        Err(SessionError::RealTime(
-            "the policy process did not become ready in time".to_owned(),
-        ))
+        Err(SessionError::RealTime(format!(
+            "{} did not become ready in {} s",
+            self.peer.who(),
+            within_ns / 1_000_000_000
+        )))
+    }
+
+    /// Why its process says no more, if so; whether an external one is there is looked at now and then.
+    fn ended(&mut self) -> Result<Option<String>, SessionError> {
+        let now = self.clock.now();
+        if matches!(self.peer, Peer::External(_)) && now.since(self.looked) < LOOK_EVERY_NS {
+            return Ok(None);
+        }
+        self.looked = now;
+        self.peer.ended()
     }
 
     /// Names of the cameras that the policy looks through.
@@ -156,7 +302,7 @@ impl PolicyChild {
 
     /// The node that this run's topics live on.
     pub(super) const fn node(&self) -> &TopicNode {
-        &self.node
+        self.peer.node()
     }
 
     /// Policy steps from one query to the next.
@@ -188,7 +334,7 @@ impl PolicyChild {
 
     /// How long the newest chunk took to compute, once for each chunk.
     pub(super) fn newest_inference_ns(&mut self) -> Result<Option<u64>, SessionError> {
-        let Some(status) = self.status.newest()? else {
+        let Some(status) = self.peer.status().newest()? else {
             return Ok(None);
         };
         self.heard = self.clock.now();
@@ -199,27 +345,36 @@ impl PolicyChild {
 
     /// Why no more chunks will come, if so.
     pub(super) fn end(&mut self) -> Option<String> {
-        if let Ok(Some(exit)) = self.process.try_wait() {
-            return Some(format!("the policy process ended: {exit}"));
+        match self.ended() {
+            Ok(None) => {}
+            Ok(Some(reason)) => return Some(reason),
+            Err(error) => return Some(error.to_string()),
         }
         let now = self.clock.now();
         let seconds = |ns: u64| ns / 1_000_000_000;
         let silence_ns = now.since(self.heard);
-        if silence_ns > SILENCE_NS_MAX {
-            let silence_s = seconds(silence_ns);
-            return Some(format!(
-                "the policy process has been silent for {silence_s} s"
-            ));
+        if silence_ns > self.peer.silence_ns_max() {
+            let (who, silence_s) = (self.peer.who(), seconds(silence_ns));
+            return Some(format!("{who} has been silent for {silence_s} s"));
         }
         let unanswered_ns = self.answered.map_or(0, |answered| now.since(answered));
-        (unanswered_ns > ANSWER_NS_MAX + self.query_every_steps * STEP_NS).then(|| {
+        let limit_ns = self.peer.answer_ns_max() + self.query_every_steps * STEP_NS;
+        (unanswered_ns > limit_ns).then(|| {
             let unanswered_s = seconds(unanswered_ns);
-            format!(
-                "the policy has answered nothing for {unanswered_s} s: it sees no arms and frames of one instant"
-            )
+            match &self.peer {
+                Peer::Own(_) => format!(
+                    "the policy has answered nothing for {unanswered_s} s: it sees no arms and frames of one instant"
+                ),
+                Peer::External(_) => {
+                    let who = self.peer.who();
+                    format!("{who} lives and has answered nothing for {unanswered_s} s")
+                }
+            }
         })
     }
+}
 
+impl OwnProcess {
     /// Tells the process to go and waits for it a while; `true` if it went and cleaned up.
     fn goes_by_itself(&mut self) -> bool {
         let told = self
@@ -239,11 +394,9 @@ impl PolicyChild {
     }
 }
 
-impl Drop for PolicyChild {
+impl Drop for OwnProcess {
     fn drop(&mut self) {
-        // While it loads it does not listen.
-        let listens = self.heard > TimeNs(0);
-        if !(listens && self.goes_by_itself()) {
+        if !(self.listens && self.goes_by_itself()) {
             // Whatever went wrong, nothing is left behind: no process, and nothing of it in shared memory.
             let _gone = self.process.kill();
             let _reaped = self.process.wait();

@@ -39,6 +39,7 @@ pub use on_can::{CanOptions, Say, run_on_can, run_robot_on_can};
 pub use policy_process::{PolicyProcessOptions, serve_policy};
 pub use robot::{RobotOptions, run_rig};
 
+use super::external::{About, ExternalLink, check_wanted};
 use super::operator::{Listener, OperatorPort};
 use super::run::{RunOptions, RunResult, open_log};
 use super::source::{ChunkSource, PolicyChoice};
@@ -81,6 +82,18 @@ pub fn run_realtime(setup: &Setup, options: &RunOptions) -> Result<RunResult, Se
             let network = setup.network(path, Device::Cpu)?;
             check_cameras(setup, &network)?;
             Some(PolicyChild::start(&network, path, options, None, &|_| ())?)
+        }
+        PolicyChoice::External(choice) => {
+            let about = About {
+                task: &setup.task_name,
+                arms: setup.task.arms.len(),
+                lockstep: false,
+                frames_within_ms: 0,
+            };
+            let link = ExternalLink::open(choice.topics(), choice.within_s, &about)?;
+            check_wanted(setup, &link.cameras)?;
+            let (arms, seed) = (about.arms, options.seed);
+            Some(PolicyChild::external(link, arms, seed, None, &|_| ())?)
         }
         PolicyChoice::Expert | PolicyChoice::Noop | PolicyChoice::Random | PolicyChoice::Own(_) => {
             None

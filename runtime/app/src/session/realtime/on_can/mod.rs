@@ -46,6 +46,7 @@ use crate::rig::can::CanRig;
 use crate::rig::can_clock::CanClock;
 use crate::rt::{self, MonotonicClock, Periodic};
 use crate::session::can_interfaces;
+use crate::session::external::{About, ExternalChoice, ExternalLink, check_wanted};
 use crate::session::operator::Listener;
 use crate::session::run::{RunOptions, RunResult, open_log, open_log_with};
 use crate::session::source::{ChunkSource, camera_names};
@@ -136,6 +137,13 @@ pub fn run_on_can(
             let child = PolicyChild::start(&network, path, options, Some(outside), say)?;
             (Some(child), None)
         }
+        PolicyChoice::External(choice) => {
+            let link = external(choice, can, &setup.task_name, count, 0)?;
+            check_wanted(setup, &link.cameras)?;
+            cameras = awaited::cameras(&node, &unsized_of(&link), clock, &can.topics, say)?;
+            let child = external_child(link, count, options, (can, clock), say)?;
+            (Some(child), None)
+        }
         PolicyChoice::Expert | PolicyChoice::Noop | PolicyChoice::Random | PolicyChoice::Own(_) => {
             let source = setup.source(&options.policy, options.seed, options.compute)?;
             (None, Some(source))
@@ -191,8 +199,13 @@ pub fn run_robot_on_can(
     let clock = MonotonicClock::new();
     let buses = open_buses(can, count, clock)?;
     let node = TopicNode::join(&can.topics)?;
+    let mut link = None;
     let (network, mut local) = match &options.policy {
         PolicyChoice::Checkpoint(path) => (Some((robot.network(path, Device::Cpu)?, path)), None),
+        PolicyChoice::External(choice) => {
+            link = Some(external(choice, can, "", count, FRAMES_WITHIN_MS)?);
+            (None, None)
+        }
         PolicyChoice::Expert | PolicyChoice::Noop | PolicyChoice::Random | PolicyChoice::Own(_) => {
             (None, Some(Robot::source(&options.policy, options.seed)?))
         }
@@ -200,6 +213,7 @@ pub fn run_robot_on_can(
     let mut wanted: Vec<_> = network
         .iter()
         .flat_map(|(network, _)| looked_at(network))
+        .chain(link.iter().flat_map(unsized_of))
         .collect();
     let seen_by_policy = wanted.len();
     for name in &asked.cameras {
@@ -218,7 +232,9 @@ pub fn run_robot_on_can(
             let outside = Some(outside);
             Some(PolicyChild::start(network, path, options, outside, say)?)
         }
-        None => None,
+        None => link
+            .map(|link| external_child(link, count, options, (can, clock), say))
+            .transpose()?,
     };
     drop(network);
     let ready = bring_up(can, buses, say)?;
@@ -264,6 +280,51 @@ fn looked_at(network: &LoadedPolicy) -> Vec<(String, Option<(u32, u32)>)> {
     let sizes = network.recipe().cameras.iter();
     let sizes = sizes.map(|camera| Some((camera.width, camera.height)));
     camera_names(network).into_iter().zip(sizes).collect()
+}
+
+/// Waits for an external policy, which is on the topics of the world, or of the cameras: it sees these as they are.
+fn external(
+    choice: &ExternalChoice,
+    can: &CanOptions,
+    task: &str,
+    arms: usize,
+    frames_within_ms: u64,
+) -> Result<ExternalLink, SessionError> {
+    if let Some(name) = choice.name.as_ref().filter(|name| **name != can.topics) {
+        return Err(SessionError::BadArgument(format!(
+            "--policy external:{name}: with --backend can it is on the topics of the cameras, --topics {}",
+            can.topics
+        )));
+    }
+    let about = About {
+        task,
+        arms,
+        lockstep: false,
+        frames_within_ms,
+    };
+    ExternalLink::open(&can.topics, choice.within_s, &about)
+}
+
+/// The cameras of an external policy, of any size.
+fn unsized_of(link: &ExternalLink) -> Vec<(String, Option<(u32, u32)>)> {
+    let names = link.cameras.iter();
+    names.map(|name| (name.clone(), None)).collect()
+}
+
+fn external_child(
+    link: ExternalLink,
+    arms: usize,
+    options: &RunOptions,
+    (can, clock): (&CanOptions, MonotonicClock),
+    say: Say<'_>,
+) -> Result<PolicyChild, SessionError> {
+    let outside = Outside {
+        topics: &can.topics,
+        clock,
+        // The session has told it.
+        frames_within_ms: 0,
+    };
+    PolicyChild::external(link, arms, options.seed, Some(outside), say)
 }
 
 /// Gives the queue for chunks to whoever answers: a source of this process, or the policy process.

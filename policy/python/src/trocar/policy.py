@@ -1,0 +1,184 @@
+"""What a policy sees and what it may answer."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Protocol, Union
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from .messages import CHUNK_STEPS_MAX, ArmReport, Chunk, TipTarget
+
+Array = NDArray[np.float64]
+
+#: Numbers in an absolute action of one arm: x, y, z (m), quaternion x, y, z, w in the RCM frame, jaw (rad).
+ABSOLUTE = 8
+#: Numbers in a relative one: translation from the tip at the observation (m, axes of the RCM frame), rotation vector in the frame of that
+#: tip (rad), jaw (rad, absolute).
+RELATIVE = 7
+
+
+class PolicyError(ValueError):
+    """A policy's answer can't be used."""
+
+
+@dataclass(frozen=True)
+class Arm:
+    """One measured arm."""
+
+    #: Joint positions, rad (insertion m).
+    joints: Array
+    #: Joint velocities, rad/s (m/s).
+    velocity: Array
+    #: Joint efforts, N m (N).
+    effort: Array
+    #: Angle between the jaw fingers, rad; its rate, rad/s; and effort, N m.
+    jaw: float
+    jaw_velocity: float
+    jaw_effort: float
+    #: The tip in the RCM frame: x, y, z (m), quaternion x, y, z, w.
+    tip: Array
+
+    @property
+    def here(self) -> Array:
+        """Where the arm is, as an absolute action: the tip and the jaw."""
+        return np.append(self.tip, self.jaw)
+
+
+@dataclass(frozen=True)
+class Frame:
+    """One image, read-only, where the camera put it: valid during the call; copy what is to be kept."""
+
+    #: sRGB, height x width x 3.
+    colour: NDArray[np.uint8]
+    #: Distance along the camera's z axis, m; 0 where nothing was hit. Height x width.
+    depth_m: NDArray[np.float32]
+    #: Instance ids, 0 is background. Height x width.
+    instance: NDArray[np.uint8]
+    #: fx, fy, cx, cy in pixels.
+    intrinsics: tuple[float, float, float, float]
+    #: The camera in the scene frame, x right, y down, z along the view: x, y, z (m), quaternion x, y, z, w.
+    camera_in_scene: Array
+    #: When it was taken, ns.
+    stamp_ns: int
+
+
+@dataclass(frozen=True)
+class Observation:
+    """What a policy sees at one instant."""
+
+    #: When: in lockstep since the episode began, ns.
+    stamp_ns: int
+    #: The policy step of 40 ms.
+    step: int
+    #: The arms, in their order.
+    arms: tuple[Arm, ...]
+    #: The cameras that were asked for, by name.
+    frames: Mapping[str, Frame]
+
+
+#: One array an arm, of shape (steps, 8) or (steps, 7); of a single arm also the array itself.
+Answer = Union[ArrayLike, Sequence[ArrayLike]]
+
+
+class Policy(Protocol):
+    """A policy. It may also have ``reset(seed)`` and, if it asks for a history, ``observe(observation)``."""
+
+    def infer(self, observation: Observation) -> Answer:
+        """Targets for each arm: row k is due k steps of 40 ms after the observation."""
+        ...
+
+
+def arm_of(report: ArmReport) -> Arm:
+    """The arm in `report`."""
+    return Arm(
+        joints=np.array(report.position),
+        velocity=np.array(report.velocity),
+        effort=np.array(report.effort),
+        jaw=report.jaw_position,
+        jaw_velocity=report.jaw_velocity,
+        jaw_effort=report.jaw_effort,
+        tip=np.array([*report.tip_position_m, *report.tip_rotation_xyzw]),
+    )
+
+
+def multiply(a: Array, b: Array) -> Array:
+    """The product of quaternions x, y, z, w, in the last axis."""
+    av, aw, bv, bw = a[..., :3], a[..., 3:], b[..., :3], b[..., 3:]
+    vector = aw * bv + bw * av + np.cross(av, bv)
+    scalar = aw * bw - np.sum(av * bv, axis=-1, keepdims=True)
+    return np.concatenate([vector, scalar], axis=-1)
+
+
+def from_rotation_vector(vector: Array) -> Array:
+    """The quaternions x, y, z, w of rotation vectors (rad), in the last axis."""
+    half = 0.5 * np.linalg.norm(vector, axis=-1, keepdims=True)
+    return np.concatenate([0.5 * np.sinc(half / np.pi) * vector, np.cos(half)], axis=-1)
+
+
+def absolute(actions: Array, tip: Array) -> Array:
+    """Absolute actions (steps, 8) of relative ones (steps, 7) for a tip at `tip`."""
+    position = tip[:3] + actions[:, :3]
+    rotation = multiply(np.broadcast_to(tip[3:7], (len(actions), 4)), from_rotation_vector(actions[:, 3:6]))
+    return np.concatenate([position, rotation, actions[:, 6:]], axis=1)
+
+
+def targets_of(answer: Any, observation: Observation) -> list[Array]:
+    """The absolute targets, (steps, 8) for each arm, that `answer` means.
+
+    Raises PolicyError, which names arm and step, for anything that is none.
+    """
+    count = len(observation.arms)
+    if answer is None:
+        raise PolicyError("the answer is None: one array an arm is wanted")
+    if isinstance(answer, np.ndarray) and answer.ndim == 2:
+        answer = [answer]
+    try:
+        given = list(answer)
+    except TypeError as error:
+        raise PolicyError(f"the answer is of type {type(answer).__name__}: one array an arm is wanted") from error
+    if len(given) != count:
+        raise PolicyError(f"the answer has arrays for {len(given)} arms, there are {count}: one for each is wanted")
+    return [_targets(index, array, arm) for index, (array, arm) in enumerate(zip(given, observation.arms))]
+
+
+def _targets(index: int, given: Any, arm: Arm) -> Array:
+    try:
+        actions = np.asarray(given, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise PolicyError(f"arm {index}: the answer is no array of numbers: {error}") from error
+    if actions.ndim != 2 or actions.shape[1] not in (ABSOLUTE, RELATIVE):
+        raise PolicyError(
+            f"arm {index}: the answer has shape {actions.shape}: allowed are (steps, {ABSOLUTE}), absolute, and (steps, {RELATIVE}), relative"
+        )
+    if not 1 <= len(actions) <= CHUNK_STEPS_MAX:
+        raise PolicyError(f"arm {index}: the answer has {len(actions)} steps: allowed are 1 to {CHUNK_STEPS_MAX}")
+    wrong = np.flatnonzero(~np.isfinite(actions).all(axis=1))
+    if wrong.size:
+        step = int(wrong[0])
+        column = int(np.flatnonzero(~np.isfinite(actions[step]))[0])
+        raise PolicyError(f"arm {index}, step {step}: number {column} of the answer is {actions[step, column]}")
+    if actions.shape[1] == RELATIVE:
+        actions = absolute(actions, arm.tip)
+    length = np.linalg.norm(actions[:, 3:7], axis=1)
+    short = np.flatnonzero(length < 1e-6)
+    if short.size:
+        raise PolicyError(f"arm {index}, step {int(short[0])}: the quaternion has no length")
+    actions = actions.copy()
+    actions[:, 3:7] /= length[:, None]
+    return actions
+
+
+def chunk_of(targets: Array, observed_at: int, sequence: int, step_ns: int) -> Chunk:
+    """The chunk that carries `targets`."""
+    chunk = Chunk(observed_at=observed_at, sequence=sequence, step_ns=step_ns, len=len(targets))
+    raw = np.frombuffer(memoryview(chunk).cast("B"), dtype=np.float64, offset=Chunk.targets.offset)
+    rows = raw.reshape(CHUNK_STEPS_MAX, ABSOLUTE)
+    rows[:, 6] = 1.0
+    rows[: len(targets)] = targets
+    return chunk
+
+
+assert TipTarget.jaw.offset == 7 * 8

@@ -1,0 +1,83 @@
+"""Serves a policy: answers what sessions of ``--policy external`` ask."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from typing import Any
+
+from .peer import Asked, Begins, Ended, Peer, Shown
+from .policy import Policy, targets_of
+
+#: How long a session that was told of a failure has time to take note, s.
+_LINGER_S = 1.0
+
+
+def serve(
+    policy: Policy,
+    name: str = "external",
+    *,
+    cameras: Sequence[str] = (),
+    query_every: int = 1,
+    history: int = 0,
+    arms: int = 0,
+    sessions: int | None = None,
+    title: str | None = None,
+) -> int:
+    """Serves `policy` on the topics `name`, to ``trocar run`` and ``trocar eval`` with ``--policy external:NAME``.
+
+    `cameras` are the task's cameras that it looks through, `query_every` are policy steps of 40 ms from one query to the next, `history`
+    are steps before a query that its ``observe`` is shown too. `arms` are those that it commands, 0 if it takes any number. Ends after
+    `sessions` sessions, or with Ctrl-C; the number of sessions that were served.
+
+    Raises what the policy raises, and PolicyError for an answer that can't be used; the session is told and ends with that reason.
+    """
+    peer = Peer(
+        name,
+        cameras=cameras,
+        query_every=query_every,
+        history=history,
+        arms=arms,
+        title=title or type(policy).__name__,
+    )
+    served = 0
+    while sessions is None or served < sessions:
+        try:
+            if _served(peer, policy):
+                served += 1
+        except KeyboardInterrupt:
+            _tell(peer, "it was stopped by a signal")
+            break
+        except BaseException as error:
+            _tell(peer, f"{type(error).__name__}: {error}")
+            raise
+    return served
+
+
+def _served(peer: Peer, policy: Any) -> bool:
+    """Deals with one event; whether a session has ended with it."""
+    event = peer.wait()
+    if isinstance(event, Begins):
+        reset = getattr(policy, "reset", None)
+        if reset is not None:
+            reset(event.seed)
+        peer.ready()
+    elif isinstance(event, Asked):
+        peer.answer(targets_of(policy.infer(event.observation), event.observation))
+    elif isinstance(event, Shown):
+        observe = getattr(policy, "observe", None)
+        if observe is not None:
+            observe(event.observation)
+        peer.observed()
+    return isinstance(event, Ended)
+
+
+def _tell(peer: Peer, text: str) -> None:
+    if peer.session is None:
+        return
+    peer.fail(text)
+    # What it was told lies in this process's memory.
+    begun = time.monotonic()
+    while time.monotonic() - begun < _LINGER_S:
+        if isinstance(peer.wait(0.05), Ended):
+            return

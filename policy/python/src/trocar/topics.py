@@ -1,0 +1,195 @@
+"""Topics over iceoryx2 as Trocar opens them: one writer each, and the newest value wins."""
+
+from __future__ import annotations
+
+import ctypes
+import re
+from typing import Any, Generic, TypeVar
+
+import iceoryx2 as iox2
+import numpy as np
+from numpy.typing import NDArray
+
+from .messages import FrameHeader, Message
+
+# As hal/topics/src/node.rs has them: a service is opened with the qualities that it was created with, or not at all.
+_SUBSCRIBERS_MAX = 3
+_UNREAD_MAX = 1
+_HELD_MAX = 2
+_HISTORY = 1
+_NODES_MAX = 16
+_PREFIX = "trocar_"
+
+M = TypeVar("M", bound=Message)
+
+
+class TopicError(RuntimeError):
+    """A topic can't be opened, written or read."""
+
+
+class Node:
+    """This process's membership in the run `name`."""
+
+    def __init__(self, name: str) -> None:
+        if not re.fullmatch(r"[A-Za-z0-9_-]{1,100}", name):
+            raise TopicError(f"{name!r} cannot name topics: use 1 to 100 letters, digits, '-' and '_'")
+        iox2.set_log_level(iox2.LogLevel.Error)
+        self.name = name
+        self._config = iox2.config.default()
+        self._config.global_cfg.prefix = iox2.FileName.new(_PREFIX)
+        self._node = (
+            iox2.NodeBuilder.new()
+            .config(self._config)
+            .signal_handling_mode(iox2.SignalHandlingMode.Disabled)
+            .create(iox2.ServiceType.Ipc)
+        )
+        self.remove_dead()
+
+    def remove_dead(self) -> None:
+        """Frees what processes that died without cleaning up still hold."""
+        self._node.blocking_cleanup_dead_nodes(iox2.Duration.from_secs(1))
+
+    def is_alive(self, pid: int) -> bool:
+        """Whether a node of the process `pid` is there and not known to be dead."""
+        states = iox2.Node.list(iox2.ServiceType.Ipc, self._config)
+        return any(not isinstance(state, iox2.NodeState.Dead) and _pid_of(state) == pid for state in states)
+
+    def publisher(self, message: type[M], arm: str) -> Publisher[M]:
+        """The only writer of the topic of `arm` that carries `message`."""
+        topic = f"trocar/{self.name}/{arm}/{message.TOPIC}"
+        service = self._open(topic, message, None)
+        try:
+            raw = service.publisher_builder().max_loaned_samples(1).create()
+        except iox2.PublisherCreateError as error:
+            raise TopicError(f"topic '{topic}' can't be published: {error}; is another policy running on it?") from error
+        return Publisher(raw, topic)
+
+    def subscriber(self, message: type[M], arm: str) -> Subscriber[M]:
+        """A reader of the topic of `arm` that carries `message`."""
+        topic = f"trocar/{self.name}/{arm}/{message.TOPIC}"
+        return Subscriber(self._subscribe(topic, message, None), message)
+
+    def camera(self, camera: str) -> FrameSubscriber:
+        """A reader of the frames of `camera`."""
+        topic = f"trocar/{self.name}/{camera}/frame"
+        return FrameSubscriber(self._subscribe(topic, iox2.Slice[ctypes.c_float], FrameHeader), topic)
+
+    def _subscribe(self, topic: str, payload: Any, header: Any) -> Any:
+        service = self._open(topic, payload, header)
+        try:
+            return service.subscriber_builder().create()
+        except iox2.SubscriberCreateError as error:
+            raise TopicError(f"topic '{topic}' can't be read: {error}") from error
+
+    def _open(self, topic: str, payload: Any, header: Any) -> Any:
+        reason: Exception | None = None
+        for _ in range(200):
+            builder = self._node.service_builder(iox2.ServiceName.new(topic)).publish_subscribe(payload)
+            if header is not None:
+                builder = builder.user_header(header)
+            builder = (
+                builder.enable_safe_overflow(True)
+                .subscriber_max_buffer_size(_UNREAD_MAX)
+                .subscriber_max_borrowed_samples(_HELD_MAX)
+                .history_size(_HISTORY)
+                .max_publishers(1)
+                .max_subscribers(_SUBSCRIBERS_MAX)
+                .max_nodes(_NODES_MAX)
+            )
+            try:
+                return builder.open_or_create()
+            except iox2.PublishSubscribeOpenOrCreateError as error:
+                reason = error
+                if "IncompatibleTypes" in str(error):
+                    raise TopicError(
+                        f"topic '{topic}' carries another type or layout of messages than "
+                        f"{getattr(payload, 'NAME', 'frames')}: both sides must be of the same version"
+                    ) from error
+                # A peer may be creating or removing the same service.
+                self._node.wait(iox2.Duration.from_millis(5))
+        raise TopicError(f"topic '{topic}' can't be opened: {reason}")
+
+
+def _pid_of(state: Any) -> int:
+    node = state._0
+    node_id = node if isinstance(node, iox2.UniqueNodeId) else node.id
+    if callable(node_id):
+        node_id = node_id()
+    return int(node_id.pid(iox2.ServiceType.Ipc))
+
+
+class Publisher(Generic[M]):
+    """Writes the messages of one topic."""
+
+    def __init__(self, raw: Any, topic: str) -> None:
+        self._raw = raw
+        self._topic = topic
+
+    def publish(self, message: M) -> None:
+        """Publishes `message`; never waits for readers."""
+        self._raw.send_copy(message)
+
+    def keep_alive(self) -> None:
+        """Hands the newest message to readers that have come since."""
+        self._raw.update_connections()
+
+
+class Subscriber(Generic[M]):
+    """Reads the messages of one topic."""
+
+    def __init__(self, raw: Any, message: type[M]) -> None:
+        self._raw = raw
+        self._message = message
+
+    def newest(self) -> M | None:
+        """The newest message, if one has come since the last call."""
+        newest: M | None = None
+        while (sample := self._raw.receive()) is not None:
+            newest = self._message.from_buffer_copy(sample.payload().contents)
+            sample.delete()
+        return newest
+
+
+class FrameSubscriber:
+    """Reads the frames of one camera where the writer put them."""
+
+    def __init__(self, raw: Any, topic: str) -> None:
+        self._raw = raw
+        self._topic = topic
+        self._sample: Any = None
+        self.header: FrameHeader | None = None
+
+    def look(self) -> bool:
+        """Takes the newest frame, if one has come since the last call; the one before is given back."""
+        fresh = False
+        while self._raw.has_samples():
+            self.drop()
+            self._sample = self._raw.receive()
+            fresh = self._sample is not None
+        if fresh:
+            self.header = FrameHeader.from_buffer_copy(self._sample.user_header().contents)
+        return fresh
+
+    def drop(self) -> None:
+        """Gives the frame back."""
+        if self._sample is not None:
+            self._sample.delete()
+        self._sample = None
+        self.header = None
+
+    def planes(self) -> tuple[NDArray[np.uint8], NDArray[np.float32], NDArray[np.uint8]]:
+        """Colour, depth and instance ids of the frame, where they lie."""
+        if self._sample is None or self.header is None:
+            raise TopicError(f"topic '{self._topic}' has shown no frame")
+        width, height = self.header.intrinsics.width, self.header.intrinsics.height
+        pixels = width * height
+        # The length of the payload's own slice is in bytes here, that of the transport's header in words.
+        words = self._sample.header.number_of_elements
+        if words != 2 * pixels:
+            raise TopicError(f"topic '{self._topic}': a frame of {width}x{height} pixels came with {words} words")
+        raw = np.frombuffer((ctypes.c_uint8 * (8 * pixels)).from_address(self._sample.payload_ptr), dtype=np.uint8)
+        raw.flags.writeable = False
+        depth = raw[: 4 * pixels].view(np.float32).reshape(height, width)
+        colour = raw[4 * pixels : 7 * pixels].reshape(height, width, 3)
+        instance = raw[7 * pixels :].reshape(height, width)
+        return colour, depth, instance

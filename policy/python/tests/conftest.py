@@ -1,0 +1,97 @@
+"""What the tests share: the program, topics of one's own, and an alarm, since nothing here may hang."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import textwrap
+import uuid
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+ALARM_S = 60
+
+
+@pytest.fixture(autouse=True)
+def alarm() -> Iterator[None]:
+    """A test that hangs fails."""
+
+    def ring(*_: object) -> None:
+        raise TimeoutError(f"the test has taken {ALARM_S} s")
+
+    signal.signal(signal.SIGALRM, ring)
+    signal.alarm(ALARM_S)
+    yield
+    signal.alarm(0)
+
+
+@pytest.fixture(scope="session")
+def binary() -> str:
+    """The trocar program that TROCAR names."""
+    path = os.environ.get("TROCAR")
+    if not path:
+        pytest.fail("TROCAR names no trocar program; make test-python does")
+    return path
+
+
+@pytest.fixture
+def name() -> str:
+    """A name for topics that no other test has."""
+    return f"test-{os.getpid()}-{uuid.uuid4().hex[:8]}"
+
+
+class Session:
+    """A session of the program beside this process."""
+
+    def __init__(self, binary: str, arguments: list[str]) -> None:
+        self.process = subprocess.Popen(
+            [binary, *arguments], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+        )
+
+    def end(self, timeout_s: float = 120.0) -> tuple[int, str, str]:
+        """Waits for its end: exit code, standard output, standard error."""
+        out, err = self.process.communicate(timeout=timeout_s)
+        return self.process.returncode, out, err
+
+
+@pytest.fixture
+def session(binary: str) -> Iterator[type]:
+    """Starts sessions, none of which outlives the test."""
+    begun: list[Session] = []
+
+    def start(*arguments: str) -> Session:
+        begun.append(Session(binary, list(arguments)))
+        return begun[-1]
+
+    yield start  # type: ignore[misc]
+    for one in begun:
+        if one.process.poll() is None:
+            one.process.kill()
+            one.process.wait()
+
+
+@pytest.fixture
+def beside(tmp_path: Path) -> Iterator[type]:
+    """Runs Python code in processes of their own, none of which outlives the test."""
+    begun: list[subprocess.Popen[str]] = []
+
+    def start(code: str) -> subprocess.Popen[str]:
+        file = tmp_path / f"beside_{len(begun)}.py"
+        file.write_text(textwrap.dedent(code))
+        begun.append(subprocess.Popen([sys.executable, str(file)], stderr=subprocess.PIPE, text=True))
+        return begun[-1]
+
+    yield start  # type: ignore[misc]
+    for one in begun:
+        if one.poll() is None:
+            one.kill()
+        one.wait()
+
+
+def short(seconds: float = 1.0) -> list[str]:
+    """Options for a task whose time is up after so long."""
+    return ["--set", f"scene.episode.time_limit_s={seconds}"]

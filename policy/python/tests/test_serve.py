@@ -1,0 +1,344 @@
+"""Policies in this process, sessions of the program beside it."""
+
+from __future__ import annotations
+
+import json
+import threading
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import trocar
+from conftest import short
+from trocar import messages
+from trocar.topics import Node
+
+
+class Wander:
+    """Moves each tip by a random walk that hangs on the seed."""
+
+    def __init__(self) -> None:
+        self.seeds: list[int] = []
+
+    def reset(self, seed: int) -> None:
+        self.seeds.append(seed)
+        self.random = np.random.default_rng(seed)
+
+    def infer(self, observation: trocar.Observation) -> list[np.ndarray]:
+        answer = []
+        for arm in observation.arms:
+            steps = np.cumsum(self.random.uniform(-5e-4, 5e-4, (10, 3)), axis=0)
+            rows = np.zeros((10, trocar.RELATIVE))
+            rows[:, :3], rows[:, 6] = steps, arm.jaw
+            answer.append(rows)
+        return answer
+
+
+class Holds:
+    """Holds each arm, and keeps what it is shown."""
+
+    def __init__(self) -> None:
+        self.asked: list[int] = []
+        self.shown: list[int] = []
+        self.last: trocar.Observation | None = None
+
+    def infer(self, observation: trocar.Observation) -> list[np.ndarray]:
+        self.asked.append(observation.step)
+        self.look(observation)
+        return [np.repeat(arm.here[None], 25, axis=0) for arm in observation.arms]
+
+    def observe(self, observation: trocar.Observation) -> None:
+        self.shown.append(observation.step)
+        self.look(observation)
+
+    def look(self, observation: trocar.Observation) -> None:
+        self.last = observation
+
+
+def evaluation(name: str, *more: str, task: str = "needle-lift", trials: int = 2) -> list[str]:
+    policy = ["--policy", f"external:{name}", "--policy-timeout", "20"]
+    return ["eval", "--task", task, *policy, "--trials", str(trials), "--json", "-", *short(), *more]
+
+
+def hashes(out: str) -> list[str]:
+    return [episode["command_hash"] for episode in json.loads(out)["episodes"]]
+
+
+def test_two_evaluations_have_the_same_command_hashes(name: str, session: Callable[..., Any]) -> None:
+    seen = []
+    for _ in range(2):
+        running = session(*evaluation(name))
+        policy = Wander()
+        assert trocar.serve(policy, name, query_every=5, sessions=1) == 1
+        code, out, err = running.end()
+        assert code == 0, err
+        assert policy.seeds == [1_000_000, 1_000_001]
+        seen.append(hashes(out))
+    assert seen[0] == seen[1]
+    assert seen[0][0] != seen[0][1]
+
+
+def test_one_server_serves_one_session_after_another(name: str, session: Callable[..., Any]) -> None:
+    ends: list[tuple[int, str, str]] = []
+
+    def two() -> None:
+        for _ in range(2):
+            ends.append(session(*evaluation(name, trials=1)).end())
+
+    sessions = threading.Thread(target=two)
+    sessions.start()
+    assert trocar.serve(Wander(), name, query_every=5, sessions=2) == 2
+    sessions.join()
+    assert [code for code, _, _ in ends] == [0, 0], ends
+    assert hashes(ends[0][1]) == hashes(ends[1][1])
+
+
+def test_frames_are_read_only_views_of_the_wanted_cameras(name: str, session: Callable[..., Any], tmp_path: Path) -> None:
+    class Looks(Holds):
+        def look(self, observation: trocar.Observation) -> None:
+            super().look(observation)
+            frame = observation.frames["endoscope"]
+            assert list(observation.frames) == ["endoscope", "wrist"]
+            assert frame.colour.shape == (512, 512, 3) and frame.colour.dtype == np.uint8
+            assert frame.depth_m.shape == frame.instance.shape == (512, 512)
+            assert not (frame.colour.flags.writeable or frame.depth_m.flags.writeable or frame.instance.flags.writeable)
+            assert frame.colour.base is not None
+            assert frame.stamp_ns == observation.stamp_ns
+            # The organ fills the picture, a hand's breadth or two away.
+            assert frame.colour.std() > 5 and 0.05 < np.median(frame.depth_m) < 0.5
+            assert frame.instance.max() > 0
+            assert not np.array_equal(frame.colour, observation.frames["wrist"].colour)
+
+    policy = Looks()
+    running = session(*evaluation(name, "--set", "scene.rendering.shading=plain", trials=1))
+    assert trocar.serve(policy, name, cameras=["endoscope", "wrist"], query_every=10, history=2, sessions=1) == 1
+    code, _, err = running.end()
+    assert code == 0, err
+    assert policy.asked == [0, 10, 20]
+    assert policy.shown == [8, 9, 18, 19]
+
+
+def test_two_arms_are_commanded_together(name: str, session: Callable[..., Any]) -> None:
+    policy = Wander()
+    running = session(*evaluation(name, task="needle-handover", trials=1))
+    assert trocar.serve(policy, name, query_every=5, arms=2, sessions=1) == 1
+    code, out, err = running.end()
+    assert code == 0, err
+    assert len(hashes(out)) == 1
+
+
+def test_each_job_has_a_policy_of_its_own(name: str, session: Callable[..., Any], beside: Callable[..., Any]) -> None:
+    serve = """
+        import numpy as np, trocar
+        class Holds:
+            def infer(self, observation):
+                return [np.repeat(arm.here[None], 25, axis=0) for arm in observation.arms]
+        trocar.serve(Holds(), "{name}", query_every=10, sessions=1)
+    """
+    alone = session(*evaluation(name, trials=3))
+    beside(serve.format(name=name))
+    code, out, err = alone.end()
+    assert code == 0, err
+    jobs = session(*evaluation(name, "--jobs", "2", trials=3))
+    for job in (1, 2):
+        beside(serve.format(name=f"{name}-{job}"))
+    code, both, err = jobs.end()
+    assert code == 0, err
+    assert hashes(both) == hashes(out)
+
+
+class Fails:
+    def __init__(self, answer: Callable[[list[np.ndarray]], Any]) -> None:
+        self.answer = answer
+
+    def infer(self, observation: trocar.Observation) -> Any:
+        return self.answer([np.repeat(arm.here[None], 3, axis=0) for arm in observation.arms])
+
+
+def nan(arms: list[np.ndarray]) -> list[np.ndarray]:
+    arms[0][1, 2] = np.nan
+    return arms
+
+
+def boom(arms: list[np.ndarray]) -> list[np.ndarray]:
+    raise RuntimeError("the weights are gone")
+
+
+@pytest.mark.parametrize(
+    ("answer", "said"),
+    [
+        (nan, "arm 0, step 1: number 2 of the answer is nan"),
+        (lambda arms: [np.repeat(arms[0][:1], 200, axis=0)], "200 steps: allowed are 1 to 128"),
+        (lambda arms: arms * 2, "arrays for 2 arms, there are 1"),
+        (lambda arms: None, "the answer is None"),
+        (boom, "RuntimeError: the weights are gone"),
+    ],
+    ids=["nan", "too many steps", "too many arms", "none", "exception"],
+)
+def test_a_policy_that_fails_ends_the_session_by_name(
+    answer: Callable[..., Any], said: str, name: str, session: Callable[..., Any]
+) -> None:
+    running = session(*evaluation(name))
+    with pytest.raises((trocar.PolicyError, RuntimeError)):
+        trocar.serve(Fails(answer), name)
+    code, _, err = running.end(30)
+    assert code == 1
+    assert said in err and f'external policy "{name}"' in err and "Fails" in err
+
+
+@pytest.mark.parametrize(
+    ("does", "said"),
+    [
+        ("time.sleep(60)", "has not answered the observation of step 0 for 3 s"),
+        ("os._exit(3)", "ended"),
+        ("os.kill(os.getpid(), signal.SIGKILL)", "ended"),
+    ],
+    ids=["sleeps", "exits", "killed"],
+)
+def test_a_policy_that_hangs_or_dies_is_named(
+    does: str, said: str, name: str, session: Callable[..., Any], beside: Callable[..., Any]
+) -> None:
+    policy = ["--policy", f"external:{name}", "--policy-timeout", "3"]
+    running = session("eval", "--task", "needle-lift", *policy, *short())
+    beside(
+        f"""
+        import os, signal, time, trocar
+        class Gone:
+            def infer(self, observation):
+                {does}
+        trocar.serve(Gone(), "{name}")
+        """
+    )
+    code, _, err = running.end(60)
+    assert code == 1
+    assert said in err and f'external policy "{name}"' in err
+
+
+def test_a_policy_that_does_not_appear_is_named(name: str, session: Callable[..., Any]) -> None:
+    running = session("run", "--task", "needle-lift", "--lockstep", "--policy", f"external:{name}", "--policy-timeout", "1")
+    code, _, err = running.end(60)
+    assert code == 1
+    assert f'external policy "{name}": has not appeared for 1 s' in err
+    assert f'waits for an external policy on topics "{name}"' in err
+
+
+def test_another_version_of_a_message_is_refused_by_name(name: str, session: Callable[..., Any]) -> None:
+    class Chunk2(messages.Chunk):
+        NAME = "trocar/chunk/2"
+
+    node = Node(name)
+    other = node.publisher(Chunk2, "psm1")
+    hello = node.publisher(messages.PolicyHello, "psm1")
+    hello.publish(messages.PolicyHello(query_every_steps=1))
+    running = session(*evaluation(name))
+    while running.process.poll() is None:
+        hello.keep_alive()
+    code, _, err = running.end()
+    assert code == 1
+    assert f"'trocar/{name}/psm1/chunk' carries another type" in err
+    with pytest.raises(trocar.TopicError, match="psm1/chunk' carries another type"):
+        node.subscriber(messages.Chunk, "psm1")
+    del other
+
+
+@pytest.mark.parametrize(
+    ("wish", "code", "said"),
+    [
+        ({"arms": 2}, 2, "commands 2 arms, there are 1"),
+        ({"cameras": ["microscope"]}, 2, "microscope"),
+        ({"query_every": 100_000}, 2, "query interval of 100000 steps: allowed are 1 to 10000"),
+    ],
+    ids=["arms", "camera", "interval"],
+)
+def test_a_policy_for_something_else_is_refused(
+    wish: dict[str, Any], code: int, said: str, name: str, session: Callable[..., Any]
+) -> None:
+    running = session(*evaluation(name))
+    trocar.serve(Holds(), name, sessions=1, **wish)
+    found, _, err = running.end()
+    assert found == code and said in err
+
+
+def test_a_session_that_is_killed_is_noticed(name: str, session: Callable[..., Any]) -> None:
+    running = session(*evaluation(name))
+
+    class Kills(Holds):
+        def infer(self, observation: trocar.Observation) -> list[np.ndarray]:
+            running.process.kill()
+            return super().infer(observation)
+
+    assert trocar.serve(Kills(), name, sessions=1) == 1
+    assert running.end()[0] < 0
+
+
+def test_in_real_time_it_takes_the_place_of_the_policy_process(
+    name: str, session: Callable[..., Any], tmp_path: Path
+) -> None:
+    log, result = tmp_path / "run.mcap", tmp_path / "run.json"
+    wanted = ["--policy", f"external:{name}", "--log", str(log), "--json", str(result)]
+    running = session("run", "--task", "needle-lift", *wanted, "--set", "scene.rendering.shading=plain", *short(3.0))
+    policy = Holds()
+    assert trocar.serve(policy, name, cameras=["endoscope"], query_every=10, sessions=1) == 1
+    code, _, err = running.end()
+    summary = json.loads(result.read_text())
+    assert code == 1 and "within 3 s" in summary["reason"], err
+    assert summary["policy"]["name"] == f"external:{name}"
+    assert summary["policy"]["queries"] >= 1 and summary["policy"]["refused"] == 0
+    assert policy.asked == sorted(set(policy.asked)) and len({step // 10 for step in policy.asked}) == len(policy.asked)
+    replayed = session("replay", str(log)).end()
+    assert replayed[0] == 0, replayed
+
+
+def test_a_failure_in_real_time_ends_the_run_by_name(name: str, session: Callable[..., Any]) -> None:
+    running = session("run", "--task", "needle-lift", "--policy", f"external:{name}")
+    with pytest.raises(RuntimeError):
+        trocar.serve(Fails(boom), name)
+    code, out, err = running.end(60)
+    assert code == 1
+    assert "the weights are gone" in out + err and name in out + err
+
+
+@pytest.mark.parametrize(
+    ("does", "said"),
+    [("time.sleep(60)", "has been silent for"), ("os._exit(3)", "ended")],
+    ids=["sleeps", "exits"],
+)
+def test_a_policy_that_hangs_or_dies_in_real_time_is_named(
+    does: str, said: str, name: str, session: Callable[..., Any], beside: Callable[..., Any]
+) -> None:
+    policy = ["--policy", f"external:{name}", "--policy-timeout", "6"]
+    running = session("run", "--task", "needle-lift", *policy, *short(60.0))
+    gone = beside(
+        f"""
+        import os, time, trocar
+        class Gone:
+            def infer(self, observation):
+                {does}
+        trocar.serve(Gone(), "{name}")
+        """
+    )
+    code, out, err = running.end(50)
+    assert code == 1
+    assert said in out + err and f'"{name}"' in out + err and "Gone" in out + err
+    assert gone.poll() is None or "exit" in does
+
+
+def test_a_name_that_is_none_is_bad_usage(session: Callable[..., Any]) -> None:
+    code, _, err = session("eval", "--task", "needle-lift", "--policy", "external:a/b").end()
+    assert code == 2 and "'a/b' cannot name a topic" in err
+
+
+def test_what_gets_past_the_package_is_refused_by_the_gate(name: str, session: Callable[..., Any]) -> None:
+    running = session("run", "--task", "needle-lift", "--lockstep", "--policy", f"external:{name}", "--json", "-", *short())
+    peer = trocar.Peer(name, query_every=5)
+    while not isinstance(event := peer.wait(), trocar.Ended):
+        if isinstance(event, trocar.Begins):
+            peer.ready()
+        elif isinstance(event, trocar.Asked):
+            peer.answer([np.full((3, trocar.ABSOLUTE), np.nan)])
+    code, out, err = running.end()
+    summary = json.loads(out)
+    assert code == 1 and "within 1 s" in summary["reason"], err
+    assert summary["policy"]["refused"] == summary["policy"]["queries"] == 5

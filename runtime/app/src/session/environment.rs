@@ -1,0 +1,157 @@
+//! Episodes one after another for an external policy that steps through them, as a Gymnasium environment does.
+
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+use hal::{Arm as _, CameraFrame, Chunk, FrameRef, Observation, Policy, PolicyError, TimeNs};
+use serde::Serialize;
+use trocar_tasks::cameras::SceneCameras;
+use trocar_tasks::simulation::{Rendering, Simulation};
+use trocar_tasks::task::{Outcome, Reason};
+
+use super::episode::{Episode, EpisodeEnd, Nobody, Plan};
+use super::external::{ExternalChoice, ExternalPolicy};
+use super::latency::Latency;
+use super::source::{ChunkSource, seen_arm};
+use super::summary::TrialSummary;
+use super::{SessionError, Setup};
+
+/// How an episode ended.
+#[derive(Clone, Debug, Serialize)]
+pub struct EpisodeSummary {
+    /// The episode as a trial.
+    #[serde(flatten)]
+    pub trial: TrialSummary,
+    /// Whether it was the time that ran out.
+    pub time_limit: bool,
+}
+
+/// Hears how an episode ended; none if it was abandoned.
+pub type OnEnd<'a> = &'a mut dyn FnMut(Option<&EpisodeSummary>);
+
+/// Runs the episodes of `seeds` in lockstep with the external policy of `choice`, whose chunks are there at once.
+///
+/// After an episode's verdict `on_end` hears of it, and then the policy is shown where it has ended, one step after the last. An episode
+/// that the policy abandons is over.
+///
+/// # Errors
+/// From the configuration, the policy or the simulation.
+pub fn run_environment(
+    setup: &Setup,
+    choice: &ExternalChoice,
+    seeds: &mut dyn Iterator<Item = Result<u64, SessionError>>,
+    on_end: OnEnd<'_>,
+) -> Result<(), SessionError> {
+    let policy = ExternalPolicy::connect(choice, setup)?;
+    let names = policy.cameras();
+    let every = policy.query_every_steps();
+    let shared = Shared(Arc::new(Mutex::new(policy)));
+    let mut source = ChunkSource::policy(Box::new(shared.clone()), names.clone(), every);
+    let mut cameras: Option<SceneCameras> = None;
+    for seed in seeds {
+        let seed = seed?;
+        source.reset(seed);
+        let task = &setup.task;
+        let mut simulation = match cameras.take() {
+            Some(cameras) => Simulation::with_cameras(task, seed, cameras),
+            None if names.is_empty() => Simulation::new(task, seed, Rendering::Off)?,
+            None => Simulation::new(task, seed, Rendering::On)?,
+        };
+        let plan = Plan {
+            latency: Latency::fixed(0),
+            tick_limit: setup.tick_limit(),
+        };
+        let episode = Episode {
+            simulation: &mut simulation,
+            controller: &mut setup.controller()?,
+            source: &mut source,
+        };
+        match episode.run(&plan, &mut Nobody) {
+            Ok(end) => {
+                on_end(Some(&summary(seed, &end)));
+                show_end(&shared, &mut simulation, &names, &end)?;
+            }
+            Err(SessionError::Policy(PolicyError::Abandoned { .. })) => on_end(None),
+            Err(error) => return Err(error),
+        }
+        cameras = simulation.into_cameras();
+    }
+    Ok(())
+}
+
+fn summary(seed: u64, end: &EpisodeEnd) -> EpisodeSummary {
+    let trial = TrialSummary {
+        seed,
+        success: matches!(end.outcome, Outcome::Success),
+        invalid: matches!(end.outcome, Outcome::Invalid(_)),
+        reason: end.reason(),
+        seconds: TimeNs::from_tick(end.tally.ticks()).seconds(),
+        command_hash: end.tally.command_hash(),
+        tissue: end.tissue,
+        log: None,
+        pictures: None,
+    };
+    let time_limit = matches!(
+        end.outcome,
+        Outcome::Running | Outcome::Failure(Reason::TimeLimit { .. })
+    );
+    EpisodeSummary { trial, time_limit }
+}
+
+/// Shows the policy where the episode has ended.
+fn show_end(
+    shared: &Shared,
+    simulation: &mut Simulation,
+    names: &[String],
+    end: &EpisodeEnd,
+) -> Result<(), SessionError> {
+    let now = TimeNs::from_tick(end.tally.ticks());
+    let mut arms = Vec::with_capacity(simulation.arm_count());
+    for index in 0..simulation.arm_count() {
+        if let Some(mut arm) = simulation.arm(index) {
+            arms.push(seen_arm(&arm.read(now)?));
+        }
+    }
+    let mut frames: Vec<CameraFrame> = Vec::with_capacity(names.len());
+    if !names.is_empty() {
+        let cameras = simulation.cameras()?;
+        let indices: Vec<usize> = names.iter().filter_map(|name| cameras.find(name)).collect();
+        for &index in &indices {
+            frames.push(cameras.blank_frame(index)?);
+        }
+        simulation.render_all(&indices, &mut frames)?;
+    }
+    let frames: Vec<FrameRef<'_>> = frames.iter().map(CameraFrame::as_frame).collect();
+    let observation = Observation {
+        arms: &arms,
+        frames: &frames,
+    };
+    Ok(shared.policy().show_last(&observation)?)
+}
+
+/// The policy, both where chunks come from and here.
+#[derive(Clone)]
+struct Shared(Arc<Mutex<ExternalPolicy>>);
+
+impl Shared {
+    fn policy(&self) -> MutexGuard<'_, ExternalPolicy> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+impl Policy for Shared {
+    fn reset(&mut self, seed: u64) {
+        self.policy().reset(seed);
+    }
+
+    fn history_steps(&self) -> u64 {
+        self.policy().history_steps()
+    }
+
+    fn observe(&mut self, observation: &Observation<'_>) -> Result<(), PolicyError> {
+        self.policy().observe(observation)
+    }
+
+    fn infer(&mut self, observation: &Observation<'_>) -> Result<Vec<Chunk>, PolicyError> {
+        self.policy().infer(observation)
+    }
+}
