@@ -320,7 +320,17 @@ fn a_log_that_cannot_be_written_ends_in_an_error_and_loses_no_result() {
         told.contains("a.mcap: the log could not be written"),
         "{told}"
     );
+    // It is said at once, not only at the end.
+    let at_once = told.find("the run goes on without it");
+    assert!(
+        at_once.is_some_and(|at| at < told.rfind("trocar: error").unwrap_or(0)),
+        "{told}"
+    );
     assert!(text(&output.stdout).contains("command hash"), "{told}");
+    assert!(
+        text(&output.stdout).contains("measured clearance: "),
+        "{told}"
+    );
     assert_eq!(tests::json(&file)["task"], "needle-lift");
 }
 
@@ -403,6 +413,9 @@ fn interrupted(run: &[&str], name: &str, after: &[u64]) -> (Option<i32>, serde_j
     let log = trocar_log::RunLog::open(&log).unwrap();
     assert!(log.cut().is_none(), "{:?}", log.cut());
     assert_eq!(log.outcome.as_ref().unwrap().reason, "interrupted");
+    let events = log.events.join("; ");
+    assert!(events.contains("psm1: DISABLED to ENABLED"), "{events}");
+    assert!(events.ends_with("the run ended: interrupted"), "{events}");
     assert!(trocar_log::verify::verify(&log).unwrap().ok);
     (code, tests::json(&result))
 }

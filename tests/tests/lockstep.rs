@@ -156,7 +156,12 @@ fn an_arm_that_is_enabled_within_a_forbidden_region_only_comes_out_as_verify_see
             .arg(&log)
             .output()
             .unwrap();
-        assert_eq!(output.status.code(), Some(1), "{}", stderr(&output));
+        let told = stderr(&output);
+        assert_eq!(output.status.code(), Some(1), "{told}");
+        assert!(
+            told.contains("psm1 is enabled ") && told.contains(" mm beyond forbidden.start ("),
+            "{told}"
+        );
         let verified = verify(&RunLog::open(&log).unwrap()).unwrap();
         let first = verified.violations.first();
         assert!(

@@ -71,6 +71,7 @@ pub fn run() -> Result<RunResult, SessionError> {
         latency_ms: Some(40),
         latency_jitter_ms: 0,
         compute: Device::Cpu.into(),
+        warn: |line| eprintln!("{line}"),
     };
     let source = ChunkSource::policy(Box::<Circles>::default(), Vec::new(), QUERY_EVERY_STEPS);
     run_lockstep_with(&setup, &options, source)

@@ -117,6 +117,7 @@ pub fn run(safety: &Path, log: PathBuf) -> Result<RunResult, SessionError> {
         latency_ms: None,
         latency_jitter_ms: 0,
         compute: Device::Cpu.into(),
+        warn: |line| eprintln!("{line}"),
     };
     let asked = RobotOptions {
         seconds: Some(2.0),

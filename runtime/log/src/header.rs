@@ -2,6 +2,8 @@
 
 use std::collections::BTreeMap;
 
+use super::contents::Contents;
+
 /// How a run was set up; written before the first tick.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct RunHeader {
@@ -65,6 +67,12 @@ fn number(map: &Map, key: &str) -> Option<u64> {
 }
 
 impl RunHeader {
+    /// Text of the configuration file `name`, as the run used it.
+    #[must_use]
+    pub fn text(&self, name: &str) -> Option<&str> {
+        self.texts.get(name).map(String::as_str)
+    }
+
     /// The metadata records that hold this header: name and entries.
     pub(super) fn to_metadata(&self) -> [(&'static str, Map); 3] {
         let run = [
@@ -149,9 +157,22 @@ pub(super) struct Closing {
     pub(super) counts: LogCounts,
     /// Hash over all inputs of the controller.
     pub(super) input_hash: u64,
+    /// Hash over everything that the log holds, this record too but for the hash itself; none in a log of before there was one,
+    /// which nothing vouches for.
+    pub(super) contents: Option<String>,
+}
+
+/// The hash of a log that holds `before` and then the closing record `map`.
+pub(super) fn contents_after(before: &Contents, map: &Map) -> String {
+    let mut map = map.clone();
+    map.remove(CONTENTS);
+    let mut contents = before.clone();
+    contents.metadata(OUTCOME, &map);
+    contents.value()
 }
 
 const INPUT_HASH: &str = "input_hash";
+const CONTENTS: &str = "contents_sha256";
 
 impl Closing {
     pub(super) fn to_metadata(&self) -> Map {
@@ -161,6 +182,9 @@ impl Closing {
             .map(|(key, value)| ((*key).to_owned(), value.to_string()))
             .collect();
         map.insert(INPUT_HASH.to_owned(), format!("{:016x}", self.input_hash));
+        if let Some(contents) = &self.contents {
+            map.insert(CONTENTS.to_owned(), contents.clone());
+        }
         if let Some(outcome) = &self.outcome {
             if let Some(success) = outcome.success {
                 map.insert("success".to_owned(), success.to_string());
@@ -205,6 +229,7 @@ impl Closing {
             outcome,
             counts,
             input_hash,
+            contents: map.get(CONTENTS).cloned(),
         })
     }
 }

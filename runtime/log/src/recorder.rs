@@ -16,8 +16,9 @@ use hal::{CameraFrame, Chunk, TimeNs};
 use rtrb::{Producer, PushError, RingBuffer};
 
 use super::camera::FrameItem;
-use super::drain::{ChunkItem, Drain, Shared, SideItem, TickItem};
+use super::drain::{ChunkItem, Drain, OnFailure, Shared, SideItem, TickItem};
 use super::error::LogError;
+use super::happened::Happened;
 use super::header::{LogCounts, RunHeader, RunOutcome};
 use super::record::TickRecord;
 use super::writer::LogWriter;
@@ -226,6 +227,19 @@ impl Recorder {
     /// # Errors
     /// [`LogError`] when the file cannot be created or the header not be written.
     pub fn create(path: &Path, run: &RunHeader, pressure: Pressure) -> Result<Self, LogError> {
+        Self::create_with(path, run, pressure, Box::new(|_| ()))
+    }
+
+    /// The same, in which `on_failure` hears at once of what can't be written, and not only at the end.
+    ///
+    /// # Errors
+    /// As [`Self::create`].
+    pub fn create_with(
+        path: &Path,
+        run: &RunHeader,
+        pressure: Pressure,
+        on_failure: OnFailure,
+    ) -> Result<Self, LogError> {
         let io = |source| LogError::Create {
             path: path.to_owned(),
             source,
@@ -249,7 +263,10 @@ impl Recorder {
             outcome,
             shared: Arc::clone(&shared),
             counts: LogCounts::default(),
+            happened: Happened::new(),
+            now: TimeNs(0),
             failure: None,
+            on_failure,
         };
         let thread = thread::Builder::new()
             .name("log".to_owned())

@@ -1,5 +1,6 @@
 //! The log as a whole: what goes in comes out bit for bit, whatever happens to the file.
 
+mod falsified;
 mod samples;
 pub(crate) mod two_arms;
 
@@ -187,7 +188,7 @@ fn damage_names_the_place() {
         panic!("{error}")
     };
     assert!(
-        offset < middle
+        offset < middle as u64
             && error
                 .to_string()
                 .contains(&format!("damaged at byte {offset}")),
@@ -433,4 +434,52 @@ pub(crate) fn write_records(file: &Scratch, records: &[TickRecord], header: &Run
         recorder.tick(record);
     }
     recorder.finish(None).unwrap();
+}
+
+#[test]
+fn faults_modes_and_the_end_are_told_in_words() {
+    let (records, header) = run_disturbed(
+        900,
+        |tick| (tick == 1).then_some(OperatorEvent::Enable),
+        |tick, state| match tick {
+            400.. => Err(ArmError::DriveFault { axis: 2, code: 1 }),
+            _ => Ok(state),
+        },
+    );
+    let file = Scratch::new("told");
+    let mut recorder = Recorder::create(&file.0, &header, Pressure::Block).unwrap();
+    records.iter().for_each(|record| recorder.tick(record));
+    recorder.finish(Some(&outcome())).unwrap();
+    let reason = outcome().reason;
+    assert_eq!(
+        RunLog::open(&file.0).unwrap().events,
+        [
+            "psm1: operator: enable".to_owned(),
+            "psm1: DISABLED to ENABLED".to_owned(),
+            "psm1: ENABLED to FAULT".to_owned(),
+            "psm1: fault: drive of axis 2 reports fault 0x0001".to_owned(),
+            format!("the run ended: {reason}"),
+        ]
+    );
+}
+
+#[test]
+fn what_cannot_be_written_is_told_at_once() {
+    let (sender, told) = std::sync::mpsc::channel();
+    let on_failure = Box::new(move |error: &LogError| {
+        sender.send(error.to_string()).unwrap();
+    });
+    let path = PathBuf::from("/dev/full");
+    let created = Recorder::create_with(&path, &header(), Pressure::Block, on_failure);
+    // The header fits into a buffer, or is refused at once.
+    let Ok(mut recorder) = created else { return };
+    for tick in 0..2000 {
+        recorder.tick(&record(tick));
+    }
+    let told = told.recv().unwrap();
+    assert!(
+        told.contains("/dev/full: the log could not be written"),
+        "{told}"
+    );
+    assert!(recorder.finish(None).is_err());
 }

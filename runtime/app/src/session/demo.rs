@@ -86,6 +86,7 @@ pub fn run(
         latency_ms: None,
         latency_jitter_ms: 0,
         compute: Device::Cpu.into(),
+        warn: |_| (),
     };
     on_progress(&format!(
         "1 of 2: {} with {} in lockstep, as fast as it goes",
@@ -137,6 +138,7 @@ mod tests {
             latency_ms: None,
             latency_jitter_ms: 0,
             compute: Device::Cpu.into(),
+            warn: |_| (),
         };
         let log = PathBuf::from("run.mcap");
         let failure = LogError::WriterDied { path: log.clone() };

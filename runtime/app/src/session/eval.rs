@@ -201,6 +201,7 @@ impl<'a> TrialWorker<'a> {
             latency_ms: self.options.latency_ms,
             latency_jitter_ms: self.options.latency_jitter_ms,
             compute: self.options.compute,
+            warn: |_| (),
         };
         Keeper::begin(keep, self.setup, &run).map(Some)
     }

@@ -4,7 +4,8 @@ use std::collections::BTreeMap;
 use std::io::Write as _;
 use std::path::{Path, PathBuf};
 
-use hal::{Chunk, TimeNs};
+use hal::{Arm as _, ArmState, Chunk, PerArm, TimeNs};
+use trocar_nets::checkpoint::load_recipe;
 use trocar_nets::compute::Compute;
 use trocar_tasks::simulation::{Rendering, Simulation};
 use trocar_tasks::task::Outcome;
@@ -17,6 +18,7 @@ use super::summary::RunSummary;
 use super::tally::RunLabels;
 use super::{SessionError, Setup, outputs, pictures};
 use crate::rt;
+use trocar_control::{ControlConfig, MeasuredClearance, beyond};
 use trocar_log::{Level, LogError, Pressure, Recorder, RunHeader, RunOutcome, TickRecord};
 
 /// The libtorch that the program was built with.
@@ -42,6 +44,8 @@ pub struct RunOptions {
     pub latency_jitter_ms: u64,
     /// Where and how the network computes.
     pub compute: Compute,
+    /// Says at once what a person should know, from any thread.
+    pub warn: fn(&str),
 }
 
 impl RunOptions {
@@ -91,6 +95,11 @@ pub fn run_lockstep_with(
     };
     let mut simulation = Simulation::new(&setup.task, options.seed, rendering)?;
     let mut controller = setup.controller()?;
+    warn_of_start(
+        &setup.control,
+        &measured_start(&mut simulation)?,
+        options.warn,
+    );
     let cameras = if options.wants_frames() {
         setup.cameras_with(source.cameras())
     } else {
@@ -152,6 +161,18 @@ pub fn run_lockstep_with(
     })
 }
 
+/// Where the simulated arms are measured before the run.
+pub(super) fn measured_start(
+    simulation: &mut Simulation,
+) -> Result<PerArm<ArmState>, SessionError> {
+    let first = simulation.read(TimeNs(0))?;
+    let second = simulation.arm(1).map(|mut arm| arm.read(TimeNs(0)));
+    Ok(PerArm {
+        first,
+        second: second.transpose()?,
+    })
+}
+
 /// Why a run in lockstep ended: a signal comes before the limit of ticks.
 fn reason_of(end: &EpisodeEnd) -> String {
     if matches!(end.outcome, Outcome::Running) && rt::interrupted() {
@@ -171,18 +192,18 @@ pub fn open_log(
     lockstep: bool,
 ) -> Result<Option<Recorder>, SessionError> {
     let header = header(setup, options, lockstep);
-    open_log_with(&header, options.log.as_deref())
+    open_log_with(&header, options)
 }
 
-/// Opens a log that begins with `header` at `path`, if there is to be one.
+/// Opens the log that `options` ask for; it begins with `header`.
 ///
 /// # Errors
 /// [`SessionError::Log`] or [`SessionError::Output`].
 pub(super) fn open_log_with(
     header: &RunHeader,
-    path: Option<&Path>,
+    options: &RunOptions,
 ) -> Result<Option<Recorder>, SessionError> {
-    let Some(path) = path else {
+    let Some(path) = &options.log else {
         return Ok(None);
     };
     pictures::create_parent(path)?;
@@ -191,7 +212,39 @@ pub(super) fn open_log_with(
     } else {
         Pressure::Drop
     };
-    Ok(Some(Recorder::create(path, header, pressure)?))
+    let warn = options.warn;
+    let on_failure = Box::new(move |error: &LogError| {
+        warn(&format!("{}; the run goes on without it", chain(error)));
+    });
+    let recorder = Recorder::create_with(path, header, pressure, on_failure)?;
+    Ok(Some(recorder))
+}
+
+/// An error and what is behind it.
+fn chain(error: &dyn std::error::Error) -> String {
+    let causes = std::iter::successors(Some(error), |error| error.source());
+    causes
+        .map(ToString::to_string)
+        .collect::<Vec<_>>()
+        .join(": ")
+}
+
+/// Says where arms are beyond a boundary before they are enabled there.
+pub(super) fn warn_of_start(control: &ControlConfig, arms: &PerArm<ArmState>, warn: fn(&str)) {
+    let states: Vec<ArmState> = arms.iter().copied().collect();
+    for start in beyond(control, &states) {
+        let MeasuredClearance {
+            arm,
+            boundary,
+            part,
+            clearance_m,
+            ..
+        } = start;
+        warn(&format!(
+            "{arm} is enabled {:.2} mm beyond {boundary} ({part}): the boundary closes in behind it as it comes out",
+            -1e3 * clearance_m
+        ));
+    }
 }
 
 fn header(setup: &Setup, options: &RunOptions, lockstep: bool) -> RunHeader {
@@ -202,17 +255,38 @@ fn header(setup: &Setup, options: &RunOptions, lockstep: bool) -> RunHeader {
         lockstep,
         view: setup.task.view.name().to_owned(),
         needle: setup.task.needle().map(str::to_owned),
-        versions: versions(setup.weights_sha256.as_deref()),
+        versions: versions(&options.policy, setup.weights_sha256.as_deref()),
         texts: setup.texts.by_name(),
     }
 }
 
-/// What is running: program and library by version, a checkpoint's weights by their SHA-256.
-pub(super) fn versions(weights_sha256: Option<&str>) -> BTreeMap<String, String> {
+/// What is running and where: program with its commit, library, a checkpoint's weights by their SHA-256 and the dataset that it was
+/// trained on, and the machine.
+pub(super) fn versions(
+    policy: &PolicyChoice,
+    weights_sha256: Option<&str>,
+) -> BTreeMap<String, String> {
+    let dataset = match policy {
+        PolicyChoice::Checkpoint(folder) => load_recipe(folder).ok().flatten(),
+        PolicyChoice::Expert | PolicyChoice::Noop | PolicyChoice::Random | PolicyChoice::Own(_) => {
+            None
+        }
+    };
+    let dataset = dataset.map(|recipe| {
+        let dataset = recipe.dataset;
+        format!(
+            "{}, {} episodes, {} frames at {} Hz",
+            dataset.task, dataset.episodes, dataset.frames, dataset.fps
+        )
+    });
+    let machine = rt::machine();
     let versions = [
         ("trocar", Some(env!("CARGO_PKG_VERSION"))),
+        ("commit", Some(env!("TROCAR_COMMIT"))),
         ("libtorch", Some(LIBTORCH_VERSION)),
         ("weights_sha256", weights_sha256),
+        ("dataset", dataset.as_deref()),
+        ("machine", Some(machine.as_str())),
     ];
     versions
         .into_iter()

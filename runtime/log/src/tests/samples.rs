@@ -27,8 +27,8 @@ pub(super) fn report() -> TickReport {
             jaw: 0.3,
         }),
         fault: Some(Fault::TrackingError {
-            joint: 3,
-            error: 0.25,
+            tip_m: 0.25,
+            turn_rad: f64::INFINITY,
         }),
     }
 }
