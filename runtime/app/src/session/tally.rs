@@ -244,7 +244,7 @@ mod tests {
             }
             tally.faults()
         };
-        let words = "insertion is 0.2500 away from its command";
+        let words = "the tip is 250.0 mm and 0.500 rad away from its command";
         assert_eq!(told([None, None], 2), None);
         assert_eq!(
             told([Some(fault), None], 1),
