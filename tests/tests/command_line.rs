@@ -374,6 +374,14 @@ fn an_input_is_neither_overwritten_through_a_link_nor_read_without_end() {
     let [config, link] = [config.to_str().unwrap(), link.to_str().unwrap()];
     let told = refused(&[&SHORT[..], &["--config", config, "--json", link]].concat());
     assert!(told.contains("--config names the same"), "{told}");
+    let (policy, link) = (folder.join("policy"), folder.join("weights.json"));
+    fs::create_dir_all(&policy).unwrap();
+    fs::write(policy.join("config.json"), "{}").unwrap();
+    fs::hard_link(policy.join("config.json"), &link).unwrap();
+    let [policy, link] = [policy.to_str().unwrap(), link.to_str().unwrap()];
+    let eval = ["eval", "--task", "needle-lift", "--trials", "1"];
+    let told = refused(&[&eval[..], &["--policy", policy, "--json", link]].concat());
+    assert!(told.contains("--policy names the same"), "{told}");
     let pipe = folder.join("pipe");
     assert!(
         Command::new("mkfifo")

@@ -67,6 +67,7 @@ pub fn run() -> Result<RunResult, SessionError> {
         policy,
         seed: 7,
         log: None,
+        log_bytes_max: None,
         pictures: false,
         latency_ms: Some(40),
         latency_jitter_ms: 0,

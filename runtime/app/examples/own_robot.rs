@@ -113,6 +113,7 @@ pub fn run(safety: &Path, log: PathBuf) -> Result<RunResult, SessionError> {
         policy,
         seed: 0,
         log: Some(log),
+        log_bytes_max: None,
         pictures: false,
         latency_ms: None,
         latency_jitter_ms: 0,

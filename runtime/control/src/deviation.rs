@@ -95,7 +95,7 @@ mod tests {
     fn each_axis_deviates_in_space_by_its_lever() {
         let home = stance(&[]);
         let of = |axis: usize, by: f64| Deviation::between(&home, &stance(&[(axis, by)]));
-        assert_eq!(Deviation::between(&home, &home).tip_m, 0.0);
+        assert!(Deviation::between(&home, &home).tip_m < 1e-15);
         let inserted = of(2, 0.003);
         assert!((inserted.tip_m - 0.003).abs() < 1e-12 && inserted.turn_rad < 1e-7);
         assert!(inserted.links_m.iter().all(|m| (m - 0.003).abs() < 1e-12));

@@ -12,6 +12,7 @@ use std::time::Duration;
 use hal::{Chunk, TimeNs};
 use rtrb::Consumer;
 
+use super::bound::Bound;
 use super::camera::FrameItem;
 use super::error::LogError;
 use super::happened::Happened;
@@ -90,6 +91,7 @@ pub(super) struct Drain {
     pub(super) failure: Option<LogError>,
     /// Hears of the first failure at once.
     pub(super) on_failure: OnFailure,
+    pub(super) bound: Option<Bound>,
 }
 
 /// Hears of the first thing that could not be written, on the writer thread.
@@ -152,6 +154,41 @@ impl Drain {
         let result = self.writer.tick(item);
         self.counts.ticks += 1;
         self.note(result);
+        if let Some(bound) = &self.bound
+            && self.failure.is_none()
+            && self.writer.has_flushed(item.tick.now)
+            && bound.is_reached(&self.path)
+        {
+            let next = bound.next(&self.path, item.record.saturating_add(1));
+            self.go_on(next);
+        }
+    }
+
+    /// Closes the file and goes on in the `next`.
+    fn go_on(&mut self, next: Result<LogWriter<BufWriter<File>>, LogError>) {
+        match next {
+            Ok(next) => {
+                let full = core::mem::replace(&mut self.writer, next);
+                let result = full.finish(self.closing(None));
+                self.note(result);
+            }
+            Err(error) => self.fail(error),
+        }
+    }
+
+    /// The end of a file, with `outcome` if it is the run's.
+    fn closing(&mut self, outcome: Option<RunOutcome>) -> Closing {
+        let dropped = |count: &AtomicU64| count.load(Ordering::Relaxed);
+        self.counts.ticks_dropped = dropped(&self.shared.ticks_dropped);
+        self.counts.chunks_dropped = dropped(&self.shared.chunks_dropped);
+        self.counts.frames_dropped = dropped(&self.shared.frames_dropped);
+        self.counts.events_dropped = dropped(&self.shared.events_dropped);
+        Closing {
+            outcome,
+            counts: self.counts,
+            input_hash: self.shared.input_hash.load(Ordering::Relaxed),
+            contents: None,
+        }
     }
 
     fn write_side(&mut self, item: SideItem) {
@@ -187,23 +224,13 @@ impl Drain {
     }
 
     fn close(mut self) -> Result<LogCounts, LogError> {
-        let dropped = |count: &AtomicU64| count.load(Ordering::Relaxed);
-        self.counts.ticks_dropped = dropped(&self.shared.ticks_dropped);
-        self.counts.chunks_dropped = dropped(&self.shared.chunks_dropped);
-        self.counts.frames_dropped = dropped(&self.shared.frames_dropped);
-        self.counts.events_dropped = dropped(&self.shared.events_dropped);
         let outcome = self.outcome.try_recv().ok();
         if let Some(RunOutcome { reason, .. }) = &outcome {
             let text = format!("the run ended: {reason}");
             let result = self.writer.event(self.now, Level::Info, text);
             self.note(result);
         }
-        let closing = Closing {
-            outcome,
-            counts: self.counts,
-            input_hash: self.shared.input_hash.load(Ordering::Relaxed),
-            contents: None,
-        };
+        let closing = self.closing(outcome);
         if let Some(failure) = self.failure {
             return Err(failure);
         }

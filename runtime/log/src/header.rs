@@ -23,6 +23,8 @@ pub struct RunHeader {
     pub versions: BTreeMap<String, String>,
     /// The effective configuration; file name (`control.toml`) to text.
     pub texts: BTreeMap<String, String>,
+    /// Ticks of the run before the first in this file, which a log with a bound has left behind.
+    pub left_out: u64,
 }
 
 /// How a run ended; written after the last tick.
@@ -83,9 +85,12 @@ impl RunHeader {
             ("view", self.view.clone()),
         ];
         let needle = self.needle.clone().map(|needle| ("needle", needle));
+        let left_out = Some(("left_out", self.left_out.to_string()));
+        let left_out = left_out.filter(|_| self.left_out > 0);
         let run = run
             .into_iter()
             .chain(needle)
+            .chain(left_out)
             .map(|(key, value)| (key.to_owned(), value))
             .collect();
         [
@@ -111,6 +116,7 @@ impl RunHeader {
                 self.lockstep = map.get("lockstep").is_some_and(|text| text == "true");
                 self.view = map.get("view").cloned().unwrap_or_default();
                 self.needle = map.get("needle").cloned();
+                self.left_out = number(&map, "left_out").unwrap_or(0);
             }
             VERSIONS => self.versions = map,
             CONFIGURATION => self.texts = map,

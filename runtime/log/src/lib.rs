@@ -1,5 +1,6 @@
 #![doc = include_str!("../README.md")]
 
+mod bound;
 mod camera;
 mod container;
 mod contents;
@@ -29,4 +30,4 @@ pub use error::LogError;
 pub use header::{LogCounts, RunHeader, RunOutcome};
 pub use read::{LogEnd, Loss, RunLog, Step, read_steps};
 pub use record::{ArmRecord, LoggedArm, LoggedTick, TickRecord, TickTiming};
-pub use recorder::{Level, LogFile, Pressure, Recorder, SideLog, TickLog};
+pub use recorder::{Level, LogFile, Pressure, Recorder, SideLog, TickLog, Writing};

@@ -300,6 +300,8 @@ struct Assembly<F> {
     facts: Facts,
     contents: Contents,
     next_record: u64,
+    /// Whether there was a tick.
+    begun: bool,
     parts: [ArmParts; ARMS_MAX],
     /// The second arm, whose messages come before the first one's.
     second: Option<(TickMessage, LoggedArm)>,
@@ -370,11 +372,12 @@ impl<F: FnMut(&RunHeader, Event<'_>) -> Result<(), String>> Visitor for Assembly
             self.facts.input_hash = Some(closing.input_hash);
             return Ok(());
         }
-        if self.next_record > 0 {
+        if self.begun {
             return Err(format!("metadata `{name}` after the first tick"));
         }
         self.contents.metadata(name, &map);
         if self.facts.header.absorb(name, map) {
+            self.next_record = self.facts.header.left_out;
             Ok(())
         } else {
             Err(format!("metadata `{name}` lacks an entry"))
@@ -389,6 +392,7 @@ impl<F: FnMut(&RunHeader, Event<'_>) -> Result<(), String>> Assembly<F> {
             facts: Facts::default(),
             contents: Contents::default(),
             next_record: 0,
+            begun: false,
             parts: Default::default(),
             second: None,
             timing: None,
@@ -406,6 +410,8 @@ impl<F: FnMut(&RunHeader, Event<'_>) -> Result<(), String>> Assembly<F> {
         }
         let counts = self.facts.counts;
         let unclosed = || "the data end, but the record of how the run ended is missing".to_owned();
+        let left_out = self.facts.header.left_out;
+        let bounded = || format!("its bound left out the first {left_out} ticks");
         let handed_over = counts.map_or(0, |counts| {
             counts.ticks.saturating_add(counts.ticks_dropped)
         });
@@ -413,7 +419,9 @@ impl<F: FnMut(&RunHeader, Event<'_>) -> Result<(), String>> Assembly<F> {
             outcome: self.facts.outcome.take(),
             input_hash: self.facts.input_hash,
             dropped_at_end: handed_over.saturating_sub(self.next_record),
-            cut: cut.or_else(|| counts.is_none().then(unclosed)),
+            cut: cut
+                .or_else(|| counts.is_none().then(unclosed))
+                .or_else(|| (left_out > 0).then(bounded)),
             altered: self.facts.altered,
         })
     }
@@ -484,6 +492,7 @@ impl<F: FnMut(&RunHeader, Event<'_>) -> Result<(), String>> Assembly<F> {
             .record
             .checked_sub(self.next_record)
             .ok_or("the record numbers go backwards")?;
+        self.begun = true;
         self.next_record = message
             .record
             .checked_add(1)

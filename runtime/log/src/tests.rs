@@ -10,7 +10,7 @@ use hal::{ArmError, ArmState, CameraFrame, Chunk, Intrinsics, JointVector, TimeN
 
 use super::{
     ArmRecord, LogCounts, LogError, Loss, Pressure, Recorder, RunHeader, RunLog, TickRecord,
-    TickTiming,
+    TickTiming, Writing,
 };
 use hal::PerArm;
 use trocar_control::OperatorEvent;
@@ -470,7 +470,11 @@ fn what_cannot_be_written_is_told_at_once() {
         sender.send(error.to_string()).unwrap();
     });
     let path = PathBuf::from("/dev/full");
-    let created = Recorder::create_with(&path, &header(), Pressure::Block, on_failure);
+    let writing = Writing {
+        on_failure,
+        ..Writing::new(Pressure::Block)
+    };
+    let created = Recorder::create_with(&path, &header(), writing);
     // The header fits into a buffer, or is refused at once.
     let Ok(mut recorder) = created else { return };
     for tick in 0..2000 {
@@ -482,4 +486,52 @@ fn what_cannot_be_written_is_told_at_once() {
         "{told}"
     );
     assert!(recorder.finish(None).is_err());
+}
+
+#[test]
+fn a_log_with_a_bound_keeps_the_last_part() {
+    let (records, header) = run_controller(30_000);
+    let file = Scratch::new("bounded");
+    let earlier = Scratch(super::bound::earlier(&file.0));
+    let bytes_max = 8 << 20;
+    let writing = Writing {
+        bytes_max: Some(bytes_max),
+        ..Writing::new(Pressure::Block)
+    };
+    let mut recorder = Recorder::create_with(&file.0, &header, writing).unwrap();
+    for record in &records {
+        if let Some(sequence) = record.arms.first.chunk_sequence {
+            recorder.chunk(0, &chunk_of_run(sequence));
+        }
+        recorder.tick(record);
+    }
+    recorder.finish(Some(&outcome())).unwrap();
+    let size = |file: &Scratch| std::fs::metadata(&file.0).unwrap().len();
+    assert!(size(&file) + size(&earlier) <= bytes_max);
+    let (last, before) = (
+        RunLog::open(&file.0).unwrap(),
+        RunLog::open(&earlier.0).unwrap(),
+    );
+    let tick = |log: &RunLog, last: bool| {
+        let mut ticks = log.ticks().map(|(tick, _)| tick.tick);
+        if last { ticks.last() } else { ticks.next() }.unwrap()
+    };
+    assert_eq!(tick(&last, true), 29_999);
+    assert_eq!(tick(&last, false), tick(&before, true) + 1);
+    assert_eq!(last.header.left_out, tick(&last, false));
+    assert!(tick(&before, false) > 0, "the first file is still there");
+    assert_eq!(last.outcome.as_ref().unwrap().reason, outcome().reason);
+    for log in [&last, &before] {
+        assert!(log.losses.is_empty() && !log.altered(), "{:?}", log.losses);
+        assert!(
+            log.cut()
+                .unwrap()
+                .starts_with("its bound left out the first")
+        );
+        let verified = super::verify::verify(log).unwrap();
+        assert!(verified.violations.is_empty(), "{:?}", verified.violations);
+        assert!(!verified.ok);
+        let error = super::replay::replay(log).unwrap_err().to_string();
+        assert!(error.contains("nothing to replay"), "{error}");
+    }
 }

@@ -110,6 +110,11 @@ impl<W: Write + Seek> LogWriter<W> {
         Ok(())
     }
 
+    /// Whether everything up to the tick at `now` is in the file.
+    pub(super) fn has_flushed(&self, now: TimeNs) -> bool {
+        self.flushed_at == now
+    }
+
     /// Writes what the arm `index` measured, what it was told and how that came about.
     fn arm(&mut self, index: usize, tick: &TickRecord, arm: &ArmRecord) -> McapResult<()> {
         let measured = arm.measured.as_ref().ok();

@@ -251,11 +251,16 @@ impl Arm {
         self.space.forget();
     }
 
-    /// Says that `count` ticks before this one are missing.
-    pub(super) fn missing(&mut self, ledger: &mut Ledger, count: u64) {
+    /// Says that what came before is not known.
+    pub(super) fn resume(&mut self) {
         self.forget();
         self.measured.begin();
         self.before = Before::Gap;
+    }
+
+    /// Says that `count` ticks before this one are missing.
+    pub(super) fn missing(&mut self, ledger: &mut Ledger, count: u64) {
+        self.resume();
         #[expect(clippy::cast_precision_loss, reason = "for people")]
         let count = count as f64;
         ledger.judge(self.missing_limit, count, 0.0, count, 0.0);

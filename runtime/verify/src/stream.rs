@@ -163,6 +163,14 @@ impl Stream {
         }
     }
 
+    /// Says that the next tick is not the first of its run: what came before is not known.
+    pub fn resume(&mut self) {
+        self.arms.iter_mut().for_each(Arm::resume);
+        if let Some(pair) = &mut self.pair {
+            pair.forget();
+        }
+    }
+
     /// Says that the commands are not the ones that the run reported.
     pub fn other_hash(&mut self) {
         if let Some(arm) = self.arms.first() {

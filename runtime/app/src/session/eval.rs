@@ -197,6 +197,7 @@ impl<'a> TrialWorker<'a> {
             policy: self.options.policy.clone(),
             seed,
             log: None,
+            log_bytes_max: None,
             pictures: true,
             latency_ms: self.options.latency_ms,
             latency_jitter_ms: self.options.latency_jitter_ms,

@@ -19,7 +19,7 @@ use super::tally::RunLabels;
 use super::{SessionError, Setup, outputs, pictures};
 use crate::rt;
 use trocar_control::{ControlConfig, MeasuredClearance, beyond};
-use trocar_log::{Level, LogError, Pressure, Recorder, RunHeader, RunOutcome, TickRecord};
+use trocar_log::{Level, LogError, Pressure, Recorder, RunHeader, RunOutcome, TickRecord, Writing};
 
 /// The libtorch that the program was built with.
 pub const LIBTORCH_VERSION: &str = env!("LIBTORCH_VERSION");
@@ -36,6 +36,8 @@ pub struct RunOptions {
     pub seed: u64,
     /// Where the log goes, if anywhere. A log holds frames even if the policy needs none: see [`Setup::cameras_with`].
     pub log: Option<PathBuf>,
+    /// Bytes that the log takes at most on its disk, if it has a bound; it keeps the last part.
+    pub log_bytes_max: Option<u64>,
     /// Whether to keep pictures of the run for [`RunResult::pictures`].
     pub pictures: bool,
     /// Delay from observation to chunk, ms; the policy's own if not given.
@@ -216,7 +218,12 @@ pub(super) fn open_log_with(
     let on_failure = Box::new(move |error: &LogError| {
         warn(&format!("{}; the run goes on without it", chain(error)));
     });
-    let recorder = Recorder::create_with(path, header, pressure, on_failure)?;
+    let writing = Writing {
+        on_failure,
+        bytes_max: options.log_bytes_max,
+        ..Writing::new(pressure)
+    };
+    let recorder = Recorder::create_with(path, header, writing)?;
     Ok(Some(recorder))
 }
 
@@ -257,6 +264,7 @@ fn header(setup: &Setup, options: &RunOptions, lockstep: bool) -> RunHeader {
         needle: setup.task.needle().map(str::to_owned),
         versions: versions(&options.policy, setup.weights_sha256.as_deref()),
         texts: setup.texts.by_name(),
+        left_out: 0,
     }
 }
 

@@ -110,6 +110,14 @@ pub enum ReplayError {
     /// The controller cannot be built.
     #[error("the logged configuration makes no controller: {0}")]
     Controller(String),
+    /// The run's beginning is missing.
+    #[error(
+        "the log's bound left out the first {ticks} ticks: there is nothing to replay the others from"
+    )]
+    LeftOut {
+        /// How many.
+        ticks: u64,
+    },
     /// There is nothing to compare.
     #[error("the log holds no tick")]
     Empty,
@@ -169,6 +177,10 @@ struct Replay {
 
 impl Replay {
     fn new(header: &RunHeader) -> Result<Self, ReplayError> {
+        if header.left_out > 0 {
+            let ticks = header.left_out;
+            return Err(ReplayError::LeftOut { ticks });
+        }
         let control = text(header, "control.toml")?;
         let config = ControlConfig::load(&control, &text(header, "safety.toml")?)?;
         Ok(Self {

@@ -72,12 +72,17 @@ impl Checker {
                 .text(file)
                 .ok_or(VerifyError::NoConfiguration { file })
         };
+        let mut stream = Stream::new(text(CONTROL)?, text(SAFETY)?)?;
+        let complete = header.left_out == 0;
+        if !complete {
+            stream.resume();
+        }
         Ok(Self {
-            stream: Stream::new(text(CONTROL)?, text(SAFETY)?)?,
+            stream,
             ticks: 0,
             hash: FNV_OFFSET,
             next_tick: 0,
-            complete: true,
+            complete,
         })
     }
 

@@ -24,7 +24,7 @@ use crate::args::{
 };
 use crate::console;
 use crate::drives::can_source;
-use crate::scene_args::of_task;
+use crate::scene_args::{of_policy, of_task, policy_files};
 
 pub(crate) type Done = Result<bool, SessionError>;
 
@@ -96,6 +96,8 @@ pub(crate) fn run(args: &RunArgs) -> Done {
     let task = args.task.as_deref().map_or_else(Vec::new, tasks::paths);
     let mut read = vec![config, scene, can_config, safety];
     read.extend(of_task(&task));
+    let policy_files = policy_files(&args.policy);
+    read.extend(of_policy(&policy_files));
     let log = ("--log", args.log.as_deref());
     outputs::check(&[log, ("--json", args.json.as_deref())], &read)?;
     let can = can_options(args)?;
@@ -103,6 +105,7 @@ pub(crate) fn run(args: &RunArgs) -> Done {
         policy: PolicyChoice::parse(&args.policy),
         seed: args.seed,
         log: args.log.clone(),
+        log_bytes_max: args.log_max_mb.map(|mb| mb << 20),
         pictures: false,
         latency_ms: args.latency_ms,
         latency_jitter_ms: args.latency_jitter_ms,

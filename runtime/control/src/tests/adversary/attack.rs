@@ -67,11 +67,7 @@ impl Attack {
         }
         let mut random = SplitMix64::new(self.seed);
         let mut rig = Rig::<ARMS>::enabled(&scene.config);
-        rig.controller.sabotage.garbage = Some(Garbage::new(random.next_u64(), self.garbage));
-        rig.controller.sabotage.guard_removed = self.guard_removed;
-        rig.controller.sabotage.lag_ignored = self.lag_ignored;
-        rig.follows = self.follows;
-        rig.off_rad = self.off_rad;
+        self.sabotage(&mut rig, &mut random);
         let mut judge = Judge::new(&scene);
         let mut figures = Figures::default();
         let mut adversaries: [_; ARMS] = core::array::from_fn(|_| self.kind.adversary());
@@ -121,6 +117,21 @@ impl Attack {
                 judge.follow_tails(&outputs);
             }
         }
+        self.sum_up(&mut figures, &rig, &judge);
+        (figures, judge.violations(self.trouble))
+    }
+
+    /// Breaks what is to be broken.
+    fn sabotage<const ARMS: usize>(&self, rig: &mut Rig<ARMS>, random: &mut SplitMix64) {
+        rig.controller.sabotage.garbage = Some(Garbage::new(random.next_u64(), self.garbage));
+        rig.controller.sabotage.guard_removed = self.guard_removed;
+        rig.controller.sabotage.lag_ignored = self.lag_ignored;
+        rig.follows = self.follows;
+        rig.off_rad = self.off_rad;
+    }
+
+    /// Takes into `figures` what is known at the end.
+    fn sum_up<const ARMS: usize>(&self, figures: &mut Figures, rig: &Rig<ARMS>, judge: &Judge) {
         for arm in &rig.controller.arms {
             figures.accepted += arm.gate.accepted_count();
             figures.refused += arm.gate.refused_count();
@@ -138,7 +149,6 @@ impl Attack {
         );
         let garbage = rig.controller.sabotage.garbage.as_ref();
         figures.garbage = garbage.map_or(0, |garbage| garbage.count);
-        (figures, judge.violations(self.trouble))
     }
 }
 
