@@ -18,8 +18,10 @@ pub(super) struct Bound {
 }
 
 impl Bound {
-    /// `bytes_max` for both files of the run `run`.
-    pub(super) fn new(bytes_max: u64, run: &RunHeader) -> Self {
+    /// `bytes_max` for both files of the run `run`, of which one is at `path`. What an earlier run put aside there is no part of this one and
+    /// is removed.
+    pub(super) fn new(bytes_max: u64, run: &RunHeader, path: &Path) -> Self {
+        let _absent = fs::remove_file(earlier(path));
         Self {
             file_bytes_max: (bytes_max / 2).saturating_sub(SPARE_BYTES),
             run: run.clone(),

@@ -299,7 +299,7 @@ impl Recorder {
             now: TimeNs(0),
             failure: None,
             on_failure,
-            bound: bytes_max.map(|bytes_max| Bound::new(bytes_max, run)),
+            bound: bytes_max.map(|bytes_max| Bound::new(bytes_max, run, path)),
         };
         let thread = thread::Builder::new()
             .name("log".to_owned())

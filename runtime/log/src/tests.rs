@@ -494,6 +494,7 @@ fn a_log_with_a_bound_keeps_the_last_part() {
     let file = Scratch::new("bounded");
     let earlier = Scratch(super::bound::earlier(&file.0));
     let bytes_max = 8 << 20;
+    std::fs::write(&earlier.0, "of a run before").unwrap();
     let writing = Writing {
         bytes_max: Some(bytes_max),
         ..Writing::new(Pressure::Block)

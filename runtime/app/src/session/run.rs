@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::io::Write as _;
 use std::path::{Path, PathBuf};
 
-use hal::{Arm as _, ArmState, Chunk, PerArm, TimeNs};
+use hal::{Arm as _, ArmState, Chunk, TimeNs};
 use trocar_nets::checkpoint::load_recipe;
 use trocar_nets::compute::Compute;
 use trocar_tasks::simulation::{Rendering, Simulation};
@@ -95,13 +95,8 @@ pub fn run_lockstep_with(
     } else {
         Rendering::Off
     };
-    let mut simulation = Simulation::new(&setup.task, options.seed, rendering)?;
+    let mut simulation = simulation(setup, options, rendering)?;
     let mut controller = setup.controller()?;
-    warn_of_start(
-        &setup.control,
-        &measured_start(&mut simulation)?,
-        options.warn,
-    );
     let cameras = if options.wants_frames() {
         setup.cameras_with(source.cameras())
     } else {
@@ -163,16 +158,19 @@ pub fn run_lockstep_with(
     })
 }
 
-/// Where the simulated arms are measured before the run.
-pub(super) fn measured_start(
-    simulation: &mut Simulation,
-) -> Result<PerArm<ArmState>, SessionError> {
-    let first = simulation.read(TimeNs(0))?;
-    let second = simulation.arm(1).map(|mut arm| arm.read(TimeNs(0)));
-    Ok(PerArm {
-        first,
-        second: second.transpose()?,
-    })
+/// The simulation of a run; says where its arms are beyond a boundary before they are enabled there.
+pub(super) fn simulation(
+    setup: &Setup,
+    options: &RunOptions,
+    rendering: Rendering,
+) -> Result<Simulation, SessionError> {
+    let mut simulation = Simulation::new(&setup.task, options.seed, rendering)?;
+    let mut states = vec![simulation.read(TimeNs(0))?];
+    if let Some(mut second) = simulation.arm(1) {
+        states.push(second.read(TimeNs(0))?);
+    }
+    warn_of_start(&setup.control, &states, options.warn);
+    Ok(simulation)
 }
 
 /// Why a run in lockstep ended: a signal comes before the limit of ticks.
@@ -237,9 +235,8 @@ fn chain(error: &dyn std::error::Error) -> String {
 }
 
 /// Says where arms are beyond a boundary before they are enabled there.
-pub(super) fn warn_of_start(control: &ControlConfig, arms: &PerArm<ArmState>, warn: fn(&str)) {
-    let states: Vec<ArmState> = arms.iter().copied().collect();
-    for start in beyond(control, &states) {
+fn warn_of_start(control: &ControlConfig, arms: &[ArmState], warn: fn(&str)) {
+    for start in beyond(control, arms) {
         let MeasuredClearance {
             arm,
             boundary,

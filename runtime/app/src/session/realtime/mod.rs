@@ -29,13 +29,13 @@ use std::thread;
 use hal::{ArmState, Chunk, TICK_NS};
 use rtrb::RingBuffer;
 use tch::Device;
-use trocar_tasks::simulation::{Rendering, Simulation};
+use trocar_tasks::simulation::Rendering;
 use trocar_tasks::task::Outcome;
 
 pub use on_can::{CanOptions, RobotOptions, Say, run_on_can, run_rig, run_robot_on_can};
 pub use policy_process::{PolicyProcessOptions, serve_policy};
 
-use super::run::{RunOptions, RunResult, measured_start, open_log, warn_of_start};
+use super::run::{RunOptions, RunResult, open_log, simulation};
 use super::source::{ChunkSource, PolicyChoice};
 use super::summary::{RealTimeCounts, TissueSummary};
 use super::tally::{RunLabels, Tally};
@@ -108,9 +108,7 @@ fn run_threads(
     source: Option<ChunkSource>,
     child: Option<&mut PolicyChild>,
 ) -> Result<Ends, SessionError> {
-    let mut simulation = Simulation::new(&setup.task, options.seed, Rendering::Off)?;
-    let start = measured_start(&mut simulation)?;
-    warn_of_start(&setup.control, &start, options.warn);
+    let simulation = simulation(setup, options, Rendering::Off)?;
     let controller = setup.controller()?;
     let (measured_in, measured) = mailbox::<PerArm<ArmState>>();
     let (commands, commands_out) = RingBuffer::new(COMMANDS);
