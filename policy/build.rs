@@ -4,7 +4,8 @@
 use std::path::Path;
 use std::{env, fs};
 
-fn main() {
+/// Says where libtorch is and what it is.
+pub(crate) fn main() {
     println!("cargo:rerun-if-env-changed=LIBTORCH");
     let version = env::var_os("LIBTORCH")
         .and_then(|folder| fs::read_to_string(Path::new(&folder).join("build-version")).ok());

@@ -324,7 +324,17 @@ fn unwritable_log_is_an_error_with_its_result() {
         told.contains("a.mcap: the log could not be written"),
         "{told}"
     );
+    // It is said at once, not only at the end.
+    let at_once = told.find("the run goes on without it");
+    assert!(
+        at_once.is_some_and(|at| at < told.rfind("trocar: error").unwrap_or(0)),
+        "{told}"
+    );
     assert!(text(&output.stdout).contains("command hash"), "{told}");
+    assert!(
+        text(&output.stdout).contains("measured clearance: "),
+        "{told}"
+    );
     assert_eq!(tests::json(&file)["task"], "needle-lift");
 }
 
@@ -369,6 +379,14 @@ fn inputs_are_not_overwritten_through_links() {
     let [config, link] = [config.to_str().unwrap(), link.to_str().unwrap()];
     let told = refused(&[&SHORT[..], &["--config", config, "--json", link]].concat());
     assert!(told.contains("--config names the same"), "{told}");
+    let (policy, link) = (folder.join("policy"), folder.join("weights.json"));
+    fs::create_dir_all(&policy).unwrap();
+    fs::write(policy.join("config.json"), "{}").unwrap();
+    fs::hard_link(policy.join("config.json"), &link).unwrap();
+    let [policy, link] = [policy.to_str().unwrap(), link.to_str().unwrap()];
+    let eval = ["eval", "--task", "needle-lift", "--trials", "1"];
+    let told = refused(&[&eval[..], &["--policy", policy, "--json", link]].concat());
+    assert!(told.contains("--policy names the same"), "{told}");
     let pipe = folder.join("pipe");
     assert!(
         Command::new("mkfifo")
@@ -408,6 +426,9 @@ fn interrupted(run: &[&str], name: &str, after: &[u64]) -> (Option<i32>, serde_j
     let log = trocar_log::RunLog::open(&log).unwrap();
     assert!(log.cut().is_none(), "{:?}", log.cut());
     assert_eq!(log.outcome.as_ref().unwrap().reason, "interrupted");
+    let events = log.events.join("; ");
+    assert!(events.contains("psm1: DISABLED to ENABLED"), "{events}");
+    assert!(events.ends_with("the run ended: interrupted"), "{events}");
     assert!(trocar_log::verify::verify(&log).unwrap().ok);
     (code, tests::json(&result))
 }

@@ -158,7 +158,12 @@ fn arm_in_a_forbidden_region_only_comes_out() {
             .arg(&log)
             .output()
             .unwrap();
-        assert_eq!(output.status.code(), Some(1), "{}", stderr(&output));
+        let told = stderr(&output);
+        assert_eq!(output.status.code(), Some(1), "{told}");
+        assert!(
+            told.contains("psm1 is enabled ") && told.contains(" mm beyond forbidden.start ("),
+            "{told}"
+        );
         let verified = verify(&RunLog::open(&log).unwrap()).unwrap();
         let first = verified.violations.first();
         assert!(

@@ -360,3 +360,32 @@ fn a_bad_checkpoint_is_refused_before_anything_starts() {
     assert_eq!(output.status.code(), Some(2), "{}", tests::stderr(&output));
     assert!(!log.exists());
 }
+
+/// A run that is killed where nothing can be caught leaves its log up to the last moments: whoever looks for what happened finds it.
+#[test]
+fn a_killed_run_leaves_a_log_that_can_be_read() {
+    let _turn = alone();
+    let mut run = Run::start("killed", "random", 5);
+    let mut before = 0;
+    until("two seconds are in the log", || {
+        before = RunLog::open(&run.log).map_or(0, |log| log.tick_count());
+        before > 2000
+    });
+    run.process.kill().unwrap();
+    run.process.wait().unwrap();
+    let log = RunLog::open(&run.log).unwrap();
+    assert!(log.cut().is_some() && log.outcome.is_none());
+    assert!(log.tick_count() >= before);
+    assert!(
+        log.events
+            .iter()
+            .any(|told| told == "psm1: DISABLED to ENABLED")
+    );
+    let replayed = replay(&log).unwrap();
+    assert!(replayed.identical, "{:?}", replayed.first_difference);
+    assert_eq!(usize::try_from(replayed.ticks).unwrap(), log.tick_count());
+    let verified = verify(&log).unwrap();
+    assert!(verified.violations.is_empty(), "{:?}", verified.violations);
+    assert!(!verified.ok && verified.cut.is_some());
+    assert!(!run.result.exists());
+}

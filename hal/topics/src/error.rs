@@ -30,6 +30,16 @@ pub enum TopicError {
         /// Size of the file system.
         total_bytes: u64,
     },
+    /// The transport's own folder can't be written.
+    #[error(
+        "{dir}: cannot be written, where iceoryx2 keeps what the processes of a run share: {source}; it may belong to another user"
+    )]
+    Folder {
+        /// The folder.
+        dir: std::path::PathBuf,
+        /// The system's reason.
+        source: std::io::Error,
+    },
     /// Somebody alive already publishes this topic.
     #[error("topic '{topic}' already has a publisher in another process or thread of this run")]
     AlreadyPublished {

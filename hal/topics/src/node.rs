@@ -2,6 +2,8 @@
 
 use core::fmt::Debug;
 use core::time::Duration;
+use std::fs;
+use std::path::Path;
 
 use iceoryx2::node::NodeState;
 use iceoryx2::port::publisher::PublisherCreateError;
@@ -59,11 +61,18 @@ impl TopicNode {
     pub fn join(run_id: &str) -> Result<Self, TopicError> {
         check_name(run_id, false)?;
         set_log_level(LogLevel::Error);
+        let config = transport_config(run_id)?;
         let node = NodeBuilder::new()
-            .config(&transport_config(run_id)?)
+            .config(&config)
             .signal_handling_mode(SignalHandlingMode::Disabled)
             .create::<Service>()
-            .map_err(|error| TopicError::transport(run_id, "joining the run", &error))?;
+            .map_err(|error| {
+                let global = &config.global;
+                [*global.root_path(), global.node_dir(), global.service_dir()]
+                    .iter()
+                    .find_map(|dir| unwritable(Path::new(&dir.to_string())))
+                    .unwrap_or_else(|| TopicError::transport(run_id, "joining the run", &error))
+            })?;
         let joined = Self {
             node,
             run_id: run_id.to_owned(),
@@ -274,6 +283,16 @@ pub fn check_run_id(run_id: &str) -> Result<(), TopicError> {
     check_name(run_id, false)
 }
 
+/// Why nothing can be put into the folder `dir`, if that is so.
+fn unwritable(dir: &Path) -> Option<TopicError> {
+    let probe = dir.join(format!("trocar_probe_{}", std::process::id()));
+    let tried = fs::create_dir_all(dir).and_then(|()| fs::write(&probe, ""));
+    let _gone = fs::remove_file(&probe);
+    let source = tried.err()?;
+    let dir = dir.to_path_buf();
+    Some(TopicError::Folder { dir, source })
+}
+
 fn check_name(name: &str, with_parts: bool) -> Result<(), TopicError> {
     let plain = |part: &str| {
         !part.is_empty()
@@ -346,6 +365,19 @@ fn publisher_error(topic: &str, needed_bytes: u64, error: PublisherCreateError) 
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_folder_that_cannot_be_written_is_named() {
+        let folder = std::env::temp_dir().join(format!("trocar-topics-{}", std::process::id()));
+        assert!(unwritable(&folder).is_none());
+        assert_eq!(fs::read_dir(&folder).unwrap().count(), 0);
+        let file = folder.join("file");
+        fs::write(&file, "").unwrap();
+        let told = unwritable(&file.join("nodes")).unwrap().to_string();
+        assert!(told.starts_with(&format!("{}", file.display())), "{told}");
+        assert!(told.contains("may belong to another user"), "{told}");
+        fs::remove_dir_all(&folder).unwrap();
+    }
 
     #[test]
     fn names_that_would_leave_the_run_are_refused() {

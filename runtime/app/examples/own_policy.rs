@@ -67,13 +67,20 @@ pub fn run() -> Result<RunResult, SessionError> {
         policy,
         seed: 7,
         log: None,
+        log_bytes_max: None,
         pictures: false,
         latency_ms: Some(40),
         latency_jitter_ms: 0,
         compute: Device::Cpu.into(),
+        warn: tell,
     };
     let source = ChunkSource::policy(Box::<Circles>::default(), Vec::new(), QUERY_EVERY_STEPS);
     run_lockstep_with(&setup, &options, source)
+}
+
+#[expect(clippy::print_stderr, reason = "a warning is for the terminal")]
+fn tell(line: &str) {
+    eprintln!("{line}");
 }
 
 #[expect(clippy::print_stdout, reason = "an example tells what it does")]

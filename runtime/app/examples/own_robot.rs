@@ -113,10 +113,12 @@ pub fn run(safety: &Path, log: PathBuf) -> Result<RunResult, SessionError> {
         policy,
         seed: 0,
         log: Some(log),
+        log_bytes_max: None,
         pictures: false,
         latency_ms: None,
         latency_jitter_ms: 0,
         compute: Device::Cpu.into(),
+        warn: tell,
     };
     let asked = RobotOptions {
         seconds: Some(2.0),
@@ -131,6 +133,11 @@ pub fn run(safety: &Path, log: PathBuf) -> Result<RunResult, SessionError> {
         &options,
         &asked,
     )
+}
+
+#[expect(clippy::print_stderr, reason = "a warning is for the terminal")]
+fn tell(line: &str) {
+    eprintln!("{line}");
 }
 
 #[expect(clippy::print_stdout, reason = "an example tells what it does")]

@@ -3,6 +3,7 @@
 use super::config::ControlConfig;
 use super::controller::{Controller, ControllerError};
 use super::filter::Problem;
+use super::guard::MeasuredClearance;
 use super::report::{TickInput, TickOutput};
 use super::rows::Velocities;
 use hal::PerArm;
@@ -47,6 +48,24 @@ impl AnyController {
                 Some(PerArm::two(first, second))
             }
             (Self::One(_), Some(_)) | (Self::Two(_), None) => None,
+        }
+    }
+
+    /// As [`Controller::measured_clearances`].
+    #[must_use]
+    pub fn measured_clearances(&self) -> Vec<MeasuredClearance> {
+        match self {
+            Self::One(controller) => controller.measured_clearances(),
+            Self::Two(controller) => controller.measured_clearances(),
+        }
+    }
+
+    /// As [`Controller::following_errors_m`].
+    #[must_use]
+    pub fn following_errors_m(&self) -> Vec<f64> {
+        match self {
+            Self::One(controller) => controller.following_errors_m().to_vec(),
+            Self::Two(controller) => controller.following_errors_m().to_vec(),
         }
     }
 

@@ -1,12 +1,13 @@
 //! One arm of a controller: its mode and faults, its chunks, and the velocity that it would like. Hot path: bounded, no
 //! allocation, no I/O, no lock.
 
-use hal::{ArmError, ArmState, Chunk, JOINT_COUNT, TICK_NS, TimeNs, TipTarget};
+use hal::{ArmError, ArmState, Chunk, TICK_NS, TimeNs, TipTarget};
 
 use super::aggregate::Aggregator;
-use super::config::ControlConfig;
+use super::config::{ControlConfig, FollowingError};
+use super::deviation::Deviation;
 use super::gate::{Gate, GateDecision};
-use super::instrument::Stance;
+use super::instrument::{Instrument, Stance};
 use super::mode::{Event, Mode, OperatingState, OperatorEvent, next};
 use super::motion::{AXES, Axes, MotionState};
 use super::report::{Fault, TickInput};
@@ -34,7 +35,13 @@ pub(super) struct ArmControl {
     enabled_at: TimeNs,
     /// The operator's share of the speed limits.
     speed: f64,
-    tracking_error_max: [f64; JOINT_COUNT],
+    following_error_max: FollowingError,
+    /// How far the measured instrument is from the commanded one, or was within about the longest stop; none without torque.
+    pub(super) deviation: Deviation,
+    /// The largest deviation of any part of the instrument since the start, m.
+    pub(super) following_error_m: f64,
+    /// Where the instrument is measured in this tick, if it holds torque.
+    pub(super) measured: Option<Instrument>,
     stale_ns: u64,
     lookahead_ns: u64,
     soft_start_ns: u64,
@@ -67,7 +74,10 @@ impl ArmControl {
             tracking: Tracking::new(config),
             enabled_at: TimeNs(0),
             speed: 1.0,
-            tracking_error_max: config.tracking_error_max,
+            following_error_max: config.following_error_max,
+            deviation: Deviation::default(),
+            following_error_m: 0.0,
+            measured: None,
             stale_ns: config.stale_ns,
             lookahead_ns: config.lookahead_ns.max(TICK_NS),
             soft_start_ns: config.soft_start_ns,
@@ -96,12 +106,13 @@ impl ArmControl {
     }
 
     fn look_at(&mut self, measured: &Result<ArmState, ArmError>) -> bool {
+        self.measured = None;
         let fault = match measured {
             Err(error) => Some(Fault::Arm(*error)),
             Ok(arm) if !arm.is_finite() => Some(Fault::MeasurementNotFinite),
             Ok(arm) => match arm.impossible() {
                 Some((axis, value)) => Some(Fault::MeasurementOutOfRange { axis, value }),
-                None => self.tracking_fault(arm),
+                None => self.follow(arm),
             },
         };
         if let Some(fault) = fault {
@@ -120,16 +131,23 @@ impl ArmControl {
         false
     }
 
-    fn tracking_fault(&self, arm: &ArmState) -> Option<Fault> {
+    /// Takes note of how the arm follows its commands; a fault if it does not.
+    fn follow(&mut self, arm: &ArmState) -> Option<Fault> {
         if !self.powered {
+            self.deviation = Deviation::default();
             return None;
         }
-        let error = self.commanded.joints() - arm.position;
-        let mut errors = (0_u8..).zip(error.iter().zip(&self.tracking_error_max));
-        let (joint, (error, _)) = errors.find(|(_, (error, max))| error.abs() > **max)?;
-        Some(Fault::TrackingError {
-            joint,
-            error: *error,
+        let measured = Stance::new(&MotionState::at_rest(arm));
+        let deviation = Deviation::between(&Stance::new(&self.commanded), &measured);
+        self.deviation = self.deviation.held(&deviation);
+        let parts = deviation.links_m.iter();
+        self.following_error_m = parts.fold(self.following_error_m, |most, &part| most.max(part));
+        self.measured = Some(measured.instrument);
+        let max = &self.following_error_max;
+        let follows = deviation.tip_m <= max.tip_m && deviation.turn_rad <= max.turn_rad;
+        (!follows).then_some(Fault::TrackingError {
+            tip_m: deviation.tip_m,
+            turn_rad: deviation.turn_rad,
         })
     }
 

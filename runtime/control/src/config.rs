@@ -3,17 +3,15 @@
 mod scene;
 mod sections;
 
-use hal::JOINT_COUNT;
 use hal::Pose;
 use hal::config::{ConfigError, Source};
-use hal::joints::INSERTION;
 
 use super::aggregate::Aggregation;
 use super::gate::GateLimits;
 use super::motion::{AXES, AxisLimits};
 use super::region::{Block, Region};
 use super::schema::ControlFile;
-use scene::{Scene, scene};
+use scene::{Scene, check_reach, scene};
 use sections::{aggregation, axes, check_fault, check_tick, filter, gate, nanoseconds};
 
 /// Most forbidden regions of a task.
@@ -44,8 +42,8 @@ pub struct ControlConfig {
     pub filter: FilterConfig,
     /// Distances to boundaries.
     pub margins: Margins,
-    /// Position error of each joint at which the controller faults, rad (m).
-    pub tracking_error_max: [f64; JOINT_COUNT],
+    /// Deviation of the measured tip from the commanded one at which the controller faults.
+    pub following_error_max: FollowingError,
     /// Measured closing effort of the jaw at which it closes no further, N m.
     pub jaw_closing_effort_n_m_max: f64,
     /// The arms, one or two, and where each may be.
@@ -67,6 +65,15 @@ pub struct FilterConfig {
     pub joint_weight: f64,
     /// Iterations after which the QP has failed.
     pub iterations_max: u32,
+}
+
+/// How far a measured tip may be from the commanded one.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct FollowingError {
+    /// The control point, m.
+    pub tip_m: f64,
+    /// The tip's rotation, rad.
+    pub turn_rad: f64,
 }
 
 /// Distances to boundaries, m.
@@ -145,13 +152,8 @@ impl ControlConfig {
             0.2,
         )?;
         check_tick(safety, &margins, speed, turn, &axes)?;
+        check_reach(safety, &arms, &axes)?;
         check_fault(control, &file)?;
-        let fault = &file.fault;
-        let tracking_error_max = core::array::from_fn(|joint| match joint {
-            0 | 1 => fault.tracking_yaw_pitch_rad,
-            INSERTION => fault.tracking_insertion_m,
-            _ => fault.tracking_wrist_rad,
-        });
         Ok(Self {
             axes,
             tip_speed_m_s: speed,
@@ -164,7 +166,10 @@ impl ControlConfig {
             soft_start_ns: nanoseconds(soft_start_s),
             filter: filter(control, &file)?,
             margins,
-            tracking_error_max,
+            following_error_max: FollowingError {
+                tip_m: file.fault.tracking_tip_m,
+                turn_rad: file.fault.tracking_turn_rad,
+            },
             jaw_closing_effort_n_m_max,
             arms,
             between_arms,
@@ -239,6 +244,31 @@ mod tests {
             "{error}"
         );
         assert!(ControlConfig::load(&ControlConfig::default_control(), &thin).is_ok());
+    }
+
+    #[test]
+    fn limits_at_which_an_arm_lags_beyond_its_margin_are_refused() {
+        let loaded = |speed: &str, filter_m: &str| {
+            let control = ControlConfig::default_control();
+            let control = control.text().replace("tip_speed_m_s = 0.08", speed);
+            let safety = ControlConfig::needle_lift_safety();
+            let safety = safety.text().replace("filter_m = 0.0015", filter_m);
+            ControlConfig::load(
+                &Source::embedded("control.toml", &control),
+                &Source::embedded("safety.toml", &safety),
+            )
+            .map_or_else(|error| error.to_string(), |_| "loaded".to_owned())
+        };
+        let raised = "tip_speed_m_s = 0.45";
+        let said = loaded(raised, "filter_m = 0.0015");
+        assert!(
+            said.contains("margins.filter_m = 0.0015 is outside at least 0.00234")
+                && said.contains("2.04 mm that a finger is behind"),
+            "{said}"
+        );
+        assert_eq!(loaded(raised, "filter_m = 0.0024"), "loaded");
+        let thin = loaded("tip_speed_m_s = 0.08", "filter_m = 0.0004");
+        assert!(thin.contains("margins.filter_m = 0.0004"), "{thin}");
     }
 
     #[test]

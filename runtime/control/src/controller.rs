@@ -6,7 +6,7 @@ use hal::{JointVector, Pose, TICK_NS, TICK_S, TimeNs};
 use super::arm_control::{ArmControl, Plan};
 use super::config::ControlConfig;
 use super::filter::{Filter, Filtered, Problem};
-use super::guard::{Decision, Guard, GuardError, Request};
+use super::guard::{Decision, Guard, GuardError, MeasuredClearance, Request};
 use super::instrument::Stance;
 use super::mode::{Event, Mode, OperatingState, OperatorEvent};
 use super::motion::{AXES, Axes, AxisLimits, MotionState};
@@ -125,6 +125,18 @@ impl<const ARMS: usize> Controller<ARMS> {
         self.filter.solution()
     }
 
+    /// How near each measured arm came to its boundaries while it held torque; to be asked at the end, since it allocates.
+    #[must_use]
+    pub fn measured_clearances(&self) -> Vec<MeasuredClearance> {
+        self.guard.measured(&self.config)
+    }
+
+    /// The largest distance of each arm between a measured part of its instrument and where that was commanded to be, m.
+    #[must_use]
+    pub fn following_errors_m(&self) -> [f64; ARMS] {
+        self.arms.each_ref().map(|arm| arm.following_error_m)
+    }
+
     /// One control period of all arms, which share one `now`.
     ///
     /// Periods that were missed since the newest tick have been played from its tail by whoever drives the arm; the controller
@@ -138,6 +150,14 @@ impl<const ARMS: usize> Controller<ARMS> {
                 self.guard.seed(index, &arm.commanded);
             }
         }
+        self.guard.observe(&core::array::from_fn(|arm| {
+            let arm = &self.arms[arm];
+            #[cfg(test)]
+            if self.sabotage.lag_ignored {
+                return (super::Deviation::default(), arm.measured);
+            }
+            (arm.deviation, arm.measured)
+        }));
         self.pause_beside_a_fault(inputs);
         let stances: [Stance; ARMS] =
             core::array::from_fn(|arm| Stance::new(&self.arms[arm].commanded));

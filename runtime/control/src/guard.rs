@@ -22,6 +22,11 @@
 //! *Floors.* A boundary that an arm was enabled beyond moves to where it is, and comes back behind it. A floor is only ever
 //! raised to less than what the stop that is held from then on keeps, so raising it breaks neither 1 nor 2.
 //!
+//! *Deviation.* The measured arm is not where the commanded one is. A candidate's stop keeps the margin and how far each link is off, or
+//! was within about the longest stop (`Guard::observe`); where the stops before it kept less, because the deviation grew, it comes no
+//! nearer than they did. This is asked of candidates alone: a stop that is held is played to its end however the deviation grows, so that neither 1 nor 2 depends
+//! on it.
+//!
 //! So either arm may stop at any tick, alone or with the other, be late in playing its stop, or be told to stop by an operator:
 //! nothing has to be checked for it any more. Candidates never need each other: if both together are refused, each is tried
 //! alone, first the one and then in the next tick the other, so that neither arm starves.
@@ -33,15 +38,20 @@ mod arm;
 mod bounds;
 mod clearance;
 mod floor;
+mod measured;
 mod pair;
 #[cfg(test)]
 pub(crate) mod planted;
 mod sweep;
 
 use super::config::{ControlConfig, FORBIDDEN_MAX};
+use super::deviation::Deviation;
+use super::instrument::Instrument;
 use super::motion::MotionState;
 use super::stop::Stop;
 use arm::ArmGuard;
+use measured::gap_allowances;
+pub use measured::{MeasuredClearance, beyond};
 use pair::{Gaps, Pair};
 #[cfg(test)]
 use planted::PlantedGuardFault;
@@ -159,6 +169,34 @@ impl<const ARMS: usize> Guard<ARMS> {
         }
     }
 
+    /// Takes note of how far each measured arm is from the commanded one, and of where those are that hold torque.
+    ///
+    /// Until the next call a candidate's stop keeps that much more than the margin from each boundary and from the other arm, or as much of
+    /// it as the stops before it kept.
+    pub fn observe(&mut self, arms: &[(Deviation, Option<Instrument>); ARMS]) {
+        for (arm, (deviation, measured)) in self.arms.iter_mut().zip(arms) {
+            arm.observe(deviation, measured.as_ref());
+        }
+        let (Some(pair), [first, second]) = (&mut self.pair, self.arms.as_slice()) else {
+            return;
+        };
+        if let [(_, Some(its)), (_, Some(others))] = arms.as_slice()
+            && let (Some(its), Some(others)) = (first.in_scene(its), second.in_scene(others))
+        {
+            pair.observe(&its, &others);
+        }
+    }
+
+    /// How near each measured arm came to its boundaries, and both to one another, while they held torque. Allocates.
+    #[must_use]
+    pub fn measured(&self, config: &ControlConfig) -> Vec<MeasuredClearance> {
+        let arms = self.arms.iter().enumerate();
+        let arms = arms.flat_map(|(index, arm)| arm.nearest.named(config, index));
+        let pair = self.pair.iter();
+        arms.chain(pair.filter_map(|pair| pair.nearest.between(config)))
+            .collect()
+    }
+
     /// What the stops of two arms leave of the gaps between them.
     fn gaps(&self) -> Option<Gaps> {
         match (&self.pair, self.arms.as_slice()) {
@@ -225,6 +263,7 @@ impl<const ARMS: usize> Guard<ARMS> {
         let one = |wanted: usize| core::array::from_fn(|arm| arm == wanted && verified[arm]);
         let (lead, other) = if self.second_first { (1, 0) } else { (0, 1) };
         self.second_first = !self.second_first;
+        let allowances = gap_allowances(&first.deviation, &second.deviation);
         let mut tried = [false; ARMS];
         for attempt in [verified, one(lead), one(other)] {
             if attempt == [false; ARMS] || attempt == tried {
@@ -244,8 +283,8 @@ impl<const ARMS: usize> Guard<ARMS> {
                     arm.held_rest()
                 }
             });
-            if let Some(gaps) = pair.verify(&rests[0], &rests[1]) {
-                pair.tighten(&gaps);
+            if let Some(gaps) = pair.verify(&rests[0], &rests[1], &allowances) {
+                pair.tighten(&gaps, &allowances);
                 return attempt;
             }
         }

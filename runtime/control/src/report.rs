@@ -83,10 +83,10 @@ pub enum Fault {
     Arm(ArmError),
     /// The arm did not follow.
     TrackingError {
-        /// Joint index.
-        joint: u8,
-        /// Commanded less measured, rad (m).
-        error: f64,
+        /// From the commanded control point to the measured one, m.
+        tip_m: f64,
+        /// By how much the measured tip is turned against the commanded one, rad.
+        turn_rad: f64,
     },
 }
 
@@ -98,11 +98,11 @@ impl fmt::Display for Fault {
                 write!(f, "{} cannot be at {value}", axis_name(*axis))
             }
             Self::Arm(error) => error.fmt(f),
-            Self::TrackingError { joint, error } => {
+            Self::TrackingError { tip_m, turn_rad } => {
                 write!(
                     f,
-                    "{} is {error:.4} away from its command",
-                    axis_name(*joint)
+                    "the tip is {:.1} mm and {turn_rad:.3} rad away from its command",
+                    1e3 * tip_m
                 )
             }
         }

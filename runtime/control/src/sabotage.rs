@@ -12,6 +12,8 @@ use hal::random::SplitMix64;
 pub(crate) struct Sabotage {
     /// Every candidate goes out as it is.
     pub(crate) guard_removed: bool,
+    /// Whether the guard hears nothing of how far measured arms are from their commands.
+    pub(crate) lag_ignored: bool,
     /// A row of the filter is wrong.
     pub(crate) row: Option<RowFault>,
     /// The filter's answers are replaced.

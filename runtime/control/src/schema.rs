@@ -94,9 +94,8 @@ pub(super) struct FilterTable {
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct FaultTable {
-    pub(super) tracking_yaw_pitch_rad: f64,
-    pub(super) tracking_insertion_m: f64,
-    pub(super) tracking_wrist_rad: f64,
+    pub(super) tracking_tip_m: f64,
+    pub(super) tracking_turn_rad: f64,
 }
 
 #[derive(Debug, Deserialize)]

@@ -2,6 +2,7 @@
 
 use std::borrow::Cow;
 use std::collections::BTreeMap;
+use std::io::{self, Read};
 use std::path::Path;
 
 use mcap::read::parse_record;
@@ -25,105 +26,204 @@ const RECORD_HEAD: usize = 9;
 /// more memory than there is.
 const RECORD_BYTES_MAX: usize = 64 << 20;
 
-/// Visits every whole record in `bytes`; `Some(reason)` if the file was cut.
+/// Visits every whole record of `input`, one after the other; `Some(reason)` if the file was cut.
 ///
 /// # Errors
-/// [`LogError::NotMcap`], or [`LogError::Damaged`] with the offset of the record in which bytes have changed.
+/// [`LogError::Read`], [`LogError::NotMcap`], or [`LogError::Damaged`] with the offset of the record in which bytes have changed.
 pub(super) fn walk(
     path: &Path,
-    bytes: &[u8],
+    input: impl Read,
     visitor: &mut impl Visitor,
 ) -> Result<Option<String>, LogError> {
-    check_magic(path, bytes)?;
+    let mut input = Input::new(path, input);
+    input.magic()?;
     let mut topics = BTreeMap::new();
-    let mut offset = mcap::MAGIC.len();
     loop {
-        let damaged = |reason: String| LogError::Damaged {
-            path: path.to_owned(),
-            offset,
-            reason,
-        };
-        let Some((opcode, body)) = record_at(bytes, offset) else {
-            let place = if offset == bytes.len() {
-                "before the end of the data".to_owned()
-            } else {
-                format!("inside the record that begins at {offset}")
-            };
-            return Ok(Some(format!(
-                "the file ends at byte {}, {place}",
-                bytes.len()
-            )));
-        };
-        let record = parse_record(opcode, body).map_err(|error| damaged(error.to_string()))?;
-        match record {
-            Record::Chunk { .. } => {
-                let whole = bytes
-                    .get(offset..offset + RECORD_HEAD + body.len())
-                    .unwrap_or_default();
-                open_chunk(whole, |inner| {
-                    message_or_channel(inner, &mut topics, visitor)
-                })
-                .map_err(damaged)?;
-            }
-            Record::Metadata(metadata) => visitor
-                .metadata(&metadata.name, metadata.metadata)
-                .map_err(damaged)?,
-            Record::DataEnd(end) => {
-                let actual = crc32fast::hash(bytes.get(..offset).unwrap_or_default());
-                if end.data_section_crc != 0 && end.data_section_crc != actual {
-                    return Err(damaged(format!(
-                        "checksum of all data is {actual:#010x}, recorded as {:#010x}",
-                        end.data_section_crc
-                    )));
+        match input.advance()? {
+            Found::Cut(reason) => return Ok(Some(reason)),
+            Found::Record { opcode } => {
+                let record = parse_record(opcode, input.body());
+                let record = record.map_err(|error| input.damaged(error.to_string()))?;
+                if let Record::DataEnd(end) = &record {
+                    input.check_data(end.data_section_crc)?;
+                    return tail(&mut input);
                 }
-                return tail(bytes, offset + RECORD_HEAD + body.len()).map_err(damaged);
-            }
-            Record::Unknown { opcode: 0, .. } => {
-                return Err(damaged("a record of type 0".to_owned()));
-            }
-            Record::Header(_)
-            | Record::Footer(_)
-            | Record::Schema { .. }
-            | Record::Channel(_)
-            | Record::Message { .. }
-            | Record::MessageIndex(_)
-            | Record::ChunkIndex(_)
-            | Record::Attachment { .. }
-            | Record::AttachmentIndex(_)
-            | Record::Statistics(_)
-            | Record::MetadataIndex(_)
-            | Record::SummaryOffset(_)
-            | Record::Unknown { .. } => {
-                message_or_channel(record, &mut topics, visitor).map_err(damaged)?
+                visit(record, input.whole(), &mut topics, visitor)
+                    .map_err(|reason| input.damaged(reason))?;
             }
         }
-        offset += RECORD_HEAD + body.len();
     }
 }
 
-fn check_magic(path: &Path, bytes: &[u8]) -> Result<(), LogError> {
-    if bytes.starts_with(mcap::MAGIC) {
-        return Ok(());
+/// Hands on what a record of the data holds.
+fn visit(
+    record: Record<'_>,
+    whole: &[u8],
+    topics: &mut BTreeMap<u16, String>,
+    visitor: &mut impl Visitor,
+) -> Result<(), String> {
+    match record {
+        Record::Chunk { .. } => {
+            open_chunk(whole, |inner| message_or_channel(inner, topics, visitor))
+        }
+        Record::Metadata(metadata) => visitor.metadata(&metadata.name, metadata.metadata),
+        Record::Unknown { opcode: 0, .. } => Err("a record of type 0".to_owned()),
+        Record::Header(_)
+        | Record::Footer(_)
+        | Record::Schema { .. }
+        | Record::Channel(_)
+        | Record::Message { .. }
+        | Record::MessageIndex(_)
+        | Record::ChunkIndex(_)
+        | Record::Attachment { .. }
+        | Record::AttachmentIndex(_)
+        | Record::Statistics(_)
+        | Record::MetadataIndex(_)
+        | Record::SummaryOffset(_)
+        | Record::DataEnd(_)
+        | Record::Unknown { .. } => message_or_channel(record, topics, visitor),
     }
-    Err(if mcap::MAGIC.starts_with(bytes) {
-        LogError::NotOurs {
-            path: path.to_owned(),
-            missing: format!("everything after byte {}", bytes.len()),
-        }
-    } else {
-        LogError::NotMcap {
-            path: path.to_owned(),
-        }
-    })
 }
 
-/// The whole record at `offset`: its type and body. `None` if the file ends before it does.
-fn record_at(bytes: &[u8], offset: usize) -> Option<(u8, &[u8])> {
-    let rest = bytes.get(offset..)?;
-    let (&opcode, rest) = rest.split_first()?;
-    let (length, rest) = rest.split_first_chunk::<8>()?;
-    let length = usize::try_from(u64::from_le_bytes(*length)).ok()?;
-    Some((opcode, rest.get(..length)?))
+/// A file that is read record by record.
+struct Input<'a, R> {
+    path: &'a Path,
+    reader: R,
+    /// Where the newest record begins.
+    begin: u64,
+    /// Where the next one does.
+    end: u64,
+    /// The newest record with its head.
+    record: Vec<u8>,
+    /// Of everything before the newest record, since [`Self::restart`].
+    checksum: crc32fast::Hasher,
+}
+
+/// What comes next in a file.
+enum Found {
+    /// A whole record, which is in [`Input::record`].
+    Record { opcode: u8 },
+    /// The end of the file where a record should be, and where that is.
+    Cut(String),
+}
+
+impl<'a, R: Read> Input<'a, R> {
+    fn new(path: &'a Path, reader: R) -> Self {
+        Self {
+            path,
+            reader,
+            begin: 0,
+            end: 0,
+            record: Vec::new(),
+            checksum: crc32fast::Hasher::new(),
+        }
+    }
+
+    fn unreadable(&self, source: io::Error) -> LogError {
+        LogError::Read {
+            path: self.path.to_owned(),
+            source,
+        }
+    }
+
+    fn damaged(&self, reason: String) -> LogError {
+        LogError::Damaged {
+            path: self.path.to_owned(),
+            offset: self.begin,
+            reason,
+        }
+    }
+
+    /// Reads up to `count` bytes behind what is in [`Self::record`]; gives how many there were.
+    fn read(&mut self, count: u64) -> Result<u64, LogError> {
+        let read = self
+            .reader
+            .by_ref()
+            .take(count)
+            .read_to_end(&mut self.record);
+        let read = read.map_err(|source| self.unreadable(source))? as u64;
+        self.end += read;
+        Ok(read)
+    }
+
+    /// Reads the opening magic.
+    fn magic(&mut self) -> Result<(), LogError> {
+        self.read(mcap::MAGIC.len() as u64)?;
+        if self.record == mcap::MAGIC {
+            return Ok(());
+        }
+        let path = self.path.to_owned();
+        Err(if mcap::MAGIC.starts_with(&self.record) {
+            LogError::NotOurs {
+                path,
+                missing: format!("everything after byte {}", self.end),
+            }
+        } else {
+            LogError::NotMcap { path }
+        })
+    }
+
+    /// Reads the next record.
+    fn advance(&mut self) -> Result<Found, LogError> {
+        self.checksum.update(&self.record);
+        self.record.clear();
+        self.begin = self.end;
+        self.read(RECORD_HEAD as u64)?;
+        let head = self.record.split_first();
+        let head = head.and_then(|(opcode, rest)| Some((*opcode, rest.first_chunk::<8>()?)));
+        let Some((opcode, length)) = head else {
+            return Ok(self.cut());
+        };
+        let length = u64::from_le_bytes(*length);
+        if length > RECORD_BYTES_MAX as u64 {
+            let rest = io::copy(&mut self.reader.by_ref().take(length), &mut io::sink());
+            let rest = rest.map_err(|source| self.unreadable(source))?;
+            self.end += rest;
+            if rest < length {
+                return Ok(self.cut());
+            }
+            return Err(self.damaged(format!("a record of {length} bytes, more than any has")));
+        }
+        if self.read(length)? < length {
+            return Ok(self.cut());
+        }
+        Ok(Found::Record { opcode })
+    }
+
+    /// The newest record without its head.
+    fn body(&self) -> &[u8] {
+        self.record.get(RECORD_HEAD..).unwrap_or_default()
+    }
+
+    fn whole(&self) -> &[u8] {
+        &self.record
+    }
+
+    fn cut(&self) -> Found {
+        let place = if self.end == self.begin {
+            "before the end of the data".to_owned()
+        } else {
+            format!("inside the record that begins at {}", self.begin)
+        };
+        Found::Cut(format!("the file ends at byte {}, {place}", self.end))
+    }
+
+    /// Compares the checksum of all that came before the newest record; 0 means that there is none.
+    fn check_data(&self, expected: u32) -> Result<(), LogError> {
+        let actual = self.checksum.clone().finalize();
+        if expected == 0 || expected == actual {
+            return Ok(());
+        }
+        Err(self.damaged(format!(
+            "checksum of all data is {actual:#010x}, recorded as {expected:#010x}"
+        )))
+    }
+
+    /// Begins a new checksum with the next record.
+    fn restart(&mut self) {
+        self.record.clear();
+        self.checksum = crc32fast::Hasher::new();
+    }
 }
 
 /// Unpacks the chunk record in `bytes` and hands on what is in it, once its checksum is known to be right: only then can
@@ -195,38 +295,46 @@ fn message_or_channel(
 }
 
 /// Checks everything behind the data: summary, footer, closing magic. `Some(reason)` if it was cut.
-fn tail(bytes: &[u8], data_end: usize) -> Result<Option<String>, String> {
-    let mut offset = data_end;
-    let cut = || {
-        Ok(Some(format!(
-            "the file ends at byte {}, after the data but inside the summary",
-            bytes.len()
-        )))
+fn tail(input: &mut Input<'_, impl Read>) -> Result<Option<String>, LogError> {
+    let data_end = input.end;
+    input.restart();
+    let in_tail = |input: &Input<'_, _>, reason: &str| {
+        let mut error = input.damaged(reason.to_owned());
+        if let LogError::Damaged { offset, .. } = &mut error {
+            *offset = data_end;
+        }
+        error
+    };
+    let cut = |end: u64| {
+        let place = "after the data but inside the summary";
+        Ok(Some(format!("the file ends at byte {end}, {place}")))
     };
     loop {
-        let Some((opcode, body)) = record_at(bytes, offset) else {
-            return cut();
+        let Found::Record { opcode } = input.advance()? else {
+            return cut(input.end);
         };
-        let next = offset + RECORD_HEAD + body.len();
         if opcode != op::FOOTER {
-            offset = next;
             continue;
         }
-        let Ok(Record::Footer(footer)) = parse_record(opcode, body) else {
-            return Err("the footer is malformed".to_owned());
+        let Ok(Record::Footer(footer)) = parse_record(opcode, input.body()) else {
+            return Err(in_tail(input, "the footer is malformed"));
         };
         // The checksum covers the summary and the footer up to the checksum itself.
-        let covered = bytes
-            .get(data_end..next - size_of::<u32>())
-            .unwrap_or_default();
-        if footer.summary_crc != 0 && footer.summary_crc != crc32fast::hash(covered) {
-            return Err("the summary's checksum does not match".to_owned());
+        let mut checksum = input.checksum.clone();
+        let covered = input.record.len().saturating_sub(size_of::<u32>());
+        checksum.update(input.record.get(..covered).unwrap_or_default());
+        if footer.summary_crc != 0 && footer.summary_crc != checksum.finalize() {
+            return Err(in_tail(input, "the summary's checksum does not match"));
         }
-        let end = bytes.get(next..).unwrap_or_default();
-        return match end {
-            end if end == mcap::MAGIC => Ok(None),
-            end if mcap::MAGIC.starts_with(end) => cut(),
-            _ => Err("other bytes than the closing magic follow the footer".to_owned()),
+        input.restart();
+        input.read(mcap::MAGIC.len() as u64 + 1)?;
+        return if input.record == mcap::MAGIC {
+            Ok(None)
+        } else if mcap::MAGIC.starts_with(&input.record) {
+            cut(input.end)
+        } else {
+            let reason = "other bytes than the closing magic follow the footer";
+            Err(in_tail(input, reason))
         };
     }
 }

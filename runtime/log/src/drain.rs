@@ -12,8 +12,10 @@ use std::time::Duration;
 use hal::{Chunk, TimeNs};
 use rtrb::Consumer;
 
+use super::bound::Bound;
 use super::camera::FrameItem;
 use super::error::LogError;
+use super::happened::Happened;
 use super::header::{Closing, LogCounts, RunOutcome};
 use super::record::TickRecord;
 use super::recorder::Level;
@@ -83,8 +85,17 @@ pub(super) struct Drain {
     pub(super) outcome: Receiver<RunOutcome>,
     pub(super) shared: Arc<Shared>,
     pub(super) counts: LogCounts,
+    pub(super) happened: Happened,
+    /// When the newest tick was.
+    pub(super) now: TimeNs,
     pub(super) failure: Option<LogError>,
+    /// Hears of the first failure at once.
+    pub(super) on_failure: OnFailure,
+    pub(super) bound: Option<Bound>,
 }
+
+/// Hears of the first thing that could not be written, on the writer thread.
+pub type OnFailure = Box<dyn Fn(&LogError) + Send>;
 
 impl Drain {
     /// Writes until told to stop or until nobody is left to listen to.
@@ -135,9 +146,49 @@ impl Drain {
                 self.note(result);
             }
         }
+        self.now = item.tick.now;
+        for (level, text) in self.happened.since(&item.tick) {
+            let result = self.writer.event(item.tick.now, level, text);
+            self.note(result);
+        }
         let result = self.writer.tick(item);
         self.counts.ticks += 1;
         self.note(result);
+        if let Some(bound) = &self.bound
+            && self.failure.is_none()
+            && self.writer.has_flushed(item.tick.now)
+            && bound.is_reached(&self.path)
+        {
+            let next = bound.next(&self.path, item.record.saturating_add(1));
+            self.go_on(next);
+        }
+    }
+
+    /// Closes the file and goes on in the `next`.
+    fn go_on(&mut self, next: Result<LogWriter<BufWriter<File>>, LogError>) {
+        match next {
+            Ok(next) => {
+                let full = core::mem::replace(&mut self.writer, next);
+                let result = full.finish(self.closing(None));
+                self.note(result);
+            }
+            Err(error) => self.fail(error),
+        }
+    }
+
+    /// The end of a file, with `outcome` if it is the run's.
+    fn closing(&mut self, outcome: Option<RunOutcome>) -> Closing {
+        let dropped = |count: &AtomicU64| count.load(Ordering::Relaxed);
+        self.counts.ticks_dropped = dropped(&self.shared.ticks_dropped);
+        self.counts.chunks_dropped = dropped(&self.shared.chunks_dropped);
+        self.counts.frames_dropped = dropped(&self.shared.frames_dropped);
+        self.counts.events_dropped = dropped(&self.shared.events_dropped);
+        Closing {
+            outcome,
+            counts: self.counts,
+            input_hash: self.shared.input_hash.load(Ordering::Relaxed),
+            contents: None,
+        }
     }
 
     fn write_side(&mut self, item: SideItem) {
@@ -152,9 +203,7 @@ impl Drain {
                     self.counts.frames += 1;
                     self.note(result);
                 }
-                Err(error) => {
-                    self.failure.get_or_insert(error);
-                }
+                Err(error) => self.fail(error),
             },
         }
     }
@@ -162,29 +211,31 @@ impl Drain {
     /// Keeps the first failure; the queues are still emptied, so that nobody waits for ever.
     fn note(&mut self, result: mcap::McapResult<()>) {
         if let Err(source) = result {
-            self.failure.get_or_insert_with(|| LogError::Write {
-                path: self.path.clone(),
-                source,
-            });
+            let path = self.path.clone();
+            self.fail(LogError::Write { path, source });
+        }
+    }
+
+    fn fail(&mut self, error: LogError) {
+        if self.failure.is_none() {
+            (self.on_failure)(&error);
+            self.failure = Some(error);
         }
     }
 
     fn close(mut self) -> Result<LogCounts, LogError> {
-        let dropped = |count: &AtomicU64| count.load(Ordering::Relaxed);
-        self.counts.ticks_dropped = dropped(&self.shared.ticks_dropped);
-        self.counts.chunks_dropped = dropped(&self.shared.chunks_dropped);
-        self.counts.frames_dropped = dropped(&self.shared.frames_dropped);
-        self.counts.events_dropped = dropped(&self.shared.events_dropped);
-        let closing = Closing {
-            outcome: self.outcome.try_recv().ok(),
-            counts: self.counts,
-            input_hash: self.shared.input_hash.load(Ordering::Relaxed),
-        };
+        let outcome = self.outcome.try_recv().ok();
+        if let Some(RunOutcome { reason, .. }) = &outcome {
+            let text = format!("the run ended: {reason}");
+            let result = self.writer.event(self.now, Level::Info, text);
+            self.note(result);
+        }
+        let closing = self.closing(outcome);
         if let Some(failure) = self.failure {
             return Err(failure);
         }
         self.writer
-            .finish(&closing)
+            .finish(closing)
             .map_err(|source| LogError::Write {
                 path: self.path,
                 source,

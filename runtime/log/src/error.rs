@@ -66,7 +66,7 @@ pub enum LogError {
         /// The file.
         path: PathBuf,
         /// Where the damaged record begins.
-        offset: usize,
+        offset: u64,
         /// What is wrong.
         reason: String,
     },

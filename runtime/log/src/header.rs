@@ -2,6 +2,8 @@
 
 use std::collections::BTreeMap;
 
+use super::contents::Contents;
+
 /// How a run was set up; written before the first tick.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct RunHeader {
@@ -21,6 +23,8 @@ pub struct RunHeader {
     pub versions: BTreeMap<String, String>,
     /// The effective configuration; file name (`control.toml`) to text.
     pub texts: BTreeMap<String, String>,
+    /// Ticks of the run before the first in this file, which a log with a bound has left behind.
+    pub left_out: u64,
 }
 
 /// How a run ended; written after the last tick.
@@ -65,6 +69,12 @@ fn number(map: &Map, key: &str) -> Option<u64> {
 }
 
 impl RunHeader {
+    /// Text of the configuration file `name`, as the run used it.
+    #[must_use]
+    pub fn text(&self, name: &str) -> Option<&str> {
+        self.texts.get(name).map(String::as_str)
+    }
+
     /// The metadata records that hold this header: name and entries.
     pub(super) fn to_metadata(&self) -> [(&'static str, Map); 3] {
         let run = [
@@ -75,9 +85,12 @@ impl RunHeader {
             ("view", self.view.clone()),
         ];
         let needle = self.needle.clone().map(|needle| ("needle", needle));
+        let left_out = Some(("left_out", self.left_out.to_string()));
+        let left_out = left_out.filter(|_| self.left_out > 0);
         let run = run
             .into_iter()
             .chain(needle)
+            .chain(left_out)
             .map(|(key, value)| (key.to_owned(), value))
             .collect();
         [
@@ -103,6 +116,7 @@ impl RunHeader {
                 self.lockstep = map.get("lockstep").is_some_and(|text| text == "true");
                 self.view = map.get("view").cloned().unwrap_or_default();
                 self.needle = map.get("needle").cloned();
+                self.left_out = number(&map, "left_out").unwrap_or(0);
             }
             VERSIONS => self.versions = map,
             CONFIGURATION => self.texts = map,
@@ -149,9 +163,22 @@ pub(super) struct Closing {
     pub(super) counts: LogCounts,
     /// Hash over all inputs of the controller.
     pub(super) input_hash: u64,
+    /// Hash over everything that the log holds, this record too but for the hash itself; none in a log of before there was one,
+    /// which nothing vouches for.
+    pub(super) contents: Option<String>,
+}
+
+/// The hash of a log that holds `before` and then the closing record `map`.
+pub(super) fn contents_after(before: &Contents, map: &Map) -> String {
+    let mut map = map.clone();
+    map.remove(CONTENTS);
+    let mut contents = before.clone();
+    contents.metadata(OUTCOME, &map);
+    contents.value()
 }
 
 const INPUT_HASH: &str = "input_hash";
+const CONTENTS: &str = "contents_sha256";
 
 impl Closing {
     pub(super) fn to_metadata(&self) -> Map {
@@ -161,6 +188,9 @@ impl Closing {
             .map(|(key, value)| ((*key).to_owned(), value.to_string()))
             .collect();
         map.insert(INPUT_HASH.to_owned(), format!("{:016x}", self.input_hash));
+        if let Some(contents) = &self.contents {
+            map.insert(CONTENTS.to_owned(), contents.clone());
+        }
         if let Some(outcome) = &self.outcome {
             if let Some(success) = outcome.success {
                 map.insert("success".to_owned(), success.to_string());
@@ -205,6 +235,7 @@ impl Closing {
             outcome,
             counts,
             input_hash,
+            contents: map.get(CONTENTS).cloned(),
         })
     }
 }

@@ -1,11 +1,14 @@
 #![doc = include_str!("../README.md")]
 
+mod bound;
 mod camera;
 mod container;
+mod contents;
 mod descriptor;
 mod drain;
 mod error;
 mod exact;
+mod happened;
 mod header;
 mod joints;
 mod json;
@@ -22,8 +25,9 @@ mod writer;
 #[cfg(test)]
 mod tests;
 
+pub use drain::OnFailure;
 pub use error::LogError;
 pub use header::{LogCounts, RunHeader, RunOutcome};
-pub use read::{Loss, RunLog};
+pub use read::{LogEnd, Loss, RunLog, Step, read_steps};
 pub use record::{ArmRecord, LoggedArm, LoggedTick, TickRecord, TickTiming};
-pub use recorder::{Level, LogFile, Pressure, Recorder, SideLog, TickLog};
+pub use recorder::{Level, LogFile, Pressure, Recorder, SideLog, TickLog, Writing};

@@ -15,9 +15,11 @@ use std::thread::{self, JoinHandle, Thread};
 use hal::{CameraFrame, Chunk, TimeNs};
 use rtrb::{Producer, PushError, RingBuffer};
 
+use super::bound::Bound;
 use super::camera::FrameItem;
-use super::drain::{ChunkItem, Drain, Shared, SideItem, TickItem};
+use super::drain::{ChunkItem, Drain, OnFailure, Shared, SideItem, TickItem};
 use super::error::LogError;
+use super::happened::Happened;
 use super::header::{LogCounts, RunHeader, RunOutcome};
 use super::record::TickRecord;
 use super::writer::LogWriter;
@@ -31,6 +33,29 @@ pub enum Pressure {
     Drop,
     /// The caller waits, and nothing is lost: for lockstep.
     Block,
+}
+
+/// How a log is written.
+pub struct Writing {
+    /// What happens when a queue is full.
+    pub pressure: Pressure,
+    /// Hears at once of what can't be written, and not only at the end.
+    pub on_failure: OnFailure,
+    /// Bytes that the log takes at most on its disk, if it has a bound. It keeps the last part, in `run.mcap` and what came before it in
+    /// `run.earlier.mcap`, each of half the size at most.
+    pub bytes_max: Option<u64>,
+}
+
+impl Writing {
+    /// Without a bound, and nobody hears of failures before the end.
+    #[must_use]
+    pub fn new(pressure: Pressure) -> Self {
+        Self {
+            pressure,
+            on_failure: Box::new(|_| ()),
+            bytes_max: None,
+        }
+    }
 }
 
 /// How bad an event is.
@@ -70,6 +95,14 @@ struct Feed<T> {
 }
 
 impl<T> Feed<T> {
+    fn new(queue: Producer<T>, pressure: Pressure, writer: &Thread) -> Self {
+        Self {
+            queue,
+            pressure,
+            writer: writer.clone(),
+        }
+    }
+
     /// Whether the writer will get `item`. Never blocks under [`Pressure::Drop`].
     fn push(&mut self, mut item: T) -> bool {
         loop {
@@ -226,6 +259,19 @@ impl Recorder {
     /// # Errors
     /// [`LogError`] when the file cannot be created or the header not be written.
     pub fn create(path: &Path, run: &RunHeader, pressure: Pressure) -> Result<Self, LogError> {
+        Self::create_with(path, run, Writing::new(pressure))
+    }
+
+    /// The same, written as `writing` says.
+    ///
+    /// # Errors
+    /// As [`Self::create`].
+    pub fn create_with(path: &Path, run: &RunHeader, writing: Writing) -> Result<Self, LogError> {
+        let Writing {
+            pressure,
+            on_failure,
+            bytes_max,
+        } = writing;
         let io = |source| LogError::Create {
             path: path.to_owned(),
             source,
@@ -249,7 +295,11 @@ impl Recorder {
             outcome,
             shared: Arc::clone(&shared),
             counts: LogCounts::default(),
+            happened: Happened::new(),
+            now: TimeNs(0),
             failure: None,
+            on_failure,
+            bound: bytes_max.map(|bytes_max| Bound::new(bytes_max, run, path)),
         };
         let thread = thread::Builder::new()
             .name("log".to_owned())
@@ -258,16 +308,8 @@ impl Recorder {
         let writer = thread.thread().clone();
         Ok(Self {
             ticks: TickLog {
-                ticks: Feed {
-                    queue: tick_end,
-                    pressure,
-                    writer: writer.clone(),
-                },
-                chunks: Feed {
-                    queue: chunk_end,
-                    pressure,
-                    writer: writer.clone(),
-                },
+                ticks: Feed::new(tick_end, pressure, &writer),
+                chunks: Feed::new(chunk_end, pressure, &writer),
                 shared: Arc::clone(&shared),
                 tick_count: 0,
                 chunk_count: 0,
@@ -275,11 +317,7 @@ impl Recorder {
                 inputs: InputHash::new(),
             },
             side: SideLog {
-                queue: Feed {
-                    queue: side_end,
-                    pressure,
-                    writer,
-                },
+                queue: Feed::new(side_end, pressure, &writer),
                 shared: Arc::clone(&shared),
             },
             file: LogFile {

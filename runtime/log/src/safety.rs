@@ -1,7 +1,8 @@
-//! The controller's report in JSON, for people and plots; a replay recomputes it, so nothing reads it back.
+//! The controller's report in JSON, for people and plots; a replay recomputes it and compares.
 
 use hal::TipTarget;
 use serde::Serialize;
+use serde_json::{Map, Value};
 
 use super::exact::Exact;
 use super::json::ErrorMessage;
@@ -30,7 +31,7 @@ enum FaultMessage {
     MeasurementNotFinite,
     MeasurementOutOfRange { axis: u8, value: Exact },
     Arm(ErrorMessage),
-    TrackingError { joint: u8, error: Exact },
+    TrackingError { tip_m: Exact, turn_rad: Exact },
 }
 
 impl SafetyMessage {
@@ -61,13 +62,43 @@ impl SafetyMessage {
                     }
                 }
                 Fault::Arm(error) => FaultMessage::Arm(error.into()),
-                Fault::TrackingError { joint, error } => FaultMessage::TrackingError {
-                    joint,
-                    error: Exact(error),
+                Fault::TrackingError { tip_m, turn_rad } => FaultMessage::TrackingError {
+                    tip_m: Exact(tip_m),
+                    turn_rad: Exact(turn_rad),
                 },
             }),
         }
     }
+}
+
+/// A value of a report that differs: its name, as logged, as computed.
+pub(super) type ReportDifference = (String, String, String);
+
+/// Compares the logged message of `tick` with `report`.
+pub(super) fn difference(
+    tick: u64,
+    logged: Option<&[u8]>,
+    report: &TickReport,
+) -> Option<ReportDifference> {
+    let computed = SafetyMessage::new(tick, report);
+    let text = serde_json::to_vec(&computed).unwrap_or_default();
+    let Some(logged) = logged else {
+        let found = String::from_utf8_lossy(&text).into_owned();
+        return Some(("safety".to_owned(), "nothing".to_owned(), found));
+    };
+    if logged == text {
+        return None;
+    }
+    let parse = |bytes: &[u8]| serde_json::from_slice::<Map<String, Value>>(bytes);
+    let (Ok(logged), Ok(computed)) = (parse(logged), parse(&text)) else {
+        let logged = String::from_utf8_lossy(logged).into_owned();
+        return Some(("safety".to_owned(), logged, "a report in JSON".to_owned()));
+    };
+    let keys = computed.keys().chain(logged.keys());
+    let told = |value: Option<&Value>| value.map_or("nothing".to_owned(), Value::to_string);
+    keys.map(|key| (key, logged.get(key), computed.get(key)))
+        .find(|(_, logged, computed)| logged != computed)
+        .map(|(key, logged, computed)| (format!("safety.{key}"), told(logged), told(computed)))
 }
 
 /// A target as position x, y, z, quaternion x, y, z, w, jaw.

@@ -1,5 +1,6 @@
 //! The log as a whole: what goes in comes out bit for bit, whatever happens to the file.
 
+mod falsified;
 mod samples;
 pub(crate) mod two_arms;
 
@@ -9,7 +10,7 @@ use hal::{ArmError, ArmState, CameraFrame, Chunk, Intrinsics, JointVector, TimeN
 
 use super::{
     ArmRecord, LogCounts, LogError, Loss, Pressure, Recorder, RunHeader, RunLog, TickRecord,
-    TickTiming,
+    TickTiming, Writing,
 };
 use hal::PerArm;
 use trocar_control::OperatorEvent;
@@ -187,7 +188,7 @@ fn damage_names_the_place() {
         panic!("{error}")
     };
     assert!(
-        offset < middle
+        offset < middle as u64
             && error
                 .to_string()
                 .contains(&format!("damaged at byte {offset}")),
@@ -433,4 +434,105 @@ pub(crate) fn write_records(file: &Scratch, records: &[TickRecord], header: &Run
         recorder.tick(record);
     }
     recorder.finish(None).unwrap();
+}
+
+#[test]
+fn faults_modes_and_the_end_are_told_in_words() {
+    let (records, header) = run_disturbed(
+        900,
+        |tick| (tick == 1).then_some(OperatorEvent::Enable),
+        |tick, state| match tick {
+            400.. => Err(ArmError::DriveFault { axis: 2, code: 1 }),
+            _ => Ok(state),
+        },
+    );
+    let file = Scratch::new("told");
+    let mut recorder = Recorder::create(&file.0, &header, Pressure::Block).unwrap();
+    records.iter().for_each(|record| recorder.tick(record));
+    recorder.finish(Some(&outcome())).unwrap();
+    let reason = outcome().reason;
+    assert_eq!(
+        RunLog::open(&file.0).unwrap().events,
+        [
+            "psm1: operator: enable".to_owned(),
+            "psm1: DISABLED to ENABLED".to_owned(),
+            "psm1: ENABLED to FAULT".to_owned(),
+            "psm1: fault: drive of axis 2 reports fault 0x0001".to_owned(),
+            format!("the run ended: {reason}"),
+        ]
+    );
+}
+
+#[test]
+fn what_cannot_be_written_is_told_at_once() {
+    let (sender, told) = std::sync::mpsc::channel();
+    let on_failure = Box::new(move |error: &LogError| {
+        sender.send(error.to_string()).unwrap();
+    });
+    let path = PathBuf::from("/dev/full");
+    let writing = Writing {
+        on_failure,
+        ..Writing::new(Pressure::Block)
+    };
+    let created = Recorder::create_with(&path, &header(), writing);
+    // The header fits into a buffer, or is refused at once.
+    let Ok(mut recorder) = created else { return };
+    for tick in 0..2000 {
+        recorder.tick(&record(tick));
+    }
+    let told = told.recv().unwrap();
+    assert!(
+        told.contains("/dev/full: the log could not be written"),
+        "{told}"
+    );
+    assert!(recorder.finish(None).is_err());
+}
+
+#[test]
+fn a_log_with_a_bound_keeps_the_last_part() {
+    let (records, header) = run_controller(30_000);
+    let file = Scratch::new("bounded");
+    let earlier = Scratch(super::bound::earlier(&file.0));
+    let bytes_max = 8 << 20;
+    std::fs::write(&earlier.0, "of a run before").unwrap();
+    let writing = Writing {
+        bytes_max: Some(bytes_max),
+        ..Writing::new(Pressure::Block)
+    };
+    let mut recorder = Recorder::create_with(&file.0, &header, writing).unwrap();
+    for record in &records {
+        if let Some(sequence) = record.arms.first.chunk_sequence {
+            recorder.chunk(0, &chunk_of_run(sequence));
+        }
+        recorder.tick(record);
+    }
+    recorder.finish(Some(&outcome())).unwrap();
+    let size = |file: &Scratch| std::fs::metadata(&file.0).unwrap().len();
+    assert!(size(&file) + size(&earlier) <= bytes_max);
+    let (last, before) = (
+        RunLog::open(&file.0).unwrap(),
+        RunLog::open(&earlier.0).unwrap(),
+    );
+    let tick = |log: &RunLog, last: bool| {
+        let mut ticks = log.ticks().map(|(tick, _)| tick.tick);
+        if last { ticks.last() } else { ticks.next() }.unwrap()
+    };
+    assert_eq!(tick(&last, true), 29_999);
+    assert_eq!(tick(&last, false), tick(&before, true) + 1);
+    assert_eq!(last.header.left_out, tick(&last, false));
+    assert!(tick(&before, false) > 0, "the first file is still there");
+    assert_eq!(last.outcome.as_ref().unwrap().reason, outcome().reason);
+    for log in [&last, &before] {
+        assert!(log.losses.is_empty() && !log.altered(), "{:?}", log.losses);
+        assert!(
+            log.cut()
+                .unwrap()
+                .starts_with("its bound left out the first")
+        );
+        let verified = super::verify::verify(log).unwrap();
+        assert!(verified.violations.is_empty(), "{:?}", verified.violations);
+        assert!(!verified.ok);
+        let error = super::replay::replay(log).unwrap_err().to_string();
+        assert!(error.contains("nothing to replay"), "{error}");
+    }
 }

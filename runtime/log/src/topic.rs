@@ -128,6 +128,17 @@ pub(super) fn add_channels<W: Write + Seek>(
     Ok(channels)
 }
 
+/// Notes in `names` what the channels of each arm are called.
+pub(super) fn name_channels(channels: &[[u16; TOPIC_COUNT]], names: &mut BTreeMap<u16, String>) {
+    for (arm, channels) in channels.iter().enumerate() {
+        for (&channel, topic) in channels.iter().zip(Topic::ALL) {
+            if let Some(name) = topic.names().get(arm) {
+                names.insert(channel, (*name).to_owned());
+            }
+        }
+    }
+}
+
 const CHUNK_SCHEMA: &str = r#"{"title": "trocar.Chunk", "type": "object",
 "description": "A policy's answer. Target k is due at observed_at_ns + k * step_ns. Non-finite numbers are the strings inf, -inf, nan:<bits>.",
 "properties": {

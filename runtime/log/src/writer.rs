@@ -9,6 +9,7 @@ use mcap::{McapResult, WriteOptions, Writer};
 use prost::{EncodeError, Message};
 use serde::Serialize;
 
+use super::contents::Contents;
 use super::drain::{ChunkItem, TickItem};
 use super::header::{self, Closing, RunHeader};
 use super::joints::JointMessages;
@@ -38,6 +39,9 @@ pub(super) struct LogWriter<W: Write + Seek> {
     channels: Vec<[u16; TOPIC_COUNT]>,
     cameras: BTreeMap<String, camera::Channels>,
     sequences: BTreeMap<u16, u32>,
+    /// The name of each channel.
+    names: BTreeMap<u16, String>,
+    contents: Contents,
     joints: JointMessages,
     buffer: Vec<u8>,
     previous_now: TimeNs,
@@ -56,19 +60,25 @@ impl<W: Write + Seek> LogWriter<W> {
             .compression_level(1)
             .compression_threads(0)
             .create(sink)?;
+        let mut contents = Contents::default();
         for (name, metadata) in run.to_metadata() {
+            contents.metadata(name, &metadata);
             writer.write_metadata(&Metadata {
                 name: name.to_owned(),
                 metadata,
             })?;
         }
         let channels = vec![topic::add_channels(&mut writer, 0)?];
+        let mut names = BTreeMap::new();
+        topic::name_channels(&channels, &mut names);
         writer.flush()?;
         Ok(Self {
             writer,
             channels,
             cameras: BTreeMap::new(),
             sequences: BTreeMap::new(),
+            names,
+            contents,
             joints: JointMessages::new(),
             buffer: Vec::new(),
             previous_now: TimeNs(0),
@@ -98,6 +108,11 @@ impl<W: Write + Seek> LogWriter<W> {
             self.writer.flush()?;
         }
         Ok(())
+    }
+
+    /// Whether everything up to the tick at `now` is in the file.
+    pub(super) fn has_flushed(&self, now: TimeNs) -> bool {
+        self.flushed_at == now
     }
 
     /// Writes what the arm `index` measured, what it was told and how that came about.
@@ -191,6 +206,8 @@ impl<W: Write + Seek> LogWriter<W> {
                     Schema::Protobuf("foxglove.PoseInFrame"),
                 )?,
             };
+            self.names
+                .extend([(new.image, image), (new.lens, lens), (new.pose, pose)]);
             self.cameras.insert(name.to_owned(), new);
             new
         };
@@ -215,8 +232,13 @@ impl<W: Write + Seek> LogWriter<W> {
     }
 
     /// Writes the outcome and closes the file.
-    pub(super) fn finish(mut self, closing: &Closing) -> McapResult<()> {
-        let metadata = closing.to_metadata();
+    pub(super) fn finish(mut self, closing: Closing) -> McapResult<()> {
+        let contents = header::contents_after(&self.contents, &closing.to_metadata());
+        let metadata = Closing {
+            contents: Some(contents),
+            ..closing
+        }
+        .to_metadata();
         self.writer.write_metadata(&Metadata {
             name: header::OUTCOME.to_owned(),
             metadata,
@@ -256,6 +278,7 @@ impl<W: Write + Seek> LogWriter<W> {
         while self.channels.len() <= arm {
             let channels = topic::add_channels(&mut self.writer, self.channels.len())?;
             self.channels.push(channels);
+            topic::name_channels(&self.channels, &mut self.names);
         }
         Ok(self.channels[arm][topic as usize])
     }
@@ -269,6 +292,8 @@ impl<W: Write + Seek> LogWriter<W> {
             publish_time: now.0,
         };
         *sequence = sequence.wrapping_add(1);
+        let name = self.names.get(&channel_id).map_or("", String::as_str);
+        self.contents.message(name, &header, &self.buffer);
         self.writer.write_to_known_channel(&header, &self.buffer)
     }
 }

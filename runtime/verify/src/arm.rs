@@ -1,13 +1,14 @@
 //! Checks the commands of one arm, one after the other.
 
-use hal::{ArmCommand, ArmError, ArmState, JointVector, Pose, TICK_NS};
+use hal::{ArmCommand, ArmError, ArmState, JOINT_COUNT, JointVector, Pose, TICK_NS};
 
-use super::axis::{Axis, PERIOD_S};
+use super::axis::{Axis, Order, PERIOD_S};
 use super::boundary::Moment;
 use super::chain::Instrument;
 use super::differences::{AXES, History};
 use super::ledger::{Ledger, LimitId};
 use super::limits::{ArmLimits, Limits};
+use super::measured::{Measured, possible};
 use super::space::Space;
 use super::tip::{Place, Tip};
 
@@ -31,6 +32,7 @@ pub(super) struct Arm {
     axes: Vec<Axis>,
     pub(super) space: Space,
     pub(super) tip: Tip,
+    pub(super) measured: Measured,
     stamp_limit: LimitId,
     missing_limit: LimitId,
     hash_limit: LimitId,
@@ -42,7 +44,12 @@ pub(super) struct Arm {
     before: Before,
     pub(super) skipped_periods: u64,
     pub(super) newest: Option<Newest>,
+    /// How the newest command with torque says that the axes move: velocities, and accelerations of the joints.
+    rates: Option<Rates>,
 }
+
+/// Velocities of the axes and accelerations of the joints.
+type Rates = ([f64; AXES], [f64; JOINT_COUNT]);
 
 /// The newest command and what it means.
 #[derive(Clone, Copy, Debug)]
@@ -53,6 +60,8 @@ pub(super) struct Newest {
     pub(super) powered: bool,
     /// Whether the drives get torque with it.
     pub(super) gained: bool,
+    /// Where the arm is measured, if it is and holds torque.
+    pub(super) measured: Option<Instrument>,
 }
 
 impl Arm {
@@ -66,6 +75,7 @@ impl Arm {
                 .collect(),
             space: Space::new(ledger, limits, arm),
             tip: Tip::new(ledger, limits, name),
+            measured: Measured::new(ledger, limits, arm),
             stamp_limit: ledger.open(name, "stamp".to_owned()),
             missing_limit: ledger.open(name, "missing_ticks".to_owned()),
             hash_limit: ledger.open(name, "command_hash_mismatches".to_owned()),
@@ -76,6 +86,7 @@ impl Arm {
             before: Before::Beginning,
             skipped_periods: 0,
             newest: None,
+            rates: None,
         }
     }
 
@@ -84,13 +95,22 @@ impl Arm {
         &mut self,
         ledger: &mut Ledger,
         command: &ArmCommand,
-        measured: &Result<ArmState, ArmError>,
+        measured_now: &Result<ArmState, ArmError>,
     ) {
         self.stamp(ledger, command);
         let at = self.instrument(&positions(command));
         let was_powered = matches!(self.before, Before::Powered);
+        let measured = possible(measured_now)
+            .filter(|_| was_powered || command.enabled)
+            .map(|state| self.instrument(&axes(&state.position, state.jaw_position)));
+        if command.enabled && !was_powered {
+            self.measured.begin();
+        }
+        if let Some(at) = &measured {
+            self.measured.tick(ledger, at);
+        }
         if command.enabled {
-            if let (Before::Beginning | Before::Limp(_), Ok(state)) = (self.before, measured) {
+            if let (Before::Beginning | Before::Limp(_), Ok(state)) = (self.before, measured_now) {
                 self.begin(state);
             }
             self.powered(ledger, command, &at);
@@ -99,13 +119,11 @@ impl Arm {
             match self.before {
                 // Torque goes when the arm rests: this last setpoint is still part of the motion.
                 Before::Powered => self.powered(ledger, command, &at),
-                Before::Limp(held) => self.limp(ledger, command, measured, Some(held)),
-                Before::Beginning => self.limp(ledger, command, measured, None),
+                Before::Limp(held) => self.limp(ledger, command, measured_now, Some(held)),
+                Before::Beginning => self.limp(ledger, command, measured_now, None),
                 Before::Gap => {}
             }
-            for (axis, velocity) in self.axes.iter().zip(velocities(command)) {
-                axis.limp_velocity(ledger, velocity);
-            }
+            self.still(ledger, command);
             self.forget();
             self.before = Before::Limp(positions(command));
         }
@@ -114,6 +132,7 @@ impl Arm {
             at,
             powered: was_powered || command.enabled,
             gained: command.enabled && !was_powered,
+            measured,
         });
     }
 
@@ -130,6 +149,7 @@ impl Arm {
         for _ in 0..3 {
             self.history.push(sample, 1.0);
         }
+        self.rates = Some(([0.0; AXES], [0.0; JOINT_COUNT]));
         self.place = Some(Tip::place(&self.instrument(&sample)));
     }
 
@@ -141,12 +161,9 @@ impl Arm {
         measured: &Result<ArmState, ArmError>,
         held: Option<[f64; AXES]>,
     ) {
-        let expected = match measured {
-            Ok(state) if state.is_finite() && state.impossible().is_none() => {
-                Some(axes(&state.position, state.jaw_position))
-            }
-            Ok(_) | Err(_) => held,
-        };
+        let expected = possible(measured)
+            .map(|state| axes(&state.position, state.jaw_position))
+            .or(held);
         if let Some(expected) = expected {
             let values = positions(command).into_iter().zip(expected);
             for (axis, (value, expected)) in self.axes.iter().zip(values) {
@@ -155,14 +172,54 @@ impl Arm {
         }
     }
 
+    /// Checks that a command of an arm without torque says that nothing moves.
+    fn still(&self, ledger: &mut Ledger, command: &ArmCommand) {
+        for (axis, velocity) in self.axes.iter().zip(velocities(command)) {
+            axis.limp_velocity(ledger, velocity);
+        }
+        for (axis, acceleration) in self.axes.iter().zip(accelerations(command)) {
+            axis.limp_acceleration(ledger, acceleration);
+        }
+    }
+
+    /// Checks the rates of a command against its limits, against the setpoints and against one another.
+    fn rates(&mut self, ledger: &mut Ledger, command: &ArmCommand, moved: Option<[f64; AXES]>) {
+        let now: Rates = (velocities(command), accelerations(command));
+        let before = self.rates.replace(now);
+        let elapsed_s = self.periods * PERIOD_S;
+        for (index, axis) in self.axes.iter().enumerate() {
+            axis.commanded(ledger, now.0[index], now.1.get(index).copied());
+            let (Some(before), Some(moved)) = (before, &moved) else {
+                continue;
+            };
+            let speeds = [before.0[index], now.0[index]];
+            axis.agrees(ledger, Order::Velocity, moved[index], speeds, elapsed_s);
+            if let (Some(&then), Some(&since)) = (before.1.get(index), now.1.get(index)) {
+                let gained = now.0[index] - before.0[index];
+                axis.agrees(
+                    ledger,
+                    Order::Acceleration,
+                    gained,
+                    [then, since],
+                    elapsed_s,
+                );
+            }
+        }
+    }
+
     /// Checks a command that moves the arm.
     fn powered(&mut self, ledger: &mut Ledger, command: &ArmCommand, at: &Instrument) {
         let sample = positions(command);
         self.places(ledger, Moment::Command, &sample, at);
+        let moved = self
+            .history
+            .newest()
+            .map(|before| core::array::from_fn(|axis| sample[axis] - before[axis]));
         self.history.push(sample, self.periods);
-        for (axis, velocity) in self.axes.iter().zip(velocities(command)) {
-            axis.motion(ledger, &self.history, velocity);
+        for axis in &self.axes {
+            axis.motion(ledger, &self.history);
         }
+        self.rates(ledger, command, moved);
         let place = Tip::place(at);
         if let Some(before) = self.place.replace(place) {
             let elapsed_s = self.periods * PERIOD_S;
@@ -188,16 +245,22 @@ impl Arm {
     /// Forgets how the arm moved and what it was allowed.
     fn forget(&mut self) {
         self.history.clear();
+        self.rates = None;
         self.place = None;
         self.axes.iter_mut().for_each(Axis::forget);
         self.space.forget();
     }
 
+    /// Says that what came before is not known.
+    pub(super) fn resume(&mut self) {
+        self.forget();
+        self.measured.begin();
+        self.before = Before::Gap;
+    }
+
     /// Says that `count` ticks before this one are missing.
     pub(super) fn missing(&mut self, ledger: &mut Ledger, count: u64) {
-        self.forget();
-        self.stamp = None;
-        self.before = Before::Gap;
+        self.resume();
         #[expect(clippy::cast_precision_loss, reason = "for people")]
         let count = count as f64;
         ledger.judge(self.missing_limit, count, 0.0, count, 0.0);
@@ -212,6 +275,8 @@ impl Arm {
     fn stamp(&mut self, ledger: &mut Ledger, command: &ArmCommand) {
         let now = command.stamp.0;
         self.periods = 1.0;
+        // Missing ticks are counted, and are no skipped ones.
+        let gap = matches!(self.before, Before::Gap);
         let Some(before) = self.stamp.replace(now) else {
             return;
         };
@@ -221,7 +286,7 @@ impl Arm {
             let (step_ns, period_ns) = (now as f64 - before as f64, 1e9 * PERIOD_S);
             let excess_ns = (step_ns - period_ns).abs();
             ledger.judge(self.stamp_limit, excess_ns, 0.0, step_ns, period_ns);
-        } else {
+        } else if !gap {
             let periods = step / TICK_NS;
             self.skipped_periods += periods - 1;
             #[expect(
@@ -251,4 +316,13 @@ pub(super) fn positions(command: &ArmCommand) -> [f64; AXES] {
 /// How fast a command says that they move.
 pub(super) fn velocities(command: &ArmCommand) -> [f64; AXES] {
     axes(&command.velocity, command.jaw_velocity)
+}
+
+/// How fast a command says that the joints' velocities change.
+fn accelerations(command: &ArmCommand) -> [f64; JOINT_COUNT] {
+    let mut all = [0.0; JOINT_COUNT];
+    for (value, &joint) in all.iter_mut().zip(command.acceleration.iter()) {
+        *value = joint;
+    }
+    all
 }

@@ -18,6 +18,15 @@ pub(super) const PERIOD_S: f64 = 1e-3;
 /// What the derivatives are called, by order.
 pub(super) const DERIVATIVES: [&str; 3] = ["velocity", "acceleration", "jerk"];
 
+/// What a rate is of.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Order {
+    /// Of a position.
+    Velocity,
+    /// Of a velocity.
+    Acceleration,
+}
+
 /// The checks of one axis.
 #[derive(Clone, Debug)]
 pub(super) struct Axis {
@@ -27,6 +36,9 @@ pub(super) struct Axis {
     range: [Boundary; 2],
     derivatives: [LimitId; 3],
     commanded_velocity: LimitId,
+    commanded_acceleration: LimitId,
+    mismatches: [LimitId; 2],
+    disabled_acceleration: LimitId,
     disabled_position: LimitId,
     disabled_velocity: LimitId,
 }
@@ -43,6 +55,10 @@ impl Axis {
             ],
             derivatives: DERIVATIVES.map(|what| ledger.open(arm, name(what))),
             commanded_velocity: ledger.open(arm, name("commanded_velocity")),
+            commanded_acceleration: ledger.open(arm, name("commanded_acceleration")),
+            mismatches: ["velocity_mismatch", "acceleration_mismatch"]
+                .map(|what| ledger.open(arm, name(what))),
+            disabled_acceleration: ledger.open(arm, name("disabled_acceleration")),
             disabled_position: ledger.open(arm, name("disabled_position")),
             disabled_velocity: ledger.open(arm, name("disabled_velocity")),
         }
@@ -55,8 +71,8 @@ impl Axis {
         }
     }
 
-    /// Checks how the newest setpoint of `history` was reached, and the velocity that goes to the drives along with it.
-    pub(super) fn motion(&self, ledger: &mut Ledger, history: &History, velocity: f64) {
+    /// Checks how the newest setpoint of `history` was reached.
+    pub(super) fn motion(&self, ledger: &mut Ledger, history: &History) {
         let limits = self.derivatives.into_iter().zip(self.bounds).zip(1..);
         for ((limit, bound), order) in limits {
             if let Some(quotient) = history.quotient(self.index, order, PERIOD_S) {
@@ -65,15 +81,44 @@ impl Axis {
                 ledger.judge(limit, excess, tolerance, quotient.value, bound);
             }
         }
-        let [bound, ..] = self.bounds;
-        let excess = velocity.abs() - bound;
-        ledger.judge(
-            self.commanded_velocity,
-            excess,
-            SHARE * bound,
-            velocity,
-            bound,
-        );
+    }
+
+    /// Checks the velocity that goes to the drives along with a setpoint, and a joint's acceleration.
+    pub(super) fn commanded(&self, ledger: &mut Ledger, velocity: f64, acceleration: Option<f64>) {
+        let [velocity_max, acceleration_max, _] = self.bounds;
+        let values = [
+            (self.commanded_velocity, Some(velocity), velocity_max),
+            (self.commanded_acceleration, acceleration, acceleration_max),
+        ];
+        for (limit, value, bound) in values {
+            if let Some(value) = value {
+                ledger.judge(limit, value.abs() - bound, SHARE * bound, value, bound);
+            }
+        }
+    }
+
+    /// Checks that a rate is that of the value that it is said to be of: `change` is what came of `rates`, before and now, in `elapsed_s`.
+    ///
+    /// With at most the highest jerk between, the mean of both rates is no further from the mean rate.
+    pub(super) fn agrees(
+        &self,
+        ledger: &mut Ledger,
+        order: Order,
+        change: f64,
+        rates: [f64; 2],
+        elapsed_s: f64,
+    ) {
+        let [.., jerk] = self.bounds;
+        let bound = match order {
+            Order::Velocity => jerk * elapsed_s * elapsed_s / 12.0,
+            Order::Acceleration => jerk * elapsed_s / 4.0,
+        };
+        let [before, now] = rates;
+        let off = change / elapsed_s - f64::midpoint(before, now);
+        let rounding = REST / elapsed_s * SHARE;
+        let excess = off.abs() - bound;
+        let limit = self.mismatches[order as usize];
+        ledger.judge(limit, excess, SHARE * bound + rounding, off, bound);
     }
 
     /// Checks that an axis without torque is told to be where it is.
@@ -85,6 +130,12 @@ impl Axis {
     /// Checks that an axis without torque is not told to move.
     pub(super) fn limp_velocity(&self, ledger: &mut Ledger, velocity: f64) {
         ledger.judge(self.disabled_velocity, velocity.abs(), REST, velocity, 0.0);
+    }
+
+    /// Checks that an axis without torque is not told that its velocity changes.
+    pub(super) fn limp_acceleration(&self, ledger: &mut Ledger, acceleration: f64) {
+        let limit = self.disabled_acceleration;
+        ledger.judge(limit, acceleration.abs(), REST, acceleration, 0.0);
     }
 
     pub(super) fn forget(&mut self) {

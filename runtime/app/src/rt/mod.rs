@@ -99,6 +99,20 @@ pub fn unix_seconds() -> f64 {
     sys::unix_seconds()
 }
 
+/// What this machine is: its name, its processor, its kernel.
+#[must_use]
+pub fn machine() -> String {
+    let read = |path: &str| std::fs::read_to_string(path).unwrap_or_default();
+    let name = read("/proc/sys/kernel/hostname");
+    let kernel = read("/proc/sys/kernel/osrelease");
+    let processors = read("/proc/cpuinfo");
+    let model = processors
+        .lines()
+        .find_map(|line| line.strip_prefix("model name")?.split_once(':'))
+        .map_or("unknown processor", |(_, model)| model.trim());
+    format!("{}, {model}, Linux {}", name.trim(), kernel.trim())
+}
+
 /// Sleeps for `duration_ns` at least; for threads that poll, never for the control thread.
 pub fn sleep_ns(duration_ns: u64) {
     sys::sleep_until_ns(sys::monotonic_ns().saturating_add(duration_ns));

@@ -82,10 +82,12 @@ pub fn run(
         policy: policy.clone(),
         seed: options.seed,
         log: Some(log.to_path_buf()),
+        log_bytes_max: None,
         pictures,
         latency_ms: None,
         latency_jitter_ms: 0,
         compute: Device::Cpu.into(),
+        warn: |_| (),
     };
     on_progress(&format!(
         "1 of 2: {} with {} in lockstep, as fast as it goes",
@@ -133,10 +135,12 @@ mod tests {
             policy: PolicyChoice::Noop,
             seed: 0,
             log: None,
+            log_bytes_max: None,
             pictures: false,
             latency_ms: None,
             latency_jitter_ms: 0,
             compute: Device::Cpu.into(),
+            warn: |_| (),
         };
         let log = PathBuf::from("run.mcap");
         let failure = LogError::WriterDied { path: log.clone() };

@@ -189,7 +189,8 @@ struct Running<'a> {
 }
 
 impl Running<'_> {
-    fn end(&self, outcome: Outcome, tally: Tally) -> EpisodeEnd {
+    fn end(&self, outcome: Outcome, mut tally: Tally) -> EpisodeEnd {
+        tally.measured(self.controller);
         let tissue = self.rig.simulation.tissue_extremes();
         EpisodeEnd {
             outcome,

@@ -211,10 +211,12 @@ impl<'a> TrialWorker<'a> {
             policy: self.options.policy.clone(),
             seed,
             log: None,
+            log_bytes_max: None,
             pictures: true,
             latency_ms: self.options.latency_ms,
             latency_jitter_ms: self.options.latency_jitter_ms,
             compute: self.options.compute,
+            warn: |_| (),
         };
         Keeper::begin(keep, self.setup, &run).map(Some)
     }

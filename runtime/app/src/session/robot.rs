@@ -130,7 +130,7 @@ impl Robot {
         RunHeader {
             policy: options.policy.name(),
             seed: options.seed,
-            versions: versions(self.weights_sha256.as_deref()),
+            versions: versions(&options.policy, self.weights_sha256.as_deref()),
             texts: self.texts.by_name(),
             ..RunHeader::default()
         }

@@ -4,7 +4,8 @@ use std::collections::BTreeMap;
 use std::io::Write as _;
 use std::path::{Path, PathBuf};
 
-use hal::{Chunk, TimeNs};
+use hal::{Arm as _, ArmState, Chunk, TimeNs};
+use trocar_nets::checkpoint::load_recipe;
 use trocar_nets::compute::Compute;
 use trocar_tasks::simulation::{Rendering, Simulation};
 use trocar_tasks::task::Outcome;
@@ -17,7 +18,8 @@ use super::summary::RunSummary;
 use super::tally::RunLabels;
 use super::{SessionError, Setup, outputs, pictures};
 use crate::rt;
-use trocar_log::{Level, LogError, Pressure, Recorder, RunHeader, RunOutcome, TickRecord};
+use trocar_control::{ControlConfig, MeasuredClearance, beyond};
+use trocar_log::{Level, LogError, Pressure, Recorder, RunHeader, RunOutcome, TickRecord, Writing};
 
 /// The libtorch that the program was built with.
 pub const LIBTORCH_VERSION: &str = env!("LIBTORCH_VERSION");
@@ -37,6 +39,8 @@ pub struct RunOptions {
     pub seed: u64,
     /// Where the log goes, if anywhere. A log holds frames even if the policy needs none: see [`Setup::cameras_with`].
     pub log: Option<PathBuf>,
+    /// Bytes that the log takes at most on its disk, if it has a bound; it keeps the last part.
+    pub log_bytes_max: Option<u64>,
     /// Whether to keep pictures of the run for [`RunResult::pictures`].
     pub pictures: bool,
     /// Delay from observation to chunk, ms; the policy's own if not given.
@@ -45,6 +49,8 @@ pub struct RunOptions {
     pub latency_jitter_ms: u64,
     /// Where and how the network computes.
     pub compute: Compute,
+    /// Says at once what a person should know, from any thread.
+    pub warn: fn(&str),
 }
 
 impl RunOptions {
@@ -92,7 +98,7 @@ pub fn run_lockstep_with(
     } else {
         Rendering::Off
     };
-    let mut simulation = Simulation::new(&setup.task, options.seed, rendering)?;
+    let mut simulation = simulation(setup, options, rendering)?;
     let mut controller = setup.controller()?;
     let cameras = if options.wants_frames() {
         setup.cameras_with(source.cameras())
@@ -155,6 +161,21 @@ pub fn run_lockstep_with(
     })
 }
 
+/// The simulation of a run; says where its arms are beyond a boundary before they are enabled there.
+pub(super) fn simulation(
+    setup: &Setup,
+    options: &RunOptions,
+    rendering: Rendering,
+) -> Result<Simulation, SessionError> {
+    let mut simulation = Simulation::new(&setup.task, options.seed, rendering)?;
+    let mut states = vec![simulation.read(TimeNs(0))?];
+    if let Some(mut second) = simulation.arm(1) {
+        states.push(second.read(TimeNs(0))?);
+    }
+    warn_of_start(&setup.control, &states, options.warn);
+    Ok(simulation)
+}
+
 /// Why a run in lockstep ended: a signal comes before the limit of ticks.
 fn reason_of(end: &EpisodeEnd) -> String {
     if matches!(end.outcome, Outcome::Running) && rt::interrupted() {
@@ -174,18 +195,18 @@ pub fn open_log(
     lockstep: bool,
 ) -> Result<Option<Recorder>, SessionError> {
     let header = header(setup, options, lockstep);
-    open_log_with(&header, options.log.as_deref())
+    open_log_with(&header, options)
 }
 
-/// Opens a log that begins with `header` at `path`, if there is to be one.
+/// Opens the log that `options` ask for; it begins with `header`.
 ///
 /// # Errors
 /// [`SessionError::Log`] or [`SessionError::Output`].
 pub(super) fn open_log_with(
     header: &RunHeader,
-    path: Option<&Path>,
+    options: &RunOptions,
 ) -> Result<Option<Recorder>, SessionError> {
-    let Some(path) = path else {
+    let Some(path) = &options.log else {
         return Ok(None);
     };
     pictures::create_parent(path)?;
@@ -194,7 +215,43 @@ pub(super) fn open_log_with(
     } else {
         Pressure::Drop
     };
-    Ok(Some(Recorder::create(path, header, pressure)?))
+    let warn = options.warn;
+    let on_failure = Box::new(move |error: &LogError| {
+        warn(&format!("{}; the run goes on without it", chain(error)));
+    });
+    let writing = Writing {
+        on_failure,
+        bytes_max: options.log_bytes_max,
+        ..Writing::new(pressure)
+    };
+    let recorder = Recorder::create_with(path, header, writing)?;
+    Ok(Some(recorder))
+}
+
+/// An error and what is behind it.
+fn chain(error: &dyn std::error::Error) -> String {
+    let causes = std::iter::successors(Some(error), |error| error.source());
+    causes
+        .map(ToString::to_string)
+        .collect::<Vec<_>>()
+        .join(": ")
+}
+
+/// Says where arms are beyond a boundary before they are enabled there.
+fn warn_of_start(control: &ControlConfig, arms: &[ArmState], warn: fn(&str)) {
+    for start in beyond(control, arms) {
+        let MeasuredClearance {
+            arm,
+            boundary,
+            part,
+            clearance_m,
+            ..
+        } = start;
+        warn(&format!(
+            "{arm} is enabled {:.2} mm beyond {boundary} ({part}): the boundary closes in behind it as it comes out",
+            -1e3 * clearance_m
+        ));
+    }
 }
 
 fn header(setup: &Setup, options: &RunOptions, lockstep: bool) -> RunHeader {
@@ -205,17 +262,41 @@ fn header(setup: &Setup, options: &RunOptions, lockstep: bool) -> RunHeader {
         lockstep,
         view: setup.task.view.name().to_owned(),
         needle: setup.task.needle().map(str::to_owned),
-        versions: versions(setup.weights_sha256.as_deref()),
+        versions: versions(&options.policy, setup.weights_sha256.as_deref()),
         texts: setup.texts.by_name(),
+        left_out: 0,
     }
 }
 
-/// What is running: program and library by version, a checkpoint's weights by their SHA-256.
-pub(super) fn versions(weights_sha256: Option<&str>) -> BTreeMap<String, String> {
+/// What is running and where: program with its commit, library, a checkpoint's weights by their SHA-256 and the dataset that it was
+/// trained on, and the machine.
+pub(super) fn versions(
+    policy: &PolicyChoice,
+    weights_sha256: Option<&str>,
+) -> BTreeMap<String, String> {
+    let dataset = match policy {
+        PolicyChoice::Checkpoint(folder) => load_recipe(folder).ok().flatten(),
+        PolicyChoice::Expert
+        | PolicyChoice::Noop
+        | PolicyChoice::Random
+        | PolicyChoice::External(_)
+        | PolicyChoice::Own(_) => None,
+    };
+    let dataset = dataset.map(|recipe| {
+        let dataset = recipe.dataset;
+        format!(
+            "{}, {} episodes, {} frames at {} Hz",
+            dataset.task, dataset.episodes, dataset.frames, dataset.fps
+        )
+    });
+    let machine = rt::machine();
     let versions = [
         ("trocar", Some(env!("CARGO_PKG_VERSION"))),
+        ("commit", Some(env!("TROCAR_COMMIT"))),
         ("libtorch", Some(LIBTORCH_VERSION)),
         ("weights_sha256", weights_sha256),
+        ("dataset", dataset.as_deref()),
+        ("machine", Some(machine.as_str())),
     ];
     versions
         .into_iter()

@@ -3,6 +3,7 @@
 use core::fmt;
 
 use serde::Serialize;
+use trocar_control::MeasuredClearance;
 use trocar_tasks::task::Variation;
 use trocar_world::tissue::TissueExtremes;
 
@@ -228,6 +229,10 @@ pub struct RunSummary {
     pub qp: QpCounts,
     /// Ticks in which the guard replaced the candidate by its last verified stop.
     pub guard_interventions: u64,
+    /// How near the measured arms came to each boundary while they held torque: commands keep their distance, an arm lags behind them.
+    pub measured_clearance: Vec<MeasuredClearance>,
+    /// Of each arm the largest distance of a measured part of its instrument from where it was commanded to be, m.
+    pub following_error_m: Vec<f64>,
     /// Present in real-time runs.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub real_time: Option<RealTimeCounts>,

@@ -7,7 +7,7 @@ use super::summary::{
 };
 use crate::histogram::Histogram;
 use hal::PerArm;
-use trocar_control::{CommandHash, Fault, QpOutcome, TickReport};
+use trocar_control::{AnyController, CommandHash, Fault, MeasuredClearance, QpOutcome, TickReport};
 use trocar_log::TickRecord;
 
 /// What a run adds up to.
@@ -24,6 +24,9 @@ pub struct Tally {
     refused: u64,
     /// Each arm's fault in the first tick that had any.
     faults: Option<PerArm<Option<Fault>>>,
+    /// How near the measured arms came to their boundaries.
+    measured: Vec<MeasuredClearance>,
+    following_errors_m: Vec<f64>,
 }
 
 /// What the tally can't know.
@@ -96,6 +99,12 @@ impl Tally {
         self.inference.merge(inference);
     }
 
+    /// Takes over from `controller` how near the measured arms came to their boundaries, and how far from their commands they were.
+    pub fn measured(&mut self, controller: &AnyController) {
+        self.measured = controller.measured_clearances();
+        self.following_errors_m = controller.following_errors_m();
+    }
+
     /// Control periods so far.
     #[must_use]
     pub const fn ticks(&self) -> u64 {
@@ -151,6 +160,8 @@ impl Tally {
             tick_us: TickUs::of(&self.compute),
             qp: self.qp,
             guard_interventions: self.guard_interventions,
+            measured_clearance: self.measured.clone(),
+            following_error_m: self.following_errors_m.clone(),
             real_time,
             can: None,
             tissue: labels.tissue,
@@ -212,8 +223,8 @@ mod tests {
     fn a_fault_is_told_in_words_and_of_two_arms_with_its_arm() {
         let untroubled = two_arms();
         let fault = Fault::TrackingError {
-            joint: 2,
-            error: 0.25,
+            tip_m: 0.25,
+            turn_rad: 0.5,
         };
         let told = |faults: [Option<Fault>; 2], arms: usize| {
             let [first, second] = faults;
@@ -233,7 +244,7 @@ mod tests {
             }
             tally.faults()
         };
-        let words = "insertion is 0.2500 away from its command";
+        let words = "the tip is 250.0 mm and 0.500 rad away from its command";
         assert_eq!(told([None, None], 2), None);
         assert_eq!(
             told([Some(fault), None], 1),

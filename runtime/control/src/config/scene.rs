@@ -1,12 +1,13 @@
 //! A task's `safety.toml`: arms, margins and forbidden regions, from the scene's frame into each arm's.
 
-use hal::Pose;
 use hal::config::{ConfigError, Source, number_text};
-use hal::psm::{EFFORT_MAX, SHAFT_RADIUS_M};
+use hal::joints::INSERTION;
+use hal::psm::{EFFORT_MAX, RCC_M, SHAFT_RADIUS_M, TOOL_M, WRIST_M};
+use hal::{ARM_NAMES, Pose};
 use nalgebra::{Rotation3, Translation3, UnitQuaternion, Vector3};
 
 use super::{ArmConfig, BetweenArms, FORBIDDEN_MAX, Margins};
-use crate::motion::JAW;
+use crate::motion::{AXES, AxisLimits, JAW};
 use crate::region::{Block, Region, Shape};
 use crate::schema::{ArmTable, RegionTable, SafetyFile};
 
@@ -83,7 +84,7 @@ fn between_arms(source: &Source, file: &SafetyFile) -> Result<Option<BetweenArms
     }))
 }
 
-/// Two arms must be told apart, and enter so far apart that their shafts can be.
+/// Two arms must enter so far apart that their shafts can be.
 fn check_pair(
     source: &Source,
     first: &ArmConfig,
@@ -91,9 +92,6 @@ fn check_pair(
     between: &BetweenArms,
     margins: &Margins,
 ) -> Result<(), ConfigError> {
-    if first.name == second.name {
-        return Err(source.out_of_range("arm.1.name", &second.name, "a name of its own"));
-    }
     let apart = second.scene_from_rcm.translation.vector - first.scene_from_rcm.translation.vector;
     let least_m = between.shaft_to_shaft_m + 2.0 * SHAFT_RADIUS_M + margins.filter_m;
     if apart.norm() > least_m {
@@ -131,6 +129,44 @@ fn check_entries(
     Ok(())
 }
 
+/// Each arm must reach some place of its workspace.
+pub(super) fn check_reach(
+    source: &Source,
+    arms: &[ArmConfig],
+    axes: &[AxisLimits; AXES],
+) -> Result<(), ConfigError> {
+    for (index, arm) in arms.iter().enumerate() {
+        if !reaches(&arm.workspace, axes) {
+            let key = format!("arm.{index}.workspace_max_m");
+            let found = "a box that the arm can't reach from its remote centre";
+            let allowed = "what is within the limits of its yaw, pitch and insertion";
+            return Err(source.out_of_range(&key, found, allowed));
+        }
+    }
+    Ok(())
+}
+
+/// Places along each edge of a box that are looked at.
+const PLACES: u32 = 24;
+
+/// Whether the control point reaches some place of `workspace`, or one that the wrist may bend to from there, with the wrist straight.
+fn reaches(workspace: &Block, axes: &[AxisLimits; AXES]) -> bool {
+    let [yaw, pitch, ..] = axes;
+    let insertion = &axes[INSERTION];
+    let within = |limits: &AxisLimits, value: f64| (limits.low..=limits.high).contains(&value);
+    let at = |index: u32| 2.0 * f64::from(index) / f64::from(PLACES) - 1.0;
+    let half_m = workspace.half_m + Vector3::repeat(WRIST_M);
+    let reached = |x: u32, y: u32, z: u32| {
+        let local_m = half_m.component_mul(&Vector3::new(at(x), at(y), at(z)));
+        let place_m = workspace.center_m + workspace.axes * local_m;
+        let reach_m = place_m.norm();
+        within(yaw, place_m.x.atan2(-place_m.z))
+            && within(pitch, (-place_m.y / reach_m).asin())
+            && within(insertion, reach_m - WRIST_M + RCC_M - TOOL_M)
+    };
+    (0..=PLACES).any(|x| (0..=PLACES).any(|y| (0..=PLACES).any(|z| reached(x, y, z))))
+}
+
 fn arm(
     source: &Source,
     index: usize,
@@ -138,8 +174,11 @@ fn arm(
     regions_in_scene: &[Region],
 ) -> Result<ArmConfig, ConfigError> {
     let key = |name: &str| format!("arm.{index}.{name}");
-    if table.name.is_empty() {
-        return Err(source.out_of_range(&key("name"), "empty", "a name"));
+    // Logs and topics know the arms by these names.
+    let known = ARM_NAMES.get(index).copied().unwrap_or_default();
+    if table.name != known {
+        let found = format!("{:?}", table.name);
+        return Err(source.out_of_range(&key("name"), &found, &format!("{known:?}")));
     }
     let (low, high) = (table.workspace_min_m, table.workspace_max_m);
     for axis in 0..3 {
@@ -187,7 +226,19 @@ fn regions(source: &Source, tables: &[RegionTable]) -> Result<Vec<Region>, Confi
     }
     let mut regions = Vec::with_capacity(tables.len());
     for (index, table) in tables.iter().enumerate() {
-        regions.push(region(source, index, table)?);
+        let region = region(source, index, table)?;
+        let found = format!("{:?}", region.name);
+        let key = format!("forbidden.{index}.name");
+        if region.name.trim().is_empty() {
+            return Err(source.out_of_range(&key, &found, "a name"));
+        }
+        if regions
+            .iter()
+            .any(|other: &Region| other.name == region.name)
+        {
+            return Err(source.out_of_range(&key, &found, "a name of its own"));
+        }
+        regions.push(region);
     }
     Ok(regions)
 }
@@ -290,7 +341,11 @@ mod tests {
         );
         let near = message(base, "rcm_in_scene_m = [0.052, 0.0, 0.15]");
         assert!(near.contains("outside more than 0.0115 m"), "{near}");
-        assert!(message("name = \"psm2\"", "name = \"psm1\"").contains("arm.1.name"));
+        for name in ["psm1", "psm3", ""] {
+            let said = message("name = \"psm2\"", &format!("name = \"{name}\""));
+            let expected = format!("arm.1.name = {name:?} is outside \"psm2\"");
+            assert!(said.contains(&expected), "{said}");
+        }
         let alone = message("[between_arms]", "[[forbidden]]\nname = \"x\"\n[nonsense]");
         assert!(!alone.contains("loaded"), "{alone}");
     }
@@ -307,6 +362,53 @@ mod tests {
         );
         let said = message("point_m = [0.0, 0.0, -0.01]", "point_m = [0.0, 0.0, 0.146]");
         assert!(said.contains("forbidden.2"), "{said}");
+    }
+
+    #[test]
+    fn a_region_without_a_name_of_its_own_is_refused() {
+        for (name, allowed) in [
+            ("", "a name"),
+            (" ", "a name"),
+            ("vessel", "a name of its own"),
+        ] {
+            let said = message("name = \"artery\"", &format!("name = \"{name}\""));
+            let expected = format!("forbidden.1.name = {name:?} is outside {allowed}");
+            assert!(said.contains(&expected), "{said}");
+        }
+    }
+
+    #[test]
+    fn a_workspace_that_no_arm_reaches_is_refused() {
+        let safety = ControlConfig::needle_lift_safety();
+        let with = |low: &str, high: &str| {
+            let text = safety
+                .text()
+                .replace("workspace_min_m = [-0.06, -0.05, -0.005]", low)
+                .replace("workspace_max_m = [0.06, 0.05, 0.09]", high);
+            let source = Source::embedded("safety.toml", &text);
+            ControlConfig::load(&ControlConfig::default_control(), &source)
+                .map_or_else(|error| error.to_string(), |_| "loaded".to_owned())
+        };
+        // Above the remote centre, and deeper than the instrument gets.
+        for (low, high) in [
+            ("[-0.06, -0.05, 0.2]", "[0.06, 0.05, 0.3]"),
+            ("[-0.06, -0.05, -0.3]", "[0.06, 0.05, -0.12]"),
+        ] {
+            let said = with(
+                &format!("workspace_min_m = {low}"),
+                &format!("workspace_max_m = {high}"),
+            );
+            assert!(
+                said.contains("arm.0.workspace_max_m = a box that"),
+                "{said}"
+            );
+        }
+        // A corner is enough.
+        let corner = with(
+            "workspace_min_m = [0.045, 0.035, -0.005]",
+            "workspace_max_m = [0.06, 0.05, 0.09]",
+        );
+        assert_eq!(corner, "loaded");
     }
 
     #[test]

@@ -8,11 +8,13 @@ use hal::Pose;
 use super::bounds::Bounds;
 use super::clearance::{Boundaries, CLEARANCES, Clearances, FACES, Wanted};
 use super::floor::Floor;
+use super::measured::{NearestOfArm, allowances};
 #[cfg(test)]
 use super::planted::{Check, Padding, PlantedGuardFault};
 use super::sweep::{INTERVALS, Rest, Sample, Sweep, travel_m};
 use crate::config::{ArmConfig, ControlConfig};
-use crate::instrument::LINKS;
+use crate::deviation::Deviation;
+use crate::instrument::{Instrument, LINKS};
 use crate::motion::{AXES, AxisLimits, MotionState};
 use crate::stop::Stop;
 
@@ -47,6 +49,12 @@ pub(super) struct ArmGuard {
     least: Clearances,
     /// What it had to keep: the floors, and where the candidate is beyond a boundary hardly less than it has itself.
     required: Clearances,
+    /// What the stops up to now kept of margin and deviation together.
+    kept: Clearances,
+    /// How far the measured arm is from the commanded one.
+    pub(super) deviation: Deviation,
+    /// How near the measured arm came to each boundary.
+    pub(super) nearest: NearestOfArm,
     #[cfg(test)]
     pub(super) planted: Option<PlantedGuardFault>,
 }
@@ -83,6 +91,9 @@ impl ArmGuard {
             fresh: path,
             least: sample.clearances,
             required: [config.margins.guard_m; CLEARANCES],
+            kept: [config.margins.guard_m; CLEARANCES],
+            deviation: Deviation::default(),
+            nearest: NearestOfArm::new(),
             #[cfg(test)]
             planted: None,
         };
@@ -106,6 +117,7 @@ impl ArmGuard {
         }
         self.played_s = 0.0;
         self.floors = sample.clearances.map(|h| self.floor.below(h));
+        self.kept = self.floors;
         for (range, (limits, &position)) in self
             .ranges
             .iter_mut()
@@ -126,6 +138,20 @@ impl ArmGuard {
             }
         }
         state
+    }
+
+    /// Takes note of how far the measured arm is from the commanded one, and of where it is if it was measured.
+    pub(super) fn observe(&mut self, deviation: &Deviation, measured: Option<&Instrument>) {
+        self.deviation = *deviation;
+        if let Some(measured) = measured {
+            let clearances = self.boundaries.clearances(measured, &[true; CLEARANCES]);
+            self.nearest.add(&clearances);
+        }
+    }
+
+    /// Where a measured instrument is, scene frame.
+    pub(super) fn in_scene(&self, measured: &Instrument) -> Option<Instrument> {
+        Some(measured.moved(self.scene_from_rcm.as_ref()?))
     }
 
     /// The stop that is held, and how much of it has been played, s.
@@ -166,6 +192,10 @@ impl ArmGuard {
         for ((floor, &h), required) in self.floors.iter_mut().zip(&self.least).zip(self.required) {
             *floor = required.max(self.floor.below(h));
         }
+        let allowances = allowances(&self.deviation);
+        for ((kept, &h), allowance_m) in self.kept.iter_mut().zip(&self.least).zip(allowances) {
+            *kept = self.floor.kept(*kept, h, allowance_m);
+        }
         for ((range, limits), (low, high)) in
             self.ranges.iter_mut().zip(&self.axes).zip(self.held.ranges)
         {
@@ -184,11 +214,15 @@ impl ArmGuard {
             self.floors[index].max(self.floor.behind(before.clearances[index]))
         });
         let travel_m = travel_m(before.wrist_distance_m, &self.fresh.ranges);
-        let wanted = self.look_for(&before.clearances, &travel_m);
+        let allowances = allowances(&self.deviation);
+        let wanted = self.look_for(&before.clearances, &travel_m, &allowances);
         let gap_s = stop.duration_s() / f64::from(INTERVALS);
         self.fresh.sweep.begin(&before.instrument, gap_s, travel_m);
         // A stop that comes back from beyond a boundary does not go out again before its end.
-        let mut closing = self.required;
+        let mut closing: Clearances = core::array::from_fn(|index| {
+            let (required, kept) = (self.required[index], self.kept[index]);
+            self.floor.widened(required, kept, allowances[index])
+        });
         let beyond = closing.iter().any(|required| *required < 0.0);
         // An arm at rest is where it is; the interval that is left checks the one sample.
         let intervals = if gap_s > 0.0 { INTERVALS } else { 1 };
@@ -214,7 +248,12 @@ impl ArmGuard {
     }
 
     /// Which clearances the stop can bring near, `h` being the first ones; the least of the others is certain already.
-    fn look_for(&mut self, h: &Clearances, travel_m: &[f64; LINKS]) -> Wanted {
+    fn look_for(
+        &mut self,
+        h: &Clearances,
+        travel_m: &[f64; LINKS],
+        allowances: &Clearances,
+    ) -> Wanted {
         core::array::from_fn(|index| {
             if index < FACES {
                 self.least[index] = h[index];
@@ -223,7 +262,7 @@ impl ArmGuard {
             let low = h[index] - travel_m[(index - FACES) % LINKS];
             #[cfg(test)]
             let low = self.pad(Padding::Travel, h[index], low);
-            let certain = low >= self.floor.enough_m();
+            let certain = low >= self.floor.enough_m() + allowances[index];
             self.least[index] = if certain { low } else { h[index] };
             !certain
         })
@@ -241,7 +280,10 @@ impl ArmGuard {
         let instruments = (&before.instrument, &after.instrument);
         for (index, _) in wanted.iter().enumerate().filter(|(_, wanted)| **wanted) {
             let h = (before.clearances[index], after.clearances[index]);
-            let enough_m = self.floor.enough_m();
+            let enough_m = self
+                .floor
+                .enough_m()
+                .max(closing[index] + self.floor.recovery_m());
             let low = self
                 .boundaries
                 .lowest_between(index, h, instruments, bounds, enough_m);

@@ -32,9 +32,27 @@ impl Floor {
         if h > -OUT_M { -OUT_M } else { self.below(h) }
     }
 
+    /// What a stop must keep while the measured arm deviates by `deviation_m`, m: what is `required` in any case, and of margin and
+    /// deviation together as much as the stops before it kept, which is `kept`.
+    pub(super) fn widened(&self, required: f64, kept: f64, deviation_m: f64) -> f64 {
+        required.max(kept.min(self.margin_m + deviation_m))
+    }
+
+    /// What stops keep of margin and deviation together once one of them kept `h`, m, after `kept`. An arm whose deviation grew beyond what
+    /// it is away comes no nearer than it is, but for what bounds from below need.
+    pub(super) fn kept(&self, kept: f64, h: f64, deviation_m: f64) -> f64 {
+        let most = self.margin_m + deviation_m;
+        kept.max(h - self.recovery_m).min(most)
+    }
+
     /// What an arm keeps that was enabled well within its boundaries, m.
     pub(super) const fn margin_m(&self) -> f64 {
         self.margin_m
+    }
+
+    /// How much worse a stop of an arm that was enabled beyond a boundary may get, m.
+    pub(super) const fn recovery_m(&self) -> f64 {
+        self.recovery_m
     }
 
     /// A clearance from which on it does not matter what it is, m.

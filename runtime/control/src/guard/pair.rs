@@ -10,6 +10,7 @@ use nalgebra::Vector3;
 
 use super::bounds::Way;
 use super::floor::Floor;
+use super::measured::Nearest;
 #[cfg(test)]
 use super::planted::{Check, Padding, PlantedGuardFault};
 use super::sweep::Rest;
@@ -30,6 +31,10 @@ pub(super) struct Pair {
     keep_m: Gaps,
     floor: Floor,
     floors: Gaps,
+    /// What the stops up to now kept of margin and deviations together.
+    kept: Gaps,
+    /// How near the measured arms came to one another.
+    pub(super) nearest: Nearest,
     #[cfg(test)]
     pub(super) planted: Option<PlantedGuardFault>,
 }
@@ -47,6 +52,8 @@ impl Pair {
             }),
             floor: Floor::new(margins),
             floors: [margins.guard_m; KINDS.len()],
+            kept: [margins.guard_m; KINDS.len()],
+            nearest: Nearest::NEVER,
             #[cfg(test)]
             planted: None,
         }
@@ -56,9 +63,21 @@ impl Pair {
     pub(super) fn gaps(&self, first: &Rest<'_>, second: &Rest<'_>) -> Gaps {
         let enough_m = self.floor.enough_m();
         core::array::from_fn(|kind| {
-            self.least(kind, first, second, f64::NEG_INFINITY)
+            self.least(kind, first, second, f64::NEG_INFINITY, enough_m)
                 .min(enough_m)
         })
+    }
+
+    /// Takes note of where both arms are measured.
+    pub(super) fn observe(&mut self, first: &Instrument, second: &Instrument) {
+        let gaps: Gaps = core::array::from_fn(|kind| self.gap_m(kind, first, second));
+        self.nearest.add(&gaps);
+    }
+
+    /// What two instruments leave of a gap, m.
+    fn gap_m(&self, kind: usize, first: &Instrument, second: &Instrument) -> f64 {
+        let (link_a, link_b) = KINDS[kind];
+        distance_m(first, link_a, &second.links()[link_b]) - self.keep_m[kind]
     }
 
     /// Starts anew with two stops, one of which may be under way. Arms that are too near to one another already may come no
@@ -66,6 +85,7 @@ impl Pair {
     pub(super) fn seed(&mut self, first: &Rest<'_>, second: &Rest<'_>) {
         let gaps = self.gaps(first, second);
         self.floors = gaps.map(|gap_m| self.floor.below(gap_m));
+        self.kept = self.floors;
     }
 
     /// Takes note that one arm was put elsewhere, where the gaps had been `before`.
@@ -82,14 +102,22 @@ impl Pair {
                 .below(after_m)
                 .max(moved_m.min(self.floor.margin_m()).min(after_m));
         }
+        self.kept = self.floors;
     }
 
-    /// What two stops leave of each gap at least, if that is enough.
-    pub(super) fn verify(&self, first: &Rest<'_>, second: &Rest<'_>) -> Option<Gaps> {
+    /// What two stops leave of each gap at least, if that is enough while the measured arms deviate by `allowances`.
+    pub(super) fn verify(
+        &self,
+        first: &Rest<'_>,
+        second: &Rest<'_>,
+        allowances: &Gaps,
+    ) -> Option<Gaps> {
         let mut gaps = [0.0; KINDS.len()];
         for (kind, gap) in gaps.iter_mut().enumerate() {
-            let floor_m = self.floors[kind];
-            *gap = self.least(kind, first, second, floor_m);
+            let (kept_m, allowance_m) = (self.kept[kind], allowances[kind]);
+            let floor_m = self.floor.widened(self.floors[kind], kept_m, allowance_m);
+            let enough_m = self.floor.enough_m() + allowance_m;
+            *gap = self.least(kind, first, second, floor_m, enough_m);
             #[cfg(test)]
             self.spoil(kind, first, second, gap);
             let keeps = *gap >= floor_m;
@@ -104,17 +132,27 @@ impl Pair {
         Some(gaps)
     }
 
-    /// Takes back what verified stops with these gaps leave behind.
-    pub(super) fn tighten(&mut self, gaps: &Gaps) {
+    /// Takes back what verified stops with these gaps leave behind, while the measured arms deviate by `allowances`.
+    pub(super) fn tighten(&mut self, gaps: &Gaps, allowances: &Gaps) {
+        for ((kept, &gap_m), allowance_m) in self.kept.iter_mut().zip(gaps).zip(allowances) {
+            *kept = self.floor.kept(*kept, gap_m, *allowance_m);
+        }
         for (floor, &gap_m) in self.floors.iter_mut().zip(gaps) {
             *floor = floor.max(self.floor.below(gap_m));
         }
     }
 
-    /// What two stops leave of a gap at least, or enough of it not to matter, m; or something that is less than `floor_m`.
-    fn least(&self, kind: usize, first: &Rest<'_>, second: &Rest<'_>, floor_m: f64) -> f64 {
+    /// What two stops leave of a gap at least, or `enough_m` of it, which does not matter, m; or something that is less than `floor_m`.
+    fn least(
+        &self,
+        kind: usize,
+        first: &Rest<'_>,
+        second: &Rest<'_>,
+        floor_m: f64,
+        enough_m: f64,
+    ) -> f64 {
         let (link_a, link_b) = KINDS[kind];
-        let (keep_m, enough_m) = (self.keep_m[kind], self.floor.enough_m());
+        let keep_m = self.keep_m[kind];
         let (Some(a), Some(b)) = (first.instruments.first(), second.instruments.first()) else {
             return f64::NEG_INFINITY;
         };

@@ -4,17 +4,19 @@
 mod arm;
 
 use core::fmt;
+use std::path::Path;
 
 use hal::config::{ConfigError, Source};
 use hal::joints::JOINT_NAMES;
-use hal::{ArmCommand, Chunk};
+use hal::{ArmCommand, PerArm};
 use serde::Serialize;
 
-use crate::{LoggedTick, Loss, RunLog};
-use hal::PerArm;
+use crate::safety;
+use crate::{LogEnd, LogError, RunHeader, RunLog, Step, read_steps};
 use trocar_control::second_opinion;
 use trocar_control::{
     AnyController, CommandHash, ControlConfig, InputHash, QpOutcome, TickInput, TickOutput,
+    TickReport,
 };
 
 pub use arm::RecordedArm;
@@ -22,7 +24,8 @@ pub use arm::RecordedArm;
 /// What a replay found.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct ReplayResult {
-    /// Whether every command in the log was recomputed bit for bit, and nothing that the controller saw is missing.
+    /// Whether every command and safety report in the log was recomputed bit for bit, nothing that the controller saw is missing, and the log
+    /// is what the run wrote.
     pub identical: bool,
     /// Ticks that were recomputed, up to the first difference.
     pub ticks: u64,
@@ -66,7 +69,8 @@ impl SecondOpinion {
 pub struct Difference {
     /// The tick.
     pub tick: u64,
-    /// What differs: `position.yaw`, `stamp`, `enabled`, `command_hash`; `inputs` where only their hash shows it; `arms` where
+    /// What differs: `position.yaw`, `stamp`, `enabled`, `command_hash`; `safety.mode` where a report does; `inputs` where only their hash shows
+    /// it; `contents` where something else in the log is not what the run wrote; `arms` where
     /// their number does; or `log` where the logger lost an input. Where there are two arms, the arm's name comes first:
     /// `psm2.position.yaw`.
     pub what: String,
@@ -106,6 +110,14 @@ pub enum ReplayError {
     /// The controller cannot be built.
     #[error("the logged configuration makes no controller: {0}")]
     Controller(String),
+    /// The run's beginning is missing.
+    #[error(
+        "the log's bound left out the first {ticks} ticks: there is nothing to replay the others from"
+    )]
+    LeftOut {
+        /// How many.
+        ticks: u64,
+    },
     /// There is nothing to compare.
     #[error("the log holds no tick")]
     Empty,
@@ -123,40 +135,93 @@ impl From<ConfigError> for ReplayError {
     }
 }
 
-/// Recomputes every command of `log` from its inputs.
+/// Recomputes every command and every safety report of `log` from its inputs.
 ///
 /// # Errors
 /// [`ReplayError`] when the log does not say how the controller was configured or holds no tick.
 pub fn replay(log: &RunLog) -> Result<ReplayResult, ReplayError> {
-    let config = ControlConfig::load(&text(log, "control.toml")?, &text(log, "safety.toml")?)?;
-    let mut run = Recomputed::new(&config)?;
-    if log.tick_count() == 0 {
-        return Err(ReplayError::Empty);
-    }
-    let mut ticks = 0;
-    let mut last = 0;
-    let mut found = None;
-    for (position, (logged, chunks)) in log.ticks().enumerate() {
-        found = lost_before(log, position, logged.tick).or_else(|| run.tick(logged, &chunks));
-        if found.is_some() {
-            break;
+    let mut replay = Replay::new(&log.header)?;
+    log.steps().for_each(|step| replay.step(&step));
+    replay.finish(&log.end())
+}
+
+/// Replays the log at `path` as [`replay`] does, without ever holding more than a tick of it.
+///
+/// # Errors
+/// [`LogError`] when it is no log or was damaged, [`ReplayError`] as [`replay`].
+pub fn replay_file<E: From<LogError> + From<ReplayError>>(path: &Path) -> Result<ReplayResult, E> {
+    let mut replay = None;
+    let (header, end) = read_steps(path, |header, step| -> Result<(), E> {
+        let replay = match &mut replay {
+            Some(replay) => replay,
+            None => replay.insert(Replay::new(header)?),
+        };
+        replay.step(step);
+        Ok(())
+    })?;
+    let replay = match replay {
+        Some(replay) => replay,
+        None => Replay::new(&header)?,
+    };
+    Ok(replay.finish(&end)?)
+}
+
+/// A replay under way.
+struct Replay {
+    run: Recomputed,
+    ticks: u64,
+    /// The newest tick, if there was any.
+    last: Option<u64>,
+    found: Option<Difference>,
+}
+
+impl Replay {
+    fn new(header: &RunHeader) -> Result<Self, ReplayError> {
+        if header.left_out > 0 {
+            let ticks = header.left_out;
+            return Err(ReplayError::LeftOut { ticks });
         }
-        ticks += 1;
-        last = logged.tick;
+        let control = text(header, "control.toml")?;
+        let config = ControlConfig::load(&control, &text(header, "safety.toml")?)?;
+        Ok(Self {
+            run: Recomputed::new(&config)?,
+            ticks: 0,
+            last: None,
+            found: None,
+        })
     }
-    let went_through = found.is_none();
-    let first_difference = found
-        .or_else(|| lost_before(log, log.tick_count(), last))
-        .or_else(|| other_inputs(log, last, run.inputs))
-        .or_else(|| other_hash(log, last, run.hash));
-    Ok(ReplayResult {
-        identical: first_difference.is_none(),
-        ticks,
-        inputs_checked: went_through && log.input_hash.is_some(),
-        first_difference,
-        second_opinion: run.second_opinion,
-        cut: log.cut().map(str::to_owned),
-    })
+
+    /// Recomputes a tick; nothing after the first difference.
+    fn step(&mut self, step: &Step<'_>) {
+        if self.found.is_some() {
+            return;
+        }
+        self.last = Some(step.tick.tick);
+        self.found = lost(step).or_else(|| self.run.tick(step));
+        self.ticks += u64::from(self.found.is_none());
+    }
+
+    fn finish(self, end: &LogEnd) -> Result<ReplayResult, ReplayError> {
+        let last = self.last.ok_or(ReplayError::Empty)?;
+        let went_through = self.found.is_none();
+        let first_difference = self
+            .found
+            .or_else(|| {
+                let count = Some(end.dropped_at_end).filter(|count| *count > 0)?;
+                Some(dropped(last, format!("{count} ticks")))
+            })
+            .or_else(|| other_inputs(end, last, self.run.inputs))
+            .or_else(|| other_hash(end, last, self.run.hash))
+            .or_else(|| other_contents(end, last));
+        Ok(ReplayResult {
+            identical: first_difference.is_none(),
+            ticks: self.ticks,
+            inputs_checked: went_through && end.input_hash.is_some(),
+            first_difference,
+            second_opinion: self.run.second_opinion,
+            cut: end.cut.clone(),
+        })
+    }
 }
 
 /// The run as it is computed again.
@@ -191,7 +256,8 @@ impl Recomputed {
     }
 
     /// Recomputes one tick of all arms and compares.
-    fn tick(&mut self, logged: &LoggedTick, chunks: &PerArm<Option<&Chunk>>) -> Option<Difference> {
+    fn tick(&mut self, step: &Step<'_>) -> Option<Difference> {
+        let (logged, chunks) = (step.tick, &step.chunks);
         for (index, chunk) in chunks.iter().enumerate() {
             if let Some(chunk) = chunk {
                 self.inputs.chunk(index, chunk);
@@ -222,48 +288,84 @@ impl Recomputed {
         for output in outputs.iter() {
             self.hash.add(&output.command);
         }
-        let mut pairs = logged.arms.iter().zip(outputs.iter()).zip(&self.prefixes);
-        pairs.find_map(|((arm, output), prefix)| {
-            let found = difference(logged.tick, &arm.command, &output.command)?;
-            Some(Difference {
+        self.difference(step, &outputs)
+    }
+
+    /// What the outputs of a tick and the log disagree on: a command before a report.
+    fn difference(&self, step: &Step<'_>, outputs: &PerArm<TickOutput>) -> Option<Difference> {
+        let named = |index: usize, found: Difference| {
+            let prefix = self.prefixes.get(index).map_or("", String::as_str);
+            Difference {
                 what: format!("{prefix}{}", found.what),
                 ..found
-            })
-        })
+            }
+        };
+        let tick = step.tick.tick;
+        let arms = step.tick.arms.iter().zip(outputs.iter()).enumerate();
+        let mut commands = arms.filter_map(|(index, (arm, output))| {
+            let found = difference(tick, &arm.command, &output.command)?;
+            Some(named(index, found))
+        });
+        let reports = step.reports.iter().zip(outputs.iter()).enumerate();
+        let mut reports = reports.filter_map(|(index, (logged, output))| {
+            let found = other_report(tick, *logged, &output.report)?;
+            Some(named(index, found))
+        });
+        commands.next().or_else(|| reports.next())
     }
 }
 
-fn text(log: &RunLog, file: &'static str) -> Result<Source, ReplayError> {
-    let text = log
+fn text(header: &RunHeader, file: &'static str) -> Result<Source, ReplayError> {
+    let text = header
         .text(file)
         .ok_or(ReplayError::NoConfiguration { file })?;
     Ok(Source::embedded(file, text))
 }
 
-/// What the logger lost just before the tick at `position`, or of it.
-fn lost_before(log: &RunLog, position: usize, tick: u64) -> Option<Difference> {
-    let logged = log.losses.iter().find_map(|loss| match *loss {
-        Loss::Ticks {
-            position: at,
-            count,
-        } if at == position => Some(format!("{count} ticks dropped by the logger")),
-        Loss::Chunk { tick: of } if of == tick && position < log.tick_count() => {
-            Some("the chunk dropped by the logger".to_owned())
-        }
-        Loss::Ticks { .. } | Loss::Chunk { .. } => None,
-    })?;
-    Some(Difference {
+/// What the logger lost just before a tick, or of it.
+fn lost(step: &Step<'_>) -> Option<Difference> {
+    let what = match (step.dropped_before, step.chunk_dropped) {
+        (0, false) => return None,
+        (0, true) => "the chunk".to_owned(),
+        (count, _) => format!("{count} ticks"),
+    };
+    Some(dropped(step.tick.tick, what))
+}
+
+fn dropped(tick: u64, what: String) -> Difference {
+    Difference {
         tick,
         what: "log".to_owned(),
-        logged,
+        logged: format!("{what} dropped by the logger"),
         computed: "nothing, for want of it".to_owned(),
+    }
+}
+
+/// Compares what the controller said of a tick.
+fn other_report(tick: u64, logged: Option<&[u8]>, report: &TickReport) -> Option<Difference> {
+    let (what, logged, computed) = safety::difference(tick, logged, report)?;
+    Some(Difference {
+        tick,
+        what,
+        logged,
+        computed,
+    })
+}
+
+/// Whether the log is what the run wrote: also what a replay does not recompute, such as frames, events and the outcome.
+fn other_contents(end: &LogEnd, tick: u64) -> Option<Difference> {
+    end.altered.then(|| Difference {
+        tick,
+        what: "contents".to_owned(),
+        logged: "the hash of what the run wrote".to_owned(),
+        computed: "another".to_owned(),
     })
 }
 
 /// Compares the hash over the inputs that was taken while the controller ran: a bit may change in an input without
 /// changing any command.
-fn other_inputs(log: &RunLog, tick: u64, hash: InputHash) -> Option<Difference> {
-    let logged = log.input_hash?;
+fn other_inputs(end: &LogEnd, tick: u64, hash: InputHash) -> Option<Difference> {
+    let logged = end.input_hash?;
     let computed = hash.value();
     (logged != computed).then(|| Difference {
         tick,
@@ -274,8 +376,8 @@ fn other_inputs(log: &RunLog, tick: u64, hash: InputHash) -> Option<Difference> 
 }
 
 /// Compares the hash that the run reported, which the log's own ticks must add up to.
-fn other_hash(log: &RunLog, tick: u64, hash: CommandHash) -> Option<Difference> {
-    let logged = &log.outcome.as_ref()?.command_hash;
+fn other_hash(end: &LogEnd, tick: u64, hash: CommandHash) -> Option<Difference> {
+    let logged = &end.outcome.as_ref()?.command_hash;
     let computed = format!("{:016x}", hash.value());
     (*logged != computed).then(|| Difference {
         tick,

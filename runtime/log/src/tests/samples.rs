@@ -27,8 +27,8 @@ pub(super) fn report() -> TickReport {
             jaw: 0.3,
         }),
         fault: Some(Fault::TrackingError {
-            joint: 3,
-            error: 0.25,
+            tip_m: 0.25,
+            turn_rad: f64::INFINITY,
         }),
     }
 }
@@ -136,6 +136,7 @@ pub(super) fn header() -> RunHeader {
         needle: Some("N3".to_owned()),
         versions: [("trocar".to_owned(), "0.1.0".to_owned())].into(),
         texts: [("safety.toml".to_owned(), "# µ\n[a]\nb = 1\n".to_owned())].into(),
+        left_out: 0,
     }
 }
 

@@ -179,7 +179,7 @@ fn the_second_arm_has_topics_of_its_own_and_a_log_of_one_arm_lacks_them() {
         assert!(count(topic) > 0 && count(&beside) > 0, "{two:?}");
     }
     assert_eq!((count("/psm1/tick"), count("/psm2/tick")), (100, 100));
-    assert_eq!((count("/timing"), two.len()), (100, 13));
+    assert_eq!((count("/timing"), two.len()), (100, 14));
 }
 
 #[test]

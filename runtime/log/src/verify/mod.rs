@@ -3,73 +3,133 @@
 #[cfg(test)]
 mod tests;
 
+use std::path::Path;
+
 use hal::ArmCommand;
 
 use trocar_verify::{CONTROL, SAFETY};
-pub use trocar_verify::{Stream, VerifyError, VerifyResult, Violation, Worst, tip_in_rcm};
+pub use trocar_verify::{
+    MeasuredClearance, Stream, VerifyError, VerifyResult, Violation, Worst, tip_in_rcm,
+};
 
-use crate::{Loss, RunLog};
+use crate::{LogEnd, LogError, RunHeader, RunLog, Step, read_steps};
 
 /// Checks every command of `log`.
 ///
-/// Joint ranges, velocity, acceleration and jerk of each axis; the speed of the tip and how fast it turns; the workspace box for
-/// the control point and both finger tips; the gap between every forbidden region and shaft, wrist and both fingers; stamps
-/// that rise by whole periods; ticks that the log lacks. While the drives have no torque the command must follow the measured
+/// Joint ranges, velocity, acceleration and jerk of each axis; the rates that travel with a setpoint; the speed of the tip and how fast it
+/// turns; the workspace box for the control point and both finger tips; the gap between every forbidden region and shaft, wrist and both
+/// fingers, both as commanded and as measured; stamps that rise by whole periods and are the ticks' own; ticks that the log lacks. While
+/// the drives have no torque the command must follow the measured
 /// arm without velocity; they get torque at rest where the arm was measured, and lose it at rest. The gaps between two arms. The
-/// commands must add up to the hash that the run reported. Every tick must have each arm of the log's `safety.toml`, in its order.
+/// commands must add up to the hash that the run reported. Every tick must have each arm of the log's `safety.toml`, in its order. Nothing
+/// in the log may have been changed since the run.
 ///
 /// Of a log that was cut off, what is there is checked, and the result is not [`VerifyResult::ok`] whatever was found.
 ///
 /// # Errors
 /// [`VerifyError`] when the log does not say what the limits are.
 pub fn verify(log: &RunLog) -> Result<VerifyResult, VerifyError> {
-    let text = |file| log.text(file).ok_or(VerifyError::NoConfiguration { file });
-    let mut stream = Stream::new(text(CONTROL)?, text(SAFETY)?)?;
-    let mut ticks = 0;
-    let mut hash = FNV_OFFSET;
-    let gap_before = |position: usize| {
-        log.losses.iter().find_map(|loss| match *loss {
-            Loss::Ticks {
-                position: at,
-                count,
-            } if at == position => Some(count),
-            Loss::Ticks { .. } | Loss::Chunk { .. } => None,
-        })
+    let mut checker = Checker::new(&log.header)?;
+    log.steps().for_each(|step| checker.step(&step));
+    Ok(checker.finish(&log.end()))
+}
+
+/// Checks the log at `path` as [`verify`] does, without ever holding more than a tick of it.
+///
+/// # Errors
+/// [`LogError`] when it is no log or was damaged, [`VerifyError`] when it does not say what the limits are.
+pub fn verify_file<E: From<LogError> + From<VerifyError>>(path: &Path) -> Result<VerifyResult, E> {
+    let mut checker = None;
+    let (header, end) = read_steps(path, |header, step| -> Result<(), E> {
+        let checker = match &mut checker {
+            Some(checker) => checker,
+            None => checker.insert(Checker::new(header)?),
+        };
+        checker.step(step);
+        Ok(())
+    })?;
+    let checker = match checker {
+        Some(checker) => checker,
+        None => Checker::new(&header)?,
     };
-    for (position, (tick, _)) in log.ticks().enumerate() {
-        if let Some(count) = gap_before(position) {
-            stream.missing(tick.tick, count);
+    Ok(checker.finish(&end))
+}
+
+/// A check under way.
+struct Checker {
+    stream: Stream,
+    ticks: u64,
+    hash: u64,
+    /// The tick after the newest.
+    next_tick: u64,
+    complete: bool,
+}
+
+impl Checker {
+    fn new(header: &RunHeader) -> Result<Self, VerifyError> {
+        let text = |file| {
+            header
+                .text(file)
+                .ok_or(VerifyError::NoConfiguration { file })
+        };
+        let mut stream = Stream::new(text(CONTROL)?, text(SAFETY)?)?;
+        let complete = header.left_out == 0;
+        if !complete {
+            stream.resume();
         }
+        Ok(Self {
+            stream,
+            ticks: 0,
+            hash: FNV_OFFSET,
+            next_tick: 0,
+            complete,
+        })
+    }
+
+    fn step(&mut self, step: &Step<'_>) {
+        let (tick, stream) = (step.tick, &mut self.stream);
+        if step.dropped_before > 0 {
+            stream.missing(tick.tick, step.dropped_before);
+        }
+        self.complete &= step.dropped_before == 0 && !step.chunk_dropped;
         let told = tick.arms.as_ref().map(|arm| (&arm.command, &arm.measured));
         match told.second {
             None => stream.tick(tick.tick, &[told.first]),
             Some(second) => stream.tick(tick.tick, &[told.first, second]),
         }
+        stream.clock(tick.now);
         stream.expect_arms(told.count());
         for (command, _) in told.iter() {
-            add_to_hash(&mut hash, command);
+            add_to_hash(&mut self.hash, command);
         }
-        ticks += 1;
+        self.ticks += 1;
+        self.next_tick = tick.tick.saturating_add(1);
     }
-    if let Some(count) = gap_before(log.tick_count()) {
-        stream.missing(
-            log.ticks().last().map_or(0, |(tick, _)| tick.tick + 1),
-            count,
-        );
+
+    fn finish(mut self, end: &LogEnd) -> VerifyResult {
+        let stream = &mut self.stream;
+        if end.dropped_at_end > 0 {
+            stream.missing(self.next_tick, end.dropped_at_end);
+            self.complete = false;
+        }
+        let hash = format!("{:016x}", self.hash);
+        let reported = end.outcome.as_ref().map(|outcome| &outcome.command_hash);
+        if self.complete && reported.is_some_and(|reported| *reported != hash) {
+            stream.other_hash();
+        }
+        if end.altered {
+            stream.other_contents();
+        }
+        VerifyResult {
+            ok: stream.violation_count() == 0 && end.cut.is_none(),
+            ticks: self.ticks,
+            skipped_periods: stream.skipped_periods(),
+            violation_count: stream.violation_count(),
+            measured: stream.measured(),
+            cut: end.cut.clone(),
+            violations: self.stream.into_violations(),
+        }
     }
-    let reported = log.outcome.as_ref().map(|outcome| &outcome.command_hash);
-    if log.losses.is_empty() && reported.is_some_and(|reported| *reported != format!("{hash:016x}"))
-    {
-        stream.other_hash();
-    }
-    Ok(VerifyResult {
-        ok: stream.violation_count() == 0 && log.cut().is_none(),
-        ticks,
-        skipped_periods: stream.skipped_periods(),
-        violation_count: stream.violation_count(),
-        violations: stream.into_violations(),
-        cut: log.cut().map(str::to_owned),
-    })
 }
 
 /// FNV-1a's start and factor, 64 bits.

@@ -379,6 +379,9 @@ pub(crate) struct RunArgs {
     /// Write the run's log; parent folders are made.
     #[arg(long, value_name = "FILE.mcap")]
     pub(crate) log: Option<PathBuf>,
+    /// What the log takes at most, MB: it keeps the last part, in FILE.mcap and, from before it, FILE.earlier.mcap.
+    #[arg(long, value_name = "MB", requires = "log", value_parser = clap::value_parser!(u64).range(16..=1_000_000))]
+    pub(crate) log_max_mb: Option<u64>,
     /// Cameras whose frames the log keeps besides those that the policy sees: `single` (the one that the paper gives the
     /// task's policies), `multi` (that one and the wrists), or names with commas between them. If there is neither:
     /// endoscope. With --safety: names of cameras on the topics, none if not given.

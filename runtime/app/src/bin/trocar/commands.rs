@@ -11,8 +11,8 @@ use trocar::session::realtime::{self, CanOptions, PolicyProcessOptions, RobotOpt
 use trocar::session::run::{self, RunOptions, RunResult, write_json};
 use trocar::session::summary::{CanBusSummary, RunSummary};
 use trocar::session::{PolicyChoice, Robot, SessionError, Setup, outputs, tasks};
+use trocar_control::MeasuredClearance;
 use trocar_data::dataset::VideoCodec;
-use trocar_log::RunLog;
 use trocar_log::{replay as replaying, verify as verifying};
 use trocar_nets::compute::{Arithmetic, Compute};
 use trocar_tasks::cameras::SceneCameras;
@@ -24,7 +24,7 @@ use crate::args::{
 };
 use crate::console;
 use crate::drives::can_source;
-use crate::scene_args::of_task;
+use crate::scene_args::{of_policy, of_task, policy_files};
 
 pub(crate) type Done = Result<bool, SessionError>;
 
@@ -109,6 +109,8 @@ pub(crate) fn run(args: &RunArgs) -> Done {
     let task = args.task.as_deref().map_or_else(Vec::new, tasks::paths);
     let mut read = vec![config, scene, can_config, safety];
     read.extend(of_task(&task));
+    let policy_files = policy_files(&args.policy);
+    read.extend(of_policy(&policy_files));
     let log = ("--log", args.log.as_deref());
     outputs::check(&[log, ("--json", args.json.as_deref())], &read)?;
     let can = can_options(args)?;
@@ -119,10 +121,12 @@ pub(crate) fn run(args: &RunArgs) -> Done {
         policy,
         seed: args.seed,
         log: args.log.clone(),
+        log_bytes_max: args.log_max_mb.map(|mb| mb << 20),
         pictures: false,
         latency_ms: args.latency_ms,
         latency_jitter_ms: args.latency_jitter_ms,
         compute: compute(&args.compute)?,
+        warn: console::warning,
     };
     let result = match (&args.task, &args.safety) {
         (Some(task), _) => run_task(task, args, &options, can)?,
@@ -234,6 +238,7 @@ fn report_run(summary: &RunSummary) {
         "  safety QP: passed {}, solved {}, failed {}; guard interventions: {}",
         summary.qp.passed, summary.qp.solved, summary.qp.failed, summary.guard_interventions
     ));
+    console::result(&format!("  {}", nearest(&summary.measured_clearance)));
     console::result(&format!(
         "  policy: {} queries, {} refused chunks, observation to chunk p50 {:.1} ms, p99 {:.1} ms, inference p50 {:.1} ms",
         summary.policy.queries,
@@ -280,11 +285,41 @@ fn report_run(summary: &RunSummary) {
     console::result(&format!("  command hash: {}", summary.command_hash));
 }
 
+/// What the measured arms came nearest to, and how long they were beyond anything.
+fn nearest(measured: &[MeasuredClearance]) -> String {
+    let least = measured
+        .iter()
+        .min_by(|one, other| one.clearance_m.total_cmp(&other.clearance_m));
+    let Some(least) = least else {
+        return "measured clearance: no arm held torque".to_owned();
+    };
+    let beyond: Vec<String> = measured
+        .iter()
+        .filter(|nearest| nearest.ticks_beyond > 0)
+        .map(|nearest| {
+            let MeasuredClearance {
+                arm,
+                boundary,
+                ticks_beyond,
+                ..
+            } = nearest;
+            format!("; {arm} was beyond {boundary} in {ticks_beyond} ticks")
+        })
+        .collect();
+    format!(
+        "measured clearance: {:.2} mm at least, {} of {} ({}){}",
+        1e3 * least.clearance_m,
+        least.boundary,
+        least.arm,
+        least.part,
+        beyond.concat()
+    )
+}
+
 pub(crate) fn replay(args: &LogArgs) -> Done {
     check_result(args)?;
     forget_result(args)?;
-    let log = RunLog::open(&args.file)?;
-    let result = replaying::replay(&log)?;
+    let result = replaying::replay_file::<SessionError>(&args.file)?;
     match &result.first_difference {
         None if result.identical => console::result(&format!("identical: {} ticks", result.ticks)),
         None => console::result(&format!("not identical after {} ticks", result.ticks)),
@@ -293,28 +328,35 @@ pub(crate) fn replay(args: &LogArgs) -> Done {
     if let Some(path) = &args.json {
         write_json(path, &result)?;
     }
-    refuse_cut(&log, args)?;
+    refuse_cut(result.cut.as_deref(), args)?;
     Ok(result.identical)
 }
 
 pub(crate) fn verify(args: &LogArgs) -> Done {
     check_result(args)?;
     forget_result(args)?;
-    let log = RunLog::open(&args.file)?;
-    let result = verifying::verify(&log)?;
+    let result = verifying::verify_file::<SessionError>(&args.file)?;
     console::result(&format!(
         "{}: {} ticks, {} violations",
         if result.ok { "ok" } else { "not ok" },
         result.ticks,
-        result.violations.len()
+        result.violation_count
     ));
+    let measured = result.measured.iter().map(|nearest| MeasuredClearance {
+        arm: nearest.arm.clone(),
+        boundary: nearest.boundary.clone(),
+        part: nearest.part.clone(),
+        clearance_m: nearest.clearance_m,
+        ticks_beyond: nearest.ticks_beyond,
+    });
+    console::result(&format!("  {}", nearest(&measured.collect::<Vec<_>>())));
     for violation in result.violations.iter().take(10) {
         console::result(&format!("  {violation}"));
     }
     if let Some(path) = &args.json {
         write_json(path, &result)?;
     }
-    refuse_cut(&log, args)?;
+    refuse_cut(result.cut.as_deref(), args)?;
     Ok(result.ok)
 }
 
@@ -334,8 +376,8 @@ fn forget_result(args: &LogArgs) -> Result<(), SessionError> {
 }
 
 /// An incomplete log is bad input, even though what is there was used.
-fn refuse_cut(log: &RunLog, args: &LogArgs) -> Result<(), SessionError> {
-    let Some(reason) = log.cut() else {
+fn refuse_cut(cut: Option<&str>, args: &LogArgs) -> Result<(), SessionError> {
+    let Some(reason) = cut else {
         return Ok(());
     };
     Err(SessionError::CutLog {

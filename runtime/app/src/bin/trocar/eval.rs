@@ -13,7 +13,7 @@ use trocar::session::{PolicyChoice, SessionError, Setup, outputs, tasks};
 use crate::args::EvalArgs;
 use crate::commands::{Done, compute, note_awaited, task_changes, warn_of_transfer};
 use crate::console;
-use crate::scene_args::of_task;
+use crate::scene_args::{of_policy, of_task, policy_files};
 
 pub(crate) fn eval(args: &EvalArgs) -> Done {
     let keep = keep(args)?;
@@ -23,6 +23,8 @@ pub(crate) fn eval(args: &EvalArgs) -> Done {
     let task = tasks::paths(&args.task);
     let mut read = vec![config, scene, kept];
     read.extend(of_task(&task));
+    let policy_files = policy_files(&args.policy);
+    read.extend(of_policy(&policy_files));
     outputs::check(&[("--json", args.json.as_deref())], &read)?;
     let policy = PolicyChoice::parse(&args.policy).within_s(args.policy_timeout);
     policy.check_exists()?;

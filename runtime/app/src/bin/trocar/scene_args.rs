@@ -4,6 +4,7 @@ use std::path::{Path, PathBuf};
 
 use clap::{Args, ValueEnum};
 
+use trocar::session::PolicyChoice;
 use trocar::session::scene_options::{CameraSet, SceneOptions};
 use trocar_tasks::task::{Variation, View};
 
@@ -88,6 +89,20 @@ impl VaryArgs {
 /// The files at `paths`, which a task is read from, as what results must not take the place of.
 pub(crate) fn of_task(paths: &[PathBuf]) -> impl Iterator<Item = (&'static str, Option<&Path>)> {
     paths.iter().map(|path| ("--task", Some(path.as_path())))
+}
+
+/// The files of a checkpoint, if the policy `text` is one.
+pub(crate) fn policy_files(text: &str) -> Vec<PathBuf> {
+    let PolicyChoice::Checkpoint(folder) = PolicyChoice::parse(text) else {
+        return Vec::new();
+    };
+    let files = std::fs::read_dir(folder).into_iter().flatten().flatten();
+    files.map(|file| file.path()).collect()
+}
+
+/// The files at `paths`, which a policy is read from, as what results must not take the place of.
+pub(crate) fn of_policy(paths: &[PathBuf]) -> impl Iterator<Item = (&'static str, Option<&Path>)> {
+    paths.iter().map(|path| ("--policy", Some(path.as_path())))
 }
 
 impl SceneArgs {

@@ -109,6 +109,7 @@ impl<R: Rig> ControlThread<R> {
         }
         // The arms hear of every command that the log has.
         self.rig.exchange(setpoints.as_ref());
+        tally.measured(&self.controller);
         let log_dropped = self.log.as_ref().map_or(0, TickLog::dropped);
         #[expect(clippy::cast_precision_loss, reason = "a delay is exact in f64")]
         let wake_p99_us = wakes.percentile(0.99) as f64 * 1e-3;

@@ -32,7 +32,7 @@ use std::thread;
 use hal::{ArmState, Chunk, TICK_NS};
 use rtrb::RingBuffer;
 use tch::Device;
-use trocar_tasks::simulation::{Rendering, Simulation};
+use trocar_tasks::simulation::Rendering;
 use trocar_tasks::task::Outcome;
 
 pub use on_can::{CanOptions, Say, run_on_can, run_robot_on_can};
@@ -41,7 +41,7 @@ pub use robot::{RobotOptions, run_rig};
 
 use super::external::{About, ExternalLink, check_wanted};
 use super::operator::{Listener, OperatorPort};
-use super::run::{RunOptions, RunResult, open_log};
+use super::run::{RunOptions, RunResult, open_log, simulation};
 use super::source::{ChunkSource, PolicyChoice};
 use super::summary::{RealTimeCounts, TissueSummary};
 use super::tally::{RunLabels, Tally};
@@ -126,7 +126,7 @@ fn run_threads(
     source: Option<ChunkSource>,
     child: Option<&mut PolicyChild>,
 ) -> Result<Ends, SessionError> {
-    let simulation = Simulation::new(&setup.task, options.seed, Rendering::Off)?;
+    let simulation = simulation(setup, options, Rendering::Off)?;
     let controller = setup.controller()?;
     let (measured_in, measured) = mailbox::<PerArm<ArmState>>();
     let (commands, commands_out) = RingBuffer::new(COMMANDS);

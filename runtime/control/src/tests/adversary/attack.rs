@@ -31,6 +31,12 @@ pub(super) struct Attack {
     pub(super) guard_removed: bool,
     /// Whether operator and measurements make trouble.
     pub(super) trouble: bool,
+    /// The share of the way to its setpoint that each arm goes in a tick.
+    pub(super) follows: f64,
+    /// How far each arm's yaw is off, rad.
+    pub(super) off_rad: f64,
+    /// Whether the guard takes no note of how far the arms lag behind.
+    pub(super) lag_ignored: bool,
     /// Whether Clarabel solves each of the filter's problems again.
     pub(super) second_opinion: bool,
 }
@@ -46,6 +52,9 @@ impl Attack {
             garbage: 0.05,
             guard_removed: false,
             trouble: true,
+            follows: 1.0,
+            off_rad: 0.0,
+            lag_ignored: false,
             second_opinion: false,
         }
     }
@@ -58,8 +67,7 @@ impl Attack {
         }
         let mut random = SplitMix64::new(self.seed);
         let mut rig = Rig::<ARMS>::enabled(&scene.config);
-        rig.controller.sabotage.garbage = Some(Garbage::new(random.next_u64(), self.garbage));
-        rig.controller.sabotage.guard_removed = self.guard_removed;
+        self.sabotage(&mut rig, &mut random);
         let mut judge = Judge::new(&scene);
         let mut figures = Figures::default();
         let mut adversaries: [_; ARMS] = core::array::from_fn(|_| self.kind.adversary());
@@ -109,15 +117,38 @@ impl Attack {
                 judge.follow_tails(&outputs);
             }
         }
+        self.sum_up(&mut figures, &rig, &judge);
+        (figures, judge.violations(self.trouble))
+    }
+
+    /// Breaks what is to be broken.
+    fn sabotage<const ARMS: usize>(&self, rig: &mut Rig<ARMS>, random: &mut SplitMix64) {
+        rig.controller.sabotage.garbage = Some(Garbage::new(random.next_u64(), self.garbage));
+        rig.controller.sabotage.guard_removed = self.guard_removed;
+        rig.controller.sabotage.lag_ignored = self.lag_ignored;
+        rig.follows = self.follows;
+        rig.off_rad = self.off_rad;
+    }
+
+    /// Takes into `figures` what is known at the end.
+    fn sum_up<const ARMS: usize>(&self, figures: &mut Figures, rig: &Rig<ARMS>, judge: &Judge) {
         for arm in &rig.controller.arms {
             figures.accepted += arm.gate.accepted_count();
             figures.refused += arm.gate.refused_count();
         }
         figures.tails = judge.tails;
         figures.nearest = Some(judge.nearest());
+        figures.measured_mm = 1e3 * judge.measured_m();
+        let said = rig.controller.measured_clearances();
+        let said_m = said
+            .iter()
+            .fold(f64::INFINITY, |least, found| least.min(found.clearance_m));
+        assert!(
+            (1e3 * said_m - figures.measured_mm).abs() < 1e-3 || self.trouble,
+            "{said:?}"
+        );
         let garbage = rig.controller.sabotage.garbage.as_ref();
         figures.garbage = garbage.map_or(0, |garbage| garbage.count);
-        (figures, judge.violations())
     }
 }
 

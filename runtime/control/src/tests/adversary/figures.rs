@@ -30,6 +30,8 @@ pub(super) struct Figures {
     pub(super) garbage: u64,
     /// Ticks whose tails were followed to rest.
     pub(super) tails: u64,
+    /// How near the measured arms came to any boundary, mm.
+    pub(super) measured_mm: f64,
     /// How near the commands came to the limits.
     pub(super) nearest: Option<Nearest>,
     faulted: [bool; 2],

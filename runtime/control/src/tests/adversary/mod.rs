@@ -195,3 +195,43 @@ fn filter_and_smoother_alone_break_limits() {
 fn filter_and_smoother_alone_break_limits_of_two_arms() {
     broken::<2>(0.0);
 }
+
+/// How near to their boundaries arms come that lag 10 ms behind their setpoints, more than a millimetre at full speed, and whose yaw is off
+/// by 0.7 mm at the tip, mm.
+fn lagging<const ARMS: usize>(lag_ignored: bool) -> f64 {
+    let kinds = [Kind::BangBang, Kind::Jumps, Kind::Climber, Kind::Walk];
+    let nearest = kinds.map(|kind| {
+        let attack = Attack {
+            follows: 0.1,
+            off_rad: 0.006,
+            lag_ignored,
+            trouble: false,
+            garbage: 0.5,
+            ..Attack::new(kind, 501)
+        };
+        let (figures, violations) = attack.play::<ARMS>();
+        println!(
+            "{kind:?} on {ARMS}, lag ignored {lag_ignored}: measured {:.3} mm; {figures}",
+            figures.measured_mm
+        );
+        let measured = |text: &String| text.contains("measured.");
+        assert!(
+            lag_ignored || !violations.iter().any(measured),
+            "{violations:#?}"
+        );
+        figures.measured_mm
+    });
+    nearest.into_iter().fold(f64::INFINITY, f64::min)
+}
+
+#[test]
+fn no_measured_arm_that_lags_behind_enters_a_region() {
+    let [kept, ignored] = [false, true].map(lagging::<1>);
+    assert!(kept > 0.0 && ignored < 0.0, "{kept} {ignored}");
+}
+
+#[test]
+fn no_two_measured_arms_that_lag_behind_meet() {
+    let [kept, ignored] = [false, true].map(lagging::<2>);
+    assert!(kept > 0.0 && ignored < 0.0, "{kept} {ignored}");
+}

@@ -80,6 +80,16 @@ pub(in crate::tests) fn obedient(command: &ArmCommand, stamp: TimeNs) -> ArmStat
     }
 }
 
+/// A measured arm that goes a share of the way from where it was `before` to where it is `told`, but for the yaw, which is off.
+fn lagging(before: &ArmState, mut told: ArmState, share: f64, off_rad: f64) -> ArmState {
+    told.position[0] += off_rad;
+    ArmState {
+        position: before.position + (told.position - before.position) * share,
+        jaw_position: before.jaw_position + (told.jaw_position - before.jaw_position) * share,
+        ..told
+    }
+}
+
 /// Joints, then jaw.
 pub(in crate::tests) fn axes_of(arm: &ArmState) -> Axes {
     core::array::from_fn(|axis| {
@@ -107,6 +117,10 @@ pub(in crate::tests) struct Rig<const ARMS: usize> {
     /// Whether each arm was commanded to hold torque.
     pub(in crate::tests) powered: [bool; ARMS],
     tails: [Option<SafeTail>; ARMS],
+    /// The share of the way to its setpoint that an arm goes in a tick.
+    pub(in crate::tests) follows: f64,
+    /// How far each arm's yaw is off when it has come there, rad.
+    pub(in crate::tests) off_rad: f64,
 }
 
 impl<const ARMS: usize> Rig<ARMS> {
@@ -119,6 +133,8 @@ impl<const ARMS: usize> Rig<ARMS> {
             tick: 0,
             powered: [false; ARMS],
             tails: [None; ARMS],
+            follows: 1.0,
+            off_rad: 0.0,
         }
     }
 
@@ -171,7 +187,14 @@ impl<const ARMS: usize> Rig<ARMS> {
         let outputs = self.controller.tick_arms(&inputs);
         self.tick += 1;
         let stamp = self.now();
-        self.arms = core::array::from_fn(|arm| obedient(&outputs[arm].command, stamp));
+        self.arms = core::array::from_fn(|arm| {
+            let told = obedient(&outputs[arm].command, stamp);
+            if outputs[arm].command.enabled && self.follows < 1.0 {
+                lagging(&self.arms[arm], told, self.follows, self.off_rad)
+            } else {
+                told
+            }
+        });
         self.powered = core::array::from_fn(|arm| outputs[arm].command.enabled);
         self.tails = core::array::from_fn(|arm| Some(outputs[arm].tail));
         outputs

@@ -28,6 +28,7 @@ fn make_limp(record: &mut TickRecord) {
     command.enabled = false;
     (command.position, command.jaw_position) = (state.position, state.jaw_position);
     (command.velocity, command.jaw_velocity) = (JointVector::zeros(), 0.0);
+    command.acceleration = JointVector::zeros();
 }
 
 #[test]
@@ -158,7 +159,7 @@ fn an_honest_fault_breaks_no_limit() {
     };
     let pushed = |tick, mut state: ArmState| {
         // Away from its command, so that the drives let go of it there.
-        state.position[0] += if tick >= 400 { 0.5 } else { 0.0 };
+        state.position[0] += if tick >= 400 { 0.12 } else { 0.0 };
         Ok(state)
     };
     let lost = |tick, state| match tick {

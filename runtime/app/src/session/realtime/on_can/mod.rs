@@ -239,7 +239,7 @@ pub fn run_robot_on_can(
     drop(network);
     let ready = bring_up(can, buses, say)?;
     awaited::still_there(&mut cameras, clock, &can.topics, say)?;
-    let recorder = open_log_with(&robot.header(options), options.log.as_deref())?;
+    let recorder = open_log_with(&robot.header(options), options)?;
     let wires = Wires::new(recorder, clock)?;
     let reports = arm_reports(&node, count, child.is_some())?;
     let (local, remote) = wired(local.take(), child.as_mut(), wires.chunk_in);

@@ -40,7 +40,7 @@ pub fn run_rig<R: Rig + Send>(
     source.reset(options.seed);
     rt::catch_interrupts_in_motion()
         .map_err(|error| SessionError::RealTime(format!("catching signals failed: {error}")))?;
-    let recorder = open_log_with(&robot.header(options), options.log.as_deref())?;
+    let recorder = open_log_with(&robot.header(options), options)?;
     let wires = Wires::new(recorder, clock)?;
     let ControlWires {
         measured,

@@ -1,0 +1,159 @@
+//! How near the measured instruments came to their boundaries. Hot path: bounded, no allocation, no I/O, no lock.
+
+use hal::ArmState;
+use serde::Serialize;
+
+use super::clearance::{Boundaries, CLEARANCES, Clearances, FACES};
+use super::pair::{Gaps, KINDS};
+use crate::config::{ControlConfig, FORBIDDEN_MAX};
+use crate::instrument::{LINKS, Link, Stance};
+use crate::motion::MotionState;
+
+/// The workspace, then each region.
+const BOUNDARIES: usize = 1 + FORBIDDEN_MAX;
+
+/// Names of the points that stay in the workspace, and of its faces.
+const POINTS: [&str; 3] = ["control_point", "left_finger_tip", "right_finger_tip"];
+const SIDES: [&str; 6] = ["x_min", "y_min", "z_min", "x_max", "y_max", "z_max"];
+
+/// How near a measured instrument came to a boundary while it held torque.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct MeasuredClearance {
+    /// The arm; both with a `+` between them where the boundary is between two.
+    pub arm: String,
+    /// The boundary: `workspace`, `forbidden.vessel`, `between_arms`.
+    pub boundary: String,
+    /// What came nearest: `left_finger_tip.z_min`, `wrist`, `shaft.shaft`.
+    pub part: String,
+    /// The smallest clearance, m; negative beyond the boundary.
+    pub clearance_m: f64,
+    /// Ticks in which it was beyond.
+    pub ticks_beyond: u64,
+}
+
+/// The smallest clearance of one boundary.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Nearest {
+    clearance_m: f64,
+    part: usize,
+    ticks_beyond: u64,
+}
+
+impl Nearest {
+    pub(super) const NEVER: Self = Self {
+        clearance_m: f64::INFINITY,
+        part: 0,
+        ticks_beyond: 0,
+    };
+
+    /// Takes in one tick.
+    pub(super) fn add(&mut self, clearances_m: &[f64]) {
+        let mut beyond = false;
+        for (part, &clearance_m) in clearances_m.iter().enumerate() {
+            beyond |= clearance_m < 0.0;
+            if clearance_m < self.clearance_m {
+                self.clearance_m = clearance_m;
+                self.part = part;
+            }
+        }
+        self.ticks_beyond += u64::from(beyond);
+    }
+
+    fn named(&self, arm: String, boundary: String, part: String) -> Option<MeasuredClearance> {
+        self.clearance_m.is_finite().then_some(MeasuredClearance {
+            arm,
+            boundary,
+            part,
+            clearance_m: self.clearance_m,
+            ticks_beyond: self.ticks_beyond,
+        })
+    }
+
+    /// Of two arms, as [`MeasuredClearance`].
+    pub(super) fn between(&self, config: &ControlConfig) -> Option<MeasuredClearance> {
+        let (first, second) = KINDS.get(self.part)?;
+        let names: Vec<&str> = config.arms.iter().map(|arm| arm.name.as_str()).collect();
+        let part = |link: usize| Link::ALL.get(link).map_or("", |link| link.name());
+        self.named(
+            names.join("+"),
+            "between_arms".to_owned(),
+            format!("{}.{}", part(*first), part(*second)),
+        )
+    }
+}
+
+/// The smallest clearances of one arm.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct NearestOfArm([Nearest; BOUNDARIES]);
+
+impl NearestOfArm {
+    pub(super) const fn new() -> Self {
+        Self([Nearest::NEVER; BOUNDARIES])
+    }
+
+    /// Takes in one tick.
+    pub(super) fn add(&mut self, clearances: &Clearances) {
+        let (faces, regions) = clearances.split_at(FACES);
+        let all = core::iter::once(faces).chain(regions.chunks_exact(LINKS));
+        for (nearest, clearances) in self.0.iter_mut().zip(all) {
+            nearest.add(clearances);
+        }
+    }
+
+    /// The workspace and each region of the arm at `index`; nothing of an arm that never held torque.
+    pub(super) fn named(&self, config: &ControlConfig, index: usize) -> Vec<MeasuredClearance> {
+        let Some(arm) = config.arms.get(index) else {
+            return Vec::new();
+        };
+        let [workspace, regions @ ..] = &self.0;
+        let point = POINTS.get(workspace.part / SIDES.len()).copied();
+        let side = SIDES.get(workspace.part % SIDES.len()).copied();
+        let part = format!("{}.{}", point.unwrap_or(""), side.unwrap_or(""));
+        let workspace = workspace.named(arm.name.clone(), "workspace".to_owned(), part);
+        let regions = regions
+            .iter()
+            .zip(&arm.forbidden)
+            .filter_map(|(nearest, region)| {
+                let link = Link::ALL.get(nearest.part).map_or("", |link| link.name());
+                let boundary = format!("forbidden.{}", region.name);
+                nearest.named(arm.name.clone(), boundary, link.to_owned())
+            });
+        workspace.into_iter().chain(regions).collect()
+    }
+}
+
+/// The boundaries in space that arms measured at `states` are beyond, each with what is furthest beyond it. Allocates.
+#[must_use]
+pub fn beyond(config: &ControlConfig, states: &[ArmState]) -> Vec<MeasuredClearance> {
+    let arms = config.arms.iter().zip(states).enumerate();
+    let all = arms.flat_map(|(index, (arm, state))| {
+        let stance = Stance::new(&MotionState::at_rest(state));
+        let boundaries = Boundaries::new(arm);
+        let mut nearest = NearestOfArm::new();
+        nearest.add(&boundaries.clearances(&stance.instrument, &[true; CLEARANCES]));
+        nearest.named(config, index)
+    });
+    all.filter(|nearest| nearest.clearance_m < 0.0).collect()
+}
+
+/// What the guard keeps beyond its margin for a deviation of each clearance's part, m.
+pub(super) fn allowances(deviation: &super::Deviation) -> Clearances {
+    let points_m = [
+        deviation.tip_m,
+        deviation.fingers_m[0],
+        deviation.fingers_m[1],
+    ];
+    let mut allowances = [0.0; CLEARANCES];
+    for (index, allowance) in allowances.iter_mut().enumerate() {
+        *allowance = match index.checked_sub(FACES) {
+            None => points_m[index / SIDES.len()],
+            Some(at) => deviation.links_m[at % LINKS],
+        };
+    }
+    allowances
+}
+
+/// The same for the gaps between two arms.
+pub(super) fn gap_allowances(first: &super::Deviation, second: &super::Deviation) -> Gaps {
+    KINDS.map(|(of_first, of_second)| first.links_m[of_first] + second.links_m[of_second])
+}

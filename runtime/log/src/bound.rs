@@ -1,0 +1,62 @@
+//! A log with a bound: the file goes on in another, and of those before it only the newest stays.
+
+use std::fs::{self, File};
+use std::io::BufWriter;
+use std::path::{Path, PathBuf};
+
+use super::error::LogError;
+use super::header::RunHeader;
+use super::writer::LogWriter;
+
+/// What may come into a file before it is looked at again: all between two flushes, and the end.
+const SPARE_BYTES: u64 = 2 << 20;
+
+/// The bound of a log.
+pub(super) struct Bound {
+    file_bytes_max: u64,
+    run: RunHeader,
+}
+
+impl Bound {
+    /// `bytes_max` for both files of the run `run`, of which one is at `path`. What an earlier run put aside there is no part of this one and
+    /// is removed.
+    pub(super) fn new(bytes_max: u64, run: &RunHeader, path: &Path) -> Self {
+        let _absent = fs::remove_file(earlier(path));
+        Self {
+            file_bytes_max: (bytes_max / 2).saturating_sub(SPARE_BYTES),
+            run: run.clone(),
+        }
+    }
+
+    /// Whether the file at `path` is as large as it may get.
+    pub(super) fn is_reached(&self, path: &Path) -> bool {
+        fs::metadata(path).is_ok_and(|found| found.len() >= self.file_bytes_max)
+    }
+
+    /// Puts the file at `path` aside and begins the next one, after `ticks` ticks.
+    pub(super) fn next(
+        &self,
+        path: &Path,
+        ticks: u64,
+    ) -> Result<LogWriter<BufWriter<File>>, LogError> {
+        let io = |source| LogError::Create {
+            path: path.to_owned(),
+            source,
+        };
+        fs::rename(path, earlier(path)).map_err(io)?;
+        let sink = BufWriter::new(File::create(path).map_err(io)?);
+        let run = RunHeader {
+            left_out: ticks,
+            ..self.run.clone()
+        };
+        LogWriter::new(sink, &run).map_err(|source| LogError::Write {
+            path: path.to_owned(),
+            source,
+        })
+    }
+}
+
+/// Where what came before is.
+pub(super) fn earlier(path: &Path) -> PathBuf {
+    path.with_extension("earlier.mcap")
+}

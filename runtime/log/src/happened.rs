@@ -1,0 +1,49 @@
+//! What happened in a run in words, from its ticks: what operators asked for, changes of mode, faults.
+
+use hal::{ARM_NAMES, ARMS_MAX};
+use trocar_control::{Fault, OperatingState, OperatorEvent};
+
+use super::record::TickRecord;
+use super::recorder::Level;
+
+/// What was said of each arm.
+pub(super) struct Happened([(OperatingState, Option<Fault>); ARMS_MAX]);
+
+impl Happened {
+    pub(super) const fn new() -> Self {
+        Self([(OperatingState::Disabled, None); ARMS_MAX])
+    }
+
+    /// What is new in `tick`, in order; nothing in nearly all.
+    pub(super) fn since(&mut self, tick: &TickRecord) -> Vec<(Level, String)> {
+        let mut news = Vec::new();
+        let arms = tick.arms.iter().zip(ARM_NAMES).zip(&mut self.0);
+        for ((arm, name), (state, fault)) in arms {
+            if let Some(event) = arm.operator {
+                news.push((Level::Info, format!("{name}: operator: {}", words(event))));
+            }
+            let now = arm.report.mode.state;
+            let before = core::mem::replace(state, now);
+            if before != now {
+                let change = format!("{name}: {} to {}", before.name(), now.name());
+                news.push((Level::Info, change));
+            }
+            let had = core::mem::replace(fault, arm.report.fault);
+            if let (Some(fault), None) = (arm.report.fault, had) {
+                news.push((Level::Error, format!("{name}: fault: {fault}")));
+            }
+        }
+        news
+    }
+}
+
+fn words(event: OperatorEvent) -> String {
+    match event {
+        OperatorEvent::Enable => "enable".to_owned(),
+        OperatorEvent::Disable => "disable".to_owned(),
+        OperatorEvent::Pause => "pause".to_owned(),
+        OperatorEvent::Resume => "resume".to_owned(),
+        OperatorEvent::Clear => "clear".to_owned(),
+        OperatorEvent::Speed { percent } => format!("speed {percent} %"),
+    }
+}
