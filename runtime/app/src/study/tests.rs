@@ -53,8 +53,8 @@ fn the_papers_studies_are_one_grid_that_shares_its_cells() {
     let plan = plan(SUFIA_BC);
     // 20 each of disturbed and plain demonstrations and of moved cameras, 40 of fewer demonstrations, 4 of varied needles.
     assert_eq!(count(&plan, Kind::Training), 104);
-    // One a task and way of recording, which serves all networks; needles vary in one task.
-    assert_eq!(count(&plan, Kind::Recording), 16);
+    // 16 of a task and a way of recording (needles vary in one task), each with one camera, with several, and with one and its depth.
+    assert_eq!(count(&plan, Kind::Recording), 3 * 16);
     let table: Vec<_> = plan
         .record
         .entries
