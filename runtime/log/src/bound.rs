@@ -9,7 +9,7 @@ use super::header::RunHeader;
 use super::writer::LogWriter;
 
 /// What may come into a file before it is looked at again: all between two flushes, and the end.
-const SPARE_BYTES: u64 = 2 << 20;
+pub(super) const SPARE_BYTES: u64 = 2 << 20;
 
 /// The bound of a log.
 pub(super) struct Bound {

@@ -169,7 +169,11 @@ impl Drain {
         match next {
             Ok(next) => {
                 let full = core::mem::replace(&mut self.writer, next);
-                let result = full.finish(self.closing(None));
+                let closing = Closing {
+                    goes_on: true,
+                    ..self.closing(None)
+                };
+                let result = full.finish(closing);
                 self.note(result);
             }
             Err(error) => self.fail(error),
@@ -185,6 +189,7 @@ impl Drain {
         self.counts.events_dropped = dropped(&self.shared.events_dropped);
         Closing {
             outcome,
+            goes_on: false,
             counts: self.counts,
             input_hash: self.shared.input_hash.load(Ordering::Relaxed),
             contents: None,

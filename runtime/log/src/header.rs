@@ -160,6 +160,8 @@ impl LogCounts {
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) struct Closing {
     pub(super) outcome: Option<RunOutcome>,
+    /// Whether the run goes on in another file: counts and hash are those of a moment, of which this one may lack the last ticks.
+    pub(super) goes_on: bool,
     pub(super) counts: LogCounts,
     /// Hash over all inputs of the controller.
     pub(super) input_hash: u64,
@@ -178,6 +180,7 @@ pub(super) fn contents_after(before: &Contents, map: &Map) -> String {
 }
 
 const INPUT_HASH: &str = "input_hash";
+const GOES_ON: &str = "goes_on";
 const CONTENTS: &str = "contents_sha256";
 
 impl Closing {
@@ -188,6 +191,9 @@ impl Closing {
             .map(|(key, value)| ((*key).to_owned(), value.to_string()))
             .collect();
         map.insert(INPUT_HASH.to_owned(), format!("{:016x}", self.input_hash));
+        if self.goes_on {
+            map.insert(GOES_ON.to_owned(), "true".to_owned());
+        }
         if let Some(contents) = &self.contents {
             map.insert(CONTENTS.to_owned(), contents.clone());
         }
@@ -233,6 +239,7 @@ impl Closing {
         let input_hash = u64::from_str_radix(map.get(INPUT_HASH)?, 16).ok()?;
         Some(Self {
             outcome,
+            goes_on: map.contains_key(GOES_ON),
             counts,
             input_hash,
             contents: map.get(CONTENTS).cloned(),

@@ -291,6 +291,8 @@ struct Facts {
     outcome: Option<RunOutcome>,
     counts: Option<LogCounts>,
     input_hash: Option<u64>,
+    /// Whether the run goes on in another file.
+    goes_on: bool,
     altered: bool,
 }
 
@@ -369,7 +371,8 @@ impl<F: FnMut(&RunHeader, Event<'_>) -> Result<(), String>> Visitor for Assembly
                 closing.contents != Some(header::contents_after(&self.contents, &map));
             self.facts.outcome = closing.outcome;
             self.facts.counts = Some(closing.counts);
-            self.facts.input_hash = Some(closing.input_hash);
+            self.facts.input_hash = Some(closing.input_hash).filter(|_| !closing.goes_on);
+            self.facts.goes_on = closing.goes_on;
             return Ok(());
         }
         if self.begun {
@@ -410,6 +413,7 @@ impl<F: FnMut(&RunHeader, Event<'_>) -> Result<(), String>> Assembly<F> {
         }
         let counts = self.facts.counts;
         let unclosed = || "the data end, but the record of how the run ended is missing".to_owned();
+        let continued = || "the run goes on in another file: its log was bounded".to_owned();
         let left_out = self.facts.header.left_out;
         let bounded = || format!("its bound left out the first {left_out} ticks");
         let handed_over = counts.map_or(0, |counts| {
@@ -418,10 +422,15 @@ impl<F: FnMut(&RunHeader, Event<'_>) -> Result<(), String>> Assembly<F> {
         Ok(LogEnd {
             outcome: self.facts.outcome.take(),
             input_hash: self.facts.input_hash,
-            dropped_at_end: handed_over.saturating_sub(self.next_record),
+            dropped_at_end: if self.facts.goes_on {
+                0
+            } else {
+                handed_over.saturating_sub(self.next_record)
+            },
             cut: cut
                 .or_else(|| counts.is_none().then(unclosed))
-                .or_else(|| (left_out > 0).then(bounded)),
+                .or_else(|| (left_out > 0).then(bounded))
+                .or_else(|| self.facts.goes_on.then(continued)),
             altered: self.facts.altered,
         })
     }

@@ -536,3 +536,44 @@ fn a_log_with_a_bound_keeps_the_last_part() {
         assert!(error.contains("nothing to replay"), "{error}");
     }
 }
+
+#[test]
+fn the_first_part_of_a_log_is_no_whole_run() {
+    let (records, header) = run_controller(6000);
+    let file = Scratch::new("parts");
+    let earlier = Scratch(super::bound::earlier(&file.0));
+    let size = |file: &Scratch| std::fs::metadata(&file.0).unwrap().len();
+    let write = |bytes_max| {
+        let writing = Writing {
+            bytes_max,
+            ..Writing::new(Pressure::Block)
+        };
+        let mut recorder = Recorder::create_with(&file.0, &header, writing).unwrap();
+        for record in &records {
+            if let Some(sequence) = record.arms.first.chunk_sequence {
+                recorder.chunk(0, &chunk_of_run(sequence));
+            }
+            recorder.tick(record);
+        }
+        recorder.finish(Some(&outcome())).unwrap();
+    };
+    write(None);
+    // Of two files one gets more than half of it, and so the other the rest.
+    write(Some(size(&file) * 3 / 2 + 2 * super::bound::SPARE_BYTES));
+    let first = RunLog::open(&earlier.0).unwrap();
+    assert_eq!(first.header.left_out, 0);
+    assert!(
+        first
+            .cut()
+            .unwrap()
+            .starts_with("the run goes on in another file")
+    );
+    let verified = super::verify::verify(&first).unwrap();
+    assert!(
+        !verified.ok && verified.violations.is_empty(),
+        "{verified:?}"
+    );
+    let replayed = super::replay::replay(&first).unwrap();
+    assert_eq!(replayed.first_difference, None);
+    assert!(!replayed.inputs_checked && replayed.ticks > 2000);
+}

@@ -102,6 +102,14 @@ impl<B: Bus> Offline<B> {
         self
     }
 
+    /// Asks `cancelled`, while an axis moves to its home position, whether it is to stop: homing then ends with
+    /// [`BringUpError::Cancelled`], by a quick stop.
+    #[must_use]
+    pub fn cancelled_by(mut self, cancelled: fn() -> bool) -> Self {
+        self.bus.cancelled = Some(cancelled);
+        self
+    }
+
     /// Listens for another master, then resets every node of the plan and waits for it to boot up.
     ///
     /// # Errors

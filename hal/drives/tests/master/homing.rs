@@ -35,8 +35,18 @@ fn bring_up(net: Net, plan: &ArmPlan) -> Result<Bench, BringUpError> {
 
 /// Why the arm does not come up; whether it has torque half a second later, and where its motors have come to, units.
 fn refused(net: Net, plan: &ArmPlan) -> (String, bool, [f64; TAIL_AXES]) {
+    refused_or_cancelled(net, plan, || false)
+}
+
+/// The same, of one whose homing is cancelled as soon as `cancelled` says so.
+fn refused_or_cancelled(
+    net: Net,
+    plan: &ArmPlan,
+    cancelled: fn() -> bool,
+) -> (String, bool, [f64; TAIL_AXES]) {
     let net = Rc::new(RefCell::new(net));
-    let scanned = Offline::new(Shared(Rc::clone(&net)), plan).unwrap().scan();
+    let offline = Offline::new(Shared(Rc::clone(&net)), plan).unwrap();
+    let scanned = offline.cancelled_by(cancelled).scan();
     let mapped = scanned.unwrap().check_identity().unwrap().map().unwrap();
     let error = mapped.home().map(|_| ()).unwrap_err().to_string();
     let mut net = net.borrow_mut();
@@ -230,4 +240,13 @@ fn blocked_axis_ends_its_homing_with_the_drives_fault() {
         "{error}"
     );
     assert!(error.ends_with("while axis 2 moved for its homing") && !torque);
+}
+
+#[test]
+fn cancelled_homing_stops_the_axis() {
+    let sequence = to_limit_switch(2);
+    let plan = homing(&[sequence]);
+    let (error, torque, motors) = refused_or_cancelled(network(&plan), &plan, || true);
+    assert!(error.contains("homing was cancelled"), "{error}");
+    assert!(!torque && motors[2] > -4.9, "{motors:?}");
 }

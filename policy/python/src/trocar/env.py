@@ -209,6 +209,9 @@ class TrocarEnv(gym.Env[dict[str, Any], NDArray[Any]]):
                 self._child = self._peer = None
                 self._pending = False
                 raise SessionFailed(child.last_words())
+        child.end()
+        self._child = self._peer = None
+        self._pending = False
         raise SessionFailed(f"the session has shown nothing for {_BEGIN_S:.0f} s")
 
     def _see(self, event: Asked) -> None:

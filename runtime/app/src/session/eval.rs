@@ -111,9 +111,7 @@ impl<'a> TrialWorker<'a> {
     ) -> Result<Self, SessionError> {
         let network = match options.policy {
             PolicyChoice::Checkpoint(_) | PolicyChoice::External(_) => {
-                let policy = options
-                    .policy
-                    .of_job(index, options.jobs.min(options.trials));
+                let policy = options.policy.of_job(index, options.jobs);
                 Some(setup.source(&policy, options.seed, options.compute)?)
             }
             PolicyChoice::Expert

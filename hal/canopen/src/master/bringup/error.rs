@@ -163,6 +163,12 @@ pub enum BringUpError {
         /// Its status word.
         status: u32,
     },
+    /// The axis was stopped on its way to the home position, since that was asked for.
+    #[error("{who}: homing was cancelled")]
+    Cancelled {
+        /// The node.
+        who: Who,
+    },
     /// A drive is in fault when it is to be homed.
     #[error("{who}: is in fault: {code}; bring-up resets no faults")]
     Faulty {

@@ -58,6 +58,8 @@ pub(in super::super) struct Exchange<'a, B> {
     next_sync: Cell<TimeNs>,
     /// SYNCs that went out so far.
     syncs: Cell<u64>,
+    /// Whether axes that home are to stop.
+    cancelled: Option<fn() -> bool>,
 }
 
 /// What goes out when.
@@ -99,11 +101,17 @@ impl<'a, B: Bus> Exchange<'a, B> {
             sync_period_ns,
             next_sync,
             syncs: Cell::new(0),
+            cancelled: None,
         }
     }
 
     pub(super) fn now(&self) -> TimeNs {
         self.bus.borrow().now()
+    }
+
+    /// Whether axes that home are to stop.
+    pub(super) fn is_cancelled(&self) -> bool {
+        self.cancelled.is_some_and(|cancelled| cancelled())
     }
 
     /// Takes what has come, and sends set-points and SYNC if they are due.
@@ -322,7 +330,11 @@ impl<B: Bus> Watched<B> {
         sequence: impl AsyncFn(&Exchange<'_, Self>, usize) -> Result<T, BringUpError>,
         ends: impl Fn(&[Option<Result<T, BringUpError>>], &Self) -> bool,
     ) -> Vec<Option<Result<T, BringUpError>>> {
-        let exchange = Exchange::new(self, 0..plan.lines, Pace::of(plan));
+        let cancelled = self.cancelled;
+        let exchange = Exchange {
+            cancelled,
+            ..Exchange::new(self, 0..plan.lines, Pace::of(plan))
+        };
         let mut sequences: Vec<_> = axes
             .iter()
             .map(|&axis| Box::pin(sequence(&exchange, axis)))

@@ -219,12 +219,13 @@ impl<'a, 'b, B: Bus> Axis<'a, 'b, B> {
         };
         let who = self.who;
         let ended = self.step(start, sequence.time_out_ns, |status| {
-            attained(status) || status.deviation
+            attained(status) || status.deviation || self.exchange.is_cancelled()
         });
         match ended.await? {
             End::Reached(status, parsed) if parsed.deviation => {
                 Err(BringUpError::HomingError { who, status })
             }
+            End::Reached(_, parsed) if !attained(&parsed) => Err(BringUpError::Cancelled { who }),
             End::Reached(..) => Ok(()),
             End::Late(status) => {
                 let limit_s = seconds(sequence.time_out_ns);

@@ -35,6 +35,8 @@ pub(super) struct Watched<B> {
     passive: [bool; LINES_MAX],
     /// Who wants to know what it is at.
     pub(super) steps: Option<Sender<Step>>,
+    /// Whether axes that home are to stop.
+    pub(super) cancelled: Option<fn() -> bool>,
 }
 
 impl<B: Bus> Watched<B> {
@@ -49,6 +51,7 @@ impl<B: Bus> Watched<B> {
             spoke: false,
             passive: [false; LINES_MAX],
             steps: None,
+            cancelled: None,
         }
     }
 
@@ -172,6 +175,7 @@ impl<B: Bus> Bus for Watched<B> {
             spoke,
             passive,
             steps: _,
+            cancelled: _,
         } = self;
         let mut passive = passive.get_mut(usize::from(line));
         bus.receive(line, &mut |received| {

@@ -148,7 +148,7 @@ pub(crate) enum Verb {
         after_help = "Example: trocar status\n         trocar status --json | jq .arms[0].state\n\nThis and enable, disable, pause, resume, home, clear, speed and stop speak to a run of this user in real time, over a local socket. Exit code 1 if the run says no."
     )]
     Status(OperatorArgs),
-    /// Enable the arms of a run: from DISABLED to ENABLED.
+    /// Enable the simulated arms of a run again: from DISABLED to ENABLED. Drives on CAN are enabled by a new run alone.
     #[command(after_help = "Example: trocar enable")]
     Enable(OperatorArgs),
     /// Disable the arms of a run: they stop, and lose torque.
@@ -163,8 +163,8 @@ pub(crate) enum Verb {
     /// Say whether the arms of a run are homed; drives home during bring-up.
     #[command(after_help = "Example: trocar home")]
     Home(OperatorArgs),
-    /// Clear a latched fault: from FAULT to DISABLED.
-    #[command(after_help = "Example: trocar clear && trocar enable")]
+    /// Clear a latched fault: from FAULT to DISABLED. A fault ends today's runs, which this then says.
+    #[command(after_help = "Example: trocar clear")]
     Clear(OperatorArgs),
     /// Lower the speed limits of a run to a share of the configured ones, or raise them again.
     #[command(after_help = "Example: trocar speed 30")]

@@ -7,6 +7,7 @@ use trocar::doctor::{self, Probes};
 use trocar::rt;
 use trocar::session::changes::{Change, Changes, ConfigFile};
 use trocar::session::demo::{self, DemoOptions};
+use trocar::session::operator;
 use trocar::session::realtime::{self, CanOptions, PolicyProcessOptions, RobotOptions};
 use trocar::session::run::{self, RunOptions, RunResult, write_json};
 use trocar::session::summary::{CanBusSummary, RunSummary};
@@ -128,6 +129,9 @@ pub(crate) fn run(args: &RunArgs) -> Done {
         compute: compute(&args.compute)?,
         warn: console::warning,
     };
+    if let Some(reason) = operator::check().filter(|_| !args.lockstep) {
+        console::warning(&format!("no operator's verb will reach this run: {reason}"));
+    }
     let result = match (&args.task, &args.safety) {
         (Some(task), _) => run_task(task, args, &options, can)?,
         (None, Some(safety)) => run_robot(safety, args, &options, can)?,

@@ -16,9 +16,10 @@ use serde::Serialize;
 use trocar_control::{Fault, Mode, OperatingState, OperatorEvent};
 use trocar_log::TickRecord;
 
-use crate::mailbox::MailboxWriter;
+use crate::mailbox::{MailboxWriter, mailbox};
 
 pub use client::{Ask, ask};
+pub use place::check;
 pub(super) use server::{Listener, Served};
 
 /// What an operator can say.
@@ -111,15 +112,25 @@ impl Status {
 /// The control thread's end: what the operator asks for, and where to say what came of it. Hot path: bounded, no allocation, never waits.
 #[derive(Debug)]
 pub(super) struct OperatorPort {
-    requests: rtrb::Consumer<OperatorEvent>,
+    /// None where nobody listens.
+    requests: Option<rtrb::Consumer<OperatorEvent>>,
     status: MailboxWriter<Status>,
     handled: u64,
 }
 
 impl OperatorPort {
+    /// One that no operator reaches.
+    pub(super) fn unreachable() -> Self {
+        Self {
+            requests: None,
+            status: mailbox().0,
+            handled: 0,
+        }
+    }
+
     /// What the operator asks for next, if anything.
     pub(super) fn next(&mut self) -> Option<OperatorEvent> {
-        let request = self.requests.pop().ok()?;
+        let request = self.requests.as_mut()?.pop().ok()?;
         self.handled += 1;
         Some(request)
     }

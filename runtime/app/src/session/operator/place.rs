@@ -12,7 +12,9 @@ use std::sync::atomic::{AtomicU32, Ordering};
 /// # Errors
 /// If it can't be made, or is another user's or open to others.
 pub(super) fn folder() -> io::Result<PathBuf> {
-    let base = std::env::var_os("XDG_RUNTIME_DIR").map_or_else(|| "/tmp".into(), PathBuf::from);
+    let base = std::env::var_os("XDG_RUNTIME_DIR").map(PathBuf::from);
+    let base = base.filter(|base| base.is_absolute() && base.is_dir());
+    let base = base.unwrap_or_else(|| "/tmp".into());
     let own = fs::metadata("/proc/self")?.uid();
     let folder = base.join(format!("trocar-{own}"));
     match DirBuilder::new().mode(0o700).create(&folder) {
@@ -27,6 +29,12 @@ pub(super) fn folder() -> io::Result<PathBuf> {
         )));
     }
     Ok(folder)
+}
+
+/// Why no operator will reach the runs of this process, if that is so.
+#[must_use]
+pub fn check() -> Option<String> {
+    folder().err().map(|error| error.to_string())
 }
 
 /// A name for another run of this process: its number, and behind it which of its runs it is if that is not the first.
@@ -44,6 +52,14 @@ pub(super) fn socket(folder: &Path, name: &str) -> PathBuf {
     folder.join(format!("run-{name}.sock"))
 }
 
+/// Whether the process that made `socket` is gone.
+fn is_left_over(socket: &Path) -> bool {
+    let name = socket.file_stem().and_then(|name| name.to_str());
+    let name = name.and_then(|name| name.strip_prefix("run-"));
+    let process = name.and_then(|name| name.split('.').next());
+    process.is_some_and(|process| !Path::new("/proc").join(process).exists())
+}
+
 /// The sockets in `folder` at which somebody listens; those of runs that are gone are removed.
 pub(super) fn listening(folder: &Path) -> io::Result<Vec<PathBuf>> {
     let mut found = Vec::new();
@@ -54,7 +70,7 @@ pub(super) fn listening(folder: &Path) -> io::Result<Vec<PathBuf>> {
         }
         match UnixStream::connect(&path) {
             Ok(_) => found.push(path),
-            Err(error) if error.kind() == io::ErrorKind::ConnectionRefused => {
+            Err(_) if is_left_over(&path) => {
                 let _gone = fs::remove_file(&path);
             }
             Err(_) => {}

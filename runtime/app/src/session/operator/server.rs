@@ -34,7 +34,9 @@ const SILENCE: Duration = Duration::from_millis(100);
 pub(in super::super) trait Served: Sync {
     /// The operator wants the run to end.
     fn stop(&self);
-    /// Whether it has.
+    /// Whether the arms come to rest, and then the run ends.
+    fn ending(&self) -> bool;
+    /// Whether it has ended.
     fn stopped(&self) -> bool;
 }
 
@@ -45,6 +47,8 @@ pub(in super::super) struct Listener {
     path: PathBuf,
     desk: Mutex<Desk>,
     operators: AtomicUsize,
+    /// Whether arms that were disabled may be enabled again.
+    enables: bool,
 }
 
 #[derive(Debug)]
@@ -69,11 +73,12 @@ impl Drop for Listener {
 }
 
 impl Listener {
-    /// Listens for operators of this process, and the control thread's end.
+    /// Listens for operators of this process, and the control thread's end. Where set-points would run ahead of drives that take their
+    /// time to switch on, `enables` is false.
     ///
     /// # Errors
     /// If the folder or the socket can't be made.
-    pub(in super::super) fn open() -> io::Result<(Self, OperatorPort)> {
+    pub(in super::super) fn open(enables: bool) -> io::Result<(Self, OperatorPort)> {
         let folder = place::folder()?;
         // Leftovers of runs that were killed.
         place::listening(&folder)?;
@@ -94,9 +99,10 @@ impl Listener {
             path,
             desk: Mutex::new(desk),
             operators: AtomicUsize::new(0),
+            enables,
         };
         let port = OperatorPort {
-            requests: taken,
+            requests: Some(taken),
             status: status_in,
             handled: 0,
         };
@@ -194,6 +200,12 @@ impl Listener {
             Command::Stop => {
                 served.stop();
                 Ok(status)
+            }
+            Command::Event(_) if served.ending() => {
+                Err("the run is ending: a fault, a signal, its policy or the operator has ended it")
+            }
+            Command::Event(OperatorEvent::Enable) if !self.enables => {
+                Err("drives are enabled at the beginning of a run alone: start a new one")
             }
             Command::Event(event) => match begun() {
                 Ok(status) => return self.request(event, &status),

@@ -165,7 +165,7 @@ fn run_threads(
     let first = clock.now().plus_ns(START_NS);
     // Half a period after the simulation, to see this period's measurement.
     let periodic = Periodic::new(clock, first.plus_ns(TICK_NS / 2), TICK_NS);
-    let (listener, operator) = listen()?;
+    let (listener, operator) = listen(true);
     let control_thread = ControlThread {
         controller,
         rig: ThreadsRig::new(measured, commands, periodic),
@@ -175,7 +175,9 @@ fn run_threads(
         operator,
     };
     thread::scope(|scope| {
-        scope.spawn(|| listener.serve(scope, &*signals));
+        if let Some(listener) = &listener {
+            scope.spawn(|| listener.serve(scope, &*signals));
+        }
         let control = scope.spawn(move || {
             let _moving = Moving;
             control_thread.run(clock)
@@ -205,10 +207,12 @@ fn split(recorder: Option<Recorder>) -> (Option<TickLog>, Option<SideLog>, Optio
     }
 }
 
-/// The operator's socket, and the control thread's end of it.
-fn listen() -> Result<(Listener, OperatorPort), SessionError> {
-    Listener::open()
-        .map_err(|error| SessionError::RealTime(format!("the operator's socket: {error}")))
+/// The operator's socket, and the control thread's end of it; [`operator::check`](super::operator::check) says beforehand why there is none.
+fn listen(enables: bool) -> (Option<Listener>, OperatorPort) {
+    match Listener::open(enables) {
+        Ok((listener, port)) => (Some(listener), port),
+        Err(_) => (None, OperatorPort::unreachable()),
+    }
 }
 
 fn others(

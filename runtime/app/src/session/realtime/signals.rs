@@ -43,6 +43,10 @@ impl Served for Signals {
         self.stop_asked.store(true, Ordering::Release);
     }
 
+    fn ending(&self) -> bool {
+        self.done()
+    }
+
     fn stopped(&self) -> bool {
         self.stopped()
     }

@@ -12,7 +12,6 @@ use super::{CHUNK_QUEUE, listen, split};
 use crate::mailbox::{MailboxReader, MailboxWriter, mailbox};
 use crate::rig::can::Noticed;
 use crate::rt::MonotonicClock;
-use crate::session::SessionError;
 use crate::session::operator::{Listener, OperatorPort};
 use crate::session::source::ChunkSource;
 
@@ -25,7 +24,7 @@ pub(super) struct Wires {
     pub(super) seen: SeenWires,
     pub(super) chunk_in: Producer<PerArm<Chunk>>,
     pub(super) log: Option<LogFile>,
-    pub(super) listener: Listener,
+    pub(super) listener: Option<Listener>,
 }
 
 /// The control thread's ends.
@@ -49,19 +48,14 @@ pub(super) struct SeenWires {
 }
 
 impl Wires {
-    /// # Errors
-    /// If the operator's socket can't be opened.
-    pub(super) fn new(
-        recorder: Option<Recorder>,
-        clock: MonotonicClock,
-    ) -> Result<Self, SessionError> {
+    pub(super) fn new(recorder: Option<Recorder>, clock: MonotonicClock) -> Self {
         let (chunk_in, chunks) = RingBuffer::<PerArm<Chunk>>::new(CHUNK_QUEUE);
         let (measured_in, measured) = mailbox();
         let (noticed_in, noticed) = mailbox();
         let signals = Arc::new(Signals::default());
-        let (listener, operator) = listen()?;
+        let (listener, operator) = listen(false);
         let (tick_log, side_log, log) = split(recorder);
-        Ok(Self {
+        Self {
             control: ControlWires {
                 measured: measured_in,
                 noticed: noticed_in,
@@ -81,6 +75,6 @@ impl Wires {
             chunk_in,
             log,
             listener,
-        })
+        }
     }
 }

@@ -110,7 +110,7 @@ fn home(
     steps: Sender<Step>,
 ) -> Result<ReadyArm, NotHomed> {
     let mapped = Offline::new(bus, plan)
-        .map(|offline| offline.telling(steps))
+        .map(|offline| offline.telling(steps).cancelled_by(rt::interrupted))
         .and_then(Offline::scan)
         .and_then(|scanned| scanned.check_identity())
         .and_then(|identified| identified.map())

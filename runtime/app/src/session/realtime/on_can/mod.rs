@@ -153,7 +153,7 @@ pub fn run_on_can(
     awaited::still_there(&mut cameras, clock, &can.topics, say)?;
     drop(cameras);
     let recorder = open_log(setup, options, false)?;
-    let wires = Wires::new(recorder, clock)?;
+    let wires = Wires::new(recorder, clock);
     let reports = arm_reports(&node, count, child.is_some())?;
     let (local, remote) = wired(local.take(), child.as_mut(), wires.chunk_in);
     let seen = wires.seen;
@@ -240,7 +240,7 @@ pub fn run_robot_on_can(
     let ready = bring_up(can, buses, say)?;
     awaited::still_there(&mut cameras, clock, &can.topics, say)?;
     let recorder = open_log_with(&robot.header(options), options)?;
-    let wires = Wires::new(recorder, clock)?;
+    let wires = Wires::new(recorder, clock);
     let reports = arm_reports(&node, count, child.is_some())?;
     let (local, remote) = wired(local.take(), child.as_mut(), wires.chunk_in);
     let cameras = (cameras, seen_by_policy);
@@ -343,12 +343,14 @@ fn wired(
 fn run_threads<T: Send>(
     enabling: Enabling<'_>,
     remote: Remote<'_>,
-    (log, listener): (Option<LogFile>, Listener),
+    (log, listener): (Option<LogFile>, Option<Listener>),
     observe: impl FnOnce() -> Result<T, SessionError> + Send,
 ) -> Ends<T> {
     let signals = Arc::clone(&enabling.wires.signals);
     thread::scope(|scope| {
-        scope.spawn(|| listener.serve(scope, &*signals));
+        if let Some(listener) = &listener {
+            scope.spawn(|| listener.serve(scope, &*signals));
+        }
         let control = scope.spawn(move || enabling.run());
         let seen = scope.spawn(observe);
         let watched = watch(remote, &signals);

@@ -41,7 +41,7 @@ pub fn run_rig<R: Rig + Send>(
     rt::catch_interrupts_in_motion()
         .map_err(|error| SessionError::RealTime(format!("catching signals failed: {error}")))?;
     let recorder = open_log_with(&robot.header(options), options)?;
-    let wires = Wires::new(recorder, clock)?;
+    let wires = Wires::new(recorder, clock);
     let ControlWires {
         measured,
         chunks,
@@ -62,7 +62,9 @@ pub fn run_rig<R: Rig + Send>(
     let local = Some((source, wires.chunk_in));
     let robot_thread = RobotThread::new(wires.seen, local, Vec::new(), (Vec::new(), 0), asked);
     let (control, seen, watched) = thread::scope(|scope| {
-        scope.spawn(|| listener.serve(scope, &*signals));
+        if let Some(listener) = &listener {
+            scope.spawn(|| listener.serve(scope, &*signals));
+        }
         let control = scope.spawn(move || {
             // Until the drives are taken down.
             let _moving = Moving;
