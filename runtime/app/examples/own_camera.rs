@@ -28,7 +28,7 @@ const DEPTH_M: f32 = 0.1;
 /// Publishes `frames` frames of the camera `name` on `topics`, or until a signal comes; gives how many it published.
 ///
 /// # Errors
-/// [`TopicError`]: no shared memory, or somebody else publishes this camera.
+/// [`TopicError`]: no shared memory, or another publisher of this camera.
 pub fn run(topics: &str, name: &str, frames: u64) -> Result<u64, TopicError> {
     let node = TopicNode::join(topics)?;
     let lens = Intrinsics::from_vertical_fov(WIDTH, HEIGHT, VIEW_RAD);

@@ -66,7 +66,7 @@ fn set_point(node: u16, control: u8, target: i32) -> Frame {
     frame(0x200 + node, &[control, 0, a, b, c, d])
 }
 
-/// A set point of somebody else after ours is a fault and however many follow the axis stops.
+/// A set point of another node after ours is a fault and however many follow the axis stops.
 #[test]
 fn foreign_set_points_are_a_fault_and_the_axis_stops() {
     // From long before the next SYNC to so short that it is on the wire when the SYNC is due.

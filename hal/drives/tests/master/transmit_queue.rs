@@ -222,7 +222,7 @@ fn led_by_another(room: usize) -> ([u32; TAIL_AXES], BTreeSet<u8>) {
     (rest, told)
 }
 
-/// In a queue with little room every node that somebody else may lead is told to stop.
+/// With a transmit queue nearly full, every node that a second master may command is told to stop.
 #[test]
 fn short_queue_still_carries_every_nmt_stop() {
     // As many cycles as it takes to tell each of the seven once, beside the SYNC, and three for the first to be heard.

@@ -61,7 +61,7 @@ fn note_stops(net: &mut Net) -> Told {
     told
 }
 
-/// A drive that only NMT stopped stops is not led by somebody else.
+/// A drive that only NMT stopped stops is not taken for one of a second master.
 #[test]
 fn drive_stopped_by_nmt_only_has_no_second_master() {
     let mut bench = by_the_letter();
