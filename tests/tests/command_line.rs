@@ -127,7 +127,14 @@ fn a_value_that_cannot_be_set_is_refused_with_what_can() {
             "no can.toml is read here, only control, safety, scene",
         ),
         ("cycle_us", "FILE.KEY=VALUE"),
-        ("robot.a=1", "there are control, safety, scene, can"),
+        (
+            "robot.a=1",
+            "there are control, safety, scene, can, realtime",
+        ),
+        (
+            "realtime.control.priority=80",
+            "no realtime.toml is read here, only control, safety, scene",
+        ),
     ] {
         let told = refused(&[&run[..], &[set]].concat());
         assert!(told.contains(why), "{set}: {told}");

@@ -218,13 +218,42 @@ fn expert_lifts_the_needle_and_the_log_verifies() {
         let path = run.log.clone();
         let (code, result) = run.end();
         let log = checked_log(&path, &result);
-        assert!(result["real_time"]["wake_p99_us"].as_f64().unwrap() > 0.0);
+        let real_time = &result["real_time"];
+        assert!(real_time["wake_us"]["p99"].as_f64().unwrap() > 0.0);
+        assert_eq!(real_time["thread"]["allocations"], 0, "{result}");
         expect_a_stop(&log);
         let success = result["success"] == true;
         assert_eq!(code, Some(i32::from(!success)), "{result}");
         success
     });
     assert!(lifted);
+}
+
+/// A run that insists on a core that is not there ends before it begins, and one that does not says what it went without.
+#[test]
+fn strict_run_ends_where_the_system_refuses_and_lenient_one_goes_on() {
+    let _turn = alone();
+    let run = |more: &[&str]| {
+        let result = scratch("realtime-strict").join("run.json");
+        let output = trocar(Profile::Debug)
+            .args(["run", "--task", "needle-lift", "--policy", "noop"])
+            .args(["--set", "scene.episode.time_limit_s=1"])
+            .args(["--set", "realtime.control.cpu=1000"])
+            .args(more)
+            .arg("--json")
+            .arg(&result)
+            .output()
+            .unwrap();
+        let said = String::from_utf8_lossy(&output.stderr).into_owned();
+        (output.status.code(), said, result)
+    };
+    let (code, said, result) = run(&["--set", "realtime.strict=true"]);
+    assert_eq!(code, Some(1), "{said}");
+    assert!(said.contains("core refused"), "{said}");
+    assert!(!result.exists());
+    let (_, said, result) = run(&[]);
+    let granted = &json(&result)["real_time"]["thread"]["granted"];
+    assert!(granted["cpu"]["refused"].is_string(), "{granted} {said}");
 }
 
 #[test]

@@ -10,6 +10,7 @@
 use hal::{Chunk, Observation, Policy, PolicyError, TipTarget};
 use nalgebra::Translation3;
 use tch::Device;
+use trocar::rt::RtProfile;
 use trocar::session::run::{RunOptions, RunResult, run_lockstep_with};
 use trocar::session::source::{ChunkSource, STEP_NS};
 use trocar::session::{PolicyChoice, SessionError, Setup};
@@ -72,6 +73,7 @@ pub fn run() -> Result<RunResult, SessionError> {
         latency_ms: Some(40),
         latency_jitter_ms: 0,
         compute: Device::Cpu.into(),
+        real_time: RtProfile::default(),
         warn: tell,
     };
     let source = ChunkSource::policy(Box::<Circles>::default(), Vec::new(), QUERY_EVERY_STEPS);

@@ -17,7 +17,7 @@ use hal::{
 };
 use nalgebra::Translation3;
 use tch::Device;
-use trocar::rt::{MonotonicClock, Periodic};
+use trocar::rt::{MonotonicClock, Periodic, RtProfile};
 use trocar::session::changes::Changes;
 use trocar::session::realtime::{RobotOptions, run_rig};
 use trocar::session::run::{RunOptions, RunResult};
@@ -118,6 +118,7 @@ pub fn run(safety: &Path, log: PathBuf) -> Result<RunResult, SessionError> {
         latency_ms: None,
         latency_jitter_ms: 0,
         compute: Device::Cpu.into(),
+        real_time: RtProfile::default(),
         warn: tell,
     };
     let asked = RobotOptions {

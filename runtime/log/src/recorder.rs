@@ -22,6 +22,7 @@ use super::error::LogError;
 use super::happened::Happened;
 use super::header::{LogCounts, RunHeader, RunOutcome};
 use super::record::TickRecord;
+use super::ring::pre_faulted_queue;
 use super::writer::LogWriter;
 use hal::ARMS_MAX;
 use trocar_control::InputHash;
@@ -281,8 +282,8 @@ impl Recorder {
             path: path.to_owned(),
             source,
         })?;
-        let (tick_end, ticks) = RingBuffer::new(TICKS);
-        let (chunk_end, chunks) = RingBuffer::new(CHUNKS);
+        let (tick_end, ticks) = pre_faulted_queue(TICKS);
+        let (chunk_end, chunks) = pre_faulted_queue(CHUNKS);
         let (side_end, side) = RingBuffer::new(SIDE_ITEMS);
         let shared = Arc::new(Shared::default());
         let (outcome_sender, outcome) = mpsc::sync_channel(1);

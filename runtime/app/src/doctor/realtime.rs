@@ -35,7 +35,7 @@ pub(super) fn kernel() -> Finding {
         "kernel",
         status,
         format!("{release}, {kind}"),
-        "install a PREEMPT_RT kernel (Debian: linux-image-rt)",
+        "`sudo apt install linux-image-rt-amd64 && sudo reboot`",
     )
 }
 
@@ -57,7 +57,26 @@ pub(super) fn cores() -> Finding {
         "cores",
         status,
         format!("{count} usable, {kept}"),
-        "boot with isolcpus=N and pin the control thread to N",
+        &isolation(count),
+    )
+}
+
+/// The commands that keep the last of `count` cores for the control thread.
+fn isolation(count: usize) -> String {
+    let last = count.saturating_sub(1);
+    if last == 0 {
+        return "a machine with two cores or more".to_owned();
+    }
+    format!(
+        "isolcpus={last} nohz_full={last} rcu_nocbs={last} in GRUB_CMDLINE_LINUX of /etc/default/grub, then `sudo update-grub && sudo reboot`; \
+         `trocar run --set realtime.control.cpu={last}`"
+    )
+}
+
+/// The command that allows every user's processes `item` (of limits.conf(5)) up to `value`, from the next login on.
+fn allowing(item: &str, value: &str) -> String {
+    format!(
+        "`echo '* - {item} {value}' | sudo tee /etc/security/limits.d/trocar-{item}.conf`, then log in again"
     )
 }
 
@@ -74,8 +93,18 @@ pub(super) fn fifo() -> Finding {
             name,
             Status::Limited,
             format!("SCHED_FIFO {PRIORITY} {refused}"),
-            "allow it: `ulimit -r 99`, LimitRTPRIO=99 in a unit, or CAP_SYS_NICE",
+            &format!("{}{}", allowing("rtprio", "90"), throttled_group()),
         ),
+    }
+}
+
+/// What else holds it back where the kernel shares real-time out among control groups and gives this one none.
+fn throttled_group() -> &'static str {
+    let none = |path: &str| fs::read_to_string(path).is_ok_and(|us| us.trim() == "0");
+    if none("/sys/fs/cgroup/cpu/user.slice/cpu.rt_runtime_us") {
+        "; the control group has no real-time: `echo 950000 | sudo tee /sys/fs/cgroup/cpu/user.slice/cpu.rt_runtime_us`"
+    } else {
+        ""
     }
 }
 
@@ -117,7 +146,7 @@ pub(super) fn memory_locking() -> Finding {
         "memory locking",
         status,
         detail,
-        "`ulimit -l unlimited`, LimitMEMLOCK=infinity in a unit, or CAP_IPC_LOCK",
+        &allowing("memlock", "unlimited"),
     )
 }
 

@@ -1,12 +1,16 @@
 //! The clock, sleeping and what the operating system grants a real-time thread; nothing else in the runtime has these.
 
+mod allocations;
 mod periodic;
+mod profile;
 mod sys;
 mod thread;
 
 use hal::TimeNs;
 
+pub use allocations::{CountingAllocator, thread_allocations};
 pub use periodic::{Periodic, Wake};
+pub use profile::RtProfile;
 pub use sys::{
     MemoryLockLimit, arms_rest, can_lock_bytes, catch_interrupts, catch_interrupts_in_motion,
     end_with_parent, interrupt_process, interrupted, memory_lock_limit,

@@ -1,4 +1,4 @@
-//! The system calls, one thin function each. All unsafe code of the runtime is here.
+//! The system calls, one thin function each. All unsafe code of the runtime is here and in the counting allocator.
 #![expect(
     unsafe_code,
     reason = "libc calls; each takes only memory that this module owns or borrows"
@@ -123,12 +123,13 @@ pub(super) fn pin_to(cpu: usize) -> io::Result<()> {
     checked(unsafe { libc::sched_setaffinity(0, size_of::<libc::cpu_set_t>(), &raw const set) })
 }
 
-/// Keeps every page in memory that the process touches from now on, or has touched.
+/// Keeps the pages of everything that the process has mapped in memory, once they are touched.
 ///
-/// Pages are locked as they are touched: locking all of the network library's code would take hundreds of megabytes.
+/// Pages are locked as they are touched: locking all of the network library's code would take hundreds of megabytes. What is mapped later
+/// is not locked, so that it does not count against the limit: topics that open later must not fail for it.
 pub(super) fn lock_memory() -> io::Result<()> {
     // SAFETY: the call takes no pointers.
-    checked(unsafe { libc::mlockall(libc::MCL_CURRENT | libc::MCL_FUTURE | libc::MCL_ONFAULT) })
+    checked(unsafe { libc::mlockall(libc::MCL_CURRENT | libc::MCL_ONFAULT) })
 }
 
 /// Page faults (minor, major) and context switches (voluntary, involuntary) of the calling thread.

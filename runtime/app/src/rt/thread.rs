@@ -16,7 +16,7 @@ pub struct RtOptions {
     pub priority: Option<u8>,
     /// The core to stay on.
     pub cpu: Option<usize>,
-    /// Whether to keep the process's pages in memory.
+    /// Whether to keep the pages of what the process has mapped in memory.
     pub lock_memory: bool,
     /// Whether a refusal is an error.
     pub strict: bool,
@@ -96,8 +96,8 @@ pub struct RtRefused(pub RtReport);
 
 /// Applies `options` to the calling thread (memory: to the process) and touches its stack in advance.
 ///
-/// Memory is locked as it is touched, so warm everything up before the first deadline. Memory mapped later counts
-/// against the limit as well: open topics first, or keep them in other processes.
+/// Memory is locked as it is touched, so warm everything up before the first deadline. Memory mapped later is not locked, and does not
+/// count against the limit: a call that locks comes last, when the thread has all that it uses.
 ///
 /// # Errors
 /// [`RtRefused`] if the options are strict and the system refused something; everything grantable is applied all the

@@ -19,11 +19,19 @@ pub enum ConfigFile {
     Scene,
     /// Nodes and buses.
     Can,
+    /// What the threads of a run in real time ask of the operating system.
+    Realtime,
 }
 
 impl ConfigFile {
     /// All of them.
-    pub const ALL: [Self; 4] = [Self::Control, Self::Safety, Self::Scene, Self::Can];
+    pub const ALL: [Self; 5] = [
+        Self::Control,
+        Self::Safety,
+        Self::Scene,
+        Self::Can,
+        Self::Realtime,
+    ];
 
     /// The first part of a changed key, and the file's name without its ending.
     #[must_use]
@@ -33,6 +41,7 @@ impl ConfigFile {
             Self::Safety => "safety",
             Self::Scene => "scene",
             Self::Can => "can",
+            Self::Realtime => "realtime",
         }
     }
 }
@@ -145,6 +154,9 @@ mod tests {
             );
         }
         let refused = "controls.a=1".parse::<Change>().unwrap_err();
-        assert!(refused.contains("control, safety, scene, can"), "{refused}");
+        assert!(
+            refused.contains("control, safety, scene, can, realtime"),
+            "{refused}"
+        );
     }
 }

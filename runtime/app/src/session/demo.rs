@@ -9,6 +9,7 @@ use super::realtime::run_realtime;
 use super::run::{RunOptions, RunResult, run_lockstep, write_json};
 use super::summary::RunSummary;
 use super::{PolicyChoice, SessionError, Setup, policies, tasks};
+use crate::rt::RtProfile;
 use trocar_log::RunLog;
 use trocar_log::replay::{ReplayResult, replay};
 use trocar_log::verify::{VerifyResult, verify};
@@ -87,6 +88,7 @@ pub fn run(
         latency_ms: None,
         latency_jitter_ms: 0,
         compute: Device::Cpu.into(),
+        real_time: RtProfile::default(),
         warn: |_| (),
     };
     on_progress(&format!(
@@ -140,6 +142,7 @@ mod tests {
             latency_ms: None,
             latency_jitter_ms: 0,
             compute: Device::Cpu.into(),
+            real_time: RtProfile::default(),
             warn: |_| (),
         };
         let log = PathBuf::from("run.mcap");

@@ -49,6 +49,9 @@ pub enum SessionError {
     /// The policy failed.
     #[error(transparent)]
     Policy(PolicyError),
+    /// The control thread does not get what `config/realtime.toml` insists on.
+    #[error(transparent)]
+    Refused(#[from] crate::rt::RtRefused),
     /// The arm failed.
     #[error(transparent)]
     Arm(#[from] ArmError),
@@ -179,6 +182,7 @@ impl SessionError {
             | Self::BringUp { .. }
             | Self::Output { .. }
             | Self::Interrupted
+            | Self::Refused(_)
             | Self::RealTime(_) => false,
         }
     }

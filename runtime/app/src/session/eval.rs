@@ -16,6 +16,7 @@ use super::run::RunOptions;
 use super::source::{ChunkSource, PolicyChoice};
 use super::summary::{EvalSummary, TrialSummary};
 use super::{SessionError, Setup, outputs, parallel};
+use crate::rt::RtProfile;
 use trocar_log::TickRecord;
 
 /// What to evaluate.
@@ -214,6 +215,7 @@ impl<'a> TrialWorker<'a> {
             latency_ms: self.options.latency_ms,
             latency_jitter_ms: self.options.latency_jitter_ms,
             compute: self.options.compute,
+            real_time: RtProfile::default(),
             warn: |_| (),
         };
         Keeper::begin(keep, self.setup, &run).map(Some)

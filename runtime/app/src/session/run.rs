@@ -17,7 +17,7 @@ use super::source::{ChunkSource, PolicyChoice};
 use super::summary::RunSummary;
 use super::tally::RunLabels;
 use super::{SessionError, Setup, outputs, pictures};
-use crate::rt;
+use crate::rt::{self, RtProfile};
 use trocar_control::{ControlConfig, MeasuredClearance, beyond};
 use trocar_log::{Level, LogError, Pressure, Recorder, RunHeader, RunOutcome, TickRecord, Writing};
 
@@ -49,6 +49,8 @@ pub struct RunOptions {
     pub latency_jitter_ms: u64,
     /// Where and how the network computes.
     pub compute: Compute,
+    /// What the threads of a run in real time ask of the operating system.
+    pub real_time: RtProfile,
     /// Says at once what a person should know, from any thread.
     pub warn: fn(&str),
 }

@@ -8,10 +8,11 @@ use trocar_tasks::task::Variation;
 use trocar_world::tissue::TissueExtremes;
 
 use super::score::Score;
+use crate::rt::{RtReport, ThreadFaults};
 
 /// Percentiles of a duration.
 #[derive(Clone, Copy, Debug, Default, Serialize)]
-pub struct TickUs {
+pub struct PercentilesUs {
     /// Median, µs.
     pub p50: f64,
     /// 99th percentile, µs.
@@ -62,16 +63,31 @@ pub struct PolicyCounts {
 }
 
 /// The loop's timing in a real-time run.
-#[derive(Clone, Copy, Debug, Default, Serialize)]
+#[derive(Clone, Debug, Serialize)]
 pub struct RealTimeCounts {
     /// Whole periods skipped.
     pub overruns: u64,
-    /// 99th percentile of the wake-up delay, µs.
-    pub wake_p99_us: f64,
+    /// How late the control thread woke.
+    pub wake_us: PercentilesUs,
+    /// From one wake-up to the next.
+    pub period_us: PercentilesUs,
+    /// What befell the control thread, and what it was granted.
+    pub thread: ThreadCounts,
     /// Log records dropped.
     pub log_dropped: u64,
     /// How many times slower than the system's the run's clocks went; 1 is real time. See [`crate::rt::slow_motion`].
     pub slow_motion: u64,
+}
+
+/// The control thread in its loop.
+#[derive(Clone, Debug, Serialize)]
+pub struct ThreadCounts {
+    /// How often it asked for memory; 0 where the program does not count, see [`crate::rt::CountingAllocator`].
+    pub allocations: u64,
+    /// Its page faults and context switches; each period ends with one voluntary switch.
+    pub faults: ThreadFaults,
+    /// What it asked of the system, and what it got.
+    pub granted: RtReport,
 }
 
 /// One bus of an arm.
@@ -224,7 +240,7 @@ pub struct RunSummary {
     /// FNV-1a over the bits of every command, hexadecimal.
     pub command_hash: String,
     /// Compute time of the controller a tick.
-    pub tick_us: TickUs,
+    pub tick_us: PercentilesUs,
     /// The filter's work.
     pub qp: QpCounts,
     /// Ticks in which the guard replaced the candidate by its last verified stop.

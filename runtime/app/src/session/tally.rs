@@ -3,7 +3,7 @@
 use hal::ARM_NAMES;
 
 use super::summary::{
-    LatencyMs, PolicyCounts, QpCounts, RealTimeCounts, RunSummary, TickUs, TissueSummary,
+    LatencyMs, PercentilesUs, PolicyCounts, QpCounts, RealTimeCounts, RunSummary, TissueSummary,
 };
 use crate::histogram::Histogram;
 use hal::PerArm;
@@ -136,7 +136,7 @@ impl Tally {
     /// The summary.
     #[must_use]
     pub fn summary(&self, labels: &RunLabels<'_>, real_time: Option<RealTimeCounts>) -> RunSummary {
-        let skipped = real_time.map_or(0, |counts| counts.overruns);
+        let skipped = real_time.as_ref().map_or(0, |counts| counts.overruns);
         RunSummary {
             task: labels.task.to_owned(),
             view: labels.view.to_owned(),
@@ -157,7 +157,7 @@ impl Tally {
             seconds: scaled((self.ticks + skipped) * hal::TICK_NS, 1e-9),
             ticks: self.ticks,
             command_hash: self.command_hash(),
-            tick_us: TickUs::of(&self.compute),
+            tick_us: PercentilesUs::of(&self.compute),
             qp: self.qp,
             guard_interventions: self.guard_interventions,
             measured_clearance: self.measured.clone(),
@@ -169,7 +169,7 @@ impl Tally {
     }
 }
 
-impl TickUs {
+impl PercentilesUs {
     /// The percentiles of `histogram`, which holds ns.
     pub(super) fn of(histogram: &Histogram) -> Self {
         Self {

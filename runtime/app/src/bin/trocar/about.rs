@@ -5,12 +5,13 @@ use std::fs;
 use clap::CommandFactory as _;
 use trocar_canopen::master::CanConfig;
 
+use trocar::rt::RtProfile;
 use trocar::session::changes::{Changes, ConfigFile};
 use trocar::session::scene_options::SceneOptions;
 use trocar::session::{PolicyChoice, SessionError, Setup};
 
 use crate::args::{Cli, CompletionsArgs, ConfigVerb, ManArgs, ShowArgs, ShownFile};
-use crate::commands::Done;
+use crate::commands::{Done, realtime_source};
 use crate::console;
 use crate::drives::can_source;
 
@@ -22,23 +23,38 @@ pub(crate) fn config(verb: &ConfigVerb) -> Done {
 
 fn show(args: &ShowArgs) -> Done {
     let changes = Changes(args.set.clone());
-    if args.file == ShownFile::Can {
-        changes.only(&[ConfigFile::Can])?;
-        let source = changes.apply(ConfigFile::Can, can_source(args.can_config.as_ref())?)?;
-        CanConfig::load(&source)?;
-        console::text(source.text());
-        return Ok(true);
-    }
+    let text = match args.file {
+        ShownFile::Can => {
+            changes.only(&[ConfigFile::Can])?;
+            let source = changes.apply(ConfigFile::Can, can_source(args.can_config.as_ref())?)?;
+            CanConfig::load(&source)?;
+            source.text().to_owned()
+        }
+        ShownFile::Realtime => {
+            changes.only(&[ConfigFile::Realtime])?;
+            let source = realtime_source(args.realtime.as_deref(), &changes)?;
+            RtProfile::load(&source)?;
+            source.text().to_owned()
+        }
+        ShownFile::Control | ShownFile::Safety | ShownFile::Scene => of_a_task(args, changes)?,
+    };
+    console::text(&text);
+    Ok(true)
+}
+
+/// The text of one of a task's files.
+fn of_a_task(args: &ShowArgs, changes: Changes) -> Result<String, SessionError> {
     changes.only(&[ConfigFile::Control, ConfigFile::Safety, ConfigFile::Scene])?;
     let policy = PolicyChoice::parse(&args.policy);
     let (config, scene) = (args.config.as_deref(), SceneOptions::default());
     let setup = Setup::load_with(&args.task, config, &policy, &scene, changes)?;
-    console::text(match args.file {
-        ShownFile::Control => &setup.texts.control,
-        ShownFile::Safety => &setup.texts.safety,
-        ShownFile::Scene | ShownFile::Can => setup.texts.scene.as_deref().unwrap_or_default(),
-    });
-    Ok(true)
+    Ok(match args.file {
+        ShownFile::Control => setup.texts.control,
+        ShownFile::Safety => setup.texts.safety,
+        ShownFile::Scene | ShownFile::Can | ShownFile::Realtime => {
+            setup.texts.scene.unwrap_or_default()
+        }
+    })
 }
 
 pub(crate) fn completions(args: &CompletionsArgs) -> Done {

@@ -254,6 +254,9 @@ pub(crate) struct ShowArgs {
     /// Nodes and interfaces instead of the built-in ones.
     #[arg(long, value_name = "FILE")]
     pub(crate) can_config: Option<PathBuf>,
+    /// What the control thread asks of the operating system, instead of the built-in file.
+    #[arg(long, value_name = "FILE")]
+    pub(crate) realtime: Option<PathBuf>,
     /// Override one configuration value. May be given several times.
     #[arg(long, value_name = "FILE.KEY=VALUE")]
     pub(crate) set: Vec<Change>,
@@ -270,6 +273,8 @@ pub(crate) enum ShownFile {
     Scene,
     /// Nodes and buses.
     Can,
+    /// What the threads of a run in real time ask of the operating system.
+    Realtime,
 }
 
 /// Options of `completions`.
@@ -366,10 +371,14 @@ pub(crate) struct RunArgs {
     /// Controller configuration instead of the built-in config/control.toml.
     #[arg(long, value_name = "FILE")]
     pub(crate) config: Option<PathBuf>,
-    /// Override one configuration value: FILE.KEY=VALUE, where FILE is control, safety, scene or can. May be given several
+    /// Override one configuration value: FILE.KEY=VALUE, where FILE is control, safety, scene, can or realtime. May be given several
     /// times.
     #[arg(long, value_name = "FILE.KEY=VALUE")]
     pub(crate) set: Vec<Change>,
+    /// What the control thread asks of the operating system (scheduling, core, locked memory), instead of the built-in
+    /// config/realtime.toml.
+    #[arg(long, value_name = "FILE", conflicts_with = "lockstep")]
+    pub(crate) realtime: Option<PathBuf>,
     /// With --backend can: nodes and interfaces instead of the built-in config/can.toml.
     #[arg(long, value_name = "FILE")]
     pub(crate) can_config: Option<PathBuf>,

@@ -2,15 +2,16 @@
 
 use std::path::Path;
 
+use hal::config::Source;
 use tch::Device;
 use trocar::doctor::{self, Probes};
-use trocar::rt;
+use trocar::rt::{self, RtProfile};
 use trocar::session::changes::{Change, Changes, ConfigFile};
 use trocar::session::demo::{self, DemoOptions};
 use trocar::session::operator;
 use trocar::session::realtime::{self, CanOptions, PolicyProcessOptions, RobotOptions};
 use trocar::session::run::{self, RunOptions, RunResult, write_json};
-use trocar::session::summary::{CanBusSummary, RunSummary};
+use trocar::session::summary::{CanBusSummary, RealTimeCounts, RunSummary};
 use trocar::session::{PolicyChoice, Robot, SessionError, Setup, outputs, tasks};
 use trocar_control::MeasuredClearance;
 use trocar_data::dataset::VideoCodec;
@@ -69,6 +70,18 @@ pub(crate) const fn codec(video: Video) -> VideoCodec {
 /// The files that a task is configured by.
 const TASK_FILES: [ConfigFile; 3] = [ConfigFile::Control, ConfigFile::Safety, ConfigFile::Scene];
 
+/// `config/realtime.toml`, or `file` in its place, with `changes`.
+pub(crate) fn realtime_source(
+    file: Option<&Path>,
+    changes: &Changes,
+) -> Result<Source, SessionError> {
+    let source = match file {
+        Some(path) => Source::read(&path.display().to_string())?,
+        None => RtProfile::shipped(),
+    };
+    Ok(changes.apply(ConfigFile::Realtime, source)?)
+}
+
 /// What is to be changed in a task's files.
 pub(crate) fn task_changes(set: &[Change]) -> Result<Changes, SessionError> {
     let changes = Changes(set.to_owned());
@@ -109,12 +122,15 @@ pub(crate) fn run(args: &RunArgs) -> Done {
     let safety = ("--safety", args.safety.as_deref());
     let task = args.task.as_deref().map_or_else(Vec::new, tasks::paths);
     let mut read = vec![config, scene, can_config, safety];
+    read.push(("--realtime", args.realtime.as_deref()));
     read.extend(of_task(&task));
     let policy_files = policy_files(&args.policy);
     read.extend(of_policy(&policy_files));
     let log = ("--log", args.log.as_deref());
     outputs::check(&[log, ("--json", args.json.as_deref())], &read)?;
     let can = can_options(args)?;
+    let changes = Changes(args.set.clone());
+    let real_time = RtProfile::load(&realtime_source(args.realtime.as_deref(), &changes)?)?;
     let policy = PolicyChoice::parse(&args.policy).within_s(args.policy_timeout);
     policy.check_exists()?;
     note_awaited(&policy, 1);
@@ -127,6 +143,7 @@ pub(crate) fn run(args: &RunArgs) -> Done {
         latency_ms: args.latency_ms,
         latency_jitter_ms: args.latency_jitter_ms,
         compute: compute(&args.compute)?,
+        real_time,
         warn: console::warning,
     };
     if let Some(reason) = operator::check().filter(|_| !args.lockstep) {
@@ -158,8 +175,15 @@ fn run_task(
     can: Option<(CanOptions, String)>,
 ) -> Result<RunResult, SessionError> {
     let changes = Changes(args.set.clone());
-    if can.is_none() {
+    if args.lockstep {
         changes.only(&TASK_FILES)?;
+    } else if can.is_none() {
+        changes.only(&[
+            ConfigFile::Control,
+            ConfigFile::Safety,
+            ConfigFile::Scene,
+            ConfigFile::Realtime,
+        ])?;
     }
     let scene = args.scene.options(args.cameras.as_deref());
     let config = args.config.as_deref();
@@ -196,7 +220,12 @@ fn run_robot(
         )));
     }
     let changes = Changes(args.set.clone());
-    changes.only(&[ConfigFile::Control, ConfigFile::Safety, ConfigFile::Can])?;
+    changes.only(&[
+        ConfigFile::Control,
+        ConfigFile::Safety,
+        ConfigFile::Can,
+        ConfigFile::Realtime,
+    ])?;
     let mut robot = Robot::load(safety, args.config.as_deref(), &options.policy, &changes)?;
     robot.texts.can = Some(text);
     let cameras = args.cameras.iter().flat_map(|names| names.split(','));
@@ -252,10 +281,7 @@ fn report_run(summary: &RunSummary) {
         summary.policy.inference_ms.p50,
     ));
     if let Some(real_time) = &summary.real_time {
-        console::result(&format!(
-            "  real time: {} skipped periods, wake-up p99 {:.0} us, {} log records dropped",
-            real_time.overruns, real_time.wake_p99_us, real_time.log_dropped
-        ));
+        report_real_time(real_time);
     }
     for arm in summary.can.iter().flat_map(|can| &can.arms) {
         let buses: Vec<String> = arm
@@ -287,6 +313,22 @@ fn report_run(summary: &RunSummary) {
         }
     }
     console::result(&format!("  command hash: {}", summary.command_hash));
+}
+
+fn report_real_time(real_time: &RealTimeCounts) {
+    let (wake, thread) = (&real_time.wake_us, &real_time.thread);
+    console::result(&format!(
+        "  real time: {} skipped periods, wake-up p50 {:.0} us, p99 {:.0} us, max {:.0} us, {} log records dropped",
+        real_time.overruns, wake.p50, wake.p99, wake.max, real_time.log_dropped
+    ));
+    console::result(&format!(
+        "  control thread: {} allocations, {} page faults ({} from disk), {} involuntary context switches; {}",
+        thread.allocations,
+        thread.faults.minor + thread.faults.major,
+        thread.faults.major,
+        thread.faults.involuntary_switches,
+        thread.granted
+    ));
 }
 
 /// What the measured arms came nearest to, and how long they were beyond anything.

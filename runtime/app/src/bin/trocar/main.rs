@@ -30,6 +30,10 @@ use trocar_control::OperatorEvent;
 use args::{Cli, Verb};
 use operator::operate;
 
+/// Counts, so that a run can say what its control thread asked for.
+#[global_allocator]
+static ALLOCATOR: rt::CountingAllocator = rt::CountingAllocator;
+
 /// A dataset's file that its reader panics at is bad input, not a defect of this program: the file is named, also where a
 /// panic ends the program at once.
 fn explain_panics() {

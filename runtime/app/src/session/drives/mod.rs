@@ -34,7 +34,7 @@ pub use stops::{Stop, StopCause};
 pub use summary::{BusSummary, DrivesSummary, StopSummary};
 
 use super::can_interfaces::{BusOffInjector, open};
-use super::summary::TickUs;
+use super::summary::PercentilesUs;
 use super::{SessionError, Setup};
 use crate::mailbox::mailbox;
 use crate::rt::{self, MonotonicClock};
@@ -294,7 +294,7 @@ fn sum_up(
         arms: moved.arms(),
         seconds: end.now.seconds(),
         stalled_s: TimeNs(end.stalled_ns).seconds(),
-        turn_us: TickUs::of(&end.turns),
+        turn_us: PercentilesUs::of(&end.turns),
         begun_s: end.begun.map(TimeNs::seconds),
         success: outcome.map(|outcome| matches!(outcome, Some(Outcome::Success))),
         outcome: outcome.map(|outcome| match outcome {

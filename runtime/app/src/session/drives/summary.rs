@@ -4,7 +4,7 @@ use hal::{ARM_NAMES, TimeNs};
 use serde::Serialize;
 
 use super::stops::{Stop, StopCause};
-use crate::session::summary::TickUs;
+use crate::session::summary::PercentilesUs;
 
 /// One bus.
 #[derive(Clone, Debug, Serialize)]
@@ -83,7 +83,7 @@ pub struct DrivesSummary {
     /// Time that did not pass for them because the process was kept from running, s.
     pub stalled_s: f64,
     /// How long the process took to look at the buses and move the drives and the world on.
-    pub turn_us: TickUs,
+    pub turn_us: PercentilesUs,
     /// When all drives were enabled for the first time, s.
     pub begun_s: Option<f64>,
     /// Whether the task was done; absent without a world.

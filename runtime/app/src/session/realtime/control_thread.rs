@@ -8,17 +8,15 @@ use trocar_control::{AnyController, OperatorEvent};
 use trocar_log::{TickLog, TickRecord};
 
 use super::signals::{Signals, StopsAll};
-use crate::histogram::Histogram;
+use super::timing::LoopTiming;
 use crate::rig;
-use crate::rt::{MonotonicClock, RtOptions, configure_thread};
+use crate::rt::{MonotonicClock, RtOptions};
 use crate::session::operator::OperatorPort;
+use crate::session::summary::RealTimeCounts;
 use crate::session::tally::Tally;
 
 /// Periods that the arms get to come to rest after the verdict: more than twice the longest stop.
 const REST_TICKS: u64 = 500;
-
-/// Priority of the control thread under `SCHED_FIFO`.
-const PRIORITY: u8 = 80;
 
 /// The control thread before it runs.
 pub(super) struct ControlThread<R> {
@@ -28,14 +26,16 @@ pub(super) struct ControlThread<R> {
     pub(super) log: Option<TickLog>,
     pub(super) signals: Arc<Signals>,
     pub(super) operator: OperatorPort,
+    /// What the thread asks of the system; of strict wishes [`RtProfile::check`](crate::rt::RtProfile::check) knows before there is a run.
+    pub(super) profile: RtOptions,
 }
 
 /// What it leaves behind.
 pub(super) struct ControlEnd<R> {
     pub(super) rig: R,
     pub(super) tally: Tally,
-    pub(super) skipped: u64,
-    pub(super) wake_p99_us: f64,
+    /// The loop's timing, without what the log dropped.
+    pub(super) counts: RealTimeCounts,
     pub(super) log_dropped: u64,
 }
 
@@ -45,15 +45,13 @@ impl<R> ControlEnd<R> {
         let Self {
             rig,
             tally,
-            skipped,
-            wake_p99_us,
+            counts,
             log_dropped,
         } = self;
         ControlEnd {
             rig: change(rig),
             tally,
-            skipped,
-            wake_p99_us,
+            counts,
             log_dropped,
         }
     }
@@ -64,24 +62,14 @@ impl<R: Rig> ControlThread<R> {
     pub(super) fn run(mut self, clock: MonotonicClock) -> ControlEnd<R> {
         let signals = Arc::clone(&self.signals);
         let _stops = StopsAll(&signals);
-        let options = RtOptions {
-            priority: Some(PRIORITY),
-            cpu: None,
-            lock_memory: false,
-            strict: false,
-        };
-        // Not strict, so a refusal is only reported; `trocar doctor` tells what to change.
-        let _granted = configure_thread(&options);
-        let mut wakes = Histogram::new();
         let mut tally = Tally::default();
         let mut rest_ticks = 0;
-        let mut skipped = 0;
         let mut paused = false;
         let mut setpoints = None;
+        let mut timing = LoopTiming::begin(&self.profile);
         while rest_ticks < REST_TICKS {
             let period = self.rig.exchange(setpoints.take().as_ref());
-            skipped += period.skipped;
-            wakes.record(period.late_ns);
+            timing.woke(&period);
             let done = signals.done();
             rest_ticks += u64::from(done);
             let Some(measured) = period.measured else {
@@ -107,17 +95,15 @@ impl<R: Rig> ControlThread<R> {
                 signals.end_run();
             }
         }
+        let counts = timing.end();
         // The arms hear of every command that the log has.
         self.rig.exchange(setpoints.as_ref());
         tally.measured(&self.controller);
         let log_dropped = self.log.as_ref().map_or(0, TickLog::dropped);
-        #[expect(clippy::cast_precision_loss, reason = "a delay is exact in f64")]
-        let wake_p99_us = wakes.percentile(0.99) as f64 * 1e-3;
         ControlEnd {
             rig: self.rig,
             tally,
-            skipped,
-            wake_p99_us,
+            counts,
             log_dropped,
         }
     }

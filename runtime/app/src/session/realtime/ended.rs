@@ -3,7 +3,6 @@
 use trocar_log::{LogFile, RunOutcome};
 
 use super::control_thread::ControlEnd;
-use crate::rt;
 use crate::session::pictures::Pictures;
 use crate::session::run::RunResult;
 use crate::session::summary::RealTimeCounts;
@@ -44,10 +43,8 @@ pub(super) fn closed<R>(
         ..labels
     };
     let real_time = RealTimeCounts {
-        overruns: control.skipped,
-        wake_p99_us: control.wake_p99_us,
         log_dropped,
-        slow_motion: rt::slow_motion(),
+        ..control.counts.clone()
     };
     RunResult {
         ok: ended.ok,

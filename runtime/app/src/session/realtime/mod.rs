@@ -23,6 +23,7 @@ mod policy_process;
 mod robot;
 mod signals;
 mod simulation_thread;
+mod timing;
 mod watch;
 mod wires;
 
@@ -55,7 +56,7 @@ use control_thread::{ControlEnd, ControlThread};
 use hal::PerArm;
 use signals::{Moving, Signals};
 use simulation_thread::{SimulationEnd, SimulationThread, Snapshots};
-use trocar_log::{LogFile, Recorder, RunOutcome, SideLog, TickLog};
+use trocar_log::{LogFile, Recorder, RunOutcome, SideLog, TickLog, pre_faulted_queue};
 use watch::{Watched, watch};
 
 /// Chunks that may wait for the control thread.
@@ -77,6 +78,7 @@ const START_NS: u64 = 20_000_000;
 pub fn run_realtime(setup: &Setup, options: &RunOptions) -> Result<RunResult, SessionError> {
     rt::catch_interrupts_in_motion()
         .map_err(|error| SessionError::RealTime(format!("catching signals failed: {error}")))?;
+    options.real_time.check()?;
     let mut child = match &options.policy {
         PolicyChoice::Checkpoint(path) => {
             let network = setup.network(path, Device::Cpu)?;
@@ -129,7 +131,7 @@ fn run_threads(
     let simulation = simulation(setup, options, Rendering::Off)?;
     let controller = setup.controller()?;
     let (measured_in, measured) = mailbox::<PerArm<ArmState>>();
-    let (commands, commands_out) = RingBuffer::new(COMMANDS);
+    let (commands, commands_out) = pre_faulted_queue(COMMANDS);
     let (chunk_in, chunks) = RingBuffer::<PerArm<Chunk>>::new(CHUNK_QUEUE);
     let (snapshot_in, snapshots) = mailbox::<Snapshot>();
     let signals = Arc::new(Signals::default());
@@ -160,6 +162,7 @@ fn run_threads(
         snapshots,
         local,
         signals: Arc::clone(&signals),
+        profile: options.real_time.simulation,
     };
     let clock = MonotonicClock::new();
     let first = clock.now().plus_ns(START_NS);
@@ -173,6 +176,7 @@ fn run_threads(
         log: tick_log,
         signals: Arc::clone(&signals),
         operator,
+        profile: options.real_time.control,
     };
     thread::scope(|scope| {
         if let Some(listener) = &listener {
@@ -286,10 +290,8 @@ fn conclude(setup: &Setup, options: &RunOptions, ends: Ends) -> Result<RunResult
         ..labels(setup, options, &policy)
     };
     let real_time = RealTimeCounts {
-        overruns: control.skipped,
-        wake_p99_us: control.wake_p99_us,
         log_dropped,
-        slow_motion: rt::slow_motion(),
+        ..control.counts
     };
     Ok(RunResult {
         ok: success,

@@ -16,9 +16,6 @@ use crate::rt::{MonotonicClock, Periodic, RtOptions, configure_thread};
 use crate::session::SessionError;
 use crate::session::source::{ChunkSource, Query, STEP_TICKS, precedes_query, seen_arm};
 
-/// Priority under `SCHED_FIFO`, below the control thread's: the arms that this thread stands for never wait for a core.
-const PRIORITY: u8 = 70;
-
 /// Steps from one frame for the log or the pictures to the next. Drawing in software takes half a core at every step.
 const FRAME_EVERY_STEPS: u64 = 5;
 
@@ -50,6 +47,8 @@ pub(super) struct SimulationThread {
     pub(super) snapshots: Option<Snapshots>,
     pub(super) local: Option<(ChunkSource, Producer<PerArm<Chunk>>)>,
     pub(super) signals: Arc<Signals>,
+    /// What the thread asks of the system: the arms that it stands for never wait for a core.
+    pub(super) profile: RtOptions,
 }
 
 /// What it leaves behind.
@@ -70,13 +69,8 @@ impl SimulationThread {
     ) -> Result<SimulationEnd, SessionError> {
         let signals = Arc::clone(&self.signals);
         let _ends = EndsRun(&signals);
-        // Not strict: without it the arm is only less punctual.
-        let _granted = configure_thread(&RtOptions {
-            priority: Some(PRIORITY),
-            cpu: None,
-            lock_memory: false,
-            strict: false,
-        });
+        // Never strict: without it the arm is only less punctual.
+        let _granted = configure_thread(&self.profile);
         let mut periodic = Periodic::new(clock, first, TICK_NS);
         let mut end = SimulationEnd {
             outcome: Outcome::Running,

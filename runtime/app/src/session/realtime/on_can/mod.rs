@@ -44,7 +44,7 @@ use super::{joined, labels};
 use crate::rig::Observed;
 use crate::rig::can::CanRig;
 use crate::rig::can_clock::CanClock;
-use crate::rt::{self, MonotonicClock, Periodic};
+use crate::rt::{self, MonotonicClock, Periodic, RtOptions};
 use crate::session::can_interfaces;
 use crate::session::external::{About, ExternalChoice, ExternalLink, check_wanted};
 use crate::session::operator::Listener;
@@ -115,6 +115,7 @@ pub fn run_on_can(
     can: &CanOptions,
     say: Say<'_>,
 ) -> Result<RunResult, SessionError> {
+    options.real_time.check()?;
     let count = setup.task.arms.len();
     check(&format!("task {}", setup.task_name), count, &can.config)?;
     let clock = MonotonicClock::new();
@@ -174,6 +175,7 @@ pub fn run_on_can(
         ready,
         controller: setup.controller()?,
         wires: wires.control,
+        profile: options.real_time.control,
     };
     let outer = (wires.log, wires.listener);
     let ends = run_threads(enabling, remote, outer, || scene_thread.run());
@@ -194,6 +196,7 @@ pub fn run_robot_on_can(
     can: &CanOptions,
     say: Say<'_>,
 ) -> Result<RunResult, SessionError> {
+    options.real_time.check()?;
     let count = robot.arms();
     check(&robot.safety_file, count, &can.config)?;
     let clock = MonotonicClock::new();
@@ -250,6 +253,7 @@ pub fn run_robot_on_can(
         ready,
         controller: robot.controller()?,
         wires: wires.control,
+        profile: options.real_time.control,
     };
     let outer = (wires.log, wires.listener);
     let ends = run_threads(enabling, remote, outer, || robot_thread.run());
@@ -369,6 +373,7 @@ struct Enabling<'a> {
     ready: Vec<ReadyArm>,
     controller: AnyController,
     wires: ControlWires,
+    profile: RtOptions,
 }
 
 impl Enabling<'_> {
@@ -404,6 +409,7 @@ impl Enabling<'_> {
             log,
             signals: Arc::clone(&signals),
             operator,
+            profile: self.profile,
         };
         let mut end = control.run(clock).with_rig(|observed| observed.rig);
         end.rig.take_down(clock);

@@ -35,6 +35,7 @@ pub fn run_rig<R: Rig + Send>(
     options: &RunOptions,
     asked: &RobotOptions,
 ) -> Result<RunResult, SessionError> {
+    options.real_time.check()?;
     let policy = options.policy.name();
     check_policy(&policy, &source)?;
     source.reset(options.seed);
@@ -58,6 +59,7 @@ pub fn run_rig<R: Rig + Send>(
         log,
         signals: Arc::clone(&signals),
         operator,
+        profile: options.real_time.control,
     };
     let local = Some((source, wires.chunk_in));
     let robot_thread = RobotThread::new(wires.seen, local, Vec::new(), (Vec::new(), 0), asked);

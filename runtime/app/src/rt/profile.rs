@@ -1,0 +1,144 @@
+//! `config/realtime.toml`: what the threads of a run in real time ask of the operating system.
+
+use hal::config::{ConfigError, Source};
+use serde::Deserialize;
+
+use super::thread::{RtOptions, RtRefused, configure_thread};
+
+/// Most cores that a system's set of them holds.
+const CORES_MAX: i32 = 1024;
+
+/// What both threads ask for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct RtProfile {
+    /// The control thread; memory is locked with it.
+    pub control: RtOptions,
+    /// The simulated arms' thread. Never strict: without it the arms are only less punctual.
+    pub simulation: RtOptions,
+}
+
+impl Default for RtProfile {
+    /// What [`Self::shipped`] says.
+    fn default() -> Self {
+        let fifo = |priority| RtOptions {
+            priority: Some(priority),
+            cpu: None,
+            lock_memory: false,
+            strict: false,
+        };
+        Self {
+            control: RtOptions {
+                lock_memory: true,
+                ..fifo(80)
+            },
+            simulation: fifo(70),
+        }
+    }
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct File {
+    strict: bool,
+    lock_memory: bool,
+    control: ThreadFile,
+    simulation: ThreadFile,
+}
+
+#[derive(Clone, Copy, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct ThreadFile {
+    priority: i32,
+    cpu: i32,
+}
+
+impl ThreadFile {
+    fn checked(self, source: &Source, name: &str) -> Result<RtOptions, ConfigError> {
+        let (priority, cpu) = (format!("{name}.priority"), format!("{name}.cpu"));
+        source.check_range(&priority, self.priority.into(), 0.0, 99.0)?;
+        source.check_range(&cpu, self.cpu.into(), -1.0, f64::from(CORES_MAX - 1))?;
+        Ok(RtOptions {
+            priority: u8::try_from(self.priority)
+                .ok()
+                .filter(|priority| *priority > 0),
+            cpu: usize::try_from(self.cpu).ok(),
+            lock_memory: false,
+            strict: false,
+        })
+    }
+}
+
+impl RtProfile {
+    /// The file in the repository.
+    #[must_use]
+    pub fn shipped() -> Source {
+        let text = include_str!("../../../../config/realtime.toml");
+        Source::embedded("config/realtime.toml", text)
+    }
+
+    /// Reads and checks `source`.
+    ///
+    /// # Errors
+    /// [`ConfigError`] with file, line, key and allowed range.
+    pub fn load(source: &Source) -> Result<Self, ConfigError> {
+        let file: File = source.parse()?;
+        Ok(Self {
+            control: RtOptions {
+                lock_memory: file.lock_memory,
+                strict: file.strict,
+                ..file.control.checked(source, "control")?
+            },
+            simulation: file.simulation.checked(source, "simulation")?,
+        })
+    }
+
+    /// Whether the system grants what a strict control thread insists on: tried on a thread of its own, before there is anything to lose.
+    ///
+    /// # Errors
+    /// [`RtRefused`] with what was refused.
+    pub fn check(&self) -> Result<(), RtRefused> {
+        if !self.control.strict {
+            return Ok(());
+        }
+        let options = self.control;
+        let tried = std::thread::spawn(move || configure_thread(&options)).join();
+        tried.map_or(Ok(()), |granted| granted.map(|_| ()))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn shipped_profile_is_lenient_and_asks_for_fifo_and_locked_memory() {
+        let profile = RtProfile::load(&RtProfile::shipped()).unwrap();
+        assert!(profile.control.lock_memory && !profile.control.strict);
+        assert_eq!(profile, RtProfile::default());
+        profile.check().unwrap();
+    }
+
+    #[test]
+    fn values_out_of_range_are_named_with_line_and_range() {
+        for (key, value, named) in [
+            ("control.priority", "100", "[0, 99]"),
+            ("control.cpu", "-2", "[-1, 1023]"),
+            ("simulation.cpu", "1024", "[-1, 1023]"),
+        ] {
+            let source = RtProfile::shipped().with(key, value).unwrap();
+            let error = RtProfile::load(&source).unwrap_err().to_string();
+            assert!(error.contains("config/realtime.toml"), "{error}");
+            for part in [key, value, named] {
+                assert!(error.contains(part), "{error} lacks {part}");
+            }
+        }
+    }
+
+    #[test]
+    fn strict_profile_is_refused_where_a_core_is_missing() {
+        let strict = RtProfile::shipped().with("strict", "true").unwrap();
+        let source = strict.with("control.cpu", "1023").unwrap();
+        let refused = RtProfile::load(&source).unwrap().check().unwrap_err();
+        assert!(refused.to_string().contains("core refused"), "{refused}");
+    }
+}
