@@ -36,7 +36,7 @@ const SIDE_PIXELS: u32 = 512;
 const REAL_TIME: RtOptions = RtOptions {
     priority: Some(80),
     cpu: None,
-    lock_memory: false,
+    lock_stack: false,
     strict: false,
 };
 

@@ -30,7 +30,7 @@ const TICKS: u32 = 30_000;
 const REAL_TIME: RtOptions = RtOptions {
     priority: Some(80),
     cpu: None,
-    lock_memory: false,
+    lock_stack: false,
     strict: false,
 };
 

@@ -113,7 +113,7 @@ fn on_a_thread_under_fifo<R: Send + Default>(work: impl FnOnce() -> R + Send) ->
     let asking = RtOptions {
         priority: Some(PRIORITY),
         cpu: None,
-        lock_memory: false,
+        lock_stack: false,
         strict: false,
     };
     thread::scope(|scope| {

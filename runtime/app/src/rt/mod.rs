@@ -16,7 +16,8 @@ pub use sys::{
     end_with_parent, interrupt_process, interrupted, memory_lock_limit,
 };
 pub use thread::{
-    Grant, RtOptions, RtRefused, RtReport, ThreadFaults, configure_thread, thread_faults,
+    Grant, RtOptions, RtRefused, RtReport, ThreadFaults, configure_thread, lock_memory,
+    thread_faults,
 };
 
 /// How many times slower than the system's the clocks of this process run; 1 unless `TROCAR_SLOW_MOTION` in its environment

@@ -3,7 +3,7 @@
 use hal::config::{ConfigError, Source};
 use serde::Deserialize;
 
-use super::thread::{RtOptions, RtRefused, configure_thread};
+use super::thread::{Grant, RtOptions, RtRefused, RtReport, configure_thread, lock_memory};
 
 /// Most cores that a system's set of them holds.
 const CORES_MAX: i32 = 1024;
@@ -11,8 +11,10 @@ const CORES_MAX: i32 = 1024;
 /// What both threads ask for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct RtProfile {
-    /// The control thread; memory is locked with it.
+    /// The control thread.
     pub control: RtOptions,
+    /// Whether to keep in memory what the process has mapped when the control thread begins.
+    pub lock_memory: bool,
     /// The simulated arms' thread. Never strict: without it the arms are only less punctual.
     pub simulation: RtOptions,
 }
@@ -23,14 +25,15 @@ impl Default for RtProfile {
         let fifo = |priority| RtOptions {
             priority: Some(priority),
             cpu: None,
-            lock_memory: false,
+            lock_stack: false,
             strict: false,
         };
         Self {
             control: RtOptions {
-                lock_memory: true,
+                lock_stack: true,
                 ..fifo(80)
             },
+            lock_memory: true,
             simulation: fifo(70),
         }
     }
@@ -62,7 +65,7 @@ impl ThreadFile {
                 .ok()
                 .filter(|priority| *priority > 0),
             cpu: usize::try_from(self.cpu).ok(),
-            lock_memory: false,
+            lock_stack: false,
             strict: false,
         })
     }
@@ -83,8 +86,9 @@ impl RtProfile {
     pub fn load(source: &Source) -> Result<Self, ConfigError> {
         let file: File = source.parse()?;
         Ok(Self {
+            lock_memory: file.lock_memory,
             control: RtOptions {
-                lock_memory: file.lock_memory,
+                lock_stack: file.lock_memory,
                 strict: file.strict,
                 ..file.control.checked(source, "control")?
             },
@@ -102,7 +106,22 @@ impl RtProfile {
         }
         let options = self.control;
         let tried = std::thread::spawn(move || configure_thread(&options)).join();
-        tried.map_or(Ok(()), |granted| granted.map(|_| ()))
+        let report = tried.map_or(Ok(None), |granted| granted.map(Some))?;
+        let memory = self.lock();
+        match report {
+            Some(report) if memory.is_refused() => Err(RtRefused(RtReport { memory, ..report })),
+            Some(_) | None => Ok(()),
+        }
+    }
+
+    /// Locks memory, if that is asked for: see [`lock_memory`].
+    #[must_use]
+    pub fn lock(&self) -> Grant {
+        if self.lock_memory {
+            lock_memory()
+        } else {
+            Grant::NotAsked
+        }
     }
 }
 
@@ -113,7 +132,7 @@ mod tests {
     #[test]
     fn shipped_profile_is_lenient_and_asks_for_fifo_and_locked_memory() {
         let profile = RtProfile::load(&RtProfile::shipped()).unwrap();
-        assert!(profile.control.lock_memory && !profile.control.strict);
+        assert!(profile.lock_memory && !profile.control.strict);
         assert_eq!(profile, RtProfile::default());
         profile.check().unwrap();
     }

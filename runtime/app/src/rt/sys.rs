@@ -132,6 +132,12 @@ pub(super) fn lock_memory() -> io::Result<()> {
     checked(unsafe { libc::mlockall(libc::MCL_CURRENT | libc::MCL_ONFAULT) })
 }
 
+/// Keeps `memory` in memory until it is unmapped.
+pub(super) fn lock(memory: &[u8]) -> io::Result<()> {
+    // SAFETY: the range is borrowed, and locking changes nothing in it.
+    checked(unsafe { libc::mlock(memory.as_ptr().cast(), memory.len()) })
+}
+
 /// Page faults (minor, major) and context switches (voluntary, involuntary) of the calling thread.
 pub(super) fn thread_usage() -> io::Result<[u64; 4]> {
     // SAFETY: rusage is plain integers, for which zero is a value.

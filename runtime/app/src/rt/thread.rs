@@ -16,8 +16,8 @@ pub struct RtOptions {
     pub priority: Option<u8>,
     /// The core to stay on.
     pub cpu: Option<usize>,
-    /// Whether to keep the pages of what the process has mapped in memory.
-    pub lock_memory: bool,
+    /// Whether to keep the thread's stack in memory; the rest is [`lock_memory`]'s.
+    pub lock_stack: bool,
     /// Whether a refusal is an error.
     pub strict: bool,
 }
@@ -67,7 +67,7 @@ pub struct RtReport {
     pub fifo: Grant,
     /// The core.
     pub cpu: Grant,
-    /// Locked memory.
+    /// Locked memory: of the thread its stack, of a run's control thread the process's too.
     pub memory: Grant,
 }
 
@@ -94,25 +94,38 @@ impl fmt::Display for RtReport {
 #[error("the control thread did not get what it insists on: {0}; see `trocar doctor`")]
 pub struct RtRefused(pub RtReport);
 
-/// Applies `options` to the calling thread (memory: to the process) and touches its stack in advance.
-///
-/// Memory is locked as it is touched, so warm everything up before the first deadline. Memory mapped later is not locked, and does not
-/// count against the limit: a call that locks comes last, when the thread has all that it uses.
+/// Keeps in memory what the process has mapped, page by page as it is touched. It takes tens of milliseconds, so that it comes before the
+/// first deadline, and after all is mapped that the loop uses: what is mapped later is not locked, nor does it count against the limit.
+#[must_use]
+pub fn lock_memory() -> Grant {
+    Grant::of(Some(sys::lock_memory()))
+}
+
+/// Applies `options` to the calling thread and touches its stack in advance.
 ///
 /// # Errors
 /// [`RtRefused`] if the options are strict and the system refused something; everything grantable is applied all the
 /// same.
 pub fn configure_thread(options: &RtOptions) -> Result<RtReport, RtRefused> {
     let report = RtReport {
-        memory: Grant::of(options.lock_memory.then(sys::lock_memory)),
+        memory: Grant::of(options.lock_stack.then(lock_stack)),
         cpu: Grant::of(options.cpu.map(sys::pin_to)),
         fifo: Grant::of(options.priority.map(sys::set_fifo)),
     };
-    touch_stack();
+    if !options.lock_stack {
+        touch_stack(|_| ());
+    }
     if options.strict && report.any_refused() {
         return Err(RtRefused(report));
     }
     Ok(report)
+}
+
+/// Keeps the stack that ticks will use in memory.
+fn lock_stack() -> std::io::Result<()> {
+    let mut locked = Ok(());
+    touch_stack(|pages| locked = sys::lock(pages));
+    locked
 }
 
 /// Writes to the stack that ticks will use, so that they fault no page in.
@@ -121,10 +134,10 @@ pub fn configure_thread(options: &RtOptions) -> Result<RtReport, RtRefused> {
     clippy::large_stack_arrays,
     reason = "taking that much stack is the point"
 )]
-fn touch_stack() {
+fn touch_stack(then: impl FnOnce(&[u8])) {
     let mut pages = [0_u8; STACK_BYTES];
     pages.iter_mut().step_by(4096).for_each(|byte| *byte = 1);
-    core::hint::black_box(&mut pages);
+    then(core::hint::black_box(&pages));
 }
 
 /// What disturbed the calling thread since it began.
@@ -177,7 +190,7 @@ mod tests {
     const NOTHING: RtOptions = RtOptions {
         priority: None,
         cpu: None,
-        lock_memory: false,
+        lock_stack: false,
         strict: true,
     };
 

@@ -152,7 +152,7 @@ impl BusThread<'_> {
         let _granted = configure_thread(&RtOptions {
             priority: Some(PRIORITY),
             cpu: None,
-            lock_memory: false,
+            lock_stack: false,
             strict: false,
         });
         let clock = MonotonicClock::new();

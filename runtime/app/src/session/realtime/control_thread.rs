@@ -10,7 +10,7 @@ use trocar_log::{TickLog, TickRecord};
 use super::signals::{Signals, StopsAll};
 use super::timing::LoopTiming;
 use crate::rig;
-use crate::rt::{MonotonicClock, RtOptions};
+use crate::rt::{Grant, MonotonicClock, RtOptions};
 use crate::session::operator::OperatorPort;
 use crate::session::summary::RealTimeCounts;
 use crate::session::tally::Tally;
@@ -28,6 +28,8 @@ pub(super) struct ControlThread<R> {
     pub(super) operator: OperatorPort,
     /// What the thread asks of the system; of strict wishes [`RtProfile::check`](crate::rt::RtProfile::check) knows before there is a run.
     pub(super) profile: RtOptions,
+    /// Whether the process's memory is locked.
+    pub(super) memory: Grant,
 }
 
 /// What it leaves behind.
@@ -66,7 +68,7 @@ impl<R: Rig> ControlThread<R> {
         let mut rest_ticks = 0;
         let mut paused = false;
         let mut setpoints = None;
-        let mut timing = LoopTiming::begin(&self.profile);
+        let mut timing = LoopTiming::begin(&self.profile, self.memory.clone());
         while rest_ticks < REST_TICKS {
             let period = self.rig.exchange(setpoints.take().as_ref());
             timing.woke(&period);

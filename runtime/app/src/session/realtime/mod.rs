@@ -164,6 +164,7 @@ fn run_threads(
         signals: Arc::clone(&signals),
         profile: options.real_time.simulation,
     };
+    let memory = options.real_time.lock();
     let clock = MonotonicClock::new();
     let first = clock.now().plus_ns(START_NS);
     // Half a period after the simulation, to see this period's measurement.
@@ -177,6 +178,7 @@ fn run_threads(
         signals: Arc::clone(&signals),
         operator,
         profile: options.real_time.control,
+        memory,
     };
     thread::scope(|scope| {
         if let Some(listener) = &listener {

@@ -4,7 +4,8 @@ use hal::Period;
 
 use crate::histogram::Histogram;
 use crate::rt::{
-    self, RtOptions, RtReport, ThreadFaults, configure_thread, thread_allocations, thread_faults,
+    self, Grant, RtOptions, RtReport, ThreadFaults, configure_thread, thread_allocations,
+    thread_faults,
 };
 use crate::session::summary::{PercentilesUs, RealTimeCounts, ThreadCounts};
 
@@ -22,10 +23,14 @@ pub(super) struct LoopTiming {
 }
 
 impl LoopTiming {
-    /// Makes the calling thread what `options` ask for, as far as the system grants it, and begins to count.
-    pub(super) fn begin(options: &RtOptions) -> Self {
+    /// Makes the calling thread what `options` ask for, as far as the system grants it, and begins to count; `memory` is what became of
+    /// locking the process's.
+    pub(super) fn begin(options: &RtOptions, memory: Grant) -> Self {
         let (wakes, periods) = (Histogram::new(), Histogram::new());
-        let granted = configure_thread(options).unwrap_or_else(|refused| refused.0);
+        let mut granted = configure_thread(options).unwrap_or_else(|refused| refused.0);
+        if !granted.memory.is_refused() {
+            granted.memory = memory;
+        }
         Self {
             granted,
             skipped: 0,

@@ -44,7 +44,7 @@ use super::{joined, labels};
 use crate::rig::Observed;
 use crate::rig::can::CanRig;
 use crate::rig::can_clock::CanClock;
-use crate::rt::{self, MonotonicClock, Periodic, RtOptions};
+use crate::rt::{self, Grant, MonotonicClock, Periodic, RtOptions};
 use crate::session::can_interfaces;
 use crate::session::external::{About, ExternalChoice, ExternalLink, check_wanted};
 use crate::session::operator::Listener;
@@ -176,6 +176,7 @@ pub fn run_on_can(
         controller: setup.controller()?,
         wires: wires.control,
         profile: options.real_time.control,
+        memory: options.real_time.lock(),
     };
     let outer = (wires.log, wires.listener);
     let ends = run_threads(enabling, remote, outer, || scene_thread.run());
@@ -254,6 +255,7 @@ pub fn run_robot_on_can(
         controller: robot.controller()?,
         wires: wires.control,
         profile: options.real_time.control,
+        memory: options.real_time.lock(),
     };
     let outer = (wires.log, wires.listener);
     let ends = run_threads(enabling, remote, outer, || robot_thread.run());
@@ -374,6 +376,7 @@ struct Enabling<'a> {
     controller: AnyController,
     wires: ControlWires,
     profile: RtOptions,
+    memory: Grant,
 }
 
 impl Enabling<'_> {
@@ -410,6 +413,7 @@ impl Enabling<'_> {
             signals: Arc::clone(&signals),
             operator,
             profile: self.profile,
+            memory: self.memory,
         };
         let mut end = control.run(clock).with_rig(|observed| observed.rig);
         end.rig.take_down(clock);

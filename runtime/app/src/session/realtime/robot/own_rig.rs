@@ -60,6 +60,7 @@ pub fn run_rig<R: Rig + Send>(
         signals: Arc::clone(&signals),
         operator,
         profile: options.real_time.control,
+        memory: options.real_time.lock(),
     };
     let local = Some((source, wires.chunk_in));
     let robot_thread = RobotThread::new(wires.seen, local, Vec::new(), (Vec::new(), 0), asked);
