@@ -34,9 +34,9 @@ fn show(args: &ShowArgs) -> Done {
     let (config, scene) = (args.config.as_deref(), SceneOptions::default());
     let setup = Setup::load_with(&args.task, config, &policy, &scene, changes)?;
     console::text(match args.file {
-        ShownFile::Control => &setup.texts.control,
-        ShownFile::Safety => &setup.texts.safety,
-        ShownFile::Scene | ShownFile::Can => setup.texts.scene.as_deref().unwrap_or_default(),
+        ShownFile::Control => &setup.robot.texts.control,
+        ShownFile::Safety => &setup.robot.texts.safety,
+        ShownFile::Scene | ShownFile::Can => setup.robot.texts.scene.as_deref().unwrap_or_default(),
     });
     Ok(true)
 }
