@@ -14,7 +14,7 @@ use hal::{Arm, ArmCommand, CameraFrame, SafeTail, TimeNs};
 use tch::Device;
 use trocar::histogram::Histogram;
 use trocar::rt::{Grant, MonotonicClock, RtOptions, configure_thread};
-use trocar::session::episode::{Episode, EpisodeEnd, Nobody, Plan, Watcher};
+use trocar::session::episode::{Episode, EpisodeEnd, Nobody, Timing, Watcher};
 use trocar::session::source::STEP_NS;
 use trocar::session::{PolicyChoice, SessionError, Setup, tasks};
 use trocar_log::TickRecord;
@@ -52,11 +52,11 @@ fn run_expert(
         controller: &mut setup.controller()?,
         source: &mut setup.source(&PolicyChoice::Expert, seed, Device::Cpu)?,
     };
-    let plan = Plan {
+    let timing = Timing {
         latency: trocar::session::latency::Latency::fixed(0),
         tick_limit,
     };
-    episode.run(&plan, watcher)
+    episode.run(&timing, watcher)
 }
 
 /// The setup with a verdict so late that steps are judged to the end of the bench.

@@ -9,7 +9,7 @@ use std::process::Command;
 
 use tch::Device;
 use tests::{Profile, json, scratch, stderr, trocar};
-use trocar::session::episode::{Episode, Nobody, Plan, Watcher};
+use trocar::session::episode::{Episode, Nobody, Timing, Watcher};
 use trocar::session::tasks;
 use trocar::session::{PolicyChoice, Setup};
 use trocar_tasks::simulation::{Rendering, Simulation};
@@ -48,13 +48,13 @@ fn digest(task: &str, seed: u64, ticks: u64, rendering: Rendering) -> String {
             .source(&PolicyChoice::Expert, seed, Device::Cpu)
             .unwrap(),
     };
-    let plan = Plan {
+    let timing = Timing {
         latency: trocar::session::latency::Latency::fixed(0),
         tick_limit: ticks,
     };
     let end = match rendering {
-        Rendering::Off => episode.run(&plan, &mut Nobody),
-        Rendering::On => episode.run(&plan, &mut Onlooker(setup.camera_names())),
+        Rendering::Off => episode.run(&timing, &mut Nobody),
+        Rendering::On => episode.run(&timing, &mut Onlooker(setup.camera_names())),
     };
     let end = end.unwrap();
     assert_eq!(end.tally.ticks(), ticks, "{task} ended early");

@@ -9,11 +9,9 @@
 
 use hal::{Chunk, Observation, Policy, PolicyError, TipTarget};
 use nalgebra::Translation3;
-use tch::Device;
-use trocar::rt::RtProfile;
-use trocar::session::run::{RunOptions, RunResult, run_lockstep_with};
+use trocar::session::run::{RunResult, run_lockstep_with};
 use trocar::session::source::{ChunkSource, STEP_NS};
-use trocar::session::{PolicyChoice, SessionError, Setup};
+use trocar::session::{Plan, PolicyChoice, SessionError};
 
 /// Radius of the circle, m, and policy steps of 40 ms for a round.
 const RADIUS_M: f64 = 0.01;
@@ -63,21 +61,14 @@ impl Policy for Circles {
 /// From the configuration or the simulation.
 pub fn run() -> Result<RunResult, SessionError> {
     let policy = PolicyChoice::Own("circles".to_owned());
-    let setup = Setup::load("needle-lift", None, &policy)?;
-    let options = RunOptions {
-        policy,
+    let plan = Plan {
         seed: 7,
-        log: None,
-        log_bytes_max: None,
-        pictures: false,
         latency_ms: Some(40),
-        latency_jitter_ms: 0,
-        compute: Device::Cpu.into(),
-        real_time: RtProfile::default(),
         warn: tell,
+        ..Plan::load("needle-lift", policy)?
     };
     let source = ChunkSource::policy(Box::<Circles>::default(), Vec::new(), QUERY_EVERY_STEPS);
-    run_lockstep_with(&setup, &options, source)
+    run_lockstep_with(&plan, source)
 }
 
 #[expect(clippy::print_stderr, reason = "a warning is for the terminal")]

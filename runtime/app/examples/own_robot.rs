@@ -16,13 +16,12 @@ use hal::{
     Rig, Setpoint, TICK_NS, TICK_S, TimeNs, TipTarget,
 };
 use nalgebra::Translation3;
-use tch::Device;
-use trocar::rt::{MonotonicClock, Periodic, RtProfile};
+use trocar::rt::{MonotonicClock, Periodic};
 use trocar::session::changes::Changes;
 use trocar::session::realtime::{RobotOptions, run_rig};
-use trocar::session::run::{RunOptions, RunResult};
+use trocar::session::run::RunResult;
 use trocar::session::source::{ChunkSource, STEP_NS};
-use trocar::session::{PolicyChoice, Robot, SessionError};
+use trocar::session::{Plan, PolicyChoice, Robot, SessionError};
 
 /// How much of the way to its command the arm goes in a period: a lag of 5 ms.
 const SHARE: f64 = 0.2;
@@ -109,17 +108,10 @@ impl Policy for Aside {
 pub fn run(safety: &Path, log: PathBuf) -> Result<RunResult, SessionError> {
     let policy = PolicyChoice::Own("aside".to_owned());
     let robot = Robot::load(safety, None, &policy, &Changes::default())?;
-    let options = RunOptions {
-        policy,
-        seed: 0,
+    let plan = Plan {
         log: Some(log),
-        log_bytes_max: None,
-        pictures: false,
-        latency_ms: None,
-        latency_jitter_ms: 0,
-        compute: Device::Cpu.into(),
-        real_time: RtProfile::default(),
         warn: tell,
+        ..Plan::new(robot, policy)
     };
     let asked = RobotOptions {
         seconds: Some(2.0),
@@ -127,13 +119,7 @@ pub fn run(safety: &Path, log: PathBuf) -> Result<RunResult, SessionError> {
     };
     let source = ChunkSource::policy(Box::<Aside>::default(), Vec::new(), 5);
     let clock = MonotonicClock::new();
-    run_rig(
-        &robot,
-        (Lagging::new(clock), clock),
-        source,
-        &options,
-        &asked,
-    )
+    run_rig(&plan, (Lagging::new(clock), clock), source, &asked)
 }
 
 #[expect(clippy::print_stderr, reason = "a warning is for the terminal")]

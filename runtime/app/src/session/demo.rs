@@ -2,33 +2,17 @@
 
 use std::path::{Path, PathBuf};
 
-use tch::Device;
-
 use super::pictures::STEP_MS;
 use super::realtime::run_realtime;
-use super::run::{RunOptions, RunResult, run_lockstep, write_json};
+use super::run::{RunResult, run_lockstep, write_json};
 use super::summary::RunSummary;
-use super::{PolicyChoice, SessionError, Setup, policies, tasks};
-use crate::rt::RtProfile;
+use super::{Plan, PolicyChoice, SessionError, policies, tasks};
 use trocar_log::RunLog;
 use trocar_log::replay::{ReplayResult, replay};
 use trocar_log::verify::{VerifyResult, verify};
 
 /// The committed policy of the needle lift.
 pub const COMMITTED_POLICY: &str = "config/policies/needle-lift/act-small";
-
-/// What to show.
-#[derive(Clone, Debug)]
-pub struct DemoOptions {
-    /// Where the logs and the pictures go.
-    pub out: PathBuf,
-    /// The task: a built-in one's name or the path of a folder.
-    pub task: String,
-    /// The policy; the committed one of the task if not given.
-    pub policy: Option<String>,
-    /// Everything random depends on this.
-    pub seed: u64,
-}
 
 /// One run of the demonstration, its log read again.
 #[derive(Debug)]
@@ -52,23 +36,31 @@ pub struct DemoResult {
     pub files: Vec<PathBuf>,
 }
 
-/// Runs the task in lockstep and in real time, writes both logs, the summaries, and pictures of the lockstep run.
+/// The plan for `task`, a built-in one's name or the path of a folder, with the committed policy of the task unless another one is given.
+///
+/// # Errors
+/// Those of [`Plan::load`]; [`SessionError::BadArgument`] if no policy is committed for the task.
+pub fn plan(task: &str, policy: Option<&str>, seed: u64) -> Result<Plan, SessionError> {
+    let policy = match policy {
+        Some(policy) => PolicyChoice::parse(policy),
+        None => PolicyChoice::Checkpoint(policies::recommended(&tasks::files(task)?.name)?),
+    };
+    Ok(Plan {
+        seed,
+        ..Plan::load(task, policy)?
+    })
+}
+
+/// Runs `plan` in lockstep and in real time, writes both logs, the summaries, and pictures of the lockstep run into the folder `out`.
 /// `on_progress` hears what comes next.
 ///
 /// # Errors
 /// As of the runs and of reading their logs; [`SessionError::Log`] if one of them could not be written whole.
 pub fn run(
-    options: &DemoOptions,
+    plan: &Plan,
+    out: &Path,
     on_progress: &mut dyn FnMut(&str),
 ) -> Result<DemoResult, SessionError> {
-    let policy = match &options.policy {
-        Some(policy) => PolicyChoice::parse(policy),
-        None => {
-            PolicyChoice::Checkpoint(policies::recommended(&tasks::files(&options.task)?.name)?)
-        }
-    };
-    let setup = Setup::load(&options.task, None, &policy)?;
-    let file = |name: &str| options.out.join(name);
     let files: Vec<PathBuf> = [
         "run.mcap",
         "run.json",
@@ -77,31 +69,24 @@ pub fn run(
         "realtime.mcap",
         "realtime.json",
     ]
-    .map(file)
+    .map(|name| out.join(name))
     .into();
-    let run_options = |log: &Path, pictures: bool| RunOptions {
-        policy: policy.clone(),
-        seed: options.seed,
+    let with_log = |log: &Path, pictures: bool| Plan {
         log: Some(log.to_path_buf()),
-        log_bytes_max: None,
         pictures,
-        latency_ms: None,
-        latency_jitter_ms: 0,
-        compute: Device::Cpu.into(),
-        real_time: RtProfile::default(),
-        warn: |_| (),
+        ..plan.clone()
     };
     on_progress(&format!(
         "1 of 2: {} with {} in lockstep, as fast as it goes",
-        setup.task_name,
-        policy.name()
+        plan.setup.task_name,
+        plan.policy.name()
     ));
-    let lockstep = run_lockstep(&setup, &run_options(&files[0], true))?;
+    let lockstep = run_lockstep(&with_log(&files[0], true))?;
     write_json(&files[1], &lockstep.summary)?;
     lockstep.pictures.write_strip(&files[2], 4, 2)?;
     lockstep.pictures.write_gif(&files[3], STEP_MS)?;
     on_progress("2 of 2: the same in real time, the network in its own process");
-    let real_time = run_realtime(&setup, &run_options(&files[4], false))?;
+    let real_time = run_realtime(&with_log(&files[4], false))?;
     write_json(&files[5], &real_time.summary)?;
     Ok(DemoResult {
         lockstep: examine(lockstep, &files[0])?,
@@ -131,26 +116,14 @@ mod tests {
 
     #[test]
     fn a_run_whose_log_is_not_whole_is_an_error_that_says_so() {
-        let mut setup = Setup::load("needle-lift", None, &PolicyChoice::Noop).unwrap();
-        setup.task.time_limit_s = 0.1;
-        let options = RunOptions {
-            policy: PolicyChoice::Noop,
-            seed: 0,
-            log: None,
-            log_bytes_max: None,
-            pictures: false,
-            latency_ms: None,
-            latency_jitter_ms: 0,
-            compute: Device::Cpu.into(),
-            real_time: RtProfile::default(),
-            warn: |_| (),
-        };
+        let mut plan = Plan::load("needle-lift", PolicyChoice::Noop).unwrap();
+        plan.setup.task.time_limit_s = 0.1;
         let log = PathBuf::from("run.mcap");
         let failure = LogError::WriterDied { path: log.clone() };
         let told = failure.to_string();
         let result = RunResult {
             log_failure: Some(failure),
-            ..run_lockstep(&setup, &options).unwrap()
+            ..run_lockstep(&plan).unwrap()
         };
         let error = examine(result, &log).unwrap_err();
         assert_eq!(error.to_string(), told);

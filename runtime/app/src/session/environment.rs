@@ -5,12 +5,13 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use hal::{Arm as _, CameraFrame, Chunk, FrameRef, Observation, Policy, PolicyError, TimeNs};
 use serde::Serialize;
 use trocar_tasks::cameras::SceneCameras;
-use trocar_tasks::simulation::{Rendering, Simulation};
+use trocar_tasks::simulation::Simulation;
 use trocar_tasks::task::{Outcome, Reason};
 
-use super::episode::{Episode, EpisodeEnd, Nobody, Plan};
+use super::episode::{Episode, EpisodeEnd, Nobody, Timing};
 use super::external::{ExternalChoice, ExternalPolicy};
 use super::latency::Latency;
+use super::run::next_simulation;
 use super::source::{ChunkSource, seen_arm};
 use super::summary::TrialSummary;
 use super::{SessionError, Setup};
@@ -51,12 +52,8 @@ pub fn run_environment(
         let seed = seed?;
         source.reset(seed);
         let task = &setup.task;
-        let mut simulation = match cameras.take() {
-            Some(cameras) => Simulation::with_cameras(task, seed, cameras),
-            None if names.is_empty() => Simulation::new(task, seed, Rendering::Off)?,
-            None => Simulation::new(task, seed, Rendering::On)?,
-        };
-        let plan = Plan {
+        let mut simulation = next_simulation(task, seed, cameras.take(), !names.is_empty())?;
+        let timing = Timing {
             latency: Latency::fixed(0),
             tick_limit: setup.tick_limit(),
         };
@@ -65,7 +62,7 @@ pub fn run_environment(
             controller: &mut setup.controller()?,
             source: &mut source,
         };
-        match episode.run(&plan, &mut Nobody) {
+        match episode.run(&timing, &mut Nobody) {
             Ok(end) => {
                 on_end(Some(&summary(seed, &end)));
                 show_end(&shared, &mut simulation, &names, &end)?;
@@ -79,17 +76,7 @@ pub fn run_environment(
 }
 
 fn summary(seed: u64, end: &EpisodeEnd) -> EpisodeSummary {
-    let trial = TrialSummary {
-        seed,
-        success: matches!(end.outcome, Outcome::Success),
-        invalid: matches!(end.outcome, Outcome::Invalid(_)),
-        reason: end.reason(),
-        seconds: TimeNs::from_tick(end.tally.ticks()).seconds(),
-        command_hash: end.tally.command_hash(),
-        tissue: end.tissue,
-        log: None,
-        pictures: None,
-    };
+    let trial = TrialSummary::new(seed, end);
     let time_limit = matches!(
         end.outcome,
         Outcome::Running | Outcome::Failure(Reason::TimeLimit { .. })

@@ -16,9 +16,9 @@ use crate::rt::MonotonicClock;
 use trocar_control::{AnyController, OperatorEvent};
 use trocar_log::TickRecord;
 
-/// What is fixed about an episode before it begins.
+/// When chunks arrive and when an episode is given up.
 #[derive(Clone, Copy, Debug)]
-pub struct Plan {
+pub struct Timing {
     /// Time from an observation to the delivery of its chunk.
     pub latency: Latency,
     /// The episode is given up after so many ticks.
@@ -110,8 +110,12 @@ impl Episode<'_> {
     /// From the simulation, the policy or the watcher; [`SessionError::Interrupted`] if the watcher wants to stop;
     /// [`SessionError::BadArgument`] if the simulation has other arms than the
     /// controller.
-    pub fn run(self, plan: &Plan, watcher: &mut dyn Watcher) -> Result<EpisodeEnd, SessionError> {
-        self.run_disturbed(plan, watcher, None)
+    pub fn run(
+        self,
+        timing: &Timing,
+        watcher: &mut dyn Watcher,
+    ) -> Result<EpisodeEnd, SessionError> {
+        self.run_disturbed(timing, watcher, None)
     }
 
     /// The same, in which `disturber`, if there is one, decides what is executed of what the expert answers. The watcher sees
@@ -121,13 +125,13 @@ impl Episode<'_> {
     /// Those of [`Self::run`].
     pub fn run_disturbed(
         self,
-        plan: &Plan,
+        timing: &Timing,
         watcher: &mut dyn Watcher,
         mut disturber: Option<&mut Disturber>,
     ) -> Result<EpisodeEnd, SessionError> {
         let clock = MonotonicClock::new();
         let mut cameras = Cameras::choose(self.source, watcher, self.simulation)?;
-        let mut deliveries: Deliveries<PerArm<Chunk>> = Deliveries::new(plan.latency);
+        let mut deliveries: Deliveries<PerArm<Chunk>> = Deliveries::new(timing.latency);
         let mut tally = Tally::default();
         let mut running = Running {
             rig: LockstepRig::new(self.simulation),
@@ -135,7 +139,7 @@ impl Episode<'_> {
             source: self.source,
         };
         let mut period = running.rig.exchange(None);
-        for tick in 0..plan.tick_limit {
+        for tick in 0..timing.tick_limit {
             let measured = period.measured.ok_or_else(|| running.other_arms())?;
             if tick % STEP_TICKS == 0 && watcher.wants_stop() {
                 return Err(SessionError::Interrupted);

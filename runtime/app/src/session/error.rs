@@ -144,6 +144,12 @@ impl SessionError {
         }
     }
 
+    /// The error that signals can't be caught.
+    #[must_use]
+    pub fn signals(error: std::io::Error) -> Self {
+        Self::RealTime(format!("catching signals failed: {error}"))
+    }
+
     /// Whether the user's input is at fault, rather than the work itself.
     #[must_use]
     pub const fn is_bad_input(&self) -> bool {

@@ -4,49 +4,34 @@ use std::path::PathBuf;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
 use hal::Chunk;
-use trocar_nets::compute::Compute;
 use trocar_tasks::cameras::SceneCameras;
-use trocar_tasks::simulation::{Rendering, Simulation};
-use trocar_tasks::task::Outcome;
 
-use super::episode::{Episode, EpisodeEnd, Plan, StepView, Watcher};
+use super::episode::{Episode, EpisodeEnd, StepView, Watcher};
 use super::keep::{Keep, Keeper, Kept};
-use super::latency::Latency;
-use super::run::RunOptions;
+use super::run::next_simulation;
 use super::source::{ChunkSource, PolicyChoice};
 use super::summary::{EvalSummary, TrialSummary};
-use super::{SessionError, Setup, outputs, parallel};
-use crate::rt::RtProfile;
+use super::{Plan, SessionError, outputs, parallel};
 use trocar_log::TickRecord;
 
-/// What to evaluate.
+/// How many trials, and what is kept of them.
 #[derive(Clone, Debug)]
 pub struct EvalOptions {
-    /// The policy.
-    pub policy: PolicyChoice,
-    /// How many trials.
+    /// How many trials; trial i has the plan's seed + i, which wraps.
     pub trials: usize,
-    /// Seed of the first trial; trial i has `seed + i`, which wraps.
-    pub seed: u64,
     /// Trials at a time.
     pub jobs: usize,
-    /// Delay from observation to chunk, ms; the policy's own if not given.
-    pub latency_ms: Option<u64>,
-    /// What may come on top of it, evenly from nothing to this, drawn for each chunk by the trial's seed, ms.
-    pub latency_jitter_ms: u64,
-    /// Where and how the network computes.
-    pub compute: Compute,
     /// Trials whose log and pictures are kept, if any.
     pub keep: Option<Keep>,
 }
 
-/// Runs the trials; `on_trial` hears of each in order. Once `stop` says so, those in progress are abandoned, and the summary is
+/// Runs the trials of `plan`; `on_trial` hears of each in order. Once `stop` says so, those in progress are abandoned, and the summary is
 /// that of the ones that were done.
 ///
 /// # Errors
 /// The first error of any trial; [`SessionError::BadArgument`] if trials are to be kept in a folder that is not empty.
 pub fn evaluate(
-    setup: &Setup,
+    plan: &Plan,
     options: &EvalOptions,
     stop: &(dyn Fn() -> bool + Sync),
     on_trial: &mut dyn FnMut(&TrialSummary),
@@ -63,7 +48,7 @@ pub fn evaluate(
         stop,
         || {
             let index = workers.fetch_add(1, Ordering::Relaxed);
-            TrialWorker::new(setup, options, stop, index).map(TrialWorker::into_job)
+            TrialWorker::new(plan, options, stop, index).map(TrialWorker::into_job)
         },
         &mut |_, trial: Option<TrialSummary>| {
             if let Some(trial) = trial {
@@ -73,31 +58,14 @@ pub fn evaluate(
             Ok(())
         },
     )?;
-    let interrupted = episodes.len() < options.trials;
-    let summary = EvalSummary::new(
-        &setup.task_name,
-        setup.task.needle(),
-        setup.task.view.name(),
-        &options.policy.name(),
-        episodes,
-    );
-    Ok(EvalSummary {
-        scene: setup.scene_file.clone(),
-        needle: setup.needle().map(str::to_owned),
-        varied: setup.task.varied.clone(),
-        trained_on: setup.trained_on.clone(),
-        weights_sha256: setup.weights_sha256.clone(),
-        trials_asked: options.trials,
-        interrupted,
-        ..summary
-    })
+    Ok(EvalSummary::new(plan, options.trials, episodes))
 }
 
 /// What one thread keeps from trial to trial: the network, or the connection to an external policy, and the cameras, which are slow to
 /// make.
 struct TrialWorker<'a> {
-    setup: &'a Setup,
-    options: &'a EvalOptions,
+    plan: &'a Plan,
+    keep: Option<&'a Keep>,
     stop: &'a (dyn Fn() -> bool + Sync),
     network: Option<ChunkSource>,
     cameras: Option<SceneCameras>,
@@ -105,15 +73,15 @@ struct TrialWorker<'a> {
 
 impl<'a> TrialWorker<'a> {
     fn new(
-        setup: &'a Setup,
+        plan: &'a Plan,
         options: &'a EvalOptions,
         stop: &'a (dyn Fn() -> bool + Sync),
         index: usize,
     ) -> Result<Self, SessionError> {
-        let network = match options.policy {
+        let network = match plan.policy {
             PolicyChoice::Checkpoint(_) | PolicyChoice::External(_) => {
-                let policy = options.policy.of_job(index, options.jobs);
-                Some(setup.source(&policy, options.seed, options.compute)?)
+                let policy = plan.policy.of_job(index, options.jobs);
+                Some(plan.setup.source(&policy, plan.seed, plan.compute)?)
             }
             PolicyChoice::Expert
             | PolicyChoice::Noop
@@ -121,8 +89,8 @@ impl<'a> TrialWorker<'a> {
             | PolicyChoice::Own(_) => None,
         };
         Ok(Self {
-            setup,
-            options,
+            plan,
+            keep: options.keep.as_ref(),
             stop,
             network,
             cameras: None,
@@ -131,7 +99,7 @@ impl<'a> TrialWorker<'a> {
 
     /// The job of one thread: a trial, none if it was abandoned.
     fn into_job(mut self) -> impl FnMut(usize) -> Result<Option<TrialSummary>, SessionError> {
-        move |index| match self.trial(self.options.seed.wrapping_add(index as u64)) {
+        move |index| match self.trial(self.plan.seed.wrapping_add(index as u64)) {
             Err(SessionError::Interrupted) => Ok(None),
             result => result.map(Some),
         }
@@ -139,27 +107,22 @@ impl<'a> TrialWorker<'a> {
 
     fn trial(&mut self, seed: u64) -> Result<TrialSummary, SessionError> {
         let mut source = self.source(seed)?;
-        let mut simulation = self.simulation(seed, &source)?;
-        let mut controller = self.setup.controller()?;
-        let latency = self.options.latency_ms;
-        let plan = Plan {
-            latency: Latency {
-                ticks: latency.unwrap_or_else(|| source.latency_ticks()),
-                jitter_ticks: self.options.latency_jitter_ms,
-                seed,
-            },
-            tick_limit: self.setup.tick_limit(),
-        };
+        let setup = &self.plan.setup;
+        let draws = !source.cameras().is_empty();
+        let mut simulation = next_simulation(&setup.task, seed, self.cameras.take(), draws)?;
+        let mut controller = setup.controller()?;
+        let timing = self.plan.timing(seed, &source);
+        let keeper = self.keep.map(|keep| Keeper::begin(keep, self.plan, seed));
         let mut watcher = TrialWatcher {
             stop: self.stop,
-            keeper: self.keeper(seed)?,
+            keeper: keeper.transpose()?,
         };
         let episode = Episode {
             simulation: &mut simulation,
             controller: &mut controller,
             source: &mut source,
         };
-        let end = episode.run(&plan, &mut watcher)?;
+        let end = episode.run(&timing, &mut watcher)?;
         self.cameras = simulation.into_cameras();
         let kept = self.finish(seed, watcher.keeper, &end, &source)?;
         if matches!(source, ChunkSource::Policy(_)) {
@@ -167,15 +130,9 @@ impl<'a> TrialWorker<'a> {
         }
         let name = |of: fn(&Kept) -> &PathBuf| kept.as_ref().map(|it| of(it).display().to_string());
         Ok(TrialSummary {
-            seed,
-            success: matches!(end.outcome, Outcome::Success),
-            invalid: matches!(end.outcome, Outcome::Invalid(_)),
-            reason: end.reason(),
-            seconds: hal::TimeNs::from_tick(end.tally.ticks()).seconds(),
-            command_hash: end.tally.command_hash(),
-            tissue: end.tissue,
             log: name(|kept| &kept.log),
             pictures: name(|kept| &kept.pictures),
+            ..TrialSummary::new(seed, &end)
         })
     }
 
@@ -185,40 +142,17 @@ impl<'a> TrialWorker<'a> {
             network.reset(seed);
             return Ok(network);
         }
-        if matches!(self.options.policy, PolicyChoice::External(_)) {
+        if matches!(self.plan.policy, PolicyChoice::External(_)) {
             // An earlier trial of this thread has failed, which ends the evaluation; nobody is waited for again.
             return Err(SessionError::Interrupted);
         }
-        self.setup
-            .source(&self.options.policy, seed, self.options.compute)
-    }
-
-    fn simulation(&mut self, seed: u64, source: &ChunkSource) -> Result<Simulation, SessionError> {
-        let task = &self.setup.task;
-        Ok(match self.cameras.take() {
-            Some(cameras) => Simulation::with_cameras(task, seed, cameras),
-            None if source.cameras().is_empty() => Simulation::new(task, seed, Rendering::Off)?,
-            None => Simulation::new(task, seed, Rendering::On)?,
-        })
-    }
-
-    fn keeper(&self, seed: u64) -> Result<Option<Keeper<'a>>, SessionError> {
-        let Some(keep) = &self.options.keep else {
-            return Ok(None);
-        };
-        let run = RunOptions {
-            policy: self.options.policy.clone(),
-            seed,
-            log: None,
-            log_bytes_max: None,
-            pictures: true,
-            latency_ms: self.options.latency_ms,
-            latency_jitter_ms: self.options.latency_jitter_ms,
-            compute: self.options.compute,
-            real_time: RtProfile::default(),
-            warn: |_| (),
-        };
-        Keeper::begin(keep, self.setup, &run).map(Some)
+        let Plan {
+            setup,
+            policy,
+            compute,
+            ..
+        } = self.plan;
+        setup.source(policy, seed, *compute)
     }
 
     /// Ends what `keeper` wrote of the trial.
@@ -232,10 +166,11 @@ impl<'a> TrialWorker<'a> {
         let Some(keeper) = keeper else {
             return Ok(None);
         };
-        let names = self.setup.cameras_with(source.cameras());
+        let setup = &self.plan.setup;
+        let names = setup.cameras_with(source.cameras());
         keeper.finish(end, &names, &mut self.cameras, &|| {
-            let mut cameras = SceneCameras::new(&self.setup.task)?;
-            cameras.begin_episode(&self.setup.task, seed);
+            let mut cameras = SceneCameras::new(&setup.task)?;
+            cameras.begin_episode(&setup.task, seed);
             Ok(cameras)
         })
     }

@@ -8,11 +8,11 @@ use trocar_tasks::cameras::SceneCameras;
 use trocar_tasks::scene::SceneSnapshot;
 use trocar_tasks::task::Outcome;
 
+use super::ended::Ended;
 use super::episode::{EpisodeEnd, StepView, Watcher};
 use super::pictures::{Pictures, STEP_MS};
-use super::run::{RunOptions, open_log};
-use super::{SessionError, Setup};
-use trocar_log::{Level, Recorder, RunOutcome, TickRecord};
+use super::{Plan, SessionError};
+use trocar_log::{Recorder, TickRecord};
 
 /// Which trials are kept.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -67,23 +67,20 @@ pub(super) struct Keeper<'a> {
 }
 
 impl<'a> Keeper<'a> {
-    /// Begins the log of the trial that `run` describes.
-    pub(super) fn begin(
-        keep: &'a Keep,
-        setup: &Setup,
-        run: &RunOptions,
-    ) -> Result<Self, SessionError> {
-        let part = PartFile(keep.file(run.seed, "mcap.part"));
-        let run = RunOptions {
+    /// Begins the log of the trial `seed` of `plan`.
+    pub(super) fn begin(keep: &'a Keep, plan: &Plan, seed: u64) -> Result<Self, SessionError> {
+        let part = PartFile(keep.file(seed, "mcap.part"));
+        let trial = Plan {
+            seed,
             log: Some(part.0.clone()),
-            ..run.clone()
+            ..plan.clone()
         };
-        let recorder = open_log(setup, &run, true)?;
+        let recorder = trial.open_log(true)?;
         let recorder =
             recorder.ok_or_else(|| SessionError::output(&part.0, "there is no log to write to"))?;
         Ok(Self {
             keep,
-            seed: run.seed,
+            seed,
             recorder,
             steps: Vec::new(),
             part,
@@ -115,15 +112,7 @@ impl<'a> Keeper<'a> {
             None => cameras.insert(make_cameras()?),
         };
         let pictures = draw(&steps, names, cameras, &mut recorder)?;
-        if let Some(tissue) = &end.tissue {
-            let last = TimeNs::from_tick(end.tally.ticks());
-            recorder.event(last, Level::Info, &tissue.to_string());
-        }
-        recorder.finish(Some(&RunOutcome {
-            success: Some(matches!(end.outcome, Outcome::Success)),
-            reason: end.reason(),
-            command_hash: end.tally.command_hash(),
-        }))?;
+        Ended::episode(end).close(recorder, &end.tally)?;
         let kept = Kept {
             log: keep.file(seed, "mcap"),
             pictures: keep.file(seed, "gif"),

@@ -4,7 +4,6 @@ use std::path::PathBuf;
 
 use hal::{CameraFrame, Chunk, SeenArm, TipTarget};
 use serde::Serialize;
-use tch::Device;
 use trocar_data::dataset::{
     ArmFrame, CameraSpec, DatasetError, DatasetSpec, DatasetWriter, DepthFrame, FrameRecord,
     Totals, VideoCodec,
@@ -13,27 +12,24 @@ use trocar_data::perception::depth_units;
 use trocar_nets::act_policy::state_numbers;
 use trocar_tasks::cameras::SceneCameras;
 use trocar_tasks::disturbance::Disturber;
-use trocar_tasks::simulation::{Rendering, Simulation};
 use trocar_tasks::task::{Outcome, Variation};
 
-use super::episode::{Episode, Plan, StepView, Watcher};
-use super::latency::Latency;
+use super::episode::{Episode, StepView, Watcher};
 use super::record_notes::{DISTURBED_TIME_FACTOR, DisturbedCounts, EpisodeNote, value};
 use super::record_resume::{Found, begin, look};
-use super::source::{PolicyChoice, STEP_NS};
-use super::{SessionError, Setup, parallel};
+use super::run::next_simulation;
+use super::source::STEP_NS;
+use super::{Plan, SessionError, Setup, parallel};
 
 /// What to record.
 #[derive(Clone, Debug)]
 pub struct RecordOptions {
-    /// How many successful episodes, with those that are there before.
+    /// How many successful episodes, with those that are there before; attempt i has the plan's seed + i, which wraps.
     pub episodes: usize,
     /// The dataset's directory; a new or an empty one, unless the recording goes on.
     pub out: PathBuf,
     /// Go on with the recording that is there, which must have been made with these options.
     pub resume: bool,
-    /// Seed of the first attempt; attempt i has `seed + i`, which wraps.
-    pub seed: u64,
     /// Episodes at a time.
     pub jobs: usize,
     /// Keep depth and instance ids of every camera too.
@@ -98,7 +94,8 @@ pub struct RecordSummary {
 
 impl RecordSummary {
     /// Of a recording that has done nothing yet beyond what it `found`.
-    fn new(setup: &Setup, options: &RecordOptions, found: &Found) -> Self {
+    fn new(plan: &Plan, options: &RecordOptions, found: &Found) -> Self {
+        let setup = &plan.setup;
         Self {
             task: setup.task_name.clone(),
             view: setup.task.view.name().to_owned(),
@@ -127,7 +124,7 @@ impl RecordSummary {
     }
 }
 
-/// Records until enough attempts have succeeded; failed ones are reported and not kept. Once `stop` says so, those in progress are
+/// Records the episodes of `plan`, whose policy is the expert, until enough attempts have succeeded; failed ones are reported and not kept. Once `stop` says so, those in progress are
 /// abandoned, and the dataset has what was done.
 ///
 /// A recording that goes on comes to the same episodes as one without a break: it begins behind the seed of the last one that is
@@ -138,17 +135,17 @@ impl RecordSummary {
 /// dataset, one that does not say how it was recorded, or one that was recorded with other options;
 /// [`SessionError::Unproductive`] if the expert fails far too often.
 pub fn record(
-    setup: &Setup,
+    plan: &Plan,
     options: &RecordOptions,
     stop: &(dyn Fn() -> bool + Sync),
     on_attempt: &mut dyn FnMut(&Attempt),
 ) -> Result<RecordSummary, SessionError> {
-    let found = look(setup, options)?;
-    let mut summary = RecordSummary::new(setup, options, &found);
+    let found = look(plan, options)?;
+    let mut summary = RecordSummary::new(plan, options, &found);
     if options.resume && summary.episodes >= options.episodes {
         return Ok(summary);
     }
-    let mut writer = begin(setup, options, &found, &dataset_spec(setup, options))?;
+    let mut writer = begin(plan, options, &found, &dataset_spec(&plan.setup, options))?;
     let mut attempts = found.attempts;
     let attempts_max = (options.episodes as u64)
         .saturating_mul(4)
@@ -161,7 +158,7 @@ pub fn record(
             });
         }
         let wanted = options.episodes - summary.episodes;
-        let first = options.seed.wrapping_add(attempts);
+        let first = plan.seed.wrapping_add(attempts);
         let mut done = 0;
         parallel::in_order_until(
             wanted,
@@ -169,7 +166,7 @@ pub fn record(
             // What is cut off loses no more than these.
             options.jobs,
             stop,
-            || Ok(demonstrator(setup, first, options, stop)),
+            || Ok(demonstrator(plan, first, options, stop)),
             &mut |index, demo: Option<Demonstration>| {
                 // Behind an abandoned attempt nothing counts: seeds have no gaps.
                 if let Some(demo) = demo.filter(|_| index == done) {
@@ -333,11 +330,12 @@ fn push_frames(writer: &mut DatasetWriter, demo: &Demonstration) -> Result<(), D
 
 /// The job of one thread: the demonstration of `first + index`; none if it was abandoned because `stop` said so.
 fn demonstrator(
-    setup: &Setup,
+    plan: &Plan,
     first: u64,
     options: &RecordOptions,
     stop: &(dyn Fn() -> bool + Sync),
 ) -> impl FnMut(usize) -> Result<Option<Demonstration>, SessionError> {
+    let setup = &plan.setup;
     let mut cameras: Option<SceneCameras> = None;
     move |index| {
         let seed = first.wrapping_add(index as u64);
@@ -350,11 +348,8 @@ fn demonstrator(
         };
         let mut task = setup.task.clone();
         task.time_limit_s *= f64::from(time_factor);
-        let mut simulation = match cameras.take() {
-            Some(cameras) => Simulation::with_cameras(&task, seed, cameras),
-            None => Simulation::new(&task, seed, Rendering::On)?,
-        };
-        let mut source = setup.source(&PolicyChoice::Expert, seed, Device::Cpu)?;
+        let mut simulation = next_simulation(&task, seed, cameras.take(), true)?;
+        let mut source = setup.source(&plan.policy, seed, plan.compute)?;
         let mut controller = setup.controller()?;
         let mut diary = Diary {
             cameras: setup.cameras_with(Vec::new()),
@@ -362,16 +357,14 @@ fn demonstrator(
             frames: Vec::new(),
             stop,
         };
-        let plan = Plan {
-            latency: Latency::fixed(source.latency_ticks()),
-            tick_limit: setup.tick_limit() * u64::from(time_factor),
-        };
+        let mut timing = plan.timing(seed, &source);
+        timing.tick_limit *= u64::from(time_factor);
         let episode = Episode {
             simulation: &mut simulation,
             controller: &mut controller,
             source: &mut source,
         };
-        let end = match episode.run_disturbed(&plan, &mut diary, disturber.as_mut()) {
+        let end = match episode.run_disturbed(&timing, &mut diary, disturber.as_mut()) {
             Err(SessionError::Interrupted) => return Ok(None),
             end => end?,
         };

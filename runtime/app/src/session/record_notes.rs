@@ -9,7 +9,7 @@ use trocar_tasks::disturbance::Disturbance;
 use trocar_tasks::task::{Drawn, Variation};
 
 use super::record::{Attempt, RecordOptions};
-use super::{SessionError, Setup};
+use super::{Plan, SessionError};
 use crate::study::address::hash_text;
 
 /// By how much longer a disturbed demonstration may take than the task allows.
@@ -95,9 +95,10 @@ impl DisturbedCounts {
 
 /// What is said of the recording as a whole, the task's name among it; nothing if it is of the plain kind.
 pub(super) fn recording_note(
-    setup: &Setup,
+    plan: &Plan,
     options: &RecordOptions,
 ) -> Result<Option<Value>, SessionError> {
+    let setup = &plan.setup;
     let plain = options.disturb.is_none() && options.instruction.is_none();
     if plain && setup.task.varied.is_empty() {
         return Ok(None);
@@ -108,7 +109,7 @@ pub(super) fn recording_note(
         scene: setup.scene_file.as_deref(),
         view: setup.task.view.name(),
         needle: setup.needle(),
-        seed: options.seed,
+        seed: plan.seed,
         varied: &setup.task.varied,
         disturb: options.disturb.map(|share| DisturbNote {
             share,
@@ -119,13 +120,14 @@ pub(super) fn recording_note(
 }
 
 /// The options of a recording, of whatever kind it is.
-pub(super) fn options_note(setup: &Setup, options: &RecordOptions) -> Result<Value, SessionError> {
-    let texts = setup.texts.by_name().into_iter();
+pub(super) fn options_note(plan: &Plan, options: &RecordOptions) -> Result<Value, SessionError> {
+    let setup = &plan.setup;
+    let texts = setup.robot.texts.by_name().into_iter();
     let note = OptionsNote {
         trocar: env!("CARGO_PKG_VERSION"),
         task: &setup.task_name,
         instruction: options.instruction.as_deref(),
-        seed: options.seed,
+        seed: plan.seed,
         cameras: setup.cameras_with(Vec::new()),
         depth: options.depth,
         video: options.video.map(VideoCodec::name),

@@ -5,7 +5,7 @@ use trocar_data::dataset::{DatasetSpec, DatasetWriter, Notes, Totals};
 
 use super::record::RecordOptions;
 use super::record_notes::{options_note, recording_note};
-use super::{SessionError, Setup, outputs};
+use super::{Plan, SessionError, outputs};
 
 /// What a recording finds when it begins.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -20,13 +20,13 @@ pub(super) struct Found {
 ///
 /// # Errors
 /// [`SessionError::BadArgument`] if it is another.
-pub(super) fn look(setup: &Setup, options: &RecordOptions) -> Result<Found, SessionError> {
+pub(super) fn look(plan: &Plan, options: &RecordOptions) -> Result<Found, SessionError> {
     if options.resume {
         outputs::dataset_folder("--out", &options.out)?;
         let totals = Totals::read(&options.out)?;
         let notes = Notes::read(&options.out)?;
-        check_options(setup, options, totals, &notes)?;
-        let attempts = attempts(options, totals, &notes)?;
+        check_options(plan, options, totals, &notes)?;
+        let attempts = attempts(plan, options, totals, &notes)?;
         return Ok(Found { totals, attempts });
     }
     if outputs::has_dataset(&options.out) {
@@ -45,7 +45,7 @@ pub(super) fn look(setup: &Setup, options: &RecordOptions) -> Result<Found, Sess
 /// Those of [`DatasetWriter::create_with`] and [`DatasetWriter::resume`]; [`SessionError::BadArgument`] if the dataset has changed
 /// since.
 pub(super) fn begin(
-    setup: &Setup,
+    plan: &Plan,
     options: &RecordOptions,
     found: &Found,
     spec: &DatasetSpec,
@@ -60,17 +60,17 @@ pub(super) fn begin(
     }
     // One that was cut off before its first episode may not even have said how it is made.
     if found.totals.episodes == 0 {
-        if let Some(description) = recording_note(setup, options)? {
+        if let Some(description) = recording_note(plan, options)? {
             writer.describe(description)?;
         }
-        writer.keep_options(options_note(setup, options)?)?;
+        writer.keep_options(options_note(plan, options)?)?;
     }
     Ok(writer)
 }
 
 /// The dataset must have been made with these options.
 fn check_options(
-    setup: &Setup,
+    plan: &Plan,
     options: &RecordOptions,
     totals: Totals,
     notes: &Notes,
@@ -81,7 +81,7 @@ fn check_options(
             _ => Err(unknown(options, "meta/trocar_recording.json is missing")),
         };
     };
-    let asked = options_note(setup, options)?;
+    let asked = options_note(plan, options)?;
     for (key, asked) in asked.as_object().into_iter().flatten() {
         let recorded = &recorded[key];
         // What is the same of another version is seen by its files.
@@ -106,7 +106,12 @@ fn check_options(
 }
 
 /// How many attempts led to what is there: the seed of the last episode tells.
-fn attempts(options: &RecordOptions, totals: Totals, notes: &Notes) -> Result<u64, SessionError> {
+fn attempts(
+    plan: &Plan,
+    options: &RecordOptions,
+    totals: Totals,
+    notes: &Notes,
+) -> Result<u64, SessionError> {
     let numbers = notes
         .episodes
         .iter()
@@ -122,7 +127,7 @@ fn attempts(options: &RecordOptions, totals: Totals, notes: &Notes) -> Result<u6
         let reason = "meta/trocar_episodes.jsonl lacks the seed of the last episode";
         return Err(unknown(options, reason));
     };
-    let attempts = seed.wrapping_sub(options.seed).saturating_add(1);
+    let attempts = seed.wrapping_sub(plan.seed).saturating_add(1);
     if attempts < totals.episodes as u64 {
         let reason = "meta/trocar_episodes.jsonl has a seed that its last episode can't have";
         return Err(unknown(options, reason));

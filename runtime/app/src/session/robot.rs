@@ -1,33 +1,65 @@
 //! A robot as a session sees it: limits and settings, and neither task nor scene nor verdict.
 
+use std::collections::BTreeMap;
 use std::path::Path;
 
+use hal::ArmState;
 use hal::config::Source;
-use trocar_nets::checkpoint::load_recipe;
+use trocar_nets::checkpoint::{Recipe, load_recipe};
 use trocar_nets::compute::Compute;
 use trocar_nets::loaded_policy::LoadedPolicy;
 
-use super::SessionError;
 use super::changes::{Changes, ConfigFile};
-use super::run::{RunOptions, versions};
-use super::setup::{Texts, built_in_control, network};
+use super::plan::Arms;
+use super::run::LIBTORCH_VERSION;
 use super::source::{ChunkSource, PolicyChoice};
-use trocar_control::{AnyController, ControlConfig};
-use trocar_log::RunHeader;
+use super::{SessionError, Setup};
+use crate::rt;
+use trocar_control::{AnyController, ControlConfig, MeasuredClearance, beyond};
 
-/// Everything that a run without a task is configured by.
+/// What arms are configured by, with a task or without.
 #[derive(Clone, Debug)]
 pub struct Robot {
     /// The controller.
     pub control: ControlConfig,
     /// The texts it came from, for the log.
     pub texts: Texts,
-    /// Where the limits were read.
-    pub safety_file: String,
+    /// Whose arms they are: a task's by name, or else the file that the limits were read from.
+    pub name: String,
     /// The task of the demonstrations that the policy was trained on, if it is a checkpoint that tells.
     pub trained_on: Option<String>,
-    /// SHA-256 of the policy's weights, if it is a checkpoint.
+    /// SHA-256 of the policy's weights, if it is a checkpoint: what results and logs know them by.
     pub weights_sha256: Option<String>,
+}
+
+/// Effective configuration texts.
+#[derive(Clone, Debug)]
+pub struct Texts {
+    /// The controller's settings.
+    pub control: String,
+    /// The limits.
+    pub safety: String,
+    /// The task's scene, if there is a task.
+    pub scene: Option<String>,
+    /// Nodes and buses, if the arms are on CAN.
+    pub can: Option<String>,
+}
+
+impl Texts {
+    /// Them by the names of their files, as a log has them.
+    #[must_use]
+    pub fn by_name(&self) -> BTreeMap<String, String> {
+        let texts = [
+            ("control.toml", Some(&self.control)),
+            ("safety.toml", Some(&self.safety)),
+            ("scene.toml", self.scene.as_ref()),
+            ("can.toml", self.can.as_ref()),
+        ];
+        texts
+            .into_iter()
+            .filter_map(|(name, text)| Some((name.to_owned(), text?.clone())))
+            .collect()
+    }
 }
 
 impl Robot {
@@ -43,25 +75,30 @@ impl Robot {
         policy: &PolicyChoice,
         changes: &Changes,
     ) -> Result<Self, SessionError> {
+        if *policy == PolicyChoice::Expert {
+            let reason = "--policy expert: it sees the simulator's scene and needs a --task";
+            return Err(SessionError::BadArgument(reason.to_owned()));
+        }
+        let name = safety.display().to_string();
+        Self::read(&name, Source::read(&name)?, control, policy, changes)
+    }
+
+    /// The same with the limits of `safety`, of the arms of `name`.
+    pub(super) fn read(
+        name: &str,
+        safety: Source,
+        control: Option<&Path>,
+        policy: &PolicyChoice,
+        changes: &Changes,
+    ) -> Result<Self, SessionError> {
         policy.check_exists()?;
-        let recipe = match policy {
-            PolicyChoice::Checkpoint(folder) => load_recipe(folder)?,
-            PolicyChoice::Noop
-            | PolicyChoice::Random
-            | PolicyChoice::Own(_)
-            | PolicyChoice::External(_) => None,
-            PolicyChoice::Expert => {
-                let reason = "--policy expert: it sees the simulator's scene and needs a --task";
-                return Err(SessionError::BadArgument(reason.to_owned()));
-            }
-        };
+        let recipe = policy.recipe()?;
         let control = match control {
             Some(path) => Source::read(&path.display().to_string())?,
             None => built_in_control(recipe.as_ref())?,
         };
         let control = changes.apply(ConfigFile::Control, control)?;
-        let safety_file = safety.display().to_string();
-        let safety = changes.apply(ConfigFile::Safety, Source::read(&safety_file)?)?;
+        let safety = changes.apply(ConfigFile::Safety, safety)?;
         Ok(Self {
             control: ControlConfig::load(&control, &safety)?,
             texts: Texts {
@@ -70,7 +107,7 @@ impl Robot {
                 scene: None,
                 can: None,
             },
-            safety_file,
+            name: name.to_owned(),
             trained_on: recipe.map(|recipe| recipe.dataset.task),
             weights_sha256: policy.weights_sha256()?,
         })
@@ -91,7 +128,7 @@ impl Robot {
             .map_err(|error| SessionError::BadArgument(error.to_string()))
     }
 
-    /// The network in `folder`.
+    /// The network in `folder`, computing as `compute` says.
     ///
     /// # Errors
     /// [`SessionError::Checkpoint`], or [`SessionError::BadArgument`] if it is for another number of arms.
@@ -100,15 +137,62 @@ impl Robot {
         folder: &Path,
         compute: impl Into<Compute>,
     ) -> Result<LoadedPolicy, SessionError> {
-        network(folder, compute, self.arms(), &self.safety_file)
+        // Before the weights: they would only take time.
+        let commanded = load_recipe(folder)?.map(|recipe| recipe.arms);
+        if let Some(commanded) = commanded.filter(|commanded| *commanded != self.arms()) {
+            return Err(SessionError::BadArgument(format!(
+                "policy {}: trocar.json: arms = {commanded}, {} has {}",
+                folder.display(),
+                self.name,
+                self.arms()
+            )));
+        }
+        Ok(LoadedPolicy::load(folder, compute)?)
     }
 
-    /// What answers in this process: a policy that sees nothing but the arms.
-    ///
-    /// # Errors
-    /// [`SessionError::BadArgument`] for any other: the expert needs a scene, a checkpoint has a process of its own, and one's own policy
-    /// is handed to a run in lockstep.
-    pub fn source(choice: &PolicyChoice, seed: u64) -> Result<ChunkSource, SessionError> {
+    /// What is running and where: program with its commit, library, a checkpoint's weights by their SHA-256 and the dataset that
+    /// it was trained on, and the machine.
+    pub(super) fn versions(&self, policy: &PolicyChoice) -> BTreeMap<String, String> {
+        let dataset = policy.recipe().ok().flatten().map(|recipe| {
+            let dataset = recipe.dataset;
+            format!(
+                "{}, {} episodes, {} frames at {} Hz",
+                dataset.task, dataset.episodes, dataset.frames, dataset.fps
+            )
+        });
+        let machine = rt::machine();
+        let versions = [
+            ("trocar", Some(env!("CARGO_PKG_VERSION"))),
+            ("commit", Some(env!("TROCAR_COMMIT"))),
+            ("libtorch", Some(LIBTORCH_VERSION)),
+            ("weights_sha256", self.weights_sha256.as_deref()),
+            ("dataset", dataset.as_deref()),
+            ("machine", Some(machine.as_str())),
+        ];
+        versions
+            .into_iter()
+            .filter_map(|(name, version)| Some((name.to_owned(), version?.to_owned())))
+            .collect()
+    }
+}
+
+impl Arms for Robot {
+    fn robot(&self) -> &Robot {
+        self
+    }
+
+    fn task(&self) -> Option<&Setup> {
+        None
+    }
+
+    /// A policy that sees nothing but the arms: the expert needs a scene, a checkpoint has a process of its own, and one's own
+    /// policy is handed to a run.
+    fn source(
+        &self,
+        choice: &PolicyChoice,
+        seed: u64,
+        _compute: Compute,
+    ) -> Result<ChunkSource, SessionError> {
         match choice {
             PolicyChoice::Noop => Ok(ChunkSource::noop()),
             PolicyChoice::Random => Ok(ChunkSource::random(seed)),
@@ -123,16 +207,41 @@ impl Robot {
             }
         }
     }
+}
 
-    /// How a log of it begins.
-    #[must_use]
-    pub fn header(&self, options: &RunOptions) -> RunHeader {
-        RunHeader {
-            policy: options.policy.name(),
-            seed: options.seed,
-            versions: versions(&options.policy, self.weights_sha256.as_deref()),
-            texts: self.texts.by_name(),
-            ..RunHeader::default()
-        }
+/// The built-in settings, with the aggregation that the checkpoint recommends.
+fn built_in_control(recipe: Option<&Recipe>) -> Result<Source, SessionError> {
+    let built_in = ControlConfig::default_control();
+    let Some(recommended) = recipe.map(|recipe| &recipe.aggregation) else {
+        return Ok(built_in);
+    };
+    let mut control: toml::Table = built_in.parse()?;
+    if let Some(aggregation) = control
+        .get_mut("aggregation")
+        .and_then(toml::Value::as_table_mut)
+    {
+        aggregation.insert("mode".to_owned(), recommended.mode.as_str().into());
+        aggregation.insert("decay".to_owned(), recommended.decay.into());
+    }
+    Ok(Source::embedded(
+        "config/control.toml with the policy's aggregation",
+        &control.to_string(),
+    ))
+}
+
+/// Says where arms are beyond a boundary before they are enabled there.
+pub(super) fn warn_of_start(control: &ControlConfig, arms: &[ArmState], warn: fn(&str)) {
+    for start in beyond(control, arms) {
+        let MeasuredClearance {
+            arm,
+            boundary,
+            part,
+            clearance_m,
+            ..
+        } = start;
+        warn(&format!(
+            "{arm} is enabled {:.2} mm beyond {boundary} ({part}): the boundary closes in behind it as it comes out",
+            -1e3 * clearance_m
+        ));
     }
 }

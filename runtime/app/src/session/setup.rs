@@ -1,74 +1,35 @@
 //! A task with its scene, its limits and the controller's settings, read once and checked once.
 
-use std::collections::BTreeMap;
 use std::path::Path;
 
 use hal::config::Source;
-use trocar_nets::checkpoint::{Recipe, load_recipe};
 use trocar_nets::compute::Compute;
-use trocar_nets::loaded_policy::LoadedPolicy;
 use trocar_tasks::expert::Expert;
 use trocar_tasks::task::{TaskConfig, Variation};
 
-use super::SessionError;
 use super::changes::{Changes, ConfigFile};
 use super::external::ExternalPolicy;
+use super::plan::Arms;
 use super::scene_options::SceneOptions;
 use super::source::{ChunkSource, PolicyChoice};
-use super::tasks;
+use super::{Robot, SessionError, tasks};
 use trocar_control::{AnyController, ControlConfig};
 
 /// Everything that a session is configured by.
 #[derive(Clone, Debug)]
 pub struct Setup {
+    /// Limits and settings of the arms.
+    pub robot: Robot,
     /// Task name.
     pub task_name: String,
     /// The scene.
     pub task: TaskConfig,
-    /// The controller.
-    pub control: ControlConfig,
-    /// The texts they came from, for the log.
-    pub texts: Texts,
     /// The scene file, if it is not a built-in one.
     pub scene_file: Option<String>,
     /// Cameras whose frames were asked for; see [`Self::cameras_with`].
     pub kept_cameras: Option<Vec<String>>,
-    /// The task of the demonstrations that the policy was trained on, if it is a checkpoint that tells.
-    pub trained_on: Option<String>,
-    /// SHA-256 of the policy's weights, if it is a checkpoint: what results and logs know them by.
-    pub weights_sha256: Option<String>,
     /// Values in the place of those of the files.
     pub changes: Changes,
-}
-
-/// Effective configuration texts.
-#[derive(Clone, Debug)]
-pub struct Texts {
-    /// The controller's settings.
-    pub control: String,
-    /// The task's limits.
-    pub safety: String,
-    /// The task's scene, if there is a task.
-    pub scene: Option<String>,
-    /// Nodes and buses, if the arms are on CAN.
-    pub can: Option<String>,
-}
-
-impl Texts {
-    /// Them by the names of their files, as a log has them.
-    #[must_use]
-    pub fn by_name(&self) -> BTreeMap<String, String> {
-        let texts = [
-            ("control.toml", Some(&self.control)),
-            ("safety.toml", Some(&self.safety)),
-            ("scene.toml", self.scene.as_ref()),
-            ("can.toml", self.can.as_ref()),
-        ];
-        texts
-            .into_iter()
-            .filter_map(|(name, text)| Some((name.to_owned(), text?.clone())))
-            .collect()
-    }
 }
 
 impl Setup {
@@ -110,23 +71,10 @@ impl Setup {
         scene_file: Option<&Path>,
         changes: Changes,
     ) -> Result<Self, SessionError> {
-        policy.check_exists()?;
         let mut files = tasks::files(task)?;
-        files.safety = changes.apply(ConfigFile::Safety, files.safety)?;
-        let recipe = match policy {
-            PolicyChoice::Checkpoint(folder) => load_recipe(folder)?,
-            PolicyChoice::Expert
-            | PolicyChoice::Noop
-            | PolicyChoice::Random
-            | PolicyChoice::Own(_)
-            | PolicyChoice::External(_) => None,
-        };
-        let control = match control {
-            Some(path) => Source::read(&path.display().to_string())?,
-            None => built_in_control(recipe.as_ref())?,
-        };
-        let control = changes.apply(ConfigFile::Control, control)?;
-        let control_config = ControlConfig::load(&control, &files.safety)?;
+        let name = format!("task {}", files.name);
+        let safety = files.safety.clone();
+        let mut robot = Robot::read(&name, safety, control, policy, &changes)?;
         let (scene, task_config) = match scene_file {
             None => {
                 files.scene = changes.apply(ConfigFile::Scene, files.scene)?;
@@ -134,23 +82,16 @@ impl Setup {
             }
             Some(path) => other_scene(path, &files.name, files.config()?.kind, &changes)?,
         };
-        check_bases(&task_config, &scene, &control_config)?;
+        check_bases(&task_config, &scene, &robot.control)?;
+        robot.texts.scene = Some(scene.text().to_owned());
         let scene_file = scene_file.map(Path::to_path_buf);
         let scene_file = scene_file.or_else(|| tasks::paths(task).into_iter().next());
         Ok(Self {
+            robot,
             task: task_config,
-            control: control_config,
-            texts: Texts {
-                control: control.text().to_owned(),
-                safety: files.safety.text().to_owned(),
-                scene: Some(scene.text().to_owned()),
-                can: None,
-            },
             task_name: files.name,
             scene_file: scene_file.map(|path| path.display().to_string()),
             kept_cameras: None,
-            trained_on: recipe.map(|recipe| recipe.dataset.task),
-            weights_sha256: policy.weights_sha256()?,
             changes,
         })
     }
@@ -162,9 +103,9 @@ impl Setup {
     /// [`SessionError::Config`], naming file, line and key.
     pub fn with_scene_file(mut self, path: &Path) -> Result<Self, SessionError> {
         let (scene, task) = other_scene(path, &self.task_name, self.task.kind, &self.changes)?;
-        check_bases(&task, &scene, &self.control)?;
+        check_bases(&task, &scene, &self.robot.control)?;
         self.task = task;
-        self.texts.scene = Some(scene.text().to_owned());
+        self.robot.texts.scene = Some(scene.text().to_owned());
         self.scene_file = Some(path.display().to_string());
         Ok(self)
     }
@@ -172,7 +113,7 @@ impl Setup {
     /// What a person should know before a policy does another task than that of its demonstrations; none if it does not.
     #[must_use]
     pub fn transfer_note(&self) -> Option<String> {
-        let trained_on = self.trained_on.as_ref()?;
+        let trained_on = self.robot.trained_on.as_ref()?;
         (*trained_on != self.task_name).then(|| {
             format!(
                 "the policy was trained on task {trained_on}, not on {}",
@@ -201,29 +142,15 @@ impl Setup {
     /// A fresh controller of all arms of the task.
     ///
     /// # Errors
-    /// [`SessionError::BadArgument`] if the configuration can't be turned into one.
+    /// Those of [`Robot::controller`].
     pub fn controller(&self) -> Result<AnyController, SessionError> {
-        AnyController::new(&self.control)
-            .map_err(|error| SessionError::BadArgument(error.to_string()))
-    }
-
-    /// The network in `folder`, computing as `compute` says.
-    ///
-    /// # Errors
-    /// [`SessionError::Checkpoint`], or [`SessionError::BadArgument`] if it is for another number of arms than the task's.
-    pub fn network(
-        &self,
-        folder: &Path,
-        compute: impl Into<Compute>,
-    ) -> Result<LoadedPolicy, SessionError> {
-        let whose = format!("task {}", self.task_name);
-        network(folder, compute, self.task.arms.len(), &whose)
+        self.robot.controller()
     }
 
     /// The source of chunks that the user asked for; an external policy in lockstep.
     ///
     /// # Errors
-    /// Those of [`Self::network`] and of [`ExternalPolicy::connect`].
+    /// Those of [`Robot::network`] and of [`ExternalPolicy::connect`].
     pub fn source(
         &self,
         choice: &PolicyChoice,
@@ -237,7 +164,9 @@ impl Setup {
             },
             PolicyChoice::Noop => ChunkSource::noop(),
             PolicyChoice::Random => ChunkSource::random(seed),
-            PolicyChoice::Checkpoint(path) => ChunkSource::network(self.network(path, compute)?),
+            PolicyChoice::Checkpoint(path) => {
+                ChunkSource::network(self.robot.network(path, compute)?)
+            }
             PolicyChoice::External(choice) => {
                 ChunkSource::external(ExternalPolicy::connect(choice, self)?)
             }
@@ -262,22 +191,23 @@ impl Setup {
     }
 }
 
-/// The network in `folder`, which must command the `arms` arms that `whose` (a task, a file) has.
-pub(super) fn network(
-    folder: &Path,
-    compute: impl Into<Compute>,
-    arms: usize,
-    whose: &str,
-) -> Result<LoadedPolicy, SessionError> {
-    // Before the weights: they would only take time.
-    let commanded = load_recipe(folder)?.map(|recipe| recipe.arms);
-    if let Some(commanded) = commanded.filter(|commanded| *commanded != arms) {
-        return Err(SessionError::BadArgument(format!(
-            "policy {}: trocar.json: arms = {commanded}, {whose} has {arms}",
-            folder.display()
-        )));
+impl Arms for Setup {
+    fn robot(&self) -> &Robot {
+        &self.robot
     }
-    Ok(LoadedPolicy::load(folder, compute)?)
+
+    fn task(&self) -> Option<&Setup> {
+        Some(self)
+    }
+
+    fn source(
+        &self,
+        choice: &PolicyChoice,
+        seed: u64,
+        compute: Compute,
+    ) -> Result<ChunkSource, SessionError> {
+        Self::source(self, choice, seed, compute)
+    }
 }
 
 /// The scene of the file `path` for `task`, changed as asked; it must be of the `kind` that the task's own is of.
@@ -330,24 +260,4 @@ fn check_bases(
         }
     }
     Ok(())
-}
-
-/// The built-in settings, with the aggregation that the checkpoint recommends.
-pub(super) fn built_in_control(recipe: Option<&Recipe>) -> Result<Source, SessionError> {
-    let built_in = ControlConfig::default_control();
-    let Some(recommended) = recipe.map(|recipe| &recipe.aggregation) else {
-        return Ok(built_in);
-    };
-    let mut control: toml::Table = built_in.parse()?;
-    if let Some(aggregation) = control
-        .get_mut("aggregation")
-        .and_then(toml::Value::as_table_mut)
-    {
-        aggregation.insert("mode".to_owned(), recommended.mode.as_str().into());
-        aggregation.insert("decay".to_owned(), recommended.decay.into());
-    }
-    Ok(Source::embedded(
-        "config/control.toml with the policy's aggregation",
-        &control.to_string(),
-    ))
 }

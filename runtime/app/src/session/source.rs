@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use hal::{ARMS_MAX, ArmState, Chunk, FrameRef, Observation, Policy, SeenArm, TimeNs, TipTarget};
 use nalgebra::{Translation3, Vector3};
-use trocar_nets::checkpoint::WEIGHTS;
+use trocar_nets::checkpoint::{Recipe, WEIGHTS, load_recipe};
 use trocar_nets::loaded_policy::LoadedPolicy;
 use trocar_tasks::expert::{Activity, Expert};
 
@@ -91,6 +91,17 @@ impl PolicyChoice {
             Self::External(choice) => Ok(choice.check()?),
             Self::Checkpoint(_) | Self::Expert | Self::Noop | Self::Random | Self::Own(_) => Ok(()),
         }
+    }
+
+    /// What a checkpoint says of itself; none of another policy.
+    ///
+    /// # Errors
+    /// [`SessionError::Checkpoint`].
+    pub(super) fn recipe(&self) -> Result<Option<Recipe>, SessionError> {
+        let Self::Checkpoint(folder) = self else {
+            return Ok(None);
+        };
+        Ok(load_recipe(folder)?)
     }
 
     /// SHA-256 of a checkpoint's weights, hexadecimal; none of another policy, and none if there is no such file.

@@ -2,11 +2,14 @@
 
 use core::fmt;
 
+use hal::TimeNs;
 use serde::Serialize;
 use trocar_control::MeasuredClearance;
-use trocar_tasks::task::Variation;
+use trocar_tasks::task::{Outcome, Variation};
 use trocar_world::tissue::TissueExtremes;
 
+use super::Plan;
+use super::episode::EpisodeEnd;
 use super::score::Score;
 use crate::rt::{RtReport, ThreadFaults};
 
@@ -286,6 +289,23 @@ pub struct TrialSummary {
     pub pictures: Option<String>,
 }
 
+impl TrialSummary {
+    /// Of the trial `seed`, of which nothing was kept.
+    pub(super) fn new(seed: u64, end: &EpisodeEnd) -> Self {
+        Self {
+            seed,
+            success: matches!(end.outcome, Outcome::Success),
+            invalid: matches!(end.outcome, Outcome::Invalid(_)),
+            reason: end.reason(),
+            seconds: TimeNs::from_tick(end.tally.ticks()).seconds(),
+            command_hash: end.tally.command_hash(),
+            tissue: end.tissue,
+            log: None,
+            pictures: None,
+        }
+    }
+}
+
 /// An evaluation over many trials.
 #[derive(Clone, Debug, Serialize)]
 pub struct EvalSummary {
@@ -329,28 +349,21 @@ pub struct EvalSummary {
 }
 
 impl EvalSummary {
-    /// Sums up `episodes` of a task with that needle, if it has a choice, seen from `view`; the scene is the built-in one,
-    /// the policy was not trained, and all trials were done, unless the caller says otherwise.
-    #[must_use]
-    pub fn new(
-        task: &str,
-        needle: Option<&str>,
-        view: &str,
-        policy: &str,
-        episodes: Vec<TrialSummary>,
-    ) -> Self {
+    /// Sums up `episodes`, of `asked` that there were to be, of `plan`.
+    pub(super) fn new(plan: &Plan, asked: usize, episodes: Vec<TrialSummary>) -> Self {
+        let Plan { setup, policy, .. } = plan;
         let score = Score::of(&episodes);
         Self {
-            task: task.to_owned(),
-            view: view.to_owned(),
-            needle: needle.map(str::to_owned),
-            varied: Vec::new(),
-            scene: None,
-            policy: policy.to_owned(),
-            trained_on: None,
-            weights_sha256: None,
-            trials_asked: episodes.len(),
-            interrupted: false,
+            task: setup.task_name.clone(),
+            view: setup.task.view.name().to_owned(),
+            needle: setup.needle().map(str::to_owned),
+            varied: setup.task.varied.clone(),
+            scene: setup.scene_file.clone(),
+            policy: policy.name(),
+            trained_on: setup.robot.trained_on.clone(),
+            weights_sha256: setup.robot.weights_sha256.clone(),
+            trials_asked: asked,
+            interrupted: episodes.len() < asked,
             trials: episodes.len(),
             successes: score.successes,
             invalid: score.invalid,

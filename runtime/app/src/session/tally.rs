@@ -2,8 +2,11 @@
 
 use hal::ARM_NAMES;
 
+use super::Plan;
+use super::ended::Ended;
+use super::plan::Arms;
 use super::summary::{
-    LatencyMs, PercentilesUs, PolicyCounts, QpCounts, RealTimeCounts, RunSummary, TissueSummary,
+    LatencyMs, PercentilesUs, PolicyCounts, QpCounts, RealTimeCounts, RunSummary,
 };
 use crate::histogram::Histogram;
 use hal::PerArm;
@@ -27,33 +30,6 @@ pub struct Tally {
     /// How near the measured arms came to their boundaries.
     measured: Vec<MeasuredClearance>,
     following_errors_m: Vec<f64>,
-}
-
-/// What the tally can't know.
-#[derive(Clone, Copy, Debug, Default)]
-pub struct RunLabels<'a> {
-    /// Task name.
-    pub task: &'a str,
-    /// From where the cameras looked.
-    pub view: &'a str,
-    /// The needle, in a task that has a choice.
-    pub needle: Option<&'a str>,
-    /// The scene file, if it was not the built-in one.
-    pub scene: Option<&'a str>,
-    /// Policy name.
-    pub policy: &'a str,
-    /// The task that the policy was trained on, if it tells.
-    pub trained_on: Option<&'a str>,
-    /// SHA-256 of the policy's weights, if it has some.
-    pub weights_sha256: Option<&'a str>,
-    /// The seed.
-    pub seed: u64,
-    /// Whether the task was done, if there is one.
-    pub success: Option<bool>,
-    /// Why the run ended.
-    pub reason: &'a str,
-    /// What a soft tissue went through, if the task has one.
-    pub tissue: Option<TissueSummary>,
 }
 
 impl Tally {
@@ -133,27 +109,40 @@ impl Tally {
         format!("{:016x}", self.hash.value())
     }
 
-    /// The summary.
-    #[must_use]
-    pub fn summary(&self, labels: &RunLabels<'_>, real_time: Option<RealTimeCounts>) -> RunSummary {
+    /// What the policy did.
+    pub(super) fn policy(&self) -> PolicyCounts {
+        PolicyCounts {
+            queries: self.queries,
+            refused: self.refused,
+            latency_ms: milliseconds(&self.latency),
+            inference_ms: milliseconds(&self.inference),
+            ..PolicyCounts::default()
+        }
+    }
+
+    /// The summary of a run of `plan` that ended so.
+    pub(super) fn summary<S: Arms>(
+        &self,
+        plan: &Plan<S>,
+        ended: &Ended,
+        real_time: Option<RealTimeCounts>,
+    ) -> RunSummary {
+        let (robot, task) = (plan.setup.robot(), plan.setup.task());
         let skipped = real_time.as_ref().map_or(0, |counts| counts.overruns);
         RunSummary {
-            task: labels.task.to_owned(),
-            view: labels.view.to_owned(),
-            needle: labels.needle.map(str::to_owned),
-            scene: labels.scene.map(str::to_owned),
+            task: task.map_or_else(String::new, |setup| setup.task_name.clone()),
+            view: task.map_or_else(String::new, |setup| setup.task.view.name().to_owned()),
+            needle: task.and_then(|setup| setup.task.needle().map(str::to_owned)),
+            scene: task.and_then(|setup| setup.scene_file.clone()),
             policy: PolicyCounts {
-                name: labels.policy.to_owned(),
-                trained_on: labels.trained_on.map(str::to_owned),
-                weights_sha256: labels.weights_sha256.map(str::to_owned),
-                queries: self.queries,
-                refused: self.refused,
-                latency_ms: milliseconds(&self.latency),
-                inference_ms: milliseconds(&self.inference),
+                name: plan.policy.name(),
+                trained_on: robot.trained_on.clone(),
+                weights_sha256: robot.weights_sha256.clone(),
+                ..self.policy()
             },
-            seed: labels.seed,
-            success: labels.success,
-            reason: labels.reason.to_owned(),
+            seed: plan.seed,
+            success: ended.success,
+            reason: ended.reason.clone(),
             seconds: scaled((self.ticks + skipped) * hal::TICK_NS, 1e-9),
             ticks: self.ticks,
             command_hash: self.command_hash(),
@@ -164,7 +153,7 @@ impl Tally {
             following_error_m: self.following_errors_m.clone(),
             real_time,
             can: None,
-            tissue: labels.tissue,
+            tissue: ended.tissue,
         }
     }
 }

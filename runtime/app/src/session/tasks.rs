@@ -64,7 +64,10 @@ mod tests {
             );
             assert_eq!(setup.scene_file, None);
             let path = format!("../../config/tasks/{name}/safety.toml");
-            assert_eq!(setup.texts.safety, std::fs::read_to_string(path).unwrap());
+            assert_eq!(
+                setup.robot.texts.safety,
+                std::fs::read_to_string(path).unwrap()
+            );
         }
         let error = files("no-such-task").unwrap_err();
         assert!(error.is_bad_input());
@@ -78,7 +81,7 @@ mod tests {
         let setup = Setup::load(folder, None, &PolicyChoice::Expert).unwrap();
         let built_in = Setup::load("suture-pad", None, &PolicyChoice::Expert).unwrap();
         assert_eq!(setup.task_name, "suture-pad");
-        assert_eq!(setup.texts.scene, built_in.texts.scene);
+        assert_eq!(setup.robot.texts.scene, built_in.robot.texts.scene);
         assert_eq!(setup.scene_file, Some(format!("{folder}/scene.toml")));
     }
 }

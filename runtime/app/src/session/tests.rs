@@ -10,14 +10,13 @@ use trocar_data::dataset::Dataset;
 use trocar_nets::act::BackboneNorm;
 use trocar_tasks::simulation::{Rendering, Simulation};
 
-use super::episode::{Episode, EpisodeEnd, Plan, Watcher};
+use super::episode::{Episode, EpisodeEnd, Timing, Watcher};
 use super::latency::Latency;
 use super::record::{RecordOptions, record};
-use super::tally::RunLabels;
 use super::training::{
     CameraChoice, NetworkChoice, TrainingOptions, query_every, train, train_options,
 };
-use super::{PolicyChoice, Setup};
+use super::{Plan, PolicyChoice, Setup};
 use trocar_log::replay::replay;
 use trocar_log::verify::verify;
 use trocar_log::{Pressure, Recorder, RunHeader, RunLog, RunOutcome, TickRecord};
@@ -74,8 +73,8 @@ fn run_setup(
     file: &Scratch,
 ) -> (EpisodeEnd, RunLog) {
     let texts = [
-        ("control.toml", setup.texts.control.clone()),
-        ("safety.toml", setup.texts.safety.clone()),
+        ("control.toml", setup.robot.texts.control.clone()),
+        ("safety.toml", setup.robot.texts.safety.clone()),
     ];
     let header = RunHeader {
         texts: texts.map(|(name, text)| (name.to_owned(), text)).into(),
@@ -93,11 +92,11 @@ fn run_setup(
         controller: &mut setup.controller().unwrap(),
         source: &mut setup.source(policy, 3, Device::Cpu).unwrap(),
     };
-    let plan = Plan {
+    let timing = Timing {
         latency: Latency::fixed(40),
         tick_limit: ticks,
     };
-    let end = episode.run(&plan, &mut logger).unwrap();
+    let end = episode.run(&timing, &mut logger).unwrap();
     let outcome = RunOutcome {
         command_hash: end.tally.command_hash(),
         ..RunOutcome::default()
@@ -220,15 +219,17 @@ fn record_one(out: &Path) -> Dataset {
         episodes: 1,
         out: out.to_owned(),
         resume: false,
-        seed: 3,
         jobs: 1,
         depth: false,
         video: None,
         disturb: None,
         instruction: None,
     };
-    let setup = small_handover(&PolicyChoice::Expert);
-    let summary = record(&setup, &options, &|| false, &mut |_| {}).unwrap();
+    let plan = Plan {
+        seed: 3,
+        ..Plan::new(small_handover(&PolicyChoice::Expert), PolicyChoice::Expert)
+    };
+    let summary = record(&plan, &options, &|| false, &mut |_| {}).unwrap();
     assert_eq!((summary.episodes, summary.attempts.len()), (1, 1));
     let dataset = Dataset::open(out).unwrap();
     assert_eq!((dataset.len(), dataset.arms()), (summary.steps, 2));
@@ -308,9 +309,9 @@ fn network_of_two_arms_commands_both() {
     let policy = PolicyChoice::Checkpoint(out);
     let file = Scratch::new("session-bimanual-log");
     let (end, log) = run_setup(&small_handover(&policy), &policy, 2200, &file);
-    let summary = end.tally.summary(&RunLabels::default(), None);
-    assert_eq!((summary.policy.queries, end.tally.faults()), (3, None));
-    assert!(summary.policy.refused < 2, "{:?}", summary.policy);
+    let policy_did = end.tally.policy();
+    assert_eq!((policy_did.queries, end.tally.faults()), (3, None));
+    assert!(policy_did.refused < 2, "{policy_did:?}");
     let chunks: Vec<_> = log
         .ticks()
         .filter_map(|(_, chunks)| Some((chunks.first?, chunks.second.flatten()?)))

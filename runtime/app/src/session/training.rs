@@ -143,8 +143,7 @@ fn train_from(
     start: Start,
     on_news: &mut OnNews<'_>,
 ) -> Result<TrainingResult, SessionError> {
-    rt::catch_interrupts()
-        .map_err(|error| SessionError::RealTime(format!("signals can't be caught: {error}")))?;
+    rt::catch_interrupts().map_err(SessionError::signals)?;
     let dataset = open(options)?;
     let result = match options.network {
         NetworkChoice::Act => train_act(options, &dataset, &start, on_news),

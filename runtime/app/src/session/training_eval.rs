@@ -16,7 +16,7 @@ use super::run::write_json;
 use super::score::Score;
 use super::source::PolicyChoice;
 use super::training::TrainingOptions;
-use super::{SessionError, Setup};
+use super::{Plan, SessionError, Setup};
 use crate::rt;
 
 /// The folder with the best weights, in the checkpoint's.
@@ -175,25 +175,25 @@ impl Evaluations {
         checkpoint: &Path,
         on_trial: &mut OnTrial<'_>,
     ) -> Result<Option<Score>, SessionError> {
-        let plan = &self.plan;
+        let TrainingEval { trials, jobs, .. } = self.plan;
         let policy = PolicyChoice::Checkpoint(checkpoint.to_owned());
-        let setup = Setup::load(&self.task, None, &policy)?;
-        let options = EvalOptions {
-            policy,
-            trials: plan.trials,
-            seed: plan.seed,
-            jobs: plan.jobs,
-            latency_ms: plan.latency_ms,
-            latency_jitter_ms: 0,
+        let plan = Plan {
+            seed: self.plan.seed,
+            latency_ms: self.plan.latency_ms,
             compute: self.device.into(),
+            ..Plan::load(&self.task, policy)?
+        };
+        let options = EvalOptions {
+            trials,
+            jobs,
             keep: None,
         };
         let (mut score, mut done) = (Score::default(), 0);
-        on_trial(step, done, plan.trials, score);
-        let summary = evaluate(&setup, &options, &rt::interrupted, &mut |trial| {
+        on_trial(step, done, trials, score);
+        let summary = evaluate(&plan, &options, &rt::interrupted, &mut |trial| {
             score.add(trial);
             done += 1;
-            on_trial(step, done, plan.trials, score);
+            on_trial(step, done, trials, score);
         })?;
         Ok((!summary.interrupted).then(|| summary.score()))
     }

@@ -48,12 +48,11 @@ fn of_a_task(args: &ShowArgs, changes: Changes) -> Result<String, SessionError> 
     let policy = PolicyChoice::parse(&args.policy);
     let (config, scene) = (args.config.as_deref(), SceneOptions::default());
     let setup = Setup::load_with(&args.task, config, &policy, &scene, changes)?;
+    let texts = setup.robot.texts;
     Ok(match args.file {
-        ShownFile::Control => setup.texts.control,
-        ShownFile::Safety => setup.texts.safety,
-        ShownFile::Scene | ShownFile::Can | ShownFile::Realtime => {
-            setup.texts.scene.unwrap_or_default()
-        }
+        ShownFile::Control => texts.control,
+        ShownFile::Safety => texts.safety,
+        ShownFile::Scene | ShownFile::Can | ShownFile::Realtime => texts.scene.unwrap_or_default(),
     })
 }
 

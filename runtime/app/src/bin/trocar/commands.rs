@@ -7,12 +7,11 @@ use tch::Device;
 use trocar::doctor::{self, Probes};
 use trocar::rt::{self, RtProfile};
 use trocar::session::changes::{Change, Changes, ConfigFile};
-use trocar::session::demo::{self, DemoOptions};
-use trocar::session::operator;
+use trocar::session::plan;
 use trocar::session::realtime::{self, CanOptions, PolicyProcessOptions, RobotOptions};
-use trocar::session::run::{self, RunOptions, RunResult, write_json};
+use trocar::session::run::{RunResult, write_json};
 use trocar::session::summary::{CanBusSummary, RealTimeCounts, RunSummary};
-use trocar::session::{PolicyChoice, Robot, SessionError, Setup, outputs, tasks};
+use trocar::session::{Plan, PolicyChoice, Robot, SessionError, Setup, demo, operator, outputs};
 use trocar_control::MeasuredClearance;
 use trocar_data::dataset::VideoCodec;
 use trocar_log::{replay as replaying, verify as verifying};
@@ -26,7 +25,7 @@ use crate::args::{
 };
 use crate::console;
 use crate::drives::can_source;
-use crate::scene_args::{of_policy, of_task, policy_files};
+use crate::scene_args::Inputs;
 
 pub(crate) type Done = Result<bool, SessionError>;
 
@@ -116,42 +115,35 @@ pub(crate) fn run(args: &RunArgs) -> Done {
                 .to_owned(),
         ));
     }
-    let config = ("--config", args.config.as_deref());
-    let scene = ("--scene", args.scene.scene.as_deref());
-    let can_config = ("--can-config", args.can_config.as_deref());
-    let safety = ("--safety", args.safety.as_deref());
-    let task = args.task.as_deref().map_or_else(Vec::new, tasks::paths);
-    let mut read = vec![config, scene, can_config, safety];
-    read.push(("--realtime", args.realtime.as_deref()));
-    read.extend(of_task(&task));
-    let policy_files = policy_files(&args.policy);
-    read.extend(of_policy(&policy_files));
-    let log = ("--log", args.log.as_deref());
-    outputs::check(&[log, ("--json", args.json.as_deref())], &read)?;
+    let inputs = Inputs::new([
+        ("--config", args.config.as_ref()),
+        ("--scene", args.scene.scene.as_ref()),
+        ("--can-config", args.can_config.as_ref()),
+        ("--safety", args.safety.as_ref()),
+        ("--realtime", args.realtime.as_ref()),
+    ]);
+    let inputs = inputs.and_tasks(&args.task).and_policy(&args.policy);
+    inputs.check(&[
+        ("--log", args.log.as_deref()),
+        ("--json", args.json.as_deref()),
+    ])?;
     let can = can_options(args)?;
     let changes = Changes(args.set.clone());
     let real_time = RtProfile::load(&realtime_source(args.realtime.as_deref(), &changes)?)?;
     let policy = PolicyChoice::parse(&args.policy).within_s(args.policy_timeout);
     policy.check_exists()?;
     note_awaited(&policy, 1);
-    let options = RunOptions {
+    let chosen = Chosen {
         policy,
-        seed: args.seed,
-        log: args.log.clone(),
-        log_bytes_max: args.log_max_mb.map(|mb| mb << 20),
-        pictures: false,
-        latency_ms: args.latency_ms,
-        latency_jitter_ms: args.latency_jitter_ms,
         compute: compute(&args.compute)?,
         real_time,
-        warn: console::warning,
     };
     if let Some(reason) = operator::check().filter(|_| !args.lockstep) {
         console::warning(&format!("no operator's verb will reach this run: {reason}"));
     }
     let result = match (&args.task, &args.safety) {
-        (Some(task), _) => run_task(task, args, &options, can)?,
-        (None, Some(safety)) => run_robot(safety, args, &options, can)?,
+        (Some(task), _) => run_task(task, args, chosen, can)?,
+        (None, Some(safety)) => run_robot(safety, args, chosen, can)?,
         (None, None) => {
             let reason =
                 "run needs --task NAME, or for a robot without one --backend can --safety FILE";
@@ -168,10 +160,32 @@ pub(crate) fn run(args: &RunArgs) -> Done {
     }
 }
 
+/// What is read and checked of a run's arguments before its arms.
+struct Chosen {
+    policy: PolicyChoice,
+    compute: Compute,
+    real_time: RtProfile,
+}
+
+/// The plan of a run with the arms of `setup`.
+fn planned<S>(args: &RunArgs, setup: S, chosen: Chosen) -> Plan<S> {
+    Plan {
+        seed: args.seed,
+        log: args.log.clone(),
+        log_bytes_max: args.log_max_mb.map(|mb| mb << 20),
+        latency_ms: args.latency_ms,
+        latency_jitter_ms: args.latency_jitter_ms,
+        compute: chosen.compute,
+        real_time: chosen.real_time,
+        warn: console::warning,
+        ..Plan::new(setup, chosen.policy)
+    }
+}
+
 fn run_task(
     task: &str,
     args: &RunArgs,
-    options: &RunOptions,
+    chosen: Chosen,
     can: Option<(CanOptions, String)>,
 ) -> Result<RunResult, SessionError> {
     let changes = Changes(args.set.clone());
@@ -187,27 +201,26 @@ fn run_task(
     }
     let scene = args.scene.options(args.cameras.as_deref());
     let config = args.config.as_deref();
-    let mut setup = Setup::load_with(task, config, &options.policy, &scene, changes)?;
+    let mut setup = Setup::load_with(task, config, &chosen.policy, &scene, changes)?;
     warn_of_transfer(&setup);
-    match can {
+    let backend = match can {
         Some((can, text)) => {
-            setup.texts.can = Some(text);
-            realtime::run_on_can(&setup, options, &can, &console::note)
+            setup.robot.texts.can = Some(text);
+            plan::Backend::Can(can)
         }
         None if args.lockstep => {
-            rt::catch_interrupts().map_err(|error| {
-                SessionError::RealTime(format!("signals can't be caught: {error}"))
-            })?;
-            run::run_lockstep(&setup, options)
+            rt::catch_interrupts().map_err(SessionError::signals)?;
+            plan::Backend::Lockstep
         }
-        None => realtime::run_realtime(&setup, options),
-    }
+        None => plan::Backend::RealTime,
+    };
+    planned(args, setup, chosen).run(&backend, &console::note)
 }
 
 fn run_robot(
     safety: &Path,
     args: &RunArgs,
-    options: &RunOptions,
+    chosen: Chosen,
     can: Option<(CanOptions, String)>,
 ) -> Result<RunResult, SessionError> {
     let Some((can, text)) = can else {
@@ -226,14 +239,14 @@ fn run_robot(
         ConfigFile::Can,
         ConfigFile::Realtime,
     ])?;
-    let mut robot = Robot::load(safety, args.config.as_deref(), &options.policy, &changes)?;
+    let mut robot = Robot::load(safety, args.config.as_deref(), &chosen.policy, &changes)?;
     robot.texts.can = Some(text);
     let cameras = args.cameras.iter().flat_map(|names| names.split(','));
     let asked = RobotOptions {
         seconds: args.seconds,
         cameras: cameras.map(str::to_owned).collect(),
     };
-    realtime::run_robot_on_can(&robot, options, &asked, &can, &console::note)
+    realtime::run_robot_on_can(&planned(args, robot, chosen), &asked, &can, &console::note)
 }
 
 /// The arms on CAN with the text that says where they are, if that is where the arms are.
@@ -465,13 +478,8 @@ pub(crate) fn doctor(args: &DoctorArgs) -> Done {
 }
 
 pub(crate) fn demo(args: &DemoArgs) -> Done {
-    let options = DemoOptions {
-        task: args.task.clone(),
-        out: args.out.clone(),
-        policy: args.policy.clone(),
-        seed: args.seed,
-    };
-    let result = demo::run(&options, &mut |line| console::note(line))?;
+    let plan = demo::plan(&args.task, args.policy.as_deref(), args.seed)?;
+    let result = demo::run(&plan, &args.out, &mut |line| console::note(line))?;
     for (name, shown) in [
         ("lockstep", &result.lockstep),
         ("real time", &result.real_time),

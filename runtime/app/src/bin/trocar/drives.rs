@@ -8,13 +8,13 @@ use hal::config::Source;
 use trocar::session::changes::{Change, Changes, ConfigFile};
 use trocar::session::drives::{DEFAULT_TOPICS, DrivesOptions, InjectedFault, Moved, run_drives};
 use trocar::session::run::write_json;
-use trocar::session::{PolicyChoice, SessionError, Setup, outputs, tasks};
+use trocar::session::{Plan, PolicyChoice, SessionError, Setup};
 use trocar_canopen::master::CanConfig;
 
 use crate::args::TaskParser;
 use crate::commands::Done;
 use crate::console;
-use crate::scene_args::{SceneArgs, of_task};
+use crate::scene_args::{Inputs, SceneArgs};
 
 /// Options of `drives`.
 #[derive(Args, Debug)]
@@ -66,16 +66,16 @@ pub(crate) fn can_source(file: Option<&PathBuf>) -> Result<Source, SessionError>
 }
 
 pub(crate) fn drives(args: &DrivesArgs) -> Done {
-    let config = ("--config", args.config.as_deref());
-    let scene = ("--scene", args.scene.scene.as_deref());
-    let task = tasks::paths(&args.task);
-    let mut read = vec![config, scene];
-    read.extend(of_task(&task));
-    outputs::check(&[("--json", args.json.as_deref())], &read)?;
+    Inputs::new([
+        ("--config", args.config.as_ref()),
+        ("--scene", args.scene.scene.as_ref()),
+    ])
+    .and_tasks([&args.task])
+    .check(&[("--json", args.json.as_deref())])?;
     let changes = Changes(args.set.clone());
     let can = changes.apply(ConfigFile::Can, can_source(args.config.as_ref())?)?;
     let can = CanConfig::load(&can)?;
-    let setup;
+    let plan;
     let moved = match args.no_world {
         Some(arms) => {
             changes.only(&[ConfigFile::Can])?;
@@ -84,12 +84,15 @@ pub(crate) fn drives(args: &DrivesArgs) -> Done {
         None => {
             let scene = args.scene.options(args.cameras.as_deref());
             let expert = PolicyChoice::Expert;
-            setup = Setup::load_with(&args.task, None, &expert, &scene, changes)?;
-            Moved::Task(&setup)
+            let setup = Setup::load_with(&args.task, None, &expert, &scene, changes)?;
+            plan = Plan {
+                seed: args.seed,
+                ..Plan::new(setup, expert)
+            };
+            Moved::Task(&plan)
         }
     };
     let options = DrivesOptions {
-        seed: args.seed,
         topics: args.topics.clone(),
         cameras: args.cameras.is_some(),
         faults: args.fault.clone(),

@@ -8,45 +8,46 @@ use trocar::session::keep::{Keep, KeepChoice};
 use trocar::session::run::write_json;
 use trocar::session::score::{Demand, Score};
 use trocar::session::summary::TrialSummary;
-use trocar::session::{PolicyChoice, SessionError, Setup, outputs, tasks};
+use trocar::session::{Plan, PolicyChoice, SessionError, Setup};
 
 use crate::args::EvalArgs;
 use crate::commands::{Done, compute, note_awaited, task_changes, warn_of_transfer};
 use crate::console;
-use crate::scene_args::{of_policy, of_task, policy_files};
+use crate::scene_args::Inputs;
 
 pub(crate) fn eval(args: &EvalArgs) -> Done {
     let keep = keep(args)?;
-    let config = ("--config", args.config.as_deref());
-    let scene = ("--scene", args.scene.scene.as_deref());
-    let kept = ("--keep", keep.as_ref().map(|keep| keep.folder.as_path()));
-    let task = tasks::paths(&args.task);
-    let mut read = vec![config, scene, kept];
-    read.extend(of_task(&task));
-    let policy_files = policy_files(&args.policy);
-    read.extend(of_policy(&policy_files));
-    outputs::check(&[("--json", args.json.as_deref())], &read)?;
+    Inputs::new([
+        ("--config", args.config.as_ref()),
+        ("--scene", args.scene.scene.as_ref()),
+        ("--keep", keep.as_ref().map(|keep| &keep.folder)),
+    ])
+    .and_tasks([&args.task])
+    .and_policy(&args.policy)
+    .check(&[("--json", args.json.as_deref())])?;
     let policy = PolicyChoice::parse(&args.policy).within_s(args.policy_timeout);
     policy.check_exists()?;
     let changes = task_changes(&args.set)?;
     let scene = args.vary.add_to(args.scene.options(None));
-    let setup = Setup::load_with(&args.task, config.1, &policy, &scene, changes)?;
+    let config = args.config.as_deref();
+    let setup = Setup::load_with(&args.task, config, &policy, &scene, changes)?;
     warn_of_transfer(&setup);
     note_awaited(&policy, args.jobs.min(args.trials));
-    let options = EvalOptions {
-        policy,
-        trials: args.trials,
+    let plan = Plan {
         seed: args.seed,
-        jobs: args.jobs,
         latency_ms: args.latency_ms,
         latency_jitter_ms: args.latency_jitter_ms,
         compute: compute(&args.compute)?,
+        ..Plan::new(setup, policy)
+    };
+    let options = EvalOptions {
+        trials: args.trials,
+        jobs: args.jobs,
         keep,
     };
-    rt::catch_interrupts()
-        .map_err(|error| SessionError::RealTime(format!("signals can't be caught: {error}")))?;
+    rt::catch_interrupts().map_err(SessionError::signals)?;
     let mut progress = Progress::new(args.trials);
-    let summary = eval::evaluate(&setup, &options, &rt::interrupted, &mut |trial| {
+    let summary = eval::evaluate(&plan, &options, &rt::interrupted, &mut |trial| {
         progress.trial(trial);
     })?;
     progress.bar.finish_and_clear();

@@ -3,45 +3,47 @@
 use trocar::rt;
 use trocar::session::record::{self, RecordOptions, RecordSummary};
 use trocar::session::run::write_json;
-use trocar::session::{PolicyChoice, SessionError, Setup, outputs, tasks};
+use trocar::session::{Plan, PolicyChoice, SessionError, Setup};
 use trocar_data::dataset::Totals;
 
 use crate::args::RecordArgs;
 use crate::commands::{Done, codec, task_changes};
 use crate::console;
-use crate::scene_args::of_task;
+use crate::scene_args::Inputs;
 
 pub(crate) fn record(args: &RecordArgs) -> Done {
-    let config = ("--config", args.config.as_deref());
-    let scene = ("--scene", args.scene.scene.as_deref());
-    let out = ("--out", Some(args.out.as_path()));
-    let task = tasks::paths(&args.task);
-    let mut read = vec![config, scene, out];
-    read.extend(of_task(&task));
-    outputs::check(&[("--json", args.json.as_deref())], &read)?;
+    Inputs::new([
+        ("--config", args.config.as_ref()),
+        ("--scene", args.scene.scene.as_ref()),
+        ("--out", Some(&args.out)),
+    ])
+    .and_tasks([&args.task])
+    .check(&[("--json", args.json.as_deref())])?;
     let changes = task_changes(&args.set)?;
     let expert = PolicyChoice::Expert;
     let scene = args.vary.add_to(args.scene.options(Some(&args.cameras)));
     let setup = Setup::load_with(&args.task, args.config.as_deref(), &expert, &scene, changes)?;
+    let plan = Plan {
+        seed: args.seed,
+        ..Plan::new(setup, expert)
+    };
     let options = RecordOptions {
         disturb: args.disturb,
         episodes: args.episodes,
         out: args.out.clone(),
         resume: args.resume,
-        seed: args.seed,
         jobs: args.jobs,
         depth: args.depth,
         video: args.video.map(codec),
         instruction: args.instruction.clone(),
     };
-    rt::catch_interrupts()
-        .map_err(|error| SessionError::RealTime(format!("signals can't be caught: {error}")))?;
+    rt::catch_interrupts().map_err(SessionError::signals)?;
     let bar = console::progress(args.episodes as u64, "episodes");
     if let (true, Ok(there)) = (args.resume, Totals::read(&args.out)) {
         bar.set_position(there.episodes as u64);
         bar.reset_eta();
     }
-    let summary = record::record(&setup, &options, &rt::interrupted, &mut |attempt| {
+    let summary = record::record(&plan, &options, &rt::interrupted, &mut |attempt| {
         if attempt.kept {
             bar.inc(1);
         } else {

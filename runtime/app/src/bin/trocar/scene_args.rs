@@ -4,8 +4,8 @@ use std::path::{Path, PathBuf};
 
 use clap::{Args, ValueEnum};
 
-use trocar::session::PolicyChoice;
 use trocar::session::scene_options::{CameraSet, SceneOptions};
+use trocar::session::{PolicyChoice, SessionError, outputs, tasks};
 use trocar_tasks::task::{Variation, View};
 
 /// From where the cameras look.
@@ -86,23 +86,46 @@ impl VaryArgs {
     }
 }
 
-/// The files at `paths`, which a task is read from, as what results must not take the place of.
-pub(crate) fn of_task(paths: &[PathBuf]) -> impl Iterator<Item = (&'static str, Option<&Path>)> {
-    paths.iter().map(|path| ("--task", Some(path.as_path())))
+/// What a verb reads, which results must not take the place of.
+#[derive(Default)]
+pub(crate) struct Inputs {
+    files: Vec<(&'static str, Option<PathBuf>)>,
 }
 
-/// The files of a checkpoint, if the policy `text` is one.
-pub(crate) fn policy_files(text: &str) -> Vec<PathBuf> {
-    let PolicyChoice::Checkpoint(folder) = PolicyChoice::parse(text) else {
-        return Vec::new();
-    };
-    let files = std::fs::read_dir(folder).into_iter().flatten().flatten();
-    files.map(|file| file.path()).collect()
-}
+impl Inputs {
+    /// These files, by the options that name them.
+    pub(crate) fn new<const N: usize>(files: [(&'static str, Option<&PathBuf>); N]) -> Self {
+        let files = files.map(|(option, path)| (option, path.cloned()));
+        Self {
+            files: files.into(),
+        }
+    }
 
-/// The files at `paths`, which a policy is read from, as what results must not take the place of.
-pub(crate) fn of_policy(paths: &[PathBuf]) -> impl Iterator<Item = (&'static str, Option<&Path>)> {
-    paths.iter().map(|path| ("--policy", Some(path.as_path())))
+    /// And those of `named`, tasks that may be built-in ones.
+    pub(crate) fn and_tasks<'a>(mut self, named: impl IntoIterator<Item = &'a String>) -> Self {
+        let files = named.into_iter().flat_map(|task| tasks::paths(task));
+        self.files.extend(files.map(|file| ("--task", Some(file))));
+        self
+    }
+
+    /// And those of the policy `text`, if it is a checkpoint.
+    pub(crate) fn and_policy(mut self, text: &str) -> Self {
+        if let PolicyChoice::Checkpoint(folder) = PolicyChoice::parse(text) {
+            let files = std::fs::read_dir(folder).into_iter().flatten().flatten();
+            self.files
+                .extend(files.map(|file| ("--policy", Some(file.path()))));
+        }
+        self
+    }
+
+    /// Checks that `results` can be written and are none of these.
+    pub(crate) fn check(&self, results: &[(&str, Option<&Path>)]) -> Result<(), SessionError> {
+        let files = self.files.iter();
+        let files: Vec<_> = files
+            .map(|(option, path)| (*option, path.as_deref()))
+            .collect();
+        outputs::check(results, &files)
+    }
 }
 
 impl SceneArgs {

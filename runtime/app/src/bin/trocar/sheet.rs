@@ -5,12 +5,12 @@ use std::path::PathBuf;
 use clap::Args;
 
 use trocar::session::sheet::{self, SheetOptions};
-use trocar::session::{SessionError, outputs, tasks};
+use trocar::session::{SessionError, tasks};
 
 use crate::args::TaskParser;
 use crate::commands::Done;
 use crate::console;
-use crate::scene_args::{SceneArgs, of_task};
+use crate::scene_args::{Inputs, SceneArgs};
 
 /// A share of something.
 fn share(text: &str) -> Result<f64, String> {
@@ -45,19 +45,13 @@ pub(crate) struct SheetArgs {
 }
 
 pub(crate) fn sheet(args: &SheetArgs) -> Done {
-    let scene = ("--scene", args.scene.scene.as_deref());
-    let paths: Vec<PathBuf> = args
-        .task
-        .iter()
-        .flat_map(|task| tasks::paths(task))
-        .collect();
-    let mut read = vec![scene];
-    read.extend(of_task(&paths));
     if args.out.extension().is_none_or(|kind| kind != "png") {
         let reason = format!("--out {}: a sheet is FILE.png", args.out.display());
         return Err(SessionError::BadArgument(reason));
     }
-    outputs::check(&[("--out", Some(args.out.as_path()))], &read)?;
+    let inputs = Inputs::new([("--scene", args.scene.scene.as_ref())]);
+    let inputs = inputs.and_tasks(&args.task);
+    inputs.check(&[("--out", Some(args.out.as_path()))])?;
     let options = SheetOptions {
         tasks: if args.task.is_empty() {
             tasks::names().map(str::to_owned).collect()

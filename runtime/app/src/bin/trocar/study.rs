@@ -82,8 +82,7 @@ pub(crate) fn study(args: &StudyArgs) -> Done {
         }
         return Ok(true);
     }
-    rt::catch_interrupts()
-        .map_err(|error| SessionError::RealTime(format!("signals can't be caught: {error}")))?;
+    rt::catch_interrupts().map_err(SessionError::signals)?;
     let outcome = study.run(&mut |line| console::note(line))?;
     console::result(&format!(
         "{} cells done before, {} now, {} failed, {} damaged, {} skipped{}",

@@ -4,28 +4,24 @@ use std::path::Path;
 
 use indicatif::ProgressBar;
 use trocar::rt::MonotonicClock;
+use trocar::session::SessionError;
 use trocar::session::run::write_json;
 use trocar::session::training::{
     self, CameraChoice, NetworkChoice, TrainingNews, TrainingOptions, TrainingResult,
 };
 use trocar::session::training_eval::{BEST, TrainingEval};
 use trocar::session::training_pace::Standing;
-use trocar::session::{SessionError, outputs, tasks};
 use trocar_nets::act::BackboneNorm;
 
 use crate::commands::{Done, device};
 use crate::console;
-use crate::scene_args::of_task;
+use crate::scene_args::Inputs;
 use crate::train_args::{Backbone, Network, TrainArgs, TrainingRecipe};
 
 pub(crate) fn train(args: &TrainArgs) -> Done {
-    let data = ("--data", args.data.as_deref());
-    let out = ("--out", args.out.as_deref());
-    let task = args.eval_task.as_deref().map(tasks::paths);
-    let task = task.unwrap_or_default();
-    let mut read = vec![data, out];
-    read.extend(of_task(&task));
-    outputs::check(&[("--json", args.json.as_deref())], &read)?;
+    Inputs::new([("--data", args.data.as_ref()), ("--out", args.out.as_ref())])
+        .and_tasks(&args.eval_task)
+        .check(&[("--json", args.json.as_deref())])?;
     let mut progress = Progress::new();
     let mut on_news = |news: &TrainingNews<'_>| progress.news(news);
     let (result, out) = match (&args.resume, &args.policy, &args.data, &args.out) {

@@ -35,7 +35,7 @@ pub use summary::{BusSummary, DrivesSummary, StopSummary};
 
 use super::can_interfaces::{BusOffInjector, open};
 use super::summary::PercentilesUs;
-use super::{SessionError, Setup};
+use super::{Plan, SessionError};
 use crate::mailbox::mailbox;
 use crate::rt::{self, MonotonicClock};
 use bus_thread::{BusEnd, BusThread, Told};
@@ -57,7 +57,7 @@ pub const DEFAULT_TOPICS: &str = "drives";
 #[derive(Clone, Copy, Debug)]
 pub enum Moved<'a> {
     /// The arms of a task, in its world.
-    Task(&'a Setup),
+    Task(&'a Plan),
     /// So many arms, each motor by itself: they stand in for real drives, and nobody shows a scene.
     Arms(usize),
 }
@@ -65,15 +65,22 @@ pub enum Moved<'a> {
 impl Moved<'_> {
     const fn arms(&self) -> usize {
         match self {
-            Self::Task(setup) => setup.task.arms.len(),
+            Self::Task(plan) => plan.setup.task.arms.len(),
             Self::Arms(count) => *count,
         }
     }
 
     fn name(&self) -> String {
         match self {
-            Self::Task(setup) => format!("task {}", setup.task_name),
+            Self::Task(plan) => plan.setup.robot.name.clone(),
             Self::Arms(_) => "--no-world".to_owned(),
+        }
+    }
+
+    const fn seed(&self) -> u64 {
+        match self {
+            Self::Task(plan) => plan.seed,
+            Self::Arms(_) => 0,
         }
     }
 }
@@ -81,8 +88,6 @@ impl Moved<'_> {
 /// How to run drives.
 #[derive(Clone, Debug)]
 pub struct DrivesOptions {
-    /// Everything random in the scene depends on this.
-    pub seed: u64,
     /// Names the topics.
     pub topics: String,
     /// Whether the cameras that the setup keeps are drawn and published.
@@ -112,17 +117,16 @@ pub fn run_drives(
     }
     bench::check_nodes(can, arms)?;
     check_faults(can, arms, &options.faults)?;
-    rt::catch_interrupts()
-        .map_err(|error| SessionError::RealTime(format!("catching signals failed: {error}")))?;
+    rt::catch_interrupts().map_err(SessionError::signals)?;
     let names = bench::interfaces(can, arms);
     let bus = open(&names, MonotonicClock::new())?;
     let (shown_in, shown) = mailbox();
     let (told_in, told) = RingBuffer::new(TOLD);
     let stop = AtomicBool::new(false);
     let (mut simulation, mut show) = (None, None);
-    if let Moved::Task(setup) = moved {
-        let world = Simulation::new(&setup.task, options.seed, Rendering::Off)?;
-        show = Some(Show::open(setup, options, shown, &world.snapshot())?);
+    if let Moved::Task(plan) = moved {
+        let world = Simulation::new(&plan.setup.task, plan.seed, Rendering::Off)?;
+        show = Some(Show::open(plan, options, shown, &world.snapshot())?);
         simulation = Some(world);
     }
     let off = BusOffInjector::open(&names, &options.faults)?;
@@ -139,9 +143,9 @@ pub fn run_drives(
     };
     let places = format!("{} on {}", nodes(can, arms), names.join(" "));
     say(&match moved {
-        Moved::Task(setup) => format!(
+        Moved::Task(plan) => format!(
             "{}, seed {}: {places}; scene on topics {:?}",
-            setup.task_name, options.seed, options.topics
+            plan.setup.task_name, plan.seed, options.topics
         ),
         Moved::Arms(_) => format!("no world: {places}"),
     });
@@ -167,7 +171,7 @@ pub fn run_drives(
     let end = end?;
     shown?;
     teller.turn(true, say)?;
-    Ok(sum_up(moved, options, &names, &end, &teller.stops))
+    Ok(sum_up(moved, &names, &end, &teller.stops))
 }
 
 /// What the first thread does until it is time to end.
@@ -268,13 +272,7 @@ impl Teller<'_> {
     }
 }
 
-fn sum_up(
-    moved: Moved<'_>,
-    options: &DrivesOptions,
-    names: &[String],
-    end: &BusEnd,
-    stops: &[Stop],
-) -> DrivesSummary {
+fn sum_up(moved: Moved<'_>, names: &[String], end: &BusEnd, stops: &[Stop]) -> DrivesSummary {
     let elapsed_ns = end.now.0.max(1);
     let buses = names.iter().zip(&end.busy);
     #[expect(clippy::cast_precision_loss, reason = "a share of a run's time")]
@@ -285,12 +283,12 @@ fn sum_up(
     });
     let outcome = end.world.as_ref().map(|world| world.outcome);
     let task = match moved {
-        Moved::Task(setup) => Some(setup.task_name.clone()),
+        Moved::Task(plan) => Some(plan.setup.task_name.clone()),
         Moved::Arms(_) => None,
     };
     DrivesSummary {
         task,
-        seed: options.seed,
+        seed: moved.seed(),
         arms: moved.arms(),
         seconds: end.now.seconds(),
         stalled_s: TimeNs(end.stalled_ns).seconds(),

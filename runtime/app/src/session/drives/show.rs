@@ -14,7 +14,7 @@ use super::DrivesOptions;
 use super::bus_thread::Shown;
 use crate::mailbox::MailboxReader;
 use crate::session::world_report::report;
-use crate::session::{SessionError, Setup};
+use crate::session::{Plan, SessionError};
 
 /// The topics of a world.
 pub(super) struct Show {
@@ -34,11 +34,12 @@ impl Show {
     /// Opens the topics, and the renderer if there are cameras to draw; draws `start` once, since the first image takes far
     /// longer than the others.
     pub(super) fn open(
-        setup: &Setup,
+        plan: &Plan,
         options: &DrivesOptions,
         shown: MailboxReader<Shown>,
         start: &SceneSnapshot,
     ) -> Result<Self, SessionError> {
+        let setup = &plan.setup;
         let node = TopicNode::join(&options.topics)?;
         let scene = SceneTopic::publisher(&node, ARM_NAMES[0]).map_err(|error| {
             if matches!(error, TopicError::AlreadyPublished { .. }) {
@@ -53,7 +54,7 @@ impl Show {
         let mut views = Vec::new();
         if options.cameras {
             let mut opened = SceneCameras::new(&setup.task)?;
-            opened.begin_episode(&setup.task, options.seed);
+            opened.begin_episode(&setup.task, plan.seed);
             let names = setup.cameras_with(Vec::new());
             let wanted: Vec<usize> = names.iter().filter_map(|name| opened.find(name)).collect();
             for camera in wanted {
@@ -68,7 +69,7 @@ impl Show {
         Ok(Self {
             _node: node,
             task: setup.task_name.clone(),
-            seed: options.seed,
+            seed: plan.seed,
             scene,
             cameras,
             views,

@@ -13,8 +13,7 @@ use super::signals::{EndsRun, Signals};
 use crate::mailbox::MailboxReader;
 use crate::rt;
 use crate::session::pictures::Pictures;
-use crate::session::run::RunOptions;
-use crate::session::{SessionError, Setup};
+use crate::session::{Plan, SessionError};
 use hal::PerArm;
 use trocar_log::SideLog;
 
@@ -50,18 +49,18 @@ pub(super) struct CameraEnd {
 }
 
 impl CameraThread {
-    /// Opens the renderer for the cameras `seen` by the policy and those that `setup` asks for, and the topics if there is a
+    /// Opens the renderer for the cameras `seen` by the policy and those that `plan` asks for, and the topics if there is a
     /// policy process to see them; draws `start` once, since the first image takes far longer than the others.
     pub(super) fn new(
-        setup: &Setup,
-        options: &RunOptions,
+        plan: &Plan,
         seen: &[String],
         node: Option<&TopicNode>,
         snapshots: MailboxReader<Snapshot>,
         start: &SceneSnapshot,
     ) -> Result<Self, SessionError> {
+        let setup = &plan.setup;
         let mut cameras = SceneCameras::new(&setup.task)?;
-        cameras.begin_episode(&setup.task, options.seed);
+        cameras.begin_episode(&setup.task, plan.seed);
         let names = setup.cameras_with(seen.to_vec());
         let wanted: Vec<usize> = names.iter().filter_map(|name| cameras.find(name)).collect();
         let mut publishers = Vec::new();
@@ -89,7 +88,7 @@ impl CameraThread {
             arms,
             log: None,
             snapshots,
-            pictures: options.pictures.then(Pictures::default),
+            pictures: plan.pictures.then(Pictures::default),
             frames,
         })
     }

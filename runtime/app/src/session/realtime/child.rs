@@ -19,8 +19,7 @@ use super::arm_chunks::ArmChunks;
 use super::on_can::{PATIENCE_NS, Say};
 use super::policy_process::FIRST_ARM;
 use crate::rt::{self, MonotonicClock};
-use crate::session::external::ExternalLink;
-use crate::session::run::RunOptions;
+use crate::session::external::{ExternalChoice, ExternalLink};
 use crate::session::source::{STEP_NS, camera_names};
 use crate::session::{SessionError, Setup};
 use hal::PerArm;
@@ -52,6 +51,19 @@ pub(super) struct Outside<'a> {
     pub(super) clock: MonotonicClock,
     /// How far a frame may be from the instant of an observation, ms.
     pub(super) frames_within_ms: u64,
+}
+
+impl Outside<'_> {
+    /// The topics of an external policy: it is where the frames are, and sees these as they are.
+    pub(super) fn topics_of(&self, choice: &ExternalChoice) -> Result<&str, SessionError> {
+        match choice.name.as_ref().filter(|name| **name != self.topics) {
+            None => Ok(self.topics),
+            Some(name) => Err(SessionError::BadArgument(format!(
+                "--policy external:{name}: with --backend can it is on the topics of the cameras, --topics {}",
+                self.topics
+            ))),
+        }
+    }
 }
 
 /// A process that was started here. Dropping it ends it, in peace if it listens.
@@ -172,7 +184,7 @@ impl PolicyChild {
     pub(super) fn start(
         network: &LoadedPolicy,
         policy: &Path,
-        options: &RunOptions,
+        (seed, compute): (u64, Compute),
         outside: Option<Outside<'_>>,
         say: Say<'_>,
     ) -> Result<Self, SessionError> {
@@ -189,7 +201,7 @@ impl PolicyChild {
         let status = PolicyStatusTopic::subscriber(&node, FIRST_ARM)?;
         let chunks = ArmChunks::open(&node, network.recipe().arms)?;
         let own = OwnProcess {
-            process: spawn(&run_id, policy, options.compute, within_ms)?,
+            process: spawn(&run_id, policy, compute, within_ms)?,
             node,
             control,
             status,
@@ -208,7 +220,7 @@ impl PolicyChild {
             answered: None,
             looked: TimeNs(0),
         };
-        child.wait_until_ready(options.seed, LOAD_NS_MAX, say)?;
+        child.wait_until_ready(seed, LOAD_NS_MAX, say)?;
         Ok(child)
     }
 

@@ -1,54 +1,37 @@
-//! How a run ended, in its log and in its result.
+//! A run that has come to its end: its log is closed, and it is summed up.
 
-use trocar_log::{LogFile, RunOutcome};
+use trocar_log::LogFile;
 
 use super::control_thread::ControlEnd;
+use crate::session::Plan;
+use crate::session::ended::Ended;
 use crate::session::pictures::Pictures;
+use crate::session::plan::Arms;
 use crate::session::run::RunResult;
 use crate::session::summary::RealTimeCounts;
-use crate::session::tally::RunLabels;
 
-/// How a run ended.
-pub(super) struct Ended {
-    /// Whether the task was done, if there was one.
-    pub(super) success: Option<bool>,
-    /// Whether the program did its job.
-    pub(super) ok: bool,
-    pub(super) reason: String,
-}
-
-/// Closes the log of a run that has come to its end, and sums up.
-pub(super) fn closed<R>(
+/// Closes the log of a run of `plan` that `ended` so, and sums up.
+pub(super) fn closed<R, S: Arms>(
+    plan: &Plan<S>,
     control: &ControlEnd<R>,
     ended: &Ended,
-    labels: RunLabels<'_>,
     log: Option<LogFile>,
 ) -> RunResult {
     let mut log_dropped = control.log_dropped;
     let mut log_failure = None;
     if let Some(log) = log {
-        let outcome = RunOutcome {
-            success: ended.success,
-            reason: ended.reason.clone(),
-            command_hash: control.tally.command_hash(),
-        };
-        match log.finish(Some(&outcome)) {
+        match log.finish(Some(&ended.outcome(&control.tally))) {
             Ok(counts) => log_dropped += counts.frames_dropped + counts.events_dropped,
             Err(error) => log_failure = Some(error),
         }
     }
-    let labels = RunLabels {
-        success: ended.success,
-        reason: &ended.reason,
-        ..labels
-    };
     let real_time = RealTimeCounts {
         log_dropped,
         ..control.counts.clone()
     };
     RunResult {
         ok: ended.ok,
-        summary: control.tally.summary(&labels, Some(real_time)),
+        summary: control.tally.summary(plan, ended, Some(real_time)),
         pictures: Pictures::default(),
         log_failure,
     }

@@ -19,10 +19,12 @@ mod child;
 mod control_thread;
 mod ended;
 mod on_can;
+mod opened;
 mod policy_process;
 mod robot;
 mod signals;
 mod simulation_thread;
+mod threads;
 mod timing;
 mod watch;
 mod wires;
@@ -32,7 +34,6 @@ use std::thread;
 
 use hal::{ArmState, Chunk, TICK_NS};
 use rtrb::RingBuffer;
-use tch::Device;
 use trocar_tasks::simulation::Rendering;
 use trocar_tasks::task::Outcome;
 
@@ -40,24 +41,25 @@ pub use on_can::{CanOptions, Say, run_on_can, run_robot_on_can};
 pub use policy_process::{PolicyProcessOptions, serve_policy};
 pub use robot::{RobotOptions, run_rig};
 
-use super::external::{About, ExternalLink, check_wanted};
+use super::ended::Ended;
 use super::operator::{Listener, OperatorPort};
-use super::run::{RunOptions, RunResult, open_log, simulation};
-use super::source::{ChunkSource, PolicyChoice};
-use super::summary::{RealTimeCounts, TissueSummary};
-use super::tally::{RunLabels, Tally};
-use super::{SessionError, Setup};
+use super::run::RunResult;
+use super::source::ChunkSource;
+use super::summary::TissueSummary;
+use super::{Plan, SessionError, episode};
 use crate::mailbox::mailbox;
 use crate::rig::threads::ThreadsRig;
 use crate::rt::{self, MonotonicClock, Periodic};
 use camera_thread::{CameraEnd, CameraThread, Snapshot};
-use child::{PolicyChild, check_cameras};
-use control_thread::{ControlEnd, ControlThread};
+use child::PolicyChild;
+use control_thread::ControlThread;
+use ended::closed;
 use hal::PerArm;
+use opened::Opened;
 use signals::{Moving, Signals};
 use simulation_thread::{SimulationEnd, SimulationThread, Snapshots};
-use trocar_log::{LogFile, Recorder, RunOutcome, SideLog, TickLog, pre_faulted_queue};
-use watch::{Watched, watch};
+use threads::{Ends, joined, wired};
+use trocar_log::{LogFile, Recorder, SideLog, TickLog, pre_faulted_queue};
 
 /// Chunks that may wait for the control thread.
 const CHUNK_QUEUE: usize = 8;
@@ -75,86 +77,46 @@ const START_NS: u64 = 20_000_000;
 ///
 /// # Errors
 /// From the configuration, the policy, the simulation, the topics or the log.
-pub fn run_realtime(setup: &Setup, options: &RunOptions) -> Result<RunResult, SessionError> {
-    rt::catch_interrupts_in_motion()
-        .map_err(|error| SessionError::RealTime(format!("catching signals failed: {error}")))?;
-    options.real_time.check()?;
-    let mut child = match &options.policy {
-        PolicyChoice::Checkpoint(path) => {
-            let network = setup.network(path, Device::Cpu)?;
-            check_cameras(setup, &network)?;
-            Some(PolicyChild::start(&network, path, options, None, &|_| ())?)
-        }
-        PolicyChoice::External(choice) => {
-            let about = About {
-                task: &setup.task_name,
-                arms: setup.task.arms.len(),
-                lockstep: false,
-                frames_within_ms: 0,
-            };
-            let link = ExternalLink::open(choice.topics(), choice.within_s, &about)?;
-            check_wanted(setup, &link.cameras)?;
-            let (arms, seed) = (about.arms, options.seed);
-            Some(PolicyChild::external(link, arms, seed, None, &|_| ())?)
-        }
-        PolicyChoice::Expert | PolicyChoice::Noop | PolicyChoice::Random | PolicyChoice::Own(_) => {
-            None
-        }
-    };
-    let source = match child {
-        Some(_) => None,
-        None => Some(setup.source(&options.policy, options.seed, options.compute)?),
-    };
-    let ends = run_threads(setup, options, source, child.as_mut())?;
-    conclude(setup, options, ends)
+pub fn run_realtime(plan: &Plan) -> Result<RunResult, SessionError> {
+    rt::catch_interrupts_in_motion().map_err(SessionError::signals)?;
+    plan.real_time.check()?;
+    let (mut child, source) = Opened::open(plan, None)?.start(plan, None, &|_| ())?;
+    let (ends, log) = run_threads(plan, source, child.as_mut())?;
+    conclude(plan, ends, log)
 }
 
-/// What the threads give back.
-struct Ends {
-    control: Result<ControlEnd<ThreadsRig>, SessionError>,
-    others: Result<Others, SessionError>,
-    log: Option<LogFile>,
-}
-
-struct Others {
-    watched: Watched,
-    simulation: SimulationEnd,
-    camera: Option<CameraEnd>,
-}
+/// The simulation and, if there are any, the cameras.
+type Simulated = (SimulationEnd, Option<CameraEnd>);
 
 fn run_threads(
-    setup: &Setup,
-    options: &RunOptions,
+    plan: &Plan,
     source: Option<ChunkSource>,
     child: Option<&mut PolicyChild>,
-) -> Result<Ends, SessionError> {
-    let simulation = simulation(setup, options, Rendering::Off)?;
-    let controller = setup.controller()?;
+) -> Result<(Ends<ThreadsRig, Simulated>, Option<LogFile>), SessionError> {
+    let simulation = plan.simulation(Rendering::Off)?;
+    let controller = plan.setup.controller()?;
     let (measured_in, measured) = mailbox::<PerArm<ArmState>>();
     let (commands, commands_out) = pre_faulted_queue(COMMANDS);
     let (chunk_in, chunks) = RingBuffer::<PerArm<Chunk>>::new(CHUNK_QUEUE);
     let (snapshot_in, snapshots) = mailbox::<Snapshot>();
     let signals = Arc::new(Signals::default());
     // Slow things first: opening a device takes longer than an episode's first second.
-    let camera_thread = (options.wants_frames() || child.is_some())
+    let camera_thread = (plan.wants_frames() || child.is_some())
         .then(|| {
             let node = child.as_deref().map(PolicyChild::node);
             let start = simulation.snapshot();
             let seen = child.as_deref().map_or_else(Vec::new, PolicyChild::cameras);
-            CameraThread::new(setup, options, &seen, node, snapshots, &start)
+            CameraThread::new(plan, &seen, node, snapshots, &start)
         })
         .transpose()?;
-    let (tick_log, side_log, log) = split(open_log(setup, options, false)?);
+    let (tick_log, side_log, log) = split(plan.open_log(false)?);
     let snapshots = camera_thread.as_ref().map(|_| Snapshots {
         to: snapshot_in,
         query_every_steps: child.as_deref().map(PolicyChild::query_every_steps),
         history_steps: child.as_deref().map_or(0, PolicyChild::history_steps),
-        frames: options.wants_frames(),
+        frames: plan.wants_frames(),
     });
-    let (local, remote) = match source {
-        Some(source) => (Some((source, chunk_in)), None),
-        None => (None, child.map(|child| (child, chunk_in))),
-    };
+    let (local, remote) = wired(source, child, chunk_in);
     let simulation_thread = SimulationThread {
         simulation,
         measured: measured_in,
@@ -162,9 +124,9 @@ fn run_threads(
         snapshots,
         local,
         signals: Arc::clone(&signals),
-        profile: options.real_time.simulation,
+        profile: plan.real_time.simulation,
     };
-    let memory = options.real_time.lock();
+    let memory = plan.real_time.lock();
     let clock = MonotonicClock::new();
     let first = clock.now().plus_ns(START_NS);
     // Half a period after the simulation, to see this period's measurement.
@@ -177,32 +139,23 @@ fn run_threads(
         log: tick_log,
         signals: Arc::clone(&signals),
         operator,
-        profile: options.real_time.control,
+        profile: plan.real_time.control,
         memory,
     };
-    thread::scope(|scope| {
-        if let Some(listener) = &listener {
-            scope.spawn(|| listener.serve(scope, &*signals));
-        }
-        let control = scope.spawn(move || {
-            let _moving = Moving;
-            control_thread.run(clock)
-        });
-        let simulated = scope.spawn(move || simulation_thread.run(clock, first));
-        let camera = camera_thread.map(|camera| {
-            let signals = Arc::clone(&signals);
-            scope.spawn(move || camera.run(side_log, &signals))
-        });
-        let watched = watch(remote, &signals);
-        let control = joined(control);
-        let simulation = joined(simulated).and_then(|end| end);
-        let camera = camera.map(|camera| joined(camera).and_then(|end| end));
-        Ok(Ends {
-            control,
-            others: others(watched, simulation, camera),
-            log,
+    let control = move || {
+        let _moving = Moving;
+        Ok(control_thread.run(clock))
+    };
+    let simulate = || {
+        thread::scope(|scope| {
+            let camera = camera_thread.map(|camera| scope.spawn(|| camera.run(side_log, &signals)));
+            let simulated = simulation_thread.run(clock, first);
+            let camera = camera.map(|camera| joined(camera).and_then(|end| end));
+            Ok((simulated?, camera.transpose()?))
         })
-    })
+    };
+    let ends = threads::run(remote, (&signals, listener.as_ref()), control, simulate);
+    Ok((ends, log))
 }
 
 /// The ends of a log, if there is one.
@@ -221,102 +174,40 @@ fn listen(enables: bool) -> (Option<Listener>, OperatorPort) {
     }
 }
 
-fn others(
-    watched: Result<Watched, SessionError>,
-    simulation: Result<SimulationEnd, SessionError>,
-    camera: Option<Result<CameraEnd, SessionError>>,
-) -> Result<Others, SessionError> {
-    Ok(Others {
-        simulation: simulation?,
-        camera: camera.transpose()?,
-        watched: watched?,
-    })
-}
-
-fn joined<T>(handle: thread::ScopedJoinHandle<'_, T>) -> Result<T, SessionError> {
-    handle
-        .join()
-        .map_err(|_| SessionError::RealTime("a thread of the run has panicked".to_owned()))
-}
-
-/// Why the run ended, and whether that is a success.
-fn verdict(others: &Result<Others, SessionError>, tally: &Tally) -> (bool, String) {
-    match others {
-        Err(error) => (false, error.to_string()),
-        Ok(Others {
-            watched,
-            simulation,
-            ..
-        }) => match &watched.ended_by {
-            Some(reason) => (false, reason.clone()),
-            None => (
-                matches!(simulation.outcome, Outcome::Success),
-                super::episode::reason(&simulation.outcome, tally),
-            ),
-        },
-    }
-}
-
 /// Closes the log, whatever happened, and sums up.
-fn conclude(setup: &Setup, options: &RunOptions, ends: Ends) -> Result<RunResult, SessionError> {
-    let control = match ends.control {
+fn conclude(
+    plan: &Plan,
+    ends: Ends<ThreadsRig, Simulated>,
+    log: Option<LogFile>,
+) -> Result<RunResult, SessionError> {
+    let mut control = match ends.control {
         Ok(control) => control,
         Err(error) => {
-            ends.log.map(|log| log.finish(None)).transpose()?;
+            log.map(|log| log.finish(None)).transpose()?;
             return Err(error);
         }
     };
-    let mut tally = control.tally;
-    let (success, reason) = verdict(&ends.others, &tally);
-    let mut log_dropped = control.log_dropped;
-    let mut log_failure = None;
-    if let Some(log) = ends.log {
-        let outcome = RunOutcome {
-            success: Some(success),
-            reason: reason.clone(),
-            command_hash: tally.command_hash(),
-        };
-        match log.finish(Some(&outcome)) {
-            Ok(counts) => log_dropped += counts.frames_dropped + counts.events_dropped,
-            Err(error) => log_failure = Some(error),
+    let (watched, seen) = (ends.watched, ends.seen);
+    let others = seen.and_then(|seen| Ok((watched?, seen)));
+    let ended = match &others {
+        Err(error) => Ended::task(false, error.to_string(), None),
+        Ok((watched, (simulation, _))) => {
+            control.tally.inferences(&watched.inference);
+            control.tally.inferences(&simulation.inference);
+            let verdict = || episode::reason(&simulation.outcome, &control.tally);
+            let success = matches!(simulation.outcome, Outcome::Success);
+            Ended::task(
+                success && watched.ended_by.is_none(),
+                watched.ended_by.clone().unwrap_or_else(verdict),
+                simulation.tissue.map(TissueSummary::from),
+            )
         }
-    }
-    let others = ends.others?;
-    tally.inferences(&others.watched.inference);
-    tally.inferences(&others.simulation.inference);
-    let policy = options.policy.name();
-    let labels = RunLabels {
-        success: Some(success),
-        reason: &reason,
-        tissue: others.simulation.tissue.map(TissueSummary::from),
-        ..labels(setup, options, &policy)
     };
-    let real_time = RealTimeCounts {
-        log_dropped,
-        ..control.counts
-    };
+    let result = closed(plan, &control, &ended, log);
+    let (_, (_, camera)) = others?;
+    let pictures = camera.and_then(|camera| camera.pictures);
     Ok(RunResult {
-        ok: success,
-        summary: tally.summary(&labels, Some(real_time)),
-        pictures: others
-            .camera
-            .and_then(|camera| camera.pictures)
-            .unwrap_or_default(),
-        log_failure,
+        pictures: pictures.unwrap_or_default(),
+        ..result
     })
-}
-
-/// What a run is called, before anything is known of how it went.
-fn labels<'a>(setup: &'a Setup, options: &RunOptions, policy: &'a str) -> RunLabels<'a> {
-    RunLabels {
-        task: &setup.task_name,
-        view: setup.task.view.name(),
-        needle: setup.task.needle(),
-        scene: setup.scene_file.as_deref(),
-        policy,
-        trained_on: setup.trained_on.as_deref(),
-        weights_sha256: setup.weights_sha256.as_deref(),
-        seed: options.seed,
-        ..RunLabels::default()
-    }
 }

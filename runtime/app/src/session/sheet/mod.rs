@@ -13,7 +13,7 @@ use image::{ExtendedColorType, ImageEncoder, RgbImage};
 use tch::Device;
 use trocar_tasks::simulation::{Rendering, Simulation};
 
-use super::episode::{Episode, Nobody, Plan};
+use super::episode::{Episode, Nobody, Timing};
 use super::latency::Latency;
 use super::scene_options::SceneOptions;
 use super::{PolicyChoice, SessionError, Setup, pictures};
@@ -119,7 +119,7 @@ fn play(
 ) -> Result<(Simulation, u64), SessionError> {
     let mut simulation = Simulation::new(&setup.task, seed, rendering)?;
     let mut source = setup.source(&PolicyChoice::Expert, seed, Device::Cpu)?;
-    let plan = Plan {
+    let timing = Timing {
         latency: Latency::fixed(source.latency_ticks()),
         tick_limit,
     };
@@ -128,7 +128,7 @@ fn play(
         controller: &mut setup.controller()?,
         source: &mut source,
     };
-    let end = episode.run(&plan, &mut Nobody)?;
+    let end = episode.run(&timing, &mut Nobody)?;
     Ok((simulation, end.tally.ticks()))
 }
 

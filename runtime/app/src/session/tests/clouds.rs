@@ -20,15 +20,18 @@ pub(super) fn record_lift(out: &Path, depth: bool, side: u32) -> Dataset {
         episodes: 1,
         out: out.to_owned(),
         resume: false,
-        seed: 3,
         jobs: 1,
         depth,
         video: None,
         disturb: None,
         instruction: None,
     };
-    let setup = small_lift(&PolicyChoice::Expert, side);
-    record(&setup, &options, &|| false, &mut |_| {}).unwrap();
+    let expert = PolicyChoice::Expert;
+    let plan = Plan {
+        seed: 3,
+        ..Plan::new(small_lift(&expert, side), expert)
+    };
+    record(&plan, &options, &|| false, &mut |_| {}).unwrap();
     Dataset::open(out).unwrap()
 }
 

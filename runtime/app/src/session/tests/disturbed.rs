@@ -11,7 +11,7 @@ use crate::session::record_notes::DISTURBED_TIME_FACTOR;
 use crate::session::scene_options::SceneOptions;
 
 /// The needle lift with small pictures, `varied`.
-pub(super) fn small_lift(varied: &[Variation]) -> Setup {
+pub(super) fn small_lift(varied: &[Variation]) -> Plan {
     let options = SceneOptions {
         varied: varied.to_vec(),
         ..SceneOptions::default()
@@ -21,7 +21,10 @@ pub(super) fn small_lift(varied: &[Variation]) -> Setup {
     for camera in &mut setup.task.cameras {
         (camera.width, camera.height) = (64, 64);
     }
-    setup
+    Plan {
+        seed: 40,
+        ..Plan::new(setup, PolicyChoice::Expert)
+    }
 }
 
 pub(super) fn options(out: &Path, disturb: Option<f64>) -> RecordOptions {
@@ -29,7 +32,6 @@ pub(super) fn options(out: &Path, disturb: Option<f64>) -> RecordOptions {
         episodes: 2,
         out: out.to_owned(),
         resume: false,
-        seed: 40,
         jobs: 2,
         depth: false,
         video: None,
@@ -41,9 +43,9 @@ pub(super) fn options(out: &Path, disturb: Option<f64>) -> RecordOptions {
 #[test]
 fn a_disturbed_and_varied_recording_says_so() {
     let folder = Scratch::new("session-disturbed");
-    let setup = small_lift(&Variation::ALL);
+    let plan = small_lift(&Variation::ALL);
     let options = options(&folder.0, Some(1.0));
-    let summary = record(&setup, &options, &|| false, &mut |_| {}).unwrap();
+    let summary = record(&plan, &options, &|| false, &mut |_| {}).unwrap();
     assert_eq!((summary.episodes, summary.needle), (2, None));
     let kept: Vec<_> = summary.attempts.iter().filter(|it| it.kept).collect();
     let counts = summary.disturbed.unwrap();
@@ -71,7 +73,7 @@ fn a_disturbed_and_varied_recording_says_so() {
             (&note["episode_index"], &note["seed"]),
             (&index.into(), &attempt.seed.into())
         );
-        let drawn = serde_json::to_value(setup.task.drawn(attempt.seed)).unwrap();
+        let drawn = serde_json::to_value(plan.setup.task.drawn(attempt.seed)).unwrap();
         for (key, value) in drawn.as_object().unwrap() {
             assert_eq!(&note[key], value, "{key}");
         }
@@ -91,10 +93,10 @@ fn a_disturbed_and_varied_recording_says_so() {
 #[test]
 fn plain_recording_stays_as_lerobot_knows_it() {
     let folder = Scratch::new("session-undisturbed");
-    let setup = small_lift(&[]);
+    let plan = small_lift(&[]);
     let record_in = |name: &str, disturb| {
         let out = folder.0.join(name);
-        let summary = record(&setup, &options(&out, disturb), &|| false, &mut |_| {}).unwrap();
+        let summary = record(&plan, &options(&out, disturb), &|| false, &mut |_| {}).unwrap();
         (out, summary)
     };
     let (plain, summary) = record_in("plain", None);
@@ -135,7 +137,7 @@ fn successes(task: &str, seeds: std::ops::Range<u64>) -> usize {
         let mut source = setup
             .source(&PolicyChoice::Expert, seed, Device::Cpu)
             .unwrap();
-        let plan = Plan {
+        let timing = Timing {
             latency: Latency::fixed(0),
             tick_limit: setup.tick_limit(),
         };
@@ -145,7 +147,7 @@ fn successes(task: &str, seeds: std::ops::Range<u64>) -> usize {
             source: &mut source,
         };
         let end = episode
-            .run_disturbed(&plan, &mut Nobody, Some(&mut disturber))
+            .run_disturbed(&timing, &mut Nobody, Some(&mut disturber))
             .unwrap();
         assert_eq!(end.tally.faults(), None, "{task}, seed {seed}");
         if end.outcome == Outcome::Success {

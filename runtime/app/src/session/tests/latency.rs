@@ -11,12 +11,12 @@ fn late(latency: Latency) -> EpisodeEnd {
         controller: &mut setup.controller().unwrap(),
         source: &mut setup.source(&PolicyChoice::Expert, 3, Device::Cpu).unwrap(),
     };
-    let plan = Plan {
+    let timing = Timing {
         latency,
         tick_limit: 1500,
     };
     episode
-        .run(&plan, &mut super::super::episode::Nobody)
+        .run(&timing, &mut super::super::episode::Nobody)
         .unwrap()
 }
 
@@ -31,7 +31,7 @@ fn injected_latency_repeats_and_causes_no_fault() {
         seed: 5,
     };
     let first = late(uneven);
-    let summary = |end: &EpisodeEnd| end.tally.summary(&RunLabels::default(), None).policy;
+    let summary = |end: &EpisodeEnd| end.tally.policy();
     let (steady_ms, uneven_ms) = (summary(&steady).latency_ms, summary(&first).latency_ms);
     assert!((steady_ms.p50 - 60.0).abs() < 2.0, "{steady_ms:?}");
     assert!(

@@ -30,7 +30,7 @@ fn files(dir: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
 }
 
 /// Records until `kept` episodes were kept by this call, then stops.
-fn record_some(setup: &Setup, options: &RecordOptions, kept: usize) -> RecordSummary {
+fn record_some(plan: &Plan, options: &RecordOptions, kept: usize) -> RecordSummary {
     let stop = AtomicBool::new(kept == 0);
     let mut now = 0;
     let mut on_attempt = |attempt: &Attempt| {
@@ -38,7 +38,7 @@ fn record_some(setup: &Setup, options: &RecordOptions, kept: usize) -> RecordSum
         stop.store(now >= kept, Ordering::Release);
     };
     record(
-        setup,
+        plan,
         options,
         &|| stop.load(Ordering::Acquire),
         &mut on_attempt,
@@ -50,12 +50,12 @@ fn record_some(setup: &Setup, options: &RecordOptions, kept: usize) -> RecordSum
 #[test]
 fn resumed_recording_equals_an_unbroken_one() {
     let folder = Scratch::new("session-resumed");
-    let setup = small_lift(&[Variation::Light]);
+    let plan = small_lift(&[Variation::Light]);
     let whole = RecordOptions {
         episodes: 3,
         ..options(&folder.0.join("whole"), Some(1.0))
     };
-    let summary = record(&setup, &whole, &|| false, &mut |_| {}).unwrap();
+    let summary = record(&plan, &whole, &|| false, &mut |_| {}).unwrap();
     assert!(!summary.interrupted && summary.episodes_before == 0);
 
     let mut cut = RecordOptions {
@@ -66,7 +66,7 @@ fn resumed_recording_equals_an_unbroken_one() {
     let mut last = None;
     // Stopped at once, then after each episode.
     for kept in [0, 1, 1, 1] {
-        let summary = record_some(&setup, &cut, kept);
+        let summary = record_some(&plan, &cut, kept);
         assert_eq!(summary.episodes_before, before);
         assert_eq!(summary.interrupted, summary.episodes < 3);
         before = summary.episodes;
@@ -84,7 +84,7 @@ fn resumed_recording_equals_an_unbroken_one() {
         assert!(cut_files[name] == *bytes, "{} differs", name.display());
     }
     // Enough are there.
-    let again = record(&setup, &cut, &|| false, &mut |_| {}).unwrap();
+    let again = record(&plan, &cut, &|| false, &mut |_| {}).unwrap();
     assert_eq!((again.episodes, again.episodes_before), (3, 3));
     assert!(again.attempts.is_empty() && !again.interrupted);
     assert!(files(&cut.out) == whole_files, "nothing is touched");
@@ -92,8 +92,8 @@ fn resumed_recording_equals_an_unbroken_one() {
 }
 
 /// Why `options` can't go on.
-fn refused(setup: &Setup, options: &RecordOptions) -> String {
-    let error = record(setup, options, &|| false, &mut |_| {}).unwrap_err();
+fn refused(plan: &Plan, options: &RecordOptions) -> String {
+    let error = record(plan, options, &|| false, &mut |_| {}).unwrap_err();
     assert!(matches!(error, SessionError::BadArgument(_)), "{error:?}");
     error.to_string()
 }
@@ -101,7 +101,7 @@ fn refused(setup: &Setup, options: &RecordOptions) -> String {
 #[test]
 fn a_recording_goes_on_with_its_own_options_only() {
     let folder = Scratch::new("session-other-options");
-    let setup = small_lift(&[]);
+    let plan = small_lift(&[]);
     let made = RecordOptions {
         episodes: 1,
         resume: true,
@@ -111,8 +111,8 @@ fn a_recording_goes_on_with_its_own_options_only() {
         resume: false,
         ..made.clone()
     };
-    record(&setup, &first, &|| false, &mut |_| {}).unwrap();
-    let message = refused(&setup, &first);
+    record(&plan, &first, &|| false, &mut |_| {}).unwrap();
+    let message = refused(&plan, &first);
     assert!(
         message.contains("not an empty folder") && message.contains("--resume goes on"),
         "{message}"
@@ -124,13 +124,25 @@ fn a_recording_goes_on_with_its_own_options_only() {
             ..made.clone()
         };
         change(&mut options);
-        let message = refused(&setup, &options);
+        let message = refused(&plan, &options);
         assert!(
             message.ends_with(&format!("{expected} is asked for")),
             "{message}"
         );
     };
-    other(&|it| it.seed = 7, "was recorded with --seed 40, now 7");
+    let reseeded = Plan {
+        seed: 7,
+        ..plan.clone()
+    };
+    let more = RecordOptions {
+        episodes: 2,
+        ..made.clone()
+    };
+    let message = refused(&reseeded, &more);
+    assert!(
+        message.ends_with("was recorded with --seed 40, now 7 is asked for"),
+        "{message}"
+    );
     other(&|it| it.depth = true, "--depth off, now on");
     other(&|it| it.disturb = Some(0.5), "--disturb none, now 0.5");
     other(
@@ -147,7 +159,9 @@ fn a_recording_goes_on_with_its_own_options_only() {
 /// What of the scene must be as it was.
 fn scenes_that_are_refused(made: &RecordOptions) {
     let seen = |scene: SceneOptions, expected: &str| {
-        let message = refused(&small_lift(&[]).with_scene(&scene).unwrap(), made);
+        let mut plan = small_lift(&[]);
+        plan.setup = plan.setup.with_scene(&scene).unwrap();
+        let message = refused(&plan, made);
         assert!(message.contains(expected), "{message}");
     };
     let of = SceneOptions::default;
@@ -181,7 +195,7 @@ fn scenes_that_are_refused(made: &RecordOptions) {
         "--cameras endoscope, now endoscope,wrist",
     );
     let mut changed = small_lift(&[]);
-    changed.texts.safety.push('#');
+    changed.setup.robot.texts.safety.push('#');
     let message = refused(&changed, made);
     assert!(
         message.contains("was recorded with another safety.toml"),
@@ -193,7 +207,7 @@ fn scenes_that_are_refused(made: &RecordOptions) {
 #[test]
 fn dataset_without_its_options_is_not_resumed() {
     let folder = Scratch::new("session-silent");
-    let setup = small_lift(&[]);
+    let plan = small_lift(&[]);
     let made = RecordOptions {
         episodes: 1,
         ..options(&folder.0, None)
@@ -203,9 +217,9 @@ fn dataset_without_its_options_is_not_resumed() {
         resume: true,
         ..made.clone()
     };
-    let message = refused(&setup, &more);
+    let message = refused(&plan, &more);
     assert!(message.contains("holds no dataset"), "{message}");
-    record(&setup, &made, &|| false, &mut |_| {}).unwrap();
+    record(&plan, &made, &|| false, &mut |_| {}).unwrap();
     let notes = folder.0.join("meta/trocar_episodes.jsonl");
     let options = folder.0.join("meta/trocar_recording.json");
     let line = fs::read_to_string(&notes).unwrap();
@@ -218,7 +232,7 @@ fn dataset_without_its_options_is_not_resumed() {
         (String::new(), "one line for each"),
     ] {
         fs::write(&notes, text).unwrap();
-        let message = refused(&setup, &more);
+        let message = refused(&plan, &more);
         assert!(
             message.contains("does not say how it was recorded") && message.contains(expected),
             "{message}"
@@ -226,7 +240,7 @@ fn dataset_without_its_options_is_not_resumed() {
     }
     fs::write(&notes, line).unwrap();
     fs::remove_file(&options).unwrap();
-    let message = refused(&setup, &more);
+    let message = refused(&plan, &more);
     assert!(
         message.contains("trocar_recording.json is missing"),
         "{message}"

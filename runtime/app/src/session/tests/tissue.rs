@@ -1,9 +1,7 @@
 //! What a soft tissue adds to the results, and that only the expert retracts it.
 
-use tch::Device;
-
 use crate::session::eval::{EvalOptions, evaluate};
-use crate::session::{PolicyChoice, Setup};
+use crate::session::{Plan, PolicyChoice};
 
 fn evaluated(
     task: &str,
@@ -11,19 +9,18 @@ fn evaluated(
     seed: u64,
     limit_s: Option<f64>,
 ) -> serde_json::Value {
-    let mut setup = Setup::load(task, None, &policy).unwrap();
-    setup.task.time_limit_s = limit_s.unwrap_or(setup.task.time_limit_s);
-    let options = EvalOptions {
-        policy,
-        trials: 1,
+    let mut plan = Plan {
         seed,
+        ..Plan::load(task, policy).unwrap()
+    };
+    let time_limit_s = &mut plan.setup.task.time_limit_s;
+    *time_limit_s = limit_s.unwrap_or(*time_limit_s);
+    let options = EvalOptions {
+        trials: 1,
         jobs: 1,
-        latency_ms: None,
-        latency_jitter_ms: 0,
-        compute: Device::Cpu.into(),
         keep: None,
     };
-    let summary = evaluate(&setup, &options, &|| false, &mut |_| {}).unwrap();
+    let summary = evaluate(&plan, &options, &|| false, &mut |_| {}).unwrap();
     serde_json::to_value(&summary).unwrap()
 }
 

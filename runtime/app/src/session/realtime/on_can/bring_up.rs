@@ -15,8 +15,7 @@ use super::CanOptions;
 use super::awaited::{PATIENCE_NS, Say};
 use crate::rig::can_clock::CanClock;
 use crate::rt::{self, MonotonicClock};
-use crate::session::run::RunOptions;
-use crate::session::{SessionError, Setup};
+use crate::session::{Plan, SessionError};
 
 /// Time between two looks, ns.
 const POLL_NS: u64 = 1_000_000;
@@ -47,15 +46,15 @@ pub(super) fn check(whose: &str, count: usize, can: &CanConfig) -> Result<(), Se
 /// The world must be the one that is meant, and not be used up.
 pub(super) fn check_world(
     world: &SceneReport,
-    setup: &Setup,
-    options: &RunOptions,
+    plan: &Plan,
     topics: &str,
 ) -> Result<(), SessionError> {
     let (task, seed) = (world.task.text(), world.seed);
-    if task != setup.task_name || seed != options.seed {
+    let name = &plan.setup.task_name;
+    if task != *name || seed != plan.seed {
         return Err(SessionError::BadArgument(format!(
-            "the world on topics {topics:?} is {task}, seed {seed}; this run is {}, seed {}",
-            setup.task_name, options.seed
+            "the world on topics {topics:?} is {task}, seed {seed}; this run is {name}, seed {}",
+            plan.seed
         )));
     }
     match world.verdict() {

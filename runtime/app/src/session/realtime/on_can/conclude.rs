@@ -1,20 +1,22 @@
 //! The end of a run over CAN: why it ended, and what it adds up to.
 
+use trocar_log::LogFile;
 use trocar_topics::Verdict;
 
 use super::super::control_thread::ControlEnd;
-use super::super::ended::{Ended, closed};
+use super::super::ended::closed;
 use super::super::robot::{RobotEnd, robot_ended};
+use super::super::threads::Ends;
 use super::super::watch::Watched;
+use super::CanOptions;
 use super::scene_thread::SceneEnd;
 use super::summary::summary;
-use super::{CanOptions, Ends};
 use crate::histogram::Histogram;
 use crate::rig::can::CanRig;
-use crate::session::SessionError;
+use crate::session::ended::Ended;
+use crate::session::plan::Arms;
 use crate::session::run::RunResult;
-use crate::session::summary::TissueSummary;
-use crate::session::tally::RunLabels;
+use crate::session::{Plan, SessionError};
 
 /// What an observing thread leaves behind.
 pub(super) trait Seen {
@@ -23,11 +25,6 @@ pub(super) trait Seen {
 
     /// How long the local policy took for its chunks.
     fn inference(&self) -> &Histogram;
-
-    /// What a soft tissue went through.
-    fn tissue(&self) -> Option<TissueSummary> {
-        None
-    }
 }
 
 /// What the drives or the controller report, if one of them ended the run.
@@ -49,19 +46,11 @@ impl Seen for SceneEnd {
             let before = watched.ended_by.clone().or_else(|| fault(control));
             before.unwrap_or_else(|| self.reason.clone())
         };
-        Ended {
-            success: Some(success),
-            ok: success,
-            reason,
-        }
+        Ended::task(success, reason, self.tissue)
     }
 
     fn inference(&self) -> &Histogram {
         &self.inference
-    }
-
-    fn tissue(&self) -> Option<TissueSummary> {
-        self.tissue
     }
 }
 
@@ -75,17 +64,17 @@ impl Seen for RobotEnd {
     }
 }
 
-/// Closes the log, whatever happened, and sums up; `labels` say nothing of how it went yet.
-pub(super) fn conclude<T: Seen>(
-    ends: Ends<T>,
-    labels: RunLabels<'_>,
+/// Closes the log, whatever happened, and sums up.
+pub(super) fn conclude<S: Arms, T: Seen>(
+    plan: &Plan<S>,
+    ends: Ends<CanRig, T>,
+    log: Option<LogFile>,
     can: &CanOptions,
 ) -> Result<RunResult, SessionError> {
     let Ends {
         control,
         watched,
         seen,
-        log,
     } = ends;
     // Why nothing was enabled is known to whoever ended the run before.
     let all = match (control, watched, seen) {
@@ -110,12 +99,7 @@ pub(super) fn conclude<T: Seen>(
     let ended = seen.ended(&watched, &control);
     control.tally.inferences(&watched.inference);
     control.tally.inferences(seen.inference());
-    let labels = RunLabels {
-        tissue: seen.tissue(),
-        ..labels
-    };
-    let drives = summary(&control.rig, can);
-    let mut result = closed(&control, &ended, labels, log);
-    result.summary.can = Some(drives);
+    let mut result = closed(plan, &control, &ended, log);
+    result.summary.can = Some(summary(&control.rig, can));
     Ok(result)
 }

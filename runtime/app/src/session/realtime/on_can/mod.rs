@@ -23,41 +23,33 @@ mod scene_thread;
 mod summary;
 
 use std::sync::Arc;
-use std::thread;
 
 use hal::config::Source;
-use hal::{ARM_NAMES, Chunk, TICK_NS};
-use rtrb::Producer;
-use tch::Device;
+use hal::{ARM_NAMES, TICK_NS};
 use trocar_canopen::master::{CanConfig, enable_together};
 use trocar_canopen::socket::SocketBus;
-use trocar_nets::loaded_policy::LoadedPolicy;
-use trocar_topics::{SceneTopic, TopicNode};
+use trocar_topics::{ArmReport, Publisher, SceneTopic, TopicNode};
 
-use super::child::{Outside, PolicyChild, check_cameras};
+use super::child::Outside;
 use super::control_thread::{ControlEnd, ControlThread};
+use super::opened::Opened;
 use super::robot::{RobotOptions, RobotThread};
 use super::signals::{Moving, StopsAll};
-use super::watch::{Watched, watch};
-use super::wires::{ControlWires, Local, Wires};
-use super::{joined, labels};
+use super::threads::{self, wired};
+use super::wires::{ControlWires, Local, SeenWires, Wires};
 use crate::rig::Observed;
 use crate::rig::can::CanRig;
 use crate::rig::can_clock::CanClock;
 use crate::rt::{self, Grant, MonotonicClock, Periodic, RtOptions};
 use crate::session::can_interfaces;
-use crate::session::external::{About, ExternalChoice, ExternalLink, check_wanted};
-use crate::session::operator::Listener;
-use crate::session::run::{RunOptions, RunResult, open_log, open_log_with};
-use crate::session::source::{ChunkSource, camera_names};
-use crate::session::tally::RunLabels;
-use crate::session::{PolicyChoice, Robot, SessionError, Setup};
+use crate::session::plan::Arms;
+use crate::session::run::RunResult;
+use crate::session::{Plan, Robot, SessionError};
 use bring_up::{ReadyArm, bring_up, check, check_world, failed, uninterrupted};
-use conclude::conclude;
+use conclude::{Seen, conclude};
 use hal::PerArm;
 use scene_thread::{SceneThread, arm_reports, frames};
 use trocar_control::AnyController;
-use trocar_log::LogFile;
 
 pub use awaited::Say;
 pub(super) use awaited::{AHEAD_NS_MAX, Camera, FRAME_NS_MAX, PATIENCE_NS};
@@ -90,17 +82,29 @@ impl CanOptions {
     }
 }
 
-/// Opens the buses of the first `count` arms.
-fn open_buses(
-    can: &CanOptions,
-    count: usize,
+/// What there is before anything is waited for.
+struct Begun<'a> {
+    can: &'a CanOptions,
     clock: MonotonicClock,
-) -> Result<Vec<SocketBus<CanClock>>, SessionError> {
-    rt::catch_interrupts_in_motion()
-        .map_err(|error| SessionError::RealTime(format!("catching signals failed: {error}")))?;
-    let arms = can.config.arms.iter().take(count);
+    buses: Vec<SocketBus<CanClock>>,
+    node: TopicNode,
+    say: Say<'a>,
+}
+
+/// Opens the buses of the arms and joins the topics of their world, or of their cameras.
+fn begin<'a>(robot: &Robot, can: &'a CanOptions, say: Say<'a>) -> Result<Begun<'a>, SessionError> {
+    check(&robot.name, robot.arms(), &can.config)?;
+    let clock = MonotonicClock::new();
+    rt::catch_interrupts_in_motion().map_err(SessionError::signals)?;
+    let arms = can.config.arms.iter().take(robot.arms());
     let buses = arms.map(|arm| can_interfaces::open(&arm.interfaces, clock));
-    buses.collect()
+    Ok(Begun {
+        can,
+        clock,
+        buses: buses.collect::<Result<_, _>>()?,
+        node: TopicNode::join(&can.topics)?,
+        say,
+    })
 }
 
 /// Runs one episode with the task's arms on CAN.
@@ -109,79 +113,28 @@ fn open_buses(
 ///
 /// # Errors
 /// From the configuration, the buses and their drives, the world's topics, the policy or the log.
-pub fn run_on_can(
-    setup: &Setup,
-    options: &RunOptions,
-    can: &CanOptions,
-    say: Say<'_>,
-) -> Result<RunResult, SessionError> {
-    options.real_time.check()?;
-    let count = setup.task.arms.len();
-    check(&format!("task {}", setup.task_name), count, &can.config)?;
-    let clock = MonotonicClock::new();
-    let buses = open_buses(can, count, clock)?;
-    let node = TopicNode::join(&can.topics)?;
-    let scene = SceneTopic::subscriber(&node, ARM_NAMES[0])?;
-    let waiting = awaited::world(&scene, &can.topics, say)?;
-    check_world(&waiting, setup, options, &can.topics)?;
-    let mut cameras = Vec::new();
-    let (mut child, mut local) = match &options.policy {
-        PolicyChoice::Checkpoint(path) => {
-            let network = setup.network(path, Device::Cpu)?;
-            check_cameras(setup, &network)?;
-            cameras = awaited::cameras(&node, &looked_at(&network), clock, &can.topics, say)?;
-            let outside = Outside {
-                topics: &can.topics,
-                clock,
-                frames_within_ms: 0,
-            };
-            let child = PolicyChild::start(&network, path, options, Some(outside), say)?;
-            (Some(child), None)
-        }
-        PolicyChoice::External(choice) => {
-            let link = external(choice, can, &setup.task_name, count, 0)?;
-            check_wanted(setup, &link.cameras)?;
-            cameras = awaited::cameras(&node, &unsized_of(&link), clock, &can.topics, say)?;
-            let child = external_child(link, count, options, (can, clock), say)?;
-            (Some(child), None)
-        }
-        PolicyChoice::Expert | PolicyChoice::Noop | PolicyChoice::Random | PolicyChoice::Own(_) => {
-            let source = setup.source(&options.policy, options.seed, options.compute)?;
-            (None, Some(source))
-        }
-    };
-    let ready = bring_up(can, buses, say)?;
-    awaited::still_there(&mut cameras, clock, &can.topics, say)?;
-    drop(cameras);
-    let recorder = open_log(setup, options, false)?;
-    let wires = Wires::new(recorder, clock);
-    let reports = arm_reports(&node, count, child.is_some())?;
-    let (local, remote) = wired(local.take(), child.as_mut(), wires.chunk_in);
-    let seen = wires.seen;
-    let kept = match &seen.log {
-        Some(_) => frames(&node, setup.cameras_with(Vec::new()))?,
-        None => Vec::new(),
-    };
-    let scene_thread = SceneThread {
-        say,
-        scene,
-        seen,
-        local,
-        reports,
-        frames: kept,
-    };
-    let enabling = Enabling {
-        can,
-        ready,
-        controller: setup.controller()?,
-        wires: wires.control,
-        profile: options.real_time.control,
-        memory: options.real_time.lock(),
-    };
-    let outer = (wires.log, wires.listener);
-    let ends = run_threads(enabling, remote, outer, || scene_thread.run());
-    let policy = options.policy.name();
-    conclude(ends, labels(setup, options, &policy), can)
+pub fn run_on_can(plan: &Plan, can: &CanOptions, say: Say<'_>) -> Result<RunResult, SessionError> {
+    let begun = begin(&plan.setup.robot, can, say)?;
+    let scene = SceneTopic::subscriber(&begun.node, ARM_NAMES[0])?;
+    let world = awaited::world(&scene, &can.topics, say)?;
+    check_world(&world, plan, &can.topics)?;
+    begun.run(plan, 0, &[], |node, watching| {
+        let names = plan.setup.cameras_with(Vec::new());
+        let logged = if watching.seen.log.is_some() {
+            names
+        } else {
+            Vec::new()
+        };
+        let scene_thread = SceneThread {
+            say,
+            scene,
+            seen: watching.seen,
+            local: watching.local,
+            reports: watching.reports,
+            frames: frames(node, logged)?,
+        };
+        Ok(|| scene_thread.run())
+    })
 }
 
 /// Runs a robot on CAN: no task, no scene and no verdict, until the time is up, a signal comes, or a fault.
@@ -191,182 +144,87 @@ pub fn run_on_can(
 /// # Errors
 /// From the configuration, the buses and their drives, the cameras' topics, the policy or the log.
 pub fn run_robot_on_can(
-    robot: &Robot,
-    options: &RunOptions,
+    plan: &Plan<Robot>,
     asked: &RobotOptions,
     can: &CanOptions,
     say: Say<'_>,
 ) -> Result<RunResult, SessionError> {
-    options.real_time.check()?;
-    let count = robot.arms();
-    check(&robot.safety_file, count, &can.config)?;
-    let clock = MonotonicClock::new();
-    let buses = open_buses(can, count, clock)?;
-    let node = TopicNode::join(&can.topics)?;
-    let mut link = None;
-    let (network, mut local) = match &options.policy {
-        PolicyChoice::Checkpoint(path) => (Some((robot.network(path, Device::Cpu)?, path)), None),
-        PolicyChoice::External(choice) => {
-            link = Some(external(choice, can, "", count, FRAMES_WITHIN_MS)?);
-            (None, None)
-        }
-        PolicyChoice::Expert | PolicyChoice::Noop | PolicyChoice::Random | PolicyChoice::Own(_) => {
-            (None, Some(Robot::source(&options.policy, options.seed)?))
-        }
-    };
-    let mut wanted: Vec<_> = network
-        .iter()
-        .flat_map(|(network, _)| looked_at(network))
-        .chain(link.iter().flat_map(unsized_of))
-        .collect();
-    let seen_by_policy = wanted.len();
-    for name in &asked.cameras {
-        if wanted.iter().all(|(known, _)| known != name) {
-            wanted.push((name.clone(), None));
-        }
-    }
-    let mut cameras = awaited::cameras(&node, &wanted, clock, &can.topics, say)?;
-    let mut child = match &network {
-        Some((network, path)) => {
-            let outside = Outside {
-                topics: &can.topics,
-                clock,
-                frames_within_ms: FRAMES_WITHIN_MS,
-            };
-            let outside = Some(outside);
-            Some(PolicyChild::start(network, path, options, outside, say)?)
-        }
-        None => link
-            .map(|link| external_child(link, count, options, (can, clock), say))
-            .transpose()?,
-    };
-    drop(network);
-    let ready = bring_up(can, buses, say)?;
-    awaited::still_there(&mut cameras, clock, &can.topics, say)?;
-    let recorder = open_log_with(&robot.header(options), options)?;
-    let wires = Wires::new(recorder, clock);
-    let reports = arm_reports(&node, count, child.is_some())?;
-    let (local, remote) = wired(local.take(), child.as_mut(), wires.chunk_in);
-    let cameras = (cameras, seen_by_policy);
-    let robot_thread = RobotThread::new(wires.seen, local, reports, cameras, asked);
-    let enabling = Enabling {
-        can,
-        ready,
-        controller: robot.controller()?,
-        wires: wires.control,
-        profile: options.real_time.control,
-        memory: options.real_time.lock(),
-    };
-    let outer = (wires.log, wires.listener);
-    let ends = run_threads(enabling, remote, outer, || robot_thread.run());
-    let policy = options.policy.name();
-    let labels = RunLabels {
-        policy: &policy,
-        trained_on: robot.trained_on.as_deref(),
-        weights_sha256: robot.weights_sha256.as_deref(),
-        seed: options.seed,
-        ..RunLabels::default()
-    };
-    conclude(ends, labels, can)
-}
-
-/// What the threads give back; `T` is that of the observing one.
-struct Ends<T> {
-    control: Result<ControlEnd<CanRig>, SessionError>,
-    watched: Result<Watched, SessionError>,
-    seen: Result<T, SessionError>,
-    log: Option<LogFile>,
-}
-
-/// A policy of another process with the queue for its chunks.
-type Remote<'a> = Option<(&'a mut PolicyChild, Producer<PerArm<Chunk>>)>;
-
-/// The cameras that `network` looks through, with their sizes in pixels.
-fn looked_at(network: &LoadedPolicy) -> Vec<(String, Option<(u32, u32)>)> {
-    let sizes = network.recipe().cameras.iter();
-    let sizes = sizes.map(|camera| Some((camera.width, camera.height)));
-    camera_names(network).into_iter().zip(sizes).collect()
-}
-
-/// Waits for an external policy, which is on the topics of the world, or of the cameras: it sees these as they are.
-fn external(
-    choice: &ExternalChoice,
-    can: &CanOptions,
-    task: &str,
-    arms: usize,
-    frames_within_ms: u64,
-) -> Result<ExternalLink, SessionError> {
-    if let Some(name) = choice.name.as_ref().filter(|name| **name != can.topics) {
-        return Err(SessionError::BadArgument(format!(
-            "--policy external:{name}: with --backend can it is on the topics of the cameras, --topics {}",
-            can.topics
-        )));
-    }
-    let about = About {
-        task,
-        arms,
-        lockstep: false,
-        frames_within_ms,
-    };
-    ExternalLink::open(&can.topics, choice.within_s, &about)
-}
-
-/// The cameras of an external policy, of any size.
-fn unsized_of(link: &ExternalLink) -> Vec<(String, Option<(u32, u32)>)> {
-    let names = link.cameras.iter();
-    names.map(|name| (name.clone(), None)).collect()
-}
-
-fn external_child(
-    link: ExternalLink,
-    arms: usize,
-    options: &RunOptions,
-    (can, clock): (&CanOptions, MonotonicClock),
-    say: Say<'_>,
-) -> Result<PolicyChild, SessionError> {
-    let outside = Outside {
-        topics: &can.topics,
-        clock,
-        // The session has told it.
-        frames_within_ms: 0,
-    };
-    PolicyChild::external(link, arms, options.seed, Some(outside), say)
-}
-
-/// Gives the queue for chunks to whoever answers: a source of this process, or the policy process.
-fn wired(
-    source: Option<ChunkSource>,
-    child: Option<&mut PolicyChild>,
-    chunk_in: Producer<PerArm<Chunk>>,
-) -> (Local, Remote<'_>) {
-    match child {
-        Some(child) => (None, Some((child, chunk_in))),
-        None => (source.map(|source| (source, chunk_in)), None),
-    }
-}
-
-/// Controls the arms in one thread, observes them in another, and looks after the policy process in this one.
-fn run_threads<T: Send>(
-    enabling: Enabling<'_>,
-    remote: Remote<'_>,
-    (log, listener): (Option<LogFile>, Option<Listener>),
-    observe: impl FnOnce() -> Result<T, SessionError> + Send,
-) -> Ends<T> {
-    let signals = Arc::clone(&enabling.wires.signals);
-    thread::scope(|scope| {
-        if let Some(listener) = &listener {
-            scope.spawn(|| listener.serve(scope, &*signals));
-        }
-        let control = scope.spawn(move || enabling.run());
-        let seen = scope.spawn(observe);
-        let watched = watch(remote, &signals);
-        Ends {
-            control: joined(control).and_then(|end| end),
-            seen: joined(seen).and_then(|end| end),
-            watched,
-            log,
-        }
+    let begun = begin(&plan.setup, can, say)?;
+    begun.run(plan, FRAMES_WITHIN_MS, &asked.cameras, |_, watching| {
+        let Watching {
+            seen,
+            local,
+            reports,
+            cameras,
+        } = watching;
+        let robot_thread = RobotThread::new(seen, local, reports, cameras, asked);
+        Ok(|| robot_thread.run())
     })
+}
+
+/// What the thread that observes the arms is made of.
+struct Watching {
+    seen: SeenWires,
+    local: Local,
+    /// For a policy process, one an arm.
+    reports: Vec<Publisher<ArmReport>>,
+    /// Cameras that were waited for, and how many of them the policy looks through: the first.
+    cameras: (Vec<Camera>, usize),
+}
+
+impl Begun<'_> {
+    /// Waits for the policy, its cameras and those called `asked`, brings up the drives, and runs all threads; `watch` makes the one
+    /// that observes the arms. Frames may be `within_ms` from the instant of an observation.
+    fn run<S: Arms, T: Seen + Send, F: FnOnce() -> Result<T, SessionError> + Send>(
+        self,
+        plan: &Plan<S>,
+        within_ms: u64,
+        asked: &[String],
+        watch: impl FnOnce(&TopicNode, Watching) -> Result<F, SessionError>,
+    ) -> Result<RunResult, SessionError> {
+        plan.real_time.check()?;
+        let (can, clock, node, say) = (self.can, self.clock, self.node, self.say);
+        let outside = Outside {
+            topics: &can.topics,
+            clock,
+            frames_within_ms: within_ms,
+        };
+        let policy = Opened::open(plan, Some(&outside))?;
+        let mut wanted = policy.cameras();
+        let looked_at = wanted.len();
+        for name in asked {
+            if wanted.iter().all(|(known, _)| known != name) {
+                wanted.push((name.clone(), None));
+            }
+        }
+        let mut cameras = awaited::cameras(&node, &wanted, clock, &can.topics, say)?;
+        let (mut child, source) = policy.start(plan, Some(outside), say)?;
+        let ready = bring_up(can, self.buses, say)?;
+        awaited::still_there(&mut cameras, clock, &can.topics, say)?;
+        let wires = Wires::new(plan.open_log(false)?, clock);
+        let robot = plan.setup.robot();
+        let reports = arm_reports(&node, robot.arms(), child.is_some())?;
+        let (local, remote) = wired(source, child.as_mut(), wires.chunk_in);
+        let watching = Watching {
+            seen: wires.seen,
+            local,
+            reports,
+            cameras: (cameras, looked_at),
+        };
+        let observe = watch(&node, watching)?;
+        let enabling = Enabling {
+            can,
+            ready,
+            controller: robot.controller()?,
+            wires: wires.control,
+            profile: plan.real_time.control,
+            memory: plan.real_time.lock(),
+        };
+        let signals = Arc::clone(&enabling.wires.signals);
+        let served = (&*signals, wires.listener.as_ref());
+        let ends = threads::run(remote, served, || enabling.run(), observe);
+        conclude(plan, ends, wires.log, can)
+    }
 }
 
 /// The control thread before its arms have torque.

@@ -7,8 +7,8 @@ mod thread;
 pub use own_rig::run_rig;
 pub(super) use thread::{RobotEnd, RobotThread};
 
-use super::ended::Ended;
 use super::watch::Watched;
+use crate::session::ended::Ended;
 use crate::session::run::{INTERRUPTED, STOPPED};
 
 /// What a run without a task is asked.
@@ -31,5 +31,6 @@ pub(super) fn robot_ended(end: &RobotEnd, watched: &Watched, fault: Option<Strin
             .or_else(|| watched.ended_by.clone())
             .or_else(|| end.ended_by.clone())
             .unwrap_or_else(|| "the control thread has stopped".to_owned()),
+        tissue: None,
     }
 }

@@ -1,0 +1,94 @@
+//! The policy of a run in real time: known at first, with the cameras that it looks through, then answering.
+
+use std::path::Path;
+
+use tch::Device;
+use trocar_nets::loaded_policy::LoadedPolicy;
+
+use super::child::{Outside, PolicyChild, check_cameras};
+use super::on_can::Say;
+use crate::session::external::{About, ExternalLink, check_wanted};
+use crate::session::plan::Arms;
+use crate::session::source::{ChunkSource, camera_names};
+use crate::session::{Plan, PolicyChoice, SessionError};
+
+/// A policy that does not answer yet.
+pub(super) enum Opened<'a> {
+    /// A checkpoint in this folder, which will have a process of its own.
+    Network(Box<LoadedPolicy>, &'a Path),
+    /// Somebody's process, which has said hello.
+    External(Box<ExternalLink>),
+    /// A policy of this process.
+    Local(Box<ChunkSource>),
+}
+
+impl<'a> Opened<'a> {
+    /// The policy of `plan`; an external one is waited for. With `outside`, the frames come on topics of another process, and an
+    /// external policy is there too.
+    pub(super) fn open<S: Arms>(
+        plan: &'a Plan<S>,
+        outside: Option<&Outside<'_>>,
+    ) -> Result<Self, SessionError> {
+        let (robot, task) = (plan.setup.robot(), plan.setup.task());
+        match &plan.policy {
+            PolicyChoice::Checkpoint(folder) => {
+                let network = robot.network(folder, Device::Cpu)?;
+                task.map_or(Ok(()), |setup| check_cameras(setup, &network))?;
+                Ok(Self::Network(Box::new(network), folder))
+            }
+            PolicyChoice::External(choice) => {
+                let topics = outside.map_or(Ok(choice.topics()), |it| it.topics_of(choice))?;
+                let about = About {
+                    task: task.map_or("", |setup| &setup.task_name),
+                    arms: robot.arms(),
+                    lockstep: false,
+                    frames_within_ms: outside.map_or(0, |outside| outside.frames_within_ms),
+                };
+                let link = ExternalLink::open(topics, choice.within_s, &about)?;
+                task.map_or(Ok(()), |setup| check_wanted(setup, &link.cameras))?;
+                Ok(Self::External(Box::new(link)))
+            }
+            PolicyChoice::Expert
+            | PolicyChoice::Noop
+            | PolicyChoice::Random
+            | PolicyChoice::Own(_) => Ok(Self::Local(Box::new(plan.source()?))),
+        }
+    }
+
+    /// The cameras that it looks through, with their sizes in pixels if it asks for some.
+    pub(super) fn cameras(&self) -> Vec<(String, Option<(u32, u32)>)> {
+        match self {
+            Self::Network(network, _) => {
+                let sizes = network.recipe().cameras.iter();
+                let sizes = sizes.map(|camera| Some((camera.width, camera.height)));
+                camera_names(network).into_iter().zip(sizes).collect()
+            }
+            Self::External(link) => {
+                let names = link.cameras.iter();
+                names.map(|name| (name.clone(), None)).collect()
+            }
+            Self::Local(_) => Vec::new(),
+        }
+    }
+
+    /// Waits until it can answer: in another process, or in this one.
+    pub(super) fn start<S: Arms>(
+        self,
+        plan: &Plan<S>,
+        outside: Option<Outside<'_>>,
+        say: Say<'_>,
+    ) -> Result<(Option<PolicyChild>, Option<ChunkSource>), SessionError> {
+        let child = match self {
+            Self::Local(source) => return Ok((None, Some(*source))),
+            Self::Network(network, folder) => {
+                let asked = (plan.seed, plan.compute);
+                PolicyChild::start(&network, folder, asked, outside, say)?
+            }
+            Self::External(link) => {
+                let arms = plan.setup.robot().arms();
+                PolicyChild::external(*link, arms, plan.seed, outside, say)?
+            }
+        };
+        Ok((Some(child), None))
+    }
+}

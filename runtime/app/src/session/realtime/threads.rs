@@ -1,0 +1,66 @@
+//! The threads of a run: one controls, one observes the arms or simulates them, and the first looks after the policy process.
+
+use std::thread::{self, ScopedJoinHandle};
+
+use hal::{Chunk, PerArm};
+use rtrb::Producer;
+
+use super::child::PolicyChild;
+use super::control_thread::ControlEnd;
+use super::signals::Signals;
+use super::watch::{Watched, watch};
+use super::wires::Local;
+use crate::session::SessionError;
+use crate::session::operator::Listener;
+use crate::session::source::ChunkSource;
+
+/// A policy of another process with the queue for its chunks.
+pub(super) type Remote<'a> = Option<(&'a mut PolicyChild, Producer<PerArm<Chunk>>)>;
+
+/// What the threads give back; `T` is that of the observing one.
+pub(super) struct Ends<R, T> {
+    pub(super) control: Result<ControlEnd<R>, SessionError>,
+    pub(super) watched: Result<Watched, SessionError>,
+    pub(super) seen: Result<T, SessionError>,
+}
+
+/// Gives the queue for chunks to whoever answers: a source of this process, or the policy process.
+pub(super) fn wired(
+    source: Option<ChunkSource>,
+    child: Option<&mut PolicyChild>,
+    chunk_in: Producer<PerArm<Chunk>>,
+) -> (Local, Remote<'_>) {
+    match child {
+        Some(child) => (None, Some((child, chunk_in))),
+        None => (source.map(|source| (source, chunk_in)), None),
+    }
+}
+
+/// Runs all threads until the one that controls has stopped.
+pub(super) fn run<R: Send, T: Send>(
+    remote: Remote<'_>,
+    (signals, listener): (&Signals, Option<&Listener>),
+    control: impl FnOnce() -> Result<ControlEnd<R>, SessionError> + Send,
+    observe: impl FnOnce() -> Result<T, SessionError> + Send,
+) -> Ends<R, T> {
+    thread::scope(|scope| {
+        if let Some(listener) = listener {
+            scope.spawn(move || listener.serve(scope, signals));
+        }
+        let control = scope.spawn(control);
+        let seen = scope.spawn(observe);
+        let watched = watch(remote, signals);
+        Ends {
+            control: joined(control).and_then(|end| end),
+            seen: joined(seen).and_then(|end| end),
+            watched,
+        }
+    })
+}
+
+/// What a thread gave back.
+pub(super) fn joined<T>(handle: ScopedJoinHandle<'_, T>) -> Result<T, SessionError> {
+    handle
+        .join()
+        .map_err(|_| SessionError::RealTime("a thread of the run has panicked".to_owned()))
+}
