@@ -460,6 +460,6 @@ fn a_full_disk_costs_the_log_and_not_the_run() {
         "the log's disk is full",
         seen,
         times,
-        "the run goes on; exit code 1 at its end",
+        "the run goes on; exit code 1 at its end (SIGINT, whose times these are)",
     );
 }
