@@ -193,6 +193,8 @@ fn there_is_a_man_page_for_each_verb() {
         "run",
         "eval",
         "record",
+        "import-lerobot",
+        "export-open-h",
         "train",
         "drives",
         "replay",
@@ -202,6 +204,27 @@ fn there_is_a_man_page_for_each_verb() {
             page(&format!("trocar-{verb}.1")).starts_with(".ie"),
             "{verb}"
         );
+    }
+}
+
+/// Each way in and out has examples, under the verb and under each layout.
+#[test]
+fn imports_and_exports_have_examples() {
+    for (arguments, expected) in [
+        (
+            &["import", "--help"][..],
+            "trocar import lerobot FOLDER --mapping open-h-dvrk",
+        ),
+        (
+            &["import", "act", "--help"],
+            "Example: trocar import act FOLDER",
+        ),
+        (&["import", "lerobot", "--help"], "--mapping my.toml"),
+        (&["export", "--help"], "Example: trocar export open-h"),
+        (&["export", "open-h", "--help"], "--tools"),
+    ] {
+        let told = printed(arguments);
+        assert!(told.contains(expected), "{arguments:?}: {told}");
     }
 }
 

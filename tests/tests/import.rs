@@ -1,4 +1,5 @@
-//! The binary on demonstrations in HDF5: a dataset with the controller's own kinematics in it, or exit code 2 with the reason.
+//! The binary on demonstrations of others, and in others' form: a dataset with the controller's own kinematics in it, or exit code 2 with
+//! the reason.
 
 #![expect(
     clippy::unwrap_used,
@@ -90,6 +91,103 @@ fn what_can_not_be_imported_ends_with_code_2_and_the_reason() {
     ];
     for (layout, source, out, more, expected) in cases {
         let refused = import(layout, source, out, more);
+        let message = stderr(&refused);
+        assert_eq!(refused.status.code(), Some(2), "{message}");
+        assert!(message.contains(expected), "no {expected:?} in: {message}");
+    }
+}
+
+/// Records two frames of one arm, whose poses are the controller's own, at `dir`.
+fn record(dir: &Path) {
+    use trocar_data::dataset::{ArmFrame, CameraSpec, DatasetSpec, DatasetWriter, FrameRecord};
+    let camera = CameraSpec {
+        name: "endoscope".to_owned(),
+        width: 32,
+        height: 32,
+        depth: None,
+    };
+    let spec = DatasetSpec {
+        fps: 25,
+        robot_type: "psm".to_owned(),
+        arms: 1,
+        task: "Lift the needle".to_owned(),
+        cameras: vec![camera],
+    };
+    let mut writer = DatasetWriter::create(dir, &spec).unwrap();
+    for step in 0..2 {
+        let joints = [0.2, -0.1, 0.13, 0.4 + 0.1 * f64::from(step), -0.5, 0.6];
+        let pose = forward(&JointVector::from_column_slice(&joints));
+        let mut state = [0.3; 7];
+        for (to, from) in state.iter_mut().zip(joints) {
+            #[expect(
+                clippy::cast_possible_truncation,
+                reason = "a dataset's joints are f32"
+            )]
+            let from = from as f32;
+            *to = from;
+        }
+        let tip_pose = TipTarget::new(&pose, 0.0).pose_numbers();
+        let mut action = [0.25; 8];
+        action[..7].copy_from_slice(&tip_pose);
+        let arms = [ArmFrame {
+            state,
+            tip_pose,
+            action,
+        }];
+        let image = vec![90; 3 * 32 * 32];
+        let frame = FrameRecord {
+            arms: &arms,
+            images: &[&image],
+            depth: &[],
+        };
+        writer.push_frame(&frame).unwrap();
+    }
+    writer.end_episode().unwrap();
+    writer.finish().unwrap();
+}
+
+/// What goes out in Open-H's form comes in again, with joints from the poses that are those of the controller's kinematics.
+#[test]
+fn open_h_goes_out_and_comes_in() {
+    let folder = scratch("import-open-h");
+    let [ours, theirs, back] = ["ours", "theirs", "back"].map(|name| folder.join(name));
+    record(&ours);
+    let run = |arguments: &[&str], source: &Path, out: &Path| {
+        let mut command = trocar(Profile::Debug);
+        command.args(arguments).arg(source).arg("--out").arg(out);
+        command.output().unwrap()
+    };
+    let done = run(&["export", "open-h"], &ours, &theirs);
+    assert_eq!(done.status.code(), Some(0), "{}", stderr(&done));
+    assert!(
+        stderr(&done).contains("endoscope has 32 x 32 pixels"),
+        "{}",
+        stderr(&done)
+    );
+    let told = String::from_utf8_lossy(&done.stdout);
+    assert!(told.starts_with("1 episodes, 2 frames in "), "{told}");
+    let again = run(&["export", "open-h"], &ours, &theirs);
+    assert_eq!(again.status.code(), Some(2), "{}", stderr(&again));
+    let import = ["import", "lerobot", "--mapping", "open-h-dvrk"];
+    let done = run(&import, &theirs, &back);
+    assert_eq!(done.status.code(), Some(0), "{}", stderr(&done));
+    let (found, meant) = (Dataset::open(&back).unwrap(), Dataset::open(&ours).unwrap());
+    for (frame, joint) in (0..2).flat_map(|frame| (0..7).map(move |joint| (frame, joint))) {
+        let apart = found.state(frame, 0)[joint] - meant.state(frame, 0)[joint];
+        assert!(apart.abs() < 2e-5, "{frame} {joint}: {apart}");
+    }
+    for (mapping, expected) in [
+        (
+            "my-robot",
+            "--mapping my-robot: is no file, and built in are open-h-dvrk, dvrk-raw",
+        ),
+        (
+            "dvrk-raw",
+            "has no tissue_N/K_SUBTASK/episode_NNN/ee_csv.csv",
+        ),
+    ] {
+        let import = ["import", "lerobot", "--mapping", mapping];
+        let refused = run(&import, &theirs, &folder.join("new"));
         let message = stderr(&refused);
         assert_eq!(refused.status.code(), Some(2), "{message}");
         assert!(message.contains(expected), "no {expected:?} in: {message}");

@@ -12,7 +12,9 @@ use super::motion::{AXES, AxisLimits};
 use super::region::{Block, Region};
 use super::schema::ControlFile;
 use scene::{Scene, check_reach, scene};
-use sections::{aggregation, axes, check_fault, check_tick, filter, gate, nanoseconds};
+use sections::{
+    aggregation, axes, check_fault, check_tick, filter, gate, nanoseconds, supervision,
+};
 
 /// Most forbidden regions of a task.
 pub const FORBIDDEN_MAX: usize = 8;
@@ -44,12 +46,25 @@ pub struct ControlConfig {
     pub margins: Margins,
     /// Deviation of the measured tip from the commanded one at which the controller faults.
     pub following_error_max: FollowingError,
+    /// What becomes of a policy process that dies or hangs. The controller knows no processes: it is for whoever calls it.
+    pub supervision: Supervision,
     /// Measured closing effort of the jaw at which it closes no further, N m.
     pub jaw_closing_effort_n_m_max: f64,
     /// The arms, one or two, and where each may be.
     pub arms: Vec<ArmConfig>,
     /// What two arms keep between them; none for one arm.
     pub between_arms: Option<BetweenArms>,
+}
+
+/// How a policy process is supervised.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Supervision {
+    /// How often one that died or hangs is started again in a run; with 0 the run ends with it.
+    pub restarts: u32,
+    /// Time before the first restart, ns; it doubles with each next one.
+    pub backoff_ns: u64,
+    /// How long it may take to be ready again, and an external policy to come back, ns.
+    pub return_ns: u64,
 }
 
 /// The safety filter's numbers.
@@ -170,6 +185,7 @@ impl ControlConfig {
                 tip_m: file.fault.tracking_tip_m,
                 turn_rad: file.fault.tracking_turn_rad,
             },
+            supervision: supervision(control, &file)?,
             jaw_closing_effort_n_m_max,
             arms,
             between_arms,
@@ -224,6 +240,25 @@ mod tests {
             message("jerk_rad_s3 = 80.0", "jerk_rad_s3 = 8.0").contains("limits.yaw = a stop of")
         );
         assert!(message("mode = \"ensemble\"", "mode = \"mean\"").contains("mean"));
+    }
+
+    /// A file of before has no such section, and a process is not restarted then.
+    #[test]
+    fn supervision_may_be_left_out_and_has_ranges() {
+        let control = ControlConfig::default_control();
+        let (without, _) = control.text().split_once("[policy]").unwrap();
+        let safety = ControlConfig::needle_lift_safety();
+        let load = |text: &str| ControlConfig::load(&Source::embedded("c.toml", text), &safety);
+        let left_out = load(without).unwrap().supervision;
+        assert_eq!(left_out, load(control.text()).unwrap().supervision);
+        assert_eq!((left_out.restarts, left_out.backoff_ns), (0, 500_000_000));
+        let wild = message("restarts = 0", "restarts = 5000");
+        assert!(
+            wild.contains("policy.restarts = 5000 is outside [0, 1000]"),
+            "{wild}"
+        );
+        assert!(message("backoff_s = 0.5", "backoff_s = -1.0").contains("policy.backoff_s = -1"));
+        assert!(message("return_s = 30.0", "return_s = 0.0").contains("policy.return_s = 0"));
     }
 
     #[test]

@@ -33,7 +33,7 @@ pub(crate) mod sabotage;
 mod tests;
 
 pub use any::AnyController;
-pub use config::ControlConfig;
+pub use config::{ControlConfig, Supervision};
 pub use controller::{Controller, ControllerError};
 pub use deviation::Deviation;
 pub use gate::GateDecision;

@@ -11,6 +11,26 @@ pub(super) struct ControlFile {
     pub(super) tracking: TrackingTable,
     pub(super) filter: FilterTable,
     pub(super) fault: FaultTable,
+    #[serde(default)]
+    pub(super) policy: PolicyTable,
+}
+
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct PolicyTable {
+    pub(super) restarts: u32,
+    pub(super) backoff_s: f64,
+    pub(super) return_s: f64,
+}
+
+impl Default for PolicyTable {
+    fn default() -> Self {
+        Self {
+            restarts: 0,
+            backoff_s: 0.5,
+            return_s: 30.0,
+        }
+    }
 }
 
 #[derive(Debug, Deserialize)]

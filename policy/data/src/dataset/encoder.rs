@@ -17,7 +17,7 @@ use super::{
 
 /// A video that is being written beside its place. Dropped unfinished, it leaves nothing.
 #[derive(Debug)]
-pub(super) struct Encoder {
+pub(crate) struct Encoder {
     child: Child,
     errors: Option<JoinHandle<String>>,
     path: PathBuf,
@@ -27,7 +27,7 @@ pub(super) struct Encoder {
 
 impl Encoder {
     /// Starts on the file `path`, in a folder that is made.
-    pub(super) fn start(
+    pub(crate) fn start(
         path: &Path,
         camera: &CameraSpec,
         fps: u32,
@@ -64,7 +64,7 @@ impl Encoder {
     }
 
     /// Adds a frame of RGB bytes.
-    pub(super) fn push(&mut self, rgb: &[u8]) -> Result<(), DatasetError> {
+    pub(crate) fn push(&mut self, rgb: &[u8]) -> Result<(), DatasetError> {
         let written = match self.child.stdin.as_mut() {
             Some(input) => input.write_all(rgb),
             None => Ok(()),
@@ -77,7 +77,7 @@ impl Encoder {
     }
 
     /// Ends the video and puts it in its place, whole and durable.
-    pub(super) fn finish(mut self) -> Result<(), DatasetError> {
+    pub(crate) fn finish(mut self) -> Result<(), DatasetError> {
         let (good, reason) = self.end();
         if !good {
             return Err(failed(&self.path, format!("ffmpeg failed: {reason}")));

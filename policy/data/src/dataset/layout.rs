@@ -8,6 +8,7 @@
 //! ```
 
 use std::{
+    collections::BTreeMap,
     fs::File,
     io::{BufRead, BufReader, Read},
     path::{Path, PathBuf},
@@ -92,6 +93,22 @@ pub(super) fn read_task(dir: &Path, info: &Info) -> Result<String, DatasetError>
     first
         .map(|line| line.task)
         .ok_or_else(|| mismatch(path, "task", "empty", "at least one"))
+}
+
+/// Every task by its number.
+pub(super) fn read_tasks(dir: &Path, info: &Info) -> Result<BTreeMap<i64, String>, DatasetError> {
+    if info.codebase_version == VERSION {
+        return meta::read_tasks(dir);
+    }
+    let lines: Vec<NumberedTask> = read_lines(&dir.join("meta/tasks.jsonl"))?;
+    let numbered = lines.into_iter().map(|line| (line.task_index, line.task));
+    Ok(numbered.collect())
+}
+
+#[derive(Deserialize)]
+struct NumberedTask {
+    task_index: i64,
+    task: String,
 }
 
 #[derive(Deserialize)]

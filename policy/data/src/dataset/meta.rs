@@ -1,6 +1,7 @@
 //! The `meta` folder: what it holds, written and read.
 
 use std::{
+    collections::BTreeMap,
     fs,
     path::{Path, PathBuf},
     sync::Arc,
@@ -125,6 +126,17 @@ pub(super) fn read_task(dir: &Path) -> Result<String, DatasetError> {
         .or_else(|error| table.strings("__index_level_0__").map_err(|_| error))?;
     let first = texts.into_iter().next();
     first.ok_or_else(|| table.mismatch("task", "empty".to_owned(), "at least one".to_owned()))
+}
+
+/// Every task of a dataset by its number.
+pub(super) fn read_tasks(dir: &Path) -> Result<BTreeMap<i64, String>, DatasetError> {
+    let table = Table::open(&tasks_path(dir))?;
+    let texts = table
+        .strings("task")
+        .or_else(|error| table.strings("__index_level_0__").map_err(|_| error))?;
+    let numbers = table.integers("task_index")?;
+    table.check_rows("task_index", numbers.len(), texts.len())?;
+    Ok(numbers.into_iter().zip(texts).collect())
 }
 
 pub(super) fn write_episodes(

@@ -28,9 +28,10 @@ mod check;
 mod depth;
 #[cfg(test)]
 mod depth_tests;
-mod encoder;
+pub(crate) mod encoder;
 mod episode;
 mod error;
+pub(crate) mod foreign;
 mod guard;
 mod layout;
 mod meta;
@@ -41,11 +42,11 @@ mod reader;
 #[cfg(test)]
 mod resume_tests;
 mod rows;
-mod schema;
+pub(crate) mod schema;
 mod segments;
 mod spec;
-mod stats;
-mod store;
+pub(crate) mod stats;
+pub(crate) mod store;
 mod table;
 #[cfg(test)]
 mod tests;

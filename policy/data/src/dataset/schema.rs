@@ -18,17 +18,17 @@ use super::{
 pub(super) const VERSION: &str = "v3.0";
 /// Versions that are read.
 pub(super) const READABLE: [&str; 3] = [VERSION, "v2.1", "v2.0"];
-pub(super) const STATE: &str = "observation.state";
+pub(crate) const STATE: &str = "observation.state";
 pub(super) const TIP_POSE: &str = "observation.tip_pose";
-pub(super) const ACTION: &str = "action";
-pub(super) const IMAGE_PREFIX: &str = "observation.images.";
+pub(crate) const ACTION: &str = "action";
+pub(crate) const IMAGE_PREFIX: &str = "observation.images.";
 pub(super) const DEPTH_PREFIX: &str = "observation.depth.";
 pub(super) const INSTANCE_PREFIX: &str = "observation.instance.";
 pub(super) const CAMERA_POSE_PREFIX: &str = "observation.camera_pose.";
-pub(super) const TIMESTAMP: &str = "timestamp";
+pub(crate) const TIMESTAMP: &str = "timestamp";
 pub(super) const EPISODE_INDEX: &str = "episode_index";
 /// Integer columns that every LeRobot dataset ends with.
-pub(super) const INDICES: [&str; 4] = ["frame_index", EPISODE_INDEX, "index", "task_index"];
+pub(crate) const INDICES: [&str; 4] = ["frame_index", EPISODE_INDEX, "index", "task_index"];
 
 const POSE_NAMES: [&str; TIP_POSE_WIDTH] = ["x", "y", "z", "qx", "qy", "qz", "qw"];
 
@@ -83,7 +83,7 @@ impl Feature {
     }
 }
 
-pub(super) fn image_feature(camera: &str) -> String {
+pub(crate) fn image_feature(camera: &str) -> String {
     format!("{IMAGE_PREFIX}{camera}")
 }
 
@@ -154,7 +154,11 @@ pub(super) fn features(spec: &DatasetSpec, video: Option<VideoCodec>) -> Vec<(St
 }
 
 /// What `info.json` says about a camera's video.
-fn describe_video(codec: VideoCodec, [height, width, channels]: [usize; 3], fps: u32) -> Value {
+pub(crate) fn describe_video(
+    codec: VideoCodec,
+    [height, width, channels]: [usize; 3],
+    fps: u32,
+) -> Value {
     json!({
         "video.height": height,
         "video.width": width,
@@ -267,11 +271,11 @@ pub(super) fn episodes_schema(videos: &[String]) -> Schema {
 }
 
 /// The element of a list column.
-pub(super) fn item(data_type: DataType) -> Arc<Field> {
+pub(crate) fn item(data_type: DataType) -> Arc<Field> {
     Arc::new(Field::new_list_field(data_type, true))
 }
 
-fn vector_field(name: &str, data_type: DataType, width: usize) -> Field {
+pub(crate) fn vector_field(name: &str, data_type: DataType, width: usize) -> Field {
     #[expect(
         clippy::cast_possible_truncation,
         clippy::cast_possible_wrap,

@@ -76,7 +76,11 @@ fn read_arms(path: &Path, info: &Info) -> Result<usize, DatasetError> {
     Ok(*arms.start())
 }
 
-fn camera_spec(path: &Path, name: &str, feature: &Feature) -> Result<CameraSpec, DatasetError> {
+pub(super) fn camera_spec(
+    path: &Path,
+    name: &str,
+    feature: &Feature,
+) -> Result<CameraSpec, DatasetError> {
     if feature.dtype != "image" && feature.dtype != VIDEO {
         let what = format!("the type of {IMAGE_PREFIX}{name}");
         return Err(mismatch(

@@ -13,19 +13,19 @@ const QUANTILES: [(&str, f64); 5] = [
 
 /// All values of one feature, one sorted list a dimension.
 #[derive(Clone, Debug)]
-pub(super) struct ColumnStats {
+pub(crate) struct ColumnStats {
     sorted: Vec<Vec<f64>>,
 }
 
 impl ColumnStats {
-    pub(super) fn new(width: usize) -> Self {
+    pub(crate) fn new(width: usize) -> Self {
         Self {
             sorted: vec![Vec::new(); width],
         }
     }
 
     /// Adds rows, each as wide as the feature.
-    pub(super) fn extend(&mut self, rows: impl Iterator<Item = impl IntoIterator<Item = f64>>) {
+    pub(crate) fn extend(&mut self, rows: impl Iterator<Item = impl IntoIterator<Item = f64>>) {
         for row in rows {
             for (values, value) in self.sorted.iter_mut().zip(row) {
                 values.push(value);
@@ -38,7 +38,7 @@ impl ColumnStats {
     }
 
     /// The summary, one number a dimension; `None` before the first row.
-    pub(super) fn to_json(&self) -> Option<Value> {
+    pub(crate) fn to_json(&self) -> Option<Value> {
         let count = self.sorted.first().map_or(0, Vec::len);
         if count == 0 {
             return None;
@@ -54,13 +54,13 @@ impl ColumnStats {
 
 /// How often each of the 256 values occurred in each colour channel.
 #[derive(Clone, Debug)]
-pub(super) struct ImageStats {
+pub(crate) struct ImageStats {
     histogram: Vec<[u64; 3]>,
     image_count: usize,
 }
 
 impl ImageStats {
-    pub(super) fn new() -> Self {
+    pub(crate) fn new() -> Self {
         Self {
             histogram: vec![[0; 3]; 256],
             image_count: 0,
@@ -68,7 +68,7 @@ impl ImageStats {
     }
 
     /// Counts an RGB image.
-    pub(super) fn add(&mut self, rgb: &[u8]) {
+    pub(crate) fn add(&mut self, rgb: &[u8]) {
         for pixel in rgb.chunks_exact(3) {
             for (channel, &value) in pixel.iter().enumerate() {
                 self.histogram[usize::from(value)][channel] += 1;
@@ -77,7 +77,7 @@ impl ImageStats {
         self.image_count += 1;
     }
 
-    pub(super) fn merge(&mut self, other: &Self) {
+    pub(crate) fn merge(&mut self, other: &Self) {
         for (mine, theirs) in self
             .histogram
             .iter_mut()
@@ -90,7 +90,7 @@ impl ImageStats {
     }
 
     /// The summary with values in [0, 1], one number a channel, shaped (3, 1, 1); `None` before the first image.
-    pub(super) fn to_json(&self) -> Option<Value> {
+    pub(crate) fn to_json(&self) -> Option<Value> {
         if self.image_count == 0 {
             return None;
         }

@@ -13,18 +13,18 @@ use parquet::{arrow::ArrowWriter, errors::ParquetError, file::properties::Writer
 
 use super::DatasetError;
 
-pub(super) fn io_error(path: &Path) -> impl FnOnce(std::io::Error) -> DatasetError {
+pub(crate) fn io_error(path: &Path) -> impl FnOnce(std::io::Error) -> DatasetError {
     let path = path.to_owned();
     move |source| DatasetError::Io { path, source }
 }
 
-pub(super) fn parquet_error(path: &Path) -> impl FnOnce(ParquetError) -> DatasetError {
+pub(crate) fn parquet_error(path: &Path) -> impl FnOnce(ParquetError) -> DatasetError {
     let path = path.to_owned();
     move |source| DatasetError::Parquet { path, source }
 }
 
 /// Writes `value` as indented JSON.
-pub(super) fn write_json<T: serde::Serialize>(path: &Path, value: &T) -> Result<(), DatasetError> {
+pub(crate) fn write_json<T: serde::Serialize>(path: &Path, value: &T) -> Result<(), DatasetError> {
     let mut text = serde_json::to_vec_pretty(value).map_err(|source| DatasetError::Json {
         path: path.to_owned(),
         source,
@@ -37,7 +37,7 @@ pub(super) fn write_json<T: serde::Serialize>(path: &Path, value: &T) -> Result<
 }
 
 /// Writes `values` as JSON, a line each.
-pub(super) fn write_lines<T: serde::Serialize>(
+pub(crate) fn write_lines<T: serde::Serialize>(
     path: &Path,
     values: &[T],
 ) -> Result<(), DatasetError> {
@@ -55,8 +55,16 @@ pub(super) fn write_lines<T: serde::Serialize>(
     })
 }
 
+/// Writes `text`.
+pub(crate) fn write_text(path: &Path, text: &str) -> Result<(), DatasetError> {
+    replace(path, |mut file| {
+        file.write_all(text.as_bytes()).map_err(io_error(path))?;
+        Ok(file)
+    })
+}
+
 /// Writes the batches as one row group.
-pub(super) fn write_parquet(
+pub(crate) fn write_parquet(
     path: &Path,
     schema: &Arc<Schema>,
     properties: WriterProperties,

@@ -116,6 +116,50 @@ impl Table {
         Ok(rows)
     }
 
+    /// A column of numbers or of lists of them, row after row, and how many a row has: those that every row must have.
+    pub(super) fn numbers(&self, name: &str) -> Result<(usize, Vec<f64>), DatasetError> {
+        let mut width = None;
+        let mut rows = Vec::new();
+        for column in self.column(name)? {
+            let values = if is_list(&column) {
+                let found = match width {
+                    Some(width) => width,
+                    None => self.first_width(&column, name)?,
+                };
+                width = Some(found);
+                self.lists(&column, name, found)?
+            } else {
+                width = Some(1);
+                column
+            };
+            rows.extend(self.wide(&values, name)?);
+        }
+        Ok((width.unwrap_or(1), rows))
+    }
+
+    /// How wide the first row of a column of lists is.
+    fn first_width(&self, column: &ArrayRef, name: &str) -> Result<usize, DatasetError> {
+        if let Some(lists) = column.as_any().downcast_ref::<ListArray>() {
+            return Ok(lists.offsets().lengths().next().unwrap_or(0));
+        }
+        let lists = self.cast::<FixedSizeListArray>(column, name, "a list")?;
+        Ok(usize::try_from(lists.value_length()).unwrap_or(0))
+    }
+
+    /// Numbers of any of the types that LeRobot has, as `f64`.
+    fn wide(&self, values: &ArrayRef, name: &str) -> Result<Vec<f64>, DatasetError> {
+        if let Some(narrow) = values.as_any().downcast_ref::<Float32Array>() {
+            return Ok(narrow.values().iter().copied().map(f64::from).collect());
+        }
+        #[expect(clippy::cast_precision_loss, reason = "counts stay far below 2^53")]
+        if let Some(whole) = values.as_any().downcast_ref::<Int64Array>() {
+            return Ok(whole.values().iter().map(|&value| value as f64).collect());
+        }
+        let expected = "float32, float64 or int64, or lists of them";
+        let wide = self.cast::<Float64Array>(values, name, expected)?;
+        Ok(wide.values().to_vec())
+    }
+
     /// The numbers of a column of lists, each of which must be `width` wide and whole.
     fn lists(&self, column: &ArrayRef, name: &str, width: usize) -> Result<ArrayRef, DatasetError> {
         let odd = |found: usize| {
@@ -273,4 +317,9 @@ impl Table {
             )
         })
     }
+}
+
+/// Whether the column has a list in each row.
+fn is_list(column: &ArrayRef) -> bool {
+    column.as_any().is::<ListArray>() || column.as_any().is::<FixedSizeListArray>()
 }

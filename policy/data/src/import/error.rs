@@ -2,6 +2,8 @@
 
 use std::path::PathBuf;
 
+use hal::config::ConfigError;
+
 use crate::dataset::DatasetError;
 
 /// What is wrong, and where. A `place` is a file, or a file and the episode within it.
@@ -106,6 +108,18 @@ pub enum ImportError {
         /// The step, from 0.
         step: usize,
     },
+    /// A pose that the arm can't take.
+    #[error("{place}: the tip pose of arm {arm} in step {step} is out of reach: {reason}")]
+    Reach {
+        /// Where.
+        place: String,
+        /// The arm, from 1.
+        arm: usize,
+        /// The step, from 0.
+        step: usize,
+        /// The joint that would be beyond its limits.
+        reason: String,
+    },
     /// A frame is no JPEG.
     #[error("{place}: {name}, step {step}: cannot be decoded as JPEG")]
     Jpeg {
@@ -127,6 +141,9 @@ pub enum ImportError {
         /// What is wrong.
         reason: String,
     },
+    /// The table of names is wrong.
+    #[error(transparent)]
+    Mapping(#[from] ConfigError),
     /// The new dataset can't be written.
     #[error(transparent)]
     Dataset(#[from] DatasetError),

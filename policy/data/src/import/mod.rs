@@ -13,6 +13,8 @@
 //! than guessed: deltas as actions, another number of joints, numbers that are not finite, joints outside of the arm's limits
 //! (degrees, or a normalised gripper), frames that are missing.
 //!
+//! Any other LeRobot dataset, and a dVRK's raw recordings, come in by a table of names: [`import_mapped`].
+//!
 //! All episodes are looked at before the first is written. An import that is cut off keeps whole episodes, as
 //! [`DatasetWriter`](crate::dataset::DatasetWriter) does. HDF5 is read by a library without C, links that lead out of the file
 //! are refused, and what a damaged file can have it allocate is bounded.
@@ -22,7 +24,9 @@ mod chain;
 mod error;
 mod file;
 mod filters;
+mod inverse;
 mod lzf;
+mod mapped;
 mod pictures;
 mod run;
 mod source;
@@ -31,6 +35,10 @@ mod tests;
 
 pub use chain::read_chain;
 pub use error::ImportError;
+pub use mapped::{
+    AngleUnit, ArmMapping, Columns, Format, Frame, ImportRequest, LengthUnit, MappedCamera,
+    MappedSummary, Mapping, QuaternionOrder, import_mapped,
+};
 pub use run::{ImportSummary, import};
 
 use std::path::PathBuf;

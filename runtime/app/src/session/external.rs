@@ -117,6 +117,7 @@ pub(super) struct ExternalLink {
     /// Its upper 32 bits are those of the numbers of all episodes.
     pub(super) session: u64,
     said: Publisher<SessionHello>,
+    hellos: Subscriber<PolicyHello>,
 }
 
 impl ExternalLink {
@@ -135,8 +136,8 @@ impl ExternalLink {
             frames_within_ns: about.frames_within_ms * 1_000_000,
             task: Line::new(about.task),
         })?;
-        let hellos = PolicyHelloTopic::subscriber(&node, FIRST_ARM)?;
         let mut link = Self {
+            hellos: PolicyHelloTopic::subscriber(&node, FIRST_ARM)?,
             name: name.to_owned(),
             within_ns: within_s * 1_000_000_000,
             control,
@@ -149,7 +150,7 @@ impl ExternalLink {
             node,
         };
         link.hello = link.wait("appeared", |link| {
-            hellos.newest().map_err(|error| link.topic(&error))
+            link.hellos.newest().map_err(|error| link.topic(&error))
         })?;
         link.cameras = checked(&link.hello, about).map_err(|reason| link.refused(reason))?;
         Ok(link)
@@ -181,7 +182,34 @@ impl ExternalLink {
         Err(self.failed(format!("has not {doing} for {within_s} s")))
     }
 
-    fn keep_alive(&self) -> Result<(), PolicyError> {
+    /// Takes note of a process that has come in the place of one that left. It must want to be shown the same.
+    pub(super) fn welcome(&mut self) -> Result<(), SessionError> {
+        let Some(hello) = self.hellos.newest()? else {
+            return Ok(());
+        };
+        let wants = |hello: &PolicyHello| {
+            let PolicyHello {
+                arm_count,
+                query_every_steps,
+                history_steps,
+                ..
+            } = *hello;
+            (arm_count, query_every_steps, history_steps)
+        };
+        let same = wants(&hello) == wants(&self.hello);
+        if !same || hello.camera_names().as_ref() != Some(&self.cameras) {
+            let who = hello.name.text();
+            let reason = format!(
+                "{who} (process {}) has come back as another: arms, query interval, history and cameras must be as before",
+                hello.pid
+            );
+            return Err(SessionError::RealTime(self.failed(reason).to_string()));
+        }
+        self.hello = hello;
+        Ok(())
+    }
+
+    pub(super) fn keep_alive(&self) -> Result<(), PolicyError> {
         let told = self.control.keep_alive();
         told.and_then(|()| self.said.keep_alive())
             .map_err(|error| self.topic(&error))

@@ -59,10 +59,18 @@ pub struct PolicyCounts {
     pub queries: u64,
     /// Chunks that the input gate refused.
     pub refused: u64,
+    /// How often its process was started again, or had to be waited for, after it died or hung; absent if it never did.
+    #[serde(skip_serializing_if = "is_zero")]
+    pub restarts: u32,
     /// Time from an observation to the delivery of its chunk.
     pub latency_ms: LatencyMs,
     /// Time that the policy itself took to answer.
     pub inference_ms: LatencyMs,
+}
+
+#[expect(clippy::trivially_copy_pass_by_ref, reason = "serde wants it so")]
+const fn is_zero(count: &u32) -> bool {
+    *count == 0
 }
 
 /// The loop's timing in a real-time run.

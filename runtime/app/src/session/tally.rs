@@ -25,6 +25,7 @@ pub struct Tally {
     guard_interventions: u64,
     queries: u64,
     refused: u64,
+    restarts: u32,
     /// Each arm's fault in the first tick that had any.
     faults: Option<PerArm<Option<Fault>>>,
     /// How near the measured arms came to their boundaries.
@@ -75,6 +76,11 @@ impl Tally {
         self.inference.merge(inference);
     }
 
+    /// Takes note of how often the policy process was started again.
+    pub(super) const fn restarts(&mut self, restarts: u32) {
+        self.restarts = restarts;
+    }
+
     /// Takes over from `controller` how near the measured arms came to their boundaries, and how far from their commands they were.
     pub fn measured(&mut self, controller: &AnyController) {
         self.measured = controller.measured_clearances();
@@ -114,6 +120,7 @@ impl Tally {
         PolicyCounts {
             queries: self.queries,
             refused: self.refused,
+            restarts: self.restarts,
             latency_ms: milliseconds(&self.latency),
             inference_ms: milliseconds(&self.inference),
             ..PolicyCounts::default()

@@ -5,7 +5,7 @@ use hal::config::{ConfigError, Source, number_text};
 use hal::joints::INSERTION;
 use hal::psm::{FINGER_M, JAW_MAX, JAW_MIN, POSITION_MAX, POSITION_MIN, VELOCITY_MAX};
 
-use super::{FilterConfig, Margins};
+use super::{FilterConfig, Margins, Supervision};
 use crate::aggregate::Aggregation;
 use crate::gate::GateLimits;
 use crate::motion::{AXES, AxisLimits, JAW};
@@ -134,7 +134,7 @@ pub(super) fn gate(source: &Source, file: &ControlFile) -> Result<GateLimits, Co
 #[expect(
     clippy::cast_possible_truncation,
     clippy::cast_sign_loss,
-    reason = "checked: positive and below a minute"
+    reason = "checked: positive and an hour at most"
 )]
 pub(super) fn nanoseconds(seconds: f64) -> u64 {
     (seconds * 1e9).round() as u64
@@ -188,6 +188,18 @@ pub(super) fn check_tick(
     );
     let found = number_text(margins.filter_m);
     Err(safety.out_of_range("margins.filter_m", &found, &allowed))
+}
+
+pub(super) fn supervision(source: &Source, file: &ControlFile) -> Result<Supervision, ConfigError> {
+    let policy = &file.policy;
+    source.check_range("policy.restarts", f64::from(policy.restarts), 0.0, 1000.0)?;
+    source.check_range("policy.backoff_s", policy.backoff_s, 0.0, 60.0)?;
+    source.check_range("policy.return_s", policy.return_s, 0.1, 3600.0)?;
+    Ok(Supervision {
+        restarts: policy.restarts,
+        backoff_ns: nanoseconds(policy.backoff_s),
+        return_ns: nanoseconds(policy.return_s),
+    })
 }
 
 pub(super) fn check_fault(source: &Source, file: &ControlFile) -> Result<(), ConfigError> {

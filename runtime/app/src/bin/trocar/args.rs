@@ -15,7 +15,8 @@ use trocar::session::external::DEFAULT_WITHIN_S;
 use trocar::session::tasks;
 
 use crate::drives::DrivesArgs;
-use crate::import::ImportArgs;
+use crate::export::ExportVerb;
+use crate::import::ImportVerb;
 use crate::operator::{OperatorArgs, SpeedArgs};
 use crate::scene_args::{SceneArgs, VaryArgs};
 use crate::sheet::SheetArgs;
@@ -101,11 +102,18 @@ pub(crate) enum Verb {
         after_help = "Example: trocar record --task needle-lift --episodes 50 --source expert --cameras multi --out runs/demos\n         trocar record --task needle-lift --episodes 200 --disturb 0.5 --vary needles,views,light --jobs 2 --out runs/varied\n         trocar record --task needle-lift --episodes 100 --source expert --cameras multi --out runs/demos --resume\n\nCtrl-C (SIGINT), SIGTERM and SIGHUP abandon the episodes in progress; what was recorded is a dataset, and the exit code is 1. A second one ends the program at once. The same command with --resume goes on, also after a crash or a full disk, and comes to the same dataset as without the break."
     )]
     Record(RecordArgs),
-    /// Make a LeRobot v3 dataset of demonstrations in HDF5, in ACT's or robomimic's layout.
+    /// Make a LeRobot v3 dataset of demonstrations of others: HDF5 of ACT or robomimic, LeRobot datasets, a dVRK's folders.
     #[command(
-        after_help = "Example: trocar import act FOLDER --fps 25 --task \"Lift the needle\" --out runs/demos\n         trocar import robomimic FILE.hdf5 --fps 25 --task \"Lift the needle\" --out runs/demos --joints obs/joint_pos --images obs/endoscope_image --action-pose actions\n\nAmbiguous input is refused: deltas as actions, another number of joints, joints outside of the arm's limits (degrees, a normalised gripper), non-finite numbers, frames that are missing."
+        subcommand,
+        after_help = "Example: trocar import act FOLDER --fps 25 --task \"Lift the needle\" --out runs/demos\n         trocar import lerobot FOLDER --mapping open-h-dvrk --out runs/demos\n\nAmbiguous input is refused: deltas as actions, another number of joints, joints outside of the arm's limits (degrees, a normalised gripper), poses out of its reach, non-finite numbers, frames that are missing."
     )]
-    Import(ImportArgs),
+    Import(ImportVerb),
+    /// Write a dataset in another's form.
+    #[command(
+        subcommand,
+        after_help = "Example: trocar export open-h runs/demos --out runs/open-h"
+    )]
+    Export(ExportVerb),
     /// Train a policy on a dataset.
     #[command(
         after_help = "Example: trocar train --policy act --data runs/demos --out runs/act --steps 10000 --device cuda\n         trocar train --policy act --data runs/demos --out runs/act --eval-every 1000 --eval-trials 20 --eval-jobs 4\n         tensorboard --logdir runs\n\nLosses are in loss.csv, loss.svg and TensorBoard's event files, all in OUT. Ctrl-C keeps the state and ends with exit code 1; --resume OUT goes on."
@@ -198,7 +206,8 @@ impl Verb {
             Self::Run(args) => &args.json,
             Self::Eval(args) => &args.json,
             Self::Record(args) => &args.json,
-            Self::Import(args) => &args.json,
+            Self::Import(verb) => verb.json(),
+            Self::Export(verb) => verb.json(),
             Self::Train(args) => &args.json,
             Self::Report(args) => &args.json,
             Self::Replay(args) | Self::Verify(args) => &args.json,

@@ -9,8 +9,10 @@ mod console;
 mod drives;
 mod environment;
 mod eval;
+mod export;
 mod import;
 mod operator;
+mod provenance;
 mod record;
 mod scene_args;
 mod sheet;
@@ -77,7 +79,8 @@ fn main() -> ExitCode {
         Verb::Run(args) => commands::run(args),
         Verb::Eval(args) => eval::eval(args),
         Verb::Record(args) => record::record(args),
-        Verb::Import(args) => import::import(args),
+        Verb::Import(verb) => import::import(verb),
+        Verb::Export(verb) => export::export(verb),
         Verb::Train(args) => train::train(args),
         Verb::Study(args) => study::study(args),
         Verb::Report(args) => study::report(args),

@@ -102,6 +102,7 @@ impl CameraThread {
         let _ends = EndsRun(signals);
         self.log = log;
         while !signals.stopped() {
+            signals.write_told(self.log.as_mut());
             if let Some(snapshot) = self.snapshots.take() {
                 self.take(&snapshot)?;
             } else {
@@ -109,6 +110,7 @@ impl CameraThread {
                 rt::sleep_ns(POLL_NS);
             }
         }
+        signals.write_told(self.log.as_mut());
         Ok(CameraEnd {
             pictures: self.pictures,
         })

@@ -3,7 +3,7 @@
 use std::env;
 use std::fs;
 use std::os::unix::process::CommandExt as _;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::process::{self, Child, Command, Stdio};
 
 use hal::{Chunk, PolicyError, TimeNs};
@@ -66,9 +66,19 @@ impl Outside<'_> {
     }
 }
 
+/// How a process is started.
+struct Spawned {
+    run_id: String,
+    /// The checkpoint's folder.
+    policy: PathBuf,
+    compute: Compute,
+    frames_within_ms: u64,
+}
+
 /// A process that was started here. Dropping it ends it, in peace if it listens.
 struct OwnProcess {
     process: Child,
+    spawned: Spawned,
     node: TopicNode,
     control: Publisher<RunControl>,
     status: Subscriber<PolicyStatus>,
@@ -78,7 +88,7 @@ struct OwnProcess {
 
 /// Whose process it is.
 enum Peer {
-    Own(OwnProcess),
+    Own(Box<OwnProcess>),
     /// Somebody else's, which is told to stop and left to itself.
     External(Box<ExternalLink>),
 }
@@ -105,8 +115,8 @@ impl Peer {
         }
     }
 
-    /// The number of the run's episode.
-    const fn episode(&self) -> u64 {
+    /// The number of the run's episode at first.
+    const fn first_episode(&self) -> u64 {
         match self {
             Self::Own(_) => 1,
             Self::External(link) => link.session + 1,
@@ -137,8 +147,8 @@ impl Peer {
         }
     }
 
-    /// Why it says no more, if so.
-    fn ended(&mut self) -> Result<Option<String>, SessionError> {
+    /// Why it says no more in `episode`, if so.
+    fn ended(&mut self, episode: u64) -> Result<Option<String>, SessionError> {
         match self {
             Self::Own(own) => {
                 let exit = own.process.try_wait().ok().flatten();
@@ -146,7 +156,7 @@ impl Peer {
             }
             Self::External(link) => {
                 if let Some(reply) = link.replies.newest()?
-                    && reply.episode == link.session + 1
+                    && reply.episode == episode
                     && reply.what() == Reply::Failed
                 {
                     let reason = format!("{} failed: {}", link.who(), reply.text.text());
@@ -166,6 +176,15 @@ pub(super) struct PolicyChild {
     history_steps: u64,
     cameras: Vec<String>,
     queries: u64,
+    /// What the policy depends on that is random.
+    seed: u64,
+    /// Counts how often it was told to begin.
+    episode: u64,
+    /// The highest number of a chunk that was handed on, and that of those before the present process.
+    highest: u64,
+    numbered_from: u64,
+    /// No observation of before, by the run's clock, is answered any more.
+    since: TimeNs,
     clock: MonotonicClock,
     /// The run's clock, if the policy's observations have the system's instants.
     outside: Option<MonotonicClock>,
@@ -200,27 +219,23 @@ impl PolicyChild {
         let control = RunControlTopic::publisher(&node, FIRST_ARM)?;
         let status = PolicyStatusTopic::subscriber(&node, FIRST_ARM)?;
         let chunks = ArmChunks::open(&node, network.recipe().arms)?;
+        let spawned = Spawned {
+            run_id,
+            policy: policy.to_owned(),
+            compute,
+            frames_within_ms: within_ms,
+        };
         let own = OwnProcess {
-            process: spawn(&run_id, policy, compute, within_ms)?,
+            process: spawned.start()?,
+            spawned,
             node,
             control,
             status,
             listens: false,
         };
-        let mut child = Self {
-            peer: Peer::Own(own),
-            chunks,
-            query_every_steps,
-            history_steps,
-            cameras,
-            queries: 0,
-            clock: MonotonicClock::new(),
-            outside: outside.map(|outside| outside.clock),
-            heard: TimeNs(0),
-            answered: None,
-            looked: TimeNs(0),
-        };
-        child.wait_until_ready(seed, LOAD_NS_MAX, say)?;
+        let shown = (query_every_steps, history_steps, cameras);
+        let mut child = Self::new(Peer::Own(Box::new(own)), chunks, shown, seed, outside);
+        child.wait_until_ready(LOAD_NS_MAX, say)?;
         Ok(child)
     }
 
@@ -233,42 +248,47 @@ impl PolicyChild {
         say: Say<'_>,
     ) -> Result<Self, SessionError> {
         let within_ns = link.within_ns;
-        let mut child = Self {
-            chunks: ArmChunks::open(&link.node, arms)?,
-            query_every_steps: link.hello.query_every_steps,
-            history_steps: link.hello.history_steps,
-            cameras: link.cameras.clone(),
-            peer: Peer::External(Box::new(link)),
+        let chunks = ArmChunks::open(&link.node, arms)?;
+        let (hello, cameras) = (&link.hello, link.cameras.clone());
+        let shown = (hello.query_every_steps, hello.history_steps, cameras);
+        let peer = Peer::External(Box::new(link));
+        let mut child = Self::new(peer, chunks, shown, seed, outside);
+        child.wait_until_ready(within_ns, say)?;
+        Ok(child)
+    }
+
+    fn new(
+        peer: Peer,
+        chunks: ArmChunks,
+        (query_every_steps, history_steps, cameras): (u64, u64, Vec<String>),
+        seed: u64,
+        outside: Option<Outside<'_>>,
+    ) -> Self {
+        Self {
+            chunks,
+            query_every_steps,
+            history_steps,
+            cameras,
             queries: 0,
+            seed,
+            episode: peer.first_episode(),
+            highest: 0,
+            numbered_from: 0,
+            since: TimeNs(0),
             clock: MonotonicClock::new(),
             outside: outside.map(|outside| outside.clock),
             heard: TimeNs(0),
             answered: None,
             looked: TimeNs(0),
-        };
-        child.wait_until_ready(seed, within_ns, say)?;
-        Ok(child)
+            peer,
+        }
     }
 
-    fn wait_until_ready(
-        &mut self,
-        seed: u64,
-        within_ns: u64,
-        say: Say<'_>,
-    ) -> Result<(), SessionError> {
+    fn wait_until_ready(&mut self, within_ns: u64, say: Say<'_>) -> Result<(), SessionError> {
         let mut said = false;
-        let episode = self.peer.episode();
-        let run = RunControl::new(TimeNs(0), episode, RunCommand::Run { seed });
-        self.peer.control().publish(&run)?;
+        self.tell_to_begin()?;
         while self.clock.now().0 < within_ns {
-            if let Some(status) = self.peer.status().newest()?
-                && status.stage() == PolicyStage::Ready
-                && status.episode == episode
-            {
-                self.heard = self.clock.now();
-                if let Peer::Own(own) = &mut self.peer {
-                    own.listens = true;
-                }
+            if self.is_ready()? {
                 return Ok(());
             }
             if let Some(reason) = self.ended()? {
@@ -287,7 +307,6 @@ impl PolicyChild {
                     within_ns / 1_000_000_000
                 ));
             }
-            self.peer.control().keep_alive()?;
             rt::sleep_ns(POLL_NS);
         }
         Err(SessionError::RealTime(format!(
@@ -297,14 +316,75 @@ impl PolicyChild {
         )))
     }
 
+    fn tell_to_begin(&self) -> Result<(), SessionError> {
+        let command = RunCommand::Run { seed: self.seed };
+        let run = RunControl::new(TimeNs(0), self.episode, command);
+        self.peer.control().publish(&run)?;
+        Ok(())
+    }
+
+    /// Whether it has begun as it was told, and answers from now on.
+    fn is_ready(&mut self) -> Result<bool, SessionError> {
+        self.peer.control().keep_alive()?;
+        let status = self.peer.status().newest()?;
+        let ready = status.is_some_and(|status| {
+            status.stage() == PolicyStage::Ready && status.episode == self.episode
+        });
+        if ready {
+            self.heard = self.clock.now();
+            self.answered = None;
+            if let Peer::Own(own) = &mut self.peer {
+                own.listens = true;
+            }
+        }
+        Ok(ready)
+    }
+
+    /// Whether an end of it can be seen while it is away: an external policy may come back as another process.
+    pub(super) const fn is_own(&self) -> bool {
+        matches!(self.peer, Peer::Own(_))
+    }
+
+    /// Begins anew with a policy that has died or hangs: our own process is started again, an external one is told to begin again and
+    /// may be another process by then. Nothing that was said before counts.
+    pub(super) fn call_again(&mut self) -> Result<(), SessionError> {
+        if let Peer::Own(own) = &mut self.peer {
+            own.start_again()?;
+        }
+        self.episode += 1;
+        self.queries = 0;
+        self.numbered_from = self.highest;
+        self.tell_to_begin()
+    }
+
+    /// Whether it is back, at `now` by the run's clock.
+    pub(super) fn is_back(&mut self, now: TimeNs) -> Result<bool, SessionError> {
+        if let Peer::External(link) = &mut self.peer {
+            link.keep_alive()?;
+            link.welcome()?;
+        }
+        let back = self.is_ready()?;
+        if back {
+            // What its predecessor has left, and what it has said itself before it began anew.
+            let _stale = self.chunks.newest()?;
+            self.since = now;
+        }
+        Ok(back)
+    }
+
     /// Why its process says no more, if so; whether an external one is there is looked at now and then.
-    fn ended(&mut self) -> Result<Option<String>, SessionError> {
+    pub(super) fn ended(&mut self) -> Result<Option<String>, SessionError> {
         let now = self.clock.now();
         if matches!(self.peer, Peer::External(_)) && now.since(self.looked) < LOOK_EVERY_NS {
             return Ok(None);
         }
         self.looked = now;
-        self.peer.ended()
+        self.peer.ended(self.episode)
+    }
+
+    /// What it is called in messages.
+    pub(super) fn who(&self) -> String {
+        self.peer.who()
     }
 
     /// Names of the cameras that the policy looks through.
@@ -333,15 +413,25 @@ impl PolicyChild {
         if answer.is_some() || self.answered.is_none() {
             self.answered = Some(self.clock.now());
         }
-        let Some(clock) = &self.outside else {
-            return Ok(answer);
+        let outside = self.outside;
+        let observed_at = |chunk: &Chunk| match &outside {
+            Some(clock) => clock.from_system(chunk.observed_at),
+            None => chunk.observed_at,
         };
-        Ok(answer.map(|chunks| {
+        let numbered_from = self.numbered_from;
+        let answer = answer.map(|chunks| {
             chunks.map(|chunk| Chunk {
-                observed_at: clock.from_system(chunk.observed_at),
+                observed_at: observed_at(&chunk),
+                // A process that begins anew counts from the beginning, and the gate wants to see them rise.
+                sequence: chunk.sequence.saturating_add(numbered_from),
                 ..chunk
             })
-        }))
+        });
+        let answer = answer.filter(|chunks| chunks.first.observed_at >= self.since);
+        if let Some(chunks) = &answer {
+            self.highest = self.highest.max(chunks.first.sequence);
+        }
+        Ok(answer)
     }
 
     /// How long the newest chunk took to compute, once for each chunk.
@@ -386,7 +476,30 @@ impl PolicyChild {
     }
 }
 
+impl Spawned {
+    fn start(&self) -> Result<Child, SessionError> {
+        spawn(
+            &self.run_id,
+            &self.policy,
+            self.compute,
+            self.frames_within_ms,
+        )
+    }
+}
+
 impl OwnProcess {
+    /// Ends the process, if it still is, with all that it had in shared memory, and starts another one.
+    fn start_again(&mut self) -> Result<(), SessionError> {
+        self.listens = false;
+        let _gone = self.process.kill();
+        let _reaped = self.process.wait();
+        self.node.remove_dead();
+        // Nothing of the dead one is taken for the next one's.
+        let _stale = self.status.newest()?;
+        self.process = self.spawned.start()?;
+        Ok(())
+    }
+
     /// Tells the process to go and waits for it a while; `true` if it went and cleaned up.
     fn goes_by_itself(&mut self) -> bool {
         let told = self

@@ -7,6 +7,7 @@ use rtrb::Consumer;
 use trocar_control::{AnyController, OperatorEvent};
 use trocar_log::{TickLog, TickRecord};
 
+use super::hold::Hold;
 use super::signals::{Signals, StopsAll};
 use super::timing::LoopTiming;
 use crate::rig;
@@ -67,6 +68,7 @@ impl<R: Rig> ControlThread<R> {
         let mut tally = Tally::default();
         let mut rest_ticks = 0;
         let mut paused = false;
+        let mut hold = Hold::default();
         let mut setpoints = None;
         let mut timing = LoopTiming::begin(&self.profile, self.memory.clone());
         while rest_ticks < REST_TICKS {
@@ -80,7 +82,7 @@ impl<R: Rig> ControlThread<R> {
             let operator = match (tally.ticks(), done) {
                 (0, _) => Some(OperatorEvent::Enable),
                 (_, true) => (!paused).then_some(OperatorEvent::Pause),
-                (_, false) => self.operator.next(),
+                (_, false) => hold.next(signals.held(), || self.operator.next()),
             };
             paused |= done && operator == Some(OperatorEvent::Pause);
             let ticked = self.tick(&period, measured, operator, &mut tally, clock);

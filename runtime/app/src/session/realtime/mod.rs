@@ -18,12 +18,14 @@ mod camera_thread;
 mod child;
 mod control_thread;
 mod ended;
+mod hold;
 mod on_can;
 mod opened;
 mod policy_process;
 mod robot;
 mod signals;
 mod simulation_thread;
+mod supervised;
 mod threads;
 mod timing;
 mod watch;
@@ -116,7 +118,8 @@ fn run_threads(
         history_steps: child.as_deref().map_or(0, PolicyChild::history_steps),
         frames: plan.wants_frames(),
     });
-    let (local, remote) = wired(source, child, chunk_in);
+    let clock = MonotonicClock::new();
+    let (local, remote) = wired(plan, source, child, chunk_in, clock);
     let simulation_thread = SimulationThread {
         simulation,
         measured: measured_in,
@@ -127,7 +130,6 @@ fn run_threads(
         profile: plan.real_time.simulation,
     };
     let memory = plan.real_time.lock();
-    let clock = MonotonicClock::new();
     let first = clock.now().plus_ns(START_NS);
     // Half a period after the simulation, to see this period's measurement.
     let periodic = Periodic::new(clock, first.plus_ns(TICK_NS / 2), TICK_NS);
@@ -193,6 +195,7 @@ fn conclude(
         Err(error) => Ended::task(false, error.to_string(), None),
         Ok((watched, (simulation, _))) => {
             control.tally.inferences(&watched.inference);
+            control.tally.restarts(watched.restarts);
             control.tally.inferences(&simulation.inference);
             let verdict = || episode::reason(&simulation.outcome, &control.tally);
             let success = matches!(simulation.outcome, Outcome::Success);

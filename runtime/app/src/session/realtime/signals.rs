@@ -1,6 +1,10 @@
 //! Flags between the threads of a run, and the promise that no thread's end leaves the others waiting.
 
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Mutex, PoisonError};
+
+use hal::TimeNs;
+use trocar_log::{Level, SideLog};
 
 use crate::rt;
 use crate::session::operator::Served;
@@ -14,6 +18,10 @@ pub(super) struct Signals {
     stopped: AtomicBool,
     /// The operator has asked for the end.
     stop_asked: AtomicBool,
+    /// Nobody answers for now: the arms hold.
+    held: AtomicBool,
+    /// What the log is to say of it; of no interest to the control thread.
+    told: Mutex<Vec<(TimeNs, Level, String)>>,
 }
 
 impl Signals {
@@ -30,6 +38,32 @@ impl Signals {
     /// Whether the operator wants the run to end.
     pub(super) fn stop_asked(&self) -> bool {
         self.stop_asked.load(Ordering::Acquire)
+    }
+
+    /// Whether the arms are to hold, since nobody answers.
+    pub(super) fn held(&self) -> bool {
+        self.held.load(Ordering::Acquire)
+    }
+
+    /// Makes the arms hold, or go on.
+    pub(super) fn hold(&self, holds: bool) {
+        self.held.store(holds, Ordering::Release);
+    }
+
+    /// Has the log say something; whoever has the log takes it from here.
+    pub(super) fn tell(&self, at: TimeNs, level: Level, text: &str) {
+        let mut told = self.told.lock().unwrap_or_else(PoisonError::into_inner);
+        told.push((at, level, text.to_owned()));
+    }
+
+    /// Writes into the log what it is to say.
+    pub(super) fn write_told(&self, log: Option<&mut SideLog>) {
+        let mut told = self.told.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some(log) = log {
+            for (at, level, text) in told.drain(..) {
+                log.event(at, level, &text);
+            }
+        }
     }
 
     /// Whether the control thread has ended.

@@ -8,14 +8,14 @@ use rtrb::Producer;
 use super::child::PolicyChild;
 use super::control_thread::ControlEnd;
 use super::signals::Signals;
+use super::supervised::Supervised;
 use super::watch::{Watched, watch};
 use super::wires::Local;
-use crate::session::SessionError;
+use crate::rt::MonotonicClock;
 use crate::session::operator::Listener;
+use crate::session::plan::Arms;
 use crate::session::source::ChunkSource;
-
-/// A policy of another process with the queue for its chunks.
-pub(super) type Remote<'a> = Option<(&'a mut PolicyChild, Producer<PerArm<Chunk>>)>;
+use crate::session::{Plan, SessionError};
 
 /// What the threads give back; `T` is that of the observing one.
 pub(super) struct Ends<R, T> {
@@ -24,21 +24,28 @@ pub(super) struct Ends<R, T> {
     pub(super) seen: Result<T, SessionError>,
 }
 
-/// Gives the queue for chunks to whoever answers: a source of this process, or the policy process.
-pub(super) fn wired(
+/// Gives the queue for chunks to whoever answers: a source of this process, or the policy process, which is supervised as `plan` says
+/// by the run's `clock`.
+pub(super) fn wired<'a, S: Arms>(
+    plan: &Plan<S>,
     source: Option<ChunkSource>,
-    child: Option<&mut PolicyChild>,
+    child: Option<&'a mut PolicyChild>,
     chunk_in: Producer<PerArm<Chunk>>,
-) -> (Local, Remote<'_>) {
+    clock: MonotonicClock,
+) -> (Local, Option<Supervised<'a>>) {
     match child {
-        Some(child) => (None, Some((child, chunk_in))),
+        Some(child) => {
+            let rules = plan.setup.robot().control.supervision;
+            let supervised = Supervised::new(child, chunk_in, clock, (rules, plan.warn));
+            (None, Some(supervised))
+        }
         None => (source.map(|source| (source, chunk_in)), None),
     }
 }
 
 /// Runs all threads until the one that controls has stopped.
 pub(super) fn run<R: Send, T: Send>(
-    remote: Remote<'_>,
+    remote: Option<Supervised<'_>>,
     (signals, listener): (&Signals, Option<&Listener>),
     control: impl FnOnce() -> Result<ControlEnd<R>, SessionError> + Send,
     observe: impl FnOnce() -> Result<T, SessionError> + Send,

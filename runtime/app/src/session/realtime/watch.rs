@@ -1,15 +1,11 @@
 //! The run as its first thread sees it: chunks from the policy process to the control thread, and reasons to end.
 
-use hal::Chunk;
-use rtrb::Producer;
-
-use super::child::PolicyChild;
 use super::signals::{EndsRun, Signals};
+use super::supervised::Supervised;
 use crate::histogram::Histogram;
 use crate::rt;
 use crate::session::SessionError;
 use crate::session::run::{INTERRUPTED, STOPPED};
-use hal::PerArm;
 
 /// Time between two looks, ns: at a policy process, and at the signals alone.
 const POLL_NS: u64 = 1_000_000;
@@ -21,6 +17,8 @@ pub(super) struct Watched {
     pub(super) ended_by: Option<String>,
     /// How long the policy process took for its chunks.
     pub(super) inference: Histogram,
+    /// How often it was started again, or came back.
+    pub(super) restarts: u32,
 }
 
 /// Looks after the run until the control thread has stopped.
@@ -28,23 +26,19 @@ pub(super) struct Watched {
 /// # Errors
 /// If a topic fails; that ends the run as well.
 pub(super) fn watch(
-    mut policy: Option<(&mut PolicyChild, Producer<PerArm<Chunk>>)>,
+    mut policy: Option<Supervised<'_>>,
     signals: &Signals,
 ) -> Result<Watched, SessionError> {
     let _ends = EndsRun(signals);
     let mut watched = Watched {
         ended_by: None,
         inference: Histogram::new(),
+        restarts: 0,
     };
     while !signals.stopped() {
-        if let Some((child, chunks)) = &mut policy {
-            if let Some(answer) = child.newest_chunks()? {
-                // Full means that the control thread takes none: it will hold the arms and say so.
-                let _full = chunks.push(answer);
-            }
-            if let Some(infer_ns) = child.newest_inference_ns()? {
-                watched.inference.record(infer_ns);
-            }
+        if let Some(policy) = &mut policy {
+            policy.hand_on(signals, &mut watched.inference)?;
+            watched.restarts = policy.restarts();
         }
         if !signals.done() {
             watched.ended_by = if rt::interrupted() {
@@ -52,7 +46,10 @@ pub(super) fn watch(
             } else if signals.stop_asked() {
                 Some(STOPPED.to_owned())
             } else {
-                policy.as_mut().and_then(|(child, _)| child.end())
+                match &mut policy {
+                    Some(policy) => policy.look_after(signals)?,
+                    None => None,
+                }
             };
             if watched.ended_by.is_some() {
                 signals.end_run();

@@ -47,6 +47,14 @@ pub(super) struct SeenWires {
     pub(super) clock: MonotonicClock,
 }
 
+impl SeenWires {
+    /// Writes into the log what has happened to arms, buses and policy.
+    pub(super) fn tell(&mut self) {
+        self.news.tell(self.log.as_mut());
+        self.signals.write_told(self.log.as_mut());
+    }
+}
+
 impl Wires {
     pub(super) fn new(recorder: Option<Recorder>, clock: MonotonicClock) -> Self {
         let (chunk_in, chunks) = RingBuffer::<PerArm<Chunk>>::new(CHUNK_QUEUE);

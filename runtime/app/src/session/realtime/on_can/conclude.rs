@@ -98,6 +98,7 @@ pub(super) fn conclude<S: Arms, T: Seen>(
     };
     let ended = seen.ended(&watched, &control);
     control.tally.inferences(&watched.inference);
+    control.tally.restarts(watched.restarts);
     control.tally.inferences(seen.inference());
     let mut result = closed(plan, &control, &ended, log);
     result.summary.can = Some(summary(&control.rig, can));

@@ -204,7 +204,7 @@ impl Begun<'_> {
         let wires = Wires::new(plan.open_log(false)?, clock);
         let robot = plan.setup.robot();
         let reports = arm_reports(&node, robot.arms(), child.is_some())?;
-        let (local, remote) = wired(source, child.as_mut(), wires.chunk_in);
+        let (local, remote) = wired(plan, source, child.as_mut(), wires.chunk_in, clock);
         let watching = Watching {
             seen: wires.seen,
             local,

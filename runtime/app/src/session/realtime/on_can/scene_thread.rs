@@ -90,7 +90,7 @@ impl SceneThread<'_> {
         let (mut enabled, mut told, mut ended) = (None, false, false);
         while !signals.stopped() {
             newest = self.seen.measured.take().or(newest);
-            self.seen.news.tell(self.seen.log.as_mut());
+            self.seen.tell();
             self.keep_frames()?;
             if let Some(report) = self.scene.newest()? {
                 heard = self.seen.clock.now();
@@ -145,7 +145,7 @@ impl SceneThread<'_> {
             self.keep_alive()?;
             rt::sleep_ns(POLL_NS);
         }
-        self.seen.news.tell(self.seen.log.as_mut());
+        self.seen.tell();
         Ok(end)
     }
 

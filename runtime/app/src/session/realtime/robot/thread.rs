@@ -115,7 +115,7 @@ impl RobotThread {
         let (mut first, mut observed): (_, Option<(TimeNs, u64)>) = (None, None);
         self.shown.fill(self.seen.clock.now());
         while !signals.stopped() {
-            self.seen.news.tell(self.seen.log.as_mut());
+            self.seen.tell();
             let now = self.seen.clock.now();
             if let Some(states) = self.seen.measured.take() {
                 self.past.add(states.first.stamp, states);
@@ -169,7 +169,7 @@ impl RobotThread {
             }
             rt::sleep_ns(POLL_NS);
         }
-        self.seen.news.tell(self.seen.log.as_mut());
+        self.seen.tell();
         Ok(end)
     }
 

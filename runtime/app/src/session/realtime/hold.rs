@@ -1,0 +1,70 @@
+//! Pauses that the run itself makes while nobody answers, beside those of the operator. Hot path: bounded, no allocation.
+
+use trocar_control::OperatorEvent;
+
+/// Who wants the arms to hold.
+#[derive(Debug, Default)]
+pub(super) struct Hold {
+    /// The run does.
+    holds: bool,
+    /// The operator does.
+    paused: bool,
+}
+
+impl Hold {
+    /// What the controller is told next: the run's own pause as it is `wanted`, then what the `operator` asks for. The end of the run's
+    /// pause is not the end of the operator's, and the operator does not end the run's.
+    pub(super) fn next(
+        &mut self,
+        wanted: bool,
+        operator: impl FnOnce() -> Option<OperatorEvent>,
+    ) -> Option<OperatorEvent> {
+        if self.holds != wanted {
+            self.holds = wanted;
+            let resumes = (!self.paused).then_some(OperatorEvent::Resume);
+            return if wanted {
+                Some(OperatorEvent::Pause)
+            } else {
+                resumes
+            };
+        }
+        let asked = operator()?;
+        match asked {
+            OperatorEvent::Pause => self.paused = true,
+            OperatorEvent::Resume | OperatorEvent::Disable => self.paused = false,
+            OperatorEvent::Enable | OperatorEvent::Clear | OperatorEvent::Speed { .. } => {}
+        }
+        (asked != OperatorEvent::Resume || !self.holds).then_some(asked)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::Hold;
+    use trocar_control::OperatorEvent::{self, Pause, Resume, Speed};
+
+    /// Each line: whether the run wants the arms to hold, what the operator asks for, what the controller hears.
+    #[test]
+    fn neither_ends_the_pause_of_the_other() {
+        let slow = Speed { percent: 30 };
+        let mut hold = Hold::default();
+        let mut expect = |wanted, asked: Option<OperatorEvent>, expected| {
+            assert_eq!(hold.next(wanted, || asked), expected, "{wanted} {asked:?}");
+        };
+        expect(false, None, None);
+        expect(true, None, Some(Pause));
+        expect(true, Some(slow), Some(slow));
+        expect(true, Some(Resume), None);
+        expect(false, None, Some(Resume));
+        // The operator pauses while nobody answers, and goes on pausing.
+        expect(true, None, Some(Pause));
+        expect(true, Some(Pause), Some(Pause));
+        expect(false, None, None);
+        expect(false, Some(Resume), Some(Resume));
+        // And so if the pause is from before.
+        expect(false, Some(Pause), Some(Pause));
+        expect(true, None, Some(Pause));
+        expect(false, None, None);
+        expect(false, Some(Resume), Some(Resume));
+    }
+}

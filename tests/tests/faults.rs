@@ -1,0 +1,465 @@
+//! Faults of runs in real time, each done for real: how it is seen, when the arm rests, whether limits hold, whether the run goes on.
+//!
+//! Behaviour is checked, times are reported: `cargo test --test faults -- --nocapture` prints the rows of the table in
+//! `runtime/SAFETY.md`.
+#![expect(
+    clippy::unwrap_used,
+    clippy::print_stdout,
+    reason = "a test that fails to set up has failed; the table is what it prints"
+)]
+
+#[path = "faults/performer.rs"]
+mod performer;
+
+use std::fs;
+use std::io::{BufRead as _, BufReader};
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Stdio};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::thread;
+
+use hal::TimeNs;
+use performer::{Manner, Performer};
+use tests::{Profile, json, scratch, trocar};
+use trocar::rt::{MonotonicClock, sleep_ns};
+use trocar::session::operator::{Ask, Command as Operator, ask};
+use trocar_control::OperatorEvent;
+use trocar_control::kinematics::forward;
+use trocar_log::RunLog;
+use trocar_log::replay::replay;
+use trocar_log::verify::verify;
+
+const CHECKPOINT: &str = "config/policies/needle-lift/act-small";
+const MS_NS: u64 = 1_000_000;
+/// Anything takes less time than this, ns.
+const PATIENCE_NS: u64 = 180_000 * MS_NS;
+
+/// A run wants the machine to itself: one at a time.
+fn alone() -> MutexGuard<'static, ()> {
+    static TURN: Mutex<()> = Mutex::new(());
+    TURN.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// A run in real time whose policy may be restarted, ended with the test.
+struct Run {
+    process: Child,
+    folder: PathBuf,
+    log: PathBuf,
+    said: Arc<Mutex<Vec<String>>>,
+}
+
+/// What the arm does, as an operator sees it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+struct Seen {
+    enabled: bool,
+    moves: bool,
+}
+
+impl Run {
+    fn start(test: &str, policy: &str, restarts: u32, log: Option<&Path>) -> Self {
+        let folder = scratch(test);
+        let log = log.map_or_else(|| folder.join("run.mcap"), Path::to_path_buf);
+        let mut process = trocar(Profile::Debug)
+            .args(["run", "--task", "needle-lift", "--policy", policy])
+            .args(["--seed", "1", "--set", "scene.episode.time_limit_s=300"])
+            .args(["--set", &format!("control.policy.restarts={restarts}")])
+            .args(["--set", "control.policy.backoff_s=0.2", "--log"])
+            .arg(&log)
+            .arg("--json")
+            .arg(folder.join("run.json"))
+            .stdout(Stdio::null())
+            .stderr(Stdio::piped())
+            .spawn()
+            .unwrap();
+        let said = Arc::new(Mutex::new(Vec::new()));
+        let lines = BufReader::new(process.stderr.take().unwrap()).lines();
+        let hears = Arc::clone(&said);
+        thread::spawn(move || {
+            for line in lines.map_while(Result::ok) {
+                hears.lock().unwrap().push(line);
+            }
+        });
+        let mut run = Self {
+            process,
+            folder,
+            log,
+            said,
+        };
+        run.until("the arm moves", |seen| seen.enabled && seen.moves);
+        run
+    }
+
+    fn status(&self) -> Option<Seen> {
+        let of = Ask {
+            run: Some(self.process.id().to_string()),
+            json: true,
+        };
+        let (answer, _) = ask(Operator::Status, &of).ok()?;
+        let answer: serde_json::Value = serde_json::from_str(&answer).ok()?;
+        let arm = answer["arms"].get(0)?;
+        Some(Seen {
+            enabled: arm["state"] == "ENABLED",
+            moves: arm["busy"] == true,
+        })
+    }
+
+    /// Waits until an operator sees that; after which time, ms.
+    fn until(&mut self, what: &str, holds: impl Fn(Seen) -> bool) -> u64 {
+        let clock = MonotonicClock::new();
+        loop {
+            if self.status().is_some_and(&holds) {
+                return clock.now().0 / MS_NS;
+            }
+            let ended = self.process.try_wait().unwrap();
+            assert_eq!(ended, None, "waiting until {what}: {:?}", self.said());
+            assert!(clock.now().0 < PATIENCE_NS, "waited in vain until {what}");
+            sleep_ns(2 * MS_NS);
+        }
+    }
+
+    /// After which times the arm is paused and at rest, ms.
+    fn stops(&mut self) -> (Option<u64>, u64) {
+        let paused = self.until("it is paused", |seen| !seen.enabled);
+        let rests = self.until("it rests", |seen| !seen.moves);
+        (Some(paused), paused + rests)
+    }
+
+    fn said(&self) -> Vec<String> {
+        self.said.lock().unwrap().clone()
+    }
+
+    fn has_said(&self, text: &str) -> bool {
+        self.said().iter().any(|line| line.contains(text))
+    }
+
+    fn send(&self, signal: &str) {
+        send(signal, self.process.id());
+    }
+
+    /// The process that runs the policy.
+    fn policy_process(&self) -> u32 {
+        let parent = self.process.id();
+        let children = format!("/proc/{parent}/task/{parent}/children");
+        let children = fs::read_to_string(children).unwrap();
+        children.trim().parse().unwrap()
+    }
+
+    /// The exit code and the result, if there is one.
+    fn end(&mut self) -> (Option<i32>, Option<serde_json::Value>) {
+        let clock = MonotonicClock::new();
+        let mut code = None;
+        while code.is_none() {
+            code = self.process.try_wait().unwrap();
+            assert!(clock.now().0 < PATIENCE_NS, "the run does not end");
+            sleep_ns(5 * MS_NS);
+        }
+        let result = self.folder.join("run.json");
+        let result = result.exists().then(|| json(&result));
+        (code.and_then(|status| status.code()), result)
+    }
+
+    /// Ends the run a little later as a person would, and gives back its log, which breaks no limit.
+    fn interrupted(mut self) -> (RunLog, serde_json::Value) {
+        sleep_ns(1000 * MS_NS);
+        self.send("-INT");
+        let (code, result) = self.end();
+        let result = result.unwrap();
+        assert_eq!((code, &result["reason"]), (Some(1), &"interrupted".into()));
+        (self.checked_log(), result)
+    }
+
+    fn checked_log(&self) -> RunLog {
+        let log = RunLog::open(&self.log).unwrap();
+        assert_eq!(log.cut(), None);
+        let replayed = replay(&log).unwrap();
+        assert!(replayed.identical, "{:?}", replayed.first_difference);
+        let verified = verify(&log).unwrap();
+        assert!(verified.ok, "{:?}", verified.violations);
+        let (last, _) = log.ticks().last().unwrap();
+        let told = last.arms.first.command;
+        assert!(told.enabled && told.velocity.amax() <= 0.0, "{told:?}");
+        log
+    }
+}
+
+impl Drop for Run {
+    fn drop(&mut self) {
+        let _gone = self.process.kill();
+        let _reaped = self.process.wait();
+    }
+}
+
+fn send(signal: &str, process: u32) {
+    let sent = Command::new("kill")
+        .args([signal, &process.to_string()])
+        .status();
+    assert!(sent.unwrap().success());
+}
+
+/// A row of the table: after which times the arm was paused and at rest, ms.
+fn row(fault: &str, seen: &str, (paused, rests): (Option<u64>, u64), recovery: &str) {
+    let paused = paused.map_or_else(|| "-".to_owned(), |ms| format!("{ms} ms"));
+    println!("| {fault} | {seen} | {paused} | {rests} ms | held | {recovery} |");
+}
+
+/// How an arm went on after it was paused: the distance of the first target that it was given to where it was, mm. It
+/// was at rest, and nothing acted on it that answers an observation from before.
+fn resumed_mm(log: &RunLog) -> f64 {
+    let asked = |event: OperatorEvent| {
+        move |(tick, _): &(&trocar_log::LoggedTick, _)| tick.arms.first.operator == Some(event)
+    };
+    let (paused, _) = log.ticks().find(asked(OperatorEvent::Pause)).unwrap();
+    let resumes = log.ticks().position(|it| asked(OperatorEvent::Resume)(&it));
+    let after = || log.ticks().skip(resumes.unwrap());
+    let (resumed, _) = after().next().unwrap();
+    let rests = resumed.arms.first.command;
+    assert!(rests.velocity.amax() <= 1e-3, "{rests:?}");
+    let given = || after().filter_map(|(tick, chunk)| Some((tick, chunk.first?)));
+    for (_, chunk) in given() {
+        assert!(chunk.observed_at > paused.now, "{chunk:?}");
+    }
+    let (tick, chunk) = given().next().unwrap();
+    let age = TimeNs(tick.now.since(chunk.observed_at));
+    let due = usize::try_from(age.0 / chunk.step_ns).unwrap();
+    let due = chunk.valid_targets().get(due).unwrap().tip_in_rcm();
+    let tip = forward(&rests.position);
+    let away_m = (due.translation.vector - tip.translation.vector).norm();
+    let fastest = after().map(|(tick, _)| tick.arms.first.command.velocity.amax());
+    assert!(fastest.fold(0.0, f64::max) > 0.01, "it moves again");
+    away_m * 1e3
+}
+
+/// Our own policy process is killed, and hangs: the arm holds until it is there again, and goes on from where it is.
+#[test]
+fn dead_or_hung_policy_is_restarted_and_the_arm_goes_on() {
+    let _turn = alone();
+    for (signal, fault, seen) in [
+        (
+            "-KILL",
+            "policy process killed",
+            "the policy process ended: signal: 9",
+        ),
+        (
+            "-STOP",
+            "policy process stopped (SIGSTOP)",
+            "the policy process has been silent for 5 s",
+        ),
+    ] {
+        let mut run = Run::start("faults-restart", CHECKPOINT, 2, None);
+        send(signal, run.policy_process());
+        let times = run.stops();
+        assert!(run.has_said(seen), "{:?}", run.said());
+        assert!(run.has_said("the arms stop and hold; it is started again in 0.2 s (1 of 2)"));
+        let again = run.until("it goes on", |seen| seen.enabled && seen.moves);
+        assert!(run.has_said("the policy process is ready again"));
+        let (log, result) = run.interrupted();
+        assert_eq!(result["policy"]["restarts"], 1);
+        for told in [
+            seen,
+            "ready again",
+            "the policy answers again; the arms go on",
+        ] {
+            assert!(
+                log.events.iter().any(|event| event.contains(told)),
+                "{told}"
+            );
+        }
+        let away_mm = resumed_mm(&log);
+        let recovery = format!(
+            "restarted, goes on {again} ms after the stop, from a target {away_mm:.1} mm away"
+        );
+        row(fault, seen, times, &recovery);
+    }
+}
+
+/// A restart that fails as often as is allowed ends the run with the arm at rest.
+#[test]
+fn the_last_restart_ends_the_run_at_rest() {
+    let _turn = alone();
+    let mut run = Run::start("faults-last", CHECKPOINT, 1, None);
+    send("-KILL", run.policy_process());
+    run.stops();
+    run.until("it goes on", |seen| seen.enabled && seen.moves);
+    send("-KILL", run.policy_process());
+    let (code, result) = run.end();
+    let result = result.unwrap();
+    let reason = result["reason"].as_str().unwrap();
+    assert!(
+        reason.starts_with("the policy process ended: signal: 9"),
+        "{reason}"
+    );
+    assert_eq!((code, &result["policy"]["restarts"]), (Some(1), &1.into()));
+    run.checked_log();
+}
+
+/// What an external policy says wrong has no effect: the arm rests when its last good chunk ends, and goes on with the next good one.
+#[test]
+fn bad_answers_bring_the_arm_to_rest_until_a_good_one_comes() {
+    let _turn = alone();
+    for (manner, fault, seen) in [
+        (
+            Manner::NotFinite,
+            "chunks with NaN",
+            "the gate refuses each",
+        ),
+        (
+            Manner::Replays,
+            "an old chunk again and again",
+            "the gate refuses each",
+        ),
+        (Manner::Slow, "answers 2.5 s late", "the gate refuses each"),
+    ] {
+        let topics = format!("faults-{}-{manner:?}", std::process::id());
+        let performer = Performer::appear(&topics);
+        let mut run = Run::start("faults-bad", &format!("external:{topics}"), 0, None);
+        // Some answers have been judged before.
+        sleep_ns(1500 * MS_NS);
+        performer.behave(manner);
+        let rests = run.until("it rests", |seen| !seen.moves);
+        // None of them moves the arm, which is not paused.
+        sleep_ns(3000 * MS_NS);
+        let still = run.status().unwrap();
+        assert_eq!((still.enabled, still.moves), (true, false), "{manner:?}");
+        performer.behave(Manner::Good);
+        run.until("it goes on", |seen| seen.moves);
+        let (_, result) = run.interrupted();
+        assert!(
+            result["policy"]["refused"].as_u64().unwrap() > 0,
+            "{result}"
+        );
+        row(
+            fault,
+            seen,
+            (None, rests),
+            "goes on with the next good chunk",
+        );
+    }
+}
+
+/// An external policy that leaves may come back, and the arm goes on from where it is; without restarts the run ends.
+#[test]
+fn an_external_policy_may_leave_and_come_back() {
+    let _turn = alone();
+    let topics = format!("faults-{}-leaves", std::process::id());
+    for restarts in [1, 0] {
+        let performer = Performer::appear(&topics);
+        let mut run = Run::start(
+            "faults-leaves",
+            &format!("external:{topics}"),
+            restarts,
+            None,
+        );
+        drop(performer);
+        if restarts == 0 {
+            let (code, result) = run.end();
+            let result = result.unwrap();
+            let reason = result["reason"].as_str().unwrap();
+            assert!(
+                reason.contains("ended") && reason.contains("swings"),
+                "{reason}"
+            );
+            assert_eq!(code, Some(1));
+            run.checked_log();
+            continue;
+        }
+        let times = run.stops();
+        assert!(
+            run.has_said("it may come back within 30.0 s (1 of 1)"),
+            "{:?}",
+            run.said()
+        );
+        let performer = Performer::appear(&topics);
+        let again = run.until("it goes on", |seen| seen.enabled && seen.moves);
+        let (log, result) = run.interrupted();
+        drop(performer);
+        assert_eq!(result["policy"]["restarts"], 1);
+        assert_eq!(result["policy"]["refused"], 0, "{result}");
+        let away_mm = resumed_mm(&log);
+        let recovery =
+            format!("goes on {again} ms after it came back, from a target {away_mm:.1} mm away");
+        row(
+            "external policy leaves",
+            "its process has ended",
+            times,
+            &recovery,
+        );
+    }
+}
+
+#[test]
+fn signals_bring_the_arm_to_rest() {
+    let _turn = alone();
+    for signal in ["-TERM", "-INT"] {
+        let mut run = Run::start("faults-signal", "random", 0, None);
+        run.send(signal);
+        let times = run.stops();
+        let (code, result) = run.end();
+        assert_eq!(
+            (code, &result.unwrap()["reason"]),
+            (Some(1), &"interrupted".into())
+        );
+        run.checked_log();
+        row(
+            &format!("SIG{}", &signal[1..]),
+            "interrupted",
+            times,
+            "the run ends",
+        );
+    }
+}
+
+/// A small file system of its own, unmounted with the test.
+struct SmallDisk(PathBuf);
+
+impl SmallDisk {
+    /// None where this user may not mount one.
+    fn mount() -> Option<Self> {
+        let folder = scratch("faults-disk-full");
+        let mounted = Command::new("mount")
+            .args(["-t", "tmpfs", "-o", "size=2m", "tmpfs"])
+            .arg(&folder)
+            .stderr(Stdio::null())
+            .status();
+        mounted.is_ok_and(|it| it.success()).then_some(Self(folder))
+    }
+}
+
+impl Drop for SmallDisk {
+    fn drop(&mut self) {
+        let _gone = Command::new("umount").arg("-l").arg(&self.0).status();
+    }
+}
+
+/// The disk of the log is full: the run goes on without it and says so at once and at the end.
+#[test]
+fn a_full_disk_costs_the_log_and_not_the_run() {
+    let _turn = alone();
+    let Some(disk) = SmallDisk::mount() else {
+        println!("skipped: this user may mount no small file system");
+        return;
+    };
+    let log = disk.0.join("run.mcap");
+    let mut run = Run::start("faults-disk", "random", 0, Some(&log));
+    let clock = MonotonicClock::new();
+    while !run.has_said("the run goes on without it") {
+        assert!(clock.now().0 < PATIENCE_NS, "{:?}", run.said());
+        sleep_ns(5 * MS_NS);
+    }
+    sleep_ns(500 * MS_NS);
+    run.until("it moves on", |seen| seen.enabled && seen.moves);
+    run.send("-INT");
+    let times = run.stops();
+    let (code, _) = run.end();
+    assert_eq!(code, Some(1), "{:?}", run.said());
+    let log = RunLog::open(&run.log).unwrap();
+    assert!(log.cut().is_some() && log.tick_count() > 100);
+    let verified = verify(&log).unwrap();
+    assert!(verified.violations.is_empty(), "{:?}", verified.violations);
+    let seen = "\"the run goes on without it\"";
+    row(
+        "the log's disk is full",
+        seen,
+        times,
+        "the run goes on; exit code 1 at its end (SIGINT, whose times these are)",
+    );
+}
