@@ -21,6 +21,7 @@ mod ended;
 mod hold;
 mod on_can;
 mod opened;
+mod own_process;
 mod policy_process;
 mod robot;
 mod signals;
