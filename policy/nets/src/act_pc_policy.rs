@@ -9,6 +9,7 @@ use crate::act_pc::{ActPcConfig, Clouds, CloudsError, FoldedActPc};
 use crate::act_policy::state_numbers;
 use crate::checkpoint::{Cause, CheckpointError, Recipe, load_act_pc};
 use crate::compute::Compute;
+use crate::dimension::length;
 use crate::dp3_policy::check_frames;
 use crate::normalise::Normaliser;
 use trocar_data::perception::{CloudRecipe, Point};
@@ -48,7 +49,7 @@ impl ActPcPolicy {
             cloud: loaded.cloud,
             sequence: 0,
         };
-        let dims = usize::try_from(policy.config.act.state_dim).unwrap_or(0);
+        let dims = length(policy.config.act.state_dim);
         let nothing = vec![[0.0; 3]; policy.cloud.points];
         policy
             .actions(&nothing, &vec![0.0; dims])

@@ -3,13 +3,14 @@
 use std::path::Path;
 
 use hal::chunk::CHUNK_STEPS_MAX;
+use hal::count::count_u32;
 use hal::{ArmState, Chunk, FrameRef, Observation, Policy, PolicyError};
 use tch::{Device, Kind, TchError, Tensor};
 
 use crate::act::{ActConfig, FoldedAct};
 use crate::checkpoint::{self, Cause, CheckpointError, Recipe};
 use crate::compute::Compute;
-use crate::dimension::dimension;
+use crate::dimension::{dimension, length};
 use crate::images::{area_average, shrink_factor};
 use crate::normalise::{ImageNormaliser, Normaliser};
 use trocar_data::relative_action::chunks_of;
@@ -190,6 +191,7 @@ pub fn state_numbers(arm: &ArmState) -> [f32; 7] {
     [q[0], q[1], q[2], q[3], q[4], q[5], arm.jaw_position].map(|value| value as f32)
 }
 
+/// A side of the network's images; the configuration allows no more than 4096.
 fn side(pixels: i64) -> u32 {
-    u32::try_from(pixels).unwrap_or(0)
+    count_u32(length(pixels))
 }

@@ -7,6 +7,7 @@ use std::ffi::{CStr, c_char, c_void};
 use std::mem::ManuallyDrop;
 use std::ptr::with_exposed_provenance_mut;
 
+use hal::count;
 use tch::{TchError, Tensor};
 
 /// What the functions of libtorch's `torch/csrc/stable/c/shim.h` pass: a number, or a handle that changes hands.
@@ -118,7 +119,7 @@ pub(crate) fn convolution_backward(
         list([u64::from(of_input), 1, 0])?,
     ];
     call(c"aten::convolution_backward", c"", &mut stack)?;
-    let [of_input, of_weight, of_bias, ..] = stack.map(|value| usize::try_from(value).unwrap_or(0));
+    let [of_input, of_weight, of_bias, ..] = stack.map(count::index);
     // SAFETY: the operator answers with three tensors, whose handles are ours from here; the last one is undefined.
     drop(unsafe { Tensor::from_ptr(with_exposed_provenance_mut(of_bias)) });
     // SAFETY: as above.

@@ -9,6 +9,7 @@ use tch::{Device, TchError, Tensor};
 use crate::act_policy::state_numbers;
 use crate::checkpoint::{Cause, CheckpointError, Recipe, RecordedCamera, load_dp3};
 use crate::compute::Compute;
+use crate::dimension::length;
 use crate::dp3::{CloudObservation, Dp3Config, FoldedDp3, LimitsNormaliser};
 use trocar_data::perception::{CloudRecipe, Point};
 use trocar_data::relative_action::absolute_chunks;
@@ -84,7 +85,7 @@ impl Dp3Policy {
         let nothing = Seen {
             stamp: TimeNs(0),
             cloud: vec![[0.0; 3]; policy.cloud.points],
-            state: vec![0.0; usize::try_from(policy.config.state_dim).unwrap_or(0)],
+            state: vec![0.0; length(policy.config.state_dim)],
         };
         let asked = Asked::about(&vec![&nothing; policy.observations()]);
         policy.network(&asked, 0).map_err(torch)?;
@@ -106,7 +107,7 @@ impl Dp3Policy {
     /// Observations that the network sees, a policy step apart.
     #[must_use]
     pub fn observations(&self) -> usize {
-        usize::try_from(self.config.n_obs_steps).unwrap_or(1)
+        length(self.config.n_obs_steps)
     }
 
     /// The actions that answer `asked`, from the newest observation on; in SI units, row-major.

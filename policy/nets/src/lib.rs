@@ -7,7 +7,7 @@ pub mod act_policy;
 pub mod by_name;
 pub mod checkpoint;
 pub mod compute;
-mod dimension;
+pub mod dimension;
 pub mod dp3;
 pub mod dp3_policy;
 pub mod ensemble;

@@ -15,6 +15,7 @@ use trocar_data::perception::{CloudRecipe, Point};
 use trocar_nets::act::{Demonstration, LossDenominator, l1_loss};
 use trocar_nets::act_pc::{ActPc, ActPcConfig, Clouds, CloudsError};
 use trocar_nets::checkpoint::CloudStatistics;
+use trocar_nets::dimension::length;
 use trocar_nets::parameters::ParameterSource;
 
 /// The outcome of a run.
@@ -52,7 +53,7 @@ impl Trainer {
         }
         check_arms(&config.act, dataset.arms())?;
         self.begin(options);
-        let steps = usize::try_from(config.act.chunk_size).unwrap_or(0);
+        let steps = length(config.act.chunk_size);
         let set = CloudSet::new(dataset, cloud, [0, steps], options, watch)?;
         let source = ParameterSource::seeded(options.seed, Device::Cpu);
         let fresh = ActPc::new(config.clone(), source)?;

@@ -9,6 +9,7 @@ use trocar_data::dataset::{Dataset, Episode};
 use trocar_data::perception::{CloudRecipe, Point, shows_nothing};
 use trocar_data::relative_action::RELATIVE_ACTION_DIM;
 use trocar_nets::checkpoint::CloudStatistics;
+use trocar_nets::dimension::dimension;
 
 /// Greatest share of frames in which nothing wanted is in view. More is no occlusion: the recipe does not fit the cameras.
 const UNSEEN_SHARE_MAX: f64 = 0.2;
@@ -97,7 +98,7 @@ impl CloudSet {
             .flat_map(|cloud| cloud.as_flattened())
             .copied()
             .collect();
-        let frames = i64::try_from(self.clouds.len()).unwrap_or(i64::MAX);
+        let frames = dimension(self.clouds.len());
         Tensor::f_from_slice(&numbers)?
             .f_view([frames, -1, 3])?
             .f_to_device(device)

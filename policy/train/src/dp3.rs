@@ -16,6 +16,7 @@ use trocar_data::dataset::Dataset;
 use trocar_data::perception::CloudRecipe;
 use trocar_data::relative_action::RELATIVE_ACTION_DIM;
 use trocar_nets::checkpoint::CloudStatistics;
+use trocar_nets::dimension::{dimension, length};
 use trocar_nets::dp3::{CloudObservation, Dp3, Dp3Config, LimitsError, LimitsNormaliser};
 use trocar_nets::parameters::ParameterSource;
 
@@ -54,7 +55,7 @@ impl Trainer {
         let set = CloudSet::new(
             dataset,
             cloud,
-            steps.map(|count| usize::try_from(count).unwrap_or(0)),
+            steps.map(length),
             options,
             watch,
         )?;
@@ -90,7 +91,7 @@ impl Trainer {
 }
 
 fn check_arms(config: &Dp3Config, arms: usize) -> Result<(), TrainError> {
-    let numbers = i64::try_from(arms * RELATIVE_ACTION_DIM).unwrap_or(i64::MAX);
+    let numbers = dimension(arms * RELATIVE_ACTION_DIM);
     if (config.state_dim, config.action_dim) == (numbers, numbers) {
         return Ok(());
     }
@@ -141,7 +142,7 @@ impl Run {
         let (states, actions) = raw_numbers(dataset, &set.rows)?;
         let horizon = dp3.config().horizon;
         let actions = actions.f_view([-1, horizon, dp3.config().action_dim])?;
-        let observations = usize::try_from(dp3.config().n_obs_steps).unwrap_or(1);
+        let observations = length(dp3.config().n_obs_steps);
         let observed: Vec<usize> = set
             .episode_start
             .iter()

@@ -121,8 +121,7 @@ impl FlatParameters {
         let mut backbone_length = 0;
         for (index, (_, tensor)) in backbone.iter().chain(&rest).enumerate() {
             let flat = flatten(tensor)?.f_to_device(device)?;
-            let between = flat.size()[0].unsigned_abs().wrapping_neg() % aligned.unsigned_abs();
-            let between = i64::try_from(between).unwrap_or(0);
+            let between = (-flat.size()[0]).rem_euclid(aligned);
             starts.push(length);
             length += flat.size()[0] + between;
             flats.push(flat);

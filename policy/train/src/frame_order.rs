@@ -1,5 +1,6 @@
 //! Which frames a step trains on.
 
+use hal::count;
 use hal::random::SplitMix64;
 
 /// Frames in random order, each once before any comes again.
@@ -30,7 +31,7 @@ impl FrameOrder {
         let first = step.saturating_mul(count as u64);
         (first..first.saturating_add(count as u64))
             .map(|drawn| {
-                let place = usize::try_from(drawn % total).unwrap_or(0);
+                let place = count::index(drawn % total);
                 self.round(drawn / total)[place]
             })
             .collect()

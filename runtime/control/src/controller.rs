@@ -142,9 +142,8 @@ impl<const ARMS: usize> Controller<ARMS> {
     /// Periods that were missed since the newest tick have been played from its tail by whoever drives the arm; the controller
     /// goes on from there.
     pub fn tick_arms(&mut self, inputs: &[TickInput<'_>; ARMS]) -> [TickOutput; ARMS] {
-        if let Some(input) = inputs.first() {
-            self.catch_up(input.now);
-        }
+        const { assert!(ARMS > 0) };
+        self.catch_up(inputs[0].now);
         for (index, (arm, input)) in self.arms.iter_mut().zip(inputs).enumerate() {
             if arm.observe(input) {
                 self.guard.seed(index, &arm.commanded);
@@ -290,16 +289,13 @@ impl<const ARMS: usize> Controller<ARMS> {
 
     /// What is left of the stop that the guard holds for `arm`, from the command on.
     fn tail(&self, arm: usize, now: TimeNs, enabled: bool) -> SafeTail {
-        let axes = match self.guard.held(arm) {
-            Some((stop, played_s)) => stop
+        let (stop, played_s) = self.guard.held()[arm];
+        SafeTail {
+            stamp: now,
+            axes: stop
                 .axes()
                 .each_ref()
                 .map(|axis| axis_tail(&axis.remainder(played_s))),
-            None => self.arms[arm].commanded.position.map(AxisTail::at_rest),
-        };
-        SafeTail {
-            stamp: now,
-            axes,
             enabled,
         }
     }

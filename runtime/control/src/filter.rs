@@ -7,7 +7,7 @@
 
 use nalgebra::SMatrix;
 
-use super::active_set::{ActiveSet, Cone, LinearRow, VARIABLES_MAX};
+use super::active_set::{ActiveSet, CONES_MAX, Cone, LinearRow, ROWS_MAX, VARIABLES_MAX};
 use super::config::ControlConfig;
 use super::instrument::Stance;
 use super::motion::{AXES, JAW};
@@ -74,6 +74,9 @@ impl Filter {
     /// A filter for `config`.
     #[must_use]
     pub fn new(config: &ControlConfig) -> Self {
+        const {
+            assert!(2 * VARIABLES_MAX + GEOMETRY_MAX <= ROWS_MAX && 2 * ARMS_MAX <= CONES_MAX);
+        }
         let weight = |speed: f64| (speed * speed).recip();
         let linear = weight(config.tip_speed_m_s);
         let angular = weight(config.tip_angular_speed_rad_s);

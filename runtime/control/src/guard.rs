@@ -152,16 +152,17 @@ impl<const ARMS: usize> Guard<ARMS> {
         Ok(guard)
     }
 
-    /// Starts anew for one arm from where `state` is, at rest; an `arm` that there is not is ignored.
+    /// Starts anew for one arm from where `state` is, at rest.
     ///
     /// An arm that is within a boundary stays within it, even if it starts without the margin. Where the arm is beyond a
     /// boundary already, that boundary moves behind the arm by the margin for recovery. Either comes back with the arm. What
     /// two arms keep between them moves by as much as the arm was moved, and so a seed gives the other arm no way.
+    ///
+    /// # Panics
+    /// If there is no such arm.
     pub fn seed(&mut self, arm: usize, state: &MotionState) {
         let before = self.gaps();
-        if let Some(arm) = self.arms.get_mut(arm) {
-            arm.seed(state);
-        }
+        self.arms[arm].seed(state);
         if let (Some(pair), Some(before), [first, second]) =
             (&mut self.pair, before, self.arms.as_slice())
         {
@@ -213,10 +214,10 @@ impl<const ARMS: usize> Guard<ARMS> {
         }
     }
 
-    /// The stop that is held for `arm`, and how much of it has been played, s; `None` for an `arm` that there is not.
+    /// The stop that is held for each arm, and how much of it has been played, s.
     #[must_use]
-    pub fn held(&self, arm: usize) -> Option<(&Stop, f64)> {
-        self.arms.get(arm).map(ArmGuard::held)
+    pub fn held(&self) -> [(&Stop, f64); ARMS] {
+        self.arms.each_ref().map(ArmGuard::held)
     }
 
     /// The next states: for each arm the one that it asks for, if it follows from its `current` one within the limits and

@@ -9,6 +9,7 @@ mod pair;
 #[cfg(test)]
 pub(crate) mod planted;
 
+use hal::count::count_u32;
 use nalgebra::SMatrix;
 
 use super::active_set::VARIABLES_MAX;
@@ -176,7 +177,7 @@ impl Rows {
             .cones
             .iter()
             .filter(|cone| cone.speed(velocity) >= cone.limit * (1.0 - tolerance));
-        u32::try_from(bounds.count() + geometry.count() + cones.count()).unwrap_or(u32::MAX)
+        count_u32(bounds.count() + geometry.count() + cones.count())
     }
 
     /// How far each axis is beyond its lower and its upper bound, with its scale.

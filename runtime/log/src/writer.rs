@@ -292,7 +292,7 @@ impl<W: Write + Seek> LogWriter<W> {
             publish_time: now.0,
         };
         *sequence = sequence.wrapping_add(1);
-        let name = self.names.get(&channel_id).map_or("", String::as_str);
+        let name = &self.names[&channel_id];
         self.contents.message(name, &header, &self.buffer);
         self.writer.write_to_known_channel(&header, &self.buffer)
     }

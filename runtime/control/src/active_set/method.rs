@@ -158,7 +158,7 @@ impl<const N: usize> Method<N> {
             let entering = if let Some(cut) = cut {
                 Active::cut(cut)
             } else if violation > self.tolerance() {
-                Active::linear(self.rows.row(index).ok_or(Failure::TooLarge)?)
+                Active::linear(self.rows.row(index))
             } else if refreshed {
                 return Ok(Entry::Active);
             } else {

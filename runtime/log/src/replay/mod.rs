@@ -294,7 +294,7 @@ impl Recomputed {
     /// What the outputs of a tick and the log disagree on: a command before a report.
     fn difference(&self, step: &Step<'_>, outputs: &PerArm<TickOutput>) -> Option<Difference> {
         let named = |index: usize, found: Difference| {
-            let prefix = self.prefixes.get(index).map_or("", String::as_str);
+            let prefix = &self.prefixes[index];
             Difference {
                 what: format!("{prefix}{}", found.what),
                 ..found

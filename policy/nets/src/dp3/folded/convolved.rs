@@ -5,6 +5,7 @@ use tch::{Device, Kind, TchError, Tensor};
 
 use super::streamed::{Streamed, Workspace};
 use super::taps::Taps;
+use crate::dimension::length;
 use crate::dp3::blocks::{Convolution, Doubling};
 use crate::layers::vectors::Processor;
 
@@ -20,7 +21,7 @@ pub(super) enum By {
 impl By {
     /// The fastest for weights of `kind` on `device`, with the network library's threads.
     pub(super) fn fastest(kind: Kind, device: Device) -> Self {
-        let threads = usize::try_from(tch::get_num_threads()).unwrap_or(1);
+        let threads = length(i64::from(tch::get_num_threads()));
         match Processor::found() {
             Some(processor) if kind == Kind::Float && device == Device::Cpu => {
                 Self::Own(processor, threads)

@@ -2,6 +2,7 @@
 
 use tch::{TchError, Tensor};
 
+use crate::dimension::dimension;
 use crate::dp3::blocks::{Convolution, Doubling};
 use crate::layers::narrow::{Columns, Narrow, Place, Windows};
 use crate::layers::vectors::Processor;
@@ -151,7 +152,7 @@ impl Streamed {
                 columns.set(self.processor, numbers, part.windows);
                 part.weights.apply(columns, out, part.place, self.threads)?;
             }
-            Tensor::f_from_slice(out)?.f_view([1, number(outputs), number(steps)])
+            Tensor::f_from_slice(out)?.f_view([1, dimension(outputs), dimension(steps)])
         };
         let beside = self.beside.as_slice();
         self.of_beside = (!beside.is_empty()).then(|| answer(beside)).transpose()?;
@@ -162,10 +163,6 @@ impl Streamed {
     pub(super) const fn beside(&self) -> Option<&Tensor> {
         self.of_beside.as_ref()
     }
-}
-
-fn number(size: usize) -> i64 {
-    i64::try_from(size).unwrap_or(i64::MAX)
 }
 
 fn size(number: i64) -> Result<usize, TchError> {

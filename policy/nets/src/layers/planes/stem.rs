@@ -196,8 +196,8 @@ impl Picture<'_> {
                     for (line, weight) in weight.iter().enumerate() {
                         let (colour, tap) = (line / TAPS, line % TAPS);
                         let at = (colour * padded_high + 2 * y + tap) * padded_wide + 2 * column;
-                        let seen = self.padded[at..].first_chunk().unwrap_or(&[0.0; SEEN]);
-                        sums = taps(simd, sums, weight, seen, first);
+                        let (seen, _) = self.padded[at..at + SEEN].as_chunks();
+                        sums = taps(simd, sums, weight, &seen[0], first);
                     }
                     for (row, sums) in sums.into_iter().enumerate() {
                         for (vector, sum) in sums.into_iter().enumerate() {
