@@ -167,7 +167,8 @@ impl Drain {
     /// Closes the file and goes on in the `next`.
     fn go_on(&mut self, next: Result<LogWriter<BufWriter<File>>, LogError>) {
         match next {
-            Ok(next) => {
+            Ok(mut next) => {
+                next.go_on_from(&self.writer);
                 let full = core::mem::replace(&mut self.writer, next);
                 let closing = Closing {
                     goes_on: true,

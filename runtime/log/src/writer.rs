@@ -110,6 +110,11 @@ impl<W: Write + Seek> LogWriter<W> {
         Ok(())
     }
 
+    /// Goes on with the run where the file of `before` ends, so that the first tick has the period of any other.
+    pub(super) const fn go_on_from(&mut self, before: &Self) {
+        self.previous_now = before.previous_now;
+    }
+
     /// Whether everything up to the tick at `now` is in the file.
     pub(super) fn has_flushed(&self, now: TimeNs) -> bool {
         self.flushed_at == now
