@@ -13,6 +13,7 @@ pub mod dp3_policy;
 pub mod ensemble;
 pub mod generator;
 pub mod images;
+mod interface;
 pub mod kernels;
 mod layers;
 pub mod loaded_policy;

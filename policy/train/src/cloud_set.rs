@@ -3,6 +3,8 @@
 use hal::FrameRef;
 use tch::{Device, TchError, Tensor};
 
+use super::steps::Split;
+use super::trained::Prepared;
 use super::training_set::{ChunkRow, chunk_of, episode_split, statistics};
 use super::{Progress, TrainError, TrainOptions, Watch};
 use trocar_data::dataset::{Dataset, Episode};
@@ -88,6 +90,19 @@ impl CloudSet {
                 .flat_map(|episode: &Episode| vec![episode.start; episode.len])
                 .collect(),
         })
+    }
+
+    /// The set as a training draws from it; `cloud` made its clouds.
+    pub(super) fn prepared<'a>(&'a self, cloud: &'a CloudRecipe) -> Prepared<'a, CloudStatistics> {
+        Prepared {
+            split: Split {
+                trained: &self.trained,
+                held_out: &self.held_out,
+            },
+            cloud: Some(cloud),
+            features: [&self.statistics.state, &self.statistics.action],
+            statistics: &self.statistics,
+        }
     }
 
     /// All clouds, `(frames, points, 3)`.

@@ -106,7 +106,7 @@ fn act_goes_on_to_the_same_bits_and_nothing_else_goes_on_with_its_state() {
     let file = check(
         &dataset.folder,
         &|state, watch| run(&options, state, watch),
-        |trained| (trained.act.parameters(), &trained.curve),
+        |trained| (trained.network.parameters(), &trained.curve),
     );
     let other = TrainOptions {
         lr: 2e-3,
@@ -145,7 +145,7 @@ fn dp3_goes_on_to_the_same_bits() {
     check(
         &folder,
         &|state, watch| trainer(state).run_dp3(&config, &cloud, &options, &dataset, watch),
-        |trained| (trained.dp3.parameters(), &trained.curve),
+        |trained| (trained.network.parameters(), &trained.curve),
     );
     fs::remove_dir_all(&folder).unwrap();
 }

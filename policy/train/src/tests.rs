@@ -166,12 +166,12 @@ fn run(
     config: &ActConfig,
     scratch: &Scratch,
     options: &TrainOptions,
-) -> Result<Trained, TrainError> {
+) -> Result<Trained<Act>, TrainError> {
     let _alone = ONE_AT_A_TIME.lock().unwrap_or_else(PoisonError::into_inner);
     Trainer::new(Device::Cpu).run(config, options, &scratch.dataset, &mut |_: &Progress| ())
 }
 
-fn train(scratch: &Scratch, options: &TrainOptions) -> Result<Trained, TrainError> {
+fn train(scratch: &Scratch, options: &TrainOptions) -> Result<Trained<Act>, TrainError> {
     run(&config(), scratch, options)
 }
 
@@ -219,14 +219,14 @@ fn training_lowers_the_loss_repeats_itself_and_survives_the_disk() {
     let folder = folder("disk");
     checkpoint::save(
         &folder,
-        &first.act,
+        &first.network,
         &first.statistics,
         &recipe(&config()),
         SaveOptions::default(),
     )
     .unwrap();
     let loaded = checkpoint::load(&folder, Device::Cpu).unwrap();
-    assert_eq!(answer(&first.act), answer(&loaded.act));
+    assert_eq!(answer(&first.network), answer(&loaded.act));
     assert_eq!(first.statistics, loaded.statistics);
     fs::remove_dir_all(&folder).unwrap();
 }
