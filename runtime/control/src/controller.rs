@@ -200,12 +200,14 @@ impl<const ARMS: usize> Controller<ARMS> {
         if !plans.iter().any(|plan| plan.follows) {
             return Filtered::AT_REST;
         }
+        let deviations = self.guard.deviations();
         let inputs: [RowInput<'_>; ARMS] = core::array::from_fn(|arm| RowInput {
             state: &self.arms[arm].commanded,
             stance: &stances[arm],
             moves: plans[arm].follows,
             jaw_effort_n_m: self.arms[arm].jaw_effort_n_m,
             pace: plans[arm].pace,
+            deviation: deviations[arm],
         });
         self.rows.fill(&self.config, &inputs);
         #[cfg(test)]

@@ -188,6 +188,12 @@ impl<const ARMS: usize> Guard<ARMS> {
         }
     }
 
+    /// The deviations that [`Self::observe`] was given last.
+    #[must_use]
+    pub fn deviations(&self) -> [Deviation; ARMS] {
+        self.arms.each_ref().map(|arm| arm.deviation)
+    }
+
     /// How near each measured arm came to its boundaries, and both to one another, while they held torque. Allocates.
     #[must_use]
     pub fn measured(&self, config: &ControlConfig) -> Vec<MeasuredClearance> {

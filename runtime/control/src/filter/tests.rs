@@ -7,6 +7,7 @@ use crate::instrument::Stance;
 use crate::motion::{AXES, JAW, MotionState};
 use crate::report::QpOutcome;
 use crate::rows::tests::{fill, two_arms};
+use crate::Deviation;
 use crate::rows::{RowInput, Rows, Velocities};
 use crate::second_opinion::compare;
 use hal::random::SplitMix64;
@@ -167,6 +168,7 @@ fn an_arm_that_may_not_move_does_not_stop_the_other() {
                 moves: true,
                 jaw_effort_n_m: 0.0,
                 pace: 1.0,
+            deviation: Deviation::default(),
             })
             .collect();
         inputs[1].pace = 0.0;

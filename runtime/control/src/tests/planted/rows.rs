@@ -12,6 +12,7 @@ use crate::instrument::Stance;
 use crate::motion::{AXES, MotionState};
 use crate::region::Shape;
 use crate::rows::planted::{RowFault, Which};
+use crate::Deviation;
 use crate::rows::{RowInput, Rows, Velocities};
 
 /// A filter alone, with a fault in its rows or without.
@@ -73,6 +74,7 @@ impl<'a> Bare<'a> {
                 moves: true,
                 jaw_effort_n_m: 0.0,
                 pace: 1.0,
+            deviation: Deviation::default(),
             })
             .collect();
         self.rows.fill(self.config, &inputs);

@@ -3,6 +3,7 @@
 use super::super::adversary::kinds::below;
 use crate::instrument::Stance;
 use crate::motion::{AXES, AxisLimits, MotionState};
+use crate::Deviation;
 use crate::rows::{RowInput, Rows};
 use crate::smoother::Smoother;
 use crate::stop::AxisStop;
@@ -119,6 +120,7 @@ fn extreme_velocities(seed: u64, ticks: u64) -> [Excess; AXES] {
             moves: true,
             jaw_effort_n_m: 0.0,
             pace: 1.0,
+            deviation: Deviation::default(),
         };
         rows.fill(&config, &[input]);
         let wanted = core::array::from_fn(|axis| {
