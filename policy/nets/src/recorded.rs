@@ -202,7 +202,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_drawn_hangs_on_the_seed_and_not_on_whether_it_was_recorded() {
+    fn random_numbers_depend_on_the_seed_captured_or_not() {
         let on_device = (Kind::Float, device());
         if !device().is_cuda() {
             assert!(Recorder::begin(device()).unwrap().is_none());
@@ -231,8 +231,9 @@ mod tests {
         assert_ne!(next, told);
     }
 
+    /// Random numbers are then drawn as before.
     #[test]
-    fn what_waits_for_the_device_is_not_recorded_and_numbers_are_drawn_as_before() {
+    fn work_that_synchronises_is_not_captured() {
         if !device().is_cuda() {
             return;
         }

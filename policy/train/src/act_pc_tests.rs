@@ -61,8 +61,9 @@ fn train(dataset: &Dataset, options: &TrainOptions) -> Result<Trained<ActPc>, Tr
     )
 }
 
+/// What it trained survives the disk.
 #[test]
-fn training_lowers_the_loss_repeats_itself_and_survives_the_disk() {
+fn training_lowers_the_loss_and_repeats_itself() {
     let (data, dataset) = dataset("act-pc", Some(lens()));
     let first = train(&dataset, &options()).unwrap();
     let (start, end) = (first.curve.rows[0], *first.curve.last().unwrap());

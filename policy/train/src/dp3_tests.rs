@@ -212,8 +212,9 @@ fn answer(policy: &mut Dp3Policy, shown: &[u16]) -> Vec<[f64; 3]> {
     targets.iter().map(|target| target.position_m).collect()
 }
 
+/// What it trained survives the disk.
 #[test]
-fn training_lowers_the_loss_repeats_itself_and_survives_the_disk() {
+fn training_lowers_the_loss_and_repeats_itself() {
     let (data, dataset) = dataset("learns", Some(lens()));
     let first = train(&dataset, &options()).unwrap();
     let (start, end) = (first.curve.rows[0], *first.curve.last().unwrap());
@@ -280,7 +281,7 @@ fn sixteen_bits_learn_as_thirty_two_do() {
 }
 
 #[test]
-fn missing_depth_wrong_frames_and_cut_files_are_refused_with_the_reason() {
+fn missing_depth_and_damaged_files_are_refused() {
     let (plain_folder, plain) = dataset("plain", None);
     let error = train(&plain, &options()).unwrap_err().to_string();
     assert!(error.contains("no observation.depth.endoscope"), "{error}");
@@ -321,8 +322,9 @@ fn missing_depth_wrong_frames_and_cut_files_are_refused_with_the_reason() {
     fs::remove_dir_all(&data).unwrap();
 }
 
+/// What is hidden for a while is trained on and answered; a camera that sees nothing is refused.
 #[test]
-fn what_is_hidden_for_a_while_is_trained_on_and_answered_and_a_camera_that_sees_nothing_refused() {
+fn short_occlusion_is_trained_on_and_blindness_refused() {
     let (data, dataset) = dataset_hiding("hidden", Some(lens()), |frame| frame % 6 == 3);
     let short = TrainOptions {
         steps: 10,

@@ -52,8 +52,9 @@ impl FrameOrder {
 mod tests {
     use super::FrameOrder;
 
+    /// A step can be asked for alone.
     #[test]
-    fn every_frame_comes_once_a_round_and_a_step_can_be_asked_for_alone() {
+    fn each_epoch_has_each_frame_once_from_any_step_on() {
         let frames: Vec<usize> = (10..17).collect();
         let mut order = FrameOrder::new(&frames, 5);
         let steps: Vec<Vec<usize>> = (0..7).map(|step| order.of_step(step, 3)).collect();

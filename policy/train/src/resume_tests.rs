@@ -95,8 +95,9 @@ pub(super) fn check<T: std::fmt::Debug>(
     stopper.file
 }
 
+/// Nothing else goes on with its state.
 #[test]
-fn act_goes_on_to_the_same_bits_and_nothing_else_goes_on_with_its_state() {
+fn act_resumes_to_the_same_bits_and_only_as_itself() {
     let dataset = tests::dataset("resume-act");
     let config = tests::config();
     let options = four_steps(tests::options());

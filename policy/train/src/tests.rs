@@ -182,8 +182,9 @@ fn answer(act: &Act) -> Vec<f32> {
     Vec::<f32>::try_from(chunk.flatten(0, -1)).unwrap()
 }
 
+/// What it trained survives the disk.
 #[test]
-fn training_lowers_the_loss_repeats_itself_and_survives_the_disk() {
+fn training_lowers_the_loss_and_repeats_itself() {
     let dataset = dataset("learns");
     let first = train(&dataset, &options()).unwrap();
     let (start, end) = (first.curve.rows[0], *first.curve.last().unwrap());
@@ -232,7 +233,7 @@ fn training_lowers_the_loss_repeats_itself_and_survives_the_disk() {
 }
 
 #[test]
-fn several_cameras_are_learned_from_wherever_their_images_are_kept() {
+fn images_on_host_or_device_train_the_same() {
     let dataset = dataset_seen_by(&["wrist", "endoscope"], 1, "cameras");
     let cameras = ["wrist", "endoscope"].map(|name| format!("observation.images.{name}"));
     let config = ActConfig {

@@ -323,7 +323,7 @@ fn frames_become_png_images_with_their_lens() {
 }
 
 #[test]
-fn a_frame_whose_pixels_are_missing_fails_the_log_but_not_the_run() {
+fn a_frame_without_pixels_fails_the_log_and_not_the_run() {
     let file = Scratch::new("bad-frame");
     let mut recorder = Recorder::create(&file.0, &header(), Pressure::Block).unwrap();
     let mut frame = CameraFrame::blank(Intrinsics::from_vertical_fov(16, 8, 0.9));

@@ -159,7 +159,7 @@ fn asked_to_stop_an_arm_plays_what_it_holds_and_rests() {
 }
 
 #[test]
-fn a_guard_needs_an_arm_in_the_configuration_for_each_of_its_own() {
+fn a_guard_needs_each_of_its_arms_in_the_configuration() {
     let config = config();
     let error = Guard::new(&config, &[home(); 2], super::TICK_S).unwrap_err();
     let missing = GuardError::Missing {
