@@ -77,7 +77,7 @@ impl ActPolicy {
         Ok(policy)
     }
 
-    /// What the policy says of itself: cameras, step, how often to ask it.
+    /// The checkpoint's recipe: cameras, step, query interval.
     #[must_use]
     pub const fn recipe(&self) -> &Recipe {
         &self.interface.recipe

@@ -129,18 +129,18 @@ pub(crate) fn convolution_backward(
     Ok((of_input, of_weight))
 }
 
-/// A handle of its own of `tensor`, for whom it is given to.
+/// An owned handle of `tensor`, which the receiver releases.
 fn handle(tensor: &Tensor) -> Value {
     let mut own = ManuallyDrop::new(tensor.shallow_clone());
     own.as_mut_ptr().expose_provenance() as Value
 }
 
-/// A list of tensors, for whom it is given to.
+/// A list of tensors, which the receiver releases.
 fn tensors<'a>(of: impl IntoIterator<Item = &'a Tensor>) -> Result<Value, TchError> {
     list(of.into_iter().map(handle))
 }
 
-/// A list, for whom it is given to.
+/// A list, which the receiver releases.
 fn list(of: impl IntoIterator<Item = Value>) -> Result<Value, TchError> {
     let mut list = std::ptr::null_mut();
     // SAFETY: it writes to a variable of ours.

@@ -64,7 +64,10 @@ mod tests {
     #[test]
     #[should_panic(expected = "without dimensions")]
     fn a_scalar_has_no_width() {
-        assert_eq!(width(&Tensor::from_slice(&[[1.0_f32; 5]; 2].concat()).view([2, 5])), 5);
+        assert_eq!(
+            width(&Tensor::from_slice(&[[1.0_f32; 5]; 2].concat()).view([2, 5])),
+            5
+        );
         let _ = width(&Tensor::from(1.0_f32));
     }
 }

@@ -9,8 +9,8 @@ use tch::{Device, TchError, Tensor};
 use crate::checkpoint::{Cause, CheckpointError, Recipe, load_dp3};
 use crate::compute::Compute;
 use crate::dimension::length;
-use crate::interface::{self, Interface};
 use crate::dp3::{CloudObservation, Dp3Config, FoldedDp3, LimitsNormaliser};
+use crate::interface::{self, Interface};
 use trocar_data::perception::{CloudRecipe, Point};
 
 /// A DP3 policy that was loaded from a folder.
@@ -40,7 +40,7 @@ struct Seen {
     state: Vec<f32>,
 }
 
-/// What the network is asked about: observations, the oldest first.
+/// The network's input: observations, the oldest first.
 struct Asked {
     points: Vec<Point>,
     states: Vec<f32>,
@@ -89,7 +89,7 @@ impl Dp3Policy {
         Ok(policy)
     }
 
-    /// What the policy says of itself: cameras, step, how often to ask it.
+    /// The checkpoint's recipe: cameras, step, query interval.
     #[must_use]
     pub const fn recipe(&self) -> &Recipe {
         &self.interface.recipe
@@ -166,7 +166,8 @@ impl Dp3Policy {
         let now = newest.stamp.0;
         for steps in 0..self.observations() as u64 {
             let due = now.saturating_sub(steps.saturating_mul(self.interface.recipe.step_ns));
-            let near = |seen: &&Seen| seen.stamp.0.abs_diff(due) <= self.interface.recipe.step_ns / 2;
+            let near =
+                |seen: &&Seen| seen.stamp.0.abs_diff(due) <= self.interface.recipe.step_ns / 2;
             newest = self.seen.iter().find(near).unwrap_or(newest);
             history.push(newest);
         }

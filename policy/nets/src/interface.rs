@@ -5,7 +5,7 @@ use std::fmt::Display;
 
 use hal::{ArmState, Chunk, FrameRef, Observation, PolicyError};
 
-use crate::checkpoint::{RecordedCamera, Recipe};
+use crate::checkpoint::{Recipe, RecordedCamera};
 use trocar_data::perception::{CloudRecipe, Point};
 use trocar_data::relative_action::chunks_of;
 

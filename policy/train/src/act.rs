@@ -73,7 +73,13 @@ impl Trainer {
                 set: &set,
             })
         };
-        self.train((config, fresh.parameters()), &prepared, options, learner, watch)
+        self.train(
+            (config, fresh.parameters()),
+            &prepared,
+            options,
+            learner,
+            watch,
+        )
     }
 
     /// Kernels of our own for the backbone, where there are some.

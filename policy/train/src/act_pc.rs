@@ -49,7 +49,10 @@ impl Trainer {
             let defect = "ACT-PC is trained in single precision".to_owned();
             return Err(TrainError::Options(defect));
         }
-        check_arms([config.act.state_dim, config.act.action_dim], dataset.arms())?;
+        check_arms(
+            [config.act.state_dim, config.act.action_dim],
+            dataset.arms(),
+        )?;
         self.begin(options);
         let steps = length(config.act.chunk_size);
         let set = CloudSet::new(dataset, cloud, [0, steps], options, watch)?;
@@ -68,7 +71,13 @@ impl Trainer {
                 augmentation: options.augmentation,
             })
         };
-        self.train((config, fresh.parameters()), &prepared, options, learner, watch)
+        self.train(
+            (config, fresh.parameters()),
+            &prepared,
+            options,
+            learner,
+            watch,
+        )
     }
 }
 

@@ -16,7 +16,7 @@ use trocar_nets::dimension::dimension;
 /// Greatest share of frames in which nothing wanted is in view. More is no occlusion: the recipe does not fit the cameras.
 const UNSEEN_SHARE_MAX: f64 = 0.2;
 
-/// Frames that a thread makes clouds of before progress is told.
+/// Frames that a thread converts between two reports of progress.
 const BLOCK_FRAMES: usize = 128;
 
 /// All frames as clouds, states and chunks of relative actions, in SI units.

@@ -102,7 +102,7 @@ impl FrameImages {
         })
     }
 
-    /// Says which frames the next [`Self::batch`] but those asked for before is going to want.
+    /// Announces the frames of a later [`Self::batch`], to be prefetched.
     pub(super) fn announce(&self, frames: &[usize]) {
         if let Self::Streamed(stream) = self {
             stream.announce(frames);

@@ -5,7 +5,7 @@ use hal::random::SplitMix64;
 
 /// Frames in random order, each once before any comes again.
 ///
-/// The frames of a step hang on the seed and the step alone, so that a run can go on from anywhere.
+/// The frames of a step depend on the seed and the step alone, so that a run can resume anywhere.
 pub(super) struct FrameOrder {
     frames: Vec<usize>,
     seed: u64,

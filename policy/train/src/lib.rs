@@ -17,6 +17,7 @@ mod error;
 mod flat;
 mod frame_images;
 mod frame_order;
+mod launch;
 mod options;
 mod plot;
 mod recipes;
@@ -26,7 +27,6 @@ mod run_state;
 mod steps;
 #[cfg(test)]
 mod tests;
-mod told;
 mod trained;
 mod training_set;
 mod watch;

@@ -4,7 +4,7 @@ use serde::{Deserialize, Serialize};
 
 /// Samples that a step may have: more than any device has room for, and few enough to be counted.
 const BATCH_MAX: usize = 1 << 16;
-/// Threads that may be asked for.
+/// The most threads.
 const THREADS_MAX: usize = 1024;
 /// Pixels by which images are shifted at most: no image is larger.
 const SHIFT_PX_MAX: u32 = 4096;

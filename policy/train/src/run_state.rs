@@ -1,6 +1,6 @@
-//! What a training needs to go on as if it had never stopped, in one file.
+//! The state from which a training resumes, in one file.
 //!
-//! Every random number of a step hangs on the run's seed and the step alone, so that there is no state of generators to
+//! Every random number of a step depends on the run's seed and the step alone, so that there is no generator state to
 //! keep: what is kept is the parameters with their optimiser, the moving average, and the curve so far.
 
 use std::collections::BTreeMap;

@@ -15,11 +15,11 @@ use trocar_data::relative_action::RELATIVE_ACTION_DIM;
 use trocar_nets::act::Act;
 use trocar_nets::act_pc::ActPc;
 use trocar_nets::checkpoint::BackboneWeights;
+use trocar_nets::cuda_graph::{allow_tf32_products, sleep_while_waiting};
 use trocar_nets::dimension::dimension;
 use trocar_nets::dp3::Dp3;
 use trocar_nets::normalise::Statistics;
 use trocar_nets::parameters::{ParameterError, ParameterSource, Parameters};
-use trocar_nets::recorded::{allow_tf32_products, sleep_while_waiting};
 
 /// A network that can be trained.
 pub trait Network: Sized {

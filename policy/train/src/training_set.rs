@@ -95,7 +95,7 @@ impl TrainingSet {
     }
 }
 
-/// Indices as a tensor on `device`. On an accelerator nothing waits for what it was asked to do before.
+/// Indices as a tensor on `device`, without waiting for work queued there.
 pub(super) fn index_tensor(indices: &[usize], device: Device) -> Result<Tensor, TchError> {
     let indices: Vec<i64> = indices.iter().map(|&index| dimension(index)).collect();
     send(&Tensor::f_from_slice(&indices)?, device)

@@ -1,4 +1,4 @@
-//! Who watches a run, and what it hears.
+//! The observer of a run, and its progress.
 
 use super::{AnyTrained, CurveRow, RunState, TrainError};
 
@@ -26,7 +26,7 @@ pub enum Progress {
         /// Steps of the whole run.
         steps: u64,
     },
-    /// A step was taken that the watcher wants to hear of: see [`Watch::wants_step`].
+    /// A step that [`Watch::wants_step`] wants was taken.
     Step {
         /// Steps done.
         step: u64,
@@ -49,26 +49,25 @@ pub enum Progress {
     },
 }
 
-/// Who watches a run. A function of [`Progress`] is one that never stops it and keeps nothing.
+/// The observer of a run. A function of [`Progress`] is one that never stops it and stores nothing.
 pub trait Watch {
-    /// Hears where the run stands.
+    /// Reports progress.
     fn progress(&mut self, progress: &Progress);
 
-    /// Whether it wants to hear of the step after which `step` are done; asked after every step. Its loss is then waited for,
-    /// which holds up a device whose work is queued ahead.
+    /// Whether to report the step after which `step` are done; called after every step. Reading its loss waits for the device.
     fn wants_step(&mut self, step: u64) -> bool {
         let _unwanted = step;
         false
     }
 
-    /// Whether it wants the network as it is after `step` steps; asked after every step, and where a run is gone on with.
+    /// Whether to pass the network after `step` steps to [`Self::network`]; called after every step, and when a run resumes.
     fn wants_network(&mut self, step: u64) -> bool {
         let _unwanted = step;
         false
     }
 
-    /// Gets what the run would come to if it ended after `step` steps. The run goes on to the same bits whatever is done with it,
-    /// provided that the network library's number of threads is left as it was.
+    /// Takes the outcome of the run as if it ended after `step` steps. The run continues with the same bits, provided that
+    /// libtorch's number of threads is restored.
     ///
     /// # Errors
     /// Whatever is to end the run.
@@ -77,12 +76,12 @@ pub trait Watch {
         Ok(())
     }
 
-    /// Whether the run should keep its state and stop; asked after every step.
+    /// Whether the run should save its state and stop; called after every step.
     fn wants_stop(&mut self) -> bool {
         false
     }
 
-    /// Keeps the state, every [`TrainOptions::save_every`] steps and when the run is stopped.
+    /// Saves the state, every [`TrainOptions::save_every`] steps and when the run is stopped.
     ///
     /// # Errors
     /// Whatever is to end the run.

@@ -125,7 +125,7 @@ impl<const ARMS: usize> Controller<ARMS> {
         self.filter.solution()
     }
 
-    /// How near each measured arm came to its boundaries while it held torque; to be asked at the end, since it allocates.
+    /// How near each measured arm came to its boundaries while it held torque. For the end of a run: it allocates.
     #[must_use]
     pub fn measured_clearances(&self) -> Vec<MeasuredClearance> {
         self.guard.measured(&self.config)
@@ -139,8 +139,7 @@ impl<const ARMS: usize> Controller<ARMS> {
 
     /// One control period of all arms, which share one `now`.
     ///
-    /// Periods that were missed since the newest tick have been played from its tail by whoever drives the arm; the controller
-    /// goes on from there.
+    /// For periods missed since the newest tick the rig has played the tail; the controller goes on from there.
     pub fn tick_arms(&mut self, inputs: &[TickInput<'_>; ARMS]) -> [TickOutput; ARMS] {
         const { assert!(ARMS > 0) };
         self.catch_up(inputs[0].now);

@@ -48,7 +48,7 @@ pub struct Filtered {
 }
 
 impl Filtered {
-    /// Nothing was asked for.
+    /// No arm follows.
     pub const AT_REST: Self = Self {
         velocity: [0.0; VARIABLES_MAX],
         outcome: QpOutcome::NotNeeded,
@@ -121,7 +121,7 @@ impl Filter {
         &self.problem
     }
 
-    /// The answer to it: the change of each axis in units of its velocity limit.
+    /// Its solution: the change of each axis in units of its velocity limit.
     #[must_use]
     pub const fn solution(&self) -> &Velocities {
         &self.solution

@@ -24,10 +24,10 @@
 //!
 //! *Deviation.* The measured arm is not where the commanded one is. A candidate's stop keeps the margin and how far each link is off, or
 //! was within about the longest stop (`Guard::observe`); where the stops before it kept less, because the deviation grew, it comes no
-//! nearer than they did. This is asked of candidates alone: a stop that is held is played to its end however the deviation grows, so that neither 1 nor 2 depends
-//! on it.
+//! nearer than they did. Only candidates must keep it: a held stop is played to its end however the deviation grows, so neither 1
+//! nor 2 depends on it.
 //!
-//! So either arm may stop at any tick, alone or with the other, be late in playing its stop, or be told to stop by an operator:
+//! So either arm may stop at any tick, alone or with the other, be late in playing its stop, or be stopped by an operator:
 //! nothing has to be checked for it any more. Candidates never need each other: if both together are refused, each is tried
 //! alone, first the one and then in the next tick the other, so that neither arm starves.
 //!
@@ -82,7 +82,7 @@ pub enum Request {
 pub struct Decision {
     /// The state to command.
     pub state: MotionState,
-    /// Whether that is not what was asked for.
+    /// Whether that differs from the request.
     pub intervened: bool,
 }
 
@@ -170,7 +170,7 @@ impl<const ARMS: usize> Guard<ARMS> {
         }
     }
 
-    /// Takes note of how far each measured arm is from the commanded one, and of where those are that hold torque.
+    /// Stores the deviation of each measured arm from the commanded one, and the pose of those that hold torque.
     ///
     /// Until the next call a candidate's stop keeps that much more than the margin from each boundary and from the other arm, or as much of
     /// it as the stops before it kept.
@@ -298,7 +298,7 @@ impl<const ARMS: usize> Guard<ARMS> {
         [false; ARMS]
     }
 
-    /// What a guard that is skipped lets out.
+    /// The output of a guard that is skipped.
     #[cfg(test)]
     fn skipped(&mut self, requests: &[Request; ARMS]) -> Option<[Decision; ARMS]> {
         let skip = |arm: &ArmGuard| arm.planted == Some(PlantedGuardFault::GuardSkipped);

@@ -1,7 +1,7 @@
-//! What the safety filter asks of the velocities of one arm or two, as rows. Hot path: bounded, no allocation, no I/O, no lock.
+//! The safety filter's constraints on the velocities of one arm or two, as rows. Hot path: bounded, no allocation, no I/O, no lock.
 //!
 //! Zero velocity satisfies every row in every state, so that the filter always has an answer: braking is always allowed, and a
-//! boundary that has been passed asks only not to go further.
+//! boundary that has been passed only forbids going further.
 
 mod bounds;
 mod geometry;

@@ -21,7 +21,7 @@ use super::record::{LoggedArm, LoggedTick, TickTiming};
 use super::topic::Topic;
 use trocar_control::OperatorEvent;
 
-/// What a reader hears of, in order.
+/// What a log holds, in order.
 pub(super) enum Event<'a> {
     /// A tick.
     Step(Step<'a>),

@@ -545,7 +545,9 @@ fn a_log_with_a_bound_keeps_the_last_part() {
 /// The periods that the messages of `/timing` in `file` hold, ns.
 fn periods_ns(file: &Scratch) -> Vec<u64> {
     let bytes = std::fs::read(&file.0).unwrap();
-    let messages = mcap::MessageStream::new(&bytes).unwrap().map(Result::unwrap);
+    let messages = mcap::MessageStream::new(&bytes)
+        .unwrap()
+        .map(Result::unwrap);
     let timing = messages.filter(|message| message.channel.topic == "/timing");
     let period = |message: mcap::Message<'_>| {
         let timing: super::json::TimingMessage = serde_json::from_slice(&message.data).unwrap();

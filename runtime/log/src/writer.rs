@@ -120,7 +120,7 @@ impl<W: Write + Seek> LogWriter<W> {
         self.flushed_at == now
     }
 
-    /// Writes what the arm `index` measured, what it was told and how that came about.
+    /// Writes measurement, command and safety report of the arm `index`.
     fn arm(&mut self, index: usize, tick: &TickRecord, arm: &ArmRecord) -> McapResult<()> {
         let measured = arm.measured.as_ref().ok();
         self.joints.set_measured(measured);
@@ -146,7 +146,7 @@ impl<W: Write + Seek> LogWriter<W> {
         self.json(Topic::Safety, index, tick.now, &safety)
     }
 
-    /// Writes the rest of what the controller was given for the arm `index`.
+    /// Writes the other inputs of the controller for the arm `index`.
     fn rest(&mut self, index: usize, item: &TickItem, arm: &ArmRecord) -> McapResult<()> {
         let record = item.chunk_records.get(index).copied().flatten();
         let rest = TickMessage {

@@ -134,7 +134,7 @@ impl Simulation {
         self.judge.observe(&Sight::of(&self.world));
     }
 
-    /// Advances by 1 ms before the episode begins, when nobody leads the arms yet: nothing is judged, and the episode's time
+    /// Advances by 1 ms before the episode begins, before the arms are commanded: nothing is judged, and the episode's time
     /// does not run.
     pub fn wait(&mut self) {
         self.world.step();

@@ -12,10 +12,7 @@ pub(crate) const FAULTS: [Fact; 3] = [
         "a long loss",
         a_lost_measurement_is_told_with_its_age_and_ends,
     ),
-    (
-        "a failure",
-        failed_drives_are_named_and_latch_until_reset,
-    ),
+    ("a failure", failed_drives_are_named_and_latch_until_reset),
 ];
 
 fn a_short_loss_is_bridged(make: Make<'_>) {

@@ -223,7 +223,7 @@ fn arm_on_can(
         if twice || arm.nodes[axis] == arm.master_node {
             let value = arm.nodes[axis].to_string();
             let key = key(&format!("nodes.{axis}"));
-            return Err(source.out_of_range(&key, &value, "numbers that nobody else has"));
+            return Err(source.out_of_range(&key, &value, "numbers that no other node has"));
         }
     }
     let homing = homing_sequences(source, n, arm, &axes)?;

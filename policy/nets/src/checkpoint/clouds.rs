@@ -96,8 +96,7 @@ pub(super) fn read_statistics(
     let file = folder.join(STATISTICS);
     let values = tensors::read(&file)?;
     let of = |feature: &str| {
-        statistics(&values, feature, dimension(dims))
-            .map_err(|cause| cause.in_file(&file))
+        statistics(&values, feature, dimension(dims)).map_err(|cause| cause.in_file(&file))
     };
     let corner = |name: &str| -> Result<Point, CheckpointError> {
         let found = values.get(&format!("observation.points.{name}"));

@@ -15,8 +15,8 @@ use std::ffi::{c_int, c_uint, c_void};
 use hal::count::count_u32;
 use tch::{Device, Kind, TchError, Tensor};
 
+use crate::cuda_graph::stream_of;
 use crate::dimension::length;
-use crate::recorded::stream_of;
 use library::{Argument, Kernel, Library};
 
 /// Threads of a block, in the kernels too.
@@ -168,7 +168,7 @@ impl Kernels {
         })
     }
 
-    /// `affine` of what a convolution gave, plus `identity`, rectified if asked.
+    /// `affine` of a convolution's output, plus the residual `identity`, then ReLU if `rectified`.
     pub(crate) fn forward(
         &self,
         convolved: Tensor,
@@ -196,7 +196,7 @@ impl Kernels {
         Ok((answer, kept))
     }
 
-    /// `affine` of what a convolution gave, the greatest of three by three pixels two apart, rectified; and which of the nine.
+    /// `affine` of a convolution's output, 3x3 max pooling with stride 2, then ReLU; and the index of each maximum.
     pub(crate) fn pooled(
         &self,
         convolved: Tensor,

@@ -141,7 +141,7 @@ impl<const N: usize> Method<N> {
         if settled == Entry::Dependent {
             self.accept_dependent()?;
         }
-        // A violation that is not a number looks like none.
+        // A violation of NaN counts as none.
         if !self.x.iter().all(|entry| entry.is_finite()) {
             return Err(Failure::NotFinite);
         }

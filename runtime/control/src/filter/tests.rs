@@ -1,13 +1,13 @@
 //! Facts about the safety filter.
 
 use super::{Filter, Filtered};
+use crate::Deviation;
 use crate::active_set::VARIABLES_MAX;
 use crate::config::ControlConfig;
 use crate::instrument::Stance;
 use crate::motion::{AXES, JAW, MotionState};
 use crate::report::QpOutcome;
 use crate::rows::tests::{fill, two_arms};
-use crate::Deviation;
 use crate::rows::{RowInput, Rows, Velocities};
 use crate::second_opinion::compare;
 use hal::random::SplitMix64;
@@ -168,7 +168,7 @@ fn an_arm_that_may_not_move_does_not_stop_the_other() {
                 moves: true,
                 jaw_effort_n_m: 0.0,
                 pace: 1.0,
-            deviation: Deviation::default(),
+                deviation: Deviation::default(),
             })
             .collect();
         inputs[1].pace = 0.0;

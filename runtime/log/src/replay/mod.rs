@@ -124,7 +124,7 @@ pub enum ReplayError {
     /// There is no such arm in it.
     #[error("the log has no arm {index}, counted from 0")]
     NoArm {
-        /// The one asked for.
+        /// The requested one.
         index: usize,
     },
 }

@@ -129,7 +129,7 @@ fn what_cannot_be_is_named_with_its_place() {
         (
             "[1, 2, 3",
             "[1, 1, 3",
-            "arm.0.nodes.1 = 1 is outside numbers that nobody else has",
+            "arm.0.nodes.1 = 1 is outside numbers that no other node has",
         ),
         (
             "[1, 2, 3",

@@ -1,4 +1,4 @@
-//! Convolutions over so few steps that reading their weights takes the time, on the CPU.
+//! Convolutions over so few steps that reading their weights bounds the time, on the CPU.
 
 use tch::{TchError, Tensor};
 
@@ -14,9 +14,9 @@ pub(super) struct Streamed {
     threads: usize,
     /// One product; of a doubling one for the even and one for the odd steps.
     parts: Vec<Part>,
-    /// The convolution of a single tap beside it.
+    /// The residual connection's convolution, of a single tap.
     beside: Option<Part>,
-    /// What that made of what was last applied to.
+    /// Its output for the last input.
     of_beside: Option<Tensor>,
     inputs: usize,
     steps: usize,
@@ -38,7 +38,7 @@ pub(super) struct Workspace {
 }
 
 impl Streamed {
-    /// `convolution` over `steps`, and one of a single tap and as many outputs beside it.
+    /// `convolution` over `steps`, and the residual connection's, of a single tap and as many outputs.
     pub(super) fn new(
         convolution: &Convolution,
         beside: Option<&Convolution>,
@@ -159,7 +159,7 @@ impl Streamed {
         answer(&self.parts)
     }
 
-    /// What the convolution beside made of what was last applied to.
+    /// The residual connection's output for the last input.
     pub(super) const fn beside(&self) -> Option<&Tensor> {
         self.of_beside.as_ref()
     }

@@ -1,4 +1,4 @@
-//! What weights are multiplied with: few columns, a row at a time beside each other.
+//! The right-hand side of the product: few columns, packed row by row.
 
 use crate::layers::vectors::Processor;
 

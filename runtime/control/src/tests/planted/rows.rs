@@ -6,13 +6,13 @@ use super::super::adversary::eyes::Boundary;
 use super::super::adversary::rig::Scene;
 use super::measure::{RATE_TOLERANCE_M_S, rate, stop_distance, tip_shares};
 use super::places::{Place, places};
+use crate::Deviation;
 use crate::config::ControlConfig;
 use crate::filter::Filter;
 use crate::instrument::Stance;
 use crate::motion::{AXES, MotionState};
 use crate::region::Shape;
 use crate::rows::planted::{RowFault, Which};
-use crate::Deviation;
 use crate::rows::{RowInput, Rows, Velocities};
 
 /// A filter alone, with a fault in its rows or without.
@@ -74,7 +74,7 @@ impl<'a> Bare<'a> {
                 moves: true,
                 jaw_effort_n_m: 0.0,
                 pace: 1.0,
-            deviation: Deviation::default(),
+                deviation: Deviation::default(),
             })
             .collect();
         self.rows.fill(self.config, &inputs);

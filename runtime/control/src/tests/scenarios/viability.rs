@@ -1,9 +1,9 @@
 //! Axes at their extremes: whatever an axis is asked for, it can still stop within its range.
 
 use super::super::adversary::kinds::below;
+use crate::Deviation;
 use crate::instrument::Stance;
 use crate::motion::{AXES, AxisLimits, MotionState};
-use crate::Deviation;
 use crate::rows::{RowInput, Rows};
 use crate::smoother::Smoother;
 use crate::stop::AxisStop;

@@ -30,7 +30,8 @@ impl Stage {
                         let rows = arms[of].jacobian(part, &contact.point, &axes);
                         let patch_m = contact.surface.patch_m;
                         let [n, t, u, spin] = rows;
-                        let scaled = |row: [f64; AXIS_COUNT], scale: f64| row.map(|entry| scale * entry);
+                        let scaled =
+                            |row: [f64; AXIS_COUNT], scale: f64| row.map(|entry| scale * entry);
                         let [n, t, u] = [n, t, u].map(|row| scaled(row, sign));
                         let rows = [n, t, u, scaled(spin, sign * patch_m)];
                         let drives = &self.masses.drives[AXIS_COUNT * slot..];
