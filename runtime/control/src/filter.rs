@@ -34,6 +34,30 @@ pub struct Problem {
     pub cones: Vec<Cone>,
 }
 
+impl Problem {
+    /// The rows that `change` touches, in the order of [`names`](super::rows::names). An axis that may not move at all touches none: it is
+    /// given, not limited.
+    pub fn active<'a>(&'a self, change: &'a Velocities) -> impl Iterator<Item = usize> + 'a {
+        let touches =
+            move |row: &LinearRow| dot(&row.coefficients, change) >= row.bound - ACTIVE_TOLERANCE;
+        let given = move |index: usize| {
+            let pair = self.rows.get(index & !1).zip(self.rows.get(index | 1));
+            index < 2 * self.variables
+                && pair.is_some_and(|(one, other)| touches(one) && touches(other))
+        };
+        let rows = self.rows.iter().enumerate();
+        let rows = rows.filter(move |(index, row)| touches(row) && !given(*index));
+        let first = self.rows.len();
+        let cones = self.cones.iter().enumerate().filter(|(_, cone)| {
+            let reach = cone.matrix.iter().zip(&cone.offset);
+            let squares = reach.map(|(row, offset)| (dot(row, change) + offset).powi(2));
+            squares.sum::<f64>().sqrt() >= cone.radius * (1.0 - ACTIVE_TOLERANCE)
+        });
+        let cones = cones.map(move |(index, _)| first + index);
+        rows.map(|(index, _)| index).chain(cones)
+    }
+}
+
 /// What the filter made of the velocities.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Filtered {

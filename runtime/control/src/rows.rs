@@ -5,6 +5,7 @@
 
 mod bounds;
 mod geometry;
+mod names;
 mod pair;
 #[cfg(test)]
 pub(crate) mod planted;
@@ -15,6 +16,8 @@ use super::active_set::VARIABLES_MAX;
 use super::config::{ControlConfig, FORBIDDEN_MAX};
 use super::instrument::Stance;
 use super::motion::{AXES, AxisLimits, MotionState};
+
+pub use names::names;
 
 /// Most arms of a controller.
 pub const ARMS_MAX: usize = 2;
