@@ -121,6 +121,11 @@ pub fn read_steps<E: From<LogError>>(
     }
 }
 
+/// Opens a file to be read from its beginning to its end.
+pub(super) fn buffered(path: &Path) -> Result<BufReader<File>, LogError> {
+    open(path).map(BufReader::new)
+}
+
 /// Opens a file; a device or a pipe may never end.
 fn open(path: &Path) -> Result<File, LogError> {
     let unreadable = |source| LogError::Read {
@@ -141,7 +146,7 @@ impl RunLog {
     /// # Errors
     /// [`LogError`] when there is no such file, it is no log of ours, or bytes in it have changed.
     pub fn open(path: &Path) -> Result<Self, LogError> {
-        Self::read(path, BufReader::new(open(path)?))
+        Self::read(path, buffered(path)?)
     }
 
     /// Reads a log from memory; `path` is for messages.

@@ -146,6 +146,12 @@ impl Simulation {
         self.judge.outcome()
     }
 
+    /// What has not happened as long as there is no success, in words.
+    #[must_use]
+    pub fn missing(&self) -> &'static str {
+        self.judge.missing()
+    }
+
     /// What the flap has gone through since the episode began, if there is one.
     #[must_use]
     pub fn tissue_extremes(&self) -> Option<TissueExtremes> {

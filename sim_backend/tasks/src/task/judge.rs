@@ -212,6 +212,11 @@ impl Judge {
         self.outcome
     }
 
+    /// What has not happened as long as there is no success, in words.
+    pub(crate) fn missing(&self) -> &'static str {
+        self.monitor.missing()
+    }
+
     /// Takes in the state after one millisecond.
     pub(crate) fn observe(&mut self, sight: &Sight) {
         if self.outcome != Outcome::Running {
