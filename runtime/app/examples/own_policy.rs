@@ -72,6 +72,7 @@ pub fn run() -> Result<RunResult, SessionError> {
         latency_ms: Some(40),
         latency_jitter_ms: 0,
         compute: Device::Cpu.into(),
+        console: None,
         warn: tell,
     };
     let source = ChunkSource::policy(Box::<Circles>::default(), Vec::new(), QUERY_EVERY_STEPS);

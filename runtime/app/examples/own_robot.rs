@@ -118,6 +118,7 @@ pub fn run(safety: &Path, log: PathBuf) -> Result<RunResult, SessionError> {
         latency_ms: None,
         latency_jitter_ms: 0,
         compute: Device::Cpu.into(),
+        console: None,
         warn: tell,
     };
     let asked = RobotOptions {

@@ -87,6 +87,7 @@ pub fn run(
         latency_ms: None,
         latency_jitter_ms: 0,
         compute: Device::Cpu.into(),
+        console: None,
         warn: |_| (),
     };
     on_progress(&format!(
@@ -140,6 +141,7 @@ mod tests {
             latency_ms: None,
             latency_jitter_ms: 0,
             compute: Device::Cpu.into(),
+            console: None,
             warn: |_| (),
         };
         let log = PathBuf::from("run.mcap");

@@ -214,6 +214,7 @@ impl<'a> TrialWorker<'a> {
             latency_ms: self.options.latency_ms,
             latency_jitter_ms: self.options.latency_jitter_ms,
             compute: self.options.compute,
+            console: None,
             warn: |_| (),
         };
         Keeper::begin(keep, self.setup, &run).map(Some)

@@ -17,6 +17,7 @@ use super::source::{ChunkSource, PolicyChoice};
 use super::summary::RunSummary;
 use super::tally::RunLabels;
 use super::{SessionError, Setup, outputs, pictures};
+use crate::console::Console;
 use crate::rt;
 use trocar_control::{ControlConfig, MeasuredClearance, beyond};
 use trocar_log::{Level, LogError, Pressure, Recorder, RunHeader, RunOutcome, TickRecord, Writing};
@@ -49,6 +50,8 @@ pub struct RunOptions {
     pub latency_jitter_ms: u64,
     /// Where and how the network computes.
     pub compute: Compute,
+    /// The page that shows a run in real time, if there is one.
+    pub console: Option<Console>,
     /// Says at once what a person should know, from any thread.
     pub warn: fn(&str),
 }

@@ -3,6 +3,7 @@
 use std::path::Path;
 
 use tch::Device;
+use trocar::console::{Address, Console};
 use trocar::doctor::{self, Probes};
 use trocar::rt;
 use trocar::session::changes::{Change, Changes, ConfigFile};
@@ -21,13 +22,16 @@ use trocar_tasks::task::TaskConfig;
 
 use crate::args::{
     Backend, ComputeArgs, ComputeDevice, DemoArgs, DoctorArgs, LogArgs, PolicyProcessArgs,
-    Precision, RunArgs, Video,
+    Precision, ReplayArgs, RunArgs, Video,
 };
 use crate::console;
 use crate::drives::can_source;
 use crate::scene_args::{of_policy, of_task, policy_files};
 
 pub(crate) type Done = Result<bool, SessionError>;
+
+/// Time between two looks at whether a signal has come, ns.
+const CONSOLE_POLL_NS: u64 = 50_000_000;
 
 pub(crate) fn device(choice: ComputeDevice) -> Result<Device, SessionError> {
     match choice {
@@ -118,6 +122,7 @@ pub(crate) fn run(args: &RunArgs) -> Done {
     let policy = PolicyChoice::parse(&args.policy).within_s(args.policy_timeout);
     policy.check_exists()?;
     note_awaited(&policy, 1);
+    let console = args.console.map(open_console).transpose()?;
     let options = RunOptions {
         policy,
         seed: args.seed,
@@ -127,20 +132,28 @@ pub(crate) fn run(args: &RunArgs) -> Done {
         latency_ms: args.latency_ms,
         latency_jitter_ms: args.latency_jitter_ms,
         compute: compute(&args.compute)?,
+        console,
         warn: console::warning,
     };
     if let Some(reason) = operator::check().filter(|_| !args.lockstep) {
         console::warning(&format!("no operator's verb will reach this run: {reason}"));
     }
     let result = match (&args.task, &args.safety) {
-        (Some(task), _) => run_task(task, args, &options, can)?,
-        (None, Some(safety)) => run_robot(safety, args, &options, can)?,
+        (Some(task), _) => run_task(task, args, &options, can),
+        (None, Some(safety)) => run_robot(safety, args, &options, can),
         (None, None) => {
             let reason =
                 "run needs --task NAME, or for a robot without one --backend can --safety FILE";
-            return Err(SessionError::BadArgument(reason.to_owned()));
+            Err(SessionError::BadArgument(reason.to_owned()))
         }
     };
+    if let Some(console) = &options.console {
+        match &result {
+            Ok(result) => console.close(result.summary.success, &result.summary.reason),
+            Err(error) => console.close(Some(false), &error.to_string()),
+        }
+    }
+    let result = result?;
     report_run(&result.summary);
     if let Some(path) = &args.json {
         write_json(path, &result.summary)?;
@@ -149,6 +162,13 @@ pub(crate) fn run(args: &RunArgs) -> Done {
         Some(error) => Err(error.into()),
         None => Ok(result.ok),
     }
+}
+
+/// Opens the page and says where it is.
+fn open_console(address: Address) -> Result<Console, SessionError> {
+    let page = Console::open(address)?;
+    console::note(&format!("trocar: console: {}", page.url()));
+    Ok(page)
 }
 
 fn run_task(
@@ -320,7 +340,28 @@ fn nearest(measured: &[MeasuredClearance]) -> String {
     )
 }
 
-pub(crate) fn replay(args: &LogArgs) -> Done {
+pub(crate) fn replay(args: &ReplayArgs) -> Done {
+    let page = args.console.map(open_console).transpose()?;
+    let replayed = replay_log(&args.log);
+    let Some(page) = page else {
+        return replayed;
+    };
+    // A log that differs, or ends too early, is what one wants to see.
+    if matches!(&replayed, Ok(_) | Err(SessionError::CutLog { .. })) {
+        page.show_log(&args.log.file)?;
+        rt::catch_interrupts().map_err(|error| {
+            SessionError::RealTime(format!("signals can't be caught: {error}"))
+        })?;
+        console::note("trocar: the console shows the log; Ctrl-C ends it");
+        while !rt::interrupted() {
+            rt::sleep_ns(CONSOLE_POLL_NS);
+        }
+    }
+    page.close(None, "the console has been closed");
+    replayed
+}
+
+fn replay_log(args: &LogArgs) -> Done {
     check_result(args)?;
     forget_result(args)?;
     let result = replaying::replay_file::<SessionError>(&args.file)?;

@@ -21,6 +21,7 @@ mod ended;
 mod on_can;
 mod policy_process;
 mod robot;
+mod shown;
 mod signals;
 mod simulation_thread;
 mod watch;
@@ -53,6 +54,8 @@ use camera_thread::{CameraEnd, CameraThread, Snapshot};
 use child::{PolicyChild, check_cameras};
 use control_thread::{ControlEnd, ControlThread};
 use hal::PerArm;
+use on_can::wired;
+use shown::show_task;
 use signals::{Moving, Signals};
 use simulation_thread::{SimulationEnd, SimulationThread, Snapshots};
 use trocar_log::{LogFile, Recorder, RunOutcome, SideLog, TickLog};
@@ -132,13 +135,17 @@ fn run_threads(
     let (commands, commands_out) = RingBuffer::new(COMMANDS);
     let (chunk_in, chunks) = RingBuffer::<PerArm<Chunk>>::new(CHUNK_QUEUE);
     let (snapshot_in, snapshots) = mailbox::<Snapshot>();
+    let (listener, mut operator) = listen(true);
+    let port = (listener.as_ref(), &mut operator);
+    let (console_view, console_cameras) = show_task(setup, options, port).unzip();
     let signals = Arc::new(Signals::default());
     // Slow things first: opening a device takes longer than an episode's first second.
-    let camera_thread = (options.wants_frames() || child.is_some())
+    let camera_thread = (options.wants_frames() || child.is_some() || console_cameras.is_some())
         .then(|| {
             let node = child.as_deref().map(PolicyChild::node);
             let start = simulation.snapshot();
             let seen = child.as_deref().map_or_else(Vec::new, PolicyChild::cameras);
+            let snapshots = (snapshots, console_cameras);
             CameraThread::new(setup, options, &seen, node, snapshots, &start)
         })
         .transpose()?;
@@ -148,11 +155,9 @@ fn run_threads(
         query_every_steps: child.as_deref().map(PolicyChild::query_every_steps),
         history_steps: child.as_deref().map_or(0, PolicyChild::history_steps),
         frames: options.wants_frames(),
+        console: console_view,
     });
-    let (local, remote) = match source {
-        Some(source) => (Some((source, chunk_in)), None),
-        None => (None, child.map(|child| (child, chunk_in))),
-    };
+    let (local, remote) = wired(source, child, chunk_in);
     let simulation_thread = SimulationThread {
         simulation,
         measured: measured_in,
@@ -165,7 +170,6 @@ fn run_threads(
     let first = clock.now().plus_ns(START_NS);
     // Half a period after the simulation, to see this period's measurement.
     let periodic = Periodic::new(clock, first.plus_ns(TICK_NS / 2), TICK_NS);
-    let (listener, operator) = listen(true);
     let control_thread = ControlThread {
         controller,
         rig: ThreadsRig::new(measured, commands, periodic),

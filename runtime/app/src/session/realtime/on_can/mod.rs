@@ -37,6 +37,7 @@ use trocar_topics::{SceneTopic, TopicNode};
 use super::child::{Outside, PolicyChild, check_cameras};
 use super::control_thread::{ControlEnd, ControlThread};
 use super::robot::{RobotOptions, RobotThread};
+use super::shown::show_rig;
 use super::signals::{Moving, StopsAll};
 use super::watch::{Watched, watch};
 use super::wires::{ControlWires, Local, Wires};
@@ -153,7 +154,9 @@ pub fn run_on_can(
     awaited::still_there(&mut cameras, clock, &can.topics, say)?;
     drop(cameras);
     let recorder = open_log(setup, options, false)?;
-    let wires = Wires::new(recorder, clock);
+    let mut wires = Wires::new(recorder, clock);
+    let port = (wires.listener.as_ref(), &mut wires.control.operator);
+    show_rig(&setup.task_name, &setup.control, options, port);
     let reports = arm_reports(&node, count, child.is_some())?;
     let (local, remote) = wired(local.take(), child.as_mut(), wires.chunk_in);
     let seen = wires.seen;
@@ -240,7 +243,9 @@ pub fn run_robot_on_can(
     let ready = bring_up(can, buses, say)?;
     awaited::still_there(&mut cameras, clock, &can.topics, say)?;
     let recorder = open_log_with(&robot.header(options), options)?;
-    let wires = Wires::new(recorder, clock);
+    let mut wires = Wires::new(recorder, clock);
+    let port = (wires.listener.as_ref(), &mut wires.control.operator);
+    show_rig("robot", &robot.control, options, port);
     let reports = arm_reports(&node, count, child.is_some())?;
     let (local, remote) = wired(local.take(), child.as_mut(), wires.chunk_in);
     let cameras = (cameras, seen_by_policy);
@@ -273,7 +278,7 @@ struct Ends<T> {
 }
 
 /// A policy of another process with the queue for its chunks.
-type Remote<'a> = Option<(&'a mut PolicyChild, Producer<PerArm<Chunk>>)>;
+pub(super) type Remote<'a> = Option<(&'a mut PolicyChild, Producer<PerArm<Chunk>>)>;
 
 /// The cameras that `network` looks through, with their sizes in pixels.
 fn looked_at(network: &LoadedPolicy) -> Vec<(String, Option<(u32, u32)>)> {
@@ -328,7 +333,7 @@ fn external_child(
 }
 
 /// Gives the queue for chunks to whoever answers: a source of this process, or the policy process.
-fn wired(
+pub(super) fn wired(
     source: Option<ChunkSource>,
     child: Option<&mut PolicyChild>,
     chunk_in: Producer<PerArm<Chunk>>,

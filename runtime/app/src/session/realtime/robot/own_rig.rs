@@ -8,6 +8,7 @@ use hal::Rig;
 use super::super::control_thread::ControlThread;
 use super::super::ended::closed;
 use super::super::joined;
+use super::super::shown::show_rig;
 use super::super::signals::Moving;
 use super::super::watch::watch;
 use super::super::wires::{ControlWires, Wires};
@@ -41,7 +42,9 @@ pub fn run_rig<R: Rig + Send>(
     rt::catch_interrupts_in_motion()
         .map_err(|error| SessionError::RealTime(format!("catching signals failed: {error}")))?;
     let recorder = open_log_with(&robot.header(options), options)?;
-    let wires = Wires::new(recorder, clock);
+    let mut wires = Wires::new(recorder, clock);
+    let port = (wires.listener.as_ref(), &mut wires.control.operator);
+    show_rig("robot", &robot.control, options, port);
     let ControlWires {
         measured,
         chunks,
