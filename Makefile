@@ -1,5 +1,5 @@
 # Two commands do everything on a fresh machine: `make demo` and `make test`.
-.PHONY: demo dist test-dist test check test-adversary test-golden test-can test-python test-study test-slurm adversary fuzz-can build setup setup-can setup-browser setup-python bench clean
+.PHONY: demo dist test-dist test check test-adversary test-golden test-can test-python test-study test-console test-slurm adversary fuzz-can build setup setup-can setup-browser setup-python bench clean
 
 TROCAR := $(or $(CARGO_TARGET_DIR),target)/release/trocar
 DEBUG_TROCAR := $(or $(CARGO_TARGET_DIR),target)/debug/trocar
@@ -23,6 +23,7 @@ test: build
 	$(MAKE) test-can
 	$(MAKE) test-python
 	$(MAKE) test-study
+	$(MAKE) test-console
 
 # Format, lints and unit tests of the crates that differ from HEAD: for the time while you work.
 check: setup
@@ -46,6 +47,11 @@ test-python: setup setup-python
 # A tiny study interrupted, killed, gone on with, in two shards, reported, its page opened in a browser.
 test-study: build setup-browser
 	cargo test --locked --workspace --test study -- --include-ignored
+
+# The web console in a browser: it shows and steers a run, comes back after a cut, fits its window; pictures of it in target/scratch.
+test-console: setup setup-browser
+	cargo build --locked -p trocar
+	cargo test --locked --workspace --test console -- --include-ignored
 
 # The Slurm array script on a cluster of this one machine: installs slurm-wlm, needs root, and is no part of `make test`.
 test-slurm: build
@@ -84,7 +90,7 @@ setup:
 setup-can:
 	@.ci/setup-can.sh
 
-# Only the tests of reports need what this installs.
+# Only the tests of reports and of the console need what this installs.
 setup-browser:
 	@.ci/setup-browser.sh
 

@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# Installs what only the tests of reports need and is missing: chromium. Safe to run twice and to cut off anywhere.
+# Installs what only the tests of reports and of the console need and is missing: chromium. Safe to run twice and to cut off anywhere.
 set -euo pipefail
 
 say() { printf 'setup-browser: %s\n' "$*" >&2; }

@@ -1,4 +1,4 @@
-//! A chunk: what a policy wants the tip to do over the next steps.
+//! A chunk: a policy's tip targets for the next steps.
 
 use iceoryx2_bb_derive_macros::ZeroCopySend;
 use iceoryx2_bb_elementary_traits::zero_copy_send::ZeroCopySend;

@@ -4,6 +4,7 @@ pub mod arm;
 pub mod camera;
 pub mod chunk;
 pub mod config;
+pub mod count;
 pub mod joints;
 pub mod mesh;
 pub mod per_arm;

@@ -2,6 +2,8 @@
 
 use nalgebra::{Point3, Vector3};
 
+use crate::count::count_u32;
+
 /// A triangle mesh in its own frame, metres; triangles that are counter-clockwise from where one looks face there, which is
 /// outwards for solids.
 #[derive(Clone, Debug, Default)]
@@ -17,7 +19,7 @@ pub struct Mesh {
 impl Mesh {
     /// Adds a vertex at `position` (m) whose normal has the direction of `normal`, +z if that has no length; its index.
     pub fn vertex(&mut self, position: Point3<f64>, normal: Vector3<f64>) -> u32 {
-        let index = u32::try_from(self.positions.len()).unwrap_or(u32::MAX);
+        let index = count_u32(self.positions.len());
         let normal = normal.try_normalize(1e-12).unwrap_or_else(Vector3::z);
         self.positions.push(single(&position.coords));
         self.normals.push(single(&normal));
@@ -55,7 +57,7 @@ impl Mesh {
     pub fn merged(meshes: impl IntoIterator<Item = Self>) -> Self {
         let mut whole = Self::default();
         for mesh in meshes {
-            let first = u32::try_from(whole.positions.len()).unwrap_or(u32::MAX);
+            let first = count_u32(whole.positions.len());
             whole.positions.extend(mesh.positions);
             whole.normals.extend(mesh.normals);
             whole
@@ -68,14 +70,10 @@ impl Mesh {
     /// The same without triangles that have no area, as they arise at poles. The vertices stay.
     #[must_use]
     pub fn without_slivers(mut self) -> Self {
-        let at = |index: u32| {
-            self.positions
-                .get(index as usize)
-                .map(|p| Vector3::from(p.map(f64::from)))
-        };
-        let area = |t: &[u32]| match (at(t[0]), at(t[1]), at(t[2])) {
-            (Some(a), Some(b), Some(c)) => (b - a).cross(&(c - a)).norm(),
-            _ => 0.0,
+        let at = |index: u32| Vector3::from(self.positions[index as usize].map(f64::from));
+        let area = |t: &[u32]| {
+            let [a, b, c] = [t[0], t[1], t[2]].map(at);
+            (b - a).cross(&(c - a)).norm()
         };
         self.indices = self
             .indices

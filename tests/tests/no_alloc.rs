@@ -2,6 +2,8 @@
 
 #[path = "no_alloc/can.rs"]
 mod can;
+#[path = "no_alloc/console.rs"]
+mod console;
 
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;

@@ -2,6 +2,8 @@
 
 use core::fmt;
 
+use hal::count::count_u8;
+
 /// Most data bytes in a classical frame.
 pub const PAYLOAD_MAX: usize = 8;
 
@@ -175,7 +177,7 @@ impl std::error::Error for WireError {}
 /// `bytes` as an array of the length that a service has.
 pub(crate) fn exactly<const N: usize>(bytes: &[u8]) -> Result<[u8; N], WireError> {
     bytes.try_into().map_err(|_| WireError::Length {
-        expected: u8::try_from(N).unwrap_or(u8::MAX),
+        expected: const { count_u8(N) },
         found: u8::try_from(bytes.len()).unwrap_or(u8::MAX),
     })
 }

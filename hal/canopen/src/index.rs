@@ -69,7 +69,7 @@ addresses! {
     HALT_OPTION = 0x605D, 0;
     /// How to stop at a fault.
     FAULT_OPTION = 0x605E, 0;
-    /// Mode of operation asked for.
+    /// Commanded mode of operation.
     MODE = 0x6060, 0;
     /// Mode of operation taken.
     MODE_DISPLAY = 0x6061, 0;

@@ -1,4 +1,4 @@
-//! Buses with emulated drives on them and a master beside them, in virtual time.
+//! Buses with emulated drives and a master, in virtual time.
 
 mod passage;
 mod seat;
@@ -49,7 +49,7 @@ struct Drive<M> {
 struct Line {
     wire: Wire,
     masters: Vec<Seat>,
-    /// Whose frames are nobody's here.
+    /// Whose frames no node here receives.
     stranger: usize,
     delayed: Vec<(TimeNs, Delivery)>,
 }
@@ -66,7 +66,7 @@ impl<M> core::fmt::Debug for Network<M> {
 
 /// Up to three buses, their drives, and the ends of each that masters have.
 ///
-/// There is one master, for whom this is a [`Bus`](trocar_canopen::master::Bus); others can be added. They hear each other, as on any bus.
+/// There is one master, for whom this is a [`Bus`](trocar_canopen::master::Bus); others can be added. They receive each other's frames, as on any bus.
 pub struct Network<M> {
     now: TimeNs,
     next_step: TimeNs,

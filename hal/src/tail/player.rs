@@ -3,7 +3,7 @@
 use super::SafeTail;
 use crate::{ArmCommand, TimeNs};
 
-/// Finishes the stop for a backend whose controller has fallen silent.
+/// Plays the tail for a backend whose controller sends no more commands.
 ///
 /// The backend asks once a period what to do. It reads no clock: a period without a new command is a period of the stop.
 #[derive(Clone, Copy, Debug)]

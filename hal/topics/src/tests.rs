@@ -409,7 +409,7 @@ fn digest(colour: &[u8], depth_m: &[f32], instance: &[u8]) -> u64 {
 }
 
 #[test]
-fn two_processes_exchange_frames_and_chunks_and_a_killed_one_is_replaced() {
+fn processes_exchange_frames_and_a_killed_one_is_replaced() {
     let run = run_id("two");
     let node = TopicNode::join(&run).unwrap();
     let intrinsics = lens(512, 512);

@@ -6,13 +6,12 @@ use hal::{Chunk, Observation, Policy, PolicyError};
 use tch::{Device, TchError, Tensor};
 
 use crate::act_pc::{ActPcConfig, Clouds, CloudsError, FoldedActPc};
-use crate::act_policy::state_numbers;
 use crate::checkpoint::{Cause, CheckpointError, Recipe, load_act_pc};
 use crate::compute::Compute;
-use crate::dp3_policy::check_frames;
+use crate::dimension::length;
+use crate::interface::{self, Interface};
 use crate::normalise::Normaliser;
 use trocar_data::perception::{CloudRecipe, Point};
-use trocar_data::relative_action::absolute_chunks;
 
 /// An ACT-PC policy that was loaded from a folder.
 #[derive(Debug)]
@@ -20,11 +19,10 @@ pub struct ActPcPolicy {
     config: ActPcConfig,
     network: FoldedActPc,
     device: Device,
-    recipe: Recipe,
+    interface: Interface,
     cloud: CloudRecipe,
     state: Normaliser,
     action: Normaliser,
-    sequence: u64,
 }
 
 impl ActPcPolicy {
@@ -44,11 +42,10 @@ impl ActPcPolicy {
             config: loaded.network.config().clone(),
             network,
             device,
-            recipe: loaded.recipe,
+            interface: Interface::new(loaded.recipe),
             cloud: loaded.cloud,
-            sequence: 0,
         };
-        let dims = usize::try_from(policy.config.act.state_dim).unwrap_or(0);
+        let dims = length(policy.config.act.state_dim);
         let nothing = vec![[0.0; 3]; policy.cloud.points];
         policy
             .actions(&nothing, &vec![0.0; dims])
@@ -56,10 +53,10 @@ impl ActPcPolicy {
         Ok(policy)
     }
 
-    /// What the policy says of itself: cameras, step, how often to ask it.
+    /// The checkpoint's recipe: cameras, step, query interval.
     #[must_use]
     pub const fn recipe(&self) -> &Recipe {
-        &self.recipe
+        &self.interface.recipe
     }
 
     /// How its clouds are made.
@@ -85,31 +82,13 @@ impl ActPcPolicy {
 impl Policy for ActPcPolicy {
     fn reset(&mut self, _seed: u64) {
         // Inference draws nothing at random: the latent is zero.
-        self.sequence = 0;
+        self.interface.sequence = 0;
     }
 
     fn infer(&mut self, observation: &Observation<'_>) -> Result<Vec<Chunk>, PolicyError> {
-        let (expected, actual) = (self.recipe.arms, observation.arms.len());
-        if expected != actual {
-            return Err(PolicyError::ArmCount { expected, actual });
-        }
-        check_frames(&self.recipe.cameras, observation.frames)?;
-        let cloud = self
-            .cloud
-            .cloud(observation.frames)
-            .map_err(|error| PolicyError::Inference(format!("point cloud: {error}")))?;
-        let arms = observation.arms.iter();
-        let state: Vec<f32> = arms.flat_map(|arm| state_numbers(&arm.state)).collect();
-        let actions = self
-            .actions(&cloud, &state)
-            .map_err(|error| PolicyError::Inference(error.to_string()))?;
-        if !actions.iter().all(|value| value.is_finite()) {
-            return Err(PolicyError::Inference(
-                "the network answered with a number that is not finite".to_owned(),
-            ));
-        }
-        self.sequence += 1;
-        let (sequence, step_ns) = (self.sequence, self.recipe.step_ns);
-        Ok(absolute_chunks(observation, &actions, sequence, step_ns))
+        let state = self.interface.state(observation)?;
+        let cloud = interface::cloud(&self.cloud, observation)?;
+        let actions = self.actions(&cloud, &state);
+        self.interface.chunks(observation, actions)
     }
 }

@@ -3,16 +3,19 @@
 use std::path::Path;
 
 use hal::chunk::CHUNK_STEPS_MAX;
-use hal::{ArmState, Chunk, FrameRef, Observation, Policy, PolicyError};
+use hal::count::count_u32;
+use hal::{Chunk, FrameRef, Observation, Policy, PolicyError};
 use tch::{Device, Kind, TchError, Tensor};
 
 use crate::act::{ActConfig, FoldedAct};
 use crate::checkpoint::{self, Cause, CheckpointError, Recipe};
 use crate::compute::Compute;
-use crate::dimension::dimension;
+use crate::dimension::{dimension, length};
 use crate::images::{area_average, shrink_factor};
+use crate::interface::Interface;
 use crate::normalise::{ImageNormaliser, Normaliser};
-use trocar_data::relative_action::chunks_of;
+
+pub use crate::interface::state_numbers;
 
 /// An ACT policy that was loaded from a folder.
 #[derive(Debug)]
@@ -20,12 +23,11 @@ pub struct ActPolicy {
     config: ActConfig,
     act: FoldedAct,
     device: Device,
-    recipe: Recipe,
+    interface: Interface,
     image_factors: Vec<u32>,
     images: ImageNormaliser,
     state: Normaliser,
     action: Normaliser,
-    sequence: u64,
 }
 
 impl ActPolicy {
@@ -69,23 +71,22 @@ impl ActPolicy {
             act: FoldedAct::new(&loaded.act, kind).map_err(torch)?,
             config: loaded.act.config().clone(),
             device,
-            recipe,
-            sequence: 0,
+            interface: Interface::new(recipe),
         };
         policy.warm_up().map_err(torch)?;
         Ok(policy)
     }
 
-    /// What the policy says of itself: cameras, step, how often to ask it.
+    /// The checkpoint's recipe: cameras, step, query interval.
     #[must_use]
     pub const fn recipe(&self) -> &Recipe {
-        &self.recipe
+        &self.interface.recipe
     }
 
     /// One inference on a black image, so that a network that cannot run fails now, and the first answer is not late.
     fn warm_up(&mut self) -> Result<(), TchError> {
         let config = &self.config;
-        let cameras = dimension(self.recipe.cameras.len());
+        let cameras = dimension(self.interface.recipe.cameras.len());
         let shape = [1, cameras, config.image_height, config.image_width, 3];
         let images = Tensor::f_zeros(shape, (Kind::Uint8, self.device))?;
         let state = Tensor::f_zeros([1, config.state_dim], (Kind::Float, Device::Cpu))?;
@@ -102,34 +103,21 @@ impl ActPolicy {
         })
     }
 
-    /// The frames as one tensor of bytes `(1, cameras, height, width, 3)` at the network's size.
+    /// The frames, of the recipe's sizes, as one tensor of bytes `(1, cameras, height, width, 3)` at the network's size.
     fn image_bytes(&self, frames: &[FrameRef<'_>]) -> Result<Tensor, PolicyError> {
-        let cameras = &self.recipe.cameras;
-        if frames.len() != cameras.len() {
-            return Err(PolicyError::CameraCount {
-                expected: cameras.len(),
-                actual: frames.len(),
-            });
-        }
         let mut bytes = Vec::new();
-        for (camera, (frame, expected)) in frames.iter().zip(cameras).enumerate() {
+        for (camera, (frame, factor)) in frames.iter().zip(&self.image_factors).enumerate() {
             let (width, height) = (frame.intrinsics.width, frame.intrinsics.height);
-            let whole = frame.colour.len() == 3 * frame.intrinsics.pixel_count();
-            if (width, height) != (expected.width, expected.height) || !whole {
-                let (expected_width, expected_height) = (expected.width, expected.height);
+            if frame.colour.len() != 3 * frame.intrinsics.pixel_count() {
                 return Err(PolicyError::ImageSize {
                     camera,
-                    expected_width,
-                    expected_height,
+                    expected_width: width,
+                    expected_height: height,
                     width,
                     height,
                 });
             }
-            bytes.extend(area_average(
-                frame.colour,
-                width,
-                self.image_factors[camera],
-            ));
+            bytes.extend(area_average(frame.colour, width, *factor));
         }
         let config = &self.config;
         let count = dimension(frames.len());
@@ -143,53 +131,19 @@ impl ActPolicy {
 impl Policy for ActPolicy {
     fn reset(&mut self, _seed: u64) {
         // Inference draws nothing at random: the latent is zero.
-        self.sequence = 0;
+        self.interface.sequence = 0;
     }
 
     fn infer(&mut self, observation: &Observation<'_>) -> Result<Vec<Chunk>, PolicyError> {
-        let (expected, actual) = (self.recipe.arms, observation.arms.len());
-        if expected != actual {
-            return Err(PolicyError::ArmCount { expected, actual });
-        }
+        let numbers = self.interface.state(observation)?;
         let images = self.image_bytes(observation.frames)?;
-        let numbers: Vec<f32> = observation
-            .arms
-            .iter()
-            .flat_map(|arm| state_numbers(&arm.state))
-            .collect();
         let state = Tensor::f_from_slice(&numbers).and_then(|state| state.f_unsqueeze(0));
-        let actions = state
-            .and_then(|state| self.network(&images, &state))
-            .map_err(|error| PolicyError::Inference(error.to_string()))?;
-        if !actions.iter().all(|value| value.is_finite()) {
-            return Err(PolicyError::Inference(
-                "the network answered with a number that is not finite".to_owned(),
-            ));
-        }
-        self.sequence += 1;
-        let (sequence, step_ns) = (self.sequence, self.recipe.step_ns);
-        let representation = &self.recipe.action_representation;
-        Ok(chunks_of(
-            representation,
-            observation,
-            &actions,
-            sequence,
-            step_ns,
-        ))
+        let actions = state.and_then(|state| self.network(&images, &state));
+        self.interface.chunks(observation, actions)
     }
 }
 
-/// One arm's part of `observation.state`: six joint positions (rad, insertion m) and the jaw (rad).
-#[must_use]
-#[expect(
-    clippy::cast_possible_truncation,
-    reason = "networks compute in single precision"
-)]
-pub fn state_numbers(arm: &ArmState) -> [f32; 7] {
-    let q = arm.position;
-    [q[0], q[1], q[2], q[3], q[4], q[5], arm.jaw_position].map(|value| value as f32)
-}
-
+/// A side of the network's images; the configuration allows no more than 4096.
 fn side(pixels: i64) -> u32 {
-    u32::try_from(pixels).unwrap_or(0)
+    count_u32(length(pixels))
 }

@@ -7,6 +7,7 @@ use std::ffi::{CStr, c_char, c_void};
 use std::mem::ManuallyDrop;
 use std::ptr::with_exposed_provenance_mut;
 
+use hal::count;
 use tch::{TchError, Tensor};
 
 /// What the functions of libtorch's `torch/csrc/stable/c/shim.h` pass: a number, or a handle that changes hands.
@@ -118,7 +119,7 @@ pub(crate) fn convolution_backward(
         list([u64::from(of_input), 1, 0])?,
     ];
     call(c"aten::convolution_backward", c"", &mut stack)?;
-    let [of_input, of_weight, of_bias, ..] = stack.map(|value| usize::try_from(value).unwrap_or(0));
+    let [of_input, of_weight, of_bias, ..] = stack.map(count::index);
     // SAFETY: the operator answers with three tensors, whose handles are ours from here; the last one is undefined.
     drop(unsafe { Tensor::from_ptr(with_exposed_provenance_mut(of_bias)) });
     // SAFETY: as above.
@@ -128,18 +129,18 @@ pub(crate) fn convolution_backward(
     Ok((of_input, of_weight))
 }
 
-/// A handle of its own of `tensor`, for whom it is given to.
+/// An owned handle of `tensor`, which the receiver releases.
 fn handle(tensor: &Tensor) -> Value {
     let mut own = ManuallyDrop::new(tensor.shallow_clone());
     own.as_mut_ptr().expose_provenance() as Value
 }
 
-/// A list of tensors, for whom it is given to.
+/// A list of tensors, which the receiver releases.
 fn tensors<'a>(of: impl IntoIterator<Item = &'a Tensor>) -> Result<Value, TchError> {
     list(of.into_iter().map(handle))
 }
 
-/// A list, for whom it is given to.
+/// A list, which the receiver releases.
 fn list(of: impl IntoIterator<Item = Value>) -> Result<Value, TchError> {
     let mut list = std::ptr::null_mut();
     // SAFETY: it writes to a variable of ours.

@@ -3,15 +3,15 @@
 use std::collections::VecDeque;
 use std::path::Path;
 
-use hal::{Chunk, FrameRef, Observation, Policy, PolicyError, TimeNs};
+use hal::{Chunk, Observation, Policy, PolicyError, TimeNs};
 use tch::{Device, TchError, Tensor};
 
-use crate::act_policy::state_numbers;
-use crate::checkpoint::{Cause, CheckpointError, Recipe, RecordedCamera, load_dp3};
+use crate::checkpoint::{Cause, CheckpointError, Recipe, load_dp3};
 use crate::compute::Compute;
+use crate::dimension::length;
 use crate::dp3::{CloudObservation, Dp3Config, FoldedDp3, LimitsNormaliser};
+use crate::interface::{self, Interface};
 use trocar_data::perception::{CloudRecipe, Point};
-use trocar_data::relative_action::absolute_chunks;
 
 /// A DP3 policy that was loaded from a folder.
 ///
@@ -22,7 +22,7 @@ pub struct Dp3Policy {
     config: Dp3Config,
     dp3: FoldedDp3,
     device: Device,
-    recipe: Recipe,
+    interface: Interface,
     cloud: CloudRecipe,
     points: LimitsNormaliser,
     state: LimitsNormaliser,
@@ -30,7 +30,6 @@ pub struct Dp3Policy {
     /// Oldest first.
     seen: VecDeque<Seen>,
     seed: u64,
-    sequence: u64,
 }
 
 /// One observation as the network wants it, in SI units.
@@ -41,7 +40,7 @@ struct Seen {
     state: Vec<f32>,
 }
 
-/// What the network is asked about: observations, the oldest first.
+/// The network's input: observations, the oldest first.
 struct Asked {
     points: Vec<Point>,
     states: Vec<f32>,
@@ -74,27 +73,26 @@ impl Dp3Policy {
             state: loaded.state.to_device(device).map_err(torch)?,
             action: loaded.action,
             dp3: FoldedDp3::new(loaded.dp3, kind).map_err(torch)?,
-            recipe: loaded.recipe,
+            interface: Interface::new(loaded.recipe),
             cloud: loaded.cloud,
             device,
             seen: VecDeque::new(),
             seed: 0,
-            sequence: 0,
         };
         let nothing = Seen {
             stamp: TimeNs(0),
             cloud: vec![[0.0; 3]; policy.cloud.points],
-            state: vec![0.0; usize::try_from(policy.config.state_dim).unwrap_or(0)],
+            state: vec![0.0; length(policy.config.state_dim)],
         };
         let asked = Asked::about(&vec![&nothing; policy.observations()]);
         policy.network(&asked, 0).map_err(torch)?;
         Ok(policy)
     }
 
-    /// What the policy says of itself: cameras, step, how often to ask it.
+    /// The checkpoint's recipe: cameras, step, query interval.
     #[must_use]
     pub const fn recipe(&self) -> &Recipe {
-        &self.recipe
+        &self.interface.recipe
     }
 
     /// How its clouds are made.
@@ -106,7 +104,7 @@ impl Dp3Policy {
     /// Observations that the network sees, a policy step apart.
     #[must_use]
     pub fn observations(&self) -> usize {
-        usize::try_from(self.config.n_obs_steps).unwrap_or(1)
+        length(self.config.n_obs_steps)
     }
 
     /// The actions that answer `asked`, from the newest observation on; in SI units, row-major.
@@ -141,23 +139,13 @@ impl Dp3Policy {
 
     /// What the network wants of `observation`.
     fn look(&self, observation: &Observation<'_>) -> Result<Seen, PolicyError> {
-        let (expected, actual) = (self.recipe.arms, observation.arms.len());
-        if expected != actual {
-            return Err(PolicyError::ArmCount { expected, actual });
-        }
-        check_frames(&self.recipe.cameras, observation.frames)?;
-        let cloud = self
-            .cloud
-            .cloud(observation.frames)
-            .map_err(|error| PolicyError::Inference(format!("point cloud: {error}")))?;
-        let arms = observation.arms.iter();
         Ok(Seen {
+            state: self.interface.state(observation)?,
+            cloud: interface::cloud(&self.cloud, observation)?,
             stamp: observation
                 .arms
                 .first()
                 .map_or(TimeNs(0), |arm| arm.state.stamp),
-            cloud,
-            state: arms.flat_map(|arm| state_numbers(&arm.state)).collect(),
         })
     }
 
@@ -177,8 +165,9 @@ impl Dp3Policy {
         };
         let now = newest.stamp.0;
         for steps in 0..self.observations() as u64 {
-            let due = now.saturating_sub(steps.saturating_mul(self.recipe.step_ns));
-            let near = |seen: &&Seen| seen.stamp.0.abs_diff(due) <= self.recipe.step_ns / 2;
+            let due = now.saturating_sub(steps.saturating_mul(self.interface.recipe.step_ns));
+            let near =
+                |seen: &&Seen| seen.stamp.0.abs_diff(due) <= self.interface.recipe.step_ns / 2;
             newest = self.seen.iter().find(near).unwrap_or(newest);
             history.push(newest);
         }
@@ -187,34 +176,10 @@ impl Dp3Policy {
     }
 }
 
-/// The frames must be those of `cameras`, of their sizes.
-pub(crate) fn check_frames(
-    cameras: &[RecordedCamera],
-    frames: &[FrameRef<'_>],
-) -> Result<(), PolicyError> {
-    let (expected, actual) = (cameras.len(), frames.len());
-    if expected != actual {
-        return Err(PolicyError::CameraCount { expected, actual });
-    }
-    for (camera, (frame, expected)) in frames.iter().zip(cameras).enumerate() {
-        let (width, height) = (frame.intrinsics.width, frame.intrinsics.height);
-        if (width, height) != (expected.width, expected.height) {
-            return Err(PolicyError::ImageSize {
-                camera,
-                expected_width: expected.width,
-                expected_height: expected.height,
-                width,
-                height,
-            });
-        }
-    }
-    Ok(())
-}
-
 impl Policy for Dp3Policy {
     fn reset(&mut self, seed: u64) {
         self.seed = seed;
-        self.sequence = 0;
+        self.interface.sequence = 0;
         self.seen.clear();
     }
 
@@ -231,16 +196,7 @@ impl Policy for Dp3Policy {
     fn infer(&mut self, observation: &Observation<'_>) -> Result<Vec<Chunk>, PolicyError> {
         self.observe(observation)?;
         let asked = Asked::about(&self.history());
-        let actions = self
-            .network(&asked, self.sequence)
-            .map_err(|error| PolicyError::Inference(error.to_string()))?;
-        if !actions.iter().all(|value| value.is_finite()) {
-            return Err(PolicyError::Inference(
-                "the network answered with a number that is not finite".to_owned(),
-            ));
-        }
-        self.sequence += 1;
-        let (sequence, step_ns) = (self.sequence, self.recipe.step_ns);
-        Ok(absolute_chunks(observation, &actions, sequence, step_ns))
+        let actions = self.network(&asked, self.interface.sequence);
+        self.interface.chunks(observation, actions)
     }
 }

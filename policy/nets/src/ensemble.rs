@@ -54,7 +54,7 @@ impl TemporalEnsemble {
         self.coming.clear();
     }
 
-    /// The action for the step at which `chunk` (rows of actions, the first for this step) was asked for.
+    /// The action for the step at which `chunk` (rows of actions, the first for this step) was predicted.
     ///
     /// # Errors
     /// [`ChunkShapeError`] if the chunk has another size.

@@ -172,7 +172,7 @@ impl Attention {
     }
 }
 
-/// Two linear layers with a rectifier between them.
+/// Two linear layers with ReLU between them.
 #[derive(Debug)]
 pub(crate) struct FeedForward {
     pub(crate) widen: Linear,

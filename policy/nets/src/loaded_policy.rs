@@ -1,4 +1,4 @@
-//! A trained policy of any kind, told apart by its `config.json`.
+//! A trained policy of any kind, chosen by its `config.json`.
 
 use std::path::Path;
 

@@ -32,7 +32,7 @@ impl Init {
         Self::Uniform(1.0 / count(fan_in).sqrt())
     }
 
-    /// He's deviation for a layer before a rectifier, by its `fan_out` outputs.
+    /// He initialisation of a layer before ReLU, by its `fan_out` outputs.
     #[must_use]
     pub fn he(fan_out: i64) -> Self {
         Self::Normal((2.0 / count(fan_out)).sqrt())
@@ -214,7 +214,7 @@ impl ParameterSource {
     /// Ends the building: what was handed out.
     ///
     /// # Errors
-    /// [`ParameterError::Unexpected`] if a given tensor was not asked for.
+    /// [`ParameterError::Unexpected`] if a given tensor is not used.
     pub fn finish(self) -> Result<Parameters, ParameterError> {
         if let Origin::Given(tensors) = &self.origin {
             let left = tensors

@@ -4,30 +4,31 @@ use tch::{Device, Kind, TchError, Tensor};
 
 use super::augment;
 use super::cloud_set::CloudSet;
-use super::flat::FlatParameters;
 use super::options::{Augmentation, TrainOptions, TrainPrecision};
-use super::steps::{Learner, Losses, Split, Steps};
+use super::steps::{Learner, Losses};
+use super::trained::{Network, Trained, check_arms, refuse};
 use super::training_set::{index_tensor, numbers};
-use super::{AnyTrained, LossCurve, TrainError, Trainer, Watch, check_arms, run_of};
+use super::{AnyTrained, TrainError, Trainer, Watch};
 use hal::random::SplitMix64;
 use trocar_data::dataset::Dataset;
 use trocar_data::perception::{CloudRecipe, Point};
 use trocar_nets::act::{Demonstration, LossDenominator, l1_loss};
 use trocar_nets::act_pc::{ActPc, ActPcConfig, Clouds, CloudsError};
 use trocar_nets::checkpoint::CloudStatistics;
-use trocar_nets::parameters::ParameterSource;
+use trocar_nets::dimension::length;
+use trocar_nets::parameters::{ParameterError, ParameterSource};
 
-/// The outcome of a run.
-#[derive(Debug)]
-pub struct TrainedActPc {
-    /// The network with averaged weights, on the training device.
-    pub network: ActPc,
-    /// Statistics of the frames trained on.
-    pub statistics: CloudStatistics,
-    /// The losses along the way; `l1` is the mean error of the actions, as the configuration counts it.
-    pub curve: LossCurve,
-    /// Frames trained on.
-    pub frames: usize,
+impl Network for ActPc {
+    type Config = ActPcConfig;
+    type Statistics = CloudStatistics;
+
+    fn build(config: ActPcConfig, source: ParameterSource) -> Result<Self, ParameterError> {
+        Self::new(config, source)
+    }
+
+    fn any(trained: Trained<Self>) -> AnyTrained {
+        AnyTrained::ActPc(trained.into())
+    }
 }
 
 impl Trainer {
@@ -42,55 +43,41 @@ impl Trainer {
         options: &TrainOptions,
         dataset: &Dataset,
         watch: &mut dyn Watch,
-    ) -> Result<TrainedActPc, TrainError> {
-        if let Some(defect) = options.defect().or_else(|| config.defect()) {
-            return Err(TrainError::Options(defect));
-        }
+    ) -> Result<Trained<ActPc>, TrainError> {
+        refuse(options.defect().or_else(|| config.defect()))?;
         if options.precision != TrainPrecision::F32 {
             let defect = "ACT-PC is trained in single precision".to_owned();
             return Err(TrainError::Options(defect));
         }
-        check_arms(&config.act, dataset.arms())?;
+        check_arms(
+            [config.act.state_dim, config.act.action_dim],
+            dataset.arms(),
+        )?;
         self.begin(options);
-        let steps = usize::try_from(config.act.chunk_size).unwrap_or(0);
+        let steps = length(config.act.chunk_size);
         let set = CloudSet::new(dataset, cloud, [0, steps], options, watch)?;
+        let prepared = set.prepared(cloud);
         let source = ParameterSource::seeded(options.seed, Device::Cpu);
         let fresh = ActPc::new(config.clone(), source)?;
-        let mut flat = FlatParameters::new(fresh.parameters(), self.device(), options)?;
-        let working = ParameterSource::given(flat.working_tensors());
-        let statistics = [&set.statistics.state, &set.statistics.action];
         let [states, actions, is_pad] =
-            numbers(dataset, &set.rows, steps, statistics, self.device())?;
-        let run = Run {
-            clouds: all_clouds(&set.clouds, config, options.threads, self.device())?,
-            network: ActPc::new(config.clone(), working)?,
-            states,
-            actions,
-            is_pad,
-            augmentation: options.augmentation,
-        };
-        let trained = |flat: &FlatParameters, curve: LossCurve| {
-            // The statistics of the normalisations are those of the network that was trained.
-            let averaged = ParameterSource::given(flat.averaged_tensors()?);
-            Ok::<_, TrainError>(TrainedActPc {
-                network: ActPc::new(config.clone(), averaged)?,
-                frames: set.trained.len(),
-                statistics: set.statistics.clone(),
-                curve,
+            numbers(dataset, &set.rows, steps, prepared.features, self.device)?;
+        let learner = |network| {
+            Ok(Run {
+                clouds: all_clouds(&set.clouds, config, options.threads, self.device)?,
+                network,
+                states,
+                actions,
+                is_pad,
+                augmentation: options.augmentation,
             })
         };
-        let steps = Steps {
-            learner: &run,
+        self.train(
+            (config, fresh.parameters()),
+            &prepared,
             options,
-            split: Split {
-                trained: &set.trained,
-                held_out: &set.held_out,
-            },
-            run: run_of(config, Some(cloud), options, &set.trained, statistics),
-            so_far: &|flat, curve| Ok(AnyTrained::ActPc(trained(flat, curve)?.into())),
-        };
-        let curve = steps.take(&mut flat, self.from.as_ref(), watch)?;
-        trained(&flat, curve)
+            learner,
+            watch,
+        )
     }
 }
 

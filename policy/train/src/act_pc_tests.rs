@@ -8,10 +8,10 @@ use tch::Device;
 
 use super::dp3_tests::{cloud, dataset, folder, lens, recipe, seen};
 use super::tests::ONE_AT_A_TIME;
-use super::{Progress, Schedule, TrainError, TrainOptions, TrainedActPc, Trainer};
+use super::{Progress, Schedule, TrainError, TrainOptions, Trained, Trainer};
 use trocar_data::dataset::Dataset;
 use trocar_nets::act::{ActConfig, ActPreset};
-use trocar_nets::act_pc::{ActPcConfig, ActPcPreset};
+use trocar_nets::act_pc::{ActPc, ActPcConfig, ActPcPreset};
 use trocar_nets::act_pc_policy::ActPcPolicy;
 use trocar_nets::checkpoint::{self, Precision};
 
@@ -50,7 +50,7 @@ pub(super) fn options() -> TrainOptions {
     }
 }
 
-fn train(dataset: &Dataset, options: &TrainOptions) -> Result<TrainedActPc, TrainError> {
+fn train(dataset: &Dataset, options: &TrainOptions) -> Result<Trained<ActPc>, TrainError> {
     let _alone = ONE_AT_A_TIME.lock().unwrap_or_else(PoisonError::into_inner);
     Trainer::new(Device::Cpu).run_act_pc(
         &config(),
@@ -61,8 +61,9 @@ fn train(dataset: &Dataset, options: &TrainOptions) -> Result<TrainedActPc, Trai
     )
 }
 
+/// What it trained survives the disk.
 #[test]
-fn training_lowers_the_loss_repeats_itself_and_survives_the_disk() {
+fn training_lowers_the_loss_and_repeats_itself() {
     let (data, dataset) = dataset("act-pc", Some(lens()));
     let first = train(&dataset, &options()).unwrap();
     let (start, end) = (first.curve.rows[0], *first.curve.last().unwrap());

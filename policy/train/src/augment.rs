@@ -3,6 +3,7 @@
 use tch::{Kind, TchError, Tensor};
 
 use super::options::Augmentation;
+use hal::count::count_u32;
 use hal::random::SplitMix64;
 
 /// What is drawn for `batch` frames, for [`shifted`] and [`coloured`]: `(batch, 4)`, pixels down and right, and the changes of
@@ -18,10 +19,10 @@ pub(super) fn drawn(
 ) -> Result<Tensor, TchError> {
     let mut drawn = vec![[0.0_f32; 4]; batch];
     if options.shift_px > 0 {
-        let most = u16::try_from(options.shift_px).unwrap_or(u16::MAX);
+        let most = f64::from(options.shift_px);
         for row in &mut drawn {
             for pixels in &mut row[..2] {
-                *pixels = f32::from(most) - span(random, options.shift_px);
+                *pixels = (most - span(random, options.shift_px)) as f32;
             }
         }
     }
@@ -125,8 +126,9 @@ pub(super) fn points(
     Ok(points)
 }
 
-fn span(random: &mut SplitMix64, reach: u32) -> f32 {
-    u16::try_from(random.below(2 * reach as usize + 1)).map_or(0.0, f32::from)
+/// A whole number from 0 to twice `reach`.
+fn span(random: &mut SplitMix64, reach: u32) -> f64 {
+    f64::from(count_u32(random.below(2 * reach as usize + 1)))
 }
 
 #[cfg(test)]

@@ -77,7 +77,7 @@ fn it_starts_from_the_file_and_leaves_the_statistics_alone() {
             };
             trainer.run(&frozen(), &options, &scratch.dataset, watch)
         },
-        |trained| (trained.act.parameters(), &trained.curve),
+        |trained| (trained.network.parameters(), &trained.curve),
     );
     let _alone = super::resume_tests::alone();
     let trained = Trainer::new(Device::Cpu)
@@ -89,7 +89,7 @@ fn it_starts_from_the_file_and_leaves_the_statistics_alone() {
             &mut |_: &Progress| (),
         )
         .unwrap();
-    let parameters = trained.act.parameters();
+    let parameters = trained.network.parameters();
     for (name, given) in &foreign {
         let Some(now) = parameters.get(&format!("model.backbone.{name}")) else {
             assert!(
@@ -109,7 +109,7 @@ fn it_starts_from_the_file_and_leaves_the_statistics_alone() {
 
     // What was trained is a policy of LeRobot's kind, whose backbone the next can start from.
     let folder = scratch.folder.join("policy");
-    let (act, statistics) = (&trained.act, &trained.statistics);
+    let (act, statistics) = (&trained.network, &trained.statistics);
     let saved = SaveOptions::default();
     checkpoint::save(&folder, act, statistics, &recipe(&frozen()), saved).unwrap();
     let json = fs::read_to_string(folder.join("config.json")).unwrap();

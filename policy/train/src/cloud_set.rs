@@ -3,17 +3,20 @@
 use hal::FrameRef;
 use tch::{Device, TchError, Tensor};
 
+use super::steps::Split;
+use super::trained::Prepared;
 use super::training_set::{ChunkRow, chunk_of, episode_split, statistics};
 use super::{Progress, TrainError, TrainOptions, Watch};
 use trocar_data::dataset::{Dataset, Episode};
 use trocar_data::perception::{CloudRecipe, Point, shows_nothing};
 use trocar_data::relative_action::RELATIVE_ACTION_DIM;
 use trocar_nets::checkpoint::CloudStatistics;
+use trocar_nets::dimension::dimension;
 
 /// Greatest share of frames in which nothing wanted is in view. More is no occlusion: the recipe does not fit the cameras.
 const UNSEEN_SHARE_MAX: f64 = 0.2;
 
-/// Frames that a thread makes clouds of before progress is told.
+/// Frames that a thread converts between two reports of progress.
 const BLOCK_FRAMES: usize = 128;
 
 /// All frames as clouds, states and chunks of relative actions, in SI units.
@@ -89,6 +92,19 @@ impl CloudSet {
         })
     }
 
+    /// The set as a training draws from it; `cloud` made its clouds.
+    pub(super) fn prepared<'a>(&'a self, cloud: &'a CloudRecipe) -> Prepared<'a, CloudStatistics> {
+        Prepared {
+            split: Split {
+                trained: &self.trained,
+                held_out: &self.held_out,
+            },
+            cloud: Some(cloud),
+            features: [&self.statistics.state, &self.statistics.action],
+            statistics: &self.statistics,
+        }
+    }
+
     /// All clouds, `(frames, points, 3)`.
     pub(super) fn points(&self, device: Device) -> Result<Tensor, TchError> {
         let numbers: Vec<f32> = self
@@ -97,7 +113,7 @@ impl CloudSet {
             .flat_map(|cloud| cloud.as_flattened())
             .copied()
             .collect();
-        let frames = i64::try_from(self.clouds.len()).unwrap_or(i64::MAX);
+        let frames = dimension(self.clouds.len());
         Tensor::f_from_slice(&numbers)?
             .f_view([frames, -1, 3])?
             .f_to_device(device)

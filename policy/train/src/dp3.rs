@@ -6,30 +6,30 @@ use tch::{Device, Kind, TchError, Tensor};
 
 use super::augment;
 use super::cloud_set::CloudSet;
-use super::flat::FlatParameters;
 use super::options::{Augmentation, TrainOptions};
-use super::steps::{Learner, Losses, Split, Steps};
+use super::steps::{Learner, Losses};
+use super::trained::{Network, Trained, check_arms, refuse};
 use super::training_set::{index_tensor, raw_numbers};
-use super::{AnyTrained, LossCurve, TrainError, Trainer, Watch, run_of};
+use super::{AnyTrained, TrainError, Trainer, Watch};
 use hal::random::SplitMix64;
 use trocar_data::dataset::Dataset;
 use trocar_data::perception::CloudRecipe;
-use trocar_data::relative_action::RELATIVE_ACTION_DIM;
 use trocar_nets::checkpoint::CloudStatistics;
+use trocar_nets::dimension::length;
 use trocar_nets::dp3::{CloudObservation, Dp3, Dp3Config, LimitsError, LimitsNormaliser};
-use trocar_nets::parameters::ParameterSource;
+use trocar_nets::parameters::{ParameterError, ParameterSource};
 
-/// The outcome of a run.
-#[derive(Debug)]
-pub struct TrainedDp3 {
-    /// The network with averaged weights, on the training device.
-    pub dp3: Dp3,
-    /// Statistics of the frames trained on.
-    pub statistics: CloudStatistics,
-    /// The losses along the way; `l1` has what is minimised too, the mean square.
-    pub curve: LossCurve,
-    /// Frames trained on.
-    pub frames: usize,
+impl Network for Dp3 {
+    type Config = Dp3Config;
+    type Statistics = CloudStatistics;
+
+    fn build(config: Dp3Config, source: ParameterSource) -> Result<Self, ParameterError> {
+        Self::new(config, source)
+    }
+
+    fn any(trained: Trained<Self>) -> AnyTrained {
+        AnyTrained::Dp3(trained.into())
+    }
 }
 
 impl Trainer {
@@ -44,60 +44,19 @@ impl Trainer {
         options: &TrainOptions,
         dataset: &Dataset,
         watch: &mut dyn Watch,
-    ) -> Result<TrainedDp3, TrainError> {
-        if let Some(defect) = options.defect().or_else(|| config.defect()) {
-            return Err(TrainError::Options(defect));
-        }
-        check_arms(config, dataset.arms())?;
+    ) -> Result<Trained<Dp3>, TrainError> {
+        refuse(options.defect().or_else(|| config.defect()))?;
+        check_arms([config.state_dim, config.action_dim], dataset.arms())?;
         self.begin(options);
-        let steps = [config.n_obs_steps - 1, config.horizon];
-        let set = CloudSet::new(
-            dataset,
-            cloud,
-            steps.map(|count| usize::try_from(count).unwrap_or(0)),
-            options,
-            watch,
-        )?;
+        let steps = [config.n_obs_steps - 1, config.horizon].map(length);
+        let set = CloudSet::new(dataset, cloud, steps, options, watch)?;
         let source = ParameterSource::seeded(options.seed, Device::Cpu);
         let fresh = Dp3::new(config.clone(), source)?;
-        let mut flat = FlatParameters::new(fresh.parameters(), self.device(), options)?;
-        let working = ParameterSource::given(flat.working_tensors());
-        let dp3 = Dp3::new(config.clone(), working)?;
-        let run = Run::new(dp3, dataset, &set, (options.augmentation, self.device()))?;
-        let statistics = [&set.statistics.state, &set.statistics.action];
-        let trained = |flat: &FlatParameters, curve: LossCurve| {
-            let averaged = ParameterSource::given(flat.averaged_tensors()?);
-            Ok::<_, TrainError>(TrainedDp3 {
-                dp3: Dp3::new(config.clone(), averaged)?,
-                frames: set.trained.len(),
-                statistics: set.statistics.clone(),
-                curve,
-            })
-        };
-        let steps = Steps {
-            learner: &run,
-            options,
-            split: Split {
-                trained: &set.trained,
-                held_out: &set.held_out,
-            },
-            run: run_of(config, Some(cloud), options, &set.trained, statistics),
-            so_far: &|flat, curve| Ok(AnyTrained::Dp3(trained(flat, curve)?.into())),
-        };
-        let curve = steps.take(&mut flat, self.from.as_ref(), watch)?;
-        trained(&flat, curve)
+        let place = (options.augmentation, self.device);
+        let learner = |dp3| Run::new(dp3, dataset, &set, place);
+        let fresh = (config, fresh.parameters());
+        self.train(fresh, &set.prepared(cloud), options, learner, watch)
     }
-}
-
-fn check_arms(config: &Dp3Config, arms: usize) -> Result<(), TrainError> {
-    let numbers = i64::try_from(arms * RELATIVE_ACTION_DIM).unwrap_or(i64::MAX);
-    if (config.state_dim, config.action_dim) == (numbers, numbers) {
-        return Ok(());
-    }
-    Err(TrainError::Dataset(format!(
-        "it has {arms} arms, {numbers} numbers of state and of action, the network {} and {}",
-        config.state_dim, config.action_dim
-    )))
 }
 
 /// A run in progress: everything normalised and on the training device.
@@ -141,7 +100,7 @@ impl Run {
         let (states, actions) = raw_numbers(dataset, &set.rows)?;
         let horizon = dp3.config().horizon;
         let actions = actions.f_view([-1, horizon, dp3.config().action_dim])?;
-        let observations = usize::try_from(dp3.config().n_obs_steps).unwrap_or(1);
+        let observations = length(dp3.config().n_obs_steps);
         let observed: Vec<usize> = set
             .episode_start
             .iter()

@@ -11,7 +11,7 @@ use hal::{
 use tch::{Device, Kind};
 
 use super::tests::ONE_AT_A_TIME;
-use super::{Progress, Schedule, TrainError, TrainOptions, TrainPrecision, TrainedDp3, Trainer};
+use super::{Progress, Schedule, TrainError, TrainOptions, TrainPrecision, Trained, Trainer};
 use trocar_data::dataset::{
     ArmFrame, CameraSpec, Dataset, DatasetSpec, DatasetWriter, DepthFrame, FrameRecord,
 };
@@ -20,7 +20,7 @@ use trocar_nets::checkpoint::{
     self, AggregationName, DatasetSummary, Precision, Recipe, RecommendedAggregation,
     RecordedCamera, Variants,
 };
-use trocar_nets::dp3::{Dp3Config, Dp3Preset};
+use trocar_nets::dp3::{Dp3, Dp3Config, Dp3Preset};
 use trocar_nets::dp3_policy::Dp3Policy;
 
 const SIDE: u32 = 16;
@@ -138,7 +138,7 @@ pub(super) fn options() -> TrainOptions {
     }
 }
 
-fn train(dataset: &Dataset, options: &TrainOptions) -> Result<TrainedDp3, TrainError> {
+fn train(dataset: &Dataset, options: &TrainOptions) -> Result<Trained<Dp3>, TrainError> {
     let _alone = ONE_AT_A_TIME.lock().unwrap_or_else(PoisonError::into_inner);
     Trainer::new(Device::Cpu).run_dp3(
         &config(),
@@ -174,8 +174,8 @@ pub(super) fn recipe() -> Recipe {
     }
 }
 
-fn save(folder: &Path, trained: &TrainedDp3) {
-    let (dp3, statistics) = (&trained.dp3, &trained.statistics);
+fn save(folder: &Path, trained: &Trained<Dp3>) {
+    let (dp3, statistics) = (&trained.network, &trained.statistics);
     checkpoint::save_dp3(folder, dp3, &cloud(), statistics, &recipe(), Precision::F32).unwrap();
 }
 
@@ -212,8 +212,9 @@ fn answer(policy: &mut Dp3Policy, shown: &[u16]) -> Vec<[f64; 3]> {
     targets.iter().map(|target| target.position_m).collect()
 }
 
+/// What it trained survives the disk.
 #[test]
-fn training_lowers_the_loss_repeats_itself_and_survives_the_disk() {
+fn training_lowers_the_loss_and_repeats_itself() {
     let (data, dataset) = dataset("learns", Some(lens()));
     let first = train(&dataset, &options()).unwrap();
     let (start, end) = (first.curve.rows[0], *first.curve.last().unwrap());
@@ -231,7 +232,7 @@ fn training_lowers_the_loss_repeats_itself_and_survives_the_disk() {
     save(&folder, &first);
     let loaded = checkpoint::load_dp3(&folder, Device::Cpu).unwrap();
     assert_eq!(loaded.cloud, cloud());
-    for (key, tensor) in first.dp3.parameters().iter() {
+    for (key, tensor) in first.network.parameters().iter() {
         assert_eq!(loaded.dp3.parameters().get(key), Some(tensor), "{key}");
     }
     let mut policy = Dp3Policy::load(&folder, Device::Cpu).unwrap();
@@ -263,7 +264,7 @@ fn sixteen_bits_learn_as_thirty_two_do() {
         )
         .unwrap();
         // What is kept has single precision.
-        let parameters = trained.dp3.parameters();
+        let parameters = trained.network.parameters();
         assert!(
             parameters
                 .iter()
@@ -280,7 +281,7 @@ fn sixteen_bits_learn_as_thirty_two_do() {
 }
 
 #[test]
-fn missing_depth_wrong_frames_and_cut_files_are_refused_with_the_reason() {
+fn missing_depth_and_damaged_files_are_refused() {
     let (plain_folder, plain) = dataset("plain", None);
     let error = train(&plain, &options()).unwrap_err().to_string();
     assert!(error.contains("no observation.depth.endoscope"), "{error}");
@@ -321,8 +322,9 @@ fn missing_depth_wrong_frames_and_cut_files_are_refused_with_the_reason() {
     fs::remove_dir_all(&data).unwrap();
 }
 
+/// What is hidden for a while is trained on and answered; a camera that sees nothing is refused.
 #[test]
-fn what_is_hidden_for_a_while_is_trained_on_and_answered_and_a_camera_that_sees_nothing_refused() {
+fn short_occlusion_is_trained_on_and_blindness_refused() {
     let (data, dataset) = dataset_hiding("hidden", Some(lens()), |frame| frame % 6 == 3);
     let short = TrainOptions {
         steps: 10,

@@ -44,7 +44,7 @@ pub enum TrainError {
         /// Steps taken.
         step: u64,
     },
-    /// Whoever watches the run failed at what it does beside it.
+    /// The observer of the run failed.
     #[error("{0}")]
     Watch(String),
     /// The state of an earlier run can't be written, read or gone on with.

@@ -11,8 +11,10 @@ use tch::{Device, Kind, TchError, Tensor};
 
 use super::TrainError;
 use super::training_set::send;
+use hal::count::count_u32;
 use trocar_data::dataset::Dataset;
 use trocar_nets::act::ActConfig;
+use trocar_nets::dimension::{dimension, length};
 use trocar_nets::images::{area_average, shrink_factor};
 
 /// Bytes that are decoded before they go to the device.
@@ -36,7 +38,7 @@ struct Shape {
 
 impl Shape {
     fn image_bytes(self) -> usize {
-        usize::try_from(3 * self.high * self.wide).unwrap_or(0)
+        length(3 * self.high * self.wide)
     }
 
     fn frame_bytes(self) -> usize {
@@ -44,8 +46,7 @@ impl Shape {
     }
 
     fn of(self, frames: usize) -> [i64; 5] {
-        let count = |value: usize| i64::try_from(value).unwrap_or(i64::MAX);
-        let (frames, cameras) = (count(frames), count(self.cameras));
+        let (frames, cameras) = (dimension(frames), dimension(self.cameras));
         [frames, cameras, self.high, self.wide, 3]
     }
 }
@@ -87,9 +88,8 @@ impl FrameImages {
                 Some(room) => {
                     let part =
                         Tensor::f_from_data_size(&bytes, &shape.of(frames.len()), Kind::Uint8)?;
-                    let length = part.size()[0];
-                    let start = i64::try_from(start).unwrap_or(i64::MAX);
-                    room.f_narrow(0, start, length)?.f_copy_(&part)?;
+                    let count = part.size()[0];
+                    room.f_narrow(0, dimension(start), count)?.f_copy_(&part)?;
                 }
                 None => kept.extend_from_slice(&bytes),
             }
@@ -102,7 +102,7 @@ impl FrameImages {
         })
     }
 
-    /// Says which frames the next [`Self::batch`] but those asked for before is going to want.
+    /// Announces the frames of a later [`Self::batch`], to be prefetched.
     pub(super) fn announce(&self, frames: &[usize]) {
         if let Self::Streamed(stream) = self {
             stream.announce(frames);
@@ -254,7 +254,7 @@ fn read_image(
     into: &mut [u8],
 ) -> Result<(), TrainError> {
     let image = dataset.image_rgb(frame, camera)?;
-    let side = |pixels: i64| u32::try_from(pixels).unwrap_or(0);
+    let side = |pixels: i64| count_u32(length(pixels));
     let factor = shrink_factor(image.width(), image.height(), side(wide), side(high))?;
     into.copy_from_slice(&area_average(image.as_raw(), image.width(), factor));
     Ok(())

@@ -1,10 +1,11 @@
 //! Which frames a step trains on.
 
+use hal::count;
 use hal::random::SplitMix64;
 
 /// Frames in random order, each once before any comes again.
 ///
-/// The frames of a step hang on the seed and the step alone, so that a run can go on from anywhere.
+/// The frames of a step depend on the seed and the step alone, so that a run can resume anywhere.
 pub(super) struct FrameOrder {
     frames: Vec<usize>,
     seed: u64,
@@ -30,7 +31,7 @@ impl FrameOrder {
         let first = step.saturating_mul(count as u64);
         (first..first.saturating_add(count as u64))
             .map(|drawn| {
-                let place = usize::try_from(drawn % total).unwrap_or(0);
+                let place = count::index(drawn % total);
                 self.round(drawn / total)[place]
             })
             .collect()
@@ -51,8 +52,9 @@ impl FrameOrder {
 mod tests {
     use super::FrameOrder;
 
+    /// A step can be asked for alone.
     #[test]
-    fn every_frame_comes_once_a_round_and_a_step_can_be_asked_for_alone() {
+    fn each_epoch_has_each_frame_once_from_any_step_on() {
         let frames: Vec<usize> = (10..17).collect();
         let mut order = FrameOrder::new(&frames, 5);
         let steps: Vec<Vec<usize>> = (0..7).map(|step| order.of_step(step, 3)).collect();

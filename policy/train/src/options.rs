@@ -4,8 +4,10 @@ use serde::{Deserialize, Serialize};
 
 /// Samples that a step may have: more than any device has room for, and few enough to be counted.
 const BATCH_MAX: usize = 1 << 16;
-/// Threads that may be asked for.
+/// The most threads.
 const THREADS_MAX: usize = 1024;
+/// Pixels by which images are shifted at most: no image is larger.
+const SHIFT_PX_MAX: u32 = 4096;
 
 /// Number format of the forward and backward pass; the master copy of the weights is always single precision.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -153,6 +155,12 @@ impl TrainOptions {
             if value > most {
                 return Some(format!("{name} = {value} is outside [1, {most}]"));
             }
+        }
+        if self.augmentation.shift_px > SHIFT_PX_MAX {
+            let pixels = self.augmentation.shift_px;
+            return Some(format!(
+                "augmentation.shift_px = {pixels} is outside [0, {SHIFT_PX_MAX}]"
+            ));
         }
         let positive = [
             ("batch", self.batch == 0),

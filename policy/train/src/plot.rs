@@ -198,7 +198,7 @@ mod tests {
     }
 
     #[test]
-    fn a_decade_less_is_a_decade_lower_and_what_is_not_there_is_not_drawn() {
+    fn the_plot_is_logarithmic_and_skips_missing_values() {
         let rows = vec![
             row(50, 100.0, 0.0, Some(7.0)),
             row(100, 10.0, 0.0, None),

@@ -95,8 +95,9 @@ pub(super) fn check<T: std::fmt::Debug>(
     stopper.file
 }
 
+/// Nothing else goes on with its state.
 #[test]
-fn act_goes_on_to_the_same_bits_and_nothing_else_goes_on_with_its_state() {
+fn act_resumes_to_the_same_bits_and_only_as_itself() {
     let dataset = tests::dataset("resume-act");
     let config = tests::config();
     let options = four_steps(tests::options());
@@ -106,7 +107,7 @@ fn act_goes_on_to_the_same_bits_and_nothing_else_goes_on_with_its_state() {
     let file = check(
         &dataset.folder,
         &|state, watch| run(&options, state, watch),
-        |trained| (trained.act.parameters(), &trained.curve),
+        |trained| (trained.network.parameters(), &trained.curve),
     );
     let other = TrainOptions {
         lr: 2e-3,
@@ -145,7 +146,7 @@ fn dp3_goes_on_to_the_same_bits() {
     check(
         &folder,
         &|state, watch| trainer(state).run_dp3(&config, &cloud, &options, &dataset, watch),
-        |trained| (trained.dp3.parameters(), &trained.curve),
+        |trained| (trained.network.parameters(), &trained.curve),
     );
     fs::remove_dir_all(&folder).unwrap();
 }

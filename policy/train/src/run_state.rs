@@ -1,6 +1,6 @@
-//! What a training needs to go on as if it had never stopped, in one file.
+//! The state from which a training resumes, in one file.
 //!
-//! Every random number of a step hangs on the run's seed and the step alone, so that there is no state of generators to
+//! Every random number of a step depends on the run's seed and the step alone, so that there is no generator state to
 //! keep: what is kept is the parameters with their optimiser, the moving average, and the curve so far.
 
 use std::collections::BTreeMap;
@@ -11,6 +11,7 @@ use tch::{Device, Kind, TchError, Tensor};
 
 use super::TrainError;
 use super::curve::{CurveRow, LossCurve};
+use trocar_nets::dimension::dimension;
 
 const STEP: &str = "step";
 const CURVE: &str = "curve";
@@ -231,9 +232,8 @@ fn tensor_of(curve: &LossCurve) -> Result<Tensor, TchError> {
             [step as f64, loss, l1, kl, gradient_norm, lr, validation_l1]
         })
         .collect();
-    let rows = i64::try_from(curve.rows.len()).unwrap_or(i64::MAX);
-    let columns = i64::try_from(COLUMNS).unwrap_or(i64::MAX);
-    Tensor::f_from_slice(&numbers)?.f_view([rows, columns])
+    let shape = [curve.rows.len(), COLUMNS].map(dimension);
+    Tensor::f_from_slice(&numbers)?.f_view(shape)
 }
 
 #[expect(

@@ -7,25 +7,25 @@ use tch::{Kind, TchError, Tensor};
 use super::curve::{CurveRow, LossCurve};
 use super::flat::{FlatParameters, Rates};
 use super::frame_order::FrameOrder;
+use super::launch::Launch;
 use super::options::TrainOptions;
 use super::run_state::RunState;
-use super::told::Told;
 use super::{AnyTrained, Progress, TrainError, Watch};
 use hal::random::SplitMix64;
 use trocar_nets::generator;
 
 /// A network in training, with the data that it learns from.
 pub(super) trait Learner {
-    /// What the step after the next one is going to be about, so that it can be fetched meanwhile.
+    /// The frames of the step after the next one, to be prefetched.
     fn announce(&self, _frames: &[usize]) {}
 
-    /// All that a step hangs on but the weights and the network library's random numbers, where the network is; of one form at
+    /// All that a step depends on but the weights and the network library's random numbers, where the network is; of one form at
     /// every step.
     fn inputs(&self, frames: &[usize], random: &mut SplitMix64) -> Result<Vec<Tensor>, TchError>;
 
     /// The loss over the frames of `inputs`, and its two parts for the curve: error of the actions, divergence.
     ///
-    /// An accelerator is told the same at every step, and nothing is read back from it: this may be recorded.
+    /// It launches the same kernels at every step and reads nothing back: a CUDA graph may capture it.
     fn losses(&self, inputs: &[Tensor]) -> Result<Losses<'_>, TchError>;
 
     /// Mean absolute error of the normalised actions over `frames`, as inference sees them.
@@ -109,13 +109,13 @@ impl Steps<'_> {
             self.offer(first, flat, (&curve, &since_row), watch)?;
         }
         let mut next = order.of_step(first, options.batch);
-        let mut told = Told::new(options, flat.device(), watch)?;
+        let mut launch = Launch::new(options, flat.device(), watch)?;
         for step in first..options.steps {
             let frames = next;
             next = order.of_step(step + 1, options.batch);
             self.learner.announce(&next);
             // Not waited for.
-            since_row.push(self.step(step, &frames, flat, (&mut told, &mut *watch))?);
+            since_row.push(self.step(step, &frames, flat, (&mut launch, &mut *watch))?);
             let done = step + 1;
             if let Some(last) = since_row.last()
                 && watch.wants_step(done)
@@ -146,7 +146,7 @@ impl Steps<'_> {
         Ok(curve)
     }
 
-    /// Shows `watch` what the run would come to after `done` steps, if it wants that.
+    /// Passes the outcome after `done` steps to `watch`, if it wants that.
     fn offer(
         &self,
         done: u64,
@@ -163,13 +163,13 @@ impl Steps<'_> {
 
     /// One step: the loss, its parts and the norm of the gradient, on the device.
     ///
-    /// All that is random in it hangs on the seed and the step.
+    /// Its random numbers depend on the seed and the step alone.
     fn step(
         &self,
         step: u64,
         frames: &[usize],
         flat: &mut FlatParameters,
-        (told, watch): (&mut Told, &mut dyn Watch),
+        (launch, watch): (&mut Launch, &mut dyn Watch),
     ) -> Result<Tensor, TrainError> {
         let options = self.options;
         let mut random = SplitMix64::named(&format!("train/step/{step}"), options.seed);
@@ -197,7 +197,7 @@ impl Steps<'_> {
             let norm = flat.fused_step(&losses.total, below, rates, options)?;
             losses.with(&norm)
         };
-        told.step(&inputs, &mut work, watch)
+        launch.step(&inputs, &mut work, watch)
     }
 
     /// The row of the curve after `done` steps: the means of what was lost `since_row`.
@@ -251,7 +251,7 @@ fn rows_of(kept: Option<&Tensor>, flat: &FlatParameters) -> Result<Vec<Tensor>, 
     })
 }
 
-/// A state from which nobody could go on is not to take the place of a good one.
+/// A state that can't be resumed must not replace a good one.
 fn check_finite(done: u64, since_row: &[Tensor]) -> Result<(), TrainError> {
     if since_row.is_empty() {
         return Ok(());
@@ -263,7 +263,7 @@ fn check_finite(done: u64, since_row: &[Tensor]) -> Result<(), TrainError> {
     }
 }
 
-/// Which step and which term was the first that is no number, among `all` `(steps, 4)` up to step `done`.
+/// Which step and which term was the first that is not finite, among `all` `(steps, 4)` up to step `done`.
 fn diverged(done: u64, all: &Tensor) -> Result<TrainError, TchError> {
     let rows = Vec::<f64>::try_from(&all.f_to_kind(Kind::Double)?.f_reshape([-1])?)?;
     let (rows, _) = rows.as_chunks::<4>();

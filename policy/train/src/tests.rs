@@ -166,12 +166,12 @@ fn run(
     config: &ActConfig,
     scratch: &Scratch,
     options: &TrainOptions,
-) -> Result<Trained, TrainError> {
+) -> Result<Trained<Act>, TrainError> {
     let _alone = ONE_AT_A_TIME.lock().unwrap_or_else(PoisonError::into_inner);
     Trainer::new(Device::Cpu).run(config, options, &scratch.dataset, &mut |_: &Progress| ())
 }
 
-fn train(scratch: &Scratch, options: &TrainOptions) -> Result<Trained, TrainError> {
+fn train(scratch: &Scratch, options: &TrainOptions) -> Result<Trained<Act>, TrainError> {
     run(&config(), scratch, options)
 }
 
@@ -182,8 +182,9 @@ fn answer(act: &Act) -> Vec<f32> {
     Vec::<f32>::try_from(chunk.flatten(0, -1)).unwrap()
 }
 
+/// What it trained survives the disk.
 #[test]
-fn training_lowers_the_loss_repeats_itself_and_survives_the_disk() {
+fn training_lowers_the_loss_and_repeats_itself() {
     let dataset = dataset("learns");
     let first = train(&dataset, &options()).unwrap();
     let (start, end) = (first.curve.rows[0], *first.curve.last().unwrap());
@@ -219,20 +220,20 @@ fn training_lowers_the_loss_repeats_itself_and_survives_the_disk() {
     let folder = folder("disk");
     checkpoint::save(
         &folder,
-        &first.act,
+        &first.network,
         &first.statistics,
         &recipe(&config()),
         SaveOptions::default(),
     )
     .unwrap();
     let loaded = checkpoint::load(&folder, Device::Cpu).unwrap();
-    assert_eq!(answer(&first.act), answer(&loaded.act));
+    assert_eq!(answer(&first.network), answer(&loaded.act));
     assert_eq!(first.statistics, loaded.statistics);
     fs::remove_dir_all(&folder).unwrap();
 }
 
 #[test]
-fn several_cameras_are_learned_from_wherever_their_images_are_kept() {
+fn images_on_host_or_device_train_the_same() {
     let dataset = dataset_seen_by(&["wrist", "endoscope"], 1, "cameras");
     let cameras = ["wrist", "endoscope"].map(|name| format!("observation.images.{name}"));
     let config = ActConfig {

@@ -11,6 +11,7 @@ use trocar_data::dataset::{Dataset, Episode};
 use trocar_data::relative_action::{RELATIVE_ACTION_DIM, pose_from_numbers, relative_action};
 use trocar_nets::act::ActConfig;
 use trocar_nets::checkpoint::FeatureStatistics;
+use trocar_nets::dimension::{dimension, length};
 use trocar_nets::normalise::{ACTION_STD_MIN, STATE_STD_MIN, Statistics};
 
 /// All frames, ready to be drawn from.
@@ -48,7 +49,7 @@ impl TrainingSet {
     ) -> Result<Self, TrainError> {
         let episodes = dataset.episodes();
         let (trained, held_out) = episode_split(episodes, options.validation_share)?;
-        let steps = usize::try_from(config.chunk_size).unwrap_or(0);
+        let steps = length(config.chunk_size);
         let rows: Vec<ChunkRow> = episodes
             .iter()
             .flat_map(|episode| {
@@ -94,12 +95,9 @@ impl TrainingSet {
     }
 }
 
-/// Indices as a tensor on `device`. On an accelerator nothing waits for what it was asked to do before.
+/// Indices as a tensor on `device`, without waiting for work queued there.
 pub(super) fn index_tensor(indices: &[usize], device: Device) -> Result<Tensor, TchError> {
-    let indices: Vec<i64> = indices
-        .iter()
-        .map(|&index| i64::try_from(index).unwrap_or(i64::MAX))
-        .collect();
+    let indices: Vec<i64> = indices.iter().map(|&index| dimension(index)).collect();
     send(&Tensor::f_from_slice(&indices)?, device)
 }
 
@@ -219,7 +217,7 @@ pub(super) fn raw_numbers(
         .flat_map(|row| row.actions.as_flattened())
         .map(|value| *value as f32)
         .collect();
-    let frames = i64::try_from(rows.len()).unwrap_or(i64::MAX);
+    let frames = dimension(rows.len());
     Ok((
         Tensor::f_from_slice(&states)?.f_view([frames, -1])?,
         Tensor::f_from_slice(&chunks)?.f_view([frames, -1])?,
@@ -238,9 +236,9 @@ pub(super) fn numbers(
         .iter()
         .flat_map(|row| (0..steps).map(|step| step >= row.valid))
         .collect();
-    let frames = i64::try_from(rows.len()).unwrap_or(i64::MAX);
+    let frames = dimension(rows.len());
     let states = state.normaliser().apply(&states)?;
-    let steps = i64::try_from(steps).unwrap_or(i64::MAX);
+    let steps = dimension(steps);
     let chunks = action
         .normaliser()
         .apply(&chunks.f_view([frames, steps, -1])?)?;

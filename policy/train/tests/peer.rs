@@ -169,7 +169,7 @@ fn train(job: &Value) {
     let recipe = recipe(&config, &dataset);
     let options = SaveOptions::default();
     let (out, statistics) = (path(job, "out"), &trained.statistics);
-    checkpoint::save(out, &trained.act, statistics, &recipe, options).unwrap();
+    checkpoint::save(out, &trained.network, statistics, &recipe, options).unwrap();
 }
 
 fn recipe(config: &ActConfig, dataset: &Dataset) -> Recipe {

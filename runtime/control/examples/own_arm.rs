@@ -1,4 +1,4 @@
-//! An arm of one's own behind the controller: whatever can be measured and told where to be, once a millisecond.
+//! An arm of your own behind the controller: anything that can be measured and given a set-point once a millisecond.
 //!
 //! ```sh
 //! cargo run -p trocar-control --example own_arm

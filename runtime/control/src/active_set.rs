@@ -66,7 +66,7 @@ pub enum Failure {
     IterationLimit,
     /// No point satisfies all rows and cones, or a cone has no inside.
     Infeasible,
-    /// A number is infinite or not a number.
+    /// A number is infinite or NaN.
     NotFinite,
     /// The Hessian has no Cholesky factor.
     NotPositiveDefinite,

@@ -5,7 +5,7 @@
 //! count, so that late and missing chunks do no harm.
 
 use hal::chunk::CHUNK_STEPS_MAX;
-use hal::{Chunk, TimeNs, TipTarget};
+use hal::{Chunk, TimeNs, TipTarget, count};
 
 /// Chunks that are kept: as many as can cover one instant when a policy answers every step.
 const RING: usize = CHUNK_STEPS_MAX;
@@ -195,7 +195,7 @@ fn place(chunk: &Chunk, at: TimeNs) -> Option<(usize, f64)> {
         return None;
     }
     let age_ns = at.since(chunk.observed_at);
-    let index = usize::try_from(age_ns / chunk.step_ns).ok()?;
+    let index = count::index(age_ns / chunk.step_ns);
     let rest_ns = age_ns % chunk.step_ns;
     if index > last || (index == last && rest_ns > 0) {
         return None;

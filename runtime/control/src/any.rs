@@ -39,7 +39,7 @@ impl AnyController {
         }
     }
 
-    /// One control period; nothing happens, and nothing comes out, if `inputs` are for another number of arms.
+    /// One control period; `None`, and no change of state, if `inputs` have another number of arms, as a log may.
     pub fn tick(&mut self, inputs: &PerArm<TickInput<'_>>) -> Option<PerArm<TickOutput>> {
         match (self, inputs.second) {
             (Self::One(controller), None) => Some(PerArm::one(controller.tick(&inputs.first))),

@@ -1,4 +1,4 @@
-//! One arm of a controller: its mode and faults, its chunks, and the velocity that it would like. Hot path: bounded, no
+//! One arm of a controller: its mode and faults, its chunks, and its nominal velocity. Hot path: bounded, no
 //! allocation, no I/O, no lock.
 
 use hal::{ArmError, ArmState, Chunk, TICK_NS, TimeNs, TipTarget};
@@ -47,7 +47,7 @@ pub(super) struct ArmControl {
     soft_start_ns: u64,
 }
 
-/// What an arm would like to do in a tick.
+/// The intended motion of an arm in a tick, before the filter.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Plan {
     pub(super) gate: Option<GateDecision>,
@@ -92,8 +92,8 @@ impl ArmControl {
         }
     }
 
-    /// Judges the measurement and does what the operator wants; without torque the command follows the arm. Returns whether
-    /// it does, so that the guard begins anew from there.
+    /// Checks the measurement and applies the operator's event; without torque the command follows the arm. Returns whether
+    /// it does, so that the guard is seeded there.
     pub(super) fn observe(&mut self, input: &TickInput<'_>) -> bool {
         let follows = self.look_at(&input.measured);
         if let Some(event) = input.operator {
@@ -131,7 +131,7 @@ impl ArmControl {
         false
     }
 
-    /// Takes note of how the arm follows its commands; a fault if it does not.
+    /// Updates deviation and following error; a fault if the error is too large.
     fn follow(&mut self, arm: &ArmState) -> Option<Fault> {
         if !self.powered {
             self.deviation = Deviation::default();
@@ -171,7 +171,7 @@ impl ArmControl {
         }
     }
 
-    /// Takes in the chunk and looks where it wants the arm; an arm that is not enabled comes to rest.
+    /// Accepts the chunk and computes the nominal velocity towards its target; an arm that is not enabled comes to rest.
     pub(super) fn plan(&mut self, input: &TickInput<'_>, stance: &Stance) -> Plan {
         if self.state != OperatingState::Enabled {
             return Plan {
@@ -235,8 +235,8 @@ impl ArmControl {
         self.speed * start
     }
 
-    /// At rest, lets the drives go where that is asked for: an arm that lost a measurement holds what it has in its jaws; one
-    /// that does not go where it is told, or whose drives have failed, must not press on.
+    /// At rest, removes torque where the state requires it: an arm that lost a measurement keeps its grip; one with a following
+    /// error, or whose drives failed, is released.
     pub(super) fn release(&mut self) {
         let releases = match self.state {
             OperatingState::Disabled => true,

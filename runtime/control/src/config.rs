@@ -252,7 +252,7 @@ mod tests {
         let left_out = load(without).unwrap().supervision;
         assert_eq!(left_out, load(control.text()).unwrap().supervision);
         assert_eq!((left_out.restarts, left_out.backoff_ns), (0, 500_000_000));
-        let wild = message("restarts = 0", "restarts = 5000");
+        let wild = message("\nrestarts = 0", "\nrestarts = 5000");
         assert!(
             wild.contains("policy.restarts = 5000 is outside [0, 1000]"),
             "{wild}"

@@ -125,7 +125,7 @@ impl<const ARMS: usize> Controller<ARMS> {
         self.filter.solution()
     }
 
-    /// How near each measured arm came to its boundaries while it held torque; to be asked at the end, since it allocates.
+    /// How near each measured arm came to its boundaries while it held torque. For the end of a run: it allocates.
     #[must_use]
     pub fn measured_clearances(&self) -> Vec<MeasuredClearance> {
         self.guard.measured(&self.config)
@@ -139,12 +139,10 @@ impl<const ARMS: usize> Controller<ARMS> {
 
     /// One control period of all arms, which share one `now`.
     ///
-    /// Periods that were missed since the newest tick have been played from its tail by whoever drives the arm; the controller
-    /// goes on from there.
+    /// For periods missed since the newest tick the rig has played the tail; the controller goes on from there.
     pub fn tick_arms(&mut self, inputs: &[TickInput<'_>; ARMS]) -> [TickOutput; ARMS] {
-        if let Some(input) = inputs.first() {
-            self.catch_up(input.now);
-        }
+        const { assert!(ARMS > 0) };
+        self.catch_up(inputs[0].now);
         for (index, (arm, input)) in self.arms.iter_mut().zip(inputs).enumerate() {
             if arm.observe(input) {
                 self.guard.seed(index, &arm.commanded);
@@ -201,12 +199,14 @@ impl<const ARMS: usize> Controller<ARMS> {
         if !plans.iter().any(|plan| plan.follows) {
             return Filtered::AT_REST;
         }
+        let deviations = self.guard.deviations();
         let inputs: [RowInput<'_>; ARMS] = core::array::from_fn(|arm| RowInput {
             state: &self.arms[arm].commanded,
             stance: &stances[arm],
             moves: plans[arm].follows,
             jaw_effort_n_m: self.arms[arm].jaw_effort_n_m,
             pace: plans[arm].pace,
+            deviation: deviations[arm],
         });
         self.rows.fill(&self.config, &inputs);
         #[cfg(test)]
@@ -290,16 +290,13 @@ impl<const ARMS: usize> Controller<ARMS> {
 
     /// What is left of the stop that the guard holds for `arm`, from the command on.
     fn tail(&self, arm: usize, now: TimeNs, enabled: bool) -> SafeTail {
-        let axes = match self.guard.held(arm) {
-            Some((stop, played_s)) => stop
+        let (stop, played_s) = self.guard.held()[arm];
+        SafeTail {
+            stamp: now,
+            axes: stop
                 .axes()
                 .each_ref()
                 .map(|axis| axis_tail(&axis.remainder(played_s))),
-            None => self.arms[arm].commanded.position.map(AxisTail::at_rest),
-        };
-        SafeTail {
-            stamp: now,
-            axes,
             enabled,
         }
     }

@@ -5,10 +5,10 @@ use nalgebra::Vector3;
 use super::instrument::{Instrument, LINKS, Stance};
 use super::kinematics::Frames;
 
-/// What is left after a tick of a deviation that does not come again: it decays within about the longest stop, 0.4 s.
+/// Decay of a held deviation per tick: it decays within about the longest stop, 0.4 s.
 const LEFT_PER_TICK: f64 = 0.9975;
 
-/// A deviation below this is none, m: far below what an encoder resolves.
+/// A deviation below this counts as zero, m: far below an encoder's resolution.
 const NONE_M: f64 = 1e-9;
 
 /// How far a measured instrument is from the commanded one, in space.

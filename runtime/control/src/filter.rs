@@ -7,7 +7,7 @@
 
 use nalgebra::SMatrix;
 
-use super::active_set::{ActiveSet, Cone, LinearRow, VARIABLES_MAX};
+use super::active_set::{ActiveSet, CONES_MAX, Cone, LinearRow, ROWS_MAX, VARIABLES_MAX};
 use super::config::ControlConfig;
 use super::instrument::Stance;
 use super::motion::{AXES, JAW};
@@ -34,6 +34,30 @@ pub struct Problem {
     pub cones: Vec<Cone>,
 }
 
+impl Problem {
+    /// The rows that `change` touches, in the order of [`names`](super::rows::names). An axis that may not move at all touches none: it is
+    /// given, not limited.
+    pub fn active<'a>(&'a self, change: &'a Velocities) -> impl Iterator<Item = usize> + 'a {
+        let touches =
+            move |row: &LinearRow| dot(&row.coefficients, change) >= row.bound - ACTIVE_TOLERANCE;
+        let given = move |index: usize| {
+            let pair = self.rows.get(index & !1).zip(self.rows.get(index | 1));
+            index < 2 * self.variables
+                && pair.is_some_and(|(one, other)| touches(one) && touches(other))
+        };
+        let rows = self.rows.iter().enumerate();
+        let rows = rows.filter(move |(index, row)| touches(row) && !given(*index));
+        let first = self.rows.len();
+        let cones = self.cones.iter().enumerate().filter(|(_, cone)| {
+            let reach = cone.matrix.iter().zip(&cone.offset);
+            let squares = reach.map(|(row, offset)| (dot(row, change) + offset).powi(2));
+            squares.sum::<f64>().sqrt() >= cone.radius * (1.0 - ACTIVE_TOLERANCE)
+        });
+        let cones = cones.map(move |(index, _)| first + index);
+        rows.map(|(index, _)| index).chain(cones)
+    }
+}
+
 /// What the filter made of the velocities.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Filtered {
@@ -48,7 +72,7 @@ pub struct Filtered {
 }
 
 impl Filtered {
-    /// Nothing was asked for.
+    /// No arm follows.
     pub const AT_REST: Self = Self {
         velocity: [0.0; VARIABLES_MAX],
         outcome: QpOutcome::NotNeeded,
@@ -74,6 +98,9 @@ impl Filter {
     /// A filter for `config`.
     #[must_use]
     pub fn new(config: &ControlConfig) -> Self {
+        const {
+            assert!(2 * VARIABLES_MAX + GEOMETRY_MAX <= ROWS_MAX && 2 * ARMS_MAX <= CONES_MAX);
+        }
         let weight = |speed: f64| (speed * speed).recip();
         let linear = weight(config.tip_speed_m_s);
         let angular = weight(config.tip_angular_speed_rad_s);
@@ -118,7 +145,7 @@ impl Filter {
         &self.problem
     }
 
-    /// The answer to it: the change of each axis in units of its velocity limit.
+    /// Its solution: the change of each axis in units of its velocity limit.
     #[must_use]
     pub const fn solution(&self) -> &Velocities {
         &self.solution

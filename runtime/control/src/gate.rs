@@ -1,7 +1,7 @@
 //! The input gate: no chunk gets further unless every number in it makes sense. Hot path: bounded, no allocation, no I/O,
 //! no lock.
 
-use hal::{Chunk, Pose, TICK_NS, TimeNs, TipTarget};
+use hal::{Chunk, Pose, TICK_NS, TimeNs, TipTarget, count};
 use nalgebra::Vector3;
 
 /// The longest step that a chunk may have, ns.
@@ -164,8 +164,7 @@ impl Gate {
         if let Some(decision) = self.first_bad_target(targets) {
             return decision;
         }
-        let due =
-            usize::try_from(age_ns / chunk.step_ns).map_or(0, |index| index.min(targets.len() - 1));
+        let due = count::index(age_ns / chunk.step_ns).min(targets.len() - 1);
         let target = targets[due].tip_in_rcm();
         let away_m = (target.translation.vector - commanded.translation.vector).norm();
         let away_rad = target.rotation.angle_to(&commanded.rotation);

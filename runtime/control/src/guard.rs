@@ -24,10 +24,10 @@
 //!
 //! *Deviation.* The measured arm is not where the commanded one is. A candidate's stop keeps the margin and how far each link is off, or
 //! was within about the longest stop (`Guard::observe`); where the stops before it kept less, because the deviation grew, it comes no
-//! nearer than they did. This is asked of candidates alone: a stop that is held is played to its end however the deviation grows, so that neither 1 nor 2 depends
-//! on it.
+//! nearer than they did. Only candidates must keep it: a held stop is played to its end however the deviation grows, so neither 1
+//! nor 2 depends on it.
 //!
-//! So either arm may stop at any tick, alone or with the other, be late in playing its stop, or be told to stop by an operator:
+//! So either arm may stop at any tick, alone or with the other, be late in playing its stop, or be stopped by an operator:
 //! nothing has to be checked for it any more. Candidates never need each other: if both together are refused, each is tried
 //! alone, first the one and then in the next tick the other, so that neither arm starves.
 //!
@@ -82,7 +82,7 @@ pub enum Request {
 pub struct Decision {
     /// The state to command.
     pub state: MotionState,
-    /// Whether that is not what was asked for.
+    /// Whether that differs from the request.
     pub intervened: bool,
 }
 
@@ -152,16 +152,17 @@ impl<const ARMS: usize> Guard<ARMS> {
         Ok(guard)
     }
 
-    /// Starts anew for one arm from where `state` is, at rest; an `arm` that there is not is ignored.
+    /// Starts anew for one arm from where `state` is, at rest.
     ///
     /// An arm that is within a boundary stays within it, even if it starts without the margin. Where the arm is beyond a
     /// boundary already, that boundary moves behind the arm by the margin for recovery. Either comes back with the arm. What
     /// two arms keep between them moves by as much as the arm was moved, and so a seed gives the other arm no way.
+    ///
+    /// # Panics
+    /// If there is no such arm.
     pub fn seed(&mut self, arm: usize, state: &MotionState) {
         let before = self.gaps();
-        if let Some(arm) = self.arms.get_mut(arm) {
-            arm.seed(state);
-        }
+        self.arms[arm].seed(state);
         if let (Some(pair), Some(before), [first, second]) =
             (&mut self.pair, before, self.arms.as_slice())
         {
@@ -169,7 +170,7 @@ impl<const ARMS: usize> Guard<ARMS> {
         }
     }
 
-    /// Takes note of how far each measured arm is from the commanded one, and of where those are that hold torque.
+    /// Stores the deviation of each measured arm from the commanded one, and the pose of those that hold torque.
     ///
     /// Until the next call a candidate's stop keeps that much more than the margin from each boundary and from the other arm, or as much of
     /// it as the stops before it kept.
@@ -185,6 +186,12 @@ impl<const ARMS: usize> Guard<ARMS> {
         {
             pair.observe(&its, &others);
         }
+    }
+
+    /// The deviations that [`Self::observe`] was given last.
+    #[must_use]
+    pub fn deviations(&self) -> [Deviation; ARMS] {
+        self.arms.each_ref().map(|arm| arm.deviation)
     }
 
     /// How near each measured arm came to its boundaries, and both to one another, while they held torque. Allocates.
@@ -213,10 +220,10 @@ impl<const ARMS: usize> Guard<ARMS> {
         }
     }
 
-    /// The stop that is held for `arm`, and how much of it has been played, s; `None` for an `arm` that there is not.
+    /// The stop that is held for each arm, and how much of it has been played, s.
     #[must_use]
-    pub fn held(&self, arm: usize) -> Option<(&Stop, f64)> {
-        self.arms.get(arm).map(ArmGuard::held)
+    pub fn held(&self) -> [(&Stop, f64); ARMS] {
+        self.arms.each_ref().map(ArmGuard::held)
     }
 
     /// The next states: for each arm the one that it asks for, if it follows from its `current` one within the limits and
@@ -291,7 +298,7 @@ impl<const ARMS: usize> Guard<ARMS> {
         [false; ARMS]
     }
 
-    /// What a guard that is skipped lets out.
+    /// The output of a guard that is skipped.
     #[cfg(test)]
     fn skipped(&mut self, requests: &[Request; ARMS]) -> Option<[Decision; ARMS]> {
         let skip = |arm: &ArmGuard| arm.planted == Some(PlantedGuardFault::GuardSkipped);

@@ -17,7 +17,7 @@ pub struct TickInput<'a> {
     pub measured: Result<ArmState, ArmError>,
     /// The newest chunk; handing over the same one again does no harm.
     pub chunk: Option<&'a Chunk>,
-    /// What the operator asked for since the last tick.
+    /// The operator's event since the last tick.
     pub operator: Option<OperatorEvent>,
 }
 
@@ -63,7 +63,7 @@ pub enum QpOutcome {
         /// Iterations of the solver.
         iterations: u32,
     },
-    /// No trustworthy answer; the arm is told to stop.
+    /// No trustworthy solution; the arm stops.
     Failed,
 }
 

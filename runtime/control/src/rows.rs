@@ -1,20 +1,25 @@
-//! What the safety filter asks of the velocities of one arm or two, as rows. Hot path: bounded, no allocation, no I/O, no lock.
+//! The safety filter's constraints on the velocities of one arm or two, as rows. Hot path: bounded, no allocation, no I/O, no lock.
 //!
 //! Zero velocity satisfies every row in every state, so that the filter always has an answer: braking is always allowed, and a
-//! boundary that has been passed asks only not to go further.
+//! boundary that has been passed only forbids going further.
 
 mod bounds;
 mod geometry;
+mod names;
 mod pair;
 #[cfg(test)]
 pub(crate) mod planted;
 
+use hal::count::count_u32;
 use nalgebra::SMatrix;
 
 use super::active_set::VARIABLES_MAX;
-use super::config::{ControlConfig, FORBIDDEN_MAX};
+use super::config::{ControlConfig, FORBIDDEN_MAX, Margins};
+use super::deviation::Deviation;
 use super::instrument::Stance;
 use super::motion::{AXES, AxisLimits, MotionState};
+
+pub use names::names;
 
 /// Most arms of a controller.
 pub const ARMS_MAX: usize = 2;
@@ -22,6 +27,9 @@ pub const ARMS_MAX: usize = 2;
 /// Most rows of geometry: for each arm three points in the workspace and eight places of the instrument against each region,
 /// and between the arms seven pairs of links.
 pub const GEOMETRY_MAX: usize = ARMS_MAX * (18 + 8 * FORBIDDEN_MAX) + 7;
+
+/// What the filter keeps beyond the guard's margin and a large deviation, as a share of what it keeps beyond the guard's margin otherwise.
+const ROOM_SHARE: f64 = 0.25;
 
 /// Velocities of all axes of all arms, arm by arm.
 pub type Velocities = [f64; VARIABLES_MAX];
@@ -60,6 +68,8 @@ pub struct RowInput<'a> {
     pub jaw_effort_n_m: f64,
     /// Share of the speed limits that is allowed, 0 to 1.
     pub pace: f64,
+    /// How far the measured instrument is from the commanded one, as the guard takes it into account.
+    pub deviation: Deviation,
 }
 
 /// All rows of one tick.
@@ -111,9 +121,9 @@ impl Rows {
                     (*low, *high) = bounds;
                 }
             }
-            geometry::workspace(self, config, first, arm.stance, &geometry.workspace);
+            geometry::workspace(self, config, first, arm, &geometry.workspace);
             for region in &geometry.forbidden {
-                geometry::region(self, config, first, arm.stance, &region.shape);
+                geometry::region(self, config, first, arm, &region.shape);
             }
             self.speeds(config, first, arm);
         }
@@ -121,7 +131,7 @@ impl Rows {
             && let Some(gaps) = &config.between_arms
         {
             let frames = [&first.scene_from_rcm, &second.scene_from_rcm];
-            pair::links(self, config, gaps, [one.stance, other.stance], frames);
+            pair::links(self, config, gaps, [one, other], frames);
         }
     }
 
@@ -176,7 +186,7 @@ impl Rows {
             .cones
             .iter()
             .filter(|cone| cone.speed(velocity) >= cone.limit * (1.0 - tolerance));
-        u32::try_from(bounds.count() + geometry.count() + cones.count()).unwrap_or(u32::MAX)
+        count_u32(bounds.count() + geometry.count() + cones.count())
     }
 
     /// How far each axis is beyond its lower and its upper bound, with its scale.
@@ -228,9 +238,17 @@ pub(super) fn velocity_scale(config: &ControlConfig) -> Velocities {
     scale
 }
 
-/// The velocity towards a boundary that is `distance_m` away, margin apart, m/s.
-fn approach_bound(distance_m: f64, config: &ControlConfig) -> f64 {
-    config.filter.alpha_1_s * (distance_m - config.margins.filter_m).max(0.0)
+/// The velocity towards a boundary that is `distance_m` away, margin apart, m/s, of a part whose measured place deviates by `deviation_m`.
+///
+/// The guard keeps its own margin and the deviation. Where these come to more than the filter's margin, the filter keeps them too, with
+/// [`ROOM_SHARE`] to spare for stops, which curve: otherwise it would lead the arm where the guard stops it.
+fn approach_bound(distance_m: f64, deviation_m: f64, config: &ControlConfig) -> f64 {
+    let Margins {
+        filter_m, guard_m, ..
+    } = config.margins;
+    let room_m = ROOM_SHARE * (filter_m - guard_m);
+    let margin_m = filter_m.max(guard_m + room_m + deviation_m);
+    config.filter.alpha_1_s * (distance_m - margin_m).max(0.0)
 }
 
 pub(super) fn dot(a: &Velocities, b: &Velocities) -> f64 {

@@ -10,7 +10,7 @@ use clarabel::solver::{
 use super::active_set::{Cone, LinearRow, VARIABLES_MAX};
 use super::filter::Problem;
 
-/// Tolerances of gap and feasibility that Clarabel is asked for, one after the other; it does not always reach the first.
+/// Tolerances of gap and feasibility, set in Clarabel one after the other; it does not always reach the first.
 const TOLERANCES: [f64; 2] = [1e-10, 1e-9];
 
 /// Iterations after which Clarabel gives up; no limit on time, which would read a clock.

@@ -2,7 +2,7 @@
 //!
 //! A target velocity of zero is coming to rest, any other is tracking. Both are reached from any state within the limits as
 //! fast as acceleration and jerk allow, without overshoot, with zero acceleration, and are then held; an axis at rest that is
-//! told to rest stays where it is, bit for bit.
+//! commanded to rest stays where it is, bit for bit.
 
 mod lowered;
 

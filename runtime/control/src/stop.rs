@@ -124,8 +124,7 @@ impl AxisStop {
             low = low.min(position);
             high = high.max(position);
         };
-        for pair in self.knots.windows(2) {
-            let [from, to] = pair else { continue };
+        for (from, to) in self.knots.iter().zip(&self.knots[1..]) {
             take(to.position);
             for time_s in turning_times(from) {
                 if time_s > from.time_s && time_s < to.time_s {

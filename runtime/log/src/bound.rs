@@ -1,4 +1,4 @@
-//! A log with a bound: the file goes on in another, and of those before it only the newest stays.
+//! A log of bounded size: a full file is put aside and the next one begun; only the newest full one stays.
 
 use std::fs::{self, File};
 use std::io::BufWriter;
@@ -8,7 +8,7 @@ use super::error::LogError;
 use super::header::RunHeader;
 use super::writer::LogWriter;
 
-/// What may come into a file before it is looked at again: all between two flushes, and the end.
+/// What may be written between two checks of the size: all between two flushes, and the end.
 pub(super) const SPARE_BYTES: u64 = 2 << 20;
 
 /// The bound of a log.

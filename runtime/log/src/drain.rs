@@ -89,16 +89,16 @@ pub(super) struct Drain {
     /// When the newest tick was.
     pub(super) now: TimeNs,
     pub(super) failure: Option<LogError>,
-    /// Hears of the first failure at once.
+    /// Called at the first failure.
     pub(super) on_failure: OnFailure,
     pub(super) bound: Option<Bound>,
 }
 
-/// Hears of the first thing that could not be written, on the writer thread.
+/// Called on the writer thread at the first write that fails.
 pub type OnFailure = Box<dyn Fn(&LogError) + Send>;
 
 impl Drain {
-    /// Writes until told to stop or until nobody is left to listen to.
+    /// Writes until it is stopped or all producers are gone.
     pub(super) fn run(mut self) -> Result<LogCounts, LogError> {
         loop {
             // Read before draining: whatever was handed over before it was set is then still written.
@@ -125,8 +125,7 @@ impl Drain {
         }
     }
 
-    /// Whether nobody is left who could hand over anything: no queue's other end, and no [`super::recorder::LogFile`], which
-    /// brings the outcome.
+    /// Whether all producers are gone: the queues' other ends, and the [`super::recorder::LogFile`], which brings the outcome.
     fn is_alone(&self) -> bool {
         self.ticks.is_abandoned()
             && self.side.is_abandoned()
@@ -167,7 +166,8 @@ impl Drain {
     /// Closes the file and goes on in the `next`.
     fn go_on(&mut self, next: Result<LogWriter<BufWriter<File>>, LogError>) {
         match next {
-            Ok(next) => {
+            Ok(mut next) => {
+                next.go_on_from(&self.writer);
                 let full = core::mem::replace(&mut self.writer, next);
                 let closing = Closing {
                     goes_on: true,
@@ -213,7 +213,7 @@ impl Drain {
         }
     }
 
-    /// Keeps the first failure; the queues are still emptied, so that nobody waits for ever.
+    /// Stores the first failure; the queues are still emptied, so that no producer blocks for ever.
     fn note(&mut self, result: mcap::McapResult<()>) {
         if let Err(source) = result {
             let path = self.path.clone();

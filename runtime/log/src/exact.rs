@@ -1,4 +1,4 @@
-//! Floating-point numbers in JSON that come back bit for bit, also those that JSON has no number for.
+//! Floating-point numbers in JSON that come back bit for bit, also the non-finite ones, which JSON lacks.
 
 use core::fmt;
 

@@ -1,4 +1,4 @@
-//! What happened in a run in words, from its ticks: what operators asked for, changes of mode, faults.
+//! Events of a run in words, from its ticks: the operator's, changes of mode, faults.
 
 use hal::{ARM_NAMES, ARMS_MAX};
 use trocar_control::{Fault, OperatingState, OperatorEvent};

@@ -11,7 +11,7 @@ pub struct RunHeader {
     pub task: String,
     /// `expert`, `noop`, `random` or the checkpoint's directory.
     pub policy: String,
-    /// What everything random hangs on.
+    /// The seed of all random numbers.
     pub seed: u64,
     /// Whether time was the tick counter.
     pub lockstep: bool,

@@ -14,7 +14,7 @@ pub(super) struct JointMessages {
     pub(super) measured: JointStates,
     /// `/psm1/setpoint_js`: position, velocity, acceleration.
     pub(super) setpoint: JointStates,
-    /// `/psm1/jaw`: the measured jaw, then what it was told.
+    /// `/psm1/jaw`: the measured jaw, then its command.
     pub(super) jaw: JointStates,
 }
 

@@ -118,7 +118,7 @@ impl From<ErrorMessage> for ArmError {
     }
 }
 
-/// What the operator asked for.
+/// The operator's event.
 #[derive(Clone, Copy, Debug, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub(super) enum OperatorMessage {

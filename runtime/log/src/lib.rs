@@ -1,5 +1,6 @@
 #![doc = include_str!("../README.md")]
 
+mod assembly;
 mod bound;
 mod camera;
 mod container;
@@ -19,6 +20,7 @@ mod recorder;
 pub mod replay;
 mod ring;
 mod safety;
+mod shown;
 mod topic;
 pub mod verify;
 mod writer;
@@ -33,3 +35,4 @@ pub use read::{LogEnd, Loss, RunLog, Step, read_steps};
 pub use record::{ArmRecord, LoggedArm, LoggedTick, TickRecord, TickTiming};
 pub use recorder::{Level, LogFile, Pressure, Recorder, SideLog, TickLog, Writing};
 pub use ring::pre_faulted_queue;
+pub use shown::{Shown, read_shown};

@@ -4,6 +4,7 @@
 //! [`super::descriptor`] states the same numbers for readers; change both together.
 
 use hal::TimeNs;
+use hal::count::{count_u32, index};
 use prost::Message;
 
 /// A point in time: `google.protobuf.Timestamp`.
@@ -22,10 +23,10 @@ const NANOS: u64 = 1_000_000_000;
 impl Timestamp {
     /// The same time; exact for every `TimeNs`.
     pub(super) fn new(time: TimeNs) -> Self {
-        // The quotient is below 2^35 and the remainder below 2^30, so neither fallback is ever taken.
+        const { assert!(u64::MAX / NANOS < 1 << 35 && NANOS < 1 << 30) };
         Self {
-            seconds: i64::try_from(time.0 / NANOS).unwrap_or(i64::MAX),
-            nanos: i32::try_from(time.0 % NANOS).unwrap_or(i32::MAX),
+            seconds: (time.0 / NANOS).cast_signed(),
+            nanos: count_u32(index(time.0 % NANOS)).cast_signed(),
         }
     }
 

@@ -1,26 +1,16 @@
 //! Reads a run's log back: every tick with the chunks that it was given, bit for bit, step by step or as a whole.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeMap;
 use std::fs::{self, File};
 use std::io::{self, BufReader, Read};
 use std::path::Path;
 
-use hal::{Chunk, TimeNs};
-use mcap::records::MessageHeader;
-use prost::Message;
-use serde::de::DeserializeOwned;
+use hal::{ARMS_MAX, Chunk, PerArm};
 
-use super::container::{self, Visitor};
-use super::contents::Contents;
+use super::assembly::{Assembly, Event, Facts};
 use super::error::LogError;
-use super::header::{self, Closing, LogCounts, RunHeader, RunOutcome};
-use super::joints;
-use super::json::{ChunkMessage, TickMessage, TimingMessage};
-use super::messages::{JointStates, Log};
-use super::record::{LoggedArm, LoggedTick, TickTiming};
-use super::topic::Topic;
-use hal::{ARMS_MAX, PerArm};
-use trocar_control::OperatorEvent;
+use super::header::{LogCounts, RunHeader, RunOutcome};
+use super::record::LoggedTick;
 
 /// A log in memory: 1 kB a tick. [`read_steps`] reads one of any length.
 #[derive(Clone, Debug, Default)]
@@ -121,6 +111,11 @@ pub fn read_steps<E: From<LogError>>(
     }
 }
 
+/// Opens a file to be read from its beginning to its end.
+pub(super) fn buffered(path: &Path) -> Result<BufReader<File>, LogError> {
+    open(path).map(BufReader::new)
+}
+
 /// Opens a file; a device or a pipe may never end.
 fn open(path: &Path) -> Result<File, LogError> {
     let unreadable = |source| LogError::Read {
@@ -141,7 +136,7 @@ impl RunLog {
     /// # Errors
     /// [`LogError`] when there is no such file, it is no log of ours, or bytes in it have changed.
     pub fn open(path: &Path) -> Result<Self, LogError> {
-        Self::read(path, BufReader::new(open(path)?))
+        Self::read(path, buffered(path)?)
     }
 
     /// Reads a log from memory; `path` is for messages.
@@ -272,305 +267,4 @@ impl RunLog {
     pub fn text(&self, name: &str) -> Option<&str> {
         self.header.text(name)
     }
-}
-
-/// What a reader hears of, in order.
-enum Event<'a> {
-    /// A tick.
-    Step(Step<'a>),
-    /// What happened in words.
-    Text(String),
-}
-
-/// The metadata as they come.
-#[derive(Default)]
-struct Facts {
-    header: RunHeader,
-    /// Names of the metadata records that there were.
-    seen: BTreeSet<String>,
-    outcome: Option<RunOutcome>,
-    counts: Option<LogCounts>,
-    input_hash: Option<u64>,
-    /// Whether the run goes on in another file.
-    goes_on: bool,
-    altered: bool,
-}
-
-/// The messages of the tick that is not complete yet, and what is known of the whole.
-struct Assembly<F> {
-    to: F,
-    facts: Facts,
-    contents: Contents,
-    next_record: u64,
-    /// Whether there was a tick.
-    begun: bool,
-    parts: [ArmParts; ARMS_MAX],
-    /// The second arm, whose messages come before the first one's.
-    second: Option<(TickMessage, LoggedArm)>,
-    timing: Option<TimingMessage>,
-}
-
-/// An arm's messages of the tick that is not complete yet.
-#[derive(Default)]
-struct ArmParts {
-    measured: Option<JointStates>,
-    setpoint: Option<JointStates>,
-    jaw: Option<JointStates>,
-    chunk: Option<ChunkMessage>,
-    report: Option<Box<[u8]>>,
-}
-
-impl<F: FnMut(&RunHeader, Event<'_>) -> Result<(), String>> Visitor for Assembly<F> {
-    fn message(&mut self, topic: &str, header: &MessageHeader, data: &[u8]) -> Result<(), String> {
-        if self.facts.counts.is_some() {
-            return Err("a message after the record of how the run ended".to_owned());
-        }
-        self.contents.message(topic, header, data);
-        let Some((topic, arm)) = Topic::find(topic) else {
-            return Ok(());
-        };
-        let Some(parts) = self.parts.get_mut(arm) else {
-            return Ok(());
-        };
-        match topic {
-            Topic::MeasuredJs => fill(&mut parts.measured, protobuf(data)?)?,
-            Topic::SetpointJs => fill(&mut parts.setpoint, protobuf(data)?)?,
-            Topic::Jaw => fill(&mut parts.jaw, protobuf(data)?)?,
-            // A chunk of a tick that was dropped may come before.
-            Topic::Chunk => parts.chunk = Some(json(data)?),
-            Topic::Safety => fill(&mut parts.report, data.into())?,
-            Topic::Timing => fill(&mut self.timing, json(data)?)?,
-            Topic::Tick => {
-                let message: TickMessage = json(data)?;
-                if message.now_ns != header.log_time {
-                    return Err(format!("tick {} has another time", message.tick));
-                }
-                if arm == 0 {
-                    self.complete(&message)?;
-                } else {
-                    self.keep_second(message)?;
-                }
-            }
-            // For people; not part of what the controller was given or answered.
-            Topic::Events => {
-                let text = protobuf::<Log>(data)?.message;
-                (self.to)(&self.facts.header, Event::Text(text))?;
-            }
-            Topic::MeasuredCp => {}
-        }
-        Ok(())
-    }
-
-    fn metadata(&mut self, name: &str, map: BTreeMap<String, String>) -> Result<(), String> {
-        if !self.facts.seen.insert(name.to_owned()) {
-            return Err(format!("a second metadata record `{name}`"));
-        }
-        if name == header::OUTCOME {
-            let closing = Closing::parse(&map).ok_or("the outcome lacks a count or a hash")?;
-            self.facts.altered =
-                closing.contents != Some(header::contents_after(&self.contents, &map));
-            self.facts.outcome = closing.outcome;
-            self.facts.counts = Some(closing.counts);
-            self.facts.input_hash = Some(closing.input_hash).filter(|_| !closing.goes_on);
-            self.facts.goes_on = closing.goes_on;
-            return Ok(());
-        }
-        if self.begun {
-            return Err(format!("metadata `{name}` after the first tick"));
-        }
-        self.contents.metadata(name, &map);
-        if self.facts.header.absorb(name, map) {
-            self.next_record = self.facts.header.left_out;
-            Ok(())
-        } else {
-            Err(format!("metadata `{name}` lacks an entry"))
-        }
-    }
-}
-
-impl<F: FnMut(&RunHeader, Event<'_>) -> Result<(), String>> Assembly<F> {
-    fn new(to: F) -> Self {
-        Self {
-            to,
-            facts: Facts::default(),
-            contents: Contents::default(),
-            next_record: 0,
-            begun: false,
-            parts: Default::default(),
-            second: None,
-            timing: None,
-        }
-    }
-
-    /// Reads a whole log.
-    fn read(&mut self, path: &Path, input: impl Read) -> Result<LogEnd, LogError> {
-        let cut = container::walk(path, input, self)?;
-        if !self.facts.seen.contains(header::RUN) {
-            return Err(LogError::NotOurs {
-                path: path.to_owned(),
-                missing: "the metadata record `run`".to_owned(),
-            });
-        }
-        let counts = self.facts.counts;
-        let unclosed = || "the data end, but the record of how the run ended is missing".to_owned();
-        let continued = || "the run goes on in another file: its log was bounded".to_owned();
-        let left_out = self.facts.header.left_out;
-        let bounded = || format!("its bound left out the first {left_out} ticks");
-        let handed_over = counts.map_or(0, |counts| {
-            counts.ticks.saturating_add(counts.ticks_dropped)
-        });
-        Ok(LogEnd {
-            outcome: self.facts.outcome.take(),
-            input_hash: self.facts.input_hash,
-            dropped_at_end: if self.facts.goes_on {
-                0
-            } else {
-                handed_over.saturating_sub(self.next_record)
-            },
-            cut: cut
-                .or_else(|| counts.is_none().then(unclosed))
-                .or_else(|| (left_out > 0).then(bounded))
-                .or_else(|| self.facts.goes_on.then(continued)),
-            altered: self.facts.altered,
-        })
-    }
-
-    /// Puts a tick together from the messages since the one before.
-    fn complete(&mut self, message: &TickMessage) -> Result<(), String> {
-        let [first, _] = &mut self.parts;
-        let first = first.arm(message)?;
-        let timing = self
-            .timing
-            .take()
-            .filter(|timing| timing.tick == message.tick)
-            .ok_or_else(|| lacks(message, "timing"))?;
-        let dropped_before = self.gap(message)?;
-        let (chunk, mut chunk_dropped) = self.take_chunk(0, message)?;
-        let second = self.second.take();
-        let mut second_chunk = None;
-        if let Some((beside, _)) = &second {
-            let key = |message: &TickMessage| (message.record, message.tick, message.now_ns);
-            if key(beside) != key(message) {
-                return Err(format!(
-                    "tick {} comes with the second arm of tick {}",
-                    message.tick, beside.tick
-                ));
-            }
-            let (chunk, dropped) = self.take_chunk(1, beside)?;
-            second_chunk = chunk;
-            chunk_dropped |= dropped;
-        }
-        let tick = LoggedTick {
-            tick: message.tick,
-            now: TimeNs(message.now_ns),
-            arms: PerArm {
-                first,
-                second: second.map(|(_, arm)| arm),
-            },
-            timing: TickTiming {
-                wake_ns: timing.wake_ns,
-                compute_ns: timing.compute_ns,
-            },
-        };
-        let reports = self.parts.each_mut().map(|parts| parts.report.take());
-        let mut chunks = [chunk.as_ref(), second_chunk.as_ref()].into_iter();
-        let mut of_arm = reports.iter().map(Option::as_deref);
-        let step = Step {
-            tick: &tick,
-            chunks: tick.arms.as_ref().map(|_| chunks.next().flatten()),
-            reports: tick.arms.as_ref().map(|_| of_arm.next().flatten()),
-            dropped_before,
-            chunk_dropped,
-        };
-        (self.to)(&self.facts.header, Event::Step(step))
-    }
-
-    /// Keeps the second arm until the first one completes the tick.
-    fn keep_second(&mut self, message: TickMessage) -> Result<(), String> {
-        let [_, second] = &mut self.parts;
-        let arm = second.arm(&message)?;
-        if let Some((before, _)) = self.second.replace((message, arm)) {
-            return Err(format!("tick {} lacks its first arm", before.tick));
-        }
-        Ok(())
-    }
-
-    /// Ticks that were dropped before this one.
-    fn gap(&mut self, message: &TickMessage) -> Result<u64, String> {
-        let count = message
-            .record
-            .checked_sub(self.next_record)
-            .ok_or("the record numbers go backwards")?;
-        self.begun = true;
-        self.next_record = message
-            .record
-            .checked_add(1)
-            .ok_or("the record number is out of range")?;
-        Ok(count)
-    }
-
-    /// The chunk that an arm was given, and whether it was and is lost.
-    fn take_chunk(
-        &mut self,
-        arm: usize,
-        message: &TickMessage,
-    ) -> Result<(Option<Chunk>, bool), String> {
-        let chunk = self.parts[arm].chunk.take();
-        let Some(wanted) = message.chunk else {
-            return Ok((None, false));
-        };
-        match chunk.filter(|chunk| Some(chunk.record) == wanted.record) {
-            Some(found) => {
-                let chunk = found
-                    .chunk()
-                    .ok_or("a chunk has more targets than a chunk can hold")?;
-                Ok((Some(chunk), false))
-            }
-            None => Ok((None, true)),
-        }
-    }
-}
-
-/// Keeps a message of which a tick has one.
-fn fill<T>(slot: &mut Option<T>, message: T) -> Result<(), String> {
-    match slot.replace(message) {
-        None => Ok(()),
-        Some(_) => Err("a second message of one tick".to_owned()),
-    }
-}
-
-impl ArmParts {
-    /// Puts the arm together from its messages since the tick before.
-    fn arm(&mut self, message: &TickMessage) -> Result<LoggedArm, String> {
-        let jaw = self.jaw.take().ok_or_else(|| lacks(message, "jaw"))?;
-        let measured = match (message.error, self.measured.take()) {
-            (Some(error), _) => Err(error.into()),
-            (None, Some(states)) => {
-                Ok(joints::state(&states, &jaw).ok_or_else(|| lacks(message, "measurement"))?)
-            }
-            (None, None) => return Err(lacks(message, "measurement")),
-        };
-        let setpoint = self.setpoint.take();
-        let command = setpoint
-            .and_then(|setpoint| joints::command(&setpoint, &jaw, message.enabled))
-            .ok_or_else(|| lacks(message, "setpoint"))?;
-        Ok(LoggedArm {
-            measured,
-            operator: message.operator.map(OperatorEvent::from),
-            chunk_sequence: message.chunk.map(|chunk| chunk.sequence),
-            command,
-        })
-    }
-}
-
-fn lacks(message: &TickMessage, what: &str) -> String {
-    format!("tick {} lacks its {what}", message.tick)
-}
-
-fn protobuf<T: Message + Default>(data: &[u8]) -> Result<T, String> {
-    T::decode(data).map_err(|error| error.to_string())
-}
-
-fn json<T: DeserializeOwned>(data: &[u8]) -> Result<T, String> {
-    serde_json::from_slice(data).map_err(|error| error.to_string())
 }

@@ -53,7 +53,7 @@ impl TickRecord {
 pub struct ArmRecord {
     /// What the arm reported.
     pub measured: Result<ArmState, ArmError>,
-    /// What the operator asked for in this tick.
+    /// The operator's event in this tick.
     pub operator: Option<OperatorEvent>,
     /// Sequence of the chunk that the controller was given in this tick.
     pub chunk_sequence: Option<u64>,
@@ -90,7 +90,7 @@ pub struct LoggedTick {
 pub struct LoggedArm {
     /// What the arm reported.
     pub measured: Result<ArmState, ArmError>,
-    /// What the operator asked for in this tick.
+    /// The operator's event in this tick.
     pub operator: Option<OperatorEvent>,
     /// Sequence of the chunk that the controller was given in this tick.
     pub chunk_sequence: Option<u64>,

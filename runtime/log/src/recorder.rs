@@ -48,7 +48,7 @@ pub struct Writing {
 }
 
 impl Writing {
-    /// Without a bound, and nobody hears of failures before the end.
+    /// Without a bound; failures are reported at the end.
     #[must_use]
     pub fn new(pressure: Pressure) -> Self {
         Self {

@@ -95,10 +95,10 @@ pub(super) fn difference(
         return Some(("safety".to_owned(), logged, "a report in JSON".to_owned()));
     };
     let keys = computed.keys().chain(logged.keys());
-    let told = |value: Option<&Value>| value.map_or("nothing".to_owned(), Value::to_string);
+    let shown = |value: Option<&Value>| value.map_or("nothing".to_owned(), Value::to_string);
     keys.map(|key| (key, logged.get(key), computed.get(key)))
         .find(|(_, logged, computed)| logged != computed)
-        .map(|(key, logged, computed)| (format!("safety.{key}"), told(logged), told(computed)))
+        .map(|(key, logged, computed)| (format!("safety.{key}"), shown(logged), shown(computed)))
 }
 
 /// A target as position x, y, z, quaternion x, y, z, w, jaw.

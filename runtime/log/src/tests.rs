@@ -323,7 +323,7 @@ fn frames_become_png_images_with_their_lens() {
 }
 
 #[test]
-fn a_frame_whose_pixels_are_missing_fails_the_log_but_not_the_run() {
+fn a_frame_without_pixels_fails_the_log_and_not_the_run() {
     let file = Scratch::new("bad-frame");
     let mut recorder = Recorder::create(&file.0, &header(), Pressure::Block).unwrap();
     let mut frame = CameraFrame::blank(Intrinsics::from_vertical_fov(16, 8, 0.9));
@@ -522,6 +522,11 @@ fn a_log_with_a_bound_keeps_the_last_part() {
     assert_eq!(last.header.left_out, tick(&last, false));
     assert!(tick(&before, false) > 0, "the first file is still there");
     assert_eq!(last.outcome.as_ref().unwrap().reason, outcome().reason);
+    // The first tick of a file has the period since the last one of the file before.
+    for file in [&earlier, &file] {
+        let periods = periods_ns(file);
+        assert!(periods.iter().all(|ns| *ns == hal::TICK_NS), "{periods:?}");
+    }
     for log in [&last, &before] {
         assert!(log.losses.is_empty() && !log.altered(), "{:?}", log.losses);
         assert!(
@@ -535,6 +540,20 @@ fn a_log_with_a_bound_keeps_the_last_part() {
         let error = super::replay::replay(log).unwrap_err().to_string();
         assert!(error.contains("nothing to replay"), "{error}");
     }
+}
+
+/// The periods that the messages of `/timing` in `file` hold, ns.
+fn periods_ns(file: &Scratch) -> Vec<u64> {
+    let bytes = std::fs::read(&file.0).unwrap();
+    let messages = mcap::MessageStream::new(&bytes)
+        .unwrap()
+        .map(Result::unwrap);
+    let timing = messages.filter(|message| message.channel.topic == "/timing");
+    let period = |message: mcap::Message<'_>| {
+        let timing: super::json::TimingMessage = serde_json::from_slice(&message.data).unwrap();
+        timing.period_ns
+    };
+    timing.map(period).collect()
 }
 
 #[test]

@@ -10,11 +10,11 @@ use mcap::{McapResult, Writer};
 pub(super) enum Topic {
     /// What the arm measured.
     MeasuredJs,
-    /// What it was told.
+    /// Its set-points.
     SetpointJs,
     /// Where its tip was.
     MeasuredCp,
-    /// The jaw, measured and told.
+    /// The jaw, measured and commanded.
     Jaw,
     /// Chunks, in the tick in which the controller was given them.
     Chunk,
@@ -172,7 +172,7 @@ const TICK_SCHEMA: &str = r#"{"title": "trocar.Tick", "type": "object",
   "record": {"type": "integer", "description": "counts the ticks handed to the log, from 0; a gap is a loss"},
   "tick": {"type": "integer"}, "now_ns": {"type": "integer"},
   "error": {"type": ["object", "string", "null"], "description": "why nothing was measured"},
-  "operator": {"description": "what the operator asked for"},
+  "operator": {"description": "event of the operator"},
   "chunk": {"type": ["object", "null"], "properties": {"sequence": {"type": "integer"},
     "record": {"type": ["integer", "null"], "description": "record of the chunk message; null if it was lost"}}},
-  "enabled": {"type": "boolean", "description": "whether the drives were told to hold torque"}}}"#;
+  "enabled": {"type": "boolean", "description": "whether the drives were commanded to hold torque"}}}"#;

@@ -110,12 +110,17 @@ impl<W: Write + Seek> LogWriter<W> {
         Ok(())
     }
 
+    /// Goes on with the run where the file of `before` ends, so that the first tick has the period of any other.
+    pub(super) const fn go_on_from(&mut self, before: &Self) {
+        self.previous_now = before.previous_now;
+    }
+
     /// Whether everything up to the tick at `now` is in the file.
     pub(super) fn has_flushed(&self, now: TimeNs) -> bool {
         self.flushed_at == now
     }
 
-    /// Writes what the arm `index` measured, what it was told and how that came about.
+    /// Writes measurement, command and safety report of the arm `index`.
     fn arm(&mut self, index: usize, tick: &TickRecord, arm: &ArmRecord) -> McapResult<()> {
         let measured = arm.measured.as_ref().ok();
         self.joints.set_measured(measured);
@@ -141,7 +146,7 @@ impl<W: Write + Seek> LogWriter<W> {
         self.json(Topic::Safety, index, tick.now, &safety)
     }
 
-    /// Writes the rest of what the controller was given for the arm `index`.
+    /// Writes the other inputs of the controller for the arm `index`.
     fn rest(&mut self, index: usize, item: &TickItem, arm: &ArmRecord) -> McapResult<()> {
         let record = item.chunk_records.get(index).copied().flatten();
         let rest = TickMessage {
@@ -292,7 +297,7 @@ impl<W: Write + Seek> LogWriter<W> {
             publish_time: now.0,
         };
         *sequence = sequence.wrapping_add(1);
-        let name = self.names.get(&channel_id).map_or("", String::as_str);
+        let name = &self.names[&channel_id];
         self.contents.message(name, &header, &self.buffer);
         self.writer.write_to_known_channel(&header, &self.buffer)
     }

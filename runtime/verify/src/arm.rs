@@ -19,7 +19,7 @@ enum Before {
     Beginning,
     /// Missing ticks, in which the drives may have been switched.
     Gap,
-    /// Drives without torque, and where they were told to be.
+    /// Drives without torque, and their commanded positions.
     Limp([f64; AXES]),
     /// Drives with torque.
     Powered,

@@ -121,18 +121,18 @@ impl Axis {
         ledger.judge(limit, excess, SHARE * bound + rounding, off, bound);
     }
 
-    /// Checks that an axis without torque is told to be where it is.
+    /// Checks that the commanded position of an axis without torque is the measured one.
     pub(super) fn limp_place(&self, ledger: &mut Ledger, position: f64, expected: f64) {
         let excess = (position - expected).abs();
         ledger.judge(self.disabled_position, excess, REST, position, expected);
     }
 
-    /// Checks that an axis without torque is not told to move.
+    /// Checks that the commanded velocity of an axis without torque is zero.
     pub(super) fn limp_velocity(&self, ledger: &mut Ledger, velocity: f64) {
         ledger.judge(self.disabled_velocity, velocity.abs(), REST, velocity, 0.0);
     }
 
-    /// Checks that an axis without torque is not told that its velocity changes.
+    /// Checks that the commanded acceleration of an axis without torque is zero.
     pub(super) fn limp_acceleration(&self, ledger: &mut Ledger, acceleration: f64) {
         let limit = self.disabled_acceleration;
         ledger.judge(limit, acceleration.abs(), REST, acceleration, 0.0);

@@ -32,7 +32,7 @@ pub use stream::Stream;
 /// What the check found.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct VerifyResult {
-    /// Whether no limit was broken, in a log that is whole: nobody knows what was in a part that is not there.
+    /// Whether no limit was broken, in a log that is whole: a missing part can't be checked.
     pub ok: bool,
     /// Ticks that were checked.
     pub ticks: u64,

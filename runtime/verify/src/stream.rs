@@ -24,7 +24,7 @@ pub struct Stream {
     clock: LimitId,
     contents: LimitId,
     /// Arms that the newest tick had commands for.
-    told: usize,
+    commanded: usize,
     /// When the newest tick was.
     now_ns: Option<u64>,
 }
@@ -50,7 +50,7 @@ impl Stream {
             absent: ledger.open("", "missing_arms".to_owned()),
             clock: ledger.open("", "clock_ns".to_owned()),
             contents: ledger.open("", "contents_mismatches".to_owned()),
-            told: 0,
+            commanded: 0,
             now_ns: None,
             ledger,
         })
@@ -61,7 +61,7 @@ impl Stream {
     /// Without the second arm neither it nor the gaps between the two are checked. More arms than the file has are a violation.
     pub fn tick(&mut self, tick: u64, arms: &[(&ArmCommand, &Result<ArmState, ArmError>)]) {
         self.ledger.tick = tick;
-        self.told = arms.len();
+        self.commanded = arms.len();
         for (arm, (command, measured)) in self.arms.iter_mut().zip(arms) {
             arm.tick(&mut self.ledger, command, measured);
         }
@@ -98,7 +98,7 @@ impl Stream {
             let [value, bound] = [now.0, before_ns].map(number);
             self.ledger.judge(self.clock, 1.0, 0.0, value, bound);
         }
-        let commands = self.arms.iter().take(self.told);
+        let commands = self.arms.iter().take(self.commanded);
         let commands = commands.filter_map(|arm| arm.newest.as_ref());
         for stamp in commands.map(|newest| newest.command.stamp) {
             if stamp != now {

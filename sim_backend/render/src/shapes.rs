@@ -142,10 +142,12 @@ pub fn tube(points_m: &[Point3<f64>], radii_m: &[f64], segments: u32) -> Mesh {
     let radius = |index: usize| *radii_m.get(index).unwrap_or(radius_last);
     let start = (second - first).normalize();
     let end = (last - before).normalize();
-    let aside = [Vector3::x(), Vector3::y()]
-        .into_iter()
-        .find(|axis| axis.dot(&start).abs() < 0.9);
-    let mut side = start.cross(&aside.unwrap_or_else(Vector3::z)).normalize();
+    let aside = if start.x.abs() < 0.9 {
+        Vector3::x()
+    } else {
+        Vector3::y()
+    };
+    let mut side = start.cross(&aside).normalize();
     let mut rows = Vec::new();
     for step in 0..3 {
         let lift = 0.25 * TAU * f64::from(step) / 3.0;

@@ -1,5 +1,5 @@
 //! A task's cameras: they render a snapshot of the scene, in whatever thread they live. Nothing is drawn for a camera that
-//! nobody asks.
+//! no image is requested.
 
 mod flap;
 

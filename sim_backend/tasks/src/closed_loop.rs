@@ -70,7 +70,7 @@ pub(crate) struct Episode {
     pub(crate) state_hash: u64,
 }
 
-/// Runs the expert until the episode is decided; `disturb` may change what the first arm is told.
+/// Runs the expert until the episode is decided; `disturb` may change the command of the first arm.
 pub(crate) fn run(
     task: &TaskConfig,
     seed: u64,
@@ -215,7 +215,7 @@ pub(crate) fn needs_its_hand(task: &TaskConfig) {
 }
 
 /// Checks that the expert does `task` in more than one attempt, within `limit_s`, after the first arm's jaw stood at `jaw_rad`
-/// during `window_s`, whatever it was told.
+/// during `window_s`, whatever its command.
 pub(crate) fn recovers(task: &TaskConfig, limit_s: f64, window_s: Range<f64>, jaw_rad: f64) {
     let mut task = task.clone();
     task.time_limit_s = limit_s;

@@ -8,10 +8,10 @@ pub enum SimulationError {
     /// The renderer can't be had or failed.
     #[error(transparent)]
     Render(#[from] RenderError),
-    /// An image was asked of an episode that runs without cameras.
+    /// The episode runs without cameras.
     #[error("this simulation was made without rendering")]
     RenderingOff,
-    /// A wrist camera was asked for an image of a scene without its arm.
+    /// The scene lacks the arm that carries the camera.
     #[error("camera {camera} is carried by arm {arm}, which is not there")]
     NoCarrier {
         /// The camera.
@@ -22,7 +22,7 @@ pub enum SimulationError {
     /// There is no such camera.
     #[error("camera {index} of {count}")]
     NoSuchCamera {
-        /// The one asked for.
+        /// The requested one.
         index: usize,
         /// How many there are.
         count: usize,

@@ -134,7 +134,7 @@ impl Simulation {
         self.judge.observe(&Sight::of(&self.world));
     }
 
-    /// Advances by 1 ms before the episode begins, when nobody leads the arms yet: nothing is judged, and the episode's time
+    /// Advances by 1 ms before the episode begins, before the arms are commanded: nothing is judged, and the episode's time
     /// does not run.
     pub fn wait(&mut self) {
         self.world.step();
@@ -144,6 +144,12 @@ impl Simulation {
     #[must_use]
     pub const fn outcome(&self) -> Outcome {
         self.judge.outcome()
+    }
+
+    /// What has not happened as long as there is no success, in words.
+    #[must_use]
+    pub fn missing(&self) -> &'static str {
+        self.judge.missing()
     }
 
     /// What the flap has gone through since the episode began, if there is one.

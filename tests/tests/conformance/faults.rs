@@ -12,10 +12,7 @@ pub(crate) const FAULTS: [Fact; 3] = [
         "a long loss",
         a_lost_measurement_is_told_with_its_age_and_ends,
     ),
-    (
-        "a failure",
-        failed_drives_are_named_and_stay_failed_until_they_are_reset,
-    ),
+    ("a failure", failed_drives_are_named_and_latch_until_reset),
 ];
 
 fn a_short_loss_is_bridged(make: Make<'_>) {
@@ -68,7 +65,7 @@ fn a_lost_measurement_is_told_with_its_age_and_ends(make: Make<'_>) {
     );
 }
 
-fn failed_drives_are_named_and_stay_failed_until_they_are_reset(make: Make<'_>) {
+fn failed_drives_are_named_and_latch_until_reset(make: Make<'_>) {
     for axis in [0, 3, 6] {
         let mut driver = Driver::new(make);
         let _ = driver.go(250_000_000);

@@ -178,7 +178,7 @@ codes! {
     CAN_OVERRUN = 0x8110, "CAN overrun";
     /// The controller counts many errors.
     CAN_PASSIVE = 0x8120, "CAN in error passive mode";
-    /// A node that was watched is silent.
+    /// Heartbeat consumer time-out.
     HEARTBEAT = 0x8130, "heartbeat lost";
     /// The controller was bus-off and is back.
     BUS_OFF_RECOVERED = 0x8140, "recovered from bus-off";

@@ -21,7 +21,7 @@ impl CobView {
         self.0 & INVALID == 0
     }
 
-    /// Whether it may be asked for with a remote frame.
+    /// Whether a remote frame (RTR) may request it.
     #[must_use]
     pub const fn allows_rtr(self) -> bool {
         self.0 & NO_RTR == 0
@@ -51,7 +51,7 @@ pub struct PdoCob {
     pub id: CanId,
     /// Whether the PDO exists.
     pub valid: bool,
-    /// Whether it may be asked for with a remote frame.
+    /// Whether a remote frame (RTR) may request it.
     pub rtr: bool,
 }
 
@@ -85,9 +85,9 @@ pub enum Transmission {
     SyncAcyclic,
     /// At every n-th SYNC, 1 to 240. A received PDO takes effect at the next SYNC, whatever n is.
     SyncCyclic(SyncCount),
-    /// Sampled at SYNC, sent when asked for.
+    /// Sampled at SYNC, sent on RTR.
     RtrSync,
-    /// Sent when asked for.
+    /// Sent on RTR.
     RtrEvent,
     /// At once, as the vendor likes.
     EventVendor,

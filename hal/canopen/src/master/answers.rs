@@ -1,6 +1,6 @@
 //! Which SYNC an axis' newest answer belongs to. Hot path: bounded, no allocation.
 //!
-//! Process data carry no number. After a missing answer the next one may be the missing one, late, and so may all that follow. A
+//! Process data carry no sequence number. After a missing answer the next one may be the missing one, late, and so may all that follow. A
 //! pause, a period without a SYNC, tells: what comes in it was late, and if nothing comes the answers are in step again.
 
 /// What the newest period says of the answers.

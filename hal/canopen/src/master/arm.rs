@@ -39,7 +39,7 @@ pub struct CanArm<B> {
     between_calls_ns: u64,
     /// The arm as it was at the newest SYNC.
     measured: Result<ArmState, ArmError>,
-    /// Commands whose set-points were no numbers or out of reach.
+    /// Commands with a set-point that was NaN, infinite or out of range.
     refused: u64,
     out: Outbox,
 }
@@ -83,7 +83,7 @@ impl<B: Bus> CanArm<B> {
         self.plan.cycle_ns
     }
 
-    /// Commands that were no numbers or out of reach; the tail was played instead.
+    /// Commands that were NaN, infinite or out of range; the tail was played instead.
     #[must_use]
     pub const fn refused(&self) -> u64 {
         self.refused

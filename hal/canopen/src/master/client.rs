@@ -13,7 +13,7 @@ pub(super) const TIMEOUT_NS: u64 = 500_000_000;
 /// How often the bus is looked at meanwhile, ns.
 pub(super) const LOOK_NS: u64 = 500_000;
 
-/// Sends `frame`, waiting for room. What comes meanwhile is nobody's.
+/// Sends `frame`, waiting for room in the transmit queue. Frames received meanwhile are discarded.
 pub(super) fn send<B: Bus>(bus: &mut B, line: u8, frame: Frame) -> Result<(), BringUpError> {
     let end = bus.now().plus_ns(TIMEOUT_NS);
     while bus.send(line, &[frame]) == 0 {

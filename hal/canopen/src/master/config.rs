@@ -10,6 +10,7 @@ use crate::bus_load::{Overload, Plan};
 use crate::number::{nanoseconds, whole};
 use crate::{CanId, NodeId};
 use hal::config::{ConfigError, Source};
+use hal::count::count_u8;
 use hal::psm::{
     ACTUATORS, Actuator, EFFORT_MAX, JAW_MAX, JAW_MIN, POSITION_MAX, POSITION_MIN, VELOCITY_MAX,
 };
@@ -136,7 +137,7 @@ impl CanConfig {
                 all
             });
             if let Some(mut plan) = together {
-                plan.line = u8::try_from(n).unwrap_or(u8::MAX);
+                plan.line = count_u8(n);
                 plan.check()?;
             }
         }
@@ -222,7 +223,7 @@ fn arm_on_can(
         if twice || arm.nodes[axis] == arm.master_node {
             let value = arm.nodes[axis].to_string();
             let key = key(&format!("nodes.{axis}"));
-            return Err(source.out_of_range(&key, &value, "numbers that nobody else has"));
+            return Err(source.out_of_range(&key, &value, "numbers that no other node has"));
         }
     }
     let homing = homing_sequences(source, n, arm, &axes)?;

@@ -5,6 +5,7 @@ use super::space::Space;
 use crate::bus_load::{Overload, Plan};
 use crate::number::{turns_a_minute, whole};
 use crate::{CanId, NodeId};
+use hal::count::count_u8;
 use hal::tail::TAIL_AXES;
 
 /// Data bytes of a set-point: control word and target position.
@@ -165,7 +166,7 @@ impl ArmPlan {
     pub fn who(&self, axis: usize) -> Who {
         let plan = &self.axes[axis];
         Who {
-            axis: u8::try_from(axis).unwrap_or(u8::MAX),
+            axis: count_u8(axis),
             node: plan.node,
             line: plan.line,
         }
@@ -183,7 +184,7 @@ impl ArmPlan {
     #[must_use]
     pub fn traffic(&self, line: u8) -> Plan {
         let axes = self.axes.iter().filter(|axis| axis.line == line).count();
-        let axes = u32::try_from(axes).unwrap_or(u32::MAX);
+        let axes = u32::from(count_u8(axes));
         let bytes = (COMMAND_BYTES, ANSWER_BYTES);
         let mut plan = Plan::cyclic(line, self.bit_rate, self.cycle_ns, axes, bytes);
         if self.sync_counter != 0 {

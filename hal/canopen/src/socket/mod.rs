@@ -1,6 +1,6 @@
 //! Buses that are interfaces of Linux: raw CAN sockets, in batches, without waiting. Hot path: bounded, no allocation.
 //!
-//! Error frames are asked for, so a controller's trouble is heard of; a socket that was too slow tells how many frames it
+//! Error frames are enabled, so the controller's errors are reported; a socket that was too slow tells how many frames it
 //! missed. What waits in an interface's queue is the kernel's: it throws it away when the controller leaves the bus, and
 //! nothing here can call it back, so after bus-off the master says nothing more on that line.
 

@@ -8,6 +8,7 @@ use core::ptr;
 use std::io;
 use std::os::fd::AsRawFd as _;
 
+use hal::count::count_u32;
 use socketcan::CanSocket;
 
 /// Frames in one call.
@@ -187,8 +188,8 @@ fn missed_count(control: &Control, length: usize) -> Option<u32> {
 
 /// Asks the kernel to count frames that this socket misses.
 pub(super) fn count_missed(socket: &CanSocket) -> io::Result<()> {
+    const LENGTH: libc::socklen_t = count_u32(size_of::<libc::c_int>());
     let on: libc::c_int = 1;
-    let length = libc::socklen_t::try_from(size_of::<libc::c_int>()).unwrap_or(4);
     // SAFETY: `on` is a live integer of the length that is said.
     let code = unsafe {
         libc::setsockopt(
@@ -196,7 +197,7 @@ pub(super) fn count_missed(socket: &CanSocket) -> io::Result<()> {
             libc::SOL_SOCKET,
             libc::SO_RXQ_OVFL,
             (&raw const on).cast(),
-            length,
+            LENGTH,
         )
     };
     if code == 0 {

@@ -139,7 +139,7 @@ impl Dictionary {
         Ok(())
     }
 
-    /// The number at `address`, 0 if there is none. For the node itself, whom no access right stops.
+    /// The number at `address`, 0 if there is none. For the node itself: access rights do not apply.
     #[must_use]
     pub fn get(&self, address: Address) -> i64 {
         match self.position(address).map(|place| self.cells[place].value) {

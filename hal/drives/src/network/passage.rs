@@ -4,6 +4,7 @@ use super::super::motor::Motor;
 use super::super::wire::Delivery;
 use super::{NODE_STEP_NS, Network, Tampering};
 use hal::TimeNs;
+use hal::count::count_u8;
 use trocar_canopen::master::Received;
 
 impl<M: Motor> Network<M> {
@@ -49,7 +50,7 @@ impl<M: Motor> Network<M> {
     }
 
     fn arrive(&mut self, line: usize, delivery: Delivery) {
-        let number = u8::try_from(line).unwrap_or(u8::MAX);
+        let number = count_u8(line);
         let tampering = self.tamper.as_mut().map_or(Tampering::Pass, |tamper| {
             tamper(number, delivery.at, &delivery.frame)
         });

@@ -17,7 +17,7 @@ const WAITING_MAX: usize = 8;
 /// A condition of the communication. Faults of the drive are the power state machine's.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Alarm {
-    /// A watched heartbeat is silent.
+    /// Heartbeat consumer time-out.
     Heartbeat,
     /// No SYNC.
     SyncLoss,

@@ -206,7 +206,7 @@ impl Node {
         if state == self.state {
             return;
         }
-        // Without process data nobody leads this axis any more.
+        // Without process data no master commands this axis any more.
         let unled = match (self.state, state) {
             (NmtState::Operational, NmtState::Stopped) => true,
             (NmtState::Operational, _) => self.config.stops_in_pre_operational,

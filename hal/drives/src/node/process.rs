@@ -124,7 +124,7 @@ impl Node {
             if entry.address == index::CONTROL {
                 control = Some(value);
             } else {
-                // What may not be written now is not; there is nobody to tell.
+                // What may not be written now is not: a PDO has no answer.
                 let _ = self.store(now, entry.address, value, out);
             }
         }

@@ -218,7 +218,7 @@ impl Node {
         Response::Abort(address, code)
     }
 
-    /// Gives up a transfer whose client has fallen silent.
+    /// Aborts a transfer after the client's time-out.
     pub(super) fn server_timeout(&mut self, now: TimeNs, out: &mut Outbox) {
         let since = match self.transfer {
             Transfer::Idle => return,

@@ -90,7 +90,7 @@ impl Node {
         }
     }
 
-    /// Notices who is silent.
+    /// Checks the heartbeat consumer times.
     pub(super) fn watch(&mut self, now: TimeNs, out: &mut Outbox) {
         self.watch_heartbeats(now, out);
         if self.state == NmtState::Operational {

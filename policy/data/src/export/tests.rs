@@ -1,5 +1,11 @@
 //! Small datasets in Open-H-Embodiment's form, read again as LeRobot reads v2.1; what can't be exported is refused.
 
+#![expect(
+    clippy::cast_possible_truncation,
+    clippy::cast_precision_loss,
+    reason = "steps and grey values of a test are small numbers"
+)]
+
 use std::fs;
 use std::path::{Path, PathBuf};
 

@@ -5,6 +5,7 @@ use tch::{Kind, TchError, Tensor};
 
 use super::config::{ActConfig, LossDenominator};
 use super::vae::LatentDistribution;
+use crate::dimension::width;
 
 /// The parts of the loss, each a tensor of no dimension.
 #[derive(Debug)]
@@ -89,7 +90,7 @@ pub fn action_loss(
     match denominator {
         LossDenominator::All => errors.f_mean(Kind::Float),
         LossDenominator::Valid => {
-            let width = actions.size().last().copied().unwrap_or(1);
+            let width = width(actions);
             let elements = kept
                 .f_sum(Kind::Float)?
                 .f_mul_scalar(width)?

@@ -64,7 +64,7 @@ impl ResNet18 {
 
     /// `(n, 3, h, w)` to `(n, channels, h / 2^(stages + 1), w / 2^(stages + 1))`, sizes rounded up.
     pub(super) fn forward(&self, images: &Tensor) -> Result<Tensor, TchError> {
-        // The rectifier after the maximum does the same, to a quarter as many numbers.
+        // ReLU after max pooling does the same, to a quarter as many numbers.
         let x = self.stem.forward(images)?;
         let x = x.f_max_pool2d([3, 3], [2, 2], [1, 1], [1, 1], false)?;
         let mut x = x.f_relu()?;
@@ -91,7 +91,7 @@ impl ResNet18 {
     }
 }
 
-/// Two 3x3 convolutions beside an identity.
+/// Two 3x3 convolutions with a residual connection.
 #[derive(Debug)]
 pub(super) struct Block {
     pub(super) first: Conv,

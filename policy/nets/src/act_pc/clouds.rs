@@ -3,6 +3,7 @@
 use tch::{Device, TchError, Tensor};
 
 use super::config::ActPcConfig;
+use crate::dimension::{dimension, length};
 use trocar_data::perception::{PerceptionError, Point, farthest_points, nearest_points};
 
 /// A batch of clouds, in metres, and what belongs together in them.
@@ -59,12 +60,12 @@ impl Clouds {
                     actual: cloud.len(),
                 });
             }
-            let chosen = farthest_points(cloud, count(config.tokens))?;
+            let chosen = farthest_points(cloud, length(config.tokens))?;
             let places: Vec<Point> = chosen.iter().map(|&index| cloud[index]).collect();
-            let around = nearest_points(cloud, &places, count(config.neighbours))?;
+            let around = nearest_points(cloud, &places, length(config.neighbours))?;
             points.extend_from_slice(cloud.as_flattened());
-            centres.extend(chosen.into_iter().map(whole));
-            neighbours.extend(around.into_iter().map(whole));
+            centres.extend(chosen.into_iter().map(dimension));
+            neighbours.extend(around.into_iter().map(dimension));
         }
         let on_device = |tensor: Tensor, shape: &[i64]| tensor.f_view(shape)?.f_to_device(device);
         Ok(Self {
@@ -76,12 +77,4 @@ impl Clouds {
             )?,
         })
     }
-}
-
-fn count(size: i64) -> usize {
-    usize::try_from(size).unwrap_or(0)
-}
-
-fn whole(index: usize) -> i64 {
-    i64::try_from(index).unwrap_or(i64::MAX)
 }

@@ -9,12 +9,12 @@ use super::ActPc;
 use super::clouds::Clouds;
 use super::tokens::{PointTokens, pick, space_position};
 use crate::act::{FoldedTrunk, Situated};
-use crate::layers::affine::{Affine, By};
+use crate::layers::affine::{Affine, Backend};
 
 /// An ACT-PC network for inference.
 #[derive(Debug)]
 pub struct FoldedActPc {
-    /// From a point to its features, a rectifier after each.
+    /// From a point to its features, ReLU after each.
     point_net: Vec<Affine>,
     /// Of a point's place and features, without a shift.
     mix: Affine,
@@ -36,13 +36,13 @@ impl FoldedActPc {
     pub fn new(network: &ActPc, kind: Kind) -> Result<Self, TchError> {
         Self::computed(
             network,
-            By::fastest(kind, network.tokens.mix.weight.device()),
+            Backend::fastest(kind, network.tokens.mix.weight.device()),
         )
     }
 
-    /// The same, computed `by` somebody.
-    fn computed(network: &ActPc, by: By) -> Result<Self, TchError> {
-        let kind = by.kind();
+    /// The same, computed by `backend`.
+    fn computed(network: &ActPc, backend: Backend) -> Result<Self, TchError> {
+        let kind = backend.kind();
         tch::no_grad(|| {
             let PointTokens {
                 point_net,
@@ -54,19 +54,19 @@ impl FoldedActPc {
             let layers = point_net.layers.iter().map(|(mix, norm)| {
                 let fixed = norm.fixed()?;
                 let weight = mix.weight.f_mul(&fixed.scale.f_unsqueeze(1)?)?;
-                Affine::new(&weight, &fixed.shift, by)
+                Affine::new(&weight, &fixed.shift, backend)
             });
             let fixed = norm.fixed()?;
             let weight = mix.weight.f_mul(&fixed.scale.f_unsqueeze(1)?)?;
             let nothing = fixed.shift.f_zeros_like()?;
             Ok(Self {
                 point_net: layers.collect::<Result<_, _>>()?,
-                mix: Affine::new(&weight, &nothing, by)?,
-                centre: Affine::new(&weight.f_narrow(1, 0, 3)?, &nothing, by)?,
+                mix: Affine::new(&weight, &nothing, backend)?,
+                centre: Affine::new(&weight.f_narrow(1, 0, 3)?, &nothing, backend)?,
                 shift: fixed.shift.f_detach()?.f_to_kind(kind)?,
                 pre_sample: *pre_sample,
                 width: *width,
-                trunk: FoldedTrunk::new(&network.trunk, None, by)?,
+                trunk: FoldedTrunk::new(&network.trunk, None, backend)?,
                 kind,
             })
         })
@@ -139,25 +139,25 @@ mod tests {
     use super::FoldedActPc;
     use crate::act_pc::tests::{cloud, config, network};
     use crate::act_pc::{ActPcConfig, Clouds};
-    use crate::layers::affine::By;
+    use crate::layers::affine::Backend;
     use crate::layers::vectors::Processor;
 
     #[test]
     fn folding_changes_nothing_but_rounding() {
-        let own = Processor::found().map(By::Own);
-        for by in own.into_iter().chain([By::Library(Kind::Float)]) {
-            check(by, &config(false));
-            check(by, &config(true));
+        let own = Processor::found().map(Backend::Native);
+        for backend in own.into_iter().chain([Backend::Torch(Kind::Float)]) {
+            check(backend, &config(false));
+            check(backend, &config(true));
             let mut several = config(false);
             several.act.n_decoder_layers = 2;
-            check(by, &several);
+            check(backend, &several);
         }
     }
 
     #[track_caller]
-    fn check(by: By, config: &ActPcConfig) {
+    fn check(backend: Backend, config: &ActPcConfig) {
         let network = network(config);
-        let folded = FoldedActPc::computed(&network, by).unwrap();
+        let folded = FoldedActPc::computed(&network, backend).unwrap();
         let (first, second) = (cloud(1), cloud(2));
         let clouds = Clouds::new(&[&first, &second], config, Device::Cpu).unwrap();
         let state = Tensor::arange(14, (Kind::Float, Device::Cpu)).sin();
@@ -173,7 +173,7 @@ mod tests {
         let off = (expected - actual).abs().max().double_value(&[]) / scale;
         assert!(
             off <= 3e-6 && scale > 0.1,
-            "off by {off:e} of {scale}: {by:?}"
+            "off by {off:e} of {scale}: {backend:?}"
         );
     }
 }

@@ -2,6 +2,7 @@
 
 use tch::{TchError, Tensor};
 
+use crate::dimension::width;
 use crate::parameters::{Init, ParameterError, ParameterSource};
 
 /// Features of a point.
@@ -70,8 +71,7 @@ impl BatchNorm {
 
     pub(super) fn forward(&self, x: &Tensor, training: bool) -> Result<Tensor, TchError> {
         let shape = x.size();
-        let width = shape.last().copied().unwrap_or(0);
-        x.f_reshape([-1, width])?
+        x.f_reshape([-1, width(x)])?
             .f_batch_norm(
                 Some(&self.weight),
                 Some(&self.bias),

@@ -216,7 +216,7 @@ fn positions_are_blocks_of_sines_and_cosines_in_metres() {
 }
 
 #[test]
-fn the_chunk_of_a_cloud_does_not_depend_on_its_neighbours_in_the_batch() {
+fn a_cloud_s_chunk_is_independent_of_the_batch() {
     let config = config(false);
     let network = network(&config);
     let (first, second) = (cloud(1), cloud(2));

@@ -5,6 +5,7 @@ use tch::{Kind, TchError, Tensor};
 use super::clouds::Clouds;
 use super::config::ActPcConfig;
 use super::point_net::{BatchNorm, Mix, POINT_FEATURES, PointNet};
+use crate::dimension::width;
 use crate::parameters::{ParameterError, ParameterSource};
 
 /// The base of the position's frequencies.
@@ -102,8 +103,8 @@ impl PointTokens {
 
 /// Rows of `values` `(batch, rows, width)` by `indices` `(batch, picked)`.
 pub(super) fn pick(values: &Tensor, indices: &Tensor) -> Result<Tensor, TchError> {
-    let width = values.size().last().copied().unwrap_or(0);
-    let indices = indices.f_unsqueeze(-1)?.f_expand([-1, -1, width], false)?;
+    let sizes = [-1, -1, width(values)];
+    let indices = indices.f_unsqueeze(-1)?.f_expand(sizes, false)?;
     values.f_gather(1, &indices, false)
 }
 

@@ -35,7 +35,7 @@ struct ActPcFile {
 /// An ACT-PC policy read from a folder.
 #[derive(Debug)]
 pub struct ActPcCheckpoint {
-    /// The network, on the device that was asked for; it cannot be trained further.
+    /// The network, on the requested device; it cannot be trained further.
     pub network: ActPc,
     /// How its clouds are made.
     pub cloud: CloudRecipe,

@@ -10,6 +10,7 @@ use super::error::{Cause, CheckpointError};
 use super::processors::{insert, statistics};
 use super::recipe::Recipe;
 use super::tensors::{self, Plain, Precision};
+use crate::dimension::dimension;
 use crate::normalise::Statistics;
 use crate::parameters::Parameters;
 use trocar_data::perception::{CloudRecipe, Point};
@@ -95,8 +96,7 @@ pub(super) fn read_statistics(
     let file = folder.join(STATISTICS);
     let values = tensors::read(&file)?;
     let of = |feature: &str| {
-        statistics(&values, feature, i64::try_from(dims).unwrap_or(0))
-            .map_err(|cause| cause.in_file(&file))
+        statistics(&values, feature, dimension(dims)).map_err(|cause| cause.in_file(&file))
     };
     let corner = |name: &str| -> Result<Point, CheckpointError> {
         let found = values.get(&format!("observation.points.{name}"));

@@ -35,7 +35,7 @@ struct Dp3File {
 /// A DP3 policy read from a folder.
 #[derive(Debug)]
 pub struct Dp3Checkpoint {
-    /// The network, on the device that was asked for.
+    /// The network, on the requested device.
     pub dp3: Dp3,
     /// How its clouds are made.
     pub cloud: CloudRecipe,

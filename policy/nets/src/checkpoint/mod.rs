@@ -96,7 +96,7 @@ pub fn save(
 /// A policy read from a folder.
 #[derive(Debug)]
 pub struct Checkpoint {
-    /// The network, on the device that was asked for.
+    /// The network, on the requested device.
     pub act: Act,
     /// Statistics of its inputs and outputs.
     pub statistics: FeatureStatistics,

@@ -9,6 +9,7 @@ use super::config_file::{features, normalisation};
 use super::error::{Cause, CheckpointError};
 use super::tensors::{self, Plain, Precision, replace};
 use crate::act::ActConfig;
+use crate::dimension::length;
 use crate::normalise::{EPS, IMAGENET_MEAN, IMAGENET_STD, Statistics};
 
 const PREPROCESSOR: &str = "policy_preprocessor.json";
@@ -212,9 +213,8 @@ pub(super) fn statistics(
         min: part("min").unwrap_or_default(),
         max: part("max").unwrap_or_default(),
     };
-    let dims = usize::try_from(dims).unwrap_or(0);
     found
-        .defect(dims)
+        .defect(length(dims))
         .map_or(Ok(found), |text| Err(defect(text)))
 }
 

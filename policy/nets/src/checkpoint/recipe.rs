@@ -1,4 +1,4 @@
-//! `trocar.json`: what a policy needs beside LeRobot's files, and how it came about.
+//! `trocar.json`: what a policy needs besides LeRobot's files, and its provenance.
 
 use serde::{Deserialize, Serialize};
 use serde_json::Value;

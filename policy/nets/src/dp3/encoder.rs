@@ -27,7 +27,7 @@ impl Encoder {
     ) -> Result<Self, ParameterError> {
         let mut points = Vec::new();
         let mut inputs = 3;
-        // Every third place is a rectifier without parameters.
+        // Every third place is a ReLU without parameters.
         for (layer, outputs) in (0..).step_by(3).zip(POINT_WIDTHS) {
             let place = |offset: usize| format!("{key}.extractor.mlp.{}", layer + offset);
             points.push((

@@ -118,8 +118,9 @@ fn names_and_sizes_are_the_published_ones() {
     );
 }
 
+/// The same seed gives the same actions, and each answer of an episode other noise.
 #[test]
-fn the_same_seed_gives_the_same_actions_and_another_answer_others() {
+fn actions_depend_on_the_seed_and_the_answer_s_number() {
     let config = small();
     let network = seeded(&config);
     let (points, state) = observed(&config, 1);

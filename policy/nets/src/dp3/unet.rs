@@ -130,7 +130,7 @@ impl UNet {
             }
         }
         x = through(&self.middle, x, &condition)?;
-        // The first length's channels are never asked for, as published.
+        // The first length's skip connection is never used, as published.
         for (Up { blocks, double }, beside) in self.up.iter().zip(on_the_way.iter().rev()) {
             x = through(blocks, Tensor::f_cat(&[&x, beside], 1)?, &condition)?;
             x = double.forward(&x)?;

@@ -122,7 +122,7 @@ impl Library {
         Ok(Kernel(kernel))
     }
 
-    /// Has the device run `kernel` in `blocks` (x, y) of as many `threads`, after what `stream` was told before.
+    /// Launches `kernel` on `stream`, in `blocks` (x, y) of so many `threads`.
     ///
     /// # Safety
     /// The arguments must be those of the kernel, and their memory large enough for it.

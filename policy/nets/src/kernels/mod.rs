@@ -12,9 +12,11 @@ mod tests;
 
 use std::ffi::{c_int, c_uint, c_void};
 
+use hal::count::count_u32;
 use tch::{Device, Kind, TchError, Tensor};
 
-use crate::recorded::stream_of;
+use crate::cuda_graph::stream_of;
+use crate::dimension::length;
 use library::{Argument, Kernel, Library};
 
 /// Threads of a block, in the kernels too.
@@ -130,8 +132,11 @@ fn maybe(tensor: Option<&Tensor>) -> Argument {
     Argument::Memory(tensor.map_or(std::ptr::null_mut(), Tensor::data_ptr))
 }
 
+/// A count as the kernels take it, in 31 bits.
 fn number(number: i64) -> Argument {
-    Argument::Number(c_int::try_from(number).unwrap_or(c_int::MAX))
+    let count = count_u32(length(number)).cast_signed();
+    assert!(count >= 0, "images of more pixels than a kernel counts");
+    Argument::Number(count)
 }
 
 fn flag(set: bool) -> Argument {
@@ -163,7 +168,7 @@ impl Kernels {
         })
     }
 
-    /// `affine` of what a convolution gave, plus `identity`, rectified if asked.
+    /// `affine` of a convolution's output, plus the residual `identity`, then ReLU if `rectified`.
     pub(crate) fn forward(
         &self,
         convolved: Tensor,
@@ -191,7 +196,7 @@ impl Kernels {
         Ok((answer, kept))
     }
 
-    /// `affine` of what a convolution gave, the greatest of three by three pixels two apart, rectified; and which of the nine.
+    /// `affine` of a convolution's output, 3x3 max pooling with stride 2, then ReLU; and the index of each maximum.
     pub(crate) fn pooled(
         &self,
         convolved: Tensor,
@@ -437,13 +442,13 @@ impl Kernels {
         blocks: [i64; 2],
         mut arguments: [Argument; N],
     ) -> Result<(), TchError> {
-        let blocks = blocks.map(|count| c_uint::try_from(count).unwrap_or(0));
+        let blocks = blocks.map(|count| count_u32(length(count)));
         let stream: *mut c_void = stream_of(self.device)?;
-        let threads = c_uint::try_from(THREADS).unwrap_or(0);
+        const THREADS_OF_BLOCK: c_uint = count_u32(length(THREADS));
         // SAFETY: each caller gives its kernel the arguments of `backbone.cu`, of tensors whose sizes it has checked or made.
         unsafe {
             self.library
-                .launch(kernel, blocks, threads, stream, &mut arguments)
+                .launch(kernel, blocks, THREADS_OF_BLOCK, stream, &mut arguments)
         }
     }
 }

@@ -7,16 +7,16 @@ use super::aligned::Aligned;
 use super::matrix::{After, Matrix};
 use super::vectors::Processor;
 
-/// Who computes products.
+/// What computes matrix products.
 #[derive(Clone, Copy, Debug)]
-pub(crate) enum By {
-    /// Code of ours, for the processor that is named: in single precision on the CPU, with one thread.
-    Own(Processor),
-    /// The network library, in the precision that is named.
-    Library(Kind),
+pub(crate) enum Backend {
+    /// Our GEMM kernel, for this processor: on the CPU in single precision, on one thread.
+    Native(Processor),
+    /// libtorch, in this precision.
+    Torch(Kind),
 }
 
-impl By {
+impl Backend {
     /// The fastest on `device`, with so many threads as there are now.
     pub(crate) fn fastest(kind: Kind, device: Device) -> Self {
         Self::with_threads(kind, device, tch::get_num_threads())
@@ -25,16 +25,16 @@ impl By {
     fn with_threads(kind: Kind, device: Device, threads: i32) -> Self {
         let ours = kind == Kind::Float && device == Device::Cpu && threads == 1;
         match Processor::found() {
-            Some(processor) if ours => Self::Own(processor),
-            _ => Self::Library(kind),
+            Some(processor) if ours => Self::Native(processor),
+            _ => Self::Torch(kind),
         }
     }
 
     /// The precision that it computes in.
     pub(crate) const fn kind(self) -> Kind {
         match self {
-            Self::Own(_) => Kind::Float,
-            Self::Library(kind) => kind,
+            Self::Native(_) => Kind::Float,
+            Self::Torch(kind) => kind,
         }
     }
 }
@@ -42,12 +42,12 @@ impl By {
 /// A linear layer whose bias may differ from row to row.
 #[derive(Debug)]
 pub(crate) enum Affine {
-    Own {
+    Native {
         matrix: Matrix,
         /// `(outputs)` or `(rows of one observation, outputs)`.
         bias: Aligned,
     },
-    Library {
+    Torch {
         /// `(inputs, outputs)`, so that the product reads it as it is.
         weight: Tensor,
         /// As above.
@@ -57,29 +57,29 @@ pub(crate) enum Affine {
 
 impl Affine {
     /// `weight` `(outputs, inputs)`; `bias` is `(outputs)` or `(rows of one observation, outputs)`.
-    pub(crate) fn new(weight: &Tensor, bias: &Tensor, by: By) -> Result<Self, TchError> {
+    pub(crate) fn new(weight: &Tensor, bias: &Tensor, backend: Backend) -> Result<Self, TchError> {
         let (weight, bias) = (weight.f_detach()?, bias.f_detach()?.f_contiguous()?);
         if bias.size().last() != weight.size().first() {
             let text = format!("bias {:?} of weight {:?}", bias.size(), weight.size());
             return Err(TchError::Shape(text));
         }
-        match by {
-            By::Own(processor) if Matrix::fits(&weight) => Ok(Self::Own {
+        match backend {
+            Backend::Native(processor) if Matrix::fits(&weight) => Ok(Self::Native {
                 matrix: Matrix::new(processor, &weight)?,
                 bias: Aligned::of(&Vec::<f32>::try_from(&bias.f_view([-1])?)?),
             }),
-            By::Own(_) | By::Library(_) => Ok(Self::Library {
+            Backend::Native(_) | Backend::Torch(_) => Ok(Self::Torch {
                 weight: weight
-                    .f_to_kind(by.kind())?
+                    .f_to_kind(backend.kind())?
                     .f_transpose(0, 1)?
                     .f_contiguous()?,
-                bias: bias.f_to_kind(by.kind())?,
+                bias: bias.f_to_kind(backend.kind())?,
             }),
         }
     }
 
-    pub(crate) fn of(linear: &Linear, by: By) -> Result<Self, TchError> {
-        Self::new(&linear.weight, &linear.bias, by)
+    pub(crate) fn of(linear: &Linear, backend: Backend) -> Result<Self, TchError> {
+        Self::new(&linear.weight, &linear.bias, backend)
     }
 
     /// `x` `(rows, inputs)` to `(rows, outputs)`.
@@ -87,17 +87,17 @@ impl Affine {
         self.apply(x, false)
     }
 
-    /// The same, followed by a rectifier.
+    /// The same, followed by ReLU.
     pub(crate) fn rectified(&self, x: &Tensor) -> Result<Tensor, TchError> {
         self.apply(x, true)
     }
 
     fn apply(&self, x: &Tensor, rectified: bool) -> Result<Tensor, TchError> {
         match self {
-            Self::Own { matrix, bias } => {
+            Self::Native { matrix, bias } => {
                 matrix.apply(&x.f_contiguous()?, After { bias, rectified })
             }
-            Self::Library { weight, bias } => {
+            Self::Torch { weight, bias } => {
                 let mut sum = bias_of(bias, x)?.f_addmm(x, weight)?;
                 // tch 0.24 hands the flag of the fused `_addmm_activation` to the parameter `beta`, so two steps.
                 if rectified { sum.f_relu_() } else { Ok(sum) }
@@ -120,7 +120,7 @@ fn bias_of(bias: &Tensor, x: &Tensor) -> Result<Tensor, TchError> {
 mod tests {
     use tch::{Device, Kind, Tensor};
 
-    use super::{Affine, By};
+    use super::{Affine, Backend};
     use crate::layers::vectors::Processor;
 
     fn zeros(shape: &[i64]) -> Tensor {
@@ -136,33 +136,40 @@ mod tests {
             (Kind::Float, Device::Cuda(0), 1, false),
             (Kind::BFloat16, Device::Cpu, 1, false),
         ] {
-            let by = By::with_threads(kind, device, threads);
-            assert_eq!((matches!(by, By::Own(_)), by.kind()), (own, kind));
+            let backend = Backend::with_threads(kind, device, threads);
+            assert_eq!(
+                (matches!(backend, Backend::Native(_)), backend.kind()),
+                (own, kind)
+            );
         }
     }
 
     #[test]
     fn whole_panels_of_outputs_are_code_of_ours() {
-        let own = By::with_threads(Kind::Float, Device::Cpu, 1);
-        for (by, outputs, expected) in [
+        let own = Backend::with_threads(Kind::Float, Device::Cpu, 1);
+        for (backend, outputs, expected) in [
             (own, 32, true),
             (own, 7, false),
-            (By::Library(Kind::Float), 32, false),
+            (Backend::Torch(Kind::Float), 32, false),
         ] {
-            let layer = Affine::new(&zeros(&[outputs, 5]), &zeros(&[outputs]), by).unwrap();
-            assert_eq!(matches!(layer, Affine::Own { .. }), expected, "{layer:?}");
+            let layer = Affine::new(&zeros(&[outputs, 5]), &zeros(&[outputs]), backend).unwrap();
+            assert_eq!(
+                matches!(layer, Affine::Native { .. }),
+                expected,
+                "{layer:?}"
+            );
         }
     }
 
     #[test]
     fn a_bias_of_other_outputs_is_refused() {
-        for by in [
-            By::with_threads(Kind::Float, Device::Cpu, 1),
-            By::Library(Kind::Float),
+        for backend in [
+            Backend::with_threads(Kind::Float, Device::Cpu, 1),
+            Backend::Torch(Kind::Float),
         ] {
             for bias in [&[31_i64] as &[i64], &[4, 64], &[0]] {
                 assert!(
-                    Affine::new(&zeros(&[32, 5]), &zeros(bias), by).is_err(),
+                    Affine::new(&zeros(&[32, 5]), &zeros(bias), backend).is_err(),
                     "{bias:?}"
                 );
             }

@@ -19,7 +19,7 @@ impl Aligned {
     /// `length` zeros.
     pub(crate) fn zeros(length: usize) -> Self {
         let memory = vec![0.0; length + LINE / size_of::<f32>() - 1];
-        // Of a vector as long as this one at most; none where it can't be told.
+        // Of a vector as long as this one at most; none where it is unknown.
         let first = memory.as_ptr().align_offset(LINE);
         let most = memory.len() - length;
         Self {

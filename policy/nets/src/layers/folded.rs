@@ -6,7 +6,7 @@
 use tch::{TchError, Tensor};
 
 use super::Attention;
-use super::affine::{Affine, By};
+use super::affine::{Affine, Backend};
 
 /// Attention of tokens to each other.
 #[derive(Debug)]
@@ -16,7 +16,7 @@ pub(crate) struct SelfAttention {
     heads: i64,
 }
 
-/// To what sees the places of tokens and to what does not, one beside the other.
+/// Projections of what sees positions and of what does not, concatenated.
 #[derive(Debug)]
 enum Projections {
     /// Places are always the same and part of the bias.
@@ -39,11 +39,11 @@ impl SelfAttention {
     pub(crate) fn new(
         attention: &Attention,
         position: Option<&Tensor>,
-        by: By,
+        backend: Backend,
     ) -> Result<Self, TchError> {
         Ok(Self {
-            input: Projections::new(attention, position, 0, by)?,
-            output: Affine::new(&attention.out_weight, &attention.out_bias, by)?,
+            input: Projections::new(attention, position, 0, backend)?,
+            output: Affine::new(&attention.out_weight, &attention.out_bias, backend)?,
             heads: attention.heads,
         })
     }
@@ -65,14 +65,14 @@ impl Projections {
         attention: &Attention,
         position: Option<&Tensor>,
         first: i64,
-        by: By,
+        backend: Backend,
     ) -> Result<Self, TchError> {
         let width = attention.width;
         let layer = |first: i64, end: i64, bias: &Tensor| {
             let weight = attention
                 .in_weight
                 .f_narrow(0, first * width, (end - first) * width)?;
-            Affine::new(&weight, bias, by)
+            Affine::new(&weight, bias, backend)
         };
         let Some(position) = position else {
             let bias = |first: i64, end: i64| {
@@ -126,14 +126,14 @@ impl CrossAttention {
         attention: &Attention,
         queries: &Tensor,
         position: Option<&Tensor>,
-        by: By,
+        backend: Backend,
     ) -> Result<Self, TchError> {
         let weight = attention.in_weight.f_narrow(0, 0, attention.width)?;
         let bias = placed_bias(attention, queries, &[(0, true)])?;
         Ok(Self {
-            query: Affine::new(&weight, &bias, by)?,
-            memory: Projections::new(attention, position, 1, by)?,
-            output: Affine::new(&attention.out_weight, &attention.out_bias, by)?,
+            query: Affine::new(&weight, &bias, backend)?,
+            memory: Projections::new(attention, position, 1, backend)?,
+            output: Affine::new(&attention.out_weight, &attention.out_bias, backend)?,
             heads: attention.heads,
         })
     }
@@ -159,7 +159,7 @@ impl CrossAttention {
     }
 }
 
-/// Biases of the named parts of the packed projection, one beside the other; true where a part sees the places
+/// Biases of the named parts of the packed projection, concatenated; true where a part sees the places
 /// `position` `(tokens, width)`.
 fn placed_bias(
     attention: &Attention,

@@ -1,4 +1,4 @@
-//! What convolutions of pictures and linear layers come to: some rows of inputs by a panel of weights.
+//! The micro-kernel of convolutions and linear layers: some rows of inputs by a panel of packed weights.
 
 use pulp::Simd;
 use tch::{TchError, Tensor};
@@ -6,7 +6,7 @@ use tch::{TchError, Tensor};
 use super::vectors::{Vectors, Work};
 use crate::dimension::dimension;
 
-/// Outputs whose weights lie side by side.
+/// Outputs of a panel of packed weights.
 pub(super) const PANEL: usize = 32;
 
 /// For each row, a panel of outputs as `VECTORS` vectors.
@@ -53,11 +53,11 @@ pub(super) fn share(all: &[f32], index: usize, count: usize) -> &[f32] {
 /// Numbers of a row that are taken as one: the processor checks no lengths in between.
 const STRETCH: usize = 8;
 
-/// Numbers that memory is brought to a cache by.
+/// Numbers of a cache line.
 const LINE: usize = 16;
 
-/// Adds the products of each row's numbers with `weight` `(numbers, outputs of a panel)`, one number after the other. Meanwhile the
-/// numbers `ahead` are brought near.
+/// Adds the products of each row's numbers with `weight` `(numbers, outputs of a panel)`, one number after the other, and prefetches the
+/// numbers `ahead`.
 ///
 /// As many sums as the processor has registers for, with the weights of a number and one number of a row; iterators over them
 /// would keep them in memory instead.

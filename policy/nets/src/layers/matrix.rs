@@ -1,7 +1,6 @@
-//! Products of rows with a matrix of weights on the CPU without the network library: one thread, single precision.
+//! GEMM on the CPU without libtorch: one thread, single precision.
 //!
-//! The weights lie in the order in which they are read, so that none is put in order at each answer, and bias and rectifier come
-//! with the last sums. Each number is the same sum in the same order whatever the processor's vectors: sums over parts of the
+//! Weights are packed once in the order in which the kernel reads them, and bias and ReLU are its epilogue. Each number is the same sum in the same order whatever the processor's vectors: sums over parts of the
 //! inputs, added up one after the other.
 
 use tch::{TchError, Tensor};
@@ -32,7 +31,7 @@ pub(crate) struct Matrix {
     outputs: usize,
 }
 
-/// What is added to each output, and whether a rectifier follows.
+/// The epilogue: the bias of each output, and whether ReLU follows.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct After<'a> {
     /// `(outputs)`, or `(rows, outputs)` of as many rows as often as they go into all.
@@ -70,7 +69,7 @@ impl Matrix {
         })
     }
 
-    /// `x` `(rows, inputs)`, contiguous, by the matrix, and what comes after it: `(rows, outputs)`.
+    /// `x` `(rows, inputs)`, contiguous, by the matrix, with the epilogue: `(rows, outputs)`.
     pub(crate) fn apply(&self, x: &Tensor, after: After<'_>) -> Result<Tensor, TchError> {
         let shape = x.size();
         let rows = match shape.as_slice() {
@@ -209,7 +208,7 @@ impl Product<'_> {
         }
     }
 
-    /// What comes after the sums of a panel of a row.
+    /// The epilogue of a panel of a row.
     #[inline(always)]
     fn finish<V: Vectors>(&mut self, simd: V, row: usize, column: usize) {
         let outputs = self.matrix.outputs;
@@ -219,7 +218,7 @@ impl Product<'_> {
         let (out, _) = V::as_mut_simd_f32s(&mut self.out[row * outputs + column..][..PANEL]);
         for (out, bias) in out.iter_mut().zip(bias) {
             let sum = simd.add_f32s(*out, *bias);
-            // In this order what is not a number stays so.
+            // In this order NaN stays NaN.
             *out = if rectified {
                 simd.max_f32s(simd.splat_f32s(0.0), sum)
             } else {

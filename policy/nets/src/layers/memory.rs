@@ -7,8 +7,8 @@ use std::slice;
 use crate::dimension::dimension;
 use tch::{Device, Kind, TchError, Tensor};
 
-/// The numbers of `tensor`, which is contiguous, on the CPU and in single precision. Nobody may change them meanwhile, not by another
-/// tensor that shares them either; a gradient ends here.
+/// The numbers of `tensor`, which is contiguous, on the CPU and in single precision. They must not change meanwhile, not through
+/// another tensor that shares them either; no gradient passes.
 pub(super) fn numbers(tensor: &Tensor) -> Result<&[f32], TchError> {
     check(tensor)?;
     let count = tensor.numel();

@@ -1,10 +1,9 @@
-//! Products of a big matrix of weights with few columns, on the CPU: what takes the time is reading the weights.
+//! Products of a big matrix of weights with few columns, on the CPU: bound by reading the weights.
 //!
 //! Weights all of which are numbers of half precision lie in memory as such and are widened in registers, exactly; others lie
 //! there in single precision. The arithmetic is the same: in single precision, for each output one sum over the rows in their
-//! order, each product fused with its addition. Outputs lie in panels of 16 beside each other; several panels are read at
-//! once, since a core reads several stretches of memory faster than one. Needs AVX2 and FMA or AVX-512; who has neither uses
-//! the network library.
+//! order, each product fused with its addition. Weights are packed in panels of 16 outputs; several panels are read at
+//! once, since a core reads several streams faster than one. Needs AVX2 and FMA or AVX-512; other processors use libtorch.
 
 mod columns;
 mod kernel;
@@ -23,13 +22,13 @@ pub(crate) use columns::{Columns, Windows};
 use kernel::{Product, To};
 use weights::{Brain, Half, Single, Stored, Weights};
 
-/// Outputs that lie beside each other.
+/// Outputs of a panel.
 const PANEL: usize = 16;
 
 /// The most panels that are read at once.
 const TOGETHER: usize = 4;
 
-/// Bytes of weights that it is worth starting a thread for.
+/// Bytes of weights for which a thread pays.
 const WORTH_A_THREAD: usize = 1 << 19;
 
 /// A matrix of weights, `(outputs, rows)`, and a bias for each output.

@@ -53,12 +53,12 @@ pub(crate) struct Workspace {
     spare: Vec<Plane>,
 }
 
-/// What a convolution adds to each output, and whether a rectifier follows.
+/// The epilogue of a convolution: bias, residual input, ReLU.
 #[derive(Clone, Copy)]
 struct Ending<'a> {
     /// Of each channel.
     bias: &'a [f32],
-    /// What lies beside the output.
+    /// The residual input, added to the output.
     beside: Option<&'a [f32]>,
     rectified: bool,
 }
@@ -105,7 +105,7 @@ impl Workspace {
 }
 
 impl<'a> Ending<'a> {
-    /// Refuses what does not lie beside outputs of `size`.
+    /// Refuses a residual input of another size than `size`.
     fn new(
         bias: &'a [f32],
         beside: Option<&'a Plane>,
@@ -113,7 +113,7 @@ impl<'a> Ending<'a> {
         size: Size,
     ) -> Result<Self, TchError> {
         if let Some(beside) = beside.filter(|beside| beside.size != size) {
-            let text = format!("{:?} beside {size:?}", beside.size);
+            let text = format!("residual input {:?} for outputs {size:?}", beside.size);
             return Err(TchError::Shape(text));
         }
         Ok(Self {
@@ -131,7 +131,7 @@ impl<'a> Ending<'a> {
             sum = simd.add_f32s(sum, load::<S>(beside, at));
         }
         if self.rectified {
-            // In this order what is not a number stays so.
+            // In this order NaN stays NaN.
             sum = simd.max_f32s(simd.splat_f32s(0.0), sum);
         }
         store::<S>(out, at, sum);

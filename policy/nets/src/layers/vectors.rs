@@ -95,10 +95,11 @@ mod x86 {
         }
     }
 
-    /// The first array of `from`; zeros if it is too short, which it never is.
+    /// The first array of `from`, which is no shorter.
     #[inline(always)]
-    fn array<T: Copy + Default, const N: usize>(from: &[T]) -> [T; N] {
-        from.first_chunk().copied().unwrap_or([T::default(); N])
+    fn array<T: Copy, const N: usize>(from: &[T]) -> [T; N] {
+        let (arrays, _) = from[..N].as_chunks();
+        arrays[0]
     }
 
     impl Vectors for V4 {

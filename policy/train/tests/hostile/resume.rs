@@ -5,8 +5,8 @@ use std::path::{Path, PathBuf};
 
 use tch::Device;
 use trocar_data::dataset::Dataset;
-use trocar_nets::dp3::{Dp3Config, Dp3Preset};
-use trocar_train::{Progress, RunState, TrainError, TrainOptions, TrainedDp3, Trainer, Watch};
+use trocar_nets::dp3::{Dp3, Dp3Config, Dp3Preset};
+use trocar_train::{Progress, RunState, TrainError, TrainOptions, Trained, Trainer, Watch};
 
 use crate::cloud::cloud;
 use crate::common::{Folder, seeds, told, within_memory};
@@ -38,7 +38,7 @@ fn run(
     dataset: &Dataset,
     state: Option<RunState>,
     watch: &mut dyn Watch,
-) -> Result<TrainedDp3, TrainError> {
+) -> Result<Trained<Dp3>, TrainError> {
     let config = Dp3Config {
         horizon: 8,
         n_action_steps: 4,
@@ -68,7 +68,7 @@ fn go_on(dataset: &Dataset, file: &Path, case: &str) -> Result<(), TrainError> {
     let last = trained.curve.last().expect(case);
     assert_eq!(last.step, STEPS, "{case}");
     assert!(last.loss.is_finite(), "{case}: {last:?}");
-    for (key, tensor) in trained.dp3.parameters().iter() {
+    for (key, tensor) in trained.network.parameters().iter() {
         assert!(
             bool::try_from(tensor.isfinite().all()).unwrap(),
             "{case}: {key}"

@@ -15,6 +15,7 @@ use super::robot::warn_of_start;
 use super::run::{RunResult, run_lockstep};
 use super::source::{ChunkSource, PolicyChoice};
 use super::{Robot, SessionError, Setup, pictures};
+use crate::console::Console;
 use crate::rt::RtProfile;
 
 /// What stands where the arms of a task are.
@@ -65,6 +66,8 @@ pub struct Plan<S = Setup> {
     pub compute: Compute,
     /// What the threads of a run in real time ask of the operating system.
     pub real_time: RtProfile,
+    /// The page that shows a run in real time, if there is one.
+    pub console: Option<Console>,
     /// Where the log goes, if anywhere. A log holds frames even if the policy needs none: see [`Setup::cameras_with`].
     pub log: Option<PathBuf>,
     /// Bytes that the log takes at most on its disk, if it has a bound; it keeps the last part.
@@ -86,6 +89,7 @@ impl<S> Plan<S> {
             latency_jitter_ms: 0,
             compute: Device::Cpu.into(),
             real_time: RtProfile::default(),
+            console: None,
             log: None,
             log_bytes_max: None,
             pictures: false,

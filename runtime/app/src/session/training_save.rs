@@ -35,7 +35,7 @@ impl Saver<'_> {
         match trained {
             AnyTrained::Act(trained) => {
                 let options = training_backbone::kept(self.options.backbone);
-                let (act, statistics) = (&trained.act, &trained.statistics);
+                let (act, statistics) = (&trained.network, &trained.statistics);
                 checkpoint::save(folder, act, statistics, &recipe, options)?;
             }
             AnyTrained::ActPc(trained) => checkpoint::save_act_pc(
@@ -48,7 +48,7 @@ impl Saver<'_> {
             )?,
             AnyTrained::Dp3(trained) => checkpoint::save_dp3(
                 folder,
-                &trained.dp3,
+                &trained.network,
                 cloud()?,
                 &trained.statistics,
                 &recipe,

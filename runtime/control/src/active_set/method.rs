@@ -141,7 +141,7 @@ impl<const N: usize> Method<N> {
         if settled == Entry::Dependent {
             self.accept_dependent()?;
         }
-        // A violation that is not a number looks like none.
+        // A violation of NaN counts as none.
         if !self.x.iter().all(|entry| entry.is_finite()) {
             return Err(Failure::NotFinite);
         }
@@ -158,7 +158,7 @@ impl<const N: usize> Method<N> {
             let entering = if let Some(cut) = cut {
                 Active::cut(cut)
             } else if violation > self.tolerance() {
-                Active::linear(self.rows.row(index).ok_or(Failure::TooLarge)?)
+                Active::linear(self.rows.row(index))
             } else if refreshed {
                 return Ok(Entry::Active);
             } else {

@@ -103,13 +103,12 @@ impl<const N: usize> Rows<N> {
         worst
     }
 
-    /// Row `index`.
-    pub(super) fn row(&self, index: usize) -> Option<UnitRow<N>> {
-        let lanes = self.lanes.get(index / LANES)?;
-        let lane = index % LANES;
-        Some(UnitRow {
+    /// Row `index`, as [`Self::worst`] counts them.
+    pub(super) fn row(&self, index: usize) -> UnitRow<N> {
+        let (lanes, lane) = (&self.lanes[index / LANES], index % LANES);
+        UnitRow {
             coefficients: lanes.coefficients.map(|lanes| lanes[lane]),
             bound: lanes.bound[lane],
-        })
+        }
     }
 }

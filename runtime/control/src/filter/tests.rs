@@ -1,6 +1,7 @@
 //! Facts about the safety filter.
 
 use super::{Filter, Filtered};
+use crate::Deviation;
 use crate::active_set::VARIABLES_MAX;
 use crate::config::ControlConfig;
 use crate::instrument::Stance;
@@ -167,6 +168,7 @@ fn an_arm_that_may_not_move_does_not_stop_the_other() {
                 moves: true,
                 jaw_effort_n_m: 0.0,
                 pace: 1.0,
+                deviation: Deviation::default(),
             })
             .collect();
         inputs[1].pace = 0.0;
@@ -194,4 +196,48 @@ fn nan_stops_the_arm_and_the_next_problem_is_solved_again() {
         ([0.0; VARIABLES_MAX], QpOutcome::Failed)
     );
     assert_eq!(case.filter(&good), before);
+}
+
+/// Every row has a name; the rows that a solution touches are those that the filter counts, an axis given by its bounds apart.
+#[test]
+fn active_rows_have_names() {
+    for arms in [1, 2] {
+        let mut case = Case::new(arms, 49);
+        let names = crate::rows::names(&case.config);
+        let mut solved = 0;
+        for _ in 0..500 {
+            case.draw();
+            let nominal = case.velocity(3.0);
+            let filtered = case.filter(&nominal);
+            if !matches!(filtered.outcome, QpOutcome::Solved { .. }) {
+                continue;
+            }
+            solved += 1;
+            let problem = case.filter.problem();
+            assert_eq!(names.len(), problem.rows.len() + problem.cones.len());
+            let solution = *case.filter.solution();
+            let active: Vec<usize> = problem.active(&solution).collect();
+            assert!(!active.is_empty() || filtered.rows_active == 0);
+            assert!(active.iter().all(|&index| index < names.len()));
+        }
+        assert!(solved > 100, "{solved}");
+    }
+}
+
+/// An axis that is held at its upper bound is named, and no other.
+#[test]
+fn the_bound_that_holds_an_axis_is_named() {
+    let mut case = Case::new(1, 50);
+    case.draw();
+    let states = [MotionState::ZERO];
+    case.stances = fill(&mut case.rows, &case.config, &states);
+    let mut nominal = [0.0; VARIABLES_MAX];
+    nominal[JAW] = 2.0 * case.rows.high[JAW];
+    let filtered = case.filter(&nominal);
+    assert!(matches!(filtered.outcome, QpOutcome::Solved { .. }));
+    let names = crate::rows::names(&case.config);
+    let solution = *case.filter.solution();
+    let active = case.filter.problem().active(&solution);
+    let named: Vec<&str> = active.map(|index| names[index].as_str()).collect();
+    assert!(named.contains(&"psm1 jaw, upper bound"), "{named:?}");
 }

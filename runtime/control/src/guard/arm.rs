@@ -140,7 +140,7 @@ impl ArmGuard {
         state
     }
 
-    /// Takes note of how far the measured arm is from the commanded one, and of where it is if it was measured.
+    /// Stores the deviation of the measured arm from the commanded one, and its pose if it was measured.
     pub(super) fn observe(&mut self, deviation: &Deviation, measured: Option<&Instrument>) {
         self.deviation = *deviation;
         if let Some(measured) = measured {

@@ -71,13 +71,13 @@ impl Nearest {
 
     /// Of two arms, as [`MeasuredClearance`].
     pub(super) fn between(&self, config: &ControlConfig) -> Option<MeasuredClearance> {
-        let (first, second) = KINDS.get(self.part)?;
+        let (first, second) = KINDS[self.part];
         let names: Vec<&str> = config.arms.iter().map(|arm| arm.name.as_str()).collect();
-        let part = |link: usize| Link::ALL.get(link).map_or("", |link| link.name());
+        let part = |link: usize| Link::ALL[link].name();
         self.named(
             names.join("+"),
             "between_arms".to_owned(),
-            format!("{}.{}", part(*first), part(*second)),
+            format!("{}.{}", part(first), part(second)),
         )
     }
 }
@@ -102,19 +102,17 @@ impl NearestOfArm {
 
     /// The workspace and each region of the arm at `index`; nothing of an arm that never held torque.
     pub(super) fn named(&self, config: &ControlConfig, index: usize) -> Vec<MeasuredClearance> {
-        let Some(arm) = config.arms.get(index) else {
-            return Vec::new();
-        };
+        let arm = &config.arms[index];
         let [workspace, regions @ ..] = &self.0;
-        let point = POINTS.get(workspace.part / SIDES.len()).copied();
-        let side = SIDES.get(workspace.part % SIDES.len()).copied();
-        let part = format!("{}.{}", point.unwrap_or(""), side.unwrap_or(""));
+        let point = POINTS[workspace.part / SIDES.len()];
+        let side = SIDES[workspace.part % SIDES.len()];
+        let part = format!("{point}.{side}");
         let workspace = workspace.named(arm.name.clone(), "workspace".to_owned(), part);
         let regions = regions
             .iter()
             .zip(&arm.forbidden)
             .filter_map(|(nearest, region)| {
-                let link = Link::ALL.get(nearest.part).map_or("", |link| link.name());
+                let link = Link::ALL[nearest.part].name();
                 let boundary = format!("forbidden.{}", region.name);
                 nearest.named(arm.name.clone(), boundary, link.to_owned())
             });

@@ -68,7 +68,7 @@ impl Pair {
         })
     }
 
-    /// Takes note of where both arms are measured.
+    /// Stores the clearances of both measured arms.
     pub(super) fn observe(&mut self, first: &Instrument, second: &Instrument) {
         let gaps: Gaps = core::array::from_fn(|kind| self.gap_m(kind, first, second));
         self.nearest.add(&gaps);
@@ -88,7 +88,7 @@ impl Pair {
         self.kept = self.floors;
     }
 
-    /// Takes note that one arm was put elsewhere, where the gaps had been `before`.
+    /// One arm was moved; the gaps were `before`.
     ///
     /// A floor moves by as much as its gap did, so that a hand on an arm without torque may bring it near, and what is
     /// measured of it may tremble, without the other arm ever gaining a way towards it.

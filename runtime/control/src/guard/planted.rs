@@ -63,7 +63,7 @@ pub(crate) enum PlantedGuardFault {
     EqualTimesOnly,
     /// Two candidates are compared with one another only, and one alone with nothing.
     HeldStopsForgotten,
-    /// Every candidate that is finite is let out.
+    /// Every finite candidate passes.
     GuardSkipped,
 }
 

@@ -92,17 +92,13 @@ impl Sweep {
 
     /// One more sample and what can happen between it and the last one.
     pub(super) fn push(&mut self, instrument: &Instrument, bounds: &Bounds) {
-        if let (Some(slot), Some([before, here])) = (
-            self.instruments.get_mut(self.count),
-            self.ways.get_mut(self.count - 1..=self.count),
-        ) {
-            *slot = *instrument;
-            *here = bounds.ways();
-            for (way, new) in before.iter_mut().zip(here) {
-                *way = way.worse(new);
-            }
-            self.count += 1;
+        let new = bounds.ways();
+        for (way, new) in self.ways[self.count - 1].iter_mut().zip(&new) {
+            *way = way.worse(new);
         }
+        self.instruments[self.count] = *instrument;
+        self.ways[self.count] = new;
+        self.count += 1;
     }
 
     /// Turns every sample into another frame.

@@ -3,9 +3,10 @@
 use hal::psm::SHAFT_RADIUS_M;
 use nalgebra::Vector3;
 
-use super::{Rows, approach_bound};
+use super::{RowInput, Rows, approach_bound};
 use crate::config::ControlConfig;
-use crate::instrument::{Link, Stance};
+use crate::distance::Nearest;
+use crate::instrument::Link;
 use crate::region::{Block, Shape};
 
 /// Six rows for each of control point and finger tips.
@@ -13,14 +14,16 @@ pub(super) fn workspace(
     rows: &mut Rows,
     config: &ControlConfig,
     first: usize,
-    stance: &Stance,
+    arm: &RowInput<'_>,
     workspace: &Block,
 ) {
+    let (stance, deviation) = (arm.stance, &arm.deviation);
     let [left_m, right_m] = stance.instrument.fingers_m;
-    for (link, point_m) in [
-        (Link::Wrist, stance.instrument.tip_m),
-        (Link::LeftFinger, left_m),
-        (Link::RightFinger, right_m),
+    let [left_off_m, right_off_m] = deviation.fingers_m;
+    for (link, point_m, off_m) in [
+        (Link::Wrist, stance.instrument.tip_m, deviation.tip_m),
+        (Link::LeftFinger, left_m, left_off_m),
+        (Link::RightFinger, right_m, right_off_m),
     ] {
         let jacobian = stance.point_jacobian(link, &point_m, 1.0);
         let place_m = workspace.axes.inverse() * (point_m - workspace.center_m);
@@ -28,8 +31,9 @@ pub(super) fn workspace(
             let side = workspace.axes.matrix().column(axis);
             let outward = side.transpose() * jacobian;
             let (half_m, at_m) = (workspace.half_m[axis], place_m[axis]);
-            rows.push(first, &-outward, approach_bound(half_m + at_m, config));
-            rows.push(first, &outward, approach_bound(half_m - at_m, config));
+            let bound = |distance_m: f64| approach_bound(distance_m, off_m, config);
+            rows.push(first, &-outward, bound(half_m + at_m));
+            rows.push(first, &outward, bound(half_m - at_m));
         }
     }
 }
@@ -42,9 +46,10 @@ pub(super) fn region(
     rows: &mut Rows,
     config: &ControlConfig,
     first: usize,
-    stance: &Stance,
+    arm: &RowInput<'_>,
     shape: &Shape,
 ) {
+    let stance = arm.stance;
     for (link, (from_m, to_m)) in Link::ALL.into_iter().zip(stance.instrument.links()) {
         let nearest = shape.nearest(&from_m, &to_m);
         let point_m = from_m + (to_m - from_m) * nearest.fraction;
@@ -53,15 +58,7 @@ pub(super) fn region(
             point_m,
             fraction: nearest.fraction,
         };
-        away(
-            rows,
-            config,
-            first,
-            stance,
-            &place,
-            &nearest.normal,
-            nearest.distance_m,
-        );
+        away(rows, config, first, arm, &place, &nearest);
         if matches!(shape, Shape::HalfSpace { .. } | Shape::Box(_)) {
             let end = shape.nearest(&to_m, &to_m);
             let place = Place {
@@ -69,15 +66,7 @@ pub(super) fn region(
                 point_m: to_m,
                 fraction: 1.0,
             };
-            away(
-                rows,
-                config,
-                first,
-                stance,
-                &place,
-                &end.normal,
-                end.distance_m,
-            );
+            away(rows, config, first, arm, &place, &end);
         }
     }
 }
@@ -93,13 +82,15 @@ fn away(
     rows: &mut Rows,
     config: &ControlConfig,
     first: usize,
-    stance: &Stance,
+    arm: &RowInput<'_>,
     place: &Place,
-    normal: &Vector3<f64>,
-    distance_m: f64,
+    nearest: &Nearest,
 ) {
-    let jacobian = stance.point_jacobian(place.link, &place.point_m, place.fraction);
-    let towards = -(normal.transpose() * jacobian);
-    let bound = approach_bound(distance_m - SHAFT_RADIUS_M, config);
+    let jacobian = arm
+        .stance
+        .point_jacobian(place.link, &place.point_m, place.fraction);
+    let towards = -(nearest.normal.transpose() * jacobian);
+    let off_m = arm.deviation.links_m[place.link as usize];
+    let bound = approach_bound(nearest.distance_m - SHAFT_RADIUS_M, off_m, config);
     rows.push(first, &towards, bound);
 }

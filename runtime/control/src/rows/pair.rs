@@ -4,7 +4,7 @@ use hal::Pose;
 use hal::psm::SHAFT_RADIUS_M;
 use nalgebra::Vector3;
 
-use super::{Row, Rows, approach_bound};
+use super::{Row, RowInput, Rows, approach_bound};
 use crate::active_set::VARIABLES_MAX;
 use crate::config::{BetweenArms, ControlConfig};
 use crate::distance::between_segments;
@@ -26,10 +26,10 @@ pub(super) fn links(
     rows: &mut Rows,
     config: &ControlConfig,
     gaps: &BetweenArms,
-    stances: [&Stance; 2],
+    arms: [&RowInput<'_>; 2],
     scene_from_rcm: [&Pose; 2],
 ) {
-    let [one, other] = stances;
+    let [one, other] = arms.map(|arm| arm.stance);
     let [one_frame, other_frame] = scene_from_rcm;
     let in_scene = [
         one.instrument.moved(one_frame).links(),
@@ -52,9 +52,11 @@ pub(super) fn links(
         let towards = other_frame.rotation.inverse() * between.normal;
         moving(others, other, other_link, between.fraction_b, &towards);
         let clear_m = between.distance_m - 2.0 * SHAFT_RADIUS_M - gap_m;
+        let off_m = arms[0].deviation.links_m[link as usize]
+            + arms[1].deviation.links_m[other_link as usize];
         rows.geometry.push(Row {
             coefficients,
-            bound: approach_bound(clear_m, config),
+            bound: approach_bound(clear_m, off_m, config),
         });
     }
 }

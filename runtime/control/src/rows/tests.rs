@@ -1,6 +1,7 @@
 //! Facts about the rows.
 
 use super::{ARMS_MAX, GEOMETRY_MAX, RowInput, Rows, dot};
+use crate::Deviation;
 use crate::active_set::VARIABLES_MAX;
 use crate::config::ControlConfig;
 use crate::instrument::Stance;
@@ -44,6 +45,7 @@ pub(crate) fn fill(rows: &mut Rows, config: &ControlConfig, states: &[MotionStat
             moves: true,
             jaw_effort_n_m: 0.0,
             pace: 1.0,
+            deviation: Deviation::default(),
         })
         .collect();
     rows.fill(config, &inputs);
@@ -125,6 +127,7 @@ fn slower_pace_lowers_every_speed() {
         moves,
         jaw_effort_n_m: 0.0,
         pace,
+        deviation: Deviation::default(),
     };
     let mut rows = Rows::new(&config);
     rows.fill(&config, &[input(0, true, 0.25), input(1, false, 1.0)]);

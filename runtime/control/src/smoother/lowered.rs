@@ -1,6 +1,6 @@
 //! Lower limits for one axis in mid-motion. Hot path: bounded, no allocation, no I/O, no lock.
 //!
-//! Ruckig alone, told lower limits while it moves, brings the acceleration down with the lower jerk: it then passes the speed
+//! Ruckig alone, given lower limits while it moves, brings the acceleration down with the lower jerk: it then passes the speed
 //! limit or the target, and needs a longer way to stop than there may be. So the full jerk stays until the motion fits.
 
 use super::super::motion::{AxisLimits, MotionState};

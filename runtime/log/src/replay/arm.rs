@@ -13,7 +13,7 @@ use crate::{Loss, RunLog};
 #[derive(Clone, Debug)]
 pub struct RecordedArm {
     ticks: Vec<Tick>,
-    /// When the newest measurement was asked for.
+    /// The newest time that was read.
     now: TimeNs,
     end: TimeNs,
     differing: u64,
@@ -74,7 +74,7 @@ impl RecordedArm {
         self.refused
     }
 
-    /// The log's tick that counts at the newest time that was asked for.
+    /// The log's tick at the newest time that was read.
     fn current(&self) -> Option<&Tick> {
         let after = self.ticks.partition_point(|tick| tick.now <= self.now);
         self.ticks.get(after.checked_sub(1)?)

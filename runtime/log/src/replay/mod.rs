@@ -124,7 +124,7 @@ pub enum ReplayError {
     /// There is no such arm in it.
     #[error("the log has no arm {index}, counted from 0")]
     NoArm {
-        /// The one asked for.
+        /// The requested one.
         index: usize,
     },
 }
@@ -294,7 +294,7 @@ impl Recomputed {
     /// What the outputs of a tick and the log disagree on: a command before a report.
     fn difference(&self, step: &Step<'_>, outputs: &PerArm<TickOutput>) -> Option<Difference> {
         let named = |index: usize, found: Difference| {
-            let prefix = self.prefixes.get(index).map_or("", String::as_str);
+            let prefix = &self.prefixes[index];
             Difference {
                 what: format!("{prefix}{}", found.what),
                 ..found

@@ -122,7 +122,7 @@ fn one_flipped_bit_in_a_chunk_shows() {
 }
 
 #[test]
-fn one_flipped_bit_in_a_number_that_the_controller_ignores_shows() {
+fn a_flipped_bit_that_the_controller_ignores_shows() {
     let result = changed_in_the_file("flip-effort", |records, _| {
         flip(
             &mut records[650]

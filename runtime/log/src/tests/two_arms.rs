@@ -147,8 +147,9 @@ fn topics(log: &Scratch) -> BTreeMap<String, usize> {
     topics
 }
 
+/// A log of one arm lacks them.
 #[test]
-fn the_second_arm_has_topics_of_its_own_and_a_log_of_one_arm_lacks_them() {
+fn only_a_second_arm_has_the_second_arm_s_topics() {
     let (one, _) = samples::write("topics-one", 100);
     let (file, ticks) = (Scratch::new("topics-two"), 100);
     let records: Vec<_> = (0..ticks).map(awkward).collect();

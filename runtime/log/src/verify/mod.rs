@@ -92,14 +92,14 @@ impl Checker {
             stream.missing(tick.tick, step.dropped_before);
         }
         self.complete &= step.dropped_before == 0 && !step.chunk_dropped;
-        let told = tick.arms.as_ref().map(|arm| (&arm.command, &arm.measured));
-        match told.second {
-            None => stream.tick(tick.tick, &[told.first]),
-            Some(second) => stream.tick(tick.tick, &[told.first, second]),
+        let commanded = tick.arms.as_ref().map(|arm| (&arm.command, &arm.measured));
+        match commanded.second {
+            None => stream.tick(tick.tick, &[commanded.first]),
+            Some(second) => stream.tick(tick.tick, &[commanded.first, second]),
         }
         stream.clock(tick.now);
-        stream.expect_arms(told.count());
-        for (command, _) in told.iter() {
+        stream.expect_arms(commanded.count());
+        for (command, _) in commanded.iter() {
             add_to_hash(&mut self.hash, command);
         }
         self.ticks += 1;

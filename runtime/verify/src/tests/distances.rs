@@ -60,7 +60,7 @@ fn agree(shape: &Shape, start: Point3<f64>, end: Point3<f64>, expected_m: f64) {
 }
 
 #[test]
-fn spheres_and_half_spaces_are_as_far_as_their_closed_forms_say() {
+fn sphere_and_half_space_distances_match_closed_forms() {
     let mut random = Random(5);
     for _ in 0..3000 {
         let (start, end, center) = (point(&mut random), point(&mut random), point(&mut random));

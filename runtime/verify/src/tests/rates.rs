@@ -76,7 +76,7 @@ fn rates_that_are_not_those_of_the_setpoints_are_caught() {
 }
 
 #[test]
-fn an_acceleration_beyond_its_limit_or_without_torque_is_caught() {
+fn acceleration_over_limit_or_without_torque_is_caught() {
     let mut scene = Scene::loose(1);
     scene.axes[1][3] = 2.0;
     let mut told = Told::powered(0, &HOME);

@@ -132,7 +132,7 @@ fn the_tips_speeds_in_a_tail_are_caught_alone() {
 }
 
 #[test]
-fn a_tail_out_of_the_workspace_or_into_a_region_is_caught_alone() {
+fn a_tail_that_leaves_or_enters_a_region_is_caught_alone() {
     let depth = HOME[2] - RCC_M + TOOL_M + WRIST_M;
     let last = -depth + WAY;
     only(

@@ -3,6 +3,7 @@
 //! Painting costs as much as some frames, so the patterns may be as rich as they like; reading them costs the same for
 //! every pattern, and their coarser levels keep what is finer than a pixel from flickering.
 
+use hal::count::count_u32;
 use wgpu::util::DeviceExt;
 
 use super::targets::texture;
@@ -46,7 +47,7 @@ impl Paints {
                 wanted.push((key, material.base_colour));
             }
         }
-        let layers = u32::try_from(wanted.len()).unwrap_or(u32::MAX);
+        let layers = count_u32(wanted.len());
         let albedo = layered(device, "albedo", ALBEDO_FORMAT, layers);
         let relief = layered(device, "relief", RELIEF_FORMAT, layers);
         let painter = Painter::new(device);
@@ -79,9 +80,12 @@ impl Paints {
         reason = "a scene has a handful of layers"
     )]
     pub(super) fn layer(&self, material: &Material) -> f32 {
-        let wanted = key(material);
-        let found = self.painted.iter().position(|known| Some(*known) == wanted);
-        found.unwrap_or(0) as f32
+        let Some(wanted) = key(material) else {
+            return 0.0;
+        };
+        let found = self.painted.iter().position(|known| *known == wanted);
+        assert!(found.is_some(), "a material of the scene was not painted");
+        found.map_or(0.0, |layer| layer as f32)
     }
 }
 

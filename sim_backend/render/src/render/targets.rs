@@ -4,6 +4,7 @@
 //! over the pixel by several samples, or with one sample on the first pass's depth.
 
 use hal::Intrinsics;
+use hal::count::index;
 
 use super::Planes;
 use super::RenderError;
@@ -228,10 +229,8 @@ impl Targets {
 
 impl Plane {
     fn rows<'a>(&self, mapped: &'a [u8]) -> impl Iterator<Item = &'a [u8]> {
-        let start = usize::try_from(self.offset).unwrap_or(usize::MAX);
         let row_bytes = self.row_bytes as usize;
-        let plane = mapped.get(start..).unwrap_or_default();
-        plane
+        mapped[index(self.offset)..]
             .chunks_exact(self.pitch_bytes as usize)
             .map(move |row| &row[..row_bytes])
     }

@@ -102,7 +102,7 @@ fn expert_moves_a_block_when_disturbed() {
 
 #[test]
 #[ignore = "takes minutes"]
-fn disturbed_experts_succeed_at_least_forty_five_times_of_fifty() {
+fn disturbed_experts_succeed_45_times_of_50() {
     std::thread::scope(|scope| {
         for name in TaskConfig::names() {
             scope.spawn(move || recovers(name, 0..50, 45));

@@ -13,7 +13,7 @@ pub struct Nudge {
     pub turn_rad_s: f64,
     /// How long it lasts, ms.
     pub steps: u32,
-    /// Whether the thing has been told to move.
+    /// Whether the thing has been set in motion.
     is_under_way: bool,
 }
 
@@ -29,7 +29,7 @@ impl Nudge {
         }
     }
 
-    /// Whether a thing with the velocity `moving` does what the nudge wants, rather than being held up.
+    /// Whether a thing with the velocity `moving` follows the nudge, rather than being held up.
     fn is_followed(&self, moving: &Vector3<f64>) -> bool {
         let [x, y] = self.velocity_m_s;
         x * moving.x + y * moving.y > 0.5 * (x * x + y * y)

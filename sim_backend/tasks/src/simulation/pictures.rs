@@ -64,7 +64,7 @@ impl Looks {
     }
 
     /// Checks what tells something apart.
-    pub(crate) fn told(&self, holds: bool, what: &str) {
+    pub(crate) fn check(&self, holds: bool, what: &str) {
         let ground = self.colour(instance::ORGAN);
         assert!(holds, "{}: {what}, ground {ground:?}", self.task.name);
     }
@@ -94,16 +94,16 @@ fn every_task_shows_all_of_its_parts() {
         // What tells organs and tools apart must be in the picture: hues, greys, light and dark.
         if looks.frame.instance.contains(&0) {
             let dim = (4.0..110.0).contains(&looks.colour(0)[0]);
-            looks.told(dim, "the backdrop is dim, no void");
+            looks.check(dim, "the backdrop is dim, no void");
         }
         let jaw = saturation(looks.colour(instance::JAW));
-        looks.told(jaw < 0.3, "jaws are steel");
+        looks.check(jaw < 0.3, "jaws are steel");
         if looks.frame.instance.contains(&instance::NEEDLE) {
             looks.show(&[(instance::NEEDLE, 500)]);
             let needle = saturation(looks.colour(instance::NEEDLE));
             let ground = saturation(looks.colour(instance::ORGAN));
-            looks.told(needle < 0.3, "the needle is steel");
-            looks.told(needle < ground - 0.1, "unlike what it lies on");
+            looks.check(needle < 0.3, "the needle is steel");
+            looks.check(needle < ground - 0.1, "unlike what it lies on");
         }
     }
 }

@@ -43,7 +43,7 @@ fn picture(simulation: &mut Simulation, camera: &str) -> CameraFrame {
     frame
 }
 
-/// Pixel index and depth of a point of the scene, by the lens and the pose that `frame` reports; none beside the image.
+/// Pixel index and depth of a point of the scene, by the lens and the pose that `frame` reports; none outside the image.
 #[expect(
     clippy::cast_possible_truncation,
     clippy::cast_sign_loss,
@@ -61,7 +61,7 @@ fn project(frame: &CameraFrame, point_in_scene: &Point3<f64>) -> Option<(usize, 
 }
 
 /// How many of the needle's points the picture shows where the reported pose says; all others must be hidden by the
-/// instrument or lie beside the image.
+/// instrument or lie outside the image.
 fn shown(frame: &CameraFrame, needle: &NeedleShape, needle_in_scene: &Pose) -> usize {
     let line = needle.centre_line(41);
     // The ends taper.

@@ -47,7 +47,7 @@ pub struct TaskFiles {
     pub name: String,
     /// What is there, and what counts as success.
     pub scene: Source,
-    /// Where the instruments may be. Handed on to whoever controls them, never read here.
+    /// Workspace and forbidden regions. Handed on to the controller, never read here.
     pub safety: Source,
 }
 
@@ -60,7 +60,7 @@ pub enum TaskError {
         known.join(", ")
     )]
     Unknown {
-        /// What was asked for.
+        /// The requested one.
         asked: String,
         /// Names of the built-in tasks.
         known: Vec<&'static str>,
@@ -115,7 +115,7 @@ pub(super) fn title(source: &Source) -> Result<TitleFile, ConfigError> {
 }
 
 impl BuiltIn {
-    /// The place in lists. What is wrong with the file is told when the task is asked for.
+    /// The place in lists. Errors of the file are reported when the task is loaded.
     fn order(&self) -> u32 {
         let order = title(&self.files().scene)
             .ok()

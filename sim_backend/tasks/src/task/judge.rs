@@ -48,7 +48,7 @@ pub enum Reason {
         /// How hard one finger pressed, N.
         force_n: f64,
     },
-    /// The thing gained energy that nobody gave it.
+    /// The thing gained energy without external work.
     Gained {
         /// What.
         thing: &'static str,
@@ -212,6 +212,11 @@ impl Judge {
         self.outcome
     }
 
+    /// What has not happened as long as there is no success, in words.
+    pub(crate) fn missing(&self) -> &'static str {
+        self.monitor.missing()
+    }
+
     /// Takes in the state after one millisecond.
     pub(crate) fn observe(&mut self, sight: &Sight) {
         if self.outcome != Outcome::Running {
@@ -307,9 +312,9 @@ impl PressWatch {
 /// What no handled thing may go beyond.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Limits {
-    /// Depth by which fingers may sink into it, m; deeper is a fault of the simulation.
+    /// Largest penetration depth of fingers and thing, m; deeper is a fault of the simulation.
     pub(super) penetration_m: f64,
-    /// Depth by which it may sink into hard ground, m; likewise. None on soft ground.
+    /// Largest penetration depth of the thing and hard ground, m; likewise. None on soft ground.
     pub(super) sunk_m: Option<f64>,
     /// Speed of the point that is watched, m/s.
     pub(super) speed_m_s: f64,
@@ -405,7 +410,7 @@ impl Held {
     }
 }
 
-/// The checks that every handled thing passes. Crushing and throwing lose the episode; sinking in, energy from nowhere and what
+/// The checks that every handled thing passes. Crushing and throwing lose the episode; penetration, energy gain and what
 /// is not finite make it invalid.
 #[derive(Clone, Debug)]
 pub(super) struct Watch {

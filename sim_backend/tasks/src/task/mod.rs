@@ -54,7 +54,7 @@ struct Kind {
     name: &'static str,
     /// How many arms it has.
     arms: usize,
-    /// What it alone shows, each with an instance id that nobody else has.
+    /// What it alone shows, each with a unique instance id.
     parts: &'static [Part],
     /// Reads what is particular to it, and checks that.
     parse: fn(&Source) -> Result<Parsed, ConfigError>,
@@ -165,13 +165,13 @@ impl Clone for Box<dyn TaskScene> {
     }
 }
 
-/// A needle was asked for that a task does not have.
+/// The task does not have the requested needle.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("{task} has no needle {name:?}; {}", known_needles(known))]
 pub struct NoSuchNeedle {
     /// The task.
     pub task: String,
-    /// The needle asked for.
+    /// The requested needle.
     pub name: String,
     /// The needles that can be chosen.
     pub known: Vec<String>,

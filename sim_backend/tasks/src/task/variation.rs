@@ -43,7 +43,7 @@ impl Variation {
 pub struct CannotVary {
     /// The task.
     pub task: String,
-    /// What was asked for.
+    /// The requested one.
     pub variation: Variation,
     /// What can be varied.
     pub can: Vec<Variation>,
@@ -221,7 +221,7 @@ impl TaskConfig {
     pub(crate) fn scene_of(&self, seed: u64) -> Box<dyn TaskScene> {
         let mut scene = self.scene.clone();
         if let Some(needle) = self.drawn_needle(seed) {
-            // It is one of those that the scene has told of.
+            // It is one of the scene's needles.
             let _chosen = scene.choose_needle(&needle);
         }
         scene

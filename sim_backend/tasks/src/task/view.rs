@@ -60,7 +60,7 @@ impl View {
     }
 }
 
-/// A view was asked for that needs a camera which the task lacks.
+/// The requested view needs a camera that the task lacks.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("{task} has no camera {camera:?}, which {} swaps", View::View2.name())]
 pub struct NoSuchView {

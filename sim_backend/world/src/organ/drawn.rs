@@ -3,6 +3,7 @@
 use core::f64::consts::TAU;
 
 use hal::Mesh;
+use hal::count::count_u32;
 use hal::mesh::single;
 use nalgebra::Vector3;
 
@@ -142,7 +143,7 @@ fn push(mesh: &mut Mesh, position: Vector3<f64>, normal: Vector3<f64>) {
 
 /// Joins `rings + 1` rings of points by triangles that face up and outwards.
 fn join(mesh: &mut Mesh, rings: usize) {
-    let [rings, sectors] = [rings, SECTORS].map(|count| u32::try_from(count).unwrap_or(0));
+    let [rings, sectors] = [rings, SECTORS].map(count_u32);
     for ring in 0..rings {
         for sector in 0..sectors {
             let next = (sector + 1) % sectors;

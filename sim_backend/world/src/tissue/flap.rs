@@ -215,13 +215,13 @@ impl Tissue {
         report.grasp = self.jaws.iter().find_map(|jaw| jaw.report.grasp);
     }
 
-    /// What the whole flap felt in the newest step.
+    /// Forces and deformation of the whole flap in the newest step.
     #[must_use]
     pub const fn report(&self) -> &TissueReport {
         &self.report
     }
 
-    /// What one jaw felt in the newest step; nothing for a jaw that does not exist.
+    /// Contact of one jaw in the newest step; none for a jaw that does not exist.
     #[must_use]
     pub fn jaw(&self, index: usize) -> JawReport {
         self.jaws
@@ -258,7 +258,7 @@ impl Tissue {
         Pose::from_parts(at.into(), rotation)
     }
 
-    /// Every number that decides the future, for a hash.
+    /// The complete state, for a hash.
     pub fn state(&self) -> impl Iterator<Item = f64> + '_ {
         let vectors = self.sheet.positions.iter().chain(&self.sheet.velocities);
         let holds = self.jaws.iter().flat_map(|jaw| jaw.hold.state());

@@ -3,6 +3,7 @@
 use core::f64::consts::TAU;
 
 use hal::Mesh;
+use hal::count::count_u32;
 use hal::mesh::single;
 use nalgebra::Vector3;
 
@@ -76,9 +77,5 @@ fn indices() -> Vec<u32> {
             triangles.extend([near, far, far_next, near, far_next, near_next]);
         }
     }
-    // Not a hundred vertices.
-    triangles
-        .into_iter()
-        .map(|vertex| u32::try_from(vertex).unwrap_or(0))
-        .collect()
+    triangles.into_iter().map(count_u32).collect()
 }

@@ -8,8 +8,8 @@
 //! what it lies on, when it is flung about, and when its simulation breaks; the task's clock is not kept here. Forces,
 //! stretch, depths and speed count once they last for 20 ms: one step alone may be a solver's hiccup.
 //!
-//! Rigid things may gain no energy that nobody gave them. A flap has no such check, since its attached edge, the organ and
-//! the jaws all do work on it. A broken simulation of it shows otherwise: energy from nowhere as speed (flung) and stretch
+//! Rigid things may not gain energy without external work. A flap has no such check, since its attached edge, the organ and
+//! the jaws all do work on it. A broken simulation of it shows otherwise: energy gain as speed (flung) and stretch
 //! (torn), at the worst as nodes that must be slowed down since they would cross half a cell in a sub-step (16 m/s as the
 //! task ships; no hand is that fast, so one is enough) or as numbers out of their range; a contact that gives way as depth,
 //! of the instrument in the tissue or of the tissue in the organ.

@@ -25,7 +25,7 @@ pub struct Sheet {
     pub(super) gravity: Vector3<f64>,
     pub(super) positions: Vec<Vector3<f64>>,
     pub(super) velocities: Vec<Vector3<f64>>,
-    /// Forces of this sub-step, N; whoever pushes adds to them between [`Self::load`] and [`Self::accelerate`].
+    /// Forces of this sub-step, N; contacts add to them between [`Self::load`] and [`Self::accelerate`].
     pub(super) forces: Vec<Vector3<f64>>,
     pub(super) masses: Vec<f64>,
     /// 0 for a fixed node.

@@ -1,4 +1,4 @@
-//! Where a flap is at one instant, small and of fixed size, for whoever draws it in another thread.
+//! The shape of a flap at one instant, small and of fixed size, for the renderer in another thread.
 
 use nalgebra::Vector3;
 

@@ -3,6 +3,7 @@
 //! Vertices and triangles are chosen once; a frame only moves them and allocates nothing.
 
 use hal::Mesh;
+use hal::count::count_u32;
 use hal::mesh::single;
 use nalgebra::Vector3;
 
@@ -223,9 +224,5 @@ fn indices([columns, rows]: [usize; 2], rim: usize) -> Vec<u32> {
         let (here, next) = (2 * whole + 2 * corner, 2 * whole + 2 * ((corner + 1) % rim));
         triangles.extend([here, here + 1, next + 1, here, next + 1, next]);
     }
-    // A grid that fits memory has far fewer than 2^32 vertices.
-    triangles
-        .into_iter()
-        .map(|vertex| u32::try_from(vertex).unwrap_or(0))
-        .collect()
+    triangles.into_iter().map(count_u32).collect()
 }

@@ -139,7 +139,7 @@ impl World {
         self.stage.throw(thing, &[linear, angular]);
     }
 
-    /// Lets a thing that lies still be calculated for as long again as one that just came to lie still.
+    /// Wakes a sleeping thing, for as long as one that just came to rest stays awake.
     pub fn wake(&mut self, thing: usize) {
         self.stage.wake(thing);
     }
@@ -157,7 +157,7 @@ impl World {
         touch.iter().any(|part| part.force_n > 0.0)
     }
 
-    /// Deepest overlap of a thing and the ground in the newest step, m.
+    /// Largest penetration depth of a thing and the ground in the newest step, m.
     #[must_use]
     pub fn sunk_m(&self, thing: usize) -> f64 {
         self.stage.sunk_m(thing)
@@ -175,19 +175,19 @@ impl World {
         self.arms[arm].bodies()
     }
 
-    /// Sum of the normal forces with which the ground pushed back at an arm's instrument in the newest step, N.
+    /// Sum of the normal contact forces between the ground and an arm's instrument in the newest step, N.
     #[must_use]
     pub fn ground_force_n(&self, arm: usize) -> f64 {
         self.stage.ground_force_n(arm)
     }
 
-    /// Sum of the normal forces with which the ground pushed back at a thing in the newest step, N; its weight is in it.
+    /// Sum of the normal contact forces between the ground and a thing in the newest step, N; its weight included.
     #[must_use]
     pub fn thing_ground_force_n(&self, thing: usize) -> f64 {
         self.stage.thing_ground_force_n(thing)
     }
 
-    /// What the fingers of an arm felt of a thing in the newest step.
+    /// Contact between the fingers of an arm and a thing in the newest step.
     #[must_use]
     pub fn grasp(&self, arm: usize, thing: usize) -> Grasp {
         let [left, right, _] = self.stage.touch(arm, thing);
@@ -214,7 +214,7 @@ impl World {
         }
     }
 
-    /// What the fingers of an arm felt of that in the newest step.
+    /// Contact between the fingers of an arm and the subject in the newest step.
     #[must_use]
     pub fn subject_grasp(&self, arm: usize) -> Grasp {
         match &self.drape {
@@ -223,7 +223,7 @@ impl World {
         }
     }
 
-    /// Deepest overlap of the things and the ground in the newest step, m; the first thing's, or 0 where there is none.
+    /// Largest penetration depth of the first thing and the ground in the newest step, m; 0 without a thing.
     #[must_use]
     pub fn subject_sunk_m(&self) -> f64 {
         if self.thing_count() == 0 {
@@ -232,7 +232,7 @@ impl World {
         self.sunk_m(0)
     }
 
-    /// Digest of all numbers that decide the future, bit by bit.
+    /// Hash of the complete state, bit by bit.
     #[must_use]
     pub fn state_hash(&self) -> u64 {
         let arms = self.arms.iter().flat_map(ArmUnit::state);

@@ -97,11 +97,11 @@ pub enum Shape {
 /// What does not move.
 #[derive(Clone, Debug)]
 pub enum Ground {
-    /// A soft organ on a table. The instrument sinks into it against springs.
+    /// A soft organ on a table, a spring contact for the instrument.
     Organ(OrganShape),
     /// Hard convex solids in the scene frame.
     Solids(Vec<Shape>),
-    /// A soft organ with a rim, for a flap to lie on. The instrument sinks into it against springs; things fall through.
+    /// A soft organ with a rim, for a flap to lie on, a spring contact for the instrument; things fall through.
     Bed(tissue::Ground),
 }
 

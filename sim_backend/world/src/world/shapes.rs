@@ -95,8 +95,7 @@ pub(super) fn sample_points(part: usize) -> Vec<Point3<f64>> {
     ]
 }
 
-/// A shape for the engine, with its place in the frame that its points are in. A hull without volume becomes a ball
-/// about its first point; no task has one.
+/// A shape for the engine, with its place in the frame that its points are in.
 fn engine_shape(shape: &Shape) -> (SharedShape, Pose) {
     match shape {
         Shape::Ball { centre, radius_m } => (
@@ -121,11 +120,9 @@ fn engine_shape(shape: &Shape) -> (SharedShape, Pose) {
         }
         Shape::Hull(points) => {
             let corners: Vec<_> = points.iter().map(|p| engine_vector(&p.coords)).collect();
-            let hull = SharedShape::convex_hull(&corners);
-            (
-                hull.unwrap_or_else(|| SharedShape::ball(1e-3)),
-                Pose::identity(),
-            )
+            #[expect(clippy::expect_used, reason = "the hulls of all tasks are solids")]
+            let hull = SharedShape::convex_hull(&corners).expect("a hull has a volume");
+            (hull, Pose::identity())
         }
     }
 }

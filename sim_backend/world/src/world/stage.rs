@@ -1,6 +1,6 @@
 //! A millisecond of the rigid world: finds contacts, and solves drives, things and contacts together in every sub-step.
 //!
-//! What is near nothing is not solved: an arm in the air is its drives alone, and a thing that lies still sleeps.
+//! Only bodies in or near contact are solved: an arm in the air is its drives alone, and a resting thing sleeps.
 
 mod find;
 mod rows;
@@ -193,7 +193,7 @@ impl Stage {
         moving.wake();
     }
 
-    /// Lets a thing be calculated for as long again as one that just came to lie still.
+    /// Wakes a sleeping thing, for as long as one that just came to rest stays awake.
     pub(super) fn wake(&mut self, thing: usize) {
         self.things[thing].moving.wake();
     }

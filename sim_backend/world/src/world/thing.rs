@@ -1,4 +1,4 @@
-//! A thing that moves: where it is, how fast, and whether it lies still.
+//! A rigid body that moves: pose, velocity, and whether it sleeps.
 
 use hal::Pose;
 use nalgebra::{Matrix3, Point3, Translation3, UnitQuaternion, Vector3};

@@ -13,6 +13,7 @@ use crate::cia301::{Address, Cob};
 use crate::cia402::Mode;
 use crate::cia402::mode::period_parameter;
 use crate::index;
+use hal::count::count_u8;
 
 /// Periods of the SYNC after which a set-point is overdue.
 const DEADLINE_CYCLES: u64 = 10;
@@ -145,8 +146,7 @@ impl<B: Bus> Writer<'_, '_, B> {
             let entry = MappingEntry { address, bits };
             self.set(mapping(0, n), &entry.emit().to_le_bytes()).await?;
         }
-        let count = u8::try_from(objects.len()).unwrap_or(u8::MAX);
-        self.set(mapping(0, 0), &[count]).await?;
+        self.set(mapping(0, 0), &[count_u8(objects.len())]).await?;
         let every = Transmission::SyncCyclic(SyncCount::EVERY);
         self.set(record(0, 2), &[every.raw()]).await?;
         for setting in extras {

@@ -163,7 +163,7 @@ pub enum BringUpError {
         /// Its status word.
         status: u32,
     },
-    /// The axis was stopped on its way to the home position, since that was asked for.
+    /// Homing was cancelled; the axis was stopped on its way to the home position.
     #[error("{who}: homing was cancelled")]
     Cancelled {
         /// The node.

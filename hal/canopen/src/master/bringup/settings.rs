@@ -170,7 +170,7 @@ async fn encoder<B: Bus>(to: &Writer<'_, '_, B>, plan: &AxisPlan) -> Result<(), 
     }
 }
 
-/// Writes what is wanted, or if that is not taken the other end of what is allowed, and looks at what there is then.
+/// Writes the wanted value or, if the drive refuses it, the other end of the allowed range, and reads it back.
 pub(super) async fn keep<B: Bus>(
     to: &Writer<'_, '_, B>,
     setting: &Setting,

@@ -1,4 +1,4 @@
-//! The buses while an arm is brought up, under watch: nobody else may lead its drives then either, and what was set up has to
+//! The buses during bring-up, monitored: no second master may command the drives then either, and what was set up has to
 //! stay so.
 
 use std::sync::mpsc::Sender;
@@ -138,7 +138,7 @@ impl<B: Bus> Watched<B> {
         Ok(())
     }
 
-    /// Takes what has come on any bus and nobody waits for any more.
+    /// Receives what no transfer waits for any more.
     pub(super) fn drain(&mut self) -> Result<(), BringUpError> {
         for line in 0..self.plan.lines {
             let taken = expect(self, line, 0, |_| None::<()>);

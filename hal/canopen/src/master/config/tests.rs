@@ -129,7 +129,7 @@ fn what_cannot_be_is_named_with_its_place() {
         (
             "[1, 2, 3",
             "[1, 1, 3",
-            "arm.0.nodes.1 = 1 is outside numbers that nobody else has",
+            "arm.0.nodes.1 = 1 is outside numbers that no other node has",
         ),
         (
             "[1, 2, 3",
@@ -194,8 +194,9 @@ time_out_s = 30.0
     CanConfig::load(&Source::embedded("can.toml", &text))
 }
 
+/// Axes that the file names home by their method, the others where they stand.
 #[test]
-fn axes_home_where_they_stand_but_for_those_that_the_file_names() {
+fn axes_home_in_place_unless_the_file_names_a_method() {
     let config = CanConfig::load(&CanConfig::shipped()).unwrap();
     assert_eq!(config.arms[0].plan.homing, [None; TAIL_AXES]);
     // The table belongs to the last arm.

@@ -14,7 +14,7 @@ use hal::{ArmError, ArmState, JOINT_COUNT, JointVector, TICK_NS, TimeNs};
 impl Cycle {
     /// Ends the newest period: ages, heartbeats, and what the drives said. Decides whether the next one is a pause.
     ///
-    /// A process datum carries no number, so after a missing answer the next one may be the missing one, late, and so may all
+    /// A PDO carries no sequence number, so after a missing answer the next one may be the missing one, late, and so may all
     /// after it. Then a SYNC is left out, which drives bridge: what comes without one is late, and if nothing comes the
     /// answers are in step again.
     pub fn judge(&mut self, now: TimeNs) {

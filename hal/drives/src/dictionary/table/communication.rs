@@ -7,6 +7,7 @@ use super::{
     CONSUMER_COUNT, DEVICE_TYPE, HISTORY_LENGTH, MAPPED_MAX, PDO_COUNT, PRODUCT_CODE, REVISION,
     alone, several, sub, text, variable,
 };
+use hal::count::count_u8;
 use trocar_canopen::cia301::Address;
 use trocar_canopen::cia301::pdo::MappingEntry;
 
@@ -250,7 +251,7 @@ fn mapping(base: u16, direction: &str, number: u8) -> Object {
         Shape::Record,
         entries.collect(),
     );
-    let count = i64::try_from(preset.len()).unwrap_or(0);
+    let count = count_u8(preset.len()).into();
     object.entries[0] = variable(index, "Number of mapped objects", U8, ReadWrite, count)
         .range(0, MAPPED_MAX.into());
     object

@@ -270,7 +270,9 @@ fn rate_of(table: &Numbers, place: &str) -> Result<f64, ImportError> {
         found,
         expected: expected.to_owned(),
     };
-    let unordered = gaps_s.iter().position(|gap_s| !(*gap_s > 0.0));
+    let unordered = gaps_s
+        .iter()
+        .position(|gap_s| gap_s.is_nan() || *gap_s <= 0.0);
     if let Some(step) = unordered {
         let found = format!("does not grow after step {step}");
         return Err(mismatch(found, "times in ns that do"));

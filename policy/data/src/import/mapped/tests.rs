@@ -1,5 +1,11 @@
 //! Datasets of others by a table of names: what comes in is what was there, and what can't be meant is refused by name.
 
+#![expect(
+    clippy::cast_possible_truncation,
+    clippy::cast_precision_loss,
+    reason = "steps and grey values of a test are small numbers"
+)]
+
 mod made;
 mod raw;
 mod refused;

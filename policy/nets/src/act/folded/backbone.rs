@@ -2,28 +2,32 @@
 
 use tch::{Kind, TchError, Tensor};
 
-use super::own_backbone::OwnBackbone;
+use super::native_backbone::NativeBackbone;
 use crate::act::resnet::{Block, Conv, NORM_EPS, Norm, ResNet18};
-use crate::layers::affine::By;
+use crate::layers::affine::Backend;
 
 /// The backbone for inference.
 #[derive(Debug)]
 pub(super) enum FoldedBackbone {
     /// In convolutions of ours.
-    Own(Box<OwnBackbone>),
+    Native(Box<NativeBackbone>),
     /// In the network library's.
-    Library(LibraryBackbone),
+    Torch(TorchBackbone),
 }
 
 impl FoldedBackbone {
     /// For images of `sides`, height and width. Where not all normalisations are fixed the library computes.
-    pub(super) fn new(backbone: &ResNet18, sides: [usize; 2], by: By) -> Result<Self, TchError> {
-        Ok(match by {
-            By::Own(processor) if OwnBackbone::fits(backbone) => {
-                Self::Own(Box::new(OwnBackbone::new(backbone, sides, processor)?))
+    pub(super) fn new(
+        backbone: &ResNet18,
+        sides: [usize; 2],
+        backend: Backend,
+    ) -> Result<Self, TchError> {
+        Ok(match backend {
+            Backend::Native(processor) if NativeBackbone::fits(backbone) => {
+                Self::Native(Box::new(NativeBackbone::new(backbone, sides, processor)?))
             }
-            By::Own(_) | By::Library(_) => {
-                Self::Library(LibraryBackbone::new(backbone, by.kind())?)
+            Backend::Native(_) | Backend::Torch(_) => {
+                Self::Torch(TorchBackbone::new(backbone, backend.kind())?)
             }
         })
     }
@@ -31,15 +35,15 @@ impl FoldedBackbone {
     /// `(n, 3, h, w)` to `(n * h / 32 * w / 32, 512)`, row by row, sizes rounded up.
     pub(super) fn forward(&mut self, images: &Tensor) -> Result<Tensor, TchError> {
         match self {
-            Self::Own(backbone) => backbone.forward(images),
-            Self::Library(backbone) => backbone.forward(images),
+            Self::Native(backbone) => backbone.forward(images),
+            Self::Torch(backbone) => backbone.forward(images),
         }
     }
 }
 
 /// The backbone in the network library's convolutions: wherever it computes, in whatever precision, with any normalisation.
 #[derive(Debug)]
-pub(super) struct LibraryBackbone {
+pub(super) struct TorchBackbone {
     stem: FoldedConv,
     blocks: Vec<FoldedBlock>,
 }
@@ -68,7 +72,7 @@ struct GroupNorm {
     bias: Tensor,
 }
 
-impl LibraryBackbone {
+impl TorchBackbone {
     pub(super) fn new(backbone: &ResNet18, kind: Kind) -> Result<Self, TchError> {
         let block = |block: &Block| {
             let downsample = block.downsample.as_ref();
@@ -92,7 +96,7 @@ impl LibraryBackbone {
 
     pub(super) fn forward(&self, images: &Tensor) -> Result<Tensor, TchError> {
         let mut x = self.stem.forward(images)?;
-        // The greatest of the rectified is the rectified greatest, of which there are fewer.
+        // Max pooling commutes with ReLU, and leaves fewer numbers for it.
         x = x.f_max_pool2d([3, 3], [2, 2], [1, 1], [1, 1], false)?;
         x = x.f_relu_()?;
         for block in &self.blocks {

@@ -6,7 +6,7 @@
 //! kept.
 
 mod backbone;
-mod own_backbone;
+mod native_backbone;
 #[cfg(test)]
 mod tests;
 mod trunk;
@@ -14,9 +14,9 @@ mod trunk;
 use tch::{Kind, TchError, Tensor};
 
 use super::Act;
+use crate::cuda_graph::NetworkGraph;
 use crate::dimension::length;
-use crate::layers::affine::{Affine, By};
-use crate::recorded::Recorded;
+use crate::layers::affine::{Affine, Backend};
 use backbone::FoldedBackbone;
 pub(crate) use trunk::{FoldedTrunk, Situated};
 
@@ -24,7 +24,7 @@ pub(crate) use trunk::{FoldedTrunk, Situated};
 #[derive(Debug)]
 pub struct FoldedAct {
     /// Dropped before the network that it repeats.
-    recorded: Recorded,
+    graph: NetworkGraph,
     network: Network,
 }
 
@@ -42,11 +42,14 @@ impl FoldedAct {
     /// # Errors
     /// The network library's.
     pub fn new(act: &Act, kind: Kind) -> Result<Self, TchError> {
-        Self::computed(act, By::fastest(kind, act.backbone.stem.weight.device()))
+        Self::computed(
+            act,
+            Backend::fastest(kind, act.backbone.stem.weight.device()),
+        )
     }
 
-    /// The same, computed `by` a backend.
-    fn computed(act: &Act, by: By) -> Result<Self, TchError> {
+    /// The same, computed by `backend`.
+    fn computed(act: &Act, backend: Backend) -> Result<Self, TchError> {
         tch::no_grad(|| {
             let config = act.config();
             let sides = [config.image_height, config.image_width];
@@ -54,12 +57,12 @@ impl FoldedAct {
             let image_weight = act.image_weight.f_flatten(1, 3)?;
             let position = act.image_position.f_squeeze_dim(0)?;
             Ok(Self {
-                recorded: Recorded::default(),
+                graph: NetworkGraph::default(),
                 network: Network {
-                    backbone: FoldedBackbone::new(&act.backbone, sides, by)?,
-                    image_input: Affine::new(&image_weight, &act.image_bias, by)?,
-                    trunk: FoldedTrunk::new(&act.trunk, Some(&position), by)?,
-                    kind: by.kind(),
+                    backbone: FoldedBackbone::new(&act.backbone, sides, backend)?,
+                    image_input: Affine::new(&image_weight, &act.image_bias, backend)?,
+                    trunk: FoldedTrunk::new(&act.trunk, Some(&position), backend)?,
+                    kind: backend.kind(),
                 },
             })
         })
@@ -68,14 +71,14 @@ impl FoldedAct {
     /// The chunk for an observation, as [`Act::infer`] gives it: `(batch, steps, action)`, normalised, single precision.
     ///
     /// `images` is `(batch, cameras, 3, height, width)`, all of which go through the backbone together; `state` is
-    /// `(batch, state)`. What it works in is its own, so it answers one observation at a time, and on CUDA an
-    /// answer lies where the next one will: it has to be read before.
+    /// `(batch, state)`. It writes into tensors of its own: one inference ends before the next begins, and on
+    /// CUDA the next one overwrites the output.
     ///
     /// # Errors
     /// The network library's, if shapes do not fit.
     pub fn infer(&mut self, images: &Tensor, state: &Tensor) -> Result<Tensor, TchError> {
         let network = &mut self.network;
-        self.recorded.answer([images, state], |[images, state]| {
+        self.graph.answer([images, state], |[images, state]| {
             network.infer(images, state)
         })
     }

@@ -7,7 +7,7 @@ use tch::{Device, Kind, Tensor};
 use super::FoldedAct;
 use super::backbone::FoldedBackbone;
 use crate::act::{Act, ActConfig, BackboneNorm};
-use crate::layers::affine::By;
+use crate::layers::affine::Backend;
 use crate::layers::vectors::Processor;
 use crate::parameters::ParameterSource;
 use hal::random::SplitMix64;
@@ -59,9 +59,11 @@ fn trained(config: &ActConfig) -> Act {
 }
 
 /// The library and, where the processor allows it, code of ours.
-fn means() -> Vec<By> {
-    let own = Processor::found().map(By::Own);
-    own.into_iter().chain([By::Library(Kind::Float)]).collect()
+fn means() -> Vec<Backend> {
+    let own = Processor::found().map(Backend::Native);
+    own.into_iter()
+        .chain([Backend::Torch(Kind::Float)])
+        .collect()
 }
 
 /// Every folded network's chunk is the trained one's.
@@ -74,9 +76,9 @@ fn check(config: &ActConfig, batch: i64) {
     let expected = tch::no_grad(|| act.infer(&images, &state)).unwrap();
     let scale = expected.abs().max().double_value(&[]);
     assert!(scale > 0.1, "the network says something: {scale}");
-    for by in means() {
-        let way = format!("{by:?}");
-        let mut folded = FoldedAct::computed(&act, by).unwrap();
+    for backend in means() {
+        let way = format!("{backend:?}");
+        let mut folded = FoldedAct::computed(&act, backend).unwrap();
         let actual = tch::no_grad(|| folded.infer(&images, &state)).unwrap();
         assert_eq!(expected.size(), actual.size());
         assert!(!actual.requires_grad());
@@ -112,14 +114,18 @@ fn further_decoder_layers_and_early_normalisation_fold_too() {
 #[test]
 #[cfg(target_arch = "x86_64")]
 fn only_fixed_normalisations_go_into_convolutions_of_ours() {
-    let by = By::Own(Processor::found().expect("the tests need AVX2"));
+    let backend = Backend::Native(Processor::found().expect("the tests need AVX2"));
     for (norm, own) in [
         (BackboneNorm::FrozenBatchNorm, true),
         (BackboneNorm::GroupNorm, false),
     ] {
-        let folded = FoldedAct::computed(&trained(&config(norm, 1)), by).unwrap();
+        let folded = FoldedAct::computed(&trained(&config(norm, 1)), backend).unwrap();
         let backbone = &folded.network.backbone;
-        assert_eq!(matches!(backbone, FoldedBackbone::Own(_)), own, "{norm:?}");
+        assert_eq!(
+            matches!(backbone, FoldedBackbone::Native(_)),
+            own,
+            "{norm:?}"
+        );
     }
 }
 
@@ -129,8 +135,8 @@ fn same_observation_gives_same_bits() {
     let act = trained(&config);
     let images = numbers("images", &[1, 2, 3, 64, 96]);
     let state = numbers("state", &[1, 7]);
-    for by in means() {
-        let mut folded = FoldedAct::computed(&act, by).unwrap();
+    for backend in means() {
+        let mut folded = FoldedAct::computed(&act, backend).unwrap();
         let mut ask = || tch::no_grad(|| folded.infer(&images, &state)).unwrap();
         assert_eq!(ask(), ask());
     }

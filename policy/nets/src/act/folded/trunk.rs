@@ -4,7 +4,7 @@ use tch::{Kind, TchError, Tensor};
 
 use crate::act::transformer::{DecoderLayer, EncoderLayer, residual};
 use crate::act::trunk::Trunk;
-use crate::layers::affine::{Affine, By};
+use crate::layers::affine::{Affine, Backend};
 use crate::layers::folded::{CrossAttention, Rows, SelfAttention};
 use crate::layers::{FeedForward, LayerNorm};
 
@@ -74,21 +74,27 @@ struct FoldedFeedForward {
 
 impl FoldedTrunk {
     /// `position` `(tokens, width)` of what is seen, if it is always the same.
-    pub(crate) fn new(trunk: &Trunk, position: Option<&Tensor>, by: By) -> Result<Self, TchError> {
-        let kind = by.kind();
+    pub(crate) fn new(
+        trunk: &Trunk,
+        position: Option<&Tensor>,
+        backend: Backend,
+    ) -> Result<Self, TchError> {
+        let kind = backend.kind();
         let leading = trunk.token_position.f_detach()?;
         let position = match position {
             Some(seen) => Some(Tensor::f_cat(&[&leading, seen], 0)?),
             None => None,
         };
         let layers = trunk.encoder.layers.iter();
-        let encoder = layers.map(|layer| FoldedEncoderLayer::new(layer, position.as_ref(), by));
+        let encoder =
+            layers.map(|layer| FoldedEncoderLayer::new(layer, position.as_ref(), backend));
         let queries = trunk.step_queries.f_detach()?;
         let zeros = queries.f_zeros_like()?;
         let mut decoder = Vec::new();
         for layer in &trunk.decoder.layers {
             let start = decoder.is_empty().then_some(&zeros);
-            let folded = FoldedDecoderLayer::new(layer, &queries, start, position.as_ref(), by)?;
+            let folded =
+                FoldedDecoderLayer::new(layer, &queries, start, position.as_ref(), backend)?;
             decoder.push(folded);
         }
         let norm = trunk.encoder.norm.as_ref();
@@ -104,9 +110,9 @@ impl FoldedTrunk {
                 .f_detach()?
                 .f_to_kind(kind)?
                 .f_view([1, 1, -1])?,
-            state_input: Affine::of(&trunk.state_input, by)?,
+            state_input: Affine::of(&trunk.state_input, backend)?,
             leading_position: leading.f_to_kind(kind)?,
-            action_head: Affine::of(&trunk.action_head, by)?,
+            action_head: Affine::of(&trunk.action_head, backend)?,
         })
     }
 
@@ -150,12 +156,16 @@ impl FoldedTrunk {
 }
 
 impl FoldedEncoderLayer {
-    fn new(layer: &EncoderLayer, position: Option<&Tensor>, by: By) -> Result<Self, TchError> {
+    fn new(
+        layer: &EncoderLayer,
+        position: Option<&Tensor>,
+        backend: Backend,
+    ) -> Result<Self, TchError> {
         let [first, second] = &layer.norms;
-        let kind = by.kind();
+        let kind = backend.kind();
         Ok(Self {
-            attention: SelfAttention::new(&layer.attention, position, by)?,
-            feed_forward: FoldedFeedForward::new(&layer.feed_forward, by)?,
+            attention: SelfAttention::new(&layer.attention, position, backend)?,
+            feed_forward: FoldedFeedForward::new(&layer.feed_forward, backend)?,
             norms: [first.of_kind(kind)?, second.of_kind(kind)?],
             pre_norm: layer.pre_norm,
         })
@@ -178,11 +188,11 @@ impl FoldedDecoderLayer {
         queries: &Tensor,
         zeros: Option<&Tensor>,
         position: Option<&Tensor>,
-        by: By,
+        backend: Backend,
     ) -> Result<Self, TchError> {
         let cross = &layer.cross_attention;
         let [first, second, third] = &layer.norms;
-        let kind = by.kind();
+        let kind = backend.kind();
         let start = match zeros {
             Some(zeros) => {
                 let batched = |x: &Tensor| x.f_unsqueeze(0);
@@ -195,7 +205,7 @@ impl FoldedDecoderLayer {
                     x.shallow_clone()
                 };
                 // In the precision of training, whatever `kind` is.
-                let exact = CrossAttention::new(cross, queries, None, By::Library(x.kind()))?;
+                let exact = CrossAttention::new(cross, queries, None, Backend::Torch(x.kind()))?;
                 Start::Known {
                     queries: exact.queries(&asking, 1)?.f_detach()?.f_to_kind(kind)?,
                     x: x.f_detach()?.f_to_kind(kind)?,
@@ -205,15 +215,15 @@ impl FoldedDecoderLayer {
                 attention: Box::new(SelfAttention::new(
                     &layer.self_attention,
                     Some(queries),
-                    by,
+                    backend,
                 )?),
                 norm: first.of_kind(kind)?,
             },
         };
         Ok(Self {
             start,
-            cross_attention: CrossAttention::new(cross, queries, position, by)?,
-            feed_forward: FoldedFeedForward::new(&layer.feed_forward, by)?,
+            cross_attention: CrossAttention::new(cross, queries, position, backend)?,
+            feed_forward: FoldedFeedForward::new(&layer.feed_forward, backend)?,
             norms: [second.of_kind(kind)?, third.of_kind(kind)?],
             pre_norm: layer.pre_norm,
         })
@@ -263,10 +273,10 @@ impl FoldedDecoderLayer {
 }
 
 impl FoldedFeedForward {
-    fn new(layer: &FeedForward, by: By) -> Result<Self, TchError> {
+    fn new(layer: &FeedForward, backend: Backend) -> Result<Self, TchError> {
         Ok(Self {
-            widen: Affine::of(&layer.widen, by)?,
-            narrow: Affine::of(&layer.narrow, by)?,
+            widen: Affine::of(&layer.widen, backend)?,
+            narrow: Affine::of(&layer.narrow, backend)?,
         })
     }
 

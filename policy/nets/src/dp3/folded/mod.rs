@@ -17,16 +17,16 @@ use super::config::Dp3Config;
 use super::diffusion::Diffusion;
 use super::encoder::Encoder;
 use super::{CloudObservation, Dp3};
-use crate::recorded::Recorded;
-use convolved::By;
+use crate::cuda_graph::NetworkGraph;
+use convolved::Backend;
 use unet::FoldedUNet;
 
 /// A DP3 network for inference, one observation at a time.
 #[derive(Debug)]
 pub struct FoldedDp3 {
     config: Dp3Config,
-    /// Dropped before the network that it repeats.
-    recorded: Recorded,
+    /// Dropped before the network whose work it replays.
+    graph: NetworkGraph,
     network: Network,
 }
 
@@ -44,12 +44,12 @@ impl FoldedDp3 {
     /// # Errors
     /// The network library's.
     pub fn new(dp3: Dp3, kind: Kind) -> Result<Self, TchError> {
-        let by = By::fastest(kind, dp3.unet.device());
-        Self::computed(dp3, by)
+        let backend = Backend::fastest(kind, dp3.unet.device());
+        Self::computed(dp3, backend)
     }
 
-    /// The same with convolutions computed `by` the given means.
-    fn computed(dp3: Dp3, by: By) -> Result<Self, TchError> {
+    /// The same with convolutions computed by `backend`.
+    fn computed(dp3: Dp3, backend: Backend) -> Result<Self, TchError> {
         let Dp3 {
             config,
             encoder,
@@ -58,10 +58,10 @@ impl FoldedDp3 {
             ..
         } = dp3;
         let timesteps = diffusion.timesteps();
-        let unet = tch::no_grad(|| FoldedUNet::new(&unet, &timesteps, config.horizon, by))?;
+        let unet = tch::no_grad(|| FoldedUNet::new(&unet, &timesteps, config.horizon, backend))?;
         Ok(Self {
             config,
-            recorded: Recorded::default(),
+            graph: NetworkGraph::default(),
             network: Network {
                 encoder,
                 unet,
@@ -78,8 +78,8 @@ impl FoldedDp3 {
 
     /// The actions that `noise` leads to, as [`Dp3::infer`] gives them, for one observation: `(1, horizon, action)`.
     ///
-    /// It writes into tensors of its own, so one answer has to be finished before the next is asked for, and on CUDA an answer
-    /// lies where the next one will: it has to be read before.
+    /// It writes into tensors of its own: one inference ends before the next begins, and on CUDA the next one overwrites the
+    /// output.
     ///
     /// # Errors
     /// The network library's, if shapes do not fit.
@@ -95,7 +95,7 @@ impl FoldedDp3 {
         }
         let inputs = [observation.points, observation.state, noise];
         let network = &mut self.network;
-        self.recorded.answer(inputs, |[points, state, noise]| {
+        self.graph.answer(inputs, |[points, state, noise]| {
             network.infer(&CloudObservation { points, state }, noise)
         })
     }

@@ -1,7 +1,8 @@
-//! Convolutions over so few steps that reading their weights takes the time, on the CPU.
+//! Convolutions over so few steps that reading their weights bounds the time, on the CPU.
 
 use tch::{TchError, Tensor};
 
+use crate::dimension::dimension;
 use crate::dp3::blocks::{Convolution, Doubling};
 use crate::layers::narrow::{Columns, Narrow, Place, Windows};
 use crate::layers::vectors::Processor;
@@ -13,9 +14,9 @@ pub(super) struct Streamed {
     threads: usize,
     /// One product; of a doubling one for the even and one for the odd steps.
     parts: Vec<Part>,
-    /// The convolution of a single tap beside it.
+    /// The residual connection's convolution, of a single tap.
     beside: Option<Part>,
-    /// What that made of what was last applied to.
+    /// Its output for the last input.
     of_beside: Option<Tensor>,
     inputs: usize,
     steps: usize,
@@ -37,7 +38,7 @@ pub(super) struct Workspace {
 }
 
 impl Streamed {
-    /// `convolution` over `steps`, and one of a single tap and as many outputs beside it.
+    /// `convolution` over `steps`, and the residual connection's, of a single tap and as many outputs.
     pub(super) fn new(
         convolution: &Convolution,
         beside: Option<&Convolution>,
@@ -151,21 +152,17 @@ impl Streamed {
                 columns.set(self.processor, numbers, part.windows);
                 part.weights.apply(columns, out, part.place, self.threads)?;
             }
-            Tensor::f_from_slice(out)?.f_view([1, number(outputs), number(steps)])
+            Tensor::f_from_slice(out)?.f_view([1, dimension(outputs), dimension(steps)])
         };
         let beside = self.beside.as_slice();
         self.of_beside = (!beside.is_empty()).then(|| answer(beside)).transpose()?;
         answer(&self.parts)
     }
 
-    /// What the convolution beside made of what was last applied to.
+    /// The residual connection's output for the last input.
     pub(super) const fn beside(&self) -> Option<&Tensor> {
         self.of_beside.as_ref()
     }
-}
-
-fn number(size: usize) -> i64 {
-    i64::try_from(size).unwrap_or(i64::MAX)
 }
 
 fn size(number: i64) -> Result<usize, TchError> {

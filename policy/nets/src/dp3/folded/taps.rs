@@ -12,16 +12,16 @@ use crate::dp3::blocks::{Convolution, Doubling};
 #[derive(Debug)]
 pub(super) struct Taps {
     /// `(blocks, inputs, columns of a block)`; without the first dimension if there is one block, whose columns are then
-    /// stretches of memory. The columns are the outputs of each tap, one tap after the other, then what is asked for besides.
+    /// stretches of memory. The columns are the outputs of each tap, one tap after the other, then those of the residual convolution.
     weight: Tensor,
     /// `(blocks, 1, columns of a block)`, or `(columns)`: with the tap that meets a step for every output.
     bias: Tensor,
     /// The products, `(blocks, steps, columns of a block)`, or without the first dimension. In memory there are rows of
-    /// zeros around the steps of each block, which nobody writes to.
+    /// zeros around the steps of each block, which stay zero.
     written: Tensor,
     /// The products by output and tap, the taps last.
     terms: Tensor,
-    /// Those of the convolution beside, by output and step.
+    /// Those of the residual connection, by output and step.
     beside: Option<Tensor>,
     kind: Kind,
     inputs: i64,
@@ -124,7 +124,7 @@ impl Layout {
 }
 
 impl Taps {
-    /// `convolution` over `steps`, and one of a single tap and as many outputs beside it.
+    /// `convolution` over `steps`, and the residual connection's, of a single tap and as many outputs.
     pub(super) fn new(
         convolution: &Convolution,
         beside: Option<&Convolution>,
@@ -272,7 +272,7 @@ impl Taps {
         self.weight.dim() == 2
     }
 
-    /// Adds to `out` what the convolution beside made of what was last applied to; or `x` if there is none.
+    /// Adds the residual connection to `out`: its convolution's output for the last input, or `x` without one.
     pub(super) fn add_beside(&self, mut out: Tensor, x: &Tensor) -> Result<Tensor, TchError> {
         match &self.beside {
             Some(beside) => {

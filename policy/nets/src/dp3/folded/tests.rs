@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use tch::{Device, Kind, Tensor};
 
 use super::FoldedDp3;
-use super::convolved::By;
+use super::convolved::Backend;
 use crate::dp3::{CloudObservation, Dp3, Dp3Config, Dp3Preset};
 use crate::layers::vectors::Processor;
 use crate::parameters::ParameterSource;
@@ -61,10 +61,10 @@ fn again(network: &Dp3, halved: bool) -> Dp3 {
 }
 
 /// By the library, and by our own products with every kind of instructions that there is here.
-fn means() -> Vec<By> {
+fn means() -> Vec<Backend> {
     let own = Processor::all().into_iter();
-    let own = own.map(|processor| By::Own(processor, 2));
-    own.chain([By::Library(Kind::Float)]).collect()
+    let own = own.map(|processor| Backend::Native(processor, 2));
+    own.chain([Backend::Torch(Kind::Float)]).collect()
 }
 
 #[track_caller]
@@ -89,13 +89,13 @@ fn check_network(network: &Dp3) {
     tch::no_grad(|| {
         let expected = network.infer(&observation, &noise).unwrap();
         let scale = expected.abs().max().double_value(&[]);
-        for by in means() {
-            let mut folded = FoldedDp3::computed(again(network, false), by).unwrap();
+        for backend in means() {
+            let mut folded = FoldedDp3::computed(again(network, false), backend).unwrap();
             let first = folded.infer(&observation, &noise).unwrap();
             let off = (&expected - &first).abs().max().double_value(&[]) / scale;
             assert!(
                 off <= ROUNDING && scale > 0.1,
-                "{by:?}: off by {off:e} of {scale}"
+                "{backend:?}: off by {off:e} of {scale}"
             );
             // What it writes into is no part of the next answer.
             let between = folded.infer(&observation, &other).unwrap();
@@ -108,15 +108,15 @@ fn check_network(network: &Dp3) {
 #[test]
 fn single_precision_on_the_cpu_is_computed_by_our_own_products() {
     let found = Processor::found().is_some();
-    let fastest = By::fastest(Kind::Float, Device::Cpu);
-    assert_eq!(matches!(fastest, By::Own(..)), found);
+    let fastest = Backend::fastest(Kind::Float, Device::Cpu);
+    assert_eq!(matches!(fastest, Backend::Native(..)), found);
     for (kind, device) in [
         (Kind::BFloat16, Device::Cpu),
         (Kind::Float, Device::Cuda(0)),
         (Kind::BFloat16, Device::Cuda(0)),
     ] {
-        let fastest = By::fastest(kind, device);
-        assert!(matches!(fastest, By::Library(of) if of == kind));
+        let fastest = Backend::fastest(kind, device);
+        assert!(matches!(fastest, Backend::Torch(of) if of == kind));
     }
 }
 

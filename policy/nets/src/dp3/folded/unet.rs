@@ -2,7 +2,7 @@
 
 use tch::{TchError, Tensor};
 
-use super::convolved::{By, Convolved};
+use super::convolved::{Backend, Convolved};
 use super::streamed::Workspace;
 use crate::dp3::blocks::{ConvolutionBlock, ResidualBlock};
 use crate::dp3::unet::UNet;
@@ -18,7 +18,7 @@ pub(super) struct FoldedUNet {
     workspace: Workspace,
 }
 
-/// The scales and shifts of all blocks, one beside the other.
+/// The scales and shifts of all blocks, concatenated.
 #[derive(Debug)]
 struct Modulation {
     /// The timesteps' part with the bias, `(timesteps, scales and shifts)`.
@@ -33,7 +33,7 @@ struct Modulation {
 struct Builder<'a> {
     /// Features of the timesteps after Mish, `(timesteps, features)`.
     embedded: &'a Tensor,
-    by: By,
+    backend: Backend,
     of_steps: Vec<Tensor>,
     observed: Vec<Tensor>,
     sizes: Vec<i64>,
@@ -63,12 +63,12 @@ impl FoldedUNet {
         unet: &UNet,
         timesteps: &[i64],
         horizon: i64,
-        by: By,
+        backend: Backend,
     ) -> Result<Self, TchError> {
         let timesteps = Tensor::f_from_slice(timesteps)?.f_to_device(unet.device())?;
         let mut builder = Builder {
             embedded: &unet.embed(&timesteps)?.f_mish()?,
-            by,
+            backend,
             of_steps: Vec::new(),
             observed: Vec::new(),
             sizes: Vec::new(),
@@ -79,7 +79,7 @@ impl FoldedUNet {
             let blocks = builder.blocks(&level.blocks, steps)?;
             let halve = match &level.halve {
                 Some(halve) => {
-                    let taps = Convolved::new(halve, None, steps, by)?;
+                    let taps = Convolved::new(halve, None, steps, backend)?;
                     steps = (steps - 1) / 2 + 1;
                     Some(taps)
                 }
@@ -91,7 +91,7 @@ impl FoldedUNet {
         let mut up = Vec::new();
         for level in &unet.up {
             let blocks = builder.blocks(&level.blocks, steps)?;
-            up.push((blocks, Convolved::doubling(&level.double, steps, by)?));
+            up.push((blocks, Convolved::doubling(&level.double, steps, backend)?));
             steps *= 2;
         }
         let (block, out) = &unet.last;
@@ -100,8 +100,8 @@ impl FoldedUNet {
             middle,
             up,
             last: (
-                FoldedConvolution::new(block, None, steps, by)?,
-                Convolved::new(out, None, steps, by)?,
+                FoldedConvolution::new(block, None, steps, backend)?,
+                Convolved::new(out, None, steps, backend)?,
             ),
             modulation: builder.modulation()?,
             workspace: Workspace::default(),
@@ -181,8 +181,8 @@ impl Builder<'_> {
         let place = self.sizes.len();
         self.sizes.extend([channels; 2]);
         Ok(FoldedBlock {
-            first: FoldedConvolution::new(first, block.residual.as_ref(), steps, self.by)?,
-            second: FoldedConvolution::new(second, None, steps, self.by)?,
+            first: FoldedConvolution::new(first, block.residual.as_ref(), steps, self.backend)?,
+            second: FoldedConvolution::new(second, None, steps, self.backend)?,
             place,
         })
     }
@@ -217,10 +217,10 @@ impl FoldedConvolution {
         block: &ConvolutionBlock,
         beside: Option<&crate::dp3::blocks::Convolution>,
         steps: i64,
-        by: By,
+        backend: Backend,
     ) -> Result<Self, TchError> {
         Ok(Self {
-            taps: Convolved::new(&block.convolution, beside, steps, by)?,
+            taps: Convolved::new(&block.convolution, beside, steps, backend)?,
             norm_weight: block.norm_weight.f_detach()?,
             norm_bias: block.norm_bias.f_detach()?,
             groups: block.groups,

@@ -1,4 +1,4 @@
-//! What weights are multiplied with: few columns, a row at a time beside each other.
+//! The right-hand side of the product: few columns, packed row by row.
 
 use crate::layers::vectors::Processor;
 
@@ -93,12 +93,12 @@ impl Columns {
                 self.around[before..before + steps].copy_from_slice(input);
                 for tap in 0..taps {
                     let from = &self.around[first + tap..];
-                    let row: [f32; WIDTH] = if stride == 1 {
-                        from.first_chunk().copied().unwrap_or([0.0; WIDTH])
+                    if stride == 1 {
+                        self.values.extend_from_slice(&from[..WIDTH]);
                     } else {
-                        std::array::from_fn(|column| from[column * stride])
-                    };
-                    self.values.extend_from_slice(&row);
+                        let column = |column: usize| from[column * stride];
+                        self.values.extend((0..WIDTH).map(column));
+                    }
                 }
             }
         }

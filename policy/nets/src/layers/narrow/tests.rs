@@ -4,7 +4,7 @@
 use half::f16;
 use tch::{Kind, Tensor};
 
-use super::weights::{Weights, panels};
+use super::weights::{Single, Weights, panels};
 use super::{Columns, Narrow, Place, Windows};
 use crate::layers::vectors::Processor;
 use hal::random::SplitMix64;
@@ -176,7 +176,7 @@ fn check_same_bits(weights: &[f32], rows: usize) {
         let mut narrow = narrow(processor, weights, outputs);
         assert!(!matches!(narrow.weights, Weights::Single(_)));
         let answer = product(&narrow, &x, 4);
-        narrow.weights = Weights::Single(panels(weights, rows).unwrap());
+        narrow.weights = Weights::Single(panels(weights, rows).map(Single).collect());
         assert_eq!(product(&narrow, &x, 4), answer);
     }
 }

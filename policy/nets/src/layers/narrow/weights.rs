@@ -18,13 +18,10 @@ pub(super) struct Brain([u16; PANEL]);
 /// A row of a panel in single precision.
 #[derive(Clone, Copy, Debug)]
 #[repr(C, align(64))]
-pub(super) struct Single([f32; PANEL]);
+pub(super) struct Single(pub(super) [f32; PANEL]);
 
 /// How a row of a panel lies in memory.
 pub(super) trait Stored: Copy + Sync {
-    /// The numbers, if all can be held as they are, to the bit.
-    fn holding(row: &[f32; PANEL]) -> Option<Self>;
-
     /// The numbers from `part` whole vectors on.
     fn widened<V: Vectors>(&self, simd: V, part: usize) -> V::f32s;
 }
@@ -40,56 +37,59 @@ pub(super) enum Weights {
 impl Weights {
     /// Of `values` `(outputs, rows)`.
     pub(super) fn new(values: &[f32], rows: usize) -> Self {
-        if let Some(panels) = panels(values, rows) {
+        if let Some(panels) = panels(values, rows).map(Half::holding).collect() {
             return Self::Half(panels);
         }
-        if let Some(panels) = panels(values, rows) {
+        if let Some(panels) = panels(values, rows).map(Brain::holding).collect() {
             return Self::Brain(panels);
         }
-        Self::Single(panels(values, rows).unwrap_or_default())
+        Self::Single(panels(values, rows).map(Single).collect())
     }
 }
 
-/// `values` `(outputs, rows)` in panels, if all can be held so.
-pub(super) fn panels<T: Stored>(values: &[f32], rows: usize) -> Option<Vec<T>> {
-    let size = rows * PANEL;
-    let outputs = values.len() / rows.max(1);
-    let mut panels = Vec::with_capacity(outputs.div_ceil(PANEL) * rows);
-    for panel in values.chunks(size.max(1)) {
-        for row in 0..rows {
+/// The rows of `values` `(outputs, rows)` panel by panel: a number for each output, zeros where there is none.
+pub(super) fn panels(values: &[f32], rows: usize) -> impl Iterator<Item = [f32; PANEL]> {
+    assert!(rows > 0, "a matrix without rows");
+    values.chunks(rows * PANEL).flat_map(move |panel| {
+        (0..rows).map(move |row| {
             let mut numbers = [0.0; PANEL];
             for (number, output) in numbers.iter_mut().zip(panel.chunks_exact(rows)) {
                 *number = output[row];
             }
-            panels.push(T::holding(&numbers)?);
-        }
-    }
-    Some(panels)
+            numbers
+        })
+    })
 }
 
-impl Stored for Half {
-    fn holding(row: &[f32; PANEL]) -> Option<Self> {
+impl Half {
+    /// The numbers, if all can be held as they are, to the bit.
+    fn holding(row: [f32; PANEL]) -> Option<Self> {
         let halves = row.map(f16::from_f32);
         // Finite, since widening by whole numbers knows no others.
         let same = |(half, number): (&f16, &f32)| {
             half.is_finite() && half.to_f32().to_bits() == number.to_bits()
         };
-        let exact = halves.iter().zip(row).all(same);
+        let exact = halves.iter().zip(&row).all(same);
         exact.then(|| Self(halves.map(f16::to_bits)))
     }
+}
 
+impl Stored for Half {
     #[inline(always)]
     fn widened<V: Vectors>(&self, simd: V, part: usize) -> V::f32s {
         simd.half(&self.0[part * V::F32_LANES..][..V::F32_LANES])
     }
 }
 
-impl Stored for Brain {
-    fn holding(row: &[f32; PANEL]) -> Option<Self> {
+impl Brain {
+    /// The numbers, if all can be held as they are, to the bit.
+    fn holding(row: [f32; PANEL]) -> Option<Self> {
         let exact = row.iter().all(|number| number.to_bits() << 16 == 0);
         exact.then(|| Self(row.map(|number| bf16::from_f32(number).to_bits())))
     }
+}
 
+impl Stored for Brain {
     #[inline(always)]
     fn widened<V: Vectors>(&self, simd: V, part: usize) -> V::f32s {
         simd.brain(&self.0[part * V::F32_LANES..][..V::F32_LANES])
@@ -97,10 +97,6 @@ impl Stored for Brain {
 }
 
 impl Stored for Single {
-    fn holding(row: &[f32; PANEL]) -> Option<Self> {
-        Some(Self(*row))
-    }
-
     #[inline(always)]
     fn widened<V: Vectors>(&self, simd: V, part: usize) -> V::f32s {
         simd.single(&self.0[part * V::F32_LANES..][..V::F32_LANES])

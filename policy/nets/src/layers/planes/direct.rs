@@ -56,7 +56,7 @@ impl Direct {
         })
     }
 
-    /// The convolution of `x`, plus `beside` if there is something, then the rectifier if it has one.
+    /// The convolution of `x`, plus the residual input `beside`, then ReLU if it has one.
     pub(crate) fn apply(
         &self,
         x: &Plane,

@@ -1,4 +1,4 @@
-//! The first layers of a ResNet: 7x7 with stride 2, a rectifier, and the greatest of 3x3 with stride 2.
+//! The stem of a ResNet: a 7x7 convolution with stride 2, ReLU, and 3x3 max pooling with stride 2.
 //!
 //! A row of the convolution goes through the pooling as soon as its neighbours are there, so that the largest picture of
 //! the network never leaves the second-level cache.
@@ -196,8 +196,8 @@ impl Picture<'_> {
                     for (line, weight) in weight.iter().enumerate() {
                         let (colour, tap) = (line / TAPS, line % TAPS);
                         let at = (colour * padded_high + 2 * y + tap) * padded_wide + 2 * column;
-                        let seen = self.padded[at..].first_chunk().unwrap_or(&[0.0; SEEN]);
-                        sums = taps(simd, sums, weight, seen, first);
+                        let (seen, _) = self.padded[at..at + SEEN].as_chunks();
+                        sums = taps(simd, sums, weight, &seen[0], first);
                     }
                     for (row, sums) in sums.into_iter().enumerate() {
                         for (vector, sum) in sums.into_iter().enumerate() {
@@ -210,7 +210,7 @@ impl Picture<'_> {
         }
     }
 
-    /// A row of the greatest among up to 3x3, with bias and rectifier.
+    /// A row of the max pooling over up to 3x3, with bias and ReLU.
     #[inline(always)]
     fn pool<S: Simd>(&mut self, simd: S, y: usize) {
         let Lengths {
@@ -230,7 +230,7 @@ impl Picture<'_> {
             let [left, right] = [(2 * x).saturating_sub(1), wide.min(2 * x + 2)];
             for channel in (0..channels).step_by(S::F32_LANES) {
                 let mut greatest = simd.splat_f32s(f32::NEG_INFINITY);
-                // Nothing is greater than what is not a number, nor the other way round: a sum remembers it.
+                // The maximum drops NaN: a sum keeps it.
                 let mut nothing = simd.splat_f32s(0.0);
                 for row in above..below {
                     for column in left..right {

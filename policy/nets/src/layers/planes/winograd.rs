@@ -48,7 +48,7 @@ impl Size {
     }
 }
 
-/// A convolution 3x3 with stride 1, a border of zeros and a rectifier behind it, on the CPU.
+/// A 3x3 convolution with stride 1 and zero padding, followed by ReLU, on the CPU.
 #[derive(Debug)]
 pub(crate) struct Winograd {
     /// For each value of a tile, for each panel of outputs: `(inputs, outputs of a panel)`.
@@ -91,7 +91,7 @@ impl Winograd {
         2 * VALUES * whole_groups(tiles) <= 9 * height * width
     }
 
-    /// The convolution of `x`, plus `beside` if there is something, then the rectifier.
+    /// The convolution of `x`, plus the residual input `beside`, then ReLU.
     pub(crate) fn apply(
         &self,
         x: &Plane,
@@ -189,7 +189,7 @@ fn product<V: Vectors, const ROWS: usize, const VECTORS: usize>(
     let size = inputs * PANEL;
     for panel in 0..outputs / PANEL {
         let (weight, rest) = weight[panel * size..].split_at(size);
-        // What comes next is far away: while this panel is used, each group brings a part of it nearer.
+        // While this panel is used, each group prefetches a part of the next one.
         let next = &rest[..rest.len().min(size)];
         for group in 0..groups {
             let tiles = &tiles[group * ROWS * inputs..][..ROWS * inputs];
@@ -216,7 +216,7 @@ fn product<V: Vectors, const ROWS: usize, const VECTORS: usize>(
     }
 }
 
-/// The number of tiles that are computed if `tiles` are asked for.
+/// The number of tiles that are computed for `tiles`: whole groups.
 const fn whole_groups(tiles: usize) -> usize {
     tiles.next_multiple_of(GROUP)
 }

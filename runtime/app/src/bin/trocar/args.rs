@@ -9,6 +9,7 @@ use clap::builder::{
 };
 use clap::{Arg, Args, Command, Parser, Subcommand, ValueEnum};
 
+use trocar::console::{Address, DEFAULT_ADDRESS};
 use trocar::session::changes::Change;
 use trocar::session::drives::DEFAULT_TOPICS;
 use trocar::session::external::DEFAULT_WITHIN_S;
@@ -89,7 +90,7 @@ pub(crate) struct Cli {
 pub(crate) enum Verb {
     /// Run one episode of a task, in real time or in lockstep, or a robot on CAN without one.
     #[command(
-        after_help = "Example: trocar run --task needle-lift --policy expert --lockstep --seed 7 --log runs/a.mcap\n         trocar run --backend can --safety limits.toml --policy runs/act --topics cameras --seconds 30 --log runs/robot.mcap"
+        after_help = "Example: trocar run --task needle-lift --policy expert --lockstep --seed 7 --log runs/a.mcap\n         trocar run --backend can --safety limits.toml --policy runs/act --topics cameras --seconds 30 --log runs/robot.mcap\n         trocar run --task needle-lift --policy random --console"
     )]
     Run(RunArgs),
     /// Run many seeded trials in lockstep and report the success rate.
@@ -130,8 +131,10 @@ pub(crate) enum Verb {
     )]
     Report(ReportArgs),
     /// Recompute every command of a log from its inputs; exit 0 only if all are bit-identical.
-    #[command(after_help = "Example: trocar replay runs/a.mcap")]
-    Replay(LogArgs),
+    #[command(
+        after_help = "Example: trocar replay runs/a.mcap\n         trocar replay runs/a.mcap --console"
+    )]
+    Replay(ReplayArgs),
     /// Check a log's commands against its limits, independently of the controller.
     #[command(after_help = "Example: trocar verify runs/a.mcap")]
     Verify(LogArgs),
@@ -210,7 +213,8 @@ impl Verb {
             Self::Export(verb) => verb.json(),
             Self::Train(args) => &args.json,
             Self::Report(args) => &args.json,
-            Self::Replay(args) | Self::Verify(args) => &args.json,
+            Self::Replay(args) => &args.log.json,
+            Self::Verify(args) => &args.json,
             Self::Drives(args) => &args.json,
             Self::Doctor(args) => &args.json,
             Self::Status(_)
@@ -408,6 +412,10 @@ pub(crate) struct RunArgs {
     /// Write the result as JSON, to standard output if it is `-`; parent folders are made.
     #[arg(long, value_name = "FILE")]
     pub(crate) json: Option<PathBuf>,
+    /// Show the run in the browser and steer it from there: a page at this loopback address, whose URL with its token is printed. Its stop
+    /// button is no emergency stop.
+    #[arg(long, value_name = "ADDRESS", num_args = 0..=1, default_missing_value = DEFAULT_ADDRESS, conflicts_with = "lockstep")]
+    pub(crate) console: Option<Address>,
     /// Delay from observation to chunk in lockstep, ms, up to 10000.
     #[arg(long, value_name = "MS", value_parser = delay())]
     pub(crate) latency_ms: Option<u64>,
@@ -591,6 +599,17 @@ pub(crate) struct LogArgs {
     /// Write the result as JSON, to standard output if it is `-`; parent folders are made.
     #[arg(long, value_name = "FILE")]
     pub(crate) json: Option<PathBuf>,
+}
+
+/// Options of `replay`.
+#[derive(Args, Debug)]
+pub(crate) struct ReplayArgs {
+    /// The log, and where the result goes.
+    #[command(flatten)]
+    pub(crate) log: LogArgs,
+    /// Show the log in the browser afterwards, with a time line, until Ctrl-C: a page at this loopback address, whose URL is printed.
+    #[arg(long, value_name = "ADDRESS", num_args = 0..=1, default_missing_value = DEFAULT_ADDRESS)]
+    pub(crate) console: Option<Address>,
 }
 
 /// Options of `doctor`.

@@ -4,6 +4,7 @@ use std::path::Path;
 
 use hal::config::Source;
 use tch::Device;
+use trocar::console::{Address, Console};
 use trocar::doctor::{self, Probes};
 use trocar::rt::{self, RtProfile};
 use trocar::session::changes::{Change, Changes, ConfigFile};
@@ -21,13 +22,16 @@ use trocar_tasks::task::TaskConfig;
 
 use crate::args::{
     Backend, ComputeArgs, ComputeDevice, DemoArgs, DoctorArgs, LogArgs, PolicyProcessArgs,
-    Precision, RunArgs, Video,
+    Precision, ReplayArgs, RunArgs, Video,
 };
 use crate::console;
 use crate::drives::can_source;
 use crate::scene_args::Inputs;
 
 pub(crate) type Done = Result<bool, SessionError>;
+
+/// Time between two looks at whether a signal has come, ns.
+const CONSOLE_POLL_NS: u64 = 50_000_000;
 
 pub(crate) fn device(choice: ComputeDevice) -> Result<Device, SessionError> {
     match choice {
@@ -133,23 +137,32 @@ pub(crate) fn run(args: &RunArgs) -> Done {
     let policy = PolicyChoice::parse(&args.policy).within_s(args.policy_timeout);
     policy.check_exists()?;
     note_awaited(&policy, 1);
+    let page = args.console.map(open_console).transpose()?;
     let chosen = Chosen {
         policy,
         compute: compute(&args.compute)?,
         real_time,
+        page: page.clone(),
     };
     if let Some(reason) = operator::check().filter(|_| !args.lockstep) {
         console::warning(&format!("no operator's verb will reach this run: {reason}"));
     }
     let result = match (&args.task, &args.safety) {
-        (Some(task), _) => run_task(task, args, chosen, can)?,
-        (None, Some(safety)) => run_robot(safety, args, chosen, can)?,
+        (Some(task), _) => run_task(task, args, chosen, can),
+        (None, Some(safety)) => run_robot(safety, args, chosen, can),
         (None, None) => {
             let reason =
                 "run needs --task NAME, or for a robot without one --backend can --safety FILE";
-            return Err(SessionError::BadArgument(reason.to_owned()));
+            Err(SessionError::BadArgument(reason.to_owned()))
         }
     };
+    if let Some(page) = &page {
+        match &result {
+            Ok(result) => page.close(result.summary.success, &result.summary.reason),
+            Err(error) => page.close(Some(false), &error.to_string()),
+        }
+    }
+    let result = result?;
     report_run(&result.summary);
     if let Some(path) = &args.json {
         write_json(path, &result.summary)?;
@@ -165,6 +178,14 @@ struct Chosen {
     policy: PolicyChoice,
     compute: Compute,
     real_time: RtProfile,
+    page: Option<Console>,
+}
+
+/// Opens the page and says where it is.
+fn open_console(address: Address) -> Result<Console, SessionError> {
+    let page = Console::open(address)?;
+    console::note(&format!("trocar: console: {}", page.url()));
+    Ok(page)
 }
 
 /// The plan of a run with the arms of `setup`.
@@ -177,6 +198,7 @@ fn planned<S>(args: &RunArgs, setup: S, chosen: Chosen) -> Plan<S> {
         latency_jitter_ms: args.latency_jitter_ms,
         compute: chosen.compute,
         real_time: chosen.real_time,
+        console: chosen.page,
         warn: console::warning,
         ..Plan::new(setup, chosen.policy)
     }
@@ -375,7 +397,26 @@ fn nearest(measured: &[MeasuredClearance]) -> String {
     )
 }
 
-pub(crate) fn replay(args: &LogArgs) -> Done {
+pub(crate) fn replay(args: &ReplayArgs) -> Done {
+    let page = args.console.map(open_console).transpose()?;
+    let replayed = replay_log(&args.log);
+    let Some(page) = page else {
+        return replayed;
+    };
+    // A log that differs, or ends too early, is what one wants to see.
+    if matches!(&replayed, Ok(_) | Err(SessionError::CutLog { .. })) {
+        page.show_log(&args.log.file)?;
+        rt::catch_interrupts().map_err(SessionError::signals)?;
+        console::note("trocar: the console shows the log; Ctrl-C ends it");
+        while !rt::interrupted() {
+            rt::sleep_ns(CONSOLE_POLL_NS);
+        }
+    }
+    page.close(None, "the console has been closed");
+    replayed
+}
+
+fn replay_log(args: &LogArgs) -> Done {
     check_result(args)?;
     forget_result(args)?;
     let result = replaying::replay_file::<SessionError>(&args.file)?;

@@ -68,7 +68,11 @@ fn find(folder: &Path, run: Option<&str>) -> Result<PathBuf, SessionError> {
     }
 }
 
-fn exchange(socket: &Path, command: Command, json: bool) -> io::Result<String> {
+/// Says `command` at `socket`, for an answer as JSON or as text, one line; no longer than [`PATIENCE`] for each way.
+///
+/// # Errors
+/// If the run does not answer.
+pub(crate) fn exchange(socket: &Path, command: Command, json: bool) -> io::Result<String> {
     let mut stream = UnixStream::connect(socket)?;
     stream.set_read_timeout(Some(PATIENCE))?;
     stream.set_write_timeout(Some(PATIENCE))?;

@@ -13,11 +13,13 @@ use std::str::FromStr;
 
 use hal::{ARM_NAMES, PerArm};
 use serde::Serialize;
-use trocar_control::{Fault, Mode, OperatingState, OperatorEvent};
+use trocar_control::{AnyController, Fault, Mode, OperatingState, OperatorEvent};
 use trocar_log::TickRecord;
 
+use crate::console::ControlTap;
 use crate::mailbox::{MailboxWriter, mailbox};
 
+pub(crate) use client::exchange;
 pub use client::{Ask, ask};
 pub use place::check;
 pub(super) use server::{Listener, Served};
@@ -116,6 +118,8 @@ pub(super) struct OperatorPort {
     requests: Option<rtrb::Consumer<OperatorEvent>>,
     status: MailboxWriter<Status>,
     handled: u64,
+    /// The console's, if there is one.
+    pub(super) tap: Option<ControlTap>,
 }
 
 impl OperatorPort {
@@ -125,6 +129,7 @@ impl OperatorPort {
             requests: None,
             status: mailbox().0,
             handled: 0,
+            tap: None,
         }
     }
 
@@ -135,8 +140,18 @@ impl OperatorPort {
         Some(request)
     }
 
-    /// Says what the arms did.
-    pub(super) fn report(&mut self, record: &TickRecord) {
+    /// Says that chunks were handed to the controller, so long after their observation.
+    pub(super) fn chunk(&mut self, latency_ns: u64) {
+        if let Some(tap) = &mut self.tap {
+            tap.chunk(latency_ns);
+        }
+    }
+
+    /// Says what the arms did, and how many periods have been skipped since the run began.
+    pub(super) fn report(&mut self, record: &TickRecord, controller: &AnyController, skipped: u64) {
+        if let Some(tap) = &mut self.tap {
+            tap.tick(record, controller, skipped);
+        }
         let arms = record.arms.map(|arm| (arm.report.mode, arm.report.fault));
         self.status.put(Status {
             tick: record.tick,

@@ -4,7 +4,7 @@ use std::fs::{self, Permissions};
 use std::io::{self, BufRead as _, BufReader, Read as _, Write as _};
 use std::os::unix::fs::PermissionsExt as _;
 use std::os::unix::net::{UnixListener, UnixStream};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Mutex, PoisonError};
 use std::thread::{self, Scope};
@@ -105,8 +105,14 @@ impl Listener {
             requests: Some(taken),
             status: status_in,
             handled: 0,
+            tap: None,
         };
         Ok((listener, port))
+    }
+
+    /// Where it listens.
+    pub(in super::super) fn path(&self) -> &Path {
+        &self.path
     }
 
     /// Serves operators until the run has stopped.

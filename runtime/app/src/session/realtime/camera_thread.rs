@@ -1,5 +1,8 @@
 //! The cameras in a real-time run: snapshots in, frames rendered straight into shared memory, pictures and log.
 
+use std::collections::BTreeMap;
+use std::collections::btree_map::Entry;
+
 use hal::{CameraFrame, SeenArm};
 use trocar_render::Planes;
 use trocar_tasks::cameras::SceneCameras;
@@ -10,6 +13,7 @@ use trocar_topics::{
 
 use super::policy_process::arm_names;
 use super::signals::{EndsRun, Signals};
+use crate::console::{FramePlanes, FrameTap};
 use crate::mailbox::MailboxReader;
 use crate::rt;
 use crate::session::pictures::Pictures;
@@ -41,6 +45,50 @@ pub(super) struct CameraThread {
     /// Kept only if they will be looked at.
     pictures: Option<Pictures>,
     frames: Vec<CameraFrame>,
+    console: Option<ConsoleCameras>,
+}
+
+/// What pages of the console look at. They have snapshots of their own, so that none for the policy or the log is replaced.
+pub(super) struct ConsoleCameras {
+    to: FrameTap,
+    snapshots: MailboxReader<Snapshot>,
+    /// One a camera of the task, made when a page first looks at it.
+    frames: BTreeMap<usize, CameraFrame>,
+}
+
+impl ConsoleCameras {
+    pub(super) const fn new(to: FrameTap, snapshots: MailboxReader<Snapshot>) -> Self {
+        Self {
+            to,
+            snapshots,
+            frames: BTreeMap::new(),
+        }
+    }
+
+    /// Draws what pages look at, if there is a new snapshot; whether there was one.
+    fn draw(&mut self, cameras: &mut SceneCameras) -> Result<bool, SessionError> {
+        let Some(snapshot) = self.snapshots.take() else {
+            return Ok(false);
+        };
+        for camera in 0..cameras.names().count() {
+            if !self.to.wants(camera) {
+                continue;
+            }
+            let frame = match self.frames.entry(camera) {
+                Entry::Occupied(frame) => frame.into_mut(),
+                Entry::Vacant(place) => place.insert(cameras.blank_frame(camera)?),
+            };
+            cameras.render(camera, &snapshot.scene, frame)?;
+            let planes = FramePlanes {
+                colour: &frame.colour,
+                depth_m: &frame.depth_m,
+                instance: &frame.instance,
+            };
+            let stamp = snapshot.arms.first.state.stamp;
+            self.to.show(camera, stamp, &frame.intrinsics, &planes);
+        }
+        Ok(true)
+    }
 }
 
 /// What it leaves behind.
@@ -55,7 +103,7 @@ impl CameraThread {
         plan: &Plan,
         seen: &[String],
         node: Option<&TopicNode>,
-        snapshots: MailboxReader<Snapshot>,
+        (snapshots, console): (MailboxReader<Snapshot>, Option<ConsoleCameras>),
         start: &SceneSnapshot,
     ) -> Result<Self, SessionError> {
         let setup = &plan.setup;
@@ -90,6 +138,7 @@ impl CameraThread {
             snapshots,
             pictures: plan.pictures.then(Pictures::default),
             frames,
+            console,
         })
     }
 
@@ -107,7 +156,11 @@ impl CameraThread {
                 self.take(&snapshot)?;
             } else {
                 self.keep_alive()?;
-                rt::sleep_ns(POLL_NS);
+                let console = self.console.as_mut();
+                let drew = console.map(|console| console.draw(&mut self.cameras));
+                if drew.transpose()? != Some(true) {
+                    rt::sleep_ns(POLL_NS);
+                }
             }
         }
         signals.write_told(self.log.as_mut());

@@ -1,14 +1,9 @@
 //! The policy process as its parent sees it: started, waited for, listened to, and told to go.
 
-use std::env;
-use std::fs;
-use std::os::unix::process::CommandExt as _;
-use std::path::{Path, PathBuf};
-use std::process::{self, Child, Command, Stdio};
+use std::path::Path;
 
 use hal::{Chunk, PolicyError, TimeNs};
-use tch::Device;
-use trocar_nets::compute::{Arithmetic, Compute};
+use trocar_nets::compute::Compute;
 use trocar_nets::loaded_policy::LoadedPolicy;
 use trocar_topics::{
     PolicyStage, PolicyStatus, PolicyStatusTopic, Publisher, Reply, RunCommand, RunControl,
@@ -17,6 +12,7 @@ use trocar_topics::{
 
 use super::arm_chunks::ArmChunks;
 use super::on_can::{PATIENCE_NS, Say};
+use super::own_process::{OwnProcess, Spawned, fresh_run_id};
 use super::policy_process::FIRST_ARM;
 use crate::rt::{self, MonotonicClock};
 use crate::session::external::{ExternalChoice, ExternalLink};
@@ -26,9 +22,6 @@ use hal::PerArm;
 
 /// The process has this long to load its weights, ns.
 const LOAD_NS_MAX: u64 = 120_000_000_000;
-
-/// The process has this long to go by itself, ns.
-const EXIT_NS_MAX: u64 = 3_000_000_000;
 
 /// A process that says nothing for this long hangs, ns. Far beyond any inference.
 const SILENCE_NS_MAX: u64 = 5_000_000_000;
@@ -64,26 +57,6 @@ impl Outside<'_> {
             ))),
         }
     }
-}
-
-/// How a process is started.
-struct Spawned {
-    run_id: String,
-    /// The checkpoint's folder.
-    policy: PathBuf,
-    compute: Compute,
-    frames_within_ms: u64,
-}
-
-/// A process that was started here. Dropping it ends it, in peace if it listens.
-struct OwnProcess {
-    process: Child,
-    spawned: Spawned,
-    node: TopicNode,
-    control: Publisher<RunControl>,
-    status: Subscriber<PolicyStatus>,
-    /// While it loads it does not.
-    listens: bool,
 }
 
 /// Whose process it is.
@@ -476,60 +449,6 @@ impl PolicyChild {
     }
 }
 
-impl Spawned {
-    fn start(&self) -> Result<Child, SessionError> {
-        spawn(
-            &self.run_id,
-            &self.policy,
-            self.compute,
-            self.frames_within_ms,
-        )
-    }
-}
-
-impl OwnProcess {
-    /// Ends the process, if it still is, with all that it had in shared memory, and starts another one.
-    fn start_again(&mut self) -> Result<(), SessionError> {
-        self.listens = false;
-        let _gone = self.process.kill();
-        let _reaped = self.process.wait();
-        self.node.remove_dead();
-        // Nothing of the dead one is taken for the next one's.
-        let _stale = self.status.newest()?;
-        self.process = self.spawned.start()?;
-        Ok(())
-    }
-
-    /// Tells the process to go and waits for it a while; `true` if it went and cleaned up.
-    fn goes_by_itself(&mut self) -> bool {
-        let told = self
-            .control
-            .publish(&RunControl::new(TimeNs(0), 1, RunCommand::Stop));
-        if told.is_err() {
-            return false;
-        }
-        let clock = MonotonicClock::new();
-        while clock.now().0 < EXIT_NS_MAX {
-            if let Ok(Some(exit)) = self.process.try_wait() {
-                return exit.success();
-            }
-            rt::sleep_ns(POLL_NS);
-        }
-        false
-    }
-}
-
-impl Drop for OwnProcess {
-    fn drop(&mut self) {
-        if !(self.listens && self.goes_by_itself()) {
-            // Whatever went wrong, nothing is left behind: no process, and nothing of it in shared memory.
-            let _gone = self.process.kill();
-            let _reaped = self.process.wait();
-            self.node.remove_dead();
-        }
-    }
-}
-
 /// The task must have the cameras that the network was trained with.
 pub(super) fn check_cameras(setup: &Setup, network: &LoadedPolicy) -> Result<(), SessionError> {
     for (index, (name, trained)) in camera_names(network)
@@ -554,49 +473,4 @@ pub(super) fn check_cameras(setup: &Setup, network: &LoadedPolicy) -> Result<(),
         }
     }
     Ok(())
-}
-
-/// A name for the run's topics that no other run on this machine has: containers may share memory and count their processes
-/// alike, so the process id alone would not do.
-fn fresh_run_id() -> Result<String, SessionError> {
-    let uuid = fs::read_to_string("/proc/sys/kernel/random/uuid")
-        .map_err(|error| failed("naming the run", &error))?;
-    let tag: String = uuid.chars().take(8).collect();
-    Ok(format!("run-{}-{tag}", process::id()))
-}
-
-fn spawn(
-    run_id: &str,
-    policy: &Path,
-    compute: Compute,
-    frames_within_ms: u64,
-) -> Result<Child, SessionError> {
-    let program = env::current_exe().map_err(|error| failed("finding this program", &error))?;
-    let device = if compute.device == Device::Cpu {
-        "cpu"
-    } else {
-        "cuda"
-    };
-    let precision = match compute.arithmetic {
-        Arithmetic::F32 => "f32",
-        Arithmetic::Bf16 => "bf16",
-    };
-    Command::new(program)
-        .args(["policy-process", "--run-id", run_id, "--policy"])
-        .arg(policy)
-        .args(["--device", device, "--precision", precision])
-        .args(["--threads", &compute.threads.to_string()])
-        .args(["--frames-within-ms", &frames_within_ms.to_string()])
-        // Threads that wait for each other sleep: spinning, they would take cores from the simulation and the control.
-        .env("OMP_WAIT_POLICY", "PASSIVE")
-        .args(["--parent-pid", &process::id().to_string()])
-        .stdin(Stdio::null())
-        // A Ctrl-C in the terminal is for this process alone, which then stops the arm before the policy.
-        .process_group(0)
-        .spawn()
-        .map_err(|error| failed("starting the policy process", &error))
-}
-
-fn failed(doing: &str, error: &std::io::Error) -> SessionError {
-    SessionError::RealTime(format!("{doing} failed: {error}"))
 }

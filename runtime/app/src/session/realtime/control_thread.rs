@@ -91,7 +91,7 @@ impl<R: Rig> ControlThread<R> {
             };
             setpoints = Some(answer);
             tally.tick(&record);
-            self.operator.report(&record);
+            self.operator.report(&record, &self.controller, timing.skipped());
             if let Some(log) = &mut self.log {
                 log.tick(&record);
             }
@@ -129,7 +129,9 @@ impl<R: Rig> ControlThread<R> {
             self.chunks.pop().ok()
         };
         if let Some(chunks) = &chunks {
-            tally.delivery(period.now.since(chunks.first.observed_at));
+            let latency_ns = period.now.since(chunks.first.observed_at);
+            tally.delivery(latency_ns);
+            self.operator.chunk(latency_ns);
             if let Some(log) = &mut self.log {
                 for (arm, chunk) in chunks.iter().enumerate() {
                     log.chunk(arm, chunk);

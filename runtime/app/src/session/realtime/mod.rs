@@ -21,8 +21,10 @@ mod ended;
 mod hold;
 mod on_can;
 mod opened;
+mod own_process;
 mod policy_process;
 mod robot;
+mod shown;
 mod signals;
 mod simulation_thread;
 mod supervised;
@@ -58,6 +60,7 @@ use control_thread::ControlThread;
 use ended::closed;
 use hal::PerArm;
 use opened::Opened;
+use shown::show_task;
 use signals::{Moving, Signals};
 use simulation_thread::{SimulationEnd, SimulationThread, Snapshots};
 use threads::{Ends, joined, wired};
@@ -101,14 +104,17 @@ fn run_threads(
     let (commands, commands_out) = pre_faulted_queue(COMMANDS);
     let (chunk_in, chunks) = RingBuffer::<PerArm<Chunk>>::new(CHUNK_QUEUE);
     let (snapshot_in, snapshots) = mailbox::<Snapshot>();
+    let (listener, mut operator) = listen(true);
+    let port = (listener.as_ref(), &mut operator);
+    let (console_view, console_cameras) = show_task(plan, port).unzip();
     let signals = Arc::new(Signals::default());
     // Slow things first: opening a device takes longer than an episode's first second.
-    let camera_thread = (plan.wants_frames() || child.is_some())
+    let camera_thread = (plan.wants_frames() || child.is_some() || console_cameras.is_some())
         .then(|| {
             let node = child.as_deref().map(PolicyChild::node);
             let start = simulation.snapshot();
             let seen = child.as_deref().map_or_else(Vec::new, PolicyChild::cameras);
-            CameraThread::new(plan, &seen, node, snapshots, &start)
+            CameraThread::new(plan, &seen, node, (snapshots, console_cameras), &start)
         })
         .transpose()?;
     let (tick_log, side_log, log) = split(plan.open_log(false)?);
@@ -117,6 +123,7 @@ fn run_threads(
         query_every_steps: child.as_deref().map(PolicyChild::query_every_steps),
         history_steps: child.as_deref().map_or(0, PolicyChild::history_steps),
         frames: plan.wants_frames(),
+        console: console_view,
     });
     let clock = MonotonicClock::new();
     let (local, remote) = wired(plan, source, child, chunk_in, clock);
@@ -133,7 +140,6 @@ fn run_threads(
     let first = clock.now().plus_ns(START_NS);
     // Half a period after the simulation, to see this period's measurement.
     let periodic = Periodic::new(clock, first.plus_ns(TICK_NS / 2), TICK_NS);
-    let (listener, operator) = listen(true);
     let control_thread = ControlThread {
         controller,
         rig: ThreadsRig::new(measured, commands, periodic),

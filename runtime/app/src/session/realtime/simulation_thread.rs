@@ -10,6 +10,7 @@ use trocar_world::tissue::TissueExtremes;
 
 use super::camera_thread::Snapshot;
 use super::signals::{EndsRun, Signals};
+use crate::console::FrameTap;
 use crate::histogram::Histogram;
 use crate::mailbox::MailboxWriter;
 use crate::rt::{MonotonicClock, Periodic, RtOptions, configure_thread};
@@ -28,6 +29,16 @@ pub(super) struct Snapshots {
     pub(super) history_steps: u64,
     /// Whether the log or a policy wants frames in between.
     pub(super) frames: bool,
+    /// Those for the console, if there is one.
+    pub(super) console: Option<ConsoleView>,
+}
+
+/// What the console sees of the simulation.
+pub(super) struct ConsoleView {
+    pub(super) to: MailboxWriter<Snapshot>,
+    pub(super) frames: FrameTap,
+    /// What the task still lacks.
+    pub(super) missing: MailboxWriter<&'static str>,
 }
 
 impl Snapshots {
@@ -35,6 +46,15 @@ impl Snapshots {
         self.query_every_steps.is_some_and(|every| {
             step.is_multiple_of(every) || precedes_query(step, every, self.history_steps)
         }) || self.frames && step.is_multiple_of(FRAME_EVERY_STEPS)
+    }
+
+    /// The console's view, if a page looks at a camera and the policy's query does not come next: its frames come first.
+    fn for_console(&mut self, step: u64) -> Option<&mut ConsoleView> {
+        let next_is_query = |every| precedes_query(step, every, 1);
+        let busy = self.query_every_steps.is_some_and(next_is_query);
+        self.console
+            .as_mut()
+            .filter(|console| !busy && console.frames.wants_any())
     }
 }
 
@@ -154,6 +174,20 @@ impl SimulationThread {
         {
             // A camera that is still busy takes the newest when it is done.
             snapshots.to.put(Snapshot {
+                step,
+                arms: *arms,
+                scene: self.simulation.snapshot(),
+            });
+        }
+        if let Some(console) = self.snapshots.as_mut().and_then(|all| all.console.as_mut()) {
+            console.missing.put(self.simulation.missing());
+        }
+        if let Some(console) = self
+            .snapshots
+            .as_mut()
+            .and_then(|all| all.for_console(step))
+        {
+            console.to.put(Snapshot {
                 step,
                 arms: *arms,
                 scene: self.simulation.snapshot(),

@@ -52,6 +52,11 @@ impl LoopTiming {
         }
     }
 
+    /// Whole periods skipped so far.
+    pub(super) const fn skipped(&self) -> u64 {
+        self.skipped
+    }
+
     /// What it comes to; the log is somebody else's.
     pub(super) fn end(self) -> RealTimeCounts {
         let allocations = thread_allocations().wrapping_sub(self.allocations);

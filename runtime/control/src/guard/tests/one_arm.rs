@@ -142,7 +142,7 @@ fn asked_to_stop_an_arm_plays_what_it_holds_and_rests() {
     for _ in 0..100 {
         rig.step();
     }
-    let (held, played_s) = rig.guard.held(0).unwrap();
+    let [(held, played_s)] = rig.guard.held();
     let held = *held;
     assert!(held.duration_s() > 0.05);
     for tick in 1..300_u32 {
@@ -156,11 +156,10 @@ fn asked_to_stop_an_arm_plays_what_it_holds_and_rests() {
         assert!(clearances(&rig.config, &decision.state)[8] >= rig.config.margins.guard_m);
     }
     assert!(rig.states[0].is_at_rest());
-    assert!(rig.guard.held(1).is_none());
 }
 
 #[test]
-fn a_guard_needs_an_arm_in_the_configuration_for_each_of_its_own() {
+fn a_guard_needs_each_of_its_arms_in_the_configuration() {
     let config = config();
     let error = Guard::new(&config, &[home(); 2], super::TICK_S).unwrap_err();
     let missing = GuardError::Missing {

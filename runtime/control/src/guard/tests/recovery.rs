@@ -31,8 +31,9 @@ fn an_arm_enabled_without_the_margin_never_leaves() {
     }
 }
 
+/// Until then it gets hardly further out.
 #[test]
-fn an_arm_enabled_outside_gets_hardly_further_and_is_kept_in_once_it_is_back() {
+fn an_arm_enabled_outside_is_kept_in_once_it_is_back() {
     let config = config();
     let (margin_m, recovery_m) = (config.margins.guard_m, config.margins.recovery_m);
     let h = -0.002;
@@ -121,7 +122,7 @@ fn push(shape: Shape, depth_m: f64, axis: usize) -> (f64, f64) {
 }
 
 #[test]
-fn an_arm_enabled_inside_a_region_comes_out_and_never_gets_worse() {
+fn an_arm_enabled_inside_a_region_only_comes_out() {
     let recovery_m = config().margins.recovery_m;
     for (index, shape) in shapes().into_iter().enumerate() {
         for depth_m in [1e-4, 2e-3, 6e-3] {

@@ -43,7 +43,7 @@ fn gap_m(config: &ControlConfig, states: &[MotionState; 2]) -> f64 {
 /// The least gap between what is left of both stops, at all pairs of times.
 fn stops_gap_m(rig: &Rig<2>) -> f64 {
     let at = |arm: usize, part: u32| {
-        let (stop, played_s) = rig.guard.held(arm).unwrap();
+        let (stop, played_s) = rig.guard.held()[arm];
         let left_s = (stop.duration_s() - played_s).max(0.0);
         stop.at(played_s + left_s * f64::from(part) / 30.0)
     };

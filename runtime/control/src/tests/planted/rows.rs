@@ -6,6 +6,7 @@ use super::super::adversary::eyes::Boundary;
 use super::super::adversary::rig::Scene;
 use super::measure::{RATE_TOLERANCE_M_S, rate, stop_distance, tip_shares};
 use super::places::{Place, places};
+use crate::Deviation;
 use crate::config::ControlConfig;
 use crate::filter::Filter;
 use crate::instrument::Stance;
@@ -73,6 +74,7 @@ impl<'a> Bare<'a> {
                 moves: true,
                 jaw_effort_n_m: 0.0,
                 pace: 1.0,
+                deviation: Deviation::default(),
             })
             .collect();
         self.rows.fill(self.config, &inputs);

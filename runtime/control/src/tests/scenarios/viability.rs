@@ -1,6 +1,7 @@
 //! Axes at their extremes: whatever an axis is asked for, it can still stop within its range.
 
 use super::super::adversary::kinds::below;
+use crate::Deviation;
 use crate::instrument::Stance;
 use crate::motion::{AXES, AxisLimits, MotionState};
 use crate::rows::{RowInput, Rows};
@@ -119,6 +120,7 @@ fn extreme_velocities(seed: u64, ticks: u64) -> [Excess; AXES] {
             moves: true,
             jaw_effort_n_m: 0.0,
             pace: 1.0,
+            deviation: Deviation::default(),
         };
         rows.fill(&config, &[input]);
         let wanted = core::array::from_fn(|axis| {

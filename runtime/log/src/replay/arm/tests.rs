@@ -45,8 +45,9 @@ fn drive(log: &RunLog, operator: impl Fn(u64) -> Option<OperatorEvent>) -> u64 {
     arm.differing()
 }
 
+/// A controller that meets a recorded arm commands what was recorded.
 #[test]
-fn a_controller_that_meets_a_recorded_arm_commands_what_was_recorded() {
+fn a_controller_repeats_itself_on_a_recorded_arm() {
     let log = log("recorded-arm");
     let enable = |tick| (tick == 1).then_some(OperatorEvent::Enable);
     assert_eq!(drive(&log, enable), 0);

@@ -62,7 +62,7 @@ fn one_flipped_bit_in_a_command_of_either_arm_shows() {
 }
 
 #[test]
-fn one_flipped_bit_in_a_measurement_or_a_chunk_of_either_arm_shows() {
+fn a_flipped_bit_in_an_input_of_either_arm_shows() {
     for index in [0, 1] {
         let result = changed(
             &format!("two-measured-{index}"),

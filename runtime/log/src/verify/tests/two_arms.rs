@@ -78,7 +78,7 @@ fn arms_that_come_too_near_are_caught() {
 }
 
 #[test]
-fn commands_of_either_arm_that_the_run_did_not_report_are_caught() {
+fn unreported_commands_of_either_arm_are_caught() {
     for index in [0, 1] {
         let result = doctored(&format!("two-hash-{index}"), true, |records| {
             let jaw = &mut arm(&mut records[500], index).command.jaw_velocity;

@@ -28,9 +28,9 @@ pub struct SuccessConfig {
     pub away_m: f64,
     /// How long all this must hold without a break, s.
     pub hold_s: f64,
-    /// Depth by which the fingers may sink into the block, m; deeper is a fault of the simulation.
+    /// Largest penetration depth of the fingers and the block, m; deeper is a fault of the simulation.
     pub penetration_m_max: f64,
-    /// Depth by which the block may sink into board and pegs, m; deeper is a fault of the simulation.
+    /// Largest penetration depth of the block with board and pegs, m; deeper is a fault of the simulation.
     pub sunk_m_max: f64,
     /// Speed of a corner of the block above which it counts as thrown, m/s.
     pub block_speed_m_s_max: f64,

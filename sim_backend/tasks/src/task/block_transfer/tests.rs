@@ -245,10 +245,10 @@ fn block_and_goal_are_seen_by_their_colours() {
     let looks = Looks::of(NAME);
     looks.show(&[(BLOCK, 1_500), (PEG, 1_000), (GOAL_PEG, 150)]);
     let grey = saturation(looks.colour(instance::ORGAN));
-    looks.told(grey < 0.12, "the board is grey");
+    looks.check(grey < 0.12, "the board is grey");
     let [red, green, blue] = looks.colour(GOAL_PEG);
-    looks.told(red > 2.0 * green && blue > 1.3 * green, "the goal is pink");
-    looks.told(saturation(looks.colour(PEG)) < 0.2, "other pegs are not");
+    looks.check(red > 2.0 * green && blue > 1.3 * green, "the goal is pink");
+    looks.check(saturation(looks.colour(PEG)) < 0.2, "other pegs are not");
     let [red, _, blue] = looks.colour(BLOCK);
-    looks.told(blue > 2.0 * red, "the block is blue");
+    looks.check(blue > 2.0 * red, "the block is blue");
 }

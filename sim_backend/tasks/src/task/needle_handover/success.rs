@@ -29,7 +29,7 @@ pub struct SuccessConfig {
     pub away_m: f64,
     /// How long the left arm alone must hold the needle up, s.
     pub hold_s: f64,
-    /// Depth by which the fingers may sink into the needle, m; deeper is a fault of the simulation.
+    /// Largest penetration depth of the fingers and the needle, m; deeper is a fault of the simulation.
     pub penetration_m_max: f64,
     /// Speed of the middle of the needle's arc above which the needle counts as thrown, m/s.
     pub needle_speed_m_s_max: f64,

@@ -191,6 +191,6 @@ fn needle_off_the_organ_is_a_failure() {
 fn liver_is_red_brown_and_dark() {
     let looks = Looks::of(NAME);
     let [red, green, _] = looks.colour(instance::ORGAN);
-    looks.told(red > 1.5 * green, "liver is red-brown");
-    looks.told((25.0..135.0).contains(&red), "and dark");
+    looks.check(red > 1.5 * green, "liver is red-brown");
+    looks.check((25.0..135.0).contains(&red), "and dark");
 }

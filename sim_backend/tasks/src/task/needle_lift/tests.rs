@@ -7,5 +7,5 @@ use crate::simulation::pictures::Looks;
 fn muscle_is_bright_red() {
     let looks = Looks::of(NAME);
     let [red, green, _] = looks.colour(instance::ORGAN);
-    looks.told(red > 1.6 * green && red > 110.0, "muscle is bright red");
+    looks.check(red > 1.6 * green && red > 110.0, "muscle is bright red");
 }

@@ -17,9 +17,9 @@ pub struct SuccessConfig {
     pub through_m: f64,
     /// How long the needle must stay so without a break, s.
     pub hold_s: f64,
-    /// Depth by which the fingers may sink into the needle, m; deeper is a fault of the simulation.
+    /// Largest penetration depth of the fingers and the needle, m; deeper is a fault of the simulation.
     pub penetration_m_max: f64,
-    /// Depth by which the needle may sink into the pad, m; deeper is a fault of the simulation.
+    /// Largest penetration depth of the needle and the pad, m; deeper is a fault of the simulation.
     pub sunk_m_max: f64,
     /// Speed of the needle's point above which the needle counts as thrown, m/s.
     pub needle_speed_m_s_max: f64,

@@ -135,6 +135,6 @@ fn silicone_has_the_hue_of_skin() {
     let looks = Looks::of(NAME);
     let ground = looks.colour(instance::ORGAN);
     let [red, green, blue] = ground;
-    looks.told(red > green && green > blue, "silicone has the hue of skin");
-    looks.told((0.15..0.6).contains(&saturation(ground)), "and is pale");
+    looks.check(red > green && green > blue, "silicone has the hue of skin");
+    looks.check((0.15..0.6).contains(&saturation(ground)), "and is pale");
 }

@@ -1,6 +1,7 @@
 //! The liver under the flap: a slightly wavy plateau with a round rim, and what is drawn around it.
 
 use hal::config::{ConfigError, Source};
+use hal::count::count_u32;
 use hal::mesh::single;
 use hal::{Mesh, Pose};
 use nalgebra::Vector3;
@@ -77,13 +78,16 @@ impl LiverShape {
         let mut mesh = Mesh::default();
         for y in &ys {
             for x in &xs {
-                let height_m = ground.height_m(*x, *y).unwrap_or(FLOOR_M);
-                let normal = ground.normal(*x, *y).unwrap_or_else(Vector3::z);
+                #[expect(clippy::expect_used, reason = "the lines end within the ground")]
+                let (height_m, normal) = ground
+                    .height_m(*x, *y)
+                    .zip(ground.normal(*x, *y))
+                    .expect("a line of the ground");
                 mesh.positions.push(single(&Vector3::new(*x, *y, height_m)));
                 mesh.normals.push(single(&normal));
             }
         }
-        let [columns, rows] = [xs.len(), ys.len()].map(|n| u32::try_from(n).unwrap_or(0));
+        let [columns, rows] = [xs.len(), ys.len()].map(count_u32);
         for row in 1..rows {
             for column in 1..columns {
                 let there = row * columns + column;

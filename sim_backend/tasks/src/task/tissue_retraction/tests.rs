@@ -196,8 +196,8 @@ fn flap_and_mark_are_seen_on_the_liver() {
     looks.show(&[(instance::TISSUE, 30_000), (instance::MARK, 200)]);
     let [red, green, _] = looks.colour(instance::ORGAN);
     let [skin, mark] = [instance::TISSUE, instance::MARK].map(|id| looks.colour(id));
-    looks.told(red > 1.5 * green, "liver and body are red");
-    looks.told((0.1..0.5).contains(&saturation(skin)), "skin is pale");
-    looks.told(skin[0] > 1.3 * red, "and lighter than the liver");
-    looks.told(saturation(mark) > saturation(skin) + 0.2, "the mark is red");
+    looks.check(red > 1.5 * green, "liver and body are red");
+    looks.check((0.1..0.5).contains(&saturation(skin)), "skin is pale");
+    looks.check(skin[0] > 1.3 * red, "and lighter than the liver");
+    looks.check(saturation(mark) > saturation(skin) + 0.2, "the mark is red");
 }

@@ -29,12 +29,11 @@ impl Stage {
                         };
                         let rows = arms[of].jacobian(part, &contact.point, &axes);
                         let patch_m = contact.surface.patch_m;
-                        let scales = [sign, sign, sign, sign * patch_m];
-                        let mut scale = scales.into_iter();
-                        let rows = rows.map(|row| {
-                            let scale = scale.next().unwrap_or_default();
-                            row.map(|entry| scale * entry)
-                        });
+                        let [n, t, u, spin] = rows;
+                        let scaled =
+                            |row: [f64; AXIS_COUNT], scale: f64| row.map(|entry| scale * entry);
+                        let [n, t, u] = [n, t, u].map(|row| scaled(row, sign));
+                        let rows = [n, t, u, scaled(spin, sign * patch_m)];
                         let drives = &self.masses.drives[AXIS_COUNT * slot..];
                         for row in &rows[1..3] {
                             for (entry, drive) in row.iter().zip(drives) {

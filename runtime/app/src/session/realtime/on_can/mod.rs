@@ -34,6 +34,7 @@ use super::child::Outside;
 use super::control_thread::{ControlEnd, ControlThread};
 use super::opened::Opened;
 use super::robot::{RobotOptions, RobotThread};
+use super::shown::show_rig;
 use super::signals::{Moving, StopsAll};
 use super::threads::{self, wired};
 use super::wires::{ControlWires, Local, SeenWires, Wires};
@@ -201,7 +202,8 @@ impl Begun<'_> {
         let (mut child, source) = policy.start(plan, Some(outside), say)?;
         let ready = bring_up(can, self.buses, say)?;
         awaited::still_there(&mut cameras, clock, &can.topics, say)?;
-        let wires = Wires::new(plan.open_log(false)?, clock);
+        let mut wires = Wires::new(plan.open_log(false)?, clock);
+        show_rig(plan, (wires.listener.as_ref(), &mut wires.control.operator));
         let robot = plan.setup.robot();
         let reports = arm_reports(&node, robot.arms(), child.is_some())?;
         let (local, remote) = wired(plan, source, child.as_mut(), wires.chunk_in, clock);

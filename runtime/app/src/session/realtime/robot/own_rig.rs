@@ -6,6 +6,7 @@ use hal::Rig;
 
 use super::super::control_thread::ControlThread;
 use super::super::ended::closed;
+use super::super::shown::show_rig;
 use super::super::signals::Moving;
 use super::super::threads;
 use super::super::wires::{ControlWires, Wires};
@@ -35,7 +36,8 @@ pub fn run_rig<R: Rig + Send>(
     check_policy(&plan.policy.name(), &source)?;
     source.reset(plan.seed);
     rt::catch_interrupts_in_motion().map_err(SessionError::signals)?;
-    let wires = Wires::new(plan.open_log(false)?, clock);
+    let mut wires = Wires::new(plan.open_log(false)?, clock);
+    show_rig(plan, (wires.listener.as_ref(), &mut wires.control.operator));
     let ControlWires {
         measured,
         chunks,

@@ -43,12 +43,15 @@ impl Gripping<'_> {
             (room_m - FINGER_THICKNESS_M - SLANT_M - SPARE_M).min(0.0)
         };
         let turn_rad = |grip| self.turn_rad(grip, block_in_scene).abs();
-        let better = |a: &Grip, b: &Grip| {
-            let by_room = spare_m(*b).total_cmp(&spare_m(*a));
-            by_room.then(turn_rad(*a).total_cmp(&turn_rad(*b)))
+        let better = |best: Grip, grip: Grip| {
+            let by_room = spare_m(best).total_cmp(&spare_m(grip));
+            let order = by_room.then(turn_rad(grip).total_cmp(&turn_rad(best)));
+            if order.is_lt() { grip } else { best }
         };
-        let grips = (0..3).map(|side| Grip { side });
-        grips.min_by(better).unwrap_or_default()
+        [1, 2]
+            .map(|side| Grip { side })
+            .into_iter()
+            .fold(Grip { side: 0 }, better)
     }
 
     /// How far the wrist turns from its home to lay the jaw across a wall: of the two ways, the nearer.

@@ -127,7 +127,9 @@ impl Passer {
 
     /// What giver and taker see at one instant.
     fn views(&self, scene: &SceneState) -> [View; 2] {
-        let arms = [&scene.first, scene.second.as_ref().unwrap_or(&scene.first)];
+        #[expect(clippy::expect_used, reason = "the task has two arms")]
+        let second = scene.second.as_ref().expect("a handover has two arms");
+        let arms = [&scene.first, second];
         let view = |arm: &ArmScene, base: &Pose| View {
             shape: self.shape,
             organ: self.organ,

@@ -9,7 +9,7 @@ use crate::layers::vectors::Processor;
 
 /// The backbone and the memory that it works in.
 #[derive(Debug)]
-pub(super) struct OwnBackbone {
+pub(super) struct NativeBackbone {
     stem: Stem,
     blocks: Vec<OwnBlock>,
     workspace: Workspace,
@@ -29,7 +29,7 @@ enum Convolution {
     Taps(Direct),
 }
 
-impl OwnBackbone {
+impl NativeBackbone {
     /// Whether all normalisations are fixed.
     pub(super) fn fits(backbone: &ResNet18) -> bool {
         let fixed = |conv: &Conv| matches!(conv.norm, Norm::Frozen { .. });
@@ -105,7 +105,7 @@ impl OwnBlock {
 }
 
 impl Convolution {
-    /// `sides` are those of its outputs; `rectified` if a rectifier follows.
+    /// `sides` are those of its outputs; `rectified` if ReLU follows.
     fn new(conv: &Conv, [height, width]: [usize; 2], rectified: bool) -> Result<Self, TchError> {
         let (weight, bias) = folded(conv)?;
         let steps = Steps {

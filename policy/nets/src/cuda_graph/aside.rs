@@ -1,4 +1,4 @@
-//! A stream that can be recorded.
+//! A stream that can be captured.
 
 #![expect(
     unsafe_code,
@@ -13,9 +13,9 @@ use tch::TchError;
 use super::functions::{Functions, Stream, checked, one_at_a_time};
 
 /// `cudaStreamCaptureStatusActive`.
-const RECORDING: c_int = 1;
+const CAPTURING: c_int = 1;
 
-/// A stream of libtorch's pool as this thread's current one, until it is dropped: the default stream can't be recorded.
+/// A stream of libtorch's pool as this thread's current one, until it is dropped: the default stream can't be captured.
 #[derive(Debug)]
 pub(super) struct Aside {
     pub(super) functions: Functions,
@@ -54,18 +54,18 @@ impl Aside {
         })
     }
 
-    pub(super) fn is_recording(&self) -> bool {
+    pub(super) fn is_capturing(&self) -> bool {
         let mut status = 0;
         // SAFETY: the stream lives as long as the process; the status is a variable of ours.
         let code = unsafe { (self.functions.status)(self.stream, &raw mut status) };
-        code == 0 && status == RECORDING
+        code == 0 && status == CAPTURING
     }
 
-    /// Lets go of a recording that failed, and of its error, which the next call of libtorch would take for its own.
+    /// Abandons a capture that failed, and its error, which the next call of libtorch would take for its own.
     pub(super) fn abandon(&self) {
         let mut nothing = ptr::null_mut();
         // SAFETY: the stream lives as long as the process; the graph is a variable of ours. What it answers is of no use: the
-        // recording is lost anyway.
+        // capture is lost anyway.
         let _code = unsafe { (self.functions.abandon)(self.stream, &raw mut nothing) };
         // SAFETY: it takes nothing.
         let _forgotten = unsafe { (self.functions.last_error)() };

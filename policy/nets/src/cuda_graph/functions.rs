@@ -14,8 +14,8 @@ use tch::{Device, TchError};
 
 pub(crate) type Stream = *mut c_void;
 
-/// libtorch keeps a list of all recordings without a lock, and whoever waits for the whole device spoils those under way: they
-/// are made and dropped one at a time.
+/// libtorch keeps a list of all captures without a lock, and waiting for the whole device invalidates those in progress: graphs
+/// are captured and dropped one at a time.
 pub(super) fn one_at_a_time() -> MutexGuard<'static, ()> {
     static ONE: Mutex<()> = Mutex::new(());
     ONE.lock().unwrap_or_else(PoisonError::into_inner)

@@ -15,12 +15,12 @@ use tch::{Device, Kind, TchError, Tensor};
 use super::aside::Aside;
 use super::functions::{Functions, checked, one_at_a_time};
 
-/// `cudaStreamCaptureModeThreadLocal`: what other threads do meanwhile does not enter the recording.
+/// `cudaStreamCaptureModeThreadLocal`: what other threads do meanwhile does not enter the capture.
 const THIS_THREAD: c_int = 1;
 /// Words for an `at::cuda::CUDAGraph`, which takes fewer than fifty.
 pub(super) const OBJECT_WORDS: usize = 128;
 
-/// What a device was told to do, to be told again with one call. The memory that it works in is its own.
+/// Captured work of a device, launched again with one call. Its memory is its own.
 pub(super) struct Graph {
     functions: Functions,
     /// The `at::cuda::CUDAGraph`, of which libtorch keeps the address.
@@ -41,11 +41,11 @@ impl fmt::Debug for Graph {
 
 impl Graph {
     /// What `work` has `device` do, and what it answered, which each [`Self::replay`] overwrites. None if the libraries here
-    /// have no CUDA, `device` is not the thread's current one, or this work can't be recorded. `work` runs twice before, so that
+    /// have no CUDA, `device` is not the thread's current one, or this work can't be captured. `work` runs twice before, so that
     /// what the libraries set up at first is done.
     ///
     /// libtorch's own exceptions end the process here: no answer was asked for yet, and nothing moves.
-    pub(super) fn record<T>(
+    pub(super) fn capture<T>(
         device: i32,
         mut work: impl FnMut() -> Result<T, TchError>,
     ) -> Result<Option<(Self, T)>, TchError> {
@@ -55,14 +55,14 @@ impl Graph {
         for _ in 0..2 {
             let _answer = work()?;
         }
-        Ok(Self::recorded_on(&aside, work).ok())
+        Ok(Self::captured_on(&aside, work).ok())
     }
 
     /// What `work` would have the device do, and what it answered; it does nothing of it yet. The error says why it can't be
-    /// recorded; everything then is as before.
+    /// captured; everything then is as before.
     ///
     /// Whatever the libraries set up at first must be done, on `aside`.
-    pub(super) fn recorded_on<T>(
+    pub(super) fn captured_on<T>(
         aside: &Aside,
         work: impl FnOnce() -> Result<T, TchError>,
     ) -> Result<(Self, T), TchError> {
@@ -75,8 +75,8 @@ impl Graph {
         // SAFETY: the object was made; the current stream is not the default one.
         unsafe { (functions.begin)(object.as_ptr(), 0, 0, THIS_THREAD) };
         let answer = work();
-        if !aside.is_recording() {
-            // libtorch still knows the object, and its destructor would ask for the end of a recording that there is not: it
+        if !aside.is_capturing() {
+            // libtorch still knows the object, and its destructor would end a capture that there is not: it
             // stays for as long as the process.
             aside.abandon();
             Self::let_draw(aside);
@@ -84,9 +84,9 @@ impl Graph {
                 TchError::Torch("something of it waits for the device".to_owned())
             }));
         }
-        // SAFETY: it is recording.
+        // SAFETY: it is capturing.
         unsafe { (functions.end)(object.as_ptr()) };
-        // SAFETY: the recording has ended.
+        // SAFETY: the capture has ended.
         let executable = unsafe { (functions.executable)(object.as_ptr()) };
         let graph = Self {
             functions,
@@ -98,7 +98,7 @@ impl Graph {
         Ok((graph, answer?))
     }
 
-    /// Has the generator of random numbers, which believes that it is recorded, see a recording's end.
+    /// Has the generator of random numbers, which takes its draws for captured, see the end of a capture.
     fn let_draw(aside: &Aside) {
         let functions = aside.functions;
         let mut object = [0_u64; OBJECT_WORDS];
@@ -109,7 +109,7 @@ impl Graph {
         // An empty one is warned of.
         let device = Device::Cuda(usize::try_from(aside.device).unwrap_or(0));
         let _something = Tensor::f_zeros([1], (Kind::Float, device));
-        // SAFETY: it is recording: nothing was done that could have ended it.
+        // SAFETY: it is capturing: nothing was done that could have ended it.
         unsafe { (functions.end)(object.as_mut_ptr()) };
         // SAFETY: the object was made, and is used no more.
         unsafe { (functions.destroy)(object.as_mut_ptr()) };
@@ -128,7 +128,7 @@ impl Graph {
     ///
     /// libtorch's own exceptions, which a device that fails raises, end the process.
     pub(super) fn replay_drawing(&mut self) {
-        // SAFETY: the recording has ended; otherwise as in `replay`.
+        // SAFETY: the capture has ended; otherwise as in `replay`.
         unsafe { (self.functions.replay)(self.object.as_ptr()) };
     }
 }
@@ -136,7 +136,7 @@ impl Graph {
 impl Drop for Graph {
     fn drop(&mut self) {
         let _alone = one_at_a_time();
-        // What it was told to do may not be done yet; if the device fails there is nothing to wait for.
+        // What was launched may still run; if the device fails there is nothing to wait for.
         let _done = self.functions.synchronise();
         // SAFETY: the object was made, and is used no more.
         unsafe { (self.functions.destroy)(self.object.as_ptr()) };

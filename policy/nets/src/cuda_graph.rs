@@ -1,8 +1,7 @@
-//! Networks whose work on a CUDA device is recorded at the first answer and repeated at each further one.
+//! CUDA graphs of networks and of training steps: captured once, replayed at each further inference or step.
 //!
-//! A network of many small steps takes as long as telling the device what to do, again and again the same. A recording is told
-//! with one call, and answers as the network does: it is the same work on the same device. A training's steps are recorded
-//! likewise, after a few that were not.
+//! Launching hundreds of small kernels one by one takes longer than running them. A graph is launched with one call and computes
+//! the same: the same kernels on the same device. A training step is captured after a few that run eagerly.
 
 mod aside;
 mod functions;
@@ -15,28 +14,28 @@ pub(crate) use functions::stream_of;
 pub use functions::{allow_tf32_products, sleep_while_waiting};
 use graph::Graph;
 
-/// What was recorded of a network, if anything.
+/// The CUDA graph of a network, if there is one.
 #[derive(Debug, Default)]
-pub(crate) enum Recorded {
-    /// No answer was asked for yet.
+pub(crate) enum NetworkGraph {
+    /// No inference has run yet.
     #[default]
     NotYet,
     /// There is nothing to be gained, or it can't be done.
     Never,
-    /// It answers observations of the shapes that it saw.
-    Ready(Recording),
+    /// Replayed for inputs of the shapes that it was captured with.
+    Ready(CapturedGraph),
 }
 
-/// A recording with what it reads and writes.
+/// A captured graph with the tensors that it reads and writes.
 #[derive(Debug)]
-pub struct Recording {
+pub struct CapturedGraph {
     /// Dropped before what it works in.
     graph: Graph,
     inputs: Vec<Tensor>,
     answer: Tensor,
 }
 
-impl Recorded {
+impl NetworkGraph {
     /// What `network` answers to `inputs`, all of which are on one device. On CUDA the answer is overwritten by the next one.
     ///
     /// `network` must do the same with the device for all inputs of these shapes, read nothing of them back, and keep what it
@@ -50,23 +49,21 @@ impl Recorded {
         mut network: impl FnMut([&Tensor; N]) -> Result<Tensor, TchError>,
     ) -> Result<Tensor, TchError> {
         if matches!(self, Self::NotYet) {
-            let made = tch::no_grad(|| Recording::of(inputs, &mut network))?;
+            let made = tch::no_grad(|| CapturedGraph::of(inputs, &mut network))?;
             *self = made.map_or(Self::Never, Self::Ready);
         }
         match self {
-            Self::Ready(recording) if recording.fits(&inputs) => {
-                tch::no_grad(|| recording.answer(&inputs))
-            }
+            Self::Ready(graph) if graph.fits(&inputs) => tch::no_grad(|| graph.answer(&inputs)),
             Self::NotYet | Self::Never | Self::Ready(_) => network(inputs),
         }
     }
 }
 
-/// Work on a CUDA device that is going to be recorded: what the libraries set up at first must be done while this lives.
+/// A capture to come on a CUDA device: what the libraries set up at first must be done while this lives.
 #[derive(Debug)]
-pub struct Recorder(Aside);
+pub struct Capture(Aside);
 
-impl Recorder {
+impl Capture {
     /// None if `device` is not the thread's current CUDA device, or the libraries here have no CUDA.
     ///
     /// # Errors
@@ -81,22 +78,22 @@ impl Recorder {
         Ok(Aside::of(device)?.map(Self))
     }
 
-    /// Records what `work` does with tensors like `inputs`; nothing of it is done yet. What else it reads and writes must stay
-    /// where it is as long as the recording lives.
+    /// Captures what `work` does with tensors like `inputs`; nothing of it runs yet. What else it reads and writes must stay
+    /// where it is as long as the graph lives.
     ///
     /// # Errors
-    /// Why it can't be recorded.
-    pub fn record(
+    /// Why it can't be captured.
+    pub fn capture(
         self,
         inputs: &[Tensor],
         work: impl FnOnce(&[Tensor]) -> Result<Tensor, TchError>,
-    ) -> Result<Recording, TchError> {
+    ) -> Result<CapturedGraph, TchError> {
         let own: Vec<Tensor> = inputs
             .iter()
             .map(Tensor::f_zeros_like)
             .collect::<Result<_, _>>()?;
-        let (graph, answer) = Graph::recorded_on(&self.0, || work(&own))?;
-        Ok(Recording {
+        let (graph, answer) = Graph::captured_on(&self.0, || work(&own))?;
+        Ok(CapturedGraph {
             graph,
             inputs: own,
             answer,
@@ -104,8 +101,8 @@ impl Recorder {
     }
 }
 
-impl Recording {
-    /// None where nothing can be recorded.
+impl CapturedGraph {
+    /// None where nothing can be captured.
     fn of<const N: usize>(
         inputs: [&Tensor; N],
         network: &mut impl FnMut([&Tensor; N]) -> Result<Tensor, TchError>,
@@ -121,8 +118,8 @@ impl Recording {
             .map(|input| input.f_zeros_like())
             .collect::<Result<_, _>>()?;
         let read: [&Tensor; N] = core::array::from_fn(|index| &own[index]);
-        let recorded = Graph::record(device, || network(read))?;
-        Ok(recorded.map(|(graph, answer)| Self {
+        let captured = Graph::capture(device, || network(read))?;
+        Ok(captured.map(|(graph, answer)| Self {
             graph,
             inputs: own,
             answer,
@@ -135,12 +132,12 @@ impl Recording {
         own.eq(inputs.iter().map(|input| form(input)))
     }
 
-    /// A copy of what the recorded work answers to `inputs`, which must be of the shapes that it was recorded with; it draws
-    /// random numbers on from where the generator stands.
+    /// A copy of the output for `inputs`, which must be of the shapes that the graph was captured with; random numbers continue
+    /// from the state of the generator.
     ///
     /// # Errors
     /// The network library's, if shapes do not fit.
-    pub fn drawn_answer(&mut self, inputs: &[Tensor]) -> Result<Tensor, TchError> {
+    pub fn replay(&mut self, inputs: &[Tensor]) -> Result<Tensor, TchError> {
         for (own, input) in self.inputs.iter_mut().zip(inputs) {
             own.f_copy_(input)?;
         }
@@ -161,7 +158,7 @@ impl Recording {
 mod tests {
     use tch::{Device, Kind, TchError, Tensor};
 
-    use super::{Recorded, Recorder};
+    use super::{Capture, NetworkGraph};
     use crate::generator::seeded;
 
     /// The device that has graphs, where there is one.
@@ -171,25 +168,25 @@ mod tests {
 
     #[test]
     fn every_answer_is_that_of_the_network_to_its_own_inputs() {
-        let mut recorded = Recorded::default();
+        let mut graph = NetworkGraph::default();
         let on_device = (Kind::Float, device());
         let weight = Tensor::arange(12, on_device).sin().view([4, 3]);
         for (rows, offset) in [(2, 0.0), (2, 0.5), (5, 0.25), (2, -1.0)] {
             let x = (Tensor::arange(rows * 4, on_device) + offset).view([rows, 4]);
             let y = x.cos();
-            let answer = recorded.answer([&x, &y], |[x, y]| (x * y).f_mm(&weight));
+            let answer = graph.answer([&x, &y], |[x, y]| (x * y).f_mm(&weight));
             assert_eq!(answer.unwrap(), (&x * &y).mm(&weight), "{rows}, {offset}");
         }
-        let is_recorded = matches!(recorded, Recorded::Ready(_));
-        assert_eq!(is_recorded, device().is_cuda(), "{recorded:?}");
+        let is_captured = matches!(graph, NetworkGraph::Ready(_));
+        assert_eq!(is_captured, device().is_cuda(), "{graph:?}");
     }
 
     #[test]
     fn what_the_network_refuses_is_refused_each_time() {
-        let mut recorded = Recorded::default();
+        let mut graph = NetworkGraph::default();
         let x = Tensor::zeros([2, 4], (Kind::Float, device()));
         for _ in 0..2 {
-            let answer = recorded.answer([&x], |[x]| x.f_mm(x));
+            let answer = graph.answer([&x], |[x]| x.f_mm(x));
             let error = answer.unwrap_err().to_string();
             assert!(error.contains("2x4"), "{error}");
         }
@@ -202,56 +199,57 @@ mod tests {
     }
 
     #[test]
-    fn what_is_drawn_hangs_on_the_seed_and_not_on_whether_it_was_recorded() {
+    fn random_numbers_depend_on_the_seed_captured_or_not() {
         let on_device = (Kind::Float, device());
         if !device().is_cuda() {
-            assert!(Recorder::begin(device()).unwrap().is_none());
+            assert!(Capture::begin(device()).unwrap().is_none());
             return;
         }
         let plus = |x: &Tensor| Tensor::f_rand([1000], on_device)?.f_add(x);
         let one = Tensor::ones([1], on_device);
         let inputs = [one.shallow_clone()];
-        let mut recording = {
+        let mut graph = {
             let _drawing = seeded(1);
-            let recorder = Recorder::begin(device()).unwrap().unwrap();
+            let capture = Capture::begin(device()).unwrap().unwrap();
             for _ in 0..2 {
                 let _warm = plus(&one).unwrap();
             }
-            let recorded = recorder.record(&inputs, |inputs| plus(&inputs[0]));
-            recorded.unwrap()
+            let captured = capture.capture(&inputs, |inputs| plus(&inputs[0]));
+            captured.unwrap()
         };
-        let told = drawn(|| plus(&one).unwrap());
-        let recorded = drawn(|| recording.drawn_answer(&inputs).unwrap());
-        assert_eq!(told, recorded);
+        let eager = drawn(|| plus(&one).unwrap());
+        let replayed = drawn(|| graph.replay(&inputs).unwrap());
+        assert_eq!(eager, replayed);
         // The second of two without a seed between them.
         let next = drawn(|| {
-            let _first = recording.drawn_answer(&inputs).unwrap();
-            recording.drawn_answer(&inputs).unwrap()
+            let _first = graph.replay(&inputs).unwrap();
+            graph.replay(&inputs).unwrap()
         });
-        assert_ne!(next, told);
+        assert_ne!(next, eager);
     }
 
+    /// Random numbers are then drawn as before.
     #[test]
-    fn what_waits_for_the_device_is_not_recorded_and_numbers_are_drawn_as_before() {
+    fn work_that_synchronises_is_not_captured() {
         if !device().is_cuda() {
             return;
         }
         let on_device = (Kind::Float, device());
         let wanted = drawn(|| Tensor::rand([100], on_device));
         let one = [Tensor::ones([1], on_device)];
-        let recorded = |work: &dyn Fn(&Tensor) -> Result<Tensor, TchError>| {
+        let captured = |work: &dyn Fn(&Tensor) -> Result<Tensor, TchError>| {
             let _drawing = seeded(1);
-            let recorder = Recorder::begin(device()).unwrap().unwrap();
-            recorder.record(&one, |inputs| work(&inputs[0])).map(drop)
+            let capture = Capture::begin(device()).unwrap().unwrap();
+            capture.capture(&one, |inputs| work(&inputs[0])).map(drop)
         };
-        let waits = recorded(&|one| {
+        let waits = captured(&|one| {
             let noise = Tensor::f_rand([1], on_device)?;
             noise.f_add_scalar(one.f_double_value(&[0])?)
         });
         assert!(waits.is_err());
         assert_eq!(drawn(|| Tensor::rand([100], on_device)), wanted);
-        assert!(recorded(&|one| one.f_view([3])).is_err());
+        assert!(captured(&|one| one.f_view([3])).is_err());
         assert_eq!(drawn(|| Tensor::rand([100], on_device)), wanted);
-        recorded(&Tensor::f_sin).unwrap();
+        captured(&Tensor::f_sin).unwrap();
     }
 }

@@ -1,0 +1,237 @@
+//! Who may open the console: whoever has the token, from a page that this server served.
+//!
+//! The token stands in the URL that the run prints. It is taken from there once: the page comes with a cookie of the same value, which the
+//! page's other requests carry and no script can read. The host must be a loopback name, so that a foreign name that was made to point here
+//! (DNS rebinding) reaches nothing; and a WebSocket must come from a page of the same host, which a browser states as its origin.
+
+use std::fs::File;
+use std::io::{self, Read as _};
+use std::net::{IpAddr, SocketAddr};
+
+use axum::http::{HeaderMap, StatusCode, header};
+
+/// Bytes of a token.
+const TOKEN_BYTES: usize = 16;
+
+/// A random word that whoever opens the console must know, hexadecimal.
+#[derive(Clone, Debug)]
+pub(super) struct Access {
+    token: String,
+    cookie: String,
+}
+
+/// Why a request is refused.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Refusal {
+    /// The host is another machine's name.
+    Host,
+    /// The page that asks is another server's.
+    Origin,
+    /// There is no token, or another one.
+    Token,
+}
+
+impl Refusal {
+    /// The status and the text of the answer.
+    pub(super) const fn answer(self) -> (StatusCode, &'static str) {
+        match self {
+            Self::Host => (
+                StatusCode::MISDIRECTED_REQUEST,
+                "refused: the console answers to localhost, 127.0.0.1 and [::1] alone\n",
+            ),
+            Self::Origin => (
+                StatusCode::FORBIDDEN,
+                "refused: the WebSocket is for the console's own page\n",
+            ),
+            Self::Token => (
+                StatusCode::UNAUTHORIZED,
+                "refused: open the address that trocar has printed, with its token\n",
+            ),
+        }
+    }
+}
+
+impl Access {
+    /// A fresh token for a console at `port`.
+    ///
+    /// # Errors
+    /// If the system gives no random bytes.
+    pub(super) fn new(port: u16) -> io::Result<Self> {
+        let mut bytes = [0; TOKEN_BYTES];
+        File::open("/dev/urandom")?.read_exact(&mut bytes)?;
+        Ok(Self {
+            token: bytes.iter().map(|byte| format!("{byte:02x}")).collect(),
+            // Cookies are shared by all ports of a host.
+            cookie: format!("trocar_console_{port}"),
+        })
+    }
+
+    /// What opens the console at `address` in a browser.
+    pub(super) fn url(&self, address: SocketAddr) -> String {
+        format!("http://{address}/?token={}", self.token)
+    }
+
+    /// The header that makes a browser keep the token.
+    pub(super) fn set_cookie(&self) -> String {
+        let (name, token) = (&self.cookie, &self.token);
+        format!("{name}={token}; Path=/; HttpOnly; SameSite=Strict")
+    }
+
+    /// Whether `query`, what stands behind the `?` of a URL, has the token.
+    pub(super) fn is_in_query(&self, query: Option<&str>) -> bool {
+        let pairs = query.unwrap_or_default().split('&');
+        let mut tokens = pairs.filter_map(|pair| pair.strip_prefix("token="));
+        tokens.next().is_some_and(|token| self.is(token))
+    }
+
+    /// # Errors
+    /// [`Refusal::Token`] if no cookie has the token.
+    pub(super) fn check_cookie(&self, headers: &HeaderMap) -> Result<(), Refusal> {
+        let lines = headers.get_all(header::COOKIE).into_iter();
+        let cookies = lines.filter_map(|line| line.to_str().ok());
+        let mut pairs = cookies.flat_map(|line| line.split(';'));
+        let own = pairs.find_map(|pair| {
+            let (name, value) = pair.trim().split_once('=')?;
+            (name == self.cookie).then_some(value)
+        });
+        let known = own.is_some_and(|token| self.is(token));
+        known.then_some(()).ok_or(Refusal::Token)
+    }
+
+    /// Whether `token` is it. The time that this takes tells nothing about where they differ.
+    fn is(&self, token: &str) -> bool {
+        let pairs = self.token.bytes().zip(token.bytes());
+        let differing = pairs.fold(0, |differing, (one, other)| differing | (one ^ other));
+        token.len() == self.token.len() && std::hint::black_box(differing) == 0
+    }
+}
+
+/// # Errors
+/// [`Refusal::Host`] if the request is not for a loopback name.
+pub(super) fn check_host(headers: &HeaderMap) -> Result<(), Refusal> {
+    let host = text(headers, header::HOST).ok_or(Refusal::Host)?;
+    let loopback = |name: &str| {
+        let bare = name.trim_start_matches('[').trim_end_matches(']');
+        name == "localhost" || bare.parse().is_ok_and(|ip: IpAddr| ip.is_loopback())
+    };
+    loopback(without_port(host))
+        .then_some(())
+        .ok_or(Refusal::Host)
+}
+
+/// # Errors
+/// [`Refusal::Origin`] if the page that asks is not one of the host that it asks.
+pub(super) fn check_origin(headers: &HeaderMap) -> Result<(), Refusal> {
+    let origin = text(headers, header::ORIGIN).and_then(|origin| origin.strip_prefix("http://"));
+    let host = text(headers, header::HOST);
+    let own = origin.is_some() && origin == host;
+    own.then_some(()).ok_or(Refusal::Origin)
+}
+
+fn text(headers: &HeaderMap, name: header::HeaderName) -> Option<&str> {
+    let mut values = headers.get_all(name).into_iter();
+    let only = values.next().filter(|_| values.next().is_none());
+    only?.to_str().ok()
+}
+
+/// A host without the port behind it.
+fn without_port(host: &str) -> &str {
+    match host.rsplit_once(':') {
+        Some((name, port)) if port.bytes().all(|byte| byte.is_ascii_digit()) => name,
+        _ => host,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use axum::http::{HeaderName, HeaderValue};
+
+    use super::*;
+
+    fn headers(pairs: &[(HeaderName, &str)]) -> HeaderMap {
+        let pairs = pairs.iter().cloned();
+        let pairs = pairs.map(|(name, value)| (name, HeaderValue::from_str(value).unwrap()));
+        let mut headers = HeaderMap::new();
+        for (name, value) in pairs {
+            headers.append(name, value);
+        }
+        headers
+    }
+
+    #[test]
+    fn a_loopback_name_is_a_host_and_no_other() {
+        for host in [
+            "localhost:8080",
+            "127.0.0.1:1",
+            "[::1]:8080",
+            "localhost",
+            "127.0.0.1",
+        ] {
+            assert_eq!(
+                check_host(&headers(&[(header::HOST, host)])),
+                Ok(()),
+                "{host}"
+            );
+        }
+        for host in [
+            "",
+            "evil.example",
+            "evil.example:8080",
+            "localhost.evil.example",
+            "192.168.0.1:8080",
+            "127.0.0.1.evil.example:80",
+            "[::]:80",
+        ] {
+            let refused = check_host(&headers(&[(header::HOST, host)]));
+            assert_eq!(refused, Err(Refusal::Host), "{host}");
+        }
+        let two = headers(&[(header::HOST, "localhost"), (header::HOST, "evil.example")]);
+        assert_eq!(check_host(&two), Err(Refusal::Host));
+        assert_eq!(check_host(&HeaderMap::new()), Err(Refusal::Host));
+    }
+
+    #[test]
+    fn the_origin_is_the_host() {
+        let with =
+            |origin: &str| headers(&[(header::HOST, "localhost:1"), (header::ORIGIN, origin)]);
+        assert_eq!(check_origin(&with("http://localhost:1")), Ok(()));
+        for origin in [
+            "http://localhost:2",
+            "http://evil.example",
+            "null",
+            "localhost:1",
+            "https://localhost:1",
+        ] {
+            assert_eq!(
+                check_origin(&with(origin)),
+                Err(Refusal::Origin),
+                "{origin}"
+            );
+        }
+        let none = headers(&[(header::HOST, "localhost:1")]);
+        assert_eq!(check_origin(&none), Err(Refusal::Origin));
+    }
+
+    #[test]
+    fn only_the_whole_token_is_the_token() {
+        let access = Access::new(7).unwrap();
+        let token = access.token.clone();
+        assert_eq!(token.len(), 2 * TOKEN_BYTES);
+        assert!(access.is_in_query(Some(&format!("token={token}"))));
+        assert!(access.is_in_query(Some(&format!("a=b&token={token}"))));
+        let short = &token[1..];
+        let [shorter, longer] = [format!("token={short}"), format!("token={token}0")];
+        for query in ["", "token=", short, shorter.as_str(), longer.as_str()] {
+            assert!(!access.is_in_query(Some(query)), "{query}");
+        }
+        assert!(!access.is_in_query(None));
+        let cookie = |text: &str| access.check_cookie(&headers(&[(header::COOKIE, text)]));
+        assert_eq!(cookie(&format!("a=b; trocar_console_7={token}")), Ok(()));
+        assert_eq!(
+            cookie(&format!("trocar_console_8={token}")),
+            Err(Refusal::Token)
+        );
+        assert_eq!(cookie("trocar_console_7="), Err(Refusal::Token));
+        assert_ne!(Access::new(7).unwrap().token, token);
+    }
+}

@@ -1,0 +1,300 @@
+//! One page: what it says is checked and done, and it is told what is new when it has room.
+//!
+//! A page says how many messages have arrived; no more than a few are on their way to it at a time. So whatever lies between (a tunnel, a
+//! slow network, a page that draws) holds no queue of old pictures.
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+use std::time::Duration;
+
+use axum::body::Bytes;
+use axum::extract::ws::{CloseFrame, Message, Utf8Bytes, WebSocket, close_code};
+use serde::Serialize;
+use tokio::sync::watch;
+use tokio::time::{interval, timeout};
+
+use super::log_view::LogView;
+use super::pictures::Stream;
+use super::request::{Allowance, Request, command};
+use super::seats::{Seat, Taken};
+use super::shared::Shared;
+use crate::rt::MonotonicClock;
+use hal::TimeNs;
+
+/// Messages on their way to a page.
+const ON_THE_WAY_MAX: u32 = 8;
+
+/// Time from one ping to the next, which browsers answer by themselves.
+const PING: Duration = Duration::from_secs(2);
+
+/// A page of which nothing is heard for this long is gone, ns.
+const SILENCE_NS: u64 = 10_000_000_000;
+
+/// Time for one message to leave.
+const SEND: Duration = Duration::from_secs(5);
+
+/// The page ends here.
+struct Gone;
+
+/// What came from a page, if it is still there.
+type Heard = Option<Result<Message, axum::Error>>;
+
+/// What a page gets.
+#[derive(Serialize)]
+#[serde(tag = "kind", rename_all = "snake_case")]
+enum Told<'a> {
+    /// Who steers.
+    Seat {
+        steers: bool,
+        taken: bool,
+        pages: usize,
+    },
+    /// What came of a command.
+    Answer {
+        command: &'a str,
+        ok: bool,
+        text: &'a str,
+    },
+    /// A message made no sense.
+    Problem { text: &'a str },
+}
+
+/// What there is to send.
+enum News {
+    Text(Utf8Bytes),
+    Picture(Bytes),
+    End(Utf8Bytes),
+}
+
+/// Serves a page until it goes or the console ends.
+pub(super) async fn attend(mut socket: WebSocket, shared: Arc<Shared>) {
+    let Some(seat) = shared.seats.sit() else {
+        let _gone = close(&mut socket, close_code::AGAIN, "too many pages are open").await;
+        return;
+    };
+    let clock = MonotonicClock::new();
+    let mut page = Page {
+        facts: shared.facts.subscribe(),
+        state: shared.state.subscribe(),
+        taken: shared.seats.watch(),
+        pictures: shared.board.watch(),
+        over: shared.over.subscribe(),
+        streams: Vec::new(),
+        seen: BTreeMap::new(),
+        place: None,
+        moved: false,
+        on_the_way: 0,
+        heard: clock.now(),
+        allowance: Allowance::new(clock.now()),
+        clock,
+        shared,
+        seat,
+    };
+    // What there is already is news to this page.
+    page.facts.mark_changed();
+    page.state.mark_changed();
+    page.taken.mark_changed();
+    let _gone: Result<(), Gone> = page.serve(&mut socket).await;
+}
+
+struct Page {
+    shared: Arc<Shared>,
+    seat: Seat,
+    facts: watch::Receiver<Utf8Bytes>,
+    state: watch::Receiver<Utf8Bytes>,
+    taken: watch::Receiver<Taken>,
+    pictures: watch::Receiver<u64>,
+    over: watch::Receiver<Option<Utf8Bytes>>,
+    streams: Vec<Stream>,
+    /// The number of the picture that it has of each stream.
+    seen: BTreeMap<Stream, u64>,
+    /// Where in a log it looks.
+    place: Option<f64>,
+    moved: bool,
+    on_the_way: u32,
+    /// When something was last heard of it.
+    heard: TimeNs,
+    allowance: Allowance,
+    clock: MonotonicClock,
+}
+
+impl Page {
+    async fn serve(&mut self, socket: &mut WebSocket) -> Result<(), Gone> {
+        let mut pings = interval(PING);
+        loop {
+            let has_room = self.on_the_way < ON_THE_WAY_MAX;
+            tokio::select! {
+                biased;
+                heard = socket.recv() => self.hear(heard, socket).await?,
+                _ = pings.tick() => self.ping(socket).await?,
+                news = self.news(), if has_room => self.tell(news, socket).await?,
+            }
+        }
+    }
+
+    async fn ping(&self, socket: &mut WebSocket) -> Result<(), Gone> {
+        if self.clock.now().since(self.heard) > SILENCE_NS {
+            return Err(Gone);
+        }
+        send(socket, Message::Ping(Bytes::new())).await
+    }
+
+    async fn tell(&mut self, news: News, socket: &mut WebSocket) -> Result<(), Gone> {
+        match news {
+            News::Text(text) => {
+                self.on_the_way += 1;
+                send(socket, Message::Text(text)).await
+            }
+            News::Picture(bytes) => {
+                self.on_the_way += 1;
+                send(socket, Message::Binary(bytes)).await
+            }
+            News::End(text) => {
+                send(socket, Message::Text(text)).await?;
+                close(socket, close_code::NORMAL, "the run has ended").await?;
+                Err(Gone)
+            }
+        }
+    }
+
+    async fn hear(&mut self, heard: Heard, socket: &mut WebSocket) -> Result<(), Gone> {
+        let Some(Ok(message)) = heard else {
+            return Err(Gone);
+        };
+        self.heard = self.clock.now();
+        if !self.allowance.take(self.heard) {
+            close(socket, close_code::POLICY, "too many messages").await?;
+            return Err(Gone);
+        }
+        let problem = match message {
+            Message::Text(text) => match Request::parse(&text) {
+                Ok(request) => return self.act(request, socket).await,
+                Err(problem) => problem.to_string(),
+            },
+            Message::Binary(_) => "no message of the console: it is binary".to_owned(),
+            Message::Ping(_) | Message::Pong(_) => return Ok(()),
+            Message::Close(_) => return Err(Gone),
+        };
+        answer(socket, &Told::Problem { text: &problem }).await
+    }
+
+    async fn act(&mut self, request: Request, socket: &mut WebSocket) -> Result<(), Gone> {
+        match request {
+            Request::Seen(count) => self.on_the_way = self.on_the_way.saturating_sub(count),
+            Request::Steer(true) => {
+                self.seat.steer();
+            }
+            Request::Steer(false) => self.seat.let_go(),
+            Request::Show(streams) => {
+                self.seat.look_at(&streams);
+                self.streams = streams;
+            }
+            Request::At(seconds) => (self.place, self.moved) = (Some(seconds), true),
+            Request::Command(text) => return self.command(&text, socket).await,
+        }
+        Ok(())
+    }
+
+    /// Does what the operator's verb does, if this page steers.
+    async fn command(&mut self, text: &str, socket: &mut WebSocket) -> Result<(), Gone> {
+        let (ok, said) = match command(text) {
+            Err(reason) => (false, reason),
+            Ok(_) if !self.seat.steers() => (
+                false,
+                "another page steers this run, or none: take control first".to_owned(),
+            ),
+            Ok(command) => self.shared.say(command).await,
+        };
+        let told = Told::Answer {
+            command: text,
+            ok,
+            text: &said,
+        };
+        answer(socket, &told).await
+    }
+
+    /// Waits for something new; the most important first.
+    async fn news(&mut self) -> News {
+        loop {
+            if let Some(news) = self.newest() {
+                return news;
+            }
+            // A change that was waited for counts as seen; the next look has to see it.
+            tokio::select! {
+                _ = self.over.changed() => self.over.mark_changed(),
+                _ = self.facts.changed() => self.facts.mark_changed(),
+                _ = self.taken.changed() => self.taken.mark_changed(),
+                _ = self.state.changed() => self.state.mark_changed(),
+                _ = self.pictures.changed() => {}
+            }
+        }
+    }
+
+    /// What this page has not been told of.
+    fn newest(&mut self) -> Option<News> {
+        if let Some(last) = self.over.borrow_and_update().as_ref() {
+            return Some(News::End(last.clone()));
+        }
+        if let Some(facts) = changed(&mut self.facts) {
+            return Some(News::Text(facts));
+        }
+        if self.taken.has_changed().unwrap_or(false) {
+            let taken = *self.taken.borrow_and_update();
+            let told = Told::Seat {
+                steers: taken.steers == Some(self.seat.id()),
+                taken: taken.steers.is_some(),
+                pages: taken.pages,
+            };
+            let text = serde_json::to_string(&told).ok()?;
+            return Some(News::Text(text.into()));
+        }
+        if let Some(log) = self.shared.log() {
+            return self.of_log(&log);
+        }
+        if let Some(state) = changed(&mut self.state) {
+            return Some(News::Text(state));
+        }
+        let (stream, picture) = self.shared.board.newer(&self.streams, &self.seen)?;
+        self.seen.insert(stream, picture.number);
+        Some(News::Picture(picture.message))
+    }
+
+    /// What a log says of the place that this page looks at.
+    fn of_log(&mut self, log: &LogView) -> Option<News> {
+        let seconds = self.place?;
+        if std::mem::take(&mut self.moved) {
+            return Some(News::Text(log.state(seconds)?.into()));
+        }
+        self.streams.iter().find_map(|stream| {
+            let (number, message) = log.picture(*stream, seconds)?;
+            let fresh = self.seen.insert(*stream, number) != Some(number);
+            fresh.then_some(News::Picture(message))
+        })
+    }
+}
+
+/// What `receiver` holds if that is new and not empty.
+fn changed(receiver: &mut watch::Receiver<Utf8Bytes>) -> Option<Utf8Bytes> {
+    if !receiver.has_changed().unwrap_or(false) {
+        return None;
+    }
+    let text = receiver.borrow_and_update().clone();
+    (!text.is_empty()).then_some(text)
+}
+
+async fn answer(socket: &mut WebSocket, told: &Told<'_>) -> Result<(), Gone> {
+    let text = serde_json::to_string(told).map_err(|_| Gone)?;
+    send(socket, Message::Text(text.into())).await
+}
+
+async fn close(socket: &mut WebSocket, code: u16, reason: &'static str) -> Result<(), Gone> {
+    let reason = Utf8Bytes::from_static(reason);
+    send(socket, Message::Close(Some(CloseFrame { code, reason }))).await
+}
+
+async fn send(socket: &mut WebSocket, message: Message) -> Result<(), Gone> {
+    match timeout(SEND, socket.send(message)).await {
+        Ok(Ok(())) => Ok(()),
+        Ok(Err(_)) | Err(_) => Err(Gone),
+    }
+}

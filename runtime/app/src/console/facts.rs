@@ -1,0 +1,115 @@
+//! What a page is told of a run once: what it is, its arms, limits and cameras.
+
+use hal::joints::{INSERTION, JOINT_NAMES};
+use serde::Serialize;
+use trocar_control::{ControlConfig, rows};
+
+use super::tap::BUCKETS_US;
+
+/// What does not change while a run goes on.
+#[derive(Clone, Debug, Serialize)]
+pub struct Facts {
+    kind: &'static str,
+    /// Whether it is a log.
+    log: bool,
+    title: String,
+    policy: String,
+    seed: u64,
+    arms: Vec<String>,
+    axes: Vec<AxisFacts>,
+    pub(super) cameras: Vec<String>,
+    /// Upper ends of the histograms' buckets, us.
+    buckets_us: Vec<u64>,
+    time_limit_s: Option<f64>,
+    /// Of a log, how long it is.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub(super) seconds: Option<f64>,
+    /// Of a log, what happened.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub(super) events: Vec<EventFacts>,
+    /// Of a log, how the run ended.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub(super) outcome: Option<EndFacts>,
+    #[serde(skip)]
+    pub(super) rows: Vec<String>,
+}
+
+/// A joint or the jaw.
+#[derive(Clone, Debug, Serialize)]
+struct AxisFacts {
+    name: &'static str,
+    unit: &'static str,
+    low: f64,
+    high: f64,
+    velocity: f64,
+}
+
+/// Something that happened at a time.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub(super) struct EventFacts {
+    pub(super) seconds: f64,
+    pub(super) text: String,
+}
+
+/// How a run ended.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub(super) struct EndFacts {
+    pub(super) success: Option<bool>,
+    pub(super) reason: String,
+}
+
+impl Facts {
+    /// Those of a run of `title` (its task, or what its limits are for) under `control`, which shows `cameras`.
+    #[must_use]
+    pub fn new(
+        title: &str,
+        policy: &str,
+        seed: u64,
+        control: &ControlConfig,
+        cameras: Vec<String>,
+    ) -> Self {
+        let names = JOINT_NAMES.into_iter().chain(["jaw"]);
+        let axes = names.zip(&control.axes).enumerate();
+        let axes = axes.map(|(index, (name, limits))| AxisFacts {
+            name,
+            unit: if index == INSERTION { "m" } else { "rad" },
+            low: limits.low,
+            high: limits.high,
+            velocity: limits.velocity,
+        });
+        Self {
+            kind: "facts",
+            log: false,
+            title: title.to_owned(),
+            policy: policy.to_owned(),
+            seed,
+            arms: control.arms.iter().map(|arm| arm.name.clone()).collect(),
+            axes: axes.collect(),
+            cameras,
+            buckets_us: BUCKETS_US.to_vec(),
+            time_limit_s: None,
+            seconds: None,
+            events: Vec::new(),
+            outcome: None,
+            rows: rows::names(control),
+        }
+    }
+
+    /// The same of a task that is given up after so long.
+    #[must_use]
+    pub fn within_s(mut self, time_limit_s: f64) -> Self {
+        self.time_limit_s = Some(time_limit_s);
+        self
+    }
+
+    /// The same of a log.
+    pub(super) fn of_log(mut self, seconds: f64) -> Self {
+        self.log = true;
+        self.seconds = Some(seconds);
+        self
+    }
+
+    pub(super) fn json(&self) -> String {
+        serde_json::to_string(self).unwrap_or_default()
+    }
+}

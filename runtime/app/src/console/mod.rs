@@ -1,0 +1,169 @@
+//! The web console: one page in the browser that shows a run as it goes on, or a log, and from which the operator steers.
+//!
+//! ```text
+//!  control thread ── newest tick, counts (mailbox) ──> server thread ── JSON, 20 a second ──> pages
+//!  camera thread ── planes ──> compressing thread ── JPEG, PNG, newest only ──> server thread ──^  │
+//!                    the run's socket for operators <── verbs, of the one page that steers ────────┘
+//! ```
+//!
+//! `address` says where it listens, `access` who may open it; `server` serves the page's files, `client` one page; `request` is what a page
+//! may say, `seats` who steers. `tap` is the control thread's end, `pictures` and `encode` are what cameras show; `facts`, `live` and `state`
+//! make what a run says, `log_view` what a log says. The page itself is in `page/`.
+//!
+//! The page has exactly the operator's verbs, and they go the same way: over the run's own socket (`session/operator`). No message of it
+//! reaches the controller in another way, so it can't weaken a limit.
+
+mod access;
+mod address;
+mod client;
+mod encode;
+mod facts;
+mod live;
+mod log_view;
+mod pictures;
+mod request;
+mod seats;
+mod server;
+mod shared;
+mod state;
+mod tap;
+
+use std::io;
+use std::net::{SocketAddr, TcpListener};
+use std::path::{Path, PathBuf};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::thread::{self, JoinHandle};
+
+use serde::Serialize;
+
+pub use address::{Address, BadAddress, DEFAULT_ADDRESS};
+pub use facts::Facts;
+pub(crate) use pictures::{FramePlanes, FrameTap};
+pub use tap::ControlTap;
+
+use crate::mailbox::{MailboxWriter, mailbox};
+use crate::session::SessionError;
+use access::Access;
+use live::Live;
+use log_view::LogView;
+use shared::Shared;
+
+/// A console that listens. Clones are the same one.
+#[derive(Clone, Debug)]
+pub struct Console {
+    shared: Arc<Shared>,
+    address: SocketAddr,
+    threads: Arc<Mutex<Vec<JoinHandle<()>>>>,
+}
+
+/// The ends of a run that say what it does.
+#[derive(Debug)]
+pub struct RunTaps {
+    /// For the control thread.
+    pub control: ControlTap,
+    /// For whoever knows what the task still lacks.
+    pub task: MailboxWriter<&'static str>,
+}
+
+/// The last words of a run.
+#[derive(Serialize)]
+struct LastWords<'a> {
+    kind: &'static str,
+    success: Option<bool>,
+    reason: &'a str,
+}
+
+impl Console {
+    /// Listens at `address`.
+    ///
+    /// # Errors
+    /// [`SessionError::BadArgument`] if nobody can listen there.
+    pub fn open(address: Address) -> Result<Self, SessionError> {
+        let asked = address.socket();
+        let failed = |error: io::Error| {
+            let hint = if error.kind() == io::ErrorKind::AddrInUse {
+                "; port 0 is any that is free"
+            } else {
+                ""
+            };
+            let reason = format!("--console {asked}: cannot listen there: {error}{hint}");
+            SessionError::BadArgument(reason)
+        };
+        let listener = TcpListener::bind(asked).map_err(failed)?;
+        listener.set_nonblocking(true).map_err(failed)?;
+        let address = listener.local_addr().map_err(failed)?;
+        let access = Access::new(address.port()).map_err(failed)?;
+        let shared = Arc::new(Shared::new(access));
+        let runtime = server::runtime().map_err(failed)?;
+        let mut threads = Vec::new();
+        let own = Arc::clone(&shared);
+        threads.push(
+            spawn("console", move || {
+                // Without a server pages see that the connection is lost; the run goes on.
+                let _failed = server::serve(&runtime, listener, &own);
+                runtime.shutdown_background();
+            })
+            .map_err(failed)?,
+        );
+        let board = Arc::clone(&shared.board);
+        threads.push(spawn("console-pictures", move || board.compress()).map_err(failed)?);
+        Ok(Self {
+            shared,
+            address,
+            threads: Arc::new(Mutex::new(threads)),
+        })
+    }
+
+    /// What opens it in a browser of this machine, with its token.
+    #[must_use]
+    pub fn url(&self) -> String {
+        self.shared.access.url(self.address)
+    }
+
+    /// Shows the log at `path` from now on.
+    ///
+    /// # Errors
+    /// [`SessionError::Log`] or [`SessionError::Replay`] if it can't be read.
+    pub fn show_log(&self, path: &Path) -> Result<(), SessionError> {
+        self.shared.show_log(LogView::read(path)?);
+        Ok(())
+    }
+
+    /// Shows a run from now on, whose operator's socket is `operator`; what it says comes from the ends that this gives.
+    pub fn show_run(&self, facts: Facts, operator: Option<PathBuf>) -> RunTaps {
+        let (to, from) = mailbox();
+        let (task_to, task_from) = mailbox();
+        let live = Live::new(facts, from, task_from, operator);
+        self.shared.show_run(live);
+        RunTaps {
+            control: ControlTap::new(to),
+            task: task_to,
+        }
+    }
+
+    /// The end for frames.
+    pub(crate) fn frames(&self) -> FrameTap {
+        FrameTap(Arc::clone(&self.shared.board))
+    }
+
+    /// Tells the pages how the run ended, and closes when they have heard it, or after a second and a half.
+    pub fn close(&self, success: Option<bool>, reason: &str) {
+        let words = LastWords {
+            kind: "end",
+            success,
+            reason,
+        };
+        let text = serde_json::to_string(&words).unwrap_or_default();
+        self.shared.refresh();
+        self.shared.over.send_replace(Some(text.into()));
+        self.shared.board.close();
+        let mut threads = self.threads.lock().unwrap_or_else(PoisonError::into_inner);
+        for thread in threads.drain(..) {
+            let _panicked = thread.join();
+        }
+    }
+}
+
+fn spawn(name: &str, body: impl FnOnce() + Send + 'static) -> io::Result<JoinHandle<()>> {
+    thread::Builder::new().name(name.to_owned()).spawn(body)
+}

@@ -1,0 +1,103 @@
+// Camera views: a picture each, and what of it is shown.
+
+const PLANES = ["colour", "depth", "ids"];
+
+export class Cameras {
+  #views = [];
+  #send;
+
+  constructor(send) {
+    this.#send = send;
+    this.root = document.getElementById("views");
+    this.none = document.getElementById("no-cameras");
+  }
+
+  /** Shows `names`; of a log there is colour alone. */
+  set(names, colourOnly) {
+    const same = names.length === this.#views.length && names.every((name, i) => this.#views[i].name === name);
+    if (!same) {
+      this.root.replaceChildren();
+      this.#views = names.map((name, index) => this.#view(name, index, colourOnly));
+    }
+    this.root.classList.toggle("many", names.length > 2);
+    this.none.hidden = names.length > 0;
+    this.none.textContent = "This run has no camera here.";
+    this.want();
+  }
+
+  want() {
+    const wanted = this.#views.map((view, index) => [index, view.plane]).filter(([, plane]) => plane !== "off");
+    this.#send({ show: wanted });
+  }
+
+  async picture(camera, plane, seconds, blob) {
+    const view = this.#views[camera];
+    if (!view || PLANES[plane] !== view.plane) return;
+    // While one is decoded only the newest waits.
+    view.next = { seconds, blob };
+    if (view.busy) return;
+    view.busy = true;
+    while (view.next) {
+      const next = view.next;
+      view.next = null;
+      await this.#draw(view, next);
+    }
+    view.busy = false;
+  }
+
+  async #draw(view, { seconds, blob }) {
+    const before = view.url;
+    view.url = URL.createObjectURL(blob);
+    view.image.src = view.url;
+    try {
+      await view.image.decode();
+    } catch {
+      // A picture that can't be shown is replaced by the next.
+    }
+    view.image.alt = `${view.name}, ${view.plane}, at ${seconds.toFixed(2)} s`;
+    view.image.dataset.seconds = seconds.toFixed(3);
+    view.count += 1;
+    if (before) URL.revokeObjectURL(before);
+  }
+
+  /** Tells how many pictures came since the last call, `elapsed` seconds ago. */
+  rates(elapsed) {
+    for (const view of this.#views) {
+      const rate = view.plane === "off" ? "" : `${Math.round(view.count / elapsed)}/s`;
+      if (view.rate.textContent !== rate) view.rate.textContent = rate;
+      view.count = 0;
+    }
+  }
+
+  #view(name, index, colourOnly) {
+    const figure = document.createElement("figure");
+    figure.className = "view";
+    const image = document.createElement("img");
+    image.alt = `${name}, no picture yet`;
+    image.src = "data:image/gif;base64,R0lGODlhAQABAAAAACH5BAEKAAEALAAAAAABAAEAAAICTAEAOw==";
+    const caption = document.createElement("figcaption");
+    const title = document.createElement("strong");
+    title.textContent = name;
+    const select = document.createElement("select");
+    select.setAttribute("aria-label", `What of ${name} is shown`);
+    const planes = colourOnly ? ["colour"] : [...PLANES, "off"];
+    for (const plane of planes) select.add(new Option(plane, plane));
+    // A software renderer has its limits: the first camera is shown, the others by choice.
+    const plane = colourOnly || index === 0 ? "colour" : "off";
+    select.value = plane;
+    select.hidden = colourOnly;
+    const rate = document.createElement("span");
+    rate.className = "rate";
+    caption.append(title, rate, select);
+    figure.append(image, caption);
+    this.root.append(figure);
+    const view = { name, image, select, rate, plane, count: 0, url: null, next: null, busy: false };
+    image.hidden = plane === "off";
+    select.onchange = () => {
+      view.plane = select.value;
+      image.hidden = view.plane === "off";
+      this.want();
+    };
+    return view;
+  }
+}

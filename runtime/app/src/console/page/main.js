@@ -1,0 +1,95 @@
+// The page: one connection, and the panels that show what it says.
+
+import { Cameras } from "./cameras.js";
+import { Connection } from "./connection.js";
+import { Operator } from "./operator.js";
+import { Panels } from "./panels.js";
+import { Timeline } from "./timeline.js";
+
+const byId = (id) => document.getElementById(id);
+
+// The token has come as a cookie; it needs not stand in the address, nor in the history.
+if (location.search) history.replaceState(null, "", location.pathname);
+
+let connection = null;
+const send = (message) => connection?.send(message);
+const panels = new Panels();
+const cameras = new Cameras(send);
+const operator = new Operator(send);
+const timeline = new Timeline(send);
+let link = "waiting";
+let ended = null;
+let log = false;
+let said = "";
+
+function say(text) {
+  if (text !== said) byId("live").textContent = text;
+  said = text;
+}
+
+function banner(text, tone = "bad") {
+  byId("banner").hidden = !text;
+  byId("banner").textContent = text;
+  byId("banner").dataset.tone = tone;
+}
+
+const heard = {
+  facts(facts) {
+    log = facts.log;
+    panels.facts(facts);
+    cameras.set(facts.cameras, facts.log);
+    timeline.facts(facts);
+    if (!log) send({ steer: true });
+  },
+  state(state) {
+    panels.state(state);
+    operator.setSpeed(state.speed_percent);
+    say(state.arms.map((arm) => `${arm.name} ${arm.state}${arm.fault ? `: ${arm.fault}` : ""}`).join("; "));
+    const faults = state.arms.filter((arm) => arm.fault).map((arm) => `${arm.name}: ${arm.fault}`);
+    if (!ended && link === "open") banner(faults.join("; "));
+  },
+  seat: (seat) => operator.seat(seat),
+  answer: (answer) => operator.answer(answer),
+  problem: (problem) => operator.problem(problem),
+  end(end) {
+    ended = end;
+    const verdict = end.success === true ? "Success" : end.success === false ? "Failure" : "The run has ended";
+    banner(end.reason ? `${verdict}: ${end.reason}` : verdict, end.success === false ? "bad" : "good");
+    say(byId("banner").textContent);
+  },
+};
+
+function showLink() {
+  const age = connection?.age;
+  const old = age === null || age === undefined ? "" : age < 1000 ? "" : ` · ${(age / 1000).toFixed(0)} s ago`;
+  const words = {
+    waiting: "connecting",
+    open: !log && age > 1000 ? `no news${old}` : "connected",
+    lost: `connection lost${old}`,
+    over: "run ended",
+  };
+  byId("link").dataset.link = link === "open" && !log && age > 1000 ? "lost" : link;
+  byId("link-text").textContent = words[link];
+}
+
+connection = new Connection({
+  text: (message) => heard[message.kind]?.(message),
+  picture: (...picture) => cameras.picture(...picture),
+  open() {
+    if (!ended) banner("");
+  },
+  change(state, reason) {
+    link = state;
+    operator.link(state === "open");
+    if (state === "lost" && !ended) banner(`Connection lost; what is shown is old. Trying again.${reason ? ` (${reason})` : ""}`);
+    showLink();
+  },
+});
+
+let before = performance.now();
+setInterval(() => {
+  const now = performance.now();
+  cameras.rates((now - before) / 1000);
+  before = now;
+}, 1000);
+setInterval(showLink, 250);

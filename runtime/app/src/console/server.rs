@@ -1,0 +1,171 @@
+//! The server: the page's files and its WebSocket, on a thread of its own at normal priority.
+
+use std::io;
+use std::net::TcpListener;
+use std::sync::Arc;
+use std::time::Duration;
+
+use axum::Router;
+use axum::extract::ws::WebSocketUpgrade;
+use axum::extract::{Request, State};
+use axum::http::{HeaderMap, HeaderName, HeaderValue, StatusCode, Uri, header};
+use axum::middleware::{self, Next};
+use axum::response::{IntoResponse as _, Response};
+use axum::routing::get;
+use tokio::runtime::{Builder, Runtime};
+use tokio::time::{MissedTickBehavior, interval, timeout};
+
+use super::access::{Refusal, check_host, check_origin};
+use super::client::attend;
+use super::request::MESSAGE_BYTES_MAX;
+use super::shared::Shared;
+
+/// Time from one state to the next.
+const STATE_EVERY: Duration = Duration::from_millis(50);
+
+/// Time that pages have to take leave.
+const LEAVE: Duration = Duration::from_millis(1500);
+
+/// Threads that wait for the run's answers to commands.
+const WAITING_MAX: usize = 4;
+
+/// The page's files: path, type, text.
+const FILES: [(&str, &str, &str); 8] = [
+    (
+        "/",
+        "text/html; charset=utf-8",
+        include_str!("page/index.html"),
+    ),
+    (
+        "/console.css",
+        "text/css; charset=utf-8",
+        include_str!("page/console.css"),
+    ),
+    ("/main.js", SCRIPT, include_str!("page/main.js")),
+    ("/connection.js", SCRIPT, include_str!("page/connection.js")),
+    ("/panels.js", SCRIPT, include_str!("page/panels.js")),
+    ("/cameras.js", SCRIPT, include_str!("page/cameras.js")),
+    ("/operator.js", SCRIPT, include_str!("page/operator.js")),
+    ("/timeline.js", SCRIPT, include_str!("page/timeline.js")),
+];
+
+const SCRIPT: &str = "text/javascript; charset=utf-8";
+
+/// What a browser may not do with any answer: load from elsewhere, guess types, tell where it came from, show it in another page.
+const HEADERS: [(HeaderName, &str); 6] = [
+    (
+        header::CONTENT_SECURITY_POLICY,
+        "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' blob: data:; connect-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'",
+    ),
+    (header::X_CONTENT_TYPE_OPTIONS, "nosniff"),
+    (header::REFERRER_POLICY, "no-referrer"),
+    (header::CACHE_CONTROL, "no-store"),
+    (
+        HeaderName::from_static("cross-origin-opener-policy"),
+        "same-origin",
+    ),
+    (
+        HeaderName::from_static("cross-origin-resource-policy"),
+        "same-origin",
+    ),
+];
+
+/// Everything that a server needs.
+pub(super) fn runtime() -> io::Result<Runtime> {
+    Builder::new_current_thread()
+        .enable_all()
+        .max_blocking_threads(WAITING_MAX)
+        .build()
+}
+
+/// Serves pages at `listener` until all is over and they have taken leave.
+pub(super) fn serve(
+    runtime: &Runtime,
+    listener: TcpListener,
+    shared: &Arc<Shared>,
+) -> io::Result<()> {
+    runtime.block_on(async {
+        let listener = tokio::net::TcpListener::from_std(listener)?;
+        let served = axum::serve(listener, router(Arc::clone(shared)));
+        tokio::select! {
+            served = served.into_future() => served,
+            () = refresh(shared) => Ok(()),
+        }
+    })
+}
+
+/// Puts up states; ends when all is over and nobody looks on any more.
+async fn refresh(shared: &Shared) {
+    let mut ticks = interval(STATE_EVERY);
+    ticks.set_missed_tick_behavior(MissedTickBehavior::Delay);
+    let mut over = shared.over.subscribe();
+    let mut seats = shared.seats.watch();
+    loop {
+        tokio::select! {
+            _ = ticks.tick() => shared.refresh(),
+            _ = over.wait_for(Option::is_some) => break,
+        }
+    }
+    let empty = seats.wait_for(|taken| taken.pages == 0);
+    let _late = timeout(LEAVE, empty).await;
+    // The last messages are on their way.
+    tokio::time::sleep(STATE_EVERY).await;
+}
+
+fn router(shared: Arc<Shared>) -> Router {
+    Router::new()
+        .route("/socket", get(socket))
+        .fallback(get(file))
+        .layer(middleware::from_fn(guard))
+        .with_state(shared)
+}
+
+/// Checks the host of every request, and tells the browser what it may do with every answer.
+async fn guard(request: Request, next: Next) -> Response {
+    let mut response = match check_host(request.headers()) {
+        Ok(()) => next.run(request).await,
+        Err(refusal) => refused(refusal),
+    };
+    for (name, value) in HEADERS {
+        response
+            .headers_mut()
+            .insert(name, HeaderValue::from_static(value));
+    }
+    response
+}
+
+async fn file(State(shared): State<Arc<Shared>>, uri: Uri, headers: HeaderMap) -> Response {
+    let access = &shared.access;
+    let by_query = access.is_in_query(uri.query());
+    if !by_query && let Err(refusal) = access.check_cookie(&headers) {
+        return refused(refusal);
+    }
+    let found = FILES.iter().find(|(path, ..)| *path == uri.path());
+    let Some((_, kind, text)) = found else {
+        return (StatusCode::NOT_FOUND, "there is no such page\n").into_response();
+    };
+    let mut response = ([(header::CONTENT_TYPE, *kind)], *text).into_response();
+    if by_query && let Ok(cookie) = HeaderValue::from_str(&access.set_cookie()) {
+        response.headers_mut().insert(header::SET_COOKIE, cookie);
+    }
+    response
+}
+
+async fn socket(
+    State(shared): State<Arc<Shared>>,
+    headers: HeaderMap,
+    upgrade: WebSocketUpgrade,
+) -> Response {
+    let known = check_origin(&headers).and_then(|()| shared.access.check_cookie(&headers));
+    if let Err(refusal) = known {
+        return refused(refusal);
+    }
+    upgrade
+        .max_message_size(MESSAGE_BYTES_MAX)
+        .max_frame_size(MESSAGE_BYTES_MAX)
+        .on_upgrade(move |socket| attend(socket, shared))
+}
+
+fn refused(refusal: Refusal) -> Response {
+    refusal.answer().into_response()
+}

@@ -1,0 +1,102 @@
+//! What the server's thread shares with the run.
+
+use std::sync::{Arc, Mutex, PoisonError};
+
+use axum::extract::ws::Utf8Bytes;
+use tokio::sync::watch;
+use tokio::task::spawn_blocking;
+
+use super::access::Access;
+use super::live::Live;
+use super::log_view::LogView;
+use super::pictures::Board;
+use super::seats::Seats;
+use crate::session::operator::Command;
+
+/// What pages see.
+#[derive(Debug)]
+enum Shown {
+    /// Nothing yet.
+    Nothing,
+    /// A run in real time.
+    Live(Arc<Live>),
+    /// A log.
+    Log(Arc<LogView>),
+}
+
+#[derive(Debug)]
+pub(super) struct Shared {
+    pub(super) access: Access,
+    pub(super) seats: Arc<Seats>,
+    pub(super) board: Arc<Board>,
+    /// What is said once; empty until there is a run.
+    pub(super) facts: watch::Sender<Utf8Bytes>,
+    /// The newest state.
+    pub(super) state: watch::Sender<Utf8Bytes>,
+    /// The last words, when all is over.
+    pub(super) over: watch::Sender<Option<Utf8Bytes>>,
+    shown: Mutex<Shown>,
+}
+
+impl Shared {
+    pub(super) fn new(access: Access) -> Self {
+        let board = Arc::new(Board::new());
+        Self {
+            access,
+            seats: Arc::new(Seats::new(Arc::clone(&board))),
+            board,
+            facts: watch::Sender::new(Utf8Bytes::default()),
+            state: watch::Sender::new(Utf8Bytes::default()),
+            over: watch::Sender::new(None),
+            shown: Mutex::new(Shown::Nothing),
+        }
+    }
+
+    /// From now on pages see a run.
+    pub(super) fn show_run(&self, live: Live) {
+        self.facts.send_replace(live.facts().into());
+        self.show(Shown::Live(Arc::new(live)));
+    }
+
+    /// From now on pages see a log.
+    pub(super) fn show_log(&self, log: LogView) {
+        let facts = log.facts();
+        self.show(Shown::Log(Arc::new(log)));
+        self.facts.send_replace(facts.into());
+    }
+
+    fn show(&self, shown: Shown) {
+        *self.shown.lock().unwrap_or_else(PoisonError::into_inner) = shown;
+    }
+
+    fn live(&self) -> Option<Arc<Live>> {
+        match &*self.shown.lock().unwrap_or_else(PoisonError::into_inner) {
+            Shown::Live(live) => Some(Arc::clone(live)),
+            Shown::Nothing | Shown::Log(_) => None,
+        }
+    }
+
+    /// The log that is shown, if it is one.
+    pub(super) fn log(&self) -> Option<Arc<LogView>> {
+        match &*self.shown.lock().unwrap_or_else(PoisonError::into_inner) {
+            Shown::Log(log) => Some(Arc::clone(log)),
+            Shown::Nothing | Shown::Live(_) => None,
+        }
+    }
+
+    /// Puts up the newest state.
+    pub(super) fn refresh(&self) {
+        if let Some(state) = self.live().and_then(|live| live.state()) {
+            self.state.send_replace(state.into());
+        }
+    }
+
+    /// Says `command` to the run; whether it is a yes, and its answer.
+    pub(super) async fn say(&self, command: Command) -> (bool, String) {
+        let Some(live) = self.live() else {
+            return (false, "there is no run to steer".to_owned());
+        };
+        let said = spawn_blocking(move || live.say(command)).await;
+        said.unwrap_or_else(|error| (false, error.to_string()))
+    }
+}

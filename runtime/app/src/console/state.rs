@@ -1,0 +1,247 @@
+//! What a page is told twenty times a second, as JSON.
+
+use hal::{ARM_NAMES, ArmCommand, ArmState, TimeNs};
+use serde::Serialize;
+use trocar_control::{GateDecision, QpOutcome};
+use trocar_log::ArmRecord;
+
+use super::facts::Facts;
+use super::tap::{Buckets, Changed, Counts, Refused, Sample, seconds};
+
+/// Axes of an arm: joints and jaw.
+const AXES: usize = 7;
+
+/// The newest tick.
+#[derive(Clone, Debug, Serialize)]
+pub(super) struct State {
+    kind: &'static str,
+    seconds: f64,
+    /// For how long the control loop has said nothing new, s.
+    silent_s: f64,
+    pub(super) arms: Vec<ArmState7>,
+    filter: Filter,
+    counts: Counted,
+    timing: Timing,
+    latency: Histogram,
+    speed_percent: u8,
+    task: Option<&'static str>,
+}
+
+/// One arm, in joint order with the jaw last: rad, m, rad/s, m/s.
+#[derive(Clone, Debug, Serialize)]
+pub(super) struct ArmState7 {
+    name: &'static str,
+    state: &'static str,
+    homed: bool,
+    busy: bool,
+    fault: Option<String>,
+    /// Why nothing was measured.
+    error: Option<String>,
+    measured: Option<[f64; AXES]>,
+    measured_velocity: Option<[f64; AXES]>,
+    commanded: [f64; AXES],
+    commanded_velocity: [f64; AXES],
+    /// Length of the filter's change, in velocity limits.
+    correction: f64,
+    qp: &'static str,
+    rows_active: u32,
+    guard: bool,
+    follows: bool,
+}
+
+/// What the filter last changed.
+#[derive(Clone, Debug, Serialize)]
+struct Filter {
+    /// How long ago, s.
+    ago_s: Option<f64>,
+    rows: Vec<String>,
+    /// Rows beyond those that are named.
+    more: u16,
+    /// By how much each axis's velocity was changed, in its limit, arm by arm.
+    change: Vec<f64>,
+}
+
+#[derive(Clone, Debug, Serialize)]
+struct Counted {
+    ticks: u64,
+    passed: u64,
+    solved: u64,
+    failed: u64,
+    guard: u64,
+    guard_ago_s: Option<f64>,
+    chunks: u64,
+    refused: u64,
+    last_refused: Option<String>,
+}
+
+#[derive(Clone, Debug, Serialize)]
+struct Timing {
+    compute: Histogram,
+    wake: Histogram,
+    overruns: u64,
+}
+
+#[derive(Clone, Debug, Serialize)]
+struct Histogram {
+    counts: Vec<u64>,
+    newest_us: f64,
+    max_us: f64,
+}
+
+impl From<&Buckets> for Histogram {
+    #[expect(clippy::cast_precision_loss, reason = "a duration is exact in f64")]
+    fn from(buckets: &Buckets) -> Self {
+        Self {
+            counts: buckets.counts.to_vec(),
+            newest_us: rounded(buckets.newest_ns as f64 * 1e-3),
+            max_us: rounded(buckets.max_ns as f64 * 1e-3),
+        }
+    }
+}
+
+impl State {
+    /// What `sample` says, `silent_s` after it came.
+    pub(super) fn new(
+        sample: &Sample,
+        facts: &Facts,
+        silent_s: f64,
+        task: Option<&'static str>,
+    ) -> Self {
+        let Sample { record, counts } = sample;
+        let arms = ARM_NAMES.into_iter().zip(record.arms.iter());
+        let arms: Vec<_> = arms.map(|(name, arm)| arm_state(name, arm)).collect();
+        Self {
+            kind: "state",
+            seconds: seconds(record.tick),
+            silent_s,
+            filter: filter(counts.last_changed.as_ref(), record.tick, facts, arms.len()),
+            counts: counted(counts, record.tick),
+            timing: Timing {
+                compute: (&counts.compute).into(),
+                wake: (&counts.wake).into(),
+                overruns: counts.skipped,
+            },
+            latency: (&counts.latency).into(),
+            speed_percent: counts.speed_percent,
+            task,
+            arms,
+        }
+    }
+
+    pub(super) fn json(&self) -> String {
+        serde_json::to_string(self).unwrap_or_default()
+    }
+}
+
+fn arm_state(name: &'static str, arm: &ArmRecord) -> ArmState7 {
+    let report = &arm.report;
+    let measured = arm.measured.as_ref().ok();
+    let (commanded, commanded_velocity) = commanded(&arm.command);
+    ArmState7 {
+        name,
+        state: report.mode.state.name(),
+        homed: report.mode.homed,
+        busy: report.mode.busy,
+        fault: report.fault.map(|fault| fault.to_string()),
+        error: arm.measured.err().map(|error| error.to_string()),
+        measured: measured.map(position),
+        measured_velocity: measured.map(velocity),
+        commanded,
+        commanded_velocity,
+        correction: rounded(report.correction),
+        qp: match report.qp {
+            QpOutcome::NotNeeded => "passed",
+            QpOutcome::Solved { .. } => "solved",
+            QpOutcome::Failed => "failed",
+        },
+        rows_active: report.rows_active,
+        guard: report.guard_intervened,
+        follows: report.target.is_some(),
+    }
+}
+
+fn position(state: &ArmState) -> [f64; AXES] {
+    axes(state.position.as_slice(), state.jaw_position)
+}
+
+fn velocity(state: &ArmState) -> [f64; AXES] {
+    axes(state.velocity.as_slice(), state.jaw_velocity)
+}
+
+fn commanded(command: &ArmCommand) -> ([f64; AXES], [f64; AXES]) {
+    (
+        axes(command.position.as_slice(), command.jaw_position),
+        axes(command.velocity.as_slice(), command.jaw_velocity),
+    )
+}
+
+/// Joints with the jaw behind them, to five places: what a page draws.
+fn axes(joints: &[f64], jaw: f64) -> [f64; AXES] {
+    std::array::from_fn(|axis| rounded(joints.get(axis).copied().unwrap_or(jaw)))
+}
+
+fn rounded(value: f64) -> f64 {
+    (value * 1e5).round() * 1e-5
+}
+
+fn filter(changed: Option<&Changed>, tick: u64, facts: &Facts, arms: usize) -> Filter {
+    let rows = changed.map_or(&[][..], |changed| {
+        let named = usize::from(changed.count).min(changed.rows.len());
+        &changed.rows[..named]
+    });
+    let named = rows
+        .iter()
+        .filter_map(|row| facts.rows.get(usize::from(*row)));
+    let change = changed
+        .iter()
+        .flat_map(|changed| changed.change)
+        .take(AXES * arms);
+    Filter {
+        ago_s: changed.map(|changed| seconds(tick.saturating_sub(changed.tick))),
+        rows: named.cloned().collect(),
+        more: changed.map_or(0, |changed| changed.count) - u16::try_from(rows.len()).unwrap_or(0),
+        change: change.map(rounded).collect(),
+    }
+}
+
+fn counted(counts: &Counts, tick: u64) -> Counted {
+    let refused = |refused: &Refused| {
+        let name = ARM_NAMES.get(refused.arm).copied().unwrap_or_default();
+        let at = seconds(refused.tick);
+        format!("{name} at {at:.2} s: {}", refusal(refused.reason))
+    };
+    Counted {
+        ticks: counts.ticks,
+        passed: counts.passed,
+        solved: counts.solved,
+        failed: counts.failed,
+        guard: counts.guard_interventions,
+        guard_ago_s: counts.guard_tick.map(|at| seconds(tick.saturating_sub(at))),
+        chunks: counts.chunks,
+        refused: counts.refused,
+        last_refused: counts.last_refused.as_ref().map(refused),
+    }
+}
+
+/// Why the gate refused a chunk, in words.
+pub(super) fn refusal(reason: GateDecision) -> String {
+    match reason {
+        GateDecision::Accepted => "accepted".to_owned(),
+        GateDecision::WrongLength { len } => format!("its length is {len}"),
+        GateDecision::WrongStep { step_ns } => format!("its step is {step_ns} ns"),
+        GateDecision::FromTheFuture => "its observation lies ahead".to_owned(),
+        GateDecision::Stale { age_ns } => {
+            format!(
+                "stale, observed {:.0} ms before",
+                TimeNs(age_ns).seconds() * 1e3
+            )
+        }
+        GateDecision::OutOfOrder => "out of order".to_owned(),
+        GateDecision::NotFinite { index } => format!("target {index} is not finite"),
+        GateDecision::NotUnit { index } => format!("target {index} has no unit quaternion"),
+        GateDecision::StepTooLong { index } => {
+            format!("target {index} is too far from the one before")
+        }
+        GateDecision::Jump => "its target is too far from the tip".to_owned(),
+    }
+}

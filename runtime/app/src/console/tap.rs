@@ -1,0 +1,258 @@
+//! Hot path: bounded, no allocation, no I/O, never waits. What the control thread says of its ticks to the console.
+//!
+//! It counts every tick and hands over the newest one with the counts fifty times a second, and at once when an arm's state changes.
+
+use hal::{ARMS_MAX, TICK_NS};
+use trocar_control::rows::Velocities;
+use trocar_control::{
+    AnyController, Fault, GateDecision, OperatingState, OperatorEvent, QpOutcome,
+};
+use trocar_log::TickRecord;
+
+use crate::mailbox::MailboxWriter;
+
+/// Ticks from one report to the next.
+const EVERY_TICKS: u64 = 20;
+
+/// Upper ends of the buckets of a histogram, us; what is longer is in one more.
+pub(super) const BUCKETS_US: [u64; 16] = [
+    1, 2, 5, 10, 20, 50, 100, 200, 500, 1000, 2000, 5000, 10_000, 20_000, 50_000, 100_000,
+];
+
+/// Rows that are told by name.
+const ROWS_MAX: usize = 8;
+
+/// Durations in buckets.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Buckets {
+    pub(super) counts: [u64; BUCKETS_US.len() + 1],
+    pub(super) newest_ns: u64,
+    pub(super) max_ns: u64,
+}
+
+impl Buckets {
+    pub(super) fn record(&mut self, duration_ns: u64) {
+        let bucket = BUCKETS_US.partition_point(|end_us| end_us * 1000 < duration_ns);
+        if let Some(count) = self.counts.get_mut(bucket) {
+            *count += 1;
+        }
+        self.newest_ns = duration_ns;
+        self.max_ns = self.max_ns.max(duration_ns);
+    }
+}
+
+/// What the filter last changed.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Changed {
+    /// In which tick.
+    pub(super) tick: u64,
+    /// The rows that held it, by their place in [`names`](trocar_control::rows::names), the first of them.
+    pub(super) rows: [u16; ROWS_MAX],
+    /// How many there were.
+    pub(super) count: u16,
+    /// By how much the velocity of each axis was changed, in its limit.
+    pub(super) change: Velocities,
+}
+
+/// A chunk that the gate refused.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Refused {
+    pub(super) tick: u64,
+    pub(super) arm: usize,
+    pub(super) reason: GateDecision,
+}
+
+/// What was counted since the run began.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Counts {
+    pub(super) ticks: u64,
+    /// Whole periods that were skipped.
+    pub(super) skipped: u64,
+    pub(super) compute: Buckets,
+    pub(super) wake: Buckets,
+    /// From observation to chunk.
+    pub(super) latency: Buckets,
+    pub(super) passed: u64,
+    pub(super) solved: u64,
+    pub(super) failed: u64,
+    pub(super) guard_interventions: u64,
+    /// When the guard last intervened.
+    pub(super) guard_tick: Option<u64>,
+    pub(super) chunks: u64,
+    pub(super) refused: u64,
+    pub(super) last_refused: Option<Refused>,
+    pub(super) last_changed: Option<Changed>,
+    /// Share of the speed limits that is allowed, percent.
+    pub(super) speed_percent: u8,
+}
+
+/// The newest tick with what was counted up to it. Plain data.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Sample {
+    pub(super) record: TickRecord,
+    pub(super) counts: Counts,
+}
+
+type States = [Option<(OperatingState, bool)>; ARMS_MAX];
+
+/// The control thread's end.
+#[derive(Debug)]
+pub struct ControlTap {
+    to: MailboxWriter<Sample>,
+    counts: Counts,
+    /// When it last reported, and in which states the arms were.
+    reported: Option<(u64, States)>,
+}
+
+impl ControlTap {
+    pub(super) fn new(to: MailboxWriter<Sample>) -> Self {
+        Self {
+            to,
+            counts: Counts {
+                ticks: 0,
+                skipped: 0,
+                compute: Buckets::default(),
+                wake: Buckets::default(),
+                latency: Buckets::default(),
+                passed: 0,
+                solved: 0,
+                failed: 0,
+                guard_interventions: 0,
+                guard_tick: None,
+                chunks: 0,
+                refused: 0,
+                last_refused: None,
+                last_changed: None,
+                speed_percent: 100,
+            },
+            reported: None,
+        }
+    }
+
+    /// Chunks were handed to the controller, so long after their observation.
+    pub fn chunk(&mut self, latency_ns: u64) {
+        self.counts.chunks += 1;
+        self.counts.latency.record(latency_ns);
+    }
+
+    /// A tick is over, and so many periods have been skipped since the run began.
+    pub fn tick(&mut self, record: &TickRecord, controller: &AnyController, skipped: u64) {
+        self.count(record, skipped);
+        self.note_rows(record, controller);
+        let states = states(record);
+        let due = self
+            .reported
+            .is_none_or(|(tick, before)| record.tick >= tick + EVERY_TICKS || before != states);
+        if due {
+            self.reported = Some((record.tick, states));
+            self.to.put(self.sample(record));
+        }
+    }
+
+    /// A tick with what was counted up to now.
+    pub(super) const fn sample(&self, record: &TickRecord) -> Sample {
+        Sample {
+            record: *record,
+            counts: self.counts,
+        }
+    }
+
+    fn count(&mut self, record: &TickRecord, skipped: u64) {
+        let counts = &mut self.counts;
+        counts.ticks += 1;
+        counts.skipped = skipped;
+        counts.compute.record(record.timing.compute_ns);
+        counts.wake.record(record.timing.wake_ns);
+        let any = |what: fn(QpOutcome) -> bool| record.arms.iter().any(|arm| what(arm.report.qp));
+        if any(|qp| qp == QpOutcome::Failed) {
+            counts.failed += 1;
+        } else if any(|qp| matches!(qp, QpOutcome::Solved { .. })) {
+            counts.solved += 1;
+        } else {
+            counts.passed += 1;
+        }
+        if record.arms.iter().any(|arm| arm.report.guard_intervened) {
+            counts.guard_interventions += 1;
+            counts.guard_tick = Some(record.tick);
+        }
+        for (arm, given) in record.arms.iter().enumerate() {
+            if let Some(reason) = given.report.gate.filter(|gate| !gate.is_accepted()) {
+                counts.refused += 1;
+                counts.last_refused = Some(Refused {
+                    tick: record.tick,
+                    arm,
+                    reason,
+                });
+            }
+        }
+        if let Some(OperatorEvent::Speed { percent }) = record.arms.first.operator {
+            counts.speed_percent = percent.min(100);
+        }
+    }
+
+    /// Which rows held the filter's answer; not in every tick, since that is a pass over all rows.
+    fn note_rows(&mut self, record: &TickRecord, controller: &AnyController) {
+        let solved = |qp| matches!(qp, QpOutcome::Solved { .. });
+        let fresh = self
+            .counts
+            .last_changed
+            .is_some_and(|changed| record.tick < changed.tick + EVERY_TICKS / 2);
+        if fresh || !record.arms.iter().any(|arm| solved(arm.report.qp)) {
+            return;
+        }
+        let change = *controller.solution();
+        let mut changed = Changed {
+            tick: record.tick,
+            change,
+            ..Changed::default()
+        };
+        for index in controller.problem().active(&change) {
+            if let (Some(row), Ok(index)) = (
+                changed.rows.get_mut(usize::from(changed.count)),
+                u16::try_from(index),
+            ) {
+                *row = index;
+            }
+            changed.count += 1;
+        }
+        self.counts.last_changed = Some(changed);
+    }
+}
+
+fn states(record: &TickRecord) -> States {
+    let mut states = [None; ARMS_MAX];
+    for (state, arm) in states.iter_mut().zip(record.arms.iter()) {
+        let fault: Option<Fault> = arm.report.fault;
+        *state = Some((arm.report.mode.state, fault.is_some()));
+    }
+    states
+}
+
+/// Ticks as seconds.
+pub(super) fn seconds(tick: u64) -> f64 {
+    hal::TimeNs(tick.saturating_mul(TICK_NS)).seconds()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn durations_are_in_the_bucket_that_ends_at_or_after_them() {
+        let mut buckets = Buckets::default();
+        for (duration_ns, bucket) in [
+            (0, 0),
+            (1000, 0),
+            (1001, 1),
+            (2000, 1),
+            (49_999, 5),
+            (100_000_000, 15),
+            (u64::MAX, 16),
+        ] {
+            let before = buckets.counts;
+            buckets.record(duration_ns);
+            assert_eq!(buckets.counts[bucket], before[bucket] + 1, "{duration_ns}");
+        }
+        assert_eq!(buckets.max_ns, u64::MAX);
+    }
+}

@@ -1,0 +1,51 @@
+//! What the console hears of a run: ends for the control thread, the simulation and the cameras.
+
+use super::camera_thread::{ConsoleCameras, Snapshot};
+use super::simulation_thread::ConsoleView;
+use crate::console::Facts;
+use crate::mailbox::mailbox;
+use crate::session::Plan;
+use crate::session::operator::{Listener, OperatorPort};
+use crate::session::plan::Arms;
+
+/// Shows a simulated task, steered at `listener`: the ends for the simulation and for the cameras, if there is a console.
+pub(super) fn show_task(
+    plan: &Plan,
+    (listener, port): (Option<&Listener>, &mut OperatorPort),
+) -> Option<(ConsoleView, ConsoleCameras)> {
+    let console = plan.console.as_ref()?;
+    let setup = &plan.setup;
+    let facts = facts_of(plan, &setup.task_name, setup.camera_names());
+    let facts = facts.within_s(setup.task.time_limit_s);
+    let taps = console.show_run(facts, listener.map(|listener| listener.path().to_owned()));
+    port.tap = Some(taps.control);
+    let (to, snapshots) = mailbox::<Snapshot>();
+    let view = ConsoleView {
+        to,
+        frames: console.frames(),
+        missing: taps.task,
+    };
+    let frames = console.frames();
+    Some((view, ConsoleCameras::new(frames, snapshots)))
+}
+
+/// Shows a run without a simulation of its own.
+pub(super) fn show_rig<S: Arms>(
+    plan: &Plan<S>,
+    (listener, port): (Option<&Listener>, &mut OperatorPort),
+) {
+    if let Some(console) = &plan.console {
+        let title = plan
+            .setup
+            .task()
+            .map_or("robot", |setup| setup.task_name.as_str());
+        let facts = facts_of(plan, title, Vec::new());
+        let taps = console.show_run(facts, listener.map(|listener| listener.path().to_owned()));
+        port.tap = Some(taps.control);
+    }
+}
+
+fn facts_of<S: Arms>(plan: &Plan<S>, title: &str, cameras: Vec<String>) -> Facts {
+    let control = &plan.setup.robot().control;
+    Facts::new(title, &plan.policy.name(), plan.seed, control, cameras)
+}

@@ -1,0 +1,68 @@
+//! What a log shows people beside its ticks: camera images as they were kept, and what happened in words.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+
+use hal::TimeNs;
+use mcap::records::MessageHeader;
+use prost::Message as _;
+
+use super::container::{self, Visitor};
+use super::error::LogError;
+use super::messages::{CompressedImage, Log};
+use super::read;
+use super::topic::Topic;
+
+/// A thing to be seen in a log.
+#[derive(Clone, Copy, Debug)]
+pub enum Shown<'a> {
+    /// What a camera saw.
+    Image {
+        /// The camera.
+        camera: &'a str,
+        /// When it was taken.
+        at: TimeNs,
+        /// The compressed image, PNG or JPEG, as it is in the file.
+        image: &'a [u8],
+    },
+    /// What happened.
+    Event {
+        /// When.
+        at: TimeNs,
+        /// In words.
+        text: &'a str,
+    },
+}
+
+/// Reads the log at `path` in the order of the file, up to the cut if it was cut: each image and each event goes to `each`.
+///
+/// # Errors
+/// [`LogError`] when there is no such file, it is no MCAP file, or bytes in it have changed.
+pub fn read_shown(path: &Path, each: impl FnMut(Shown<'_>)) -> Result<(), LogError> {
+    let mut looking = Looking(each);
+    container::walk(path, read::buffered(path)?, &mut looking).map(|_cut| ())
+}
+
+struct Looking<F>(F);
+
+impl<F: FnMut(Shown<'_>)> Visitor for Looking<F> {
+    fn message(&mut self, topic: &str, header: &MessageHeader, data: &[u8]) -> Result<(), String> {
+        let at = TimeNs(header.log_time);
+        if let Some((Topic::Events, _)) = Topic::find(topic) {
+            let log = Log::decode(data).map_err(|error| error.to_string())?;
+            let text = &log.message;
+            (self.0)(Shown::Event { at, text });
+        }
+        let camera = topic.strip_prefix("/camera/");
+        if let Some(camera) = camera.filter(|name| !name.contains('/')) {
+            let found = CompressedImage::decode(data).map_err(|error| error.to_string())?;
+            let image = &found.data;
+            (self.0)(Shown::Image { camera, at, image });
+        }
+        Ok(())
+    }
+
+    fn metadata(&mut self, _name: &str, _map: BTreeMap<String, String>) -> Result<(), String> {
+        Ok(())
+    }
+}

@@ -1,0 +1,22 @@
+//! The web console: who may open it, what a page may say, and what it is told; with a browser, what it looks like.
+#![expect(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    clippy::panic,
+    reason = "in a test, a failure to set up is a failure"
+)]
+
+#[path = "console/access.rs"]
+mod access;
+#[path = "console/browser.rs"]
+mod browser;
+#[path = "console/devtools.rs"]
+mod devtools;
+#[path = "console/log.rs"]
+mod log;
+#[path = "console/page.rs"]
+mod page;
+#[path = "console/run.rs"]
+mod run;
+#[path = "console/steering.rs"]
+mod steering;

@@ -1,0 +1,197 @@
+//! The page in Chromium: it shows and steers a run, comes back after a cut, fits its window, and can be read.
+
+use serde_json::Value;
+use tests::{Profile, scratch, trocar};
+
+use crate::devtools::{Browser, Proxy};
+use crate::run::Served;
+
+/// Texts whose contrast with what is behind them is below WCAG's AA (4.5, or 3 where they are large), disabled controls apart.
+const LOW_CONTRAST: &str = r"(() => {
+  const rgb = (text) => text.match(/[\d.]+/g).map(Number);
+  const light = ([r, g, b]) => {
+    const part = (v) => ((v /= 255) <= 0.03928 ? v / 12.92 : ((v + 0.055) / 1.055) ** 2.4);
+    return 0.2126 * part(r) + 0.7152 * part(g) + 0.0722 * part(b);
+  };
+  const behind = (node) => {
+    for (; node; node = node.parentElement) {
+      const colour = rgb(getComputedStyle(node).backgroundColor);
+      if (colour.length < 4 || colour[3] > 0.99) return colour;
+    }
+    return [255, 255, 255];
+  };
+  const low = [];
+  for (const node of document.querySelectorAll('body *')) {
+    const own = [...node.childNodes].some((child) => child.nodeType === 3 && child.data.trim());
+    if (!own || !node.getClientRects().length || node.closest(':disabled, .visually-hidden, option')) continue;
+    const style = getComputedStyle(node);
+    const [a, b] = [light(rgb(style.color)), light(behind(node))].sort((x, y) => y - x);
+    const ratio = (a + 0.05) / (b + 0.05);
+    const large = parseFloat(style.fontSize) >= 24 || (parseFloat(style.fontSize) >= 18.66 && style.fontWeight >= 700);
+    if (ratio < (large ? 3 : 4.5)) low.push(`${node.tagName} ${node.className} '${node.textContent.slice(0, 30)}' ${ratio.toFixed(2)}`);
+  }
+  return low;
+})()";
+
+/// Controls without a name.
+const NAMELESS: &str = r"[...document.querySelectorAll('button, input, select, img')]
+  .filter((node) => !(node.textContent.trim() || node.getAttribute('aria-label') || node.alt || node.labels?.length))
+  .map((node) => node.outerHTML)";
+
+/// Whatever reaches out of the window at its side.
+const OVERFLOW: &str = r"[...document.querySelectorAll('body *')]
+  .filter((node) => node.getClientRects().length && !node.closest('.visually-hidden, .ends'))
+  .filter((node) => node.getBoundingClientRect().right > innerWidth + 0.5 || node.scrollWidth > node.clientWidth + 1 && getComputedStyle(node).overflowX === 'visible' && getComputedStyle(node).display !== 'inline')
+  .map((node) => `${node.tagName}.${node.className} ${node.textContent.slice(0, 40)}`)";
+
+/// Looks at the page at all widths and in both schemes, and keeps a picture of each.
+fn looks_right(browser: &mut Browser, name: &str) {
+    let folder = scratch(&format!("console-pictures-{name}"));
+    for (width, scheme) in [
+        (1280, "light"),
+        (1280, "dark"),
+        (390, "light"),
+        (390, "dark"),
+        (820, "light"),
+    ] {
+        browser.look(width, scheme);
+        browser.evaluate("new Promise((done) => setTimeout(done, 400))");
+        let what = format!("{name} at {width} px, {scheme}");
+        for (fault, expression) in [
+            ("overflow", OVERFLOW),
+            ("low contrast", LOW_CONTRAST),
+            ("nameless", NAMELESS),
+        ] {
+            let found = browser.evaluate(expression);
+            assert_eq!(found, serde_json::json!([]), "{what}: {fault}");
+        }
+        let wide = browser.evaluate("document.documentElement.scrollWidth <= innerWidth");
+        assert_eq!(wide, true, "{what}");
+        browser.screenshot(&folder.join(format!("{width}-{scheme}.png")));
+    }
+    browser.look(1280, "light");
+}
+
+fn number(value: &Value) -> f64 {
+    value
+        .as_str()
+        .and_then(|text| text.parse().ok())
+        .unwrap_or(f64::NAN)
+}
+
+/// Whether the first camera's picture is there, with its time.
+const PICTURE: &str = "(({ naturalWidth, dataset }) => naturalWidth > 100 && dataset.seconds !== undefined)(document.querySelector('.view img'))";
+
+const STATE: &str = "document.querySelector('.chip')?.dataset.state";
+
+#[test]
+#[ignore = "needs chromium: `make test-console` runs it"]
+fn the_page_shows_and_steers_a_run() {
+    let mut served = Served::run("console-browser", "random");
+    let proxy = Proxy::to(served.port);
+    let url = served
+        .url()
+        .replace(&served.host(), &format!("127.0.0.1:{}", proxy.port));
+    let mut browser = Browser::open("console-browser-profile", &url);
+    browser.look(1280, "light");
+    browser.wait_until(&format!("{STATE} === 'ENABLED'"));
+    browser.wait_until(PICTURE);
+    assert_eq!(
+        browser.evaluate("location.search"),
+        "",
+        "the token stands in the address"
+    );
+    let stamp = "document.querySelector('.view img').dataset.seconds";
+    let before = number(&browser.evaluate(stamp));
+    browser.wait_until(&format!("Number({stamp}) > {before} + 1"));
+    browser.wait_until("document.querySelector('#steer').getAttribute('aria-pressed') === 'true'");
+    looks_right(&mut browser, "run");
+
+    browser.press("p");
+    browser.wait_until(&format!("{STATE} === 'PAUSED'"));
+    browser.wait_until("document.querySelector('#live').textContent.includes('PAUSED')");
+    browser.evaluate("document.querySelector('[data-command=resume]').click()");
+    browser.wait_until(&format!("{STATE} === 'ENABLED'"));
+    browser.press("-");
+    browser.wait_until("document.querySelector('#task').textContent.includes('90 %')");
+
+    assert_eq!(browser.errors, Vec::<String>::new());
+    browser.evaluate("window.notReloaded = true");
+    proxy.cut();
+    browser
+        .wait_until("document.querySelector('#banner').textContent.startsWith('Connection lost')");
+    browser.wait_until(
+        "/connection lost · [1-9]/.test(document.querySelector('#link-text').textContent)",
+    );
+    assert_eq!(
+        browser.evaluate("document.querySelector('[data-command=pause]').disabled"),
+        true
+    );
+    proxy.mend();
+    browser.wait_until("document.querySelector('#link').dataset.link === 'open'");
+    let back = number(&browser.evaluate(stamp));
+    browser.wait_until(&format!("Number({stamp}) > {back}"));
+    assert_eq!(browser.evaluate("window.notReloaded"), true);
+    browser.wait_until("!document.querySelector('[data-command=stop]').disabled");
+    browser.evaluate("document.querySelector('[data-command=stop]').click()");
+    browser.wait_until(
+        "document.querySelector('#banner').textContent.includes('stopped by the operator')",
+    );
+    browser.wait_until("document.querySelector('#link-text').textContent === 'run ended'");
+    let foreign = browser.asked.iter().find(|url| {
+        !url.contains("://127.0.0.1:") && !url.starts_with("data:") && !url.starts_with("blob:")
+    });
+    assert_eq!(foreign, None);
+    assert_eq!(served.code(), 1);
+}
+
+#[test]
+#[ignore = "needs chromium: `make test-console` runs it"]
+fn the_page_shows_a_log() {
+    let folder = scratch("console-browser-log-made");
+    let log = folder.join("run.mcap");
+    let mut command = trocar(Profile::Debug);
+    command.args([
+        "run",
+        "--task",
+        "needle-handover",
+        "--policy",
+        "expert",
+        "--lockstep",
+        "--seed",
+        "7",
+        "--log",
+    ]);
+    assert!(command.arg(&log).status().unwrap().success());
+    let served = Served::start("console-browser-log", &["replay", log.to_str().unwrap()]);
+    let mut browser = Browser::open("console-browser-log-profile", &served.url());
+    browser.look(1280, "light");
+    browser.wait_until("document.querySelectorAll('#events button').length > 1");
+    browser.wait_until(PICTURE);
+    assert_eq!(
+        browser.evaluate("document.querySelector('#steering').hidden"),
+        true
+    );
+    assert_eq!(
+        browser.evaluate("document.querySelectorAll('.chip').length"),
+        2
+    );
+    browser.evaluate("(() => { const at = document.querySelector('#at'); at.value = at.max / 2; at.dispatchEvent(new Event('input')); })()");
+    let time = "parseFloat(document.querySelector('#time').textContent)";
+    browser.wait_until(&format!(
+        "Math.abs({time} - document.querySelector('#at').value) < 0.05"
+    ));
+    let before = browser.evaluate(time).as_f64().unwrap();
+    for _ in 0..5 {
+        browser.press("ArrowRight");
+    }
+    browser.wait_until(&format!("{time} > {before} + 0.15"));
+    looks_right(&mut browser, "log");
+    browser.evaluate("[...document.querySelectorAll('#events button')].at(-1).click()");
+    browser.wait_until("document.querySelector('#events li:last-child button').getAttribute('aria-current') === 'true'");
+    browser.evaluate("document.querySelector('#events button').click()");
+    browser.wait_until(&format!("{time} < 0.1"));
+    browser.evaluate("document.querySelector('#play').click()");
+    browser.wait_until(&format!("{time} > 0.5"));
+    assert_eq!(browser.errors, Vec::<String>::new());
+}

@@ -1,0 +1,119 @@
+//! A `trocar` with a console, and requests to it.
+
+use std::fs;
+use std::io::{BufRead as _, BufReader, Read as _, Write as _};
+use std::net::TcpStream;
+use std::path::PathBuf;
+use std::process::{Child, Command, Stdio};
+use std::time::Duration;
+
+use tests::{Profile, scratch, trocar};
+
+/// Nothing takes longer than this.
+pub(crate) const PATIENCE: Duration = Duration::from_secs(120);
+
+/// A process that serves a console. Its folder of operators' sockets is its own; they have short paths.
+pub(crate) struct Served {
+    pub(crate) process: Child,
+    pub(crate) port: u16,
+    pub(crate) token: String,
+    pub(crate) folder: PathBuf,
+    sockets: PathBuf,
+}
+
+impl Served {
+    /// A run in real time of needle lift, paced by `policy`, that goes on for minutes.
+    pub(crate) fn run(test: &str, policy: &str) -> Self {
+        let words = [
+            "run",
+            "--task",
+            "needle-lift",
+            "--policy",
+            policy,
+            "--seed",
+            "7",
+        ];
+        let words = words
+            .into_iter()
+            .chain(["--set", "scene.episode.time_limit_s=300"]);
+        Self::start(test, &words.collect::<Vec<_>>())
+    }
+
+    /// `trocar WORDS --console` at a free port.
+    pub(crate) fn start(test: &str, words: &[&str]) -> Self {
+        let folder = scratch(test);
+        let sockets = std::env::temp_dir().join(format!("co-{test}-{}", std::process::id()));
+        fs::create_dir_all(&sockets).unwrap();
+        let mut command: Command = trocar(Profile::Debug);
+        command
+            .env("XDG_RUNTIME_DIR", &sockets)
+            .args(words)
+            .args(["--console", "127.0.0.1:0"])
+            .arg("--json")
+            .arg(folder.join("result.json"))
+            .stdout(Stdio::null())
+            .stderr(Stdio::piped());
+        let mut process = command.spawn().unwrap();
+        let mut said = BufReader::new(process.stderr.take().unwrap());
+        let mut line = String::new();
+        while !line.contains("console: http://") {
+            line.clear();
+            assert!(said.read_line(&mut line).unwrap() > 0, "no console");
+        }
+        // Whatever else it says must not fill the pipe.
+        std::thread::spawn(move || std::io::copy(&mut said, &mut std::io::sink()));
+        let address = line.trim().split("http://127.0.0.1:").nth(1).unwrap();
+        let (port, token) = address.split_once("/?token=").unwrap();
+        Self {
+            process,
+            port: port.parse().unwrap(),
+            token: token.to_owned(),
+            folder,
+            sockets,
+        }
+    }
+
+    pub(crate) fn url(&self) -> String {
+        format!("http://127.0.0.1:{}/?token={}", self.port, self.token)
+    }
+
+    pub(crate) fn host(&self) -> String {
+        format!("127.0.0.1:{}", self.port)
+    }
+
+    pub(crate) fn cookie(&self) -> String {
+        format!("trocar_console_{}={}", self.port, self.token)
+    }
+
+    pub(crate) fn connect(&self) -> TcpStream {
+        let stream = TcpStream::connect(("127.0.0.1", self.port)).unwrap();
+        stream.set_read_timeout(Some(PATIENCE)).unwrap();
+        stream
+    }
+
+    /// The answer to `GET path` with these headers, head and body.
+    pub(crate) fn get(&self, path: &str, headers: &[(&str, &str)]) -> String {
+        let mut request = format!("GET {path} HTTP/1.1\r\nConnection: close\r\n");
+        for (name, value) in headers {
+            request += &format!("{name}: {value}\r\n");
+        }
+        let mut stream = self.connect();
+        stream.write_all((request + "\r\n").as_bytes()).unwrap();
+        let mut answer = Vec::new();
+        stream.read_to_end(&mut answer).unwrap();
+        String::from_utf8_lossy(&answer).into_owned()
+    }
+
+    /// The exit code, once it has ended.
+    pub(crate) fn code(&mut self) -> i32 {
+        self.process.wait().unwrap().code().unwrap()
+    }
+}
+
+impl Drop for Served {
+    fn drop(&mut self) {
+        let _gone = self.process.kill();
+        let _reaped = self.process.wait();
+        let _removed = fs::remove_dir_all(&self.sockets);
+    }
+}
