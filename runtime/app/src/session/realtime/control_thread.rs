@@ -91,7 +91,8 @@ impl<R: Rig> ControlThread<R> {
             };
             setpoints = Some(answer);
             tally.tick(&record);
-            self.operator.report(&record, &self.controller, timing.skipped());
+            self.operator
+                .report(&record, &self.controller, timing.skipped());
             if let Some(log) = &mut self.log {
                 log.tick(&record);
             }
