@@ -257,7 +257,7 @@ fn dead_or_hung_policy_is_restarted_and_the_arm_goes_on() {
         for told in [
             seen,
             "ready again",
-            "the policy answers again; the arms go on",
+            "the policy answers again; its hold of the arms ends",
         ] {
             assert!(
                 log.events.iter().any(|event| event.contains(told)),

@@ -1,6 +1,7 @@
 //! Who may open it, and where it may listen.
 
-use std::net::TcpListener;
+use std::io::{Read as _, Write as _};
+use std::net::{TcpListener, TcpStream};
 
 use tests::{Profile, stderr, trocar};
 
@@ -67,6 +68,37 @@ fn only_who_has_the_token_gets_the_page_or_its_socket() {
         let refused = handshake(&served, origin, cookie).err();
         assert_eq!(refused, Some(status), "{origin:?} {cookie:?}");
     }
+    Page::open(&served).wait_for_state("ENABLED");
+}
+
+/// Whoever opens connections without end takes few of the run's file descriptors; once they are gone the page opens again.
+#[test]
+fn a_flood_of_connections_is_bounded() {
+    let served = Served::run("console-flood", "noop");
+    Page::open(&served).wait_for_state("ENABLED");
+    let descriptors = || {
+        let folder = format!("/proc/{}/fd", served.process.id());
+        std::fs::read_dir(folder).unwrap().count()
+    };
+    let before = descriptors();
+    let mut held: Vec<TcpStream> = (0..400).map(|_| served.connect()).collect();
+    for stream in &mut held {
+        // The server may have closed it already.
+        let _half_a_request = stream.write_all(b"GET / HT");
+    }
+    // The last one is closed without an answer.
+    let mut answer = Vec::new();
+    let _reset = held[399].read_to_end(&mut answer);
+    assert!(answer.is_empty());
+    let open = descriptors();
+    assert!(open <= before + 70, "{before} before, {open} now");
+    drop(held);
+    let (host, cookie) = (served.host(), served.cookie());
+    let page = || {
+        let headers = [("Host", host.as_str()), ("Cookie", cookie.as_str())];
+        served.try_get("/", &headers)
+    };
+    while !page().is_some_and(|answer| answer.starts_with("HTTP/1.1 200 ")) {}
     Page::open(&served).wait_for_state("ENABLED");
 }
 

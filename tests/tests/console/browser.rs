@@ -107,6 +107,8 @@ fn the_page_shows_and_steers_a_run() {
     browser.wait_until("document.querySelector('#steer').getAttribute('aria-pressed') === 'true'");
     looks_right(&mut browser, "run");
 
+    // Also while the slider has the focus, as it has after it was moved.
+    browser.evaluate("document.querySelector('#speed').focus()");
     browser.press("p");
     browser.wait_until(&format!("{STATE} === 'PAUSED'"));
     browser.wait_until("document.querySelector('#live').textContent.includes('PAUSED')");

@@ -93,15 +93,20 @@ impl Served {
 
     /// The answer to `GET path` with these headers, head and body.
     pub(crate) fn get(&self, path: &str, headers: &[(&str, &str)]) -> String {
+        self.try_get(path, headers).unwrap()
+    }
+
+    /// The same; none if the connection is closed before there is a whole answer.
+    pub(crate) fn try_get(&self, path: &str, headers: &[(&str, &str)]) -> Option<String> {
         let mut request = format!("GET {path} HTTP/1.1\r\nConnection: close\r\n");
         for (name, value) in headers {
             request += &format!("{name}: {value}\r\n");
         }
         let mut stream = self.connect();
-        stream.write_all((request + "\r\n").as_bytes()).unwrap();
+        stream.write_all((request + "\r\n").as_bytes()).ok()?;
         let mut answer = Vec::new();
-        stream.read_to_end(&mut answer).unwrap();
-        String::from_utf8_lossy(&answer).into_owned()
+        stream.read_to_end(&mut answer).ok()?;
+        Some(String::from_utf8_lossy(&answer).into_owned())
     }
 
     /// The exit code, once it has ended.

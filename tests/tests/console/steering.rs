@@ -38,7 +38,7 @@ fn one_page_steers_and_others_look_on() {
         (&seat["steers"], &seat["taken"]),
         (&json!(false), &json!(true))
     );
-    for command in ["pause", "stop", "disable", "speed 10"] {
+    for command in ["resume", "enable", "disable", "speed 10", "clear"] {
         let (ok, said) = other.command(command);
         assert!(
             !ok && said.contains("another page steers"),
@@ -47,9 +47,12 @@ fn one_page_steers_and_others_look_on() {
     }
     other.wait_for_state("ENABLED");
 
-    let (ok, said) = one.command("pause");
+    // Every page may bring the arms to rest; only the one that steers lets them move again.
+    let (ok, said) = other.command("pause");
     assert!(ok, "{said}");
     other.wait_for_state("PAUSED");
+    assert!(!other.command("resume").0);
+    assert!(one.command("pause").0);
     let (ok, said) = one.command("enable");
     assert!(
         !ok && said.contains("enable does not apply in PAUSED"),

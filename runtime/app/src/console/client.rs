@@ -19,7 +19,9 @@ use super::request::{Allowance, Request, command};
 use super::seats::{Seat, Taken};
 use super::shared::Shared;
 use crate::rt::MonotonicClock;
+use crate::session::operator::Command;
 use hal::TimeNs;
+use trocar_control::OperatorEvent;
 
 /// Messages on their way to a page.
 const ON_THE_WAY_MAX: u32 = 8;
@@ -195,11 +197,11 @@ impl Page {
         Ok(())
     }
 
-    /// Does what the operator's verb does, if this page steers.
+    /// Does what the operator's verb does, if this page steers or the verb brings the arms to rest.
     async fn command(&mut self, text: &str, socket: &mut WebSocket) -> Result<(), Gone> {
         let (ok, said) = match command(text) {
             Err(reason) => (false, reason),
-            Ok(_) if !self.seat.steers() => (
+            Ok(command) if !brings_to_rest(command) && !self.seat.steers() => (
                 false,
                 "another page steers this run, or none: take control first".to_owned(),
             ),
@@ -297,4 +299,12 @@ async fn send(socket: &mut WebSocket, message: Message) -> Result<(), Gone> {
         Ok(Ok(())) => Ok(()),
         Ok(Err(_)) | Err(_) => Err(Gone),
     }
+}
+
+/// Whether `command` does no more than bring the arms to rest: any page may say so, also while the one that steers is frozen.
+const fn brings_to_rest(command: Command) -> bool {
+    matches!(
+        command,
+        Command::Stop | Command::Event(OperatorEvent::Pause)
+    )
 }

@@ -292,7 +292,9 @@ impl Recomputed {
             }));
         self.events
             .sort_by(|one, other| one.seconds.total_cmp(&other.seconds));
-        self.events.truncate(EVENTS_MAX);
+        // The end of a run is what one looks for.
+        let surplus = self.events.len().saturating_sub(EVENTS_MAX);
+        self.events.drain(..surplus);
         let length = self.last.unwrap_or(first) - first;
         let mut facts = self.facts.of_log(seconds(length));
         facts.events = self.events;

@@ -6,15 +6,16 @@
 //!                    the run's socket for operators <── verbs, of the one page that steers ────────┘
 //! ```
 //!
-//! `address` says where it listens, `access` who may open it; `server` serves the page's files, `client` one page; `request` is what a page
-//! may say, `seats` who steers. `tap` is the control thread's end, `pictures` and `encode` are what cameras show; `facts`, `live` and `state`
-//! make what a run says, `log_view` what a log says. The page itself is in `page/`.
+//! `address` says where it listens, `bounded` how many connections it holds, `access` who may open it; `server` serves the page's files,
+//! `client` one page; `request` is what a page may say, `seats` who steers. `tap` is the control thread's end, `pictures` and `encode` are
+//! what cameras show; `facts`, `live` and `state` make what a run says, `log_view` what a log says. The page itself is in `page/`.
 //!
 //! The page has exactly the operator's verbs, and they go the same way: over the run's own socket (`session/operator`). No message of it
 //! reaches the controller in another way, so it can't weaken a limit.
 
 mod access;
 mod address;
+mod bounded;
 mod client;
 mod encode;
 mod facts;

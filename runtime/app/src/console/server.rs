@@ -16,6 +16,7 @@ use tokio::runtime::{Builder, Runtime};
 use tokio::time::{MissedTickBehavior, interval, timeout};
 
 use super::access::{Refusal, check_host, check_origin};
+use super::bounded::Bounded;
 use super::client::attend;
 use super::request::MESSAGE_BYTES_MAX;
 use super::shared::Shared;
@@ -86,7 +87,7 @@ pub(super) fn serve(
 ) -> io::Result<()> {
     runtime.block_on(async {
         let listener = tokio::net::TcpListener::from_std(listener)?;
-        let served = axum::serve(listener, router(Arc::clone(shared)));
+        let served = axum::serve(Bounded::new(listener), router(Arc::clone(shared)));
         tokio::select! {
             served = served.into_future() => served,
             () = refresh(shared) => Ok(()),

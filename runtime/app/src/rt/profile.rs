@@ -107,7 +107,7 @@ impl RtProfile {
         let options = self.control;
         let tried = std::thread::spawn(move || configure_thread(&options)).join();
         let report = tried.map_or(Ok(None), |granted| granted.map(Some))?;
-        let memory = self.lock();
+        let memory = self.lock_if_asked();
         match report {
             Some(report) if memory.is_refused() => Err(RtRefused(RtReport { memory, ..report })),
             Some(_) | None => Ok(()),
@@ -115,8 +115,19 @@ impl RtProfile {
     }
 
     /// Locks memory, if that is asked for: see [`lock_memory`].
-    #[must_use]
-    pub fn lock(&self) -> Grant {
+    ///
+    /// # Errors
+    /// [`RtRefused`] if a strict profile does not get it.
+    pub fn lock(&self) -> Result<Grant, RtRefused> {
+        let memory = self.lock_if_asked();
+        if self.control.strict && memory.is_refused() {
+            let (fifo, cpu) = (Grant::NotAsked, Grant::NotAsked);
+            return Err(RtRefused(RtReport { fifo, cpu, memory }));
+        }
+        Ok(memory)
+    }
+
+    fn lock_if_asked(&self) -> Grant {
         if self.lock_memory {
             lock_memory()
         } else {

@@ -19,6 +19,9 @@ const UNIT_TOLERANCE: f64 = 1e-3;
 /// How far a commanded tip can be from the measured one, m: beyond, it is no absolute command of this arm.
 const COMMAND_AWAY_MAX_M: f64 = 0.1;
 
+/// Furthest that a command may be turned from the measured tip, rad: a quarter turn.
+const COMMAND_TURNED_MAX_RAD: f64 = std::f64::consts::FRAC_PI_2;
+
 /// The frames of one episode, a list a step with the arms in it.
 pub(super) type ArmFrames = Vec<Vec<ArmFrame>>;
 
@@ -332,6 +335,17 @@ impl ArmReader<'_> {
     /// A command far from where the tip is belongs to another frame or another unit, or is a delta.
     fn check_near(&self, step: usize, tip: &Pose, command: &Pose) -> Result<(), ImportError> {
         let away_m = (command.translation.vector - tip.translation.vector).norm();
+        let turned_rad = command.rotation.angle_to(&tip.rotation);
+        if away_m <= COMMAND_AWAY_MAX_M && turned_rad > COMMAND_TURNED_MAX_RAD {
+            return Err(ImportError::Mismatch {
+                place: self.place.to_owned(),
+                name: format!("the action of arm {} in step {step}", self.number),
+                found: format!("is turned by {turned_rad:.2} rad from the measured tip"),
+                expected: format!(
+                    "at most {COMMAND_TURNED_MAX_RAD:.2}: an absolute orientation in the frame of the measured one, no delta"
+                ),
+            });
+        }
         if away_m <= COMMAND_AWAY_MAX_M {
             return Ok(());
         }

@@ -59,6 +59,14 @@ impl LerobotRecordings {
         if times.len() < 2 || first.abs() > CLOCK_S {
             return Ok(());
         }
+        if let Some(step) = times.windows(2).position(|pair| pair[1] <= pair[0]) {
+            return Err(ImportError::Mismatch {
+                place: self.place(episode),
+                name: TIMESTAMP.to_owned(),
+                found: format!("does not go on after step {step}"),
+                expected: "times that increase".to_owned(),
+            });
+        }
         #[expect(clippy::cast_precision_loss, reason = "counts stay far below 2^53")]
         let spacing_s = (last - first) / (times.len() - 1) as f64;
         let expected_s = 1.0 / f64::from(self.dataset.fps());

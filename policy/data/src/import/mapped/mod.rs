@@ -162,7 +162,10 @@ impl Survey {
         for episode in 0..recordings.episodes() {
             let label = recordings.label(episode)?;
             let wanted = match &request.split {
-                Some(split) => recordings.is_in_split(split, episode)?,
+                Some(split) => {
+                    let failed = label == Label::Failure && split != "failure";
+                    recordings.is_in_split(split, episode)? && !failed
+                }
                 None => label != Label::Failure,
             };
             if wanted {

@@ -44,13 +44,9 @@ pub(crate) struct OpenHArgs {
     /// What the demonstrations show, in words; the dataset's own if not given.
     #[arg(long, value_name = "TEXT", value_parser = clap::builder::NonEmptyStringValueParser::new())]
     instruction: Option<String>,
-    /// The instrument of psm1, and of psm2 behind a comma if it is another.
-    #[arg(
-        long,
-        value_name = "NAMES",
-        value_delimiter = ',',
-        default_value = "Large Needle Driver"
-    )]
+    /// The instrument of psm1, and of psm2 behind a comma if it is another. If not given, that of the simulator for its recordings, and a
+    /// gap to be filled in for others.
+    #[arg(long, value_name = "NAMES", value_delimiter = ',')]
     tools: Vec<String>,
     /// How colour is compressed; h264 if not given. Needs ffmpeg 5.1 or newer.
     #[arg(long, value_enum, value_name = "CODEC")]
@@ -71,13 +67,19 @@ pub(crate) fn export(verb: &ExportVerb) -> Done {
         let text = format!("--out {}: is in the dataset itself", args.out.display());
         return Err(SessionError::BadArgument(text));
     }
-    let provenance = provenance(&Notes::read(&args.dataset)?);
+    let notes = Notes::read(&args.dataset)?;
+    let provenance = provenance(&notes);
+    let tools = match (args.tools.is_empty(), &notes.options) {
+        (true, Some(_)) => vec!["Large Needle Driver".to_owned()],
+        (true, None) => vec!["[instrument]".to_owned()],
+        (false, _) => args.tools.clone(),
+    };
     outputs::new_folder("--out", &args.out)?;
     let options = ExportOptions {
         dataset: args.dataset.clone(),
         out: args.out.clone(),
         instruction: args.instruction.clone(),
-        tools: args.tools.clone(),
+        tools,
         video: args.video.map_or(VideoCodec::H264, codec),
         provenance,
     };

@@ -69,7 +69,9 @@ export class Operator {
 
   #show() {
     const able = this.#open && this.#steers;
-    for (const button of this.buttons) button.disabled = !able;
+    // Pause and stop bring the arms to rest: any page may.
+    const rests = ({ dataset }) => dataset.command === "pause" || dataset.command === "stop";
+    for (const button of this.buttons) button.disabled = rests(button) ? !this.#open : !able;
     this.speed.disabled = !able;
     const steer = byId("steer");
     steer.disabled = !this.#open || (this.#taken && !this.#steers);
@@ -79,7 +81,10 @@ export class Operator {
 
   #key(event) {
     if (event.ctrlKey || event.altKey || event.metaKey || event.repeat) return;
-    if (/^(INPUT|SELECT|TEXTAREA)$/.test(event.target.tagName) || byId("steering").hidden) return;
+    if (byId("steering").hidden) return;
+    // A list takes letters to choose by; the slider takes none.
+    const rests = /^[ps]$/i.test(event.key);
+    if (/^(SELECT|TEXTAREA)$/.test(event.target.tagName) && !rests) return;
     if (event.key === "+" || event.key === "-") {
       if (this.speed.disabled) return;
       const percent = Math.min(100, Math.max(1, Number(this.speed.value) + (event.key === "+" ? 10 : -10)));

@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::collections::btree_map::Entry;
 
-use hal::{CameraFrame, SeenArm};
+use hal::{CameraFrame, SeenArm, TimeNs};
 use trocar_render::Planes;
 use trocar_tasks::cameras::SceneCameras;
 use trocar_tasks::scene::SceneSnapshot;
@@ -19,7 +19,7 @@ use crate::rt;
 use crate::session::pictures::Pictures;
 use crate::session::{Plan, SessionError};
 use hal::PerArm;
-use trocar_log::SideLog;
+use trocar_log::{Level, SideLog};
 
 /// Time between two looks for a snapshot, ns.
 const POLL_NS: u64 = 1_000_000;
@@ -52,6 +52,9 @@ pub(super) struct CameraThread {
 pub(super) struct ConsoleCameras {
     to: FrameTap,
     snapshots: MailboxReader<Snapshot>,
+    /// The one that is drawn, and the cameras that it is still to be drawn for.
+    snapshot: Option<Snapshot>,
+    waiting: Vec<usize>,
     /// One a camera of the task, made when a page first looks at it.
     frames: BTreeMap<usize, CameraFrame>,
 }
@@ -61,32 +64,36 @@ impl ConsoleCameras {
         Self {
             to,
             snapshots,
+            snapshot: None,
+            waiting: Vec::new(),
             frames: BTreeMap::new(),
         }
     }
 
-    /// Draws what pages look at, if there is a new snapshot; whether there was one.
+    /// Draws one camera of those that pages look at, so that the policy's frames wait for no more than that; whether there was one.
     fn draw(&mut self, cameras: &mut SceneCameras) -> Result<bool, SessionError> {
-        let Some(snapshot) = self.snapshots.take() else {
+        if self.waiting.is_empty()
+            && let Some(snapshot) = self.snapshots.take()
+        {
+            self.snapshot = Some(snapshot);
+            let wanted = (0..cameras.names().count()).filter(|camera| self.to.wants(*camera));
+            self.waiting = wanted.collect();
+        }
+        let (Some(snapshot), Some(camera)) = (&self.snapshot, self.waiting.pop()) else {
             return Ok(false);
         };
-        for camera in 0..cameras.names().count() {
-            if !self.to.wants(camera) {
-                continue;
-            }
-            let frame = match self.frames.entry(camera) {
-                Entry::Occupied(frame) => frame.into_mut(),
-                Entry::Vacant(place) => place.insert(cameras.blank_frame(camera)?),
-            };
-            cameras.render(camera, &snapshot.scene, frame)?;
-            let planes = FramePlanes {
-                colour: &frame.colour,
-                depth_m: &frame.depth_m,
-                instance: &frame.instance,
-            };
-            let stamp = snapshot.arms.first.state.stamp;
-            self.to.show(camera, stamp, &frame.intrinsics, &planes);
-        }
+        let frame = match self.frames.entry(camera) {
+            Entry::Occupied(frame) => frame.into_mut(),
+            Entry::Vacant(place) => place.insert(cameras.blank_frame(camera)?),
+        };
+        cameras.render(camera, &snapshot.scene, frame)?;
+        let planes = FramePlanes {
+            colour: &frame.colour,
+            depth_m: &frame.depth_m,
+            instance: &frame.instance,
+        };
+        let stamp = snapshot.arms.first.state.stamp;
+        self.to.show(camera, stamp, &frame.intrinsics, &planes);
         Ok(true)
     }
 }
@@ -156,9 +163,7 @@ impl CameraThread {
                 self.take(&snapshot)?;
             } else {
                 self.keep_alive()?;
-                let console = self.console.as_mut();
-                let drew = console.map(|console| console.draw(&mut self.cameras));
-                if drew.transpose()? != Some(true) {
+                if !self.draw_for_console(signals) {
                     rt::sleep_ns(POLL_NS);
                 }
             }
@@ -167,6 +172,24 @@ impl CameraThread {
         Ok(CameraEnd {
             pictures: self.pictures,
         })
+    }
+
+    /// Draws what the console waits for, if anything; one that can't be drawn for ends with a word, the run goes on.
+    fn draw_for_console(&mut self, signals: &Signals) -> bool {
+        let Some(console) = &mut self.console else {
+            return false;
+        };
+        match console.draw(&mut self.cameras) {
+            Ok(drew) => drew,
+            Err(error) => {
+                let snapshot = console.snapshot.as_ref();
+                let at = snapshot.map_or(TimeNs(0), |snapshot| snapshot.arms.first.state.stamp);
+                let text = format!("the console is shown no more cameras: {error}");
+                signals.tell(at, Level::Warning, &text);
+                self.console = None;
+                false
+            }
+        }
     }
 
     fn take(&mut self, snapshot: &Snapshot) -> Result<(), SessionError> {

@@ -81,7 +81,7 @@ impl<'a> Supervised<'a> {
                 self.tell(
                     signals,
                     Level::Info,
-                    "the policy answers again; the arms go on",
+                    "the policy answers again; its hold of the arms ends",
                 );
             }
             // Full means that the control thread takes none: it will hold the arms and say so.

@@ -220,7 +220,7 @@ impl Begun<'_> {
             controller: robot.controller()?,
             wires: wires.control,
             profile: plan.real_time.control,
-            memory: plan.real_time.lock(),
+            memory: plan.real_time.lock()?,
         };
         let signals = Arc::clone(&enabling.wires.signals);
         let served = (&*signals, wires.listener.as_ref());
