@@ -74,7 +74,9 @@ impl Page {
 
     pub(crate) fn acknowledge(&mut self) {
         let seen = std::mem::take(&mut self.unacknowledged);
-        self.say(&json!({ "seen": seen }));
+        let message = json!({ "seen": seen }).to_string();
+        // One that comes too late for the end is no failure; a socket that is closed shows when it is read.
+        let _closed = self.socket.send(Message::text(message));
     }
 
     /// The next text of this kind that fits.
