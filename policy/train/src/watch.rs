@@ -81,7 +81,7 @@ pub trait Watch {
         false
     }
 
-    /// Saves the state, every [`TrainOptions::save_every`] steps and when the run is stopped.
+    /// Saves the state, every [`TrainOptions::save_every`](crate::TrainOptions::save_every) steps and when the run is stopped.
     ///
     /// # Errors
     /// Whatever is to end the run.
