@@ -5,52 +5,19 @@ mod can;
 #[path = "no_alloc/console.rs"]
 mod console;
 
-use std::alloc::{GlobalAlloc, Layout, System};
-use std::cell::Cell;
 use std::error::Error;
 
 use hal::config::Source;
 use hal::{ArmError, ArmState, Chunk, JointVector, Pose, TimeNs, TipTarget};
 use nalgebra::Translation3;
+use trocar::rt::{CountingAllocator, thread_allocations};
 use trocar_control::kinematics::forward;
 use trocar_control::{
     ControlConfig, Controller, Fault, OperatorEvent, QpOutcome, TickInput, TickOutput,
 };
 
-/// The system allocator, counting what the current thread asks of it.
-struct Counting;
-
-thread_local! {
-    static REQUESTS: Cell<u64> = const { Cell::new(0) };
-}
-
-fn count() {
-    REQUESTS.with(|requests| requests.set(requests.get() + 1));
-}
-
-#[expect(unsafe_code, reason = "an allocator can't be had without")]
-// SAFETY: every call goes on to the system allocator unchanged; counting touches a thread-local cell without a destructor.
-unsafe impl GlobalAlloc for Counting {
-    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
-        count();
-        // SAFETY: the caller's promises are the system allocator's.
-        unsafe { System.alloc(layout) }
-    }
-
-    unsafe fn dealloc(&self, memory: *mut u8, layout: Layout) {
-        // SAFETY: the caller's promises are the system allocator's.
-        unsafe { System.dealloc(memory, layout) }
-    }
-
-    unsafe fn realloc(&self, memory: *mut u8, layout: Layout, size: usize) -> *mut u8 {
-        count();
-        // SAFETY: the caller's promises are the system allocator's.
-        unsafe { System.realloc(memory, layout, size) }
-    }
-}
-
 #[global_allocator]
-static ALLOCATOR: Counting = Counting;
+static ALLOCATOR: CountingAllocator = CountingAllocator;
 
 /// What happens to one arm in one tick, beside its motion.
 #[derive(Clone, Copy, Default)]
@@ -122,9 +89,9 @@ impl<const ARMS: usize> Rig<ARMS> {
                 operator: event.operator,
             }
         });
-        let before = REQUESTS.get();
+        let before = thread_allocations();
         let outputs = self.controller.tick_arms(&inputs);
-        let requests = REQUESTS.get() - before;
+        let requests = thread_allocations() - before;
         self.tick += 1;
         for (arm, output) in self.arms.iter_mut().zip(&outputs) {
             arm.position = output.command.position;

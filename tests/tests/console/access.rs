@@ -148,36 +148,17 @@ fn addresses_that_others_reach_and_ports_in_use_are_refused() {
             "cannot listen there: Address already in use",
         ),
     ] {
-        let mut command = trocar(Profile::Debug);
-        command.args([
-            "run",
-            "--task",
-            "needle-lift",
-            "--policy",
-            "noop",
-            "--console",
-            address,
-        ]);
-        let output = command.output().unwrap();
-        let said = stderr(&output);
-        assert_eq!(output.status.code(), Some(2), "{address}: {said}");
-        assert!(said.contains(reason), "{address}: {said}");
+        expect_refused(&["--console", address], reason);
     }
+    expect_refused(&["--lockstep", "--console"], "--lockstep");
+}
+
+/// A run with these words ends as bad usage that says `reason`.
+fn expect_refused(words: &[&str], reason: &str) {
     let mut command = trocar(Profile::Debug);
-    command.args([
-        "run",
-        "--task",
-        "needle-lift",
-        "--policy",
-        "noop",
-        "--lockstep",
-        "--console",
-    ]);
-    let output = command.output().unwrap();
-    assert_eq!(output.status.code(), Some(2));
-    assert!(
-        stderr(&output).contains("--lockstep"),
-        "{}",
-        stderr(&output)
-    );
+    command.args(["run", "--task", "needle-lift", "--policy", "noop"]);
+    let output = command.args(words).output().unwrap();
+    let said = stderr(&output);
+    assert_eq!(output.status.code(), Some(2), "{words:?}: {said}");
+    assert!(said.contains(reason), "{words:?}: {said}");
 }

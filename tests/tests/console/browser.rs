@@ -1,10 +1,10 @@
 //! The page in Chromium: it shows and steers a run, comes back after a cut, fits its window, and can be read.
 
 use serde_json::Value;
-use tests::{Profile, scratch, trocar};
+use tests::scratch;
 
 use crate::devtools::{Browser, Proxy};
-use crate::run::Served;
+use crate::run::{Served, made_log};
 
 /// Texts whose contrast with what is behind them is below WCAG's AA (4.5, or 3 where they are large), disabled controls apart.
 const LOW_CONTRAST: &str = r"(() => {
@@ -150,21 +150,7 @@ fn the_page_shows_and_steers_a_run() {
 #[test]
 #[ignore = "needs chromium: `make test-console` runs it"]
 fn the_page_shows_a_log() {
-    let folder = scratch("console-browser-log-made");
-    let log = folder.join("run.mcap");
-    let mut command = trocar(Profile::Debug);
-    command.args([
-        "run",
-        "--task",
-        "needle-handover",
-        "--policy",
-        "expert",
-        "--lockstep",
-        "--seed",
-        "7",
-        "--log",
-    ]);
-    assert!(command.arg(&log).status().unwrap().success());
+    let log = made_log("console-browser-log-made", "needle-handover");
     let served = Served::start("console-browser-log", &["replay", log.to_str().unwrap()]);
     let mut browser = Browser::open("console-browser-log-profile", &served.url());
     browser.look(1280, "light");

@@ -3,28 +3,13 @@
 use std::process::Command;
 
 use serde_json::json;
-use tests::{Profile, scratch, trocar};
 
 use crate::page::Page;
-use crate::run::Served;
+use crate::run::{Served, made_log};
 
 #[test]
 fn a_log_is_looked_through() {
-    let folder = scratch("console-log-made");
-    let log = folder.join("run.mcap");
-    let mut command = trocar(Profile::Debug);
-    command.args([
-        "run",
-        "--task",
-        "needle-lift",
-        "--policy",
-        "expert",
-        "--lockstep",
-        "--seed",
-        "7",
-        "--log",
-    ]);
-    assert!(command.arg(&log).status().unwrap().success());
+    let log = made_log("console-log-made", "needle-lift");
     let mut served = Served::start("console-log", &["replay", log.to_str().unwrap()]);
     let mut page = Page::open(&served);
     let facts = page.wait_for("facts", |_| true);

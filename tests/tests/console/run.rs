@@ -21,6 +21,16 @@ pub(crate) struct Served {
     sockets: PathBuf,
 }
 
+/// The log of an expert's episode of `task`, in the scratch folder of `test`.
+pub(crate) fn made_log(test: &str, task: &str) -> PathBuf {
+    let log = scratch(test).join("run.mcap");
+    let mut command = trocar(Profile::Debug);
+    command.args(["run", "--task", task, "--policy", "expert"]);
+    command.args(["--lockstep", "--seed", "7", "--log"]);
+    assert!(command.arg(&log).status().unwrap().success());
+    log
+}
+
 impl Served {
     /// A run in real time of needle lift, paced by `policy`, that goes on for minutes.
     pub(crate) fn run(test: &str, policy: &str) -> Self {

@@ -9,7 +9,7 @@ use trocar_canopen::master::{Bus as _, CanArm, Offline};
 use trocar_drives::node::{AxisConfig, Node};
 use trocar_drives::{IdealMotor, Network};
 
-use super::REQUESTS;
+use trocar::rt::thread_allocations;
 
 type Net = Network<IdealMotor>;
 
@@ -51,7 +51,7 @@ fn can_arm_allocates_nothing_in_its_cycle() -> Result<(), Box<dyn Error>> {
             enabled: !(200..=250).contains(&n),
         };
         let tail = SafeTail::hold(&command);
-        let before = REQUESTS.get();
+        let before = thread_allocations();
         let measured = arm.read(now);
         // In some cycles the controller says nothing.
         let written = if n % 7 == 0 {
@@ -59,7 +59,7 @@ fn can_arm_allocates_nothing_in_its_cycle() -> Result<(), Box<dyn Error>> {
         } else {
             arm.write(&command, &tail)
         };
-        assert_eq!(REQUESTS.get(), before, "cycle {n}");
+        assert_eq!(thread_allocations(), before, "cycle {n}");
         faulted += u32::from(measured.is_err() && written.is_err());
     }
     // Three hundred cycles without, and then with a fault.

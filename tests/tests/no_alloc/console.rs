@@ -9,7 +9,8 @@ use trocar_control::kinematics::forward;
 use trocar_control::{AnyController, OperatorEvent, TickInput};
 use trocar_log::{TickRecord, TickTiming};
 
-use super::{HOME, REQUESTS, one_arm};
+use super::{HOME, one_arm};
+use trocar::rt::thread_allocations;
 
 /// A chunk that wants the tip below the floor of the workspace, observed at `now`; every third is nonsense.
 fn chunk(now: TimeNs, sequence: u64) -> Chunk {
@@ -28,10 +29,10 @@ fn chunk(now: TimeNs, sequence: u64) -> Chunk {
 
 /// Hands a tick to `tap`; how often that allocated.
 fn tapped(tap: &mut ControlTap, record: &TickRecord, controller: &AnyController) -> u64 {
-    let before = REQUESTS.get();
+    let before = thread_allocations();
     tap.chunk(record.now.0);
     tap.tick(record, controller, record.tick / 100);
-    REQUESTS.get() - before
+    thread_allocations() - before
 }
 
 #[test]

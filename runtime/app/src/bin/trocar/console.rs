@@ -86,6 +86,17 @@ pub(crate) fn bar(what: &'static str) -> ProgressBar {
     bar
 }
 
+/// What `work` gives, with a bar of the episodes that it says are done, of how many.
+pub(crate) fn with_episodes<T>(work: impl FnOnce(&mut dyn FnMut(usize, usize)) -> T) -> T {
+    let bar = progress(0, "episodes");
+    let done = work(&mut |done, all| {
+        bar.set_length(all as u64);
+        bar.set_position(done as u64);
+    });
+    bar.finish_and_clear();
+    done
+}
+
 /// A progress bar over `total` steps of `what`; hidden when standard error is no terminal.
 pub(crate) fn progress(total: u64, what: &'static str) -> ProgressBar {
     let bar = ProgressBar::new(total);

@@ -83,13 +83,7 @@ pub(crate) fn export(verb: &ExportVerb) -> Done {
         video: args.video.map_or(VideoCodec::H264, codec),
         provenance,
     };
-    let bar = console::progress(0, "episodes");
-    let summary = export_open_h(&options, &mut |done, all| {
-        bar.set_length(all as u64);
-        bar.set_position(done as u64);
-    });
-    bar.finish_and_clear();
-    let summary = summary?;
+    let summary = console::with_episodes(|done| export_open_h(&options, done))?;
     for warning in &summary.warnings {
         console::warning(&format!("Open-H-Embodiment: {warning}"));
     }

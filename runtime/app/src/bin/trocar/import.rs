@@ -181,13 +181,7 @@ fn import_lerobot(args: &LerobotArgs) -> Done {
         size: args.resize,
         video: args.video.map(codec),
     };
-    let bar = console::progress(0, "episodes");
-    let summary = import_mapped(&request, &mut |done, all| {
-        bar.set_length(all as u64);
-        bar.set_position(done as u64);
-    });
-    bar.finish_and_clear();
-    let summary = summary?;
+    let summary = console::with_episodes(|done| import_mapped(&request, done))?;
     let left_out = match summary.left_out {
         0 => String::new(),
         count => format!("; {count} left out"),
@@ -239,13 +233,7 @@ fn import_hdf5(args: &ImportArgs, layout: Layout) -> Done {
         },
         video: args.video.map(codec),
     };
-    let bar = console::progress(0, "episodes");
-    let summary = import_demonstrations(&options, &mut |done, all| {
-        bar.set_length(all as u64);
-        bar.set_position(done as u64);
-    });
-    bar.finish_and_clear();
-    let summary = summary?;
+    let summary = console::with_episodes(|done| import_demonstrations(&options, done))?;
     console::result(&format!(
         "{} episodes, {} frames in {}",
         summary.episodes,

@@ -16,7 +16,7 @@ use crate::session::{Plan, PolicyChoice, SessionError};
 pub(super) enum Opened<'a> {
     /// A checkpoint in this folder, which will have a process of its own.
     Network(Box<LoadedPolicy>, &'a Path),
-    /// Somebody's process, which has said hello.
+    /// An external policy's process, after its handshake.
     External(Box<ExternalLink>),
     /// A policy of this process.
     Local(Box<ChunkSource>),

@@ -57,7 +57,7 @@ impl LoopTiming {
         self.skipped
     }
 
-    /// What it comes to; the log is somebody else's.
+    /// The counts; `log_dropped` is 0, since only the log knows it.
     pub(super) fn end(self) -> RealTimeCounts {
         let allocations = thread_allocations().wrapping_sub(self.allocations);
         RealTimeCounts {
