@@ -15,12 +15,12 @@ use std::fs;
 use std::io::{BufRead as _, BufReader};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex};
 use std::thread;
 
 use hal::TimeNs;
 use performer::{Manner, Performer};
-use tests::{Profile, json, scratch, trocar};
+use tests::{Profile, alone, json, scratch, trocar};
 use trocar::rt::{MonotonicClock, sleep_ns};
 use trocar::session::operator::{Ask, Command as Operator, ask};
 use trocar_control::OperatorEvent;
@@ -33,12 +33,6 @@ const CHECKPOINT: &str = "config/policies/needle-lift/act-small";
 const MS_NS: u64 = 1_000_000;
 /// Anything takes less time than this, ns.
 const PATIENCE_NS: u64 = 180_000 * MS_NS;
-
-/// A run wants the machine to itself: one at a time.
-fn alone() -> MutexGuard<'static, ()> {
-    static TURN: Mutex<()> = Mutex::new(());
-    TURN.lock().unwrap_or_else(PoisonError::into_inner)
-}
 
 /// A run in real time whose policy may be restarted, ended with the test.
 struct Run {

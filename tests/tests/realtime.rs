@@ -13,9 +13,8 @@ mod two_arms;
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
-use std::sync::{Mutex, MutexGuard, PoisonError};
 
-use tests::{Profile, json, scratch, trocar};
+use tests::{Profile, alone, json, scratch, trocar};
 use trocar::rt::{MonotonicClock, sleep_ns};
 use trocar_log::RunLog;
 use trocar_log::replay::replay;
@@ -27,12 +26,6 @@ const MS_NS: u64 = 1_000_000;
 
 /// Anything takes less time than this, ns.
 const PATIENCE_NS: u64 = 180_000 * MS_NS;
-
-/// A run wants the machine to itself: one at a time.
-fn alone() -> MutexGuard<'static, ()> {
-    static TURN: Mutex<()> = Mutex::new(());
-    TURN.lock().unwrap_or_else(PoisonError::into_inner)
-}
 
 /// A real-time run in a process of its own, ended with the test.
 struct Run {
