@@ -2,6 +2,7 @@
 //! no image is requested.
 
 mod flap;
+mod model;
 
 use hal::{CameraFrame, Intrinsics, Mesh, Pose};
 use nalgebra::{Point3, Vector3};
@@ -12,6 +13,8 @@ use crate::SimulationError;
 use crate::scene::SceneSnapshot;
 use crate::task::{CameraConfig, Look, TaskConfig, TaskScene, scene_poses, scene_visuals};
 use flap::DrawnFlap;
+
+pub use model::SceneModel;
 
 /// Image depth range, m.
 const NEAR_M: f64 = 0.005;
@@ -67,12 +70,7 @@ impl SceneCameras {
     /// Puts the cameras where `task` has them in the episode `seed`, and shows its needle in its light: its view and what it
     /// varies may be others in each.
     pub fn begin_episode(&mut self, task: &TaskConfig, seed: u64) {
-        let placed = |camera: &CameraConfig| {
-            let mut view = View::new(camera);
-            view.camera_in_mount *= task.view.shift(camera, seed);
-            view
-        };
-        self.views = task.cameras.iter().map(placed).collect();
+        self.views = View::of_episode(task, seed);
         self.endoscope = task.light_camera();
         let drawn = task.drawn(seed);
         if drawn.needle.is_some() {
@@ -205,10 +203,14 @@ impl SceneCameras {
         for (index, mesh) in self.reshaped.drain(..) {
             self.renderer.reshape(index, &mesh)?;
         }
-        match (&mut self.flap, &snapshot.flap) {
-            (Some(drawn), Some(flap)) => drawn.bend(flap, &mut self.renderer),
-            _ => Ok(()),
+        if let (Some(drawn), Some(flap)) = (&mut self.flap, &snapshot.flap)
+            && drawn.bend(flap)
+        {
+            for (index, mesh) in drawn.meshes() {
+                self.renderer.reshape(index, mesh)?;
+            }
         }
+        Ok(())
     }
 
     /// A camera where it is now.
@@ -238,6 +240,16 @@ impl SceneCameras {
 }
 
 impl View {
+    /// The cameras of `task` where they stand in the episode `seed`.
+    fn of_episode(task: &TaskConfig, seed: u64) -> Vec<Self> {
+        let placed = |camera: &CameraConfig| {
+            let mut view = Self::new(camera);
+            view.camera_in_mount *= task.view.shift(camera, seed);
+            view
+        };
+        task.cameras.iter().map(placed).collect()
+    }
+
     fn new(config: &CameraConfig) -> Self {
         let (eye, target) = (Point3::from(config.eye_m), Point3::from(config.target_m));
         Self {

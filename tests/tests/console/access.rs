@@ -22,6 +22,7 @@ fn only_who_has_the_token_gets_the_page_or_its_socket() {
         ("/", vec![("Host", host)], 401),
         ("/?token=0", vec![("Host", host)], 401),
         ("/main.js", vec![("Host", host)], 401),
+        ("/scene.glb", vec![("Host", host)], 401),
         ("/", vec![("Host", host), ("Cookie", wrong)], 401),
         (with_token, vec![("Host", "evil.example")], 421),
         ("/", vec![("Host", "evil.example"), ("Cookie", cookie)], 421),
@@ -125,12 +126,21 @@ fn the_page_is_whole_in_itself() {
         "/cameras.js",
         "/operator.js",
         "/timeline.js",
+        "/scene.js",
+        "/scene_draw.js",
+        "/scene_file.js",
     ] {
         let text = get(path);
         assert!(text.starts_with("HTTP/1.1 200 "), "{path}");
         for foreign in ["http://", "https://", "//cdn", "@import", "eval("] {
             assert!(!text.contains(foreign), "{path} has {foreign}");
         }
+    }
+    Page::open(&served).wait_for_state("ENABLED");
+    let scene = get("/scene.glb");
+    assert!(scene.contains("model/gltf-binary") && scene.contains("glTF\u{2}"));
+    for part in ["needle", "left finger", "endoscope", "vessel", "psm1"] {
+        assert!(scene.contains(&format!("\"name\":\"{part}\"")), "{part}");
     }
 }
 

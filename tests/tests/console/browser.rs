@@ -84,6 +84,46 @@ const PICTURE: &str = "(({ naturalWidth, dataset }) => naturalWidth > 100 && dat
 
 const STATE: &str = "document.querySelector('.chip')?.dataset.state";
 
+/// How many colours the scene's picture has, and a sum of it that another picture hardly has.
+const SCENE: &str = "(() => {
+  const from = document.querySelector('#scene-view');
+  const to = new OffscreenCanvas(from.width, from.height).getContext('2d');
+  to.drawImage(from, 0, 0);
+  const pixels = new Uint32Array(to.getImageData(0, 0, from.width, from.height).data.buffer);
+  return [new Set(pixels).size, pixels.reduce((sum, pixel, index) => (sum + pixel * (index % 9973)) % 2 ** 40, 0)];
+})()";
+
+/// The scene is drawn, goes on, and can be turned by keys; without its limits it looks otherwise.
+fn looks_at_the_scene(browser: &mut Browser) {
+    let stamp = "Number(document.querySelector('#scene-view').dataset.seconds)";
+    browser.wait_until(&format!("{stamp} > 0"));
+    let before = browser.evaluate(stamp).as_f64().unwrap();
+    browser.wait_until(&format!("{stamp} > {before} + 1"));
+    let drawn = "Number(document.querySelector('#scene-view').dataset.drawn)";
+    let mut seen = browser.evaluate(SCENE);
+    assert!(seen[0].as_u64() > Some(300), "{seen}");
+    // What the simulation moves meanwhile is told apart by pausing it.
+    browser.press("p");
+    browser.wait_until(&format!("{STATE} === 'PAUSED'"));
+    browser.evaluate("document.querySelector('#scene-view').focus()");
+    for what in ["ArrowLeft", "PageDown", "limits"] {
+        let count = browser.evaluate(drawn).as_f64().unwrap();
+        if what == "limits" {
+            browser.evaluate("document.querySelector('#scene-limits').click()");
+        } else {
+            browser.press(what);
+        }
+        browser.wait_until(&format!("{drawn} > {count}"));
+        let now = browser.evaluate(SCENE);
+        assert_ne!(now[1], seen[1], "{what}");
+        seen = now;
+    }
+    browser.evaluate("document.querySelector('#scene-limits').click()");
+    browser.evaluate("document.querySelector('[data-command=resume]').click()");
+    browser.wait_until(&format!("{STATE} === 'ENABLED'"));
+    browser.evaluate("document.activeElement.blur(); scrollTo(0, 0)");
+}
+
 #[test]
 #[ignore = "needs chromium: `make test-console` runs it"]
 fn the_page_shows_and_steers_a_run() {
@@ -105,6 +145,7 @@ fn the_page_shows_and_steers_a_run() {
     let before = number(&browser.evaluate(stamp));
     browser.wait_until(&format!("Number({stamp}) > {before} + 1"));
     browser.wait_until("document.querySelector('#steer').getAttribute('aria-pressed') === 'true'");
+    looks_at_the_scene(&mut browser);
     looks_right(&mut browser, "run");
 
     // Also while the slider has the focus, as it has after it was moved.

@@ -34,7 +34,8 @@ impl Browser {
             .args([
                 "--headless=new",
                 "--no-sandbox",
-                "--disable-gpu",
+                "--use-angle=swiftshader",
+                "--enable-unsafe-swiftshader",
                 "--hide-scrollbars",
             ])
             .args([

@@ -18,6 +18,8 @@ pub struct Facts {
     arms: Vec<String>,
     axes: Vec<AxisFacts>,
     pub(super) cameras: Vec<String>,
+    /// Whether there is a scene in three dimensions.
+    pub(super) scene: bool,
     /// Upper ends of the histograms' buckets, us.
     buckets_us: Vec<u64>,
     time_limit_s: Option<f64>,
@@ -86,6 +88,7 @@ impl Facts {
             arms: control.arms.iter().map(|arm| arm.name.clone()).collect(),
             axes: axes.collect(),
             cameras,
+            scene: false,
             buckets_us: BUCKETS_US.to_vec(),
             time_limit_s: None,
             seconds: None,
@@ -99,6 +102,13 @@ impl Facts {
     #[must_use]
     pub fn within_s(mut self, time_limit_s: f64) -> Self {
         self.time_limit_s = Some(time_limit_s);
+        self
+    }
+
+    /// The same with a scene to look at.
+    #[must_use]
+    pub fn with_scene(mut self) -> Self {
+        self.scene = true;
         self
     }
 

@@ -8,7 +8,7 @@
 //!
 //! `address` says where it listens, `bounded` how many connections it holds, `access` who may open it; `server` serves the page's files,
 //! `client` one page; `request` is what a page may say, `seats` who steers. `tap` is the control thread's end, `pictures` and `encode` are
-//! what cameras show; `facts`, `live` and `state` make what a run says, `log_view` what a log says. The page itself is in `page/`.
+//! what cameras show, `scene` the scene in three dimensions; `facts`, `live` and `state` make what a run says, `log_view` what a log says. The page itself is in `page/`.
 //!
 //! The page has exactly the operator's verbs, and they go the same way: over the run's own socket (`session/operator`). No message of it
 //! reaches the controller in another way, so it can't weaken a limit.
@@ -23,6 +23,7 @@ mod live;
 mod log_view;
 mod pictures;
 mod request;
+mod scene;
 mod seats;
 mod server;
 mod shared;
@@ -36,10 +37,14 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::{self, JoinHandle};
 
 use serde::Serialize;
+use trocar_control::config::ArmConfig;
+use trocar_tasks::cameras::SceneModel;
+use trocar_tasks::scene::SceneSnapshot;
 
 pub use address::{Address, BadAddress, DEFAULT_ADDRESS};
 pub use facts::Facts;
 pub(crate) use pictures::{FramePlanes, FrameTap};
+pub(crate) use scene::SceneTap;
 pub use tap::ControlTap;
 
 use crate::mailbox::{MailboxWriter, mailbox};
@@ -140,6 +145,21 @@ impl Console {
             control: ControlTap::new(to),
             task: task_to,
         }
+    }
+
+    /// Shows the scene of `model` from now on, as it is in `start`, with the limits of `arms`: the end for what moves.
+    ///
+    /// # Errors
+    /// [`SessionError::Simulation`] if an arm that carries a camera is not in `start`.
+    pub(crate) fn show_scene(
+        &self,
+        model: SceneModel,
+        start: &SceneSnapshot,
+        arms: &[ArmConfig],
+    ) -> Result<SceneTap, SessionError> {
+        let file = scene::file(&model, start, arms)?;
+        self.shared.show_scene(file);
+        Ok(SceneTap::new(model, Arc::clone(&self.shared.board)))
     }
 
     /// The end for frames.

@@ -53,10 +53,18 @@ impl From<(u8, Plane)> for Stream {
 }
 
 impl Stream {
+    /// Where everything in the scene is, which is no picture.
+    pub(crate) const SCENE: Self = Self {
+        camera: u8::MAX,
+        plane: Plane::Colour,
+    };
+
     /// Its bit among those that are wanted.
     const fn bit(self) -> u64 {
         if self.camera < CAMERAS_MAX {
             1 << (3 * self.camera + self.plane as u8)
+        } else if self.camera == Self::SCENE.camera && matches!(self.plane, Plane::Colour) {
+            1 << 63
         } else {
             0
         }
@@ -145,7 +153,7 @@ impl Board {
         self.wanted.store(bits, Ordering::Relaxed);
     }
 
-    fn wants(&self, stream: Stream) -> bool {
+    pub(super) fn wants(&self, stream: Stream) -> bool {
         self.wanted.load(Ordering::Relaxed) & stream.bit() != 0
     }
 
@@ -170,11 +178,12 @@ impl Board {
         next.map(|(stream, picture)| (stream, picture.clone()))
     }
 
-    /// Puts up a compressed picture.
-    fn put_up(&self, stream: Stream, message: Vec<u8>) {
-        let number = *self.changed.borrow() + 1;
+    /// Puts up a compressed picture, or where everything is.
+    pub(super) fn put_up(&self, stream: Stream, message: Vec<u8>) {
         let message = Bytes::from(message);
-        lock(&self.newest).insert(stream, Picture { number, message });
+        let mut newest = lock(&self.newest);
+        let number = *self.changed.borrow() + 1;
+        newest.insert(stream, Picture { number, message });
         self.changed.send_replace(number);
     }
 
@@ -351,8 +360,8 @@ mod tests {
     fn every_camera_has_bits_of_its_own() {
         let streams = (0..=255).flat_map(|camera| Plane::ALL.map(|plane| Stream { camera, plane }));
         let bits: Vec<u64> = streams.map(Stream::bit).filter(|bit| *bit != 0).collect();
-        assert_eq!(bits.len(), 63);
-        assert_eq!(bits.iter().fold(0, |all, bit| all | bit).count_ones(), 63);
+        assert_eq!(bits.len(), 64);
+        assert_eq!(bits.iter().fold(0, |all, bit| all | bit).count_ones(), 64);
     }
 
     #[test]

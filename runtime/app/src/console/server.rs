@@ -31,7 +31,7 @@ const LEAVE: Duration = Duration::from_millis(1500);
 const WAITING_MAX: usize = 4;
 
 /// The page's files: path, type, text.
-const FILES: [(&str, &str, &str); 8] = [
+const FILES: [(&str, &str, &str); 11] = [
     (
         "/",
         "text/html; charset=utf-8",
@@ -48,6 +48,9 @@ const FILES: [(&str, &str, &str); 8] = [
     ("/cameras.js", SCRIPT, include_str!("page/cameras.js")),
     ("/operator.js", SCRIPT, include_str!("page/operator.js")),
     ("/timeline.js", SCRIPT, include_str!("page/timeline.js")),
+    ("/scene.js", SCRIPT, include_str!("page/scene.js")),
+    ("/scene_draw.js", SCRIPT, include_str!("page/scene_draw.js")),
+    ("/scene_file.js", SCRIPT, include_str!("page/scene_file.js")),
 ];
 
 const SCRIPT: &str = "text/javascript; charset=utf-8";
@@ -140,6 +143,12 @@ async fn file(State(shared): State<Arc<Shared>>, uri: Uri, headers: HeaderMap) -
     let by_query = access.is_in_query(uri.query());
     if !by_query && let Err(refusal) = access.check_cookie(&headers) {
         return refused(refusal);
+    }
+    if uri.path() == "/scene.glb" {
+        return shared.scene().map_or_else(
+            || (StatusCode::NOT_FOUND, "there is no scene\n").into_response(),
+            |file| ([(header::CONTENT_TYPE, "model/gltf-binary")], file).into_response(),
+        );
     }
     let found = FILES.iter().find(|(path, ..)| *path == uri.path());
     let Some((_, kind, text)) = found else {

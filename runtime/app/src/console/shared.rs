@@ -2,6 +2,7 @@
 
 use std::sync::{Arc, Mutex, PoisonError};
 
+use axum::body::Bytes;
 use axum::extract::ws::Utf8Bytes;
 use tokio::sync::watch;
 use tokio::task::spawn_blocking;
@@ -36,6 +37,8 @@ pub(super) struct Shared {
     /// The last words, when all is over.
     pub(super) over: watch::Sender<Option<Utf8Bytes>>,
     shown: Mutex<Shown>,
+    /// The scene's file; empty if there is none.
+    scene: Mutex<Bytes>,
 }
 
 impl Shared {
@@ -49,6 +52,7 @@ impl Shared {
             state: watch::Sender::new(Utf8Bytes::default()),
             over: watch::Sender::new(None),
             shown: Mutex::new(Shown::Nothing),
+            scene: Mutex::default(),
         }
     }
 
@@ -63,6 +67,17 @@ impl Shared {
         let facts = log.facts();
         self.show(Shown::Log(Arc::new(log)));
         self.facts.send_replace(facts.into());
+    }
+
+    /// From now on this is the scene's file.
+    pub(super) fn show_scene(&self, file: Bytes) {
+        *self.scene.lock().unwrap_or_else(PoisonError::into_inner) = file;
+    }
+
+    /// The scene's file, if there is one.
+    pub(super) fn scene(&self) -> Option<Bytes> {
+        let file = self.scene.lock().unwrap_or_else(PoisonError::into_inner);
+        (!file.is_empty()).then(|| file.clone())
     }
 
     fn show(&self, shown: Shown) {

@@ -1,8 +1,8 @@
-//! The soft flap as the cameras draw it: bent anew for every instant.
+//! The soft flap as it is drawn: bent anew for every instant.
 
+use hal::Mesh;
 use nalgebra::Vector3;
 use trocar_render::visual::{Visual, instance};
-use trocar_render::{RenderError, Renderer};
 use trocar_world::tissue::{FlapSnapshot, Patch, Surface};
 
 use crate::task::TaskScene;
@@ -15,7 +15,7 @@ pub(super) struct DrawnFlap {
     surface_index: usize,
     mark_index: usize,
     nodes: Vec<Vector3<f64>>,
-    /// What the renderer has.
+    /// What was drawn last.
     shown: Option<FlapSnapshot>,
 }
 
@@ -35,23 +35,25 @@ impl DrawnFlap {
         })
     }
 
-    /// Gives the renderer the shape of `flap`, unless it has that already.
-    pub(super) fn bend(
-        &mut self,
-        flap: &FlapSnapshot,
-        renderer: &mut Renderer,
-    ) -> Result<(), RenderError> {
+    /// Takes the shape of `flap`; whether that is another than before.
+    pub(super) fn bend(&mut self, flap: &FlapSnapshot) -> bool {
         if self.shown.as_ref() == Some(flap) {
-            return Ok(());
+            return false;
         }
         self.nodes.clear();
         self.nodes
             .extend(flap.nodes().take(self.surface.node_count()));
         self.surface.update(&self.nodes);
         self.mark.update(&self.surface, flap.mark_m());
-        renderer.reshape(self.surface_index, self.surface.mesh())?;
-        renderer.reshape(self.mark_index, self.mark.mesh())?;
         self.shown = Some(*flap);
-        Ok(())
+        true
+    }
+
+    /// The visuals that they are, with their shapes.
+    pub(super) fn meshes(&self) -> [(usize, &Mesh); 2] {
+        [
+            (self.surface_index, self.surface.mesh()),
+            (self.mark_index, self.mark.mesh()),
+        ]
     }
 }

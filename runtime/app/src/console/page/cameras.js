@@ -5,9 +5,12 @@ const PLANES = ["colour", "depth", "ids"];
 export class Cameras {
   #views = [];
   #send;
+  #others;
 
-  constructor(send) {
+  /** `others` says which streams are wanted besides. */
+  constructor(send, others) {
     this.#send = send;
+    this.#others = others;
     this.root = document.getElementById("views");
     this.none = document.getElementById("no-cameras");
   }
@@ -27,7 +30,7 @@ export class Cameras {
 
   want() {
     const wanted = this.#views.map((view, index) => [index, view.plane]).filter(([, plane]) => plane !== "off");
-    this.#send({ show: wanted });
+    this.#send({ show: [...wanted, ...this.#others()] });
   }
 
   async picture(camera, plane, seconds, blob) {

@@ -1,5 +1,7 @@
 // The WebSocket to the run: one, which comes back by itself.
 
+import { SCENE } from "./scene_file.js";
+
 const RETRY_MS = [250, 500, 1000, 2000, 3000];
 
 export class Connection {
@@ -9,7 +11,7 @@ export class Connection {
   #seen = 0;
   #heard = 0;
 
-  /** `on.text(message)`, `on.picture(view, seconds, blob)`, `on.open()`, `on.change(link)` with open, lost or over. */
+  /** `on.text(message)`, `on.picture(view, seconds, blob)`, `on.places(buffer, seconds)`, `on.open()`, `on.change(link)` with open, lost or over. */
   constructor(on) {
     this.on = on;
     this.#connect();
@@ -58,6 +60,11 @@ export class Connection {
       if (counted) this.#acknowledge();
     } else {
       const head = new DataView(data, 0, 16);
+      if (head.getUint8(0) === SCENE) {
+        this.on.places(data, head.getFloat64(8, true));
+        this.#acknowledge();
+        return;
+      }
       const image = new Uint8Array(data, 16);
       const type = image[0] === 0xff ? "image/jpeg" : "image/png";
       this.on.picture(head.getUint8(0), head.getUint8(1), head.getFloat64(8, true), new Blob([image], { type }));

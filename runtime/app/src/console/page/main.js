@@ -4,6 +4,8 @@ import { Cameras } from "./cameras.js";
 import { Connection } from "./connection.js";
 import { Operator } from "./operator.js";
 import { Panels } from "./panels.js";
+import { Scene } from "./scene.js";
+import { SCENE } from "./scene_file.js";
 import { Timeline } from "./timeline.js";
 
 const byId = (id) => document.getElementById(id);
@@ -14,7 +16,8 @@ if (location.search) history.replaceState(null, "", location.pathname);
 let connection = null;
 const send = (message) => connection?.send(message);
 const panels = new Panels();
-const cameras = new Cameras(send);
+const scene = new Scene(() => cameras.want());
+const cameras = new Cameras(send, () => (scene.wanted ? [[SCENE, "colour"]] : []));
 const operator = new Operator(send);
 const timeline = new Timeline(send);
 let link = "waiting";
@@ -38,6 +41,7 @@ const heard = {
     log = facts.log;
     panels.facts(facts);
     cameras.set(facts.cameras, facts.log);
+    scene.facts(facts.scene);
     timeline.facts(facts);
     if (!log) send({ steer: true });
   },
@@ -75,6 +79,7 @@ function showLink() {
 connection = new Connection({
   text: (message) => heard[message.kind]?.(message),
   picture: (...picture) => cameras.picture(...picture),
+  places: (...places) => scene.places(...places),
   open() {
     if (!ended) banner("");
   },

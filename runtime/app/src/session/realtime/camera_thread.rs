@@ -13,7 +13,7 @@ use trocar_topics::{
 
 use super::policy_process::arm_names;
 use super::signals::{EndsRun, Signals};
-use crate::console::{FramePlanes, FrameTap};
+use crate::console::{FramePlanes, FrameTap, SceneTap};
 use crate::mailbox::MailboxReader;
 use crate::rt;
 use crate::session::pictures::Pictures;
@@ -51,6 +51,7 @@ pub(super) struct CameraThread {
 /// What pages of the console look at. They have snapshots of their own, so that none for the policy or the log is replaced.
 pub(super) struct ConsoleCameras {
     to: FrameTap,
+    scene: SceneTap,
     snapshots: MailboxReader<Snapshot>,
     /// The one that is drawn, and the cameras that it is still to be drawn for.
     snapshot: Option<Snapshot>,
@@ -60,9 +61,14 @@ pub(super) struct ConsoleCameras {
 }
 
 impl ConsoleCameras {
-    pub(super) const fn new(to: FrameTap, snapshots: MailboxReader<Snapshot>) -> Self {
+    pub(super) const fn new(
+        to: FrameTap,
+        scene: SceneTap,
+        snapshots: MailboxReader<Snapshot>,
+    ) -> Self {
         Self {
             to,
+            scene,
             snapshots,
             snapshot: None,
             waiting: Vec::new(),
@@ -75,6 +81,8 @@ impl ConsoleCameras {
         if self.waiting.is_empty()
             && let Some(snapshot) = self.snapshots.take()
         {
+            let stamp = snapshot.arms.first.state.stamp;
+            self.scene.show(&snapshot.scene, stamp)?;
             self.snapshot = Some(snapshot);
             let wanted = (0..cameras.names().count()).filter(|camera| self.to.wants(*camera));
             self.waiting = wanted.collect();

@@ -106,7 +106,7 @@ fn run_threads(
     let (snapshot_in, snapshots) = mailbox::<Snapshot>();
     let (listener, mut operator) = listen(true);
     let port = (listener.as_ref(), &mut operator);
-    let (console_view, console_cameras) = show_task(plan, port).unzip();
+    let (console_view, console_cameras) = show_task(plan, &simulation.snapshot(), port)?.unzip();
     let signals = Arc::new(Signals::default());
     // Slow things first: opening a device takes longer than an episode's first second.
     let camera_thread = (plan.wants_frames() || child.is_some() || console_cameras.is_some())

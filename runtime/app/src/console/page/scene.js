@@ -1,0 +1,182 @@
+// The scene in three dimensions: turned by mouse, finger and keys; what the cameras see as frustums, limits as glass.
+
+import { Drawing, eyeMatrix, matrix } from "./scene_draw.js";
+import { parsePlaces, parseScene } from "./scene_file.js";
+
+const HOME = { centre: [0, 0, 0.015], turn: -1.1, tilt: 0.55, distance: 0.3 };
+const FRUSTUM_M = 0.012;
+const CAMERA_COLOUR = [0.3, 0.9, 1, 1];
+
+export class Scene {
+  #drawing = null;
+  #nodes = [];
+  #cameras = [];
+  #eye = structuredClone(HOME);
+  #asked = false;
+  #want;
+
+  constructor(want) {
+    this.#want = want;
+    const byId = (id) => document.getElementById(id);
+    this.panel = byId("scene");
+    this.canvas = byId("scene-view");
+    this.show = byId("scene-show");
+    this.limits = byId("scene-limits");
+    this.problem = byId("scene-problem");
+    this.show.onchange = () => this.#toggle();
+    this.limits.onchange = () => this.draw();
+    byId("scene-home").onclick = () => {
+      this.#eye = structuredClone(HOME);
+      this.draw();
+    };
+    this.#steer();
+    new ResizeObserver(() => this.draw()).observe(this.canvas);
+  }
+
+  /** Whether places are wanted. */
+  get wanted() {
+    return this.show.checked && this.#nodes.length > 0;
+  }
+
+  /** A run has a scene, or has none. */
+  async facts(has) {
+    this.panel.hidden = !has;
+    if (has && this.show.checked) await this.#load();
+  }
+
+  /** Where everything is now. */
+  places(buffer, seconds) {
+    const { visuals, cameras, bent } = parsePlaces(buffer);
+    visuals.forEach((pose, index) => (this.#nodes[index].pose = pose));
+    cameras.forEach((pose, index) => (this.#cameras[index].pose = pose));
+    for (const { index, positions, normals } of bent) this.#drawing.bend(index, positions, normals);
+    this.canvas.dataset.seconds = seconds.toFixed(3);
+    this.#ask();
+  }
+
+  draw() {
+    this.#ask();
+  }
+
+  async #toggle() {
+    this.canvas.hidden = !this.show.checked;
+    if (this.show.checked) await this.#load();
+    this.#want();
+  }
+
+  async #load() {
+    try {
+      const answer = await fetch("/scene.glb");
+      if (!answer.ok) throw new Error(`the scene's file: ${answer.status}`);
+      this.#drawing ??= new Drawing(this.canvas);
+      const nodes = parseScene(await answer.arrayBuffer());
+      this.#drawing.set(nodes);
+      this.#nodes = nodes;
+      this.#cameras = nodes.filter((node) => node.kind === "camera");
+      this.problem.hidden = true;
+    } catch (error) {
+      this.problem.textContent = error.message;
+      this.problem.hidden = false;
+      this.canvas.hidden = true;
+    }
+    this.#want();
+    this.draw();
+  }
+
+  // At most one drawing a frame of the screen.
+  #ask() {
+    if (this.#asked || !this.#drawing || this.canvas.hidden) return;
+    this.#asked = true;
+    requestAnimationFrame(() => {
+      this.#asked = false;
+      this.#paint();
+    });
+  }
+
+  #paint() {
+    const scale = Math.min(devicePixelRatio, 2);
+    const [width, height] = [this.canvas.clientWidth, this.canvas.clientHeight].map((size) => Math.max(1, Math.round(size * scale)));
+    if (this.canvas.width !== width || this.canvas.height !== height) [this.canvas.width, this.canvas.height] = [width, height];
+    const { centre, turn, tilt, distance } = this.#eye;
+    const away = [Math.cos(tilt) * Math.cos(turn), Math.cos(tilt) * Math.sin(turn), Math.sin(tilt)];
+    const from = centre.map((value, axis) => value + distance * away[axis]);
+    const limits = this.limits.checked;
+    this.#drawing.draw({
+      ...eyeMatrix(from, centre, width / height), from, width, height,
+      background: [0.09, 0.11, 0.13],
+      visible: (node) => limits || node.kind === "thing",
+      lines: this.#cameras.map((camera) => ({ points: frustum(camera), colour: CAMERA_COLOUR })),
+    });
+    this.canvas.dataset.drawn = Number(this.canvas.dataset.drawn ?? 0) + 1;
+  }
+
+  #steer() {
+    const canvas = this.canvas;
+    const held = new Map();
+    canvas.onpointerdown = (event) => {
+      canvas.setPointerCapture(event.pointerId);
+      held.set(event.pointerId, [event.clientX, event.clientY]);
+    };
+    canvas.onpointerup = canvas.onpointercancel = (event) => held.delete(event.pointerId);
+    canvas.oncontextmenu = (event) => event.preventDefault();
+    canvas.onpointermove = (event) => {
+      const before = held.get(event.pointerId);
+      if (!before) return;
+      const [dx, dy] = [event.clientX - before[0], event.clientY - before[1]];
+      if (held.size === 2) {
+        const [other] = [...held].filter(([id]) => id !== event.pointerId).map(([, at]) => at);
+        const apart = (at) => Math.hypot(at[0] - other[0], at[1] - other[1]);
+        this.#zoom(apart(before) / Math.max(1, apart([event.clientX, event.clientY])));
+      } else if (event.buttons & 2 || event.shiftKey) this.#pan(dx, dy);
+      else this.#turn(-0.008 * dx, 0.008 * dy);
+      held.set(event.pointerId, [event.clientX, event.clientY]);
+    };
+    canvas.onwheel = (event) => {
+      event.preventDefault();
+      this.#zoom(Math.exp(0.001 * event.deltaY));
+    };
+    const keys = {
+      ArrowLeft: () => this.#turn(0.1, 0), ArrowRight: () => this.#turn(-0.1, 0),
+      ArrowUp: () => this.#turn(0, 0.1), ArrowDown: () => this.#turn(0, -0.1),
+      PageUp: () => this.#zoom(0.9), PageDown: () => this.#zoom(1.1),
+    };
+    canvas.onkeydown = (event) => {
+      if (!keys[event.key]) return;
+      event.preventDefault();
+      event.stopPropagation();
+      keys[event.key]();
+    };
+  }
+
+  #turn(turn, tilt) {
+    this.#eye.turn += turn;
+    this.#eye.tilt = Math.min(1.5, Math.max(-1.5, this.#eye.tilt + tilt));
+    this.draw();
+  }
+
+  #zoom(factor) {
+    this.#eye.distance = Math.min(1.5, Math.max(0.03, this.#eye.distance * factor));
+    this.draw();
+  }
+
+  #pan(dx, dy) {
+    const { turn, tilt, distance } = this.#eye;
+    const step = (0.73 * distance) / this.canvas.clientHeight;
+    const right = [-Math.sin(turn), Math.cos(turn), 0];
+    const up = [-Math.sin(tilt) * Math.cos(turn), -Math.sin(tilt) * Math.sin(turn), Math.cos(tilt)];
+    this.#eye.centre = this.#eye.centre.map((value, axis) => value + step * (dy * up[axis] - dx * right[axis]));
+    this.draw();
+  }
+}
+
+/** The edges of what a camera sees, as pairs of points: it looks along z, y is down. */
+function frustum({ camera, pose }) {
+  const place = matrix(pose);
+  const world = ([x, y, z]) => [0, 1, 2].map((axis) => place[axis] * x + place[4 + axis] * y + place[8 + axis] * z + place[12 + axis]);
+  const half = FRUSTUM_M * Math.tan(camera.yfov / 2);
+  const wide = half * camera.aspectRatio;
+  const corners = [[-wide, -half], [wide, -half], [wide, half], [-wide, half]].map(([x, y]) => world([x, y, FRUSTUM_M]));
+  const apex = world([0, 0, 0]);
+  const roof = world([0, -1.5 * half, FRUSTUM_M]);
+  return corners.flatMap((corner, index) => [apex, corner, corner, corners[(index + 1) % 4]]).concat([corners[0], roof, roof, corners[1]]);
+}

@@ -1,0 +1,155 @@
+//! The scene in three dimensions: shapes once, as a binary glTF file, then where everything is, as often as the simulation says.
+//!
+//! Everything is in the scene frame, in metres. `glb` writes the file, `safety` what of the limits is drawn.
+
+mod glb;
+mod safety;
+
+use std::sync::Arc;
+
+use axum::body::Bytes;
+use hal::count::count_u32;
+use hal::{Mesh, Pose, TimeNs};
+use trocar_control::config::ArmConfig;
+use trocar_tasks::SimulationError;
+use trocar_tasks::cameras::SceneModel;
+use trocar_tasks::scene::SceneSnapshot;
+
+use super::encode;
+use super::pictures::{Board, Stream};
+use glb::Writer;
+
+/// The file of `model` as it is in `start`, with the limits of `arms`.
+///
+/// Its first nodes are the model's visuals, in their order; the next ones its cameras; what follows does not move.
+pub(super) fn file(
+    model: &SceneModel,
+    start: &SceneSnapshot,
+    arms: &[ArmConfig],
+) -> Result<Bytes, SimulationError> {
+    let mut writer = Writer::default();
+    for (visual, pose) in model.visuals().iter().zip(model.poses(start)) {
+        writer.mesh(visual.name, &visual.mesh, &visual.material, &pose);
+    }
+    for ((name, lens), pose) in model.cameras().zip(model.camera_poses(start)?) {
+        writer.camera(name, &lens, &pose);
+    }
+    safety::draw(&mut writer, arms);
+    Ok(writer.finish().into())
+}
+
+/// Where everything is at one instant, little endian: the head of a picture, then how many poses of visuals, of cameras and how many
+/// bent shapes there are (u32 each); poses as x, y, z in metres and the quaternion x, y, z, w; of each bent shape the number of its visual and of its
+/// vertices (u32 each), then all positions and all normals. Numbers are f32.
+pub(super) fn message(
+    model: &mut SceneModel,
+    snapshot: &SceneSnapshot,
+    stamp: TimeNs,
+) -> Result<Vec<u8>, SimulationError> {
+    let (visuals, cameras) = (model.poses(snapshot), model.camera_poses(snapshot)?);
+    let bent = model.bent(snapshot);
+    let mut bytes = encode::head(Stream::SCENE, stamp);
+    for count in [visuals.len(), cameras.len(), bent.len()] {
+        put_count(&mut bytes, count);
+    }
+    for pose in visuals.iter().chain(&cameras) {
+        put(&mut bytes, &seven(pose));
+    }
+    for (index, mesh) in bent {
+        put_shape(&mut bytes, index, mesh);
+    }
+    Ok(bytes)
+}
+
+fn put_shape(bytes: &mut Vec<u8>, index: usize, mesh: &Mesh) {
+    put_count(bytes, index);
+    put_count(bytes, mesh.positions.len());
+    for vector in mesh.positions.iter().chain(&mesh.normals) {
+        put(bytes, vector);
+    }
+}
+
+fn put_count(bytes: &mut Vec<u8>, count: usize) {
+    bytes.extend(count_u32(count).to_le_bytes());
+}
+
+fn put(bytes: &mut Vec<u8>, numbers: &[f32]) {
+    bytes.extend(numbers.iter().flat_map(|number| number.to_le_bytes()));
+}
+
+/// Position and quaternion (x, y, z, w).
+#[expect(clippy::cast_possible_truncation, reason = "what a page draws")]
+fn seven(pose: &Pose) -> [f32; 7] {
+    let (at, turned) = (pose.translation.vector, pose.rotation.coords);
+    [at.x, at.y, at.z, turned.x, turned.y, turned.z, turned.w].map(|number| number as f32)
+}
+
+/// The scene of a run, on its way to the pages that look at it.
+pub(crate) struct SceneTap {
+    model: SceneModel,
+    board: Arc<Board>,
+}
+
+impl SceneTap {
+    pub(super) const fn new(model: SceneModel, board: Arc<Board>) -> Self {
+        Self { model, board }
+    }
+
+    /// Shows where everything is at `stamp`, if a page looks at it.
+    ///
+    /// # Errors
+    /// [`SimulationError::NoCarrier`] if an arm that carries a camera is not in `snapshot`.
+    pub(crate) fn show(
+        &mut self,
+        snapshot: &SceneSnapshot,
+        stamp: TimeNs,
+    ) -> Result<(), SimulationError> {
+        if self.board.wants(Stream::SCENE) {
+            let message = message(&mut self.model, snapshot, stamp)?;
+            self.board.put_up(Stream::SCENE, message);
+        }
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use trocar_tasks::simulation::{Rendering, Simulation};
+    use trocar_tasks::task::TaskConfig;
+
+    fn u32_at(bytes: &[u8], at: usize) -> usize {
+        u32::from_le_bytes(bytes[at..at + 4].try_into().unwrap()) as usize
+    }
+
+    fn f32_at(bytes: &[u8], at: usize) -> f32 {
+        f32::from_le_bytes(bytes[at..at + 4].try_into().unwrap())
+    }
+
+    /// The message has exactly what it says, and the flap is where the simulation has it.
+    #[test]
+    fn a_message_says_where_everything_is() {
+        for name in TaskConfig::names() {
+            let task = TaskConfig::shipped(name);
+            let simulation = Simulation::new(&task, 3, Rendering::Off).unwrap();
+            let snapshot = simulation.snapshot();
+            let mut model = SceneModel::new(&task, 3);
+            let bytes = message(&mut model, &snapshot, TimeNs(2_000_000_000)).unwrap();
+            assert_eq!(bytes[0], Stream::SCENE.camera);
+            let [visuals, cameras, bent] = [16, 20, 24].map(|at| u32_at(&bytes, at));
+            assert_eq!(visuals, model.visuals().len(), "{name}");
+            assert_eq!(cameras, model.cameras().count(), "{name}");
+            assert_eq!(bent, if snapshot.flap.is_some() { 2 } else { 0 }, "{name}");
+            let last = model.poses(&snapshot).pop().unwrap();
+            let at = 28 + 28 * (visuals - 1);
+            for (axis, expected) in seven(&last).into_iter().enumerate() {
+                assert!((f32_at(&bytes, at + 4 * axis) - expected).abs() < 1e-9);
+            }
+            let mut end = 28 + 28 * (visuals + cameras);
+            for _ in 0..bent {
+                end += 8 + 24 * u32_at(&bytes, end + 4);
+            }
+            assert_eq!(end, bytes.len(), "{name}");
+        }
+    }
+}
