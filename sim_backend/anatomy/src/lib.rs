@@ -1,0 +1,6 @@
+//! Anatomy.
+
+pub mod grid;
+pub mod groups;
+pub mod nifti;
+mod number;
