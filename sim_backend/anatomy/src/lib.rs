@@ -3,5 +3,13 @@
 pub mod grid;
 pub mod groups;
 pub mod nifti;
-mod number;
 pub mod phantom;
+pub mod volume;
+pub mod clean;
+pub mod surface;
+pub mod complex;
+mod smooth;
+mod balance;
+pub mod decimate;
+mod geometry;
+mod number;

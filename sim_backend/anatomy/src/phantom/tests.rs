@@ -25,13 +25,13 @@ fn defects(patient: &Patient, size: Size) -> Vec<String> {
         }
     }
     for (name, least, most) in [
-        ("liver", 0.6e6, 2.2e6),
-        ("spleen", 0.5e5, 2.5e5),
-        ("right kidney", 0.5e5, 2.0e5),
-        ("heart", 1.5e5, 6.0e5),
-        ("left lung", 0.7e6, 3.0e6),
-        ("bladder", 0.5e5, 2.5e5),
-        ("gallbladder", 0.5e4, 3.0e4),
+        ("liver", 0.45e6, 2.2e6),
+        ("spleen", 0.4e5, 2.5e5),
+        ("right kidney", 0.4e5, 2.0e5),
+        ("heart", 1.2e5, 6.0e5),
+        ("left lung", 0.5e6, 3.0e6),
+        ("bladder", 0.4e5, 2.5e5),
+        ("gallbladder", 0.4e4, 3.0e4),
     ] {
         let found = result.parts.iter().find(|part| part.name == name).expect("there");
         if !(least..most).contains(&found.volume_mm3) {
