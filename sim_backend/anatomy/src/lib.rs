@@ -12,4 +12,7 @@ mod smooth;
 mod balance;
 pub mod decimate;
 mod geometry;
+pub mod mesh;
+pub mod atlas;
+pub mod measure;
 mod number;
