@@ -15,4 +15,6 @@ mod geometry;
 pub mod mesh;
 pub mod atlas;
 pub mod measure;
+pub mod assets;
+pub mod build;
 mod number;

@@ -110,3 +110,20 @@ pub fn measure(mesh: &GroupMesh, volume: &Padded) -> Option<Measures> {
         samples: [to_mesh.len(), to_voxels.len()],
     })
 }
+
+/// Whether the middle of each voxel of `grid` lies in `mesh`, the first axis fastest.
+#[cfg(test)]
+pub(crate) fn inside(mesh: &GroupMesh, grid: &Grid) -> Vec<bool> {
+    let positions = in_voxels(mesh, grid).expect("the lattice is not flat");
+    let dims = grid.dims.map(|side| side + 2);
+    let rows = voxelise::crossings(&positions, &mesh.triangles, dims);
+    let mut inside = Vec::with_capacity(grid.len());
+    for z in 1..=grid.dims[2] {
+        for y in 1..=grid.dims[1] {
+            let row = &rows[y + dims[1] * z];
+            let before = |x: usize| row.iter().filter(|crossing| f64::from(**crossing) < real(x)).count();
+            inside.extend((1..=grid.dims[0]).map(|x| before(x) % 2 == 1));
+        }
+    }
+    inside
+}
