@@ -34,7 +34,10 @@ impl Asset<'_> {
 
     /// Places of vertices, m.
     fn metres(&self) -> impl Iterator<Item = [f32; 3]> + '_ {
-        self.mesh.positions.iter().map(|p| [p.x, p.y, p.z].map(|x| single(x * 1e-3)))
+        self.mesh
+            .positions
+            .iter()
+            .map(|p| [p.x, p.y, p.z].map(|x| single(x * 1e-3)))
     }
 }
 
@@ -42,6 +45,9 @@ impl Asset<'_> {
 fn extent(positions: impl Iterator<Item = [f32; 3]>) -> [[f32; 3]; 2] {
     let none = [[f32::INFINITY; 3], [f32::NEG_INFINITY; 3]];
     positions.fold(none, |[low, high], p| {
-        [[0, 1, 2].map(|k| low[k].min(p[k])), [0, 1, 2].map(|k| high[k].max(p[k]))]
+        [
+            [0, 1, 2].map(|k| low[k].min(p[k])),
+            [0, 1, 2].map(|k| high[k].max(p[k])),
+        ]
     })
 }

@@ -49,7 +49,9 @@ fn neighbours(mesh: &GroupMesh) -> Vec<Vec<u32>> {
 
 fn charts(mesh: &GroupMesh) -> Vec<Chart> {
     let neighbours = neighbours(mesh);
-    let directions: Vec<usize> = (0..mesh.triangles.len()).map(|t| direction(&mesh.corners(t))).collect();
+    let directions: Vec<usize> = (0..mesh.triangles.len())
+        .map(|t| direction(&mesh.corners(t)))
+        .collect();
     let mut taken = vec![false; mesh.triangles.len()];
     let mut charts = Vec::new();
     for start in 0..mesh.triangles.len() {

@@ -31,7 +31,10 @@ fn potentials(complex: &Complex, wanted: &[f64]) -> Option<DVector<f64>> {
         laplace[(a, b)] -= area;
         laplace[(b, a)] -= area;
     }
-    let right = DVector::from_fn(GROUPS, |group, _| if group == 0 { 0.0 } else { wanted[group] });
+    let right = DVector::from_fn(
+        GROUPS,
+        |group, _| if group == 0 { 0.0 } else { wanted[group] },
+    );
     // Groups that are not there, and the background, stay at 0.
     for group in 0..GROUPS {
         if group == 0 || laplace[(group, group)] <= 0.0 {
@@ -46,10 +49,14 @@ fn potentials(complex: &Complex, wanted: &[f64]) -> Option<DVector<f64>> {
 /// Moves vertices so that each group has its volume of `targets` (mm³ by group number), none by more than `most_mm`.
 ///
 /// Later rounds take what the first left by curvature.
-pub fn balance(complex: &mut Complex, targets: &[f64], most_mm: f64) {
+pub(crate) fn balance(complex: &mut Complex, targets: &[f64], most_mm: f64) {
     for _ in 0..ROUNDS {
         let volumes = complex.volumes();
-        let wanted: Vec<f64> = targets.iter().zip(&volumes).map(|(target, volume)| target - volume).collect();
+        let wanted: Vec<f64> = targets
+            .iter()
+            .zip(&volumes)
+            .map(|(target, volume)| target - volume)
+            .collect();
         let Some(potentials) = potentials(complex, &wanted) else {
             return;
         };

@@ -174,6 +174,18 @@ pub enum BuildError {
     },
 }
 
+impl BuildError {
+    /// Whether the volume is at fault, rather than the work itself.
+    #[must_use]
+    pub const fn is_bad_input(&self) -> bool {
+        match self {
+            Self::Volume(error) => !matches!(error, NiftiError::Unwritable { .. }),
+            Self::Empty { .. } => true,
+            Self::Unwritable { .. } => false,
+        }
+    }
+}
+
 /// The meshes of a patient, and the report on them.
 #[derive(Clone, Debug)]
 pub struct Patient {
@@ -273,7 +285,11 @@ fn build_volume(
     let triangles_fine = fine.triangles.len();
     watch(Stage::Decimate);
     let mut complex = decimate(fine, DECIMATION_SHARE * options.max_error_mm);
-    balance(&mut complex, &targets(&volume), (1.0 - DECIMATION_SHARE) * options.max_error_mm);
+    balance(
+        &mut complex,
+        &targets(&volume),
+        (1.0 - DECIMATION_SHARE) * options.max_error_mm,
+    );
     watch(Stage::Meshes);
     let meshes = meshes(&complex, groups);
     watch(Stage::Measure);
@@ -331,7 +347,11 @@ pub fn write(patient: &Patient, groups: &Groups, folder: &Path) -> Result<(), Bu
     let (binary, text) = rayon::join(|| glb(&assets), || usda(&assets));
     let report = serde_json::to_string_pretty(&patient.report).map_err(io::Error::other);
     let report = report.map_err(unwritable(&folder.join("patient.json")))?;
-    let files = [("patient.glb", binary), ("patient.usda", text.into_bytes()), ("patient.json", report.into_bytes())];
+    let files = [
+        ("patient.glb", binary),
+        ("patient.usda", text.into_bytes()),
+        ("patient.json", report.into_bytes()),
+    ];
     for (name, bytes) in files {
         let path = folder.join(name);
         fs::write(&path, bytes).map_err(unwritable(&path))?;

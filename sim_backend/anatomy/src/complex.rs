@@ -26,7 +26,8 @@ impl Complex {
         let mut sides = Vec::with_capacity(2 * net.quads.len());
         for (quad, side) in net.quads.into_iter().zip(net.sides) {
             let [a, b, c, d] = quad;
-            let length = |a: u32, b: u32| (positions[a as usize] - positions[b as usize]).norm_squared();
+            let length =
+                |a: u32, b: u32| (positions[a as usize] - positions[b as usize]).norm_squared();
             let pair = if length(a, c) <= length(b, d) {
                 [[a, b, c], [a, c, d]]
             } else {

@@ -43,7 +43,10 @@ pub fn decimate(complex: Complex, error_mm: f64) -> Complex {
     let parts = split(&complex);
     let count = complex.positions.len();
     drop(complex);
-    let parts: Vec<Sampled> = parts.into_par_iter().map(|part| State::new(part).run(error_mm)).collect();
+    let parts: Vec<Sampled> = parts
+        .into_par_iter()
+        .map(|part| State::new(part).run(error_mm))
+        .collect();
     let whole = merge(parts, count);
     State::new(whole).run(error_mm).complex
 }
@@ -51,13 +54,20 @@ pub fn decimate(complex: Complex, error_mm: f64) -> Complex {
 /// Slabs of about [`PART`] triangles across the longest side, with one sample a vertex.
 fn split(complex: &Complex) -> Vec<Sampled> {
     let (low, high) = complex.positions.iter().fold(
-        (Point3::from([f64::INFINITY; 3]), Point3::from([f64::NEG_INFINITY; 3])),
+        (
+            Point3::from([f64::INFINITY; 3]),
+            Point3::from([f64::NEG_INFINITY; 3]),
+        ),
         |(low, high), p| (low.inf(p), high.sup(p)),
     );
     let axis = (high - low).imax();
     let count = complex.triangles.len().div_ceil(PART);
     let slab = |triangle: &[u32; 3]| {
-        let middle = triangle.iter().map(|v| complex.positions[*v as usize][axis]).sum::<f64>() / 3.0;
+        let middle = triangle
+            .iter()
+            .map(|v| complex.positions[*v as usize][axis])
+            .sum::<f64>()
+            / 3.0;
         let share = (middle - low[axis]) / (high[axis] - low[axis]).max(1e-9);
         floor_to(share * real(count), count.saturating_sub(1))
     };
@@ -73,7 +83,10 @@ fn split(complex: &Complex) -> Vec<Sampled> {
             owners[v] = index(slab);
         }
     }
-    lists.par_iter().map(|list| part(complex, list, &shared)).collect()
+    lists
+        .par_iter()
+        .map(|list| part(complex, list, &shared))
+        .collect()
 }
 
 /// The triangles of `list` with vertices of their own; a vertex is sampled where it is first met, a shared one in each part.
@@ -82,8 +95,14 @@ fn part(complex: &Complex, list: &[usize], shared: &[bool]) -> Sampled {
     vertices.sort_unstable();
     vertices.dedup();
     let local = |v: u32| vertices.binary_search(&v).map_or(u32::MAX, index);
-    let triangles: Vec<[u32; 3]> = list.iter().map(|t| complex.triangles[*t].map(local)).collect();
-    let positions: Vec<_> = vertices.iter().map(|v| complex.positions[*v as usize]).collect();
+    let triangles: Vec<[u32; 3]> = list
+        .iter()
+        .map(|t| complex.triangles[*t].map(local))
+        .collect();
+    let positions: Vec<_> = vertices
+        .iter()
+        .map(|v| complex.positions[*v as usize])
+        .collect();
     let mut sampled = vec![u32::MAX; vertices.len()];
     for (triangle, corners) in triangles.iter().enumerate() {
         for v in corners {
@@ -122,13 +141,22 @@ fn merge(parts: Vec<Sampled>, count: usize) -> Sampled {
                 }
             })
             .collect();
-        let moved = part.complex.triangles.iter().map(|t| t.map(|v| places[v as usize]));
+        let moved = part
+            .complex
+            .triangles
+            .iter()
+            .map(|t| t.map(|v| places[v as usize]));
         merged.complex.triangles.extend(moved);
         merged.complex.sides.extend(part.complex.sides);
         merged.samples.extend(part.samples);
-        merged.sampled.extend(part.sampled.iter().map(|t| t + first));
+        merged
+            .sampled
+            .extend(part.sampled.iter().map(|t| t + first));
     }
-    assert!(merged.complex.positions.len() <= count, "decimation adds no vertices");
+    assert!(
+        merged.complex.positions.len() <= count,
+        "decimation adds no vertices"
+    );
     merged.locked = vec![false; merged.complex.positions.len()];
     merged.whole = (0..index(merged.complex.positions.len())).collect();
     merged

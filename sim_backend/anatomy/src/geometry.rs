@@ -65,7 +65,10 @@ mod tests {
                 .flat_map(|i| (0..=40 - i).map(move |j| (f64::from(i) / 40.0, f64::from(j) / 40.0)))
                 .map(|(u, v)| (p - (a + (b - a) * u + (c - a) * v)).norm())
                 .fold(f64::INFINITY, f64::min);
-            assert!(found <= best + 1e-12 && found > best - 0.1, "{found} {best}");
+            assert!(
+                found <= best + 1e-12 && found > best - 0.1,
+                "{found} {best}"
+            );
         }
     }
 }

@@ -75,10 +75,19 @@ fn paper_groups() -> Result<Vec<Group>, ConfigError> {
     let source = Source::embedded("config/anatomy/groups.toml", text);
     let groups = source.parse::<GroupsFile>()?.groups;
     for (i, group) in groups.iter().enumerate() {
-        for value in group.colour.into_iter().chain([group.roughness, group.wetness]) {
+        for value in group
+            .colour
+            .into_iter()
+            .chain([group.roughness, group.wetness])
+        {
             source.check_range(&format!("groups.{i}"), value, 0.0, 1.0)?;
         }
-        source.check_range(&format!("groups.{i}.density_kg_m3"), group.density_kg_m3, 1.0, 2e4)?;
+        source.check_range(
+            &format!("groups.{i}.density_kg_m3"),
+            group.density_kg_m3,
+            1.0,
+            2e4,
+        )?;
     }
     let count = groups.len().to_string();
     if groups.len() > GROUPS_MAX {
@@ -127,7 +136,11 @@ impl Groups {
             None => Ok(()),
             Some(_) => {
                 let key = format!("{key}.{label}");
-                Err(source.out_of_range(&key, "a label", "those that stand nowhere else in the table"))
+                Err(source.out_of_range(
+                    &key,
+                    "a label",
+                    "those that stand nowhere else in the table",
+                ))
             }
         };
         for label in numbers(source, "left_out", &file.left_out) {
@@ -136,10 +149,12 @@ impl Groups {
         for (name, members) in &file.groups {
             let key = format!("groups.{name}");
             let found = groups.iter().position(|group| group.name == *name);
-            let group = found.and_then(|found| u8::try_from(found + 1).ok()).ok_or_else(|| {
-                let names: Vec<&str> = groups.iter().map(|group| group.name.as_str()).collect();
-                source.out_of_range(&key, name, &names.join(", "))
-            })?;
+            let group = found
+                .and_then(|found| u8::try_from(found + 1).ok())
+                .ok_or_else(|| {
+                    let names: Vec<&str> = groups.iter().map(|group| group.name.as_str()).collect();
+                    source.out_of_range(&key, name, &names.join(", "))
+                })?;
             for label in numbers(source, &key, members) {
                 add(&key, label?, group)?;
             }
@@ -217,9 +232,15 @@ mod tests {
     #[test]
     fn wrong_tables_are_refused_with_line_and_key() {
         for (text, message) in [
-            ("[groups.liver]\n1 = \"liver\"\n[groups.spleen]\n1 = \"spleen\"", "t.toml:4: groups.spleen.1"),
+            (
+                "[groups.liver]\n1 = \"liver\"\n[groups.spleen]\n1 = \"spleen\"",
+                "t.toml:4: groups.spleen.1",
+            ),
             ("[groups.brain]\n1 = \"brain\"", "t.toml:1: groups.brain"),
-            ("[groups.liver]\n70000 = \"liver\"", "t.toml:2: groups.liver.70000"),
+            (
+                "[groups.liver]\n70000 = \"liver\"",
+                "t.toml:2: groups.liver.70000",
+            ),
             ("[group.liver]\n1 = \"liver\"", "unknown field"),
         ] {
             let error = Groups::parse("t.toml", &Source::embedded("t.toml", text)).expect_err(text);

@@ -1,20 +1,20 @@
-//! Anatomy.
+#![doc = include_str!("../README.md")]
 
-pub mod grid;
-pub mod groups;
-pub mod nifti;
-pub mod phantom;
-pub mod volume;
-pub mod clean;
-pub mod surface;
-pub mod complex;
-mod smooth;
+pub mod assets;
+pub mod atlas;
 mod balance;
+pub mod build;
+pub mod clean;
+pub mod complex;
 pub mod decimate;
 mod geometry;
-pub mod mesh;
-pub mod atlas;
+pub mod grid;
+pub mod groups;
 pub mod measure;
-pub mod assets;
-pub mod build;
+pub mod mesh;
+pub mod nifti;
 mod number;
+pub mod phantom;
+mod smooth;
+pub mod surface;
+pub mod volume;

@@ -46,7 +46,9 @@ pub struct Measures {
 /// The mesh's vertices in voxel coordinates of the padded volume.
 fn in_voxels(mesh: &GroupMesh, grid: &Grid) -> Option<Vec<Point3<f64>>> {
     let voxel_from_world = grid.voxel_from_world()?;
-    let place = |p: &Point3<f64>| Point3::from(voxel_from_world * (p.coords - grid.origin)) + nalgebra::Vector3::repeat(1.0);
+    let place = |p: &Point3<f64>| {
+        Point3::from(voxel_from_world * (p.coords - grid.origin)) + nalgebra::Vector3::repeat(1.0)
+    };
     Some(mesh.positions.iter().map(place).collect())
 }
 
@@ -79,7 +81,9 @@ fn points_on(positions: &[Point3<f64>], triangles: &[[u32; 3]], seed: u64) -> Ve
 
 /// Largest, and sum.
 fn largest_and_sum(distances: &[f64]) -> (f64, f64) {
-    distances.iter().fold((0.0, 0.0), |(most, sum), d| (f64::max(most, *d), sum + d))
+    distances
+        .iter()
+        .fold((0.0, 0.0), |(most, sum), d| (f64::max(most, *d), sum + d))
 }
 
 /// Measures `mesh` against its voxels in `volume`; none if the lattice is flat or the group has no voxels.
@@ -94,8 +98,12 @@ pub fn measure(mesh: &GroupMesh, volume: &Padded) -> Option<Measures> {
     let nearest = Nearest::new(&positions, &mesh.triangles);
     let to_mesh: Vec<f64> = faces.par_iter().map(|p| nearest.distance(p)).collect();
     let points = points_on(&positions, &mesh.triangles, u64::from(group));
-    let to_voxels: Vec<f64> = points.par_iter().map(|p| distance_to_boundary(volume, group, p)).collect();
-    let ((most_a, sum_a), (most_b, sum_b)) = (largest_and_sum(&to_mesh), largest_and_sum(&to_voxels));
+    let to_voxels: Vec<f64> = points
+        .par_iter()
+        .map(|p| distance_to_boundary(volume, group, p))
+        .collect();
+    let ((most_a, sum_a), (most_b, sum_b)) =
+        (largest_and_sum(&to_mesh), largest_and_sum(&to_voxels));
     let (voxels, inside, both) = voxelise::compare(&positions, &mesh.triangles, volume, group);
     let voxels_mm3 = real(voxels) * volume.grid.voxel_mm3();
     let mesh_mm3 = mesh.volume_mm3();
@@ -121,7 +129,11 @@ pub(crate) fn inside(mesh: &GroupMesh, grid: &Grid) -> Vec<bool> {
     for z in 1..=grid.dims[2] {
         for y in 1..=grid.dims[1] {
             let row = &rows[y + dims[1] * z];
-            let before = |x: usize| row.iter().filter(|crossing| f64::from(**crossing) < real(x)).count();
+            let before = |x: usize| {
+                row.iter()
+                    .filter(|crossing| f64::from(**crossing) < real(x))
+                    .count()
+            };
             inside.extend((1..=grid.dims[0]).map(|x| before(x) % 2 == 1));
         }
     }

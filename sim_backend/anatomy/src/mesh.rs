@@ -65,7 +65,10 @@ impl GroupMesh {
                 continue;
             };
             for i in 0..3 {
-                let (left, right) = (corners[(i + 1) % 3] - corners[i], corners[(i + 2) % 3] - corners[i]);
+                let (left, right) = (
+                    corners[(i + 1) % 3] - corners[i],
+                    corners[(i + 2) % 3] - corners[i],
+                );
                 sums[self.triangles[triangle][i] as usize] += normal * left.angle(&right);
             }
         }
@@ -104,9 +107,7 @@ impl GroupMesh {
     #[must_use]
     pub fn is_watertight(&self) -> bool {
         let edges = self.edges();
-        let closed = |pair: &[(u32, u32, u32, bool)]| {
-            pair.len() == 2 && pair[0].3 != pair[1].3
-        };
+        let closed = |pair: &[(u32, u32, u32, bool)]| pair.len() == 2 && pair[0].3 != pair[1].3;
         !edges.is_empty() && edges.chunk_by(|a, b| (a.0, a.1) == (b.0, b.1)).all(closed)
     }
 }

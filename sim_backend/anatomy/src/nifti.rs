@@ -25,17 +25,28 @@ pub const SIDE_MAX: usize = 4096;
 /// What is wrong with a volume.
 #[derive(Debug, thiserror::Error)]
 pub enum NiftiError {
-    /// The file can't be read or written.
-    #[error("{path}: cannot be read or written")]
-    File {
+    /// The file can't be read.
+    #[error("{path}: cannot be read")]
+    Unreadable {
         /// The file.
         path: String,
         /// The system's reason; of a damaged gzip stream, the decoder's.
         #[source]
         source: io::Error,
     },
+    /// The file can't be written.
+    #[error("{path}: cannot be written")]
+    Unwritable {
+        /// The file.
+        path: String,
+        /// The system's reason.
+        #[source]
+        source: io::Error,
+    },
     /// The file ends before its voxels do.
-    #[error("{path}: the file ends within slice {slice} of {slices}: it is cut off or its header is wrong")]
+    #[error(
+        "{path}: the file ends within slice {slice} of {slices}: it is cut off or its header is wrong"
+    )]
     Cut {
         /// The file.
         path: String,

@@ -36,7 +36,9 @@ impl Star {
         let around = self.groups.iter().fold(0, |all, groups| all | groups);
         let least = if around.count_ones() > 2 { 3 } else { 2 };
         let pairs = self.neighbours.iter().zip(&self.groups);
-        pairs.filter(move |(_, groups)| groups.count_ones() >= least).map(|(neighbour, _)| *neighbour)
+        pairs
+            .filter(move |(_, groups)| groups.count_ones() >= least)
+            .map(|(neighbour, _)| *neighbour)
     }
 }
 
@@ -113,7 +115,13 @@ impl Neighbours {
 }
 
 /// Where a vertex at `here` goes, of which `begin` is the beginning.
-fn moved(here: &Point3<f64>, begin: &Point3<f64>, neighbours: &[u32], all: &[Point3<f64>], step: f64) -> Point3<f64> {
+fn moved(
+    here: &Point3<f64>,
+    begin: &Point3<f64>,
+    neighbours: &[u32],
+    all: &[Point3<f64>],
+    step: f64,
+) -> Point3<f64> {
     if neighbours.len() < 2 {
         return *here;
     }

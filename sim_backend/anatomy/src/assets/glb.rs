@@ -53,23 +53,37 @@ struct Document {
 
 impl Document {
     /// Adds numbers as a view and an accessor; the accessor's index.
-    fn add(&mut self, numbers: impl Iterator<Item = [u8; 4]>, target: u32, mut accessor: Value) -> usize {
+    fn add(
+        &mut self,
+        numbers: impl Iterator<Item = [u8; 4]>,
+        target: u32,
+        mut accessor: Value,
+    ) -> usize {
         let offset = self.bytes.len();
         self.bytes.extend(numbers.flatten());
         let length = self.bytes.len() - offset;
-        self.views.push(json!({"buffer": 0, "byteOffset": offset, "byteLength": length, "target": target}));
+        self.views.push(
+            json!({"buffer": 0, "byteOffset": offset, "byteLength": length, "target": target}),
+        );
         accessor["bufferView"] = json!(self.views.len() - 1);
         self.accessors.push(accessor);
         self.accessors.len() - 1
     }
 
-    fn floats(&mut self, vectors: &[impl AsRef<[f32]>], kind: &str, bounds: Option<[[f32; 3]; 2]>) -> usize {
+    fn floats(
+        &mut self,
+        vectors: &[impl AsRef<[f32]>],
+        kind: &str,
+        bounds: Option<[[f32; 3]; 2]>,
+    ) -> usize {
         let mut accessor = json!({"componentType": 5126, "count": vectors.len(), "type": kind});
         if let Some([low, high]) = bounds {
             accessor["min"] = json!(low);
             accessor["max"] = json!(high);
         }
-        let numbers = vectors.iter().flat_map(|v| v.as_ref().iter().map(|x| x.to_le_bytes()));
+        let numbers = vectors
+            .iter()
+            .flat_map(|v| v.as_ref().iter().map(|x| x.to_le_bytes()));
         self.add(numbers, 34962, accessor)
     }
 
@@ -79,8 +93,13 @@ impl Document {
         let position = self.floats(&split.positions, "VEC3", Some(bounds));
         let normal = self.floats(&split.normals, "VEC3", None);
         let uv = self.floats(&split.uv, "VEC2", None);
-        let accessor = json!({"componentType": 5125, "count": split.indices.len(), "type": "SCALAR"});
-        let indices = self.add(split.indices.iter().map(|i| i.to_le_bytes()), 34963, accessor);
+        let accessor =
+            json!({"componentType": 5125, "count": split.indices.len(), "type": "SCALAR"});
+        let indices = self.add(
+            split.indices.iter().map(|i| i.to_le_bytes()),
+            34963,
+            accessor,
+        );
         let group = asset.group;
         self.materials.push(material(asset));
         self.meshes.push(json!({
@@ -103,7 +122,9 @@ impl Document {
         let children: Vec<usize> = (0..self.nodes.len()).collect();
         let mut nodes = self.nodes.clone();
         // From z upwards to y upwards.
-        nodes.push(json!({"name": "patient", "rotation": [-half, 0.0, 0.0, half], "children": children}));
+        nodes.push(
+            json!({"name": "patient", "rotation": [-half, 0.0, 0.0, half], "children": children}),
+        );
         json!({
             "asset": {"version": "2.0", "generator": "trocar anatomy", "extras": {"frame": "RAS of the scan, m"}},
             "extensionsUsed": ["KHR_materials_clearcoat"],
@@ -143,10 +164,12 @@ pub fn glb(assets: &[Asset<'_>]) -> Vec<u8> {
     }
     let mut json = document.json().to_string().into_bytes();
     json.resize(json.len().next_multiple_of(4), b' ');
-    document.bytes.resize(document.bytes.len().next_multiple_of(4), 0);
+    document
+        .bytes
+        .resize(document.bytes.len().next_multiple_of(4), 0);
     let total = 12 + 8 + json.len() + 8 + document.bytes.len();
     let mut file = Vec::with_capacity(total);
-    let mut word = |file: &mut Vec<u8>, value: u32| file.extend(value.to_le_bytes());
+    let word = |file: &mut Vec<u8>, value: u32| file.extend(value.to_le_bytes());
     file.extend(b"glTF");
     word(&mut file, 2);
     word(&mut file, index(total));

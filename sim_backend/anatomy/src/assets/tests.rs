@@ -12,7 +12,12 @@ use crate::mesh::GroupMesh;
 fn tetrahedron() -> GroupMesh {
     let at = |x: f64, y: f64, z: f64| Point3::new(x, y, z);
     let mut mesh = GroupMesh {
-        positions: vec![at(0.0, 0.0, 0.0), at(60.0, 0.0, 0.0), at(0.0, 60.0, 0.0), at(0.0, 0.0, 60.0)],
+        positions: vec![
+            at(0.0, 0.0, 0.0),
+            at(60.0, 0.0, 0.0),
+            at(0.0, 60.0, 0.0),
+            at(0.0, 0.0, 60.0),
+        ],
         triangles: vec![[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]],
         normals: vec![[1.0, 0.0, 0.0]; 4],
         ..GroupMesh::default()
@@ -36,7 +41,8 @@ fn glb_is_two_chunks_whose_views_lie_in_the_buffer() {
     let length = word(20 + word(12));
     assert_eq!(json["buffers"][0]["byteLength"], length);
     for view in json["bufferViews"].as_array().expect("views") {
-        let end = view["byteOffset"].as_u64().expect("a number") + view["byteLength"].as_u64().expect("a number");
+        let end = view["byteOffset"].as_u64().expect("a number")
+            + view["byteLength"].as_u64().expect("a number");
         assert!(end <= length as u64);
     }
     assert_eq!(json["accessors"][3]["count"], 12);
@@ -55,7 +61,13 @@ fn usda_has_points_in_metres_and_mass() {
     // 60³ / 6 mm³ of 1060 kg/m³.
     assert!((asset.mass_kg() - 36e-6 * 1060.0).abs() < 1e-12);
     let text = usda(&[asset]);
-    for part in ["metersPerUnit = 1", "upAxis = \"Z\"", "def Mesh \"liver\"", "(0.06, 0, 0)", "semantics:labels:class = [\"liver\"]"] {
+    for part in [
+        "metersPerUnit = 1",
+        "upAxis = \"Z\"",
+        "def Mesh \"liver\"",
+        "(0.06, 0, 0)",
+        "semantics:labels:class = [\"liver\"]",
+    ] {
         assert!(text.contains(part), "{part}");
     }
     assert_eq!(text.matches('{').count(), text.matches('}').count());

@@ -84,18 +84,35 @@ fn mesh(text: &mut String, asset: &Asset<'_>) {
         asset.mass_kg()
     );
     let [r, g, b] = group.colour;
-    let _written = writeln!(text, "        color3f[] primvars:displayColor = [({r}, {g}, {b})]");
+    let _written = writeln!(
+        text,
+        "        color3f[] primvars:displayColor = [({r}, {g}, {b})]"
+    );
     let [low, high] = extent(asset.metres()).map(vector);
     let _written = writeln!(text, "        float3[] extent = [{low}, {high}]");
     list(text, "point3f[] points", asset.metres().map(vector), "");
     let normals = mesh.normals.iter().copied().map(vector);
-    list(text, "normal3f[] normals", normals, " (\n            interpolation = \"vertex\"\n        )");
+    list(
+        text,
+        "normal3f[] normals",
+        normals,
+        " (\n            interpolation = \"vertex\"\n        )",
+    );
     let counts = mesh.triangles.iter().map(|_| "3".to_owned());
     list(text, "int[] faceVertexCounts", counts, "");
     let indices = mesh.triangles.as_flattened().iter().map(u32::to_string);
     list(text, "int[] faceVertexIndices", indices, "");
-    let uv = mesh.uv.as_flattened().iter().map(|[u, v]| format!("({u}, {v})"));
-    list(text, "texCoord2f[] primvars:st", uv, " (\n            interpolation = \"faceVarying\"\n        )");
+    let uv = mesh
+        .uv
+        .as_flattened()
+        .iter()
+        .map(|[u, v]| format!("({u}, {v})"));
+    list(
+        text,
+        "texCoord2f[] primvars:st",
+        uv,
+        " (\n            interpolation = \"faceVarying\"\n        )",
+    );
     text.push_str("    }\n\n");
 }
 

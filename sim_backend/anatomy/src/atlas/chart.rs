@@ -53,7 +53,10 @@ impl Chart {
         }
     }
 
-    #[expect(clippy::cast_possible_truncation, reason = "cells of a body some metres in size")]
+    #[expect(
+        clippy::cast_possible_truncation,
+        reason = "cells of a body some metres in size"
+    )]
     fn cells_of(&self, corners: &[Point2<f64>; 3]) -> impl Iterator<Item = (i64, i64)> + use<> {
         let [a, b, c] = corners;
         let (low, high) = (a.inf(b).inf(c), a.sup(b).sup(c));
@@ -65,14 +68,25 @@ impl Chart {
     /// Adds a triangle if it covers none that is there.
     pub(super) fn take(&mut self, triangle: usize, corners: [Point2<f64>; 3]) -> bool {
         let cells: Vec<(i64, i64)> = self.cells_of(&corners).collect();
-        let mut near: Vec<usize> = cells.iter().filter_map(|cell| self.cells.get(cell)).flatten().copied().collect();
+        let mut near: Vec<usize> = cells
+            .iter()
+            .filter_map(|cell| self.cells.get(cell))
+            .flatten()
+            .copied()
+            .collect();
         near.sort_unstable();
         near.dedup();
-        if near.into_iter().any(|other| overlap(&corners, &self.triangles[other].1)) {
+        if near
+            .into_iter()
+            .any(|other| overlap(&corners, &self.triangles[other].1))
+        {
             return false;
         }
         for cell in cells {
-            self.cells.entry(cell).or_default().push(self.triangles.len());
+            self.cells
+                .entry(cell)
+                .or_default()
+                .push(self.triangles.len());
         }
         for p in corners {
             self.low = self.low.inf(&p);

@@ -20,7 +20,9 @@ impl Place {
     /// Where a point of the chart comes to lie.
     pub(super) fn of(&self, p: &Point2<f64>) -> Point2<f64> {
         let inside = p - self.low;
-        let turned = self.turned.map_or(inside, |height| Vector2::new(height - inside.y, inside.x));
+        let turned = self
+            .turned
+            .map_or(inside, |height| Vector2::new(height - inside.y, inside.x));
         self.at + turned
     }
 }
@@ -28,7 +30,10 @@ impl Place {
 /// Places for all charts in a square, and its side. The square is the smallest of some that suffices.
 pub(super) fn pack(charts: &[Chart]) -> (Vec<Place>, f64) {
     let area: f64 = charts.iter().map(|chart| chart.size().product()).sum();
-    let longest = charts.iter().map(|chart| chart.size().max()).fold(1e-6, f64::max);
+    let longest = charts
+        .iter()
+        .map(|chart| chart.size().max())
+        .fold(1e-6, f64::max);
     let mut side = area.sqrt().max(longest);
     loop {
         if let Some(places) = shelves(charts, side) {
@@ -46,7 +51,11 @@ fn shelves(charts: &[Chart], side: f64) -> Option<Vec<Place>> {
         [size.max(), size.min()]
     };
     let mut order: Vec<usize> = (0..charts.len()).collect();
-    order.sort_by(|a, b| lying(&charts[*b])[1].total_cmp(&lying(&charts[*a])[1]).then(a.cmp(b)));
+    order.sort_by(|a, b| {
+        lying(&charts[*b])[1]
+            .total_cmp(&lying(&charts[*a])[1])
+            .then(a.cmp(b))
+    });
     let mut places: Vec<Option<Place>> = charts.iter().map(|_| None).collect();
     let (mut x, mut y, mut shelf) = (gutter, gutter, 0.0);
     for i in order {

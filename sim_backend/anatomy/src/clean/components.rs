@@ -45,7 +45,11 @@ impl Runs {
             rows.push(runs.len());
         }
         let parents = (0..index(runs.len())).collect();
-        Self { runs, rows, parents }
+        Self {
+            runs,
+            rows,
+            parents,
+        }
     }
 
     fn root(&mut self, mut run: u32) -> u32 {
@@ -63,7 +67,10 @@ impl Runs {
             for run in self.rows[row] + 1..self.rows[row + 1] {
                 meet(index(run - 1), index(run), 1);
             }
-            let before = [(row % dims[1] > 0).then(|| row - 1), row.checked_sub(dims[1])];
+            let before = [
+                (row % dims[1] > 0).then(|| row - 1),
+                row.checked_sub(dims[1]),
+            ];
             for other in before.into_iter().flatten() {
                 self.row_contacts(other, row, &mut meet);
             }
@@ -74,7 +81,10 @@ impl Runs {
         let (mut i, mut j) = (self.rows[a], self.rows[b]);
         while i < self.rows[a + 1] && j < self.rows[b + 1] {
             let (left, right) = (&self.runs[i], &self.runs[j]);
-            let shared = left.end.min(right.end).saturating_sub(left.start.max(right.start));
+            let shared = left
+                .end
+                .min(right.end)
+                .saturating_sub(left.start.max(right.start));
             if shared > 0 {
                 meet(index(i), index(j), shared);
             }
@@ -103,7 +113,9 @@ impl Runs {
 
     /// The root of every run.
     fn roots(&mut self) -> Vec<u32> {
-        (0..index(self.runs.len())).map(|run| self.root(run)).collect()
+        (0..index(self.runs.len()))
+            .map(|run| self.root(run))
+            .collect()
     }
 
     fn pieces(&self, roots: &[u32], dims: [usize; 3]) -> Vec<Piece> {
@@ -173,7 +185,10 @@ pub fn remove_islands(volume: &mut Padded, least: u64) -> Cleaned {
         .iter()
         .filter_map(|(&root, contacts)| {
             let group = runs.runs[root as usize].group;
-            Some((root, verdict(group, &pieces[root as usize], contacts, least)?))
+            Some((
+                root,
+                verdict(group, &pieces[root as usize], contacts, least)?,
+            ))
         })
         .collect();
     repaint(volume, &runs, &roots, &verdicts);

@@ -72,7 +72,9 @@ fn random_volumes_come_to_touch_nowhere() {
     let ranks = [u32::MAX, 3, 1, 2];
     for seed in 0..20 {
         let mut random = SplitMix64::new(seed);
-        let values: Vec<u8> = (0..1000).map(|_| u8::try_from(random.below(4)).expect("small")).collect();
+        let values: Vec<u8> = (0..1000)
+            .map(|_| u8::try_from(random.below(4)).expect("small"))
+            .collect();
         let mut noise = volume(10, |x, y, z| values[x + 10 * y + 100 * z]);
         assert!(is_touching(&noise));
         assert!(separate_touching(&mut noise, &ranks) > 0);
@@ -83,7 +85,10 @@ fn random_volumes_come_to_touch_nowhere() {
 #[test]
 fn solids_are_left_as_they_are() {
     let ball = |x: usize, y: usize, z: usize| {
-        let r2 = [x, y, z].iter().map(|&c| (c as i64 - 10).pow(2)).sum::<i64>();
+        let r2 = [x, y, z]
+            .iter()
+            .map(|&c| (c as i64 - 10).pow(2))
+            .sum::<i64>();
         u8::from(r2 < 60)
     };
     let mut volume = volume(21, ball);

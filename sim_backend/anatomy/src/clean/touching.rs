@@ -79,13 +79,17 @@ fn critical_in_slice(volume: &Padded, z: usize) -> Vec<usize> {
 /// Indices of the blocks that the voxel with the index `voxel` is in.
 fn blocks_of(voxel: usize, strides: [usize; 3]) -> impl Iterator<Item = usize> {
     (0..8).map(move |corner| {
-        (0..3).filter(|axis| corner >> axis & 1 == 1).fold(voxel, |at, axis| at - strides[axis])
+        (0..3)
+            .filter(|axis| corner >> axis & 1 == 1)
+            .fold(voxel, |at, axis| at - strides[axis])
     })
 }
 
 /// Critical groups in all blocks around a voxel.
 fn criticals_around(voxels: &[u8], strides: [usize; 3], voxel: usize) -> usize {
-    blocks_of(voxel, strides).map(|at| criticals(block(voxels, strides, at))).sum()
+    blocks_of(voxel, strides)
+        .map(|at| criticals(block(voxels, strides, at)))
+        .sum()
 }
 
 /// The change of one voxel in the block at `at`, to a group of lower rank in it, that leaves the fewest critical places around.
@@ -94,7 +98,9 @@ fn best_change(volume: &mut Padded, ranks: &[u32], at: usize) -> Option<(usize, 
     let groups = block(&volume.voxels, strides, at);
     let mut best: Option<(usize, usize, u8)> = None;
     for (corner, from) in groups.into_iter().enumerate() {
-        let voxel = (0..3).filter(|axis| corner >> axis & 1 == 1).fold(at, |at, axis| at + strides[axis]);
+        let voxel = (0..3)
+            .filter(|axis| corner >> axis & 1 == 1)
+            .fold(at, |at, axis| at + strides[axis]);
         if is_margin(volume, voxel) {
             continue;
         }
@@ -115,7 +121,11 @@ fn best_change(volume: &mut Padded, ranks: &[u32], at: usize) -> Option<(usize, 
 
 fn is_margin(volume: &Padded, voxel: usize) -> bool {
     let [width, height, depth] = volume.dims;
-    let [x, y, z] = [voxel % width, voxel / width % height, voxel / width / height];
+    let [x, y, z] = [
+        voxel % width,
+        voxel / width % height,
+        voxel / width / height,
+    ];
     x == 0 || y == 0 || z == 0 || x == width - 1 || y == height - 1 || z == depth - 1
 }
 
@@ -124,7 +134,10 @@ fn is_margin(volume: &Padded, voxel: usize) -> bool {
 /// A voxel only ever goes to a group of lower rank (`ranks` by group number, all different), so this ends.
 pub fn separate_touching(volume: &mut Padded, ranks: &[u32]) -> u64 {
     let slices = 0..volume.dims[2] - 1;
-    let mut waiting: Vec<usize> = slices.into_par_iter().flat_map_iter(|z| critical_in_slice(volume, z)).collect();
+    let mut waiting: Vec<usize> = slices
+        .into_par_iter()
+        .flat_map_iter(|z| critical_in_slice(volume, z))
+        .collect();
     let strides = volume.strides();
     let mut changes = 0;
     while let Some(at) = waiting.pop() {

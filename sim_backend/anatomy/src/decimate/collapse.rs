@@ -26,7 +26,10 @@ struct Trial {
 /// Height over the longest side, to that side.
 fn shape(corners: &[Point3<f64>; 3]) -> f64 {
     let [a, b, c] = corners;
-    let longest = (b - a).norm_squared().max((c - b).norm_squared()).max((a - c).norm_squared());
+    let longest = (b - a)
+        .norm_squared()
+        .max((c - b).norm_squared())
+        .max((a - c).norm_squared());
     normal(corners).1 / longest
 }
 
@@ -43,7 +46,9 @@ impl State {
             (Kind::Sheet, Kind::Line) => Some(b),
             (Kind::Fixed, Kind::Line) => (on_line && !self.is_locked(u)).then_some(a),
             (Kind::Line, Kind::Fixed) => (on_line && !self.is_locked(v)).then_some(b),
-            (Kind::Line, Kind::Line) => on_line.then(|| self.best(u, v, &[a, b, a + (b - a) * 0.5])),
+            (Kind::Line, Kind::Line) => {
+                on_line.then(|| self.best(u, v, &[a, b, a + (b - a) * 0.5]))
+            }
             (Kind::Sheet, Kind::Sheet) => {
                 let middle = a + (b - a) * 0.5;
                 let sum = self.sum(u, v);
@@ -76,18 +81,27 @@ impl State {
         };
         let (goes, stays) = if rank(u) > rank(v) { (v, u) } else { (u, v) };
         let trial = self.trial(goes, stays)?;
-        let allowed = self.links_allow(&trial) && self.no_two_alike(&trial) && self.shapes_allow(&trial);
-        let moves = if allowed { self.samples_allow(&trial, error_mm)? } else { return None };
+        let allowed =
+            self.links_allow(&trial) && self.no_two_alike(&trial) && self.shapes_allow(&trial);
+        let moves = if allowed {
+            self.samples_allow(&trial, error_mm)?
+        } else {
+            return None;
+        };
         self.execute(&trial, &moves);
         Some(stays)
     }
 
     fn trial(&self, goes: u32, stays: u32) -> Option<Trial> {
         let star = |v: u32| self.around[v as usize].iter().copied();
-        let vanish: Vec<u32> = star(goes).filter(|t| self.triangles[*t as usize].contains(&stays)).collect();
+        let vanish: Vec<u32> = star(goes)
+            .filter(|t| self.triangles[*t as usize].contains(&stays))
+            .collect();
         let bits = vanish.iter().fold(0, |bits, t| bits | self.side_bits(*t));
         let place = self.place(goes.min(stays), goes.max(stays), bits)?;
-        let changed = star(goes).chain(star(stays)).filter(|t| !vanish.contains(t));
+        let changed = star(goes)
+            .chain(star(stays))
+            .filter(|t| !vanish.contains(t));
         let after = |t: u32| {
             self.triangles[t as usize].map(|v| {
                 if v == goes || v == stays {
@@ -124,10 +138,13 @@ impl State {
     fn links_allow(&self, trial: &Trial) -> bool {
         let opposite = |t: &u32| {
             let corners = self.triangles[*t as usize];
-            let third = corners.into_iter().find(|v| *v != trial.goes && *v != trial.stays);
+            let third = corners
+                .into_iter()
+                .find(|v| *v != trial.goes && *v != trial.stays);
             third.map(|third| self.sides[*t as usize].map(|side| (side, third)))
         };
-        let mut expected: Vec<(u8, u32)> = trial.vanish.iter().filter_map(opposite).flatten().collect();
+        let mut expected: Vec<(u8, u32)> =
+            trial.vanish.iter().filter_map(opposite).flatten().collect();
         expected.sort_unstable();
         let both = self.groups[trial.goes as usize] & self.groups[trial.stays as usize];
         let of_group = |group: u8| expected.iter().filter(|(side, _)| *side == group).count();
@@ -146,7 +163,9 @@ impl State {
             .change
             .iter()
             .map(|(t, _)| {
-                let mut others = self.triangles[*t as usize].into_iter().filter(|v| !is_end(*v));
+                let mut others = self.triangles[*t as usize]
+                    .into_iter()
+                    .filter(|v| !is_end(*v));
                 let pair = [others.next().unwrap_or(NONE), others.next().unwrap_or(NONE)];
                 [pair[0].min(pair[1]), pair[0].max(pair[1])]
             })

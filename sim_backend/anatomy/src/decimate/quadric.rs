@@ -24,7 +24,14 @@ impl Quadric {
     /// The plane through `p` with the unit normal `n`.
     pub(super) fn plane(p: &Point3<f64>, n: &Vector3<f64>, weight: f64) -> Self {
         let d = -n.dot(&p.coords);
-        let a = [n.x * n.x, n.x * n.y, n.x * n.z, n.y * n.y, n.y * n.z, n.z * n.z];
+        let a = [
+            n.x * n.x,
+            n.x * n.y,
+            n.x * n.z,
+            n.y * n.y,
+            n.y * n.z,
+            n.z * n.z,
+        ];
         Self {
             a: a.map(|x| x * weight),
             b: n * (d * weight),
@@ -64,6 +71,8 @@ impl Quadric {
         let pull = 1e-3 * self.weight;
         let matrix = self.matrix() + Matrix3::identity() * pull;
         let right = about.coords * pull - self.b;
-        matrix.cholesky().map(|cholesky| Point3::from(cholesky.solve(&right)))
+        matrix
+            .cholesky()
+            .map(|cholesky| Point3::from(cholesky.solve(&right)))
     }
 }

@@ -103,7 +103,9 @@ impl State {
     fn edges(&self, v: u32) -> Vec<(u32, u32)> {
         let mut edges: Vec<(u32, u32)> = Vec::with_capacity(2 * self.around[v as usize].len());
         for &triangle in &self.around[v as usize] {
-            let others = self.triangles[triangle as usize].into_iter().filter(|other| *other != v);
+            let others = self.triangles[triangle as usize]
+                .into_iter()
+                .filter(|other| *other != v);
             edges.extend(others.map(|other| (other, self.side_bits(triangle))));
         }
         edges.sort_unstable();
@@ -131,7 +133,11 @@ impl State {
         }
         for v in 0..index(self.positions.len()) {
             let edges = self.edges(v);
-            let lines: Vec<u32> = edges.iter().filter(|(_, bits)| bits.count_ones() > 2).map(|(w, _)| *w).collect();
+            let lines: Vec<u32> = edges
+                .iter()
+                .filter(|(_, bits)| bits.count_ones() > 2)
+                .map(|(w, _)| *w)
+                .collect();
             self.kinds[v as usize] = match lines.len() {
                 _ if self.locked[v as usize] => Kind::Fixed,
                 0 => Kind::Sheet,
@@ -146,9 +152,16 @@ impl State {
 
     /// Planes through the line from `v` to `w`, upright on the triangles at it, hold `v` on it.
     fn hold_line(&mut self, v: u32, w: u32) {
-        let (p, along) = (self.positions[v as usize], self.positions[w as usize] - self.positions[v as usize]);
+        let (p, along) = (
+            self.positions[v as usize],
+            self.positions[w as usize] - self.positions[v as usize],
+        );
         let at_edge = |t: &&u32| self.triangles[**t as usize].contains(&w);
-        let triangles: Vec<u32> = self.around[v as usize].iter().filter(at_edge).copied().collect();
+        let triangles: Vec<u32> = self.around[v as usize]
+            .iter()
+            .filter(at_edge)
+            .copied()
+            .collect();
         for triangle in triangles {
             let (n, _) = normal(&self.corners(triangle));
             if let Some(upright) = along.cross(&n).try_normalize(1e-12) {
@@ -175,7 +188,8 @@ impl State {
         // Of edges that cost the same, short ones first: triangles stay of a shape.
         let cost = sum.at(&place) + 1e-4 * length * sum.weight();
         let versions = [u, v].map(|v| self.versions[v as usize]);
-        self.heap.push(Reverse((cost.to_bits(), u, v, versions[0], versions[1])));
+        self.heap
+            .push(Reverse((cost.to_bits(), u, v, versions[0], versions[1])));
     }
 
     /// Collapses edges, cheapest first, until each that is left would break a rule.
@@ -221,7 +235,10 @@ impl State {
                 result.sampled.push(index(result.complex.triangles.len()));
                 sample = self.next[sample as usize];
             }
-            result.complex.triangles.push(self.triangles[triangle].map(|v| places[v as usize]));
+            result
+                .complex
+                .triangles
+                .push(self.triangles[triangle].map(|v| places[v as usize]));
             result.complex.sides.push(self.sides[triangle]);
         }
         result

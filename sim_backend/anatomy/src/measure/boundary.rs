@@ -43,7 +43,11 @@ fn face_distance_squared(p: &Point3<f64>, voxel: [usize; 3], axis: usize) -> f64
     (0..3)
         .map(|k| {
             let from_middle = p[k] - real(voxel[k]);
-            let outside = if k == axis { from_middle + 0.5 } else { (from_middle.abs() - 0.5).max(0.0) };
+            let outside = if k == axis {
+                from_middle + 0.5
+            } else {
+                (from_middle.abs() - 0.5).max(0.0)
+            };
             outside * outside
         })
         .sum()

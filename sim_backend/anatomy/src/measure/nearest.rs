@@ -21,8 +21,13 @@ pub(super) struct Nearest<'a> {
 
 impl<'a> Nearest<'a> {
     pub(super) fn new(positions: &'a [Point3<f64>], triangles: &'a [[u32; 3]]) -> Self {
-        let none = (Point3::from([f64::INFINITY; 3]), Point3::from([f64::NEG_INFINITY; 3]));
-        let (low, high) = positions.iter().fold(none, |(low, high), p| (low.inf(p), high.sup(p)));
+        let none = (
+            Point3::from([f64::INFINITY; 3]),
+            Point3::from([f64::NEG_INFINITY; 3]),
+        );
+        let (low, high) = positions
+            .iter()
+            .fold(none, |(low, high), p| (low.inf(p), high.sup(p)));
         let size = high - low;
         let cell = (size.max() / real(CELLS_MAX)).max(1.0);
         let dims = [0, 1, 2].map(|k| floor_to(size[k] / cell, CELLS_MAX) + 1);
@@ -62,9 +67,14 @@ impl<'a> Nearest<'a> {
     /// Cells that the triangle's box touches.
     fn cells_of(&self, triangle: usize) -> impl Iterator<Item = usize> + use<> {
         let [a, b, c] = self.corners(triangle);
-        let (low, high) = (self.cell_at(&a.inf(&b).inf(&c)), self.cell_at(&a.sup(&b).sup(&c)));
+        let (low, high) = (
+            self.cell_at(&a.inf(&b).inf(&c)),
+            self.cell_at(&a.sup(&b).sup(&c)),
+        );
         let dims = self.dims;
-        let column = move |y: usize, z: usize| (low[0]..=high[0]).map(move |x| x + dims[0] * (y + dims[1] * z));
+        let column = move |y: usize, z: usize| {
+            (low[0]..=high[0]).map(move |x| x + dims[0] * (y + dims[1] * z))
+        };
         (low[2]..=high[2]).flat_map(move |z| (low[1]..=high[1]).flat_map(move |y| column(y, z)))
     }
 
@@ -83,13 +93,18 @@ impl<'a> Nearest<'a> {
         let most = self.dims.into_iter().max().unwrap_or(1);
         let mut best = f64::INFINITY;
         for ring in 0..=most {
-            let range = |k: usize| at[k].saturating_sub(ring)..=(at[k] + ring).min(self.dims[k] - 1);
+            let range =
+                |k: usize| at[k].saturating_sub(ring)..=(at[k] + ring).min(self.dims[k] - 1);
             for z in range(2) {
                 for y in range(1) {
                     for x in range(0) {
-                        let far = x.abs_diff(at[0]).max(y.abs_diff(at[1])).max(z.abs_diff(at[2]));
+                        let far = x
+                            .abs_diff(at[0])
+                            .max(y.abs_diff(at[1]))
+                            .max(z.abs_diff(at[2]));
                         if far == ring {
-                            best = best.min(self.in_cell(p, x + self.dims[0] * (y + self.dims[1] * z)));
+                            best = best
+                                .min(self.in_cell(p, x + self.dims[0] * (y + self.dims[1] * z)));
                         }
                     }
                 }

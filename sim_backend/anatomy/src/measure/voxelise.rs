@@ -9,13 +9,20 @@ use crate::volume::Padded;
 const ASIDE: [f64; 2] = [1.234e-7, 2.718e-7];
 
 /// Where rays cross the surface, by row of voxels.
-pub(super) fn crossings(positions: &[Point3<f64>], triangles: &[[u32; 3]], dims: [usize; 3]) -> Vec<Vec<f32>> {
+pub(super) fn crossings(
+    positions: &[Point3<f64>],
+    triangles: &[[u32; 3]],
+    dims: [usize; 3],
+) -> Vec<Vec<f32>> {
     let mut rows = vec![Vec::new(); dims[1] * dims[2]];
     for triangle in triangles {
         let corners = triangle.map(|v| positions[v as usize]);
         let range = |k: usize| {
             let low = corners.iter().map(|p| p[k]).fold(f64::INFINITY, f64::min);
-            let high = corners.iter().map(|p| p[k]).fold(f64::NEG_INFINITY, f64::max);
+            let high = corners
+                .iter()
+                .map(|p| p[k])
+                .fold(f64::NEG_INFINITY, f64::max);
             floor_to(low, dims[k] - 1)..=floor_to(high.ceil(), dims[k] - 1)
         };
         for z in range(2) {
@@ -36,7 +43,11 @@ pub(super) fn crossings(positions: &[Point3<f64>], triangles: &[[u32; 3]], dims:
 fn crossing([a, b, c]: &[Point3<f64>; 3], y: f64, z: f64) -> Option<f64> {
     let side = |p: &Point3<f64>, q: &Point3<f64>| {
         // From the same end for both triangles at an edge, so that the ray passes one of them.
-        let (p, q, sign) = if (p.y, p.z) < (q.y, q.z) { (p, q, 1.0) } else { (q, p, -1.0) };
+        let (p, q, sign) = if (p.y, p.z) < (q.y, q.z) {
+            (p, q, 1.0)
+        } else {
+            (q, p, -1.0)
+        };
         sign * ((q.y - p.y) * (z - p.z) - (q.z - p.z) * (y - p.y))
     };
     let [u, v, w] = [side(b, c), side(c, a), side(a, b)];

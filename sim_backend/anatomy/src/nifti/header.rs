@@ -106,7 +106,12 @@ impl Fields<'_> {
         })
     }
 
-    fn refuse(&self, field: &'static str, found: impl ToString, allowed: &'static str) -> NiftiError {
+    fn refuse(
+        &self,
+        field: &'static str,
+        found: impl ToString,
+        allowed: &'static str,
+    ) -> NiftiError {
         NiftiError::Header {
             path: self.path.to_owned(),
             field,
@@ -145,7 +150,8 @@ impl Fields<'_> {
     fn data_type(&self) -> Result<DataType, NiftiError> {
         let code = self.short(70);
         let found = TYPES.iter().find(|(_, known, _)| *known == code);
-        let allowed = "2, 4, 8, 16, 64, 256, 512 or 768: integers of 8 to 32 bits, real numbers of 32 or 64";
+        let allowed =
+            "2, 4, 8, 16, 64, 256, 512 or 768: integers of 8 to 32 bits, real numbers of 32 or 64";
         let (kind, _, size) = found.ok_or_else(|| self.refuse("datatype", code, allowed))?;
         let bits = self.short(72);
         if usize::try_from(bits).ok() != Some(8 * size) {
@@ -160,14 +166,19 @@ impl Fields<'_> {
             0 | 2 => Ok(1.0),
             1 => Ok(1000.0),
             3 => Ok(0.001),
-            other => Err(self.refuse("xyzt_units", other, "metres (1), millimetres (2) or micrometres (3)")),
+            other => Err(self.refuse(
+                "xyzt_units",
+                other,
+                "metres (1), millimetres (2) or micrometres (3)",
+            )),
         }
     }
 
     /// Steps and origin by the sform, else by the qform.
     fn place(&self) -> Result<(Matrix3<f64>, Vector3<f64>), NiftiError> {
         if self.short(254) > 0 {
-            let row = |row: usize| [0, 1, 2, 3].map(|column| self.float(280 + 16 * row + 4 * column));
+            let row =
+                |row: usize| [0, 1, 2, 3].map(|column| self.float(280 + 16 * row + 4 * column));
             let rows = [row(0), row(1), row(2)];
             let steps = Matrix3::from_fn(|i, j| rows[i][j]);
             return Ok((steps, Vector3::from_fn(|i, _| rows[i][3])));
@@ -183,7 +194,10 @@ impl Fields<'_> {
         let scale = [self.float(80), self.float(84), handed * self.float(88)];
         let steps = rotation.to_rotation_matrix().into_inner()
             * Matrix3::from_diagonal(&Vector3::from(scale));
-        Ok((steps, Vector3::new(self.float(268), self.float(272), self.float(276))))
+        Ok((
+            steps,
+            Vector3::new(self.float(268), self.float(272), self.float(276)),
+        ))
     }
 
     fn grid(&self) -> Result<Grid, NiftiError> {
@@ -196,14 +210,22 @@ impl Fields<'_> {
             origin: origin * unit,
         };
         let spacing = grid.spacing();
-        let finite = grid.steps.iter().chain(grid.origin.iter()).all(|x| x.abs() < 1e6);
+        let finite = grid
+            .steps
+            .iter()
+            .chain(grid.origin.iter())
+            .all(|x| x.abs() < 1e6);
         if !finite || !spacing.iter().all(|s| (0.01..=100.0).contains(s)) {
             let found = format!("{spacing:?} mm");
             return Err(self.refuse("voxel size", found, "0.01 to 100 mm"));
         }
         // Columns that are nearly parallel make a volume without content.
         if grid.voxel_mm3() < 1e-2 * spacing.iter().product::<f64>() {
-            return Err(self.refuse("orientation", format!("{:?}", grid.steps), "three directions"));
+            return Err(self.refuse(
+                "orientation",
+                format!("{:?}", grid.steps),
+                "three directions",
+            ));
         }
         Ok(grid)
     }
@@ -223,7 +245,11 @@ impl Fields<'_> {
             return Ok((1.0, 0.0));
         }
         if !slope.is_finite() || !intercept.is_finite() {
-            return Err(self.refuse("scl_slope and scl_inter", format!("{slope}, {intercept}"), "finite"));
+            return Err(self.refuse(
+                "scl_slope and scl_inter",
+                format!("{slope}, {intercept}"),
+                "finite",
+            ));
         }
         Ok((slope, intercept))
     }
@@ -248,7 +274,9 @@ impl Header {
             return Err(fields.refuse("sizeof_hdr", found, allowed));
         }
         if &bytes[344..348] != b"n+1\0" {
-            let found = String::from_utf8_lossy(&bytes[344..348]).escape_debug().to_string();
+            let found = String::from_utf8_lossy(&bytes[344..348])
+                .escape_debug()
+                .to_string();
             return Err(fields.refuse("magic", found, "n+1: header and voxels in one file"));
         }
         let (slope, intercept) = fields.scale()?;
@@ -268,7 +296,10 @@ impl Header {
         let mut put = |at: usize, value: &[u8]| bytes[at..at + value.len()].copy_from_slice(value);
         put(0, &348_i32.to_le_bytes());
         let side = |axis: usize| i16::try_from(grid.dims[axis]).unwrap_or(i16::MAX);
-        for (axis, side) in [3, side(0), side(1), side(2), 1, 1, 1, 1].into_iter().enumerate() {
+        for (axis, side) in [3, side(0), side(1), side(2), 1, 1, 1, 1]
+            .into_iter()
+            .enumerate()
+        {
             put(40 + 2 * axis, &side.to_le_bytes());
         }
         put(70, &data_type.code().to_le_bytes());
@@ -300,7 +331,10 @@ impl Header {
         for axis in 0..3 {
             put(268 + 4 * axis, &float(grid.origin[axis]));
             for column in 0..3 {
-                put(280 + 16 * axis + 4 * column, &float(grid.steps[(axis, column)]));
+                put(
+                    280 + 16 * axis + 4 * column,
+                    &float(grid.steps[(axis, column)]),
+                );
             }
             put(280 + 16 * axis + 12, &float(grid.origin[axis]));
         }

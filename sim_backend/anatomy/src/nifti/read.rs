@@ -7,8 +7,8 @@ use std::path::Path;
 
 use flate2::bufread::MultiGzDecoder;
 
-use super::header::{DataType, HEADER_LEN, Header};
 use super::NiftiError;
+use super::header::{DataType, HEADER_LEN, Header};
 use crate::grid::Grid;
 use crate::groups::Groups;
 use crate::number::label;
@@ -23,7 +23,7 @@ pub struct LabelVolume {
 }
 
 fn file_error(path: &Path, source: io::Error) -> NiftiError {
-    NiftiError::File {
+    NiftiError::Unreadable {
         path: path.display().to_string(),
         source,
     }
@@ -37,7 +37,10 @@ fn open(path: &Path) -> Result<Box<dyn Read>, NiftiError> {
         return Err(unreadable(io::Error::other("it is no file")));
     }
     let mut file = BufReader::with_capacity(1 << 16, File::open(path).map_err(unreadable)?);
-    let zipped = file.fill_buf().map_err(unreadable)?.starts_with(&[0x1f, 0x8b]);
+    let zipped = file
+        .fill_buf()
+        .map_err(unreadable)?
+        .starts_with(&[0x1f, 0x8b]);
     Ok(if zipped {
         Box::new(BufReader::with_capacity(1 << 16, MultiGzDecoder::new(file)))
     } else {
@@ -49,12 +52,15 @@ fn open(path: &Path) -> Result<Box<dyn Read>, NiftiError> {
 fn begin(path: &Path) -> Result<(Header, Box<dyn Read>), NiftiError> {
     let mut reader = open(path)?;
     let mut bytes = [0; HEADER_LEN];
-    reader.read_exact(&mut bytes).map_err(|error| match error.kind() {
-        io::ErrorKind::UnexpectedEof => {
-            file_error(path, io::Error::other("it ends within the header of 348 bytes"))
-        }
-        _ => file_error(path, error),
-    })?;
+    reader
+        .read_exact(&mut bytes)
+        .map_err(|error| match error.kind() {
+            io::ErrorKind::UnexpectedEof => file_error(
+                path,
+                io::Error::other("it ends within the header of 348 bytes"),
+            ),
+            _ => file_error(path, error),
+        })?;
     let header = Header::parse(&path.display().to_string(), &bytes)?;
     Ok((header, reader))
 }
@@ -121,11 +127,15 @@ pub fn read_slices(
         _ => file_error(path, error),
     };
     let mut gap = vec![0; header.offset - HEADER_LEN];
-    reader.read_exact(&mut gap).map_err(|error| failed(0, error))?;
+    reader
+        .read_exact(&mut gap)
+        .map_err(|error| failed(0, error))?;
     let mut bytes = vec![0; header.grid.slice_len() * header.data_type.size()];
     let mut values = Vec::with_capacity(header.grid.slice_len());
     for z in 0..header.grid.dims[2] {
-        reader.read_exact(&mut bytes).map_err(|error| failed(z, error))?;
+        reader
+            .read_exact(&mut bytes)
+            .map_err(|error| failed(z, error))?;
         decode(&header, &bytes, &mut values);
         slice(&header, z, &values)?;
     }

@@ -66,7 +66,11 @@ fn qform_alone_gives_the_same_place() {
     bytes[254] = 0;
     std::fs::write(&path, bytes).expect("writable");
     let grid = read_header(&path).expect("the qform suffices").grid;
-    assert!((grid.steps - oblique().steps).norm() < 1e-5, "{}", grid.steps);
+    assert!(
+        (grid.steps - oblique().steps).norm() < 1e-5,
+        "{}",
+        grid.steps
+    );
     std::fs::remove_dir_all(folder).expect("the folder can go");
 }
 
@@ -74,7 +78,12 @@ fn qform_alone_gives_the_same_place() {
 fn bytes_of(data_type: DataType, big_endian: bool, values: &[i32]) -> Vec<u8> {
     let mut bytes = super::Header::bytes(&oblique(), data_type).to_vec();
     if big_endian {
-        for at in [0].into_iter().chain((76..=104).step_by(4)).chain([108, 112, 116]).chain((256..328).step_by(4)) {
+        for at in [0]
+            .into_iter()
+            .chain((76..=104).step_by(4))
+            .chain([108, 112, 116])
+            .chain((256..328).step_by(4))
+        {
             bytes[at..at + 4].reverse();
         }
         for at in (40..56).step_by(2).chain([70, 72, 252, 254]) {
@@ -86,7 +95,14 @@ fn bytes_of(data_type: DataType, big_endian: bool, values: &[i32]) -> Vec<u8> {
         macro_rules! as_type {
             ($kind:ty) => {{
                 #[expect(clippy::allow_attributes, reason = "the casts differ by type")]
-                #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss, clippy::cast_precision_loss, clippy::cast_lossless, trivial_numeric_casts, reason = "small numbers")]
+                #[allow(
+                    clippy::cast_possible_truncation,
+                    clippy::cast_sign_loss,
+                    clippy::cast_precision_loss,
+                    clippy::cast_lossless,
+                    trivial_numeric_casts,
+                    reason = "small numbers"
+                )]
                 let value = value as $kind;
                 if big_endian {
                     bytes.extend(value.to_be_bytes());
@@ -169,10 +185,18 @@ fn damaged_headers_and_voxels_are_named() {
         (280, &f32::NAN.to_le_bytes(), "voxel size"),
         (116, &f32::INFINITY.to_le_bytes(), "scl_slope"),
         (352 + 8, &0.5_f32.to_le_bytes(), "voxel (2, 0, 0) is 0.5"),
-        (352 + 4 * 21, &(-3.0_f32).to_le_bytes(), "voxel (1, 0, 1) is -3"),
+        (
+            352 + 4 * 21,
+            &(-3.0_f32).to_le_bytes(),
+            "voxel (1, 0, 1) is -3",
+        ),
         (352, &999.0_f32.to_le_bytes(), "no label 999 (1 voxels)"),
     ] {
-        let error = if at == 48 { refused_in_4d() } else { refused(at, change) };
+        let error = if at == 48 {
+            refused_in_4d()
+        } else {
+            refused(at, change)
+        };
         assert!(error.contains(message), "{message}: {error}");
     }
 }

@@ -29,9 +29,9 @@ impl Writer {
     /// Begins `path` (gzip if it ends with `.gz`) with the header of a volume of `data_type` on `grid`.
     ///
     /// # Errors
-    /// [`NiftiError::File`].
+    /// [`NiftiError::Unwritable`].
     pub fn create(path: &Path, grid: &Grid, data_type: DataType) -> Result<Self, NiftiError> {
-        let unwritable = |source| NiftiError::File {
+        let unwritable = |source| NiftiError::Unwritable {
             path: path.display().to_string(),
             source,
         };
@@ -62,7 +62,7 @@ impl Writer {
     }
 
     fn unwritable(&self, source: io::Error) -> NiftiError {
-        NiftiError::File {
+        NiftiError::Unwritable {
             path: self.path.display().to_string(),
             source,
         }
@@ -71,7 +71,7 @@ impl Writer {
     /// The next slice, little-endian, the first axis fastest.
     ///
     /// # Errors
-    /// [`NiftiError::File`].
+    /// [`NiftiError::Unwritable`].
     ///
     /// # Panics
     /// If it has another length than a slice, or there is none left to write.
@@ -85,7 +85,7 @@ impl Writer {
     /// Ends the file.
     ///
     /// # Errors
-    /// [`NiftiError::File`].
+    /// [`NiftiError::Unwritable`].
     ///
     /// # Panics
     /// If slices are missing.
@@ -96,6 +96,6 @@ impl Writer {
             Sink::Plain(mut file) => file.flush(),
             Sink::Zipped(file) => file.finish().and_then(|mut file| file.flush()),
         };
-        ended.map_err(|source| NiftiError::File { path, source })
+        ended.map_err(|source| NiftiError::Unwritable { path, source })
     }
 }

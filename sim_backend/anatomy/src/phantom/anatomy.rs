@@ -86,16 +86,36 @@ pub(super) fn parts() -> Vec<Part> {
     parts.extend(spine());
     parts.extend([1.0, -1.0].into_iter().flat_map(ribs));
     parts.extend([1.0, -1.0].into_iter().flat_map(pelvis));
-    parts.push(fixed("sternum", 122, ellipsoid([0.0, 91.0, 150.0], [17.0, 5.0, 75.0])));
+    parts.push(fixed(
+        "sternum",
+        122,
+        ellipsoid([0.0, 91.0, 150.0], [17.0, 5.0, 75.0]),
+    ));
     parts
 }
 
 fn chest() -> Vec<Part> {
     vec![
-        part("left lung", 135, ellipsoid([-63.0, 0.0, 130.0], [56.0, 63.0, 116.0])),
-        part("right lung", 136, ellipsoid([63.0, 0.0, 130.0], [56.0, 63.0, 116.0])),
-        part("heart", 115, ellipsoid([-15.0, 27.0, 127.0], [46.0, 38.0, 48.0])),
-        fixed("trachea", 57, tube(&[[0.0, 0.0, 200.0, 8.0], [0.0, -4.0, 290.0, 8.0]])),
+        part(
+            "left lung",
+            135,
+            ellipsoid([-63.0, 0.0, 130.0], [56.0, 63.0, 116.0]),
+        ),
+        part(
+            "right lung",
+            136,
+            ellipsoid([63.0, 0.0, 130.0], [56.0, 63.0, 116.0]),
+        ),
+        part(
+            "heart",
+            115,
+            ellipsoid([-15.0, 27.0, 127.0], [46.0, 38.0, 48.0]),
+        ),
+        fixed(
+            "trachea",
+            57,
+            tube(&[[0.0, 0.0, 200.0, 8.0], [0.0, -4.0, 290.0, 8.0]]),
+        ),
     ]
 }
 
@@ -126,10 +146,26 @@ fn upper_abdomen() -> Vec<Part> {
     ];
     vec![
         part("liver", 1, liver),
-        part("right kidney", 5, ellipsoid([68.0, -45.0, -22.0], [24.0, 21.0, 45.0])),
-        part("left kidney", 14, ellipsoid([-66.0, -45.0, -40.0], [24.0, 21.0, 45.0])),
-        part("spleen", 3, ellipsoid([-90.0, -20.0, 55.0], [22.0, 32.0, 38.0])),
-        part("gallbladder", 10, ellipsoid([55.0, 42.0, -25.0], [12.0, 14.0, 20.0])),
+        part(
+            "right kidney",
+            5,
+            ellipsoid([68.0, -45.0, -22.0], [24.0, 21.0, 45.0]),
+        ),
+        part(
+            "left kidney",
+            14,
+            ellipsoid([-66.0, -45.0, -40.0], [24.0, 21.0, 45.0]),
+        ),
+        part(
+            "spleen",
+            3,
+            ellipsoid([-90.0, -20.0, 55.0], [22.0, 32.0, 38.0]),
+        ),
+        part(
+            "gallbladder",
+            10,
+            ellipsoid([55.0, 42.0, -25.0], [12.0, 14.0, 20.0]),
+        ),
         part("stomach", 12, tube(&stomach)),
         fixed("esophagus", 11, tube(&esophagus)),
         part("pancreas", 4, tube(&pancreas)),
@@ -183,31 +219,59 @@ fn bowels() -> Vec<Part> {
         [50.0, 30.0, -140.0, 9.5],
         [-30.0, 30.0, -140.0, 9.5],
     ];
-    let duodenum = [[30.0, 34.0, -46.0, 8.0], [40.0, 8.0, -66.0, 8.0], [8.0, 0.0, -70.0, 8.0]];
+    let duodenum = [
+        [30.0, 34.0, -46.0, 8.0],
+        [40.0, 8.0, -66.0, 8.0],
+        [8.0, 0.0, -70.0, 8.0],
+    ];
     vec![
         part("colon", 62, haustra(&colon)),
         part("small bowel", 19, tube(&loops)),
         part("duodenum", 13, tube(&duodenum)),
-        part("bladder", 15, ellipsoid([0.0, 25.0, -197.0], [38.0, 33.0, 25.0])),
+        part(
+            "bladder",
+            15,
+            ellipsoid([0.0, 25.0, -197.0], [38.0, 33.0, 25.0]),
+        ),
     ]
 }
 
 fn vessels() -> Vec<Part> {
     vec![
-        fixed("aorta", 6, tube(&[[-25.0, -32.0, 185.0, 11.0], [-25.0, -32.0, -105.0, 9.0]])),
+        fixed(
+            "aorta",
+            6,
+            tube(&[[-25.0, -32.0, 185.0, 11.0], [-25.0, -32.0, -105.0, 9.0]]),
+        ),
         fixed(
             "inferior vena cava",
             7,
             tube(&[[25.0, -30.0, 72.0, 10.0], [25.0, -30.0, -103.0, 9.0]]),
         ),
-        fixed("portal vein", 17, tube(&[[30.0, -6.0, -30.0, 6.0], [42.0, 0.0, 4.0, 5.0]])),
-        fixed("left iliac artery", 58, tube(&[[-25.0, -32.0, -105.0, 6.5], [-36.0, -22.0, -138.0, 6.0]])),
+        fixed(
+            "portal vein",
+            17,
+            tube(&[[30.0, -6.0, -30.0, 6.0], [42.0, 0.0, 4.0, 5.0]]),
+        ),
+        fixed(
+            "left iliac artery",
+            58,
+            tube(&[[-25.0, -32.0, -105.0, 6.5], [-36.0, -22.0, -138.0, 6.0]]),
+        ),
         fixed(
             "right iliac artery",
             59,
-            tube(&[[-25.0, -32.0, -105.0, 6.5], [0.0, -8.0, -124.0, 6.0], [30.0, 4.0, -165.0, 6.0]]),
+            tube(&[
+                [-25.0, -32.0, -105.0, 6.5],
+                [0.0, -8.0, -124.0, 6.0],
+                [30.0, 4.0, -165.0, 6.0],
+            ]),
         ),
-        fixed("right iliac vena", 61, tube(&[[25.0, -30.0, -103.0, 7.5], [40.0, -22.0, -165.0, 7.0]])),
+        fixed(
+            "right iliac vena",
+            61,
+            tube(&[[25.0, -30.0, -103.0, 7.5], [40.0, -22.0, -165.0, 7.0]]),
+        ),
     ]
 }
 
@@ -235,13 +299,20 @@ fn spine() -> Vec<Part> {
             ..fixed(&name, 33 + level, shape)
         });
     }
-    let sacrum = [[0.0, -62.0, -104.0, 20.0], [0.0, -75.0, -150.0, 18.0], [0.0, -80.0, -190.0, 12.0]];
+    let sacrum = [
+        [0.0, -62.0, -104.0, 20.0],
+        [0.0, -75.0, -150.0, 18.0],
+        [0.0, -80.0, -190.0, 12.0],
+    ];
     parts.push(Part {
         between: Some([-230.0, -110.0]),
         ..fixed("sacrum", 97, tube(&sacrum))
     });
     for (side, name, label) in [(-1.0, "left", 104), (1.0, "right", 105)] {
-        let along = [[32.0 * side, -86.0, -110.0, 13.0], [33.0 * side, -86.0, 300.0, 14.0]];
+        let along = [
+            [32.0 * side, -86.0, -110.0, 13.0],
+            [33.0 * side, -86.0, 300.0, 14.0],
+        ];
         parts.push(fixed(&format!("{name} autochthon"), label, tube(&along)));
         let psoas = [
             [50.0 * side, -54.0, -112.0, 12.0],
@@ -255,27 +326,48 @@ fn spine() -> Vec<Part> {
 
 /// Ten ribs of a side (1 right, -1 left).
 fn ribs(side: f64) -> Vec<Part> {
-    let (name, first) = if side > 0.0 { ("right", 75) } else { ("left", 63) };
+    let (name, first) = if side > 0.0 {
+        ("right", 75)
+    } else {
+        ("left", 63)
+    };
     (0..10_u8)
         .map(|rib| {
             let z = 236.0 - 25.0 * f64::from(rib);
             // The lower ones do not reach the front.
-            let end = if rib < 7 { 2.78 } else { 2.4 - 0.35 * f64::from(rib - 7) };
+            let end = if rib < 7 {
+                2.78
+            } else {
+                2.4 - 0.35 * f64::from(rib - 7)
+            };
             let points: Vec<[f64; 4]> = (0..=24)
                 .map(|step| {
                     let angle = 0.43 + (end - 0.43) * f64::from(step) / 24.0;
                     let fall = 40.0 * (angle - 0.43) / 2.35;
-                    [side * 140.0 * angle.sin(), -90.0 * angle.cos(), z - fall, 5.0]
+                    [
+                        side * 140.0 * angle.sin(),
+                        -90.0 * angle.cos(),
+                        z - fall,
+                        5.0,
+                    ]
                 })
                 .collect();
-            fixed(&format!("{name} rib {}", rib + 1), first + rib, tube(&points))
+            fixed(
+                &format!("{name} rib {}", rib + 1),
+                first + rib,
+                tube(&points),
+            )
         })
         .collect()
 }
 
 /// The hip bone and the head of the thigh bone of a side.
 fn pelvis(side: f64) -> Vec<Part> {
-    let (name, offset) = if side > 0.0 { ("right", 1) } else { ("left", 0) };
+    let (name, offset) = if side > 0.0 {
+        ("right", 1)
+    } else {
+        ("left", 0)
+    };
     // The thin axis points outwards and back.
     let thin = Vector3::new(0.78 * side, -0.62, 0.0).normalize();
     let up = Vector3::z();

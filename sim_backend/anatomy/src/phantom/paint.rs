@@ -109,12 +109,19 @@ fn paint(patient: &Patient, grid: &Grid, z: usize) -> Slice {
         .filter(|&part| patient.parts[part].reaches(2, low, high))
         .collect();
     let [wide, deep] = torso_reach(patient.fat);
-    let reach = [wide * patient.scale[0] + bend, deep * patient.scale[1] + bend];
+    let reach = [
+        wide * patient.scale[0] + bend,
+        deep * patient.scale[1] + bend,
+    ];
     for y in 0..grid.dims[1] {
         for x in 0..grid.dims[0] {
             let p = grid.world(&Point3::new(real(x), real(y), real(z)));
             let outside = p.x.abs() > reach[0] || p.y.abs() > reach[1];
-            let label = if outside { 0 } else { slice.label(patient, &near, &p) };
+            let label = if outside {
+                0
+            } else {
+                slice.label(patient, &near, &p)
+            };
             slice.labels.push(label);
         }
     }
@@ -137,8 +144,14 @@ impl Slice {
     /// The CT's values, little-endian; noise is of the seed and the slice.
     fn hounsfield_bytes(&self, seed: u64, z: usize) -> Vec<u8> {
         let mut random = SplitMix64::named("noise", seed.wrapping_mul(8191).wrapping_add(z as u64));
-        let value = |label: &u8| rounded_i16((hounsfield(*label) + NOISE_HU * random.normal()).max(-1024.0));
-        self.labels.iter().map(value).flat_map(i16::to_le_bytes).collect()
+        let value = |label: &u8| {
+            rounded_i16((hounsfield(*label) + NOISE_HU * random.normal()).max(-1024.0))
+        };
+        self.labels
+            .iter()
+            .map(value)
+            .flat_map(i16::to_le_bytes)
+            .collect()
     }
 }
 
@@ -146,7 +159,10 @@ impl Slice {
 #[cfg(test)]
 pub(super) fn labels(patient: &Patient, size: Size) -> (crate::nifti::LabelVolume, Phantom) {
     let grid = grid(size);
-    let slices: Vec<Slice> = (0..size.0[2]).into_par_iter().map(|z| paint(patient, &grid, z)).collect();
+    let slices: Vec<Slice> = (0..size.0[2])
+        .into_par_iter()
+        .map(|z| paint(patient, &grid, z))
+        .collect();
     let mut tally = Tally::new(patient);
     slices.iter().for_each(|slice| tally.add(slice));
     let voxels = slices.into_iter().flat_map(|slice| slice.labels).collect();
@@ -176,7 +192,10 @@ impl Tally {
     }
 
     fn result(self, patient: &Patient, grid: &Grid) -> Phantom {
-        let parts = patient.parts.iter().map(|part| (part.part.name.as_str(), part.part.label));
+        let parts = patient
+            .parts
+            .iter()
+            .map(|part| (part.part.name.as_str(), part.part.label));
         let named = parts.chain([("body", BODY)]).zip(self.voxels);
         #[expect(clippy::cast_precision_loss, reason = "voxels stay far below 2^53")]
         let volume = |((name, label), voxels): ((&str, u8), u64)| PartVolume {
@@ -204,14 +223,14 @@ impl Tally {
 /// The same seed and size give the same files. Memory is that of 16 slices.
 ///
 /// # Errors
-/// [`NiftiError::File`].
+/// [`NiftiError::Unwritable`].
 pub fn write(
     patient: &Patient,
     size: Size,
     folder: &Path,
     mut done: impl FnMut(usize, usize),
 ) -> Result<Phantom, NiftiError> {
-    fs::create_dir_all(folder).map_err(|source| NiftiError::File {
+    fs::create_dir_all(folder).map_err(|source| NiftiError::Unwritable {
         path: folder.display().to_string(),
         source,
     })?;
@@ -230,7 +249,11 @@ pub fn write(
             })
             .collect();
         let (told, scanned) = rayon::join(
-            || slices.iter().try_for_each(|(slice, _)| labels.slice(&slice.labels)),
+            || {
+                slices
+                    .iter()
+                    .try_for_each(|(slice, _)| labels.slice(&slice.labels))
+            },
             || slices.iter().try_for_each(|(_, values)| ct.slice(values)),
         );
         told.and(scanned)?;

@@ -7,7 +7,6 @@ use hal::random::SplitMix64;
 
 use super::anatomy::{self, CARVES, Part};
 
-
 /// Spacing of the points at which parts are compared, mm.
 const LATTICE_MM: f64 = 3.0;
 
@@ -57,7 +56,10 @@ impl Placed {
     /// Whether `p` is in it. Heights at which it ends belong to it below and not above.
     pub(super) fn contains(&self, p: &Point3<f64>) -> bool {
         let inside = p.coords >= self.low && p.coords < self.high;
-        let height = self.part.between.is_none_or(|[below, above]| (below..above).contains(&p.z));
+        let height = self
+            .part
+            .between
+            .is_none_or(|[below, above]| (below..above).contains(&p.z));
         inside && height && self.part.shape.distance(p) < 0.0
     }
 
@@ -93,7 +95,9 @@ fn varied(mut random: SplitMix64, share: f64) -> Vec<Placed> {
                 part.shape = part.shape.varied(&by, size);
             } else if part.between.is_none() {
                 // Bones and vessels stay where they are.
-                part.shape = part.shape.varied(&Vector3::zeros(), 1.0 - share * random.between(0.0, 0.12));
+                part.shape = part
+                    .shape
+                    .varied(&Vector3::zeros(), 1.0 - share * random.between(0.0, 0.12));
             }
             Placed::new(part)
         })
@@ -128,7 +132,11 @@ fn conflict_in_row(parts: &[&Placed], y: f64, z: f64) -> Option<(String, String)
     (-58..=58).find_map(|i| {
         let p = Point3::new(f64::from(i) * LATTICE_MM, y, z);
         close.clear();
-        close.extend(parts.iter().filter(|part| part.distance(&p, NEAR_MM) <= NEAR_MM));
+        close.extend(
+            parts
+                .iter()
+                .filter(|part| part.distance(&p, NEAR_MM) <= NEAR_MM),
+        );
         let name = |part: &Placed| part.part.name.clone();
         if let Some(first) = close.first()
             && anatomy::torso_distance(&p, 1.0) > -NEAR_MM
@@ -136,7 +144,9 @@ fn conflict_in_row(parts: &[&Placed], y: f64, z: f64) -> Option<(String, String)
             return Some((name(first), "the skin".to_owned()));
         }
         close.iter().enumerate().find_map(|(k, later)| {
-            let earlier = close[..k].iter().find(|earlier| !may_carve(&later.part.name, &earlier.part.name))?;
+            let earlier = close[..k]
+                .iter()
+                .find(|earlier| !may_carve(&later.part.name, &earlier.part.name))?;
             Some((name(later), name(earlier)))
         })
     })
@@ -147,7 +157,11 @@ impl Patient {
     #[must_use]
     pub fn new(seed: u64) -> Self {
         let mut random = SplitMix64::named("patient", seed);
-        let scale = [random.between(0.9, 1.1), random.between(0.92, 1.15), random.between(0.94, 1.06)];
+        let scale = [
+            random.between(0.9, 1.1),
+            random.between(0.92, 1.15),
+            random.between(0.94, 1.06),
+        ];
         let fat = random.between(1.0, 1.12);
         let waves = (0..3).map(|_| wave(&mut random)).collect();
         let organs = SplitMix64::named("organs", seed);
@@ -196,7 +210,6 @@ impl Patient {
         }
         (found, overlap)
     }
-
 }
 
 fn wave(random: &mut SplitMix64) -> Wave {

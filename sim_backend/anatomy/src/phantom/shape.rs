@@ -103,14 +103,20 @@ impl Shape {
     pub(super) fn bounds(&self) -> [Vector3<f64>; 2] {
         let around = |centre: Vector3<f64>, half: Vector3<f64>| [centre - half, centre + half];
         let merge = |a: [Vector3<f64>; 2], b: [Vector3<f64>; 2]| [a[0].inf(&b[0]), a[1].sup(&b[1])];
-        let none = [Vector3::repeat(f64::INFINITY), Vector3::repeat(f64::NEG_INFINITY)];
+        let none = [
+            Vector3::repeat(f64::INFINITY),
+            Vector3::repeat(f64::NEG_INFINITY),
+        ];
         match self {
             Self::Ellipsoid {
                 centre,
                 radii,
                 axes,
             } => {
-                let reach = (axes * Matrix3::from_diagonal(radii)).row_iter().map(|row| row.norm()).collect::<Vec<_>>();
+                let reach = (axes * Matrix3::from_diagonal(radii))
+                    .row_iter()
+                    .map(|row| row.norm())
+                    .collect::<Vec<_>>();
                 around(centre.coords, Vector3::from_column_slice(&reach))
             }
             Self::Tube(points) => points

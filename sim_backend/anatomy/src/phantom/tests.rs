@@ -20,7 +20,10 @@ fn defects(patient: &Patient, size: Size) -> Vec<String> {
         if part.voxels == 0 {
             defects.push(format!("no {}", part.name));
         }
-        if groups.group_of(u16::from(part.label)).is_none_or(|group| group == 0) {
+        if groups
+            .group_of(u16::from(part.label))
+            .is_none_or(|group| group == 0)
+        {
             defects.push(format!("{} is in no group", part.name));
         }
     }
@@ -33,7 +36,11 @@ fn defects(patient: &Patient, size: Size) -> Vec<String> {
         ("bladder", 0.4e5, 2.5e5),
         ("gallbladder", 0.4e4, 3.0e4),
     ] {
-        let found = result.parts.iter().find(|part| part.name == name).expect("there");
+        let found = result
+            .parts
+            .iter()
+            .find(|part| part.name == name)
+            .expect("there");
         if !(least..most).contains(&found.volume_mm3) {
             defects.push(format!("{name}: {} mm3", found.volume_mm3));
         }

@@ -85,8 +85,14 @@ fn add_group(volume: &Padded, group: u8, table: &Table, complex: &mut Complex) {
         for y in 0..volume.dims[1] - 1 {
             for x in 0..volume.dims[0] - 1 {
                 let at = volume.index(x, y, z);
-                let corner = |c: usize| at + (0..3).map(|axis| (c >> axis & 1) * strides[axis]).sum::<usize>();
-                let mask = (0..8).fold(0, |mask, c| mask | u8::from(volume.voxels[corner(c)] == group) << c);
+                let corner = |c: usize| {
+                    at + (0..3)
+                        .map(|axis| (c >> axis & 1) * strides[axis])
+                        .sum::<usize>()
+                };
+                let mask = (0..8).fold(0, |mask, c| {
+                    mask | u8::from(volume.voxels[corner(c)] == group) << c
+                });
                 for triangle in &table.0[usize::from(mask)] {
                     let corners = triangle.map(|(low, high)| {
                         let axis = (low ^ high).ilog2();

@@ -57,13 +57,25 @@ impl Sweep<'_> {
         let before = |stride: usize| self.volume.voxels[at - stride];
         let [left, front, below] = [before(sx), before(sy), before(sz)];
         if left != here {
-            self.quad([(x, y, 0), (x, y + 1, 0), (x, y + 1, 1), (x, y, 1)], z, [left, here]);
+            self.quad(
+                [(x, y, 0), (x, y + 1, 0), (x, y + 1, 1), (x, y, 1)],
+                z,
+                [left, here],
+            );
         }
         if front != here {
-            self.quad([(x, y, 0), (x, y, 1), (x + 1, y, 1), (x + 1, y, 0)], z, [front, here]);
+            self.quad(
+                [(x, y, 0), (x, y, 1), (x + 1, y, 1), (x + 1, y, 0)],
+                z,
+                [front, here],
+            );
         }
         if below != here {
-            self.quad([(x, y, 0), (x + 1, y, 0), (x + 1, y + 1, 0), (x, y + 1, 0)], z, [below, here]);
+            self.quad(
+                [(x, y, 0), (x + 1, y, 0), (x + 1, y + 1, 0), (x, y + 1, 0)],
+                z,
+                [below, here],
+            );
         }
     }
 }
@@ -83,7 +95,9 @@ pub fn extract(volume: &Padded) -> Net {
             for x in 1..volume.dims[0] {
                 let at = volume.index(x, y, z);
                 let here = volume.voxels[at];
-                let alike = [sx, sy, sz].iter().all(|stride| volume.voxels[at - stride] == here);
+                let alike = [sx, sy, sz]
+                    .iter()
+                    .all(|stride| volume.voxels[at - stride] == here);
                 if !alike {
                     sweep.voxel(x, y, z);
                 }

@@ -21,7 +21,8 @@ fn volume(side: usize, group: impl Fn([f64; 3]) -> u8) -> Padded {
     let mut grid = Grid::centred([side; 3], [0.8, 1.0, 1.5]);
     // Left-handed, as most scans are stored.
     grid.steps = Matrix3::from_diagonal(&nalgebra::Vector3::new(-0.8, 1.0, 1.5));
-    let at = |i: usize| group([i % side, i / side % side, i / side / side].map(crate::number::real));
+    let at =
+        |i: usize| group([i % side, i / side % side, i / side / side].map(crate::number::real));
     let voxels = (0..side * side * side).map(at).collect();
     let mut volume = Padded::new(LabelVolume { grid, voxels });
     separate_touching(&mut volume, &RANKS);
@@ -70,12 +71,19 @@ fn open_edges(complex: &Complex, group: u8) -> usize {
         if !sides.contains(&group) {
             continue;
         }
-        let [a, b, c] = if sides[0] == group { *triangle } else { [triangle[0], triangle[2], triangle[1]] };
+        let [a, b, c] = if sides[0] == group {
+            *triangle
+        } else {
+            [triangle[0], triangle[2], triangle[1]]
+        };
         for edge in [(a, b), (b, c), (c, a)] {
             *edges.entry(edge).or_insert(0) += 1;
         }
     }
-    edges.iter().filter(|((a, b), count)| **count != 1 || edges.get(&(*b, *a)) != Some(&1)).count()
+    edges
+        .iter()
+        .filter(|((a, b), count)| **count != 1 || edges.get(&(*b, *a)) != Some(&1))
+        .count()
 }
 
 fn targets(volume: &Padded) -> Vec<f64> {
@@ -89,7 +97,11 @@ fn unsmoothed_nets_have_exactly_the_voxels_volume() {
     let volume = organs(20);
     let volumes = complex(&volume, Method::Nets, 0).volumes();
     for (group, target) in targets(&volume).iter().enumerate().skip(1) {
-        assert!((volumes[group] - target).abs() < 1e-6, "{group}: {} {target}", volumes[group]);
+        assert!(
+            (volumes[group] - target).abs() < 1e-6,
+            "{group}: {} {target}",
+            volumes[group]
+        );
     }
 }
 
@@ -102,7 +114,11 @@ fn every_groups_surface_is_closed_at_every_stage() {
         assert!(coarse.triangles.len() * 4 < smoothed.triangles.len());
         for group in 0..4 {
             assert_eq!(open_edges(&smoothed, group), 0, "{method:?} {group}");
-            assert_eq!(open_edges(&coarse, group), 0, "{method:?} {group} decimated");
+            assert_eq!(
+                open_edges(&coarse, group),
+                0,
+                "{method:?} {group} decimated"
+            );
         }
     }
 }
@@ -110,14 +126,22 @@ fn every_groups_surface_is_closed_at_every_stage() {
 #[test]
 fn noise_has_closed_surfaces_too() {
     let mut random = SplitMix64::new(8);
-    let values: Vec<u8> = (0..1000).map(|_| u8::try_from(random.below(4)).expect("small")).collect();
-    let volume = volume(10, |p| values[crate::number::floor_to(p[0] + 10.0 * p[1] + 100.0 * p[2], 999)]);
+    let values: Vec<u8> = (0..1000)
+        .map(|_| u8::try_from(random.below(4)).expect("small"))
+        .collect();
+    let volume = volume(10, |p| {
+        values[crate::number::floor_to(p[0] + 10.0 * p[1] + 100.0 * p[2], 999)]
+    });
     for method in [Method::Nets, Method::MarchingCubes] {
         let fine = complex(&volume, method, 5);
         let coarse = decimate(fine.clone(), 0.5);
         for group in 1..4 {
             assert_eq!(open_edges(&fine, group), 0, "{method:?} {group}");
-            assert_eq!(open_edges(&coarse, group), 0, "{method:?} {group} decimated");
+            assert_eq!(
+                open_edges(&coarse, group),
+                0,
+                "{method:?} {group} decimated"
+            );
         }
     }
 }
@@ -144,7 +168,13 @@ fn smoothing_keeps_within_half_a_voxel_and_does_not_shrink() {
     let neighbours = Neighbours::of_net(&net);
     smooth(&mut net.positions, &neighbours, 20);
     let most = |a: &Point3<f64>, b: &Point3<f64>| (a - b).amax();
-    assert!(begin.positions.iter().zip(&net.positions).all(|(a, b)| most(a, b) < 0.5));
+    assert!(
+        begin
+            .positions
+            .iter()
+            .zip(&net.positions)
+            .all(|(a, b)| most(a, b) < 0.5)
+    );
     let volumes = Complex::of_net(net, &volume.grid).volumes();
     let ratio = volumes[1] / targets(&volume)[1];
     assert!((ratio - 1.0).abs() < 0.03, "{ratio}");
@@ -161,7 +191,12 @@ fn decimation_keeps_its_bound() {
                 .map(|t| crate::geometry::distance_squared(p, &coarse.corners(t)))
                 .fold(f64::INFINITY, f64::min)
         };
-        let worst = fine.positions.iter().map(distance).fold(0.0, f64::max).sqrt();
+        let worst = fine
+            .positions
+            .iter()
+            .map(distance)
+            .fold(0.0, f64::max)
+            .sqrt();
         assert!(worst <= error_mm + 1e-9, "{worst} mm of {error_mm}");
     }
 }
@@ -169,7 +204,10 @@ fn decimation_keeps_its_bound() {
 #[test]
 fn decimation_does_not_depend_on_cores() {
     let fine = complex(&organs(24), Method::Nets, 10);
-    let alone = rayon::ThreadPoolBuilder::new().num_threads(1).build().expect("a pool");
+    let alone = rayon::ThreadPoolBuilder::new()
+        .num_threads(1)
+        .build()
+        .expect("a pool");
     let one = alone.install(|| decimate(fine.clone(), 0.5));
     let many = decimate(fine, 0.5);
     assert!(one.positions == many.positions && one.triangles == many.triangles);
