@@ -200,9 +200,10 @@ fn repaint(volume: &mut Padded, runs: &Runs, roots: &[u32], verdicts: &BTreeMap<
         return;
     }
     for (row, voxels) in volume.voxels.chunks_exact_mut(volume.dims[0]).enumerate() {
-        for run in runs.rows[row]..runs.rows[row + 1] {
-            if let Some(&group) = verdicts.get(&roots[run]) {
-                let Run { start, end, .. } = runs.runs[run];
+        let range = runs.rows[row]..runs.rows[row + 1];
+        for (run, root) in runs.runs[range.clone()].iter().zip(&roots[range]) {
+            if let Some(&group) = verdicts.get(root) {
+                let Run { start, end, .. } = *run;
                 voxels[start as usize..end as usize].fill(group);
             }
         }

@@ -52,15 +52,11 @@ fn open(path: &Path) -> Result<Box<dyn Read>, NiftiError> {
 fn begin(path: &Path) -> Result<(Header, Box<dyn Read>), NiftiError> {
     let mut reader = open(path)?;
     let mut bytes = [0; HEADER_LEN];
-    reader
-        .read_exact(&mut bytes)
-        .map_err(|error| match error.kind() {
-            io::ErrorKind::UnexpectedEof => file_error(
-                path,
-                io::Error::other("it ends within the header of 348 bytes"),
-            ),
-            _ => file_error(path, error),
-        })?;
+    reader.read_exact(&mut bytes).map_err(|error| {
+        let short = error.kind() == io::ErrorKind::UnexpectedEof;
+        let reason = || io::Error::other("it ends within the header of 348 bytes");
+        file_error(path, if short { reason() } else { error })
+    })?;
     let header = Header::parse(&path.display().to_string(), &bytes)?;
     Ok((header, reader))
 }
@@ -99,7 +95,8 @@ fn decode(header: &Header, bytes: &[u8], values: &mut Vec<f64>) {
         DataType::F32 => numbers!(f32),
         DataType::F64 => numbers!(f64),
     }
-    if header.slope < 1.0 || header.slope > 1.0 || header.intercept.abs() > 0.0 {
+    let scaled = (header.slope - 1.0).abs() > 0.0 || header.intercept.abs() > 0.0;
+    if scaled {
         for value in values {
             *value = header.slope * *value + header.intercept;
         }
@@ -122,9 +119,12 @@ pub fn read_slices(
         slice: z + 1,
         slices: header.grid.dims[2],
     };
-    let failed = |z: usize, error: io::Error| match error.kind() {
-        io::ErrorKind::UnexpectedEof => cut(z),
-        _ => file_error(path, error),
+    let failed = |z: usize, error: io::Error| {
+        if error.kind() == io::ErrorKind::UnexpectedEof {
+            cut(z)
+        } else {
+            file_error(path, error)
+        }
     };
     let mut gap = vec![0; header.offset - HEADER_LEN];
     reader
