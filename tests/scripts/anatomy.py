@@ -12,6 +12,7 @@ A phantom is made and built into the given folder (`--size`, `--seed`), and once
            farther than a voxel's diagonal from the faces of its voxels
   usd      usd-core opens the stage, UsdValidation finds no error; units, up axis, semantics, masses, bound materials
   gltf     the Khronos validator has neither error nor warning; trimesh sees the same bounds as in the stage
+  planted  a stage without default prim, and a glTF file with an index out of range, are caught by these judges
   axes     stored with its axes permuted and reversed the patient comes to lie at the same place
 
 The script prints how far the two sides are apart, and fails beyond the tolerances below.
@@ -45,7 +46,7 @@ PLACE_MM = 1e-3
 # Of a mesh's volume to its voxels'.
 VOLUME = 0.01
 # Of a mesh's centre to its voxels', in voxels.
-CENTRE_VOXELS = 0.1
+CENTRE_VOXELS = 0.5
 # Of positions as float32, m.
 METRES = 1e-6
 failures = []
@@ -126,12 +127,16 @@ def check_meshes(folder, image, meshes):
         report(f"{name}: farthest vertex from a face of its voxels, voxel diagonals", distances.max() / diagonal, 1.0)
 
 
-def check_stage(path):
+def stage_errors(path):
     stage = Usd.Stage.Open(str(path))
+    context = UsdValidation.ValidationContext(UsdValidation.ValidationRegistry().GetOrLoadAllValidators())
+    return stage, context.Validate(stage)
+
+
+def check_stage(path):
+    stage, errors = stage_errors(path)
     report("stage: metres per unit from 1", abs(UsdGeom.GetStageMetersPerUnit(stage) - 1), 0)
     report("stage: up axes that are not z", int(UsdGeom.GetStageUpAxis(stage) != UsdGeom.Tokens.z), 0)
-    context = UsdValidation.ValidationContext(UsdValidation.ValidationRegistry().GetOrLoadAllValidators())
-    errors = context.Validate(stage)
     for error in errors:
         print(f"  {error.GetErrorAsString()}")
     report("stage: issues of UsdValidation", len(errors), 0)
@@ -147,6 +152,15 @@ def check_stage(path):
     return stage
 
 
+def gltf_issues(path):
+    done = subprocess.run(["node", "-e", VALIDATE, str(VALIDATOR), str(path)], check=True, capture_output=True, text=True)
+    return json.loads(done.stdout)
+
+
+def has_validator():
+    return VALIDATOR.is_dir() and shutil.which("node")
+
+
 def check_gltf(path, meshes):
     scene = trimesh.load(path)
     report("glTF: meshes that the stage has not", len(scene.geometry.keys() ^ meshes.keys()), 0)
@@ -155,15 +169,32 @@ def check_gltf(path, meshes):
     low, high = bounds[:, 0].min(axis=0), bounds[:, 1].max(axis=0)
     expected = np.array([[low[0], low[2], -high[1]], [high[0], high[2], -low[1]]])
     report("glTF: bounds from the stage's, m", np.abs(scene.bounds - expected).max(), METRES)
-    if not (VALIDATOR.is_dir() and shutil.which("node")):
+    if not has_validator():
         print("glTF: the Khronos validator is not here (no npm): NOT CHECKED")
         return
-    done = subprocess.run(["node", "-e", VALIDATE, str(VALIDATOR), str(path)], check=True, capture_output=True, text=True)
-    issues = json.loads(done.stdout)
-    for message in issues["messages"][:10]:
-        print(f"  {message}")
+    issues = gltf_issues(path)
+    for message in issues["messages"]:
+        if message["severity"] < 2:
+            print(f"  {message}")
     report("glTF: errors of the Khronos validator", issues["numErrors"], 0)
     report("glTF: its warnings", issues["numWarnings"], 0)
+
+
+def check_planted(folder):
+    """What is wrong on purpose must be found."""
+    text = (folder / "patient.usda").read_text()
+    for key in ("defaultPrim", "metersPerUnit"):
+        planted = folder / f"without_{key}.usda"
+        planted.write_text("".join(line for line in text.splitlines(True) if not line.strip().startswith(key)))
+        _, errors = stage_errors(planted)
+        report(f"planted: a stage without {key} that passes", int(not errors), 0)
+    if has_validator():
+        data = bytearray((folder / "patient.glb").read_bytes())
+        # The last index of the last mesh.
+        data[-4:] = b"\xf0\xff\xff\x7f"
+        planted = folder / "planted.glb"
+        planted.write_bytes(data)
+        report("planted: a glTF file with an index out of range that passes", int(gltf_issues(planted)["numErrors"] == 0), 0)
 
 
 def check_axes(folder, image, meshes):
@@ -198,6 +229,7 @@ def main():
     meshes = stage_meshes(stage)
     check_meshes(folder, image, meshes)
     check_gltf(folder / "patient.glb", meshes)
+    check_planted(folder)
     check_axes(folder, image, meshes)
     if failures:
         sys.exit(f"{len(failures)} failed: {', '.join(failures)}")

@@ -202,15 +202,22 @@ fn targets(volume: &Padded) -> Vec<f64> {
     volume.counts().iter().take(32).map(mm3).collect()
 }
 
-fn repair(volume: &mut Padded, groups: &Groups, options: &Options) -> Cleaned {
+/// What was changed, and the volumes that meshes shall have: those before voxels that touch are separated, which is for the surfaces' sake.
+fn repair(volume: &mut Padded, groups: &Groups, options: &Options) -> (Cleaned, Vec<f64>) {
     let least = (options.min_island_mm3 / volume.grid.voxel_mm3()).ceil();
     let mut cleaned = remove_islands(volume, floor_to(least, 1 << 30) as u64);
+    let targets = targets(volume);
     cleaned.touching_voxels = separate_touching(volume, &groups.ranks());
-    cleaned
+    (cleaned, targets)
 }
 
 /// The surfaces between groups, smooth, with the volumes of their voxels.
-fn surfaces(volume: &Padded, options: &Options, watch: &mut dyn FnMut(Stage)) -> Complex {
+fn surfaces(
+    volume: &Padded,
+    targets: &[f64],
+    options: &Options,
+    watch: &mut dyn FnMut(Stage),
+) -> Complex {
     let grid = &volume.grid;
     let mut complex = match options.surface {
         Method::Nets => {
@@ -229,7 +236,7 @@ fn surfaces(volume: &Padded, options: &Options, watch: &mut dyn FnMut(Stage)) ->
         }
     };
     let half_voxel = 0.5 * grid.spacing().into_iter().fold(f64::INFINITY, f64::min);
-    balance(&mut complex, &targets(volume), half_voxel);
+    balance(&mut complex, targets, half_voxel);
     complex
 }
 
@@ -279,15 +286,15 @@ fn build_volume(
     let mut volume = Padded::new(volume);
     let read = volume.counts();
     watch(Stage::Repair);
-    let repaired = repair(&mut volume, groups, options);
+    let (repaired, targets) = repair(&mut volume, groups, options);
     watch(Stage::Surface);
-    let fine = surfaces(&volume, options, watch);
+    let fine = surfaces(&volume, &targets, options, watch);
     let triangles_fine = fine.triangles.len();
     watch(Stage::Decimate);
     let mut complex = decimate(fine, DECIMATION_SHARE * options.max_error_mm);
     balance(
         &mut complex,
-        &targets(&volume),
+        &targets,
         (1.0 - DECIMATION_SHARE) * options.max_error_mm,
     );
     watch(Stage::Meshes);
@@ -304,7 +311,7 @@ fn build_volume(
             triangles: mesh.triangles.len(),
             mass_kg: Asset { group, mesh }.mass_kg(),
             atlas_used: *atlas_used,
-            measures: measure(mesh, &volume)?,
+            measures: measure(mesh, &volume, targets[mesh.group + 1])?,
         })
     };
     let report = Report {

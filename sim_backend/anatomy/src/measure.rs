@@ -25,7 +25,7 @@ const SAMPLES: usize = 150_000;
 /// What was measured of a group's mesh.
 #[derive(Clone, Debug, serde::Serialize)]
 pub struct Measures {
-    /// Volume of the group's voxels after repairs, mm³.
+    /// Volume of the group's voxels, islands removed and holes filled, mm³.
     pub voxels_mm3: f64,
     /// Volume of the mesh, mm³.
     pub mesh_mm3: f64,
@@ -86,9 +86,10 @@ fn largest_and_sum(distances: &[f64]) -> (f64, f64) {
         .fold((0.0, 0.0), |(most, sum), d| (f64::max(most, *d), sum + d))
 }
 
-/// Measures `mesh` against its voxels in `volume`; none if the lattice is flat or the group has no voxels.
+/// Measures `mesh` against its voxels in `volume`, and its volume against `voxels_mm3`; none if the lattice is flat or the group has no
+/// voxels.
 #[must_use]
-pub fn measure(mesh: &GroupMesh, volume: &Padded) -> Option<Measures> {
+pub fn measure(mesh: &GroupMesh, volume: &Padded, voxels_mm3: f64) -> Option<Measures> {
     let group = u8::try_from(mesh.group + 1).ok()?;
     let positions = in_voxels(mesh, &volume.grid)?;
     let faces = face_middles(volume, group, SAMPLES);
@@ -105,7 +106,6 @@ pub fn measure(mesh: &GroupMesh, volume: &Padded) -> Option<Measures> {
     let ((most_a, sum_a), (most_b, sum_b)) =
         (largest_and_sum(&to_mesh), largest_and_sum(&to_voxels));
     let (voxels, inside, both) = voxelise::compare(&positions, &mesh.triangles, volume, group);
-    let voxels_mm3 = real(voxels) * volume.grid.voxel_mm3();
     let mesh_mm3 = mesh.volume_mm3();
     Some(Measures {
         voxels_mm3,

@@ -31,7 +31,7 @@ fn mesh(volume: &Padded) -> GroupMesh {
 #[test]
 fn unsmoothed_mesh_is_its_voxels() {
     let volume = block();
-    let found = measure(&mesh(&volume), &volume).expect("there is a group");
+    let found = measure(&mesh(&volume), &volume, 512.0).expect("there is a group");
     assert!(found.watertight);
     assert!(
         found.hausdorff_voxels < 1e-6 && found.mean_voxels < 1e-6,
@@ -49,7 +49,7 @@ fn shifted_mesh_is_seen_by_every_measure() {
     for p in &mut mesh.positions {
         *p += Vector3::new(1.0, 0.0, 0.0);
     }
-    let found = measure(&mesh, &volume).expect("there is a group");
+    let found = measure(&mesh, &volume, 512.0).expect("there is a group");
     assert!((found.hausdorff_voxels - 2.0).abs() < 1e-6, "{found:?}");
     assert!(found.mean_voxels > 0.3);
     assert!((found.dice - 0.75).abs() < 1e-12, "{}", found.dice);
