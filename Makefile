@@ -1,5 +1,5 @@
 # Two commands do everything on a fresh machine: `make demo` and `make test`.
-.PHONY: demo dist test-dist test check test-adversary test-golden test-can test-python test-study test-console test-slurm adversary fuzz-can build setup setup-can setup-browser setup-python bench clean
+.PHONY: demo dist test-dist test check test-adversary test-golden test-can test-python test-study test-console test-anatomy test-slurm adversary fuzz-can build setup setup-can setup-browser setup-python bench clean
 
 TROCAR := $(or $(CARGO_TARGET_DIR),target)/release/trocar
 DEBUG_TROCAR := $(or $(CARGO_TARGET_DIR),target)/debug/trocar
@@ -52,6 +52,14 @@ test-study: build setup-browser
 test-console: setup setup-browser
 	cargo build --locked -p trocar
 	cargo test --locked --workspace --test console -- --include-ignored
+
+# Patients of scans: the crate's tests, and what nibabel, SimpleITK, trimesh, usd-core and the Khronos glTF validator say of its files. Not
+# part of `make test`, which has the crate's own tests.
+test-anatomy: setup
+	@.ci/setup-anatomy.sh
+	cargo test --locked -p trocar-anatomy
+	cargo build --locked -p trocar
+	TROCAR=$(abspath $(DEBUG_TROCAR)) target/anatomy/bin/python -B tests/scripts/anatomy.py target/scratch/anatomy
 
 # The Slurm array script on a cluster of this one machine: installs slurm-wlm, needs root, and is no part of `make test`.
 test-slurm: build

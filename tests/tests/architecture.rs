@@ -43,7 +43,7 @@ const fn member(
     }
 }
 
-const MEMBERS: [Member; 14] = [
+const MEMBERS: [Member; 15] = [
     member("hal", "hal", &[]),
     member("hal/topics", "trocar-topics", &["hal"]),
     member("hal/canopen", "trocar-canopen", &["hal"]),
@@ -62,6 +62,7 @@ const MEMBERS: [Member; 14] = [
         "trocar-tasks",
         &["hal", "trocar-render", "trocar-world"],
     ),
+    member("sim_backend/anatomy", "trocar-anatomy", &["hal"]),
     member("runtime/control", "trocar-control", &["hal"]),
     member("runtime/verify", "trocar-verify", &["hal"]),
     member(
@@ -74,6 +75,7 @@ const MEMBERS: [Member; 14] = [
         "trocar",
         &[
             "hal",
+            "trocar-anatomy",
             "trocar-canopen",
             "trocar-control",
             "trocar-data",

@@ -71,6 +71,9 @@ pub enum SessionError {
         /// All attempts.
         attempts: u64,
     },
+    /// A patient can't be made of a scan.
+    #[error(transparent)]
+    Anatomy(#[from] trocar_anatomy::build::BuildError),
     /// A study can't be planned, run or reported.
     #[error(transparent)]
     Study(Box<crate::study::StudyError>),
@@ -156,6 +159,7 @@ impl SessionError {
         match self {
             Self::Log(error) => error.is_bad_input(),
             Self::Study(error) => error.is_bad_input(),
+            Self::Anatomy(error) => error.is_bad_input(),
             Self::Topic(error) => matches!(error, TopicError::BadName { .. }),
             Self::Config(_)
             | Self::Checkpoint(_)

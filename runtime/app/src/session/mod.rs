@@ -2,6 +2,7 @@
 //!
 //! This is the one place where the simulator, the policies and the controller meet.
 
+pub mod anatomy;
 mod can_interfaces;
 pub mod changes;
 mod cloud_file;

@@ -15,6 +15,7 @@ use trocar::session::drives::DEFAULT_TOPICS;
 use trocar::session::external::DEFAULT_WITHIN_S;
 use trocar::session::tasks;
 
+use crate::anatomy::AnatomyVerb;
 use crate::drives::DrivesArgs;
 use crate::export::ExportVerb;
 use crate::import::ImportVerb;
@@ -154,6 +155,12 @@ pub(crate) enum Verb {
     /// Draw what every camera of every task sees in the middle of an expert's episode, in colour, depth and ids, as one PNG.
     #[command(after_help = "Example: trocar sheet --out runs/tasks.png --seed 7 --width 192")]
     Sheet(SheetArgs),
+    /// Make a patient of meshes of a CT's labels, or a procedural CT with its labels.
+    #[command(
+        subcommand,
+        after_help = "Example: trocar anatomy phantom --seed 7 --out runs/patient\n         trocar anatomy build runs/patient/labels.nii.gz --out runs/patient"
+    )]
+    Anatomy(AnatomyVerb),
     /// Show what the arms of a run in real time are doing: operating state, fault.
     #[command(
         after_help = "Example: trocar status\n         trocar status --json | jq .arms[0].state\n\nThis and enable, disable, pause, resume, home, clear, speed and stop speak to a run of this user in real time, over a local socket. Exit code 1 if the run says no."
@@ -211,6 +218,7 @@ impl Verb {
             Self::Record(args) => &args.json,
             Self::Import(verb) => verb.json(),
             Self::Export(verb) => verb.json(),
+            Self::Anatomy(verb) => verb.json(),
             Self::Train(args) => &args.json,
             Self::Report(args) => &args.json,
             Self::Replay(args) => &args.log.json,

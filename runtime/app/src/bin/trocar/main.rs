@@ -3,6 +3,7 @@
 //! Exit codes: 0 done, 1 failed at its job, 2 bad usage or bad input.
 
 mod about;
+mod anatomy;
 mod args;
 mod commands;
 mod console;
@@ -89,6 +90,7 @@ fn main() -> ExitCode {
         Verb::Drives(args) => drives::drives(args),
         Verb::Doctor(args) => commands::doctor(args),
         Verb::Demo(args) => commands::demo(args),
+        Verb::Anatomy(verb) => anatomy::anatomy(verb),
         Verb::Sheet(args) => sheet::sheet(args),
         Verb::Status(args) => operate(Command::Status, args),
         Verb::Home(args) => operate(Command::Home, args),

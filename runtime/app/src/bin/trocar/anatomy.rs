@@ -1,0 +1,214 @@
+//! The verb `anatomy`.
+
+use std::path::PathBuf;
+
+use clap::{Args, Subcommand, ValueEnum};
+
+use trocar::session::run::write_json;
+use trocar::session::{SessionError, anatomy, outputs};
+use trocar_anatomy::build::{Options, Stage};
+use trocar_anatomy::surface::Method;
+
+use crate::commands::Done;
+use crate::console;
+
+/// Most voxels along an axis of a phantom.
+const SIDE_MAX: usize = 1024;
+
+/// What to do with an anatomy.
+#[derive(Debug, Subcommand)]
+pub(crate) enum AnatomyVerb {
+    /// Make a procedural patient: a CT and its labels.
+    #[command(
+        after_help = "Example: trocar anatomy phantom --seed 7 --out runs/patient\n         trocar anatomy phantom --seed 8 --size 512x512x600 --out runs/large\n\nOUT gets ct.nii.gz (HU) and labels.nii.gz (VISTA3D's numbers) of 450 mm x 450 mm x 540 mm. The same seed and size give the same files."
+    )]
+    Phantom(PhantomArgs),
+    /// Make meshes of a CT's labels.
+    #[command(
+        after_help = "Example: trocar anatomy build runs/patient/labels.nii.gz --out runs/patient\n         trocar anatomy build segmentation.nii.gz --groups totalsegmentator --max-error-mm 1 --out runs/case --json runs/case.json\n\nOUT gets patient.glb (glTF), patient.usda (OpenUSD) and patient.json (what was measured), a mesh a tissue group, where the scan has them: right, anterior, superior, in metres. A label that the table does not have is refused; tables of your own have the form of those in config/anatomy/."
+    )]
+    Build(BuildArgs),
+}
+
+impl AnatomyVerb {
+    /// Where the result goes as JSON.
+    pub(crate) const fn json(&self) -> &Option<PathBuf> {
+        match self {
+            Self::Phantom(args) => &args.json,
+            Self::Build(args) => &args.json,
+        }
+    }
+}
+
+/// Options of `anatomy phantom`.
+#[derive(Args, Debug)]
+pub(crate) struct PhantomArgs {
+    /// Random seed: the same seed gives the same patient.
+    #[arg(long, default_value_t = 0)]
+    seed: u64,
+    /// Voxels along x, y and z, 16 to 1024 each.
+    #[arg(long, value_name = "WxHxD", default_value = "256x256x300", value_parser = size)]
+    size: Size,
+    /// The folder, which is made.
+    #[arg(long)]
+    out: PathBuf,
+    /// Write what was made as JSON, to standard output if it is `-`; parent folders are made.
+    #[arg(long, value_name = "FILE")]
+    json: Option<PathBuf>,
+}
+
+/// Voxels along the axes.
+#[derive(Clone, Copy, Debug)]
+struct Size([usize; 3]);
+
+fn size(text: &str) -> Result<Size, String> {
+    let sides: Option<Vec<usize>> = text.split('x').map(|side| side.parse().ok()).collect();
+    let allowed = |side: &usize| (16..=SIDE_MAX).contains(side);
+    match sides.as_deref() {
+        Some(&[x, y, z]) if [x, y, z].iter().all(allowed) => Ok(Size([x, y, z])),
+        _ => Err(format!(
+            "three numbers from 16 to {SIDE_MAX}, such as 256x256x300"
+        )),
+    }
+}
+
+/// Options of `anatomy build`.
+#[derive(Args, Debug)]
+pub(crate) struct BuildArgs {
+    /// The label volume: NIfTI, .nii or .nii.gz.
+    #[arg(value_name = "LABELS")]
+    labels: PathBuf,
+    /// The folder, which is made.
+    #[arg(long)]
+    out: PathBuf,
+    /// Which label is which tissue group: vista3d, totalsegmentator, or a file.
+    #[arg(long, value_name = "NAME|FILE", default_value = "vista3d")]
+    groups: String,
+    /// How far meshes may be from the smooth surface, mm, 0.01 to 10.
+    #[arg(long, value_name = "E", default_value_t = 0.5, value_parser = error_mm)]
+    max_error_mm: f64,
+    /// How surfaces are found: nets share vertices between neighbours, marching cubes make each group by itself.
+    #[arg(long, value_enum, default_value = "nets")]
+    surface: Surface,
+    /// Pieces of a group that are smaller go to their neighbours, mm³, up to 100000.
+    #[arg(long, value_name = "V", default_value_t = 30.0, value_parser = island_mm3)]
+    min_island_mm3: f64,
+    /// Write what was made, with times and memory of each stage, as JSON, to standard output if it is `-`; parent folders are made.
+    #[arg(long, value_name = "FILE")]
+    json: Option<PathBuf>,
+}
+
+/// How surfaces are found.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum Surface {
+    /// Surface nets of all groups at once.
+    Nets,
+    /// Marching cubes of each group alone.
+    MarchingCubes,
+}
+
+fn within(text: &str, low: f64, high: f64) -> Result<f64, String> {
+    match text.parse() {
+        Ok(value) if (low..=high).contains(&value) => Ok(value),
+        _ => Err(format!("expected a number in [{low}, {high}]")),
+    }
+}
+
+fn error_mm(text: &str) -> Result<f64, String> {
+    within(text, 0.01, 10.0)
+}
+
+fn island_mm3(text: &str) -> Result<f64, String> {
+    within(text, 0.0, 1e5)
+}
+
+pub(crate) fn anatomy(verb: &AnatomyVerb) -> Done {
+    match verb {
+        AnatomyVerb::Phantom(args) => phantom(args),
+        AnatomyVerb::Build(args) => build(args),
+    }
+}
+
+fn phantom(args: &PhantomArgs) -> Done {
+    outputs::check(&[("--json", args.json.as_deref())], &[])?;
+    let bar = console::progress(0, "slices");
+    let made = anatomy::phantom(args.seed, args.size.0, &args.out, |done, all| {
+        bar.set_length(all as u64);
+        bar.set_position(done as u64);
+    })?;
+    bar.finish_and_clear();
+    let out = args.out.display();
+    console::result(&format!(
+        "seed {}: {} parts in {out}",
+        made.seed,
+        made.parts.len()
+    ));
+    if let Some(path) = &args.json {
+        write_json(path, &made)?;
+    }
+    Ok(true)
+}
+
+fn build(args: &BuildArgs) -> Done {
+    let labels = ("the labels", Some(args.labels.as_path()));
+    outputs::check(&[("--json", args.json.as_deref())], &[labels])?;
+    let options = Options {
+        max_error_mm: args.max_error_mm,
+        surface: match args.surface {
+            Surface::Nets => Method::Nets,
+            Surface::MarchingCubes => Method::MarchingCubes,
+        },
+        min_island_mm3: args.min_island_mm3,
+        ..Options::default()
+    };
+    let bar = console::bar("read");
+    bar.set_length(Stage::ALL.len() as u64);
+    let made = anatomy::build(
+        &args.labels,
+        &args.groups,
+        &args.out,
+        &options,
+        &mut |stage| {
+            bar.set_message(stage.name());
+            bar.inc(1);
+        },
+    )?;
+    bar.finish_and_clear();
+    tell(&made);
+    if let Some(path) = &args.json {
+        write_json(path, &made)?;
+    }
+    if let Some(open) = made
+        .report
+        .groups
+        .iter()
+        .find(|group| !group.measures.watertight)
+    {
+        let text = format!("the surface of {} is not closed", open.name);
+        return Err(SessionError::output(&args.out, text));
+    }
+    Ok(true)
+}
+
+fn tell(made: &anatomy::Built) {
+    let report = &made.report;
+    console::result("group         volume ml  triangles  Hausdorff  mean  Dice");
+    for group in &report.groups {
+        let found = &group.measures;
+        console::result(&format!(
+            "{:<12} {:>10.1} {:>10} {:>10.2} {:>5.2} {:.3}",
+            group.name,
+            found.mesh_mm3 * 1e-3,
+            group.triangles,
+            found.hausdorff_voxels,
+            found.mean_voxels,
+            found.dice
+        ));
+    }
+    let seconds: f64 = made.stages.iter().map(|stage| stage.seconds).sum();
+    let repaired = &report.repaired;
+    console::result(&format!(
+        "{} of {} triangles left; {} islands and {} holes repaired; {seconds:.1} s; distances in voxels",
+        report.triangles, report.triangles_fine, repaired.islands, repaired.holes
+    ));
+}

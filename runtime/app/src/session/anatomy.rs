@@ -1,0 +1,136 @@
+//! Patients of scans: the pipeline of `trocar_anatomy` with the times and the memory of its stages.
+
+use std::path::{Path, PathBuf};
+
+use serde::Serialize;
+
+use hal::TimeNs;
+use trocar_anatomy::build::{self, Options, Report, Stage};
+use trocar_anatomy::groups::Groups;
+use trocar_anatomy::nifti::NiftiError;
+use trocar_anatomy::phantom::{self, Phantom, Size};
+
+use super::{SessionError, outputs};
+use crate::rt::MonotonicClock;
+
+/// What a stage took.
+#[derive(Clone, Debug, Serialize)]
+pub struct StageTime {
+    /// The stage.
+    pub stage: Stage,
+    /// How long it took, s.
+    pub seconds: f64,
+    /// The most memory that this process has had up to its end, MiB.
+    pub peak_mib: f64,
+}
+
+/// A patient, and what making it took.
+#[derive(Clone, Debug, Serialize)]
+pub struct Built {
+    /// What was made, and how well.
+    #[serde(flatten)]
+    pub report: Report,
+    /// The stages in order.
+    pub stages: Vec<StageTime>,
+}
+
+/// Times of stages while they pass.
+struct Stopwatch {
+    clock: MonotonicClock,
+    now: Option<(Stage, TimeNs)>,
+    done: Vec<StageTime>,
+}
+
+impl Stopwatch {
+    /// Ends the stage that goes on, and begins `next`.
+    #[expect(clippy::cast_precision_loss, reason = "seconds of a build")]
+    fn pass(&mut self, next: Option<Stage>) {
+        let now = self.clock.now();
+        if let Some((stage, since)) = self.now {
+            self.done.push(StageTime {
+                stage,
+                seconds: now.since(since) as f64 * 1e-9,
+                peak_mib: peak_mib(),
+            });
+        }
+        self.now = next.map(|next| (next, now));
+    }
+}
+
+/// The most memory that this process has had, MiB; 0 where the system does not say.
+fn peak_mib() -> f64 {
+    let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
+    let peak = status.lines().find_map(|line| line.strip_prefix("VmHWM:"));
+    let kib = peak.and_then(|peak| {
+        peak.trim()
+            .trim_end_matches("kB")
+            .trim()
+            .parse::<f64>()
+            .ok()
+    });
+    kib.unwrap_or(0.0) / 1024.0
+}
+
+/// Files of a folder that a verb is about to write, with the option that names it.
+fn check_outputs(folder: &Path, names: &[&str], source: Option<&Path>) -> Result<(), SessionError> {
+    let files: Vec<PathBuf> = names.iter().map(|name| folder.join(name)).collect();
+    let written: Vec<(&str, Option<&Path>)> = files
+        .iter()
+        .map(|file| ("--out", Some(file.as_path())))
+        .collect();
+    outputs::check(&written, &[("the labels", source)])
+}
+
+/// Makes a patient of the labels in `source` by the table of labels `table`, and writes it into `out`; `watch` is told each stage as it
+/// begins.
+///
+/// # Errors
+/// [`SessionError::Anatomy`] if the volume is refused, [`SessionError::Config`] if the table is, [`SessionError::BadArgument`] if `out`
+/// can't be written.
+pub fn build(
+    source: &Path,
+    table: &str,
+    out: &Path,
+    options: &Options,
+    watch: &mut dyn FnMut(Stage),
+) -> Result<Built, SessionError> {
+    let groups = Groups::load(table)?;
+    check_outputs(
+        out,
+        &["patient.glb", "patient.usda", "patient.json"],
+        Some(source),
+    )?;
+    let mut stopwatch = Stopwatch {
+        clock: MonotonicClock::new(),
+        now: None,
+        done: Vec::new(),
+    };
+    let patient = build::build(source, &groups, options, &mut |stage| {
+        stopwatch.pass(Some(stage));
+        watch(stage);
+    })?;
+    stopwatch.pass(Some(Stage::Write));
+    watch(Stage::Write);
+    build::write(&patient, &groups, out)?;
+    stopwatch.pass(None);
+    Ok(Built {
+        report: patient.report,
+        stages: stopwatch.done,
+    })
+}
+
+/// Writes the CT and the labels of the procedural patient of `seed` into `out`; `done` is told how many of how many slices there are.
+///
+/// # Errors
+/// [`SessionError::BadArgument`] or [`SessionError::Anatomy`] if `out` can't be written.
+pub fn phantom(
+    seed: u64,
+    size: [usize; 3],
+    out: &Path,
+    done: impl FnMut(usize, usize),
+) -> Result<Phantom, SessionError> {
+    check_outputs(out, &["ct.nii.gz", "labels.nii.gz"], None)?;
+    let patient = phantom::Patient::new(seed);
+    let written = phantom::write(&patient, Size(size), out, done);
+    written.map_err(|error: NiftiError| SessionError::Anatomy(error.into()))
+}

@@ -1,0 +1,53 @@
+//! A patient as files that other programs open: glTF (`.glb`) and OpenUSD (`.usda`).
+//!
+//! Coordinates are the scan's world, right-anterior-superior, in metres. OpenUSD has z upwards, as the scan; glTF's y upwards comes from a
+//! rotation at the root, and its meshes keep the scan's coordinates.
+
+mod glb;
+mod usda;
+
+#[cfg(test)]
+mod tests;
+
+use crate::groups::Group;
+use crate::mesh::GroupMesh;
+use crate::number::single;
+
+pub use glb::glb;
+pub use usda::usda;
+
+/// A group's mesh and what it is made of.
+#[derive(Clone, Copy, Debug)]
+pub struct Asset<'a> {
+    /// Its name, material and density.
+    pub group: &'a Group,
+    /// Its mesh.
+    pub mesh: &'a GroupMesh,
+}
+
+impl Asset<'_> {
+    /// Its mass by its mesh's volume, kg.
+    #[must_use]
+    pub fn mass_kg(&self) -> f64 {
+        self.group.density_kg_m3 * self.mesh.volume_mm3() * 1e-9
+    }
+
+    /// Places of vertices, m.
+    fn metres(&self) -> impl Iterator<Item = [f32; 3]> + '_ {
+        self.mesh
+            .positions
+            .iter()
+            .map(|p| [p.x, p.y, p.z].map(|x| single(x * 1e-3)))
+    }
+}
+
+/// The least and the greatest of each coordinate.
+fn extent(positions: impl Iterator<Item = [f32; 3]>) -> [[f32; 3]; 2] {
+    let none = [[f32::INFINITY; 3], [f32::NEG_INFINITY; 3]];
+    positions.fold(none, |[low, high], p| {
+        [
+            [0, 1, 2].map(|k| low[k].min(p[k])),
+            [0, 1, 2].map(|k| high[k].max(p[k])),
+        ]
+    })
+}

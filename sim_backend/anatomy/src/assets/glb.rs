@@ -1,0 +1,182 @@
+//! glTF 2.0 in one binary file.
+
+use std::collections::BTreeMap;
+
+use serde_json::{Value, json};
+
+use super::{Asset, extent};
+use crate::number::{index, single};
+
+/// A vertex with its own texture coordinates: a seam has several where the mesh has one.
+struct Split {
+    positions: Vec<[f32; 3]>,
+    normals: Vec<[f32; 3]>,
+    uv: Vec<[f32; 2]>,
+    indices: Vec<u32>,
+}
+
+fn split(asset: &Asset<'_>) -> Split {
+    let mesh = asset.mesh;
+    let metres: Vec<[f32; 3]> = asset.metres().collect();
+    let mut known = BTreeMap::new();
+    let mut split = Split {
+        positions: Vec::new(),
+        normals: Vec::new(),
+        uv: Vec::new(),
+        indices: Vec::with_capacity(3 * mesh.triangles.len()),
+    };
+    for (triangle, uv) in mesh.triangles.iter().zip(&mesh.uv) {
+        for (v, uv) in triangle.iter().zip(uv) {
+            let place = *known.entry((*v, uv.map(f32::to_bits))).or_insert_with(|| {
+                split.positions.push(metres[*v as usize]);
+                split.normals.push(mesh.normals[*v as usize]);
+                // glTF's v runs downwards.
+                split.uv.push([uv[0], 1.0 - uv[1]]);
+                index(split.positions.len() - 1)
+            });
+            split.indices.push(place);
+        }
+    }
+    split
+}
+
+/// What is being written.
+#[derive(Default)]
+struct Document {
+    bytes: Vec<u8>,
+    views: Vec<Value>,
+    accessors: Vec<Value>,
+    meshes: Vec<Value>,
+    materials: Vec<Value>,
+    nodes: Vec<Value>,
+}
+
+impl Document {
+    /// Adds numbers as a view and an accessor; the accessor's index.
+    fn add(
+        &mut self,
+        numbers: impl Iterator<Item = [u8; 4]>,
+        target: u32,
+        mut accessor: Value,
+    ) -> usize {
+        let offset = self.bytes.len();
+        self.bytes.extend(numbers.flatten());
+        let length = self.bytes.len() - offset;
+        self.views.push(
+            json!({"buffer": 0, "byteOffset": offset, "byteLength": length, "target": target}),
+        );
+        accessor["bufferView"] = json!(self.views.len() - 1);
+        self.accessors.push(accessor);
+        self.accessors.len() - 1
+    }
+
+    fn floats(
+        &mut self,
+        vectors: &[impl AsRef<[f32]>],
+        kind: &str,
+        bounds: Option<[[f32; 3]; 2]>,
+    ) -> usize {
+        let mut accessor = json!({"componentType": 5126, "count": vectors.len(), "type": kind});
+        if let Some([low, high]) = bounds {
+            accessor["min"] = json!(low);
+            accessor["max"] = json!(high);
+        }
+        let numbers = vectors
+            .iter()
+            .flat_map(|v| v.as_ref().iter().map(|x| x.to_le_bytes()));
+        self.add(numbers, 34962, accessor)
+    }
+
+    fn asset(&mut self, asset: &Asset<'_>) {
+        let split = split(asset);
+        let bounds = extent(split.positions.iter().copied());
+        let position = self.floats(&split.positions, "VEC3", Some(bounds));
+        let normal = self.floats(&split.normals, "VEC3", None);
+        let uv = self.floats(&split.uv, "VEC2", None);
+        let accessor =
+            json!({"componentType": 5125, "count": split.indices.len(), "type": "SCALAR"});
+        let indices = self.add(
+            split.indices.iter().map(|i| i.to_le_bytes()),
+            34963,
+            accessor,
+        );
+        let group = asset.group;
+        self.materials.push(material(asset));
+        self.meshes.push(json!({
+            "name": group.name,
+            "primitives": [{
+                "attributes": {"POSITION": position, "NORMAL": normal, "TEXCOORD_0": uv},
+                "indices": indices,
+                "material": self.materials.len() - 1,
+            }],
+        }));
+        self.nodes.push(json!({
+            "name": group.name,
+            "mesh": self.meshes.len() - 1,
+            "extras": {"class": group.name, "mass_kg": asset.mass_kg(), "density_kg_m3": group.density_kg_m3},
+        }));
+    }
+
+    fn json(&self) -> Value {
+        let half = single(std::f64::consts::FRAC_1_SQRT_2);
+        let children: Vec<usize> = (0..self.nodes.len()).collect();
+        let mut nodes = self.nodes.clone();
+        // From z upwards to y upwards.
+        nodes.push(
+            json!({"name": "patient", "rotation": [-half, 0.0, 0.0, half], "children": children}),
+        );
+        json!({
+            "asset": {"version": "2.0", "generator": "trocar anatomy", "extras": {"frame": "RAS of the scan, m"}},
+            "extensionsUsed": ["KHR_materials_clearcoat"],
+            "scene": 0,
+            "scenes": [{"nodes": [nodes.len() - 1]}],
+            "nodes": nodes,
+            "meshes": self.meshes,
+            "materials": self.materials,
+            "accessors": self.accessors,
+            "bufferViews": self.views,
+            "buffers": [{"byteLength": self.bytes.len()}],
+        })
+    }
+}
+
+fn material(asset: &Asset<'_>) -> Value {
+    let group = asset.group;
+    let [r, g, b] = group.colour;
+    json!({
+        "name": group.name,
+        "pbrMetallicRoughness": {"baseColorFactor": [r, g, b, 1.0], "metallicFactor": 0.0, "roughnessFactor": group.roughness},
+        "extensions": {"KHR_materials_clearcoat": {"clearcoatFactor": group.wetness, "clearcoatRoughnessFactor": 0.15}},
+    })
+}
+
+/// The bytes of a `.glb` with a node a group.
+///
+/// Vertices are split where texture coordinates have seams; `.usda` keeps each mesh in one piece.
+///
+/// # Panics
+/// If the file would exceed 4 GiB.
+#[must_use]
+pub fn glb(assets: &[Asset<'_>]) -> Vec<u8> {
+    let mut document = Document::default();
+    for asset in assets {
+        document.asset(asset);
+    }
+    let mut json = document.json().to_string().into_bytes();
+    json.resize(json.len().next_multiple_of(4), b' ');
+    document
+        .bytes
+        .resize(document.bytes.len().next_multiple_of(4), 0);
+    let total = 12 + 8 + json.len() + 8 + document.bytes.len();
+    let mut file = Vec::with_capacity(total);
+    let word = |file: &mut Vec<u8>, value: u32| file.extend(value.to_le_bytes());
+    file.extend(b"glTF");
+    word(&mut file, 2);
+    word(&mut file, index(total));
+    for (kind, chunk) in [(b"JSON", &json), (b"BIN\0", &document.bytes)] {
+        word(&mut file, index(chunk.len()));
+        file.extend(kind);
+        file.extend(chunk);
+    }
+    file
+}

@@ -1,0 +1,152 @@
+//! OpenUSD as text: a prim a group, with material, semantics and collider.
+
+use std::fmt::Write as _;
+
+use super::{Asset, extent};
+
+/// Numbers that are written on a line.
+const PER_LINE: usize = 12;
+
+/// `name` as a prim's name.
+fn prim(name: &str) -> String {
+    name.replace('-', "_")
+}
+
+/// `key = [items]`, some on a line.
+fn list(text: &mut String, key: &str, items: impl Iterator<Item = String>, after: &str) {
+    let _written = write!(text, "        {key} = [");
+    for (i, item) in items.enumerate() {
+        let between = match i {
+            0 => "",
+            _ if i.is_multiple_of(PER_LINE) => ",\n            ",
+            _ => ", ",
+        };
+        text.push_str(between);
+        text.push_str(&item);
+    }
+    let _written = writeln!(text, "]{after}");
+}
+
+fn vector(v: [f32; 3]) -> String {
+    let [x, y, z] = v;
+    format!("({x}, {y}, {z})")
+}
+
+fn material(text: &mut String, asset: &Asset<'_>) {
+    let group = asset.group;
+    let name = prim(&group.name);
+    let [r, g, b] = group.colour;
+    let _written = write!(
+        text,
+        r#"        def Material "{name}"
+        {{
+            token outputs:surface.connect = </Patient/Materials/{name}/Surface.outputs:surface>
+
+            def Shader "Surface"
+            {{
+                uniform token info:id = "UsdPreviewSurface"
+                color3f inputs:diffuseColor = ({r}, {g}, {b})
+                float inputs:roughness = {}
+                float inputs:metallic = 0
+                float inputs:clearcoat = {}
+                float inputs:clearcoatRoughness = 0.15
+                token outputs:surface
+            }}
+        }}
+
+"#,
+        group.roughness, group.wetness
+    );
+}
+
+fn mesh(text: &mut String, asset: &Asset<'_>) {
+    let (group, mesh) = (asset.group, asset.mesh);
+    let name = prim(&group.name);
+    let _written = write!(
+        text,
+        r#"    def Mesh "{name}" (
+        prepend apiSchemas = ["MaterialBindingAPI", "SemanticsLabelsAPI:class", "PhysicsCollisionAPI", "PhysicsMeshCollisionAPI", "PhysicsMassAPI"]
+        displayName = "{}"
+    )
+    {{
+        uniform token subdivisionScheme = "none"
+        uniform token orientation = "rightHanded"
+        rel material:binding = </Patient/Materials/{name}>
+        token[] semantics:labels:class = ["{}"]
+        bool physics:collisionEnabled = true
+        uniform token physics:approximation = "none"
+        float physics:density = {}
+        float physics:mass = {}
+"#,
+        group.name,
+        group.name,
+        group.density_kg_m3,
+        asset.mass_kg()
+    );
+    let [r, g, b] = group.colour;
+    let _written = writeln!(
+        text,
+        "        color3f[] primvars:displayColor = [({r}, {g}, {b})]"
+    );
+    let [low, high] = extent(asset.metres()).map(vector);
+    let _written = writeln!(text, "        float3[] extent = [{low}, {high}]");
+    list(text, "point3f[] points", asset.metres().map(vector), "");
+    let normals = mesh.normals.iter().copied().map(vector);
+    list(
+        text,
+        "normal3f[] normals",
+        normals,
+        " (\n            interpolation = \"vertex\"\n        )",
+    );
+    let counts = mesh.triangles.iter().map(|_| "3".to_owned());
+    list(text, "int[] faceVertexCounts", counts, "");
+    let indices = mesh.triangles.as_flattened().iter().map(u32::to_string);
+    list(text, "int[] faceVertexIndices", indices, "");
+    let uv = mesh
+        .uv
+        .as_flattened()
+        .iter()
+        .map(|[u, v]| format!("({u}, {v})"));
+    list(
+        text,
+        "texCoord2f[] primvars:st",
+        uv,
+        " (\n            interpolation = \"faceVarying\"\n        )",
+    );
+    text.push_str("    }\n\n");
+}
+
+/// The text of a `.usda` with a prim a group under `/Patient`.
+///
+/// Each mesh is closed, its texture coordinates are a corner's own. Colliders are the triangles themselves, at rest; masses are by volume
+/// and density.
+#[must_use]
+pub fn usda(assets: &[Asset<'_>]) -> String {
+    let mut text = String::from(
+        r#"#usda 1.0
+(
+    defaultPrim = "Patient"
+    doc = "Made by trocar anatomy. Coordinates are the scan's: x right, y anterior, z superior."
+    kilogramsPerUnit = 1
+    metersPerUnit = 1
+    upAxis = "Z"
+)
+
+def Xform "Patient" (
+    kind = "component"
+)
+{
+    def Scope "Materials"
+    {
+"#,
+    );
+    for asset in assets {
+        material(&mut text, asset);
+    }
+    text.push_str("    }\n\n");
+    for asset in assets {
+        mesh(&mut text, asset);
+    }
+    text.push_str("}\n");
+    text
+}

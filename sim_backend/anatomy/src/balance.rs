@@ -1,0 +1,79 @@
+//! Volumes of all groups at once brought to what they should be, by moving the surfaces between them along their normals.
+//!
+//! How far the surface between groups a and b moves is the difference of two potentials, p_a - p_b. Of all moves that give each group its
+//! volume, to first order, these change the surfaces least; the potentials solve a Laplace equation on the graph of groups, weighted by
+//! the areas of their common surfaces.
+
+use nalgebra::{DMatrix, DVector, Vector3};
+
+use crate::complex::Complex;
+
+/// Groups with the background.
+const GROUPS: usize = 32;
+
+/// Times that volumes are measured and corrected.
+const ROUNDS: u32 = 6;
+
+/// Twice the area of a triangle along its normal.
+fn area_normal(complex: &Complex, triangle: usize) -> Vector3<f64> {
+    let [a, b, c] = complex.corners(triangle);
+    (b - a).cross(&(c - a))
+}
+
+/// Potentials that add `wanted` (mm³ by group) to the volumes, mm.
+fn potentials(complex: &Complex, wanted: &[f64]) -> Option<DVector<f64>> {
+    let mut laplace = DMatrix::zeros(GROUPS, GROUPS);
+    for (triangle, sides) in complex.sides.iter().enumerate() {
+        let area = 0.5 * area_normal(complex, triangle).norm();
+        let [a, b] = sides.map(usize::from);
+        laplace[(a, a)] += area;
+        laplace[(b, b)] += area;
+        laplace[(a, b)] -= area;
+        laplace[(b, a)] -= area;
+    }
+    let right = DVector::from_fn(
+        GROUPS,
+        |group, _| if group == 0 { 0.0 } else { wanted[group] },
+    );
+    // Groups that are not there, and the background, stay at 0.
+    for group in 0..GROUPS {
+        if group == 0 || laplace[(group, group)] <= 0.0 {
+            laplace.row_mut(group).fill(0.0);
+            laplace.column_mut(group).fill(0.0);
+            laplace[(group, group)] = 1.0;
+        }
+    }
+    laplace.lu().solve(&right)
+}
+
+/// Moves vertices so that each group has its volume of `targets` (mm³ by group number), none by more than `most_mm`.
+///
+/// Later rounds take what the first left by curvature.
+pub(crate) fn balance(complex: &mut Complex, targets: &[f64], most_mm: f64) {
+    for _ in 0..ROUNDS {
+        let volumes = complex.volumes();
+        let wanted: Vec<f64> = targets
+            .iter()
+            .zip(&volumes)
+            .map(|(target, volume)| target - volume)
+            .collect();
+        let Some(potentials) = potentials(complex, &wanted) else {
+            return;
+        };
+        let mut moves = vec![(Vector3::zeros(), 0.0); complex.positions.len()];
+        for (triangle, sides) in complex.sides.iter().enumerate() {
+            let normal = area_normal(complex, triangle);
+            let by = potentials[usize::from(sides[0])] - potentials[usize::from(sides[1])];
+            for v in complex.triangles[triangle] {
+                let entry = &mut moves[v as usize];
+                entry.0 += normal * by;
+                entry.1 += normal.norm();
+            }
+        }
+        for (position, (sum, weight)) in complex.positions.iter_mut().zip(moves) {
+            if weight > 0.0 {
+                *position += (sum / weight).cap_magnitude(most_mm / f64::from(ROUNDS));
+            }
+        }
+    }
+}

@@ -1,0 +1,92 @@
+//! A patient of a phantom is what its voxels say.
+
+use std::path::PathBuf;
+
+use super::{Options, Stage, build, write};
+use crate::groups::Groups;
+use crate::phantom::{self, Size};
+use crate::surface::Method;
+
+/// A phantom's labels in a folder of the test's own.
+fn phantom(name: &str, size: [usize; 3]) -> PathBuf {
+    let folder = std::env::temp_dir().join(format!("trocar-build-{name}-{}", std::process::id()));
+    phantom::write(&phantom::Patient::new(7), Size(size), &folder, |_, _| ()).expect("written");
+    folder
+}
+
+#[test]
+fn a_phantoms_meshes_are_closed_and_have_its_volumes() {
+    let folder = phantom("measures", [110, 110, 132]);
+    let groups = Groups::load("vista3d").expect("the table is right");
+    for surface in [Method::Nets, Method::MarchingCubes] {
+        let options = Options {
+            surface,
+            ..Options::default()
+        };
+        let mut stages = Vec::new();
+        let patient = build(
+            &folder.join("labels.nii.gz"),
+            &groups,
+            &options,
+            &mut |stage| stages.push(stage),
+        )
+        .expect("built");
+        assert_eq!(stages, Stage::ALL[..7]);
+        assert_eq!(patient.report.groups.len(), 17, "{surface:?}");
+        for group in &patient.report.groups {
+            let (name, found) = (&group.name, &group.measures);
+            assert!(found.watertight, "{surface:?} {name}");
+            assert!(
+                (found.volume_ratio - 1.0).abs() < 0.005,
+                "{surface:?} {name}: {found:?}"
+            );
+            // Half a voxel along each axis by smoothing, half a millimetre of 4 mm voxels by decimation.
+            assert!(
+                found.hausdorff_voxels < 1.0 && found.mean_voxels < 0.2,
+                "{surface:?} {name}: {found:?}"
+            );
+            assert!(found.dice > 0.97, "{surface:?} {name}: {found:?}");
+        }
+        assert!(patient.report.triangles * 4 < patient.report.triangles_fine);
+        write(&patient, &groups, &folder).expect("written");
+    }
+    std::fs::remove_dir_all(folder).expect("the folder can go");
+}
+
+/// Each voxel's middle lies in the mesh of exactly one group, or in none where there is background.
+#[test]
+fn neighbours_have_neither_gap_nor_overlap() {
+    let folder = phantom("partition", [64, 64, 77]);
+    let groups = Groups::load("vista3d").expect("the table is right");
+    let patient = build(
+        &folder.join("labels.nii.gz"),
+        &groups,
+        &Options::default(),
+        &mut |_| (),
+    )
+    .expect("built");
+    let volume = crate::nifti::read_labels(&folder.join("labels.nii.gz"), &groups).expect("read");
+    let (mut owners, mut deep) = (vec![0_u8; volume.voxels.len()], 0);
+    for mesh in &patient.meshes {
+        for (owner, inside) in owners
+            .iter_mut()
+            .zip(crate::measure::inside(mesh, &volume.grid))
+        {
+            *owner += u8::from(inside);
+        }
+    }
+    let [width, height, _] = volume.grid.dims;
+    for (at, owners) in owners.iter().enumerate() {
+        assert!(*owners <= 1, "voxel {at} is in {owners} meshes");
+        // A voxel with tissue all around can't be outside of all meshes.
+        let strides = [1, width, width * height];
+        let around = strides.iter().flat_map(|s| [at.wrapping_sub(*s), at + s]);
+        let is_tissue = |i: usize| volume.voxels.get(i).is_some_and(|group| *group != 0);
+        if is_tissue(at) && around.into_iter().all(is_tissue) {
+            deep += 1;
+            assert_eq!(*owners, 1, "voxel {at} is in no mesh");
+        }
+    }
+    assert!(deep > 20_000, "{deep}");
+    std::fs::remove_dir_all(folder).expect("the folder can go");
+}

@@ -1,0 +1,91 @@
+//! Triangles between groups: one set for all, of which each group's mesh is a part.
+
+use nalgebra::Point3;
+use rayon::prelude::*;
+
+use crate::grid::Grid;
+use crate::surface::nets::Net;
+
+/// Triangles between groups, in the world.
+#[derive(Clone, Debug, Default)]
+pub struct Complex {
+    /// Places of vertices in the scan's world (RAS), mm.
+    pub positions: Vec<Point3<f64>>,
+    /// Corners of triangles, counter-clockwise seen from the group that `sides` names second.
+    pub triangles: Vec<[u32; 3]>,
+    /// The groups behind and before each triangle; 0 is background.
+    pub sides: Vec<[u8; 2]>,
+}
+
+impl Complex {
+    /// The quads of `net`, which lie on `grid`, each as two triangles along its shorter diagonal.
+    #[must_use]
+    pub fn of_net(net: Net, grid: &Grid) -> Self {
+        let positions: Vec<_> = net.positions.par_iter().map(|p| grid.world(p)).collect();
+        let mut triangles = Vec::with_capacity(2 * net.quads.len());
+        let mut sides = Vec::with_capacity(2 * net.quads.len());
+        for (quad, side) in net.quads.into_iter().zip(net.sides) {
+            let [a, b, c, d] = quad;
+            let length =
+                |a: u32, b: u32| (positions[a as usize] - positions[b as usize]).norm_squared();
+            let pair = if length(a, c) <= length(b, d) {
+                [[a, b, c], [a, c, d]]
+            } else {
+                [[b, c, d], [b, d, a]]
+            };
+            triangles.extend(pair);
+            sides.extend([side; 2]);
+        }
+        let mut complex = Self {
+            positions,
+            triangles,
+            sides,
+        };
+        if grid.is_mirrored() {
+            complex.flip();
+        }
+        complex
+    }
+
+    /// The same, from voxel coordinates on `grid` to the world.
+    #[must_use]
+    pub fn placed(mut self, grid: &Grid) -> Self {
+        for position in &mut self.positions {
+            *position = grid.world(position);
+        }
+        if grid.is_mirrored() {
+            self.flip();
+        }
+        self
+    }
+
+    /// Turns every triangle to its other side, as a mirroring of its vertices did.
+    pub(crate) fn flip(&mut self) {
+        for triangle in &mut self.triangles {
+            triangle.swap(1, 2);
+        }
+    }
+
+    /// Corners of a triangle.
+    #[must_use]
+    pub fn corners(&self, triangle: usize) -> [Point3<f64>; 3] {
+        self.triangles[triangle].map(|v| self.positions[v as usize])
+    }
+
+    /// The volume of each group by its number, mm³; the background's is the negative of all others'.
+    #[must_use]
+    pub fn volumes(&self) -> Vec<f64> {
+        let mut volumes = vec![0.0; 32];
+        // About a point nearby, for the digits' sake.
+        let Some(about) = self.positions.first().copied() else {
+            return volumes;
+        };
+        for (triangle, sides) in self.sides.iter().enumerate() {
+            let [a, b, c] = self.corners(triangle).map(|p| p - about);
+            let sixth = a.dot(&b.cross(&c)) / 6.0;
+            volumes[usize::from(sides[0])] += sixth;
+            volumes[usize::from(sides[1])] -= sixth;
+        }
+        volumes
+    }
+}

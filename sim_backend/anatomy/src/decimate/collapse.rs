@@ -1,0 +1,245 @@
+//! One edge: where its vertices would go, whether that is allowed, and doing it.
+
+use nalgebra::Point3;
+
+use super::quadric::Quadric;
+use super::state::{Kind, NONE, State, normal};
+use crate::geometry::distance_squared;
+
+/// Cosine of the most that a triangle may turn in one collapse.
+const TURN_MIN: f64 = 0.5;
+
+/// Least height of a triangle to its longest side, unless it was worse before.
+const SHAPE_MIN: f64 = 0.08;
+
+/// A collapse that is being looked at: `goes` becomes `stays`, at `place`.
+struct Trial {
+    goes: u32,
+    stays: u32,
+    place: Point3<f64>,
+    /// Triangles at the edge, which vanish.
+    vanish: Vec<u32>,
+    /// Triangles that change, with their corners after it.
+    change: Vec<(u32, [Point3<f64>; 3])>,
+}
+
+/// Height over the longest side, to that side.
+fn shape(corners: &[Point3<f64>; 3]) -> f64 {
+    let [a, b, c] = corners;
+    let longest = (b - a)
+        .norm_squared()
+        .max((c - b).norm_squared())
+        .max((a - c).norm_squared());
+    normal(corners).1 / longest
+}
+
+impl State {
+    /// Where `u` and `v` may come together, if what holds them lets them; `bits` are the groups around their edge.
+    pub(super) fn place(&self, u: u32, v: u32, bits: u32) -> Option<Point3<f64>> {
+        let [a, b] = [u, v].map(|v| self.positions[v as usize]);
+        let on_line = bits.count_ones() > 2;
+        match (self.kinds[u as usize], self.kinds[v as usize]) {
+            (Kind::Fixed, Kind::Fixed) => None,
+            (Kind::Fixed, Kind::Sheet) => (!self.is_locked(u)).then_some(a),
+            (Kind::Sheet, Kind::Fixed) => (!self.is_locked(v)).then_some(b),
+            (Kind::Line, Kind::Sheet) => Some(a),
+            (Kind::Sheet, Kind::Line) => Some(b),
+            (Kind::Fixed, Kind::Line) => (on_line && !self.is_locked(u)).then_some(a),
+            (Kind::Line, Kind::Fixed) => (on_line && !self.is_locked(v)).then_some(b),
+            (Kind::Line, Kind::Line) => {
+                on_line.then(|| self.best(u, v, &[a, b, a + (b - a) * 0.5]))
+            }
+            (Kind::Sheet, Kind::Sheet) => {
+                let middle = a + (b - a) * 0.5;
+                let sum = self.sum(u, v);
+                let near = |p: &Point3<f64>| (p - middle).norm_squared() <= (b - a).norm_squared();
+                let free = sum.least(&middle).filter(near);
+                Some(free.unwrap_or_else(|| self.best(u, v, &[a, b, middle])))
+            }
+        }
+    }
+
+    fn sum(&self, u: u32, v: u32) -> Quadric {
+        let mut sum = self.quadrics[u as usize];
+        sum.add(&self.quadrics[v as usize]);
+        sum
+    }
+
+    fn best(&self, u: u32, v: u32, places: &[Point3<f64>; 3]) -> Point3<f64> {
+        let sum = self.sum(u, v);
+        let cheaper = |a: Point3<f64>, b: &Point3<f64>| if sum.at(b) < sum.at(&a) { *b } else { a };
+        places.iter().fold(places[2], cheaper)
+    }
+
+    /// Collapses the edge from `u` to `v` if every rule holds; the vertex that stays.
+    pub(super) fn collapse(&mut self, u: u32, v: u32, error_mm: f64) -> Option<u32> {
+        // The one that is held more stays.
+        let rank = |v: u32| match self.kinds[v as usize] {
+            Kind::Sheet => 0,
+            Kind::Line => 1,
+            Kind::Fixed => 2,
+        };
+        let (goes, stays) = if rank(u) > rank(v) { (v, u) } else { (u, v) };
+        let trial = self.trial(goes, stays)?;
+        let allowed =
+            self.links_allow(&trial) && self.no_two_alike(&trial) && self.shapes_allow(&trial);
+        let moves = if allowed {
+            self.samples_allow(&trial, error_mm)?
+        } else {
+            return None;
+        };
+        self.execute(&trial, &moves);
+        Some(stays)
+    }
+
+    fn trial(&self, goes: u32, stays: u32) -> Option<Trial> {
+        let star = |v: u32| self.around[v as usize].iter().copied();
+        let vanish: Vec<u32> = star(goes)
+            .filter(|t| self.triangles[*t as usize].contains(&stays))
+            .collect();
+        let bits = vanish.iter().fold(0, |bits, t| bits | self.side_bits(*t));
+        let place = self.place(goes.min(stays), goes.max(stays), bits)?;
+        let changed = star(goes)
+            .chain(star(stays))
+            .filter(|t| !vanish.contains(t));
+        let after = |t: u32| {
+            self.triangles[t as usize].map(|v| {
+                if v == goes || v == stays {
+                    place
+                } else {
+                    self.positions[v as usize]
+                }
+            })
+        };
+        let change = changed.map(|t| (t, after(t))).collect();
+        Some(Trial {
+            goes,
+            stays,
+            place,
+            vanish,
+            change,
+        })
+    }
+
+    /// Neighbours of `v` on the surface of each group, as (group, neighbour).
+    fn neighbours(&self, v: u32) -> Vec<(u8, u32)> {
+        let mut all = Vec::with_capacity(4 * self.around[v as usize].len());
+        for &t in &self.around[v as usize] {
+            let others = self.triangles[t as usize].into_iter().filter(|w| *w != v);
+            all.extend(others.flat_map(|w| self.sides[t as usize].map(|side| (side, w))));
+        }
+        all.sort_unstable();
+        all.dedup();
+        all
+    }
+
+    /// The link condition on the surface of every group that both vertices touch: they have two triangles in common there, and no
+    /// neighbours besides these triangles' corners.
+    fn links_allow(&self, trial: &Trial) -> bool {
+        let opposite = |t: &u32| {
+            let corners = self.triangles[*t as usize];
+            let third = corners
+                .into_iter()
+                .find(|v| *v != trial.goes && *v != trial.stays);
+            third.map(|third| self.sides[*t as usize].map(|side| (side, third)))
+        };
+        let mut expected: Vec<(u8, u32)> =
+            trial.vanish.iter().filter_map(opposite).flatten().collect();
+        expected.sort_unstable();
+        let both = self.groups[trial.goes as usize] & self.groups[trial.stays as usize];
+        let of_group = |group: u8| expected.iter().filter(|(side, _)| *side == group).count();
+        if (0..32).any(|group| both >> group & 1 == 1 && of_group(group) != 2) {
+            return false;
+        }
+        let (a, b) = (self.neighbours(trial.goes), self.neighbours(trial.stays));
+        let common = a.into_iter().filter(|entry| b.binary_search(entry).is_ok());
+        common.eq(expected)
+    }
+
+    /// Whether the triangles that are left differ in their corners.
+    fn no_two_alike(&self, trial: &Trial) -> bool {
+        let is_end = |v: u32| v == trial.goes || v == trial.stays;
+        let mut pairs: Vec<[u32; 2]> = trial
+            .change
+            .iter()
+            .map(|(t, _)| {
+                let mut others = self.triangles[*t as usize]
+                    .into_iter()
+                    .filter(|v| !is_end(*v));
+                let pair = [others.next().unwrap_or(NONE), others.next().unwrap_or(NONE)];
+                [pair[0].min(pair[1]), pair[0].max(pair[1])]
+            })
+            .collect();
+        pairs.sort_unstable();
+        pairs.windows(2).all(|pair| pair[0] != pair[1])
+    }
+
+    /// Whether no triangle turns over or becomes a sliver.
+    fn shapes_allow(&self, trial: &Trial) -> bool {
+        trial.change.iter().all(|(t, after)| {
+            let before = self.corners(*t);
+            let turn = normal(&before).0.dot(&normal(after).0);
+            let had_area = normal(&before).1 > 1e-9;
+            (turn > TURN_MIN || !had_area) && shape(after) > SHAPE_MIN.min(0.5 * shape(&before))
+        })
+    }
+
+    /// Where each sample of the triangles goes, if all stay within the bound.
+    fn samples_allow(&self, trial: &Trial, error_mm: f64) -> Option<Vec<(u32, u32)>> {
+        let bound = error_mm * error_mm;
+        let mut moves = Vec::new();
+        let changed = trial.change.iter().map(|(t, _)| t);
+        for from in trial.vanish.iter().chain(changed) {
+            let sides = self.sides[*from as usize];
+            let mut sample = self.first[*from as usize];
+            while sample != NONE {
+                let p = &self.samples[sample as usize];
+                let mut best = (f64::INFINITY, NONE);
+                for (t, after) in &trial.change {
+                    let other = self.sides[*t as usize];
+                    if other == sides || other == [sides[1], sides[0]] {
+                        let distance = distance_squared(p, after);
+                        if distance < best.0 {
+                            best = (distance, *t);
+                        }
+                    }
+                }
+                if best.0 > bound {
+                    return None;
+                }
+                moves.push((sample, best.1));
+                sample = self.next[sample as usize];
+            }
+        }
+        Some(moves)
+    }
+
+    fn execute(&mut self, trial: &Trial, moves: &[(u32, u32)]) {
+        let (goes, stays) = (trial.goes as usize, trial.stays as usize);
+        self.positions[stays] = trial.place;
+        self.quadrics[stays] = self.sum(trial.goes, trial.stays);
+        self.groups[stays] |= self.groups[goes];
+        for &t in &trial.vanish {
+            self.alive[t as usize] = false;
+            self.first[t as usize] = NONE;
+            for v in self.triangles[t as usize] {
+                self.around[v as usize].retain(|other| *other != t);
+            }
+        }
+        for t in std::mem::take(&mut self.around[goes]) {
+            for v in &mut self.triangles[t as usize] {
+                if *v == trial.goes {
+                    *v = trial.stays;
+                }
+            }
+            self.around[stays].push(t);
+        }
+        for (t, _) in &trial.change {
+            self.first[*t as usize] = NONE;
+        }
+        for &(sample, t) in moves {
+            self.next[sample as usize] = self.first[t as usize];
+            self.first[t as usize] = sample;
+        }
+    }
+}

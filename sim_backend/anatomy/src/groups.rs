@@ -1,0 +1,250 @@
+//! Which labels of a segmentation make which tissue group, and what a group is like.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+
+use serde::Deserialize;
+
+use hal::config::{ConfigError, Source};
+
+/// Most groups of a patient: with the background, a set of them fits 32 bits.
+const GROUPS_MAX: usize = 31;
+
+/// Tables of labels that are built in: name, path in the repository, text.
+const TABLES: [(&str, &str, &str); 2] = [
+    (
+        "vista3d",
+        "config/anatomy/vista3d.toml",
+        include_str!("../../../config/anatomy/vista3d.toml"),
+    ),
+    (
+        "totalsegmentator",
+        "config/anatomy/totalsegmentator.toml",
+        include_str!("../../../config/anatomy/totalsegmentator.toml"),
+    ),
+];
+
+/// A tissue group: one mesh, one material.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Group {
+    /// Letters, digits and `-`, as prims and semantics have it.
+    pub name: String,
+    /// Base colour, linear RGB in [0, 1].
+    pub colour: [f64; 3],
+    /// Roughness of the surface in [0, 1].
+    pub roughness: f64,
+    /// Strength of the clear film on it in [0, 1].
+    pub wetness: f64,
+    /// Mean density, kg/m³.
+    pub density_kg_m3: f64,
+    /// Of two groups that contend for a voxel, the one with the lower rank gets it.
+    pub rank: u32,
+}
+
+/// Groups and the labels that make them.
+#[derive(Clone, Debug)]
+pub struct Groups {
+    /// The groups in their order in the assets.
+    pub groups: Vec<Group>,
+    /// Where the table of labels is from.
+    pub table: String,
+    /// Group plus 1 of a label, 0 for the background.
+    labels: BTreeMap<u16, u8>,
+    /// The same for quick look-up.
+    quick: Vec<Option<u8>>,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct GroupsFile {
+    groups: Vec<Group>,
+}
+
+/// A table of labels as it stands in a file.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct TableFile {
+    #[serde(default)]
+    left_out: BTreeMap<String, String>,
+    groups: BTreeMap<String, BTreeMap<String, String>>,
+}
+
+fn paper_groups() -> Result<Vec<Group>, ConfigError> {
+    let text = include_str!("../../../config/anatomy/groups.toml");
+    let source = Source::embedded("config/anatomy/groups.toml", text);
+    let groups = source.parse::<GroupsFile>()?.groups;
+    for (i, group) in groups.iter().enumerate() {
+        for value in group
+            .colour
+            .into_iter()
+            .chain([group.roughness, group.wetness])
+        {
+            source.check_range(&format!("groups.{i}"), value, 0.0, 1.0)?;
+        }
+        source.check_range(
+            &format!("groups.{i}.density_kg_m3"),
+            group.density_kg_m3,
+            1.0,
+            2e4,
+        )?;
+    }
+    let count = groups.len().to_string();
+    if groups.len() > GROUPS_MAX {
+        return Err(source.out_of_range("groups", &count, "[1, 31]"));
+    }
+    Ok(groups)
+}
+
+/// Label numbers of a table's section `key`.
+fn numbers<'a>(
+    source: &'a Source,
+    key: &'a str,
+    names: &'a BTreeMap<String, String>,
+) -> impl Iterator<Item = Result<u16, ConfigError>> + 'a {
+    names.keys().map(move |number| {
+        let allowed = "a whole number in [1, 65535]";
+        let found = number.parse().ok().filter(|number| *number > 0);
+        found.ok_or_else(|| source.out_of_range(&format!("{key}.{number}"), number, allowed))
+    })
+}
+
+impl Groups {
+    /// The paper's 17 groups with the table of labels `table`: `vista3d`, `totalsegmentator`, or a file like these.
+    ///
+    /// # Errors
+    /// [`ConfigError`] naming file, line and key: no such group, a label twice, a number that is none.
+    pub fn load(table: &str) -> Result<Self, ConfigError> {
+        let built_in = TABLES.iter().find(|(name, ..)| *name == table);
+        let (place, source) = match built_in {
+            Some((_, path, text)) => (*path, Source::embedded(path, text)),
+            None => (table, Source::read(table)?),
+        };
+        Self::parse(place, &source)
+    }
+
+    /// Names of the tables that are built in.
+    pub fn tables() -> impl Iterator<Item = &'static str> {
+        TABLES.iter().map(|(name, ..)| *name)
+    }
+
+    fn parse(place: &str, source: &Source) -> Result<Self, ConfigError> {
+        let groups = paper_groups()?;
+        let file: TableFile = source.parse()?;
+        let mut labels = BTreeMap::from([(0, 0)]);
+        let mut add = |key: &str, label: u16, group: u8| match labels.insert(label, group) {
+            None => Ok(()),
+            Some(_) => {
+                let key = format!("{key}.{label}");
+                Err(source.out_of_range(
+                    &key,
+                    "a label",
+                    "those that stand nowhere else in the table",
+                ))
+            }
+        };
+        for label in numbers(source, "left_out", &file.left_out) {
+            add("left_out", label?, 0)?;
+        }
+        for (name, members) in &file.groups {
+            let key = format!("groups.{name}");
+            let found = groups.iter().position(|group| group.name == *name);
+            let group = found
+                .and_then(|found| u8::try_from(found + 1).ok())
+                .ok_or_else(|| {
+                    let names: Vec<&str> = groups.iter().map(|group| group.name.as_str()).collect();
+                    source.out_of_range(&key, name, &names.join(", "))
+                })?;
+            for label in numbers(source, &key, members) {
+                add(&key, label?, group)?;
+            }
+        }
+        let mut quick = vec![None; 1 << 16];
+        for (label, group) in &labels {
+            quick[usize::from(*label)] = Some(*group);
+        }
+        Ok(Self {
+            groups,
+            table: Path::new(place).display().to_string(),
+            labels,
+            quick,
+        })
+    }
+
+    /// The group of `label`: 0 for the background, else its index plus 1; none if the table does not have it.
+    #[must_use]
+    pub fn group_of(&self, label: u16) -> Option<u8> {
+        self.quick[usize::from(label)]
+    }
+
+    /// The index plus 1 of the group called `name`.
+    #[must_use]
+    pub fn number_of(&self, name: &str) -> Option<u8> {
+        let found = self.groups.iter().position(|group| group.name == name)?;
+        u8::try_from(found + 1).ok()
+    }
+
+    /// Labels that the table has, the background's 0 included.
+    pub fn labels(&self) -> impl Iterator<Item = u16> {
+        self.labels.keys().copied()
+    }
+
+    /// Ranks by group number, the background last.
+    #[must_use]
+    pub fn ranks(&self) -> Vec<u32> {
+        let groups = self.groups.iter().map(|group| group.rank);
+        std::iter::once(u32::MAX).chain(groups).collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{Groups, Source};
+
+    #[test]
+    fn both_tables_name_only_groups_that_are() {
+        for (table, labels) in [("vista3d", 147), ("totalsegmentator", 119)] {
+            let groups = Groups::load(table).expect("the table is right");
+            assert_eq!(groups.groups.len(), 17);
+            assert_eq!(groups.labels().count(), labels, "{table}");
+        }
+    }
+
+    #[test]
+    fn known_labels_go_where_anatomy_says() {
+        let total = Groups::load("totalsegmentator").expect("the table is right");
+        let vista = Groups::load("vista3d").expect("the table is right");
+        for (groups, label, name) in [
+            (&total, 5, "liver"),
+            (&total, 52, "vessels"),
+            (&total, 27, "spine"),
+            (&vista, 1, "liver"),
+            (&vista, 6, "vessels"),
+            (&vista, 62, "colon"),
+            (&vista, 200, "body"),
+        ] {
+            assert_eq!(groups.group_of(label), groups.number_of(name), "{label}");
+        }
+        assert_eq!(vista.group_of(120), Some(0));
+        assert_eq!(vista.group_of(999), None);
+    }
+
+    #[test]
+    fn wrong_tables_are_refused_with_line_and_key() {
+        for (text, message) in [
+            (
+                "[groups.liver]\n1 = \"liver\"\n[groups.spleen]\n1 = \"spleen\"",
+                "t.toml:4: groups.spleen.1",
+            ),
+            ("[groups.brain]\n1 = \"brain\"", "t.toml:1: groups.brain"),
+            (
+                "[groups.liver]\n70000 = \"liver\"",
+                "t.toml:2: groups.liver.70000",
+            ),
+            ("[group.liver]\n1 = \"liver\"", "unknown field"),
+        ] {
+            let error = Groups::parse("t.toml", &Source::embedded("t.toml", text)).expect_err(text);
+            assert!(error.to_string().contains(message), "{error}");
+        }
+    }
+}

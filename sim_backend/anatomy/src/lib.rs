@@ -1,0 +1,20 @@
+#![doc = include_str!("../README.md")]
+
+pub mod assets;
+pub mod atlas;
+mod balance;
+pub mod build;
+pub mod clean;
+pub mod complex;
+pub mod decimate;
+mod geometry;
+pub mod grid;
+pub mod groups;
+pub mod measure;
+pub mod mesh;
+pub mod nifti;
+mod number;
+pub mod phantom;
+mod smooth;
+pub mod surface;
+pub mod volume;

@@ -1,0 +1,120 @@
+//! The triangle nearest to a point, by a lattice of cells.
+
+use nalgebra::Point3;
+
+use crate::geometry::distance_squared;
+use crate::number::{floor_to, index, real};
+
+/// Cells along an axis at most.
+const CELLS_MAX: usize = 128;
+
+/// Triangles by cells.
+pub(super) struct Nearest<'a> {
+    positions: &'a [Point3<f64>],
+    triangles: &'a [[u32; 3]],
+    low: Point3<f64>,
+    cell: f64,
+    dims: [usize; 3],
+    starts: Vec<u32>,
+    list: Vec<u32>,
+}
+
+impl<'a> Nearest<'a> {
+    pub(super) fn new(positions: &'a [Point3<f64>], triangles: &'a [[u32; 3]]) -> Self {
+        let none = (
+            Point3::from([f64::INFINITY; 3]),
+            Point3::from([f64::NEG_INFINITY; 3]),
+        );
+        let (low, high) = positions
+            .iter()
+            .fold(none, |(low, high), p| (low.inf(p), high.sup(p)));
+        let size = high - low;
+        let cell = (size.max() / real(CELLS_MAX)).max(1.0);
+        let dims = [0, 1, 2].map(|k| floor_to(size[k] / cell, CELLS_MAX) + 1);
+        let mut nearest = Self {
+            positions,
+            triangles,
+            low,
+            cell,
+            dims,
+            starts: vec![0; dims.iter().product::<usize>() + 1],
+            list: Vec::new(),
+        };
+        let entries = |nearest: &Self| -> Vec<(u32, u32)> {
+            let cells = |t: usize| nearest.cells_of(t).map(move |cell| (index(cell), index(t)));
+            (0..triangles.len()).flat_map(cells).collect()
+        };
+        let mut entries = entries(&nearest);
+        entries.sort_unstable();
+        for (cell, _) in &entries {
+            nearest.starts[*cell as usize + 1] += 1;
+        }
+        for cell in 1..nearest.starts.len() {
+            nearest.starts[cell] += nearest.starts[cell - 1];
+        }
+        nearest.list = entries.into_iter().map(|(_, triangle)| triangle).collect();
+        nearest
+    }
+
+    fn corners(&self, triangle: usize) -> [Point3<f64>; 3] {
+        self.triangles[triangle].map(|v| self.positions[v as usize])
+    }
+
+    fn cell_at(&self, p: &Point3<f64>) -> [usize; 3] {
+        [0, 1, 2].map(|k| floor_to((p[k] - self.low[k]) / self.cell, self.dims[k] - 1))
+    }
+
+    /// Cells that the triangle's box touches.
+    fn cells_of(&self, triangle: usize) -> impl Iterator<Item = usize> + use<> {
+        let [a, b, c] = self.corners(triangle);
+        let (low, high) = (
+            self.cell_at(&a.inf(&b).inf(&c)),
+            self.cell_at(&a.sup(&b).sup(&c)),
+        );
+        let dims = self.dims;
+        let column = move |y: usize, z: usize| {
+            (low[0]..=high[0]).map(move |x| x + dims[0] * (y + dims[1] * z))
+        };
+        (low[2]..=high[2]).flat_map(move |z| (low[1]..=high[1]).flat_map(move |y| column(y, z)))
+    }
+
+    /// The least squared distance of `p` from the triangles of a cell.
+    fn in_cell(&self, p: &Point3<f64>, cell: usize) -> f64 {
+        let range = self.starts[cell] as usize..self.starts[cell + 1] as usize;
+        self.list[range]
+            .iter()
+            .map(|t| distance_squared(p, &self.corners(*t as usize)))
+            .fold(f64::INFINITY, f64::min)
+    }
+
+    /// The distance of `p` from the nearest triangle.
+    pub(super) fn distance(&self, p: &Point3<f64>) -> f64 {
+        let at = self.cell_at(p);
+        let most = self.dims.into_iter().max().unwrap_or(1);
+        let mut best = f64::INFINITY;
+        for ring in 0..=most {
+            let range =
+                |k: usize| at[k].saturating_sub(ring)..=(at[k] + ring).min(self.dims[k] - 1);
+            for z in range(2) {
+                for y in range(1) {
+                    for x in range(0) {
+                        let far = x
+                            .abs_diff(at[0])
+                            .max(y.abs_diff(at[1]))
+                            .max(z.abs_diff(at[2]));
+                        if far == ring {
+                            best = best
+                                .min(self.in_cell(p, x + self.dims[0] * (y + self.dims[1] * z)));
+                        }
+                    }
+                }
+            }
+            // What lies in farther rings is at least this far; a point outside of the cells is farther still.
+            let seen = real(ring) * self.cell;
+            if best <= seen * seen {
+                break;
+            }
+        }
+        best.sqrt()
+    }
+}

@@ -1,0 +1,72 @@
+//! Numbers between the widths that voxels, triangles and files have. What does not fit is a programming error, and asserted.
+
+/// A count as a real number; exact below 2^53.
+#[expect(clippy::cast_precision_loss, reason = "counts stay far below 2^53")]
+pub(crate) const fn real(count: usize) -> f64 {
+    count as f64
+}
+
+/// An index in 32 bits, as meshes keep them.
+#[expect(clippy::cast_possible_truncation, reason = "asserted to fit")]
+pub(crate) const fn index(count: usize) -> u32 {
+    assert!(count < u32::MAX as usize, "more indices than 32 bits have");
+    count as u32
+}
+
+/// The whole number at or below `value`, cut to `0..=most`.
+#[expect(
+    clippy::cast_possible_truncation,
+    clippy::cast_sign_loss,
+    reason = "cut to a range that fits; NaN gives 0"
+)]
+pub(crate) fn floor_to(value: f64, most: usize) -> usize {
+    value.clamp(0.0, real(most)) as usize
+}
+
+/// `value` in single precision, as assets keep coordinates.
+#[expect(
+    clippy::cast_possible_truncation,
+    reason = "rounding is what is asked for"
+)]
+pub(crate) const fn single(value: f64) -> f32 {
+    value as f32
+}
+
+/// `value` rounded to the nearest number of 16 bits.
+#[expect(clippy::cast_possible_truncation, reason = "cut to the range")]
+pub(crate) fn rounded_i16(value: f64) -> i16 {
+    value.round().clamp(-32768.0, 32767.0) as i16
+}
+
+/// `value` as a label if it is a whole number of 16 bits.
+#[expect(
+    clippy::cast_possible_truncation,
+    clippy::cast_sign_loss,
+    reason = "checked to be whole and in range"
+)]
+pub(crate) fn label(value: f64) -> Option<u16> {
+    let whole = (0.0..=65535.0).contains(&value) && value.fract().abs() <= 0.0;
+    whole.then_some(value as u16)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{floor_to, label};
+
+    #[test]
+    fn only_whole_numbers_of_16_bits_are_labels() {
+        assert_eq!(label(117.0), Some(117));
+        assert_eq!(label(-0.0), Some(0));
+        for value in [-1.0, 0.5, 65536.0, f64::NAN, f64::INFINITY] {
+            assert_eq!(label(value), None, "{value}");
+        }
+    }
+
+    #[test]
+    fn floors_stay_in_their_range() {
+        assert_eq!(floor_to(-3.0, 5), 0);
+        assert_eq!(floor_to(2.9, 5), 2);
+        assert_eq!(floor_to(9.0, 5), 5);
+        assert_eq!(floor_to(f64::NAN, 5), 0);
+    }
+}

@@ -1,0 +1,133 @@
+//! Solids by their distance function.
+
+use nalgebra::{Matrix3, Point3, Vector3};
+
+/// A solid in the nominal anatomy, mm.
+#[derive(Clone, Debug)]
+pub(super) enum Shape {
+    /// An ellipsoid.
+    Ellipsoid {
+        centre: Point3<f64>,
+        radii: Vector3<f64>,
+        /// Columns are its axes.
+        axes: Matrix3<f64>,
+    },
+    /// Round all along a line of points, each with its radius.
+    Tube(Vec<(Point3<f64>, f64)>),
+    /// Solids that flow into each other over about `over` mm.
+    Blend { of: Vec<Shape>, over: f64 },
+}
+
+/// An upright ellipsoid.
+pub(super) fn ellipsoid(centre: [f64; 3], radii: [f64; 3]) -> Shape {
+    Shape::Ellipsoid {
+        centre: Point3::from(centre),
+        radii: Vector3::from(radii),
+        axes: Matrix3::identity(),
+    }
+}
+
+/// A tube through points given as x, y, z and radius.
+pub(super) fn tube(points: &[[f64; 4]]) -> Shape {
+    let point = |p: &[f64; 4]| (Point3::new(p[0], p[1], p[2]), p[3]);
+    Shape::Tube(points.iter().map(point).collect())
+}
+
+/// Distance from a tube's segment; negative inside.
+fn segment(p: &Point3<f64>, a: &(Point3<f64>, f64), b: &(Point3<f64>, f64)) -> f64 {
+    let along = b.0 - a.0;
+    let t = ((p - a.0).dot(&along) / along.norm_squared()).clamp(0.0, 1.0);
+    (p - (a.0 + along * t)).norm() - (a.1 + (b.1 - a.1) * t)
+}
+
+/// The lesser of two distances, rounded where they are alike.
+fn smooth_min(a: f64, b: f64, over: f64) -> f64 {
+    let mix = (0.5 + 0.5 * (b - a) / over).clamp(0.0, 1.0);
+    b + (a - b) * mix - over * mix * (1.0 - mix)
+}
+
+impl Shape {
+    /// Distance of `p` from the surface, negative inside; exact for tubes, of first order near the surface for the others.
+    pub(super) fn distance(&self, p: &Point3<f64>) -> f64 {
+        match self {
+            Self::Ellipsoid {
+                centre,
+                radii,
+                axes,
+            } => {
+                let local = axes.tr_mul(&(p - centre));
+                let unit = local.component_div(radii).norm();
+                let slope = local.component_div(radii).component_div(radii).norm();
+                if slope < 1e-9 {
+                    -radii.min()
+                } else {
+                    unit * (unit - 1.0) / slope
+                }
+            }
+            Self::Tube(points) => points
+                .windows(2)
+                .map(|pair| segment(p, &pair[0], &pair[1]))
+                .fold(f64::INFINITY, f64::min),
+            Self::Blend { of, over } => of
+                .iter()
+                .map(|shape| shape.distance(p))
+                .reduce(|a, b| smooth_min(a, b, *over))
+                .unwrap_or(f64::INFINITY),
+        }
+    }
+
+    /// The same, moved by `by` and with its radii times `factor`.
+    pub(super) fn varied(&self, by: &Vector3<f64>, factor: f64) -> Self {
+        match self {
+            Self::Ellipsoid {
+                centre,
+                radii,
+                axes,
+            } => Self::Ellipsoid {
+                centre: centre + by,
+                radii: radii * factor,
+                axes: *axes,
+            },
+            Self::Tube(points) => {
+                let point = |(p, radius): &(Point3<f64>, f64)| (p + by, radius * factor);
+                Self::Tube(points.iter().map(point).collect())
+            }
+            Self::Blend { of, over } => Self::Blend {
+                of: of.iter().map(|shape| shape.varied(by, factor)).collect(),
+                over: *over,
+            },
+        }
+    }
+
+    /// Corners of a box along the axes around it.
+    pub(super) fn bounds(&self) -> [Vector3<f64>; 2] {
+        let around = |centre: Vector3<f64>, half: Vector3<f64>| [centre - half, centre + half];
+        let merge = |a: [Vector3<f64>; 2], b: [Vector3<f64>; 2]| [a[0].inf(&b[0]), a[1].sup(&b[1])];
+        let none = [
+            Vector3::repeat(f64::INFINITY),
+            Vector3::repeat(f64::NEG_INFINITY),
+        ];
+        match self {
+            Self::Ellipsoid {
+                centre,
+                radii,
+                axes,
+            } => {
+                let reach = (axes * Matrix3::from_diagonal(radii))
+                    .row_iter()
+                    .map(|row| row.norm())
+                    .collect::<Vec<_>>();
+                around(centre.coords, Vector3::from_column_slice(&reach))
+            }
+            Self::Tube(points) => points
+                .iter()
+                .map(|(p, radius)| around(p.coords, Vector3::repeat(*radius)))
+                .fold(none, merge),
+            Self::Blend { of, over } => {
+                let [low, high] = of.iter().map(Self::bounds).fold(none, merge);
+                // A blend bulges by a quarter of its width at most.
+                [low.add_scalar(-0.25 * over), high.add_scalar(0.25 * over)]
+            }
+        }
+    }
+}

@@ -1,0 +1,143 @@
+//! Smoothing of a net without shrinkage: Taubin's low-pass filter (1995), every vertex within half a voxel of where it began.
+//!
+//! A vertex between two groups moves with all its neighbours, one on a line where three meet with those along that line, so that such
+//! lines become smooth and stay what they are.
+
+use nalgebra::{Point3, Vector3};
+use rayon::prelude::*;
+
+use crate::number::{index, real};
+use crate::surface::nets::Net;
+
+/// How far a vertex may go from its corner along each axis, voxels.
+const REACH: f64 = 0.49;
+
+/// Taubin's two steps: the first smooths and shrinks, the second grows again.
+const STEPS: [f64; 2] = [0.5, -0.53];
+
+/// No neighbour.
+const NONE: u32 = u32::MAX;
+
+/// Neighbours of a vertex along the six directions of the lattice, with the groups around the edge to each, a bit a group.
+#[derive(Clone, Copy)]
+struct Star {
+    neighbours: [u32; 6],
+    groups: [u32; 6],
+}
+
+impl Star {
+    fn add(&mut self, direction: usize, neighbour: u32, groups: u32) {
+        self.neighbours[direction] = neighbour;
+        self.groups[direction] |= groups;
+    }
+
+    /// Neighbours that a vertex moves with.
+    fn active(&self) -> impl Iterator<Item = u32> + '_ {
+        let around = self.groups.iter().fold(0, |all, groups| all | groups);
+        let least = if around.count_ones() > 2 { 3 } else { 2 };
+        let pairs = self.neighbours.iter().zip(&self.groups);
+        pairs
+            .filter(move |(_, groups)| groups.count_ones() >= least)
+            .map(|(neighbour, _)| *neighbour)
+    }
+}
+
+/// The direction from one corner of the lattice to the next.
+fn direction(from: &Point3<f64>, to: &Point3<f64>) -> usize {
+    let step = to - from;
+    let axis = step.iamax();
+    2 * axis + usize::from(step[axis] > 0.0)
+}
+
+fn stars(net: &Net) -> Vec<Star> {
+    let empty = Star {
+        neighbours: [NONE; 6],
+        groups: [0; 6],
+    };
+    let mut stars = vec![empty; net.positions.len()];
+    for (quad, sides) in net.quads.iter().zip(&net.sides) {
+        let groups = 1 << sides[0] | 1 << sides[1];
+        for i in 0..4 {
+            let (a, b) = (quad[i], quad[(i + 1) % 4]);
+            let along = direction(&net.positions[a as usize], &net.positions[b as usize]);
+            stars[a as usize].add(along, b, groups);
+            stars[b as usize].add(along ^ 1, a, groups);
+        }
+    }
+    stars
+}
+
+/// Neighbours with which each vertex moves, one list after the other.
+pub(crate) struct Neighbours {
+    starts: Vec<u32>,
+    list: Vec<u32>,
+}
+
+impl Neighbours {
+    /// Of a net as [`crate::surface::nets::extract`] gives it, its vertices at corners of voxels.
+    pub(crate) fn of_net(net: &Net) -> Self {
+        let stars = stars(net);
+        let mut all = Self {
+            starts: vec![0],
+            list: Vec::with_capacity(5 * stars.len()),
+        };
+        for star in &stars {
+            all.list.extend(star.active());
+            all.starts.push(index(all.list.len()));
+        }
+        all
+    }
+
+    /// Of closed surfaces that do not touch: all neighbours of each of `count` vertices.
+    pub(crate) fn of_triangles(triangles: &[[u32; 3]], count: usize) -> Self {
+        let mut starts = vec![0; count + 1];
+        for v in triangles.as_flattened() {
+            starts[*v as usize + 1] += 1;
+        }
+        for v in 0..count {
+            starts[v + 1] += starts[v];
+        }
+        let mut free = starts.clone();
+        let mut list = vec![0; 3 * triangles.len()];
+        for &[a, b, c] in triangles {
+            // Each edge is there once in each direction.
+            for (from, to) in [(a, b), (b, c), (c, a)] {
+                list[free[from as usize] as usize] = to;
+                free[from as usize] += 1;
+            }
+        }
+        Self { starts, list }
+    }
+
+    fn of(&self, vertex: usize) -> &[u32] {
+        &self.list[self.starts[vertex] as usize..self.starts[vertex + 1] as usize]
+    }
+}
+
+/// Where a vertex at `here` goes, of which `begin` is the beginning.
+fn moved(
+    here: &Point3<f64>,
+    begin: &Point3<f64>,
+    neighbours: &[u32],
+    all: &[Point3<f64>],
+    step: f64,
+) -> Point3<f64> {
+    if neighbours.len() < 2 {
+        return *here;
+    }
+    let sum: Vector3<f64> = neighbours.iter().map(|v| all[*v as usize].coords).sum();
+    let target = here + (sum / real(neighbours.len()) - here.coords) * step;
+    begin + (target - begin).map(|x| x.clamp(-REACH, REACH))
+}
+
+/// Smooths `positions` (voxel coordinates) by `passes` pairs of steps.
+pub(crate) fn smooth(positions: &mut Vec<Point3<f64>>, neighbours: &Neighbours, passes: usize) {
+    let begin = positions.clone();
+    for step in (0..passes).flat_map(|_| STEPS) {
+        let before = std::mem::take(positions);
+        *positions = (0..before.len())
+            .into_par_iter()
+            .map(|v| moved(&before[v], &begin[v], neighbours.of(v), &before, step))
+            .collect();
+    }
+}

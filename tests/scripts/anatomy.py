@@ -1,0 +1,240 @@
+#!/usr/bin/env python3
+"""What `trocar anatomy` writes, judged by programs that share no code with it.
+
+    .ci/setup-anatomy.sh                                     # nibabel, SimpleITK, trimesh, usd-core; gltf-validator if there is npm
+    cargo build --locked -p trocar
+    target/anatomy/bin/python tests/scripts/anatomy.py target/scratch/anatomy
+
+A phantom is made and built into the given folder (`--size`, `--seed`), and once more from the same labels stored with other axes. Then:
+
+  nifti    nibabel and SimpleITK read labels and CT alike and place ten landmarks at the same points of the world
+  meshes   closed and wound outwards in trimesh; volumes within 1 % of the voxels'; centres where the voxels' centres are; no vertex
+           farther than a voxel's diagonal from the faces of its voxels
+  usd      usd-core opens the stage, UsdValidation finds no error; units, up axis, semantics, masses, bound materials
+  gltf     the Khronos validator has neither error nor warning; trimesh sees the same bounds as in the stage
+  planted  a stage without default prim, and a glTF file with an index out of range, are caught by these judges
+  axes     stored with its axes permuted and reversed the patient comes to lie at the same place
+
+The script prints how far the two sides are apart, and fails beyond the tolerances below.
+"""
+
+import argparse
+import json
+import os
+import shutil
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+import nibabel
+import numpy as np
+import SimpleITK
+import trimesh
+from pxr import Usd, UsdGeom, UsdPhysics, UsdSemantics, UsdShade, UsdValidation
+from scipy.spatial import cKDTree
+
+ROOT = Path(__file__).resolve().parents[2]
+TROCAR = os.environ.get("TROCAR", str(ROOT / "target/debug/trocar"))
+VALIDATOR = ROOT / "target/anatomy/node_modules/gltf-validator"
+VALIDATE = """
+const validator = require(process.argv[1]);
+validator.validateBytes(new Uint8Array(require('fs').readFileSync(process.argv[2]))).then(report => console.log(JSON.stringify(report.issues)));
+"""
+# A place in the world as float32 of some hundred mm.
+PLACE_MM = 1e-3
+# Of a mesh's volume to its voxels'.
+VOLUME = 0.01
+# Of a mesh's centre to its voxels', in voxels.
+CENTRE_VOXELS = 0.5
+# Of positions as float32, m.
+METRES = 1e-6
+failures = []
+
+
+def report(what, found, tolerance):
+    good = bool(found <= tolerance)
+    print(f"{what:<72} {found:.3g} (at most {tolerance:.3g}){'' if good else '  FAILED'}", flush=True)
+    if not good:
+        failures.append(what)
+
+
+def trocar(*words):
+    subprocess.run([TROCAR, "anatomy", *map(str, words)], check=True)
+
+
+def check_nifti(path, random):
+    ours = nibabel.load(path)
+    theirs = SimpleITK.ReadImage(str(path))
+    values = SimpleITK.GetArrayFromImage(theirs).transpose(2, 1, 0)
+    report(f"{path.name}: voxels of nibabel that SimpleITK has otherwise", np.count_nonzero(np.asarray(ours.dataobj) != values), 0)
+    worst = 0.0
+    for _ in range(10):
+        voxel = [int(random.integers(side)) for side in ours.shape]
+        ras = nibabel.affines.apply_affine(ours.affine, voxel)
+        lps = theirs.TransformIndexToPhysicalPoint(voxel)
+        worst = max(worst, np.abs(ras - np.array(lps) * [-1, -1, 1]).max())
+    report(f"{path.name}: ten landmarks apart, mm", worst, PLACE_MM)
+    return ours
+
+
+def group_volumes(image):
+    """By group: its voxels' mask, of the table that the phantom uses."""
+    table = tomllib.loads((ROOT / "config/anatomy/vista3d.toml").read_text())["groups"]
+    labels = np.asarray(image.dataobj)
+    return {name: np.isin(labels, [int(label) for label in members]) for name, members in table.items()}
+
+
+def boundary_faces(mask, affine):
+    """Middles of the faces around a mask, in the world."""
+    padded = np.pad(mask, 1)
+    middles = []
+    for axis in range(3):
+        faces = np.argwhere(np.diff(padded.astype(np.int8), axis=axis) != 0).astype(float)
+        faces[:, axis] += 0.5
+        middles.append(faces - 1.0)
+    return nibabel.affines.apply_affine(affine, np.concatenate(middles))
+
+
+def stage_meshes(stage):
+    """By group: the mesh as it is in the stage, m."""
+    meshes = {}
+    for prim in stage.Traverse():
+        if prim.IsA(UsdGeom.Mesh):
+            mesh = UsdGeom.Mesh(prim)
+            points = np.array(mesh.GetPointsAttr().Get(), dtype=float)
+            faces = np.array(mesh.GetFaceVertexIndicesAttr().Get()).reshape(-1, 3)
+            meshes[prim.GetName().replace("_", "-")] = trimesh.Trimesh(points, faces, process=False)
+    return meshes
+
+
+def check_meshes(folder, image, meshes):
+    voxel_mm3 = abs(np.linalg.det(image.affine[:3, :3]))
+    diagonal = np.linalg.norm(nibabel.affines.voxel_sizes(image.affine))
+    made = {group["name"]: group for group in json.loads((folder / "patient.json").read_text())["groups"]}
+    masks = {name: mask for name, mask in group_volumes(image).items() if mask.any()}
+    report("groups with voxels and without a mesh", len(masks.keys() - meshes.keys()), 0)
+    for name, mask in masks.items():
+        mesh = meshes[name]
+        report(f"{name}: open or misdirected surfaces", int(not mesh.is_watertight) + int(not mesh.is_winding_consistent), 0)
+        volume = mask.sum() * voxel_mm3
+        report(f"{name}: volume of the mesh to the voxels'", abs(mesh.volume * 1e9 / volume - 1), VOLUME)
+        report(f"{name}: volume in the report to trimesh's", abs(made[name]["mesh_mm3"] / (mesh.volume * 1e9) - 1), 1e-4)
+        centre = nibabel.affines.apply_affine(image.affine, np.argwhere(mask).mean(axis=0))
+        apart = np.abs(mesh.center_mass * 1e3 - centre).max() / nibabel.affines.voxel_sizes(image.affine).min()
+        report(f"{name}: centre from the voxels' centre, voxels", apart, CENTRE_VOXELS)
+        distances, _ = cKDTree(boundary_faces(mask, image.affine)).query(mesh.vertices * 1e3)
+        report(f"{name}: farthest vertex from a face of its voxels, voxel diagonals", distances.max() / diagonal, 1.0)
+
+
+def stage_errors(path):
+    stage = Usd.Stage.Open(str(path))
+    context = UsdValidation.ValidationContext(UsdValidation.ValidationRegistry().GetOrLoadAllValidators())
+    return stage, context.Validate(stage)
+
+
+def check_stage(path):
+    stage, errors = stage_errors(path)
+    report("stage: metres per unit from 1", abs(UsdGeom.GetStageMetersPerUnit(stage) - 1), 0)
+    report("stage: up axes that are not z", int(UsdGeom.GetStageUpAxis(stage) != UsdGeom.Tokens.z), 0)
+    for error in errors:
+        print(f"  {error.GetErrorAsString()}")
+    report("stage: issues of UsdValidation", len(errors), 0)
+    lacking = 0
+    for prim in stage.Traverse():
+        if prim.IsA(UsdGeom.Mesh):
+            classes = UsdSemantics.LabelsAPI(prim, "class").GetLabelsAttr().Get()
+            material, _ = UsdShade.MaterialBindingAPI(prim).ComputeBoundMaterial()
+            mass = UsdPhysics.MassAPI(prim).GetMassAttr().Get()
+            complete = len(classes) == 1 and material and mass > 0 and prim.HasAPI(UsdPhysics.CollisionAPI)
+            lacking += int(not complete)
+    report("stage: meshes without label, material, mass or collider", lacking, 0)
+    return stage
+
+
+def gltf_issues(path):
+    done = subprocess.run(["node", "-e", VALIDATE, str(VALIDATOR), str(path)], check=True, capture_output=True, text=True)
+    return json.loads(done.stdout)
+
+
+def has_validator():
+    return VALIDATOR.is_dir() and shutil.which("node")
+
+
+def check_gltf(path, meshes):
+    scene = trimesh.load(path)
+    report("glTF: meshes that the stage has not", len(scene.geometry.keys() ^ meshes.keys()), 0)
+    # glTF has y upwards: its scene is the scan's world turned by a quarter about x.
+    bounds = np.array([mesh.bounds for mesh in meshes.values()])
+    low, high = bounds[:, 0].min(axis=0), bounds[:, 1].max(axis=0)
+    expected = np.array([[low[0], low[2], -high[1]], [high[0], high[2], -low[1]]])
+    report("glTF: bounds from the stage's, m", np.abs(scene.bounds - expected).max(), METRES)
+    if not has_validator():
+        print("glTF: the Khronos validator is not here (no npm): NOT CHECKED")
+        return
+    issues = gltf_issues(path)
+    for message in issues["messages"]:
+        if message["severity"] < 2:
+            print(f"  {message}")
+    report("glTF: errors of the Khronos validator", issues["numErrors"], 0)
+    report("glTF: its warnings", issues["numWarnings"], 0)
+
+
+def check_planted(folder):
+    """What is wrong on purpose must be found."""
+    text = (folder / "patient.usda").read_text()
+    for key in ("defaultPrim", "metersPerUnit"):
+        planted = folder / f"without_{key}.usda"
+        planted.write_text("".join(line for line in text.splitlines(True) if not line.strip().startswith(key)))
+        _, errors = stage_errors(planted)
+        report(f"planted: a stage without {key} that passes", int(not errors), 0)
+    if has_validator():
+        data = bytearray((folder / "patient.glb").read_bytes())
+        # The last index of the last mesh.
+        data[-4:] = b"\xf0\xff\xff\x7f"
+        planted = folder / "planted.glb"
+        planted.write_bytes(data)
+        report("planted: a glTF file with an index out of range that passes", int(gltf_issues(planted)["numErrors"] == 0), 0)
+
+
+def check_axes(folder, image, meshes):
+    """The same labels stored from back to front, left to right, top to bottom."""
+    target = nibabel.orientations.axcodes2ornt(("P", "R", "I"))
+    turned = image.as_reoriented(nibabel.orientations.ornt_transform(nibabel.io_orientation(image.affine), target))
+    other = folder / "turned"
+    other.mkdir(exist_ok=True)
+    nibabel.save(turned, other / "labels.nii.gz")
+    trocar("build", other / "labels.nii.gz", "--out", other)
+    again = stage_meshes(Usd.Stage.Open(str(other / "patient.usda")))
+    voxel = nibabel.affines.voxel_sizes(image.affine).min() * 1e-3
+    apart = max(np.abs(meshes[name].center_mass - again[name].center_mass).max() for name in meshes)
+    report("axes: centres of all meshes apart, voxels", apart / voxel, CENTRE_VOXELS)
+    volumes = max(abs(again[name].volume / meshes[name].volume - 1) for name in meshes)
+    report("axes: volumes of all meshes apart", volumes, VOLUME)
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("--size", default="160x160x192")
+    parser.add_argument("--seed", type=int, default=7)
+    options = parser.parse_args()
+    folder = options.folder
+    trocar("phantom", "--seed", options.seed, "--size", options.size, "--out", folder)
+    trocar("build", folder / "labels.nii.gz", "--out", folder)
+    random = np.random.default_rng(options.seed)
+    check_nifti(folder / "ct.nii.gz", random)
+    image = check_nifti(folder / "labels.nii.gz", random)
+    stage = check_stage(folder / "patient.usda")
+    meshes = stage_meshes(stage)
+    check_meshes(folder, image, meshes)
+    check_gltf(folder / "patient.glb", meshes)
+    check_planted(folder)
+    check_axes(folder, image, meshes)
+    if failures:
+        sys.exit(f"{len(failures)} failed: {', '.join(failures)}")
+    print("all within tolerance")
+
+
+if __name__ == "__main__":
+    main()
