@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import threading
 from collections.abc import Callable
 from pathlib import Path
@@ -289,6 +290,21 @@ def test_in_real_time_it_takes_the_place_of_the_policy_process(
     assert policy.asked == sorted(set(policy.asked)) and len({step // 10 for step in policy.asked}) == len(policy.asked)
     replayed = session("replay", str(log)).end()
     assert replayed[0] == 0, replayed
+
+
+def test_in_real_time_who_asks_is_said_to_a_policy_that_listens_late(name: str, session: Callable[..., Any]) -> None:
+    """Once a session had heard a policy's hello, it repeated what to do and not who it was: one that missed that waited in vain."""
+    running = session("run", "--task", "needle-lift", "--policy", f"external:{name}", "--policy-timeout", "20")
+    node = Node(name)
+    hello = node.publisher(messages.PolicyHello, "psm1")
+    hello.publish(messages.PolicyHello(pid=os.getpid(), query_every_steps=1))
+    control = node.subscriber(messages.RunControl, "psm1")
+    while control.newest() is None:
+        hello.keep_alive()
+    sessions = node.subscriber(messages.SessionHello, "psm1")
+    while (said := sessions.newest()) is None:
+        pass
+    assert said.pid == running.process.pid and said.task.text == "needle-lift"
 
 
 def test_a_failure_in_real_time_ends_the_run_by_name(name: str, session: Callable[..., Any]) -> None:
