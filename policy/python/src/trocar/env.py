@@ -67,7 +67,7 @@ class TrocarEnv(gym.Env[dict[str, Any], NDArray[Any]]):
 
     An observation has ``joints`` (rad, insertion m), ``jaw`` (rad) and ``tip`` (x, y, z in m, quaternion x, y, z, w) of each arm, and an
     image of each of `cameras`. With ``layout="lerobot"`` it has LeRobot's keys instead, with the numbers of Trocar's datasets: ``agent_pos``
-    (joints and jaw of each arm) and ``pixels`` by camera; absolute actions are then what such a dataset's ``action`` holds. The reward is 1 in the step in which the task is done, and 0 otherwise. The verdict terminates an episode,
+    (joints and jaw of each arm), ``tip_pose`` and ``pixels`` by camera; absolute actions are then what such a dataset's ``action`` holds. The reward is 1 in the step in which the task is done, and 0 otherwise. The verdict terminates an episode,
     the task's time limit truncates it; ``info`` then has ``success``, ``reason``, ``seconds`` and ``command_hash``.
     """
 
@@ -125,7 +125,10 @@ class TrocarEnv(gym.Env[dict[str, Any], NDArray[Any]]):
         images: dict[str, spaces.Space[Any]] = {camera: image for camera in self._cameras}
         parts: dict[str, spaces.Space[Any]]
         if self._lerobot:
-            parts = {"agent_pos": spaces.Box(-np.inf, np.inf, (count * (JOINT_COUNT + 1),), np.float32)}
+            parts = {
+                "agent_pos": spaces.Box(-np.inf, np.inf, (count * (JOINT_COUNT + 1),), np.float32),
+                "tip_pose": spaces.Box(-np.inf, np.inf, (count * 7,), np.float32),
+            }
             if images:
                 parts["pixels"] = spaces.Dict(images)
         else:
@@ -178,6 +181,11 @@ class TrocarEnv(gym.Env[dict[str, Any], NDArray[Any]]):
         info["is_success"] = end["success"]
         return self._seen_now(), float(end["success"]), not late, late, info
 
+    @property
+    def instruction(self) -> str:
+        """The task in words."""
+        return self._task
+
     def render(self) -> NDArray[np.uint8] | None:
         """What the camera for rendering sees."""
         return None if self.render_mode is None else self._picture
@@ -228,7 +236,8 @@ class TrocarEnv(gym.Env[dict[str, Any], NDArray[Any]]):
         arms = self._observation.arms
         if self._lerobot:
             state = np.concatenate([np.append(arm.joints, arm.jaw) for arm in arms])
-            seen: dict[str, Any] = {"agent_pos": state.astype(np.float32)}
+            tips = np.concatenate([arm.tip for arm in arms])
+            seen: dict[str, Any] = {"agent_pos": state.astype(np.float32), "tip_pose": tips.astype(np.float32)}
             if self._images:
                 seen["pixels"] = dict(self._images)
             return seen
