@@ -25,10 +25,12 @@ class Holds:
     def __init__(self, above_m: float = 0.0) -> None:
         self.above_m = above_m
         self.shown: list[Mapping[str, np.ndarray]] = []
+        self.told: list[str] = []
         self.seeds: list[int] = []
 
     def __call__(self, batch: Mapping[str, np.ndarray], instruction: str) -> np.ndarray:
         self.shown.append(batch)
+        self.told.append(instruction)
         newest = {name: value.reshape(-1, value.shape[-1])[-1] for name, value in batch.items() if "images" not in name}
         state, tip = newest["observation.state"].reshape(-1, 7), newest["observation.tip_pose"].reshape(-1, 7)
         return np.repeat(np.column_stack([tip + np.eye(7)[2] * self.above_m, state[:, 6]]).reshape(1, -1), 30, axis=0)
@@ -106,12 +108,12 @@ def test_a_model_of_another_shape_is_named() -> None:
 def test_a_served_model_takes_part_in_a_session(name: str, session: Callable[..., Any]) -> None:
     model = Holds(above_m=0.002)
     policy = ServedPolicy(model, Features({"endoscope": (64, 64)}, 7, 8, steps=2), model.seeds.append)
-    wanted = ["--policy", f"external:{name}", "--trials", "1", "--set", "scene.rendering.shading=plain", *short()]
+    wanted = ["--policy", f"external:{name}", "--trials", "1", "--instruction", "lift it", "--set", "scene.rendering.shading=plain", *short()]
     running = session("eval", "--task", "needle-lift", *wanted)
     assert trocar.serve(policy, name, cameras=policy.cameras, query_every=10, history=policy.history, arms=policy.arms, sessions=1) == 1
     code, _, err = running.end()
     assert code == 0, err
-    assert len(model.shown) == 3 and model.seeds == [1_000_000]
+    assert len(model.shown) == 3 and model.seeds == [1_000_000] and model.told == ["lift it"] * 3
     first, second = (model.shown[index]["observation.images.endoscope"] for index in (0, 1))
     assert first.shape == (1, 2, 3, 64, 64) and first.std() > 0.01
     np.testing.assert_array_equal(first[0, 0], first[0, 1])

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import threading
+import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -148,6 +149,82 @@ def test_each_job_has_a_policy_of_its_own(name: str, session: Callable[..., Any]
     code, both, err = jobs.end()
     assert code == 0, err
     assert hashes(both) == hashes(out)
+
+
+@pytest.mark.parametrize("told", ["grasp the needle and lift it by 20 mm ✓", None], ids=["told", "untold"])
+def test_a_policy_is_told_what_to_do(told: str | None, name: str, session: Callable[..., Any]) -> None:
+    policy = Holds()
+    running = session(*evaluation(name, *(["--instruction", told] if told else []), trials=1))
+    assert trocar.serve(policy, name, query_every=10, sessions=1) == 1
+    code, _, err = running.end()
+    assert code == 0, err
+    assert policy.last is not None and policy.last.instruction == (told or "needle-lift")
+
+
+@pytest.mark.parametrize(
+    ("policy", "text", "said"),
+    [("expert", "lift", "only external policies read one"), ("external", "é" * 125, "250 bytes of text: allowed are 1 to 248")],
+    ids=["no reader", "too long"],
+)
+def test_an_instruction_that_nobody_can_read_is_bad_usage(
+    policy: str, text: str, said: str, session: Callable[..., Any]
+) -> None:
+    code, _, err = session("eval", "--task", "needle-lift", "--policy", policy, "--instruction", text).end()
+    assert code == 2 and said in err
+
+
+class Late:
+    """Raises the tip from where it was at the observation, and says so only after a while."""
+
+    def __init__(self, relative: bool, seconds: float) -> None:
+        self.relative, self.seconds = relative, seconds
+        self.tips: list[np.ndarray] = []
+
+    def infer(self, observation: trocar.Observation) -> list[np.ndarray]:
+        time.sleep(self.seconds)
+        (arm,) = observation.arms
+        self.tips.append(arm.tip)
+        rise = 0.0005 * np.arange(100)
+        if self.relative:
+            rows = np.zeros((100, trocar.RELATIVE))
+            rows[:, 2], rows[:, 6] = rise, arm.jaw
+            return [rows]
+        rows = np.repeat(arm.here[None], 100, axis=0)
+        rows[:, 2] += rise
+        return [rows]
+
+
+def test_late_answers_mean_the_same_relative_or_absolute(name: str, session: Callable[..., Any]) -> None:
+    """Relative to the tip as it was observed, wherever it is by the time the answer comes."""
+    seen = []
+    for relative in (True, False):
+        newest = ["--set", "control.aggregation.mode=newest", "--latency-ms", "400"]
+        running = session(*evaluation(name, *newest, trials=1))
+        policy = Late(relative, seconds=0.0)
+        assert trocar.serve(policy, name, query_every=15, sessions=1) == 1
+        code, out, err = running.end()
+        assert code == 0, err
+        assert len(policy.tips) == 2 and policy.tips[1][2] > policy.tips[0][2] + 1e-3
+        seen.append(hashes(out))
+    assert seen[0] == seen[1]
+
+
+@pytest.mark.parametrize("relative", [True, False], ids=["relative", "absolute"])
+def test_a_policy_may_answer_late_in_real_time(
+    relative: bool, name: str, session: Callable[..., Any], tmp_path: Path
+) -> None:
+    result = tmp_path / "run.json"
+    newest = ["--set", "control.aggregation.mode=newest", "--json", str(result)]
+    running = session("run", "--task", "needle-lift", "--policy", f"external:{name}", *newest, *short(3.0))
+    policy = Late(relative, seconds=0.4)
+    assert trocar.serve(policy, name, query_every=25, sessions=1) == 1
+    code, _, err = running.end(60)
+    summary = json.loads(result.read_text())["policy"]
+    assert code == 1 and summary["queries"] >= 2 and summary["refused"] == 0, err
+    assert summary["latency_ms"]["p50"] >= 400
+    heights = [tip[2] for tip in policy.tips]
+    # The rows that were due while it thought are left out: the tip does not wait for the first.
+    assert heights == sorted(heights) and heights[-1] > heights[0] + 1e-3
 
 
 class Fails:

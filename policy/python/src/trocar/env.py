@@ -86,12 +86,13 @@ class TrocarEnv(gym.Env[dict[str, Any], NDArray[Any]]):
         arms: int | None = None,
         binary: str | os.PathLike[str] | None = None,
         options: Sequence[str] = (),
+        instruction: str | None = None,
     ) -> None:
         """An environment of `task`, a built-in one or a folder (then with its number of `arms`).
 
         `image_size` is the height and the width of all images, 16 to 2048 pixels. `options` are further ones of ``trocar eval`` that choose
         a scene: ``--scene``, ``--needle``, ``--view``, ``--vary``, ``--config``, ``--set``. Images take less time if they are small, and with
-        ``--set scene.rendering.shading=plain``.
+        ``--set scene.rendering.shading=plain``. `instruction` is what is to be done, in words; the task's name if not given.
         """
         if control not in ("relative", "absolute"):
             raise ValueError(f"control = {control!r}: allowed are 'relative' and 'absolute'")
@@ -115,6 +116,10 @@ class TrocarEnv(gym.Env[dict[str, Any], NDArray[Any]]):
         self._binary = find_binary(binary)
         height, width = image_size
         self._options = ["--image-height", str(height), "--image-width", str(width), *options]
+        #: What is to be done, in words.
+        self.instruction = instruction or task
+        if instruction:
+            self._options += ["--instruction", instruction]
         self._child: _Child | None = None
         self._peer: Peer | None = None
         self._observation: Observation | None = None
@@ -180,11 +185,6 @@ class TrocarEnv(gym.Env[dict[str, Any], NDArray[Any]]):
         info = {key: end[key] for key in ("seed", "success", "invalid", "reason", "seconds", "command_hash")}
         info["is_success"] = end["success"]
         return self._seen_now(), float(end["success"]), not late, late, info
-
-    @property
-    def instruction(self) -> str:
-        """The task in words."""
-        return self._task
 
     def render(self) -> NDArray[np.uint8] | None:
         """What the camera for rendering sees."""

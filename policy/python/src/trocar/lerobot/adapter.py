@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -82,7 +81,7 @@ class ServedPolicy:
             batch = {name: value[None] for name, value in seen[0].items()}
         else:
             batch = {name: np.stack([one[name] for one in seen])[None] for name in seen[0]}
-        rows = np.asarray(self._model(batch, instruction_of(observation)), dtype=np.float64)
+        rows = np.asarray(self._model(batch, observation.instruction), dtype=np.float64)
         if rows.ndim != 2 or rows.shape[1] != self.features.action:
             raise PolicyError(f"the model answers with shape {rows.shape}: (steps, {self.features.action}) is wanted")
         return list(np.split(rows[:CHUNK_STEPS_MAX], self.arms, axis=1))
@@ -97,11 +96,6 @@ class ServedPolicy:
             image = area_average(observation.frames[camera].colour, size)
             shown[IMAGES + camera] = np.ascontiguousarray(image.transpose(2, 0, 1), dtype=np.float32) / np.float32(255)
         return shown
-
-
-def instruction_of(observation: Any) -> str:
-    """The instruction of the session, empty if it has none."""
-    return str(getattr(observation, "instruction", ""))
 
 
 def joined(arms: tuple[Arm, ...], numbers: Callable[[Arm], Array]) -> Floats:

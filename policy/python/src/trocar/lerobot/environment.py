@@ -37,6 +37,8 @@ class TrocarEnvConfig(EnvConfig):
     binary: str | None = None
     #: Further options of ``trocar environment``, as a shell has them: ``--set scene.rendering.shading=plain``.
     options: str = ""
+    #: What is to be done, in words, for policies that read it; the task's name if not given.
+    instruction: str | None = None
     render_mode: str = "rgb_array"
     episode_length: int = _EPISODE_STEPS_MAX
     features: dict[str, PolicyFeature] = field(default_factory=dict)
@@ -79,6 +81,7 @@ class TrocarEnvConfig(EnvConfig):
             "image_size": (self.observation_height, self.observation_width),
             "binary": self.binary,
             "options": shlex.split(self.options),
+            "instruction": self.instruction,
             "episode_length": self.episode_length,
         }
 

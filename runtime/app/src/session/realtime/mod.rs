@@ -19,6 +19,7 @@ mod child;
 mod control_thread;
 mod ended;
 mod hold;
+pub(super) mod observed;
 mod on_can;
 mod opened;
 mod own_process;
