@@ -36,7 +36,7 @@ def _parser() -> argparse.ArgumentParser:
         "--query-every",
         type=int,
         metavar="STEPS",
-        help="policy steps of 40 ms between queries; if not given, as trocar.json in the folder says, or all that LeRobot would execute",
+        help="policy steps of 40 ms between queries; if not given, as trocar.json in the folder says, or half of what LeRobot would execute",
     )
     server.add_argument("--device", default="cpu", help="where the network computes (default: cpu)")
     server.add_argument("--threads", type=int, default=1, help="threads of the network on the CPU (default: 1)")

@@ -49,8 +49,8 @@ class LoadedModel:
 
     @property
     def query_every(self) -> int:
-        """Steps from one query to the next: all that it would execute."""
-        return int(getattr(self._config, "n_action_steps", 1))
+        """Steps from one query to the next: half of those that it would execute, so that a late answer still meets the one before."""
+        return max(1, int(getattr(self._config, "n_action_steps", 1)) // 2)
 
     def __call__(self, batch: Mapping[str, Floats], instruction: str) -> Floats:
         """The chunk (steps, numbers) for a batch of one."""
