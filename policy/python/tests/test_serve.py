@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import json
 import os
 import threading
@@ -10,6 +11,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import iceoryx2 as iox2
 import numpy as np
 import pytest
 import trocar
@@ -435,3 +437,37 @@ def test_what_gets_past_the_package_is_refused_by_the_gate(name: str, session: C
     summary = json.loads(out)
     assert code == 1 and "within 1 s" in summary["reason"], err
     assert summary["policy"]["refused"] == summary["policy"]["queries"] == 5
+
+
+def mapped_from(address: int) -> str:
+    """The file that the memory at `address` is mapped from."""
+    for line in Path("/proc/self/maps").read_text().splitlines():
+        span, *_, file = line.split(maxsplit=5)
+        first, last = (int(part, 16) for part in span.split("-"))
+        if first <= address < last:
+            return file
+    raise AssertionError(f"nothing is mapped at {address:#x}")
+
+
+def test_a_reader_sees_the_writers_bytes_where_they_lie(name: str) -> None:
+    """The arrays begin in the sample that the transport hands out, in shared memory: nothing is copied on the way."""
+    width, height = 24, 16
+    writer, reader = Node(name), Node(name)
+    topic = f"trocar/{name}/endoscope/frame"
+    service = writer._open(topic, iox2.Slice[ctypes.c_float], messages.FrameHeader)
+    publisher = service.publisher_builder().initial_max_slice_len(2 * width * height).create()
+    subscriber = reader.camera("endoscope")
+    written = np.random.default_rng(3).integers(0, 256, 8 * width * height, dtype=np.uint8)
+    loan = publisher.loan_slice_uninit(2 * width * height)
+    header = loan.user_header().contents
+    header.stamp, header.intrinsics.width, header.intrinsics.height = 7, width, height
+    ctypes.memmove(loan.payload_ptr, written.ctypes.data, written.size)
+    loan.assume_init().send()
+    assert subscriber.look() and subscriber.header is not None and subscriber.header.stamp == 7
+    colour, depth_m, instance = subscriber.planes()
+    begin = subscriber._sample.payload_ptr
+    pixels = width * height
+    for plane, offset, size in [(depth_m, 0, 4), (colour, 4 * pixels, 3), (instance, 7 * pixels, 1)]:
+        assert plane.__array_interface__["data"] == (begin + offset, True)
+        assert plane.tobytes() == written[offset : offset + size * pixels].tobytes()
+    assert mapped_from(begin).startswith("/dev/shm/")
