@@ -1,4 +1,4 @@
-//! A camera frame from writer to reader: through shared memory against a copy of the same bytes through a pipe.
+//! A camera frame from writer to readers: through shared memory against a copy of the same bytes through a pipe and a Unix socket.
 
 #![expect(
     clippy::expect_used,
@@ -8,7 +8,8 @@
 mod support;
 
 use std::error::Error;
-use std::io::{PipeWriter, Read, Write, pipe};
+use std::io::{self, Read, Write, pipe};
+use std::os::unix::net::UnixStream;
 use std::sync::mpsc::{Receiver, channel};
 use std::thread::{self, JoinHandle};
 
@@ -16,7 +17,7 @@ use criterion::Criterion;
 use hal::{Intrinsics, Pose, TimeNs};
 use trocar::histogram::Histogram;
 use trocar::rt::MonotonicClock;
-use trocar_topics::{CameraTopic, FrameHeader, FrameLoan, TopicNode};
+use trocar_topics::{CameraTopic, FrameHeader, FrameLoan, FrameSubscriber, TopicNode};
 
 const SIDE_PIXELS: u32 = 512;
 /// Colour, depth and instance ids of one pixel.
@@ -27,19 +28,19 @@ const MARK: u8 = 0xa5;
 
 /// A reader in a thread of its own, and the times at which it had each frame.
 struct Reader {
-    frames: PipeWriter,
+    frames: Box<dyn Write>,
     arrivals: Receiver<TimeNs>,
     thread: JoinHandle<Vec<u8>>,
 }
 
 impl Reader {
-    /// A reader of `size_bytes` a time from a pipe; `on_read` sees them before the time is taken.
+    /// A reader of `size_bytes` a time from `input`, which `frames` leads to; `on_read` sees them before the time is taken.
     fn spawn(
         clock: MonotonicClock,
         size_bytes: usize,
+        (mut input, frames): (impl Read + Send + 'static, impl Write + 'static),
         mut on_read: impl FnMut(&[u8]) + Send + 'static,
-    ) -> Result<Self, Box<dyn Error>> {
-        let (mut input, frames) = pipe()?;
+    ) -> Self {
         let (arrived, arrivals) = channel();
         let thread = thread::spawn(move || {
             let mut bytes = vec![0; size_bytes];
@@ -51,16 +52,20 @@ impl Reader {
             }
             bytes
         });
-        Ok(Self {
-            frames,
+        Self {
+            frames: Box::new(frames),
             arrivals,
             thread,
-        })
+        }
     }
 
-    /// Writes `bytes` and gives the time at which the reader had them.
-    fn send(&mut self, bytes: &[u8]) -> TimeNs {
-        self.frames.write_all(bytes).expect("the pipe is open");
+    /// Writes `bytes`; the reader may have them any time.
+    fn send(&mut self, bytes: &[u8]) {
+        self.frames.write_all(bytes).expect("the way is open");
+    }
+
+    /// The time at which the reader had the bytes of the oldest `send` that was not asked for.
+    fn had(&self) -> TimeNs {
         self.arrivals.recv().expect("the reader lives")
     }
 
@@ -82,77 +87,102 @@ fn mark(loan: &mut FrameLoan) {
     instance[0] = MARK;
 }
 
-/// Loan, send, newest, drop, in one thread.
-fn topic(criterion: &mut Criterion, node: &TopicNode) -> Result<Histogram, Box<dyn Error>> {
+/// Loan, send, newest of each reader, drop, in one thread.
+fn topic(
+    criterion: &mut Criterion,
+    node: &TopicNode,
+    readers: usize,
+) -> Result<Histogram, Box<dyn Error>> {
     let clock = MonotonicClock::new();
     let header = header();
     let pixels = header.intrinsics.pixel_count();
-    let publisher = CameraTopic::publisher(node, "near", pixels)?;
-    let mut subscriber = CameraTopic::subscriber(node, "near")?;
+    let camera = format!("near_{readers}");
+    let publisher = CameraTopic::publisher(node, &camera, pixels)?;
+    let subscribers = (0..readers).map(|_| CameraTopic::subscriber(node, &camera));
+    let mut subscribers: Vec<_> = subscribers.collect::<Result<_, _>>()?;
     Ok(support::measure(
         criterion,
-        "handover/iceoryx2",
+        &format!("handover/iceoryx2, readers {readers}"),
         RUNS,
         || {
             let before = clock.now();
             let mut loan = publisher.loan(&header).expect("a buffer is free");
             mark(&mut loan);
             loan.send().expect("published");
-            let view = subscriber
-                .newest()
-                .expect("received")
-                .expect("there is one");
-            assert_eq!(view.instance()[0], MARK, "the frame arrives");
-            drop(view);
+            for subscriber in &mut subscribers {
+                expect_a_frame(subscriber);
+            }
             clock.now().since(before)
         },
     ))
 }
 
-/// The same to another thread, which a byte in a pipe wakes.
+fn expect_a_frame(subscriber: &mut FrameSubscriber) {
+    let newest = subscriber.newest().expect("received");
+    let view = newest.expect("there is one");
+    assert_eq!(view.instance()[0], MARK, "the frame arrives");
+}
+
+/// The same to other threads, each of which a byte in a pipe wakes; until the last of them has it.
 fn topic_and_wake(
     criterion: &mut Criterion,
     node: &TopicNode,
+    readers: usize,
 ) -> Result<Histogram, Box<dyn Error>> {
     let clock = MonotonicClock::new();
     let header = header();
     let pixels = header.intrinsics.pixel_count();
-    let publisher = CameraTopic::publisher(node, "far", pixels)?;
-    let mut subscriber = CameraTopic::subscriber(node, "far")?;
-    let mut reader = Reader::spawn(clock, 1, move |_| {
-        let view = subscriber
-            .newest()
-            .expect("received")
-            .expect("there is one");
-        assert_eq!(view.instance()[0], MARK, "the frame arrives");
-    })?;
+    let camera = format!("far_{readers}");
+    let publisher = CameraTopic::publisher(node, &camera, pixels)?;
+    let mut woken = Vec::with_capacity(readers);
+    for _ in 0..readers {
+        let mut subscriber = CameraTopic::subscriber(node, &camera)?;
+        let on_read = move |_: &[u8]| expect_a_frame(&mut subscriber);
+        woken.push(Reader::spawn(clock, 1, pipe()?, on_read));
+    }
     let times = support::measure(
         criterion,
-        "handover/iceoryx2, other thread woken",
+        &format!("handover/iceoryx2, other threads woken {readers}"),
         RUNS,
         || {
             let before = clock.now();
             let mut loan = publisher.loan(&header).expect("a buffer is free");
             mark(&mut loan);
             loan.send().expect("published");
-            reader.send(&[1]).since(before)
+            woken.iter_mut().for_each(|reader| reader.send(&[1]));
+            last_of(&woken, before)
         },
     );
-    reader.finish();
+    woken.into_iter().for_each(|reader| drop(reader.finish()));
     Ok(times)
 }
 
-/// All bytes of the frame through a pipe into the other thread's buffer.
-fn through_pipe(criterion: &mut Criterion) -> Result<Histogram, Box<dyn Error>> {
+/// The time from `before` until every reader has what it was sent, ns.
+fn last_of(readers: &[Reader], before: TimeNs) -> u64 {
+    let since = readers.iter().map(|reader| reader.had().since(before));
+    since.max().unwrap_or(0)
+}
+
+/// All bytes of the frame into the buffers of other threads, each on a way of its own; until the last of them has it.
+fn through<I: Read + Send + 'static, O: Write + 'static>(
+    criterion: &mut Criterion,
+    (name, readers): (&str, usize),
+    way: impl Fn() -> io::Result<(I, O)>,
+) -> Result<Histogram, Box<dyn Error>> {
     let clock = MonotonicClock::new();
     let frame = vec![MARK; header().intrinsics.pixel_count() * BYTES_PER_PIXEL];
-    let mut reader = Reader::spawn(clock, frame.len(), |_| {})?;
-    let times = support::measure(criterion, "handover/pipe", RUNS, || {
+    let mut reading = Vec::with_capacity(readers);
+    for _ in 0..readers {
+        reading.push(Reader::spawn(clock, frame.len(), way()?, |_| {}));
+    }
+    let name = format!("handover/{name}, readers {readers}");
+    let times = support::measure(criterion, &name, RUNS, || {
         let before = clock.now();
-        reader.send(&frame).since(before)
+        reading.iter_mut().for_each(|reader| reader.send(&frame));
+        last_of(&reading, before)
     });
-    if reader.finish() != frame {
-        return Err("the pipe brought other bytes".into());
+    if reading.into_iter().any(|reader| reader.finish() != frame) {
+        return Err(format!("{name} brought other bytes").into());
     }
     Ok(times)
 }
@@ -160,18 +190,23 @@ fn through_pipe(criterion: &mut Criterion) -> Result<Histogram, Box<dyn Error>> 
 fn main() -> Result<(), Box<dyn Error>> {
     let mut criterion = support::criterion();
     let node = TopicNode::join(&format!("bench-{}", std::process::id()))?;
-    let near = topic(&mut criterion, &node)?;
-    let far = topic_and_wake(&mut criterion, &node)?;
-    let pipe = through_pipe(&mut criterion)?;
-    let us = |times: &Histogram| TimeNs(times.percentile(0.5)).seconds() * 1e6;
-    for (name, times) in [("alone", &near), ("with the reader's wake-up", &far)] {
-        let ratio = us(&pipe) / us(times);
-        let figure = format!(
-            "512x512 hand-over {name}: p50 {:.2} us, pipe {:.2} us, {ratio:.1} times cheaper",
-            us(times),
-            us(&pipe)
-        );
-        support::report(&figure, "at least 20 times cheaper", ratio / 20.0);
+    let us = |times: &Histogram, share| TimeNs(times.percentile(share)).seconds() * 1e6;
+    for readers in [1, 2] {
+        let near = topic(&mut criterion, &node, readers)?;
+        let far = topic_and_wake(&mut criterion, &node, readers)?;
+        let pipe = through(&mut criterion, ("pipe", readers), pipe)?;
+        let socket = through(&mut criterion, ("socket", readers), UnixStream::pair)?;
+        for (name, times) in [("alone", &near), ("with the wake-up", &far)] {
+            let ours = us(times, 0.5);
+            let ratio = us(&pipe, 0.5).min(us(&socket, 0.5)) / ours;
+            let figure = format!(
+                "512x512 hand-over {name}, {readers} readers: p50 {ours:.2} us, p99 {:.2} us; pipe {:.0} us, socket {:.0} us; {ratio:.1} times cheaper",
+                us(times, 0.99),
+                us(&pipe, 0.5),
+                us(&socket, 0.5)
+            );
+            support::report(&figure, "at least 20 times cheaper", ratio / 20.0);
+        }
     }
     criterion.final_summary();
     Ok(())

@@ -7,6 +7,8 @@
     reason = "in a test, a failure to set up is a failure"
 )]
 
+#[path = "realtime/by_hand.rs"]
+mod by_hand;
 #[path = "realtime/two_arms.rs"]
 mod two_arms;
 

@@ -49,7 +49,7 @@ impl PolicyHello {
 /// What a session says of itself before its first episode.
 #[derive(Clone, Copy, Debug, Default, PartialEq, ZeroCopySend)]
 #[repr(C)]
-#[type_name("trocar/session_hello/1")]
+#[type_name("trocar/session_hello/2")]
 pub struct SessionHello {
     /// Tells sessions apart: the upper 32 bits are those of the numbers of all its episodes.
     pub session: u64,
@@ -65,6 +65,8 @@ pub struct SessionHello {
     pub frames_within_ns: u64,
     /// The task, empty if there is none.
     pub task: Line,
+    /// What is to be done, in words, for policies that read it: the task's name if nothing else was said.
+    pub instruction: Line,
 }
 
 impl Message for SessionHello {

@@ -17,7 +17,9 @@ pub use frame::{CameraTopic, FrameHeader, FrameLoan, FramePublisher, FrameSubscr
 pub use message::{ArmReport, PolicyStage, PolicyStatus, RunCommand, RunControl};
 pub use node::{TopicNode, check_run_id};
 pub use port::{Message, Publisher, Subscriber, Topic};
-pub use scene::{Line, Place, SCENE_ARMS_MAX, SceneArm, SceneReport, SceneTissue, Verdict};
+pub use scene::{
+    LINE_BYTES_MAX, Line, Place, SCENE_ARMS_MAX, SceneArm, SceneReport, SceneTissue, Verdict,
+};
 pub use shm::{SHARED_MEMORY_DIR, SharedMemorySpace, shared_memory_space};
 
 /// Chunks, from the policy process to the control process; one topic an arm.

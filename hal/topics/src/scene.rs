@@ -40,20 +40,23 @@ impl Place {
     }
 }
 
+/// Room in a line of text, bytes of UTF-8.
+pub const LINE_BYTES_MAX: usize = 248;
+
 /// A line of text.
 #[derive(Clone, Copy, Debug, PartialEq, ZeroCopySend)]
 #[repr(C)]
 #[type_name("trocar/line/1")]
 pub struct Line {
     length: u64,
-    bytes: [u8; 248],
+    bytes: [u8; LINE_BYTES_MAX],
 }
 
 impl Default for Line {
     fn default() -> Self {
         Self {
             length: 0,
-            bytes: [0; 248],
+            bytes: [0; LINE_BYTES_MAX],
         }
     }
 }

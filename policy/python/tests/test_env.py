@@ -167,3 +167,12 @@ def test_the_experts_targets_lift_the_needle_for_a_reward(
             break
     assert terminated and not truncated and info["success"] and info["reason"] == "success"
     assert rewards[-1] == 1.0 and not any(rewards[:-1])
+
+
+def test_an_environment_tells_what_is_to_be_done(make: Any) -> None:
+    told = make(instruction="lift the needle by 20 mm")
+    told.reset(seed=1)
+    assert told.instruction == "lift the needle by 20 mm" == told._observation.instruction
+    untold = make()
+    untold.reset(seed=1)
+    assert untold.instruction == "needle-lift" == untold._observation.instruction

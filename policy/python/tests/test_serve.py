@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import ctypes
 import json
+import os
 import threading
+import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import iceoryx2 as iox2
 import numpy as np
 import pytest
 import trocar
@@ -147,6 +151,82 @@ def test_each_job_has_a_policy_of_its_own(name: str, session: Callable[..., Any]
     code, both, err = jobs.end()
     assert code == 0, err
     assert hashes(both) == hashes(out)
+
+
+@pytest.mark.parametrize("told", ["grasp the needle and lift it by 20 mm ✓", None], ids=["told", "untold"])
+def test_a_policy_is_told_what_to_do(told: str | None, name: str, session: Callable[..., Any]) -> None:
+    policy = Holds()
+    running = session(*evaluation(name, *(["--instruction", told] if told else []), trials=1))
+    assert trocar.serve(policy, name, query_every=10, sessions=1) == 1
+    code, _, err = running.end()
+    assert code == 0, err
+    assert policy.last is not None and policy.last.instruction == (told or "needle-lift")
+
+
+@pytest.mark.parametrize(
+    ("policy", "text", "said"),
+    [("expert", "lift", "only external policies read one"), ("external", "é" * 125, "250 bytes of text: allowed are 1 to 248")],
+    ids=["no reader", "too long"],
+)
+def test_an_instruction_that_nobody_can_read_is_bad_usage(
+    policy: str, text: str, said: str, session: Callable[..., Any]
+) -> None:
+    code, _, err = session("eval", "--task", "needle-lift", "--policy", policy, "--instruction", text).end()
+    assert code == 2 and said in err
+
+
+class Late:
+    """Raises the tip from where it was at the observation, and says so only after a while."""
+
+    def __init__(self, relative: bool, seconds: float) -> None:
+        self.relative, self.seconds = relative, seconds
+        self.tips: list[np.ndarray] = []
+
+    def infer(self, observation: trocar.Observation) -> list[np.ndarray]:
+        time.sleep(self.seconds)
+        (arm,) = observation.arms
+        self.tips.append(arm.tip)
+        rise = 0.0005 * np.arange(100)
+        if self.relative:
+            rows = np.zeros((100, trocar.RELATIVE))
+            rows[:, 2], rows[:, 6] = rise, arm.jaw
+            return [rows]
+        rows = np.repeat(arm.here[None], 100, axis=0)
+        rows[:, 2] += rise
+        return [rows]
+
+
+def test_late_answers_mean_the_same_relative_or_absolute(name: str, session: Callable[..., Any]) -> None:
+    """Relative to the tip as it was observed, wherever it is by the time the answer comes."""
+    seen = []
+    for relative in (True, False):
+        newest = ["--set", "control.aggregation.mode=newest", "--latency-ms", "400"]
+        running = session(*evaluation(name, *newest, trials=1))
+        policy = Late(relative, seconds=0.0)
+        assert trocar.serve(policy, name, query_every=15, sessions=1) == 1
+        code, out, err = running.end()
+        assert code == 0, err
+        assert len(policy.tips) == 2 and policy.tips[1][2] > policy.tips[0][2] + 1e-3
+        seen.append(hashes(out))
+    assert seen[0] == seen[1]
+
+
+@pytest.mark.parametrize("relative", [True, False], ids=["relative", "absolute"])
+def test_a_policy_may_answer_late_in_real_time(
+    relative: bool, name: str, session: Callable[..., Any], tmp_path: Path
+) -> None:
+    result = tmp_path / "run.json"
+    newest = ["--set", "control.aggregation.mode=newest", "--json", str(result)]
+    running = session("run", "--task", "needle-lift", "--policy", f"external:{name}", *newest, *short(3.0))
+    policy = Late(relative, seconds=0.4)
+    assert trocar.serve(policy, name, query_every=25, sessions=1) == 1
+    code, _, err = running.end(60)
+    summary = json.loads(result.read_text())["policy"]
+    assert code == 1 and summary["queries"] >= 2 and summary["refused"] == 0, err
+    assert summary["latency_ms"]["p50"] >= 400
+    heights = [tip[2] for tip in policy.tips]
+    # The rows that were due while it thought are left out: the tip does not wait for the first.
+    assert heights == sorted(heights) and heights[-1] > heights[0] + 1e-3
 
 
 class Fails:
@@ -291,6 +371,21 @@ def test_in_real_time_it_takes_the_place_of_the_policy_process(
     assert replayed[0] == 0, replayed
 
 
+def test_in_real_time_who_asks_is_said_to_a_policy_that_listens_late(name: str, session: Callable[..., Any]) -> None:
+    """Once a session had heard a policy's hello, it repeated what to do and not who it was: one that missed that waited in vain."""
+    running = session("run", "--task", "needle-lift", "--policy", f"external:{name}", "--policy-timeout", "20")
+    node = Node(name)
+    hello = node.publisher(messages.PolicyHello, "psm1")
+    hello.publish(messages.PolicyHello(pid=os.getpid(), query_every_steps=1))
+    control = node.subscriber(messages.RunControl, "psm1")
+    while control.newest() is None:
+        hello.keep_alive()
+    sessions = node.subscriber(messages.SessionHello, "psm1")
+    while (said := sessions.newest()) is None:
+        pass
+    assert said.pid == running.process.pid and said.task.text == "needle-lift"
+
+
 def test_a_failure_in_real_time_ends_the_run_by_name(name: str, session: Callable[..., Any]) -> None:
     running = session("run", "--task", "needle-lift", "--policy", f"external:{name}")
     with pytest.raises(RuntimeError):
@@ -342,3 +437,37 @@ def test_what_gets_past_the_package_is_refused_by_the_gate(name: str, session: C
     summary = json.loads(out)
     assert code == 1 and "within 1 s" in summary["reason"], err
     assert summary["policy"]["refused"] == summary["policy"]["queries"] == 5
+
+
+def mapped_from(address: int) -> str:
+    """The file that the memory at `address` is mapped from."""
+    for line in Path("/proc/self/maps").read_text().splitlines():
+        span, *_, file = line.split(maxsplit=5)
+        first, last = (int(part, 16) for part in span.split("-"))
+        if first <= address < last:
+            return file
+    raise AssertionError(f"nothing is mapped at {address:#x}")
+
+
+def test_a_reader_sees_the_writers_bytes_where_they_lie(name: str) -> None:
+    """The arrays begin in the sample that the transport hands out, in shared memory: nothing is copied on the way."""
+    width, height = 24, 16
+    writer, reader = Node(name), Node(name)
+    topic = f"trocar/{name}/endoscope/frame"
+    service = writer._open(topic, iox2.Slice[ctypes.c_float], messages.FrameHeader)
+    publisher = service.publisher_builder().initial_max_slice_len(2 * width * height).create()
+    subscriber = reader.camera("endoscope")
+    written = np.random.default_rng(3).integers(0, 256, 8 * width * height, dtype=np.uint8)
+    loan = publisher.loan_slice_uninit(2 * width * height)
+    header = loan.user_header().contents
+    header.stamp, header.intrinsics.width, header.intrinsics.height = 7, width, height
+    ctypes.memmove(loan.payload_ptr, written.ctypes.data, written.size)
+    loan.assume_init().send()
+    assert subscriber.look() and subscriber.header is not None and subscriber.header.stamp == 7
+    colour, depth_m, instance = subscriber.planes()
+    begin = subscriber._sample.payload_ptr
+    pixels = width * height
+    for plane, offset, size in [(depth_m, 0, 4), (colour, 4 * pixels, 3), (instance, 7 * pixels, 1)]:
+        assert plane.__array_interface__["data"] == (begin + offset, True)
+        assert plane.tobytes() == written[offset : offset + size * pixels].tobytes()
+    assert mapped_from(begin).startswith("/dev/shm/")

@@ -67,7 +67,7 @@ class TrocarEnv(gym.Env[dict[str, Any], NDArray[Any]]):
 
     An observation has ``joints`` (rad, insertion m), ``jaw`` (rad) and ``tip`` (x, y, z in m, quaternion x, y, z, w) of each arm, and an
     image of each of `cameras`. With ``layout="lerobot"`` it has LeRobot's keys instead, with the numbers of Trocar's datasets: ``agent_pos``
-    (joints and jaw of each arm) and ``pixels`` by camera; absolute actions are then what such a dataset's ``action`` holds. The reward is 1 in the step in which the task is done, and 0 otherwise. The verdict terminates an episode,
+    (joints and jaw of each arm), ``tip_pose`` and ``pixels`` by camera; absolute actions are then what such a dataset's ``action`` holds. The reward is 1 in the step in which the task is done, and 0 otherwise. The verdict terminates an episode,
     the task's time limit truncates it; ``info`` then has ``success``, ``reason``, ``seconds`` and ``command_hash``.
     """
 
@@ -86,12 +86,13 @@ class TrocarEnv(gym.Env[dict[str, Any], NDArray[Any]]):
         arms: int | None = None,
         binary: str | os.PathLike[str] | None = None,
         options: Sequence[str] = (),
+        instruction: str | None = None,
     ) -> None:
         """An environment of `task`, a built-in one or a folder (then with its number of `arms`).
 
         `image_size` is the height and the width of all images, 16 to 2048 pixels. `options` are further ones of ``trocar eval`` that choose
         a scene: ``--scene``, ``--needle``, ``--view``, ``--vary``, ``--config``, ``--set``. Images take less time if they are small, and with
-        ``--set scene.rendering.shading=plain``.
+        ``--set scene.rendering.shading=plain``. `instruction` is what is to be done, in words; the task's name if not given.
         """
         if control not in ("relative", "absolute"):
             raise ValueError(f"control = {control!r}: allowed are 'relative' and 'absolute'")
@@ -115,6 +116,10 @@ class TrocarEnv(gym.Env[dict[str, Any], NDArray[Any]]):
         self._binary = find_binary(binary)
         height, width = image_size
         self._options = ["--image-height", str(height), "--image-width", str(width), *options]
+        #: What is to be done, in words.
+        self.instruction = instruction or task
+        if instruction:
+            self._options += ["--instruction", instruction]
         self._child: _Child | None = None
         self._peer: Peer | None = None
         self._observation: Observation | None = None
@@ -125,7 +130,10 @@ class TrocarEnv(gym.Env[dict[str, Any], NDArray[Any]]):
         images: dict[str, spaces.Space[Any]] = {camera: image for camera in self._cameras}
         parts: dict[str, spaces.Space[Any]]
         if self._lerobot:
-            parts = {"agent_pos": spaces.Box(-np.inf, np.inf, (count * (JOINT_COUNT + 1),), np.float32)}
+            parts = {
+                "agent_pos": spaces.Box(-np.inf, np.inf, (count * (JOINT_COUNT + 1),), np.float32),
+                "tip_pose": spaces.Box(-np.inf, np.inf, (count * 7,), np.float32),
+            }
             if images:
                 parts["pixels"] = spaces.Dict(images)
         else:
@@ -228,7 +236,8 @@ class TrocarEnv(gym.Env[dict[str, Any], NDArray[Any]]):
         arms = self._observation.arms
         if self._lerobot:
             state = np.concatenate([np.append(arm.joints, arm.jaw) for arm in arms])
-            seen: dict[str, Any] = {"agent_pos": state.astype(np.float32)}
+            tips = np.concatenate([arm.tip for arm in arms])
+            seen: dict[str, Any] = {"agent_pos": state.astype(np.float32), "tip_pose": tips.astype(np.float32)}
             if self._images:
                 seen["pixels"] = dict(self._images)
             return seen

@@ -147,7 +147,7 @@ class PolicyHello(Message):
 class SessionHello(Message):
     """What the session says of itself before its first episode."""
 
-    NAME = "trocar/session_hello/1"
+    NAME = "trocar/session_hello/2"
     TOPIC = "session_hello"
     _fields_ = [
         ("session", ctypes.c_uint64),
@@ -157,6 +157,7 @@ class SessionHello(Message):
         ("step_ns", ctypes.c_uint64),
         ("frames_within_ns", ctypes.c_uint64),
         ("task", Line),
+        ("instruction", Line),
     ]
 
 

@@ -289,7 +289,8 @@ class Peer:
         self._asked_at = time.monotonic()
         arms: tuple[Arm, ...] = tuple(arm_of(report) for report in reports)
         frames = {name: _frame(camera) for name, camera in self._cameras.items()}
-        observation = Observation(stamp_ns=stamp, step=sequence, arms=arms, frames=frames)
+        instruction = session.instruction.text
+        observation = Observation(stamp, sequence, arms, frames, instruction)
         return Asked(observation) if asked else Shown(observation)
 
 

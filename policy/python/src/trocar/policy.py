@@ -77,6 +77,8 @@ class Observation:
     arms: tuple[Arm, ...]
     #: The cameras that were asked for, by name.
     frames: Mapping[str, Frame]
+    #: What is to be done, in words: what ``--instruction`` says, or else the task's name, as a dataset's ``task`` has it.
+    instruction: str = ""
 
 
 #: One array an arm, of shape (steps, 8) or (steps, 7); of a single arm also the array itself.

@@ -95,6 +95,7 @@ pub fn examine(probes: &Probes<'_>) -> Vec<Finding> {
         realtime::cores(),
         realtime::fifo(),
         realtime::memory_locking(),
+        realtime::idle_states(),
         realtime::timer(),
         devices::shared_memory(),
         devices::can(),
@@ -122,7 +123,7 @@ mod tests {
             graphics: &|| Ok("llvmpipe (software)".into()),
             networks: &|| Err("no library".into()),
         });
-        assert_eq!(findings.len(), 9);
+        assert_eq!(findings.len(), 10);
         for finding in &findings {
             assert_eq!(
                 finding.remedy.is_empty(),

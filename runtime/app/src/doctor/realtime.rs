@@ -1,13 +1,14 @@
 //! Scheduling, memory locking, cores and the timer.
 
 use std::fs;
+use std::path::Path;
 use std::thread;
 
 use super::{Finding, Status};
 use crate::histogram::Histogram;
 use crate::rt::{
-    Grant, MemoryLockLimit, MonotonicClock, Periodic, RtOptions, can_lock_bytes, configure_thread,
-    memory_lock_limit,
+    CPU_DMA_LATENCY, Grant, MemoryLockLimit, MonotonicClock, Periodic, RtOptions, can_lock_bytes,
+    configure_thread, hold_cpu_latency, memory_lock_limit,
 };
 
 const PRIORITY: u8 = 80;
@@ -148,6 +149,38 @@ pub(super) fn memory_locking() -> Finding {
         detail,
         &allowing("memlock", "unlimited"),
     )
+}
+
+/// Whether cores can be kept out of idle states, and how long they take to leave the deepest one.
+pub(super) fn idle_states() -> Finding {
+    let slowest = match slowest_exit_us() {
+        Some(us) => format!("a core takes up to {us} us to leave one"),
+        None => "the system knows none here".to_owned(),
+    };
+    let (status, can) = match hold_cpu_latency(Path::new(CPU_DMA_LATENCY)) {
+        Ok(_) => (Status::Ok, "`hold_cpu_dma_latency` works".to_owned()),
+        Err(error) => (
+            Status::Limited,
+            format!("`hold_cpu_dma_latency` refused ({error})"),
+        ),
+    };
+    Finding::new(
+        "idle states",
+        status,
+        format!("{slowest}; {can}"),
+        "`echo 'KERNEL==\"cpu_dma_latency\", MODE=\"0666\"' | sudo tee /etc/udev/rules.d/90-trocar.rules && sudo udevadm control --reload \
+         && sudo udevadm trigger --name-match=cpu_dma_latency`; `trocar run --set realtime.hold_cpu_dma_latency=true`",
+    )
+}
+
+/// The longest time that the first core takes to leave an idle state, us; none where it has no such states.
+fn slowest_exit_us() -> Option<u64> {
+    let states = fs::read_dir("/sys/devices/system/cpu/cpu0/cpuidle").ok()?;
+    let latency = |state: fs::DirEntry| {
+        let text = fs::read_to_string(state.path().join("latency")).ok()?;
+        text.trim().parse().ok()
+    };
+    states.flatten().filter_map(latency).max()
 }
 
 pub(super) fn timer() -> Finding {

@@ -1,6 +1,7 @@
 //! The clock, sleeping and what the operating system grants a real-time thread; nothing else in the runtime has these.
 
 mod allocations;
+mod held;
 mod periodic;
 mod profile;
 mod sys;
@@ -9,6 +10,7 @@ mod thread;
 use hal::TimeNs;
 
 pub use allocations::{CountingAllocator, thread_allocations};
+pub use held::{CPU_DMA_LATENCY, Held, hold_cpu_latency};
 pub use periodic::{Periodic, Wake};
 pub use profile::RtProfile;
 pub use sys::{

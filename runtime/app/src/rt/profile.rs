@@ -3,6 +3,7 @@
 use hal::config::{ConfigError, Source};
 use serde::Deserialize;
 
+use super::held::Held;
 use super::thread::{Grant, RtOptions, RtRefused, RtReport, configure_thread, lock_memory};
 
 /// Most cores that a system's set of them holds.
@@ -15,6 +16,8 @@ pub struct RtProfile {
     pub control: RtOptions,
     /// Whether to keep in memory what the process has mapped when the control thread begins.
     pub lock_memory: bool,
+    /// Whether to keep all cores out of idle states while the run lasts: [`CPU_DMA_LATENCY`](super::CPU_DMA_LATENCY) at 0.
+    pub hold_cpu_dma_latency: bool,
     /// The simulated arms' thread. Never strict: without it the arms are only less punctual.
     pub simulation: RtOptions,
 }
@@ -34,6 +37,7 @@ impl Default for RtProfile {
                 ..fifo(80)
             },
             lock_memory: true,
+            hold_cpu_dma_latency: false,
             simulation: fifo(70),
         }
     }
@@ -44,6 +48,7 @@ impl Default for RtProfile {
 struct File {
     strict: bool,
     lock_memory: bool,
+    hold_cpu_dma_latency: bool,
     control: ThreadFile,
     simulation: ThreadFile,
 }
@@ -87,6 +92,7 @@ impl RtProfile {
         let file: File = source.parse()?;
         Ok(Self {
             lock_memory: file.lock_memory,
+            hold_cpu_dma_latency: file.hold_cpu_dma_latency,
             control: RtOptions {
                 lock_stack: file.lock_memory,
                 strict: file.strict,
@@ -107,32 +113,42 @@ impl RtProfile {
         let options = self.control;
         let tried = std::thread::spawn(move || configure_thread(&options)).join();
         let report = tried.map_or(Ok(None), |granted| granted.map(Some))?;
-        let memory = self.lock_if_asked();
+        let held = self.hold_as_asked();
         match report {
-            Some(report) if memory.is_refused() => Err(RtRefused(RtReport { memory, ..report })),
+            Some(report) if held.any_refused() => Err(RtRefused(RtReport {
+                memory: held.memory,
+                cpu_latency: held.cpu_latency,
+                ..report
+            })),
             Some(_) | None => Ok(()),
         }
     }
 
-    /// Locks memory, if that is asked for: see [`lock_memory`].
+    /// Locks memory and keeps cores out of idle states, if that is asked for: see [`lock_memory`]. What is held is held until the last
+    /// clone of it is dropped.
     ///
     /// # Errors
     /// [`RtRefused`] if a strict profile does not get it.
-    pub fn lock(&self) -> Result<Grant, RtRefused> {
-        let memory = self.lock_if_asked();
-        if self.control.strict && memory.is_refused() {
-            let (fifo, cpu) = (Grant::NotAsked, Grant::NotAsked);
-            return Err(RtRefused(RtReport { fifo, cpu, memory }));
+    pub fn hold(&self) -> Result<Held, RtRefused> {
+        let held = self.hold_as_asked();
+        if self.control.strict && held.any_refused() {
+            return Err(RtRefused(RtReport {
+                fifo: Grant::NotAsked,
+                cpu: Grant::NotAsked,
+                memory: held.memory,
+                cpu_latency: held.cpu_latency,
+            }));
         }
-        Ok(memory)
+        Ok(held)
     }
 
-    fn lock_if_asked(&self) -> Grant {
-        if self.lock_memory {
+    fn hold_as_asked(&self) -> Held {
+        let memory = if self.lock_memory {
             lock_memory()
         } else {
             Grant::NotAsked
-        }
+        };
+        Held::of(memory, self.hold_cpu_dma_latency)
     }
 }
 
@@ -144,6 +160,7 @@ mod tests {
     fn shipped_profile_is_lenient_and_asks_for_fifo_and_locked_memory() {
         let profile = RtProfile::load(&RtProfile::shipped()).unwrap();
         assert!(profile.lock_memory && !profile.control.strict);
+        assert!(!profile.hold_cpu_dma_latency);
         assert_eq!(profile, RtProfile::default());
         profile.check().unwrap();
     }
@@ -170,5 +187,28 @@ mod tests {
         let source = strict.with("control.cpu", "1023").unwrap();
         let refused = RtProfile::load(&source).unwrap().check().unwrap_err();
         assert!(refused.to_string().contains("core refused"), "{refused}");
+    }
+
+    /// Whether or not this system lets the device be held.
+    #[test]
+    fn strict_profile_insists_on_cores_out_of_idle_states() {
+        let asked = RtProfile::shipped().with("hold_cpu_dma_latency", "true");
+        // Nothing else that may be refused.
+        let alone = asked
+            .and_then(|it| it.with("lock_memory", "false"))
+            .unwrap();
+        let alone = alone.with("control.priority", "0").unwrap();
+        let held = RtProfile::load(&alone).unwrap().hold().unwrap();
+        let strict = RtProfile::load(&alone.with("strict", "true").unwrap()).unwrap();
+        match held.cpu_latency {
+            Grant::Granted => strict.check().unwrap(),
+            Grant::Refused(_) => {
+                for refused in [strict.check().err(), strict.hold().err()] {
+                    let said = refused.unwrap().to_string();
+                    assert!(said.contains("no idle states refused"), "{said}");
+                }
+            }
+            Grant::NotAsked => panic!("it was asked for"),
+        }
     }
 }

@@ -69,13 +69,16 @@ pub struct RtReport {
     pub cpu: Grant,
     /// Locked memory: of the thread its stack, of a run's control thread the process's too.
     pub memory: Grant,
+    /// Cores out of idle states: the process's wish, of a run's control thread.
+    pub cpu_latency: Grant,
 }
 
 impl RtReport {
     /// Whether the system refused something.
     #[must_use]
-    pub const fn any_refused(&self) -> bool {
-        self.fifo.is_refused() || self.cpu.is_refused() || self.memory.is_refused()
+    pub fn any_refused(&self) -> bool {
+        let all = [&self.fifo, &self.cpu, &self.memory, &self.cpu_latency];
+        all.into_iter().any(Grant::is_refused)
     }
 }
 
@@ -83,8 +86,8 @@ impl fmt::Display for RtReport {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(
             f,
-            "SCHED_FIFO {}, core {}, locked memory {}",
-            self.fifo, self.cpu, self.memory
+            "SCHED_FIFO {}, core {}, locked memory {}, no idle states {}",
+            self.fifo, self.cpu, self.memory, self.cpu_latency
         )
     }
 }
@@ -111,6 +114,7 @@ pub fn configure_thread(options: &RtOptions) -> Result<RtReport, RtRefused> {
         memory: Grant::of(options.lock_stack.then(lock_stack)),
         cpu: Grant::of(options.cpu.map(sys::pin_to)),
         fifo: Grant::of(options.priority.map(sys::set_fifo)),
+        cpu_latency: Grant::NotAsked,
     };
     if !options.lock_stack {
         touch_stack(|_| ());

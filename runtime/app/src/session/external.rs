@@ -19,18 +19,18 @@ use trocar_topics::{
     ArmReport, ArmStateTopic, CameraTopic, ChunkTopic, FrameHeader, FramePublisher, Line,
     PolicyHello, PolicyHelloTopic, PolicyReply, PolicyReplyTopic, PolicyStage, PolicyStatus,
     PolicyStatusTopic, Publisher, Reply, RunCommand, RunControl, RunControlTopic, SessionHello,
-    SessionHelloTopic, Subscriber, TopicError, TopicNode, check_run_id,
+    SessionHelloTopic, Subscriber, TopicError, TopicNode,
 };
 
 use super::source::STEP_NS;
 use super::{SessionError, Setup};
 use crate::rt::{self, MonotonicClock};
 
-/// The name of the topics if none is given.
-pub const DEFAULT_NAME: &str = "external";
+mod by_hand;
+mod choice;
 
-/// How long an external policy may take to appear, to reset and to answer if nothing else is said, s.
-pub const DEFAULT_WITHIN_S: u64 = 30;
+pub use by_hand::{ByHand, serve_by_hand};
+pub use choice::{DEFAULT_NAME, DEFAULT_WITHIN_S, ExternalChoice, INSTRUCTION_BYTES_MAX};
 
 /// The arm that the topics of the whole policy are named after.
 const FIRST_ARM: &str = ARM_NAMES[0];
@@ -44,58 +44,13 @@ const ALIVE_EVERY_LOOKS: u64 = 500;
 /// Most policy steps from one query to the next, or of a history.
 const STEPS_MAX: u64 = 10_000;
 
-/// Which external policy.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct ExternalChoice {
-    /// The name of its topics, if it was given.
-    pub name: Option<String>,
-    /// How long it may take to appear, to reset and to answer, s.
-    pub within_s: u64,
-}
-
-impl ExternalChoice {
-    /// The one on the topics `name`, or on the default ones.
-    #[must_use]
-    pub fn new(name: Option<&str>) -> Self {
-        Self {
-            name: name.map(str::to_owned),
-            within_s: DEFAULT_WITHIN_S,
-        }
-    }
-
-    /// The name of its topics.
-    #[must_use]
-    pub fn topics(&self) -> &str {
-        self.name.as_deref().unwrap_or(DEFAULT_NAME)
-    }
-
-    /// The one of the job `index` of `jobs`: of several each has a policy of its own, `NAME-1` and so on.
-    #[must_use]
-    pub fn of_job(&self, index: usize, jobs: usize) -> Self {
-        let name = match jobs {
-            0 | 1 => self.name.clone(),
-            _ => Some(format!("{}-{}", self.topics(), index + 1)),
-        };
-        Self {
-            name,
-            within_s: self.within_s,
-        }
-    }
-
-    /// Checks that it can name topics.
-    ///
-    /// # Errors
-    /// [`TopicError::BadName`].
-    pub fn check(&self) -> Result<(), TopicError> {
-        check_run_id(self.topics())
-    }
-}
-
 /// What a session says of itself.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct About<'a> {
     /// The task, empty if there is none.
     pub(super) task: &'a str,
+    /// What is to be done, in words.
+    pub(super) instruction: &'a str,
     /// How many arms there are.
     pub(super) arms: usize,
     /// Whether time stands still until the policy has answered.
@@ -135,6 +90,7 @@ impl ExternalLink {
             step_ns: STEP_NS,
             frames_within_ns: about.frames_within_ms * 1_000_000,
             task: Line::new(about.task),
+            instruction: Line::new(about.instruction),
         })?;
         let mut link = Self {
             hellos: PolicyHelloTopic::subscriber(&node, FIRST_ARM)?,
@@ -328,6 +284,7 @@ impl ExternalPolicy {
         let arms = setup.task.arms.len();
         let about = About {
             task: &setup.task_name,
+            instruction: choice.instruction_or(&setup.task_name),
             arms,
             lockstep: true,
             frames_within_ms: 0,

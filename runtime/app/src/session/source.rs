@@ -69,6 +69,24 @@ impl PolicyChoice {
         self
     }
 
+    /// The same, told to do `instruction`, if it is one.
+    ///
+    /// # Errors
+    /// [`SessionError::BadArgument`] for a policy that reads none: any but an external one.
+    pub fn instructed(mut self, instruction: Option<&str>) -> Result<Self, SessionError> {
+        match (&mut self, instruction) {
+            (_, None) => {}
+            (Self::External(choice), Some(text)) => choice.instruction = Some(text.to_owned()),
+            (other, Some(_)) => {
+                let policy = other.name();
+                return Err(SessionError::BadArgument(format!(
+                    "--instruction: only external policies read one, and the policy is {policy}"
+                )));
+            }
+        }
+        Ok(self)
+    }
+
     /// The same for the job `index` of `jobs`: of external policies each has its own.
     #[must_use]
     pub fn of_job(&self, index: usize, jobs: usize) -> Self {
@@ -78,7 +96,7 @@ impl PolicyChoice {
         self.clone()
     }
 
-    /// Checks that a checkpoint's folder is there, and that an external policy's name can be one of topics.
+    /// Checks that a checkpoint's folder is there, that an external policy's name can be one of topics, and its instruction told.
     ///
     /// # Errors
     /// [`SessionError::BadArgument`], which says what a policy can be; [`SessionError::Topic`].
@@ -88,7 +106,7 @@ impl PolicyChoice {
                 "policy {}: there is no such folder; a policy is expert, noop, random, external or a checkpoint's folder",
                 path.display()
             ))),
-            Self::External(choice) => Ok(choice.check()?),
+            Self::External(choice) => choice.check(),
             Self::Checkpoint(_) | Self::Expert | Self::Noop | Self::Random | Self::Own(_) => Ok(()),
         }
     }

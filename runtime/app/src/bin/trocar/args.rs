@@ -12,7 +12,6 @@ use clap::{Arg, Args, Command, Parser, Subcommand, ValueEnum};
 use trocar::console::{Address, DEFAULT_ADDRESS};
 use trocar::session::changes::Change;
 use trocar::session::drives::DEFAULT_TOPICS;
-use trocar::session::external::DEFAULT_WITHIN_S;
 use trocar::session::tasks;
 
 use crate::anatomy::AnatomyVerb;
@@ -20,6 +19,7 @@ use crate::drives::DrivesArgs;
 use crate::export::ExportVerb;
 use crate::import::ImportVerb;
 use crate::operator::{OperatorArgs, SpeedArgs};
+use crate::policy::{ExternalArgs, PolicyArgs};
 use crate::scene_args::{SceneArgs, VaryArgs};
 use crate::sheet::SheetArgs;
 use crate::study::{ReportArgs, StudyArgs};
@@ -54,7 +54,7 @@ fn pixels() -> RangedI64ValueParser<u32> {
 }
 
 /// A time-out in s.
-fn within() -> RangedU64ValueParser<u64> {
+pub(crate) fn within() -> RangedU64ValueParser<u64> {
     RangedU64ValueParser::new().range(1..=86_400)
 }
 
@@ -99,6 +99,11 @@ pub(crate) enum Verb {
         after_help = "Example: trocar eval --task needle-lift --policy expert --trials 50 --jobs 2\n         trocar eval --task needle-lift --policy runs/act --needle N3 --view view1 --json runs/eval.json\n         trocar eval --task needle-lift --policy runs/act --min-rate 0.95 --keep failures runs/lost\n\nCtrl-C (SIGINT), SIGTERM and SIGHUP abandon the trials in progress; what was done is written (\"interrupted\": true), and the exit code is 1. A second one ends the program at once. Otherwise the exit code is 0 once all trials are done, whatever the rate, unless --min-rate or --min-wilson asks for more."
     )]
     Eval(EvalArgs),
+    /// Run a checkpoint in a process of its own, for sessions with `--policy external:NAME`.
+    #[command(
+        after_help = "Example: trocar policy --policy config/policies/needle-lift/act-small --name lab\n         trocar run --task needle-lift --policy external:lab --set control.aggregation.mode=newest\n\nIt answers one session after another, in lockstep or in real time, those that began before it too. A run with --set control.policy.restarts=1 holds its arms when it ends, and goes on once it was started again. Ctrl-C ends it."
+    )]
+    Policy(PolicyArgs),
     /// Record demonstrations as a LeRobot v3 dataset.
     #[command(
         after_help = "Example: trocar record --task needle-lift --episodes 50 --source expert --cameras multi --out runs/demos\n         trocar record --task needle-lift --episodes 200 --disturb 0.5 --vary needles,views,light --jobs 2 --out runs/varied\n         trocar record --task needle-lift --episodes 100 --source expert --cameras multi --out runs/demos --resume\n\nCtrl-C (SIGINT), SIGTERM and SIGHUP abandon the episodes in progress; what was recorded is a dataset, and the exit code is 1. A second one ends the program at once. The same command with --resume goes on, also after a crash or a full disk, and comes to the same dataset as without the break."
@@ -240,6 +245,7 @@ impl Verb {
             | Self::Config(_)
             | Self::Completions(_)
             | Self::Man(_)
+            | Self::Policy(_)
             | Self::PolicyProcess(_)
             | Self::Environment(_) => &None,
         };
@@ -374,9 +380,9 @@ pub(crate) struct RunArgs {
     /// `external:NAME`, such as one of the Python package in policy/python.
     #[arg(long)]
     pub(crate) policy: String,
-    /// How long an external policy may take to appear, to reset and to answer, s, up to 86400.
-    #[arg(long, value_name = "S", default_value_t = DEFAULT_WITHIN_S, value_parser = within())]
-    pub(crate) policy_timeout: u64,
+    /// How an external policy is awaited.
+    #[command(flatten)]
+    pub(crate) external: ExternalArgs,
     /// The arm.
     #[arg(long, value_enum, default_value = "sim")]
     pub(crate) backend: Backend,
@@ -469,9 +475,9 @@ pub(crate) struct EvalArgs {
     /// `external:NAME`, such as one of the Python package in policy/python. With --jobs N: one a job, on `NAME-1` to `NAME-N`.
     #[arg(long)]
     pub(crate) policy: String,
-    /// How long an external policy may take to appear, to reset and to answer, s, up to 86400.
-    #[arg(long, value_name = "S", default_value_t = DEFAULT_WITHIN_S, value_parser = within())]
-    pub(crate) policy_timeout: u64,
+    /// How an external policy is awaited.
+    #[command(flatten)]
+    pub(crate) external: ExternalArgs,
     /// How many trials.
     #[arg(long, default_value_t = 50, value_parser = count())]
     pub(crate) trials: usize,
@@ -657,6 +663,9 @@ pub(crate) struct EnvironmentArgs {
     /// How long it may take to appear, to reset and to answer, s, up to 86400.
     #[arg(long, value_name = "S", default_value_t = 86_400, value_parser = within())]
     pub(crate) policy_timeout: u64,
+    /// What is to be done, in words, for policies that read it; the task's name if not given.
+    #[arg(long, value_name = "TEXT", value_parser = NonEmptyStringValueParser::new())]
+    pub(crate) instruction: Option<String>,
     /// Height of all images, pixels, instead of the scene's; the vertical field of view stays.
     #[arg(long, value_name = "PIXELS", requires = "image_width", value_parser = pixels())]
     pub(crate) image_height: Option<u32>,

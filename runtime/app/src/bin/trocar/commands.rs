@@ -134,8 +134,7 @@ pub(crate) fn run(args: &RunArgs) -> Done {
     let can = can_options(args)?;
     let changes = Changes(args.set.clone());
     let real_time = RtProfile::load(&realtime_source(args.realtime.as_deref(), &changes)?)?;
-    let policy = PolicyChoice::parse(&args.policy).within_s(args.policy_timeout);
-    policy.check_exists()?;
+    let policy = args.external.policy(&args.policy)?;
     note_awaited(&policy, 1);
     let page = args.console.map(open_console).transpose()?;
     let chosen = Chosen {

@@ -17,7 +17,9 @@ pub(crate) fn environment(args: &EnvironmentArgs) -> Done {
     let choice = ExternalChoice {
         name: Some(args.topics.clone()),
         within_s: args.policy_timeout,
+        instruction: args.instruction.clone(),
     };
+    choice.check()?;
     let policy = PolicyChoice::External(choice.clone());
     let changes = task_changes(&args.set)?;
     let scene = args.vary.add_to(args.scene.options(None));

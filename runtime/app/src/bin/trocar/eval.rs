@@ -8,7 +8,7 @@ use trocar::session::keep::{Keep, KeepChoice};
 use trocar::session::run::write_json;
 use trocar::session::score::{Demand, Score};
 use trocar::session::summary::TrialSummary;
-use trocar::session::{Plan, PolicyChoice, SessionError, Setup};
+use trocar::session::{Plan, SessionError, Setup};
 
 use crate::args::EvalArgs;
 use crate::commands::{Done, compute, note_awaited, task_changes, warn_of_transfer};
@@ -25,8 +25,7 @@ pub(crate) fn eval(args: &EvalArgs) -> Done {
     .and_tasks([&args.task])
     .and_policy(&args.policy)
     .check(&[("--json", args.json.as_deref())])?;
-    let policy = PolicyChoice::parse(&args.policy).within_s(args.policy_timeout);
-    policy.check_exists()?;
+    let policy = args.external.policy(&args.policy)?;
     let changes = task_changes(&args.set)?;
     let scene = args.vary.add_to(args.scene.options(None));
     let config = args.config.as_deref();

@@ -13,6 +13,7 @@ mod eval;
 mod export;
 mod import;
 mod operator;
+mod policy;
 mod provenance;
 mod record;
 mod scene_args;
@@ -107,6 +108,7 @@ fn main() -> ExitCode {
         Verb::Config(verb) => about::config(verb),
         Verb::Completions(args) => about::completions(args),
         Verb::Man(args) => about::man(args),
+        Verb::Policy(args) => policy::policy(args),
         Verb::PolicyProcess(args) => commands::policy_process(args),
         Verb::Environment(args) => environment::environment(args),
     };

@@ -16,6 +16,7 @@ fn choice(test: &str, within_s: u64) -> ExternalChoice {
     ExternalChoice {
         name: Some(format!("test-{}-{test}", process::id())),
         within_s,
+        instruction: None,
     }
 }
 
@@ -145,7 +146,7 @@ fn an_external_policy_that_never_answers_is_given_up() {
     );
     let nobody = ExternalChoice {
         name: Some(format!("{}-nobody", choice.topics())),
-        within_s: 1,
+        ..choice.clone()
     };
     let error = ExternalPolicy::connect(&nobody, &setup("needle-lift"));
     let said = error.err().unwrap().to_string();
@@ -163,6 +164,7 @@ fn an_external_policy_for_something_else_is_refused() {
     };
     let about = About {
         task: "needle-lift",
+        instruction: "lift the needle",
         arms: 1,
         lockstep: true,
         frames_within_ms: 0,
@@ -212,4 +214,38 @@ fn external_policies_have_names_that_topics_can_have() {
         .unwrap_err();
     assert!(error.is_bad_input(), "{error}");
     assert!(PolicyChoice::parse("external").check_exists().is_ok());
+}
+
+#[test]
+fn only_external_policies_are_told_what_to_do() {
+    let told = |policy: &str, text: Option<&str>| PolicyChoice::parse(policy).instructed(text);
+    let PolicyChoice::External(lab) = told("external:lab", Some("lift the needle")).unwrap() else {
+        panic!("external:lab");
+    };
+    assert_eq!(lab.instruction_or("needle-lift"), "lift the needle");
+    assert_eq!(
+        lab.of_job(1, 2).instruction_or("needle-lift"),
+        "lift the needle"
+    );
+    let untold = ExternalChoice::new(None);
+    assert_eq!(untold.instruction_or("needle-lift"), "needle-lift");
+    assert!(told("expert", None).is_ok());
+    let error = told("expert", Some("lift")).unwrap_err();
+    assert!(
+        error.is_bad_input() && error.to_string().contains("the policy is expert"),
+        "{error}"
+    );
+    let long = "é".repeat(INSTRUCTION_BYTES_MAX / 2);
+    assert!(
+        told("external", Some(&long))
+            .unwrap()
+            .check_exists()
+            .is_ok()
+    );
+    let longer = told("external", Some(&(long + "e"))).unwrap();
+    let said = longer.check_exists().unwrap_err().to_string();
+    assert!(
+        said.contains("249 bytes of text: allowed are 1 to 248"),
+        "{said}"
+    );
 }

@@ -81,6 +81,15 @@ impl Peer {
         }
     }
 
+    /// Hands what was said to a process that has come since: of an external policy, who the session is too.
+    fn keep_alive(&self) -> Result<(), SessionError> {
+        match self {
+            Self::Own(own) => own.control.keep_alive()?,
+            Self::External(link) => link.keep_alive()?,
+        }
+        Ok(())
+    }
+
     const fn status(&self) -> &Subscriber<PolicyStatus> {
         match self {
             Self::Own(own) => &own.status,
@@ -298,7 +307,7 @@ impl PolicyChild {
 
     /// Whether it has begun as it was told, and answers from now on.
     fn is_ready(&mut self) -> Result<bool, SessionError> {
-        self.peer.control().keep_alive()?;
+        self.peer.keep_alive()?;
         let status = self.peer.status().newest()?;
         let ready = status.is_some_and(|status| {
             status.stage() == PolicyStage::Ready && status.episode == self.episode
@@ -333,7 +342,6 @@ impl PolicyChild {
     /// Whether it is back, at `now` by the run's clock.
     pub(super) fn is_back(&mut self, now: TimeNs) -> Result<bool, SessionError> {
         if let Peer::External(link) = &mut self.peer {
-            link.keep_alive()?;
             link.welcome()?;
         }
         let back = self.is_ready()?;

@@ -11,7 +11,7 @@ use super::hold::Hold;
 use super::signals::{Signals, StopsAll};
 use super::timing::LoopTiming;
 use crate::rig;
-use crate::rt::{Grant, MonotonicClock, RtOptions};
+use crate::rt::{Held, MonotonicClock, RtOptions};
 use crate::session::operator::OperatorPort;
 use crate::session::summary::RealTimeCounts;
 use crate::session::tally::Tally;
@@ -29,8 +29,8 @@ pub(super) struct ControlThread<R> {
     pub(super) operator: OperatorPort,
     /// What the thread asks of the system; of strict wishes [`RtProfile::check`](crate::rt::RtProfile::check) knows before there is a run.
     pub(super) profile: RtOptions,
-    /// Whether the process's memory is locked.
-    pub(super) memory: Grant,
+    /// What the process holds of the system, as long as the thread lives.
+    pub(super) held: Held,
 }
 
 /// What it leaves behind.
@@ -70,7 +70,7 @@ impl<R: Rig> ControlThread<R> {
         let mut paused = false;
         let mut hold = Hold::default();
         let mut setpoints = None;
-        let mut timing = LoopTiming::begin(&self.profile, self.memory.clone());
+        let mut timing = LoopTiming::begin(&self.profile, &self.held);
         while rest_ticks < REST_TICKS {
             let period = self.rig.exchange(setpoints.take().as_ref());
             timing.woke(&period);

@@ -19,6 +19,7 @@ mod child;
 mod control_thread;
 mod ended;
 mod hold;
+pub(super) mod observed;
 mod on_can;
 mod opened;
 mod own_process;
@@ -136,7 +137,7 @@ fn run_threads(
         signals: Arc::clone(&signals),
         profile: plan.real_time.simulation,
     };
-    let memory = plan.real_time.lock()?;
+    let held = plan.real_time.hold()?;
     let first = clock.now().plus_ns(START_NS);
     // Half a period after the simulation, to see this period's measurement.
     let periodic = Periodic::new(clock, first.plus_ns(TICK_NS / 2), TICK_NS);
@@ -148,7 +149,7 @@ fn run_threads(
         signals: Arc::clone(&signals),
         operator,
         profile: plan.real_time.control,
-        memory,
+        held,
     };
     let control = move || {
         let _moving = Moving;

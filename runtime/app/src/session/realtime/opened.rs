@@ -38,8 +38,10 @@ impl<'a> Opened<'a> {
             }
             PolicyChoice::External(choice) => {
                 let topics = outside.map_or(Ok(choice.topics()), |it| it.topics_of(choice))?;
+                let task_name = task.map_or("", |setup| &setup.task_name);
                 let about = About {
-                    task: task.map_or("", |setup| &setup.task_name),
+                    task: task_name,
+                    instruction: choice.instruction_or(task_name),
                     arms: robot.arms(),
                     lockstep: false,
                     frames_within_ms: outside.map_or(0, |outside| outside.frames_within_ms),

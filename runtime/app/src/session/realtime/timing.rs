@@ -4,7 +4,7 @@ use hal::Period;
 
 use crate::histogram::Histogram;
 use crate::rt::{
-    self, Grant, RtOptions, RtReport, ThreadFaults, configure_thread, thread_allocations,
+    self, Held, RtOptions, RtReport, ThreadFaults, configure_thread, thread_allocations,
     thread_faults,
 };
 use crate::session::summary::{PercentilesUs, RealTimeCounts, ThreadCounts};
@@ -23,14 +23,15 @@ pub(super) struct LoopTiming {
 }
 
 impl LoopTiming {
-    /// Makes the calling thread what `options` ask for, as far as the system grants it, and begins to count; `memory` is what became of
-    /// locking the process's.
-    pub(super) fn begin(options: &RtOptions, memory: Grant) -> Self {
+    /// Makes the calling thread what `options` ask for, as far as the system grants it, and begins to count; `held` is what the process
+    /// got.
+    pub(super) fn begin(options: &RtOptions, held: &Held) -> Self {
         let (wakes, periods) = (Histogram::new(), Histogram::new());
         let mut granted = configure_thread(options).unwrap_or_else(|refused| refused.0);
         if !granted.memory.is_refused() {
-            granted.memory = memory;
+            granted.memory = held.memory.clone();
         }
+        granted.cpu_latency = held.cpu_latency.clone();
         Self {
             granted,
             skipped: 0,

@@ -41,7 +41,7 @@ use super::wires::{ControlWires, Local, SeenWires, Wires};
 use crate::rig::Observed;
 use crate::rig::can::CanRig;
 use crate::rig::can_clock::CanClock;
-use crate::rt::{self, Grant, MonotonicClock, Periodic, RtOptions};
+use crate::rt::{self, Held, MonotonicClock, Periodic, RtOptions};
 use crate::session::can_interfaces;
 use crate::session::plan::Arms;
 use crate::session::run::RunResult;
@@ -220,7 +220,7 @@ impl Begun<'_> {
             controller: robot.controller()?,
             wires: wires.control,
             profile: plan.real_time.control,
-            memory: plan.real_time.lock()?,
+            held: plan.real_time.hold()?,
         };
         let signals = Arc::clone(&enabling.wires.signals);
         let served = (&*signals, wires.listener.as_ref());
@@ -236,7 +236,7 @@ struct Enabling<'a> {
     controller: AnyController,
     wires: ControlWires,
     profile: RtOptions,
-    memory: Grant,
+    held: Held,
 }
 
 impl Enabling<'_> {
@@ -273,7 +273,7 @@ impl Enabling<'_> {
             signals: Arc::clone(&signals),
             operator,
             profile: self.profile,
-            memory: self.memory,
+            held: self.held,
         };
         let mut end = control.run(clock).with_rig(|observed| observed.rig);
         end.rig.take_down(clock);

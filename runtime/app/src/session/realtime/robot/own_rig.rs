@@ -54,7 +54,7 @@ pub fn run_rig<R: Rig + Send>(
         signals: Arc::clone(&signals),
         operator,
         profile: plan.real_time.control,
-        memory: plan.real_time.lock()?,
+        held: plan.real_time.hold()?,
     };
     let local = Some((source, wires.chunk_in));
     let robot_thread = RobotThread::new(wires.seen, local, Vec::new(), (Vec::new(), 0), asked);

@@ -1,0 +1,124 @@
+"""Trocar's checkpoints of ACT as folders that LeRobot loads, with the policy class of `trocar.lerobot.network`."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from safetensors.numpy import load_file, save_file
+
+#: The type of the converted folders.
+POLICY_TYPE = "trocar_act"
+
+_REPRESENTATIONS = {"observation_relative": 7, "absolute_pose": 8}
+_PREPROCESSOR = "policy_preprocessor"
+_POSTPROCESSOR = "policy_postprocessor"
+_STATISTICS = "policy_preprocessor_step_3_normalizer_processor.safetensors"
+
+
+class CheckpointError(ValueError):
+    """A checkpoint's folder can't be used; the message has the file and the reason."""
+
+
+def read_json(file: Path) -> dict[str, Any]:
+    """The object in `file`."""
+    try:
+        found = json.loads(file.read_text())
+    except OSError as error:
+        raise CheckpointError(f"{file}: {error.strerror}") from error
+    except ValueError as error:
+        raise CheckpointError(f"{file}: {error}") from error
+    if not isinstance(found, dict):
+        raise CheckpointError(f"{file}: an object is wanted")
+    return found
+
+
+def recipe_of(folder: Path) -> dict[str, Any] | None:
+    """What ``trocar.json`` says, if the folder has one."""
+    file = folder / "trocar.json"
+    return read_json(file) if file.exists() else None
+
+
+def wants_conversion(folder: Path) -> bool:
+    """Whether LeRobot's own classes can't run the folder: its backbone is normalised in groups, or its actions are relative."""
+    config = read_json(folder / "config.json")
+    recipe = recipe_of(folder)
+    if recipe is None or config.get("type") == POLICY_TYPE:
+        return False
+    return _is_grouped(config, recipe) or recipe.get("action_representation") == "observation_relative"
+
+
+def convert(folder: Path, out: Path) -> Path:
+    """Writes Trocar's ACT checkpoint `folder` to `out` as LeRobot loads it: single precision, without the variational encoder.
+
+    The policy takes the frames at the size of the task's cameras, and answers with absolute poses.
+
+    Raises CheckpointError if the folder has no network of ACT's, or `out` is there already.
+    """
+    config = read_json(folder / "config.json")
+    recipe = recipe_of(folder)
+    if recipe is None:
+        raise CheckpointError(f"{folder / 'trocar.json'}: missing: without it nothing says what the actions mean")
+    if config.get("type") != "act":
+        raise CheckpointError(f"{folder / 'config.json'}: type = {config.get('type')!r}: allowed is 'act'")
+    if out.exists():
+        raise CheckpointError(f"{out}: is there already")
+    arms, meant = int(recipe["arms"]), recipe["action_representation"]
+    if meant not in _REPRESENTATIONS:
+        raise CheckpointError(
+            f"{folder / 'trocar.json'}: action_representation = {meant!r}: allowed are {', '.join(_REPRESENTATIONS)}"
+        )
+    out.mkdir(parents=True)
+    statistics = {key: value.astype(np.float32) for key, value in load_file(folder / _STATISTICS).items()}
+    _write(out / "config.json", _config(config, recipe, arms, meant))
+    tensors = {key: value.astype(np.float32) for key, value in load_file(folder / "model.safetensors").items()}
+    tensors = {key: value for key, value in tensors.items() if not key.startswith("model.vae_")}
+    tensors |= {"action_mean": statistics["action.mean"], "action_std": statistics["action.std"]}
+    save_file(tensors, out / "model.safetensors", metadata={"format": "pt"})
+    save_file(statistics, out / _STATISTICS)
+    _write(out / f"{_PREPROCESSOR}.json", _preprocessor(read_json(folder / f"{_PREPROCESSOR}.json"), config))
+    _write(out / f"{_POSTPROCESSOR}.json", {"name": _POSTPROCESSOR, "steps": [_to_device()]})
+    _write(out / "trocar.json", recipe | {"action_representation": "absolute_pose"})
+    return out
+
+
+def _is_grouped(config: dict[str, Any], recipe: dict[str, Any]) -> bool:
+    norm = recipe.get("variants", {}).get("backbone_norm")
+    return norm == "group_norm" or str(config.get("vision_backbone", "")).startswith("group_norm")
+
+
+def _config(config: dict[str, Any], recipe: dict[str, Any], arms: int, meant: str) -> dict[str, Any]:
+    query_every = min(int(recipe["query_every_steps"]), int(config["chunk_size"]))
+    return config | {
+        "type": POLICY_TYPE,
+        "vision_backbone": "resnet18",
+        "backbone_norm": "group_norm" if _is_grouped(config, recipe) else "frozen_batch_norm",
+        "backbone_stages": 3 if str(config["vision_backbone"]).endswith("_stages3") else 4,
+        "relative": meant == "observation_relative",
+        "use_vae": False,
+        "n_action_steps": query_every,
+        "output_features": {"action": {"type": "ACTION", "shape": [8 * arms]}},
+    }
+
+
+def _preprocessor(steps: dict[str, Any], config: dict[str, Any]) -> dict[str, Any]:
+    """The folder's own steps, with frames brought to the network's size first."""
+    sizes = {
+        name: list(feature["shape"][1:])
+        for name, feature in config["input_features"].items()
+        if feature["type"] == "VISUAL"
+    }
+    shrink = {"registry_name": "trocar_area_average", "config": {"sizes": sizes}}
+    found = list(steps["steps"])
+    place = next(index for index, step in enumerate(found) if step["registry_name"] == "normalizer_processor")
+    return {"name": _PREPROCESSOR, "steps": [*found[:place], shrink, *found[place:]]}
+
+
+def _to_device() -> dict[str, Any]:
+    return {"registry_name": "device_processor", "config": {"device": "cpu", "float_dtype": None}}
+
+
+def _write(file: Path, content: dict[str, Any]) -> None:
+    file.write_text(json.dumps(content, indent=2, sort_keys=True) + "\n")

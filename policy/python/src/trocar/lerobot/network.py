@@ -1,0 +1,129 @@
+"""Trocar's ACT networks as a policy of LeRobot's: its ACT with another backbone's normalisation, and actions made absolute."""
+
+from __future__ import annotations
+
+import copy
+from dataclasses import dataclass, field
+from typing import Any
+
+import torch
+import torchvision
+from lerobot.configs.policies import PreTrainedConfig
+from lerobot.configs.types import FeatureType, PolicyFeature
+from lerobot.policies.act.configuration_act import ACTConfig
+from lerobot.policies.act.modeling_act import ACTPolicy
+from lerobot.processor import ObservationProcessorStep, ProcessorStepRegistry
+from torch import Tensor, nn
+from torchvision.models._utils import IntermediateLayerGetter
+
+from ..policy import ABSOLUTE, RELATIVE
+from .adapter import TIP_POSE
+from .checkpoint import POLICY_TYPE
+
+#: Channels of a group, as policy/nets/src/act/resnet.rs has them.
+_CHANNELS_PER_GROUP = 16
+
+
+@PreTrainedConfig.register_subclass(POLICY_TYPE)
+@dataclass
+class TrocarACTConfig(ACTConfig):
+    """ACT as Trocar trains it."""
+
+    #: ``group_norm`` or ``frozen_batch_norm``.
+    backbone_norm: str = "group_norm"
+    #: Stages of the ResNet that are used, 3 or 4.
+    backbone_stages: int = 4
+    #: Whether the network answers relative to the tip at the observation.
+    relative: bool = True
+
+
+class TrocarACTPolicy(ACTPolicy):
+    """Answers with absolute actions in SI units; wants ``observation.tip_pose`` beside LeRobot's features."""
+
+    config_class = TrocarACTConfig
+    name = POLICY_TYPE
+
+    def __init__(self, config: TrocarACTConfig, **kwargs: Any) -> None:
+        self_arms = config.output_features["action"].shape[0] // ABSOLUTE
+        numbers = (RELATIVE if config.relative else ABSOLUTE) * self_arms
+        network = copy.copy(config)
+        network.output_features = {"action": PolicyFeature(type=FeatureType.ACTION, shape=(numbers,))}
+        super().__init__(network, **kwargs)
+        self.config = config
+        self.arms = self_arms
+        self.register_buffer("action_mean", torch.zeros(numbers))
+        self.register_buffer("action_std", torch.ones(numbers))
+        if config.backbone_norm == "group_norm" or config.backbone_stages != 4:
+            self.model.backbone = _backbone(config)
+            channels = 64 * 2 ** (config.backbone_stages - 1)
+            self.model.encoder_img_feat_input_proj = nn.Conv2d(channels, config.dim_model, kernel_size=1)
+
+    @torch.no_grad()
+    def predict_action_chunk(self, batch: dict[str, Tensor]) -> Tensor:
+        """Absolute actions (batch, steps, 8 an arm): x, y, z (m), quaternion x, y, z, w in the RCM frame, jaw (rad)."""
+        actions = super().predict_action_chunk(batch) * self.action_std + self.action_mean
+        return absolute(actions, batch[TIP_POSE], self.arms) if self.config.relative else actions
+
+
+def _backbone(config: TrocarACTConfig) -> nn.Module:
+    norm: Any = torchvision.ops.FrozenBatchNorm2d
+    if config.backbone_norm == "group_norm":
+        norm = lambda channels: nn.GroupNorm(channels // _CHANNELS_PER_GROUP, channels)  # noqa: E731
+    whole = torchvision.models.resnet18(weights=None, norm_layer=norm)
+    return IntermediateLayerGetter(whole, return_layers={f"layer{config.backbone_stages}": "feature_map"})
+
+
+def absolute(actions: Tensor, tips: Tensor, arms: int) -> Tensor:
+    """Absolute actions (batch, steps, 8 an arm) of relative ones (batch, steps, 7 an arm) for tips (batch, 7 an arm)."""
+    rows = actions.unflatten(-1, (arms, RELATIVE))
+    tip = tips.unflatten(-1, (arms, 7)).unsqueeze(1)
+    vector = rows[..., 3:6]
+    half = 0.5 * torch.linalg.vector_norm(vector, dim=-1, keepdim=True)
+    turned = torch.cat([0.5 * torch.sinc(half / torch.pi) * vector, torch.cos(half)], dim=-1)
+    quaternion = _product(tip[..., 3:7].expand_as(turned), turned)
+    return torch.cat([tip[..., :3] + rows[..., :3], quaternion, rows[..., 6:]], dim=-1).flatten(-2)
+
+
+def _product(a: Tensor, b: Tensor) -> Tensor:
+    av, aw, bv, bw = a[..., :3], a[..., 3:], b[..., :3], b[..., 3:]
+    vector = aw * bv + bw * av + torch.cross(av, bv, dim=-1)
+    return torch.cat([vector, aw * bw - (av * bv).sum(-1, keepdim=True)], dim=-1)
+
+
+@ProcessorStepRegistry.register(name="trocar_area_average")
+@dataclass
+class AreaAverage(ObservationProcessorStep):
+    """Brings images (batch, 3, height, width), 0 to 1, to the network's size, as Trocar does: blocks averaged, rounded to bytes."""
+
+    #: Height and width by feature.
+    sizes: dict[str, list[int]] = field(default_factory=dict)
+
+    def observation(self, observation: dict[str, Any]) -> dict[str, Any]:
+        """The observation with its images at their sizes."""
+        return observation | {
+            name: _averaged(observation[name], size) for name, size in self.sizes.items() if name in observation
+        }
+
+    def get_config(self) -> dict[str, Any]:
+        """What the step is made of."""
+        return {"sizes": self.sizes}
+
+    def transform_features(self, features: Any) -> Any:
+        """The features as they are: sizes of images are the environment's."""
+        return features
+
+
+def _averaged(images: Tensor, size: list[int]) -> Tensor:
+    height, width = size
+    factor = images.shape[-2] // height
+    if factor < 1 or tuple(images.shape[-2:]) != (factor * height, factor * width):
+        raise ValueError(
+            f"images of {images.shape[-1]}x{images.shape[-2]} are no whole multiple of {width}x{height}: "
+            "give the environment another size"
+        )
+    if factor == 1:
+        return images
+    sums = torch.nn.functional.avg_pool2d((images * 255).round(), factor, divisor_override=1)
+    return torch.floor((sums + factor * factor // 2) / (factor * factor)) / 255
+
+
