@@ -12,6 +12,8 @@ mod access;
 mod browser;
 #[path = "console/devtools.rs"]
 mod devtools;
+#[path = "console/lift.rs"]
+mod lift;
 #[path = "console/log.rs"]
 mod log;
 #[path = "console/page.rs"]
@@ -20,3 +22,5 @@ mod page;
 mod run;
 #[path = "console/steering.rs"]
 mod steering;
+#[path = "console/teleop.rs"]
+mod teleop;

@@ -45,7 +45,7 @@ const OVERFLOW: &str = r"[...document.querySelectorAll('body *')]
   .map((node) => `${node.tagName}.${node.className} ${node.textContent.slice(0, 40)}`)";
 
 /// Looks at the page at all widths and in both schemes, and keeps a picture of each.
-fn looks_right(browser: &mut Browser, name: &str) {
+pub(crate) fn looks_right(browser: &mut Browser, name: &str) {
     let folder = scratch(&format!("console-pictures-{name}"));
     for (width, scheme) in [
         (1280, "light"),

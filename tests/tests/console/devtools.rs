@@ -30,6 +30,11 @@ pub(crate) struct Browser {
 impl Browser {
     /// Opens `url`; `name` names the folder of its profile.
     pub(crate) fn open(name: &str, url: &str) -> Self {
+        Self::open_with(name, url, "")
+    }
+
+    /// The same, in which `script` runs before any of the page's.
+    pub(crate) fn open_with(name: &str, url: &str, script: &str) -> Self {
         let mut process = Command::new("chromium")
             .args([
                 "--headless=new",
@@ -84,6 +89,10 @@ impl Browser {
         for domain in ["Page", "Runtime", "Log", "Network"] {
             browser.call(&format!("{domain}.enable"), &json!({}));
         }
+        browser.call(
+            "Page.addScriptToEvaluateOnNewDocument",
+            &json!({ "source": script }),
+        );
         browser.call("Page.navigate", &json!({ "url": url }));
         browser
     }

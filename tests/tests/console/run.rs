@@ -3,7 +3,7 @@
 use std::fs;
 use std::io::{BufRead as _, BufReader, Read as _, Write as _};
 use std::net::TcpStream;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 use std::time::Duration;
 
@@ -31,6 +31,17 @@ pub(crate) fn made_log(test: &str, task: &str) -> PathBuf {
     log
 }
 
+/// Verifies a log: no limit was broken.
+pub(crate) fn verified(log: &Path) {
+    let output = trocar(Profile::Debug)
+        .arg("verify")
+        .arg(log)
+        .output()
+        .unwrap();
+    let said = String::from_utf8_lossy(&output.stdout);
+    assert!(output.status.success(), "{said} {}", tests::stderr(&output));
+}
+
 impl Served {
     /// A run in real time of needle lift, paced by `policy`, that goes on for minutes.
     pub(crate) fn run(test: &str, policy: &str) -> Self {
@@ -51,12 +62,18 @@ impl Served {
 
     /// `trocar WORDS --console` at a free port.
     pub(crate) fn start(test: &str, words: &[&str]) -> Self {
+        Self::start_slow(test, words, 1)
+    }
+
+    /// The same, whose clocks are so many times slower than the machine's.
+    pub(crate) fn start_slow(test: &str, words: &[&str], slow_motion: u64) -> Self {
         let folder = scratch(test);
         let sockets = std::env::temp_dir().join(format!("co-{test}-{}", std::process::id()));
         fs::create_dir_all(&sockets).unwrap();
         let mut command: Command = trocar(Profile::Debug);
         command
             .env("XDG_RUNTIME_DIR", &sockets)
+            .env("TROCAR_SLOW_MOTION", slow_motion.to_string())
             .args(words)
             .args(["--console", "127.0.0.1:0"])
             .arg("--json")

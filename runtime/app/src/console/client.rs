@@ -13,6 +13,7 @@ use serde::Serialize;
 use tokio::sync::watch;
 use tokio::time::{interval, timeout};
 
+use super::by_hand;
 use super::log_view::LogView;
 use super::pictures::Stream;
 use super::request::{Allowance, Request, command};
@@ -20,6 +21,7 @@ use super::seats::{Seat, Taken};
 use super::shared::Shared;
 use crate::rt::MonotonicClock;
 use crate::session::operator::Command;
+use crate::session::teleop::Lost;
 use hal::TimeNs;
 use trocar_control::OperatorEvent;
 
@@ -97,6 +99,7 @@ pub(super) async fn attend(mut socket: WebSocket, shared: Arc<Shared>) {
     page.state.mark_changed();
     page.taken.mark_changed();
     let _gone: Result<(), Gone> = page.serve(&mut socket).await;
+    page.shared.hands.release(page.seat.id(), Lost::PageGone);
 }
 
 struct Page {
@@ -138,7 +141,8 @@ impl Page {
         if self.clock.now().since(self.heard) > SILENCE_NS {
             return Err(Gone);
         }
-        send(socket, Message::Ping(Bytes::new())).await
+        let sent = self.clock.now().0.to_le_bytes();
+        send(socket, Message::Ping(sent.to_vec().into())).await
     }
 
     async fn tell(&mut self, news: News, socket: &mut WebSocket) -> Result<(), Gone> {
@@ -174,7 +178,11 @@ impl Page {
                 Err(problem) => problem.to_string(),
             },
             Message::Binary(_) => "no message of the console: it is binary".to_owned(),
-            Message::Ping(_) | Message::Pong(_) => return Ok(()),
+            Message::Pong(sent) => {
+                self.answered(&sent);
+                return Ok(());
+            }
+            Message::Ping(_) => return Ok(()),
             Message::Close(_) => return Err(Gone),
         };
         answer(socket, &Told::Problem { text: &problem }).await
@@ -186,15 +194,33 @@ impl Page {
             Request::Steer(true) => {
                 self.seat.steer();
             }
-            Request::Steer(false) => self.seat.let_go(),
+            Request::Steer(false) => {
+                self.shared.hands.release(self.seat.id(), Lost::Seat);
+                self.seat.let_go();
+            }
             Request::Show(streams) => {
                 self.seat.look_at(&streams);
                 self.streams = streams;
             }
             Request::At(seconds) => (self.place, self.moved) = (Some(seconds), true),
             Request::Command(text) => return self.command(&text, socket).await,
+            Request::Hands(_) | Request::HandsOff(_) | Request::Scale(_) | Request::Episode(_) => {
+                if let Err(problem) = by_hand::heard(&self.shared, &self.seat, request) {
+                    let text = &problem.to_string();
+                    return answer(socket, &Told::Problem { text }).await;
+                }
+            }
         }
         Ok(())
+    }
+
+    /// A ping came back, with the time when it was sent.
+    fn answered(&self, sent: &[u8]) {
+        if let Ok(sent) = sent.try_into() {
+            let sent = TimeNs(u64::from_le_bytes(sent));
+            let round_trip_ns = self.heard.since(sent);
+            self.shared.hands.round_trip(self.seat.id(), round_trip_ns);
+        }
     }
 
     /// Does what the operator's verb does, if this page steers or the verb brings the arms to rest.

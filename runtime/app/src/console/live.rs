@@ -1,7 +1,7 @@
 //! A run in real time as pages see it.
 
 use std::path::PathBuf;
-use std::sync::{Mutex, PoisonError};
+use std::sync::{Arc, Mutex, PoisonError};
 
 use super::facts::Facts;
 use super::state::State;
@@ -9,6 +9,7 @@ use super::tap::Sample;
 use crate::mailbox::MailboxReader;
 use crate::rt::MonotonicClock;
 use crate::session::operator::{Command, exchange};
+use crate::session::teleop::Hands;
 use hal::TimeNs;
 
 /// The reading ends of a run.
@@ -19,6 +20,7 @@ pub(super) struct Live {
     clock: MonotonicClock,
     /// Where the run listens for its operator, if it does.
     operator: Option<PathBuf>,
+    hands: Arc<Hands>,
 }
 
 #[derive(Debug)]
@@ -32,9 +34,9 @@ struct Newest {
 impl Live {
     pub(super) fn new(
         facts: Facts,
-        from: MailboxReader<Sample>,
-        task: MailboxReader<&'static str>,
+        (from, task): (MailboxReader<Sample>, MailboxReader<&'static str>),
         operator: Option<PathBuf>,
+        hands: Arc<Hands>,
     ) -> Self {
         Self {
             facts,
@@ -46,6 +48,7 @@ impl Live {
             }),
             clock: MonotonicClock::new(),
             operator,
+            hands,
         }
     }
 
@@ -63,7 +66,8 @@ impl Live {
         samples.missing = samples.task.take().or(samples.missing);
         let (sample, since) = samples.newest.as_ref()?;
         let silent_s = TimeNs(now.since(*since)).seconds();
-        Some(State::new(sample, &self.facts, silent_s, samples.missing).json())
+        let state = State::new(sample, &self.facts, silent_s, samples.missing);
+        Some(state.by_hand(self.hands.status()).json())
     }
 
     /// Says `command` to the run, as the operator's verbs do; waits for the answer. Whether it is a yes, and the answer.

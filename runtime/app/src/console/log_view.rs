@@ -190,7 +190,7 @@ impl Recomputed {
         Ok(Self {
             facts: Facts::new(title, &header.policy, header.seed, &config, cameras),
             controller,
-            tap: ControlTap::new(mailbox().0),
+            tap: ControlTap::new(mailbox().0, mailbox().0),
             states: BTreeMap::new(),
             events: Vec::new(),
             first: None,

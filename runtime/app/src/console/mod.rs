@@ -8,7 +8,8 @@
 //!
 //! `address` says where it listens, `bounded` how many connections it holds, `access` who may open it; `server` serves the page's files,
 //! `client` one page; `request` is what a page may say, `seats` who steers. `tap` is the control thread's end, `pictures` and `encode` are
-//! what cameras show, `scene` the scene in three dimensions; `facts`, `live` and `state` make what a run says, `log_view` what a log says. The page itself is in `page/`.
+//! what cameras show, `scene` the scene in three dimensions; `by_hand` takes the operator's hands (`session/teleop`); `facts`, `live` and
+//! `state` make what a run says, `log_view` what a log says. The page itself is in `page/`.
 //!
 //! The page has exactly the operator's verbs, and they go the same way: over the run's own socket (`session/operator`). No message of it
 //! reaches the controller in another way, so it can't weaken a limit.
@@ -16,6 +17,7 @@
 mod access;
 mod address;
 mod bounded;
+mod by_hand;
 mod client;
 mod encode;
 mod facts;
@@ -49,6 +51,7 @@ pub use tap::ControlTap;
 
 use crate::mailbox::{MailboxWriter, mailbox};
 use crate::session::SessionError;
+use crate::session::teleop::Hands;
 use access::Access;
 use live::Live;
 use log_view::LogView;
@@ -139,10 +142,13 @@ impl Console {
     pub fn show_run(&self, facts: Facts, operator: Option<PathBuf>) -> RunTaps {
         let (to, from) = mailbox();
         let (task_to, task_from) = mailbox();
-        let live = Live::new(facts, from, task_from, operator);
+        let (commanded, commanded_from) = mailbox();
+        self.shared.hands.follow(commanded_from);
+        let hands = Arc::clone(&self.shared.hands);
+        let live = Live::new(facts, (from, task_from), operator, hands);
         self.shared.show_run(live);
         RunTaps {
-            control: ControlTap::new(to),
+            control: ControlTap::new(to, commanded),
             task: task_to,
         }
     }
@@ -165,6 +171,11 @@ impl Console {
     /// The end for frames.
     pub(crate) fn frames(&self) -> FrameTap {
         FrameTap(Arc::clone(&self.shared.board))
+    }
+
+    /// The operator's hands.
+    pub(crate) fn hands(&self) -> Arc<Hands> {
+        Arc::clone(&self.shared.hands)
     }
 
     /// Tells the pages how the run ended, and closes when they have heard it, or after a second and a half.

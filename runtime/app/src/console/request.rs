@@ -5,6 +5,7 @@ use serde::Deserialize;
 
 use super::pictures::Stream;
 use crate::session::operator::Command;
+use crate::session::teleop::{HandsMessage, Wish};
 
 /// Bytes that a message may have.
 pub(super) const MESSAGE_BYTES_MAX: usize = 1024;
@@ -24,6 +25,14 @@ pub(super) enum Request {
     Command(String),
     /// The pictures that are wanted, in the place of those before.
     Show(Vec<Stream>),
+    /// The operator's hands.
+    Hands(HandsMessage),
+    /// The page is hidden or has lost the focus: hands let go.
+    HandsOff(bool),
+    /// What part of a hand's way the tip is to make.
+    Scale(f64),
+    /// What is to become of the demonstration.
+    Episode(Wish),
     /// Where in a log to look, s from its first tick.
     At(f64),
 }
@@ -55,9 +64,16 @@ impl Request {
                 Err(BadRequest::Streams(streams.len()))
             }
             Self::At(seconds) if !seconds.is_finite() => Err(BadRequest::Place),
-            Self::Seen(_) | Self::Steer(_) | Self::Command(_) | Self::Show(_) | Self::At(_) => {
-                Ok(request)
-            }
+            // Hands and scale are checked where they are used.
+            Self::Seen(_)
+            | Self::Steer(_)
+            | Self::Command(_)
+            | Self::Show(_)
+            | Self::Hands(_)
+            | Self::HandsOff(_)
+            | Self::Scale(_)
+            | Self::Episode(_)
+            | Self::At(_) => Ok(request),
         }
     }
 }

@@ -31,7 +31,7 @@ const LEAVE: Duration = Duration::from_millis(1500);
 const WAITING_MAX: usize = 4;
 
 /// The page's files: path, type, text.
-const FILES: [(&str, &str, &str); 11] = [
+const FILES: [(&str, &str, &str); 14] = [
     (
         "/",
         "text/html; charset=utf-8",
@@ -47,6 +47,9 @@ const FILES: [(&str, &str, &str); 11] = [
     ("/panels.js", SCRIPT, include_str!("page/panels.js")),
     ("/cameras.js", SCRIPT, include_str!("page/cameras.js")),
     ("/operator.js", SCRIPT, include_str!("page/operator.js")),
+    ("/teleop.js", SCRIPT, include_str!("page/teleop.js")),
+    ("/hands.js", SCRIPT, include_str!("page/hands.js")),
+    ("/headset.js", SCRIPT, include_str!("page/headset.js")),
     ("/timeline.js", SCRIPT, include_str!("page/timeline.js")),
     ("/scene.js", SCRIPT, include_str!("page/scene.js")),
     ("/scene_draw.js", SCRIPT, include_str!("page/scene_draw.js")),

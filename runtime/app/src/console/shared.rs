@@ -13,6 +13,7 @@ use super::log_view::LogView;
 use super::pictures::Board;
 use super::seats::Seats;
 use crate::session::operator::Command;
+use crate::session::teleop::Hands;
 
 /// What pages see.
 #[derive(Debug)]
@@ -36,6 +37,8 @@ pub(super) struct Shared {
     pub(super) state: watch::Sender<Utf8Bytes>,
     /// The last words, when all is over.
     pub(super) over: watch::Sender<Option<Utf8Bytes>>,
+    /// The operator's hands, if they move the arms.
+    pub(super) hands: Arc<Hands>,
     shown: Mutex<Shown>,
     /// The scene's file; empty if there is none.
     scene: Mutex<Bytes>,
@@ -51,6 +54,7 @@ impl Shared {
             facts: watch::Sender::new(Utf8Bytes::default()),
             state: watch::Sender::new(Utf8Bytes::default()),
             over: watch::Sender::new(None),
+            hands: Arc::new(Hands::new()),
             shown: Mutex::new(Shown::Nothing),
             scene: Mutex::default(),
         }

@@ -7,6 +7,7 @@ use trocar_log::ArmRecord;
 
 use super::facts::Facts;
 use super::tap::{Buckets, Changed, Counts, Refused, Sample, seconds};
+use crate::session::teleop::TeleopStatus;
 
 /// Axes of an arm: joints and jaw.
 const AXES: usize = 7;
@@ -25,6 +26,9 @@ pub(super) struct State {
     latency: Histogram,
     speed_percent: u8,
     task: Option<&'static str>,
+    /// Present if an operator's hands move the arms.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    teleop: Option<TeleopStatus>,
 }
 
 /// One arm, in joint order with the jaw last: rad, m, rad/s, m/s.
@@ -124,8 +128,15 @@ impl State {
             latency: (&counts.latency).into(),
             speed_percent: counts.speed_percent,
             task,
+            teleop: None,
             arms,
         }
+    }
+
+    /// The same with what the operator's hands do.
+    pub(super) fn by_hand(mut self, teleop: Option<TeleopStatus>) -> Self {
+        self.teleop = teleop;
+        self
     }
 
     pub(super) fn json(&self) -> String {

@@ -2,7 +2,7 @@
 //!
 //! It counts every tick and hands over the newest one with the counts fifty times a second, and at once when an arm's state changes.
 
-use hal::{ARMS_MAX, TICK_NS};
+use hal::{ARMS_MAX, TICK_NS, TimeNs};
 use trocar_control::rows::Velocities;
 use trocar_control::{
     AnyController, Fault, GateDecision, OperatingState, OperatorEvent, QpOutcome,
@@ -10,6 +10,7 @@ use trocar_control::{
 use trocar_log::TickRecord;
 
 use crate::mailbox::MailboxWriter;
+use crate::session::teleop::{ArmCommanded, Commanded};
 
 /// Ticks from one report to the next.
 const EVERY_TICKS: u64 = 20;
@@ -99,15 +100,20 @@ type States = [Option<(OperatingState, bool)>; ARMS_MAX];
 #[derive(Debug)]
 pub struct ControlTap {
     to: MailboxWriter<Sample>,
+    commanded: MailboxWriter<Commanded>,
+    /// The newest chunk that the controller was given, and when.
+    given: (u64, TimeNs),
     counts: Counts,
     /// When it last reported, and in which states the arms were.
     reported: Option<(u64, States)>,
 }
 
 impl ControlTap {
-    pub(super) fn new(to: MailboxWriter<Sample>) -> Self {
+    pub(super) fn new(to: MailboxWriter<Sample>, commanded: MailboxWriter<Commanded>) -> Self {
         Self {
             to,
+            commanded,
+            given: (0, TimeNs(0)),
             counts: Counts {
                 ticks: 0,
                 skipped: 0,
@@ -138,6 +144,7 @@ impl ControlTap {
     /// A tick is over, and so many periods have been skipped since the run began.
     pub fn tick(&mut self, record: &TickRecord, controller: &AnyController, skipped: u64) {
         self.count(record, skipped);
+        self.tell_commanded(record);
         self.note_rows(record, controller);
         let states = states(record);
         let due = self
@@ -147,6 +154,23 @@ impl ControlTap {
             self.reported = Some((record.tick, states));
             self.to.put(self.sample(record));
         }
+    }
+
+    /// Every tick's, since hands that take the clutch begin from there.
+    fn tell_commanded(&mut self, record: &TickRecord) {
+        if let Some(sequence) = record.arms.first.chunk_sequence {
+            self.given = (sequence, record.now);
+        }
+        self.commanded.put(Commanded {
+            at: self.given.1,
+            sequence: self.given.0,
+            arms: record.arms.map(|arm| ArmCommanded {
+                position: arm.command.position,
+                velocity: arm.command.velocity,
+                jaw: arm.command.jaw_position,
+                follows: arm.report.mode.state == OperatingState::Enabled,
+            }),
+        });
     }
 
     /// A tick with what was counted up to now.

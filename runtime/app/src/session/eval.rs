@@ -86,6 +86,7 @@ impl<'a> TrialWorker<'a> {
             PolicyChoice::Expert
             | PolicyChoice::Noop
             | PolicyChoice::Random
+            | PolicyChoice::Teleop
             | PolicyChoice::Own(_) => None,
         };
         Ok(Self {

@@ -14,6 +14,7 @@ use super::realtime::{CanOptions, Say, run_on_can, run_realtime};
 use super::robot::warn_of_start;
 use super::run::{RunResult, run_lockstep};
 use super::source::{ChunkSource, PolicyChoice};
+use super::teleop::TeleopSummary;
 use super::{Robot, SessionError, Setup, pictures};
 use crate::console::Console;
 use crate::rt::RtProfile;
@@ -68,6 +69,8 @@ pub struct Plan<S = Setup> {
     pub real_time: RtProfile,
     /// The page that shows a run in real time, if there is one.
     pub console: Option<Console>,
+    /// Whether the episode is a demonstration by hand: it waits for a person to start it, and is written down.
+    pub demonstrates: bool,
     /// Where the log goes, if anywhere. A log holds frames even if the policy needs none: see [`Setup::cameras_with`].
     pub log: Option<PathBuf>,
     /// Bytes that the log takes at most on its disk, if it has a bound; it keeps the last part.
@@ -90,11 +93,18 @@ impl<S> Plan<S> {
             compute: Device::Cpu.into(),
             real_time: RtProfile::default(),
             console: None,
+            demonstrates: false,
             log: None,
             log_bytes_max: None,
             pictures: false,
             warn: |_| (),
         }
+    }
+
+    /// What an operator's hands did, if they are the policy.
+    pub(super) fn by_hand(&self) -> Option<TeleopSummary> {
+        let console = self.console.as_ref()?;
+        (self.policy == PolicyChoice::Teleop).then(|| console.hands().summary())
     }
 
     /// Whether anybody but the policy wants frames.

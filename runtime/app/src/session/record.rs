@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use hal::{CameraFrame, Chunk, SeenArm, TipTarget};
+use hal::{CameraFrame, SeenArm, TipTarget};
 use serde::Serialize;
 use trocar_data::dataset::{
     ArmFrame, CameraSpec, DatasetError, DatasetSpec, DatasetWriter, DepthFrame, FrameRecord,
@@ -20,6 +20,8 @@ use super::record_resume::{Found, begin, look};
 use super::run::next_simulation;
 use super::source::STEP_NS;
 use super::{Plan, SessionError, Setup, parallel};
+
+pub use super::record_by_hand::record_by_hand;
 
 /// What to record.
 #[derive(Clone, Debug)]
@@ -94,7 +96,7 @@ pub struct RecordSummary {
 
 impl RecordSummary {
     /// Of a recording that has done nothing yet beyond what it `found`.
-    fn new(plan: &Plan, options: &RecordOptions, found: &Found) -> Self {
+    pub(super) fn new(plan: &Plan, options: &RecordOptions, found: &Found) -> Self {
         let setup = &plan.setup;
         Self {
             task: setup.task_name.clone(),
@@ -112,7 +114,7 @@ impl RecordSummary {
         }
     }
 
-    fn add(&mut self, attempt: Attempt) {
+    pub(super) fn add(&mut self, attempt: Attempt) {
         if attempt.kept {
             self.episodes += 1;
             self.steps += attempt.steps;
@@ -187,7 +189,7 @@ pub fn record(
 }
 
 /// Writes a demonstration that succeeded.
-fn keep(
+pub(super) fn keep(
     writer: &mut DatasetWriter,
     options: &RecordOptions,
     demo: &Demonstration,
@@ -217,7 +219,7 @@ fn unwritten(options: &RecordOptions, error: DatasetError) -> SessionError {
     SessionError::output(&options.out, reason)
 }
 
-fn dataset_spec(setup: &Setup, options: &RecordOptions) -> DatasetSpec {
+pub(super) fn dataset_spec(setup: &Setup, options: &RecordOptions) -> DatasetSpec {
     let names = setup.cameras_with(Vec::new());
     let cameras = names
         .iter()
@@ -259,11 +261,13 @@ const fn robot_type(arms: usize) -> &'static str {
 }
 
 /// One episode in memory.
-struct Demonstration {
-    outcome: Outcome,
-    reason: String,
-    frames: Vec<StoredFrame>,
-    note: EpisodeNote,
+pub(super) struct Demonstration {
+    pub(super) outcome: Outcome,
+    pub(super) reason: String,
+    /// Policy steps; frames are there of what is kept.
+    pub(super) steps: usize,
+    pub(super) frames: Vec<StoredFrame>,
+    pub(super) note: EpisodeNote,
 }
 
 impl Demonstration {
@@ -271,23 +275,35 @@ impl Demonstration {
         matches!(self.outcome, Outcome::Success)
     }
 
-    fn attempt(&self) -> Attempt {
+    pub(super) fn attempt(&self) -> Attempt {
         Attempt {
             seed: self.note.seed,
             kept: self.succeeded(),
             reason: self.reason.clone(),
-            steps: self.frames.len(),
+            steps: self.steps,
             disturbances: self.note.disturbances.as_ref().map_or(0, Vec::len),
             grasps: self.note.grasps,
         }
     }
 }
 
-struct StoredFrame {
+pub(super) struct StoredFrame {
     arms: Vec<ArmFrame>,
     images: Vec<Vec<u8>>,
     /// Of every camera, or none.
     depth: Vec<StoredDepth>,
+}
+
+impl StoredFrame {
+    /// What the arms measured and were given, and what the cameras saw, with its `depth` or not.
+    pub(super) fn new(arms: Vec<ArmFrame>, frames: &[CameraFrame], depth: bool) -> Self {
+        let depths = frames.iter().filter(|_| depth);
+        Self {
+            arms,
+            images: frames.iter().map(|frame| frame.colour.clone()).collect(),
+            depth: depths.map(StoredDepth::of).collect(),
+        }
+    }
 }
 
 struct StoredDepth {
@@ -375,9 +391,11 @@ fn demonstrator(
                 grasps: source.attempts(),
                 drawn: task.drawn(seed),
                 disturbances: disturber.map(|it| it.happened().to_vec()),
+                by_hand: None,
             },
             reason: end.reason(),
             outcome: end.outcome,
+            steps: diary.frames.len(),
             frames: diary.frames,
         }))
     }
@@ -401,21 +419,12 @@ impl Watcher for Diary<'_> {
             return Ok(());
         };
         let arms = view.arms.iter().zip(chunks.iter());
-        let arms: Option<Vec<ArmFrame>> = arms.map(|(arm, chunk)| arm_frame(arm, chunk)).collect();
+        let arms: Option<Vec<ArmFrame>> = arms
+            .map(|(arm, chunk)| Some(arm_frame(arm, chunk.valid_targets().first()?)))
+            .collect();
         let Some(arms) = arms else { return Ok(()) };
-        self.frames.push(StoredFrame {
-            arms,
-            images: view
-                .frames
-                .iter()
-                .map(|frame| frame.colour.clone())
-                .collect(),
-            depth: if self.depth {
-                view.frames.iter().map(StoredDepth::of).collect()
-            } else {
-                Vec::new()
-            },
-        });
+        self.frames
+            .push(StoredFrame::new(arms, view.frames, self.depth));
         Ok(())
     }
 
@@ -424,13 +433,12 @@ impl Watcher for Diary<'_> {
     }
 }
 
-/// What an arm measured and the first target that it was given for it, if there is one.
-fn arm_frame(arm: &SeenArm, chunk: &Chunk) -> Option<ArmFrame> {
-    let target = chunk.valid_targets().first()?;
+/// What an arm measured and the first target that it was given for it.
+pub(super) fn arm_frame(arm: &SeenArm, target: &TipTarget) -> ArmFrame {
     let [x, y, z, i, j, k, w] = target.pose_numbers();
-    Some(ArmFrame {
+    ArmFrame {
         state: state_numbers(&arm.state),
         tip_pose: arm.here().pose_numbers(),
         action: [x, y, z, i, j, k, w, target.jaw],
-    })
+    }
 }

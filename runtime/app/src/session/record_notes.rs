@@ -9,7 +9,8 @@ use trocar_tasks::disturbance::Disturbance;
 use trocar_tasks::task::{Drawn, Variation};
 
 use super::record::{Attempt, RecordOptions};
-use super::{Plan, SessionError};
+use super::teleop::TeleopSummary;
+use super::{Plan, PolicyChoice, SessionError};
 use crate::study::address::hash_text;
 
 /// By how much longer a disturbed demonstration may take than the task allows.
@@ -29,6 +30,8 @@ struct OptionsNote<'a> {
     needle: Option<&'a str>,
     varied: &'a [Variation],
     disturb: Option<f64>,
+    /// `teleop` if a person did them; none of the expert's.
+    source: Option<&'static str>,
     /// SHA-256 of the configuration files as they were in effect.
     files: BTreeMap<String, String>,
 }
@@ -47,6 +50,8 @@ struct RecordingNote<'a> {
     varied: &'a [Variation],
     #[serde(skip_serializing_if = "Option::is_none")]
     disturb: Option<DisturbNote>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    source: Option<&'static str>,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
@@ -65,6 +70,18 @@ pub(super) struct EpisodeNote {
     pub(super) drawn: Drawn,
     /// None at all if it was not to be disturbed.
     pub(super) disturbances: Option<Vec<Disturbance>>,
+    /// Of one that a person did by hand.
+    #[serde(flatten)]
+    pub(super) by_hand: Option<ByHandNote>,
+}
+
+/// How a person did a demonstration.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub(super) struct ByHandNote {
+    pub(super) source: &'static str,
+    /// Who says that it is a success: the task's judge or the operator.
+    pub(super) ended_by: &'static str,
+    pub(super) teleop: TeleopSummary,
 }
 
 /// What became of the demonstrations that were disturbed.
@@ -93,14 +110,20 @@ impl DisturbedCounts {
     }
 }
 
+/// Who demonstrates, if it is not the expert.
+fn source(plan: &Plan) -> Option<&'static str> {
+    (plan.policy == PolicyChoice::Teleop).then_some("teleop")
+}
+
 /// What is said of the recording as a whole, the task's name among it; nothing if it is of the plain kind.
 pub(super) fn recording_note(
     plan: &Plan,
     options: &RecordOptions,
 ) -> Result<Option<Value>, SessionError> {
     let setup = &plan.setup;
+    let source = source(plan);
     let plain = options.disturb.is_none() && options.instruction.is_none();
-    if plain && setup.task.varied.is_empty() {
+    if plain && source.is_none() && setup.task.varied.is_empty() {
         return Ok(None);
     }
     let note = RecordingNote {
@@ -111,6 +134,7 @@ pub(super) fn recording_note(
         needle: setup.needle(),
         seed: plan.seed,
         varied: &setup.task.varied,
+        source,
         disturb: options.disturb.map(|share| DisturbNote {
             share,
             time_limit_s: setup.task.time_limit_s * f64::from(DISTURBED_TIME_FACTOR),
@@ -135,6 +159,7 @@ pub(super) fn options_note(plan: &Plan, options: &RecordOptions) -> Result<Value
         needle: setup.needle(),
         varied: &setup.task.varied,
         disturb: options.disturb,
+        source: source(plan),
         files: texts.map(|(name, text)| (name, hash_text(&text))).collect(),
     };
     value(options, &note)

@@ -95,6 +95,7 @@ impl Robot {
         let recipe = policy.recipe()?;
         let control = match control {
             Some(path) => Source::read(&path.display().to_string())?,
+            None if *policy == PolicyChoice::Teleop => newest_alone()?,
             None => built_in_control(recipe.as_ref())?,
         };
         let control = changes.apply(ConfigFile::Control, control)?;
@@ -197,6 +198,7 @@ impl Arms for Robot {
             PolicyChoice::Noop => Ok(ChunkSource::noop()),
             PolicyChoice::Random => Ok(ChunkSource::random(seed)),
             PolicyChoice::Expert
+            | PolicyChoice::Teleop
             | PolicyChoice::Checkpoint(_)
             | PolicyChoice::Own(_)
             | PolicyChoice::External(_) => {
@@ -211,17 +213,27 @@ impl Arms for Robot {
 
 /// The built-in settings, with the aggregation that the checkpoint recommends.
 fn built_in_control(recipe: Option<&Recipe>) -> Result<Source, SessionError> {
-    let built_in = ControlConfig::default_control();
-    let Some(recommended) = recipe.map(|recipe| &recipe.aggregation) else {
-        return Ok(built_in);
-    };
-    let mut control: toml::Table = built_in.parse()?;
+    match recipe.map(|recipe| &recipe.aggregation) {
+        Some(recommended) => aggregated(recommended.mode.as_str(), Some(recommended.decay)),
+        None => Ok(ControlConfig::default_control()),
+    }
+}
+
+/// The built-in settings for a hand: where it was before is of no interest.
+fn newest_alone() -> Result<Source, SessionError> {
+    aggregated("newest", None)
+}
+
+fn aggregated(mode: &str, decay: Option<f64>) -> Result<Source, SessionError> {
+    let mut control: toml::Table = ControlConfig::default_control().parse()?;
     if let Some(aggregation) = control
         .get_mut("aggregation")
         .and_then(toml::Value::as_table_mut)
     {
-        aggregation.insert("mode".to_owned(), recommended.mode.as_str().into());
-        aggregation.insert("decay".to_owned(), recommended.decay.into());
+        aggregation.insert("mode".to_owned(), mode.into());
+        if let Some(decay) = decay {
+            aggregation.insert("decay".to_owned(), decay.into());
+        }
     }
     Ok(Source::embedded(
         "config/control.toml with the policy's aggregation",

@@ -13,6 +13,7 @@ use super::episode::{Episode, StepView, Watcher};
 use super::pictures::Pictures;
 use super::source::ChunkSource;
 use super::summary::RunSummary;
+use super::teleop::Demonstration;
 use super::{Plan, SessionError, outputs, pictures};
 use crate::rt;
 use trocar_log::{LogError, Recorder, TickRecord};
@@ -37,6 +38,8 @@ pub struct RunResult {
     pub pictures: Pictures,
     /// Why the log is not whole, if it is not.
     pub log_failure: Option<LogError>,
+    /// What a person has demonstrated, if one was to.
+    pub demonstration: Option<Demonstration>,
 }
 
 /// Runs one episode in lockstep.
@@ -86,6 +89,7 @@ pub fn run_lockstep_with(plan: &Plan, mut source: ChunkSource) -> Result<RunResu
         summary: end.tally.summary(plan, &ended, None),
         pictures: watcher.pictures.unwrap_or_default(),
         log_failure,
+        demonstration: None,
     })
 }
 

@@ -164,6 +164,7 @@ impl Setup {
             },
             PolicyChoice::Noop => ChunkSource::noop(),
             PolicyChoice::Random => ChunkSource::random(seed),
+            PolicyChoice::Teleop => return Err(needs_console()),
             PolicyChoice::Checkpoint(path) => {
                 ChunkSource::network(self.robot.network(path, compute)?)
             }
@@ -208,6 +209,13 @@ impl Arms for Setup {
     ) -> Result<ChunkSource, SessionError> {
         Self::source(self, choice, seed, compute)
     }
+}
+
+/// A person moves in real time, and is seen by the console alone.
+fn needs_console() -> SessionError {
+    let reason = "policy teleop: an operator's hands move in real time and come over the console: \
+                  `trocar run --policy teleop --console`, `trocar record --source teleop --console`";
+    SessionError::BadArgument(reason.to_owned())
 }
 
 /// The scene of the file `path` for `task`, changed as asked; it must be of the `kind` that the task's own is of.

@@ -12,6 +12,7 @@ use trocar_tasks::scene::SceneState;
 use trocar_world::rng::Rng;
 
 use super::external::{self, ExternalChoice, ExternalPolicy};
+use super::teleop::{CHUNK_TICKS, Teleop};
 use super::{SessionError, policies};
 use crate::study::address::hash_file;
 use hal::PerArm;
@@ -35,6 +36,8 @@ pub enum PolicyChoice {
     Noop,
     /// Moves at random.
     Random,
+    /// An operator's hands, through the console.
+    Teleop,
     /// A trained checkpoint.
     Checkpoint(PathBuf),
     /// One that the caller hands in, as [`ChunkSource::policy`], by this name.
@@ -44,13 +47,14 @@ pub enum PolicyChoice {
 }
 
 impl PolicyChoice {
-    /// Reads `expert`, `noop`, `random`, `external`, `external:NAME`, or else a directory, or the name of a committed policy such as `needle-lift/act-small`.
+    /// Reads `expert`, `noop`, `random`, `teleop`, `external`, `external:NAME`, or else a directory, or the name of a committed policy such as `needle-lift/act-small`.
     #[must_use]
     pub fn parse(text: &str) -> Self {
         match text {
             "expert" => Self::Expert,
             "noop" => Self::Noop,
             "random" => Self::Random,
+            "teleop" => Self::Teleop,
             external::DEFAULT_NAME => Self::External(ExternalChoice::new(None)),
             directory if Path::new(directory).is_dir() => Self::Checkpoint(directory.into()),
             name => match name.strip_prefix("external:") {
@@ -103,11 +107,16 @@ impl PolicyChoice {
     pub fn check_exists(&self) -> Result<(), SessionError> {
         match self {
             Self::Checkpoint(path) if !path.is_dir() => Err(SessionError::BadArgument(format!(
-                "policy {}: there is no such folder; a policy is expert, noop, random, external or a checkpoint's folder",
+                "policy {}: there is no such folder; a policy is expert, noop, random, teleop, external or a checkpoint's folder",
                 path.display()
             ))),
             Self::External(choice) => choice.check(),
-            Self::Checkpoint(_) | Self::Expert | Self::Noop | Self::Random | Self::Own(_) => Ok(()),
+            Self::Checkpoint(_)
+            | Self::Expert
+            | Self::Noop
+            | Self::Random
+            | Self::Teleop
+            | Self::Own(_) => Ok(()),
         }
     }
 
@@ -148,6 +157,7 @@ impl PolicyChoice {
             Self::Expert => "expert".to_owned(),
             Self::Noop => "noop".to_owned(),
             Self::Random => "random".to_owned(),
+            Self::Teleop => "teleop".to_owned(),
             Self::Checkpoint(path) => path.display().to_string(),
             Self::Own(name) => name.clone(),
             Self::External(choice) => match &choice.name {
@@ -203,6 +213,8 @@ pub enum ChunkSource {
         /// Chunks so far.
         sequence: u64,
     },
+    /// An operator's hands.
+    Teleop(Box<Teleop>),
     /// A policy that sees the arms and cameras: a trained network, or anyone's.
     Policy(Observer),
 }
@@ -275,7 +287,9 @@ impl ChunkSource {
     #[must_use]
     pub fn cameras(&self) -> Vec<String> {
         match self {
-            Self::Expert { .. } | Self::Noop { .. } | Self::Random { .. } => Vec::new(),
+            Self::Expert { .. } | Self::Noop { .. } | Self::Random { .. } | Self::Teleop(_) => {
+                Vec::new()
+            }
             Self::Policy(observer) => observer.cameras.clone(),
         }
     }
@@ -284,9 +298,29 @@ impl ChunkSource {
     #[must_use]
     pub fn query_every_steps(&self) -> u64 {
         match self {
-            Self::Expert { .. } | Self::Noop { .. } => 1,
+            Self::Expert { .. } | Self::Noop { .. } | Self::Teleop(_) => 1,
             Self::Random { .. } => 5,
             Self::Policy(observer) => observer.query_every_steps,
+        }
+    }
+
+    /// Ticks from one query to the next in real time, with frames none.
+    pub(super) fn query_every_ticks(&self) -> u64 {
+        match self {
+            Self::Teleop(_) => CHUNK_TICKS,
+            Self::Expert { .. } | Self::Noop { .. } | Self::Random { .. } | Self::Policy(_) => {
+                STEP_TICKS * self.query_every_steps()
+            }
+        }
+    }
+
+    /// What the log is to say of it, since the last call.
+    pub(super) fn take_told(&mut self) -> Vec<String> {
+        match self {
+            Self::Teleop(teleop) => teleop.take_told(),
+            Self::Expert { .. } | Self::Noop { .. } | Self::Random { .. } | Self::Policy(_) => {
+                Vec::new()
+            }
         }
     }
 
@@ -295,7 +329,7 @@ impl ChunkSource {
     pub fn activities(&self) -> [Activity; ARMS_MAX] {
         match self {
             Self::Expert { expert, .. } => expert.activities(),
-            Self::Noop { .. } | Self::Random { .. } | Self::Policy(_) => {
+            Self::Noop { .. } | Self::Random { .. } | Self::Teleop(_) | Self::Policy(_) => {
                 [Activity::Other; ARMS_MAX]
             }
         }
@@ -306,7 +340,7 @@ impl ChunkSource {
     pub fn attempts(&self) -> u32 {
         match self {
             Self::Expert { expert, .. } => expert.attempts(),
-            Self::Noop { .. } | Self::Random { .. } | Self::Policy(_) => 0,
+            Self::Noop { .. } | Self::Random { .. } | Self::Teleop(_) | Self::Policy(_) => 0,
         }
     }
 
@@ -314,7 +348,7 @@ impl ChunkSource {
     #[must_use]
     pub fn history_steps(&self) -> u64 {
         match self {
-            Self::Expert { .. } | Self::Noop { .. } | Self::Random { .. } => 0,
+            Self::Expert { .. } | Self::Noop { .. } | Self::Random { .. } | Self::Teleop(_) => 0,
             Self::Policy(observer) => observer.policy.history_steps(),
         }
     }
@@ -340,7 +374,7 @@ impl ChunkSource {
     #[must_use]
     pub fn latency_ticks(&self) -> u64 {
         match self {
-            Self::Expert { .. } | Self::Noop { .. } | Self::Random { .. } => 0,
+            Self::Expert { .. } | Self::Noop { .. } | Self::Random { .. } | Self::Teleop(_) => 0,
             Self::Policy(_) => NETWORK_LATENCY_TICKS,
         }
     }
@@ -374,6 +408,7 @@ impl ChunkSource {
                 let home = *home.get_or_insert(here);
                 Ok(home.map(|home| wander(now, *sequence, &home, rng)))
             }
+            Self::Teleop(teleop) => teleop.answer(&query.arms),
             Self::Policy(observer) => {
                 let arms: Vec<SeenArm> = query.arms.iter().copied().collect();
                 let observation = Observation {

@@ -11,6 +11,7 @@ use trocar_world::tissue::TissueExtremes;
 use super::Plan;
 use super::episode::EpisodeEnd;
 use super::score::Score;
+use super::teleop::TeleopSummary;
 use crate::rt::{RtReport, ThreadFaults};
 
 /// Percentiles of a duration.
@@ -25,7 +26,7 @@ pub struct PercentilesUs {
 }
 
 /// Median and 99th percentile, ms.
-#[derive(Clone, Copy, Debug, Default, Serialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct LatencyMs {
     /// Median.
     pub p50: f64,
@@ -269,6 +270,9 @@ pub struct RunSummary {
     /// Present in tasks with a soft tissue.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub tissue: Option<TissueSummary>,
+    /// Present if an operator's hands were the policy.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub teleop: Option<TeleopSummary>,
 }
 
 /// One trial of an evaluation.

@@ -161,6 +161,7 @@ impl Tally {
             real_time,
             can: None,
             tissue: ended.tissue,
+            teleop: plan.by_hand(),
         }
     }
 }

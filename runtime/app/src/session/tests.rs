@@ -85,7 +85,9 @@ fn run_setup(
         PolicyChoice::Checkpoint(_) | PolicyChoice::Own(_) | PolicyChoice::External(_) => {
             Rendering::On
         }
-        PolicyChoice::Expert | PolicyChoice::Noop | PolicyChoice::Random => Rendering::Off,
+        PolicyChoice::Expert | PolicyChoice::Noop | PolicyChoice::Random | PolicyChoice::Teleop => {
+            Rendering::Off
+        }
     };
     let episode = Episode {
         simulation: &mut Simulation::new(&setup.task, 3, rendering).unwrap(),
@@ -134,6 +136,7 @@ fn two_arms_run_replay_and_verify_without_a_network() {
             PolicyChoice::Noop => [false, false],
             PolicyChoice::Expert
             | PolicyChoice::Random
+            | PolicyChoice::Teleop
             | PolicyChoice::Checkpoint(_)
             | PolicyChoice::Own(_)
             | PolicyChoice::External(_) => [true, true],

@@ -376,7 +376,7 @@ pub(crate) struct RunArgs {
     /// With --safety: after how long the run ends, s, up to 86400; if not given, only a signal or a fault ends it.
     #[arg(long, value_name = "S", requires = "safety", conflicts_with = "task", value_parser = seconds)]
     pub(crate) seconds: Option<f64>,
-    /// `expert`, `noop`, `random`, a checkpoint's directory, or `external`: a process of yours on the topics `external`, or on others with
+    /// `expert`, `noop`, `random`, `teleop` (an operator's hands, over --console), a checkpoint's directory, or `external`: a process of yours on the topics `external`, or on others with
     /// `external:NAME`, such as one of the Python package in policy/python.
     #[arg(long)]
     pub(crate) policy: String,
@@ -529,6 +529,8 @@ pub(crate) struct EvalArgs {
 pub(crate) enum Demonstrator {
     /// The task's scripted expert.
     Expert,
+    /// A person's hands, in real time over --console.
+    Teleop,
 }
 
 /// How video is compressed.
@@ -552,6 +554,10 @@ pub(crate) struct RecordArgs {
     /// Source of the demonstrations.
     #[arg(long, value_enum, default_value = "expert")]
     pub(crate) source: Demonstrator,
+    /// With --source teleop: the page on which a person starts, does, keeps and discards the episodes, at this loopback address; its URL
+    /// with its token is printed.
+    #[arg(long, value_name = "ADDRESS", num_args = 0..=1, default_missing_value = DEFAULT_ADDRESS)]
+    pub(crate) console: Option<Address>,
     /// The dataset's directory; a new or an empty one, but for --resume.
     #[arg(long)]
     pub(crate) out: PathBuf,

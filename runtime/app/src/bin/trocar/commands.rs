@@ -12,6 +12,7 @@ use trocar::session::plan;
 use trocar::session::realtime::{self, CanOptions, PolicyProcessOptions, RobotOptions};
 use trocar::session::run::{RunResult, write_json};
 use trocar::session::summary::{CanBusSummary, RealTimeCounts, RunSummary};
+use trocar::session::teleop::{TIME_FACTOR, TeleopSummary};
 use trocar::session::{Plan, PolicyChoice, Robot, SessionError, Setup, demo, operator, outputs};
 use trocar_control::MeasuredClearance;
 use trocar_data::dataset::VideoCodec;
@@ -135,6 +136,7 @@ pub(crate) fn run(args: &RunArgs) -> Done {
     let changes = Changes(args.set.clone());
     let real_time = RtProfile::load(&realtime_source(args.realtime.as_deref(), &changes)?)?;
     let policy = args.external.policy(&args.policy)?;
+    check_teleop(args, &policy)?;
     note_awaited(&policy, 1);
     let page = args.console.map(open_console).transpose()?;
     let chosen = Chosen {
@@ -172,6 +174,20 @@ pub(crate) fn run(args: &RunArgs) -> Done {
     }
 }
 
+/// An operator's hands come over the console, in real time.
+fn check_teleop(args: &RunArgs, policy: &PolicyChoice) -> Result<(), SessionError> {
+    let missing = match (policy, args.lockstep, args.console) {
+        (PolicyChoice::Teleop, true, _) => {
+            "--lockstep has virtual time, and a person moves in real time: leave it out"
+        }
+        (PolicyChoice::Teleop, false, None) => "the operator's hands come over --console",
+        _ => return Ok(()),
+    };
+    Err(SessionError::BadArgument(format!(
+        "--policy teleop: {missing}"
+    )))
+}
+
 /// What is read and checked of a run's arguments before its arms.
 struct Chosen {
     policy: PolicyChoice,
@@ -181,7 +197,7 @@ struct Chosen {
 }
 
 /// Opens the page and says where it is.
-fn open_console(address: Address) -> Result<Console, SessionError> {
+pub(crate) fn open_console(address: Address) -> Result<Console, SessionError> {
     let page = Console::open(address)?;
     console::note(&format!("trocar: console: {}", page.url()));
     Ok(page)
@@ -224,6 +240,9 @@ fn run_task(
     let config = args.config.as_deref();
     let mut setup = Setup::load_with(task, config, &chosen.policy, &scene, changes)?;
     warn_of_transfer(&setup);
+    if chosen.policy == PolicyChoice::Teleop {
+        setup.task.time_limit_s *= TIME_FACTOR;
+    }
     let backend = match can {
         Some((can, text)) => {
             setup.robot.texts.can = Some(text);
@@ -314,6 +333,9 @@ fn report_run(summary: &RunSummary) {
         summary.policy.latency_ms.p99,
         summary.policy.inference_ms.p50,
     ));
+    if let Some(teleop) = &summary.teleop {
+        report_teleop(teleop);
+    }
     if let Some(real_time) = &summary.real_time {
         report_real_time(real_time);
     }
@@ -347,6 +369,17 @@ fn report_run(summary: &RunSummary) {
         }
     }
     console::result(&format!("  command hash: {}", summary.command_hash));
+}
+
+fn report_teleop(teleop: &TeleopSummary) {
+    let latency = teleop.hand_to_command_ms.map_or_else(
+        || "no hand was followed".to_owned(),
+        |ms| format!("hand to command p50 {:.1} ms, p99 {:.1} ms", ms.p50, ms.p99),
+    );
+    console::result(&format!(
+        "  teleoperation: {} engagements, {} released by force, {latency}",
+        teleop.engagements, teleop.forced_releases
+    ));
 }
 
 fn report_real_time(real_time: &RealTimeCounts) {

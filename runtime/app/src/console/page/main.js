@@ -6,6 +6,7 @@ import { Operator } from "./operator.js";
 import { Panels } from "./panels.js";
 import { Scene } from "./scene.js";
 import { SCENE } from "./scene_file.js";
+import { Teleop } from "./teleop.js";
 import { Timeline } from "./timeline.js";
 
 const byId = (id) => document.getElementById(id);
@@ -20,6 +21,7 @@ const scene = new Scene(() => cameras.want());
 const cameras = new Cameras(send, () => (scene.wanted ? [[SCENE, "colour"]] : []));
 const operator = new Operator(send);
 const timeline = new Timeline(send);
+const teleop = new Teleop(send);
 let link = "waiting";
 let ended = null;
 let log = false;
@@ -43,16 +45,22 @@ const heard = {
     cameras.set(facts.cameras, facts.log);
     scene.facts(facts.scene);
     timeline.facts(facts);
+    teleop.facts(facts);
     if (!log) send({ steer: true });
   },
   state(state) {
     panels.state(state);
     operator.setSpeed(state.speed_percent);
-    say(state.arms.map((arm) => `${arm.name} ${arm.state}${arm.fault ? `: ${arm.fault}` : ""}`).join("; "));
+    teleop.state(state.teleop);
+    const arms = state.arms.map((arm) => `${arm.name} ${arm.state}${arm.fault ? `: ${arm.fault}` : ""}`);
+    say([...arms, teleop.words()].filter(Boolean).join("; "));
     const faults = state.arms.filter((arm) => arm.fault).map((arm) => `${arm.name}: ${arm.fault}`);
     if (!ended && link === "open") banner(faults.join("; "));
   },
-  seat: (seat) => operator.seat(seat),
+  seat(seat) {
+    operator.seat(seat);
+    teleop.seat(seat);
+  },
   answer: (answer) => operator.answer(answer),
   problem: (problem) => operator.problem(problem),
   end(end) {
@@ -86,6 +94,7 @@ connection = new Connection({
   change(state, reason) {
     link = state;
     operator.link(state === "open");
+    teleop.link(state === "open");
     if (state === "lost" && !ended) banner(`Connection lost; what is shown is old. Trying again.${reason ? ` (${reason})` : ""}`);
     showLink();
   },

@@ -130,7 +130,7 @@ mod tests {
     #[test]
     fn a_message_says_where_everything_is() {
         for name in TaskConfig::names() {
-            let task = TaskConfig::shipped(name);
+            let task = TaskConfig::built_in(name).unwrap();
             let simulation = Simulation::new(&task, 3, Rendering::Off).unwrap();
             let snapshot = simulation.snapshot();
             let mut model = SceneModel::new(&task, 3);

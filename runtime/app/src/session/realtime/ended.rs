@@ -34,5 +34,6 @@ pub(super) fn closed<R, S: Arms>(
         summary: control.tally.summary(plan, ended, Some(real_time)),
         pictures: Pictures::default(),
         log_failure,
+        demonstration: None,
     }
 }

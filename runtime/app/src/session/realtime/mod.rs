@@ -51,6 +51,7 @@ use super::operator::{Listener, OperatorPort};
 use super::run::RunResult;
 use super::source::ChunkSource;
 use super::summary::TissueSummary;
+use super::teleop::{Demonstrating, Wish};
 use super::{Plan, SessionError, episode};
 use crate::mailbox::mailbox;
 use crate::rig::threads::ThreadsRig;
@@ -134,6 +135,7 @@ fn run_threads(
         commands: commands_out,
         snapshots,
         local,
+        demonstrating: demonstrating(plan),
         signals: Arc::clone(&signals),
         profile: plan.real_time.simulation,
     };
@@ -165,6 +167,12 @@ fn run_threads(
     };
     let ends = threads::run(remote, (&signals, listener.as_ref()), control, simulate);
     Ok((ends, log))
+}
+
+/// What is written down of a demonstration by hand, if that is what `plan` is of.
+fn demonstrating(plan: &Plan) -> Option<Demonstrating> {
+    let console = plan.console.as_ref().filter(|_| plan.demonstrates)?;
+    Some(Demonstrating::new(console.hands()))
 }
 
 /// The ends of a log, if there is one.
@@ -204,8 +212,14 @@ fn conclude(
             control.tally.inferences(&watched.inference);
             control.tally.restarts(watched.restarts);
             control.tally.inferences(&simulation.inference);
-            let verdict = || episode::reason(&simulation.outcome, &control.tally);
-            let success = matches!(simulation.outcome, Outcome::Success);
+            let demonstration = simulation.demonstration.as_ref();
+            let wish = demonstration.and_then(|it| it.ended);
+            let by_person = wish.map(|wish| wish.reason().to_owned());
+            let verdict = || {
+                by_person.unwrap_or_else(|| episode::reason(&simulation.outcome, &control.tally))
+            };
+            let success =
+                wish == Some(Wish::Keep) || matches!(simulation.outcome, Outcome::Success);
             Ended::task(
                 success && watched.ended_by.is_none(),
                 watched.ended_by.clone().unwrap_or_else(verdict),
@@ -214,10 +228,11 @@ fn conclude(
         }
     };
     let result = closed(plan, &control, &ended, log);
-    let (_, (_, camera)) = others?;
+    let (_, (simulation, camera)) = others?;
     let pictures = camera.and_then(|camera| camera.pictures);
     Ok(RunResult {
         pictures: pictures.unwrap_or_default(),
+        demonstration: simulation.demonstration,
         ..result
     })
 }

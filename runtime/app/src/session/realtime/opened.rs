@@ -10,6 +10,7 @@ use super::on_can::Say;
 use crate::session::external::{About, ExternalLink, check_wanted};
 use crate::session::plan::Arms;
 use crate::session::source::{ChunkSource, camera_names};
+use crate::session::teleop::Teleop;
 use crate::session::{Plan, PolicyChoice, SessionError};
 
 /// A policy that does not answer yet.
@@ -50,10 +51,24 @@ impl<'a> Opened<'a> {
                 task.map_or(Ok(()), |setup| check_wanted(setup, &link.cameras))?;
                 Ok(Self::External(Box::new(link)))
             }
+            PolicyChoice::Teleop => Self::by_hand(plan),
             PolicyChoice::Expert
             | PolicyChoice::Noop
             | PolicyChoice::Random
             | PolicyChoice::Own(_) => Ok(Self::Local(Box::new(plan.source()?))),
+        }
+    }
+
+    /// An operator's hands, which the console of `plan` tells of.
+    fn by_hand<S: Arms>(plan: &Plan<S>) -> Result<Self, SessionError> {
+        match (&plan.console, plan.setup.task()) {
+            (Some(console), Some(setup)) => {
+                let hands = Teleop::new(setup, console.hands(), plan.demonstrates);
+                let source = ChunkSource::Teleop(Box::new(hands));
+                Ok(Self::Local(Box::new(source)))
+            }
+            // Which says what is missing.
+            (None, _) | (_, None) => Ok(Self::Local(Box::new(plan.source()?))),
         }
     }
 

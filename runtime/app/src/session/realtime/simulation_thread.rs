@@ -16,6 +16,8 @@ use crate::mailbox::MailboxWriter;
 use crate::rt::{MonotonicClock, Periodic, RtOptions, configure_thread};
 use crate::session::SessionError;
 use crate::session::source::{ChunkSource, Query, STEP_TICKS, precedes_query, seen_arm};
+use crate::session::teleop::{Demonstrating, Demonstration};
+use trocar_log::Level;
 
 /// Steps from one frame for the log or the pictures to the next. Drawing in software takes half a core at every step.
 const FRAME_EVERY_STEPS: u64 = 5;
@@ -66,6 +68,8 @@ pub(super) struct SimulationThread {
     pub(super) commands: Consumer<PerArm<Setpoint>>,
     pub(super) snapshots: Option<Snapshots>,
     pub(super) local: Option<(ChunkSource, Producer<PerArm<Chunk>>)>,
+    /// What is written down, if a person demonstrates.
+    pub(super) demonstrating: Option<Demonstrating>,
     pub(super) signals: Arc<Signals>,
     /// What the thread asks of the system: the arms that it stands for never wait for a core.
     pub(super) profile: RtOptions,
@@ -78,6 +82,8 @@ pub(super) struct SimulationEnd {
     pub(super) inference: Histogram,
     /// What a soft tissue went through, if the task has one.
     pub(super) tissue: Option<TissueExtremes>,
+    /// What a person has demonstrated, if one was to.
+    pub(super) demonstration: Option<Demonstration>,
 }
 
 impl SimulationThread {
@@ -96,6 +102,7 @@ impl SimulationThread {
             outcome: Outcome::Running,
             inference: Histogram::new(),
             tissue: None,
+            demonstration: None,
         };
         while !signals.stopped() {
             let wake = periodic.wait();
@@ -111,11 +118,16 @@ impl SimulationThread {
                     end.outcome = self.simulation.outcome();
                 }
             }
-            if !matches!(end.outcome, Outcome::Running) {
+            let ended = self
+                .demonstrating
+                .as_mut()
+                .is_some_and(Demonstrating::has_ended);
+            if ended || !matches!(end.outcome, Outcome::Running) {
                 signals.end_run();
             }
         }
         end.tissue = self.simulation.tissue_extremes();
+        end.demonstration = self.demonstrating.map(Demonstrating::end);
         Ok(end)
     }
 
@@ -142,14 +154,20 @@ impl SimulationThread {
         now: TimeNs,
         inference: &mut Histogram,
     ) -> Result<(), SessionError> {
-        self.simulation.step();
+        // A demonstration's time stands still until a person starts it.
+        if self.demonstrating.as_mut().is_none_or(Demonstrating::runs) {
+            self.simulation.step();
+        }
         let states = self.read(now)?;
         self.measured.put(states);
-        if tick.is_multiple_of(STEP_TICKS) && !self.signals.done() {
-            let arms = states.map(|state| seen_arm(&state));
-            self.observe(tick / STEP_TICKS, &arms, inference)?;
+        if self.signals.done() {
+            return Ok(());
         }
-        Ok(())
+        let arms = states.map(|state| seen_arm(&state));
+        if tick.is_multiple_of(STEP_TICKS) {
+            self.observe(tick / STEP_TICKS, &arms);
+        }
+        self.ask(tick, &arms, inference)
     }
 
     /// What each arm measures.
@@ -162,13 +180,8 @@ impl SimulationThread {
         })
     }
 
-    /// A policy step: a snapshot for the cameras, and chunks if the policy is a local one.
-    fn observe(
-        &mut self,
-        step: u64,
-        arms: &PerArm<SeenArm>,
-        inference: &mut Histogram,
-    ) -> Result<(), SessionError> {
+    /// A policy step: a snapshot for the cameras.
+    fn observe(&mut self, step: u64, arms: &PerArm<SeenArm>) {
         if let Some(snapshots) = &mut self.snapshots
             && snapshots.wanted(step)
         {
@@ -193,8 +206,17 @@ impl SimulationThread {
                 scene: self.simulation.snapshot(),
             });
         }
+    }
+
+    /// Asks the policy for chunks, if it is a local one whose turn it is.
+    fn ask(
+        &mut self,
+        tick: u64,
+        arms: &PerArm<SeenArm>,
+        inference: &mut Histogram,
+    ) -> Result<(), SessionError> {
         if let Some((source, chunks)) = &mut self.local
-            && step.is_multiple_of(source.query_every_steps())
+            && tick.is_multiple_of(source.query_every_ticks())
         {
             let scene = self.simulation.scene_state();
             let query = Query {
@@ -207,6 +229,15 @@ impl SimulationThread {
             inference.record(clock.now().0);
             // The control thread takes one a tick; a full queue means that it is gone.
             let _gone = chunks.push(answer);
+            for text in source.take_told() {
+                let at = arms.first.state.stamp;
+                self.signals.tell(at, Level::Info, &text);
+            }
+            if let (Some(demonstrating), true) =
+                (&mut self.demonstrating, tick.is_multiple_of(STEP_TICKS))
+            {
+                demonstrating.note(arms, &answer, || self.simulation.snapshot());
+            }
         }
         Ok(())
     }

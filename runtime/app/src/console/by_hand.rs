@@ -1,0 +1,34 @@
+//! What a page says that moves arms by hand. Only the page that steers may.
+
+use super::request::Request;
+use super::seats::Seat;
+use super::shared::Shared;
+use crate::session::teleop::{BadHands, Lost};
+
+/// Does what `request` of the page in `seat` asks for; whatever is not of hands is left alone.
+///
+/// # Errors
+/// [`BadHands`]; the arms hold.
+pub(super) fn heard(shared: &Shared, seat: &Seat, request: Request) -> Result<(), BadHands> {
+    let hands = &shared.hands;
+    // To let go is always allowed.
+    if request == Request::HandsOff(true) {
+        hands.release(seat.id(), Lost::Hidden);
+        return Ok(());
+    }
+    if !seat.steers() {
+        return Err(BadHands::NoSeat);
+    }
+    match request {
+        Request::Hands(message) => hands.hear(seat.id(), &message)?,
+        Request::Scale(scale) => hands.set_scale(scale)?,
+        Request::Episode(wish) => hands.wish(wish)?,
+        Request::HandsOff(_)
+        | Request::Seen(_)
+        | Request::Steer(_)
+        | Request::Command(_)
+        | Request::Show(_)
+        | Request::At(_) => {}
+    }
+    Ok(())
+}

@@ -1,0 +1,203 @@
+// Devices that move a hand: keyboard, gamepad, mouse. Axes are the picture's: x to the right, y up, z towards the viewer.
+
+/** What each key does while the clutch is held: an axis of the way (m) or of the turn (rad), or the jaw. */
+const KEYS = {
+  ArrowRight: ["way", 0, 1], ArrowLeft: ["way", 0, -1],
+  ArrowUp: ["way", 1, 1], ArrowDown: ["way", 1, -1],
+  PageDown: ["way", 2, 1], PageUp: ["way", 2, -1],
+  KeyI: ["turn", 0, 1], KeyK: ["turn", 0, -1],
+  KeyJ: ["turn", 1, 1], KeyL: ["turn", 1, -1],
+  KeyU: ["turn", 2, 1], KeyO: ["turn", 2, -1],
+  KeyM: ["jaw", 0, 1], KeyN: ["jaw", 0, -1],
+};
+const CLUTCH_KEY = "KeyF";
+
+// Of a hand: the tip makes a part of the way.
+const KEY_M_S = 0.1;
+const KEY_RAD_S = 0.8;
+const KEY_JAW_1_S = 1.2;
+const STICK_M_S = 0.12;
+const STICK_RAD_S = 1.0;
+const DEAD_ZONE = 0.15;
+const PICTURE_M = 0.2;
+const WHEEL_M = 0.0001;
+
+/** No motion. */
+const still = () => ({ clutch: false, way: [0, 0, 0], turn: [0, 0, 0], jaw: 0 });
+
+/** Keys that are down. A tap moves little: the speed grows while a key is held. */
+export class Keyboard {
+  #down = new Map();
+
+  constructor() {
+    document.addEventListener("keydown", (event) => this.#press(event));
+    document.addEventListener("keyup", (event) => this.#down.delete(event.code));
+  }
+
+  /** As if all keys were let go. */
+  clear() {
+    this.#down.clear();
+  }
+
+  get clutch() {
+    return this.#down.has(CLUTCH_KEY);
+  }
+
+  /** The velocities that the keys ask for at `now`, ms. */
+  motion(now) {
+    const asked = still();
+    asked.clutch = this.clutch;
+    for (const [code, since] of this.#down) {
+      const key = KEYS[code];
+      if (!key) continue;
+      const [what, axis, sign] = key;
+      const pace = sign * Math.min(1, 0.2 + (now - since) / 500);
+      if (what === "jaw") asked.jaw += sign * KEY_JAW_1_S;
+      else asked[what][axis] += pace * (what === "way" ? KEY_M_S : KEY_RAD_S);
+    }
+    return asked;
+  }
+
+  #press(event) {
+    if (event.ctrlKey || event.altKey || event.metaKey) return;
+    // A list takes letters to choose by.
+    if (event.target.tagName === "SELECT") return;
+    if (event.code !== CLUTCH_KEY && !(this.clutch && event.code in KEYS)) return;
+    // With the clutch, arrows move the hand and not the page.
+    event.preventDefault();
+    if (!this.#down.has(event.code)) this.#down.set(event.code, performance.now());
+  }
+}
+
+/** Gamepads of the standard mapping, in their order. */
+export function gamepads() {
+  const all = navigator.getGamepads ? [...navigator.getGamepads()] : [];
+  return all.filter((pad) => pad && pad.connected && pad.mapping === "standard");
+}
+
+/** A stick beyond its dead zone, finer near its middle. */
+function stick(value) {
+  const beyond = Math.max(0, Math.abs(value) - DEAD_ZONE) / (1 - DEAD_ZONE);
+  return Math.sign(value) * Math.min(1, beyond) ** 2;
+}
+
+/** What a gamepad asks for: velocities, and how far the trigger is pressed. */
+export function padMotion(pad) {
+  const axis = (index) => (Number.isFinite(pad.axes[index]) ? stick(pad.axes[index]) : 0);
+  const pressed = (index) => (pad.buttons[index]?.pressed ? 1 : 0);
+  return {
+    clutch: pressed(4) === 1,
+    way: [axis(0) * STICK_M_S, -axis(1) * STICK_M_S, axis(3) * STICK_M_S],
+    turn: [
+      (pressed(12) - pressed(13)) * STICK_RAD_S,
+      (pressed(14) - pressed(15)) * STICK_RAD_S,
+      -axis(2) * STICK_RAD_S,
+    ],
+    trigger: Math.min(1, Math.max(0, pad.buttons[7]?.value ?? 0)),
+    other: pressed(3) === 1,
+  };
+}
+
+/** Drags on a camera's picture: the clutch, the way in the picture, and its depth by the wheel. */
+export class Drag {
+  #way = [0, 0, 0];
+  #pointer = null;
+
+  constructor(root) {
+    root.addEventListener("pointerdown", (event) => {
+      if (!this.on || event.target.tagName !== "IMG" || event.button !== 0) return;
+      event.preventDefault();
+      this.#pointer = event.pointerId;
+      event.target.setPointerCapture(event.pointerId);
+    });
+    root.addEventListener("pointermove", (event) => {
+      if (event.pointerId !== this.#pointer) return;
+      const scale = PICTURE_M / Math.max(1, event.target.clientWidth);
+      this.#way[0] += event.movementX * scale;
+      this.#way[1] -= event.movementY * scale;
+    });
+    for (const end of ["pointerup", "pointercancel", "lostpointercapture"]) {
+      root.addEventListener(end, (event) => {
+        if (event.pointerId === this.#pointer) this.clear();
+      });
+    }
+    root.addEventListener("wheel", (event) => {
+      if (this.#pointer === null) return;
+      event.preventDefault();
+      this.#way[2] += Math.max(-50, Math.min(50, event.deltaY)) * WHEEL_M;
+    }, { passive: false });
+    this.on = false;
+  }
+
+  get clutch() {
+    return this.#pointer !== null;
+  }
+
+  clear() {
+    this.#pointer = null;
+    this.#way = [0, 0, 0];
+  }
+
+  /** The way since the last call, m. */
+  take() {
+    const way = this.#way;
+    this.#way = [0, 0, 0];
+    return way;
+  }
+}
+
+/** A hand that devices move by velocities; it starts anew at each clutch-in. */
+export class VirtualHand {
+  clutch = false;
+  at = [0, 0, 0];
+  turn = [0, 0, 0, 1];
+  jaw = 0;
+
+  /** Takes the clutch or lets it go; `jaw` is where the arm's is, 0 to 1. */
+  hold(clutch, jaw) {
+    if (clutch && !this.clutch) {
+      this.at = [0, 0, 0];
+      this.turn = [0, 0, 0, 1];
+      this.jaw = jaw;
+    }
+    this.clutch = clutch;
+  }
+
+  /** Moves for `seconds`. */
+  move({ way, turn }, seconds) {
+    if (!this.clutch) return;
+    this.at = this.at.map((value, axis) => Math.max(-5, Math.min(5, value + way[axis] * seconds)));
+    const angle = Math.hypot(...turn) * seconds;
+    if (angle > 1e-9) {
+      const sine = (Math.sin(angle / 2) * seconds) / angle;
+      this.turn = unit(times([...turn.map((value) => value * sine), Math.cos(angle / 2)], this.turn));
+    }
+  }
+
+  shift(way) {
+    if (this.clutch) this.at = this.at.map((value, axis) => Math.max(-5, Math.min(5, value + way[axis])));
+  }
+
+  /** What the run is told. */
+  get told() {
+    return { clutch: this.clutch, at: this.at.map(rounded), turn: this.turn.map(rounded), jaw: rounded(this.jaw) };
+  }
+}
+
+/** Six places are a micrometre. */
+export const rounded = (value) => Math.round(value * 1e6) / 1e6;
+
+/** The product of two quaternions x, y, z, w. */
+function times([ax, ay, az, aw], [bx, by, bz, bw]) {
+  return [
+    aw * bx + ax * bw + ay * bz - az * by,
+    aw * by - ax * bz + ay * bw + az * bx,
+    aw * bz + ax * by - ay * bx + az * bw,
+    aw * bw - ax * bx - ay * by - az * bz,
+  ];
+}
+
+function unit(quaternion) {
+  const norm = Math.hypot(...quaternion);
+  return quaternion.map((value) => value / norm);
+}

@@ -1,0 +1,153 @@
+// A headset's controllers as hands, by WebXR: a session in the headset, a picture in front of the viewer, one controller an arm.
+
+import { rounded } from "./hands.js";
+
+const QUAD = {
+  vertex: "attribute vec2 at; uniform mat4 clip; varying vec2 uv; void main() { uv = at * vec2(0.5, -0.5) + 0.5; gl_Position = clip * vec4(at * 0.7, -1.4, 1.0); }",
+  fragment: "precision mediump float; uniform sampler2D picture; varying vec2 uv; void main() { gl_FragColor = texture2D(picture, uv); }",
+};
+
+export class Headset {
+  #tell;
+  #arms;
+  #session = null;
+  #space = null;
+  #screen = null;
+  #offered = false;
+
+  /** `tell(arms)` gets the hands of each frame, `arms()` says how many there are. */
+  constructor(tell, arms) {
+    this.#tell = tell;
+    this.#arms = arms;
+  }
+
+  get running() {
+    return this.#session !== null;
+  }
+
+  /** Shows the button where there is a headset. */
+  async offer(button, able) {
+    if (!this.#offered && navigator.xr) {
+      this.#offered = await navigator.xr.isSessionSupported("immersive-vr").catch(() => false);
+    }
+    button.hidden = !this.#offered;
+    button.disabled = !able && !this.running;
+  }
+
+  async toggle() {
+    if (this.#session) {
+      await this.#session.end();
+      return;
+    }
+    const session = await navigator.xr.requestSession("immersive-vr");
+    this.#session = session;
+    session.addEventListener("end", () => this.#ended());
+    // Hidden by the headset's own menu, or taken off: hands let go.
+    session.addEventListener("visibilitychange", () => {
+      if (session.visibilityState !== "visible") this.#tell(this.#none());
+    });
+    this.#space = await session.requestReferenceSpace("local");
+    this.#screen = await Screen.open(session).catch(() => null);
+    session.requestAnimationFrame((time, frame) => this.#frame(frame));
+    document.getElementById("enter-vr-text").textContent = "Leave the headset";
+  }
+
+  #ended() {
+    this.#session = null;
+    this.#screen = null;
+    document.getElementById("enter-vr-text").textContent = "Enter the headset";
+    this.#tell(this.#none());
+  }
+
+  #none() {
+    return Array.from({ length: this.#arms() }, () => null);
+  }
+
+  #frame(frame) {
+    const session = this.#session;
+    if (!session) return;
+    session.requestAnimationFrame((time, next) => this.#frame(next));
+    const arms = this.#none();
+    for (const source of session.inputSources) {
+      const index = this.#armOf(source);
+      if (session.visibilityState === "visible" && index < arms.length && source.gripSpace) {
+        arms[index] = hand(source, frame.getPose(source.gripSpace, this.#space));
+      }
+    }
+    this.#tell(arms);
+    this.#screen?.draw(frame, this.#space);
+  }
+
+  // Of two arms the left hand has the second: psm1 is on the right in the picture. Of one arm the right hand has it.
+  #armOf(source) {
+    return source.handedness === "right" ? 0 : source.handedness === "left" ? 1 : Infinity;
+  }
+}
+
+/** What the run is told of a controller: none without a pose that is tracked. */
+function hand(source, pose) {
+  if (!pose || pose.emulatedPosition) return null;
+  const { position, orientation } = pose.transform;
+  const buttons = source.gamepad?.buttons ?? [];
+  return {
+    clutch: Boolean(buttons[1]?.pressed),
+    at: [position.x, position.y, position.z].map(rounded),
+    turn: [orientation.x, orientation.y, orientation.z, orientation.w].map(rounded),
+    jaw: rounded(Math.min(1, Math.max(0, buttons[0]?.value ?? 0))),
+  };
+}
+
+/** The first camera's picture on a plane in front of the viewer, the same for both eyes. */
+class Screen {
+  static async open(session) {
+    const canvas = document.createElement("canvas");
+    const gl = canvas.getContext("webgl", { xrCompatible: true });
+    if (!gl) return null;
+    const screen = new Screen(gl);
+    screen.layer = new XRWebGLLayer(session, gl);
+    await session.updateRenderState({ baseLayer: screen.layer });
+    return screen;
+  }
+
+  constructor(gl) {
+    this.gl = gl;
+    const program = gl.createProgram();
+    for (const [type, text] of [[gl.VERTEX_SHADER, QUAD.vertex], [gl.FRAGMENT_SHADER, QUAD.fragment]]) {
+      const shader = gl.createShader(type);
+      gl.shaderSource(shader, text);
+      gl.compileShader(shader);
+      gl.attachShader(program, shader);
+    }
+    gl.linkProgram(program);
+    gl.useProgram(program);
+    gl.bindBuffer(gl.ARRAY_BUFFER, gl.createBuffer());
+    gl.bufferData(gl.ARRAY_BUFFER, new Float32Array([-1, -1, 1, -1, -1, 1, 1, 1]), gl.STATIC_DRAW);
+    const at = gl.getAttribLocation(program, "at");
+    gl.enableVertexAttribArray(at);
+    gl.vertexAttribPointer(at, 2, gl.FLOAT, false, 0, 0);
+    this.clip = gl.getUniformLocation(program, "clip");
+    gl.bindTexture(gl.TEXTURE_2D, gl.createTexture());
+    for (const side of [gl.TEXTURE_WRAP_S, gl.TEXTURE_WRAP_T]) gl.texParameteri(gl.TEXTURE_2D, side, gl.CLAMP_TO_EDGE);
+    gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MIN_FILTER, gl.LINEAR);
+  }
+
+  draw(frame, space) {
+    const { gl, layer } = this;
+    const viewer = frame.getViewerPose(space);
+    const image = document.querySelector("#views img");
+    gl.bindFramebuffer(gl.FRAMEBUFFER, layer.framebuffer);
+    gl.clear(gl.COLOR_BUFFER_BIT);
+    if (!viewer || !image?.naturalWidth) return;
+    if (image.src !== this.shown) {
+      gl.texImage2D(gl.TEXTURE_2D, 0, gl.RGB, gl.RGB, gl.UNSIGNED_BYTE, image);
+      this.shown = image.src;
+    }
+    for (const view of viewer.views) {
+      const port = layer.getViewport(view);
+      gl.viewport(port.x, port.y, port.width, port.height);
+      const clip = new DOMMatrix([...view.projectionMatrix]).multiply(new DOMMatrix([...view.transform.inverse.matrix]));
+      gl.uniformMatrix4fv(this.clip, false, clip.toFloat32Array());
+      gl.drawArrays(gl.TRIANGLE_STRIP, 0, 4);
+    }
+  }
+}

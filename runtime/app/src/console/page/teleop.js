@@ -1,0 +1,226 @@
+// The panel of teleoperation: which arm which device moves, and the hands that the run is told of.
+
+import { Drag, Keyboard, VirtualHand, gamepads, padMotion } from "./hands.js";
+import { Headset } from "./headset.js";
+
+const byId = (id) => document.getElementById(id);
+
+// Fifty a second; the run lets go of what it does not hear of for a tenth of a second.
+const EVERY_MS = 20;
+const PHASES = { waiting: "waits for its start", running: "is recorded", writing: "is written" };
+
+export class Teleop {
+  #send;
+  #steers = false;
+  #open = false;
+  #status = null;
+  #arm = 0;
+  #names = [];
+  #hands = [new VirtualHand(), new VirtualHand()];
+  #keyboard = new Keyboard();
+  #drag = new Drag(byId("views"));
+  #held = false;
+  #other = false;
+  #before = performance.now();
+  #dragging = false;
+
+  constructor(send) {
+    this.#send = send;
+    this.headset = new Headset((arms) => this.#tell(arms), () => this.#status?.arms.length ?? 1);
+    this.#listen();
+    setInterval(() => this.#tick(), EVERY_MS);
+  }
+
+  facts({ arms }) {
+    this.#names = arms;
+    this.#choose(Math.min(this.#arm, arms.length - 1));
+  }
+
+  seat({ steers }) {
+    this.#steers = steers;
+    if (!steers) this.#letGo();
+    this.#show();
+  }
+
+  link(open) {
+    this.#open = open;
+    if (!open) {
+      this.#steers = false;
+      this.#letGo();
+    }
+    this.#show();
+  }
+
+  /** What the run says of hands; nothing if they do not move its arms. */
+  state(status) {
+    this.#status = status ?? null;
+    byId("teleop").hidden = !status;
+    document.body.classList.toggle("by-hand", Boolean(status));
+    this.#drag.on = Boolean(status) && this.#steers;
+    if (!status) return;
+    if (!this.#dragging) {
+      byId("scale").value = Math.round(status.scale * 100);
+      byId("scale-out").textContent = `${Math.round(status.scale * 100)} %`;
+    }
+    this.#showArms(status.arms);
+    this.#showRecording(status.recording);
+  }
+
+  /** In words what each arm does, for those who hear the page. */
+  words() {
+    return (this.#status?.arms ?? []).map((arm, index) => `${this.#names[index]} ${word(arm)}`).join("; ");
+  }
+
+  #listen() {
+    const scale = byId("scale");
+    scale.oninput = () => {
+      this.#dragging = true;
+      byId("scale-out").textContent = `${scale.value} %`;
+    };
+    scale.onchange = () => {
+      this.#dragging = false;
+      this.#send({ scale: Number(scale.value) / 100 });
+    };
+    const hold = byId("hold");
+    const holds = (on) => () => { this.#held = on; };
+    hold.onpointerdown = (event) => {
+      hold.setPointerCapture(event.pointerId);
+      this.#held = true;
+    };
+    for (const end of ["onpointerup", "onpointercancel", "onblur"]) hold[end] = holds(false);
+    hold.onkeydown = (event) => {
+      if (event.key === " " || event.key === "Enter") this.#held = true;
+    };
+    hold.onkeyup = holds(false);
+    for (const button of document.querySelectorAll("#episode button")) {
+      button.onclick = () => this.#send({ episode: button.dataset.episode });
+    }
+    byId("enter-vr").onclick = () => this.headset.toggle();
+    document.addEventListener("keydown", (event) => this.#key(event));
+    window.addEventListener("blur", () => this.#hidden());
+    window.addEventListener("pagehide", () => this.#hidden());
+    document.addEventListener("visibilitychange", () => document.hidden && this.#hidden());
+  }
+
+  // Keys of the panel's buttons.
+  #key(event) {
+    if (event.ctrlKey || event.altKey || event.metaKey || event.repeat || byId("teleop").hidden) return;
+    if (event.target.tagName === "SELECT") return;
+    const button = document.querySelector(`#teleop button[data-key="${CSS.escape(event.key.toLowerCase())}"]`);
+    if (button && !button.disabled && !button.closest("[hidden]")) {
+      event.preventDefault();
+      button.click();
+    }
+  }
+
+  #hidden() {
+    if (this.headset.running) return;
+    this.#letGo();
+    if (this.#status) this.#send({ hands_off: true });
+  }
+
+  #letGo() {
+    this.#held = false;
+    this.#keyboard.clear();
+    this.#drag.clear();
+  }
+
+  #choose(arm) {
+    this.#arm = Math.max(0, arm);
+    const choice = byId("which-arm");
+    choice.hidden = this.#names.length < 2;
+    choice.replaceChildren(...this.#names.map((name, index) => {
+      const button = document.createElement("button");
+      button.type = "button";
+      button.dataset.key = String(index + 1);
+      button.setAttribute("aria-pressed", String(index === this.#arm));
+      const key = document.createElement("kbd");
+      key.textContent = String(index + 1);
+      button.append(`${name} `, key);
+      button.onclick = () => this.#choose(index);
+      return button;
+    }));
+  }
+
+  #tick() {
+    const now = performance.now();
+    const seconds = Math.min(0.05, (now - this.#before) / 1000);
+    this.#before = now;
+    if (!this.#status || !this.#open || !this.#steers || document.hidden || this.headset.running) return;
+    const count = this.#status.arms.length;
+    const pads = gamepads();
+    const motions = Array.from({ length: count }, () => null);
+    if (count > 1 && pads.length > 1) {
+      pads.slice(0, count).forEach((pad, index) => { motions[index] = padMotion(pad); });
+    } else if (pads.length > 0) {
+      const motion = padMotion(pads[0]);
+      if (motion.other && !this.#other && count > 1) this.#choose((this.#arm + 1) % count);
+      this.#other = motion.other;
+      motions[this.#arm] = motion;
+    }
+    this.#tell(motions.map((motion, index) => this.#hand(index, motion, now, seconds)));
+    byId("device").textContent = devices(pads.length);
+  }
+
+  /** The hand of an arm after what its devices ask for. */
+  #hand(index, pad, now, seconds) {
+    const hand = this.#hands[index];
+    const chosen = index === this.#arm;
+    const keys = this.#keyboard.motion(now);
+    const drag = this.#drag.clutch;
+    const byKeys = chosen && (keys.clutch || this.#held || drag);
+    hand.hold(Boolean(pad?.clutch) || byKeys, this.#status.arms[index].jaw);
+    if (pad?.clutch) {
+      hand.move(pad, seconds);
+      hand.jaw = pad.trigger;
+    } else if (byKeys) {
+      hand.move(keys, seconds);
+      hand.shift(this.#drag.take());
+      hand.jaw = Math.min(1, Math.max(0, hand.jaw + keys.jaw * seconds));
+    }
+    return hand.told;
+  }
+
+  #tell(arms) {
+    this.#send({ hands: { t: performance.now(), arms } });
+  }
+
+  #show() {
+    const able = this.#open && this.#steers;
+    for (const control of document.querySelectorAll("#teleop button, #teleop input")) control.disabled = !able;
+    this.headset.offer(byId("enter-vr"), able);
+  }
+
+  #showArms(arms) {
+    const list = byId("hands");
+    while (list.children.length > arms.length) list.lastChild.remove();
+    arms.forEach((arm, index) => {
+      const item = list.children[index] ?? list.appendChild(document.createElement("li"));
+      item.dataset.engaged = String(arm.engaged);
+      const mark = arm.engaged ? "●" : "○";
+      const text = `${mark} ${this.#names[index] ?? ""} ${word(arm)}`;
+      if (item.textContent !== text) item.textContent = text;
+    });
+  }
+
+  #showRecording(recording) {
+    byId("episode").hidden = !recording;
+    if (!recording) return;
+    const { phase, kept, wanted, seed } = recording;
+    byId("episode-state").textContent = `${kept} of ${wanted} episodes kept; seed ${seed} ${PHASES[phase]}.`;
+    for (const button of document.querySelectorAll("#episode button")) {
+      const applies = phase === (button.dataset.episode === "start" ? "waiting" : "running");
+      button.disabled = !this.#open || !this.#steers || !applies;
+    }
+  }
+}
+
+function word(arm) {
+  if (arm.engaged) return "follows the hand";
+  return arm.lost ? `holds: ${arm.lost}; let go, then hold again` : "holds";
+}
+
+function devices(pads) {
+  const more = pads === 0 ? "" : pads === 1 ? ", one gamepad" : `, ${pads} gamepads`;
+  return `Devices: keyboard, mouse on the picture${more}.`;
+}

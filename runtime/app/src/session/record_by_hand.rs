@@ -1,0 +1,178 @@
+//! Demonstrations by hand: a person starts each episode on the console, does the task in real time, and keeps it or not.
+//!
+//! An episode waits for its start with its time standing still. It ends with the judge's verdict or with the person's word; what is kept is
+//! drawn afterwards from where everything was at each policy step, so pictures cost the run nothing and none is missing.
+
+use hal::{CameraFrame, PerArm, SeenArm, TipTarget};
+use trocar_data::dataset::DatasetWriter;
+use trocar_tasks::cameras::SceneCameras;
+use trocar_tasks::task::Outcome;
+
+use super::realtime::run_realtime;
+use super::record::{
+    Attempt, Demonstration, RecordOptions, RecordSummary, StoredFrame, arm_frame, dataset_spec,
+    keep,
+};
+use super::record_notes::{ByHandNote, EpisodeNote};
+use super::record_resume::{begin, look};
+use super::run::{INTERRUPTED, RunResult, STOPPED};
+use super::teleop::{self, Moment, Phase, Recording, Wish};
+use super::{Plan, SessionError, Setup};
+use crate::console::Console;
+
+/// Records the episodes that a person does by hand on `console` until enough are kept; whatever else was done is reported. A signal, or the
+/// operator's stop, ends it with what there is.
+///
+/// # Errors
+/// Those of [`record`](super::record::record), but that a person may fail as often as it takes; and those of a run in real time.
+pub fn record_by_hand(
+    plan: &Plan,
+    options: &RecordOptions,
+    console: &Console,
+    on_attempt: &mut dyn FnMut(&Attempt),
+) -> Result<RecordSummary, SessionError> {
+    let found = look(plan, options)?;
+    let mut summary = RecordSummary::new(plan, options, &found);
+    if options.resume && summary.episodes >= options.episodes {
+        return Ok(summary);
+    }
+    let mut writer = begin(plan, options, &found, &dataset_spec(&plan.setup, options))?;
+    let mut attempts = found.attempts;
+    let mut studio = Studio::new(&plan.setup)?;
+    while summary.episodes < options.episodes && !summary.interrupted {
+        let seed = plan.seed.wrapping_add(attempts);
+        let tell = |phase, kept| {
+            console.hands().tell_recording(Recording {
+                phase,
+                kept,
+                wanted: options.episodes,
+                seed,
+            });
+        };
+        tell(Phase::Waiting, summary.episodes);
+        let one = Plan {
+            seed,
+            console: Some(console.clone()),
+            demonstrates: true,
+            ..plan.clone()
+        };
+        let mut result = run_realtime(&one)?;
+        tell(Phase::Writing, summary.episodes);
+        if [INTERRUPTED, STOPPED].contains(&result.summary.reason.as_str()) {
+            summary.interrupted = true;
+            break;
+        }
+        let demonstrated = result.demonstration.take().unwrap_or_default();
+        let again = demonstrated.ended == Some(Wish::Redo);
+        let demo = studio.draw(&one, options, &result, demonstrated)?;
+        let attempt = put(&mut writer, options, &demo)?;
+        on_attempt(&attempt);
+        summary.add(attempt);
+        attempts = attempts.saturating_add(u64::from(!again));
+    }
+    tell_end(console, &summary, options);
+    writer.finish()?;
+    Ok(summary)
+}
+
+fn put(
+    writer: &mut DatasetWriter,
+    options: &RecordOptions,
+    demo: &Demonstration,
+) -> Result<Attempt, SessionError> {
+    keep(writer, options, demo)?;
+    Ok(demo.attempt())
+}
+
+fn tell_end(console: &Console, summary: &RecordSummary, options: &RecordOptions) {
+    console.hands().tell_recording(Recording {
+        phase: Phase::Writing,
+        kept: summary.episodes,
+        wanted: options.episodes,
+        seed: 0,
+    });
+}
+
+/// The cameras that draw what was demonstrated.
+struct Studio {
+    cameras: SceneCameras,
+    wanted: Vec<usize>,
+    frames: Vec<CameraFrame>,
+}
+
+impl Studio {
+    fn new(setup: &Setup) -> Result<Self, SessionError> {
+        let cameras = SceneCameras::new(&setup.task)?;
+        let names = setup.cameras_with(Vec::new());
+        let wanted: Vec<usize> = names.iter().filter_map(|name| cameras.find(name)).collect();
+        let frames = wanted.iter().map(|&camera| cameras.blank_frame(camera));
+        let frames = frames.collect::<Result<_, _>>()?;
+        Ok(Self {
+            cameras,
+            wanted,
+            frames,
+        })
+    }
+
+    /// The demonstration of the run of `plan` that ended with `result`, with its pictures if it is kept.
+    fn draw(
+        &mut self,
+        plan: &Plan,
+        options: &RecordOptions,
+        result: &RunResult,
+        demonstrated: teleop::Demonstration,
+    ) -> Result<Demonstration, SessionError> {
+        let summary = &result.summary;
+        let task = &plan.setup.task;
+        self.cameras.begin_episode(task, plan.seed);
+        let steps = demonstrated.moments.len();
+        let frames = if result.ok {
+            let moments = demonstrated.moments.iter();
+            let frames = moments.map(|moment| self.frame(moment, options.depth));
+            frames.collect::<Result<Vec<_>, SessionError>>()?
+        } else {
+            Vec::new()
+        };
+        Ok(Demonstration {
+            outcome: if result.ok {
+                Outcome::Success
+            } else {
+                Outcome::Running
+            },
+            reason: summary.reason.clone(),
+            steps,
+            frames,
+            note: EpisodeNote {
+                seed: plan.seed,
+                grasps: 0,
+                drawn: task.drawn(plan.seed),
+                disturbances: None,
+                by_hand: summary.teleop.map(|teleop| ByHandNote {
+                    source: "teleop",
+                    ended_by: demonstrated.ended.map_or("judge", |_| "operator"),
+                    teleop,
+                }),
+            },
+        })
+    }
+
+    fn frame(&mut self, moment: &Moment, depth: bool) -> Result<StoredFrame, SessionError> {
+        for (&camera, frame) in self.wanted.iter().zip(&mut self.frames) {
+            self.cameras.render(camera, &moment.scene, frame)?;
+        }
+        Ok(StoredFrame::new(
+            rows(&moment.arms, &moment.targets),
+            &self.frames,
+            depth,
+        ))
+    }
+}
+
+/// What each arm measured, with the target that the hand gave it.
+fn rows(
+    arms: &PerArm<SeenArm>,
+    targets: &PerArm<TipTarget>,
+) -> Vec<trocar_data::dataset::ArmFrame> {
+    let both = arms.iter().zip(targets.iter());
+    both.map(|(arm, target)| arm_frame(arm, target)).collect()
+}

@@ -1,0 +1,130 @@
+//! Whether a hand moves its arm.
+
+use core::fmt;
+
+/// An arm's clutch.
+///
+/// | in | the hand holds it | the hand does not | something is wrong |
+/// |---|---|---|---|
+/// | lost | lost | open | lost |
+/// | open | engaged, anew | open | open |
+/// | engaged | engaged | open | lost |
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Clutch {
+    /// It was released by force, or never was free: before the hand can engage it has to let go.
+    Lost(Lost),
+    /// The hand can engage.
+    Open,
+    /// The arm follows the hand; the number is that of the engagement, counted from 1.
+    Engaged(u64),
+}
+
+/// Why a clutch was released by force.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Lost {
+    /// No hand has been heard of.
+    NotYet,
+    /// The hand was not heard of for too long, or what was heard is old.
+    Stale,
+    /// The page's connection has ended.
+    PageGone,
+    /// The page gave up the right to steer.
+    Seat,
+    /// The page is hidden or has lost the focus.
+    Hidden,
+    /// The hand went further between two messages than a hand does.
+    Jump,
+    /// A message made no sense.
+    Nonsense,
+    /// The device is gone.
+    NoDevice,
+    /// The arm is not enabled, or paused.
+    NotEnabled,
+    /// No episode is under way.
+    NoEpisode,
+}
+
+impl Clutch {
+    /// What it is after the hand was heard to hold it or not; `engagements` counts.
+    #[must_use]
+    pub(super) const fn heard(self, holds: bool, engagements: &mut u64) -> Self {
+        match (self, holds) {
+            (Self::Lost(why), true) => Self::Lost(why),
+            (Self::Lost(_) | Self::Open | Self::Engaged(_), false) => Self::Open,
+            (Self::Open, true) => {
+                *engagements += 1;
+                Self::Engaged(*engagements)
+            }
+            (Self::Engaged(number), true) => Self::Engaged(number),
+        }
+    }
+
+    /// What it is after something went wrong.
+    #[must_use]
+    pub(super) const fn lost(self, why: Lost) -> Self {
+        match self {
+            Self::Engaged(_) => Self::Lost(why),
+            Self::Lost(_) | Self::Open => self,
+        }
+    }
+
+    /// Why it was released by force, if it was.
+    pub(super) const fn why(self) -> Option<Lost> {
+        match self {
+            Self::Lost(why) => Some(why),
+            Self::Open | Self::Engaged(_) => None,
+        }
+    }
+
+    /// Whether the arm follows the hand.
+    pub(super) const fn is_engaged(self) -> bool {
+        matches!(self, Self::Engaged(_))
+    }
+}
+
+impl fmt::Display for Lost {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::NotYet => "no hand yet",
+            Self::Stale => "the hand was not heard of in time",
+            Self::PageGone => "the page's connection ended",
+            Self::Seat => "the page gave up control",
+            Self::Hidden => "the page was hidden",
+            Self::Jump => "the hand jumped",
+            Self::Nonsense => "a message made no sense",
+            Self::NoDevice => "the device is gone",
+            Self::NotEnabled => "the arm is not enabled",
+            Self::NoEpisode => "no episode is under way",
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Walks the table: state, what the hand does (none: something is wrong), the state after it.
+    #[test]
+    fn clutch_follows_its_table() {
+        let lost = Clutch::Lost(Lost::Stale);
+        let mut engagements = 4;
+        for (before, holds, after) in [
+            (lost, Some(true), lost),
+            (lost, Some(false), Clutch::Open),
+            (lost, None, lost),
+            (Clutch::Open, Some(true), Clutch::Engaged(5)),
+            (Clutch::Open, Some(false), Clutch::Open),
+            (Clutch::Open, None, Clutch::Open),
+            (Clutch::Engaged(5), Some(true), Clutch::Engaged(5)),
+            (Clutch::Engaged(5), Some(false), Clutch::Open),
+            (Clutch::Engaged(5), None, Clutch::Lost(Lost::Jump)),
+            (Clutch::Open, Some(true), Clutch::Engaged(6)),
+        ] {
+            let found = match holds {
+                Some(holds) => before.heard(holds, &mut engagements),
+                None => before.lost(Lost::Jump),
+            };
+            assert_eq!(found, after, "{before:?} {holds:?}");
+        }
+    }
+}

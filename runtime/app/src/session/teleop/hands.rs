@@ -1,0 +1,265 @@
+//! The operator's hands as the console's thread hears of them and the source of chunks looks at them.
+
+use std::sync::{Mutex, MutexGuard, PoisonError};
+
+use hal::{ARMS_MAX, Pose, TimeNs};
+
+use super::clutch::{Clutch, Lost};
+use super::demonstration::Wish;
+use super::held::Held;
+use super::latency::{Counts, TeleopSummary, Transit};
+use super::message::{BadHands, Hand, HandsMessage};
+use super::status::{ArmStatus, Phase, Recording, TeleopStatus, numbers};
+use super::{Commanded, SCALES, STALE_NS};
+use crate::mailbox::MailboxReader;
+use crate::rt::MonotonicClock;
+
+/// A page of which nothing was heard for this long may have slept, its clock too, ns.
+const FORGET_NS: u64 = 1_000_000_000;
+
+/// The hands, between the threads.
+#[derive(Debug)]
+pub(crate) struct Hands {
+    clock: MonotonicClock,
+    inner: Mutex<Held>,
+}
+
+/// A hand that moves its arm.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Moving {
+    /// Which engagement this is.
+    pub(super) engagement: u64,
+    pub(super) hand: Hand,
+}
+
+/// What the source sees.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Look {
+    /// When it looked, by the clock of the hands.
+    pub(super) now: TimeNs,
+    /// The hands that move their arms.
+    pub(super) moving: [Option<Moving>; ARMS_MAX],
+    /// Why each other arm was released by force, if it was.
+    pub(super) lost: [Option<Lost>; ARMS_MAX],
+    pub(super) scale: f64,
+    /// When the newest message came, with what it was late by taken off.
+    pub(super) sent: Option<TimeNs>,
+    /// The newest command, if there is one that was not seen before.
+    pub(super) commanded: Option<Commanded>,
+}
+
+impl Hands {
+    /// Hands that nobody has heard of, and that move nothing.
+    pub(crate) fn new() -> Self {
+        Self {
+            clock: MonotonicClock::new(),
+            inner: Mutex::default(),
+        }
+    }
+
+    fn lock(&self) -> MutexGuard<'_, Held> {
+        self.inner.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// From now on `arms` arms are moved by hand. What was counted is forgotten, and a new clutch is needed.
+    pub(crate) fn begin(&self, arms: usize, waits: bool) {
+        let mut inner = self.lock();
+        inner.lose(Lost::NoEpisode);
+        inner.arms = arms.min(ARMS_MAX);
+        inner.waits = waits;
+        inner.wish = None;
+        inner.tips = [None; ARMS_MAX];
+        inner.counts = Counts::default();
+    }
+
+    /// The end of the control thread's mailbox, of the run that begins.
+    pub(crate) fn follow(&self, commanded: MailboxReader<Commanded>) {
+        self.lock().commanded = Some(commanded);
+    }
+
+    /// The operator's hands from the page in `seat`, which steers.
+    ///
+    /// # Errors
+    /// [`BadHands`]; what was engaged is released.
+    pub(crate) fn hear(&self, seat: u64, message: &HandsMessage) -> Result<(), BadHands> {
+        self.hear_at(seat, message, self.clock.now())
+    }
+
+    pub(super) fn hear_at(
+        &self,
+        seat: u64,
+        message: &HandsMessage,
+        now: TimeNs,
+    ) -> Result<(), BadHands> {
+        let mut inner = self.lock();
+        if inner.arms == 0 {
+            return Err(BadHands::NoTeleop);
+        }
+        if inner.seat != Some(seat) {
+            inner.lose(Lost::Seat);
+            (inner.seat, inner.heard) = (Some(seat), None);
+            inner.transit = Transit::default();
+        }
+        let back = |(_, before): (TimeNs, f64)| message.t < before;
+        let hands = if inner.heard.is_some_and(back) {
+            Err(BadHands::Time)
+        } else {
+            message.hands(inner.arms)
+        };
+        let hands = match hands {
+            Ok(hands) => hands,
+            Err(bad) => {
+                inner.lose(Lost::Nonsense);
+                return Err(bad);
+            }
+        };
+        if inner.heard.is_none_or(|(at, _)| now.since(at) > FORGET_NS) {
+            inner.transit = Transit::default();
+        }
+        let late_ns = inner.transit.excess_ns(message.t, now);
+        inner.check_age(now);
+        if late_ns > STALE_NS {
+            inner.lose(Lost::Stale);
+            return Ok(());
+        }
+        inner.heard = Some((TimeNs(now.0.saturating_sub(late_ns)), message.t));
+        inner.counts.messages += 1;
+        inner.take(&hands);
+        Ok(())
+    }
+
+    /// Releases what the page in `seat` holds.
+    pub(crate) fn release(&self, seat: u64, why: Lost) {
+        let mut inner = self.lock();
+        if inner.seat == Some(seat) {
+            inner.lose(why);
+        }
+    }
+
+    /// Releases an arm that does not follow.
+    pub(super) fn release_arm(&self, arm: usize, why: Lost) {
+        self.lock().lose_one(arm, why);
+    }
+
+    /// The tip makes this part of the hand's way from now on.
+    ///
+    /// # Errors
+    /// [`BadHands::Scale`].
+    pub(crate) fn set_scale(&self, scale: f64) -> Result<(), BadHands> {
+        if !SCALES.contains(&scale) {
+            return Err(BadHands::Scale);
+        }
+        self.lock().scale = Some(scale);
+        Ok(())
+    }
+
+    /// The page in `seat` answered a ping after so long.
+    pub(crate) fn round_trip(&self, seat: u64, ns: u64) {
+        let mut inner = self.lock();
+        if inner.seat == Some(seat) {
+            inner.counts.round_trip.record(ns);
+        }
+    }
+
+    /// What moves now.
+    pub(super) fn look(&self) -> Look {
+        self.look_at(self.clock.now())
+    }
+
+    pub(super) fn look_at(&self, now: TimeNs) -> Look {
+        let mut inner = self.lock();
+        inner.check_age(now);
+        let moving = inner.hands.map(|arm| match (arm.clutch, arm.hand) {
+            (Clutch::Engaged(engagement), Some(hand)) => Some(Moving { engagement, hand }),
+            (Clutch::Engaged(_) | Clutch::Lost(_) | Clutch::Open, _) => None,
+        });
+        Look {
+            now,
+            moving,
+            lost: inner.hands.map(|arm| arm.clutch.why()),
+            scale: inner.scale(),
+            sent: inner.heard.map(|(at, _)| at),
+            commanded: inner.commanded.as_mut().and_then(MailboxReader::take),
+        }
+    }
+
+    /// A command has followed a hand, so long after it.
+    pub(super) fn followed(&self, latency_ns: u64) {
+        self.lock().counts.command.record(latency_ns);
+    }
+
+    /// Where the tip of an arm is commanded to be in the picture's axes, and how far its jaw is closed.
+    pub(super) fn show(&self, arm: usize, tip_in_view: &Pose, closed: f64) {
+        if let Some(tip) = self.lock().tips.get_mut(arm) {
+            *tip = Some((*tip_in_view, closed));
+        }
+    }
+
+    /// A wish of the page that steers.
+    ///
+    /// # Errors
+    /// [`BadHands::NoRecording`] if nothing is recorded, [`BadHands::NotNow`] if it does not apply.
+    pub(crate) fn wish(&self, wish: Wish) -> Result<(), BadHands> {
+        let mut inner = self.lock();
+        let recording = inner.recording.ok_or(BadHands::NoRecording)?;
+        let applies = match recording.phase {
+            Phase::Waiting => wish == Wish::Start,
+            Phase::Running => wish != Wish::Start,
+            Phase::Writing => false,
+        };
+        if !applies {
+            return Err(BadHands::NotNow);
+        }
+        inner.wish = Some(wish);
+        Ok(())
+    }
+
+    /// The newest wish, if there is one.
+    pub(crate) fn take_wish(&self) -> Option<Wish> {
+        self.lock().wish.take()
+    }
+
+    /// The episode begins: hands may move their arms.
+    pub(crate) fn start(&self) {
+        let mut inner = self.lock();
+        inner.waits = false;
+        if let Some(recording) = &mut inner.recording {
+            recording.phase = Phase::Running;
+        }
+    }
+
+    /// The episode is over, or is not yet: hands move nothing.
+    pub(crate) fn rest(&self) {
+        let mut inner = self.lock();
+        inner.waits = true;
+        inner.lose(Lost::NoEpisode);
+    }
+
+    /// How the recording stands.
+    pub(crate) fn tell_recording(&self, recording: Recording) {
+        self.lock().recording = Some(recording);
+    }
+
+    /// What pages are told; nothing if the policy is another.
+    pub(crate) fn status(&self) -> Option<TeleopStatus> {
+        let inner = self.lock();
+        let arms = inner.hands.iter().zip(&inner.tips).take(inner.arms);
+        let arms = arms.map(|(arm, tip)| ArmStatus {
+            engaged: arm.clutch.is_engaged(),
+            lost: arm.clutch.why().map(|why| why.to_string()),
+            tip: tip.as_ref().map(|(tip, _)| numbers(tip)),
+            jaw: tip.map_or(0.0, |(_, closed)| closed),
+        });
+        (inner.arms > 0).then(|| TeleopStatus {
+            scale: inner.scale(),
+            arms: arms.collect(),
+            recording: inner.recording,
+        })
+    }
+
+    /// What was counted since the run began.
+    pub(crate) fn summary(&self) -> TeleopSummary {
+        let inner = self.lock();
+        inner.counts.summary(inner.scale())
+    }
+}

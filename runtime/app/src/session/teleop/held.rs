@@ -1,0 +1,113 @@
+//! What is known of the operator's hands: who sends them, when, and what each arm's clutch does.
+
+use hal::{ARMS_MAX, Pose, TimeNs};
+
+use super::clutch::{Clutch, Lost};
+use super::demonstration::Wish;
+use super::latency::{Counts, Transit};
+use super::message::Hand;
+use super::status::Recording;
+use super::{Commanded, DEFAULT_SCALE, STALE_NS};
+use crate::mailbox::MailboxReader;
+
+/// What a hand moves and turns at most from one message to the next.
+const STEP_M_MAX: f64 = 0.1;
+const STEP_RAD_MAX: f64 = 0.8;
+
+/// All of it; nothing at first.
+#[derive(Debug, Default)]
+pub(super) struct Held {
+    /// How many arms are moved by hand; 0 as long as the policy is another.
+    pub(super) arms: usize,
+    /// The page that sends.
+    pub(super) seat: Option<u64>,
+    /// When it was last heard of, and at which time of its own, ms.
+    pub(super) heard: Option<(TimeNs, f64)>,
+    pub(super) transit: Transit,
+    pub(super) scale: Option<f64>,
+    /// Whether no episode is under way.
+    pub(super) waits: bool,
+    pub(super) hands: [ArmHand; ARMS_MAX],
+    pub(super) engagements: u64,
+    pub(super) commanded: Option<MailboxReader<Commanded>>,
+    pub(super) wish: Option<Wish>,
+    pub(super) recording: Option<Recording>,
+    pub(super) tips: [Option<(Pose, f64)>; ARMS_MAX],
+    pub(super) counts: Counts,
+}
+
+/// One arm's.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct ArmHand {
+    pub(super) clutch: Clutch,
+    pub(super) hand: Option<Hand>,
+}
+
+impl Default for ArmHand {
+    fn default() -> Self {
+        Self {
+            clutch: Clutch::Lost(Lost::NotYet),
+            hand: None,
+        }
+    }
+}
+
+impl Held {
+    pub(super) fn lose(&mut self, why: Lost) {
+        for arm in 0..ARMS_MAX {
+            self.lose_one(arm, why);
+        }
+    }
+
+    pub(super) fn lose_one(&mut self, arm: usize, why: Lost) {
+        if let Some(hand) = self.hands.get_mut(arm) {
+            let before = hand.clutch;
+            hand.clutch = before.lost(why);
+            self.counts.losses += u64::from(before != hand.clutch);
+        }
+    }
+
+    /// Releases what was not heard of for too long.
+    pub(super) fn check_age(&mut self, now: TimeNs) {
+        let fresh = self.heard.is_some_and(|(at, _)| now.since(at) <= STALE_NS);
+        if !fresh {
+            self.lose(Lost::Stale);
+        }
+    }
+
+    /// Takes in the hands of a message.
+    pub(super) fn take(&mut self, hands: &[Option<Hand>; ARMS_MAX]) {
+        for (index, new) in hands.iter().enumerate().take(self.arms) {
+            let Some(mut arm) = self.hands.get(index).copied() else {
+                continue;
+            };
+            let Some(new) = new else {
+                self.lose_one(index, Lost::NoDevice);
+                continue;
+            };
+            if arm.clutch.is_engaged() && arm.hand.is_some_and(|old| jumped(&old.pose, &new.pose)) {
+                self.lose_one(index, Lost::Jump);
+                arm.clutch = self.hands[index].clutch;
+            }
+            let before = self.engagements;
+            arm.clutch = arm.clutch.heard(new.clutch, &mut self.engagements);
+            self.counts.engagements += self.engagements - before;
+            arm.hand = Some(*new);
+            self.hands[index] = arm;
+        }
+        if self.waits {
+            self.lose(Lost::NoEpisode);
+        }
+    }
+}
+
+fn jumped(old: &Pose, new: &Pose) -> bool {
+    let way = (new.translation.vector - old.translation.vector).norm();
+    way > STEP_M_MAX || old.rotation.angle_to(&new.rotation) > STEP_RAD_MAX
+}
+
+impl Held {
+    pub(super) fn scale(&self) -> f64 {
+        self.scale.unwrap_or(DEFAULT_SCALE)
+    }
+}

@@ -1,0 +1,75 @@
+//! Teleoperation: an operator's hands, which a page of the console tells of, as a source of chunks like any policy.
+//!
+//! ```text
+//!  page ── hands, 50 a second ──> console's thread: `message` checks, `Hands` holds the newest and each arm's `Clutch`
+//!                                                      │ looked at every 8 ms
+//!  control thread ── newest command (mailbox) ──> `Teleop`: chunk ──> gate, filter, smoother, guard
+//! ```
+//!
+//! A hand moves its arm only while it holds the clutch. At each clutch-in, position and orientation start from what the arm is commanded
+//! to be at, so nothing jumps. Hands that are not heard of for [`STALE_NS`], a page that goes, is hidden or loses the right to steer, and
+//! anything that makes no sense release the clutch by force (`Lost`): then the arm holds until the operator has let the clutch go and
+//! takes it again.
+//!
+//! **Frame.** A hand moves in the axes of the endoscope's picture: x to the right, y up, z towards the viewer (those of WebXR, whose
+//! viewer looks along -z). What one sees moves and turns the way the hand does.
+
+mod clutch;
+mod demonstration;
+mod hands;
+mod held;
+mod latency;
+mod message;
+mod source;
+mod status;
+mod view;
+
+#[cfg(test)]
+mod tests;
+
+use hal::{JointVector, PerArm, TimeNs};
+
+pub(crate) use clutch::Lost;
+pub(crate) use demonstration::Demonstrating;
+pub use demonstration::{Demonstration, Moment, Wish};
+pub(crate) use hands::Hands;
+pub use latency::TeleopSummary;
+pub(crate) use message::{BadHands, HandsMessage};
+pub use source::Teleop;
+pub(crate) use status::{Phase, Recording, TeleopStatus};
+
+/// By how much longer an operator may take than the task allows its policies.
+pub const TIME_FACTOR: f64 = 10.0;
+
+/// Hands that are older than this are not followed, ns.
+pub const STALE_NS: u64 = 100_000_000;
+
+/// What part of a hand's way the tip makes, unless the operator chooses another.
+pub const DEFAULT_SCALE: f64 = 0.4;
+
+/// Which parts can be chosen.
+pub const SCALES: std::ops::RangeInclusive<f64> = 0.1..=1.0;
+
+/// Ticks from one chunk to the next.
+pub(crate) const CHUNK_TICKS: u64 = 8;
+
+/// What the controller last commanded of the arms. Plain data, which the control thread hands over.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Commanded {
+    /// The newest chunk that the controller was given, and the time of the tick that it was given to.
+    pub(crate) sequence: u64,
+    pub(crate) at: TimeNs,
+    pub(crate) arms: PerArm<ArmCommanded>,
+}
+
+/// One arm of [`Commanded`].
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct ArmCommanded {
+    /// Joint positions and velocities, rad and m, rad/s and m/s.
+    pub(crate) position: JointVector,
+    pub(crate) velocity: JointVector,
+    /// Angle between the jaw fingers, rad.
+    pub(crate) jaw: f64,
+    /// Whether the arm is enabled and follows chunks.
+    pub(crate) follows: bool,
+}

@@ -1,0 +1,53 @@
+//! What pages are told of teleoperation, with each state.
+
+use hal::Pose;
+use serde::Serialize;
+
+/// What there is to show.
+#[derive(Clone, Debug, Serialize)]
+pub(crate) struct TeleopStatus {
+    pub(super) scale: f64,
+    pub(super) arms: Vec<ArmStatus>,
+    pub(super) recording: Option<Recording>,
+}
+
+/// One arm.
+#[derive(Clone, Debug, Serialize)]
+pub(super) struct ArmStatus {
+    pub(super) engaged: bool,
+    /// Why it was released by force, if it was.
+    pub(super) lost: Option<String>,
+    /// Where the tip is commanded to be, in the picture's axes from the lens, m, and as a unit quaternion x, y, z, w.
+    pub(super) tip: Option<[f64; 7]>,
+    /// How far the jaw is closed, 0 to 1 as the trigger says it.
+    pub(super) jaw: f64,
+}
+
+/// How a recording stands.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+pub(crate) struct Recording {
+    pub(crate) phase: Phase,
+    /// Episodes that are kept, and how many there are to be.
+    pub(crate) kept: usize,
+    pub(crate) wanted: usize,
+    pub(crate) seed: u64,
+}
+
+/// What the recording waits for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub(crate) enum Phase {
+    /// The episode waits for its start; its time stands still.
+    Waiting,
+    /// The episode is under way.
+    Running,
+    /// The episode has ended and is written, or thrown away.
+    Writing,
+}
+
+/// A pose as numbers to five places: what a page shows.
+pub(super) fn numbers(pose: &Pose) -> [f64; 7] {
+    let q = pose.rotation.coords;
+    let p = pose.translation.vector;
+    [p.x, p.y, p.z, q.x, q.y, q.z, q.w].map(|value| (value * 1e6).round() * 1e-6)
+}

@@ -1,0 +1,215 @@
+// A scripted operator: it hears what the page hears, and moves a device that is not there. Axes are the picture's.
+
+window.WebSocket = class extends WebSocket {
+  constructor(...where) {
+    super(...where);
+    this.addEventListener("message", ({ data }) => {
+      const told = typeof data === "string" ? JSON.parse(data) : null;
+      if (told?.kind === "state") window.told = told;
+    });
+  }
+};
+
+const SCALE = 0.4;
+
+/** The turn from one quaternion x, y, z, w to another, as a rotation vector. */
+function turnBetween([ax, ay, az, aw], [bx, by, bz, bw]) {
+  const [x, y, z, w] = [
+    bw * -ax + bx * aw + by * -az - bz * -ay,
+    bw * -ay - bx * -az + by * aw + bz * -ax,
+    bw * -az + bx * -ay - by * -ax + bz * aw,
+    bw * aw + bx * ax + by * ay + bz * az,
+  ];
+  const side = w < 0 ? -1 : 1;
+  const sine = Math.hypot(x, y, z);
+  const angle = 2 * Math.atan2(sine, Math.abs(w));
+  return sine < 1e-9 ? [0, 0, 0] : [x, y, z].map((value) => (side * value * angle) / sine);
+}
+
+/** A gamepad of the standard mapping. Sticks are pushed to where the tip goes as fast as `rate` says; the cross turns. */
+class Gamepad {
+  rate = { way: 0.0134, turn: [1.0, 1.0, 0.28] };
+  pad = {
+    connected: true, mapping: "standard", axes: [0, 0, 0, 0],
+    buttons: Array.from({ length: 17 }, () => ({ pressed: false, value: 0 })),
+  };
+
+  constructor() {
+    navigator.getGamepads = () => [null, this.pad];
+  }
+
+  press(index, on) {
+    this.pad.buttons[index] = { pressed: Boolean(on), value: Number(on) };
+  }
+
+  hold(on) { this.press(4, on); }
+  jaw(closed) { this.press(7, closed); }
+
+  /** Each number is a direction: -1, 0 or 1. */
+  drive(way, turn) {
+    const stick = 0.6;
+    this.pad.axes = [way[0] * stick, -way[1] * stick, -turn[2] * stick, way[2] * stick];
+    this.press(12, turn[0] > 0);
+    this.press(13, turn[0] < 0);
+    this.press(14, turn[1] > 0);
+    this.press(15, turn[1] < 0);
+  }
+
+  time(axis, amount) {
+    return amount / (axis < 3 ? this.rate.way : this.rate.turn[axis - 3]);
+  }
+}
+
+/** A keyboard: what is held is told as events. */
+class Keys {
+  down = new Set();
+  pairs = [
+    ["ArrowRight", "ArrowLeft"], ["ArrowUp", "ArrowDown"], ["PageDown", "PageUp"],
+    ["KeyI", "KeyK"], ["KeyJ", "KeyL"], ["KeyU", "KeyO"],
+  ];
+
+  set(code, on) {
+    if (this.down.has(code) === on) return;
+    this.down[on ? "add" : "delete"](code);
+    const key = code.startsWith("Key") ? code.slice(3).toLowerCase() : code;
+    document.body.dispatchEvent(new KeyboardEvent(on ? "keydown" : "keyup", { code, key, bubbles: true, cancelable: true }));
+  }
+
+  hold(on) { this.set("KeyF", on); }
+
+  jaw(closed) {
+    const now = window.told.teleop.arms[0].jaw;
+    this.set("KeyM", closed > now + 0.05);
+    this.set("KeyN", closed < now - 0.05);
+  }
+
+  drive(way, turn) {
+    [...way, ...turn].forEach((sign, axis) => {
+      this.set(this.pairs[axis][0], sign > 0);
+      this.set(this.pairs[axis][1], sign < 0);
+    });
+  }
+
+  // The pace grows while a key is held: rate * (0.2 t + t^2).
+  time(axis, amount) {
+    const rate = axis < 3 ? 0.1 * SCALE : 0.8;
+    return Math.sqrt(0.01 + amount / rate) - 0.1;
+  }
+}
+
+/** A headset with its right controller. */
+class Controller {
+  at = [0.2, 1.1, -0.3];
+  turn = [0, 0, 0, 1];
+  buttons = [{ value: 0, pressed: false }, { value: 0, pressed: false }];
+  rate = 0.013 / SCALE;
+
+  constructor() {
+    const controller = this;
+    class Session extends EventTarget {
+      visibilityState = "visible";
+      inputSources = [{ handedness: "right", targetRayMode: "tracked-pointer", gripSpace: {}, gamepad: controller }];
+      requestReferenceSpace() { return Promise.resolve({}); }
+      updateRenderState() {}
+      requestAnimationFrame(frame) {
+        const pose = () => window.operator.tracked && { emulatedPosition: false, transform: controller.transform };
+        return setTimeout(() => frame(performance.now(), { getPose: pose, getViewerPose: () => null }), 14);
+      }
+      async end() { this.dispatchEvent(new Event("end")); }
+    }
+    Object.defineProperty(navigator, "xr", { value: {
+      isSessionSupported: (mode) => Promise.resolve(mode === "immersive-vr"),
+      requestSession: () => Promise.resolve(new Session()),
+    } });
+    let before = performance.now();
+    setInterval(() => {
+      const now = performance.now();
+      const seconds = Math.min(0.05, (now - before) / 1000);
+      before = now;
+      this.at = this.at.map((value, axis) => value + (this.moving?.[0][axis] ?? 0) * this.rate * seconds);
+      const angle = this.moving?.[1].map((value) => (value * 0.3 * seconds) / 2) ?? [0, 0, 0];
+      const [x, y, z] = angle;
+      const [a, b, c, w] = this.turn;
+      const turned = [a + x * w + y * c - z * b, b + y * w + z * a - x * c, c + z * w + x * b - y * a, w - x * a - y * b - z * c];
+      this.turn = turned.map((value) => value / Math.hypot(...turned));
+    }, 10);
+  }
+
+  get transform() {
+    const [x, y, z] = this.at;
+    const [a, b, c, w] = this.turn;
+    return { position: { x, y, z }, orientation: { x: a, y: b, z: c, w } };
+  }
+
+  hold(on) { this.buttons[1] = { value: Number(on), pressed: on }; }
+  jaw(closed) { this.buttons[0] = { value: closed, pressed: closed > 0.5 }; }
+  drive(way, turn) { this.moving = [way, turn]; }
+  time(axis, amount) { return amount / (axis < 3 ? 0.013 : 0.3); }
+}
+
+const sleep = (ms) => new Promise((done) => setTimeout(done, ms));
+
+/** Looks where the tip is, moves towards where it should be for as long as that takes, and looks again. */
+window.operator = {
+  tracked: true,
+  done: false,
+  get hands() {
+    return (this.device ??= window.device === "keyboard" ? new Keys() : window.device === "gamepad" ? new Gamepad() : new Controller());
+  },
+  hold(on) { this.hands.hold(on); },
+  push(way) { this.hands.drive(way, [0, 0, 0]); },
+  rest() {
+    this.hands.drive([0, 0, 0], [0, 0, 0]);
+    this.hands.hold(false);
+  },
+
+  async follow(way) {
+    this.done = false;
+    this.rest();
+    await sleep(300);
+    this.hold(true);
+    while (!window.told.teleop.arms[0].engaged) await sleep(20);
+    // The trigger meets the jaw on its way.
+    for (const { tip, jaw } of way) {
+      while (await this.approach(tip));
+      await this.close(jaw);
+    }
+    this.done = true;
+  },
+
+  /** One look and the move that it asks for; whether there was one. */
+  async approach(goal) {
+    const tip = window.told.teleop.arms[0].tip;
+    if (!tip) return true;
+    const errors = [
+      ...[0, 1, 2].map((axis) => goal[axis] - tip[axis]),
+      ...turnBetween(tip.slice(3), goal.slice(3)),
+    ];
+    const close = errors.map((error, axis) => Math.abs(error) < (axis < 3 ? 0.0007 : 0.05));
+    if (close.every(Boolean)) return false;
+    const times = errors.map((error, axis) => (close[axis] ? 0 : Math.min(1.5, this.hands.time(axis, Math.abs(error)))));
+    const begin = performance.now();
+    for (let elapsed = 0; elapsed < Math.max(...times); elapsed = (performance.now() - begin) / 1000) {
+      const signs = errors.map((error, axis) => (times[axis] > elapsed ? Math.sign(error) : 0));
+      this.hands.drive(signs.slice(0, 3), signs.slice(3));
+      await sleep(10);
+    }
+    this.hands.drive([0, 0, 0], [0, 0, 0]);
+    await sleep(900);
+    return true;
+  },
+
+  async close(jaw) {
+    if (window.device !== "keyboard" && jaw === 0) {
+      // Through the jaw's angle and back: from there it follows.
+      this.hands.jaw(1);
+      await sleep(200);
+    }
+    for (let looks = 0; looks < 60; looks += 1) {
+      this.hands.jaw(jaw);
+      await sleep(50);
+    }
+    if (window.device === "keyboard") for (const code of ["KeyM", "KeyN"]) this.hands.set(code, false);
+  },
+};
+setTimeout(() => window.operator.hands);
