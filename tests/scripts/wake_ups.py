@@ -2,10 +2,11 @@
 """Wake-up delay of trocar's control thread beside cyclictest's, at the same priority and period, in turns on the same machine.
 
     apt-get install rt-tests
-    tests/scripts/wake_ups.py [--trocar target/release/trocar] [--rounds 7] [--seconds 5] [--busy 2] [--no-fifo] [--cpu 1]
+    tests/scripts/wake_ups.py [--trocar target/release/trocar] [--rounds 7] [--seconds 5] [--busy 2] [--no-fifo] [--cpu 1] [--idle-states]
 
 Prints each round's percentiles in microseconds, and the medians over the rounds with their ratio. `--busy N` lets N processes compute
-meanwhile; `--no-fifo` takes both from SCHED_FIFO; `--cpu N` keeps both on one core.
+meanwhile; `--no-fifo` takes both from SCHED_FIFO; `--cpu N` keeps both on one core. As cyclictest does, the run keeps cores out of idle states, but with
+`--idle-states`.
 """
 
 import argparse
@@ -50,6 +51,8 @@ def trocar(args: argparse.Namespace) -> dict[str, float]:
         result = Path(folder) / "run.json"
         command = [args.trocar, "run", "--task", "needle-lift", "--policy", "noop", "--json", str(result)]
         command += ["--set", f"scene.episode.time_limit_s={args.seconds}"]
+        if not args.idle_states:
+            command += ["--set", "realtime.hold_cpu_dma_latency=true"]
         if args.no_fifo:
             command += ["--set", "realtime.control.priority=0", "--set", "realtime.simulation.priority=0"]
         if args.cpu is not None:
@@ -70,6 +73,7 @@ def main() -> None:
     parser.add_argument("--busy", type=int, default=0)
     parser.add_argument("--no-fifo", action="store_true")
     parser.add_argument("--cpu", type=int)
+    parser.add_argument("--idle-states", action="store_true")
     args = parser.parse_args()
     busy = [subprocess.Popen(["sha256sum", "/dev/zero"], stdout=subprocess.DEVNULL) for _ in range(args.busy)]
     try:

@@ -77,10 +77,13 @@ impl Seats {
     fn tell(&self, inner: &Inner) {
         self.board.want(inner.watched.values().flatten().copied());
         let pages = inner.watched.len();
-        self.taken.send_replace(Taken {
+        let now = Taken {
             pages,
             steers: inner.steers,
-        });
+        };
+        // What a page looks at is nothing to the others.
+        self.taken
+            .send_if_modified(|before| std::mem::replace(before, now) != now);
     }
 }
 

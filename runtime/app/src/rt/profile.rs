@@ -205,7 +205,7 @@ mod tests {
             Grant::Refused(_) => {
                 for refused in [strict.check().err(), strict.hold().err()] {
                     let said = refused.unwrap().to_string();
-                    assert!(said.contains("no idle states refused"), "{said}");
+                    assert!(said.contains("awake cores refused"), "{said}");
                 }
             }
             Grant::NotAsked => panic!("it was asked for"),

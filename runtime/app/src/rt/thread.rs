@@ -86,7 +86,7 @@ impl fmt::Display for RtReport {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(
             f,
-            "SCHED_FIFO {}, core {}, locked memory {}, no idle states {}",
+            "SCHED_FIFO {}, core {}, locked memory {}, awake cores {}",
             self.fifo, self.cpu, self.memory, self.cpu_latency
         )
     }

@@ -19,6 +19,7 @@ use super::run::{INTERRUPTED, RunResult, STOPPED};
 use super::teleop::{self, Moment, Phase, Recording, Wish};
 use super::{Plan, SessionError, Setup};
 use crate::console::Console;
+use crate::rt;
 
 /// Records the episodes that a person does by hand on `console` until enough are kept; whatever else was done is reported. A signal, or the
 /// operator's stop, ends it with what there is.
@@ -69,6 +70,8 @@ pub fn record_by_hand(
         on_attempt(&attempt);
         summary.add(attempt);
         attempts = attempts.saturating_add(u64::from(!again));
+        // A signal while the pictures were drawn; the next run would not know of it.
+        summary.interrupted = rt::interrupted();
     }
     tell_end(console, &summary, options);
     writer.finish()?;

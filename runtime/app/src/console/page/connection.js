@@ -53,22 +53,31 @@ export class Connection {
 
   #message(data) {
     this.#heard = performance.now();
+    let counted = true;
+    try {
+      counted = this.#tell(data);
+    } finally {
+      // What can't be drawn has arrived all the same.
+      if (counted) this.#acknowledge();
+    }
+  }
+
+  /** Hands a message on; whether it counts among those that are acknowledged. */
+  #tell(data) {
     if (typeof data === "string") {
       const message = JSON.parse(data);
-      const counted = message.kind !== "answer" && message.kind !== "problem" && message.kind !== "end";
       this.on.text(message);
-      if (counted) this.#acknowledge();
+      return message.kind !== "answer" && message.kind !== "problem" && message.kind !== "end";
     } else {
       const head = new DataView(data, 0, 16);
       if (head.getUint8(0) === SCENE) {
         this.on.places(data, head.getFloat64(8, true));
-        this.#acknowledge();
-        return;
+        return true;
       }
       const image = new Uint8Array(data, 16);
       const type = image[0] === 0xff ? "image/jpeg" : "image/png";
       this.on.picture(head.getUint8(0), head.getUint8(1), head.getFloat64(8, true), new Blob([image], { type }));
-      this.#acknowledge();
+      return true;
     }
   }
 

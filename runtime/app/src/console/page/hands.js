@@ -65,6 +65,8 @@ export class Keyboard {
     if (event.code !== CLUTCH_KEY && !(this.clutch && event.code in KEYS)) return;
     // With the clutch, arrows move the hand and not the page.
     event.preventDefault();
+    // A key that goes on being held after all were let go, by force or with the focus, has to be pressed anew.
+    if (event.repeat) return;
     if (!this.#down.has(event.code)) this.#down.set(event.code, performance.now());
   }
 }
@@ -73,6 +75,24 @@ export class Keyboard {
 export function gamepads() {
   const all = navigator.getGamepads ? [...navigator.getGamepads()] : [];
   return all.filter((pad) => pad && pad.connected && pad.mapping === "standard");
+}
+
+/** Which gamepad moves an arm: one that comes to it with its clutch held has to let go first. */
+export class Mover {
+  #index = null;
+  #free = false;
+
+  /** What the arm's gamepad asks for; nothing without one. */
+  motion(pad) {
+    if ((pad?.index ?? null) !== this.#index) {
+      this.#index = pad?.index ?? null;
+      this.#free = false;
+    }
+    if (!pad) return null;
+    const motion = padMotion(pad);
+    if (!motion.clutch) this.#free = true;
+    return { ...motion, clutch: motion.clutch && this.#free };
+  }
 }
 
 /** A stick beyond its dead zone, finer near its middle. */

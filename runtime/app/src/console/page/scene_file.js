@@ -17,8 +17,9 @@ export function parseScene(buffer) {
     const at = start + file.bufferViews[accessor.bufferView].byteOffset;
     return new of(buffer, at, accessor.count * (accessor.type === "VEC3" ? 3 : 1));
   };
-  const roots = file.scenes[0].nodes.map((index) => file.nodes[index]);
-  return roots.map((node) => {
+  // The root stands for glTF's y axis being upwards; below it z is.
+  const root = file.nodes[file.scenes[0].nodes[0]];
+  return root.children.map((index) => file.nodes[index]).map((node) => {
     const kind = node.extras?.kind ?? "thing";
     const pose = [...(node.translation ?? [0, 0, 0]), ...(node.rotation ?? [0, 0, 0, 1])];
     const result = { name: node.name, kind, pose, mesh: null, camera: null };

@@ -1,6 +1,6 @@
 // The panel of teleoperation: which arm which device moves, and the hands that the run is told of.
 
-import { Drag, Keyboard, VirtualHand, gamepads, padMotion } from "./hands.js";
+import { Drag, Keyboard, Mover, VirtualHand, gamepads } from "./hands.js";
 import { Headset } from "./headset.js";
 
 const byId = (id) => document.getElementById(id);
@@ -17,6 +17,7 @@ export class Teleop {
   #arm = 0;
   #names = [];
   #hands = [new VirtualHand(), new VirtualHand()];
+  #movers = [new Mover(), new Mover()];
   #keyboard = new Keyboard();
   #drag = new Drag(byId("views"));
   #held = false;
@@ -89,7 +90,7 @@ export class Teleop {
     };
     for (const end of ["onpointerup", "onpointercancel", "onblur"]) hold[end] = holds(false);
     hold.onkeydown = (event) => {
-      if (event.key === " " || event.key === "Enter") this.#held = true;
+      if ((event.key === " " || event.key === "Enter") && !event.repeat) this.#held = true;
     };
     hold.onkeyup = holds(false);
     for (const button of document.querySelectorAll("#episode button")) {
@@ -126,6 +127,8 @@ export class Teleop {
   }
 
   #choose(arm) {
+    // A clutch that is held is that of the arm before.
+    if (arm !== this.#arm) this.#letGo();
     this.#arm = Math.max(0, arm);
     const choice = byId("which-arm");
     choice.hidden = this.#names.length < 2;
@@ -149,15 +152,12 @@ export class Teleop {
     if (!this.#status || !this.#open || !this.#steers || document.hidden || this.headset.running) return;
     const count = this.#status.arms.length;
     const pads = gamepads();
-    const motions = Array.from({ length: count }, () => null);
-    if (count > 1 && pads.length > 1) {
-      pads.slice(0, count).forEach((pad, index) => { motions[index] = padMotion(pad); });
-    } else if (pads.length > 0) {
-      const motion = padMotion(pads[0]);
-      if (motion.other && !this.#other && count > 1) this.#choose((this.#arm + 1) % count);
-      this.#other = motion.other;
-      motions[this.#arm] = motion;
-    }
+    const alone = count === 1 || pads.length < 2;
+    const motions = Array.from({ length: count }, (_, arm) =>
+      this.#movers[arm].motion(alone ? (arm === this.#arm ? pads[0] : undefined) : pads[arm]));
+    const other = Boolean(alone && motions[this.#arm]?.other);
+    if (other && !this.#other && count > 1) this.#choose((this.#arm + 1) % count);
+    this.#other = other;
     this.#tell(motions.map((motion, index) => this.#hand(index, motion, now, seconds)));
     byId("device").textContent = devices(pads.length);
   }

@@ -108,10 +108,16 @@ impl Writer {
             );
             self.nodes[parent]["children"] = json!([child]);
         }
+        // Ours has z up, glTF has y up.
+        let half = std::f64::consts::FRAC_1_SQRT_2;
+        let root = push(
+            &mut self.nodes,
+            json!({"name": "scene frame", "rotation": [-half, 0.0, 0.0, half], "children": roots}),
+        );
         let mut file = json!({
             "asset": {"version": "2.0", "generator": "trocar"},
             "scene": 0,
-            "scenes": [{"name": "scene, metres, z up", "nodes": roots}],
+            "scenes": [{"name": "scene", "nodes": [root]}],
             "nodes": self.nodes,
             "meshes": self.meshes,
             "materials": self.materials,

@@ -218,8 +218,10 @@ fn conclude(
             let verdict = || {
                 by_person.unwrap_or_else(|| episode::reason(&simulation.outcome, &control.tally))
             };
-            let success =
-                wish == Some(Wish::Keep) || matches!(simulation.outcome, Outcome::Success);
+            let success = match wish {
+                Some(wish) => wish == Wish::Keep,
+                None => matches!(simulation.outcome, Outcome::Success),
+            };
             Ended::task(
                 success && watched.ended_by.is_none(),
                 watched.ended_by.clone().unwrap_or_else(verdict),

@@ -114,21 +114,27 @@ impl SimulationThread {
                 let now = TimeNs(wake.due.0.saturating_sub(late * TICK_NS));
                 self.command(late, now)?;
                 self.step(wake.index.saturating_sub(late), now, &mut end.inference)?;
-                if matches!(end.outcome, Outcome::Running) {
-                    end.outcome = self.simulation.outcome();
+                if self.has_ended(&mut end.outcome) {
+                    signals.end_run();
                 }
-            }
-            let ended = self
-                .demonstrating
-                .as_mut()
-                .is_some_and(Demonstrating::has_ended);
-            if ended || !matches!(end.outcome, Outcome::Running) {
-                signals.end_run();
             }
         }
         end.tissue = self.simulation.tissue_extremes();
         end.demonstration = self.demonstrating.map(Demonstrating::end);
         Ok(end)
+    }
+
+    /// Whether the person or the judge has ended the episode: whoever is first has the word.
+    fn has_ended(&mut self, outcome: &mut Outcome) -> bool {
+        if !matches!(outcome, Outcome::Running) {
+            return true;
+        }
+        let by_hand = self.demonstrating.as_mut();
+        if by_hand.is_some_and(Demonstrating::has_ended) {
+            return true;
+        }
+        *outcome = self.simulation.outcome();
+        !matches!(outcome, Outcome::Running)
     }
 
     /// Hands over the newest commands that are for the step at `now`, which is `late` steps behind; without them the arms

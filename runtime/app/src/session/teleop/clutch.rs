@@ -7,7 +7,7 @@ use core::fmt;
 /// | in | the hand holds it | the hand does not | something is wrong |
 /// |---|---|---|---|
 /// | lost | lost | open | lost |
-/// | open | engaged, anew | open | open |
+/// | open | engaged, anew | open | lost: whoever comes back has to be seen with it open |
 /// | engaged | engaged | open | lost |
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Clutch {
@@ -63,8 +63,8 @@ impl Clutch {
     #[must_use]
     pub(super) const fn lost(self, why: Lost) -> Self {
         match self {
-            Self::Engaged(_) => Self::Lost(why),
-            Self::Lost(_) | Self::Open => self,
+            Self::Engaged(_) | Self::Open => Self::Lost(why),
+            Self::Lost(_) => self,
         }
     }
 
@@ -114,7 +114,7 @@ mod tests {
             (lost, None, lost),
             (Clutch::Open, Some(true), Clutch::Engaged(5)),
             (Clutch::Open, Some(false), Clutch::Open),
-            (Clutch::Open, None, Clutch::Open),
+            (Clutch::Open, None, Clutch::Lost(Lost::Jump)),
             (Clutch::Engaged(5), Some(true), Clutch::Engaged(5)),
             (Clutch::Engaged(5), Some(false), Clutch::Open),
             (Clutch::Engaged(5), None, Clutch::Lost(Lost::Jump)),

@@ -98,7 +98,7 @@ impl Hands {
         if inner.seat != Some(seat) {
             inner.lose(Lost::Seat);
             (inner.seat, inner.heard) = (Some(seat), None);
-            inner.transit = Transit::default();
+            (inner.arrived, inner.round_trip_ns) = (None, 0);
         }
         let back = |(_, before): (TimeNs, f64)| message.t < before;
         let hands = if inner.heard.is_some_and(back) {
@@ -113,12 +113,14 @@ impl Hands {
                 return Err(bad);
             }
         };
-        if inner.heard.is_none_or(|(at, _)| now.since(at) > FORGET_NS) {
+        let before = inner.arrived.replace(now);
+        if before.is_none_or(|at| now.since(at) > FORGET_NS) {
             inner.transit = Transit::default();
         }
         let late_ns = inner.transit.excess_ns(message.t, now);
         inner.check_age(now);
-        if late_ns > STALE_NS {
+        // Lateness that all messages have alike shows in pings alone.
+        if late_ns > STALE_NS || inner.round_trip_ns / 2 > STALE_NS {
             inner.lose(Lost::Stale);
             return Ok(());
         }
@@ -157,6 +159,7 @@ impl Hands {
     pub(crate) fn round_trip(&self, seat: u64, ns: u64) {
         let mut inner = self.lock();
         if inner.seat == Some(seat) {
+            inner.round_trip_ns = ns;
             inner.counts.round_trip.record(ns);
         }
     }

@@ -21,6 +21,10 @@ pub(super) struct Held {
     pub(super) arms: usize,
     /// The page that sends.
     pub(super) seat: Option<u64>,
+    /// When anything last came from it, however old.
+    pub(super) arrived: Option<TimeNs>,
+    /// How long its newest answer to a ping took, ns.
+    pub(super) round_trip_ns: u64,
     /// When it was last heard of, and at which time of its own, ms.
     pub(super) heard: Option<(TimeNs, f64)>,
     pub(super) transit: Transit,
@@ -61,9 +65,10 @@ impl Held {
 
     pub(super) fn lose_one(&mut self, arm: usize, why: Lost) {
         if let Some(hand) = self.hands.get_mut(arm) {
-            let before = hand.clutch;
-            hand.clutch = before.lost(why);
-            self.counts.losses += u64::from(before != hand.clutch);
+            let engaged = hand.clutch.is_engaged();
+            hand.clutch = hand.clutch.lost(why);
+            // An episode that ends takes nothing from anybody.
+            self.counts.losses += u64::from(engaged && why != Lost::NoEpisode);
         }
     }
 

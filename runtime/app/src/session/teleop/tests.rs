@@ -284,6 +284,65 @@ fn whatever_is_lost_holds_until_a_new_clutch() {
     }
 }
 
+/// A clutch that is taken while nothing is heard of the hand, or by another hand, is none.
+#[test]
+fn a_clutch_that_was_taken_out_of_sight_moves_nothing() {
+    let losses: [fn(&mut Bench); 4] = [
+        |bench| bench.now = bench.now.plus_ns(STALE_NS + 1),
+        |bench| bench.hands.release(1, Lost::PageGone),
+        |bench| bench.hands.release(1, Lost::Hidden),
+        |bench| bench.say_from(2, HELD).unwrap(),
+    ];
+    for (index, lose) in losses.into_iter().enumerate() {
+        let mut bench = Bench::new(false);
+        bench.hand(REST);
+        lose(&mut bench);
+        for step in 0..10 {
+            let mut hand = HELD;
+            hand.at[0] = 0.01 * f64::from(step);
+            assert!(near(&bench.hand(hand), &bench.tip()), "{index}");
+        }
+        assert_eq!(bench.hands.summary().forced_releases, 0, "{index}");
+    }
+}
+
+/// Hands that go on coming late stay late; with a round trip that long, those that all come alike late are.
+#[test]
+fn hands_that_go_on_coming_late_move_nothing() {
+    let mut bench = Bench::new(false);
+    bench.hand(REST);
+    bench.now = bench.now.plus_ns(700 * MS);
+    for step in 0..200 {
+        bench.now = bench.now.plus_ns(20 * MS);
+        let mut hand = if step % 20 == 0 { REST } else { HELD };
+        hand.at[0] = 0.003 * f64::from(step % 20);
+        let mut old = bench.message(hand);
+        old.t -= 600.0;
+        bench.hands.hear_at(1, &old, bench.now).unwrap();
+        assert!(bench.holds(), "{step}");
+    }
+    let mut bench = Bench::new(false);
+    bench.engage(REST);
+    bench.hands.round_trip(1, 2 * STALE_NS + 2);
+    bench.engage(REST);
+    let mut hand = HELD;
+    hand.at[0] = 0.01;
+    assert!(near(&bench.hand(hand), &bench.tip()));
+    bench.hands.round_trip(1, 10 * MS);
+    bench.engage(REST);
+    assert!(way(&bench.hand(hand), &bench.tip()) > 0.003);
+}
+
+/// What ends with its episode was not taken by force.
+#[test]
+fn an_episode_that_ends_forces_nothing() {
+    let mut bench = Bench::new(false);
+    bench.engage(REST);
+    bench.hands.rest();
+    assert!(bench.holds());
+    assert_eq!(bench.hands.summary().forced_releases, 0);
+}
+
 /// The first thing that is heard of a hand is that it holds the clutch, as after a reload in mid-motion.
 #[test]
 fn a_hand_that_comes_with_its_clutch_held_moves_nothing() {
