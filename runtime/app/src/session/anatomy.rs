@@ -12,6 +12,7 @@ use trocar_anatomy::phantom::{self, Phantom, Size};
 
 use super::{SessionError, outputs};
 use crate::rt::MonotonicClock;
+use crate::study::child::peak_memory;
 
 /// What a stage took.
 #[derive(Clone, Debug, Serialize)]
@@ -43,13 +44,12 @@ struct Stopwatch {
 
 impl Stopwatch {
     /// Ends the stage that goes on, and begins `next`.
-    #[expect(clippy::cast_precision_loss, reason = "seconds of a build")]
     fn pass(&mut self, next: Option<Stage>) {
         let now = self.clock.now();
         if let Some((stage, since)) = self.now {
             self.done.push(StageTime {
                 stage,
-                seconds: now.since(since) as f64 * 1e-9,
+                seconds: TimeNs(now.since(since)).seconds(),
                 peak_mib: peak_mib(),
             });
         }
@@ -58,17 +58,9 @@ impl Stopwatch {
 }
 
 /// The most memory that this process has had, MiB; 0 where the system does not say.
+#[expect(clippy::cast_precision_loss, reason = "memory of a process")]
 fn peak_mib() -> f64 {
-    let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
-    let peak = status.lines().find_map(|line| line.strip_prefix("VmHWM:"));
-    let kib = peak.and_then(|peak| {
-        peak.trim()
-            .trim_end_matches("kB")
-            .trim()
-            .parse::<f64>()
-            .ok()
-    });
-    kib.unwrap_or(0.0) / 1024.0
+    peak_memory(std::process::id()).unwrap_or(0) as f64 / f64::from(1 << 20)
 }
 
 /// Files of a folder that a verb is about to write, with the option that names it.

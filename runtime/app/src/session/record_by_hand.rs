@@ -4,7 +4,6 @@
 //! drawn afterwards from where everything was at each policy step, so pictures cost the run nothing and none is missing.
 
 use hal::{CameraFrame, PerArm, SeenArm, TipTarget};
-use trocar_data::dataset::DatasetWriter;
 use trocar_tasks::cameras::SceneCameras;
 use trocar_tasks::task::Outcome;
 
@@ -66,7 +65,8 @@ pub fn record_by_hand(
         let demonstrated = result.demonstration.take().unwrap_or_default();
         let again = demonstrated.ended == Some(Wish::Redo);
         let demo = studio.draw(&one, options, &result, demonstrated)?;
-        let attempt = put(&mut writer, options, &demo)?;
+        keep(&mut writer, options, &demo)?;
+        let attempt = demo.attempt();
         on_attempt(&attempt);
         summary.add(attempt);
         attempts = attempts.saturating_add(u64::from(!again));
@@ -76,15 +76,6 @@ pub fn record_by_hand(
     tell_end(console, &summary, options);
     writer.finish()?;
     Ok(summary)
-}
-
-fn put(
-    writer: &mut DatasetWriter,
-    options: &RecordOptions,
-    demo: &Demonstration,
-) -> Result<Attempt, SessionError> {
-    keep(writer, options, demo)?;
-    Ok(demo.attempt())
 }
 
 fn tell_end(console: &Console, summary: &RecordSummary, options: &RecordOptions) {

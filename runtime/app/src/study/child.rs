@@ -110,7 +110,7 @@ impl Running {
 }
 
 /// Greatest memory of the process `id` so far, bytes.
-fn peak_memory(id: u32) -> Option<u64> {
+pub(crate) fn peak_memory(id: u32) -> Option<u64> {
     let status = fs::read_to_string(format!("/proc/{id}/status")).ok()?;
     let line = status
         .lines()

@@ -4,8 +4,7 @@ use std::ffi::OsStr;
 use std::path::{Path, PathBuf};
 
 use clap::builder::{
-    NonEmptyStringValueParser, PossibleValue, RangedI64ValueParser, RangedU64ValueParser,
-    StringValueParser, TypedValueParser,
+    PossibleValue, RangedI64ValueParser, RangedU64ValueParser, StringValueParser, TypedValueParser,
 };
 use clap::{Arg, Args, Command, Parser, Subcommand, ValueEnum};
 
@@ -14,13 +13,17 @@ use trocar::session::changes::Change;
 use trocar::session::drives::DEFAULT_TOPICS;
 use trocar::session::tasks;
 
+use crate::about::{CompletionsArgs, ConfigVerb, ManArgs};
 use crate::anatomy::AnatomyVerb;
 use crate::drives::DrivesArgs;
+use crate::environment::EnvironmentArgs;
+use crate::eval::EvalArgs;
 use crate::export::ExportVerb;
 use crate::import::ImportVerb;
 use crate::operator::{OperatorArgs, SpeedArgs};
 use crate::policy::{ExternalArgs, PolicyArgs};
-use crate::scene_args::{SceneArgs, VaryArgs};
+use crate::record::RecordArgs;
+use crate::scene_args::SceneArgs;
 use crate::sheet::SheetArgs;
 use crate::study::{ReportArgs, StudyArgs};
 use crate::train_args::TrainArgs;
@@ -36,7 +39,7 @@ pub(crate) fn threads() -> RangedU64ValueParser<usize> {
 }
 
 /// A number from 0 to 1.
-fn share(text: &str) -> Result<f64, String> {
+pub(crate) fn share(text: &str) -> Result<f64, String> {
     match text.parse() {
         Ok(share) if (0.0..=1.0).contains(&share) => Ok(share),
         _ => Err("expected a number in [0, 1]".to_owned()),
@@ -49,7 +52,7 @@ pub(crate) fn delay() -> RangedU64ValueParser<u64> {
 }
 
 /// A side of an image, pixels.
-fn pixels() -> RangedI64ValueParser<u32> {
+pub(crate) fn pixels() -> RangedI64ValueParser<u32> {
     RangedI64ValueParser::new().range(16..=2048)
 }
 
@@ -67,7 +70,7 @@ fn seconds(text: &str) -> Result<f64, String> {
 }
 
 /// A share that is not 0.
-fn share_above_0(text: &str) -> Result<f64, String> {
+pub(crate) fn share_above_0(text: &str) -> Result<f64, String> {
     let share: Option<f64> = text.parse().ok();
     let share = share.filter(|share| *share > 0.0 && *share <= 1.0);
     share.ok_or_else(|| "a share is a number above 0, up to 1".to_owned())
@@ -253,72 +256,6 @@ impl Verb {
     }
 }
 
-/// What to do with the configuration.
-#[derive(Debug, Subcommand)]
-pub(crate) enum ConfigVerb {
-    /// Print a file as a run would read it: built in or given, with the policy's recommendation and every --set.
-    #[command(
-        after_help = "Example: trocar config show control\n         trocar config show scene --task suture-pad\n         trocar config show can --set can.cycle_us=4000 > can.toml"
-    )]
-    Show(ShowArgs),
-}
-
-/// Options of `config show`.
-#[derive(Args, Debug)]
-pub(crate) struct ShowArgs {
-    /// The file.
-    #[arg(value_enum)]
-    pub(crate) file: ShownFile,
-    /// The task: a built-in one by name, or the path of a folder with scene.toml and safety.toml.
-    #[arg(long, value_parser = TaskParser, default_value = "needle-lift")]
-    pub(crate) task: String,
-    /// The policy, of which a checkpoint may recommend how its chunks are aggregated.
-    #[arg(long, default_value = "expert")]
-    pub(crate) policy: String,
-    /// Controller configuration instead of the built-in one.
-    #[arg(long, value_name = "FILE")]
-    pub(crate) config: Option<PathBuf>,
-    /// Nodes and interfaces instead of the built-in ones.
-    #[arg(long, value_name = "FILE")]
-    pub(crate) can_config: Option<PathBuf>,
-    /// What the control thread asks of the operating system, instead of the built-in file.
-    #[arg(long, value_name = "FILE")]
-    pub(crate) realtime: Option<PathBuf>,
-    /// Override one configuration value. May be given several times.
-    #[arg(long, value_name = "FILE.KEY=VALUE")]
-    pub(crate) set: Vec<Change>,
-}
-
-/// A configuration file.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-pub(crate) enum ShownFile {
-    /// The controller's settings.
-    Control,
-    /// The task's limits.
-    Safety,
-    /// The task's scene.
-    Scene,
-    /// Nodes and buses.
-    Can,
-    /// What the threads of a run in real time ask of the operating system.
-    Realtime,
-}
-
-/// Options of `completions`.
-#[derive(Args, Debug)]
-pub(crate) struct CompletionsArgs {
-    /// The shell.
-    #[arg(value_enum)]
-    pub(crate) shell: clap_complete::Shell,
-}
-
-/// Options of `man`.
-#[derive(Args, Debug)]
-pub(crate) struct ManArgs {
-    /// The folder, which is made.
-    pub(crate) out: PathBuf,
-}
-
 /// A task: the name of a built-in one or the path of a folder. Which of them there are is seen when one is loaded.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct TaskParser;
@@ -465,74 +402,6 @@ pub(crate) enum Precision {
     Bf16,
 }
 
-/// Options of `eval`.
-#[derive(Args, Debug)]
-pub(crate) struct EvalArgs {
-    /// The task: a built-in one by name, or the path of a folder with scene.toml and safety.toml.
-    #[arg(long, value_parser = TaskParser)]
-    pub(crate) task: String,
-    /// `expert`, `noop`, `random`, a checkpoint's directory, or `external`: a process of yours on the topics `external`, or on others with
-    /// `external:NAME`, such as one of the Python package in policy/python. With --jobs N: one a job, on `NAME-1` to `NAME-N`.
-    #[arg(long)]
-    pub(crate) policy: String,
-    /// How an external policy is awaited.
-    #[command(flatten)]
-    pub(crate) external: ExternalArgs,
-    /// How many trials.
-    #[arg(long, default_value_t = 50, value_parser = count())]
-    pub(crate) trials: usize,
-    /// Seed of the first trial; trial i has seed + i, which wraps around past 2^64 - 1.
-    #[arg(long, default_value_t = 1_000_000)]
-    pub(crate) seed: u64,
-    /// Trials at a time.
-    #[arg(long, default_value_t = 1, value_parser = threads())]
-    pub(crate) jobs: usize,
-    /// The scene.
-    #[command(flatten)]
-    pub(crate) scene: SceneArgs,
-    /// What differs from episode to episode.
-    #[command(flatten)]
-    pub(crate) vary: VaryArgs,
-    /// Controller configuration instead of the built-in config/control.toml.
-    #[arg(long, value_name = "FILE")]
-    pub(crate) config: Option<PathBuf>,
-    /// Override one configuration value: FILE.KEY=VALUE, where FILE is control, safety, scene or can. May be given several
-    /// times.
-    #[arg(long, value_name = "FILE.KEY=VALUE")]
-    pub(crate) set: Vec<Change>,
-    /// Write the result as JSON, also when the evaluation is interrupted, to standard output if it is `-`; parent folders are made.
-    #[arg(long, value_name = "FILE")]
-    pub(crate) json: Option<PathBuf>,
-    /// Exit with 1 if the success rate is below this, 0 to 1.
-    #[arg(long, value_name = "RATE", value_parser = share)]
-    pub(crate) min_rate: Option<f64>,
-    /// Exit with 1 if the lower end of Wilson's 95 % interval of the success rate is below this, 0 to 1. With 50 of 50 it is 0.928.
-    #[arg(long, value_name = "RATE", value_parser = share)]
-    pub(crate) min_wilson: Option<f64>,
-    /// Keep log and animation of trials, those that were lost or all, as seed-SEED.mcap and seed-SEED.gif in a new or an empty
-    /// folder.
-    #[arg(long, num_args = 2, value_names = ["failures|all", "DIR"])]
-    pub(crate) keep: Vec<PathBuf>,
-    /// Delay from observation to chunk, ms, up to 10000.
-    #[arg(long, value_name = "MS", value_parser = delay())]
-    pub(crate) latency_ms: Option<u64>,
-    /// Uniform latency jitter, 0 to this, drawn for each chunk from the seed, ms, up to 10000.
-    #[arg(long, value_name = "MS", default_value_t = 0, value_parser = delay())]
-    pub(crate) latency_jitter_ms: u64,
-    /// Where and how the network computes.
-    #[command(flatten)]
-    pub(crate) compute: ComputeArgs,
-}
-
-/// Source of the demonstrations.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-pub(crate) enum Demonstrator {
-    /// The task's scripted expert.
-    Expert,
-    /// A person's hands, in real time over --console.
-    Teleop,
-}
-
 /// How video is compressed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub(crate) enum Video {
@@ -540,74 +409,6 @@ pub(crate) enum Video {
     H264,
     /// AV1, which is smaller; LeRobot's choice.
     Av1,
-}
-
-/// Options of `record`.
-#[derive(Args, Debug)]
-pub(crate) struct RecordArgs {
-    /// The task: a built-in one by name, or the path of a folder with scene.toml and safety.toml.
-    #[arg(long, value_parser = TaskParser)]
-    pub(crate) task: String,
-    /// How many successful episodes there shall be in the dataset.
-    #[arg(long, value_parser = count())]
-    pub(crate) episodes: usize,
-    /// Source of the demonstrations.
-    #[arg(long, value_enum, default_value = "expert")]
-    pub(crate) source: Demonstrator,
-    /// With --source teleop: the page on which a person starts, does, keeps and discards the episodes, at this loopback address; its URL
-    /// with its token is printed.
-    #[arg(long, value_name = "ADDRESS", num_args = 0..=1, default_missing_value = DEFAULT_ADDRESS)]
-    pub(crate) console: Option<Address>,
-    /// The dataset's directory; a new or an empty one, but for --resume.
-    #[arg(long)]
-    pub(crate) out: PathBuf,
-    /// Go on with the recording in the dataset's directory, until it has that many episodes in all. What it was recorded with must be
-    /// given as it was, its seed too; --jobs and --episodes may be others.
-    #[arg(long)]
-    pub(crate) resume: bool,
-    /// Seed of the first attempt; attempt i has seed + i, which wraps around past 2^64 - 1.
-    #[arg(long, default_value_t = 0)]
-    pub(crate) seed: u64,
-    /// Episodes at a time. They are written in order: a recording that is cut off loses no more than these, which are in progress
-    /// or wait for an earlier one.
-    #[arg(long, default_value_t = 1, value_parser = threads())]
-    pub(crate) jobs: usize,
-    /// The scene.
-    #[command(flatten)]
-    pub(crate) scene: SceneArgs,
-    /// What differs from episode to episode.
-    #[command(flatten)]
-    pub(crate) vary: VaryArgs,
-    /// Disturb this share of the demonstrations, above 0, up to 1 (0.5 if no number is given): offset commands, missed
-    /// grasps, slips, or the thing slides away, and the expert recovers. The recorded action is the expert's, not the disturbed
-    /// one. They may take twice the task's time limit.
-    #[arg(long, value_name = "SHARE", num_args = 0..=1, default_missing_value = "0.5", value_parser = share_above_0)]
-    pub(crate) disturb: Option<f64>,
-    /// What the demonstrations do in words, for policies that read it: the dataset's `task`, in the place of the task's name.
-    #[arg(long, value_name = "TEXT", value_parser = NonEmptyStringValueParser::new())]
-    pub(crate) instruction: Option<String>,
-    /// Cameras whose frames are recorded: `single` (the one that the paper gives the task's policies), `multi` (that one and
-    /// the wrists), or names with commas between them. A camera that is not named is not drawn.
-    #[arg(long, value_name = "single|multi|NAMES", default_value = "endoscope")]
-    pub(crate) cameras: String,
-    /// Keep colour as video instead of as PNG: far smaller, but lossy. Needs
-    /// ffmpeg 5.1 or newer, here and where the dataset is read.
-    #[arg(long, value_enum, value_name = "CODEC")]
-    pub(crate) video: Option<Video>,
-    /// Keep depth (rounded to 0.02 mm, up to 1.31 m) and instance ids of these cameras too, which point clouds are made
-    /// from.
-    #[arg(long)]
-    pub(crate) depth: bool,
-    /// Controller configuration instead of the built-in config/control.toml.
-    #[arg(long, value_name = "FILE")]
-    pub(crate) config: Option<PathBuf>,
-    /// Override one configuration value: FILE.KEY=VALUE, where FILE is control, safety, scene or can. May be given several
-    /// times.
-    #[arg(long, value_name = "FILE.KEY=VALUE")]
-    pub(crate) set: Vec<Change>,
-    /// Write what was recorded, attempt by attempt, as JSON, to standard output if it is `-`; parent folders are made.
-    #[arg(long, value_name = "FILE")]
-    pub(crate) json: Option<PathBuf>,
 }
 
 /// Options of the verbs that read a log.
@@ -655,41 +456,6 @@ pub(crate) struct DemoArgs {
     /// Random seed: the same seed gives the same run.
     #[arg(long, default_value_t = 1_000_000)]
     pub(crate) seed: u64,
-}
-
-/// Options of the hidden environment.
-#[derive(Args, Debug)]
-pub(crate) struct EnvironmentArgs {
-    /// The task: a built-in one by name, or the path of a folder with scene.toml and safety.toml.
-    #[arg(long, value_parser = TaskParser)]
-    pub(crate) task: String,
-    /// The name of the topics that the policy is on.
-    #[arg(long)]
-    pub(crate) topics: String,
-    /// How long it may take to appear, to reset and to answer, s, up to 86400.
-    #[arg(long, value_name = "S", default_value_t = 86_400, value_parser = within())]
-    pub(crate) policy_timeout: u64,
-    /// What is to be done, in words, for policies that read it; the task's name if not given.
-    #[arg(long, value_name = "TEXT", value_parser = NonEmptyStringValueParser::new())]
-    pub(crate) instruction: Option<String>,
-    /// Height of all images, pixels, instead of the scene's; the vertical field of view stays.
-    #[arg(long, value_name = "PIXELS", requires = "image_width", value_parser = pixels())]
-    pub(crate) image_height: Option<u32>,
-    /// Width of all images, pixels.
-    #[arg(long, value_name = "PIXELS", requires = "image_height", value_parser = pixels())]
-    pub(crate) image_width: Option<u32>,
-    /// The scene.
-    #[command(flatten)]
-    pub(crate) scene: SceneArgs,
-    /// What differs from episode to episode.
-    #[command(flatten)]
-    pub(crate) vary: VaryArgs,
-    /// Controller configuration instead of the built-in config/control.toml.
-    #[arg(long, value_name = "FILE")]
-    pub(crate) config: Option<PathBuf>,
-    /// Override one configuration value.
-    #[arg(long, value_name = "FILE.KEY=VALUE")]
-    pub(crate) set: Vec<Change>,
 }
 
 /// Options of the hidden policy process.

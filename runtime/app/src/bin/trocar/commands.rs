@@ -11,8 +11,7 @@ use trocar::session::changes::{Change, Changes, ConfigFile};
 use trocar::session::plan;
 use trocar::session::realtime::{self, CanOptions, PolicyProcessOptions, RobotOptions};
 use trocar::session::run::{RunResult, write_json};
-use trocar::session::summary::{CanBusSummary, RealTimeCounts, RunSummary};
-use trocar::session::teleop::{TIME_FACTOR, TeleopSummary};
+use trocar::session::teleop::TIME_FACTOR;
 use trocar::session::{Plan, PolicyChoice, Robot, SessionError, Setup, demo, operator, outputs};
 use trocar_control::MeasuredClearance;
 use trocar_data::dataset::VideoCodec;
@@ -27,6 +26,7 @@ use crate::args::{
 };
 use crate::console;
 use crate::drives::can_source;
+use crate::run_report::{nearest, report_run};
 use crate::scene_args::Inputs;
 
 pub(crate) type Done = Result<bool, SessionError>;
@@ -307,126 +307,6 @@ fn can_options(args: &RunArgs) -> Result<Option<(CanOptions, String)>, SessionEr
             CanOptions::load(&source, &args.topics).map(Some)
         }
     }
-}
-
-fn report_run(summary: &RunSummary) {
-    let verdict = match summary.success {
-        Some(true) => format!("{}: success", summary.task),
-        Some(false) => format!("{}: failure ({})", summary.task, summary.reason),
-        None => summary.reason.clone(),
-    };
-    console::result(&format!("{verdict} after {:.2} s", summary.seconds));
-    console::result(&format!(
-        "  controller tick: p50 {:.1} us, p99 {:.1} us, max {:.1} us over {} ticks",
-        summary.tick_us.p50, summary.tick_us.p99, summary.tick_us.max, summary.ticks
-    ));
-    console::result(&format!(
-        "  safety QP: passed {}, solved {}, failed {}; guard interventions: {}",
-        summary.qp.passed, summary.qp.solved, summary.qp.failed, summary.guard_interventions
-    ));
-    console::result(&format!("  {}", nearest(&summary.measured_clearance)));
-    console::result(&format!(
-        "  policy: {} queries, {} refused chunks, observation to chunk p50 {:.1} ms, p99 {:.1} ms, inference p50 {:.1} ms",
-        summary.policy.queries,
-        summary.policy.refused,
-        summary.policy.latency_ms.p50,
-        summary.policy.latency_ms.p99,
-        summary.policy.inference_ms.p50,
-    ));
-    if let Some(teleop) = &summary.teleop {
-        report_teleop(teleop);
-    }
-    if let Some(real_time) = &summary.real_time {
-        report_real_time(real_time);
-    }
-    for arm in summary.can.iter().flat_map(|can| &can.arms) {
-        let buses: Vec<String> = arm
-            .buses
-            .iter()
-            .map(|bus| {
-                format!(
-                    "{} {}.{} %",
-                    bus.interface,
-                    bus.planned_per_mille / 10,
-                    bus.planned_per_mille % 10
-                )
-            })
-            .collect();
-        console::result(&format!(
-            "  {} on {}: {} answers missed, {} late, {} rejected, {} commands refused",
-            arm.arm,
-            buses.join(", "),
-            arm.answers_missed,
-            arm.answers_late,
-            arm.answers_rejected,
-            arm.commands_refused
-        ));
-        for warning in arm.buses.iter().filter_map(CanBusSummary::warning) {
-            console::warning(&format!("{} on {warning}", arm.arm));
-        }
-        if let Some(warning) = arm.warning() {
-            console::warning(&warning);
-        }
-    }
-    console::result(&format!("  command hash: {}", summary.command_hash));
-}
-
-fn report_teleop(teleop: &TeleopSummary) {
-    let latency = teleop.hand_to_command_ms.map_or_else(
-        || "no hand was followed".to_owned(),
-        |ms| format!("hand to command p50 {:.1} ms, p99 {:.1} ms", ms.p50, ms.p99),
-    );
-    console::result(&format!(
-        "  teleoperation: {} engagements, {} released by force, {latency}",
-        teleop.engagements, teleop.forced_releases
-    ));
-}
-
-fn report_real_time(real_time: &RealTimeCounts) {
-    let (wake, thread) = (&real_time.wake_us, &real_time.thread);
-    console::result(&format!(
-        "  real time: {} skipped periods, wake-up p50 {:.0} us, p99 {:.0} us, max {:.0} us, {} log records dropped",
-        real_time.overruns, wake.p50, wake.p99, wake.max, real_time.log_dropped
-    ));
-    console::result(&format!(
-        "  control thread: {} allocations, {} page faults ({} from disk), {} involuntary context switches; {}",
-        thread.allocations,
-        thread.faults.minor + thread.faults.major,
-        thread.faults.major,
-        thread.faults.involuntary_switches,
-        thread.granted
-    ));
-}
-
-/// What the measured arms came nearest to, and how long they were beyond anything.
-fn nearest(measured: &[MeasuredClearance]) -> String {
-    let least = measured
-        .iter()
-        .min_by(|one, other| one.clearance_m.total_cmp(&other.clearance_m));
-    let Some(least) = least else {
-        return "measured clearance: no arm held torque".to_owned();
-    };
-    let beyond: Vec<String> = measured
-        .iter()
-        .filter(|nearest| nearest.ticks_beyond > 0)
-        .map(|nearest| {
-            let MeasuredClearance {
-                arm,
-                boundary,
-                ticks_beyond,
-                ..
-            } = nearest;
-            format!("; {arm} was beyond {boundary} in {ticks_beyond} ticks")
-        })
-        .collect();
-    format!(
-        "measured clearance: {:.2} mm at least, {} of {} ({}){}",
-        1e3 * least.clearance_m,
-        least.boundary,
-        least.arm,
-        least.part,
-        beyond.concat()
-    )
 }
 
 pub(crate) fn replay(args: &ReplayArgs) -> Done {

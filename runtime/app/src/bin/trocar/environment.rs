@@ -1,14 +1,55 @@
 //! `trocar environment`: a seed a line on standard input, how its episode ended as a line of JSON on standard output.
 
 use std::io::BufRead as _;
+use std::path::PathBuf;
 
+use clap::Args;
+use clap::builder::NonEmptyStringValueParser;
+
+use trocar::session::changes::Change;
 use trocar::session::environment::{EpisodeSummary, run_environment};
 use trocar::session::external::ExternalChoice;
 use trocar::session::{PolicyChoice, SessionError, Setup};
 
-use crate::args::EnvironmentArgs;
+use crate::args::{TaskParser, pixels, within};
 use crate::commands::{Done, task_changes};
 use crate::console;
+use crate::scene_args::{SceneArgs, VaryArgs};
+
+/// Options of the hidden environment.
+#[derive(Args, Debug)]
+pub(crate) struct EnvironmentArgs {
+    /// The task: a built-in one by name, or the path of a folder with scene.toml and safety.toml.
+    #[arg(long, value_parser = TaskParser)]
+    pub(crate) task: String,
+    /// The name of the topics that the policy is on.
+    #[arg(long)]
+    pub(crate) topics: String,
+    /// How long it may take to appear, to reset and to answer, s, up to 86400.
+    #[arg(long, value_name = "S", default_value_t = 86_400, value_parser = within())]
+    pub(crate) policy_timeout: u64,
+    /// What is to be done, in words, for policies that read it; the task's name if not given.
+    #[arg(long, value_name = "TEXT", value_parser = NonEmptyStringValueParser::new())]
+    pub(crate) instruction: Option<String>,
+    /// Height of all images, pixels, instead of the scene's; the vertical field of view stays.
+    #[arg(long, value_name = "PIXELS", requires = "image_width", value_parser = pixels())]
+    pub(crate) image_height: Option<u32>,
+    /// Width of all images, pixels.
+    #[arg(long, value_name = "PIXELS", requires = "image_height", value_parser = pixels())]
+    pub(crate) image_width: Option<u32>,
+    /// The scene.
+    #[command(flatten)]
+    pub(crate) scene: SceneArgs,
+    /// What differs from episode to episode.
+    #[command(flatten)]
+    pub(crate) vary: VaryArgs,
+    /// Controller configuration instead of the built-in config/control.toml.
+    #[arg(long, value_name = "FILE")]
+    pub(crate) config: Option<PathBuf>,
+    /// Override one configuration value.
+    #[arg(long, value_name = "FILE.KEY=VALUE")]
+    pub(crate) set: Vec<Change>,
+}
 
 /// What is said of an episode that the policy abandoned.
 const ABANDONED: &str = "{\"abandoned\":true}\n";

@@ -1,8 +1,12 @@
 //! `trocar eval`: trials in lockstep, their rate as exit code, and progress that a person or a log can follow.
 
+use std::path::PathBuf;
+
+use clap::Args;
 use indicatif::ProgressBar;
 
 use trocar::rt;
+use trocar::session::changes::Change;
 use trocar::session::eval::{self, EvalOptions};
 use trocar::session::keep::{Keep, KeepChoice};
 use trocar::session::run::write_json;
@@ -10,10 +14,70 @@ use trocar::session::score::{Demand, Score};
 use trocar::session::summary::TrialSummary;
 use trocar::session::{Plan, SessionError, Setup};
 
-use crate::args::EvalArgs;
+use crate::args::{ComputeArgs, TaskParser, count, delay, share, threads};
 use crate::commands::{Done, compute, note_awaited, task_changes, warn_of_transfer};
 use crate::console;
-use crate::scene_args::Inputs;
+use crate::policy::ExternalArgs;
+use crate::scene_args::{Inputs, SceneArgs, VaryArgs};
+
+/// Options of `eval`.
+#[derive(Args, Debug)]
+pub(crate) struct EvalArgs {
+    /// The task: a built-in one by name, or the path of a folder with scene.toml and safety.toml.
+    #[arg(long, value_parser = TaskParser)]
+    pub(crate) task: String,
+    /// `expert`, `noop`, `random`, a checkpoint's directory, or `external`: a process of yours on the topics `external`, or on others with
+    /// `external:NAME`, such as one of the Python package in policy/python. With --jobs N: one a job, on `NAME-1` to `NAME-N`.
+    #[arg(long)]
+    pub(crate) policy: String,
+    /// How an external policy is awaited.
+    #[command(flatten)]
+    pub(crate) external: ExternalArgs,
+    /// How many trials.
+    #[arg(long, default_value_t = 50, value_parser = count())]
+    pub(crate) trials: usize,
+    /// Seed of the first trial; trial i has seed + i, which wraps around past 2^64 - 1.
+    #[arg(long, default_value_t = 1_000_000)]
+    pub(crate) seed: u64,
+    /// Trials at a time.
+    #[arg(long, default_value_t = 1, value_parser = threads())]
+    pub(crate) jobs: usize,
+    /// The scene.
+    #[command(flatten)]
+    pub(crate) scene: SceneArgs,
+    /// What differs from episode to episode.
+    #[command(flatten)]
+    pub(crate) vary: VaryArgs,
+    /// Controller configuration instead of the built-in config/control.toml.
+    #[arg(long, value_name = "FILE")]
+    pub(crate) config: Option<PathBuf>,
+    /// Override one configuration value: FILE.KEY=VALUE, where FILE is control, safety, scene or can. May be given several
+    /// times.
+    #[arg(long, value_name = "FILE.KEY=VALUE")]
+    pub(crate) set: Vec<Change>,
+    /// Write the result as JSON, also when the evaluation is interrupted, to standard output if it is `-`; parent folders are made.
+    #[arg(long, value_name = "FILE")]
+    pub(crate) json: Option<PathBuf>,
+    /// Exit with 1 if the success rate is below this, 0 to 1.
+    #[arg(long, value_name = "RATE", value_parser = share)]
+    pub(crate) min_rate: Option<f64>,
+    /// Exit with 1 if the lower end of Wilson's 95 % interval of the success rate is below this, 0 to 1. With 50 of 50 it is 0.928.
+    #[arg(long, value_name = "RATE", value_parser = share)]
+    pub(crate) min_wilson: Option<f64>,
+    /// Keep log and animation of trials, those that were lost or all, as seed-SEED.mcap and seed-SEED.gif in a new or an empty
+    /// folder.
+    #[arg(long, num_args = 2, value_names = ["failures|all", "DIR"])]
+    pub(crate) keep: Vec<PathBuf>,
+    /// Delay from observation to chunk, ms, up to 10000.
+    #[arg(long, value_name = "MS", value_parser = delay())]
+    pub(crate) latency_ms: Option<u64>,
+    /// Uniform latency jitter, 0 to this, drawn for each chunk from the seed, ms, up to 10000.
+    #[arg(long, value_name = "MS", default_value_t = 0, value_parser = delay())]
+    pub(crate) latency_jitter_ms: u64,
+    /// Where and how the network computes.
+    #[command(flatten)]
+    pub(crate) compute: ComputeArgs,
+}
 
 pub(crate) fn eval(args: &EvalArgs) -> Done {
     let keep = keep(args)?;

@@ -16,6 +16,7 @@ mod operator;
 mod policy;
 mod provenance;
 mod record;
+mod run_report;
 mod scene_args;
 mod sheet;
 mod study;

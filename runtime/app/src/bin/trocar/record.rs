@@ -1,16 +1,100 @@
 //! `trocar record`: demonstrations until there are enough, or until a signal.
 
+use std::path::PathBuf;
+
+use clap::builder::NonEmptyStringValueParser;
+use clap::{Args, ValueEnum};
+
+use trocar::console::{Address, DEFAULT_ADDRESS};
 use trocar::rt;
+use trocar::session::changes::Change;
 use trocar::session::record::{self, RecordOptions, RecordSummary};
 use trocar::session::run::write_json;
 use trocar::session::teleop::TIME_FACTOR;
 use trocar::session::{Plan, PolicyChoice, SessionError, Setup};
 use trocar_data::dataset::Totals;
 
-use crate::args::{Demonstrator, RecordArgs};
+use crate::args::{TaskParser, Video, count, share_above_0, threads};
 use crate::commands::{Done, codec, open_console, task_changes};
 use crate::console;
-use crate::scene_args::Inputs;
+use crate::scene_args::{Inputs, SceneArgs, VaryArgs};
+
+/// Source of the demonstrations.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub(crate) enum Demonstrator {
+    /// The task's scripted expert.
+    Expert,
+    /// A person's hands, in real time over --console.
+    Teleop,
+}
+
+/// Options of `record`.
+#[derive(Args, Debug)]
+pub(crate) struct RecordArgs {
+    /// The task: a built-in one by name, or the path of a folder with scene.toml and safety.toml.
+    #[arg(long, value_parser = TaskParser)]
+    pub(crate) task: String,
+    /// How many successful episodes there shall be in the dataset.
+    #[arg(long, value_parser = count())]
+    pub(crate) episodes: usize,
+    /// Source of the demonstrations.
+    #[arg(long, value_enum, default_value = "expert")]
+    pub(crate) source: Demonstrator,
+    /// With --source teleop: the page on which a person starts, does, keeps and discards the episodes, at this loopback address; its URL
+    /// with its token is printed.
+    #[arg(long, value_name = "ADDRESS", num_args = 0..=1, default_missing_value = DEFAULT_ADDRESS)]
+    pub(crate) console: Option<Address>,
+    /// The dataset's directory; a new or an empty one, but for --resume.
+    #[arg(long)]
+    pub(crate) out: PathBuf,
+    /// Go on with the recording in the dataset's directory, until it has that many episodes in all. What it was recorded with must be
+    /// given as it was, its seed too; --jobs and --episodes may be others.
+    #[arg(long)]
+    pub(crate) resume: bool,
+    /// Seed of the first attempt; attempt i has seed + i, which wraps around past 2^64 - 1.
+    #[arg(long, default_value_t = 0)]
+    pub(crate) seed: u64,
+    /// Episodes at a time. They are written in order: a recording that is cut off loses no more than these, which are in progress
+    /// or wait for an earlier one.
+    #[arg(long, default_value_t = 1, value_parser = threads())]
+    pub(crate) jobs: usize,
+    /// The scene.
+    #[command(flatten)]
+    pub(crate) scene: SceneArgs,
+    /// What differs from episode to episode.
+    #[command(flatten)]
+    pub(crate) vary: VaryArgs,
+    /// Disturb this share of the demonstrations, above 0, up to 1 (0.5 if no number is given): offset commands, missed
+    /// grasps, slips, or the thing slides away, and the expert recovers. The recorded action is the expert's, not the disturbed
+    /// one. They may take twice the task's time limit.
+    #[arg(long, value_name = "SHARE", num_args = 0..=1, default_missing_value = "0.5", value_parser = share_above_0)]
+    pub(crate) disturb: Option<f64>,
+    /// What the demonstrations do in words, for policies that read it: the dataset's `task`, in the place of the task's name.
+    #[arg(long, value_name = "TEXT", value_parser = NonEmptyStringValueParser::new())]
+    pub(crate) instruction: Option<String>,
+    /// Cameras whose frames are recorded: `single` (the one that the paper gives the task's policies), `multi` (that one and
+    /// the wrists), or names with commas between them. A camera that is not named is not drawn.
+    #[arg(long, value_name = "single|multi|NAMES", default_value = "endoscope")]
+    pub(crate) cameras: String,
+    /// Keep colour as video instead of as PNG: far smaller, but lossy. Needs
+    /// ffmpeg 5.1 or newer, here and where the dataset is read.
+    #[arg(long, value_enum, value_name = "CODEC")]
+    pub(crate) video: Option<Video>,
+    /// Keep depth (rounded to 0.02 mm, up to 1.31 m) and instance ids of these cameras too, which point clouds are made
+    /// from.
+    #[arg(long)]
+    pub(crate) depth: bool,
+    /// Controller configuration instead of the built-in config/control.toml.
+    #[arg(long, value_name = "FILE")]
+    pub(crate) config: Option<PathBuf>,
+    /// Override one configuration value: FILE.KEY=VALUE, where FILE is control, safety, scene or can. May be given several
+    /// times.
+    #[arg(long, value_name = "FILE.KEY=VALUE")]
+    pub(crate) set: Vec<Change>,
+    /// Write what was recorded, attempt by attempt, as JSON, to standard output if it is `-`; parent folders are made.
+    #[arg(long, value_name = "FILE")]
+    pub(crate) json: Option<PathBuf>,
+}
 
 pub(crate) fn record(args: &RecordArgs) -> Done {
     check_source(args)?;

@@ -166,14 +166,24 @@ impl SimulationThread {
         }
         let states = self.read(now)?;
         self.measured.put(states);
-        if self.signals.done() {
+        let (observes, asks) = (tick.is_multiple_of(STEP_TICKS), self.asks(tick));
+        if self.signals.done() || !(observes || asks) {
             return Ok(());
         }
         let arms = states.map(|state| seen_arm(&state));
-        if tick.is_multiple_of(STEP_TICKS) {
+        if observes {
             self.observe(tick / STEP_TICKS, &arms);
         }
-        self.ask(tick, &arms, inference)
+        if asks {
+            self.ask(tick, &arms, inference)?;
+        }
+        Ok(())
+    }
+
+    /// Whether it is a local policy's turn.
+    fn asks(&self, tick: u64) -> bool {
+        let source = self.local.as_ref().map(|(source, _)| source);
+        source.is_some_and(|source| tick.is_multiple_of(source.query_every_ticks()))
     }
 
     /// What each arm measures.
@@ -214,16 +224,14 @@ impl SimulationThread {
         }
     }
 
-    /// Asks the policy for chunks, if it is a local one whose turn it is.
+    /// Asks the local policy for chunks.
     fn ask(
         &mut self,
         tick: u64,
         arms: &PerArm<SeenArm>,
         inference: &mut Histogram,
     ) -> Result<(), SessionError> {
-        if let Some((source, chunks)) = &mut self.local
-            && tick.is_multiple_of(source.query_every_ticks())
-        {
+        if let Some((source, chunks)) = &mut self.local {
             let scene = self.simulation.scene_state();
             let query = Query {
                 arms: *arms,
