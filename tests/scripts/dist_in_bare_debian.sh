@@ -39,7 +39,7 @@ as_user sh -c 'cd && rm -r trocar-*/'
 
 say 'the packages'
 inside sh -c 'DEBIAN_FRONTEND=noninteractive apt-get install -y -qq --no-install-recommends /home/somebody/*.deb >/dev/null'
-as_user sh -c 'cd && trocar demo --out package && trocar demo --task suture-pad --out pad && trocar eval --task needle-lift --policy needle-lift/act-small --trials 1 --json - >eval.json'
+as_user sh -c 'cd && trocar demo --out package && trocar demo --task suture-pad --out pad && trocar eval --task needle-lift --policy needle-lift/act-compact --trials 1 --json - >eval.json'
 as_user sh -c 'cd && trocar verify package/run.mcap && grep -q "\"successes\": 1" eval.json'
 inside grep -q PyTorch /usr/share/doc/trocar/copyright
 inside test -s /usr/share/doc/trocar-policies/copyright

@@ -23,7 +23,7 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[2]
 TROCAR = Path(os.environ.get("TROCAR", ROOT / "target/debug/trocar"))
 POLICIES = {
-    "needle-lift": "act-small",
+    "needle-lift": "act-compact",
     "needle-handover": "act-compact",
     "tissue-retraction": "act-small",
     "suture-pad": "act-compact",

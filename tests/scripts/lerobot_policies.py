@@ -119,7 +119,7 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("work", type=Path)
     parser.add_argument("--task", default="needle-lift")
-    parser.add_argument("--policy", type=Path, default=ROOT / "config/policies/needle-lift/act-small")
+    parser.add_argument("--policy", type=Path, default=ROOT / "config/policies/needle-lift/act-compact")
     parser.add_argument("--trials", type=int, default=10)
     parser.add_argument("--seed", type=int, default=7)
     options = parser.parse_args()

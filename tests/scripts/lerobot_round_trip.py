@@ -383,7 +383,7 @@ def main():
     compare_chunks(work, ["endoscope", "wrist_a"])
     run_theirs(work)
     must_refuse(work / "ours_group_norm")
-    must_refuse(ROOT / "config/policies/needle-lift/act-small")
+    must_refuse(ROOT / "config/policies/needle-lift/act-compact")
     compare_their_reading(demos, load_file(work / "demos.safetensors"))
     if shutil.which("ffmpeg"):
         compare_their_reading_of_video(work)

@@ -10,7 +10,7 @@ use std::path::Path;
 
 use tests::{Profile, repository, scratch, stderr, trocar};
 
-const COMMITTED: &str = "config/policies/needle-lift/act-small";
+const COMMITTED: &str = "config/policies/needle-lift/act-compact";
 
 /// Runs `trocar` with `arguments`, expects exit code 2, and gives the message.
 fn refused(arguments: &[&str]) -> String {

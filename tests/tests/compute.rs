@@ -9,7 +9,7 @@ use tests::{Profile, stderr, trocar};
 
 /// Runs the committed policy with `arguments`, expects exit code 2, and gives the message.
 fn refused(arguments: &[&str]) -> String {
-    let policy = "config/policies/needle-lift/act-small";
+    let policy = "config/policies/needle-lift/act-compact";
     let output = trocar(Profile::Debug)
         .args(["run", "--task", "needle-lift", "--lockstep"])
         .args(["--policy", policy])
@@ -32,5 +32,5 @@ fn a_core_is_left_to_the_control() {
 fn half_precision_on_a_cpu_is_refused() {
     let message = refused(&["--precision", "bf16"]);
     assert!(message.contains("precision = bf16"), "{message}");
-    assert!(message.contains("act-small"), "{message}");
+    assert!(message.contains("act-compact"), "{message}");
 }

@@ -22,7 +22,7 @@ use trocar_log::RunLog;
 use trocar_log::replay::replay;
 use trocar_log::verify::verify;
 
-const CHECKPOINT: &str = "config/policies/needle-lift/act-small";
+const CHECKPOINT: &str = "config/policies/needle-lift/act-compact";
 
 const MS_NS: u64 = 1_000_000;
 

@@ -13,7 +13,7 @@ use std::process::Output;
 use tests::{Profile, json, repository, scratch, stderr, trocar};
 use trocar_log::RunLog;
 
-const COMMITTED: &str = "config/policies/needle-lift/act-small";
+const COMMITTED: &str = "config/policies/needle-lift/act-compact";
 
 fn run(arguments: &[&str]) -> Output {
     trocar(Profile::Debug).args(arguments).output().unwrap()

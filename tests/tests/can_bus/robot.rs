@@ -59,7 +59,7 @@ fn robot_runs_without_a_simulator() {
 #[ignore = "needs a CAN bus: make test-can"]
 fn missing_camera_is_named_before_any_drive_is_used() {
     let _turn = alone();
-    let policy = repository().join("config/policies/needle-lift/act-small");
+    let policy = repository().join("config/policies/needle-lift/act-compact");
     let safety = repository().join("config/tasks/needle-lift/safety.toml");
     let output = trocar(Profile::Debug)
         .args(["run", "--backend", "can", "--topics", "can_robot_blind"])

@@ -207,7 +207,7 @@ fn excessive_configuration_numbers_are_refused() {
 fn a_state_file_outside_of_the_folder_is_not_opened() {
     let folder = Folder::new("outside");
     let committed =
-        Path::new(env!("CARGO_MANIFEST_DIR")).join("../../config/policies/needle-lift/act-small");
+        Path::new(env!("CARGO_MANIFEST_DIR")).join("../../config/policies/needle-lift/act-compact");
     for entry in fs::read_dir(committed).unwrap() {
         let path = entry.unwrap().path();
         fs::copy(&path, folder.path().join(path.file_name().unwrap())).unwrap();

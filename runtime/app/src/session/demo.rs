@@ -12,7 +12,7 @@ use trocar_log::replay::{ReplayResult, replay};
 use trocar_log::verify::{VerifyResult, verify};
 
 /// The committed policy of the needle lift.
-pub const COMMITTED_POLICY: &str = "config/policies/needle-lift/act-small";
+pub const COMMITTED_POLICY: &str = "config/policies/needle-lift/act-compact";
 
 /// One run of the demonstration, its log read again.
 #[derive(Debug)]

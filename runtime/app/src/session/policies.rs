@@ -30,7 +30,7 @@ fn beside_the_program() -> Option<Vec<PathBuf>> {
     Some([Some(prefix), repository].into_iter().flatten().collect())
 }
 
-/// The committed policy that `name` names, as `needle-lift/act-small` or with `config/policies/` before it, if there is one.
+/// The committed policy that `name` names, as `needle-lift/act-compact` or with `config/policies/` before it, if there is one.
 pub(super) fn named(name: &str) -> Option<PathBuf> {
     let name = Path::new(name);
     let name = name.strip_prefix(FOLDER).unwrap_or(name);

@@ -47,7 +47,7 @@ pub enum PolicyChoice {
 }
 
 impl PolicyChoice {
-    /// Reads `expert`, `noop`, `random`, `teleop`, `external`, `external:NAME`, or else a directory, or the name of a committed policy such as `needle-lift/act-small`.
+    /// Reads `expert`, `noop`, `random`, `teleop`, `external`, `external:NAME`, or else a directory, or the name of a committed policy such as `needle-lift/act-compact`.
     #[must_use]
     pub fn parse(text: &str) -> Self {
         match text {

@@ -163,7 +163,7 @@ fn the_same_seed_gives_the_same_hash_of_both_arms() {
 /// A checkpoint of one arm.
 const COMMITTED: &str = concat!(
     env!("CARGO_MANIFEST_DIR"),
-    "/../../config/policies/needle-lift/act-small"
+    "/../../config/policies/needle-lift/act-compact"
 );
 
 /// A network of another number of arms is refused with both numbers.

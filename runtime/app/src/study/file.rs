@@ -52,6 +52,8 @@ pub struct RunSection {
     pub eval_jobs: usize,
     /// Whose log and pictures evaluations keep: `none`, `failures` or `all`.
     pub keep: Keep,
+    /// Whether a recording's data stays once nothing left to do needs it; what says that it is done always stays.
+    pub keep_recordings: bool,
 }
 
 impl Default for RunSection {
@@ -62,6 +64,7 @@ impl Default for RunSection {
             record_jobs: 4,
             eval_jobs: 2,
             keep: Keep::Failures,
+            keep_recordings: true,
         }
     }
 }

@@ -64,7 +64,7 @@ struct Work {
     running: Running,
     grant: Grant,
     lock: File,
-    _input: Option<File>,
+    input: Option<File>,
     begun: TimeNs,
     before: Attempts,
     command: Vec<String>,

@@ -4,6 +4,7 @@ use std::ffi::OsString;
 use std::fs;
 use std::path::{Path, PathBuf};
 
+use super::address::Address;
 use super::child::Ended;
 use super::commands::{Abilities, Arguments, Begin, CommandLine, Places, command_line};
 use super::file::{ExecutionSection, StudyFile};
@@ -170,6 +171,14 @@ impl Workshop<'_> {
     /// [`StudyError::Io`].
     pub fn forget_product(&self, cell: &Cell) -> Result<(), StudyError> {
         remove(&self.places(cell).product)
+    }
+
+    /// Removes the data of a done recording; what says that it is done stays. The caller holds its lock.
+    ///
+    /// # Errors
+    /// [`StudyError::Io`].
+    pub fn drop_recording(&self, address: &Address) -> Result<(), StudyError> {
+        remove(&self.store.product(Kind::Recording, address))
     }
 
     /// Checks what a verb has made, and writes what makes the cell done.

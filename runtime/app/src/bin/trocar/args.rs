@@ -81,7 +81,7 @@ pub(crate) fn share_above_0(text: &str) -> Result<f64, String> {
 #[command(
     name = "trocar",
     version,
-    after_help = "Examples:\n  trocar run --task needle-lift --policy expert --lockstep\n  trocar eval --task needle-lift --policy config/policies/needle-lift/act-small --trials 50"
+    after_help = "Examples:\n  trocar run --task needle-lift --policy expert --lockstep\n  trocar eval --task needle-lift --policy config/policies/needle-lift/act-compact --trials 50"
 )]
 pub(crate) struct Cli {
     /// What to do.
@@ -104,7 +104,7 @@ pub(crate) enum Verb {
     Eval(EvalArgs),
     /// Run a checkpoint in a process of its own, for sessions with `--policy external:NAME`.
     #[command(
-        after_help = "Example: trocar policy --policy config/policies/needle-lift/act-small --name lab\n         trocar run --task needle-lift --policy external:lab --set control.aggregation.mode=newest\n\nIt answers one session after another, in lockstep or in real time, those that began before it too. A run with --set control.policy.restarts=1 holds its arms when it ends, and goes on once it was started again. Ctrl-C ends it."
+        after_help = "Example: trocar policy --policy config/policies/needle-lift/act-compact --name lab\n         trocar run --task needle-lift --policy external:lab --set control.aggregation.mode=newest\n\nIt answers one session after another, in lockstep or in real time, those that began before it too. A run with --set control.policy.restarts=1 holds its arms when it ends, and goes on once it was started again. Ctrl-C ends it."
     )]
     Policy(PolicyArgs),
     /// Record demonstrations as a LeRobot v3 dataset.

@@ -37,7 +37,7 @@ impl ExternalArgs {
 /// Options of `policy`.
 #[derive(Args, Debug)]
 pub(crate) struct PolicyArgs {
-    /// A checkpoint's directory, or a committed policy's name such as `needle-lift/act-small`.
+    /// A checkpoint's directory, or a committed policy's name such as `needle-lift/act-compact`.
     #[arg(long)]
     pub(crate) policy: String,
     /// The name of its topics, which sessions call it by.

@@ -150,7 +150,7 @@ impl Runner<'_> {
                     running,
                     grant: grant.clone(),
                     lock,
-                    _input: input,
+                    input,
                     begun: self.clock.now(),
                     before,
                     command: told(arguments.as_slice()),

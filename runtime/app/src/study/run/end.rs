@@ -3,10 +3,11 @@
 use hal::TimeNs;
 
 use super::super::StudyError;
+use super::super::address::Address;
 use super::super::child::Ended;
 use super::super::commands::Begin;
 use super::super::estimate::{Class, in_words};
-use super::super::job::Kind;
+use super::super::job::{Job, Kind};
 use super::super::store::Attempts;
 use super::super::work::Took;
 use super::{Runner, Status, Work};
@@ -95,6 +96,30 @@ impl Runner<'_> {
             .put_back(cell.job.kind(), &cell.address)?;
         // Not only closed: a child of the child may still hold it.
         let _unlocked = job.lock.unlock();
+        if let (Job::Training(training), Some(input), true) = (&cell.job, job.input, success) {
+            let _unlocked = input.unlock();
+            self.drop_recording(&training.recording)?;
+        }
+        Ok(())
+    }
+
+    /// Removes the data of a recording if the study asks for that and no cell left to do needs it.
+    fn drop_recording(&mut self, address: &Address) -> Result<(), StudyError> {
+        let Some(&index) = self.places.get(address) else {
+            return Ok(());
+        };
+        let store = self.workshop.store;
+        let kept = self.workshop.file.run.keep_recordings;
+        if kept || store.is_wanted(self.cells[index], &self.cells) {
+            return Ok(());
+        }
+        // Another process may train with it.
+        let Some(lock) = store.lock(Kind::Recording, address)? else {
+            return Ok(());
+        };
+        self.workshop.drop_recording(address)?;
+        let _unlocked = lock.unlock();
+        self.tell(index, "its data is removed: nothing left to do needs it");
         Ok(())
     }
 

@@ -231,3 +231,32 @@ fn retraining_interrupted_at_once_starts_again() {
     assert_eq!(fs::read(&result).unwrap(), earlier);
     whole.ends(0);
 }
+
+/// A study that keeps no recordings removes one's data when its last training is done, is done then, and makes it anew where a
+/// training lost its weights.
+#[test]
+fn recordings_go_when_nothing_needs_them() {
+    let folder = folder("dropped");
+    let mut whole = Whole::new(&folder);
+    whole.file.run.keep_recordings = false;
+    let said = whole.ends(3);
+    assert!(said.contains("its data is removed"), "{said}");
+    let recording = whole.address(Kind::Recording);
+    let data = whole.store.product(Kind::Recording, &recording);
+    assert!(!data.exists());
+    assert_eq!(whole.ends(0), "");
+    let training = whole.address(Kind::Training);
+    fs::remove_dir_all(
+        whole
+            .store
+            .cell(Kind::Evaluation, &whole.address(Kind::Evaluation)),
+    )
+    .unwrap();
+    fs::remove_dir_all(whole.store.product(Kind::Training, &training)).unwrap();
+    whole.ends(3);
+    assert!(!data.exists());
+    whole.file.run.keep_recordings = true;
+    fs::remove_dir_all(whole.store.cell(Kind::Training, &training)).unwrap();
+    whole.ends(2);
+    assert!(data.exists());
+}
