@@ -98,6 +98,8 @@ pub enum Pattern {
     Skin,
     /// A woven drape in soft folds.
     Cloth,
+    /// A thin sheet of tissue: as skin, or, finely shaded, with the vessels that run in it.
+    Membrane,
 }
 
 /// What is behind all things: a floor and, around it, the wall of a cavity. It has no instance id and no depth.

@@ -6,6 +6,7 @@
 use hal::count::count_u32;
 use wgpu::util::DeviceExt;
 
+use super::Shading;
 use super::targets::texture;
 use crate::visual::{Material, Pattern};
 
@@ -24,54 +25,74 @@ const HEIGHT_FORMAT: wgpu::TextureFormat = wgpu::TextureFormat::Rg32Float;
 
 /// All painted patterns of a scene, a layer each.
 pub(super) struct Paints {
-    pub(super) albedo: wgpu::TextureView,
-    pub(super) relief: wgpu::TextureView,
-    painted: Vec<Key>,
+    albedo: wgpu::Texture,
+    relief: wgpu::Texture,
+    painted: Vec<(Key, [f32; 3])>,
+    fine: bool,
 }
 
 /// What makes two surfaces the same layer.
 type Key = (u32, [u32; 3]);
 
 impl Paints {
-    /// Paints what `materials` ask for.
+    /// Paints what `materials` ask for, as `shading` shows it.
     pub(super) fn new<'a>(
         device: &wgpu::Device,
         queue: &wgpu::Queue,
         materials: impl IntoIterator<Item = &'a Material>,
+        shading: Shading,
     ) -> Self {
-        let mut wanted: Vec<(Key, [f32; 3])> = Vec::new();
+        let mut painted: Vec<(Key, [f32; 3])> = Vec::new();
         for material in materials {
             if let Some(key) = key(material)
-                && !wanted.iter().any(|(known, _)| *known == key)
+                && !painted.iter().any(|(known, _)| *known == key)
             {
-                wanted.push((key, material.base_colour));
+                painted.push((key, material.base_colour));
             }
         }
-        let layers = count_u32(wanted.len());
-        let albedo = layered(device, "albedo", ALBEDO_FORMAT, layers);
-        let relief = layered(device, "relief", RELIEF_FORMAT, layers);
-        let painter = Painter::new(device);
+        let layers = count_u32(painted.len());
+        let paints = Self {
+            albedo: layered(device, "albedo", ALBEDO_FORMAT, layers),
+            relief: layered(device, "relief", RELIEF_FORMAT, layers),
+            painted,
+            fine: shading == Shading::Fine,
+        };
+        paints.paint(device, queue);
+        paints
+    }
+
+    /// Paints everything anew if `shading` shows other looks.
+    pub(super) fn set_shading(
+        &mut self,
+        device: &wgpu::Device,
+        queue: &wgpu::Queue,
+        shading: Shading,
+    ) {
+        let fine = shading == Shading::Fine;
+        if self.fine != fine {
+            self.fine = fine;
+            self.paint(device, queue);
+        }
+    }
+
+    fn paint(&self, device: &wgpu::Device, queue: &wgpu::Queue) {
+        let painter = Painter::new(device, self.fine);
         let mut encoder = device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
-        for (layer, ((pattern, _), base_colour)) in (0_u32..).zip(&wanted) {
-            painter.paint(
-                &mut encoder,
-                (*pattern, base_colour),
-                [&albedo, &relief],
-                layer,
-            );
+        for (layer, ((pattern, _), base_colour)) in (0_u32..).zip(&self.painted) {
+            let images = [&self.albedo, &self.relief];
+            painter.paint(&mut encoder, (*pattern, base_colour), images, layer);
         }
         queue.submit([encoder.finish()]);
-        let whole = |texture: &wgpu::Texture| {
+    }
+
+    /// Colours and hollows, and slopes, of all layers.
+    pub(super) fn views(&self) -> [wgpu::TextureView; 2] {
+        [&self.albedo, &self.relief].map(|texture| {
             texture.create_view(&wgpu::TextureViewDescriptor {
                 dimension: Some(wgpu::TextureViewDimension::D2Array),
                 ..Default::default()
             })
-        };
-        Self {
-            albedo: whole(&albedo),
-            relief: whole(&relief),
-            painted: wanted.into_iter().map(|(key, _)| key).collect(),
-        }
+        })
     }
 
     /// The layer in which `material` was painted; 0 if it has no pattern.
@@ -83,7 +104,7 @@ impl Paints {
         let Some(wanted) = key(material) else {
             return 0.0;
         };
-        let found = self.painted.iter().position(|known| *known == wanted);
+        let found = self.painted.iter().position(|(known, _)| *known == wanted);
         assert!(found.is_some(), "a material of the scene was not painted");
         found.map_or(0.0, |layer| layer as f32)
     }
@@ -98,6 +119,7 @@ fn key(material: &Material) -> Option<Key> {
         Pattern::Fat => 3,
         Pattern::Skin => 4,
         Pattern::Cloth => 5,
+        Pattern::Membrane => 6,
     };
     Some((pattern, material.base_colour.map(f32::to_bits)))
 }
@@ -135,11 +157,16 @@ struct Painter<'a> {
 }
 
 impl<'a> Painter<'a> {
-    fn new(device: &'a wgpu::Device) -> Self {
+    fn new(device: &'a wgpu::Device, fine: bool) -> Self {
         let module = device.create_shader_module(wgpu::ShaderModuleDescriptor {
             label: Some("bake"),
             source: wgpu::ShaderSource::Wgsl(
-                concat!(include_str!("noise.wgsl"), include_str!("bake.wgsl")).into(),
+                concat!(
+                    include_str!("noise.wgsl"),
+                    include_str!("bake.wgsl"),
+                    include_str!("bake_fine.wgsl")
+                )
+                .into(),
             ),
         });
         let paint_layout = layout(
@@ -165,7 +192,7 @@ impl<'a> Painter<'a> {
         };
         Self {
             device,
-            look: pipeline("look", HEIGHT_FORMAT),
+            look: pipeline(if fine { "look_fine" } else { "look" }, HEIGHT_FORMAT),
             slope: pipeline("slope", RELIEF_FORMAT),
             halve: pipeline("halve", RELIEF_FORMAT),
             paint_layout,

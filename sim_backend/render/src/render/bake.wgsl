@@ -177,7 +177,7 @@ fn look(@builtin(position) at: vec4f) -> Painted {
         case 1u: { found = muscle(p); }
         case 2u: { found = liver(p); }
         case 3u: { found = fat(p); }
-        case 4u: { found = skin(p); }
+        case 4u, 6u: { found = skin(p); }
         default: { found = cloth(p); }
     }
     return Painted(vec4f(clamp(found.colour, vec3f(0.0), vec3f(1.0)), found.open), vec4f(found.height, 0.0, 0.0));

@@ -97,7 +97,12 @@ fn shade(s: Surface, position: vec3f) -> vec3f {
     let albedo = s.base_colour * (1.0 - s.metallic);
     // Red light travels further under the surface and comes out beyond the terminator, and into shadows.
     let wrap = s.flesh * vec3f(0.34, 0.09, 0.06);
-    let diffuse = albedo * max((vec3f(n_l) + wrap) / ((vec3f(1.0) + wrap) * (vec3f(1.0) + wrap)), vec3f(0.0));
+    var n_l_of = vec3f(n_l);
+    if FINE {
+        // Relief that is smaller than the way of the light under the surface does not shade it: red least of all.
+        n_l_of = mix(n_l_of, vec3f(dot(s.mesh_normal, l)), s.flesh * vec3f(0.75, 0.40, 0.25));
+    }
+    let diffuse = albedo * max((n_l_of + wrap) / ((vec3f(1.0) + wrap) * (vec3f(1.0) + wrap)), vec3f(0.0));
     let facing = 0.5 + 0.5 * dot(s.normal, frame.up);
     let sky = mix(frame.bounce + 0.25, vec3f(1.0, 0.93, 0.90), facing) * s.open;
     if !FULL {
@@ -118,8 +123,13 @@ fn shade(s: Surface, position: vec3f) -> vec3f {
     let film_n_v = max(dot(s.film_normal, v), 1e-3);
     let film_n_l = max(dot(s.film_normal, l), 0.0);
     let film_f0 = vec3f(0.05);
-    let film = s.wetness * fresnel(v_h, film_f0)
-        * glint(film_n_l, film_n_v, max(dot(s.film_normal, h), 0.0), 0.21);
+    let film_n_h = max(dot(s.film_normal, h), 0.0);
+    var film_shine = glint(film_n_l, film_n_v, film_n_h, 0.21);
+    if FINE {
+        // Where it is thin it is rough as what it lies on.
+        film_shine = 0.70 * glint(film_n_l, film_n_v, film_n_h, 0.15) + 0.30 * glint(film_n_l, film_n_v, film_n_h, 0.42);
+    }
+    let film = s.wetness * fresnel(v_h, film_f0) * film_shine;
     let through = 1.0 - s.wetness * fresnel(film_n_v, film_f0).x;
 
     let lit = mix(vec3f(beam.lit), vec3f(sqrt(beam.lit), beam.lit, beam.lit), s.flesh);

@@ -59,11 +59,12 @@ pub(super) fn group(
         ..Default::default()
     });
     let view = wgpu::BindingResource::TextureView;
+    let [albedo, relief] = paints.views();
     let resources = [
         view(shadow_map),
         wgpu::BindingResource::Sampler(&comparing),
-        view(&paints.albedo),
-        view(&paints.relief),
+        view(&albedo),
+        view(&relief),
         wgpu::BindingResource::Sampler(&filtering),
     ];
     let entries: Vec<_> = (0_u32..)

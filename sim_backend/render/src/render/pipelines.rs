@@ -154,9 +154,12 @@ impl Colours {
         match pattern {
             Pattern::Smooth => &self.smooth,
             Pattern::Brushed => &self.brushed,
-            Pattern::Muscle | Pattern::Liver | Pattern::Fat | Pattern::Skin | Pattern::Cloth => {
-                &self.patterned
-            }
+            Pattern::Muscle
+            | Pattern::Liver
+            | Pattern::Fat
+            | Pattern::Skin
+            | Pattern::Cloth
+            | Pattern::Membrane => &self.patterned,
         }
     }
 }
@@ -263,7 +266,8 @@ fn colour_pipeline(
     let full = shading != Shading::Plain;
     let samples = colour_samples(shading);
     let constants = [
-        ("FULL", if full { 1.0 } else { 0.0 }),
+        ("FULL", f64::from(u8::from(full))),
+        ("FINE", f64::from(u8::from(shading == Shading::Fine))),
         ("PATTERN_SIZE_M", f64::from(PATTERN_SIZE_M)),
     ];
     let behind = vertex == BACKDROP;

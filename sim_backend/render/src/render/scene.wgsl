@@ -3,6 +3,8 @@
 
 // Shadows, surroundings and relief, or none of them.
 override FULL: bool = true;
+// Light that seeps under the surface of tissue and breaks in the film on it.
+override FINE: bool = false;
 // Side of the image that a pattern is painted in, m.
 override PATTERN_SIZE_M: f32 = 0.18;
 

@@ -161,7 +161,9 @@ pub(crate) enum Verb {
     )]
     Demo(DemoArgs),
     /// Draw what every camera of every task sees in the middle of an expert's episode, in colour, depth and ids, as one PNG.
-    #[command(after_help = "Example: trocar sheet --out runs/tasks.png --seed 7 --width 192")]
+    #[command(
+        after_help = "Example: trocar sheet --out runs/tasks.png --seed 7 --width 192 --shading fine"
+    )]
     Sheet(SheetArgs),
     /// Make a patient of meshes of a CT's labels, or a procedural CT with its labels.
     #[command(

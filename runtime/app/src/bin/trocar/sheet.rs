@@ -2,10 +2,11 @@
 
 use std::path::PathBuf;
 
-use clap::Args;
+use clap::{Args, ValueEnum};
 
 use trocar::session::sheet::{self, SheetOptions};
 use trocar::session::{SessionError, tasks};
+use trocar_render::Shading;
 
 use crate::args::TaskParser;
 use crate::commands::Done;
@@ -42,6 +43,30 @@ pub(crate) struct SheetArgs {
     /// The moment, as a share of the time that the expert takes, 0 to 1.
     #[arg(long, value_name = "SHARE", default_value_t = 0.65, value_parser = share)]
     pub(crate) at: f64,
+    /// How much work goes into colours; as the scene says if not given. Policies see what the scene says.
+    #[arg(long, value_enum)]
+    pub(crate) shading: Option<ShadingChoice>,
+}
+
+/// Kinds of shading.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub(crate) enum ShadingChoice {
+    /// Shadows, mirroring and relief.
+    Full,
+    /// Tissue for people to look at, edges smoothed.
+    Fine,
+    /// Painted colours alone.
+    Plain,
+}
+
+impl From<ShadingChoice> for Shading {
+    fn from(choice: ShadingChoice) -> Self {
+        match choice {
+            ShadingChoice::Full => Self::Full,
+            ShadingChoice::Fine => Self::Fine,
+            ShadingChoice::Plain => Self::Plain,
+        }
+    }
 }
 
 pub(crate) fn sheet(args: &SheetArgs) -> Done {
@@ -63,6 +88,7 @@ pub(crate) fn sheet(args: &SheetArgs) -> Done {
         seed: args.seed,
         width: args.width,
         at: args.at,
+        shading: args.shading.map(Shading::from),
     };
     let bar = console::progress(options.tasks.len() as u64, "tasks");
     sheet::write(&options, &mut |_| bar.inc(1))?;

@@ -11,6 +11,7 @@ use std::path::PathBuf;
 use image::codecs::png::{CompressionType, FilterType, PngEncoder};
 use image::{ExtendedColorType, ImageEncoder, RgbImage};
 use tch::Device;
+use trocar_render::Shading;
 use trocar_tasks::simulation::{Rendering, Simulation};
 
 use super::episode::{Episode, Nobody, Timing};
@@ -35,6 +36,8 @@ pub struct SheetOptions {
     pub width: u32,
     /// The moment, as a share of the time that the expert takes, 0 to 1.
     pub at: f64,
+    /// The shading; each scene's own if not given.
+    pub shading: Option<Shading>,
 }
 
 /// Draws the sheet and writes it; `on_task` hears of each task when it is done.
@@ -80,6 +83,7 @@ fn setups(options: &SheetOptions) -> Result<Vec<Setup>, SessionError> {
         let mut scene = options.scene.clone();
         scene.needle = scene.needle.filter(|_| has_choice(setup) || !any_choice);
         *setup = setup.clone().with_scene(&scene)?;
+        setup.task.shading = options.shading.unwrap_or(setup.task.shading);
     }
     Ok(setups)
 }
@@ -162,6 +166,7 @@ mod tests {
             seed: 0,
             width: 24,
             at: 0.5,
+            shading: None,
         };
         let needle = |setup: &Setup| setup.task.needle().map(str::to_owned);
         match setups(&options) {

@@ -38,7 +38,7 @@ const SKIN: Material = Material {
     roughness: 0.5,
     wetness: 0.35,
     detail: 0.35,
-    pattern: Pattern::Skin,
+    pattern: Pattern::Membrane,
 };
 /// Ink.
 const RED: Material = Material {
