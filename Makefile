@@ -1,5 +1,5 @@
 # Two commands do everything on a fresh machine: `make demo` and `make test`.
-.PHONY: demo dist test-dist test check test-adversary test-golden test-can test-python test-study test-console test-anatomy test-slurm adversary fuzz-can build setup setup-can setup-browser setup-python bench clean
+.PHONY: demo dist test-dist test check test-units test-adversary test-golden test-can test-python test-study test-console test-anatomy test-slurm adversary fuzz-can build setup setup-can setup-browser setup-python bench clean
 
 TROCAR := $(or $(CARGO_TARGET_DIR),target)/release/trocar
 DEBUG_TROCAR := $(or $(CARGO_TARGET_DIR),target)/debug/trocar
@@ -16,14 +16,20 @@ export XDG_RUNTIME_DIR ?= /tmp
 demo: build
 	$(TROCAR) demo --out runs/demo
 
-# Everything that can fail for a reason in this tree; the release binary is part of it, since debug and release must agree.
+# Everything that can fail for a reason in this tree; the release binary is part of it, since debug and release must agree. Drives on a bus
+# keep one core, so unit tests have the other one meanwhile; whatever runs in real time comes afterwards, alone.
 test: build
 	cargo build --locked -p trocar
-	cargo test --locked --workspace
-	$(MAKE) test-can
+	cargo test --locked --workspace --tests --no-run
+	$(MAKE) -j2 --output-sync=target test-can test-units
+	cargo test --locked --workspace --test '*'
+	cargo test --locked --workspace --doc
 	$(MAKE) test-python
 	$(MAKE) test-study
 	$(MAKE) test-console
+
+test-units: setup
+	cargo test --locked --workspace --lib
 
 # Format, lints and unit tests of the crates that differ from HEAD: for the time while you work.
 check: setup
@@ -36,7 +42,7 @@ test-adversary: setup
 # What needs a CAN bus, where there is one: in user-mode Linux if this machine's kernel has none. Without either, this fails.
 test-can: setup setup-can
 	cargo build --locked -p trocar
-	cargo test --locked --workspace --test can_bus --config 'target."cfg(all())".runner=["$(CURDIR)/.ci/with-vcan","--time-limit","1500"]' -- --ignored
+	cargo test --locked --workspace --test can_bus --config 'target."cfg(all())".runner=["$(CURDIR)/.ci/on-vcan"]' -- --ignored
 
 # The Python package: types, and its policies and environments against the debug binary, in a virtual environment in target/python.
 test-python: setup setup-python

@@ -8,15 +8,15 @@ venv=target/anatomy
 packages=(nibabel==5.4.2 SimpleITK==2.5.7 trimesh==5.2.0 usd-core==26.11 numpy==2.4.6 scipy==1.17.1)
 validator=gltf-validator@2.0.0-dev.3.10
 
-say() { printf 'setup-anatomy: %s\n' "$*" >&2; }
-die() { say "error: $*"; exit 1; }
+name=setup-anatomy
+. .ci/packages.sh
 
 mkdir -p target
 exec 9>target/anatomy-lock
 flock -n 9 || { say 'waiting for another set-up to finish'; flock 9; }
 made_of="${packages[*]} $validator $(python3 -c 'import sys; print(sys.base_prefix, sys.version.split()[0])') $(command -v npm || true) $PWD"
 [ "$(cat "$venv/complete" 2>/dev/null)" != "$made_of" ] || exit 0
-python3 -c 'import ensurepip, venv' 2>/dev/null || die 'python3 here has no venv module: install python3-venv, and run this again'
+has_venv || die 'python3 here has no venv module: install python3-venv, and run this again'
 say "installing ${packages[*]}"
 rm -rf "$venv"
 python3 -m venv "$venv" >&2

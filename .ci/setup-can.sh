@@ -10,33 +10,16 @@ cache="${XDG_CACHE_HOME:-$HOME/.cache}/trocar"
 venv="$cache/can-peers"
 shim="$cache/uml-preload.so"
 
-say() { printf 'setup-can: %s\n' "$*" >&2; }
-die() { say "error: $*"; exit 1; }
+name=setup-can
+. .ci/packages.sh
 
-has_venv() { python3 -c 'import ensurepip, venv' 2>/dev/null; }
-
-# Only what is missing is installed, so that a machine which has everything needs neither root nor a network.
 install_packages() {
     command -v dpkg-query >/dev/null || { say 'no Debian package manager: assuming that can-utils, tshark, iproute2, util-linux and a C compiler are here'; return; }
-    local wanted=(can-utils tshark iproute2 util-linux python3 gcc libc6-dev) missing=() package
+    local wanted=(can-utils tshark iproute2 util-linux python3 gcc libc6-dev)
     # Where the kernel itself has vcan no second kernel is needed.
     .ci/with-vcan --probe >/dev/null 2>&1 || wanted+=(user-mode-linux kmod)
     has_venv || wanted+=(python3-venv)
-    for package in "${wanted[@]}"; do
-        [ "$(dpkg-query -W -f='${db:Status-Status}' "$package" 2>/dev/null)" = installed ] || missing+=("$package")
-    done
-    [ ${#missing[@]} -gt 0 ] || return 0
-    local root=()
-    if [ "$(id -u)" != 0 ]; then
-        command -v sudo >/dev/null || die "these Debian packages are missing and there is no sudo: ${missing[*]}"
-        root=(sudo)
-    fi
-    say "installing Debian packages: ${missing[*]}"
-    # A cut-off earlier installation leaves dpkg half configured; this finishes it.
-    "${root[@]}" dpkg --configure -a >/dev/null 2>&1 || true
-    "${root[@]}" apt-get update -qq || say 'the package lists could not be refreshed; trying with the old ones'
-    "${root[@]}" env DEBIAN_FRONTEND=noninteractive apt-get install -y -qq --no-install-recommends "${missing[@]}" >/dev/null ||
-        die "apt-get could not install: ${missing[*]} (is the package mirror reachable?)"
+    install_debian "${wanted[@]}"
 }
 
 # A virtual environment knows its own path, so it is built in place; the file `complete`, which names the versions, makes it count.

@@ -7,25 +7,13 @@ cd "$(dirname "$0")/.."
 venv=target/python
 package=policy/python
 
-say() { printf 'setup-python: %s\n' "$*" >&2; }
-die() { say "error: $*"; exit 1; }
-
-has_venv() { python3 -c 'import ensurepip, venv' 2>/dev/null; }
+name=setup-python
+. .ci/packages.sh
 
 install_packages() {
     has_venv && return
     command -v dpkg-query >/dev/null || die 'python3 here has no venv module: install it, and run this again'
-    local root=()
-    if [ "$(id -u)" != 0 ]; then
-        command -v sudo >/dev/null || die 'the Debian package python3-venv is missing and there is no sudo'
-        root=(sudo)
-    fi
-    say 'installing Debian packages: python3-venv'
-    # A cut-off earlier installation leaves dpkg half configured; this finishes it.
-    "${root[@]}" dpkg --configure -a >/dev/null 2>&1 || true
-    "${root[@]}" apt-get update -qq || say 'the package lists could not be refreshed; trying with the old ones'
-    "${root[@]}" env DEBIAN_FRONTEND=noninteractive apt-get install -y -qq --no-install-recommends python3-venv >/dev/null ||
-        die 'apt-get could not install python3-venv (is the package mirror reachable?)'
+    install_debian python3-venv
 }
 
 # A virtual environment knows its own path, so it is built in place; the file `complete`, which says what it was made of, makes it count.

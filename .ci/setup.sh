@@ -8,29 +8,14 @@ torch_version=2.11.0
 cache="${XDG_CACHE_HOME:-$HOME/.cache}/trocar"
 libtorch="$cache/libtorch-$torch_version"
 
-say() { printf 'setup: %s\n' "$*" >&2; }
-die() { say "error: $*"; exit 1; }
+name=setup
+. .ci/packages.sh
 
-# Only what is missing is installed, so that a machine which has everything needs neither root nor a network.
 install_packages() {
     command -v dpkg-query >/dev/null || { say 'no Debian package manager: assuming that a C++ compiler, python3 with pip, a Vulkan driver and ffmpeg are here'; return; }
-    local wanted=(g++ make ca-certificates python3 libvulkan1 mesa-vulkan-drivers ffmpeg) missing=() package
+    local wanted=(g++ make ca-certificates python3 libvulkan1 mesa-vulkan-drivers ffmpeg)
     [ -n "${LIBTORCH:-}" ] || [ -e "$libtorch/complete" ] || python3 -m pip --version >/dev/null 2>&1 || wanted+=(python3-pip)
-    for package in "${wanted[@]}"; do
-        [ "$(dpkg-query -W -f='${db:Status-Status}' "$package" 2>/dev/null)" = installed ] || missing+=("$package")
-    done
-    [ ${#missing[@]} -gt 0 ] || return 0
-    local root=()
-    if [ "$(id -u)" != 0 ]; then
-        command -v sudo >/dev/null || die "these Debian packages are missing and there is no sudo: ${missing[*]}"
-        root=(sudo)
-    fi
-    say "installing Debian packages: ${missing[*]}"
-    # A cut-off earlier installation leaves dpkg half configured; this finishes it.
-    "${root[@]}" dpkg --configure -a >/dev/null 2>&1 || true
-    "${root[@]}" apt-get update -qq || say 'the package lists could not be refreshed; trying with the old ones'
-    "${root[@]}" env DEBIAN_FRONTEND=noninteractive apt-get install -y -qq --no-install-recommends "${missing[@]}" >/dev/null ||
-        die "apt-get could not install: ${missing[*]} (is the package mirror reachable?)"
+    install_debian "${wanted[@]}"
 }
 
 check_rust() {

@@ -226,7 +226,7 @@ fn expert_lifts_the_needle_and_the_log_verifies() {
 
 /// A run that insists on a core that is not there ends before it begins, and one that does not says what it went without.
 #[test]
-fn strict_run_ends_where_the_system_refuses_and_lenient_one_goes_on() {
+fn only_a_strict_run_ends_where_the_system_refuses() {
     let _turn = alone();
     let run = |more: &[&str]| {
         let result = scratch("realtime-strict").join("run.json");

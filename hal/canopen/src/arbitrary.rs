@@ -1,4 +1,4 @@
-//! Arbitrary frames for tests, from seeded numbers. With the feature `arbitrary` only.
+//! Arbitrary frames, from seeded numbers: for tests of this crate and of others.
 
 use hal::random::SplitMix64;
 

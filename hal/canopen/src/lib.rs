@@ -1,6 +1,5 @@
 #![doc = include_str!("../README.md")]
 
-#[cfg(any(test, feature = "arbitrary"))]
 pub mod arbitrary;
 pub mod bus_load;
 pub mod bytes;

@@ -188,12 +188,12 @@ mod tests {
         station.bus_mut().coming.push(request);
         station.turn_until(TimeNs(2_000_000), 1_000_000, &mut |_, _| {});
         let network = station.network_mut();
-        assert!(network.hears() && network.silent_at().is_none());
+        assert!(network.has_pending_frames() && network.silent_at().is_none());
         // The request takes 123 us or so; then the answer has its place on the wire.
         network.advance(TimeNs(2_140_000));
         let network = station.network_mut();
         let silent_at = network.silent_at().unwrap();
-        assert!(!network.hears() && silent_at > network.now());
+        assert!(!network.has_pending_frames() && silent_at > network.now());
         station.turn_until(silent_at, 1_000_000, &mut |_, _| {});
         let answer = station.bus_mut().said.last().copied().unwrap();
         assert_eq!(answer.data()[4..], [77, 0, 0, 0]);

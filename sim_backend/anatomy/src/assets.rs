@@ -4,6 +4,7 @@
 //! rotation at the root, and its meshes keep the scan's coordinates.
 
 mod glb;
+mod gltf;
 mod usda;
 
 #[cfg(test)]
@@ -14,6 +15,7 @@ use crate::mesh::GroupMesh;
 use crate::number::single;
 
 pub use glb::glb;
+pub use gltf::Numbers;
 pub use usda::usda;
 
 /// A group's mesh and what it is made of.

@@ -4,29 +4,14 @@
 
 use core::fmt;
 
+use super::codes::codes;
+
 /// An abort code. Codes that the table lacks are allowed: devices have some of their own.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct AbortCode(pub u32);
 
-/// Codes with their texts.
-macro_rules! codes {
-    ($($(#[$doc:meta])* $name:ident = $code:literal, $text:literal;)*) => {
-        impl AbortCode {
-            $($(#[$doc])* pub const $name: Self = Self($code);)*
-
-            /// What the code says, none if the table lacks it.
-            #[must_use]
-            pub const fn text(self) -> Option<&'static str> {
-                match self.0 {
-                    $($code => Some($text),)*
-                    _ => None,
-                }
-            }
-        }
-    };
-}
-
 codes! {
+    AbortCode;
     /// Two segments in a row with the same toggle bit.
     TOGGLE = 0x0503_0000, "toggle bit not alternated";
     /// The other side said nothing for too long.

@@ -6,6 +6,7 @@
 use core::fmt;
 
 use super::Cob;
+use super::codes::codes;
 use crate::frame::exactly;
 use crate::{Frame, NodeId, Payload, WireError};
 
@@ -135,25 +136,8 @@ impl fmt::Display for ErrorCode {
     }
 }
 
-/// Codes with their texts.
-macro_rules! codes {
-    ($($(#[$doc:meta])* $name:ident = $code:literal, $text:literal;)*) => {
-        impl ErrorCode {
-            $($(#[$doc])* pub const $name: Self = Self($code);)*
-
-            /// What the code says, none if it is not one of ours.
-            #[must_use]
-            pub const fn text(self) -> Option<&'static str> {
-                match self.0 {
-                    $($code => Some($text),)*
-                    _ => None,
-                }
-            }
-        }
-    };
-}
-
 codes! {
+    ErrorCode;
     /// The error is gone.
     RESET = 0x0000, "no error";
     /// Something.

@@ -6,6 +6,7 @@
 
 pub mod abort;
 pub mod cob;
+mod codes;
 pub mod emcy;
 pub mod nmt;
 pub mod pdo;

@@ -61,7 +61,7 @@ pub struct AxisHealth {
 pub(super) struct Axis {
     pub(super) newest: Option<Answer>,
     pub(super) health: AxisHealth,
-    pub(super) heard: Option<TimeNs>,
+    pub(super) last_heartbeat: Option<TimeNs>,
     /// The NMT state that its newest heartbeat reported.
     pub(super) nmt_state: Option<NmtState>,
     /// When the drive measured it: the SYNC that it answers.
@@ -105,7 +105,7 @@ impl Axis {
         Self {
             newest: None,
             health: AxisHealth::default(),
-            heard: None,
+            last_heartbeat: None,
             nmt_state: None,
             sampled: TimeNs(0),
             trusted: TimeNs(0),

@@ -120,10 +120,10 @@ impl<B: Bus> Offline<B> {
         let before = self.bus.catch_up();
         self.bus.judge(before)?;
         for line in 0..plan.lines {
-            let heard = expect(&mut self.bus, line, LISTEN_NS, |frame| {
+            let answer = expect(&mut self.bus, line, LISTEN_NS, |frame| {
                 leads(&plan, line, frame).then_some(())
             });
-            self.bus.judge(heard)?;
+            self.bus.judge(answer)?;
         }
         // A node that boots up by itself before has not answered to our reset.
         self.bus.drain()?;

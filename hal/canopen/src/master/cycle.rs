@@ -99,7 +99,7 @@ impl Cycle {
     pub fn new(plan: &ArmPlan, now: TimeNs) -> Self {
         let mut axes = [Axis::new(); TAIL_AXES];
         for axis in &mut axes {
-            axis.heard = Some(now);
+            axis.last_heartbeat = Some(now);
         }
         Self {
             plan: *plan,
@@ -181,11 +181,11 @@ impl Cycle {
     /// Whether every drive has said that it is down, and none is silent: a silent one may have torque.
     #[must_use]
     pub fn is_confirmed_down(&self) -> bool {
-        let heard = self
+        let all_answer = self
             .axes
             .iter()
             .all(|axis| axis.newest.is_some() && axis.silent() < SILENT_AFTER);
-        heard && self.is_down()
+        all_answer && self.is_down()
     }
 
     /// The newest SYNC.

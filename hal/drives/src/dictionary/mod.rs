@@ -148,6 +148,18 @@ impl Dictionary {
         }
     }
 
+    /// The same as a `T`, which holds whatever the object's type in the table can.
+    ///
+    /// # Panics
+    /// If it does not: then the table gives the object another type.
+    #[must_use]
+    #[expect(clippy::expect_used, reason = "the table bounds what an object holds")]
+    pub fn get_as<T: TryFrom<i64>>(&self, address: Address) -> T {
+        T::try_from(self.get(address))
+            .ok()
+            .expect("the object's type is the table's")
+    }
+
     /// Sets the number at `address`, as near as its type can hold it. For the node itself.
     pub fn set(&mut self, address: Address, number: i64) {
         if let Ok(place) = self.position(address) {

@@ -69,7 +69,7 @@ impl<M: Motor> Network<M> {
 
     /// Whether frames of the first master wait for their bus.
     #[must_use]
-    pub fn hears(&self) -> bool {
+    pub fn has_pending_frames(&self) -> bool {
         let mut lines = (0..).zip(&self.lines);
         lines.any(|(line, _)| self.waiting(0, line) > 0)
     }

@@ -89,10 +89,8 @@ impl Alarms {
         node: NodeId,
         out: &mut Outbox,
     ) {
-        let inhibit_100_us = u64::try_from(dictionary.get(index::EMERGENCY_INHIBIT)).unwrap_or(0);
-        let cob = u32::try_from(dictionary.get(index::EMERGENCY_COB))
-            .ok()
-            .and_then(|raw| PdoCob::parse(raw).ok());
+        let inhibit_100_us: u64 = dictionary.get_as(index::EMERGENCY_INHIBIT);
+        let cob = PdoCob::parse(dictionary.get_as(index::EMERGENCY_COB)).ok();
         while let Some(emergency) = self.waiting[0] {
             let early = self
                 .last_sent

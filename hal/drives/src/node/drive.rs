@@ -102,8 +102,8 @@ impl Default for Drive {
 
 /// The interpolation period, 60C2h, as near as the drive can do it, ns.
 pub(super) fn interpolation_ns(dictionary: &Dictionary) -> u64 {
-    let value = u8::try_from(dictionary.get(index::PERIOD_VALUE)).unwrap_or(1);
-    let exponent = i8::try_from(dictionary.get(index::PERIOD_EXPONENT)).unwrap_or(-3);
+    let value = dictionary.get_as(index::PERIOD_VALUE);
+    let exponent = dictionary.get_as(index::PERIOD_EXPONENT);
     period_ns(value, exponent)
         .unwrap_or(PERIOD_NS.1)
         .clamp(PERIOD_NS.0, PERIOD_NS.1)

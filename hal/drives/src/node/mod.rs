@@ -250,7 +250,7 @@ impl Node {
     }
 
     fn sync_id(&self) -> Option<CanId> {
-        let raw = u32::try_from(self.dictionary.get(index::SYNC_COB)).ok()?;
+        let raw: u32 = self.dictionary.get_as(index::SYNC_COB);
         trocar_canopen::cia301::pdo::CobView(raw & 0x1FFF_FFFF)
             .id()
             .ok()

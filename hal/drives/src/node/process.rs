@@ -37,9 +37,10 @@ fn parameters(
     dictionary: &Dictionary,
     record: impl Fn(u8) -> Address,
 ) -> Option<(PdoCob, Transmission)> {
-    let raw = u32::try_from(dictionary.get(record(1))).ok()?;
-    let cob = PdoCob::parse(raw).ok().filter(|cob| cob.valid)?;
-    let kind = u8::try_from(dictionary.get(record(2))).ok()?;
+    let cob = PdoCob::parse(dictionary.get_as(record(1)))
+        .ok()
+        .filter(|cob| cob.valid)?;
+    let kind: u8 = dictionary.get_as(record(2));
     Some((cob, Transmission::try_from(kind).ok()?))
 }
 
@@ -48,11 +49,8 @@ pub(super) fn mapped(
     dictionary: &Dictionary,
     record: impl Fn(u8) -> Address,
 ) -> impl Iterator<Item = MappingEntry> {
-    let count = u8::try_from(dictionary.get(record(0))).unwrap_or(0);
-    (1..=count.min(MAPPED_MAX)).map(move |n| {
-        let raw = u32::try_from(dictionary.get(record(n))).unwrap_or(0);
-        MappingEntry::parse(raw)
-    })
+    let count: u8 = dictionary.get_as(record(0));
+    (1..=count.min(MAPPED_MAX)).map(move |n| MappingEntry::parse(dictionary.get_as(record(n))))
 }
 
 /// The bytes of the TPDO `number` as the values are now.
@@ -148,7 +146,7 @@ impl Node {
             let Some((cob, kind)) = parameters(&self.dictionary, |sub| index::tpdo(n, sub)) else {
                 continue;
             };
-            let start = u8::try_from(self.dictionary.get(index::tpdo(n, 6))).unwrap_or(0);
+            let start: u8 = self.dictionary.get_as(index::tpdo(n, 6));
             let place = &mut self.transmit[usize::from(n)];
             if !place.started && counter.is_some() && start != 0 && counter != Some(start) {
                 continue;
@@ -188,7 +186,7 @@ impl Node {
             if !matches!(kind, Transmission::EventVendor | Transmission::EventProfile) {
                 continue;
             }
-            let get = |sub| u64::try_from(self.dictionary.get(index::tpdo(n, sub))).unwrap_or(0);
+            let get = |sub| self.dictionary.get_as::<u64>(index::tpdo(n, sub));
             let (inhibit_ns, event_ns) = (get(3) * 100_000, get(5) * 1_000_000);
             let payload = pack(&self.dictionary, n);
             let due = self.transmit[usize::from(n)]

@@ -18,7 +18,7 @@ const MS: u64 = 1_000_000;
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Watches {
     heartbeat_due: Option<TimeNs>,
-    heard: [Option<TimeNs>; CONSUMER_COUNT as usize],
+    last_heartbeat: [Option<TimeNs>; CONSUMER_COUNT as usize],
     silent: [bool; CONSUMER_COUNT as usize],
     sync: Option<TimeNs>,
 }
@@ -26,7 +26,7 @@ pub(super) struct Watches {
 impl Watches {
     /// The own heartbeat's next time.
     pub(super) fn schedule_heartbeat(&mut self, now: TimeNs, dictionary: &Dictionary) {
-        let period_ns = milliseconds(dictionary.get(index::HEARTBEAT));
+        let period_ns = milliseconds(dictionary.get_as(index::HEARTBEAT));
         self.heartbeat_due = (period_ns > 0).then(|| now.plus_ns(period_ns));
     }
 
@@ -47,13 +47,13 @@ impl Watches {
 
     /// Watches over heartbeats begin anew.
     pub(super) fn forget_heartbeats(&mut self) {
-        self.heard = Default::default();
+        self.last_heartbeat = Default::default();
         self.silent = Default::default();
     }
 }
 
-fn milliseconds(value: i64) -> u64 {
-    u64::try_from(value).unwrap_or(0) * MS
+const fn milliseconds(value: u64) -> u64 {
+    value * MS
 }
 
 /// Node and time of an entry of 1016h; none if it is not in use.
@@ -84,7 +84,7 @@ impl Node {
         for n in 0..CONSUMER_COUNT {
             let entry = consumer(self.dictionary.get(watched(n)));
             if entry.is_some_and(|(watched, _)| watched == node) {
-                self.watches.heard[usize::from(n)] = Some(now);
+                self.watches.last_heartbeat[usize::from(n)] = Some(now);
                 self.watches.silent[usize::from(n)] = false;
             }
         }
@@ -102,13 +102,13 @@ impl Node {
     fn watch_heartbeats(&mut self, now: TimeNs, out: &mut Outbox) {
         for n in 0..CONSUMER_COUNT {
             let place = usize::from(n);
-            let (Some((_, time_ns)), Some(heard)) = (
+            let (Some((_, time_ns)), Some(last_heartbeat)) = (
                 consumer(self.dictionary.get(watched(n))),
-                self.watches.heard[place],
+                self.watches.last_heartbeat[place],
             ) else {
                 continue;
             };
-            if !self.watches.silent[place] && now.since(heard) > time_ns {
+            if !self.watches.silent[place] && now.since(last_heartbeat) > time_ns {
                 self.watches.silent[place] = true;
                 self.alarm(now, Alarm::Heartbeat, out);
                 self.lose_connection(now);
@@ -134,7 +134,7 @@ impl Node {
         let Some(last) = self.watches.sync.filter(|_| self.drive.follows_sync()) else {
             return;
         };
-        let periods = u64::try_from(self.dictionary.get(index::SYNC_LOSS)).unwrap_or(0);
+        let periods: u64 = self.dictionary.get_as(index::SYNC_LOSS);
         let period_ns = super::drive::interpolation_ns(&self.dictionary);
         if now.since(last) > periods * period_ns {
             self.alarm(now, Alarm::SyncLoss, out);
@@ -145,7 +145,7 @@ impl Node {
     fn watch_rpdos(&mut self, now: TimeNs, out: &mut Outbox) {
         let mut overdue = false;
         for n in 0..4_u8 {
-            let deadline_ns = milliseconds(self.dictionary.get(index::rpdo(n, 5)));
+            let deadline_ns = milliseconds(self.dictionary.get_as(index::rpdo(n, 5)));
             let last = self.receive[usize::from(n)].last;
             overdue |= deadline_ns > 0 && last.is_some_and(|last| now.since(last) > deadline_ns);
         }

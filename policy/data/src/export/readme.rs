@@ -61,7 +61,7 @@ fn overview(source: &Source<'_>, frames: usize) -> String {
     let (episodes, fps) = (source.splits.order.len(), source.dataset.fps());
     #[expect(clippy::cast_precision_loss, reason = "counts stay far below 2^53")]
     let hours = frames as f64 / f64::from(fps) / 3600.0;
-    let told = &source.options.provenance;
+    let provenance = &source.options.provenance;
     let skills = source.tasks.iter().map(|task| format!("- {task}\n"));
     format!(
         "# [Dataset name]
@@ -81,20 +81,24 @@ fn overview(source: &Source<'_>, frames: usize) -> String {
 Domain: surgical robotics. Demonstrated skills:
 
 {}",
-        told.summary,
+        provenance.summary,
         env!("CARGO_PKG_VERSION"),
-        told.data_type,
+        provenance.data_type,
         skills.collect::<String>(),
     )
 }
 
 fn collection(source: &Source<'_>) -> String {
-    let told = &source.options.provenance;
+    let provenance = &source.options.provenance;
     let (perfect, all) = (source.splits.perfect, source.splits.order.len());
     let recoveries = match perfect < all {
         false => "none".to_owned(),
-        true if perfect + 1 == all => format!("episode {perfect}: {}", told.recoveries),
-        true => format!("episodes {perfect} to {}: {}", all - 1, told.recoveries),
+        true if perfect + 1 == all => format!("episode {perfect}: {}", provenance.recoveries),
+        true => format!(
+            "episodes {perfect} to {}: {}",
+            all - 1,
+            provenance.recoveries
+        ),
     };
     let dimensions = [
         "Camera position / angle",
@@ -103,7 +107,7 @@ fn collection(source: &Source<'_>) -> String {
         "Spatial layout",
     ];
     let dimensions = dimensions.map(|name| {
-        let mark = if told.varied.contains(&name) {
+        let mark = if provenance.varied.contains(&name) {
             "x"
         } else {
             " "
@@ -122,10 +126,10 @@ fn collection(source: &Source<'_>) -> String {
 {}
 {}
 ",
-        told.method,
-        told.operators,
+        provenance.method,
+        provenance.operators,
         dimensions.concat(),
-        told.variation,
+        provenance.variation,
     )
 }
 

@@ -92,13 +92,13 @@ struct Shape {
 }
 
 impl Shape {
-    fn told(&self) -> String {
-        let cameras: Vec<String> = self.cameras.iter().map(told).collect();
+    fn described(&self) -> String {
+        let cameras: Vec<String> = self.cameras.iter().map(described).collect();
         format!("has {} arms and cameras {}", self.arms, cameras.join(", "))
     }
 }
 
-fn told(camera: &CameraSpec) -> String {
+fn described(camera: &CameraSpec) -> String {
     format!("{} ({} x {})", camera.name, camera.width, camera.height)
 }
 
@@ -170,8 +170,8 @@ fn survey(
             None => first = Some(shape),
             Some(first) if *first == shape => {}
             Some(first) => {
-                let expected = format!("what the first episode {}", first.told());
-                return Err(recording.mismatch("the episode", shape.told(), expected));
+                let expected = format!("what the first episode {}", first.described());
+                return Err(recording.mismatch("the episode", shape.described(), expected));
             }
         }
     }

@@ -265,8 +265,9 @@ class _Child:
 
     def __init__(self, binary: str, task: str, name: str, options: Sequence[str]) -> None:
         self._said: IO[bytes] = tempfile.TemporaryFile()
-        command = [binary, "environment", "--task", task, "--topics", name, *options]
         # The learner may think for longer than any time-out; if it dies, that is noticed.
+        awaited = ["--policy-timeout", str(24 * 3600)]
+        command = [binary, "environment", "--task", task, "--topics", name, *awaited, *options]
         self._process = subprocess.Popen(
             command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=self._said, bufsize=0
         )

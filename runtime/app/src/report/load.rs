@@ -197,9 +197,11 @@ impl Results {
             }
             Kind::Evaluation => {
                 let path = made.folder.join("result.json");
-                let told = |error: &dyn std::fmt::Display| format!("{}: {error}", path.display());
-                let text = fs::read_to_string(&path).map_err(|error| told(&error))?;
-                let read: EvalFile = serde_json::from_str(&text).map_err(|error| told(&error))?;
+                let in_file =
+                    |error: &dyn std::fmt::Display| format!("{}: {error}", path.display());
+                let text = fs::read_to_string(&path).map_err(|error| in_file(&error))?;
+                let read: EvalFile =
+                    serde_json::from_str(&text).map_err(|error| in_file(&error))?;
                 let trials = read.episodes;
                 self.evaluations
                     .insert(address, Evaluation { made, trials });

@@ -36,12 +36,14 @@ pub(super) fn strip_of(evaluation: &Evaluation, trial: &Trial) -> Option<Vec<u8>
 fn kept(
     evaluation: &Evaluation,
     trial: &Trial,
-    told: Option<&Path>,
+    named: Option<&Path>,
     kind: &str,
 ) -> Option<PathBuf> {
     let folder = evaluation.made.folder.join("kept");
     let names = [
-        told.and_then(Path::file_name).map(|name| folder.join(name)),
+        named
+            .and_then(Path::file_name)
+            .map(|name| folder.join(name)),
         Some(folder.join(format!("seed-{}.{kind}", trial.seed))),
         Some(folder.join(format!("{}.{kind}", trial.seed))),
     ];

@@ -157,7 +157,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn shipped_profile_is_lenient_and_asks_for_fifo_and_locked_memory() {
+    fn shipped_profile_asks_for_fifo_and_locked_memory() {
         let profile = RtProfile::load(&RtProfile::shipped()).unwrap();
         assert!(profile.lock_memory && !profile.control.strict);
         assert!(!profile.hold_cpu_dma_latency);

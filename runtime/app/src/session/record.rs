@@ -96,7 +96,7 @@ pub struct RecordSummary {
 
 impl RecordSummary {
     /// Of a recording that has done nothing yet beyond what it `found`.
-    pub(super) fn new(plan: &Plan, options: &RecordOptions, found: &Found) -> Self {
+    fn new(plan: &Plan, options: &RecordOptions, found: &Found) -> Self {
         let setup = &plan.setup;
         Self {
             task: setup.task_name.clone(),
@@ -126,6 +126,38 @@ impl RecordSummary {
     }
 }
 
+/// A recording before its next episode.
+pub(super) struct Begun {
+    pub(super) summary: RecordSummary,
+    /// How many attempts there were before.
+    pub(super) attempts: u64,
+    /// None if all episodes were there before: nothing is touched then.
+    pub(super) writer: Option<DatasetWriter>,
+}
+
+impl Begun {
+    /// Creates the dataset, or opens the one that the recording goes on with.
+    ///
+    /// # Errors
+    /// Those of [`record`] that concern the dataset's folder.
+    pub(super) fn new(plan: &Plan, options: &RecordOptions) -> Result<Self, SessionError> {
+        let found = look(plan, options)?;
+        let summary = RecordSummary::new(plan, options, &found);
+        let whole = options.resume && summary.episodes >= options.episodes;
+        let writer = if whole {
+            None
+        } else {
+            let spec = dataset_spec(&plan.setup, options);
+            Some(begin(plan, options, &found, &spec)?)
+        };
+        Ok(Self {
+            summary,
+            attempts: found.attempts,
+            writer,
+        })
+    }
+}
+
 /// Records the episodes of `plan`, whose policy is the expert, until enough attempts have succeeded; failed ones are reported and not kept. Once `stop` says so, those in progress are
 /// abandoned, and the dataset has what was done.
 ///
@@ -142,13 +174,14 @@ pub fn record(
     stop: &(dyn Fn() -> bool + Sync),
     on_attempt: &mut dyn FnMut(&Attempt),
 ) -> Result<RecordSummary, SessionError> {
-    let found = look(plan, options)?;
-    let mut summary = RecordSummary::new(plan, options, &found);
-    if options.resume && summary.episodes >= options.episodes {
+    let Begun {
+        mut summary,
+        mut attempts,
+        writer,
+    } = Begun::new(plan, options)?;
+    let Some(mut writer) = writer else {
         return Ok(summary);
-    }
-    let mut writer = begin(plan, options, &found, &dataset_spec(&plan.setup, options))?;
-    let mut attempts = found.attempts;
+    };
     let attempts_max = (options.episodes as u64)
         .saturating_mul(4)
         .saturating_add(20);
@@ -219,7 +252,7 @@ fn unwritten(options: &RecordOptions, error: DatasetError) -> SessionError {
     SessionError::output(&options.out, reason)
 }
 
-pub(super) fn dataset_spec(setup: &Setup, options: &RecordOptions) -> DatasetSpec {
+fn dataset_spec(setup: &Setup, options: &RecordOptions) -> DatasetSpec {
     let names = setup.cameras_with(Vec::new());
     let cameras = names
         .iter()

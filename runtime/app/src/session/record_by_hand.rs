@@ -9,11 +9,9 @@ use trocar_tasks::task::Outcome;
 
 use super::realtime::run_realtime;
 use super::record::{
-    Attempt, Demonstration, RecordOptions, RecordSummary, StoredFrame, arm_frame, dataset_spec,
-    keep,
+    Attempt, Begun, Demonstration, RecordOptions, RecordSummary, StoredFrame, arm_frame, keep,
 };
 use super::record_notes::{ByHandNote, EpisodeNote};
-use super::record_resume::{begin, look};
 use super::run::{INTERRUPTED, RunResult, STOPPED};
 use super::teleop::{self, Moment, Phase, Recording, Wish};
 use super::{Plan, SessionError, Setup};
@@ -31,13 +29,14 @@ pub fn record_by_hand(
     console: &Console,
     on_attempt: &mut dyn FnMut(&Attempt),
 ) -> Result<RecordSummary, SessionError> {
-    let found = look(plan, options)?;
-    let mut summary = RecordSummary::new(plan, options, &found);
-    if options.resume && summary.episodes >= options.episodes {
+    let Begun {
+        mut summary,
+        mut attempts,
+        writer,
+    } = Begun::new(plan, options)?;
+    let Some(mut writer) = writer else {
         return Ok(summary);
-    }
-    let mut writer = begin(plan, options, &found, &dataset_spec(&plan.setup, options))?;
-    let mut attempts = found.attempts;
+    };
     let mut studio = Studio::new(&plan.setup)?;
     while summary.episodes < options.episodes && !summary.interrupted {
         let seed = plan.seed.wrapping_add(attempts);

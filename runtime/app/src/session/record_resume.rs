@@ -98,7 +98,7 @@ fn check_options(
             return Err(refused(options, &reason));
         }
         let option = option(key);
-        let [recorded, asked] = [recorded, asked].map(told);
+        let [recorded, asked] = [recorded, asked].map(shown);
         let reason = format!("was recorded with {option} {recorded}, now {asked} is asked for");
         return Err(refused(options, &reason));
     }
@@ -144,13 +144,13 @@ fn option(key: &str) -> String {
 }
 
 /// A value as a person types it.
-fn told(value: &Value) -> String {
+fn shown(value: &Value) -> String {
     match value {
         Value::Null => "none".to_owned(),
         Value::Bool(true) => "on".to_owned(),
         Value::Bool(false) => "off".to_owned(),
         Value::Array(values) if values.is_empty() => "none".to_owned(),
-        Value::Array(values) => values.iter().map(told).collect::<Vec<_>>().join(","),
+        Value::Array(values) => values.iter().map(shown).collect::<Vec<_>>().join(","),
         Value::String(text) => text.clone(),
         Value::Number(_) | Value::Object(_) => value.to_string(),
     }

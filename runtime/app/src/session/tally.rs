@@ -98,7 +98,7 @@ impl Tally {
     pub fn faults(&self) -> Option<String> {
         let faults = self.faults.as_ref()?;
         let alone = faults.count() == 1;
-        let told = faults.iter().zip(ARM_NAMES).filter_map(|(fault, name)| {
+        let described = faults.iter().zip(ARM_NAMES).filter_map(|(fault, name)| {
             let fault = fault.as_ref()?;
             Some(if alone {
                 format!("fault: {fault}")
@@ -106,7 +106,7 @@ impl Tally {
                 format!("fault of {name}: {fault}")
             })
         });
-        Some(told.collect::<Vec<_>>().join("; "))
+        Some(described.collect::<Vec<_>>().join("; "))
     }
 
     /// The hash of all commands so far, hexadecimal.
@@ -223,7 +223,7 @@ mod tests {
             tip_m: 0.25,
             turn_rad: 0.5,
         };
-        let told = |faults: [Option<Fault>; 2], arms: usize| {
+        let described = |faults: [Option<Fault>; 2], arms: usize| {
             let [first, second] = faults;
             let mut record = untroubled;
             record.arms.first.report.fault = first;
@@ -242,9 +242,9 @@ mod tests {
             tally.faults()
         };
         let words = "the tip is 250.0 mm and 0.500 rad away from its command";
-        assert_eq!(told([None, None], 2), None);
+        assert_eq!(described([None, None], 2), None);
         assert_eq!(
-            told([Some(fault), None], 1),
+            described([Some(fault), None], 1),
             Some(format!("fault: {words}"))
         );
         for (faults, expected) in [
@@ -255,7 +255,7 @@ mod tests {
                 format!("fault of psm1: {words}; fault of psm2: {words}"),
             ),
         ] {
-            assert_eq!(told(faults, 2), Some(expected));
+            assert_eq!(described(faults, 2), Some(expected));
         }
     }
 }

@@ -12,7 +12,7 @@ use crate::rt;
 pub const PARENT_VARIABLE: &str = "TROCAR_STUDY_PARENT";
 
 /// Lines of its log that a failure is told with.
-const TOLD_LINES: usize = 3;
+const OUTCOME_LINES: usize = 3;
 
 /// A running verb.
 #[derive(Debug)]
@@ -30,7 +30,7 @@ pub struct Ended {
     /// Its exit code, unless a signal ended it.
     pub code: Option<i32>,
     /// How, and its last lines.
-    pub told: String,
+    pub outcome: String,
     /// Its greatest memory, bytes, as far as it was seen.
     pub memory_bytes: Option<u64>,
 }
@@ -86,7 +86,7 @@ impl Running {
         Ok(status.map(|status| Ended {
             success: status.success(),
             code: status.code(),
-            told: self.told(status),
+            outcome: self.outcome(status),
             memory_bytes: (self.memory_bytes > 0).then_some(self.memory_bytes),
         }))
     }
@@ -97,14 +97,14 @@ impl Running {
         let _gone = rt::interrupt_process(self.child.id());
     }
 
-    fn told(&self, status: ExitStatus) -> String {
+    fn outcome(&self, status: ExitStatus) -> String {
         let said = fs::read(&self.log).unwrap_or_default();
         let said = String::from_utf8_lossy(&said);
         let lines: Vec<&str> = said
             .lines()
             .filter(|line| !line.trim().is_empty())
             .collect();
-        let last = lines[lines.len().saturating_sub(TOLD_LINES)..].join(" | ");
+        let last = lines[lines.len().saturating_sub(OUTCOME_LINES)..].join(" | ");
         format!("{status}: {last}")
     }
 }

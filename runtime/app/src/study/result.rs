@@ -35,38 +35,40 @@ struct Trial {
 /// # Errors
 /// What is wrong with it.
 pub(super) fn check(job: &Job, path: &Path) -> Result<Option<String>, String> {
-    let told = |error: &dyn std::fmt::Display| format!("{}: {error}", path.display());
-    let text = std::fs::read_to_string(path).map_err(|error| told(&error))?;
+    let in_file = |error: &dyn std::fmt::Display| format!("{}: {error}", path.display());
+    let text = std::fs::read_to_string(path).map_err(|error| in_file(&error))?;
     match job {
         Job::Recording(job) => {
-            let found: Recorded = serde_json::from_str(&text).map_err(|error| told(&error))?;
+            let found: Recorded = serde_json::from_str(&text).map_err(|error| in_file(&error))?;
             // A training takes the first ones.
             if found.episodes < job.episodes {
                 let (found, asked) = (found.episodes, job.episodes);
-                return Err(told(&format!("{found} demonstrations in place of {asked}")));
+                return Err(in_file(&format!(
+                    "{found} demonstrations in place of {asked}"
+                )));
             }
         }
         Job::Training(job) => {
-            let found: Trained = serde_json::from_str(&text).map_err(|error| told(&error))?;
+            let found: Trained = serde_json::from_str(&text).map_err(|error| in_file(&error))?;
             if job.steps.is_some_and(|steps| steps != found.steps) {
-                return Err(told(&format!(
+                return Err(in_file(&format!(
                     "{} steps in place of {:?}",
                     found.steps, job.steps
                 )));
             }
         }
         Job::Evaluation(job) => {
-            let found: Evaluated = serde_json::from_str(&text).map_err(|error| told(&error))?;
+            let found: Evaluated = serde_json::from_str(&text).map_err(|error| in_file(&error))?;
             let seeds = (0..job.trials as u64).map(|index| job.first_seed.wrapping_add(index));
             if !found.episodes.iter().map(|trial| trial.seed).eq(seeds) || found.trials > job.trials
             {
                 let (found, asked) = (found.episodes.len(), job.trials);
-                return Err(told(&format!(
+                return Err(in_file(&format!(
                     "{found} trials in place of {asked}, or other seeds"
                 )));
             }
             if found.successes > found.trials {
-                return Err(told(&"more successes than trials"));
+                return Err(in_file(&"more successes than trials"));
             }
             return Ok(found.weights_sha256);
         }

@@ -223,7 +223,7 @@ impl Workshop<'_> {
 
 /// A command line as text.
 #[must_use]
-pub fn told(arguments: &[OsString]) -> Vec<String> {
+pub fn texts(arguments: &[OsString]) -> Vec<String> {
     let text = |argument: &OsString| argument.to_string_lossy().into_owned();
     arguments.iter().map(text).collect()
 }

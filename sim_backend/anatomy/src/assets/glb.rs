@@ -4,7 +4,8 @@ use std::collections::BTreeMap;
 
 use serde_json::{Value, json};
 
-use super::{Asset, extent};
+use super::Asset;
+use super::gltf::Numbers;
 use crate::number::{index, single};
 
 /// A vertex with its own texture coordinates: a seam has several where the mesh has one.
@@ -43,63 +44,19 @@ fn split(asset: &Asset<'_>) -> Split {
 /// What is being written.
 #[derive(Default)]
 struct Document {
-    bytes: Vec<u8>,
-    views: Vec<Value>,
-    accessors: Vec<Value>,
+    numbers: Numbers,
     meshes: Vec<Value>,
     materials: Vec<Value>,
     nodes: Vec<Value>,
 }
 
 impl Document {
-    /// Adds numbers as a view and an accessor; the accessor's index.
-    fn add(
-        &mut self,
-        numbers: impl Iterator<Item = [u8; 4]>,
-        target: u32,
-        mut accessor: Value,
-    ) -> usize {
-        let offset = self.bytes.len();
-        self.bytes.extend(numbers.flatten());
-        let length = self.bytes.len() - offset;
-        self.views.push(
-            json!({"buffer": 0, "byteOffset": offset, "byteLength": length, "target": target}),
-        );
-        accessor["bufferView"] = json!(self.views.len() - 1);
-        self.accessors.push(accessor);
-        self.accessors.len() - 1
-    }
-
-    fn floats(
-        &mut self,
-        vectors: &[impl AsRef<[f32]>],
-        kind: &str,
-        bounds: Option<[[f32; 3]; 2]>,
-    ) -> usize {
-        let mut accessor = json!({"componentType": 5126, "count": vectors.len(), "type": kind});
-        if let Some([low, high]) = bounds {
-            accessor["min"] = json!(low);
-            accessor["max"] = json!(high);
-        }
-        let numbers = vectors
-            .iter()
-            .flat_map(|v| v.as_ref().iter().map(|x| x.to_le_bytes()));
-        self.add(numbers, 34962, accessor)
-    }
-
     fn asset(&mut self, asset: &Asset<'_>) {
         let split = split(asset);
-        let bounds = extent(split.positions.iter().copied());
-        let position = self.floats(&split.positions, "VEC3", Some(bounds));
-        let normal = self.floats(&split.normals, "VEC3", None);
-        let uv = self.floats(&split.uv, "VEC2", None);
-        let accessor =
-            json!({"componentType": 5125, "count": split.indices.len(), "type": "SCALAR"});
-        let indices = self.add(
-            split.indices.iter().map(|i| i.to_le_bytes()),
-            34963,
-            accessor,
-        );
+        let position = self.numbers.vectors(&split.positions, true);
+        let normal = self.numbers.vectors(&split.normals, false);
+        let uv = self.numbers.vectors(&split.uv, false);
+        let indices = self.numbers.indices(&split.indices);
         let group = asset.group;
         self.materials.push(material(asset));
         self.meshes.push(json!({
@@ -133,9 +90,6 @@ impl Document {
             "nodes": nodes,
             "meshes": self.meshes,
             "materials": self.materials,
-            "accessors": self.accessors,
-            "bufferViews": self.views,
-            "buffers": [{"byteLength": self.bytes.len()}],
         })
     }
 }
@@ -162,21 +116,6 @@ pub fn glb(assets: &[Asset<'_>]) -> Vec<u8> {
     for asset in assets {
         document.asset(asset);
     }
-    let mut json = document.json().to_string().into_bytes();
-    json.resize(json.len().next_multiple_of(4), b' ');
-    document
-        .bytes
-        .resize(document.bytes.len().next_multiple_of(4), 0);
-    let total = 12 + 8 + json.len() + 8 + document.bytes.len();
-    let mut file = Vec::with_capacity(total);
-    let word = |file: &mut Vec<u8>, value: u32| file.extend(value.to_le_bytes());
-    file.extend(b"glTF");
-    word(&mut file, 2);
-    word(&mut file, index(total));
-    for (kind, chunk) in [(b"JSON", &json), (b"BIN\0", &document.bytes)] {
-        word(&mut file, index(chunk.len()));
-        file.extend(kind);
-        file.extend(chunk);
-    }
-    file
+    let json = document.json();
+    document.numbers.file(json)
 }

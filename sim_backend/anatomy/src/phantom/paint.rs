@@ -248,7 +248,7 @@ pub fn write(
                 (slice, values)
             })
             .collect();
-        let (told, scanned) = rayon::join(
+        let (reported, scanned) = rayon::join(
             || {
                 slices
                     .iter()
@@ -256,7 +256,7 @@ pub fn write(
             },
             || slices.iter().try_for_each(|(_, values)| ct.slice(values)),
         );
-        told.and(scanned)?;
+        reported.and(scanned)?;
         slices.iter().for_each(|(slice, _)| tally.add(slice));
         done(last, size.0[2]);
     }

@@ -105,7 +105,7 @@ impl Cycle {
         };
         self.axes[axis].nmt_state = Some(state);
         match state {
-            NmtState::Operational => self.axes[axis].heard = Some(now),
+            NmtState::Operational => self.axes[axis].last_heartbeat = Some(now),
             NmtState::BootUp => self.latch(now, Fault::Rebooted(who)),
             NmtState::Stopped | NmtState::PreOperational => {
                 self.latch(now, Fault::LeftOperational(who, state));

@@ -75,8 +75,10 @@ impl Cycle {
             self.latch(now, Fault::Unsteady(who));
         }
         let limit_ns = 3 * u64::from(self.plan.heartbeat_ms) * 1_000_000;
-        let heard = self.axes[n].heard;
-        if limit_ns > 0 && heard.is_some_and(|heard| now.since(heard) > limit_ns) {
+        let last_heartbeat = self.axes[n].last_heartbeat;
+        if limit_ns > 0
+            && last_heartbeat.is_some_and(|last_heartbeat| now.since(last_heartbeat) > limit_ns)
+        {
             self.latch(now, Fault::NodeLost(who));
         }
     }

@@ -11,7 +11,7 @@ use trocar_canopen::index;
 impl Drive {
     /// Takes the control word; tells whether it reset a fault.
     pub(in super::super) fn on_control(&mut self, now: TimeNs, dictionary: &Dictionary) -> bool {
-        let raw = u16::try_from(dictionary.get(index::CONTROL)).unwrap_or(0);
+        let raw: u16 = dictionary.get_as(index::CONTROL);
         let before = ControlView(core::mem::replace(&mut self.control, raw));
         let word = ControlView(raw);
         if word.fault_reset() && !before.fault_reset() && self.state == PowerState::Fault {

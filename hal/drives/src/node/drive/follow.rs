@@ -13,7 +13,7 @@ use trocar_canopen::number::{real, seconds};
 
 impl Drive {
     pub(in super::super) fn on_mode(&mut self, now: TimeNs, dictionary: &Dictionary) {
-        let raw = i8::try_from(dictionary.get(index::MODE)).unwrap_or(0);
+        let raw: i8 = dictionary.get_as(index::MODE);
         if let Ok(mode) = Mode::try_from(raw)
             && mode != self.mode
         {

@@ -33,7 +33,7 @@ impl Drive {
             return false;
         }
         let since = *self.deviates_since.get_or_insert(now);
-        let limit_ms = u64::try_from(dictionary.get(index::FOLLOWING_TIME)).unwrap_or(0);
+        let limit_ms: u64 = dictionary.get_as(index::FOLLOWING_TIME);
         now.since(since) >= limit_ms * 1_000_000
     }
 

@@ -180,11 +180,11 @@ fn names(spec: &DatasetSpec) -> String {
 
 /// A lens; its numbers are told so that they are the same only if they are the same to the bit.
 fn depth(lens: Option<&Intrinsics>) -> String {
-    let told = |it: &Intrinsics| {
+    let described = |it: &Intrinsics| {
         let Intrinsics { fx, fy, cx, cy, .. } = it;
         format!("through fx {fx}, fy {fy}, cx {cx}, cy {cy}")
     };
-    lens.map_or_else(|| "left out".to_owned(), told)
+    lens.map_or_else(|| "left out".to_owned(), described)
 }
 
 /// How a camera's colour is kept.

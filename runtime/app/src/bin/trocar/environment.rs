@@ -4,16 +4,16 @@ use std::io::BufRead as _;
 use std::path::PathBuf;
 
 use clap::Args;
-use clap::builder::NonEmptyStringValueParser;
 
 use trocar::session::changes::Change;
 use trocar::session::environment::{EpisodeSummary, run_environment};
 use trocar::session::external::ExternalChoice;
 use trocar::session::{PolicyChoice, SessionError, Setup};
 
-use crate::args::{TaskParser, pixels, within};
+use crate::args::{TaskParser, pixels};
 use crate::commands::{Done, task_changes};
 use crate::console;
+use crate::policy::ExternalArgs;
 use crate::scene_args::{SceneArgs, VaryArgs};
 
 /// Options of the hidden environment.
@@ -25,12 +25,9 @@ pub(crate) struct EnvironmentArgs {
     /// The name of the topics that the policy is on.
     #[arg(long)]
     pub(crate) topics: String,
-    /// How long it may take to appear, to reset and to answer, s, up to 86400.
-    #[arg(long, value_name = "S", default_value_t = 86_400, value_parser = within())]
-    pub(crate) policy_timeout: u64,
-    /// What is to be done, in words, for policies that read it; the task's name if not given.
-    #[arg(long, value_name = "TEXT", value_parser = NonEmptyStringValueParser::new())]
-    pub(crate) instruction: Option<String>,
+    /// How it is awaited.
+    #[command(flatten)]
+    pub(crate) external: ExternalArgs,
     /// Height of all images, pixels, instead of the scene's; the vertical field of view stays.
     #[arg(long, value_name = "PIXELS", requires = "image_width", value_parser = pixels())]
     pub(crate) image_height: Option<u32>,
@@ -57,8 +54,8 @@ const ABANDONED: &str = "{\"abandoned\":true}\n";
 pub(crate) fn environment(args: &EnvironmentArgs) -> Done {
     let choice = ExternalChoice {
         name: Some(args.topics.clone()),
-        within_s: args.policy_timeout,
-        instruction: args.instruction.clone(),
+        within_s: args.external.policy_timeout,
+        instruction: args.external.instruction.clone(),
     };
     choice.check()?;
     let policy = PolicyChoice::External(choice.clone());

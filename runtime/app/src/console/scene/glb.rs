@@ -1,15 +1,11 @@
 //! Meshes and cameras as a binary glTF 2.0 file: one JSON chunk and one of numbers.
 
-use hal::count::count_u32;
 use hal::{Intrinsics, Mesh, Pose};
 use serde_json::{Value, json};
+use trocar_anatomy::assets::Numbers;
 use trocar_render::visual::Material;
 
-/// What is known of a buffer's elements.
-const FLOAT: u32 = 5126;
-const UNSIGNED_INT: u32 = 5125;
-const ARRAY_BUFFER: u32 = 34962;
-const ELEMENT_ARRAY_BUFFER: u32 = 34963;
+/// A primitive of lines between pairs of vertices.
 const LINES: u32 = 1;
 
 /// A file that grows.
@@ -19,9 +15,7 @@ pub(super) struct Writer {
     meshes: Vec<Value>,
     materials: Vec<Value>,
     cameras: Vec<Value>,
-    accessors: Vec<Value>,
-    views: Vec<Value>,
-    numbers: Vec<u8>,
+    numbers: Numbers,
 }
 
 /// How something is drawn that is no thing: a limit.
@@ -62,7 +56,7 @@ impl Writer {
         glass: Glass,
     ) {
         let material = self.glass_material(name, glass);
-        let position = self.vectors(points_m, true);
+        let position = self.numbers.vectors(points_m, true);
         let primitive =
             json!({"attributes": {"POSITION": position}, "material": material, "mode": LINES});
         let mesh = push(
@@ -121,14 +115,11 @@ impl Writer {
             "nodes": self.nodes,
             "meshes": self.meshes,
             "materials": self.materials,
-            "accessors": self.accessors,
-            "bufferViews": self.views,
-            "buffers": [{"byteLength": self.numbers.len()}],
         });
         if !self.cameras.is_empty() {
             file["cameras"] = json!(self.cameras);
         }
-        chunks(file.to_string().into_bytes(), self.numbers)
+        self.numbers.file(file)
     }
 
     fn node_with_mesh(
@@ -139,9 +130,9 @@ impl Writer {
         pose: &Pose,
         extras: Value,
     ) {
-        let position = self.vectors(&mesh.positions, true);
-        let normal = self.vectors(&mesh.normals, false);
-        let indices = self.indices(&mesh.indices);
+        let position = self.numbers.vectors(&mesh.positions, true);
+        let normal = self.numbers.vectors(&mesh.normals, false);
+        let indices = self.numbers.indices(&mesh.indices);
         let attributes = json!({"POSITION": position, "NORMAL": normal});
         let primitive = json!({"attributes": attributes, "indices": indices, "material": material});
         let mesh = push(
@@ -161,39 +152,6 @@ impl Writer {
         let material = json!({"name": name, "pbrMetallicRoughness": pbr, "alphaMode": "BLEND", "doubleSided": true});
         push(&mut self.materials, material)
     }
-
-    fn vectors(&mut self, vectors: &[[f32; 3]], bounds: bool) -> usize {
-        let bytes = vectors.iter().flatten().flat_map(|v| v.to_le_bytes());
-        let view = self.view(bytes.collect(), ARRAY_BUFFER);
-        let mut accessor = json!({"bufferView": view, "componentType": FLOAT, "count": vectors.len(), "type": "VEC3"});
-        if bounds {
-            let of = |choose: fn(f32, f32) -> f32| {
-                let mut all = vectors.iter().copied();
-                let first = all.next().unwrap_or_default();
-                all.fold(first, |best, v| {
-                    std::array::from_fn(|axis| choose(best[axis], v[axis]))
-                })
-            };
-            accessor["min"] = json!(of(f32::min));
-            accessor["max"] = json!(of(f32::max));
-        }
-        push(&mut self.accessors, accessor)
-    }
-
-    fn indices(&mut self, indices: &[u32]) -> usize {
-        let bytes = indices.iter().flat_map(|index| index.to_le_bytes());
-        let view = self.view(bytes.collect(), ELEMENT_ARRAY_BUFFER);
-        let accessor = json!({"bufferView": view, "componentType": UNSIGNED_INT, "count": indices.len(), "type": "SCALAR"});
-        push(&mut self.accessors, accessor)
-    }
-
-    fn view(&mut self, bytes: Vec<u8>, target: u32) -> usize {
-        let offset = self.numbers.len();
-        let view =
-            json!({"buffer": 0, "byteOffset": offset, "byteLength": bytes.len(), "target": target});
-        self.numbers.extend(bytes);
-        push(&mut self.views, view)
-    }
 }
 
 fn placed(name: &str, pose: &Pose) -> Value {
@@ -209,26 +167,6 @@ fn placed(name: &str, pose: &Pose) -> Value {
 fn push(to: &mut Vec<Value>, value: Value) -> usize {
     to.push(value);
     to.len() - 1
-}
-
-/// The container: a head, the JSON filled up with spaces, the numbers.
-fn chunks(mut text: Vec<u8>, mut numbers: Vec<u8>) -> Vec<u8> {
-    text.resize(text.len().next_multiple_of(4), b' ');
-    numbers.resize(numbers.len().next_multiple_of(4), 0);
-    let length = 12 + 8 + text.len() + 8 + numbers.len();
-    let mut file = Vec::with_capacity(length);
-    let word = |file: &mut Vec<u8>, value: usize| {
-        file.extend(count_u32(value).to_le_bytes());
-    };
-    file.extend(b"glTF");
-    word(&mut file, 2);
-    word(&mut file, length);
-    for (kind, chunk) in [(b"JSON", text), (b"BIN\0", numbers)] {
-        word(&mut file, chunk.len());
-        file.extend(kind);
-        file.extend(chunk);
-    }
-    file
 }
 
 #[cfg(test)]

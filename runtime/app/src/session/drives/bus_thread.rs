@@ -49,7 +49,7 @@ pub(super) struct Shown {
 
 /// What there is to tell.
 #[derive(Clone, Copy, Debug)]
-pub(super) enum Told {
+pub(super) enum Notice {
     Begun(TimeNs),
     Stopped(Stop),
     Injected(usize),
@@ -67,7 +67,7 @@ pub(super) struct BusThread<'a> {
     pub(super) bus: SocketBus<CanClock>,
     pub(super) lines: u8,
     pub(super) shown: MailboxWriter<Shown>,
-    pub(super) told: Producer<Told>,
+    pub(super) notices: Producer<Notice>,
     pub(super) stop: &'a AtomicBool,
 }
 
@@ -93,14 +93,14 @@ pub(super) struct BusEnd {
 struct Messenger {
     clock: MonotonicClock,
     shown: MailboxWriter<Shown>,
-    told: Producer<Told>,
+    notices: Producer<Notice>,
     stalls: Stalls,
 }
 
 impl Messenger {
-    fn tell(&mut self, what: Told) {
+    fn notify(&mut self, what: Notice) {
         // Full only if nobody reads, and then nobody wants to know.
-        let _gone = self.told.push(what);
+        let _gone = self.notices.push(what);
     }
 }
 
@@ -110,15 +110,15 @@ impl Listener for Messenger {
         // A SYNC that came while this process stood still was heard after it.
         let start = TimeNs(last_word.saturating_sub(TURN_NS_MAX));
         let stalled_ns = self.stalls.since(start);
-        self.tell(Told::Stopped(Stop { stalled_ns, ..stop }));
+        self.notify(Notice::Stopped(Stop { stalled_ns, ..stop }));
     }
 
     fn injected(&mut self, place: usize) {
-        self.tell(Told::Injected(place));
+        self.notify(Notice::Injected(place));
     }
 
     fn begun(&mut self, at: TimeNs) {
-        self.tell(Told::Begun(at));
+        self.notify(Notice::Begun(at));
     }
 
     fn step(&mut self, sequence: u64, world: &WorldState, simulation: &Simulation) {
@@ -131,7 +131,7 @@ impl Listener for Messenger {
     }
 
     fn bus_off(&mut self, line: u8) {
-        self.tell(Told::BusOff(line));
+        self.notify(Notice::BusOff(line));
     }
 }
 
@@ -161,7 +161,7 @@ impl BusThread<'_> {
         let mut messenger = Messenger {
             clock,
             shown: self.shown,
-            told: self.told,
+            notices: self.notices,
             stalls: Stalls::new(),
         };
         let (mut last, mut now) = (clock.now(), TimeNs(0));
@@ -183,7 +183,7 @@ impl BusThread<'_> {
             });
             let network = station.network_mut();
             // Their words leave together when the last of them has had its time on the wire.
-            let next = match (network.silent_at(), network.hears()) {
+            let next = match (network.silent_at(), network.has_pending_frames()) {
                 (Some(at), _) => at,
                 (None, true) => now.plus_ns(soon_ns),
                 (None, false) => now.plus_ns(TURN_NS),

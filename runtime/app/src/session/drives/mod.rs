@@ -38,16 +38,16 @@ use super::summary::PercentilesUs;
 use super::{Plan, SessionError};
 use crate::mailbox::mailbox;
 use crate::rt::{self, MonotonicClock};
-use bus_thread::{BusEnd, BusThread, Told};
+use bus_thread::{BusEnd, BusThread, Notice};
 use show::Show;
 
 /// Time between two looks of the first thread, ns; the world is shown every 40 ms.
 const POLL_NS: u64 = 5_000_000;
 
-/// Things that may wait to be told.
-const TOLD: usize = 256;
+/// Notices that may wait to be reported.
+const NOTICES_MAX: usize = 256;
 
-/// Stops that belong together are told together, so long after the first, ns.
+/// Stops that belong together are reported together, so long after the first, ns.
 const GATHER_NS: u64 = 100_000_000;
 
 /// The topics' name unless another one is asked for.
@@ -121,7 +121,7 @@ pub fn run_drives(
     let names = bench::interfaces(can, arms);
     let bus = open(&names, MonotonicClock::new())?;
     let (shown_in, shown) = mailbox();
-    let (told_in, told) = RingBuffer::new(TOLD);
+    let (notices_in, notices) = RingBuffer::new(NOTICES_MAX);
     let stop = AtomicBool::new(false);
     let (mut simulation, mut show) = (None, None);
     if let Moved::Task(plan) = moved {
@@ -138,7 +138,7 @@ pub fn run_drives(
         bus,
         lines: u8::try_from(names.len()).unwrap_or(u8::MAX),
         shown: shown_in,
-        told: told_in,
+        notices: notices_in,
         stop: &stop,
     };
     let places = format!("{} on {}", nodes(can, arms), names.join(" "));
@@ -150,7 +150,7 @@ pub fn run_drives(
         Moved::Arms(_) => format!("no world: {places}"),
     });
     let mut teller = Teller {
-        told,
+        notices,
         has_world: matches!(moved, Moved::Task(_)),
         faults: &options.faults,
         off,
@@ -222,7 +222,7 @@ fn nodes(can: &CanConfig, arms: usize) -> String {
 
 /// Says what the bus thread tells.
 struct Teller<'a> {
-    told: Consumer<Told>,
+    notices: Consumer<Notice>,
     has_world: bool,
     faults: &'a [InjectedFault],
     off: BusOffInjector,
@@ -236,9 +236,9 @@ struct Teller<'a> {
 impl Teller<'_> {
     /// Says what is to be said now, or all of it if this is the end.
     fn turn(&mut self, end: bool, say: &mut dyn FnMut(&str)) -> Result<(), SessionError> {
-        while let Ok(told) = self.told.pop() {
-            match told {
-                Told::Begun(at) => say(&format!(
+        while let Ok(notice) = self.notices.pop() {
+            match notice {
+                Notice::Begun(at) => say(&format!(
                     "all drives are enabled at {:.3} s{}",
                     at.seconds(),
                     if self.has_world {
@@ -247,13 +247,13 @@ impl Teller<'_> {
                         ""
                     }
                 )),
-                Told::Injected(place) => {
+                Notice::Injected(place) => {
                     if let Some(fault) = self.faults.get(place) {
                         say(&format!("fault: {fault}"));
                     }
                 }
-                Told::BusOff(line) => self.off.send(line)?,
-                Told::Stopped(stop) => {
+                Notice::BusOff(line) => self.off.send(line)?,
+                Notice::Stopped(stop) => {
                     if self.fresh.is_empty() {
                         self.first = self.clock.now();
                     }

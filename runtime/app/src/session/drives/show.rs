@@ -88,8 +88,8 @@ impl Show {
             return Ok(());
         };
         let about = (self.task.as_str(), self.seed);
-        let told = report(shown.stamp, shown.sequence, about, &shown.world);
-        self.scene.publish(&told)?;
+        let report_now = report(shown.stamp, shown.sequence, about, &shown.world);
+        self.scene.publish(&report_now)?;
         self.draw(&shown)?;
         if let Some(outcome) = shown.world.outcome
             && !matches!(outcome, Outcome::Running)

@@ -38,32 +38,8 @@ pub(super) fn record_lift(out: &Path, depth: bool, side: u32) -> Dataset {
 fn train_simple(data: &Path, out: &Path) -> Result<TrainingResult, SessionError> {
     let options = TrainingOptions {
         network: NetworkChoice::Dp3,
-        data: data.to_owned(),
-        out: out.to_owned(),
-        cameras: CameraChoice::Multi,
         preset: "simple".to_owned(),
-        published: false,
-        backbone: BackboneNorm::GroupNorm,
-        backbone_weights: None,
-        steps: Some(2),
-        batch: Some(2),
-        device: Device::Cpu,
-        bf16: false,
-        episodes: None,
-        validation_share: 0.0,
-        augment: false,
-        query_every: None,
-        lr: None,
-        shift_px: None,
-        state_noise: None,
-        clouds: None,
-        images_on_host: false,
-        eager: false,
-        threads: 2,
-        seed: 1,
-        save_every: 0,
-        eval: None,
-        command: "train".to_owned(),
+        ..super::training_options(data.to_owned(), out.to_owned())
     };
     train(&options, &mut |_| {})
 }

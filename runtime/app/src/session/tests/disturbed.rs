@@ -174,7 +174,7 @@ fn disturbed_experts_recover_under_the_controller() {
 
 #[test]
 #[ignore = "takes minutes"]
-fn disturbed_experts_succeed_at_least_forty_five_times_of_fifty() {
+fn disturbed_experts_succeed_45_times_of_50() {
     for task in crate::session::tasks::names() {
         assert!(successes(task, 0..50) >= 45, "{task}");
     }

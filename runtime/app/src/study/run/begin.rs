@@ -9,7 +9,7 @@ use super::super::estimate::Class;
 use super::super::job::{Job, Kind};
 use super::super::schedule::{Busy, Grant, Need};
 use super::super::store::{Attempts, State};
-use super::super::work::{Start, Took, told};
+use super::super::work::{Start, Took, texts};
 use super::{Begun, ELSEWHERE_NS, Runner, Status, Work};
 
 /// Locks of a cell that is begun.
@@ -153,7 +153,7 @@ impl Runner<'_> {
                     input,
                     begun: self.clock.now(),
                     before,
-                    command: told(arguments.as_slice()),
+                    command: texts(arguments.as_slice()),
                     begin,
                 });
                 self.tell(index, &format!("{how}{on}"));

@@ -59,7 +59,7 @@ impl Runner<'_> {
         });
         let gpu_memory_bytes = self.memory.take(job.running.id());
         self.pool.give(&job.grant);
-        let (success, told) = (ended.success, ended.told.clone());
+        let (success, outcome) = (ended.success, ended.outcome.clone());
         // A recording that failed at its job, as on a full disk, is kept; one that is refused is of no use.
         let useless = match cell.job.kind() {
             Kind::Training => true,
@@ -84,12 +84,12 @@ impl Runner<'_> {
         } else if job.begin == Begin::Resumed && useless {
             self.tell(
                 job.cell,
-                &format!("can't go on from what is there and begins anew: {told}"),
+                &format!("can't go on from what is there and begins anew: {outcome}"),
             );
             self.workshop.forget_product(cell)?;
             self.status[job.cell] = Status::Waiting;
         } else {
-            self.fail(job.cell, &told);
+            self.fail(job.cell, &outcome);
         }
         self.workshop
             .store

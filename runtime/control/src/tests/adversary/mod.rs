@@ -207,6 +207,8 @@ fn lagging<const ARMS: usize>(lag_ignored: bool) -> f64 {
             lag_ignored,
             trouble: false,
             garbage: 0.5,
+            // That a sabotaged guard lets the arms in is seen soon.
+            ticks: if lag_ignored { 20_000 } else { attack::ticks() },
             ..Attack::new(kind, 501)
         };
         let (figures, violations) = attack.play::<ARMS>();

@@ -157,7 +157,7 @@ fn numbers_that_can_not_be_meant_name_episode_and_step() {
 
 /// The frame of an endoscope in place of the arm's, or a pose that the arm can't take.
 #[test]
-fn poses_out_of_reach_name_the_joint_that_would_be_beyond_its_limits() {
+fn pose_out_of_reach_names_the_joint() {
     spoilt(
         "reach",
         |made| {
