@@ -10,6 +10,8 @@ mod support;
 use std::error::Error;
 use std::io::{self, Read, Write, pipe};
 use std::os::unix::net::UnixStream;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, channel};
 use std::thread::{self, JoinHandle};
 
@@ -34,18 +36,16 @@ struct Reader {
 }
 
 impl Reader {
-    /// A reader of `size_bytes` a time from `input`, which `frames` leads to; `on_read` sees them before the time is taken.
+    /// A reader of `size_bytes` a time from `input`, which `frames` leads to.
     fn spawn(
         clock: MonotonicClock,
         size_bytes: usize,
         (mut input, frames): (impl Read + Send + 'static, impl Write + 'static),
-        mut on_read: impl FnMut(&[u8]) + Send + 'static,
     ) -> Self {
         let (arrived, arrivals) = channel();
         let thread = thread::spawn(move || {
             let mut bytes = vec![0; size_bytes];
             while input.read_exact(&mut bytes).is_ok() {
-                on_read(&bytes);
                 if arrived.send(clock.now()).is_err() {
                     break;
                 }
@@ -62,11 +62,6 @@ impl Reader {
     /// Writes `bytes`; the reader may have them any time.
     fn send(&mut self, bytes: &[u8]) {
         self.frames.write_all(bytes).expect("the way is open");
-    }
-
-    /// The time at which the reader had the bytes of the oldest `send` that was not asked for.
-    fn had(&self) -> TimeNs {
-        self.arrivals.recv().expect("the reader lives")
     }
 
     /// What the reader has read last.
@@ -123,7 +118,39 @@ fn expect_a_frame(subscriber: &mut FrameSubscriber) {
     assert_eq!(view.instance()[0], MARK, "the frame arrives");
 }
 
-/// The same to other threads, each of which a byte in a pipe wakes; until the last of them has it.
+/// A thread that sleeps on the run's events, and the times at which it had each frame.
+struct Woken {
+    arrivals: Receiver<TimeNs>,
+    thread: JoinHandle<()>,
+}
+
+/// Nobody sleeps for longer without looking whether it is over.
+const LOOK_NS: u64 = 100_000_000;
+
+impl Woken {
+    fn spawn(
+        node: &TopicNode,
+        camera: &str,
+        clock: MonotonicClock,
+        over: &Arc<AtomicBool>,
+    ) -> Result<Self, Box<dyn Error>> {
+        let (events, over) = (node.events()?, Arc::clone(over));
+        let mut frames = CameraTopic::subscriber(node, camera)?;
+        let (arrived, arrivals) = channel();
+        let thread = thread::spawn(move || {
+            while !over.load(Ordering::Acquire) {
+                events.wait(LOOK_NS);
+                if let Some(view) = frames.newest().expect("received") {
+                    assert_eq!(view.instance()[0], MARK, "the frame arrives");
+                    let _over = arrived.send(clock.now());
+                }
+            }
+        });
+        Ok(Self { arrivals, thread })
+    }
+}
+
+/// The same to other threads, which the publisher wakes; until the last of them has it.
 fn topic_and_wake(
     criterion: &mut Criterion,
     node: &TopicNode,
@@ -134,12 +161,9 @@ fn topic_and_wake(
     let pixels = header.intrinsics.pixel_count();
     let camera = format!("far_{readers}");
     let publisher = CameraTopic::publisher(node, &camera, pixels)?;
-    let mut woken = Vec::with_capacity(readers);
-    for _ in 0..readers {
-        let mut subscriber = CameraTopic::subscriber(node, &camera)?;
-        let on_read = move |_: &[u8]| expect_a_frame(&mut subscriber);
-        woken.push(Reader::spawn(clock, 1, pipe()?, on_read));
-    }
+    let over = Arc::new(AtomicBool::new(false));
+    let woken = (0..readers).map(|_| Woken::spawn(node, &camera, clock, &over));
+    let woken = woken.collect::<Result<Vec<_>, _>>()?;
     let times = support::measure(
         criterion,
         &format!("handover/iceoryx2, other threads woken {readers}"),
@@ -149,18 +173,20 @@ fn topic_and_wake(
             let mut loan = publisher.loan(&header).expect("a buffer is free");
             mark(&mut loan);
             loan.send().expect("published");
-            woken.iter_mut().for_each(|reader| reader.send(&[1]));
-            last_of(&woken, before)
+            last_of(woken.iter().map(|reader| &reader.arrivals), before)
         },
     );
-    woken.into_iter().for_each(|reader| drop(reader.finish()));
+    over.store(true, Ordering::Release);
+    for reader in woken {
+        reader.thread.join().expect("the reader does not panic");
+    }
     Ok(times)
 }
 
 /// The time from `before` until every reader has what it was sent, ns.
-fn last_of(readers: &[Reader], before: TimeNs) -> u64 {
-    let since = readers.iter().map(|reader| reader.had().since(before));
-    since.max().unwrap_or(0)
+fn last_of<'a>(arrivals: impl Iterator<Item = &'a Receiver<TimeNs>>, before: TimeNs) -> u64 {
+    let had = arrivals.map(|arrivals| arrivals.recv().expect("the reader lives"));
+    had.map(|had| had.since(before)).max().unwrap_or(0)
 }
 
 /// All bytes of the frame into the buffers of other threads, each on a way of its own; until the last of them has it.
@@ -173,13 +199,13 @@ fn through<I: Read + Send + 'static, O: Write + 'static>(
     let frame = vec![MARK; header().intrinsics.pixel_count() * BYTES_PER_PIXEL];
     let mut reading = Vec::with_capacity(readers);
     for _ in 0..readers {
-        reading.push(Reader::spawn(clock, frame.len(), way()?, |_| {}));
+        reading.push(Reader::spawn(clock, frame.len(), way()?));
     }
     let name = format!("handover/{name}, readers {readers}");
     let times = support::measure(criterion, &name, RUNS, || {
         let before = clock.now();
         reading.iter_mut().for_each(|reader| reader.send(&frame));
-        last_of(&reading, before)
+        last_of(reading.iter().map(|reader| &reader.arrivals), before)
     });
     if reading.into_iter().any(|reader| reader.finish() != frame) {
         return Err(format!("{name} brought other bytes").into());

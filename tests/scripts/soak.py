@@ -82,7 +82,7 @@ def main() -> None:
             except subprocess.TimeoutExpired:
                 pass
         print(json.dumps(json.loads(result.read_text())["real_time"], indent=1))
-        subprocess.run([args.trocar, "verify", str(log)], check=False)
+        subprocess.run([args.trocar, "verify", "--part", str(log)], check=False)
 
 
 if __name__ == "__main__":

@@ -12,12 +12,17 @@ mod batch;
 mod bring_up;
 #[path = "can_bus/drives.rs"]
 mod drives;
+#[path = "can_bus/faults.rs"]
+mod faults;
 #[path = "can_bus/heard.rs"]
 mod heard;
 #[path = "can_bus/pair.rs"]
 mod pair;
 #[path = "can_bus/peer.rs"]
 mod peer;
+#[expect(dead_code, reason = "over CAN it does not misbehave")]
+#[path = "faults/performer.rs"]
+mod performer;
 #[path = "can_bus/process.rs"]
 mod process;
 #[path = "can_bus/robot.rs"]

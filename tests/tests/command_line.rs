@@ -392,6 +392,27 @@ fn of_a_cut_log_no_result_says_that_it_is_well() {
     }
 }
 
+/// What the bound of a log kept is a cut log, unless one asks about that part.
+#[test]
+fn the_part_that_a_bound_kept_can_be_verified() {
+    let folder = scratch("command_line_bounded");
+    let log = folder.join("a.mcap");
+    let file = log.to_str().unwrap();
+    let bound = ["--log", file, "--log-max-mb", "16"];
+    let long = ["--set", "scene.episode.time_limit_s=8"];
+    run(&[&SHORT[..6], &long, &bound].concat());
+    refused_with_output(&["verify", file]);
+    let earlier = folder.join("a.earlier.mcap");
+    for kept in [file, earlier.to_str().unwrap()] {
+        let told = run(&["verify", "--part", kept]);
+        assert!(told.status.success(), "{}", text(&told.stderr));
+        assert!(text(&told.stdout).starts_with("ok, as far as the log's bound kept it"));
+    }
+    let bytes = fs::read(&log).unwrap();
+    fs::write(&log, &bytes[..bytes.len() / 2]).unwrap();
+    refused_with_output(&["verify", "--part", file]);
+}
+
 /// As [`refused`], of a verb that prints what there is before.
 fn refused_with_output(arguments: &[&str]) {
     let output = run(arguments);

@@ -8,6 +8,8 @@
     reason = "a test that fails to set up has failed; the table is what it prints"
 )]
 
+#[path = "faults/held_up.rs"]
+mod held_up;
 #[path = "faults/performer.rs"]
 mod performer;
 
@@ -19,7 +21,7 @@ use std::sync::{Arc, Mutex};
 use std::thread;
 
 use hal::TimeNs;
-use performer::{Manner, Performer};
+use performer::{Asks, Manner, Performer};
 use tests::{Profile, alone, json, scratch, trocar};
 use trocar::rt::{MonotonicClock, sleep_ns};
 use trocar::session::operator::{Ask, Command as Operator, ask};

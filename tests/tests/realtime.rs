@@ -129,7 +129,13 @@ fn until(what: &str, mut holds: impl FnMut() -> bool) {
 
 /// What the transport keeps for these processes in shared memory and in its folders for nodes and topics.
 fn shared_things(processes: &[u32]) -> Vec<PathBuf> {
-    ["/dev/shm", "/tmp/iceoryx2/nodes", "/tmp/iceoryx2/services"]
+    let folders = [
+        "/dev/shm",
+        "/tmp/iceoryx2",
+        "/tmp/iceoryx2/nodes",
+        "/tmp/iceoryx2/services",
+    ];
+    folders
         .iter()
         .filter_map(|folder| fs::read_dir(folder).ok())
         .flatten()

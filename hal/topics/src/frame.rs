@@ -4,6 +4,7 @@
 //! byte a pixel. What describes it travels in the sample's header.
 
 use core::fmt;
+use std::sync::Arc;
 
 use iceoryx2::port::publisher::Publisher;
 use iceoryx2::port::subscriber::Subscriber;
@@ -13,6 +14,7 @@ use iceoryx2::prelude::ZeroCopySend;
 use iceoryx2::sample::Sample;
 use iceoryx2::sample_mut::SampleMut;
 
+use super::events::Bell;
 use super::message::{pose, xyzw};
 use super::node::{LOANED_MAX, Service};
 use super::{TopicError, TopicNode};
@@ -96,6 +98,7 @@ impl CameraTopic {
             raw,
             topic,
             pixels_max,
+            bell: node.bell(),
         })
     }
 
@@ -117,6 +120,7 @@ pub struct FramePublisher {
     raw: Publisher<Service, [f32], FrameHeader>,
     topic: String,
     pixels_max: usize,
+    bell: Arc<Bell>,
 }
 
 impl FramePublisher {
@@ -207,6 +211,7 @@ impl FramePublisher {
             sample,
             topic: self.topic.clone(),
             pixels,
+            bell: Arc::clone(&self.bell),
         })
     }
 
@@ -227,6 +232,7 @@ pub struct FrameLoan {
     sample: SampleMut<Service, [f32], FrameHeader>,
     topic: String,
     pixels: usize,
+    bell: Arc<Bell>,
 }
 
 impl FrameLoan {
@@ -237,14 +243,16 @@ impl FrameLoan {
         (colour, depth_m, instance)
     }
 
-    /// Publishes the frame; the number of readers reached.
+    /// Publishes the frame and wakes who waits; the number of readers reached.
     ///
     /// # Errors
     /// [`TopicError::Transport`].
     pub fn send(self) -> Result<usize, TopicError> {
-        self.sample
-            .send()
-            .map_err(|error| TopicError::transport(&self.topic, "publishing a frame", &error))
+        let reached = self.sample.send();
+        let reached = reached
+            .map_err(|error| TopicError::transport(&self.topic, "publishing a frame", &error))?;
+        self.bell.ring();
+        Ok(reached)
     }
 }
 

@@ -1,6 +1,7 @@
 #![doc = include_str!("../README.md")]
 
 mod error;
+mod events;
 mod external;
 mod frame;
 mod message;
@@ -12,6 +13,7 @@ mod shm;
 mod tests;
 
 pub use error::TopicError;
+pub use events::Events;
 pub use external::{POLICY_CAMERAS_MAX, PolicyHello, PolicyReply, Reply, SessionHello};
 pub use frame::{CameraTopic, FrameHeader, FrameLoan, FramePublisher, FrameSubscriber, FrameView};
 pub use message::{ArmReport, PolicyStage, PolicyStatus, RunCommand, RunControl};

@@ -4,6 +4,7 @@ use core::fmt::Debug;
 use core::time::Duration;
 use std::fs;
 use std::path::Path;
+use std::sync::Arc;
 
 use iceoryx2::node::NodeState;
 use iceoryx2::port::publisher::PublisherCreateError;
@@ -18,6 +19,7 @@ use iceoryx2::service::builder::publish_subscribe::{
 };
 use iceoryx2::service::port_factory::publish_subscribe::PortFactory;
 
+use super::events::{Bell, EventService, Events};
 use super::{SHARED_MEMORY_DIR, SharedMemorySpace, TopicError, shm};
 
 /// Ports may move between threads; each call takes an uncontended lock.
@@ -36,17 +38,19 @@ pub(super) const LOANED_MAX: usize = 1;
 /// Buffers a writer reserves for all of the above.
 pub(super) const BUFFERS: usize = SUBSCRIBERS_MAX * (UNREAD_MAX + HELD_MAX) + HISTORY + LOANED_MAX;
 
-const NODES_MAX: usize = 16;
+/// Processes, and threads with a membership of their own, of a run.
+pub(super) const NODES_MAX: usize = 16;
 const NAME_MAX: usize = 100;
 const CLEANUP_TIMEOUT: Duration = Duration::from_secs(1);
 /// While a peer creates or removes the same service, opening is tried again this often, a retry pause apart.
-const OPEN_TRIES: usize = 200;
-const RETRY_PAUSE: Duration = Duration::from_millis(5);
+pub(super) const OPEN_TRIES: usize = 200;
+pub(super) const RETRY_PAUSE: Duration = Duration::from_millis(5);
 
 /// One process's (or thread's) membership in a run. Topics are opened through it and outlive it if need be.
 #[derive(Debug)]
 pub struct TopicNode {
     node: Node<Service>,
+    events: EventService,
     run_id: String,
 }
 
@@ -62,18 +66,20 @@ impl TopicNode {
         check_name(run_id, false)?;
         set_log_level(LogLevel::Error);
         let config = transport_config(run_id)?;
+        let global = &config.global;
+        let folders = [*global.root_path(), global.node_dir(), global.service_dir()];
+        let or_folder = |error: TopicError| {
+            let mut folders = folders.iter();
+            let unwritable = folders.find_map(|dir| unwritable(Path::new(&dir.to_string())));
+            unwritable.unwrap_or(error)
+        };
         let node = NodeBuilder::new()
             .config(&config)
             .signal_handling_mode(SignalHandlingMode::Disabled)
             .create::<Service>()
-            .map_err(|error| {
-                let global = &config.global;
-                [*global.root_path(), global.node_dir(), global.service_dir()]
-                    .iter()
-                    .find_map(|dir| unwritable(Path::new(&dir.to_string())))
-                    .unwrap_or_else(|| TopicError::transport(run_id, "joining the run", &error))
-            })?;
+            .map_err(|error| or_folder(TopicError::transport(run_id, "joining the run", &error)))?;
         let joined = Self {
+            events: EventService::open(&node, run_id).map_err(or_folder)?,
             node,
             run_id: run_id.to_owned(),
         };
@@ -85,6 +91,19 @@ impl TopicNode {
     #[must_use]
     pub fn run_id(&self) -> &str {
         &self.run_id
+    }
+
+    /// A place to wait for what the run's processes publish, for one thread.
+    ///
+    /// # Errors
+    /// [`TopicError::Transport`].
+    pub fn events(&self) -> Result<Events, TopicError> {
+        self.events.listen()
+    }
+
+    /// What a writer wakes others with.
+    pub(super) fn bell(&self) -> Arc<Bell> {
+        self.events.bell()
     }
 
     /// Frees what processes that died without cleaning up still hold; the number of them.

@@ -2,12 +2,14 @@
 
 use core::fmt::Debug;
 use core::marker::PhantomData;
+use std::sync::Arc;
 
 use iceoryx2::port::publisher::Publisher as RawPublisher;
 use iceoryx2::port::subscriber::Subscriber as RawSubscriber;
 use iceoryx2::port::update_connections::UpdateConnections as _;
 use iceoryx2::prelude::ZeroCopySend;
 
+use super::events::Bell;
 use super::node::{LOANED_MAX, Service};
 use super::{TopicError, TopicNode};
 use hal::Chunk;
@@ -41,7 +43,8 @@ impl<M: Message> Topic<M> {
                 .create()
         };
         let raw = node.create_publisher(&topic, size_of::<M>(), create)?;
-        Ok(Publisher { raw, topic })
+        let bell = node.bell();
+        Ok(Publisher { raw, topic, bell })
     }
 
     /// A reader of the topic of `arm`; it may come before the writer.
@@ -61,17 +64,20 @@ impl<M: Message> Topic<M> {
 pub struct Publisher<M: Message> {
     raw: RawPublisher<Service, M, ()>,
     topic: String,
+    bell: Arc<Bell>,
 }
 
 impl<M: Message> Publisher<M> {
-    /// Publishes `message`; never waits for readers. The number of readers that it reached.
+    /// Publishes `message` and wakes who waits; never waits for readers. The number of readers that it reached.
     ///
     /// # Errors
     /// [`TopicError::Transport`].
     pub fn publish(&self, message: &M) -> Result<usize, TopicError> {
-        self.raw
-            .send_copy(*message)
-            .map_err(|error| TopicError::transport(&self.topic, "publishing", &error))
+        let reached = self.raw.send_copy(*message);
+        let reached =
+            reached.map_err(|error| TopicError::transport(&self.topic, "publishing", &error))?;
+        self.bell.ring();
+        Ok(reached)
     }
 
     /// Hands the newest message to readers that have come since; call it now and then when there is nothing to say.

@@ -346,13 +346,13 @@ const PEER_RUN: &str = "TROCAR_TEST_PEER_RUN";
 
 /// Starts this test executable again, as the policy process of run `run`.
 fn start_peer(run: &str) -> (Child, BufReader<std::process::ChildStdout>) {
+    start_as("tests::plays_the_policy_process", run)
+}
+
+/// Starts this test executable again for the test `role`, which plays a process of run `run`.
+fn start_as(role: &str, run: &str) -> (Child, BufReader<std::process::ChildStdout>) {
     let mut child = Command::new(env::current_exe().unwrap())
-        .args([
-            "--exact",
-            "tests::plays_the_policy_process",
-            "--nocapture",
-            "--test-threads=1",
-        ])
+        .args(["--exact", role, "--nocapture", "--test-threads=1"])
         .env(PEER_RUN, run)
         .stdin(Stdio::piped())
         .stdout(Stdio::piped())
@@ -455,6 +455,102 @@ fn processes_exchange_frames_and_a_killed_one_is_replaced() {
     );
     drop(successor.stdin.take());
     assert!(successor.wait().unwrap().success());
+}
+
+/// Shows a frame, and then holds another that it has written half of.
+#[test]
+fn plays_a_camera_that_stays_in_mid_sample() {
+    let Ok(run) = env::var(PEER_RUN) else {
+        return;
+    };
+    let node = TopicNode::join(&run).unwrap();
+    let mut frames = CameraTopic::publisher(&node, "scope", 64 * 64).unwrap();
+    frames.publish(&busy_frame(1, lens(64, 64))).unwrap();
+    let mut loan = frames.loan(&header(2, lens(64, 64))).unwrap();
+    loan.planes().1[..2048].fill(0.5);
+    let mut out = std::io::stdout();
+    writeln!(out, "\npeer ready").unwrap();
+    let _until_killed = std::io::stdin().lock().lines().next();
+}
+
+/// A camera's process that is killed while it writes, and readers that hold what it wrote before.
+#[test]
+fn a_writer_killed_in_mid_sample_is_replaced() {
+    let run = run_id("half");
+    let node = TopicNode::join(&run).unwrap();
+    let mut reader = CameraTopic::subscriber(&node, "scope").unwrap();
+    let (mut camera, _out) = start_as("tests::plays_a_camera_that_stays_in_mid_sample", &run);
+    let before = busy_frame(1, lens(64, 64));
+    let mut view = None;
+    while view.is_none() {
+        view = reader.newest().unwrap();
+    }
+    camera.kill().unwrap();
+    camera.wait().unwrap();
+    let mut successor = CameraTopic::publisher(&node, "scope", 64 * 64).unwrap();
+    assert!(reader.newest().unwrap().is_none(), "half a frame");
+    let view = view.unwrap();
+    assert_eq!(view.colour(), before.colour);
+    assert_eq!(depth_bits(view.depth_m()), depth_bits(&before.depth_m));
+    successor.publish(&busy_frame(3, lens(64, 64))).unwrap();
+    assert_eq!(reader.newest().unwrap().unwrap().header().sequence, 3);
+    assert!(node.remove_dying(camera.id(), core::time::Duration::from_secs(5)));
+}
+
+/// Longer than any test may take, ns.
+const NEVER_NS: u64 = 600_000_000_000;
+
+#[test]
+fn who_waits_is_woken_by_messages_and_frames() {
+    let (node, other) = (node("events"), node("events"));
+    let (events, idle) = (node.events().unwrap(), node.events().unwrap());
+    let chunks = ChunkTopic::publisher(&other, "psm1").unwrap();
+    let mut frames = CameraTopic::publisher(&other, "scope", 16).unwrap();
+    // What came before is not lost.
+    chunks.publish(&busy_chunk(1)).unwrap();
+    events.wait(NEVER_NS);
+    std::thread::scope(|scope| {
+        scope.spawn(|| events.wait(NEVER_NS));
+        frames.publish(&busy_frame(1, lens(4, 4))).unwrap();
+    });
+    // One that never wakes is told once and holds nobody up.
+    for sequence in 0..5_000 {
+        chunks.publish(&busy_chunk(sequence)).unwrap();
+    }
+    idle.wait(NEVER_NS);
+    let nothing_more = std::time::Duration::from_millis(20);
+    idle.wait(nothing_more.as_nanos().try_into().unwrap());
+}
+
+/// A process that is killed where it would be woken does not keep others from waking.
+#[test]
+fn who_waits_beside_a_dead_one_is_woken() {
+    let run = run_id("deaf");
+    let node = TopicNode::join(&run).unwrap();
+    let mut frames = CameraTopic::publisher(&node, "psm1/endoscope", 16).unwrap();
+    let (mut peer, _out) = start_as("tests::plays_a_process_that_waits", &run);
+    peer.kill().unwrap();
+    peer.wait().unwrap();
+    let events = node.events().unwrap();
+    frames.publish(&busy_frame(1, lens(4, 4))).unwrap();
+    events.wait(NEVER_NS);
+    assert!(node.remove_dying(peer.id(), core::time::Duration::from_secs(5)));
+    frames.publish(&busy_frame(2, lens(4, 4))).unwrap();
+    events.wait(NEVER_NS);
+}
+
+#[test]
+fn plays_a_process_that_waits() {
+    let Ok(run) = env::var(PEER_RUN) else {
+        return;
+    };
+    let node = TopicNode::join(&run).unwrap();
+    let events = node.events().unwrap();
+    let mut out = std::io::stdout();
+    writeln!(out, "\npeer ready").unwrap();
+    loop {
+        events.wait(NEVER_NS);
+    }
 }
 
 /// A hello of a later version.

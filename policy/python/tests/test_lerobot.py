@@ -149,3 +149,10 @@ def test_what_is_no_checkpoint_of_acts_is_bad_input(tmp_path: Path, capsys: pyte
     (tmp_path / "trocar.json").write_text("{}")
     with pytest.raises(CheckpointError, match="type = 'dp3': allowed is 'act'"):
         convert(tmp_path, tmp_path / "out")
+
+
+def test_policies_that_queue_observations_are_refused_by_type(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "config.json").write_text('{"type": "vqbet"}')
+    assert main(["serve", str(tmp_path)]) == 2
+    said = capsys.readouterr().err
+    assert "config.json: type = 'vqbet' can't be served" in said and "lerobot-eval" in said

@@ -162,6 +162,7 @@ impl<F: FnMut(&RunHeader, Event<'_>) -> Result<(), String>> Assembly<F> {
         let unclosed = || "the data end, but the record of how the run ended is missing".to_owned();
         let continued = || "the run goes on in another file: its log was bounded".to_owned();
         let left_out = self.facts.header.left_out;
+        let whole = cut.is_none() && counts.is_some();
         let bounded = || format!("its bound left out the first {left_out} ticks");
         let handed_over = counts.map_or(0, |counts| {
             counts.ticks.saturating_add(counts.ticks_dropped)
@@ -178,6 +179,7 @@ impl<F: FnMut(&RunHeader, Event<'_>) -> Result<(), String>> Assembly<F> {
                 .or_else(|| counts.is_none().then(unclosed))
                 .or_else(|| (left_out > 0).then(bounded))
                 .or_else(|| self.facts.goes_on.then(continued)),
+            bounded: whole && (left_out > 0 || self.facts.goes_on),
             altered: self.facts.altered,
         })
     }

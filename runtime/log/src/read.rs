@@ -28,6 +28,7 @@ pub struct RunLog {
     /// What happened in words, in order; for people, and no part of what a replay needs.
     pub events: Vec<String>,
     cut: Option<String>,
+    bounded: bool,
     altered: bool,
     ticks: Vec<LoggedTick>,
     /// By the position of their tick, for each arm.
@@ -79,6 +80,8 @@ pub struct LogEnd {
     pub dropped_at_end: u64,
     /// Why the file ends before its end, if it does.
     pub cut: Option<String>,
+    /// Whether that is its own bound alone: all that the bound kept is there.
+    pub bounded: bool,
     /// Whether the log is not what the run wrote: something was changed, put in or taken away.
     pub altered: bool,
 }
@@ -169,6 +172,7 @@ impl RunLog {
         log.outcome = end.outcome;
         log.input_hash = end.input_hash;
         log.cut = end.cut;
+        log.bounded = end.bounded;
         log.altered = end.altered;
         Ok(log)
     }
@@ -240,6 +244,7 @@ impl RunLog {
             input_hash: self.input_hash,
             dropped_at_end: at_end.sum(),
             cut: self.cut.clone(),
+            bounded: self.bounded,
             altered: self.altered,
         }
     }

@@ -46,6 +46,8 @@ pub struct VerifyResult {
     pub measured: Vec<MeasuredClearance>,
     /// Why the log ends before its end, if it does; the rest of the result is about what comes before.
     pub cut: Option<String>,
+    /// Whether that is the log's own bound alone: what it kept is whole, and there is nothing else to check.
+    pub bounded: bool,
 }
 
 /// A limit that was broken in one tick.

@@ -1,5 +1,6 @@
 //! `trocar drives` and a run beside them, as processes that end with the test.
 
+use std::env;
 use std::fs::{self, File};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
@@ -23,13 +24,16 @@ pub(crate) fn pass_ms(ms: u64) {
     sleep_ns(ms * MS_NS * SLOW_MOTION);
 }
 
-fn until(what: &str, mut holds: impl FnMut() -> bool) {
+pub(crate) fn until(what: &str, mut holds: impl FnMut() -> bool) {
     let clock = MonotonicClock::new();
     while !holds() {
         assert!(clock.now().0 < PATIENCE_NS, "waited in vain until {what}");
         sleep_ns(20 * MS_NS);
     }
 }
+
+/// Names the run's topics to a test that plays one of its processes; unset in an ordinary test run.
+pub(crate) const TOPICS: &str = "TROCAR_TEST_TOPICS";
 
 /// A `trocar` process with files for what it says and what comes of it.
 pub(crate) struct Process {
@@ -43,14 +47,31 @@ impl Process {
         Self::slowed(SLOW_MOTION, folder, name, arguments)
     }
 
+    /// This test executable once more, for the test `role`, which plays a process of the run on `topics`.
+    pub(crate) fn playing(folder: &Path, role: &str, topics: &str) -> Self {
+        let mut command = Command::new(env::current_exe().unwrap());
+        command.args(["--exact", role, "--nocapture"]);
+        command.env(TOPICS, topics);
+        Self::spawned(
+            SLOW_MOTION,
+            folder,
+            &format!("{role}.out").replace("::", "-"),
+            command,
+        )
+    }
+
     fn slowed(times: u64, folder: &Path, name: &str, arguments: &[&str]) -> Self {
+        let mut command = trocar(Profile::Debug);
+        command.args(arguments).arg("--json");
+        command.arg(folder.join(format!("{name}.json")));
+        Self::spawned(times, folder, name, command)
+    }
+
+    fn spawned(times: u64, folder: &Path, name: &str, mut command: Command) -> Self {
         let said = folder.join(format!("{name}.txt"));
         let result = folder.join(format!("{name}.json"));
-        let child = trocar(Profile::Debug)
+        let child = command
             .env("TROCAR_SLOW_MOTION", times.to_string())
-            .args(arguments)
-            .arg("--json")
-            .arg(&result)
             .stdout(Stdio::null())
             .stderr(File::create(&said).unwrap())
             .spawn()

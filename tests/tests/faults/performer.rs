@@ -38,6 +38,25 @@ pub(crate) enum Manner {
     Slow,
 }
 
+/// What it says that it is for.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Asks {
+    pub(crate) arms: u64,
+    pub(crate) camera: Option<&'static str>,
+    pub(crate) every_steps: u64,
+}
+
+impl Asks {
+    /// One arm, no camera.
+    pub(crate) const fn usual() -> Self {
+        Self {
+            arms: 1,
+            camera: None,
+            every_steps: EVERY_STEPS,
+        }
+    }
+}
+
 /// The policy in a thread of its own, which leaves the topics when this is dropped.
 pub(crate) struct Performer {
     manner: Arc<AtomicU8>,
@@ -47,8 +66,12 @@ pub(crate) struct Performer {
 
 impl Performer {
     pub(crate) fn appear(topics: &str) -> Self {
+        Self::asking(topics, Asks::usual())
+    }
+
+    pub(crate) fn asking(topics: &str, asks: Asks) -> Self {
         let (manner, leaves) = (Arc::new(AtomicU8::new(0)), Arc::new(AtomicBool::new(false)));
-        let stage = Stage::open(topics, Arc::clone(&manner), Arc::clone(&leaves));
+        let stage = Stage::open(topics, asks, Arc::clone(&manner), Arc::clone(&leaves));
         Self {
             manner,
             leaves,
@@ -84,18 +107,19 @@ struct Stage {
 }
 
 impl Stage {
-    fn open(topics: &str, manner: Arc<AtomicU8>, leaves: Arc<AtomicBool>) -> Self {
+    fn open(topics: &str, asks: Asks, manner: Arc<AtomicU8>, leaves: Arc<AtomicBool>) -> Self {
         let node = TopicNode::join(topics).unwrap();
         let hello = PolicyHelloTopic::publisher(&node, ARM).unwrap();
-        hello
-            .publish(&PolicyHello {
-                pid: u64::from(std::process::id()),
-                arm_count: 1,
-                query_every_steps: EVERY_STEPS,
-                name: Line::new("swings"),
-                ..PolicyHello::default()
-            })
-            .unwrap();
+        let mut said = PolicyHello {
+            pid: u64::from(std::process::id()),
+            arm_count: asks.arms,
+            query_every_steps: asks.every_steps,
+            camera_count: u64::from(asks.camera.is_some()),
+            name: Line::new("swings"),
+            ..PolicyHello::default()
+        };
+        said.cameras[0] = asks.camera.map_or_else(Line::default, Line::new);
+        hello.publish(&said).unwrap();
         Self {
             control: RunControlTopic::subscriber(&node, ARM).unwrap(),
             reports: ArmStateTopic::subscriber(&node, ARM).unwrap(),

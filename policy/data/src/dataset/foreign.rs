@@ -280,8 +280,8 @@ impl Foreign {
             let indices = file.table.integers(EPISODE_INDEX)?;
             for (other, first) in self.listed.iter().zip(&self.first_rows) {
                 if other.data == listed.data {
-                    let rows = indices.get(*first..first.saturating_add(other.len));
-                    check_episode(&file.table, other, other.start, rows)?;
+                    let rows = *first..first.saturating_add(other.len);
+                    check_episode(&file.table, other, other.start, (&indices, rows))?;
                 }
             }
             self.file = Some(file);

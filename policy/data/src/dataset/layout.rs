@@ -35,6 +35,8 @@ pub(super) struct Listed {
     pub(super) len: usize,
     /// The file with its rows.
     pub(super) data: PathBuf,
+    /// Whether that holds no other episode's, as in v2.x.
+    pub(super) alone: bool,
     /// Where its frames are, of each camera that is asked about.
     pub(super) videos: Vec<VideoPlace>,
 }
@@ -75,6 +77,7 @@ pub(super) fn read_episodes(
             start,
             len: line.length,
             data: dir.join(format!("data/{chunk}/episode_{index:06}.parquet")),
+            alone: true,
             videos: videos.iter().map(of_feature).collect(),
         });
         start = start.saturating_add(line.length);

@@ -224,6 +224,7 @@ pub(super) fn read_episodes(dir: &Path, videos: &[String]) -> Result<Vec<Listed>
             start: start[row],
             len: len[row],
             data: data_path(dir, chunk[row], file[row]),
+            alone: false,
             videos: places.iter().map(|of_rows| of_rows[row].clone()).collect(),
         }));
     }

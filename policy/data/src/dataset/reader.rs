@@ -268,7 +268,7 @@ impl Dataset {
             let mut row = 0_usize;
             for listed in episodes {
                 let rows = row..row.saturating_add(listed.len);
-                check_episode(&table, listed, next, file.episode_index.get(rows.clone()))?;
+                check_episode(&table, listed, next, (&file.episode_index, rows.clone()))?;
                 row = rows.end;
                 file.append(&mut self.rows, (self.tables.len(), &table), rows)?;
                 self.episodes.push(Episode {

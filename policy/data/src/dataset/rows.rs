@@ -1,5 +1,7 @@
 //! The numbers of a dataset's frames, taken out of its data files and checked against the table of episodes.
 
+use std::ops::Range;
+
 use super::{
     ACTION_WIDTH, DatasetError, STATE_WIDTH, TIP_POSE_WIDTH,
     layout::Listed,
@@ -57,7 +59,7 @@ impl FileRows {
         &self,
         rows: &mut Rows,
         (table, file): (usize, &Table),
-        range: std::ops::Range<usize>,
+        range: Range<usize>,
     ) -> Result<(), DatasetError> {
         let of_arms = self.arms * range.start..self.arms * range.end;
         for (name, bad) in [
@@ -87,15 +89,19 @@ fn not_finite<const N: usize>(vectors: &[[f64; N]]) -> Option<(usize, f64)> {
     Some((place / N, value))
 }
 
-/// An episode has to lie where the table of episodes says, and nowhere else.
+/// An episode has to lie where the table of episodes says, and nowhere else: the rows `range` of the file's `indices` of episodes.
 pub(super) fn check_episode(
     table: &Table,
     listed: &Listed,
     next: usize,
-    rows: Option<&[i64]>,
+    (indices, range): (&[i64], Range<usize>),
 ) -> Result<(), DatasetError> {
     let what = format!("episode {}", listed.index);
-    let Some(rows) = rows else {
+    if listed.alone && indices.len() > range.end {
+        let expected = format!("{}, its length in meta/episodes.jsonl", listed.len);
+        return Err(table.mismatch(&what, format!("{} rows long", indices.len()), expected));
+    }
+    let Some(rows) = indices.get(range) else {
         return Err(table.mismatch(
             &what,
             "cut off by the end of the file".to_owned(),

@@ -18,10 +18,8 @@ from .topics import FrameSubscriber, Node
 _ALIVE_EVERY_S = 0.2
 _STATUS_EVERY_S = 0.05
 
-#: What a session looks like that asks without a break, and how long to sleep between two looks then, and otherwise, s.
-_BUSY_S = 0.05
-_BUSY_SLEEP_S = 50e-6
-_IDLE_SLEEP_S = 1e-3
+#: Longest time between two looks at the topics, s: for writers that wake nobody, and for signals.
+_LOOK_S = 0.01
 
 
 @dataclass(frozen=True)
@@ -80,6 +78,7 @@ class Peer:
         self._query_every = query_every
         self._history = history
         self._node = Node(name)
+        self._events = self._node.events()
         first = m.ARM_NAMES[0]
         self._control = self._node.subscriber(m.RunControl, first)
         self._sessions = self._node.subscriber(m.SessionHello, first)
@@ -102,7 +101,7 @@ class Peer:
         self._said = 0
         self._asked_at = 0.0
         self._infer_ns = 0
-        self._busy = self._looked = self._told = 0.0
+        self._looked = self._told = 0.0
         hello = m.PolicyHello(
             pid=os.getpid(),
             arm_count=arms,
@@ -125,13 +124,12 @@ class Peer:
         begun = time.monotonic()
         while True:
             event = self.poll()
-            now = time.monotonic()
             if event is not None:
-                self._busy = now
                 return event
-            if timeout_s is not None and now - begun >= timeout_s:
+            left_s = _LOOK_S if timeout_s is None else timeout_s - (time.monotonic() - begun)
+            if left_s <= 0.0:
                 return None
-            time.sleep(_BUSY_SLEEP_S if now - self._busy < _BUSY_S else _IDLE_SLEEP_S)
+            self._events.wait(min(left_s, _LOOK_S))
 
     def poll(self) -> Event | None:
         """The next event, if there is one."""

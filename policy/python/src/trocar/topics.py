@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import ctypes
 import re
 from typing import Any, Generic, TypeVar
@@ -18,6 +19,7 @@ _UNREAD_MAX = 1
 _HELD_MAX = 2
 _HISTORY = 1
 _NODES_MAX = 16
+_OPEN_TRIES = 200
 _PREFIX = "trocar_"
 
 M = TypeVar("M", bound=Message)
@@ -43,6 +45,8 @@ class Node:
             .signal_handling_mode(iox2.SignalHandlingMode.Disabled)
             .create(iox2.ServiceType.Ipc)
         )
+        self._events = self._open_events()
+        self._bell = self._events.notifier_builder().create()
         self.remove_dead()
 
     def remove_dead(self) -> None:
@@ -54,6 +58,10 @@ class Node:
         states = iox2.Node.list(iox2.ServiceType.Ipc, self._config)
         return any(not isinstance(state, iox2.NodeState.Dead) and _pid_of(state) == pid for state in states)
 
+    def events(self) -> Events:
+        """A place to wait for what the run's processes publish, for one thread."""
+        return Events(self._events.listener_builder().create())
+
     def publisher(self, message: type[M], arm: str) -> Publisher[M]:
         """The only writer of the topic of `arm` that carries `message`."""
         topic = f"trocar/{self.name}/{arm}/{message.TOPIC}"
@@ -62,7 +70,7 @@ class Node:
             raw = service.publisher_builder().max_loaned_samples(1).create()
         except iox2.PublisherCreateError as error:
             raise TopicError(f"topic '{topic}' can't be published: {error}; is another policy running on it?") from error
-        return Publisher(raw, topic)
+        return Publisher(raw, topic, self._bell)
 
     def subscriber(self, message: type[M], arm: str) -> Subscriber[M]:
         """A reader of the topic of `arm` that carries `message`."""
@@ -81,9 +89,22 @@ class Node:
         except iox2.SubscriberCreateError as error:
             raise TopicError(f"topic '{topic}' can't be read: {error}") from error
 
+    def _open_events(self) -> Any:
+        name = f"trocar/{self.name}/events"
+        reason: Exception | None = None
+        for _ in range(_OPEN_TRIES):
+            builder = self._node.service_builder(iox2.ServiceName.new(name)).event()
+            try:
+                return builder.max_nodes(_NODES_MAX).max_notifiers(_NODES_MAX).max_listeners(_NODES_MAX).open_or_create()
+            except iox2.EventOpenOrCreateError as error:
+                reason = error
+                # A peer may be creating or removing it.
+                self._node.wait(iox2.Duration.from_millis(5))
+        raise TopicError(f"event service '{name}' can't be opened: {reason}")
+
     def _open(self, topic: str, payload: Any, header: Any) -> Any:
         reason: Exception | None = None
-        for _ in range(200):
+        for _ in range(_OPEN_TRIES):
             builder = self._node.service_builder(iox2.ServiceName.new(topic)).publish_subscribe(payload)
             if header is not None:
                 builder = builder.user_header(header)
@@ -118,16 +139,31 @@ def _pid_of(state: Any) -> int:
     return int(node_id.pid(iox2.ServiceType.Ipc))
 
 
+class Events:
+    """Waits for anything that is published in the run, by any process of it."""
+
+    def __init__(self, raw: Any) -> None:
+        self._raw = raw
+
+    def wait(self, at_most_s: float) -> None:
+        """Waits until something is published, or that long. There may be nothing new on the topics that one reads."""
+        # A signal cuts it short, with an error.
+        with contextlib.suppress(iox2.ListenerWaitError):
+            self._raw.timed_wait(iox2.Duration.from_nanos(int(at_most_s * 1e9)))
+
+
 class Publisher(Generic[M]):
     """Writes the messages of one topic."""
 
-    def __init__(self, raw: Any, topic: str) -> None:
+    def __init__(self, raw: Any, topic: str, bell: Any) -> None:
         self._raw = raw
         self._topic = topic
+        self._bell = bell
 
     def publish(self, message: M) -> None:
-        """Publishes `message`; never waits for readers."""
+        """Publishes `message` and wakes who waits; never waits for readers."""
         self._raw.send_copy(message)
+        self._bell.notify()
 
     def keep_alive(self) -> None:
         """Hands the newest message to readers that have come since."""

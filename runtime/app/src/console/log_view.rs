@@ -18,8 +18,11 @@ use super::tap::{ControlTap, seconds};
 use crate::mailbox::mailbox;
 use crate::session::SessionError;
 
-/// Ticks from one state that is kept to the next.
+/// Ticks from one state that is kept to the next, at first.
 const EVERY_TICKS: u64 = 20;
+
+/// Bytes of states that are kept, of some twenty minutes of one arm; of longer logs they are further apart.
+const STATE_BYTES_MAX: usize = 64 << 20;
 
 /// Bytes of images that are kept; of more, every second one goes.
 const IMAGE_BYTES_MAX: usize = 256 << 20;
@@ -161,12 +164,57 @@ impl Images {
     }
 }
 
+/// States by tick, a bounded number of bytes.
+#[derive(Debug)]
+struct States {
+    kept: BTreeMap<u64, Box<str>>,
+    bytes: usize,
+    every_ticks: u64,
+}
+
+impl Default for States {
+    fn default() -> Self {
+        Self {
+            kept: BTreeMap::new(),
+            bytes: 0,
+            every_ticks: EVERY_TICKS,
+        }
+    }
+}
+
+impl States {
+    fn wants(&self, tick: u64) -> bool {
+        let newest = self.kept.last_key_value();
+        newest.is_none_or(|(newest, _)| tick >= newest + self.every_ticks)
+    }
+
+    fn keep(&mut self, tick: u64, state: Box<str>) {
+        self.bytes += state.len();
+        self.kept.insert(tick, state);
+        if self.bytes > STATE_BYTES_MAX {
+            self.thin_out();
+        }
+    }
+
+    /// Lets those go that are less than twice as far apart as before.
+    fn thin_out(&mut self) {
+        self.every_ticks *= 2;
+        let (every_ticks, mut newest) = (self.every_ticks, None);
+        self.kept.retain(|tick, _| {
+            let keeps = newest.is_none_or(|newest| *tick >= newest + every_ticks);
+            newest = if keeps { Some(*tick) } else { newest };
+            keeps
+        });
+        self.bytes = self.kept.values().map(|state| state.len()).sum();
+    }
+}
+
 /// The run as a controller computes it again.
 struct Recomputed {
     facts: Facts,
     controller: AnyController,
     tap: ControlTap,
-    states: BTreeMap<u64, Box<str>>,
+    states: States,
     events: Vec<EventFacts>,
     first: Option<u64>,
     last: Option<u64>,
@@ -191,7 +239,7 @@ impl Recomputed {
             facts: Facts::new(title, &header.policy, header.seed, &config, cameras),
             controller,
             tap: ControlTap::new(mailbox().0, mailbox().0),
-            states: BTreeMap::new(),
+            states: States::default(),
             events: Vec::new(),
             first: None,
             last: None,
@@ -243,13 +291,11 @@ impl Recomputed {
             .iter()
             .map(|arm| arm.report.mode.state)
             .collect();
-        let newest = self.states.last_key_value().map(|(tick, _)| *tick);
-        let due = newest.is_none_or(|newest| record.tick >= newest + EVERY_TICKS);
-        if due || states != self.was {
+        if self.states.wants(record.tick) || states != self.was {
             self.was = states;
             let sample = self.tap.sample(record);
             let state = State::new(&sample, &self.facts, 0.0, None).json();
-            self.states.insert(record.tick, state.into());
+            self.states.keep(record.tick, state.into());
         }
     }
 
@@ -304,7 +350,7 @@ impl Recomputed {
         });
         LogView {
             facts,
-            states: self.states,
+            states: self.states.kept,
             first,
             images,
         }
@@ -320,4 +366,30 @@ fn config(header: &RunHeader) -> Result<ControlConfig, SessionError> {
     };
     let loaded = ControlConfig::load(&source("control.toml")?, &source("safety.toml")?);
     Ok(loaded.map_err(ReplayError::from)?)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A log of hours takes no more than one of minutes: its states are further apart, from its beginning to its end.
+    #[test]
+    fn states_of_a_long_log_take_bounded_memory() {
+        let mut states = States::default();
+        let state = "x".repeat(64 << 10);
+        let last = EVERY_TICKS * 5000;
+        for tick in 0..=last {
+            if states.wants(tick) {
+                states.keep(tick, state.as_str().into());
+            }
+        }
+        assert!(states.bytes <= STATE_BYTES_MAX && states.bytes > STATE_BYTES_MAX / 4);
+        assert_eq!(states.bytes, states.kept.len() * state.len());
+        let (first, newest) = (states.kept.first_key_value(), states.kept.last_key_value());
+        assert_eq!(first.map(|(tick, _)| *tick), Some(0));
+        assert!(newest.is_some_and(|(tick, _)| last - tick < states.every_ticks));
+        let ticks: Vec<u64> = states.kept.keys().copied().collect();
+        let apart = ticks.windows(2).map(|two| two[1] - two[0]);
+        assert_eq!(apart.max(), Some(states.every_ticks));
+    }
 }

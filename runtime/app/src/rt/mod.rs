@@ -8,6 +8,7 @@ mod sys;
 mod thread;
 
 use hal::TimeNs;
+use trocar_topics::Events;
 
 pub use allocations::{CountingAllocator, thread_allocations};
 pub use held::{CPU_DMA_LATENCY, Held, hold_cpu_latency};
@@ -118,6 +119,11 @@ pub fn machine() -> String {
         .find_map(|line| line.strip_prefix("model name")?.split_once(':'))
         .map_or("unknown processor", |(_, model)| model.trim());
     format!("{}, {model}, Linux {}", name.trim(), kernel.trim())
+}
+
+/// Waits until something is published on the run's topics, for `at_most_ns`; never for the control thread.
+pub fn wait(events: &Events, at_most_ns: u64) {
+    events.wait(at_most_ns.saturating_mul(slow_motion()));
 }
 
 /// Sleeps for `duration_ns` at least; for threads that poll, never for the control thread.

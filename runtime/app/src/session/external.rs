@@ -16,7 +16,7 @@ use std::{fs, process};
 
 use hal::{ARM_NAMES, Chunk, FrameRef, Observation, Policy, PolicyError, TimeNs};
 use trocar_topics::{
-    ArmReport, ArmStateTopic, CameraTopic, ChunkTopic, FrameHeader, FramePublisher, Line,
+    ArmReport, ArmStateTopic, CameraTopic, ChunkTopic, Events, FrameHeader, FramePublisher, Line,
     PolicyHello, PolicyHelloTopic, PolicyReply, PolicyReplyTopic, PolicyStage, PolicyStatus,
     PolicyStatusTopic, Publisher, Reply, RunCommand, RunControl, RunControlTopic, SessionHello,
     SessionHelloTopic, Subscriber, TopicError, TopicNode,
@@ -35,11 +35,11 @@ pub use choice::{DEFAULT_NAME, DEFAULT_WITHIN_S, ExternalChoice, INSTRUCTION_BYT
 /// The arm that the topics of the whole policy are named after.
 const FIRST_ARM: &str = ARM_NAMES[0];
 
-/// Time between two looks, ns: in lockstep the simulation stands still for it.
-const POLL_NS: u64 = 50_000;
+/// Whoever waits for topics looks this often even if nobody has woken it, ns: for writers that wake nobody, and readers that came late.
+pub(super) const LOOK_NS: u64 = 10_000_000;
 
-/// Looks from one at whether the policy lives to the next.
-const ALIVE_EVERY_LOOKS: u64 = 500;
+/// Time from one look at whether the policy lives to the next, ns.
+const ALIVE_EVERY_NS: u64 = 25_000_000;
 
 /// Most policy steps from one query to the next, or of a history.
 const STEPS_MAX: u64 = 10_000;
@@ -73,6 +73,7 @@ pub(super) struct ExternalLink {
     pub(super) session: u64,
     said: Publisher<SessionHello>,
     hellos: Subscriber<PolicyHello>,
+    events: Events,
 }
 
 impl ExternalLink {
@@ -103,6 +104,7 @@ impl ExternalLink {
             cameras: Vec::new(),
             session,
             said,
+            events: node.events()?,
             node,
         };
         link.hello = link.wait("appeared", |link| {
@@ -112,14 +114,14 @@ impl ExternalLink {
         Ok(link)
     }
 
-    /// Looks until there is something. `doing` is what the policy has not done in time.
+    /// Looks whenever something is published until there is something. `doing` is what the policy has not done in time.
     pub(super) fn wait<T>(
         &self,
         doing: &str,
         mut look: impl FnMut(&Self) -> Result<Option<T>, PolicyError>,
     ) -> Result<T, PolicyError> {
         let clock = MonotonicClock::new();
-        let mut looks = 0_u64;
+        let mut alive = clock.now();
         while clock.now().0 < self.within_ns {
             if let Some(found) = look(self)? {
                 return Ok(found);
@@ -127,12 +129,12 @@ impl ExternalLink {
             if rt::interrupted() {
                 return Err(PolicyError::Interrupted);
             }
-            looks += 1;
-            if looks.is_multiple_of(ALIVE_EVERY_LOOKS) {
+            if clock.now().since(alive) >= ALIVE_EVERY_NS {
+                alive = clock.now();
                 let told = self.keep_alive().and_then(|()| self.check_alive());
                 told?;
             }
-            rt::sleep_ns(POLL_NS);
+            rt::wait(&self.events, LOOK_NS);
         }
         let within_s = self.within_ns / 1_000_000_000;
         Err(self.failed(format!("has not {doing} for {within_s} s")))
@@ -361,11 +363,12 @@ impl ExternalPolicy {
         self.publish(observation, step)
             .map_err(|error| self.link.topic(&error))?;
         let (episode, frames, reports) = (self.episode, &self.frames, &self.reports);
-        let mut looks = 0_u64;
+        let clock = MonotonicClock::new();
+        let mut alive = clock.now();
         let doing = format!("answered the observation of step {step}");
         let reply = self.link.wait(&doing, |link| {
-            looks += 1;
-            if looks.is_multiple_of(ALIVE_EVERY_LOOKS) {
+            if clock.now().since(alive) >= ALIVE_EVERY_NS {
+                alive = clock.now();
                 let told = frames.iter().try_for_each(FramePublisher::keep_alive);
                 let told = told.and_then(|()| reports.iter().try_for_each(Publisher::keep_alive));
                 told.map_err(|error| link.topic(&error))?;

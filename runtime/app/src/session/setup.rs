@@ -185,7 +185,7 @@ impl Setup {
         #[expect(
             clippy::cast_possible_truncation,
             clippy::cast_sign_loss,
-            reason = "the limit is checked to lie in 1 to 7200 s"
+            reason = "the limit is checked to lie in 1 to 86400 s"
         )]
         let limit = (self.task.time_limit_s * 1e3) as u64;
         limit + 2000

@@ -127,6 +127,7 @@ impl Checker {
             violation_count: stream.violation_count(),
             measured: stream.measured(),
             cut: end.cut.clone(),
+            bounded: end.bounded,
             violations: self.stream.into_violations(),
         }
     }

@@ -95,7 +95,7 @@ impl CommonFile {
             "episode.time_limit_s",
             self.episode.time_limit_s,
             1.0,
-            7200.0,
+            86_400.0,
         )?;
         Ok(TaskConfig {
             name: name.to_owned(),

@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 
 from ..server import serve
-from .checkpoint import CheckpointError, convert, recipe_of
+from .checkpoint import CheckpointError, check_served, convert, recipe_of
 
 _DESCRIPTION = "Policies of LeRobot for Trocar, and Trocar's for LeRobot."
 
@@ -48,6 +48,7 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _serve(options: argparse.Namespace) -> None:
+    check_served(options.checkpoint)
     import torch
 
     from .model import load

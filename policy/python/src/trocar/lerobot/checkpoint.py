@@ -12,6 +12,9 @@ from safetensors.numpy import load_file, save_file
 #: The type of the converted folders.
 POLICY_TYPE = "trocar_act"
 
+#: Policies of LeRobot's that answer only from observations which they have queued themselves, one a step.
+_QUEUES = ("vqbet", "multi_task_dit")
+
 _REPRESENTATIONS = {"observation_relative": 7, "absolute_pose": 8}
 _PREPROCESSOR = "policy_preprocessor"
 _POSTPROCESSOR = "policy_postprocessor"
@@ -48,6 +51,17 @@ def wants_conversion(folder: Path) -> bool:
     if recipe is None or config.get("type") == POLICY_TYPE:
         return False
     return _is_grouped(config, recipe) or recipe.get("action_representation") == "observation_relative"
+
+
+def check_served(folder: Path) -> None:
+    """Raises CheckpointError if the policy in `folder` can't be asked for a chunk."""
+    file = folder / "config.json"
+    kind = read_json(file).get("type")
+    if kind in _QUEUES:
+        raise CheckpointError(
+            f"{file}: type = {kind!r} can't be served: it answers from observations that it has queued itself, one a step, and not for the "
+            "one that it is asked about; lerobot-eval --env.type=trocar runs it"
+        )
 
 
 def convert(folder: Path, out: Path) -> Path:

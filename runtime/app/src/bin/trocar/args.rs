@@ -145,8 +145,10 @@ pub(crate) enum Verb {
     )]
     Replay(ReplayArgs),
     /// Check a log's commands against its limits, independently of the controller.
-    #[command(after_help = "Example: trocar verify runs/a.mcap")]
-    Verify(LogArgs),
+    #[command(
+        after_help = "Example: trocar verify runs/a.mcap\n         trocar verify --part runs/long.mcap"
+    )]
+    Verify(VerifyArgs),
     /// Emulate seven CiA 402 drives an arm, on CAN interfaces such as vcan, coupled to the simulated arms of a task.
     #[command(
         after_help = "Example: trocar drives --task needle-lift --seed 7\n         trocar drives --config runs/can.toml --fault kind=pull,node=3,at=2s --json runs/drives.json"
@@ -232,7 +234,7 @@ impl Verb {
             Self::Train(args) => &args.json,
             Self::Report(args) => &args.json,
             Self::Replay(args) => &args.log.json,
-            Self::Verify(args) => &args.json,
+            Self::Verify(args) => &args.log.json,
             Self::Drives(args) => &args.json,
             Self::Doctor(args) => &args.json,
             Self::Status(_)
@@ -422,6 +424,18 @@ pub(crate) struct LogArgs {
     /// Write the result as JSON, to standard output if it is `-`; parent folders are made.
     #[arg(long, value_name = "FILE")]
     pub(crate) json: Option<PathBuf>,
+}
+
+/// Options of `verify`.
+#[derive(Args, Debug)]
+pub(crate) struct VerifyArgs {
+    /// The log, and where the result goes.
+    #[command(flatten)]
+    pub(crate) log: LogArgs,
+    /// What `run --log-max-mb` kept is enough: exit 0 if that part is whole and breaks no limit, though it does not show the run's other
+    /// ticks. The result's `ok` stays false.
+    #[arg(long)]
+    pub(crate) part: bool,
 }
 
 /// Options of `replay`.

@@ -7,23 +7,16 @@ use hal::{ARM_NAMES, Chunk, Policy as _, PolicyError, TimeNs};
 use trocar_nets::compute::Compute;
 use trocar_nets::loaded_policy::LoadedPolicy;
 use trocar_topics::{
-    ChunkTopic, Line, POLICY_CAMERAS_MAX, PolicyHello, PolicyHelloTopic, PolicyReply,
+    ChunkTopic, Events, Line, POLICY_CAMERAS_MAX, PolicyHello, PolicyHelloTopic, PolicyReply,
     PolicyReplyTopic, PolicyStage, PolicyStatus, PolicyStatusTopic, Publisher, Reply, RunCommand,
     RunControl, RunControlTopic, SessionHello, SessionHelloTopic, Subscriber, TopicNode,
 };
 
-use super::FIRST_ARM;
+use super::{FIRST_ARM, LOOK_NS};
 use crate::rt::{self, MonotonicClock};
 use crate::session::SessionError;
 use crate::session::realtime::observed::{Observed, Turn, Turns};
 use crate::session::source::camera_names;
-
-/// Time between two looks at the topics, ns: in lockstep the simulation stands still for it.
-const BUSY_POLL_NS: u64 = 50_000;
-const IDLE_POLL_NS: u64 = 1_000_000;
-
-/// After the last observation it looks busily for this long, ns.
-const BUSY_NS: u64 = 50_000_000;
 
 /// Time between two signs of life, ns.
 const STATUS_EVERY_NS: u64 = 50_000_000;
@@ -67,7 +60,7 @@ pub fn serve_by_hand(options: &ByHand, say: &mut dyn FnMut(&str)) -> Result<u64,
             served += 1;
             say(ended);
         }
-        server.rest();
+        rt::wait(&server.events, LOOK_NS);
     }
     Ok(served)
 }
@@ -83,6 +76,7 @@ struct Counts {
 
 struct Server {
     node: TopicNode,
+    events: Events,
     hello: Publisher<PolicyHello>,
     control: Subscriber<RunControl>,
     sessions: Subscriber<SessionHello>,
@@ -100,8 +94,7 @@ struct Server {
     running: bool,
     counts: Counts,
     clock: MonotonicClock,
-    /// When it was last asked, gave a sign of life, and looked at the session's process.
-    asked: TimeNs,
+    /// When it last gave a sign of life, and looked at the session's process.
     told: TimeNs,
     looked: TimeNs,
 }
@@ -123,6 +116,7 @@ impl Server {
                 .map(|arm| ChunkTopic::publisher(&node, arm))
                 .collect::<Result<_, _>>()?,
             observed: Observed::open(&node, &network)?,
+            events: node.events()?,
             node,
             network,
             turns,
@@ -132,7 +126,6 @@ impl Server {
             running: false,
             counts: Counts::default(),
             clock: MonotonicClock::new(),
-            asked: TimeNs(0),
             told: TimeNs(0),
             looked: TimeNs(0),
         };
@@ -226,7 +219,7 @@ impl Server {
         if turn == Turn::Nothing {
             return Ok(());
         }
-        self.asked = self.clock.now();
+        let asked = self.clock.now();
         self.counts.sequence = whole.sequence;
         let observation = whole.observation();
         if turn == Turn::Shown {
@@ -234,7 +227,7 @@ impl Server {
             return self.reply(seen.map(|()| (Reply::Observed, 0)));
         }
         let chunks = self.network.infer(&observation);
-        self.counts.infer_ns = self.clock.now().since(self.asked);
+        self.counts.infer_ns = self.clock.now().since(asked);
         self.counts.queries += 1;
         for (publisher, chunk) in self.chunks.iter().zip(chunks.iter().flatten()) {
             publisher.publish(chunk)?;
@@ -291,12 +284,6 @@ impl Server {
         let ready = PolicyStatus::new(said, self.episode, PolicyStage::Ready, queries, infer_ns);
         self.status.publish(&ready)?;
         Ok(())
-    }
-
-    /// Sleeps until the next look.
-    fn rest(&self) {
-        let idle = self.clock.now().since(self.asked) > BUSY_NS;
-        rt::sleep_ns(if idle { IDLE_POLL_NS } else { BUSY_POLL_NS });
     }
 }
 

@@ -65,7 +65,7 @@ fn serve(topics: &str, hello: &PolicyHello, reply: Reply, late_ns: u64, done: &A
             let said = PolicyReply::new(episode, report.sequence, reply, 1, "no weights");
             replies.publish(&said).unwrap();
         }
-        rt::sleep_ns(POLL_NS);
+        rt::sleep_ns(LOOK_NS / 100);
     }
 }
 
@@ -128,7 +128,7 @@ fn an_external_policy_that_never_answers_is_given_up() {
             hellos.publish(&hello()).unwrap();
             while !done.load(Ordering::Acquire) {
                 hellos.keep_alive().unwrap();
-                rt::sleep_ns(POLL_NS);
+                rt::sleep_ns(LOOK_NS / 100);
             }
         });
         let mut policy = ExternalPolicy::connect(&choice, &setup("needle-lift")).unwrap();

@@ -6,7 +6,7 @@ use hal::{Chunk, PolicyError, TimeNs};
 use trocar_nets::compute::Compute;
 use trocar_nets::loaded_policy::LoadedPolicy;
 use trocar_topics::{
-    PolicyStage, PolicyStatus, PolicyStatusTopic, Publisher, Reply, RunCommand, RunControl,
+    Events, PolicyStage, PolicyStatus, PolicyStatusTopic, Publisher, Reply, RunCommand, RunControl,
     RunControlTopic, Subscriber, TopicNode,
 };
 
@@ -15,7 +15,7 @@ use super::on_can::{PATIENCE_NS, Say};
 use super::own_process::{OwnProcess, Spawned, fresh_run_id};
 use super::policy_process::FIRST_ARM;
 use crate::rt::{self, MonotonicClock};
-use crate::session::external::{ExternalChoice, ExternalLink};
+use crate::session::external::{ExternalChoice, ExternalLink, LOOK_NS};
 use crate::session::source::{STEP_NS, camera_names};
 use crate::session::{SessionError, Setup};
 use hal::PerArm;
@@ -28,9 +28,6 @@ const SILENCE_NS_MAX: u64 = 5_000_000_000;
 
 /// A process that lives and answers no observation for this long, and a query's interval, answers none any more, ns.
 const ANSWER_NS_MAX: u64 = 10_000_000_000;
-
-/// Time between two looks, ns.
-const POLL_NS: u64 = 1_000_000;
 
 /// Time between two looks at whether an external policy is there, ns.
 const LOOK_EVERY_NS: u64 = 20_000_000;
@@ -153,6 +150,7 @@ impl Peer {
 /// The running policy process.
 pub(super) struct PolicyChild {
     peer: Peer,
+    events: Events,
     chunks: ArmChunks,
     query_every_steps: u64,
     history_steps: u64,
@@ -216,7 +214,8 @@ impl PolicyChild {
             listens: false,
         };
         let shown = (query_every_steps, history_steps, cameras);
-        let mut child = Self::new(Peer::Own(Box::new(own)), chunks, shown, seed, outside);
+        let peer = Peer::Own(Box::new(own));
+        let mut child = Self::new(peer, chunks, shown, seed, outside)?;
         child.wait_until_ready(LOAD_NS_MAX, say)?;
         Ok(child)
     }
@@ -234,7 +233,7 @@ impl PolicyChild {
         let (hello, cameras) = (&link.hello, link.cameras.clone());
         let shown = (hello.query_every_steps, hello.history_steps, cameras);
         let peer = Peer::External(Box::new(link));
-        let mut child = Self::new(peer, chunks, shown, seed, outside);
+        let mut child = Self::new(peer, chunks, shown, seed, outside)?;
         child.wait_until_ready(within_ns, say)?;
         Ok(child)
     }
@@ -245,8 +244,9 @@ impl PolicyChild {
         (query_every_steps, history_steps, cameras): (u64, u64, Vec<String>),
         seed: u64,
         outside: Option<Outside<'_>>,
-    ) -> Self {
-        Self {
+    ) -> Result<Self, SessionError> {
+        Ok(Self {
+            events: peer.node().events()?,
             chunks,
             query_every_steps,
             history_steps,
@@ -263,7 +263,7 @@ impl PolicyChild {
             answered: None,
             looked: TimeNs(0),
             peer,
-        }
+        })
     }
 
     fn wait_until_ready(&mut self, within_ns: u64, say: Say<'_>) -> Result<(), SessionError> {
@@ -289,7 +289,7 @@ impl PolicyChild {
                     within_ns / 1_000_000_000
                 ));
             }
-            rt::sleep_ns(POLL_NS);
+            rt::wait(&self.events, LOOK_NS);
         }
         Err(SessionError::RealTime(format!(
             "{} did not become ready in {} s",
@@ -320,6 +320,11 @@ impl PolicyChild {
             }
         }
         Ok(ready)
+    }
+
+    /// Waits until it may have said something, or for [`LOOK_NS`].
+    pub(super) fn wait(&self) {
+        rt::wait(&self.events, LOOK_NS);
     }
 
     /// Whether an end of it can be seen while it is away: an external policy may come back as another process.

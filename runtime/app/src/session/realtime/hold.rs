@@ -9,11 +9,14 @@ pub(super) struct Hold {
     holds: bool,
     /// The operator does.
     paused: bool,
+    /// An arm that was enabled meanwhile is yet to be paused.
+    renews: bool,
 }
 
 impl Hold {
     /// What the controller is told next: the run's own pause as it is `wanted`, then what the `operator` asks for. The end of the run's
-    /// pause is not the end of the operator's, and the operator does not end the run's.
+    /// pause is not the end of the operator's, and the operator does not end the run's: arms that are enabled while it lasts are paused
+    /// in the next tick.
     pub(super) fn next(
         &mut self,
         wanted: bool,
@@ -21,6 +24,7 @@ impl Hold {
     ) -> Option<OperatorEvent> {
         if self.holds != wanted {
             self.holds = wanted;
+            self.renews = false;
             let resumes = (!self.paused).then_some(OperatorEvent::Resume);
             return if wanted {
                 Some(OperatorEvent::Pause)
@@ -28,7 +32,11 @@ impl Hold {
                 resumes
             };
         }
+        if core::mem::take(&mut self.renews) {
+            return Some(OperatorEvent::Pause);
+        }
         let asked = operator()?;
+        self.renews = self.holds && asked == OperatorEvent::Enable;
         match asked {
             OperatorEvent::Pause => self.paused = true,
             OperatorEvent::Resume | OperatorEvent::Disable => self.paused = false,
@@ -41,7 +49,7 @@ impl Hold {
 #[cfg(test)]
 mod tests {
     use super::Hold;
-    use trocar_control::OperatorEvent::{self, Pause, Resume, Speed};
+    use trocar_control::OperatorEvent::{self, Disable, Enable, Pause, Resume, Speed};
 
     /// Each line: whether the run wants the arms to hold, what the operator asks for, what the controller hears.
     #[test]
@@ -66,5 +74,17 @@ mod tests {
         expect(true, None, Some(Pause));
         expect(false, None, None);
         expect(false, Some(Resume), Some(Resume));
+        // Disabled and enabled while nobody answers: the arm goes on holding.
+        expect(true, None, Some(Pause));
+        expect(true, Some(Disable), Some(Disable));
+        expect(true, Some(Enable), Some(Enable));
+        expect(true, Some(Speed { percent: 30 }), Some(Pause));
+        expect(true, None, None);
+        expect(false, None, Some(Resume));
+        // Somebody answers in that very tick.
+        expect(true, None, Some(Pause));
+        expect(true, Some(Enable), Some(Enable));
+        expect(false, None, Some(Resume));
+        expect(false, None, None);
     }
 }

@@ -15,6 +15,7 @@ use trocar_topics::{
 use super::observed::{Observed, Turn, Turns};
 use crate::rt::{self, MonotonicClock};
 use crate::session::SessionError;
+use crate::session::external::LOOK_NS;
 
 /// The arm that the topics which all arms share are named after.
 pub(super) const FIRST_ARM: &str = ARM_NAMES[0];
@@ -24,11 +25,8 @@ pub(super) fn arm_names(count: usize) -> impl Iterator<Item = &'static str> {
     ARM_NAMES.into_iter().take(count)
 }
 
-/// Time between two looks at the topics, ns.
-const POLL_NS: u64 = 1_000_000;
-
-/// Silence after which a sign of life is given all the same, in looks.
-const STATUS_EVERY_POLLS: u64 = 50;
+/// Silence after which a sign of life is given all the same, ns.
+const STATUS_EVERY_NS: u64 = 50_000_000;
 
 /// How long a killed parent may take to be gone: with a big memory, tens of milliseconds.
 const DYING_MAX: Duration = Duration::from_secs(5);
@@ -73,20 +71,23 @@ fn serve(
     options: &PolicyProcessOptions,
     parent_lives: impl Fn() -> bool,
 ) -> Result<(), SessionError> {
+    let events = node.events()?;
     let mut service = Service::open(node, options)?;
-    let mut every = 0_u64;
+    let clock = MonotonicClock::new();
+    let mut said = None;
     while parent_lives() {
-        if every.is_multiple_of(STATUS_EVERY_POLLS) {
+        let now = clock.now();
+        if said.is_none_or(|said| now.since(said) >= STATUS_EVERY_NS) {
+            said = Some(now);
             service.say(PolicyStage::Ready)?;
         }
-        every += 1;
         if let Some(control) = service.control.newest()?
             && !service.obey(&control)
         {
             return Ok(());
         }
         service.answer()?;
-        rt::sleep_ns(POLL_NS);
+        rt::wait(&events, LOOK_NS);
     }
     Ok(())
 }

@@ -65,6 +65,11 @@ impl<'a> Supervised<'a> {
         self.restarts
     }
 
+    /// Waits until it may have said something, or a little.
+    pub(super) fn wait(&self) {
+        self.child.wait();
+    }
+
     /// Hands its newest answer to the control thread.
     pub(super) fn hand_on(
         &mut self,
@@ -119,10 +124,15 @@ impl<'a> Supervised<'a> {
         until: TimeNs,
         signals: &Signals,
     ) -> Result<Option<String>, SessionError> {
-        if self.child.is_back(now)? {
-            self.presence = Presence::Here;
-            self.tell(signals, Level::Info, "the policy process is ready again");
-            return Ok(None);
+        match self.child.is_back(now) {
+            Ok(false) => {}
+            Ok(true) => {
+                self.presence = Presence::Here;
+                self.tell(signals, Level::Info, "the policy process is ready again");
+                return Ok(None);
+            }
+            // It wants to be shown something else; it would again.
+            Err(error) => return Ok(Some(error.to_string())),
         }
         // An external policy that has left is another process when it comes back.
         let failed = if self.child.is_own() {

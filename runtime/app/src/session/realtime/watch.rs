@@ -7,8 +7,7 @@ use crate::rt;
 use crate::session::SessionError;
 use crate::session::run::{INTERRUPTED, STOPPED};
 
-/// Time between two looks, ns: at a policy process, and at the signals alone.
-const POLL_NS: u64 = 1_000_000;
+/// Time between two looks at the signals, where no policy process wakes this thread, ns.
 const IDLE_NS: u64 = 10_000_000;
 
 /// What was seen.
@@ -55,7 +54,10 @@ pub(super) fn watch(
                 signals.end_run();
             }
         }
-        rt::sleep_ns(if policy.is_some() { POLL_NS } else { IDLE_NS });
+        match &policy {
+            Some(policy) => policy.wait(),
+            None => rt::sleep_ns(IDLE_NS),
+        }
     }
     Ok(watched)
 }

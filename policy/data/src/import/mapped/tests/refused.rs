@@ -77,6 +77,15 @@ fn wrong_lengths_and_rates_are_refused() {
         &["episode_000000.parquet", "cut off by the end of the file"],
     );
     spoilt(
+        "more",
+        |made| made.episodes = vec![3],
+        |_| {},
+        &[
+            "episode_000000.parquet",
+            "episode 0 is 4 rows long, expected 3, its length in meta/episodes.jsonl",
+        ],
+    );
+    spoilt(
         "width",
         |made| {
             for names in &mut made.names {

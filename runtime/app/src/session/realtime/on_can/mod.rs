@@ -129,6 +129,7 @@ pub fn run_on_can(plan: &Plan, can: &CanOptions, say: Say<'_>) -> Result<RunResu
         let scene_thread = SceneThread {
             say,
             scene,
+            events: node.events()?,
             seen: watching.seen,
             local: watching.local,
             reports: watching.reports,
@@ -151,7 +152,7 @@ pub fn run_robot_on_can(
     say: Say<'_>,
 ) -> Result<RunResult, SessionError> {
     let begun = begin(&plan.setup, can, say)?;
-    begun.run(plan, FRAMES_WITHIN_MS, &asked.cameras, |_, watching| {
+    begun.run(plan, FRAMES_WITHIN_MS, &asked.cameras, |node, watching| {
         let Watching {
             seen,
             local,
@@ -159,6 +160,7 @@ pub fn run_robot_on_can(
             cameras,
         } = watching;
         let robot_thread = RobotThread::new(seen, local, reports, cameras, asked);
+        let robot_thread = robot_thread.woken_by(node.events()?);
         Ok(|| robot_thread.run())
     })
 }

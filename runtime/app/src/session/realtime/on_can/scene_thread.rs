@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use hal::{ArmState, CameraFrame, Intrinsics, SeenArm, TimeNs};
 use trocar_topics::{
-    ArmReport, ArmStateTopic, CameraTopic, FrameView, Publisher, SceneReport, Subscriber,
+    ArmReport, ArmStateTopic, CameraTopic, Events, FrameView, Publisher, SceneReport, Subscriber,
     TopicNode, Verdict,
 };
 
@@ -21,7 +21,7 @@ use crate::session::summary::TissueSummary;
 use crate::session::world_report::{scene_state, tissue};
 use hal::PerArm;
 
-/// Time between two looks, ns; the world speaks every 40 ms.
+/// Time between two looks at the control thread's news, which wakes nobody, ns; what the world shows every 40 ms does.
 const POLL_NS: u64 = 3_000_000;
 
 /// A world that says nothing for this long is gone, ns.
@@ -35,6 +35,7 @@ pub(super) struct SceneThread<'a> {
     /// Says what is waited for.
     pub(super) say: Say<'a>,
     pub(super) scene: Subscriber<SceneReport>,
+    pub(super) events: Events,
     pub(super) seen: SeenWires,
     pub(super) local: Local,
     /// For a policy process, one an arm.
@@ -143,7 +144,7 @@ impl SceneThread<'_> {
                 signals.end_run();
             }
             self.keep_alive()?;
-            rt::sleep_ns(POLL_NS);
+            rt::wait(&self.events, POLL_NS);
         }
         self.seen.tell();
         Ok(end)

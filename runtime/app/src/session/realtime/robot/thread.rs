@@ -4,7 +4,7 @@ use std::collections::VecDeque;
 use std::sync::Arc;
 
 use hal::{ArmState, TimeNs};
-use trocar_topics::{ArmReport, Publisher};
+use trocar_topics::{ArmReport, Events, Publisher};
 
 use super::super::on_can::{AHEAD_NS_MAX, Camera, FRAME_NS_MAX, logged, seen_at};
 use super::super::signals::EndsRun;
@@ -16,7 +16,7 @@ use crate::session::SessionError;
 use crate::session::source::{Query, STEP_NS};
 use hal::PerArm;
 
-/// Time between two looks, ns.
+/// Time between two looks at the measured arms, which wake nobody, ns; a frame does.
 const POLL_NS: u64 = 2_000_000;
 
 /// A camera that shows nothing for this long, or nothing but old frames, is gone, ns.
@@ -38,9 +38,13 @@ pub(in super::super) struct RobotThread {
     cameras: Vec<Camera>,
     /// When each camera that the policy looks through last showed something, by the run's clock.
     shown: Vec<TimeNs>,
+    /// The size of each of these cameras' first frame, pixels, and what is said once one is of another.
+    sizes: Vec<Option<(u32, u32)>>,
+    resized: Option<String>,
     /// After how long it ends, ns.
     limit_ns: Option<u64>,
     past: Past,
+    events: Option<Events>,
 }
 
 /// What it leaves behind.
@@ -98,9 +102,18 @@ impl RobotThread {
             reports,
             cameras,
             shown: vec![TimeNs(0); looked_at],
+            sizes: vec![None; looked_at],
+            resized: None,
             limit_ns,
             past: Past::default(),
+            events: None,
         }
+    }
+
+    /// The same thread, which a new frame wakes.
+    pub(in super::super) fn woken_by(self, events: Events) -> Self {
+        let events = Some(events);
+        Self { events, ..self }
     }
 
     /// Runs until the control thread has stopped; ends the run when the time is up or a camera that the policy needs is gone.
@@ -146,14 +159,11 @@ impl RobotThread {
                 let up = self
                     .limit_ns
                     .is_some_and(|limit_ns| now.since(begun) >= limit_ns);
-                let blind = self.gone(now);
+                let blind = self.blind(now);
                 if (up || blind.is_some()) && !signals.done() {
                     end.as_asked = up;
                     end.ended_by = Some(match blind.filter(|_| !up) {
-                        Some(name) => format!(
-                            "camera {name} has shown nothing for {} s",
-                            SILENCE_NS_MAX / 1_000_000_000
-                        ),
+                        Some(reason) => reason,
                         None => {
                             let limit_s = self.limit_ns.map_or(0.0, |ns| TimeNs(ns).seconds());
                             format!("the {limit_s} s are over")
@@ -167,17 +177,23 @@ impl RobotThread {
             for report in &self.reports {
                 report.keep_alive()?;
             }
-            rt::sleep_ns(POLL_NS);
+            match &self.events {
+                Some(events) => rt::wait(events, POLL_NS),
+                None => rt::sleep_ns(POLL_NS),
+            }
         }
         self.seen.tell();
         Ok(end)
     }
 
-    /// The name of a camera that the policy looks through and that has shown nothing for too long at `now`.
-    fn gone(&self, now: TimeNs) -> Option<&str> {
+    /// Why the policy sees no more at `now`, if so: a camera that it looks through is gone, or shows frames of another size.
+    fn blind(&self, now: TimeNs) -> Option<String> {
         let mut cameras = self.cameras.iter().zip(&self.shown);
         let gone = cameras.find(|(_, shown)| now.since(**shown) > SILENCE_NS_MAX);
-        gone.map(|((name, _), _)| name.as_str())
+        let seconds = SILENCE_NS_MAX / 1_000_000_000;
+        self.resized.clone().or_else(|| {
+            gone.map(|((name, _), _)| format!("camera {name} has shown nothing for {seconds} s"))
+        })
     }
 
     /// Keeps what cameras show in the log; when the newest frame of the policy's first camera was taken, if there is a new one.
@@ -188,7 +204,18 @@ impl RobotThread {
                 continue;
             };
             let now = self.seen.clock.now();
-            let stamp = self.seen.clock.from_system(view.header().stamp);
+            let header = view.header();
+            let stamp = self.seen.clock.from_system(header.stamp);
+            let size = (header.intrinsics.width, header.intrinsics.height);
+            if let Some(first) = self.sizes.get_mut(index)
+                && *first.get_or_insert(size) != size
+            {
+                let (width, height) = size;
+                let told = format!(
+                    "camera {name} shows other frames than at first: {width} x {height} pixels"
+                );
+                self.resized = Some(told);
+            }
             // One from ahead would be the newest for ever.
             if stamp > now.plus_ns(AHEAD_NS_MAX) {
                 continue;
@@ -251,29 +278,4 @@ impl RobotThread {
 }
 
 #[cfg(test)]
-mod tests {
-    use hal::JointVector;
-
-    use super::*;
-
-    #[test]
-    fn the_arms_are_seen_where_they_were_when_the_frame_was_taken() {
-        let mut past = Past::default();
-        assert!(past.at(TimeNs(0)).is_none());
-        let state = |ms: u64, jaw| PerArm {
-            first: ArmState::at_rest(TimeNs(ms * 1_000_000), JointVector::zeros(), jaw),
-            second: None,
-        };
-        for ms in 0..800_u32 {
-            let states = state(u64::from(ms), f64::from(ms));
-            past.add(states.first.stamp, states);
-        }
-        let jaw_at = |ns: u64| past.at(TimeNs(ns)).unwrap().first.jaw_position;
-        assert_eq!(jaw_at(300_400_000).to_bits(), 300_f64.to_bits());
-        assert_eq!(jaw_at(819_000_000).to_bits(), 799_f64.to_bits());
-        // What came before those that are kept, or is to come, is not known.
-        for ns in [0, 267_000_000, 820_000_000, u64::MAX] {
-            assert!(past.at(TimeNs(ns)).is_none(), "{ns}");
-        }
-    }
-}
+mod tests;

@@ -1,0 +1,131 @@
+//! What the policy of a robot sees, and what ends a run whose cameras fail.
+
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::thread;
+
+use hal::{Intrinsics, JointVector, Pose};
+use trocar_topics::{CameraTopic, FrameHeader, FramePublisher, TopicNode};
+
+use super::super::super::wires::Wires;
+use super::*;
+use crate::rt::MonotonicClock;
+
+const MS_NS: u64 = 1_000_000;
+
+fn state(ms: u64, jaw: f64) -> PerArm<ArmState> {
+    PerArm {
+        first: ArmState::at_rest(TimeNs(ms * MS_NS), JointVector::zeros(), jaw),
+        second: None,
+    }
+}
+
+#[test]
+fn the_arms_are_seen_where_they_were_when_the_frame_was_taken() {
+    let mut past = Past::default();
+    assert!(past.at(TimeNs(0)).is_none());
+    for ms in 0..800_u32 {
+        let states = state(u64::from(ms), f64::from(ms));
+        past.add(states.first.stamp, states);
+    }
+    let jaw_at = |ns: u64| past.at(TimeNs(ns)).unwrap().first.jaw_position;
+    assert_eq!(jaw_at(300_400_000).to_bits(), 300_f64.to_bits());
+    assert_eq!(jaw_at(819_000_000).to_bits(), 799_f64.to_bits());
+    // What came before those that are kept, or is to come, is not known.
+    for ns in [0, 267_000_000, 820_000_000, u64::MAX] {
+        assert!(past.at(TimeNs(ns)).is_none(), "{ns}");
+    }
+}
+
+/// What a camera does once it has shown some frames.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Camera {
+    Dies,
+    /// It shows the same exposure again and again.
+    Freezes,
+    /// It shows frames of another size.
+    Grows,
+    /// It goes on.
+    Lives,
+}
+
+/// Publishes a frame of `side` by `side` pixels that was exposed at `stamp`.
+fn show(camera: &mut FramePublisher, side: u32, stamp: TimeNs) {
+    let lens = Intrinsics::from_vertical_fov(side, side, 0.9);
+    let header = FrameHeader::new(stamp, 1, lens, &Pose::identity());
+    let blank = |colour: &mut [u8], depth_m: &mut [f32], instance: &mut [u8]| {
+        colour.fill(0);
+        depth_m.fill(0.0);
+        instance.fill(0);
+    };
+    camera.publish_with(&header, blank).unwrap();
+}
+
+/// How a run of `seconds` ends whose only camera, of ours, does that, and whose arms are always measured.
+fn ended(does: Camera, seconds: f64) -> RobotEnd {
+    let clock = MonotonicClock::new();
+    let node = TopicNode::join(&format!("test-{}-{does:?}", std::process::id())).unwrap();
+    let mut camera = Some(CameraTopic::publisher(&node, "scope", 64).unwrap());
+    let topic = CameraTopic::subscriber(&node, "scope").unwrap();
+    let wires = Wires::new(None, clock);
+    let (mut control, signals) = (wires.control, Arc::clone(&wires.seen.signals));
+    let asked = RobotOptions {
+        cameras: Vec::new(),
+        seconds: Some(seconds),
+    };
+    let cameras = (vec![("scope".to_owned(), topic)], 1);
+    let robot = RobotThread::new(wires.seen, None, Vec::new(), cameras, &asked);
+    let robot = robot.woken_by(node.events().unwrap());
+    let ended = AtomicBool::new(false);
+    thread::scope(|scope| {
+        let arms = scope.spawn(|| {
+            let frozen = clock.to_system(clock.now());
+            for tick in 0_u64.. {
+                let now = clock.now();
+                control.measured.put(state(now.0 / MS_NS, 0.0));
+                let (stamp, late) = (clock.to_system(now), tick > 100);
+                match (&mut camera, does) {
+                    (Some(_), Camera::Dies) if late => camera = None,
+                    (Some(camera), Camera::Freezes) => show(camera, 4, frozen),
+                    (Some(camera), Camera::Grows) => show(camera, if late { 8 } else { 4 }, stamp),
+                    (Some(camera), Camera::Dies | Camera::Lives) => show(camera, 4, stamp),
+                    (None, _) => {}
+                }
+                if signals.done() || ended.load(Ordering::Acquire) {
+                    break;
+                }
+                rt::sleep_ns(2 * MS_NS);
+            }
+            // The control thread stops once the arms rest.
+            drop(super::super::super::signals::StopsAll(&signals));
+        });
+        let end = robot.run().unwrap();
+        ended.store(true, Ordering::Release);
+        arms.join().unwrap();
+        end
+    })
+}
+
+/// Nobody waits for longer than the 2 s that a camera may be silent.
+#[test]
+fn cameras_that_fail_end_the_run_by_name() {
+    let silent = "camera scope has shown nothing for 2 s";
+    let resized = "camera scope shows other frames than at first: 8 x 8 pixels";
+    let cases = [
+        (Camera::Dies, silent),
+        (Camera::Freezes, silent),
+        (Camera::Grows, resized),
+    ];
+    let clock = MonotonicClock::new();
+    thread::scope(|scope| {
+        let cases = cases.map(|(does, said)| scope.spawn(move || (does, said, ended(does, 60.0))));
+        for case in cases {
+            let (does, said, end) = case.join().unwrap();
+            assert_eq!(end.ended_by.as_deref(), Some(said), "{does:?}");
+            assert!(!end.as_asked, "{does:?}");
+        }
+    });
+    assert!(clock.now().0 < 60_000 * MS_NS);
+    let end = ended(Camera::Lives, 0.5);
+    assert_eq!(end.ended_by.as_deref(), Some("the 0.5 s are over"));
+    assert!(end.as_asked);
+}

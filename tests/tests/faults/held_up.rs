@@ -1,0 +1,183 @@
+//! A run that is kept from its core, whose log's disk stands still, or whose policy is for something else.
+
+use super::*;
+
+/// Stopped for so short that the arms' measurements are not missed: overruns are counted, and the run goes on. Stopped for longer, the
+/// arms play their tails, and the run ends with a latched fault.
+#[test]
+fn a_run_kept_from_its_core_goes_on_or_ends_at_rest() {
+    let _turn = alone();
+    for (stopped_ms, fault) in [
+        (20, "the run is kept from its cores for 20 ms (SIGSTOP)"),
+        (400, "the run is kept from its cores for 0.4 s (SIGSTOP)"),
+    ] {
+        let mut run = Run::start("faults-stopped", "random", 0, None);
+        let clock = MonotonicClock::new();
+        run.send("-STOP");
+        sleep_ns(stopped_ms * MS_NS);
+        run.send("-CONT");
+        let away_ms = clock.now().0 / MS_NS;
+        sleep_ns(500 * MS_NS);
+        if run.process.try_wait().unwrap().is_none() && run.status().is_some() {
+            run.send("-INT");
+        }
+        let (code, result) = run.end();
+        let result = result.unwrap();
+        let reason = result["reason"].as_str().unwrap();
+        let missed = reason.starts_with("fault: no measurement for 0.");
+        // A busy machine makes the short one longer.
+        assert!(missed || reason == "interrupted", "{reason}");
+        assert!(
+            !missed || away_ms >= 50,
+            "{reason}, stopped for {away_ms} ms"
+        );
+        assert_eq!(code, Some(1));
+        let overruns = result["real_time"]["overruns"].as_u64().unwrap();
+        assert!(overruns + 1 >= stopped_ms, "{result}");
+        run.checked_log();
+        let then = if missed {
+            "the run ends, exit code 1"
+        } else {
+            "the arm goes on"
+        };
+        let seen = format!("{overruns} overruns, `{reason}`");
+        println!("| {fault} | {seen} | - | its tail is played meanwhile | held | {then} |");
+    }
+}
+
+/// A file system of its own that can be made to wait, unmounted with the test.
+struct StandingDisk(PathBuf);
+
+impl StandingDisk {
+    /// None where this user may not mount one.
+    fn mount() -> Option<Self> {
+        let folder = scratch("faults-disk-stands");
+        let (image, mounted) = (folder.join("disk.img"), folder.join("mounted"));
+        fs::create_dir(&mounted).unwrap();
+        fs::File::create(&image).unwrap().set_len(96 << 20).unwrap();
+        let does = |program: &str, arguments: &[&str]| {
+            let mut command = Command::new(program);
+            let command = command.args(arguments).stdout(Stdio::null());
+            let status = command.stderr(Stdio::null()).status();
+            status.is_ok_and(|status| status.success())
+        };
+        let (image, place) = (image.to_str()?, mounted.to_str()?);
+        let made = does("mkfs.ext4", &["-q", "-F", image]);
+        (made && does("mount", &["-o", "loop", image, place])).then_some(Self(mounted))
+    }
+
+    /// Makes all that is written to it wait, or go on.
+    fn stands(&self, how: &str) {
+        let frozen = Command::new("fsfreeze").arg(how).arg(&self.0).status();
+        assert!(frozen.unwrap().success());
+    }
+}
+
+impl Drop for StandingDisk {
+    fn drop(&mut self) {
+        let mut frees = Command::new("fsfreeze");
+        let _freed = frees.arg("-u").arg(&self.0).stderr(Stdio::null()).status();
+        let _gone = Command::new("umount").arg("-l").arg(&self.0).status();
+    }
+}
+
+/// Longer than the log's queue holds ticks, ns.
+const STANDS_NS: u64 = 5_500 * MS_NS;
+
+/// The disk of the log stands still for longer than the queue reaches: the loop does not wait, and the log says what it lacks.
+#[test]
+fn a_standing_disk_costs_records_and_not_the_loop() {
+    let _turn = alone();
+    let Some(disk) = StandingDisk::mount() else {
+        println!("skipped: this user may mount no file system of its own");
+        return;
+    };
+    let log = disk.0.join("run.mcap");
+    let mut run = Run::start("faults-stands", "random", 0, Some(&log));
+    disk.stands("-f");
+    sleep_ns(STANDS_NS);
+    run.until("it moves all the while", |seen| seen.enabled && seen.moves);
+    disk.stands("-u");
+    run.send("-INT");
+    let times = run.stops();
+    let (code, result) = run.end();
+    let real_time = &result.unwrap()["real_time"];
+    let dropped = real_time["log_dropped"].as_u64().unwrap();
+    assert!(dropped > 0 && code == Some(1), "{real_time}");
+    assert_eq!(real_time["thread"]["allocations"], 0);
+    let log = RunLog::open(&run.log).unwrap();
+    assert_eq!(log.cut(), None);
+    let verified = verify(&log).unwrap();
+    let mut found = verified.violations.iter().map(|it| it.limit.as_str());
+    assert_eq!(found.find(|limit| *limit != "missing_ticks"), None);
+    let seen = format!("{dropped} records dropped, `missing_ticks`");
+    let then = "the run goes on; `verify` names the gap (SIGINT, whose times these are)";
+    row("the log's disk stands still for 5.5 s", &seen, times, then);
+}
+
+/// A policy for other arms or a camera that there is not is refused before anything moves; one that comes back as another ends the run.
+#[test]
+fn a_policy_for_something_else_is_refused_by_name() {
+    let _turn = alone();
+    for (asks, expected) in [
+        (
+            Asks {
+                arms: 2,
+                ..Asks::usual()
+            },
+            "commands 2 arms, there are 1",
+        ),
+        (
+            Asks {
+                camera: Some("ear"),
+                ..Asks::usual()
+            },
+            "ear",
+        ),
+        (
+            Asks {
+                every_steps: 0,
+                ..Asks::usual()
+            },
+            "says a query interval of 0 steps",
+        ),
+    ] {
+        let topics = format!("faults-{}-other", std::process::id());
+        let _performer = Performer::asking(&topics, asks);
+        let output = trocar(Profile::Debug)
+            .args(["run", "--task", "needle-lift", "--policy"])
+            .arg(format!("external:{topics}"))
+            .output()
+            .unwrap();
+        let said = tests::stderr(&output);
+        assert_eq!(output.status.code(), Some(2), "{said}");
+        assert!(said.contains(expected), "{said}");
+        let asks = (asks.arms, asks.every_steps, asks.camera.unwrap_or("none"));
+        let (arms, every, camera) = asks;
+        let fault = format!("a policy for {arms} arm(s), every {every} steps, camera {camera}");
+        println!("| {fault} | `{expected}` | - | never moved | held | exit code 2 |");
+    }
+    let topics = format!("faults-{}-changed", std::process::id());
+    let performer = Performer::appear(&topics);
+    let mut run = Run::start("faults-changed", &format!("external:{topics}"), 1, None);
+    drop(performer);
+    let times = run.stops();
+    let _other = Performer::asking(
+        &topics,
+        Asks {
+            every_steps: 7,
+            ..Asks::usual()
+        },
+    );
+    let (code, result) = run.end();
+    let reason = result.unwrap()["reason"].as_str().unwrap().to_owned();
+    let expected = "has come back as another";
+    assert!(reason.contains(expected) && code == Some(1), "{reason}");
+    run.checked_log();
+    row(
+        "a policy comes back as another",
+        expected,
+        times,
+        "the run ends, exit code 1",
+    );
+}
