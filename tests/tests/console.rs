@@ -12,6 +12,8 @@ mod access;
 mod browser;
 #[path = "console/devtools.rs"]
 mod devtools;
+#[path = "console/intervention.rs"]
+mod intervention;
 #[path = "console/lift.rs"]
 mod lift;
 #[path = "console/log.rs"]

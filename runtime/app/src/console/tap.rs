@@ -168,6 +168,7 @@ impl ControlTap {
                 position: arm.command.position,
                 velocity: arm.command.velocity,
                 jaw: arm.command.jaw_position,
+                target: arm.report.target,
                 follows: arm.report.mode.state == OperatingState::Enabled,
             }),
         });

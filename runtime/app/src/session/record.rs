@@ -248,6 +248,7 @@ pub(super) fn dataset_spec(setup: &Setup, options: &RecordOptions) -> DatasetSpe
             .clone()
             .unwrap_or_else(|| setup.task_name.clone()),
         cameras,
+        intervention: false,
     }
 }
 
@@ -292,6 +293,8 @@ pub(super) struct StoredFrame {
     images: Vec<Vec<u8>>,
     /// Of every camera, or none.
     depth: Vec<StoredDepth>,
+    /// Whether an operator drove.
+    by_hand: bool,
 }
 
 impl StoredFrame {
@@ -302,7 +305,14 @@ impl StoredFrame {
             arms,
             images: frames.iter().map(|frame| frame.colour.clone()).collect(),
             depth: depths.map(StoredDepth::of).collect(),
+            by_hand: false,
         }
+    }
+
+    /// The same, driven by an operator or not.
+    pub(super) const fn driven(mut self, by_hand: bool) -> Self {
+        self.by_hand = by_hand;
+        self
     }
 }
 
@@ -335,11 +345,12 @@ fn push_frames(writer: &mut DatasetWriter, demo: &Demonstration) -> Result<(), D
                 camera_in_scene: depth.camera_in_scene,
             })
             .collect();
-        writer.push_frame(&FrameRecord {
+        let record = FrameRecord {
             arms: &frame.arms,
             images: &images,
             depth: &depth,
-        })?;
+        };
+        writer.push_frame_of(&record, frame.by_hand)?;
     }
     Ok(())
 }

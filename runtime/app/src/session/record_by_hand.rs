@@ -1,9 +1,11 @@
-//! Demonstrations by hand: a person starts each episode on the console, does the task in real time, and keeps it or not.
+//! Demonstrations by hand: a person starts each episode on the console, does the task in real time, and keeps it or not. With a policy
+//! that drives, the person takes over where it fails; each frame says who drove.
 //!
 //! An episode waits for its start with its time standing still. It ends with the judge's verdict or with the person's word; what is kept is
 //! drawn afterwards from where everything was at each policy step, so pictures cost the run nothing and none is missing.
 
 use hal::{CameraFrame, PerArm, SeenArm, TipTarget};
+use trocar_data::dataset::DatasetSpec;
 use trocar_tasks::cameras::SceneCameras;
 use trocar_tasks::task::Outcome;
 
@@ -12,11 +14,11 @@ use super::record::{
     Attempt, Demonstration, RecordOptions, RecordSummary, StoredFrame, arm_frame, dataset_spec,
     keep,
 };
-use super::record_notes::{ByHandNote, EpisodeNote};
+use super::record_notes::{ByHandNote, EpisodeNote, source};
 use super::record_resume::{begin, look};
 use super::run::{INTERRUPTED, RunResult, STOPPED};
 use super::teleop::{self, Moment, Phase, Recording, Wish};
-use super::{Plan, SessionError, Setup};
+use super::{Plan, PolicyChoice, SessionError, Setup};
 use crate::console::Console;
 use crate::rt;
 
@@ -31,12 +33,21 @@ pub fn record_by_hand(
     console: &Console,
     on_attempt: &mut dyn FnMut(&Attempt),
 ) -> Result<RecordSummary, SessionError> {
+    let plan = &Plan {
+        console: Some(console.clone()),
+        demonstrates: true,
+        ..plan.clone()
+    };
     let found = look(plan, options)?;
     let mut summary = RecordSummary::new(plan, options, &found);
     if options.resume && summary.episodes >= options.episodes {
         return Ok(summary);
     }
-    let mut writer = begin(plan, options, &found, &dataset_spec(&plan.setup, options))?;
+    let spec = DatasetSpec {
+        intervention: plan.policy != PolicyChoice::Teleop,
+        ..dataset_spec(&plan.setup, options)
+    };
+    let mut writer = begin(plan, options, &found, &spec)?;
     let mut attempts = found.attempts;
     let mut studio = Studio::new(&plan.setup)?;
     while summary.episodes < options.episodes && !summary.interrupted {
@@ -52,8 +63,6 @@ pub fn record_by_hand(
         tell(Phase::Waiting, summary.episodes);
         let one = Plan {
             seed,
-            console: Some(console.clone()),
-            demonstrates: true,
             ..plan.clone()
         };
         let mut result = run_realtime(&one)?;
@@ -141,11 +150,14 @@ impl Studio {
                 grasps: 0,
                 drawn: task.drawn(plan.seed),
                 disturbances: None,
-                by_hand: summary.teleop.map(|teleop| ByHandNote {
-                    source: "teleop",
-                    ended_by: demonstrated.ended.map_or("judge", |_| "operator"),
-                    teleop,
-                }),
+                by_hand: summary
+                    .teleop
+                    .zip(source(plan))
+                    .map(|(teleop, source)| ByHandNote {
+                        source,
+                        ended_by: demonstrated.ended.map_or("judge", |_| "operator"),
+                        teleop,
+                    }),
             },
         })
     }
@@ -154,15 +166,14 @@ impl Studio {
         for (&camera, frame) in self.wanted.iter().zip(&mut self.frames) {
             self.cameras.render(camera, &moment.scene, frame)?;
         }
-        Ok(StoredFrame::new(
-            rows(&moment.arms, &moment.targets),
-            &self.frames,
-            depth,
-        ))
+        Ok(
+            StoredFrame::new(rows(&moment.arms, &moment.targets), &self.frames, depth)
+                .driven(moment.by_hand),
+        )
     }
 }
 
-/// What each arm measured, with the target that the hand gave it.
+/// What each arm measured, with the target that whoever drives gave it.
 fn rows(
     arms: &PerArm<SeenArm>,
     targets: &PerArm<TipTarget>,

@@ -80,6 +80,9 @@ impl fmt::Display for Command {
             Self::Event(OperatorEvent::Resume) => f.write_str("resume"),
             Self::Event(OperatorEvent::Clear) => f.write_str("clear"),
             Self::Event(OperatorEvent::Speed { percent }) => write!(f, "speed {percent}"),
+            // Hands say so, not words.
+            Self::Event(OperatorEvent::TakeOver) => f.write_str("take over"),
+            Self::Event(OperatorEvent::HandBack) => f.write_str("hand back"),
         }
     }
 }
@@ -103,7 +106,7 @@ impl Status {
             OperatorEvent::Disable => matches!(state, Disabled | Enabled | Paused),
             OperatorEvent::Pause | OperatorEvent::Resume => matches!(state, Enabled | Paused),
             OperatorEvent::Clear => state == Fault,
-            OperatorEvent::Speed { .. } => true,
+            OperatorEvent::Speed { .. } | OperatorEvent::TakeOver | OperatorEvent::HandBack => true,
         };
         let states = || self.arms.iter().map(|(mode, _)| mode.state);
         let applies_to_one = states().any(applies);
