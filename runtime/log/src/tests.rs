@@ -1,6 +1,7 @@
 //! The log as a whole: what goes in comes out bit for bit, whatever happens to the file.
 
 mod falsified;
+mod live;
 mod samples;
 pub(crate) mod two_arms;
 

@@ -32,6 +32,27 @@ fn changes(log: &Path) -> Vec<String> {
     operators.map(|event| format!("{event:?}")).collect()
 }
 
+/// The page goes with its clutch held: the arm holds, the policy does not come back by itself, and a page that does not steer can't hand
+/// back. That page.
+fn lost_in_mid_motion(operator: Operator, served: &Served) -> Page {
+    drop(operator);
+    let mut page = Page::open(served);
+    let held = rested(&mut page);
+    for _ in 0..20 {
+        let state = page.wait_for("state", |_| true);
+        assert_eq!(driver(&state), "operator");
+        assert!(way(tip(&state), held) < 1e-5, "{state}");
+    }
+    page.say(&json!({ "hand_back": true }));
+    page.wait_for("problem", |problem| {
+        problem["text"]
+            .as_str()
+            .unwrap()
+            .contains("take control first")
+    });
+    page
+}
+
 /// The hands take over from a policy in mid-motion and hold; their page is lost and nothing moves; another page hands back, and the policy
 /// does the task from there. No step of the commands is larger than the arms' limits allow, and the log replays to the bit.
 #[test]
@@ -74,22 +95,7 @@ fn hands_take_over_from_a_policy_and_hand_back() {
     let risen = tip(&operator.repeat(20));
     assert!(risen[1] - taken[1] > 0.004, "it follows the hand");
 
-    // The page goes with its clutch held: the arm holds, and the policy does not come back by itself.
-    drop(operator);
-    let mut page = Page::open(&served);
-    let held = rested(&mut page);
-    for _ in 0..20 {
-        let state = page.wait_for("state", |_| true);
-        assert_eq!(driver(&state), "operator");
-        assert!(way(tip(&state), held) < 1e-5, "{state}");
-    }
-    page.say(&json!({ "hand_back": true }));
-    page.wait_for("problem", |problem| {
-        problem["text"]
-            .as_str()
-            .unwrap()
-            .contains("take control first")
-    });
+    let page = lost_in_mid_motion(operator, &served);
     let mut operator = Operator::take_control(page);
     // Who holds the clutch as the policy gets the arms back has to take it anew.
     operator.engage();
@@ -140,7 +146,12 @@ fn a_gamepad_takes_over_from_a_policy_and_the_dataset_says_so() {
         |who: &str| format!("document.querySelector('#driver').dataset.driver === '{who}'");
     browser.wait_until(&drives("policy"));
     browser.wait_until("told.arms[0].commanded_velocity.some((v) => Math.abs(v) > 0.02)");
+    // Pictures take their time, and the policy would be done.
+    browser.press("p");
+    browser.wait_until("document.querySelector('.chip').dataset.state === 'PAUSED'");
     crate::browser::looks_right(&mut browser, "policy-drives");
+    browser.evaluate("document.querySelector('[data-command=resume]').click()");
+    browser.wait_until("document.querySelector('.chip').dataset.state === 'ENABLED'");
     browser.evaluate("operator.hold(true), true");
     browser.wait_until(&drives("operator"));
     browser.evaluate("operator.push([0, 1, 0]), true");
@@ -164,12 +175,17 @@ fn says_who_drove(data: &Path) {
     let last = by_hand.iter().rposition(|&by_hand| by_hand).unwrap();
     assert!(first > 0 && last + 1 < by_hand.len(), "{by_hand:?}");
     assert!(by_hand[first..=last].iter().all(|&by_hand| by_hand));
-    // The recorded targets go on without a jump from one to the other.
+    // Neither takes the arm on a jump: it goes on no faster than it may, 0.1 m/s, and hands begin where the policy left it.
+    let way = |one: &[f64], other: &[f64]| {
+        let squares = one.iter().zip(other).take(3);
+        squares.map(|(a, b)| (a - b).powi(2)).sum::<f64>().sqrt()
+    };
     for frame in [first, last + 1] {
-        let [before, after] = [frame - 1, frame].map(|frame| dataset.action(frame, 0));
-        let way = (0..3).map(|axis| (after[axis] - before[axis]).powi(2));
-        assert!(way.sum::<f64>().sqrt() < 0.006, "{before:?} {after:?}");
+        let [before, after] = [frame - 1, frame].map(|frame| dataset.tip_pose(frame, 0));
+        assert!(way(&before, &after) < 0.004, "{before:?} {after:?}");
     }
+    let (tip, taken) = (dataset.tip_pose(first, 0), dataset.action(first, 0));
+    assert!(way(&tip, &taken) < 0.006, "{tip:?} {taken:?}");
     let info = read_json(&data.join("meta/info.json"));
     assert_eq!(
         info["features"]["intervention"],

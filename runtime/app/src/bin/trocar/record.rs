@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use clap::builder::NonEmptyStringValueParser;
 use clap::{Args, ValueEnum};
 
-use trocar::console::{Address, DEFAULT_ADDRESS};
+use trocar::console::{Address, DEFAULT_ADDRESS, FOXGLOVE_ADDRESS};
 use trocar::rt;
 use trocar::session::changes::Change;
 use trocar::session::record::{self, RecordOptions, RecordSummary};
@@ -50,6 +50,9 @@ pub(crate) struct RecordArgs {
     /// with its token is printed.
     #[arg(long, value_name = "ADDRESS", num_args = 0..=1, default_missing_value = DEFAULT_ADDRESS)]
     pub(crate) console: Option<Address>,
+    /// With --console: tell Foxglove the same at this loopback address, as `trocar run --foxglove` does.
+    #[arg(long, value_name = "ADDRESS", num_args = 0..=1, default_missing_value = FOXGLOVE_ADDRESS, requires = "console")]
+    pub(crate) foxglove: Option<Address>,
     /// The dataset's directory; a new or an empty one, but for --resume.
     #[arg(long)]
     pub(crate) out: PathBuf,
@@ -134,7 +137,7 @@ pub(crate) fn record(args: &RecordArgs) -> Done {
         video: args.video.map(codec),
         instruction: args.instruction.clone(),
     };
-    let page = args.console.map(open_console).transpose()?;
+    let page = open_console(args.console, args.foxglove)?;
     if page.is_none() {
         rt::catch_interrupts().map_err(SessionError::signals)?;
     }

@@ -11,7 +11,7 @@ mod server;
 use std::fmt;
 use std::str::FromStr;
 
-use hal::{ARM_NAMES, PerArm};
+use hal::{ARM_NAMES, Chunk, PerArm};
 use serde::Serialize;
 use trocar_control::{AnyController, Fault, Mode, OperatingState, OperatorEvent};
 use trocar_log::TickRecord;
@@ -143,10 +143,10 @@ impl OperatorPort {
         Some(request)
     }
 
-    /// Says that chunks were handed to the controller, so long after their observation.
-    pub(super) fn chunk(&mut self, latency_ns: u64) {
+    /// Says that these chunks were handed to the controller, so long after their observation.
+    pub(super) fn chunk(&mut self, chunks: &PerArm<Chunk>, latency_ns: u64) {
         if let Some(tap) = &mut self.tap {
-            tap.chunk(latency_ns);
+            tap.chunk(chunks, latency_ns);
         }
     }
 

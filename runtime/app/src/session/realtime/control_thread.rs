@@ -129,7 +129,7 @@ impl<R: Rig> ControlThread<R> {
         if let Some(chunks) = &chunks {
             let latency_ns = period.now.since(chunks.first.observed_at);
             tally.delivery(latency_ns);
-            self.operator.chunk(latency_ns);
+            self.operator.chunk(chunks, latency_ns);
             if let Some(log) = &mut self.log {
                 for (arm, chunk) in chunks.iter().enumerate() {
                     log.chunk(arm, chunk);

@@ -182,7 +182,8 @@ fn demonstrating(plan: &Plan) -> Option<Demonstrating> {
 /// An operator who may take over from the policy of `plan`: on the console, if there is one. And the control thread's end.
 fn intervention(plan: &Plan) -> Option<(Intervention, Consumer<FromHands>)> {
     let by_hand = plan.policy == PolicyChoice::Teleop;
-    let console = plan.console.as_ref().filter(|_| !by_hand)?;
+    let console = plan.console.as_ref();
+    let console = console.filter(|console| console.has_page() && !by_hand)?;
     let (to, from) = RingBuffer::new(CHUNK_QUEUE);
     let hands = console.hands();
     let intervention = Intervention::new(&plan.setup, &hands, plan.demonstrates, to);
