@@ -1,11 +1,12 @@
 #!/usr/bin/env python3
 """Reads what a run tells Foxglove with code of others: the live server with `websockets`, a log with `mcap`.
 
-    pip install mcap mcap-protobuf-support websockets
     tests/scripts/foxglove_viewer.py ws://127.0.0.1:8765/?token=...   # trocar run --foxglove prints it
     tests/scripts/foxglove_viewer.py runs/a.mcap
 
 Prints messages and schema of each topic, and fails unless every message decodes and all frames form one tree below `scene`.
+
+Requirements: mcap, mcap-protobuf-support and websockets.
 """
 
 import asyncio
