@@ -12,6 +12,10 @@ mod access;
 mod browser;
 #[path = "console/devtools.rs"]
 mod devtools;
+#[path = "console/foxglove.rs"]
+mod foxglove;
+#[path = "console/intervention.rs"]
+mod intervention;
 #[path = "console/lift.rs"]
 mod lift;
 #[path = "console/log.rs"]

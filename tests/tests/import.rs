@@ -112,6 +112,7 @@ fn record(dir: &Path) {
         arms: 1,
         task: "Lift the needle".to_owned(),
         cameras: vec![camera],
+        intervention: false,
     };
     let mut writer = DatasetWriter::create(dir, &spec).unwrap();
     for step in 0..2 {

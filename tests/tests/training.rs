@@ -32,6 +32,7 @@ fn record(folder: &Path) {
             height: SIDE,
             depth: Some(Intrinsics::from_vertical_fov(SIDE, SIDE, 0.8)),
         }],
+        intervention: false,
     };
     let mut writer = DatasetWriter::create(folder, &spec).unwrap();
     for step in 0..8_u16 {

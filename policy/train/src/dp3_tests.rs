@@ -71,6 +71,7 @@ fn dataset_hiding(
             height: SIDE,
             depth,
         }],
+        intervention: false,
     };
     let mut writer = DatasetWriter::create(&folder, &spec).unwrap();
     for episode in 0..2_u16 {

@@ -61,6 +61,7 @@ fn dataset_seen_by(cameras: &[&str], arms: usize, name: &str) -> Scratch {
         arms,
         task: "follow the square".to_owned(),
         cameras: cameras.iter().map(camera).collect(),
+        intervention: false,
     };
     let dark = vec![20_u8; 3 * (SIDE * SIDE) as usize];
     let mut writer = DatasetWriter::create(&folder, &spec).unwrap();

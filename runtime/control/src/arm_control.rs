@@ -97,12 +97,30 @@ impl ArmControl {
     pub(super) fn observe(&mut self, input: &TickInput<'_>) -> bool {
         let follows = self.look_at(&input.measured);
         if let Some(event) = input.operator {
-            if let OperatorEvent::Speed { percent } = event {
-                self.speed = f64::from(percent.min(100)) / 100.0;
-            }
+            self.obey(event, input.now);
             self.change(Event::Operator(event), input.now);
         }
         follows
+    }
+
+    /// What an event does beside the operating state.
+    fn obey(&mut self, event: OperatorEvent, now: TimeNs) {
+        match event {
+            OperatorEvent::Speed { percent } => self.speed = f64::from(percent.min(100)) / 100.0,
+            OperatorEvent::TakeOver => {
+                self.aggregator.clear();
+                self.gate.forget();
+            }
+            OperatorEvent::HandBack => {
+                self.aggregator.clear();
+                self.gate.begin_anew(now);
+            }
+            OperatorEvent::Enable
+            | OperatorEvent::Disable
+            | OperatorEvent::Pause
+            | OperatorEvent::Resume
+            | OperatorEvent::Clear => {}
+        }
     }
 
     fn look_at(&mut self, measured: &Result<ArmState, ArmError>) -> bool {

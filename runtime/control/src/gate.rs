@@ -42,7 +42,7 @@ pub enum GateDecision {
     },
     /// It answers an observation that lies ahead.
     FromTheFuture,
-    /// It answers an observation that is too old, or its last target was due already.
+    /// It answers an observation that is too old or from before [`Gate::begin_anew`], or its last target was due already.
     Stale {
         /// Age of the observation, ns.
         age_ns: u64,
@@ -81,6 +81,8 @@ impl GateDecision {
 pub struct Gate {
     limits: GateLimits,
     accepted: Option<(u64, TimeNs)>,
+    /// Observations from before are too old, whatever their age.
+    not_before: TimeNs,
     judged: Option<(u64, TimeNs)>,
     accepted_count: u64,
     refused_count: u64,
@@ -93,6 +95,7 @@ impl Gate {
         Self {
             limits,
             accepted: None,
+            not_before: TimeNs(0),
             judged: None,
             accepted_count: 0,
             refused_count: 0,
@@ -103,6 +106,12 @@ impl Gate {
     pub fn forget(&mut self) {
         self.accepted = None;
         self.judged = None;
+    }
+
+    /// Forgets the order of the chunks so far; what answers an observation from before `now` is stale from now on.
+    pub fn begin_anew(&mut self, now: TimeNs) {
+        self.forget();
+        self.not_before = now;
     }
 
     /// Chunks let through since the start.
@@ -158,7 +167,8 @@ impl Gate {
             return GateDecision::OutOfOrder;
         }
         let age_ns = now.since(chunk.observed_at);
-        if age_ns > self.limits.age_ns_max || chunk.due(targets.len() - 1) < now {
+        let old = age_ns > self.limits.age_ns_max || chunk.observed_at < self.not_before;
+        if old || chunk.due(targets.len() - 1) < now {
             return GateDecision::Stale { age_ns };
         }
         if let Some(decision) = self.first_bad_target(targets) {

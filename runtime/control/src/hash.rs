@@ -133,6 +133,8 @@ impl InputHash {
             Some(OperatorEvent::Resume) => 4,
             Some(OperatorEvent::Clear) => 5,
             Some(OperatorEvent::Speed { percent }) => 6 | u64::from(percent) << 8,
+            Some(OperatorEvent::TakeOver) => 7,
+            Some(OperatorEvent::HandBack) => 8,
         });
     }
 

@@ -1,11 +1,11 @@
 //! What the arm is allowed to do: the CRTK operating states and the one function that changes them.
 //!
-//! | state    | enable  | disable  | pause    | resume   | clear    | speed    | fail  |
-//! |----------|---------|----------|----------|----------|----------|----------|-------|
-//! | DISABLED | ENABLED | DISABLED | DISABLED | DISABLED | DISABLED | DISABLED | FAULT |
-//! | ENABLED  | ENABLED | DISABLED | PAUSED   | ENABLED  | ENABLED  | ENABLED  | FAULT |
-//! | PAUSED   | PAUSED  | DISABLED | PAUSED   | ENABLED  | PAUSED   | PAUSED   | FAULT |
-//! | FAULT    | FAULT   | FAULT    | FAULT    | FAULT    | DISABLED | FAULT    | FAULT |
+//! | state    | enable  | disable  | pause    | resume   | clear    | speed    | take over | hand back | fail  |
+//! |----------|---------|----------|----------|----------|----------|----------|-----------|-----------|-------|
+//! | DISABLED | ENABLED | DISABLED | DISABLED | DISABLED | DISABLED | DISABLED | DISABLED  | DISABLED  | FAULT |
+//! | ENABLED  | ENABLED | DISABLED | PAUSED   | ENABLED  | ENABLED  | ENABLED  | ENABLED   | ENABLED   | FAULT |
+//! | PAUSED   | PAUSED  | DISABLED | PAUSED   | ENABLED  | PAUSED   | PAUSED   | PAUSED    | PAUSED    | FAULT |
+//! | FAULT    | FAULT   | FAULT    | FAULT    | FAULT    | DISABLED | FAULT    | FAULT     | FAULT     | FAULT |
 
 use core::fmt;
 
@@ -70,6 +70,11 @@ pub enum OperatorEvent {
         /// The share, percent; more than 100 counts as 100.
         percent: u8,
     },
+    /// The operator's hands drive from now on: what the policy has asked for counts no more. This changes no state.
+    TakeOver,
+    /// The policy drives again: what the hands have asked for counts no more, nor does what answers an observation from before. This
+    /// changes no state.
+    HandBack,
 }
 
 /// What can change the operating state.
@@ -86,10 +91,12 @@ pub enum Event {
 pub const fn next(state: OperatingState, event: Event) -> OperatingState {
     use Event::{Fail, Operator};
     use OperatingState::{Disabled, Enabled, Fault, Paused};
-    use OperatorEvent::{Clear, Disable, Enable, Pause, Resume, Speed};
+    use OperatorEvent::{Clear, Disable, Enable, HandBack, Pause, Resume, Speed, TakeOver};
     match (state, event) {
         (Disabled | Enabled | Paused | Fault, Fail) => Fault,
-        (Disabled | Enabled | Paused | Fault, Operator(Speed { .. })) => state,
+        (Disabled | Enabled | Paused | Fault, Operator(Speed { .. } | TakeOver | HandBack)) => {
+            state
+        }
 
         (Disabled, Operator(Enable)) => Enabled,
         (Disabled, Operator(Disable | Pause | Resume | Clear)) => Disabled,
@@ -130,6 +137,8 @@ mod tests {
             Event::Operator(OperatorEvent::Resume),
             Event::Operator(OperatorEvent::Clear),
             Event::Operator(OperatorEvent::Speed { percent: 50 }),
+            Event::Operator(OperatorEvent::TakeOver),
+            Event::Operator(OperatorEvent::HandBack),
             Event::Fail,
         ];
         let rows: Vec<Vec<&str>> = include_str!("mode.rs")

@@ -4,10 +4,10 @@ use hal::{CameraFrame, Intrinsics, Pose, TimeNs};
 use image::{ExtendedColorType, ImageEncoder, codecs::png};
 
 use super::error::LogError;
-use super::messages::{CameraCalibration, CompressedImage, PoseInFrame, Timestamp};
-
-/// The frame that camera poses are given in.
-const SCENE: &str = "scene";
+use super::live::{SCENE, transform};
+use super::messages::{
+    CameraCalibration, CompressedImage, FrameTransforms, PoseInFrame, Timestamp,
+};
 
 /// A frame on its way to the writer thread.
 pub(super) struct FrameItem {
@@ -23,6 +23,8 @@ pub(super) struct Encoded {
     pub(super) image: CompressedImage,
     pub(super) lens: CameraCalibration,
     pub(super) pose: PoseInFrame,
+    /// The same among the frames.
+    pub(super) place: FrameTransforms,
 }
 
 /// The channels of one camera.
@@ -62,14 +64,7 @@ impl FrameItem {
             camera: self.name.clone(),
             reason,
         };
-        let Intrinsics {
-            width,
-            height,
-            fx,
-            fy,
-            cx,
-            cy,
-        } = self.intrinsics;
+        let Intrinsics { width, height, .. } = self.intrinsics;
         let expected = 3 * self.intrinsics.pixel_count();
         if self.colour.len() != expected {
             return Err(failed(format!(
@@ -92,22 +87,42 @@ impl FrameItem {
             format: "png".to_owned(),
             frame_id: self.name.clone(),
         };
-        let lens = CameraCalibration {
-            timestamp,
-            width,
-            height,
-            distortion_model: String::new(),
-            d: Vec::new(),
-            k: vec![fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0],
-            r: vec![1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0],
-            p: vec![fx, 0.0, cx, 0.0, 0.0, fy, cy, 0.0, 0.0, 0.0, 1.0, 0.0],
-            frame_id: self.name.clone(),
-        };
         let pose = PoseInFrame {
             timestamp,
             frame_id: SCENE.to_owned(),
             pose: Some((&self.camera_in_scene).into()),
         };
-        Ok(Encoded { image, lens, pose })
+        let place = transform(self.stamp, (SCENE, &self.name), &self.camera_in_scene);
+        Ok(Encoded {
+            image,
+            lens: lens(self.stamp, &self.name, &self.intrinsics),
+            pose,
+            place: FrameTransforms {
+                transforms: vec![place],
+            },
+        })
+    }
+}
+
+/// The lens of the camera `name`.
+pub(super) fn lens(at: TimeNs, name: &str, intrinsics: &Intrinsics) -> CameraCalibration {
+    let Intrinsics {
+        width,
+        height,
+        fx,
+        fy,
+        cx,
+        cy,
+    } = *intrinsics;
+    CameraCalibration {
+        timestamp: Some(Timestamp::new(at)),
+        width,
+        height,
+        distortion_model: String::new(),
+        d: Vec::new(),
+        k: vec![fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0],
+        r: vec![1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0],
+        p: vec![fx, 0.0, cx, 0.0, 0.0, fy, cy, 0.0, 0.0, 0.0, 1.0, 0.0],
+        frame_id: name.to_owned(),
     }
 }

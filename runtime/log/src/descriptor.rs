@@ -12,7 +12,7 @@ use prost_types::{
 
 const TIMESTAMP: &str = "seconds 1 int64; nanos 2 int32";
 
-const FOXGLOVE: [(&str, &str); 9] = [
+const FOXGLOVE: [(&str, &str); 14] = [
     ("Vector3", "x 1 double; y 2 double; z 3 double"),
     (
         "Quaternion",
@@ -23,6 +23,20 @@ const FOXGLOVE: [(&str, &str); 9] = [
         "PoseInFrame",
         "timestamp 1 Timestamp; frame_id 2 string; pose 3 Pose",
     ),
+    (
+        "FrameTransform",
+        "timestamp 1 Timestamp; parent_frame_id 2 string; child_frame_id 3 string; translation 4 Vector3; rotation 5 Quaternion",
+    ),
+    ("FrameTransforms", "transforms 1 FrameTransform*"),
+    (
+        "ModelPrimitive",
+        "pose 1 Pose; scale 2 Vector3; media_type 6 string; data 7 bytes",
+    ),
+    (
+        "SceneEntity",
+        "timestamp 1 Timestamp; frame_id 2 string; id 3 string; frame_locked 5 bool; models 14 ModelPrimitive*",
+    ),
+    ("SceneUpdate", "entities 2 SceneEntity*"),
     (
         "JointState",
         "name 1 string; position 2 double?; velocity 3 double?; acceleration 4 double?; effort 5 double?",
@@ -138,6 +152,7 @@ fn field(name: &str, number: &str, kind: &str) -> FieldDescriptorProto {
         "fixed32" => field.set_type(Type::Fixed32),
         "string" => field.set_type(Type::String),
         "bytes" => field.set_type(Type::Bytes),
+        "bool" => field.set_type(Type::Bool),
         "Level" => {
             field.set_type(Type::Enum);
             field.type_name = Some(".foxglove.Log.Level".to_owned());

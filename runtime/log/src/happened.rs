@@ -45,5 +45,7 @@ fn words(event: OperatorEvent) -> String {
         OperatorEvent::Resume => "resume".to_owned(),
         OperatorEvent::Clear => "clear".to_owned(),
         OperatorEvent::Speed { percent } => format!("speed {percent} %"),
+        OperatorEvent::TakeOver => "take over".to_owned(),
+        OperatorEvent::HandBack => "hand back".to_owned(),
     }
 }

@@ -2,6 +2,10 @@
 
 use std::collections::BTreeMap;
 
+use hal::Pose;
+use hal::config::Source;
+use trocar_control::ControlConfig;
+
 use super::contents::Contents;
 
 /// How a run was set up; written before the first tick.
@@ -25,6 +29,17 @@ pub struct RunHeader {
     pub texts: BTreeMap<String, String>,
     /// Ticks of the run before the first in this file, which a log with a bound has left behind.
     pub left_out: u64,
+}
+
+impl RunHeader {
+    /// Where the arms' remote centres are in the scene, as the run's own configuration says; nothing if there is none.
+    pub(super) fn rcms_in_scene(&self) -> Vec<Pose> {
+        let source = |file: &'static str| Some(Source::embedded(file, self.text(file)?));
+        let both = source("control.toml").zip(source("safety.toml"));
+        let config = both.and_then(|(control, safety)| ControlConfig::load(&control, &safety).ok());
+        let arms = config.into_iter().flat_map(|config| config.arms);
+        arms.map(|arm| arm.scene_from_rcm).collect()
+    }
 }
 
 /// How a run ended; written after the last tick.

@@ -128,6 +128,8 @@ pub(super) enum OperatorMessage {
     Resume,
     Clear,
     Speed { percent: u8 },
+    TakeOver,
+    HandBack,
 }
 
 impl From<OperatorEvent> for OperatorMessage {
@@ -139,6 +141,8 @@ impl From<OperatorEvent> for OperatorMessage {
             OperatorEvent::Resume => Self::Resume,
             OperatorEvent::Clear => Self::Clear,
             OperatorEvent::Speed { percent } => Self::Speed { percent },
+            OperatorEvent::TakeOver => Self::TakeOver,
+            OperatorEvent::HandBack => Self::HandBack,
         }
     }
 }
@@ -152,6 +156,8 @@ impl From<OperatorMessage> for OperatorEvent {
             OperatorMessage::Resume => Self::Resume,
             OperatorMessage::Clear => Self::Clear,
             OperatorMessage::Speed { percent } => Self::Speed { percent },
+            OperatorMessage::TakeOver => Self::TakeOver,
+            OperatorMessage::HandBack => Self::HandBack,
         }
     }
 }

@@ -13,6 +13,7 @@ mod happened;
 mod header;
 mod joints;
 mod json;
+pub mod live;
 mod messages;
 mod read;
 mod record;

@@ -125,6 +125,63 @@ pub(super) struct PoseInFrame {
     pub(super) pose: Option<Pose>,
 }
 
+/// Where one frame is in another.
+#[derive(Clone, PartialEq, Message)]
+pub(super) struct FrameTransform {
+    #[prost(message, optional, tag = "1")]
+    pub(super) timestamp: Option<Timestamp>,
+    #[prost(string, tag = "2")]
+    pub(super) parent_frame_id: String,
+    #[prost(string, tag = "3")]
+    pub(super) child_frame_id: String,
+    #[prost(message, optional, tag = "4")]
+    pub(super) translation: Option<Vector3>,
+    #[prost(message, optional, tag = "5")]
+    pub(super) rotation: Option<Quaternion>,
+}
+
+/// Several of them.
+#[derive(Clone, PartialEq, Message)]
+pub(super) struct FrameTransforms {
+    #[prost(message, repeated, tag = "1")]
+    pub(super) transforms: Vec<FrameTransform>,
+}
+
+/// A shape as a file.
+#[derive(Clone, PartialEq, Message)]
+pub(super) struct ModelPrimitive {
+    #[prost(message, optional, tag = "1")]
+    pub(super) pose: Option<Pose>,
+    #[prost(message, optional, tag = "2")]
+    pub(super) scale: Option<Vector3>,
+    #[prost(string, tag = "6")]
+    pub(super) media_type: String,
+    #[prost(bytes = "vec", tag = "7")]
+    pub(super) data: Vec<u8>,
+}
+
+/// What is in a frame.
+#[derive(Clone, PartialEq, Message)]
+pub(super) struct SceneEntity {
+    #[prost(message, optional, tag = "1")]
+    pub(super) timestamp: Option<Timestamp>,
+    #[prost(string, tag = "2")]
+    pub(super) frame_id: String,
+    #[prost(string, tag = "3")]
+    pub(super) id: String,
+    #[prost(bool, tag = "5")]
+    pub(super) frame_locked: bool,
+    #[prost(message, repeated, tag = "14")]
+    pub(super) models: Vec<ModelPrimitive>,
+}
+
+/// Things that are new.
+#[derive(Clone, PartialEq, Message)]
+pub(super) struct SceneUpdate {
+    #[prost(message, repeated, tag = "2")]
+    pub(super) entities: Vec<SceneEntity>,
+}
+
 /// An image as a file's bytes.
 #[derive(Clone, PartialEq, Message)]
 pub(super) struct CompressedImage {

@@ -26,10 +26,12 @@ pub(super) enum Topic {
     Tick,
     /// What happened, in words.
     Events,
+    /// Where frames are in each other: remote centres and cameras in the scene, tips from their centres.
+    Transforms,
 }
 
 /// How many topics [`Topic`] has.
-pub(super) const TOPIC_COUNT: usize = 9;
+pub(super) const TOPIC_COUNT: usize = 10;
 
 impl Topic {
     /// All of them, in the order of their numbers.
@@ -43,6 +45,7 @@ impl Topic {
         Self::Timing,
         Self::Tick,
         Self::Events,
+        Self::Transforms,
     ];
 
     /// The names in the file, one for each arm; a single one where all arms share the topic.
@@ -59,6 +62,7 @@ impl Topic {
             Self::Timing => &["/timing"],
             Self::Tick => &["/psm1/tick", "/psm2/tick"],
             Self::Events => &["/events"],
+            Self::Transforms => &[super::live::TRANSFORMS],
         }
     }
 
@@ -70,13 +74,14 @@ impl Topic {
         })
     }
 
-    const fn schema(self) -> Schema {
+    pub(super) const fn schema(self) -> Schema {
         match self {
             Self::MeasuredJs | Self::SetpointJs | Self::Jaw => {
                 Schema::Protobuf("foxglove.JointStates")
             }
             Self::MeasuredCp => Schema::Protobuf("foxglove.PoseInFrame"),
             Self::Events => Schema::Protobuf("foxglove.Log"),
+            Self::Transforms => Schema::Protobuf("foxglove.FrameTransforms"),
             Self::Chunk => Schema::Json("trocar.Chunk", CHUNK_SCHEMA),
             Self::Safety => Schema::Json("trocar.Safety", SAFETY_SCHEMA),
             Self::Timing => Schema::Json("trocar.Timing", TIMING_SCHEMA),

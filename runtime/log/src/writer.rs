@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::io::{Seek, Write};
 
-use hal::TimeNs;
+use hal::{Pose, TimeNs};
 use mcap::records::{MessageHeader, Metadata};
 use mcap::{McapResult, WriteOptions, Writer};
 use prost::{EncodeError, Message};
@@ -20,11 +20,14 @@ use super::messages::{Log, PoseInFrame, Timestamp};
 use super::record::{ArmRecord, TickRecord};
 use super::safety::SafetyMessage;
 use super::topic::{self, Schema, TOPIC_COUNT, Topic};
-use super::{Level, camera};
+use super::{Level, camera, live};
 use hal::ARMS_MAX;
 
 /// Frame of each arm's measured tip pose.
-const RCM_FRAMES: [&str; ARMS_MAX] = ["psm1_rcm", "psm2_rcm"];
+pub(super) const RCM_FRAMES: [&str; ARMS_MAX] = ["psm1_rcm", "psm2_rcm"];
+
+/// Ticks from one message of frames to the next: people look at them.
+const FRAMES_EVERY_TICKS: u64 = 40;
 
 /// A crash loses at most this much log time.
 const FLUSH_NS: u64 = 250_000_000;
@@ -43,6 +46,8 @@ pub(super) struct LogWriter<W: Write + Seek> {
     names: BTreeMap<u16, String>,
     contents: Contents,
     joints: JointMessages,
+    /// Where the arms' remote centres are, if the run's limits say so.
+    rcms_in_scene: Vec<Pose>,
     buffer: Vec<u8>,
     previous_now: TimeNs,
     flushed_at: TimeNs,
@@ -80,6 +85,7 @@ impl<W: Write + Seek> LogWriter<W> {
             names,
             contents,
             joints: JointMessages::new(),
+            rcms_in_scene: run.rcms_in_scene(),
             buffer: Vec::new(),
             previous_now: TimeNs(0),
             flushed_at: TimeNs(0),
@@ -101,6 +107,14 @@ impl<W: Write + Seek> LogWriter<W> {
             compute_ns: tick.timing.compute_ns,
         };
         self.json(Topic::Timing, 0, tick.now, &timing)?;
+        if tick.tick.is_multiple_of(FRAMES_EVERY_TICKS) {
+            let frames = live::of_arms(tick, &self.rcms_in_scene);
+            if !frames.transforms.is_empty() {
+                self.protobuf(Topic::Transforms, 0, tick.now, |_, buffer| {
+                    frames.encode(buffer)
+                })?;
+            }
+        }
         self.rest(0, item, &tick.arms.first)?;
         self.previous_now = tick.now;
         if tick.now.since(self.flushed_at) >= FLUSH_NS {
@@ -228,6 +242,9 @@ impl<W: Write + Seek> LogWriter<W> {
             .encode(&mut self.buffer)
             .map_err(std::io::Error::from)?;
         self.put(channels.pose, at)?;
+        self.protobuf(Topic::Transforms, 0, at, |_, buffer| {
+            frame.place.encode(buffer)
+        })?;
         self.buffer.clear();
         frame
             .image
@@ -303,7 +320,7 @@ impl<W: Write + Seek> LogWriter<W> {
     }
 }
 
-fn measured_tip(frame: &str, state: &hal::ArmState) -> PoseInFrame {
+pub(super) fn measured_tip(frame: &str, state: &hal::ArmState) -> PoseInFrame {
     let tip = crate::verify::tip_in_rcm(&state.position);
     PoseInFrame {
         timestamp: Some(Timestamp::new(state.stamp)),

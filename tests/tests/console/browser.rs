@@ -82,6 +82,10 @@ fn number(value: &Value) -> f64 {
 /// Whether the first camera's picture is there, with its time.
 const PICTURE: &str = "(({ naturalWidth, dataset }) => naturalWidth > 100 && dataset.seconds !== undefined)(document.querySelector('.view img'))";
 
+/// How many points the path of the newest chunk has in the first camera's picture.
+const PATH: &str =
+    "(document.querySelector('.view .path .arm0')?.getAttribute('points') ?? '').split(' ').length";
+
 const STATE: &str = "document.querySelector('.chip')?.dataset.state";
 
 /// How many colours the scene's picture has, and a sum of it that another picture hardly has.
@@ -145,6 +149,13 @@ fn the_page_shows_and_steers_a_run() {
     let before = number(&browser.evaluate(stamp));
     browser.wait_until(&format!("Number({stamp}) > {before} + 1"));
     browser.wait_until("document.querySelector('#steer').getAttribute('aria-pressed') === 'true'");
+    browser.wait_until(&format!("{PATH} > 5"));
+    browser.evaluate("document.querySelector('#path-show').click()");
+    browser.wait_until(&format!("{PATH} === 1"));
+    browser.wait_until("document.querySelector('#scene-view').dataset.paths === '0'");
+    browser.evaluate("document.querySelector('#path-show').click()");
+    browser.wait_until(&format!("{PATH} > 5"));
+    browser.wait_until("Number(document.querySelector('#scene-view').dataset.paths) > 5");
     looks_at_the_scene(&mut browser);
     looks_right(&mut browser, "run");
 

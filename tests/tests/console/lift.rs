@@ -19,7 +19,7 @@ use crate::run::{Served, verified};
 const SEED: &str = "7";
 
 /// How many times slower than the machine's the clocks of the run are: it shares two cores with the browser.
-const SLOW_MOTION: u64 = 3;
+pub(crate) const SLOW_MOTION: u64 = 3;
 
 /// The devices and the operator, before any script of the page.
 const OPERATOR: &str = include_str!("operator.js");
@@ -94,7 +94,7 @@ fn view_from_rcm(plan: &Plan) -> Isometry3<f64> {
 }
 
 /// A page whose operator has `device` in hand, once it steers an arm that is enabled.
-fn operated(test: &str, served: &Served, device: &str) -> Browser {
+pub(crate) fn operated(test: &str, served: &Served, device: &str) -> Browser {
     let script = format!("{OPERATOR}\nwindow.device = {};", json!(device));
     let mut browser = Browser::open_with(&format!("{test}-profile"), &served.url(), &script);
     browser.look(1280, "light");

@@ -21,8 +21,8 @@ fn by_hand(test: &str, task: &str) -> Served {
 }
 
 /// A page with its hand, in the axes of the picture.
-struct Operator {
-    page: Page,
+pub(crate) struct Operator {
+    pub(crate) page: Page,
     clutch: bool,
     at: [f64; 3],
     jaw: f64,
@@ -30,7 +30,7 @@ struct Operator {
 }
 
 impl Operator {
-    fn take_control(mut page: Page) -> Self {
+    pub(crate) fn take_control(mut page: Page) -> Self {
         let mut steers = false;
         while !steers {
             page.say(&json!({ "steer": true }));
@@ -66,13 +66,13 @@ impl Operator {
     }
 
     /// Says where the hand is, once; the state after it.
-    fn say(&mut self) -> Value {
+    pub(crate) fn say(&mut self) -> Value {
         let message = self.message();
         self.page.say(&message);
         self.page.wait_for("state", |_| true)
     }
 
-    fn repeat(&mut self, times: usize) -> Value {
+    pub(crate) fn repeat(&mut self, times: usize) -> Value {
         for _ in 1..times {
             self.say();
         }
@@ -80,7 +80,7 @@ impl Operator {
     }
 
     /// Takes the clutch, and waits for it to hold.
-    fn engage(&mut self) {
+    pub(crate) fn engage(&mut self) {
         self.clutch = false;
         self.repeat(2);
         self.clutch = true;
@@ -95,7 +95,7 @@ impl Operator {
     }
 
     /// Moves the hand upwards for some messages; the state after it.
-    fn rise(&mut self, messages: usize) -> Value {
+    pub(crate) fn rise(&mut self, messages: usize) -> Value {
         for _ in 1..messages {
             self.at[1] += 0.002;
             self.say();
@@ -104,7 +104,7 @@ impl Operator {
     }
 }
 
-fn engaged(state: &Value) -> bool {
+pub(crate) fn engaged(state: &Value) -> bool {
     state["teleop"]["arms"][0]["engaged"] == true
 }
 
@@ -114,18 +114,18 @@ fn lost(state: &Value) -> String {
 }
 
 /// Where the tip is commanded to be, in the picture's axes, m.
-fn tip(state: &Value) -> [f64; 3] {
+pub(crate) fn tip(state: &Value) -> [f64; 3] {
     let tip = &state["teleop"]["arms"][0]["tip"];
     std::array::from_fn(|axis| tip[axis].as_f64().unwrap())
 }
 
-fn way(one: [f64; 3], other: [f64; 3]) -> f64 {
+pub(crate) fn way(one: [f64; 3], other: [f64; 3]) -> f64 {
     let squares = one.iter().zip(other).map(|(a, b)| (a - b) * (a - b));
     squares.sum::<f64>().sqrt()
 }
 
 /// Waits until the arm rests; where it is then.
-fn rested(page: &mut Page) -> [f64; 3] {
+pub(crate) fn rested(page: &mut Page) -> [f64; 3] {
     let mut before = tip(&page.wait_for("state", |_| true));
     loop {
         let mut now = before;

@@ -28,9 +28,13 @@ fn chunk(now: TimeNs, sequence: u64) -> Chunk {
 }
 
 /// Hands a tick to `tap`; how often that allocated.
-fn tapped(tap: &mut ControlTap, record: &TickRecord, controller: &AnyController) -> u64 {
+fn tapped(
+    tap: &mut ControlTap,
+    (chunk, record): (&Chunk, &TickRecord),
+    controller: &AnyController,
+) -> u64 {
     let before = thread_allocations();
-    tap.chunk(record.now.0);
+    tap.chunk(&PerArm::one(*chunk), record.now.0);
     tap.tick(record, controller, record.tick / 100);
     thread_allocations() - before
 }
@@ -67,7 +71,8 @@ fn console_tap_allocates_nothing() -> Result<(), Box<dyn Error>> {
             compute_ns: 10 * tick,
         };
         let record = TickRecord::new(tick, inputs, outputs, timing);
-        assert_eq!(tapped(&mut tap, &record, &controller), 0, "tick {tick}");
+        let given = (&chunk(now, tick), &record);
+        assert_eq!(tapped(&mut tap, given, &controller), 0, "tick {tick}");
         let report = &record.arms.first.report;
         corrected += u32::from(report.correction > 0.0);
         refused += u32::from(report.gate.is_some_and(|gate| !gate.is_accepted()));

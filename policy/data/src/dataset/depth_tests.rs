@@ -44,6 +44,7 @@ fn spec() -> DatasetSpec {
         arms: 1,
         task: "look".to_owned(),
         cameras: vec![camera("plain", None), camera("scope", Some(LENS))],
+        intervention: false,
     }
 }
 

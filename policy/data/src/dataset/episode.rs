@@ -3,8 +3,8 @@
 use std::{ops::Range, sync::Arc};
 
 use arrow_array::{
-    ArrayRef, BinaryArray, FixedSizeListArray, Float32Array, Float64Array, Int64Array, StringArray,
-    StructArray,
+    ArrayRef, BinaryArray, BooleanArray, FixedSizeListArray, Float32Array, Float64Array,
+    Int64Array, StringArray, StructArray,
 };
 use arrow_schema::DataType;
 
@@ -24,6 +24,8 @@ pub(super) struct Pending {
     pub(super) state: Vec<[f32; STATE_WIDTH]>,
     pub(super) tip_pose: Vec<[f64; TIP_POSE_WIDTH]>,
     pub(super) action: Vec<[f32; ACTION_WIDTH]>,
+    /// Whether an operator drove, if the dataset says so.
+    pub(super) intervention: Option<Vec<bool>>,
     /// PNG bytes by camera, then frame.
     pub(super) images: Vec<Vec<Vec<u8>>>,
     /// What depth the frames have, by camera that keeps it.
@@ -40,6 +42,7 @@ impl Pending {
             state: Vec::new(),
             tip_pose: Vec::new(),
             action: Vec::new(),
+            intervention: spec.intervention.then(Vec::new),
             images: vec![Vec::new(); camera_count],
             depth: vec![DepthColumns::default(); spec.depth_cameras().count()],
             image_stats: vec![ImageStats::new(); camera_count],
@@ -51,8 +54,11 @@ impl Pending {
     }
 
     /// Adds the numbers of a frame.
-    pub(super) fn push(&mut self, arms: &[ArmFrame]) {
+    pub(super) fn push(&mut self, arms: &[ArmFrame], intervention: bool) {
         self.frames += 1;
+        if let Some(interventions) = &mut self.intervention {
+            interventions.push(intervention);
+        }
         for arm in arms {
             #[expect(
                 clippy::cast_possible_truncation,
@@ -117,6 +123,10 @@ pub(super) fn columns(
             TIP_POSE_WIDTH,
             Arc::new(Float64Array::from(poses.to_vec())),
         ));
+    }
+    if let Some(interventions) = &pending.intervention {
+        let values = interventions[frames.clone()].to_vec();
+        columns.push(Arc::new(BooleanArray::from(values)));
     }
     let timestamps = frames.clone().map(|frame| timestamp_s(frame, fps));
     columns.push(Arc::new(Float32Array::from_iter_values(timestamps)));

@@ -33,6 +33,8 @@ mod episode;
 mod error;
 pub(crate) mod foreign;
 mod guard;
+#[cfg(test)]
+mod intervention_tests;
 mod layout;
 mod meta;
 mod notes;
@@ -87,6 +89,8 @@ pub struct DatasetSpec {
     pub task: String,
     /// The cameras, in the order in which frames bring their images.
     pub cameras: Vec<CameraSpec>,
+    /// Whether each frame says if an operator drove, in LeRobot's feature `intervention`.
+    pub intervention: bool,
 }
 
 /// One camera of a dataset.

@@ -138,6 +138,7 @@ mod tests {
                 arms: 1,
                 task: "Lift the needle".to_owned(),
                 cameras: Vec::new(),
+                intervention: false,
             };
             DatasetWriter::create(&self.0, &spec).unwrap()
         }

@@ -11,7 +11,7 @@ use super::{
     meta,
     png::decode_rgb,
     rows::{FileRows, Place, Rows, check_episode},
-    schema::{CAMERA_POSE_PREFIX, image_feature},
+    schema::{CAMERA_POSE_PREFIX, INTERVENTION, image_feature},
     segments::{VideoCamera, VideoFrames},
     spec::{mismatch, read_spec, video_features},
     table::Table,
@@ -235,6 +235,19 @@ impl Dataset {
     pub fn depth(&self, frame: usize, camera: usize) -> Result<RecordedDepth, DatasetError> {
         let Place { table, row } = self.rows.place[frame];
         depth::read(&self.tables[table], &self.spec.cameras[camera], row)
+    }
+
+    /// Whether an operator drove in each frame of an episode, in a dataset that says so: [`DatasetSpec::intervention`].
+    ///
+    /// # Errors
+    /// [`DatasetError::Missing`] if it does not; those of a damaged file.
+    pub fn interventions(&self, episode: Episode) -> Result<Vec<bool>, DatasetError> {
+        let Place { table, row } = self.rows.place[episode.start];
+        let table = &self.tables[table];
+        let all = table.flags(INTERVENTION)?;
+        let rows = all.get(row..row + episode.len).unwrap_or_default();
+        table.check_rows(INTERVENTION, rows.len(), episode.len)?;
+        Ok(rows.to_vec())
     }
 
     /// Where a camera that keeps depth was in each frame of an episode, in a dataset with a file an episode.

@@ -60,6 +60,7 @@ fn spec(arms: usize, cameras: Vec<CameraSpec>) -> DatasetSpec {
         arms,
         task: "Lift the \"needle\"".to_owned(),
         cameras,
+        intervention: false,
     }
 }
 

@@ -25,6 +25,8 @@ pub(crate) const IMAGE_PREFIX: &str = "observation.images.";
 pub(super) const DEPTH_PREFIX: &str = "observation.depth.";
 pub(super) const INSTANCE_PREFIX: &str = "observation.instance.";
 pub(super) const CAMERA_POSE_PREFIX: &str = "observation.camera_pose.";
+/// Whether an operator drove and not the policy: as LeRobot calls it.
+pub(super) const INTERVENTION: &str = "intervention";
 pub(crate) const TIMESTAMP: &str = "timestamp";
 pub(super) const EPISODE_INDEX: &str = "episode_index";
 /// Integer columns that every LeRobot dataset ends with.
@@ -143,6 +145,10 @@ pub(super) fn features(spec: &DatasetSpec, video: Option<VideoCodec>) -> Vec<(St
         let pose = Feature::new("float64", &[POSE_NAMES.len()], json!(POSE_NAMES));
         features.push((format!("{CAMERA_POSE_PREFIX}{name}"), pose));
     }
+    if spec.intervention {
+        let feature = Feature::new("bool", &[1], Value::Null);
+        features.push((INTERVENTION.to_owned(), feature));
+    }
     features.push((
         TIMESTAMP.to_owned(),
         Feature::new("float32", &[1], Value::Null),
@@ -192,6 +198,9 @@ pub(super) fn data_schema(spec: &DatasetSpec, video: Option<VideoCodec>) -> Sche
         }
         let name = format!("{CAMERA_POSE_PREFIX}{}", camera.name);
         fields.push(vector_field(&name, DataType::Float64, TIP_POSE_WIDTH));
+    }
+    if spec.intervention {
+        fields.push(Field::new(INTERVENTION, DataType::Boolean, true));
     }
     fields.push(Field::new(TIMESTAMP, DataType::Float32, true));
     fields.extend(INDICES.map(|name| Field::new(name, DataType::Int64, true)));

@@ -8,7 +8,7 @@ use super::{
     ACTION_WIDTH, CameraSpec, DatasetError, DatasetSpec, STATE_WIDTH, TIP_POSE_WIDTH, depth,
     layout, meta,
     png::SIDE_MAX,
-    schema::{ACTION, Feature, IMAGE_PREFIX, Info, STATE, TIP_POSE},
+    schema::{ACTION, Feature, IMAGE_PREFIX, INTERVENTION, Info, STATE, TIP_POSE},
 };
 
 /// The features of cameras that are kept as video.
@@ -44,7 +44,13 @@ pub(super) fn read_spec(dir: &Path, info: &Info) -> Result<DatasetSpec, DatasetE
         arms,
         task: layout::read_task(dir, info)?,
         cameras,
+        intervention: info.features.iter().any(is_intervention),
     })
+}
+
+/// Whether a feature is LeRobot's that says who drove.
+fn is_intervention((name, feature): &(String, Feature)) -> bool {
+    name == INTERVENTION && feature.dtype == "bool" && feature.shape == [1]
 }
 
 /// How many arms the vectors are of: as many as the state has room for, and the others must agree.

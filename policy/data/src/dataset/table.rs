@@ -7,8 +7,8 @@ use std::{
 };
 
 use arrow_array::{
-    Array, ArrayRef, BinaryArray, FixedSizeListArray, Float32Array, Float64Array, Int64Array,
-    ListArray, RecordBatch, StringArray, StructArray,
+    Array, ArrayRef, BinaryArray, BooleanArray, FixedSizeListArray, Float32Array, Float64Array,
+    Int64Array, ListArray, RecordBatch, StringArray, StructArray,
 };
 use parquet::{
     arrow::{
@@ -60,6 +60,15 @@ impl Table {
         let mut values = Vec::new();
         for column in self.column(name)? {
             values.extend_from_slice(self.cast::<Int64Array>(&column, name, "int64")?.values());
+        }
+        Ok(values)
+    }
+
+    pub(super) fn flags(&self, name: &str) -> Result<Vec<bool>, DatasetError> {
+        let mut values = Vec::new();
+        for column in self.column(name)? {
+            let flags = self.cast::<BooleanArray>(&column, name, "bool")?;
+            values.extend(flags.values());
         }
         Ok(values)
     }

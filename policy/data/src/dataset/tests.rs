@@ -48,6 +48,7 @@ fn spec() -> DatasetSpec {
         task: "Lift the needle".to_owned(),
         // Not in alphabetical order: the order of the specification has to survive.
         cameras: vec![camera("scope", 24, 16), camera("overview", 8, 12)],
+        intervention: false,
     }
 }
 

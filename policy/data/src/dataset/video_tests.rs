@@ -44,6 +44,7 @@ fn spec() -> DatasetSpec {
         arms: 1,
         task: "Lift the needle".to_owned(),
         cameras: vec![camera("scope"), camera("side")],
+        intervention: false,
     }
 }
 

@@ -23,7 +23,9 @@ use super::{
     notes::Notes,
     pages::data_properties,
     png::encode_rgb,
-    schema::{self, ACTION, CAMERA_POSE_PREFIX, STATE, TIMESTAMP, TIP_POSE, image_feature},
+    schema::{
+        self, ACTION, CAMERA_POSE_PREFIX, INTERVENTION, STATE, TIMESTAMP, TIP_POSE, image_feature,
+    },
     stats::{ColumnStats, ImageStats},
     store::{io_error, parquet_error, write_json, write_parquet},
 };
@@ -164,6 +166,18 @@ impl DatasetWriter {
     /// [`DatasetError::Input`] for a number that is not finite, another number of arms, or images that don't fit the
     /// cameras. The frame is then not added. [`DatasetError::Video`] if ffmpeg fails; the episode in progress is then lost.
     pub fn push_frame(&mut self, frame: &FrameRecord<'_>) -> Result<(), DatasetError> {
+        self.push_frame_of(frame, false)
+    }
+
+    /// As [`Self::push_frame`], saying whether an operator drove; kept if [`DatasetSpec::intervention`] says so.
+    ///
+    /// # Errors
+    /// Those of [`Self::push_frame`].
+    pub fn push_frame_of(
+        &mut self,
+        frame: &FrameRecord<'_>,
+        intervention: bool,
+    ) -> Result<(), DatasetError> {
         check_arms(&self.spec, frame.arms)?;
         self.check_images(frame.images)?;
         let depth = depth::encode(&self.spec, frame.depth)?;
@@ -182,7 +196,7 @@ impl DatasetWriter {
                 stats.add(rgb);
             }
         }
-        self.pending.push(frame.arms);
+        self.pending.push(frame.arms, intervention);
         for (images, png) in self.pending.images.iter_mut().zip(pngs) {
             images.push(png);
         }
@@ -344,6 +358,10 @@ impl DatasetWriter {
                 STATE => stats.extend(pending.frame_rows(&pending.state)),
                 TIP_POSE => stats.extend(pending.frame_rows(&pending.tip_pose)),
                 ACTION => stats.extend(pending.frame_rows(&pending.action)),
+                INTERVENTION => {
+                    let rows = pending.intervention.iter().flatten();
+                    stats.extend(rows.map(|&by_hand| [f64::from(u8::from(by_hand))]));
+                }
                 TIMESTAMP => stats.extend(
                     (0..row.len).map(|frame| [f64::from(timestamp_s(frame, self.spec.fps))]),
                 ),

@@ -70,6 +70,7 @@ fn spec(arms: usize, cameras: &[&str]) -> DatasetSpec {
         arms,
         task: "Lift the needle".to_owned(),
         cameras: cameras.iter().map(|name| camera(name)).collect(),
+        intervention: false,
     }
 }
 

@@ -125,6 +125,7 @@ pub fn import(
         arms: shape.arms,
         task: options.task.clone(),
         cameras: shape.cameras,
+        intervention: false,
     };
     let mut writer = DatasetWriter::create_with(&options.out, &spec, options.video)?;
     for (index, episode) in episodes.iter().enumerate() {

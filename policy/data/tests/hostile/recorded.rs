@@ -27,6 +27,7 @@ pub(crate) fn record_with(dir: &Path, camera: &str, video: Option<VideoCodec>) {
             height: SIDE,
             depth: Some(Intrinsics::from_vertical_fov(SIDE, SIDE, 1.0)),
         }],
+        intervention: false,
     };
     let mut writer = DatasetWriter::create_with(dir, &spec, video).unwrap();
     for episode in 0..2_u8 {

@@ -10,6 +10,9 @@ use std::net::{IpAddr, SocketAddr};
 
 use axum::http::{HeaderMap, StatusCode, header};
 
+/// Pages that show what a viewer is told.
+const VIEWERS: [&str; 2] = ["https://app.foxglove.dev", "https://embed.foxglove.dev"];
+
 /// Bytes of a token.
 const TOKEN_BYTES: usize = 16;
 
@@ -71,6 +74,11 @@ impl Access {
         format!("http://{address}/?token={}", self.token)
     }
 
+    /// What a viewer opens, at `address`.
+    pub(super) fn viewer_url(&self, address: SocketAddr) -> String {
+        format!("ws://{address}/?token={}", self.token)
+    }
+
     /// The header that makes a browser keep the token.
     pub(super) fn set_cookie(&self) -> String {
         let (name, token) = (&self.cookie, &self.token);
@@ -126,6 +134,18 @@ pub(super) fn check_origin(headers: &HeaderMap) -> Result<(), Refusal> {
     let host = text(headers, header::HOST);
     let own = origin.is_some() && origin == host;
     own.then_some(()).ok_or(Refusal::Origin)
+}
+
+/// # Errors
+/// [`Refusal::Origin`] if a viewer is a page, and neither Foxglove's nor one of this machine.
+pub(super) fn check_viewer_origin(headers: &HeaderMap) -> Result<(), Refusal> {
+    if !headers.contains_key(header::ORIGIN) {
+        return Ok(());
+    }
+    let origin = text(headers, header::ORIGIN).unwrap_or_default();
+    let local = ["http://localhost", "http://127.0.0.1", "file://"];
+    let known = VIEWERS.contains(&origin) || local.contains(&without_port(origin));
+    known.then_some(()).ok_or(Refusal::Origin)
 }
 
 fn text(headers: &HeaderMap, name: header::HeaderName) -> Option<&str> {

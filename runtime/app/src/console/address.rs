@@ -7,6 +7,9 @@ use std::str::FromStr;
 /// The port if none is given.
 pub const DEFAULT_ADDRESS: &str = "127.0.0.1:8080";
 
+/// The port of Foxglove's own examples.
+pub const FOXGLOVE_ADDRESS: &str = "127.0.0.1:8765";
+
 /// A loopback address and a port; port 0 is any that is free.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Address(SocketAddr);

@@ -22,8 +22,10 @@ pub(super) fn heard(shared: &Shared, seat: &Seat, request: Request) -> Result<()
     match request {
         Request::Hands(message) => hands.hear(seat.id(), &message)?,
         Request::Scale(scale) => hands.set_scale(scale)?,
+        Request::HandBack(true) => hands.hand_back()?,
         Request::Episode(wish) => hands.wish(wish)?,
         Request::HandsOff(_)
+        | Request::HandBack(false)
         | Request::Seen(_)
         | Request::Steer(_)
         | Request::Command(_)

@@ -204,7 +204,11 @@ impl Page {
             }
             Request::At(seconds) => (self.place, self.moved) = (Some(seconds), true),
             Request::Command(text) => return self.command(&text, socket).await,
-            Request::Hands(_) | Request::HandsOff(_) | Request::Scale(_) | Request::Episode(_) => {
+            Request::Hands(_)
+            | Request::HandsOff(_)
+            | Request::Scale(_)
+            | Request::HandBack(_)
+            | Request::Episode(_) => {
                 if let Err(problem) = by_hand::heard(&self.shared, &self.seat, request) {
                     let text = &problem.to_string();
                     return answer(socket, &Told::Problem { text }).await;

@@ -1,5 +1,6 @@
 //! What a page is told of a run once: what it is, its arms, limits and cameras.
 
+use hal::Pose;
 use hal::joints::{INSERTION, JOINT_NAMES};
 use serde::Serialize;
 use trocar_control::{ControlConfig, rows};
@@ -15,7 +16,7 @@ pub struct Facts {
     title: String,
     policy: String,
     seed: u64,
-    arms: Vec<String>,
+    pub(super) arms: Vec<String>,
     axes: Vec<AxisFacts>,
     pub(super) cameras: Vec<String>,
     /// Whether there is a scene in three dimensions.
@@ -34,6 +35,9 @@ pub struct Facts {
     pub(super) outcome: Option<EndFacts>,
     #[serde(skip)]
     pub(super) rows: Vec<String>,
+    /// Where the arms' remote centres are in the scene.
+    #[serde(skip)]
+    pub(super) rcms_in_scene: Vec<Pose>,
 }
 
 /// A joint or the jaw.
@@ -95,6 +99,7 @@ impl Facts {
             events: Vec::new(),
             outcome: None,
             rows: rows::names(control),
+            rcms_in_scene: control.arms.iter().map(|arm| arm.scene_from_rcm).collect(),
         }
     }
 

@@ -238,7 +238,7 @@ impl Recomputed {
         Ok(Self {
             facts: Facts::new(title, &header.policy, header.seed, &config, cameras),
             controller,
-            tap: ControlTap::new(mailbox().0, mailbox().0),
+            tap: ControlTap::new(mailbox().0, mailbox().0, mailbox().0),
             states: States::default(),
             events: Vec::new(),
             first: None,
@@ -277,7 +277,11 @@ impl Recomputed {
             .filter(|chunk| self.sequences != Some(chunk.sequence))
         {
             self.sequences = Some(chunk.sequence);
-            self.tap.chunk(logged.now.since(chunk.observed_at));
+            let chunks = PerArm {
+                first: *chunk,
+                second: step.chunks.second.flatten().copied(),
+            };
+            self.tap.chunk(&chunks, logged.now.since(chunk.observed_at));
         }
         self.tap.tick(&record, &self.controller, self.skipped);
         self.keep(&record);

@@ -9,7 +9,8 @@
 //! `address` says where it listens, `bounded` how many connections it holds, `access` who may open it; `server` serves the page's files,
 //! `client` one page; `request` is what a page may say, `seats` who steers. `tap` is the control thread's end, `pictures` and `encode` are
 //! what cameras show, `scene` the scene in three dimensions; `by_hand` takes the operator's hands (`session/teleop`); `facts`, `live` and
-//! `state` make what a run says, `log_view` what a log says. The page itself is in `page/`.
+//! `state` make what a run says, `path` where its chunks lead, `log_view` what a log says. The page itself is in `page/`. `foxglove` tells
+//! other programs the same in the log's form, at a door of its own.
 //!
 //! The page has exactly the operator's verbs, and they go the same way: over the run's own socket (`session/operator`). No message of it
 //! reaches the controller in another way, so it can't weaken a limit.
@@ -21,8 +22,10 @@ mod by_hand;
 mod client;
 mod encode;
 mod facts;
+mod foxglove;
 mod live;
 mod log_view;
+mod path;
 mod pictures;
 mod request;
 mod scene;
@@ -43,7 +46,7 @@ use trocar_control::config::ArmConfig;
 use trocar_tasks::cameras::SceneModel;
 use trocar_tasks::scene::SceneSnapshot;
 
-pub use address::{Address, BadAddress, DEFAULT_ADDRESS};
+pub use address::{Address, BadAddress, DEFAULT_ADDRESS, FOXGLOVE_ADDRESS};
 pub use facts::Facts;
 pub(crate) use pictures::{FramePlanes, FrameTap};
 pub(crate) use scene::SceneTap;
@@ -53,15 +56,17 @@ use crate::mailbox::{MailboxWriter, mailbox};
 use crate::session::SessionError;
 use crate::session::teleop::Hands;
 use access::Access;
-use live::Live;
+use live::{Live, Said};
 use log_view::LogView;
+use server::Door;
 use shared::Shared;
 
 /// A console that listens. Clones are the same one.
 #[derive(Clone, Debug)]
 pub struct Console {
     shared: Arc<Shared>,
-    address: SocketAddr,
+    page: Option<SocketAddr>,
+    viewers: Option<SocketAddr>,
     threads: Arc<Mutex<Vec<JoinHandle<()>>>>,
 }
 
@@ -83,25 +88,37 @@ struct LastWords<'a> {
 }
 
 impl Console {
-    /// Listens at `address`.
+    /// Listens at `address` for pages.
     ///
     /// # Errors
     /// [`SessionError::BadArgument`] if nobody can listen there.
     pub fn open(address: Address) -> Result<Self, SessionError> {
-        let asked = address.socket();
-        let failed = |error: io::Error| {
-            let hint = if error.kind() == io::ErrorKind::AddrInUse {
-                "; port 0 is any that is free"
-            } else {
-                ""
+        Self::open_doors(Some(address), None)
+    }
+
+    /// Listens for pages at `page`, and for Foxglove at `viewers`; each if given.
+    ///
+    /// # Errors
+    /// [`SessionError::BadArgument`] if nobody can listen there.
+    pub fn open_doors(
+        page: Option<Address>,
+        viewers: Option<Address>,
+    ) -> Result<Self, SessionError> {
+        let mut listeners = Vec::new();
+        let mut listen = |option, address: Option<Address>, door| {
+            let Some(address) = address else {
+                return Ok::<_, SessionError>(None);
             };
-            let reason = format!("--console {asked}: cannot listen there: {error}{hint}");
-            SessionError::BadArgument(reason)
+            let (listener, address) = bound(option, address)?;
+            listeners.push((listener, door));
+            Ok(Some(address))
         };
-        let listener = TcpListener::bind(asked).map_err(failed)?;
-        listener.set_nonblocking(true).map_err(failed)?;
-        let address = listener.local_addr().map_err(failed)?;
-        let access = Access::new(address.port()).map_err(failed)?;
+        let page = listen("--console", page, Door::Pages)?;
+        let viewers = listen("--foxglove", viewers, Door::Viewers)?;
+        let failed = |error: io::Error| {
+            SessionError::BadArgument(format!("the console's server can't be started: {error}"))
+        };
+        let access = Access::new(page.map_or(0, |address| address.port())).map_err(failed)?;
         let shared = Arc::new(Shared::new(access));
         let runtime = server::runtime().map_err(failed)?;
         let mut threads = Vec::new();
@@ -109,7 +126,7 @@ impl Console {
         threads.push(
             spawn("console", move || {
                 // Without a server pages see that the connection is lost; the run goes on.
-                let _failed = server::serve(&runtime, listener, &own);
+                let _failed = server::serve(&runtime, listeners, &own);
                 runtime.shutdown_background();
             })
             .map_err(failed)?,
@@ -118,15 +135,28 @@ impl Console {
         threads.push(spawn("console-pictures", move || board.compress()).map_err(failed)?);
         Ok(Self {
             shared,
-            address,
+            page,
+            viewers,
             threads: Arc::new(Mutex::new(threads)),
         })
     }
 
-    /// What opens it in a browser of this machine, with its token.
+    /// What opens it in a browser of this machine, with its token; none if it listens for no page.
     #[must_use]
-    pub fn url(&self) -> String {
-        self.shared.access.url(self.address)
+    pub fn url(&self) -> Option<String> {
+        self.page.map(|address| self.shared.access.url(address))
+    }
+
+    /// What opens it in Foxglove, with its token; none if it does not listen for that.
+    #[must_use]
+    pub fn viewer_url(&self) -> Option<String> {
+        let url = |address| self.shared.access.viewer_url(address);
+        self.viewers.map(url)
+    }
+
+    /// Whether a page can be opened, whose operator may take over.
+    pub(crate) const fn has_page(&self) -> bool {
+        self.page.is_some()
     }
 
     /// Shows the log at `path` from now on.
@@ -143,12 +173,19 @@ impl Console {
         let (to, from) = mailbox();
         let (task_to, task_from) = mailbox();
         let (commanded, commanded_from) = mailbox();
+        let (chunks_to, chunks) = mailbox();
         self.shared.hands.follow(commanded_from);
         let hands = Arc::clone(&self.shared.hands);
-        let live = Live::new(facts, (from, task_from), operator, hands);
+        let said = Said {
+            samples: from,
+            task: task_from,
+            chunks,
+        };
+        let board = Arc::clone(&self.shared.board);
+        let live = Live::new(facts, said, operator, (hands, board));
         self.shared.show_run(live);
         RunTaps {
-            control: ControlTap::new(to, commanded),
+            control: ControlTap::new(to, commanded, chunks_to),
             task: task_to,
         }
     }
@@ -159,12 +196,16 @@ impl Console {
     /// [`SessionError::Simulation`] if an arm that carries a camera is not in `start`.
     pub(crate) fn show_scene(
         &self,
-        model: SceneModel,
+        mut model: SceneModel,
         start: &SceneSnapshot,
         arms: &[ArmConfig],
     ) -> Result<SceneTap, SessionError> {
         let file = scene::file(&model, start, arms)?;
         self.shared.show_scene(file);
+        if self.viewers.is_some() {
+            let bent: Vec<usize> = model.bent(start).iter().map(|(index, _)| *index).collect();
+            self.shared.show_shapes(scene::Shapes::new(&model, &bent));
+        }
         Ok(SceneTap::new(model, Arc::clone(&self.shared.board)))
     }
 
@@ -194,6 +235,24 @@ impl Console {
             let _panicked = thread.join();
         }
     }
+}
+
+/// A listener at `address`, which `option` asks for, and where it is.
+fn bound(option: &str, address: Address) -> Result<(TcpListener, SocketAddr), SessionError> {
+    let asked = address.socket();
+    let failed = |error: io::Error| {
+        let hint = if error.kind() == io::ErrorKind::AddrInUse {
+            "; port 0 is any that is free"
+        } else {
+            ""
+        };
+        let reason = format!("{option} {asked}: cannot listen there: {error}{hint}");
+        SessionError::BadArgument(reason)
+    };
+    let listener = TcpListener::bind(asked).map_err(failed)?;
+    listener.set_nonblocking(true).map_err(failed)?;
+    let address = listener.local_addr().map_err(failed)?;
+    Ok((listener, address))
 }
 
 fn spawn(name: &str, body: impl FnOnce() + Send + 'static) -> io::Result<JoinHandle<()>> {

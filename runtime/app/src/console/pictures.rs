@@ -8,11 +8,12 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 
 use axum::body::Bytes;
-use hal::{Intrinsics, TimeNs};
+use hal::{Intrinsics, Pose, TimeNs};
 use serde::Deserialize;
 use tokio::sync::watch;
 
 use super::encode;
+use super::path::Lenses;
 
 /// Least time between two pictures of a stream, ns: 30 a second.
 const BETWEEN_NS: u64 = 33_000_000;
@@ -120,6 +121,8 @@ pub(super) struct Board {
     drawn: Mutex<Waiting>,
     fresh: Condvar,
     newest: Mutex<BTreeMap<Stream, Picture>>,
+    /// Where the cameras that were drawn last are.
+    lenses: Mutex<Lenses>,
     /// The number of the newest picture.
     changed: watch::Sender<u64>,
 }
@@ -143,6 +146,7 @@ impl Board {
             drawn: Mutex::default(),
             fresh: Condvar::new(),
             newest: Mutex::default(),
+            lenses: Mutex::default(),
             changed: watch::Sender::new(0),
         }
     }
@@ -176,6 +180,17 @@ impl Board {
         });
         let next = fresh.min_by_key(|(stream, _)| number(stream));
         next.map(|(stream, picture)| (stream, picture.clone()))
+    }
+
+    /// The lenses of the cameras that pages look at, and where they are.
+    pub(super) fn lenses(&self) -> Lenses {
+        let mut lenses = lock(&self.lenses).clone();
+        lenses.retain(|&camera, _| {
+            Plane::ALL
+                .iter()
+                .any(|&plane| self.wants(Stream { camera, plane }))
+        });
+        lenses
     }
 
     /// Puts up a compressed picture, or where everything is.
@@ -235,17 +250,18 @@ impl FrameTap {
         self.0.wanted.load(Ordering::Relaxed) != 0
     }
 
-    /// Shows what is wanted of a frame that the camera took at `stamp`, unless the one before is younger than a thirtieth of a second.
+    /// Shows what is wanted of a frame that the camera with this `lens` took at `stamp` from there in the scene, unless the one before is younger than a thirtieth of a second.
     pub(crate) fn show(
         &self,
         camera: usize,
         stamp: TimeNs,
-        lens: &Intrinsics,
+        (lens, camera_in_scene): (&Intrinsics, &Pose),
         planes: &FramePlanes<'_>,
     ) {
         let Ok(camera) = u8::try_from(camera) else {
             return;
         };
+        lock(&self.0.lenses).insert(camera, (*lens, *camera_in_scene));
         for plane in Plane::ALL {
             let stream = Stream { camera, plane };
             if self.0.wants(stream) && self.is_due(stream, stamp) {
@@ -294,7 +310,8 @@ mod tests {
             depth_m: &[0.1; 64],
             instance: &[1; 64],
         };
-        tap.show(0, TimeNs(ms * 1_000_000), &lens, &planes);
+        let seen_from = (&lens, &Pose::identity());
+        tap.show(0, TimeNs(ms * 1_000_000), seen_from, &planes);
     }
 
     /// A page that is slow sees the newest picture, and none of those before it.

@@ -31,6 +31,8 @@ pub(super) enum Request {
     HandsOff(bool),
     /// What part of a hand's way the tip is to make.
     Scale(f64),
+    /// The policy is to drive again.
+    HandBack(bool),
     /// What is to become of the demonstration.
     Episode(Wish),
     /// Where in a log to look, s from its first tick.
@@ -72,6 +74,7 @@ impl Request {
             | Self::Hands(_)
             | Self::HandsOff(_)
             | Self::Scale(_)
+            | Self::HandBack(_)
             | Self::Episode(_)
             | Self::At(_) => Ok(request),
         }

@@ -13,11 +13,13 @@ use axum::middleware::{self, Next};
 use axum::response::{IntoResponse as _, Response};
 use axum::routing::get;
 use tokio::runtime::{Builder, Runtime};
+use tokio::task::JoinSet;
 use tokio::time::{MissedTickBehavior, interval, timeout};
 
-use super::access::{Refusal, check_host, check_origin};
+use super::access::{Refusal, check_host, check_origin, check_viewer_origin};
 use super::bounded::Bounded;
 use super::client::attend;
+use super::foxglove;
 use super::request::MESSAGE_BYTES_MAX;
 use super::shared::Shared;
 
@@ -26,6 +28,9 @@ const STATE_EVERY: Duration = Duration::from_millis(50);
 
 /// Time that pages have to take leave.
 const LEAVE: Duration = Duration::from_millis(1500);
+
+/// Bytes that a message of a viewer may have: subscriptions to all there is.
+const VIEWER_BYTES_MAX: usize = 16 << 10;
 
 /// Threads that wait for the run's answers to commands.
 const WAITING_MAX: usize = 4;
@@ -85,17 +90,34 @@ pub(super) fn runtime() -> io::Result<Runtime> {
         .build()
 }
 
-/// Serves pages at `listener` until all is over and they have taken leave.
+/// Whom a listener is for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Door {
+    /// Pages of the console.
+    Pages,
+    /// Foxglove, and whoever speaks its protocol.
+    Viewers,
+}
+
+/// Serves whoever comes to `listeners` until all is over and they have taken leave.
 pub(super) fn serve(
     runtime: &Runtime,
-    listener: TcpListener,
+    listeners: Vec<(TcpListener, Door)>,
     shared: &Arc<Shared>,
 ) -> io::Result<()> {
     runtime.block_on(async {
-        let listener = tokio::net::TcpListener::from_std(listener)?;
-        let served = axum::serve(Bounded::new(listener), router(Arc::clone(shared)));
+        let mut doors = JoinSet::new();
+        for (listener, door) in listeners {
+            let listener = tokio::net::TcpListener::from_std(listener)?;
+            let router = match door {
+                Door::Pages => router(Arc::clone(shared)),
+                Door::Viewers => viewers(Arc::clone(shared)),
+            };
+            let served = axum::serve(Bounded::new(listener), router);
+            doors.spawn(served.into_future());
+        }
         tokio::select! {
-            served = served.into_future() => served,
+            Some(served) = doors.join_next() => served.map_err(io::Error::other)?,
             () = refresh(shared) => Ok(()),
         }
     })
@@ -177,6 +199,33 @@ async fn socket(
         .max_message_size(MESSAGE_BYTES_MAX)
         .max_frame_size(MESSAGE_BYTES_MAX)
         .on_upgrade(move |socket| attend(socket, shared))
+}
+
+fn viewers(shared: Arc<Shared>) -> Router {
+    Router::new()
+        .route("/", get(viewer))
+        .layer(middleware::from_fn(guard))
+        .with_state(shared)
+}
+
+/// A viewer has the token in its address, as the run prints it.
+async fn viewer(
+    State(shared): State<Arc<Shared>>,
+    uri: Uri,
+    headers: HeaderMap,
+    upgrade: WebSocketUpgrade,
+) -> Response {
+    if let Err(refusal) = check_viewer_origin(&headers) {
+        return refused(refusal);
+    }
+    if !shared.access.is_in_query(uri.query()) {
+        return refused(Refusal::Token);
+    }
+    upgrade
+        .protocols(foxglove::PROTOCOLS)
+        .max_message_size(VIEWER_BYTES_MAX)
+        .max_frame_size(VIEWER_BYTES_MAX)
+        .on_upgrade(move |socket| foxglove::attend(socket, shared))
 }
 
 fn refused(refusal: Refusal) -> Response {

@@ -11,6 +11,7 @@ use super::access::Access;
 use super::live::Live;
 use super::log_view::LogView;
 use super::pictures::Board;
+use super::scene::Shapes;
 use super::seats::Seats;
 use crate::session::operator::Command;
 use crate::session::teleop::Hands;
@@ -42,6 +43,8 @@ pub(super) struct Shared {
     shown: Mutex<Shown>,
     /// The scene's file; empty if there is none.
     scene: Mutex<Bytes>,
+    /// Its shapes one by one, if there is somebody who wants them.
+    shapes: Mutex<Arc<Shapes>>,
 }
 
 impl Shared {
@@ -57,13 +60,16 @@ impl Shared {
             hands: Arc::new(Hands::new()),
             shown: Mutex::new(Shown::Nothing),
             scene: Mutex::default(),
+            shapes: Mutex::default(),
         }
     }
 
     /// From now on pages see a run.
     pub(super) fn show_run(&self, live: Live) {
-        self.facts.send_replace(live.facts().into());
+        let facts = live.facts();
+        // Whoever hears of the facts looks for the run.
         self.show(Shown::Live(Arc::new(live)));
+        self.facts.send_replace(facts.into());
     }
 
     /// From now on pages see a log.
@@ -78,6 +84,17 @@ impl Shared {
         *self.scene.lock().unwrap_or_else(PoisonError::into_inner) = file;
     }
 
+    /// From now on these are the scene's shapes.
+    pub(super) fn show_shapes(&self, shapes: Shapes) {
+        *self.shapes.lock().unwrap_or_else(PoisonError::into_inner) = Arc::new(shapes);
+    }
+
+    /// The scene's shapes.
+    pub(super) fn shapes(&self) -> Arc<Shapes> {
+        let shapes = self.shapes.lock().unwrap_or_else(PoisonError::into_inner);
+        Arc::clone(&shapes)
+    }
+
     /// The scene's file, if there is one.
     pub(super) fn scene(&self) -> Option<Bytes> {
         let file = self.scene.lock().unwrap_or_else(PoisonError::into_inner);
@@ -88,7 +105,8 @@ impl Shared {
         *self.shown.lock().unwrap_or_else(PoisonError::into_inner) = shown;
     }
 
-    fn live(&self) -> Option<Arc<Live>> {
+    /// The run that is shown, if it is one.
+    pub(super) fn live(&self) -> Option<Arc<Live>> {
         match &*self.shown.lock().unwrap_or_else(PoisonError::into_inner) {
             Shown::Live(live) => Some(Arc::clone(live)),
             Shown::Nothing | Shown::Log(_) => None,

@@ -6,6 +6,7 @@ use trocar_control::{GateDecision, QpOutcome};
 use trocar_log::ArmRecord;
 
 use super::facts::Facts;
+use super::path::Path;
 use super::tap::{Buckets, Changed, Counts, Refused, Sample, seconds};
 use crate::session::teleop::TeleopStatus;
 
@@ -29,6 +30,9 @@ pub(super) struct State {
     /// Present if an operator's hands move the arms.
     #[serde(skip_serializing_if = "Option::is_none")]
     teleop: Option<TeleopStatus>,
+    /// Where the newest chunk leads, arm by arm.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    paths: Vec<Path>,
 }
 
 /// One arm, in joint order with the jaw last: rad, m, rad/s, m/s.
@@ -129,6 +133,7 @@ impl State {
             speed_percent: counts.speed_percent,
             task,
             teleop: None,
+            paths: Vec::new(),
             arms,
         }
     }
@@ -136,6 +141,12 @@ impl State {
     /// The same with what the operator's hands do.
     pub(super) fn by_hand(mut self, teleop: Option<TeleopStatus>) -> Self {
         self.teleop = teleop;
+        self
+    }
+
+    /// The same with where the newest chunk leads.
+    pub(super) fn towards(mut self, paths: Vec<Path>) -> Self {
+        self.paths = paths;
         self
     }
 

@@ -2,7 +2,7 @@
 //!
 //! It counts every tick and hands over the newest one with the counts fifty times a second, and at once when an arm's state changes.
 
-use hal::{ARMS_MAX, TICK_NS, TimeNs};
+use hal::{ARMS_MAX, Chunk, PerArm, TICK_NS, TimeNs};
 use trocar_control::rows::Velocities;
 use trocar_control::{
     AnyController, Fault, GateDecision, OperatingState, OperatorEvent, QpOutcome,
@@ -101,6 +101,7 @@ type States = [Option<(OperatingState, bool)>; ARMS_MAX];
 pub struct ControlTap {
     to: MailboxWriter<Sample>,
     commanded: MailboxWriter<Commanded>,
+    chunks: MailboxWriter<PerArm<Chunk>>,
     /// The newest chunk that the controller was given, and when.
     given: (u64, TimeNs),
     counts: Counts,
@@ -109,10 +110,15 @@ pub struct ControlTap {
 }
 
 impl ControlTap {
-    pub(super) fn new(to: MailboxWriter<Sample>, commanded: MailboxWriter<Commanded>) -> Self {
+    pub(super) fn new(
+        to: MailboxWriter<Sample>,
+        commanded: MailboxWriter<Commanded>,
+        chunks: MailboxWriter<PerArm<Chunk>>,
+    ) -> Self {
         Self {
             to,
             commanded,
+            chunks,
             given: (0, TimeNs(0)),
             counts: Counts {
                 ticks: 0,
@@ -135,8 +141,9 @@ impl ControlTap {
         }
     }
 
-    /// Chunks were handed to the controller, so long after their observation.
-    pub fn chunk(&mut self, latency_ns: u64) {
+    /// These chunks were handed to the controller, so long after their observation.
+    pub fn chunk(&mut self, chunks: &PerArm<Chunk>, latency_ns: u64) {
+        self.chunks.put(*chunks);
         self.counts.chunks += 1;
         self.counts.latency.record(latency_ns);
     }
@@ -168,6 +175,7 @@ impl ControlTap {
                 position: arm.command.position,
                 velocity: arm.command.velocity,
                 jaw: arm.command.jaw_position,
+                target: arm.report.target,
                 follows: arm.report.mode.state == OperatingState::Enabled,
             }),
         });

@@ -101,10 +101,13 @@ impl<S> Plan<S> {
         }
     }
 
-    /// What an operator's hands did, if they are the policy.
+    /// What an operator's hands did, if they are the policy, took over from it, or might have in a demonstration.
     pub(super) fn by_hand(&self) -> Option<TeleopSummary> {
-        let console = self.console.as_ref()?;
-        (self.policy == PolicyChoice::Teleop).then(|| console.hands().summary())
+        let summary = self.console.as_ref()?.hands().summary();
+        let interventions = summary.interventions.as_ref();
+        let took_over = interventions.is_some_and(|it| it.taken_over > 0);
+        let counts = took_over || self.demonstrates || self.policy == PolicyChoice::Teleop;
+        counts.then_some(summary)
     }
 
     /// Whether anybody but the policy wants frames.

@@ -19,7 +19,7 @@ use super::record_notes::{DISTURBED_TIME_FACTOR, DisturbedCounts, EpisodeNote, v
 use super::record_resume::{Found, begin, look};
 use super::run::next_simulation;
 use super::source::STEP_NS;
-use super::{Plan, SessionError, Setup, parallel};
+use super::{Plan, PolicyChoice, SessionError, Setup, parallel};
 
 pub use super::record_by_hand::record_by_hand;
 
@@ -147,7 +147,10 @@ impl Begun {
         let writer = if whole {
             None
         } else {
-            let spec = dataset_spec(&plan.setup, options);
+            let spec = DatasetSpec {
+                intervention: plan.demonstrates && plan.policy != PolicyChoice::Teleop,
+                ..dataset_spec(&plan.setup, options)
+            };
             Some(begin(plan, options, &found, &spec)?)
         };
         Ok(Self {
@@ -281,6 +284,7 @@ fn dataset_spec(setup: &Setup, options: &RecordOptions) -> DatasetSpec {
             .clone()
             .unwrap_or_else(|| setup.task_name.clone()),
         cameras,
+        intervention: false,
     }
 }
 
@@ -325,6 +329,8 @@ pub(super) struct StoredFrame {
     images: Vec<Vec<u8>>,
     /// Of every camera, or none.
     depth: Vec<StoredDepth>,
+    /// Whether an operator drove.
+    by_hand: bool,
 }
 
 impl StoredFrame {
@@ -335,7 +341,14 @@ impl StoredFrame {
             arms,
             images: frames.iter().map(|frame| frame.colour.clone()).collect(),
             depth: depths.map(StoredDepth::of).collect(),
+            by_hand: false,
         }
+    }
+
+    /// The same, driven by an operator or not.
+    pub(super) const fn driven(mut self, by_hand: bool) -> Self {
+        self.by_hand = by_hand;
+        self
     }
 }
 
@@ -368,11 +381,12 @@ fn push_frames(writer: &mut DatasetWriter, demo: &Demonstration) -> Result<(), D
                 camera_in_scene: depth.camera_in_scene,
             })
             .collect();
-        writer.push_frame(&FrameRecord {
+        let record = FrameRecord {
             arms: &frame.arms,
             images: &images,
             depth: &depth,
-        })?;
+        };
+        writer.push_frame_of(&record, frame.by_hand)?;
     }
     Ok(())
 }

@@ -1,4 +1,5 @@
-//! Demonstrations by hand: a person starts each episode on the console, does the task in real time, and keeps it or not.
+//! Demonstrations by hand: a person starts each episode on the console, does the task in real time, and keeps it or not. With a policy
+//! that drives, the person takes over where it fails; each frame says who drove.
 //!
 //! An episode waits for its start with its time standing still. It ends with the judge's verdict or with the person's word; what is kept is
 //! drawn afterwards from where everything was at each policy step, so pictures cost the run nothing and none is missing.
@@ -11,7 +12,7 @@ use super::realtime::run_realtime;
 use super::record::{
     Attempt, Begun, Demonstration, RecordOptions, RecordSummary, StoredFrame, arm_frame, keep,
 };
-use super::record_notes::{ByHandNote, EpisodeNote};
+use super::record_notes::{ByHandNote, EpisodeNote, source};
 use super::run::{INTERRUPTED, RunResult, STOPPED};
 use super::teleop::{self, Moment, Phase, Recording, Wish};
 use super::{Plan, SessionError, Setup};
@@ -29,6 +30,11 @@ pub fn record_by_hand(
     console: &Console,
     on_attempt: &mut dyn FnMut(&Attempt),
 ) -> Result<RecordSummary, SessionError> {
+    let plan = &Plan {
+        console: Some(console.clone()),
+        demonstrates: true,
+        ..plan.clone()
+    };
     let Begun {
         mut summary,
         mut attempts,
@@ -51,8 +57,6 @@ pub fn record_by_hand(
         tell(Phase::Waiting, summary.episodes);
         let one = Plan {
             seed,
-            console: Some(console.clone()),
-            demonstrates: true,
             ..plan.clone()
         };
         let mut result = run_realtime(&one)?;
@@ -140,11 +144,14 @@ impl Studio {
                 grasps: 0,
                 drawn: task.drawn(plan.seed),
                 disturbances: None,
-                by_hand: summary.teleop.map(|teleop| ByHandNote {
-                    source: "teleop",
-                    ended_by: demonstrated.ended.map_or("judge", |_| "operator"),
-                    teleop,
-                }),
+                by_hand: summary
+                    .teleop
+                    .zip(source(plan))
+                    .map(|(teleop, source)| ByHandNote {
+                        source,
+                        ended_by: demonstrated.ended.map_or("judge", |_| "operator"),
+                        teleop,
+                    }),
             },
         })
     }
@@ -153,15 +160,14 @@ impl Studio {
         for (&camera, frame) in self.wanted.iter().zip(&mut self.frames) {
             self.cameras.render(camera, &moment.scene, frame)?;
         }
-        Ok(StoredFrame::new(
-            rows(&moment.arms, &moment.targets),
-            &self.frames,
-            depth,
-        ))
+        Ok(
+            StoredFrame::new(rows(&moment.arms, &moment.targets), &self.frames, depth)
+                .driven(moment.by_hand),
+        )
     }
 }
 
-/// What each arm measured, with the target that the hand gave it.
+/// What each arm measured, with the target that whoever drives gave it.
 fn rows(
     arms: &PerArm<SeenArm>,
     targets: &PerArm<TipTarget>,

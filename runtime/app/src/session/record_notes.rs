@@ -30,8 +30,11 @@ struct OptionsNote<'a> {
     needle: Option<&'a str>,
     varied: &'a [Variation],
     disturb: Option<f64>,
-    /// `teleop` if a person did them; none of the expert's.
+    /// `teleop` if a person did them, `intervention` if one took over from a policy; none of the expert's.
     source: Option<&'static str>,
+    /// That policy.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    policy: Option<String>,
     /// SHA-256 of the configuration files as they were in effect.
     files: BTreeMap<String, String>,
 }
@@ -52,6 +55,12 @@ struct RecordingNote<'a> {
     disturb: Option<DisturbNote>,
     #[serde(skip_serializing_if = "Option::is_none")]
     source: Option<&'static str>,
+    /// The policy from which a person took over.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    policy: Option<String>,
+    /// SHA-256 of its weights.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    policy_sha256: Option<String>,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
@@ -110,9 +119,17 @@ impl DisturbedCounts {
     }
 }
 
-/// Who demonstrates, if it is not the expert.
-fn source(plan: &Plan) -> Option<&'static str> {
-    (plan.policy == PolicyChoice::Teleop).then_some("teleop")
+/// Who demonstrates, if it is not the expert alone.
+pub(super) fn source(plan: &Plan) -> Option<&'static str> {
+    let by_hand = plan.policy == PolicyChoice::Teleop;
+    plan.demonstrates
+        .then_some(if by_hand { "teleop" } else { "intervention" })
+}
+
+/// The policy from which a person may take over.
+fn policy(plan: &Plan) -> Option<String> {
+    let policy = Some(&plan.policy).filter(|policy| **policy != PolicyChoice::Teleop);
+    policy.filter(|_| plan.demonstrates).map(PolicyChoice::name)
 }
 
 /// What is said of the recording as a whole, the task's name among it; nothing if it is of the plain kind.
@@ -135,6 +152,8 @@ pub(super) fn recording_note(
         seed: plan.seed,
         varied: &setup.task.varied,
         source,
+        policy: policy(plan),
+        policy_sha256: plan.policy.weights_sha256()?,
         disturb: options.disturb.map(|share| DisturbNote {
             share,
             time_limit_s: setup.task.time_limit_s * f64::from(DISTURBED_TIME_FACTOR),
@@ -160,6 +179,7 @@ pub(super) fn options_note(plan: &Plan, options: &RecordOptions) -> Result<Value
         varied: &setup.task.varied,
         disturb: options.disturb,
         source: source(plan),
+        policy: policy(plan),
         files: texts.map(|(name, text)| (name, hash_text(&text))).collect(),
     };
     value(options, &note)

@@ -4,7 +4,7 @@ use hal::{ArmError, ArmState, TimeNs, TipTarget};
 use nalgebra::Vector3;
 
 use super::{Bench, config, pose};
-use crate::{Controller, Fault, OperatingState, OperatorEvent, TickInput};
+use crate::{Controller, Fault, GateDecision, OperatingState, OperatorEvent, TickInput};
 
 fn moving() -> Bench {
     let mut bench = Bench::enabled(&config());
@@ -240,4 +240,41 @@ fn a_controller_is_for_as_many_arms_as_the_configuration_has() {
         "the configuration has 2 arms, the controller is for 1"
     );
     assert!(Controller::<2>::for_arms(&config()).is_err());
+}
+
+/// Who takes over is followed at once, from where the arm is and as it moves; whoever gets the arm back is followed from its first answer
+/// to what was seen since, and older ones are stale.
+#[test]
+fn another_drives_without_a_jump_and_nothing_old_counts() {
+    let mut bench = moving();
+    let speed = |bench: &Bench| bench.arm.velocity.norm();
+    let before = speed(&bench);
+    let here = bench.tip();
+    let there = bench.chunk_along(|_| TipTarget::new(&here, 0.2));
+    let output = bench.step(Some(&there), Some(OperatorEvent::TakeOver));
+    assert_eq!(output.report.gate, Some(GateDecision::Accepted));
+    assert_eq!(output.report.mode.state, OperatingState::Enabled);
+    assert!((speed(&bench) - before).abs() < 0.02 * before, "no jump");
+    // The chunk of before wanted to go on.
+    for _ in 0..300 {
+        bench.step(None, None);
+    }
+    let way = (bench.tip().translation.vector - here.translation.vector).norm();
+    assert!(way < 1e-3, "{way}");
+
+    let mut old = bench.chunk_along(|_| TipTarget::new(&here, 0.2));
+    bench.step(None, None);
+    bench.step(None, Some(OperatorEvent::HandBack));
+    old.sequence = 7;
+    let refused = bench.step(Some(&old), None).report;
+    assert!(
+        matches!(refused.gate, Some(GateDecision::Stale { .. })),
+        "{refused:?}"
+    );
+    assert_eq!(refused.target, None);
+    // The policy counts its chunks by itself.
+    let mut new = bench.chunk_along(|_| TipTarget::new(&here, 0.2));
+    new.sequence = 1;
+    let accepted = bench.step(Some(&new), None).report;
+    assert_eq!(accepted.gate, Some(GateDecision::Accepted));
 }

@@ -92,10 +92,12 @@ pub(super) fn arm(tick: u64) -> ArmRecord {
         OperatorEvent::Resume,
         OperatorEvent::Clear,
         OperatorEvent::Speed { percent: 37 },
+        OperatorEvent::TakeOver,
+        OperatorEvent::HandBack,
     ];
     ArmRecord {
         measured,
-        operator: operators.get(usize::try_from(tick % 9).unwrap()).copied(),
+        operator: operators.get(usize::try_from(tick % 11).unwrap()).copied(),
         chunk_sequence: None,
         command: ArmCommand {
             stamp: now.plus_ns(hal::TICK_NS),

@@ -207,6 +207,11 @@ impl Judge {
         }
     }
 
+    /// Gives the episode so much more time, s.
+    pub(crate) fn grant_s(&mut self, seconds: f64) {
+        self.limit_s += seconds;
+    }
+
     /// How the episode stands; once decided it stays.
     pub(crate) const fn outcome(&self) -> Outcome {
         self.outcome

@@ -68,7 +68,13 @@ impl DatasetWriter {
     /// Counts a finished episode of `dataset`.
     fn take_over(&mut self, dataset: &Dataset, row: EpisodeRow) -> Result<(), DatasetError> {
         let mut pending = Pending::new(&self.spec);
-        for frame in 0..row.len {
+        let episode = dataset.episodes()[row.index];
+        let interventions = if self.spec.intervention {
+            dataset.interventions(episode)?
+        } else {
+            vec![false; row.len]
+        };
+        for (frame, &intervention) in interventions.iter().enumerate() {
             let place = row.start + frame;
             if frame.is_multiple_of(IMAGE_STATS_STRIDE) {
                 for (camera, stats) in pending.image_stats.iter_mut().enumerate() {
@@ -81,9 +87,8 @@ impl DatasetWriter {
                 action: dataset.action(place, arm),
             };
             let arms: Vec<ArmFrame> = (0..self.spec.arms).map(arm).collect();
-            pending.push(&arms);
+            pending.push(&arms, intervention);
         }
-        let episode = dataset.episodes()[row.index];
         for ((camera, _), columns) in self.spec.depth_cameras().zip(&mut pending.depth) {
             columns.camera_in_scene = dataset.camera_poses(episode, &camera.name)?;
         }

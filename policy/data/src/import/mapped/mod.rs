@@ -242,6 +242,7 @@ impl Survey {
             arms,
             task: self.task(request)?,
             cameras: specs,
+            intervention: false,
         })
     }
 

@@ -8,7 +8,7 @@ use clap::builder::{
 };
 use clap::{Arg, Args, Command, Parser, Subcommand, ValueEnum};
 
-use trocar::console::{Address, DEFAULT_ADDRESS};
+use trocar::console::{Address, DEFAULT_ADDRESS, FOXGLOVE_ADDRESS};
 use trocar::session::changes::Change;
 use trocar::session::drives::DEFAULT_TOPICS;
 use trocar::session::tasks;
@@ -371,6 +371,10 @@ pub(crate) struct RunArgs {
     /// button is no emergency stop.
     #[arg(long, value_name = "ADDRESS", num_args = 0..=1, default_missing_value = DEFAULT_ADDRESS, conflicts_with = "lockstep")]
     pub(crate) console: Option<Address>,
+    /// Tell Foxglove, and whoever speaks its WebSocket protocol, what the run does: cameras, joints, frames, shapes, filter and guard, at this
+    /// loopback address; its URL with its token is printed. It moves nothing. config/foxglove.json is a layout.
+    #[arg(long, value_name = "ADDRESS", num_args = 0..=1, default_missing_value = FOXGLOVE_ADDRESS, conflicts_with = "lockstep")]
+    pub(crate) foxglove: Option<Address>,
     /// Delay from observation to chunk in lockstep, ms, up to 10000.
     #[arg(long, value_name = "MS", value_parser = delay())]
     pub(crate) latency_ms: Option<u64>,

@@ -138,7 +138,7 @@ pub(crate) fn run(args: &RunArgs) -> Done {
     let policy = args.external.policy(&args.policy)?;
     check_teleop(args, &policy)?;
     note_awaited(&policy, 1);
-    let page = args.console.map(open_console).transpose()?;
+    let page = open_console(args.console, args.foxglove)?;
     let chosen = Chosen {
         policy,
         compute: compute(&args.compute)?,
@@ -196,11 +196,22 @@ struct Chosen {
     page: Option<Console>,
 }
 
-/// Opens the page and says where it is.
-pub(crate) fn open_console(address: Address) -> Result<Console, SessionError> {
-    let page = Console::open(address)?;
-    console::note(&format!("trocar: console: {}", page.url()));
-    Ok(page)
+/// Opens the page and the door for Foxglove, each if asked for, and says where they are.
+pub(crate) fn open_console(
+    page: Option<Address>,
+    viewers: Option<Address>,
+) -> Result<Option<Console>, SessionError> {
+    if page.is_none() && viewers.is_none() {
+        return Ok(None);
+    }
+    let opened = Console::open_doors(page, viewers)?;
+    if let Some(url) = opened.viewer_url() {
+        console::note(&format!("trocar: foxglove: {url}"));
+    }
+    if let Some(url) = opened.url() {
+        console::note(&format!("trocar: console: {url}"));
+    }
+    Ok(Some(opened))
 }
 
 /// The plan of a run with the arms of `setup`.
@@ -310,7 +321,7 @@ fn can_options(args: &RunArgs) -> Result<Option<(CanOptions, String)>, SessionEr
 }
 
 pub(crate) fn replay(args: &ReplayArgs) -> Done {
-    let page = args.console.map(open_console).transpose()?;
+    let page = open_console(args.console, None)?;
     let replayed = replay_log(&args.log);
     let Some(page) = page else {
         return replayed;

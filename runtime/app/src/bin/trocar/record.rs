@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use clap::builder::NonEmptyStringValueParser;
 use clap::{Args, ValueEnum};
 
-use trocar::console::{Address, DEFAULT_ADDRESS};
+use trocar::console::{Address, DEFAULT_ADDRESS, FOXGLOVE_ADDRESS};
 use trocar::rt;
 use trocar::session::changes::Change;
 use trocar::session::record::{self, RecordOptions, RecordSummary};
@@ -26,6 +26,9 @@ pub(crate) enum Demonstrator {
     Expert,
     /// A person's hands, in real time over --console.
     Teleop,
+    /// The policy of --policy in real time, from which a person takes over where it fails, over --console (DAgger). The dataset's column
+    /// `intervention` says who drove in each frame.
+    Intervention,
 }
 
 /// Options of `record`.
@@ -40,10 +43,16 @@ pub(crate) struct RecordArgs {
     /// Source of the demonstrations.
     #[arg(long, value_enum, default_value = "expert")]
     pub(crate) source: Demonstrator,
-    /// With --source teleop: the page on which a person starts, does, keeps and discards the episodes, at this loopback address; its URL
+    /// With --source intervention: the policy that drives, as `trocar run` takes it.
+    #[arg(long, value_name = "POLICY")]
+    pub(crate) policy: Option<String>,
+    /// With --source teleop or intervention: the page on which a person starts, does, keeps and discards the episodes, at this loopback address; its URL
     /// with its token is printed.
     #[arg(long, value_name = "ADDRESS", num_args = 0..=1, default_missing_value = DEFAULT_ADDRESS)]
     pub(crate) console: Option<Address>,
+    /// With --console: tell Foxglove the same at this loopback address, as `trocar run --foxglove` does.
+    #[arg(long, value_name = "ADDRESS", num_args = 0..=1, default_missing_value = FOXGLOVE_ADDRESS, requires = "console")]
+    pub(crate) foxglove: Option<Address>,
     /// The dataset's directory; a new or an empty one, but for --resume.
     #[arg(long)]
     pub(crate) out: PathBuf,
@@ -106,10 +115,7 @@ pub(crate) fn record(args: &RecordArgs) -> Done {
     .and_tasks([&args.task])
     .check(&[("--json", args.json.as_deref())])?;
     let changes = task_changes(&args.set)?;
-    let demonstrator = match args.source {
-        Demonstrator::Expert => PolicyChoice::Expert,
-        Demonstrator::Teleop => PolicyChoice::Teleop,
-    };
+    let demonstrator = demonstrator(args)?;
     let scene = args.vary.add_to(args.scene.options(Some(&args.cameras)));
     let config = args.config.as_deref();
     let mut setup = Setup::load_with(&args.task, config, &demonstrator, &scene, changes)?;
@@ -131,7 +137,7 @@ pub(crate) fn record(args: &RecordArgs) -> Done {
         video: args.video.map(codec),
         instruction: args.instruction.clone(),
     };
-    let page = args.console.map(open_console).transpose()?;
+    let page = open_console(args.console, args.foxglove)?;
     if page.is_none() {
         rt::catch_interrupts().map_err(SessionError::signals)?;
     }
@@ -169,15 +175,38 @@ pub(crate) fn record(args: &RecordArgs) -> Done {
     Ok(!summary.interrupted)
 }
 
+/// Who moves the arms.
+fn demonstrator(args: &RecordArgs) -> Result<PolicyChoice, SessionError> {
+    let choice = match (args.source, &args.policy) {
+        (Demonstrator::Expert, _) => PolicyChoice::Expert,
+        (Demonstrator::Intervention, Some(policy)) => PolicyChoice::parse(policy),
+        (Demonstrator::Teleop, _) | (Demonstrator::Intervention, None) => PolicyChoice::Teleop,
+    };
+    choice.check_exists()?;
+    Ok(choice)
+}
+
 /// A person does one episode at a time, is not disturbed, and is seen by the console.
 fn check_source(args: &RecordArgs) -> Result<(), SessionError> {
-    let teleop = args.source == Demonstrator::Teleop;
-    let wrong = match (teleop, args.console) {
-        (true, None) => "--source teleop: the operator's hands come over --console",
-        (false, Some(_)) => "--console needs --source teleop: the expert needs no page",
+    let by_hand = args.source != Demonstrator::Expert;
+    let intervention = args.source == Demonstrator::Intervention;
+    let wrong = match (by_hand, args.console) {
+        (true, None) => {
+            "--source teleop and intervention: the operator's hands come over --console"
+        }
+        (false, Some(_)) => {
+            "--console needs --source teleop or intervention: the expert needs no page"
+        }
         (true, Some(_)) if args.jobs > 1 => "--jobs: a person does one episode at a time",
         (true, Some(_)) if args.disturb.is_some() => "--disturb needs --source expert",
-        _ => return Ok(()),
+        _ => match args.policy.as_deref() {
+            None if intervention => {
+                "--source intervention needs --policy: what the person takes over from"
+            }
+            Some("teleop") => "--policy teleop: that is --source teleop",
+            Some(_) if !intervention => "--policy needs --source intervention",
+            _ => return Ok(()),
+        },
     };
     Err(SessionError::BadArgument(wrong.to_owned()))
 }

@@ -72,6 +72,19 @@ export class Cameras {
     }
   }
 
+  /** Where the chunks lead, into the pictures; `shown` or not. */
+  paths(paths, shown) {
+    this.#views.forEach((view, index) => {
+      const { naturalWidth: width, naturalHeight: height } = view.image;
+      const lines = shown && view.plane !== "off" ? paths.map((path) => path.pictures[index] ?? []) : [];
+      view.path.setAttribute("viewBox", `0 0 ${Math.max(1, width)} ${Math.max(1, height)}`);
+      [...view.path.children].forEach((line, place) => {
+        const points = lines[Math.floor(place / 2)] ?? [];
+        line.setAttribute("points", points.map(([x, y]) => `${(x * width).toFixed(1)},${(y * height).toFixed(1)}`).join(" "));
+      });
+    });
+  }
+
   #view(name, index, colourOnly) {
     const figure = document.createElement("figure");
     figure.className = "view";
@@ -92,13 +105,17 @@ export class Cameras {
     const rate = document.createElement("span");
     rate.className = "rate";
     caption.append(title, rate, select);
-    figure.append(image, caption);
+    const path = document.getElementById("path").content.firstElementChild.cloneNode(true);
+    const frame = document.createElement("div");
+    frame.className = "frame";
+    frame.append(image, path);
+    figure.append(frame, caption);
     this.root.append(figure);
-    const view = { name, image, select, rate, plane, count: 0, url: null, next: null, busy: false };
-    image.hidden = plane === "off";
+    const view = { name, image, path, select, rate, plane, count: 0, url: null, next: null, busy: false };
+    frame.hidden = plane === "off";
     select.onchange = () => {
       view.plane = select.value;
-      image.hidden = view.plane === "off";
+      frame.hidden = view.plane === "off";
       this.want();
     };
     return view;

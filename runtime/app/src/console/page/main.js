@@ -52,6 +52,7 @@ const heard = {
     panels.state(state);
     operator.setSpeed(state.speed_percent);
     teleop.state(state.teleop);
+    showPaths(state.paths ?? []);
     const arms = state.arms.map((arm) => `${arm.name} ${arm.state}${arm.fault ? `: ${arm.fault}` : ""}`);
     say([...arms, teleop.words()].filter(Boolean).join("; "));
     const faults = state.arms.filter((arm) => arm.fault).map((arm) => `${arm.name}: ${arm.fault}`);
@@ -70,6 +71,14 @@ const heard = {
     say(byId("banner").textContent);
   },
 };
+
+/** Where the newest chunk leads, in the pictures and in the scene. */
+function showPaths(paths) {
+  const shown = byId("path-show").checked;
+  byId("path-row").hidden = paths.length === 0;
+  cameras.paths(paths, shown);
+  scene.paths(shown ? paths : []);
+}
 
 function showLink() {
   const age = connection?.age;

@@ -5,12 +5,14 @@ import { parsePlaces, parseScene } from "./scene_file.js";
 
 const HOME = { centre: [0, 0, 0.015], turn: -1.1, tilt: 0.55, distance: 0.3 };
 const FRUSTUM_M = 0.012;
+const PATH_COLOURS = [[0.35, 0.88, 1, 1], [1, 0.89, 0.36, 1]];
 const CAMERA_COLOUR = [0.3, 0.9, 1, 1];
 
 export class Scene {
   #drawing = null;
   #nodes = [];
   #cameras = [];
+  #paths = [];
   #eye = structuredClone(HOME);
   #asked = false;
   #want;
@@ -52,6 +54,13 @@ export class Scene {
     for (const { index, positions, normals } of bent) this.#drawing.bend(index, positions, normals);
     this.canvas.dataset.seconds = seconds.toFixed(3);
     this.#ask();
+  }
+
+  /** Where the chunks lead; drawn with the next places, which cost enough. */
+  paths(paths) {
+    const appears = (paths.length > 0) !== (this.#paths.length > 0);
+    this.#paths = paths;
+    if (appears) this.#ask();
   }
 
   draw() {
@@ -105,8 +114,12 @@ export class Scene {
       ...eyeMatrix(from, centre, width / height), from, width, height,
       background: [0.09, 0.11, 0.13],
       visible: (node) => limits || node.kind === "thing",
-      lines: this.#cameras.map((camera) => ({ points: frustum(camera), colour: CAMERA_COLOUR })),
+      lines: [
+        ...this.#cameras.map((camera) => ({ points: frustum(camera), colour: CAMERA_COLOUR })),
+        ...this.#paths.map(({ points }, arm) => ({ points: pairs(points), colour: PATH_COLOURS[arm], over: true })),
+      ],
     });
+    this.canvas.dataset.paths = this.#paths.reduce((sum, { points }) => sum + points.length, 0);
     this.canvas.dataset.drawn = Number(this.canvas.dataset.drawn ?? 0) + 1;
   }
 
@@ -168,6 +181,9 @@ export class Scene {
     this.draw();
   }
 }
+
+/** A line through points as the ends of its pieces. */
+const pairs = (points) => points.slice(1).flatMap((point, index) => [points[index], point]);
 
 /** The edges of what a camera sees, as pairs of points: it looks along z, y is down. */
 function frustum({ camera, pose }) {

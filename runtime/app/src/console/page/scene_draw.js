@@ -113,7 +113,7 @@ export class Drawing {
     }
   }
 
-  /** Draws what `visible(node)` lets, seen from `from`; `lines` are further lines as { points, colour }. */
+  /** Draws what `visible(node)` lets, seen from `from`; `lines` are further lines as { points, colour, over }: over everything or not. */
   draw({ eye, from, width, height, background, visible, lines }) {
     const gl = this.#gl;
     gl.viewport(0, 0, width, height);
@@ -151,12 +151,14 @@ export class Drawing {
     gl.bindBuffer(gl.ARRAY_BUFFER, this.loose.buffer);
     gl.uniformMatrix4fv(at.place, false, IDENTITY);
     gl.uniform1f(at.flat_, 1);
-    for (const { points, colour } of lines) {
+    for (const { points, colour, over } of lines) {
+      if (over) gl.disable(gl.DEPTH_TEST);
       gl.bufferData(gl.ARRAY_BUFFER, new Float32Array(points.flat()), gl.DYNAMIC_DRAW);
       gl.enableVertexAttribArray(0);
       gl.vertexAttribPointer(0, 3, gl.FLOAT, false, 0, 0);
       gl.uniform4fv(at.colour, colour);
       gl.drawArrays(gl.LINES, 0, points.length);
+      gl.enable(gl.DEPTH_TEST);
     }
   }
 

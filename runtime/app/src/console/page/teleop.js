@@ -24,6 +24,7 @@ export class Teleop {
   #other = false;
   #before = performance.now();
   #dragging = false;
+  #driver = null;
 
   constructor(send) {
     this.#send = send;
@@ -63,12 +64,14 @@ export class Teleop {
       byId("scale").value = Math.round(status.scale * 100);
       byId("scale-out").textContent = `${Math.round(status.scale * 100)} %`;
     }
-    this.#showArms(status.arms);
+    this.#showDriver(status);
+    this.#showArms(status.arms, status.driver);
     this.#showRecording(status.recording);
   }
 
-  /** In words what each arm does, for those who hear the page. */
+  /** In words what each arm does, for those who hear the page; while a policy drives there is nothing to say. */
   words() {
+    if (this.#status?.driver === "policy") return "";
     return (this.#status?.arms ?? []).map((arm, index) => `${this.#names[index]} ${word(arm)}`).join("; ");
   }
 
@@ -96,6 +99,7 @@ export class Teleop {
     for (const button of document.querySelectorAll("#episode button")) {
       button.onclick = () => this.#send({ episode: button.dataset.episode });
     }
+    byId("hand-back").onclick = () => this.#send({ hand_back: true });
     byId("enter-vr").onclick = () => this.headset.toggle();
     document.addEventListener("keydown", (event) => this.#key(event));
     window.addEventListener("blur", () => this.#hidden());
@@ -188,17 +192,34 @@ export class Teleop {
   #show() {
     const able = this.#open && this.#steers;
     for (const control of document.querySelectorAll("#teleop button, #teleop input")) control.disabled = !able;
+    if (this.#status) this.#showDriver(this.#status);
     this.headset.offer(byId("enter-vr"), able);
   }
 
-  #showArms(arms) {
+  /** Who drives, where a policy does too. */
+  #showDriver({ driver, recording }) {
+    const waits = recording && recording.phase !== "running";
+    const line = byId("driver");
+    line.hidden = !driver || Boolean(waits);
+    byId("hand-back").hidden = line.hidden;
+    if (!driver) return;
+    line.dataset.driver = driver;
+    const text = driver === "policy" ? "The policy drives. Hold the clutch to take over." : "You drive. The arms hold when you let go.";
+    if (line.textContent !== text) line.textContent = text;
+    byId("hand-back").disabled = !this.#open || !this.#steers || driver === "policy";
+    // Beside a policy the keys are out of the way until they are wanted.
+    if (driver !== this.#driver) byId("hand-keys").open = driver === "operator";
+    this.#driver = driver;
+  }
+
+  #showArms(arms, driver) {
     const list = byId("hands");
     while (list.children.length > arms.length) list.lastChild.remove();
     arms.forEach((arm, index) => {
       const item = list.children[index] ?? list.appendChild(document.createElement("li"));
       item.dataset.engaged = String(arm.engaged);
       const mark = arm.engaged ? "●" : "○";
-      const text = `${mark} ${this.#names[index] ?? ""} ${word(arm)}`;
+      const text = `${mark} ${this.#names[index] ?? ""} ${word(arm, driver)}`;
       if (item.textContent !== text) item.textContent = text;
     });
   }
@@ -215,7 +236,8 @@ export class Teleop {
   }
 }
 
-function word(arm) {
+function word(arm, driver) {
+  if (driver === "policy" && !arm.engaged) return "follows the policy";
   if (arm.engaged) return "follows the hand";
   return arm.lost ? `holds: ${arm.lost}; let go, then hold again` : "holds";
 }

@@ -85,6 +85,11 @@ impl Writer {
         self.nodes.push(node);
     }
 
+    /// Whether nothing was added.
+    pub(super) const fn is_empty(&self) -> bool {
+        self.nodes.is_empty()
+    }
+
     /// The file.
     pub(super) fn finish(mut self) -> Vec<u8> {
         // glTF's cameras look along -z with y up.

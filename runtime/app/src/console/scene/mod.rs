@@ -1,15 +1,18 @@
 //! The scene in three dimensions: shapes once, as a binary glTF file, then where everything is, as often as the simulation says.
 //!
-//! Everything is in the scene frame, in metres. `glb` writes the file, `safety` what of the limits is drawn.
+//! Everything is in the scene frame, in metres. `glb` writes the file, `safety` what of the limits is drawn; `shapes` are the same shapes one
+//! by one.
 
 mod glb;
 mod safety;
+mod shapes;
 
 use std::sync::Arc;
 
 use axum::body::Bytes;
 use hal::count::count_u32;
 use hal::{Mesh, Pose, TimeNs};
+use nalgebra::{Quaternion, Translation3, UnitQuaternion};
 use trocar_control::config::ArmConfig;
 use trocar_tasks::SimulationError;
 use trocar_tasks::cameras::SceneModel;
@@ -18,6 +21,7 @@ use trocar_tasks::scene::SceneSnapshot;
 use super::encode;
 use super::pictures::{Board, Stream};
 use glb::Writer;
+pub(super) use shapes::Shapes;
 
 /// The file of `model` as it is in `start`, with the limits of `arms`.
 ///
@@ -59,6 +63,33 @@ pub(super) fn message(
         put_shape(&mut bytes, index, mesh);
     }
     Ok(bytes)
+}
+
+/// The poses of visuals and of cameras that a message of [`message`] says; none if it is no such message.
+pub(super) fn places(message: &[u8]) -> Option<(Vec<Pose>, Vec<Pose>)> {
+    let count = |at: usize| {
+        let bytes = message.get(at..at + 4)?.try_into().ok()?;
+        usize::try_from(u32::from_le_bytes(bytes)).ok()
+    };
+    let (visuals, cameras) = (count(encode::HEAD)?, count(encode::HEAD + 4)?);
+    let poses = message.get(encode::HEAD + 12..)?.chunks_exact(28);
+    let mut poses = poses.map(pose).take(visuals.checked_add(cameras)?);
+    let visuals = poses.by_ref().take(visuals).collect();
+    Some((visuals, poses.collect()))
+}
+
+/// The pose that [`seven`] numbers are.
+fn pose(bytes: &[u8]) -> Pose {
+    let number = |index: usize| {
+        let bytes = bytes.get(4 * index..4 * index + 4);
+        let bytes = bytes.and_then(|bytes| bytes.try_into().ok());
+        f64::from(bytes.map_or(0.0, f32::from_le_bytes))
+    };
+    let turn = Quaternion::new(number(6), number(3), number(4), number(5));
+    Pose::from_parts(
+        Translation3::new(number(0), number(1), number(2)),
+        UnitQuaternion::new_normalize(turn),
+    )
 }
 
 fn put_shape(bytes: &mut Vec<u8>, index: usize, mesh: &Mesh) {
@@ -141,6 +172,14 @@ mod tests {
             assert_eq!(cameras, model.cameras().count(), "{name}");
             assert_eq!(bent, if snapshot.flap.is_some() { 2 } else { 0 }, "{name}");
             let last = model.poses(&snapshot).pop().unwrap();
+            let (read, read_cameras) = places(&bytes).unwrap();
+            assert_eq!(
+                (read.len(), read_cameras.len()),
+                (visuals, cameras),
+                "{name}"
+            );
+            let apart = read.last().unwrap().inv_mul(&last);
+            assert!(apart.translation.vector.norm() < 1e-6, "{name}");
             let at = 28 + 28 * (visuals - 1);
             for (axis, expected) in seven(&last).into_iter().enumerate() {
                 assert!((f32_at(&bytes, at + 4 * axis) - expected).abs() < 1e-9);

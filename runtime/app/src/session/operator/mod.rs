@@ -11,7 +11,7 @@ mod server;
 use std::fmt;
 use std::str::FromStr;
 
-use hal::{ARM_NAMES, PerArm};
+use hal::{ARM_NAMES, Chunk, PerArm};
 use serde::Serialize;
 use trocar_control::{AnyController, Fault, Mode, OperatingState, OperatorEvent};
 use trocar_log::TickRecord;
@@ -80,6 +80,9 @@ impl fmt::Display for Command {
             Self::Event(OperatorEvent::Resume) => f.write_str("resume"),
             Self::Event(OperatorEvent::Clear) => f.write_str("clear"),
             Self::Event(OperatorEvent::Speed { percent }) => write!(f, "speed {percent}"),
+            // Hands say so, not words.
+            Self::Event(OperatorEvent::TakeOver) => f.write_str("take over"),
+            Self::Event(OperatorEvent::HandBack) => f.write_str("hand back"),
         }
     }
 }
@@ -103,7 +106,7 @@ impl Status {
             OperatorEvent::Disable => matches!(state, Disabled | Enabled | Paused),
             OperatorEvent::Pause | OperatorEvent::Resume => matches!(state, Enabled | Paused),
             OperatorEvent::Clear => state == Fault,
-            OperatorEvent::Speed { .. } => true,
+            OperatorEvent::Speed { .. } | OperatorEvent::TakeOver | OperatorEvent::HandBack => true,
         };
         let states = || self.arms.iter().map(|(mode, _)| mode.state);
         let applies_to_one = states().any(applies);
@@ -140,10 +143,10 @@ impl OperatorPort {
         Some(request)
     }
 
-    /// Says that chunks were handed to the controller, so long after their observation.
-    pub(super) fn chunk(&mut self, latency_ns: u64) {
+    /// Says that these chunks were handed to the controller, so long after their observation.
+    pub(super) fn chunk(&mut self, chunks: &PerArm<Chunk>, latency_ns: u64) {
         if let Some(tap) = &mut self.tap {
-            tap.chunk(latency_ns);
+            tap.chunk(chunks, latency_ns);
         }
     }
 

@@ -101,7 +101,8 @@ impl ConsoleCameras {
             instance: &frame.instance,
         };
         let stamp = snapshot.arms.first.state.stamp;
-        self.to.show(camera, stamp, &frame.intrinsics, &planes);
+        let seen_from = (&frame.intrinsics, &frame.camera_in_scene);
+        self.to.show(camera, stamp, seen_from, &planes);
         Ok(true)
     }
 }

@@ -3,10 +3,10 @@
 use std::sync::Arc;
 
 use hal::{Chunk, Measured, PerArm, Period, Rig, Setpoint};
-use rtrb::Consumer;
 use trocar_control::{AnyController, OperatorEvent};
 use trocar_log::{TickLog, TickRecord};
 
+use super::drivers::Drivers;
 use super::hold::Hold;
 use super::signals::{Signals, StopsAll};
 use super::timing::LoopTiming;
@@ -23,7 +23,7 @@ const REST_TICKS: u64 = 500;
 pub(super) struct ControlThread<R> {
     pub(super) controller: AnyController,
     pub(super) rig: R,
-    pub(super) chunks: Consumer<PerArm<Chunk>>,
+    pub(super) drivers: Drivers,
     pub(super) log: Option<TickLog>,
     pub(super) signals: Arc<Signals>,
     pub(super) operator: OperatorPort,
@@ -124,15 +124,12 @@ impl<R: Rig> ControlThread<R> {
         clock: MonotonicClock,
     ) -> Option<(TickRecord, PerArm<Setpoint>)> {
         let waits = |chunks: &PerArm<Chunk>| is_ahead(&chunks.first, period);
-        let chunks = if self.chunks.peek().is_ok_and(waits) {
-            None
-        } else {
-            self.chunks.pop().ok()
-        };
+        let (chunks, change) = self.drivers.next(waits, operator.is_none());
+        let operator = operator.or(change);
         if let Some(chunks) = &chunks {
             let latency_ns = period.now.since(chunks.first.observed_at);
             tally.delivery(latency_ns);
-            self.operator.chunk(latency_ns);
+            self.operator.chunk(chunks, latency_ns);
             if let Some(log) = &mut self.log {
                 for (arm, chunk) in chunks.iter().enumerate() {
                     log.chunk(arm, chunk);

@@ -40,7 +40,11 @@ impl Hold {
         match asked {
             OperatorEvent::Pause => self.paused = true,
             OperatorEvent::Resume | OperatorEvent::Disable => self.paused = false,
-            OperatorEvent::Enable | OperatorEvent::Clear | OperatorEvent::Speed { .. } => {}
+            OperatorEvent::Enable
+            | OperatorEvent::Clear
+            | OperatorEvent::Speed { .. }
+            | OperatorEvent::TakeOver
+            | OperatorEvent::HandBack => {}
         }
         (asked != OperatorEvent::Resume || !self.holds).then_some(asked)
     }

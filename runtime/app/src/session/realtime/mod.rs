@@ -17,6 +17,7 @@ mod arm_chunks;
 mod camera_thread;
 mod child;
 mod control_thread;
+mod drivers;
 mod ended;
 mod hold;
 pub(super) mod observed;
@@ -38,7 +39,7 @@ use std::sync::Arc;
 use std::thread;
 
 use hal::{ArmState, Chunk, TICK_NS};
-use rtrb::RingBuffer;
+use rtrb::{Consumer, RingBuffer};
 use trocar_tasks::simulation::Rendering;
 use trocar_tasks::task::Outcome;
 
@@ -49,9 +50,9 @@ pub use robot::{RobotOptions, run_rig};
 use super::ended::Ended;
 use super::operator::{Listener, OperatorPort};
 use super::run::RunResult;
-use super::source::ChunkSource;
+use super::source::{ChunkSource, PolicyChoice};
 use super::summary::TissueSummary;
-use super::teleop::{Demonstrating, Wish};
+use super::teleop::{Demonstrating, FromHands, Intervention, Wish};
 use super::{Plan, SessionError, episode};
 use crate::mailbox::mailbox;
 use crate::rig::threads::ThreadsRig;
@@ -59,6 +60,7 @@ use crate::rt::{self, MonotonicClock, Periodic};
 use camera_thread::{CameraEnd, CameraThread, Snapshot};
 use child::PolicyChild;
 use control_thread::ControlThread;
+use drivers::Drivers;
 use ended::closed;
 use hal::PerArm;
 use opened::Opened;
@@ -109,6 +111,7 @@ fn run_threads(
     let (listener, mut operator) = listen(true);
     let port = (listener.as_ref(), &mut operator);
     let (console_view, console_cameras) = show_task(plan, &simulation.snapshot(), port)?.unzip();
+    let (intervention, hands) = intervention(plan).unzip();
     let signals = Arc::new(Signals::default());
     // Slow things first: opening a device takes longer than an episode's first second.
     let camera_thread = (plan.wants_frames() || child.is_some() || console_cameras.is_some())
@@ -135,6 +138,7 @@ fn run_threads(
         commands: commands_out,
         snapshots,
         local,
+        intervention,
         demonstrating: demonstrating(plan),
         signals: Arc::clone(&signals),
         profile: plan.real_time.simulation,
@@ -146,7 +150,7 @@ fn run_threads(
     let control_thread = ControlThread {
         controller,
         rig: ThreadsRig::new(measured, commands, periodic),
-        chunks,
+        drivers: Drivers::new(chunks, hands),
         log: tick_log,
         signals: Arc::clone(&signals),
         operator,
@@ -173,6 +177,17 @@ fn run_threads(
 fn demonstrating(plan: &Plan) -> Option<Demonstrating> {
     let console = plan.console.as_ref().filter(|_| plan.demonstrates)?;
     Some(Demonstrating::new(console.hands()))
+}
+
+/// An operator who may take over from the policy of `plan`: on the console, if there is one. And the control thread's end.
+fn intervention(plan: &Plan) -> Option<(Intervention, Consumer<FromHands>)> {
+    let by_hand = plan.policy == PolicyChoice::Teleop;
+    let console = plan.console.as_ref();
+    let console = console.filter(|console| console.has_page() && !by_hand)?;
+    let (to, from) = RingBuffer::new(CHUNK_QUEUE);
+    let hands = console.hands();
+    let intervention = Intervention::new(&plan.setup, &hands, plan.demonstrates, to);
+    Some((intervention, from))
 }
 
 /// The ends of a log, if there is one.

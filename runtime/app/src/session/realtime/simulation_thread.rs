@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use hal::{Arm, ArmState, Chunk, PerArm, SeenArm, Setpoint, TICK_NS, TimeNs};
+use hal::{Arm, ArmState, Chunk, PerArm, SeenArm, Setpoint, TICK_NS, TimeNs, TipTarget};
 use rtrb::{Consumer, Producer};
 use trocar_tasks::simulation::Simulation;
 use trocar_tasks::task::Outcome;
@@ -16,7 +16,7 @@ use crate::mailbox::MailboxWriter;
 use crate::rt::{MonotonicClock, Periodic, RtOptions, configure_thread};
 use crate::session::SessionError;
 use crate::session::source::{ChunkSource, Query, STEP_TICKS, precedes_query, seen_arm};
-use crate::session::teleop::{Demonstrating, Demonstration};
+use crate::session::teleop::{CHUNK_TICKS, Demonstrating, Demonstration, Driver, Intervention};
 use trocar_log::Level;
 
 /// Steps from one frame for the log or the pictures to the next. Drawing in software takes half a core at every step.
@@ -68,6 +68,8 @@ pub(super) struct SimulationThread {
     pub(super) commands: Consumer<PerArm<Setpoint>>,
     pub(super) snapshots: Option<Snapshots>,
     pub(super) local: Option<(ChunkSource, Producer<PerArm<Chunk>>)>,
+    /// An operator who may take over from the policy, if there is one.
+    pub(super) intervention: Option<Intervention>,
     /// What is written down, if a person demonstrates.
     pub(super) demonstrating: Option<Demonstrating>,
     pub(super) signals: Arc<Signals>,
@@ -161,18 +163,23 @@ impl SimulationThread {
         inference: &mut Histogram,
     ) -> Result<(), SessionError> {
         // A demonstration's time stands still until a person starts it.
-        if self.demonstrating.as_mut().is_none_or(Demonstrating::runs) {
+        let runs = self.demonstrating.as_mut().is_none_or(Demonstrating::runs);
+        if runs {
             self.simulation.step();
         }
         let states = self.read(now)?;
         self.measured.put(states);
-        let (observes, asks) = (tick.is_multiple_of(STEP_TICKS), self.asks(tick));
-        if self.signals.done() || !(observes || asks) {
+        let (observes, asks) = (tick.is_multiple_of(STEP_TICKS), self.asks(tick, runs));
+        let by_hand = self.intervention.is_some() && tick.is_multiple_of(CHUNK_TICKS);
+        if self.signals.done() || !(observes || asks || by_hand) {
             return Ok(());
         }
         let arms = states.map(|state| seen_arm(&state));
         if observes {
             self.observe(tick / STEP_TICKS, &arms);
+        }
+        if by_hand {
+            self.look_at_hands(tick, &arms)?;
         }
         if asks {
             self.ask(tick, &arms, inference)?;
@@ -180,9 +187,32 @@ impl SimulationThread {
         Ok(())
     }
 
-    /// Whether it is a local policy's turn.
-    fn asks(&self, tick: u64) -> bool {
+    /// Lets an operator take over, who may take more time than the policy has.
+    fn look_at_hands(&mut self, tick: u64, arms: &PerArm<SeenArm>) -> Result<(), SessionError> {
+        let Some(intervention) = &mut self.intervention else {
+            return Ok(());
+        };
+        let more_s = intervention.answer(arms)?;
+        self.simulation.grant_s(more_s);
+        for text in intervention.take_told() {
+            let at = arms.first.state.stamp;
+            self.signals.tell(at, Level::Info, &text);
+        }
+        let asked = intervention.asked();
+        if let (Some(demonstrating), Some((driver, targets)), true) = (
+            &mut self.demonstrating,
+            asked,
+            tick.is_multiple_of(STEP_TICKS),
+        ) {
+            demonstrating.note(arms, (driver, &targets), || self.simulation.snapshot());
+        }
+        Ok(())
+    }
+
+    /// Whether it is a local policy's turn; one beside an operator has none before the episode `runs`.
+    fn asks(&self, tick: u64, runs: bool) -> bool {
         let source = self.local.as_ref().map(|(source, _)| source);
+        let source = source.filter(|_| runs || self.intervention.is_none());
         source.is_some_and(|source| tick.is_multiple_of(source.query_every_ticks()))
     }
 
@@ -247,14 +277,28 @@ impl SimulationThread {
                 let at = arms.first.state.stamp;
                 self.signals.tell(at, Level::Info, &text);
             }
-            if let (Some(demonstrating), true) =
-                (&mut self.demonstrating, tick.is_multiple_of(STEP_TICKS))
-            {
-                demonstrating.note(arms, &answer, || self.simulation.snapshot());
+            // Beside an operator the hands' end knows who drives.
+            let demonstrating = self.demonstrating.as_mut();
+            let demonstrating = demonstrating.filter(|_| self.intervention.is_none());
+            if let (Some(demonstrating), true, Some(targets)) = (
+                demonstrating,
+                tick.is_multiple_of(STEP_TICKS),
+                firsts(&answer),
+            ) {
+                let by_hand = (Driver::Operator, &targets);
+                demonstrating.note(arms, by_hand, || self.simulation.snapshot());
             }
         }
         Ok(())
     }
+}
+
+/// The first target of each chunk, if each has one.
+fn firsts(chunks: &PerArm<Chunk>) -> Option<PerArm<TipTarget>> {
+    let firsts = chunks
+        .iter()
+        .map(|chunk| chunk.valid_targets().first().copied());
+    PerArm::collect(firsts.collect::<Option<Vec<_>>>()?)
 }
 
 /// Whether the step at `now`, which is `late` steps behind, follows the command of `stamp`.

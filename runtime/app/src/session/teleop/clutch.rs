@@ -42,6 +42,8 @@ pub(crate) enum Lost {
     NotEnabled,
     /// No episode is under way.
     NoEpisode,
+    /// The policy drives again.
+    HandedBack,
 }
 
 impl Clutch {
@@ -95,6 +97,7 @@ impl fmt::Display for Lost {
             Self::NoDevice => "the device is gone",
             Self::NotEnabled => "the arm is not enabled",
             Self::NoEpisode => "no episode is under way",
+            Self::HandedBack => "the policy drives again",
         })
     }
 }

@@ -2,11 +2,11 @@
 
 use std::sync::Arc;
 
-use hal::{Chunk, PerArm, SeenArm, TipTarget};
+use hal::{PerArm, SeenArm, TipTarget};
 use serde::{Deserialize, Serialize};
 use trocar_tasks::scene::SceneSnapshot;
 
-use super::Hands;
+use super::{Driver, Hands};
 
 /// A wish of the page that steers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize)]
@@ -40,8 +40,10 @@ impl Wish {
 pub struct Moment {
     /// The measured arms.
     pub arms: PerArm<SeenArm>,
-    /// Where the operator wants the tips.
+    /// Where whoever drives wants the tips.
     pub targets: PerArm<TipTarget>,
+    /// Whether an operator's hands drive.
+    pub by_hand: bool,
     /// Where everything is, for pictures that are made later.
     pub scene: SceneSnapshot,
 }
@@ -89,20 +91,18 @@ impl Demonstrating {
         self.so_far.ended.is_some()
     }
 
-    /// A policy step, if it is under way.
+    /// A policy step, if it is under way: the measured arms, and where whoever drives wants their tips.
     pub(crate) fn note(
         &mut self,
         arms: &PerArm<SeenArm>,
-        answer: &PerArm<Chunk>,
+        (driver, targets): (Driver, &PerArm<TipTarget>),
         scene: impl FnOnce() -> SceneSnapshot,
     ) {
-        let first = |chunk: &Chunk| chunk.valid_targets().first().copied();
-        let targets: Option<Vec<TipTarget>> = answer.iter().map(first).collect();
-        let targets = targets.and_then(PerArm::collect);
-        if let (true, None, Some(targets)) = (self.started, self.so_far.ended, targets) {
+        if self.started && self.so_far.ended.is_none() {
             self.so_far.moments.push(Moment {
                 arms: *arms,
-                targets,
+                targets: *targets,
+                by_hand: driver == Driver::Operator,
                 scene: scene(),
             });
         }

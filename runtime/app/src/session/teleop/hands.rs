@@ -10,7 +10,7 @@ use super::held::Held;
 use super::latency::{Counts, TeleopSummary, Transit};
 use super::message::{BadHands, Hand, HandsMessage};
 use super::status::{ArmStatus, Phase, Recording, TeleopStatus, numbers};
-use super::{Commanded, SCALES, STALE_NS};
+use super::{Commanded, Driver, SCALES, STALE_NS};
 use crate::mailbox::MailboxReader;
 use crate::rt::MonotonicClock;
 
@@ -67,9 +67,59 @@ impl Hands {
         inner.lose(Lost::NoEpisode);
         inner.arms = arms.min(ARMS_MAX);
         inner.waits = waits;
+        inner.driver = None;
         inner.wish = None;
         inner.tips = [None; ARMS_MAX];
         inner.counts = Counts::default();
+    }
+
+    /// There is a policy beside the hands; until an episode that waits is started, the hands hold the arms.
+    pub(super) fn beside_policy(&self) {
+        let mut inner = self.lock();
+        inner.driver = Some(if inner.waits {
+            Driver::Operator
+        } else {
+            Driver::Policy
+        });
+    }
+
+    /// Who drives a run with a policy, now that a hand `moves` its arm or none does: one that does takes over.
+    pub(super) fn driver(&self, moves: bool) -> Option<Driver> {
+        let mut inner = self.lock();
+        // Whoever has just handed back holds no clutch.
+        let engaged = moves && inner.hands.iter().any(|arm| arm.clutch.is_engaged());
+        if engaged && inner.driver == Some(Driver::Policy) {
+            inner.driver = Some(Driver::Operator);
+            inner.counts.interventions.taken_over += 1;
+        }
+        inner.driver
+    }
+
+    /// The hands have driven for so long beside a policy, s; not counted before the episode's start. Whether it was.
+    pub(super) fn drove_s(&self, seconds: f64) -> bool {
+        let mut inner = self.lock();
+        let counts = !inner.waits;
+        if counts {
+            inner.counts.interventions.operator_s += seconds;
+        }
+        counts
+    }
+
+    /// The page that steers gives the arms back to the policy.
+    ///
+    /// # Errors
+    /// [`BadHands::NoPolicy`] if there is none, [`BadHands::NotNow`] before the episode is started.
+    pub(crate) fn hand_back(&self) -> Result<(), BadHands> {
+        let mut inner = self.lock();
+        let driver = inner.driver.ok_or(BadHands::NoPolicy)?;
+        if inner.waits {
+            return Err(BadHands::NotNow);
+        }
+        if driver == Driver::Operator {
+            inner.give_back();
+            inner.counts.interventions.handed_back += 1;
+        }
+        Ok(())
     }
 
     /// The end of the control thread's mailbox, of the run that begins.
@@ -226,6 +276,9 @@ impl Hands {
     pub(crate) fn start(&self) {
         let mut inner = self.lock();
         inner.waits = false;
+        if inner.driver.is_some() {
+            inner.give_back();
+        }
         if let Some(recording) = &mut inner.recording {
             recording.phase = Phase::Running;
         }
@@ -255,6 +308,7 @@ impl Hands {
         });
         (inner.arms > 0).then(|| TeleopStatus {
             scale: inner.scale(),
+            driver: inner.driver,
             arms: arms.collect(),
             recording: inner.recording,
         })
@@ -263,6 +317,6 @@ impl Hands {
     /// What was counted since the run began.
     pub(crate) fn summary(&self) -> TeleopSummary {
         let inner = self.lock();
-        inner.counts.summary(inner.scale())
+        inner.counts.summary(inner.scale(), inner.driver.is_some())
     }
 }

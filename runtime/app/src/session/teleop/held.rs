@@ -7,7 +7,7 @@ use super::demonstration::Wish;
 use super::latency::{Counts, Transit};
 use super::message::Hand;
 use super::status::Recording;
-use super::{Commanded, DEFAULT_SCALE, STALE_NS};
+use super::{Commanded, DEFAULT_SCALE, Driver, STALE_NS};
 use crate::mailbox::MailboxReader;
 
 /// What a hand moves and turns at most from one message to the next.
@@ -29,6 +29,8 @@ pub(super) struct Held {
     pub(super) heard: Option<(TimeNs, f64)>,
     pub(super) transit: Transit,
     pub(super) scale: Option<f64>,
+    /// Who drives, if there is a policy beside the hands.
+    pub(super) driver: Option<Driver>,
     /// Whether no episode is under way.
     pub(super) waits: bool,
     pub(super) hands: [ArmHand; ARMS_MAX],
@@ -67,8 +69,9 @@ impl Held {
         if let Some(hand) = self.hands.get_mut(arm) {
             let engaged = hand.clutch.is_engaged();
             hand.clutch = hand.clutch.lost(why);
-            // An episode that ends takes nothing from anybody.
-            self.counts.losses += u64::from(engaged && why != Lost::NoEpisode);
+            // An episode that ends, or who hands back, takes nothing from anybody.
+            let forced = !matches!(why, Lost::NoEpisode | Lost::HandedBack);
+            self.counts.losses += u64::from(engaged && forced);
         }
     }
 
@@ -112,6 +115,12 @@ fn jumped(old: &Pose, new: &Pose) -> bool {
 }
 
 impl Held {
+    /// The policy drives, until a hand takes its clutch anew.
+    pub(super) fn give_back(&mut self) {
+        self.driver = Some(Driver::Policy);
+        self.lose(Lost::HandedBack);
+    }
+
     pub(super) fn scale(&self) -> f64 {
         self.scale.unwrap_or(DEFAULT_SCALE)
     }

@@ -54,6 +54,8 @@ pub(super) struct Counts {
     pub(super) engagements: u64,
     /// Engagements that ended by force.
     pub(super) losses: u64,
+    /// What happened beside a policy.
+    pub(super) interventions: InterventionSummary,
 }
 
 /// What a run that is moved by hand reports beside the rest.
@@ -74,10 +76,24 @@ pub struct TeleopSummary {
     pub forced_releases: u64,
     /// What part of the hand's way the tip made, at the end.
     pub scale: f64,
+    /// Of a run that has a policy too.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub interventions: Option<InterventionSummary>,
+}
+
+/// How an operator took over from a policy.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+pub struct InterventionSummary {
+    /// How often.
+    pub taken_over: u64,
+    /// How often the policy was given the arms back.
+    pub handed_back: u64,
+    /// For how long the operator drove in all, s.
+    pub operator_s: f64,
 }
 
 impl Counts {
-    pub(super) fn summary(&self, scale: f64) -> TeleopSummary {
+    pub(super) fn summary(&self, scale: f64, beside_policy: bool) -> TeleopSummary {
         let round_trip_ms =
             (self.round_trip.count() > 0).then(|| milliseconds(self.round_trip.min()));
         let on_the_way = round_trip_ms.unwrap_or(0.0) / 2.0;
@@ -92,6 +108,7 @@ impl Counts {
             engagements: self.engagements,
             forced_releases: self.losses,
             scale,
+            interventions: beside_policy.then_some(self.interventions),
         }
     }
 }

@@ -65,6 +65,9 @@ pub(crate) enum BadHands {
         "a hand's numbers are finite, its place within {REACH_M_MAX} m, its turn a unit quaternion, its jaw in [0, 1]"
     )]
     Numbers,
+    /// There is no policy to hand back to.
+    #[error("no policy drives this run: it is moved by hand")]
+    NoPolicy,
     /// Nothing is recorded.
     #[error("this run records no demonstration")]
     NoRecording,

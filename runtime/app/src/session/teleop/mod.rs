@@ -11,6 +11,10 @@
 //! anything that makes no sense release the clutch by force (`Lost`): then the arm holds until the operator has let the clutch go and
 //! takes it again.
 //!
+//! **Intervention.** Beside a policy the hands drive nothing until one of them takes its clutch: then they drive all arms, from where
+//! those are, until the operator hands back (`Intervention`). Whatever is lost meanwhile, the arms hold: the policy drives again
+//! when a person says so, and with chunks alone that it makes of what it sees from then on.
+//!
 //! **Frame.** A hand moves in the axes of the endoscope's picture: x to the right, y up, z towards the viewer (those of WebXR, whose
 //! viewer looks along -z). What one sees moves and turns the way the hand does.
 
@@ -18,6 +22,7 @@ mod clutch;
 mod demonstration;
 mod hands;
 mod held;
+mod intervention;
 mod latency;
 mod message;
 mod source;
@@ -27,13 +32,14 @@ mod view;
 #[cfg(test)]
 mod tests;
 
-use hal::{JointVector, PerArm, TimeNs};
+use hal::{JointVector, PerArm, TimeNs, TipTarget};
 
 pub(crate) use clutch::Lost;
 pub(crate) use demonstration::Demonstrating;
 pub use demonstration::{Demonstration, Moment, Wish};
 pub(crate) use hands::Hands;
-pub use latency::TeleopSummary;
+pub(crate) use intervention::{FromHands, Intervention};
+pub use latency::{InterventionSummary, TeleopSummary};
 pub(crate) use message::{BadHands, HandsMessage};
 pub use source::Teleop;
 pub(crate) use status::{Phase, Recording, TeleopStatus};
@@ -62,6 +68,16 @@ pub(crate) struct Commanded {
     pub(crate) arms: PerArm<ArmCommanded>,
 }
 
+/// Who drives the arms of a run that has a policy and an operator.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize)]
+#[serde(rename_all = "snake_case")]
+pub(crate) enum Driver {
+    /// The policy.
+    Policy,
+    /// The operator's hands.
+    Operator,
+}
+
 /// One arm of [`Commanded`].
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct ArmCommanded {
@@ -70,6 +86,8 @@ pub(crate) struct ArmCommanded {
     pub(crate) velocity: JointVector,
     /// Angle between the jaw fingers, rad.
     pub(crate) jaw: f64,
+    /// Where the chunks wanted the tip to be, if they reach so far.
+    pub(crate) target: Option<TipTarget>,
     /// Whether the arm is enabled and follows chunks.
     pub(crate) follows: bool,
 }

@@ -97,6 +97,27 @@ impl Teleop {
         core::mem::take(&mut self.told)
     }
 
+    /// The hands drive nothing: when one takes its clutch, its arm goes on from where it is commanded to be then.
+    pub(super) fn stand_by(&mut self) {
+        for arm in &mut self.arms {
+            (arm.engaged, arm.held) = (None, None);
+        }
+    }
+
+    /// Whether a hand moves its arm, as of the last answer.
+    pub(super) fn moves(&self) -> bool {
+        self.arms.iter().any(|arm| arm.engaged.is_some())
+    }
+
+    /// Where the arms were last asked to be, or are commanded to be if they were not; none before the first command.
+    pub(super) fn asked(&self) -> Option<PerArm<TipTarget>> {
+        let commanded = self.commanded.as_ref()?;
+        Some(commanded.arms.map(|arm| {
+            let here = || TipTarget::new(&forward(&arm.position), arm.jaw);
+            arm.target.unwrap_or_else(here)
+        }))
+    }
+
     /// A target for each arm, for the arms measured as `seen` at its stamp; it holds for two policy steps.
     ///
     /// # Errors
@@ -154,6 +175,7 @@ fn at_rest(seen: &SeenArm) -> ArmCommanded {
         position: seen.state.position,
         velocity: hal::JointVector::zeros(),
         jaw: seen.state.jaw_position,
+        target: None,
         follows: false,
     }
 }

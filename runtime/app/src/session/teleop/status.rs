@@ -3,10 +3,14 @@
 use hal::Pose;
 use serde::Serialize;
 
+use super::Driver;
+
 /// What there is to show.
 #[derive(Clone, Debug, Serialize)]
 pub(crate) struct TeleopStatus {
     pub(super) scale: f64,
+    /// Who drives, if there is a policy beside the hands.
+    pub(super) driver: Option<Driver>,
     pub(super) arms: Vec<ArmStatus>,
     pub(super) recording: Option<Recording>,
 }

@@ -94,6 +94,7 @@ impl Bench {
                 position: self.joints,
                 velocity: self.velocity,
                 jaw: self.jaw,
+                target: None,
                 follows: self.follows,
             }),
         });
@@ -503,6 +504,7 @@ fn latency_is_from_the_message_to_the_command() {
         position: bench.joints,
         velocity: bench.velocity,
         jaw: 0.4,
+        target: None,
         follows: true,
     });
     bench.commanded.put(Commanded {

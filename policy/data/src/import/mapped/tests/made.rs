@@ -78,6 +78,7 @@ pub(super) fn record(dir: &Path, arms: usize, cameras: &[&str], lens: &[usize]) 
         arms,
         task: "Lift the needle".to_owned(),
         cameras: cameras.iter().map(camera).collect(),
+        intervention: false,
     };
     let mut writer = DatasetWriter::create(dir, &spec).unwrap();
     for (episode, &len) in lens.iter().enumerate() {

@@ -32,6 +32,7 @@ use trocar_topics::{ArmReport, Publisher, SceneTopic, TopicNode};
 
 use super::child::Outside;
 use super::control_thread::{ControlEnd, ControlThread};
+use super::drivers::Drivers;
 use super::opened::Opened;
 use super::robot::{RobotOptions, RobotThread};
 use super::shown::show_rig;
@@ -270,7 +271,7 @@ impl Enabling<'_> {
         let control = ControlThread {
             controller: self.controller,
             rig: Observed::new(CanRig::new(arms, noticed, periodic), measured),
-            chunks,
+            drivers: Drivers::new(chunks, None),
             log,
             signals: Arc::clone(&signals),
             operator,

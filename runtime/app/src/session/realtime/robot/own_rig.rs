@@ -5,6 +5,7 @@ use std::sync::Arc;
 use hal::Rig;
 
 use super::super::control_thread::ControlThread;
+use super::super::drivers::Drivers;
 use super::super::ended::closed;
 use super::super::shown::show_rig;
 use super::super::signals::Moving;
@@ -49,7 +50,7 @@ pub fn run_rig<R: Rig + Send>(
     let control_thread = ControlThread {
         controller: robot.controller()?,
         rig: Observed::new(rig, measured),
-        chunks,
+        drivers: Drivers::new(chunks, None),
         log,
         signals: Arc::clone(&signals),
         operator,

@@ -1,0 +1,109 @@
+//! An operator beside a policy: takes over from it in mid-run, and hands back.
+
+use std::sync::Arc;
+
+use hal::{Chunk, PerArm, SeenArm, TICK_S, TipTarget};
+use rtrb::Producer;
+
+use super::{CHUNK_TICKS, Driver, Hands, TIME_FACTOR, Teleop};
+use crate::session::{SessionError, Setup};
+
+/// Time between two answers of the hands, s.
+#[expect(clippy::cast_precision_loss, reason = "a handful of ticks")]
+const ANSWER_S: f64 = CHUNK_TICKS as f64 * TICK_S;
+
+/// What the control thread hears of the hands. Plain data.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct FromHands {
+    /// Who drives.
+    pub(crate) driver: Driver,
+    /// What the hands want; of no account while the policy drives.
+    pub(crate) chunks: PerArm<Chunk>,
+}
+
+/// The hands beside a policy.
+///
+/// The control thread hears of them while they drive, and once when the policy does again.
+pub(crate) struct Intervention {
+    teleop: Teleop,
+    hands: Arc<Hands>,
+    to: Producer<FromHands>,
+    /// Who drives, as the control thread has last heard.
+    said: Driver,
+    /// What the episode may still take longer because of the hands, s.
+    left_s: f64,
+    told: Vec<String>,
+}
+
+impl Intervention {
+    /// Of the arms of `setup`, whose policy drives, unless the episode `waits` for its start: till then the hands hold the arms.
+    pub(crate) fn new(
+        setup: &Setup,
+        hands: &Arc<Hands>,
+        waits: bool,
+        to: Producer<FromHands>,
+    ) -> Self {
+        let teleop = Teleop::new(setup, Arc::clone(hands), waits);
+        hands.beside_policy();
+        Self {
+            teleop,
+            hands: Arc::clone(hands),
+            to,
+            said: Driver::Policy,
+            left_s: (TIME_FACTOR - 1.0) * setup.task.time_limit_s,
+            told: Vec::new(),
+        }
+    }
+
+    /// Looks at the hands, with the arms measured as `seen`, and tells the control thread what they want. Gives the time that the episode
+    /// may take longer since they drive, s.
+    ///
+    /// # Errors
+    /// Those of [`Teleop::answer`].
+    pub(crate) fn answer(&mut self, seen: &PerArm<SeenArm>) -> Result<f64, SessionError> {
+        let chunks = self.teleop.answer(seen)?;
+        let moves = self.teleop.moves();
+        let driver = self.hands.driver(moves).unwrap_or(Driver::Policy);
+        let more_s = match driver {
+            Driver::Policy => {
+                self.teleop.stand_by();
+                0.0
+            }
+            Driver::Operator => self.drove(),
+        };
+        let changed = driver != self.said;
+        // A full queue means that the control thread is late: it hears it the next time.
+        let heard = (changed || driver == Driver::Operator)
+            && self.to.push(FromHands { driver, chunks }).is_ok();
+        if changed && heard {
+            self.said = driver;
+            self.told.push(match driver {
+                Driver::Operator => "the operator drives".to_owned(),
+                Driver::Policy => "the policy drives".to_owned(),
+            });
+        }
+        Ok(more_s)
+    }
+
+    /// The hands have driven since the last answer; how much longer the episode may take for it, s.
+    fn drove(&mut self) -> f64 {
+        if !self.hands.drove_s(ANSWER_S) {
+            return 0.0;
+        }
+        let more_s = ANSWER_S.min(self.left_s);
+        self.left_s -= more_s;
+        more_s
+    }
+
+    /// Who drives, and where the arms were last asked to be; none before the first command.
+    pub(crate) fn asked(&self) -> Option<(Driver, PerArm<TipTarget>)> {
+        Some((self.said, self.teleop.asked()?))
+    }
+
+    /// What the log is to say, since the last call.
+    pub(crate) fn take_told(&mut self) -> Vec<String> {
+        let mut told = self.teleop.take_told();
+        told.append(&mut self.told);
+        told
+    }
+}

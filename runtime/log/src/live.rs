@@ -1,0 +1,220 @@
+//! The log's topics for whoever looks on while the run goes on: channels with their schemas, and messages one by one.
+
+use hal::{ARMS_MAX, Intrinsics, Pose, TimeNs};
+use prost::Message;
+
+use super::camera;
+use super::joints::JointMessages;
+use super::json::TimingMessage;
+use super::messages::{
+    CompressedImage, FrameTransform, FrameTransforms, ModelPrimitive, SceneEntity, SceneUpdate,
+    Timestamp, Vector3,
+};
+use super::record::TickRecord;
+use super::safety::SafetyMessage;
+use super::topic::{Schema, Topic};
+use super::writer::{RCM_FRAMES, measured_tip};
+use crate::verify::tip_in_rcm;
+
+/// The frame that everything else is in.
+pub const SCENE: &str = "scene";
+
+/// The topic of shapes.
+pub const SHAPES: &str = "/scene";
+
+/// Frames of the tips.
+const TIP_FRAMES: [&str; ARMS_MAX] = ["psm1_tip", "psm2_tip"];
+
+/// A topic, and how its messages are encoded.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Channel {
+    /// Its name.
+    pub topic: String,
+    /// Of its messages: `protobuf` or `json`.
+    pub encoding: &'static str,
+    /// What its messages are called.
+    pub schema_name: &'static str,
+    /// Of the schema: `protobuf` or `jsonschema`.
+    pub schema_encoding: &'static str,
+    /// The schema itself.
+    pub schema: Vec<u8>,
+}
+
+impl Channel {
+    fn new(topic: &str, schema: Schema) -> Self {
+        let (encoding, schema_name, schema_encoding, schema) = match schema {
+            Schema::Protobuf(name) => {
+                let descriptors = super::descriptor::file_descriptor_set();
+                ("protobuf", name, "protobuf", descriptors)
+            }
+            Schema::Json(name, text) => ("json", name, "jsonschema", text.as_bytes().to_vec()),
+        };
+        Self {
+            topic: topic.to_owned(),
+            encoding,
+            schema_name,
+            schema_encoding,
+            schema,
+        }
+    }
+}
+
+/// The topics of a run with so many arms and these cameras.
+#[must_use]
+pub fn channels(arms: usize, cameras: &[String]) -> Vec<Channel> {
+    const OF_TICKS: [Topic; 7] = [
+        Topic::MeasuredJs,
+        Topic::SetpointJs,
+        Topic::MeasuredCp,
+        Topic::Jaw,
+        Topic::Safety,
+        Topic::Timing,
+        Topic::Transforms,
+    ];
+    let names = OF_TICKS.into_iter().flat_map(|topic| {
+        let names = topic.names().iter().take(arms);
+        names.map(move |name| Channel::new(name, topic.schema()))
+    });
+    let mut channels: Vec<Channel> = names.collect();
+    for camera in cameras {
+        let image = Schema::Protobuf("foxglove.CompressedImage");
+        let lens = Schema::Protobuf("foxglove.CameraCalibration");
+        channels.push(Channel::new(&image_topic(camera), image));
+        channels.push(Channel::new(&lens_topic(camera), lens));
+    }
+    let shapes = Schema::Protobuf("foxglove.SceneUpdate");
+    channels.push(Channel::new(SHAPES, shapes));
+    channels
+}
+
+/// The topic of a camera's images.
+#[must_use]
+pub fn image_topic(camera: &str) -> String {
+    format!("/camera/{camera}")
+}
+
+/// The topic of a camera's lens.
+#[must_use]
+pub fn lens_topic(camera: &str) -> String {
+    format!("/camera/{camera}/calibration")
+}
+
+/// The messages of `tick`, each with its topic; the arms' remote centres are at `rcms_in_scene`.
+#[must_use]
+pub fn tick(tick: &TickRecord, rcms_in_scene: &[Pose]) -> Vec<(&'static str, Vec<u8>)> {
+    let mut messages = Vec::new();
+    let mut joints = JointMessages::new();
+    for (index, arm) in tick.arms.iter().enumerate() {
+        let mut add = |topic: Topic, bytes: Vec<u8>| {
+            messages.extend(topic.names().get(index).map(|name| (*name, bytes)));
+        };
+        let measured = arm.measured.as_ref().ok();
+        joints.set_measured(measured);
+        joints.set_command(&arm.command);
+        if let Some(state) = measured {
+            add(Topic::MeasuredJs, joints.measured.encode_to_vec());
+            if let (true, Some(frame)) = (state.is_finite(), RCM_FRAMES.get(index)) {
+                let tip = measured_tip(frame, state);
+                add(Topic::MeasuredCp, tip.encode_to_vec());
+            }
+        }
+        add(Topic::SetpointJs, joints.setpoint.encode_to_vec());
+        add(Topic::Jaw, joints.jaw.encode_to_vec());
+        let safety = SafetyMessage::new(tick.tick, &arm.report);
+        let safety = serde_json::to_vec(&safety).unwrap_or_default();
+        add(Topic::Safety, safety);
+    }
+    let timing = TimingMessage {
+        tick: tick.tick,
+        period_ns: hal::TICK_NS,
+        wake_ns: tick.timing.wake_ns,
+        compute_ns: tick.timing.compute_ns,
+    };
+    let timing = serde_json::to_vec(&timing).unwrap_or_default();
+    messages.extend(Topic::Timing.names().first().map(|name| (*name, timing)));
+    let transforms = of_arms(tick, rcms_in_scene).encode_to_vec();
+    messages.push((TRANSFORMS, transforms));
+    messages
+}
+
+/// The topic of frames.
+pub const TRANSFORMS: &str = "/tf";
+
+/// Where frames are in the scene at `at`.
+#[must_use]
+pub fn transforms<'a>(at: TimeNs, frames: impl Iterator<Item = (&'a str, Pose)>) -> Vec<u8> {
+    let transforms = frames.map(|(name, pose)| transform(at, (SCENE, name), &pose));
+    let transforms = transforms.collect();
+    FrameTransforms { transforms }.encode_to_vec()
+}
+
+/// Where the remote centres are in the scene, as far as that is known, and the measured tips from there.
+pub(super) fn of_arms(tick: &TickRecord, rcms_in_scene: &[Pose]) -> FrameTransforms {
+    let mut transforms = Vec::new();
+    for (index, arm) in tick.arms.iter().enumerate() {
+        let (Some(rcm), Some(tip)) = (RCM_FRAMES.get(index), TIP_FRAMES.get(index)) else {
+            continue;
+        };
+        if let Some(pose) = rcms_in_scene.get(index) {
+            transforms.push(transform(tick.now, (SCENE, rcm), pose));
+        }
+        if let Some(state) = arm.measured.ok().filter(hal::ArmState::is_finite) {
+            let pose = tip_in_rcm(&state.position);
+            transforms.push(transform(tick.now, (rcm, tip), &pose));
+        }
+    }
+    FrameTransforms { transforms }
+}
+
+pub(super) fn transform(at: TimeNs, (parent, child): (&str, &str), pose: &Pose) -> FrameTransform {
+    let pose = super::messages::Pose::from(pose);
+    FrameTransform {
+        timestamp: Some(Timestamp::new(at)),
+        parent_frame_id: parent.to_owned(),
+        child_frame_id: child.to_owned(),
+        translation: pose.position,
+        rotation: pose.orientation,
+    }
+}
+
+/// An image of `camera`, compressed as `format` says (`jpeg` or `png`).
+#[must_use]
+pub fn image(at: TimeNs, camera: &str, format: &str, data: &[u8]) -> Vec<u8> {
+    let image = CompressedImage {
+        timestamp: Some(Timestamp::new(at)),
+        data: data.to_vec(),
+        format: format.to_owned(),
+        frame_id: camera.to_owned(),
+    };
+    image.encode_to_vec()
+}
+
+/// The lens of `camera`.
+#[must_use]
+pub fn lens(at: TimeNs, camera: &str, intrinsics: &Intrinsics) -> Vec<u8> {
+    camera::lens(at, camera, intrinsics).encode_to_vec()
+}
+
+/// Shapes, each a binary glTF file in a frame of its own that it moves with.
+#[must_use]
+pub fn shapes<'a>(at: TimeNs, shapes: impl Iterator<Item = (&'a str, &'a [u8])>) -> Vec<u8> {
+    let one = Vector3 {
+        x: 1.0,
+        y: 1.0,
+        z: 1.0,
+    };
+    let entities = shapes.map(|(frame, file)| SceneEntity {
+        timestamp: Some(Timestamp::new(at)),
+        frame_id: frame.to_owned(),
+        id: frame.to_owned(),
+        frame_locked: true,
+        models: vec![ModelPrimitive {
+            pose: Some((&Pose::identity()).into()),
+            scale: Some(one),
+            media_type: "model/gltf-binary".to_owned(),
+            data: file.to_vec(),
+        }],
+    });
+    let entities = entities.collect();
+    SceneUpdate { entities }.encode_to_vec()
+}
