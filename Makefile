@@ -16,8 +16,8 @@ export XDG_RUNTIME_DIR ?= /tmp
 demo: build
 	$(TROCAR) demo --out runs/demo
 
-# Everything that can fail for a reason in this tree; the release binary is part of it, since debug and release must agree. Drives on a bus
-# keep one core, so unit tests have the other one meanwhile; whatever runs in real time comes afterwards, alone.
+# Everything that can fail for a reason in this tree; the release binary is part of it, since debug and release must agree. Tests on a
+# bus mostly wait, so unit tests run beside them; whatever runs in real time comes afterwards, alone.
 test: build
 	cargo build --locked -p trocar
 	cargo test --locked --workspace --tests --no-run
@@ -54,10 +54,11 @@ test-python: setup setup-python
 test-study: build setup-browser
 	cargo test --locked --workspace --test study -- --include-ignored
 
-# The web console in a browser: it shows and steers a run, comes back after a cut, fits its window; pictures of it in target/scratch.
+# The web console in a browser: it shows and steers a run, comes back after a cut, fits its window; pictures of it in target/scratch. One
+# browser at a time: hands that come late are let go.
 test-console: setup setup-browser
 	cargo build --locked -p trocar
-	cargo test --locked --workspace --test console -- --include-ignored
+	cargo test --locked --workspace --test console -- --ignored --test-threads=1
 
 # Patients of scans: the crate's tests, and what nibabel, SimpleITK, trimesh, usd-core and the Khronos glTF validator say of its files. Not
 # part of `make test`, which has the crate's own tests.

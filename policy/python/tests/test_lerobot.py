@@ -122,7 +122,7 @@ def test_a_served_model_takes_part_in_a_session(name: str, session: Callable[...
 
 @pytest.mark.parametrize(
     ("committed", "arms", "stages"),
-    [("needle-lift/act-compact", 1, 4), ("needle-handover/act-compact", 2, 3)],
+    [("tissue-retraction/act-small", 1, 4), ("needle-handover/act-compact", 2, 3)],
     ids=["one arm", "two arms"],
 )
 def test_committed_policies_convert(committed: str, arms: int, stages: int, tmp_path: Path) -> None:

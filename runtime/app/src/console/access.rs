@@ -16,10 +16,12 @@ const VIEWERS: [&str; 2] = ["https://app.foxglove.dev", "https://embed.foxglove.
 /// Bytes of a token.
 const TOKEN_BYTES: usize = 16;
 
-/// A random word that whoever opens the console must know, hexadecimal.
+/// Random words that whoever opens the console must know, hexadecimal: one for pages, and one for viewers, whose address is passed on more
+/// easily and opens no page.
 #[derive(Clone, Debug)]
 pub(super) struct Access {
     token: String,
+    viewer_token: String,
     cookie: String,
 }
 
@@ -55,15 +57,14 @@ impl Refusal {
 }
 
 impl Access {
-    /// A fresh token for a console at `port`.
+    /// Fresh tokens for a console at `port`.
     ///
     /// # Errors
     /// If the system gives no random bytes.
     pub(super) fn new(port: u16) -> io::Result<Self> {
-        let mut bytes = [0; TOKEN_BYTES];
-        File::open("/dev/urandom")?.read_exact(&mut bytes)?;
         Ok(Self {
-            token: bytes.iter().map(|byte| format!("{byte:02x}")).collect(),
+            token: token()?,
+            viewer_token: token()?,
             // Cookies are shared by all ports of a host.
             cookie: format!("trocar_console_{port}"),
         })
@@ -76,7 +77,7 @@ impl Access {
 
     /// What a viewer opens, at `address`.
     pub(super) fn viewer_url(&self, address: SocketAddr) -> String {
-        format!("ws://{address}/?token={}", self.token)
+        format!("ws://{address}/?token={}", self.viewer_token)
     }
 
     /// The header that makes a browser keep the token.
@@ -87,9 +88,12 @@ impl Access {
 
     /// Whether `query`, what stands behind the `?` of a URL, has the token.
     pub(super) fn is_in_query(&self, query: Option<&str>) -> bool {
-        let pairs = query.unwrap_or_default().split('&');
-        let mut tokens = pairs.filter_map(|pair| pair.strip_prefix("token="));
-        tokens.next().is_some_and(|token| self.is(token))
+        in_query(query).is_some_and(|token| is_same(&self.token, token))
+    }
+
+    /// Whether `query` has the viewers' token.
+    pub(super) fn is_viewer_in_query(&self, query: Option<&str>) -> bool {
+        in_query(query).is_some_and(|token| is_same(&self.viewer_token, token))
     }
 
     /// # Errors
@@ -102,16 +106,29 @@ impl Access {
             let (name, value) = pair.trim().split_once('=')?;
             (name == self.cookie).then_some(value)
         });
-        let known = own.is_some_and(|token| self.is(token));
+        let known = own.is_some_and(|token| is_same(&self.token, token));
         known.then_some(()).ok_or(Refusal::Token)
     }
+}
 
-    /// Whether `token` is it. The time that this takes tells nothing about where they differ.
-    fn is(&self, token: &str) -> bool {
-        let pairs = self.token.bytes().zip(token.bytes());
-        let differing = pairs.fold(0, |differing, (one, other)| differing | (one ^ other));
-        token.len() == self.token.len() && std::hint::black_box(differing) == 0
-    }
+/// A fresh token.
+fn token() -> io::Result<String> {
+    let mut bytes = [0; TOKEN_BYTES];
+    File::open("/dev/urandom")?.read_exact(&mut bytes)?;
+    Ok(bytes.iter().map(|byte| format!("{byte:02x}")).collect())
+}
+
+/// The token in `query`, what stands behind the `?` of a URL.
+fn in_query(query: Option<&str>) -> Option<&str> {
+    let mut pairs = query?.split('&');
+    pairs.find_map(|pair| pair.strip_prefix("token="))
+}
+
+/// Whether the token `own` was given. The time that this takes tells nothing about where they differ.
+fn is_same(own: &str, given: &str) -> bool {
+    let pairs = own.bytes().zip(given.bytes());
+    let differing = pairs.fold(0, |differing, (one, other)| differing | (one ^ other));
+    given.len() == own.len() && std::hint::black_box(differing) == 0
 }
 
 /// # Errors

@@ -12,8 +12,8 @@
 //! `state` make what a run says, `path` where its chunks lead, `log_view` what a log says. The page itself is in `page/`. `foxglove` tells
 //! other programs the same in the log's form, at a door of its own.
 //!
-//! The page has exactly the operator's verbs, and they go the same way: over the run's own socket (`session/operator`). No message of it
-//! reaches the controller in another way, so it can't weaken a limit.
+//! The page has exactly the operator's verbs, and they go the same way: over the run's own socket (`session/operator`). What its hands ask for
+//! are chunks, as a policy's (`session/teleop`). Nothing of it reaches the controller in another way, so it can't weaken a limit.
 
 mod access;
 mod address;

@@ -218,7 +218,7 @@ async fn viewer(
     if let Err(refusal) = check_viewer_origin(&headers) {
         return refused(refusal);
     }
-    if !shared.access.is_in_query(uri.query()) {
+    if !shared.access.is_viewer_in_query(uri.query()) {
         return refused(Refusal::Token);
     }
     upgrade

@@ -35,6 +35,9 @@ struct OptionsNote<'a> {
     /// That policy.
     #[serde(skip_serializing_if = "Option::is_none")]
     policy: Option<String>,
+    /// SHA-256 of its weights, which another training in the same folder changes.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    policy_sha256: Option<String>,
     /// SHA-256 of the configuration files as they were in effect.
     files: BTreeMap<String, String>,
 }
@@ -180,6 +183,7 @@ pub(super) fn options_note(plan: &Plan, options: &RecordOptions) -> Result<Value
         disturb: options.disturb,
         source: source(plan),
         policy: policy(plan),
+        policy_sha256: plan.policy.weights_sha256()?,
         files: texts.map(|(name, text)| (name, hash_text(&text))).collect(),
     };
     value(options, &note)

@@ -89,6 +89,8 @@ pub fn run(
 
 struct Runner<'a> {
     cells: Vec<&'a Cell>,
+    /// Those of the whole study, other shards' too.
+    all: Vec<&'a Cell>,
     /// Places among them in the order in which they are begun if they can be: what is nearest to a result is first.
     order: Vec<usize>,
     places: BTreeMap<&'a Address, usize>,
@@ -134,6 +136,7 @@ impl<'a> Runner<'a> {
             order,
             status: vec![Status::Waiting; cells.len()],
             cells,
+            all: plan.cells.iter().collect(),
             workshop,
             machine,
             pool: Pool::new(machine),

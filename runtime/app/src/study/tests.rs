@@ -51,10 +51,11 @@ fn addresses(plan: &Plan, kind: Kind) -> Vec<&str> {
 #[test]
 fn the_papers_studies_are_one_grid_that_shares_its_cells() {
     let plan = plan(SUFIA_BC);
-    // 20 each of disturbed and plain demonstrations and of moved cameras, 40 of fewer demonstrations, 4 of varied needles.
-    assert_eq!(count(&plan, Kind::Training), 104);
-    // 16 of a task and a way of recording (needles vary in one task), each with one camera, with several, and with one and its depth.
-    assert_eq!(count(&plan, Kind::Recording), 3 * 16);
+    // 20 of disturbed demonstrations, 50 short ones of 10 to 50; of the lift alone 4 of plain ones, 2 of varied needles, 4 of moved cameras.
+    assert_eq!(count(&plan, Kind::Training), 20 + 50 + 4 + 2 + 4);
+    // With one camera, with several, and with one and its depth: of disturbed demonstrations and the lift's moved cameras; of plain ones the
+    // last two and the lift's first; of varied needles the first two.
+    assert_eq!(count(&plan, Kind::Recording), 3 * 5 + 3 + 2 * 5 + 1 + 2);
     let table: Vec<_> = plan
         .record
         .entries

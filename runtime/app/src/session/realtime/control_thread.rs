@@ -128,7 +128,10 @@ impl<R: Rig> ControlThread<R> {
         let operator = operator.or(change);
         if let Some(chunks) = &chunks {
             let latency_ns = period.now.since(chunks.first.observed_at);
-            tally.delivery(latency_ns);
+            // What the result says of chunks is the policy's.
+            if self.drivers.is_policy() {
+                tally.delivery(latency_ns);
+            }
             self.operator.chunk(chunks, latency_ns);
             if let Some(log) = &mut self.log {
                 for (arm, chunk) in chunks.iter().enumerate() {

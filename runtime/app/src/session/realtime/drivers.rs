@@ -28,6 +28,11 @@ impl Drivers {
         }
     }
 
+    /// Whether the policy drives.
+    pub(super) fn is_policy(&self) -> bool {
+        self.driver == Driver::Policy
+    }
+
     /// The chunks of whoever drives, if there are new ones, and what the controller is told if that is another from now on. What `waits`
     /// is for a later period; as long as the controller is told something else (`free` is false), nobody takes over.
     pub(super) fn next(
@@ -37,7 +42,8 @@ impl Drivers {
     ) -> (Option<PerArm<Chunk>>, Option<OperatorEvent>) {
         let change = self.hands.as_ref().and_then(|hands| hands.peek().ok());
         let change = change.filter(|word| word.driver != self.driver);
-        if change.is_some() && free {
+        let due = |word: &FromHands| word.driver == Driver::Policy || !waits(&word.chunks);
+        if change.is_some_and(due) && free {
             return self.change();
         }
         let by_hand = self.driver == Driver::Operator;

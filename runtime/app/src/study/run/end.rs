@@ -110,7 +110,7 @@ impl Runner<'_> {
         };
         let store = self.workshop.store;
         let kept = self.workshop.file.run.keep_recordings;
-        if kept || store.is_wanted(self.cells[index], &self.cells) {
+        if kept || store.is_wanted(self.cells[index], &self.all) {
             return Ok(());
         }
         // Another process may train with it.
