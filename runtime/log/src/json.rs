@@ -5,6 +5,7 @@ use hal::{ArmError, Chunk, TimeNs, TipTarget};
 use serde::{Deserialize, Serialize};
 
 use super::exact::Exact;
+use super::record::TickRecord;
 use super::safety::numbers;
 use trocar_control::OperatorEvent;
 
@@ -67,6 +68,18 @@ pub(super) struct TimingMessage {
     pub(super) period_ns: u64,
     pub(super) wake_ns: u64,
     pub(super) compute_ns: u64,
+}
+
+impl TimingMessage {
+    /// Of `tick`; the one before in the same log or stream was at `previous`.
+    pub(super) const fn new(tick: &TickRecord, previous: TimeNs) -> Self {
+        Self {
+            tick: tick.tick,
+            period_ns: tick.now.since(previous),
+            wake_ns: tick.timing.wake_ns,
+            compute_ns: tick.timing.compute_ns,
+        }
+    }
 }
 
 /// `/psm1/tick`, one for each arm.

@@ -99,9 +99,14 @@ pub fn lens_topic(camera: &str) -> String {
     format!("/camera/{camera}/calibration")
 }
 
-/// The messages of `tick`, each with its topic; the arms' remote centres are at `rcms_in_scene`.
+/// The messages of `tick`, each with its topic; the one before in this stream was at `previous`, and the arms' remote centres are at
+/// `rcms_in_scene`.
 #[must_use]
-pub fn tick(tick: &TickRecord, rcms_in_scene: &[Pose]) -> Vec<(&'static str, Vec<u8>)> {
+pub fn tick(
+    tick: &TickRecord,
+    previous: TimeNs,
+    rcms_in_scene: &[Pose],
+) -> Vec<(&'static str, Vec<u8>)> {
     let mut messages = Vec::new();
     let mut joints = JointMessages::new();
     for (index, arm) in tick.arms.iter().enumerate() {
@@ -124,12 +129,7 @@ pub fn tick(tick: &TickRecord, rcms_in_scene: &[Pose]) -> Vec<(&'static str, Vec
         let safety = serde_json::to_vec(&safety).unwrap_or_default();
         add(Topic::Safety, safety);
     }
-    let timing = TimingMessage {
-        tick: tick.tick,
-        period_ns: hal::TICK_NS,
-        wake_ns: tick.timing.wake_ns,
-        compute_ns: tick.timing.compute_ns,
-    };
+    let timing = TimingMessage::new(tick, previous);
     let timing = serde_json::to_vec(&timing).unwrap_or_default();
     messages.extend(Topic::Timing.names().first().map(|name| (*name, timing)));
     let transforms = of_arms(tick, rcms_in_scene).encode_to_vec();

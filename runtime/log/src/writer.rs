@@ -100,12 +100,7 @@ impl<W: Write + Seek> LogWriter<W> {
             self.rest(1, item, second)?;
         }
         self.arm(0, tick, &tick.arms.first)?;
-        let timing = TimingMessage {
-            tick: tick.tick,
-            period_ns: tick.now.since(self.previous_now),
-            wake_ns: tick.timing.wake_ns,
-            compute_ns: tick.timing.compute_ns,
-        };
+        let timing = TimingMessage::new(tick, self.previous_now);
         self.json(Topic::Timing, 0, tick.now, &timing)?;
         if tick.tick.is_multiple_of(FRAMES_EVERY_TICKS) {
             let frames = live::of_arms(tick, &self.rcms_in_scene);
@@ -205,8 +200,8 @@ impl<W: Write + Seek> LogWriter<W> {
         let channels = if let Some(&known) = self.cameras.get(name) {
             known
         } else {
-            let image = format!("/camera/{name}");
-            let lens = format!("/camera/{name}/calibration");
+            let image = live::image_topic(name);
+            let lens = live::lens_topic(name);
             let pose = format!("/camera/{name}/pose");
             let new = camera::Channels {
                 image: topic::add_channel(

@@ -1,4 +1,4 @@
-//! A robot on CAN whose policy's process is killed and comes back, while somebody sets the clock, and whose camera's process is killed.
+//! A robot on CAN whose policy's process is killed and comes back, while the clock is set, and whose camera's process is killed.
 #![expect(clippy::print_stdout, reason = "the fault table has what it prints")]
 
 use std::env;

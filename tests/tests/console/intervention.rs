@@ -209,7 +209,7 @@ fn an_intervention_needs_a_policy_and_a_page() {
             "--episodes",
             "1",
             "--out",
-            "/tmp/none",
+            "none",
         ];
         [&base[..], more].concat()
     };

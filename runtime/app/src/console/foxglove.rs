@@ -81,6 +81,7 @@ pub(super) async fn attend(mut socket: WebSocket, shared: Arc<Shared>) {
         subscriptions: BTreeMap::new(),
         streams: Vec::new(),
         seen: BTreeMap::new(),
+        previous: TimeNs(0),
         shown: false,
         allowance: Allowance::new(clock.now()),
         clock,
@@ -104,6 +105,8 @@ struct Viewer {
     streams: Vec<Stream>,
     /// The number of the picture that it has of each stream.
     seen: BTreeMap<Stream, u64>,
+    /// When the tick was that it was told of last.
+    previous: TimeNs,
     /// Whether it has the shapes.
     shown: bool,
     allowance: Allowance,
@@ -225,7 +228,8 @@ impl Viewer {
         else {
             return Ok(());
         };
-        for (topic, bytes) in live::tick(&record, &rcms_in_scene) {
+        let previous = std::mem::replace(&mut self.previous, record.now);
+        for (topic, bytes) in live::tick(&record, previous, &rcms_in_scene) {
             self.publish(socket, topic, record.now, &bytes).await?;
         }
         Ok(())

@@ -43,7 +43,7 @@ pub(super) struct Shared {
     shown: Mutex<Shown>,
     /// The scene's file; empty if there is none.
     scene: Mutex<Bytes>,
-    /// Its shapes one by one, if there is somebody who wants them.
+    /// Its shapes one by one, for viewers; empty if there can be none.
     shapes: Mutex<Arc<Shapes>>,
 }
 

@@ -4,6 +4,7 @@ use hal::{ArmState, JointVector, Pose, TimeNs};
 use prost::Message as _;
 
 use super::samples;
+use crate::json::TimingMessage;
 use crate::live::{SCENE, channels, of_arms, tick, transforms};
 use crate::messages::FrameTransforms;
 use crate::record::TickRecord;
@@ -21,8 +22,15 @@ fn measured() -> TickRecord {
 fn every_message_has_a_channel() {
     let channels = channels(1, &["endoscope".to_owned()]);
     assert!(channels.iter().all(|channel| !channel.schema.is_empty()));
-    let messages = tick(&measured(), &[Pose::identity()]);
+    let record = measured();
+    let messages = tick(&record, TimeNs(record.now.0 - 7), &[Pose::identity()]);
     assert_eq!(messages.len(), 7);
+    let timing = messages
+        .iter()
+        .find(|(topic, _)| *topic == "/timing")
+        .unwrap();
+    let timing: TimingMessage = serde_json::from_slice(&timing.1).unwrap();
+    assert_eq!(timing.period_ns, 7);
     for (topic, bytes) in messages {
         let known = channels.iter().find(|channel| channel.topic == topic);
         assert!(known.is_some() && !bytes.is_empty(), "{topic}");

@@ -85,7 +85,7 @@ mod tests {
         expect(true, Some(Speed { percent: 30 }), Some(Pause));
         expect(true, None, None);
         expect(false, None, Some(Resume));
-        // Somebody answers in that very tick.
+        // The policy answers in that very tick.
         expect(true, None, Some(Pause));
         expect(true, Some(Enable), Some(Enable));
         expect(false, None, Some(Resume));
