@@ -1,5 +1,5 @@
 # Two commands do everything on a fresh machine: `make demo` and `make test`.
-.PHONY: demo dist test-dist test check test-units test-adversary test-golden test-can test-python test-study test-console test-anatomy test-slurm adversary fuzz-can build setup setup-can setup-browser setup-python bench clean
+.PHONY: demo dist test-dist test check test-units test-beside test-adversary test-golden test-can test-python test-study test-console test-anatomy test-slurm adversary fuzz-can build setup setup-can setup-browser setup-python bench clean
 
 TROCAR := $(or $(CARGO_TARGET_DIR),target)/release/trocar
 DEBUG_TROCAR := $(or $(CARGO_TARGET_DIR),target)/debug/trocar
@@ -17,16 +17,20 @@ demo: build
 	$(TROCAR) demo --out runs/demo
 
 # Everything that can fail for a reason in this tree; the release binary is part of it, since debug and release must agree. Tests on a
-# bus mostly wait, so unit tests run beside them; whatever runs in real time comes afterwards, alone.
-test: build
+# bus mostly wait, so whatever needs no clock runs beside them in what they leave of the cores; what runs in real time comes afterwards, alone.
+test: setup
 	cargo build --locked -p trocar
 	cargo test --locked --workspace --tests --no-run
-	$(MAKE) -j2 --output-sync=target test-can test-units
+	$(MAKE) -j2 --output-sync=target test-can test-beside
 	cargo test --locked --workspace --test '*'
-	cargo test --locked --workspace --doc
 	$(MAKE) test-python
 	$(MAKE) test-study
 	$(MAKE) test-console
+
+test-beside: setup
+	nice -n 19 cargo build --locked --release -p trocar
+	nice -n 19 $(MAKE) test-units
+	nice -n 19 cargo test --locked --workspace --doc
 
 test-units: setup
 	cargo test --locked --workspace --lib

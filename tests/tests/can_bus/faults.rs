@@ -14,7 +14,7 @@ use trocar_log::replay::replay;
 use trocar_log::verify::verify;
 use trocar_topics::{CameraTopic, FrameHeader, TopicNode};
 
-use super::pair::{Process, TOPICS, pass_ms, until};
+use super::pair::{Process, TOPICS, pass_ms};
 use super::peer::alone;
 use super::performer::{Asks, Performer};
 
@@ -128,7 +128,7 @@ fn killed_policy_comes_back_and_a_killed_camera_ends_the_run() {
     ];
     let rules = ["--set", "control.policy.restarts=1"];
     let mut run = Process::start(&folder, "run", &[&run[..], &files, &rules].concat());
-    until("the arm has been moving", || {
+    run.until("the arm has been moving", || {
         fs::metadata(&log).is_ok_and(|log| log.len() > 300_000)
     });
     let mut clock_jumped = set_the_clock(86_400);

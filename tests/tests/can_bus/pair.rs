@@ -19,7 +19,7 @@ const SLOW_MOTION: u64 = 15;
 /// The same of processes that only ask and answer, without a SYNC.
 const SLOW_TALK: u64 = 5;
 
-/// Lets so many milliseconds of the processes' time pass.
+/// Lets so many milliseconds of the time of [`Process::start`]'s processes pass.
 pub(crate) fn pass_ms(ms: u64) {
     sleep_ns(ms * MS_NS * SLOW_MOTION);
 }
@@ -89,15 +89,29 @@ impl Process {
 
     /// Waits until it has said `text`.
     pub(crate) fn await_word(&mut self, text: &str) {
-        until(&format!("somebody says {text:?}"), || {
-            let ended = self.child.try_wait().unwrap();
-            let said = self.said();
-            assert!(
-                ended.is_none() || said.contains(text),
-                "it ended before it said {text:?}: {said}"
-            );
-            said.contains(text)
+        let said = self.said.clone();
+        self.until(&format!("it says {text:?}"), || {
+            fs::read_to_string(&said).unwrap().contains(text)
         });
+    }
+
+    /// Waits until `holds`, which must come before its end.
+    pub(crate) fn until(&mut self, what: &str, mut holds: impl FnMut() -> bool) {
+        let clock = MonotonicClock::new();
+        loop {
+            let ended = self.child.try_wait().unwrap();
+            if holds() {
+                return;
+            }
+            let said = || self.said();
+            assert!(ended.is_none(), "it ended before {what}: {}", said());
+            assert!(
+                clock.now().0 < PATIENCE_NS,
+                "waited in vain until {what}: {}",
+                said()
+            );
+            sleep_ns(20 * MS_NS);
+        }
     }
 
     pub(crate) fn signal(&self, signal: &str) {
@@ -150,6 +164,11 @@ impl Pair {
         Self::slowed(SLOW_MOTION, test, changes, faults)
     }
 
+    /// [`Self::start`] for a cycle of 1 ms, in which a pause of 4 ms is a fault: slower still.
+    pub(crate) fn fast(test: &str, changes: &[(&str, &str)]) -> Self {
+        Self::slowed(2 * SLOW_MOTION, test, changes, &[])
+    }
+
     /// The shipped drives, for runs that end before there is a SYNC.
     pub(crate) fn talking(test: &str) -> Self {
         Self::slowed(SLOW_TALK, test, &[], &[])
@@ -199,6 +218,11 @@ impl Pair {
             log.to_str().unwrap(),
         ];
         Process::slowed(self.slow_motion, &self.folder, "run", &arguments)
+    }
+
+    /// Lets so many milliseconds of their time pass.
+    pub(crate) fn pass_ms(&self, ms: u64) {
+        sleep_ns(ms * MS_NS * self.slow_motion);
     }
 
     pub(crate) fn log(&self) -> PathBuf {

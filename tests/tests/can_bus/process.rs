@@ -5,7 +5,7 @@ use trocar_log::RunLog;
 use trocar_log::replay::replay;
 use trocar_log::verify::verify;
 
-use super::pair::{Pair, Process, pass_ms};
+use super::pair::{Pair, Process};
 use super::peer::alone;
 
 /// Why each drive stopped, by node.
@@ -54,7 +54,7 @@ fn killed() -> serde_json::Value {
     let mut pair = Pair::start("can_killed", &[], &[]);
     let run = pair.run("expert");
     pair.drives.await_word("the episode begins");
-    pass_ms(1500);
+    pair.pass_ms(1500);
     run.signal("-KILL");
     pair.drives.await_word("at rest");
     drop(run);
@@ -190,10 +190,10 @@ fn one_khz_on_three_buses_runs() {
             "nodes = [1, 2, 3, 4, 5, 6, 7]\nlines = [0, 0, 0, 1, 1, 2, 2]",
         ),
     ];
-    let mut pair = Pair::start("can_three", &changes, &[]);
+    let mut pair = Pair::fast("can_three", &changes);
     let run = pair.run("expert");
     pair.drives.await_word("the episode begins");
-    pass_ms(2000);
+    pair.pass_ms(2000);
     run.signal("-INT");
     let (_, run) = run.end();
     assert!(run["can"]["arms"][0]["fault"].is_null(), "{run}");
