@@ -121,8 +121,10 @@ pub struct SceneTissue {
 /// How an episode stands.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Verdict {
-    /// Nobody has led the arms yet: the episode has not begun.
+    /// The arms' drives are not operational: the episode has not begun.
     Waiting,
+    /// Their drives are operational, in the sense of NMT, and not all enabled: the episode begins when they are.
+    Operational,
     /// Not decided yet.
     Running,
     /// The task is done.
@@ -178,6 +180,7 @@ impl SceneReport {
             Verdict::Success => 2,
             Verdict::Failure => 3,
             Verdict::Invalid => 4,
+            Verdict::Operational => 5,
         }
     }
 
@@ -189,6 +192,7 @@ impl SceneReport {
             1 => Verdict::Running,
             2 => Verdict::Success,
             4 => Verdict::Invalid,
+            5 => Verdict::Operational,
             _ => Verdict::Failure,
         }
     }
@@ -214,6 +218,7 @@ mod tests {
     fn verdicts_come_back_and_nonsense_is_no_success() {
         for verdict in [
             Verdict::Waiting,
+            Verdict::Operational,
             Verdict::Running,
             Verdict::Success,
             Verdict::Failure,

@@ -77,7 +77,7 @@ fn missing_camera_is_named_before_any_drive_is_used() {
     );
 }
 
-/// A world whose own drives nobody enables ends the run with its reason.
+/// A world whose own drives nobody starts ends the run with its reason before any drive has torque.
 #[test]
 #[ignore = "needs a CAN bus: make test-can"]
 fn world_with_disabled_drives_ends_the_run() {
@@ -96,15 +96,17 @@ fn world_with_disabled_drives_ends_the_run() {
     let run = ["run", "--task", "needle-lift", "--policy", "expert"];
     let on = ["--backend", "can", "--can-config", other];
     let mut run = Process::start(&folder, "run", &[&run[..], &on, &topics].concat());
-    run.await_word("waiting for the world to begin its episode, for 3 s at most");
-    let (code, run) = run.end();
-    assert_eq!(code, Some(1), "{run}");
-    let reason = run["reason"].as_str().unwrap();
-    assert!(
-        reason.starts_with("the world has not begun its episode 3 s after our drives were enabled"),
-        "{run}"
-    );
+    run.await_word("waiting for the drives of the world to be operational; no drive has torque");
+    let (code, said) = run.wait();
+    assert_eq!(code, Some(1), "{said}");
+    let reason = "the drives of the world are not operational: are ours its own? (3 s)";
+    assert!(said.contains(reason), "{said}");
     world.signal("-INT");
     drives.signal("-INT");
-    assert_eq!(drives.end().0, Some(0));
+    let (code, drives) = drives.end();
+    assert_eq!(code, Some(0));
+    assert!(
+        drives["begun_s"].is_null(),
+        "no drive was enabled: {drives}"
+    );
 }

@@ -1,6 +1,7 @@
 //! An arm on a bus behind the trait that every backend implements.
 
-use super::cycle::{Cycle, Goal};
+use super::bringup::take_down;
+use super::cycle::{Cycle, Goal, HOLD_NS};
 use super::fault::Fault;
 use super::link::Bus;
 use super::plan::ArmPlan;
@@ -213,10 +214,12 @@ impl<B: Bus> CanArm<B> {
         self.cycle.is_down()
     }
 
-    /// How long [`Self::take_down`] may take: the longest stop of a drive, its brake, and a few cycles for each state.
+    /// How long [`Self::take_down`] may take: the longest stop of a drive, its brake, and a few cycles for each state; after a fault also
+    /// how long a drive holds before it loses its voltage.
     #[must_use]
-    pub const fn take_down_ns(&self) -> u64 {
-        TAKE_DOWN_NS + self.plan.brake_ns + TAKE_DOWN_CYCLES * self.plan.cycle_ns
+    pub fn take_down_ns(&self) -> u64 {
+        let hold_ns = self.fault().map_or(0, |_| HOLD_NS);
+        TAKE_DOWN_NS + hold_ns + self.plan.brake_ns + TAKE_DOWN_CYCLES * self.plan.cycle_ns
     }
 
     /// Stops every node: drives that still have torque stop as 6007h says.
@@ -230,11 +233,11 @@ impl<B: Bus> CanArm<B> {
         }
     }
 
-    /// Gives the buses back, for a new bring-up, after the operator has cleared the fault. The nodes are stopped
-    /// first.
+    /// Gives the buses back, for a new bring-up, after the operator has cleared the fault. The drives are taken down and the nodes stopped
+    /// first, which may take [`Self::take_down_ns`].
     #[must_use]
     pub fn release(mut self) -> B {
-        self.shut_down();
+        take_down(core::slice::from_mut(&mut self));
         self.bus
     }
 }

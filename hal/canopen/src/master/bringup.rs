@@ -27,7 +27,8 @@ use crate::cia402::Mode;
 use crate::index;
 use hal::tail::TAIL_AXES;
 
-pub use enable::enable_together;
+pub(super) use enable::take_down;
+pub use enable::{Permission, enable_together};
 pub use error::BringUpError;
 pub use step::Step;
 
@@ -266,8 +267,10 @@ impl<B: Bus> Homed<B> {
     /// [`BringUpError::Unsound`] or [`BringUpError::Forgotten`] for a drive that is no more as it was set up,
     /// [`BringUpError::Fault`] if one fails meanwhile; it and the others then have no torque.
     pub fn enable(self) -> Result<CanArm<B>, BringUpError> {
-        let mut arms = enable_together(vec![self]).map_err(|(_, error)| error)?;
-        arms.pop().ok_or(BringUpError::Slow)
+        let arms = enable_together(vec![self], &mut || Permission::Granted);
+        let mut arms = arms.map_err(|(_, error)| error)?;
+        assert_eq!(arms.len(), 1, "an arm each");
+        Ok(arms.remove(0))
     }
 
     /// Asks every node whether it is still as it was set up.

@@ -5,6 +5,8 @@ mod receive;
 mod supervise;
 mod sync;
 
+pub(super) use command::HOLD_NS;
+
 use super::axis::{Axis, AxisHealth, counts};
 use super::fault::Fault;
 use super::plan::ArmPlan;

@@ -77,7 +77,7 @@ pub mod plan;
 pub mod space;
 
 pub use arm::CanArm;
-pub use bringup::{BringUpError, Homed, Offline, Step, enable_together};
+pub use bringup::{BringUpError, Homed, Offline, Permission, Step, enable_together};
 pub use config::CanConfig;
 pub use fault::{Fault, Who};
 pub use link::{Bus, Received, Trouble};

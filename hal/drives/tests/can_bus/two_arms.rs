@@ -5,7 +5,7 @@ use std::thread;
 
 use super::{Drives, MS, Real, alone, frame, node, plan, socket};
 use trocar_canopen::master::{
-    ArmPlan, BringUpError, Bus as _, Homed, Offline, Received, Trouble, enable_together,
+    ArmPlan, BringUpError, Bus as _, Homed, Offline, Permission, Received, Trouble, enable_together,
 };
 use trocar_canopen::socket::SocketBus;
 use trocar_canopen::{CanId, NodeId};
@@ -69,7 +69,7 @@ fn waiting_arm_misses_no_frame_and_both_are_enabled() {
         lost += u32::from(matches!(received, Received::Trouble(Trouble::Lost(_))));
     });
     assert_eq!(lost, 0);
-    let mut arms = enable_together(arms.into()).unwrap();
+    let mut arms = enable_together(arms.into(), &mut || Permission::Granted).unwrap();
     for arm in &mut arms {
         arm.shut_down();
     }

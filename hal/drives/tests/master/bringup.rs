@@ -1,6 +1,10 @@
+use std::cell::RefCell;
+use std::rc::Rc;
+
 use super::*;
 use trocar_canopen::cia301::NmtState;
-use trocar_canopen::cia402::PowerState;
+use trocar_canopen::cia402::{PowerState, Status};
+use trocar_canopen::master::{Permission, enable_together};
 
 /// Seven axes come up at 500 Hz on one bus and at 1 kHz on three.
 #[test]
@@ -171,6 +175,89 @@ fn a_drive_that_does_not_become_enabled_ends_the_bring_up() {
         matches!(error, BringUpError::Fault(Fault::NotEnabled(..))),
         "{error}"
     );
+}
+
+/// An arm with its references whose frames are recorded; `replaced` stands for those that it is about.
+fn recorded(
+    mut replaced: impl FnMut(&Frame) -> Option<Frame> + 'static,
+) -> (Homed<Net>, Rc<RefCell<Vec<Frame>>>) {
+    let plan = plan(1, 2 * MS);
+    let homed = Offline::new(network(&plan), &plan).unwrap().scan().unwrap();
+    let homed = homed.check_identity().unwrap().map().unwrap();
+    let mut homed = homed.home().unwrap();
+    let frames = Rc::new(RefCell::new(Vec::new()));
+    let record = Rc::clone(&frames);
+    homed.bus_mut().tamper(Box::new(move |_, _, f| {
+        let passed = replaced(f);
+        record.borrow_mut().push(passed.unwrap_or(*f));
+        passed.map_or(Tampering::Pass, Tampering::Replace)
+    }));
+    (homed, frames)
+}
+
+/// Power states that the drives report in `frames`, of nodes 1 to 7 each.
+fn reported(frames: &[Frame]) -> [Vec<PowerState>; TAIL_AXES] {
+    core::array::from_fn(|axis| {
+        let id = 0x180 + u16::from(node(axis).raw());
+        let own = frames.iter().filter(|frame| frame.id.raw() == id);
+        let word = |frame: &Frame| u16::from_le_bytes([frame.data()[0], frame.data()[1]]);
+        own.map(|frame| Status::parse(word(frame)).unwrap().state)
+            .collect()
+    })
+}
+
+/// A drive that is never enabled: the others, which have torque, are taken down before any node is stopped.
+#[test]
+fn failed_enabling_takes_down_the_drives_that_have_torque() {
+    let (homed, frames) = recorded(|f| {
+        // Node 6 is always told to be switched on and no more.
+        (f.id.raw() == 0x206 && f.data()[0] == 0x0F).then(|| frame(0x206, &[0x07, 0, 0, 0, 0, 0]))
+    });
+    let error = homed.enable().map(|_| ()).unwrap_err();
+    assert!(
+        matches!(error, BringUpError::Fault(Fault::NotEnabled(..))),
+        "{error}"
+    );
+    let frames = frames.take();
+    let stop = |f: &Frame| f.id.raw() == 0 && f.data()[0] == 0x02;
+    // Stops that wait in the queue when the arm is gone are on no bus.
+    let stopped = frames.iter().position(stop).unwrap_or(frames.len());
+    let before = reported(&frames[..stopped]);
+    assert!(before[0].contains(&PowerState::OperationEnabled));
+    for states in &before {
+        assert_eq!(states.last(), Some(&PowerState::SwitchOnDisabled));
+    }
+}
+
+/// No drive has torque while nobody has granted it, and those of whom it is denied never have.
+#[test]
+fn drives_wait_without_torque_until_it_is_granted() {
+    for last in [Permission::Granted, Permission::Denied] {
+        let (homed, frames) = recorded(|_| None);
+        let mut asked = 0;
+        let record = Rc::clone(&frames);
+        let enabled = enable_together(vec![homed], &mut || {
+            asked += 1;
+            if asked < 50 {
+                return Permission::Pending;
+            }
+            let so_far = reported(&record.borrow());
+            assert!(so_far.iter().flatten().all(|state| !state.has_torque()));
+            last
+        });
+        let has_torque = |states: &Vec<PowerState>| states.iter().any(|state| state.has_torque());
+        let states = reported(&frames.borrow());
+        match last {
+            Permission::Granted => {
+                assert!(enabled.unwrap()[0].cycle().is_enabled());
+                assert!(states.iter().all(has_torque));
+            }
+            Permission::Denied | Permission::Pending => {
+                assert_eq!(enabled.map(|_| ()).unwrap_err(), (0, BringUpError::Denied));
+                assert!(!states.iter().any(has_torque));
+            }
+        }
+    }
 }
 
 #[test]

@@ -14,6 +14,8 @@ use super::summary::TissueSummary;
 pub(super) struct WorldState {
     /// The scene.
     pub(super) scene: SceneState,
+    /// Whether the drives of all arms are operational, in the sense of NMT.
+    pub(super) operational: bool,
     /// How the episode stands, once it has begun.
     pub(super) outcome: Option<Outcome>,
     /// What a soft tissue went through, if there is one.
@@ -29,6 +31,7 @@ pub(super) fn report(
 ) -> SceneReport {
     let second = state.scene.second.as_ref();
     let verdict = match &state.outcome {
+        None if state.operational => Verdict::Operational,
         None => Verdict::Waiting,
         Some(Outcome::Running) => Verdict::Running,
         Some(Outcome::Success) => Verdict::Success,
@@ -124,6 +127,7 @@ mod tests {
             let simulation = Simulation::new(&task, 5, Rendering::Off).unwrap();
             let state = WorldState {
                 scene: simulation.scene_state(),
+                operational: true,
                 outcome: Some(simulation.outcome()),
                 tissue: simulation.tissue_extremes(),
             };
@@ -139,8 +143,15 @@ mod tests {
                 outcome: None,
                 ..state
             };
-            let told = report(TimeNs(7), 3, (name, 5), &waiting);
-            assert_eq!(told.verdict(), Verdict::Waiting);
+            let waits = |operational| {
+                let waiting = WorldState {
+                    operational,
+                    ..waiting
+                };
+                report(TimeNs(7), 3, (name, 5), &waiting).verdict()
+            };
+            assert_eq!(waits(false), Verdict::Waiting);
+            assert_eq!(waits(true), Verdict::Operational);
         }
     }
 }

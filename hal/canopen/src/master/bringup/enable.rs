@@ -1,23 +1,37 @@
-//! The last step of bring-up: the SYNC begins, and all drives are enabled in the same cycle.
+//! The last step of bring-up: the SYNC begins, and all drives are enabled in the same cycle, once they may have torque.
 
 use super::super::arm::CanArm;
 use super::super::cycle::{Cycle, Goal};
 use super::super::link::{Bus, Received, Trouble};
 use super::{BringUpError, Homed};
 use crate::cia301::{Cob, NmtState};
-use hal::TimeNs;
+use hal::{TICK_NS, TimeNs};
 
 /// How long the drives may take to be enabled, ns.
 const ENABLE_NS: u64 = 3_000_000_000;
 /// How long the last words of bring-up may take on the bus, ns.
 const SETTLE_NS: u64 = 10_000_000;
 
-/// Starts the SYNCs of several arms and enables all their drives, so that no arm waits without a SYNC for another one.
+/// Whether drives may have torque.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Permission {
+    /// They may.
+    Granted,
+    /// Not yet: the SYNC goes on, and they wait for it without torque.
+    Pending,
+    /// They never may.
+    Denied,
+}
+
+/// Starts the SYNCs of several arms and enables all their drives, so that no arm waits without a SYNC for another one. No drive has torque
+/// before `allowed`, which is called once a cycle, grants it.
 ///
 /// # Errors
-/// As [`Homed::enable`], with the place of the arm that failed; no drive of any arm has torque then.
+/// As [`Homed::enable`], with the place of the arm that failed, or [`BringUpError::Denied`]; the drives of all arms are taken down then, through
+/// the states of CiA 402.
 pub fn enable_together<B: Bus>(
     mut homed: Vec<Homed<B>>,
+    allowed: &mut dyn FnMut() -> Permission,
 ) -> Result<Vec<CanArm<B>>, (usize, BringUpError)> {
     if let Some(failed) = start_all(&mut homed) {
         homed.iter_mut().for_each(|arm| arm.bus.stop());
@@ -29,12 +43,21 @@ pub fn enable_together<B: Bus>(
     let start = first.bus.now().plus_ns(SETTLE_NS);
     first.bus.wait(start);
     let mut arms: Vec<CanArm<B>> = homed.into_iter().map(|homed| begin(homed, start)).collect();
-    match turn_until_enabled(&mut arms, start) {
+    let mut turns = Turns::new(&arms, start);
+    match turns.until_enabled(&mut arms, allowed) {
         Ok(()) => Ok(arms),
         Err(failed) => {
-            arms.iter_mut().for_each(CanArm::shut_down);
+            turns.take_down(&mut arms);
             Err(failed)
         }
+    }
+}
+
+/// Takes the drives of all arms down and stops their nodes, from now on.
+pub(in super::super) fn take_down<B: Bus>(arms: &mut [CanArm<B>]) {
+    let now = arms.first_mut().map(|first| first.bus_mut().now());
+    if let Some(now) = now {
+        Turns::new(arms, now).take_down(arms);
     }
 }
 
@@ -65,9 +88,7 @@ fn begin<B: Bus>(homed: Homed<B>, start: TimeNs) -> CanArm<B> {
             }
         });
     }
-    let mut arm = CanArm::new(bus, &plan, cycle);
-    arm.set_goal(start, Goal::Enabled);
-    arm
+    CanArm::new(bus, &plan, cycle)
 }
 
 fn is_from_before(received: &Received) -> bool {
@@ -79,28 +100,73 @@ fn is_from_before(received: &Received) -> bool {
         && NmtState::parse(frame.data()).is_ok_and(|state| states.contains(&state))
 }
 
-fn turn_until_enabled<B: Bus>(
-    arms: &mut [CanArm<B>],
-    start: TimeNs,
-) -> Result<(), (usize, BringUpError)> {
-    let cycle_ns = arms.iter().map(CanArm::cycle_ns).max().unwrap_or(1);
-    let mut at = start;
-    while let Some(slow) = arms.iter().position(|arm| !arm.is_enabled()) {
-        if at.since(start) > ENABLE_NS {
-            return Err((slow, BringUpError::Slow));
-        }
-        at = at.plus_ns(cycle_ns);
-        if let Some(first) = arms.first_mut() {
-            first.bus_mut().wait(at);
-            // SYNCs that a late process has missed are not made up for: nobody could answer them.
-            at = at.max(first.bus_mut().now());
-        }
-        for (place, arm) in arms.iter_mut().enumerate() {
-            arm.turn(at);
-            if let Some(fault) = arm.fault() {
-                return Err((place, BringUpError::Fault(fault)));
-            }
+/// Cycles of several arms that are not controlled, one after the other.
+struct Turns {
+    at: TimeNs,
+    cycle_ns: u64,
+}
+
+impl Turns {
+    fn new<B: Bus>(arms: &[CanArm<B>], start: TimeNs) -> Self {
+        let longest = arms.iter().map(CanArm::cycle_ns).max();
+        Self {
+            at: start,
+            cycle_ns: longest.unwrap_or(TICK_NS),
         }
     }
-    Ok(())
+
+    /// Waits for the next cycle. SYNCs that a late process has missed are not made up for: nobody could answer them.
+    fn next<B: Bus>(&mut self, arms: &mut [CanArm<B>]) {
+        self.at = self.at.plus_ns(self.cycle_ns);
+        if let Some(first) = arms.first_mut() {
+            first.bus_mut().wait(self.at);
+            self.at = self.at.max(first.bus_mut().now());
+        }
+    }
+
+    /// Enables all drives, from the cycle on in which it is `allowed`.
+    fn until_enabled<B: Bus>(
+        &mut self,
+        arms: &mut [CanArm<B>],
+        allowed: &mut dyn FnMut() -> Permission,
+    ) -> Result<(), (usize, BringUpError)> {
+        let mut since = None;
+        while let Some(slow) = arms.iter().position(|arm| !arm.is_enabled()) {
+            match (since, allowed()) {
+                (_, Permission::Denied) => return Err((slow, BringUpError::Denied)),
+                (None, Permission::Granted) => {
+                    since = Some(self.at);
+                    for arm in arms.iter_mut() {
+                        arm.set_goal(self.at, Goal::Enabled);
+                    }
+                }
+                _ => {}
+            }
+            if since.is_some_and(|since| self.at.since(since) > ENABLE_NS) {
+                return Err((slow, BringUpError::Slow));
+            }
+            self.next(arms);
+            for (place, arm) in arms.iter_mut().enumerate() {
+                arm.turn(self.at);
+                if let Some(fault) = arm.fault() {
+                    return Err((place, BringUpError::Fault(fault)));
+                }
+            }
+        }
+        Ok(())
+    }
+
+    fn take_down<B: Bus>(&mut self, arms: &mut [CanArm<B>]) {
+        let longest_ns = arms.iter().map(CanArm::take_down_ns).max();
+        let end = self.at.plus_ns(longest_ns.unwrap_or(0));
+        loop {
+            self.next(arms);
+            // Each arm has its turn, whether the ones before it are down or not.
+            let down = arms.iter_mut().map(|arm| arm.take_down(self.at));
+            if down.fold(true, |all, down| all & down) || self.at >= end {
+                break;
+            }
+        }
+        arms.iter_mut().for_each(CanArm::shut_down);
+    }
 }

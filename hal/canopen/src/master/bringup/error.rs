@@ -56,7 +56,7 @@ pub enum BringUpError {
         address: Address,
     },
     /// A node answers something else than was asked.
-    #[error("node {node}: a senseless answer about {address}")]
+    #[error("node {node}: invalid SDO response about {address}")]
     Confused {
         /// The node.
         node: NodeId,
@@ -223,4 +223,7 @@ pub enum BringUpError {
     /// The drives were not enabled in time.
     #[error("the drives did not become enabled in time")]
     Slow,
+    /// The drives may not have torque.
+    #[error("the drives may not be enabled")]
+    Denied,
 }

@@ -9,7 +9,7 @@ use hal::TimeNs;
 use hal::tail::TAIL_AXES;
 
 /// How long after a fault the drives hold before they lose their voltage, ns.
-const HOLD_NS: u64 = 500_000_000;
+pub(in super::super) const HOLD_NS: u64 = 500_000_000;
 
 /// How much it matters that a set-point is sent, after a fault; from what matters most.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]

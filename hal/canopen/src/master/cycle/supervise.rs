@@ -130,40 +130,35 @@ impl Cycle {
         if let Some(fault) = self.fault() {
             return Err(fault.arm_error());
         }
-        let newest = self.axes.iter().map(|axis| axis.sampled).max();
-        let stamp = newest.unwrap_or(now);
-        let oldest = self.axes.iter().map(|axis| axis.trusted).min();
-        let age_ns = now.since(oldest.unwrap_or(TimeNs(0)));
-        let lost = self
-            .axes
-            .iter()
-            .any(|axis| axis.newest.is_none() || axis.health.age_cycles >= LOST_AFTER);
-        let unsent = self
-            .lines
-            .iter()
-            .any(|line| line.unsent >= UNSENT_LOST_AFTER);
+        let sampled = self.axes.iter().map(|axis| axis.sampled);
+        let stamp = sampled.fold(TimeNs(0), TimeNs::max);
+        let trusted = self.axes.iter().map(|axis| axis.trusted);
+        let age_ns = now.since(trusted.fold(now, TimeNs::min));
+        let mut axes = self.axes.iter();
+        let lost = axes.any(|axis| axis.health.age_cycles >= LOST_AFTER);
+        let mut lines = self.lines.iter();
+        let unsent = lines.any(|line| line.unsent >= UNSENT_LOST_AFTER);
         if lost || unsent {
             return Err(ArmError::MeasurementLost { age_ns });
         }
-        Ok(self.measured(stamp))
+        self.measured(stamp)
+            .ok_or(ArmError::MeasurementLost { age_ns })
     }
 
-    fn measured(&self, stamp: TimeNs) -> ArmState {
-        let units = |value: fn(&super::Axis, TimeNs) -> f64| -> Axes {
-            core::array::from_fn(|n| {
-                value(&self.axes[n], stamp) / self.plan.axes[n].counts_per_unit
-            })
-        };
+    /// The arm at `stamp`, once every axis has answered.
+    fn measured(&self, stamp: TimeNs) -> Option<ArmState> {
+        let [mut position, mut velocity, mut torque]: [Axes; 3] = Default::default();
+        for (n, axis) in self.axes.iter().enumerate() {
+            let plan = &self.plan.axes[n];
+            position[n] = axis.predicted(stamp)? / plan.counts_per_unit;
+            velocity[n] = axis.velocity / plan.counts_per_unit;
+            torque[n] = real(axis.newest?.torque.into()) / 1000.0 * plan.torque_rated;
+        }
         let space = self.plan.space;
-        let position = space.to_joints(&units(|axis, at| axis.predicted(at).unwrap_or(0.0)));
-        let velocity = space.to_joints(&units(|axis, _| axis.velocity));
-        let torque = core::array::from_fn(|n| {
-            let per_mille = self.axes[n].newest.map_or(0, |newest| newest.torque);
-            real(per_mille.into()) / 1000.0 * self.plan.axes[n].torque_rated
-        });
+        let (position, velocity) = (space.to_joints(&position), space.to_joints(&velocity));
         let effort = space.efforts_to_joints(&torque);
         let joints = |axes: &Axes| JointVector::from_column_slice(&axes[..JOINT_COUNT]);
-        ArmState {
+        Some(ArmState {
             stamp,
             position: joints(&position),
             velocity: joints(&velocity),
@@ -171,7 +166,7 @@ impl Cycle {
             jaw_position: position[JOINT_COUNT],
             jaw_velocity: velocity[JOINT_COUNT],
             jaw_effort: effort[JOINT_COUNT],
-        }
+        })
     }
 
     /// Whether a period is over at `now`: a quarter of a cycle early at most, and less than a control period, or a controller

@@ -1,7 +1,9 @@
 //! The drives of all arms with the world that they move, or with nothing but their motors, in a time of their own.
 
+use hal::count::{count_u8, count_u32};
 use hal::joints::INSERTION;
 use hal::{Arm as _, ArmState, JointVector, TimeNs, psm};
+use trocar_canopen::cia301::NmtState;
 use trocar_canopen::master::CanConfig;
 use trocar_canopen::{Frame, NodeId, Payload};
 use trocar_drives::node::{AxisConfig, Node};
@@ -87,7 +89,7 @@ impl Bench {
         faults: &[InjectedFault],
     ) -> Result<(Self, Network<Terminal>), SessionError> {
         let names = interfaces(can, count);
-        let lines = u8::try_from(names.len()).unwrap_or(u8::MAX);
+        let lines = count_u8(names.len());
         let plans: Vec<_> = can.arms.iter().take(count).collect();
         let (bit_rate, cycle_ns) = plans
             .first()
@@ -106,10 +108,9 @@ impl Bench {
             for (axis, feedback) in coupling.feedback(&state).into_iter().enumerate() {
                 let plan = &arm.plan.axes[axis];
                 let interface = &arm.interfaces[usize::from(plan.line)];
-                let line = names.iter().position(|name| name == interface);
-                let line = u8::try_from(line.unwrap_or(0)).unwrap_or(0);
-                let serial =
-                    100 * u32::try_from(index + 1).unwrap_or(0) + u32::from(plan.node.raw());
+                let before = names.iter().take_while(|name| *name != interface);
+                let line = count_u8(before.count());
+                let serial = 100 * count_u32(index + 1) + u32::from(plan.node.raw());
                 let mut drive = AxisConfig::of(plan, serial);
                 let lies = |fault: &InjectedFault| {
                     fault.kind == FaultKind::WrongIdentity && fault.node == plan.node
@@ -158,7 +159,7 @@ impl Bench {
         }
         let tick = at.tick();
         if tick.is_multiple_of(STEP_TICKS)
-            && let (Some(world), Some(simulation)) = (self.world(), &self.simulation)
+            && let (Some(world), Some(simulation)) = (self.world(network), &self.simulation)
         {
             listener.step(tick / STEP_TICKS, &world, simulation);
         }
@@ -203,10 +204,16 @@ impl Bench {
     }
 
     /// What the world knows of itself, if there is one.
-    pub(super) fn world(&self) -> Option<WorldState> {
+    pub(super) fn world(&self, network: &Network<Terminal>) -> Option<WorldState> {
         let simulation = self.simulation.as_ref()?;
+        let mut axes = self.arms.iter().flat_map(|arm| &arm.plan().axes);
+        let operational = axes.all(|axis| {
+            let state = network.node(axis.node).map(Node::nmt_state);
+            state == Some(NmtState::Operational)
+        });
         Some(WorldState {
             scene: simulation.scene_state(),
+            operational,
             outcome: self.begun.map(|_| simulation.outcome()),
             tissue: simulation.tissue_extremes(),
         })

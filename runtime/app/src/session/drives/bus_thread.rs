@@ -208,7 +208,7 @@ impl BusThread<'_> {
             begun: bench.begun(),
             stalled_ns: messenger.stalls.total_ns(),
             turns,
-            world: bench.world(),
+            world: bench.world(network),
             busy: Bench::busy(network, self.lines),
             lost,
         })

@@ -24,6 +24,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread;
 
 use hal::TimeNs;
+use hal::count::count_u8;
 use rtrb::{Consumer, RingBuffer};
 use trocar_canopen::master::CanConfig;
 use trocar_tasks::simulation::{Rendering, Simulation};
@@ -136,7 +137,7 @@ pub fn run_drives(
         arms,
         faults: &options.faults,
         bus,
-        lines: u8::try_from(names.len()).unwrap_or(u8::MAX),
+        lines: count_u8(names.len()),
         shown: shown_in,
         notices: notices_in,
         stop: &stop,

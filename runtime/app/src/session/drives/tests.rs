@@ -60,6 +60,12 @@ struct WorldBus {
     notes: Notes,
 }
 
+impl WorldBus {
+    fn world(&self) -> WorldState {
+        self.bench.world(&self.network).unwrap()
+    }
+}
+
 impl Bus for WorldBus {
     fn now(&self) -> TimeNs {
         self.network.now()
@@ -144,7 +150,7 @@ impl Rig {
     }
 
     fn outcome(&mut self) -> Outcome {
-        self.bus().bench.world().unwrap().outcome.unwrap()
+        self.bus().world().outcome.unwrap()
     }
 
     /// One control period, with a chunk of the expert when it is time for one.
@@ -155,7 +161,7 @@ impl Rig {
         let measured = self.arm.read(now);
         let chunk: Option<Chunk> = self.ticks.is_multiple_of(STEP_TICKS).then(|| {
             self.chunks += 1;
-            let scene = self.arm.bus_mut().bench.world().unwrap().scene;
+            let scene = self.arm.bus_mut().world().scene;
             self.expert.chunk(now, &scene, self.chunks)
         });
         let input = TickInput {

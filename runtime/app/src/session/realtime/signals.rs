@@ -18,6 +18,8 @@ pub(super) struct Signals {
     stopped: AtomicBool,
     /// The operator has asked for the end.
     stop_asked: AtomicBool,
+    /// Whoever the drives move is there: they may have torque.
+    torque_allowed: AtomicBool,
     /// Nobody answers for now: the arms hold.
     held: AtomicBool,
     /// What the log is to say of it; of no interest to the control thread.
@@ -33,6 +35,16 @@ impl Signals {
     /// Asks for rest and then the end.
     pub(super) fn end_run(&self) {
         self.done.store(true, Ordering::Release);
+    }
+
+    /// Lets the drives have torque.
+    pub(super) fn allow_torque(&self) {
+        self.torque_allowed.store(true, Ordering::Release);
+    }
+
+    /// Whether the drives may have torque.
+    pub(super) fn torque_allowed(&self) -> bool {
+        self.torque_allowed.load(Ordering::Acquire)
     }
 
     /// Whether the operator wants the run to end.

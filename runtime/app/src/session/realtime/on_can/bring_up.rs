@@ -58,7 +58,7 @@ pub(super) fn check_world(
         )));
     }
     match world.verdict() {
-        Verdict::Waiting => Ok(()),
+        Verdict::Waiting | Verdict::Operational => Ok(()),
         Verdict::Running | Verdict::Success | Verdict::Failure | Verdict::Invalid => {
             Err(SessionError::RealTime(format!(
                 "the episode of the world on topics {topics:?} has begun already: start `trocar drives` anew"

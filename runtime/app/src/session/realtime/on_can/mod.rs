@@ -26,7 +26,7 @@ use std::sync::Arc;
 
 use hal::config::Source;
 use hal::{ARM_NAMES, TICK_NS};
-use trocar_canopen::master::{CanConfig, enable_together};
+use trocar_canopen::master::{BringUpError, CanConfig, Permission, enable_together};
 use trocar_canopen::socket::SocketBus;
 use trocar_topics::{ArmReport, Publisher, SceneTopic, TopicNode};
 
@@ -160,6 +160,8 @@ pub fn run_robot_on_can(
             reports,
             cameras,
         } = watching;
+        // Nobody else has to be there.
+        seen.signals.allow_torque();
         let robot_thread = RobotThread::new(seen, local, reports, cameras, asked);
         let robot_thread = robot_thread.woken_by(node.events()?);
         Ok(|| robot_thread.run())
@@ -219,6 +221,7 @@ impl Begun<'_> {
         let observe = watch(&node, watching)?;
         let enabling = Enabling {
             can,
+            say,
             ready,
             controller: robot.controller()?,
             wires: wires.control,
@@ -235,6 +238,7 @@ impl Begun<'_> {
 /// The control thread before its arms have torque.
 struct Enabling<'a> {
     can: &'a CanOptions,
+    say: Say<'a>,
     ready: Vec<ReadyArm>,
     controller: AnyController,
     wires: ControlWires,
@@ -261,8 +265,20 @@ impl Enabling<'_> {
         if signals.done() {
             return Err(SessionError::Interrupted);
         }
-        let arms =
-            enable_together(self.ready).map_err(|(arm, error)| failed(self.can, arm, &error))?;
+        (self.say)("checking the drives once more; they are enabled when all answer");
+        let arms = enable_together(self.ready, &mut || {
+            if signals.done() || rt::interrupted() {
+                Permission::Denied
+            } else if signals.torque_allowed() {
+                Permission::Granted
+            } else {
+                Permission::Pending
+            }
+        });
+        let arms = arms.map_err(|(arm, error)| match error {
+            BringUpError::Denied => SessionError::Interrupted,
+            _ => failed(self.can, arm, &error),
+        })?;
         let Some(arms) = PerArm::collect(arms) else {
             return Err(SessionError::BadArgument("there is no arm".to_owned()));
         };

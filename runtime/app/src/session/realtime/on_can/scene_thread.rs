@@ -27,7 +27,8 @@ const POLL_NS: u64 = 3_000_000;
 /// A world that says nothing for this long is gone, ns.
 const SILENCE_NS_MAX: u64 = 2_000_000_000;
 
-/// A world's episode begins when all its drives are enabled. One that has not begun this long after ours are is another one, ns.
+/// Our drives are a world's own if these are operational this long after ours were started at the latest, and its episode begins when they
+/// are enabled, in no more time than that, ns.
 const BEGIN_NS_MAX: u64 = 3_000_000_000;
 
 /// The thread before it runs.
@@ -76,6 +77,55 @@ pub(super) fn frames(node: &TopicNode, names: Vec<String>) -> Result<Vec<Camera>
     names.into_iter().map(open).collect()
 }
 
+/// What of a world is waited for after bring-up, before its episode begins.
+struct Awaited {
+    since: TimeNs,
+    enabled: bool,
+    named: bool,
+}
+
+impl Awaited {
+    const fn new(since: TimeNs) -> Self {
+        Self {
+            since,
+            enabled: false,
+            named: false,
+        }
+    }
+
+    /// Names what is waited for, once it takes long; gives why it is given up, if it is. The drives of the world may be `operational`,
+    /// and ours `enabled`.
+    fn look(
+        &mut self,
+        now: TimeNs,
+        (operational, enabled): (bool, bool),
+        say: Say<'_>,
+    ) -> Option<String> {
+        if enabled && !self.enabled {
+            *self = Self::new(now);
+            self.enabled = true;
+        }
+        let (what, lacking) = match (operational, enabled) {
+            (_, true) => (
+                "the drives are enabled; waiting for the world to begin its episode",
+                "the world has not begun its episode",
+            ),
+            (true, false) => return None,
+            (false, false) => (
+                "waiting for the drives of the world to be operational; no drive has torque",
+                "the drives of the world are not operational: are ours its own?",
+            ),
+        };
+        let waited_ns = now.since(self.since);
+        let limit_s = BEGIN_NS_MAX / 1_000_000_000;
+        if waited_ns > PATIENCE_NS && !self.named {
+            self.named = true;
+            say(&format!("{what}, for {limit_s} s at most"));
+        }
+        (waited_ns > BEGIN_NS_MAX).then(|| format!("{lacking} ({limit_s} s)"))
+    }
+}
+
 impl SceneThread<'_> {
     /// Runs until the control thread has stopped; says so when the task has its verdict or the world is gone.
     pub(super) fn run(mut self) -> Result<SceneEnd, SessionError> {
@@ -88,7 +138,7 @@ impl SceneThread<'_> {
             tissue: None,
         };
         let (mut newest, mut heard, mut begun) = (None, self.seen.clock.now(), None);
-        let (mut enabled, mut told, mut ended) = (None, false, false);
+        let (mut awaits, mut ended) = (Awaited::new(heard), false);
         while !signals.stopped() {
             newest = self.seen.measured.take().or(newest);
             self.seen.tell();
@@ -106,23 +156,19 @@ impl SceneThread<'_> {
                     end.reason = report.reason.text();
                 }
                 match end.verdict {
-                    Verdict::Waiting => {
-                        // There are measurements once the drives are enabled.
-                        let since = newest.map_or(heard, |_| *enabled.get_or_insert(heard));
-                        let waited_ns = heard.since(since);
-                        if waited_ns > PATIENCE_NS && !told {
-                            told = true;
-                            (self.say)(&format!(
-                                "the drives are enabled; waiting for the world to begin its episode, for {} s at most",
-                                BEGIN_NS_MAX / 1_000_000_000
-                            ));
+                    Verdict::Waiting | Verdict::Operational => {
+                        if end.verdict == Verdict::Operational {
+                            signals.allow_torque();
                         }
-                        if waited_ns > BEGIN_NS_MAX && !signals.done() {
+                        // There are measurements once the drives are enabled.
+                        let operational = signals.torque_allowed();
+                        let gone = awaits.look(heard, (operational, newest.is_some()), self.say);
+                        if let Some(reason) = gone.filter(|_| !signals.done()) {
+                            if newest.is_none() {
+                                return Err(SessionError::RealTime(reason));
+                            }
                             ended = true;
-                            end.reason = format!(
-                                "the world has not begun its episode {} s after our drives were enabled: are they its own?",
-                                BEGIN_NS_MAX / 1_000_000_000
-                            );
+                            end.reason = reason;
                             signals.end_run();
                         }
                     }
