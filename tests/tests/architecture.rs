@@ -1,5 +1,5 @@
-//! ARCHITECTURE.md and runtime/SAFETY.md say what is: the files, modules and tests that they name exist, and the absences that the
-//! former states hold.
+//! The documents say what is: the files, modules and tests that they name exist, the absences that ARCHITECTURE.md states hold, and what
+//! is read first stays short.
 
 #![expect(
     clippy::expect_used,
@@ -300,9 +300,26 @@ fn crate_readme_is_its_documentation() {
     }
 }
 
+/// A first-time reader reads both from top to bottom: what is added is paid for by shortening.
+#[test]
+fn readme_and_architecture_stay_short() {
+    for (name, bytes_max) in [("README.md", 8192), ("ARCHITECTURE.md", 15_360)] {
+        let bytes = read(&repository().join(name)).len();
+        assert!(bytes <= bytes_max, "{name}: {bytes} of {bytes_max} bytes");
+    }
+}
+
 #[test]
 fn every_path_in_the_documents_exists() {
-    for (text, sections) in [(document(), 5), (safety(), 3)] {
+    let [front, contributing] =
+        ["README.md", "CONTRIBUTING.md"].map(|name| read(&repository().join(name)));
+    let texts = [
+        (document(), 5),
+        (safety(), 3),
+        (front, 6),
+        (contributing, 3),
+    ];
+    for (text, sections) in texts {
         let headings: Vec<&str> = text
             .lines()
             .filter(|line| line.starts_with("## "))
