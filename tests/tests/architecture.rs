@@ -247,17 +247,17 @@ fn the_safety_table_names_files_and_tests_that_exist() {
 }
 
 #[test]
-fn a_doctored_safety_table_is_caught() {
+fn a_tampered_safety_table_is_caught() {
     let tests = all_tests();
     let text = safety();
-    let doctored = [
+    let tampered = [
         ("`a_good_chunk_is_accepted_once`", "`a_good_chunk_is_used`"),
         ("`runtime/control/src/mode.rs`", "`runtime/app/src/mode.rs`"),
         ("`runtime/control/src/mode.rs`", "the mode machine"),
         // A function that is none of the tests.
         ("`a_fault_is_left_only_by_clearing_it`", "`safety_rows`"),
     ];
-    for (from, to) in doctored {
+    for (from, to) in tampered {
         assert!(text.contains(from), "{from}");
         let defects = safety_defects(&text.replace(from, to), &tests);
         assert_eq!(defects.len(), 1, "{to}: {defects:#?}");
