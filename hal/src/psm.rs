@@ -54,7 +54,7 @@ pub const TOOL_M: f64 = 0.4162;
 /// Wrist-pitch axis to wrist-yaw axis, m.
 pub const WRIST_M: f64 = 0.0091;
 
-/// Wrist-yaw axis (the control point) to the finger tips, along the tip frame's z, m.
+/// Wrist-yaw axis (the control point, the dVRK's tool centre point) to the finger tips, along the tip frame's z, m.
 pub const FINGER_M: f64 = 0.0102;
 
 /// Radius of the instrument shaft, m.

@@ -1,5 +1,5 @@
-//! ARCHITECTURE.md and runtime/SAFETY.md say what is: the files, modules and tests that they name exist, and the absences that the
-//! former states hold.
+//! The documents say what is: the files, modules and tests that they name exist, the absences that ARCHITECTURE.md states hold, and what
+//! is read first stays short.
 
 #![expect(
     clippy::expect_used,
@@ -247,17 +247,17 @@ fn the_safety_table_names_files_and_tests_that_exist() {
 }
 
 #[test]
-fn a_doctored_safety_table_is_caught() {
+fn a_tampered_safety_table_is_caught() {
     let tests = all_tests();
     let text = safety();
-    let doctored = [
+    let tampered = [
         ("`a_good_chunk_is_accepted_once`", "`a_good_chunk_is_used`"),
         ("`runtime/control/src/mode.rs`", "`runtime/app/src/mode.rs`"),
         ("`runtime/control/src/mode.rs`", "the mode machine"),
         // A function that is none of the tests.
         ("`a_fault_is_left_only_by_clearing_it`", "`safety_rows`"),
     ];
-    for (from, to) in doctored {
+    for (from, to) in tampered {
         assert!(text.contains(from), "{from}");
         let defects = safety_defects(&text.replace(from, to), &tests);
         assert_eq!(defects.len(), 1, "{to}: {defects:#?}");
@@ -300,9 +300,26 @@ fn crate_readme_is_its_documentation() {
     }
 }
 
+/// A first-time reader reads both from top to bottom: what is added is paid for by shortening.
+#[test]
+fn readme_and_architecture_stay_short() {
+    for (name, bytes_max) in [("README.md", 8192), ("ARCHITECTURE.md", 15_360)] {
+        let bytes = read(&repository().join(name)).len();
+        assert!(bytes <= bytes_max, "{name}: {bytes} of {bytes_max} bytes");
+    }
+}
+
 #[test]
 fn every_path_in_the_documents_exists() {
-    for (text, sections) in [(document(), 5), (safety(), 3)] {
+    let [front, contributing] =
+        ["README.md", "CONTRIBUTING.md"].map(|name| read(&repository().join(name)));
+    let texts = [
+        (document(), 5),
+        (safety(), 3),
+        (front, 6),
+        (contributing, 3),
+    ];
+    for (text, sections) in texts {
         let headings: Vec<&str> = text
             .lines()
             .filter(|line| line.starts_with("## "))
