@@ -238,7 +238,7 @@ fn dead_or_hung_policy_is_restarted_and_the_arm_goes_on() {
         (
             "-STOP",
             "policy process stopped (SIGSTOP)",
-            "the policy process has been silent for 5 s",
+            "the policy process has sent no heartbeat for 5 s",
         ),
     ] {
         let mut run = Run::start("faults-restart", CHECKPOINT, 2, None);

@@ -290,7 +290,7 @@ fn dead_or_hung_policy_ends_the_run_at_rest() {
     let _turn = alone();
     for (signal, expected) in [
         ("-KILL", "the policy process ended: signal: 9"),
-        ("-STOP", "the policy process has been silent"),
+        ("-STOP", "the policy process has sent no heartbeat"),
     ] {
         let mut run = Run::start("realtime-no-policy", CHECKPOINT, 1);
         let path = run.log.clone();

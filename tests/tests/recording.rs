@@ -1,4 +1,4 @@
-//! A recording that is killed leaves every finished episode, and nothing that looks like one but isn't; it can be gone on with.
+//! A recording that is killed leaves every finished episode, and nothing that looks like one but isn't; it can be resumed.
 
 #![expect(
     clippy::unwrap_used,
@@ -166,11 +166,11 @@ fn killed_interrupted_and_ended(folder: &Path, out: &Path) -> u64 {
     there + 1
 }
 
-/// What can't be gone on with is bad input, and stays as it is.
+/// What can't be resumed is bad input, and stays as it is.
 fn other_recordings_are_refused(folder: &Path, out: &Path) {
     let before = files(out);
     for (out, more, expected) in [
-        (out, &["--depth"][..], "which --resume goes on with"),
+        (out, &["--depth"][..], "which --resume appends to"),
         (
             out,
             &["--depth", "--resume", "--seed", "7"],

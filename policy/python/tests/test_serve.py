@@ -397,7 +397,7 @@ def test_a_failure_in_real_time_ends_the_run_by_name(name: str, session: Callabl
 
 @pytest.mark.parametrize(
     ("does", "said"),
-    [("time.sleep(60)", "has been silent for"), ("os._exit(3)", "ended")],
+    [("time.sleep(60)", "has sent no heartbeat for"), ("os._exit(3)", "ended")],
     ids=["sleeps", "exits"],
 )
 def test_a_policy_that_hangs_or_dies_in_real_time_is_named(

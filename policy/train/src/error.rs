@@ -47,7 +47,7 @@ pub enum TrainError {
     /// The observer of the run failed.
     #[error("{0}")]
     Watch(String),
-    /// The state of an earlier run can't be written, read or gone on with.
+    /// The state of an earlier run can't be written, read or resumed.
     #[error("{0}")]
     State(String),
     /// The network could not be built.

@@ -3,6 +3,7 @@
 //! Every random number of a step depends on the run's seed and the step alone, so that there is no generator state to
 //! keep: what is kept is the parameters with their optimiser, the moving average, and the curve so far.
 
+use hal::count::index;
 use std::collections::BTreeMap;
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -119,7 +120,7 @@ impl RunState {
                 return Some(format!("{CURVE} has a number that is not finite"));
             }
         }
-        let expected = [i64::try_from(self.step - last).unwrap_or(i64::MAX), 4];
+        let expected = [dimension(index(self.step - last)), 4];
         let found = self.since_row.as_ref().map_or(vec![0, 4], Tensor::size);
         let float = self
             .since_row
@@ -130,7 +131,7 @@ impl RunState {
         })
     }
 
-    /// The error that this state can't be gone on with.
+    /// The error that this state can't be resumed.
     fn refused(&self, reason: &str) -> TrainError {
         TrainError::State(format!("{}: {reason}", self.file.display()))
     }
@@ -146,7 +147,7 @@ impl RunState {
         if let Some(since_row) = &self.since_row {
             all.insert(SINCE_ROW.to_owned(), since_row.f_to_device(Device::Cpu)?);
         }
-        let step = i64::try_from(self.step).unwrap_or(i64::MAX);
+        let step = dimension(index(self.step));
         all.insert(STEP.to_owned(), Tensor::f_from_slice(&[step])?);
         all.insert(CURVE.to_owned(), tensor_of(&self.curve)?);
         all.insert(

@@ -169,7 +169,7 @@ impl Trainer {
     }
 }
 
-/// What must be the same in a run that goes on with another one's state, as JSON.
+/// What must be the same in a run that resumes another one's state, as JSON.
 fn run_of<S>(
     config: &impl Serialize,
     prepared: &Prepared<'_, S>,

@@ -21,7 +21,7 @@ pub enum Progress {
     },
     /// The steps begin.
     Begin {
-        /// Steps taken before, by the run that this one goes on with.
+        /// Steps taken before, by the run that this one resumes.
         step: u64,
         /// Steps of the whole run.
         steps: u64,

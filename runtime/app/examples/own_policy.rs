@@ -7,6 +7,7 @@
 //! This one moves the tip on a circle of 1 cm and looks at no camera. It lifts no needle; what it wants passes the same filter, smoother
 //! and guard as anybody's.
 
+use hal::count::{count_u32, index};
 use hal::{Chunk, Observation, Policy, PolicyError, TipTarget};
 use nalgebra::Translation3;
 use trocar::session::run::{RunResult, run_lockstep_with};
@@ -37,7 +38,7 @@ impl Policy for Circles {
         if self.home.is_empty() {
             self.home = observation.arms.iter().map(|arm| arm.here()).collect();
         }
-        let begun = u32::try_from(self.chunks * QUERY_EVERY_STEPS).unwrap_or(0);
+        let begun = count_u32(index(self.chunks * QUERY_EVERY_STEPS));
         self.chunks += 1;
         let on_circle = |home: &TipTarget, step: u32| {
             let share = f64::from(begun + step) / f64::from(ROUND_STEPS);

@@ -50,14 +50,12 @@ use super::instrument::Instrument;
 use super::motion::MotionState;
 use super::stop::Stop;
 use arm::ArmGuard;
+use hal::ARMS_MAX;
 use measured::gap_allowances;
 pub use measured::{MeasuredClearance, beyond};
 use pair::{Gaps, Pair};
 #[cfg(test)]
 use planted::PlantedGuardFault;
-
-/// Most arms that one guard can look after.
-const ARMS_MAX: usize = 2;
 
 /// The guard of one arm or two, with the stops that it holds.
 #[derive(Clone, Debug)]

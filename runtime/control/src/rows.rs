@@ -21,8 +21,7 @@ use super::motion::{AXES, AxisLimits, MotionState};
 
 pub use names::names;
 
-/// Most arms of a controller.
-pub const ARMS_MAX: usize = 2;
+pub use hal::ARMS_MAX;
 
 /// Most rows of geometry: for each arm three points in the workspace and eight places of the instrument against each region,
 /// and between the arms seven pairs of links.

@@ -246,11 +246,14 @@ impl Closing {
             frames_dropped,
             events_dropped,
         };
-        let outcome = map.get("reason").map(|reason| RunOutcome {
-            success: map.get("success").map(|success| success == "true"),
-            reason: reason.clone(),
-            command_hash: map.get("command_hash").cloned().unwrap_or_default(),
-        });
+        let outcome = match map.get("reason") {
+            None => None,
+            Some(reason) => Some(RunOutcome {
+                success: map.get("success").map(|success| success == "true"),
+                reason: reason.clone(),
+                command_hash: map.get("command_hash")?.clone(),
+            }),
+        };
         let input_hash = u64::from_str_radix(map.get(INPUT_HASH)?, 16).ok()?;
         Some(Self {
             outcome,

@@ -143,7 +143,7 @@ fn killed_policy_comes_back_and_a_killed_camera_ends_the_run() {
     let (code, run) = run.end();
     assert_eq!(code, Some(1), "{run}");
     assert_eq!(
-        run["reason"], "camera scope has shown nothing for 2 s",
+        run["reason"], "camera scope has published no frame for 2 s",
         "{run}"
     );
     assert_eq!(run["policy"]["restarts"], 1, "{run}");

@@ -117,7 +117,7 @@ fn a_pulled_node_stops_the_others_and_log_and_result_name_it() {
         let expected = if node == 3 {
             "it lost its power"
         } else {
-            "its master asked for a quick stop"
+            "quick stop commanded by its master"
         };
         assert_eq!(cause, expected, "node {node}");
     }
@@ -169,7 +169,7 @@ fn a_wrong_drive_an_absent_one_and_a_missing_world_are_named() {
         Process::start(&folder, "run", &[&run[..], &world].concat())
     };
     let mut alone = on("nowhere", "0");
-    alone.await_word("nobody shows a scene on topics \"nowhere\"");
+    alone.await_word("no publisher of a scene on topics \"nowhere\"");
     let mut other = on("can_wrong", "9");
     other.await_word("is needle-lift, seed 0; this run is needle-lift, seed 9");
     drop(pair);

@@ -72,7 +72,9 @@ fn missing_camera_is_named_before_any_drive_is_used() {
     let waits = "waiting for a frame of camera endoscope on topics \"can_robot_blind\", for 10 s at most; no drive has torque";
     assert!(told.contains(waits), "{told}");
     assert!(
-        told.contains("camera endoscope has shown no frame on topics \"can_robot_blind\" for 10 s"),
+        told.contains(
+            "camera endoscope has published no frame on topics \"can_robot_blind\" for 10 s"
+        ),
         "{told}"
     );
 }

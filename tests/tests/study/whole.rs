@@ -1,4 +1,4 @@
-//! The tiny study: interrupted, killed, gone on with; in two shards; reported; its page in a browser.
+//! The tiny study: interrupted, killed, resumed; in two shards; reported; its page in a browser.
 
 use std::fs;
 use std::io::{BufRead, BufReader};
@@ -50,7 +50,7 @@ fn recordings(results: &Path) -> Vec<(PathBuf, Vec<u8>)> {
         .collect()
 }
 
-/// The tiny study in `one`: interrupted by SIGINT, killed by SIGKILL, and gone on with.
+/// The tiny study in `one`: interrupted by SIGINT, killed by SIGKILL, and resumed.
 fn interrupted_killed_and_ended(folder: &Path) {
     let results = folder.join("one");
     let (mut child, said) = begin(folder);

@@ -195,7 +195,7 @@ fn arm_on_can(
     arm: &ArmFile,
 ) -> Result<ArmOnCan, ConfigError> {
     let key = |name: &str| format!("arm.{n}.{name}");
-    let lines = u8::try_from(arm.interfaces.len()).unwrap_or(u8::MAX);
+    let lines = count_u8(arm.interfaces.len());
     if !(1..=3).contains(&lines) {
         let value = format!("{lines} interfaces");
         return Err(source.out_of_range(&key("interfaces"), &value, "1 to 3 interfaces"));

@@ -171,7 +171,7 @@ impl fmt::Display for Fault {
             ),
             Self::NotEnabled(who, state) => write!(f, "{who}: is not enabled but {state:?}"),
             Self::FollowingError(who, counts) => {
-                write!(f, "{who}: {counts} counts away from its set-point")
+                write!(f, "{who}: following error of {counts} counts")
             }
             Self::PowerLost(who) => write!(f, "{who}: the power stage has no voltage"),
         }

@@ -101,8 +101,9 @@ pub struct ArmPlan {
 }
 
 impl AxisPlan {
-    /// What its drive has to keep by itself: its range, which ends at the mechanical stops, and a tenth more than its speed, so that the
-    /// master's own limit comes first.
+    /// What its drive has to keep by itself: its range and a tenth more than its speed, so that the master's own limit comes first. A range
+    /// ends at the mechanical stops, but the jaw's begins below its own, where the fingers meet, by what presses them together; in actuator
+    /// space it holds every point of the joints' ranges, and so of two coupled axes some points that lie beyond a stop.
     #[must_use]
     pub fn settings(&self) -> AxisSettings {
         let speed = 1.1 * self.speed_max;

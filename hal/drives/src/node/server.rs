@@ -4,6 +4,7 @@
 
 use super::{Node, Outbox};
 use hal::TimeNs;
+use hal::count::count_u32;
 use trocar_canopen::Frame;
 use trocar_canopen::bytes::Bytes;
 use trocar_canopen::cia301::sdo::{Content, Expedited, Request, Response, SdoView, Segment};
@@ -88,7 +89,7 @@ impl Node {
         if let Some(short) = Expedited::new(data.as_slice()) {
             return Response::Upload(address, Content::Expedited(short));
         }
-        let size = u32::try_from(data.as_slice().len()).unwrap_or(0);
+        let size = count_u32(data.as_slice().len());
         self.transfer = Transfer::Upload {
             address,
             data,

@@ -2,7 +2,7 @@
 //!
 //! ```text
 //! meta/info.json, key "trocar"     how the recording differs from a plain one; LeRobot ignores the key, with a warning
-//! meta/trocar_recording.json       every option of the recording, which one that goes on with it must have too
+//! meta/trocar_recording.json       every option of the recording, which one that resumes it must have too
 //! meta/trocar_episodes.jsonl       a line an episode: episode_index, and what was particular to it
 //! ```
 //!

@@ -1,4 +1,4 @@
-//! Recordings that are gone on with are what they would be without the break, and nothing else is gone on with.
+//! Recordings that are resumed are what they would be without the break, and nothing else is resumed.
 
 use std::{
     collections::BTreeMap,

@@ -6,6 +6,7 @@
     reason = "libtorch has graphs for C++ alone, and tch passes none of them on"
 )]
 
+use crate::dimension::length;
 use std::ffi::{c_int, c_void};
 use std::fmt;
 use std::ptr::NonNull;
@@ -107,7 +108,7 @@ impl Graph {
         // SAFETY: the object was made; the current stream is not the default one.
         unsafe { (functions.begin)(object.as_mut_ptr(), 0, 0, THIS_THREAD) };
         // An empty one is warned of.
-        let device = Device::Cuda(usize::try_from(aside.device).unwrap_or(0));
+        let device = Device::Cuda(length(aside.device.into()));
         let _something = Tensor::f_zeros([1], (Kind::Float, device));
         // SAFETY: it is capturing: nothing was done that could have ended it.
         unsafe { (functions.end)(object.as_mut_ptr()) };

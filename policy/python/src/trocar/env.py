@@ -220,7 +220,7 @@ class TrocarEnv(gym.Env[dict[str, Any], NDArray[Any]]):
         child.end()
         self._child = self._peer = None
         self._pending = False
-        raise SessionFailed(f"the session has shown nothing for {_BEGIN_S:.0f} s")
+        raise SessionFailed(f"the session has published nothing for {_BEGIN_S:.0f} s")
 
     def _see(self, event: Asked) -> None:
         """Keeps what is to be kept: the frames themselves are valid until the next step alone."""

@@ -142,7 +142,7 @@ def targets_of(answer: Any, observation: Observation) -> list[Array]:
     except TypeError as error:
         raise PolicyError(f"the answer is of type {type(answer).__name__}: one array an arm is wanted") from error
     if len(given) != count:
-        raise PolicyError(f"the answer has arrays for {len(given)} arms, there are {count}: one for each is wanted")
+        raise PolicyError(f"the answer has arrays for {len(given)} arms, there are {count}: expected one per arm")
     return [_targets(index, array, arm) for index, (array, arm) in enumerate(zip(given, observation.arms))]
 
 

@@ -216,7 +216,7 @@ class FrameSubscriber:
     def planes(self) -> tuple[NDArray[np.uint8], NDArray[np.float32], NDArray[np.uint8]]:
         """Colour, depth and instance ids of the frame, where they lie."""
         if self._sample is None or self.header is None:
-            raise TopicError(f"topic '{self._topic}' has shown no frame")
+            raise TopicError(f"topic '{self._topic}' has published no frame")
         width, height = self.header.intrinsics.width, self.header.intrinsics.height
         pixels = width * height
         # The length of the payload's own slice is in bytes here, that of the transport's header in words.

@@ -1,4 +1,4 @@
-//! The state of a training that was stopped: damaged, then read and gone on with.
+//! The state of a training that was stopped: damaged, then read and resumed.
 
 use std::fs;
 use std::path::{Path, PathBuf};

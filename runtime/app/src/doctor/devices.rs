@@ -51,7 +51,7 @@ pub(super) fn can() -> Finding {
         Ok(_) if interfaces.is_empty() => Finding::new(
             "can",
             Status::Limited,
-            "the kernel speaks CAN, no interface",
+            "CAN supported, no interface",
             "`ip link add dev vcan0 type vcan && ip link set vcan0 up`, or attach an adapter",
         ),
         Ok(_) => Finding::new(

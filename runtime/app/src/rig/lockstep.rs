@@ -30,9 +30,9 @@ impl Rig for LockstepRig<'_> {
         let mut refused = [None; hal::ARMS_MAX];
         let setpoints = setpoints.into_iter().flat_map(PerArm::iter);
         for ((index, (command, tail)), refused) in setpoints.enumerate().zip(&mut refused) {
-            if let Some(mut arm) = self.simulation.arm(index) {
-                *refused = arm.write(command, tail).err();
-            }
+            let arm = self.simulation.arm(index);
+            assert!(arm.is_some(), "a set-point of an arm that is not there");
+            *refused = arm.and_then(|mut arm| arm.write(command, tail).err());
         }
         let tick = match self.tick {
             None => 0,

@@ -40,7 +40,8 @@ pub(super) fn slow_motion() -> u64 {
 ///
 /// Nobody else may read or write the environment meanwhile: the caller is the process' only thread.
 pub(super) fn set_unset_environment(name: &str, value: &str) {
-    if std::env::var_os(name).is_none() {
+    // Set but empty means not set.
+    if std::env::var_os(name).is_none_or(|set| set.is_empty()) {
         // SAFETY: the caller is the only thread, as it says.
         unsafe { std::env::set_var(name, value) };
     }
@@ -59,9 +60,9 @@ pub(super) fn unix_seconds() -> f64 {
     };
     // SAFETY: `now` is a live timespec. The call cannot fail for this clock on Linux.
     unsafe { libc::clock_gettime(libc::CLOCK_REALTIME, &raw mut now) };
-    #[expect(clippy::cast_precision_loss, reason = "seconds stay far below 2^52")]
-    let seconds = now.tv_sec as f64;
-    seconds + f64::from(i32::try_from(now.tv_nsec).unwrap_or(0)) * 1e-9
+    #[expect(clippy::cast_precision_loss, reason = "both stay far below 2^52")]
+    let (seconds, nanoseconds) = (now.tv_sec as f64, now.tv_nsec as f64);
+    seconds + nanoseconds * 1e-9
 }
 
 fn system_ns() -> u64 {
@@ -71,17 +72,15 @@ fn system_ns() -> u64 {
     };
     // SAFETY: `now` is a live timespec. The call cannot fail for this clock on Linux.
     unsafe { libc::clock_gettime(libc::CLOCK_MONOTONIC, &raw mut now) };
-    let seconds = u64::try_from(now.tv_sec).unwrap_or(0);
-    let nanoseconds = u64::try_from(now.tv_nsec).unwrap_or(0);
-    seconds * NS_PER_S + nanoseconds
+    now.tv_sec.cast_unsigned() * NS_PER_S + now.tv_nsec.cast_unsigned()
 }
 
 /// Sleeps until [`monotonic_ns`] reaches `deadline_ns`; signals do not cut it short.
 pub(super) fn sleep_until_ns(deadline_ns: u64) {
     let deadline_ns = deadline_ns.saturating_mul(slow_motion());
     let deadline = libc::timespec {
-        tv_sec: i64::try_from(deadline_ns / NS_PER_S).unwrap_or(i64::MAX),
-        tv_nsec: i64::try_from(deadline_ns % NS_PER_S).unwrap_or(0),
+        tv_sec: (deadline_ns / NS_PER_S).cast_signed(),
+        tv_nsec: (deadline_ns % NS_PER_S).cast_signed(),
     };
     loop {
         let remaining = core::ptr::null_mut();

@@ -86,7 +86,7 @@ pub fn run(
     lockstep.pictures.write_strip(&files[2], 4, 2)?;
     lockstep.pictures.write_gif(&files[3], STEP_MS)?;
     on_progress("2 of 2: the same in real time, the network in its own process");
-    let real_time = run_realtime(&with_log(&files[4], false))?;
+    let real_time = run_realtime(&with_log(&files[4], false), &|_| ())?;
     write_json(&files[5], &real_time.summary)?;
     Ok(DemoResult {
         lockstep: examine(lockstep, &files[0])?,

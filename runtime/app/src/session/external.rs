@@ -481,7 +481,7 @@ impl Policy for ExternalPolicy {
         if reply.what() != Reply::Answered || said != arms as u64 {
             let who = self.link.who();
             return Err(self.link.failed(format!(
-                "{who} answers with {said} chunks for {arms} arms: one for each is wanted"
+                "{who} answers with {said} chunks for {arms} arms: expected one per arm"
             )));
         }
         let stamp = stamp(observation);

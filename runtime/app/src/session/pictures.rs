@@ -1,5 +1,6 @@
 //! Pictures of a run that a person can look at: a strip of moments and an animation.
 
+use hal::count::count_u32;
 use std::fs::{self, File};
 use std::io::BufWriter;
 use std::path::Path;
@@ -63,7 +64,7 @@ impl Pictures {
         let count = (columns * rows) as usize;
         for index in 0..count {
             let frame = &self.frames[index * last / count.saturating_sub(1).max(1)];
-            let cell = u32::try_from(index).unwrap_or(0);
+            let cell = count_u32(index);
             let (x, y) = (
                 i64::from(cell % columns * width),
                 i64::from(cell / columns * height),

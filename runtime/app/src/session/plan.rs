@@ -181,7 +181,7 @@ impl Plan {
     pub fn run(&self, backend: &Backend, say: Say<'_>) -> Result<RunResult, SessionError> {
         match backend {
             Backend::Lockstep => run_lockstep(self),
-            Backend::RealTime => run_realtime(self),
+            Backend::RealTime => run_realtime(self, say),
             Backend::Can(can) => run_on_can(self, can, say),
         }
     }

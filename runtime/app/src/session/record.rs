@@ -136,7 +136,7 @@ pub(super) struct Begun {
 }
 
 impl Begun {
-    /// Creates the dataset, or opens the one that the recording goes on with.
+    /// Creates the dataset, or opens the one that the recording is appended to.
     ///
     /// # Errors
     /// Those of [`record`] that concern the dataset's folder.
@@ -251,7 +251,7 @@ fn unwritten(options: &RecordOptions, error: DatasetError) -> SessionError {
     } else {
         return error.into();
     };
-    let reason = format!("{reason}; {there} episodes are there, which --resume goes on with");
+    let reason = format!("{reason}; {there} episodes are there, which --resume appends to");
     SessionError::output(&options.out, reason)
 }
 

@@ -59,7 +59,7 @@ pub fn record_by_hand(
             seed,
             ..plan.clone()
         };
-        let mut result = run_realtime(&one)?;
+        let mut result = run_realtime(&one, &|line| (one.warn)(line))?;
         tell(Phase::Writing, summary.episodes);
         if [INTERRUPTED, STOPPED].contains(&result.summary.reason.as_str()) {
             summary.interrupted = true;

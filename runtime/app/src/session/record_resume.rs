@@ -16,7 +16,7 @@ pub(super) struct Found {
     pub(super) attempts: u64,
 }
 
-/// Looks at the folder, which must be a new one, or that of a recording that can be gone on with; changes nothing in a dataset.
+/// Looks at the folder, which must be a new one, or that of a recording that can be resumed; changes nothing in a dataset.
 ///
 /// # Errors
 /// [`SessionError::BadArgument`] if it is another.
@@ -32,7 +32,7 @@ pub(super) fn look(plan: &Plan, options: &RecordOptions) -> Result<Found, Sessio
     if outputs::has_dataset(&options.out) {
         return Err(refused(
             options,
-            "exists and is not an empty folder; it is a dataset, which --resume goes on with",
+            "exists and is not an empty folder; it is a dataset, which --resume appends to",
         ));
     }
     outputs::new_folder("--out", &options.out)?;
@@ -158,7 +158,7 @@ fn shown(value: &Value) -> String {
 
 fn unknown(options: &RecordOptions, reason: &str) -> SessionError {
     let reason = format!(
-        "does not say how it was recorded ({reason}): it is of an older version or of another program, and can't be gone on with"
+        "does not say how it was recorded ({reason}): it is of an older version or of another program, and can't be resumed"
     );
     refused(options, &reason)
 }

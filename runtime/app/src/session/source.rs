@@ -419,7 +419,7 @@ impl ChunkSource {
                 let (said, arms) = (chunks.len(), arms.len());
                 if said != arms {
                     return Err(SessionError::BadArgument(format!(
-                        "the policy answers with {said} chunks for {arms} arms: one for each is wanted"
+                        "the policy answers with {said} chunks for {arms} arms: expected one per arm"
                     )));
                 }
                 per_arm(chunks)

@@ -1,10 +1,12 @@
 //! Training of the policies that see point clouds.
 
+use hal::count::count_u32;
 use trocar_data::dataset::Dataset;
 use trocar_data::relative_action::RELATIVE_ACTION_DIM;
 use trocar_nets::act::{ActPreset, BackboneNorm};
 use trocar_nets::act_pc::{ActPcConfig, ActPcPreset};
 use trocar_nets::checkpoint::Variants;
+use trocar_nets::dimension::{dimension, length};
 use trocar_nets::dp3::{Dp3Config, Dp3Preset};
 use trocar_train::{AnyTrained, Augmentation, TrainError, TrainOptions, TrainPrecision};
 
@@ -40,7 +42,7 @@ pub(super) fn train_dp3(
     on_news: &mut OnNews<'_>,
 ) -> Result<TrainingResult, SessionError> {
     let preset = dp3_preset(&options.preset)?;
-    let numbers = i64::try_from(RELATIVE_ACTION_DIM * dataset.arms()).unwrap_or(i64::MAX);
+    let numbers = dimension(RELATIVE_ACTION_DIM * dataset.arms());
     let config = Dp3Config::preset(preset, numbers, numbers);
     let train_options = dp3_options(options, dataset.len())?;
     let cloud = cloud_recipe(options.clouds.as_deref(), POINTS)?;
@@ -57,7 +59,7 @@ pub(super) fn train_dp3(
             },
             query_every_steps: query_every(
                 options,
-                u32::try_from(config.n_action_steps).unwrap_or(1),
+                count_u32(length(config.n_action_steps)),
                 config.n_action_steps,
             )?,
         },
@@ -190,11 +192,11 @@ pub(super) fn train_act_pc(
 ) -> Result<TrainingResult, SessionError> {
     let (preset, train_options) = act_pc_options(options)?;
     let config = ActPcConfig::preset(preset, &cameras(dataset));
-    let points = usize::try_from(config.points).unwrap_or(0);
+    let points = length(config.points);
     let cloud = cloud_recipe(options.clouds.as_deref(), points)?;
     let config = ActPcConfig {
         act: config.act.for_arms(dataset.arms()),
-        points: i64::try_from(cloud.points).unwrap_or(i64::MAX),
+        points: dimension(cloud.points),
         ..config
     };
     let saver = Saver {
@@ -210,7 +212,7 @@ pub(super) fn train_act_pc(
             },
             query_every_steps: query_every(
                 options,
-                u32::try_from(config.act.chunk_size / 2).unwrap_or(1),
+                count_u32(length(config.act.chunk_size / 2)),
                 config.act.chunk_size,
             )?,
         },

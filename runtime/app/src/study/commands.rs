@@ -99,7 +99,7 @@ impl Arguments {
     }
 }
 
-/// How a cell is begun or gone on with.
+/// How a cell is begun or resumed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Begin {
     /// From nothing.

@@ -206,7 +206,7 @@ impl Store {
     }
 
     /// Lays what was laid aside back in its place, unless the cell was made anew meanwhile, or what it makes is there in part: that is
-    /// gone on with. The caller holds its lock.
+    /// resumed. The caller holds its lock.
     ///
     /// # Errors
     /// [`StudyError::Io`].

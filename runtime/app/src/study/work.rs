@@ -116,7 +116,7 @@ impl Workshop<'_> {
         }
     }
 
-    /// Makes a cell ready to be begun or gone on with. The caller holds its lock.
+    /// Makes a cell ready to be begun or resumed. The caller holds its lock.
     ///
     /// # Errors
     /// What failed.

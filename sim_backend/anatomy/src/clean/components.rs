@@ -1,5 +1,6 @@
 //! Pieces of each group that hang together by faces of voxels, found by runs along the first axis.
 
+use hal::count::count_u8;
 use std::collections::BTreeMap;
 
 use super::Cleaned;
@@ -152,7 +153,7 @@ fn verdict(group: u8, piece: &Piece, contacts: &[u32; 32], least: u64) -> Option
     let enclosed = contacts.iter().filter(|&&faces| faces > 0).count() == 1;
     let goes = piece.voxels < least || group == 0 && enclosed;
     let most = (0..32).max_by_key(|&group| (contacts[group], 32 - group))?;
-    goes.then(|| u8::try_from(most).unwrap_or(0))
+    goes.then(|| count_u8(most))
 }
 
 /// Gives pieces of less than `least` voxels, but for each group's largest, to the neighbour with which they share most faces; fills voids

@@ -262,6 +262,9 @@ async fn watches<B: Bus>(to: &Writer<'_, '_, B>, plan: &ArmPlan) -> Result<(), B
 /// The deadline of a set-point. Some drives take it only while the PDO is off.
 fn deadline(plan: &ArmPlan) -> Setting {
     let deadline_ms = (DEADLINE_CYCLES * plan.cycle_ns / 1_000_000).max(DEADLINE_MS_MIN);
-    let deadline_ms = u16::try_from(deadline_ms).unwrap_or(u16::MAX);
-    Setting::unsigned(index::rpdo(0, 5), 2, deadline_ms.into())
+    Setting::unsigned(
+        index::rpdo(0, 5),
+        2,
+        deadline_ms.min(u16::MAX.into()).cast_signed(),
+    )
 }

@@ -24,7 +24,7 @@ const REST_NS: u64 = 10_000_000;
 pub enum StopCause {
     /// It told an error.
     Error(ErrorCode),
-    /// Its master asked for a quick stop.
+    /// Its master commanded a quick stop.
     QuickStop,
     /// Its master switched it off.
     SwitchedOff,
@@ -41,7 +41,7 @@ impl fmt::Display for StopCause {
                 let text = code.text().unwrap_or("a code of its own");
                 write!(f, "{:04X}h, {text}", code.0)
             }
-            Self::QuickStop => f.write_str("its master asked for a quick stop"),
+            Self::QuickStop => f.write_str("quick stop commanded by its master"),
             Self::SwitchedOff => f.write_str("its master switched it off"),
             Self::Left(state) => write!(f, "it was reset or taken to {state:?}"),
             Self::Powerless => f.write_str("it lost its power"),
@@ -217,7 +217,7 @@ pub(super) fn lines(stops: &[Stop]) -> Vec<String> {
         }
         let group: Vec<&Stop> = stops.iter().filter(alike).collect();
         let nodes: Vec<String> = group.iter().map(|stop| stop.node.to_string()).collect();
-        let arm = ARM_NAMES.get(stop.arm).copied().unwrap_or("arm");
+        let arm = ARM_NAMES[stop.arm];
         let plural = if group.len() == 1 { "node" } else { "nodes" };
         let mut line = format!(
             "{arm}: {plural} {} stopped at {:.3} s: {}",

@@ -49,7 +49,7 @@ impl From<&Stop> for StopSummary {
         let ms = |ns: u64| TimeNs(ns).seconds() * 1e3;
         let after = stop.after_sync_ns();
         Self {
-            arm: ARM_NAMES.get(stop.arm).copied().unwrap_or("arm"),
+            arm: ARM_NAMES[stop.arm],
             axis: stop.axis,
             node: stop.node.raw(),
             cause: stop.cause.to_string(),

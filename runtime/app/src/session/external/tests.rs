@@ -108,7 +108,7 @@ fn an_external_policy_that_fails_or_gives_up_is_named() {
     let abandoned = asked("abandons", Reply::Abandoned, 0).unwrap_err();
     assert!(matches!(abandoned, PolicyError::Abandoned { .. }));
     let observed = asked("observes", Reply::Observed, 0).unwrap_err();
-    assert!(observed.to_string().contains("one for each is wanted"));
+    assert!(observed.to_string().contains("expected one per arm"));
 }
 
 #[test]

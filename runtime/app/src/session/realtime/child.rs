@@ -20,7 +20,7 @@ use crate::session::source::{STEP_NS, camera_names};
 use crate::session::{SessionError, Setup};
 use hal::PerArm;
 
-/// The process has this long to load its weights, ns.
+/// How long the process may take until it is ready, ns.
 const LOAD_NS_MAX: u64 = 120_000_000_000;
 
 /// A process that says nothing for this long hangs, ns. Far beyond any inference.
@@ -284,7 +284,7 @@ impl PolicyChild {
             if !said && self.clock.now().0 > PATIENCE_NS {
                 said = true;
                 say(&format!(
-                    "waiting for {} to load its weights, for {} s at most; no drive has torque",
+                    "waiting for {} to be ready, for {} s at most; no arm is enabled",
                     self.peer.who(),
                     within_ns / 1_000_000_000
                 ));
@@ -443,7 +443,7 @@ impl PolicyChild {
         let silence_ns = now.since(self.heard);
         if silence_ns > self.peer.silence_ns_max() {
             let (who, silence_s) = (self.peer.who(), seconds(silence_ns));
-            return Some(format!("{who} has been silent for {silence_s} s"));
+            return Some(format!("{who} has sent no heartbeat for {silence_s} s"));
         }
         let unanswered_ns = self.answered.map_or(0, |answered| now.since(answered));
         let limit_ns = self.peer.answer_ns_max() + self.query_every_steps * STEP_NS;

@@ -79,17 +79,17 @@ const COMMANDS: usize = 1000;
 /// Time for every thread to be up before the first period, ns.
 const START_NS: u64 = 20_000_000;
 
-/// Runs one episode in real time against the simulated arms.
+/// Runs one episode in real time against the simulated arms; `say` tells what is waited for.
 ///
 /// SIGINT, SIGTERM and SIGHUP bring the arms to rest and end the run as failed, with the reason `interrupted`; until they rest it takes three
 /// to end the process at once.
 ///
 /// # Errors
 /// From the configuration, the policy, the simulation, the topics or the log.
-pub fn run_realtime(plan: &Plan) -> Result<RunResult, SessionError> {
+pub fn run_realtime(plan: &Plan, say: Say<'_>) -> Result<RunResult, SessionError> {
     rt::catch_interrupts_in_motion().map_err(SessionError::signals)?;
     plan.real_time.check()?;
-    let (mut child, source) = Opened::open(plan, None)?.start(plan, None, &|_| ())?;
+    let (mut child, source) = Opened::open(plan, None)?.start(plan, None, say)?;
     let (ends, log) = run_threads(plan, source, child.as_mut())?;
     conclude(plan, ends, log)
 }

@@ -1,5 +1,6 @@
 //! Letters of five by seven dots: enough for the labels of a sheet.
 
+use hal::count::count_u32;
 use image::{Rgb, RgbImage};
 
 /// Width of a letter with the gap after it, dots.
@@ -61,7 +62,7 @@ const UNKNOWN: [u8; 7] = [
 /// Width of `text` with dots of `dot` pixels, pixels.
 #[must_use]
 pub(super) fn width(text: &str, dot: u32) -> u32 {
-    let letters = u32::try_from(text.len()).unwrap_or(0);
+    let letters = count_u32(text.len());
     letters * ADVANCE * dot
 }
 

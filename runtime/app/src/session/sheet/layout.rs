@@ -1,5 +1,6 @@
 //! Where on the sheet everything goes: a block a task, a row a camera, colour, depth and ids beside each other.
 
+use hal::count::{count_u32, index};
 use image::{Rgb, RgbImage, imageops};
 use trocar_tasks::task;
 
@@ -79,11 +80,11 @@ pub(super) fn compose(blocks: &[Block], width: u32) -> RgbImage {
         // The next block goes where there is most room.
         let shortest = (0..columns).min_by_key(|&column| heights[column]);
         let column = shortest.unwrap_or(0);
-        let left = u32::try_from(column).unwrap_or(0) * sizes.block_width();
+        let left = count_u32(column) * sizes.block_width();
         places.push([left, heights[column]]);
         heights[column] += sizes.block_height(block);
     }
-    let total_width = u32::try_from(columns).unwrap_or(1) * sizes.block_width();
+    let total_width = count_u32(columns) * sizes.block_width();
     let body = heights.into_iter().max().unwrap_or(0);
     let legend = legend(blocks, total_width, sizes);
     let mut sheet = RgbImage::from_pixel(total_width, body + legend.height(), PAPER);
@@ -119,7 +120,7 @@ fn draw(sheet: &mut RgbImage, block: &Block, [left, top]: [u32; 2], sizes: Sizes
 /// Writes `text` on a dark strip in the corner of a picture, as much of it as the picture is wide.
 fn label(sheet: &mut RgbImage, text: &str, [x, y]: [u32; 2], sizes: Sizes) {
     let letters = sizes.plate.saturating_sub(sizes.gap) / font::width("x", sizes.dot);
-    let end = usize::try_from(letters).unwrap_or(usize::MAX);
+    let end = index(letters.into());
     let text = text.get(..end).unwrap_or(text);
     let strip = [
         font::width(text, sizes.dot) + sizes.gap,

@@ -1,4 +1,4 @@
-//! Recordings that are gone on with: what they come to, and with which options they are not.
+//! Recordings that are resumed: what they come to, and with which options they are not.
 
 use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -203,7 +203,7 @@ fn scenes_that_are_refused(made: &RecordOptions) {
     );
 }
 
-/// A dataset that does not say how it was made is not gone on with.
+/// A dataset that does not say how it was made is not resumed.
 #[test]
 fn dataset_without_its_options_is_not_resumed() {
     let folder = Scratch::new("session-silent");

@@ -25,7 +25,7 @@ const STUDY: &str = "title = \"One training\"\n\
     recordings = [\"plain\"]\ndemonstrations = [1]\ntraining_seeds = [1]\ntrials = 1\nfirst_seed = 1000\n\
     columns = \"network\"\n";
 
-/// What a study sees of its verbs. A training writes a line into its state each time that it is begun or gone on with; where the file
+/// What a study sees of its verbs. A training writes a line into its state each time that it is begun or resumed; where the file
 /// `hold` lies beside the script it then waits for SIGINT, otherwise the state becomes its weights.
 const VERBS: &str = r#"#!/bin/sh
 verb=$1

@@ -67,7 +67,7 @@ pub(super) fn world(
 ) -> Result<SceneReport, SessionError> {
     let what = format!("a world on topics {topics:?}");
     let lacking = format!(
-        "nobody shows a scene on topics {topics:?}: start `trocar drives` first, or name its topics with --topics"
+        "no publisher of a scene on topics {topics:?}: start `trocar drives` first, or name its topics with --topics"
     );
     await_it(&what, &lacking, WORLD_NS_MAX, say, || Ok(scene.newest()?))
 }
@@ -121,7 +121,7 @@ pub(super) fn still_there(
     for (name, topic) in cameras {
         let what = format!("the next frame of camera {name} on topics {topics:?}");
         let lacking = format!(
-            "camera {name} on topics {topics:?} has shown nothing for {} s",
+            "camera {name} on topics {topics:?} has published no frame for {} s",
             NEXT_FRAME_NS_MAX / 1_000_000_000
         );
         await_it(&what, &lacking, NEXT_FRAME_NS_MAX, say, || {
@@ -149,7 +149,7 @@ pub(super) fn cameras(
         let mut topic = CameraTopic::subscriber(node, name)?;
         let what = format!("a frame of camera {name} on topics {topics:?}");
         let lacking = format!(
-            "camera {name} has shown no frame on topics {topics:?} for {} s: start whoever publishes it (`trocar drives --cameras {name}` \
+            "camera {name} has published no frame on topics {topics:?} for {} s: start whoever publishes it (`trocar drives --cameras {name}` \
              of a simulated world), or name its topics with --topics",
             CAMERA_NS_MAX / 1_000_000_000
         );

@@ -80,7 +80,7 @@ pub(super) fn bring_up(
     for (index, (bus, arm)) in buses.into_iter().zip(&can.config.arms).enumerate() {
         uninterrupted()?;
         let home = |steps| home(bus, &arm.plan, steps).map_err(|error| error.in_arm(can, index));
-        let name = ARM_NAMES.get(index).copied().unwrap_or("arm");
+        let name = ARM_NAMES[index];
         let homed = while_listening(can, &mut ready, || narrated(name, say, home))?;
         ready.push(homed);
     }
@@ -193,7 +193,7 @@ pub(super) fn failed(
 ) -> SessionError {
     let interfaces = can.config.arms.get(arm).map(|arm| arm.interfaces.join(" "));
     SessionError::BringUp {
-        arm: ARM_NAMES.get(arm).copied().unwrap_or("arm"),
+        arm: ARM_NAMES[arm],
         interfaces: interfaces.unwrap_or_default(),
         reason: error.to_string(),
     }

@@ -184,7 +184,7 @@ impl SceneThread<'_> {
             } else if self.seen.clock.now().since(heard) > SILENCE_NS_MAX && !signals.done() {
                 ended = true;
                 end.reason = format!(
-                    "the world has shown nothing for {} s",
+                    "the world has published no scene for {} s",
                     SILENCE_NS_MAX / 1_000_000_000
                 );
                 signals.end_run();

@@ -192,7 +192,9 @@ impl RobotThread {
         let gone = cameras.find(|(_, shown)| now.since(**shown) > SILENCE_NS_MAX);
         let seconds = SILENCE_NS_MAX / 1_000_000_000;
         self.resized.clone().or_else(|| {
-            gone.map(|((name, _), _)| format!("camera {name} has shown nothing for {seconds} s"))
+            gone.map(|((name, _), _)| {
+                format!("camera {name} has published no frame for {seconds} s")
+            })
         })
     }
 

@@ -108,7 +108,7 @@ fn ended(does: Camera, seconds: f64) -> RobotEnd {
 /// Nobody waits for longer than the 2 s that a camera may be silent.
 #[test]
 fn cameras_that_fail_end_the_run_by_name() {
-    let silent = "camera scope has shown nothing for 2 s";
+    let silent = "camera scope has published no frame for 2 s";
     let resized = "camera scope shows other frames than at first: 8 x 8 pixels";
     let cases = [
         (Camera::Dies, silent),
