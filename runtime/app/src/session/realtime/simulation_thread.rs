@@ -194,7 +194,7 @@ impl SimulationThread {
         };
         let more_s = intervention.answer(arms)?;
         self.simulation.grant_s(more_s);
-        for text in intervention.take_told() {
+        for text in intervention.take_notices() {
             let at = arms.first.state.stamp;
             self.signals.tell(at, Level::Info, &text);
         }
@@ -273,7 +273,7 @@ impl SimulationThread {
             inference.record(clock.now().0);
             // The control thread takes one a tick; a full queue means that it is gone.
             let _gone = chunks.push(answer);
-            for text in source.take_told() {
+            for text in source.take_notices() {
                 let at = arms.first.state.stamp;
                 self.signals.tell(at, Level::Info, &text);
             }
