@@ -16,7 +16,7 @@ use iceoryx2::sample_mut::SampleMut;
 
 use super::events::Bell;
 use super::message::{pose, xyzw};
-use super::node::{LOANED_MAX, Service};
+use super::node::{LOANED_MAX, Service, UNREAD};
 use super::{TopicError, TopicNode};
 use hal::camera::{CameraFrame, FrameRef, Intrinsics};
 use hal::{Pose, TimeNs};
@@ -84,7 +84,7 @@ impl CameraTopic {
         pixels_max: usize,
     ) -> Result<FramePublisher, TopicError> {
         let topic = node.service_name(&format!("{camera}/frame"))?;
-        let service = node.open::<[f32], FrameHeader>(&topic)?;
+        let service = node.open::<[f32], FrameHeader>(&topic, UNREAD)?;
         let words_max = pixels_max * WORDS_PER_PIXEL;
         let create = || {
             service
@@ -93,7 +93,8 @@ impl CameraTopic {
                 .initial_max_slice_len(words_max)
                 .create()
         };
-        let raw = node.create_publisher(&topic, words_max * size_of::<f32>(), create)?;
+        let bytes = words_max * size_of::<f32>();
+        let raw = node.create_publisher(&topic, (bytes, UNREAD), create)?;
         Ok(FramePublisher {
             raw,
             topic,
@@ -108,7 +109,7 @@ impl CameraTopic {
     /// [`TopicError`].
     pub fn subscriber(node: &TopicNode, camera: &str) -> Result<FrameSubscriber, TopicError> {
         let topic = node.service_name(&format!("{camera}/frame"))?;
-        let service = node.open::<[f32], FrameHeader>(&topic)?;
+        let service = node.open::<[f32], FrameHeader>(&topic, UNREAD)?;
         let raw = node.create_subscriber(&topic, || service.subscriber_builder().create())?;
         Ok(FrameSubscriber { raw, topic })
     }

@@ -11,7 +11,7 @@ use hal::{ArmState, JOINT_COUNT, JointVector, Pose, TimeNs};
 /// The measured arm at a policy step, with its tip pose.
 #[derive(Clone, Copy, Debug, PartialEq, ZeroCopySend)]
 #[repr(C)]
-#[type_name("trocar/arm_report/1")]
+#[type_name("trocar/arm_report/2")]
 pub struct ArmReport {
     /// When it was measured.
     pub stamp: TimeNs,
@@ -37,6 +37,9 @@ pub struct ArmReport {
 
 impl Message for ArmReport {
     const TOPIC: &'static str = "state";
+
+    // A frame takes time to be drawn or sent: a reader finds the arms of its instant although they have been measured again since.
+    const UNREAD: usize = 16;
 }
 
 impl ArmReport {

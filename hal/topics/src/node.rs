@@ -27,16 +27,19 @@ pub(super) type Service = iceoryx2::service::ipc_threadsafe::Service;
 
 /// Readers a topic can have: the other process, a log, and one more.
 pub(super) const SUBSCRIBERS_MAX: usize = 3;
-/// Unread values a reader keeps; 1 makes the newest win.
-pub(super) const UNREAD_MAX: usize = 1;
+/// Unread values a reader keeps of most topics; 1 makes the newest win.
+pub(super) const UNREAD: usize = 1;
 /// Values a reader can look at while another arrives.
 pub(super) const HELD_MAX: usize = 2;
 /// Values kept for a reader that comes late.
 pub(super) const HISTORY: usize = 1;
 /// Values a writer can be filling at once.
 pub(super) const LOANED_MAX: usize = 1;
-/// Buffers a writer reserves for all of the above.
-pub(super) const BUFFERS: usize = SUBSCRIBERS_MAX * (UNREAD_MAX + HELD_MAX) + HISTORY + LOANED_MAX;
+
+/// Buffers a writer reserves for all of the above, if readers keep `unread` values.
+pub(super) const fn buffers(unread: usize) -> usize {
+    SUBSCRIBERS_MAX * (unread + HELD_MAX) + HISTORY + LOANED_MAX
+}
 
 /// Processes, and threads with a membership of their own, of a run.
 pub(super) const NODES_MAX: usize = 16;
@@ -163,8 +166,12 @@ impl TopicNode {
         Ok(format!("trocar/{}/{topic}", self.run_id))
     }
 
-    /// Opens or creates the service `name` with the latest-wins quality of service that all topics share.
-    pub(super) fn open<P, H>(&self, name: &str) -> Result<PortFactory<Service, P, H>, TopicError>
+    /// Opens or creates the service `name` with the quality of service that all topics share: readers keep the newest `unread` values.
+    pub(super) fn open<P, H>(
+        &self,
+        name: &str,
+        unread: usize,
+    ) -> Result<PortFactory<Service, P, H>, TopicError>
     where
         P: IceoryxSend + Debug + ?Sized,
         H: Debug + ZeroCopySend,
@@ -178,7 +185,7 @@ impl TopicNode {
                 .service_builder(&service_name)
                 .publish_subscribe::<P>()
                 .user_header::<H>();
-            let error = match latest_wins(builder).open_or_create_service() {
+            let error = match newest_win(builder, unread).open_or_create_service() {
                 Ok(service) => return Ok(service),
                 Err(error) => error,
             };
@@ -200,10 +207,10 @@ impl TopicNode {
     pub(super) fn create_publisher<T>(
         &self,
         topic: &str,
-        value_bytes: usize,
+        (value_bytes, unread): (usize, usize),
         create: impl Fn() -> Result<T, PublisherCreateError>,
     ) -> Result<T, TopicError> {
-        let needed_bytes = u64::try_from(BUFFERS * value_bytes).unwrap_or(u64::MAX);
+        let needed_bytes = u64::try_from(buffers(unread) * value_bytes).unwrap_or(u64::MAX);
         let missing = SharedMemorySpace {
             total_bytes: 0,
             free_bytes: 0,
@@ -271,14 +278,14 @@ impl<P: Debug + ZeroCopySend, H: Debug + ZeroCopySend> OpenOrCreate<[P], H> for 
     }
 }
 
-fn latest_wins<P, H>(builder: Builder<P, H>) -> Builder<P, H>
+fn newest_win<P, H>(builder: Builder<P, H>, unread: usize) -> Builder<P, H>
 where
     P: IceoryxSend + Debug + ?Sized,
     H: Debug + ZeroCopySend,
 {
     builder
         .enable_safe_overflow(true)
-        .subscriber_max_buffer_size(UNREAD_MAX)
+        .subscriber_max_buffer_size(unread)
         .subscriber_max_borrowed_samples(HELD_MAX)
         .history_size(HISTORY)
         .max_publishers(1)

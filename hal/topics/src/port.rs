@@ -1,4 +1,4 @@
-//! Topics of plain messages: one writer, the newest value wins.
+//! Topics of plain messages: one writer, the newest values win.
 
 use core::fmt::Debug;
 use core::marker::PhantomData;
@@ -10,7 +10,7 @@ use iceoryx2::port::update_connections::UpdateConnections as _;
 use iceoryx2::prelude::ZeroCopySend;
 
 use super::events::Bell;
-use super::node::{LOANED_MAX, Service};
+use super::node::{LOANED_MAX, Service, UNREAD};
 use super::{TopicError, TopicNode};
 use hal::Chunk;
 
@@ -18,6 +18,9 @@ use hal::Chunk;
 pub trait Message: Copy + Debug + ZeroCopySend + 'static {
     /// Last part of the topic's name.
     const TOPIC: &'static str;
+
+    /// Unread messages that a reader keeps: with 1, which most have, only the newest.
+    const UNREAD: usize = UNREAD;
 }
 
 impl Message for Chunk {
@@ -35,14 +38,14 @@ impl<M: Message> Topic<M> {
     /// [`TopicError`]; in particular [`TopicError::AlreadyPublished`] while another writer is alive.
     pub fn publisher(node: &TopicNode, arm: &str) -> Result<Publisher<M>, TopicError> {
         let topic = node.service_name(&format!("{arm}/{}", M::TOPIC))?;
-        let service = node.open::<M, ()>(&topic)?;
+        let service = node.open::<M, ()>(&topic, M::UNREAD)?;
         let create = || {
             service
                 .publisher_builder()
                 .max_loaned_samples(LOANED_MAX)
                 .create()
         };
-        let raw = node.create_publisher(&topic, size_of::<M>(), create)?;
+        let raw = node.create_publisher(&topic, (size_of::<M>(), M::UNREAD), create)?;
         let bell = node.bell();
         Ok(Publisher { raw, topic, bell })
     }
@@ -53,7 +56,7 @@ impl<M: Message> Topic<M> {
     /// [`TopicError`].
     pub fn subscriber(node: &TopicNode, arm: &str) -> Result<Subscriber<M>, TopicError> {
         let topic = node.service_name(&format!("{arm}/{}", M::TOPIC))?;
-        let service = node.open::<M, ()>(&topic)?;
+        let service = node.open::<M, ()>(&topic, M::UNREAD)?;
         let raw = node.create_subscriber(&topic, || service.subscriber_builder().create())?;
         Ok(Subscriber { raw, topic })
     }
@@ -107,12 +110,22 @@ impl<M: Message> Subscriber<M> {
     /// [`TopicError::Transport`].
     pub fn newest(&self) -> Result<Option<M>, TopicError> {
         let mut newest = None;
-        loop {
-            match self.raw.receive() {
-                Ok(Some(sample)) => newest = Some(*sample),
-                Ok(None) => return Ok(newest),
-                Err(error) => return Err(TopicError::transport(&self.topic, "receiving", &error)),
-            }
+        while let Some(message) = self.next_unread()? {
+            newest = Some(message);
         }
+        Ok(newest)
+    }
+
+    /// The oldest of the unread messages, of which there are [`Message::UNREAD`] at most.
+    ///
+    /// Bits are handed over as they were written, nonsense included.
+    ///
+    /// # Errors
+    /// [`TopicError::Transport`].
+    pub fn next_unread(&self) -> Result<Option<M>, TopicError> {
+        let sample = self.raw.receive();
+        let sample =
+            sample.map_err(|error| TopicError::transport(&self.topic, "receiving", &error))?;
+        Ok(sample.map(|sample| *sample))
     }
 }

@@ -138,7 +138,7 @@ pub enum Verdict {
 /// The true state of a scene at a policy step.
 #[derive(Clone, Copy, Debug, Default, PartialEq, ZeroCopySend)]
 #[repr(C)]
-#[type_name("trocar/scene_report/1")]
+#[type_name("trocar/scene_report/2")]
 pub struct SceneReport {
     /// When it was so, on the system's monotonic clock.
     pub stamp: TimeNs,
@@ -146,6 +146,8 @@ pub struct SceneReport {
     pub sequence: u64,
     /// The task.
     pub task: Line,
+    /// The beginning of a hash of its scene's configuration: with another one it is another world.
+    pub scene_hash: u64,
     /// The seed of the episode.
     pub seed: u64,
     /// How many of `arms` there are.

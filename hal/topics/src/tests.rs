@@ -279,6 +279,26 @@ fn arm_report_gives_back_state_and_tip_bit_for_bit() {
     assert!(report.state().velocity[2].is_sign_negative());
 }
 
+/// A reader that was busy finds the arm of the instant of a frame that took time; of a chunk it finds only the newest.
+#[test]
+fn the_newest_reports_of_an_arm_are_kept_for_a_busy_reader() {
+    let node = node("kept");
+    let publisher = ArmStateTopic::publisher(&node, "psm1").unwrap();
+    let subscriber = ArmStateTopic::subscriber(&node, "psm1").unwrap();
+    let kept = ArmReport::UNREAD as u64;
+    for step in 0..kept + 3 {
+        let state = ArmState::at_rest(TimeNs(step), JointVector::zeros(), 0.0);
+        let report = ArmReport::new(step, &state, &Pose::identity());
+        publisher.publish(&report).unwrap();
+    }
+    let mut steps = Vec::new();
+    while let Some(report) = subscriber.next_unread().unwrap() {
+        steps.push(report.sequence);
+    }
+    assert_eq!(steps, (3..kept + 3).collect::<Vec<_>>());
+    assert_eq!(<Chunk as Message>::UNREAD, 1);
+}
+
 #[test]
 fn status_and_control_decode_what_was_said() {
     for stage in [

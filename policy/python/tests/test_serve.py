@@ -449,25 +449,80 @@ def mapped_from(address: int) -> str:
     raise AssertionError(f"nothing is mapped at {address:#x}")
 
 
+class Camera:
+    """A camera of 24 x 16 pixels."""
+
+    pixels = 24 * 16
+
+    def __init__(self, node: Node, camera: str) -> None:
+        topic = f"trocar/{node.name}/{camera}/frame"
+        service = node._open(topic, iox2.Slice[ctypes.c_float], messages.FrameHeader)
+        self.publisher = service.publisher_builder().initial_max_slice_len(2 * self.pixels).create()
+
+    def show(self, stamp: int) -> np.ndarray:
+        """Shows noise; the bytes of it."""
+        written = np.random.default_rng(3).integers(0, 256, 8 * self.pixels, dtype=np.uint8)
+        loan = self.publisher.loan_slice_uninit(2 * self.pixels)
+        header = loan.user_header().contents
+        header.stamp, header.intrinsics.width, header.intrinsics.height = stamp, 24, 16
+        ctypes.memmove(loan.payload_ptr, written.ctypes.data, written.size)
+        loan.assume_init().send()
+        return written
+
+
 def test_a_reader_sees_the_writers_bytes_where_they_lie(name: str) -> None:
     """The arrays begin in the sample that the transport hands out, in shared memory: nothing is copied on the way."""
-    width, height = 24, 16
     writer, reader = Node(name), Node(name)
-    topic = f"trocar/{name}/endoscope/frame"
-    service = writer._open(topic, iox2.Slice[ctypes.c_float], messages.FrameHeader)
-    publisher = service.publisher_builder().initial_max_slice_len(2 * width * height).create()
-    subscriber = reader.camera("endoscope")
-    written = np.random.default_rng(3).integers(0, 256, 8 * width * height, dtype=np.uint8)
-    loan = publisher.loan_slice_uninit(2 * width * height)
-    header = loan.user_header().contents
-    header.stamp, header.intrinsics.width, header.intrinsics.height = 7, width, height
-    ctypes.memmove(loan.payload_ptr, written.ctypes.data, written.size)
-    loan.assume_init().send()
+    camera, subscriber = Camera(writer, "endoscope"), reader.camera("endoscope")
+    written = camera.show(stamp=7)
     assert subscriber.look() and subscriber.header is not None and subscriber.header.stamp == 7
     colour, depth_m, instance = subscriber.planes()
     begin = subscriber._sample.payload_ptr
-    pixels = width * height
+    pixels = Camera.pixels
     for plane, offset, size in [(depth_m, 0, 4), (colour, 4 * pixels, 3), (instance, 7 * pixels, 1)]:
         assert plane.__array_interface__["data"] == (begin + offset, True)
         assert plane.tobytes() == written[offset : offset + size * pixels].tobytes()
     assert mapped_from(begin).startswith("/dev/shm/")
+
+
+def test_a_frame_is_seen_with_the_arms_of_its_instant(name: str) -> None:
+    """Its arms have been measured twice more by the time that it is drawn."""
+    node = Node(name)
+    peer = trocar.Peer(name, cameras=["endoscope"])
+    hello = node.publisher(messages.SessionHello, "psm1")
+    control = node.publisher(messages.RunControl, "psm1")
+    state = node.publisher(messages.ArmReport, "psm1")
+    camera = Camera(node, "endoscope")
+    hello.publish(messages.SessionHello(session=5 << 32, pid=os.getpid(), arm_count=1, step_ns=40_000_000))
+    control.publish(messages.RunControl(episode=(5 << 32) + 1, seed=3, code=messages.RUN))
+    assert isinstance(peer.wait(5.0), trocar.Begins)
+    peer.ready()
+    for step in (4, 5, 6):
+        state.publish(messages.ArmReport(stamp=40 * step, sequence=step, jaw_position=0.1 * step))
+    assert peer.wait(0.1) is None
+    camera.show(stamp=40 * 4)
+    event = peer.wait(5.0)
+    assert isinstance(event, trocar.Asked) and event.observation.step == 4
+    assert event.observation.arms[0].jaw == pytest.approx(0.4)
+    # One of no instant at which the arms were measured belongs to none.
+    camera.show(stamp=40 * 5 + 1)
+    assert peer.wait(0.1) is None
+
+
+def test_arms_are_seen_where_no_camera_can_be_drawn(
+    name: str, session: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The arms' state comes past the cameras: a policy that looks through none needs no renderer."""
+    for variable in ("VK_DRIVER_FILES", "VK_ICD_FILENAMES"):
+        monkeypatch.setenv(variable, "/dev/null")
+    real_time = ["run", "--task", "needle-lift", "--policy", f"external:{name}", "--json", "-", *short(2.0)]
+    policy = Holds()
+    running = session(*real_time)
+    assert trocar.serve(policy, name, query_every=5, sessions=1) == 1
+    code, out, err = running.end()
+    assert code == 1 and json.loads(out)["policy"]["refused"] == 0, err
+    assert len(policy.asked) >= 5 and all(step % 5 == 0 for step in policy.asked)
+    looks = session(*real_time)
+    trocar.serve(Holds(), name, cameras=["endoscope"], sessions=1)
+    code, _, err = looks.end()
+    assert code == 1 and "no Vulkan device" in err

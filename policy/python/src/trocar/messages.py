@@ -28,6 +28,8 @@ class Message(ctypes.Structure):
 
     NAME: ClassVar[str]
     TOPIC: ClassVar[str] = ""
+    #: Unread messages that a reader keeps: with 1 the newest wins.
+    UNREAD: ClassVar[int] = 1
 
     @classmethod
     def type_name(cls) -> str:
@@ -85,8 +87,10 @@ class Chunk(Message):
 class ArmReport(Message):
     """The measured arm at a policy step, with its tip pose in the RCM frame."""
 
-    NAME = "trocar/arm_report/1"
+    NAME = "trocar/arm_report/2"
     TOPIC = "state"
+    # A frame takes time: a reader finds the arms of its instant although they have been measured again since.
+    UNREAD = 16
     _fields_ = [
         ("stamp", ctypes.c_uint64),
         ("sequence", ctypes.c_uint64),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import time
+from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Union
@@ -90,7 +91,8 @@ class Peer:
         self._hello = self._node.publisher(m.PolicyHello, first)
         self._session: m.SessionHello | None = None
         self._waiting: m.RunControl | None = None
-        self._newest: list[m.ArmReport | None] = [None, None]
+        #: The newest reports of each arm: a frame comes after those of its instant, and others may have come meanwhile.
+        self._past: list[deque[m.ArmReport]] = [deque(maxlen=m.ArmReport.UNREAD) for _ in m.ARM_NAMES]
         self._episode = 0
         self._running = False
         self._turn: int | None = None
@@ -244,9 +246,9 @@ class Peer:
 
     def _forget(self) -> None:
         """What has been published so far is of no interest any more."""
-        self._newest = [None, None]
-        for reports in self._reports:
+        for reports, past in zip(self._reports, self._past):
             reports.newest()
+            past.clear()
         for camera in self._cameras.values():
             camera.look()
             camera.drop()
@@ -255,25 +257,24 @@ class Peer:
         session = self._required()
         fresh = False
         for index in range(session.arm_count):
-            newest = self._reports[index].newest()
-            if newest is not None:
-                self._newest[index] = newest
+            for report in self._reports[index].unread():
+                self._past[index].append(report)
                 fresh = True
         for camera in self._cameras.values():
             fresh |= camera.look()
         if not fresh:
             return None
-        reports = [report for report in self._newest[: session.arm_count] if report is not None]
-        if len(reports) != session.arm_count:
+        headers = [camera.header for camera in self._cameras.values()]
+        if any(header is None for header in headers):
+            return None
+        stamps = [header.stamp for header in headers if header is not None]
+        # The arms were measured when the first camera took its frame.
+        reports = _of_one_instant(self._past[: session.arm_count], stamps[0] if stamps else None)
+        if not reports:
             return None
         stamp, sequence = reports[0].stamp, reports[0].sequence
-        if any((report.stamp, report.sequence) != (stamp, sequence) for report in reports):
+        if any(abs(other - stamp) > session.frames_within_ns for other in stamps[1:]):
             return None
-        for index, camera in enumerate(self._cameras.values()):
-            # The arms were measured when the first camera took its frame.
-            within = session.frames_within_ns if index else 0
-            if camera.header is None or abs(camera.header.stamp - stamp) > within:
-                return None
         turn, since = divmod(sequence, self._query_every)
         if turn != self._turn:
             self._turn = turn
@@ -290,6 +291,19 @@ class Peer:
         instruction = session.instruction.text
         observation = Observation(stamp, sequence, arms, frames, instruction)
         return Asked(observation) if asked else Shown(observation)
+
+
+def _of_one_instant(past: Sequence[deque[m.ArmReport]], stamp: int | None) -> list[m.ArmReport]:
+    """The newest reports, one an arm, that are of one instant, that of `stamp` if it is given; none if there are none."""
+    for first in reversed(past[0]) if past else ():
+        if stamp is not None and first.stamp != stamp:
+            continue
+        instant = (first.stamp, first.sequence)
+        reports = [next((one for one in reversed(arm) if (one.stamp, one.sequence) == instant), None) for arm in past]
+        found = [report for report in reports if report is not None]
+        if len(found) == len(past):
+            return found
+    return []
 
 
 def _frame(camera: FrameSubscriber) -> Frame:

@@ -13,6 +13,9 @@ from .messages import CHUNK_STEPS_MAX, ArmReport, Chunk, TipTarget
 
 Array = NDArray[np.float64]
 
+#: A quaternion whose length is this near to 1 stays as it is, to the bit: the gate takes far worse ones.
+_UNIT_TOLERANCE = 1e-6
+
 #: Numbers in an absolute action of one arm: x, y, z (m), quaternion x, y, z, w in the RCM frame, jaw (rad).
 ABSOLUTE = 8
 #: Numbers in a relative one: translation from the tip at the observation (m, axes of the RCM frame), rotation vector in the frame of that
@@ -168,8 +171,9 @@ def _targets(index: int, given: Any, arm: Arm) -> Array:
     short = np.flatnonzero(length < 1e-6)
     if short.size:
         raise PolicyError(f"arm {index}, step {int(short[0])}: the quaternion has no length")
+    off = np.abs(length - 1.0) > _UNIT_TOLERANCE
     actions = actions.copy()
-    actions[:, 3:7] /= length[:, None]
+    actions[off, 3:7] /= length[off, None]
     return actions
 
 

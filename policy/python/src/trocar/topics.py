@@ -1,10 +1,11 @@
-"""Topics over iceoryx2 as Trocar opens them: one writer each, and the newest value wins."""
+"""Topics over iceoryx2 as Trocar opens them: one writer each, and the newest values win."""
 
 from __future__ import annotations
 
 import contextlib
 import ctypes
 import re
+from collections.abc import Iterator
 from typing import Any, Generic, TypeVar
 
 import iceoryx2 as iox2
@@ -15,7 +16,7 @@ from .messages import FrameHeader, Message
 
 # As hal/topics/src/node.rs has them: a service is opened with the qualities that it was created with, or not at all.
 _SUBSCRIBERS_MAX = 3
-_UNREAD_MAX = 1
+_FRAMES_UNREAD = 1
 _HELD_MAX = 2
 _HISTORY = 1
 _NODES_MAX = 16
@@ -65,7 +66,7 @@ class Node:
     def publisher(self, message: type[M], arm: str) -> Publisher[M]:
         """The only writer of the topic of `arm` that carries `message`."""
         topic = f"trocar/{self.name}/{arm}/{message.TOPIC}"
-        service = self._open(topic, message, None)
+        service = self._open(topic, message, None, message.UNREAD)
         try:
             raw = service.publisher_builder().max_loaned_samples(1).create()
         except iox2.PublisherCreateError as error:
@@ -75,15 +76,15 @@ class Node:
     def subscriber(self, message: type[M], arm: str) -> Subscriber[M]:
         """A reader of the topic of `arm` that carries `message`."""
         topic = f"trocar/{self.name}/{arm}/{message.TOPIC}"
-        return Subscriber(self._subscribe(topic, message, None), message)
+        return Subscriber(self._subscribe(topic, message, None, message.UNREAD), message)
 
     def camera(self, camera: str) -> FrameSubscriber:
         """A reader of the frames of `camera`."""
         topic = f"trocar/{self.name}/{camera}/frame"
         return FrameSubscriber(self._subscribe(topic, iox2.Slice[ctypes.c_float], FrameHeader), topic)
 
-    def _subscribe(self, topic: str, payload: Any, header: Any) -> Any:
-        service = self._open(topic, payload, header)
+    def _subscribe(self, topic: str, payload: Any, header: Any, unread: int = _FRAMES_UNREAD) -> Any:
+        service = self._open(topic, payload, header, unread)
         try:
             return service.subscriber_builder().create()
         except iox2.SubscriberCreateError as error:
@@ -102,7 +103,7 @@ class Node:
                 self._node.wait(iox2.Duration.from_millis(5))
         raise TopicError(f"event service '{name}' can't be opened: {reason}")
 
-    def _open(self, topic: str, payload: Any, header: Any) -> Any:
+    def _open(self, topic: str, payload: Any, header: Any, unread: int = _FRAMES_UNREAD) -> Any:
         reason: Exception | None = None
         for _ in range(_OPEN_TRIES):
             builder = self._node.service_builder(iox2.ServiceName.new(topic)).publish_subscribe(payload)
@@ -110,7 +111,7 @@ class Node:
                 builder = builder.user_header(header)
             builder = (
                 builder.enable_safe_overflow(True)
-                .subscriber_max_buffer_size(_UNREAD_MAX)
+                .subscriber_max_buffer_size(unread)
                 .subscriber_max_borrowed_samples(_HELD_MAX)
                 .history_size(_HISTORY)
                 .max_publishers(1)
@@ -180,10 +181,16 @@ class Subscriber(Generic[M]):
     def newest(self) -> M | None:
         """The newest message, if one has come since the last call."""
         newest: M | None = None
-        while (sample := self._raw.receive()) is not None:
-            newest = self._message.from_buffer_copy(sample.payload().contents)
-            sample.delete()
+        for message in self.unread():
+            newest = message
         return newest
+
+    def unread(self) -> Iterator[M]:
+        """The messages that have come since the last call, the oldest first; at most the newest `UNREAD` of its type."""
+        while (sample := self._raw.receive()) is not None:
+            message = self._message.from_buffer_copy(sample.payload().contents)
+            sample.delete()
+            yield message
 
 
 class FrameSubscriber:

@@ -15,6 +15,7 @@ use super::robot::warn_of_start;
 use super::run::{RunResult, run_lockstep};
 use super::source::{ChunkSource, PolicyChoice};
 use super::teleop::TeleopSummary;
+use super::world_report::WorldName;
 use super::{Robot, SessionError, Setup, pictures};
 use crate::console::Console;
 use crate::rt::RtProfile;
@@ -183,6 +184,15 @@ impl Plan {
             Backend::Lockstep => run_lockstep(self),
             Backend::RealTime => run_realtime(self, say),
             Backend::Can(can) => run_on_can(self, can, say),
+        }
+    }
+
+    /// The world of its episode.
+    pub(super) fn world_name(&self) -> WorldName {
+        WorldName {
+            task: self.setup.task_name.clone(),
+            scene_hash: self.setup.scene_hash(),
+            seed: self.seed,
         }
     }
 

@@ -13,6 +13,7 @@ use super::plan::Arms;
 use super::scene_options::SceneOptions;
 use super::source::{ChunkSource, PolicyChoice};
 use super::{Robot, SessionError, tasks};
+use crate::study::address::hash_text;
 use trocar_control::{AnyController, ControlConfig};
 
 /// Everything that a session is configured by.
@@ -127,6 +128,15 @@ impl Setup {
     pub fn needle(&self) -> Option<&str> {
         let own = self.task.varied.contains(&Variation::Needles);
         self.task.needle().filter(|_| !own)
+    }
+
+    /// The beginning of a hash of what the scene is configured by, as a number.
+    #[must_use]
+    pub fn scene_hash(&self) -> u64 {
+        let text = self.robot.texts.scene.as_deref().unwrap_or_default();
+        let (needle, view) = (self.needle(), self.task.view);
+        let hash = hash_text(&format!("{needle:?} {view:?} {text}"));
+        u64::from_str_radix(hash.get(..16).unwrap_or_default(), 16).unwrap_or_default()
     }
 
     /// Names of the task's cameras.

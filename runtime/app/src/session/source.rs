@@ -315,9 +315,9 @@ impl ChunkSource {
     }
 
     /// What the log is to say of it, since the last call.
-    pub(super) fn take_told(&mut self) -> Vec<String> {
+    pub(super) fn take_notices(&mut self) -> Vec<String> {
         match self {
-            Self::Teleop(teleop) => teleop.take_told(),
+            Self::Teleop(teleop) => teleop.take_notices(),
             Self::Expert { .. } | Self::Noop { .. } | Self::Random { .. } | Self::Policy(_) => {
                 Vec::new()
             }

@@ -22,11 +22,22 @@ pub(super) struct WorldState {
     pub(super) tissue: Option<TissueExtremes>,
 }
 
-/// The report of `state` at `stamp` on the system's clock, the step `sequence` of the episode `seed` of `task`.
+/// Which world it is.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(super) struct WorldName {
+    /// The task.
+    pub(super) task: String,
+    /// What [`Setup::scene_hash`](super::Setup::scene_hash) says of its scene.
+    pub(super) scene_hash: u64,
+    /// The episode's seed.
+    pub(super) seed: u64,
+}
+
+/// The report of `state` at `stamp` on the system's clock, the step `sequence` of the episode of `world`.
 pub(super) fn report(
     stamp: TimeNs,
     sequence: u64,
-    (task, seed): (&str, u64),
+    world: &WorldName,
     state: &WorldState,
 ) -> SceneReport {
     let second = state.scene.second.as_ref();
@@ -46,8 +57,9 @@ pub(super) fn report(
     SceneReport {
         stamp,
         sequence,
-        task: Line::new(task),
-        seed,
+        task: Line::new(&world.task),
+        scene_hash: world.scene_hash,
+        seed: world.seed,
         arm_count: if second.is_some() { 2 } else { 1 },
         arms: [
             scene_arm(&state.scene.first),
@@ -131,7 +143,12 @@ mod tests {
                 outcome: Some(simulation.outcome()),
                 tissue: simulation.tissue_extremes(),
             };
-            let told = report(TimeNs(7), 3, (name, 5), &state);
+            let world = WorldName {
+                task: name.to_owned(),
+                scene_hash: 9,
+                seed: 5,
+            };
+            let told = report(TimeNs(7), 3, &world, &state);
             assert_eq!(
                 format!("{:?}", scene_state(&told)),
                 format!("{:?}", state.scene)
@@ -148,7 +165,7 @@ mod tests {
                     operational,
                     ..waiting
                 };
-                report(TimeNs(7), 3, (name, 5), &waiting).verdict()
+                report(TimeNs(7), 3, &world, &waiting).verdict()
             };
             assert_eq!(waits(false), Verdict::Waiting);
             assert_eq!(waits(true), Verdict::Operational);

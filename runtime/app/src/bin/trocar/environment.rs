@@ -1,20 +1,18 @@
 //! `trocar environment`: a seed a line on standard input, how its episode ended as a line of JSON on standard output.
 
 use std::io::BufRead as _;
-use std::path::PathBuf;
 
 use clap::Args;
 
-use trocar::session::changes::Change;
 use trocar::session::environment::{EpisodeSummary, run_environment};
 use trocar::session::external::ExternalChoice;
-use trocar::session::{PolicyChoice, SessionError, Setup};
+use trocar::session::{PolicyChoice, SessionError};
 
 use crate::args::{TaskParser, pixels};
-use crate::commands::{Done, task_changes};
+use crate::commands::Done;
 use crate::console;
 use crate::policy::ExternalArgs;
-use crate::scene_args::{SceneArgs, VaryArgs};
+use crate::scene_args::{ConfigArgs, ScenesArgs};
 
 /// Options of the hidden environment.
 #[derive(Args, Debug)]
@@ -34,18 +32,12 @@ pub(crate) struct EnvironmentArgs {
     /// Width of all images, pixels.
     #[arg(long, value_name = "PIXELS", requires = "image_height", value_parser = pixels())]
     pub(crate) image_width: Option<u32>,
-    /// The scene.
+    /// The scenes.
     #[command(flatten)]
-    pub(crate) scene: SceneArgs,
-    /// What differs from episode to episode.
+    pub(crate) scenes: ScenesArgs,
+    /// Controller configuration and changed values.
     #[command(flatten)]
-    pub(crate) vary: VaryArgs,
-    /// Controller configuration instead of the built-in config/control.toml.
-    #[arg(long, value_name = "FILE")]
-    pub(crate) config: Option<PathBuf>,
-    /// Override one configuration value.
-    #[arg(long, value_name = "FILE.KEY=VALUE")]
-    pub(crate) set: Vec<Change>,
+    pub(crate) config: ConfigArgs,
 }
 
 /// What is said of an episode that the policy abandoned.
@@ -59,10 +51,8 @@ pub(crate) fn environment(args: &EnvironmentArgs) -> Done {
     };
     choice.check()?;
     let policy = PolicyChoice::External(choice.clone());
-    let changes = task_changes(&args.set)?;
-    let scene = args.vary.add_to(args.scene.options(None));
-    let config = args.config.as_deref();
-    let mut setup = Setup::load_with(&args.task, config, &policy, &scene, changes)?;
+    let scenes = args.scenes.options(None);
+    let mut setup = args.config.setup(&args.task, &policy, &scenes)?;
     if let (Some(height), Some(width)) = (args.image_height, args.image_width) {
         for camera in &mut setup.task.cameras {
             (camera.height, camera.width) = (height, width);

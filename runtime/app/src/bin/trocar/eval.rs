@@ -6,19 +6,18 @@ use clap::Args;
 use indicatif::ProgressBar;
 
 use trocar::rt;
-use trocar::session::changes::Change;
 use trocar::session::eval::{self, EvalOptions};
 use trocar::session::keep::{Keep, KeepChoice};
 use trocar::session::run::write_json;
 use trocar::session::score::{Demand, Score};
 use trocar::session::summary::TrialSummary;
-use trocar::session::{Plan, SessionError, Setup};
+use trocar::session::{Plan, SessionError};
 
 use crate::args::{ComputeArgs, TaskParser, count, delay, share, threads};
-use crate::commands::{Done, compute, note_awaited, task_changes, warn_of_transfer};
+use crate::commands::{Done, compute, note_awaited, warn_of_transfer};
 use crate::console;
 use crate::policy::ExternalArgs;
-use crate::scene_args::{Inputs, SceneArgs, VaryArgs};
+use crate::scene_args::{ConfigArgs, Inputs, ScenesArgs};
 
 /// Options of `eval`.
 #[derive(Args, Debug)]
@@ -42,19 +41,12 @@ pub(crate) struct EvalArgs {
     /// Trials at a time.
     #[arg(long, default_value_t = 1, value_parser = threads())]
     pub(crate) jobs: usize,
-    /// The scene.
+    /// The scenes.
     #[command(flatten)]
-    pub(crate) scene: SceneArgs,
-    /// What differs from episode to episode.
+    pub(crate) scenes: ScenesArgs,
+    /// Controller configuration and changed values.
     #[command(flatten)]
-    pub(crate) vary: VaryArgs,
-    /// Controller configuration instead of the built-in config/control.toml.
-    #[arg(long, value_name = "FILE")]
-    pub(crate) config: Option<PathBuf>,
-    /// Override one configuration value: FILE.KEY=VALUE, where FILE is control, safety, scene or can. May be given several
-    /// times.
-    #[arg(long, value_name = "FILE.KEY=VALUE")]
-    pub(crate) set: Vec<Change>,
+    pub(crate) config: ConfigArgs,
     /// Write the result as JSON, also when the evaluation is interrupted, to standard output if it is `-`; parent folders are made.
     #[arg(long, value_name = "FILE")]
     pub(crate) json: Option<PathBuf>,
@@ -82,18 +74,16 @@ pub(crate) struct EvalArgs {
 pub(crate) fn eval(args: &EvalArgs) -> Done {
     let keep = keep(args)?;
     Inputs::new([
-        ("--config", args.config.as_ref()),
-        ("--scene", args.scene.scene.as_ref()),
+        ("--config", args.config.config.as_ref()),
+        ("--scene", args.scenes.scene.scene.as_ref()),
         ("--keep", keep.as_ref().map(|keep| &keep.folder)),
     ])
     .and_tasks([&args.task])
     .and_policy(&args.policy)
     .check(&[("--json", args.json.as_deref())])?;
     let policy = args.external.policy(&args.policy)?;
-    let changes = task_changes(&args.set)?;
-    let scene = args.vary.add_to(args.scene.options(None));
-    let config = args.config.as_deref();
-    let setup = Setup::load_with(&args.task, config, &policy, &scene, changes)?;
+    let scenes = args.scenes.options(None);
+    let setup = args.config.setup(&args.task, &policy, &scenes)?;
     warn_of_transfer(&setup);
     note_awaited(&policy, args.jobs.min(args.trials));
     let plan = Plan {

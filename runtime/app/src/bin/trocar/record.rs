@@ -7,17 +7,16 @@ use clap::{Args, ValueEnum};
 
 use trocar::console::{Address, DEFAULT_ADDRESS, FOXGLOVE_ADDRESS};
 use trocar::rt;
-use trocar::session::changes::Change;
 use trocar::session::record::{self, RecordOptions, RecordSummary};
 use trocar::session::run::write_json;
 use trocar::session::teleop::TIME_FACTOR;
-use trocar::session::{Plan, PolicyChoice, SessionError, Setup};
+use trocar::session::{Plan, PolicyChoice, SessionError};
 use trocar_data::dataset::Totals;
 
 use crate::args::{TaskParser, Video, count, share_above_0, threads};
-use crate::commands::{Done, codec, open_console, task_changes};
+use crate::commands::{Done, codec, open_console};
 use crate::console;
-use crate::scene_args::{Inputs, SceneArgs, VaryArgs};
+use crate::scene_args::{ConfigArgs, Inputs, ScenesArgs};
 
 /// Source of the demonstrations.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
@@ -67,12 +66,9 @@ pub(crate) struct RecordArgs {
     /// or wait for an earlier one.
     #[arg(long, default_value_t = 1, value_parser = threads())]
     pub(crate) jobs: usize,
-    /// The scene.
+    /// The scenes.
     #[command(flatten)]
-    pub(crate) scene: SceneArgs,
-    /// What differs from episode to episode.
-    #[command(flatten)]
-    pub(crate) vary: VaryArgs,
+    pub(crate) scenes: ScenesArgs,
     /// Disturb this share of the demonstrations, above 0, up to 1 (0.5 if no number is given): offset commands, missed
     /// grasps, slips, or the thing slides away, and the expert recovers. The recorded action is the expert's, not the disturbed
     /// one. They may take twice the task's time limit.
@@ -93,13 +89,9 @@ pub(crate) struct RecordArgs {
     /// from.
     #[arg(long)]
     pub(crate) depth: bool,
-    /// Controller configuration instead of the built-in config/control.toml.
-    #[arg(long, value_name = "FILE")]
-    pub(crate) config: Option<PathBuf>,
-    /// Override one configuration value: FILE.KEY=VALUE, where FILE is control, safety, scene or can. May be given several
-    /// times.
-    #[arg(long, value_name = "FILE.KEY=VALUE")]
-    pub(crate) set: Vec<Change>,
+    /// Controller configuration and changed values.
+    #[command(flatten)]
+    pub(crate) config: ConfigArgs,
     /// Write what was recorded, attempt by attempt, as JSON, to standard output if it is `-`; parent folders are made.
     #[arg(long, value_name = "FILE")]
     pub(crate) json: Option<PathBuf>,
@@ -108,17 +100,15 @@ pub(crate) struct RecordArgs {
 pub(crate) fn record(args: &RecordArgs) -> Done {
     check_source(args)?;
     Inputs::new([
-        ("--config", args.config.as_ref()),
-        ("--scene", args.scene.scene.as_ref()),
+        ("--config", args.config.config.as_ref()),
+        ("--scene", args.scenes.scene.scene.as_ref()),
         ("--out", Some(&args.out)),
     ])
     .and_tasks([&args.task])
     .check(&[("--json", args.json.as_deref())])?;
-    let changes = task_changes(&args.set)?;
     let demonstrator = demonstrator(args)?;
-    let scene = args.vary.add_to(args.scene.options(Some(&args.cameras)));
-    let config = args.config.as_deref();
-    let mut setup = Setup::load_with(&args.task, config, &demonstrator, &scene, changes)?;
+    let scenes = args.scenes.options(Some(&args.cameras));
+    let mut setup = args.config.setup(&args.task, &demonstrator, &scenes)?;
     if args.source == Demonstrator::Teleop {
         setup.task.time_limit_s *= TIME_FACTOR;
     }

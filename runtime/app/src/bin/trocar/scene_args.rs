@@ -4,9 +4,12 @@ use std::path::{Path, PathBuf};
 
 use clap::{Args, ValueEnum};
 
+use trocar::session::changes::Change;
 use trocar::session::scene_options::{CameraSet, SceneOptions};
-use trocar::session::{PolicyChoice, SessionError, outputs, tasks};
+use trocar::session::{PolicyChoice, SessionError, Setup, outputs, tasks};
 use trocar_tasks::task::{Variation, View};
+
+use crate::commands::task_changes;
 
 /// From where the cameras look.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
@@ -68,21 +71,48 @@ impl From<VaryChoice> for Variation {
     }
 }
 
-/// Domain randomisation, drawn for each episode from its seed.
+/// The scenes of many episodes.
 #[derive(Args, Debug)]
-pub(crate) struct VaryArgs {
+pub(crate) struct ScenesArgs {
+    /// What all have in common.
+    #[command(flatten)]
+    pub(crate) scene: SceneArgs,
     /// Domain randomisation for each episode, from its seed, beyond where things lie; several with commas between them.
     #[arg(long, value_enum, value_delimiter = ',', value_name = "WHAT,...")]
-    pub(crate) vary: Vec<VaryChoice>,
+    vary: Vec<VaryChoice>,
 }
 
-impl VaryArgs {
-    /// `options` with this.
-    pub(crate) fn add_to(&self, options: SceneOptions) -> SceneOptions {
+impl ScenesArgs {
+    /// The choices, with `cameras` for those whose frames are kept.
+    pub(crate) fn options(&self, cameras: Option<&str>) -> SceneOptions {
         SceneOptions {
             varied: self.vary.iter().map(|&choice| choice.into()).collect(),
-            ..options
+            ..self.scene.options(cameras)
         }
+    }
+}
+
+/// The controller's configuration, and single values of a task's files.
+#[derive(Args, Debug)]
+pub(crate) struct ConfigArgs {
+    /// Controller configuration instead of the built-in config/control.toml.
+    #[arg(long, value_name = "FILE")]
+    pub(crate) config: Option<PathBuf>,
+    /// Override one configuration value: FILE.KEY=VALUE, where FILE is control, safety or scene. May be given several times.
+    #[arg(long, value_name = "FILE.KEY=VALUE")]
+    set: Vec<Change>,
+}
+
+impl ConfigArgs {
+    /// The configuration of `task` for `policy` in the scene that `options` choose.
+    pub(crate) fn setup(
+        &self,
+        task: &str,
+        policy: &PolicyChoice,
+        options: &SceneOptions,
+    ) -> Result<Setup, SessionError> {
+        let changes = task_changes(&self.set)?;
+        Setup::load_with(task, self.config.as_deref(), policy, options, changes)
     }
 }
 

@@ -13,15 +13,14 @@ use trocar_topics::{
 use super::DrivesOptions;
 use super::bus_thread::Shown;
 use crate::mailbox::MailboxReader;
-use crate::session::world_report::report;
+use crate::session::world_report::{WorldName, report};
 use crate::session::{Plan, SessionError};
 
 /// The topics of a world.
 pub(super) struct Show {
     /// Kept for as long as the topics live.
     _node: TopicNode,
-    task: String,
-    seed: u64,
+    world: WorldName,
     scene: Publisher<SceneReport>,
     cameras: Option<SceneCameras>,
     /// Cameras that are published, by index, with their topics.
@@ -68,8 +67,7 @@ impl Show {
         }
         Ok(Self {
             _node: node,
-            task: setup.task_name.clone(),
-            seed: plan.seed,
+            world: plan.world_name(),
             scene,
             cameras,
             views,
@@ -87,8 +85,7 @@ impl Show {
             }
             return Ok(());
         };
-        let about = (self.task.as_str(), self.seed);
-        let report_now = report(shown.stamp, shown.sequence, about, &shown.world);
+        let report_now = report(shown.stamp, shown.sequence, &self.world, &shown.world);
         self.scene.publish(&report_now)?;
         self.draw(&shown)?;
         if let Some(outcome) = shown.world.outcome

@@ -12,7 +12,7 @@ use trocar_topics::{
     RunControl, RunControlTopic, SessionHello, SessionHelloTopic, Subscriber, TopicNode,
 };
 
-use super::{FIRST_ARM, LOOK_NS};
+use super::link::{FIRST_ARM, LOOK_NS};
 use crate::rt::{self, MonotonicClock};
 use crate::session::SessionError;
 use crate::session::realtime::observed::{Observed, Turn, Turns};

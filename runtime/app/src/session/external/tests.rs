@@ -1,11 +1,18 @@
 //! External policies that are threads of the test.
 
+use std::process;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread;
 
 use hal::{ArmState, JointVector, Pose, SeenArm, TipTarget};
+use trocar_topics::{
+    Line, PolicyHello, PolicyHelloTopic, PolicyReplyTopic, PolicyStatus, PolicyStatusTopic,
+    RunControlTopic, TopicNode,
+};
 
+use super::link::{FIRST_ARM, checked};
 use super::*;
+use crate::rt;
 use crate::session::PolicyChoice;
 
 fn setup(task: &str) -> Setup {

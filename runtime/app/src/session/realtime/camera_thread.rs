@@ -2,33 +2,28 @@
 
 use std::collections::BTreeMap;
 use std::collections::btree_map::Entry;
+use std::thread;
 
-use hal::{CameraFrame, SeenArm, TimeNs};
+use hal::{CameraFrame, TimeNs};
 use trocar_render::Planes;
 use trocar_tasks::cameras::SceneCameras;
 use trocar_tasks::scene::SceneSnapshot;
-use trocar_topics::{
-    ArmReport, ArmStateTopic, CameraTopic, FrameHeader, FramePublisher, Publisher, TopicNode,
-};
+use trocar_topics::{CameraTopic, FrameHeader, FramePublisher, TopicNode};
 
-use super::policy_process::arm_names;
+use super::arm_states::IDLE;
 use super::signals::{EndsRun, Signals};
 use crate::console::{FramePlanes, FrameTap, SceneTap};
 use crate::mailbox::MailboxReader;
-use crate::rt;
 use crate::session::pictures::Pictures;
 use crate::session::{Plan, SessionError};
-use hal::PerArm;
 use trocar_log::{Level, SideLog};
-
-/// Time between two looks for a snapshot, ns.
-const POLL_NS: u64 = 1_000_000;
 
 /// What the cameras need to know of one instant.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Snapshot {
     pub(super) step: u64,
-    pub(super) arms: PerArm<SeenArm>,
+    /// The instant of the arms' measurement in this step.
+    pub(super) stamp: TimeNs,
     pub(super) scene: SceneSnapshot,
 }
 
@@ -38,8 +33,6 @@ pub(super) struct CameraThread {
     /// The cameras that are wanted, by index; publishers and frames are in their order.
     wanted: Vec<usize>,
     publishers: Vec<FramePublisher>,
-    /// One an arm, if there is a policy process to read them.
-    arms: Vec<Publisher<ArmReport>>,
     log: Option<SideLog>,
     snapshots: MailboxReader<Snapshot>,
     /// Kept only if they will be looked at.
@@ -81,7 +74,7 @@ impl ConsoleCameras {
         if self.waiting.is_empty()
             && let Some(snapshot) = self.snapshots.take()
         {
-            let stamp = snapshot.arms.first.state.stamp;
+            let stamp = snapshot.stamp;
             self.scene.show(&snapshot.scene, stamp)?;
             self.snapshot = Some(snapshot);
             let wanted = (0..cameras.names().count()).filter(|camera| self.to.wants(*camera));
@@ -100,7 +93,7 @@ impl ConsoleCameras {
             depth_m: &frame.depth_m,
             instance: &frame.instance,
         };
-        let stamp = snapshot.arms.first.state.stamp;
+        let stamp = snapshot.stamp;
         let seen_from = (&frame.intrinsics, &frame.camera_in_scene);
         self.to.show(camera, stamp, seen_from, &planes);
         Ok(true)
@@ -113,11 +106,11 @@ pub(super) struct CameraEnd {
 }
 
 impl CameraThread {
-    /// Opens the renderer for the cameras `seen` by the policy and those that `plan` asks for, and the topics if there is a
-    /// policy process to see them; draws `start` once, since the first image takes far longer than the others.
+    /// Opens the renderer for the cameras `wanted` by name, and the topics if there is a policy process to see them; draws `start`
+    /// once, since the first image takes far longer than the others.
     pub(super) fn new(
         plan: &Plan,
-        seen: &[String],
+        wanted: &[String],
         node: Option<&TopicNode>,
         (snapshots, console): (MailboxReader<Snapshot>, Option<ConsoleCameras>),
         start: &SceneSnapshot,
@@ -125,14 +118,10 @@ impl CameraThread {
         let setup = &plan.setup;
         let mut cameras = SceneCameras::new(&setup.task)?;
         cameras.begin_episode(&setup.task, plan.seed);
-        let names = setup.cameras_with(seen.to_vec());
-        let wanted: Vec<usize> = names.iter().filter_map(|name| cameras.find(name)).collect();
+        let wanted = wanted.iter().filter_map(|name| cameras.find(name));
+        let wanted: Vec<usize> = wanted.collect();
         let mut publishers = Vec::new();
-        let mut arms = Vec::new();
         if let Some(node) = node {
-            for name in arm_names(setup.task.arms.len()) {
-                arms.push(ArmStateTopic::publisher(node, name)?);
-            }
             for &camera in &wanted {
                 let pixels = cameras.intrinsics(camera)?.pixel_count();
                 publishers.push(CameraTopic::publisher(node, cameras.name(camera)?, pixels)?);
@@ -149,7 +138,6 @@ impl CameraThread {
             cameras,
             wanted,
             publishers,
-            arms,
             log: None,
             snapshots,
             pictures: plan.pictures.then(Pictures::default),
@@ -158,7 +146,7 @@ impl CameraThread {
         })
     }
 
-    /// Renders snapshots until the control thread has stopped.
+    /// Renders snapshots until the control thread has stopped. Whoever puts in one wakes this thread.
     pub(super) fn run(
         mut self,
         log: Option<SideLog>,
@@ -173,7 +161,7 @@ impl CameraThread {
             } else {
                 self.keep_alive()?;
                 if !self.draw_for_console(signals) {
-                    rt::sleep_ns(POLL_NS);
+                    thread::park_timeout(IDLE);
                 }
             }
         }
@@ -192,7 +180,7 @@ impl CameraThread {
             Ok(drew) => drew,
             Err(error) => {
                 let snapshot = console.snapshot.as_ref();
-                let at = snapshot.map_or(TimeNs(0), |snapshot| snapshot.arms.first.state.stamp);
+                let at = snapshot.map_or(TimeNs(0), |snapshot| snapshot.stamp);
                 let text = format!("the console is shown no more cameras: {error}");
                 signals.tell(at, Level::Warning, &text);
                 self.console = None;
@@ -203,7 +191,7 @@ impl CameraThread {
 
     fn take(&mut self, snapshot: &Snapshot) -> Result<(), SessionError> {
         for (place, &camera) in self.wanted.iter().enumerate() {
-            let stamp = snapshot.arms.first.state.stamp;
+            let stamp = snapshot.stamp;
             let kept = self.log.is_some() || (place == 0 && self.pictures.is_some());
             let frame = &mut self.frames[place];
             if let Some(publisher) = self.publishers.get_mut(place) {
@@ -226,10 +214,6 @@ impl CameraThread {
                     frame.colour.copy_from_slice(loan.planes().0);
                     frame.camera_in_scene = pose;
                 }
-                // The reports go first, so that they are there when the frame arrives.
-                if place == 0 {
-                    publish_arms(&self.arms, snapshot)?;
-                }
                 loan.send()?;
             } else {
                 self.cameras.render(camera, &snapshot.scene, frame)?;
@@ -251,16 +235,6 @@ impl CameraThread {
         for publisher in &self.publishers {
             publisher.keep_alive()?;
         }
-        for arm in &self.arms {
-            arm.keep_alive()?;
-        }
         Ok(())
     }
-}
-
-fn publish_arms(to: &[Publisher<ArmReport>], snapshot: &Snapshot) -> Result<(), SessionError> {
-    for (publisher, arm) in to.iter().zip(snapshot.arms.iter()) {
-        publisher.publish(&ArmReport::new(snapshot.step, &arm.state, &arm.tip_in_rcm))?;
-    }
-    Ok(())
 }

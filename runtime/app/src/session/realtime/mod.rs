@@ -2,9 +2,10 @@
 //!
 //! ```text
 //!  simulation thread (1 kHz) ── measured ──> control thread (1 kHz, SCHED_FIFO) ── commands ──> simulation thread
-//!         │ snapshots                              ▲ chunks            │ ticks
-//!         ▼                                        │                   ▼
-//!   camera thread ── frames, arm ──> policy process ── chunks ──> first thread      log thread
+//!     │ scene         │ arms                                 ▲ chunks      │ ticks
+//!     ▼               ▼                                      │             ▼
+//!  camera thread   states thread                       first thread     log thread
+//!     └─ frames ──────┴─ arms ──> policy process ── chunks ──┘
 //! ```
 //!
 //! Everything that reaches the control thread comes through wait-free mailboxes and queues. What is of one instant travels
@@ -14,6 +15,7 @@
 //! thread: all arms then come to rest, the control thread stops, and everybody follows.
 
 mod arm_chunks;
+mod arm_states;
 mod camera_thread;
 mod child;
 mod control_thread;
@@ -21,6 +23,7 @@ mod drivers;
 mod ended;
 mod hold;
 pub(super) mod observed;
+mod observers;
 mod on_can;
 mod opened;
 mod own_process;
@@ -36,7 +39,6 @@ mod watch;
 mod wires;
 
 use std::sync::Arc;
-use std::thread;
 
 use hal::{ArmState, Chunk, TICK_NS};
 use rtrb::{Consumer, RingBuffer};
@@ -57,17 +59,18 @@ use super::{Plan, SessionError, episode};
 use crate::mailbox::mailbox;
 use crate::rig::threads::ThreadsRig;
 use crate::rt::{self, MonotonicClock, Periodic};
-use camera_thread::{CameraEnd, CameraThread, Snapshot};
+use camera_thread::CameraEnd;
 use child::PolicyChild;
 use control_thread::ControlThread;
 use drivers::Drivers;
 use ended::closed;
 use hal::PerArm;
+use observers::Observers;
 use opened::Opened;
 use shown::show_task;
 use signals::{Moving, Signals};
-use simulation_thread::{SimulationEnd, SimulationThread, Snapshots};
-use threads::{Ends, joined, wired};
+use simulation_thread::{SimulationEnd, SimulationThread};
+use threads::{Ends, wired};
 use trocar_log::{LogFile, Recorder, SideLog, TickLog, pre_faulted_queue};
 
 /// Chunks that may wait for the control thread.
@@ -107,36 +110,22 @@ fn run_threads(
     let (measured_in, measured) = mailbox::<PerArm<ArmState>>();
     let (commands, commands_out) = pre_faulted_queue(COMMANDS);
     let (chunk_in, chunks) = RingBuffer::<PerArm<Chunk>>::new(CHUNK_QUEUE);
-    let (snapshot_in, snapshots) = mailbox::<Snapshot>();
     let (listener, mut operator) = listen(true);
     let port = (listener.as_ref(), &mut operator);
-    let (console_view, console_cameras) = show_task(plan, &simulation.snapshot(), port)?.unzip();
+    let console = show_task(plan, &simulation.snapshot(), port)?.unzip();
     let (intervention, hands) = intervention(plan).unzip();
     let signals = Arc::new(Signals::default());
     // Slow things first: opening a device takes longer than an episode's first second.
-    let camera_thread = (plan.wants_frames() || child.is_some() || console_cameras.is_some())
-        .then(|| {
-            let node = child.as_deref().map(PolicyChild::node);
-            let start = simulation.snapshot();
-            let seen = child.as_deref().map_or_else(Vec::new, PolicyChild::cameras);
-            CameraThread::new(plan, &seen, node, (snapshots, console_cameras), &start)
-        })
-        .transpose()?;
+    let start = simulation.snapshot();
+    let (observers, shown) = Observers::open(plan, child.as_deref(), console, &start)?;
     let (tick_log, side_log, log) = split(plan.open_log(false)?);
-    let snapshots = camera_thread.as_ref().map(|_| Snapshots {
-        to: snapshot_in,
-        query_every_steps: child.as_deref().map(PolicyChild::query_every_steps),
-        history_steps: child.as_deref().map_or(0, PolicyChild::history_steps),
-        frames: plan.wants_frames(),
-        console: console_view,
-    });
     let clock = MonotonicClock::new();
     let (local, remote) = wired(plan, source, child, chunk_in, clock);
     let simulation_thread = SimulationThread {
         simulation,
         measured: measured_in,
         commands: commands_out,
-        snapshots,
+        shown,
         local,
         intervention,
         demonstrating: demonstrating(plan),
@@ -161,14 +150,7 @@ fn run_threads(
         let _moving = Moving;
         Ok(control_thread.run(clock))
     };
-    let simulate = || {
-        thread::scope(|scope| {
-            let camera = camera_thread.map(|camera| scope.spawn(|| camera.run(side_log, &signals)));
-            let simulated = simulation_thread.run(clock, first);
-            let camera = camera.map(|camera| joined(camera).and_then(|end| end));
-            Ok((simulated?, camera.transpose()?))
-        })
-    };
+    let simulate = || observers.run(simulation_thread, (clock, first), side_log, &signals);
     let ends = threads::run(remote, (&signals, listener.as_ref()), control, simulate);
     Ok((ends, log))
 }

@@ -1,21 +1,41 @@
 //! What a policy process sees: reports and frames of one instant as an observation, and which of them it is asked about.
 
+use std::collections::VecDeque;
+
 use hal::{FrameRef, Observation, Policy as _, SeenArm, TimeNs};
 use trocar_nets::loaded_policy::LoadedPolicy;
 use trocar_topics::{
-    ArmReport, ArmStateTopic, CameraTopic, FrameSubscriber, FrameView, Subscriber, TopicNode,
+    ArmReport, ArmStateTopic, CameraTopic, FrameSubscriber, FrameView, Message as _, Subscriber,
+    TopicNode,
 };
 
 use super::policy_process::arm_names;
 use crate::session::SessionError;
 use crate::session::source::{camera_names, precedes_query};
 
-/// The newest report of each arm and the newest frame of each camera.
+/// The newest reports of each arm and the newest frame of each camera.
 pub(in crate::session) struct Observed {
     arms: Vec<Subscriber<ArmReport>>,
     cameras: Vec<FrameSubscriber>,
-    reports: Vec<Option<ArmReport>>,
+    reports: Vec<Past>,
     views: Vec<Option<FrameView>>,
+}
+
+/// The newest reports of an arm, the newest last: a frame comes after that of its instant, and others may have come meanwhile.
+#[derive(Debug, Default)]
+struct Past(VecDeque<ArmReport>);
+
+impl Past {
+    fn add(&mut self, report: ArmReport) {
+        if self.0.len() == ArmReport::UNREAD {
+            self.0.pop_front();
+        }
+        self.0.push_back(report);
+    }
+
+    fn newest_first(&self) -> impl Iterator<Item = &ArmReport> {
+        self.0.iter().rev()
+    }
 }
 
 /// Reports and frames that belong together.
@@ -50,7 +70,7 @@ impl Observed {
             .map(|arm| ArmStateTopic::subscriber(node, arm))
             .collect::<Result<Vec<_>, _>>()?;
         Ok(Self {
-            reports: arms.iter().map(|_| None).collect(),
+            reports: arms.iter().map(|_| Past::default()).collect(),
             views: cameras.iter().map(|_| None).collect(),
             arms,
             cameras,
@@ -59,9 +79,9 @@ impl Observed {
 
     /// Takes what has come since.
     pub(in crate::session) fn look(&mut self) -> Result<(), SessionError> {
-        for (arm, report) in self.arms.iter().zip(&mut self.reports) {
-            if let Some(newest) = arm.newest()? {
-                *report = Some(newest);
+        for (arm, past) in self.arms.iter().zip(&mut self.reports) {
+            while let Some(report) = arm.next_unread()? {
+                past.add(report);
             }
         }
         for (camera, view) in self.cameras.iter_mut().zip(&mut self.views) {
@@ -75,20 +95,23 @@ impl Observed {
     /// What has come so far is of no interest any more.
     pub(in crate::session) fn forget(&mut self) -> Result<(), SessionError> {
         self.look()?;
-        self.reports.fill(None);
+        self.reports.iter_mut().for_each(|past| past.0.clear());
         self.views.iter_mut().for_each(|view| *view = None);
         Ok(())
     }
 
-    /// The newest observation, once its parts belong together: frames of any camera but the first may be `frames_within_ns` from it.
+    /// The newest observation, once its parts belong together: the arms were measured when the first camera took its frame, and
+    /// frames of others may be `frames_within_ns` from it.
     pub(in crate::session) fn whole(&self, frames_within_ns: u64) -> Option<Whole<'_>> {
-        let (stamp, sequence, arms) = of_one_instant(&self.reports)?;
+        let seen_at = match self.views.first() {
+            Some(view) => Some(view.as_ref()?.header().stamp),
+            None => None,
+        };
+        let (stamp, sequence, arms) = of_one_instant(&self.reports, seen_at)?;
         let mut frames = Vec::with_capacity(self.views.len());
-        for (index, view) in self.views.iter().enumerate() {
+        for view in &self.views {
             let view = view.as_ref()?;
-            // The arms were measured when the first camera took its frame.
-            let within_ns = if index == 0 { 0 } else { frames_within_ns };
-            if view.header().stamp.0.abs_diff(stamp.0) > within_ns {
+            if view.header().stamp.0.abs_diff(stamp.0) > frames_within_ns && !frames.is_empty() {
                 return None;
             }
             frames.push(view.as_frame());
@@ -161,21 +184,26 @@ impl Turns {
     }
 }
 
-/// Time and sequence of the reports and the arms in them, once there is one of each arm and all are of the same instant.
-fn of_one_instant(reports: &[Option<ArmReport>]) -> Option<(TimeNs, u64, Vec<SeenArm>)> {
-    let first = (*reports.first()?)?;
-    let mut arms = Vec::with_capacity(reports.len());
-    for report in reports {
-        let report = report.as_ref()?;
-        if (report.stamp, report.sequence) != (first.stamp, first.sequence) {
+/// Time and sequence of the newest reports that are of one instant, that of `seen_at` if there is one, and the arms in them.
+fn of_one_instant(
+    reports: &[Past],
+    seen_at: Option<TimeNs>,
+) -> Option<(TimeNs, u64, Vec<SeenArm>)> {
+    let mut first = reports.first()?.newest_first();
+    first.find_map(|first| {
+        if seen_at.is_some_and(|stamp| stamp != first.stamp) {
             return None;
         }
-        arms.push(SeenArm {
-            state: report.state(),
-            tip_in_rcm: report.tip_in_rcm(),
+        let arms = reports.iter().map(|past| {
+            let mut past = past.newest_first();
+            past.find(|report| (report.stamp, report.sequence) == (first.stamp, first.sequence))
+                .map(|report| SeenArm {
+                    state: report.state(),
+                    tip_in_rcm: report.tip_in_rcm(),
+                })
         });
-    }
-    Some((first.stamp, first.sequence, arms))
+        Some((first.stamp, first.sequence, arms.collect::<Option<_>>()?))
+    })
 }
 
 #[cfg(test)]
@@ -184,22 +212,44 @@ mod tests {
 
     use super::*;
 
+    fn past(steps: &[u64], jaw: f64) -> Past {
+        let mut past = Past::default();
+        for &step in steps {
+            let state = ArmState::at_rest(TimeNs(step * 40), JointVector::zeros(), jaw);
+            past.add(ArmReport::new(step, &state, &Pose::identity()));
+        }
+        past
+    }
+
     #[test]
     fn arms_are_seen_together_or_not_at_all() {
-        let report = |step: u64, jaw| {
-            let state = ArmState::at_rest(TimeNs(step * 40), JointVector::zeros(), jaw);
-            Some(ArmReport::new(step, &state, &Pose::identity()))
-        };
-        let seen = of_one_instant(&[report(3, 0.1), report(3, 0.2)]);
+        let seen = of_one_instant(&[past(&[3], 0.1), past(&[3], 0.2)], None);
         let (stamp, sequence, arms) = seen.unwrap();
         assert_eq!((stamp, sequence), (TimeNs(120), 3));
         let jaws: Vec<f64> = arms.iter().map(|arm| arm.state.jaw_position).collect();
         assert_eq!(jaws, [0.1, 0.2]);
         // The second arm's report is still that of the step before, or not there at all.
-        assert!(of_one_instant(&[report(3, 0.1), report(2, 0.2)]).is_none());
-        assert!(of_one_instant(&[report(3, 0.1), None]).is_none());
-        assert!(of_one_instant(&[None, report(3, 0.1)]).is_none());
-        assert!(of_one_instant(&[]).is_none());
+        assert!(of_one_instant(&[past(&[3], 0.1), past(&[2], 0.2)], None).is_none());
+        assert!(of_one_instant(&[past(&[3], 0.1), past(&[], 0.2)], None).is_none());
+        assert!(of_one_instant(&[past(&[], 0.1), past(&[3], 0.2)], None).is_none());
+        assert!(of_one_instant(&[], None).is_none());
+    }
+
+    /// The arms are measured on while a camera draws: its frame is seen with the arms of its own instant, and with no others.
+    #[test]
+    fn a_frame_goes_with_the_arms_of_its_instant() {
+        let arms = [past(&[3, 4, 5], 0.1), past(&[3, 4], 0.2)];
+        let step = |seen_at| of_one_instant(&arms, seen_at).map(|(_, sequence, _)| sequence);
+        assert_eq!(step(Some(TimeNs(3 * 40))), Some(3));
+        assert_eq!(step(Some(TimeNs(4 * 40))), Some(4));
+        assert_eq!(step(Some(TimeNs(5 * 40))), None);
+        assert_eq!(step(Some(TimeNs(6 * 40))), None);
+        // Without cameras the newest instant of all arms counts.
+        assert_eq!(step(None), Some(4));
+        let many: Vec<u64> = (0..40).collect();
+        let kept = past(&many, 0.1).0;
+        assert_eq!(kept.len(), ArmReport::UNREAD);
+        assert_eq!(kept.back().map(|report| report.sequence), Some(39));
     }
 
     #[test]

@@ -1,6 +1,7 @@
 //! The simulated arms in a real-time run: one step a millisecond, and the local policies that look at its scene.
 
 use std::sync::Arc;
+use std::thread::Thread;
 
 use hal::{Arm, ArmState, Chunk, PerArm, SeenArm, Setpoint, TICK_NS, TimeNs, TipTarget};
 use rtrb::{Consumer, Producer};
@@ -8,6 +9,7 @@ use trocar_tasks::simulation::Simulation;
 use trocar_tasks::task::Outcome;
 use trocar_world::tissue::TissueExtremes;
 
+use super::arm_states::StepStates;
 use super::camera_thread::Snapshot;
 use super::signals::{EndsRun, Signals};
 use crate::console::FrameTap;
@@ -22,16 +24,21 @@ use trocar_log::Level;
 /// Steps from one frame for the log or the pictures to the next. Drawing in software takes half a core at every step.
 const FRAME_EVERY_STEPS: u64 = 5;
 
-/// Snapshots for the cameras, and when to take them.
-pub(super) struct Snapshots {
-    pub(super) to: MailboxWriter<Snapshot>,
-    /// Steps from one query of the policy to the next, if the policy looks through the cameras.
+/// What is shown of a policy step, to whom, and when.
+pub(super) struct Shown {
+    /// The scene, for the cameras.
+    pub(super) scene: Option<MailboxWriter<Snapshot>>,
+    /// The arms, for a policy process.
+    pub(super) states: Option<Producer<StepStates>>,
+    /// The threads of both, once they run.
+    pub(super) wakes: Vec<Thread>,
+    /// Steps from one query of a policy process to the next, if there is one.
     pub(super) query_every_steps: Option<u64>,
     /// Steps before a query that it wants to have observed too.
     pub(super) history_steps: u64,
     /// Whether the log or a policy wants frames in between.
     pub(super) frames: bool,
-    /// Those for the console, if there is one.
+    /// What the console sees, if there is one.
     pub(super) console: Option<ConsoleView>,
 }
 
@@ -43,11 +50,37 @@ pub(super) struct ConsoleView {
     pub(super) missing: MailboxWriter<&'static str>,
 }
 
-impl Snapshots {
+impl Shown {
     fn wanted(&self, step: u64) -> bool {
         self.query_every_steps.is_some_and(|every| {
             step.is_multiple_of(every) || precedes_query(step, every, self.history_steps)
         }) || self.frames && step.is_multiple_of(FRAME_EVERY_STEPS)
+    }
+
+    /// Shows the step to those that want to see it. One that is still busy with another step finds the newest when it is done.
+    fn show(&mut self, step: u64, arms: &PerArm<SeenArm>, simulation: &Simulation) {
+        let stamp = arms.first.state.stamp;
+        let snapshot = || Snapshot {
+            step,
+            stamp,
+            scene: simulation.snapshot(),
+        };
+        if self.wanted(step) {
+            if let Some(states) = &mut self.states {
+                // Full only if their thread has not run for many steps: what it would say then is of no interest.
+                let _late = states.push(StepStates { step, arms: *arms });
+            }
+            if let Some(scene) = &mut self.scene {
+                scene.put(snapshot());
+            }
+        }
+        if let Some(console) = &mut self.console {
+            console.missing.put(simulation.missing());
+        }
+        if let Some(console) = self.for_console(step) {
+            console.to.put(snapshot());
+        }
+        self.wakes.iter().for_each(Thread::unpark);
     }
 
     /// The console's view, if a page looks at a camera and the policy's query does not come next: its frames come first.
@@ -66,7 +99,7 @@ pub(super) struct SimulationThread {
     pub(super) measured: MailboxWriter<PerArm<ArmState>>,
     /// Every command, in order: a thread that makes up for missed milliseconds needs those of then.
     pub(super) commands: Consumer<PerArm<Setpoint>>,
-    pub(super) snapshots: Option<Snapshots>,
+    pub(super) shown: Shown,
     pub(super) local: Option<(ChunkSource, Producer<PerArm<Chunk>>)>,
     /// An operator who may take over from the policy, if there is one.
     pub(super) intervention: Option<Intervention>,
@@ -176,7 +209,7 @@ impl SimulationThread {
         }
         let arms = states.map(|state| seen_arm(&state));
         if observes {
-            self.observe(tick / STEP_TICKS, &arms);
+            self.shown.show(tick / STEP_TICKS, &arms, &self.simulation);
         }
         if by_hand {
             self.look_at_hands(tick, &arms)?;
@@ -194,7 +227,7 @@ impl SimulationThread {
         };
         let more_s = intervention.answer(arms)?;
         self.simulation.grant_s(more_s);
-        for text in intervention.take_told() {
+        for text in intervention.take_notices() {
             let at = arms.first.state.stamp;
             self.signals.tell(at, Level::Info, &text);
         }
@@ -226,34 +259,6 @@ impl SimulationThread {
         })
     }
 
-    /// A policy step: a snapshot for the cameras.
-    fn observe(&mut self, step: u64, arms: &PerArm<SeenArm>) {
-        if let Some(snapshots) = &mut self.snapshots
-            && snapshots.wanted(step)
-        {
-            // A camera that is still busy takes the newest when it is done.
-            snapshots.to.put(Snapshot {
-                step,
-                arms: *arms,
-                scene: self.simulation.snapshot(),
-            });
-        }
-        if let Some(console) = self.snapshots.as_mut().and_then(|all| all.console.as_mut()) {
-            console.missing.put(self.simulation.missing());
-        }
-        if let Some(console) = self
-            .snapshots
-            .as_mut()
-            .and_then(|all| all.for_console(step))
-        {
-            console.to.put(Snapshot {
-                step,
-                arms: *arms,
-                scene: self.simulation.snapshot(),
-            });
-        }
-    }
-
     /// Asks the local policy for chunks.
     fn ask(
         &mut self,
@@ -273,7 +278,7 @@ impl SimulationThread {
             inference.record(clock.now().0);
             // The control thread takes one a tick; a full queue means that it is gone.
             let _gone = chunks.push(answer);
-            for text in source.take_told() {
+            for text in source.take_notices() {
                 let at = arms.first.state.stamp;
                 self.signals.tell(at, Level::Info, &text);
             }

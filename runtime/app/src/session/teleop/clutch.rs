@@ -22,9 +22,9 @@ pub(super) enum Clutch {
 /// Why a clutch was released by force.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Lost {
-    /// No hand has been heard of.
+    /// No message of a hand has come.
     NotYet,
-    /// The hand was not heard of for too long, or what was heard is old.
+    /// No message of the hand came for too long, or the newest is old.
     Stale,
     /// The page's connection has ended.
     PageGone,
@@ -47,9 +47,9 @@ pub(crate) enum Lost {
 }
 
 impl Clutch {
-    /// What it is after the hand was heard to hold it or not; `engagements` counts.
+    /// What it is after a message that the hand holds it or not; `engagements` counts.
     #[must_use]
-    pub(super) const fn heard(self, holds: bool, engagements: &mut u64) -> Self {
+    pub(super) const fn after(self, holds: bool, engagements: &mut u64) -> Self {
         match (self, holds) {
             (Self::Lost(why), true) => Self::Lost(why),
             (Self::Lost(_) | Self::Open | Self::Engaged(_), false) => Self::Open,
@@ -124,7 +124,7 @@ mod tests {
             (Clutch::Open, Some(true), Clutch::Engaged(6)),
         ] {
             let found = match holds {
-                Some(holds) => before.heard(holds, &mut engagements),
+                Some(holds) => before.after(holds, &mut engagements),
                 None => before.lost(Lost::Jump),
             };
             assert_eq!(found, after, "{before:?} {holds:?}");

@@ -14,7 +14,7 @@ use super::{Commanded, Driver, SCALES, STALE_NS};
 use crate::mailbox::MailboxReader;
 use crate::rt::MonotonicClock;
 
-/// A page of which nothing was heard for this long may have slept, its clock too, ns.
+/// A page from which no message came for this long may have slept, its clock too, ns.
 const FORGET_NS: u64 = 1_000_000_000;
 
 /// The hands, between the threads.
@@ -49,7 +49,7 @@ pub(super) struct Look {
 }
 
 impl Hands {
-    /// Hands that nobody has heard of, and that move nothing.
+    /// Hands of which no message has come, and that move nothing.
     pub(crate) fn new() -> Self {
         Self {
             clock: MonotonicClock::new(),
@@ -147,11 +147,11 @@ impl Hands {
         }
         if inner.seat != Some(seat) {
             inner.lose(Lost::Seat);
-            (inner.seat, inner.heard) = (Some(seat), None);
+            (inner.seat, inner.received) = (Some(seat), None);
             (inner.arrived, inner.round_trip_ns) = (None, 0);
         }
         let back = |(_, before): (TimeNs, f64)| message.t < before;
-        let hands = if inner.heard.is_some_and(back) {
+        let hands = if inner.received.is_some_and(back) {
             Err(BadHands::Time)
         } else {
             message.hands(inner.arms)
@@ -174,7 +174,7 @@ impl Hands {
             inner.lose(Lost::Stale);
             return Ok(());
         }
-        inner.heard = Some((TimeNs(now.0.saturating_sub(late_ns)), message.t));
+        inner.received = Some((TimeNs(now.0.saturating_sub(late_ns)), message.t));
         inner.counts.messages += 1;
         inner.take(&hands);
         Ok(())
@@ -231,7 +231,7 @@ impl Hands {
             moving,
             lost: inner.hands.map(|arm| arm.clutch.why()),
             scale: inner.scale(),
-            sent: inner.heard.map(|(at, _)| at),
+            sent: inner.received.map(|(at, _)| at),
             commanded: inner.commanded.as_mut().and_then(MailboxReader::take),
         }
     }

@@ -25,8 +25,8 @@ pub(super) struct Held {
     pub(super) arrived: Option<TimeNs>,
     /// How long its newest answer to a ping took, ns.
     pub(super) round_trip_ns: u64,
-    /// When it was last heard of, and at which time of its own, ms.
-    pub(super) heard: Option<(TimeNs, f64)>,
+    /// When its last message came, and at which time of its own, ms.
+    pub(super) received: Option<(TimeNs, f64)>,
     pub(super) transit: Transit,
     pub(super) scale: Option<f64>,
     /// Who drives, if there is a policy beside the hands.
@@ -75,9 +75,11 @@ impl Held {
         }
     }
 
-    /// Releases what was not heard of for too long.
+    /// Releases what has sent no message for too long.
     pub(super) fn check_age(&mut self, now: TimeNs) {
-        let fresh = self.heard.is_some_and(|(at, _)| now.since(at) <= STALE_NS);
+        let fresh = self
+            .received
+            .is_some_and(|(at, _)| now.since(at) <= STALE_NS);
         if !fresh {
             self.lose(Lost::Stale);
         }
@@ -98,7 +100,7 @@ impl Held {
                 arm.clutch = self.hands[index].clutch;
             }
             let before = self.engagements;
-            arm.clutch = arm.clutch.heard(new.clutch, &mut self.engagements);
+            arm.clutch = arm.clutch.after(new.clutch, &mut self.engagements);
             self.counts.engagements += self.engagements - before;
             arm.hand = Some(*new);
             self.hands[index] = arm;

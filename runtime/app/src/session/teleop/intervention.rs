@@ -28,11 +28,11 @@ pub(crate) struct Intervention {
     teleop: Teleop,
     hands: Arc<Hands>,
     to: Producer<FromHands>,
-    /// Who drives, as the control thread has last heard.
+    /// Who drives, as the control thread was last sent.
     said: Driver,
     /// What the episode may still take longer because of the hands, s.
     left_s: f64,
-    told: Vec<String>,
+    notices: Vec<String>,
 }
 
 impl Intervention {
@@ -51,7 +51,7 @@ impl Intervention {
             to,
             said: Driver::Policy,
             left_s: (TIME_FACTOR - 1.0) * setup.task.time_limit_s,
-            told: Vec::new(),
+            notices: Vec::new(),
         }
     }
 
@@ -73,11 +73,11 @@ impl Intervention {
         };
         let changed = driver != self.said;
         // A full queue means that the control thread is late: it hears it the next time.
-        let heard = (changed || driver == Driver::Operator)
+        let sent = (changed || driver == Driver::Operator)
             && self.to.push(FromHands { driver, chunks }).is_ok();
-        if changed && heard {
+        if changed && sent {
             self.said = driver;
-            self.told.push(match driver {
+            self.notices.push(match driver {
                 Driver::Operator => "the operator drives".to_owned(),
                 Driver::Policy => "the policy drives".to_owned(),
             });
@@ -101,9 +101,9 @@ impl Intervention {
     }
 
     /// What the log is to say, since the last call.
-    pub(crate) fn take_told(&mut self) -> Vec<String> {
-        let mut told = self.teleop.take_told();
-        told.append(&mut self.told);
-        told
+    pub(crate) fn take_notices(&mut self) -> Vec<String> {
+        let mut notices = self.teleop.take_notices();
+        notices.append(&mut self.notices);
+        notices
     }
 }

@@ -92,8 +92,8 @@ impl HandsMessage {
             return Err(BadHands::Time);
         }
         let mut hands = [None; ARMS_MAX];
-        for (hand, told) in hands.iter_mut().zip(&self.arms) {
-            *hand = told.as_ref().map(HandMessage::hand).transpose()?;
+        for (hand, message) in hands.iter_mut().zip(&self.arms) {
+            *hand = message.as_ref().map(HandMessage::hand).transpose()?;
         }
         Ok(hands)
     }

@@ -39,7 +39,7 @@ pub struct Teleop {
     sequence: u64,
     commanded: Option<Commanded>,
     measured: Measured,
-    told: Vec<String>,
+    notices: Vec<String>,
 }
 
 /// Chunks that are on their way, for what hands were followed.
@@ -88,13 +88,13 @@ impl Teleop {
             sequence: 0,
             commanded: None,
             measured: Measured::default(),
-            told: Vec::new(),
+            notices: Vec::new(),
         }
     }
 
     /// What the log is to say, since the last call.
-    pub(crate) fn take_told(&mut self) -> Vec<String> {
-        core::mem::take(&mut self.told)
+    pub(crate) fn take_notices(&mut self) -> Vec<String> {
+        core::mem::take(&mut self.notices)
     }
 
     /// The hands drive nothing: when one takes its clutch, its arm goes on from where it is commanded to be then.
@@ -150,7 +150,7 @@ impl Teleop {
             let lost = look.lost.get(index).copied().flatten();
             if let Some(event) = arm.event(moving.is_some(), lost) {
                 let name = ARM_NAMES.get(index).copied().unwrap_or_default();
-                self.told.push(format!("{name}: {event}"));
+                self.notices.push(format!("{name}: {event}"));
             }
             let (tip, jaw) = arm.target(moving, look.scale, &commanded);
             let closed = (JAW_OPEN_RAD - commanded.jaw) / (JAW_OPEN_RAD - JAW_CLOSED_RAD);

@@ -50,11 +50,17 @@ pub(super) fn check_world(
     topics: &str,
 ) -> Result<(), SessionError> {
     let (task, seed) = (world.task.text(), world.seed);
-    let name = &plan.setup.task_name;
-    if task != *name || seed != plan.seed {
+    let ours = plan.world_name();
+    if task != ours.task || seed != ours.seed {
         return Err(SessionError::BadArgument(format!(
-            "the world on topics {topics:?} is {task}, seed {seed}; this run is {name}, seed {}",
-            plan.seed
+            "the world on topics {topics:?} is {task}, seed {seed}; this run is {}, seed {}",
+            ours.task, ours.seed
+        )));
+    }
+    if world.scene_hash != ours.scene_hash {
+        return Err(SessionError::BadArgument(format!(
+            "the world on topics {topics:?} has another scene than this run: --scene, --needle, --view and --set scene.KEY must be the \
+             same for `trocar drives` and `trocar run`"
         )));
     }
     match world.verdict() {
@@ -196,5 +202,61 @@ pub(super) fn failed(
         arm: ARM_NAMES[arm],
         interfaces: interfaces.unwrap_or_default(),
         reason: error.to_string(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::session::changes::{Change, Changes};
+    use crate::session::scene_options::SceneOptions;
+    use crate::session::{PolicyChoice, Setup};
+
+    fn plan(seed: u64, set: &[&str], options: &SceneOptions) -> Plan {
+        let changes = Changes(
+            set.iter()
+                .map(|set| set.parse::<Change>().unwrap())
+                .collect(),
+        );
+        let policy = PolicyChoice::Noop;
+        let setup = Setup::load_with("needle-lift", None, &policy, options, changes).unwrap();
+        Plan {
+            seed,
+            ..Plan::new(setup, policy)
+        }
+    }
+
+    /// What the two processes of a run over CAN were told differently is refused before any drive has torque.
+    #[test]
+    fn a_world_that_was_configured_otherwise_is_refused() {
+        let as_shipped = SceneOptions::default();
+        let name = plan(3, &[], &as_shipped).world_name();
+        let world = SceneReport {
+            task: trocar_topics::Line::new(&name.task),
+            scene_hash: name.scene_hash,
+            seed: 3,
+            code: SceneReport::code_of(Verdict::Waiting),
+            ..SceneReport::default()
+        };
+        let refused = |plan: &Plan| check_world(&world, plan, "lab").map_err(|it| it.to_string());
+        assert_eq!(refused(&plan(3, &[], &as_shipped)), Ok(()));
+        let limits = plan(3, &["control.policy.restarts=1"], &as_shipped);
+        assert_eq!(refused(&limits), Ok(()), "the controller is the run's own");
+        let another = refused(&plan(4, &[], &as_shipped)).unwrap_err();
+        assert!(
+            another.contains("seed 3; this run is needle-lift, seed 4"),
+            "{another}"
+        );
+        let needle = SceneOptions {
+            needle: Some("N3".to_owned()),
+            ..SceneOptions::default()
+        };
+        for other in [
+            plan(3, &["scene.episode.time_limit_s=5"], &as_shipped),
+            plan(3, &[], &needle),
+        ] {
+            let error = refused(&other).unwrap_err();
+            assert!(error.contains("another scene than this run"), "{error}");
+        }
     }
 }

@@ -224,7 +224,7 @@ impl SceneThread<'_> {
             inference.record(clock.now().0);
             // The control thread takes one a tick; a full queue means that it is gone.
             let _gone = chunks.push(answer);
-            for text in source.take_told() {
+            for text in source.take_notices() {
                 self.seen
                     .signals
                     .tell(observed_at, trocar_log::Level::Info, &text);
