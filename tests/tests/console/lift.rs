@@ -262,7 +262,7 @@ fn a_headset_lifts_the_needle() {
     browser.evaluate("operator.hold(true), true");
     browser.wait_until("told.teleop.arms[0].engaged");
     browser.evaluate("operator.tracked = false, true");
-    browser.wait_until("told.teleop.arms[0].lost?.includes('device is gone')");
+    browser.wait_until("told.teleop.arms[0].lost?.includes('device disconnected')");
     browser.evaluate("operator.tracked = true, new Promise((done) => setTimeout(done, 500))");
     assert_eq!(browser.evaluate("told.teleop.arms[0].engaged"), false);
     browser.evaluate("operator.rest(), true");

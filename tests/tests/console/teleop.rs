@@ -169,7 +169,7 @@ type Loss = fn(&mut Operator);
 
 /// What may befall a hand in mid-motion, and what the page is told of it.
 const LOSSES: [(&str, Loss); 4] = [
-    ("not heard of in time", |operator| {
+    ("no hand pose in time", |operator| {
         for _ in 0..10 {
             operator.page.wait_for("state", |_| true);
         }
@@ -178,7 +178,7 @@ const LOSSES: [(&str, Loss); 4] = [
         operator.page.say(&json!({ "hands_off": true }))
     }),
     ("the hand jumped", |operator| operator.at[0] += 0.2),
-    ("a message made no sense", |operator| {
+    ("an invalid message", |operator| {
         operator
             .page
             .say(&json!({ "hands": { "t": operator.t(), "arms": [

@@ -88,13 +88,13 @@ impl fmt::Display for Lost {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(match self {
             Self::NotYet => "no hand yet",
-            Self::Stale => "the hand was not heard of in time",
+            Self::Stale => "no hand pose in time",
             Self::PageGone => "the page's connection ended",
             Self::Seat => "the page gave up control",
             Self::Hidden => "the page was hidden",
             Self::Jump => "the hand jumped",
-            Self::Nonsense => "a message made no sense",
-            Self::NoDevice => "the device is gone",
+            Self::Nonsense => "an invalid message",
+            Self::NoDevice => "the device disconnected",
             Self::NotEnabled => "the arm is not enabled",
             Self::NoEpisode => "no episode is under way",
             Self::HandedBack => "the policy drives again",

@@ -209,7 +209,7 @@ impl HandledArm {
     fn event(&self, moves: bool, lost: Option<Lost>) -> Option<String> {
         match (self.engaged.is_some(), moves, lost) {
             (false, true, _) => Some("the operator's hand engaged".to_owned()),
-            (true, false, None) => Some("the operator's hand let go".to_owned()),
+            (true, false, None) => Some("the operator released the clutch".to_owned()),
             (true, false, Some(why)) => Some(format!("the operator's hand was released: {why}")),
             (false, false, _) | (true, true, _) => None,
         }
