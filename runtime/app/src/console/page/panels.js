@@ -77,8 +77,8 @@ export class Panels {
   facts(facts) {
     this.#facts = facts;
     text(byId("title"), facts.title);
-    const how = facts.log ? "log" : "live";
-    text(byId("about"), `${how} · policy ${facts.policy} · seed ${facts.seed}`);
+    const how = facts.log ? "log" : { run: "live", recording: "recording", drives: "emulated drives" }[facts.subject];
+    text(byId("about"), [how, facts.policy && `policy ${facts.policy}`, `seed ${facts.seed}`].filter(Boolean).join(" · "));
     document.title = `${facts.title} – Trocar console`;
     byId("chips").replaceChildren();
     byId("arms").replaceChildren();

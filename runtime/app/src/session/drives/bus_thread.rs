@@ -12,6 +12,7 @@ use trocar_tasks::simulation::Simulation;
 
 use super::bench::{Bench, Listener};
 use super::inject::InjectedFault;
+use super::seen::Seen;
 use super::stalls::Stalls;
 use super::stops::Stop;
 use crate::histogram::Histogram;
@@ -32,6 +33,9 @@ const SOON: u64 = 4;
 
 /// Time from one look to the next at least, unless something comes, ns.
 const WAIT_NS_MIN: u64 = 20_000;
+
+/// Time between two looks for a page, ns of the drives.
+const SEEN_NS: u64 = 50_000_000;
 
 /// The longest time that passes for the drives at once, ns. What this thread was kept from its work for beyond that does not
 /// pass for them at all: no real drive stands still because a computer is busy.
@@ -68,6 +72,8 @@ pub(super) struct BusThread<'a> {
     pub(super) lines: u8,
     pub(super) shown: MailboxWriter<Shown>,
     pub(super) notices: Producer<Notice>,
+    /// For a page, if there is one.
+    pub(super) seen: Option<MailboxWriter<Seen>>,
     pub(super) stop: &'a AtomicBool,
 }
 
@@ -167,6 +173,7 @@ impl BusThread<'_> {
         let (mut last, mut now) = (clock.now(), TimeNs(0));
         let mut turns = Histogram::new();
         let mut failure = None;
+        let (mut seen_by, mut seen_at) = (self.seen, TimeNs(0));
         let cycle_ns = self.can.arms.iter().map(|arm| arm.plan.cycle_ns).min();
         let soon_ns = cycle_ns.unwrap_or(TICK_NS) / SOON;
         while !self.stop.load(Ordering::Acquire) && failure.is_none() {
@@ -181,7 +188,16 @@ impl BusThread<'_> {
                     failure = bench.step(at, network, &mut messenger).err();
                 }
             });
+            let lost = station.lost();
             let network = station.network_mut();
+            if let Some(to) = seen_by.as_mut().filter(|_| now.since(seen_at) >= SEEN_NS) {
+                seen_at = now;
+                to.put(Seen {
+                    stalled_ns: messenger.stalls.total_ns(),
+                    lost,
+                    ..bench.seen(network, self.lines)
+                });
+            }
             // Their words leave together when the last of them has had its time on the wire.
             let next = match (network.silent_at(), network.has_pending_frames()) {
                 (Some(at), _) => at,
