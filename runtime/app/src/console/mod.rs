@@ -6,7 +6,7 @@
 //!                    the run's socket for operators <── verbs, of the one page that steers ────────┘
 //! ```
 //!
-//! `address` says where it listens, `connection` how many connections it holds and for how long, `tls` and `certificate` how other machines reach
+//! `address` and `doors` say where it listens, `connection` how many connections it holds and for how long, `tls` and `certificate` how other machines reach
 //! it, `access` who may open it; `server` serves the page's files, `client` one page; `request` is what a page may say, `seats` who steers. `tap` is the control thread's end, `pictures` and `encode` are
 //! what cameras show, `scene` the scene in three dimensions; `by_hand` takes the operator's hands (`session/teleop`); `facts`, `live` and
 //! `state` make what a run says, `path` where its chunks lead, `log_view` what a log says. The page itself is in `page/`. `foxglove` tells
@@ -21,6 +21,7 @@ mod by_hand;
 mod certificate;
 mod client;
 mod connection;
+mod doors;
 mod encode;
 mod facts;
 mod foxglove;
@@ -38,7 +39,6 @@ mod tap;
 mod tls;
 
 use std::io;
-use std::net::{SocketAddr, TcpListener};
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::{self, JoinHandle};
@@ -49,6 +49,7 @@ use trocar_tasks::cameras::SceneModel;
 use trocar_tasks::scene::SceneSnapshot;
 
 pub use address::{Address, BadAddress, DEFAULT_ADDRESS, FOXGLOVE_ADDRESS};
+pub use doors::Doors;
 pub use facts::Facts;
 pub(crate) use pictures::{FramePlanes, FrameTap};
 pub(crate) use scene::SceneTap;
@@ -58,12 +59,11 @@ use crate::mailbox::{MailboxWriter, mailbox};
 use crate::session::SessionError;
 use crate::session::teleop::Hands;
 use access::Access;
+use doors::{Listening, Reached};
 use live::{Live, Said};
 use log_view::LogView;
 use pictures::Board;
-use server::{Door, Opened};
 use shared::Shared;
-use tls::Tls;
 
 /// A console that listens. Clones are the same one.
 #[derive(Clone, Debug)]
@@ -74,25 +74,6 @@ pub struct Console {
     /// Of the certificate, if there is one.
     fingerprint: Option<String>,
     threads: Arc<Mutex<Vec<JoinHandle<()>>>>,
-}
-
-/// Where a console is to be reached.
-#[derive(Clone, Debug, Default)]
-pub struct Doors {
-    /// For pages.
-    pub page: Option<Address>,
-    /// For Foxglove.
-    pub viewers: Option<Address>,
-    /// A certificate of the user's own, with its chain, and its key, PEM: then all is TLS, at loopback too. Without one a self-signed one is made
-    /// for what other machines reach.
-    pub certificate: Option<(PathBuf, PathBuf)>,
-}
-
-/// Where a listener is reached.
-#[derive(Clone, Copy, Debug)]
-struct Reached {
-    address: SocketAddr,
-    secure: bool,
 }
 
 /// The ends of a run that say what it does.
@@ -176,28 +157,12 @@ impl Console {
     /// # Errors
     /// [`SessionError::BadArgument`] if nobody can listen there, or a certificate is none.
     pub fn open_doors(doors: &Doors) -> Result<Self, SessionError> {
-        let tls = doors.tls()?;
-        let mut listeners = Vec::new();
-        let mut listen = |option, address: Option<Address>, door| {
-            let Some(asked) = address else {
-                return Ok::<_, SessionError>(None);
-            };
-            let (listener, mut address) = bound(option, asked)?;
-            if let Some(first) = asked.reached_at().first() {
-                address.set_ip(*first);
-            }
-            let open = doors.certificate.is_some() || asked.is_open();
-            let tls = tls.clone().filter(|_| open);
-            let secure = tls.is_some();
-            listeners.push(Opened {
-                listener,
-                door,
-                tls,
-            });
-            Ok(Some(Reached { address, secure }))
-        };
-        let page = listen("--console", doors.page, Door::Pages)?;
-        let viewers = listen("--foxglove", doors.viewers, Door::Viewers)?;
+        let Listening {
+            page,
+            viewers,
+            fingerprint,
+            listeners,
+        } = doors.listen()?;
         let failed = |error: io::Error| {
             SessionError::BadArgument(format!("the console's server can't be started: {error}"))
         };
@@ -220,7 +185,7 @@ impl Console {
             shared,
             page,
             viewers,
-            fingerprint: tls.map(|tls| tls.fingerprint()),
+            fingerprint,
             threads: Arc::new(Mutex::new(threads)),
         })
     }
@@ -324,45 +289,6 @@ impl Console {
             let _panicked = thread.join();
         }
     }
-}
-
-impl Doors {
-    /// The TLS of those that other machines reach, or of all if the certificate is the user's own.
-    fn tls(&self) -> Result<Option<Tls>, SessionError> {
-        if let Some((certificate, key)) = &self.certificate {
-            let tls = Tls::of_files(certificate, key);
-            let bad = |error| format!("--console-cert and --console-key: {error}");
-            return tls
-                .map(Some)
-                .map_err(|error| SessionError::BadArgument(bad(error)));
-        }
-        let all = [self.page, self.viewers].into_iter().flatten();
-        let open: Vec<Address> = all.filter(|address| address.is_open()).collect();
-        if open.is_empty() {
-            return Ok(None);
-        }
-        let tls = Tls::of_user(&address::names(&open));
-        tls.map(Some)
-            .map_err(|error| SessionError::BadArgument(error.to_string()))
-    }
-}
-
-/// A listener at `address`, which `option` asks for, and where it is.
-fn bound(option: &str, address: Address) -> Result<(TcpListener, SocketAddr), SessionError> {
-    let asked = address.socket();
-    let failed = |error: io::Error| {
-        let hint = if error.kind() == io::ErrorKind::AddrInUse {
-            "; port 0 is any that is free"
-        } else {
-            ""
-        };
-        let reason = format!("{option} {asked}: cannot listen there: {error}{hint}");
-        SessionError::BadArgument(reason)
-    };
-    let listener = TcpListener::bind(asked).map_err(failed)?;
-    listener.set_nonblocking(true).map_err(failed)?;
-    let address = listener.local_addr().map_err(failed)?;
-    Ok((listener, address))
 }
 
 fn spawn(name: &str, body: impl FnOnce() + Send + 'static) -> io::Result<JoinHandle<()>> {

@@ -1,24 +1,24 @@
 //! The screen: arms and joints above, filter and control loop below, keys in the last line.
 
 use ratatui::Frame;
-use ratatui::layout::{Constraint, Layout, Rect};
+use ratatui::layout::{Constraint, Layout};
 use ratatui::style::{Color, Modifier, Style};
 use ratatui::text::{Line, Span};
-use ratatui::widgets::{Paragraph, Sparkline, Wrap};
+use ratatui::widgets::{Paragraph, Wrap};
 
 use super::Screen;
-use super::buses::Bus;
-use super::seen::{Arm, Axis, Histogram, State};
+use super::seen::{Arm, Axis, State};
+use super::timing::draw_loop;
 
 /// Cells of a joint's range.
-const RANGE: usize = 21;
+const RANGE: usize = 17;
 
 /// A correction that is older says nothing of now, s.
 const FRESH_S: f64 = 0.3;
 
 const QUIET: Style = Style::new().fg(Color::DarkGray);
-const GOOD: Style = Style::new().fg(Color::Green);
-const WARN: Style = Style::new().fg(Color::Yellow);
+pub(super) const GOOD: Style = Style::new().fg(Color::Green);
+pub(super) const WARN: Style = Style::new().fg(Color::Yellow);
 const BAD: Style = Style::new().fg(Color::Red).add_modifier(Modifier::BOLD);
 const HEAD: Style = Style::new().add_modifier(Modifier::BOLD);
 
@@ -141,16 +141,16 @@ fn axis_line(axis: &Axis, arm: &Arm, place: usize, change: Option<f64>) -> Line<
             if near { WARN } else { QUIET },
         ),
         Span::raw(format!(
-            " {:>11}",
+            " {:>10}",
             measured.map_or_else(|| "not known".to_owned(), |at| number(axis, *at))
         )),
-        Span::styled(format!(" → {:>11}", number(axis, commanded)), QUIET),
+        Span::styled(format!(" → {:>10}", number(axis, commanded)), QUIET),
         Span::styled(
             // Without the sign of a zero.
             format!("  v {:>4.0} %", (100.0 * share).round() + 0.0),
             if share.abs() > 0.97 { WARN } else { QUIET },
         ),
-        Span::styled(format!("  {change}"), WARN),
+        Span::styled(format!(" {change}"), WARN),
     ])
 }
 
@@ -192,29 +192,29 @@ fn safety_lines(state: &State) -> Vec<Line<'_>> {
     let guard = counts
         .guard_ago_s
         .map_or(String::new(), |ago_s| format!(", last {ago_s:.1} s ago"));
+    let refusal = match &counts.last_refused {
+        Some(reason) => format!("{} refused, {reason}", counts.refused),
+        None => "none refused".to_owned(),
+    };
     let mut lines = vec![
         Line::from(vec![
             Span::raw(format!("filter  {} passed, ", counts.passed)),
-            Span::raw(format!("{} corrected, ", counts.solved)),
+            Span::raw(format!("QP {}, ", counts.solved)),
             Span::styled(
-                format!("{} failed", counts.failed),
+                format!("failed {}", counts.failed),
                 tone(counts.failed, BAD),
             ),
         ]),
         Line::from(vec![
             Span::raw("guard   "),
             Span::styled(format!("{}{guard}", counts.guard), tone(counts.guard, WARN)),
-            Span::raw(format!("   gate {} chunks, ", counts.chunks)),
-            Span::styled(
-                format!("{} refused", counts.refused),
-                tone(counts.refused, WARN),
-            ),
+        ]),
+        Line::from(vec![
+            Span::raw(format!("gate    {} chunks, ", counts.chunks)),
+            Span::styled(refusal, tone(counts.refused, WARN)),
         ]),
         rows_line(state),
     ];
-    if let Some(reason) = &counts.last_refused {
-        lines.push(Line::styled(format!("refused {reason}"), WARN));
-    }
     if let Some(task) = &state.task {
         lines.push(Line::raw(format!("task    {task}")));
     }
@@ -234,82 +234,6 @@ fn rows_line(state: &State) -> Line<'_> {
     let style = if ago_s < FRESH_S { WARN } else { QUIET };
     let rows = filter.rows.join(", ");
     Line::styled(format!("rows    {rows}{more} ({ago_s:.1} s ago)"), style)
-}
-
-fn draw_loop(frame: &mut Frame<'_>, area: Rect, (screen, state): (&Screen, &State)) {
-    let ends_us = &screen.facts.buckets_us;
-    let buses = u16::try_from(screen.buses.all.len()).unwrap_or(u16::MAX);
-    let bars = u16::from(area.height >= 7 + buses);
-    let rows = [
-        Constraint::Length(1),
-        Constraint::Length(bars),
-        Constraint::Length(1),
-        Constraint::Length(bars),
-        Constraint::Length(1),
-        Constraint::Length(1),
-        Constraint::Length(buses),
-        Constraint::Min(0),
-    ];
-    let [
-        compute,
-        compute_bars,
-        wake,
-        wake_bars,
-        latency,
-        overruns,
-        can,
-        _,
-    ] = Layout::vertical(rows).areas(area);
-    let timing = &state.timing;
-    frame.render_widget(Line::raw(words("tick", &timing.compute, ends_us)), compute);
-    draw_bars(frame, compute_bars, &timing.compute);
-    frame.render_widget(Line::raw(words("wake-up", &timing.wake, ends_us)), wake);
-    draw_bars(frame, wake_bars, &timing.wake);
-    frame.render_widget(Line::raw(words("chunk", &state.latency, ends_us)), latency);
-    let text = format!(
-        "loop    {} ticks, {} overruns",
-        state.counts.ticks, timing.overruns
-    );
-    let style = if timing.overruns > 0 {
-        WARN
-    } else {
-        Style::new()
-    };
-    frame.render_widget(Line::styled(text, style), overruns);
-    let lines: Vec<Line<'_>> = screen.buses.all.iter().map(bus_line).collect();
-    frame.render_widget(Paragraph::new(lines), can);
-}
-
-fn bus_line(bus: &Bus) -> Line<'_> {
-    let (name, rate, errors) = (&bus.name, bus.frames_per_s(), bus.errors);
-    let style = if errors > 0 { WARN } else { Style::new() };
-    let text = format!("{name:<7} {rate:.0} frames/s, {errors} errors and drops");
-    Line::styled(text, style)
-}
-
-/// Durations of what `name` is in numbers.
-fn words(name: &str, histogram: &Histogram, ends_us: &[u64]) -> String {
-    let Some(median) = histogram.median_us(ends_us) else {
-        return format!("{name:<7} –");
-    };
-    #[expect(clippy::cast_precision_loss, reason = "microseconds of a bucket")]
-    let median = micro(median as f64);
-    let (newest, max) = (micro(histogram.newest_us), micro(histogram.max_us));
-    format!("{name:<7} p50≤{median} now {newest} max {max}")
-}
-
-fn micro(us: f64) -> String {
-    if us >= 1000.0 {
-        format!("{:.1} ms", us / 1000.0)
-    } else {
-        format!("{us:.0} µs")
-    }
-}
-
-/// A bar a bucket; roots make the rare ones visible.
-fn draw_bars(frame: &mut Frame<'_>, area: Rect, histogram: &Histogram) {
-    let roots = histogram.counts.iter().map(|count| count.isqrt());
-    frame.render_widget(Sparkline::default().data(roots).style(GOOD), area);
 }
 
 fn key_line() -> Line<'static> {

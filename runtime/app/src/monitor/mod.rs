@@ -1,11 +1,12 @@
 //! A run in real time, seen in a terminal, with the operator's commands as keys.
 //!
-//! It asks the run over its operator's socket for what pages of the console are told, ten times a second: `seen` reads that, `draw` draws it,
+//! It asks the run over its operator's socket for what pages of the console are told, ten times a second: `seen` reads that, `draw` and `timing` draw it,
 //! `buses` counts frames on the CAN interfaces of this machine.
 
 mod buses;
 mod draw;
 mod seen;
+mod timing;
 
 use std::io::{self, IsTerminal as _};
 use std::time::Duration;

@@ -88,7 +88,6 @@ pub(super) struct Timing {
 #[derive(Clone, Debug, Deserialize)]
 pub(super) struct Histogram {
     pub(super) counts: Vec<u64>,
-    pub(super) newest_us: f64,
     pub(super) max_us: f64,
 }
 

@@ -99,9 +99,9 @@ fn everything_fits_a_small_terminal() {
         "Trocar needle-handover, policy expert, seed 7  12.35 s of 30 s  speed 60 %",
         "psm2 FAULT homed, at rest  the QP failed",
         "filter +10 %",
-        "12000 passed, 345 corrected, 0 failed",
-        "rows    psm1 tip speed",
-        "wake-up p50≤50 µs now 12 µs max 1.2 ms",
+        "12000 passed, QP 345, failed 0",
+        "gate    300 chunks, 1 refused",
+        "wake-up p50 ≤ 50 µs, max 1.2 ms",
         "can0    8000 frames/s",
         "p pause r resume e enable d disable c clear -+ speed q quit s stop (no eme",
     ] {

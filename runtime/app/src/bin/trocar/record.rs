@@ -4,6 +4,7 @@ use std::path::PathBuf;
 
 use clap::builder::NonEmptyStringValueParser;
 use clap::{Args, ValueEnum};
+use indicatif::ProgressBar;
 
 use trocar::rt;
 use trocar::session::changes::Change;
@@ -144,11 +145,7 @@ pub(crate) fn record(args: &RecordArgs) -> Done {
     if by_hand.is_none() {
         rt::catch_interrupts().map_err(SessionError::signals)?;
     }
-    let bar = console::progress(args.episodes as u64, "episodes");
-    if let (true, Ok(there)) = (args.resume, Totals::read(&args.out)) {
-        bar.set_position(there.episodes as u64);
-        bar.reset_eta();
-    }
+    let bar = bar(args);
     let mut on_attempt = |attempt: &record::Attempt| {
         if attempt.kept {
             bar.inc(1);
@@ -176,6 +173,16 @@ pub(crate) fn record(args: &RecordArgs) -> Done {
         write_json(path, &summary)?;
     }
     Ok(!summary.interrupted)
+}
+
+/// A bar of the episodes that are wanted, with those that are there.
+fn bar(args: &RecordArgs) -> ProgressBar {
+    let bar = console::progress(args.episodes as u64, "episodes");
+    if let (true, Ok(there)) = (args.resume, Totals::read(&args.out)) {
+        bar.set_position(there.episodes as u64);
+        bar.reset_eta();
+    }
+    bar
 }
 
 /// Who moves the arms.

@@ -67,7 +67,8 @@ export class Drives {
       this.#rows.set(key, row);
     }
     row.root.dataset.tone = tone(axis);
-    text(row.name, axis.node === null ? axis.name : `${axis.name} · node ${axis.node}`);
+    const name = axis.name.replaceAll("_", " ");
+    text(row.name, axis.node === null ? name : `${name} · node ${axis.node}`);
     text(row.state, axis.state);
     const off = axis.wanted === null ? "" : `, wanted ${number(axis.wanted, axis.unit)}`;
     text(row.at, `${number(axis.position, axis.unit)}${off}`);

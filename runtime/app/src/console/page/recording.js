@@ -7,7 +7,7 @@ export class Recording {
     const bar = byId("recorded");
     bar.max = wanted;
     bar.value = kept;
-    byId("recorded-text").textContent = `${kept} of ${wanted} episodes kept, ${attempts} attempts now.`;
+    byId("recorded-text").textContent = `${kept} of ${wanted} episodes kept; attempts in this recording: ${attempts}.`;
     const lines = newest.map(({ seed, kept: good, reason, steps }) => {
       const line = document.createElement("li");
       line.dataset.kept = String(good);

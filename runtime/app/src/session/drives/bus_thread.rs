@@ -101,12 +101,29 @@ struct Messenger {
     shown: MailboxWriter<Shown>,
     notices: Producer<Notice>,
     stalls: Stalls,
+    /// For a page, and when it last got something, in the drives' time.
+    seen: Option<MailboxWriter<Seen>>,
+    seen_at: TimeNs,
 }
 
 impl Messenger {
     fn notify(&mut self, what: Notice) {
         // Full only if nobody reads, and then nobody wants to know.
         let _gone = self.notices.push(what);
+    }
+
+    /// Hands on what `look` sees, if there is a page and it is time for it.
+    fn show(&mut self, now: TimeNs, lost: u64, look: impl FnOnce() -> Seen) {
+        if let Some(to) = &mut self.seen
+            && now.since(self.seen_at) >= SEEN_NS
+        {
+            self.seen_at = now;
+            to.put(Seen {
+                stalled_ns: self.stalls.total_ns(),
+                lost,
+                ..look()
+            });
+        }
     }
 }
 
@@ -169,11 +186,12 @@ impl BusThread<'_> {
             shown: self.shown,
             notices: self.notices,
             stalls: Stalls::new(),
+            seen: self.seen,
+            seen_at: TimeNs(0),
         };
         let (mut last, mut now) = (clock.now(), TimeNs(0));
         let mut turns = Histogram::new();
         let mut failure = None;
-        let (mut seen_by, mut seen_at) = (self.seen, TimeNs(0));
         let cycle_ns = self.can.arms.iter().map(|arm| arm.plan.cycle_ns).min();
         let soon_ns = cycle_ns.unwrap_or(TICK_NS) / SOON;
         while !self.stop.load(Ordering::Acquire) && failure.is_none() {
@@ -188,16 +206,8 @@ impl BusThread<'_> {
                     failure = bench.step(at, network, &mut messenger).err();
                 }
             });
-            let lost = station.lost();
-            let network = station.network_mut();
-            if let Some(to) = seen_by.as_mut().filter(|_| now.since(seen_at) >= SEEN_NS) {
-                seen_at = now;
-                to.put(Seen {
-                    stalled_ns: messenger.stalls.total_ns(),
-                    lost,
-                    ..bench.seen(network, self.lines)
-                });
-            }
+            let (lost, network) = (station.lost(), station.network_mut());
+            messenger.show(now, lost, || bench.seen(network, self.lines));
             // Their words leave together when the last of them has had its time on the wire.
             let next = match (network.silent_at(), network.has_pending_frames()) {
                 (Some(at), _) => at,
