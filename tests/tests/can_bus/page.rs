@@ -22,10 +22,11 @@ impl Drop for Drives {
     }
 }
 
-/// Drives without a world, and their page's socket.
-fn open() -> (Drives, WebSocket<TcpStream>) {
+/// `trocar drives WORDS`, and their page's socket.
+fn open(words: &[&str]) -> (Drives, WebSocket<TcpStream>) {
     let mut process = trocar(Profile::Debug)
-        .args(["drives", "--no-world", "--console", "127.0.0.1:0"])
+        .args(["drives", "--console", "127.0.0.1:0"])
+        .args(words)
         .stderr(Stdio::piped())
         .spawn()
         .unwrap();
@@ -71,7 +72,7 @@ fn await_all(socket: &mut WebSocket<TcpStream>, key: &str, value: &str) -> Value
 #[ignore = "needs a CAN bus: make test-can"]
 fn the_page_follows_drives_on_a_bus() {
     let _turn = alone();
-    let (_drives, mut socket) = open();
+    let (_drives, mut socket) = open(&["--no-world"]);
     let news = await_all(&mut socket, "nmt", "pre-operational");
     assert_eq!(news["arms"][0]["axes"].as_array().unwrap().len(), 7);
     assert_eq!(news["arms"][0]["axes"][0]["state"], "switch on disabled");
@@ -84,4 +85,26 @@ fn the_page_follows_drives_on_a_bus() {
     assert!(sent.success());
     let news = await_all(&mut socket, "nmt", "operational");
     assert!(news["buses"][0]["frames"].as_u64().unwrap() > 7, "{news}");
+}
+
+/// Drives of a task show their world too: the scene, and whatever camera a page looks at.
+#[test]
+#[ignore = "needs a CAN bus: make test-can"]
+fn the_page_shows_the_world_of_drives() {
+    let _turn = alone();
+    let topics = ["--task", "needle-lift", "--topics", "can_bus_page"];
+    let (_drives, mut socket) = open(&topics);
+    let show = json!({ "show": [[0, "colour"], [255, "colour"]] }).to_string();
+    socket.send(Message::text(show)).unwrap();
+    let mut streams = Vec::new();
+    while !(streams.contains(&0) && streams.contains(&255)) {
+        let message = socket.read().unwrap();
+        match &message {
+            Message::Binary(bytes) => streams.push(bytes[0]),
+            Message::Text(_) => {}
+            Message::Ping(_) | Message::Pong(_) | Message::Close(_) | Message::Frame(_) => continue,
+        }
+        let seen = json!({ "seen": 1 }).to_string();
+        socket.send(Message::text(seen)).unwrap();
+    }
 }
