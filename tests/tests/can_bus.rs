@@ -3,6 +3,7 @@
 //! `make test-can` runs these where the interfaces are, which is why a plain `cargo test` leaves them out; see `.ci/with-vcan`.
 #![expect(
     clippy::unwrap_used,
+    clippy::panic,
     reason = "in a test, a failure to set up is a failure"
 )]
 
@@ -16,6 +17,8 @@ mod drives;
 mod faults;
 #[path = "can_bus/heard.rs"]
 mod heard;
+#[path = "can_bus/page.rs"]
+mod page;
 #[path = "can_bus/pair.rs"]
 mod pair;
 #[path = "can_bus/peer.rs"]

@@ -20,10 +20,14 @@ mod intervention;
 mod lift;
 #[path = "console/log.rs"]
 mod log;
+#[path = "console/monitor.rs"]
+mod monitor;
 #[path = "console/page.rs"]
 mod page;
 #[path = "console/run.rs"]
 mod run;
+#[path = "console/secure.rs"]
+mod secure;
 #[path = "console/steering.rs"]
 mod steering;
 #[path = "console/teleop.rs"]

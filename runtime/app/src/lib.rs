@@ -4,6 +4,7 @@ pub mod console;
 pub mod doctor;
 pub mod histogram;
 pub mod mailbox;
+pub mod monitor;
 pub mod report;
 mod rig;
 pub mod rt;

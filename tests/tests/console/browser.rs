@@ -235,3 +235,107 @@ fn the_page_shows_a_log() {
     browser.wait_until(&format!("{time} > 0.5"));
     assert_eq!(browser.errors, Vec::<String>::new());
 }
+
+/// At another address than loopback the page is a secure context, as a headset's WebXR needs it, and everything comes by TLS.
+#[test]
+#[ignore = "needs chromium: `make test-console` runs it"]
+fn the_page_opens_beyond_loopback() {
+    let words = ["run", "--task", "needle-lift", "--policy", "noop"];
+    let open = [
+        "--set",
+        "scene.episode.time_limit_s=300",
+        "--console",
+        "0.0.0.0:0",
+    ];
+    let words = [&words[..], &open].concat();
+    let served = Served::start_at(&scratch("console-browser-tls"), &words, 1);
+    let url = served.url();
+    let mut browser = Browser::open("console-browser-tls-profile", &url);
+    browser.look(1280, "light");
+    browser.wait_until("document.querySelector('.chip')?.dataset.state === 'ENABLED'");
+    browser.wait_until(PICTURE);
+    assert_eq!(
+        browser.evaluate("isSecureContext && Boolean(navigator.xr)"),
+        true
+    );
+    assert_eq!(browser.evaluate("location.search"), "");
+    let origin = url.split("/?").next().unwrap();
+    let socket = origin.replace("https://", "wss://") + "/socket";
+    assert!(browser.asked.contains(&socket), "{:?}", browser.asked);
+    let foreign = browser.asked.iter().find(|url| {
+        let own = url.starts_with(origin) || **url == socket;
+        !own && !url.starts_with("data:") && !url.starts_with("blob:")
+    });
+    assert_eq!(foreign, None);
+    assert_eq!(browser.errors, Vec::<String>::new());
+}
+
+/// The expert records by itself: the page says how far it is, and shows an episode.
+#[test]
+#[ignore = "needs chromium: `make test-console` runs it"]
+fn the_page_follows_a_recording() {
+    let folder = scratch("console-browser-record");
+    let out = folder.join("dataset");
+    let words = [
+        "record",
+        "--task",
+        "needle-lift",
+        "--episodes",
+        "4",
+        "--seed",
+        "3",
+    ];
+    let more = ["--console", "127.0.0.1:0", "--out", out.to_str().unwrap()];
+    let mut served = Served::start_at(&folder, &[&words[..], &more].concat(), 1);
+    let mut browser = Browser::open("console-browser-record-profile", &served.url());
+    browser.look(1280, "light");
+    browser.wait_until("document.querySelector('#attempts li')?.dataset.kept === 'true'");
+    browser.wait_until(PICTURE);
+    browser.wait_until("document.querySelector('.axis .measured')?.hidden === false");
+    assert_eq!(
+        browser.evaluate("document.querySelector('#steering').hidden"),
+        true
+    );
+    browser.screenshot(&folder.join("recording.png"));
+    browser.wait_until("document.querySelector('#recorded').value === 4");
+    browser.wait_until("document.querySelector('#banner').textContent.includes('4 episodes')");
+    looks_right(&mut browser, "recording");
+    assert_eq!(browser.errors, Vec::<String>::new());
+    assert_eq!(served.code(), 0);
+}
+
+/// What a page is told of drives fits its window and can be read, faults and all.
+#[test]
+#[ignore = "needs chromium: `make test-console` runs it"]
+fn the_page_shows_drives() {
+    let served = Served::run("console-browser-drives", "noop");
+    let mut browser = Browser::open("console-browser-drives-profile", &served.url());
+    browser.wait_until("document.querySelector('.chip')?.dataset.state === 'ENABLED'");
+    browser.evaluate(DRIVES);
+    let shown = "document.querySelector('.drives').innerText";
+    for text in ["operation enabled", "no power", "8130h", "fault"] {
+        browser.wait_until(&format!("{shown}.includes('{text}')"));
+    }
+    for hidden in ["steering", "loop", "safety", "joints"] {
+        let rects = format!("document.querySelector('.{hidden}').getClientRects().length");
+        assert_eq!(browser.evaluate(&rects), 0, "{hidden}");
+    }
+    looks_right(&mut browser, "drives");
+    assert_eq!(browser.errors, Vec::<String>::new());
+}
+
+/// Hands the page's own panel what drives of two arms say of themselves, one of them pulled and one at fault.
+const DRIVES: &str = r"(async () => {
+  const { Drives } = await import('/drives.js');
+  const names = ['yaw', 'pitch', 'insertion', 'roll', 'wrist_pitch', 'wrist_yaw', 'jaw'];
+  const axis = (name, i) => ({ name, node: i + 1, nmt: 'operational', state: 'operation enabled', mode: 'cyclic position', error: null, unit: i === 2 ? 'm' : 'rad', position: 0.1, wanted: 0.11 });
+  const arms = ['psm1', 'psm2'].map((name) => ({ name, axes: names.map(axis) }));
+  Object.assign(arms[1].axes[2], { node: null, nmt: 'no power', state: 'no power', mode: '', position: null, wanted: null });
+  Object.assign(arms[1].axes[3], { state: 'fault', error: '8130h, life guard or heartbeat error', wanted: null });
+  document.body.dataset.subject = 'drives';
+  new Drives().show({
+    seconds: 12.3, episode_s: 4.5, stalled_s: 0, frames_lost: 0, arms,
+    buses: [{ interface: 'can0', frames: 123456, load: 0.74 }, { interface: 'can1', frames: 123456, load: 0.31 }],
+    happened: [{ seconds: 1.2, text: 'all drives are enabled at 1.200 s: the episode begins' }, { seconds: 9.1, text: 'psm2 node 3: it lost its power' }],
+  });
+})()";

@@ -1,5 +1,6 @@
 //! A page as a test plays it: the other end of the console's WebSocket.
 
+use std::io::{Read, Write};
 use std::net::TcpStream;
 
 use serde_json::{Value, json};
@@ -19,8 +20,8 @@ pub(crate) enum Heard {
 }
 
 /// A page that acknowledges each message.
-pub(crate) struct Page {
-    pub(crate) socket: WebSocket<TcpStream>,
+pub(crate) struct Page<S = TcpStream> {
+    pub(crate) socket: WebSocket<S>,
     /// Messages that came and were not acknowledged.
     pub(crate) unacknowledged: u32,
 }
@@ -29,7 +30,13 @@ impl Page {
     /// Opens the WebSocket as the console's own page does.
     pub(crate) fn open(served: &Served) -> Self {
         let origin = format!("http://{}", served.host());
-        let socket = handshake(served, Some(&origin), Some(&served.cookie())).unwrap();
+        Self::of(handshake(served, Some(&origin), Some(&served.cookie())).unwrap())
+    }
+}
+
+impl<S: Read + Write> Page<S> {
+    /// A page that has this WebSocket.
+    pub(crate) fn of(socket: WebSocket<S>) -> Self {
         Self {
             socket,
             unacknowledged: 0,
@@ -129,7 +136,17 @@ pub(crate) fn handshake(
     origin: Option<&str>,
     cookie: Option<&str>,
 ) -> Result<WebSocket<TcpStream>, u16> {
-    let url = format!("ws://{}/socket", served.host());
+    handshake_by(&served.host(), served.connect(), origin, cookie)
+}
+
+/// The same over `stream`, for `host`.
+pub(crate) fn handshake_by<S: Read + Write>(
+    host: &str,
+    stream: S,
+    origin: Option<&str>,
+    cookie: Option<&str>,
+) -> Result<WebSocket<S>, u16> {
+    let url = format!("ws://{host}/socket");
     let mut request = url.into_client_request().unwrap();
     let headers = request.headers_mut();
     if let Some(origin) = origin {
@@ -138,7 +155,7 @@ pub(crate) fn handshake(
     if let Some(cookie) = cookie {
         headers.insert("Cookie", cookie.parse().unwrap());
     }
-    match tungstenite::client(request, served.connect()) {
+    match tungstenite::client(request, stream) {
         Ok((socket, _)) => Ok(socket),
         Err(tungstenite::HandshakeError::Failure(tungstenite::Error::Http(answer))) => {
             Err(answer.status().as_u16())

@@ -17,6 +17,10 @@ pub(crate) struct Served {
     pub(crate) process: Child,
     pub(crate) port: u16,
     pub(crate) token: String,
+    /// What opens the console.
+    url: String,
+    /// SHA-256 of the certificate, if it has one.
+    pub(crate) fingerprint: Option<String>,
     pub(crate) folder: PathBuf,
     sockets: PathBuf,
 }
@@ -67,41 +71,56 @@ impl Served {
 
     /// The same, whose clocks are so many times slower than the machine's.
     pub(crate) fn start_slow(test: &str, words: &[&str], slow_motion: u64) -> Self {
-        let folder = scratch(test);
-        let sockets = std::env::temp_dir().join(format!("co-{test}-{}", std::process::id()));
+        let words: Vec<&str> = words
+            .iter()
+            .copied()
+            .chain(["--console", "127.0.0.1:0"])
+            .collect();
+        Self::start_at(&scratch(test), &words, slow_motion)
+    }
+
+    /// `trocar WORDS`, which say where its console is, whose files are in `folder`.
+    pub(crate) fn start_at(folder: &Path, words: &[&str], slow_motion: u64) -> Self {
+        let name = folder.file_name().unwrap().to_str().unwrap();
+        let sockets = std::env::temp_dir().join(format!("co-{name}-{}", std::process::id()));
         fs::create_dir_all(&sockets).unwrap();
         let mut command: Command = trocar(Profile::Debug);
         command
             .env("XDG_RUNTIME_DIR", &sockets)
+            .env("XDG_STATE_HOME", folder)
             .env("TROCAR_SLOW_MOTION", slow_motion.to_string())
             .args(words)
-            .args(["--console", "127.0.0.1:0"])
             .arg("--json")
             .arg(folder.join("result.json"))
             .stdout(Stdio::null())
             .stderr(Stdio::piped());
         let mut process = command.spawn().unwrap();
         let mut said = BufReader::new(process.stderr.take().unwrap());
-        let mut line = String::new();
-        while !line.contains("console: http://") {
+        let (mut line, mut fingerprint) = (String::new(), None);
+        while !line.contains("console: http") {
             line.clear();
             assert!(said.read_line(&mut line).unwrap() > 0, "no console");
+            let found = line.trim().split("certificate: SHA-256 ").nth(1);
+            fingerprint = found.map(str::to_owned).or(fingerprint);
         }
         // Whatever else it says must not fill the pipe.
         std::thread::spawn(move || std::io::copy(&mut said, &mut std::io::sink()));
-        let address = line.trim().split("http://127.0.0.1:").nth(1).unwrap();
-        let (port, token) = address.split_once("/?token=").unwrap();
+        let url = line.trim().split("console: ").nth(1).unwrap().to_owned();
+        let (address, token) = url.split_once("/?token=").unwrap();
+        let (_, port) = address.rsplit_once(':').unwrap();
         Self {
             process,
             port: port.parse().unwrap(),
             token: token.to_owned(),
-            folder,
+            url: url.clone(),
+            fingerprint,
+            folder: folder.to_owned(),
             sockets,
         }
     }
 
     pub(crate) fn url(&self) -> String {
-        format!("http://127.0.0.1:{}/?token={}", self.port, self.token)
+        self.url.clone()
     }
 
     pub(crate) fn host(&self) -> String {

@@ -1,14 +1,17 @@
 //! Who may open the console: whoever has the token, from a page that this server served.
 //!
 //! The token stands in the URL that the run prints. It is taken from there once: the page comes with a cookie of the same value, which the
-//! page's other requests carry and no script can read. The host must be a loopback name, so that a foreign name that was made to point here
-//! (DNS rebinding) reaches nothing; and a WebSocket must come from a page of the same host, which a browser states as its origin.
+//! page's other requests carry and no script can read. The host must be a loopback name, or with TLS one that the certificate names, so that a
+//! foreign name that was made to point here (DNS rebinding) reaches nothing; and a WebSocket must come from a page of the same host, which a
+//! browser states as its origin.
 
 use std::fs::File;
 use std::io::{self, Read as _};
 use std::net::{IpAddr, SocketAddr};
 
 use axum::http::{HeaderMap, StatusCode, header};
+
+use super::tls::Tls;
 
 /// Pages that show what a viewer is told.
 const VIEWERS: [&str; 2] = ["https://app.foxglove.dev", "https://embed.foxglove.dev"];
@@ -42,7 +45,7 @@ impl Refusal {
         match self {
             Self::Host => (
                 StatusCode::MISDIRECTED_REQUEST,
-                "refused: the console answers to localhost, 127.0.0.1 and [::1] alone\n",
+                "refused: the console answers to localhost, 127.0.0.1 and [::1] alone, or with TLS to the names of its certificate\n",
             ),
             Self::Origin => (
                 StatusCode::FORBIDDEN,
@@ -70,20 +73,21 @@ impl Access {
         })
     }
 
-    /// What opens the console at `address` in a browser.
-    pub(super) fn url(&self, address: SocketAddr) -> String {
-        format!("http://{address}/?token={}", self.token)
+    /// What opens the console at `address` in a browser, by TLS if it is `secure`.
+    pub(super) fn url(&self, address: SocketAddr, secure: bool) -> String {
+        format!("http{}://{address}/?token={}", s(secure), self.token)
     }
 
     /// What a viewer opens, at `address`.
-    pub(super) fn viewer_url(&self, address: SocketAddr) -> String {
-        format!("ws://{address}/?token={}", self.viewer_token)
+    pub(super) fn viewer_url(&self, address: SocketAddr, secure: bool) -> String {
+        format!("ws{}://{address}/?token={}", s(secure), self.viewer_token)
     }
 
-    /// The header that makes a browser keep the token.
-    pub(super) fn set_cookie(&self) -> String {
+    /// The header that makes a browser keep the token, and send it by TLS alone if it came by that.
+    pub(super) fn set_cookie(&self, secure: bool) -> String {
         let (name, token) = (&self.cookie, &self.token);
-        format!("{name}={token}; Path=/; HttpOnly; SameSite=Strict")
+        let secure = if secure { "; Secure" } else { "" };
+        format!("{name}={token}; Path=/; HttpOnly; SameSite=Strict{secure}")
     }
 
     /// Whether `query`, what stands behind the `?` of a URL, has the token.
@@ -111,6 +115,11 @@ impl Access {
     }
 }
 
+/// What a scheme has at its end.
+const fn s(secure: bool) -> &'static str {
+    if secure { "s" } else { "" }
+}
+
 /// A fresh token.
 fn token() -> io::Result<String> {
     let mut bytes = [0; TOKEN_BYTES];
@@ -132,22 +141,23 @@ fn is_same(own: &str, given: &str) -> bool {
 }
 
 /// # Errors
-/// [`Refusal::Host`] if the request is not for a loopback name.
-pub(super) fn check_host(headers: &HeaderMap) -> Result<(), Refusal> {
+/// [`Refusal::Host`] if the request is not for a loopback name, or with TLS not for a name of the certificate.
+pub(super) fn check_host(headers: &HeaderMap, tls: Option<&Tls>) -> Result<(), Refusal> {
     let host = text(headers, header::HOST).ok_or(Refusal::Host)?;
     let loopback = |name: &str| {
         let bare = name.trim_start_matches('[').trim_end_matches(']');
         name == "localhost" || bare.parse().is_ok_and(|ip: IpAddr| ip.is_loopback())
     };
-    loopback(without_port(host))
-        .then_some(())
-        .ok_or(Refusal::Host)
+    let name = without_port(host);
+    let own = tls.map_or_else(|| loopback(name), |tls| tls.names(name));
+    own.then_some(()).ok_or(Refusal::Host)
 }
 
 /// # Errors
 /// [`Refusal::Origin`] if the page that asks is not one of the host that it asks.
-pub(super) fn check_origin(headers: &HeaderMap) -> Result<(), Refusal> {
-    let origin = text(headers, header::ORIGIN).and_then(|origin| origin.strip_prefix("http://"));
+pub(super) fn check_origin(headers: &HeaderMap, secure: bool) -> Result<(), Refusal> {
+    let scheme = if secure { "https://" } else { "http://" };
+    let origin = text(headers, header::ORIGIN).and_then(|origin| origin.strip_prefix(scheme));
     let host = text(headers, header::HOST);
     let own = origin.is_some() && origin == host;
     own.then_some(()).ok_or(Refusal::Origin)
@@ -205,7 +215,7 @@ mod tests {
             "127.0.0.1",
         ] {
             assert_eq!(
-                check_host(&headers(&[(header::HOST, host)])),
+                check_host(&headers(&[(header::HOST, host)]), None),
                 Ok(()),
                 "{host}"
             );
@@ -219,19 +229,22 @@ mod tests {
             "127.0.0.1.evil.example:80",
             "[::]:80",
         ] {
-            let refused = check_host(&headers(&[(header::HOST, host)]));
+            let refused = check_host(&headers(&[(header::HOST, host)]), None);
             assert_eq!(refused, Err(Refusal::Host), "{host}");
         }
         let two = headers(&[(header::HOST, "localhost"), (header::HOST, "evil.example")]);
-        assert_eq!(check_host(&two), Err(Refusal::Host));
-        assert_eq!(check_host(&HeaderMap::new()), Err(Refusal::Host));
+        assert_eq!(check_host(&two, None), Err(Refusal::Host));
+        assert_eq!(check_host(&HeaderMap::new(), None), Err(Refusal::Host));
     }
 
     #[test]
     fn the_origin_is_the_host() {
         let with =
             |origin: &str| headers(&[(header::HOST, "localhost:1"), (header::ORIGIN, origin)]);
-        assert_eq!(check_origin(&with("http://localhost:1")), Ok(()));
+        let own = with("http://localhost:1");
+        assert_eq!(check_origin(&own, false), Ok(()));
+        assert_eq!(check_origin(&own, true), Err(Refusal::Origin));
+        assert_eq!(check_origin(&with("https://localhost:1"), true), Ok(()));
         for origin in [
             "http://localhost:2",
             "http://evil.example",
@@ -240,13 +253,13 @@ mod tests {
             "https://localhost:1",
         ] {
             assert_eq!(
-                check_origin(&with(origin)),
+                check_origin(&with(origin), false),
                 Err(Refusal::Origin),
                 "{origin}"
             );
         }
         let none = headers(&[(header::HOST, "localhost:1")]);
-        assert_eq!(check_origin(&none), Err(Refusal::Origin));
+        assert_eq!(check_origin(&none, false), Err(Refusal::Origin));
     }
 
     #[test]

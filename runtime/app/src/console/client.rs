@@ -80,6 +80,7 @@ pub(super) async fn attend(mut socket: WebSocket, shared: Arc<Shared>) {
     let mut page = Page {
         facts: shared.facts.subscribe(),
         state: shared.state.subscribe(),
+        bulletin: shared.bulletin.subscribe(),
         taken: shared.seats.watch(),
         pictures: shared.board.watch(),
         over: shared.over.subscribe(),
@@ -97,6 +98,7 @@ pub(super) async fn attend(mut socket: WebSocket, shared: Arc<Shared>) {
     // What there is already is news to this page.
     page.facts.mark_changed();
     page.state.mark_changed();
+    page.bulletin.mark_changed();
     page.taken.mark_changed();
     let _gone: Result<(), Gone> = page.serve(&mut socket).await;
     page.shared.hands.release(page.seat.id(), Lost::PageGone);
@@ -107,6 +109,7 @@ struct Page {
     seat: Seat,
     facts: watch::Receiver<Utf8Bytes>,
     state: watch::Receiver<Utf8Bytes>,
+    bulletin: watch::Receiver<Utf8Bytes>,
     taken: watch::Receiver<Taken>,
     pictures: watch::Receiver<u64>,
     over: watch::Receiver<Option<Utf8Bytes>>,
@@ -257,6 +260,7 @@ impl Page {
                 _ = self.facts.changed() => self.facts.mark_changed(),
                 _ = self.taken.changed() => self.taken.mark_changed(),
                 _ = self.state.changed() => self.state.mark_changed(),
+                _ = self.bulletin.changed() => self.bulletin.mark_changed(),
                 _ = self.pictures.changed() => {}
             }
         }
@@ -283,8 +287,9 @@ impl Page {
         if let Some(log) = self.shared.log() {
             return self.of_log(&log);
         }
-        if let Some(state) = changed(&mut self.state) {
-            return Some(News::Text(state));
+        let texts = [&mut self.bulletin, &mut self.state];
+        if let Some(text) = texts.into_iter().find_map(changed) {
+            return Some(News::Text(text));
         }
         let (stream, picture) = self.shared.board.newer(&self.streams, &self.seen)?;
         self.seen.insert(stream, picture.number);

@@ -13,6 +13,7 @@ pub struct Facts {
     kind: &'static str,
     /// Whether it is a log.
     log: bool,
+    subject: Subject,
     title: String,
     policy: String,
     seed: u64,
@@ -38,6 +39,18 @@ pub struct Facts {
     /// Where the arms' remote centres are in the scene.
     #[serde(skip)]
     pub(super) rcms_in_scene: Vec<Pose>,
+}
+
+/// What is shown, which decides the panels.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+enum Subject {
+    /// A run, which an operator may steer, or its log.
+    Run,
+    /// Episodes of a recording, which go on by themselves.
+    Recording,
+    /// Emulated drives.
+    Drives,
 }
 
 /// A joint or the jaw.
@@ -86,6 +99,7 @@ impl Facts {
         Self {
             kind: "facts",
             log: false,
+            subject: Subject::Run,
             title: title.to_owned(),
             policy: policy.to_owned(),
             seed,
@@ -101,6 +115,35 @@ impl Facts {
             rows: rows::names(control),
             rcms_in_scene: control.arms.iter().map(|arm| arm.scene_from_rcm).collect(),
         }
+    }
+
+    /// Those of the drives of `arms`, in the world of `title` if they have one, which shows `cameras`.
+    pub(crate) fn of_drives(title: &str, seed: u64, arms: &[&str], cameras: Vec<String>) -> Self {
+        Self {
+            kind: "facts",
+            log: false,
+            subject: Subject::Drives,
+            title: title.to_owned(),
+            policy: String::new(),
+            seed,
+            arms: arms.iter().map(|&name| name.to_owned()).collect(),
+            axes: Vec::new(),
+            cameras,
+            scene: false,
+            buckets_us: BUCKETS_US.to_vec(),
+            time_limit_s: None,
+            seconds: None,
+            events: Vec::new(),
+            outcome: None,
+            rows: Vec::new(),
+            rcms_in_scene: Vec::new(),
+        }
+    }
+
+    /// The same of an episode that is recorded.
+    pub(crate) const fn of_recording(mut self) -> Self {
+        self.subject = Subject::Recording;
+        self
     }
 
     /// The same of a task that is given up after so long.

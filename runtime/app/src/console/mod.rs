@@ -6,8 +6,8 @@
 //!                    the run's socket for operators <── verbs, of the one page that steers ────────┘
 //! ```
 //!
-//! `address` says where it listens, `bounded` how many connections it holds, `access` who may open it; `server` serves the page's files,
-//! `client` one page; `request` is what a page may say, `seats` who steers. `tap` is the control thread's end, `pictures` and `encode` are
+//! `address` and `doors` say where it listens, `connection` how many connections it holds and for how long, `tls` and `certificate` how other machines reach
+//! it, `access` who may open it; `server` serves the page's files, `client` one page; `request` is what a page may say, `seats` who steers. `tap` is the control thread's end, `pictures` and `encode` are
 //! what cameras show, `scene` the scene in three dimensions; `by_hand` takes the operator's hands (`session/teleop`); `facts`, `live` and
 //! `state` make what a run says, `path` where its chunks lead, `log_view` what a log says. The page itself is in `page/`. `foxglove` tells
 //! other programs the same in the log's form, at a door of its own.
@@ -17,9 +17,11 @@
 
 mod access;
 mod address;
-mod bounded;
 mod by_hand;
+mod certificate;
 mod client;
+mod connection;
+mod doors;
 mod encode;
 mod facts;
 mod foxglove;
@@ -34,9 +36,9 @@ mod server;
 mod shared;
 mod state;
 mod tap;
+mod tls;
 
 use std::io;
-use std::net::{SocketAddr, TcpListener};
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::{self, JoinHandle};
@@ -47,6 +49,7 @@ use trocar_tasks::cameras::SceneModel;
 use trocar_tasks::scene::SceneSnapshot;
 
 pub use address::{Address, BadAddress, DEFAULT_ADDRESS, FOXGLOVE_ADDRESS};
+pub use doors::Doors;
 pub use facts::Facts;
 pub(crate) use pictures::{FramePlanes, FrameTap};
 pub(crate) use scene::SceneTap;
@@ -56,17 +59,20 @@ use crate::mailbox::{MailboxWriter, mailbox};
 use crate::session::SessionError;
 use crate::session::teleop::Hands;
 use access::Access;
+use doors::{Listening, Reached};
 use live::{Live, Said};
 use log_view::LogView;
-use server::Door;
+use pictures::Board;
 use shared::Shared;
 
 /// A console that listens. Clones are the same one.
 #[derive(Clone, Debug)]
 pub struct Console {
     shared: Arc<Shared>,
-    page: Option<SocketAddr>,
-    viewers: Option<SocketAddr>,
+    page: Option<Reached>,
+    viewers: Option<Reached>,
+    /// Of the certificate, if there is one.
+    fingerprint: Option<String>,
     threads: Arc<Mutex<Vec<JoinHandle<()>>>>,
 }
 
@@ -77,6 +83,53 @@ pub struct RunTaps {
     pub control: ControlTap,
     /// For whoever knows what the task still lacks.
     pub task: MailboxWriter<&'static str>,
+    /// For whoever asks what the run does.
+    pub(crate) view: RunView,
+}
+
+/// A run as whoever asks sees it: what pages are told, as JSON.
+#[derive(Clone, Debug)]
+pub(crate) struct RunView(Arc<Live>);
+
+impl RunView {
+    /// What does not change.
+    pub(crate) fn facts(&self) -> String {
+        self.0.facts()
+    }
+
+    /// The newest state; none before the first tick.
+    pub(crate) fn state(&self) -> Option<String> {
+        self.0.state()
+    }
+}
+
+/// The ends of a run that no page shows, which says what it does to whoever asks at `operator`.
+pub(crate) fn unseen_run(facts: Facts, operator: Option<PathBuf>) -> RunTaps {
+    let (hands, board) = (Arc::new(Hands::new()), Arc::new(Board::new()));
+    tapped(facts, operator, (hands, board))
+}
+
+fn tapped(
+    facts: Facts,
+    operator: Option<PathBuf>,
+    (hands, board): (Arc<Hands>, Arc<Board>),
+) -> RunTaps {
+    let (to, from) = mailbox();
+    let (task_to, task_from) = mailbox();
+    let (commanded, commanded_from) = mailbox();
+    let (chunks_to, chunks) = mailbox();
+    hands.follow(commanded_from);
+    let said = Said {
+        samples: from,
+        task: task_from,
+        chunks,
+    };
+    let live = Live::new(facts, said, operator, (hands, board));
+    RunTaps {
+        control: ControlTap::new(to, commanded, chunks_to),
+        task: task_to,
+        view: RunView(Arc::new(live)),
+    }
 }
 
 /// The last words of a run.
@@ -93,32 +146,27 @@ impl Console {
     /// # Errors
     /// [`SessionError::BadArgument`] if nobody can listen there.
     pub fn open(address: Address) -> Result<Self, SessionError> {
-        Self::open_doors(Some(address), None)
+        Self::open_doors(&Doors {
+            page: Some(address),
+            ..Doors::default()
+        })
     }
 
-    /// Listens for pages at `page`, and for Foxglove at `viewers`; each if given.
+    /// Listens at `doors`.
     ///
     /// # Errors
-    /// [`SessionError::BadArgument`] if nobody can listen there.
-    pub fn open_doors(
-        page: Option<Address>,
-        viewers: Option<Address>,
-    ) -> Result<Self, SessionError> {
-        let mut listeners = Vec::new();
-        let mut listen = |option, address: Option<Address>, door| {
-            let Some(address) = address else {
-                return Ok::<_, SessionError>(None);
-            };
-            let (listener, address) = bound(option, address)?;
-            listeners.push((listener, door));
-            Ok(Some(address))
-        };
-        let page = listen("--console", page, Door::Pages)?;
-        let viewers = listen("--foxglove", viewers, Door::Viewers)?;
+    /// [`SessionError::BadArgument`] if nobody can listen there, or a certificate is none.
+    pub fn open_doors(doors: &Doors) -> Result<Self, SessionError> {
+        let Listening {
+            page,
+            viewers,
+            fingerprint,
+            listeners,
+        } = doors.listen()?;
         let failed = |error: io::Error| {
             SessionError::BadArgument(format!("the console's server can't be started: {error}"))
         };
-        let access = Access::new(page.map_or(0, |address| address.port())).map_err(failed)?;
+        let access = Access::new(page.map_or(0, |page| page.address.port())).map_err(failed)?;
         let shared = Arc::new(Shared::new(access));
         let runtime = server::runtime().map_err(failed)?;
         let mut threads = Vec::new();
@@ -137,20 +185,28 @@ impl Console {
             shared,
             page,
             viewers,
+            fingerprint,
             threads: Arc::new(Mutex::new(threads)),
         })
     }
 
-    /// What opens it in a browser of this machine, with its token; none if it listens for no page.
+    /// What opens it in a browser, with its token; none if it listens for no page.
     #[must_use]
     pub fn url(&self) -> Option<String> {
-        self.page.map(|address| self.shared.access.url(address))
+        let url = |page: Reached| self.shared.access.url(page.address, page.secure);
+        self.page.map(url)
+    }
+
+    /// SHA-256 of the certificate, if there is TLS: what a browser on another machine has to show.
+    #[must_use]
+    pub fn fingerprint(&self) -> Option<&str> {
+        self.fingerprint.as_deref()
     }
 
     /// What opens it in Foxglove, with its token; none if it does not listen for that.
     #[must_use]
     pub fn viewer_url(&self) -> Option<String> {
-        let url = |address| self.shared.access.viewer_url(address);
+        let url = |it: Reached| self.shared.access.viewer_url(it.address, it.secure);
         self.viewers.map(url)
     }
 
@@ -170,24 +226,22 @@ impl Console {
 
     /// Shows a run from now on, whose operator's socket is `operator`; what it says comes from the ends that this gives.
     pub fn show_run(&self, facts: Facts, operator: Option<PathBuf>) -> RunTaps {
-        let (to, from) = mailbox();
-        let (task_to, task_from) = mailbox();
-        let (commanded, commanded_from) = mailbox();
-        let (chunks_to, chunks) = mailbox();
-        self.shared.hands.follow(commanded_from);
         let hands = Arc::clone(&self.shared.hands);
-        let said = Said {
-            samples: from,
-            task: task_from,
-            chunks,
-        };
         let board = Arc::clone(&self.shared.board);
-        let live = Live::new(facts, said, operator, (hands, board));
-        self.shared.show_run(live);
-        RunTaps {
-            control: ControlTap::new(to, commanded, chunks_to),
-            task: task_to,
-        }
+        let taps = tapped(facts, operator, (hands, board));
+        self.shared.show_run(Arc::clone(&taps.view.0));
+        taps
+    }
+
+    /// From now on shows what `facts` say of what is no run; news of it come by [`Self::tell`].
+    pub(crate) fn show_facts(&self, facts: &Facts) {
+        self.shared.facts.send_replace(facts.json().into());
+    }
+
+    /// Shows the newest of what is no run, or stands beside it.
+    pub(crate) fn tell(&self, news: &impl Serialize) {
+        let text = serde_json::to_string(news).unwrap_or_default();
+        self.shared.bulletin.send_replace(text.into());
     }
 
     /// Shows the scene of `model` from now on, as it is in `start`, with the limits of `arms`: the end for what moves.
@@ -235,24 +289,6 @@ impl Console {
             let _panicked = thread.join();
         }
     }
-}
-
-/// A listener at `address`, which `option` asks for, and where it is.
-fn bound(option: &str, address: Address) -> Result<(TcpListener, SocketAddr), SessionError> {
-    let asked = address.socket();
-    let failed = |error: io::Error| {
-        let hint = if error.kind() == io::ErrorKind::AddrInUse {
-            "; port 0 is any that is free"
-        } else {
-            ""
-        };
-        let reason = format!("{option} {asked}: cannot listen there: {error}{hint}");
-        SessionError::BadArgument(reason)
-    };
-    let listener = TcpListener::bind(asked).map_err(failed)?;
-    listener.set_nonblocking(true).map_err(failed)?;
-    let address = listener.local_addr().map_err(failed)?;
-    Ok((listener, address))
 }
 
 fn spawn(name: &str, body: impl FnOnce() + Send + 'static) -> io::Result<JoinHandle<()>> {

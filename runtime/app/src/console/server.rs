@@ -2,26 +2,28 @@
 
 use std::io;
 use std::net::TcpListener;
+use std::ops::Deref;
 use std::sync::Arc;
 use std::time::Duration;
 
-use axum::Router;
 use axum::extract::ws::WebSocketUpgrade;
 use axum::extract::{Request, State};
 use axum::http::{HeaderMap, HeaderName, HeaderValue, StatusCode, Uri, header};
 use axum::middleware::{self, Next};
 use axum::response::{IntoResponse as _, Response};
 use axum::routing::get;
+use axum::{Extension, Router};
 use tokio::runtime::{Builder, Runtime};
 use tokio::task::JoinSet;
 use tokio::time::{MissedTickBehavior, interval, timeout};
 
 use super::access::{Refusal, check_host, check_origin, check_viewer_origin};
-use super::bounded::Bounded;
 use super::client::attend;
+use super::connection::{Place, admit};
 use super::foxglove;
 use super::request::MESSAGE_BYTES_MAX;
 use super::shared::Shared;
+use super::tls::Tls;
 
 /// Time from one state to the next.
 const STATE_EVERY: Duration = Duration::from_millis(50);
@@ -36,7 +38,7 @@ const VIEWER_BYTES_MAX: usize = 16 << 10;
 const WAITING_MAX: usize = 4;
 
 /// The page's files: path, type, text.
-const FILES: [(&str, &str, &str); 14] = [
+const FILES: [(&str, &str, &str); 16] = [
     (
         "/",
         "text/html; charset=utf-8",
@@ -51,6 +53,8 @@ const FILES: [(&str, &str, &str); 14] = [
     ("/connection.js", SCRIPT, include_str!("page/connection.js")),
     ("/panels.js", SCRIPT, include_str!("page/panels.js")),
     ("/cameras.js", SCRIPT, include_str!("page/cameras.js")),
+    ("/drives.js", SCRIPT, include_str!("page/drives.js")),
+    ("/recording.js", SCRIPT, include_str!("page/recording.js")),
     ("/operator.js", SCRIPT, include_str!("page/operator.js")),
     ("/teleop.js", SCRIPT, include_str!("page/teleop.js")),
     ("/hands.js", SCRIPT, include_str!("page/hands.js")),
@@ -99,27 +103,51 @@ pub(super) enum Door {
     Viewers,
 }
 
+/// A listener: whom it is for, and its TLS if other machines reach it.
+pub(super) struct Opened {
+    pub(super) listener: TcpListener,
+    pub(super) door: Door,
+    pub(super) tls: Option<Tls>,
+}
+
+/// What a request's handler knows.
+#[derive(Clone)]
+struct Desk {
+    shared: Arc<Shared>,
+    tls: Option<Tls>,
+}
+
+impl Deref for Desk {
+    type Target = Shared;
+
+    fn deref(&self) -> &Shared {
+        &self.shared
+    }
+}
+
 /// Serves whoever comes to `listeners` until all is over and they have taken leave.
 pub(super) fn serve(
     runtime: &Runtime,
-    listeners: Vec<(TcpListener, Door)>,
+    listeners: Vec<Opened>,
     shared: &Arc<Shared>,
 ) -> io::Result<()> {
     runtime.block_on(async {
         let mut doors = JoinSet::new();
-        for (listener, door) in listeners {
+        for Opened {
+            listener,
+            door,
+            tls,
+        } in listeners
+        {
             let listener = tokio::net::TcpListener::from_std(listener)?;
-            let router = match door {
-                Door::Pages => router(Arc::clone(shared)),
-                Door::Viewers => viewers(Arc::clone(shared)),
+            let desk = Desk {
+                shared: Arc::clone(shared),
+                tls: tls.clone(),
             };
-            let served = axum::serve(Bounded::new(listener), router);
-            doors.spawn(served.into_future());
+            doors.spawn(admit(listener, tls, desk.router(door)));
         }
-        tokio::select! {
-            Some(served) = doors.join_next() => served.map_err(io::Error::other)?,
-            () = refresh(shared) => Ok(()),
-        }
+        refresh(shared).await;
+        Ok(())
     })
 }
 
@@ -141,17 +169,23 @@ async fn refresh(shared: &Shared) {
     tokio::time::sleep(STATE_EVERY).await;
 }
 
-fn router(shared: Arc<Shared>) -> Router {
-    Router::new()
-        .route("/socket", get(socket))
-        .fallback(get(file))
-        .layer(middleware::from_fn(guard))
-        .with_state(shared)
+impl Desk {
+    fn router(self, door: Door) -> Router {
+        let routes = match door {
+            Door::Pages => Router::new()
+                .route("/socket", get(socket))
+                .fallback(get(file)),
+            Door::Viewers => Router::new().route("/", get(viewer)),
+        };
+        routes
+            .layer(middleware::from_fn_with_state(self.clone(), guard))
+            .with_state(self)
+    }
 }
 
 /// Checks the host of every request, and tells the browser what it may do with every answer.
-async fn guard(request: Request, next: Next) -> Response {
-    let mut response = match check_host(request.headers()) {
+async fn guard(State(desk): State<Desk>, request: Request, next: Next) -> Response {
+    let mut response = match check_host(request.headers(), desk.tls.as_ref()) {
         Ok(()) => next.run(request).await,
         Err(refusal) => refused(refusal),
     };
@@ -163,14 +197,14 @@ async fn guard(request: Request, next: Next) -> Response {
     response
 }
 
-async fn file(State(shared): State<Arc<Shared>>, uri: Uri, headers: HeaderMap) -> Response {
-    let access = &shared.access;
+async fn file(State(desk): State<Desk>, uri: Uri, headers: HeaderMap) -> Response {
+    let access = &desk.access;
     let by_query = access.is_in_query(uri.query());
     if !by_query && let Err(refusal) = access.check_cookie(&headers) {
         return refused(refusal);
     }
     if uri.path() == "/scene.glb" {
-        return shared.scene().map_or_else(
+        return desk.scene().map_or_else(
             || (StatusCode::NOT_FOUND, "there is no scene\n").into_response(),
             |file| ([(header::CONTENT_TYPE, "model/gltf-binary")], file).into_response(),
         );
@@ -180,37 +214,36 @@ async fn file(State(shared): State<Arc<Shared>>, uri: Uri, headers: HeaderMap) -
         return (StatusCode::NOT_FOUND, "there is no such page\n").into_response();
     };
     let mut response = ([(header::CONTENT_TYPE, *kind)], *text).into_response();
-    if by_query && let Ok(cookie) = HeaderValue::from_str(&access.set_cookie()) {
+    if by_query && let Ok(cookie) = HeaderValue::from_str(&access.set_cookie(desk.tls.is_some())) {
         response.headers_mut().insert(header::SET_COOKIE, cookie);
     }
     response
 }
 
 async fn socket(
-    State(shared): State<Arc<Shared>>,
+    State(desk): State<Desk>,
+    Extension(place): Extension<Place>,
     headers: HeaderMap,
     upgrade: WebSocketUpgrade,
 ) -> Response {
-    let known = check_origin(&headers).and_then(|()| shared.access.check_cookie(&headers));
+    let known = check_origin(&headers, desk.tls.is_some());
+    let known = known.and_then(|()| desk.access.check_cookie(&headers));
     if let Err(refusal) = known {
         return refused(refusal);
     }
     upgrade
         .max_message_size(MESSAGE_BYTES_MAX)
         .max_frame_size(MESSAGE_BYTES_MAX)
-        .on_upgrade(move |socket| attend(socket, shared))
-}
-
-fn viewers(shared: Arc<Shared>) -> Router {
-    Router::new()
-        .route("/", get(viewer))
-        .layer(middleware::from_fn(guard))
-        .with_state(shared)
+        .on_upgrade(async move |socket| {
+            attend(socket, desk.shared).await;
+            place.leave();
+        })
 }
 
 /// A viewer has the token in its address, as the run prints it.
 async fn viewer(
-    State(shared): State<Arc<Shared>>,
+    State(desk): State<Desk>,
+    Extension(place): Extension<Place>,
     uri: Uri,
     headers: HeaderMap,
     upgrade: WebSocketUpgrade,
@@ -218,16 +251,20 @@ async fn viewer(
     if let Err(refusal) = check_viewer_origin(&headers) {
         return refused(refusal);
     }
-    if !shared.access.is_viewer_in_query(uri.query()) {
+    if !desk.access.is_viewer_in_query(uri.query()) {
         return refused(Refusal::Token);
     }
     upgrade
         .protocols(foxglove::PROTOCOLS)
         .max_message_size(VIEWER_BYTES_MAX)
         .max_frame_size(VIEWER_BYTES_MAX)
-        .on_upgrade(move |socket| foxglove::attend(socket, shared))
+        .on_upgrade(async move |socket| {
+            foxglove::attend(socket, desk.shared).await;
+            place.leave();
+        })
 }
 
 fn refused(refusal: Refusal) -> Response {
-    refusal.answer().into_response()
+    // Whoever is refused holds no connection.
+    ([(header::CONNECTION, "close")], refusal.answer()).into_response()
 }

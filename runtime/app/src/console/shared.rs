@@ -36,6 +36,8 @@ pub(super) struct Shared {
     pub(super) facts: watch::Sender<Utf8Bytes>,
     /// The newest state.
     pub(super) state: watch::Sender<Utf8Bytes>,
+    /// The newest of whatever else there is to show; empty if there is nothing.
+    pub(super) bulletin: watch::Sender<Utf8Bytes>,
     /// The last words, when all is over.
     pub(super) over: watch::Sender<Option<Utf8Bytes>>,
     /// The operator's hands, if they move the arms.
@@ -56,6 +58,7 @@ impl Shared {
             board,
             facts: watch::Sender::new(Utf8Bytes::default()),
             state: watch::Sender::new(Utf8Bytes::default()),
+            bulletin: watch::Sender::new(Utf8Bytes::default()),
             over: watch::Sender::new(None),
             hands: Arc::new(Hands::new()),
             shown: Mutex::new(Shown::Nothing),
@@ -65,10 +68,10 @@ impl Shared {
     }
 
     /// From now on pages see a run.
-    pub(super) fn show_run(&self, live: Live) {
+    pub(super) fn show_run(&self, live: Arc<Live>) {
         let facts = live.facts();
         // Whoever hears of the facts looks for the run.
-        self.show(Shown::Live(Arc::new(live)));
+        self.show(Shown::Live(live));
         self.facts.send_replace(facts.into());
     }
 

@@ -26,6 +26,7 @@ pub mod realtime;
 pub mod record;
 mod record_by_hand;
 pub mod record_notes;
+mod record_page;
 mod record_resume;
 pub mod robot;
 pub mod run;
@@ -49,6 +50,7 @@ pub mod training_pace;
 mod training_recipe;
 mod training_save;
 mod training_watch;
+mod views;
 mod world_report;
 
 #[cfg(test)]

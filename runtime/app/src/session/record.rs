@@ -9,6 +9,7 @@ use trocar_data::dataset::{
     Totals, VideoCodec,
 };
 use trocar_data::perception::depth_units;
+use trocar_log::TickRecord;
 use trocar_nets::act_policy::state_numbers;
 use trocar_tasks::cameras::SceneCameras;
 use trocar_tasks::disturbance::Disturber;
@@ -16,6 +17,7 @@ use trocar_tasks::task::{Outcome, Variation};
 
 use super::episode::{Episode, StepView, Watcher};
 use super::record_notes::{DISTURBED_TIME_FACTOR, DisturbedCounts, EpisodeNote, value};
+use super::record_page::{EpisodePage, RecordPage};
 use super::record_resume::{Found, begin, look};
 use super::run::next_simulation;
 use super::source::STEP_NS;
@@ -185,6 +187,8 @@ pub fn record(
     let Some(mut writer) = writer else {
         return Ok(summary);
     };
+    let page = plan.console.as_ref();
+    let page = page.map(|to| RecordPage::new(to, summary.episodes, options.episodes));
     let attempts_max = (options.episodes as u64)
         .saturating_mul(4)
         .saturating_add(20);
@@ -204,13 +208,16 @@ pub fn record(
             // What is cut off loses no more than these.
             options.jobs,
             stop,
-            || Ok(demonstrator(plan, first, options, stop)),
+            || Ok(demonstrator(plan, first, options, (stop, page.as_ref()))),
             &mut |index, demo: Option<Demonstration>| {
                 // Behind an abandoned attempt nothing counts: seeds have no gaps.
                 if let Some(demo) = demo.filter(|_| index == done) {
                     keep(&mut writer, options, &demo)?;
                     let attempt = demo.attempt();
                     on_attempt(&attempt);
+                    if let Some(page) = &page {
+                        page.tell(&attempt);
+                    }
                     summary.add(attempt);
                     done += 1;
                 }
@@ -391,12 +398,13 @@ fn push_frames(writer: &mut DatasetWriter, demo: &Demonstration) -> Result<(), D
     Ok(())
 }
 
-/// The job of one thread: the demonstration of `first + index`; none if it was abandoned because `stop` said so.
-fn demonstrator(
-    plan: &Plan,
+/// The job of one thread: the demonstration of `first + index`, shown on `page` if no other is; none if it was abandoned because `stop` said
+/// so.
+fn demonstrator<'a>(
+    plan: &'a Plan,
     first: u64,
-    options: &RecordOptions,
-    stop: &(dyn Fn() -> bool + Sync),
+    options: &'a RecordOptions,
+    (stop, page): (&'a (dyn Fn() -> bool + Sync), Option<&'a RecordPage<'a>>),
 ) -> impl FnMut(usize) -> Result<Option<Demonstration>, SessionError> {
     let setup = &plan.setup;
     let mut cameras: Option<SceneCameras> = None;
@@ -418,6 +426,10 @@ fn demonstrator(
             cameras: setup.cameras_with(Vec::new()),
             depth: options.depth,
             frames: Vec::new(),
+            shown: match page {
+                Some(page) => page.begin(plan, (&task, seed), &simulation.snapshot())?,
+                None => None,
+            },
             stop,
         };
         let mut timing = plan.timing(seed, &source);
@@ -453,6 +465,8 @@ struct Diary<'a> {
     cameras: Vec<String>,
     depth: bool,
     frames: Vec<StoredFrame>,
+    /// What pages see of it, if they do.
+    shown: Option<EpisodePage<'a>>,
     stop: &'a (dyn Fn() -> bool + Sync),
 }
 
@@ -461,7 +475,16 @@ impl Watcher for Diary<'_> {
         self.cameras.clone()
     }
 
+    fn tick(&mut self, record: &TickRecord) {
+        if let Some(shown) = &mut self.shown {
+            shown.tick(record);
+        }
+    }
+
     fn step(&mut self, view: &StepView<'_>) -> Result<(), SessionError> {
+        if let Some(shown) = &mut self.shown {
+            shown.step(view)?;
+        }
         let Some(chunks) = view.answer else {
             return Ok(());
         };

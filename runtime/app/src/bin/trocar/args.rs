@@ -8,7 +8,6 @@ use clap::builder::{
 };
 use clap::{Arg, Args, Command, Parser, Subcommand, ValueEnum};
 
-use trocar::console::{Address, DEFAULT_ADDRESS, FOXGLOVE_ADDRESS};
 use trocar::session::changes::Change;
 use trocar::session::drives::DEFAULT_TOPICS;
 use trocar::session::tasks;
@@ -20,7 +19,8 @@ use crate::environment::EnvironmentArgs;
 use crate::eval::EvalArgs;
 use crate::export::ExportVerb;
 use crate::import::ImportVerb;
-use crate::operator::{OperatorArgs, SpeedArgs};
+use crate::operator::{MonitorArgs, OperatorArgs, SpeedArgs};
+use crate::page::{FoxgloveArgs, PageArgs};
 use crate::policy::{ExternalArgs, PolicyArgs};
 use crate::record::RecordArgs;
 use crate::scene_args::SceneArgs;
@@ -178,6 +178,11 @@ pub(crate) enum Verb {
         after_help = "Example: trocar status\n         trocar status --json | jq .arms[0].state\n\nThis and enable, disable, pause, resume, home, clear, speed and stop speak to a run of this user in real time, over a local socket. Exit code 1 if the run says no."
     )]
     Status(OperatorArgs),
+    /// Show a run in real time in the terminal, for ssh: joints, filter, guard, gate, control loop and buses, with the operator's commands as keys.
+    #[command(
+        after_help = "Example: trocar monitor\n         ssh robot -t trocar monitor --run 4711"
+    )]
+    Monitor(MonitorArgs),
     /// Enable the simulated arms of a run again: from DISABLED to ENABLED. Drives on CAN are enabled by a new run alone.
     #[command(after_help = "Example: trocar enable")]
     Enable(OperatorArgs),
@@ -238,6 +243,7 @@ impl Verb {
             Self::Drives(args) => &args.json,
             Self::Doctor(args) => &args.json,
             Self::Status(_)
+            | Self::Monitor(_)
             | Self::Enable(_)
             | Self::Disable(_)
             | Self::Pause(_)
@@ -328,7 +334,7 @@ pub(crate) struct RunArgs {
     #[arg(long, value_enum, default_value = "sim")]
     pub(crate) backend: Backend,
     /// Lockstep: virtual time, as fast as it goes, bit-reproducible.
-    #[arg(long)]
+    #[arg(long, conflicts_with_all = ["console", "foxglove"])]
     pub(crate) lockstep: bool,
     /// Random seed: the same seed gives the same run.
     #[arg(long, default_value_t = 0)]
@@ -367,14 +373,12 @@ pub(crate) struct RunArgs {
     /// Write the result as JSON, to standard output if it is `-`; parent folders are made.
     #[arg(long, value_name = "FILE")]
     pub(crate) json: Option<PathBuf>,
-    /// Show the run in the browser and steer it from there: a page at this loopback address, whose URL with its token is printed. Its stop
-    /// button is no emergency stop.
-    #[arg(long, value_name = "ADDRESS", num_args = 0..=1, default_missing_value = DEFAULT_ADDRESS, conflicts_with = "lockstep")]
-    pub(crate) console: Option<Address>,
-    /// Tell Foxglove, and whoever speaks its WebSocket protocol, what the run does: cameras, joints, frames, shapes, filter and guard, at this
-    /// loopback address; its URL with its token is printed. It moves nothing. config/foxglove.json is a layout.
-    #[arg(long, value_name = "ADDRESS", num_args = 0..=1, default_missing_value = FOXGLOVE_ADDRESS, conflicts_with = "lockstep")]
-    pub(crate) foxglove: Option<Address>,
+    /// Where it is shown.
+    #[command(flatten)]
+    pub(crate) page: PageArgs,
+    /// Where it is shown in Foxglove.
+    #[command(flatten)]
+    pub(crate) viewers: FoxgloveArgs,
     /// Delay from observation to chunk in lockstep, ms, up to 10000.
     #[arg(long, value_name = "MS", value_parser = delay())]
     pub(crate) latency_ms: Option<u64>,
@@ -448,9 +452,9 @@ pub(crate) struct ReplayArgs {
     /// The log, and where the result goes.
     #[command(flatten)]
     pub(crate) log: LogArgs,
-    /// Show the log in the browser afterwards, with a time line, until Ctrl-C: a page at this loopback address, whose URL is printed.
-    #[arg(long, value_name = "ADDRESS", num_args = 0..=1, default_missing_value = DEFAULT_ADDRESS)]
-    pub(crate) console: Option<Address>,
+    /// Where it is shown afterwards, with a time line, until Ctrl-C.
+    #[command(flatten)]
+    pub(crate) page: PageArgs,
 }
 
 /// Options of `doctor`.

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use hal::config::Source;
 use tch::Device;
-use trocar::console::{Address, Console};
+use trocar::console::Console;
 use trocar::doctor::{self, Probes};
 use trocar::rt::{self, RtProfile};
 use trocar::session::changes::{Change, Changes, ConfigFile};
@@ -138,7 +138,7 @@ pub(crate) fn run(args: &RunArgs) -> Done {
     let policy = args.external.policy(&args.policy)?;
     check_teleop(args, &policy)?;
     note_awaited(&policy, 1);
-    let page = open_console(args.console, args.foxglove)?;
+    let page = args.page.open(args.viewers.foxglove)?;
     let chosen = Chosen {
         policy,
         compute: compute(&args.compute)?,
@@ -176,7 +176,7 @@ pub(crate) fn run(args: &RunArgs) -> Done {
 
 /// An operator's hands come over the console, in real time.
 fn check_teleop(args: &RunArgs, policy: &PolicyChoice) -> Result<(), SessionError> {
-    let missing = match (policy, args.lockstep, args.console) {
+    let missing = match (policy, args.lockstep, args.page.console) {
         (PolicyChoice::Teleop, true, _) => {
             "--lockstep has virtual time, and a person moves in real time: leave it out"
         }
@@ -194,24 +194,6 @@ struct Chosen {
     compute: Compute,
     real_time: RtProfile,
     page: Option<Console>,
-}
-
-/// Opens the page and the door for Foxglove, each if asked for, and says where they are.
-pub(crate) fn open_console(
-    page: Option<Address>,
-    viewers: Option<Address>,
-) -> Result<Option<Console>, SessionError> {
-    if page.is_none() && viewers.is_none() {
-        return Ok(None);
-    }
-    let opened = Console::open_doors(page, viewers)?;
-    if let Some(url) = opened.viewer_url() {
-        console::note(&format!("trocar: foxglove: {url}"));
-    }
-    if let Some(url) = opened.url() {
-        console::note(&format!("trocar: console: {url}"));
-    }
-    Ok(Some(opened))
 }
 
 /// The plan of a run with the arms of `setup`.
@@ -321,7 +303,7 @@ fn can_options(args: &RunArgs) -> Result<Option<(CanOptions, String)>, SessionEr
 }
 
 pub(crate) fn replay(args: &ReplayArgs) -> Done {
-    let page = open_console(args.console, None)?;
+    let page = args.page.open(None)?;
     let replayed = replay_log(&args.log);
     let Some(page) = page else {
         return replayed;

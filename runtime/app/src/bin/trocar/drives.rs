@@ -14,6 +14,7 @@ use trocar_canopen::master::CanConfig;
 use crate::args::TaskParser;
 use crate::commands::Done;
 use crate::console;
+use crate::page::PageArgs;
 use crate::scene_args::{Inputs, SceneArgs};
 
 /// Options of `drives`.
@@ -52,6 +53,9 @@ pub(crate) struct DrivesArgs {
     /// times.
     #[arg(long, value_name = "FILE.KEY=VALUE")]
     pub(crate) set: Vec<Change>,
+    /// Where they are shown.
+    #[command(flatten)]
+    pub(crate) page: PageArgs,
     /// Write what happened as JSON at the end, to standard output if it is `-`; parent folders are made.
     #[arg(long, value_name = "FILE")]
     pub(crate) json: Option<PathBuf>,
@@ -92,12 +96,21 @@ pub(crate) fn drives(args: &DrivesArgs) -> Done {
             Moved::Task(&plan)
         }
     };
+    let page = args.page.open(None)?;
     let options = DrivesOptions {
         topics: args.topics.clone(),
         cameras: args.cameras.is_some(),
         faults: args.fault.clone(),
+        console: page.clone(),
     };
-    let summary = run_drives(moved, &can, &options, &mut |line| console::note(line))?;
+    let summary = run_drives(moved, &can, &options, &mut |line| console::note(line));
+    if let Some(page) = page {
+        match &summary {
+            Ok(summary) => page.close(summary.success, "the drives are gone"),
+            Err(error) => page.close(Some(false), &error.to_string()),
+        }
+    }
+    let summary = summary?;
     let stops = summary.stops.len();
     console::result(&format!(
         "{}: {} after {:.2} s of the drives' time; {stops} stops of drives",

@@ -13,6 +13,7 @@ mod eval;
 mod export;
 mod import;
 mod operator;
+mod page;
 mod policy;
 mod provenance;
 mod record;
@@ -33,7 +34,7 @@ use trocar::session::outputs;
 use trocar_control::OperatorEvent;
 
 use args::{Cli, Verb};
-use operator::operate;
+use operator::{operate, watch};
 
 /// Counts, so that a run can say what its control thread asked for.
 #[global_allocator]
@@ -95,6 +96,7 @@ fn main() -> ExitCode {
         Verb::Anatomy(verb) => anatomy::anatomy(verb),
         Verb::Sheet(args) => sheet::sheet(args),
         Verb::Status(args) => operate(Command::Status, args),
+        Verb::Monitor(args) => watch(args),
         Verb::Home(args) => operate(Command::Home, args),
         Verb::Stop(args) => operate(Command::Stop, args),
         Verb::Enable(args) => operate(Command::Event(OperatorEvent::Enable), args),

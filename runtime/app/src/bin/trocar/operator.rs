@@ -2,6 +2,7 @@
 
 use clap::Args;
 
+use trocar::monitor::monitor;
 use trocar::session::operator::{Ask, Command, ask};
 
 use crate::commands::Done;
@@ -40,4 +41,18 @@ pub(crate) fn operate(command: Command, args: &OperatorArgs) -> Done {
     )?;
     console::result(&answer);
     Ok(yes)
+}
+
+/// Options of `monitor`.
+#[derive(Args, Debug)]
+pub(crate) struct MonitorArgs {
+    /// The run, by its process number; needed only if more than one of this user's runs is in real time.
+    #[arg(long, value_name = "PROCESS")]
+    run: Option<String>,
+}
+
+/// Shows a run in the terminal until it ends or the person leaves.
+pub(crate) fn watch(args: &MonitorArgs) -> Done {
+    monitor(args.run.as_deref())?;
+    Ok(true)
 }

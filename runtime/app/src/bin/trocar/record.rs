@@ -4,8 +4,8 @@ use std::path::PathBuf;
 
 use clap::builder::NonEmptyStringValueParser;
 use clap::{Args, ValueEnum};
+use indicatif::ProgressBar;
 
-use trocar::console::{Address, DEFAULT_ADDRESS, FOXGLOVE_ADDRESS};
 use trocar::rt;
 use trocar::session::record::{self, RecordOptions, RecordSummary};
 use trocar::session::run::write_json;
@@ -14,8 +14,9 @@ use trocar::session::{Plan, PolicyChoice, SessionError};
 use trocar_data::dataset::Totals;
 
 use crate::args::{TaskParser, Video, count, share_above_0, threads};
-use crate::commands::{Done, codec, open_console};
+use crate::commands::{Done, codec};
 use crate::console;
+use crate::page::{FoxgloveArgs, PageArgs};
 use crate::scene_args::{ConfigArgs, Inputs, ScenesArgs};
 
 /// Source of the demonstrations.
@@ -45,13 +46,12 @@ pub(crate) struct RecordArgs {
     /// With --source intervention: the policy that drives, as `trocar run` takes it.
     #[arg(long, value_name = "POLICY")]
     pub(crate) policy: Option<String>,
-    /// With --source teleop or intervention: the page on which a person starts, does, keeps and discards the episodes, at this loopback address; its URL
-    /// with its token is printed.
-    #[arg(long, value_name = "ADDRESS", num_args = 0..=1, default_missing_value = DEFAULT_ADDRESS)]
-    pub(crate) console: Option<Address>,
-    /// With --console: tell Foxglove the same at this loopback address, as `trocar run --foxglove` does.
-    #[arg(long, value_name = "ADDRESS", num_args = 0..=1, default_missing_value = FOXGLOVE_ADDRESS, requires = "console")]
-    pub(crate) foxglove: Option<Address>,
+    /// Where the recording is shown; with --source teleop and intervention a person starts, does, keeps and discards the episodes there.
+    #[command(flatten)]
+    pub(crate) page: PageArgs,
+    /// Where it is shown in Foxglove.
+    #[command(flatten)]
+    pub(crate) viewers: FoxgloveArgs,
     /// The dataset's directory; a new or an empty one, but for --resume.
     #[arg(long)]
     pub(crate) out: PathBuf,
@@ -112,9 +112,11 @@ pub(crate) fn record(args: &RecordArgs) -> Done {
     if args.source == Demonstrator::Teleop {
         setup.task.time_limit_s *= TIME_FACTOR;
     }
+    let page = args.page.open(args.viewers.foxglove)?;
     let plan = Plan {
         seed: args.seed,
         warn: console::warning,
+        console: page.clone(),
         ..Plan::new(setup, demonstrator)
     };
     let options = RecordOptions {
@@ -127,15 +129,13 @@ pub(crate) fn record(args: &RecordArgs) -> Done {
         video: args.video.map(codec),
         instruction: args.instruction.clone(),
     };
-    let page = open_console(args.console, args.foxglove)?;
-    if page.is_none() {
+    let by_hand = page
+        .as_ref()
+        .filter(|_| args.source != Demonstrator::Expert);
+    if by_hand.is_none() {
         rt::catch_interrupts().map_err(SessionError::signals)?;
     }
-    let bar = console::progress(args.episodes as u64, "episodes");
-    if let (true, Ok(there)) = (args.resume, Totals::read(&args.out)) {
-        bar.set_position(there.episodes as u64);
-        bar.reset_eta();
-    }
+    let bar = bar(args);
     let mut on_attempt = |attempt: &record::Attempt| {
         if attempt.kept {
             bar.inc(1);
@@ -148,21 +148,31 @@ pub(crate) fn record(args: &RecordArgs) -> Done {
             });
         }
     };
-    let summary = match &page {
-        Some(page) => {
-            let recorded = record::record_by_hand(&plan, &options, page, &mut on_attempt);
-            let said = recorded.as_ref().map_or_else(ToString::to_string, said);
-            page.close(None, &said);
-            recorded?
-        }
-        None => record::record(&plan, &options, &rt::interrupted, &mut on_attempt)?,
+    let summary = match by_hand {
+        Some(page) => record::record_by_hand(&plan, &options, page, &mut on_attempt),
+        None => record::record(&plan, &options, &rt::interrupted, &mut on_attempt),
     };
+    if let Some(page) = &page {
+        let said = summary.as_ref().map_or_else(ToString::to_string, said);
+        page.close(None, &said);
+    }
+    let summary = summary?;
     bar.finish_and_clear();
     report(&summary, args);
     if let Some(path) = &args.json {
         write_json(path, &summary)?;
     }
     Ok(!summary.interrupted)
+}
+
+/// A bar of the episodes that are wanted, with those that are there.
+fn bar(args: &RecordArgs) -> ProgressBar {
+    let bar = console::progress(args.episodes as u64, "episodes");
+    if let (true, Ok(there)) = (args.resume, Totals::read(&args.out)) {
+        bar.set_position(there.episodes as u64);
+        bar.reset_eta();
+    }
+    bar
 }
 
 /// Who moves the arms.
@@ -180,12 +190,9 @@ fn demonstrator(args: &RecordArgs) -> Result<PolicyChoice, SessionError> {
 fn check_source(args: &RecordArgs) -> Result<(), SessionError> {
     let by_hand = args.source != Demonstrator::Expert;
     let intervention = args.source == Demonstrator::Intervention;
-    let wrong = match (by_hand, args.console) {
+    let wrong = match (by_hand, args.page.console) {
         (true, None) => {
             "--source teleop and intervention: the operator's hands come over --console"
-        }
-        (false, Some(_)) => {
-            "--console needs --source teleop or intervention: the expert needs no page"
         }
         (true, Some(_)) if args.jobs > 1 => "--jobs: a person does one episode at a time",
         (true, Some(_)) if args.disturb.is_some() => "--disturb needs --source expert",

@@ -31,7 +31,7 @@ export class Connection {
   }
 
   #connect() {
-    const socket = new WebSocket(`ws://${location.host}/socket`);
+    const socket = new WebSocket(`${location.protocol === "https:" ? "wss" : "ws"}://${location.host}/socket`);
     socket.binaryType = "arraybuffer";
     this.#socket = socket;
     socket.onopen = () => {

@@ -2,8 +2,10 @@
 
 import { Cameras } from "./cameras.js";
 import { Connection } from "./connection.js";
+import { Drives } from "./drives.js";
 import { Operator } from "./operator.js";
 import { Panels } from "./panels.js";
+import { Recording } from "./recording.js";
 import { Scene } from "./scene.js";
 import { SCENE } from "./scene_file.js";
 import { Teleop } from "./teleop.js";
@@ -22,6 +24,8 @@ const cameras = new Cameras(send, () => (scene.wanted ? [[SCENE, "colour"]] : []
 const operator = new Operator(send);
 const timeline = new Timeline(send);
 const teleop = new Teleop(send);
+const drives = new Drives();
+const recording = new Recording();
 let link = "waiting";
 let ended = null;
 let log = false;
@@ -41,12 +45,14 @@ function banner(text, tone = "bad") {
 const heard = {
   facts(facts) {
     log = facts.log;
+    document.body.dataset.subject = facts.subject;
     panels.facts(facts);
     cameras.set(facts.cameras, facts.log);
     scene.facts(facts.scene);
     timeline.facts(facts);
     teleop.facts(facts);
-    if (!log) send({ steer: true });
+    if (facts.subject !== "run") byId("steering").hidden = true;
+    else if (!log) send({ steer: true });
   },
   state(state) {
     panels.state(state);
@@ -58,6 +64,8 @@ const heard = {
     const faults = state.arms.filter((arm) => arm.fault).map((arm) => `${arm.name}: ${arm.fault}`);
     if (!ended && link === "open") banner(faults.join("; "));
   },
+  drives: (news) => drives.show(news),
+  recording: (news) => recording.show(news),
   seat(seat) {
     operator.seat(seat);
     teleop.seat(seat);

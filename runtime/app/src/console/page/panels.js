@@ -77,8 +77,8 @@ export class Panels {
   facts(facts) {
     this.#facts = facts;
     text(byId("title"), facts.title);
-    const how = facts.log ? "log" : "live";
-    text(byId("about"), `${how} · policy ${facts.policy} · seed ${facts.seed}`);
+    const how = facts.log ? "log" : { run: "live", recording: "recording", drives: "emulated drives" }[facts.subject];
+    text(byId("about"), [how, facts.policy && `policy ${facts.policy}`, `seed ${facts.seed}`].filter(Boolean).join(" · "));
     document.title = `${facts.title} – Trocar console`;
     byId("chips").replaceChildren();
     byId("arms").replaceChildren();
@@ -168,7 +168,8 @@ export class Panels {
     this.safety.set("Guard interventions", guard, counts.guard ? "warn" : "good");
     this.safety.set("Chunks refused by the gate", count(counts.refused), counts.refused ? "warn" : "good");
     this.safety.set("Last refusal", counts.last_refused ?? "none");
-    const rows = filter.ago_s === null ? ["none yet"] : filter.rows.map((row) => `${row}`);
+    const none = this.#facts.subject === "recording" ? "not told by a recording" : "none yet";
+    const rows = filter.ago_s === null ? [none] : filter.rows.map((row) => `${row}`);
     if (filter.more > 0) rows.push(`and ${filter.more} more`);
     if (filter.ago_s !== null) rows.unshift(ago(filter.ago_s));
     const key = rows.join("\n");

@@ -12,6 +12,7 @@ use trocar_tasks::simulation::Simulation;
 
 use super::coupling::Coupling;
 use super::inject::{FaultKind, InjectedFault, Injector, Outside};
+use super::seen::Seen;
 use super::stops::{Stop, StopWatch};
 use crate::session::SessionError;
 use crate::session::source::STEP_TICKS;
@@ -252,6 +253,15 @@ impl Bench {
         }
         if let Some(place) = begun {
             listener.injected(place);
+        }
+    }
+
+    /// The drives and their buses as they are, but for what the bench does not know of them.
+    pub(super) fn seen(&self, network: &mut Network<Terminal>, lines: u8) -> Seen {
+        let plans = self.arms.iter().map(Coupling::plan);
+        Seen {
+            begun: self.begun,
+            ..Seen::look(network, plans, lines)
         }
     }
 

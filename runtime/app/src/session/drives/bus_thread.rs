@@ -12,6 +12,7 @@ use trocar_tasks::simulation::Simulation;
 
 use super::bench::{Bench, Listener};
 use super::inject::InjectedFault;
+use super::seen::Seen;
 use super::stalls::Stalls;
 use super::stops::Stop;
 use crate::histogram::Histogram;
@@ -32,6 +33,9 @@ const SOON: u64 = 4;
 
 /// Time from one look to the next at least, unless something comes, ns.
 const WAIT_NS_MIN: u64 = 20_000;
+
+/// Time between two looks for a page, ns of the drives.
+const SEEN_NS: u64 = 50_000_000;
 
 /// The longest time that passes for the drives at once, ns. What this thread was kept from its work for beyond that does not
 /// pass for them at all: no real drive stands still because a computer is busy.
@@ -68,6 +72,8 @@ pub(super) struct BusThread<'a> {
     pub(super) lines: u8,
     pub(super) shown: MailboxWriter<Shown>,
     pub(super) notices: Producer<Notice>,
+    /// For a page, if there is one.
+    pub(super) seen: Option<MailboxWriter<Seen>>,
     pub(super) stop: &'a AtomicBool,
 }
 
@@ -95,12 +101,29 @@ struct Messenger {
     shown: MailboxWriter<Shown>,
     notices: Producer<Notice>,
     stalls: Stalls,
+    /// For a page, and when it last got something, in the drives' time.
+    seen: Option<MailboxWriter<Seen>>,
+    seen_at: TimeNs,
 }
 
 impl Messenger {
     fn notify(&mut self, what: Notice) {
         // Full only if nobody reads, and then nobody wants to know.
         let _gone = self.notices.push(what);
+    }
+
+    /// Hands on what `look` sees, if there is a page and it is time for it.
+    fn show(&mut self, now: TimeNs, lost: u64, look: impl FnOnce() -> Seen) {
+        if let Some(to) = &mut self.seen
+            && now.since(self.seen_at) >= SEEN_NS
+        {
+            self.seen_at = now;
+            to.put(Seen {
+                stalled_ns: self.stalls.total_ns(),
+                lost,
+                ..look()
+            });
+        }
     }
 }
 
@@ -163,6 +186,8 @@ impl BusThread<'_> {
             shown: self.shown,
             notices: self.notices,
             stalls: Stalls::new(),
+            seen: self.seen,
+            seen_at: TimeNs(0),
         };
         let (mut last, mut now) = (clock.now(), TimeNs(0));
         let mut turns = Histogram::new();
@@ -181,7 +206,8 @@ impl BusThread<'_> {
                     failure = bench.step(at, network, &mut messenger).err();
                 }
             });
-            let network = station.network_mut();
+            let (lost, network) = (station.lost(), station.network_mut());
+            messenger.show(now, lost, || bench.seen(network, self.lines));
             // Their words leave together when the last of them has had its time on the wire.
             let next = match (network.silent_at(), network.has_pending_frames()) {
                 (Some(at), _) => at,

@@ -4,7 +4,7 @@
 //!  buses <──> bus thread (SCHED_FIFO): drives and the time that frames take, and the world every millisecond
 //!                  │ snapshots, what happened
 //!                  ▼
-//!             first thread: scene, verdict and camera frames on topics; a line for whatever stopped a drive
+//!             first thread: scene, verdict and camera frames on topics; a line for whatever stopped a drive; the console's page
 //! ```
 //!
 //! To whoever leads them they are nodes on a bus and nothing else. The topics are for those who look at the world: scripted
@@ -15,6 +15,8 @@ mod bench;
 mod bus_thread;
 mod coupling;
 mod inject;
+mod page;
+mod seen;
 mod show;
 mod stalls;
 mod stops;
@@ -37,9 +39,12 @@ pub use summary::{BusSummary, DrivesSummary, StopSummary};
 use super::can_interfaces::{BusOffInjector, open};
 use super::summary::PercentilesUs;
 use super::{Plan, SessionError};
-use crate::mailbox::mailbox;
+use crate::console::{Console, Facts};
+use crate::mailbox::{MailboxReader, mailbox};
 use crate::rt::{self, MonotonicClock};
 use bus_thread::{BusEnd, BusThread, Notice};
+use page::DrivesPage;
+use seen::Seen;
 use show::Show;
 
 /// Time between two looks of the first thread, ns; the world is shown every 40 ms.
@@ -95,6 +100,8 @@ pub struct DrivesOptions {
     pub cameras: bool,
     /// What goes wrong on purpose.
     pub faults: Vec<InjectedFault>,
+    /// Where a page sees the drives, and their world if they have one.
+    pub console: Option<Console>,
 }
 
 /// Runs the drives of the arms until a signal comes. `say` gets a line when they are there, when the episode begins,
@@ -130,6 +137,8 @@ pub fn run_drives(
         show = Some(Show::open(plan, options, shown, &world.snapshot())?);
         simulation = Some(world);
     }
+    let (seen_in, seen) = mailbox();
+    let page = show_page(moved, can, (options, seen), &names);
     let off = BusOffInjector::open(&names, &options.faults)?;
     let bus_thread = BusThread {
         simulation,
@@ -140,6 +149,7 @@ pub fn run_drives(
         lines: count_u8(names.len()),
         shown: shown_in,
         notices: notices_in,
+        seen: page.is_some().then_some(seen_in),
         stop: &stop,
     };
     let places = format!("{} on {}", nodes(can, arms), names.join(" "));
@@ -162,7 +172,7 @@ pub fn run_drives(
     };
     let (end, shown) = thread::scope(|scope| {
         let bus = scope.spawn(move || bus_thread.run());
-        let shown = attend(show, &mut teller, &stop, say);
+        let shown = attend((show, page), &mut teller, &stop, say);
         stop.store(true, Ordering::Release);
         let end = bus
             .join()
@@ -177,19 +187,51 @@ pub fn run_drives(
 
 /// What the first thread does until it is time to end.
 fn attend(
-    mut show: Option<Show>,
+    (mut show, mut page): (Option<Show>, Option<DrivesPage>),
     teller: &mut Teller<'_>,
     stop: &AtomicBool,
     say: &mut dyn FnMut(&str),
 ) -> Result<(), SessionError> {
     while !stop.load(Ordering::Acquire) && !rt::interrupted() {
+        let mut say = |line: &str| {
+            if let Some(page) = &mut page {
+                page.note(line);
+            }
+            say(line);
+        };
         if let Some(show) = &mut show {
-            show.turn(say)?;
+            show.turn(&mut say)?;
         }
-        teller.turn(false, say)?;
+        teller.turn(false, &mut say)?;
+        if let Some(page) = &mut page {
+            page.turn();
+        }
         rt::sleep_ns(POLL_NS);
     }
     Ok(())
+}
+
+/// What pages are told of the drives, if there is a console.
+fn show_page(
+    moved: Moved<'_>,
+    can: &CanConfig,
+    (options, seen): (&DrivesOptions, MailboxReader<Seen>),
+    interfaces: &[String],
+) -> Option<DrivesPage> {
+    let console = options.console.clone()?;
+    let arms = moved.arms();
+    let names = &hal::ARM_NAMES[..arms.min(hal::ARMS_MAX)];
+    let facts = match moved {
+        Moved::Task(plan) => {
+            let cameras = plan.setup.camera_names();
+            let title = &plan.setup.task_name;
+            Facts::of_drives(title, plan.seed, names, cameras).with_scene()
+        }
+        Moved::Arms(_) => Facts::of_drives("drives", 0, names, Vec::new()),
+    };
+    console.show_facts(&facts);
+    let spaces = can.arms.iter().take(arms).map(|arm| arm.plan.space);
+    Some(DrivesPage::new(console, seen, spaces, interfaces.to_vec()))
 }
 
 /// A fault must be of a drive that is there.

@@ -2,7 +2,7 @@
 
 use hal::ARM_NAMES;
 use trocar_render::Planes;
-use trocar_tasks::cameras::SceneCameras;
+use trocar_tasks::cameras::{SceneCameras, SceneModel};
 use trocar_tasks::scene::SceneSnapshot;
 use trocar_tasks::task::Outcome;
 use trocar_topics::{
@@ -13,6 +13,7 @@ use trocar_topics::{
 use super::DrivesOptions;
 use super::bus_thread::Shown;
 use crate::mailbox::MailboxReader;
+use crate::session::views::Views;
 use crate::session::world_report::{WorldName, report};
 use crate::session::{Plan, SessionError};
 
@@ -26,6 +27,8 @@ pub(super) struct Show {
     /// Cameras that are published, by index, with their topics.
     views: Vec<(usize, FramePublisher)>,
     shown: MailboxReader<Shown>,
+    /// What pages look at besides.
+    page: Option<Views>,
     decided: bool,
 }
 
@@ -51,10 +54,12 @@ impl Show {
         })?;
         let mut cameras = None;
         let mut views = Vec::new();
-        if options.cameras {
+        let page = show_scene(plan, options, start)?;
+        if options.cameras || page.is_some() {
             let mut opened = SceneCameras::new(&setup.task)?;
             opened.begin_episode(&setup.task, plan.seed);
-            let names = setup.cameras_with(Vec::new());
+            let mut names = setup.cameras_with(Vec::new());
+            names.retain(|_| options.cameras);
             let wanted: Vec<usize> = names.iter().filter_map(|name| opened.find(name)).collect();
             for camera in wanted {
                 let pixels = opened.intrinsics(camera)?.pixel_count();
@@ -72,6 +77,7 @@ impl Show {
             cameras,
             views,
             shown,
+            page,
             decided: false,
         })
     }
@@ -83,17 +89,30 @@ impl Show {
             for (_, publisher) in &self.views {
                 publisher.keep_alive()?;
             }
-            return Ok(());
+            return self.draw_for_page();
         };
         let report_now = report(shown.stamp, shown.sequence, &self.world, &shown.world);
         self.scene.publish(&report_now)?;
         self.draw(&shown)?;
+        if let (Some(page), Some(cameras)) = (&mut self.page, &self.cameras)
+            && page.are_drawn()
+        {
+            page.show(shown.stamp, &shown.snapshot, cameras)?;
+        }
         if let Some(outcome) = shown.world.outcome
             && !matches!(outcome, Outcome::Running)
             && !self.decided
         {
             self.decided = true;
             say(&format!("verdict: {outcome}"));
+        }
+        Ok(())
+    }
+
+    /// Draws one camera that a page looks at, if there is one.
+    fn draw_for_page(&mut self) -> Result<(), SessionError> {
+        if let (Some(page), Some(cameras)) = (&mut self.page, &mut self.cameras) {
+            page.draw(cameras)?;
         }
         Ok(())
     }
@@ -118,4 +137,19 @@ impl Show {
         }
         Ok(())
     }
+}
+
+/// The scene of the drives, for the pages of a console if there is one.
+fn show_scene(
+    plan: &Plan,
+    options: &DrivesOptions,
+    start: &SceneSnapshot,
+) -> Result<Option<Views>, SessionError> {
+    let Some(console) = &options.console else {
+        return Ok(None);
+    };
+    let setup = &plan.setup;
+    let model = SceneModel::new(&setup.task, plan.seed);
+    let scene = console.show_scene(model, start, &setup.robot.control.arms)?;
+    Ok(Some(Views::new(console.frames(), scene)))
 }

@@ -12,7 +12,10 @@ use trocar_tasks::task::Outcome;
 
 use super::bench::{Bench, Listener};
 use super::inject::InjectedFault;
+use super::page::DrivesPage;
 use super::stops::{Stop, StopCause};
+use crate::console::Console;
+use crate::mailbox::mailbox;
 use crate::session::source::STEP_TICKS;
 use crate::session::world_report::WorldState;
 use crate::session::{PolicyChoice, Setup};
@@ -258,6 +261,47 @@ fn a_pulled_node_stops_the_others_and_is_named() {
         };
         assert_eq!(stop.cause, expected, "node {}", stop.node);
     }
+}
+
+/// The page names every drive's state, and how busy the bus is.
+#[test]
+fn a_page_is_told_of_every_drive_and_bus() {
+    let console = Console::open("127.0.0.1:0".parse().unwrap()).unwrap();
+    let names = vec!["can0".to_owned()];
+    let (_, unused) = mailbox();
+    let mut page = DrivesPage::new(console, unused, [Space::Joint].into_iter(), names);
+    let mut rig = Rig::new(Space::Joint, &["kind=pull,node=3,at=1500ms"]);
+    let mut told = |rig: &mut Rig| {
+        let WorldBus { network, bench, .. } = rig.bus();
+        let seen = bench.seen(network, 1);
+        page.told(&seen, &["a line"])
+    };
+    told(&mut rig);
+    rig.ticks(1200);
+    let news = told(&mut rig);
+    let axes = news["arms"][0]["axes"].as_array().unwrap();
+    assert_eq!(axes.len(), 7);
+    for axis in axes {
+        assert_eq!(axis["state"], "operation enabled", "{axis}");
+        assert_eq!(axis["nmt"], "operational");
+        assert_eq!(axis["mode"], "cyclic position");
+        let apart = axis["position"].as_f64().unwrap() - axis["wanted"].as_f64().unwrap();
+        assert!(apart.abs() < 0.1, "{axis}");
+    }
+    let load = news["buses"][0]["load"].as_f64().unwrap();
+    assert!((0.2..1.0).contains(&load), "{load}");
+    assert_eq!(news["happened"][0]["text"], "a line");
+    rig.ticks(1000);
+    let news = told(&mut rig);
+    let axes = news["arms"][0]["axes"].as_array().unwrap();
+    let of = |node: u8| axes.iter().filter(move |axis| axis["node"] == node);
+    assert_eq!(of(3).count(), 0);
+    let dead = axes.iter().find(|axis| axis["node"].is_null()).unwrap();
+    assert_eq!(
+        (&dead["state"], &dead["wanted"]),
+        (&"no power".into(), &serde_json::Value::Null)
+    );
+    assert!(of(4).all(|axis| axis["state"] != "operation enabled"));
 }
 
 #[test]

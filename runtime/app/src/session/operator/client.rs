@@ -5,7 +5,7 @@ use std::os::unix::net::UnixStream;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-use super::{Command, place};
+use super::{Command, Look, place};
 use crate::session::SessionError;
 
 /// A run that does not answer for this long hangs.
@@ -34,6 +34,48 @@ pub fn ask(command: Command, ask: &Ask) -> Result<(String, bool), SessionError> 
         .map_err(|error| SessionError::RealTime(format!("{}: {error}", socket.display())))?;
     let yes = answer.starts_with("ok") || answer.starts_with("{\"ok\":true");
     Ok((answer, yes))
+}
+
+/// Somebody who looks on at a run: a connection that stays.
+#[derive(Debug)]
+pub struct Onlooker {
+    stream: BufReader<UnixStream>,
+    socket: PathBuf,
+}
+
+impl Onlooker {
+    /// Connects to the run of this process, or to the only one of this user.
+    ///
+    /// # Errors
+    /// Those of [`ask`].
+    pub fn of(run: Option<&str>) -> Result<Self, SessionError> {
+        let failed = |error: io::Error| SessionError::RealTime(format!("the run: {error}"));
+        let folder = place::folder().map_err(failed)?;
+        let socket = find(&folder, run)?;
+        let stream = connect(&socket).map_err(failed)?;
+        Ok(Self {
+            stream: BufReader::new(stream),
+            socket,
+        })
+    }
+
+    /// What the run answers, JSON.
+    ///
+    /// # Errors
+    /// If the run has ended, or hangs.
+    pub fn look(&mut self, look: Look) -> io::Result<String> {
+        let line = format!("{}\n", look.word());
+        self.stream.get_mut().write_all(line.as_bytes())?;
+        answer(&mut self.stream)
+    }
+
+    /// Says `command` to the run; its answer.
+    ///
+    /// # Errors
+    /// If the run has ended, or hangs.
+    pub fn say(&self, command: Command) -> io::Result<String> {
+        exchange(&self.socket, command, false)
+    }
 }
 
 fn find(folder: &Path, run: Option<&str>) -> Result<PathBuf, SessionError> {
@@ -73,13 +115,23 @@ fn find(folder: &Path, run: Option<&str>) -> Result<PathBuf, SessionError> {
 /// # Errors
 /// If the run does not answer.
 pub(crate) fn exchange(socket: &Path, command: Command, json: bool) -> io::Result<String> {
-    let mut stream = UnixStream::connect(socket)?;
-    stream.set_read_timeout(Some(PATIENCE))?;
-    stream.set_write_timeout(Some(PATIENCE))?;
+    let mut stream = connect(socket)?;
     let form = if json { " json" } else { "" };
     stream.write_all(format!("{command}{form}\n").as_bytes())?;
+    answer(&mut BufReader::new(stream))
+}
+
+fn connect(socket: &Path) -> io::Result<UnixStream> {
+    let stream = UnixStream::connect(socket)?;
+    stream.set_read_timeout(Some(PATIENCE))?;
+    stream.set_write_timeout(Some(PATIENCE))?;
+    Ok(stream)
+}
+
+/// The next line.
+fn answer(stream: &mut BufReader<UnixStream>) -> io::Result<String> {
     let mut answer = String::new();
-    BufReader::new(stream).read_line(&mut answer)?;
+    stream.read_line(&mut answer)?;
     if answer.is_empty() {
         return Err(io::Error::other("the run ended without an answer"));
     }

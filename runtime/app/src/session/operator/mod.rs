@@ -1,7 +1,7 @@
 //! The operator: CRTK's commands to a run in real time, over a local socket, one line each, and what its arms are doing.
 //!
 //! `server` listens in the run, `client` is the verbs `trocar status`, `pause` and so on. Both speak this: a line with a command
-//! ([`Command`]), `json` behind it for an answer as JSON; the answer is one line too. The socket is of mode 0600 in a folder of mode 0700:
+//! ([`Command`]), `json` behind it for an answer as JSON; the answer is one line too. Who looks on ([`Look`]) is told what the console's pages are. The socket is of mode 0600 in a folder of mode 0700:
 //! whoever may use it is the run's own user.
 
 mod client;
@@ -20,7 +20,7 @@ use crate::console::ControlTap;
 use crate::mailbox::{MailboxWriter, mailbox};
 
 pub(crate) use client::exchange;
-pub use client::{Ask, ask};
+pub use client::{Ask, Onlooker, ask};
 pub use place::check;
 pub(super) use server::{Listener, Served};
 
@@ -43,6 +43,34 @@ pub enum Command {
     "{0:?} is no command: status, enable, disable, pause, resume, home, clear, stop, or speed PERCENT with 1 to 100, each with json behind it or not"
 )]
 pub struct NoCommand(String);
+
+/// What somebody who looks on asks for; the answer is one line of JSON.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Look {
+    /// What does not change while the run goes on.
+    Facts,
+    /// The newest state; `null` before the first tick.
+    State,
+}
+
+impl Look {
+    const fn word(self) -> &'static str {
+        match self {
+            Self::Facts => "facts",
+            Self::State => "state",
+        }
+    }
+}
+
+impl FromStr for Look {
+    type Err = NoCommand;
+
+    fn from_str(line: &str) -> Result<Self, NoCommand> {
+        let known = [Self::Facts, Self::State];
+        let found = known.into_iter().find(|look| look.word() == line);
+        found.ok_or_else(|| NoCommand(line.to_owned()))
+    }
+}
 
 impl FromStr for Command {
     type Err = NoCommand;

@@ -6,14 +6,15 @@ use std::os::unix::fs::PermissionsExt as _;
 use std::os::unix::net::{UnixListener, UnixStream};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicUsize, Ordering};
-use std::sync::{Mutex, PoisonError};
+use std::sync::{Mutex, OnceLock, PoisonError};
 use std::thread::{self, Scope};
 use std::time::Duration;
 
 use rtrb::{Producer, RingBuffer};
 use trocar_control::OperatorEvent;
 
-use super::{Answer, Command, OperatorPort, Status, place};
+use super::{Answer, Command, Look, OperatorPort, Status, place};
+use crate::console::RunView;
 use crate::mailbox::{MailboxReader, mailbox};
 use crate::rt;
 
@@ -46,6 +47,8 @@ pub(in super::super) struct Listener {
     socket: UnixListener,
     path: PathBuf,
     desk: Mutex<Desk>,
+    /// What the run does, for whoever looks on.
+    view: OnceLock<RunView>,
     operators: AtomicUsize,
     /// Whether arms that were disabled may be enabled again.
     enables: bool,
@@ -98,6 +101,7 @@ impl Listener {
             socket,
             path,
             desk: Mutex::new(desk),
+            view: OnceLock::new(),
             operators: AtomicUsize::new(0),
             enables,
         };
@@ -113,6 +117,11 @@ impl Listener {
     /// Where it listens.
     pub(in super::super) fn path(&self) -> &Path {
         &self.path
+    }
+
+    /// From now on whoever asks is told what `view` says.
+    pub(in super::super) fn show(&self, view: RunView) {
+        let _shown_before = self.view.set(view);
     }
 
     /// Serves operators until the run has stopped.
@@ -177,6 +186,12 @@ impl Listener {
 
     /// The answer to a line, as text or as JSON.
     fn answer(&self, line: &str, served: &dyn Served) -> String {
+        if let (Some(view), Ok(look)) = (self.view.get(), line.parse()) {
+            return match look {
+                Look::Facts => view.facts(),
+                Look::State => view.state().unwrap_or_else(|| "null".to_owned()),
+            };
+        }
         let (command, as_json) = match line.strip_suffix("json") {
             Some(command) => (command, true),
             None => (line, false),

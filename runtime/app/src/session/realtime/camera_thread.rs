@@ -1,7 +1,5 @@
 //! The cameras in a real-time run: snapshots in, frames rendered straight into shared memory, pictures and log.
 
-use std::collections::BTreeMap;
-use std::collections::btree_map::Entry;
 use std::thread;
 
 use hal::{CameraFrame, TimeNs};
@@ -12,9 +10,9 @@ use trocar_topics::{CameraTopic, FrameHeader, FramePublisher, TopicNode};
 
 use super::arm_states::IDLE;
 use super::signals::{EndsRun, Signals};
-use crate::console::{FramePlanes, FrameTap, SceneTap};
 use crate::mailbox::MailboxReader;
 use crate::session::pictures::Pictures;
+use crate::session::views::Views;
 use crate::session::{Plan, SessionError};
 use trocar_log::{Level, SideLog};
 
@@ -43,60 +41,24 @@ pub(super) struct CameraThread {
 
 /// What pages of the console look at. They have snapshots of their own, so that none for the policy or the log is replaced.
 pub(super) struct ConsoleCameras {
-    to: FrameTap,
-    scene: SceneTap,
+    views: Views,
     snapshots: MailboxReader<Snapshot>,
-    /// The one that is drawn, and the cameras that it is still to be drawn for.
-    snapshot: Option<Snapshot>,
-    waiting: Vec<usize>,
-    /// One a camera of the task, made when a page first looks at it.
-    frames: BTreeMap<usize, CameraFrame>,
 }
 
 impl ConsoleCameras {
-    pub(super) const fn new(
-        to: FrameTap,
-        scene: SceneTap,
-        snapshots: MailboxReader<Snapshot>,
-    ) -> Self {
-        Self {
-            to,
-            scene,
-            snapshots,
-            snapshot: None,
-            waiting: Vec::new(),
-            frames: BTreeMap::new(),
-        }
+    pub(super) const fn new(views: Views, snapshots: MailboxReader<Snapshot>) -> Self {
+        Self { views, snapshots }
     }
 
-    /// Draws one camera of those that pages look at, so that the policy's frames wait for no more than that; whether there was one.
+    /// Draws one camera of those that pages look at; whether there was one.
     fn draw(&mut self, cameras: &mut SceneCameras) -> Result<bool, SessionError> {
-        if self.waiting.is_empty()
+        if self.views.are_drawn()
             && let Some(snapshot) = self.snapshots.take()
         {
-            let stamp = snapshot.stamp;
-            self.scene.show(&snapshot.scene, stamp)?;
-            self.snapshot = Some(snapshot);
-            let wanted = (0..cameras.names().count()).filter(|camera| self.to.wants(*camera));
-            self.waiting = wanted.collect();
+            self.views
+                .show(snapshot.stamp, &snapshot.scene, cameras)?;
         }
-        let (Some(snapshot), Some(camera)) = (&self.snapshot, self.waiting.pop()) else {
-            return Ok(false);
-        };
-        let frame = match self.frames.entry(camera) {
-            Entry::Occupied(frame) => frame.into_mut(),
-            Entry::Vacant(place) => place.insert(cameras.blank_frame(camera)?),
-        };
-        cameras.render(camera, &snapshot.scene, frame)?;
-        let planes = FramePlanes {
-            colour: &frame.colour,
-            depth_m: &frame.depth_m,
-            instance: &frame.instance,
-        };
-        let stamp = snapshot.stamp;
-        let seen_from = (&frame.intrinsics, &frame.camera_in_scene);
-        self.to.show(camera, stamp, seen_from, &planes);
-        Ok(true)
+        self.views.draw(cameras)
     }
 }
 
@@ -179,8 +141,7 @@ impl CameraThread {
         match console.draw(&mut self.cameras) {
             Ok(drew) => drew,
             Err(error) => {
-                let snapshot = console.snapshot.as_ref();
-                let at = snapshot.map_or(TimeNs(0), |snapshot| snapshot.stamp);
+                let at = console.views.stamp().unwrap_or(TimeNs(0));
                 let text = format!("the console is shown no more cameras: {error}");
                 signals.tell(at, Level::Warning, &text);
                 self.console = None;

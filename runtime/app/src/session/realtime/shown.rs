@@ -5,10 +5,11 @@ use trocar_tasks::scene::SceneSnapshot;
 
 use super::camera_thread::{ConsoleCameras, Snapshot};
 use super::simulation_thread::ConsoleView;
-use crate::console::Facts;
+use crate::console::{Facts, unseen_run};
 use crate::mailbox::mailbox;
 use crate::session::operator::{Listener, OperatorPort};
 use crate::session::plan::Arms;
+use crate::session::views::Views;
 use crate::session::{Plan, SessionError};
 
 /// Shows a simulated task, steered at `listener`: the ends for the simulation and for the cameras, if there is a console.
@@ -17,16 +18,21 @@ pub(super) fn show_task(
     start: &SceneSnapshot,
     (listener, port): (Option<&Listener>, &mut OperatorPort),
 ) -> Result<Option<(ConsoleView, ConsoleCameras)>, SessionError> {
+    let setup = &plan.setup;
+    let facts = facts_of(plan, &setup.task_name, setup.camera_names());
+    let facts = facts.within_s(setup.task.time_limit_s);
     let Some(console) = &plan.console else {
+        show_operator(facts, listener, port);
         return Ok(None);
     };
-    let setup = &plan.setup;
     // Pages that are told of the scene ask for its file.
     let model = SceneModel::new(&setup.task, plan.seed);
     let scene = console.show_scene(model, start, &setup.robot().control.arms)?;
-    let facts = facts_of(plan, &setup.task_name, setup.camera_names());
-    let facts = facts.within_s(setup.task.time_limit_s).with_scene();
-    let taps = console.show_run(facts, listener.map(|listener| listener.path().to_owned()));
+    let path = listener.map(|listener| listener.path().to_owned());
+    let taps = console.show_run(facts.with_scene(), path);
+    if let Some(listener) = listener {
+        listener.show(taps.view);
+    }
     port.tap = Some(taps.control);
     let (to, snapshots) = mailbox::<Snapshot>();
     let view = ConsoleView {
@@ -34,8 +40,7 @@ pub(super) fn show_task(
         frames: console.frames(),
         missing: taps.task,
     };
-    let frames = console.frames();
-    let cameras = ConsoleCameras::new(frames, scene, snapshots);
+    let cameras = ConsoleCameras::new(Views::new(console.frames(), scene), snapshots);
     Ok(Some((view, cameras)))
 }
 
@@ -44,13 +49,26 @@ pub(super) fn show_rig<S: Arms>(
     plan: &Plan<S>,
     (listener, port): (Option<&Listener>, &mut OperatorPort),
 ) {
-    if let Some(console) = &plan.console {
-        let title = plan
-            .setup
-            .task()
-            .map_or("robot", |setup| setup.task_name.as_str());
-        let facts = facts_of(plan, title, Vec::new());
-        let taps = console.show_run(facts, listener.map(|listener| listener.path().to_owned()));
+    let title = plan
+        .setup
+        .task()
+        .map_or("robot", |setup| setup.task_name.as_str());
+    let facts = facts_of(plan, title, Vec::new());
+    let Some(console) = &plan.console else {
+        return show_operator(facts, listener, port);
+    };
+    let taps = console.show_run(facts, listener.map(|listener| listener.path().to_owned()));
+    if let Some(listener) = listener {
+        listener.show(taps.view);
+    }
+    port.tap = Some(taps.control);
+}
+
+/// Shows a run that no page shows to whoever asks at `listener`.
+fn show_operator(facts: Facts, listener: Option<&Listener>, port: &mut OperatorPort) {
+    if let Some(listener) = listener {
+        let taps = unseen_run(facts, Some(listener.path().to_owned()));
+        listener.show(taps.view);
         port.tap = Some(taps.control);
     }
 }

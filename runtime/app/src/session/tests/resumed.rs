@@ -114,7 +114,7 @@ fn a_recording_goes_on_with_its_own_options_only() {
     record(&plan, &first, &|| false, &mut |_| {}).unwrap();
     let message = refused(&plan, &first);
     assert!(
-        message.contains("not an empty folder") && message.contains("--resume goes on"),
+        message.contains("not an empty folder") && message.contains("--resume appends to"),
         "{message}"
     );
     let before = files(&folder.0);

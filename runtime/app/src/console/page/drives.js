@@ -1,0 +1,95 @@
+// Emulated drives: what each is doing, how busy their buses are, and what has happened.
+
+const byId = (id) => document.getElementById(id);
+
+function element(tag, className, text) {
+  const made = document.createElement(tag);
+  if (className) made.className = className;
+  if (text !== undefined) made.textContent = text;
+  return made;
+}
+
+function text(node, value) {
+  if (node.textContent !== value) node.textContent = value;
+}
+
+const number = (value, unit) => (value === null ? "–" : unit === "m" ? `${(value * 1000).toFixed(2)} mm` : `${((value * 180) / Math.PI).toFixed(2)}°`);
+
+/** How well a drive does, for its colour. */
+function tone({ state, error }) {
+  if (error || /fault|no power/.test(state)) return "bad";
+  if (state === "operation enabled") return "good";
+  return state === "quick stop active" ? "warn" : "";
+}
+
+export class Drives {
+  #rows = new Map();
+  #said = "";
+
+  /** Shows what the drives are said to be; in words what a listener should hear. */
+  show(news) {
+    text(byId("time"), `${news.seconds.toFixed(2)} s`);
+    news.arms.forEach((arm, index) => this.#arm(arm, index));
+    for (const bus of news.buses) this.#bus(bus);
+    const facts = [
+      ["Episode", news.episode_s === null ? "not begun: a master has not enabled all drives" : `${news.episode_s.toFixed(1)} s`],
+      ["Frames lost", String(news.frames_lost)],
+      ["Kept waiting by this machine", `${news.stalled_s.toFixed(3)} s`],
+    ];
+    for (const [name, value] of facts) this.#fact(name, value);
+    const said = news.happened.map(({ seconds, text: line }) => `${seconds.toFixed(2)} s  ${line}`);
+    if (said.join("\n") !== this.#said) {
+      this.#said = said.join("\n");
+      byId("happened").replaceChildren(...said.reverse().map((line) => element("li", "", line)));
+    }
+  }
+
+  #arm({ name, axes }, index) {
+    const enabled = axes.filter(({ state }) => state === "operation enabled").length;
+    const troubled = axes.some((axis) => tone(axis) === "bad");
+    const chip = document.querySelectorAll("#chips .chip")[index];
+    if (chip) {
+      chip.dataset.state = troubled ? "FAULT" : enabled === axes.length ? "ENABLED" : "DISABLED";
+      text(chip.querySelector("b"), `${enabled} of ${axes.length} enabled`);
+    }
+    axes.forEach((axis, place) => this.#axis(name, place, axis));
+  }
+
+  #axis(arm, place, axis) {
+    const key = `${arm} ${place}`;
+    let row = this.#rows.get(key);
+    if (!row) {
+      if (place === 0) byId("drive-arms").append(element("h3", "", arm));
+      const root = element("div", "drive");
+      row = { root };
+      for (const part of ["name", "state", "at", "more", "error"]) row[part] = root.appendChild(element("span", part));
+      byId("drive-arms").append(root);
+      this.#rows.set(key, row);
+    }
+    row.root.dataset.tone = tone(axis);
+    const name = axis.name.replaceAll("_", " ");
+    text(row.name, axis.node === null ? name : `${name} · node ${axis.node}`);
+    text(row.state, axis.state);
+    const off = axis.wanted === null ? "" : `, wanted ${number(axis.wanted, axis.unit)}`;
+    text(row.at, `${number(axis.position, axis.unit)}${off}`);
+    text(row.more, axis.node === null ? "" : `${axis.nmt}, ${axis.mode}`);
+    text(row.error, axis.error ?? "");
+    row.error.hidden = !axis.error;
+  }
+
+  #bus({ interface: name, load, frames }) {
+    const value = `${(load * 100).toFixed(1)} % busy, ${frames.toLocaleString("en").replaceAll(",", "\u202f")} frames`;
+    this.#fact(name, value, load > 0.8 ? "warn" : "");
+  }
+
+  #fact(name, value, mood = "") {
+    let entry = this.#rows.get(name);
+    if (!entry) {
+      entry = element("dd");
+      byId("drive-facts").append(element("dt", "", name), entry);
+      this.#rows.set(name, entry);
+    }
+    text(entry, value);
+    entry.dataset.tone = mood;
+  }
+}

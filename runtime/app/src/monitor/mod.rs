@@ -1,0 +1,135 @@
+//! A run in real time, seen in a terminal, with the operator's commands as keys.
+//!
+//! It asks the run over its operator's socket for what pages of the console are told, ten times a second: `seen` reads that, `draw` and `timing` draw it,
+//! `buses` counts frames on the CAN interfaces of this machine.
+
+mod buses;
+mod draw;
+mod seen;
+mod timing;
+
+use std::io::{self, IsTerminal as _};
+use std::time::Duration;
+
+use ratatui::DefaultTerminal;
+use ratatui::crossterm::event::{self, Event, KeyCode, KeyEvent, KeyEventKind, KeyModifiers};
+
+use crate::session::SessionError;
+use crate::session::operator::{Command, Look, Onlooker};
+use buses::Buses;
+use seen::{Facts, State};
+use trocar_control::OperatorEvent;
+
+/// Time from one look to the next.
+const LOOK: Duration = Duration::from_millis(100);
+
+/// Steps of the speed keys, percent.
+const SPEED_STEP: u8 = 10;
+
+/// What is on the screen.
+#[derive(Debug)]
+struct Screen {
+    facts: Facts,
+    /// None before the first tick.
+    state: Option<State>,
+    buses: Buses,
+    /// The last key's command, and what the run answered.
+    answer: String,
+}
+
+/// What a key asks for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Wish {
+    Quit,
+    Say(Command),
+}
+
+/// Shows the run of process `run`, or the only one of this user, until it ends or the person leaves.
+///
+/// # Errors
+/// [`SessionError::BadArgument`] if there is no such run, or no terminal; [`SessionError::RealTime`] if the terminal or the run fails.
+pub fn monitor(run: Option<&str>) -> Result<(), SessionError> {
+    if !io::stdout().is_terminal() || !io::stdin().is_terminal() {
+        let reason = "monitor needs a terminal; for scripts there is `trocar status --json`";
+        return Err(SessionError::BadArgument(reason.to_owned()));
+    }
+    let failed = |error: io::Error| SessionError::RealTime(format!("monitor: {error}"));
+    let mut onlooker = Onlooker::of(run)?;
+    let facts = onlooker.look(Look::Facts).map_err(failed)?;
+    let facts = serde_json::from_str(&facts).map_err(|error| failed(error.into()))?;
+    let mut screen = Screen {
+        facts,
+        state: None,
+        buses: Buses::find(),
+        answer: String::new(),
+    };
+    let mut terminal = ratatui::try_init().map_err(failed)?;
+    let shown = show(&mut terminal, &mut onlooker, &mut screen);
+    ratatui::restore();
+    shown.map_err(failed)
+}
+
+/// Looks and draws until the run ends or the person leaves.
+fn show(
+    terminal: &mut DefaultTerminal,
+    onlooker: &mut Onlooker,
+    screen: &mut Screen,
+) -> io::Result<()> {
+    loop {
+        let Ok(state) = onlooker.look(Look::State) else {
+            return Ok(());
+        };
+        let state: Option<State> = serde_json::from_str(&state)?;
+        screen.buses.look();
+        screen.state = state.or(screen.state.take());
+        terminal.draw(|frame| draw::screen(frame, screen))?;
+        if !event::poll(LOOK)? {
+            continue;
+        }
+        let Event::Key(key) = event::read()? else {
+            continue;
+        };
+        let percent = screen.state.as_ref().map(|state| state.speed_percent);
+        match wish(key, percent.unwrap_or(100)) {
+            Some(Wish::Quit) => return Ok(()),
+            Some(Wish::Say(command)) => screen.answer = said(onlooker, command),
+            None => {}
+        }
+    }
+}
+
+fn said(onlooker: &Onlooker, command: Command) -> String {
+    let answer = onlooker.say(command);
+    let answer = answer.unwrap_or_else(|error| format!("error: {error}"));
+    format!("{command}: {answer}")
+}
+
+/// What `key` asks for, of a run whose speed limits are at `percent`.
+fn wish(key: KeyEvent, percent: u8) -> Option<Wish> {
+    if key.kind != KeyEventKind::Press {
+        return None;
+    }
+    let KeyCode::Char(letter) = key.code else {
+        return (key.code == KeyCode::Esc).then_some(Wish::Quit);
+    };
+    if key.modifiers.contains(KeyModifiers::CONTROL) {
+        return (letter == 'c').then_some(Wish::Quit);
+    }
+    let speed = |percent| OperatorEvent::Speed { percent };
+    let event = match letter {
+        'q' => return Some(Wish::Quit),
+        's' => return Some(Wish::Say(Command::Stop)),
+        'p' => OperatorEvent::Pause,
+        'r' => OperatorEvent::Resume,
+        'e' => OperatorEvent::Enable,
+        'd' => OperatorEvent::Disable,
+        'c' => OperatorEvent::Clear,
+        '-' => speed(percent.saturating_sub(SPEED_STEP).max(1)),
+        '+' => speed(percent.saturating_add(SPEED_STEP).min(100)),
+        _ => return None,
+    };
+    Some(Wish::Say(Command::Event(event)))
+}
+
+#[cfg(test)]
+mod tests;

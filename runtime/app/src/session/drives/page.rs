@@ -1,0 +1,254 @@
+//! What a page of the console is told of the drives.
+
+use std::collections::VecDeque;
+
+use hal::joints::{INSERTION, JOINT_NAMES};
+use hal::{ARM_NAMES, ARMS_MAX, TimeNs};
+use serde::Serialize;
+use trocar_canopen::cia301::NmtState;
+use trocar_canopen::cia402::{Mode, PowerState};
+use trocar_canopen::master::Space;
+
+use super::seen::{AxisSeen, Seen};
+use crate::console::Console;
+use crate::mailbox::MailboxReader;
+
+/// Lines of what happened that a page has.
+const LINES_MAX: usize = 40;
+
+/// A bus's load is that of the last whole one of these, ns.
+const LOAD_NS: u64 = 1_000_000_000;
+
+/// The drives, on their way to the pages that look at them.
+pub(super) struct DrivesPage {
+    console: Console,
+    seen: MailboxReader<Seen>,
+    spaces: [Option<Space>; ARMS_MAX],
+    interfaces: Vec<String>,
+    lines: VecDeque<Line>,
+    now: TimeNs,
+    /// The drives at the beginning of the time that loads are taken over, and each bus's load in the one before.
+    before: Option<Seen>,
+    loads: Vec<f64>,
+}
+
+/// Something that happened.
+#[derive(Clone, Debug, Serialize)]
+struct Line {
+    seconds: f64,
+    text: String,
+}
+
+#[derive(Serialize)]
+struct News<'a> {
+    kind: &'static str,
+    seconds: f64,
+    /// Since all drives were enabled for the first time, if they were.
+    episode_s: Option<f64>,
+    stalled_s: f64,
+    frames_lost: u64,
+    arms: Vec<ArmNews>,
+    buses: Vec<BusNews<'a>>,
+    happened: &'a VecDeque<Line>,
+}
+
+#[derive(Serialize)]
+struct ArmNews {
+    name: &'static str,
+    axes: Vec<AxisNews>,
+}
+
+#[derive(Serialize)]
+struct AxisNews {
+    name: &'static str,
+    /// None without power.
+    node: Option<u8>,
+    nmt: &'static str,
+    state: &'static str,
+    mode: &'static str,
+    /// What it tells, if it is in trouble.
+    error: Option<String>,
+    unit: &'static str,
+    position: Option<f64>,
+    wanted: Option<f64>,
+}
+
+#[derive(Serialize)]
+struct BusNews<'a> {
+    interface: &'a str,
+    frames: u64,
+    /// Share of the last second for which it was busy at its bit rate.
+    load: f64,
+}
+
+impl DrivesPage {
+    /// Of the drives that `seen` tells of, whose plans have these spaces, on buses with these interfaces.
+    pub(super) fn new(
+        console: Console,
+        seen: MailboxReader<Seen>,
+        spaces: impl Iterator<Item = Space>,
+        interfaces: Vec<String>,
+    ) -> Self {
+        let mut all = [None; ARMS_MAX];
+        for (place, space) in all.iter_mut().zip(spaces) {
+            *place = Some(space);
+        }
+        Self {
+            console,
+            seen,
+            spaces: all,
+            loads: vec![0.0; interfaces.len()],
+            interfaces,
+            lines: VecDeque::new(),
+            now: TimeNs(0),
+            before: None,
+        }
+    }
+
+    /// Keeps a line of what happened.
+    pub(super) fn note(&mut self, text: &str) {
+        if self.lines.len() == LINES_MAX {
+            self.lines.pop_front();
+        }
+        self.lines.push_back(Line {
+            seconds: self.now.seconds(),
+            text: text.to_owned(),
+        });
+    }
+
+    /// Tells the pages how the drives are, if there is something new.
+    pub(super) fn turn(&mut self) {
+        let Some(seen) = self.seen.take() else {
+            return;
+        };
+        self.take_loads(&seen);
+        self.now = seen.now;
+        self.console.tell(&self.news(&seen));
+    }
+
+    fn news(&self, seen: &Seen) -> News<'_> {
+        let arms = ARM_NAMES.into_iter().zip(&self.spaces).zip(&seen.axes);
+        let arms = arms.filter_map(|((name, space), axes)| {
+            let space = (*space)?;
+            let axes = axes.iter().enumerate();
+            let axes = axes.map(|(axis, seen)| axis_news(axis, space, seen.as_ref()));
+            Some(ArmNews {
+                name,
+                axes: axes.collect(),
+            })
+        });
+        let buses = self.interfaces.iter().zip(&seen.busy).zip(&self.loads);
+        let buses = buses.map(|((interface, (_, frames)), load)| BusNews {
+            interface,
+            frames: *frames,
+            load: *load,
+        });
+        let begun = seen.begun.map(|begun| seen.now.since(begun));
+        News {
+            kind: "drives",
+            seconds: seen.now.seconds(),
+            episode_s: begun.map(|since_ns| TimeNs(since_ns).seconds()),
+            stalled_s: TimeNs(seen.stalled_ns).seconds(),
+            frames_lost: seen.lost,
+            arms: arms.collect(),
+            buses: buses.collect(),
+            happened: &self.lines,
+        }
+    }
+
+    fn take_loads(&mut self, seen: &Seen) {
+        let before = self.before.get_or_insert(*seen);
+        let elapsed_ns = seen.now.since(before.now);
+        if elapsed_ns < LOAD_NS {
+            return;
+        }
+        for ((load, now), then) in self.loads.iter_mut().zip(&seen.busy).zip(&before.busy) {
+            *load = TimeNs(now.0 - then.0).seconds() / TimeNs(elapsed_ns).seconds();
+        }
+        *before = *seen;
+    }
+}
+
+fn axis_news(axis: usize, space: Space, seen: Option<&AxisSeen>) -> AxisNews {
+    let name = JOINT_NAMES.get(axis).copied().unwrap_or("jaw");
+    let name = match space {
+        Space::Joint => name,
+        Space::Actuator => ACTUATORS.get(axis).copied().unwrap_or(name),
+    };
+    let unit = if axis == INSERTION { "m" } else { "rad" };
+    AxisNews {
+        name,
+        node: seen.map(|seen| seen.node),
+        nmt: seen.map_or("no power", |seen| nmt_name(seen.nmt)),
+        state: seen.map_or("no power", |seen| power_name(seen.power)),
+        mode: seen.map_or("", |seen| mode_name(seen.mode)),
+        error: seen.and_then(|seen| {
+            let code = seen.error?;
+            let text = code.text().unwrap_or("a code of its own");
+            Some(format!("{:04X}h, {text}", code.0))
+        }),
+        unit,
+        position: seen.map(|seen| seen.position),
+        wanted: seen.and_then(|seen| seen.wanted),
+    }
+}
+
+/// Axes behind the cable coupling.
+const ACTUATORS: [&str; 7] = [
+    "yaw",
+    "pitch",
+    "insertion",
+    "disk 1",
+    "disk 2",
+    "disk 3",
+    "disk 4",
+];
+
+const fn nmt_name(state: NmtState) -> &'static str {
+    match state {
+        NmtState::BootUp => "boot-up",
+        NmtState::Stopped => "stopped",
+        NmtState::Operational => "operational",
+        NmtState::PreOperational => "pre-operational",
+    }
+}
+
+/// As CiA 402 names it.
+const fn power_name(state: PowerState) -> &'static str {
+    match state {
+        PowerState::NotReady => "not ready to switch on",
+        PowerState::SwitchOnDisabled => "switch on disabled",
+        PowerState::ReadyToSwitchOn => "ready to switch on",
+        PowerState::SwitchedOn => "switched on",
+        PowerState::OperationEnabled => "operation enabled",
+        PowerState::QuickStopActive => "quick stop active",
+        PowerState::FaultReaction => "fault reaction active",
+        PowerState::Fault => "fault",
+    }
+}
+
+fn mode_name(mode: i8) -> &'static str {
+    match Mode::try_from(mode) {
+        Ok(Mode::None) => "none",
+        Ok(Mode::ProfilePosition) => "profile position",
+        Ok(Mode::Velocity) => "velocity",
+        Ok(Mode::ProfileVelocity) => "profile velocity",
+        Ok(Mode::ProfileTorque) => "profile torque",
+        Ok(Mode::Homing) => "homing",
+        Ok(Mode::InterpolatedPosition) => "interpolated position",
+        Ok(Mode::CyclicPosition) => "cyclic position",
+        Ok(Mode::CyclicVelocity) => "cyclic velocity",
+        Ok(Mode::CyclicTorque) => "cyclic torque",
+        Err(_) => "unknown",
+    }
+}
+
+#[cfg(test)]
+impl DrivesPage {
+    /// What a page is told of `seen`, after the `lines`.
+    pub(super) fn told(&mut self, seen: &Seen, lines: &[&str]) -> serde_json::Value {
+        self.take_loads(seen);
+        lines.iter().for_each(|line| self.note(line));
+        serde_json::to_value(self.news(seen)).unwrap_or_default()
+    }
+}

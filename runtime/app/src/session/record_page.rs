@@ -1,0 +1,142 @@
+//! What a page of the console sees of a recording by the expert: how far it is, and one of the episodes that go on.
+
+use std::collections::VecDeque;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Mutex, PoisonError};
+
+use serde::Serialize;
+use trocar_log::TickRecord;
+use trocar_tasks::cameras::SceneModel;
+use trocar_tasks::scene::SceneSnapshot;
+use trocar_tasks::task::TaskConfig;
+
+use super::episode::StepView;
+use super::record::Attempt;
+use super::views::show_frame;
+use super::{Plan, SessionError};
+use crate::console::{Console, ControlTap, Facts, FrameTap, SceneTap};
+
+/// Attempts that a page has.
+const ATTEMPTS_MAX: usize = 20;
+
+/// A recording on its way to the pages that look at it.
+pub(super) struct RecordPage<'a> {
+    console: &'a Console,
+    /// Whether an episode is shown.
+    taken: AtomicBool,
+    news: Mutex<News>,
+}
+
+/// How far it is.
+#[derive(Debug, Serialize)]
+struct News {
+    kind: &'static str,
+    kept: usize,
+    wanted: usize,
+    attempts: usize,
+    /// The newest, oldest first.
+    newest: VecDeque<Attempt>,
+}
+
+impl<'a> RecordPage<'a> {
+    /// Of a recording that has `kept` episodes of those that are `wanted`.
+    pub(super) fn new(console: &'a Console, kept: usize, wanted: usize) -> Self {
+        let news = News {
+            kind: "recording",
+            kept,
+            wanted,
+            attempts: 0,
+            newest: VecDeque::new(),
+        };
+        console.tell(&news);
+        Self {
+            console,
+            taken: AtomicBool::new(false),
+            news: Mutex::new(news),
+        }
+    }
+
+    /// Tells what became of an attempt.
+    pub(super) fn tell(&self, attempt: &Attempt) {
+        let mut news = self.news.lock().unwrap_or_else(PoisonError::into_inner);
+        news.attempts += 1;
+        news.kept += usize::from(attempt.kept);
+        if news.newest.len() == ATTEMPTS_MAX {
+            news.newest.pop_front();
+        }
+        news.newest.push_back(attempt.clone());
+        self.console.tell(&*news);
+    }
+
+    /// Shows the episode of `seed`, which begins with `start`, if no other is shown.
+    ///
+    /// # Errors
+    /// If an arm that carries a camera is not in `start`.
+    pub(super) fn begin(
+        &'a self,
+        plan: &Plan,
+        (task, seed): (&TaskConfig, u64),
+        start: &SceneSnapshot,
+    ) -> Result<Option<EpisodePage<'a>>, SessionError> {
+        if self.taken.swap(true, Ordering::Relaxed) {
+            return Ok(None);
+        }
+        let (console, setup) = (self.console, &plan.setup);
+        let control = &setup.robot.control;
+        let model = SceneModel::new(task, seed);
+        let scene = console.show_scene(model, start, &control.arms)?;
+        let cameras = setup.cameras_with(Vec::new());
+        let facts = Facts::new(
+            &setup.task_name,
+            &plan.policy.name(),
+            seed,
+            control,
+            cameras,
+        );
+        let facts = facts.within_s(task.time_limit_s).with_scene();
+        let taps = console.show_run(facts.of_recording(), None);
+        Ok(Some(EpisodePage {
+            of: &self.taken,
+            control: taps.control,
+            frames: console.frames(),
+            scene,
+        }))
+    }
+}
+
+/// The episode that is shown; dropping it leaves the page to another.
+pub(super) struct EpisodePage<'a> {
+    of: &'a AtomicBool,
+    control: ControlTap,
+    frames: FrameTap,
+    scene: SceneTap,
+}
+
+impl EpisodePage<'_> {
+    /// A policy step.
+    ///
+    /// # Errors
+    /// If an arm that carries a camera is not in the scene.
+    pub(super) fn step(&mut self, view: &StepView<'_>) -> Result<(), SessionError> {
+        let stamp = view.arms.first.state.stamp;
+        for (camera, frame) in view.frames.iter().enumerate() {
+            show_frame(&self.frames, camera, stamp, frame);
+        }
+        self.scene.show(view.snapshot, stamp)?;
+        if let Some(chunks) = view.answer {
+            self.control.chunk(chunks, 0);
+        }
+        Ok(())
+    }
+
+    /// A control period.
+    pub(super) fn tick(&mut self, record: &TickRecord) {
+        self.control.tick_alone(record, 0);
+    }
+}
+
+impl Drop for EpisodePage<'_> {
+    fn drop(&mut self) {
+        self.of.store(false, Ordering::Relaxed);
+    }
+}
