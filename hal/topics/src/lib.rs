@@ -11,6 +11,7 @@ mod scene;
 mod shm;
 #[cfg(test)]
 mod tests;
+mod unfinished;
 
 pub use error::TopicError;
 pub use events::Events;

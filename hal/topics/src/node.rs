@@ -20,7 +20,7 @@ use iceoryx2::service::builder::publish_subscribe::{
 use iceoryx2::service::port_factory::publish_subscribe::PortFactory;
 
 use super::events::{Bell, EventService, Events};
-use super::{SHARED_MEMORY_DIR, SharedMemorySpace, TopicError, shm};
+use super::{SHARED_MEMORY_DIR, SharedMemorySpace, TopicError, shm, unfinished};
 
 /// Ports may move between threads; each call takes an uncontended lock.
 pub(super) type Service = iceoryx2::service::ipc_threadsafe::Service;
@@ -81,13 +81,12 @@ impl TopicNode {
             .signal_handling_mode(SignalHandlingMode::Disabled)
             .create::<Service>()
             .map_err(|error| or_folder(TopicError::transport(run_id, "joining the run", &error)))?;
-        let joined = Self {
+        remove_dead(&node);
+        Ok(Self {
             events: EventService::open(&node, run_id).map_err(or_folder)?,
             node,
             run_id: run_id.to_owned(),
-        };
-        joined.remove_dead();
-        Ok(joined)
+        })
     }
 
     /// The run's id.
@@ -113,9 +112,7 @@ impl TopicNode {
     ///
     /// Death is noticed only by looking: a supervisor calls this now and then. Takes milliseconds.
     pub fn remove_dead(&self) -> u64 {
-        self.node
-            .blocking_cleanup_dead_nodes(CLEANUP_TIMEOUT)
-            .cleanups
+        remove_dead(&self.node)
     }
 
     /// Frees what `process` still holds, which is about to die or has just died; `false` if it lives longer than `within`.
@@ -298,7 +295,27 @@ fn transport_config(run_id: &str) -> Result<Config, TopicError> {
     let mut config = Config::default();
     config.global.prefix = FileName::new(b"trocar_")
         .map_err(|error| TopicError::transport(run_id, "naming files", &format!("{error:?}")))?;
+    // Only `remove_dead` cleans up.
+    config.global.service.cleanup_dead_nodes_on_open = false;
+    config.global.node.cleanup_dead_nodes_on_creation = false;
+    config.global.node.cleanup_dead_nodes_on_destruction = false;
     Ok(config)
+}
+
+/// Frees what dead processes still hold, what the transport would pass over first; the number of them.
+fn remove_dead(node: &Node<Service>) -> u64 {
+    let global = &node.config().global;
+    let folder = global.node_dir().to_string();
+    let tags = [global.node.port_tag_suffix, global.node.service_tag_suffix];
+    let tags = tags.map(|suffix| suffix.to_string());
+    let _listed = Node::<Service>::list(node.config(), |state| {
+        if matches!(state, NodeState::Dead(_)) {
+            let id = state.node_id().value().to_string();
+            unfinished::remove_tags(&Path::new(&folder).join(id), &tags);
+        }
+        CallbackProgression::Continue
+    });
+    node.blocking_cleanup_dead_nodes(CLEANUP_TIMEOUT).cleanups
 }
 
 /// Checks that `run_id` can name a run.
