@@ -3,10 +3,11 @@
 use core::f64::consts::{FRAC_PI_2, TAU};
 use std::path::{Path, PathBuf};
 
+use hal::mesh::single;
 use hal::{CameraFrame, Intrinsics, Pose};
 use nalgebra::{Point3, Vector3};
 use trocar_anatomy::assets::{self, Part};
-use trocar_render::visual::{Backdrop, Visual};
+use trocar_render::visual::{Backdrop, Visual, instance};
 use trocar_render::{Camera, Light, Renderer, Shading, look_at};
 use trocar_tasks::SimulationError;
 use trocar_tasks::task::tissue_material;
@@ -18,13 +19,17 @@ use super::pictures::Pictures;
 const SKIN: &str = "body";
 /// Field of view, rad, and how much of it the patient fills.
 const VIEW_RAD: f64 = 0.5;
-const FILLED: f64 = 0.9;
+const FILLED: f64 = 1.0;
 /// How far above the patient's middle the camera is, as a share of its distance.
 const ABOVE: f64 = 0.25;
 /// One turn, ms.
 const TURN_MS: u32 = 4000;
-/// Brightness against an endoscope's, which is close to what it lights.
-const INTENSITY: f64 = 2.2;
+/// Radius of the model that stands for the patient, m: the renderer's surroundings are of the size of a belly.
+const MODEL_M: f64 = 0.060;
+/// Brightness on the model, as a share of an endoscope's on what it looks at: bones are light.
+const BRIGHT: f64 = 0.7;
+/// Height of the table under it, m.
+const TABLE_M: f64 = -0.066;
 
 /// What to draw.
 #[derive(Clone, Debug)]
@@ -41,7 +46,7 @@ pub struct Preview {
     pub frames: u32,
 }
 
-/// The ball that everything lies in.
+/// The ball that everything lies in, in the scan's world.
 struct Ball {
     middle: Point3<f64>,
     radius_m: f64,
@@ -56,16 +61,16 @@ pub fn draw(preview: &Preview, done: &mut dyn FnMut(u32)) -> Result<(), SessionE
     let is_gif = is_gif(&preview.out)?;
     let parts = chosen(preview)?;
     let ball = Ball::around(&parts);
-    let visuals: Vec<Visual> = parts.into_iter().map(visual).collect();
-    let backdrop = Backdrop::table(ball.middle.z - ball.radius_m, [0.2, 0.05, 0.03]);
+    let visuals: Vec<Visual> = parts.into_iter().map(|part| ball.model(part)).collect();
+    let backdrop = Backdrop::table(TABLE_M, [0.2, 0.05, 0.03]);
     let mut renderer = Renderer::with_backdrop(&visuals, &backdrop, Shading::Fine)
         .map_err(SimulationError::from)?;
     let poses = vec![Pose::identity(); visuals.len()];
     let mut pictures = Pictures::default();
     for index in 0..preview.frames {
-        let camera = ball.camera(preview.width, f64::from(index) / f64::from(preview.frames));
+        let camera = camera(preview.width, f64::from(index) / f64::from(preview.frames));
         let mut frame = CameraFrame::blank(camera.intrinsics);
-        let drawn = renderer.render(&poses, &camera, &ball.light(&camera), &mut frame);
+        let drawn = renderer.render(&poses, &camera, &light(&camera), &mut frame);
         drawn.map_err(SimulationError::from)?;
         pictures.push_whole(&frame);
         done(index + 1);
@@ -109,11 +114,6 @@ fn chosen(preview: &Preview) -> Result<Vec<Part>, SessionError> {
     Ok(parts.into_iter().filter(shown).collect())
 }
 
-fn visual(part: Part) -> Visual {
-    let material = tissue_material(&part);
-    Visual::new("tissue", part.mesh, material, 1)
-}
-
 impl Ball {
     fn around(parts: &[Part]) -> Self {
         let all = || parts.iter().flat_map(|part| &part.mesh.positions);
@@ -129,27 +129,36 @@ impl Ball {
         }
     }
 
-    /// The camera after a share of a turn, in front of the patient at first.
-    fn camera(&self, width: u32, turn: f64) -> Camera {
-        let distance_m = self.radius_m / (FILLED * 0.5 * VIEW_RAD).sin();
-        let (sin, cos) = (FRAC_PI_2 + TAU * turn).sin_cos();
-        let eye = self.middle + distance_m * Vector3::new(cos, sin, ABOVE);
-        Camera {
-            intrinsics: Intrinsics::from_vertical_fov(width, width, VIEW_RAD),
-            camera_in_scene: look_at(eye, self.middle, Vector3::z()),
-            near_m: 0.2 * distance_m,
-            far_m: 4.0 * distance_m,
+    /// A group of the model, whose middle is the origin.
+    fn model(&self, mut part: Part) -> Visual {
+        let material = tissue_material(&part);
+        for position in &mut part.mesh.positions {
+            let from_middle = Point3::from(position.map(f64::from)) - self.middle;
+            *position = single(&(from_middle * (MODEL_M / self.radius_m)));
         }
+        Visual::new("tissue", part.mesh, material, instance::ORGAN)
     }
+}
 
-    /// The light beside it.
-    fn light(&self, camera: &Camera) -> Light {
-        let from = camera.camera_in_scene.translation.vector - self.middle.coords;
-        let light = Light::beside(camera);
-        Light {
-            reference_distance_m: from.norm(),
-            intensity: INTENSITY * light.intensity,
-            ..light
-        }
+/// The camera after a share of a turn, in front of the patient at first.
+fn camera(width: u32, turn: f64) -> Camera {
+    let distance_m = MODEL_M / (FILLED * 0.5 * VIEW_RAD).sin();
+    let (sin, cos) = (FRAC_PI_2 + TAU * turn).sin_cos();
+    let eye = Point3::from(distance_m * Vector3::new(cos, sin, ABOVE));
+    Camera {
+        intrinsics: Intrinsics::from_vertical_fov(width, width, VIEW_RAD),
+        camera_in_scene: look_at(eye, Point3::origin(), Vector3::z()),
+        near_m: 0.2 * distance_m,
+        far_m: 4.0 * distance_m,
+    }
+}
+
+/// The light beside it.
+fn light(camera: &Camera) -> Light {
+    let light = Light::beside(camera);
+    Light {
+        reference_distance_m: camera.camera_in_scene.translation.vector.norm(),
+        intensity: BRIGHT * light.intensity,
+        ..light
     }
 }

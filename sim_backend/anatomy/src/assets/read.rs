@@ -273,7 +273,7 @@ fn fault(mesh: &Mesh) -> Option<&'static str> {
     let near = |p: &[f32; 3]| p.iter().all(|x| x.abs() <= FAR_M);
     let unit = |n: &[f32; 3]| (Vector3::from(*n).norm() - 1.0).abs() <= 0.01;
     let there = |index: &u32| (*index as usize) < mesh.positions.len();
-    if mesh.indices.is_empty() || mesh.indices.len() % 3 != 0 {
+    if mesh.indices.is_empty() || !mesh.indices.len().is_multiple_of(3) {
         Some("it has no whole number of triangles")
     } else if mesh.positions.len() != mesh.normals.len() {
         Some("it has more or fewer normals than vertices")

@@ -32,8 +32,9 @@ const DROP_M: f64 = 0.000_1;
 const PLACES_MAX: usize = 1000;
 /// Cosine of the greatest slope that a needle is laid on there: 20 degrees, where friction still holds it.
 const LEVEL_MIN: f64 = 0.94;
-/// Lowest place of its wire there, scene frame, m: what the workspaces of the tasks let fingers reach.
-const LOW_M: f64 = -0.010;
+/// Lowest place of its wire there, scene frame, m: fingers reach half a millimetre below a wire, and no lower than -3.5 mm, since the
+/// workspaces of the tasks end at -5 mm.
+const LOW_M: f64 = -0.002;
 
 impl NeedleStart {
     /// The needle's pose at the start of the episode `seed`, just above the organ and flat on it.

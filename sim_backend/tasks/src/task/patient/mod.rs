@@ -1,9 +1,10 @@
 //! A patient under the instruments: `[scene] patient = "DIR", organ = "liver"` makes an organ of what `trocar anatomy build` wrote into
 //! `DIR` the ground of a task.
 //!
-//! The patient is turned so that the flattest patch on the organ's front faces the instruments, the head away from the viewer; the scene's
-//! z = 0 is that patch's mean height. The organ is rounded between its vertices, once for physics and pictures alike: what is felt is a
-//! table of the heights that are drawn. Its neighbours are scenery alone, pressed down where they would stand in the way.
+//! The patient is turned so that the flattest patch on the organ's front faces the instruments, the head away from the viewer, and raised
+//! so that the patch is 5 mm above the scene's z = 0 in the mean. The organ is rounded between its vertices, once for physics and pictures
+//! alike: what is felt is a table of the heights that are drawn. Its neighbours are scenery alone, pressed down where they would stand in
+//! the way.
 
 mod looks;
 mod neighbours;

@@ -17,9 +17,11 @@ const HALF_M: f64 = 0.20;
 const SPACING_M: f64 = 0.004;
 /// Radius of the place of work, m; height up to which neighbours stand there, m, and how much higher for each metre beyond: gas and the
 /// assistant hold away what is higher.
-const WORK_M: f64 = 0.050;
+const WORK_M: f64 = 0.040;
 const LEVEL_M: f64 = -0.004;
-const RISE: f64 = 0.5;
+const RISE: f64 = 0.7;
+/// Faces whose normal's height is less look down, and nobody sees them.
+const DOWN: f32 = -0.5;
 /// How far below the organ's surface they are where they would lie on it at work, m.
 const UNDER_M: f64 = 0.008;
 
@@ -61,13 +63,14 @@ fn pressed(mut mesh: Mesh, relief: &Relief) -> Mesh {
     mesh
 }
 
-/// The faces that a camera above can see.
+/// The faces that a camera above or beside can see.
 fn seen(mut mesh: Mesh) -> Mesh {
     let at = |index: u32| Point3::from(mesh.positions[index as usize]);
     let shown = |face: &&[u32; 3]| {
         let [a, b, c] = face.map(at);
         let near = [a, b, c].iter().any(|p| p.x.hypot(p.y) <= FAR_M);
-        near && (b - a).cross(&(c - a)).z > 0.0
+        let normal = (b - a).cross(&(c - a));
+        near && normal.z > DOWN * normal.norm()
     };
     let faces = mesh.indices.as_chunks::<3>().0;
     mesh.indices = faces.iter().filter(shown).flatten().copied().collect();

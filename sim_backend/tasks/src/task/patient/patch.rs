@@ -12,6 +12,8 @@ const AROUND_M: f64 = 0.060;
 const STANDS_UP_M: f64 = 0.015;
 /// Distance of the heights that a place is judged by, m.
 const SPACING_M: f64 = 0.004;
+/// Mean height of the patch in the scene, m: workspaces end 5 mm below z = 0, and an organ falls off around the patch.
+const RAISED_M: f64 = 0.005;
 /// Cosine of the greatest angle between the surface and the patient's front: instruments come in through the belly.
 const FRONT_MIN: f64 = 0.5;
 /// Most places that are looked at.
@@ -76,7 +78,7 @@ impl Patch {
         let mean_m: f64 = sum / count;
         let roughness_m = (squares / count - mean_m * mean_m).max(0.0).sqrt();
         mean_m.is_finite().then(|| Self {
-            scene_from_scan: Translation3::new(0.0, 0.0, -mean_m) * facing,
+            scene_from_scan: Translation3::new(0.0, 0.0, RAISED_M - mean_m) * facing,
             roughness_m,
         })
     }
