@@ -151,7 +151,7 @@ struct Film {
 struct Content<'a> {
     document: Document,
     numbers: &'a [u8],
-    /// Bytes that may still be taken: no array is there twice, so that no small file makes a large patient.
+    /// Bytes that may still be taken, as many as there are: arrays that share them make no large patient of a small file.
     left: usize,
 }
 
