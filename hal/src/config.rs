@@ -54,6 +54,20 @@ pub enum ConfigError {
         /// The allowed range as text.
         allowed: String,
     },
+    /// What a value names can't be used.
+    #[error("{path}:{line}: {key} = {value}: {reason}")]
+    Refused {
+        /// The file.
+        path: String,
+        /// Line, from 1.
+        line: usize,
+        /// Dotted key.
+        key: String,
+        /// The value as text.
+        value: String,
+        /// Why.
+        reason: String,
+    },
     /// A key that is to be changed is not in the text.
     #[error("{path} has no key {key}; there {} {known}", if .known.contains(", ") { "are" } else { "is" })]
     NoKey {
@@ -143,6 +157,25 @@ impl Source {
         })
     }
 
+    /// The same text with the lines `more` at its end if there is nothing at the dotted `key`.
+    #[must_use]
+    pub fn or_with(self, key: &str, more: &str) -> Self {
+        let document = DeTable::parse(&self.text).ok();
+        let found = document.is_some_and(|document| {
+            let mut parts = key.split('.');
+            let first = parts.next().and_then(|part| document.get_ref().get(part));
+            let last = parts.try_fold(first, |here, part| {
+                here.map(|here| child(here.get_ref(), part))
+            });
+            last.flatten().is_some()
+        });
+        if found {
+            return self;
+        }
+        let text = format!("{}\n{more}", self.text.trim_end());
+        Self { text, ..self }
+    }
+
     /// The text itself, for the log.
     #[must_use]
     pub fn text(&self) -> &str {
@@ -196,6 +229,18 @@ impl Source {
             key: key.to_owned(),
             value: value.to_owned(),
             allowed: allowed.to_owned(),
+        }
+    }
+
+    /// The error for what `value`, a file, say, at the dotted `key` names: it is there, or not, but it can't be used.
+    #[must_use]
+    pub fn refused(&self, key: &str, value: &str, reason: &str) -> ConfigError {
+        ConfigError::Refused {
+            path: self.path.clone(),
+            line: self.line_of(key),
+            key: key.to_owned(),
+            value: value.to_owned(),
+            reason: reason.to_owned(),
         }
     }
 

@@ -75,6 +75,46 @@ fn phantom_becomes_a_patient_with_a_report() {
     );
 }
 
+/// A patient is drawn, and the expert works on its liver, which the result tells.
+#[test]
+fn patient_is_drawn_and_worked_on() {
+    let folder = scratch("anatomy-scene");
+    let out = folder.display().to_string();
+    let labels = format!("{out}/labels.nii.gz");
+    done(&[
+        "phantom", "--seed", "3", "--size", "64x64x77", "--out", &out,
+    ]);
+    done(&["build", &labels, "--out", &out]);
+    let picture = folder.join("turn.png").display().to_string();
+    let small = ["--groups", "liver", "--width", "48", "--frames", "2"];
+    done(&[&["preview", &out, "--out", &picture], &small[..]].concat());
+    assert!(fs::read(&picture).unwrap().starts_with(b"\x89PNG"));
+    refused(
+        &["preview", &out, "--out", &picture, "--groups", "brain"],
+        "--groups brain",
+    );
+    refused(&["preview", &out, "--out", &labels], "a .gif or a .png");
+
+    let result = folder.join("run.json");
+    let run = |organ: &str| {
+        let scene = [format!("patient={out}"), format!("organ={organ}")];
+        let [patient, organ] = scene.map(|change| format!("scene.scene.{change}"));
+        let task = ["run", "--task", "needle-lift", "--policy", "expert"];
+        let set = ["--lockstep", "--set", &patient, "--set", &organ, "--json"];
+        let json = result.display().to_string();
+        let mut run = trocar(Profile::Debug);
+        run.args(task).args(set).arg(json).output().unwrap()
+    };
+    assert!(run("liver").status.success());
+    let told = json(&result);
+    assert_eq!(told["success"], true);
+    assert_eq!(told["patient"]["organ"], "liver");
+    assert!(told["patient"]["patch_in_scan_m"][1].as_f64().unwrap() > 0.0);
+    let brain = run("brain");
+    assert_eq!(brain.status.code(), Some(2));
+    assert!(stderr(&brain).contains("scene.organ = brain is outside liver"));
+}
+
 /// Runs and expects exit code 2 with `message`.
 fn refused(arguments: &[&str], message: &str) {
     let output = anatomy(arguments);

@@ -60,7 +60,7 @@ const MEMBERS: [Member; 15] = [
     member(
         "sim_backend/tasks",
         "trocar-tasks",
-        &["hal", "trocar-render", "trocar-world"],
+        &["hal", "trocar-anatomy", "trocar-render", "trocar-world"],
     ),
     member("sim_backend/anatomy", "trocar-anatomy", &["hal"]),
     member("runtime/control", "trocar-control", &["hal"]),

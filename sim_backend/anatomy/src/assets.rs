@@ -5,6 +5,7 @@
 
 mod glb;
 mod gltf;
+mod read;
 mod usda;
 
 #[cfg(test)]
@@ -16,7 +17,14 @@ use crate::number::single;
 
 pub use glb::glb;
 pub use gltf::Numbers;
+pub use read::{Part, PatientError, read};
 pub use usda::usda;
+
+/// The patient's glTF file in its folder.
+pub const GLB_FILE: &str = "patient.glb";
+
+/// The frame and unit of all assets, as files say it.
+pub const FRAME: &str = "RAS of the scan, m";
 
 /// A group's mesh and what it is made of.
 #[derive(Clone, Copy, Debug)]

@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use rayon::prelude::*;
 use serde::Serialize;
 
-use crate::assets::{Asset, glb, usda};
+use crate::assets::{Asset, FRAME, GLB_FILE, glb, usda};
 use crate::atlas::unwrap;
 use crate::balance::balance;
 use crate::clean::{Cleaned, remove_islands, separate_touching};
@@ -320,7 +320,7 @@ fn build_volume(
         size: volume.grid.dims,
         spacing_mm: volume.grid.spacing(),
         orientation: volume.grid.orientation(),
-        frame: "RAS of the scan, m",
+        frame: FRAME,
         options: *options,
         repaired,
         triangles_fine,
@@ -355,7 +355,7 @@ pub fn write(patient: &Patient, groups: &Groups, folder: &Path) -> Result<(), Bu
     let report = serde_json::to_string_pretty(&patient.report).map_err(io::Error::other);
     let report = report.map_err(unwritable(&folder.join("patient.json")))?;
     let files = [
-        ("patient.glb", binary),
+        (GLB_FILE, binary),
         ("patient.usda", text.into_bytes()),
         ("patient.json", report.into_bytes()),
     ];

@@ -24,6 +24,8 @@ pub mod instance {
     pub const TISSUE: u8 = 12;
     /// The mark on it.
     pub const MARK: u8 = 13;
+    /// Organs of a patient around the one that the task happens on.
+    pub const NEIGHBOUR: u8 = 14;
 }
 
 /// What an instance id means to people.
@@ -50,7 +52,7 @@ impl Part {
 }
 
 /// The parts of [`instance`].
-pub const PARTS: [Part; 10] = [
+pub const PARTS: [Part; 11] = [
     Part::new(instance::ORGAN, "ground", [128, 70, 60]),
     Part::new(instance::NEEDLE, "needle", [255, 225, 25]),
     Part::new(instance::SHAFT, "shaft", [130, 130, 140]),
@@ -61,6 +63,7 @@ pub const PARTS: [Part; 10] = [
     Part::new(instance::SECOND_JAW, "2nd jaw", [230, 40, 60]),
     Part::new(instance::TISSUE, "flap", [0, 150, 60]),
     Part::new(instance::MARK, "mark", [210, 0, 210]),
+    Part::new(instance::NEIGHBOUR, "neighbour", [170, 255, 195]),
 ];
 
 /// How a surface answers light.

@@ -1,12 +1,24 @@
-//! The organ surface: a gently rolling patch of back muscle, as a smooth height over the xy-plane.
+//! The organ surface: a gently rolling patch of back muscle, or a table of heights, as a height over the xy-plane.
 
 mod drawn;
 
 use core::f64::consts::TAU;
+use std::sync::Arc;
 
 use hal::config::{ConfigError, Source};
 use nalgebra::{Unit, Vector3};
 use serde::Deserialize;
+
+use crate::tissue::Ground;
+
+/// What things lie on.
+#[derive(Clone, Debug)]
+pub enum Organ {
+    /// A rolling patch on a table.
+    Rolling(OrganShape),
+    /// Heights that were measured; around them there is nothing.
+    Measured(Arc<Ground>),
+}
 
 /// A rectangular patch around the scene's origin whose height is a sum of three waves.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
@@ -20,6 +32,40 @@ pub struct OrganShape {
     pub amplitude_m: f64,
     /// Longest wavelength, m.
     pub wavelength_m: f64,
+}
+
+/// Height that stands for a measured organ where it does not reach, m: what is above that place has fallen off.
+const OFF_M: f64 = -1.0;
+
+impl Organ {
+    /// Height of the surface above the scene's xy-plane at (`x`, `y`), m; of a measured one -1 m beyond it.
+    #[must_use]
+    pub fn height_m(&self, x: f64, y: f64) -> f64 {
+        match self {
+            Self::Rolling(shape) => shape.height_m(x, y),
+            Self::Measured(ground) => ground.height_m(x, y).unwrap_or(OFF_M),
+        }
+    }
+
+    /// Unit normal of the surface at (`x`, `y`), pointing up, scene frame.
+    #[must_use]
+    pub fn normal(&self, x: f64, y: f64) -> Unit<Vector3<f64>> {
+        match self {
+            Self::Rolling(shape) => shape.normal(x, y),
+            Self::Measured(ground) => ground
+                .normal(x, y)
+                .map_or_else(Vector3::z_axis, Unit::new_unchecked),
+        }
+    }
+
+    /// Whether there is a surface over (`x`, `y`).
+    #[must_use]
+    pub fn covers(&self, x: f64, y: f64) -> bool {
+        match self {
+            Self::Rolling(shape) => shape.covers(x, y),
+            Self::Measured(ground) => ground.height_m(x, y).is_some(),
+        }
+    }
 }
 
 /// One wave: share of the amplitude, waves per longest wavelength along x and y, phase.

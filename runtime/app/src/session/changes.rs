@@ -46,6 +46,12 @@ impl ConfigFile {
     }
 }
 
+/// Keys that scene files may leave out, and what stands for them until they are set.
+const PATIENT: ([&str; 2], &str) = (
+    ["scene.patient", "scene.organ"],
+    "[scene]\npatient = \"\"\norgan = \"\"\n",
+);
+
 /// A value for a key of a file.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Change {
@@ -99,6 +105,9 @@ impl Changes {
     pub fn apply(&self, file: ConfigFile, source: Source) -> Result<Source, ConfigError> {
         let mut changed = source;
         for change in self.0.iter().filter(|change| change.file == file) {
+            if file == ConfigFile::Scene && PATIENT.0.contains(&change.key.as_str()) {
+                changed = changed.or_with(&change.key, PATIENT.1);
+            }
             changed = changed.with(&change.key, &change.value)?;
         }
         Ok(changed)
@@ -141,6 +150,23 @@ mod tests {
             refused.unwrap_err().to_string(),
             "--set scene.a=1: no scene.toml is read here, only can, control"
         );
+    }
+
+    /// The patient of a scene, which no shipped file names, can be set; a file that names one keeps it.
+    #[test]
+    fn a_patient_is_set_in_a_scene_without_one() {
+        let set = |text: &str, changes: &[&str]| {
+            let changes = changes.iter().map(|change| change.parse().unwrap());
+            let source = Source::embedded("scene.toml", text);
+            let scene = Changes(changes.collect()).apply(ConfigFile::Scene, source);
+            scene.map(|scene| scene.text().to_owned())
+        };
+        let both = ["scene.scene.patient=runs/p", "scene.scene.organ=liver"];
+        let scene = "[scene]\npatient = \"runs/p\"\norgan = \"liver\"\n";
+        assert_eq!(set("a = 1", &both).unwrap(), format!("a = 1\n{scene}"));
+        let organ = set(scene, &["scene.scene.organ=spleen"]).unwrap();
+        assert_eq!(organ, scene.replace("liver", "spleen"));
+        assert!(set("a = 1", &["scene.scene.body=x"]).is_err());
     }
 
     #[test]

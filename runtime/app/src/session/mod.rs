@@ -22,6 +22,7 @@ pub mod parallel;
 pub mod pictures;
 pub mod plan;
 pub mod policies;
+pub mod preview;
 pub mod realtime;
 pub mod record;
 mod record_by_hand;

@@ -39,6 +39,13 @@ impl Pictures {
         }
     }
 
+    /// Keeps a copy of `frame` as large as it is.
+    pub fn push_whole(&mut self, frame: &CameraFrame) {
+        let (width, height) = (frame.intrinsics.width, frame.intrinsics.height);
+        self.frames
+            .extend(RgbImage::from_raw(width, height, frame.colour.clone()));
+    }
+
     /// How many frames were kept.
     #[must_use]
     pub fn len(&self) -> usize {

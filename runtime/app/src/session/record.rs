@@ -13,7 +13,7 @@ use trocar_log::TickRecord;
 use trocar_nets::act_policy::state_numbers;
 use trocar_tasks::cameras::SceneCameras;
 use trocar_tasks::disturbance::Disturber;
-use trocar_tasks::task::{Outcome, Variation};
+use trocar_tasks::task::{Lie, Outcome, Variation};
 
 use super::episode::{Episode, StepView, Watcher};
 use super::record_notes::{DISTURBED_TIME_FACTOR, DisturbedCounts, EpisodeNote, value};
@@ -64,7 +64,7 @@ pub struct Attempt {
 }
 
 /// What was recorded.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+#[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct RecordSummary {
     /// Task name.
     pub task: String,
@@ -82,6 +82,9 @@ pub struct RecordSummary {
     /// The scene file, if it was not the built-in one.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub scene: Option<String>,
+    /// How the patient lies whose organ is the ground, if it is one's.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub patient: Option<Lie>,
     /// The cameras whose frames are in the dataset.
     pub cameras: Vec<String>,
     /// Episodes in the dataset.
@@ -107,6 +110,7 @@ impl RecordSummary {
             varied: setup.task.varied.clone(),
             disturbed: options.disturb.map(|_| DisturbedCounts::default()),
             scene: setup.scene_file.clone(),
+            patient: setup.task.patient().cloned(),
             cameras: setup.cameras_with(Vec::new()),
             episodes: found.totals.episodes,
             episodes_before: found.totals.episodes,

@@ -5,7 +5,7 @@ use core::fmt;
 use hal::TimeNs;
 use serde::Serialize;
 use trocar_control::MeasuredClearance;
-use trocar_tasks::task::{Outcome, Variation};
+use trocar_tasks::task::{Lie, Outcome, Variation};
 use trocar_world::tissue::TissueExtremes;
 
 use super::Plan;
@@ -236,6 +236,9 @@ pub struct RunSummary {
     /// The scene file, if it was not the built-in one.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub scene: Option<String>,
+    /// How the patient lies whose organ is the ground, if it is one's.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub patient: Option<Lie>,
     /// The policy and what it did.
     pub policy: PolicyCounts,
     /// The seed that everything random depends on.
@@ -334,6 +337,9 @@ pub struct EvalSummary {
     /// The scene file, if it was not the built-in one.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub scene: Option<String>,
+    /// How the patient lies whose organ is the ground, if it is one's.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub patient: Option<Lie>,
     /// The policy.
     pub policy: String,
     /// The task of the demonstrations that a checkpoint was trained on, if it tells.
@@ -371,6 +377,7 @@ impl EvalSummary {
             needle: setup.needle().map(str::to_owned),
             varied: setup.task.varied.clone(),
             scene: setup.scene_file.clone(),
+            patient: setup.task.patient().cloned(),
             policy: policy.name(),
             trained_on: setup.robot.trained_on.clone(),
             weights_sha256: setup.robot.weights_sha256.clone(),

@@ -141,6 +141,7 @@ impl Tally {
             view: task.map_or_else(String::new, |setup| setup.task.view.name().to_owned()),
             needle: task.and_then(|setup| setup.task.needle().map(str::to_owned)),
             scene: task.and_then(|setup| setup.scene_file.clone()),
+            patient: task.and_then(|setup| setup.task.patient().cloned()),
             policy: PolicyCounts {
                 name: plan.policy.name(),
                 trained_on: robot.trained_on.clone(),

@@ -3,6 +3,9 @@
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
+use hal::config::Source;
+use trocar_tasks::task::patient_file;
+
 use super::StudyError;
 use super::address::{hash_file, hash_text};
 use super::file::{PolicyKind, StudyFile};
@@ -108,6 +111,19 @@ impl Materials {
                 let reason = format!("scene {}: {error}", path.display());
                 self.bad(&key, reason)
             })?,
+        };
+        // A scene with a patient is another one with another patient.
+        let text = match &scene {
+            None => Ok(files.scene),
+            Some(path) => Source::read(&path.display().to_string()),
+        };
+        let text = text.map_err(|error| self.bad(&key, error.to_string()))?;
+        let patient = patient_file(&text);
+        let patient =
+            patient.map(|path| hash_file(&path).map_err(|error| StudyError::io(&path, error)));
+        let scene_sha256 = match patient.transpose()? {
+            None => scene_sha256,
+            Some(patient) => hash_text(&format!("{scene_sha256} {patient}")),
         };
         Ok(TaskInput {
             task: files.name,

@@ -4,8 +4,8 @@ use std::collections::BTreeMap;
 
 use serde_json::{Value, json};
 
-use super::Asset;
 use super::gltf::Numbers;
+use super::{Asset, FRAME};
 use crate::number::{index, single};
 
 /// A vertex with its own texture coordinates: a seam has several where the mesh has one.
@@ -83,7 +83,7 @@ impl Document {
             json!({"name": "patient", "rotation": [-half, 0.0, 0.0, half], "children": children}),
         );
         json!({
-            "asset": {"version": "2.0", "generator": "trocar anatomy", "extras": {"frame": "RAS of the scan, m"}},
+            "asset": {"version": "2.0", "generator": "trocar anatomy", "extras": {"frame": FRAME}},
             "extensionsUsed": ["KHR_materials_clearcoat"],
             "scene": 0,
             "scenes": [{"nodes": [nodes.len() - 1]}],

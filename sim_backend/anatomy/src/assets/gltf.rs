@@ -4,10 +4,16 @@ use serde_json::{Value, json};
 
 use crate::number::index;
 
-const FLOAT: u32 = 5126;
-const UNSIGNED_INT: u32 = 5125;
+/// Component types of accessors.
+pub(super) const FLOAT: u32 = 5126;
+pub(super) const UNSIGNED_INT: u32 = 5125;
 const ARRAY_BUFFER: u32 = 34962;
 const ELEMENT_ARRAY_BUFFER: u32 = 34963;
+
+const MAGIC: &[u8; 4] = b"glTF";
+/// Kinds of chunks.
+const JSON: &[u8; 4] = b"JSON";
+const BINARY: &[u8; 4] = b"BIN\0";
 
 /// The numbers of a binary glTF file, with a view and an accessor for each array.
 #[derive(Debug, Default)]
@@ -76,14 +82,48 @@ impl Numbers {
         let length = 12 + 8 + text.len() + 8 + self.bytes.len();
         let mut file = Vec::with_capacity(length);
         let word = |file: &mut Vec<u8>, value: usize| file.extend(index(value).to_le_bytes());
-        file.extend(b"glTF");
+        file.extend(MAGIC);
         word(&mut file, 2);
         word(&mut file, length);
-        for (kind, chunk) in [(b"JSON", &text), (b"BIN\0", &self.bytes)] {
+        for (kind, chunk) in [(JSON, &text), (BINARY, &self.bytes)] {
             word(&mut file, chunk.len());
             file.extend(kind);
             file.extend(chunk);
         }
         file
     }
+}
+
+/// Takes the next `count` bytes.
+fn take<'a>(from: &mut &'a [u8], count: usize) -> Result<&'a [u8], &'static str> {
+    let (taken, rest) = from
+        .split_at_checked(count)
+        .ok_or("it ends in the middle")?;
+    *from = rest;
+    Ok(taken)
+}
+
+/// Takes the next word.
+fn word(from: &mut &[u8]) -> Result<usize, &'static str> {
+    let bytes = take(from, 4)?.first_chunk().copied().unwrap_or_default();
+    Ok(u32::from_le_bytes(bytes) as usize)
+}
+
+/// The JSON and the numbers of a `.glb`; what of it is wrong if it is none.
+pub(super) fn chunks(file: &[u8]) -> Result<[&[u8]; 2], &'static str> {
+    let mut rest = file;
+    if take(&mut rest, 4)? != MAGIC || word(&mut rest)? != 2 {
+        return Err("it is no binary glTF 2.0");
+    }
+    if word(&mut rest)? != file.len() {
+        return Err("it has not the length that it says");
+    }
+    let mut chunk = |kind: &[u8; 4]| {
+        let length = word(&mut rest)?;
+        if take(&mut rest, 4)? != kind {
+            return Err("its chunks are not JSON and numbers");
+        }
+        take(&mut rest, length)
+    };
+    Ok([chunk(JSON)?, chunk(BINARY)?])
 }

@@ -3,6 +3,7 @@
 use nalgebra::Point3;
 use serde_json::Value;
 
+use super::read::parts;
 use super::{Asset, glb, usda};
 use crate::atlas::unwrap;
 use crate::groups::Groups;
@@ -71,4 +72,81 @@ fn usda_has_points_in_metres_and_mass() {
         assert!(text.contains(part), "{part}");
     }
     assert_eq!(text.matches('{').count(), text.matches('}').count());
+}
+
+/// The file of a tetrahedron.
+fn file() -> Vec<u8> {
+    let groups = Groups::load("vista3d").expect("the table is right");
+    glb(&[Asset {
+        group: &groups.groups[0],
+        mesh: &tetrahedron(),
+    }])
+}
+
+#[test]
+fn what_is_written_is_read_again() {
+    let parts = parts(&file()).expect("our own file");
+    assert_eq!(parts.len(), 1);
+    let liver = &parts[0];
+    assert_eq!(liver.name, "liver");
+    assert_eq!(liver.mesh.indices.len(), 12);
+    assert_eq!(liver.mesh.positions.len(), liver.mesh.normals.len());
+    let most = liver
+        .mesh
+        .positions
+        .iter()
+        .map(|p| p[0])
+        .fold(0.0, f32::max);
+    assert!((most - 0.06).abs() < 1e-8, "{most}");
+    let group = &Groups::load("vista3d").expect("the table is right").groups[0];
+    assert!((f64::from(liver.colour[0]) - group.colour[0]).abs() < 1e-6);
+    assert!((f64::from(liver.wetness) - group.wetness).abs() < 1e-6);
+}
+
+/// The file with `old` replaced in its JSON, whose length stays.
+fn changed(old: &str, new: &str) -> Vec<u8> {
+    assert_eq!(old.len(), new.len());
+    let mut bytes = file();
+    let place = bytes
+        .windows(old.len())
+        .position(|part| part == old.as_bytes());
+    let place = place.expect("it is there");
+    bytes[place..place + old.len()].copy_from_slice(new.as_bytes());
+    bytes
+}
+
+/// The file with the first word of its numbers, a coordinate, or the last, an index, replaced.
+fn with_word(first: bool, word: [u8; 4]) -> Vec<u8> {
+    let mut bytes = file();
+    let json = u32::from_le_bytes(bytes[12..16].try_into().expect("four")) as usize;
+    let place = if first { 28 + json } else { bytes.len() - 4 };
+    bytes[place..place + 4].copy_from_slice(&word);
+    bytes
+}
+
+#[test]
+fn hostile_files_are_refused_with_the_reason() {
+    let whole = file();
+    for cut in 0..whole.len() {
+        assert!(parts(&whole[..cut]).is_err(), "{cut} bytes");
+    }
+    for (bytes, reason) in [
+        (b"glTE".to_vec(), "no binary glTF"),
+        (whole[..whole.len() - 1].to_vec(), "the length"),
+        (
+            changed("RAS of the scan, m", "LPS of the scan, m"),
+            "anatomy build",
+        ),
+        (changed("\"count\":12", "\"count\":99"), "no place"),
+        (changed("\"indices\":3", "\"indices\":9"), "no accessor 9"),
+        (changed("\"indices\":3", "\"indices\":1"), "another type"),
+        (changed("\"NORMAL\":1", "\"NORMAL\":0"), "the length 1"),
+        (changed("\"material\":0", "\"material\":7"), "no material 7"),
+        (with_word(true, f32::NAN.to_le_bytes()), "no number"),
+        (with_word(true, 1e9_f32.to_le_bytes()), "further than"),
+        (with_word(false, [255; 4]), "not there"),
+    ] {
+        let error = parts(&bytes).expect_err(reason);
+        assert!(error.contains(reason), "{error}, not {reason}");
+    }
 }

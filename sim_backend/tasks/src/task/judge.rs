@@ -7,7 +7,7 @@ use hal::Pose;
 use hal::config::{ConfigError, Source};
 use nalgebra::Point3;
 use serde::Deserialize;
-use trocar_world::organ::OrganShape;
+use trocar_world::organ::Organ;
 use trocar_world::tissue::{RetractionFailure, TissueReport};
 use trocar_world::{Grasp, World};
 
@@ -392,7 +392,7 @@ impl Safeguard {
 }
 
 /// Whether a needle, the middle of whose arc is at `middle`, has fallen off `organ` or below its surface by more than `sink_m`.
-pub(super) fn is_off(organ: &OrganShape, middle: &Point3<f64>, sink_m: f64) -> bool {
+pub(super) fn is_off(organ: &Organ, middle: &Point3<f64>, sink_m: f64) -> bool {
     let height_m = middle.z - organ.height_m(middle.x, middle.y);
     !organ.covers(middle.x, middle.y) || height_m < -sink_m
 }

@@ -17,6 +17,7 @@ mod judge;
 pub mod needle_handover;
 pub mod needle_lift;
 mod needle_start;
+mod patient;
 pub mod suture_pad;
 pub mod tissue_retraction;
 mod variation;
@@ -38,6 +39,7 @@ pub use files::{SAFETY_FILE, SCENE_FILE, TaskError, TaskFiles};
 pub(crate) use judge::{Judge, Monitor, Sight};
 pub use judge::{Outcome, Reason};
 pub use needle_start::NeedleStart;
+pub use patient::{Lie, Patient, patient_file, tissue_material};
 pub use variation::{CannotVary, Drawn, Look, Variation};
 pub use view::{NoSuchView, VIEW1_SHIFT_M, VIEW1_TURN_RAD, View};
 pub(crate) use visuals::{scene_poses, scene_visuals};
@@ -129,6 +131,11 @@ pub(crate) trait TaskScene: Any + CloneScene + Debug + Send + Sync {
         Err(Vec::new())
     }
 
+    /// The patient whose organ is the ground, if it is one's.
+    fn patient(&self) -> Option<&Patient> {
+        None
+    }
+
     /// What there is to see besides the arms.
     fn visuals(&self) -> Vec<Visual>;
 
@@ -217,6 +224,12 @@ impl TaskConfig {
     #[must_use]
     pub fn needle(&self) -> Option<&str> {
         self.scene.needle()
+    }
+
+    /// How the patient lies whose organ is the ground; none if the ground is made up.
+    #[must_use]
+    pub fn patient(&self) -> Option<&Lie> {
+        self.scene.patient().map(|patient| &patient.lie)
     }
 
     /// The same task with another needle, by the name that the scene file gives it.

@@ -1,13 +1,14 @@
 //! Where the needle lies when an episode begins.
 
 use core::f64::consts::PI;
+use core::iter;
 
 use hal::Pose;
 use hal::config::{ConfigError, Source};
 use nalgebra::{Matrix3, Rotation3, Translation3, UnitQuaternion, Vector3};
 use serde::Deserialize;
 use trocar_world::needle::NeedleShape;
-use trocar_world::organ::OrganShape;
+use trocar_world::organ::Organ;
 use trocar_world::rng::Rng;
 
 /// The region that the needle is drawn from; the paper's is 2.5 cm by 1 cm either way, at one yaw.
@@ -27,17 +28,67 @@ pub struct NeedleStart {
 /// How far above the organ the needle is let go, m: it must not start inside.
 const DROP_M: f64 = 0.000_1;
 
+/// Places that are tried on a measured organ.
+const PLACES_MAX: usize = 1000;
+/// Cosine of the greatest slope that a needle is laid on there: 20 degrees, where friction still holds it.
+const LEVEL_MIN: f64 = 0.94;
+/// Lowest place of its wire there, scene frame, m: fingers reach half a millimetre below a wire, and no lower than -3.5 mm, since the
+/// workspaces of the tasks end at -5 mm.
+const LOW_M: f64 = -0.002;
+
 impl NeedleStart {
     /// The needle's pose at the start of the episode `seed`, just above the organ and flat on it.
     #[must_use]
-    pub fn draw(&self, seed: u64, needle: &NeedleShape, organ: &OrganShape) -> Pose {
+    pub fn draw(&self, seed: u64, needle: &NeedleShape, organ: &Organ) -> Pose {
         let mut rng = Rng::stream(seed, "needle");
+        let first = self.place(&mut rng, needle, organ);
+        match organ {
+            Organ::Rolling(_) => first,
+            Organ::Measured(_) => self.sample(&mut rng, first, needle, organ).unwrap_or(first),
+        }
+    }
+
+    /// `first` or the next place at which the needle lies on a measured organ, within reach; none if there seems to be none.
+    fn sample(
+        &self,
+        rng: &mut Rng,
+        first: Pose,
+        needle: &NeedleShape,
+        organ: &Organ,
+    ) -> Option<Pose> {
+        let more = iter::repeat_with(|| self.place(rng, needle, organ));
+        let mut places = iter::once(first).chain(more).take(PLACES_MAX);
+        places.find(|pose| lies_well(pose, needle, organ))
+    }
+
+    /// A place, drawn uniformly over the region.
+    fn place(&self, rng: &mut Rng, needle: &NeedleShape, organ: &Organ) -> Pose {
         let middle_x = self.centre_m[0] + rng.range(-self.range_m[0], self.range_m[0]);
         let middle_y = self.centre_m[1] + rng.range(-self.range_m[1], self.range_m[1]);
         let yaw = self.yaw_rad + rng.range(-self.yaw_jitter_rad, self.yaw_jitter_rad);
         let x = middle_x - needle.arc_radius_m * yaw.cos();
         let y = middle_y - needle.arc_radius_m * yaw.sin();
         flat_on(organ, needle, x, y, yaw)
+    }
+
+    /// Checks that `needle` can lie somewhere in the region on an organ that a scene file did not make up.
+    pub(super) fn check_on(
+        &self,
+        source: &Source,
+        needle: &NeedleShape,
+        organ: &Organ,
+    ) -> Result<(), ConfigError> {
+        let mut rng = Rng::stream(0, "needle");
+        let first = self.place(&mut rng, needle, organ);
+        let lies = matches!(organ, Organ::Rolling(_))
+            || self.sample(&mut rng, first, needle, organ).is_some();
+        let reason = "nowhere in it the organ is flat enough for the needle";
+        let found = format!("{:?}", self.range_m);
+        if lies {
+            Ok(())
+        } else {
+            Err(source.refused("needle_start.range_m", &found, reason))
+        }
     }
 
     /// Checks every number.
@@ -61,8 +112,18 @@ impl NeedleStart {
     }
 }
 
+/// Whether a needle at `pose` lies wholly on `organ`, not too steep and within reach.
+fn lies_well(pose: &Pose, needle: &NeedleShape, organ: &Organ) -> bool {
+    let level = (pose * Vector3::z()).z >= LEVEL_MIN;
+    let wire = needle.centre_line(25).into_iter().map(|point| pose * point);
+    level
+        && wire
+            .clone()
+            .all(|point| point.z >= LOW_M && organ.covers(point.x, point.y))
+}
+
 /// The pose in which a needle centred over `x` and `y` lies along the organ's slope without touching it.
-fn flat_on(organ: &OrganShape, needle: &NeedleShape, x: f64, y: f64, yaw: f64) -> Pose {
+fn flat_on(organ: &Organ, needle: &NeedleShape, x: f64, y: f64, yaw: f64) -> Pose {
     let normal = organ.normal(x, y).into_inner();
     let ahead = Vector3::new(yaw.cos(), yaw.sin(), 0.0);
     let across = normal.cross(&ahead).normalize();

@@ -38,7 +38,7 @@ impl Touch {
     }
 }
 
-/// A rectangle of heights over the scene's xy-plane; beyond its rim there is nothing to rest on.
+/// A rectangle of heights over the scene's xy-plane, which may have holes; beyond its rim there is nothing to rest on.
 #[derive(Clone, Debug)]
 pub struct Ground {
     low_m: [f64; 2],
@@ -106,6 +106,21 @@ impl Ground {
         }
     }
 
+    /// A surface as a table: heights at `points` (x and y) from `low_m` on, `spacing_m` apart, x first; NaN where there is none.
+    ///
+    /// # Panics
+    /// If there are not as many heights as points.
+    #[must_use]
+    pub fn table(low_m: [f64; 2], spacing_m: f64, points: [usize; 2], heights_m: Vec<f64>) -> Self {
+        assert_eq!(heights_m.len(), points[0] * points[1], "a height a point");
+        Self {
+            low_m,
+            spacing_m: [spacing_m; 2],
+            points,
+            heights_m,
+        }
+    }
+
     /// No ground at all.
     #[must_use]
     pub const fn none() -> Self {
@@ -138,7 +153,7 @@ impl Ground {
         [self.low_m, far]
     }
 
-    /// The tangent plane over (`x`, `y`).
+    /// The tangent plane over (`x`, `y`); none beyond the table and next to a hole in it.
     pub(super) fn plane(&self, x: f64, y: f64) -> Option<Plane> {
         let (i, s) = self.place(0, x)?;
         let (j, t) = self.place(1, y)?;
@@ -151,8 +166,12 @@ impl Ground {
         let (low, high) = (a + s * (b - a), c + s * (d - c));
         let slope_x = ((b - a) + t * ((d - c) - (b - a))) / self.spacing_m[0];
         let slope_y = (high - low) / self.spacing_m[1];
+        let height_m = low + t * (high - low);
+        if height_m.is_nan() {
+            return None;
+        }
         Some(Plane {
-            point: Vector3::new(x, y, low + t * (high - low)),
+            point: Vector3::new(x, y, height_m),
             normal: Vector3::new(-slope_x, -slope_y, 1.0).normalize(),
         })
     }

@@ -4,7 +4,7 @@ use hal::Pose;
 use nalgebra::{Point3, UnitQuaternion, Vector3};
 
 use crate::needle::{NeedleShape, ratio};
-use crate::organ::OrganShape;
+use crate::organ::Organ;
 use crate::tissue::{self, TissueConfig};
 
 /// Everything in a world but the arms.
@@ -97,8 +97,8 @@ pub enum Shape {
 /// What does not move.
 #[derive(Clone, Debug)]
 pub enum Ground {
-    /// A soft organ on a table, a spring contact for the instrument.
-    Organ(OrganShape),
+    /// A soft organ, a spring contact for the instrument; a rolling one lies on a table.
+    Organ(Organ),
     /// Hard convex solids in the scene frame.
     Solids(Vec<Shape>),
     /// A soft organ with a rim, for a flap to lie on, a spring contact for the instrument; things fall through.

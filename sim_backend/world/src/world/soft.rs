@@ -4,7 +4,7 @@ use nalgebra::Vector3;
 
 use super::detect::Found;
 use super::scenery::Ground;
-use crate::organ::OrganShape;
+use crate::organ::{Organ, OrganShape};
 use crate::tissue;
 
 /// Top of the table that an organ lies on, m; a needle pushed over the edge stops there.
@@ -47,7 +47,7 @@ pub(super) fn meet(
     reach_m: f64,
 ) -> Option<Found> {
     match ground {
-        Ground::Organ(organ) => {
+        Ground::Organ(Organ::Rolling(organ)) => {
             // No wave is higher than this, so most points are far above.
             if centre.z - radius_m - organ.amplitude_m > reach_m {
                 return None;
@@ -55,6 +55,7 @@ pub(super) fn meet(
             meet_surface(organ, centre, radius_m, reach_m)
                 .or_else(|| meet_table(centre, radius_m, reach_m))
         }
+        Ground::Organ(Organ::Measured(table)) => meet_surface(&**table, centre, radius_m, reach_m),
         Ground::Bed(bed) => meet_surface(bed, centre, radius_m, reach_m),
         Ground::Solids(_) => None,
     }

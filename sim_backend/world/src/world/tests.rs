@@ -5,6 +5,7 @@ use core::f64::consts::TAU;
 use super::{ArmStart, Ground, Scenery, Thing, World};
 use crate::needle::NeedleShape;
 use crate::needle::tests::HALF_CIRCLE;
+use crate::organ::Organ;
 use crate::organ::tests::BACK_MUSCLE;
 use crate::shipped;
 use hal::psm::FINGER_M;
@@ -58,7 +59,7 @@ impl Bench {
         let config = shipped::world(task);
         let scenery = Scenery {
             things: vec![Thing::needle(shape, needle)],
-            ground: Ground::Organ(BACK_MUSCLE),
+            ground: Ground::Organ(Organ::Rolling(BACK_MUSCLE)),
             flap: None,
         };
         let arm = ArmStart {

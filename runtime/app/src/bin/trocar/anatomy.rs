@@ -4,6 +4,7 @@ use std::path::PathBuf;
 
 use clap::{Args, Subcommand, ValueEnum};
 
+use trocar::session::preview::{self, Preview};
 use trocar::session::run::write_json;
 use trocar::session::{SessionError, anatomy, outputs};
 use trocar_anatomy::build::{Options, Stage};
@@ -28,6 +29,11 @@ pub(crate) enum AnatomyVerb {
         after_help = "Example: trocar anatomy build runs/patient/labels.nii.gz --out runs/patient\n         trocar anatomy build segmentation.nii.gz --groups totalsegmentator --max-error-mm 1 --out runs/case --json runs/case.json\n\nOUT gets patient.glb (glTF), patient.usda (OpenUSD) and patient.json (what was measured), a mesh a tissue group, where the scan has them: right, anterior, superior, in metres. A label that the table does not have is refused; tables of your own have the form of those in config/anatomy/."
     )]
     Build(BuildArgs),
+    /// Draw a patient on a turntable.
+    #[command(
+        after_help = "Example: trocar anatomy preview runs/patient --out runs/patient.gif\n         trocar anatomy preview runs/patient --groups liver,gallbladder,vessels --frames 6 --out runs/liver.png\n\nThe patient is what `trocar anatomy build` made. Without --groups all but the body around the organs are drawn."
+    )]
+    Preview(PreviewArgs),
 }
 
 impl AnatomyVerb {
@@ -36,6 +42,7 @@ impl AnatomyVerb {
         match self {
             Self::Phantom(args) => &args.json,
             Self::Build(args) => &args.json,
+            Self::Preview(_) => &None,
         }
     }
 }
@@ -98,6 +105,26 @@ pub(crate) struct BuildArgs {
     json: Option<PathBuf>,
 }
 
+/// Options of `anatomy preview`.
+#[derive(Args, Debug)]
+pub(crate) struct PreviewArgs {
+    /// The patient's folder.
+    #[arg(value_name = "DIR")]
+    patient: PathBuf,
+    /// The file, .gif for one that turns or .png for pictures side by side; parent folders are made.
+    #[arg(long, value_name = "FILE")]
+    out: PathBuf,
+    /// The tissue groups, with commas between them.
+    #[arg(long, value_name = "NAMES", value_delimiter = ',')]
+    groups: Vec<String>,
+    /// Side of a picture, pixels, 16 to 2048.
+    #[arg(long, value_name = "PX", default_value_t = 320, value_parser = clap::value_parser!(u32).range(16..=2048))]
+    width: u32,
+    /// Pictures of a turn, 1 to 120.
+    #[arg(long, value_name = "N", default_value_t = 36, value_parser = clap::value_parser!(u32).range(1..=120))]
+    frames: u32,
+}
+
 /// How surfaces are found.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 enum Surface {
@@ -126,7 +153,24 @@ pub(crate) fn anatomy(verb: &AnatomyVerb) -> Done {
     match verb {
         AnatomyVerb::Phantom(args) => phantom(args),
         AnatomyVerb::Build(args) => build(args),
+        AnatomyVerb::Preview(args) => draw(args),
     }
+}
+
+fn draw(args: &PreviewArgs) -> Done {
+    outputs::check(&[("--out", Some(args.out.as_path()))], &[])?;
+    let preview = Preview {
+        patient: args.patient.clone(),
+        groups: args.groups.clone(),
+        out: args.out.clone(),
+        width: args.width,
+        frames: args.frames,
+    };
+    let bar = console::progress(u64::from(args.frames), "pictures");
+    preview::draw(&preview, &mut |done| bar.set_position(u64::from(done)))?;
+    bar.finish_and_clear();
+    console::result(&format!("wrote {}", args.out.display()));
+    Ok(true)
 }
 
 fn phantom(args: &PhantomArgs) -> Done {

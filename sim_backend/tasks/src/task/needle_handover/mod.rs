@@ -3,13 +3,15 @@
 mod script;
 mod success;
 
+use std::sync::Arc;
+
 use hal::Pose;
 use hal::config::{ConfigError, Source};
 use nalgebra::{Translation3, UnitQuaternion, Vector3};
 use serde::Deserialize;
 use trocar_render::visual::{Backdrop, Visual, instance};
 use trocar_world::needle::NeedleShape;
-use trocar_world::organ::OrganShape;
+use trocar_world::organ::{Organ, OrganShape};
 use trocar_world::{ArmStart, Ground, Scenery, Thing, WorldConfig};
 
 use script::Passer;
@@ -17,6 +19,7 @@ pub use success::SuccessConfig;
 use success::SuccessMonitor;
 
 use super::common::{ArmFile, CommonFile, EpisodeFile, RenderingFile, TitleFile};
+use super::patient::{self, Patient, SceneFile};
 use super::visuals::{LIVER, NEEDLE_STEEL};
 use super::{CameraConfig, Kind, Monitor, NeedleStart, Parsed, TaskScene};
 use crate::script::AnyScript;
@@ -41,7 +44,9 @@ pub struct NeedleHandover {
     /// Where the needle is to be presented.
     pub presented: Presented,
     /// What the needle lies on.
-    pub organ: OrganShape,
+    pub organ: Organ,
+    /// Whose organ that is, if it is a patient's.
+    pub patient: Option<Arc<Patient>>,
     /// What counts as success.
     pub success: SuccessConfig,
 }
@@ -61,6 +66,7 @@ pub struct Presented {
 struct File {
     #[serde(rename = "task")]
     _task: TitleFile,
+    scene: Option<SceneFile>,
     episode: EpisodeFile,
     arm: Vec<ArmFile>,
     needle: NeedleShape,
@@ -82,8 +88,9 @@ fn parse(source: &Source) -> Result<Parsed, ConfigError> {
         source.check_range(&format!("presented.centre_m.{axis}"), value, -0.05, 0.1)?;
     }
     source.check_range("presented.yaw_rad", file.presented.yaw_rad, -3.2, 3.2)?;
-    file.organ.check(source, "organ")?;
     file.success.check(source)?;
+    let (organ, patient) = patient::ground(source, file.organ, file.scene.as_ref())?;
+    file.needle_start.check_on(source, &file.needle, &organ)?;
     let common = CommonFile {
         arm: file.arm,
         world: file.world,
@@ -95,7 +102,8 @@ fn parse(source: &Source) -> Result<Parsed, ConfigError> {
         needle: file.needle,
         start: file.needle_start,
         presented: file.presented,
-        organ: file.organ,
+        organ,
+        patient,
         success: file.success,
     };
     Ok((common, Box::new(scene)))
@@ -106,7 +114,7 @@ impl TaskScene for NeedleHandover {
         let in_scene = self.start.draw(seed, &self.needle, &self.organ);
         Scenery {
             things: vec![Thing::needle(&self.needle, in_scene)],
-            ground: Ground::Organ(self.organ),
+            ground: Ground::Organ(self.organ.clone()),
             flap: None,
         }
     }
@@ -125,22 +133,34 @@ impl TaskScene for NeedleHandover {
         Box::new(Passer::new(self, arms, seed))
     }
 
+    fn patient(&self) -> Option<&Patient> {
+        self.patient.as_deref()
+    }
+
     fn visuals(&self) -> Vec<Visual> {
-        vec![
-            Visual::new("liver", self.organ.lobed_mesh(), LIVER, instance::ORGAN),
-            Visual::new("needle", self.needle.mesh(), NEEDLE_STEEL, instance::NEEDLE),
-        ]
+        let liver =
+            |shape: &OrganShape| Visual::new("liver", shape.lobed_mesh(), LIVER, instance::ORGAN);
+        let mut visuals = patient::visuals(&self.organ, self.patient(), liver);
+        let needle = self.needle.mesh();
+        visuals.push(Visual::new(
+            "needle",
+            needle,
+            NEEDLE_STEEL,
+            instance::NEEDLE,
+        ));
+        visuals
     }
 
     fn backdrop(&self) -> Backdrop {
-        Backdrop {
+        let over_liver = Backdrop {
             bounce: [0.20, 0.045, 0.03],
             ..Backdrop::CAVITY
-        }
+        };
+        patient::backdrop(self.patient(), over_liver)
     }
 
     fn visual_poses(&self, things: &[Pose], _goal: &Pose) -> Vec<Pose> {
-        vec![Pose::identity(), things[0]]
+        patient::poses(self.patient(), things[0])
     }
 }
 

@@ -6,7 +6,7 @@ use nalgebra::Point3;
 use serde::Deserialize;
 use trocar_world::Grasp;
 use trocar_world::needle::NeedleShape;
-use trocar_world::organ::OrganShape;
+use trocar_world::organ::Organ;
 
 use super::NeedleHandover;
 use crate::task::judge::{Held, Limits, PressLimit, Safeguard, is_off, seconds};
@@ -76,7 +76,7 @@ impl SuccessConfig {
 pub(super) struct SuccessMonitor {
     config: SuccessConfig,
     needle: NeedleShape,
-    organ: OrganShape,
+    organ: Organ,
     wire: Vec<Point3<f64>>,
     given_steps: u64,
     given: bool,
@@ -92,7 +92,7 @@ impl SuccessMonitor {
         let config = scene.success.clone();
         Self {
             needle: scene.needle,
-            organ: scene.organ,
+            organ: scene.organ.clone(),
             wire: scene.needle.centre_line(WIRE_POINTS),
             given_steps: 0,
             given: false,

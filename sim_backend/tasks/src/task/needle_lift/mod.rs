@@ -4,13 +4,14 @@ mod script;
 mod success;
 
 use std::collections::BTreeMap;
+use std::sync::Arc;
 
 use hal::Pose;
 use hal::config::{ConfigError, Source};
 use serde::Deserialize;
-use trocar_render::visual::{Visual, instance};
+use trocar_render::visual::{Backdrop, Visual, instance};
 use trocar_world::needle::NeedleShape;
-use trocar_world::organ::OrganShape;
+use trocar_world::organ::{Organ, OrganShape};
 use trocar_world::{ArmStart, Ground, Scenery, Thing, WorldConfig};
 
 use script::Lifter;
@@ -18,6 +19,7 @@ pub use success::SuccessConfig;
 use success::SuccessMonitor;
 
 use super::common::{ArmFile, CommonFile, EpisodeFile, RenderingFile, TitleFile};
+use super::patient::{self, Patient, SceneFile};
 use super::visuals::{MUSCLE, NEEDLE_STEEL};
 use super::{CameraConfig, Kind, Monitor, NeedleStart, Parsed, TaskScene};
 use crate::script::AnyScript;
@@ -48,7 +50,9 @@ pub struct NeedleLift {
     /// Where the needle may lie at the start.
     pub start: NeedleStart,
     /// What the needle lies on.
-    pub organ: OrganShape,
+    pub organ: Organ,
+    /// Whose organ that is, if it is a patient's.
+    pub patient: Option<Arc<Patient>>,
     /// What counts as success.
     pub success: SuccessConfig,
 }
@@ -58,6 +62,7 @@ pub struct NeedleLift {
 struct File {
     #[serde(rename = "task")]
     _task: TitleFile,
+    scene: Option<SceneFile>,
     episode: EpisodeFile,
     arm: Vec<ArmFile>,
     needle: BTreeMap<String, NeedleShape>,
@@ -79,8 +84,9 @@ fn parse(source: &Source) -> Result<Parsed, ConfigError> {
         return Err(source.out_of_range("needle", "no such needle", TRAINED));
     };
     file.needle_start.check(source)?;
-    file.organ.check(source, "organ")?;
     file.success.check(source)?;
+    let (organ, patient) = patient::ground(source, file.organ, file.scene.as_ref())?;
+    file.needle_start.check_on(source, &trained, &organ)?;
     let common = CommonFile {
         arm: file.arm,
         world: file.world,
@@ -93,7 +99,8 @@ fn parse(source: &Source) -> Result<Parsed, ConfigError> {
         needle_name: TRAINED.to_owned(),
         needles: file.needle,
         start: file.needle_start,
-        organ: file.organ,
+        organ,
+        patient,
         success: file.success,
     };
     Ok((common, Box::new(scene)))
@@ -104,7 +111,7 @@ impl TaskScene for NeedleLift {
         let in_scene = self.start.draw(seed, &self.needle, &self.organ);
         Scenery {
             things: vec![Thing::needle(&self.needle, in_scene)],
-            ground: Ground::Organ(self.organ),
+            ground: Ground::Organ(self.organ.clone()),
             flap: None,
         }
     }
@@ -125,11 +132,26 @@ impl TaskScene for NeedleLift {
         Box::new(Alone::new(Lifter::new(self), arms, seed))
     }
 
+    fn patient(&self) -> Option<&Patient> {
+        self.patient.as_deref()
+    }
+
     fn visuals(&self) -> Vec<Visual> {
-        vec![
-            Visual::new("organ", self.organ.mesh(), MUSCLE, instance::ORGAN),
-            Visual::new("needle", self.needle.mesh(), NEEDLE_STEEL, instance::NEEDLE),
-        ]
+        let muscle =
+            |shape: &OrganShape| Visual::new("organ", shape.mesh(), MUSCLE, instance::ORGAN);
+        let mut visuals = patient::visuals(&self.organ, self.patient(), muscle);
+        let needle = self.needle.mesh();
+        visuals.push(Visual::new(
+            "needle",
+            needle,
+            NEEDLE_STEEL,
+            instance::NEEDLE,
+        ));
+        visuals
+    }
+
+    fn backdrop(&self) -> Backdrop {
+        patient::backdrop(self.patient(), Backdrop::CAVITY)
     }
 
     fn needle(&self) -> Option<&str> {
@@ -150,7 +172,7 @@ impl TaskScene for NeedleLift {
     }
 
     fn visual_poses(&self, things: &[Pose], _goal: &Pose) -> Vec<Pose> {
-        vec![Pose::identity(), things[0]]
+        patient::poses(self.patient(), things[0])
     }
 }
 

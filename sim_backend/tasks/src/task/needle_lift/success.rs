@@ -6,7 +6,7 @@ use nalgebra::Point3;
 use serde::Deserialize;
 use trocar_world::Grasp;
 use trocar_world::needle::NeedleShape;
-use trocar_world::organ::OrganShape;
+use trocar_world::organ::Organ;
 
 use crate::task::judge::{Held, Limits, PressLimit, Safeguard, is_off};
 use crate::task::{Monitor, Outcome, Sight};
@@ -72,20 +72,20 @@ pub(super) struct SuccessMonitor {
     middle: Point3<f64>,
     wire: Vec<Point3<f64>>,
     wire_radius_m: f64,
-    organ: OrganShape,
+    organ: Organ,
     held: Held,
     safeguard: Safeguard,
 }
 
 impl SuccessMonitor {
     /// A monitor at the start of an episode.
-    pub(super) fn new(config: &SuccessConfig, needle: &NeedleShape, organ: &OrganShape) -> Self {
+    pub(super) fn new(config: &SuccessConfig, needle: &NeedleShape, organ: &Organ) -> Self {
         Self {
             config: config.clone(),
             middle: Point3::new(needle.arc_radius_m, 0.0, 0.0),
             wire: needle.centre_line(WIRE_POINTS),
             wire_radius_m: needle.wire_radius_m,
-            organ: *organ,
+            organ: organ.clone(),
             held: Held::default(),
             safeguard: Safeguard::new("needle", "organ", config.limits(), config.press),
         }

@@ -3,6 +3,7 @@
 use nalgebra::{Point3, UnitQuaternion, Vector3};
 
 use super::{Bench, Ground, HALF_CIRCLE, Scenery, Thing, World};
+use crate::organ::Organ;
 use crate::organ::tests::BACK_MUSCLE;
 use crate::shipped;
 use crate::world::{Shape, WorldConfig};
@@ -50,7 +51,7 @@ fn a_needle_falls_as_a_stone_does() {
     let config = config("needle-lift");
     let tilted = UnitQuaternion::from_euler_angles(0.4, -0.7, 0.2);
     let start = Pose::from_parts([0.0, 0.0, 1.0].into(), tilted);
-    let mut world = alone(&config, Ground::Organ(BACK_MUSCLE), start);
+    let mut world = alone(&config, Ground::Organ(Organ::Rolling(BACK_MUSCLE)), start);
     let g = config.gravity_m_s2;
     world.stage.throw(0, &[Vector3::zeros(); 2]);
     let (from, energy_j) = (centre(&world), world.energy_j(0));
@@ -74,7 +75,7 @@ fn a_needle_falls_as_a_stone_does() {
 #[test]
 fn a_needle_that_bounces_never_has_more_energy_than_before() {
     for (task, ground) in [
-        ("needle-lift", Ground::Organ(BACK_MUSCLE)),
+        ("needle-lift", Ground::Organ(Organ::Rolling(BACK_MUSCLE))),
         ("suture-pad", plate()),
     ] {
         let config = config(task);

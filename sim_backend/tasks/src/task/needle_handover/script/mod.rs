@@ -14,7 +14,7 @@ use hal::psm::FINGER_M;
 use hal::{Pose, TimeNs, TipTarget};
 use trocar_world::ArmStart;
 use trocar_world::needle::NeedleShape;
-use trocar_world::organ::OrganShape;
+use trocar_world::organ::Organ;
 use trocar_world::rng::Rng;
 
 use super::NeedleHandover;
@@ -47,17 +47,17 @@ const FINGER_REACH_M: f64 = 0.001_5;
 #[derive(Clone, Debug)]
 pub(super) struct Passer {
     shape: NeedleShape,
-    organ: OrganShape,
+    organ: Organ,
     bases: [Pose; 2],
     giver: Hand<Giver>,
     taker: Hand<Taker>,
 }
 
 /// What a hand sees, in the scene frame.
-#[derive(Clone, Copy)]
+#[derive(Clone)]
 pub(crate) struct View {
     shape: NeedleShape,
-    organ: OrganShape,
+    organ: Organ,
     needle: Pose,
     presented: Pose,
     /// The arm of the hand that looks.
@@ -118,7 +118,7 @@ impl Passer {
     pub(super) fn new(scene: &NeedleHandover, arms: &[ArmStart], seed: u64) -> Self {
         Self {
             shape: scene.needle,
-            organ: scene.organ,
+            organ: scene.organ.clone(),
             bases: [arms[0].scene_from_rcm, arms[1].scene_from_rcm],
             giver: Hand::new(Giver, Rng::stream(seed, "giver")),
             taker: Hand::new(Taker, Rng::stream(seed, "taker")),
@@ -132,7 +132,7 @@ impl Passer {
         let arms = [&scene.first, second];
         let view = |arm: &ArmScene, base: &Pose| View {
             shape: self.shape,
-            organ: self.organ,
+            organ: self.organ.clone(),
             needle: self.bases[0] * scene.first.thing_in_rcm,
             presented: scene.goal_in_scene.unwrap_or_else(Pose::identity),
             arm: ArmView {

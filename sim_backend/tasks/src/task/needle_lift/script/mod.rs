@@ -8,7 +8,7 @@ mod style;
 use hal::{Pose, TimeNs};
 use nalgebra::{Translation3, Vector3};
 use trocar_world::needle::NeedleShape;
-use trocar_world::organ::OrganShape;
+use trocar_world::organ::Organ;
 
 use super::NeedleLift;
 use crate::script::alone::View;
@@ -35,7 +35,7 @@ const SPARE_LIFT_M: f64 = 0.010;
 #[derive(Clone, Debug)]
 pub(super) struct Lifter {
     needle: NeedleShape,
-    organ: OrganShape,
+    organ: Organ,
     /// How far to lift at least, m.
     lift_m_min: f64,
 }
@@ -113,7 +113,7 @@ impl Lifter {
     pub(super) fn new(lift: &NeedleLift) -> Self {
         Self {
             needle: lift.needle,
-            organ: lift.organ,
+            organ: lift.organ.clone(),
             lift_m_min: lift.success.lift_height_m + SPARE_LIFT_M,
         }
     }

@@ -1,0 +1,289 @@
+//! A patient's meshes out of the `.glb` that [`super::glb`] made. Whatever else is in the file's place is refused with the reason.
+
+use std::fs::{self, File};
+use std::io::{self, Read};
+use std::path::{Path, PathBuf};
+
+use hal::Mesh;
+use nalgebra::Vector3;
+use serde::Deserialize;
+
+use super::gltf::{FLOAT, UNSIGNED_INT, chunks};
+use super::{FRAME, GLB_FILE};
+
+/// Most bytes of a file.
+const BYTES_MAX: u64 = 256 << 20;
+
+/// Most groups of a patient.
+const PARTS_MAX: usize = 64;
+
+/// How far from the scan's origin a vertex may be, m.
+const FAR_M: f32 = 10.0;
+
+/// A tissue group as it lies in the file.
+#[derive(Clone, Debug)]
+pub struct Part {
+    /// Its name.
+    pub name: String,
+    /// Its surface in the scan's world (RAS), m; vertices are split where texture coordinates have seams.
+    pub mesh: Mesh,
+    /// Base colour, linear RGB in [0, 1].
+    pub colour: [f32; 3],
+    /// Roughness of the surface in [0, 1].
+    pub roughness: f32,
+    /// Strength of the clear film on it in [0, 1].
+    pub wetness: f32,
+}
+
+/// Why there is no patient in a folder.
+#[derive(Debug, thiserror::Error)]
+pub enum PatientError {
+    /// The file can't be read.
+    #[error("{path} can't be read: {source}")]
+    Unreadable {
+        /// The file.
+        path: PathBuf,
+        /// The system's reason.
+        source: io::Error,
+    },
+    /// The file is not a patient's.
+    #[error("{path}: {reason}")]
+    Malformed {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong.
+        reason: String,
+    },
+}
+
+#[derive(Deserialize)]
+struct Document {
+    asset: Header,
+    #[serde(default)]
+    accessors: Vec<Accessor>,
+    #[serde(default, rename = "bufferViews")]
+    views: Vec<View>,
+    #[serde(default)]
+    meshes: Vec<MeshFile>,
+    #[serde(default)]
+    materials: Vec<MaterialFile>,
+}
+
+#[derive(Deserialize)]
+struct Header {
+    #[serde(default)]
+    extras: Extras,
+}
+
+#[derive(Default, Deserialize)]
+struct Extras {
+    frame: Option<String>,
+}
+
+#[derive(Deserialize)]
+#[serde(rename_all = "camelCase")]
+struct Accessor {
+    buffer_view: usize,
+    component_type: u32,
+    count: usize,
+    #[serde(rename = "type")]
+    shape: String,
+}
+
+#[derive(Deserialize)]
+#[serde(rename_all = "camelCase")]
+struct View {
+    #[serde(default)]
+    byte_offset: usize,
+    byte_length: usize,
+}
+
+#[derive(Deserialize)]
+struct MeshFile {
+    name: String,
+    primitives: [Primitive; 1],
+}
+
+#[derive(Deserialize)]
+struct Primitive {
+    attributes: Attributes,
+    indices: usize,
+    material: usize,
+}
+
+#[derive(Deserialize)]
+struct Attributes {
+    #[serde(rename = "POSITION")]
+    position: usize,
+    #[serde(rename = "NORMAL")]
+    normal: usize,
+}
+
+#[derive(Deserialize)]
+struct MaterialFile {
+    #[serde(rename = "pbrMetallicRoughness")]
+    base: Base,
+    #[serde(default)]
+    extensions: Extensions,
+}
+
+#[derive(Deserialize)]
+#[serde(rename_all = "camelCase")]
+struct Base {
+    base_color_factor: [f32; 4],
+    roughness_factor: f32,
+}
+
+#[derive(Default, Deserialize)]
+struct Extensions {
+    #[serde(default, rename = "KHR_materials_clearcoat")]
+    film: Film,
+}
+
+#[derive(Default, Deserialize)]
+#[serde(rename_all = "camelCase")]
+struct Film {
+    #[serde(default)]
+    clearcoat_factor: f32,
+}
+
+/// The document with the numbers it speaks of.
+struct Content<'a> {
+    document: Document,
+    numbers: &'a [u8],
+    /// Bytes that may still be taken, as many as there are: arrays that share them make no large patient of a small file.
+    left: usize,
+}
+
+/// The groups of the patient in `folder`, in the file's order.
+///
+/// # Errors
+/// [`PatientError`] with the file and what is wrong with it.
+pub fn read(folder: &Path) -> Result<Vec<Part>, PatientError> {
+    let path = folder.join(GLB_FILE);
+    let bytes = load(&path).map_err(|source| PatientError::Unreadable {
+        path: path.clone(),
+        source,
+    })?;
+    parts(&bytes).map_err(|reason| PatientError::Malformed { path, reason })
+}
+
+fn load(path: &Path) -> io::Result<Vec<u8>> {
+    let found = fs::metadata(path)?;
+    if !found.is_file() {
+        return Err(io::Error::other("it is no file"));
+    }
+    let mut bytes = Vec::new();
+    File::open(path)?
+        .take(BYTES_MAX + 1)
+        .read_to_end(&mut bytes)?;
+    if bytes.len() as u64 > BYTES_MAX {
+        let reason = format!("it has more than {BYTES_MAX} bytes");
+        return Err(io::Error::other(reason));
+    }
+    Ok(bytes)
+}
+
+/// The groups in the bytes of a file, or what is wrong with them.
+pub(super) fn parts(file: &[u8]) -> Result<Vec<Part>, String> {
+    let [json, numbers] = chunks(file)?;
+    let document: Document = serde_json::from_slice(json).map_err(|error| error.to_string())?;
+    if document.asset.extras.frame.as_deref() != Some(FRAME) {
+        return Err("it is no patient that `trocar anatomy build` made".to_owned());
+    }
+    let count = document.meshes.len();
+    if !(1..=PARTS_MAX).contains(&count) {
+        return Err(format!("it has {count} meshes, of 1 to {PARTS_MAX}"));
+    }
+    let mut content = Content {
+        document,
+        numbers,
+        left: numbers.len(),
+    };
+    (0..count).map(|mesh| content.part(mesh)).collect()
+}
+
+impl Content<'_> {
+    fn part(&mut self, index: usize) -> Result<Part, String> {
+        let MeshFile { name, primitives } = &self.document.meshes[index];
+        let name = name.clone();
+        let [primitive] = primitives;
+        let Attributes { position, normal } = primitive.attributes;
+        let (indices, material) = (primitive.indices, primitive.material);
+        let surface = self.document.materials.get(material);
+        let surface = surface.ok_or_else(|| format!("{name}: it has no material {material}"))?;
+        let [r, g, b, _] = surface.base.base_color_factor;
+        let film = surface.extensions.film.clearcoat_factor;
+        let looks = [r, g, b, surface.base.roughness_factor, film];
+        let mut of = |accessor, kind| {
+            self.array(accessor, kind)
+                .map_err(|e| format!("{name}: {e}"))
+        };
+        let mesh = Mesh {
+            positions: vectors(&of(position, (FLOAT, "VEC3"))?),
+            normals: vectors(&of(normal, (FLOAT, "VEC3"))?),
+            indices: of(indices, (UNSIGNED_INT, "SCALAR"))?,
+        };
+        let wrong = fault(&mesh).or_else(|| {
+            let outside = looks.iter().any(|value| !(0.0..=1.0).contains(value));
+            outside.then_some("a colour, roughness or film is outside [0, 1]")
+        });
+        if let Some(reason) = wrong {
+            return Err(format!("{name}: {reason}"));
+        }
+        Ok(Part {
+            name,
+            mesh,
+            colour: [r, g, b],
+            roughness: looks[3],
+            wetness: film,
+        })
+    }
+
+    /// The words of an accessor of the given component type and shape.
+    fn array(&mut self, index: usize, kind: (u32, &str)) -> Result<Vec<u32>, String> {
+        let accessor = self.document.accessors.get(index);
+        let accessor = accessor.ok_or_else(|| format!("there is no accessor {index}"))?;
+        if (accessor.component_type, accessor.shape.as_str()) != kind {
+            return Err(format!("accessor {index} has another type"));
+        }
+        let wide = if kind.1 == "SCALAR" { 1 } else { 3 };
+        let length = accessor.count.checked_mul(4 * wide);
+        let view = self.document.views.get(accessor.buffer_view);
+        let bytes = view
+            .filter(|view| Some(view.byte_length) == length && view.byte_length <= self.left)
+            .and_then(|view| {
+                let end = view.byte_offset.checked_add(view.byte_length)?;
+                self.numbers.get(view.byte_offset..end)
+            })
+            .ok_or_else(|| format!("accessor {index} has no place among the numbers"))?;
+        self.left -= bytes.len();
+        let words = bytes.as_chunks::<4>().0;
+        Ok(words.iter().map(|word| u32::from_le_bytes(*word)).collect())
+    }
+}
+
+fn vectors(words: &[u32]) -> Vec<[f32; 3]> {
+    let vectors = words.as_chunks::<3>().0.iter();
+    vectors.map(|v| v.map(f32::from_bits)).collect()
+}
+
+/// What is wrong with a mesh.
+fn fault(mesh: &Mesh) -> Option<&'static str> {
+    let near = |p: &[f32; 3]| p.iter().all(|x| x.abs() <= FAR_M);
+    let unit = |n: &[f32; 3]| (Vector3::from(*n).norm() - 1.0).abs() <= 0.01;
+    let there = |index: &u32| (*index as usize) < mesh.positions.len();
+    if mesh.indices.is_empty() || !mesh.indices.len().is_multiple_of(3) {
+        Some("it has no whole number of triangles")
+    } else if mesh.positions.len() != mesh.normals.len() {
+        Some("it has more or fewer normals than vertices")
+    } else if !mesh.positions.iter().all(near) {
+        Some("a vertex is no number or further than 10 m away")
+    } else if !mesh.normals.iter().all(unit) {
+        Some("a normal has not the length 1")
+    } else if !mesh.indices.iter().all(there) {
+        Some("a triangle has a corner that is not there")
+    } else {
+        None
+    }
+}

@@ -1,0 +1,180 @@
+//! A patient under the instruments: `[scene] patient = "DIR", organ = "liver"` makes an organ of what `trocar anatomy build` wrote into
+//! `DIR` the ground of a task.
+//!
+//! The patient is turned so that the flattest patch on the organ's front faces the instruments, the head away from the viewer, and raised
+//! so that the patch is 5 mm above the scene's z = 0 in the mean. The organ is rounded between its vertices, once for physics and pictures
+//! alike: what is felt is a table of the heights that are drawn. Its neighbours are scenery alone, pressed down where they would stand in
+//! the way.
+
+mod looks;
+mod neighbours;
+mod patch;
+mod relief;
+mod rounding;
+
+use core::iter;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use hal::config::{ConfigError, Source};
+use hal::{Mesh, Pose};
+use serde::{Deserialize, Serialize};
+use trocar_anatomy::assets::{self, GLB_FILE, Part};
+use trocar_render::shapes::placed;
+use trocar_render::visual::{Backdrop, Visual, instance};
+use trocar_world::organ::{Organ, OrganShape};
+
+pub use looks::tissue_material;
+use patch::Patch;
+use relief::Relief;
+
+/// Distance of the points of the table of heights, m.
+const SPACING_M: f64 = 0.000_5;
+
+/// Height of the floor behind the organs, m: organs are higher than the slabs of the other scenes.
+const FLOOR_M: f64 = -0.060;
+
+/// `[scene]`.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct SceneFile {
+    /// The folder of the patient; a relative path is one from where the program was started.
+    patient: String,
+    /// The tissue group that is the ground.
+    organ: String,
+}
+
+/// How a patient lies in the scene.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Lie {
+    /// The patient's folder.
+    pub patient: String,
+    /// The organ under the instruments.
+    pub organ: String,
+    /// The middle of the patch that faces the instruments, in the scan's world (RAS), m.
+    pub patch_in_scan_m: [f64; 3],
+    /// The scene's x, y and z in the scan's world.
+    pub axes_in_scan: [[f64; 3]; 3],
+    /// How far the patch is from flat, root of the mean square, m.
+    pub roughness_m: f64,
+}
+
+/// A patient in the scene.
+#[derive(Clone, Debug)]
+pub struct Patient {
+    /// How it lies there.
+    pub lie: Lie,
+    /// The organ as physics has it, scene frame.
+    pub organ: Organ,
+    visuals: Vec<Visual>,
+}
+
+impl SceneFile {
+    /// Reads the patient and lays it under the instruments. The organ is felt over the rectangle of `extent`.
+    ///
+    /// # Errors
+    /// [`ConfigError::Refused`] if there is no patient in the folder, its file is damaged, or no patch of the organ is fit to work on;
+    /// [`ConfigError::OutOfRange`] if it has no such organ.
+    fn load(&self, source: &Source, extent: &OrganShape) -> Result<Patient, ConfigError> {
+        let parts = assets::read(Path::new(&self.patient));
+        let parts = parts
+            .map_err(|error| source.refused("scene.patient", &self.patient, &error.to_string()))?;
+        let Some(organ) = parts.iter().find(|part| part.name == self.organ) else {
+            let names: Vec<&str> = parts.iter().map(|part| part.name.as_str()).collect();
+            return Err(source.out_of_range("scene.organ", &self.organ, &names.join(", ")));
+        };
+        let patch = Patch::choose(&organ.mesh)
+            .map_err(|reason| source.refused("scene.organ", &self.organ, &reason))?;
+        let drawn = placed(organ.mesh.clone(), &patch.scene_from_scan);
+        let half_m = [0.5 * extent.length_m, 0.5 * extent.width_m];
+        let drawn = rounding::rounded(drawn, half_m);
+        let table = Relief::of(&drawn, &Pose::identity(), half_m, SPACING_M).table();
+        Ok(Patient {
+            lie: self.lie(&patch),
+            organ: Organ::Measured(Arc::new(table)),
+            visuals: self.visuals(&parts, drawn, &patch.scene_from_scan),
+        })
+    }
+
+    fn visuals(&self, parts: &[Part], drawn: Mesh, scene_from_scan: &Pose) -> Vec<Visual> {
+        let around = neighbours::around(&drawn, &self.organ, parts, scene_from_scan);
+        let own = parts.iter().filter(|part| part.name == self.organ);
+        let organ = own.take(1).map(|part| {
+            let material = tissue_material(part);
+            Visual::new(looks::name(part), drawn.clone(), material, instance::ORGAN)
+        });
+        organ.chain(around).collect()
+    }
+
+    fn lie(&self, patch: &Patch) -> Lie {
+        let scan_from_scene = patch.scene_from_scan.inverse();
+        let turn = scan_from_scene.rotation.to_rotation_matrix();
+        Lie {
+            patient: self.patient.clone(),
+            organ: self.organ.clone(),
+            patch_in_scan_m: scan_from_scene.translation.vector.into(),
+            axes_in_scan: turn.into_inner().into(),
+            roughness_m: patch.roughness_m,
+        }
+    }
+}
+
+/// The part of a scene file that says whose organ is the ground.
+#[derive(Deserialize)]
+struct Heading {
+    scene: SceneFile,
+}
+
+/// The patient's file that a scene file names, if it names one.
+#[must_use]
+pub fn patient_file(scene: &Source) -> Option<PathBuf> {
+    let heading = scene.parse::<Heading>().ok()?;
+    Some(Path::new(&heading.scene.patient).join(GLB_FILE))
+}
+
+/// What things lie on in a scene whose file says `shape`, and `scene` if it has that table.
+///
+/// # Errors
+/// Those of the shape's ranges and of the patient.
+pub(super) fn ground(
+    source: &Source,
+    shape: OrganShape,
+    scene: Option<&SceneFile>,
+) -> Result<(Organ, Option<Arc<Patient>>), ConfigError> {
+    shape.check(source, "organ")?;
+    let Some(scene) = scene else {
+        return Ok((Organ::Rolling(shape), None));
+    };
+    let patient = scene.load(source, &shape)?;
+    Ok((patient.organ.clone(), Some(Arc::new(patient))))
+}
+
+/// What there is to see of the ground, the organ first, all in the scene frame: the patient's, or what `made_up` draws.
+pub(super) fn visuals(
+    organ: &Organ,
+    patient: Option<&Patient>,
+    made_up: impl Fn(&OrganShape) -> Visual,
+) -> Vec<Visual> {
+    match (patient, organ) {
+        (Some(patient), _) => patient.visuals.clone(),
+        (None, Organ::Rolling(shape)) => vec![made_up(shape)],
+        (None, Organ::Measured(_)) => Vec::new(),
+    }
+}
+
+/// Poses of these visuals, and of the one thing that lies on the organ.
+pub(super) fn poses(patient: Option<&Patient>, thing: Pose) -> Vec<Pose> {
+    let still = patient.map_or(1, |patient| patient.visuals.len());
+    iter::repeat_n(Pose::identity(), still)
+        .chain([thing])
+        .collect()
+}
+
+/// What is behind a patient, or else `made_up`.
+pub(super) fn backdrop(patient: Option<&Patient>, made_up: Backdrop) -> Backdrop {
+    let floor_m = patient.map_or(made_up.floor_m, |_| FLOOR_M);
+    Backdrop { floor_m, ..made_up }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,112 @@
+//! Where on an organ to work: the flattest place of its front.
+
+use hal::{Mesh, Pose};
+use nalgebra::{Matrix3, Point3, Rotation3, Translation3, UnitQuaternion, Vector3};
+
+use super::relief::Relief;
+
+/// Radius of the patch, m: needles lie within it, and fingers about them.
+const RADIUS_M: f64 = 0.030;
+/// How far around nothing of the organ may stand up, m, and how high, m.
+const AROUND_M: f64 = 0.060;
+const STANDS_UP_M: f64 = 0.015;
+/// Distance of the heights that a place is judged by, m.
+const SPACING_M: f64 = 0.004;
+/// Mean height of the patch in the scene, m: workspaces end 5 mm below z = 0, and an organ falls off around the patch.
+const RAISED_M: f64 = 0.005;
+/// Cosine of the greatest angle between the surface and the patient's front: instruments come in through the belly.
+const FRONT_MIN: f64 = 0.5;
+/// Most places that are looked at.
+const PLACES_MAX: usize = 500;
+/// Size of the body, m: no organ reaches further.
+const ORGAN_M_MAX: f64 = 1.0;
+
+/// The place, as the pose that the patient has with it under the instruments.
+pub(super) struct Patch {
+    pub(super) scene_from_scan: Pose,
+    /// Distance from flat, root of the mean square, m.
+    pub(super) roughness_m: f64,
+}
+
+impl Patch {
+    /// The flattest place on the front of the organ `mesh` (RAS, m); the same for the same mesh.
+    ///
+    /// # Errors
+    /// Why there is none.
+    pub(super) fn choose(mesh: &Mesh) -> Result<Self, String> {
+        let extent_m = extent_m(mesh);
+        if extent_m > ORGAN_M_MAX {
+            return Err(format!(
+                "it is {extent_m:.2} m long, of at most {ORGAN_M_MAX} m"
+            ));
+        }
+        let front: Vec<(Point3<f64>, Vector3<f64>)> = places(mesh)
+            .filter(|(_, normal)| normal.y >= FRONT_MIN)
+            .collect();
+        let step = front.len().div_ceil(PLACES_MAX).max(1);
+        let patches = front.iter().step_by(step);
+        let patches = patches.filter_map(|(at, normal)| Self::at(mesh, at, normal));
+        let best = patches.reduce(|best, patch| {
+            if patch.roughness_m < best.roughness_m {
+                patch
+            } else {
+                best
+            }
+        });
+        best.ok_or_else(|| {
+            format!(
+                "no place on its front has {:.0} mm of surface around it and nothing beside that stands up",
+                1e3 * RADIUS_M
+            )
+        })
+    }
+
+    /// The place `at` with the outward `normal`; none if the organ does not reach all around.
+    fn at(mesh: &Mesh, at: &Point3<f64>, normal: &Vector3<f64>) -> Option<Self> {
+        let facing = facing(at, normal);
+        let relief = Relief::of(mesh, &facing, [AROUND_M; 2], SPACING_M);
+        let (mut count, mut sum, mut squares) = (0.0, 0.0, 0.0);
+        for (x, y, height_m) in relief.points() {
+            if x.hypot(y) <= RADIUS_M {
+                // NaN where there is no surface, and then the sums are.
+                (count, sum, squares) =
+                    (count + 1.0, sum + height_m, squares + height_m * height_m);
+            } else if height_m > STANDS_UP_M {
+                return None;
+            }
+        }
+        let mean_m: f64 = sum / count;
+        let roughness_m = (squares / count - mean_m * mean_m).max(0.0).sqrt();
+        mean_m.is_finite().then(|| Self {
+            scene_from_scan: Translation3::new(0.0, 0.0, RAISED_M - mean_m) * facing,
+            roughness_m,
+        })
+    }
+}
+
+/// The pose of the scan in a frame about `at` whose z is `normal` and whose y leads to the patient's head.
+fn facing(at: &Point3<f64>, normal: &Vector3<f64>) -> Pose {
+    let head = Vector3::z();
+    let ahead = (head - normal * normal.dot(&head)).normalize();
+    let columns = Matrix3::from_columns(&[ahead.cross(normal), ahead, *normal]);
+    let turn = UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(columns));
+    Pose::from_parts(Translation3::from(at.coords), turn).inverse()
+}
+
+/// Vertices with their normals.
+fn places(mesh: &Mesh) -> impl Iterator<Item = (Point3<f64>, Vector3<f64>)> + '_ {
+    let pairs = mesh.positions.iter().zip(&mesh.normals);
+    pairs.map(|(at, normal)| {
+        let normal = Vector3::from(normal.map(f64::from));
+        (Point3::from(at.map(f64::from)), normal.normalize())
+    })
+}
+
+/// The longest side of the box around it, m.
+fn extent_m(mesh: &Mesh) -> f64 {
+    let side = |axis: usize| {
+        let along = || mesh.positions.iter().map(|p| f64::from(p[axis]));
+        along().fold(f64::NEG_INFINITY, f64::max) - along().fold(f64::INFINITY, f64::min)
+    };
+    (0..3).map(side).fold(0.0, f64::max)
+}

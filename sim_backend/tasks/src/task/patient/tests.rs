@@ -1,0 +1,166 @@
+//! Patients under the instruments: the phantom's liver is worked on, and what can't be one is refused.
+
+use std::env;
+use std::fs;
+use std::path::PathBuf;
+
+use hal::config::Source;
+use hal::count::count_u32;
+use nalgebra::Point3;
+use trocar_anatomy::assets::GLB_FILE;
+use trocar_anatomy::build::{Options, build, write};
+use trocar_anatomy::groups::Groups;
+use trocar_anatomy::phantom::{self, Size};
+use trocar_render::visual::instance;
+use trocar_world::organ::Organ;
+
+use crate::closed_loop;
+use crate::task::needle_lift::NeedleLift;
+use crate::task::{Outcome, TaskConfig, TaskFiles};
+
+/// A folder with a patient of a coarse grid, gone when this is.
+struct Folder(PathBuf);
+
+impl Drop for Folder {
+    fn drop(&mut self) {
+        let _gone = fs::remove_dir_all(&self.0);
+    }
+}
+
+impl Folder {
+    fn new(test: &str) -> Self {
+        let name = format!("trocar-patient-{}-{test}", std::process::id());
+        Self(env::temp_dir().join(name))
+    }
+
+    fn with_patient(test: &str) -> Self {
+        let folder = Self::new(test);
+        let patient = phantom::Patient::new(7);
+        phantom::write(&patient, Size([80, 80, 96]), &folder.0, |_, _| ()).unwrap();
+        let groups = Groups::load("vista3d").unwrap();
+        let labels = folder.0.join("labels.nii.gz");
+        let patient = build(&labels, &groups, &Options::default(), &mut |_| ()).unwrap();
+        write(&patient, &groups, &folder.0).unwrap();
+        folder
+    }
+
+    /// The task `name` on an organ of the patient.
+    fn scene(&self, name: &str, organ: &str) -> Source {
+        let files = TaskFiles::built_in(name).unwrap();
+        let (text, patient) = (files.scene.text(), self.0.display());
+        let scene = format!("{text}\n[scene]\npatient = \"{patient}\"\norgan = \"{organ}\"\n");
+        Source::embedded("liver.toml", &scene)
+    }
+
+    fn task(&self, name: &str) -> TaskConfig {
+        TaskConfig::parse(name, &self.scene(name, "liver")).unwrap()
+    }
+
+    fn refused(&self, organ: &str) -> String {
+        let scene = self.scene("needle-lift", organ);
+        TaskConfig::parse("needle-lift", &scene)
+            .unwrap_err()
+            .to_string()
+    }
+}
+
+#[test]
+fn experts_work_on_a_patients_liver() {
+    let folder = Folder::with_patient("work");
+    for (name, seeds) in [("needle-lift", 6), ("needle-handover", 3)] {
+        let task = folder.task(name);
+        let outcome = |seed| closed_loop::run(&task, seed, |_, _| {}).outcome;
+        let outcomes: Vec<Outcome> = (0..seeds).map(outcome).collect();
+        let lost = outcomes
+            .iter()
+            .filter(|outcome| **outcome != Outcome::Success);
+        assert!(lost.count() <= 1, "{name}: {outcomes:?}");
+    }
+}
+
+/// What is felt is what is drawn, the needle starts on it, and the same file lies in the same way.
+#[test]
+fn liver_is_felt_where_it_is_drawn() {
+    let folder = Folder::with_patient("drawn");
+    let task = folder.task("needle-lift");
+    let lift = task.scene::<NeedleLift>().unwrap();
+    let visuals = task.scene.visuals();
+    assert_eq!(visuals[0].name, "liver");
+    let near = |p: &&[f32; 3]| p[0].hypot(p[1]) < 0.03 && p[2] > -0.03;
+    let drawn: Vec<_> = visuals[0].mesh.positions.iter().filter(near).collect();
+    assert!(drawn.len() > 100, "{}", drawn.len());
+    let mut sum_m = 0.0;
+    for p in &drawn {
+        let [x, y, z] = p.map(f64::from);
+        let apart_m = lift.organ.height_m(x, y) - z;
+        assert!(apart_m.abs() < 1e-4, "{apart_m} at {x}, {y}");
+        sum_m += z / f64::from(count_u32(drawn.len()));
+    }
+    assert!(
+        (sum_m - 0.005).abs() < 0.002,
+        "the patch's mean height is {sum_m} m"
+    );
+    for seed in 0..20 {
+        let pose = lift.start.draw(seed, &lift.needle, &lift.organ);
+        for point in lift.needle.centre_line(41) {
+            let point: Point3<f64> = pose * point;
+            let gap_m = point.z - lift.organ.height_m(point.x, point.y);
+            assert!(
+                gap_m > lift.needle.wire_radius_m - 5e-5,
+                "seed {seed}: {gap_m}"
+            );
+            assert!(lift.organ.covers(point.x, point.y));
+        }
+    }
+    assert!(
+        visuals
+            .iter()
+            .any(|visual| visual.instance == instance::NEIGHBOUR)
+    );
+    let (again, lie) = (folder.task("needle-lift"), task.patient().unwrap());
+    assert_eq!(
+        format!("{:?}", again.patient().unwrap()),
+        format!("{lie:?}")
+    );
+    // The scene's z is the patient's front, more or less, and its y leads to the head.
+    assert!(
+        lie.axes_in_scan[2][1] > 0.5 && lie.axes_in_scan[1][2] > 0.4,
+        "{lie:?}"
+    );
+}
+
+#[test]
+fn tasks_without_a_patient_have_made_up_ground() {
+    let task = TaskConfig::shipped("needle-lift");
+    assert!(task.patient().is_none());
+    let lift = task.scene::<NeedleLift>().unwrap();
+    assert!(matches!(lift.organ, Organ::Rolling(_)));
+}
+
+#[test]
+fn what_is_no_patient_is_refused_with_file_and_key() {
+    let nowhere = Folder::new("nowhere").refused("liver");
+    assert!(
+        nowhere.contains("liver.toml:") && nowhere.contains("scene.patient"),
+        "{nowhere}"
+    );
+    assert!(nowhere.contains("patient.glb can't be read"), "{nowhere}");
+
+    let folder = Folder::with_patient("refused");
+    let organ = folder.refused("brain");
+    assert!(
+        organ.contains("scene.organ = brain is outside liver, gallbladder"),
+        "{organ}"
+    );
+    let small = folder.refused("gallbladder");
+    assert!(
+        small.contains("scene.organ = gallbladder: no place on its front"),
+        "{small}"
+    );
+
+    let path = folder.0.join(GLB_FILE);
+    let bytes = fs::read(&path).unwrap();
+    fs::write(&path, &bytes[..bytes.len() / 2]).unwrap();
+    let cut = folder.refused("liver");
+    assert!(cut.contains("patient.glb: it has not the length"), "{cut}");
+}
