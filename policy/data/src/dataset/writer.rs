@@ -78,7 +78,7 @@ pub struct DatasetWriter {
     /// The videos of the episode in progress, by camera.
     encoders: Vec<Encoder>,
     /// Keeps other recordings out of the folder; none where the file system has no locks.
-    _lock: Option<File>,
+    _lock: Option<FolderLock>,
 }
 
 impl DatasetWriter {
@@ -420,13 +420,24 @@ fn check(spec: &DatasetSpec, video: Option<VideoCodec>) -> Result<(), DatasetErr
     }
 }
 
-/// Locks `dir` by its folder `meta`, which is made, until the file is closed.
-fn lock(dir: &Path) -> Result<Option<File>, DatasetError> {
+/// A locked folder. A process that another thread starts meanwhile holds a copy of the file for a moment, so that closing ours alone would not
+/// end the lock.
+#[derive(Debug)]
+struct FolderLock(File);
+
+impl Drop for FolderLock {
+    fn drop(&mut self) {
+        let _unlocked = self.0.unlock();
+    }
+}
+
+/// Locks `dir` by its folder `meta`, which is made.
+fn lock(dir: &Path) -> Result<Option<FolderLock>, DatasetError> {
     let path = dir.join("meta");
     fs::create_dir_all(&path).map_err(io_error(&path))?;
     let folder = File::open(&path).map_err(io_error(&path))?;
     match folder.try_lock() {
-        Ok(()) => Ok(Some(folder)),
+        Ok(()) => Ok(Some(FolderLock(folder))),
         Err(TryLockError::WouldBlock) => Err(DatasetError::Busy {
             path: dir.to_owned(),
         }),

@@ -175,7 +175,7 @@ pub(crate) enum Verb {
     Anatomy(AnatomyVerb),
     /// Show what the arms of a run in real time are doing: operating state, fault.
     #[command(
-        after_help = "Example: trocar status\n         trocar status --json | jq .arms[0].state\n\nThis and enable, disable, pause, resume, home, clear, speed and stop speak to a run of this user in real time, over a local socket. Exit code 1 if the run says no."
+        after_help = "Example: trocar status\n         trocar status --json | jq .arms[0].state\n\nThis and enable, disable, pause, resume, home, clear, speed and stop are commands to a run of this user in real time, over a local socket. Exit code 1 if the run refuses."
     )]
     Status(OperatorArgs),
     /// Show a run in real time in the terminal, for ssh: joints, filter, guard, gate, control loop and buses, with the operator's commands as keys.
@@ -198,7 +198,7 @@ pub(crate) enum Verb {
     /// Say whether the arms of a run are homed; drives home during bring-up.
     #[command(after_help = "Example: trocar home")]
     Home(OperatorArgs),
-    /// Clear a latched fault: from FAULT to DISABLED. A fault ends today's runs, which this then says.
+    /// Clear a latched fault: from FAULT to DISABLED. A run that a fault has ended refuses it.
     #[command(after_help = "Example: trocar clear")]
     Clear(OperatorArgs),
     /// Lower the speed limits of a run to a share of the configured ones, or raise them again.

@@ -28,7 +28,7 @@ pub(crate) struct PageArgs {
 /// Where Foxglove is told.
 #[derive(Args, Clone, Debug)]
 pub(crate) struct FoxgloveArgs {
-    /// Tell Foxglove, and whoever speaks its WebSocket protocol, what this does: cameras, joints, frames, shapes, filter and guard, at this
+    /// Serve Foxglove's WebSocket protocol: cameras, joints, frames, shapes, filter and guard, at this
     /// address, 127.0.0.1:8765 if none is given; its URL with its token is printed. It moves nothing. config/foxglove.json is a layout.
     #[arg(long, value_name = "ADDRESS", num_args = 0..=1, default_missing_value = FOXGLOVE_ADDRESS)]
     pub(crate) foxglove: Option<Address>,

@@ -19,7 +19,7 @@ pub(crate) struct ExternalArgs {
     /// How long an external policy may take to appear, to reset and to answer, s, up to 86400.
     #[arg(long, value_name = "S", default_value_t = DEFAULT_WITHIN_S, value_parser = within())]
     pub(crate) policy_timeout: u64,
-    /// What an external policy is told that is to be done, in words, for one that reads it; the task's name if not given.
+    /// Language instruction of the task, passed to an external policy; the task's name if not given.
     #[arg(long, value_name = "TEXT", value_parser = NonEmptyStringValueParser::new())]
     pub(crate) instruction: Option<String>,
 }

@@ -43,7 +43,7 @@ pub(crate) struct SheetArgs {
     /// The moment, as a share of the time that the expert takes, 0 to 1.
     #[arg(long, value_name = "SHARE", default_value_t = 0.65, value_parser = share)]
     pub(crate) at: f64,
-    /// How much work goes into colours; as the scene says if not given. Policies see what the scene says.
+    /// Shading of the pictures; the scene's if not given. Policies see the scene's.
     #[arg(long, value_enum)]
     pub(crate) shading: Option<ShadingChoice>,
 }

@@ -55,8 +55,7 @@ impl ConsoleCameras {
         if self.views.are_drawn()
             && let Some(snapshot) = self.snapshots.take()
         {
-            self.views
-                .show(snapshot.stamp, &snapshot.scene, cameras)?;
+            self.views.show(snapshot.stamp, &snapshot.scene, cameras)?;
         }
         self.views.draw(cameras)
     }
