@@ -51,8 +51,8 @@ def trocar(args: argparse.Namespace) -> dict[str, float]:
         result = Path(folder) / "run.json"
         command = [args.trocar, "run", "--task", "needle-lift", "--policy", "noop", "--json", str(result)]
         command += ["--set", f"scene.episode.time_limit_s={args.seconds}"]
-        if not args.idle_states:
-            command += ["--set", "realtime.hold_cpu_dma_latency=true"]
+        if args.idle_states:
+            command += ["--set", "realtime.hold_cpu_dma_latency=false"]
         if args.no_fifo:
             command += ["--set", "realtime.control.priority=0", "--set", "realtime.simulation.priority=0"]
         if args.cpu is not None:

@@ -4,7 +4,7 @@ use std::io::{Read as _, Write as _};
 use std::process::{Child, Command, Stdio};
 use std::sync::{Arc, Mutex};
 
-use tests::{Profile, stderr, trocar};
+use tests::{Profile, json, stderr, trocar};
 use trocar::rt::sleep_ns;
 
 use crate::run::PATIENCE;
@@ -45,7 +45,9 @@ fn the_monitor_shows_a_run_and_its_keys_steer_it() {
     };
     let mut run = at(trocar(Profile::Debug));
     run.args(["run", "--task", "needle-lift", "--policy", "noop"]);
-    run.args(["--set", "scene.episode.time_limit_s=300"]);
+    run.args(["--set", "scene.episode.time_limit_s=300", "--json"]);
+    let result = sockets.join("run.json");
+    run.arg(&result);
     let mut run = Ended(
         run.stdout(Stdio::null())
             .stderr(Stdio::null())
@@ -93,7 +95,8 @@ fn the_monitor_shows_a_run_and_its_keys_steer_it() {
     sent.wait_for("PAUSED");
     keys.write_all(b"s").unwrap();
     // The run ends, and the monitor with it.
-    assert!(run.0.wait().unwrap().code().is_some());
+    let _code = run.0.wait().unwrap();
+    assert_eq!(json(&result)["reason"], "stopped by the operator");
     assert!(monitor.0.wait().unwrap().success());
     reader.join().unwrap();
     let _removed = std::fs::remove_dir_all(&sockets);

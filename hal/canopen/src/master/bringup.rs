@@ -266,6 +266,9 @@ impl<B: Bus> Homed<B> {
     /// # Errors
     /// [`BringUpError::Unsound`] or [`BringUpError::Forgotten`] for a drive that is no more as it was set up,
     /// [`BringUpError::Fault`] if one fails meanwhile; it and the others then have no torque.
+    ///
+    /// # Panics
+    /// Never: one arm comes of one.
     pub fn enable(self) -> Result<CanArm<B>, BringUpError> {
         let arms = enable_together(vec![self], &mut || Permission::Granted);
         let mut arms = arms.map_err(|(_, error)| error)?;

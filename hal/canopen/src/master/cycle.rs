@@ -190,6 +190,15 @@ impl Cycle {
         all_answer && self.is_down()
     }
 
+    /// Whether every drive has said that it is without torque, and none is silent.
+    #[must_use]
+    pub fn is_confirmed_without_torque(&self) -> bool {
+        self.axes.iter().all(|axis| {
+            let state = axis.newest.map(|newest| newest.status.state);
+            axis.silent() < SILENT_AFTER && state.is_some_and(|state| !state.has_torque())
+        })
+    }
+
     /// The newest SYNC.
     #[must_use]
     pub const fn sync(&self) -> Option<TimeNs> {

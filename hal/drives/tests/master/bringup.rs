@@ -229,6 +229,33 @@ fn failed_enabling_takes_down_the_drives_that_have_torque() {
     }
 }
 
+/// A drive that has torque and is heard of no more: the error says that it may still have it.
+#[test]
+fn drive_that_falls_silent_while_enabled_is_not_taken_for_down() {
+    let (mut homed, _frames) = recorded(|_| None);
+    let mut enabled = false;
+    homed.bus_mut().tamper(Box::new(move |_, _, f| {
+        let word = || u16::from_le_bytes([f.data()[0], f.data()[1]]);
+        if f.id.raw() == 0x206 && f.data()[0] == 0x0F {
+            return Tampering::Replace(frame(0x206, &[0x07, 0, 0, 0, 0, 0]));
+        }
+        if f.id.raw() == 0x181 {
+            enabled |= Status::parse(word()).is_ok_and(|status| status.state.has_torque());
+            if enabled {
+                return Tampering::Drop;
+            }
+        }
+        Tampering::Pass
+    }));
+    let error = homed.enable().map(|_| ()).unwrap_err();
+    assert!(matches!(error, BringUpError::NotDown(_)), "{error}");
+    assert!(
+        error
+            .to_string()
+            .ends_with("not all drives have confirmed that they have no torque")
+    );
+}
+
 /// No drive has torque while nobody has granted it, and those of whom it is denied never have.
 #[test]
 fn drives_wait_without_torque_until_it_is_granted() {

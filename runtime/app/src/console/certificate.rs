@@ -84,6 +84,8 @@ impl Certificate {
     fn will_do(&self, names: &[String], now_unix_s: u64) -> bool {
         names.iter().all(|name| self.names.contains(name))
             && self.not_after_unix_s > now_unix_s + LEFT_S_MIN
+            // One of a clock that was ahead is not valid yet.
+            && self.not_after_unix_s <= now_unix_s + GOOD_S + BEFORE_S
     }
 
     /// Writes it where its user alone can read it.
@@ -179,5 +181,6 @@ mod tests {
         let last = NOW + GOOD_S - LEFT_S_MIN;
         assert!(made.will_do(&names(&["localhost"]), last - 1));
         assert!(!made.will_do(&names(&["localhost"]), last));
+        assert!(!made.will_do(&names(&["localhost"]), NOW - BEFORE_S - 1));
     }
 }

@@ -268,8 +268,10 @@ impl Page {
 
     /// What this page has not been told of.
     fn newest(&mut self) -> Option<News> {
-        if let Some(last) = self.over.borrow_and_update().as_ref() {
-            return Some(News::End(last.clone()));
+        let last = self.over.borrow_and_update().clone();
+        if let Some(last) = last {
+            // How far a recording came is sent before its end.
+            return Some(changed(&mut self.bulletin).map_or(News::End(last), News::Text));
         }
         if let Some(facts) = changed(&mut self.facts) {
             return Some(News::Text(facts));

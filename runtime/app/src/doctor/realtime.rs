@@ -169,7 +169,7 @@ pub(super) fn idle_states() -> Finding {
         status,
         format!("{slowest}; {can}"),
         "`echo 'KERNEL==\"cpu_dma_latency\", MODE=\"0666\"' | sudo tee /etc/udev/rules.d/90-trocar.rules && sudo udevadm control --reload \
-         && sudo udevadm trigger --name-match=cpu_dma_latency`; `trocar run --set realtime.hold_cpu_dma_latency=true`",
+         && sudo udevadm trigger --name-match=cpu_dma_latency`",
     )
 }
 

@@ -14,6 +14,7 @@ use std::time::Duration;
 use ratatui::DefaultTerminal;
 use ratatui::crossterm::event::{self, Event, KeyCode, KeyEvent, KeyEventKind, KeyModifiers};
 
+use crate::rt;
 use crate::session::SessionError;
 use crate::session::operator::{Command, Look, Onlooker};
 use buses::Buses;
@@ -63,7 +64,12 @@ pub fn monitor(run: Option<&str>) -> Result<(), SessionError> {
         buses: Buses::find(),
         answer: String::new(),
     };
-    let mut terminal = ratatui::try_init().map_err(failed)?;
+    // A signal ends it with the terminal as it was.
+    rt::catch_interrupts().map_err(failed)?;
+    let mut terminal = ratatui::try_init().map_err(|error| {
+        ratatui::restore();
+        failed(error)
+    })?;
     let shown = show(&mut terminal, &mut onlooker, &mut screen);
     ratatui::restore();
     shown.map_err(failed)
@@ -76,8 +82,16 @@ fn show(
     screen: &mut Screen,
 ) -> io::Result<()> {
     loop {
-        let Ok(state) = onlooker.look(Look::State) else {
+        if rt::interrupted() {
             return Ok(());
+        }
+        let state = match onlooker.look(Look::State) {
+            Ok(state) => state,
+            Err(error) if is_end(&error) => return Ok(()),
+            Err(error) => {
+                let text = format!("the run does not answer: {error}");
+                return Err(io::Error::new(error.kind(), text));
+            }
         };
         let state: Option<State> = serde_json::from_str(&state)?;
         screen.buses.look();
@@ -96,6 +110,12 @@ fn show(
             None => {}
         }
     }
+}
+
+/// Whether the run has closed its socket, as it does at its end.
+fn is_end(error: &io::Error) -> bool {
+    use io::ErrorKind::{BrokenPipe, ConnectionReset, UnexpectedEof};
+    matches!(error.kind(), BrokenPipe | ConnectionReset | UnexpectedEof)
 }
 
 fn said(onlooker: &Onlooker, command: Command) -> String {

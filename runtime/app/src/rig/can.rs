@@ -61,8 +61,6 @@ impl CanRig {
     /// Takes all drives down through the states of CiA 402, all arms at once, and stops their nodes.
     pub(crate) fn take_down(&mut self, clock: MonotonicClock) {
         let first = clock.now().plus_ns(TICK_NS);
-        let longest_ns = self.arms.iter().map(CanArm::take_down_ns).max();
-        let end = first.plus_ns(longest_ns.unwrap_or(0));
         let mut periodic = Periodic::new(clock, first, TICK_NS);
         loop {
             let now = periodic.wait().due;
@@ -72,7 +70,9 @@ impl CanRig {
                 all_down &= arm.take_down(now);
                 *confirmed = arm.cycle().is_confirmed_down();
             }
-            if all_down || now >= end {
+            // A fault on the way takes longer.
+            let longest_ns = self.arms.iter().map(CanArm::take_down_ns).max();
+            if all_down || now.since(first) >= longest_ns.unwrap_or(0) {
                 break;
             }
         }

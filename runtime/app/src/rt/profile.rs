@@ -37,7 +37,7 @@ impl Default for RtProfile {
                 ..fifo(80)
             },
             lock_memory: true,
-            hold_cpu_dma_latency: false,
+            hold_cpu_dma_latency: true,
             simulation: fifo(70),
         }
     }
@@ -159,8 +159,7 @@ mod tests {
     #[test]
     fn shipped_profile_asks_for_fifo_and_locked_memory() {
         let profile = RtProfile::load(&RtProfile::shipped()).unwrap();
-        assert!(profile.lock_memory && !profile.control.strict);
-        assert!(!profile.hold_cpu_dma_latency);
+        assert!(profile.lock_memory && profile.hold_cpu_dma_latency && !profile.control.strict);
         assert_eq!(profile, RtProfile::default());
         profile.check().unwrap();
     }

@@ -6,7 +6,7 @@ use serde::Serialize;
 use serde_json::Value;
 use trocar_data::dataset::VideoCodec;
 use trocar_tasks::disturbance::Disturbance;
-use trocar_tasks::task::{Drawn, Variation};
+use trocar_tasks::task::{Drawn, Lie, Variation};
 
 use super::record::{Attempt, RecordOptions};
 use super::teleop::TeleopSummary;
@@ -28,6 +28,8 @@ struct OptionsNote<'a> {
     video: Option<&'static str>,
     view: &'static str,
     needle: Option<&'a str>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    patient: Option<&'a Lie>,
     varied: &'a [Variation],
     disturb: Option<f64>,
     /// `teleop` if a person did them, `intervention` if one took over from a policy; none of the expert's.
@@ -179,6 +181,7 @@ pub(super) fn options_note(plan: &Plan, options: &RecordOptions) -> Result<Value
         video: options.video.map(VideoCodec::name),
         view: setup.task.view.name(),
         needle: setup.needle(),
+        patient: setup.task.patient(),
         varied: &setup.task.varied,
         disturb: options.disturb,
         source: source(plan),

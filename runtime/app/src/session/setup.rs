@@ -134,8 +134,8 @@ impl Setup {
     #[must_use]
     pub fn scene_hash(&self) -> u64 {
         let text = self.robot.texts.scene.as_deref().unwrap_or_default();
-        let (needle, view) = (self.needle(), self.task.view);
-        let hash = hash_text(&format!("{needle:?} {view:?} {text}"));
+        let (needle, view, lie) = (self.needle(), self.task.view, self.task.patient());
+        let hash = hash_text(&format!("{needle:?} {view:?} {lie:?} {text}"));
         u64::from_str_radix(hash.get(..16).unwrap_or_default(), 16).unwrap_or_default()
     }
 

@@ -5,6 +5,7 @@ use super::super::cycle::{Cycle, Goal};
 use super::super::link::{Bus, Received, Trouble};
 use super::{BringUpError, Homed};
 use crate::cia301::{Cob, NmtState};
+use crate::cia402::PowerState;
 use hal::{TICK_NS, TimeNs};
 
 /// How long the drives may take to be enabled, ns.
@@ -46,9 +47,14 @@ pub fn enable_together<B: Bus>(
     let mut turns = Turns::new(&arms, start);
     match turns.until_enabled(&mut arms, allowed) {
         Ok(()) => Ok(arms),
-        Err(failed) => {
-            turns.take_down(&mut arms);
-            Err(failed)
+        Err((place, cause)) => {
+            let confirmed = turns.take_down(&mut arms);
+            let cause = if turns.switched_on && !confirmed {
+                BringUpError::NotDown(Box::new(cause))
+            } else {
+                cause
+            };
+            Err((place, cause))
         }
     }
 }
@@ -57,7 +63,7 @@ pub fn enable_together<B: Bus>(
 pub(in super::super) fn take_down<B: Bus>(arms: &mut [CanArm<B>]) {
     let now = arms.first_mut().map(|first| first.bus_mut().now());
     if let Some(now) = now {
-        Turns::new(arms, now).take_down(arms);
+        let _confirmed = Turns::new(arms, now).take_down(arms);
     }
 }
 
@@ -104,6 +110,8 @@ fn is_from_before(received: &Received) -> bool {
 struct Turns {
     at: TimeNs,
     cycle_ns: u64,
+    /// Whether a drive has been switched on, after which it may have got torque.
+    switched_on: bool,
 }
 
 impl Turns {
@@ -112,6 +120,7 @@ impl Turns {
         Self {
             at: start,
             cycle_ns: longest.unwrap_or(TICK_NS),
+            switched_on: false,
         }
     }
 
@@ -148,6 +157,9 @@ impl Turns {
             self.next(arms);
             for (place, arm) in arms.iter_mut().enumerate() {
                 arm.turn(self.at);
+                let mut states = arm.cycle().states().into_iter().flatten();
+                self.switched_on |=
+                    states.any(|state| state == PowerState::SwitchedOn || state.has_torque());
                 if let Some(fault) = arm.fault() {
                     return Err((place, BringUpError::Fault(fault)));
                 }
@@ -156,17 +168,22 @@ impl Turns {
         Ok(())
     }
 
-    fn take_down<B: Bus>(&mut self, arms: &mut [CanArm<B>]) {
-        let longest_ns = arms.iter().map(CanArm::take_down_ns).max();
-        let end = self.at.plus_ns(longest_ns.unwrap_or(0));
+    /// Takes the drives of all arms down and stops their nodes; whether all have confirmed that they have no torque.
+    fn take_down<B: Bus>(&mut self, arms: &mut [CanArm<B>]) -> bool {
+        let start = self.at;
         loop {
             self.next(arms);
             // Each arm has its turn, whether the ones before it are down or not.
             let down = arms.iter_mut().map(|arm| arm.take_down(self.at));
-            if down.fold(true, |all, down| all & down) || self.at >= end {
+            let down = down.fold(true, |all, down| all & down);
+            let longest_ns = arms.iter().map(CanArm::take_down_ns).max();
+            if down || self.at.since(start) >= longest_ns.unwrap_or(0) {
                 break;
             }
         }
+        let mut all = arms.iter();
+        let confirmed = all.all(|arm| arm.cycle().is_confirmed_without_torque());
         arms.iter_mut().for_each(CanArm::shut_down);
+        confirmed
     }
 }

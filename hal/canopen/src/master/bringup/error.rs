@@ -223,6 +223,9 @@ pub enum BringUpError {
     /// The drives were not enabled in time.
     #[error("the drives did not become enabled in time")]
     Slow,
+    /// The drives were not enabled for this cause, and not all have confirmed thereafter that they are without torque.
+    #[error("{0}; not all drives have confirmed that they have no torque")]
+    NotDown(Box<BringUpError>),
     /// The drives may not have torque.
     #[error("the drives may not be enabled")]
     Denied,

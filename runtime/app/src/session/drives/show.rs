@@ -89,16 +89,13 @@ impl Show {
             for (_, publisher) in &self.views {
                 publisher.keep_alive()?;
             }
-            return self.draw_for_page();
+            self.draw_for_page(say);
+            return Ok(());
         };
         let report_now = report(shown.stamp, shown.sequence, &self.world, &shown.world);
         self.scene.publish(&report_now)?;
         self.draw(&shown)?;
-        if let (Some(page), Some(cameras)) = (&mut self.page, &self.cameras)
-            && page.are_drawn()
-        {
-            page.show(shown.stamp, &shown.snapshot, cameras)?;
-        }
+        self.show_on_page(&shown, say);
         if let Some(outcome) = shown.world.outcome
             && !matches!(outcome, Outcome::Running)
             && !self.decided
@@ -109,12 +106,30 @@ impl Show {
         Ok(())
     }
 
-    /// Draws one camera that a page looks at, if there is one.
-    fn draw_for_page(&mut self) -> Result<(), SessionError> {
-        if let (Some(page), Some(cameras)) = (&mut self.page, &mut self.cameras) {
-            page.draw(cameras)?;
+    /// Hands the newest instant to the page, if there is one that has drawn the one before, and draws one of its cameras.
+    fn show_on_page(&mut self, shown: &Shown, say: &mut dyn FnMut(&str)) {
+        if let (Some(page), Some(cameras)) = (&mut self.page, &self.cameras)
+            && page.are_drawn()
+            && let Err(error) = page.show(shown.stamp, &shown.snapshot, cameras)
+        {
+            self.drop_page(&error, say);
         }
-        Ok(())
+        self.draw_for_page(say);
+    }
+
+    /// Draws one camera that a page looks at, if there is one.
+    fn draw_for_page(&mut self, say: &mut dyn FnMut(&str)) {
+        if let (Some(page), Some(cameras)) = (&mut self.page, &mut self.cameras)
+            && let Err(error) = page.draw(cameras)
+        {
+            self.drop_page(&error, say);
+        }
+    }
+
+    /// Whoever looks on ends no drives.
+    fn drop_page(&mut self, error: &SessionError, say: &mut dyn FnMut(&str)) {
+        say(&format!("the console gets no more cameras: {error}"));
+        self.page = None;
     }
 
     fn draw(&mut self, shown: &Shown) -> Result<(), SessionError> {

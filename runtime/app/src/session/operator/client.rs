@@ -133,7 +133,8 @@ fn answer(stream: &mut BufReader<UnixStream>) -> io::Result<String> {
     let mut answer = String::new();
     stream.read_line(&mut answer)?;
     if answer.is_empty() {
-        return Err(io::Error::other("the run ended without an answer"));
+        let text = "the run ended without an answer";
+        return Err(io::Error::new(io::ErrorKind::UnexpectedEof, text));
     }
     Ok(answer.trim_end().to_owned())
 }

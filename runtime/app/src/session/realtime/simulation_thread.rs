@@ -225,13 +225,14 @@ impl SimulationThread {
         let Some(intervention) = &mut self.intervention else {
             return Ok(());
         };
+        // What was asked is of whoever drove up to now: the control thread takes a change with a later tick.
+        let asked = intervention.asked();
         let more_s = intervention.answer(arms)?;
         self.simulation.grant_s(more_s);
         for text in intervention.take_notices() {
             let at = arms.first.state.stamp;
             self.signals.tell(at, Level::Info, &text);
         }
-        let asked = intervention.asked();
         if let (Some(demonstrating), Some((driver, targets)), true) = (
             &mut self.demonstrating,
             asked,

@@ -1,6 +1,6 @@
 //! What a run over CAN waits for before any drive gets torque: named on the terminal within a second, and not for ever.
 
-use trocar_topics::{CameraTopic, FrameSubscriber, SceneReport, Subscriber, TopicNode};
+use trocar_topics::{CameraTopic, FrameSubscriber, SceneReport, Subscriber, TopicNode, Verdict};
 
 use super::bring_up::uninterrupted;
 use crate::rt::{self, MonotonicClock};
@@ -70,6 +70,26 @@ pub(super) fn world(
         "no publisher of a scene on topics {topics:?}: start `trocar drives` first, or name its topics with --topics"
     );
     await_it(&what, &lacking, WORLD_NS_MAX, say, || Ok(scene.newest()?))
+}
+
+/// Waits until the world reports that its drives are not operational, as ours are not once they are brought up: those that are belong to
+/// another master.
+pub(super) fn stopped(
+    scene: &Subscriber<SceneReport>,
+    clock: MonotonicClock,
+    topics: &str,
+    say: Say<'_>,
+) -> Result<(), SessionError> {
+    let what = format!("the drives of the world on topics {topics:?} to be those brought up");
+    let lacking = format!(
+        "the drives of the world on topics {topics:?} are operational, ours are not started: are ours its own?"
+    );
+    let since = clock.to_system(clock.now());
+    await_it(&what, &lacking, WORLD_NS_MAX, say, || {
+        let newest = scene.newest()?;
+        let newest = newest.filter(|report| report.stamp >= since);
+        Ok(newest.and_then(|report| (report.verdict() == Verdict::Waiting).then_some(())))
+    })
 }
 
 /// A camera by name, with the frames that it shows.

@@ -86,7 +86,8 @@ pub(super) fn conclude<S: Arms, T: Seen>(
             }),
             _,
         ) => Err(SessionError::RealTime(cause)),
-        (Err(SessionError::Interrupted), _, Err(error)) => Err(error),
+        (Err(SessionError::Interrupted), Err(error), _)
+        | (Err(SessionError::Interrupted), _, Err(error)) => Err(error),
         (control, watched, seen) => control.and_then(|control| Ok((control, watched?, seen?))),
     };
     let (mut control, watched, seen) = match all {

@@ -121,6 +121,7 @@ pub fn run_on_can(plan: &Plan, can: &CanOptions, say: Say<'_>) -> Result<RunResu
     let world = awaited::world(&scene, &can.topics, say)?;
     check_world(&world, plan, &can.topics)?;
     begun.run(plan, 0, &[], |node, watching| {
+        awaited::stopped(&scene, watching.seen.clock, &can.topics, say)?;
         let names = plan.setup.cameras_with(Vec::new());
         let logged = if watching.seen.log.is_some() {
             names
@@ -265,6 +266,8 @@ impl Enabling<'_> {
         if signals.done() {
             return Err(SessionError::Interrupted);
         }
+        // From here on the drives want their SYNC in time; the loop reports what was granted.
+        let _granted = rt::configure_thread(&self.profile);
         (self.say)("checking the drives once more; they are enabled when all answer");
         let arms = enable_together(self.ready, &mut || {
             if signals.done() || rt::interrupted() {
@@ -275,9 +278,11 @@ impl Enabling<'_> {
                 Permission::Pending
             }
         });
-        let arms = arms.map_err(|(arm, error)| match error {
-            BringUpError::Denied => SessionError::Interrupted,
-            _ => failed(self.can, arm, &error),
+        let arms = arms.map_err(|(arm, error)| {
+            if error == BringUpError::Denied {
+                return SessionError::Interrupted;
+            }
+            failed(self.can, arm, &error)
         })?;
         let Some(arms) = PerArm::collect(arms) else {
             return Err(SessionError::BadArgument("there is no arm".to_owned()));

@@ -27,8 +27,8 @@ const POLL_NS: u64 = 3_000_000;
 /// A world that says nothing for this long is gone, ns.
 const SILENCE_NS_MAX: u64 = 2_000_000_000;
 
-/// Our drives are a world's own if these are operational this long after ours were started at the latest, and its episode begins when they
-/// are enabled, in no more time than that, ns.
+/// Our drives are a world's own if these are operational this long after the thread has begun, which is when ours are checked and started, and
+/// its episode begins this long after they are enabled, at the latest, ns.
 const BEGIN_NS_MAX: u64 = 3_000_000_000;
 
 /// The thread before it runs.
@@ -55,6 +55,18 @@ pub(super) struct SceneEnd {
     pub(super) inference: Histogram,
     /// What a soft tissue went through, if the task has one.
     pub(super) tissue: Option<TissueSummary>,
+}
+
+impl SceneEnd {
+    /// Of an episode that has not begun.
+    fn new() -> Self {
+        Self {
+            verdict: Verdict::Waiting,
+            reason: "tick limit".to_owned(),
+            inference: Histogram::new(),
+            tissue: None,
+        }
+    }
 }
 
 /// The topics on which a policy process hears of `count` arms, if there is one.
@@ -126,17 +138,24 @@ impl Awaited {
     }
 }
 
+/// Why a world with this verdict is not that of our drives, which are not enabled yet and may be `operational`.
+fn too_early(verdict: Verdict, operational: bool) -> Option<&'static str> {
+    match verdict {
+        Verdict::Waiting | Verdict::Operational => None,
+        Verdict::Running => (!operational)
+            .then_some("the world has begun its episode without our drives: are they its own?"),
+        Verdict::Success | Verdict::Failure | Verdict::Invalid => {
+            Some("the world's episode was over before our drives were enabled")
+        }
+    }
+}
+
 impl SceneThread<'_> {
     /// Runs until the control thread has stopped; says so when the task has its verdict or the world is gone.
     pub(super) fn run(mut self) -> Result<SceneEnd, SessionError> {
         let signals = Arc::clone(&self.seen.signals);
         let _ends = EndsRun(&signals);
-        let mut end = SceneEnd {
-            verdict: Verdict::Waiting,
-            reason: "tick limit".to_owned(),
-            inference: Histogram::new(),
-            tissue: None,
-        };
+        let mut end = SceneEnd::new();
         let (mut newest, mut heard, mut begun) = (None, self.seen.clock.now(), None);
         let (mut awaits, mut ended) = (Awaited::new(heard), false);
         while !signals.stopped() {
@@ -154,6 +173,11 @@ impl SceneThread<'_> {
                 if !decided && !ended {
                     end.verdict = report.verdict();
                     end.reason = report.reason.text();
+                }
+                if newest.is_none()
+                    && let Some(reason) = too_early(end.verdict, signals.torque_allowed())
+                {
+                    return Err(SessionError::RealTime(reason.to_owned()));
                 }
                 match end.verdict {
                     Verdict::Waiting | Verdict::Operational => {
@@ -182,11 +206,14 @@ impl SceneThread<'_> {
                     Verdict::Success | Verdict::Failure | Verdict::Invalid => signals.end_run(),
                 }
             } else if self.seen.clock.now().since(heard) > SILENCE_NS_MAX && !signals.done() {
-                ended = true;
                 end.reason = format!(
                     "the world has published no scene for {} s",
                     SILENCE_NS_MAX / 1_000_000_000
                 );
+                if newest.is_none() {
+                    return Err(SessionError::RealTime(end.reason));
+                }
+                ended = true;
                 signals.end_run();
             }
             self.keep_alive()?;
