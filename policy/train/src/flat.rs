@@ -3,7 +3,6 @@
 //! The network holds views of the long tensor, so one step is a dozen operations whatever the number of layers, and fewer on an
 //! accelerator.
 
-use hal::count::{count_u32, index};
 use std::collections::BTreeMap;
 
 use tch::{Device, Kind, TchError, Tensor};
@@ -41,7 +40,7 @@ impl Rates {
 
     /// Those of step `steps`, from 1, with the learning rates `lr` of the backbone and of the rest.
     pub(super) fn of(steps: u64, lr: [f64; 2], options: &TrainOptions) -> Self {
-        let steps = count_u32(index(steps));
+        let steps = u32::try_from(steps).unwrap_or(u32::MAX);
         let exponent = f64::from(steps);
         // Young averages must not remember the initial weights.
         let young = if options.ema_power > 0.0 {

@@ -122,6 +122,7 @@ fn the_page_is_whole_in_itself() {
         "/console.css",
         "/main.js",
         "/connection.js",
+        "/dom.js",
         "/panels.js",
         "/cameras.js",
         "/drives.js",

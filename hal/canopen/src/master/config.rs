@@ -195,11 +195,12 @@ fn arm_on_can(
     arm: &ArmFile,
 ) -> Result<ArmOnCan, ConfigError> {
     let key = |name: &str| format!("arm.{n}.{name}");
-    let lines = count_u8(arm.interfaces.len());
-    if !(1..=3).contains(&lines) {
-        let value = format!("{lines} interfaces");
+    let count = arm.interfaces.len();
+    if !(1..=3).contains(&count) {
+        let value = format!("{count} interfaces");
         return Err(source.out_of_range(&key("interfaces"), &value, "1 to 3 interfaces"));
     }
+    let lines = count_u8(count);
     let sync_id = CanId::new(arm.sync_id)
         .filter(|id| matches!(id.raw(), 0x080 | 0x100))
         .ok_or_else(|| {

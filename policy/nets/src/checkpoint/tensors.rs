@@ -1,6 +1,5 @@
 //! Safetensors files: tensors by key, stored in half or single precision, always single precision in memory.
 
-use crate::dimension::dimension;
 use std::collections::BTreeMap;
 use std::fs;
 use std::path::Path;
@@ -161,7 +160,11 @@ impl Plain {
 
     /// The tensor on `device`. Filters have their channels last in memory, as the images that meet them.
     pub(super) fn to_tensor(&self, device: Device) -> Result<Tensor, TchError> {
-        let shape: Vec<i64> = self.shape.iter().map(|&side| dimension(side)).collect();
+        let shape: Vec<i64> = self
+            .shape
+            .iter()
+            .map(|&side| i64::try_from(side).unwrap_or(i64::MAX))
+            .collect();
         let tensor = Tensor::f_from_slice(&self.values)?.f_reshape(&shape)?;
         let tensor = if let &[outputs, inputs, high, wide] = shape.as_slice() {
             let flat = tensor.f_permute([0, 2, 3, 1])?.f_reshape([-1])?;

@@ -38,7 +38,7 @@ const TLS_HANDSHAKE: u8 = 0x16;
 /// What whoever speaks plain HTTP to TLS is told.
 const PLAINTEXT: &[u8] = b"HTTP/1.1 400 Bad Request\r\nContent-Type: text/plain\r\nConnection: close\r\n\r\nrefused: this port speaks TLS alone: open the https address that trocar has printed\n";
 
-/// A connection's place among all, which it has for as long as somebody holds this.
+/// The permit of a connection, one of a bounded number; released when its last copy is dropped.
 #[derive(Clone)]
 pub(super) struct Place(Arc<OwnedSemaphorePermit>);
 

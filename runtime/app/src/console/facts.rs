@@ -96,37 +96,36 @@ impl Facts {
             high: limits.high,
             velocity: limits.velocity,
         });
+        let arms = control.arms.iter().map(|arm| arm.name.clone());
         Self {
-            kind: "facts",
-            log: false,
-            subject: Subject::Run,
-            title: title.to_owned(),
-            policy: policy.to_owned(),
-            seed,
-            arms: control.arms.iter().map(|arm| arm.name.clone()).collect(),
             axes: axes.collect(),
-            cameras,
-            scene: false,
-            buckets_us: BUCKETS_US.to_vec(),
-            time_limit_s: None,
-            seconds: None,
-            events: Vec::new(),
-            outcome: None,
             rows: rows::names(control),
             rcms_in_scene: control.arms.iter().map(|arm| arm.scene_from_rcm).collect(),
+            ..Self::of(Subject::Run, (title, policy, seed), arms.collect(), cameras)
         }
     }
 
     /// Those of the drives of `arms`, in the world of `title` if they have one, which shows `cameras`.
     pub(crate) fn of_drives(title: &str, seed: u64, arms: &[&str], cameras: Vec<String>) -> Self {
+        let arms = arms.iter().map(|&name| name.to_owned());
+        Self::of(Subject::Drives, (title, "", seed), arms.collect(), cameras)
+    }
+
+    /// Those of `arms` without axes, filter and scene.
+    fn of(
+        subject: Subject,
+        (title, policy, seed): (&str, &str, u64),
+        arms: Vec<String>,
+        cameras: Vec<String>,
+    ) -> Self {
         Self {
             kind: "facts",
             log: false,
-            subject: Subject::Drives,
+            subject,
             title: title.to_owned(),
-            policy: String::new(),
+            policy: policy.to_owned(),
             seed,
-            arms: arms.iter().map(|&name| name.to_owned()).collect(),
+            arms,
             axes: Vec::new(),
             cameras,
             scene: false,

@@ -38,7 +38,7 @@ const VIEWER_BYTES_MAX: usize = 16 << 10;
 const WAITING_MAX: usize = 4;
 
 /// The page's files: path, type, text.
-const FILES: [(&str, &str, &str); 16] = [
+const FILES: [(&str, &str, &str); 17] = [
     (
         "/",
         "text/html; charset=utf-8",
@@ -51,6 +51,7 @@ const FILES: [(&str, &str, &str); 16] = [
     ),
     ("/main.js", SCRIPT, include_str!("page/main.js")),
     ("/connection.js", SCRIPT, include_str!("page/connection.js")),
+    ("/dom.js", SCRIPT, include_str!("page/dom.js")),
     ("/panels.js", SCRIPT, include_str!("page/panels.js")),
     ("/cameras.js", SCRIPT, include_str!("page/cameras.js")),
     ("/drives.js", SCRIPT, include_str!("page/drives.js")),

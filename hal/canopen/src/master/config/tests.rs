@@ -153,6 +153,11 @@ fn what_cannot_be_is_named_with_its_place() {
         ),
         (
             "[\"vcan0\"]",
+            &format!("[{}]", vec!["\"vcan0\""; 300].join(", ")),
+            "arm.0.interfaces = 300 interfaces is outside 1 to 3 interfaces",
+        ),
+        (
+            "[\"vcan0\"]",
             "[\"vcan0\", \"vcan0\"]",
             "arm.0.interfaces = vcan0 is outside interfaces named once",
         ),

@@ -1,17 +1,6 @@
 // Emulated drives: what each is doing, how busy their buses are, and what has happened.
 
-const byId = (id) => document.getElementById(id);
-
-function element(tag, className, text) {
-  const made = document.createElement(tag);
-  if (className) made.className = className;
-  if (text !== undefined) made.textContent = text;
-  return made;
-}
-
-function text(node, value) {
-  if (node.textContent !== value) node.textContent = value;
-}
+import { byId, element, text } from "./dom.js";
 
 const number = (value, unit) => (value === null ? "–" : unit === "m" ? `${(value * 1000).toFixed(2)} mm` : `${((value * 180) / Math.PI).toFixed(2)}°`);
 

@@ -11,7 +11,7 @@ import { SCENE } from "./scene_file.js";
 import { Teleop } from "./teleop.js";
 import { Timeline } from "./timeline.js";
 
-const byId = (id) => document.getElementById(id);
+import { byId } from "./dom.js";
 
 // The token has come as a cookie; it needs not stand in the address, nor in the history.
 if (location.search) history.replaceState(null, "", location.pathname);

@@ -1,6 +1,6 @@
 // The operator's buttons, slider and keys.
 
-const byId = (id) => document.getElementById(id);
+import { byId } from "./dom.js";
 
 export class Operator {
   #send;

@@ -1,17 +1,6 @@
 // What the newest state says, in numbers and meters.
 
-const byId = (id) => document.getElementById(id);
-
-function element(tag, className, text) {
-  const made = document.createElement(tag);
-  if (className) made.className = className;
-  if (text !== undefined) made.textContent = text;
-  return made;
-}
-
-function text(node, value) {
-  if (node.textContent !== value) node.textContent = value;
-}
+import { byId, element, text } from "./dom.js";
 
 /** A list of facts whose entries stay where they are. */
 class FactList {

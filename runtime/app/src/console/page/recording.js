@@ -1,6 +1,6 @@
 // How far a recording by the expert is.
 
-const byId = (id) => document.getElementById(id);
+import { byId } from "./dom.js";
 
 export class Recording {
   show({ kept, wanted, attempts, newest }) {

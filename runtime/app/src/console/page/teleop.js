@@ -2,8 +2,7 @@
 
 import { Drag, Keyboard, Mover, VirtualHand, gamepads } from "./hands.js";
 import { Headset } from "./headset.js";
-
-const byId = (id) => document.getElementById(id);
+import { byId } from "./dom.js";
 
 // Fifty a second; the run lets go of what it does not hear of for a tenth of a second.
 const EVERY_MS = 20;

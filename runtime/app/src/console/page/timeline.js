@@ -1,6 +1,7 @@
 // A log's time line: scrub, step, play, jump to what happened.
 
-const byId = (id) => document.getElementById(id);
+import { byId } from "./dom.js";
+
 const STEP_S = 0.04;
 
 export class Timeline {

@@ -36,7 +36,7 @@ pub fn ask(command: Command, ask: &Ask) -> Result<(String, bool), SessionError> 
     Ok((answer, yes))
 }
 
-/// Somebody who looks on at a run: a connection that stays.
+/// A read-only client of a run, over a connection that is kept open.
 #[derive(Debug)]
 pub struct Onlooker {
     stream: BufReader<UnixStream>,

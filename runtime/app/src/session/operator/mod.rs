@@ -44,7 +44,7 @@ pub enum Command {
 )]
 pub struct NoCommand(String);
 
-/// What somebody who looks on asks for; the answer is one line of JSON.
+/// A request of a read-only client; the answer is one line of JSON.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Look {
     /// What does not change while the run goes on.

@@ -1,0 +1,14 @@
+// What all parts of the page do with its elements.
+
+export const byId = (id) => document.getElementById(id);
+
+export function element(tag, className, text) {
+  const made = document.createElement(tag);
+  if (className) made.className = className;
+  if (text !== undefined) made.textContent = text;
+  return made;
+}
+
+export function text(node, value) {
+  if (node.textContent !== value) node.textContent = value;
+}
