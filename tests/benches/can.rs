@@ -71,6 +71,7 @@ impl Rig {
             enabled: true,
         };
         let written = self.arm.write(&command, &SafeTail::hold(&command));
+        self.arm.send_before(self.now.plus_ns(self.cycle_ns));
         let _ = black_box((measured, written));
     }
 }

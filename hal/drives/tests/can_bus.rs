@@ -294,6 +294,7 @@ fn lead(identity: (u32, u32), cycle_ms: u64) -> (CanArm<SocketBus<Real>>, TimeNs
             enabled: true,
         };
         arm.write(&command, &SafeTail::hold(&command)).unwrap();
+        arm.send_before(at.plus_ns(plan.cycle_ns));
     }
     (arm, at, measured)
 }

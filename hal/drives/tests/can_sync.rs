@@ -86,6 +86,7 @@ fn tick(arm: &mut CanArm<Noting>, now: &mut TimeNs, ticks: u64) {
         };
         let _ = arm.read(*now);
         let _ = arm.write(&command, &SafeTail::hold(&command));
+        arm.send_before(now.plus_ns(TICK_NS));
     }
 }
 

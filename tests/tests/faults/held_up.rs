@@ -32,8 +32,11 @@ fn a_run_kept_from_its_core_goes_on_or_ends_at_rest() {
             "{reason}, stopped for {away_ms} ms"
         );
         assert_eq!(code, Some(1));
-        let overruns = result["real_time"]["overruns"].as_u64().unwrap();
-        assert!(overruns + 1 >= stopped_ms, "{result}");
+        // The signals take effect a moment after they are sent, and the longest period is one that no overrun counts.
+        let figure = |name: &str| result["real_time"].pointer(name).unwrap().as_f64().unwrap();
+        let (overruns, longest_us) = (figure("/overruns"), figure("/period_us/max"));
+        assert!(longest_us >= TimeNs(stopped_ms * MS_NS).seconds() * 1e6 - 3e3, "{result}");
+        assert!(overruns >= longest_us / 1e3 - 3.0, "{result}");
         run.checked_log();
         let then = if missed {
             "the run ends, exit code 1"

@@ -59,6 +59,7 @@ fn can_arm_allocates_nothing_in_its_cycle() -> Result<(), Box<dyn Error>> {
         } else {
             arm.write(&command, &tail)
         };
+        arm.send_before(now.plus_ns(cycle_ns));
         assert_eq!(thread_allocations(), before, "cycle {n}");
         faulted += u32::from(measured.is_err() && written.is_err());
     }

@@ -20,11 +20,12 @@ const TAKE_DOWN_CYCLES: u64 = 20;
 
 /// Seven drives on one to three buses.
 ///
-/// [`Arm::read`] takes what has come, and where a SYNC is due sends it; the answers to it are what is read from the next SYNC
-/// on, so a measurement is one cycle old. [`Arm::write`] sends the set-points, which the next SYNC puts into effect. A
-/// cycle without a new command is one of the tail. A controller may be faster than the bus by a whole factor; between two SYNCs
-/// it reads the same measurement again, since half of the answers would have to be guessed. After a [`Fault`] the drives stop, and nothing enables them
-/// again but a new [`Offline`](super::Offline).
+/// Everything is exchanged in one place, the [`Arm::read`] in which a SYNC is due: it takes what has come, sends the set-points that
+/// the newest [`Arm::write`] left and then the SYNC that puts them into effect. The answers to it are what is read from the next SYNC
+/// on, so a measurement is one cycle old. Who knows when that read comes may let the set-points leave as soon as they are there, by
+/// [`CanArm::send_before`]; then nothing stands before the SYNC. A cycle without a new command is one of the tail. A controller may be
+/// faster than the bus by a whole factor; between two SYNCs it reads the same measurement again, since half of the answers would have
+/// to be guessed. After a [`Fault`] the drives stop, and nothing enables them again but a new [`Offline`](super::Offline).
 #[derive(Debug)]
 pub struct CanArm<B> {
     bus: B,
@@ -35,9 +36,6 @@ pub struct CanArm<B> {
     written: bool,
     /// Whether the set-points of this cycle are on their way.
     sent: bool,
-    /// The newest call of [`Arm::read`], and the time between the last two, ns.
-    called: Option<TimeNs>,
-    between_calls_ns: u64,
     /// The arm as it was at the newest SYNC.
     measured: Result<ArmState, ArmError>,
     /// Commands with a set-point that was NaN, infinite or out of range.
@@ -54,8 +52,6 @@ impl<B: Bus> CanArm<B> {
             player: TailPlayer::new(plan.cycle_ns),
             written: false,
             sent: false,
-            called: None,
-            between_calls_ns: plan.cycle_ns,
             measured: Err(ArmError::MeasurementLost { age_ns: 0 }),
             refused: 0,
             out: Outbox::default(),
@@ -131,6 +127,17 @@ impl<B: Bus> CanArm<B> {
             }
         }
         self.measured = self.cycle.state(now);
+    }
+
+    /// Sends the set-points of the newest command, if a SYNC is due at the next read, `next`: of a controller that is faster than the bus
+    /// only the newest command before a SYNC is sent.
+    pub fn send_before(&mut self, next: TimeNs) {
+        if self.written && !self.sent && self.cycle.is_due(next) {
+            for line in 0..self.plan.lines {
+                self.send_set_points(line, next);
+            }
+            self.sent = true;
+        }
     }
 
     /// What is known of the arm at `now`.
@@ -244,10 +251,6 @@ impl<B: Bus> CanArm<B> {
 
 impl<B: Bus> Arm for CanArm<B> {
     fn read(&mut self, now: TimeNs) -> Result<ArmState, ArmError> {
-        let before = self.called.replace(now);
-        if let Some(before) = before.filter(|before| *before < now) {
-            self.between_calls_ns = now.since(before);
-        }
         if self.cycle.is_due(now) {
             self.turn(now);
         } else {
@@ -271,14 +274,6 @@ impl<B: Bus> Arm for CanArm<B> {
             self.cycle.set_goal(now, goal);
         } else {
             self.refused += 1;
-        }
-        // A controller that is faster than the bus: only the newest command before a SYNC is sent.
-        let last = self.cycle.is_due(now.plus_ns(self.between_calls_ns));
-        if last && !self.sent && self.written {
-            for line in 0..self.plan.lines {
-                self.send_set_points(line, now);
-            }
-            self.sent = true;
         }
         match self.cycle.fault() {
             Some(fault) => Err(fault.arm_error()),

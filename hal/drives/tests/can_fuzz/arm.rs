@@ -142,6 +142,7 @@ fn lead(mut arm: CanArm<Noisy>, life: &Life, part: f64, tally: &mut Tally) {
         let kept = beats.check(&mut arm, &beat, now, measured.as_ref().ok());
         if cycle % 7 > 0 {
             let _ = arm.write(&command, &SafeTail::hold(&command));
+            arm.send_before(now.plus_ns(plan.cycle_ns / pace));
         }
         let taken = memory::requests() - before;
         let bad = seen.borrow().wrong.is_some() || kept.is_err();

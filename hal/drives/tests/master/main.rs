@@ -182,7 +182,13 @@ impl Bench {
         }
         let command = self.command();
         let _ = self.arm.write(&command, &SafeTail::hold(&command));
+        self.send();
         measured
+    }
+
+    /// Lets the command leave now, as the runtime does.
+    fn send(&mut self) {
+        self.arm.send_before(self.now.plus_ns(self.cycle_ns));
     }
 
     fn cycles(&mut self, count: u32, step: f64) -> Result<ArmState, ArmError> {

@@ -101,6 +101,7 @@ fn a_controller_that_falls_silent_leaves_its_tail_to_be_played() {
         let _ = bench.cycle(0.0008);
         command = bench.command();
         bench.arm.write(&command, &braking(&command)).unwrap();
+        bench.send();
     }
     let end = braking(&command).axes[0].end().position;
     // The bus goes on, the controller does not.
@@ -127,6 +128,7 @@ fn non_finite_command_plays_the_tail() {
         command.position[3] = f64::NAN;
         command.position[0] = 1.0;
         let _ = bench.arm.write(&command, &SafeTail::hold(&command));
+        bench.send();
     }
     assert_eq!(bench.arm.refused(), 50);
     assert!(same(&bench.motors(), &before));
@@ -161,6 +163,7 @@ fn periods_that_were_missed_are_periods_of_the_tail() {
         let _ = bench.cycle(0.0008);
         command = bench.command();
         bench.arm.write(&command, &braking(&command)).unwrap();
+        bench.send();
     }
     // Four cycles late: the drives have gone on for one and slowed down.
     bench.dead_for(8 * MS);

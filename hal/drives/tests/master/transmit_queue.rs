@@ -93,6 +93,7 @@ fn cycles_to_stop(room: usize, controller_lives: bool) -> u32 {
                 enabled: true,
             };
             let _ = arm.write(&command, &SafeTail::hold(&command));
+            arm.send_before(now.plus_ns(plan.cycle_ns));
         }
     }
     u32::MAX
@@ -301,5 +302,7 @@ impl Moved {
             enabled: true,
         };
         let _ = self.arm.write(&command, &SafeTail::hold(&command));
+        let next = self.now.plus_ns(self.arm.plan().cycle_ns);
+        self.arm.send_before(next);
     }
 }

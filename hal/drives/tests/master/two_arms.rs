@@ -124,6 +124,7 @@ impl Driven {
             };
             let _ = self.arm.write(&command, &SafeTail::hold(&command));
             self.due = now.plus_ns(self.plan.cycle_ns);
+            self.arm.send_before(self.due);
         }
     }
 

@@ -110,6 +110,7 @@ impl Rig for CanRig {
         {
             // A fault is told at the next reading too, and there the controller hears of it.
             let _told = arm.write(command, tail);
+            arm.send_before(self.periodic.next());
         }
         let wake = self.periodic.wait();
         let measured = self.read(wake.due);

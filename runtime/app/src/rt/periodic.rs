@@ -78,6 +78,12 @@ impl Periodic {
         }
     }
 
+    /// When the next period is due, unless it is missed.
+    #[must_use]
+    pub fn next(&self) -> TimeNs {
+        self.due(self.next_index)
+    }
+
     /// Periods skipped so far.
     #[must_use]
     pub const fn skipped(&self) -> u64 {
