@@ -13,7 +13,7 @@ use iceoryx2::service::builder::event::{
 use iceoryx2::service::port_factory::event::PortFactory;
 
 use super::TopicError;
-use super::node::{NODES_MAX, OPEN_TRIES, RETRY_PAUSE, Service};
+use super::limits::{NODES_MAX, OPEN_TRIES, RETRY_PAUSE, Service};
 
 /// Last part of the service's name.
 const EVENTS: &str = "events";

@@ -15,8 +15,8 @@ use iceoryx2::sample::Sample;
 use iceoryx2::sample_mut::SampleMut;
 
 use super::events::Bell;
+use super::limits::{LOANED_MAX, Service, UNREAD};
 use super::message::{pose, xyzw};
-use super::node::{LOANED_MAX, Service, UNREAD};
 use super::{TopicError, TopicNode};
 use hal::camera::{CameraFrame, FrameRef, Intrinsics};
 use hal::{Pose, TimeNs};

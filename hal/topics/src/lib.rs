@@ -4,6 +4,7 @@ mod error;
 mod events;
 mod external;
 mod frame;
+mod limits;
 mod message;
 mod node;
 mod port;

@@ -20,34 +20,13 @@ use iceoryx2::service::builder::publish_subscribe::{
 use iceoryx2::service::port_factory::publish_subscribe::PortFactory;
 
 use super::events::{Bell, EventService, Events};
+use super::limits::{
+    HELD_MAX, HISTORY, NODES_MAX, OPEN_TRIES, RETRY_PAUSE, SUBSCRIBERS_MAX, Service, buffers,
+};
 use super::{SHARED_MEMORY_DIR, SharedMemorySpace, TopicError, shm, unfinished};
 
-/// Ports may move between threads; each call takes an uncontended lock.
-pub(super) type Service = iceoryx2::service::ipc_threadsafe::Service;
-
-/// Readers a topic can have: the other process, a log, and one more.
-pub(super) const SUBSCRIBERS_MAX: usize = 3;
-/// Unread values a reader keeps of most topics; 1 makes the newest win.
-pub(super) const UNREAD: usize = 1;
-/// Values a reader can look at while another arrives.
-pub(super) const HELD_MAX: usize = 2;
-/// Values kept for a reader that comes late.
-pub(super) const HISTORY: usize = 1;
-/// Values a writer can be filling at once.
-pub(super) const LOANED_MAX: usize = 1;
-
-/// Buffers a writer reserves for all of the above, if readers keep `unread` values.
-pub(super) const fn buffers(unread: usize) -> usize {
-    SUBSCRIBERS_MAX * (unread + HELD_MAX) + HISTORY + LOANED_MAX
-}
-
-/// Processes, and threads with a membership of their own, of a run.
-pub(super) const NODES_MAX: usize = 16;
 const NAME_MAX: usize = 100;
 const CLEANUP_TIMEOUT: Duration = Duration::from_secs(1);
-/// While a peer creates or removes the same service, opening is tried again this often, a retry pause apart.
-pub(super) const OPEN_TRIES: usize = 200;
-pub(super) const RETRY_PAUSE: Duration = Duration::from_millis(5);
 
 /// One process's (or thread's) membership in a run. Topics are opened through it and outlive it if need be.
 #[derive(Debug)]

@@ -10,7 +10,7 @@ use iceoryx2::port::update_connections::UpdateConnections as _;
 use iceoryx2::prelude::ZeroCopySend;
 
 use super::events::Bell;
-use super::node::{LOANED_MAX, Service, UNREAD};
+use super::limits::{LOANED_MAX, Service, UNREAD};
 use super::{TopicError, TopicNode};
 use hal::Chunk;
 

@@ -3,10 +3,12 @@
 use tch::{Kind, TchError, Tensor};
 
 use super::augment;
+use super::flat::{Back, Below};
 use super::options::{TrainOptions, TrainPrecision};
-use super::steps::{Back, Below, Learner, Losses, Split};
+use super::steps::{Learner, Losses, Split};
 use super::trained::{Network, Prepared, Trained, check_arms, refuse};
-use super::training_set::{TrainingSet, index_tensor, send};
+use super::training_set::{TrainingSet, index_tensor};
+use super::transfer::send;
 use super::{AnyTrained, Progress, TrainError, Trainer, Watch};
 use hal::random::SplitMix64;
 use trocar_data::dataset::Dataset;

@@ -10,8 +10,7 @@ use tch::{Device, Kind, TchError, Tensor};
 use super::TrainError;
 use super::options::{TrainOptions, TrainPrecision};
 use super::run_state::RunState;
-use super::steps::Below;
-use super::training_set::send;
+use super::transfer::send;
 use trocar_nets::act::BACKBONE_PREFIX;
 use trocar_nets::by_name::{AdamW, Moved, copy_all};
 use trocar_nets::dp3::MovingAverage;
@@ -22,6 +21,16 @@ const EPS: f64 = 1e-8;
 
 /// On an accelerator every parameter begins at a multiple of so many elements: kernels read 16 bytes at once, or are slow.
 const ALIGNED: i64 = 64;
+
+/// A part of the network that the library's own bookkeeping does not know.
+pub(super) struct Below<'a> {
+    /// What it gave to the rest.
+    pub(super) gave: Tensor,
+    /// Its parameters with their gradients, given that of what it gave.
+    pub(super) back: Back<'a>,
+}
+
+pub(super) type Back<'a> = Box<dyn FnOnce(&Tensor) -> Result<Vec<(Tensor, Tensor)>, TchError> + 'a>;
 
 /// What of an update is another one at every step.
 #[derive(Clone, Copy, Debug)]

@@ -10,7 +10,7 @@ use std::thread::JoinHandle;
 use tch::{Device, Kind, TchError, Tensor};
 
 use super::TrainError;
-use super::training_set::send;
+use super::transfer::send;
 use hal::count::count_u32;
 use trocar_data::dataset::Dataset;
 use trocar_nets::act::ActConfig;

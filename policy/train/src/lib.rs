@@ -29,6 +29,7 @@ mod steps;
 mod tests;
 mod trained;
 mod training_set;
+mod transfer;
 mod watch;
 
 pub use curve::{CurveRow, LossCurve};

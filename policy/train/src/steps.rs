@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use tch::{Kind, TchError, Tensor};
 
 use super::curve::{CurveRow, LossCurve};
-use super::flat::{FlatParameters, Rates};
+use super::flat::{Below, FlatParameters, Rates};
 use super::frame_order::FrameOrder;
 use super::launch::Launch;
 use super::options::TrainOptions;
@@ -39,16 +39,6 @@ pub(super) struct Losses<'a> {
     pub(super) kl: Tensor,
     pub(super) below: Option<Below<'a>>,
 }
-
-/// A part of the network that the library's own bookkeeping does not know.
-pub(super) struct Below<'a> {
-    /// What it gave to the rest.
-    pub(super) gave: Tensor,
-    /// Its parameters with their gradients, given that of what it gave.
-    pub(super) back: Back<'a>,
-}
-
-pub(super) type Back<'a> = Box<dyn FnOnce(&Tensor) -> Result<Vec<(Tensor, Tensor)>, TchError> + 'a>;
 
 impl Losses<'_> {
     /// The loss, its parts and the `norm` of its gradient, as [`TERMS`] has them.

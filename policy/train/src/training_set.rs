@@ -6,6 +6,7 @@ use hal::Pose;
 use tch::{Device, TchError, Tensor};
 
 use super::frame_images::FrameImages;
+use super::transfer::send;
 use super::{TrainError, TrainOptions};
 use trocar_data::dataset::{Dataset, Episode};
 use trocar_data::relative_action::{RELATIVE_ACTION_DIM, pose_from_numbers, relative_action};
@@ -99,11 +100,6 @@ impl TrainingSet {
 pub(super) fn index_tensor(indices: &[usize], device: Device) -> Result<Tensor, TchError> {
     let indices: Vec<i64> = indices.iter().map(|&index| dimension(index)).collect();
     send(&Tensor::f_from_slice(&indices)?, device)
-}
-
-/// `tensor` of the host's memory on `device`, without waiting for the device.
-pub(super) fn send(tensor: &Tensor, device: Device) -> Result<Tensor, TchError> {
-    tensor.f_to_dtype_layout((tensor.kind(), device), true, false)
 }
 
 /// The frames of the episodes that are trained on, and those of the last ones, which are held out.

@@ -6,7 +6,7 @@
 
 use nalgebra::{DMatrix, DVector, Vector3};
 
-use crate::complex::Complex;
+use crate::surface::complex::Complex;
 
 /// Groups with the background.
 const GROUPS: usize = 32;

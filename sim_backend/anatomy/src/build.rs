@@ -11,7 +11,6 @@ use crate::assets::{Asset, FRAME, GLB_FILE, glb, usda};
 use crate::atlas::unwrap;
 use crate::balance::balance;
 use crate::clean::{Cleaned, remove_islands, separate_touching};
-use crate::complex::Complex;
 use crate::decimate::decimate;
 use crate::groups::Groups;
 use crate::measure::{Measures, measure};
@@ -19,6 +18,7 @@ use crate::mesh::GroupMesh;
 use crate::nifti::{LabelVolume, NiftiError, read_labels};
 use crate::number::floor_to;
 use crate::smooth::{Neighbours, smooth};
+use crate::surface::complex::Complex;
 use crate::surface::{Method, cubes, nets};
 use crate::volume::Padded;
 

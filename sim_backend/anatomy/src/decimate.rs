@@ -14,8 +14,8 @@ use std::collections::BTreeMap;
 use nalgebra::Point3;
 use rayon::prelude::*;
 
-use crate::complex::Complex;
 use crate::number::{floor_to, index, real};
+use crate::surface::complex::Complex;
 
 use state::State;
 

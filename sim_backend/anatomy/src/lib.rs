@@ -5,7 +5,6 @@ pub mod atlas;
 mod balance;
 pub mod build;
 pub mod clean;
-pub mod complex;
 pub mod decimate;
 mod geometry;
 pub mod grid;

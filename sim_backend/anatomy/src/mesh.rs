@@ -2,8 +2,8 @@
 
 use nalgebra::{Point3, Vector3};
 
-use crate::complex::Complex;
 use crate::number::{index, single};
+use crate::surface::complex::Complex;
 
 /// A group's closed surface in the scan's world (RAS), mm.
 #[derive(Clone, Debug, Default)]

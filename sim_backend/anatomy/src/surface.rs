@@ -1,5 +1,6 @@
 //! Surfaces between groups of voxels.
 
+pub mod complex;
 pub mod cubes;
 pub mod nets;
 

@@ -35,7 +35,10 @@ fn a_run_kept_from_its_core_goes_on_or_ends_at_rest() {
         // The signals take effect a moment after they are sent, and the longest period is one that no overrun counts.
         let figure = |name: &str| result["real_time"].pointer(name).unwrap().as_f64().unwrap();
         let (overruns, longest_us) = (figure("/overruns"), figure("/period_us/max"));
-        assert!(longest_us >= TimeNs(stopped_ms * MS_NS).seconds() * 1e6 - 3e3, "{result}");
+        assert!(
+            longest_us >= TimeNs(stopped_ms * MS_NS).seconds() * 1e6 - 3e3,
+            "{result}"
+        );
         assert!(overruns >= longest_us / 1e3 - 3.0, "{result}");
         run.checked_log();
         let then = if missed {

@@ -1,6 +1,5 @@
 //! An arm on a bus behind the trait that every backend implements.
 
-use super::bringup::take_down;
 use super::cycle::{Cycle, Goal, HOLD_NS};
 use super::fault::Fault;
 use super::link::Bus;
@@ -240,11 +239,8 @@ impl<B: Bus> CanArm<B> {
         }
     }
 
-    /// Gives the buses back, for a new bring-up, after the operator has cleared the fault. The drives are taken down and the nodes stopped
-    /// first, which may take [`Self::take_down_ns`].
-    #[must_use]
-    pub fn release(mut self) -> B {
-        take_down(core::slice::from_mut(&mut self));
+    /// The buses alone.
+    pub(super) fn into_bus(self) -> B {
         self.bus
     }
 }

@@ -4,6 +4,7 @@
 //! [`CanArm`]. Whatever goes wrong ends the bring-up with the node and the cause; nothing is retried.
 
 mod check;
+pub mod client;
 mod configure;
 mod enable;
 mod error;
@@ -16,22 +17,20 @@ mod watched;
 use std::sync::mpsc::Sender;
 
 use super::arm::CanArm;
-use super::client::{expect, send};
-use super::fault::Who;
 use super::foreign::leads;
 use super::link::Bus;
-use super::plan::ArmPlan;
+use super::plan::{ArmPlan, Who};
 use crate::Frame;
 use crate::cia301::{Cob, NmtCommand, NmtState, NmtTarget};
 use crate::cia402::Mode;
 use crate::index;
 use hal::tail::TAIL_AXES;
 
-pub(super) use enable::take_down;
 pub use enable::{Permission, enable_together};
 pub use error::BringUpError;
 pub use step::Step;
 
+use client::{expect, send};
 use exchange::Exchange;
 use watched::Watched;
 

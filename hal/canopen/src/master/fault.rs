@@ -3,22 +3,12 @@
 use core::fmt;
 
 use super::axis::Rejected;
+use super::plan::Who;
+use crate::CanId;
 use crate::cia301::NmtState;
 use crate::cia301::emcy::ErrorCode;
 use crate::cia402::PowerState;
-use crate::{CanId, NodeId};
 use hal::ArmError;
-
-/// An axis with the node that drives it.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Who {
-    /// Joint index, 6 for the jaw.
-    pub axis: u8,
-    /// Its node.
-    pub node: NodeId,
-    /// The bus that it is on, from 0.
-    pub line: u8,
-}
 
 /// What happened.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

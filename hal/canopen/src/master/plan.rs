@@ -1,6 +1,5 @@
 //! Which node drives which axis on which bus, and how fast.
 
-use super::fault::Who;
 use super::space::Space;
 use crate::bus_load::{Overload, Plan};
 use crate::number::{turns_a_minute, whole};
@@ -16,6 +15,17 @@ pub const ANSWER_BYTES: u8 = 8;
 /// Seconds in which a drive comes to rest from its greatest speed: a ramp, a quick stop.
 const RAMP_S: f64 = 0.1;
 const QUICK_STOP_S: f64 = 0.02;
+
+/// An axis with the node that drives it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Who {
+    /// Joint index, 6 for the jaw.
+    pub axis: u8,
+    /// Its node.
+    pub node: NodeId,
+    /// The bus that it is on, from 0.
+    pub line: u8,
+}
 
 /// One axis on a bus. Units are those of its space: rad, or m for the insertion.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -9,8 +9,8 @@ use std::{
 use image::{ImageReader, Limits, RgbImage};
 
 use super::{
-    CameraSpec, DatasetError,
-    layout::{self, Listed},
+    CameraSpec, DatasetError, layout,
+    listed::Listed,
     meta::{self, CHUNK_SIZE},
     png::SIDE_MAX,
     rows::check_episode,

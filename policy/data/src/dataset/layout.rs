@@ -11,13 +11,14 @@ use std::{
     collections::BTreeMap,
     fs::File,
     io::{BufRead, BufReader, Read},
-    path::{Path, PathBuf},
+    path::Path,
 };
 
 use serde::{Deserialize, de::DeserializeOwned};
 
 use super::{
     DatasetError,
+    listed::{Listed, VideoPlace},
     meta::{self, CHUNK_SIZE},
     schema::{Info, VERSION},
     spec::mismatch,
@@ -26,28 +27,6 @@ use super::{
 
 /// Bytes that a line of a `.jsonl` file may have.
 const LINE_MAX: u64 = 1 << 20;
-
-/// One episode as the dataset's tables list it.
-#[derive(Clone, Debug, PartialEq)]
-pub(super) struct Listed {
-    pub(super) index: usize,
-    pub(super) start: usize,
-    pub(super) len: usize,
-    /// The file with its rows.
-    pub(super) data: PathBuf,
-    /// Whether that holds no other episode's, as in v2.x.
-    pub(super) alone: bool,
-    /// Where its frames are, of each camera that is asked about.
-    pub(super) videos: Vec<VideoPlace>,
-}
-
-/// Where an episode's frames of one camera are.
-#[derive(Clone, Debug, PartialEq)]
-pub(super) struct VideoPlace {
-    pub(super) path: PathBuf,
-    /// When its first frame is shown, s.
-    pub(super) from_s: f64,
-}
 
 /// The episodes in order; `videos` are the features that are kept as video.
 pub(super) fn read_episodes(

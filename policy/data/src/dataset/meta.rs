@@ -16,7 +16,7 @@ use parquet::{errors::ParquetError, file::properties::WriterProperties};
 
 use super::{
     DatasetError, DatasetSpec, VideoCodec,
-    layout::{Listed, VideoPlace},
+    listed::{Listed, VideoPlace},
     schema::{self, EPISODE_COLUMNS, Info, READABLE, VERSION, video_columns},
     store::{io_error, parquet_error, write_json, write_parquet},
     table::Table,

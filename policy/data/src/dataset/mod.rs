@@ -36,6 +36,7 @@ mod guard;
 #[cfg(test)]
 mod intervention_tests;
 mod layout;
+mod listed;
 mod meta;
 mod notes;
 mod pages;

@@ -7,7 +7,8 @@ use image::RgbImage;
 use super::{
     ACTION_WIDTH, CameraSpec, DatasetError, DatasetSpec, Episode, STATE_WIDTH, TIP_POSE_WIDTH,
     depth::{self, RecordedDepth},
-    layout::{self, Listed},
+    layout,
+    listed::Listed,
     meta,
     png::decode_rgb,
     rows::{FileRows, Place, Rows, check_episode},

@@ -4,7 +4,7 @@ use std::ops::Range;
 
 use super::{
     ACTION_WIDTH, DatasetError, STATE_WIDTH, TIP_POSE_WIDTH,
-    layout::Listed,
+    listed::Listed,
     schema::{ACTION, EPISODE_INDEX, STATE, TIP_POSE},
     table::Table,
 };

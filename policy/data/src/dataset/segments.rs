@@ -10,7 +10,7 @@ use image::RgbImage;
 
 use super::{
     DatasetError,
-    layout::VideoPlace,
+    listed::VideoPlace,
     video::{FrameTimes, failed},
 };
 

@@ -7,7 +7,7 @@ use hal::{ARM_NAMES, JOINT_COUNT};
 use super::ImportError;
 use super::chain::{PoseNumbers, tip_in_rcm};
 use super::file::{Numbers, Recording};
-use super::run::{Action, Names};
+use super::names::{Action, Names};
 use crate::dataset::{ACTION_WIDTH, ArmFrame, STATE_WIDTH};
 
 /// A recording's noise at a limit, rad (m).

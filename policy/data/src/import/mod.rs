@@ -27,6 +27,7 @@ mod filters;
 mod inverse;
 mod lzf;
 mod mapped;
+mod names;
 mod pictures;
 mod run;
 mod source;

@@ -2,6 +2,9 @@
 
 use serde::{Deserialize, Serialize};
 
+/// Width of the state's features, and of the layer before them.
+pub(super) const STATE_FEATURES: i64 = 64;
+
 /// A named network.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
@@ -73,7 +76,7 @@ impl Dp3Config {
     #[must_use]
     pub const fn observation_features(&self) -> i64 {
         // The published width of the state's branch is fixed.
-        self.encoder_output_dim + super::encoder::STATE_FEATURES
+        self.encoder_output_dim + STATE_FEATURES
     }
 
     /// Features of all observations together.

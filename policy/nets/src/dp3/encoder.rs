@@ -2,12 +2,9 @@
 
 use tch::{TchError, Tensor};
 
-use super::config::Dp3Config;
+use super::config::{Dp3Config, STATE_FEATURES};
 use crate::layers::{LayerNorm, Linear};
 use crate::parameters::{ParameterError, ParameterSource};
-
-/// Width of the state's features, and of the layer before them.
-pub(super) const STATE_FEATURES: i64 = 64;
 
 /// Features of a point after each layer.
 const POINT_WIDTHS: [i64; 3] = [64, 128, 256];

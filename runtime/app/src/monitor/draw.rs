@@ -2,25 +2,20 @@
 
 use ratatui::Frame;
 use ratatui::layout::{Constraint, Layout};
-use ratatui::style::{Color, Modifier, Style};
+use ratatui::style::{Modifier, Style};
 use ratatui::text::{Line, Span};
 use ratatui::widgets::{Paragraph, Wrap};
 
 use super::Screen;
 use super::seen::{Arm, Axis, State};
 use super::timing::draw_loop;
+use super::tone::{BAD, GOOD, HEAD, QUIET, WARN};
 
 /// Cells of a joint's range.
 const RANGE: usize = 17;
 
 /// A correction that is older says nothing of now, s.
 const FRESH_S: f64 = 0.3;
-
-const QUIET: Style = Style::new().fg(Color::DarkGray);
-pub(super) const GOOD: Style = Style::new().fg(Color::Green);
-pub(super) const WARN: Style = Style::new().fg(Color::Yellow);
-const BAD: Style = Style::new().fg(Color::Red).add_modifier(Modifier::BOLD);
-const HEAD: Style = Style::new().add_modifier(Modifier::BOLD);
 
 /// Draws all of it.
 pub(super) fn screen(frame: &mut Frame<'_>, screen: &Screen) {

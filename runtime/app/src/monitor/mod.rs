@@ -7,6 +7,7 @@ mod buses;
 mod draw;
 mod seen;
 mod timing;
+mod tone;
 
 use std::io::{self, IsTerminal as _};
 use std::time::Duration;

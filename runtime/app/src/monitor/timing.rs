@@ -8,8 +8,8 @@ use ratatui::widgets::{Paragraph, Sparkline};
 
 use super::Screen;
 use super::buses::Bus;
-use super::draw::{GOOD, WARN};
 use super::seen::{Histogram, State};
+use super::tone::{GOOD, WARN};
 
 /// Draws it into `area`; bars only where there is room.
 pub(super) fn draw_loop(frame: &mut Frame<'_>, area: Rect, (screen, state): (&Screen, &State)) {

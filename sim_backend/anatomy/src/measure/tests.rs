@@ -5,10 +5,10 @@ use nalgebra::{Point3, Vector3};
 use super::boundary::distance_to_boundary;
 use super::measure;
 use super::nearest::Nearest;
-use crate::complex::Complex;
 use crate::grid::Grid;
 use crate::mesh::GroupMesh;
 use crate::nifti::LabelVolume;
+use crate::surface::complex::Complex;
 use crate::surface::nets;
 use crate::volume::Padded;
 

@@ -7,7 +7,7 @@ use std::collections::BTreeMap;
 
 use nalgebra::Point3;
 
-use crate::complex::Complex;
+use super::complex::Complex;
 use crate::number::{index, real};
 use crate::volume::Padded;
 

@@ -5,10 +5,10 @@ use std::collections::BTreeMap;
 use hal::random::SplitMix64;
 use nalgebra::{Matrix3, Point3};
 
+use super::complex::Complex;
 use super::{Method, cubes, nets};
 use crate::balance::balance;
 use crate::clean::separate_touching;
-use crate::complex::Complex;
 use crate::decimate::decimate;
 use crate::grid::Grid;
 use crate::nifti::LabelVolume;

@@ -3,7 +3,7 @@
 use hal::config::{ConfigError, Source};
 use serde::Deserialize;
 
-use super::drive::AXIS_COUNT;
+use super::coupling::AXIS_COUNT;
 
 /// What the plant adds to [`hal::psm`]: inertias, friction, and how finely time is cut.
 ///

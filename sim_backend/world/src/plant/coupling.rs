@@ -1,8 +1,13 @@
 //! The cable coupling between the instrument's discs and its joints; yaw, pitch and insertion drive their joints directly.
 
+use hal::JOINT_COUNT;
 use hal::psm::COUPLING;
 
-use super::drive::AxisVector;
+/// Joints and jaw, or three joint motors and four discs.
+pub const AXIS_COUNT: usize = JOINT_COUNT + 1;
+
+/// One value an axis: in joint space with the jaw last, or in actuator space with the discs last.
+pub type AxisVector = [f64; AXIS_COUNT];
 
 /// Joint positions (rates) that belong to actuator positions (rates), jaw last.
 #[must_use]

@@ -6,13 +6,9 @@ use hal::psm::{ACTUATORS, EFFORT_MAX, POSITION_MAX, POSITION_MIN};
 use hal::{ArmCommand, ArmState, JOINT_COUNT, JointVector, TimeNs};
 
 use super::config::PlantConfig;
-use super::coupling::{actuator_efforts, actuator_positions, joint_efforts, joint_positions};
-
-/// Joints and jaw, or three joint motors and four discs.
-pub const AXIS_COUNT: usize = JOINT_COUNT + 1;
-
-/// One value an axis: in joint space with the jaw last, or in actuator space with the discs last.
-pub type AxisVector = [f64; AXIS_COUNT];
+use super::coupling::{
+    AXIS_COUNT, AxisVector, actuator_efforts, actuator_positions, joint_efforts, joint_positions,
+};
 
 /// Mechanical end stops in joint space, N m/rad (N/m).
 const STOP_STIFFNESS: AxisVector = [2000.0, 2000.0, 2e4, 20.0, 20.0, 20.0, 20.0];

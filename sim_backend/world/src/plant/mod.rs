@@ -5,9 +5,11 @@ mod coupling;
 mod drive;
 
 pub use config::PlantConfig;
-pub use coupling::{actuator_efforts, actuator_positions, joint_efforts, joint_positions};
+pub use coupling::{
+    AXIS_COUNT, AxisVector, actuator_efforts, actuator_positions, joint_efforts, joint_positions,
+};
 pub(crate) use drive::FreeDrives;
-pub use drive::{AXIS_COUNT, AxisVector, DriveSetpoint, Load, Plant};
+pub use drive::{DriveSetpoint, Load, Plant};
 
 #[cfg(test)]
 mod tests;

@@ -9,7 +9,6 @@ use serde::Deserialize;
 
 use super::grasp::GraspConfig;
 use super::ground::Touch;
-use super::mark::MarkConfig;
 use super::material::Material;
 use super::sheet::{Sheet, SheetShape, count, longest_step_s};
 use super::surface::Surface;
@@ -43,6 +42,16 @@ pub struct TissueConfig {
     pub substeps: u32,
     /// Gravity, m/s², along -z.
     pub gravity_m_s2: f64,
+}
+
+/// Where the mark may be.
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct MarkConfig {
+    /// Length of the middle part of the free edge over which it is drawn uniformly, m.
+    pub span_m: f64,
+    /// Its distance from the free edge, m.
+    pub inset_m: f64,
 }
 
 /// Length of a step of the tissue, s.

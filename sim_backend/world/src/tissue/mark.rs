@@ -1,20 +1,9 @@
 //! The mark that says where to grasp: a point of the material near the free edge, drawn by seed.
 
 use hal::config::{ConfigError, Source};
-use serde::Deserialize;
 
-use super::config::TissueConfig;
+use super::config::{MarkConfig, TissueConfig};
 use crate::rng::Rng;
-
-/// Where the mark may be.
-#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct MarkConfig {
-    /// Length of the middle part of the free edge over which it is drawn uniformly, m.
-    pub span_m: f64,
-    /// Its distance from the free edge, m.
-    pub inset_m: f64,
-}
 
 impl MarkConfig {
     /// Material coordinates (on the sheet's grid) of the mark of the episode `seed`, m.

@@ -41,7 +41,6 @@
 //! The organ presses on nodes, 4 mm apart: a finger end pressed into it between them meets a somewhat softer bed.
 
 mod bed;
-mod bending;
 mod config;
 mod contact;
 mod flap;
@@ -52,7 +51,6 @@ mod jaw;
 mod lay;
 mod mark;
 mod material;
-mod membrane;
 mod patch;
 mod report;
 mod retraction;
@@ -61,12 +59,12 @@ mod sheet;
 mod snapshot;
 mod surface;
 
-pub use config::TissueConfig;
+pub use config::{MarkConfig, TissueConfig};
 pub use flap::Tissue;
 pub use grasp::GraspConfig;
 pub use ground::{Ground, Touch};
 pub use jaw::{JawInput, PAD_MIDDLE_M, Wrench};
-pub use mark::MarkConfig;
+
 pub use material::Material;
 pub use patch::Patch;
 pub use report::{Grasp, JawReport, TissueExtremes, TissueReport};

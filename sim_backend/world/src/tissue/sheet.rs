@@ -1,11 +1,13 @@
 //! Hot path: bounded, no allocation, no I/O, no lock.
 //! A thin elastic sheet as a grid of mass points: where they are, how they move, and the step that moves them.
 
+mod bending;
+mod membrane;
+
 use hal::Pose;
 use nalgebra::{Point3, Vector3};
 
 use super::material::Material;
-use super::{bending, membrane};
 
 /// A rectangular sheet in its rest state.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -59,8 +59,18 @@ pub fn enable_together<B: Bus>(
     }
 }
 
+impl<B: Bus> CanArm<B> {
+    /// Gives the buses back, for a new bring-up, after the operator has cleared the fault. The drives are taken down and the nodes stopped
+    /// first, which may take [`Self::take_down_ns`].
+    #[must_use]
+    pub fn release(mut self) -> B {
+        take_down(core::slice::from_mut(&mut self));
+        self.into_bus()
+    }
+}
+
 /// Takes the drives of all arms down and stops their nodes, from now on.
-pub(in super::super) fn take_down<B: Bus>(arms: &mut [CanArm<B>]) {
+fn take_down<B: Bus>(arms: &mut [CanArm<B>]) {
     let now = arms.first_mut().map(|first| first.bus_mut().now());
     if let Some(now) = now {
         let _confirmed = Turns::new(arms, now).take_down(arms);

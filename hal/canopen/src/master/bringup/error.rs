@@ -1,6 +1,7 @@
 //! Why an arm did not come up, with the node and the object.
 
-use super::super::fault::{Fault, Who};
+use super::super::fault::Fault;
+use super::super::plan::Who;
 use super::Step;
 use crate::bus_load::Overload;
 use crate::cia301::emcy::{ErrorCode, ErrorRegister};

@@ -9,11 +9,11 @@ use core::ops::Range;
 use core::pin::{Pin, pin};
 use core::task::{Context, Poll, Waker};
 
-use super::super::client::{LOOK_NS, TIMEOUT_NS};
 use super::super::cycle::LINES_MAX;
 use super::super::link::{Bus, Received, Trouble};
 use super::super::plan::ArmPlan;
 use super::BringUpError;
+use super::client::{LOOK_NS, TIMEOUT_NS};
 use super::watched::Watched;
 use crate::Frame;
 use crate::cia301::cob::SYNC_ID;

@@ -3,9 +3,8 @@
 //! An axis with an absolute encoder is homed where it stands (method 37): all these at the same time. One that has to move does so
 //! alone, by the drive's own homing sequence (CiA 402-2, clause 10), one axis after the other in the order of the plan.
 
-use super::super::fault::Who;
 use super::super::link::Bus;
-use super::super::plan::{ArmPlan, HomingPlan};
+use super::super::plan::{ArmPlan, HomingPlan, Who};
 use super::configure::Writer;
 use super::exchange::Exchange;
 use super::settings::is_missing;

@@ -2,8 +2,8 @@
 
 use core::fmt;
 
-use super::super::fault::{Who, is_harmless};
-use super::super::plan::ArmPlan;
+use super::super::fault::is_harmless;
+use super::super::plan::{ArmPlan, Who};
 use super::BringUpError;
 use crate::cia301::emcy::ErrorCode;
 use crate::cia301::{Cob, Emergency, NmtState};

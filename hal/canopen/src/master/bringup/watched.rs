@@ -3,11 +3,11 @@
 
 use std::sync::mpsc::Sender;
 
-use super::super::client::{self, expect};
 use super::super::cycle::LINES_MAX;
 use super::super::foreign::leads;
 use super::super::link::{Bus, Received, Trouble};
 use super::super::plan::ArmPlan;
+use super::client::{self, expect};
 use super::{BringUpError, Step};
 use crate::Frame;
 use crate::cia301::{NmtCommand, NmtTarget};

@@ -8,7 +8,8 @@ use super::{DatasetWriter, IMAGE_STATS_STRIDE, check, file_of};
 use crate::dataset::{
     ArmFrame, CameraSpec, Dataset, DatasetError, DatasetSpec, Notes, Totals, VideoCodec,
     episode::Pending,
-    layout::{self, Listed},
+    layout,
+    listed::{Listed, VideoPlace},
     meta::{self, CHUNK_SIZE, EpisodeRow},
     schema::{self, Feature, IMAGE_PREFIX, Info, VERSION},
     spec::{mismatch, read_spec, video_features},
@@ -106,7 +107,7 @@ fn listed(dir: &Path, info: &Info) -> Result<Vec<Listed>, DatasetError> {
     listed.truncate(info.total_episodes);
     for (index, episode) in listed.iter().enumerate() {
         let (chunk, file) = file_of(index);
-        let is_video = |(feature, place): (&String, &layout::VideoPlace)| {
+        let is_video = |(feature, place): (&String, &VideoPlace)| {
             place.path == meta::video_path(dir, feature, chunk, file) && place.from_s == 0.0
         };
         let data = meta::data_path(dir, chunk, file);

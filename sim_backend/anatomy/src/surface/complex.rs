@@ -3,8 +3,8 @@
 use nalgebra::Point3;
 use rayon::prelude::*;
 
+use super::nets::Net;
 use crate::grid::Grid;
-use crate::surface::nets::Net;
 
 /// Triangles between groups, in the world.
 #[derive(Clone, Debug, Default)]

@@ -9,7 +9,7 @@
 
 use nalgebra::Vector3;
 
-use super::sheet::{Sheet, edge_share};
+use super::{Sheet, edge_share};
 
 /// Adds the forces of bending and its damping to the sheet's.
 pub(super) fn add_forces(sheet: &mut Sheet) {

@@ -1,8 +1,8 @@
 //! The SDO client of bring-up: of each node one transfer at a time, with a time limit.
 
-use super::bringup::BringUpError;
-use super::bringup::exchange::{Exchange, alone};
-use super::link::{Bus, Received, Trouble};
+use super::super::link::{Bus, Received, Trouble};
+use super::BringUpError;
+use super::exchange::{Exchange, alone};
 use crate::bytes::Bytes;
 use crate::cia301::sdo::{Content, Expedited, Request, Response, Segment};
 use crate::cia301::{AbortCode, Address, Cob};

@@ -7,7 +7,7 @@
 
 use nalgebra::Vector3;
 
-use super::sheet::Sheet;
+use super::Sheet;
 
 /// Edge vectors of a cell over their rest lengths: along u at low and high v, along v at low and high u.
 struct Edges {
