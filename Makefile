@@ -17,12 +17,12 @@ demo: build
 	$(TROCAR) demo --out runs/demo
 
 # Everything that can fail for a reason in this tree; the release binary is part of it, since debug and release must agree. Tests on a
-# bus mostly wait, so whatever needs no clock runs beside them in what they leave of the cores; what runs in real time comes afterwards, alone.
+# bus mostly wait, so whatever needs no clock runs beside them in what they leave of the cores; what runs in real time comes afterwards, alone and at half speed.
 test: setup
 	cargo build --locked -p trocar
 	cargo test --locked --workspace --tests --no-run
 	$(MAKE) -j2 --output-sync=target test-can test-beside
-	cargo test --locked --workspace --test '*'
+	TROCAR_SLOW_MOTION=2 cargo test --locked --workspace --test '*'
 	$(MAKE) test-python
 	$(MAKE) test-study
 	$(MAKE) test-console

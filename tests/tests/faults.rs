@@ -120,12 +120,38 @@ impl Run {
         (Some(paused), paused + rests)
     }
 
+    /// As [`Self::stops`], of a run that then ends by itself, perhaps before it is seen at rest: what its log says.
+    fn stops_or_ends(&mut self) -> (Option<u64>, u64) {
+        let (clock, mut paused) = (MonotonicClock::new(), None);
+        loop {
+            let (ms, seen) = (clock.now().0 / MS_NS, self.status());
+            if seen.is_some_and(|seen| !seen.enabled) {
+                paused = paused.or(Some(ms));
+            }
+            let rests = seen.is_some_and(|seen| !seen.enabled && !seen.moves);
+            if rests || self.process.try_wait().unwrap().is_some() {
+                return (paused, ms);
+            }
+            assert!(clock.now().0 < PATIENCE_NS, "it does not come to rest");
+            sleep_ns(2 * MS_NS);
+        }
+    }
+
     fn said(&self) -> Vec<String> {
         self.said.lock().unwrap().clone()
     }
 
     fn has_said(&self, text: &str) -> bool {
         self.said().iter().any(|line| line.contains(text))
+    }
+
+    /// Waits until it has said that.
+    fn hears(&self, text: &str) {
+        let clock = MonotonicClock::new();
+        while !self.has_said(text) {
+            assert!(clock.now().0 < PATIENCE_NS, "{text}: {:?}", self.said());
+            sleep_ns(2 * MS_NS);
+        }
     }
 
     fn send(&self, signal: &str) {
@@ -238,16 +264,16 @@ fn dead_or_hung_policy_is_restarted_and_the_arm_goes_on() {
         (
             "-STOP",
             "policy process stopped (SIGSTOP)",
-            "the policy process has sent no heartbeat for 5 s",
+            "the policy process has sent no heartbeat for ",
         ),
     ] {
         let mut run = Run::start("faults-restart", CHECKPOINT, 2, None);
         send(signal, run.policy_process());
         let times = run.stops();
-        assert!(run.has_said(seen), "{:?}", run.said());
-        assert!(run.has_said("the arms stop and hold; it is started again in 0.2 s (1 of 2)"));
+        run.hears(seen);
+        run.hears("the arms stop and hold; it is started again in 0.2 s (1 of 2)");
         let again = run.until("it goes on", |seen| seen.enabled && seen.moves);
-        assert!(run.has_said("the policy process is ready again"));
+        run.hears("the policy process is ready again");
         let (log, result) = run.interrupted();
         assert_eq!(result["policy"]["restarts"], 1);
         for told in [
@@ -314,8 +340,10 @@ fn bad_answers_bring_the_arm_to_rest_until_a_good_one_comes() {
         let rests = run.until("it rests", |seen| !seen.moves);
         // None of them moves the arm, which is not paused.
         sleep_ns(3000 * MS_NS);
-        let still = run.status().unwrap();
-        assert_eq!((still.enabled, still.moves), (true, false), "{manner:?}");
+        run.until("it is seen", |seen| {
+            assert!(seen.enabled && !seen.moves, "{manner:?}");
+            true
+        });
         performer.behave(Manner::Good);
         run.until("it goes on", |seen| seen.moves);
         let (_, result) = run.interrupted();
@@ -359,11 +387,7 @@ fn an_external_policy_may_leave_and_come_back() {
             continue;
         }
         let times = run.stops();
-        assert!(
-            run.has_said("it may come back within 30.0 s (1 of 1)"),
-            "{:?}",
-            run.said()
-        );
+        run.hears("it may come back within 30.0 s (1 of 1)");
         let performer = Performer::appear(&topics);
         let again = run.until("it goes on", |seen| seen.enabled && seen.moves);
         let (log, result) = run.interrupted();
@@ -388,7 +412,7 @@ fn signals_bring_the_arm_to_rest() {
     for signal in ["-TERM", "-INT"] {
         let mut run = Run::start("faults-signal", "random", 0, None);
         run.send(signal);
-        let times = run.stops();
+        let times = run.stops_or_ends();
         let (code, result) = run.end();
         assert_eq!(
             (code, &result.unwrap()["reason"]),
@@ -436,15 +460,11 @@ fn a_full_disk_costs_the_log_and_not_the_run() {
     };
     let log = disk.0.join("run.mcap");
     let mut run = Run::start("faults-disk", "random", 0, Some(&log));
-    let clock = MonotonicClock::new();
-    while !run.has_said("the run goes on without it") {
-        assert!(clock.now().0 < PATIENCE_NS, "{:?}", run.said());
-        sleep_ns(5 * MS_NS);
-    }
+    run.hears("the run goes on without it");
     sleep_ns(500 * MS_NS);
     run.until("it moves on", |seen| seen.enabled && seen.moves);
     run.send("-INT");
-    let times = run.stops();
+    let times = run.stops_or_ends();
     let (code, _) = run.end();
     assert_eq!(code, Some(1), "{:?}", run.said());
     let log = RunLog::open(&run.log).unwrap();

@@ -43,7 +43,7 @@ impl Run {
                 "--seed",
                 "7",
             ])
-            .args(["--set", "scene.episode.time_limit_s=120"])
+            .args(["--set", "scene.episode.time_limit_s=600"])
             .arg("--log")
             .arg(folder.join("run.mcap"))
             .arg("--json")
@@ -102,6 +102,7 @@ fn operator(sockets: &Path, verb: &[&str]) -> std::process::Output {
 
 #[test]
 fn verbs_pause_resume_slow_down_and_stop_a_run() {
+    let _turn = tests::alone();
     let mut run = Run::start("operator-verbs");
     let ok = |verb: &[&str], wanted: &str| {
         let (code, answer, _) = run.command(verb);
@@ -151,6 +152,7 @@ fn verbs_pause_resume_slow_down_and_stop_a_run() {
 
 #[test]
 fn lines_that_are_no_commands_move_nothing() {
+    let _turn = tests::alone();
     let run = Run::start("operator-lines");
     let mut stream = UnixStream::connect(run.socket()).unwrap();
     let mut answers = BufReader::new(stream.try_clone().unwrap()).lines();

@@ -11,6 +11,7 @@ mod direct;
 #[path = "can_bus/two_arms.rs"]
 mod two_arms;
 
+use std::cell::Cell;
 use std::fs;
 use std::io::{BufRead as _, BufReader};
 use std::path::PathBuf;
@@ -124,16 +125,24 @@ fn a_slow_reader_is_told_how_many_frames_it_missed() {
     for n in 0..4000 {
         a.send(0, &[frame(0x123, &u16::to_le_bytes(n))]);
     }
-    let (mut frames, mut lost) = (0, 0);
+    let (frames, lost) = (Cell::new(0), Cell::new(0));
     let mut count = |received: Received| match received {
-        Received::Frame(_) => frames += 1,
-        Received::Trouble(Trouble::Lost(n)) => lost += n,
+        Received::Frame(_) => frames.set(frames.get() + 1),
+        Received::Trouble(Trouble::Lost(n)) => lost.set(lost.get() + n),
         Received::Trouble(_) => {}
     };
     b.receive(0, &mut count);
     // The count comes with the first frame that is queued after the loss.
     a.send(0, &[frame(0x123, &[])]);
-    b.receive(0, &mut count);
+    for _ in 0..10_000 {
+        b.receive(0, &mut count);
+        if frames.get() + lost.get() == 4001 {
+            break;
+        }
+        let later = b.now().plus_ns(1_000_000);
+        b.wait(later);
+    }
+    let (frames, lost) = (frames.get(), lost.get());
     assert!(lost > 0 && frames + lost == 4001, "{frames} {lost}");
 }
 

@@ -202,7 +202,13 @@ fn bus_load_of_a_run_matches_its_plan() {
     let on_can = ["--backend", "can", "--topics", TOPICS, "--can-config", file];
     let run = Peer::trocar(SLOW, &[&run[..], &on_can].concat(), "");
     drives.await_word("the episode begins");
-    sleep_ns(1_000_000_000 * SLOW);
+    until("there are 250 SYNCs", || {
+        frames(&log)
+            .iter()
+            .filter(|it| it.starts_with("080#"))
+            .count()
+            > 250
+    });
     let printed = run.interrupt();
     let _ = drives.interrupt();
     dump.stop();
@@ -224,8 +230,5 @@ fn bus_load_of_a_run_matches_its_plan() {
             assert!((load.least..=load.most).contains(&bits), "{bits} bits");
         }
     }
-    assert!(
-        cycles > 100 && whole > cycles / 2,
-        "{whole} of {cycles}: {printed}"
-    );
+    assert!(cycles > 100 && whole > 50, "{whole} of {cycles}: {printed}");
 }

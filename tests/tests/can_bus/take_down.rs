@@ -46,7 +46,8 @@ fn assert_taken_down(capture: &Path) {
             "node {node}: {told:?}"
         );
         let (_, held) = told[told.len() - 3];
-        assert!(held + 50 > BRAKE_CYCLES, "node {node}: {told:?}");
+        // A SYNC that a busy machine misses is not made up for.
+        assert!(2 * held > BRAKE_CYCLES, "node {node}: {told:?}");
         let status = words(&log, &format!("{:03X}", 0x180 + node)).pop().unwrap();
         assert_eq!(status & 0x4F, 0x40, "node {node}: {status:04X}h");
     }

@@ -66,7 +66,7 @@ impl Served {
 
     /// `trocar WORDS --console` at a free port.
     pub(crate) fn start(test: &str, words: &[&str]) -> Self {
-        Self::start_slow(test, words, 1)
+        Self::start_slow(test, words, 2)
     }
 
     /// The same, whose clocks are so many times slower than the machine's.

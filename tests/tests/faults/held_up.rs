@@ -12,25 +12,22 @@ fn a_run_kept_from_its_core_goes_on_or_ends_at_rest() {
         (400, "the run is kept from its cores for 0.4 s (SIGSTOP)"),
     ] {
         let mut run = Run::start("faults-stopped", "random", 0, None);
-        let clock = MonotonicClock::new();
         run.send("-STOP");
         sleep_ns(stopped_ms * MS_NS);
         run.send("-CONT");
-        let away_ms = clock.now().0 / MS_NS;
         sleep_ns(500 * MS_NS);
-        if run.process.try_wait().unwrap().is_none() && run.status().is_some() {
+        while run.process.try_wait().unwrap().is_none() && run.status().is_none() {
+            sleep_ns(2 * MS_NS);
+        }
+        if run.process.try_wait().unwrap().is_none() {
             run.send("-INT");
         }
         let (code, result) = run.end();
         let result = result.unwrap();
         let reason = result["reason"].as_str().unwrap();
-        let missed = reason.starts_with("fault: no measurement for 0.");
+        let missed = reason.starts_with("fault: no measurement for ");
         // A busy machine makes the short one longer.
         assert!(missed || reason == "interrupted", "{reason}");
-        assert!(
-            !missed || away_ms >= 50,
-            "{reason}, stopped for {away_ms} ms"
-        );
         assert_eq!(code, Some(1));
         // The signals take effect a moment after they are sent, and the longest period is one that no overrun counts.
         let figure = |name: &str| result["real_time"].pointer(name).unwrap().as_f64().unwrap();
@@ -39,6 +36,7 @@ fn a_run_kept_from_its_core_goes_on_or_ends_at_rest() {
             longest_us >= TimeNs(stopped_ms * MS_NS).seconds() * 1e6 - 3e3,
             "{result}"
         );
+        assert!(!missed || longest_us >= 50e3, "{result}");
         assert!(overruns >= longest_us / 1e3 - 3.0, "{result}");
         run.checked_log();
         let then = if missed {
@@ -97,7 +95,7 @@ impl Drop for StandingDisk {
 }
 
 /// Longer than the log's queue holds ticks, ns.
-const STANDS_NS: u64 = 5_500 * MS_NS;
+const STANDS_NS: u64 = 8_000 * MS_NS;
 
 /// The disk of the log stands still for longer than the queue reaches: the loop does not wait, and the log says what it lacks.
 #[test]
@@ -114,7 +112,7 @@ fn a_standing_disk_costs_records_and_not_the_loop() {
     run.until("it moves all the while", |seen| seen.enabled && seen.moves);
     drop(frozen);
     run.send("-INT");
-    let times = run.stops();
+    let times = run.stops_or_ends();
     let (code, result) = run.end();
     let real_time = &result.unwrap()["real_time"];
     let dropped = real_time["log_dropped"].as_u64().unwrap();
@@ -135,7 +133,7 @@ fn a_standing_disk_costs_records_and_not_the_loop() {
     );
     let seen = format!("{dropped} records dropped, `missing_ticks`");
     let then = "the run goes on; `verify` names the gap (SIGINT, whose times these are)";
-    row("the log's disk stands still for 5.5 s", &seen, times, then);
+    row("the log's disk stands still for 8 s", &seen, times, then);
 }
 
 /// A policy for other arms or a camera that there is not is refused before anything moves; one that comes back as another ends the run.

@@ -108,7 +108,7 @@ fn by_hand_a_policy_joins_and_rejoins_a_run() {
         "--set",
         "control.policy.restarts=1",
         "--set",
-        "scene.episode.time_limit_s=20",
+        "scene.episode.time_limit_s=300",
     ];
     // The run is there before the policy.
     let mut session = run(&format!("external:{name}"), &supervised)
@@ -128,6 +128,14 @@ fn by_hand_a_policy_joins_and_rejoins_a_run() {
     first.process.wait().unwrap();
     let mut second = ByHand::start(&name, &["--sessions", "1"]);
     second.hear("session of process");
+    let before = std::fs::metadata(&log).unwrap().len();
+    until("the run goes on", || {
+        std::fs::metadata(&log).unwrap().len() > before + 1_000_000
+            || session.try_wait().unwrap().is_some()
+    });
+    if session.try_wait().unwrap().is_none() {
+        send("-INT", session.id());
+    }
     let mut code = None;
     until("the run ends", || {
         code = session.try_wait().unwrap();

@@ -42,7 +42,8 @@ fn buses_and_shared_memory_are_nobody_elses() {
     let mark = format!("/dev/shm/trocar-{}", std::process::id());
     let script = format!(
         "set -e
-        candump -n 1 -T 5000 vcan1 >/tmp/iceoryx2/heard & sleep 0.5
+        candump -n 1 -T 50000 vcan1 >/tmp/iceoryx2/heard &
+        until grep -q vcan1 /proc/net/can/rcvlist_all; do sleep 0.05; done
         cansend vcan1 123#11; wait
         cat /tmp/iceoryx2/heard
         touch {mark}; ls /dev/shm"

@@ -127,12 +127,12 @@ fn a_chunk_of_another_instant_is_no_answer() {
 
 #[test]
 fn an_external_policy_that_never_answers_is_given_up() {
-    let (choice, done) = (choice("silent", 1), AtomicBool::new(false));
+    let (choice, done) = (choice("silent", 5), AtomicBool::new(false));
+    let node = TopicNode::join(choice.topics()).unwrap();
+    let hellos = PolicyHelloTopic::publisher(&node, FIRST_ARM).unwrap();
+    hellos.publish(&hello()).unwrap();
     let said = thread::scope(|scope| {
         scope.spawn(|| {
-            let node = TopicNode::join(choice.topics()).unwrap();
-            let hellos = PolicyHelloTopic::publisher(&node, FIRST_ARM).unwrap();
-            hellos.publish(&hello()).unwrap();
             while !done.load(Ordering::Acquire) {
                 hellos.keep_alive().unwrap();
                 rt::sleep_ns(LOOK_NS / 100);
@@ -148,11 +148,12 @@ fn an_external_policy_that_never_answers_is_given_up() {
         said.unwrap_err().to_string()
     });
     assert!(
-        said.ends_with("has not reset for the episode for 1 s"),
+        said.ends_with("has not reset for the episode for 5 s"),
         "{said}"
     );
     let nobody = ExternalChoice {
         name: Some(format!("{}-nobody", choice.topics())),
+        within_s: 1,
         ..choice.clone()
     };
     let error = ExternalPolicy::connect(&nobody, &setup("needle-lift"));

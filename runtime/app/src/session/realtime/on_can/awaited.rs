@@ -214,14 +214,14 @@ mod tests {
         let error = await_it::<()>(
             "a camera",
             "there is no camera",
-            1_000_000_000,
+            3_000_000_000,
             &say,
             || Ok(None),
         );
-        assert!(clock.now().0 >= 1_000_000_000);
+        assert!(clock.now().0 >= 3_000_000_000);
         assert_eq!(error.unwrap_err().to_string(), "there is no camera");
         let said = lines.into_inner().unwrap();
-        let named = "waiting for a camera, for 1 s at most; no drive has torque";
+        let named = "waiting for a camera, for 3 s at most; no drive has torque";
         assert_eq!(said, [named]);
     }
 
