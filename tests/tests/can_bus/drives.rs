@@ -6,13 +6,14 @@ use std::process::Command;
 use hal::config::Source;
 use socketcan::{CanSocket, EmbeddedFrame as _};
 use tests::{repository, scratch};
-use trocar::rt::sleep_ns;
 use trocar_canopen::bus_load::bits::exact;
 use trocar_canopen::master::CanConfig;
 use trocar_canopen::{CanId, Frame, Payload};
+use trocar_log::RunLog;
 
 use crate::heard::{await_data, receive};
-use crate::peer::{Peer, alone, said};
+use crate::pair::until;
+use crate::peer::{Peer, alone, said, state_folder};
 use crate::{bus, dissected};
 
 /// Counts by which an axis with inertia and friction may be away from the last four targets of a slow master. Of the nodes that
@@ -212,6 +213,10 @@ fn bus_load_of_a_run_matches_its_plan() {
     let printed = run.interrupt();
     let _ = drives.interrupt();
     dump.stop();
+    // Nobody asked for a log.
+    let kept = state_folder().join(format!("trocar/black-box/{TOPICS}.mcap"));
+    let kept = RunLog::open(&kept).unwrap();
+    assert!(kept.cut().is_none() && kept.tick_count() > 100, "{printed}");
     assert_eq!(dissected(&log, "_ws.malformed || _ws.expert"), [""; 0]);
     // A SYNC, and what comes until the next one: on a busy machine some answers are a cycle late.
     let frames: Vec<Frame> = frames(&log).iter().map(|frame| parsed(frame)).collect();

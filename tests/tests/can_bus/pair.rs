@@ -72,6 +72,7 @@ impl Process {
         let result = folder.join(format!("{name}.json"));
         let child = command
             .env("TROCAR_SLOW_MOTION", times.to_string())
+            .env("XDG_STATE_HOME", folder)
             .stdout(Stdio::null())
             .stderr(File::create(&said).unwrap())
             .spawn()

@@ -2,7 +2,7 @@
 
 use std::fs::{self, File};
 use std::io::{BufRead as _, BufReader, Read as _};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::process::{Child, ChildStderr, Command, Output, Stdio};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
@@ -62,6 +62,11 @@ pub(crate) struct Peer {
     aside: Option<BufReader<ChildStderr>>,
 }
 
+/// Where [`Peer::trocar`] keeps logs that nobody asked for.
+pub(crate) fn state_folder() -> PathBuf {
+    std::env::temp_dir().join("trocar-peer-state")
+}
+
 impl Peer {
     /// A program that prints what it hears, and has its socket open when this returns.
     pub(crate) fn listening(program: &str, arguments: &[&str]) -> Self {
@@ -119,6 +124,7 @@ impl Peer {
     pub(crate) fn trocar(slow: u64, arguments: &[&str], ready: &str) -> Self {
         let mut process = trocar(Profile::Debug)
             .env("TROCAR_SLOW_MOTION", slow.to_string())
+            .env("XDG_STATE_HOME", state_folder())
             .args(arguments)
             .stdout(Stdio::piped())
             .stderr(Stdio::piped())

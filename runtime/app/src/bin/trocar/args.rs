@@ -362,6 +362,10 @@ pub(crate) struct RunArgs {
     /// Write the run's log; parent folders are made.
     #[arg(long, value_name = "FILE.mcap")]
     pub(crate) log: Option<PathBuf>,
+    /// With --backend can: keep no log. Without this and --log the last 256 MB are kept in ~/.local/state/trocar/black-box/TOPICS.mcap
+    /// (of a service, in its state folder) and the run before it beside it, as TOPICS.before.mcap.
+    #[arg(long, conflicts_with = "log")]
+    pub(crate) no_log: bool,
     /// What the log takes at most, MB: it keeps the last part, in FILE.mcap and, from before it, FILE.earlier.mcap.
     #[arg(long, value_name = "MB", requires = "log", value_parser = clap::value_parser!(u64).range(16..=1_000_000))]
     pub(crate) log_max_mb: Option<u64>,

@@ -24,6 +24,7 @@ use crate::args::{
     Backend, ComputeArgs, ComputeDevice, DemoArgs, DoctorArgs, LogArgs, PolicyProcessArgs,
     Precision, ReplayArgs, RunArgs, VerifyArgs, Video,
 };
+use crate::black_box;
 use crate::console;
 use crate::drives::can_source;
 use crate::run_report::{nearest, report_run};
@@ -198,10 +199,11 @@ struct Chosen {
 
 /// The plan of a run with the arms of `setup`.
 fn planned<S>(args: &RunArgs, setup: S, chosen: Chosen) -> Plan<S> {
+    let (log, log_bytes_max) = black_box::log_of(args);
     Plan {
         seed: args.seed,
-        log: args.log.clone(),
-        log_bytes_max: args.log_max_mb.map(|mb| mb << 20),
+        log,
+        log_bytes_max,
         latency_ms: args.latency_ms,
         latency_jitter_ms: args.latency_jitter_ms,
         compute: chosen.compute,

@@ -5,6 +5,7 @@
 mod about;
 mod anatomy;
 mod args;
+mod black_box;
 mod commands;
 mod console;
 mod drives;

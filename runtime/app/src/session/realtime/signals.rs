@@ -1,6 +1,6 @@
 //! Flags between the threads of a run, and the promise that no thread's end leaves the others waiting.
 
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU8, Ordering};
 use std::sync::{Mutex, PoisonError};
 
 use hal::TimeNs;
@@ -8,6 +8,15 @@ use trocar_log::{Level, SideLog};
 
 use crate::rt;
 use crate::session::operator::Served;
+
+/// What a run can lack, so that its arms hold; each is a bit of the flags.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Lacking {
+    /// A policy that answers.
+    Answers = 1,
+    /// A camera that the policy looks through.
+    Frames = 2,
+}
 
 /// The flags.
 #[derive(Debug, Default)]
@@ -20,8 +29,8 @@ pub(super) struct Signals {
     stop_asked: AtomicBool,
     /// Whoever the drives move is there: they may have torque.
     torque_allowed: AtomicBool,
-    /// Nobody answers for now: the arms hold.
-    held: AtomicBool,
+    /// What is lacking for now, while the arms hold.
+    lacking: AtomicU8,
     /// What the log is to say of it; of no interest to the control thread.
     told: Mutex<Vec<(TimeNs, Level, String)>>,
 }
@@ -52,14 +61,24 @@ impl Signals {
         self.stop_asked.load(Ordering::Acquire)
     }
 
-    /// Whether the arms are to hold, since nobody answers.
+    /// Whether the arms are to hold, since something is lacking.
     pub(super) fn held(&self) -> bool {
-        self.held.load(Ordering::Acquire)
+        self.lacking.load(Ordering::Acquire) != 0
     }
 
-    /// Makes the arms hold, or go on.
-    pub(super) fn hold(&self, holds: bool) {
-        self.held.store(holds, Ordering::Release);
+    /// Whether that is lacking.
+    pub(super) fn lacks(&self, what: Lacking) -> bool {
+        self.lacking.load(Ordering::Acquire) & what as u8 != 0
+    }
+
+    /// Makes the arms hold, since that is lacking.
+    pub(super) fn hold(&self, what: Lacking) {
+        self.lacking.fetch_or(what as u8, Ordering::AcqRel);
+    }
+
+    /// Lets the arms go on, unless something else is lacking.
+    pub(super) fn go_on(&self, what: Lacking) {
+        self.lacking.fetch_and(!(what as u8), Ordering::AcqRel);
     }
 
     /// Has the log say something; whoever has the log takes it from here.

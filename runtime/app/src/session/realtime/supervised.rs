@@ -10,7 +10,7 @@ use trocar_control::Supervision;
 use trocar_log::Level;
 
 use super::child::PolicyChild;
-use super::signals::Signals;
+use super::signals::{Lacking, Signals};
 use crate::histogram::Histogram;
 use crate::rt::MonotonicClock;
 use crate::session::SessionError;
@@ -80,9 +80,9 @@ impl<'a> Supervised<'a> {
             return Ok(());
         }
         if let Some(answer) = self.child.newest_chunks()? {
-            if signals.held() {
+            if signals.lacks(Lacking::Answers) {
                 // Before the chunk: arms that are paused would ignore it.
-                signals.hold(false);
+                signals.go_on(Lacking::Answers);
                 self.tell(
                     signals,
                     Level::Info,
@@ -155,7 +155,7 @@ impl<'a> Supervised<'a> {
         if self.restarts >= self.rules.restarts {
             return Some(reason);
         }
-        signals.hold(true);
+        signals.hold(Lacking::Answers);
         let doubled = 1_u64.checked_shl(self.restarts).unwrap_or(u64::MAX);
         let backoff_ns = self.rules.backoff_ns.saturating_mul(doubled);
         let backoff_ns = backoff_ns.min(BACKOFF_NS_MAX);

@@ -163,7 +163,8 @@ pub fn run_robot_on_can(
         } = watching;
         // Nobody else has to be there.
         seen.signals.allow_torque();
-        let robot_thread = RobotThread::new(seen, local, reports, cameras, asked);
+        let supervised = (plan.setup.robot().control.supervision, plan.warn);
+        let robot_thread = RobotThread::new(seen, local, reports, cameras, (asked, supervised));
         let robot_thread = robot_thread.woken_by(node.events()?);
         Ok(|| robot_thread.run())
     })

@@ -2,6 +2,7 @@
 //! ([`run_robot_on_can`](super::run_robot_on_can)).
 
 mod own_rig;
+mod sight;
 mod thread;
 
 pub use own_rig::run_rig;

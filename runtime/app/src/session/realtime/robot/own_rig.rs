@@ -58,7 +58,13 @@ pub fn run_rig<R: Rig + Send>(
         held: plan.real_time.hold()?,
     };
     let local = Some((source, wires.chunk_in));
-    let robot_thread = RobotThread::new(wires.seen, local, Vec::new(), (Vec::new(), 0), asked);
+    let robot_thread = RobotThread::new(
+        wires.seen,
+        local,
+        Vec::new(),
+        (Vec::new(), 0),
+        (asked, (robot.control.supervision, plan.warn)),
+    );
     let control = move || {
         // Until the drives are taken down.
         let _moving = Moving;

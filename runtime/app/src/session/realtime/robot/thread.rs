@@ -10,17 +10,16 @@ use super::super::on_can::{AHEAD_NS_MAX, Camera, FRAME_NS_MAX, logged, seen_at};
 use super::super::signals::EndsRun;
 use super::super::wires::{Local, SeenWires};
 use super::RobotOptions;
+use super::sight::Sight;
 use crate::histogram::Histogram;
 use crate::rt;
 use crate::session::SessionError;
 use crate::session::source::{Query, STEP_NS};
 use hal::PerArm;
+use trocar_control::Supervision;
 
 /// Time between two looks at the measured arms, which wake nobody, ns; a frame does.
 const POLL_NS: u64 = 2_000_000;
-
-/// A camera that shows nothing for this long, or nothing but old frames, is gone, ns.
-const SILENCE_NS_MAX: u64 = 2_000_000_000;
 
 /// How far a measurement may be from the instant that it stands for, ns.
 const NEAR_NS: u64 = 20_000_000;
@@ -36,11 +35,7 @@ pub(in super::super) struct RobotThread {
     reports: Vec<Publisher<ArmReport>>,
     /// Those that the policy looks through first.
     cameras: Vec<Camera>,
-    /// When each camera that the policy looks through last showed something, by the run's clock.
-    shown: Vec<TimeNs>,
-    /// The size of each of these cameras' first frame, pixels, and what is said once one is of another.
-    sizes: Vec<Option<(u32, u32)>>,
-    resized: Option<String>,
+    sight: Sight,
     /// After how long it ends, ns.
     limit_ns: Option<u64>,
     past: Past,
@@ -88,8 +83,10 @@ impl RobotThread {
         local: Local,
         reports: Vec<Publisher<ArmReport>>,
         (cameras, looked_at): (Vec<Camera>, usize),
-        asked: &RobotOptions,
+        (asked, supervised): (&RobotOptions, (Supervision, fn(&str))),
     ) -> Self {
+        let names = cameras.iter().take(looked_at);
+        let names = names.map(|(name, _)| name.clone()).collect();
         #[expect(
             clippy::cast_possible_truncation,
             clippy::cast_sign_loss,
@@ -101,9 +98,7 @@ impl RobotThread {
             local,
             reports,
             cameras,
-            shown: vec![TimeNs(0); looked_at],
-            sizes: vec![None; looked_at],
-            resized: None,
+            sight: Sight::new(names, supervised),
             limit_ns,
             past: Past::default(),
             events: None,
@@ -126,7 +121,7 @@ impl RobotThread {
             inference: Histogram::new(),
         };
         let (mut first, mut observed): (_, Option<(TimeNs, u64)>) = (None, None);
-        self.shown.fill(self.seen.clock.now());
+        self.sight.begin(self.seen.clock.now());
         while !signals.stopped() {
             self.seen.tell();
             let now = self.seen.clock.now();
@@ -137,7 +132,7 @@ impl RobotThread {
             let begun = first.or_else(|| self.past.begins());
             if let Some(begun) = begun {
                 first = Some(begun);
-                let at = if self.shown.is_empty() {
+                let at = if self.sight.is_blind() {
                     Some(now)
                 } else {
                     frame
@@ -159,7 +154,7 @@ impl RobotThread {
                 let up = self
                     .limit_ns
                     .is_some_and(|limit_ns| now.since(begun) >= limit_ns);
-                let blind = self.blind(now);
+                let blind = self.sight.judge(now, &signals);
                 if (up || blind.is_some()) && !signals.done() {
                     end.as_asked = up;
                     end.ended_by = Some(match blind.filter(|_| !up) {
@@ -172,7 +167,7 @@ impl RobotThread {
                     signals.end_run();
                 }
             } else {
-                self.shown.fill(now);
+                self.sight.begin(now);
             }
             for report in &self.reports {
                 report.keep_alive()?;
@@ -186,18 +181,6 @@ impl RobotThread {
         Ok(end)
     }
 
-    /// Why the policy sees no more at `now`, if so: a camera that it looks through is gone, or shows frames of another size.
-    fn blind(&self, now: TimeNs) -> Option<String> {
-        let mut cameras = self.cameras.iter().zip(&self.shown);
-        let gone = cameras.find(|(_, shown)| now.since(**shown) > SILENCE_NS_MAX);
-        let seconds = SILENCE_NS_MAX / 1_000_000_000;
-        self.resized.clone().or_else(|| {
-            gone.map(|((name, _), _)| {
-                format!("camera {name} has published no frame for {seconds} s")
-            })
-        })
-    }
-
     /// Keeps what cameras show in the log; when the newest frame of the policy's first camera was taken, if there is a new one.
     fn newest_frame(&mut self) -> Result<Option<TimeNs>, SessionError> {
         let mut taken = None;
@@ -209,24 +192,14 @@ impl RobotThread {
             let header = view.header();
             let stamp = self.seen.clock.from_system(header.stamp);
             let size = (header.intrinsics.width, header.intrinsics.height);
-            if let Some(first) = self.sizes.get_mut(index)
-                && *first.get_or_insert(size) != size
-            {
-                let (width, height) = size;
-                let told = format!(
-                    "camera {name} shows other frames than at first: {width} x {height} pixels"
-                );
-                self.resized = Some(told);
-            }
+            self.sight.sized(index, size);
             // One from ahead would be the newest for ever.
             if stamp > now.plus_ns(AHEAD_NS_MAX) {
                 continue;
             }
             // A camera that lags shows nothing of now.
-            if let Some(shown) = self.shown.get_mut(index)
-                && now.since(stamp) <= FRAME_NS_MAX
-            {
-                *shown = now;
+            if now.since(stamp) <= FRAME_NS_MAX {
+                self.sight.saw(index, now);
             }
             if index == 0 {
                 taken = Some(stamp);

@@ -6,6 +6,7 @@ use std::thread;
 use hal::{Intrinsics, JointVector, Pose};
 use trocar_topics::{CameraTopic, FrameHeader, FramePublisher, TopicNode};
 
+use super::super::super::signals::{Lacking, Signals};
 use super::super::super::wires::Wires;
 use super::*;
 use crate::rt::MonotonicClock;
@@ -44,6 +45,8 @@ enum Camera {
     Freezes,
     /// It shows frames of another size.
     Grows,
+    /// It dies, and another takes its place once the arms hold.
+    Returns,
     /// It goes on.
     Lives,
 }
@@ -60,8 +63,9 @@ fn show(camera: &mut FramePublisher, side: u32, stamp: TimeNs) {
     camera.publish_with(&header, blank).unwrap();
 }
 
-/// How a run of `seconds` ends whose only camera, of ours, does that, and whose arms are always measured.
-fn ended(does: Camera, seconds: f64) -> RobotEnd {
+/// How a run of `seconds` ends whose only camera, of ours, does that, and whose arms are always measured; whether the arms were seen to hold
+/// for want of frames and then of an answer. A camera may be gone so many `times`.
+fn ended(does: Camera, seconds: f64, times: u32) -> (RobotEnd, bool) {
     let clock = MonotonicClock::new();
     let node = TopicNode::join(&format!("test-{}-{does:?}", std::process::id())).unwrap();
     let mut camera = Some(CameraTopic::publisher(&node, "scope", 64).unwrap());
@@ -73,22 +77,42 @@ fn ended(does: Camera, seconds: f64) -> RobotEnd {
         seconds: Some(seconds),
     };
     let cameras = (vec![("scope".to_owned(), topic)], 1);
-    let robot = RobotThread::new(wires.seen, None, Vec::new(), cameras, &asked);
+    let rules = Supervision {
+        restarts: times,
+        backoff_ns: 0,
+        return_ns: 60_000 * MS_NS,
+    };
+    let supervised = (rules, (|_| ()) as fn(&str));
+    let robot = RobotThread::new(wires.seen, None, Vec::new(), cameras, (&asked, supervised));
     let robot = robot.woken_by(node.events().unwrap());
     let ended = AtomicBool::new(false);
     thread::scope(|scope| {
         let arms = scope.spawn(|| {
             let frozen = clock.to_system(clock.now());
+            let (mut was_gone, mut came_back) = (false, false);
             for tick in 0_u64.. {
                 let now = clock.now();
                 control.measured.put(state(now.0 / MS_NS, 0.0));
                 let (stamp, late) = (clock.to_system(now), tick > 100);
                 match (&mut camera, does) {
                     (Some(_), Camera::Dies) if late => camera = None,
+                    (Some(_), Camera::Returns) if late && !was_gone => {
+                        camera = None;
+                        was_gone = true;
+                    }
                     (Some(camera), Camera::Freezes) => show(camera, 4, frozen),
                     (Some(camera), Camera::Grows) => show(camera, if late { 8 } else { 4 }, stamp),
-                    (Some(camera), Camera::Dies | Camera::Lives) => show(camera, 4, stamp),
+                    (Some(camera), Camera::Dies | Camera::Returns | Camera::Lives) => {
+                        show(camera, 4, stamp);
+                    }
+                    (None, Camera::Returns) if signals.lacks(Lacking::Frames) => {
+                        camera = Some(CameraTopic::publisher(&node, "scope", 64).unwrap());
+                    }
                     (None, _) => {}
+                }
+                if was_gone && signals.lacks(Lacking::Answers) {
+                    came_back = true;
+                    signals.end_run();
                 }
                 if signals.done() || ended.load(Ordering::Acquire) {
                     break;
@@ -97,11 +121,11 @@ fn ended(does: Camera, seconds: f64) -> RobotEnd {
             }
             // The control thread stops once the arms rest.
             drop(super::super::super::signals::StopsAll(&signals));
+            came_back
         });
         let end = robot.run().unwrap();
         ended.store(true, Ordering::Release);
-        arms.join().unwrap();
-        end
+        (end, arms.join().unwrap())
     })
 }
 
@@ -117,7 +141,8 @@ fn cameras_that_fail_end_the_run_by_name() {
     ];
     let clock = MonotonicClock::new();
     thread::scope(|scope| {
-        let cases = cases.map(|(does, said)| scope.spawn(move || (does, said, ended(does, 60.0))));
+        let cases =
+            cases.map(|(does, said)| scope.spawn(move || (does, said, ended(does, 60.0, 0).0)));
         for case in cases {
             let (does, said, end) = case.join().unwrap();
             assert_eq!(end.ended_by.as_deref(), Some(said), "{does:?}");
@@ -125,7 +150,19 @@ fn cameras_that_fail_end_the_run_by_name() {
         }
     });
     assert!(clock.now().0 < 60_000 * MS_NS);
-    let end = ended(Camera::Lives, 0.5);
+    let (end, _) = ended(Camera::Lives, 0.5, 0);
     assert_eq!(end.ended_by.as_deref(), Some("the 0.5 s are over"));
     assert!(end.as_asked);
+}
+
+/// With restarts the arms hold while a camera is gone, and then until an answer comes to what it shows again.
+#[test]
+fn a_camera_may_come_back() {
+    let (end, came_back) = ended(Camera::Returns, 600.0, 1);
+    assert!(came_back);
+    assert_eq!(end.ended_by, None);
+    // Once more than that often is too often.
+    let mut sight = Sight::new(vec!["scope".to_owned()], (Supervision::default(), |_| ()));
+    let signals = Signals::default();
+    assert!(sight.judge(TimeNs(5000 * MS_NS), &signals).is_some());
 }

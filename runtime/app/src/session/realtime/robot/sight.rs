@@ -1,0 +1,129 @@
+//! Whether a robot's policy sees: when each of its cameras showed something last, and what is done when one is gone.
+//!
+//! Without restarts (`[policy]` in `control.toml`) the run ends with it. With some, the arms come to a smooth stop and hold until it shows
+//! frames of now again, by itself or by another process in its place, and go on with the next answer.
+
+use hal::TimeNs;
+use trocar_control::Supervision;
+use trocar_log::Level;
+
+use super::super::signals::{Lacking, Signals};
+
+/// A camera that shows nothing for this long, or nothing but old frames, is gone, ns.
+const SILENCE_NS_MAX: u64 = 2_000_000_000;
+
+/// The cameras that a policy looks through.
+pub(super) struct Sight {
+    /// By name, when each last showed something, by the run's clock.
+    shown: Vec<(String, TimeNs)>,
+    /// The size of each one's first frame, pixels, and what is said once one is of another.
+    sizes: Vec<Option<(u32, u32)>>,
+    resized: Option<String>,
+    rules: Supervision,
+    /// Says on the terminal what happens.
+    warn: fn(&str),
+    /// Until when one that is gone may come back.
+    gone_until: Option<TimeNs>,
+    /// How often one was gone.
+    times: u32,
+}
+
+impl Sight {
+    /// Through the cameras of these names, supervised by these rules.
+    pub(super) fn new(names: Vec<String>, (rules, warn): (Supervision, fn(&str))) -> Self {
+        Self {
+            sizes: vec![None; names.len()],
+            shown: names.into_iter().map(|name| (name, TimeNs(0))).collect(),
+            resized: None,
+            rules,
+            warn,
+            gone_until: None,
+            times: 0,
+        }
+    }
+
+    /// Whether it looks through none.
+    pub(super) fn is_blind(&self) -> bool {
+        self.shown.is_empty()
+    }
+
+    /// Begins at `now`: all that came before does not count.
+    pub(super) fn begin(&mut self, now: TimeNs) {
+        self.shown.iter_mut().for_each(|(_, shown)| *shown = now);
+    }
+
+    /// Takes in the size of a frame of the camera at `index`, pixels.
+    pub(super) fn sized(&mut self, index: usize, size: (u32, u32)) {
+        let Some(first) = self.sizes.get_mut(index) else {
+            return;
+        };
+        if *first.get_or_insert(size) != size {
+            let ((width, height), (name, _)) = (size, &self.shown[index]);
+            let told = format!(
+                "camera {name} shows other frames than at first: {width} x {height} pixels"
+            );
+            self.resized = Some(told);
+        }
+    }
+
+    /// The camera at `index` shows something of `now`.
+    pub(super) fn saw(&mut self, index: usize, now: TimeNs) {
+        if let Some((_, shown)) = self.shown.get_mut(index) {
+            *shown = now;
+        }
+    }
+
+    /// Makes the arms hold or go on; why the run ends, if it does: a camera is gone for good, or shows frames of another size.
+    pub(super) fn judge(&mut self, now: TimeNs, signals: &Signals) -> Option<String> {
+        if self.resized.is_some() {
+            return self.resized.clone();
+        }
+        let gone = self.gone(now);
+        match (gone, self.gone_until) {
+            (None, None) => None,
+            (None, Some(_)) => {
+                self.gone_until = None;
+                // Its answers are from before, and so the arms wait for the next one.
+                signals.hold(Lacking::Answers);
+                signals.go_on(Lacking::Frames);
+                self.tell(now, signals, Level::Info, "the cameras show frames again");
+                None
+            }
+            (Some(reason), None) => self.lost(reason, now, signals),
+            (Some(reason), Some(until)) => (now > until).then(|| {
+                let within_s = TimeNs(self.rules.return_ns).seconds();
+                format!("{reason}, and again none within {within_s:.1} s")
+            }),
+        }
+    }
+
+    /// Which camera is gone at `now`, in words.
+    fn gone(&self, now: TimeNs) -> Option<String> {
+        let mut cameras = self.shown.iter();
+        let gone = cameras.find(|(_, shown)| now.since(*shown) > SILENCE_NS_MAX);
+        let seconds = SILENCE_NS_MAX / 1_000_000_000;
+        gone.map(|(name, _)| format!("camera {name} has published no frame for {seconds} s"))
+    }
+
+    /// Makes the arms hold; gives back `reason` if nothing is waited for.
+    fn lost(&mut self, reason: String, now: TimeNs, signals: &Signals) -> Option<String> {
+        if self.times >= self.rules.restarts {
+            return Some(reason);
+        }
+        signals.hold(Lacking::Frames);
+        self.times += 1;
+        self.gone_until = Some(now.plus_ns(self.rules.return_ns));
+        let (time, of) = (self.times, self.rules.restarts);
+        let within_s = TimeNs(self.rules.return_ns).seconds();
+        let text = format!(
+            "{reason}; the arms stop and hold; it may come back within {within_s:.1} s ({time} of {of})"
+        );
+        self.tell(now, signals, Level::Warning, &text);
+        None
+    }
+
+    fn tell(&self, now: TimeNs, signals: &Signals, level: Level, text: &str) {
+        signals.tell(now, level, text);
+        (self.warn)(text);
+    }
+}
