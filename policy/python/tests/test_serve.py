@@ -211,6 +211,42 @@ def test_late_answers_mean_the_same_relative_or_absolute(name: str, session: Cal
     assert seen[0] == seen[1]
 
 
+class Chunked(Late):
+    """As real-time chunking has it: what will be past or under way when the answer comes stays as it was, and the rest joins there."""
+
+    #: Rows kept: 400 ms of delay.
+    KEPT = 10
+
+    def __init__(self) -> None:
+        super().__init__(relative=False, seconds=0.0)
+        self.left_over: list[int] = []
+        self.answers: list[np.ndarray] = []
+
+    def infer(self, observation: trocar.Observation) -> list[np.ndarray]:
+        (rows,), (left,) = super().infer(observation), observation.left_over
+        self.left_over.append(len(left))
+        kept = left[: self.KEPT]
+        if len(kept):
+            rows[:, :3] += kept[-1, :3] + [0, 0, 0.0005] - rows[len(kept), :3]
+            rows[: len(kept)] = kept
+        self.answers.append(rows)
+        return [rows]
+
+
+def test_chunks_may_overlap_as_real_time_chunking_has_it(name: str, session: Callable[..., Any]) -> None:
+    newest = ["--set", "control.aggregation.mode=newest", "--latency-ms", "400"]
+    running = session("run", "--task", "needle-lift", "--lockstep", "--policy", f"external:{name}", *newest, *short(3.0))
+    policy = Chunked()
+    assert trocar.serve(policy, name, query_every=15, sessions=1) == 1
+    _, _, err = running.end()
+    assert policy.left_over[0] == 0 and set(policy.left_over[1:]) == {85}, err
+    # At no change of chunks does what is wanted leap: rows rise by half a millimetre each.
+    assert len(policy.answers) >= 4
+    for before, after in zip(policy.answers, policy.answers[1:]):
+        assert np.array_equal(after[: Chunked.KEPT], before[15 : 15 + Chunked.KEPT])
+        assert np.allclose(np.diff(after[:, 2]), 0.0005)
+
+
 @pytest.mark.parametrize("relative", [True, False], ids=["relative", "absolute"])
 def test_a_policy_may_answer_late_in_real_time(
     relative: bool, name: str, session: Callable[..., Any], tmp_path: Path

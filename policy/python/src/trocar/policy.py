@@ -82,6 +82,9 @@ class Observation:
     frames: Mapping[str, Frame]
     #: What is to be done, in words: what ``--instruction`` says, or else the task's name, as a dataset's ``task`` has it.
     instruction: str = ""
+    #: What of the answer before is still to come, for policies whose chunks overlap (real-time chunking): of each arm the absolute targets
+    #: (steps, 8), row k due k steps after this observation. No rows at an episode's first query, or if none is left.
+    left_over: tuple[Array, ...] = ()
 
 
 #: One array an arm, of shape (steps, 8) or (steps, 7); of a single arm also the array itself.

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import dataclasses
 import time
 from collections.abc import Sequence
 from typing import Any
 
+import numpy as np
+
 from .peer import Asked, Begins, Ended, Peer, Shown
-from .policy import Policy, targets_of
+from .policy import ABSOLUTE, Array, Observation, Policy, targets_of
 
 #: How long a session that was told of a failure has time to take note, s.
 _LINGER_S = 1.0
@@ -40,10 +43,10 @@ def serve(
         arms=arms,
         title=title or type(policy).__name__,
     )
-    served = 0
+    served, answers = 0, _Answers()
     while sessions is None or served < sessions:
         try:
-            if _served(peer, policy):
+            if _served(peer, policy, answers):
                 served += 1
         except KeyboardInterrupt:
             _tell(peer, "it was stopped by a signal")
@@ -54,16 +57,34 @@ def serve(
     return served
 
 
-def _served(peer: Peer, policy: Any) -> bool:
+class _Answers:
+    """The newest answer of an episode, of which a part is still to come."""
+
+    def __init__(self) -> None:
+        self.step = 0
+        self.targets: list[Array] = []
+
+    def before(self, observation: Observation) -> Observation:
+        """`observation` with what is left of the answer before."""
+        targets = self.targets or [np.empty((0, ABSOLUTE))] * len(observation.arms)
+        past = max(observation.step - self.step, 0)
+        return dataclasses.replace(observation, left_over=tuple(rows[past:] for rows in targets))
+
+
+def _served(peer: Peer, policy: Any, answers: _Answers) -> bool:
     """Deals with one event; whether a session has ended with it."""
     event = peer.wait()
     if isinstance(event, Begins):
+        answers.targets = []
         reset = getattr(policy, "reset", None)
         if reset is not None:
             reset(event.seed)
         peer.ready()
     elif isinstance(event, Asked):
-        peer.answer(targets_of(policy.infer(event.observation), event.observation))
+        observation = answers.before(event.observation)
+        answers.targets = targets_of(policy.infer(observation), observation)
+        answers.step = observation.step
+        peer.answer(answers.targets)
     elif isinstance(event, Shown):
         observe = getattr(policy, "observe", None)
         if observe is not None:
