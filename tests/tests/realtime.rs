@@ -16,8 +16,10 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 
+use hal::TimeNs;
 use tests::{Profile, alone, json, scratch, trocar};
 use trocar::rt::{MonotonicClock, sleep_ns};
+use trocar::session::operator::{Ask, Command as Operator, ask};
 use trocar_log::RunLog;
 use trocar_log::replay::replay;
 use trocar_log::verify::verify;
@@ -401,11 +403,25 @@ fn a_killed_run_leaves_a_log_that_can_be_read() {
         before = RunLog::open(&run.log).map_or(0, |log| log.tick_count());
         before > 2000
     });
+    let of = Ask {
+        run: Some(run.process.id().to_string()),
+        json: true,
+    };
+    let (status, _) = ask(Operator::Status, &of).unwrap();
+    let status: serde_json::Value = serde_json::from_str(&status).unwrap();
     run.process.kill().unwrap();
     run.process.wait().unwrap();
     let log = RunLog::open(&run.log).unwrap();
     assert!(log.cut().is_some() && log.outcome.is_none());
     assert!(log.tick_count() >= before);
+    // A quarter of a second may be lost; a busy machine's writer is later.
+    let (last, _) = log.ticks().last().unwrap();
+    let (at_s, first) = (
+        status["seconds"].as_f64().unwrap(),
+        log.ticks().next().unwrap().0,
+    );
+    let logged_s = TimeNs(last.now.since(first.now)).seconds();
+    assert!(logged_s > at_s - 1.0, "{logged_s} s of {at_s} s");
     assert!(
         log.events
             .iter()

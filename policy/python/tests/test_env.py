@@ -54,7 +54,7 @@ def test_gymnasiums_checker_finds_nothing(make: Any, control: str) -> None:
 
 def test_the_checker_finds_nothing_in_pictures(make: Any) -> None:
     env = make(cameras=["endoscope"], render_mode="rgb_array", image_size=(48, 64), options=PLAIN)
-    check_env(env, skip_render_check=True)
+    check_env(env)
     observation, _ = env.reset(seed=3)
     picture = env.render()
     assert picture is not None and picture.shape == (48, 64, 3) and picture.std() > 5

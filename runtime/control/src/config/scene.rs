@@ -186,7 +186,9 @@ fn arm(
         source.check_range(&key("rcm_in_scene_m"), place_m, -SCENE_M, SCENE_M)?;
         let angle = table.rcm_in_scene_rpy_rad[axis];
         source.check_range(&key("rcm_in_scene_rpy_rad"), angle, -3.15, 3.15)?;
-        source.check_range(&key("workspace_min_m"), low[axis], -SCENE_M, SCENE_M)?;
+        // Room for a box of a centimetre.
+        let most = SCENE_M - 0.01;
+        source.check_range(&key("workspace_min_m"), low[axis], -SCENE_M, most)?;
         let least = low[axis] + 0.01;
         source.check_range(&key("workspace_max_m"), high[axis], least, SCENE_M)?;
     }
