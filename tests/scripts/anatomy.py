@@ -164,10 +164,10 @@ def has_validator():
 def check_gltf(path, meshes):
     scene = trimesh.load(path)
     report("glTF: meshes that the stage has not", len(scene.geometry.keys() ^ meshes.keys()), 0)
-    # glTF has y upwards: its scene is the scan's world turned by a quarter about x.
+    # glTF has y upwards and z forward: left, head, front.
     bounds = np.array([mesh.bounds for mesh in meshes.values()])
     low, high = bounds[:, 0].min(axis=0), bounds[:, 1].max(axis=0)
-    expected = np.array([[low[0], low[2], -high[1]], [high[0], high[2], -low[1]]])
+    expected = np.array([[-high[0], low[2], low[1]], [-low[0], high[2], high[1]]])
     report("glTF: bounds from the stage's, m", np.abs(scene.bounds - expected).max(), METRES)
     if not has_validator():
         print("glTF: the Khronos validator is not here (no npm): NOT CHECKED")

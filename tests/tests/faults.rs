@@ -303,6 +303,13 @@ fn the_last_restart_ends_the_run_at_rest() {
     run.stops();
     run.until("it goes on", |seen| seen.enabled && seen.moves);
     send("-KILL", run.policy_process());
+    let times = run.stops_or_ends();
+    row(
+        "policy process killed, no restart left",
+        "the policy process ended: signal: 9",
+        times,
+        "the run ends, exit code 1",
+    );
     let (code, result) = run.end();
     let result = result.unwrap();
     let reason = result["reason"].as_str().unwrap();

@@ -1,8 +1,9 @@
 //! A patient as files that other programs open: glTF (`.glb`) and OpenUSD (`.usda`).
 //!
-//! Coordinates are the scan's world, right-anterior-superior, in metres. OpenUSD has z upwards, as the scan; glTF's y upwards comes from a
-//! rotation at the root, and its meshes keep the scan's coordinates.
+//! Coordinates are the scan's world, right-anterior-superior, in metres. OpenUSD has z upwards, as the scan; glTF's y upwards and z
+//! forward come from a rotation at the root, and its meshes keep the scan's coordinates.
 
+mod foreign;
 mod glb;
 mod gltf;
 mod read;
@@ -17,7 +18,7 @@ use crate::number::single;
 
 pub use glb::glb;
 pub use gltf::Numbers;
-pub use read::{Part, PatientError, read};
+pub use read::{Part, PatientError, file_of, read};
 pub use usda::usda;
 
 /// The patient's glTF file in its folder.

@@ -80,7 +80,7 @@ impl Document {
         let mut nodes = self.nodes.clone();
         // From z upwards to y upwards.
         nodes.push(
-            json!({"name": "patient", "rotation": [-half, 0.0, 0.0, half], "children": children}),
+            json!({"name": "patient", "rotation": [0.0, half, half, 0.0], "children": children}),
         );
         json!({
             "asset": {"version": "2.0", "generator": "trocar anatomy", "extras": {"frame": FRAME}},

@@ -1,4 +1,4 @@
-//! A patient's meshes out of the `.glb` that [`super::glb`] made. Whatever else is in the file's place is refused with the reason.
+//! A patient's meshes out of the `.glb` that [`super::glb`] made; those of other programs are [`super::foreign`]'s. Whatever else is in the file's place is refused with the reason.
 
 use std::fs::{self, File};
 use std::io::{self, Read};
@@ -8,6 +8,7 @@ use hal::Mesh;
 use nalgebra::Vector3;
 use serde::Deserialize;
 
+use super::foreign;
 use super::gltf::{FLOAT, UNSIGNED_INT, chunks};
 use super::{FRAME, GLB_FILE};
 
@@ -15,7 +16,7 @@ use super::{FRAME, GLB_FILE};
 const BYTES_MAX: u64 = 256 << 20;
 
 /// Most groups of a patient.
-const PARTS_MAX: usize = 64;
+pub(super) const PARTS_MAX: usize = 64;
 
 /// How far from the scan's origin a vertex may be, m.
 const FAR_M: f32 = 10.0;
@@ -56,9 +57,14 @@ pub enum PatientError {
     },
 }
 
+/// Who made the file.
+#[derive(Deserialize)]
+struct Heading {
+    asset: Header,
+}
+
 #[derive(Deserialize)]
 struct Document {
-    asset: Header,
     #[serde(default)]
     accessors: Vec<Accessor>,
     #[serde(default, rename = "bufferViews")]
@@ -155,12 +161,25 @@ struct Content<'a> {
     left: usize,
 }
 
-/// The groups of the patient in `folder`, in the file's order.
+/// The file of a patient that is called `place`: a folder that `trocar anatomy build` wrote, or a `.glb` of any program.
+#[must_use]
+pub fn file_of(place: &Path) -> PathBuf {
+    let is_file = place
+        .extension()
+        .is_some_and(|end| end.eq_ignore_ascii_case("glb"));
+    if is_file {
+        place.to_owned()
+    } else {
+        place.join(GLB_FILE)
+    }
+}
+
+/// The groups of the patient at `place` ([`file_of`]), in the file's order.
 ///
 /// # Errors
 /// [`PatientError`] with the file and what is wrong with it.
-pub fn read(folder: &Path) -> Result<Vec<Part>, PatientError> {
-    let path = folder.join(GLB_FILE);
+pub fn read(place: &Path) -> Result<Vec<Part>, PatientError> {
+    let path = file_of(place);
     let bytes = load(&path).map_err(|source| PatientError::Unreadable {
         path: path.clone(),
         source,
@@ -187,10 +206,11 @@ fn load(path: &Path) -> io::Result<Vec<u8>> {
 /// The groups in the bytes of a file, or what is wrong with them.
 pub(super) fn parts(file: &[u8]) -> Result<Vec<Part>, String> {
     let [json, numbers] = chunks(file)?;
-    let document: Document = serde_json::from_slice(json).map_err(|error| error.to_string())?;
-    if document.asset.extras.frame.as_deref() != Some(FRAME) {
-        return Err("it is no patient that `trocar anatomy build` made".to_owned());
+    let heading: Heading = serde_json::from_slice(json).map_err(|error| error.to_string())?;
+    if heading.asset.extras.frame.as_deref() != Some(FRAME) {
+        return foreign::parts(file);
     }
+    let document: Document = serde_json::from_slice(json).map_err(|error| error.to_string())?;
     let count = document.meshes.len();
     if !(1..=PARTS_MAX).contains(&count) {
         return Err(format!("it has {count} meshes, of 1 to {PARTS_MAX}"));
@@ -269,7 +289,7 @@ fn vectors(words: &[u32]) -> Vec<[f32; 3]> {
 }
 
 /// What is wrong with a mesh.
-fn fault(mesh: &Mesh) -> Option<&'static str> {
+pub(super) fn fault(mesh: &Mesh) -> Option<&'static str> {
     let near = |p: &[f32; 3]| p.iter().all(|x| x.abs() <= FAR_M);
     let unit = |n: &[f32; 3]| (Vector3::from(*n).norm() - 1.0).abs() <= 0.01;
     let there = |index: &u32| (*index as usize) < mesh.positions.len();

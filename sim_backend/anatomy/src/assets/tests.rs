@@ -4,7 +4,7 @@ use nalgebra::Point3;
 use serde_json::Value;
 
 use super::read::parts;
-use super::{Asset, glb, usda};
+use super::{Asset, Part, glb, usda};
 use crate::atlas::unwrap;
 use crate::groups::Groups;
 use crate::mesh::GroupMesh;
@@ -133,10 +133,6 @@ fn hostile_files_are_refused_with_the_reason() {
     for (bytes, reason) in [
         (b"glTE".to_vec(), "no binary glTF"),
         (whole[..whole.len() - 1].to_vec(), "the length"),
-        (
-            changed("RAS of the scan, m", "LPS of the scan, m"),
-            "anatomy build",
-        ),
         (changed("\"count\":12", "\"count\":99"), "no place"),
         (changed("\"indices\":3", "\"indices\":9"), "no accessor 9"),
         (changed("\"indices\":3", "\"indices\":1"), "another type"),
@@ -149,4 +145,73 @@ fn hostile_files_are_refused_with_the_reason() {
         let error = parts(&bytes).expect_err(reason);
         assert!(error.contains(reason), "{error}, not {reason}");
     }
+}
+
+/// As another program would write it: without our word on the frame.
+fn of_others() -> Vec<u8> {
+    changed("RAS of the scan, m", "RAS of another's  ")
+}
+
+#[test]
+fn a_file_of_another_program_lies_where_its_nodes_say() {
+    let own = parts(&file()).expect("our own file");
+    let others = parts(&of_others()).expect("another's file");
+    let names = |parts: &[Part]| {
+        parts
+            .iter()
+            .map(|part| part.name.clone())
+            .collect::<Vec<_>>()
+    };
+    assert_eq!(names(&others), names(&own));
+    let (own, other) = (&own[0].mesh, &others[0].mesh);
+    // Vertices at one place are one there; corners are in the same order.
+    assert_eq!(other.positions.len(), 4);
+    assert_eq!(other.indices.len(), own.indices.len());
+    for (a, b) in own.indices.iter().zip(&other.indices) {
+        let (a, b) = (own.positions[*a as usize], other.positions[*b as usize]);
+        let apart = (0..3).map(|k| (a[k] - b[k]).abs()).fold(0.0, f32::max);
+        assert!(apart < 1e-7, "{a:?} {b:?}");
+    }
+    // The corner where three faces meet in right angles looks away from all.
+    let corner = other
+        .positions
+        .iter()
+        .position(|p| p.iter().all(|x| x.abs() < 1e-7));
+    let normal = other.normals[corner.expect("it is there")];
+    assert!(
+        normal
+            .iter()
+            .all(|x| (x + 3_f32.sqrt().recip()).abs() < 1e-5),
+        "{normal:?}"
+    );
+}
+
+#[test]
+fn hostile_files_of_others_are_refused() {
+    let whole = of_others();
+    for cut in 0..whole.len() {
+        assert!(parts(&whole[..cut]).is_err(), "{cut} bytes");
+    }
+    // Whatever byte is another one, there is an answer.
+    let mut read = 0;
+    for at in 0..whole.len() {
+        for value in [0, b'9', 0xFF] {
+            let mut bytes = whole.clone();
+            bytes[at] = value;
+            read += usize::from(parts(&bytes).is_ok());
+        }
+    }
+    assert!(read > 0);
+    let with = |old: &str, new: &str| {
+        let bytes = of_others();
+        let place = bytes
+            .windows(old.len())
+            .position(|part| part == old.as_bytes());
+        let place = place.expect("it is there");
+        let mut bytes = bytes;
+        bytes[place..place + old.len()].copy_from_slice(new.as_bytes());
+        parts(&bytes).err()
+    };
+    let far = with("\"count\":12", "\"count\":99");
+    assert!(far.is_some_and(|reason| reason.contains("accessor")));
 }

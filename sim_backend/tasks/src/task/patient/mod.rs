@@ -19,7 +19,7 @@ use std::sync::Arc;
 use hal::config::{ConfigError, Source};
 use hal::{Mesh, Pose};
 use serde::{Deserialize, Serialize};
-use trocar_anatomy::assets::{self, GLB_FILE, Part};
+use trocar_anatomy::assets::{self, Part};
 use trocar_render::shapes::placed;
 use trocar_render::visual::{Backdrop, Visual, instance};
 use trocar_world::organ::{Organ, OrganShape};
@@ -38,7 +38,7 @@ const FLOOR_M: f64 = -0.060;
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct SceneFile {
-    /// The folder of the patient; a relative path is one from where the program was started.
+    /// The folder of the patient, or a `.glb` of another program; a relative path is one from where the program was started.
     patient: String,
     /// The tissue group that is the ground.
     organ: String,
@@ -129,7 +129,7 @@ struct Heading {
 #[must_use]
 pub fn patient_file(scene: &Source) -> Option<PathBuf> {
     let heading = scene.parse::<Heading>().ok()?;
-    Some(Path::new(&heading.scene.patient).join(GLB_FILE))
+    Some(assets::file_of(Path::new(&heading.scene.patient)))
 }
 
 /// What things lie on in a scene whose file says `shape`, and `scene` if it has that table.

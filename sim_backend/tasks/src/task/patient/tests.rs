@@ -2,7 +2,7 @@
 
 use std::env;
 use std::fs;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use hal::config::Source;
 use hal::count::count_u32;
@@ -27,6 +27,14 @@ impl Drop for Folder {
     }
 }
 
+/// The task `name` on an organ of the patient at `place`.
+fn scene(name: &str, place: &Path, organ: &str) -> Source {
+    let files = TaskFiles::built_in(name).unwrap();
+    let (text, patient) = (files.scene.text(), place.display());
+    let scene = format!("{text}\n[scene]\npatient = \"{patient}\"\norgan = \"{organ}\"\n");
+    Source::embedded("liver.toml", &scene)
+}
+
 impl Folder {
     fn new(test: &str) -> Self {
         let name = format!("trocar-patient-{}-{test}", std::process::id());
@@ -46,10 +54,7 @@ impl Folder {
 
     /// The task `name` on an organ of the patient.
     fn scene(&self, name: &str, organ: &str) -> Source {
-        let files = TaskFiles::built_in(name).unwrap();
-        let (text, patient) = (files.scene.text(), self.0.display());
-        let scene = format!("{text}\n[scene]\npatient = \"{patient}\"\norgan = \"{organ}\"\n");
-        Source::embedded("liver.toml", &scene)
+        scene(name, &self.0, organ)
     }
 
     fn task(&self, name: &str) -> TaskConfig {
@@ -126,6 +131,30 @@ fn liver_is_felt_where_it_is_drawn() {
     assert!(
         lie.axes_in_scan[2][1] > 0.5 && lie.axes_in_scan[1][2] > 0.4,
         "{lie:?}"
+    );
+}
+
+/// The same patient as a file that does not say that it is ours.
+#[test]
+fn a_patient_of_another_program_lies_as_its_nodes_say() {
+    let folder = Folder::with_patient("others");
+    let mut bytes = fs::read(folder.0.join(GLB_FILE)).unwrap();
+    let ours: &[u8] = b"RAS of the scan, m";
+    let frame = bytes.windows(ours.len()).position(|part| part == ours);
+    bytes[frame.unwrap()] = b'?';
+    let file = folder.0.join("other.GLB");
+    fs::write(&file, bytes).unwrap();
+    let of_others = scene("needle-lift", &file, "liver");
+    let task = TaskConfig::parse("needle-lift", &of_others).unwrap();
+    let (theirs, ours) = (task.patient().unwrap(), folder.task("needle-lift"));
+    let ours = ours.patient().unwrap();
+    for axis in 0..3 {
+        let apart_m = theirs.patch_in_scan_m[axis] - ours.patch_in_scan_m[axis];
+        assert!(apart_m.abs() < 2e-3, "{theirs:?} {ours:?}");
+    }
+    assert_eq!(
+        closed_loop::run(&task, 0, |_, _| {}).outcome,
+        Outcome::Success
     );
 }
 
