@@ -13,6 +13,8 @@ A phantom is made and built into the given folder (`--size`, `--seed`), and once
   usd      usd-core opens the stage, UsdValidation finds no error; units, up axis, semantics, masses, bound materials
   gltf     the Khronos validator has neither error nor warning; trimesh sees the same bounds as in the stage
   planted  a stage without default prim, and a glTF file with an index out of range, are caught by these judges
+  dicom    the CT written as a DICOM series by SimpleITK is segmented as the NIfTI is, and its labels come to lie at the same places; a
+           series without one of its slices is refused
   axes     stored with its axes permuted and reversed the patient comes to lie at the same place
 
 The script prints how far the two sides are apart, and fails beyond the tolerances below.
@@ -213,6 +215,51 @@ def check_axes(folder, image, meshes):
     report("axes: volumes of all meshes apart", volumes, VOLUME)
 
 
+def write_series(ct, folder):
+    """The CT as scanners store it: a file a slice, names in no order."""
+    folder.mkdir(exist_ok=True)
+    image = SimpleITK.ReadImage(str(ct))
+    direction = image.GetDirection()
+    writer = SimpleITK.ImageFileWriter()
+    writer.KeepOriginalImageUIDOn()
+    orientation = [direction[k] for k in (0, 3, 6, 1, 4, 7)]
+    for z in range(image.GetSize()[2]):
+        cut = image[:, :, z]
+        tags = {
+            "0008|0060": "CT",
+            "0008|0016": "1.2.840.10008.5.1.4.1.1.2",
+            "0008|0018": f"1.2.826.0.1.3680043.2.1125.1.{z + 1}",
+            "0020|000d": "1.2.826.0.1.3680043.2.1125.2",
+            "0020|000e": "1.2.826.0.1.3680043.2.1125.3",
+            "0020|0032": "\\".join(f"{value:.6f}" for value in image.TransformIndexToPhysicalPoint((0, 0, z))),
+            "0020|0037": "\\".join(f"{value:.6f}" for value in orientation),
+            "0028|1052": "-1024",
+            "0028|1053": "1",
+        }
+        for tag, value in tags.items():
+            cut.SetMetaData(tag, value)
+        writer.SetFileName(str(folder / f"{z * 37 % 1009:04}.dcm"))
+        writer.Execute(cut)
+
+
+def check_dicom(folder):
+    """By a network that was hardly trained: what counts is that both ways give it the same."""
+    small = ["--spacing-mm", 12, "--patch", 24, "--widths", "8,16", "--patients", 1, "--steps", 40, "--validate", 0]
+    model = folder / "hardly_trained.safetensors"
+    trocar("train-segmenter", "--out", model, *small)
+    series = folder / "series"
+    write_series(folder / "ct.nii.gz", series)
+    for source, out in ((folder / "ct.nii.gz", "of_nifti.nii.gz"), (series, "of_dicom.nii.gz")):
+        trocar("segment", source, "--model", model, "--out", folder / out)
+    one, other = (nibabel.as_closest_canonical(nibabel.load(folder / name)) for name in ("of_nifti.nii.gz", "of_dicom.nii.gz"))
+    report("dicom: groups that are not found at all", int(len(np.unique(np.asarray(one.dataobj))) < 2), 0)
+    report("dicom: voxels labelled otherwise than of the NIfTI", np.count_nonzero(np.asarray(one.dataobj) != np.asarray(other.dataobj)), 0)
+    report("dicom: places of voxels apart, mm", np.abs(one.affine - other.affine).max(), PLACE_MM)
+    sorted(series.iterdir())[7].unlink()
+    refused = subprocess.run([TROCAR, "anatomy", "segment", series, "--model", model, "--out", folder / "none.nii.gz"], capture_output=True)
+    report("dicom: a series without one of its slices that is taken", int(refused.returncode != 2), 0)
+
+
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folder", type=Path)
@@ -231,6 +278,7 @@ def main():
     check_gltf(folder / "patient.glb", meshes)
     check_planted(folder)
     check_axes(folder, image, meshes)
+    check_dicom(folder)
     if failures:
         sys.exit(f"{len(failures)} failed: {', '.join(failures)}")
     print("all within tolerance")

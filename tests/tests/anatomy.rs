@@ -6,6 +6,7 @@
 )]
 
 use std::fs;
+use std::path::Path;
 use std::process::Output;
 
 use tests::{Profile, json, scratch, stderr, trocar};
@@ -175,4 +176,144 @@ fn bad_volumes_tables_and_options_are_refused() {
         &["phantom", "--out", &out, "--size", "8x16x16"],
         "from 16 to 1024",
     );
+}
+
+/// Trains a very small network, which is written as `out`, and says what came of it in `trained.json` beside it.
+fn train(folder: &Path, out: &str) -> Vec<u8> {
+    let told = folder.join("trained.json").display().to_string();
+    let size = ["--spacing-mm", "12", "--patch", "24", "--widths", "8,16"];
+    let run = ["--patients", "2", "--steps", "60", "--lr", "0.01"];
+    let files = ["--validate", "1", "--out", out, "--json", &told];
+    done(&[&["train-segmenter"], &size[..], &run[..], &files[..]].concat());
+    fs::read(out).unwrap()
+}
+
+/// From a CT to meshes with a network that was trained here: files are whole, the same seed gives the same network, and little memory the
+/// same labels.
+#[test]
+fn ct_becomes_labels_and_meshes() {
+    let folder = scratch("anatomy-segment");
+    let path = |name: &str| folder.join(name).display().to_string();
+    let model = path("model.safetensors");
+    let network = train(&folder, &model);
+    assert_eq!(network, train(&folder, &path("again.safetensors")));
+    let trained = json(&folder.join("trained.json"));
+    assert_eq!(trained["groups"].as_array().unwrap().len(), 17);
+    let body = &trained["groups"][16];
+    assert!(
+        body["name"] == "body" && body["mean"].as_f64().unwrap() > 0.5,
+        "{trained}"
+    );
+
+    let out = folder.display().to_string();
+    done(&[
+        "phantom", "--seed", "3", "--size", "48x48x58", "--out", &out,
+    ]);
+    let [ct, truth, found] = ["ct.nii.gz", "labels.nii.gz", "found.nii.gz"].map(path);
+    let segment = ["segment", &ct, "--model", &model, "--out", &found];
+    let compare = ["--against", &truth, "--json", &path("found.json")];
+    done(&[&segment[..], &compare[..]].concat());
+    let told = json(&folder.join("found.json"));
+    let size = serde_json::Value::from(vec![48, 48, 58]);
+    assert!(told["table"] == "groups" && told["size"] == size, "{told}");
+    assert!(told["groups"][16]["dice"].as_f64().unwrap() > 0.5, "{told}");
+    let all = fs::read(&found).unwrap();
+    done(&[&segment[..], &["--memory-gb", "0.01"]].concat());
+    assert_eq!(fs::read(&found).unwrap(), all);
+
+    let options = ["--groups", "groups", "--max-error-mm", "2"];
+    let build = ["build", &found, "--out", &path("patient")];
+    done(&[&build[..], &options[..]].concat());
+    let patient = json(&folder.join("patient/patient.json"));
+    let groups = patient["groups"].as_array().unwrap();
+    assert!(
+        groups.iter().any(|group| group["name"] == "body"),
+        "{patient}"
+    );
+    assert!(
+        groups.iter().all(|group| group["watertight"] == true),
+        "{patient}"
+    );
+    assert_eq!(patient["size"], size);
+}
+
+/// Runs `segment` into `folder`, and expects exit code 2 with `message` and no labels.
+fn not_segmented(folder: &Path, ct: &str, model: &str, more: &[&str], message: &str) {
+    let labels = folder.join("labels.nii.gz");
+    let out = labels.display().to_string();
+    let words = ["segment", ct, "--model", model, "--out", &out];
+    refused(&[&words[..], more].concat(), message);
+    assert!(!labels.exists(), "{message}");
+}
+
+/// A TorchScript model of five classes.
+fn script() -> String {
+    let file = tests::repository().join("tests/golden/segmenter.ts");
+    file.display().to_string()
+}
+
+#[test]
+fn bad_models_and_scans_are_refused() {
+    let folder = scratch("anatomy-segment-refused");
+    let path = |name: &str| folder.join(name).display().to_string();
+    let refused = |ct: &str, model: &str, more: &[&str], message: &str| {
+        not_segmented(&folder, ct, model, more, message);
+    };
+    fs::write(folder.join("ct.nii"), [7; 400]).unwrap();
+    fs::write(folder.join("no.safetensors"), "no model").unwrap();
+    fs::create_dir(folder.join("empty")).unwrap();
+    let vista = ["--settings", "vista3d"];
+    let [ct, own, script] = [path("ct.nii"), path("no.safetensors"), script()];
+    refused(&ct, &own, &[], "no intact safetensors file");
+    refused(&ct, &own, &vista, "has its own");
+    refused(&ct, &path("none.safetensors"), &[], "file is missing");
+    refused(&ct, &path("none.ts"), &vista, "file is missing");
+    refused(&ct, &script, &[], "needs --settings, or ");
+    refused(&ct, &script, &vista, "sizeof_hdr");
+    refused(&ct, &script, &["--overlap", "1"], "[0, 0.9]");
+    refused(&path("empty"), &script, &vista, "no DICOM file is in it");
+}
+
+#[test]
+fn settings_of_models_are_checked() {
+    let folder = scratch("anatomy-segment-settings");
+    let path = |name: &str| folder.join(name).display().to_string();
+    let good = "patch = [16, 16, 16]\nspacing_mm = [9.0, 9.0, 9.0]\norientation = \"RAS\"\nwindow_hu = [-500.0, 600.0]\n\
+                range = [0.0, 1.0]\noverlap = 0.25\ntable = \"groups\"\nclasses = [0, 1, 2, 3, 17]\n";
+    let [settings, scan] = ["settings.toml", "scan/ct.nii.gz"].map(path);
+    let options = ["--settings", &settings];
+    done(&["phantom", "--size", "16x16x16", "--out", &path("scan")]);
+    for (from, to, message) in [
+        (
+            "9.0, 9.0, 9.0",
+            "9.0, nan, 9.0",
+            "settings.toml:2: spacing_mm",
+        ),
+        (
+            "\"RAS\"",
+            "\"RAP\"",
+            "settings.toml:3: orientation = RAP is outside three of",
+        ),
+        (
+            "0.25",
+            "0.95",
+            "settings.toml:6: overlap = 0.95 is outside [0, 0.9]",
+        ),
+        ("17", "18", "class 4 of the model is label 18"),
+        ("overlap", "overlaps", "unknown field"),
+        // The model has five classes.
+        (
+            ", 17",
+            "",
+            "the model answers a window with [1, 5, 16, 16, 16]",
+        ),
+    ] {
+        fs::write(&settings, good.replace(from, to)).unwrap();
+        not_segmented(&folder, &scan, &script(), &options, message);
+    }
+    fs::write(&settings, good).unwrap();
+    let out = path("out.nii.gz");
+    let words = ["segment", &scan, "--model", &script(), "--out", &out];
+    done(&[&words[..], &options].concat());
+    assert!(fs::read(out).unwrap().starts_with(&[0x1f, 0x8b]));
 }

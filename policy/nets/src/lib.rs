@@ -20,3 +20,4 @@ mod layers;
 pub mod loaded_policy;
 pub mod normalise;
 pub mod parameters;
+pub mod segmenter;

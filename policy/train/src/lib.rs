@@ -24,6 +24,7 @@ mod recipes;
 #[cfg(test)]
 mod resume_tests;
 mod run_state;
+mod segmenter;
 mod steps;
 #[cfg(test)]
 mod tests;
@@ -36,5 +37,6 @@ pub use curve::{CurveRow, LossCurve};
 pub use error::TrainError;
 pub use options::{Augmentation, Schedule, TrainOptions, TrainPrecision};
 pub use run_state::RunState;
+pub use segmenter::{LabelledScan, SegmenterTraining};
 pub use trained::{AnyTrained, Network, Trained, Trainer};
 pub use watch::{Progress, Watch};

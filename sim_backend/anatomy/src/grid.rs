@@ -89,6 +89,101 @@ impl Grid {
     }
 }
 
+/// Which axes of a lattice lead where, with those that lead the other way.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Turn {
+    dims: [usize; 3],
+    /// Of each axis of the turned lattice, the lattice's own.
+    from: [usize; 3],
+    /// Whether it runs the other way.
+    reversed: [bool; 3],
+}
+
+impl Grid {
+    /// How the axes have to be permuted and reversed to lead in the directions nearest to `wanted`, such as `RAS`; none if those are not
+    /// three directions.
+    #[must_use]
+    pub fn turn_to(&self, wanted: &str) -> Option<Turn> {
+        let letters: Vec<char> = wanted.chars().collect();
+        let [a, b, c] = <[char; 3]>::try_from(letters).ok()?.map(direction);
+        let wanted = [a?, b?, c?];
+        if wanted.iter().map(|(axis, _)| 1 << axis).sum::<usize>() != 0b111 {
+            return None;
+        }
+        let cosine = |axis: usize, world: usize| self.steps[(world, axis)] / self.spacing()[axis];
+        let along =
+            |from: &[usize; 3]| -> f64 { (0..3).map(|k| cosine(from[k], wanted[k].0).abs()).sum() };
+        let orders = [
+            [0, 1, 2],
+            [0, 2, 1],
+            [1, 0, 2],
+            [1, 2, 0],
+            [2, 0, 1],
+            [2, 1, 0],
+        ];
+        let from = orders.into_iter().reduce(|best, next| {
+            // Of equals the first.
+            if along(&next) > along(&best) + 1e-9 {
+                next
+            } else {
+                best
+            }
+        })?;
+        Some(Turn {
+            dims: self.dims,
+            from,
+            reversed: [0, 1, 2].map(|k| (cosine(from[k], wanted[k].0) < 0.0) != wanted[k].1),
+        })
+    }
+}
+
+/// The axis of the world that a letter names, and whether it is the one against it.
+fn direction(letter: char) -> Option<(usize, bool)> {
+    let pairs = [['R', 'L'], ['A', 'P'], ['S', 'I']];
+    let axis = pairs.iter().position(|pair| pair.contains(&letter))?;
+    Some((axis, pairs[axis][1] == letter))
+}
+
+impl Turn {
+    /// What belongs to the lattice's axes, by the turned ones.
+    #[must_use]
+    pub fn of<T: Copy>(&self, own: [T; 3]) -> [T; 3] {
+        self.from.map(|axis| own[axis])
+    }
+
+    /// Of each voxel of the turned lattice in its order, the index in the lattice's own order.
+    fn indices(&self) -> impl Iterator<Item = usize> + '_ {
+        let strides = [1, self.dims[0], self.dims[0] * self.dims[1]];
+        let [width, height, depth] = self.of(self.dims);
+        let place = move |k: usize, at: usize| {
+            let side = self.dims[self.from[k]];
+            strides[self.from[k]] * if self.reversed[k] { side - 1 - at } else { at }
+        };
+        (0..depth).flat_map(move |z| {
+            (0..height).flat_map(move |y| {
+                let row = place(2, z) + place(1, y);
+                (0..width).map(move |x| row + place(0, x))
+            })
+        })
+    }
+
+    /// `values` of the lattice's voxels in the order of the turned one.
+    #[must_use]
+    pub fn turned<T: Copy>(&self, values: &[T]) -> Vec<T> {
+        self.indices().map(|index| values[index]).collect()
+    }
+
+    /// `values` of the turned lattice's voxels in the order of the lattice's own.
+    #[must_use]
+    pub fn back<T: Copy + Default>(&self, values: &[T]) -> Vec<T> {
+        let mut own = vec![T::default(); values.len()];
+        for (index, value) in self.indices().zip(values) {
+            own[index] = *value;
+        }
+        own
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use nalgebra::{Matrix3, Vector3};
@@ -105,5 +200,26 @@ mod tests {
         grid.steps = Matrix3::new(0.0, 0.0, -3.0, 1.0, 0.0, 0.0, 0.0, 2.0, 0.0);
         assert_eq!(grid.orientation(), "ASL");
         assert!(grid.is_mirrored());
+    }
+
+    #[test]
+    fn turned_volumes_lead_where_they_should_and_come_back() {
+        let mut grid = Grid::centred([2, 3, 4], [1.0, 2.0, 3.0]);
+        // First axis to inferior, second to right, third to posterior.
+        grid.steps = Matrix3::new(0.1, 2.0, 0.0, 0.0, 0.0, -3.0, -1.0, 0.1, 0.0);
+        let turn = grid.turn_to("RAS").expect("three directions");
+        assert_eq!(turn.of(grid.dims), [3, 4, 2]);
+        let values: Vec<usize> = (0..24).collect();
+        let turned = turn.turned(&values);
+        // Its first voxel is the last along the first and third axis of the file.
+        assert_eq!(turned[0], 1 + 2 * 3 * 3);
+        assert_eq!(turned[1] - turned[0], 2);
+        assert_eq!(turn.back(&turned), values);
+        let own = Grid::centred([2, 3, 4], [1.0; 3]);
+        let same = own.turn_to("RAS").expect("three directions");
+        assert_eq!(same.turned(&values), values);
+        for wrong in ["RAX", "RRS", "RA", "RLS"] {
+            assert_eq!(grid.turn_to(wrong), None, "{wrong}");
+        }
     }
 }

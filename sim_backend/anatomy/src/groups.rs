@@ -11,7 +11,7 @@ use hal::config::{ConfigError, Source};
 const GROUPS_MAX: usize = 31;
 
 /// Tables of labels that are built in: name, path in the repository, text.
-const TABLES: [(&str, &str, &str); 2] = [
+const TABLES: [(&str, &str, &str); 3] = [
     (
         "vista3d",
         "config/anatomy/vista3d.toml",
@@ -21,6 +21,11 @@ const TABLES: [(&str, &str, &str); 2] = [
         "totalsegmentator",
         "config/anatomy/totalsegmentator.toml",
         include_str!("../../../config/anatomy/totalsegmentator.toml"),
+    ),
+    (
+        "groups",
+        "config/anatomy/group_numbers.toml",
+        include_str!("../../../config/anatomy/group_numbers.toml"),
     ),
 ];
 
@@ -110,7 +115,7 @@ fn numbers<'a>(
 }
 
 impl Groups {
-    /// The paper's 17 groups with the table of labels `table`: `vista3d`, `totalsegmentator`, or a file like these.
+    /// The paper's 17 groups with the table of labels `table`: `vista3d`, `totalsegmentator`, `groups`, or a file like these.
     ///
     /// # Errors
     /// [`ConfigError`] naming file, line and key: no such group, a label twice, a number that is none.
@@ -202,11 +207,31 @@ mod tests {
     use super::{Groups, Source};
 
     #[test]
-    fn both_tables_name_only_groups_that_are() {
-        for (table, labels) in [("vista3d", 147), ("totalsegmentator", 119)] {
+    fn tables_name_only_groups_that_are() {
+        for (table, labels) in [("vista3d", 147), ("totalsegmentator", 119), ("groups", 18)] {
             let groups = Groups::load(table).expect("the table is right");
             assert_eq!(groups.groups.len(), 17);
             assert_eq!(groups.labels().count(), labels, "{table}");
+        }
+    }
+
+    /// VISTA3D's classes are 132 numbers of which five have no meaning; the others are MAISI's.
+    #[test]
+    fn all_classes_of_vista3d_have_a_place() {
+        let vista = Groups::load("vista3d").expect("the table is right");
+        let classes = (1..=132).filter(|label| vista.group_of(*label).is_some());
+        assert_eq!(classes.count(), 127);
+    }
+
+    #[test]
+    fn a_group_s_own_number_is_its_place() {
+        let groups = Groups::load("groups").expect("the table is right");
+        for (label, group) in (1..).zip(&groups.groups) {
+            assert_eq!(
+                groups.group_of(label),
+                groups.number_of(&group.name),
+                "{label}"
+            );
         }
     }
 

@@ -14,7 +14,7 @@ use std::io;
 
 pub use header::{DataType, Header};
 pub use read::{LabelVolume, read_header, read_labels, read_slices};
-pub use write::Writer;
+pub use write::{Writer, write_labels};
 
 /// Most voxels of a volume: 1024 slices of 1024 x 1024.
 pub const VOXELS_MAX: usize = 1 << 30;

@@ -11,5 +11,5 @@ mod shape;
 #[cfg(test)]
 mod tests;
 
-pub use paint::{PartVolume, Phantom, Size, write};
+pub use paint::{PartVolume, Phantom, Scan, Size, scan, write};
 pub use patient::Patient;

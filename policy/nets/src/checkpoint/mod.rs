@@ -17,6 +17,7 @@ mod processors;
 mod recipe;
 #[cfg(test)]
 mod refusal_tests;
+mod segmenter;
 mod tensors;
 #[cfg(test)]
 mod tests;
@@ -37,6 +38,7 @@ pub use recipe::{
     AggregationName, DatasetSummary, PolicyPreset, RECIPE_FORMAT, Recipe, RecommendedAggregation,
     RecordedCamera, Variants,
 };
+pub use segmenter::{load_segmenter, save_segmenter};
 pub use tensors::Precision;
 
 use crate::act::{Act, ActConfig, STATE_DIM, VAE_PREFIX};

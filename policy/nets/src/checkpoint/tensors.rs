@@ -66,6 +66,15 @@ pub(super) fn read_some(
     Ok(tensors)
 }
 
+/// The text in the description of `file` under `key`.
+pub(super) fn read_about(file: &Path, key: &str) -> Result<Option<String>, CheckpointError> {
+    let bytes = fs::read(file).map_err(|error| Cause::io(error).in_file(file))?;
+    let (_, about) = SafeTensors::read_metadata(&bytes)
+        .map_err(|error| Cause::Safetensors(error).in_file(file))?;
+    let texts = about.metadata().as_ref();
+    Ok(texts.and_then(|texts| texts.get(key)).cloned())
+}
+
 fn values_of(view: &TensorView<'_>) -> Option<Vec<f32>> {
     let (pairs, _) = view.data().as_chunks::<2>();
     let (quads, _) = view.data().as_chunks::<4>();
@@ -96,6 +105,16 @@ pub(super) fn write(
     tensors: &BTreeMap<String, Plain>,
     precision: Precision,
 ) -> Result<(), CheckpointError> {
+    write_about(file, tensors, precision, None)
+}
+
+/// The same with a text in the file's description, under a key.
+pub(super) fn write_about(
+    file: &Path,
+    tensors: &BTreeMap<String, Plain>,
+    precision: Precision,
+    about: Option<(&str, String)>,
+) -> Result<(), CheckpointError> {
     let dtype = match precision {
         Precision::F16 => Dtype::F16,
         Precision::F32 => Dtype::F32,
@@ -118,7 +137,8 @@ pub(super) fn write(
             view.map_err(|error| Cause::Safetensors(error).in_file(file))?,
         ));
     }
-    let bytes = safetensors::serialize(views, None)
+    let about = about.map(|(key, text)| [(key.to_owned(), text)].into_iter().collect());
+    let bytes = safetensors::serialize(views, about)
         .map_err(|error| Cause::Safetensors(error).in_file(file))?;
     replace(file, &bytes)
 }

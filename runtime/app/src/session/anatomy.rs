@@ -7,7 +7,6 @@ use serde::Serialize;
 use hal::TimeNs;
 use trocar_anatomy::build::{self, Options, Report, Stage};
 use trocar_anatomy::groups::Groups;
-use trocar_anatomy::nifti::NiftiError;
 use trocar_anatomy::phantom::{self, Phantom, Size};
 
 use super::{SessionError, outputs};
@@ -123,6 +122,5 @@ pub fn phantom(
 ) -> Result<Phantom, SessionError> {
     check_outputs(out, &["ct.nii.gz", "labels.nii.gz"], None)?;
     let patient = phantom::Patient::new(seed);
-    let written = phantom::write(&patient, Size(size), out, done);
-    written.map_err(|error: NiftiError| SessionError::Anatomy(error.into()))
+    Ok(phantom::write(&patient, Size(size), out, done)?)
 }

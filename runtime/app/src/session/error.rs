@@ -5,6 +5,8 @@ use std::path::Path;
 
 use hal::config::ConfigError;
 use hal::{ArmError, PolicyError};
+use trocar_anatomy::nifti::NiftiError;
+use trocar_nets::segmenter::SegmentError;
 use trocar_topics::TopicError;
 use trocar_train::TrainError;
 
@@ -74,6 +76,12 @@ pub enum SessionError {
     /// A patient can't be made of a scan.
     #[error(transparent)]
     Anatomy(#[from] trocar_anatomy::build::BuildError),
+    /// A CT can't be read.
+    #[error(transparent)]
+    Ct(#[from] trocar_anatomy::ct::CtError),
+    /// A CT can't be segmented.
+    #[error(transparent)]
+    Segment(#[from] SegmentError),
     /// A study can't be planned, run or reported.
     #[error(transparent)]
     Study(Box<crate::study::StudyError>),
@@ -128,6 +136,12 @@ impl From<crate::study::StudyError> for SessionError {
     }
 }
 
+impl From<NiftiError> for SessionError {
+    fn from(error: NiftiError) -> Self {
+        Self::Anatomy(error.into())
+    }
+}
+
 impl From<PolicyError> for SessionError {
     fn from(error: PolicyError) -> Self {
         if matches!(error, PolicyError::Interrupted) {
@@ -160,6 +174,7 @@ impl SessionError {
             Self::Log(error) => error.is_bad_input(),
             Self::Study(error) => error.is_bad_input(),
             Self::Anatomy(error) => error.is_bad_input(),
+            Self::Segment(error) => !matches!(error, SegmentError::Torch(_)),
             Self::Topic(error) => matches!(error, TopicError::BadName { .. }),
             Self::Config(_)
             | Self::Checkpoint(_)
@@ -170,6 +185,7 @@ impl SessionError {
             | Self::CutLog { .. }
             | Self::UnknownCamera { .. }
             | Self::Overload(_)
+            | Self::Ct(_)
             | Self::BadArgument(_) => true,
             Self::Train(error) => match error {
                 TrainError::Options(_)

@@ -33,6 +33,8 @@ pub mod robot;
 pub mod run;
 pub mod scene_options;
 pub mod score;
+pub mod segment;
+pub mod segment_training;
 pub mod setup;
 pub mod sheet;
 pub mod source;

@@ -99,3 +99,34 @@ impl Writer {
         ended.map_err(|source| NiftiError::Unwritable { path, source })
     }
 }
+
+/// Writes `voxels`, of which each stands for the label at its index, as a label volume of 8 bits, or of 16 if a label needs them.
+///
+/// # Errors
+/// [`NiftiError::Unwritable`].
+///
+/// # Panics
+/// If there are not as many voxels as `grid` has, or a voxel has no label.
+pub fn write_labels(
+    path: &Path,
+    grid: &Grid,
+    voxels: &[u8],
+    labels: &[u16],
+) -> Result<(), NiftiError> {
+    assert_eq!(voxels.len(), grid.len(), "a label a voxel");
+    let small = labels.iter().all(|label| u8::try_from(*label).is_ok());
+    let kind = if small { DataType::U8 } else { DataType::U16 };
+    let mut writer = Writer::create(path, grid, kind)?;
+    for slice in voxels.chunks_exact(grid.slice_len()) {
+        let found = slice
+            .iter()
+            .map(|voxel| labels[usize::from(*voxel)].to_le_bytes());
+        let bytes: Vec<u8> = if small {
+            found.map(|[low, _]| low).collect()
+        } else {
+            found.flatten().collect()
+        };
+        writer.slice(&bytes)?;
+    }
+    writer.finish()
+}

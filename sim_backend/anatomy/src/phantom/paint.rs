@@ -11,8 +11,8 @@ use hal::random::SplitMix64;
 use super::anatomy::{torso_distance, torso_reach};
 use super::patient::Patient;
 use crate::grid::Grid;
-use crate::nifti::{DataType, NiftiError, Writer};
-use crate::number::{real, rounded_i16};
+use crate::nifti::{DataType, LabelVolume, NiftiError, Writer};
+use crate::number::{floor_to, real, rounded_i16};
 
 /// VISTA3D's (MAISI's) number of the body.
 const BODY: u8 = 200;
@@ -29,6 +29,20 @@ const NOISE_HU: f64 = 12.0;
 /// Voxels along the axes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Size(pub [usize; 3]);
+
+impl Size {
+    /// The voxels of a scan with a spacing as near to `spacing_mm` as whole numbers of voxels allow.
+    #[must_use]
+    pub fn of_spacing(spacing_mm: f64) -> Self {
+        Self(FIELD_MM.map(|side| floor_to((side / spacing_mm).round(), 4096).max(1)))
+    }
+
+    /// The voxel size, mm.
+    #[must_use]
+    pub fn spacing_mm(self) -> [f64; 3] {
+        [0, 1, 2].map(|axis| FIELD_MM[axis] / real(self.0[axis]))
+    }
+}
 
 /// A part of the patient and how much of it there is.
 #[derive(Clone, Debug, serde::Serialize)]
@@ -64,6 +78,17 @@ pub struct Phantom {
     pub parts: Vec<PartVolume>,
 }
 
+/// A patient's CT with its labels.
+#[derive(Clone, Debug)]
+pub struct Scan {
+    /// The CT's values, HU, in the order of the labels.
+    pub hounsfield: Vec<i16>,
+    /// VISTA3D's numbers.
+    pub labels: LabelVolume,
+    /// What there is of each part.
+    pub phantom: Phantom,
+}
+
 /// Mean density on the CT by label, HU: soft tissue in the portal venous phase.
 const fn hounsfield(label: u8) -> f64 {
     match label {
@@ -92,8 +117,7 @@ struct Slice {
 
 /// The lattice of a scan of `size` voxels.
 pub(super) fn grid(size: Size) -> Grid {
-    let spacing = [0, 1, 2].map(|axis| FIELD_MM[axis] / real(size.0[axis]));
-    Grid::centred(size.0, spacing)
+    Grid::centred(size.0, size.spacing_mm())
 }
 
 fn paint(patient: &Patient, grid: &Grid, z: usize) -> Slice {
@@ -141,33 +165,39 @@ impl Slice {
         part.map_or(BODY, |part| patient.parts[part].part.label)
     }
 
-    /// The CT's values, little-endian; noise is of the seed and the slice.
-    fn hounsfield_bytes(&self, seed: u64, z: usize) -> Vec<u8> {
+    /// The CT's values, HU; noise is of the seed and the slice.
+    fn hounsfield(&self, seed: u64, z: usize) -> Vec<i16> {
         let mut random = SplitMix64::named("noise", seed.wrapping_mul(8191).wrapping_add(z as u64));
         let value = |label: &u8| {
             rounded_i16((hounsfield(*label) + NOISE_HU * random.normal()).max(-1024.0))
         };
-        self.labels
-            .iter()
-            .map(value)
-            .flat_map(i16::to_le_bytes)
-            .collect()
+        self.labels.iter().map(value).collect()
     }
 }
 
-/// Labels of `patient` as a scan of `size` sees them, without writing them, and what there is of each part.
-#[cfg(test)]
-pub(super) fn labels(patient: &Patient, size: Size) -> (crate::nifti::LabelVolume, Phantom) {
+/// What a scan of `size` sees of `patient`, in memory: the CT's values, HU, and the labels in VISTA3D's numbers, with what there is of
+/// each part.
+#[must_use]
+pub fn scan(patient: &Patient, size: Size) -> Scan {
     let grid = grid(size);
-    let slices: Vec<Slice> = (0..size.0[2])
+    let slices: Vec<(Slice, Vec<i16>)> = (0..size.0[2])
         .into_par_iter()
-        .map(|z| paint(patient, &grid, z))
+        .map(|z| {
+            let slice = paint(patient, &grid, z);
+            let values = slice.hounsfield(patient.seed, z);
+            (slice, values)
+        })
         .collect();
     let mut tally = Tally::new(patient);
-    slices.iter().for_each(|slice| tally.add(slice));
+    slices.iter().for_each(|(slice, _)| tally.add(slice));
+    let phantom = tally.result(patient, &grid);
+    let (slices, values): (Vec<Slice>, Vec<Vec<i16>>) = slices.into_iter().unzip();
     let voxels = slices.into_iter().flat_map(|slice| slice.labels).collect();
-    let result = tally.result(patient, &grid);
-    (crate::nifti::LabelVolume { grid, voxels }, result)
+    Scan {
+        hounsfield: values.concat(),
+        labels: LabelVolume { grid, voxels },
+        phantom,
+    }
 }
 
 /// Sums over slices.
@@ -244,7 +274,8 @@ pub fn write(
             .into_par_iter()
             .map(|z| {
                 let slice = paint(patient, &grid, z);
-                let values = slice.hounsfield_bytes(patient.seed, z);
+                let values = slice.hounsfield(patient.seed, z);
+                let values = values.into_iter().flat_map(i16::to_le_bytes).collect();
                 (slice, values)
             })
             .collect();

@@ -6,7 +6,11 @@ use crate::groups::Groups;
 
 /// What is wrong with `patient`.
 fn defects(patient: &Patient, size: Size) -> Vec<String> {
-    let (volume, result) = paint::labels(patient, size);
+    let paint::Scan {
+        labels: volume,
+        phantom: result,
+        ..
+    } = paint::scan(patient, size);
     let mut defects = Vec::new();
     if result.overlapping_voxels > 0 {
         defects.push(format!("{} voxels overlap", result.overlapping_voxels));

@@ -12,6 +12,7 @@ use trocar_anatomy::surface::Method;
 
 use crate::commands::Done;
 use crate::console;
+use crate::segment::{self, SegmentArgs, TrainSegmenterArgs};
 
 /// Most voxels along an axis of a phantom.
 const SIDE_MAX: usize = 1024;
@@ -34,6 +35,16 @@ pub(crate) enum AnatomyVerb {
         after_help = "Example: trocar anatomy preview runs/patient --out runs/patient.gif\n         trocar anatomy preview runs/patient --groups liver,gallbladder,vessels --frames 6 --out runs/liver.png\n\nThe patient is what `trocar anatomy build` made. Without --groups all but the body around the organs are drawn."
     )]
     Preview(PreviewArgs),
+    /// Label the tissues of a CT by a network.
+    #[command(
+        after_help = "Example: trocar anatomy segment runs/patient/ct.nii.gz --model runs/segmenter.safetensors --out runs/found.nii.gz\n         trocar anatomy segment scans/series4 --model vista3d.ts --settings vista3d --device cuda --out runs/found.nii.gz\n\nThe labels have the CT's voxels. They are those of the model's table, which the last line of the output names for `trocar anatomy build`. A TorchScript model maps (1, 1, x, y, z) to (1, classes, x, y, z); config/anatomy/models/vista3d.toml is an example of its settings."
+    )]
+    Segment(SegmentArgs),
+    /// Train a network that labels CTs, on procedural patients.
+    #[command(
+        after_help = "Example: trocar anatomy train-segmenter --out runs/segmenter.safetensors --device cuda\n         trocar anatomy train-segmenter --spacing-mm 5 --patch 48 --patients 64 --steps 2000 --out runs/small.safetensors\n\nDice on unseen patients is measured with what was written, at the network's own voxel size."
+    )]
+    TrainSegmenter(TrainSegmenterArgs),
 }
 
 impl AnatomyVerb {
@@ -43,6 +54,8 @@ impl AnatomyVerb {
             Self::Phantom(args) => &args.json,
             Self::Build(args) => &args.json,
             Self::Preview(_) => &None,
+            Self::Segment(args) => &args.json,
+            Self::TrainSegmenter(args) => &args.json,
         }
     }
 }
@@ -88,7 +101,7 @@ pub(crate) struct BuildArgs {
     /// The folder, which is made.
     #[arg(long)]
     out: PathBuf,
-    /// Which label is which tissue group: vista3d, totalsegmentator, or a file.
+    /// Which label is which tissue group: vista3d, totalsegmentator, groups (our own segmenter's), or a file.
     #[arg(long, value_name = "NAME|FILE", default_value = "vista3d")]
     groups: String,
     /// How far meshes may be from the smooth surface, mm, 0.01 to 10.
@@ -154,6 +167,8 @@ pub(crate) fn anatomy(verb: &AnatomyVerb) -> Done {
         AnatomyVerb::Phantom(args) => phantom(args),
         AnatomyVerb::Build(args) => build(args),
         AnatomyVerb::Preview(args) => draw(args),
+        AnatomyVerb::Segment(args) => segment::segment(args),
+        AnatomyVerb::TrainSegmenter(args) => segment::train(args),
     }
 }
 

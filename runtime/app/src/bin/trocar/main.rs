@@ -20,6 +20,7 @@ mod provenance;
 mod record;
 mod run_report;
 mod scene_args;
+mod segment;
 mod sheet;
 mod study;
 mod train;
