@@ -310,6 +310,47 @@ fn checkpoint_for_a_camera_that_the_task_lacks_is_refused() {
 }
 
 #[test]
+fn simulated_operators_that_cannot_be_are_refused() {
+    let out = scratch("refused-operator")
+        .join("demos")
+        .display()
+        .to_string();
+    let fixed = [
+        "record",
+        "--task",
+        "needle-lift",
+        "--episodes",
+        "1",
+        "--out",
+        &out,
+    ];
+    let fixed = [&fixed[..], &["--source", "simulated-operator"]].concat();
+    for (options, expected) in [
+        (["--operator-delay-ms", "501"], "0..=500"),
+        (["--operator-delay-ms", "-1"], "--operator-delay-ms"),
+        (["--operator-tremor-mm", "2.5"], "[0, 2]"),
+        (["--operator-tremor-mm", "-0.1"], "--operator-tremor-mm"),
+        (["--operator-tremor-mm", "NaN"], "[0, 2]"),
+        (["--disturb", "0.5"], "--disturb needs --source expert"),
+        (
+            ["--policy", "expert"],
+            "--policy needs --source intervention",
+        ),
+        (["--source", "expert"], "cannot be used multiple times"),
+    ] {
+        let message = refused(&[&fixed[..], &options].concat());
+        assert!(message.contains(expected), "{options:?}: {message}");
+    }
+    let run = ["run", "--task", "needle-lift", "--policy"];
+    let message = refused(&[&run[..], &["simulated-operator"]].concat());
+    assert!(message.contains("--lockstep"), "{message}");
+    let expert = ["expert", "--lockstep", "--operator-delay-ms", "0"];
+    let message = refused(&[&run[..], &expert].concat());
+    assert!(message.contains("expert is another"), "{message}");
+    assert!(!Path::new(&out).exists());
+}
+
+#[test]
 fn disturbances_and_variations_that_cannot_be_are_refused() {
     let folder = scratch("refused-variations");
     let out = folder.join("demos").display().to_string();

@@ -147,9 +147,13 @@ impl Episode<'_> {
             if tick % STEP_TICKS == 0 && tick > 0 && watcher.wants_end() {
                 break;
             }
-            if let (Some(arms), 0) = (seen(&measured), tick % STEP_TICKS) {
-                let step = tick / STEP_TICKS;
-                let answer = running.policy_step(step, &arms, &mut cameras, watcher, clock)?;
+            if let Some(arms) = seen(&measured) {
+                let answer = if tick % STEP_TICKS == 0 {
+                    let step = tick / STEP_TICKS;
+                    running.policy_step(step, &arms, &mut cameras, watcher, clock)?
+                } else {
+                    running.between(tick, &arms, clock)?
+                };
                 if let Some((chunks, inference_ns)) = answer {
                     let executed = match &mut disturber {
                         Some(disturber) => running.disturbed(period.now, &chunks, disturber)?,
@@ -170,6 +174,7 @@ impl Episode<'_> {
                 clock,
             );
             let (record, setpoints) = ticked.ok_or_else(|| running.other_arms())?;
+            running.source.ticked(&record);
             period = running.rig.exchange(Some(&setpoints));
             for (arm, chunk) in chunks.iter().flat_map(PerArm::iter).enumerate() {
                 watcher.chunk(arm, chunk);
@@ -223,6 +228,34 @@ impl Running<'_> {
         ))
     }
 
+    /// The answer at a tick between two policy steps, of a source that gives one then, and how long it took, ns.
+    fn between(
+        &mut self,
+        tick: u64,
+        arms: &PerArm<SeenArm>,
+        clock: MonotonicClock,
+    ) -> Result<Option<(PerArm<Chunk>, u64)>, SessionError> {
+        let asked = self.source.answers_between(tick);
+        asked.then(|| self.ask(arms, &[], clock)).transpose()
+    }
+
+    fn ask(
+        &mut self,
+        arms: &PerArm<SeenArm>,
+        frames: &[FrameRef<'_>],
+        clock: MonotonicClock,
+    ) -> Result<(PerArm<Chunk>, u64), SessionError> {
+        let scene = self.rig.simulation.scene_state();
+        let query = Query {
+            arms: *arms,
+            frames,
+            scene: Some(&scene),
+        };
+        let before = clock.now();
+        let chunks = self.source.answer(&query)?;
+        Ok((chunks, clock.now().since(before)))
+    }
+
     /// Takes frames if anyone wants them, asks the policy if it is its turn, and shows the watcher both. Gives the answer
     /// and how long it took, ns.
     fn policy_step(
@@ -243,15 +276,7 @@ impl Running<'_> {
             self.source.observe(arms, &frames)?;
         }
         let answer = if asked {
-            let scene = self.rig.simulation.scene_state();
-            let query = Query {
-                arms: *arms,
-                frames: &frames,
-                scene: Some(&scene),
-            };
-            let before = clock.now();
-            let chunks = self.source.answer(&query)?;
-            Some((chunks, clock.now().since(before)))
+            Some(self.ask(arms, &frames, clock)?)
         } else {
             None
         };

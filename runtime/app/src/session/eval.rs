@@ -87,6 +87,7 @@ impl<'a> TrialWorker<'a> {
             | PolicyChoice::Noop
             | PolicyChoice::Random
             | PolicyChoice::Teleop
+            | PolicyChoice::Operator(_)
             | PolicyChoice::Own(_) => None,
         };
         Ok(Self {

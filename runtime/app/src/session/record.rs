@@ -16,7 +16,9 @@ use trocar_tasks::disturbance::Disturber;
 use trocar_tasks::task::{Lie, Outcome, Variation};
 
 use super::episode::{Episode, StepView, Watcher};
-use super::record_notes::{DISTURBED_TIME_FACTOR, DisturbedCounts, EpisodeNote, value};
+use super::record_notes::{
+    DISTURBED_TIME_FACTOR, DisturbedCounts, EpisodeNote, by_hand_note, value,
+};
 use super::record_page::{EpisodePage, RecordPage};
 use super::record_resume::{Found, begin, look};
 use super::run::next_simulation;
@@ -454,7 +456,7 @@ fn demonstrator<'a>(
                 grasps: source.attempts(),
                 drawn: task.drawn(seed),
                 disturbances: disturber.map(|it| it.happened().to_vec()),
-                by_hand: None,
+                by_hand: by_hand_note(plan, &source),
             },
             reason: end.reason(),
             outcome: end.outcome,

@@ -9,7 +9,8 @@ use trocar_tasks::disturbance::Disturbance;
 use trocar_tasks::task::{Drawn, Lie, Variation};
 
 use super::record::{Attempt, RecordOptions};
-use super::teleop::TeleopSummary;
+use super::source::{ChunkSource, OPERATOR};
+use super::teleop::{OperatorFigures, TeleopSummary};
 use super::{Plan, PolicyChoice, SessionError};
 use crate::study::address::hash_text;
 
@@ -32,8 +33,12 @@ struct OptionsNote<'a> {
     patient: Option<&'a Lie>,
     varied: &'a [Variation],
     disturb: Option<f64>,
-    /// `teleop` if a person did them, `intervention` if one took over from a policy; none of the expert's.
+    /// `teleop` if a person did them, `intervention` if one took over from a policy, `simulated-operator`; none of the expert's.
     source: Option<&'static str>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    operator_delay_ms: Option<u64>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    operator_tremor_mm: Option<f64>,
     /// That policy.
     #[serde(skip_serializing_if = "Option::is_none")]
     policy: Option<String>,
@@ -60,6 +65,9 @@ struct RecordingNote<'a> {
     disturb: Option<DisturbNote>,
     #[serde(skip_serializing_if = "Option::is_none")]
     source: Option<&'static str>,
+    /// What the simulated operator is like.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    operator: Option<OperatorFigures>,
     /// The policy from which a person took over.
     #[serde(skip_serializing_if = "Option::is_none")]
     policy: Option<String>,
@@ -84,16 +92,16 @@ pub(super) struct EpisodeNote {
     pub(super) drawn: Drawn,
     /// None at all if it was not to be disturbed.
     pub(super) disturbances: Option<Vec<Disturbance>>,
-    /// Of one that a person did by hand.
+    /// Of one that a person did by hand, or a simulated operator.
     #[serde(flatten)]
     pub(super) by_hand: Option<ByHandNote>,
 }
 
-/// How a person did a demonstration.
+/// How hands did a demonstration.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub(super) struct ByHandNote {
     pub(super) source: &'static str,
-    /// Who says that it is a success: the task's judge or the operator.
+    /// Who says that it is a success: the task's judge or the person.
     pub(super) ended_by: &'static str,
     pub(super) teleop: TeleopSummary,
 }
@@ -126,9 +134,31 @@ impl DisturbedCounts {
 
 /// Who demonstrates, if it is not the expert alone.
 pub(super) fn source(plan: &Plan) -> Option<&'static str> {
+    if operator(plan).is_some() {
+        return Some(OPERATOR);
+    }
     let by_hand = plan.policy == PolicyChoice::Teleop;
     plan.demonstrates
         .then_some(if by_hand { "teleop" } else { "intervention" })
+}
+
+/// How the hands of `source`, if it has some, did the demonstration that it has just ended.
+pub(super) fn by_hand_note(plan: &Plan, hands: &ChunkSource) -> Option<ByHandNote> {
+    let both = hands.by_hand().zip(source(plan));
+    both.map(|(teleop, source)| ByHandNote {
+        source,
+        ended_by: "judge",
+        teleop,
+    })
+}
+
+/// The simulated operator, if it is one who demonstrates.
+fn operator(plan: &Plan) -> Option<OperatorFigures> {
+    if let PolicyChoice::Operator(figures) = plan.policy {
+        Some(figures)
+    } else {
+        None
+    }
 }
 
 /// The policy from which a person may take over.
@@ -157,6 +187,7 @@ pub(super) fn recording_note(
         seed: plan.seed,
         varied: &setup.task.varied,
         source,
+        operator: operator(plan),
         policy: policy(plan),
         policy_sha256: plan.policy.weights_sha256()?,
         disturb: options.disturb.map(|share| DisturbNote {
@@ -171,6 +202,7 @@ pub(super) fn recording_note(
 pub(super) fn options_note(plan: &Plan, options: &RecordOptions) -> Result<Value, SessionError> {
     let setup = &plan.setup;
     let texts = setup.robot.texts.by_name().into_iter();
+    let operator = operator(plan);
     let note = OptionsNote {
         trocar: env!("CARGO_PKG_VERSION"),
         task: &setup.task_name,
@@ -185,6 +217,8 @@ pub(super) fn options_note(plan: &Plan, options: &RecordOptions) -> Result<Value
         varied: &setup.task.varied,
         disturb: options.disturb,
         source: source(plan),
+        operator_delay_ms: operator.map(|it| it.delay_ms),
+        operator_tremor_mm: operator.map(|it| it.tremor_mm),
         policy: policy(plan),
         policy_sha256: plan.policy.weights_sha256()?,
         files: texts.map(|(name, text)| (name, hash_text(&text))).collect(),

@@ -139,7 +139,7 @@ fn attempts(
 fn option(key: &str) -> String {
     match key {
         "varied" => "--vary".to_owned(),
-        _ => format!("--{key}"),
+        _ => format!("--{}", key.replace('_', "-")),
     }
 }
 

@@ -95,7 +95,9 @@ impl Robot {
         let recipe = policy.recipe()?;
         let control = match control {
             Some(path) => Source::read(&path.display().to_string())?,
-            None if *policy == PolicyChoice::Teleop => newest_alone()?,
+            None if matches!(policy, PolicyChoice::Teleop | PolicyChoice::Operator(_)) => {
+                newest_alone()?
+            }
             None => built_in_control(recipe.as_ref())?,
         };
         let control = changes.apply(ConfigFile::Control, control)?;
@@ -199,6 +201,7 @@ impl Arms for Robot {
             PolicyChoice::Random => Ok(ChunkSource::random(seed)),
             PolicyChoice::Expert
             | PolicyChoice::Teleop
+            | PolicyChoice::Operator(_)
             | PolicyChoice::Checkpoint(_)
             | PolicyChoice::Own(_)
             | PolicyChoice::External(_) => {

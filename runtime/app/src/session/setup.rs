@@ -12,6 +12,7 @@ use super::external::ExternalPolicy;
 use super::plan::Arms;
 use super::scene_options::SceneOptions;
 use super::source::{ChunkSource, PolicyChoice};
+use super::teleop::SimulatedOperator;
 use super::{Robot, SessionError, tasks};
 use crate::study::address::hash_text;
 use trocar_control::{AnyController, ControlConfig};
@@ -175,6 +176,10 @@ impl Setup {
             PolicyChoice::Noop => ChunkSource::noop(),
             PolicyChoice::Random => ChunkSource::random(seed),
             PolicyChoice::Teleop => return Err(needs_console()),
+            PolicyChoice::Operator(figures) => {
+                let operator = SimulatedOperator::new(self, figures, seed);
+                ChunkSource::Operator(Box::new(operator))
+            }
             PolicyChoice::Checkpoint(path) => {
                 ChunkSource::network(self.robot.network(path, compute)?)
             }

@@ -12,11 +12,14 @@ use trocar_tasks::scene::SceneState;
 use trocar_world::rng::Rng;
 
 use super::external::{self, ExternalChoice, ExternalPolicy};
-use super::teleop::{CHUNK_TICKS, Teleop};
+use super::teleop::{
+    CHUNK_TICKS, OperatorFigures, SimulatedOperator, TIME_FACTOR, Teleop, TeleopSummary,
+};
 use super::{SessionError, policies};
 use crate::study::address::hash_file;
 use hal::PerArm;
 use trocar_control::kinematics;
+use trocar_log::TickRecord;
 
 /// Control periods in one policy step.
 pub const STEP_TICKS: u64 = 40;
@@ -27,8 +30,11 @@ pub const NETWORK_LATENCY_TICKS: u64 = 4 * STEP_TICKS;
 /// One policy step, ns.
 pub const STEP_NS: u64 = STEP_TICKS * hal::TICK_NS;
 
+/// The name of the simulated operator.
+pub(super) const OPERATOR: &str = "simulated-operator";
+
 /// Which policy the user asked for.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq)]
 pub enum PolicyChoice {
     /// The task's scripted expert, which sees the scene's state.
     Expert,
@@ -38,6 +44,8 @@ pub enum PolicyChoice {
     Random,
     /// An operator's hands, through the console.
     Teleop,
+    /// A simulated operator's hands, in lockstep.
+    Operator(OperatorFigures),
     /// A trained checkpoint.
     Checkpoint(PathBuf),
     /// One that the caller hands in, as [`ChunkSource::policy`], by this name.
@@ -47,7 +55,7 @@ pub enum PolicyChoice {
 }
 
 impl PolicyChoice {
-    /// Reads `expert`, `noop`, `random`, `teleop`, `external`, `external:NAME`, or else a directory, or the name of a committed policy such as `needle-lift/act-compact`.
+    /// Reads `expert`, `noop`, `random`, `teleop`, `simulated-operator`, `external`, `external:NAME`, or else a directory, or the name of a committed policy such as `needle-lift/act-compact`.
     #[must_use]
     pub fn parse(text: &str) -> Self {
         match text {
@@ -55,6 +63,7 @@ impl PolicyChoice {
             "noop" => Self::Noop,
             "random" => Self::Random,
             "teleop" => Self::Teleop,
+            OPERATOR => Self::Operator(OperatorFigures::default()),
             external::DEFAULT_NAME => Self::External(ExternalChoice::new(None)),
             directory if Path::new(directory).is_dir() => Self::Checkpoint(directory.into()),
             name => match name.strip_prefix("external:") {
@@ -91,6 +100,43 @@ impl PolicyChoice {
         Ok(self)
     }
 
+    /// The same, if it is a simulated operator with another delay and another tremor, where they are given.
+    ///
+    /// # Errors
+    /// [`SessionError::BadArgument`] for another policy.
+    pub fn operated(
+        self,
+        delay_ms: Option<u64>,
+        tremor_mm: Option<f64>,
+    ) -> Result<Self, SessionError> {
+        match (self, delay_ms, tremor_mm) {
+            (Self::Operator(figures), ..) => Ok(Self::Operator(OperatorFigures {
+                delay_ms: delay_ms.unwrap_or(figures.delay_ms),
+                tremor_mm: tremor_mm.unwrap_or(figures.tremor_mm),
+                ..figures
+            })),
+            (other, None, None) => Ok(other),
+            (other, ..) => Err(SessionError::BadArgument(format!(
+                "--operator-delay-ms and --operator-tremor-mm are of {OPERATOR}, and {} is another",
+                other.name()
+            ))),
+        }
+    }
+
+    /// By how much longer than the task allows an episode may take.
+    #[must_use]
+    pub const fn time_factor(&self) -> f64 {
+        match self {
+            Self::Teleop | Self::Operator(_) => TIME_FACTOR,
+            Self::Expert
+            | Self::Noop
+            | Self::Random
+            | Self::Checkpoint(_)
+            | Self::Own(_)
+            | Self::External(_) => 1.0,
+        }
+    }
+
     /// The same for the job `index` of `jobs`: of external policies each has its own.
     #[must_use]
     pub fn of_job(&self, index: usize, jobs: usize) -> Self {
@@ -107,7 +153,7 @@ impl PolicyChoice {
     pub fn check_exists(&self) -> Result<(), SessionError> {
         match self {
             Self::Checkpoint(path) if !path.is_dir() => Err(SessionError::BadArgument(format!(
-                "policy {}: there is no such folder; a policy is expert, noop, random, teleop, external or a checkpoint's folder",
+                "policy {}: there is no such folder; a policy is expert, noop, random, teleop, simulated-operator, external or a checkpoint's folder",
                 path.display()
             ))),
             Self::External(choice) => choice.check(),
@@ -116,6 +162,7 @@ impl PolicyChoice {
             | Self::Noop
             | Self::Random
             | Self::Teleop
+            | Self::Operator(_)
             | Self::Own(_) => Ok(()),
         }
     }
@@ -158,6 +205,13 @@ impl PolicyChoice {
             Self::Noop => "noop".to_owned(),
             Self::Random => "random".to_owned(),
             Self::Teleop => "teleop".to_owned(),
+            Self::Operator(figures) if *figures == OperatorFigures::default() => {
+                OPERATOR.to_owned()
+            }
+            Self::Operator(figures) => format!(
+                "{OPERATOR} (delay {} ms, tremor {} mm)",
+                figures.delay_ms, figures.tremor_mm
+            ),
             Self::Checkpoint(path) => path.display().to_string(),
             Self::Own(name) => name.clone(),
             Self::External(choice) => match &choice.name {
@@ -215,6 +269,8 @@ pub enum ChunkSource {
     },
     /// An operator's hands.
     Teleop(Box<Teleop>),
+    /// A simulated operator.
+    Operator(Box<SimulatedOperator>),
     /// A policy that sees the arms and cameras: a trained network, or anyone's.
     Policy(Observer),
 }
@@ -287,9 +343,11 @@ impl ChunkSource {
     #[must_use]
     pub fn cameras(&self) -> Vec<String> {
         match self {
-            Self::Expert { .. } | Self::Noop { .. } | Self::Random { .. } | Self::Teleop(_) => {
-                Vec::new()
-            }
+            Self::Expert { .. }
+            | Self::Noop { .. }
+            | Self::Random { .. }
+            | Self::Teleop(_)
+            | Self::Operator(_) => Vec::new(),
             Self::Policy(observer) => observer.cameras.clone(),
         }
     }
@@ -298,7 +356,7 @@ impl ChunkSource {
     #[must_use]
     pub fn query_every_steps(&self) -> u64 {
         match self {
-            Self::Expert { .. } | Self::Noop { .. } | Self::Teleop(_) => 1,
+            Self::Expert { .. } | Self::Noop { .. } | Self::Teleop(_) | Self::Operator(_) => 1,
             Self::Random { .. } => 5,
             Self::Policy(observer) => observer.query_every_steps,
         }
@@ -307,10 +365,22 @@ impl ChunkSource {
     /// Ticks from one query to the next in real time, with frames none.
     pub(super) fn query_every_ticks(&self) -> u64 {
         match self {
-            Self::Teleop(_) => CHUNK_TICKS,
+            Self::Teleop(_) | Self::Operator(_) => CHUNK_TICKS,
             Self::Expert { .. } | Self::Noop { .. } | Self::Random { .. } | Self::Policy(_) => {
                 STEP_TICKS * self.query_every_steps()
             }
+        }
+    }
+
+    /// Whether it answers in lockstep at the tick `tick` between two policy steps.
+    pub(super) const fn answers_between(&self, tick: u64) -> bool {
+        matches!(self, Self::Operator(_)) && tick.is_multiple_of(CHUNK_TICKS)
+    }
+
+    /// A tick is over in lockstep.
+    pub(super) fn ticked(&mut self, record: &TickRecord) {
+        if let Self::Operator(operator) = self {
+            operator.ticked(record);
         }
     }
 
@@ -318,9 +388,11 @@ impl ChunkSource {
     pub(super) fn take_notices(&mut self) -> Vec<String> {
         match self {
             Self::Teleop(teleop) => teleop.take_notices(),
-            Self::Expert { .. } | Self::Noop { .. } | Self::Random { .. } | Self::Policy(_) => {
-                Vec::new()
-            }
+            Self::Expert { .. }
+            | Self::Noop { .. }
+            | Self::Random { .. }
+            | Self::Operator(_)
+            | Self::Policy(_) => Vec::new(),
         }
     }
 
@@ -329,18 +401,33 @@ impl ChunkSource {
     pub fn activities(&self) -> [Activity; ARMS_MAX] {
         match self {
             Self::Expert { expert, .. } => expert.activities(),
-            Self::Noop { .. } | Self::Random { .. } | Self::Teleop(_) | Self::Policy(_) => {
-                [Activity::Other; ARMS_MAX]
-            }
+            Self::Noop { .. }
+            | Self::Random { .. }
+            | Self::Teleop(_)
+            | Self::Operator(_)
+            | Self::Policy(_) => [Activity::Other; ARMS_MAX],
         }
     }
 
-    /// Grasps that the expert has tried, the present one included; 0 of any other source.
+    /// Grasps that the expert or the simulated operator has tried, the present one included; 0 of any other source.
     #[must_use]
     pub fn attempts(&self) -> u32 {
         match self {
             Self::Expert { expert, .. } => expert.attempts(),
+            Self::Operator(operator) => operator.attempts(),
             Self::Noop { .. } | Self::Random { .. } | Self::Teleop(_) | Self::Policy(_) => 0,
+        }
+    }
+
+    /// What a simulated operator's hands did.
+    pub(super) fn by_hand(&self) -> Option<TeleopSummary> {
+        match self {
+            Self::Operator(operator) => Some(operator.summary()),
+            Self::Expert { .. }
+            | Self::Noop { .. }
+            | Self::Random { .. }
+            | Self::Teleop(_)
+            | Self::Policy(_) => None,
         }
     }
 
@@ -348,7 +435,11 @@ impl ChunkSource {
     #[must_use]
     pub fn history_steps(&self) -> u64 {
         match self {
-            Self::Expert { .. } | Self::Noop { .. } | Self::Random { .. } | Self::Teleop(_) => 0,
+            Self::Expert { .. }
+            | Self::Noop { .. }
+            | Self::Random { .. }
+            | Self::Teleop(_)
+            | Self::Operator(_) => 0,
             Self::Policy(observer) => observer.policy.history_steps(),
         }
     }
@@ -374,7 +465,11 @@ impl ChunkSource {
     #[must_use]
     pub fn latency_ticks(&self) -> u64 {
         match self {
-            Self::Expert { .. } | Self::Noop { .. } | Self::Random { .. } | Self::Teleop(_) => 0,
+            Self::Expert { .. }
+            | Self::Noop { .. }
+            | Self::Random { .. }
+            | Self::Teleop(_)
+            | Self::Operator(_) => 0,
             Self::Policy(_) => NETWORK_LATENCY_TICKS,
         }
     }
@@ -389,10 +484,7 @@ impl ChunkSource {
         match self {
             Self::Expert { expert, sequence } => {
                 *sequence += 1;
-                let scene = query.scene.ok_or_else(|| {
-                    SessionError::BadArgument("the expert needs a scene to see".to_owned())
-                })?;
-                per_arm(expert.chunks(now, scene, *sequence))
+                per_arm(expert.chunks(now, seen_scene(query)?, *sequence))
             }
             Self::Noop { held, sequence } => {
                 *sequence += 1;
@@ -409,6 +501,7 @@ impl ChunkSource {
                 Ok(home.map(|home| wander(now, *sequence, &home, rng)))
             }
             Self::Teleop(teleop) => teleop.answer(&query.arms),
+            Self::Operator(operator) => operator.answer(&query.arms, seen_scene(query)?),
             Self::Policy(observer) => {
                 let arms: Vec<SeenArm> = query.arms.iter().copied().collect();
                 let observation = Observation {
@@ -426,6 +519,11 @@ impl ChunkSource {
             }
         }
     }
+}
+
+fn seen_scene<'a>(query: &Query<'a>) -> Result<&'a SceneState, SessionError> {
+    let missing = || SessionError::BadArgument("the expert needs a scene to see".to_owned());
+    query.scene.ok_or_else(missing)
 }
 
 fn per_arm(chunks: Vec<Chunk>) -> Result<PerArm<Chunk>, SessionError> {

@@ -25,6 +25,7 @@ mod backbone;
 mod clouds;
 mod disturbed;
 mod latency;
+mod operator;
 mod resumed;
 mod state;
 mod tissue;
@@ -85,17 +86,22 @@ fn run_setup(
         PolicyChoice::Checkpoint(_) | PolicyChoice::Own(_) | PolicyChoice::External(_) => {
             Rendering::On
         }
-        PolicyChoice::Expert | PolicyChoice::Noop | PolicyChoice::Random | PolicyChoice::Teleop => {
-            Rendering::Off
-        }
+        PolicyChoice::Expert
+        | PolicyChoice::Noop
+        | PolicyChoice::Random
+        | PolicyChoice::Teleop
+        | PolicyChoice::Operator(_) => Rendering::Off,
     };
+    // A chunk of hands is over after 40 ms.
+    let by_hand = matches!(policy, PolicyChoice::Operator(_));
+    let late_ticks = if by_hand { 0 } else { 40 };
     let episode = Episode {
         simulation: &mut Simulation::new(&setup.task, 3, rendering).unwrap(),
         controller: &mut setup.controller().unwrap(),
         source: &mut setup.source(policy, 3, Device::Cpu).unwrap(),
     };
     let timing = Timing {
-        latency: Latency::fixed(40),
+        latency: Latency::fixed(late_ticks),
         tick_limit: ticks,
     };
     let end = episode.run(&timing, &mut logger).unwrap();
@@ -137,6 +143,7 @@ fn two_arms_run_replay_and_verify_without_a_network() {
             PolicyChoice::Expert
             | PolicyChoice::Random
             | PolicyChoice::Teleop
+            | PolicyChoice::Operator(_)
             | PolicyChoice::Checkpoint(_)
             | PolicyChoice::Own(_)
             | PolicyChoice::External(_) => [true, true],
@@ -216,8 +223,8 @@ fn small_handover(policy: &PolicyChoice) -> Setup {
     setup
 }
 
-/// Records one demonstration of the handover.
-fn record_one(out: &Path) -> Dataset {
+/// Records one demonstration by `plan`.
+fn record_one(plan: Plan, out: &Path) -> Dataset {
     let options = RecordOptions {
         episodes: 1,
         out: out.to_owned(),
@@ -228,14 +235,11 @@ fn record_one(out: &Path) -> Dataset {
         disturb: None,
         instruction: None,
     };
-    let plan = Plan {
-        seed: 3,
-        ..Plan::new(small_handover(&PolicyChoice::Expert), PolicyChoice::Expert)
-    };
+    let plan = Plan { seed: 3, ..plan };
     let summary = record(&plan, &options, &|| false, &mut |_| {}).unwrap();
     assert_eq!((summary.episodes, summary.attempts.len()), (1, 1));
     let dataset = Dataset::open(out).unwrap();
-    assert_eq!((dataset.len(), dataset.arms()), (summary.steps, 2));
+    assert_eq!(dataset.len(), summary.steps);
     dataset
 }
 
@@ -306,7 +310,10 @@ fn a_query_interval_longer_than_a_chunk_is_refused() {
 fn network_of_two_arms_commands_both() {
     let folder = Scratch::new("session-bimanual");
     let (data, out) = (folder.0.join("data"), folder.0.join("act"));
-    check_demonstration(&record_one(&data));
+    let expert = PolicyChoice::Expert;
+    let dataset = record_one(Plan::new(small_handover(&expert), expert), &data);
+    assert_eq!(dataset.arms(), 2);
+    check_demonstration(&dataset);
     let options = training_options(data, out.clone());
     assert!(train(&options, &mut |_| {}).unwrap().loss.is_finite());
     let policy = PolicyChoice::Checkpoint(out);

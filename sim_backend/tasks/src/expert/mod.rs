@@ -5,7 +5,7 @@ use hal::{Chunk, TimeNs, TipTarget};
 
 use crate::scene::SceneState;
 use crate::script::AnyScript;
-pub use crate::script::{Activity, CHUNK_LEN, STEP_NS};
+pub use crate::script::{Activity, CHUNK_LEN, Care, STEP_NS};
 use crate::task::TaskConfig;
 use hal::ARMS_MAX;
 
@@ -22,6 +22,14 @@ impl Expert {
         Self {
             script: task.scene_of(seed).expert(&task.arms, seed),
         }
+    }
+
+    /// The same for an operator to go by, who sees late and waits with `care` for what the hands come to.
+    #[must_use]
+    pub fn careful(task: &TaskConfig, seed: u64, care: Care) -> Self {
+        let mut expert = Self::new(task, seed);
+        expert.script.take_care(care, seed);
+        expert
     }
 
     /// The first arm's target for `now` and those that would follow if the arm kept up and nothing unforeseen happened;

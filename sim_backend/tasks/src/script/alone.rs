@@ -5,7 +5,7 @@ use trocar_world::ArmStart;
 use trocar_world::rng::Rng;
 
 use super::play::{Activity, ArmView, Hand, Looks, Part};
-use super::{Script, Wish, arrive, carry};
+use super::{Care, Script, Wish, arrive, carry};
 use crate::scene::SceneState;
 use hal::ARMS_MAX;
 
@@ -67,6 +67,10 @@ impl<P: Part<View = View>> Script for Alone<P> {
 
     fn activities(&self) -> [Activity; ARMS_MAX] {
         [self.hand.activity(), Activity::Other]
+    }
+
+    fn take_care(&mut self, care: Care, seed: u64) {
+        self.hand.take_care(care, Rng::stream(seed, "care"));
     }
 
     fn foresee(&self, scene: &mut SceneState, wish: &Wish) {

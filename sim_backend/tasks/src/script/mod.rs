@@ -5,6 +5,7 @@
 //! start over when a grasp failed.
 
 pub(crate) mod alone;
+pub(crate) mod care;
 pub(crate) mod hand;
 pub(crate) mod motion;
 pub(crate) mod play;
@@ -14,6 +15,7 @@ use core::fmt::Debug;
 
 use hal::{TimeNs, TipTarget};
 
+pub use care::Care;
 pub use play::Activity;
 
 use crate::scene::{ArmScene, SceneState};
@@ -43,6 +45,9 @@ pub(crate) trait Script: Clone + Debug + Send + 'static {
     /// What each arm is doing.
     fn activities(&self) -> [Activity; ARMS_MAX];
 
+    /// From now on it is played with `care`, whose pauses are drawn by `seed`.
+    fn take_care(&mut self, care: Care, seed: u64);
+
     /// Changes `scene` to what it would be after `wish` if the arms kept up.
     fn foresee(&self, scene: &mut SceneState, wish: &Wish);
 }
@@ -57,6 +62,9 @@ pub(crate) trait AnyScript: Debug + Send {
 
     /// What each arm is doing.
     fn activities(&self) -> [Activity; ARMS_MAX];
+
+    /// As [`Script::take_care`].
+    fn take_care(&mut self, care: Care, seed: u64);
 }
 
 impl<S: Script> AnyScript for S {
@@ -81,6 +89,10 @@ impl<S: Script> AnyScript for S {
 
     fn activities(&self) -> [Activity; ARMS_MAX] {
         Script::activities(self)
+    }
+
+    fn take_care(&mut self, care: Care, seed: u64) {
+        Script::take_care(self, care, seed);
     }
 }
 

@@ -51,6 +51,8 @@ pub(crate) struct Motion {
     swing: Option<Swing>,
     began: TimeNs,
     duration_s: f64,
+    /// How long after its end it counts as over, s.
+    put_off_s: f64,
 }
 
 /// A turn about a fixed upright axis instead of the straight way.
@@ -90,6 +92,7 @@ impl Motion {
             swing: None,
             began,
             duration_s,
+            put_off_s: 0.0,
         }
     }
 
@@ -118,6 +121,7 @@ impl Motion {
             swing: Some(swing),
             began,
             duration_s,
+            put_off_s: 0.0,
         }
     }
 
@@ -130,6 +134,7 @@ impl Motion {
             swing: None,
             began,
             duration_s: duration_s.max(1e-3),
+            put_off_s: 0.0,
         }
     }
 
@@ -186,7 +191,12 @@ impl Motion {
 
     /// Seconds since the motion ought to have ended; negative while it is under way.
     pub(crate) fn overdue_s(&self, now: TimeNs) -> f64 {
-        self.elapsed_s(now) - self.duration_s
+        self.elapsed_s(now) - self.duration_s - self.put_off_s
+    }
+
+    /// It ought to have ended this much later, s; the way stays as it is.
+    pub(crate) fn put_off(&mut self, by_s: f64) {
+        self.put_off_s += by_s;
     }
 
     fn elapsed_s(&self, now: TimeNs) -> f64 {

@@ -5,6 +5,7 @@ use core::fmt::Debug;
 use hal::{Pose, TimeNs};
 use trocar_world::rng::Rng;
 
+use super::care::{Care, Careful};
 use super::motion::{Motion, Placement};
 
 /// A step's share of following what moves, m and rad.
@@ -137,6 +138,8 @@ pub(crate) struct Hand<P: Part> {
     motion: Option<Motion>,
     attempts: u32,
     untouched_steps: u32,
+    /// Of an operator.
+    careful: Option<Careful>,
 }
 
 /// What one hand does in the script of a task.
@@ -179,7 +182,13 @@ impl<P: Part> Hand<P> {
             motion: None,
             attempts: 1,
             untouched_steps: 0,
+            careful: None,
         }
+    }
+
+    /// From now on it waits at the end of each motion as `care` says.
+    pub(crate) fn take_care(&mut self, care: Care, rng: Rng) {
+        self.careful = Some(Careful::new(care, rng));
     }
 
     /// Attempts begun so far, the present one included.
@@ -211,7 +220,7 @@ impl<P: Part> Hand<P> {
         };
         let mut motion = match self.motion {
             Some(motion) => motion,
-            None => P::begin(self, now, start, view),
+            None => self.begin(now, start, view),
         };
         if let Some(goal) = P::moving_goal(self, view) {
             motion.drift_end(&goal, FOLLOW_STEP_M, FOLLOW_STEP_RAD);
@@ -221,6 +230,9 @@ impl<P: Part> Hand<P> {
         } else {
             self.untouched_steps + 1
         };
+        if let Some(careful) = &mut self.careful {
+            careful.wait(&mut motion, now, &own.tip);
+        }
         if let Some(event) = P::event(self, now, &motion, view) {
             let next = self.phase.next(event);
             if next != self.phase {
@@ -229,11 +241,20 @@ impl<P: Part> Hand<P> {
                     from.tip_in_scene = own.tip;
                 }
                 self.enter(next);
-                motion = P::begin(self, now, from, view);
+                motion = self.begin(now, from, view);
             }
         }
         self.motion = Some(motion);
         motion.at(now)
+    }
+
+    /// The motion of the present phase.
+    fn begin(&mut self, now: TimeNs, from: Placement, view: &P::View) -> Motion {
+        let mut motion = P::begin(self, now, from, view);
+        if let Some(careful) = &mut self.careful {
+            careful.begin(&mut motion);
+        }
+        motion
     }
 
     /// Book-keeping on entering a phase.

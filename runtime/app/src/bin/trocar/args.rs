@@ -109,7 +109,7 @@ pub(crate) enum Verb {
     Policy(PolicyArgs),
     /// Record demonstrations as a LeRobot v3 dataset.
     #[command(
-        after_help = "Example: trocar record --task needle-lift --episodes 50 --source expert --cameras multi --out runs/demos\n         trocar record --task needle-lift --episodes 200 --disturb 0.5 --vary needles,views,light --jobs 2 --out runs/varied\n         trocar record --task needle-lift --episodes 100 --source expert --cameras multi --out runs/demos --resume\n\nCtrl-C (SIGINT), SIGTERM and SIGHUP abandon the episodes in progress; what was recorded is a dataset, and the exit code is 1. A second one ends the program at once. The same command with --resume goes on, also after a crash or a full disk, and comes to the same dataset as without the break."
+        after_help = "Example: trocar record --task needle-lift --episodes 50 --source expert --cameras multi --out runs/demos\n         trocar record --task needle-lift --episodes 50 --source simulated-operator --out runs/by-hand\n         trocar record --task needle-lift --episodes 200 --disturb 0.5 --vary needles,views,light --jobs 2 --out runs/varied\n         trocar record --task needle-lift --episodes 100 --source expert --cameras multi --out runs/demos --resume\n\nCtrl-C (SIGINT), SIGTERM and SIGHUP abandon the episodes in progress; what was recorded is a dataset, and the exit code is 1. A second one ends the program at once. The same command with --resume goes on, also after a crash or a full disk, and comes to the same dataset as without the break."
     )]
     Record(RecordArgs),
     /// Make a LeRobot v3 dataset of demonstrations of others: HDF5 of ACT or robomimic, LeRobot datasets, a dVRK's folders.
@@ -323,7 +323,7 @@ pub(crate) struct RunArgs {
     /// With --safety: after how long the run ends, s, up to 86400; if not given, only a signal or a fault ends it.
     #[arg(long, value_name = "S", requires = "safety", conflicts_with = "task", value_parser = seconds)]
     pub(crate) seconds: Option<f64>,
-    /// `expert`, `noop`, `random`, `teleop` (an operator's hands, over --console), a checkpoint's directory, or `external`: a process of yours on the topics `external`, or on others with
+    /// `expert`, `noop`, `random`, `teleop` (an operator's hands, over --console), `simulated-operator` (with --lockstep), a checkpoint's directory, or `external`: a process of yours on the topics `external`, or on others with
     /// `external:NAME`, such as one of the Python package in policy/python.
     #[arg(long)]
     pub(crate) policy: String,

@@ -11,7 +11,6 @@ use trocar::session::changes::{Change, Changes, ConfigFile};
 use trocar::session::plan;
 use trocar::session::realtime::{self, CanOptions, PolicyProcessOptions, RobotOptions};
 use trocar::session::run::{RunResult, write_json};
-use trocar::session::teleop::TIME_FACTOR;
 use trocar::session::{Plan, PolicyChoice, Robot, SessionError, Setup, demo, operator, outputs};
 use trocar_control::MeasuredClearance;
 use trocar_data::dataset::VideoCodec;
@@ -235,9 +234,7 @@ fn run_task(
     let config = args.config.as_deref();
     let mut setup = Setup::load_with(task, config, &chosen.policy, &scene, changes)?;
     warn_of_transfer(&setup);
-    if chosen.policy == PolicyChoice::Teleop {
-        setup.task.time_limit_s *= TIME_FACTOR;
-    }
+    setup.task.time_limit_s *= chosen.policy.time_factor();
     let backend = match can {
         Some((can, text)) => {
             setup.robot.texts.can = Some(text);

@@ -25,7 +25,7 @@ pub(crate) struct EvalArgs {
     /// The task: a built-in one by name, or the path of a folder with scene.toml and safety.toml.
     #[arg(long, value_parser = TaskParser)]
     pub(crate) task: String,
-    /// `expert`, `noop`, `random`, a checkpoint's directory, or `external`: a process of yours on the topics `external`, or on others with
+    /// `expert`, `noop`, `random`, `simulated-operator`, a checkpoint's directory, or `external`: a process of yours on the topics `external`, or on others with
     /// `external:NAME`, such as one of the Python package in policy/python. With --jobs N: one a job, on `NAME-1` to `NAME-N`.
     #[arg(long)]
     pub(crate) policy: String,
@@ -83,7 +83,8 @@ pub(crate) fn eval(args: &EvalArgs) -> Done {
     .check(&[("--json", args.json.as_deref())])?;
     let policy = args.external.policy(&args.policy)?;
     let scenes = args.scenes.options(None);
-    let setup = args.config.setup(&args.task, &policy, &scenes)?;
+    let mut setup = args.config.setup(&args.task, &policy, &scenes)?;
+    setup.task.time_limit_s *= policy.time_factor();
     warn_of_transfer(&setup);
     note_awaited(&policy, args.jobs.min(args.trials));
     let plan = Plan {

@@ -1,12 +1,13 @@
 //! `trocar policy`: a checkpoint that answers sessions of other processes; and how such a session calls for one.
 
 use clap::Args;
-use clap::builder::NonEmptyStringValueParser;
+use clap::builder::{NonEmptyStringValueParser, RangedU64ValueParser};
 
 use trocar::rt;
 use trocar::session::external::{
     ByHand, DEFAULT_NAME, DEFAULT_WITHIN_S, ExternalChoice, serve_by_hand,
 };
+use trocar::session::teleop::{DELAYS_MS, TREMORS_MM};
 use trocar::session::{PolicyChoice, SessionError};
 
 use crate::args::{ComputeArgs, within};
@@ -22,6 +23,39 @@ pub(crate) struct ExternalArgs {
     /// Language instruction of the task, passed to an external policy; the task's name if not given.
     #[arg(long, value_name = "TEXT", value_parser = NonEmptyStringValueParser::new())]
     pub(crate) instruction: Option<String>,
+    /// What a simulated operator is like.
+    #[command(flatten)]
+    pub(crate) operator: SimulatedArgs,
+}
+
+/// What a simulated operator is like, where the user chooses it.
+#[derive(Args, Clone, Copy, Debug)]
+pub(crate) struct SimulatedArgs {
+    /// How old what a simulated operator sees is, ms, up to 500; 80 if not given.
+    #[arg(long, value_name = "MS", value_parser = sight_delay())]
+    pub(crate) operator_delay_ms: Option<u64>,
+    /// Tremor of a simulated operator's hands, 8 to 12 Hz, mm rms, up to 2; 0.1 if not given.
+    #[arg(long, value_name = "MM", value_parser = tremor)]
+    pub(crate) operator_tremor_mm: Option<f64>,
+}
+
+impl SimulatedArgs {
+    /// The same policy with what was typed.
+    pub(crate) fn operated(&self, policy: PolicyChoice) -> Result<PolicyChoice, SessionError> {
+        policy.operated(self.operator_delay_ms, self.operator_tremor_mm)
+    }
+}
+
+fn sight_delay() -> RangedU64ValueParser<u64> {
+    RangedU64ValueParser::new().range(DELAYS_MS)
+}
+
+fn tremor(text: &str) -> Result<f64, String> {
+    let tremor: Option<f64> = text.parse().ok();
+    let (low, high) = (TREMORS_MM.start(), TREMORS_MM.end());
+    tremor
+        .filter(|tremor| TREMORS_MM.contains(tremor))
+        .ok_or_else(|| format!("expected a number in [{low}, {high}]"))
 }
 
 impl ExternalArgs {
@@ -29,6 +63,7 @@ impl ExternalArgs {
     pub(crate) fn policy(&self, text: &str) -> Result<PolicyChoice, SessionError> {
         let policy = PolicyChoice::parse(text).within_s(self.policy_timeout);
         let policy = policy.instructed(self.instruction.as_deref())?;
+        let policy = self.operator.operated(policy)?;
         policy.check_exists()?;
         Ok(policy)
     }

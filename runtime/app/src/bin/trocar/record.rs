@@ -9,7 +9,7 @@ use indicatif::ProgressBar;
 use trocar::rt;
 use trocar::session::record::{self, RecordOptions, RecordSummary};
 use trocar::session::run::write_json;
-use trocar::session::teleop::TIME_FACTOR;
+use trocar::session::teleop::OperatorFigures;
 use trocar::session::{Plan, PolicyChoice, SessionError};
 use trocar_data::dataset::Totals;
 
@@ -17,6 +17,7 @@ use crate::args::{TaskParser, Video, count, share_above_0, threads};
 use crate::commands::{Done, codec};
 use crate::console;
 use crate::page::{FoxgloveArgs, PageArgs};
+use crate::policy::SimulatedArgs;
 use crate::scene_args::{ConfigArgs, Inputs, ScenesArgs};
 
 /// Source of the demonstrations.
@@ -24,11 +25,20 @@ use crate::scene_args::{ConfigArgs, Inputs, ScenesArgs};
 pub(crate) enum Demonstrator {
     /// The task's scripted expert.
     Expert,
+    /// A simulated operator in lockstep: sees late, and moves trembling hands through teleoperation, as a person's do.
+    SimulatedOperator,
     /// A person's hands, in real time over --console.
     Teleop,
     /// The policy of --policy in real time, from which a person takes over where it fails, over --console (DAgger). The dataset's column
     /// `intervention` says who drove in each frame.
     Intervention,
+}
+
+impl Demonstrator {
+    /// Whether a person demonstrates, in real time.
+    const fn is_a_person(self) -> bool {
+        matches!(self, Self::Teleop | Self::Intervention)
+    }
 }
 
 /// Options of `record`.
@@ -43,6 +53,9 @@ pub(crate) struct RecordArgs {
     /// Source of the demonstrations.
     #[arg(long, value_enum, default_value = "expert")]
     pub(crate) source: Demonstrator,
+    /// With --source simulated-operator: what it is like.
+    #[command(flatten)]
+    pub(crate) operator: SimulatedArgs,
     /// With --source intervention: the policy that drives, as `trocar run` takes it.
     #[arg(long, value_name = "POLICY")]
     pub(crate) policy: Option<String>,
@@ -109,9 +122,7 @@ pub(crate) fn record(args: &RecordArgs) -> Done {
     let demonstrator = demonstrator(args)?;
     let scenes = args.scenes.options(Some(&args.cameras));
     let mut setup = args.config.setup(&args.task, &demonstrator, &scenes)?;
-    if args.source == Demonstrator::Teleop {
-        setup.task.time_limit_s *= TIME_FACTOR;
-    }
+    setup.task.time_limit_s *= demonstrator.time_factor();
     let page = args.page.open(args.viewers.foxglove)?;
     let plan = Plan {
         seed: args.seed,
@@ -129,9 +140,7 @@ pub(crate) fn record(args: &RecordArgs) -> Done {
         video: args.video.map(codec),
         instruction: args.instruction.clone(),
     };
-    let by_hand = page
-        .as_ref()
-        .filter(|_| args.source != Demonstrator::Expert);
+    let by_hand = page.as_ref().filter(|_| args.source.is_a_person());
     if by_hand.is_none() {
         rt::catch_interrupts().map_err(SessionError::signals)?;
     }
@@ -179,23 +188,27 @@ fn bar(args: &RecordArgs) -> ProgressBar {
 fn demonstrator(args: &RecordArgs) -> Result<PolicyChoice, SessionError> {
     let choice = match (args.source, &args.policy) {
         (Demonstrator::Expert, _) => PolicyChoice::Expert,
+        (Demonstrator::SimulatedOperator, _) => PolicyChoice::Operator(OperatorFigures::default()),
         (Demonstrator::Intervention, Some(policy)) => PolicyChoice::parse(policy),
         (Demonstrator::Teleop, _) | (Demonstrator::Intervention, None) => PolicyChoice::Teleop,
     };
+    let choice = args.operator.operated(choice)?;
     choice.check_exists()?;
     Ok(choice)
 }
 
 /// A person does one episode at a time, is not disturbed, and is seen by the console.
 fn check_source(args: &RecordArgs) -> Result<(), SessionError> {
-    let by_hand = args.source != Demonstrator::Expert;
+    let by_hand = args.source.is_a_person();
     let intervention = args.source == Demonstrator::Intervention;
     let wrong = match (by_hand, args.page.console) {
         (true, None) => {
             "--source teleop and intervention: the operator's hands come over --console"
         }
         (true, Some(_)) if args.jobs > 1 => "--jobs: a person does one episode at a time",
-        (true, Some(_)) if args.disturb.is_some() => "--disturb needs --source expert",
+        _ if args.disturb.is_some() && args.source != Demonstrator::Expert => {
+            "--disturb needs --source expert"
+        }
         _ => match args.policy.as_deref() {
             None if intervention => {
                 "--source intervention needs --policy: what the person takes over from"
@@ -225,6 +238,10 @@ fn report(summary: &RecordSummary, args: &RecordArgs) {
         "{episodes} episodes, {} steps in {out}{there}",
         summary.steps
     ));
+    if args.source == Demonstrator::SimulatedOperator {
+        let (kept, attempts) = (episodes - before, summary.attempts.len());
+        console::result(&format!("{kept} of {attempts} attempts succeeded"));
+    }
     if let Some(disturbed) = &summary.disturbed {
         console::result(&format!(
             "disturbed: {} of {} kept, {} with another attempt at a grasp",

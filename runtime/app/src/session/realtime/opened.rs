@@ -52,6 +52,10 @@ impl<'a> Opened<'a> {
                 Ok(Self::External(Box::new(link)))
             }
             PolicyChoice::Teleop => Self::by_hand(plan),
+            PolicyChoice::Operator(_) => Err(SessionError::BadArgument(format!(
+                "policy {}: it moves in lockstep alone: give --lockstep",
+                plan.policy.name()
+            ))),
             PolicyChoice::Expert
             | PolicyChoice::Noop
             | PolicyChoice::Random

@@ -25,13 +25,13 @@ pub(crate) struct HandsMessage {
 #[serde(deny_unknown_fields)]
 pub(super) struct HandMessage {
     /// Whether the operator holds the clutch.
-    clutch: bool,
+    pub(super) clutch: bool,
     /// Position in the picture's axes, m.
-    at: [f64; 3],
+    pub(super) at: [f64; 3],
     /// Rotation in the picture's axes, unit quaternion x, y, z, w.
-    turn: [f64; 4],
+    pub(super) turn: [f64; 4],
     /// How far the trigger is pressed, 0 to 1: 1 closes the jaw.
-    jaw: f64,
+    pub(super) jaw: f64,
 }
 
 /// A hand that makes sense.

@@ -25,6 +25,7 @@ mod held;
 mod intervention;
 mod latency;
 mod message;
+mod operator;
 mod source;
 mod status;
 mod view;
@@ -33,6 +34,8 @@ mod view;
 mod tests;
 
 use hal::{JointVector, PerArm, TimeNs, TipTarget};
+use trocar_control::OperatingState;
+use trocar_log::TickRecord;
 
 pub(crate) use clutch::Lost;
 pub(crate) use demonstration::Demonstrating;
@@ -41,6 +44,7 @@ pub(crate) use hands::Hands;
 pub(crate) use intervention::{FromHands, Intervention};
 pub use latency::{InterventionSummary, TeleopSummary};
 pub(crate) use message::{BadHands, HandsMessage};
+pub use operator::{DELAYS_MS, OperatorFigures, SimulatedOperator, TREMORS_MM};
 pub use source::Teleop;
 pub(crate) use status::{Phase, Recording, TeleopStatus};
 
@@ -66,6 +70,24 @@ pub(crate) struct Commanded {
     pub(crate) sequence: u64,
     pub(crate) at: TimeNs,
     pub(crate) arms: PerArm<ArmCommanded>,
+}
+
+impl Commanded {
+    /// What the controller commands after the tick of `record`; `given` is the newest chunk that it was given till then, and when.
+    pub(crate) fn after(record: &TickRecord, given: &mut (u64, TimeNs)) -> Self {
+        if let Some(sequence) = record.arms.first.chunk_sequence {
+            *given = (sequence, record.now);
+        }
+        let (sequence, at) = *given;
+        let arms = record.arms.map(|arm| ArmCommanded {
+            position: arm.command.position,
+            velocity: arm.command.velocity,
+            jaw: arm.command.jaw_position,
+            target: arm.report.target,
+            follows: arm.report.mode.state == OperatingState::Enabled,
+        });
+        Self { sequence, at, arms }
+    }
 }
 
 /// Who drives the arms of a run that has a policy and an operator.

@@ -14,8 +14,8 @@ use crate::session::source::STEP_NS;
 use crate::session::{SessionError, Setup};
 
 /// Angle between the jaw fingers with the trigger let go, and pressed, rad. The latter is below contact: it presses.
-const JAW_OPEN_RAD: f64 = 0.7;
-const JAW_CLOSED_RAD: f64 = -0.15;
+pub(super) const JAW_OPEN_RAD: f64 = 0.7;
+pub(super) const JAW_CLOSED_RAD: f64 = -0.15;
 
 /// A trigger takes the jaw over where it meets it this closely, rad.
 const JAW_MEETS_RAD: f64 = 0.06;

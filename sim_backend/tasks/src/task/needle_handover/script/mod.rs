@@ -21,7 +21,7 @@ use super::NeedleHandover;
 use crate::scene::{ArmScene, SceneState};
 use crate::script::motion::Placement;
 use crate::script::play::{Activity, ArmView, Hand, Looks};
-use crate::script::{Script, Wish, arrive, carry};
+use crate::script::{Care, Script, Wish, arrive, carry};
 use giver::Giver;
 use hal::ARMS_MAX;
 use style::Style;
@@ -89,6 +89,13 @@ impl Script for Passer {
 
     fn activities(&self) -> [Activity; ARMS_MAX] {
         [self.giver.activity(), self.taker.activity()]
+    }
+
+    fn take_care(&mut self, care: Care, seed: u64) {
+        self.giver
+            .take_care(care, Rng::stream(seed, "giver's care"));
+        self.taker
+            .take_care(care, Rng::stream(seed, "taker's care"));
     }
 
     fn foresee(&self, scene: &mut SceneState, wish: &Wish) {

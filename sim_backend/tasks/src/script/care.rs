@@ -1,0 +1,65 @@
+//! How somebody plays a script who sees late and whose hand goes astray: waits until the tip is there, and looks before going on.
+
+use hal::{Pose, TimeNs};
+use trocar_world::rng::Rng;
+
+use super::STEP_NS;
+use super::motion::Motion;
+
+/// One step, s.
+fn step_s() -> f64 {
+    TimeNs(STEP_NS).seconds()
+}
+
+/// What an operator waits for at the end of each motion, which the expert, whose arm is where it wants it, need not.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Care {
+    /// How near the tip has to be to where the motion ends, m.
+    pub near_m: f64,
+    /// The same of its rotation, rad.
+    pub near_rad: f64,
+    /// How long to look after each motion before the next one: evenly from the first to the second, s.
+    pub pause_s: [f64; 2],
+    /// How long to wait at most for the tip to be near, s: what holds it does not go away.
+    pub patience_s: f64,
+}
+
+/// A hand's care, in the middle of a motion.
+#[derive(Clone, Debug)]
+pub(crate) struct Careful {
+    care: Care,
+    rng: Rng,
+    waited_s: f64,
+}
+
+impl Careful {
+    pub(crate) fn new(care: Care, rng: Rng) -> Self {
+        Self {
+            care,
+            rng,
+            waited_s: 0.0,
+        }
+    }
+
+    /// The motion begins: there is a pause at its end.
+    pub(crate) fn begin(&mut self, motion: &mut Motion) {
+        let [least, most] = self.care.pause_s;
+        self.waited_s = 0.0;
+        motion.put_off(self.rng.range(least, most));
+    }
+
+    /// Puts the end of `motion` off at `now` as long as the tip, seen at `tip_in_scene`, is not near it.
+    pub(crate) fn wait(&mut self, motion: &mut Motion, now: TimeNs, tip_in_scene: &Pose) {
+        let over = motion.overdue_s(now) > -step_s();
+        if over && self.waited_s < self.care.patience_s && !self.is_near(motion, tip_in_scene) {
+            self.waited_s += step_s();
+            motion.put_off(step_s());
+        }
+    }
+
+    fn is_near(&self, motion: &Motion, tip: &Pose) -> bool {
+        let end = &motion.end().tip_in_scene;
+        let gap_m = (end.translation.vector - tip.translation.vector).norm();
+        gap_m < self.care.near_m && end.rotation.angle_to(&tip.rotation) < self.care.near_rad
+    }
+}
